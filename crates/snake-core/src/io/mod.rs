@@ -1,0 +1,1 @@
+//! Reading point clouds and writing keypoints.

@@ -1,0 +1,147 @@
+//! Point clouds: the point type, input checks and normalisation.
+
+use std::fmt;
+use std::str::FromStr;
+
+use crate::{Error, Result};
+
+/// One point, `[x, y, z]`.
+pub type Point = [f32; 3];
+
+/// How a cloud is brought into the network's frame, the cube ±0.5.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub enum NormalizationMethod {
+    /// Subtract the mean, divide by twice the largest distance from it: the cloud touches the sphere of radius 0.5.
+    #[default]
+    UnitSphere,
+    /// Subtract the mean, divide by twice the largest absolute coordinate: the cloud touches the cube ±0.5.
+    UnitCube,
+    /// The cloud is already in the network's frame.
+    None,
+}
+
+impl NormalizationMethod {
+    /// The name used in options, metadata and reports.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::UnitSphere => "unit-sphere",
+            Self::UnitCube => "unit-cube",
+            Self::None => "none",
+        }
+    }
+}
+
+impl fmt::Display for NormalizationMethod {
+    fn fmt(&self, f: &mut fmt::Formatter) -> fmt::Result {
+        f.write_str(self.name())
+    }
+}
+
+impl FromStr for NormalizationMethod {
+    type Err = Error;
+
+    fn from_str(name: &str) -> Result<Self> {
+        [Self::UnitSphere, Self::UnitCube, Self::None].into_iter().find(|method| method.name() == name).ok_or_else(|| {
+            Error::Option { name: "normalization", value: name.into(), allowed: "unit-sphere, unit-cube or none" }
+        })
+    }
+}
+
+/// The map between cloud units and the network's frame: `network = (cloud - center) / scale`.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Normalization {
+    /// Subtracted from each point, in cloud units.
+    pub center: Point,
+    /// Cloud units per network unit; positive.
+    pub scale: f32,
+}
+
+impl Normalization {
+    /// The normalisation of a cloud, from all of its points.
+    ///
+    /// # Errors
+    /// [`Error::Input`] when the cloud is empty, has a coordinate that is not finite, is one point repeated,
+    /// or is larger than `f32` arithmetic can hold.
+    pub fn of(points: &[Point], method: NormalizationMethod) -> Result<Self> {
+        check_points("points", points)?;
+        if method == NormalizationMethod::None {
+            return Ok(Self { center: [0.0; 3], scale: 1.0 });
+        }
+        // Sums in f64: a mean over millions of points far from the origin keeps its digits.
+        let mean: [f64; 3] =
+            std::array::from_fn(|axis| points.iter().map(|p| f64::from(p[axis])).sum::<f64>() / points.len() as f64);
+        let extent = points
+            .iter()
+            .map(|p| {
+                let offset: [f64; 3] = std::array::from_fn(|axis| f64::from(p[axis]) - mean[axis]);
+                match method {
+                    NormalizationMethod::UnitCube => offset.iter().fold(0.0, |m: f64, v| m.max(v.abs())),
+                    _ => offset.iter().map(|v| v * v).sum::<f64>().sqrt(),
+                }
+            })
+            .fold(0.0, f64::max);
+        let (center, scale) = (mean.map(|v| v as f32), (2.0 * extent) as f32);
+        if !(scale.is_normal() && scale.recip().is_normal()) {
+            let reason = format!("a cloud of extent {extent:e} cannot be normalised; it needs at least two different points and coordinates below 1e37");
+            return Err(Error::Input { what: "points", reason });
+        }
+        Ok(Self { center, scale })
+    }
+
+    /// A point of the cloud in the network's frame.
+    pub fn to_network(&self, point: Point) -> Point {
+        std::array::from_fn(|axis| (point[axis] - self.center[axis]) / self.scale)
+    }
+
+    /// A point of the network's frame in cloud units.
+    pub fn to_cloud(&self, point: Point) -> Point {
+        std::array::from_fn(|axis| point[axis] * self.scale + self.center[axis])
+    }
+}
+
+/// Refuses an empty array and coordinates that are not finite.
+pub(crate) fn check_points(what: &'static str, points: &[Point]) -> Result<()> {
+    if points.is_empty() {
+        return Err(Error::Input { what, reason: "no points".into() });
+    }
+    let is_bad = |p: &&Point| !p.iter().all(|v| v.is_finite());
+    if let Some(first) = points.iter().position(|p| is_bad(&p)) {
+        let count = points.iter().filter(is_bad).count();
+        let reason = format!("{count} of {} points are not finite, the first at index {first}; remove them", points.len());
+        return Err(Error::Input { what, reason });
+    }
+    Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const CLOUD: [Point; 4] = [[1.0, 0.0, 0.0], [3.0, 0.0, 0.0], [2.0, 1.0, 0.0], [2.0, -1.0, 4.0]];
+
+    #[test]
+    fn unit_sphere_touches_radius_one_half() {
+        let normalization = Normalization::of(&CLOUD, NormalizationMethod::UnitSphere).unwrap();
+        assert_eq!(normalization.center, [2.0, 0.0, 1.0]);
+        let norm = |p: Point| p.iter().map(|v| v * v).sum::<f32>().sqrt();
+        let largest = CLOUD.iter().map(|&p| norm(normalization.to_network(p))).fold(0.0, f32::max);
+        assert!((largest - 0.5).abs() < 1e-6);
+    }
+
+    #[test]
+    fn unit_cube_touches_the_cube_and_round_trips() {
+        let normalization = Normalization::of(&CLOUD, NormalizationMethod::UnitCube).unwrap();
+        assert_eq!(normalization.scale, 6.0);
+        for p in CLOUD {
+            let back = normalization.to_cloud(normalization.to_network(p));
+            assert!(p.iter().zip(back).all(|(a, b)| (a - b).abs() < 1e-5));
+        }
+    }
+
+    #[test]
+    fn clouds_without_extent_or_with_bad_numbers_are_refused() {
+        for cloud in [vec![], vec![[1.0; 3]; 5], vec![[0.0; 3], [f32::NAN; 3]], vec![[-3e38; 3], [3e38; 3]]] {
+            assert!(Normalization::of(&cloud, NormalizationMethod::UnitSphere).is_err(), "{cloud:?}");
+        }
+    }
+}
