@@ -1,0 +1,2 @@
+//! `snake-cli`.
+fn main() {}
