@@ -1,0 +1,6 @@
+"""Where training shapes come from: the int16 corpus, folders of clouds, or procedural shapes. None needs labels."""
+
+from .datasets import Corpus, Folder, Mixture, open_shapes
+from .procedural import Procedural
+
+__all__ = ["Corpus", "Folder", "Mixture", "Procedural", "open_shapes"]

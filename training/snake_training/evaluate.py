@@ -1,0 +1,165 @@
+"""Plain PyTorch detection (SNAKE Algorithm 1) and relative repeatability (`python -m snake_training.evaluate --help`).
+
+The reference that the Rust implementation is compared with: one volume a cloud, every step written as the paper has it.
+"""
+
+import argparse
+import json
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from tqdm import tqdm
+
+from .augment import choose, normalize, random_rotation
+from .data import open_shapes
+from .export import load_network
+
+
+@dataclass(frozen=True)
+class DetectOptions:
+    """Options of detection; the names and defaults of snake-rs."""
+
+    normalization: str = "unit-sphere"
+    query_resolution: int = 64  # queries along each axis
+    occupancy_threshold: float = 0.5  # queries below are dropped before refinement
+    refine_steps: int = 10  # J
+    refine_step_size: float = 1e-3  # network units (Adam's learning rate)
+    refine_method: str = "adam"  # or gradient-descent
+    selection: str = "best-position"  # or reference-final-position
+    surface_threshold: float = 0.8  # a position below this occupancy scores 0
+    saliency_threshold: float = 0.7
+    nms_radius: float = 0.01  # cloud units
+    max_keypoints: int = 64
+
+
+def query_grid(config, resolution, device):
+    """(R^3, 3) queries on linspace(-0.5, 0.5) per axis, z within its bounds, x slowest."""
+    xy = torch.linspace(-0.5, 0.5, resolution, device=device)
+    z = torch.linspace(config.z_min, config.z_max, resolution, device=device)
+    return torch.stack(torch.meshgrid(xy, xy, z, indexing="ij"), dim=-1).reshape(-1, 3)
+
+
+def refine(network, volume, queries, options):
+    """Ascent of queries (K, 3) on the saliency; returns positions and scores by `options.selection`.
+
+    Adam climbs 1 - mean saliency of all the queries; gradient descent moves each query by its own gradient.
+    A score is saliency x [occupancy > surface threshold]. `best-position` returns the best-scored position, the one
+    after the last step included; `reference-final-position` the last position with the best score before any step.
+    """
+    position = queries.clone().requires_grad_()
+    adam = torch.optim.Adam([position], lr=options.refine_step_size)
+    best_score, best_position = torch.full_like(queries[:, 0], -1.0), queries.clone()
+    for step in range(options.refine_steps + 1):
+        last = step == options.refine_steps
+        if last and options.selection == "reference-final-position" and step > 0:
+            return position.detach(), best_score
+        with torch.set_grad_enabled(not last):
+            occupancy, saliency = network.occupancy_and_saliency(volume, position[None])
+        score = (saliency * (occupancy > options.surface_threshold))[0].detach()
+        better = score > best_score
+        best_score = torch.where(better, score, best_score)
+        best_position = torch.where(better[:, None], position.detach(), best_position)
+        if not last:
+            mean = saliency.mean() if options.refine_method == "adam" else saliency.sum()
+            (position.grad,) = torch.autograd.grad(1 - mean, position)
+            if options.refine_method == "adam":
+                adam.step()
+            else:
+                position.data -= options.refine_step_size * position.grad
+    return best_position, best_score
+
+
+def suppress(points, radius, limit):
+    """Indices kept by greedy suppression of points sorted by score: farther than `radius` from every kept one."""
+    kept, alive = [], torch.arange(len(points), device=points.device)
+    while len(alive) and len(kept) < limit:
+        kept.append(int(alive[0]))
+        alive = alive[1:]
+        if radius > 0:
+            alive = alive[(points[alive] - points[kept[-1]]).norm(dim=1) > radius]
+    return kept
+
+
+def detect(network, points, options=DetectOptions()):
+    """points (N, 3) numpy -> keypoints (K, 4) numpy, x y z score in the cloud's frame, by falling score."""
+    device = next(network.parameters()).device
+    unit, center, scale = normalize(points, options.normalization)
+    with torch.no_grad():
+        volume = network.encode(torch.from_numpy(unit)[None].to(device))
+        queries = query_grid(network.config, options.query_resolution, device)
+        occupancy = torch.cat([network.occupancy(volume, chunk[None])[0] for chunk in queries.split(1 << 15)])
+    queries = queries[occupancy > options.occupancy_threshold]
+    if len(queries) == 0:
+        return np.zeros((0, 4), np.float32)
+    position, score = refine(network, volume, queries, options)
+    kept = score > options.saliency_threshold
+    order = score[kept].argsort(descending=True, stable=True)
+    score = score[kept][order]
+    position = position[kept][order] * float(scale) + torch.from_numpy(center).to(device)
+    best = suppress(position, options.nms_radius, options.max_keypoints)
+    return torch.cat([position[best], score[best, None]], dim=1).cpu().numpy()
+
+
+def relative_repeatability(keypoints_1, keypoints_2, rotation_1_2, epsilon):
+    """Share of view 1's keypoints with one of view 2's, brought to view 1 by the rotation, closer than epsilon."""
+    if len(keypoints_1) == 0 or len(keypoints_2) == 0:
+        return np.zeros(len(epsilon))
+    moved = keypoints_2[:, :3] @ rotation_1_2.T
+    nearest = np.linalg.norm(keypoints_1[:, None, :3] - moved[None], axis=2).min(axis=1)
+    return (nearest[:, None] < np.asarray(epsilon)).mean(axis=0)
+
+
+def view_pairs(shapes, number, num_points, seed):
+    """Pairs of an evaluation: (cloud, rotated cloud, rotation of view 2 back to view 1), seeded by row."""
+    for row in np.linspace(0, len(shapes) - 1, min(number, len(shapes))).round().astype(int):
+        rng = np.random.default_rng([seed, row])
+        cloud = shapes[row]
+        cloud = cloud * np.float32(0.5) / normalize(cloud)[2] * 2  # unit-sphere units
+        rotation = random_rotation(rng)
+        yield choose(rng, cloud, num_points), choose(rng, cloud, num_points) @ rotation.T, rotation.T
+
+
+def repeatability(detector, shapes, number=10**9, num_points=5000, seed=0, epsilon=(0.04,), progress=False):
+    """Mean relative repeatability (reference protocol) of a detector points -> (K, >= 3), by epsilon, and mean counts."""
+    pairs = tqdm(view_pairs(shapes, number, num_points, seed), total=min(number, len(shapes)), disable=not progress)
+    values, counts = [], []
+    for cloud_1, cloud_2, rotation_1_2 in pairs:
+        keypoints_1, keypoints_2 = detector(cloud_1), detector(cloud_2)
+        values.append(relative_repeatability(keypoints_1, keypoints_2, rotation_1_2, epsilon))
+        counts.append(len(keypoints_1))
+    return np.mean(values, axis=0), float(np.mean(counts))
+
+
+def main(argv=None):
+    """Prints the repeatability of a weight file on a folder of shapes."""
+    parser = argparse.ArgumentParser(
+        prog="python -m snake_training.evaluate",
+        description="Relative repeatability: 5000 points, second view rotated at random, top 64 keypoints.",
+        formatter_class=argparse.ArgumentDefaultsHelpFormatter,
+    )
+    parser.add_argument("weights", help="safetensors export or checkpoint")
+    parser.add_argument("data", help="corpus folder, or a folder of .npy / .ply clouds")
+    parser.add_argument("--objects", type=int, default=10**9, help="evaluate this many, evenly spaced")
+    parser.add_argument("--num-points", type=int, default=5000, help="points of each view")
+    parser.add_argument("--epsilon", type=float, nargs="+", default=[0.02, 0.04, 0.06, 0.10], help="unit-sphere units")
+    parser.add_argument("--seed", type=int, default=0, help="seed of rotations and point choices")
+    parser.add_argument("--threads", type=int, default=0, help="torch threads; 0: torch's default")
+    for name in ("nms_radius", "saliency_threshold", "refine_steps", "query_resolution", "max_keypoints", "selection"):
+        default = getattr(DetectOptions, name)
+        parser.add_argument("--" + name.replace("_", "-"), type=type(default), default=default)
+    arguments = parser.parse_args(argv)
+    if arguments.threads:
+        torch.set_num_threads(arguments.threads)
+    network = load_network(arguments.weights)
+    options = DetectOptions(**{k: v for k, v in vars(arguments).items() if k in DetectOptions.__dataclass_fields__})
+    values, count = repeatability(
+        lambda points: detect(network, points, options), open_shapes(arguments.data), arguments.objects,
+        arguments.num_points, arguments.seed, arguments.epsilon, progress=True,
+    )  # fmt: skip
+    figures = {f"{e:g}": round(float(v), 4) for e, v in zip(arguments.epsilon, values)}
+    print(json.dumps({"repeatability": figures, "keypoints": round(count, 1), "options": vars(options)}))
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,73 @@
+"""The four losses of SNAKE (section 3.2) on one view or a pair of views, with the masks of the released code.
+
+Occupancy and saliency are probabilities; a local grid is a row of H^3 values. `inside` marks grid points within the
+volume. Occupancies are detached wherever they weigh a saliency, so that only the occupancy loss shapes the surface.
+"""
+
+import torch
+import torch.nn.functional as F
+
+BOUND = 0.5625  # half the side of the padded volume
+
+
+def inside_volume(queries):
+    """(..., 3) -> (...): within the padded volume."""
+    return (queries.abs() <= BOUND).all(dim=-1)
+
+
+def occupancy_loss(occupancy, target):
+    """Binary cross-entropy of eq. 2, with the released code's log(x + 1e-5)."""
+    return -(target * torch.log(occupancy + 1e-5) + (1 - target) * torch.log(1 - occupancy + 1e-5)).mean()
+
+
+def repeatability_loss(saliency_1, saliency_2, inside_1, inside_2):
+    """Eq. 3: one minus the mean cosine similarity of local grids (..., G, H^3) that lie over 90 % inside both views."""
+    seen = (inside_1.float().mean(dim=-1) > 0.9) & (inside_2.float().mean(dim=-1) > 0.9)
+    similarity = F.cosine_similarity(saliency_1, saliency_2, dim=-1)
+    return (seen * (1 - similarity)).sum() / seen.sum().clamp(min=1)
+
+
+def surface_loss(occupancy, saliency, counted):
+    """Eq. 4: saliency where there is no surface, mean over the counted queries."""
+    return (counted * (1 - occupancy.detach()) * saliency).sum() / counted.sum().clamp(min=1)
+
+
+def sparsity_loss(occupancy, saliency, inside, min_occupied=0.05):
+    """Eq. 5: one minus (maximum - mean) of the saliency over the occupied points of each local grid (..., G, H^3).
+
+    Counts grids that lie over 80 % inside and are occupied in more than `min_occupied` of their points.
+    """
+    occupied = occupancy.detach() >= 0.5
+    seen = (inside.float().mean(dim=-1) > 0.8) & (occupied.float().mean(dim=-1) > min_occupied)
+    on_surface = saliency * occupied
+    mean = on_surface.sum(dim=-1) / (occupied.sum(dim=-1) + 1e-5)
+    peakedness = on_surface.amax(dim=-1) - mean
+    return (seen * (1 - peakedness)).sum() / seen.sum().clamp(min=1)
+
+
+def snake_losses(network, batch, autocast):
+    """The four losses of a batch of two-view samples, by name, and the share of saturated grid points on the surface.
+
+    batch: points (B, 2, N, 3), occupancy_queries (B, 2, 2 K, 3), grids (B, 2, G, H^3, 3).
+    """
+    points, queries, grids = batch["points"], batch["occupancy_queries"], batch["grids"]
+    size, _, number, _ = queries.shape
+    _, _, num_grids, cells, _ = grids.shape
+    everywhere = torch.cat([queries, grids.flatten(2, 3)], dim=2).flatten(0, 1)
+    occupancy, saliency = network(points.flatten(0, 1), everywhere, autocast)
+    occupancy, saliency = (field.unflatten(0, (size, 2)) for field in (occupancy, saliency))
+    grid_occupancy, grid_saliency = (
+        field[:, :, number:].unflatten(2, (num_grids, cells)) for field in (occupancy, saliency)
+    )
+    inside = inside_volume(grids)
+    counted = torch.cat([torch.ones_like(queries[..., 0], dtype=torch.bool), inside.flatten(2, 3)], dim=2)
+    target = (torch.arange(number, device=points.device) < number // 2).float()
+    losses = {
+        "occupancy": occupancy_loss(occupancy[:, :, :number], target),
+        "repeatability": repeatability_loss(*grid_saliency.unbind(1), *inside.unbind(1)),
+        "surface": surface_loss(occupancy, saliency, counted),
+        "sparsity": sparsity_loss(grid_occupancy, grid_saliency, inside),
+    }
+    on_surface = inside & (grid_occupancy >= 0.5)
+    saturated = (on_surface & (grid_saliency > 0.9)).sum() / on_surface.sum().clamp(min=1)
+    return losses, saturated.detach()
