@@ -19,7 +19,7 @@ def setting(default, meaning, **kwargs):
 class TrainConfig:
     """The defaults are the recipe of the compact model; `PRESETS` holds the paper's rows."""
 
-    run: str = setting("runs/compact", "run folder: resolved config, checkpoints, TensorBoard logs; an existing run is resumed")
+    run_dir: str = setting("runs/compact", "run folder: resolved config, checkpoints, TensorBoard logs; an existing run is resumed")
     data: tuple = setting((), "corpus folders (points.npy + index.json) or folders of .npy / .ply files", type=str)
     validation_data: tuple = setting((), "the same for validation; without it, procedural shapes are used", type=str)
     procedural_share: float = setting(0.25, "share of samples that are procedural shapes; 1 if no data is given")

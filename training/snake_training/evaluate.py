@@ -81,8 +81,8 @@ def suppress(points, radius, limit):
     return kept
 
 
-def detect(network, points, options=DetectOptions()):
-    """points (N, 3) numpy -> keypoints (K, 4) numpy, x y z score in the cloud's frame, by falling score."""
+def candidates(network, points, options=DetectOptions()):
+    """Refined queries above the saliency threshold: (K, 4) x y z score in the cloud's frame, by falling score."""
     device = next(network.parameters()).device
     unit, center, scale = normalize(points, options.normalization)
     with torch.no_grad():
@@ -91,14 +91,19 @@ def detect(network, points, options=DetectOptions()):
         occupancy = torch.cat([network.occupancy(volume, chunk[None])[0] for chunk in queries.split(1 << 15)])
     queries = queries[occupancy > options.occupancy_threshold]
     if len(queries) == 0:
-        return np.zeros((0, 4), np.float32)
+        return torch.zeros(0, 4)
     position, score = refine(network, volume, queries, options)
     kept = score > options.saliency_threshold
     order = score[kept].argsort(descending=True, stable=True)
     score = score[kept][order]
     position = position[kept][order] * float(scale) + torch.from_numpy(center).to(device)
-    best = suppress(position, options.nms_radius, options.max_keypoints)
-    return torch.cat([position[best], score[best, None]], dim=1).cpu().numpy()
+    return torch.cat([position, score[:, None]], dim=1).cpu()
+
+
+def detect(network, points, options=DetectOptions()):
+    """points (N, 3) numpy -> keypoints (K, 4) numpy, x y z score in the cloud's frame, by falling score."""
+    found = candidates(network, points, options)
+    return found[suppress(found[:, :3], options.nms_radius, options.max_keypoints)].numpy()
 
 
 def relative_repeatability(keypoints_1, keypoints_2, rotation_1_2, epsilon):
@@ -121,14 +126,19 @@ def view_pairs(shapes, number, num_points, seed):
 
 
 def repeatability(detector, shapes, number=10**9, num_points=5000, seed=0, epsilon=(0.04,), progress=False):
-    """Mean relative repeatability (reference protocol) of a detector points -> (K, >= 3), by epsilon, and mean counts."""
+    """Mean relative repeatability over pairs of views, for a detector points -> {name: keypoints (K, >= 3)}.
+
+    Returns {name: (values by epsilon, mean number of keypoints)}.
+    """
     pairs = tqdm(view_pairs(shapes, number, num_points, seed), total=min(number, len(shapes)), disable=not progress)
-    values, counts = [], []
+    values, counts = {}, {}
     for cloud_1, cloud_2, rotation_1_2 in pairs:
-        keypoints_1, keypoints_2 = detector(cloud_1), detector(cloud_2)
-        values.append(relative_repeatability(keypoints_1, keypoints_2, rotation_1_2, epsilon))
-        counts.append(len(keypoints_1))
-    return np.mean(values, axis=0), float(np.mean(counts))
+        found_1, found_2 = detector(cloud_1), detector(cloud_2)
+        for name in found_1:
+            value = relative_repeatability(found_1[name], found_2[name], rotation_1_2, epsilon)
+            values.setdefault(name, []).append(value)
+            counts.setdefault(name, []).append(len(found_1[name]))
+    return {name: (np.mean(values[name], axis=0), float(np.mean(counts[name]))) for name in values}
 
 
 def main(argv=None):
@@ -153,10 +163,11 @@ def main(argv=None):
         torch.set_num_threads(arguments.threads)
     network = load_network(arguments.weights)
     options = DetectOptions(**{k: v for k, v in vars(arguments).items() if k in DetectOptions.__dataclass_fields__})
-    values, count = repeatability(
-        lambda points: detect(network, points, options), open_shapes(arguments.data), arguments.objects,
+    result = repeatability(
+        lambda points: {"snake": detect(network, points, options)}, open_shapes(arguments.data), arguments.objects,
         arguments.num_points, arguments.seed, arguments.epsilon, progress=True,
     )  # fmt: skip
+    values, count = result["snake"]
     figures = {f"{e:g}": round(float(v), 4) for e, v in zip(arguments.epsilon, values)}
     print(json.dumps({"repeatability": figures, "keypoints": round(count, 1), "options": vars(options)}))
 

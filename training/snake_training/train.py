@@ -17,7 +17,7 @@ from tqdm import tqdm
 from .augment import two_views
 from .config import from_json, parse_arguments, to_json
 from .data import Mixture, Procedural, open_shapes
-from .evaluate import DetectOptions, detect, repeatability
+from .evaluate import candidates, repeatability, suppress
 from .export import load_network
 from .losses import snake_losses
 from .model import SnakeNetwork
@@ -67,14 +67,14 @@ def validate(network, config, shapes, device):
         results = [snake_losses(network, batch, config.bf16) for batch in batches]
     values = {name: float(np.mean([losses[name].item() for losses, _ in results])) for name in results[0][0]}
     values["saturated"] = float(np.mean([share.item() for _, share in results]))
-    number = config.validation_objects
-    for name, options in {
-        "repeatability_0.04": DetectOptions(),
-        "repeatability_0.04_nms_0.05": DetectOptions(nms_radius=0.05),
-    }.items():
-        measured, count = repeatability(lambda points: detect(network, points, options), shapes, number)
-        values[name] = float(measured[0])
-        values[name.replace("repeatability_0.04", "keypoints")] = count
+
+    def detector(points):
+        found = candidates(network, points)
+        kept = {radius: suppress(found[:, :3], radius, limit=64) for radius in (0.01, 0.05)}
+        return {f"nms_{radius}": found[kept[radius]].numpy() for radius in kept}
+
+    for name, (measured, count) in repeatability(detector, shapes, config.validation_objects).items():
+        values |= {f"repeatability_{name}": float(measured[0]), f"keypoints_{name}": count}
     return values
 
 
@@ -98,7 +98,7 @@ def train(config):
     if world > 1:
         dist.init_process_group("nccl" if cuda else "gloo")
     torch.manual_seed(config.seed)
-    run = Path(config.run)
+    run = Path(config.run_dir)
     shapes = Mixture([open_shapes(folder) for folder in config.data], config.procedural_share)
     held_out = open_shapes(config.validation_data[0]) if config.validation_data else Procedural()
 
@@ -109,7 +109,7 @@ def train(config):
     if (run / "last.pt").exists():
         state = torch.load(run / "last.pt", map_location=device, weights_only=True)
         if from_json(state["config"]).network != config.network:
-            raise SystemExit(f"{run}/last.pt holds another network; give another --run")
+            raise SystemExit(f"{run}/last.pt holds another network; give another --run-dir")
         network.load_state_dict(state["network"])
         average.load_state_dict(state["ema"])
         optimizer.load_state_dict(state["optimizer"])
@@ -155,7 +155,7 @@ def train(config):
                 for name, value in values.items():
                     log.add_scalar(f"validation/{name}", value, step)
                 tqdm.write(f"step {step}: " + " ".join(f"{k}={v:.3f}" for k, v in values.items()))
-                score = values["repeatability_0.04"] + values["repeatability_0.04_nms_0.05"]
+                score = values["repeatability_nms_0.01"] + values["repeatability_nms_0.05"]
                 if score > best:
                     best = score
                     save_checkpoint(run / "best.pt", config, step, network, average, optimizer, best)

@@ -1,6 +1,16 @@
 //! Keypoint detection (SNAKE Algorithm 1).
 
-use crate::points::Point;
+use std::time::Instant;
+
+use rayon::prelude::*;
+use serde::{Deserialize, Serialize};
+
+use crate::field::{EncodeOptions, Field, Quantity};
+use crate::nms::{NearestPoints, suppress};
+use crate::nn::TILE;
+use crate::points::{NormalizationMethod, Point};
+use crate::refine::refine;
+use crate::{Error, Result};
 
 /// One keypoint, in the frame and units of the input cloud.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -13,4 +23,236 @@ pub struct Keypoint {
     pub occupancy: f32,
     /// Index of the nearest input point.
     pub nearest_index: usize,
+}
+
+/// How queries climb.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum RefineMethod {
+    /// Adam on one minus the mean saliency of all the cloud's queries: what the released code does. Its ε makes steps
+    /// on nearly flat ground depend a little on the number of queries.
+    #[default]
+    Adam,
+    /// Algorithm 1 as printed, with each query's own gradient (that of the mean would not move anything).
+    GradientDescent,
+}
+
+/// Which position and score a refined query gets. A score is the saliency where the occupancy is above the surface
+/// threshold, else 0.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Selection {
+    /// The best score on the way, the position after the last step counted too, and the position that had it.
+    #[default]
+    BestPosition,
+    /// What the released code returns: the position after the last step, with the best score measured before any step.
+    ReferenceFinalPosition,
+}
+
+/// Options of [`detect`]; the defaults are the paper's for ModelNet40.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct DetectOptions {
+    /// Queries along each axis of the starting grid, which spans the network's cube ±0.5.
+    pub query_resolution: usize,
+    /// Queries whose occupancy is not above this are dropped before refinement (1 − thr_o).
+    pub occupancy_threshold: f32,
+    /// Refinement steps (J).
+    pub refine_steps: usize,
+    /// Step size (λ), in network units.
+    pub refine_step_size: f32,
+    /// How queries climb.
+    pub refine_method: RefineMethod,
+    /// Which position and score they get.
+    pub selection: Selection,
+    /// A position scores 0 unless its occupancy is above this; the released code's 0.8.
+    pub surface_threshold: f32,
+    /// Keypoints have a score above this (thr_s).
+    pub saliency_threshold: f32,
+    /// Keypoints are farther apart than this, in cloud units; 0 turns suppression off.
+    pub nms_radius: f32,
+    /// At most this many keypoints, the best.
+    pub max_keypoints: usize,
+    /// Move each keypoint to its nearest input point. Two may then fall on the same point, as in the paper.
+    pub snap: bool,
+}
+
+impl Default for DetectOptions {
+    fn default() -> Self {
+        Self {
+            query_resolution: 64,
+            occupancy_threshold: 0.5,
+            refine_steps: 10,
+            refine_step_size: 1e-3,
+            refine_method: RefineMethod::Adam,
+            selection: Selection::BestPosition,
+            surface_threshold: 0.8,
+            saliency_threshold: 0.7,
+            nms_radius: 0.01,
+            max_keypoints: 64,
+            snap: false,
+        }
+    }
+}
+
+impl DetectOptions {
+    pub(crate) fn check(&self) -> Result<()> {
+        let within = |name, value: f32, range: std::ops::RangeInclusive<f32>, allowed| {
+            if range.contains(&value) { Ok(()) } else { Err(Error::Option { name, value: value.to_string(), allowed }) }
+        };
+        within("query_resolution", self.query_resolution as f32, 1.0..=1024.0, "1 to 1024")?;
+        within("refine_steps", self.refine_steps as f32, 0.0..=10_000.0, "0 to 10000")?;
+        within("refine_step_size", self.refine_step_size, 0.0..=1.0, "0 to 1 (network units)")?;
+        within("occupancy_threshold", self.occupancy_threshold, 0.0..=1.0, "0 to 1")?;
+        within("surface_threshold", self.surface_threshold, 0.0..=1.0, "0 to 1")?;
+        within("saliency_threshold", self.saliency_threshold, 0.0..=1.0, "0 to 1")?;
+        within("nms_radius", self.nms_radius, 0.0..=f32::MAX, "0 or more (cloud units)")
+    }
+}
+
+/// Encoding and detection options that belong together.
+#[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct Preset {
+    /// How the cloud is encoded.
+    pub encode: EncodeOptions,
+    /// How keypoints are found.
+    pub detect: DetectOptions,
+}
+
+impl Preset {
+    /// The names that [`Preset::named`] knows: the rows of the paper's table of hyper-parameters.
+    pub const NAMES: [&'static str; 5] = ["modelnet40", "keypointnet", "smpl", "redwood", "3dmatch"];
+
+    /// The test settings of one of the paper's data sets (appendix B, and the released code where the paper is silent).
+    ///
+    /// # Errors
+    /// [`Error::Option`] for an unknown name.
+    pub fn named(name: &str) -> Result<Self> {
+        let (normalization, max_points) = match name {
+            "modelnet40" => (NormalizationMethod::UnitSphere, Some(5000)),
+            "keypointnet" | "smpl" => (NormalizationMethod::UnitCube, Some(2048)),
+            "redwood" => (NormalizationMethod::UnitCube, Some(10_240)),
+            "3dmatch" => (NormalizationMethod::UnitCube, None),
+            _ => {
+                let allowed = "modelnet40, keypointnet, smpl, redwood or 3dmatch";
+                return Err(Error::Option { name: "preset", value: name.into(), allowed });
+            }
+        };
+        let common = DetectOptions::default();
+        let detect = match name {
+            "keypointnet" => DetectOptions { nms_radius: 0.1, ..common },
+            "smpl" => DetectOptions { nms_radius: 0.1, snap: true, ..common },
+            "redwood" => DetectOptions { query_resolution: 100, nms_radius: 0.04, max_keypoints: 512, ..common },
+            "3dmatch" => {
+                DetectOptions { saliency_threshold: 0.4, nms_radius: 0.04, max_keypoints: 2500, snap: true, ..common }
+            }
+            _ => common,
+        };
+        Ok(Self { encode: EncodeOptions { normalization, max_points, seed: 0 }, detect })
+    }
+}
+
+/// Keypoints and how they came about.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Detection {
+    /// By falling saliency.
+    pub keypoints: Vec<Keypoint>,
+    /// How many queries each step left.
+    pub counts: Counts,
+    /// How long each step took.
+    pub timing: Timing,
+}
+
+/// How many queries each step of [`detect`] left.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
+pub struct Counts {
+    /// On the starting grid.
+    pub queries: usize,
+    /// Of those, above the occupancy threshold.
+    pub occupied: usize,
+    /// Of those, above the saliency threshold after refinement.
+    pub above_threshold: usize,
+    /// Of those, left by suppression.
+    pub keypoints: usize,
+}
+
+/// Seconds that each step of [`detect`] took.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Timing {
+    /// Occupancy of the starting grid.
+    pub occupancy: f64,
+    /// Refinement.
+    pub refine: f64,
+    /// Threshold, suppression, nearest points.
+    pub nms: f64,
+}
+
+/// Finds the keypoints of an encoded cloud (SNAKE Algorithm 1). A field without surface has none.
+///
+/// ```
+/// use snake_core::{DetectOptions, EncodeOptions, Model, detect};
+/// # let points: Vec<[f32; 3]> = (0..500).map(|i| { let a = i as f32 * 0.1; [a.cos(), a.sin(), (a * 0.3).sin()] }).collect();
+/// let field = Model::builtin()?.encode(&points, &EncodeOptions::default())?;
+/// let detection = detect(&field, &DetectOptions { max_keypoints: 16, nms_radius: 0.1, ..Default::default() })?;
+/// assert!(detection.keypoints.len() <= 16);
+/// # Ok::<(), snake_core::Error>(())
+/// ```
+///
+/// # Errors
+/// [`Error::Option`] when an option is out of its range.
+pub fn detect(field: &Field, options: &DetectOptions) -> Result<Detection> {
+    options.check()?;
+    let start = Instant::now();
+    let occupied = occupied_queries(field, options);
+    let occupancy_done = Instant::now();
+    let mut candidates = refine(field, &occupied, options);
+    let refine_done = Instant::now();
+    candidates.retain(|candidate| candidate.score > options.saliency_threshold);
+    let positions: Vec<Point> = candidates.iter().map(|c| field.normalization().to_cloud(c.position)).collect();
+    let scores: Vec<f32> = candidates.iter().map(|c| c.score).collect();
+    let kept = suppress(&positions, &scores, options.nms_radius, options.max_keypoints)?;
+    let nearest = NearestPoints::new(field.points())?;
+    let mut keypoints = Vec::with_capacity(kept.len());
+    for index in kept {
+        let nearest_index = nearest.nearest(positions[index]);
+        let position = if options.snap { field.points()[nearest_index] } else { positions[index] };
+        let occupancy = field.occupancy(&[position])?[0];
+        keypoints.push(Keypoint { position, saliency: scores[index], occupancy, nearest_index });
+    }
+    let counts = Counts {
+        queries: options.query_resolution.pow(3),
+        occupied: occupied.len(),
+        above_threshold: candidates.len(),
+        keypoints: keypoints.len(),
+    };
+    let timing = Timing {
+        occupancy: (occupancy_done - start).as_secs_f64(),
+        refine: (refine_done - occupancy_done).as_secs_f64(),
+        nms: refine_done.elapsed().as_secs_f64(),
+    };
+    Ok(Detection { keypoints, counts, timing })
+}
+
+/// The grid queries above the occupancy threshold, in the network's frame, x slowest and z fastest.
+pub(crate) fn occupied_queries(field: &Field, options: &DetectOptions) -> Vec<Point> {
+    let resolution = options.query_resolution;
+    let [z_min, z_max] = field.volume().frame().z_bounds;
+    // Counted from the nearer end, as torch.linspace does, so that the grid is symmetric to the last bit.
+    let along = |low: f32, high: f32, i: usize| {
+        let step = (high - low) / resolution.saturating_sub(1).max(1) as f32;
+        if i < resolution / 2 || resolution == 1 { low + step * i as f32 } else { high - step * (resolution - 1 - i) as f32 }
+    };
+    let line = |row: usize| -> Vec<Point> {
+        let (x, y) = (along(-0.5, 0.5, row / resolution), along(-0.5, 0.5, row % resolution));
+        (0..resolution).map(|z| [x, y, along(z_min, z_max, z)]).collect()
+    };
+    let occupied = |tile: &[Point]| -> Vec<Point> {
+        let occupancy = field.tile_values(Quantity::Occupancy, tile);
+        tile.iter().zip(occupancy).filter(|(_, o)| *o > options.occupancy_threshold).map(|(q, _)| *q).collect()
+    };
+    (0..resolution * resolution)
+        .into_par_iter()
+        .flat_map_iter(|row| line(row).chunks(TILE).flat_map(occupied).collect::<Vec<_>>())
+        .collect()
 }

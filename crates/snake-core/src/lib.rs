@@ -1,11 +1,37 @@
-//! SNAKE keypoints from point clouds.
+//! SNAKE (Shape-aware Neural 3D Keypoint Field, NeurIPS 2022) on the CPU: repeatable keypoints, surface occupancy and
+//! saliency of a point cloud at any point of space, from exported weights.
+//!
+//! ```text
+//! points → normalise → PointNet → scatter mean → volume → 3-D U-Net → Field ─ occupancy, saliency, gradients
+//!                                                                       │
+//!          query grid → occupancy filter → refine → threshold → NMS ────┴→ keypoints
+//! ```
+//!
+//! A cloud is encoded once ([`Model::encode`]); its [`Field`] answers any number of queries, and [`detect`] climbs it
+//! to the keypoints. [`Model::detect`] does both. Results have the same bits for any number of threads.
 
 pub mod io;
 
+mod decoder;
 mod detect;
+mod encoder;
 mod error;
+mod field;
+#[cfg(test)]
+mod golden;
+mod kernels;
+mod model;
+mod nms;
+mod nn;
 mod points;
+mod refine;
+mod volume;
+mod weights;
 
-pub use detect::Keypoint;
+pub use detect::{Counts, DetectOptions, Detection, Keypoint, Preset, RefineMethod, Selection, Timing, detect};
 pub use error::{Error, Result};
+pub use field::{EncodeOptions, Field};
+pub use kernels::SimdLevel;
+pub use model::{Model, ModelConfig};
 pub use points::{Normalization, NormalizationMethod, Point};
+pub use volume::{Volume, VolumeFrame};

@@ -3,13 +3,16 @@
 use std::fmt;
 use std::str::FromStr;
 
+use serde::{Deserialize, Serialize};
+
 use crate::{Error, Result};
 
 /// One point, `[x, y, z]`.
 pub type Point = [f32; 3];
 
 /// How a cloud is brought into the network's frame, the cube ±0.5.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
 pub enum NormalizationMethod {
     /// Subtract the mean, divide by twice the largest distance from it: the cloud touches the sphere of radius 0.5.
     #[default]
@@ -48,7 +51,7 @@ impl FromStr for NormalizationMethod {
 }
 
 /// The map between cloud units and the network's frame: `network = (cloud - center) / scale`.
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct Normalization {
     /// Subtracted from each point, in cloud units.
     pub center: Point,

@@ -1,0 +1,165 @@
+//! The implicit decoder: a residual MLP on the query that receives the interpolated feature before every block.
+
+use crate::nn::{Linear, ResnetBlockFc, relu};
+use crate::points::Point;
+use crate::weights::Scope;
+use crate::{ModelConfig, Result};
+
+/// How a decoder's logit becomes a probability.
+#[derive(Debug, Clone, Copy)]
+enum Head {
+    /// Sigmoid.
+    Occupancy,
+    /// softplus / (1 + softplus).
+    Saliency,
+}
+
+impl Head {
+    /// Probability and its derivative in the logit.
+    fn apply(self, logit: f32) -> (f32, f32) {
+        let sigmoid = 1.0 / (1.0 + (-logit).exp());
+        match self {
+            Self::Occupancy => (sigmoid, sigmoid * (1.0 - sigmoid)),
+            Self::Saliency => {
+                let softplus = if logit > 20.0 { logit } else { logit.exp().ln_1p() };
+                (softplus / (1.0 + softplus), sigmoid / (1.0 + softplus).powi(2))
+            }
+        }
+    }
+}
+
+/// One of a model's two decoders, with its head.
+#[derive(Debug)]
+pub(crate) struct Decoder {
+    head: Head,
+    fc_p: Linear,
+    stages: Vec<Stage>,
+    fc_out: Linear,
+}
+
+#[derive(Debug)]
+struct Stage {
+    fc_c: Linear,
+    block: ResnetBlockFc,
+}
+
+/// What the forward pass leaves for the backward pass: inputs of each block and of its second layer, before ReLU.
+#[derive(Default)]
+struct Trace {
+    inputs: Vec<Vec<f32>>,
+    hidden: Vec<Vec<f32>>,
+    last: Vec<f32>,
+}
+
+/// Values of a field at queries with their derivatives in the query's coordinates, the feature held fixed, and in
+/// the feature.
+pub(crate) struct ValuesAndGradients {
+    pub(crate) values: Vec<f32>,
+    /// `(queries, 3)`.
+    pub(crate) in_query: Vec<f32>,
+    /// `(queries, c_dim)`.
+    pub(crate) in_feature: Vec<f32>,
+}
+
+impl Decoder {
+    pub(crate) fn occupancy(scope: &Scope, config: &ModelConfig) -> Result<Self> {
+        Self::load(scope, config, Head::Occupancy)
+    }
+
+    pub(crate) fn saliency(scope: &Scope, config: &ModelConfig) -> Result<Self> {
+        Self::load(scope, config, Head::Saliency)
+    }
+
+    fn load(scope: &Scope, config: &ModelConfig, head: Head) -> Result<Self> {
+        let width = config.decoder_hidden_dim;
+        let stage = |i| {
+            Ok(Stage {
+                fc_c: Linear::load(&scope.at(&format!("fc_c.{i}")), config.c_dim, width)?,
+                block: ResnetBlockFc::load(&scope.at(&format!("blocks.{i}")), width, width)?,
+            })
+        };
+        Ok(Self {
+            head,
+            fc_p: Linear::load(&scope.at("fc_p"), 3, width)?,
+            stages: (0..config.resnet_blocks).map(stage).collect::<Result<_>>()?,
+            fc_out: Linear::load(&scope.at("fc_out"), width, 1)?,
+        })
+    }
+
+    /// Probabilities at queries in the network's frame with their features `(queries, c_dim)`.
+    pub(crate) fn values(&self, queries: &[Point], features: &[f32]) -> Vec<f32> {
+        self.logits(queries, features, None).into_iter().map(|logit| self.head.apply(logit).0).collect()
+    }
+
+    /// Probabilities and gradients; the backward pass is written by hand.
+    pub(crate) fn values_and_gradients(&self, queries: &[Point], features: &[f32]) -> ValuesAndGradients {
+        let mut trace = Trace::default();
+        let logits = self.logits(queries, features, Some(&mut trace));
+        let (values, slopes): (Vec<f32>, Vec<f32>) = logits.into_iter().map(|logit| self.head.apply(logit)).unzip();
+
+        let mut gradient = vec![0.0; trace.last.len()];
+        self.fc_out.backward(&slopes, &mut gradient);
+        mask(&mut gradient, &trace.last);
+        let mut in_feature = vec![0.0; features.len()];
+        for (stage, (input, hidden)) in self.stages.iter().zip(trace.inputs.iter().zip(&trace.hidden)).rev() {
+            let mut in_hidden = vec![0.0; hidden.len()];
+            stage.block.fc_1.backward(&gradient, &mut in_hidden);
+            mask(&mut in_hidden, hidden);
+            let mut in_input = vec![0.0; input.len()];
+            stage.block.fc_0.backward(&in_hidden, &mut in_input);
+            mask(&mut in_input, input);
+            gradient.iter_mut().zip(&in_input).for_each(|(g, i)| *g += i);
+            stage.fc_c.backward_add(&gradient, &mut in_feature);
+        }
+        let mut in_query = vec![0.0; queries.len() * 3];
+        self.fc_p.backward(&gradient, &mut in_query);
+        ValuesAndGradients { values, in_query, in_feature }
+    }
+
+    fn logits(&self, queries: &[Point], features: &[f32], mut trace: Option<&mut Trace>) -> Vec<f32> {
+        let size = queries.len() * self.fc_p.outputs();
+        let (mut input, mut output, mut hidden) = (vec![0.0; size], vec![0.0; size], Vec::new());
+        self.fc_p.forward(queries.as_flattened(), &mut input);
+        for stage in &self.stages {
+            stage.fc_c.forward_add(features, &mut input);
+            stage.block.forward(&input, &mut hidden, &mut output);
+            if let Some(trace) = &mut trace {
+                trace.inputs.push(input.clone());
+                trace.hidden.push(hidden.clone());
+            }
+            std::mem::swap(&mut input, &mut output);
+        }
+        let mut logits = vec![0.0; queries.len()];
+        self.fc_out.forward(&relu(&input), &mut logits);
+        if let Some(trace) = trace {
+            trace.last = input;
+        }
+        logits
+    }
+}
+
+/// Sets the gradient to zero where ReLU did.
+fn mask(gradient: &mut [f32], before_relu: &[f32]) {
+    for (g, &x) in gradient.iter_mut().zip(before_relu) {
+        if x <= 0.0 {
+            *g = 0.0;
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn heads_are_finite_and_their_slopes_match_differences() {
+        for head in [Head::Occupancy, Head::Saliency] {
+            for logit in [-200.0, -20.0, -1.5, 0.0, 0.7, 19.9, 20.1, 200.0] {
+                let (value, slope) = head.apply(logit);
+                assert!((0.0..=1.0).contains(&value) && slope.is_finite(), "{head:?} {logit}");
+                let difference = (head.apply(logit + 0.01).0 - head.apply(logit - 0.01).0) / 0.02;
+                assert!((slope - difference).abs() < 1e-4, "{head:?} {logit}: {slope} {difference}");
+            }
+        }
+    }
+}

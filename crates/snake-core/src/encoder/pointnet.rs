@@ -1,0 +1,115 @@
+//! PointNet with local pooling: between blocks each point also sees the maximum over its voxel's points.
+
+use rayon::prelude::*;
+
+use crate::model::ModelConfig;
+use crate::nn::{Linear, ResnetBlockFc, TILE};
+use crate::points::Point;
+use crate::volume::VolumeFrame;
+use crate::weights::Scope;
+use crate::Result;
+
+/// Which points share a voxel.
+#[derive(Debug)]
+pub(crate) struct VoxelGroups {
+    /// Occupied voxels in rising order, each with the end of its run in `members`.
+    runs: Vec<(usize, usize)>,
+    /// Point indices, voxel by voxel, in rising order within a voxel.
+    members: Vec<u32>,
+    /// The run that each point belongs to.
+    run_of_point: Vec<u32>,
+}
+
+impl VoxelGroups {
+    pub(crate) fn new(points: &[Point], frame: &VolumeFrame) -> Self {
+        let mut keys: Vec<(usize, u32)> = points.iter().map(|&p| frame.voxel(p)).zip(0..).collect();
+        keys.par_sort_unstable();
+        let (mut runs, mut run_of_point) = (Vec::new(), vec![0; points.len()]);
+        for (end, &(voxel, point)) in (1..).zip(&keys) {
+            match runs.last_mut() {
+                Some((last, run_end)) if *last == voxel => *run_end = end,
+                _ => runs.push((voxel, end)),
+            }
+            run_of_point[point as usize] = runs.len() as u32 - 1;
+        }
+        Self { runs, members: keys.into_iter().map(|(_, point)| point).collect(), run_of_point }
+    }
+
+    pub(crate) fn num_points(&self) -> usize {
+        self.members.len()
+    }
+
+    /// Occupied voxels with their points.
+    pub(crate) fn iter(&self) -> impl Iterator<Item = (usize, &[u32])> {
+        (0..self.runs.len()).map(|run| (self.runs[run].0, self.members(run)))
+    }
+
+    fn members(&self, run: usize) -> &[u32] {
+        let start = run.checked_sub(1).map_or(0, |before| self.runs[before].1);
+        &self.members[start..self.runs[run].1]
+    }
+
+    /// Maximum over each run's points: `(points, width)` to `(runs, width)`.
+    fn max_pool(&self, features: &[f32], width: usize) -> Vec<f32> {
+        let mut pooled = vec![f32::NEG_INFINITY; self.runs.len() * width];
+        pooled.par_chunks_mut(width).enumerate().for_each(|(run, maximum)| {
+            for &point in self.members(run) {
+                for (m, &f) in maximum.iter_mut().zip(&features[point as usize * width..]) {
+                    *m = m.max(f);
+                }
+            }
+        });
+        pooled
+    }
+}
+
+/// The point encoder before scattering.
+#[derive(Debug)]
+pub(crate) struct PointNet {
+    hidden: usize,
+    fc_pos: Linear,
+    blocks: Vec<ResnetBlockFc>,
+    fc_c: Linear,
+}
+
+impl PointNet {
+    pub(crate) fn load(scope: &Scope, config: &ModelConfig) -> Result<Self> {
+        let hidden = config.hidden_dim;
+        let block = |i| ResnetBlockFc::load(&scope.at(&format!("blocks.{i}")), 2 * hidden, hidden);
+        Ok(Self {
+            hidden,
+            fc_pos: Linear::load(&scope.at("fc_pos"), 3, 2 * hidden)?,
+            blocks: (0..config.resnet_blocks).map(block).collect::<Result<_>>()?,
+            fc_c: Linear::load(&scope.at("fc_c"), hidden, config.c_dim)?,
+        })
+    }
+
+    /// Features `(points, c_dim)` of points in the network's frame.
+    pub(crate) fn features(&self, points: &[Point], groups: &VoxelGroups) -> Vec<f32> {
+        let wide = 2 * self.hidden;
+        let mut features = vec![0.0; points.len() * self.hidden];
+        for (depth, block) in self.blocks.iter().enumerate() {
+            let pooled = if depth == 0 { Vec::new() } else { groups.max_pool(&features, self.hidden) };
+            features.par_chunks_mut(TILE * self.hidden).enumerate().for_each(|(tile, features)| {
+                let first = tile * TILE;
+                let rows = features.len() / self.hidden;
+                let mut input = vec![0.0; rows * wide];
+                if depth == 0 {
+                    self.fc_pos.forward(points[first..first + rows].as_flattened(), &mut input);
+                } else {
+                    for (row, input) in input.chunks_exact_mut(wide).enumerate() {
+                        let run = groups.run_of_point[first + row] as usize;
+                        input[..self.hidden].copy_from_slice(&features[row * self.hidden..][..self.hidden]);
+                        input[self.hidden..].copy_from_slice(&pooled[run * self.hidden..][..self.hidden]);
+                    }
+                }
+                block.forward(&input, &mut Vec::new(), features);
+            });
+        }
+        let c_dim = self.fc_c.outputs();
+        let mut output = vec![0.0; points.len() * c_dim];
+        let tiles = features.par_chunks(TILE * self.hidden);
+        output.par_chunks_mut(TILE * c_dim).zip(tiles).for_each(|(out, input)| self.fc_c.forward(input, out));
+        output
+    }
+}

@@ -1,0 +1,221 @@
+//! NumPy's `.npy`.
+
+use std::io::{self, Write};
+
+use super::excerpt;
+use crate::detect::Keypoint;
+use crate::points::Point;
+
+const MAGIC: &[u8] = b"\x93NUMPY";
+
+/// Reads x, y, z from the first three columns of an array of shape `(N, C)`, `C >= 3`.
+///
+/// Items may be `f4`, `f8` or integers of any width, of either byte order, rows or columns contiguous.
+pub(super) fn read(bytes: &[u8]) -> Result<Vec<Point>, String> {
+    let (header, data) = split_header(bytes).ok_or("not a .npy file, or cut short within its header")?;
+    let array = ArrayHeader::parse(header)?;
+    // Before anything is allocated: a header can claim any size.
+    let needed = array.rows.checked_mul(array.columns).and_then(|items| items.checked_mul(array.dtype.size));
+    if needed.is_none_or(|needed| needed > data.len()) {
+        let ArrayHeader { rows, columns, dtype: Dtype { size, .. }, .. } = array;
+        return Err(format!("shape ({rows}, {columns}) of {size} bytes each, but {} bytes follow", data.len()));
+    }
+    Ok((0..array.rows).map(|row| std::array::from_fn(|column| array.item(data, row, column))).collect())
+}
+
+/// Writes a `(K, 6)` array: x, y, z, saliency, occupancy, nearest_index.
+///
+/// Items are `<f8`, because an index beyond 2^24 is not exact in `<f4`.
+pub(super) fn write(out: &mut dyn Write, keypoints: &[Keypoint]) -> io::Result<()> {
+    let header = format!("{{'descr': '<f8', 'fortran_order': False, 'shape': ({}, 6), }}", keypoints.len());
+    // NumPy ends the header with a line feed at a multiple of 64 bytes, so that the data can be mapped.
+    let width = (MAGIC.len() + 4 + header.len() + 1).next_multiple_of(64) - MAGIC.len() - 5;
+    out.write_all(MAGIC)?;
+    out.write_all(&[1, 0])?;
+    out.write_all(&(width as u16 + 1).to_le_bytes())?;
+    writeln!(out, "{header:width$}")?;
+    for Keypoint { position: [x, y, z], saliency, occupancy, nearest_index } in keypoints {
+        for value in [x, y, z, saliency, occupancy] {
+            out.write_all(&f64::from(*value).to_le_bytes())?;
+        }
+        out.write_all(&(*nearest_index as f64).to_le_bytes())?;
+    }
+    Ok(())
+}
+
+/// The header's text and the data; its length takes 2 bytes in version 1 and 4 in versions 2 and 3.
+fn split_header(bytes: &[u8]) -> Option<(&[u8], &[u8])> {
+    let (version, rest) = bytes.strip_prefix(MAGIC)?.split_first_chunk::<2>()?;
+    let (length, rest) = match version[0] {
+        1 => rest.split_first_chunk().map(|(length, rest)| (u16::from_le_bytes(*length).into(), rest))?,
+        2 | 3 => rest.split_first_chunk().map(|(length, rest)| (u32::from_le_bytes(*length), rest))?,
+        _ => return None,
+    };
+    rest.split_at_checked(length.try_into().ok()?)
+}
+
+struct ArrayHeader {
+    dtype: Dtype,
+    fortran_order: bool,
+    rows: usize,
+    columns: usize,
+}
+
+impl ArrayHeader {
+    /// Parses the literal of a Python dictionary, `{'descr': '<f4', 'fortran_order': False, 'shape': (3, 3), }`.
+    fn parse(header: &[u8]) -> Result<Self, String> {
+        let header = String::from_utf8_lossy(header);
+        let fields = (|| {
+            let (descr, _) = value(&header, "descr")?.strip_prefix('\'')?.split_once('\'')?;
+            let (shape, _) = value(&header, "shape")?.strip_prefix('(')?.split_once(')')?;
+            let fortran_order = value(&header, "fortran_order")?.starts_with("True");
+            Some((descr, fortran_order, shape))
+        })();
+        let (descr, fortran_order, shape) =
+            fields.ok_or_else(|| format!("no plain array is described by the header `{}`", excerpt(&header, 100)))?;
+        let dtype = Dtype::parse(descr)
+            .ok_or_else(|| format!("items of type `{}`; floats and integers can be read", excerpt(descr, 20)))?;
+        let (rows, columns) = parse_shape(shape)
+            .ok_or_else(|| format!("shape ({}); needed is (N, 3) or more columns", excerpt(shape, 40)))?;
+        Ok(Self { dtype, fortran_order, rows, columns })
+    }
+
+    /// One item; the data must hold the whole array.
+    fn item(&self, data: &[u8], row: usize, column: usize) -> f32 {
+        let index = if self.fortran_order { column * self.rows + row } else { row * self.columns + column };
+        let size = self.dtype.size;
+        self.dtype.decode(&data[index * size..][..size])
+    }
+}
+
+/// What follows `'key':`.
+fn value<'a>(header: &'a str, key: &str) -> Option<&'a str> {
+    let (_, rest) = header.split_once(&format!("'{key}'"))?;
+    rest.trim_start().strip_prefix(':').map(str::trim_start)
+}
+
+fn parse_shape(shape: &str) -> Option<(usize, usize)> {
+    let mut lengths = shape.trim_end().trim_end_matches(',').split(',').map(|length| length.trim().parse().ok());
+    let (rows, columns) = (lengths.next()??, lengths.next()??);
+    (lengths.next().is_none() && columns >= 3).then_some((rows, columns))
+}
+
+struct Dtype {
+    kind: u8,
+    size: usize,
+    big_endian: bool,
+}
+
+impl Dtype {
+    /// Parses byte order, kind and size, as in `<f4`.
+    fn parse(descr: &str) -> Option<Self> {
+        let &[order, kind, size] = descr.as_bytes() else { return None };
+        let size = usize::from(size.wrapping_sub(b'0'));
+        let is_known = matches!((kind, size), (b'f', 4 | 8) | (b'i' | b'u', 1 | 2 | 4 | 8))
+            && matches!((order, size), (b'<' | b'>', _) | (b'|', 1));
+        is_known.then_some(Self { kind, size, big_endian: order == b'>' })
+    }
+
+    /// Decodes an item of `size` bytes.
+    fn decode(&self, item: &[u8]) -> f32 {
+        let mut bytes = [0; 8];
+        bytes[..self.size].copy_from_slice(item);
+        if self.big_endian {
+            bytes[..self.size].reverse();
+        }
+        let bits = u64::from_le_bytes(bytes);
+        match (self.kind, self.size) {
+            (b'f', 4) => f32::from_bits(bits as u32),
+            (b'f', _) => f64::from_bits(bits) as f32,
+            (b'u', _) => bits as f32,
+            _ => {
+                // Up and down again, so that the sign bit fills the unused bytes.
+                let unused = 64 - 8 * self.size as u32;
+                ((bits << unused) as i64 >> unused) as f32
+            }
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::tests::KEYPOINTS;
+    use super::*;
+
+    /// A file of the given version; the header is not padded, which NumPy allows too.
+    fn npy(version: u8, descr: &str, fortran_order: &str, shape: &str, data: &[u8]) -> Vec<u8> {
+        let header = format!("{{'descr': '{descr}', 'fortran_order': {fortran_order}, 'shape': {shape}, }}\n");
+        let mut bytes = [MAGIC, &[version, 0]].concat();
+        match version {
+            1 => bytes.extend((header.len() as u16).to_le_bytes()),
+            _ => bytes.extend((header.len() as u32).to_le_bytes()),
+        }
+        [&bytes, header.as_bytes(), data].concat()
+    }
+
+    /// Bytes of small whole numbers in the given dtype.
+    fn encode(values: &[i8], descr: &str) -> Vec<u8> {
+        let encode_one = |&value: &i8| {
+            let mut bytes = match &descr[1..] {
+                "f4" => f32::from(value).to_le_bytes().to_vec(),
+                "f8" => f64::from(value).to_le_bytes().to_vec(),
+                // Two's complement: the low bytes of an i64 are the number in each narrower type.
+                kind => i64::from(value).to_le_bytes()[..usize::from(kind.as_bytes()[1] - b'0')].to_vec(),
+            };
+            if descr.starts_with('>') {
+                bytes.reverse();
+            }
+            bytes
+        };
+        values.iter().flat_map(encode_one).collect()
+    }
+
+    #[test]
+    fn every_dtype_order_layout_and_version() {
+        let (rows, columns) = ([1, 2, 3, 99, 4, 5, 6, 99], [1, 4, 2, 5, 3, 6, 99, 99]);
+        for kind in ["f4", "f8", "i1", "i2", "i4", "i8", "u1", "u2", "u4", "u8"] {
+            for order in ["<", ">", "|"].into_iter().filter(|order| *order != "|" || kind.ends_with('1')) {
+                let descr = format!("{order}{kind}");
+                for (version, fortran, values) in [(1, "False", rows), (2, "True", columns), (3, "False", rows)] {
+                    let bytes = npy(version, &descr, fortran, "(2, 4)", &encode(&values, &descr));
+                    assert_eq!(read(&bytes).unwrap(), [[1.0, 2.0, 3.0], [4.0, 5.0, 6.0]], "{descr} {fortran}");
+                    for length in 0..bytes.len() {
+                        read(&bytes[..length]).unwrap_err();
+                    }
+                }
+            }
+        }
+        let negative = npy(1, ">i2", "False", "(1, 3)", &encode(&[-1, -128, 0], ">i2"));
+        assert_eq!(read(&negative).unwrap(), [[-1.0, -128.0, 0.0]]);
+    }
+
+    #[test]
+    fn lying_and_unfit_headers_are_refused() {
+        for shape in ["(1000000000000, 3)", "(6148914691236517206, 3)", "(1, 18446744073709551615)", "(3, 3)"] {
+            let reason = read(&npy(1, "<f4", "False", shape, &[0; 35])).unwrap_err();
+            assert!(reason.contains("35 bytes follow"), "{reason}");
+        }
+        for shape in ["(9,)", "()", "(3, 2)", "(1, 3, 1)", "(-1, 3)", "(99999999999999999999, 3)", "3"] {
+            read(&npy(1, "<f4", "False", shape, &[0; 36])).unwrap_err();
+        }
+        for descr in ["|O", "<f2", "<c8", "|b1", "<U8", "=f4", "|f4", "", "<f44", "<f4\u{e9}"] {
+            read(&npy(1, descr, "False", "(1, 3)", &[0; 36])).unwrap_err();
+        }
+        read(&npy(9, "<f4", "False", "(3, 3)", &[0; 36])).unwrap_err();
+        read(&[MAGIC, &[2, 0, 255, 255, 255, 255], b"{}"].concat()).unwrap_err();
+        assert!(read(&npy(1, "<f4", "False", "(0, 3)", &[])).unwrap().is_empty());
+    }
+
+    #[test]
+    fn written_items_are_exact() {
+        let mut bytes = Vec::new();
+        write(&mut bytes, &KEYPOINTS).unwrap();
+        let data = &bytes[bytes.len() - 96..];
+        assert_eq!((bytes.len() - data.len()) % 64, 0);
+        assert_eq!(data[..8], f64::from(0.1_f32).to_le_bytes());
+        assert_eq!(data[88..], 16_777_217_f64.to_le_bytes());
+        for length in 0..bytes.len() {
+            read(&bytes[..length]).unwrap_err();
+        }
+    }
+}

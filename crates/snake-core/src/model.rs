@@ -1,0 +1,195 @@
+//! A network: its configuration and weights.
+
+use std::collections::BTreeMap;
+use std::path::Path;
+use std::sync::Arc;
+
+use crate::decoder::Decoder;
+use crate::detect::{Detection, Preset, detect};
+use crate::encoder::Encoder;
+use crate::field::{EncodeOptions, Field};
+use crate::points::Point;
+use crate::volume::VolumeFrame;
+use crate::weights::{self, Weights};
+use crate::{Error, Result};
+
+const BUILTIN: &[u8] = include_bytes!("../models/compact.safetensors");
+
+/// The shape of a network, read from the weight file's metadata.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct ModelConfig {
+    /// Resolution and bounds of the feature volume.
+    pub frame: VolumeFrame,
+    /// Channels of the volume.
+    pub c_dim: usize,
+    /// Width of the point encoder.
+    pub hidden_dim: usize,
+    /// Width of the decoders.
+    pub decoder_hidden_dim: usize,
+    /// Residual blocks in the point encoder and in each decoder.
+    pub resnet_blocks: usize,
+    /// Levels of the U-Net.
+    pub unet_levels: usize,
+    /// Channels of its first level; each level below doubles them.
+    pub unet_base_channels: usize,
+    /// Groups of its normalisations (1 where a layer has fewer channels).
+    pub group_norm_groups: usize,
+}
+
+impl ModelConfig {
+    fn from_weights(file: &Weights) -> Result<Self> {
+        let whole = |key: &str, most: usize| match file.number::<usize>(key)? {
+            value if (1..=most).contains(&value) => Ok(value),
+            value => Err(weights::error(key, &format!("1 to {most}"), value.to_string())),
+        };
+        let text = file.text("resolution")?;
+        let sizes = text.trim_matches(['[', ']']).split(',').map(|v| v.trim().parse::<usize>().ok());
+        let resolution: Option<Vec<usize>> = sizes.collect();
+        let [x, y, z] = resolution.as_deref().unwrap_or_default() else {
+            return Err(weights::error("resolution", "[x, y, z]", text.into()));
+        };
+        let config = Self {
+            frame: VolumeFrame {
+                resolution: [*x, *y, *z],
+                padding: file.number("padding")?,
+                z_bounds: [file.number("z_min")?, file.number("z_max")?],
+            },
+            c_dim: whole("c_dim", 1024)?,
+            hidden_dim: whole("hidden_dim", 1024)?,
+            decoder_hidden_dim: whole("decoder_hidden_dim", 1024)?,
+            resnet_blocks: whole("resnet_blocks", 64)?,
+            unet_levels: whole("unet_levels", 8)?,
+            unet_base_channels: whole("unet_base_channels", 1024)?,
+            group_norm_groups: whole("group_norm_groups", 1024)?,
+        };
+        let smallest = 2.max(1 << (config.unet_levels - 1));
+        let VolumeFrame { resolution, padding, z_bounds: [z_min, z_max] } = config.frame;
+        if resolution.iter().any(|size| !(smallest..=512).contains(size)) {
+            return Err(weights::error("resolution", &format!("{smallest} to 512 voxels along each axis"), text.into()));
+        }
+        if !(0.0..=10.0).contains(&padding) || !(z_min < z_max && z_max - z_min < 1e3) {
+            let found = format!("padding {padding}, z from {z_min} to {z_max}");
+            return Err(weights::error("padding", "0 to 10, and z_min below z_max", found));
+        }
+        Ok(config)
+    }
+}
+
+/// Encoder and decoders.
+#[derive(Debug)]
+pub(crate) struct Network {
+    config: ModelConfig,
+    metadata: BTreeMap<String, String>,
+    recommended: Preset,
+    num_parameters: usize,
+    pub(crate) encoder: Encoder,
+    pub(crate) occupancy: Decoder,
+    pub(crate) saliency: Decoder,
+}
+
+/// A network with its weights; cloning it is cheap.
+///
+/// ```
+/// let model = snake_core::Model::builtin()?;
+/// assert_eq!(model.config().frame.resolution, [32, 32, 32]);
+/// # Ok::<(), snake_core::Error>(())
+/// ```
+#[derive(Debug, Clone)]
+pub struct Model(Arc<Network>);
+
+impl Model {
+    /// The compact model that comes with the crate (see `models/README.md`).
+    ///
+    /// # Errors
+    /// None in a released build: the embedded file is checked by the tests.
+    pub fn builtin() -> Result<Self> {
+        Self::from_bytes(BUILTIN)
+    }
+
+    /// Reads a weight file (safetensors; float32 or float16).
+    ///
+    /// # Errors
+    /// [`Error::Io`] when the file cannot be read; [`Error::Weights`] as for [`Model::from_bytes`].
+    pub fn load(path: impl AsRef<Path>) -> Result<Self> {
+        let path = path.as_ref();
+        let bytes = std::fs::read(path).map_err(|source| Error::Io { path: path.into(), source })?;
+        Self::from_bytes(&bytes)
+    }
+
+    /// A network from the bytes of a weight file.
+    ///
+    /// # Errors
+    /// [`Error::Weights`] when a tensor or a metadata key is missing, unknown, of another shape or type, or not finite.
+    pub fn from_bytes(bytes: &[u8]) -> Result<Self> {
+        let file = Weights::open(bytes)?;
+        let config = ModelConfig::from_weights(&file)?;
+        let network = Network {
+            config,
+            metadata: file.metadata.clone().into_iter().collect(),
+            recommended: match file.metadata.get("recommended_options") {
+                Some(json) => serde_json::from_str(json)
+                    .map_err(|e| weights::error("recommended_options", "options of snake-rs as JSON", e.to_string()))?,
+                None => Preset::default(),
+            },
+            encoder: Encoder::load(&file.at("encoder"), &config)?,
+            occupancy: Decoder::occupancy(&file.at("decoder_occup"), &config)?,
+            saliency: Decoder::saliency(&file.at("decoder_keypoint"), &config)?,
+            num_parameters: file.num_parameters(),
+        };
+        network.recommended.detect.check()?;
+        file.finish()?;
+        Ok(Self(Arc::new(network)))
+    }
+
+    /// The network's shape.
+    pub fn config(&self) -> &ModelConfig {
+        &self.0.config
+    }
+
+    /// All metadata of the weight file.
+    pub fn metadata(&self) -> &BTreeMap<String, String> {
+        &self.0.metadata
+    }
+
+    /// Number of weights.
+    pub fn num_parameters(&self) -> usize {
+        self.0.num_parameters
+    }
+
+    /// The options that suit these weights: from the metadata key `recommended_options`, else the defaults.
+    pub fn recommended(&self) -> &Preset {
+        &self.0.recommended
+    }
+
+    /// Encodes a cloud once; the field then answers any number of queries.
+    ///
+    /// # Errors
+    /// [`Error::Input`] for an empty cloud, coordinates that are not finite, or a cloud without extent.
+    pub fn encode(&self, points: &[Point], options: &EncodeOptions) -> Result<Field> {
+        Field::new(self.clone(), points, options)
+    }
+
+    /// Keypoints of a cloud in one call: [`Model::encode`], then [`detect`].
+    ///
+    /// ```
+    /// use snake_core::{Model, Preset};
+    /// # let points: Vec<[f32; 3]> = (0..500).map(|i| { let a = i as f32 * 0.1; [a.cos(), a.sin(), (a * 0.3).sin()] }).collect();
+    /// let model = Model::builtin()?;
+    /// let detection = model.detect(&points, model.recommended())?;
+    /// for keypoint in &detection.keypoints {
+    ///     println!("{:?} {:.3}", keypoint.position, keypoint.saliency);
+    /// }
+    /// # Ok::<(), snake_core::Error>(())
+    /// ```
+    ///
+    /// # Errors
+    /// Those of [`Model::encode`] and [`detect`].
+    pub fn detect(&self, points: &[Point], options: &Preset) -> Result<Detection> {
+        detect(&self.encode(points, &options.encode)?, &options.detect)
+    }
+
+    pub(crate) fn network(&self) -> &Network {
+        &self.0
+    }
+}
+

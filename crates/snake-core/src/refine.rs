@@ -1,0 +1,99 @@
+//! Refinement: queries climb the saliency field (SNAKE Algorithm 1).
+
+use rayon::prelude::*;
+
+use crate::detect::{DetectOptions, RefineMethod, Selection};
+use crate::field::{Field, Quantity};
+use crate::nn::TILE;
+use crate::points::Point;
+
+/// A refined query.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(crate) struct Candidate {
+    /// In the network's frame.
+    pub(crate) position: Point,
+    /// Saliency, or 0 where the occupancy is not above the surface threshold.
+    pub(crate) score: f32,
+}
+
+/// Moves each query by `refine_steps` steps and selects a position and a score for it.
+///
+/// Queries do not influence each other except that Adam's gradient is that of the *mean* saliency, one over their
+/// number times each query's own; so each tile makes all its steps on one thread.
+pub(crate) fn refine(field: &Field, queries: &[Point], options: &DetectOptions) -> Vec<Candidate> {
+    queries.par_chunks(TILE).flat_map_iter(|tile| refine_tile(field, tile, queries.len(), options)).collect()
+}
+
+fn refine_tile(field: &Field, queries: &[Point], num_queries: usize, options: &DetectOptions) -> Vec<Candidate> {
+    let mut positions = queries.to_vec();
+    let mut best: Vec<Candidate> = queries.iter().map(|&position| Candidate { position, score: -1.0 }).collect();
+    let mut adam = Adam::new(queries.len(), options.refine_step_size);
+    for _ in 0..options.refine_steps {
+        let (saliency, gradient) = field.tile_values_and_gradients(Quantity::Saliency, &positions);
+        keep_better(&mut best, &positions, &scores(field, &positions, saliency, options));
+        match options.refine_method {
+            RefineMethod::Adam => adam.step(&mut positions, &gradient, -1.0 / num_queries as f32),
+            RefineMethod::GradientDescent => {
+                for (position, gradient) in positions.as_flattened_mut().iter_mut().zip(gradient.as_flattened()) {
+                    *position += options.refine_step_size * gradient;
+                }
+            }
+        }
+    }
+    match options.selection {
+        Selection::ReferenceFinalPosition if options.refine_steps > 0 => {
+            best.iter_mut().zip(positions).for_each(|(best, position)| best.position = position);
+        }
+        _ => {
+            let saliency = field.tile_values(Quantity::Saliency, &positions);
+            keep_better(&mut best, &positions, &scores(field, &positions, saliency, options));
+        }
+    }
+    best
+}
+
+/// Saliency where the occupancy is above the surface threshold, else 0.
+fn scores(field: &Field, positions: &[Point], saliency: Vec<f32>, options: &DetectOptions) -> Vec<f32> {
+    let occupancy = field.tile_values(Quantity::Occupancy, positions);
+    let on_surface = |occupancy: f32| occupancy > options.surface_threshold;
+    saliency.into_iter().zip(occupancy).map(|(s, o)| if on_surface(o) { s } else { 0.0 }).collect()
+}
+
+fn keep_better(best: &mut [Candidate], positions: &[Point], scores: &[f32]) {
+    for ((best, &position), &score) in best.iter_mut().zip(positions).zip(scores) {
+        if score > best.score {
+            *best = Candidate { position, score };
+        }
+    }
+}
+
+/// Adam (β 0.9 and 0.999, ε 1e-8) on a tile of points, in the order of operations of the reference.
+struct Adam {
+    step_size: f32,
+    steps: i32,
+    mean: Vec<f32>,
+    variance: Vec<f32>,
+}
+
+impl Adam {
+    fn new(num_points: usize, step_size: f32) -> Self {
+        Self { step_size, steps: 0, mean: vec![0.0; 3 * num_points], variance: vec![0.0; 3 * num_points] }
+    }
+
+    /// One step down the gradient times `factor`.
+    fn step(&mut self, points: &mut [Point], gradient: &[Point], factor: f32) {
+        self.steps += 1;
+        let (correct_mean, correct_variance) = (1.0 - 0.9_f64.powi(self.steps), 1.0 - 0.999_f64.powi(self.steps));
+        let step = (f64::from(self.step_size) / correct_mean) as f32;
+        let root = correct_variance.sqrt() as f32;
+        let moments = self.mean.iter_mut().zip(&mut self.variance);
+        for ((value, gradient), (mean, variance)) in
+            points.as_flattened_mut().iter_mut().zip(gradient.as_flattened()).zip(moments)
+        {
+            let gradient = gradient * factor;
+            *mean += (gradient - *mean) * 0.1;
+            *variance = *variance * 0.999 + gradient * gradient * 0.001;
+            *value -= step * (*mean / (variance.sqrt() / root + 1e-8));
+        }
+    }
+}

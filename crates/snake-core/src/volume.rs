@@ -1,0 +1,124 @@
+//! The feature volume and its frame: the only file that knows axis order, padding and clamping.
+
+use ndarray::ArrayView4;
+
+use crate::kernels::{Corners, SimdLevel, interpolate};
+use crate::points::Point;
+
+/// Where the voxels of a volume lie in the network's frame (ConvONet's normalisation of coordinates).
+///
+/// A coordinate is divided by `1 + padding` and brought to [0, 1): x and y by adding 0.5, z by its bounds. Outside it
+/// is clamped, so far queries read the border and their gradient along that axis is zero.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct VolumeFrame {
+    /// Voxels along x, y, z.
+    pub resolution: [usize; 3],
+    /// The volume spans ±0.5 · (1 + padding) along x and y.
+    pub padding: f32,
+    /// Lower and upper z bound (before padding).
+    pub z_bounds: [f32; 2],
+}
+
+impl VolumeFrame {
+    /// Added to divisors by the released code; kept because the weights were trained with it.
+    const EPSILON: f32 = 1e-7;
+
+    /// D, H, W: voxels along z, y, x.
+    pub(crate) fn size(&self) -> [usize; 3] {
+        let [x, y, z] = self.resolution;
+        [z, y, x]
+    }
+
+    /// A point of the network's frame in [0, 1) of the volume.
+    fn to_unit(&self, point: Point) -> Point {
+        let [x, y, z] = point.map(|v| v / (1.0 + self.padding + Self::EPSILON));
+        let [z_min, z_max] = self.z_bounds;
+        let unit = [x + 0.5, y + 0.5, (z - z_min) / (z_max - z_min + Self::EPSILON)];
+        unit.map(|u| if u >= 1.0 { 1.0 - Self::EPSILON } else { u.max(0.0) })
+    }
+
+    /// Flat index `x + X (y + Y z)` of the voxel that a point falls into.
+    pub(crate) fn voxel(&self, point: Point) -> usize {
+        let unit = self.to_unit(point);
+        let [x, y, z] = std::array::from_fn(|axis| (unit[axis] * self.resolution[axis] as f32) as usize);
+        x + self.resolution[0] * (y + self.resolution[1] * z)
+    }
+
+    /// The voxels around a query: the first and the last voxel's centres lie on the volume's faces ("align corners").
+    pub(crate) fn corners(&self, query: Point) -> Corners {
+        let unit = self.to_unit(query);
+        let last = self.resolution.map(|r| r - 1);
+        let place: [f32; 3] = std::array::from_fn(|axis| unit[axis] * last[axis] as f32);
+        let low: [usize; 3] = std::array::from_fn(|axis| (place[axis] as usize).min(last[axis] - 1));
+        let stride = [1, self.resolution[0], self.resolution[0] * self.resolution[1]];
+        let voxels = std::array::from_fn(|corner| {
+            (0..3).map(|axis| (low[axis] + (corner >> axis & 1)) * stride[axis]).sum::<usize>() as u32
+        });
+        Corners { voxels, fraction: std::array::from_fn(|axis| place[axis] - low[axis] as f32) }
+    }
+
+    /// Voxels per network unit along each axis at a query: the factor from a derivative per voxel to one per unit;
+    /// zero along axes where the query was clamped.
+    pub(crate) fn voxels_per_unit(&self, query: Point) -> Point {
+        let unit = self.to_unit(query);
+        let padded = 1.0 + self.padding + Self::EPSILON;
+        let extent = [padded, padded, padded * (self.z_bounds[1] - self.z_bounds[0] + Self::EPSILON)];
+        std::array::from_fn(|axis| {
+            let inside = unit[axis] > 0.0 && unit[axis] < 1.0 - Self::EPSILON;
+            if inside { (self.resolution[axis] - 1) as f32 / extent[axis] } else { 0.0 }
+        })
+    }
+}
+
+/// The feature volume of one cloud: what the encoder makes of the points, read by both decoders.
+#[derive(Debug, Clone)]
+pub struct Volume {
+    pub(crate) frame: VolumeFrame,
+    pub(crate) channels: usize,
+    /// `[z][y][x][channel]`.
+    pub(crate) values: Vec<f32>,
+}
+
+impl Volume {
+    /// Where the voxels lie.
+    pub fn frame(&self) -> VolumeFrame {
+        self.frame
+    }
+
+    /// The features, indexed `[z][y][x][channel]`.
+    pub fn features(&self) -> ArrayView4<'_, f32> {
+        let [depth, height, width] = self.frame.size();
+        ArrayView4::from_shape((depth, height, width, self.channels), &self.values)
+            .expect("a volume is made with as many values as its frame has voxels")
+    }
+
+    /// Trilinear features `(queries, channels)`; returns the corners that were read.
+    pub(crate) fn interpolate(&self, frame: &VolumeFrame, queries: &[Point], features: &mut [f32]) -> Vec<Corners> {
+        let corners: Vec<Corners> = queries.iter().map(|&query| frame.corners(query)).collect();
+        interpolate(SimdLevel::current(), &self.values, self.channels, &corners, features);
+        corners
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const FRAME: VolumeFrame = VolumeFrame { resolution: [16, 12, 8], padding: 0.125, z_bounds: [-0.25, 0.25] };
+
+    #[test]
+    fn voxels_run_x_first_and_far_points_fall_on_the_border() {
+        assert_eq!(FRAME.voxel([-9.0, -9.0, -9.0]), 0);
+        assert_eq!(FRAME.voxel([9.0, -9.0, -9.0]), 15);
+        assert_eq!(FRAME.voxel([-9.0, 9.0, -9.0]), 11 * 16);
+        assert_eq!(FRAME.voxel([9.0, 9.0, 9.0]), 16 * 12 * 8 - 1);
+        assert_eq!(FRAME.voxel([0.0, 0.0, 0.0]), 8 + 16 * (6 + 12 * 3));
+    }
+
+    #[test]
+    fn clamped_axes_have_no_gradient() {
+        assert_eq!(FRAME.voxels_per_unit([0.6, 0.0, -0.3])[0], 0.0);
+        assert!(FRAME.voxels_per_unit([0.6, 0.0, 0.0])[1] > 0.0);
+        assert_eq!(FRAME.voxels_per_unit([0.0, 0.0, -0.3])[2], 0.0);
+    }
+}
