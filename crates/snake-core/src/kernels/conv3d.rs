@@ -7,7 +7,7 @@
 use rayon::prelude::*;
 
 use super::SimdLevel;
-use super::simd::{LANES, accumulate_tile, pack, simd_levels};
+use super::simd::{LANES, Lanes, accumulate_tile, pack, simd_levels};
 
 /// Weights of a 3x3x3 convolution without bias, packed as `[block][dz][dy][dx, channel][lane]`.
 #[derive(Debug)]
@@ -49,7 +49,7 @@ simd_levels! {
 }
 
 #[inline(always)]
-fn conv3d_row_body<const FUSED: bool, const ROWS: usize>(
+fn conv3d_row_body<L: Lanes, const ROWS: usize>(
     layer: &PackedConv3d,
     [height, width]: [usize; 2],
     [z, y]: [usize; 2],
@@ -62,10 +62,10 @@ fn conv3d_row_body<const FUSED: bool, const ROWS: usize>(
         let mut x = 0;
         while x < width {
             if x + ROWS <= width {
-                conv3d_tile::<FUSED, ROWS>(layer, weights, &lines, block, x, output);
+                conv3d_tile::<L, ROWS>(layer, weights, &lines, block, x, output);
                 x += ROWS;
             } else {
-                conv3d_tile::<FUSED, 1>(layer, weights, &lines, block, x, output);
+                conv3d_tile::<L, 1>(layer, weights, &lines, block, x, output);
                 x += 1;
             }
         }
@@ -73,7 +73,7 @@ fn conv3d_row_body<const FUSED: bool, const ROWS: usize>(
 }
 
 #[inline(always)]
-fn conv3d_tile<const FUSED: bool, const ROWS: usize>(
+fn conv3d_tile<L: Lanes, const ROWS: usize>(
     layer: &PackedConv3d,
     weights: &[[f32; LANES]],
     lines: &[&[f32]; 9],
@@ -81,14 +81,14 @@ fn conv3d_tile<const FUSED: bool, const ROWS: usize>(
     x: usize,
     output: &mut [f32],
 ) {
-    let mut sums = [[0.0; LANES]; ROWS];
+    let mut sums = [L::splat(0.0); ROWS];
     for (line, weights) in lines.iter().zip(weights.chunks_exact(3 * layer.inputs)) {
-        accumulate_tile::<FUSED, ROWS>(&mut sums, &line[x * layer.inputs..], layer.inputs, weights);
+        sums = accumulate_tile::<L, ROWS>(sums, &line[x * layer.inputs..], layer.inputs, weights);
     }
     let lanes = LANES.min(layer.outputs - block * LANES);
     for (r, sum) in sums.iter().enumerate() {
         let out = &mut output[(x + r) * layer.outputs + block * LANES..][..lanes];
-        for (o, s) in out.iter_mut().zip(sum) {
+        for (o, s) in out.iter_mut().zip(sum.to_array()) {
             *o = s.max(0.0);
         }
     }

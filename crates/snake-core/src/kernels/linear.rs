@@ -1,6 +1,6 @@
 //! Fully connected layer over many rows.
 
-use super::simd::{LANES, accumulate_tile, pack, simd_levels};
+use super::simd::{LANES, Lanes, accumulate_tile, pack, simd_levels};
 
 /// Weights and bias of a linear layer, packed for the microkernel.
 #[derive(Debug)]
@@ -27,7 +27,7 @@ simd_levels! {
 }
 
 #[inline(always)]
-fn linear_body<const FUSED: bool, const ROWS: usize>(
+fn linear_body<L: Lanes, const ROWS: usize>(
     layer: &PackedLinear,
     input: &[f32],
     output: &mut [f32],
@@ -37,30 +37,29 @@ fn linear_body<const FUSED: bool, const ROWS: usize>(
     let mut row = 0;
     while row < rows {
         if row + ROWS <= rows {
-            linear_tile::<FUSED, ROWS>(layer, &input[row * layer.inputs..], &mut output[row * layer.outputs..], add);
+            linear_tile::<L, ROWS>(layer, &input[row * layer.inputs..], &mut output[row * layer.outputs..], add);
             row += ROWS;
         } else {
-            linear_tile::<FUSED, 1>(layer, &input[row * layer.inputs..], &mut output[row * layer.outputs..], add);
+            linear_tile::<L, 1>(layer, &input[row * layer.inputs..], &mut output[row * layer.outputs..], add);
             row += 1;
         }
     }
 }
 
 #[inline(always)]
-fn linear_tile<const FUSED: bool, const ROWS: usize>(
+fn linear_tile<L: Lanes, const ROWS: usize>(
     layer: &PackedLinear,
     input: &[f32],
     output: &mut [f32],
     add: bool,
 ) {
     for (block, (weights, bias)) in layer.weights.chunks_exact(layer.inputs).zip(&layer.bias).enumerate() {
-        let mut sums = [*bias; ROWS];
-        accumulate_tile::<FUSED, ROWS>(&mut sums, input, layer.inputs, weights);
+        let sums = accumulate_tile::<L, ROWS>([L::load(bias); ROWS], input, layer.inputs, weights);
         let lanes = LANES.min(layer.outputs - block * LANES);
         for (r, sum) in sums.iter().enumerate() {
             let out = &mut output[r * layer.outputs + block * LANES..][..lanes];
-            for (o, s) in out.iter_mut().zip(sum) {
-                *o = if add { *o + s } else { *s };
+            for (o, s) in out.iter_mut().zip(sum.to_array()) {
+                *o = if add { *o + s } else { s };
             }
         }
     }

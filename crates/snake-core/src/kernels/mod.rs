@@ -1,8 +1,7 @@
 //! The arithmetic, and the only place with `unsafe`: each public function picks the code compiled for this processor.
 //!
-//! Every kernel is written once, as plain loops over fixed-size arrays, and compiled once per [`SimdLevel`] by
-//! [`simd_levels!`]; the compiler turns the arrays into that level's registers. `naive.rs` holds the textbook
-//! version of each, which the tests compare with.
+//! Every kernel is written once, as plain loops over [`simd::Lanes`], and compiled once per [`SimdLevel`].
+//! `naive.rs` holds the textbook version of each, which the tests compare with.
 //!
 //! Work is parallel over outputs, never over a sum, so the bits of a result do not depend on the number of threads.
 #![allow(unsafe_code)]

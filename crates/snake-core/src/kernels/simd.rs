@@ -55,60 +55,140 @@ impl SimdLevel {
     }
 }
 
-/// Compiles `$body::<FUSED, ROWS>(args)` once per level and defines `$name(level, args)` that calls the right one.
-///
-/// FUSED: multiply-adds round once. ROWS: rows that a tile keeps in registers at that level.
+/// LANES numbers in a level's registers.
+pub(crate) trait Lanes: Copy {
+    /// Whether multiply-adds round once.
+    const FUSED: bool;
+    /// Rows whose sums fit into the registers beside a row of weights.
+    const ROWS: usize;
+    fn load(values: &[f32; LANES]) -> Self;
+    fn splat(value: f32) -> Self;
+    /// `self * factor + addend`.
+    fn multiply_add(self, factor: Self, addend: Self) -> Self;
+    fn to_array(self) -> [f32; LANES];
+}
+
+/// The portable level: plain arrays, which the compiler fits to the architecture's baseline registers.
+#[derive(Clone, Copy)]
+pub(crate) struct PortableLanes([f32; LANES]);
+
+impl Lanes for PortableLanes {
+    const FUSED: bool = cfg!(target_arch = "aarch64");
+    const ROWS: usize = 2;
+
+    #[inline(always)]
+    fn load(values: &[f32; LANES]) -> Self {
+        Self(*values)
+    }
+
+    #[inline(always)]
+    fn splat(value: f32) -> Self {
+        Self([value; LANES])
+    }
+
+    #[inline(always)]
+    fn multiply_add(self, factor: Self, addend: Self) -> Self {
+        Self(std::array::from_fn(|lane| match Self::FUSED {
+            true => self.0[lane].mul_add(factor.0[lane], addend.0[lane]),
+            false => self.0[lane] * factor.0[lane] + addend.0[lane],
+        }))
+    }
+
+    #[inline(always)]
+    fn to_array(self) -> [f32; LANES] {
+        self.0
+    }
+}
+
+/// Defines a [`Lanes`] of `$count` registers of a level.
+#[cfg(target_arch = "x86_64")]
+macro_rules! x86_lanes {
+    ($(#[$doc:meta])* $name:ident, $register:ty, $count:literal, $rows:literal, $splat:ident, $fused:ident) => {
+        $(#[$doc])*
+        #[derive(Clone, Copy)]
+        pub(crate) struct $name([$register; $count]);
+
+        // SAFETY of each block: these methods are inlined into functions compiled for the level, which are called only
+        // where `SimdLevel::available` found it; arrays of registers and of floats have the same size and accept any
+        // bits.
+        impl Lanes for $name {
+            const FUSED: bool = true;
+            const ROWS: usize = $rows;
+
+            #[inline(always)]
+            fn load(values: &[f32; LANES]) -> Self {
+                Self(unsafe { std::mem::transmute::<[f32; LANES], [$register; $count]>(*values) })
+            }
+
+            #[inline(always)]
+            fn splat(value: f32) -> Self {
+                Self([unsafe { std::arch::x86_64::$splat(value) }; $count])
+            }
+
+            #[inline(always)]
+            fn multiply_add(self, factor: Self, addend: Self) -> Self {
+                let fused = |i: usize| unsafe { std::arch::x86_64::$fused(self.0[i], factor.0[i], addend.0[i]) };
+                Self(std::array::from_fn(fused))
+            }
+
+            #[inline(always)]
+            fn to_array(self) -> [f32; LANES] {
+                unsafe { std::mem::transmute::<[$register; $count], [f32; LANES]>(self.0) }
+            }
+        }
+    };
+}
+#[cfg(target_arch = "x86_64")]
+x86_lanes!(Avx2Lanes, std::arch::x86_64::__m256, 2, 4, _mm256_set1_ps, _mm256_fmadd_ps);
+#[cfg(target_arch = "x86_64")]
+x86_lanes!(Avx512Lanes, std::arch::x86_64::__m512, 1, 8, _mm512_set1_ps, _mm512_fmadd_ps);
+
+/// Compiles `$body::<L, ROWS>(args)` for each level's [`Lanes`] and defines `$name(level, args)` that calls the right
+/// one.
 macro_rules! simd_levels {
     ($(#[$doc:meta])* $visibility:vis fn $name:ident($($argument:ident: $kind:ty),* $(,)?) = $body:ident) => {
         $(#[$doc])*
         $visibility fn $name(level: $crate::kernels::SimdLevel, $($argument: $kind),*) {
-            const FUSED_BASELINE: bool = cfg!(target_arch = "aarch64");
+            use $crate::kernels::simd::*;
             #[cfg(target_arch = "x86_64")]
             #[target_feature(enable = "avx2,fma")]
             fn avx2($($argument: $kind),*) {
-                $body::<true, 4>($($argument),*)
+                $body::<Avx2Lanes, { Avx2Lanes::ROWS }>($($argument),*)
             }
             #[cfg(target_arch = "x86_64")]
             #[target_feature(enable = "avx512f,avx2,fma")]
             fn avx512($($argument: $kind),*) {
-                $body::<true, 8>($($argument),*)
+                $body::<Avx512Lanes, { Avx512Lanes::ROWS }>($($argument),*)
             }
             match level {
                 // SAFETY: these levels come from `SimdLevel::available`, which asked the processor.
                 #[cfg(target_arch = "x86_64")]
-                $crate::kernels::SimdLevel::Avx2 => unsafe { avx2($($argument),*) },
+                SimdLevel::Avx2 => unsafe { avx2($($argument),*) },
                 #[cfg(target_arch = "x86_64")]
-                $crate::kernels::SimdLevel::Avx512 => unsafe { avx512($($argument),*) },
-                _ => $body::<FUSED_BASELINE, 2>($($argument),*),
+                SimdLevel::Avx512 => unsafe { avx512($($argument),*) },
+                _ => $body::<PortableLanes, { PortableLanes::ROWS }>($($argument),*),
             }
         }
     };
 }
 pub(crate) use simd_levels;
 
-/// a * b + c.
-#[inline(always)]
-pub(crate) fn multiply_add<const FUSED: bool>(a: f32, b: f32, c: f32) -> f32 {
-    if FUSED { a.mul_add(b, c) } else { a * b + c }
-}
-
 /// `sums[r] += input[r * stride ..][.. weights.len()] * weights` for ROWS rows and one block of output channels.
 #[inline(always)]
-pub(crate) fn accumulate_tile<const FUSED: bool, const ROWS: usize>(
-    sums: &mut [[f32; LANES]; ROWS],
+pub(crate) fn accumulate_tile<L: Lanes, const ROWS: usize>(
+    mut sums: [L; ROWS],
     input: &[f32],
     stride: usize,
     weights: &[[f32; LANES]],
-) {
+) -> [L; ROWS] {
     let rows: [&[f32]; ROWS] = std::array::from_fn(|r| &input[r * stride..][..weights.len()]);
     for (k, weight) in weights.iter().enumerate() {
-        for (sum, row) in sums.iter_mut().zip(&rows) {
-            let value = row[k];
-            for (s, w) in sum.iter_mut().zip(weight) {
-                *s = multiply_add::<FUSED>(value, *w, *s);
-            }
+        let weight = L::load(weight);
+        for r in 0..ROWS {
+            sums[r] = L::splat(rows[r][k]).multiply_add(weight, sums[r]);
         }
     }
+    sums
 }
 
 /// Packs rows of weights `(outputs, inputs)` into blocks of LANES outputs: `[block][input][lane]`, zero beyond.

@@ -1,6 +1,6 @@
 //! Trilinear interpolation of feature rows.
 
-use super::simd::{multiply_add, simd_levels};
+use super::simd::{Lanes, simd_levels};
 
 /// The eight voxels around a query and its place between them.
 #[derive(Debug, Clone, Copy)]
@@ -37,7 +37,7 @@ simd_levels! {
 }
 
 #[inline(always)]
-fn interpolate_body<const FUSED: bool, const ROWS: usize>(
+fn interpolate_body<L: Lanes, const ROWS: usize>(
     volume: &[f32],
     channels: usize,
     corners: &[Corners],
@@ -49,7 +49,7 @@ fn interpolate_body<const FUSED: bool, const ROWS: usize>(
             let weight = corners.weight(corner);
             let row = &volume[voxel as usize * channels..][..channels];
             for (f, &value) in feature.iter_mut().zip(row) {
-                *f = multiply_add::<FUSED>(weight, value, *f);
+                *f = if L::FUSED { weight.mul_add(value, *f) } else { weight * value + *f };
             }
         }
     }
