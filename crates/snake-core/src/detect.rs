@@ -241,7 +241,11 @@ pub(crate) fn occupied_queries(field: &Field, options: &DetectOptions) -> Vec<Po
     // Counted from the nearer end, as torch.linspace does, so that the grid is symmetric to the last bit.
     let along = |low: f32, high: f32, i: usize| {
         let step = (high - low) / resolution.saturating_sub(1).max(1) as f32;
-        if i < resolution / 2 || resolution == 1 { low + step * i as f32 } else { high - step * (resolution - 1 - i) as f32 }
+        if i < resolution / 2 || resolution == 1 {
+            low + step * i as f32
+        } else {
+            high - step * (resolution - 1 - i) as f32
+        }
     };
     let line = |row: usize| -> Vec<Point> {
         let (x, y) = (along(-0.5, 0.5, row / resolution), along(-0.5, 0.5, row % resolution));

@@ -19,7 +19,8 @@ struct Case {
 /// All cases at hand; the committed ones must be.
 fn cases() -> Vec<Case> {
     let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("../..");
-    let mut folders: Vec<PathBuf> = ["tiny", "odd", "anisotropic"].map(|name| root.join("tests/golden").join(name)).into();
+    let mut folders: Vec<PathBuf> =
+        ["tiny", "odd", "anisotropic"].map(|name| root.join("tests/golden").join(name)).into();
     let full = root.join("../shared/golden/full");
     if full.exists() {
         folders.push(full);
@@ -63,7 +64,11 @@ impl Case {
         let expected = self.floats(tensor);
         assert_eq!(found.len(), expected.len(), "{} {tensor}", self.name);
         for (i, (f, e)) in found.iter().zip(&expected).enumerate() {
-            assert!((f - e).abs() <= tolerance * e.abs().max(1.0), "{} {tensor}: value {i} is {f}, expected {e}", self.name);
+            assert!(
+                (f - e).abs() <= tolerance * e.abs().max(1.0),
+                "{} {tensor}: value {i} is {f}, expected {e}",
+                self.name
+            );
         }
     }
 }
@@ -111,8 +116,10 @@ fn probabilities_and_gradients() {
         // Both sides round to about 1e-5 here.
         case.assert_close("occupancy", &field.occupancy(&queries).unwrap(), 2e-5);
         case.assert_close("saliency", &field.saliency(&queries).unwrap(), 2e-5);
-        let gradients =
-            [("occupancy_grad", field.occupancy_and_gradient(&queries)), ("saliency_grad", field.saliency_and_gradient(&queries))];
+        let gradients = [
+            ("occupancy_grad", field.occupancy_and_gradient(&queries)),
+            ("saliency_grad", field.saliency_and_gradient(&queries)),
+        ];
         for (tensor, found) in gradients {
             let (found, expected) = (found.unwrap().1, case.points(tensor));
             // 1e-3 of each gradient's length; where it is tiny, of the typical length.
@@ -120,7 +127,9 @@ fn probabilities_and_gradients() {
             let typical = expected.iter().map(length).sum::<f32>() / expected.len() as f32;
             for (i, (f, e)) in found.iter().zip(&expected).enumerate() {
                 let error = length(&std::array::from_fn(|axis| f[axis] - e[axis]));
-                if error > 1e-3 * length(e).max(typical) { eprintln!("{} {tensor} {i}: {f:?}, expected {e:?}", case.name); }
+                if error > 1e-3 * length(e).max(typical) {
+                    eprintln!("{} {tensor} {i}: {f:?}, expected {e:?}", case.name);
+                }
             }
         }
     }

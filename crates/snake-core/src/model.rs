@@ -65,9 +65,14 @@ impl ModelConfig {
         let smallest = 2.max(1 << (config.unet_levels - 1));
         let VolumeFrame { resolution, padding, z_bounds: [z_min, z_max] } = config.frame;
         if resolution.iter().any(|size| !(smallest..=512).contains(size)) {
-            return Err(weights::error("resolution", &format!("{smallest} to 512 voxels along each axis"), text.into()));
+            return Err(weights::error(
+                "resolution",
+                &format!("{smallest} to 512 voxels along each axis"),
+                text.into(),
+            ));
         }
-        if !(0.0..=10.0).contains(&padding) || !(z_min < z_max && z_max - z_min < 1e3) {
+        let z_extent = z_max - z_min;
+        if !((0.0..=10.0).contains(&padding) && z_extent > 0.0 && z_extent < 1e3) {
             let found = format!("padding {padding}, z from {z_min} to {z_max}");
             return Err(weights::error("padding", "0 to 10, and z_min below z_max", found));
         }
@@ -192,4 +197,3 @@ impl Model {
         &self.0
     }
 }
-

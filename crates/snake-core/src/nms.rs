@@ -72,7 +72,8 @@ mod tests {
             order.sort_by(|&a, &b| scores[b].total_cmp(&scores[a]).then(a.cmp(&b)));
             let mut expected: Vec<usize> = Vec::new();
             for i in order {
-                let free = expected.iter().all(|&k| radius == 0.0 || squared_distance(points[i], points[k]) > radius * radius);
+                let free =
+                    expected.iter().all(|&k| radius == 0.0 || squared_distance(points[i], points[k]) > radius * radius);
                 if free && expected.len() < limit {
                     expected.push(i);
                 }

@@ -2,9 +2,9 @@
 
 use rayon::prelude::*;
 
+use crate::Result;
 use crate::kernels::{self, PackedConv3d, PackedLinear, SimdLevel};
 use crate::weights::Scope;
-use crate::Result;
 
 /// Rows that one task handles at a time: their features stay in the first-level cache.
 pub(crate) const TILE: usize = 64;
@@ -153,7 +153,11 @@ impl Tensor {
     pub(crate) fn pointwise(&self, layer: &Linear) -> Self {
         let mut output = Self::zeros(self.size, layer.outputs());
         let chunks = self.values.par_chunks(TILE * self.channels);
-        output.values.par_chunks_mut(TILE * layer.outputs()).zip(chunks).for_each(|(out, input)| layer.forward(input, out));
+        output
+            .values
+            .par_chunks_mut(TILE * layer.outputs())
+            .zip(chunks)
+            .for_each(|(out, input)| layer.forward(input, out));
         output
     }
 
@@ -178,7 +182,7 @@ impl SingleConv {
     pub(crate) fn load(scope: &Scope, inputs: usize, outputs: usize, groups: usize) -> Result<Self> {
         let weight = scope.tensor("conv.weight", &[outputs, inputs, 3, 3, 3])?;
         let groups = if inputs < groups { 1 } else { groups };
-        if inputs % groups != 0 {
+        if !inputs.is_multiple_of(groups) {
             let found = format!("{inputs} channels at a normalisation");
             return Err(crate::weights::error("group_norm_groups", "a divisor of every layer's channels", found));
         }
@@ -211,9 +215,12 @@ mod tests {
     #[test]
     fn pooling_and_upsampling_of_odd_sizes() {
         let fine = Tensor { size: [1, 2, 5], channels: 1, values: (0..10).map(|v| v as f32).collect() };
-        assert_eq!(Tensor { size: [2, 2, 5], values: [fine.values.clone(), fine.values.clone()].concat(), ..fine }
-            .max_pool()
-            .values, [6.0, 8.0]);
+        assert_eq!(
+            Tensor { size: [2, 2, 5], values: [fine.values.clone(), fine.values.clone()].concat(), ..fine }
+                .max_pool()
+                .values,
+            [6.0, 8.0]
+        );
         let fine = Tensor { size: [1, 1, 5], channels: 1, values: vec![0.0; 5] };
         let coarse = Tensor { size: [1, 1, 2], channels: 1, values: vec![1.0, 2.0] };
         // floor(i * 2 / 5) = 0 0 0 1 1.

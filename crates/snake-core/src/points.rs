@@ -44,9 +44,9 @@ impl FromStr for NormalizationMethod {
     type Err = Error;
 
     fn from_str(name: &str) -> Result<Self> {
-        [Self::UnitSphere, Self::UnitCube, Self::None].into_iter().find(|method| method.name() == name).ok_or_else(|| {
-            Error::Option { name: "normalization", value: name.into(), allowed: "unit-sphere, unit-cube or none" }
-        })
+        [Self::UnitSphere, Self::UnitCube, Self::None].into_iter().find(|method| method.name() == name).ok_or_else(
+            || Error::Option { name: "normalization", value: name.into(), allowed: "unit-sphere, unit-cube or none" },
+        )
     }
 }
 
@@ -85,7 +85,9 @@ impl Normalization {
             .fold(0.0, f64::max);
         let (center, scale) = (mean.map(|v| v as f32), (2.0 * extent) as f32);
         if !(scale.is_normal() && scale.recip().is_normal()) {
-            let reason = format!("a cloud of extent {extent:e} cannot be normalised; it needs at least two different points and coordinates below 1e37");
+            let reason = format!(
+                "a cloud of extent {extent:e} cannot be normalised; it needs at least two different points and coordinates below 1e37"
+            );
             return Err(Error::Input { what: "points", reason });
         }
         Ok(Self { center, scale })
@@ -110,7 +112,8 @@ pub(crate) fn check_points(what: &'static str, points: &[Point]) -> Result<()> {
     let is_bad = |p: &&Point| !p.iter().all(|v| v.is_finite());
     if let Some(first) = points.iter().position(|p| is_bad(&p)) {
         let count = points.iter().filter(is_bad).count();
-        let reason = format!("{count} of {} points are not finite, the first at index {first}; remove them", points.len());
+        let reason =
+            format!("{count} of {} points are not finite, the first at index {first}; remove them", points.len());
         return Err(Error::Input { what, reason });
     }
     Ok(())

@@ -30,7 +30,7 @@ impl VolumeFrame {
     }
 
     /// A point of the network's frame in [0, 1) of the volume.
-    fn to_unit(&self, point: Point) -> Point {
+    fn unit(&self, point: Point) -> Point {
         let [x, y, z] = point.map(|v| v / (1.0 + self.padding + Self::EPSILON));
         let [z_min, z_max] = self.z_bounds;
         let unit = [x + 0.5, y + 0.5, (z - z_min) / (z_max - z_min + Self::EPSILON)];
@@ -39,14 +39,14 @@ impl VolumeFrame {
 
     /// Flat index `x + X (y + Y z)` of the voxel that a point falls into.
     pub(crate) fn voxel(&self, point: Point) -> usize {
-        let unit = self.to_unit(point);
+        let unit = self.unit(point);
         let [x, y, z] = std::array::from_fn(|axis| (unit[axis] * self.resolution[axis] as f32) as usize);
         x + self.resolution[0] * (y + self.resolution[1] * z)
     }
 
     /// The voxels around a query: the first and the last voxel's centres lie on the volume's faces ("align corners").
     pub(crate) fn corners(&self, query: Point) -> Corners {
-        let unit = self.to_unit(query);
+        let unit = self.unit(query);
         let last = self.resolution.map(|r| r - 1);
         let place: [f32; 3] = std::array::from_fn(|axis| unit[axis] * last[axis] as f32);
         let low: [usize; 3] = std::array::from_fn(|axis| (place[axis] as usize).min(last[axis] - 1));
@@ -60,7 +60,7 @@ impl VolumeFrame {
     /// Voxels per network unit along each axis at a query: the factor from a derivative per voxel to one per unit;
     /// zero along axes where the query was clamped.
     pub(crate) fn voxels_per_unit(&self, query: Point) -> Point {
-        let unit = self.to_unit(query);
+        let unit = self.unit(query);
         let padded = 1.0 + self.padding + Self::EPSILON;
         let extent = [padded, padded, padded * (self.z_bounds[1] - self.z_bounds[0] + Self::EPSILON)];
         std::array::from_fn(|axis| {

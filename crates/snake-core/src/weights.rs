@@ -25,7 +25,11 @@ impl<'data> Weights<'data> {
         let weights = Self { tensors, metadata, asked: RefCell::default() };
         let format = weights.metadata.get("format").cloned().unwrap_or_default();
         if format != "snake-field" {
-            return Err(error("format", "snake-field", format!("{format:?}; export the network with snake_training.export")));
+            return Err(error(
+                "format",
+                "snake-field",
+                format!("{format:?}; export the network with snake_training.export"),
+            ));
         }
         match weights.number::<u32>("format_version")? {
             1 => Ok(weights),
@@ -60,7 +64,9 @@ impl<'data> Weights<'data> {
         let mut unknown: Vec<&str> = self.tensors.names().into_iter().filter(|name| !asked.contains(*name)).collect();
         unknown.sort_unstable();
         match unknown.first() {
-            Some(name) => Err(error(name, "no such tensor in this network", format!("{} unknown tensors", unknown.len()))),
+            Some(name) => {
+                Err(error(name, "no such tensor in this network", format!("{} unknown tensors", unknown.len())))
+            }
             None => Ok(()),
         }
     }

@@ -3,15 +3,15 @@
 mod pointnet;
 mod unet;
 
-pub(crate) use self::pointnet::VoxelGroups;
 use self::pointnet::PointNet;
+pub(crate) use self::pointnet::VoxelGroups;
 use self::unet::UNet3d;
+use crate::Result;
 use crate::model::ModelConfig;
 use crate::nn::Tensor;
 use crate::points::Point;
 use crate::volume::{Volume, VolumeFrame};
 use crate::weights::Scope;
-use crate::Result;
 
 /// The encoder of a model.
 #[derive(Debug)]

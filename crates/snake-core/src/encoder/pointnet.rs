@@ -2,12 +2,12 @@
 
 use rayon::prelude::*;
 
+use crate::Result;
 use crate::model::ModelConfig;
 use crate::nn::{Linear, ResnetBlockFc, TILE};
 use crate::points::Point;
 use crate::volume::VolumeFrame;
 use crate::weights::Scope;
-use crate::Result;
 
 /// Which points share a voxel.
 #[derive(Debug)]

@@ -1,9 +1,9 @@
 //! 3-D U-Net: max-pool on the way down, nearest upsampling to the skip's size on the way up.
 
+use crate::Result;
 use crate::model::ModelConfig;
 use crate::nn::{Linear, SingleConv, Tensor};
 use crate::weights::Scope;
-use crate::Result;
 
 type DoubleConv = [SingleConv; 2];
 

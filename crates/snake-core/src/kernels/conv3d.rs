@@ -57,7 +57,8 @@ fn conv3d_row_body<L: Lanes, const ROWS: usize>(
     output: &mut [f32],
 ) {
     let line = (width + 2) * layer.inputs;
-    let lines: [&[f32]; 9] = std::array::from_fn(|k| &padded[((z + k / 3) * (height + 2) + y + k % 3) * line..][..line]);
+    let lines: [&[f32]; 9] =
+        std::array::from_fn(|k| &padded[((z + k / 3) * (height + 2) + y + k % 3) * line..][..line]);
     for (block, weights) in layer.weights.chunks_exact(27 * layer.inputs).enumerate() {
         let mut x = 0;
         while x < width {

@@ -11,7 +11,13 @@ pub(crate) struct GroupStatistics {
 
 /// Statistics of a volume `(voxels, channels)` for `groups` groups of consecutive channels, folded with the layer's
 /// `weight` and `bias`. Sums are taken in float64 over fixed runs of voxels and added in order.
-pub(crate) fn group_statistics(volume: &[f32], groups: usize, weight: &[f32], bias: &[f32], epsilon: f64) -> GroupStatistics {
+pub(crate) fn group_statistics(
+    volume: &[f32],
+    groups: usize,
+    weight: &[f32],
+    bias: &[f32],
+    epsilon: f64,
+) -> GroupStatistics {
     const RUN: usize = 4096;
     let channels = weight.len();
     let partial: Vec<Vec<[f64; 2]>> = volume
@@ -33,7 +39,8 @@ pub(crate) fn group_statistics(volume: &[f32], groups: usize, weight: &[f32], bi
     let (mut scale, mut shift) = (vec![0.0; channels], vec![0.0; channels]);
     for group in 0..groups {
         let members = group * size..(group + 1) * size;
-        let total = |which: usize| -> f64 { partial.iter().flat_map(|sums| &sums[members.clone()]).map(|s| s[which]).sum() };
+        let total =
+            |which: usize| -> f64 { partial.iter().flat_map(|sums| &sums[members.clone()]).map(|s| s[which]).sum() };
         let mean = total(0) / count;
         let variance = (total(1) / count - mean * mean).max(0.0);
         let inverse = 1.0 / (variance + epsilon).sqrt();
@@ -48,7 +55,12 @@ pub(crate) fn group_statistics(volume: &[f32], groups: usize, weight: &[f32], bi
 
 /// Writes the normalised volume `(D, H, W, channels)` into `padded` `(D + 2, H + 2, W + 2, channels)`, whose border
 /// it sets to zero.
-pub(crate) fn normalize_into_padded(volume: &[f32], size: [usize; 3], statistics: &GroupStatistics, padded: &mut [f32]) {
+pub(crate) fn normalize_into_padded(
+    volume: &[f32],
+    size: [usize; 3],
+    statistics: &GroupStatistics,
+    padded: &mut [f32],
+) {
     let [depth, height, width] = size;
     let channels = statistics.scale.len();
     let line = (width + 2) * channels;
@@ -78,7 +90,9 @@ mod tests {
     #[test]
     fn equals_the_textbook() {
         let mut random = naive::Random::new(3);
-        for (size, channels, groups) in [([1, 2, 3], 8, 8), ([4, 3, 5], 24, 8), ([17, 16, 18], 16, 4), ([3, 3, 3], 5, 1)] {
+        for (size, channels, groups) in
+            [([1, 2, 3], 8, 8), ([4, 3, 5], 24, 8), ([17, 16, 18], 16, 4), ([3, 3, 3], 5, 1)]
+        {
             let (weight, bias) = (random.values(channels), random.values(channels));
             let volume = random.values(size.iter().product::<usize>() * channels);
             let expected = naive::pad(size, channels, &naive::group_norm(groups, &weight, &bias, 1e-5, &volume));

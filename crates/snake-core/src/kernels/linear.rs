@@ -27,12 +27,7 @@ simd_levels! {
 }
 
 #[inline(always)]
-fn linear_body<L: Lanes, const ROWS: usize>(
-    layer: &PackedLinear,
-    input: &[f32],
-    output: &mut [f32],
-    add: bool,
-) {
+fn linear_body<L: Lanes, const ROWS: usize>(layer: &PackedLinear, input: &[f32], output: &mut [f32], add: bool) {
     let rows = input.len() / layer.inputs;
     let mut row = 0;
     while row < rows {
@@ -47,12 +42,7 @@ fn linear_body<L: Lanes, const ROWS: usize>(
 }
 
 #[inline(always)]
-fn linear_tile<L: Lanes, const ROWS: usize>(
-    layer: &PackedLinear,
-    input: &[f32],
-    output: &mut [f32],
-    add: bool,
-) {
+fn linear_tile<L: Lanes, const ROWS: usize>(layer: &PackedLinear, input: &[f32], output: &mut [f32], add: bool) {
     for (block, (weights, bias)) in layer.weights.chunks_exact(layer.inputs).zip(&layer.bias).enumerate() {
         let sums = accumulate_tile::<L, ROWS>([L::load(bias); ROWS], input, layer.inputs, weights);
         let lanes = LANES.min(layer.outputs - block * LANES);
@@ -73,7 +63,9 @@ mod tests {
     #[test]
     fn every_level_equals_the_textbook() {
         let mut random = naive::Random::new(1);
-        for (rows, inputs, outputs) in [(0, 3, 5), (1, 1, 1), (7, 3, 15), (8, 32, 16), (9, 64, 17), (31, 32, 32), (64, 96, 33)] {
+        for (rows, inputs, outputs) in
+            [(0, 3, 5), (1, 1, 1), (7, 3, 15), (8, 32, 16), (9, 64, 17), (31, 32, 32), (64, 96, 33)]
+        {
             let (weight, bias) = (random.values(inputs * outputs), random.values(outputs));
             let (input, start) = (random.values(rows * inputs), random.values(rows * outputs));
             for add in [false, true] {

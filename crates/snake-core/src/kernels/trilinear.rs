@@ -67,7 +67,8 @@ mod tests {
         let mut random = naive::Random::new(4);
         for channels in [1, 7, 16, 33] {
             let corner_value = |corner: usize| function(std::array::from_fn(|axis| (corner >> axis & 1) as f32));
-            let volume: Vec<f32> = (0..8 * channels).map(|i| corner_value(i / channels) * (i % channels) as f32).collect();
+            let volume: Vec<f32> =
+                (0..8 * channels).map(|i| corner_value(i / channels) * (i % channels) as f32).collect();
             let fraction: [f32; 3] = std::array::from_fn(|_| random.values(1)[0].abs());
             let corners = Corners { voxels: std::array::from_fn(|corner| corner as u32), fraction };
             let expected: Vec<f32> = (0..channels).map(|channel| function(fraction) * channel as f32).collect();

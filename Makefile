@@ -1,0 +1,41 @@
+# `make help` lists the targets.
+VENV := .venv
+PYTHON := $(VENV)/bin/python
+export VIRTUAL_ENV := $(CURDIR)/$(VENV)
+
+.PHONY: help test check golden bench wheel
+.DEFAULT_GOAL := help
+
+help:  ## this list
+	@grep -hE '^[a-z]+:.*##' $(MAKEFILE_LIST) | sed 's/:.*##/\t/'
+
+$(VENV)/ready: python/pyproject.toml training/pyproject.toml
+	python3 -m venv $(VENV)
+	$(PYTHON) -m pip install --quiet --upgrade pip
+	$(PYTHON) -m pip install --quiet "maturin>=1.16" mypy -e "training[test]"
+	touch $@
+
+# Builds the Python module into the virtual environment.
+.PHONY: module
+module: $(VENV)/ready
+	$(VENV)/bin/maturin develop --release --quiet --manifest-path python/Cargo.toml
+
+test: module  ## all tests: Rust, Python module, training, parity with PyTorch
+	cargo test --release
+	OMP_NUM_THREADS=1 $(PYTHON) -m pytest -q -rs tests training/tests
+
+check: module  ## formatting, lints, type stubs
+	cargo fmt --check
+	cargo clippy --release --workspace --all-targets
+	$(VENV)/bin/ruff check training python tests
+	$(VENV)/bin/ruff format --check training python tests
+	$(PYTHON) -m mypy.stubtest snake_rs._core
+
+golden: $(VENV)/ready  ## check the golden files against the PyTorch network
+	$(PYTHON) tests/golden/generate.py --check
+
+bench: module  ## speed of detection against PyTorch, side by side
+	$(PYTHON) -m snake_training.benchmark
+
+wheel: $(VENV)/ready  ## a wheel of the Python module in target/wheels
+	$(VENV)/bin/maturin build --release --manifest-path python/Cargo.toml

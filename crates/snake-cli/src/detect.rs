@@ -1,0 +1,178 @@
+//! `snake-cli detect`: read, detect, write.
+
+use std::collections::HashSet;
+use std::fmt::Write;
+use std::path::{Path, PathBuf};
+use std::process::ExitCode;
+use std::time::Instant;
+
+use anyhow::{Context, Result, bail};
+use clap::ValueEnum;
+use indicatif::{ProgressBar, ProgressStyle};
+use serde_json::json;
+use snake_core::{Detection, Field, Model, Preset, detect, io};
+
+use crate::args::DetectArguments;
+use crate::model;
+
+/// Rows of keypoints that the table for people shows.
+const TABLE_ROWS: usize = 10;
+
+/// Processes every input; a bad one is reported and does not stop the rest.
+pub fn run(arguments: &DetectArguments) -> Result<ExitCode> {
+    if let Some(threads) = arguments.threads {
+        rayon::ThreadPoolBuilder::new().num_threads(threads.into()).build_global()?;
+    }
+    let model = model::load(arguments.model.as_deref())?;
+    let options = arguments.options.resolve(&model)?;
+    let inputs = expand(&arguments.inputs)?;
+    let outputs = outputs(arguments, &inputs)?;
+    let bar = ProgressBar::new(inputs.len() as u64);
+    bar.set_style(ProgressStyle::with_template("{bar:30} {pos}/{len} {msg} (ETA {eta})")?);
+    let mut failures = 0;
+    for (index, input) in inputs.iter().enumerate() {
+        bar.set_message(input.display().to_string());
+        let output = outputs.get(index).map(PathBuf::as_path);
+        match process(&model, &options, input, output, arguments.json) {
+            Ok(report) => bar.suspend(|| crate::print(&report))?,
+            Err(error) => {
+                failures += 1;
+                bar.suspend(|| eprintln!("error: {error:#}"));
+            }
+        }
+        // A single input needs no bar: it would flash by.
+        if inputs.len() > 1 {
+            bar.inc(1);
+        }
+    }
+    bar.finish_and_clear();
+    if failures > 0 && inputs.len() > 1 {
+        eprintln!("{failures} of {} inputs failed", inputs.len());
+    }
+    Ok(ExitCode::from(match failures {
+        0 => 0,
+        n if n < inputs.len() => 1,
+        _ => 2,
+    }))
+}
+
+/// The files to read: what was named, and the clouds within directories in the order of their names.
+fn expand(inputs: &[PathBuf]) -> Result<Vec<PathBuf>> {
+    let mut files = Vec::new();
+    for input in inputs {
+        if !input.is_dir() {
+            files.push(input.clone());
+            continue;
+        }
+        let mut found = Vec::new();
+        for entry in input.read_dir().with_context(|| format!("cannot list {}", input.display()))? {
+            let path = entry.with_context(|| format!("cannot list {}", input.display()))?.path();
+            let extension = path.extension().unwrap_or_default().to_string_lossy().to_lowercase();
+            let is_result = path.file_stem().is_some_and(|stem| stem.to_string_lossy().ends_with(".keypoints"));
+            if path.is_file() && io::POINT_EXTENSIONS.contains(&extension.as_str()) && !is_result {
+                found.push(path);
+            }
+        }
+        if found.is_empty() {
+            bail!("{}: no point clouds in it (looked for .{})", input.display(), io::POINT_EXTENSIONS.join(", ."));
+        }
+        found.sort();
+        files.append(&mut found);
+    }
+    Ok(files)
+}
+
+/// The file that each input's keypoints go to; empty if they are only printed.
+fn outputs(arguments: &DetectArguments, inputs: &[PathBuf]) -> Result<Vec<PathBuf>> {
+    let Some(output) = &arguments.output else { return Ok(Vec::new()) };
+    let into_directory = output.is_dir() || inputs.len() > 1 || arguments.inputs.iter().any(|input| input.is_dir());
+    if !into_directory {
+        io::check_keypoint_path(output)?;
+        if inputs.contains(output) {
+            bail!("{}: is the input; give another --output", output.display());
+        }
+        return Ok(vec![output.clone()]);
+    }
+    let extension = arguments.format.to_possible_value().map(|value| value.get_name().to_owned()).unwrap_or_default();
+    let name = |input: &PathBuf| {
+        let stem = input.file_stem().unwrap_or_default().to_string_lossy();
+        output.join(format!("{stem}.keypoints.{extension}"))
+    };
+    let outputs: Vec<PathBuf> = inputs.iter().map(name).collect();
+    let mut seen = HashSet::new();
+    if let Some(twice) = outputs.iter().find(|output| !seen.insert(*output)) {
+        bail!("{}: two inputs would be written there; run them into different directories", twice.display());
+    }
+    std::fs::create_dir_all(output).with_context(|| format!("cannot make the directory {}", output.display()))?;
+    Ok(outputs)
+}
+
+/// One input from file to file; returns what is printed about it.
+fn process(model: &Model, options: &Preset, input: &Path, output: Option<&Path>, json: bool) -> Result<String> {
+    let start = Instant::now();
+    let points = io::read_points(input)?;
+    let read = start.elapsed().as_secs_f64();
+    let encoding = Instant::now();
+    let field = model.encode(&points, &options.encode).with_context(|| input.display().to_string())?;
+    let encode = encoding.elapsed().as_secs_f64();
+    let detection = detect(&field, &options.detect)?;
+    if let Some(output) = output {
+        io::write_keypoints(output, &detection.keypoints)?;
+    }
+    let total = start.elapsed().as_secs_f64();
+    if json {
+        Ok(json_line(input, &field, &detection, [read, encode, total]))
+    } else {
+        table(input, output, &field, &detection, total)
+    }
+}
+
+fn json_line(input: &Path, field: &Field, detection: &Detection, [read, encode, total]: [f64; 3]) -> String {
+    let timing = detection.timing;
+    let object = json!({
+        "input": input.display().to_string(),
+        "num_points": field.points().len(),
+        "normalization": field.normalization(),
+        "counts": detection.counts,
+        "timing_seconds": {
+            "read": read, "encode": encode, "occupancy": timing.occupancy, "refine": timing.refine, "nms": timing.nms,
+            "total": total,
+        },
+        "keypoints": detection.keypoints.iter().map(io::keypoint_json).collect::<Vec<_>>(),
+    });
+    format!("{object}\n")
+}
+
+fn table(input: &Path, output: Option<&Path>, field: &Field, detection: &Detection, total: f64) -> Result<String> {
+    let (counts, keypoints) = (detection.counts, &detection.keypoints);
+    let mut text = format!("{}: {} keypoints from {} points", input.display(), keypoints.len(), field.points().len());
+    if field.num_encoded() < field.points().len() {
+        write!(text, " ({} encoded)", field.num_encoded())?;
+    }
+    writeln!(text, " in {total:.3} s")?;
+    let (queries, occupied, above) = (counts.queries, counts.occupied, counts.above_threshold);
+    writeln!(text, "{queries} queries, {occupied} occupied, {above} above the saliency threshold")?;
+    if keypoints.is_empty() {
+        let advice = if occupied == 0 { "--occupancy-threshold or --normalization" } else { "--saliency-threshold" };
+        writeln!(text, "no keypoints: try {advice}")?;
+    } else {
+        writeln!(
+            text,
+            "{:>4} {:>12} {:>12} {:>12} {:>9} {:>9} {:>8}",
+            "#", "x", "y", "z", "saliency", "occupancy", "nearest"
+        )?;
+    }
+    for (rank, k) in keypoints.iter().take(TABLE_ROWS).enumerate() {
+        let [x, y, z] = k.position;
+        let (saliency, occupancy, nearest) = (k.saliency, k.occupancy, k.nearest_index);
+        writeln!(text, "{:>4} {x:>12.5} {y:>12.5} {z:>12.5} {saliency:>9.4} {occupancy:>9.4} {nearest:>8}", rank + 1)?;
+    }
+    match output {
+        Some(output) => writeln!(text, "written to {}", output.display())?,
+        None if keypoints.len() > TABLE_ROWS => {
+            writeln!(text, "… {} more; -o FILE writes all", keypoints.len() - TABLE_ROWS)?
+        }
+        None => (),
+    }
+    Ok(text)
+}

@@ -1,0 +1,191 @@
+//! The command line as a person uses it.
+
+use std::path::{Path, PathBuf};
+use std::process::Output;
+
+use assert_cmd::Command;
+use serde_json::Value;
+
+fn root() -> PathBuf {
+    Path::new(env!("CARGO_MANIFEST_DIR")).join("../..")
+}
+
+fn sample() -> String {
+    root().join("samples/plane.ply").display().to_string()
+}
+
+fn snake(arguments: &[&str]) -> Output {
+    Command::cargo_bin("snake-cli").unwrap().args(arguments).output().unwrap()
+}
+
+fn json_lines(output: &Output) -> Vec<Value> {
+    String::from_utf8_lossy(&output.stdout).lines().map(|line| serde_json::from_str(line).unwrap()).collect()
+}
+
+fn stderr(output: &Output) -> String {
+    String::from_utf8_lossy(&output.stderr).into()
+}
+
+#[test]
+fn keypoints_of_the_sample_lie_on_it() {
+    let output = snake(&["detect", &sample(), "--json"]);
+    assert!(output.status.success(), "{}", stderr(&output));
+    let report = &json_lines(&output)[0];
+    assert_eq!(report["num_points"], 4096);
+    let scale = report["normalization"]["scale"].as_f64().unwrap();
+    assert!(scale > 0.0 && report["normalization"]["center"].as_array().unwrap().len() == 3);
+    for step in ["read", "encode", "occupancy", "refine", "nms", "total"] {
+        assert!(report["timing_seconds"][step].as_f64().unwrap() >= 0.0, "{step}");
+    }
+    let count = |name: &str| report["counts"][name].as_u64().unwrap();
+    assert_eq!(count("queries"), 64 * 64 * 64);
+    assert!(count("queries") > count("occupied") && count("occupied") > count("above_threshold"));
+
+    let points = snake_core::io::read_points(Path::new(&sample())).unwrap();
+    let keypoints = report["keypoints"].as_array().unwrap();
+    assert_eq!(keypoints.len() as u64, count("keypoints"));
+    assert!(keypoints.len() >= 10);
+    let mut last = 1.0;
+    for keypoint in keypoints {
+        let number = |key: &str| keypoint[key].as_f64().unwrap();
+        let nearest = points[keypoint["nearest_index"].as_u64().unwrap() as usize];
+        let axes = ["x", "y", "z"].map(number);
+        let distance = (0..3).map(|axis| (axes[axis] - f64::from(nearest[axis])).powi(2)).sum::<f64>().sqrt();
+        // A voxel of the 32³ volume is 0.035 of the cloud's scale.
+        assert!(distance < 0.035 * scale, "{keypoint} is {distance} from the cloud");
+        assert!(number("saliency") <= last && number("occupancy") > 0.8);
+        last = number("saliency");
+    }
+}
+
+#[test]
+fn options_reach_the_detector() {
+    let count = |extra: &[&str], name: &str| {
+        let output = snake(&[&["detect", &sample(), "--json"], extra].concat());
+        assert!(output.status.success(), "{}", stderr(&output));
+        json_lines(&output)[0]["counts"][name].as_u64().unwrap()
+    };
+    assert_eq!(count(&["--query-resolution", "20"], "queries"), 8000);
+    assert_eq!(count(&["--max-keypoints", "5"], "keypoints"), 5);
+    assert!(count(&["--nms-radius", "0.5"], "keypoints") < 10);
+    assert_eq!(count(&["--saliency-threshold", "1"], "keypoints"), 0);
+    assert_eq!(count(&["--occupancy-threshold", "1"], "occupied"), 0);
+    assert_eq!(count(&["--preset", "redwood"], "queries"), 1_000_000);
+    let snapped = snake(&["detect", &sample(), "--json", "--snap", "--max-keypoints", "3"]);
+    let points = snake_core::io::read_points(Path::new(&sample())).unwrap();
+    for keypoint in json_lines(&snapped)[0]["keypoints"].as_array().unwrap() {
+        let nearest = points[keypoint["nearest_index"].as_u64().unwrap() as usize];
+        assert_eq!(keypoint["x"].as_f64().unwrap() as f32, nearest[0]);
+    }
+}
+
+#[test]
+fn every_output_format_holds_the_keypoints() {
+    let folder = tempfile::tempdir().unwrap();
+    for (name, is_cloud) in [("k.ply", true), ("k.npy", true), ("k.csv", true), ("k.json", false)] {
+        let path = folder.path().join(name);
+        let output = snake(&["detect", &sample(), "--max-keypoints", "7", "-o", path.to_str().unwrap()]);
+        assert!(output.status.success(), "{}", stderr(&output));
+        if is_cloud {
+            assert_eq!(snake_core::io::read_points(&path).unwrap().len(), 7, "{name}");
+        } else {
+            let value: Value = serde_json::from_slice(&std::fs::read(&path).unwrap()).unwrap();
+            assert_eq!(value["keypoints"].as_array().unwrap().len(), 7);
+        }
+    }
+    assert_eq!(folder.path().read_dir().unwrap().count(), 4, "no temporary file is left");
+}
+
+#[test]
+fn one_bad_file_does_not_stop_the_rest() {
+    let folder = tempfile::tempdir().unwrap();
+    std::fs::copy(sample(), folder.path().join("b.ply")).unwrap();
+    std::fs::copy(sample(), folder.path().join("c.ply")).unwrap();
+    std::fs::write(folder.path().join("a.xyz"), "1 2 3\n1 2 potato\n").unwrap();
+    std::fs::write(folder.path().join("notes.md"), "not a cloud").unwrap();
+    let results = folder.path().join("results");
+    let (input, out) = (folder.path().to_str().unwrap(), results.to_str().unwrap());
+    let output = snake(&["detect", input, "-o", out, "--format", "csv", "--json"]);
+    assert_eq!(output.status.code(), Some(1));
+    assert!(
+        stderr(&output).contains("potato") && stderr(&output).contains("1 of 3 inputs failed"),
+        "{}",
+        stderr(&output)
+    );
+    assert_eq!(json_lines(&output).len(), 2);
+    let mut written: Vec<_> =
+        results.read_dir().unwrap().map(|e| e.unwrap().file_name().into_string().unwrap()).collect();
+    written.sort();
+    assert_eq!(written, ["b.keypoints.csv", "c.keypoints.csv"]);
+}
+
+#[test]
+fn mistakes_get_one_line_that_says_what_to_do() {
+    let folder = tempfile::tempdir().unwrap();
+    let file = |name: &str, content: &str| {
+        let path = folder.path().join(name);
+        std::fs::write(&path, content).unwrap();
+        path.display().to_string()
+    };
+    let (one, same) = (file("one.xyz", "1 2 3\n"), file("same.xyz", &"1 2 3\n".repeat(9)));
+    let (nan, empty, weights) =
+        (file("nan.xyz", "1 2 3\nnan 0 0\n"), file("empty.xyz", ""), file("w.safetensors", "junk"));
+    let nothing = folder.path().join("none").display().to_string();
+    let cases: &[(&[&str], &str)] = &[
+        (&["detect", "nowhere.ply"], "nowhere.ply"),
+        (&["detect", &one], "at least two different points"),
+        (&["detect", &same], "at least two different points"),
+        (&["detect", &nan], "not finite"),
+        (&["detect", &empty], "no points"),
+        (&["detect", &weights], "extension"),
+        (&["detect", &sample(), "-o", "k.docx"], "k.docx"),
+        (&["detect", &sample(), "-o", &sample()], "is the input"),
+        (&["detect", &sample(), "--model", &weights], "safetensors"),
+        (&["detect", &sample(), "--preset", "kitti"], "modelnet40"),
+        (&["detect", &sample(), "--refine-method", "newton"], "gradient-descent"),
+        (&["detect", &sample(), "--query-resolution", "0"], "1 to 1024"),
+        (&["detect", &sample(), "--saliency-threshold", "nan"], "0 to 1"),
+        (&["detect", &sample(), "--nms-radius", "inf"], "0 or more"),
+        (&["detect", &sample(), "--max-points", "0"], "1 or more"),
+        (&["detect", &nothing], "none"),
+        (&["model", &weights], "safetensors"),
+    ];
+    for (arguments, expected) in cases {
+        let output = snake(arguments);
+        assert_eq!(output.status.code(), Some(2), "{arguments:?}");
+        assert!(stderr(&output).contains(expected), "{arguments:?}: {}", stderr(&output));
+        assert!(!stderr(&output).contains("panicked"), "{arguments:?}: {}", stderr(&output));
+    }
+}
+
+#[test]
+fn the_same_bits_for_any_number_of_threads() {
+    let keypoints = |threads: &str| {
+        let output = snake(&["detect", &sample(), "--json", "--threads", threads]);
+        assert!(output.status.success(), "{}", stderr(&output));
+        json_lines(&output)[0]["keypoints"].to_string()
+    };
+    let one = keypoints("1");
+    assert!(one.len() > 1000);
+    assert_eq!(one, keypoints("2"));
+    assert_eq!(one, keypoints("7"));
+}
+
+#[test]
+fn sub_sampling_is_seeded_and_said() {
+    let report = |seed: &str| {
+        let output = snake(&["detect", &sample(), "--json", "--max-points", "1500", "--seed", seed]);
+        json_lines(&output)[0]["keypoints"].to_string()
+    };
+    assert_eq!(report("1"), report("1"));
+    assert_ne!(report("1"), report("2"));
+    let output = snake(&["detect", &sample(), "--max-points", "1500"]);
+    assert!(String::from_utf8_lossy(&output.stdout).contains("(1500 encoded)"));
+}
+
+#[test]
+fn the_model_command_shows_shape_and_metadata() {
+    let output = snake(&["model"]);
+    let text = String::from_utf8_lossy(&output.stdout);
+    assert!(text.contains("343874 parameters") && text.contains("32 x 32 x 32") && text.contains("digest"), "{text}");
+}
