@@ -1,11 +1,14 @@
-"""Every setting of a training run, on a line with its meaning and unit; lengths are in network units (the cube +-0.5)."""
+"""Every setting of a training run with its meaning and unit; lengths are in network units (the cube +-0.5)."""
 
 import argparse
 import dataclasses
 import json
+import math
 from dataclasses import dataclass
 
-from .model import NetworkConfig
+import torch
+
+from .model import NetworkConfig, SnakeNetwork
 
 
 def setting(default, meaning, **kwargs):
@@ -19,26 +22,33 @@ def setting(default, meaning, **kwargs):
 class TrainConfig:
     """The defaults are the recipe of the compact model; `PRESETS` holds the paper's rows."""
 
-    run_dir: str = setting("runs/compact", "run folder: resolved config, checkpoints, TensorBoard logs; an existing run is resumed")
+    run_dir: str = setting(
+        "runs/compact", "run folder: config, checkpoints, TensorBoard logs; an existing run is resumed"
+    )
     data: tuple = setting((), "corpus folders (points.npy + index.json) or folders of .npy / .ply files", type=str)
     validation_data: tuple = setting((), "the same for validation; without it, procedural shapes are used", type=str)
     procedural_share: float = setting(0.25, "share of samples that are procedural shapes; 1 if no data is given")
     init: str = setting("", "weights to start from: a safetensors export or a checkpoint")
     seed: int = setting(1, "seed of initial weights and samples; sample i is the same whatever the number of processes")
     device: str = setting("auto", "auto, cpu or cuda", choices=("auto", "cpu", "cuda"))
-    bf16: bool = setting(True, "run the U-Net in bfloat16 autocast; everything else stays float32")
+    bf16: bool = setting(True, "run the U-Net in bfloat16, where the GPU has it; the rest stays float32")
 
     resolution: int = setting(32, "voxels along each axis of the volume")
     unet_levels: int = setting(3, "levels of the U-Net")
     unet_base_channels: int = setting(16, "channels of its first level")
     c_dim: int = setting(32, "channels of the volume")
 
+    normalization: str = setting(
+        "unit-sphere", "of the clouds: unit-sphere or unit-cube", choices=("unit-sphere", "unit-cube")
+    )
     num_points: int = setting(4096, "input points of each view")
-    rotation: str = setting("so3", "second view: uniform rotation, or three uniform Euler angles (released code)", choices=("so3", "euler"))
+    rotation: str = setting(
+        "so3", "second view: uniform, or three uniform angles (released code)", choices=("so3", "euler")
+    )
     translation: float = setting(0.0, "second view: uniform shift of up to this much along each axis")
     jitter_sigma: float = setting(0.005, "second view: standard deviation of the noise on each coordinate")
     jitter_clip: float = setting(0.015, "the noise is clipped to this")
-    max_downsampling: float = setting(4.0, "second view: points are thinned by a uniform rate between 1 and this, then repeated")
+    max_downsampling: float = setting(4.0, "second view: thinned by a uniform rate between 1 and this, then repeated")
 
     num_occupancy: int = setting(600, "occupancy queries on the surface, and as many uniform ones, a view")
     num_grids: int = setting(60, "local grids a sample (n in the paper)")
@@ -54,13 +64,18 @@ class TrainConfig:
     batch: int = setting(4, "samples a step, over all processes")
     learning_rate: float = setting(1e-3, "Adam's learning rate after warm-up")
     weight_decay: float = setting(5e-4, "Adam's L2 penalty")
-    schedule: str = setting("cosine", "cosine: to zero at the last step; step: x 0.1 after two thirds of the steps", choices=("cosine", "step"))
+    schedule: str = setting(
+        "cosine", "cosine: towards 0; step: x 0.1 after two thirds of the steps", choices=("cosine", "step")
+    )
     warmup: int = setting(200, "steps of linear warm-up")
-    clip_norm: float = setting(1.0, "gradient norm limit")
-    ema_decay: float = setting(0.998, "decay a step of the averaged weights that are validated and exported; 0: no averaging")
+    clip_norm: float = setting(1.0, "gradient norm limit; 0: none")
+    ema_decay: float = setting(
+        0.998, "decay of the averaged weights, which are validated and exported; 0: no averaging"
+    )
 
     validate_every: int = setting(500, "steps between validations")
     validation_objects: int = setting(32, "objects of a validation")
+    validation_resolution: int = setting(64, "queries along each axis when a validation detects keypoints")
     checkpoint_minutes: float = setting(5.0, "minutes between checkpoints")
     minutes: float = setting(0.0, "stop with a checkpoint after this many minutes, to be resumed; 0: never")
 
@@ -70,21 +85,27 @@ class TrainConfig:
         return NetworkConfig(
             resolution=(self.resolution,) * 3, unet_levels=self.unet_levels,
             unet_base_channels=self.unet_base_channels, c_dim=self.c_dim,
-        )
+        )  # fmt: skip
 
 
+# The step schedule falls at two thirds, as the paper's 40 of 60 and 20 of 30 epochs (3DMatch: 15 of 20); steps are
+# epochs x training shapes / batch.
 PAPER = dict(
     resolution=64, unet_levels=4, unet_base_channels=32, num_grids=500, grid_size=8, batch=16, learning_rate=1e-4,
-    rotation="euler", schedule="step", warmup=0, ema_decay=0.0, procedural_share=0.0,
-)
+    rotation="euler", schedule="step", warmup=0, ema_decay=0.0, procedural_share=0.0, bf16=False, clip_norm=0.0,
+)  # fmt: skip
 PRESETS = {
     "compact": {},
-    "modelnet40": PAPER | dict(num_points=5000, num_occupancy=2000, jitter_sigma=0.01, jitter_clip=0.03),
-    "keypointnet": PAPER | dict(num_points=2048, num_occupancy=1000, grid_fraction=8.0, jitter_clip=0.01, max_downsampling=1.0),
-    "smpl": PAPER | dict(num_points=2048, num_occupancy=1000, grid_fraction=8.0, jitter_clip=0.01, max_downsampling=1.0),
+    "modelnet40": PAPER | dict(steps=36900, num_points=5000, num_occupancy=2000, jitter_sigma=0.01, jitter_clip=0.03),
+    "keypointnet": PAPER | dict(
+        steps=21600, num_points=2048, num_occupancy=1000, grid_fraction=8.0, jitter_clip=0.01, max_downsampling=1.0,
+    ),
+    "smpl": PAPER | dict(
+        steps=1900, num_points=2048, num_occupancy=1000, grid_fraction=8.0, jitter_clip=0.01, max_downsampling=1.0,
+    ),
     "3dmatch": PAPER | dict(
-        resolution=100, num_points=10000, num_occupancy=3000, num_grids=150, grid_size=10, grid_fraction=8.0,
-        jitter_clip=0.01, batch=6, translation=0.3,
+        steps=133000, resolution=100, num_points=10000, num_occupancy=3000, num_grids=150, grid_size=10,
+        grid_fraction=8.0, jitter_clip=0.01, batch=6, translation=0.3, normalization="unit-cube",
     ),
 }  # fmt: skip
 
@@ -92,7 +113,7 @@ PRESETS = {
 def parse_arguments(argv, description):
     """Command line -> TrainConfig: preset first, then whatever is given explicitly."""
     parser = argparse.ArgumentParser(
-        prog="python -m snake_training.train", description=description,
+        prog="python -m snake_training.train", description=description, add_help=False,
         formatter_class=argparse.ArgumentDefaultsHelpFormatter,
     )  # fmt: skip
     parser.add_argument("--preset", choices=PRESETS, default="compact", help="settings to start from")
@@ -105,6 +126,7 @@ def parse_arguments(argv, description):
         parser.add_argument("--" + field.name.replace("_", "-"), default=field.default, **options)
     preset = parser.parse_known_args(argv)[0].preset
     parser.set_defaults(**PRESETS[preset])
+    parser.add_argument("-h", "--help", action="help", help="show these settings, with the preset's values, and exit")
     values = vars(parser.parse_args(argv))
     del values["preset"]
     return check(TrainConfig(**{k: tuple(v) if isinstance(v, list) else v for k, v in values.items()}))
@@ -113,16 +135,38 @@ def parse_arguments(argv, description):
 def check(config):
     """Refuse settings that cannot train, before any work is done."""
     positive = (
-        "resolution", "unet_levels", "unet_base_channels", "c_dim", "num_points", "num_occupancy", "num_grids",
-        "grid_size", "grid_fraction", "steps", "batch", "learning_rate", "validate_every", "validation_objects",
+        "resolution", "unet_levels", "unet_base_channels", "c_dim", "num_points", "max_downsampling", "num_occupancy",
+        "num_grids", "grid_size", "grid_fraction", "steps", "batch", "learning_rate", "validate_every",
+        "validation_objects", "validation_resolution",
     )  # fmt: skip
+    not_negative = (
+        "seed", "translation", "jitter_sigma", "jitter_clip", "weight_occupancy", "weight_repeatability",
+        "weight_surface", "weight_sparsity", "weight_decay", "warmup", "clip_norm", "checkpoint_minutes", "minutes",
+    )  # fmt: skip
+
+    def refuse(name, allowed):
+        raise SystemExit(f"--{name.replace('_', '-')} must be {allowed}, got {getattr(config, name)}")
+
+    # Written so that NaN is refused too.
     for name in positive:
-        if getattr(config, name) <= 0:
-            raise SystemExit(f"--{name.replace('_', '-')} must be positive, got {getattr(config, name)}")
-    if not 0 <= config.procedural_share <= 1 or not 0 <= config.ema_decay < 1 or config.max_downsampling < 1:
-        raise SystemExit("--procedural-share is within [0, 1], --ema-decay within [0, 1), --max-downsampling at least 1")
+        if not 0 < getattr(config, name) < math.inf:
+            refuse(name, "positive")
+    for name in not_negative:
+        if not 0 <= getattr(config, name) < math.inf:
+            refuse(name, "0 or more")
+    if not 0 <= config.procedural_share <= 1:
+        refuse("procedural_share", "within [0, 1]")
+    if not 0 <= config.ema_decay < 1:
+        refuse("ema_decay", "within [0, 1)")
+    if config.max_downsampling < 1:
+        refuse("max_downsampling", "1 or more")
     if config.resolution >> (config.unet_levels - 1) < 1:
         raise SystemExit(f"{config.unet_levels} levels do not fit a volume of {config.resolution} voxels a side")
+    try:
+        with torch.device("meta"):
+            SnakeNetwork(config.network)
+    except ValueError as error:
+        raise SystemExit(f"--c-dim or --unet-base-channels does not divide into groups: {error}") from None
     return config
 
 

@@ -15,6 +15,12 @@ from .augment import choose, normalize, random_rotation
 from .data import open_shapes
 from .export import load_network
 
+CHOICES = {
+    "normalization": ("unit-sphere", "unit-cube", "none"),
+    "refine_method": ("adam", "gradient-descent"),
+    "selection": ("best-position", "reference-final-position"),
+}
+
 
 @dataclass(frozen=True)
 class DetectOptions:
@@ -31,6 +37,11 @@ class DetectOptions:
     saliency_threshold: float = 0.7
     nms_radius: float = 0.01  # cloud units
     max_keypoints: int = 64
+
+    def __post_init__(self):
+        for name, allowed in CHOICES.items():
+            if getattr(self, name) not in allowed:
+                raise ValueError(f"{name} {getattr(self, name)!r} is none of {', '.join(allowed)}")
 
 
 def query_grid(config, resolution, device):
@@ -81,8 +92,21 @@ def suppress(points, radius, limit):
     return kept
 
 
-def candidates(network, points, options=DetectOptions()):
-    """Refined queries above the saliency threshold: (K, 4) x y z score in the cloud's frame, by falling score."""
+def rank(position, score, options):
+    """Positions (K, 3) and scores (K,) above the saliency threshold as rows x y z score on the CPU, by falling score."""
+    kept = score > options.saliency_threshold
+    order = score[kept].argsort(descending=True, stable=True)
+    return torch.cat([position[kept], score[kept][:, None]], dim=1)[order].cpu()
+
+
+def select(position, score, options):
+    """Keypoints (K, 4) numpy of refined positions in the cloud's frame: threshold, rank, suppress."""
+    found = rank(position, score, options)
+    return found[suppress(found[:, :3], options.nms_radius, options.max_keypoints)].numpy()
+
+
+def refined_queries(network, points, options):
+    """Occupied grid queries after refinement: positions (K, 3) in the frame of the cloud `points`, scores (K,)."""
     device = next(network.parameters()).device
     unit, center, scale = normalize(points, options.normalization)
     with torch.no_grad():
@@ -91,19 +115,19 @@ def candidates(network, points, options=DetectOptions()):
         occupancy = torch.cat([network.occupancy(volume, chunk[None])[0] for chunk in queries.split(1 << 15)])
     queries = queries[occupancy > options.occupancy_threshold]
     if len(queries) == 0:
-        return torch.zeros(0, 4)
+        return queries, queries[:, 0]
     position, score = refine(network, volume, queries, options)
-    kept = score > options.saliency_threshold
-    order = score[kept].argsort(descending=True, stable=True)
-    score = score[kept][order]
-    position = position[kept][order] * float(scale) + torch.from_numpy(center).to(device)
-    return torch.cat([position, score[:, None]], dim=1).cpu()
+    return position * float(scale) + torch.from_numpy(center).to(device), score
+
+
+def candidates(network, points, options=DetectOptions()):
+    """Refined queries above the saliency threshold: (K, 4) x y z score in the cloud's frame, by falling score."""
+    return rank(*refined_queries(network, points, options), options)
 
 
 def detect(network, points, options=DetectOptions()):
     """points (N, 3) numpy -> keypoints (K, 4) numpy, x y z score in the cloud's frame, by falling score."""
-    found = candidates(network, points, options)
-    return found[suppress(found[:, :3], options.nms_radius, options.max_keypoints)].numpy()
+    return select(*refined_queries(network, points, options), options)
 
 
 def relative_repeatability(keypoints_1, keypoints_2, rotation_1_2, epsilon):
@@ -116,11 +140,14 @@ def relative_repeatability(keypoints_1, keypoints_2, rotation_1_2, epsilon):
 
 
 def view_pairs(shapes, number, num_points, seed):
-    """Pairs of an evaluation: (cloud, rotated cloud, rotation of view 2 back to view 1), seeded by row."""
+    """Pairs of an evaluation: (cloud, rotated cloud, rotation of view 2 back to view 1), seeded by row.
+
+    Clouds are scaled to radius 1 about their mean, the unit of the paper's ModelNet40 figures.
+    """
     for row in np.linspace(0, len(shapes) - 1, min(number, len(shapes))).round().astype(int):
         rng = np.random.default_rng([seed, row])
         cloud = shapes[row]
-        cloud = cloud * np.float32(0.5) / normalize(cloud)[2] * 2  # unit-sphere units
+        cloud = cloud / (normalize(cloud)[2] / 2)
         rotation = random_rotation(rng)
         yield choose(rng, cloud, num_points), choose(rng, cloud, num_points) @ rotation.T, rotation.T
 
@@ -130,6 +157,8 @@ def repeatability(detector, shapes, number=10**9, num_points=5000, seed=0, epsil
 
     Returns {name: (values by epsilon, mean number of keypoints)}.
     """
+    if number < 1:
+        raise ValueError(f"repeatability needs at least one object, got {number}")
     pairs = tqdm(view_pairs(shapes, number, num_points, seed), total=min(number, len(shapes)), disable=not progress)
     values, counts = {}, {}
     for cloud_1, cloud_2, rotation_1_2 in pairs:
@@ -154,19 +183,24 @@ def main(argv=None):
     parser.add_argument("--num-points", type=int, default=5000, help="points of each view")
     parser.add_argument("--epsilon", type=float, nargs="+", default=[0.02, 0.04, 0.06, 0.10], help="unit-sphere units")
     parser.add_argument("--seed", type=int, default=0, help="seed of rotations and point choices")
+    parser.add_argument("--device", default="cpu", help="torch device, for instance cuda")
     parser.add_argument("--threads", type=int, default=0, help="torch threads; 0: torch's default")
-    for name in ("nms_radius", "saliency_threshold", "refine_steps", "query_resolution", "max_keypoints", "selection"):
-        default = getattr(DetectOptions, name)
-        parser.add_argument("--" + name.replace("_", "-"), type=type(default), default=default)
+    for name, field in DetectOptions.__dataclass_fields__.items():
+        option = "--" + name.replace("_", "-")
+        choices = CHOICES.get(name)
+        parser.add_argument(option, type=field.type, default=field.default, choices=choices, help="of detection")
     arguments = parser.parse_args(argv)
     if arguments.threads:
         torch.set_num_threads(arguments.threads)
-    network = load_network(arguments.weights)
-    options = DetectOptions(**{k: v for k, v in vars(arguments).items() if k in DetectOptions.__dataclass_fields__})
-    result = repeatability(
-        lambda points: {"snake": detect(network, points, options)}, open_shapes(arguments.data), arguments.objects,
-        arguments.num_points, arguments.seed, arguments.epsilon, progress=True,
-    )  # fmt: skip
+    options = DetectOptions(**{name: getattr(arguments, name) for name in DetectOptions.__dataclass_fields__})
+    try:
+        network = load_network(arguments.weights, arguments.device)
+        result = repeatability(
+            lambda points: {"snake": detect(network, points, options)}, open_shapes(arguments.data), arguments.objects,
+            arguments.num_points, arguments.seed, arguments.epsilon, progress=True,
+        )  # fmt: skip
+    except (OSError, ValueError) as error:
+        parser.error(str(error))
     values, count = result["snake"]
     figures = {f"{e:g}": round(float(v), 4) for e, v in zip(arguments.epsilon, values)}
     print(json.dumps({"repeatability": figures, "keypoints": round(count, 1), "options": vars(options)}))

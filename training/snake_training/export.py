@@ -7,7 +7,7 @@ from pathlib import Path
 
 import torch
 import yaml
-from safetensors import safe_open
+from safetensors import SafetensorError, safe_open
 from safetensors.torch import load_file, save_file
 
 from .config import from_json
@@ -18,30 +18,48 @@ def load_network(path, device="cpu"):
     """A network in evaluation mode from a weight file, a checkpoint of ours or a run folder."""
     path = Path(path)
     if path.suffix == ".safetensors":
-        with safe_open(path, "pt") as file:
-            config = NetworkConfig.from_metadata(file.metadata() or {})
-        tensors = {name: tensor.float() for name, tensor in load_file(path).items()}
+        try:
+            with safe_open(path, "pt") as file:
+                config = NetworkConfig.from_metadata(file.metadata() or {})
+            tensors = {name: tensor.float() for name, tensor in load_file(path).items()}
+        except (SafetensorError, ValueError) as error:
+            raise ValueError(f"{path}: {error}") from error
     else:
         config, tensors = read_checkpoint(path)
+    return build_network(config, tensors).to(device).eval()
+
+
+def build_network(config, tensors):
+    """A network of these tensors; an unknown, missing or misshapen one is a ValueError."""
     network = SnakeNetwork(config)
-    network.load_state_dict(tensors, strict=True)
-    return network.to(device).eval()
+    try:
+        network.load_state_dict(tensors, strict=True)
+    except RuntimeError as error:
+        raise ValueError(f"the tensors do not fit {config}: {error}") from error
+    return network
 
 
 def read_checkpoint(path, config=None):
-    """(NetworkConfig, tensors) of a run folder (its best checkpoint), our checkpoint, or an official `model_best.pth`."""
+    """(NetworkConfig, tensors) of a run folder (its best), a checkpoint of ours, or an official `model_best.pth`."""
     path = Path(path)
     if path.is_dir():
         path = path / "best.pt" if (path / "best.pt").exists() else path / "last.pt"
-    if not path.exists():
-        raise SystemExit(f"{path}: no such checkpoint")
-    state = torch.load(path, map_location="cpu", weights_only=True)
-    if "config" in state:
+    try:
+        state = torch.load(path, map_location="cpu", weights_only=True)
+    except OSError:
+        raise
+    except Exception as error:  # the restricted unpickler's own refusal, or whatever else it trips over
+        raise ValueError(f"{path}: not a checkpoint of plain tensors; nothing in it was run ({error})") from error
+    if not isinstance(state, dict):
+        raise ValueError(f"{path}: expected a dictionary of tensors, found {type(state).__name__}")
+    if "config" in state and "ema" in state:
         return from_json(state["config"]).network, state["ema"]
     for key in ("state_dict", "model", "model_state_dict"):
         state = state[key] if isinstance(state.get(key), dict) else state
-    tensors = {name.removeprefix("module."): tensor.float() for name, tensor in state.items()}
-    return config or NetworkConfig(), tensors
+    others = [str(name) for name, value in state.items() if not isinstance(value, torch.Tensor)]
+    if others or not state:
+        raise ValueError(f"{path}: expected a dictionary of tensors, found {', '.join(others) or 'nothing'} in it")
+    return config or NetworkConfig(), {name.removeprefix("module."): tensor.float() for name, tensor in state.items()}
 
 
 def config_from_yaml(path):
@@ -64,18 +82,24 @@ def config_from_yaml(path):
 
 
 def write_weights(path, config, tensors, dtype=torch.float32, extra=None):
-    """Write our weight file (temporary name, then rename); `extra` metadata strings are added, and a digest."""
-    SnakeNetwork(config).load_state_dict(tensors, strict=True)  # names and shapes
+    """Write our weight file (temporary name, then rename); `extra` metadata strings are added, and a digest.
+
+    The digest is the SHA-256 of each tensor's name and little-endian values, by ascending name.
+    """
+    build_network(config, tensors)  # checks names and shapes
     tensors = {name: tensor.detach().cpu().to(dtype).contiguous() for name, tensor in sorted(tensors.items())}
     digest = hashlib.sha256()
     for name, tensor in tensors.items():
         if not torch.isfinite(tensor).all():
-            raise SystemExit(f"{name}: has values that are not finite")
+            raise ValueError(f"{name}: has values that are not finite as {dtype}")
         digest.update(name.encode() + tensor.numpy().tobytes())
-    metadata = config.to_metadata() | {"digest": "sha256:" + digest.hexdigest()} | (extra or {})
+    metadata = (extra or {}) | config.to_metadata() | {"digest": "sha256:" + digest.hexdigest()}
     temporary = Path(f"{path}.partial")
-    save_file(tensors, temporary, metadata=metadata)
-    temporary.replace(path)
+    try:
+        save_file(tensors, temporary, metadata=metadata)
+        temporary.replace(path)
+    finally:
+        temporary.unlink(missing_ok=True)
 
 
 def main(argv=None):
@@ -88,22 +112,33 @@ def main(argv=None):
     parser.add_argument("source", help="run folder or checkpoint")
     parser.add_argument("-o", "--output", required=True, help="weight file to write")
     parser.add_argument("--float16", action="store_true", help="store the tensors as float16")
-    parser.add_argument("--metadata", nargs="*", default=[], metavar="KEY=VALUE", help="added metadata: licence, data, options")
-    official = parser.add_argument_group("official checkpoints", "whose configuration is not inside the file")
+    parser.add_argument(
+        "--metadata", nargs="*", default=[], metavar="KEY=VALUE", help="added metadata: licence, data, options"
+    )
+    official = parser.add_argument_group(
+        "official checkpoints", "their configuration is not in the file; these are not used for ours"
+    )
     official.add_argument("--yaml", help="the experiment's config.yaml")
     official.add_argument("--resolution", type=int, help="voxels a side")
     official.add_argument("--unet-levels", type=int)
     official.add_argument("--unet-base-channels", type=int)
     official.add_argument("--padding", type=float)
     arguments = parser.parse_args(argv)
-    config = config_from_yaml(arguments.yaml) if arguments.yaml else NetworkConfig()
+    if not all("=" in item for item in arguments.metadata):
+        parser.error("--metadata takes KEY=VALUE")
+    extra = dict(item.split("=", 1) for item in arguments.metadata)
     overrides = {k: getattr(arguments, k) for k in ("unet_levels", "unet_base_channels", "padding")}
     overrides["resolution"] = arguments.resolution and (arguments.resolution,) * 3
-    config = NetworkConfig(**vars(config) | {k: v for k, v in overrides.items() if v is not None})
-    config, tensors = read_checkpoint(arguments.source, config)
-    extra = dict(item.split("=", 1) for item in arguments.metadata)
-    write_weights(arguments.output, config, tensors, torch.float16 if arguments.float16 else torch.float32, extra)
-    print(json.dumps({"output": arguments.output, "parameters": sum(t.numel() for t in tensors.values())} | vars(config)))
+    try:
+        config = config_from_yaml(arguments.yaml) if arguments.yaml else NetworkConfig()
+        config = NetworkConfig(**vars(config) | {k: v for k, v in overrides.items() if v is not None})
+        config, tensors = read_checkpoint(arguments.source, config)
+        write_weights(arguments.output, config, tensors, torch.float16 if arguments.float16 else torch.float32, extra)
+    except (OSError, ValueError, yaml.YAMLError) as error:
+        parser.error(str(error))
+    print(
+        json.dumps({"output": arguments.output, "parameters": sum(t.numel() for t in tensors.values())} | vars(config))
+    )
 
 
 if __name__ == "__main__":

@@ -5,9 +5,10 @@ volume. Occupancies are detached wherever they weigh a saliency, so that only th
 """
 
 import torch
+import torch.distributed as dist
 import torch.nn.functional as F
 
-BOUND = 0.5625  # half the side of the padded volume
+from .augment import BOUND
 
 
 def inside_volume(queries):
@@ -15,40 +16,53 @@ def inside_volume(queries):
     return (queries.abs() <= BOUND).all(dim=-1)
 
 
+def masked_mean(values, mask, processes=1):
+    """Mean of the values where the mask is set; 0 where it nowhere is.
+
+    With several processes the divisor is their mean count: then the mean of their losses, whose gradient
+    DistributedDataParallel takes, is the mean over the whole batch, however unevenly the masks fall.
+    """
+    count = mask.sum().float()
+    if processes > 1:
+        dist.all_reduce(count)
+    return processes * (mask * values).sum() / count.clamp(min=1)
+
+
 def occupancy_loss(occupancy, target):
     """Binary cross-entropy of eq. 2, with the released code's log(x + 1e-5)."""
     return -(target * torch.log(occupancy + 1e-5) + (1 - target) * torch.log(1 - occupancy + 1e-5)).mean()
 
 
-def repeatability_loss(saliency_1, saliency_2, inside_1, inside_2):
+def repeatability_loss(saliency_1, saliency_2, inside_1, inside_2, processes=1):
     """Eq. 3: one minus the mean cosine similarity of local grids (..., G, H^3) that lie over 90 % inside both views."""
     seen = (inside_1.float().mean(dim=-1) > 0.9) & (inside_2.float().mean(dim=-1) > 0.9)
     similarity = F.cosine_similarity(saliency_1, saliency_2, dim=-1)
-    return (seen * (1 - similarity)).sum() / seen.sum().clamp(min=1)
+    return masked_mean(1 - similarity, seen, processes)
 
 
-def surface_loss(occupancy, saliency, counted):
+def surface_loss(occupancy, saliency, counted, processes=1):
     """Eq. 4: saliency where there is no surface, mean over the counted queries."""
-    return (counted * (1 - occupancy.detach()) * saliency).sum() / counted.sum().clamp(min=1)
+    return masked_mean((1 - occupancy.detach()) * saliency, counted, processes)
 
 
-def sparsity_loss(occupancy, saliency, inside, min_occupied=0.05):
+def sparsity_loss(occupancy, saliency, inside, processes=1):
     """Eq. 5: one minus (maximum - mean) of the saliency over the occupied points of each local grid (..., G, H^3).
 
-    Counts grids that lie over 80 % inside and are occupied in more than `min_occupied` of their points.
+    Counts grids that lie over 80 % inside and are occupied in more than 5 % of their points.
     """
     occupied = occupancy.detach() >= 0.5
-    seen = (inside.float().mean(dim=-1) > 0.8) & (occupied.float().mean(dim=-1) > min_occupied)
+    seen = (inside.float().mean(dim=-1) > 0.8) & (occupied.float().mean(dim=-1) > 0.05)
     on_surface = saliency * occupied
     mean = on_surface.sum(dim=-1) / (occupied.sum(dim=-1) + 1e-5)
     peakedness = on_surface.amax(dim=-1) - mean
-    return (seen * (1 - peakedness)).sum() / seen.sum().clamp(min=1)
+    return masked_mean(1 - peakedness, seen, processes)
 
 
-def snake_losses(network, batch, autocast):
+def snake_losses(network, batch, autocast, processes=1):
     """The four losses of a batch of two-view samples, by name, and the share of saturated grid points on the surface.
 
-    batch: points (B, 2, N, 3), occupancy_queries (B, 2, 2 K, 3), grids (B, 2, G, H^3, 3).
+    batch: points (B, 2, N, 3), occupancy_queries (B, 2, 2 K, 3), grids (B, 2, G, H^3, 3), one of equal parts if there
+    are several processes.
     """
     points, queries, grids = batch["points"], batch["occupancy_queries"], batch["grids"]
     size, _, number, _ = queries.shape
@@ -64,10 +78,9 @@ def snake_losses(network, batch, autocast):
     target = (torch.arange(number, device=points.device) < number // 2).float()
     losses = {
         "occupancy": occupancy_loss(occupancy[:, :, :number], target),
-        "repeatability": repeatability_loss(*grid_saliency.unbind(1), *inside.unbind(1)),
-        "surface": surface_loss(occupancy, saliency, counted),
-        "sparsity": sparsity_loss(grid_occupancy, grid_saliency, inside),
+        "repeatability": repeatability_loss(*grid_saliency.unbind(1), *inside.unbind(1), processes),
+        "surface": surface_loss(occupancy, saliency, counted, processes),
+        "sparsity": sparsity_loss(grid_occupancy, grid_saliency, inside, processes),
     }
     on_surface = inside & (grid_occupancy >= 0.5)
-    saturated = (on_surface & (grid_saliency > 0.9)).sum() / on_surface.sum().clamp(min=1)
-    return losses, saturated.detach()
+    return losses, masked_mean((grid_saliency.detach() > 0.9).float(), on_surface, processes)

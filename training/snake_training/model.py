@@ -7,8 +7,8 @@ import json
 from dataclasses import dataclass, replace
 
 import torch
-import torch.nn as nn
 import torch.nn.functional as F
+from torch import nn
 
 
 @dataclass(frozen=True)
@@ -30,13 +30,20 @@ class NetworkConfig:
     def to_metadata(self):
         """Metadata strings of the weight file, `format_version` 1."""
         values = {name: str(value) for name, value in vars(self).items()}
-        return {"format": "snake-field", "format_version": "1"} | values | {"resolution": json.dumps(list(self.resolution))}
+        return (
+            {"format": "snake-field", "format_version": "1"}
+            | values
+            | {"resolution": json.dumps(list(self.resolution))}
+        )
 
     @classmethod
     def from_metadata(cls, metadata):
         """Inverse of `to_metadata`; unknown keys are ignored."""
         if metadata.get("format") != "snake-field" or int(metadata.get("format_version", 0)) != 1:
             raise ValueError("not a snake-field weight file of format version 1")
+        missing = [name for name in cls.__dataclass_fields__ if name not in metadata]
+        if missing:
+            raise ValueError(f"the weight file's metadata lacks {', '.join(missing)}")
         read = {int: int, float: float, tuple: lambda text: tuple(json.loads(text))}
         return cls(**{name: read[field.type](metadata[name]) for name, field in cls.__dataclass_fields__.items()})
 

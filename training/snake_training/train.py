@@ -1,10 +1,12 @@
-"""The training loop: `python -m snake_training.train --help`, or `torchrun --nproc-per-node 2 -m snake_training.train`."""
+"""The training loop: `python -m snake_training.train --help`; with `torchrun`, samples are shared out."""
 
 import copy
 import math
 import os
 import sys
 import time
+from dataclasses import replace
+from datetime import timedelta
 from pathlib import Path
 
 import numpy as np
@@ -17,7 +19,7 @@ from tqdm import tqdm
 from .augment import two_views
 from .config import from_json, parse_arguments, to_json
 from .data import Mixture, Procedural, open_shapes
-from .evaluate import candidates, repeatability, suppress
+from .evaluate import DetectOptions, candidates, repeatability, suppress
 from .export import load_network
 from .losses import snake_losses
 from .model import SnakeNetwork
@@ -59,17 +61,20 @@ def update_average(average, network, decay, step):
 
 
 def validate(network, config, shapes, device):
-    """The four losses, the share of saturated queries, and relative repeatability (epsilon 0.04) on unseen shapes."""
+    """The four losses, the share of saturated queries, and relative repeatability on unseen shapes.
+
+    Repeatability is at epsilon 0.04 of clouds of radius 1, with suppression at 0.01 and at 0.05.
+    """
     network.eval()
+    options = DetectOptions(normalization=config.normalization, query_resolution=config.validation_resolution)
     with torch.no_grad():
-        mixture = Mixture([shapes], 0.0)
-        batches = [make_batch(mixture, config, first, 4, device, stream=1) for first in range(0, 32, 4)]
+        batches = [make_batch(shapes, config, first, 4, device, stream=1) for first in range(0, 32, 4)]
         results = [snake_losses(network, batch, config.bf16) for batch in batches]
     values = {name: float(np.mean([losses[name].item() for losses, _ in results])) for name in results[0][0]}
     values["saturated"] = float(np.mean([share.item() for _, share in results]))
 
     def detector(points):
-        found = candidates(network, points)
+        found = candidates(network, points, options)
         kept = {radius: suppress(found[:, :3], radius, limit=64) for radius in (0.01, 0.05)}
         return {f"nms_{radius}": found[kept[radius]].numpy() for radius in kept}
 
@@ -88,26 +93,52 @@ def save_checkpoint(path, config, step, network, average, optimizer, best):
     Path(f"{path}.partial").replace(path)
 
 
+def choose_device(config):
+    """The torch device of this process, and the configuration with bfloat16 off where the GPU lacks it."""
+    if config.device == "cpu" or (config.device == "auto" and not torch.cuda.is_available()):
+        return torch.device("cpu"), config
+    if not torch.cuda.is_available():
+        raise SystemExit("--device cuda: torch finds no GPU here")
+    device = torch.device("cuda", int(os.environ.get("LOCAL_RANK", "0")))
+    torch.cuda.set_device(device)
+    return device, replace(config, bf16=config.bf16 and torch.cuda.is_bf16_supported(including_emulation=False))
+
+
+def starting_network(config):
+    """The network of the configuration, with the weights of `init` if there is one."""
+    if not config.init:
+        return SnakeNetwork(config.network)
+    network = load_network(config.init)
+    if network.config != config.network:
+        raise SystemExit(
+            f"--init {config.init} holds another network, {network.config}; the settings give {config.network}"
+        )
+    return network
+
+
 def train(config):
     """Train from the configuration to its last step, or until its minutes are spent."""
-    rank, world = int(os.environ.get("RANK", 0)), int(os.environ.get("WORLD_SIZE", 1))
+    rank, world = int(os.environ.get("RANK", "0")), int(os.environ.get("WORLD_SIZE", "1"))
     if config.batch % world:
         raise SystemExit(f"--batch {config.batch} does not divide over {world} processes")
-    cuda = torch.cuda.is_available() if config.device == "auto" else config.device == "cuda"
-    device = torch.device("cuda", int(os.environ.get("LOCAL_RANK", 0))) if cuda else torch.device("cpu")
+    device, config = choose_device(config)
     if world > 1:
-        dist.init_process_group("nccl" if cuda else "gloo")
+        # The other processes wait while the first validates, on a slow machine for longer than the default minutes.
+        dist.init_process_group("nccl" if device.type == "cuda" else "gloo", timeout=timedelta(hours=4))
     torch.manual_seed(config.seed)
     run = Path(config.run_dir)
-    shapes = Mixture([open_shapes(folder) for folder in config.data], config.procedural_share)
-    held_out = open_shapes(config.validation_data[0]) if config.validation_data else Procedural()
-
-    network = (load_network(config.init) if config.init else SnakeNetwork(config.network)).to(device).train()
+    resumed = (run / "last.pt").exists()
+    try:
+        shapes = Mixture([open_shapes(folder) for folder in config.data], config.procedural_share)
+        held_out = Mixture([open_shapes(folder) for folder in config.validation_data] or [Procedural()], 0.0)
+        network = (SnakeNetwork(config.network) if resumed else starting_network(config)).to(device).train()
+    except (OSError, ValueError) as error:
+        raise SystemExit(str(error)) from error
     average = copy.deepcopy(network).requires_grad_(False)
     optimizer = torch.optim.Adam(network.parameters(), lr=config.learning_rate, weight_decay=config.weight_decay)
-    step, best = 0, 0.0
-    if (run / "last.pt").exists():
-        state = torch.load(run / "last.pt", map_location=device, weights_only=True)
+    step, best = 0, -1.0
+    if resumed:
+        state = torch.load(run / "last.pt", map_location="cpu", weights_only=True)
         if from_json(state["config"]).network != config.network:
             raise SystemExit(f"{run}/last.pt holds another network; give another --run-dir")
         network.load_state_dict(state["network"])
@@ -121,32 +152,38 @@ def train(config):
         run.mkdir(parents=True, exist_ok=True)
         (run / "config.json").write_text(to_json(config))
         log = SummaryWriter(run)
-    bar = tqdm(total=config.steps, initial=step, disable=rank != 0, unit="step", mininterval=2 if sys.stderr.isatty() else 60)
+    bar = tqdm(
+        total=config.steps, initial=step, disable=rank != 0, unit="step", mininterval=2 if sys.stderr.isatty() else 60
+    )
     started = saved = time.monotonic()
     share = config.batch // world
     running = {}
     while step < config.steps:
         optimizer.param_groups[0]["lr"] = learning_rate(config, step)
         batch = make_batch(shapes, config, step * config.batch + rank * share, share, device)
-        losses, saturated = snake_losses(model, batch, config.bf16)
+        losses, saturated = snake_losses(model, batch, config.bf16, world)
         loss = total_loss(losses, config)
         optimizer.zero_grad()
         loss.backward()
-        norm = torch.nn.utils.clip_grad_norm_(network.parameters(), config.clip_norm)
+        norm = torch.nn.utils.clip_grad_norm_(network.parameters(), config.clip_norm or math.inf)
         if not torch.isfinite(norm):
             raise SystemExit(f"step {step}: the gradient is not finite; lower --learning-rate and resume")
         optimizer.step()
         update_average(average, network, config.ema_decay, step)
         step += 1
         bar.update()
-        for name, value in (losses | {"saturated": saturated, "gradient_norm": norm}).items():
-            running[name] = running.get(name, 0.0) * 0.98 + value.item() * 0.02 if name in running else value.item()
+        measured = losses | {"saturated": saturated, "gradient_norm": norm}
+        values = torch.stack([value.detach() for value in measured.values()])
+        if world > 1:
+            dist.all_reduce(values)
+        for name, value in zip(measured, (values / world).tolist()):
+            running[name] = running.get(name, value) * 0.98 + value * 0.02
         stop = torch.tensor(config.minutes > 0 and time.monotonic() - started > config.minutes * 60)
         if world > 1 and config.minutes > 0:
             dist.all_reduce(stop := stop.int().to(device), dist.ReduceOp.MAX)
         finished = bool(stop) or step == config.steps
         if rank == 0:
-            if step % 20 == 0:
+            if step % 20 == 0 or finished:
                 bar.set_postfix({k[:3]: f"{v:.3f}" for k, v in running.items()}, refresh=False)
                 for name, value in running.items():
                     log.add_scalar(f"train/{name}", value, step)
@@ -165,6 +202,8 @@ def train(config):
         if bool(stop):
             break
     bar.close()
+    if log:
+        log.close()
     if world > 1:
         dist.destroy_process_group()
 

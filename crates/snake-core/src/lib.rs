@@ -35,3 +35,8 @@ pub use kernels::SimdLevel;
 pub use model::{Model, ModelConfig};
 pub use points::{Normalization, NormalizationMethod, Point};
 pub use volume::{Volume, VolumeFrame};
+
+/// The README's example is compiled with the documentation's.
+#[cfg(doctest)]
+#[doc = include_str!("../../../README.md")]
+struct ReadMe;

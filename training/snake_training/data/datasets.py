@@ -1,4 +1,4 @@
-"""Collections of clouds: `len(shapes)` and `shapes.cloud(rng) -> (M, 3) float32` for training, `shapes[i]` for evaluation."""
+"""Collections of clouds: `len(shapes)` and `shapes.cloud(rng) -> (M, 3) float32` for training, `shapes[i]` to evaluate."""
 
 import json
 from pathlib import Path
@@ -14,10 +14,15 @@ class Corpus:
 
     def __init__(self, folder):
         folder = Path(folder)
-        self.points = np.load(folder / "points.npy", mmap_mode="r")
-        self.index = json.loads((folder / "index.json").read_text())
-        if self.points.dtype != np.int16 or self.points.ndim != 3 or self.points.shape[2] != 3:
-            raise ValueError(f"{folder}/points.npy: expected int16 (S, M, 3), found {self.points.dtype} {self.points.shape}")
+        self.points = read_npy(folder / "points.npy")
+        try:
+            self.index = json.loads((folder / "index.json").read_text())
+        except (OSError, ValueError) as error:
+            raise ValueError(f"{folder}/index.json: {error}") from error
+        if self.points.dtype != np.int16 or self.points.ndim != 3 or self.points.shape[2] != 3 or not self.points.size:
+            raise ValueError(
+                f"{folder}/points.npy: expected int16 (S, M, 3), found {self.points.dtype} {self.points.shape}"
+            )
         if len(self.index) != len(self.points):
             raise ValueError(f"{folder}: index.json has {len(self.index)} rows, points.npy has {len(self.points)}")
 
@@ -36,6 +41,8 @@ class Folder:
     """All `.npy` and `.ply` clouds below a folder, one shape a file; meshes are sampled on their surface."""
 
     def __init__(self, folder, mesh_points=8192):
+        if not Path(folder).is_dir():
+            raise ValueError(f"{folder}: no such folder")
         self.files = sorted(p for p in Path(folder).rglob("*") if p.suffix.lower() in (".npy", ".ply"))
         self.mesh_points = mesh_points
         if not self.files:
@@ -46,19 +53,24 @@ class Folder:
 
     def __getitem__(self, row):
         path = self.files[row]
-        if path.suffix.lower() == ".npy":
-            points = np.load(path)
-        else:
-            shape = trimesh.load(path, process=False)
-            has_faces = len(getattr(shape, "faces", ())) > 0
-            points = trimesh.sample.sample_surface(shape, self.mesh_points, seed=row)[0] if has_faces else shape.vertices
-        points = np.asarray(points, dtype=np.float32)
-        if points.ndim != 2 or points.shape[1] < 3:
-            raise ValueError(f"{path}: expected (N, 3) points, found {points.shape}")
-        points = points[np.isfinite(points[:, :3]).all(axis=1), :3]
+        points = read_npy(path) if path.suffix.lower() == ".npy" else self.read_ply(path, row)
+        if points.dtype.kind not in "fiu" or points.ndim != 2 or points.shape[1] < 3:
+            raise ValueError(f"{path}: expected (N, 3) numbers, found {points.dtype} {points.shape}")
+        points = points[:, :3].astype(np.float32)
+        points = points[np.isfinite(points).all(axis=1)]
         if len(points) < 2 or (points == points[0]).all():
             raise ValueError(f"{path}: needs at least two different finite points")
         return points
+
+    def read_ply(self, path, seed):
+        """The vertices of a cloud, or points drawn from a mesh's surface by area."""
+        try:
+            shape = trimesh.load(path, process=False)
+            if len(getattr(shape, "faces", ())) > 0:
+                return trimesh.sample.sample_surface(shape, self.mesh_points, seed=seed)[0]
+            return np.asarray(shape.vertices)
+        except Exception as error:  # whatever trimesh's parser trips over
+            raise ValueError(f"{path}: not a readable PLY ({error})") from error
 
     def cloud(self, rng):
         """A random file's cloud."""
@@ -66,7 +78,7 @@ class Folder:
 
 
 class Mixture:
-    """A share of procedural shapes, the rest uniformly over all shapes of the other collections."""
+    """A share of procedural shapes, the rest uniformly over all shapes of the other collections; rows are theirs."""
 
     def __init__(self, collections, procedural_share):
         self.collections = collections
@@ -77,11 +89,25 @@ class Mixture:
         """A random shape."""
         if rng.random() < self.share:
             return self.procedural.cloud(rng)
-        row = rng.integers(sum(map(len, self.collections)))
+        return self[rng.integers(len(self))]
+
+    def __len__(self):
+        return sum(map(len, self.collections))
+
+    def __getitem__(self, row):
         for shapes in self.collections:
             if row < len(shapes):
                 return shapes[row]
             row -= len(shapes)
+        raise IndexError("row beyond the last collection")
+
+
+def read_npy(path):
+    """An array, mapped from its file: its header is checked against its length, nothing is unpickled."""
+    try:
+        return np.load(path, mmap_mode="r", allow_pickle=False)
+    except (OSError, ValueError, EOFError, TypeError, OverflowError) as error:
+        raise ValueError(f"{path}: not a readable NPY ({error})") from error
 
 
 def open_shapes(folder):

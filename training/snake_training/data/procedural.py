@@ -22,7 +22,10 @@ class Procedural:
     def cloud(self, rng):
         """A random shape as points (M, 3), uniform by area."""
         recipe = RECIPES[rng.integers(len(RECIPES))]
-        patches = [patch * rng.uniform(0.8, 1.25, 3) for patch in recipe(rng)] if recipe is not compose else recipe(rng)
+        patches = recipe(rng)
+        if recipe is not compose:
+            stretch = rng.uniform(0.8, 1.25, 3)
+            patches = [patch * stretch for patch in patches]
         return sample_surface(patches, self.points, rng)
 
 
@@ -53,7 +56,12 @@ def box(size):
 def revolve(radius, height, turns=1.0, segments=25):
     """Surface of revolution about z of the profile radius(s), height(s); both 1-D arrays."""
     angle = np.linspace(0, 2 * np.pi * turns, segments)[:, None]
-    return [np.stack([radius * np.cos(angle), radius * np.sin(angle), np.broadcast_to(height, angle.shape[:1] + radius.shape)], axis=-1)]
+    return [
+        np.stack(
+            [radius * np.cos(angle), radius * np.sin(angle), np.broadcast_to(height, angle.shape[:1] + radius.shape)],
+            axis=-1,
+        )
+    ]
 
 
 def cone(bottom, top, height):
@@ -70,7 +78,7 @@ def torus(major, minor, turns=1.0):
 def superquadric(size, e1, e2):
     """Superellipsoid of full extents `size` and exponents e1 (vertical), e2 (horizontal); 1 is an ellipsoid."""
     v, u = np.linspace(-np.pi / 2, np.pi / 2, 15)[:, None], np.linspace(-np.pi, np.pi, 25)[None]
-    power = lambda x, e: np.sign(x) * np.abs(x) ** e  # noqa: E731
+    power = lambda x, e: np.sign(x) * np.abs(x) ** e
     x, y = power(np.cos(v), e1) * power(np.cos(u), e2), power(np.cos(v), e1) * power(np.sin(u), e2)
     return [np.stack([x, y, power(np.sin(v), e1) + 0 * u], axis=-1) * size / 2]
 
@@ -86,7 +94,7 @@ def tube(path, radius):
     return [path[:, None] + radius * (np.cos(angle) * side[:, None] + np.sin(angle) * up[:, None])]
 
 
-def moved(part, offset=(0, 0, 0), rotation=np.eye(3)):
+def moved(part, offset=(0, 0, 0), rotation=((1, 0, 0), (0, 1, 0), (0, 0, 1))):
     """The part rotated, then shifted."""
     return [patch @ np.asarray(rotation).T + offset for patch in part]
 
@@ -122,12 +130,18 @@ def legs(rng, width, depth, height, thick):
     """Four legs below z = 0, one column, or two side plates."""
     kind = rng.integers(3)
     if kind == 0:
-        leg = box((thick, thick, height)) if rng.random() < 0.5 else cone(thick / 2, thick * rng.uniform(0.4, 0.8), height)
+        leg = (
+            box((thick, thick, height))
+            if rng.random() < 0.5
+            else cone(thick / 2, thick * rng.uniform(0.4, 0.8), height)
+        )
         corners = [(x, y, -height / 2) for x in (-1, 1) for y in (-1, 1)]
         return [q for x, y, z in corners for q in moved(leg, (x * (width - thick) / 2, y * (depth - thick) / 2, z))]
     if kind == 1:
         foot = cone(min(width, depth) * rng.uniform(0.2, 0.45), thick, thick)
-        return moved(cone(thick, thick * rng.uniform(0.5, 1), height), (0, 0, -height / 2)) + moved(foot, (0, 0, -height))
+        return moved(cone(thick, thick * rng.uniform(0.5, 1), height), (0, 0, -height / 2)) + moved(
+            foot, (0, 0, -height)
+        )
     plate = box((thick / 2, depth * rng.uniform(0.6, 1), height))
     return [q for x in (-1, 1) for q in moved(plate, (x * (width - thick) / 2, 0, -height / 2))]
 
@@ -137,9 +151,14 @@ def table(rng):
     width, depth, height, thick = rng.uniform((0.6, 0.4, 0.3, 0.03), (1.6, 1.0, 1.0, 0.12))
     round_top = rng.random() < 0.3
     parts = cone(width / 2, width / 2, thick) if round_top else box((width, depth, thick))
-    parts = parts + legs(rng, *((width * 0.7, width * 0.7) if round_top else (width, depth)), height, thick * rng.uniform(0.6, 1.3))
+    parts = parts + legs(
+        rng, *((width * 0.7, width * 0.7) if round_top else (width, depth)), height, thick * rng.uniform(0.6, 1.3)
+    )
     if rng.random() < 0.4:
-        parts += moved(box((width * rng.uniform(0.2, 0.5), depth * 0.8, height * rng.uniform(0.2, 0.7))), (width * rng.uniform(-0.2, 0.2), 0, -height * 0.35))
+        parts += moved(
+            box((width * rng.uniform(0.2, 0.5), depth * 0.8, height * rng.uniform(0.2, 0.7))),
+            (width * rng.uniform(-0.2, 0.2), 0, -height * 0.35),
+        )
     return parts
 
 
@@ -152,7 +171,11 @@ def chair(rng):
         support = moved(box((width, thick * 0.7, back)), (0, 0, back / 2))
     elif kind == 1:
         slats = rng.integers(3, 7)
-        support = [q for x in np.linspace(-0.45, 0.45, slats) for q in moved(box((thick * 0.6, thick * 0.6, back)), (x * width, 0, back / 2))]
+        support = [
+            q
+            for x in np.linspace(-0.45, 0.45, slats)
+            for q in moved(box((thick * 0.6, thick * 0.6, back)), (x * width, 0, back / 2))
+        ]
         support += moved(box((width, thick, thick * 1.5)), (0, 0, back))
     else:
         support = moved(torus(width / 2, thick / 2, 0.5), (0, 0, back * 0.3), about(0, np.pi / 2))
@@ -170,8 +193,16 @@ def lamp(rng):
     bend = rng.choice([0, rng.uniform(0.1, 0.5)])
     s = np.linspace(0, 1, 16)
     path = np.stack([bend * s**3, 0 * s, height * np.sin(s * np.pi / 2) if bend else height * s], axis=-1)
-    top = cone(shade, shade * rng.uniform(0.2, 1), shade * rng.uniform(0.5, 1.5)) if rng.random() < 0.7 else superquadric(np.full(3, shade * 2), 1, 1)
-    return cone(base, base * rng.uniform(0.3, 1), base * rng.uniform(0.1, 0.5)) + tube(path, pole) + moved(top, path[-1], about(1, bend * 2))
+    top = (
+        cone(shade, shade * rng.uniform(0.2, 1), shade * rng.uniform(0.5, 1.5))
+        if rng.random() < 0.7
+        else superquadric(np.full(3, shade * 2), 1, 1)
+    )
+    return (
+        cone(base, base * rng.uniform(0.3, 1), base * rng.uniform(0.1, 0.5))
+        + tube(path, pole)
+        + moved(top, path[-1], about(1, bend * 2))
+    )
 
 
 def plane(rng):
@@ -180,17 +211,26 @@ def plane(rng):
     sweep = rng.uniform(0, 0.5)
     parts = moved(superquadric((body, body, length), rng.uniform(0.5, 1), 1), rotation=about(1, np.pi / 2))
     for side in (-1, 1):
-        wing = [q + np.stack([-sweep * np.abs(q[..., 1]), 0 * q[..., 1], 0.1 * np.abs(q[..., 1])], axis=-1) for q in moved(box((chord, span / 2, thick)), (0, side * span / 4, 0))]
+        wing = [
+            q + np.stack([-sweep * np.abs(q[..., 1]), 0 * q[..., 1], 0.1 * np.abs(q[..., 1])], axis=-1)
+            for q in moved(box((chord, span / 2, thick)), (0, side * span / 4, 0))
+        ]
         parts += wing + [q * 0.35 + (-length * 0.45, 0, 0) for q in wing]
         if rng.random() < 0.5:
-            parts += moved(cone(body * 0.35, body * 0.25, chord), (chord * 0.3 - sweep * span / 4, side * span / 4, -body * 0.3), about(1, np.pi / 2))
+            parts += moved(
+                cone(body * 0.35, body * 0.25, chord),
+                (chord * 0.3 - sweep * span / 4, side * span / 4, -body * 0.3),
+                about(1, np.pi / 2),
+            )
     return parts + moved(box((chord * 0.7, thick, length * 0.2)), (-length * 0.43, 0, length * 0.1))
 
 
 def tool(rng):
     """A handle with a head: hammer, wrench, mug, bolt, bracket."""
     length, grip = rng.uniform((0.5, 0.03), (1.2, 0.1))
-    handle = moved(superquadric((grip * 2, grip * 2 * rng.uniform(0.5, 1), length), 0.3, rng.uniform(0.3, 1)), (0, 0, -length / 2))
+    handle = moved(
+        superquadric((grip * 2, grip * 2 * rng.uniform(0.5, 1), length), 0.3, rng.uniform(0.3, 1)), (0, 0, -length / 2)
+    )
     kind = rng.integers(5)
     if kind == 0:
         return handle + moved(primitive(rng, rng.uniform(0.1, 0.5, 3)), rotation=about(rng.integers(3), np.pi / 2))
@@ -198,12 +238,17 @@ def tool(rng):
         return handle + moved(torus(grip * 2.5, grip, 0.75), (0, 0, grip * 2), about(0, np.pi / 2))
     if kind == 2:
         radius, height = rng.uniform(0.2, 0.5, 2)
-        cup = revolve(np.array([0, radius, radius * 1.1, radius, radius * 0.9, 0]), np.array([-0.5, -0.5, 0.5, 0.5, -0.42, -0.42]) * height * 2)
+        cup = revolve(
+            np.array([0, radius, radius * 1.1, radius, radius * 0.9, 0]),
+            np.array([-0.5, -0.5, 0.5, 0.5, -0.42, -0.42]) * height * 2,
+        )
         return cup + moved(torus(height * 0.6, radius * 0.12, 0.5), (0, radius, 0), about(1, np.pi / 2))
     if kind == 3:
         return handle + cone(grip * 3, grip * 3, grip * 2)
     arm = box((grip * 2, length * rng.uniform(0.4, 1), grip))
-    return box((length, grip * 4, grip)) + moved(arm, (length * rng.uniform(-0.5, 0.5), 0, length * 0.3), about(0, np.pi / 2))
+    return box((length, grip * 4, grip)) + moved(
+        arm, (length * rng.uniform(-0.5, 0.5), 0, length * 0.3), about(0, np.pi / 2)
+    )
 
 
 def shelf(rng):

@@ -1,0 +1,47 @@
+"""The smallest configuration that exercises everything; one thread, so that runs repeat bit for bit."""
+
+import dataclasses
+
+import pytest
+import torch
+
+from snake_training.config import TrainConfig
+from snake_training.model import SnakeNetwork
+
+torch.set_num_threads(1)
+
+TINY = dict(
+    resolution=8, unet_levels=2, unet_base_channels=8, c_dim=8, num_points=128, num_occupancy=32, num_grids=8,
+    grid_size=3, batch=2, steps=2, warmup=1, device="cpu", bf16=False, validate_every=100, validation_objects=1,
+    validation_resolution=6,
+)  # fmt: skip
+
+
+@pytest.fixture
+def tiny(tmp_path):
+    """tiny(**changes) -> TrainConfig with its run folder below tmp_path."""
+    return lambda **changes: TrainConfig(**TINY | {"run_dir": str(tmp_path / "run")} | changes)
+
+
+@pytest.fixture
+def network():
+    """A seeded tiny network in evaluation mode, with no weight at its initial 0."""
+    torch.manual_seed(5)
+    network = SnakeNetwork(TrainConfig(**TINY).network)
+    for parameter in network.parameters():
+        parameter.data += 0.1 * torch.randn_like(parameter)
+    return network.eval()
+
+
+def arguments(config):
+    """The command line that gives a configuration."""
+    words = []
+    for field in dataclasses.fields(config):
+        value, option = getattr(config, field.name), field.name.replace("_", "-")
+        if field.type is bool:
+            words.append(f"--{option}" if value else f"--no-{option}")
+        elif field.type is tuple:
+            words += [f"--{option}", *value]
+        else:
+            words += [f"--{option}", str(value)]
+    return words

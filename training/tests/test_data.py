@@ -1,0 +1,364 @@
+"""Two-view samples and the collections of clouds they are made from."""
+
+import dataclasses
+import json
+
+import numpy as np
+import pytest
+import trimesh
+
+from snake_training.augment import BOUND, choose, normalize, random_rotation, two_views, within_bounds
+from snake_training.data import Corpus, Folder, Mixture, Procedural, open_shapes
+from snake_training.data.procedural import RECIPES, box, cone, sample_surface, tube
+from snake_training.train import make_batch
+
+
+def rng(seed=0):
+    return np.random.default_rng(seed)
+
+
+def cloud(number=600, seed=3):
+    """A lopsided cloud far from the origin."""
+    return (rng(seed).normal(size=(number, 3)) * (3, 1, 0.5) + (10, -4, 2)).astype(np.float32)
+
+
+# Normalisation
+
+
+@pytest.mark.parametrize("method", ["unit-sphere", "unit-cube"])
+def test_normalize_is_about_the_mean_and_touches_the_bound(method):
+    points = cloud()
+    unit, center, scale = normalize(points, method)
+    size = np.linalg.norm(unit, axis=1) if method == "unit-sphere" else np.abs(unit)
+    assert size.max() == pytest.approx(0.5, abs=1e-6)
+    assert np.abs(unit.mean(axis=0)).max() < 1e-6
+    assert np.allclose(unit * scale + center, points, atol=1e-5)
+
+
+def test_normalize_none_and_its_errors():
+    points = cloud()
+    unit, center, scale = normalize(points, "none")
+    assert np.array_equal(unit, points) and scale == 1 and not center.any()
+    with pytest.raises(ValueError, match="unit-spheer"):
+        normalize(points, "unit-spheer")
+    for bad in (np.ones((4, 3)), np.full((4, 3), np.nan)):
+        with pytest.raises(ValueError, match="finite and not all in one place"):
+            normalize(bad)
+
+
+# Rotations
+
+
+@pytest.mark.parametrize("kind", ["so3", "euler"])
+def test_rotations_are_proper(kind):
+    for seed in range(50):
+        rotation = random_rotation(rng(seed), kind).astype(np.float64)
+        assert np.allclose(rotation @ rotation.T, np.eye(3), atol=1e-6)
+        assert np.linalg.det(rotation) == pytest.approx(1, abs=1e-6)
+
+
+def test_so3_is_uniform_and_euler_is_not():
+    """Haar measure: the trace 1 + 2 cos(angle) has mean 0 and mean square 1, every entry is uniform on [-1, 1].
+
+    Of Rz Ry Rx with uniform angles the entry -sin(y) follows the arcsine law, whose variance is 1/2 instead of 1/3.
+    4000 draws have standard errors below 0.02 on all of these.
+    """
+    generator = rng()
+    uniform = np.stack([random_rotation(generator) for _ in range(4000)])
+    trace = np.trace(uniform, axis1=1, axis2=2)
+    assert abs(trace.mean()) < 0.08 and abs((trace**2).mean() - 1) < 0.1
+    assert np.abs((uniform**2).mean(axis=0) - 1 / 3).max() < 0.03
+    assert np.abs(uniform.mean(axis=0)).max() < 0.05
+    deciles = np.histogram(uniform[:, 0, 2], bins=10, range=(-1, 1))[0]
+    assert deciles.min() > 320 and deciles.max() < 480  # expected 400, standard deviation 19
+    euler = np.stack([random_rotation(generator, "euler") for _ in range(4000)])
+    # The matrix for rows is Rz Ry Rx, whose lower left entry is -sin(y).
+    assert abs((euler[:, 0, 2] ** 2).mean() - 1 / 2) < 0.03
+
+
+# Choice of points
+
+
+def test_choose_without_replacement_or_everything_and_repeats():
+    points = np.arange(30.0).reshape(10, 3)
+    few = choose(rng(), points, 6)
+    assert len(np.unique(few[:, 0])) == 6
+    many = choose(rng(), points, 25)
+    assert len(many) == 25 and np.array_equal(many[:10], points)
+    assert set(many[:, 0]) == set(points[:, 0])
+
+
+def test_within_bounds_drops_what_is_outside_but_never_everything():
+    points = np.array([[0, 0, 0], [BOUND, 0, 0], [0, BOUND + 0.001, 0], [0, 0, -0.6]])
+    assert np.array_equal(within_bounds(points), points[:2])
+    assert np.array_equal(within_bounds(points[2:]), points[2:])
+
+
+# Two views
+
+
+def motion(views):
+    """The rigid motion (rotation, shift) of the grids, by least squares; its residual is the test that it is one."""
+    source, target = views["grids"].reshape(2, -1, 3).astype(np.float64)
+    u, _, vt = np.linalg.svd((source - source.mean(0)).T @ (target - target.mean(0)))
+    rotation = (u @ np.diag([1, 1, np.linalg.det(u @ vt)]) @ vt).T
+    shift = target.mean(0) - rotation @ source.mean(0)
+    assert np.allclose(source @ rotation.T + shift, target, atol=1e-6)
+    return rotation, shift
+
+
+@pytest.mark.parametrize("kind", ["so3", "euler"])
+@pytest.mark.parametrize("translation", [0.0, 0.2])
+def test_the_second_view_is_the_first_moved_by_one_rigid_motion(tiny, kind, translation):
+    config = tiny(rotation=kind, translation=translation, jitter_sigma=0.0, max_downsampling=1.0, num_points=600)
+    points = cloud()
+    views = two_views(points, config, rng())
+    rotation, shift = motion(views)
+    assert (np.abs(shift).max() > 0.01) == (translation > 0) and np.abs(shift).max() <= 0.2 + 1e-6
+    assert not np.allclose(rotation, np.eye(3), atol=0.1)
+    clean = normalize(points)[0].astype(np.float64)
+    first, second = views["points"]
+    assert np.allclose(np.sort(first, axis=0), np.sort(clean, axis=0), atol=1e-6)  # all points, in some order
+    moved = clean @ rotation.T + shift
+    distance = np.linalg.norm(second[:, None] - moved[None], axis=2).min(axis=1)
+    assert distance.max() < 1e-5
+    # The surface queries come from the clean cloud of each view.
+    surface = views["occupancy_queries"][:, : config.num_occupancy]
+    for queries, view in zip(surface, (clean, moved)):
+        assert np.linalg.norm(queries[:, None] - view[None], axis=2).min(axis=1).max() < 1e-5
+
+
+def test_grids_are_cubes_of_a_sixth_around_input_points(tiny):
+    config = tiny(grid_size=3, grid_fraction=6.0)
+    views = two_views(cloud(), config, rng())
+    grids = views["grids"][0]
+    centers = grids[:, 13]  # the middle one of 27
+    assert all((np.abs(views["points"][0] - center).max(axis=1) < 1e-6).any() for center in centers)
+    assert len(np.unique(centers, axis=0)) == config.num_grids
+    assert np.allclose(np.abs(grids - centers[:, None]).max(axis=(1, 2)), 1 / 12, atol=1e-6)
+
+
+def test_jitter_is_clipped_and_only_on_the_second_views_input(tiny):
+    config = tiny(jitter_sigma=0.1, jitter_clip=0.02, max_downsampling=1.0, num_points=600)
+    points = cloud()
+    views = two_views(points, config, rng())
+    rotation, shift = motion(views)
+    clean = normalize(points)[0]
+    moved = clean @ rotation.T + shift
+    offset = np.abs(views["points"][1][:, None] - moved[None]).max(axis=2).min(axis=1)
+    assert 0.015 < offset.max() <= 0.02 + 1e-5
+    assert np.allclose(np.sort(views["points"][0], axis=0), np.sort(clean, axis=0), atol=1e-6)
+
+
+@pytest.mark.parametrize("number", [2, 100, 128, 5000])
+def test_the_number_of_points_is_constant(tiny, number):
+    views = two_views(cloud(number), tiny(), rng())
+    assert views["points"].shape == (2, 128, 3)
+    assert views["occupancy_queries"].shape == (2, 64, 3)
+    assert views["grids"].shape == (2, 8, 27, 3)
+    assert all(value.dtype == np.float32 for value in views.values())
+
+
+def test_downsampling_thins_the_second_view_by_up_to_the_rate(tiny):
+    config = tiny(num_points=600, max_downsampling=4.0, jitter_sigma=0.0)
+    distinct = [len(np.unique(two_views(cloud(), config, rng(seed))["points"][1], axis=0)) for seed in range(40)]
+    assert 150 <= min(distinct) < 200 and 400 < max(distinct) <= 600
+
+
+def test_points_shifted_out_of_the_volume_are_dropped_and_replaced(tiny):
+    config = tiny(translation=0.5, jitter_sigma=0.0, num_points=600)
+    outside = 0
+    for seed in range(5):
+        views = two_views(cloud(), config, rng(seed))
+        rotation, shift = motion(views)
+        outside += (np.abs(normalize(cloud())[0] @ rotation.T + shift) > BOUND).any(axis=1).sum()
+        assert np.abs(views["points"]).max() <= BOUND
+        assert np.abs(views["occupancy_queries"]).max() <= BOUND
+        assert views["points"].shape == (2, 600, 3)
+    assert outside > 0
+
+
+def test_uniform_queries_fill_the_padded_volume(tiny):
+    queries = two_views(cloud(), tiny(num_occupancy=2000), rng())["occupancy_queries"][:, 2000:]
+    assert 0.55 < np.abs(queries).max() <= BOUND
+    assert np.abs((queries**2).mean(axis=(0, 1)) - BOUND**2 / 3).max() < 0.01
+
+
+def test_samples_depend_on_seed_and_index_alone(tiny):
+    config, shapes = tiny(), Procedural()
+    both = make_batch(shapes, config, 4, 2, "cpu")
+    again = make_batch(shapes, config, 5, 1, "cpu")
+    other = make_batch(shapes, dataclasses.replace(config, seed=2), 5, 1, "cpu")
+    held_out = make_batch(shapes, config, 5, 1, "cpu", stream=1)
+    for name, value in again.items():
+        assert value[0].equal(both[name][1])
+        assert not value.equal(other[name]) and not value.equal(held_out[name])
+
+
+# Procedural shapes
+
+
+@pytest.mark.parametrize("recipe", sorted(set(RECIPES), key=lambda recipe: recipe.__name__), ids=lambda r: r.__name__)
+def test_every_recipe_gives_the_same_finite_surface_for_a_seed(recipe):
+    for seed in range(30):
+        first, second = (sample_surface(recipe(rng(seed)), 200, rng(seed)) for _ in range(2))
+        assert np.isfinite(first).all() and np.array_equal(first, second)
+        assert 0.1 < np.ptp(first, axis=0).max() < 10
+    assert not np.array_equal(first, sample_surface(recipe(rng(99)), 200, rng(99)))
+
+
+def test_procedural_rows_are_seeded_and_differ():
+    shapes = Procedural(length=5, points=64)
+    assert len(shapes) == 5 and shapes[2].shape == (64, 3) and shapes[2].dtype == np.float32
+    assert np.array_equal(shapes[2], Procedural(length=5, points=64)[2])
+    assert not np.array_equal(shapes[2], shapes[3])
+
+
+def test_stretching_keeps_a_shape_in_one_piece(monkeypatch):
+    """A box stays closed: on every face plane of its bounding box there are points up to all four edges."""
+    monkeypatch.setattr("snake_training.data.procedural.RECIPES", (lambda generator: box((1.0, 1.0, 1.0)),))
+    points = Procedural(points=4096).cloud(rng())
+    half = np.abs(points).max(axis=0)
+    assert not np.allclose(half, 0.5, atol=0.02)  # it is stretched
+    assert (np.abs(np.abs(points) / half - 1).min(axis=1) < 1e-5).all()
+
+
+def test_primitives_have_their_sizes():
+    points = sample_surface(box((1.0, 2.0, 3.0)), 4000, rng())
+    assert np.allclose(np.abs(points).max(axis=0), (0.5, 1, 1.5), atol=1e-6)
+    # By area: the two faces across z have 2 of 11 parts.
+    assert (np.abs(points[:, 2]) > 1.4999).mean() == pytest.approx(2 / 11, abs=0.03)
+    points = sample_surface(cone(0.5, 0.5, 2.0), 2000, rng())
+    assert np.linalg.norm(points[:, :2], axis=1).max() <= 0.5 + 1e-6 and np.abs(points[:, 2]).max() <= 1
+    path = np.stack([np.linspace(0, 1, 5), np.zeros(5), np.zeros(5)], axis=1)
+    points = sample_surface(tube(path, 0.1), 500, rng())
+    assert np.linalg.norm(points[:, 1:], axis=1) == pytest.approx(0.1, abs=0.01)
+
+
+# Collections
+
+
+def write_corpus(folder, shapes=3):
+    folder.mkdir()
+    points = rng(1).integers(-32767, 32768, (shapes, 50, 3)).astype(np.int16)
+    np.save(folder / "points.npy", points)
+    (folder / "index.json").write_text(json.dumps([{"name": str(i)} for i in range(shapes)]))
+    return points
+
+
+def test_corpus_rows_are_unit_spheres(tmp_path):
+    points = write_corpus(tmp_path / "corpus")
+    shapes = open_shapes(tmp_path / "corpus")
+    assert isinstance(shapes, Corpus) and len(shapes) == 3
+    assert np.array_equal(shapes[1], points[1].astype(np.float32) / 32767)
+    drawn = shapes.cloud(rng())
+    assert any(np.array_equal(drawn, shapes[row]) for row in range(3))
+
+
+@pytest.mark.parametrize(
+    ("name", "content", "message"),
+    [
+        ("points.npy", np.zeros((3, 50, 3), np.float32), "expected int16"),
+        ("points.npy", np.zeros((3, 50, 2), np.int16), "expected int16"),
+        ("points.npy", np.zeros((0, 50, 3), np.int16), "expected int16"),
+        ("points.npy", np.zeros((4, 50, 3), np.int16), "index.json has 3 rows, points.npy has 4"),
+        ("points.npy", b"not an array", "not a readable NPY"),
+        ("index.json", b"[1, 2", "index.json"),
+        ("index.json", None, "index.json"),
+    ],
+)
+def test_a_bad_corpus_is_a_clear_error(tmp_path, name, content, message):
+    write_corpus(tmp_path / "corpus")
+    path = tmp_path / "corpus" / name
+    path.unlink()
+    if isinstance(content, bytes):
+        path.write_bytes(content)
+    elif content is not None:
+        np.save(path, content)
+    with pytest.raises(ValueError, match=message):
+        Corpus(tmp_path / "corpus")
+
+
+def test_folder_reads_arrays_clouds_and_meshes_below_it(tmp_path):
+    points = cloud(40)
+    np.save(tmp_path / "a.npy", np.concatenate([points, np.full((1, 3), np.nan, np.float32)]))  # NaN rows are dropped
+    np.save(tmp_path / "b.npy", np.concatenate([points, points], axis=1).astype(np.float64))  # x y z nx ny nz
+    (tmp_path / "below").mkdir()
+    trimesh.PointCloud(points).export(tmp_path / "below" / "c.ply")
+    trimesh.creation.box((2, 2, 2)).export(tmp_path / "below" / "d.PLY")
+    (tmp_path / "notes.txt").write_text("ignored")
+    shapes = open_shapes(tmp_path)
+    assert isinstance(shapes, Folder) and [p.name for p in shapes.files] == ["a.npy", "b.npy", "c.ply", "d.PLY"]
+    for row in range(3):
+        assert np.allclose(shapes[row], points, atol=1e-5) and shapes[row].dtype == np.float32
+    mesh = shapes[3]
+    assert mesh.shape == (8192, 3) and np.allclose(np.abs(mesh).max(axis=1), 1, atol=1e-5)  # on the surface
+    assert np.array_equal(mesh, shapes[3])
+    assert shapes.cloud(rng()).shape[1] == 3
+
+
+@pytest.mark.parametrize(
+    ("name", "content", "message"),
+    [
+        ("x.npy", np.zeros((5, 2)), r"expected \(N, 3\) numbers, found float64 \(5, 2\)"),
+        ("x.npy", np.zeros(9), r"expected \(N, 3\) numbers"),
+        ("x.npy", np.zeros((5, 3), complex), "complex128"),
+        ("x.npy", np.array([["a"] * 3]), "expected"),
+        ("x.npy", np.array([{"pickled": 1}]), "not a readable NPY"),
+        ("x.npy", np.full((5, 3), np.nan), "two different finite points"),
+        ("x.npy", np.ones((5, 3)), "two different finite points"),
+        ("x.npy", np.zeros((0, 3)), "NPY|two different"),
+        ("x.npy", b"", "not a readable NPY"),
+        ("x.npy", b"\x93NUMPY\x01\x00 nonsense", "not a readable NPY"),
+        ("x.ply", b"", "x.ply"),
+        ("x.ply", b"plyish", "x.ply"),
+        ("x.ply", b"ply\nformat ascii 1.0\nelement vertex 2\nproperty float x\nend_header\n0\n1\n", "x.ply"),
+    ],
+)
+def test_a_bad_file_is_a_clear_error_with_its_name(tmp_path, name, content, message):
+    if isinstance(content, bytes):
+        (tmp_path / name).write_bytes(content)
+    else:
+        np.save(tmp_path / name, content, allow_pickle=True)
+    with pytest.raises(ValueError, match=message) as error:
+        Folder(tmp_path)[0]
+    assert name in str(error.value)
+
+
+def test_folders_without_shapes_say_so(tmp_path):
+    with pytest.raises(ValueError, match="neither points.npy"):
+        open_shapes(tmp_path)
+    with pytest.raises(ValueError, match="no such folder"):
+        open_shapes(tmp_path / "absent")
+
+
+class Named:
+    """Shapes that are their own name."""
+
+    def __init__(self, *names):
+        self.names = names
+
+    def __len__(self):
+        return len(self.names)
+
+    def __getitem__(self, row):
+        return self.names[row]
+
+
+def test_mixture_draws_every_shape_equally_and_has_all_rows():
+    shapes = Mixture([Named("a"), Named("b", "c", "d")], 0.0)
+    assert len(shapes) == 4 and [shapes[row] for row in range(4)] == ["a", "b", "c", "d"]
+    with pytest.raises(IndexError):
+        shapes[4]
+    generator = rng()
+    drawn = [shapes.cloud(generator) for _ in range(2000)]
+    assert all(abs(drawn.count(name) - 500) < 80 for name in "abcd")  # standard deviation 19
+
+
+def test_mixture_share_of_procedural_shapes():
+    shapes = Mixture([Named("a")], 0.25)
+    shapes.procedural = Procedural(points=2)
+    generator = rng()
+    drawn = [isinstance(shapes.cloud(generator), str) for _ in range(400)]
+    assert abs(np.mean(drawn) - 0.75) < 0.09  # four standard deviations
+    assert Mixture([], 0.0).cloud(rng()).shape == (4096, 3)  # with no data, all shapes are procedural

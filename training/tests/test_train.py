@@ -1,0 +1,346 @@
+"""The training loop on the smallest network: what a run writes, resuming, and sharing a batch between processes."""
+
+import dataclasses
+import itertools
+import json
+import math
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from conftest import TINY, arguments
+from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
+
+from snake_training import train as training
+from snake_training.config import PRESETS, TrainConfig, check, from_json, parse_arguments, to_json
+from snake_training.export import load_network, read_checkpoint, write_weights
+from snake_training.losses import snake_losses
+from snake_training.model import SnakeNetwork
+from snake_training.train import learning_rate, make_batch, train, update_average
+
+
+def state(config, name="last.pt"):
+    """A checkpoint of a run."""
+    return torch.load(Path(config.run_dir) / name, weights_only=True)
+
+
+def scalars(config):
+    """{name: {step: value}} of a run's TensorBoard files."""
+    events = EventAccumulator(config.run_dir)
+    events.Reload()
+    return {name: {event.step: event.value for event in events.Scalars(name)} for name in events.Tags()["scalars"]}
+
+
+def flat(tree, prefix=""):
+    """{path: leaf} of nested dictionaries and lists."""
+    if not isinstance(tree, dict | list | tuple):
+        return {prefix: tree}
+    items = tree.items() if isinstance(tree, dict) else enumerate(tree)
+    return {path: leaf for key, value in items for path, leaf in flat(value, f"{prefix}/{key}").items()}
+
+
+# Runs
+
+
+def test_a_run_writes_its_config_checkpoints_and_logs(tiny):
+    config = tiny()
+    train(config)
+    run = Path(config.run_dir)
+    assert from_json((run / "config.json").read_text()) == config
+    assert set(state(config)) == {"config", "step", "best", "network", "ema", "optimizer"}
+    assert state(config)["step"] == 2 and from_json(state(config)["config"]) == config
+    assert state(config, "best.pt")["best"] >= 0
+    logged = scalars(config)
+    losses = {"occupancy", "repeatability", "surface", "sparsity", "saturated"}
+    assert {name.removeprefix("train/") for name in logged if "train/" in name} == losses | {"gradient_norm"}
+    measured = {f"{what}_nms_{radius}" for what in ("repeatability", "keypoints") for radius in (0.01, 0.05)}
+    assert {name.removeprefix("validation/") for name in logged if "validation/" in name} == losses | measured
+    assert all(math.isfinite(value) for steps in logged.values() for value in steps.values())
+    assert not list(run.glob("*.partial"))
+    # What is exported is the average, in a network that detection can use.
+    average = load_network(run)
+    assert average.config == config.network
+    saved = state(config, "best.pt")["ema"]
+    assert all(tensor.equal(saved[name]) for name, tensor in average.state_dict().items())
+
+
+def test_training_lowers_the_occupancy_loss(tiny):
+    config = tiny(steps=12, learning_rate=1e-2)
+    batch = make_batch(training.Procedural(), config, 0, 4, "cpu", stream=1)
+    train(config)
+    torch.manual_seed(config.seed)
+    networks = SnakeNetwork(config.network), load_network(config.run_dir)
+    before, after = (snake_losses(network, batch, False)[0]["occupancy"].item() for network in networks)
+    assert after < before - 0.05
+
+
+def test_resuming_continues_bit_for_bit(tiny, tmp_path):
+    """Six steps at once, and one by one with a checkpoint after each (a minute's 1e-9th allows no second step)."""
+    whole = tiny(steps=6, schedule="cosine", run_dir=str(tmp_path / "whole"))
+    train(whole)
+    parts = dataclasses.replace(whole, run_dir=str(tmp_path / "parts"))
+    for step in (1, 2, 3):
+        train(dataclasses.replace(parts, minutes=1e-9))
+        assert state(parts)["step"] == step
+    train(parts)
+    expected, found = flat(state(whole)), flat(state(parts))
+    assert expected.keys() == found.keys()
+    differing = [
+        path
+        for path, value in expected.items()
+        if not (value.equal(found[path]) if isinstance(value, torch.Tensor) else value == found[path])
+    ]
+    assert differing == ["/config", "/best"] or differing == ["/config"]  # the run folder; validated more often
+    assert sum("/exp_avg" in path for path in expected) > 100
+
+
+def test_a_finished_run_is_left_as_it_is_and_another_network_is_refused(tiny):
+    config = tiny()
+    train(config)
+    before = (Path(config.run_dir) / "last.pt").read_bytes()
+    train(config)
+    assert (Path(config.run_dir) / "last.pt").read_bytes() == before
+    with pytest.raises(SystemExit, match="holds another network"):
+        train(dataclasses.replace(config, c_dim=16))
+
+
+def torchrun(config, processes):
+    """Train with torch.distributed, as the command line of a user."""
+    command = [sys.executable, "-m", "torch.distributed.run", "--standalone", "--nproc-per-node", str(processes)]
+    environment = os.environ | {"OMP_NUM_THREADS": "1", "OMP_WAIT_POLICY": "passive", "CUDA_VISIBLE_DEVICES": ""}
+    return subprocess.run(
+        [*command, "-m", "snake_training.train", *arguments(config)],
+        capture_output=True, text=True, env=environment, timeout=300, check=False,
+    )  # fmt: skip
+
+
+def test_two_processes_train_like_one(tiny, tmp_path):
+    """The same samples, masked losses averaged over the whole batch: the same gradients but for the order of sums.
+
+    Shifted second views put different numbers of local grids out of bounds in each process, so that a mean of the
+    processes' means would differ. Adam hides the gradient's scale, so its first moments are compared, unclipped.
+    """
+    one = tiny(
+        batch=4, steps=2, translation=0.4, clip_norm=0.0, learning_rate=1e-5, ema_decay=0.5, run_dir=str(tmp_path / "one")
+    )  # fmt: skip
+    train(one)
+    two = dataclasses.replace(one, run_dir=str(tmp_path / "two"))
+    result = torchrun(two, 2)
+    assert result.returncode == 0, result.stderr
+    first, second = flat(state(one)), flat(state(two))
+    assert first.keys() == second.keys()
+    for path, value in first.items():
+        if isinstance(value, torch.Tensor):
+            tolerance = 1e-4 * value.abs().max().item() + 1e-9
+            assert (value - second[path]).abs().max().item() <= tolerance, path
+    logged_one, logged_two = scalars(one), scalars(two)
+    for name in (name for name in logged_one if name.startswith("train/")):
+        assert logged_two[name][2] == pytest.approx(logged_one[name][2], rel=1e-4, abs=1e-6), name
+
+
+def test_unequal_masks_in_the_two_process_test(tiny):
+    """What the test above relies on: its two halves of a batch differ in the number of grids that count."""
+    config = tiny(batch=4, translation=0.4)
+    counts = []
+    for first in range(0, 8, 2):
+        grids = make_batch(training.Mixture([], 1.0), config, first, 2, "cpu")["grids"]
+        counts.append((training_inside(grids).float().mean(dim=-1) > 0.9).all(dim=1).sum().item())
+    assert counts[0] != counts[1] or counts[2] != counts[3]
+
+
+def training_inside(grids):
+    """(B, 2, G, H^3) of grid points within the padded volume."""
+    return (grids.abs() <= 0.5625).all(dim=-1)
+
+
+def test_average_of_weights_follows_and_without_decay_copies(network):
+    average = SnakeNetwork(network.config).requires_grad_(False)
+    start = [parameter.clone() for parameter in average.parameters()]
+    update_average(average, network, decay=0.998, step=10**6)
+    for ours, theirs, before in zip(average.parameters(), network.parameters(), start):
+        assert torch.allclose(ours, 0.998 * before + 0.002 * theirs, atol=1e-6)
+    update_average(average, network, decay=0.998, step=0)  # early: a tenth of the old weights
+    expected = [0.1 * (0.998 * b + 0.002 * t) + 0.9 * t for b, t in zip(start, network.parameters())]
+    assert all(torch.allclose(ours, value, atol=1e-6) for ours, value in zip(average.parameters(), expected))
+    update_average(average, network, decay=0.0, step=5)
+    assert all(ours.equal(theirs) for ours, theirs in zip(average.parameters(), network.parameters()))
+
+
+def test_init_from_an_export_or_a_run(tiny, tmp_path, network):
+    path = tmp_path / "start.safetensors"
+    write_weights(path, network.config, network.state_dict())
+    config = tiny(steps=1, learning_rate=1e-30, weight_decay=0.0, init=str(path))
+    train(config)
+    started = read_checkpoint(config.run_dir)[1]
+    assert all(torch.allclose(started[name], tensor) for name, tensor in network.state_dict().items())
+    again = dataclasses.replace(config, init=config.run_dir, run_dir=str(tmp_path / "second"))
+    train(again)
+    second = read_checkpoint(again.run_dir)[1]
+    assert all(torch.allclose(second[name], tensor) for name, tensor in started.items())
+    with pytest.raises(SystemExit, match="holds another network"):  # same shapes, another resolution
+        train(dataclasses.replace(config, resolution=16, run_dir=str(tmp_path / "third")))
+    with pytest.raises(SystemExit, match="absent"):
+        train(dataclasses.replace(config, init=str(tmp_path / "absent.pt"), run_dir=str(tmp_path / "third")))
+    path.unlink()
+    train(dataclasses.replace(config, steps=2))  # a resumed run does not need its start any more
+
+
+def test_validation_uses_every_folder(tiny, tmp_path, monkeypatch):
+    for name in "ab":
+        (tmp_path / name).mkdir()
+        np.save(tmp_path / name / "cloud.npy", np.random.default_rng(ord(name)).normal(size=(300, 3)))
+    rows = []
+    monkeypatch.setattr(
+        training, "validate", lambda network, config, shapes, device: rows.append(len(shapes)) or SCORES
+    )
+    train(tiny(validation_data=(str(tmp_path / "a"), str(tmp_path / "b")), steps=1))
+    assert rows == [2]
+
+
+SCORES = {"repeatability_nms_0.01": 0.1, "repeatability_nms_0.05": 0.2}
+
+
+def test_best_is_kept_by_score(tiny, monkeypatch):
+    scores = iter((0.1, 0.5, 0.3, 0.0))
+    monkeypatch.setattr(
+        training, "validate", lambda *_: {"repeatability_nms_0.01": next(scores), "repeatability_nms_0.05": 0.0}
+    )
+    config = tiny(steps=4, validate_every=1)
+    train(config)
+    assert state(config, "best.pt")["step"] == 2 and state(config)["best"] == 0.5
+
+
+def test_a_gradient_that_is_not_finite_stops_the_run(tiny, tmp_path, network, monkeypatch):
+    def poisoned(*given):
+        losses, saturated = snake_losses(*given)
+        return losses | {"surface": losses["surface"] * math.nan}, saturated
+
+    monkeypatch.setattr(training, "snake_losses", poisoned)
+    with pytest.raises(SystemExit, match="step 0: the gradient is not finite"):
+        train(tiny())
+
+
+def test_missing_data_is_a_clear_error(tiny, tmp_path):
+    with pytest.raises(SystemExit, match="no such folder"):
+        train(tiny(data=(str(tmp_path / "absent"),)))
+
+
+# Schedules
+
+
+def test_cosine_schedule_warms_up_and_falls_to_zero(tiny):
+    config = tiny(steps=110, warmup=10, learning_rate=0.2, schedule="cosine")
+    rates = [learning_rate(config, step) for step in range(110)]
+    assert rates[:10] == pytest.approx([0.02 * (step + 1) for step in range(10)])
+    assert rates[10] == 0.2 and rates[60] == pytest.approx(0.1) and 0 < rates[-1] < 1e-4
+    assert all(later < earlier for earlier, later in itertools.pairwise(rates[10:]))
+    assert learning_rate(config, 110) == pytest.approx(0, abs=1e-12)
+
+
+def test_step_schedule_falls_once_to_a_tenth(tiny):
+    config = tiny(steps=60, warmup=0, learning_rate=0.2, schedule="step")
+    rates = [learning_rate(config, step) for step in range(60)]
+    assert rates[:40] == [0.2] * 40 and rates[40:] == pytest.approx([0.02] * 20)
+
+
+# Settings
+
+
+def test_arguments_and_json_give_the_configuration_back(tiny, tmp_path):
+    config = tiny(data=("a", "b"), rotation="euler", translation=0.1, bf16=True)
+    assert parse_arguments(arguments(config), "") == config
+    assert from_json(to_json(config)) == config
+    # A run from before a setting existed resumes with its default.
+    older = {name: value for name, value in json.loads(to_json(config)).items() if name != "normalization"}
+    assert from_json(json.dumps(older)) == config
+
+
+@pytest.mark.parametrize("preset", PRESETS)
+def test_presets_parse_and_can_be_overridden(preset):
+    config = parse_arguments(["--preset", preset], "")
+    assert all(getattr(config, name) == value for name, value in PRESETS[preset].items())
+    assert parse_arguments(["--batch", "7", "--preset", preset], "") == dataclasses.replace(config, batch=7)
+
+
+def test_the_papers_presets_have_the_papers_figures():
+    paper = parse_arguments(["--preset", "keypointnet"], "")
+    assert sum(p.numel() for p in SnakeNetwork(paper.network).parameters()) == 4_182_658
+    assert (paper.grid_size, paper.grid_fraction, paper.num_grids, paper.num_points) == (8, 8.0, 500, 2048)
+    assert parse_arguments(["--preset", "3dmatch"], "").resolution == 100
+    assert parse_arguments([], "") == TrainConfig()
+
+
+@pytest.mark.parametrize("preset", ["compact", "smpl"])
+def test_help_explains_every_setting_with_the_presets_value(preset, capsys):
+    with pytest.raises(SystemExit) as stop:
+        parse_arguments(["--preset", preset, "--help"], "what it does")
+    assert stop.value.code == 0
+    text = " ".join(capsys.readouterr().out.split())
+    for field in dataclasses.fields(TrainConfig):
+        assert f"--{field.name.replace('_', '-')}" in text
+        assert len(field.metadata["help"]) > 10
+        assert " ".join(field.metadata["help"].split()) in text
+    batch = PRESETS[preset].get("batch", TrainConfig.batch)
+    assert f"samples a step, over all processes (default: {batch})" in text
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"batch": 0}, "--batch must be positive, got 0"),
+        ({"steps": -1}, "--steps must be positive"),
+        ({"learning_rate": math.nan}, "--learning-rate must be positive, got nan"),
+        ({"learning_rate": math.inf}, "--learning-rate must be positive, got inf"),
+        ({"jitter_sigma": -0.1}, "--jitter-sigma must be 0 or more"),
+        ({"weight_surface": -1.0}, "--weight-surface must be 0 or more"),
+        ({"clip_norm": -1.0}, "--clip-norm must be 0 or more"),
+        ({"procedural_share": 1.5}, "--procedural-share must be within"),
+        ({"ema_decay": 1.0}, "--ema-decay must be within"),
+        ({"max_downsampling": 0.5}, "--max-downsampling must be 1 or more"),
+        ({"resolution": 4, "unet_levels": 4}, "4 levels do not fit a volume of 4 voxels"),
+        ({"c_dim": 12}, "divide"),
+        ({"unet_base_channels": 12}, "divide"),
+    ],
+)
+def test_settings_that_cannot_train_are_refused(changes, message):
+    with pytest.raises(SystemExit, match=message.replace("[", r"\[")):
+        check(TrainConfig(**TINY | changes))
+
+
+@pytest.mark.parametrize(
+    "words", [["--rotation", "quaternion"], ["--batch", "many"], ["--preset", "small"], ["--unknown", "1"]]
+)
+def test_words_that_mean_nothing_are_refused(words, capsys):
+    with pytest.raises(SystemExit) as stop:
+        parse_arguments(words, "")
+    assert stop.value.code == 2 and words[0] in capsys.readouterr().err
+
+
+def test_a_batch_that_does_not_divide_is_refused(tiny, monkeypatch):
+    monkeypatch.setenv("WORLD_SIZE", "4")
+    with pytest.raises(SystemExit, match="--batch 6 does not divide over 4 processes"):
+        train(tiny(batch=6))
+
+
+@pytest.mark.skipif(torch.cuda.is_available(), reason="there is a GPU")
+def test_cuda_without_a_gpu_is_refused(tiny):
+    with pytest.raises(SystemExit, match="torch finds no GPU"):
+        train(tiny(device="cuda"))
+
+
+@pytest.mark.skipif(not torch.cuda.is_available(), reason="no GPU")
+def test_a_run_on_the_gpu(tiny):
+    config = tiny(device="cuda", bf16=True)
+    train(config)
+    assert state(config)["step"] == 2
+    assert all(math.isfinite(value) for steps in scalars(config).values() for value in steps.values())
+
+
+def test_bfloat16_runs_on_the_processor(tiny):
+    config = tiny(bf16=True, steps=1)
+    train(config)
+    assert all(math.isfinite(value) for steps in scalars(config).values() for value in steps.values())
