@@ -1,0 +1,110 @@
+"""Types of the private module; checked with `python -m mypy.stubtest snake_rs._core`."""
+
+import os
+from typing import Literal, TypedDict, final, type_check_only
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from typing_extensions import Self, Unpack
+
+__all__ = ["Field", "Keypoints", "Model", "detect", "__version__"]
+
+__version__: str
+
+@type_check_only
+class _Preset(TypedDict, total=False):
+    preset: Literal["modelnet40", "keypointnet", "smpl", "redwood", "3dmatch"] | None
+
+@type_check_only
+class _EncodeOptions(_Preset, total=False):
+    normalization: Literal["unit-sphere", "unit-cube", "none"]
+    max_points: int | None
+    seed: int
+
+@type_check_only
+class _DetectOptions(_Preset, total=False):
+    query_resolution: int
+    occupancy_threshold: float
+    refine_steps: int
+    refine_step_size: float
+    refine_method: Literal["adam", "gradient-descent"]
+    selection: Literal["best-position", "reference-final-position"]
+    surface_threshold: float
+    saliency_threshold: float
+    nms_radius: float
+    max_keypoints: int
+    snap: bool
+
+@type_check_only
+class _Options(_EncodeOptions, _DetectOptions, total=False): ...
+
+@type_check_only
+class _Config(TypedDict):
+    resolution: tuple[int, int, int]
+    padding: float
+    z_min: float
+    z_max: float
+    c_dim: int
+    hidden_dim: int
+    decoder_hidden_dim: int
+    resnet_blocks: int
+    unet_levels: int
+    unet_base_channels: int
+    group_norm_groups: int
+
+def detect(points: ArrayLike, model: Model | None = None, **options: Unpack[_Options]) -> Keypoints: ...
+@final
+class Model:
+    @staticmethod
+    def builtin() -> Model: ...
+    @staticmethod
+    def load(path: str | os.PathLike[str]) -> Model: ...
+    @staticmethod
+    def from_bytes(data: bytes) -> Model: ...
+    @property
+    def config(self) -> _Config: ...
+    @property
+    def metadata(self) -> dict[str, str]: ...
+    @property
+    def num_parameters(self) -> int: ...
+    @property
+    def recommended(self) -> _Options: ...
+    def encode(self, points: ArrayLike, **options: Unpack[_EncodeOptions]) -> Field: ...
+
+@final
+class Field:
+    def occupancy(self, queries: ArrayLike) -> NDArray[np.float32]: ...
+    def saliency(self, queries: ArrayLike) -> NDArray[np.float32]: ...
+    def occupancy_and_gradient(self, queries: ArrayLike) -> tuple[NDArray[np.float32], NDArray[np.float32]]: ...
+    def saliency_and_gradient(self, queries: ArrayLike) -> tuple[NDArray[np.float32], NDArray[np.float32]]: ...
+    def descriptors(self, queries: ArrayLike) -> NDArray[np.float32]: ...
+    @property
+    def volume(self) -> NDArray[np.float32]: ...
+    @property
+    def normalization(self) -> tuple[NDArray[np.float32], float]: ...
+    def detect(self, **options: Unpack[_DetectOptions]) -> Keypoints: ...
+
+@final
+class Keypoints:
+    def __new__(
+        cls,
+        points: NDArray[np.float32],
+        saliency: NDArray[np.float32],
+        occupancy: NDArray[np.float32],
+        nearest_index: NDArray[np.int64],
+        counts: dict[str, int],
+        timing_seconds: dict[str, float],
+    ) -> Self: ...
+    @property
+    def points(self) -> NDArray[np.float32]: ...
+    @property
+    def saliency(self) -> NDArray[np.float32]: ...
+    @property
+    def occupancy(self) -> NDArray[np.float32]: ...
+    @property
+    def nearest_index(self) -> NDArray[np.int64]: ...
+    @property
+    def counts(self) -> dict[str, int]: ...
+    @property
+    def timing_seconds(self) -> dict[str, float]: ...
+    def __len__(self) -> int: ...

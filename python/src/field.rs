@@ -1,0 +1,114 @@
+//! `snake_rs.Field`.
+
+use numpy::{PyArray, PyArray1, PyArray2, PyArray4};
+use pyo3::prelude::*;
+use pyo3::types::PyDict;
+use snake_core::{self as core, Point};
+
+use crate::error::py_error;
+use crate::keypoints::Keypoints;
+use crate::{arrays, options};
+
+/// The core's values and gradients of Q queries.
+type Pairs = (Vec<f32>, Vec<Point>);
+/// The same as arrays `(Q,)` and `(Q, 3)`.
+type ValuesAndGradients<'py> = (Bound<'py, PyArray1<f32>>, Bound<'py, PyArray2<f32>>);
+
+/// Occupancy and saliency of one cloud at any point of space; made by `Model.encode`.
+///
+/// Queries are (Q, 3), float32 or float64; they and the gradients are in the cloud's frame and units.
+#[pyclass(frozen, module = "snake_rs")]
+pub struct Field(core::Field);
+
+impl Field {
+    /// Wraps the core's field.
+    pub fn new(field: core::Field) -> Self {
+        Self(field)
+    }
+
+    /// One value per query, computed without the GIL.
+    fn values<'py>(
+        &self,
+        queries: &Bound<'py, PyAny>,
+        of: fn(&core::Field, &[Point]) -> core::Result<Vec<f32>>,
+    ) -> PyResult<Bound<'py, PyArray1<f32>>> {
+        let (py, queries) = (queries.py(), arrays::points("queries", queries)?);
+        let values = py.detach(|| of(&self.0, &queries)).map_err(py_error)?;
+        Ok(arrays::values(py, values))
+    }
+
+    /// The same with gradients.
+    fn values_and_gradients<'py>(
+        &self,
+        queries: &Bound<'py, PyAny>,
+        of: fn(&core::Field, &[Point]) -> core::Result<Pairs>,
+    ) -> PyResult<ValuesAndGradients<'py>> {
+        let (py, queries) = (queries.py(), arrays::points("queries", queries)?);
+        let (values, gradients) = py.detach(|| of(&self.0, &queries)).map_err(py_error)?;
+        Ok((arrays::values(py, values), arrays::rows(py, gradients.into_flattened(), 3)?))
+    }
+}
+
+#[pymethods]
+impl Field {
+    /// Probability that there is surface at each query: (Q,) float32.
+    fn occupancy<'py>(&self, queries: &Bound<'py, PyAny>) -> PyResult<Bound<'py, PyArray1<f32>>> {
+        self.values(queries, core::Field::occupancy)
+    }
+
+    /// Saliency of each query, in [0, 1): (Q,) float32.
+    fn saliency<'py>(&self, queries: &Bound<'py, PyAny>) -> PyResult<Bound<'py, PyArray1<f32>>> {
+        self.values(queries, core::Field::saliency)
+    }
+
+    /// Occupancy (Q,) and its gradient (Q, 3) per cloud unit.
+    fn occupancy_and_gradient<'py>(&self, queries: &Bound<'py, PyAny>) -> PyResult<ValuesAndGradients<'py>> {
+        self.values_and_gradients(queries, core::Field::occupancy_and_gradient)
+    }
+
+    /// Saliency (Q,) and its gradient (Q, 3) per cloud unit.
+    fn saliency_and_gradient<'py>(&self, queries: &Bound<'py, PyAny>) -> PyResult<ValuesAndGradients<'py>> {
+        self.values_and_gradients(queries, core::Field::saliency_and_gradient)
+    }
+
+    /// Descriptors (Q, c_dim) float32: the feature of each query, L2-normalised.
+    fn descriptors<'py>(&self, queries: &Bound<'py, PyAny>) -> PyResult<Bound<'py, PyArray2<f32>>> {
+        let (py, queries) = (queries.py(), arrays::points("queries", queries)?);
+        let flat = py.detach(|| self.0.descriptors(&queries)).map_err(py_error)?;
+        arrays::rows(py, flat, self.0.model().config().c_dim)
+    }
+
+    /// A copy of the feature volume, (C, D, H, W) float32: D, H, W along z, y, x.
+    #[getter]
+    fn volume<'py>(&self, py: Python<'py>) -> Bound<'py, PyArray4<f32>> {
+        PyArray::from_array(py, &self.0.volume().features().permuted_axes([3, 0, 1, 2]))
+    }
+
+    /// Center (3,) float32 and scale, in cloud units: `network = (cloud - center) / scale`.
+    #[getter]
+    fn normalization<'py>(&self, py: Python<'py>) -> (Bound<'py, PyArray1<f32>>, f32) {
+        let core::Normalization { center, scale } = self.0.normalization();
+        (arrays::values(py, center.to_vec()), scale)
+    }
+
+    /// Keypoints of the encoded cloud.
+    ///
+    /// Options: `query_resolution`, `occupancy_threshold`, `refine_steps`, `refine_step_size`, `refine_method` ("adam"
+    /// or "gradient-descent"), `selection` ("best-position" or "reference-final-position"), `surface_threshold`,
+    /// `saliency_threshold`, `nms_radius` (cloud units; 0: off), `max_keypoints`, `snap` (move each keypoint to its
+    /// nearest input point), and `preset` ("modelnet40", "keypointnet", "smpl", "redwood" or "3dmatch"). What is not
+    /// given comes from `preset`, or else from the model's `recommended`. Raises ValueError for a value that cannot be
+    /// used and TypeError for an unknown option.
+    #[pyo3(signature = (**options))]
+    fn detect(&self, py: Python<'_>, options: Option<&Bound<PyDict>>) -> PyResult<Keypoints> {
+        let preset = options::resolve("detect", &options::DETECT, self.0.model().recommended(), options)?;
+        let detection = py.detach(|| core::detect(&self.0, &preset.detect)).map_err(py_error)?;
+        Keypoints::from_detection(py, detection)
+    }
+
+    fn __repr__(&self) -> String {
+        let core::Normalization { center, scale } = self.0.normalization();
+        let (encoded, points) = (self.0.num_encoded(), self.0.points().len());
+        format!("Field({encoded} of {points} points encoded, center {center:?}, scale {scale})")
+    }
+}

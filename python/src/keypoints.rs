@@ -1,0 +1,86 @@
+//! `snake_rs.Keypoints`.
+
+use numpy::{PyArray1, PyArray2, PyArrayMethods};
+use pyo3::prelude::*;
+use pyo3::types::{IntoPyDict, PyDict, PyTuple};
+use snake_core::Detection;
+
+use crate::arrays;
+
+/// K keypoints by falling saliency, and how they came about; it can be pickled.
+#[pyclass(frozen, get_all, module = "snake_rs")]
+pub struct Keypoints {
+    /// Positions (K, 3) float32, in the cloud's frame and units.
+    points: Py<PyArray2<f32>>,
+    /// Saliency (K,) float32 in [0, 1]: the score that keypoints are ranked by.
+    saliency: Py<PyArray1<f32>>,
+    /// Occupancy (K,) float32 at the positions.
+    occupancy: Py<PyArray1<f32>>,
+    /// Index (K,) int64 of the nearest input point.
+    nearest_index: Py<PyArray1<i64>>,
+    /// How many queries each step left: "queries", "occupied", "above_threshold", "keypoints".
+    counts: Py<PyDict>,
+    /// Seconds that each step took: "occupancy", "refine", "nms".
+    timing_seconds: Py<PyDict>,
+}
+
+impl Keypoints {
+    /// The core's result as arrays and dicts.
+    pub fn from_detection(py: Python<'_>, detection: Detection) -> PyResult<Self> {
+        let Detection { keypoints, counts, timing } = detection;
+        let counts = [
+            ("queries", counts.queries),
+            ("occupied", counts.occupied),
+            ("above_threshold", counts.above_threshold),
+            ("keypoints", counts.keypoints),
+        ];
+        let timing = [("occupancy", timing.occupancy), ("refine", timing.refine), ("nms", timing.nms)];
+        let points = keypoints.iter().flat_map(|k| k.position).collect();
+        Ok(Self {
+            points: arrays::rows(py, points, 3)?.unbind(),
+            saliency: arrays::values(py, keypoints.iter().map(|k| k.saliency).collect()).unbind(),
+            occupancy: arrays::values(py, keypoints.iter().map(|k| k.occupancy).collect()).unbind(),
+            nearest_index: arrays::values(py, keypoints.iter().map(|k| k.nearest_index as i64).collect()).unbind(),
+            counts: counts.into_py_dict(py)?.unbind(),
+            timing_seconds: timing.into_py_dict(py)?.unbind(),
+        })
+    }
+}
+
+#[pymethods]
+impl Keypoints {
+    #[new]
+    fn new(
+        points: Py<PyArray2<f32>>,
+        saliency: Py<PyArray1<f32>>,
+        occupancy: Py<PyArray1<f32>>,
+        nearest_index: Py<PyArray1<i64>>,
+        counts: Py<PyDict>,
+        timing_seconds: Py<PyDict>,
+    ) -> Self {
+        Self { points, saliency, occupancy, nearest_index, counts, timing_seconds }
+    }
+
+    fn __getnewargs__<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyTuple>> {
+        (&self.points, &self.saliency, &self.occupancy, &self.nearest_index, &self.counts, &self.timing_seconds)
+            .into_pyobject(py)
+    }
+
+    fn __len__(&self, py: Python<'_>) -> PyResult<usize> {
+        self.saliency.bind(py).len()
+    }
+
+    fn __repr__(&self, py: Python<'_>) -> PyResult<String> {
+        let saliency = self.saliency.bind(py).try_readonly()?;
+        let range = match saliency.as_slice()? {
+            [] => String::new(),
+            all => format!(
+                ", saliency {:.2}..{:.2}",
+                all.iter().copied().fold(f32::INFINITY, f32::min),
+                all.iter().copied().fold(f32::NEG_INFINITY, f32::max)
+            ),
+        };
+        let counts = self.counts.bind(py);
+        Ok(format!("Keypoints({}{range}, counts {counts})", self.__len__(py)?))
+    }
+}

@@ -1,0 +1,50 @@
+//! The private module `snake_rs._core`: snake-core for Python. A thin shell that checks and copies arrays, releases the
+//! GIL and calls the core; it computes nothing.
+
+mod arrays;
+mod error;
+mod field;
+mod keypoints;
+mod model;
+mod options;
+
+use pyo3::prelude::*;
+use pyo3::types::PyDict;
+
+use error::py_error;
+use field::Field;
+use keypoints::Keypoints;
+use model::Model;
+
+/// Keypoints of a cloud in one call: `model.encode(points).detect()`, with the built-in model if none is given.
+///
+/// `points` is (N, 3), float32 or float64. `options` are those of `Model.encode` and `Field.detect`; what is not given
+/// comes from `preset`, or else from `model.recommended`. Raises ValueError for an array or a value that cannot be
+/// used, and TypeError for an unknown option.
+#[pyfunction]
+#[pyo3(signature = (points, model=None, **options))]
+fn detect(
+    py: Python<'_>,
+    points: &Bound<'_, PyAny>,
+    model: Option<&Bound<'_, Model>>,
+    options: Option<&Bound<'_, PyDict>>,
+) -> PyResult<Keypoints> {
+    let model = match model {
+        Some(model) => model.get().core().clone(),
+        None => model::builtin()?,
+    };
+    let preset = options::resolve("detect", &options::ALL, model.recommended(), options)?;
+    let points = arrays::points("points", points)?;
+    let detection = py.detach(|| model.detect(&points, &preset)).map_err(py_error)?;
+    Keypoints::from_detection(py, detection)
+}
+
+#[pymodule]
+mod _core {
+    #[pymodule_export]
+    use super::{Field, Keypoints, Model, detect};
+
+    #[pymodule_export]
+    #[expect(non_upper_case_globals, reason = "Python's name for it")]
+    const __version__: &str = env!("CARGO_PKG_VERSION");
+}

@@ -1,0 +1,136 @@
+//! `snake_rs.Model`.
+
+use std::path::PathBuf;
+use std::sync::{Arc, OnceLock};
+
+use pyo3::prelude::*;
+use pyo3::types::{IntoPyDict, PyBytes, PyDict, PyTuple};
+use snake_core as core;
+
+use crate::error::py_error;
+use crate::field::Field;
+use crate::{arrays, options};
+
+/// A network with its weights. Make one with `Model.builtin`, `Model.load` or `Model.from_bytes`; it can be pickled.
+#[pyclass(frozen, module = "snake_rs")]
+pub struct Model {
+    core: core::Model,
+    /// The weight file, for pickling; `None` for the built-in model.
+    file: Option<Arc<Vec<u8>>>,
+}
+
+impl Model {
+    /// The model of the core.
+    pub fn core(&self) -> &core::Model {
+        &self.core
+    }
+
+    fn from_file(py: Python<'_>, file: Vec<u8>) -> PyResult<Self> {
+        let core = py.detach(|| core::Model::from_bytes(&file)).map_err(py_error)?;
+        Ok(Self { core, file: Some(Arc::new(file)) })
+    }
+}
+
+/// The built-in model, read once.
+pub fn builtin() -> PyResult<core::Model> {
+    static MODEL: OnceLock<core::Model> = OnceLock::new();
+    match MODEL.get() {
+        Some(model) => Ok(model.clone()),
+        None => {
+            let model = core::Model::builtin().map_err(py_error)?;
+            Ok(MODEL.get_or_init(|| model).clone())
+        }
+    }
+}
+
+#[pymethods]
+impl Model {
+    /// The compact model that comes with the package.
+    #[staticmethod]
+    #[pyo3(name = "builtin")]
+    fn py_builtin() -> PyResult<Self> {
+        Ok(Self { core: builtin()?, file: None })
+    }
+
+    /// Reads a weight file (`*.safetensors`, written by `snake_training.export`).
+    ///
+    /// Raises OSError (FileNotFoundError, ...) when it cannot be read, ValueError when it does not hold a network.
+    #[staticmethod]
+    fn load(py: Python<'_>, path: PathBuf) -> PyResult<Self> {
+        let read = py.detach(|| std::fs::read(&path));
+        Self::from_file(py, read.map_err(|source| py_error(core::Error::Io { path, source }))?)
+    }
+
+    /// A network from the bytes of a weight file. Raises ValueError when they do not hold one.
+    #[staticmethod]
+    fn from_bytes(py: Python<'_>, data: &[u8]) -> PyResult<Self> {
+        Self::from_file(py, data.to_vec())
+    }
+
+    /// The network's shape, under the names of `snake_training.model.NetworkConfig`.
+    #[getter]
+    fn config<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyDict>> {
+        let config = self.core.config();
+        let [x, y, z] = config.frame.resolution;
+        let dict = [
+            ("c_dim", config.c_dim),
+            ("hidden_dim", config.hidden_dim),
+            ("decoder_hidden_dim", config.decoder_hidden_dim),
+            ("resnet_blocks", config.resnet_blocks),
+            ("unet_levels", config.unet_levels),
+            ("unet_base_channels", config.unet_base_channels),
+            ("group_norm_groups", config.group_norm_groups),
+        ]
+        .into_py_dict(py)?;
+        dict.set_item("resolution", (x, y, z))?;
+        dict.set_item("padding", config.frame.padding)?;
+        dict.set_item("z_min", config.frame.z_bounds[0])?;
+        dict.set_item("z_max", config.frame.z_bounds[1])?;
+        Ok(dict)
+    }
+
+    /// All metadata of the weight file, a dict of strings.
+    #[getter]
+    fn metadata<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyDict>> {
+        self.core.metadata().into_py_dict(py)
+    }
+
+    /// Number of weights.
+    #[getter]
+    fn num_parameters(&self) -> usize {
+        self.core.num_parameters()
+    }
+
+    /// The options that suit these weights, as keyword arguments of `detect`: what it uses unless told otherwise.
+    #[getter]
+    fn recommended<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyDict>> {
+        options::flat(py, self.core.recommended())
+    }
+
+    /// Encodes a cloud once; the field then answers any number of queries.
+    ///
+    /// `points` is (N, 3), float32 or float64. Options: `normalization` ("unit-sphere", "unit-cube" or "none": the
+    /// cloud is already in the cube +-0.5), `max_points` (encode at most this many, drawn at random; None: all of
+    /// them), `seed` of that draw, and `preset`. What is not given comes from `preset`, or else from
+    /// `model.recommended`. Raises ValueError for an array or a value that cannot be used.
+    #[pyo3(signature = (points, **options))]
+    fn encode(&self, py: Python<'_>, points: &Bound<PyAny>, options: Option<&Bound<PyDict>>) -> PyResult<Field> {
+        let preset = options::resolve("encode", &options::ENCODE, self.core.recommended(), options)?;
+        let points = arrays::points("points", points)?;
+        py.detach(|| self.core.encode(&points, &preset.encode)).map(Field::new).map_err(py_error)
+    }
+
+    fn __reduce__<'py>(slf: &Bound<'py, Self>) -> PyResult<(Bound<'py, PyAny>, Bound<'py, PyTuple>)> {
+        let (py, class) = (slf.py(), slf.get_type());
+        match &slf.get().file {
+            Some(file) => Ok((class.getattr("from_bytes")?, PyTuple::new(py, [PyBytes::new(py, file)])?)),
+            None => Ok((class.getattr("builtin")?, PyTuple::empty(py))),
+        }
+    }
+
+    fn __repr__(&self) -> String {
+        let config = self.core.config();
+        let [x, y, z] = config.frame.resolution;
+        format!("Model({} parameters, volume {x} x {y} x {z} x {})", self.core.num_parameters(), config.c_dim)
+    }
+}

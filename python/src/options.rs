@@ -1,0 +1,93 @@
+//! Keyword arguments to the core's options. The names and types of the options are those that the core serialises, so
+//! there is no second list of them here.
+
+use pyo3::exceptions::{PyTypeError, PyValueError};
+use pyo3::prelude::*;
+use pyo3::types::{PyDict, PyString};
+use serde_json::{Number, Value};
+use snake_core::Preset;
+
+use crate::error::py_error;
+
+/// The part of a [`Preset`] that `Model.encode` takes.
+pub const ENCODE: [&str; 1] = ["encode"];
+/// The part that `Field.detect` takes.
+pub const DETECT: [&str; 1] = ["detect"];
+/// Both parts.
+pub const ALL: [&str; 2] = ["encode", "detect"];
+
+/// The options of one call: the recommended preset or the one named by `preset`, overlaid with the other keywords,
+/// which must belong to one of the `parts`.
+pub fn resolve(
+    function: &str,
+    parts: &[&str],
+    recommended: &Preset,
+    given: Option<&Bound<PyDict>>,
+) -> PyResult<Preset> {
+    let Some(given) = given else { return Ok(*recommended) };
+    let mut preset = match given.get_item("preset")?.filter(|name| !name.is_none()) {
+        Some(name) => Preset::named(&name.str()?.to_cow()?).map_err(py_error)?,
+        None => *recommended,
+    };
+    let mut tree = tree(&preset)?;
+    for (name, value) in given {
+        let name: String = name.extract()?;
+        if name == "preset" {
+            continue;
+        }
+        let Some(part) = parts.iter().find(|part| tree[**part].get(&name).is_some()) else {
+            let known = parts.iter().filter_map(|part| tree[part].as_object()).flat_map(|options| options.keys());
+            let known = known.map(String::as_str).collect::<Vec<_>>().join(", ");
+            return Err(PyTypeError::new_err(format!(
+                "{function}() got an unexpected keyword argument '{name}'; its options are preset, {known}"
+            )));
+        };
+        let refused = |reason: String| PyValueError::new_err(format!("option `{name}` is {value}: {reason}"));
+        tree[*part][&name] =
+            json(&value).ok_or_else(|| refused("expected a finite number, a string or a bool".into()))?;
+        // After each option, so that the error can name it.
+        preset = serde_json::from_value(tree.clone()).map_err(|e| refused(in_words(&e)))?;
+    }
+    Ok(preset)
+}
+
+/// A preset as one flat dict, such that `detect(points, model, **flat)` takes it.
+pub fn flat<'py>(py: Python<'py>, preset: &Preset) -> PyResult<Bound<'py, PyDict>> {
+    let options = PyDict::new(py);
+    // By way of text: 0.7 in float32 prints as 0.7 and not as 0.699999988.
+    let text = serde_json::to_string(preset).map_err(|e| PyValueError::new_err(e.to_string()))?;
+    let parts = py.import("json")?.call_method1("loads", (text,))?;
+    for part in ALL {
+        options.update(parts.get_item(part)?.cast()?)?;
+    }
+    Ok(options)
+}
+
+fn tree(preset: &Preset) -> PyResult<Value> {
+    serde_json::to_value(preset).map_err(|e| PyValueError::new_err(e.to_string()))
+}
+
+/// What serde says, without Rust's type names.
+fn in_words(error: &serde_json::Error) -> String {
+    let text = error.to_string();
+    let words = [("f32", "a number"), ("usize", "a whole number, 0 or more"), ("u64", "a whole number, 0 or more")];
+    let found = words.iter().find_map(|(rust, words)| Some(format!("{}{words}", text.strip_suffix(rust)?)));
+    found.unwrap_or(text)
+}
+
+/// None, bool, str and numbers, those of numpy included; nothing else and nothing that is not finite.
+fn json(value: &Bound<PyAny>) -> Option<Value> {
+    if value.is_none() {
+        Some(Value::Null)
+    } else if let Ok(text) = value.cast::<PyString>() {
+        Some(text.to_cow().ok()?.into())
+    } else if let Ok(flag) = value.extract::<bool>() {
+        Some(flag.into())
+    } else if let Ok(integer) = value.extract::<u64>() {
+        Some(integer.into())
+    } else if let Ok(integer) = value.extract::<i64>() {
+        Some(integer.into())
+    } else {
+        Number::from_f64(value.extract().ok()?).map(Value::Number)
+    }
+}
