@@ -158,7 +158,6 @@ def test_gradients_are_slopes_of_the_values(pair, quantity):
     assert np.percentile(error[smooth], 99) < 5e-3
 
 
-@pytest.mark.xfail(strict=True, reason="snake-core takes the last 1e-7 of an unpadded volume for clamped: no gradient")
 def test_gradients_on_the_upper_face_of_an_unpadded_volume():
     config = replace(CONFIGS[0], padding=0.0)
     points = random_points(np.random.default_rng(0), 500)

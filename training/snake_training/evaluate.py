@@ -170,6 +170,17 @@ def repeatability(detector, shapes, number=10**9, num_points=5000, seed=0, epsil
     return {name: (np.mean(values[name], axis=0), float(np.mean(counts[name]))) for name in values}
 
 
+def detector(engine, weights, options, device="cpu"):
+    """points (N, 3) -> keypoints (K, >= 3), by the PyTorch detection of this file or by snake-rs."""
+    if engine == "snake-rs":
+        import snake_rs
+
+        model = snake_rs.Model.load(weights)
+        return lambda points: snake_rs.detect(points, model, **vars(options)).points
+    network = load_network(weights, device)
+    return lambda points: detect(network, points, options)
+
+
 def main(argv=None):
     """Prints the repeatability of a weight file on a folder of shapes."""
     parser = argparse.ArgumentParser(
@@ -183,6 +194,7 @@ def main(argv=None):
     parser.add_argument("--num-points", type=int, default=5000, help="points of each view")
     parser.add_argument("--epsilon", type=float, nargs="+", default=[0.02, 0.04, 0.06, 0.10], help="unit-sphere units")
     parser.add_argument("--seed", type=int, default=0, help="seed of rotations and point choices")
+    parser.add_argument("--engine", choices=("torch", "snake-rs"), default="torch", help="which implementation detects")
     parser.add_argument("--device", default="cpu", help="torch device, for instance cuda")
     parser.add_argument("--threads", type=int, default=0, help="torch threads; 0: torch's default")
     for name, field in DetectOptions.__dataclass_fields__.items():
@@ -194,9 +206,9 @@ def main(argv=None):
         torch.set_num_threads(arguments.threads)
     options = DetectOptions(**{name: getattr(arguments, name) for name in DetectOptions.__dataclass_fields__})
     try:
-        network = load_network(arguments.weights, arguments.device)
+        find = detector(arguments.engine, arguments.weights, options, arguments.device)
         result = repeatability(
-            lambda points: {"snake": detect(network, points, options)}, open_shapes(arguments.data), arguments.objects,
+            lambda points: {"snake": find(points)}, open_shapes(arguments.data), arguments.objects,
             arguments.num_points, arguments.seed, arguments.epsilon, progress=True,
         )  # fmt: skip
     except (OSError, ValueError) as error:

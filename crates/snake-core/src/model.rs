@@ -190,6 +190,7 @@ impl Model {
     /// # Errors
     /// Those of [`Model::encode`] and [`detect`].
     pub fn detect(&self, points: &[Point], options: &Preset) -> Result<Detection> {
+        options.detect.check()?;
         detect(&self.encode(points, &options.encode)?, &options.detect)
     }
 

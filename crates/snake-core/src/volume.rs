@@ -29,12 +29,16 @@ impl VolumeFrame {
         [z, y, x]
     }
 
-    /// A point of the network's frame in [0, 1) of the volume.
-    fn unit(&self, point: Point) -> Point {
+    /// A point of the network's frame in units of the volume, which spans [0, 1).
+    fn unclamped(&self, point: Point) -> Point {
         let [x, y, z] = point.map(|v| v / (1.0 + self.padding + Self::EPSILON));
         let [z_min, z_max] = self.z_bounds;
-        let unit = [x + 0.5, y + 0.5, (z - z_min) / (z_max - z_min + Self::EPSILON)];
-        unit.map(|u| if u >= 1.0 { 1.0 - Self::EPSILON } else { u.max(0.0) })
+        [x + 0.5, y + 0.5, (z - z_min) / (z_max - z_min + Self::EPSILON)]
+    }
+
+    /// The same, clamped to [0, 1).
+    fn unit(&self, point: Point) -> Point {
+        self.unclamped(point).map(|u| if u >= 1.0 { 1.0 - Self::EPSILON } else { u.max(0.0) })
     }
 
     /// Flat index `x + X (y + Y z)` of the voxel that a point falls into.
@@ -60,11 +64,11 @@ impl VolumeFrame {
     /// Voxels per network unit along each axis at a query: the factor from a derivative per voxel to one per unit;
     /// zero along axes where the query was clamped.
     pub(crate) fn voxels_per_unit(&self, query: Point) -> Point {
-        let unit = self.unit(query);
+        let unit = self.unclamped(query);
         let padded = 1.0 + self.padding + Self::EPSILON;
         let extent = [padded, padded, padded * (self.z_bounds[1] - self.z_bounds[0] + Self::EPSILON)];
         std::array::from_fn(|axis| {
-            let inside = unit[axis] > 0.0 && unit[axis] < 1.0 - Self::EPSILON;
+            let inside = unit[axis] > 0.0 && unit[axis] < 1.0;
             if inside { (self.resolution[axis] - 1) as f32 / extent[axis] } else { 0.0 }
         })
     }
