@@ -51,8 +51,8 @@ fn keypoints_of_the_sample_lie_on_it() {
         let nearest = points[keypoint["nearest_index"].as_u64().unwrap() as usize];
         let axes = ["x", "y", "z"].map(number);
         let distance = (0..3).map(|axis| (axes[axis] - f64::from(nearest[axis])).powi(2)).sum::<f64>().sqrt();
-        // A voxel of the 32³ volume is 0.035 of the cloud's scale.
-        assert!(distance < 0.035 * scale, "{keypoint} is {distance} from the cloud");
+        // Two voxels of the 32³ volume, each 0.035 of the cloud's scale.
+        assert!(distance < 0.07 * scale, "{keypoint} is {distance} from the cloud");
         assert!(number("saliency") <= last && number("occupancy") > 0.8);
         last = number("saliency");
     }

@@ -1,8 +1,5 @@
 //! Point clouds: the point type, input checks and normalisation.
 
-use std::fmt;
-use std::str::FromStr;
-
 use serde::{Deserialize, Serialize};
 
 use crate::{Error, Result};
@@ -21,33 +18,6 @@ pub enum NormalizationMethod {
     UnitCube,
     /// The cloud is already in the network's frame.
     None,
-}
-
-impl NormalizationMethod {
-    /// The name used in options, metadata and reports.
-    pub fn name(self) -> &'static str {
-        match self {
-            Self::UnitSphere => "unit-sphere",
-            Self::UnitCube => "unit-cube",
-            Self::None => "none",
-        }
-    }
-}
-
-impl fmt::Display for NormalizationMethod {
-    fn fmt(&self, f: &mut fmt::Formatter) -> fmt::Result {
-        f.write_str(self.name())
-    }
-}
-
-impl FromStr for NormalizationMethod {
-    type Err = Error;
-
-    fn from_str(name: &str) -> Result<Self> {
-        [Self::UnitSphere, Self::UnitCube, Self::None].into_iter().find(|method| method.name() == name).ok_or_else(
-            || Error::Option { name: "normalization", value: name.into(), allowed: "unit-sphere, unit-cube or none" },
-        )
-    }
 }
 
 /// The map between cloud units and the network's frame: `network = (cloud - center) / scale`.
