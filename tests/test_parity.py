@@ -8,24 +8,33 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+
 import snake_rs
 
 torch = pytest.importorskip("torch")
 pytest.importorskip("snake_training")
 
-from safetensors.torch import load_file, save  # noqa: E402
-from snake_training.augment import normalize  # noqa: E402
-from snake_training.evaluate import DetectOptions, candidates, detect  # noqa: E402
-from snake_training.export import load_network, write_weights  # noqa: E402
-from snake_training.model import NetworkConfig, SnakeNetwork  # noqa: E402
+from safetensors.torch import load_file, save
+
+from snake_training.augment import normalize
+from snake_training.evaluate import DetectOptions, candidates, detect
+from snake_training.export import load_network, write_weights
+from snake_training.model import NetworkConfig, SnakeNetwork
 
 torch.set_num_threads(1)
 
 # Odd and unequal sizes, z bounds, one level to four, channels below and above the number of groups.
 CONFIGS = [
     NetworkConfig((16, 16, 16), c_dim=16, hidden_dim=16, decoder_hidden_dim=16, unet_levels=2, unet_base_channels=8),
-    NetworkConfig((13, 13, 13), c_dim=8, hidden_dim=24, decoder_hidden_dim=12, unet_levels=3, unet_base_channels=4,
-                  group_norm_groups=4),  # fmt: skip
+    NetworkConfig(
+        (13, 13, 13),
+        c_dim=8,
+        hidden_dim=24,
+        decoder_hidden_dim=12,
+        unet_levels=3,
+        unet_base_channels=4,
+        group_norm_groups=4,
+    ),  # fmt: skip
     NetworkConfig((20, 14, 9), 0.05, -0.3, 0.4, 24, 12, 20, 3, 2, 16, 4),
     NetworkConfig((9, 17, 12), 0.25, -0.5, 0.2, 5, 7, 9, 1, 1, 12, 8),
     NetworkConfig((24, 24, 24), 0.1, -0.5, 0.5, 32, 32, 32, 5, 4, 8, 8),

@@ -16,9 +16,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-import snake_rs
 from safetensors import safe_open
 from safetensors.numpy import load_file, save
+
+import snake_rs
 
 GOLDEN = Path(__file__).parent / "golden"
 STUB = Path(__file__).parent.parent / "python" / "snake_rs" / "_core.pyi"
@@ -298,7 +299,7 @@ def test_keypoints_print_and_pickle(field, keypoints):
 
 def test_every_option_does_something(model, field, keypoints, points):
     every = EASY | {"max_keypoints": 10**6, "nms_radius": 0.3}
-    detect = lambda **options: field.detect(**every | options)  # noqa: E731
+    detect = lambda **options: field.detect(**every | options)
     assert same(detect(), keypoints)
     distance = np.linalg.norm(keypoints.points[:, None] - keypoints.points, axis=2)[~np.eye(len(keypoints), dtype=bool)]
     assert distance.min() > 0.3 and len(detect(nms_radius=0)) == keypoints.counts["above_threshold"]

@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from typing_extensions import Self, Unpack
 
-__all__ = ["Field", "Keypoints", "Model", "detect", "__version__"]
+__all__ = ["Field", "Keypoints", "Model", "__version__", "detect"]
 
 __version__: str
 
@@ -53,6 +53,7 @@ class _Config(TypedDict):
     group_norm_groups: int
 
 def detect(points: ArrayLike, model: Model | None = None, **options: Unpack[_Options]) -> Keypoints: ...
+
 @final
 class Model:
     @staticmethod

@@ -12,9 +12,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
-from conftest import TINY, arguments
 from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
 
+from conftest import TINY, arguments
 from snake_training import train as training
 from snake_training.config import PRESETS, TrainConfig, check, from_json, parse_arguments, to_json
 from snake_training.export import load_network, read_checkpoint, write_weights
