@@ -83,3 +83,31 @@ def two_views(cloud, config, rng):
         "occupancy_queries": np.stack(queries).astype(np.float32),
         "grids": np.stack([grids, grids @ rotation.T + shift]).astype(np.float32),
     }
+
+
+def distillation_views(shape, config, rng):
+    """One sample from `Targets.sample`: two views, each rotated at random, a share of them thinned and noisy.
+
+    A view is normalised as it is seen, noise and all, as in detection. Returns a dict: points (2, N, 3);
+    occupancy_queries (2, 2 K, 3), the first K on the surface; queries (2, Q, 3), the same physical places in both
+    views, half of them among the fifth of the shape's queries of highest target; target (Q,).
+    """
+    cloud, queries, target = shape
+    best = target.argsort()[-max(len(target) // 5, 1) :]
+    chosen = rng.integers(len(target), size=config.num_targets)
+    chosen[::2] = best[rng.integers(len(best), size=len(chosen[::2]))]
+    sample = {"points": [], "occupancy_queries": [], "queries": []}
+    for _ in range(2):
+        rotation = random_rotation(rng)
+        seen = cloud @ rotation.T
+        if rng.random() < config.degraded_share:
+            kept = max(int(len(seen) / config.max_downsampling ** rng.random()), 2)
+            noise = rng.uniform(0, config.max_noise) * rng.standard_normal((kept, 3))
+            seen = choose(rng, seen, kept) + noise.astype(np.float32)
+        seen, center, scale = normalize(seen, config.normalization)
+        uniform = rng.uniform(-BOUND, BOUND, (config.num_occupancy, 3))
+        on_surface = (choose(rng, cloud, config.num_occupancy) @ rotation.T - center) / scale
+        sample["points"].append(choose(rng, seen, config.num_points))
+        sample["occupancy_queries"].append(np.concatenate([on_surface, uniform]))
+        sample["queries"].append((queries[chosen] @ rotation.T - center) / scale)
+    return {name: np.stack(views).astype(np.float32) for name, views in sample.items()} | {"target": target[chosen]}

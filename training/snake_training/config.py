@@ -28,7 +28,11 @@ class TrainConfig:
     data: tuple = setting((), "corpus folders (points.npy + index.json) or folders of .npy / .ply files", type=str)
     validation_data: tuple = setting((), "the same for validation; without it, procedural shapes are used", type=str)
     procedural_share: float = setting(0.25, "share of samples that are procedural shapes; 1 if no data is given")
+    targets: str = setting(
+        "", "file of snake_training.targets: learn its saliency instead of eqs. 3 to 5; needs no data"
+    )
     init: str = setting("", "weights to start from: a safetensors export or a checkpoint")
+    fresh_saliency: bool = setting(False, "with init: start the saliency decoder anew")
     seed: int = setting(1, "seed of initial weights and samples; sample i is the same whatever the number of processes")
     device: str = setting("auto", "auto, cpu or cuda", choices=("auto", "cpu", "cuda"))
     bf16: bool = setting(True, "run the U-Net in bfloat16, where the GPU has it; the rest stays float32")
@@ -48,17 +52,25 @@ class TrainConfig:
     translation: float = setting(0.0, "second view: uniform shift of up to this much along each axis")
     jitter_sigma: float = setting(0.005, "second view: standard deviation of the noise on each coordinate")
     jitter_clip: float = setting(0.015, "the noise is clipped to this")
-    max_downsampling: float = setting(4.0, "second view: thinned by a uniform rate between 1 and this, then repeated")
+    max_downsampling: float = setting(
+        4.0, "second view: thinned by a uniform rate between 1 and this, then repeated; with targets: degraded views"
+    )
 
     num_occupancy: int = setting(600, "occupancy queries on the surface, and as many uniform ones, a view")
     num_grids: int = setting(60, "local grids a sample (n in the paper)")
     grid_size: int = setting(5, "points along each side of a local grid (H_l)")
     grid_fraction: float = setting(6.0, "a local grid's side is 1 / this (U)")
 
+    num_targets: int = setting(1024, "with targets: queries of the saliency a sample")
+    degraded_share: float = setting(0.4, "with targets: share of views thinned and noisy")
+    max_noise: float = setting(0.02, "with targets: their noise's standard deviation is uniform up to this")
+
     weight_occupancy: float = setting(1.0, "weight of the occupancy loss; 0 switches a loss off")
     weight_repeatability: float = setting(1.0, "weight of the repeatability loss")
     weight_surface: float = setting(1.0, "weight of the surface loss")
     weight_sparsity: float = setting(1.0, "weight of the sparsity loss")
+    weight_distillation: float = setting(1.0, "with targets: weight of the distance to them")
+    weight_consistency: float = setting(1.0, "with targets: weight of the distance between the two views")
 
     steps: int = setting(8000, "optimiser steps of the whole schedule")
     batch: int = setting(4, "samples a step, over all processes")
@@ -136,12 +148,13 @@ def check(config):
     """Refuse settings that cannot train, before any work is done."""
     positive = (
         "resolution", "unet_levels", "unet_base_channels", "c_dim", "num_points", "max_downsampling", "num_occupancy",
-        "num_grids", "grid_size", "grid_fraction", "steps", "batch", "learning_rate", "validate_every",
+        "num_grids", "grid_size", "grid_fraction", "num_targets", "steps", "batch", "learning_rate", "validate_every",
         "validation_objects", "validation_resolution",
     )  # fmt: skip
     not_negative = (
         "seed", "translation", "jitter_sigma", "jitter_clip", "weight_occupancy", "weight_repeatability",
-        "weight_surface", "weight_sparsity", "weight_decay", "warmup", "clip_norm", "checkpoint_minutes", "minutes",
+        "weight_surface", "weight_sparsity", "weight_distillation", "weight_consistency", "max_noise", "weight_decay",
+        "warmup", "clip_norm", "checkpoint_minutes", "minutes",
     )  # fmt: skip
 
     def refuse(name, allowed):
@@ -154,8 +167,9 @@ def check(config):
     for name in not_negative:
         if not 0 <= getattr(config, name) < math.inf:
             refuse(name, "0 or more")
-    if not 0 <= config.procedural_share <= 1:
-        refuse("procedural_share", "within [0, 1]")
+    for name in ("procedural_share", "degraded_share"):
+        if not 0 <= getattr(config, name) <= 1:
+            refuse(name, "within [0, 1]")
     if not 0 <= config.ema_decay < 1:
         refuse("ema_decay", "within [0, 1)")
     if config.max_downsampling < 1:

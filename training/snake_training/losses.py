@@ -1,4 +1,5 @@
-"""The four losses of SNAKE (section 3.2) on one view or a pair of views, with the masks of the released code.
+"""The four losses of SNAKE (section 3.2) on one view or a pair of views, with the masks of the released code, and the
+losses of distillation.
 
 Occupancy and saliency are probabilities; a local grid is a row of H^3 values. `inside` marks grid points within the
 volume. Occupancies are detached wherever they weigh a saliency, so that only the occupancy loss shapes the surface.
@@ -84,3 +85,23 @@ def snake_losses(network, batch, autocast, processes=1):
     }
     on_surface = inside & (grid_occupancy >= 0.5)
     return losses, masked_mean((grid_saliency.detach() > 0.9).float(), on_surface, processes)
+
+
+def distillation_losses(network, batch, autocast, processes=1):
+    """Occupancy (eq. 2), distance of both views' saliency to the target and to each other; share of saturated queries.
+
+    Distances are Huber's, of log-odds. batch: that of `snake_losses` with queries (B, 2, Q, 3) of target (B, Q) in
+    place of the grids. Means over equal parts need no correction for several processes.
+    """
+    points, surface, queries, target = (batch[k] for k in ("points", "occupancy_queries", "queries", "target"))
+    size, _, number, _ = surface.shape
+    occupancy, saliency = network(points.flatten(0, 1), torch.cat([surface, queries], dim=2).flatten(0, 1), autocast)
+    occupancy, saliency = (field.unflatten(0, (size, 2)) for field in (occupancy, saliency))
+    student = torch.logit(saliency[:, :, number:], eps=1e-6)
+    label = (torch.arange(number, device=points.device) < number // 2).float()
+    losses = {
+        "occupancy": occupancy_loss(occupancy[:, :, :number], label),
+        "distillation": F.smooth_l1_loss(student, target[:, None].expand_as(student)),
+        "consistency": F.smooth_l1_loss(*student.unbind(1)),
+    }
+    return losses, (saliency[:, :, number:].detach() > 0.9).float().mean()

@@ -16,24 +16,28 @@ from torch.nn.parallel import DistributedDataParallel
 from torch.utils.tensorboard import SummaryWriter
 from tqdm import tqdm
 
-from .augment import two_views
+from .augment import distillation_views, two_views
 from .config import from_json, parse_arguments, to_json
 from .data import Mixture, Procedural, open_shapes
 from .evaluate import DetectOptions, candidates, repeatability, suppress
 from .export import load_network
-from .losses import snake_losses
-from .model import SnakeNetwork
+from .losses import distillation_losses, snake_losses
+from .model import Decoder, SnakeNetwork
+from .targets import Targets
 
 DESCRIPTION = """Train a SNAKE keypoint field without labels. Running the same command again resumes the run from its last
 checkpoint. With torchrun, samples are shared out over the processes."""
 
 
 def make_batch(shapes, config, first, number, device, stream=0):
-    """Samples first .. first + number - 1, each from its own seed, as tensors."""
+    """Samples first .. first + number - 1 of shapes or targets, each from its own seed, as tensors."""
     samples = []
     for index in range(first, first + number):
         rng = np.random.default_rng([config.seed, stream, index])
-        samples.append(two_views(shapes.cloud(rng), config, rng))
+        if isinstance(shapes, Targets):
+            samples.append(distillation_views(shapes.sample(rng), config, rng))
+        else:
+            samples.append(two_views(shapes.cloud(rng), config, rng))
     return {name: torch.from_numpy(np.stack([s[name] for s in samples])).to(device) for name in samples[0]}
 
 
@@ -113,6 +117,8 @@ def starting_network(config):
         raise SystemExit(
             f"--init {config.init} holds another network, {network.config}; the settings give {config.network}"
         )
+    if config.fresh_saliency:
+        network.decoder_keypoint = Decoder(config.network)
     return network
 
 
@@ -129,7 +135,13 @@ def train(config):
     run = Path(config.run_dir)
     resumed = (run / "last.pt").exists()
     try:
-        shapes = Mixture([open_shapes(folder) for folder in config.data], config.procedural_share)
+        if config.targets:
+            shapes, losses_of = Targets(config.targets), distillation_losses
+        else:
+            shapes, losses_of = (
+                Mixture([open_shapes(folder) for folder in config.data], config.procedural_share),
+                snake_losses,
+            )
         held_out = Mixture([open_shapes(folder) for folder in config.validation_data] or [Procedural()], 0.0)
         network = (SnakeNetwork(config.network) if resumed else starting_network(config)).to(device).train()
     except (OSError, ValueError) as error:
@@ -161,7 +173,7 @@ def train(config):
     while step < config.steps:
         optimizer.param_groups[0]["lr"] = learning_rate(config, step)
         batch = make_batch(shapes, config, step * config.batch + rank * share, share, device)
-        losses, saturated = snake_losses(model, batch, config.bf16, world)
+        losses, saturated = losses_of(model, batch, config.bf16, world)
         loss = total_loss(losses, config)
         optimizer.zero_grad()
         loss.backward()

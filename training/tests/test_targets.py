@@ -1,0 +1,146 @@
+"""Distillation: the averaged targets, their file, the views drawn from them, and a run that learns them."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+import torch
+
+from conftest import TINY
+from snake_training import targets as module
+from snake_training.augment import BOUND, distillation_views, normalize
+from snake_training.config import TrainConfig
+from snake_training.data import Procedural
+from snake_training.export import load_network, write_weights
+from snake_training.losses import distillation_losses
+from snake_training.targets import Targets, averaged_log_odds, sample_queries, write_targets
+from snake_training.train import make_batch, train
+
+
+@pytest.fixture
+def file(tmp_path, network):
+    """A file of targets of three procedural shapes."""
+    path = tmp_path / "targets.safetensors"
+    write_targets(path, network, Procedural(3, points=200), rotations=2, queries=64, points=128)
+    return path
+
+
+def test_queries_are_near_the_points_or_uniform_and_within_the_volume():
+    points = np.zeros((10, 3), np.float32)
+    queries = sample_queries(points, 4000, np.random.default_rng(0))
+    distance = np.linalg.norm(queries, axis=1)
+    assert queries.shape == (4000, 3) and queries.dtype == np.float32 and abs(queries).max() <= BOUND
+    assert 0.85 < (distance < 0.13).mean() < 0.9 and distance.max() > 0.5
+
+
+def test_one_unturned_copy_gives_the_networks_own_log_odds(network):
+    rng = np.random.default_rng(1)
+    points, queries = (rng.uniform(-0.4, 0.4, (number, 3)).astype(np.float32) for number in (128, 50))
+    target = averaged_log_odds(network, points, queries, np.eye(3, dtype=np.float32)[None])
+    volume = network.encode(torch.from_numpy(points)[None], autocast=True)
+    occupancy, saliency = network.occupancy_and_saliency(volume, torch.from_numpy(queries)[None])
+    expected = 0.5 * (torch.logit(saliency) + 2 * torch.log((occupancy + 0.02) / 1.02))[0]
+    assert np.allclose(target, expected.detach(), atol=1e-5)
+
+
+def test_the_mean_over_turned_copies_is_that_of_the_copies(network):
+    """A field that depends on the direction of the axes: each turn alone, and their mean."""
+    rng = np.random.default_rng(2)
+    points, queries = (rng.uniform(-0.4, 0.4, (number, 3)).astype(np.float32) for number in (128, 50))
+    turns = np.stack([module.random_rotation(rng) for _ in range(3)])
+    mean = averaged_log_odds(network, points, queries, turns)
+    volumes = [network.encode(torch.from_numpy(points @ turn.T)[None], autocast=True) for turn in turns]
+    fields = [
+        network.occupancy_and_saliency(volume, torch.from_numpy(queries @ turn.T)[None])
+        for volume, turn in zip(volumes, turns)
+    ]
+    log_odds = sum(torch.logit(saliency) for _, saliency in fields) / 3
+    occupancy = sum(occupancy for occupancy, _ in fields) / 3
+    expected = 0.5 * (log_odds + 2 * torch.log((occupancy + 0.02) / 1.02))[0].detach().numpy()
+    assert np.allclose(mean, expected, atol=5e-3)  # bfloat16
+    assert np.ptp([torch.logit(saliency).detach() for _, saliency in fields], axis=0).max() > 0.05
+
+
+def test_a_file_holds_the_shapes_and_comes_back(file, tmp_path):
+    targets = Targets(file)
+    assert len(targets) == 3 and [p.name for p in tmp_path.iterdir()] == [file.name]
+    clouds = [normalize(Procedural(3, points=200)[row])[0] for row in range(3)]
+    points, queries, target = targets.sample(np.random.default_rng(0))
+    assert points.shape == (128, 3) and queries.shape == (64, 3) and target.shape == (64,)
+    assert points.dtype == queries.dtype == target.dtype == np.float32
+    gaps = [np.linalg.norm(points[:, None] - cloud[None], axis=2).min(axis=1).max() for cloud in clouds]
+    first, second, _ = sorted(gaps)
+    assert first < 1e-4 < second
+    assert np.isfinite(target).all() and -7 < target.min() and target.max() <= 4
+
+
+def test_another_file_is_refused(tmp_path, network):
+    path = tmp_path / "weights.safetensors"
+    write_weights(path, network.config, network.state_dict())
+    with pytest.raises(ValueError, match="not a file of python -m snake_training.targets"):
+        Targets(path)
+    path.write_bytes(b"short")
+    with pytest.raises(ValueError, match="weights.safetensors"):
+        Targets(path)
+
+
+def test_the_command_writes_targets_and_refuses_what_it_cannot_do(tmp_path, network, capsys):
+    weights, output = tmp_path / "weights.safetensors", tmp_path / "targets.safetensors"
+    write_weights(weights, network.config, network.state_dict())
+    small = ["--rotations", "1", "--queries", "16", "--points", "32"]
+    module.main([str(weights), "-o", str(output), "--procedural", "2", *small])
+    assert len(Targets(output)) == 2
+    output.unlink()
+    for wrong, said in ((["--procedural", "0"], "no shapes"), (["--rotations", "0"], "--rotations must be 1 or more")):
+        with pytest.raises(SystemExit):
+            module.main([str(weights), "-o", str(output), *small, *wrong])
+        assert said in capsys.readouterr().err and not output.exists()
+
+
+def test_views_show_the_same_places(file):
+    config = TrainConfig(**TINY | {"degraded_share": 0.0, "num_targets": 40})
+    shape = Targets(file).sample(np.random.default_rng(3))
+    sample = distillation_views(shape, config, np.random.default_rng(4))
+    assert {name: value.shape for name, value in sample.items()} == {
+        "points": (2, 128, 3), "occupancy_queries": (2, 64, 3), "queries": (2, 40, 3), "target": (40,),
+    }  # fmt: skip
+    # Undegraded views are rigid copies of one cloud: distances between queries agree, and are those of the shape.
+    apart = [np.linalg.norm(view[:, None] - view[None], axis=2) for view in sample["queries"]]
+    assert np.allclose(*apart, atol=1e-5)
+    assert not np.allclose(*sample["queries"], atol=0.01)
+    # Half of the queries are from the fifth of highest target.
+    assert (sample["target"] >= np.sort(shape[2])[-len(shape[2]) // 5]).mean() >= 0.5
+
+
+def test_degraded_views_are_thinned_and_noisy(file):
+    settings = {"degraded_share": 1.0, "max_downsampling": 16.0, "max_noise": 0.05}
+    shape, config = Targets(file).sample(np.random.default_rng(3)), TrainConfig(**TINY | settings)
+    samples = [distillation_views(shape, config, np.random.default_rng(seed)) for seed in range(20)]
+    distinct = [len(np.unique(view, axis=0)) for sample in samples for view in sample["points"]]
+    assert min(distinct) < 16 and max(distinct) > 90 and min(distinct) >= 128 // 16
+
+
+def test_losses_vanish_for_a_network_that_is_its_own_target(file, network):
+    batch = make_batch(Targets(file), TrainConfig(**TINY | {"num_targets": 40}), 0, 2, "cpu")
+    queries = batch["queries"].flatten(0, 1)
+    saliency = network(batch["points"].flatten(0, 1), queries)[1].detach().unflatten(0, (2, 2))
+    matched = batch | {"target": torch.logit(saliency[:, 0])}
+    losses, _ = distillation_losses(network, matched, False)
+    # The first view meets its target; the second misses it by what it misses the first by.
+    assert losses["distillation"].item() == pytest.approx(losses["consistency"].item() / 2, rel=1e-4)
+    still = {name: value[:, :1].expand_as(value) if value.ndim == 4 else value for name, value in matched.items()}
+    losses, _ = distillation_losses(network, still, False)
+    assert losses["distillation"].item() < 1e-9 and losses["consistency"].item() == 0
+
+
+def test_a_run_learns_the_targets(file, tiny, tmp_path, network):
+    weights = tmp_path / "teacher.safetensors"
+    write_weights(weights, network.config, network.state_dict())
+    config = tiny(targets=str(file), init=str(weights), fresh_saliency=True, steps=30, learning_rate=1e-2, batch=4)
+    train(config)
+    batch = make_batch(Targets(file), dataclasses.replace(config, seed=9), 0, 8, "cpu")
+    student = load_network(config.run_dir)
+    after = distillation_losses(student, batch, False)[0]["distillation"].item()
+    mean = batch["target"].mean()
+    constant = torch.nn.functional.smooth_l1_loss(mean.expand_as(batch["target"]), batch["target"]).item()
+    assert after < constant
