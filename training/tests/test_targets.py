@@ -8,12 +8,12 @@ import torch
 
 from conftest import TINY
 from snake_training import targets as module
-from snake_training.augment import BOUND, distillation_views, normalize
+from snake_training.augment import BOUND, distillation_views, normalize, random_rotation
 from snake_training.config import TrainConfig
 from snake_training.data import Procedural
 from snake_training.export import load_network, write_weights
 from snake_training.losses import distillation_losses
-from snake_training.targets import Targets, averaged_log_odds, sample_queries, write_targets
+from snake_training.targets import Targets, averaged_fields, rank_targets, sample_queries, write_targets
 from snake_training.train import make_batch, train
 
 
@@ -33,32 +33,44 @@ def test_queries_are_near_the_points_or_uniform_and_within_the_volume():
     assert 0.85 < (distance < 0.13).mean() < 0.9 and distance.max() > 0.5
 
 
-def test_one_unturned_copy_gives_the_networks_own_log_odds(network):
-    rng = np.random.default_rng(1)
-    points, queries = (rng.uniform(-0.4, 0.4, (number, 3)).astype(np.float32) for number in (128, 50))
-    target = averaged_log_odds(network, points, queries, np.eye(3, dtype=np.float32)[None])
-    volume = network.encode(torch.from_numpy(points)[None], autocast=True)
-    occupancy, saliency = network.occupancy_and_saliency(volume, torch.from_numpy(queries)[None])
-    expected = 0.5 * (torch.logit(saliency) + 2 * torch.log((occupancy + 0.02) / 1.02))[0]
-    assert np.allclose(target, expected.detach(), atol=1e-5)
-
-
-def test_the_mean_over_turned_copies_is_that_of_the_copies(network):
-    """A field that depends on the direction of the axes: each turn alone, and their mean."""
+def test_fields_are_the_means_over_turned_copies(network):
     rng = np.random.default_rng(2)
     points, queries = (rng.uniform(-0.4, 0.4, (number, 3)).astype(np.float32) for number in (128, 50))
-    turns = np.stack([module.random_rotation(rng) for _ in range(3)])
-    mean = averaged_log_odds(network, points, queries, turns)
+    turns = np.stack([random_rotation(rng) for _ in range(3)])
+    found = averaged_fields(network, points, queries, turns)
     volumes = [network.encode(torch.from_numpy(points @ turn.T)[None], autocast=True) for turn in turns]
     fields = [
         network.occupancy_and_saliency(volume, torch.from_numpy(queries @ turn.T)[None])
         for volume, turn in zip(volumes, turns)
     ]
-    log_odds = sum(torch.logit(saliency) for _, saliency in fields) / 3
-    occupancy = sum(occupancy for occupancy, _ in fields) / 3
-    expected = 0.5 * (log_odds + 2 * torch.log((occupancy + 0.02) / 1.02))[0].detach().numpy()
-    assert np.allclose(mean, expected, atol=5e-3)  # bfloat16
-    assert np.ptp([torch.logit(saliency).detach() for _, saliency in fields], axis=0).max() > 0.05
+    log_odds = torch.stack([torch.logit(saliency[0]) for _, saliency in fields]).detach().numpy()
+    occupancy = torch.stack([occupancy[0] for occupancy, _ in fields]).detach()
+    assert np.allclose(found[0], log_odds.mean(dim=0), atol=0.01)  # bfloat16
+    assert np.allclose(found[1], occupancy.mean(dim=0), atol=0.01)
+    assert np.ptp(log_odds, axis=0).max() > 0.05
+
+
+def test_targets_keep_the_order_and_spread_the_best():
+    """On the surface the share of better queries decides: e times fewer are 0.6 higher."""
+    rng = np.random.default_rng(0)
+    saturated = np.tanh(rng.normal(size=(4, 10000)) + 2).astype(np.float32)
+    target = rank_targets(saturated, np.ones_like(saturated))
+    order = saturated.ravel().argsort()[::-1]
+    best_first = target.ravel()[order]
+    assert (np.diff(best_first) <= 0).all()
+    assert best_first[400] - best_first[1087] == pytest.approx(0.6, abs=0.02)
+    above = (1 / (1 + np.exp(-target)) > 0.7).mean()
+    assert above == pytest.approx(0.046, abs=0.002)
+
+
+def test_targets_fall_off_the_surface():
+    log_odds = np.linspace(-5, 5, 100, dtype=np.float32)
+    occupancy = np.repeat([[1.0], [0.6], [0.1], [0.0]], 100, axis=1).astype(np.float32)
+    target = rank_targets(np.stack([log_odds] * 4), occupancy)
+    assert (target[0, 1:] > target[1, 1:]).all() and (target[1, 50:] > target[2, 50:]).all()
+    assert target.min() == -3 and target[3, :50].max() == -3
+    with pytest.raises(ValueError, match="no surface"):
+        rank_targets(log_odds, np.zeros_like(log_odds))
 
 
 def test_a_file_holds_the_shapes_and_comes_back(file, tmp_path):
@@ -71,7 +83,7 @@ def test_a_file_holds_the_shapes_and_comes_back(file, tmp_path):
     gaps = [np.linalg.norm(points[:, None] - cloud[None], axis=2).min(axis=1).max() for cloud in clouds]
     first, second, _ = sorted(gaps)
     assert first < 1e-4 < second
-    assert np.isfinite(target).all() and -7 < target.min() and target.max() <= 4
+    assert np.isfinite(target).all() and -3 <= target.min() and target.max() < 5
 
 
 def test_another_file_is_refused(tmp_path, network):
