@@ -45,7 +45,7 @@ def test_fields_are_the_means_over_turned_copies(network):
     ]
     log_odds = torch.stack([torch.logit(saliency[0]) for _, saliency in fields]).detach().numpy()
     occupancy = torch.stack([occupancy[0] for occupancy, _ in fields]).detach()
-    assert np.allclose(found[0], log_odds.mean(dim=0), atol=0.01)  # bfloat16
+    assert np.allclose(found[0], log_odds.mean(axis=0), atol=0.01)  # bfloat16
     assert np.allclose(found[1], occupancy.mean(dim=0), atol=0.01)
     assert np.ptp(log_odds, axis=0).max() > 0.05
 
