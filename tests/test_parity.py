@@ -239,10 +239,11 @@ def test_refined_candidates(pair, method, selection):
     assert np.median(moved) > 5e-3  # what is compared did move
 
 
-@pytest.mark.parametrize("method", ["adam", "gradient-descent"])
-def test_detected_keypoints(pair, method):
+@pytest.mark.parametrize(("method", "band"), [("adam", 0), ("gradient-descent", 0), ("adam", 1)])
+def test_detected_keypoints(pair, method, band):
     network, model, points = pair
     options = OPTIONS | {"normalization": "none", "refine_method": method, "nms_radius": 0.08, "max_keypoints": 40}
+    options["query_band"] = band
     expected = detect(network, points, DetectOptions(**options))
     found = rows(snake_rs.detect(points, model, **options))
     assert 5 < len(found) <= 40 and abs(len(found) - len(expected)) <= 1

@@ -24,6 +24,7 @@ class _EncodeOptions(_Preset, total=False):
 @type_check_only
 class _DetectOptions(_Preset, total=False):
     query_resolution: int
+    query_band: int
     occupancy_threshold: float
     refine_steps: int
     refine_step_size: float

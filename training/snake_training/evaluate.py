@@ -9,11 +9,13 @@ from dataclasses import dataclass
 
 import numpy as np
 import torch
+import torch.nn.functional as F
 from tqdm import tqdm
 
 from .augment import choose, normalize, random_rotation
 from .data import open_shapes
 from .export import load_network
+from .model import voxel_index
 
 CHOICES = {
     "normalization": ("unit-sphere", "unit-cube", "none"),
@@ -28,6 +30,7 @@ class DetectOptions:
 
     normalization: str = "unit-sphere"
     query_resolution: int = 64  # queries along each axis
+    query_band: int = 0  # voxels: queries farther than this from every voxel with points are dropped; 0: none is
     occupancy_threshold: float = 0.5  # queries below are dropped before refinement
     refine_steps: int = 10  # J
     refine_step_size: float = 1e-3  # network units (Adam's learning rate)
@@ -105,13 +108,24 @@ def select(position, score, options):
     return found[suppress(found[:, :3], options.nms_radius, options.max_keypoints)].numpy()
 
 
+def near_points(config, points, queries, reach):
+    """(Q,): whether a query (Q, 3) lies at most `reach` voxels, along every axis, from a voxel with points (N, 3)."""
+    occupied = queries.new_zeros(1, *reversed(config.resolution))
+    occupied.view(-1)[voxel_index(points, config)] = 1
+    near = F.max_pool3d(occupied, 2 * reach + 1, stride=1, padding=reach)
+    return near.view(-1)[voxel_index(queries, config)] > 0
+
+
 def refined_queries(network, points, options):
     """Occupied grid queries after refinement: positions (K, 3) in the frame of the cloud `points`, scores (K,)."""
     device = next(network.parameters()).device
     unit, center, scale = normalize(points, options.normalization)
     with torch.no_grad():
-        volume = network.encode(torch.from_numpy(unit)[None].to(device))
+        unit = torch.from_numpy(unit).to(device)
+        volume = network.encode(unit[None])
         queries = query_grid(network.config, options.query_resolution, device)
+        if options.query_band:
+            queries = queries[near_points(network.config, unit, queries, options.query_band)]
         occupancy = torch.cat([network.occupancy(volume, chunk[None])[0] for chunk in queries.split(1 << 15)])
     queries = queries[occupancy > options.occupancy_threshold]
     if len(queries) == 0:

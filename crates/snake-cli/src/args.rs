@@ -87,6 +87,10 @@ pub struct DetectFlags {
     /// Queries along each axis of the starting grid.
     #[arg(long)]
     query_resolution: Option<usize>,
+    /// Ask only queries at most this many voxels from a voxel with points, along each axis; 0: all. Faster, and hardly
+    /// ever different.
+    #[arg(long)]
+    query_band: Option<usize>,
     /// Refinement steps (J).
     #[arg(long)]
     refine_steps: Option<usize>,
@@ -131,6 +135,7 @@ impl DetectFlags {
         override_with(&mut encode.max_points, self.max_points.map(Some));
         override_with(&mut encode.seed, self.seed);
         override_with(&mut detect.query_resolution, self.query_resolution);
+        override_with(&mut detect.query_band, self.query_band);
         override_with(&mut detect.refine_steps, self.refine_steps);
         override_with(&mut detect.refine_step_size, self.refine_step_size);
         override_with(&mut detect.refine_method, self.refine_method);

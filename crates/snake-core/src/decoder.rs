@@ -1,6 +1,7 @@
 //! The implicit decoder: a residual MLP on the query that receives the interpolated feature before every block.
 
-use crate::nn::{Linear, ResnetBlockFc, relu};
+use crate::kernels::Then;
+use crate::nn::{Linear, ResnetBlockFc};
 use crate::points::Point;
 use crate::weights::Scope;
 use crate::{ModelConfig, Result};
@@ -43,11 +44,11 @@ struct Stage {
     block: ResnetBlockFc,
 }
 
-/// What the forward pass leaves for the backward pass: inputs of each block and of its second layer, before ReLU.
-#[derive(Default)]
+/// What the forward pass leaves for the backward pass: the ReLUs, of which zeros stop the gradient.
 struct Trace {
-    inputs: Vec<Vec<f32>>,
-    hidden: Vec<Vec<f32>>,
+    /// Of each block's input and of its first layer's output, `(2 stages, queries, width)`.
+    relus: Vec<f32>,
+    /// Of the last block's output.
     last: Vec<f32>,
 }
 
@@ -88,62 +89,43 @@ impl Decoder {
 
     /// Probabilities at queries in the network's frame with their features `(queries, c_dim)`.
     pub(crate) fn values(&self, queries: &[Point], features: &[f32]) -> Vec<f32> {
-        self.logits(queries, features, None).into_iter().map(|logit| self.head.apply(logit).0).collect()
+        self.logits(queries, features).0.into_iter().map(|logit| self.head.apply(logit).0).collect()
     }
 
     /// Probabilities and gradients; the backward pass is written by hand.
     pub(crate) fn values_and_gradients(&self, queries: &[Point], features: &[f32]) -> ValuesAndGradients {
-        let mut trace = Trace::default();
-        let logits = self.logits(queries, features, Some(&mut trace));
+        let (logits, trace) = self.logits(queries, features);
         let (values, slopes): (Vec<f32>, Vec<f32>) = logits.into_iter().map(|logit| self.head.apply(logit)).unzip();
 
-        let mut gradient = vec![0.0; trace.last.len()];
-        self.fc_out.backward(&slopes, &mut gradient);
-        mask(&mut gradient, &trace.last);
+        let size = trace.last.len();
+        let (mut gradient, mut in_hidden) = (vec![0.0; size], vec![0.0; size]);
         let mut in_feature = vec![0.0; features.len()];
-        for (stage, (input, hidden)) in self.stages.iter().zip(trace.inputs.iter().zip(&trace.hidden)).rev() {
-            let mut in_hidden = vec![0.0; hidden.len()];
-            stage.block.fc_1.backward(&gradient, &mut in_hidden);
-            mask(&mut in_hidden, hidden);
-            let mut in_input = vec![0.0; input.len()];
-            stage.block.fc_0.backward(&in_hidden, &mut in_input);
-            mask(&mut in_input, input);
-            gradient.iter_mut().zip(&in_input).for_each(|(g, i)| *g += i);
-            stage.fc_c.backward_add(&gradient, &mut in_feature);
+        self.fc_out.backward(&slopes, &mut gradient, Then::Mask(&trace.last));
+        for (stage, relus) in self.stages.iter().zip(trace.relus.chunks_exact(2 * size)).rev() {
+            let (input, hidden) = relus.split_at(size);
+            stage.block.fc_1.backward(&gradient, &mut in_hidden, Then::Mask(hidden));
+            stage.block.fc_0.backward(&in_hidden, &mut gradient, Then::AddMasked(input));
+            stage.fc_c.backward(&gradient, &mut in_feature, Then::Add);
         }
         let mut in_query = vec![0.0; queries.len() * 3];
-        self.fc_p.backward(&gradient, &mut in_query);
+        self.fc_p.backward(&gradient, &mut in_query, Then::Store);
         ValuesAndGradients { values, in_query, in_feature }
     }
 
-    fn logits(&self, queries: &[Point], features: &[f32], mut trace: Option<&mut Trace>) -> Vec<f32> {
+    fn logits(&self, queries: &[Point], features: &[f32]) -> (Vec<f32>, Trace) {
         let size = queries.len() * self.fc_p.outputs();
-        let (mut input, mut output, mut hidden) = (vec![0.0; size], vec![0.0; size], Vec::new());
-        self.fc_p.forward(queries.as_flattened(), &mut input);
-        for stage in &self.stages {
-            stage.fc_c.forward_add(features, &mut input);
-            stage.block.forward(&input, &mut hidden, &mut output);
-            if let Some(trace) = &mut trace {
-                trace.inputs.push(input.clone());
-                trace.hidden.push(hidden.clone());
-            }
-            std::mem::swap(&mut input, &mut output);
+        let mut state = vec![0.0; size];
+        let mut trace = Trace { relus: vec![0.0; 2 * self.stages.len() * size], last: vec![0.0; size] };
+        self.fc_p.forward(queries.as_flattened(), &mut state, Then::Store);
+        for (stage, relus) in self.stages.iter().zip(trace.relus.chunks_exact_mut(2 * size)) {
+            let (input, hidden) = relus.split_at_mut(size);
+            stage.fc_c.forward(features, &mut state, Then::AddAndRelu(input));
+            stage.block.fc_0.forward(input, hidden, Then::Relu);
+            stage.block.fc_1.forward(hidden, &mut state, Then::AddAndRelu(&mut trace.last));
         }
         let mut logits = vec![0.0; queries.len()];
-        self.fc_out.forward(&relu(&input), &mut logits);
-        if let Some(trace) = trace {
-            trace.last = input;
-        }
-        logits
-    }
-}
-
-/// Sets the gradient to zero where ReLU did.
-fn mask(gradient: &mut [f32], before_relu: &[f32]) {
-    for (g, &x) in gradient.iter_mut().zip(before_relu) {
-        if x <= 0.0 {
-            *g = 0.0;
-        }
+        self.fc_out.forward(&trace.last, &mut logits, Then::Store);
+        (logits, trace)
     }
 }
 

@@ -55,6 +55,9 @@ pub enum Selection {
 pub struct DetectOptions {
     /// Queries along each axis of the starting grid, which spans the network's cube ±0.5.
     pub query_resolution: usize,
+    /// Queries more than this many voxels of the volume, along any axis, from every voxel with input points are dropped
+    /// unasked: far from the points there is hardly ever a surface, and there are many such queries. 0: all are asked.
+    pub query_band: usize,
     /// Queries whose occupancy is not above this are dropped before refinement (1 − thr_o).
     pub occupancy_threshold: f32,
     /// Refinement steps (J).
@@ -81,6 +84,7 @@ impl Default for DetectOptions {
     fn default() -> Self {
         Self {
             query_resolution: 64,
+            query_band: 0,
             occupancy_threshold: 0.5,
             refine_steps: 10,
             refine_step_size: 1e-3,
@@ -101,6 +105,7 @@ impl DetectOptions {
             if range.contains(&value) { Ok(()) } else { Err(Error::Option { name, value: value.to_string(), allowed }) }
         };
         within("query_resolution", self.query_resolution as f32, 1.0..=1024.0, "1 to 1024")?;
+        within("query_band", self.query_band as f32, 0.0..=1024.0, "0 to 1024 (voxels)")?;
         within("refine_steps", self.refine_steps as f32, 0.0..=10_000.0, "0 to 10000")?;
         within("refine_step_size", self.refine_step_size, 0.0..=1.0, "0 to 1 (network units)")?;
         within("occupancy_threshold", self.occupancy_threshold, 0.0..=1.0, "0 to 1")?;
@@ -247,16 +252,75 @@ pub(crate) fn occupied_queries(field: &Field, options: &DetectOptions) -> Vec<Po
             high - step * (resolution - 1 - i) as f32
         }
     };
-    let line = |row: usize| -> Vec<Point> {
-        let (x, y) = (along(-0.5, 0.5, row / resolution), along(-0.5, 0.5, row % resolution));
-        (0..resolution).map(|z| [x, y, along(z_min, z_max, z)]).collect()
+    let band = (options.query_band > 0).then(|| voxels_near_points(field, options.query_band));
+    let frame = field.volume().frame();
+    let plane = |x: usize| -> Vec<Point> {
+        let x = along(-0.5, 0.5, x);
+        (0..resolution * resolution)
+            .map(|i| [x, along(-0.5, 0.5, i / resolution), along(z_min, z_max, i % resolution)])
+            .filter(|&query| band.as_ref().is_none_or(|band| band[frame.voxel(query)]))
+            .collect()
     };
     let occupied = |tile: &[Point]| -> Vec<Point> {
         let occupancy = field.tile_values(Quantity::Occupancy, tile);
         tile.iter().zip(occupancy).filter(|(_, o)| *o > options.occupancy_threshold).map(|(q, _)| *q).collect()
     };
-    (0..resolution * resolution)
+    (0..resolution)
         .into_par_iter()
-        .flat_map_iter(|row| line(row).chunks(TILE).flat_map(occupied).collect::<Vec<_>>())
+        .flat_map_iter(|x| plane(x).chunks(TILE).flat_map(occupied).collect::<Vec<_>>())
         .collect()
+}
+
+/// Of each voxel of the volume, whether a voxel with input points is at most `reach` away along every axis.
+fn voxels_near_points(field: &Field, reach: usize) -> Vec<bool> {
+    let frame = field.volume().frame();
+    let mut near = vec![false; frame.resolution.iter().product()];
+    for &point in field.points() {
+        near[frame.voxel(field.normalization().to_network(point))] = true;
+    }
+    let mut stride = 1;
+    for length in frame.resolution {
+        let before = near.clone();
+        for (voxel, near) in near.iter_mut().enumerate() {
+            let place = voxel / stride % length;
+            let line = voxel - place * stride;
+            *near = (place.saturating_sub(reach)..=(place + reach).min(length - 1)).any(|i| before[line + i * stride]);
+        }
+        stride *= length;
+    }
+    near
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::Model;
+
+    #[test]
+    fn the_band_drops_only_queries_far_from_all_points() {
+        let points: Vec<Point> = (0..2000)
+            .map(|i| {
+                let angle = i as f32 * 0.1;
+                [angle.cos(), angle.sin(), (i % 40) as f32 * 0.02]
+            })
+            .collect();
+        let field = Model::builtin().unwrap().encode(&points, &EncodeOptions::default()).unwrap();
+        let all = occupied_queries(&field, &DetectOptions::default());
+        let frame = field.volume().frame();
+        let voxel = |point: Point| {
+            let flat = frame.voxel(point);
+            [flat % 32, flat / 32 % 32, flat / 1024]
+        };
+        let occupied: Vec<_> = points.iter().map(|&p| voxel(field.normalization().to_network(p))).collect();
+        for reach in [1, 2] {
+            let near = |query: &&Point| {
+                let place = voxel(**query);
+                occupied.iter().any(|other| (0..3).all(|axis| place[axis].abs_diff(other[axis]) <= reach))
+            };
+            let expected: Vec<Point> = all.iter().filter(near).copied().collect();
+            let options = DetectOptions { query_band: reach, ..Default::default() };
+            assert_eq!(occupied_queries(&field, &options), expected);
+        }
+        assert!(!all.is_empty());
+    }
 }

@@ -1,9 +1,13 @@
 //! Layers: weights, shape check, call to a kernel. Rows of features are flat `(rows, width)`.
 
+use std::sync::{Mutex, PoisonError};
+
 use rayon::prelude::*;
 
 use crate::Result;
-use crate::kernels::{self, PackedConv3d, PackedLinear, SimdLevel};
+use crate::kernels::{
+    self, Blank, Conv3d, GroupNorm, PackedConv3d, PackedLinear, SimdLevel, Source, Then, channel_sums,
+};
 use crate::weights::Scope;
 
 /// Rows that one task handles at a time: their features stay in the first-level cache.
@@ -39,24 +43,14 @@ impl Linear {
         self.packed.outputs
     }
 
-    /// `output = W input + b`.
-    pub(crate) fn forward(&self, input: &[f32], output: &mut [f32]) {
-        kernels::linear(SimdLevel::current(), &self.packed, input, output, false);
+    /// `W input + b`.
+    pub(crate) fn forward(&self, input: &[f32], output: &mut [f32], then: Then) {
+        kernels::linear(SimdLevel::current(), &self.packed, input, output, then);
     }
 
-    /// `output += W input + b`.
-    pub(crate) fn forward_add(&self, input: &[f32], output: &mut [f32]) {
-        kernels::linear(SimdLevel::current(), &self.packed, input, output, true);
-    }
-
-    /// `output = Wᵀ gradient`.
-    pub(crate) fn backward(&self, gradient: &[f32], output: &mut [f32]) {
-        kernels::linear(SimdLevel::current(), &self.transposed, gradient, output, false);
-    }
-
-    /// `output += Wᵀ gradient`.
-    pub(crate) fn backward_add(&self, gradient: &[f32], output: &mut [f32]) {
-        kernels::linear(SimdLevel::current(), &self.transposed, gradient, output, true);
+    /// `Wᵀ gradient`.
+    pub(crate) fn backward(&self, gradient: &[f32], output: &mut [f32], then: Then) {
+        kernels::linear(SimdLevel::current(), &self.transposed, gradient, output, then);
     }
 }
 
@@ -79,22 +73,18 @@ impl ResnetBlockFc {
         })
     }
 
-    /// The block's output for rows of input; `hidden`, resized as needed, keeps what `fc_0` gave.
-    pub(crate) fn forward(&self, input: &[f32], hidden: &mut Vec<f32>, output: &mut [f32]) {
+    /// The block's output for rows of input.
+    pub(crate) fn forward(&self, input: &[f32], output: &mut [f32]) {
+        let rectified: Vec<f32> = input.iter().map(|v| v.max(0.0)).collect();
         let rows = output.len() / self.fc_1.outputs();
-        hidden.resize(rows * self.fc_0.outputs(), 0.0);
-        self.fc_0.forward(&relu(input), hidden);
+        let mut hidden = vec![0.0; rows * self.fc_0.outputs()];
+        self.fc_0.forward(&rectified, &mut hidden, Then::Relu);
         match &self.shortcut {
-            Some(shortcut) => shortcut.forward(input, output),
+            Some(shortcut) => shortcut.forward(input, output, Then::Store),
             None => output.copy_from_slice(input),
         }
-        self.fc_1.forward_add(&relu(hidden), output);
+        self.fc_1.forward(&hidden, output, Then::Add);
     }
-}
-
-/// `max(x, 0)` of each value.
-pub(crate) fn relu(values: &[f32]) -> Vec<f32> {
-    values.iter().map(|v| v.max(0.0)).collect()
 }
 
 /// Channels-last values of a volume while it passes through the U-Net.
@@ -104,20 +94,49 @@ pub(crate) struct Tensor {
     pub(crate) size: [usize; 3],
     pub(crate) channels: usize,
     pub(crate) values: Vec<f32>,
+    /// Sum and sum of squares of each channel.
+    sums: Vec<[f64; 2]>,
+    /// Where the values are known to repeat.
+    pub(crate) blank: Option<Blank>,
+}
+
+/// Memory of volumes that have been used, for the next ones: the system would clear fresh pages page by page.
+#[derive(Debug, Default)]
+pub(crate) struct Pool(Mutex<Vec<Vec<f32>>>);
+
+impl Pool {
+    /// `length` values, whatever they are.
+    pub(crate) fn take(&self, length: usize) -> Vec<f32> {
+        let mut free = self.0.lock().unwrap_or_else(PoisonError::into_inner);
+        match free.iter().position(|values| values.len() == length) {
+            Some(place) => free.swap_remove(place),
+            None => vec![0.0; length],
+        }
+    }
+
+    pub(crate) fn give(&self, tensor: Tensor) {
+        self.0.lock().unwrap_or_else(PoisonError::into_inner).push(tensor.values);
+    }
 }
 
 impl Tensor {
-    pub(crate) fn zeros(size: [usize; 3], channels: usize) -> Self {
-        Self { size, channels, values: vec![0.0; size.iter().product::<usize>() * channels] }
+    pub(crate) fn new(size: [usize; 3], channels: usize, values: Vec<f32>) -> Self {
+        let sums = channel_sums(&values, channels);
+        Self { size, channels, values, sums, blank: None }
+    }
+
+    fn voxels(&self) -> usize {
+        self.size.iter().product()
     }
 
     /// Maximum over blocks of 2x2x2; an odd last slice is dropped.
-    pub(crate) fn max_pool(&self) -> Self {
-        let mut pooled = Self::zeros(self.size.map(|n| n / 2), self.channels);
-        let ([_, height, width], channels) = (pooled.size, self.channels);
-        pooled.values.par_chunks_mut(width * channels).enumerate().for_each(|(row, out)| {
+    pub(crate) fn max_pool(&self, pool: &Pool) -> Self {
+        let (size, channels) = (self.size.map(|n| n / 2), self.channels);
+        let [_, height, width] = size;
+        let mut pooled = pool.take(size.iter().product::<usize>() * channels);
+        pooled.fill(f32::NEG_INFINITY);
+        pooled.par_chunks_mut(width * channels).enumerate().for_each(|(row, out)| {
             let (z, y) = (row / height, row % height);
-            out.fill(f32::NEG_INFINITY);
             for corner in 0..4 {
                 let line = &self.line(2 * z + corner / 2, 2 * y + corner % 2)[..2 * width * channels];
                 for (out, pair) in out.chunks_exact_mut(channels).zip(line.chunks_exact(2 * channels)) {
@@ -128,16 +147,16 @@ impl Tensor {
                 }
             }
         });
-        pooled
+        Self::new(size, channels, pooled)
     }
 
     /// `self` and, behind its channels, `coarse` upsampled to its size by nearest neighbour
     /// (index = floor(i · coarse / fine)).
-    pub(crate) fn concat_upsampled(&self, coarse: &Self) -> Self {
-        let mut joined = Self::zeros(self.size, self.channels + coarse.channels);
-        let ([_, height, width], channels) = (self.size, joined.channels);
+    pub(crate) fn concat_upsampled(&self, coarse: &Self, pool: &Pool) -> Self {
+        let ([_, height, width], channels) = (self.size, self.channels + coarse.channels);
+        let mut joined = pool.take(self.voxels() * channels);
         let source = |axis: usize, i: usize| i * coarse.size[axis] / self.size[axis];
-        joined.values.par_chunks_mut(width * channels).enumerate().for_each(|(row, out)| {
+        joined.par_chunks_mut(width * channels).enumerate().for_each(|(row, out)| {
             let (z, y) = (row / height, row % height);
             let (fine_line, coarse_line) = (self.line(z, y), coarse.line(source(0, z), source(1, y)));
             for (x, out) in out.chunks_exact_mut(channels).enumerate() {
@@ -146,18 +165,15 @@ impl Tensor {
                 upsampled.copy_from_slice(&coarse_line[source(2, x) * coarse.channels..][..coarse.channels]);
             }
         });
-        joined
+        Self::new(self.size, channels, joined)
     }
 
     /// A linear layer at each voxel (a 1x1x1 convolution).
-    pub(crate) fn pointwise(&self, layer: &Linear) -> Self {
-        let mut output = Self::zeros(self.size, layer.outputs());
+    pub(crate) fn pointwise(&self, layer: &Linear) -> Vec<f32> {
+        let mut output = vec![0.0; self.voxels() * layer.outputs()];
         let chunks = self.values.par_chunks(TILE * self.channels);
-        output
-            .values
-            .par_chunks_mut(TILE * layer.outputs())
-            .zip(chunks)
-            .for_each(|(out, input)| layer.forward(input, out));
+        let outputs = output.par_chunks_mut(TILE * layer.outputs());
+        outputs.zip(chunks).for_each(|(out, input)| layer.forward(input, out, Then::Store));
         output
     }
 
@@ -170,41 +186,61 @@ impl Tensor {
 /// GroupNorm, 3x3x3 convolution without bias, ReLU ("gcr").
 #[derive(Debug)]
 pub(crate) struct SingleConv {
-    groups: usize,
-    norm_weight: Vec<f32>,
-    norm_bias: Vec<f32>,
+    norm: GroupNorm,
     conv: PackedConv3d,
 }
 
 impl SingleConv {
-    const NORM_EPSILON: f64 = 1e-5;
-
-    pub(crate) fn load(scope: &Scope, inputs: usize, outputs: usize, groups: usize) -> Result<Self> {
+    /// For inputs of these channels side by side, each upsampled by two or not.
+    pub(crate) fn load(scope: &Scope, sources: &[(usize, bool)], outputs: usize, groups: usize) -> Result<Self> {
+        let inputs = sources.iter().map(|source| source.0).sum();
         let weight = scope.tensor("conv.weight", &[outputs, inputs, 3, 3, 3])?;
         let groups = if inputs < groups { 1 } else { groups };
         if !inputs.is_multiple_of(groups) {
             let found = format!("{inputs} channels at a normalisation");
             return Err(crate::weights::error("group_norm_groups", "a divisor of every layer's channels", found));
         }
+        let (weight_of_norm, bias) =
+            (scope.tensor("groupnorm.weight", &[inputs])?, scope.tensor("groupnorm.bias", &[inputs])?);
         Ok(Self {
-            groups,
-            norm_weight: scope.tensor("groupnorm.weight", &[inputs])?,
-            norm_bias: scope.tensor("groupnorm.bias", &[inputs])?,
-            conv: PackedConv3d::new(inputs, outputs, &weight),
+            norm: GroupNorm { groups, weight: weight_of_norm, bias },
+            conv: PackedConv3d::new(sources, outputs, &weight),
         })
     }
 
-    /// Consumes its input, whose memory is free before the output is made.
-    pub(crate) fn forward(&self, input: Tensor) -> Tensor {
-        let size = input.size;
-        let (weight, bias) = (&self.norm_weight, &self.norm_bias);
-        let statistics = kernels::group_statistics(&input.values, self.groups, weight, bias, Self::NORM_EPSILON);
-        let mut padded = Tensor::zeros(size.map(|n| n + 2), self.conv.inputs);
-        kernels::normalize_into_padded(&input.values, size, &statistics, &mut padded.values);
-        drop(input);
-        let mut output = Tensor::zeros(size, self.conv.outputs);
-        kernels::conv3d(SimdLevel::current(), &self.conv, size, &padded.values, &mut output.values);
-        output
+    /// The first input has the output's size, a second one half of it.
+    pub(crate) fn forward(&self, inputs: &[&Tensor], pool: &Pool) -> Tensor {
+        let size = inputs[0].size;
+        let voxels = inputs[0].voxels();
+        // Upsampling repeats each value eight times.
+        let sums: Vec<[f64; 2]> = inputs
+            .iter()
+            .flat_map(|input| {
+                let repeats = (voxels / input.voxels()) as f64;
+                input.sums.iter().map(move |sum| sum.map(|s| s * repeats))
+            })
+            .collect();
+        let norm = self.norm.scale_and_shift(&sums, voxels);
+        let sources: Vec<Source> = inputs
+            .iter()
+            .map(|input| Source { values: &input.values, channels: input.channels, upsampled: input.size != size })
+            .collect();
+        let blank = match inputs {
+            [input] => input.blank.as_ref().map(Blank::convolved),
+            _ => None,
+        };
+        let originals = blank.as_ref().map(Blank::originals).unwrap_or_default();
+        let conv = Conv3d {
+            layer: &self.conv,
+            size,
+            sources: &sources,
+            scale: &norm[0],
+            shift: &norm[1],
+            originals: &originals,
+        };
+        let mut values = pool.take(voxels * self.conv.outputs);
+        let sums = kernels::conv3d(SimdLevel::current(), &conv, &mut values);
+        Tensor { size, channels: self.conv.outputs, values, sums, blank }
     }
 }
 
@@ -214,16 +250,15 @@ mod tests {
 
     #[test]
     fn pooling_and_upsampling_of_odd_sizes() {
-        let fine = Tensor { size: [1, 2, 5], channels: 1, values: (0..10).map(|v| v as f32).collect() };
-        assert_eq!(
-            Tensor { size: [2, 2, 5], values: [fine.values.clone(), fine.values.clone()].concat(), ..fine }
-                .max_pool()
-                .values,
-            [6.0, 8.0]
-        );
-        let fine = Tensor { size: [1, 1, 5], channels: 1, values: vec![0.0; 5] };
-        let coarse = Tensor { size: [1, 1, 2], channels: 1, values: vec![1.0, 2.0] };
+        let plane = (0..10).map(|v| v as f32);
+        let fine = Tensor::new([2, 2, 5], 1, plane.clone().chain(plane).collect());
+        assert_eq!(fine.max_pool(&Pool::default()).values, [6.0, 8.0]);
+        let fine = Tensor::new([1, 1, 5], 1, vec![0.0; 5]);
+        let coarse = Tensor::new([1, 1, 2], 1, vec![1.0, 2.0]);
         // floor(i * 2 / 5) = 0 0 0 1 1.
-        assert_eq!(fine.concat_upsampled(&coarse).values, [0.0, 1.0, 0.0, 1.0, 0.0, 1.0, 0.0, 2.0, 0.0, 2.0]);
+        assert_eq!(
+            fine.concat_upsampled(&coarse, &Pool::default()).values,
+            [0.0, 1.0, 0.0, 1.0, 0.0, 1.0, 0.0, 2.0, 0.0, 2.0]
+        );
     }
 }

@@ -7,6 +7,7 @@ use self::pointnet::PointNet;
 pub(crate) use self::pointnet::VoxelGroups;
 use self::unet::UNet3d;
 use crate::Result;
+use crate::kernels::Blank;
 use crate::model::ModelConfig;
 use crate::nn::Tensor;
 use crate::points::Point;
@@ -34,8 +35,10 @@ impl Encoder {
     pub(crate) fn encode(&self, points: &[Point]) -> Volume {
         let groups = VoxelGroups::new(points, &self.frame);
         let features = self.point_features(points, &groups);
-        let output = self.unet.forward(self.scatter_mean(&features, &groups));
-        Volume { frame: self.frame, channels: output.channels, values: output.values }
+        let channels = features.len() / points.len();
+        let mut volume = Tensor::new(self.frame.size(), channels, self.scatter_mean(&features, &groups));
+        volume.blank = Some(Blank::around(volume.size, groups.iter().map(|(voxel, _)| voxel)));
+        Volume { frame: self.frame, channels, values: self.unet.forward(volume) }
     }
 
     /// Features `(points, c_dim)`.
@@ -44,11 +47,12 @@ impl Encoder {
     }
 
     /// Mean feature of each voxel's points; voxels without points are zero.
-    pub(crate) fn scatter_mean(&self, features: &[f32], groups: &VoxelGroups) -> Tensor {
+    pub(crate) fn scatter_mean(&self, features: &[f32], groups: &VoxelGroups) -> Vec<f32> {
         let channels = features.len() / groups.num_points();
-        let mut volume = Tensor::zeros(self.frame.size(), channels);
+        let mut volume = self.unet.pool.take(self.frame.size().iter().product::<usize>() * channels);
+        volume.fill(0.0);
         for (voxel, members) in groups.iter() {
-            let mean = &mut volume.values[voxel * channels..][..channels];
+            let mean = &mut volume[voxel * channels..][..channels];
             for &point in members {
                 for (m, f) in mean.iter_mut().zip(&features[point as usize * channels..]) {
                     *m += f;

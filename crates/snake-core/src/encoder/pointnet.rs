@@ -3,6 +3,7 @@
 use rayon::prelude::*;
 
 use crate::Result;
+use crate::kernels::Then;
 use crate::model::ModelConfig;
 use crate::nn::{Linear, ResnetBlockFc, TILE};
 use crate::points::Point;
@@ -95,7 +96,7 @@ impl PointNet {
                 let rows = features.len() / self.hidden;
                 let mut input = vec![0.0; rows * wide];
                 if depth == 0 {
-                    self.fc_pos.forward(points[first..first + rows].as_flattened(), &mut input);
+                    self.fc_pos.forward(points[first..first + rows].as_flattened(), &mut input, Then::Store);
                 } else {
                     for (row, input) in input.chunks_exact_mut(wide).enumerate() {
                         let run = groups.run_of_point[first + row] as usize;
@@ -103,13 +104,16 @@ impl PointNet {
                         input[self.hidden..].copy_from_slice(&pooled[run * self.hidden..][..self.hidden]);
                     }
                 }
-                block.forward(&input, &mut Vec::new(), features);
+                block.forward(&input, features);
             });
         }
         let c_dim = self.fc_c.outputs();
         let mut output = vec![0.0; points.len() * c_dim];
         let tiles = features.par_chunks(TILE * self.hidden);
-        output.par_chunks_mut(TILE * c_dim).zip(tiles).for_each(|(out, input)| self.fc_c.forward(input, out));
+        output
+            .par_chunks_mut(TILE * c_dim)
+            .zip(tiles)
+            .for_each(|(out, input)| self.fc_c.forward(input, out, Then::Store));
         output
     }
 }

@@ -2,7 +2,7 @@
 
 use crate::Result;
 use crate::model::ModelConfig;
-use crate::nn::{Linear, SingleConv, Tensor};
+use crate::nn::{Linear, Pool, SingleConv, Tensor};
 use crate::weights::Scope;
 
 type DoubleConv = [SingleConv; 2];
@@ -16,31 +16,40 @@ pub(crate) struct UNet3d {
     deeper: Vec<DoubleConv>,
     decoders: Vec<DoubleConv>,
     final_conv: Linear,
+    pub(crate) pool: Pool,
 }
 
 impl UNet3d {
     pub(crate) fn load(scope: &Scope, config: &ModelConfig) -> Result<Self> {
         let channels: Vec<usize> = (0..config.unet_levels).map(|level| config.unet_base_channels << level).collect();
-        let double = |name: String, inputs, middle, outputs| -> Result<DoubleConv> {
-            let conv = |number: u8, inputs, outputs| {
+        let double = |name: String, sources: &[(usize, bool)], middle, outputs| -> Result<DoubleConv> {
+            let conv = |number: u8, sources: &[(usize, bool)], outputs| {
                 let scope = scope.at(&format!("{name}.basic_module.SingleConv{number}"));
-                SingleConv::load(&scope, inputs, outputs, config.group_norm_groups)
+                SingleConv::load(&scope, sources, outputs, config.group_norm_groups)
             };
-            Ok([conv(1, inputs, middle)?, conv(2, middle, outputs)?])
+            Ok([conv(1, sources, middle)?, conv(2, &[(middle, false)], outputs)?])
         };
         let encoder = |level: usize| {
             let inputs = if level == 0 { config.c_dim } else { channels[level - 1] };
             let outputs = channels[level];
-            double(format!("encoders.{level}"), inputs, inputs.max(outputs / 2), outputs)
+            double(format!("encoders.{level}"), &[(inputs, false)], inputs.max(outputs / 2), outputs)
         };
+        let doubles = |level: usize| config.frame.resolution.iter().all(|n| (n >> level).is_multiple_of(2));
         let decoder = |k: usize| {
-            let outputs = channels[config.unet_levels - 2 - k];
-            double(format!("decoders.{k}"), 3 * outputs, outputs, outputs)
+            let level = config.unet_levels - 2 - k;
+            let outputs = channels[level];
+            // Where the coarser size is exactly half, the convolution upsamples as it reads.
+            let sources: &[_] = match doubles(level) {
+                true => &[(outputs, false), (2 * outputs, true)],
+                false => &[(3 * outputs, false)],
+            };
+            double(format!("decoders.{k}"), sources, outputs, outputs)
         };
         Ok(Self {
             top: encoder(0)?,
             deeper: (1..config.unet_levels).map(encoder).collect::<Result<_>>()?,
             decoders: (0..config.unet_levels - 1).map(decoder).collect::<Result<_>>()?,
+            pool: Pool::default(),
             final_conv: {
                 let scope = scope.at("final_conv");
                 let weight = scope.tensor("weight", &[config.c_dim, channels[0], 1, 1, 1])?;
@@ -50,20 +59,33 @@ impl UNet3d {
     }
 
     /// `(D, H, W, c_dim)` to the same size and width.
-    pub(crate) fn forward(&self, volume: Tensor) -> Tensor {
-        let run = |[first, second]: &DoubleConv, input| second.forward(first.forward(input));
+    pub(crate) fn forward(&self, volume: Tensor) -> Vec<f32> {
+        let run = |[first, second]: &DoubleConv, inputs: Vec<Tensor>| {
+            let middle = first.forward(&inputs.iter().collect::<Vec<_>>(), &self.pool);
+            inputs.into_iter().for_each(|input| self.pool.give(input));
+            let output = second.forward(&[&middle], &self.pool);
+            self.pool.give(middle);
+            output
+        };
         let mut skips = Vec::with_capacity(self.decoders.len());
-        let mut current = run(&self.top, volume);
+        let mut current = run(&self.top, vec![volume]);
         for encoder in &self.deeper {
-            let pooled = current.max_pool();
+            let pooled = current.max_pool(&self.pool);
             skips.push(current);
-            current = run(encoder, pooled);
+            current = run(encoder, vec![pooled]);
         }
         for (decoder, skip) in self.decoders.iter().zip(skips.into_iter().rev()) {
-            let joined = skip.concat_upsampled(&current);
-            drop((skip, current));
-            current = run(decoder, joined);
+            current = if skip.size == current.size.map(|n| 2 * n) {
+                run(decoder, vec![skip, current])
+            } else {
+                let joined = skip.concat_upsampled(&current, &self.pool);
+                self.pool.give(skip);
+                self.pool.give(current);
+                run(decoder, vec![joined])
+            };
         }
-        current.pointwise(&self.final_conv)
+        let output = current.pointwise(&self.final_conv);
+        self.pool.give(current);
+        output
     }
 }

@@ -1,6 +1,6 @@
 //! Fully connected layer over many rows.
 
-use super::simd::{LANES, Lanes, accumulate_tile, pack, simd_levels};
+use super::simd::{LANES, Lanes, accumulate_tile, load, pack, simd_levels, store};
 
 /// Weights and bias of a linear layer, packed for the microkernel.
 #[derive(Debug)]
@@ -20,37 +20,71 @@ impl PackedLinear {
     }
 }
 
+/// What becomes of the results of a linear layer; slices are as long as the output.
+#[derive(Debug)]
+pub(crate) enum Then<'a> {
+    Store,
+    /// Store their ReLU.
+    Relu,
+    /// Add them to what the output holds.
+    Add,
+    /// Add, and write the sums' ReLU here.
+    AddAndRelu(&'a mut [f32]),
+    /// Store those for which this ReLU is positive, zero for the others: its derivative.
+    Mask(&'a [f32]),
+    /// Add those for which this ReLU is positive.
+    AddMasked(&'a [f32]),
+}
+
 simd_levels! {
-    /// `output = input * weights + bias` for rows of `layer.inputs` and `layer.outputs` values;
-    /// with `add`, the result is added to what `output` holds.
-    pub(crate) fn linear(layer: &PackedLinear, input: &[f32], output: &mut [f32], add: bool) = linear_body
+    /// `input * weights + bias` for rows of `layer.inputs` values, each giving `layer.outputs`.
+    pub(crate) fn linear(layer: &PackedLinear, input: &[f32], output: &mut [f32], then: Then) = linear_body
 }
 
 #[inline(always)]
-fn linear_body<L: Lanes, const ROWS: usize>(layer: &PackedLinear, input: &[f32], output: &mut [f32], add: bool) {
+fn linear_body<L: Lanes, const ROWS: usize>(layer: &PackedLinear, input: &[f32], output: &mut [f32], mut then: Then) {
     let rows = input.len() / layer.inputs;
     let mut row = 0;
     while row < rows {
         if row + ROWS <= rows {
-            linear_tile::<L, ROWS>(layer, &input[row * layer.inputs..], &mut output[row * layer.outputs..], add);
+            linear_tile::<L, ROWS>(layer, row, input, output, &mut then);
             row += ROWS;
         } else {
-            linear_tile::<L, 1>(layer, &input[row * layer.inputs..], &mut output[row * layer.outputs..], add);
+            linear_tile::<L, 1>(layer, row, input, output, &mut then);
             row += 1;
         }
     }
 }
 
 #[inline(always)]
-fn linear_tile<L: Lanes, const ROWS: usize>(layer: &PackedLinear, input: &[f32], output: &mut [f32], add: bool) {
+fn linear_tile<L: Lanes, const ROWS: usize>(
+    layer: &PackedLinear,
+    row: usize,
+    input: &[f32],
+    output: &mut [f32],
+    then: &mut Then,
+) {
+    let input = &input[row * layer.inputs..];
+    let zero = L::splat(0.0);
     for (block, (weights, bias)) in layer.weights.chunks_exact(layer.inputs).zip(&layer.bias).enumerate() {
         let sums = accumulate_tile::<L, ROWS>([L::load(bias); ROWS], input, layer.inputs, weights);
         let lanes = LANES.min(layer.outputs - block * LANES);
-        for (r, sum) in sums.iter().enumerate() {
-            let out = &mut output[r * layer.outputs + block * LANES..][..lanes];
-            for (o, s) in out.iter_mut().zip(sum.to_array()) {
-                *o = if add { *o + s } else { s };
-            }
+        for (r, &sum) in sums.iter().enumerate() {
+            let place = (row + r) * layer.outputs + block * LANES;
+            let out = &mut output[place..];
+            let result = match then {
+                Then::Store => sum,
+                Then::Relu => sum.at_least(zero),
+                Then::Add => sum.plus(load(out, lanes)),
+                Then::AddAndRelu(relu) => {
+                    let sum = sum.plus(load(out, lanes));
+                    store(sum.at_least(zero), &mut relu[place..], lanes);
+                    sum
+                }
+                Then::Mask(relu) => sum.where_positive(load(&relu[place..], lanes)),
+                Then::AddMasked(relu) => sum.where_positive(load(&relu[place..], lanes)).plus(load(out, lanes)),
+            };
+            store(result, out, lanes);
         }
     }
 }
@@ -68,14 +102,28 @@ mod tests {
         {
             let (weight, bias) = (random.values(inputs * outputs), random.values(outputs));
             let (input, start) = (random.values(rows * inputs), random.values(rows * outputs));
-            for add in [false, true] {
-                let expected = naive::linear(inputs, outputs, &weight, &bias, &input, add.then_some(&start));
-                for level in SimdLevel::available() {
+            let relu: Vec<f32> = random.values(rows * outputs).iter().map(|v| v.max(0.0)).collect();
+            let plain = naive::linear(inputs, outputs, &weight, &bias, &input);
+            let zip = |f: &dyn Fn(f32, f32, f32) -> f32| -> Vec<f32> {
+                plain.iter().zip(&start).zip(&relu).map(|((&p, &s), &r)| f(p, s, r)).collect()
+            };
+            let keep = |p: f32, r: f32| if r > 0.0 { p } else { 0.0 };
+            for level in SimdLevel::available() {
+                let check = |then: Then, expected: &[f32]| {
+                    let case = format!("{level:?} {rows} {inputs} {outputs} {then:?}");
                     let mut output = start.clone();
-                    linear(level, &PackedLinear::new(inputs, outputs, &weight, &bias), &input, &mut output, add);
+                    linear(level, &PackedLinear::new(inputs, outputs, &weight, &bias), &input, &mut output, then);
                     // Sums of up to 96 products of values below 1: float32 rounding stays below 1e-5.
-                    naive::assert_close(&output, &expected, 1e-5, &format!("{level:?} {rows} {inputs} {outputs}"));
-                }
+                    naive::assert_close(&output, expected, 1e-5, &case);
+                };
+                check(Then::Store, &plain);
+                check(Then::Relu, &zip(&|p, _, _| p.max(0.0)));
+                check(Then::Add, &zip(&|p, s, _| p + s));
+                let mut beside = vec![f32::NAN; start.len()];
+                check(Then::AddAndRelu(&mut beside), &zip(&|p, s, _| p + s));
+                naive::assert_close(&beside, &zip(&|p, s, _| (p + s).max(0.0)), 1e-5, "ReLU beside");
+                check(Then::Mask(&relu), &zip(&|p, _, r| keep(p, r)));
+                check(Then::AddMasked(&relu), &zip(&|p, s, r| keep(p, r) + s));
             }
         }
     }

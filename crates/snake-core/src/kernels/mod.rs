@@ -6,16 +6,18 @@
 //! Work is parallel over outputs, never over a sum, so the bits of a result do not depend on the number of threads.
 #![allow(unsafe_code)]
 
-mod conv3d;
+mod blank;
 mod group_norm;
 mod linear;
 #[cfg(test)]
 mod naive;
 mod simd;
 mod trilinear;
+mod winograd;
 
-pub(crate) use conv3d::{PackedConv3d, conv3d};
-pub(crate) use group_norm::{group_statistics, normalize_into_padded};
-pub(crate) use linear::{PackedLinear, linear};
+pub(crate) use blank::Blank;
+pub(crate) use group_norm::{GroupNorm, channel_sums};
+pub(crate) use linear::{PackedLinear, Then, linear};
 pub use simd::SimdLevel;
 pub(crate) use trilinear::{Corners, interpolate};
+pub(crate) use winograd::{Conv3d, PackedConv3d, Source, conv3d};

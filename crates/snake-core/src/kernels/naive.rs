@@ -1,19 +1,11 @@
 //! Textbook versions of the kernels, in float64, and what their tests share.
 
-/// `(rows, inputs)` to `(rows, outputs)`, weights `(outputs, inputs)`; added to `start` if there is one.
-pub(super) fn linear(
-    inputs: usize,
-    outputs: usize,
-    weight: &[f32],
-    bias: &[f32],
-    input: &[f32],
-    start: Option<&Vec<f32>>,
-) -> Vec<f32> {
+/// `(rows, inputs)` to `(rows, outputs)`, weights `(outputs, inputs)`.
+pub(super) fn linear(inputs: usize, outputs: usize, weight: &[f32], bias: &[f32], input: &[f32]) -> Vec<f32> {
     let rows = input.len() / inputs;
     let value = |row: usize, output: usize| {
         let products = (0..inputs).map(|k| f64::from(input[row * inputs + k]) * f64::from(weight[output * inputs + k]));
-        let before = start.map_or(0.0, |start| f64::from(start[row * outputs + output]));
-        (products.sum::<f64>() + f64::from(bias[output]) + before) as f32
+        (products.sum::<f64>() + f64::from(bias[output])) as f32
     };
     (0..rows * outputs).map(|i| value(i / outputs, i % outputs)).collect()
 }
@@ -29,6 +21,26 @@ pub(super) fn pad([depth, height, width]: [usize; 3], channels: usize, volume: &
         }
     }
     padded
+}
+
+/// Volumes of several sources side by side, upsampled where that is said, then scaled and shifted by channel.
+pub(super) fn normalized(
+    [depth, height, width]: [usize; 3],
+    sources: &[(usize, bool)],
+    volumes: &[Vec<f32>],
+    [scale, shift]: &[Vec<f32>; 2],
+) -> Vec<f32> {
+    let mut joined: Vec<f32> = Vec::new();
+    for voxel in 0..depth * height * width {
+        let place = [voxel / (height * width), voxel / width % height, voxel % width];
+        for (&(channels, upsampled), volume) in sources.iter().zip(volumes) {
+            let half = |n: usize| if upsampled { n / 2 } else { n };
+            let [z, y, x] = place.map(half);
+            joined.extend(&volume[((z * half(height) + y) * half(width) + x) * channels..][..channels]);
+        }
+    }
+    let norm = scale.iter().zip(shift).cycle();
+    joined.iter().zip(norm).map(|(value, (scale, shift))| value * scale + shift).collect()
 }
 
 /// 3x3x3 convolution with zero padding, then ReLU; weights `(outputs, inputs, 3, 3, 3)`.

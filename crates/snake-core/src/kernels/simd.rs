@@ -1,5 +1,10 @@
 //! Instruction-set levels and the one microkernel that convolutions and linear layers share.
 
+#[cfg(target_arch = "x86_64")]
+use std::arch::x86_64::{
+    __m256, __m512, _CMP_GT_OQ, _mm256_and_ps, _mm256_cmp_ps, _mm256_setzero_ps, _mm512_cmp_ps_mask,
+    _mm512_maskz_mov_ps, _mm512_setzero_ps,
+};
 use std::sync::OnceLock;
 
 /// Output channels that a microkernel holds at a time; weights are packed in blocks of this many.
@@ -65,7 +70,20 @@ pub(crate) trait Lanes: Copy {
     fn splat(value: f32) -> Self;
     /// `self * factor + addend`.
     fn multiply_add(self, factor: Self, addend: Self) -> Self;
-    fn to_array(self) -> [f32; LANES];
+    fn plus(self, other: Self) -> Self;
+    fn minus(self, other: Self) -> Self;
+    /// The larger of each pair.
+    fn at_least(self, other: Self) -> Self;
+    /// `self` where `condition` is above zero, zero elsewhere.
+    fn where_positive(self, condition: Self) -> Self;
+    fn store(self, values: &mut [f32; LANES]);
+
+    #[inline(always)]
+    fn to_array(self) -> [f32; LANES] {
+        let mut values = [0.0; LANES];
+        self.store(&mut values);
+        values
+    }
 }
 
 /// The portable level: plain arrays, which the compiler fits to the architecture's baseline registers.
@@ -95,29 +113,68 @@ impl Lanes for PortableLanes {
     }
 
     #[inline(always)]
-    fn to_array(self) -> [f32; LANES] {
-        self.0
+    fn plus(self, other: Self) -> Self {
+        Self(std::array::from_fn(|lane| self.0[lane] + other.0[lane]))
     }
+
+    #[inline(always)]
+    fn minus(self, other: Self) -> Self {
+        Self(std::array::from_fn(|lane| self.0[lane] - other.0[lane]))
+    }
+
+    #[inline(always)]
+    fn at_least(self, other: Self) -> Self {
+        Self(std::array::from_fn(|lane| if self.0[lane] > other.0[lane] { self.0[lane] } else { other.0[lane] }))
+    }
+
+    #[inline(always)]
+    fn where_positive(self, condition: Self) -> Self {
+        Self(std::array::from_fn(|lane| if condition.0[lane] > 0.0 { self.0[lane] } else { 0.0 }))
+    }
+
+    #[inline(always)]
+    fn store(self, values: &mut [f32; LANES]) {
+        *values = self.0;
+    }
+}
+
+#[cfg(target_arch = "x86_64")]
+#[target_feature(enable = "avx2")]
+#[inline]
+fn where_positive_256(value: __m256, condition: __m256) -> __m256 {
+    _mm256_and_ps(value, _mm256_cmp_ps::<_CMP_GT_OQ>(condition, _mm256_setzero_ps()))
+}
+
+#[cfg(target_arch = "x86_64")]
+#[target_feature(enable = "avx512f")]
+#[inline]
+fn where_positive_512(value: __m512, condition: __m512) -> __m512 {
+    _mm512_maskz_mov_ps(_mm512_cmp_ps_mask::<_CMP_GT_OQ>(condition, _mm512_setzero_ps()), value)
 }
 
 /// Defines a [`Lanes`] of `$count` registers of a level.
 #[cfg(target_arch = "x86_64")]
 macro_rules! x86_lanes {
-    ($(#[$doc:meta])* $name:ident, $register:ty, $count:literal, $rows:literal, $splat:ident, $fused:ident) => {
+    ($(#[$doc:meta])* $name:ident, $register:ty, $count:literal, $rows:literal,
+     $load:ident, $store:ident, $splat:ident, $fused:ident, $plus:ident, $minus:ident, $max:ident,
+     $where_positive:ident) => {
         $(#[$doc])*
         #[derive(Clone, Copy)]
         pub(crate) struct $name([$register; $count]);
 
         // SAFETY of each block: these methods are inlined into functions compiled for the level, which are called only
-        // where `SimdLevel::available` found it; arrays of registers and of floats have the same size and accept any
-        // bits.
+        // where `SimdLevel::available` found it; loads and stores stay within the LANES values of their array.
         impl Lanes for $name {
             const FUSED: bool = true;
             const ROWS: usize = $rows;
 
             #[inline(always)]
             fn load(values: &[f32; LANES]) -> Self {
-                Self(unsafe { std::mem::transmute::<[f32; LANES], [$register; $count]>(*values) })
+                let mut lanes = Self::splat(0.0);
+                for i in 0..$count {
+                    lanes.0[i] = unsafe { std::arch::x86_64::$load(values.as_ptr().add(i * (LANES / $count))) };
+                }
+                lanes
             }
 
             #[inline(always)]
@@ -132,16 +189,65 @@ macro_rules! x86_lanes {
             }
 
             #[inline(always)]
-            fn to_array(self) -> [f32; LANES] {
-                unsafe { std::mem::transmute::<[$register; $count], [f32; LANES]>(self.0) }
+            fn plus(self, other: Self) -> Self {
+                Self(std::array::from_fn(|i| unsafe { std::arch::x86_64::$plus(self.0[i], other.0[i]) }))
+            }
+
+            #[inline(always)]
+            fn minus(self, other: Self) -> Self {
+                Self(std::array::from_fn(|i| unsafe { std::arch::x86_64::$minus(self.0[i], other.0[i]) }))
+            }
+
+            #[inline(always)]
+            fn at_least(self, other: Self) -> Self {
+                Self(std::array::from_fn(|i| unsafe { std::arch::x86_64::$max(self.0[i], other.0[i]) }))
+            }
+
+            #[inline(always)]
+            fn where_positive(self, condition: Self) -> Self {
+                let kept = |i: usize| unsafe { $where_positive(self.0[i], condition.0[i]) };
+                Self(std::array::from_fn(kept))
+            }
+
+            #[inline(always)]
+            fn store(self, values: &mut [f32; LANES]) {
+                for i in 0..$count {
+                    unsafe { std::arch::x86_64::$store(values.as_mut_ptr().add(i * (LANES / $count)), self.0[i]) }
+                }
             }
         }
     };
 }
 #[cfg(target_arch = "x86_64")]
-x86_lanes!(Avx2Lanes, std::arch::x86_64::__m256, 2, 4, _mm256_set1_ps, _mm256_fmadd_ps);
+x86_lanes!(
+    Avx2Lanes,
+    std::arch::x86_64::__m256,
+    2,
+    4,
+    _mm256_loadu_ps,
+    _mm256_storeu_ps,
+    _mm256_set1_ps,
+    _mm256_fmadd_ps,
+    _mm256_add_ps,
+    _mm256_sub_ps,
+    _mm256_max_ps,
+    where_positive_256
+);
 #[cfg(target_arch = "x86_64")]
-x86_lanes!(Avx512Lanes, std::arch::x86_64::__m512, 1, 8, _mm512_set1_ps, _mm512_fmadd_ps);
+x86_lanes!(
+    Avx512Lanes,
+    std::arch::x86_64::__m512,
+    1,
+    8,
+    _mm512_loadu_ps,
+    _mm512_storeu_ps,
+    _mm512_set1_ps,
+    _mm512_fmadd_ps,
+    _mm512_add_ps,
+    _mm512_sub_ps,
+    _mm512_max_ps,
+    where_positive_512
+);
 
 /// Compiles `$body::<L, ROWS>(args)` for each level's [`Lanes`] and defines `$name(level, args)` that calls the right
 /// one.
@@ -189,6 +295,28 @@ pub(crate) fn accumulate_tile<L: Lanes, const ROWS: usize>(
         }
     }
     sums
+}
+
+/// The first `lanes` values, zeros beyond.
+#[inline(always)]
+pub(crate) fn load<L: Lanes>(values: &[f32], lanes: usize) -> L {
+    match values.first_chunk() {
+        Some(values) if lanes == LANES => L::load(values),
+        _ => {
+            let mut padded = [0.0; LANES];
+            padded[..lanes].copy_from_slice(&values[..lanes]);
+            L::load(&padded)
+        }
+    }
+}
+
+/// Stores the first `lanes` values.
+#[inline(always)]
+pub(crate) fn store<L: Lanes>(from: L, values: &mut [f32], lanes: usize) {
+    match values.first_chunk_mut() {
+        Some(values) if lanes == LANES => from.store(values),
+        _ => values[..lanes].copy_from_slice(&from.to_array()[..lanes]),
+    }
 }
 
 /// Packs rows of weights `(outputs, inputs)` into blocks of LANES outputs: `[block][input][lane]`, zero beyond.
