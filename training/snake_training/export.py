@@ -3,6 +3,7 @@
 import argparse
 import hashlib
 import json
+from contextlib import contextmanager
 from pathlib import Path
 
 import torch
@@ -12,6 +13,17 @@ from safetensors.torch import load_file, save_file
 
 from .config import from_json
 from .model import NetworkConfig, SnakeNetwork
+
+
+@contextmanager
+def replacing(path):
+    """A temporary name for a file that takes the place of `path` once it is whole."""
+    temporary = Path(f"{path}.partial")
+    try:
+        yield temporary
+        temporary.replace(path)
+    finally:
+        temporary.unlink(missing_ok=True)
 
 
 def load_network(path, device="cpu"):
@@ -94,12 +106,8 @@ def write_weights(path, config, tensors, dtype=torch.float32, extra=None):
             raise ValueError(f"{name}: has values that are not finite as {dtype}")
         digest.update(name.encode() + tensor.numpy().tobytes())
     metadata = (extra or {}) | config.to_metadata() | {"digest": "sha256:" + digest.hexdigest()}
-    temporary = Path(f"{path}.partial")
-    try:
+    with replacing(path) as temporary:
         save_file(tensors, temporary, metadata=metadata)
-        temporary.replace(path)
-    finally:
-        temporary.unlink(missing_ok=True)
 
 
 def main(argv=None):

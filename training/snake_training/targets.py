@@ -8,7 +8,6 @@ them (SuperPoint, DeTone et al. 2018, averages over homographies for the same re
 
 import argparse
 import json
-from pathlib import Path
 
 import numpy as np
 import torch
@@ -18,7 +17,7 @@ from tqdm import tqdm
 
 from .augment import BOUND, choose, normalize, random_rotation
 from .data import Mixture, Procedural, open_shapes
-from .export import load_network
+from .export import load_network, replacing
 
 QUANTUM = 1 / 32767  # of stored coordinates, which lie within +-0.5625
 FORMAT = {"format": "snake-targets", "format_version": "1"}
@@ -100,12 +99,8 @@ def write_targets(path, network, shapes, rotations=8, queries=4096, points=4096,
         log_odds[row], occupancy[row] = averaged_fields(network, cloud, at, turns)
         stored["points"][row], stored["queries"][row] = ((a / QUANTUM).round() for a in (cloud, at))
     stored["target"] = rank_targets(log_odds, occupancy).astype(np.float16)
-    temporary = Path(f"{path}.partial")
-    try:
+    with replacing(path) as temporary:
         save_file(stored, temporary, metadata=FORMAT | (metadata or {}))
-        temporary.replace(path)
-    finally:
-        temporary.unlink(missing_ok=True)
 
 
 def main(argv=None):

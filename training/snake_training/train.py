@@ -20,7 +20,7 @@ from .augment import distillation_views, two_views
 from .config import from_json, parse_arguments, to_json
 from .data import Mixture, Procedural, open_shapes
 from .evaluate import DetectOptions, candidates, repeatability, suppress
-from .export import load_network
+from .export import load_network, replacing
 from .losses import distillation_losses, snake_losses
 from .model import Decoder, SnakeNetwork
 from .targets import Targets
@@ -93,8 +93,8 @@ def save_checkpoint(path, config, step, network, average, optimizer, best):
         "config": to_json(config), "step": step, "best": best, "network": network.state_dict(),
         "ema": average.state_dict(), "optimizer": optimizer.state_dict(),
     }  # fmt: skip
-    torch.save(state, f"{path}.partial")
-    Path(f"{path}.partial").replace(path)
+    with replacing(path) as temporary:
+        torch.save(state, temporary)
 
 
 def choose_device(config):
