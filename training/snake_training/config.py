@@ -172,6 +172,8 @@ def check(config):
             refuse(name, "within [0, 1]")
     if not 0 <= config.ema_decay < 1:
         refuse("ema_decay", "within [0, 1)")
+    if config.fresh_saliency and not config.init:
+        raise SystemExit("--fresh-saliency needs --init: without it every part of the network starts anew")
     if config.max_downsampling < 1:
         refuse("max_downsampling", "1 or more")
     if config.resolution >> (config.unet_levels - 1) < 1:

@@ -135,13 +135,8 @@ def train(config):
     run = Path(config.run_dir)
     resumed = (run / "last.pt").exists()
     try:
-        if config.targets:
-            shapes, losses_of = Targets(config.targets), distillation_losses
-        else:
-            shapes, losses_of = (
-                Mixture([open_shapes(folder) for folder in config.data], config.procedural_share),
-                snake_losses,
-            )
+        clouds = [open_shapes(folder) for folder in config.data]
+        shapes = Targets(config.targets) if config.targets else Mixture(clouds, config.procedural_share)
         held_out = Mixture([open_shapes(folder) for folder in config.validation_data] or [Procedural()], 0.0)
         network = (SnakeNetwork(config.network) if resumed else starting_network(config)).to(device).train()
     except (OSError, ValueError) as error:
@@ -157,6 +152,7 @@ def train(config):
         average.load_state_dict(state["ema"])
         optimizer.load_state_dict(state["optimizer"])
         step, best = state["step"], state["best"]
+    losses_of = distillation_losses if config.targets else snake_losses
     model = DistributedDataParallel(network) if world > 1 else network
 
     log = None

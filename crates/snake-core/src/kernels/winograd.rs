@@ -18,7 +18,7 @@ use rayon::prelude::*;
 use super::SimdLevel;
 use super::blank::copy_blank;
 use super::group_norm::add_in_order;
-use super::simd::{LANES, Lanes, load, simd_levels, store};
+use super::simd::{LANES, Lanes, accumulate_tile, load, pack, simd_levels, store};
 
 /// Input channels of one matrix product.
 const BLOCK: usize = 2 * LANES;
@@ -86,13 +86,7 @@ impl PackedConv3d {
                     .collect();
                 let mut weights = Vec::new();
                 for p in points(upsampled) {
-                    for out in (0..outputs).step_by(LANES) {
-                        for k in 0..width {
-                            weights.push(std::array::from_fn(|lane| {
-                                filters.get((out + lane) * width + k).map_or(0.0, |filter| filter[p])
-                            }));
-                        }
-                    }
+                    weights.extend(pack(outputs, width, |output, k| filters[output * width + k][p]));
                 }
                 blocks.push(Block { source, first: [first, before + first], channels: width, weights, upsampled });
             }
@@ -350,12 +344,7 @@ fn multiply<L: Lanes, const ROWS: usize>(inputs: &[f32], weights: &[[f32; LANES]
                 *sum = L::load(product);
             }
         }
-        for (k, weight) in weights.iter().take(BLOCK).enumerate() {
-            let weight = L::load(weight);
-            for r in 0..ROWS {
-                sums[r] = L::splat(inputs[r][k]).multiply_add(weight, sums[r]);
-            }
-        }
+        let sums = accumulate_tile::<L, ROWS>(sums, inputs.as_flattened(), BLOCK, weights);
         for (product, sum) in products.iter_mut().zip(sums) {
             sum.store(product);
         }
