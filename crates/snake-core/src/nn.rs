@@ -147,7 +147,7 @@ impl Tensor {
                 }
             }
         });
-        Self::new(size, channels, pooled)
+        Self { blank: self.blank.as_ref().map(Blank::pooled), ..Self::new(size, channels, pooled) }
     }
 
     /// `self` and, behind its channels, `coarse` upsampled to its size by nearest neighbour
@@ -183,6 +183,9 @@ impl Tensor {
     }
 }
 
+/// Voxels from which on tiles of 4x4x4 pay for their larger weights.
+const LARGE: usize = 32 * 32 * 32;
+
 /// GroupNorm, 3x3x3 convolution without bias, ReLU ("gcr").
 #[derive(Debug)]
 pub(crate) struct SingleConv {
@@ -191,8 +194,14 @@ pub(crate) struct SingleConv {
 }
 
 impl SingleConv {
-    /// For inputs of these channels side by side, each upsampled by two or not.
-    pub(crate) fn load(scope: &Scope, sources: &[(usize, bool)], outputs: usize, groups: usize) -> Result<Self> {
+    /// For inputs of these channels side by side, each upsampled by two or not, and volumes of this many voxels.
+    pub(crate) fn load(
+        scope: &Scope,
+        sources: &[(usize, bool)],
+        outputs: usize,
+        groups: usize,
+        voxels: usize,
+    ) -> Result<Self> {
         let inputs = sources.iter().map(|source| source.0).sum();
         let weight = scope.tensor("conv.weight", &[outputs, inputs, 3, 3, 3])?;
         let groups = if inputs < groups { 1 } else { groups };
@@ -204,7 +213,7 @@ impl SingleConv {
             (scope.tensor("groupnorm.weight", &[inputs])?, scope.tensor("groupnorm.bias", &[inputs])?);
         Ok(Self {
             norm: GroupNorm { groups, weight: weight_of_norm, bias },
-            conv: PackedConv3d::new(sources, outputs, &weight),
+            conv: PackedConv3d::new(sources, outputs, &weight, if voxels >= LARGE { 4 } else { 2 }),
         })
     }
 
@@ -229,7 +238,7 @@ impl SingleConv {
             [input] => input.blank.as_ref().map(Blank::convolved),
             _ => None,
         };
-        let originals = blank.as_ref().map(Blank::originals).unwrap_or_default();
+        let originals = blank.as_ref().map(|blank| blank.originals(self.conv.tile)).unwrap_or_default();
         let conv = Conv3d {
             layer: &self.conv,
             size,

@@ -22,17 +22,18 @@ pub(crate) struct UNet3d {
 impl UNet3d {
     pub(crate) fn load(scope: &Scope, config: &ModelConfig) -> Result<Self> {
         let channels: Vec<usize> = (0..config.unet_levels).map(|level| config.unet_base_channels << level).collect();
-        let double = |name: String, sources: &[(usize, bool)], middle, outputs| -> Result<DoubleConv> {
+        let double = |name: String, level: usize, sources: &[(usize, bool)], middle, outputs| -> Result<DoubleConv> {
+            let voxels = config.frame.resolution.iter().map(|n| n >> level).product();
             let conv = |number: u8, sources: &[(usize, bool)], outputs| {
                 let scope = scope.at(&format!("{name}.basic_module.SingleConv{number}"));
-                SingleConv::load(&scope, sources, outputs, config.group_norm_groups)
+                SingleConv::load(&scope, sources, outputs, config.group_norm_groups, voxels)
             };
             Ok([conv(1, sources, middle)?, conv(2, &[(middle, false)], outputs)?])
         };
         let encoder = |level: usize| {
             let inputs = if level == 0 { config.c_dim } else { channels[level - 1] };
             let outputs = channels[level];
-            double(format!("encoders.{level}"), &[(inputs, false)], inputs.max(outputs / 2), outputs)
+            double(format!("encoders.{level}"), level, &[(inputs, false)], inputs.max(outputs / 2), outputs)
         };
         let doubles = |level: usize| config.frame.resolution.iter().all(|n| (n >> level).is_multiple_of(2));
         let decoder = |k: usize| {
@@ -43,7 +44,7 @@ impl UNet3d {
                 true => &[(outputs, false), (2 * outputs, true)],
                 false => &[(3 * outputs, false)],
             };
-            double(format!("decoders.{k}"), sources, outputs, outputs)
+            double(format!("decoders.{k}"), level, sources, outputs, outputs)
         };
         Ok(Self {
             top: encoder(0)?,

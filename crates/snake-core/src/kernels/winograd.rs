@@ -1,15 +1,21 @@
-//! 3x3x3 convolution of a normalised, zero-padded volume by Winograd's F(2x2x2, 3x3x3), then ReLU.
+//! 3x3x3 convolution of a normalised, zero-padded volume by Winograd's minimal filtering, then ReLU.
 //!
-//! Along one axis two outputs of a 3-tap filter g on four inputs d need four products instead of six:
+//! Along one axis M outputs of a 3-tap filter g on N = M + 2 inputs d need N products instead of 3 M: the filter and the
+//! inputs are polynomials, multiplied by their values at N points, of which one is infinity (Toom and Cook). For M = 2
+//! the points are 0, 1, -1:
 //!
 //! ```text
 //! V = (d0 - d2, d1 + d2, d2 - d1, d1 - d3)        U = (g0, (g0 + g1 + g2) / 2, (g0 - g1 + g2) / 2, g2)
 //! y = (V0 U0 + V1 U1 + V2 U2, V1 U1 - V2 U2 - V3 U3)
 //! ```
 //!
-//! Over three axes a tile of 2x2x2 outputs needs 64 products instead of 216 for each pair of channels. The products of
-//! many tiles at one of the 64 points are a matrix product. If the input is a coarser volume upsampled by two, d1 = d2,
-//! so V2 = 0 along every axis: 27 of the 64 points remain, and the upsampled volume is never made.
+//! and for M = 4 they are 0, ±3/4, ±3/2, which keep the rounding error at that of a plain sum (with the usual 0, ±1, ±2 it
+//! is three times as large). Over three axes a tile of 4x4x4 outputs needs 216 products instead of 1728 for each pair of
+//! channels, 8 times fewer; a tile of 2x2x2 needs 64 instead of 216. The products of many tiles at one of the N³ points
+//! are a matrix product. Larger tiles need more transformed weights, so small volumes take the small ones.
+//!
+//! An input that is a coarser volume upsampled by two is read in place. With M = 2 it has d1 = d2, so V2 = 0 along every
+//! axis and 27 of the 64 points remain.
 
 use std::cell::RefCell;
 
@@ -22,8 +28,8 @@ use super::simd::{LANES, Lanes, accumulate_tile, load, pack, simd_levels, store}
 
 /// Input channels of one matrix product.
 const BLOCK: usize = 2 * LANES;
-/// Tiles of one task, about: their transformed inputs and outputs stay in the second-level cache.
-const TASK_TILES: usize = 32;
+/// The largest M.
+const MOST: usize = 4;
 
 /// What is convolved: one or two volumes whose channels follow each other.
 #[derive(Debug, Clone, Copy)]
@@ -50,65 +56,92 @@ struct Block {
 #[derive(Debug)]
 pub(crate) struct PackedConv3d {
     pub(crate) outputs: usize,
+    /// Outputs of a tile along an axis: M.
+    pub(crate) tile: usize,
     blocks: Vec<Block>,
 }
 
-/// The points of a source: all 64, or those without a 2 along any axis.
-fn points(upsampled: bool) -> impl Iterator<Item = usize> {
-    (0..64).filter(move |p| !upsampled || [p / 16, p / 4 % 4, p % 4].iter().all(|&k| k != 2))
+/// The points of a source: all N³, or with N = 4 for an upsampled one those without a 2 along any axis.
+fn points(n: usize, upsampled: bool) -> impl Iterator<Item = usize> {
+    let skip = upsampled && n == 4;
+    (0..n * n * n).filter(move |p| !skip || [p / 16, p / 4 % 4, p % 4].iter().all(|&k| k != 2))
 }
+
+/// U of a filter along an axis, in the first N places.
+fn weights_of_axis(n: usize, [a, b, c]: [f64; 3]) -> [f64; 6] {
+    if n == 4 {
+        return [a, 0.5 * (a + b + c), 0.5 * (a - b + c), c, 0.0, 0.0];
+    }
+    let nodes = [0.0, NEAR, -NEAR, FAR, -FAR];
+    let mut transformed = [0.0, 0.0, 0.0, 0.0, 0.0, c];
+    for (value, &node) in transformed.iter_mut().zip(&nodes) {
+        let others: f64 = nodes.iter().filter(|&&other| other != node).map(|other| node - other).product();
+        *value = (a + node * (b + node * c)) / others;
+    }
+    transformed
+}
+
+/// The points beside 0 and infinity for M = 4 are plus and minus these.
+const NEAR: f64 = 0.75;
+const FAR: f64 = 1.5;
 
 impl PackedConv3d {
     /// From weights `(outputs, inputs, 3, 3, 3)` in the order z, y, x; `sources` are the channels of each source and
-    /// whether it is upsampled.
-    pub(crate) fn new(sources: &[(usize, bool)], outputs: usize, weight: &[f32]) -> Self {
+    /// whether it is upsampled; `tile` is M, 2 or 4.
+    pub(crate) fn new(sources: &[(usize, bool)], outputs: usize, weight: &[f32], tile: usize) -> Self {
         let inputs: usize = sources.iter().map(|s| s.0).sum();
-        let transform = |[a, b, c]: [f64; 3]| [a, 0.5 * (a + b + c), 0.5 * (a - b + c), c];
-        // The transformed filter of one pair of channels: z, y, x in turn.
-        let transformed = |output: usize, input: usize| -> [f32; 64] {
+        let n = tile + 2;
+        // The transformed filter of one pair of channels: x, y, z in turn.
+        let transformed = |output: usize, input: usize| -> Vec<f32> {
             let g = &weight[(output * inputs + input) * 27..][..27];
-            let at = |z: usize, y: usize| transform(std::array::from_fn(|x| f64::from(g[(z * 3 + y) * 3 + x])));
-            let rows: [[[f64; 4]; 3]; 3] = std::array::from_fn(|z| std::array::from_fn(|y| at(z, y)));
-            let planes: [[[f64; 4]; 4]; 3] = std::array::from_fn(|z| {
-                let columns: [[f64; 4]; 4] = std::array::from_fn(|x| transform(rows[z].map(|row| row[x])));
-                std::array::from_fn(|y| columns.map(|column| column[y]))
-            });
-            std::array::from_fn(|p| transform(planes.map(|plane| plane[p / 4 % 4][p % 4]))[p / 16] as f32)
+            let rows: [[f64; 6]; 9] =
+                std::array::from_fn(|zy| weights_of_axis(n, std::array::from_fn(|x| f64::from(g[zy * 3 + x]))));
+            let mut values = vec![0.0; n * n * n];
+            for x in 0..n {
+                let planes: [[f64; 6]; 3] =
+                    std::array::from_fn(|z| weights_of_axis(n, std::array::from_fn(|y| rows[z * 3 + y][x])));
+                for y in 0..n {
+                    let column = weights_of_axis(n, planes.map(|plane| plane[y]));
+                    for z in 0..n {
+                        values[(z * n + y) * n + x] = column[z] as f32;
+                    }
+                }
+            }
+            values
         };
         let mut blocks = Vec::new();
         let mut before = 0;
         for (source, &(channels, upsampled)) in sources.iter().enumerate() {
             for first in (0..channels).step_by(BLOCK) {
                 let width = BLOCK.min(channels - first);
-                let filters: Vec<[f32; 64]> = (0..outputs)
-                    .flat_map(|o| (0..width).map(move |k| (o, k)))
-                    .map(|(o, k)| transformed(o, before + first + k))
+                let filters: Vec<Vec<f32>> = (0..outputs * width)
+                    .into_par_iter()
+                    .map(|i| transformed(i / width, before + first + i % width))
                     .collect();
-                let mut weights = Vec::new();
-                for p in points(upsampled) {
-                    weights.extend(pack(outputs, width, |output, k| filters[output * width + k][p]));
-                }
+                let points: Vec<usize> = points(n, upsampled).collect();
+                let weights = points
+                    .into_par_iter()
+                    .flat_map_iter(|p| pack(outputs, width, |output, k| filters[output * width + k][p]))
+                    .collect();
                 blocks.push(Block { source, first: [first, before + first], channels: width, weights, upsampled });
             }
             before += channels;
         }
-        Self { outputs, blocks }
+        Self { outputs, tile, blocks }
     }
 }
 
-/// One task's share of the output: up to two planes of rows that begin at tile row `row` of tile plane `plane`.
+/// One task's share of the output: rows of tiles from `row` on of tile plane `plane`.
 struct Task<'a> {
     plane: usize,
     row: usize,
-    planes: [&'a mut [f32]; 2],
+    /// The share of each of the M planes of voxels.
+    planes: Vec<&'a mut [f32]>,
 }
 
-/// What a task works on: inputs, their transforms and the products.
+/// Transformed inputs and products of a task.
 #[derive(Default)]
 struct Scratch {
-    /// Row within the task and place along the row of each tile to compute.
-    tiles: Vec<[usize; 2]>,
-    gathered: Vec<f32>,
     inputs: Vec<f32>,
     products: Vec<f32>,
 }
@@ -146,32 +179,37 @@ pub(crate) fn conv3d(level: SimdLevel, conv: &Conv3d, output: &mut [f32]) -> Vec
     let &Conv3d { layer, size, originals, .. } = conv;
     let [_, height, width] = size;
     let plane = height * width * layer.outputs;
-    let rows = (TASK_TILES / width.div_ceil(2)).clamp(1, height.div_ceil(2));
-    let share = 2 * rows * width * layer.outputs;
+    let tile_rows = height.div_ceil(layer.tile);
+    let batch = if layer.tile == 2 { BATCH_2 } else { BATCH_4 };
+    // If many tiles are copies, a task looks for its own among more rows.
+    let spread = if originals.is_empty() { 1 } else { 4 };
+    let rows = (spread * batch / width.div_ceil(layer.tile)).clamp(1, tile_rows);
+    let share = layer.tile * rows * width * layer.outputs;
     let mut tasks = Vec::new();
-    for (z, pair) in output.chunks_mut(2 * plane).enumerate() {
-        let (near, far) = pair.split_at_mut(plane);
-        let mut far = far.chunks_mut(share);
-        for (task, near) in near.chunks_mut(share).enumerate() {
-            tasks.push(Task { plane: z, row: task * rows, planes: [near, far.next().unwrap_or_default()] });
+    for (z, planes) in output.chunks_mut(layer.tile * plane).enumerate() {
+        let mut planes: Vec<_> = planes.chunks_mut(plane).map(|plane| plane.chunks_mut(share)).collect();
+        for row in (0..tile_rows).step_by(rows) {
+            tasks.push(Task { plane: z, row, planes: planes.iter_mut().filter_map(Iterator::next).collect() });
         }
     }
     let partial: Vec<Vec<[f64; 2]>> = tasks
         .into_par_iter()
         .map(|task| {
             let mut sums = vec![[0.0; 2]; layer.outputs];
-            SCRATCH.with_borrow_mut(|scratch| {
-                conv3d_task(level, conv, scratch, task, &mut sums);
-            });
+            SCRATCH.with_borrow_mut(|scratch| conv3d_task(level, conv, scratch, task, &mut sums));
             sums
         })
         .collect();
     let mut sums = add_in_order(&partial, layer.outputs);
     if !originals.is_empty() {
-        copy_blank(originals, size, layer.outputs, output, &mut sums);
+        copy_blank(originals, layer.tile, size, layer.outputs, output, &mut sums);
     }
     sums
 }
+
+/// Tiles whose products are made together, with M = 2 and 4: their transforms stay in the second-level cache.
+const BATCH_2: usize = 32;
+const BATCH_4: usize = 16;
 
 simd_levels! {
     fn conv3d_task(conv: &Conv3d, scratch: &mut Scratch, task: Task, sums: &mut [[f64; 2]]) = conv3d_task_body
@@ -184,152 +222,250 @@ fn conv3d_task_body<L: Lanes, const ROWS: usize>(
     task: Task,
     sums: &mut [[f64; 2]],
 ) {
+    match conv.layer.tile {
+        2 => conv3d_tiles::<L, ROWS, 4>(conv, scratch, task, sums, BATCH_2),
+        _ => conv3d_tiles::<L, ROWS, 6>(conv, scratch, task, sums, BATCH_4),
+    }
+}
+
+#[inline(always)]
+fn conv3d_tiles<L: Lanes, const ROWS: usize, const N: usize>(
+    conv: &Conv3d,
+    scratch: &mut Scratch,
+    mut task: Task,
+    sums: &mut [[f64; 2]],
+    batch: usize,
+) {
     let &Conv3d { layer, size, originals, .. } = conv;
-    let Task { plane, row: first_row, planes } = task;
-    let height = planes[0].len() / (size[2] * layer.outputs);
-    let [tile_rows, tiles_along] = [size[1].div_ceil(2), size[2].div_ceil(2)];
-    let (rows, line_voxels) = (height.div_ceil(2), 2 * tiles_along + 2);
-    scratch.tiles.clear();
-    for row in 0..rows {
+    let [tile_rows, tiles_along] = [size[1].div_ceil(N - 2), size[2].div_ceil(N - 2)];
+    let rows = (task.planes[0].len() / (size[2] * layer.outputs)).div_ceil(N - 2);
+    let mut tiles = Vec::with_capacity(rows * tiles_along);
+    for row in task.row..task.row + rows {
         for x in 0..tiles_along {
-            let tile = (plane * tile_rows + first_row + row) * tiles_along + x;
+            let tile = (task.plane * tile_rows + row) * tiles_along + x;
             if originals.get(tile).copied().flatten().is_none_or(|original| original as usize == tile) {
-                scratch.tiles.push([row, x]);
+                tiles.push([row, x]);
             }
         }
     }
-    if scratch.tiles.is_empty() {
-        return;
-    }
-    let padded_tiles = scratch.tiles.len().next_multiple_of(ROWS);
-    // One cache line more than a power of two, so that the 64 points do not fall into the same cache sets.
-    let input_pitch = padded_tiles * BLOCK + LANES;
     let output_blocks = layer.outputs.div_ceil(LANES);
-    let product_pitch = padded_tiles * LANES + LANES;
-    let gathered = at_least(&mut scratch.gathered, 4 * (2 * rows + 2) * line_voxels * BLOCK);
-    let inputs = at_least(&mut scratch.inputs, 64 * input_pitch);
-    let products = at_least(&mut scratch.products, 64 * output_blocks * product_pitch);
-    for (number, block) in layer.blocks.iter().enumerate() {
-        gather::<L>(conv, block, [plane, first_row, rows], gathered);
-        let strides = [(2 * rows + 2) * line_voxels * BLOCK, line_voxels * BLOCK];
-        for (tile, [row, x]) in scratch.tiles.iter().enumerate() {
+    for tiles in tiles.chunks(batch) {
+        let padded_tiles = tiles.len().next_multiple_of(ROWS);
+        // One cache line more than a power of two, so that the points do not fall into the same cache sets.
+        let input_pitch = padded_tiles * BLOCK + LANES;
+        let product_pitch = padded_tiles * LANES + LANES;
+        let inputs = at_least(&mut scratch.inputs, N * N * N * input_pitch);
+        let products = at_least(&mut scratch.products, N * N * N * output_blocks * product_pitch);
+        for (number, block) in layer.blocks.iter().enumerate() {
             for half in 0..block.channels.div_ceil(LANES) {
-                let from = &gathered[(2 * row * line_voxels + 2 * x) * BLOCK + half * LANES..];
-                let to = &mut inputs[tile * BLOCK + half * LANES..];
-                transform_input::<L>(from, strides, to, input_pitch);
+                transform_inputs::<L, N>(conv, block, half, task.plane, tiles, &mut inputs[half * LANES..], input_pitch);
             }
-        }
-        for (k, p) in points(block.upsampled).enumerate() {
-            let inputs = &inputs[p * input_pitch..][..padded_tiles * BLOCK];
-            let weights = &block.weights[k * output_blocks * block.channels..][..output_blocks * block.channels];
-            let products = &mut products[p * output_blocks * product_pitch..][..output_blocks * product_pitch];
-            let weights = weights.chunks_exact(block.channels);
-            for (weights, products) in weights.zip(products.chunks_exact_mut(product_pitch)) {
-                multiply::<L, ROWS>(inputs, weights, &mut products[..padded_tiles * LANES], number == 0);
-            }
-        }
-    }
-    for (tile, [row, x]) in scratch.tiles.iter().enumerate() {
-        for out in 0..output_blocks {
-            let lanes = LANES.min(layer.outputs - out * LANES);
-            let products = &products[out * product_pitch + tile * LANES..];
-            let (mut sum, mut squares) = (L::splat(0.0), L::splat(0.0));
-            for (k, values) in transform_output::<L>(products, output_blocks * product_pitch).into_iter().enumerate() {
-                let (z, y, x) = (k / 4, 2 * row + k / 2 % 2, 2 * x + k % 2);
-                if planes[z].is_empty() || y >= height || x >= size[2] {
-                    continue;
+            for (k, p) in points(N, block.upsampled).enumerate() {
+                let inputs = &inputs[p * input_pitch..][..padded_tiles * BLOCK];
+                let weights = &block.weights[k * output_blocks * block.channels..][..output_blocks * block.channels];
+                let products = &mut products[p * output_blocks * product_pitch..][..output_blocks * product_pitch];
+                let weights = weights.chunks_exact(block.channels);
+                for (weights, products) in weights.zip(products.chunks_exact_mut(product_pitch)) {
+                    multiply::<L, ROWS>(inputs, weights, &mut products[..padded_tiles * LANES], number == 0);
                 }
-                store(values, &mut planes[z][(y * size[2] + x) * layer.outputs + out * LANES..], lanes);
-                sum = sum.plus(values);
-                squares = values.multiply_add(values, squares);
             }
-            let totals = sum.to_array().into_iter().zip(squares.to_array());
-            for (total, (sum, squares)) in sums[out * LANES..][..lanes].iter_mut().zip(totals) {
-                total[0] += f64::from(sum);
-                total[1] += f64::from(squares);
+        }
+        for (tile, &[row, x]) in tiles.iter().enumerate() {
+            for out in 0..output_blocks {
+                let products = &products[out * product_pitch + tile * LANES..];
+                let place = [row - task.row, x];
+                transform_outputs::<L, N>(conv, products, output_blocks * product_pitch, place, out, &mut task, sums);
             }
         }
     }
 }
 
-/// Writes the block's channels of all inputs of a task at `[plane, row, rows]`, normalised and padded with zeros, as
-/// `(4, 2 rows + 2, W + 2, BLOCK)`, W rounded up to even.
+/// V of LANES channels of some tiles `[row, x]` of a plane of tiles: of each point `pitch` values, BLOCK of each tile.
+///
+/// Along z and y each column of inputs is transformed once, for all the tiles along x that it belongs to.
 #[inline(always)]
-fn gather<L: Lanes>(conv: &Conv3d, block: &Block, [plane, row, rows]: [usize; 3], gathered: &mut [f32]) {
+fn transform_inputs<L: Lanes, const N: usize>(
+    conv: &Conv3d,
+    block: &Block,
+    half: usize,
+    plane: usize,
+    tiles: &[[usize; 2]],
+    to: &mut [f32],
+    pitch: usize,
+) {
     let &Conv3d { size, sources, scale, shift, .. } = conv;
     let source = &sources[block.source];
-    let [first, global] = block.first;
-    let mut factors = [[[0.0; LANES]; 2]; 2];
-    for (lanes, values) in factors.iter_mut().zip([scale, shift]) {
-        lanes.as_flattened_mut()[..block.channels].copy_from_slice(&values[global..][..block.channels]);
-    }
+    let lanes = LANES.min(block.channels - half * LANES);
+    let [first, global] = block.first.map(|first| first + half * LANES);
+    let norm = [load::<L>(&scale[global..], lanes), load::<L>(&shift[global..], lanes)];
+    let values = &source.values[first..];
     let repeats = if source.upsampled { 2 } else { 1 };
-    let line = (size[2].next_multiple_of(2) + 2) * BLOCK;
-    for (number, line) in gathered.chunks_exact_mut(line).enumerate() {
-        let z = (2 * plane + number / (2 * rows + 2)).wrapping_sub(1);
-        let y = (2 * row + number % (2 * rows + 2)).wrapping_sub(1);
-        if z >= size[0] || y >= size[1] {
-            line.fill(0.0);
-            continue;
+    let [height, width] = [size[1] / repeats, size[2] / repeats];
+    let zero = L::splat(0.0);
+    // Column c of the inputs in place c modulo N.
+    let mut columns = [[[zero; N]; N]; N];
+    let mut previous = None;
+    for (tile, &[row, x]) in tiles.iter().enumerate() {
+        // Neighbours along x share two columns.
+        let known = if x > 0 && previous == Some([row, x - 1]) { 2 } else { 0 };
+        previous = Some([row, x]);
+        for i in known..N {
+            let column = (N - 2) * x + i;
+            if source.upsampled && i > 0 && i % 2 == 0 {
+                columns[column % N] = columns[(column - 1) % N];
+                continue;
+            }
+            if column == 0 || column > size[2] {
+                columns[column % N] = [[zero; N]; N];
+                continue;
+            }
+            let mut rows = [[zero; N]; N];
+            for (j, along_z) in rows.iter_mut().enumerate() {
+                let y = (N - 2) * row + j;
+                if y == 0 || y > size[1] {
+                    continue;
+                }
+                for (k, value) in along_z.iter_mut().enumerate() {
+                    let z = (N - 2) * plane + k;
+                    if z > 0 && z <= size[0] {
+                        let [z, y, x] = [(z - 1) / repeats, (y - 1) / repeats, (column - 1) / repeats];
+                        let voxel = (z * height + y) * width + x;
+                        *value = load::<L>(&values[voxel * source.channels..], lanes).multiply_add(norm[0], norm[1]);
+                    }
+                }
+                *along_z = inputs_of_axis(*along_z);
+            }
+            for z in 0..N {
+                let mut along_y = [zero; N];
+                for (value, row) in along_y.iter_mut().zip(&rows) {
+                    *value = row[z];
+                }
+                columns[column % N][z] = inputs_of_axis(along_y);
+            }
         }
-        let voxels = line.as_chunks_mut::<BLOCK>().0;
-        voxels[0].fill(0.0);
-        voxels[size[2] + 1..].as_flattened_mut().fill(0.0);
-        let [z, y, width] = [z, y, size[2]].map(|n| n / repeats);
-        let from = &source.values[(z * size[1] / repeats + y) * width * source.channels..][..width * source.channels];
-        for (voxels, from) in voxels[1..].chunks_exact_mut(repeats).zip(from.chunks_exact(source.channels)) {
-            for half in 0..block.channels.div_ceil(LANES) {
-                let lanes = LANES.min(block.channels - half * LANES);
-                let value = load::<L>(&from[first + half * LANES..], lanes)
-                    .multiply_add(L::load(&factors[0][half]), L::load(&factors[1][half]));
-                for voxel in &mut *voxels {
-                    store(value, &mut voxel[half * LANES..], LANES);
+        for z in 0..N {
+            for y in 0..N {
+                let mut along_x = [zero; N];
+                for (i, value) in along_x.iter_mut().enumerate() {
+                    *value = columns[((N - 2) * x + i) % N][z][y];
+                }
+                for (i, value) in inputs_of_axis(along_x).into_iter().enumerate() {
+                    store(value, &mut to[((z * N + y) * N + i) * pitch + tile * BLOCK..], LANES);
                 }
             }
         }
     }
 }
 
-/// V of LANES channels of a tile, one row of lanes at each multiple of `pitch`, from its 4x4x4 inputs, which are
-/// `strides` apart along z and y and BLOCK along x.
+/// Writes the outputs of a tile at `[row, x]` of the task for one block of channels, after ReLU, and adds them to the
+/// sums; the products of each point are `pitch` apart.
 #[inline(always)]
-fn transform_input<L: Lanes>(from: &[f32], [z_stride, y_stride]: [usize; 2], to: &mut [f32], pitch: usize) {
-    let mut rows = [[L::splat(0.0); 4]; 16];
-    for (zy, row) in rows.iter_mut().enumerate() {
-        let line = &from[zy / 4 * z_stride + zy % 4 * y_stride..][..3 * BLOCK + LANES];
-        for (x, value) in row.iter_mut().enumerate() {
-            *value = load(&line[x * BLOCK..], LANES);
+fn transform_outputs<L: Lanes, const N: usize>(
+    conv: &Conv3d,
+    products: &[f32],
+    pitch: usize,
+    [row, x]: [usize; 2],
+    out: usize,
+    task: &mut Task,
+    sums: &mut [[f64; 2]],
+) {
+    let &Conv3d { layer, size, .. } = conv;
+    let zero = L::splat(0.0);
+    let mut planes = [[[zero; MOST]; MOST]; N];
+    for (z, plane) in planes.iter_mut().enumerate() {
+        let mut rows = [[zero; MOST]; N];
+        for (y, along_x) in rows.iter_mut().enumerate() {
+            let mut products_of_row = [zero; N];
+            for (x, value) in products_of_row.iter_mut().enumerate() {
+                *value = load(&products[((z * N + y) * N + x) * pitch..], LANES);
+            }
+            *along_x = outputs_of_axis(products_of_row);
         }
-        *row = inputs_of_axis(*row);
-    }
-    for [first, second, third, fourth] in rows.as_chunks_mut().0 {
-        for (((a, b), c), d) in first.iter_mut().zip(second).zip(third).zip(fourth) {
-            [*a, *b, *c, *d] = inputs_of_axis([*a, *b, *c, *d]);
-        }
-    }
-    for y in 0..4 {
-        for x in 0..4 {
-            let column = inputs_of_axis([rows[y][x], rows[4 + y][x], rows[8 + y][x], rows[12 + y][x]]);
-            for (z, value) in column.iter().enumerate() {
-                store(*value, &mut to[(z * 16 + y * 4 + x) * pitch..], LANES);
+        for x in 0..N - 2 {
+            let mut column = [zero; N];
+            for (value, row) in column.iter_mut().zip(&rows) {
+                *value = row[x];
+            }
+            for (row, value) in plane.iter_mut().zip(outputs_of_axis(column)) {
+                row[x] = value;
             }
         }
+    }
+    let lanes = LANES.min(layer.outputs - out * LANES);
+    let (mut sum, mut squares) = (zero, zero);
+    let (first_y, first_x) = ((N - 2) * row, (N - 2) * x);
+    for y in 0..N - 2 {
+        for x in 0..(N - 2).min(size[2] - first_x) {
+            let mut column = [zero; N];
+            for (value, plane) in column.iter_mut().zip(&planes) {
+                *value = plane[y][x];
+            }
+            let place = (((first_y + y) * size[2]) + first_x + x) * layer.outputs + out * LANES;
+            for (plane, value) in task.planes.iter_mut().zip(outputs_of_axis(column)) {
+                if let Some(voxel) = plane.get_mut(place..place + lanes) {
+                    let value = value.at_least(zero);
+                    store(value, voxel, lanes);
+                    sum = sum.plus(value);
+                    squares = value.multiply_add(value, squares);
+                }
+            }
+        }
+    }
+    let totals = sum.to_array().into_iter().zip(squares.to_array());
+    for (total, (sum, squares)) in sums[out * LANES..][..lanes].iter_mut().zip(totals) {
+        total[0] += f64::from(sum);
+        total[1] += f64::from(squares);
     }
 }
 
 // The bodies of kernels are loops and functions marked for inlining: a closure would be compiled without the level's
 // instructions.
 
-/// V of four inputs along an axis.
+/// V of N inputs along an axis.
 #[inline(always)]
-fn inputs_of_axis<L: Lanes>(d: [L; 4]) -> [L; 4] {
-    [d[0].minus(d[2]), d[1].plus(d[2]), d[2].minus(d[1]), d[1].minus(d[3])]
+fn inputs_of_axis<L: Lanes, const N: usize>(d: [L; N]) -> [L; N] {
+    let mut v = d;
+    if N == 4 {
+        v[0] = d[0].minus(d[2]);
+        v[1] = d[1].plus(d[2]);
+        v[2] = d[2].minus(d[1]);
+        v[3] = d[1].minus(d[3]);
+        return v;
+    }
+    let [near, far] = [L::splat(NEAR as f32), L::splat(FAR as f32)];
+    let minus = [L::splat(-(NEAR * NEAR) as f32), L::splat(-(FAR * FAR) as f32)];
+    let [sum, product] = [L::splat(-(NEAR * NEAR + FAR * FAR) as f32), L::splat((NEAR * NEAR * FAR * FAR) as f32)];
+    v[0] = d[0].multiply_add(product, d[2].multiply_add(sum, d[4]));
+    v[5] = d[1].multiply_add(product, d[3].multiply_add(sum, d[5]));
+    let [even, odd] = [d[2].multiply_add(minus[1], d[4]), d[1].multiply_add(minus[1], d[3])];
+    v[1] = odd.multiply_add(near, even);
+    v[2] = odd.multiply_add(L::splat(-NEAR as f32), even);
+    let [even, odd] = [d[2].multiply_add(minus[0], d[4]), d[1].multiply_add(minus[0], d[3])];
+    v[3] = odd.multiply_add(far, even);
+    v[4] = odd.multiply_add(L::splat(-FAR as f32), even);
+    v
 }
 
-/// The two outputs of four products along an axis.
+/// The M outputs of N products along an axis.
 #[inline(always)]
-fn outputs_of_axis<L: Lanes>(m: [L; 4]) -> [L; 2] {
-    [m[0].plus(m[1]).plus(m[2]), m[1].minus(m[2]).minus(m[3])]
+fn outputs_of_axis<L: Lanes, const N: usize>(m: [L; N]) -> [L; MOST] {
+    let zero = L::splat(0.0);
+    if N == 4 {
+        return [m[0].plus(m[1]).plus(m[2]), m[1].minus(m[2]).minus(m[3]), zero, zero];
+    }
+    let (near_sum, near_difference) = (m[1].plus(m[2]), m[1].minus(m[2]));
+    let (far_sum, far_difference) = (m[3].plus(m[4]), m[3].minus(m[4]));
+    let mut y = [m[0].plus(near_sum).plus(far_sum), zero, zero, m[5]];
+    let [mut near, mut far] = [1.0; 2];
+    for (value, [of_near, of_far]) in y[1..].iter_mut().zip([
+        [near_difference, far_difference],
+        [near_sum, far_sum],
+        [near_difference, far_difference],
+    ]) {
+        (near, far) = (near * NEAR as f32, far * FAR as f32);
+        *value = of_near.multiply_add(L::splat(near), of_far.multiply_add(L::splat(far), *value));
+    }
+    y
 }
 
 /// `products (tiles, LANES) += inputs (tiles, BLOCK) weights (channels, LANES)`; `fresh` starts from zero.
@@ -349,33 +485,6 @@ fn multiply<L: Lanes, const ROWS: usize>(inputs: &[f32], weights: &[[f32; LANES]
             sum.store(product);
         }
     }
-}
-
-/// The 2x2x2 outputs of a tile, after ReLU, from its products at the 64 points, `pitch` apart.
-#[inline(always)]
-fn transform_output<L: Lanes>(products: &[f32], pitch: usize) -> [L; 8] {
-    let zero = L::splat(0.0);
-    let mut rows = [[zero; 2]; 16];
-    for (zy, row) in rows.iter_mut().enumerate() {
-        let mut products_of_row = [zero; 4];
-        for (x, value) in products_of_row.iter_mut().enumerate() {
-            *value = load(&products[(zy * 4 + x) * pitch..], LANES);
-        }
-        *row = outputs_of_axis(products_of_row);
-    }
-    let mut planes = [[zero; 4]; 4];
-    for (z, plane) in planes.iter_mut().enumerate() {
-        for x in 0..2 {
-            let column = [rows[z * 4][x], rows[z * 4 + 1][x], rows[z * 4 + 2][x], rows[z * 4 + 3][x]];
-            [plane[x], plane[2 + x]] = outputs_of_axis(column);
-        }
-    }
-    let mut result = [zero; 8];
-    for yx in 0..4 {
-        let [near, far] = outputs_of_axis([planes[0][yx], planes[1][yx], planes[2][yx], planes[3][yx]]);
-        (result[yx], result[4 + yx]) = (near.at_least(zero), far.at_least(zero));
-    }
-    result
 }
 
 #[cfg(test)]
@@ -410,13 +519,13 @@ mod tests {
             let values = volumes.iter().zip(&sources);
             let volumes_: Vec<Source> =
                 values.map(|(values, &(channels, upsampled))| Source { values, channels, upsampled }).collect();
-            for level in SimdLevel::available() {
+            for (level, tile) in SimdLevel::available().into_iter().flat_map(|level| [(level, 2), (level, 4)]) {
                 let mut output = vec![f32::NAN; expected.len()];
-                let layer = PackedConv3d::new(&sources, outputs, &weight);
+                let layer = PackedConv3d::new(&sources, outputs, &weight, tile);
                 let [scale, shift] = &norm;
                 let conv = Conv3d { layer: &layer, size, sources: &volumes_, scale, shift, originals: &[] };
                 let sums = conv3d(level, &conv, &mut output);
-                let case = format!("{level:?} {size:?} {sources:?} {outputs}");
+                let case = format!("{level:?} {tile} {size:?} {sources:?} {outputs}");
                 // Sums of up to 1296 products of values below 2.
                 naive::assert_close(&output, &expected, 4e-4, &case);
                 for (channel, sums) in sums.iter().enumerate() {
@@ -433,7 +542,7 @@ mod tests {
     #[test]
     fn copied_tiles_are_those_that_would_be_computed() {
         let mut random = naive::Random::new(3);
-        for (size, occupied) in [([12, 10, 14], vec![700]), ([9, 11, 13], vec![0, 600]), ([4, 4, 30], vec![])] {
+        for (size, occupied) in [([16, 20, 24], vec![3700]), ([9, 21, 23], vec![0, 600]), ([4, 4, 40], vec![])] {
             let (channels, outputs) = (3, 20);
             let mut volume = vec![0.0; size.iter().product::<usize>() * channels];
             for voxel in &occupied {
@@ -443,31 +552,23 @@ mod tests {
             let mut inputs = channels;
             for _ in 0..2 {
                 blank = blank.convolved();
-                let originals = blank.originals();
-                assert!(originals.iter().enumerate().any(|(i, o)| o.is_some_and(|o| (o as usize) < i)), "{size:?}");
-                let layer = PackedConv3d::new(&[(inputs, false)], outputs, &random.values(outputs * inputs * 27));
-                let norm = [random.values(inputs), random.values(inputs)];
+                let weight = random.values(outputs * inputs * 27);
+                let [scale, shift] = [random.values(inputs), random.values(inputs)];
                 let mut next = Vec::new();
-                let source = [Source { values: &volume, channels: inputs, upsampled: false }];
-                for level in SimdLevel::available() {
+                let sources = [Source { values: &volume, channels: inputs, upsampled: false }];
+                for (level, tile) in SimdLevel::available().into_iter().flat_map(|level| [(level, 4), (level, 2)]) {
+                    let originals = blank.originals(tile);
+                    assert!(originals.iter().enumerate().any(|(i, o)| o.is_some_and(|o| (o as usize) < i)), "{size:?}");
+                    let layer = PackedConv3d::new(&[(inputs, false)], outputs, &weight, tile);
                     let run = |originals: &[_]| {
                         let mut output = vec![f32::NAN; size.iter().product::<usize>() * outputs];
-                        let sums = conv3d(
-                            level,
-                            &Conv3d {
-                                layer: &layer,
-                                size,
-                                sources: &source,
-                                scale: &norm[0],
-                                shift: &norm[1],
-                                originals,
-                            },
-                            &mut output,
-                        );
+                        let (scale, shift) = (&scale, &shift);
+                        let conv = Conv3d { layer: &layer, size, sources: &sources, scale, shift, originals };
+                        let sums = conv3d(level, &conv, &mut output);
                         (output, sums)
                     };
                     let ((computed, sums), (copied, copied_sums)) = (run(&[]), run(&originals));
-                    assert_eq!(computed, copied, "{level:?} {size:?}");
+                    assert_eq!(computed, copied, "{level:?} {tile} {size:?}");
                     for (found, expected) in copied_sums.as_flattened().iter().zip(sums.as_flattened()) {
                         assert!((found - expected).abs() <= 1e-6 * expected.max(1.0), "{found} {expected}");
                     }
