@@ -184,29 +184,47 @@ macro_rules! x86_lanes {
 
             #[inline(always)]
             fn multiply_add(self, factor: Self, addend: Self) -> Self {
-                let fused = |i: usize| unsafe { std::arch::x86_64::$fused(self.0[i], factor.0[i], addend.0[i]) };
-                Self(std::array::from_fn(fused))
+                let mut result = self;
+                for i in 0..$count {
+                    result.0[i] = unsafe { std::arch::x86_64::$fused(self.0[i], factor.0[i], addend.0[i]) };
+                }
+                result
             }
 
             #[inline(always)]
             fn plus(self, other: Self) -> Self {
-                Self(std::array::from_fn(|i| unsafe { std::arch::x86_64::$plus(self.0[i], other.0[i]) }))
+                let mut result = self;
+                for i in 0..$count {
+                    result.0[i] = unsafe { std::arch::x86_64::$plus(self.0[i], other.0[i]) };
+                }
+                result
             }
 
             #[inline(always)]
             fn minus(self, other: Self) -> Self {
-                Self(std::array::from_fn(|i| unsafe { std::arch::x86_64::$minus(self.0[i], other.0[i]) }))
+                let mut result = self;
+                for i in 0..$count {
+                    result.0[i] = unsafe { std::arch::x86_64::$minus(self.0[i], other.0[i]) };
+                }
+                result
             }
 
             #[inline(always)]
             fn at_least(self, other: Self) -> Self {
-                Self(std::array::from_fn(|i| unsafe { std::arch::x86_64::$max(self.0[i], other.0[i]) }))
+                let mut result = self;
+                for i in 0..$count {
+                    result.0[i] = unsafe { std::arch::x86_64::$max(self.0[i], other.0[i]) };
+                }
+                result
             }
 
             #[inline(always)]
             fn where_positive(self, condition: Self) -> Self {
-                let kept = |i: usize| unsafe { $where_positive(self.0[i], condition.0[i]) };
-                Self(std::array::from_fn(kept))
+                let mut result = self;
+                for i in 0..$count {
+                    result.0[i] = unsafe { $where_positive(self.0[i], condition.0[i]) };
+                }
+                result
             }
 
             #[inline(always)]
@@ -287,11 +305,14 @@ pub(crate) fn accumulate_tile<L: Lanes, const ROWS: usize>(
     stride: usize,
     weights: &[[f32; LANES]],
 ) -> [L; ROWS] {
-    let rows: [&[f32]; ROWS] = std::array::from_fn(|r| &input[r * stride..][..weights.len()]);
+    assert!(input.len() >= (ROWS - 1) * stride + weights.len(), "rows end within the input");
     for (k, weight) in weights.iter().enumerate() {
         let weight = L::load(weight);
-        for r in 0..ROWS {
-            sums[r] = L::splat(rows[r][k]).multiply_add(weight, sums[r]);
+        for (r, sum) in sums.iter_mut().enumerate() {
+            // SAFETY: r < ROWS and k < weights.len(), so the index is below the length asserted above. A check here, one
+            // for every product, costs a third of the speed.
+            let value = unsafe { *input.get_unchecked(r * stride + k) };
+            *sum = L::splat(value).multiply_add(weight, *sum);
         }
     }
     sums
