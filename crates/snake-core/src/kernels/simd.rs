@@ -77,6 +77,8 @@ pub(crate) trait Lanes: Copy {
     /// `self` where `condition` is above zero, zero elsewhere.
     fn where_positive(self, condition: Self) -> Self;
     fn store(self, values: &mut [f32; LANES]);
+    /// Asks for the memory at an address, which need not exist, to be brought near.
+    fn prefetch(_address: *const f32) {}
 
     #[inline(always)]
     fn to_array(self) -> [f32; LANES] {
@@ -167,6 +169,11 @@ macro_rules! x86_lanes {
         impl Lanes for $name {
             const FUSED: bool = true;
             const ROWS: usize = $rows;
+
+            #[inline(always)]
+            fn prefetch(address: *const f32) {
+                unsafe { std::arch::x86_64::_mm_prefetch::<{ std::arch::x86_64::_MM_HINT_T0 }>(address.cast()) }
+            }
 
             #[inline(always)]
             fn load(values: &[f32; LANES]) -> Self {

@@ -330,6 +330,7 @@ fn transform_inputs<L: Lanes, const N: usize>(
                     if z > 0 && z <= size[0] {
                         let [z, y, x] = [(z - 1) / repeats, (y - 1) / repeats, (column - 1) / repeats];
                         let voxel = (z * height + y) * width + x;
+                        L::prefetch(values.as_ptr().wrapping_add((voxel + N / repeats) * source.channels));
                         *value = load::<L>(&values[voxel * source.channels..], lanes).multiply_add(norm[0], norm[1]);
                     }
                 }
@@ -471,18 +472,18 @@ fn outputs_of_axis<L: Lanes, const N: usize>(m: [L; N]) -> [L; MOST] {
 /// `products (tiles, LANES) += inputs (tiles, BLOCK) weights (channels, LANES)`; `fresh` starts from zero.
 #[inline(always)]
 fn multiply<L: Lanes, const ROWS: usize>(inputs: &[f32], weights: &[[f32; LANES]], products: &mut [f32], fresh: bool) {
-    let inputs = inputs.as_chunks::<BLOCK>().0.chunks_exact(ROWS);
-    let products = products.as_chunks_mut::<LANES>().0.chunks_exact_mut(ROWS);
-    for (inputs, products) in inputs.zip(products) {
+    let inputs = inputs.as_chunks::<BLOCK>().0.as_chunks::<ROWS>().0;
+    let products = products.as_chunks_mut::<LANES>().0.as_chunks_mut::<ROWS>().0;
+    for (inputs, products) in inputs.iter().zip(products) {
         let mut sums = [L::splat(0.0); ROWS];
         if !fresh {
-            for (sum, product) in sums.iter_mut().zip(products.iter()) {
-                *sum = L::load(product);
+            for r in 0..ROWS {
+                sums[r] = L::load(&products[r]);
             }
         }
         let sums = accumulate_tile::<L, ROWS>(sums, inputs.as_flattened(), BLOCK, weights);
-        for (product, sum) in products.iter_mut().zip(sums) {
-            sum.store(product);
+        for r in 0..ROWS {
+            sums[r].store(&mut products[r]);
         }
     }
 }
