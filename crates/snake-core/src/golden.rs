@@ -91,7 +91,7 @@ fn encoder_stages() {
         let features = encoder.point_features(&points, &groups);
         case.assert_close("point_features", &features, 1e-5);
 
-        let scattered = encoder.scatter_mean(&features, &groups);
+        let scattered = encoder.scatter_mean(&features, &groups).values;
         let ([_, height, width], channels) = (frame.size(), features.len() / points.len());
         let mut expected = vec![0.0; scattered.len()];
         let values = case.floats("scatter_values");

@@ -24,6 +24,7 @@ mod model;
 mod nms;
 mod nn;
 mod points;
+mod pool;
 mod refine;
 mod volume;
 mod weights;

@@ -1,13 +1,12 @@
 //! Layers: weights, shape check, call to a kernel. Rows of features are flat `(rows, width)`.
 
-use std::sync::{Mutex, PoisonError};
-
 use rayon::prelude::*;
 
 use crate::Result;
 use crate::kernels::{
     self, Blank, Conv3d, GroupNorm, PackedConv3d, PackedLinear, SimdLevel, Source, Then, channel_sums,
 };
+use crate::pool::{Buffer, Pool};
 use crate::weights::Scope;
 
 /// Rows that one task handles at a time: their features stay in the first-level cache.
@@ -93,34 +92,15 @@ pub(crate) struct Tensor {
     /// D, H, W.
     pub(crate) size: [usize; 3],
     pub(crate) channels: usize,
-    pub(crate) values: Vec<f32>,
+    pub(crate) values: Buffer,
     /// Sum and sum of squares of each channel.
-    sums: Vec<[f64; 2]>,
+    pub(crate) sums: Vec<[f64; 2]>,
     /// Where the values are known to repeat.
     pub(crate) blank: Option<Blank>,
 }
 
-/// Memory of volumes that have been used, for the next ones: the system would clear fresh pages page by page.
-#[derive(Debug, Default)]
-pub(crate) struct Pool(Mutex<Vec<Vec<f32>>>);
-
-impl Pool {
-    /// `length` values, whatever they are.
-    pub(crate) fn take(&self, length: usize) -> Vec<f32> {
-        let mut free = self.0.lock().unwrap_or_else(PoisonError::into_inner);
-        match free.iter().position(|values| values.len() == length) {
-            Some(place) => free.swap_remove(place),
-            None => vec![0.0; length],
-        }
-    }
-
-    pub(crate) fn give(&self, tensor: Tensor) {
-        self.0.lock().unwrap_or_else(PoisonError::into_inner).push(tensor.values);
-    }
-}
-
 impl Tensor {
-    pub(crate) fn new(size: [usize; 3], channels: usize, values: Vec<f32>) -> Self {
+    fn new(size: [usize; 3], channels: usize, values: Buffer) -> Self {
         let sums = channel_sums(&values, channels);
         Self { size, channels, values, sums, blank: None }
     }
@@ -169,8 +149,8 @@ impl Tensor {
     }
 
     /// A linear layer at each voxel (a 1x1x1 convolution).
-    pub(crate) fn pointwise(&self, layer: &Linear) -> Vec<f32> {
-        let mut output = vec![0.0; self.voxels() * layer.outputs()];
+    pub(crate) fn pointwise(&self, layer: &Linear, pool: &Pool) -> Buffer {
+        let mut output = pool.take(self.voxels() * layer.outputs());
         let chunks = self.values.par_chunks(TILE * self.channels);
         let outputs = output.par_chunks_mut(TILE * layer.outputs());
         outputs.zip(chunks).for_each(|(out, input)| layer.forward(input, out, Then::Store));
@@ -259,14 +239,18 @@ mod tests {
 
     #[test]
     fn pooling_and_upsampling_of_odd_sizes() {
-        let plane = (0..10).map(|v| v as f32);
-        let fine = Tensor::new([2, 2, 5], 1, plane.clone().chain(plane).collect());
-        assert_eq!(fine.max_pool(&Pool::default()).values, [6.0, 8.0]);
-        let fine = Tensor::new([1, 1, 5], 1, vec![0.0; 5]);
-        let coarse = Tensor::new([1, 1, 2], 1, vec![1.0, 2.0]);
+        let pool = Pool::default();
+        let tensor = |size: [usize; 3], value: fn(usize) -> f32| {
+            let mut values = pool.take(size.iter().product());
+            values.iter_mut().enumerate().for_each(|(i, v)| *v = value(i));
+            Tensor::new(size, 1, values)
+        };
+        assert_eq!(*tensor([2, 2, 5], |i| (i % 10) as f32).max_pool(&pool).values, [6.0, 8.0]);
+        let fine = tensor([1, 1, 5], |_| 0.0);
+        let coarse = tensor([1, 1, 2], |i| 1.0 + i as f32);
         // floor(i * 2 / 5) = 0 0 0 1 1.
         assert_eq!(
-            fine.concat_upsampled(&coarse, &Pool::default()).values,
+            *fine.concat_upsampled(&coarse, &pool).values,
             [0.0, 1.0, 0.0, 1.0, 0.0, 1.0, 0.0, 2.0, 0.0, 2.0]
         );
     }

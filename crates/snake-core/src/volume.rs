@@ -4,6 +4,7 @@ use ndarray::ArrayView4;
 
 use crate::kernels::{Corners, SimdLevel, interpolate};
 use crate::points::Point;
+use crate::pool::Buffer;
 
 /// Where the voxels of a volume lie in the network's frame (ConvONet's normalisation of coordinates).
 ///
@@ -80,7 +81,7 @@ pub struct Volume {
     pub(crate) frame: VolumeFrame,
     pub(crate) channels: usize,
     /// `[z][y][x][channel]`.
-    pub(crate) values: Vec<f32>,
+    pub(crate) values: Buffer,
 }
 
 impl Volume {
@@ -92,7 +93,7 @@ impl Volume {
     /// The features, indexed `[z][y][x][channel]`.
     pub fn features(&self) -> ArrayView4<'_, f32> {
         let [depth, height, width] = self.frame.size();
-        ArrayView4::from_shape((depth, height, width, self.channels), &self.values)
+        ArrayView4::from_shape((depth, height, width, self.channels), &*self.values)
             .expect("a volume is made with as many values as its frame has voxels")
     }
 

@@ -3,11 +3,13 @@
 mod pointnet;
 mod unet;
 
+use rayon::prelude::*;
+
 use self::pointnet::PointNet;
 pub(crate) use self::pointnet::VoxelGroups;
 use self::unet::UNet3d;
 use crate::Result;
-use crate::kernels::Blank;
+use crate::kernels::{Blank, channel_sums};
 use crate::model::ModelConfig;
 use crate::nn::Tensor;
 use crate::points::Point;
@@ -35,10 +37,8 @@ impl Encoder {
     pub(crate) fn encode(&self, points: &[Point]) -> Volume {
         let groups = VoxelGroups::new(points, &self.frame);
         let features = self.point_features(points, &groups);
-        let channels = features.len() / points.len();
-        let mut volume = Tensor::new(self.frame.size(), channels, self.scatter_mean(&features, &groups));
-        volume.blank = Some(Blank::around(volume.size, groups.iter().map(|(voxel, _)| voxel)));
-        Volume { frame: self.frame, channels, values: self.unet.forward(volume) }
+        let volume = self.scatter_mean(&features, &groups);
+        Volume { frame: self.frame, channels: volume.channels, values: self.unet.forward(volume) }
     }
 
     /// Features `(points, c_dim)`.
@@ -47,19 +47,16 @@ impl Encoder {
     }
 
     /// Mean feature of each voxel's points; voxels without points are zero.
-    pub(crate) fn scatter_mean(&self, features: &[f32], groups: &VoxelGroups) -> Vec<f32> {
+    pub(crate) fn scatter_mean(&self, features: &[f32], groups: &VoxelGroups) -> Tensor {
         let channels = features.len() / groups.num_points();
-        let mut volume = self.unet.pool.take(self.frame.size().iter().product::<usize>() * channels);
-        volume.fill(0.0);
-        for (voxel, members) in groups.iter() {
-            let mean = &mut volume[voxel * channels..][..channels];
-            for &point in members {
-                for (m, f) in mean.iter_mut().zip(&features[point as usize * channels..]) {
-                    *m += f;
-                }
-            }
-            mean.iter_mut().for_each(|m| *m /= members.len() as f32);
+        let size = self.frame.size();
+        let means = groups.mean_pool(features, channels);
+        let mut values = self.unet.pool.take(size.iter().product::<usize>() * channels);
+        values.par_chunks_mut(size[1] * size[2] * channels).for_each(|plane| plane.fill(0.0));
+        for (voxel, mean) in groups.voxels().zip(means.chunks_exact(channels)) {
+            values[voxel * channels..][..channels].copy_from_slice(mean);
         }
-        volume
+        let blank = Some(Blank::around(size, groups.voxels()));
+        Tensor { size, channels, values, sums: channel_sums(&means, channels), blank }
     }
 }

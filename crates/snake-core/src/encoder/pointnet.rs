@@ -40,9 +40,9 @@ impl VoxelGroups {
         self.members.len()
     }
 
-    /// Occupied voxels with their points.
-    pub(crate) fn iter(&self) -> impl Iterator<Item = (usize, &[u32])> {
-        (0..self.runs.len()).map(|run| (self.runs[run].0, self.members(run)))
+    /// Occupied voxels in rising order.
+    pub(crate) fn voxels(&self) -> impl Iterator<Item = usize> {
+        self.runs.iter().map(|run| run.0)
     }
 
     fn members(&self, run: usize) -> &[u32] {
@@ -52,11 +52,25 @@ impl VoxelGroups {
 
     /// Maximum over each run's points: `(points, width)` to `(runs, width)`.
     fn max_pool(&self, features: &[f32], width: usize) -> Vec<f32> {
-        let mut pooled = vec![f32::NEG_INFINITY; self.runs.len() * width];
-        pooled.par_chunks_mut(width).enumerate().for_each(|(run, maximum)| {
+        self.pool(features, width, f32::NEG_INFINITY, f32::max)
+    }
+
+    /// Mean over each run's points: `(points, width)` to `(runs, width)`.
+    pub(crate) fn mean_pool(&self, features: &[f32], width: usize) -> Vec<f32> {
+        let mut sums = self.pool(features, width, 0.0, |sum, feature| sum + feature);
+        for (run, sum) in sums.chunks_exact_mut(width).enumerate() {
+            sum.iter_mut().for_each(|s| *s /= self.members(run).len() as f32);
+        }
+        sums
+    }
+
+    /// Combines the features of each run's points, in rising order of the points.
+    fn pool(&self, features: &[f32], width: usize, start: f32, combine: impl Fn(f32, f32) -> f32 + Sync) -> Vec<f32> {
+        let mut pooled = vec![start; self.runs.len() * width];
+        pooled.par_chunks_mut(width).enumerate().for_each(|(run, pooled)| {
             for &point in self.members(run) {
-                for (m, &f) in maximum.iter_mut().zip(&features[point as usize * width..]) {
-                    *m = m.max(f);
+                for (p, &f) in pooled.iter_mut().zip(&features[point as usize * width..]) {
+                    *p = combine(*p, f);
                 }
             }
         });

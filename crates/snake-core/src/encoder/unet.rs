@@ -2,7 +2,8 @@
 
 use crate::Result;
 use crate::model::ModelConfig;
-use crate::nn::{Linear, Pool, SingleConv, Tensor};
+use crate::nn::{Linear, SingleConv, Tensor};
+use crate::pool::{Buffer, Pool};
 use crate::weights::Scope;
 
 type DoubleConv = [SingleConv; 2];
@@ -60,13 +61,11 @@ impl UNet3d {
     }
 
     /// `(D, H, W, c_dim)` to the same size and width.
-    pub(crate) fn forward(&self, volume: Tensor) -> Vec<f32> {
+    pub(crate) fn forward(&self, volume: Tensor) -> Buffer {
         let run = |[first, second]: &DoubleConv, inputs: Vec<Tensor>| {
             let middle = first.forward(&inputs.iter().collect::<Vec<_>>(), &self.pool);
-            inputs.into_iter().for_each(|input| self.pool.give(input));
-            let output = second.forward(&[&middle], &self.pool);
-            self.pool.give(middle);
-            output
+            drop(inputs);
+            second.forward(&[&middle], &self.pool)
         };
         let mut skips = Vec::with_capacity(self.decoders.len());
         let mut current = run(&self.top, vec![volume]);
@@ -79,14 +78,9 @@ impl UNet3d {
             current = if skip.size == current.size.map(|n| 2 * n) {
                 run(decoder, vec![skip, current])
             } else {
-                let joined = skip.concat_upsampled(&current, &self.pool);
-                self.pool.give(skip);
-                self.pool.give(current);
-                run(decoder, vec![joined])
+                run(decoder, vec![skip.concat_upsampled(&current, &self.pool)])
             };
         }
-        let output = current.pointwise(&self.final_conv);
-        self.pool.give(current);
-        output
+        current.pointwise(&self.final_conv, &self.pool)
     }
 }

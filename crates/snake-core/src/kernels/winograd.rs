@@ -72,13 +72,11 @@ fn weights_of_axis(n: usize, [a, b, c]: [f64; 3]) -> [f64; 6] {
     if n == 4 {
         return [a, 0.5 * (a + b + c), 0.5 * (a - b + c), c, 0.0, 0.0];
     }
-    let nodes = [0.0, NEAR, -NEAR, FAR, -FAR];
-    let mut transformed = [0.0, 0.0, 0.0, 0.0, 0.0, c];
-    for (value, &node) in transformed.iter_mut().zip(&nodes) {
-        let others: f64 = nodes.iter().filter(|&&other| other != node).map(|other| node - other).product();
-        *value = (a + node * (b + node * c)) / others;
-    }
-    transformed
+    // The filter's polynomial at a point, divided by the point's distances from the others except infinity.
+    let at = |node: f64, distances: f64| (a + node * (b + node * c)) / distances;
+    let [near, far] = [NEAR * NEAR, FAR * FAR];
+    let [of_near, of_far] = [2.0 * near * (near - far), 2.0 * far * (far - near)];
+    [a / (near * far), at(NEAR, of_near), at(-NEAR, of_near), at(FAR, of_far), at(-FAR, of_far), c]
 }
 
 /// The points beside 0 and infinity for M = 4 are plus and minus these.

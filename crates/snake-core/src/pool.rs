@@ -1,0 +1,80 @@
+//! Memory of volumes that have been used, for the next ones: the system would clear fresh pages page by page.
+
+use std::mem::take;
+use std::ops::{Deref, DerefMut};
+use std::sync::{Arc, Mutex, PoisonError};
+
+/// Unused buffers, shared by all that a model makes.
+#[derive(Debug, Clone, Default)]
+pub(crate) struct Pool(Arc<Mutex<Vec<Vec<f32>>>>);
+
+/// Values that go back to their pool when dropped.
+#[derive(Debug)]
+pub(crate) struct Buffer {
+    values: Vec<f32>,
+    pool: Pool,
+}
+
+impl Pool {
+    /// Unused buffers of one length that are kept: what one cloud needs at a time.
+    const KEPT: usize = 4;
+
+    /// `length` values, whatever they are.
+    pub(crate) fn take(&self, length: usize) -> Buffer {
+        let mut free = self.0.lock().unwrap_or_else(PoisonError::into_inner);
+        let place = free.iter().position(|values| values.len() == length);
+        let values = place.map(|place| free.swap_remove(place));
+        drop(free);
+        Buffer { values: values.unwrap_or_else(|| vec![0.0; length]), pool: self.clone() }
+    }
+}
+
+impl Drop for Buffer {
+    fn drop(&mut self) {
+        let mut free = self.pool.0.lock().unwrap_or_else(PoisonError::into_inner);
+        if free.iter().filter(|values| values.len() == self.values.len()).count() < Pool::KEPT {
+            free.push(take(&mut self.values));
+        }
+    }
+}
+
+impl Clone for Buffer {
+    fn clone(&self) -> Self {
+        let mut copy = self.pool.take(self.len());
+        copy.copy_from_slice(self);
+        copy
+    }
+}
+
+impl Deref for Buffer {
+    type Target = [f32];
+
+    fn deref(&self) -> &[f32] {
+        &self.values
+    }
+}
+
+impl DerefMut for Buffer {
+    fn deref_mut(&mut self) -> &mut [f32] {
+        &mut self.values
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_dropped_buffer_is_used_again_for_the_same_length() {
+        let pool = Pool::default();
+        let mut first = pool.take(3);
+        first.copy_from_slice(&[1.0, 2.0, 3.0]);
+        let copy = first.clone();
+        drop(first);
+        assert_eq!(*copy, [1.0, 2.0, 3.0]);
+        assert_eq!(*pool.take(2), [0.0; 2]);
+        assert_eq!(*pool.take(3), [1.0, 2.0, 3.0]);
+        drop((0..10).map(|_| pool.take(5)).collect::<Vec<_>>());
+        assert_eq!(pool.0.lock().unwrap().iter().filter(|values| values.len() == 5).count(), Pool::KEPT);
+    }
+}
