@@ -46,7 +46,8 @@ struct Stage {
 
 /// What the forward pass leaves for the backward pass: the ReLUs, of which zeros stop the gradient.
 struct Trace {
-    /// Of each block's input and of its first layer's output, `(2 stages, queries, width)`.
+    /// Of each block's input and of its first layer's output, `(2 stages, queries, width)`; if no backward pass follows,
+    /// those of the last block alone.
     relus: Vec<f32>,
     /// Of the last block's output.
     last: Vec<f32>,
@@ -89,12 +90,12 @@ impl Decoder {
 
     /// Probabilities at queries in the network's frame with their features `(queries, c_dim)`.
     pub(crate) fn values(&self, queries: &[Point], features: &[f32]) -> Vec<f32> {
-        self.logits(queries, features).0.into_iter().map(|logit| self.head.apply(logit).0).collect()
+        self.logits(queries, features, false).0.into_iter().map(|logit| self.head.apply(logit).0).collect()
     }
 
     /// Probabilities and gradients; the backward pass is written by hand.
     pub(crate) fn values_and_gradients(&self, queries: &[Point], features: &[f32]) -> ValuesAndGradients {
-        let (logits, trace) = self.logits(queries, features);
+        let (logits, trace) = self.logits(queries, features, true);
         let (values, slopes): (Vec<f32>, Vec<f32>) = logits.into_iter().map(|logit| self.head.apply(logit)).unzip();
 
         let size = trace.last.len();
@@ -112,20 +113,22 @@ impl Decoder {
         ValuesAndGradients { values, in_query, in_feature }
     }
 
-    fn logits(&self, queries: &[Point], features: &[f32]) -> (Vec<f32>, Trace) {
+    fn logits(&self, queries: &[Point], features: &[f32], traced: bool) -> (Vec<f32>, Trace) {
         let size = queries.len() * self.fc_p.outputs();
         let mut state = vec![0.0; size];
-        let mut trace = Trace { relus: vec![0.0; 2 * self.stages.len() * size], last: vec![0.0; size] };
+        let mut relus = vec![0.0; 2 * size * if traced { self.stages.len() } else { 1 }];
         self.fc_p.forward(queries.as_flattened(), &mut state, Then::Store);
-        for (stage, relus) in self.stages.iter().zip(trace.relus.chunks_exact_mut(2 * size)) {
+        for (number, stage) in self.stages.iter().enumerate() {
+            let relus = &mut relus[if traced { 2 * size * number } else { 0 }..][..2 * size];
             let (input, hidden) = relus.split_at_mut(size);
             stage.fc_c.forward(features, &mut state, Then::AddAndRelu(input));
             stage.block.fc_0.forward(input, hidden, Then::Relu);
-            stage.block.fc_1.forward(hidden, &mut state, Then::AddAndRelu(&mut trace.last));
+            stage.block.fc_1.forward(hidden, &mut state, Then::Add);
         }
+        state.iter_mut().for_each(|v| *v = v.max(0.0));
         let mut logits = vec![0.0; queries.len()];
-        self.fc_out.forward(&trace.last, &mut logits, Then::Store);
-        (logits, trace)
+        self.fc_out.forward(&state, &mut logits, Then::Store);
+        (logits, Trace { relus, last: state })
     }
 }
 

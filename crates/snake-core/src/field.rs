@@ -187,17 +187,13 @@ impl Field {
         let mut features = vec![0.0; queries.len() * channels];
         let corners = self.volume.interpolate(&frame, queries, &mut features);
         let decoded = decoder.values_and_gradients(queries, &features);
-        let gradients = queries.iter().zip(&corners).enumerate().map(|(i, (&query, corners))| {
-            let in_feature = &decoded.in_feature[i * channels..][..channels];
-            let along_feature = corners.voxels.map(|voxel| {
-                let row = &self.volume.values[voxel as usize * channels..][..channels];
-                row.iter().zip(in_feature).map(|(v, g)| v * g).sum::<f32>()
-            });
-            let per_voxel = corners.gradient(along_feature);
+        let mut gradients = self.volume.interpolate_backward(&corners, &decoded.in_feature);
+        let (in_query, _) = decoded.in_query.as_chunks::<3>();
+        for ((gradient, &query), in_query) in gradients.iter_mut().zip(queries).zip(in_query) {
             let voxels_per_unit = frame.voxels_per_unit(query);
-            std::array::from_fn(|axis| decoded.in_query[i * 3 + axis] + per_voxel[axis] * voxels_per_unit[axis])
-        });
-        (decoded.values, gradients.collect())
+            *gradient = std::array::from_fn(|axis| in_query[axis] + gradient[axis] * voxels_per_unit[axis]);
+        }
+        (decoded.values, gradients)
     }
 
     /// The model that made this field.

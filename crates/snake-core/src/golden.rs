@@ -125,12 +125,15 @@ fn probabilities_and_gradients() {
             // 1e-3 of each gradient's length; where it is tiny, of the typical length.
             let length = |g: &Point| g.iter().map(|v| v * v).sum::<f32>().sqrt();
             let typical = expected.iter().map(length).sum::<f32>() / expected.len() as f32;
-            for (i, (f, e)) in found.iter().zip(&expected).enumerate() {
-                let error = length(&std::array::from_fn(|axis| f[axis] - e[axis]));
-                if error > 1e-3 * length(e).max(typical) {
-                    eprintln!("{} {tensor} {i}: {f:?}, expected {e:?}", case.name);
-                }
-            }
+            let wrong: Vec<_> = (0..)
+                .zip(found.iter().zip(&expected))
+                .filter(|(_, (f, e))| {
+                    let error = length(&std::array::from_fn(|axis| f[axis] - e[axis]));
+                    error > 1e-3 * length(e).max(typical)
+                })
+                .collect();
+            // A gradient jumps where a ReLU switches: one query in 500 may lie there, closer than rounding.
+            assert!(wrong.len() <= expected.len() / 500, "{} {tensor}: {wrong:?}", case.name);
         }
     }
 }
@@ -151,7 +154,8 @@ fn refinement_by_both_methods() {
     for case in cases() {
         let (field, start) = (case.field(), case.points("refine_start"));
         let scores = case.floats("refine_adam_masked_score_per_step");
-        let options = DetectOptions { selection: Selection::ReferenceFinalPosition, ..Default::default() };
+        let selection = Selection::ReferenceFinalPosition;
+        let options = DetectOptions { selection, saliency_threshold: 0.0, ..Default::default() };
         let found = refine(&field, &start, &options);
         let positions: Vec<Point> = found.iter().map(|c| c.position).collect();
         // Adam divides by the gradient's size: where that is near zero, rounding decides the direction.
@@ -175,8 +179,9 @@ fn refinement_by_both_methods() {
 fn the_best_position_scores_no_less_than_any_step() {
     for case in cases() {
         let (field, start) = (case.field(), case.points("refine_start"));
-        let reference = DetectOptions { selection: Selection::ReferenceFinalPosition, ..Default::default() };
-        let best = refine(&field, &start, &DetectOptions::default());
+        let options = DetectOptions { saliency_threshold: 0.0, ..Default::default() };
+        let reference = DetectOptions { selection: Selection::ReferenceFinalPosition, ..options };
+        let best = refine(&field, &start, &options);
         for (best, reference) in best.iter().zip(refine(&field, &start, &reference)) {
             assert!(best.score >= reference.score, "{}", case.name);
         }

@@ -12,7 +12,7 @@ use crate::points::Point;
 pub(crate) struct Candidate {
     /// In the network's frame.
     pub(crate) position: Point,
-    /// Saliency, or 0 where the occupancy is not above the surface threshold.
+    /// Saliency, or 0 where that is not above the saliency threshold or the occupancy not above the surface threshold.
     pub(crate) score: f32,
 }
 
@@ -24,13 +24,19 @@ pub(crate) fn refine(field: &Field, queries: &[Point], options: &DetectOptions) 
     queries.par_chunks(TILE).flat_map_iter(|tile| refine_tile(field, tile, queries.len(), options)).collect()
 }
 
+/// Where the queries of a tile were at one time, and their saliency there.
+struct Stop {
+    positions: Vec<Point>,
+    saliency: Vec<f32>,
+}
+
 fn refine_tile(field: &Field, queries: &[Point], num_queries: usize, options: &DetectOptions) -> Vec<Candidate> {
     let mut positions = queries.to_vec();
-    let mut best: Vec<Candidate> = queries.iter().map(|&position| Candidate { position, score: -1.0 }).collect();
+    let mut way = Vec::with_capacity(options.refine_steps + 1);
     let mut adam = Adam::new(queries.len(), options.refine_step_size);
     for _ in 0..options.refine_steps {
         let (saliency, gradient) = field.tile_values_and_gradients(Quantity::Saliency, &positions);
-        keep_better(&mut best, &positions, &scores(field, &positions, saliency, options));
+        way.push(Stop { positions: positions.clone(), saliency });
         match options.refine_method {
             RefineMethod::Adam => adam.step(&mut positions, &gradient, -1.0 / num_queries as f32),
             RefineMethod::GradientDescent => {
@@ -42,29 +48,49 @@ fn refine_tile(field: &Field, queries: &[Point], num_queries: usize, options: &D
     }
     match options.selection {
         Selection::ReferenceFinalPosition if options.refine_steps > 0 => {
+            let mut best = best_on_surface(field, &way, options);
             best.iter_mut().zip(positions).for_each(|(best, position)| best.position = position);
+            best
         }
         _ => {
             let saliency = field.tile_values(Quantity::Saliency, &positions);
-            keep_better(&mut best, &positions, &scores(field, &positions, saliency, options));
+            way.push(Stop { positions, saliency });
+            best_on_surface(field, &way, options)
         }
+    }
+}
+
+/// For each query of a tile the stop of its way with the highest saliency among those on the surface, the first of them
+/// if there are several.
+///
+/// The stops are asked for their occupancy from the most salient one on, until one lies on the surface or the saliency
+/// is too low for a keypoint: the same result as asking all of them, for most queries without any.
+fn best_on_surface(field: &Field, way: &[Stop], options: &DetectOptions) -> Vec<Candidate> {
+    let mut best: Vec<Candidate> =
+        way[0].positions.iter().map(|&position| Candidate { position, score: 0.0 }).collect();
+    // The queries without a result, each with its stops by falling saliency.
+    let mut open: Vec<(usize, Vec<&Stop>)> = (0..best.len())
+        .map(|query| {
+            let salient = |stop: &&Stop| stop.saliency[query] > options.saliency_threshold;
+            let mut stops: Vec<&Stop> = way.iter().filter(salient).collect();
+            stops.sort_by(|a, b| b.saliency[query].total_cmp(&a.saliency[query]));
+            (query, stops)
+        })
+        .collect();
+    for rank in 0..way.len() {
+        open.retain(|(_, stops)| rank < stops.len());
+        let positions: Vec<Point> = open.iter().map(|(query, stops)| stops[rank].positions[*query]).collect();
+        let mut occupancy = field.tile_values(Quantity::Occupancy, &positions).into_iter();
+        open.retain(|(query, stops)| {
+            let on_surface = occupancy.next().is_some_and(|occupancy| occupancy > options.surface_threshold);
+            if on_surface {
+                let stop = stops[rank];
+                best[*query] = Candidate { position: stop.positions[*query], score: stop.saliency[*query] };
+            }
+            !on_surface
+        });
     }
     best
-}
-
-/// Saliency where the occupancy is above the surface threshold, else 0.
-fn scores(field: &Field, positions: &[Point], saliency: Vec<f32>, options: &DetectOptions) -> Vec<f32> {
-    let occupancy = field.tile_values(Quantity::Occupancy, positions);
-    let on_surface = |occupancy: f32| occupancy > options.surface_threshold;
-    saliency.into_iter().zip(occupancy).map(|(s, o)| if on_surface(o) { s } else { 0.0 }).collect()
-}
-
-fn keep_better(best: &mut [Candidate], positions: &[Point], scores: &[f32]) {
-    for ((best, &position), &score) in best.iter_mut().zip(positions).zip(scores) {
-        if score > best.score {
-            *best = Candidate { position, score };
-        }
-    }
 }
 
 /// Adam (β 0.9 and 0.999, ε 1e-8) on a tile of points, in the order of operations of the reference.

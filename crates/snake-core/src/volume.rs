@@ -2,7 +2,7 @@
 
 use ndarray::ArrayView4;
 
-use crate::kernels::{Corners, SimdLevel, interpolate};
+use crate::kernels::{Corners, SimdLevel, interpolate, interpolate_backward};
 use crate::points::Point;
 use crate::pool::Buffer;
 
@@ -102,6 +102,15 @@ impl Volume {
         let corners: Vec<Corners> = queries.iter().map(|&query| frame.corners(query)).collect();
         interpolate(SimdLevel::current(), &self.values, self.channels, &corners, features);
         corners
+    }
+
+    /// Derivatives along x, y, z, per voxel, at the corners that [`Volume::interpolate`] returned, from the gradient in
+    /// the features `(queries, channels)`.
+    pub(crate) fn interpolate_backward(&self, corners: &[Corners], in_feature: &[f32]) -> Vec<Point> {
+        let mut gradients = vec![[0.0; 3]; corners.len()];
+        let level = SimdLevel::current();
+        interpolate_backward(level, &self.values, self.channels, corners, in_feature, &mut gradients);
+        gradients
     }
 }
 

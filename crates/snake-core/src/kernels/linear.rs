@@ -44,20 +44,17 @@ simd_levels! {
 #[inline(always)]
 fn linear_body<L: Lanes, const ROWS: usize>(layer: &PackedLinear, input: &[f32], output: &mut [f32], mut then: Then) {
     let rows = input.len() / layer.inputs;
-    let mut row = 0;
-    while row < rows {
-        if row + ROWS <= rows {
-            linear_tile::<L, ROWS>(layer, row, input, output, &mut then);
-            row += ROWS;
-        } else {
-            linear_tile::<L, 1>(layer, row, input, output, &mut then);
-            row += 1;
-        }
+    let tiled = rows - rows % ROWS;
+    for row in (0..tiled).step_by(ROWS) {
+        linear_rows::<L, ROWS>(layer, row, input, output, &mut then);
+    }
+    for row in tiled..rows {
+        linear_rows::<L, 1>(layer, row, input, output, &mut then);
     }
 }
 
 #[inline(always)]
-fn linear_tile<L: Lanes, const ROWS: usize>(
+fn linear_rows<L: Lanes, const ROWS: usize>(
     layer: &PackedLinear,
     row: usize,
     input: &[f32],
@@ -65,27 +62,51 @@ fn linear_tile<L: Lanes, const ROWS: usize>(
     then: &mut Then,
 ) {
     let input = &input[row * layer.inputs..];
-    let zero = L::splat(0.0);
     for (block, (weights, bias)) in layer.weights.chunks_exact(layer.inputs).zip(&layer.bias).enumerate() {
         let sums = accumulate_tile::<L, ROWS>([L::load(bias); ROWS], input, layer.inputs, weights);
-        let lanes = LANES.min(layer.outputs - block * LANES);
-        for (r, &sum) in sums.iter().enumerate() {
-            let place = (row + r) * layer.outputs + block * LANES;
-            let out = &mut output[place..];
-            let result = match then {
-                Then::Store => sum,
-                Then::Relu => sum.at_least(zero),
-                Then::Add => sum.plus(load(out, lanes)),
-                Then::AddAndRelu(relu) => {
-                    let sum = sum.plus(load(out, lanes));
-                    store(sum.at_least(zero), &mut relu[place..], lanes);
-                    sum
-                }
-                Then::Mask(relu) => sum.where_positive(load(&relu[place..], lanes)),
-                Then::AddMasked(relu) => sum.where_positive(load(&relu[place..], lanes)).plus(load(out, lanes)),
-            };
-            store(result, out, lanes);
+        let place = row * layer.outputs + block * LANES;
+        // The number of lanes is nearly always the whole block: so that the compiler knows it there.
+        match layer.outputs - block * LANES {
+            LANES.. => finish::<L, ROWS>(sums, place, layer.outputs, LANES, output, then),
+            lanes => finish::<L, ROWS>(sums, place, layer.outputs, lanes, output, then),
         }
+    }
+}
+
+/// Does to `lanes` sums of each row what `then` says; rows are `stride` apart.
+#[inline(always)]
+fn finish<L: Lanes, const ROWS: usize>(
+    sums: [L; ROWS],
+    place: usize,
+    stride: usize,
+    lanes: usize,
+    output: &mut [f32],
+    then: &mut Then,
+) {
+    // One loop for each case, with the sums in registers.
+    macro_rules! store_each {
+        ($sum:ident, $place:ident, $result:expr) => {
+            for r in 0..ROWS {
+                let ($sum, $place) = (sums[r], place + r * stride..place + r * stride + lanes);
+                let result = $result;
+                store(result, &mut output[$place], lanes);
+            }
+        };
+    }
+    let zero = L::splat(0.0);
+    match then {
+        Then::Store => store_each!(sum, place, sum),
+        Then::Relu => store_each!(sum, place, sum.at_least(zero)),
+        Then::Add => store_each!(sum, place, sum.plus(load(&output[place.clone()], lanes))),
+        Then::AddAndRelu(relu) => store_each!(sum, place, {
+            let sum = sum.plus(load(&output[place.clone()], lanes));
+            store(sum.at_least(zero), &mut relu[place.clone()], lanes);
+            sum
+        }),
+        Then::Mask(relu) => store_each!(sum, place, sum.where_positive(load(&relu[place.clone()], lanes))),
+        Then::AddMasked(relu) => store_each!(sum, place, {
+            sum.where_positive(load(&relu[place.clone()], lanes)).plus(load(&output[place.clone()], lanes))
+        }),
     }
 }
 

@@ -19,5 +19,5 @@ pub(crate) use blank::Blank;
 pub(crate) use group_norm::{GroupNorm, channel_sums};
 pub(crate) use linear::{PackedLinear, Then, linear};
 pub use simd::SimdLevel;
-pub(crate) use trilinear::{Corners, interpolate};
+pub(crate) use trilinear::{Corners, interpolate, interpolate_backward};
 pub(crate) use winograd::{Conv3d, PackedConv3d, Source, conv3d};

@@ -1,6 +1,6 @@
 //! Trilinear interpolation of feature rows.
 
-use super::simd::{Lanes, simd_levels};
+use super::simd::{LANES, Lanes, load, simd_levels, store};
 
 /// The eight voxels around a query and its place between them.
 #[derive(Debug, Clone, Copy)]
@@ -12,22 +12,30 @@ pub(crate) struct Corners {
 }
 
 impl Corners {
-    /// Weight of a corner: the product over axes of the fraction or its complement.
+    /// Of each corner the weight, a product over axes of the fraction or its complement.
     #[inline(always)]
-    fn weight(&self, corner: usize) -> f32 {
-        let along = |axis: usize| if corner >> axis & 1 == 1 { self.fraction[axis] } else { 1.0 - self.fraction[axis] };
-        along(0) * along(1) * along(2)
+    fn weights(&self) -> [f32; 8] {
+        let [x, y, z] = self.fraction;
+        let [x, y, z] = [[1.0 - x, x], [1.0 - y, y], [1.0 - z, z]];
+        let mut weights = [0.0; 8];
+        for (corner, weight) in weights.iter_mut().enumerate() {
+            *weight = x[corner & 1] * y[corner >> 1 & 1] * z[corner >> 2];
+        }
+        weights
     }
 
-    /// Derivative along x, y, z (per voxel) of the interpolation of eight corner values.
-    pub(crate) fn gradient(&self, values: [f32; 8]) -> [f32; 3] {
-        std::array::from_fn(|axis| {
-            let (one, other) = ((axis + 1) % 3, (axis + 2) % 3);
-            (0..8).filter(|corner| corner >> axis & 1 == 0).fold(0.0, |sum, low| {
-                let along = |a: usize| if low >> a & 1 == 1 { self.fraction[a] } else { 1.0 - self.fraction[a] };
-                sum + along(one) * along(other) * (values[low | 1 << axis] - values[low])
-            })
-        })
+    /// Derivatives of the weights along x, y, z, per voxel.
+    #[inline(always)]
+    fn slopes(&self) -> [[f32; 3]; 8] {
+        let [x, y, z] = self.fraction;
+        let [x, y, z] = [[1.0 - x, x], [1.0 - y, y], [1.0 - z, z]];
+        let sign = [-1.0, 1.0];
+        let mut slopes = [[0.0; 3]; 8];
+        for (corner, slope) in slopes.iter_mut().enumerate() {
+            let [i, j, k] = [corner & 1, corner >> 1 & 1, corner >> 2];
+            *slope = [sign[i] * y[j] * z[k], x[i] * sign[j] * z[k], x[i] * y[j] * sign[k]];
+        }
+        slopes
     }
 }
 
@@ -44,15 +52,68 @@ fn interpolate_body<L: Lanes, const ROWS: usize>(
     features: &mut [f32],
 ) {
     for (corners, feature) in corners.iter().zip(features.chunks_exact_mut(channels)) {
-        feature.fill(0.0);
-        for (corner, &voxel) in corners.voxels.iter().enumerate() {
-            let weight = corners.weight(corner);
-            let row = &volume[voxel as usize * channels..][..channels];
-            for (f, &value) in feature.iter_mut().zip(row) {
-                *f = if L::FUSED { weight.mul_add(value, *f) } else { weight * value + *f };
+        let weights = corners.weights();
+        for (block, feature) in feature.chunks_mut(LANES).enumerate() {
+            let mut sum = L::splat(0.0);
+            for (&voxel, &weight) in corners.voxels.iter().zip(&weights) {
+                let row = &volume[voxel as usize * channels + block * LANES..];
+                sum = L::splat(weight).multiply_add(load(row, feature.len()), sum);
             }
+            store(sum, feature, feature.len());
         }
     }
+}
+
+simd_levels! {
+    /// Derivatives along x, y, z, per voxel, of the interpolated feature times `in_feature` `(queries, channels)`, the
+    /// feature's gradient.
+    pub(crate) fn interpolate_backward(
+        volume: &[f32], channels: usize, corners: &[Corners], in_feature: &[f32], gradients: &mut [[f32; 3]],
+    ) = interpolate_backward_body
+}
+
+#[inline(always)]
+fn interpolate_backward_body<L: Lanes, const ROWS: usize>(
+    volume: &[f32],
+    channels: usize,
+    corners: &[Corners],
+    in_feature: &[f32],
+    gradients: &mut [[f32; 3]],
+) {
+    let rows = in_feature.chunks_exact(channels).zip(gradients);
+    for (corners, (in_feature, gradient)) in corners.iter().zip(rows) {
+        let slopes = corners.slopes();
+        let mut sums = [L::splat(0.0); 3];
+        for (block, in_feature) in in_feature.chunks(LANES).enumerate() {
+            let mut slopes_of_feature = [L::splat(0.0); 3];
+            for (&voxel, slope) in corners.voxels.iter().zip(&slopes) {
+                let row = load::<L>(&volume[voxel as usize * channels + block * LANES..], in_feature.len());
+                for axis in 0..3 {
+                    slopes_of_feature[axis] = L::splat(slope[axis]).multiply_add(row, slopes_of_feature[axis]);
+                }
+            }
+            let in_feature = load(in_feature, in_feature.len());
+            for axis in 0..3 {
+                sums[axis] = slopes_of_feature[axis].multiply_add(in_feature, sums[axis]);
+            }
+        }
+        for axis in 0..3 {
+            gradient[axis] = sum_of_lanes(sums[axis].to_array());
+        }
+    }
+}
+
+/// Sum by halves.
+#[inline(always)]
+fn sum_of_lanes(mut values: [f32; LANES]) -> f32 {
+    let mut half = LANES / 2;
+    while half > 0 {
+        for i in 0..half {
+            values[i] += values[i + half];
+        }
+        half /= 2;
+    }
+    values[0]
 }
 
 #[cfg(test)]
@@ -72,15 +133,18 @@ mod tests {
             let fraction: [f32; 3] = std::array::from_fn(|_| random.values(1)[0].abs());
             let corners = Corners { voxels: std::array::from_fn(|corner| corner as u32), fraction };
             let expected: Vec<f32> = (0..channels).map(|channel| function(fraction) * channel as f32).collect();
+            let in_feature = random.values(channels);
+            let total: f32 = in_feature.iter().enumerate().map(|(channel, g)| channel as f32 * g).sum();
+            let [x, y, z] = fraction;
+            let slopes = [0.5 + 0.4 * y * z, -0.7 + 0.4 * x * z, 0.9 + 0.4 * x * y].map(|slope| slope * total);
             for level in SimdLevel::available() {
                 let mut features = vec![f32::NAN; channels];
                 interpolate(level, &volume, channels, &[corners], &mut features);
                 naive::assert_close(&features, &expected, 1e-4, &format!("{level:?} {channels}"));
+                let mut gradient = [[f32::NAN; 3]];
+                interpolate_backward(level, &volume, channels, &[corners], &in_feature, &mut gradient);
+                naive::assert_close(&gradient[0], &slopes, 2e-3, &format!("{level:?} {channels} gradient"));
             }
-            let [x, y, z] = fraction;
-            let expected = [0.5 + 0.4 * y * z, -0.7 + 0.4 * x * z, 0.9 + 0.4 * x * y];
-            let gradient = corners.gradient(std::array::from_fn(corner_value));
-            naive::assert_close(&gradient, &expected, 1e-5, "gradient");
         }
     }
 }
