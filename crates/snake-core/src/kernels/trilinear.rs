@@ -51,11 +51,19 @@ fn interpolate_body<L: Lanes, const ROWS: usize>(
     corners: &[Corners],
     features: &mut [f32],
 ) {
-    for (corners, feature) in corners.iter().zip(features.chunks_exact_mut(channels)) {
-        let weights = corners.weights();
+    for (query, (at, feature)) in corners.iter().zip(features.chunks_exact_mut(channels)).enumerate() {
+        // The rows of different queries lie far apart: those of one that comes soon are fetched ahead.
+        if let Some(soon) = corners.get(query + 8) {
+            for &voxel in &soon.voxels {
+                for line in (0..channels).step_by(LANES) {
+                    L::prefetch(volume.as_ptr().wrapping_add(voxel as usize * channels + line));
+                }
+            }
+        }
+        let weights = at.weights();
         for (block, feature) in feature.chunks_mut(LANES).enumerate() {
             let mut sum = L::splat(0.0);
-            for (&voxel, &weight) in corners.voxels.iter().zip(&weights) {
+            for (&voxel, &weight) in at.voxels.iter().zip(&weights) {
                 let row = &volume[voxel as usize * channels + block * LANES..];
                 sum = L::splat(weight).multiply_add(load(row, feature.len()), sum);
             }
