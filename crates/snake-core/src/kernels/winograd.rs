@@ -297,13 +297,24 @@ fn transform_inputs<L: Lanes, const N: usize>(
     let [first, global] = block.first.map(|first| first + half * LANES);
     let norm = [load::<L>(&scale[global..], lanes), load::<L>(&shift[global..], lanes)];
     let values = &source.values[first..];
-    let repeats = if source.upsampled { 2 } else { 1 };
-    let [height, width] = [size[1] / repeats, size[2] / repeats];
+    // Two neighbours of an upsampled volume are one voxel.
+    let shift = usize::from(source.upsampled);
+    let [height, width] = [size[1] >> shift, size[2] >> shift];
     let zero = L::splat(0.0);
     // Column c of the inputs in place c modulo N.
     let mut columns = [[[zero; N]; N]; N];
     let mut previous = None;
     for (tile, &[row, x]) in tiles.iter().enumerate() {
+        // Where the lines along x begin; nothing beyond the border.
+        let mut lines = [[None; N]; N];
+        for (j, lines) in lines.iter_mut().enumerate() {
+            for (k, line) in lines.iter_mut().enumerate() {
+                let [z, y] = [(N - 2) * plane + k, (N - 2) * row + j];
+                if (1..=size[0]).contains(&z) && (1..=size[1]).contains(&y) {
+                    *line = Some((((z - 1) >> shift) * height + ((y - 1) >> shift)) * width * source.channels);
+                }
+            }
+        }
         // Neighbours along x share two columns.
         let known = if x > 0 && previous == Some([row, x - 1]) { 2 } else { 0 };
         previous = Some([row, x]);
@@ -313,23 +324,18 @@ fn transform_inputs<L: Lanes, const N: usize>(
                 columns[column % N] = columns[(column - 1) % N];
                 continue;
             }
-            if column == 0 || column > size[2] {
+            if !(1..=size[2]).contains(&column) {
                 columns[column % N] = [[zero; N]; N];
                 continue;
             }
+            let from = ((column - 1) >> shift) * source.channels;
             let mut rows = [[zero; N]; N];
-            for (j, along_z) in rows.iter_mut().enumerate() {
-                let y = (N - 2) * row + j;
-                if y == 0 || y > size[1] {
-                    continue;
-                }
-                for (k, value) in along_z.iter_mut().enumerate() {
-                    let z = (N - 2) * plane + k;
-                    if z > 0 && z <= size[0] {
-                        let [z, y, x] = [(z - 1) / repeats, (y - 1) / repeats, (column - 1) / repeats];
-                        let voxel = (z * height + y) * width + x;
-                        L::prefetch(values.as_ptr().wrapping_add((voxel + N / repeats) * source.channels));
-                        *value = load::<L>(&values[voxel * source.channels..], lanes).multiply_add(norm[0], norm[1]);
+            for (along_z, lines) in rows.iter_mut().zip(&lines) {
+                for (value, line) in along_z.iter_mut().zip(lines) {
+                    if let Some(line) = line {
+                        let values = &values[line + from..];
+                        L::prefetch(values.as_ptr().wrapping_add((N >> shift) * source.channels));
+                        *value = load::<L>(values, lanes).multiply_add(norm[0], norm[1]);
                     }
                 }
                 *along_z = inputs_of_axis(*along_z);
