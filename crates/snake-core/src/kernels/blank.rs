@@ -32,18 +32,15 @@ impl Blank {
     /// Of the result of a 3x3x3 convolution.
     pub(crate) fn convolved(&self) -> Self {
         let [_, height, width] = self.size;
-        let near = |i: usize, n: usize| i.saturating_sub(1)..(i + 2).min(n);
-        let mut blank = vec![true; self.blank.len()];
-        blank.par_chunks_mut(width).enumerate().for_each(|(line, blank)| {
-            for z in near(line / height, self.size[0]) {
-                for y in near(line % height, height) {
-                    let neighbours = &self.blank[(z * height + y) * width..][..width];
-                    for (x, blank) in blank.iter_mut().enumerate() {
-                        *blank &= neighbours[near(x, width)].iter().all(|&blank| blank);
-                    }
-                }
+        let mut blank = self.blank.clone();
+        // Along each axis in turn a voxel is blank if it and its two neighbours are.
+        for (stride, length) in [(1, width), (width, height), (height * width, self.size[0])] {
+            let before = blank.clone();
+            for (block, before) in blank.chunks_mut(stride * length).zip(before.chunks(stride * length)) {
+                block.iter_mut().zip(&before[stride..]).for_each(|(blank, &next)| *blank &= next);
+                block[stride..].iter_mut().zip(before).for_each(|(blank, &last)| *blank &= last);
             }
-        });
+        }
         Self { blank, reach: self.reach + 1, ..*self }
     }
 

@@ -301,7 +301,6 @@ fn transform_inputs<L: Lanes, const N: usize>(
     let shift = usize::from(source.upsampled);
     let [height, width] = [size[1] >> shift, size[2] >> shift];
     let zero = L::splat(0.0);
-    // Column c of the inputs in place c modulo N.
     let mut columns = [[[zero; N]; N]; N];
     let mut previous = None;
     for (tile, &[row, x]) in tiles.iter().enumerate() {
@@ -317,15 +316,18 @@ fn transform_inputs<L: Lanes, const N: usize>(
         }
         // Neighbours along x share two columns.
         let known = if x > 0 && previous == Some([row, x - 1]) { 2 } else { 0 };
+        for i in 0..known {
+            columns[i] = columns[N - 2 + i];
+        }
         previous = Some([row, x]);
         for i in known..N {
             let column = (N - 2) * x + i;
             if source.upsampled && i > 0 && i % 2 == 0 {
-                columns[column % N] = columns[(column - 1) % N];
+                columns[i] = columns[i - 1];
                 continue;
             }
             if !(1..=size[2]).contains(&column) {
-                columns[column % N] = [[zero; N]; N];
+                columns[i] = [[zero; N]; N];
                 continue;
             }
             let from = ((column - 1) >> shift) * source.channels;
@@ -345,14 +347,14 @@ fn transform_inputs<L: Lanes, const N: usize>(
                 for (value, row) in along_y.iter_mut().zip(&rows) {
                     *value = row[z];
                 }
-                columns[column % N][z] = inputs_of_axis(along_y);
+                columns[i][z] = inputs_of_axis(along_y);
             }
         }
         for z in 0..N {
             for y in 0..N {
                 let mut along_x = [zero; N];
                 for (i, value) in along_x.iter_mut().enumerate() {
-                    *value = columns[((N - 2) * x + i) % N][z][y];
+                    *value = columns[i][z][y];
                 }
                 for (i, value) in inputs_of_axis(along_x).into_iter().enumerate() {
                     store(value, &mut to[((z * N + y) * N + i) * pitch + tile * BLOCK..], LANES);
