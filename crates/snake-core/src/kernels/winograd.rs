@@ -336,7 +336,12 @@ fn transform_inputs<L: Lanes, const N: usize>(
                 for (value, line) in along_z.iter_mut().zip(lines) {
                     if let Some(line) = line {
                         let values = &values[line + from..];
-                        L::prefetch(values.as_ptr().wrapping_add((N >> shift) * source.channels));
+                        // The first half of the block's channels fetches ahead for both.
+                        if half == 0 {
+                            let ahead = values.as_ptr().wrapping_add((N >> shift) * source.channels);
+                            L::prefetch(ahead);
+                            L::prefetch(ahead.wrapping_add(LANES));
+                        }
                         *value = load::<L>(values, lanes).multiply_add(norm[0], norm[1]);
                     }
                 }
