@@ -28,6 +28,7 @@ def torch_unet(unet, volume, threads, memory_format):
 
 def onnxruntime_unet(unet, volume, threads):
     """The U-Net in ONNX Runtime, float32."""
+    import onnx  # noqa: F401  (torch's exporter needs it)
     import onnxruntime
 
     options = onnxruntime.SessionOptions()
