@@ -221,8 +221,8 @@ def compare_threads(weights, points, options, threads, runs):
         rows = alternate(calls, runs)
     if threads == 1:
         return rows, {}
-    one, all_ = rows["1 thread"], rows[f"{threads} threads"]
-    return rows, {f"1 / {threads} threads": {stage: one[stage] / all_[stage] for stage in STAGES}}
+    one, several = rows["1 thread"], rows[f"{threads} threads"]
+    return rows, {f"1 / {threads} threads": {stage: one[stage] / several[stage] for stage in STAGES}}
 
 
 def peak_memory(command):
@@ -239,15 +239,15 @@ def peak_memory(command):
 
 
 def measure_memory(weights, cloud, threads):
-    """{command: peak MiB} of the command line on the network and on the built-in model; empty without the binary."""
+    """Peak MiB of `snake-cli detect` on a cloud with the network and with the built-in model; empty without it."""
     built = Path(__file__).parents[2] / "target/release/snake-cli"
     binary = str(built) if built.exists() else shutil.which("snake-cli")
     if binary is None:
         return {}
     detect = [binary, "detect", cloud, "--threads", str(threads)]
     return {
-        "snake-cli detect": peak_memory(detect),
-        "snake-cli detect --model 64^3 network": peak_memory([*detect, "--model", weights]),
+        "the network": peak_memory([*detect, "--model", weights]),
+        "built-in model": peak_memory(detect),
     }
 
 
@@ -333,10 +333,10 @@ def text(report):
     ]
     if report["thread_ratio"]:
         lines.append(table("ratio", report["thread_ratio"], digits=2))
-    lines.append("\nPeak resident memory")
+    lines.append("\nPeak resident memory of snake-cli detect")
     lines += [f"{name}: {mib:.0f} MiB" for name, mib in report["peak_mib"].items()]
     if not report["peak_mib"]:
-        lines.append("not measured: no snake-cli (cargo build --release)")
+        lines.append("not measured: no snake-cli found (cargo build --release)")
     return "\n".join(lines)
 
 
