@@ -81,7 +81,7 @@ def write_csv(path, rows):
 
 
 def plot(path, rows, title):
-    """One log-log panel per sweep with a line per stage; dotted: linear from the slowest stage's first value."""
+    """One log-log panel per sweep with a line per stage; dotted: linear, to the slowest stage's last value."""
     import matplotlib
 
     matplotlib.use("Agg")
@@ -89,19 +89,20 @@ def plot(path, rows, title):
     from matplotlib import pyplot
 
     names = list(dict.fromkeys(row[0] for row in rows))
-    figure, panels = pyplot.subplots(1, len(names), figsize=(3 * len(names), 3), sharey=True, squeeze=False)
+    figure, panels = pyplot.subplots(1, len(names), figsize=(3 * len(names), 3.2), sharey=True, squeeze=False)
     for panel, name in zip(panels[0], names):
         x = np.array([row[2] for row in rows if row[0] == name], float)
-        for stage in PARTS:
-            panel.loglog(x, [row[3][stage] for row in rows if row[0] == name], "o-", ms=3, lw=1, label=stage)
-        start = max(rows[[row[0] for row in rows].index(name)][3][stage] for stage in PARTS)
-        panel.loglog(x, start * x / x[0], "k:", lw=1, label="linear")
+        lines = {stage: [row[3][stage] for row in rows if row[0] == name] for stage in PARTS}
+        for stage, line in lines.items():
+            panel.loglog(x, line, "o-", ms=3, lw=1, label=stage)
+        panel.loglog(x, max(line[-1] for line in lines.values()) * x / x[-1], "k:", lw=1, label="linear")
         panel.set_xlabel(AXES[name][0])
+        panel.minorticks_off()
         panel.grid(alpha=0.3)
     panels[0][0].set_ylabel("seconds")
-    panels[0][-1].legend()
-    figure.suptitle(title, fontsize=8)
-    figure.tight_layout()
+    handles = panels[0][0].get_legend_handles_labels()
+    figure.legend(*handles, loc="upper center", ncols=len(PARTS) + 1, title=title, frameon=False)
+    figure.tight_layout(rect=(0, 0, 1, 0.86))
     figure.savefig(path, metadata={"Date": None})
     pyplot.close(figure)
 
