@@ -331,6 +331,8 @@ def text(report):
         table("Built-in model, recommended options: seconds", report["compact_seconds"]),
         table("snake-rs by threads, whole detection: seconds", report["thread_seconds"]),
     ]
+    if host["load_before"] > host["cores"]:
+        lines.insert(1, "BUSY MACHINE: the ratios favour whoever waits least for other threads; repeat on an idle one")
     if report["thread_ratio"]:
         lines.append(table("ratio", report["thread_ratio"], digits=2))
     lines.append("\nPeak resident memory of snake-cli detect")

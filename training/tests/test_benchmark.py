@@ -62,6 +62,12 @@ def test_the_report_can_be_read_as_text_and_json(report):
         assert word in text
 
 
+def test_a_busy_machine_is_said(report):
+    for load, said in ((0.0, False), (99.0, True)):
+        host = report["machine"] | {"load_before": load, "cores": 2}
+        assert ("BUSY MACHINE" in benchmark.text(report | {"machine": host})) == said
+
+
 @pytest.mark.parametrize("package", ["onnxruntime", "openvino", "open3d"])
 def test_installed_peers_are_measured(report, package):
     pytest.importorskip(package, reason=f"{package} is not installed: it was not compared with")
