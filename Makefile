@@ -15,6 +15,10 @@ $(VENV)/ready: python/pyproject.toml training/pyproject.toml
 	$(PYTHON) -m pip install --quiet "maturin>=1.16" mypy -e "training[test]"
 	touch $@
 
+$(VENV)/bench-ready: $(VENV)/ready
+	$(PYTHON) -m pip install --quiet -e "training[bench]"
+	touch $@
+
 # Builds the Python module into the virtual environment.
 .PHONY: module
 module: $(VENV)/ready
@@ -34,7 +38,8 @@ check: module  ## formatting, lints, type stubs
 golden: $(VENV)/ready  ## check the golden files against the PyTorch network
 	$(PYTHON) tests/golden/generate.py --check
 
-bench: module  ## speed of detection against PyTorch, side by side
+bench: module $(VENV)/bench-ready  ## speed beside PyTorch, ONNX Runtime, OpenVINO and Open3D
+	cargo build --release
 	$(PYTHON) -m snake_training.benchmark
 
 wheel: $(VENV)/ready  ## a wheel of the Python module in target/wheels

@@ -59,6 +59,33 @@ fn keypoints_of_the_sample_lie_on_it() {
 }
 
 #[test]
+fn timing_goes_to_stderr_and_leaves_stdout_alone() {
+    let rows = |output: &Output| -> Vec<(String, Vec<f64>)> {
+        let text = stderr(output);
+        let cells = |line: &str| line[10..].split_whitespace().map(|cell| cell.parse().unwrap()).collect();
+        let stages = text.lines().skip_while(|line| !line.starts_with("load model"));
+        stages.map(|line| (line[..10].trim().to_owned(), cells(line))).collect()
+    };
+    let one = snake(&["detect", &sample(), "--json", "--timing"]);
+    let timing = &json_lines(&one)[0]["timing_seconds"];
+    let found = rows(&one);
+    let names: Vec<&str> = found.iter().map(|(name, _)| name.as_str()).collect();
+    assert_eq!(names, ["load model", "read", "encode", "occupancy", "refine", "nms", "total"]);
+    for (name, cells) in &found[1..] {
+        assert_eq!(cells.len(), 1);
+        assert!((cells[0] - timing[name].as_f64().unwrap()).abs() <= 5.1e-5, "{name}");
+    }
+
+    let several = snake(&["detect", &sample(), &sample(), "nowhere.ply", "--json", "--timing"]);
+    assert!(stderr(&several).contains("seconds over 2 clouds"), "{}", stderr(&several));
+    assert_eq!(json_lines(&several).len(), 2);
+    for (name, cells) in &rows(&several)[1..] {
+        assert!(cells.len() == 3 && cells[0] <= cells[1] && cells[1] <= cells[2] + 5e-5, "{name}: {cells:?}");
+    }
+    assert_eq!(stderr(&snake(&["detect", &sample()])), "", "only where asked for");
+}
+
+#[test]
 fn options_reach_the_detector() {
     let count = |extra: &[&str], name: &str| {
         let output = snake(&[&["detect", &sample(), "--json"], extra].concat());

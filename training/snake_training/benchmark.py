@@ -1,117 +1,369 @@
-"""Whole detection, snake-rs against PyTorch with the volume computed once: `python -m snake_training.benchmark`.
+"""Speed of snake-rs beside its peers, alternating in one run: `python -m snake_training.benchmark`.
 
-The paper's 64^3 network with seeded random weights (speed does not depend on their values) whose occupancy bias is set
-so that as many grid queries are occupied as on a typical object.
+The network is the paper's, 64^3, with seeded random weights: speed does not depend on their values. Its decoders are
+fitted so that as many queries pass each threshold as on a typical object. Peers that are not installed are named, not
+counted; `pip install snake-training[bench]` has them all.
 """
 
 import argparse
+import functools
 import json
 import os
 import platform
-import tempfile
+import shutil
+import subprocess
+import sys
 import time
+from concurrent.futures import ProcessPoolExecutor
+from contextlib import ExitStack
+from datetime import datetime, timezone
+from importlib import metadata
+from multiprocessing import get_context
 from pathlib import Path
+from tempfile import TemporaryDirectory
 
 import numpy as np
 import torch
 
 from .augment import normalize
 from .data import Procedural
-from .evaluate import DetectOptions, query_grid, refine, select
+from .evaluate import DetectOptions, near_points, query_grid, refine, select
 from .export import write_weights
-from .model import NetworkConfig, SnakeNetwork
+from .model import NetworkConfig, SnakeNetwork, voxel_index
+from .peers import open3d_iss, unet_peers
 
-STAGES = ("encode", "occupancy", "refine", "total")
+PACKAGES = ("snake-rs", "torch", "onnxruntime", "openvino", "open3d")
+STAGES = ("encode", "occupancy", "refine", "nms", "total")
+QUERY_BAND = 2  # voxels, of the opt-in mode
+MAX_DIFFERENCE = 1e-3  # from PyTorch's volume; a float32 peer that is farther off gets no ratio
+PAUSE = 0.05  # seconds before each call, in which the threads of the one before stop spinning
+NOT_INSTALLED = "not installed (pip install snake-training[bench])"
 
 
-def seeded_network(config, points, occupied, seed=0):
-    """A random network that finds `occupied` of the 64^3 grid queries of the cloud occupied."""
+def seeded_network(config, points, occupied, query_resolution=64, seed=0):
+    """A random network that finds `occupied` grid queries of a cloud (N, 3) occupied, nearly all close to its points.
+
+    Half of those are on the surface (occupancy above 0.8) and two fifths salient (above 0.7), so that every stage of
+    detection has its work. The last layers of the decoders are fitted to that.
+    """
     torch.manual_seed(seed)
     network = SnakeNetwork(config).eval()
     for name, parameter in network.named_parameters():
         if name.endswith("fc_1.weight"):  # zero in a fresh network
             torch.nn.init.normal_(parameter, std=0.1)
+    surface, salient = np.log(0.8 / 0.2), np.log(np.expm1(0.7 / 0.3))  # the thresholds as logits
+    last, hidden = network.decoder_occup.fc_out, []
+    hook = last.register_forward_pre_hook(lambda _, inputs: hidden.append(inputs[0][0]))
     with torch.no_grad():
-        volume = network.encode(torch.from_numpy(normalize(points)[0])[None])
-        queries = query_grid(config, 64, "cpu")
-        logits = torch.cat([network.occupancy(volume, q[None])[0].logit() for q in queries.split(1 << 15)])
-        network.decoder_occup.fc_out.bias -= logits.sort().values[-occupied]
+        unit = torch.from_numpy(normalize(points)[0])
+        volume = network.encode(unit[None])
+        queries = query_grid(config, query_resolution, "cpu")
+        for chunk in queries.split(1 << 15):
+            network.occupancy(volume, chunk[None])
+        hook.remove()
+        hidden = torch.cat(hidden)
+        near = near_points(config, unit, queries, 1).float()
+        direction = torch.linalg.lstsq(hidden - hidden.mean(dim=0), near[:, None]).solution
+        highest = (hidden @ direction)[:, 0].sort(descending=True)
+        lowest, median = highest.values[occupied - 1], highest.values[occupied // 2]
+        gain = surface / (median - lowest)
+        last.weight.copy_(gain * direction.T)
+        last.bias.fill_(-gain * lowest)
+        saliency = network.occupancy_and_saliency(volume, queries[highest.indices[:occupied]][None])[1][0]
+        logit = (saliency / (1 - saliency)).expm1().log()
+        network.decoder_keypoint.fc_out.bias += salient - logit.quantile(0.6)
     return network
 
 
 def run_torch(network, points, options):
-    """Seconds of each stage of the plain PyTorch detection."""
+    """Seconds of each stage of the plain PyTorch detection, the volume computed once."""
     start = time.perf_counter()
     unit, center, scale = normalize(points, options.normalization)
+    unit = torch.from_numpy(unit)
     with torch.no_grad():
-        volume = network.encode(torch.from_numpy(unit)[None])
+        volume = network.encode(unit[None])
         encoded = time.perf_counter()
         queries = query_grid(network.config, options.query_resolution, "cpu")
+        if options.query_band:
+            queries = queries[near_points(network.config, unit, queries, options.query_band)]
         occupancy = torch.cat([network.occupancy(volume, chunk[None])[0] for chunk in queries.split(1 << 15)])
         queries = queries[occupancy > options.occupancy_threshold]
     filtered = time.perf_counter()
     position, score = refine(network, volume, queries, options)
     refined = time.perf_counter()
     select(position * float(scale) + torch.from_numpy(center), score, options)
-    return encoded - start, filtered - encoded, refined - filtered, time.perf_counter() - start
+    end = time.perf_counter()
+    return dict(zip(STAGES, (encoded - start, filtered - encoded, refined - filtered, end - refined, end - start)))
 
 
-def run_snake_rs(model, points, options):
-    """Seconds of each stage of snake-rs."""
+def run_snake_rs(model, points, options=None):
+    """Seconds of each stage of snake-rs; without options, with those that the model recommends."""
+    options = dict(vars(options)) if options else {}
+    encoding = {"normalization": options.pop("normalization")} if options else {}
     start = time.perf_counter()
-    field = model.encode(points, normalization=options.normalization)
+    field = model.encode(points, **encoding)
     encoded = time.perf_counter()
-    shared = {k: v for k, v in vars(options).items() if k != "normalization"}
-    timing = field.detect(**shared).timing_seconds
-    return encoded - start, timing["occupancy"], timing["refine"], time.perf_counter() - start
+    timing = field.detect(**options).timing_seconds
+    return {"encode": encoded - start} | timing | {"total": time.perf_counter() - start}
+
+
+def seconds_of(call):
+    """A call that returns its own seconds instead of its result."""
+
+    def run():
+        start = time.perf_counter()
+        call()
+        return {"seconds": time.perf_counter() - start}
+
+    return run
+
+
+def alternate(calls, runs):
+    """{name: call returning {stage: seconds}} to medians over `runs` rounds, after one round that is not counted."""
+    rounds = {name: [] for name in calls}
+    for _ in range(runs + 1):
+        for name, call in calls.items():
+            time.sleep(PAUSE)
+            rounds[name].append(call())
+    return {
+        name: {stage: float(np.median([row[stage] for row in rows[1:]])) for stage in rows[0]}
+        for name, rows in rounds.items()
+    }
+
+
+def compare_unet(network, model, points, threads, runs):
+    """Rows of the U-Net's peers against the whole encoding of snake-rs, which does more: the handicap is ours."""
+    encoder = network.encoder
+    with torch.no_grad():
+        unit = torch.from_numpy(normalize(points)[0])[None]
+        voxels = voxel_index(unit, network.config)
+        volume = encoder.scatter_mean(encoder.point_features(unit, voxels), voxels).contiguous()
+    calls, missing = {}, {}
+    for name, prepare in unet_peers(encoder.unet3d, volume, threads).items():
+        try:
+            calls[name] = prepare()
+        except ImportError:
+            missing[name] = {"note": NOT_INSTALLED}
+    outputs = {name: call() for name, call in calls.items()}
+    calls["snake-rs (whole encode)"] = lambda: model.encode(points)
+    outputs["snake-rs (whole encode)"] = model.encode(points).volume[None]
+    reference = outputs["PyTorch contiguous"]
+    rows = alternate({name: seconds_of(call) for name, call in calls.items()}, runs)
+    ours = rows["snake-rs (whole encode)"]["seconds"]
+    for name, row in rows.items():
+        row["difference"] = float(np.abs(outputs[name] - reference).max())
+        if "bfloat16" in name:
+            row["note"] = "for information: not float32"
+        elif row["difference"] > MAX_DIFFERENCE:
+            row["note"] = f"no ratio: differs from PyTorch by more than {MAX_DIFFERENCE:g}"
+        else:
+            row["ratio"] = row["seconds"] / ours
+    return rows | missing
+
+
+def compare_detect(network, model, points, options, runs):
+    """Rows of the whole detection stage by stage, without and with the opt-in query band, and the ratios."""
+    band = DetectOptions(**vars(options) | {"query_band": QUERY_BAND})
+    rows = alternate(
+        {
+            "PyTorch": lambda: run_torch(network, points, options),
+            "snake-rs": lambda: run_snake_rs(model, points, options),
+            f"PyTorch, query_band {QUERY_BAND}": lambda: run_torch(network, points, band),
+            f"snake-rs, query_band {QUERY_BAND}": lambda: run_snake_rs(model, points, band),
+        },
+        runs,
+    )
+    ratios = {
+        f"PyTorch / snake-rs{mode}": {
+            stage: rows[f"PyTorch{mode}"][stage] / rows[f"snake-rs{mode}"][stage] for stage in STAGES
+        }
+        for mode in ("", f", query_band {QUERY_BAND}")
+    }
+    return rows, ratios
+
+
+def compare_compact(model, points, runs):
+    """Rows of the whole detection with the built-in model's recommended options, and of Open3D's ISS."""
+    calls = {"snake-rs, built-in model": lambda: run_snake_rs(model, points)}
+    missing = {}
+    try:
+        find = seconds_of(open3d_iss(points))
+        calls["Open3D ISS"] = lambda: {"total": find()["seconds"]}
+    except ImportError:
+        missing = {"Open3D ISS": {"note": NOT_INSTALLED}}
+    return alternate(calls, runs) | missing
+
+
+@functools.cache
+def load_model(path):
+    """The snake-rs model of a weight file, read once a process."""
+    import snake_rs
+
+    return snake_rs.Model.load(path)
+
+
+def detect_in_child(weights, points, options):
+    """Seconds of each stage of snake-rs, for a process of its own."""
+    return run_snake_rs(load_model(weights), points, options)
+
+
+def compare_threads(weights, points, options, threads, runs):
+    """Rows of the whole detection of snake-rs in processes of one and of `threads` threads, and their ratio."""
+    with ExitStack() as stack:
+        calls = {}
+        for number in sorted({1, threads}):
+            os.environ["RAYON_NUM_THREADS"] = str(number)  # a process has it from its start
+            pool = stack.enter_context(ProcessPoolExecutor(1, get_context("spawn")))
+            submit = functools.partial(pool.submit, detect_in_child, weights, points, options)
+            submit().result()
+            name = "1 thread" if number == 1 else f"{number} threads"
+            calls[name] = lambda submit=submit: submit().result()
+        rows = alternate(calls, runs)
+    if threads == 1:
+        return rows, {}
+    one, several = rows["1 thread"], rows[f"{threads} threads"]
+    return rows, {f"1 / {threads} threads": {stage: one[stage] / several[stage] for stage in STAGES}}
+
+
+def peak_memory(command):
+    """Largest resident memory of a command in MiB.
+
+    A small process starts it: on Linux a child that large processes start begins with their peak.
+    """
+    script = (
+        "import resource, subprocess, sys; subprocess.run(sys.argv[1:], check=True, stdout=subprocess.DEVNULL); "
+        "print(resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss)"
+    )
+    output = subprocess.run([sys.executable, "-c", script, *command], check=True, capture_output=True, text=True).stdout
+    return int(output) / (2**20 if sys.platform == "darwin" else 2**10)  # macOS counts bytes, Linux KiB
+
+
+def measure_memory(weights, cloud, threads):
+    """Peak MiB of `snake-cli detect` on a cloud with the network and with the built-in model; empty without it."""
+    built = Path(__file__).parents[2] / "target/release/snake-cli"
+    binary = str(built) if built.exists() else shutil.which("snake-cli")
+    if binary is None:
+        return {}
+    detect = [binary, "detect", cloud, "--threads", str(threads)]
+    return {
+        "the network": peak_memory([*detect, "--model", weights]),
+        "built-in model": peak_memory(detect),
+    }
+
+
+def machine():
+    """Processor, number of cores, load and date."""
+    cpu = platform.processor() or platform.machine()
+    if Path("/proc/cpuinfo").exists():
+        lines = Path("/proc/cpuinfo").read_text().splitlines()
+        cpu = next((line.split(":", 1)[1].strip() for line in lines if line.startswith("model name")), cpu)
+    date = datetime.now(timezone.utc).isoformat(timespec="minutes")
+    return {"cpu": cpu, "cores": os.cpu_count(), "load_before": round(os.getloadavg()[0], 2), "date": date}
+
+
+def version(package):
+    """Version of an installed package."""
+    try:
+        return metadata.version(package)
+    except metadata.PackageNotFoundError:
+        return NOT_INSTALLED
+
+
+def measure(config, num_points, occupied, options, threads, runs):
+    """The whole report, as it is written to the JSON file."""
+    os.environ["RAYON_NUM_THREADS"] = os.environ["OMP_NUM_THREADS"] = str(threads)
+    import snake_rs  # after the environment: its threads start with the first use
+
+    torch.set_num_threads(threads)
+    report = {
+        "machine": machine(), "versions": {package: version(package) for package in PACKAGES},
+        "settings": {
+            "threads": threads, "runs": runs, "num_points": num_points, "resolution": config.resolution,
+            "query_resolution": options.query_resolution, "refine_steps": options.refine_steps,
+        },
+    }  # fmt: skip
+    points = Procedural(points=num_points)[0]
+    network = seeded_network(config, points, occupied, options.query_resolution)
+    with TemporaryDirectory() as folder:
+        weights, cloud = str(Path(folder) / "network.safetensors"), str(Path(folder) / "cloud.npy")
+        write_weights(weights, config, network.state_dict())
+        np.save(cloud, points)
+        model = load_model(weights)
+        report["counts"] = snake_rs.detect(points, model, **vars(options)).counts
+        report["unet_seconds"] = compare_unet(network, model, points, threads, runs)
+        report["detect_seconds"], report["detect_ratio"] = compare_detect(network, model, points, options, runs)
+        report["compact_seconds"] = compare_compact(snake_rs.Model.builtin(), points, runs)
+        report["thread_seconds"], report["thread_ratio"] = compare_threads(weights, points, options, threads, runs)
+        report["peak_mib"] = measure_memory(weights, cloud, threads)
+    return report
+
+
+def table(title, rows, digits=4):
+    """Aligned text of {row: {column: number or text}}."""
+    columns = list(dict.fromkeys(column for row in rows.values() for column in row if column != "note"))
+    formats = {"difference": ".0e", "ratio": ".2f"}
+    width = max(map(len, rows))
+    lines = [f"\n{title}", " " * width + "".join(f"{column:>11}" for column in columns)]
+    for name, row in rows.items():
+        cells = (f"{row[c]:{formats.get(c, f'.{digits}f')}}" if c in row else "" for c in columns)
+        lines.append(f"{name:{width}}" + "".join(f"{cell:>11}" for cell in cells) + f"  {row.get('note', '')}".rstrip())
+    return "\n".join(lines)
+
+
+def text(report):
+    """The report for people."""
+    host, settings, counts = report["machine"], report["settings"], report["counts"]
+    x, y, z = settings["resolution"]
+    lines = [
+        f"{host['cpu']}, {host['cores']} cores (load before: {host['load_before']}), {host['date']}",
+        "; ".join(f"{package} {number}" for package, number in report["versions"].items()),
+        f"threads of each: {settings['threads']}, medians of {settings['runs']} alternating runs",
+        f"{settings['num_points']} points, volume {x} x {y} x {z}, J = {settings['refine_steps']}; queries: "
+        + ", ".join(f"{number} {name.replace('_', ' ')}" for name, number in counts.items() if name != "queries")
+        + f" of {counts['queries']}",
+        table(
+            "U-Net: seconds, largest difference from PyTorch contiguous, ratio to snake-rs\n"
+            "(snake-rs: normalisation, PointNet and scatter-mean too)",
+            report["unet_seconds"],
+        ),
+        table("Whole detection: seconds, PyTorch with the volume computed once", report["detect_seconds"]),
+        table("ratios", report["detect_ratio"], digits=2),
+        table("Built-in model, recommended options: seconds", report["compact_seconds"]),
+        table("snake-rs by threads, whole detection: seconds", report["thread_seconds"]),
+    ]
+    if host["load_before"] > host["cores"]:
+        lines.insert(1, "BUSY MACHINE: the ratios favour whoever waits least for other threads; repeat on an idle one")
+    if report["thread_ratio"]:
+        lines.append(table("ratio", report["thread_ratio"], digits=2))
+    lines.append("\nPeak resident memory of snake-cli detect")
+    lines += [f"{name}: {mib:.0f} MiB" for name, mib in report["peak_mib"].items()]
+    if not report["peak_mib"]:
+        lines.append("not measured: no snake-cli found (cargo build --release)")
+    return "\n".join(lines)
 
 
 def main(argv=None):
-    """Prints medians of alternating runs and their ratios, as text and JSON."""
+    """Prints the tables, and writes the same as JSON."""
     parser = argparse.ArgumentParser(
         prog="python -m snake_training.benchmark",
         description=__doc__,
         formatter_class=argparse.ArgumentDefaultsHelpFormatter,
     )
-    parser.add_argument("--threads", type=int, default=os.cpu_count(), help="threads of both")
+    parser.add_argument("--threads", type=int, default=os.cpu_count(), help="threads of each")
     parser.add_argument("--runs", type=int, default=5, help="counted runs of each, after one that is not")
     parser.add_argument("--num-points", type=int, default=4096)
-    parser.add_argument("--occupied", type=int, default=12000, help="occupied grid queries")
-    parser.add_argument("--json", action="store_true", help="print JSON only")
+    parser.add_argument("--occupied", type=int, default=12000, help="occupied grid queries, of 64^3")
+    parser.add_argument("--json", metavar="FILE", type=Path, help="write the report there as well")
     arguments = parser.parse_args(argv)
-    os.environ["RAYON_NUM_THREADS"] = str(arguments.threads)
-    import snake_rs  # after the environment: its threads start with the first use
-
-    torch.set_num_threads(arguments.threads)
-    points = Procedural(points=arguments.num_points)[0]
-    options = DetectOptions()
-    network = seeded_network(NetworkConfig(), points, arguments.occupied)
-    with tempfile.TemporaryDirectory() as folder:
-        write_weights(Path(folder) / "network.safetensors", network.config, network.state_dict())
-        model = snake_rs.Model.load(Path(folder) / "network.safetensors")
-    peers = {
-        "PyTorch": lambda: run_torch(network, points, options),
-        "snake-rs": lambda: run_snake_rs(model, points, options),
-    }
-    seconds = {name: [] for name in peers}
-    for _ in range(arguments.runs + 1):
-        for name, run in peers.items():
-            seconds[name].append(run())
-    medians = {name: dict(zip(STAGES, np.median(rows[1:], axis=0).tolist())) for name, rows in seconds.items()}
-    report = {
-        "machine": platform.processor() or platform.machine(), "threads": arguments.threads, "torch": torch.__version__,
-        "num_points": arguments.num_points, "occupied": arguments.occupied, "median_seconds": medians,
-        "ratio": {stage: medians["PyTorch"][stage] / medians["snake-rs"][stage] for stage in STAGES},
-    }  # fmt: skip
-    if not arguments.json:
-        print(
-            f"64^3 network, {arguments.num_points} points, J = 10, {arguments.threads} threads, medians of {arguments.runs} runs"
-        )
-        print(f"{'seconds':10}" + "".join(f"{stage:>11}" for stage in STAGES))
-        for name, row in medians.items():
-            print(f"{name:10}" + "".join(f"{row[stage]:11.3f}" for stage in STAGES))
-        print(f"{'ratio':10}" + "".join(f"{report['ratio'][stage]:11.2f}" for stage in STAGES))
-    print(json.dumps(report))
+    for name, most in (("threads", 1024), ("runs", 1000), ("num_points", 10**7), ("occupied", 64**3 // 2)):
+        if not 1 <= getattr(arguments, name) <= most:
+            parser.error(f"--{name.replace('_', '-')} must be 1 to {most}")
+    report = measure(
+        NetworkConfig(), arguments.num_points, arguments.occupied, DetectOptions(), arguments.threads, arguments.runs
+    )
+    print(text(report))
+    if arguments.json:
+        arguments.json.write_text(json.dumps(report, indent=1) + "\n")
 
 
 if __name__ == "__main__":

@@ -57,6 +57,10 @@ pub struct DetectArguments {
     /// Print one JSON object per input, on one line, instead of a table.
     #[arg(long)]
     pub json: bool,
+    /// After the last input, print the seconds of each stage to the standard error: of the one cloud, or median,
+    /// maximum and sum over several.
+    #[arg(long)]
+    pub timing: bool,
     /// Weight file (.safetensors); default: the built-in compact model.
     #[arg(long)]
     pub model: Option<PathBuf>,

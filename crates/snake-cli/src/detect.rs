@@ -1,6 +1,6 @@
 //! `snake-cli detect`: read, detect, write.
 
-use std::collections::HashSet;
+use std::collections::{BTreeMap, HashSet};
 use std::fmt::Write;
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
@@ -14,6 +14,7 @@ use snake_core::{Detection, Field, Model, Preset, detect, io};
 
 use crate::args::DetectArguments;
 use crate::model;
+use crate::timing::{self, STAGES, Seconds};
 
 /// Rows of keypoints that the table for people shows.
 const TABLE_ROWS: usize = 10;
@@ -23,18 +24,24 @@ pub fn run(arguments: &DetectArguments) -> Result<ExitCode> {
     if let Some(threads) = arguments.threads {
         rayon::ThreadPoolBuilder::new().num_threads(threads.into()).build_global()?;
     }
+    let loading = Instant::now();
     let model = model::load(arguments.model.as_deref())?;
+    let load_model = loading.elapsed().as_secs_f64();
     let options = arguments.options.resolve(&model)?;
     let inputs = expand(&arguments.inputs)?;
     let outputs = outputs(arguments, &inputs)?;
     let bar = ProgressBar::new(inputs.len() as u64);
     bar.set_style(ProgressStyle::with_template("{bar:30} {pos}/{len} {msg} (ETA {eta})")?);
     let mut failures = 0;
+    let mut timings = Vec::new();
     for (index, input) in inputs.iter().enumerate() {
         bar.set_message(input.display().to_string());
         let output = outputs.get(index).map(PathBuf::as_path);
         match process(&model, &options, input, output, arguments.json) {
-            Ok(report) => bar.suspend(|| crate::print(&report))?,
+            Ok((report, seconds)) => {
+                timings.push(seconds);
+                bar.suspend(|| crate::print(&report))?;
+            }
             Err(error) => {
                 failures += 1;
                 bar.suspend(|| eprintln!("error: {error:#}"));
@@ -48,6 +55,9 @@ pub fn run(arguments: &DetectArguments) -> Result<ExitCode> {
     bar.finish_and_clear();
     if failures > 0 && inputs.len() > 1 {
         eprintln!("{failures} of {} inputs failed", inputs.len());
+    }
+    if arguments.timing && !timings.is_empty() {
+        eprint!("{}", timing::summary(load_model, &timings));
     }
     Ok(ExitCode::from(match failures {
         0 => 0,
@@ -107,8 +117,14 @@ fn outputs(arguments: &DetectArguments, inputs: &[PathBuf]) -> Result<Vec<PathBu
     Ok(outputs)
 }
 
-/// One input from file to file; returns what is printed about it.
-fn process(model: &Model, options: &Preset, input: &Path, output: Option<&Path>, json: bool) -> Result<String> {
+/// One input from file to file; returns what is printed about it, and how long it took.
+fn process(
+    model: &Model,
+    options: &Preset,
+    input: &Path,
+    output: Option<&Path>,
+    json: bool,
+) -> Result<(String, Seconds)> {
     let start = Instant::now();
     let points = io::read_points(input)?;
     let read = start.elapsed().as_secs_f64();
@@ -119,25 +135,23 @@ fn process(model: &Model, options: &Preset, input: &Path, output: Option<&Path>,
     if let Some(output) = output {
         io::write_keypoints(output, &detection.keypoints)?;
     }
-    let total = start.elapsed().as_secs_f64();
-    if json {
-        Ok(json_line(input, &field, &detection, [read, encode, total]))
+    let (timing, total) = (detection.timing, start.elapsed().as_secs_f64());
+    let seconds = [read, encode, timing.occupancy, timing.refine, timing.nms, total];
+    let report = if json {
+        json_line(input, &field, &detection, &seconds)
     } else {
-        table(input, output, &field, &detection, total)
-    }
+        table(input, output, &field, &detection, total)?
+    };
+    Ok((report, seconds))
 }
 
-fn json_line(input: &Path, field: &Field, detection: &Detection, [read, encode, total]: [f64; 3]) -> String {
-    let timing = detection.timing;
+fn json_line(input: &Path, field: &Field, detection: &Detection, seconds: &Seconds) -> String {
     let object = json!({
         "input": input.display().to_string(),
         "num_points": field.points().len(),
         "normalization": field.normalization(),
         "counts": detection.counts,
-        "timing_seconds": {
-            "read": read, "encode": encode, "occupancy": timing.occupancy, "refine": timing.refine, "nms": timing.nms,
-            "total": total,
-        },
+        "timing_seconds": STAGES.into_iter().zip(seconds).collect::<BTreeMap<_, _>>(),
         "keypoints": detection.keypoints.iter().map(io::keypoint_json).collect::<Vec<_>>(),
     });
     format!("{object}\n")

@@ -3,6 +3,7 @@
 mod args;
 mod detect;
 mod model;
+mod timing;
 
 use std::io::{self, Write};
 use std::process::ExitCode;
