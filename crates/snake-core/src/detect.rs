@@ -6,7 +6,7 @@ use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
 use crate::field::{EncodeOptions, Field, Quantity};
-use crate::nms::{NearestPoints, suppress};
+use crate::nms::{nearest_points, suppress};
 use crate::nn::TILE;
 use crate::points::{NormalizationMethod, Point};
 use crate::refine::refine;
@@ -217,14 +217,20 @@ pub fn detect(field: &Field, options: &DetectOptions) -> Result<Detection> {
     let positions: Vec<Point> = candidates.iter().map(|c| field.normalization().to_cloud(c.position)).collect();
     let scores: Vec<f32> = candidates.iter().map(|c| c.score).collect();
     let kept = suppress(&positions, &scores, options.nms_radius, options.max_keypoints)?;
-    let nearest = NearestPoints::new(field.points())?;
-    let mut keypoints = Vec::with_capacity(kept.len());
-    for index in kept {
-        let nearest_index = nearest.nearest(positions[index]);
-        let position = if options.snap { field.points()[nearest_index] } else { positions[index] };
-        let occupancy = field.occupancy(&[position])?[0];
-        keypoints.push(Keypoint { position, saliency: scores[index], occupancy, nearest_index });
+    let mut positions: Vec<Point> = kept.iter().map(|&index| positions[index]).collect();
+    let nearest = nearest_points(field.points(), &positions)?;
+    if options.snap {
+        positions = nearest.iter().map(|&index| field.points()[index]).collect();
     }
+    let occupancy = field.occupancy(&positions)?;
+    let keypoints: Vec<Keypoint> = (0..kept.len())
+        .map(|i| Keypoint {
+            position: positions[i],
+            saliency: scores[kept[i]],
+            occupancy: occupancy[i],
+            nearest_index: nearest[i],
+        })
+        .collect();
     let counts = Counts {
         queries: options.query_resolution.pow(3),
         occupied: occupied.len(),

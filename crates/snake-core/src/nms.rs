@@ -1,6 +1,7 @@
 //! Non-maximum suppression by radius, and nearest input points.
 
 use kiddo::{ImmutableKdTree, SquaredEuclidean};
+use rayon::prelude::*;
 
 use crate::points::Point;
 use crate::{Error, Result};
@@ -16,7 +17,7 @@ pub(crate) fn suppress(points: &[Point], scores: &[f32], radius: f32, limit: usi
         order.truncate(limit);
         return Ok(order);
     }
-    let tree = NearestPoints::new(points)?;
+    let tree = Tree::new(points)?;
     let mut alive = vec![true; points.len()];
     let mut kept = Vec::new();
     for index in order {
@@ -31,18 +32,45 @@ pub(crate) fn suppress(points: &[Point], scores: &[f32], radius: f32, limit: usi
     Ok(kept)
 }
 
-/// A k-d tree over points that answers with ties resolved to the lowest index.
-pub(crate) struct NearestPoints(ImmutableKdTree<f32, 3>);
+/// Index of the point nearest to each query; of equally near ones the lowest.
+pub(crate) fn nearest_points(points: &[Point], queries: &[Point]) -> Result<Vec<usize>> {
+    // To look at every point costs less than to build a tree for a few hundred queries.
+    if queries.len() < 256 {
+        return Ok(queries.par_iter().map(|&query| nearest_of_all(points, query)).collect());
+    }
+    let tree = Tree::new(points)?;
+    Ok(queries.par_iter().map(|&query| tree.nearest(query)).collect())
+}
 
-impl NearestPoints {
-    pub(crate) fn new(points: &[Point]) -> Result<Self> {
+fn nearest_of_all(points: &[Point], query: Point) -> usize {
+    const RUN: usize = 64;
+    let (mut best, mut least) = (0, f32::INFINITY);
+    for (run, points) in points.chunks(RUN).enumerate() {
+        let mut distances = [f32::INFINITY; RUN];
+        for (distance, point) in distances.iter_mut().zip(points) {
+            let [x, y, z] = [point[0] - query[0], point[1] - query[1], point[2] - query[2]];
+            *distance = x * x + y * y + z * z;
+        }
+        let least_of_run = distances.iter().fold(f32::INFINITY, |least, &d| if d < least { d } else { least });
+        if least_of_run < least {
+            least = least_of_run;
+            best = run * RUN + distances.iter().position(|&d| d == least).unwrap_or(0);
+        }
+    }
+    best
+}
+
+/// A k-d tree over points.
+struct Tree(ImmutableKdTree<f32, 3>);
+
+impl Tree {
+    fn new(points: &[Point]) -> Result<Self> {
         let tree = ImmutableKdTree::new_from_slice(points)
             .map_err(|e| Error::Input { what: "points", reason: format!("cannot be indexed: {e}") })?;
         Ok(Self(tree))
     }
 
-    /// Index of the point nearest to `query`; of equally near ones the lowest.
-    pub(crate) fn nearest(&self, query: Point) -> usize {
+    fn nearest(&self, query: Point) -> usize {
         let nearest = self.0.query(&query).nearest_one::<SquaredEuclidean<f32>>().execute();
         // The tree returns equally near points in no particular order.
         self.within(query, nearest.distance).min().unwrap_or(nearest.item as usize)
@@ -85,9 +113,17 @@ mod tests {
     #[test]
     fn the_nearest_of_equal_points_is_the_first() {
         let points = [[1.0, 0.0, 0.0], [0.0, 0.0, 0.0], [0.0, 0.0, 0.0], [-1.0, 0.0, 0.0]];
-        let nearest = NearestPoints::new(&points).unwrap();
-        assert_eq!(nearest.nearest([0.1, 0.0, 0.0]), 1);
-        assert_eq!(nearest.nearest([0.0, 0.0, 0.0]), 1);
-        assert_eq!(nearest.nearest([0.5, 0.0, 0.0]), 0);
+        let queries = [[0.1, 0.0, 0.0], [0.0, 0.0, 0.0], [0.5, 0.0, 0.0]];
+        assert_eq!(nearest_points(&points, &queries).unwrap(), [1, 1, 0]);
+        assert_eq!(nearest_points(&points, &queries.repeat(100)).unwrap(), [1, 1, 0].repeat(100));
+    }
+
+    #[test]
+    fn the_tree_and_the_scan_find_the_same_point() {
+        let coordinate = |i: u32, axis: usize| (i * [7919, 104_729, 1_299_709][axis] % 10_007) as f32 * 1e-4;
+        let points: Vec<Point> = (0..1000).map(|i| std::array::from_fn(|axis| coordinate(i, axis))).collect();
+        let queries: Vec<Point> = (5000..5300).map(|i| std::array::from_fn(|axis| coordinate(i, axis))).collect();
+        let scanned: Vec<usize> = queries.iter().map(|&query| nearest_of_all(&points, query)).collect();
+        assert_eq!(nearest_points(&points, &queries).unwrap(), scanned);
     }
 }
