@@ -249,9 +249,6 @@ mod tests {
         let fine = tensor([1, 1, 5], |_| 0.0);
         let coarse = tensor([1, 1, 2], |i| 1.0 + i as f32);
         // floor(i * 2 / 5) = 0 0 0 1 1.
-        assert_eq!(
-            *fine.concat_upsampled(&coarse, &pool).values,
-            [0.0, 1.0, 0.0, 1.0, 0.0, 1.0, 0.0, 2.0, 0.0, 2.0]
-        );
+        assert_eq!(*fine.concat_upsampled(&coarse, &pool).values, [0.0, 1.0, 0.0, 1.0, 0.0, 1.0, 0.0, 2.0, 0.0, 2.0]);
     }
 }

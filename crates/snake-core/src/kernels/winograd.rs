@@ -256,7 +256,15 @@ fn conv3d_tiles<L: Lanes, const ROWS: usize, const N: usize>(
         let products = at_least(&mut scratch.products, N * N * N * output_blocks * product_pitch);
         for (number, block) in layer.blocks.iter().enumerate() {
             for half in 0..block.channels.div_ceil(LANES) {
-                transform_inputs::<L, N>(conv, block, half, task.plane, tiles, &mut inputs[half * LANES..], input_pitch);
+                transform_inputs::<L, N>(
+                    conv,
+                    block,
+                    half,
+                    task.plane,
+                    tiles,
+                    &mut inputs[half * LANES..],
+                    input_pitch,
+                );
             }
             for (k, p) in points(N, block.upsampled).enumerate() {
                 let inputs = &inputs[p * input_pitch..][..padded_tiles * BLOCK];
