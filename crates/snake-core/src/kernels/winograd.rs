@@ -9,10 +9,10 @@
 //! y = (V0 U0 + V1 U1 + V2 U2, V1 U1 - V2 U2 - V3 U3)
 //! ```
 //!
-//! and for M = 4 they are 0, ±3/4, ±3/2, which keep the rounding error at that of a plain sum (with the usual 0, ±1, ±2 it
-//! is three times as large). Over three axes a tile of 4x4x4 outputs needs 216 products instead of 1728 for each pair of
-//! channels, 8 times fewer; a tile of 2x2x2 needs 64 instead of 216. The products of many tiles at one of the N³ points
-//! are a matrix product. Larger tiles need more transformed weights, so small volumes take the small ones.
+//! and for M = 4 they are 0, ±11/16, ±23/16, which keep the rounding error near that of a plain sum (with the usual 0,
+//! ±1, ±2 it is four times as large). Over three axes a tile of 4x4x4 outputs needs 216 products instead of 1728 for each
+//! pair of channels, 8 times fewer; a tile of 2x2x2 needs 64 instead of 216. The products of many tiles at one of the N³
+//! points are a matrix product. Larger tiles need more transformed weights, so small volumes take the small ones.
 //!
 //! An input that is a coarser volume upsampled by two is read in place. With M = 2 it has d1 = d2, so V2 = 0 along every
 //! axis and 27 of the 64 points remain.
@@ -80,8 +80,8 @@ fn weights_of_axis(n: usize, [a, b, c]: [f64; 3]) -> [f64; 6] {
 }
 
 /// The points beside 0 and infinity for M = 4 are plus and minus these.
-const NEAR: f64 = 0.75;
-const FAR: f64 = 1.5;
+const NEAR: f64 = 11.0 / 16.0;
+const FAR: f64 = 23.0 / 16.0;
 
 impl PackedConv3d {
     /// From weights `(outputs, inputs, 3, 3, 3)` in the order z, y, x; `sources` are the channels of each source and
