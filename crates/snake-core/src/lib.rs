@@ -11,6 +11,7 @@
 //! to the keypoints. [`Model::detect`] does both. Results have the same bits for any number of threads.
 
 pub mod io;
+pub mod metrics;
 
 mod decoder;
 mod detect;
@@ -21,6 +22,7 @@ mod field;
 mod golden;
 mod kernels;
 mod model;
+mod neighbors;
 mod nms;
 mod nn;
 mod points;
