@@ -10,6 +10,7 @@
 //! A cloud is encoded once ([`Model::encode`]); its [`Field`] answers any number of queries, and [`detect`] climbs it
 //! to the keypoints. [`Model::detect`] does both. Results have the same bits for any number of threads.
 
+pub mod baselines;
 pub mod io;
 pub mod metrics;
 
