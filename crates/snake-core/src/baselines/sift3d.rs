@@ -68,7 +68,7 @@ pub fn sift3d(points: &[Point], options: &Sift3dOptions) -> Result<Vec<Response>
             return Err(Error::Option { name, value: value.to_string(), allowed: "1 to 64" });
         }
     }
-    if !(options.min_contrast >= 0.0) {
+    if options.min_contrast.is_nan() || options.min_contrast < 0.0 {
         let value = options.min_contrast.to_string();
         return Err(Error::Option { name: "min_contrast", value, allowed: "0 or more" });
     }
@@ -97,7 +97,7 @@ pub fn sift3d(points: &[Point], options: &Sift3dOptions) -> Result<Vec<Response>
 /// The field at each point.
 fn values(cloud: &Neighbors, field: SiftField) -> Result<Vec<f64>> {
     let SiftField::Curvature(radius) = field else { return Ok(cloud.points.iter().map(|p| p.y).collect()) };
-    let radius = radius.resolve("field", cloud)?;
+    let radius = radius.resolve("curvature_radius", cloud)?;
     let variation = |point| {
         let (eigenvalues, _) = eigen(covariance(cloud, &cloud.within(point, radius)));
         let sum: f64 = eigenvalues.iter().sum();

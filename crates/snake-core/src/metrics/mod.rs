@@ -45,7 +45,7 @@ fn moved(what: &'static str, points: &[Point], transform: &Matrix4<f64>) -> Resu
 
 /// Refuses thresholds that are negative or not numbers.
 fn check_thresholds(name: &'static str, thresholds: &[f64]) -> Result<()> {
-    match thresholds.iter().find(|t| !(**t >= 0.0)) {
+    match thresholds.iter().find(|t| t.is_nan() || **t < 0.0) {
         Some(bad) => Err(Error::Option { name, value: bad.to_string(), allowed: "0 or more (units of the points)" }),
         None => Ok(()),
     }
