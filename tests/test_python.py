@@ -419,6 +419,8 @@ def test_the_gil_is_released_while_computing(model, field, points):
         lambda: field.descriptors(many),
         lambda: field.detect(query_resolution=24),
         lambda: snake_rs.detect(many, model, query_resolution=12),
+        lambda: snake_rs.baselines.iss(many, salient_radius=0.1, non_max_radius=0.1),
+        lambda: snake_rs.metrics.geodesic_distances(many, [0, 1]),
     ]
     ticks, done = 0, threading.Event()
 

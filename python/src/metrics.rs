@@ -14,6 +14,9 @@ type Numbers<'py> = Bound<'py, PyArray1<f64>>;
 /// Rows of ground truth, false positives and false negatives.
 type Counts<'py> = Bound<'py, PyArray2<i64>>;
 
+/// Keypoints of two views, the transform between them and thresholds to shares.
+type Repeatability = fn(&[Point], &[Point], &Transform, &[f64]) -> snake_core::Result<Vec<f64>>;
+
 /// An array-like of numbers as Rust has it.
 fn numbers<T>(what: &str, expected: &str, value: &Bound<PyAny>) -> PyResult<T>
 where
@@ -55,7 +58,7 @@ fn repeatability<'py>(
     keypoints: [&Bound<'py, PyAny>; 2],
     t_1_2: &Bound<'py, PyAny>,
     epsilon: &Bound<'py, PyAny>,
-    of: fn(&[Point], &[Point], &Transform, &[f64]) -> snake_core::Result<Vec<f64>>,
+    of: Repeatability,
 ) -> PyResult<Numbers<'py>> {
     let py = t_1_2.py();
     let (first, second) = (arrays::points("keypoints_1", keypoints[0])?, arrays::points("keypoints_2", keypoints[1])?);
