@@ -1,0 +1,228 @@
+//! Tables of the figures: for people, Markdown, CSV and JSON.
+
+use std::fmt::Write;
+use std::path::Path;
+
+use anyhow::{Context, Result};
+use serde_json::{Value, json};
+
+use super::Plan;
+use super::record::{Pair, Row};
+use super::views::Condition;
+
+/// Means over all pairs.
+pub struct Report<'a> {
+    plan: &'a Plan,
+    settings: &'a Value,
+    summaries: Vec<Summary>,
+    num_pairs: usize,
+}
+
+/// Means over the pairs for one method under one condition.
+struct Summary {
+    method: String,
+    condition: Condition,
+    keypoints: f64,
+    /// Over the pairs that have keypoints; `None` if none has.
+    coverage: Option<f64>,
+    /// Mean and standard deviation for each epsilon.
+    repeatability: Vec<(f64, f64)>,
+}
+
+impl Summary {
+    /// Of the rows of all pairs that belong to the same method and condition.
+    fn new(rows: &[&Row]) -> Self {
+        let Row { method, condition, repeatability, .. } = rows[0];
+        let keypoints = rows.iter().map(|row| row.keypoints as f64).collect::<Vec<_>>();
+        let coverage: Vec<f64> = rows.iter().filter_map(|row| row.coverage).collect();
+        let at = |i| mean_and_deviation(&rows.iter().map(|row| row.repeatability[i]).collect::<Vec<_>>());
+        Self {
+            method: method.clone(),
+            condition: *condition,
+            keypoints: mean_and_deviation(&keypoints).0,
+            coverage: (!coverage.is_empty()).then(|| mean_and_deviation(&coverage).0),
+            repeatability: (0..repeatability.len()).map(at).collect(),
+        }
+    }
+}
+
+/// Mean, and standard deviation over the pairs (n - 1; of one pair 0).
+fn mean_and_deviation(values: &[f64]) -> (f64, f64) {
+    let count = values.len() as f64;
+    let mean = values.iter().sum::<f64>() / count;
+    let squares: f64 = values.iter().map(|v| (v - mean).powi(2)).sum();
+    (mean, (squares / (count - 1.0).max(1.0)).sqrt())
+}
+
+/// A table: its title, its columns' heads and its rows.
+struct Table {
+    title: String,
+    head: Vec<String>,
+    rows: Vec<Vec<String>>,
+}
+
+impl<'a> Report<'a> {
+    /// Sums up pairs that all have the same rows.
+    pub fn new(plan: &'a Plan, settings: &'a Value, pairs: &[Pair]) -> Self {
+        let num_rows = pairs.first().map_or(0, |pair| pair.rows.len());
+        let rows_of = |i: usize| pairs.iter().map(|pair| &pair.rows[i]).collect::<Vec<_>>();
+        let summaries = (0..num_rows).map(|i| Summary::new(&rows_of(i))).collect();
+        Self { plan, settings, summaries, num_pairs: pairs.len() }
+    }
+
+    /// The tables, for people.
+    pub fn text(&self) -> String {
+        let table = |Table { title, head, rows }: Table| {
+            let mut text = format!("{title}\n");
+            for row in std::iter::once(&head).chain(&rows) {
+                let cells = row.iter().skip(1).map(|cell| format!("  {cell:>11}")).collect::<String>();
+                writeln!(text, "{:10}{cells}", row[0]).unwrap_or_default();
+            }
+            text
+        };
+        self.tables().into_iter().map(table).collect::<Vec<_>>().join("\n")
+    }
+
+    /// Writes `repeatability.csv`, `.json` and `.md`.
+    pub fn write(&self, output: &Path) -> Result<()> {
+        for (name, text) in [("csv", self.csv()), ("json", self.json()?), ("md", self.markdown())] {
+            let path = output.join(format!("repeatability.{name}"));
+            std::fs::write(&path, text).with_context(|| format!("cannot write {}", path.display()))?;
+        }
+        Ok(())
+    }
+
+    /// The paper's three tables: over epsilon, over down-sampling and over noise.
+    fn tables(&self) -> Vec<Table> {
+        let Plan { epsilon, table_epsilon, conditions, .. } = self.plan;
+        let clean = conditions[0];
+        let number = self.num_pairs;
+        let cell = |(mean, deviation): (f64, f64)| format!("{mean:.3} ±{deviation:.3}");
+        let find = |method: &str, condition: Condition| {
+            self.summaries.iter().find(|s| s.method == method && s.condition == condition)
+        };
+        let methods: Vec<&Summary> = self.summaries.iter().filter(|s| s.condition == clean).collect();
+        let first = |s: &&Summary| {
+            let mut row = vec![s.method.clone()];
+            row.extend(s.repeatability.iter().map(|&value| cell(value)));
+            row.push(format!("{:.1}", s.keypoints));
+            row.push(s.coverage.map_or("-".into(), |coverage| format!("{coverage:.4}")));
+            row
+        };
+        let mut head = vec!["method".to_owned()];
+        head.extend(epsilon.iter().map(|e| format!("ε {e}")));
+        head.extend(["keypoints".into(), "coverage".into()]);
+        let title = format!("Relative repeatability, mean ± standard deviation over {number} pairs");
+        let mut tables = vec![Table { title, head, rows: methods.iter().map(first).collect() }];
+
+        let at = epsilon.iter().position(|e| e == table_epsilon).unwrap_or_default();
+        let sweeps: [(&str, &str, fn(&Condition) -> f64, Vec<Condition>); 2] = [
+            ("down-sampling", "1 in", |c| c.downsample as f64, self.swept(|c| c.noise == 0.0)),
+            ("noise", "σ", |c| c.noise, self.swept(|c| c.downsample == 1)),
+        ];
+        for (name, symbol, value, swept) in sweeps.into_iter().filter(|(.., swept)| swept.len() > 1) {
+            let mut head = vec!["method".to_owned()];
+            head.extend(swept.iter().map(|condition| format!("{symbol} {}", value(condition))));
+            let row = |s: &&Summary| {
+                let cells = swept.iter().filter_map(|&c| find(&s.method, c)).map(|s| cell(s.repeatability[at]));
+                std::iter::once(s.method.clone()).chain(cells).collect()
+            };
+            let title = format!("At ε {table_epsilon}, over {name}");
+            tables.push(Table { title, head, rows: methods.iter().map(row).collect() });
+        }
+        tables
+    }
+
+    fn swept(&self, belongs: fn(&Condition) -> bool) -> Vec<Condition> {
+        self.plan.conditions.iter().copied().filter(belongs).collect()
+    }
+
+    fn markdown(&self) -> String {
+        let line = |cells: &[String]| format!("| {} |\n", cells.join(" | "));
+        let table = |Table { title, head, rows }: Table| {
+            let rule = format!("|{}\n", "---|".repeat(head.len()));
+            let rows: String = rows.iter().map(|row| line(row)).collect();
+            format!("{title}:\n\n{}{rule}{rows}", line(&head))
+        };
+        self.tables().into_iter().map(table).collect::<Vec<_>>().join("\n")
+    }
+
+    /// A line for each method, condition and epsilon.
+    fn csv(&self) -> String {
+        let mut text =
+            String::from("method,downsample,noise,epsilon,repeatability,deviation,keypoints,coverage,pairs\n");
+        for s in &self.summaries {
+            for (epsilon, (mean, deviation)) in self.plan.epsilon.iter().zip(&s.repeatability) {
+                let Condition { downsample, noise } = s.condition;
+                let coverage = s.coverage.map(|coverage| coverage.to_string()).unwrap_or_default();
+                let (method, keypoints, pairs) = (&s.method, s.keypoints, self.num_pairs);
+                text += &format!(
+                    "{method},{downsample},{noise},{epsilon},{mean},{deviation},{keypoints},{coverage},{pairs}\n"
+                );
+            }
+        }
+        text
+    }
+
+    fn json(&self) -> Result<String> {
+        let row = |s: &Summary| {
+            json!({
+                "method": s.method,
+                "downsample": s.condition.downsample,
+                "noise": s.condition.noise,
+                "repeatability": s.repeatability.iter().map(|(mean, _)| mean).collect::<Vec<_>>(),
+                "deviation": s.repeatability.iter().map(|(_, deviation)| deviation).collect::<Vec<_>>(),
+                "keypoints": s.keypoints,
+                "coverage": s.coverage,
+            })
+        };
+        let rows: Vec<Value> = self.summaries.iter().map(row).collect();
+        let all = json!({"settings": self.settings, "pairs": self.num_pairs, "rows": rows});
+        Ok(serde_json::to_string_pretty(&all)? + "\n")
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const CLEAN: Condition = Condition { downsample: 1, noise: 0.0 };
+    const NOISY: Condition = Condition { downsample: 1, noise: 0.1 };
+
+    fn row(condition: Condition, keypoints: usize, repeatability: [f64; 2]) -> Row {
+        let coverage = (keypoints > 0).then_some(0.25);
+        Row { method: "iss".into(), condition, keypoints, coverage, repeatability: repeatability.into() }
+    }
+
+    #[test]
+    fn tables_by_hand() {
+        let conditions = vec![CLEAN, NOISY];
+        let plan = Plan { epsilon: vec![0.1, 0.2], table_epsilon: 0.2, conditions, num_points: 1, seed: 0 };
+        let pairs = [
+            Pair { name: "a".into(), rows: vec![row(CLEAN, 4, [0.5, 1.0]), row(NOISY, 0, [0.0, 0.0])] },
+            Pair { name: "b".into(), rows: vec![row(CLEAN, 8, [0.25, 1.0]), row(NOISY, 2, [0.0, 0.5])] },
+        ];
+        let settings = json!({"seed": 0});
+        let report = Report::new(&plan, &settings, &pairs);
+        let markdown = "Relative repeatability, mean ± standard deviation over 2 pairs:
+
+| method | ε 0.1 | ε 0.2 | keypoints | coverage |
+|---|---|---|---|---|
+| iss | 0.375 ±0.177 | 1.000 ±0.000 | 6.0 | 0.2500 |
+
+At ε 0.2, over noise:
+
+| method | σ 0 | σ 0.1 |
+|---|---|---|
+| iss | 1.000 ±0.000 | 0.250 ±0.354 |
+";
+        assert_eq!(report.markdown(), markdown);
+        let csv = report.csv();
+        assert_eq!(csv.lines().nth(1).unwrap(), "iss,1,0,0.1,0.375,0.1767766952966369,6,0.25,2");
+        assert_eq!(csv.lines().count(), 5);
+        let json: Value = serde_json::from_str(&report.json().unwrap()).unwrap();
+        assert_eq!(json["rows"][1]["repeatability"], json!([0.0, 0.25]));
+        assert_eq!((json["rows"].as_array().unwrap().len(), &json["settings"]), (2, &settings));
+        assert!(report.text().contains("iss         0.375 ±0.177"));
+    }
+}
