@@ -54,6 +54,11 @@ fn mean_and_deviation(values: &[f64]) -> (f64, f64) {
     (mean, (squares / (count - 1.0).max(1.0)).sqrt())
 }
 
+/// Mean and standard deviation as a table shows them.
+fn cell((mean, deviation): &(f64, f64)) -> String {
+    format!("{mean:.3} ±{deviation:.3}")
+}
+
 /// A table: its title, its columns' heads and its rows.
 struct Table {
     title: String,
@@ -94,47 +99,45 @@ impl<'a> Report<'a> {
 
     /// The paper's three tables: over epsilon, over down-sampling and over noise.
     fn tables(&self) -> Vec<Table> {
-        let Plan { epsilon, table_epsilon, conditions, .. } = self.plan;
-        let clean = conditions[0];
-        let number = self.num_pairs;
-        let cell = |(mean, deviation): (f64, f64)| format!("{mean:.3} ±{deviation:.3}");
-        let find = |method: &str, condition: Condition| {
-            self.summaries.iter().find(|s| s.method == method && s.condition == condition)
-        };
-        let methods: Vec<&Summary> = self.summaries.iter().filter(|s| s.condition == clean).collect();
-        let first = |s: &&Summary| {
+        let down_sampling = self.over("down-sampling", |c| c.noise == 0.0, |c| format!("1 in {}", c.downsample));
+        let noise = self.over("noise", |c| c.downsample == 1, |c| format!("σ {}", c.noise));
+        std::iter::once(self.over_epsilon()).chain(down_sampling).chain(noise).collect()
+    }
+
+    /// Undisturbed views, a row for each method.
+    fn over_epsilon(&self) -> Table {
+        let mut head = vec!["method".to_owned()];
+        head.extend(self.plan.epsilon.iter().map(|epsilon| format!("ε {epsilon}")));
+        head.extend(["keypoints".into(), "coverage".into()]);
+        let row = |s: &Summary| {
             let mut row = vec![s.method.clone()];
-            row.extend(s.repeatability.iter().map(|&value| cell(value)));
+            row.extend(s.repeatability.iter().map(cell));
             row.push(format!("{:.1}", s.keypoints));
             row.push(s.coverage.map_or("-".into(), |coverage| format!("{coverage:.4}")));
             row
         };
-        let mut head = vec!["method".to_owned()];
-        head.extend(epsilon.iter().map(|e| format!("ε {e}")));
-        head.extend(["keypoints".into(), "coverage".into()]);
-        let title = format!("Relative repeatability, mean ± standard deviation over {number} pairs");
-        let mut tables = vec![Table { title, head, rows: methods.iter().map(first).collect() }];
-
-        let at = epsilon.iter().position(|e| e == table_epsilon).unwrap_or_default();
-        let sweeps: [(&str, &str, fn(&Condition) -> f64, Vec<Condition>); 2] = [
-            ("down-sampling", "1 in", |c| c.downsample as f64, self.swept(|c| c.noise == 0.0)),
-            ("noise", "σ", |c| c.noise, self.swept(|c| c.downsample == 1)),
-        ];
-        for (name, symbol, value, swept) in sweeps.into_iter().filter(|(.., swept)| swept.len() > 1) {
-            let mut head = vec!["method".to_owned()];
-            head.extend(swept.iter().map(|condition| format!("{symbol} {}", value(condition))));
-            let row = |s: &&Summary| {
-                let cells = swept.iter().filter_map(|&c| find(&s.method, c)).map(|s| cell(s.repeatability[at]));
-                std::iter::once(s.method.clone()).chain(cells).collect()
-            };
-            let title = format!("At ε {table_epsilon}, over {name}");
-            tables.push(Table { title, head, rows: methods.iter().map(row).collect() });
-        }
-        tables
+        let title = format!("Relative repeatability, mean ± standard deviation over {} pairs", self.num_pairs);
+        Table { title, head, rows: self.under(self.plan.conditions[0]).map(row).collect() }
     }
 
-    fn swept(&self, belongs: fn(&Condition) -> bool) -> Vec<Condition> {
-        self.plan.conditions.iter().copied().filter(belongs).collect()
+    /// One epsilon, a row for each method and a column for each condition that belongs; none of a single condition.
+    fn over(&self, what: &str, belongs: fn(&Condition) -> bool, name: fn(&Condition) -> String) -> Option<Table> {
+        let Plan { epsilon, table_epsilon, conditions, .. } = self.plan;
+        let at = epsilon.iter().position(|epsilon| epsilon == table_epsilon)?;
+        let swept: Vec<&Condition> = conditions.iter().filter(|condition| belongs(condition)).collect();
+        let mut head = vec!["method".to_owned()];
+        head.extend(swept.iter().map(|condition| name(condition)));
+        let mut rows: Vec<Vec<String>> = self.under(conditions[0]).map(|s| vec![s.method.clone()]).collect();
+        for condition in &swept {
+            rows.iter_mut().zip(self.under(**condition)).for_each(|(row, s)| row.push(cell(&s.repeatability[at])));
+        }
+        let title = format!("At ε {table_epsilon}, over {what}");
+        (swept.len() > 1).then_some(Table { title, head, rows })
+    }
+
+    /// The methods under one condition, in their order.
+    fn under(&self, condition: Condition) -> impl Iterator<Item = &Summary> {
+        self.summaries.iter().filter(move |summary| summary.condition == condition)
     }
 
     fn markdown(&self) -> String {
