@@ -178,6 +178,7 @@ def test_clouds_that_cannot_be_used_are_refused(name):
         ("iss", "gamma_21", float("nan"), "^option `gamma_21` is NaN: allowed is above 0"),
         ("iss", "covariance", "pcl", "^option `covariance` is pcl: allowed is about-mean or about-point"),
         ("iss", "protocol", "best", "^option `protocol` is best: allowed is ranked or paper"),
+        ("iss", "protocol", "paper", "^option `count` is None: protocol paper needs a number"),
         ("harris3d", "radius", float("inf"), "^option `radius` is inf"),
         ("sift3d", "octaves", 0, "^option `octaves` is 0: allowed is 1 to 64"),
         ("sift3d", "field", "z", "^option `field` is z: allowed is curvature or y"),

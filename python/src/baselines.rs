@@ -1,6 +1,7 @@
 //! `snake_rs.baselines`.
 
 use numpy::PyArray1;
+use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
 use snake_core::baselines::{
     Covariance, Detector, Harris3dOptions, IssOptions, Length, Protocol, Response, Sift3dOptions, SiftField,
@@ -38,6 +39,9 @@ fn keypoints<'py>(
     seed: u64,
 ) -> PyResult<Found<'py>> {
     let protocol = named("protocol", protocol, [("ranked", Protocol::Ranked), ("paper", Protocol::Paper)])?;
+    if protocol == Protocol::Paper && count.is_none() {
+        return Err(PyValueError::new_err("option `count` is None: protocol paper needs a number"));
+    }
     let (py, points) = (points.py(), arrays::points("points", points)?);
     let count = count.unwrap_or(usize::MAX);
     let found: Vec<Response> = py.detach(|| detector.keypoints(&points, count, protocol, seed)).map_err(py_error)?;
@@ -53,7 +57,7 @@ fn keypoints<'py>(
 ///
 /// A length is a number, in cloud units, or text such as "6x": 6 times the mean distance of the points to their nearest
 /// others. `count` limits the keypoints; `protocol` "ranked" takes the strongest, "paper" a random subset, filled up
-/// with random points, as the paper's baselines were; `seed` is that of the random choices. Raises ValueError for an
+/// with random points to `count`, as the paper's baselines were; `seed` is that of the random choices. Raises ValueError for an
 /// array or a value that cannot be used.
 #[pyfunction]
 #[pyo3(signature = (

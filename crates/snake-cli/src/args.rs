@@ -85,6 +85,9 @@ pub struct RepeatabilityArguments {
     /// Keypoints of each view, the best.
     #[arg(long, default_value_t = 64)]
     pub count: usize,
+    /// Show the paper's figures for its own data sets in the table over epsilon: ModelNet40, pairs: Redwood.
+    #[arg(long)]
+    pub paper: bool,
     /// Points of each view, drawn at random [default: 5000, pairs: 10240].
     #[arg(long)]
     pub num_points: Option<usize>,

@@ -13,7 +13,7 @@ use snake_core::metrics::{mean_distance_to_keypoints, relative_repeatability};
 use crate::args::{ProtocolName, RepeatabilityArguments};
 use methods::Method;
 use record::{Record, Row};
-use report::Report;
+use report::{PaperRow, Report};
 use views::{Condition, Data, Views};
 
 /// Evaluates every pair that is not yet recorded, then reports.
@@ -37,7 +37,12 @@ pub fn repeatability(arguments: &RepeatabilityArguments) -> Result<()> {
         bar.inc(1);
     }
     bar.finish_and_clear();
-    let report = Report::new(&plan, &settings, record.pairs());
+    let paper: &[PaperRow] = match data {
+        _ if !arguments.paper => &[],
+        Data::Objects { .. } => &report::MODELNET40,
+        Data::Pairs { .. } => &report::REDWOOD,
+    };
+    let report = Report::new(&plan, &settings, record.pairs(), paper);
     if let Some(output) = &arguments.output {
         report.write(output)?;
     }

@@ -10,12 +10,40 @@ use super::Plan;
 use super::record::{Pair, Row};
 use super::views::Condition;
 
+/// A row of the paper's tables: the method, and its figures by epsilon in hundredths.
+pub type PaperRow = (&'static str, [(u32, f64); 8]);
+
+/// SNAKE's table of repeatability on ModelNet40, in units of the objects' radius.
+pub const MODELNET40: [PaperRow; 2] = [
+    (
+        "SNAKE (paper)",
+        [(3, 0.763), (4, 0.864), (5, 0.897), (6, 0.910), (7, 0.917), (8, 0.923), (9, 0.927), (10, 0.930)],
+    ),
+    (
+        "random (paper)",
+        [(3, 0.056), (4, 0.094), (5, 0.140), (6, 0.191), (7, 0.249), (8, 0.308), (9, 0.368), (10, 0.429)],
+    ),
+];
+
+/// Its table on Redwood, in metres.
+pub const REDWOOD: [PaperRow; 2] = [
+    (
+        "SNAKE (paper)",
+        [(10, 0.205), (12, 0.246), (14, 0.286), (16, 0.323), (18, 0.359), (20, 0.393), (22, 0.425), (24, 0.454)],
+    ),
+    (
+        "random (paper)",
+        [(10, 0.090), (12, 0.126), (14, 0.163), (16, 0.204), (18, 0.246), (20, 0.287), (22, 0.326), (24, 0.362)],
+    ),
+];
+
 /// Means over all pairs.
 pub struct Report<'a> {
     plan: &'a Plan,
     settings: &'a Value,
     summaries: Vec<Summary>,
     num_pairs: usize,
+    paper: &'a [PaperRow],
 }
 
 /// Means over the pairs for one method under one condition.
@@ -67,12 +95,12 @@ struct Table {
 }
 
 impl<'a> Report<'a> {
-    /// Sums up pairs that all have the same rows.
-    pub fn new(plan: &'a Plan, settings: &'a Value, pairs: &[Pair]) -> Self {
+    /// Sums up pairs that all have the same rows; the paper's rows are shown beside them.
+    pub fn new(plan: &'a Plan, settings: &'a Value, pairs: &[Pair], paper: &'a [PaperRow]) -> Self {
         let num_rows = pairs.first().map_or(0, |pair| pair.rows.len());
         let rows_of = |i: usize| pairs.iter().map(|pair| &pair.rows[i]).collect::<Vec<_>>();
         let summaries = (0..num_rows).map(|i| Summary::new(&rows_of(i))).collect();
-        Self { plan, settings, summaries, num_pairs: pairs.len() }
+        Self { plan, settings, summaries, num_pairs: pairs.len(), paper }
     }
 
     /// The tables, for people.
@@ -81,7 +109,7 @@ impl<'a> Report<'a> {
             let mut text = format!("{title}\n");
             for row in std::iter::once(&head).chain(&rows) {
                 let cells = row.iter().skip(1).map(|cell| format!("  {cell:>11}")).collect::<String>();
-                writeln!(text, "{:10}{cells}", row[0]).unwrap_or_default();
+                writeln!(text, "{:14}{cells}", row[0]).unwrap_or_default();
             }
             text
         };
@@ -117,7 +145,15 @@ impl<'a> Report<'a> {
             row
         };
         let title = format!("Relative repeatability, mean ± standard deviation over {} pairs", self.num_pairs);
-        Table { title, head, rows: self.under(self.plan.conditions[0]).map(row).collect() }
+        let paper_row = |(method, figures): &PaperRow| {
+            let at = |epsilon: &f64| figures.iter().find(|(hundredths, _)| f64::from(*hundredths) / 100.0 == *epsilon);
+            let mut row = vec![(*method).to_owned()];
+            row.extend(self.plan.epsilon.iter().map(|e| at(e).map_or("-".into(), |(_, mean)| format!("{mean:.3}"))));
+            row.extend(["-".into(), "-".into()]);
+            row
+        };
+        let rows = self.under(self.plan.conditions[0]).map(row).chain(self.paper.iter().map(paper_row)).collect();
+        Table { title, head, rows }
     }
 
     /// One epsilon, a row for each method and a column for each condition that belongs; none of a single condition.
@@ -206,7 +242,7 @@ mod tests {
             Pair { name: "b".into(), rows: vec![row(CLEAN, 8, [0.25, 1.0]), row(NOISY, 2, [0.0, 0.5])] },
         ];
         let settings = json!({"seed": 0});
-        let report = Report::new(&plan, &settings, &pairs);
+        let report = Report::new(&plan, &settings, &pairs, &[]);
         let markdown = "Relative repeatability, mean ± standard deviation over 2 pairs:
 
 | method | ε 0.1 | ε 0.2 | keypoints | coverage |
@@ -226,6 +262,18 @@ At ε 0.2, over noise:
         let json: Value = serde_json::from_str(&report.json().unwrap()).unwrap();
         assert_eq!(json["rows"][1]["repeatability"], json!([0.0, 0.25]));
         assert_eq!((json["rows"].as_array().unwrap().len(), &json["settings"]), (2, &settings));
-        assert!(report.text().contains("iss         0.375 ±0.177"));
+        assert!(report.text().contains("iss             0.375 ±0.177"));
+    }
+
+    #[test]
+    fn the_papers_rows_stand_where_they_have_figures() {
+        let plan =
+            Plan { epsilon: vec![0.04, 0.3], table_epsilon: 0.3, conditions: vec![CLEAN], num_points: 1, seed: 0 };
+        let pairs = [Pair { name: "a".into(), rows: vec![row(CLEAN, 4, [0.5, 1.0])] }];
+        let markdown = Report::new(&plan, &json!({}), &pairs, &MODELNET40).markdown();
+        assert!(
+            markdown.ends_with("| SNAKE (paper) | 0.864 | - | - | - |\n| random (paper) | 0.094 | - | - | - |\n"),
+            "{markdown}"
+        );
     }
 }
