@@ -66,8 +66,8 @@ pub struct RepeatabilityArguments {
     /// Among snake, iss, harris3d, sift3d, fps and random.
     #[arg(long, value_delimiter = ',', default_value = "snake,iss,harris3d,sift3d,fps,random")]
     pub methods: Vec<String>,
-    /// How the classical detectors pick keypoints: ranked, the strongest responses; or paper, a random subset, as in the
-    /// paper's tables.
+    /// How the classical detectors pick keypoints: ranked, the strongest responses; or paper, as in the paper's
+    /// tables: a random subset, of Harris 3D without suppression and SIFT 3D on the y coordinate.
     #[arg(long, value_enum, default_value = "ranked")]
     pub protocol: ProtocolName,
     /// Distances at which a keypoint is found again [default: 0.03 to 0.1, pairs: 0.1 to 0.24].

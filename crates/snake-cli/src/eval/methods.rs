@@ -25,7 +25,7 @@ impl Method {
             if name == "snake" {
                 return Self::snake(arguments);
             }
-            let detector = Detector::named(name)?;
+            let detector = Detector::named(name, protocol)?;
             Ok(Self::Classical { name: name.clone(), detector, count: arguments.count, protocol })
         };
         arguments.methods.iter().map(method).collect()

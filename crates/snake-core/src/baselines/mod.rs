@@ -116,17 +116,21 @@ impl Detector {
     /// The names that [`Detector::named`] knows.
     pub const NAMES: [&'static str; 5] = ["iss", "harris3d", "sift3d", "fps", "random"];
 
-    /// A detector with its default options.
+    /// A detector with its default options; for [`Protocol::Paper`] Harris 3D without suppression and SIFT 3D on the y
+    /// coordinate, as in the wrapper that the paper's tables used.
     ///
     /// # Errors
     /// [`Error::Option`] for an unknown name.
-    pub fn named(name: &str) -> Result<Self> {
-        Ok(match name {
-            "iss" => Self::Iss(IssOptions::default()),
-            "harris3d" => Self::Harris3d(Harris3dOptions::default()),
-            "sift3d" => Self::Sift3d(Sift3dOptions::default()),
-            "fps" => Self::FarthestPoint,
-            "random" => Self::Random,
+    pub fn named(name: &str, protocol: Protocol) -> Result<Self> {
+        let (harris, sift) = (Harris3dOptions::default(), Sift3dOptions::default());
+        Ok(match (name, protocol) {
+            ("iss", _) => Self::Iss(IssOptions::default()),
+            ("harris3d", Protocol::Ranked) => Self::Harris3d(harris),
+            ("harris3d", Protocol::Paper) => Self::Harris3d(Harris3dOptions { non_max: false, ..harris }),
+            ("sift3d", Protocol::Ranked) => Self::Sift3d(sift),
+            ("sift3d", Protocol::Paper) => Self::Sift3d(Sift3dOptions { field: SiftField::Y, ..sift }),
+            ("fps", _) => Self::FarthestPoint,
+            ("random", _) => Self::Random,
             _ => {
                 let allowed = "iss, harris3d, sift3d, fps or random";
                 return Err(Error::Option { name: "detector", value: name.into(), allowed });
@@ -140,7 +144,7 @@ impl Detector {
     /// ```
     /// use snake_core::baselines::{Detector, Protocol};
     /// # let points: Vec<[f32; 3]> = (0..500).map(|i| { let a = i as f32 * 0.1; [a.cos(), a.sin(), (a * 0.3).sin()] }).collect();
-    /// let keypoints = Detector::named("iss")?.keypoints(&points, 16, Protocol::Ranked, 0)?;
+    /// let keypoints = Detector::named("iss", Protocol::Ranked)?.keypoints(&points, 16, Protocol::Ranked, 0)?;
     /// assert!(keypoints.windows(2).all(|pair| pair[0].score >= pair[1].score));
     /// # Ok::<(), snake_core::Error>(())
     /// ```
@@ -273,12 +277,18 @@ mod tests {
     }
 
     fn every_detector() -> Vec<Detector> {
-        let y = Sift3dOptions { field: SiftField::Y, ..Default::default() };
-        let all = Harris3dOptions { non_max: false, ..Default::default() };
         let sum = IssOptions { covariance: Covariance::AboutPoint, ..Default::default() };
-        let mut detectors: Vec<_> = Detector::NAMES.iter().map(|name| Detector::named(name).unwrap()).collect();
-        detectors.extend([Detector::Sift3d(y), Detector::Harris3d(all), Detector::Iss(sum)]);
-        detectors
+        let protocols = [Protocol::Ranked, Protocol::Paper].into_iter();
+        let named = protocols.flat_map(|protocol| Detector::NAMES.map(|name| Detector::named(name, protocol).unwrap()));
+        named.chain([Detector::Iss(sum)]).collect()
+    }
+
+    #[test]
+    fn the_papers_harris_is_random_and_its_sift_is_of_y() {
+        let named = |name| Detector::named(name, Protocol::Paper).unwrap();
+        assert!(matches!(named("harris3d"), Detector::Harris3d(Harris3dOptions { non_max: false, .. })));
+        assert!(matches!(named("sift3d"), Detector::Sift3d(Sift3dOptions { field: SiftField::Y, .. })));
+        assert_eq!(named("iss"), Detector::named("iss", Protocol::Ranked).unwrap());
     }
 
     #[test]
@@ -377,7 +387,7 @@ mod tests {
             assert!(matches!(found, Err(Error::Option { .. })), "{detector:?}");
         }
         assert!(Detector::Random.keypoints(&points, 0, Protocol::Ranked, 0).is_err());
-        assert!(Detector::named("orb").is_err());
+        assert!(Detector::named("orb", Protocol::Ranked).is_err());
     }
 
     #[test]
