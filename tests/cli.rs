@@ -295,8 +295,14 @@ fn evaluations_that_make_no_sense_are_refused() {
     std::fs::write(data.path().join("index.json"), "[]").unwrap();
     let output = eval(data.path(), &[]);
     assert!(stderr(&output).contains("index.json has 0 rows, points.npy 1 clouds"), "{}", stderr(&output));
+    assert!(stderr(&eval(corpus(0, 100).path(), &["--limit", "1"])).contains("no clouds in points.npy"));
     let empty = tempfile::tempdir().unwrap();
     assert!(stderr(&eval(empty.path(), &[])).contains("no point clouds in it"));
     std::fs::write(empty.path().join("pairs.json"), "[]").unwrap();
     assert!(stderr(&eval(empty.path(), &[])).contains("no pairs in pairs.json"));
+    let pair = r#"[{"source": "a", "target": "a", "T": [[1, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]]}]"#;
+    std::fs::write(empty.path().join("pairs.json"), pair).unwrap();
+    assert!(stderr(&eval(empty.path(), &[])).contains("a to a: "));
+    std::fs::write(empty.path().join("a.xyz"), "").unwrap();
+    assert!(stderr(&eval(empty.path(), &[])).contains("a to a: a cloud without points"));
 }

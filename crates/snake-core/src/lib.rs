@@ -9,6 +9,8 @@
 //!
 //! A cloud is encoded once ([`Model::encode`]); its [`Field`] answers any number of queries, and [`detect`] climbs it
 //! to the keypoints. [`Model::detect`] does both. Results have the same bits for any number of threads.
+//!
+//! [`metrics`] measure how good keypoints are, and [`baselines`] are the classical detectors to compare them with.
 
 pub mod baselines;
 pub mod io;

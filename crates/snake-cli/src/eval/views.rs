@@ -60,6 +60,9 @@ impl Data {
                     let (rows, clouds) = (entries.len(), clouds.len());
                     bail!("{}: index.json has {rows} rows, points.npy {clouds} clouds", folder.display());
                 }
+                if clouds.is_empty() {
+                    bail!("{}: no clouds in points.npy", folder.display());
+                }
                 let names = entries.into_iter().map(|entry| entry.name).collect();
                 return Ok(Self::Objects { names, clouds: Clouds::Loaded(clouds) });
             }
@@ -100,6 +103,9 @@ impl Data {
             Self::Pairs { folder, pairs } => {
                 let PairEntry { source, target, t_target_source } = &pairs[pair];
                 let clouds = [read_named(folder, target)?, read_named(folder, source)?];
+                if clouds.iter().any(Vec::is_empty) {
+                    bail!("a cloud without points");
+                }
                 Ok(PairClouds::Real { clouds, t_1_2: *t_target_source })
             }
         }
@@ -135,7 +141,7 @@ impl PairClouds {
     pub fn views(&self, condition: Condition, num_points: usize, seed: u64, pair: usize) -> Result<Views> {
         let mut rng = ChaCha8Rng::seed_from_u64(seed);
         rng.set_stream(pair as u64);
-        let number = (num_points / condition.downsample).max(1);
+        let share = |points: &[Point]| (num_points.min(points.len()) / condition.downsample).max(1);
         let ([first, second], t_1_2) = match self {
             Self::Object(points) => {
                 // A unit quaternion in a uniform direction is a uniform rotation.
@@ -144,13 +150,13 @@ impl PairClouds {
                 let turn = |point: Point| -> Point {
                     (rotation * Point3::from(point.map(f64::from))).coords.map(|v| v as f32).into()
                 };
-                let first = choose(points, number, &mut rng);
-                let second = choose(points, number, &mut rng).into_iter().map(turn).collect();
+                let first = choose(points, share(points), &mut rng);
+                let second = choose(points, share(points), &mut rng).into_iter().map(turn).collect();
                 let back = rotation.inverse().to_homogeneous();
                 ([first, second], std::array::from_fn(|row| std::array::from_fn(|column| back[(row, column)])))
             }
             Self::Real { clouds, t_1_2 } => {
-                (std::array::from_fn(|view| choose(&clouds[view], number, &mut rng)), *t_1_2)
+                (clouds.each_ref().map(|points| choose(points, share(points), &mut rng)), *t_1_2)
             }
         };
         let mut noisy = |points: Vec<Point>| -> Vec<Point> {
@@ -162,9 +168,9 @@ impl PairClouds {
     }
 }
 
-/// `number` random points without replacement, or all of them.
+/// `number` random points without replacement.
 fn choose(points: &[Point], number: usize, rng: &mut impl Rng) -> Vec<Point> {
-    let chosen = rand::seq::index::sample(rng, points.len(), number.min(points.len()));
+    let chosen = rand::seq::index::sample(rng, points.len(), number);
     chosen.into_iter().map(|index| points[index]).collect()
 }
 
@@ -249,5 +255,8 @@ mod tests {
         let views = clouds.views(CLEAN, 60, 0, 0).unwrap();
         assert_eq!((views.view_1.len(), views.view_2.len(), views.t_1_2), (50, 60, t_1_2));
         assert!(views.view_1.iter().all(|p| ball(50).contains(p)));
+        // A cloud with fewer points than asked for is thinned all the same.
+        let views = clouds.views(Condition { downsample: 4, noise: 0.0 }, 60, 0, 0).unwrap();
+        assert_eq!((views.view_1.len(), views.view_2.len()), (12, 15));
     }
 }
