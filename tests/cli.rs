@@ -5,6 +5,7 @@ use std::process::Output;
 
 use assert_cmd::Command;
 use serde_json::Value;
+use tempfile::TempDir;
 
 fn root() -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).join("../..")
@@ -215,4 +216,120 @@ fn the_model_command_shows_shape_and_metadata() {
     let output = snake(&["model"]);
     let text = String::from_utf8_lossy(&output.stdout);
     assert!(text.contains("343874 parameters") && text.contains("32 x 32 x 32") && text.contains("digest"), "{text}");
+}
+
+/// A folder in the corpus format: `number` copies of the sample, each of `size` of its points.
+fn corpus(number: usize, size: usize) -> TempDir {
+    let folder = tempfile::tempdir().unwrap();
+    let points = snake_core::io::read_points(Path::new(&sample())).unwrap();
+    let header = format!("{{'descr': '<f4', 'fortran_order': False, 'shape': ({number}, {size}, 3), }}\n");
+    let mut bytes = b"\x93NUMPY\x01\x00".to_vec();
+    bytes.extend((header.len() as u16).to_le_bytes());
+    bytes.extend(header.as_bytes());
+    let values = points[..number * size].as_flattened().iter();
+    bytes.extend(values.flat_map(|v| v.to_le_bytes()));
+    std::fs::write(folder.path().join("points.npy"), bytes).unwrap();
+    let index: Vec<_> = (0..number).map(|i| serde_json::json!({"name": format!("part {i}"), "faces": 1})).collect();
+    std::fs::write(folder.path().join("index.json"), serde_json::to_string(&index).unwrap()).unwrap();
+    folder
+}
+
+/// `eval repeatability` with settings that take a second.
+fn eval(data: &Path, extra: &[&str]) -> Output {
+    let data = data.display().to_string();
+    let small = ["--methods", "snake,iss,random", "--downsample", "1,2", "--noise", "0,0.1", "--num-points", "600"];
+    snake(&[&["eval", "repeatability", &data], &small[..], extra].concat())
+}
+
+#[test]
+fn an_evaluation_goes_on_where_it_was_interrupted() {
+    let data = corpus(4, 1000);
+    let results = tempfile::tempdir().unwrap();
+    let run = |name: &str, extra: &[&str]| {
+        let folder = results.path().join(name);
+        let output = eval(data.path(), &[&["-o", &folder.display().to_string()], extra].concat());
+        assert!(output.status.success(), "{}", stderr(&output));
+        let files =
+            ["jsonl", "csv", "json", "md"].map(|e| std::fs::read(folder.join(format!("repeatability.{e}"))).unwrap());
+        (output.stdout, files)
+    };
+    let whole = run("whole", &["--threads", "1"]);
+    assert_eq!(run("whole", &[]), whole, "nothing was left to do");
+
+    // Interrupted in the middle of a line; the results were not yet written.
+    let record = results.path().join("interrupted/repeatability.jsonl");
+    std::fs::create_dir(record.parent().unwrap()).unwrap();
+    std::fs::write(&record, &whole.1[0][..whole.1[0].len() * 2 / 3]).unwrap();
+    assert_eq!(run("interrupted", &["--threads", "2"]), whole);
+
+    let report: Value = serde_json::from_slice(&whole.1[2]).unwrap();
+    assert_eq!((&report["pairs"], report["rows"].as_array().unwrap().len()), (&4.into(), 9));
+    for row in report["rows"].as_array().unwrap() {
+        let shares: Vec<f64> = row["repeatability"].as_array().unwrap().iter().map(|v| v.as_f64().unwrap()).collect();
+        assert!(shares.len() == 8 && shares.windows(2).all(|pair| pair[0] <= pair[1]), "{row}");
+        assert!((0.0..=1.0).contains(&shares[0]) && row["coverage"].as_f64().unwrap() > 0.0);
+    }
+    assert_eq!(report["rows"][2]["method"], "random");
+    assert_eq!(report["rows"][2]["keypoints"], 64.0);
+    let text = String::from_utf8_lossy(&whole.0);
+    assert!(text.contains("over 4 pairs") && text.contains("At ε 0.04, over down-sampling"), "{text}");
+
+    let refused = eval(data.path(), &["--seed", "1", "-o", &results.path().join("whole").display().to_string()]);
+    assert_eq!(refused.status.code(), Some(2));
+    assert!(stderr(&refused).contains("is of a run with other settings"), "{}", stderr(&refused));
+}
+
+#[test]
+fn real_pairs_are_evaluated_in_their_units() {
+    let folder = tempfile::tempdir().unwrap();
+    std::fs::copy(sample(), folder.path().join("a.ply")).unwrap();
+    // The second view is the first moved by 10 along x.
+    let points = snake_core::io::read_points(Path::new(&sample())).unwrap();
+    let moved: String = points.iter().map(|[x, y, z]| format!("{} {y} {z}\n", x - 10.0)).collect();
+    std::fs::write(folder.path().join("b.xyz"), moved).unwrap();
+    let t_target_source = [[1, 0, 0, 10], [0, 1, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]];
+    let pairs = serde_json::json!([{"source": "b", "target": "a.ply", "T": t_target_source, "overlap": 1.0}]);
+    std::fs::write(folder.path().join("pairs.json"), pairs.to_string()).unwrap();
+    let results = tempfile::tempdir().unwrap();
+    let output = results.path().display().to_string();
+    let all_points =
+        ["--methods", "iss,fps", "--num-points", "99999", "--downsample", "1", "--noise", "0", "--epsilon", "0.001"];
+    let data = folder.path().display().to_string();
+    let found = snake(&[&["eval", "repeatability", &data, "-o", &output], &all_points[..]].concat());
+    assert!(found.status.success(), "{}", stderr(&found));
+    let csv = std::fs::read_to_string(results.path().join("repeatability.csv")).unwrap();
+    // All points of both views, so the same keypoints, but for the rounding of the shifted coordinates.
+    let shares = csv.lines().skip(1).map(|line| line.split(',').nth(4).unwrap().parse::<f64>().unwrap());
+    assert!(shares.clone().count() == 2 && shares.clone().all(|share| share > 0.9), "{csv}");
+}
+
+#[test]
+fn evaluations_that_make_no_sense_are_refused() {
+    let data = corpus(1, 100);
+    for (extra, message) in [
+        (&["--methods", "iss,orb"][..], "allowed is iss, harris3d, sift3d, fps or random"),
+        (&["--epsilon", "0.1,0.2", "--table-epsilon", "0.3"], "--table-epsilon 0.3 is none of --epsilon"),
+        (&["--noise", "nan"], "--noise NaN: must be 0 or more"),
+        (&["--downsample", "0"], "must be 1 or more"),
+        (&["--limit", "0"], "--limit must be 1 or more"),
+        (&["--epsilon=-1"], "option `epsilon` is -1"),
+        (&["--preset", "kitti"], "option `preset` is kitti"),
+    ] {
+        let output = eval(data.path(), extra);
+        assert_eq!(output.status.code(), Some(2), "{extra:?}");
+        assert!(stderr(&output).contains(message), "{extra:?}: {}", stderr(&output));
+    }
+    std::fs::write(data.path().join("index.json"), "[]").unwrap();
+    let output = eval(data.path(), &[]);
+    assert!(stderr(&output).contains("index.json has 0 rows, points.npy 1 clouds"), "{}", stderr(&output));
+    assert!(stderr(&eval(corpus(0, 100).path(), &["--limit", "1"])).contains("no clouds in points.npy"));
+    let empty = tempfile::tempdir().unwrap();
+    assert!(stderr(&eval(empty.path(), &[])).contains("no point clouds in it"));
+    std::fs::write(empty.path().join("pairs.json"), "[]").unwrap();
+    assert!(stderr(&eval(empty.path(), &[])).contains("no pairs in pairs.json"));
+    let pair = r#"[{"source": "a", "target": "a", "T": [[1, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]]}]"#;
+    std::fs::write(empty.path().join("pairs.json"), pair).unwrap();
+    assert!(stderr(&eval(empty.path(), &[])).contains("a to a: "));
+    std::fs::write(empty.path().join("a.xyz"), "").unwrap();
+    assert!(stderr(&eval(empty.path(), &[])).contains("a to a: a cloud without points"));
 }

@@ -400,11 +400,13 @@ def test_the_stub_is_that_of_the_module():
 
 
 def test_everything_public_is_documented():
-    assert set(snake_rs.__all__) == {"Field", "Keypoints", "Model", "__version__", "detect"}
+    assert set(snake_rs.__all__) == {"Field", "Keypoints", "Model", "__version__", "baselines", "detect", "metrics"}
+    parts = (snake_rs.baselines, snake_rs.metrics)
+    functions = [getattr(part, name) for part in parts for name in part.__all__]
     classes = (snake_rs.Model, snake_rs.Field, snake_rs.Keypoints)
     members = [getattr(c, name) for c in classes for name in vars(c) if not name.startswith("_")]
     assert len(members) > 20
-    assert all(thing.__doc__ for thing in (snake_rs, snake_rs.detect, *classes, *members))
+    assert all(thing.__doc__ for thing in (snake_rs, snake_rs.detect, *parts, *functions, *classes, *members))
     assert {c.__module__ for c in classes} == {"snake_rs"}
 
 
@@ -417,6 +419,8 @@ def test_the_gil_is_released_while_computing(model, field, points):
         lambda: field.descriptors(many),
         lambda: field.detect(query_resolution=24),
         lambda: snake_rs.detect(many, model, query_resolution=12),
+        lambda: snake_rs.baselines.iss(many, salient_radius=0.1, non_max_radius=0.1),
+        lambda: snake_rs.metrics.geodesic_distances(many, [0, 1]),
     ]
     ticks, done = 0, threading.Event()
 

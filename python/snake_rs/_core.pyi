@@ -7,7 +7,31 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from typing_extensions import Self, Unpack
 
-__all__ = ["Field", "Keypoints", "Model", "__version__", "detect"]
+__all__ = [
+    "Field",
+    "Keypoints",
+    "Model",
+    "__version__",
+    "detect",
+    "farthest_points",
+    "feature_matching_recall",
+    "geodesic_distances",
+    "harris3d",
+    "information_matrix",
+    "inlier_ratio",
+    "iou",
+    "iss",
+    "mean_distance_to_keypoints",
+    "random_points",
+    "registration_recall",
+    "relative_repeatability",
+    "semantic_counts",
+    "sift3d",
+    "smpl_iou",
+    "smpl_pair_counts",
+    "squared_registration_error",
+    "symmetric_repeatability",
+]
 
 __version__: str
 
@@ -110,3 +134,73 @@ class Keypoints:
     @property
     def timing_seconds(self) -> dict[str, float]: ...
     def __len__(self) -> int: ...
+
+def iss(
+    points: ArrayLike,
+    *,
+    salient_radius: float | str = "6x",
+    non_max_radius: float | str = "4x",
+    gamma_21: float = 0.975,
+    gamma_32: float = 0.975,
+    min_neighbors: int = 5,
+    covariance: Literal["about-mean", "about-point"] = "about-mean",
+    count: int | None = None,
+    protocol: Literal["ranked", "paper"] = "ranked",
+    seed: int = 0,
+) -> tuple[NDArray[np.int64], NDArray[np.float64]]: ...
+def harris3d(
+    points: ArrayLike,
+    *,
+    radius: float | str = "6x",
+    threshold: float = 0.0,
+    non_max: bool = True,
+    count: int | None = None,
+    protocol: Literal["ranked", "paper"] = "ranked",
+    seed: int = 0,
+) -> tuple[NDArray[np.int64], NDArray[np.float64]]: ...
+def sift3d(
+    points: ArrayLike,
+    *,
+    min_scale: float | str = "2x",
+    octaves: int = 4,
+    scales_per_octave: int = 8,
+    min_contrast: float = 0.0,
+    field: Literal["curvature", "y"] = "curvature",
+    curvature_radius: float | str = "6x",
+    count: int | None = None,
+    protocol: Literal["ranked", "paper"] = "ranked",
+    seed: int = 0,
+) -> tuple[NDArray[np.int64], NDArray[np.float64]]: ...
+def farthest_points(points: ArrayLike, count: int) -> tuple[NDArray[np.int64], NDArray[np.float64]]: ...
+def random_points(points: ArrayLike, count: int, seed: int = 0) -> tuple[NDArray[np.int64], NDArray[np.float64]]: ...
+def relative_repeatability(
+    keypoints_1: ArrayLike, keypoints_2: ArrayLike, t_1_2: ArrayLike, epsilon: ArrayLike
+) -> NDArray[np.float64]: ...
+def symmetric_repeatability(
+    keypoints_1: ArrayLike, keypoints_2: ArrayLike, t_1_2: ArrayLike, epsilon: ArrayLike
+) -> NDArray[np.float64]: ...
+def mean_distance_to_keypoints(points: ArrayLike, keypoints: ArrayLike) -> float: ...
+def geodesic_distances(points: ArrayLike, sources: ArrayLike, neighbors: int = 20) -> NDArray[np.float64]: ...
+def semantic_counts(
+    points: ArrayLike,
+    ground_truth: ArrayLike,
+    found: ArrayLike,
+    thresholds: ArrayLike,
+    unreachable: Literal["strict", "paper"] = "strict",
+) -> NDArray[np.int64]: ...
+def iou(counts: ArrayLike) -> NDArray[np.float64]: ...
+def smpl_pair_counts(
+    body_1: ArrayLike,
+    body_2: ArrayLike,
+    keypoints_1: ArrayLike,
+    keypoints_2: ArrayLike,
+    thresholds: ArrayLike,
+    protocol: Literal["strict", "paper"] = "strict",
+    seed: int = 0,
+) -> NDArray[np.int64]: ...
+def smpl_iou(counts: ArrayLike, protocol: Literal["strict", "paper"] = "strict") -> float: ...
+def inlier_ratio(source: ArrayLike, target: ArrayLike, t_target_source: ArrayLike, threshold: float = 0.1) -> float: ...
+def feature_matching_recall(inlier_ratios: ArrayLike, threshold: float = 0.05) -> float: ...
+def squared_registration_error(t_gt: ArrayLike, t_estimate: ArrayLike, information: ArrayLike) -> float: ...
+def information_matrix(points: ArrayLike) -> NDArray[np.float64]: ...
+def registration_recall(fragments: ArrayLike, squared_errors: ArrayLike, threshold: float = 0.2) -> float: ...

@@ -1,4 +1,4 @@
-//! Arrays in and out: points are checked and copied once, results become numpy arrays without a copy.
+//! Arrays and names in and out: points are checked and copied once, results become numpy arrays without a copy.
 
 use numpy::{
     PyArray1, PyArray2, PyArrayDescrMethods, PyArrayMethods, PyReadonlyArray2, PyUntypedArray, PyUntypedArrayMethods,
@@ -33,4 +33,13 @@ pub fn values<T: numpy::Element>(py: Python<'_>, values: Vec<T>) -> Bound<'_, Py
 pub fn rows(py: Python<'_>, flat: Vec<f32>, columns: usize) -> PyResult<Bound<'_, PyArray2<f32>>> {
     let rows = flat.len() / columns;
     PyArray1::from_vec(py, flat).reshape([rows, columns])
+}
+
+/// What a name stands for.
+pub fn named<T: Copy>(option: &str, name: &str, known: [(&str, T); 2]) -> PyResult<T> {
+    let found = known.iter().find(|(known, _)| *known == name).map(|(_, value)| *value);
+    found.ok_or_else(|| {
+        let [(first, _), (second, _)] = known;
+        PyValueError::new_err(format!("option `{option}` is {name}: allowed is {first} or {second}"))
+    })
 }

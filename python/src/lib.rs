@@ -2,9 +2,11 @@
 //! GIL and calls the core; it computes nothing.
 
 mod arrays;
+mod baselines;
 mod error;
 mod field;
 mod keypoints;
+mod metrics;
 mod model;
 mod options;
 
@@ -41,6 +43,14 @@ fn detect(
 
 #[pymodule]
 mod _core {
+    #[pymodule_export]
+    use super::baselines::{farthest_points, harris3d, iss, random_points, sift3d};
+    #[pymodule_export]
+    use super::metrics::{
+        feature_matching_recall, geodesic_distances, information_matrix, inlier_ratio, iou, mean_distance_to_keypoints,
+        registration_recall, relative_repeatability, semantic_counts, smpl_iou, smpl_pair_counts,
+        squared_registration_error, symmetric_repeatability,
+    };
     #[pymodule_export]
     use super::{Field, Keypoints, Model, detect};
 

@@ -26,11 +26,96 @@ pub enum Command {
   snake-cli detect clouds/ -o results/ --format json
   snake-cli detect scan.ply --json | jq '.keypoints[0]'")]
     Detect(Box<DetectArguments>),
+    /// Measure how good keypoints are, beside those of the classical detectors.
+    #[command(subcommand)]
+    Eval(Eval),
     /// Show what a weight file is; without FILE, the built-in model.
     Model {
         /// Weight file (.safetensors).
         file: Option<PathBuf>,
     },
+}
+
+#[derive(Subcommand)]
+pub enum Eval {
+    /// Relative repeatability: the share of keypoints that a second view finds again.
+    ///
+    /// DATA is a folder of objects (points.npy of shape (S, N, 3) and index.json, or cloud files), cloud files, or a
+    /// folder with a pairs.json. An object's radius is brought to 1, and its second view is turned at random and sampled
+    /// anew. pairs.json lists real pairs, [{"source": "a.ply", "target": "b.ply", "T": [[..4], ..4]}, ..]: T takes the
+    /// source to the target, and the target is the first view.
+    ///
+    /// Every method sees the same views: undisturbed, then at each down-sampling, then at each noise. The defaults are
+    /// those of the paper's tables: for ModelNet40 with objects, for Redwood with pairs.
+    #[command(after_help = "Examples:
+  snake-cli eval repeatability corpus/objects/val -o results/
+  snake-cli eval repeatability my_scans/ --methods snake,iss,random --downsample 1 --noise 0
+  snake-cli eval repeatability scenes/val -o results/ --preset redwood --nms-radius 0.04")]
+    Repeatability(Box<RepeatabilityArguments>),
+}
+
+#[derive(Args)]
+pub struct RepeatabilityArguments {
+    /// What to evaluate on.
+    #[arg(required = true)]
+    pub data: Vec<PathBuf>,
+    /// Write repeatability.csv, .json and .md into this directory. Finished pairs are kept there in repeatability.jsonl:
+    /// an interrupted run goes on where it was.
+    #[arg(short, long)]
+    pub output: Option<PathBuf>,
+    /// Among snake, iss, harris3d, sift3d, fps and random.
+    #[arg(long, value_delimiter = ',', default_value = "snake,iss,harris3d,sift3d,fps,random")]
+    pub methods: Vec<String>,
+    /// How the classical detectors pick keypoints: ranked, the strongest responses; or paper, as in the paper's
+    /// tables: a random subset, of Harris 3D without suppression and SIFT 3D on the y coordinate.
+    #[arg(long, value_enum, default_value = "ranked")]
+    pub protocol: ProtocolName,
+    /// Distances at which a keypoint is found again [default: 0.03 to 0.1, pairs: 0.1 to 0.24].
+    #[arg(long, value_delimiter = ',')]
+    pub epsilon: Option<Vec<f64>>,
+    /// The epsilon of the tables over down-sampling and noise [default: 0.04, pairs: 0.2].
+    #[arg(long)]
+    pub table_epsilon: Option<f64>,
+    /// Rates of down-sampling.
+    #[arg(long, value_delimiter = ',', default_value = "1,2,4,8,16")]
+    pub downsample: Vec<usize>,
+    /// Standard deviations of Gaussian noise [default: 0 to 0.12, pairs: 0 to 0.1].
+    #[arg(long, value_delimiter = ',')]
+    pub noise: Option<Vec<f64>>,
+    /// Keypoints of each view, the best.
+    #[arg(long, default_value_t = 64)]
+    pub count: usize,
+    /// Show the paper's figures for its own data sets in the table over epsilon: ModelNet40, pairs: Redwood.
+    #[arg(long)]
+    pub paper: bool,
+    /// Points of each view, drawn at random [default: 5000, pairs: 10240].
+    #[arg(long)]
+    pub num_points: Option<usize>,
+    /// Evaluate this many pairs, evenly spaced.
+    #[arg(long)]
+    pub limit: Option<usize>,
+    /// Seed of rotations, points, noise and random keypoints.
+    #[arg(long, default_value_t = 0)]
+    pub seed: u64,
+    /// Threads; default: all processors. The result does not depend on it.
+    #[arg(long, value_parser = clap::value_parser!(u16).range(1..))]
+    pub threads: Option<u16>,
+    /// Weight file (.safetensors) of the method snake; default: the built-in compact model.
+    #[arg(long)]
+    pub model: Option<PathBuf>,
+    /// The paper's settings of the method snake for a data set; default: what the model recommends.
+    #[arg(long)]
+    pub preset: Option<String>,
+    /// Suppression radius of the method snake, in units of the views.
+    #[arg(long)]
+    pub nms_radius: Option<f32>,
+}
+
+/// The protocols of the classical detectors.
+#[derive(Clone, Copy, ValueEnum)]
+pub enum ProtocolName {
+    Ranked,
+    Paper,
 }
 
 /// The formats that keypoints are written in.

@@ -67,7 +67,7 @@ pub fn run(arguments: &DetectArguments) -> Result<ExitCode> {
 }
 
 /// The files to read: what was named, and the clouds within directories in the order of their names.
-fn expand(inputs: &[PathBuf]) -> Result<Vec<PathBuf>> {
+pub fn expand(inputs: &[PathBuf]) -> Result<Vec<PathBuf>> {
     let mut files = Vec::new();
     for input in inputs {
         if !input.is_dir() {

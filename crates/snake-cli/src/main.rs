@@ -2,6 +2,7 @@
 
 mod args;
 mod detect;
+mod eval;
 mod model;
 mod timing;
 
@@ -11,11 +12,12 @@ use std::process::ExitCode;
 use anyhow::{Context, Result};
 use clap::Parser;
 
-use args::{Arguments, Command};
+use args::{Arguments, Command, Eval};
 
 fn main() -> ExitCode {
     let outcome = match Arguments::parse().command {
         Command::Detect(arguments) => detect::run(&arguments),
+        Command::Eval(Eval::Repeatability(arguments)) => eval::repeatability(&arguments).map(|()| ExitCode::SUCCESS),
         Command::Model { file } => model::run(file.as_deref()).map(|()| ExitCode::SUCCESS),
     };
     outcome.unwrap_or_else(|error| {

@@ -9,8 +9,12 @@
 //!
 //! A cloud is encoded once ([`Model::encode`]); its [`Field`] answers any number of queries, and [`detect`] climbs it
 //! to the keypoints. [`Model::detect`] does both. Results have the same bits for any number of threads.
+//!
+//! [`metrics`] measure how good keypoints are, and [`baselines`] are the classical detectors to compare them with.
 
+pub mod baselines;
 pub mod io;
+pub mod metrics;
 
 mod decoder;
 mod detect;
@@ -21,6 +25,7 @@ mod field;
 mod golden;
 mod kernels;
 mod model;
+mod neighbors;
 mod nms;
 mod nn;
 mod points;

@@ -55,6 +55,15 @@ pub fn read_points(path: &Path) -> Result<Vec<Point>> {
     read(&bytes).map_err(|reason| Error::Format { path: path.into(), reason })
 }
 
+/// Reads clouds of equally many points from an `.npy` array of shape `(S, N, C)`, `C >= 3`, floats or integers.
+///
+/// # Errors
+/// [`Error::Io`] when the file cannot be read; [`Error::Format`] when it is no such array.
+pub fn read_clouds(path: &Path) -> Result<Vec<Vec<Point>>> {
+    let bytes = std::fs::read(path).map_err(|source| Error::Io { path: path.into(), source })?;
+    npy::read_clouds(&bytes).map_err(|reason| Error::Format { path: path.into(), reason })
+}
+
 /// Writes keypoints; the extension says which format.
 ///
 /// The file appears under its name once it is complete; an earlier file of that name is replaced.

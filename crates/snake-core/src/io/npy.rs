@@ -12,15 +12,37 @@ const MAGIC: &[u8] = b"\x93NUMPY";
 ///
 /// Items may be `f4`, `f8` or integers of any width, of either byte order, rows or columns contiguous.
 pub(super) fn read(bytes: &[u8]) -> Result<Vec<Point>, String> {
+    let (array, data) = open(bytes)?;
+    if array.clouds.is_some() {
+        return Err("an array of shape (S, N, C) is several clouds; needed is (N, 3) or more columns".into());
+    }
+    Ok(array.cloud(data, 0))
+}
+
+/// Reads the clouds of an array of shape `(S, N, C)`, `C >= 3`, likewise; its items must not be in Fortran's order.
+pub(super) fn read_clouds(bytes: &[u8]) -> Result<Vec<Vec<Point>>, String> {
+    let (array, data) = open(bytes)?;
+    let clouds = array.clouds.filter(|_| !array.fortran_order).ok_or("needed is (S, N, 3) in C order")?;
+    // An array without points has no items that would bound the number of clouds.
+    if array.rows == 0 {
+        return Err("clouds without points".into());
+    }
+    Ok((0..clouds).map(|cloud| array.cloud(data, cloud)).collect())
+}
+
+/// The header, and the data, which holds the whole array.
+fn open(bytes: &[u8]) -> Result<(ArrayHeader, &[u8]), String> {
     let (header, data) = split_header(bytes).ok_or("not a .npy file, or cut short within its header")?;
     let array = ArrayHeader::parse(header)?;
     // Before anything is allocated: a header can claim any size.
-    let needed = array.rows.checked_mul(array.columns).and_then(|items| items.checked_mul(array.dtype.size));
+    let lengths = [array.clouds.unwrap_or(1), array.rows, array.columns, array.dtype.size];
+    let needed = lengths.into_iter().try_fold(1_usize, usize::checked_mul);
     if needed.is_none_or(|needed| needed > data.len()) {
-        let ArrayHeader { rows, columns, dtype: Dtype { size, .. }, .. } = array;
-        return Err(format!("shape ({rows}, {columns}) of {size} bytes each, but {} bytes follow", data.len()));
+        let ArrayHeader { clouds, rows, columns, dtype: Dtype { size, .. }, .. } = array;
+        let clouds = clouds.map(|clouds| format!("{clouds}, ")).unwrap_or_default();
+        return Err(format!("shape ({clouds}{rows}, {columns}) of {size} bytes each, but {} bytes follow", data.len()));
     }
-    Ok((0..array.rows).map(|row| std::array::from_fn(|column| array.item(data, row, column))).collect())
+    Ok((array, data))
 }
 
 /// Writes a `(K, 6)` array: x, y, z, saliency, occupancy, nearest_index.
@@ -57,6 +79,8 @@ fn split_header(bytes: &[u8]) -> Option<(&[u8], &[u8])> {
 struct ArrayHeader {
     dtype: Dtype,
     fortran_order: bool,
+    /// The length before rows and columns, where there is one.
+    clouds: Option<usize>,
     rows: usize,
     columns: usize,
 }
@@ -75,12 +99,18 @@ impl ArrayHeader {
             fields.ok_or_else(|| format!("no plain array is described by the header `{}`", excerpt(&header, 100)))?;
         let dtype = Dtype::parse(descr)
             .ok_or_else(|| format!("items of type `{}`; floats and integers can be read", excerpt(descr, 20)))?;
-        let (rows, columns) = parse_shape(shape)
+        let (clouds, rows, columns) = parse_shape(shape)
             .ok_or_else(|| format!("shape ({}); needed is (N, 3) or more columns", excerpt(shape, 40)))?;
-        Ok(Self { dtype, fortran_order, rows, columns })
+        Ok(Self { dtype, fortran_order, clouds, rows, columns })
     }
 
-    /// One item; the data must hold the whole array.
+    /// One cloud; the data must hold the whole array.
+    fn cloud(&self, data: &[u8], cloud: usize) -> Vec<Point> {
+        let data = &data[cloud * self.rows * self.columns * self.dtype.size..];
+        (0..self.rows).map(|row| std::array::from_fn(|column| self.item(data, row, column))).collect()
+    }
+
+    /// One item of a cloud's data.
     fn item(&self, data: &[u8], row: usize, column: usize) -> f32 {
         let index = if self.fortran_order { column * self.rows + row } else { row * self.columns + column };
         let size = self.dtype.size;
@@ -94,10 +124,14 @@ fn value<'a>(header: &'a str, key: &str) -> Option<&'a str> {
     rest.trim_start().strip_prefix(':').map(str::trim_start)
 }
 
-fn parse_shape(shape: &str) -> Option<(usize, usize)> {
-    let mut lengths = shape.trim_end().trim_end_matches(',').split(',').map(|length| length.trim().parse().ok());
-    let (rows, columns) = (lengths.next()??, lengths.next()??);
-    (lengths.next().is_none() && columns >= 3).then_some((rows, columns))
+fn parse_shape(shape: &str) -> Option<(Option<usize>, usize, usize)> {
+    let lengths = shape.trim_end().trim_end_matches(',').split(',').map(|length| length.trim().parse().ok());
+    let (clouds, rows, columns) = match lengths.collect::<Option<Vec<usize>>>()?[..] {
+        [rows, columns] => (None, rows, columns),
+        [clouds, rows, columns] => (Some(clouds), rows, columns),
+        _ => return None,
+    };
+    (columns >= 3).then_some((clouds, rows, columns))
 }
 
 struct Dtype {
@@ -204,6 +238,21 @@ mod tests {
         read(&npy(9, "<f4", "False", "(3, 3)", &[0; 36])).unwrap_err();
         read(&[MAGIC, &[2, 0, 255, 255, 255, 255], b"{}"].concat()).unwrap_err();
         assert!(read(&npy(1, "<f4", "False", "(0, 3)", &[])).unwrap().is_empty());
+    }
+
+    #[test]
+    fn arrays_of_clouds_are_read_cloud_by_cloud() {
+        let values: Vec<i8> = (0..16).collect();
+        let bytes = npy(1, "<i2", "False", "(2, 2, 4)", &encode(&values, "<i2"));
+        let expected = [[[0.0, 1.0, 2.0], [4.0, 5.0, 6.0]], [[8.0, 9.0, 10.0], [12.0, 13.0, 14.0]]];
+        assert_eq!(read_clouds(&bytes).unwrap(), expected);
+        for length in 0..bytes.len() {
+            read_clouds(&bytes[..length]).unwrap_err();
+        }
+        for shape in ["(2, 3, 3)", "(4, 4)", "(1, 2, 2, 4)", "(99999999999, 0, 3)", "(2, 9223372036854775807, 4)"] {
+            read_clouds(&npy(1, "<i2", "False", shape, &encode(&values, "<i2"))).unwrap_err();
+        }
+        read_clouds(&npy(1, "<i2", "True", "(2, 2, 4)", &encode(&values, "<i2"))).unwrap_err();
     }
 
     #[test]

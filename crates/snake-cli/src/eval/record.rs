@@ -1,0 +1,135 @@
+//! The figures of each pair, kept in a file so that an interrupted run goes on where it was.
+
+use std::fs::File;
+use std::io::{Seek, Write};
+use std::path::{Path, PathBuf};
+
+use anyhow::{Context, Result, bail};
+use serde::{Deserialize, Serialize};
+use serde_json::{Value, json};
+
+use super::views::Condition;
+
+/// The figures of one method under one condition on one pair.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Row {
+    pub method: String,
+    #[serde(flatten)]
+    pub condition: Condition,
+    /// How many keypoints view 1 has.
+    pub keypoints: usize,
+    /// Mean distance of view 1's points to their nearest keypoint; `None` without keypoints.
+    pub coverage: Option<f64>,
+    /// For each epsilon.
+    pub repeatability: Vec<f64>,
+}
+
+/// The figures of one pair.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Pair {
+    pub name: String,
+    pub rows: Vec<Row>,
+}
+
+/// The figures of the pairs so far, in order; in `repeatability.jsonl`, the settings on its first line, where there is
+/// an output directory.
+pub struct Record {
+    file: Option<(PathBuf, File)>,
+    pairs: Vec<Pair>,
+}
+
+impl Record {
+    /// Opens the record of an output directory, and takes over what a run with the same settings left there.
+    pub fn open(output: Option<&Path>, settings: &Value, num_pairs: usize) -> Result<Self> {
+        let Some(output) = output else { return Ok(Self { file: None, pairs: Vec::new() }) };
+        std::fs::create_dir_all(output).with_context(|| format!("cannot make the directory {}", output.display()))?;
+        let path = output.join("repeatability.jsonl");
+        let header = format!("{}\n", json!({ "settings": settings }));
+        let text = if path.exists() { std::fs::read_to_string(&path) } else { Ok(String::new()) };
+        let text = text.with_context(|| format!("cannot read {}", path.display()))?;
+        // An interrupted run may leave a line without its end.
+        let whole = &text[..text.rfind('\n').map_or(0, |end| end + 1)];
+        if !whole.is_empty() && !whole.starts_with(&header) {
+            bail!("{} is of a run with other settings; delete it or give another --output", path.display());
+        }
+        let lines = whole.get(header.len()..).unwrap_or_default().lines();
+        let pairs: Result<Vec<Pair>, _> = lines.map(serde_json::from_str).collect();
+        let pairs = pairs.with_context(|| format!("{} is damaged; delete it", path.display()))?;
+        if pairs.len() > num_pairs {
+            bail!("{} has more pairs than the data; delete it or give another --output", path.display());
+        }
+        let mut record = Self { file: None, pairs };
+        let open = || -> std::io::Result<File> {
+            let mut file = File::options().write(true).create(true).truncate(false).open(&path)?;
+            file.set_len(whole.len() as u64)?;
+            file.seek(std::io::SeekFrom::End(0))?;
+            if whole.is_empty() {
+                file.write_all(header.as_bytes())?;
+            }
+            Ok(file)
+        };
+        let file = open().with_context(|| format!("cannot write {}", path.display()))?;
+        record.file = Some((path, file));
+        Ok(record)
+    }
+
+    /// How many pairs are done.
+    pub fn len(&self) -> usize {
+        self.pairs.len()
+    }
+
+    /// The pairs so far.
+    pub fn pairs(&self) -> &[Pair] {
+        &self.pairs
+    }
+
+    /// Adds the next pair.
+    pub fn append(&mut self, name: String, rows: Vec<Row>) -> Result<()> {
+        let pair = Pair { name, rows };
+        if let Some((path, file)) = &mut self.file {
+            let line = serde_json::to_string(&pair)? + "\n";
+            file.write_all(line.as_bytes()).with_context(|| format!("cannot write {}", path.display()))?;
+        }
+        self.pairs.push(pair);
+        Ok(())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn row(repeatability: f64) -> Row {
+        let condition = Condition { downsample: 1, noise: 0.1 };
+        Row { method: "iss".into(), condition, keypoints: 3, coverage: None, repeatability: vec![repeatability, 1.0] }
+    }
+
+    #[test]
+    fn a_record_is_taken_over_whole_or_refused() {
+        let folder = tempfile::tempdir().unwrap();
+        let (settings, other) = (json!({"seed": 0}), json!({"seed": 1}));
+        let open = |settings, number| Record::open(Some(folder.path()), settings, number);
+        let mut record = open(&settings, 3).unwrap();
+        record.append("a".into(), vec![row(0.1 + 0.2)]).unwrap();
+        record.append("b".into(), vec![row(1.0 / 3.0), row(0.0)]).unwrap();
+        let pairs = record.pairs().to_vec();
+        drop(record);
+        assert_eq!(open(&settings, 3).unwrap().pairs(), pairs);
+        assert!(open(&other, 3).err().unwrap().to_string().contains("other settings"));
+        assert!(open(&settings, 1).err().unwrap().to_string().contains("more pairs"));
+        // Cut anywhere, the whole lines remain and the file can be gone on with.
+        let path = folder.path().join("repeatability.jsonl");
+        let whole = std::fs::read(&path).unwrap();
+        for length in 0..whole.len() {
+            std::fs::write(&path, &whole[..length]).unwrap();
+            let mut record = open(&settings, 3).unwrap();
+            assert_eq!(record.pairs(), &pairs[..record.len()]);
+            for pair in &pairs[record.len()..] {
+                record.append(pair.name.clone(), pair.rows.clone()).unwrap();
+            }
+            assert_eq!(std::fs::read(&path).unwrap(), whole, "{length}");
+        }
+        std::fs::write(&path, [&whole[..], b"{}\n"].concat()).unwrap();
+        assert!(open(&settings, 9).err().unwrap().to_string().contains("damaged"));
+    }
+}

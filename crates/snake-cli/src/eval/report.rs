@@ -1,0 +1,279 @@
+//! Tables of the figures: for people, Markdown, CSV and JSON.
+
+use std::fmt::Write;
+use std::path::Path;
+
+use anyhow::{Context, Result};
+use serde_json::{Value, json};
+
+use super::Plan;
+use super::record::{Pair, Row};
+use super::views::Condition;
+
+/// A row of the paper's tables: the method, and its figures by epsilon in hundredths.
+pub type PaperRow = (&'static str, [(u32, f64); 8]);
+
+/// SNAKE's table of repeatability on ModelNet40, in units of the objects' radius.
+pub const MODELNET40: [PaperRow; 2] = [
+    (
+        "SNAKE (paper)",
+        [(3, 0.763), (4, 0.864), (5, 0.897), (6, 0.910), (7, 0.917), (8, 0.923), (9, 0.927), (10, 0.930)],
+    ),
+    (
+        "random (paper)",
+        [(3, 0.056), (4, 0.094), (5, 0.140), (6, 0.191), (7, 0.249), (8, 0.308), (9, 0.368), (10, 0.429)],
+    ),
+];
+
+/// Its table on Redwood, in metres.
+pub const REDWOOD: [PaperRow; 2] = [
+    (
+        "SNAKE (paper)",
+        [(10, 0.205), (12, 0.246), (14, 0.286), (16, 0.323), (18, 0.359), (20, 0.393), (22, 0.425), (24, 0.454)],
+    ),
+    (
+        "random (paper)",
+        [(10, 0.090), (12, 0.126), (14, 0.163), (16, 0.204), (18, 0.246), (20, 0.287), (22, 0.326), (24, 0.362)],
+    ),
+];
+
+/// Means over all pairs.
+pub struct Report<'a> {
+    plan: &'a Plan,
+    settings: &'a Value,
+    summaries: Vec<Summary>,
+    num_pairs: usize,
+    paper: &'a [PaperRow],
+}
+
+/// Means over the pairs for one method under one condition.
+struct Summary {
+    method: String,
+    condition: Condition,
+    keypoints: f64,
+    /// Over the pairs that have keypoints; `None` if none has.
+    coverage: Option<f64>,
+    /// Mean and standard deviation for each epsilon.
+    repeatability: Vec<(f64, f64)>,
+}
+
+impl Summary {
+    /// Of the rows of all pairs that belong to the same method and condition.
+    fn new(rows: &[&Row]) -> Self {
+        let Row { method, condition, repeatability, .. } = rows[0];
+        let keypoints = rows.iter().map(|row| row.keypoints as f64).collect::<Vec<_>>();
+        let coverage: Vec<f64> = rows.iter().filter_map(|row| row.coverage).collect();
+        let at = |i| mean_and_deviation(&rows.iter().map(|row| row.repeatability[i]).collect::<Vec<_>>());
+        Self {
+            method: method.clone(),
+            condition: *condition,
+            keypoints: mean_and_deviation(&keypoints).0,
+            coverage: (!coverage.is_empty()).then(|| mean_and_deviation(&coverage).0),
+            repeatability: (0..repeatability.len()).map(at).collect(),
+        }
+    }
+}
+
+/// Mean, and standard deviation over the pairs (n - 1; of one pair 0).
+fn mean_and_deviation(values: &[f64]) -> (f64, f64) {
+    let count = values.len() as f64;
+    let mean = values.iter().sum::<f64>() / count;
+    let squares: f64 = values.iter().map(|v| (v - mean).powi(2)).sum();
+    (mean, (squares / (count - 1.0).max(1.0)).sqrt())
+}
+
+/// Mean and standard deviation as a table shows them.
+fn cell((mean, deviation): &(f64, f64)) -> String {
+    format!("{mean:.3} ±{deviation:.3}")
+}
+
+/// A table: its title, its columns' heads and its rows.
+struct Table {
+    title: String,
+    head: Vec<String>,
+    rows: Vec<Vec<String>>,
+}
+
+impl<'a> Report<'a> {
+    /// Sums up pairs that all have the same rows; the paper's rows are shown beside them.
+    pub fn new(plan: &'a Plan, settings: &'a Value, pairs: &[Pair], paper: &'a [PaperRow]) -> Self {
+        let num_rows = pairs.first().map_or(0, |pair| pair.rows.len());
+        let rows_of = |i: usize| pairs.iter().map(|pair| &pair.rows[i]).collect::<Vec<_>>();
+        let summaries = (0..num_rows).map(|i| Summary::new(&rows_of(i))).collect();
+        Self { plan, settings, summaries, num_pairs: pairs.len(), paper }
+    }
+
+    /// The tables, for people.
+    pub fn text(&self) -> String {
+        let table = |Table { title, head, rows }: Table| {
+            let mut text = format!("{title}\n");
+            for row in std::iter::once(&head).chain(&rows) {
+                let cells = row.iter().skip(1).map(|cell| format!("  {cell:>11}")).collect::<String>();
+                writeln!(text, "{:14}{cells}", row[0]).unwrap_or_default();
+            }
+            text
+        };
+        self.tables().into_iter().map(table).collect::<Vec<_>>().join("\n")
+    }
+
+    /// Writes `repeatability.csv`, `.json` and `.md`.
+    pub fn write(&self, output: &Path) -> Result<()> {
+        for (name, text) in [("csv", self.csv()), ("json", self.json()?), ("md", self.markdown())] {
+            let path = output.join(format!("repeatability.{name}"));
+            std::fs::write(&path, text).with_context(|| format!("cannot write {}", path.display()))?;
+        }
+        Ok(())
+    }
+
+    /// The paper's three tables: over epsilon, over down-sampling and over noise.
+    fn tables(&self) -> Vec<Table> {
+        let down_sampling = self.over("down-sampling", |c| c.noise == 0.0, |c| format!("1 in {}", c.downsample));
+        let noise = self.over("noise", |c| c.downsample == 1, |c| format!("σ {}", c.noise));
+        std::iter::once(self.over_epsilon()).chain(down_sampling).chain(noise).collect()
+    }
+
+    /// Undisturbed views, a row for each method.
+    fn over_epsilon(&self) -> Table {
+        let mut head = vec!["method".to_owned()];
+        head.extend(self.plan.epsilon.iter().map(|epsilon| format!("ε {epsilon}")));
+        head.extend(["keypoints".into(), "coverage".into()]);
+        let row = |s: &Summary| {
+            let mut row = vec![s.method.clone()];
+            row.extend(s.repeatability.iter().map(cell));
+            row.push(format!("{:.1}", s.keypoints));
+            row.push(s.coverage.map_or("-".into(), |coverage| format!("{coverage:.4}")));
+            row
+        };
+        let title = format!("Relative repeatability, mean ± standard deviation over {} pairs", self.num_pairs);
+        let paper_row = |(method, figures): &PaperRow| {
+            let at = |epsilon: &f64| figures.iter().find(|(hundredths, _)| f64::from(*hundredths) / 100.0 == *epsilon);
+            let mut row = vec![(*method).to_owned()];
+            row.extend(self.plan.epsilon.iter().map(|e| at(e).map_or("-".into(), |(_, mean)| format!("{mean:.3}"))));
+            row.extend(["-".into(), "-".into()]);
+            row
+        };
+        let rows = self.under(self.plan.conditions[0]).map(row).chain(self.paper.iter().map(paper_row)).collect();
+        Table { title, head, rows }
+    }
+
+    /// One epsilon, a row for each method and a column for each condition that belongs; none of a single condition.
+    fn over(&self, what: &str, belongs: fn(&Condition) -> bool, name: fn(&Condition) -> String) -> Option<Table> {
+        let Plan { epsilon, table_epsilon, conditions, .. } = self.plan;
+        let at = epsilon.iter().position(|epsilon| epsilon == table_epsilon)?;
+        let swept: Vec<&Condition> = conditions.iter().filter(|condition| belongs(condition)).collect();
+        let mut head = vec!["method".to_owned()];
+        head.extend(swept.iter().map(|condition| name(condition)));
+        let mut rows: Vec<Vec<String>> = self.under(conditions[0]).map(|s| vec![s.method.clone()]).collect();
+        for condition in &swept {
+            rows.iter_mut().zip(self.under(**condition)).for_each(|(row, s)| row.push(cell(&s.repeatability[at])));
+        }
+        let title = format!("At ε {table_epsilon}, over {what}");
+        (swept.len() > 1).then_some(Table { title, head, rows })
+    }
+
+    /// The methods under one condition, in their order.
+    fn under(&self, condition: Condition) -> impl Iterator<Item = &Summary> {
+        self.summaries.iter().filter(move |summary| summary.condition == condition)
+    }
+
+    fn markdown(&self) -> String {
+        let line = |cells: &[String]| format!("| {} |\n", cells.join(" | "));
+        let table = |Table { title, head, rows }: Table| {
+            let rule = format!("|{}\n", "---|".repeat(head.len()));
+            let rows: String = rows.iter().map(|row| line(row)).collect();
+            format!("{title}:\n\n{}{rule}{rows}", line(&head))
+        };
+        self.tables().into_iter().map(table).collect::<Vec<_>>().join("\n")
+    }
+
+    /// A line for each method, condition and epsilon.
+    fn csv(&self) -> String {
+        let mut text =
+            String::from("method,downsample,noise,epsilon,repeatability,deviation,keypoints,coverage,pairs\n");
+        for s in &self.summaries {
+            for (epsilon, (mean, deviation)) in self.plan.epsilon.iter().zip(&s.repeatability) {
+                let Condition { downsample, noise } = s.condition;
+                let coverage = s.coverage.map(|coverage| coverage.to_string()).unwrap_or_default();
+                let (method, keypoints, pairs) = (&s.method, s.keypoints, self.num_pairs);
+                text += &format!(
+                    "{method},{downsample},{noise},{epsilon},{mean},{deviation},{keypoints},{coverage},{pairs}\n"
+                );
+            }
+        }
+        text
+    }
+
+    fn json(&self) -> Result<String> {
+        let row = |s: &Summary| {
+            json!({
+                "method": s.method,
+                "downsample": s.condition.downsample,
+                "noise": s.condition.noise,
+                "repeatability": s.repeatability.iter().map(|(mean, _)| mean).collect::<Vec<_>>(),
+                "deviation": s.repeatability.iter().map(|(_, deviation)| deviation).collect::<Vec<_>>(),
+                "keypoints": s.keypoints,
+                "coverage": s.coverage,
+            })
+        };
+        let rows: Vec<Value> = self.summaries.iter().map(row).collect();
+        let all = json!({"settings": self.settings, "pairs": self.num_pairs, "rows": rows});
+        Ok(serde_json::to_string_pretty(&all)? + "\n")
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const CLEAN: Condition = Condition { downsample: 1, noise: 0.0 };
+    const NOISY: Condition = Condition { downsample: 1, noise: 0.1 };
+
+    fn row(condition: Condition, keypoints: usize, repeatability: [f64; 2]) -> Row {
+        let coverage = (keypoints > 0).then_some(0.25);
+        Row { method: "iss".into(), condition, keypoints, coverage, repeatability: repeatability.into() }
+    }
+
+    #[test]
+    fn tables_by_hand() {
+        let conditions = vec![CLEAN, NOISY];
+        let plan = Plan { epsilon: vec![0.1, 0.2], table_epsilon: 0.2, conditions, num_points: 1, seed: 0 };
+        let pairs = [
+            Pair { name: "a".into(), rows: vec![row(CLEAN, 4, [0.5, 1.0]), row(NOISY, 0, [0.0, 0.0])] },
+            Pair { name: "b".into(), rows: vec![row(CLEAN, 8, [0.25, 1.0]), row(NOISY, 2, [0.0, 0.5])] },
+        ];
+        let settings = json!({"seed": 0});
+        let report = Report::new(&plan, &settings, &pairs, &[]);
+        let markdown = "Relative repeatability, mean ± standard deviation over 2 pairs:
+
+| method | ε 0.1 | ε 0.2 | keypoints | coverage |
+|---|---|---|---|---|
+| iss | 0.375 ±0.177 | 1.000 ±0.000 | 6.0 | 0.2500 |
+
+At ε 0.2, over noise:
+
+| method | σ 0 | σ 0.1 |
+|---|---|---|
+| iss | 1.000 ±0.000 | 0.250 ±0.354 |
+";
+        assert_eq!(report.markdown(), markdown);
+        let csv = report.csv();
+        assert_eq!(csv.lines().nth(1).unwrap(), "iss,1,0,0.1,0.375,0.1767766952966369,6,0.25,2");
+        assert_eq!(csv.lines().count(), 5);
+        let json: Value = serde_json::from_str(&report.json().unwrap()).unwrap();
+        assert_eq!(json["rows"][1]["repeatability"], json!([0.0, 0.25]));
+        assert_eq!((json["rows"].as_array().unwrap().len(), &json["settings"]), (2, &settings));
+        assert!(report.text().contains("iss             0.375 ±0.177"));
+    }
+
+    #[test]
+    fn the_papers_rows_stand_where_they_have_figures() {
+        let plan =
+            Plan { epsilon: vec![0.04, 0.3], table_epsilon: 0.3, conditions: vec![CLEAN], num_points: 1, seed: 0 };
+        let pairs = [Pair { name: "a".into(), rows: vec![row(CLEAN, 4, [0.5, 1.0])] }];
+        let markdown = Report::new(&plan, &json!({}), &pairs, &MODELNET40).markdown();
+        assert!(
+            markdown.ends_with("| SNAKE (paper) | 0.864 | - | - | - |\n| random (paper) | 0.094 | - | - | - |\n"),
+            "{markdown}"
+        );
+    }
+}

@@ -1,0 +1,262 @@
+//! Data sets as pairs of views: objects seen twice, or real pairs.
+
+use std::path::{Path, PathBuf};
+
+use anyhow::{Context, Result, bail};
+use nalgebra::{Point3, Quaternion, UnitQuaternion};
+use rand::{Rng, RngExt, SeedableRng};
+use rand_chacha::ChaCha8Rng;
+use rand_distr::StandardNormal;
+use serde::{Deserialize, Serialize};
+use snake_core::metrics::Transform;
+use snake_core::{Normalization, NormalizationMethod, Point, io};
+
+use crate::detect::expand;
+
+/// A disturbance of both views, as in the paper's tables.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+pub struct Condition {
+    /// A view has a share of 1 in so many of its points.
+    pub downsample: usize,
+    /// Standard deviation of Gaussian noise on each coordinate, in units of the views.
+    pub noise: f64,
+}
+
+/// What is evaluated on.
+pub enum Data {
+    Objects { names: Vec<String>, clouds: Clouds },
+    Pairs { folder: PathBuf, pairs: Vec<PairEntry> },
+}
+
+/// Clouds in memory, or the files to read them from.
+pub enum Clouds {
+    Loaded(Vec<Vec<Point>>),
+    Files(Vec<PathBuf>),
+}
+
+/// A row of `pairs.json`; what else it has is ignored.
+#[derive(Deserialize)]
+pub struct PairEntry {
+    source: String,
+    target: String,
+    #[serde(rename = "T")]
+    t_target_source: Transform,
+}
+
+/// A row of `index.json`.
+#[derive(Deserialize)]
+struct IndexEntry {
+    name: String,
+}
+
+impl Data {
+    /// Recognises a corpus folder, a folder with pairs, cloud files and folders of them.
+    pub fn open(inputs: &[PathBuf]) -> Result<Self> {
+        if let [folder] = inputs {
+            if folder.join("points.npy").exists() {
+                let entries: Vec<IndexEntry> = read_json(&folder.join("index.json"))?;
+                let clouds = io::read_clouds(&folder.join("points.npy"))?;
+                if entries.len() != clouds.len() {
+                    let (rows, clouds) = (entries.len(), clouds.len());
+                    bail!("{}: index.json has {rows} rows, points.npy {clouds} clouds", folder.display());
+                }
+                if clouds.is_empty() {
+                    bail!("{}: no clouds in points.npy", folder.display());
+                }
+                let names = entries.into_iter().map(|entry| entry.name).collect();
+                return Ok(Self::Objects { names, clouds: Clouds::Loaded(clouds) });
+            }
+            if folder.join("pairs.json").exists() {
+                let pairs: Vec<PairEntry> = read_json(&folder.join("pairs.json"))?;
+                if pairs.is_empty() {
+                    bail!("{}: no pairs in pairs.json", folder.display());
+                }
+                return Ok(Self::Pairs { folder: folder.clone(), pairs });
+            }
+        }
+        let files = expand(inputs)?;
+        let names = files.iter().map(|file| file.display().to_string()).collect();
+        Ok(Self::Objects { names, clouds: Clouds::Files(files) })
+    }
+
+    /// How many pairs of views there are.
+    pub fn len(&self) -> usize {
+        match self {
+            Self::Objects { names, .. } => names.len(),
+            Self::Pairs { pairs, .. } => pairs.len(),
+        }
+    }
+
+    /// What a pair of views is called.
+    pub fn name(&self, pair: usize) -> String {
+        match self {
+            Self::Objects { names, .. } => names[pair].clone(),
+            Self::Pairs { pairs, .. } => format!("{} to {}", pairs[pair].source, pairs[pair].target),
+        }
+    }
+
+    /// The clouds that the views of a pair are drawn from.
+    pub fn clouds(&self, pair: usize) -> Result<PairClouds> {
+        match self {
+            Self::Objects { clouds: Clouds::Loaded(clouds), .. } => PairClouds::object(&clouds[pair]),
+            Self::Objects { clouds: Clouds::Files(files), .. } => PairClouds::object(&io::read_points(&files[pair])?),
+            Self::Pairs { folder, pairs } => {
+                let PairEntry { source, target, t_target_source } = &pairs[pair];
+                let clouds = [read_named(folder, target)?, read_named(folder, source)?];
+                if clouds.iter().any(Vec::is_empty) {
+                    bail!("a cloud without points");
+                }
+                Ok(PairClouds::Real { clouds, t_1_2: *t_target_source })
+            }
+        }
+    }
+}
+
+/// The clouds of a pair in the units of the figures.
+pub enum PairClouds {
+    /// An object of radius 1.
+    Object(Vec<Point>),
+    Real {
+        clouds: [Vec<Point>; 2],
+        t_1_2: Transform,
+    },
+}
+
+/// Two views, the transform that takes the second to the first, and a seed for each.
+pub struct Views {
+    pub view_1: Vec<Point>,
+    pub view_2: Vec<Point>,
+    pub t_1_2: Transform,
+    pub seeds: [u64; 2],
+}
+
+impl PairClouds {
+    /// Scales an object to radius 1 about its mean; it is not moved.
+    fn object(points: &[Point]) -> Result<Self> {
+        let radius = Normalization::of(points, NormalizationMethod::UnitSphere)?.scale / 2.0;
+        Ok(Self::Object(points.iter().map(|point| point.map(|v| v / radius)).collect()))
+    }
+
+    /// Draws the views under a condition. The same seed and pair give the same rotation under every condition.
+    pub fn views(&self, condition: Condition, num_points: usize, seed: u64, pair: usize) -> Result<Views> {
+        let mut rng = ChaCha8Rng::seed_from_u64(seed);
+        rng.set_stream(pair as u64);
+        let share = |points: &[Point]| (num_points.min(points.len()) / condition.downsample).max(1);
+        let ([first, second], t_1_2) = match self {
+            Self::Object(points) => {
+                // A unit quaternion in a uniform direction is a uniform rotation.
+                let [w, x, y, z] = std::array::from_fn(|_| rng.sample::<f64, _>(StandardNormal));
+                let rotation = UnitQuaternion::from_quaternion(Quaternion::new(w, x, y, z));
+                let turn = |point: Point| -> Point {
+                    (rotation * Point3::from(point.map(f64::from))).coords.map(|v| v as f32).into()
+                };
+                let first = choose(points, share(points), &mut rng);
+                let second = choose(points, share(points), &mut rng).into_iter().map(turn).collect();
+                let back = rotation.inverse().to_homogeneous();
+                ([first, second], std::array::from_fn(|row| std::array::from_fn(|column| back[(row, column)])))
+            }
+            Self::Real { clouds, t_1_2 } => {
+                (clouds.each_ref().map(|points| choose(points, share(points), &mut rng)), *t_1_2)
+            }
+        };
+        let mut noisy = |points: Vec<Point>| -> Vec<Point> {
+            let mut moved = |v: f32| (f64::from(v) + condition.noise * rng.sample::<f64, _>(StandardNormal)) as f32;
+            points.into_iter().map(|point| point.map(&mut moved)).collect()
+        };
+        let (view_1, view_2) = (noisy(first), noisy(second));
+        Ok(Views { view_1, view_2, t_1_2, seeds: [rng.random(), rng.random()] })
+    }
+}
+
+/// `number` random points without replacement.
+fn choose(points: &[Point], number: usize, rng: &mut impl Rng) -> Vec<Point> {
+    let chosen = rand::seq::index::sample(rng, points.len(), number);
+    chosen.into_iter().map(|index| points[index]).collect()
+}
+
+/// Reads a cloud of a pair: a file of that name, with or without its extension.
+fn read_named(folder: &Path, name: &str) -> Result<Vec<Point>> {
+    let path = folder.join(name);
+    if path.is_file() {
+        return Ok(io::read_points(&path)?);
+    }
+    let mut candidates = io::POINT_EXTENSIONS.iter().map(|extension| folder.join(format!("{name}.{extension}")));
+    let Some(path) = candidates.find(|path| path.is_file()) else {
+        bail!("{}: no such cloud (looked for .{})", path.display(), io::POINT_EXTENSIONS.join(", ."))
+    };
+    Ok(io::read_points(&path)?)
+}
+
+fn read_json<T: for<'a> Deserialize<'a>>(path: &Path) -> Result<T> {
+    let text = std::fs::read_to_string(path).with_context(|| format!("cannot read {}", path.display()))?;
+    serde_json::from_str(&text).with_context(|| path.display().to_string())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn ball(number: usize) -> Vec<Point> {
+        (0..number).map(|i| [(i as f32).sin() * 3.0 + 5.0, (i as f32 * 1.7).cos(), (i % 7) as f32]).collect()
+    }
+
+    fn distance(a: Point, b: Point) -> f64 {
+        (0..3).map(|axis| (f64::from(a[axis]) - f64::from(b[axis])).powi(2)).sum::<f64>().sqrt()
+    }
+
+    fn apply(t: &Transform, p: Point) -> Point {
+        std::array::from_fn(|row| {
+            ((0..3).map(|column| t[row][column] * f64::from(p[column])).sum::<f64>() + t[row][3]) as f32
+        })
+    }
+
+    const CLEAN: Condition = Condition { downsample: 1, noise: 0.0 };
+
+    #[test]
+    fn an_object_has_radius_1_and_its_second_view_comes_back() {
+        let clouds = PairClouds::object(&ball(300)).unwrap();
+        let PairClouds::Object(points) = &clouds else { unreachable!() };
+        let mean: Point = std::array::from_fn(|axis| points.iter().map(|p| p[axis]).sum::<f32>() / 300.0);
+        let radius = points.iter().map(|&p| distance(p, mean)).fold(0.0, f64::max);
+        assert!((radius - 1.0).abs() < 1e-5);
+        let views = clouds.views(CLEAN, 200, 0, 3).unwrap();
+        assert_eq!((views.view_1.len(), views.view_2.len()), (200, 200));
+        let on_cloud = |p: Point| points.iter().any(|&q| distance(p, q) < 1e-5);
+        assert!(views.view_1.iter().all(|&p| on_cloud(p)));
+        assert!(views.view_2.iter().all(|&p| on_cloud(apply(&views.t_1_2, p))));
+        assert!(views.view_2.iter().filter(|&&p| on_cloud(p)).count() < 100);
+    }
+
+    #[test]
+    fn views_are_seeded_by_pair_and_every_condition_has_the_same_rotation() {
+        let clouds = PairClouds::object(&ball(300)).unwrap();
+        let views = |condition, seed, pair| clouds.views(condition, 200, seed, pair).unwrap();
+        let usual = views(CLEAN, 0, 0);
+        assert_eq!(views(CLEAN, 0, 0).view_2, usual.view_2);
+        for other in [views(CLEAN, 0, 1), views(CLEAN, 1, 0)] {
+            assert!(other.view_1 != usual.view_1 && other.t_1_2 != usual.t_1_2 && other.seeds != usual.seeds);
+        }
+        let few = views(Condition { downsample: 16, noise: 0.0 }, 0, 0);
+        assert_eq!((few.view_1.len(), few.t_1_2), (12, usual.t_1_2));
+        let noisy = views(Condition { downsample: 1, noise: 0.1 }, 0, 0);
+        assert_eq!(noisy.t_1_2, usual.t_1_2);
+        for (noisy, clean) in [(noisy.view_1, usual.view_1), (noisy.view_2, usual.view_2)] {
+            let squared: f64 = noisy.iter().zip(clean).map(|(&a, b)| distance(a, b).powi(2)).sum::<f64>() / 600.0;
+            assert!((squared.sqrt() - 0.1).abs() < 0.01, "{squared}");
+        }
+    }
+
+    #[test]
+    fn real_pairs_keep_their_units_and_transform() {
+        let mut t_1_2 = [[0.0; 4]; 4];
+        (0..4).for_each(|i| t_1_2[i][i] = 1.0);
+        t_1_2[0][3] = 2.0;
+        let clouds = PairClouds::Real { clouds: [ball(50), ball(80)], t_1_2 };
+        let views = clouds.views(CLEAN, 60, 0, 0).unwrap();
+        assert_eq!((views.view_1.len(), views.view_2.len(), views.t_1_2), (50, 60, t_1_2));
+        assert!(views.view_1.iter().all(|p| ball(50).contains(p)));
+        // A cloud with fewer points than asked for is thinned all the same.
+        let views = clouds.views(Condition { downsample: 4, noise: 0.0 }, 60, 0, 0).unwrap();
+        assert_eq!((views.view_1.len(), views.view_2.len()), (12, 15));
+    }
+}

@@ -1,0 +1,169 @@
+//! `snake_rs.baselines`.
+
+use numpy::PyArray1;
+use pyo3::exceptions::PyValueError;
+use pyo3::prelude::*;
+use snake_core::baselines::{
+    Covariance, Detector, Harris3dOptions, IssOptions, Length, Protocol, Response, Sift3dOptions, SiftField,
+};
+
+use crate::arrays::{self, named};
+use crate::error::py_error;
+
+/// Indices (K,) int64 and scores (K,) float64.
+type Found<'py> = (Bound<'py, PyArray1<i64>>, Bound<'py, PyArray1<f64>>);
+
+/// A length as Python gives it: a number of cloud units, or text such as "6x".
+#[derive(FromPyObject)]
+pub enum LengthLike {
+    /// In the cloud's units.
+    Units(f64),
+    /// As the core reads it.
+    Text(String),
+}
+
+impl LengthLike {
+    fn length(self) -> PyResult<Length> {
+        match self {
+            Self::Units(length) => Ok(Length::Units(length)),
+            Self::Text(text) => text.parse().map_err(py_error),
+        }
+    }
+}
+
+fn keypoints<'py>(
+    points: &Bound<'py, PyAny>,
+    detector: Detector,
+    count: Option<usize>,
+    protocol: &str,
+    seed: u64,
+) -> PyResult<Found<'py>> {
+    let protocol = named("protocol", protocol, [("ranked", Protocol::Ranked), ("paper", Protocol::Paper)])?;
+    if protocol == Protocol::Paper && count.is_none() {
+        return Err(PyValueError::new_err("option `count` is None: protocol paper needs a number"));
+    }
+    let (py, points) = (points.py(), arrays::points("points", points)?);
+    let count = count.unwrap_or(usize::MAX);
+    let found: Vec<Response> = py.detach(|| detector.keypoints(&points, count, protocol, seed)).map_err(py_error)?;
+    let indices = found.iter().map(|response| response.index as i64).collect();
+    Ok((arrays::values(py, indices), arrays::values(py, found.iter().map(|response| response.score).collect())))
+}
+
+/// Intrinsic shape signatures: indices (K,) int64 into `points` (N, 3) and scores (K,) float64, by falling score.
+///
+/// The score is the smallest eigenvalue of the covariance of the points nearer than `salient_radius`, in square units;
+/// a keypoint's is the largest nearer than `non_max_radius`. `covariance` is "about-mean" (divided by the number of
+/// points; with it the keypoints are those of Open3D's compute_iss_keypoints) or "about-point" (the sum, as PCL).
+///
+/// A length is a number, in cloud units, or text such as "6x": 6 times the mean distance of the points to their nearest
+/// others. `count` limits the keypoints; `protocol` "ranked" takes the strongest, "paper" a random subset, filled up
+/// with random points to `count`, as the paper's baselines were; `seed` is that of the random choices. Raises ValueError for an
+/// array or a value that cannot be used.
+#[pyfunction]
+#[pyo3(signature = (
+    points, *, salient_radius=LengthLike::Text("6x".into()), non_max_radius=LengthLike::Text("4x".into()),
+    gamma_21=0.975, gamma_32=0.975, min_neighbors=5, covariance="about-mean", count=None, protocol="ranked", seed=0
+))]
+#[pyo3(text_signature = "(points, *, salient_radius='6x', non_max_radius='4x', gamma_21=0.975, gamma_32=0.975, \
+    min_neighbors=5, covariance='about-mean', count=None, protocol='ranked', seed=0)")]
+#[expect(clippy::too_many_arguments, reason = "keywords in Python")]
+pub fn iss<'py>(
+    points: &Bound<'py, PyAny>,
+    salient_radius: LengthLike,
+    non_max_radius: LengthLike,
+    gamma_21: f64,
+    gamma_32: f64,
+    min_neighbors: usize,
+    covariance: &str,
+    count: Option<usize>,
+    protocol: &str,
+    seed: u64,
+) -> PyResult<Found<'py>> {
+    let known = [("about-mean", Covariance::AboutMean), ("about-point", Covariance::AboutPoint)];
+    let options = IssOptions {
+        salient_radius: salient_radius.length()?,
+        non_max_radius: non_max_radius.length()?,
+        gamma_21,
+        gamma_32,
+        min_neighbors,
+        covariance: named("covariance", covariance, known)?,
+    };
+    keypoints(points, Detector::Iss(options), count, protocol, seed)
+}
+
+/// Harris 3D, as PCL computes it: indices (K,) int64 into `points` (N, 3) and scores (K,) float64, by falling score.
+///
+/// The score is the determinant of the mean of the normals' outer products within `radius`, 0 to 1/27. `threshold`
+/// drops scores below; without `non_max` every point is a keypoint. Lengths, `count`, `protocol`, `seed` and errors are
+/// those of `iss`.
+#[pyfunction]
+#[pyo3(signature = (
+    points, *, radius=LengthLike::Text("6x".into()), threshold=0.0, non_max=true, count=None, protocol="ranked", seed=0
+))]
+#[pyo3(text_signature = "(points, *, radius='6x', threshold=0.0, non_max=True, count=None, protocol='ranked', seed=0)")]
+pub fn harris3d<'py>(
+    points: &Bound<'py, PyAny>,
+    radius: LengthLike,
+    threshold: f64,
+    non_max: bool,
+    count: Option<usize>,
+    protocol: &str,
+    seed: u64,
+) -> PyResult<Found<'py>> {
+    let options = Harris3dOptions { radius: radius.length()?, threshold, non_max };
+    keypoints(points, Detector::Harris3d(options), count, protocol, seed)
+}
+
+/// SIFT 3D, as PCL computes it: indices (K,) int64 into `points` (N, 3) and scores (K,) float64, by falling score.
+///
+/// Keypoints are the input points nearest to the extrema of differences of Gaussians of a field: `field` "curvature"
+/// (surface variation within `curvature_radius`) or "y" (the coordinate, as the paper's baseline; it does not turn with
+/// the cloud). The score is the size of the difference, at least `min_contrast`. `min_scale` is the first octave's scale
+/// and doubles with each of the `octaves`. Lengths, `count`, `protocol`, `seed` and errors are those of `iss`.
+#[pyfunction]
+#[pyo3(signature = (
+    points, *, min_scale=LengthLike::Text("2x".into()), octaves=4, scales_per_octave=8, min_contrast=0.0,
+    field="curvature", curvature_radius=LengthLike::Text("6x".into()), count=None, protocol="ranked", seed=0
+))]
+#[pyo3(text_signature = "(points, *, min_scale='2x', octaves=4, scales_per_octave=8, min_contrast=0.0, \
+    field='curvature', curvature_radius='6x', count=None, protocol='ranked', seed=0)")]
+#[expect(clippy::too_many_arguments, reason = "keywords in Python")]
+pub fn sift3d<'py>(
+    points: &Bound<'py, PyAny>,
+    min_scale: LengthLike,
+    octaves: usize,
+    scales_per_octave: usize,
+    min_contrast: f64,
+    field: &str,
+    curvature_radius: LengthLike,
+    count: Option<usize>,
+    protocol: &str,
+    seed: u64,
+) -> PyResult<Found<'py>> {
+    let known = [("curvature", SiftField::Curvature(curvature_radius.length()?)), ("y", SiftField::Y)];
+    let options = Sift3dOptions {
+        min_scale: min_scale.length()?,
+        octaves,
+        scales_per_octave,
+        min_contrast,
+        field: named("field", field, known)?,
+    };
+    keypoints(points, Detector::Sift3d(options), count, protocol, seed)
+}
+
+/// Farthest-point sampling: indices (K,) int64 into `points` (N, 3) and scores (K,) float64, by falling score.
+///
+/// The first is the point farthest from the mean. The score is the distance to the nearest point before; of the first,
+/// to the second. Raises ValueError for an array or a count that cannot be used.
+#[pyfunction]
+pub fn farthest_points<'py>(points: &Bound<'py, PyAny>, count: usize) -> PyResult<Found<'py>> {
+    keypoints(points, Detector::FarthestPoint, Some(count), "ranked", 0)
+}
+
+/// Random points without replacement: indices (K,) int64 into `points` (N, 3) and scores (K,) float64, by falling
+/// score. Raises ValueError for an array or a count that cannot be used.
+#[pyfunction]
+#[pyo3(signature = (points, count, seed=0))]
+pub fn random_points<'py>(points: &Bound<'py, PyAny>, count: usize, seed: u64) -> PyResult<Found<'py>> {
+    keypoints(points, Detector::Random, Some(count), "ranked", seed)
+}
