@@ -11,6 +11,7 @@
 //! to the keypoints. [`Model::detect`] does both. Results have the same bits for any number of threads.
 
 pub mod io;
+pub mod registration;
 
 mod decoder;
 mod detect;
@@ -21,6 +22,8 @@ mod field;
 mod golden;
 mod kernels;
 mod model;
+#[allow(dead_code, reason = "the metrics ask for more than registration does")]
+mod neighbors;
 mod nms;
 mod nn;
 mod points;

@@ -1,0 +1,98 @@
+//! Neighbours of points in f64, for metrics and classical detectors.
+
+use std::num::NonZeroUsize;
+
+use kiddo::{ImmutableKdTree, SquaredEuclidean};
+use nalgebra::Vector3;
+
+use crate::points::Point;
+use crate::{Error, Result};
+
+/// A point or an offset in f64.
+pub(crate) type Vector = Vector3<f64>;
+
+/// The same point in f64.
+pub(crate) fn vector(point: Point) -> Vector {
+    point.map(f64::from).into()
+}
+
+/// Points that can be asked for their neighbours.
+pub(crate) struct Neighbors {
+    pub(crate) points: Vec<Vector>,
+    tree: ImmutableKdTree<f64, 3>,
+}
+
+impl Neighbors {
+    /// Indexes finite points, at least one.
+    pub(crate) fn new(points: Vec<Vector>) -> Result<Self> {
+        let rows: Vec<[f64; 3]> = points.iter().map(|&p| p.into()).collect();
+        let tree = ImmutableKdTree::new_from_slice(&rows)
+            .map_err(|e| Error::Input { what: "points", reason: format!("cannot be indexed: {e}") })?;
+        Ok(Self { points, tree })
+    }
+
+    /// Indices, ascending, of the points nearer than `radius`: the boundary is outside, as in Open3D.
+    pub(crate) fn within(&self, query: &Vector, radius: f64) -> Vec<usize> {
+        let squared = radius * radius;
+        let query: [f64; 3] = (*query).into();
+        let found = self.tree.query(&query).within::<SquaredEuclidean<f64>>(squared).unsorted().execute();
+        let mut indices: Vec<usize> =
+            found.into_iter().filter(|entry| entry.distance < squared).map(|entry| entry.item as usize).collect();
+        indices.sort_unstable();
+        indices
+    }
+
+    /// The nearest `number` points: indices and distances, nearest first.
+    pub(crate) fn nearest(&self, query: &Vector, number: NonZeroUsize) -> Vec<(usize, f64)> {
+        let query: [f64; 3] = (*query).into();
+        let found = self.tree.query(&query).nearest_n::<SquaredEuclidean<f64>>(number).execute();
+        found.into_iter().map(|entry| (entry.item as usize, entry.distance.sqrt())).collect()
+    }
+
+    /// Distance to the nearest point.
+    pub(crate) fn distance(&self, query: &Vector) -> f64 {
+        let query: [f64; 3] = (*query).into();
+        self.tree.query(&query).nearest_one::<SquaredEuclidean<f64>>().execute().distance.sqrt()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn lattice() -> Vec<Vector> {
+        // Duplicates and exact ties on purpose.
+        (0..300).map(|i| Vector::new(f64::from(i % 5), f64::from(i / 5 % 5), f64::from(i % 7))).collect()
+    }
+
+    #[test]
+    fn answers_equal_the_quadratic_loop() {
+        let points = lattice();
+        let neighbors = Neighbors::new(points.clone()).unwrap();
+        for query in [points[0], Vector::new(1.2, 3.4, 0.1), Vector::new(-9.0, 0.0, 0.0)] {
+            let distances: Vec<f64> = points.iter().map(|p| (p - query).norm()).collect();
+            for radius in [0.5, 1.0, 2.0, 20.0] {
+                let expected: Vec<usize> =
+                    (0..300).filter(|&i| (points[i] - query).norm_squared() < radius * radius).collect();
+                assert_eq!(neighbors.within(&query, radius), expected, "radius {radius}");
+            }
+            let mut sorted = distances.clone();
+            sorted.sort_by(f64::total_cmp);
+            for number in [1, 25, 300, 1000] {
+                let found = neighbors.nearest(&query, NonZeroUsize::new(number).unwrap());
+                assert!(found.iter().all(|&(index, distance)| (distances[index] - distance).abs() < 1e-12));
+                let found: Vec<f64> = found.into_iter().map(|(_, distance)| distance).collect();
+                assert_eq!(found.len(), number.min(300));
+                assert!(found.iter().zip(&sorted).all(|(a, b)| (a - b).abs() < 1e-12));
+            }
+            assert!((neighbors.distance(&query) - sorted[0]).abs() < 1e-12);
+        }
+    }
+
+    #[test]
+    fn one_point_repeated_can_be_asked() {
+        let neighbors = Neighbors::new(vec![Vector::zeros(); 1000]).unwrap();
+        assert_eq!(neighbors.within(&Vector::zeros(), 1.0).len(), 1000);
+        assert_eq!(neighbors.nearest(&Vector::zeros(), NonZeroUsize::MIN).len(), 1);
+    }
+}
