@@ -3,6 +3,7 @@
 mod args;
 mod detect;
 mod model;
+mod register;
 
 use std::io::{self, Write};
 use std::process::ExitCode;
@@ -15,6 +16,7 @@ use args::{Arguments, Command};
 fn main() -> ExitCode {
     let outcome = match Arguments::parse().command {
         Command::Detect(arguments) => detect::run(&arguments),
+        Command::Register(arguments) => register::run(&arguments).map(|()| ExitCode::SUCCESS),
         Command::Model { file } => model::run(file.as_deref()).map(|()| ExitCode::SUCCESS),
     };
     outcome.unwrap_or_else(|error| {
