@@ -7,7 +7,17 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from typing_extensions import Self, Unpack
 
-__all__ = ["Field", "Keypoints", "Model", "__version__", "detect"]
+__all__ = [
+    "Field",
+    "Keypoints",
+    "Model",
+    "Registration",
+    "__version__",
+    "detect",
+    "estimate_normals",
+    "fpfh",
+    "register",
+]
 
 __version__: str
 
@@ -40,6 +50,20 @@ class _DetectOptions(_Preset, total=False):
 class _Options(_EncodeOptions, _DetectOptions, total=False): ...
 
 @type_check_only
+class _RegisterOptions(TypedDict, total=False):
+    descriptor: Literal["fpfh", "field"]
+    max_keypoints: int
+    voxel_size: float | None
+    normal_radius: float | None
+    feature_radius: float | None
+    inlier_distance: float | None
+    edge_length_ratio: float
+    max_iterations: int
+    confidence: float
+    seed: int
+    refine_steps: int
+
+@type_check_only
 class _Config(TypedDict):
     resolution: tuple[int, int, int]
     padding: float
@@ -54,6 +78,11 @@ class _Config(TypedDict):
     group_norm_groups: int
 
 def detect(points: ArrayLike, model: Model | None = None, **options: Unpack[_Options]) -> Keypoints: ...
+def register(
+    source: ArrayLike, target: ArrayLike, model: Model | None = None, **options: Unpack[_RegisterOptions]
+) -> Registration: ...
+def estimate_normals(points: ArrayLike, radius: float) -> NDArray[np.float32]: ...
+def fpfh(points: ArrayLike, normals: ArrayLike, radius: float) -> NDArray[np.float32]: ...
 
 @final
 class Model:
@@ -110,3 +139,24 @@ class Keypoints:
     @property
     def timing_seconds(self) -> dict[str, float]: ...
     def __len__(self) -> int: ...
+
+@final
+class Registration:
+    def __new__(
+        cls,
+        t_target_source: NDArray[np.float64],
+        num_inliers: int,
+        num_correspondences: int,
+        rmse: float,
+        seconds: float,
+    ) -> Self: ...
+    @property
+    def t_target_source(self) -> NDArray[np.float64]: ...
+    @property
+    def num_inliers(self) -> int: ...
+    @property
+    def num_correspondences(self) -> int: ...
+    @property
+    def rmse(self) -> float: ...
+    @property
+    def seconds(self) -> float: ...

@@ -109,3 +109,58 @@ fn weighted(cloud: &Neighbors, simplified: &[Histograms], point: usize, neighbor
     }
     histograms
 }
+
+#[cfg(test)]
+mod tests {
+    use super::super::estimate_normals;
+    use super::*;
+
+    /// Points, normals and FPFH of tests/data/fpfh/open3d.csv.
+    fn of_open3d() -> (Vec<Point>, Vec<Point>, Vec<f32>) {
+        let table = include_str!("../../../../tests/data/fpfh/open3d.csv");
+        let (mut points, mut normals, mut features) = (vec![], vec![], vec![]);
+        for line in table.lines() {
+            let row: Vec<f32> = line.split(',').map(|v| v.parse().unwrap()).collect();
+            points.push([row[0], row[1], row[2]]);
+            normals.push([row[3], row[4], row[5]]);
+            features.extend(&row[6..]);
+        }
+        (points, normals, features)
+    }
+
+    #[test]
+    fn normals_and_descriptors_are_those_of_open3d() {
+        let (points, normals, features) = of_open3d();
+        assert_eq!((points.len(), features.len()), (150, 150 * FPFH_DIMENSION));
+        let difference = |a: &[f32], b: &[f32]| a.iter().zip(b).map(|(a, b)| (a - b).abs()).fold(0.0, f32::max);
+        let ours = estimate_normals(&points, 0.5).unwrap();
+        assert!(difference(ours.as_flattened(), normals.as_flattened()) < 1e-5);
+        let ours = fpfh(&points, &normals, 0.8).unwrap();
+        let difference = difference(&ours, &features);
+        assert!(difference < 1e-3, "{difference}");
+        assert_eq!(ours[149 * FPFH_DIMENSION..], [0.0; FPFH_DIMENSION]);
+    }
+
+    #[test]
+    fn descriptors_move_and_turn_with_the_cloud() {
+        let (points, _, _) = of_open3d();
+        let points = &points[..140];
+        let turned: Vec<Point> = points.iter().map(|p| [p[1] + 2.0, p[2], p[0] - 7.0]).collect();
+        let describe = |points: &[Point]| fpfh(points, &estimate_normals(points, 0.5).unwrap(), 0.8).unwrap();
+        let (before, after) = (describe(points), describe(&turned));
+        // A pair at the edge of a bin may change bins by rounding: few do.
+        let changed = before.iter().zip(&after).filter(|(a, b)| (**a - **b).abs() > 0.1).count();
+        assert!(changed < before.len() / 100, "{changed}");
+    }
+
+    #[test]
+    fn bad_input_is_refused() {
+        let up = [[0.0, 0.0, 1.0]; 3];
+        assert!(fpfh(&[], &[], 1.0).is_err());
+        assert!(fpfh(&up, &up[..2], 1.0).unwrap_err().to_string().contains("2 for 3 points"));
+        assert!(fpfh(&up, &[[f32::NAN; 3]; 3], 1.0).unwrap_err().to_string().contains("normals"));
+        assert!(fpfh(&up, &up, -1.0).unwrap_err().to_string().contains("radius"));
+        // One point repeated: every pair falls into the middle bins.
+        assert!(fpfh(&up, &up, 1.0).unwrap().iter().all(|v| v.is_finite()));
+    }
+}
