@@ -400,11 +400,12 @@ def test_the_stub_is_that_of_the_module():
 
 
 def test_everything_public_is_documented():
-    assert set(snake_rs.__all__) == {"Field", "Keypoints", "Model", "__version__", "detect"}
-    classes = (snake_rs.Model, snake_rs.Field, snake_rs.Keypoints)
+    classes = (snake_rs.Model, snake_rs.Field, snake_rs.Keypoints, snake_rs.Registration)
+    functions = (snake_rs.detect, snake_rs.register, snake_rs.estimate_normals, snake_rs.fpfh)
+    assert set(snake_rs.__all__) == {thing.__name__ for thing in classes + functions} | {"__version__"}
     members = [getattr(c, name) for c in classes for name in vars(c) if not name.startswith("_")]
     assert len(members) > 20
-    assert all(thing.__doc__ for thing in (snake_rs, snake_rs.detect, *classes, *members))
+    assert all(thing.__doc__ for thing in (snake_rs, *functions, *classes, *members))
     assert {c.__module__ for c in classes} == {"snake_rs"}
 
 
@@ -417,6 +418,9 @@ def test_the_gil_is_released_while_computing(model, field, points):
         lambda: field.descriptors(many),
         lambda: field.detect(query_resolution=24),
         lambda: snake_rs.detect(many, model, query_resolution=12),
+        lambda: snake_rs.register(points, points, max_keypoints=50),
+        lambda: snake_rs.estimate_normals(many, 0.1),
+        lambda: snake_rs.fpfh(points, points, 0.5),
     ]
     ticks, done = 0, threading.Event()
 
