@@ -39,12 +39,12 @@ pub(super) fn icp(
     transform
 }
 
-/// The least-squares step of pairs (source point in the target's frame, index of its partner); `None` without pairs.
+/// The least-squares step of pairs (source point in the target's frame, index of its partner); `None` when they are of one point or none.
 fn plane_step(pairs: &[(Vector, usize)], target: &Neighbors, normals: &[Vector]) -> Option<IsometryMatrix3<f64>> {
     let count = pairs.len() as f64;
     let center = pairs.iter().map(|(point, _)| point).sum::<Vector>() / count;
     let extent = (pairs.iter().map(|(point, _)| (point - center).norm_squared()).sum::<f64>() / count).sqrt();
-    if !(extent > 0.0) {
+    if pairs.is_empty() || extent == 0.0 {
         return None;
     }
     let (mut information, mut residuals) = (Matrix6::zeros(), Vector6::zeros());

@@ -68,9 +68,9 @@ pub(super) fn best_fit(pairs: impl Iterator<Item = (Vector, Vector)> + Clone) ->
     let SymmetricEigen { eigenvalues, eigenvectors } = horn.symmetric_eigen();
     let largest = eigenvalues.imax();
     let gap = eigenvalues[largest] - eigenvalues.remove_row(largest).max();
-    // On a line two quaternions are equally good, up to the squares of rounding errors of coordinates in f32. Written
-    // such that NaN, of no pairs, is refused too.
-    if !(gap > 1e-8 * eigenvalues[largest]) {
+    // On a line two quaternions are equally good, up to the squares of rounding errors of coordinates in f32. Of no
+    // pairs all are.
+    if gap <= 1e-8 * eigenvalues[largest] {
         return None;
     }
     let q = eigenvectors.column(largest);
