@@ -108,7 +108,7 @@ pub struct Registration {
     pub num_inliers: usize,
     /// Keypoints that are each other's nearest in descriptor space.
     pub num_correspondences: usize,
-    /// Root mean square distance of the inliers, in cloud units.
+    /// Root mean square distance of the inliers, in cloud units; 0 without inliers.
     pub rmse: f64,
     /// Time it took.
     pub seconds: f64,

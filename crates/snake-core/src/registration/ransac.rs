@@ -22,8 +22,8 @@ const STREAMS_PER_ROUND: usize = 16;
 pub struct RansacOptions {
     /// A correspondence agrees with a transform that brings its points nearer to each other than this, in cloud units.
     pub inlier_distance: f64,
-    /// Samples are dropped in which the distance of two source points and that of their partners differ by more than
-    /// this ratio of the shorter to the longer.
+    /// Samples are dropped in which two points and their partners are unequally far apart: the ratio of the shorter to
+    /// the longer distance must be at least this.
     pub edge_length_ratio: f64,
     /// At most this many samples of three.
     pub max_iterations: usize,
@@ -65,7 +65,7 @@ pub struct Consensus {
     pub t_target_source: Transform,
     /// Rows of the correspondences that agree, ascending.
     pub inliers: Vec<usize>,
-    /// Root mean square distance of their points, in cloud units.
+    /// Root mean square distance of their points, in cloud units; 0 without inliers.
     pub rmse: f64,
 }
 
@@ -95,7 +95,8 @@ pub(super) fn best_transform(pairs: &[Pair], options: &RansacOptions) -> Option<
 pub(super) fn consensus(pairs: &[Pair], transform: &IsometryMatrix3<f64>, inlier_distance: f64) -> Consensus {
     let inliers: Vec<usize> =
         (0..pairs.len()).filter(|&i| squared_distance(transform, &pairs[i]) < inlier_distance.powi(2)).collect();
-    let sum: f64 = inliers.iter().map(|&i| squared_distance(transform, &pairs[i])).sum();
+    // The sum of no floats would be -0.
+    let sum = inliers.iter().fold(0.0, |sum, &i| sum + squared_distance(transform, &pairs[i]));
     let rmse = (sum / inliers.len().max(1) as f64).sqrt();
     Consensus { t_target_source: matrix(transform), inliers, rmse }
 }
@@ -272,7 +273,7 @@ mod tests {
 
     #[test]
     fn the_iterations_are_bounded_and_end_early() {
-        // Of 10 000 correspondences 3 fit: one sample will not find them, and all iterations are tried in vain.
+        // Of 2000 correspondences 3 fit: one sample does not find them.
         let (source, target, _) = problem(4, 2000, 3);
         let one = RansacOptions { max_iterations: 1, inlier_distance: 1e-6, ..OPTIONS };
         assert_eq!(ransac(&source, &target, &one).unwrap(), None);
@@ -288,6 +289,7 @@ mod tests {
         for points in [vec![], vec![[1.0; 3]; 2], vec![[1.0; 3]; 50], line] {
             assert_eq!(ransac(&points, &points, &OPTIONS).unwrap(), None);
         }
+        assert_eq!(consensus(&[], &IsometryMatrix3::identity(), 1.0).rmse.to_string(), "0");
         // A plane has one, and it is a rotation.
         let plane: Vec<Point> = (0..25).map(|i| [(i % 5) as f32, (i / 5) as f32, 0.0]).collect();
         let found = ransac(&plane, &plane, &OPTIONS).unwrap().unwrap();
