@@ -158,6 +158,7 @@ fn mistakes_get_one_line_that_says_what_to_do() {
     let (one, same) = (file("one.xyz", "1 2 3\n"), file("same.xyz", &"1 2 3\n".repeat(9)));
     let (nan, empty, weights) =
         (file("nan.xyz", "1 2 3\nnan 0 0\n"), file("empty.xyz", ""), file("w.safetensors", "junk"));
+    let two = file("two.xyz", "0 0 0\n1 0 0\n");
     let nothing = folder.path().join("none").display().to_string();
     let cases: &[(&[&str], &str)] = &[
         (&["detect", "nowhere.ply"], "nowhere.ply"),
@@ -176,6 +177,20 @@ fn mistakes_get_one_line_that_says_what_to_do() {
         (&["detect", &sample(), "--nms-radius", "inf"], "0 or more"),
         (&["detect", &sample(), "--max-points", "0"], "1 or more"),
         (&["detect", &nothing], "none"),
+        (&["register", &sample()], "<TARGET>"),
+        (&["register", "nowhere.ply", &sample()], "nowhere.ply"),
+        (&["register", &sample(), &one], "at least two different points"),
+        (&["register", &same, &sample()], "at least two different points"),
+        (&["register", &nan, &sample()], "source: 1 of 2 points are not finite"),
+        (&["register", &sample(), &empty], "target: no points"),
+        (&["register", &two, &two], "do the clouds overlap"),
+        (&["register", &sample(), &sample(), "-o", "t.ply"], ".json, .txt"),
+        (&["register", &sample(), &sample(), "--aligned", "a.csv"], ".ply"),
+        (&["register", &sample(), &sample(), "--aligned", &sample()], "is an input"),
+        (&["register", &sample(), &sample(), "--model", &weights], "safetensors"),
+        (&["register", &sample(), &sample(), "--descriptor", "shot"], "fpfh"),
+        (&["register", &sample(), &sample(), "--voxel-size", "0"], "voxel_size"),
+        (&["register", &sample(), &sample(), "--inlier-distance", "nan"], "inlier_distance"),
         (&["model", &weights], "safetensors"),
     ];
     for (arguments, expected) in cases {
@@ -209,6 +224,83 @@ fn sub_sampling_is_seeded_and_said() {
     assert_ne!(report("1"), report("2"));
     let output = snake(&["detect", &sample(), "--max-points", "1500"]);
     assert!(String::from_utf8_lossy(&output.stdout).contains("(1500 encoded)"));
+}
+
+/// The sample, turned by a quarter about z and moved by (3, 0, -1), as a file; every second point of it.
+fn turned_sample(folder: &Path) -> String {
+    let points = snake_core::io::read_points(Path::new(&sample())).unwrap();
+    let turned: Vec<_> = points.iter().step_by(2).map(|p| [3.0 - p[1], p[0], p[2] - 1.0]).collect();
+    let path = folder.join("turned.ply");
+    snake_core::io::write_points(&path, &turned).unwrap();
+    path.display().to_string()
+}
+
+#[test]
+fn register_prints_and_writes_the_transform() {
+    let folder = tempfile::tempdir().unwrap();
+    let turned = turned_sample(folder.path());
+    let file = |name: &str| folder.path().join(name).display().to_string();
+    let (text, aligned, json) = (file("t.txt"), file("aligned.ply"), file("t.json"));
+    let output = snake(&["register", &sample(), &turned, "--json", "-o", &text, "--aligned", &aligned]);
+    assert!(output.status.success(), "{}", stderr(&output));
+    let report = &json_lines(&output)[0];
+    let keys: Vec<&String> = report.as_object().unwrap().keys().collect();
+    assert_eq!(keys, ["num_correspondences", "num_inliers", "rmse", "seconds", "t_target_source"]);
+    let (inliers, all) = (report["num_inliers"].as_u64().unwrap(), report["num_correspondences"].as_u64().unwrap());
+    assert!(3 <= inliers && inliers <= all && report["rmse"].as_f64().unwrap() < 0.1);
+
+    let rows: Vec<Vec<f64>> = serde_json::from_value(report["t_target_source"].clone()).unwrap();
+    let expected = [[0.0, -1.0, 0.0, 3.0], [1.0, 0.0, 0.0, 0.0], [0.0, 0.0, 1.0, -1.0], [0.0, 0.0, 0.0, 1.0]];
+    for (row, expected) in rows.iter().flatten().zip(expected.iter().flatten()) {
+        assert!((row - expected).abs() < 0.03, "{rows:?}");
+    }
+    let written = std::fs::read_to_string(&text).unwrap();
+    assert_eq!(written.lines().count(), 4);
+    for (line, row) in written.lines().zip(&rows) {
+        let numbers: Vec<f64> = line.split(' ').map(|v| v.parse().unwrap()).collect();
+        // serde_json may be off by the last bit.
+        assert!(numbers.len() == 4 && numbers.iter().zip(row).all(|(a, b)| (a - b).abs() < 1e-12), "{line}");
+    }
+    let points = snake_core::io::read_points(Path::new(&sample())).unwrap();
+    let moved = snake_core::io::read_points(Path::new(&aligned)).unwrap();
+    assert_eq!(moved.len(), points.len());
+    for (p, q) in points.iter().zip(&moved) {
+        let truth = [3.0 - p[1], p[0], p[2] - 1.0];
+        assert!((0..3).all(|axis| (q[axis] - truth[axis]).abs() < 0.05), "{p:?} {q:?}");
+    }
+
+    let output = snake(&["register", &sample(), &turned, "-o", &json, "--max-keypoints", "400", "--refine-steps", "5"]);
+    let printed = String::from_utf8_lossy(&output.stdout).into_owned();
+    let report: Value = serde_json::from_slice(&std::fs::read(&json).unwrap()).unwrap();
+    assert!(printed.contains("t_target_source") && printed.contains(&json), "{printed}");
+    assert!(printed.contains(&format!("of {} correspondences", report["num_correspondences"])), "{printed}");
+    assert!(report["num_correspondences"].as_u64().unwrap() < all.min(400));
+}
+
+#[test]
+fn register_does_not_depend_on_threads_but_on_its_options() {
+    let folder = tempfile::tempdir().unwrap();
+    let turned = turned_sample(folder.path());
+    let report = |extra: &[&str]| {
+        let output = snake(&[&["register", &sample(), &turned, "--json", "--max-keypoints", "300"], extra].concat());
+        assert!(output.status.success(), "{}", stderr(&output));
+        let mut report = json_lines(&output).remove(0);
+        report["seconds"] = Value::Null;
+        report
+    };
+    let one = report(&["--threads", "1"]);
+    assert_eq!(one, report(&["--threads", "2"]));
+    assert_eq!(one, report(&["--threads", "5"]));
+    for extra in [
+        ["--descriptor", "field"],
+        ["--voxel-size", "0.1"],
+        ["--normal-radius", "0.2"],
+        ["--feature-radius", "0.5"],
+        ["--inlier-distance", "0.2"],
+        ["--refine-steps", "0"],
+    ] {
+        assert_ne!(one, report(&extra), "{extra:?}");
+    }
 }
 
 #[test]

@@ -400,13 +400,14 @@ def test_the_stub_is_that_of_the_module():
 
 
 def test_everything_public_is_documented():
-    assert set(snake_rs.__all__) == {"Field", "Keypoints", "Model", "__version__", "baselines", "detect", "metrics"}
+    classes = (snake_rs.Model, snake_rs.Field, snake_rs.Keypoints, snake_rs.Registration)
+    functions = (snake_rs.detect, snake_rs.register, snake_rs.estimate_normals, snake_rs.fpfh)
     parts = (snake_rs.baselines, snake_rs.metrics)
-    functions = [getattr(part, name) for part in parts for name in part.__all__]
-    classes = (snake_rs.Model, snake_rs.Field, snake_rs.Keypoints)
+    assert set(snake_rs.__all__) == {t.__name__.split(".")[-1] for t in classes + functions + parts} | {"__version__"}
+    functions += tuple(getattr(part, name) for part in parts for name in part.__all__)
     members = [getattr(c, name) for c in classes for name in vars(c) if not name.startswith("_")]
     assert len(members) > 20
-    assert all(thing.__doc__ for thing in (snake_rs, snake_rs.detect, *parts, *functions, *classes, *members))
+    assert all(thing.__doc__ for thing in (snake_rs, *parts, *functions, *classes, *members))
     assert {c.__module__ for c in classes} == {"snake_rs"}
 
 
@@ -421,6 +422,9 @@ def test_the_gil_is_released_while_computing(model, field, points):
         lambda: snake_rs.detect(many, model, query_resolution=12),
         lambda: snake_rs.baselines.iss(many, salient_radius=0.1, non_max_radius=0.1),
         lambda: snake_rs.metrics.geodesic_distances(many, [0, 1]),
+        lambda: snake_rs.register(points, points, max_keypoints=50),
+        lambda: snake_rs.estimate_normals(many, 0.1),
+        lambda: snake_rs.fpfh(points, points, 0.5),
     ]
     ticks, done = 0, threading.Event()
 

@@ -11,10 +11,25 @@ field = model.encode(points)               # encode once, query many times
 saliency, gradient = field.saliency_and_gradient(points)
 keypoints = field.detect(nms_radius=0.05, max_keypoints=128)
 
+found = snake_rs.register(source, target)  # rigid registration of two clouds
+found.t_target_source, found.num_inliers   # (4, 4): p_target = R p_source + t
+
 Classical detectors are in snake_rs.baselines, figures of merit in snake_rs.metrics.
 """
 
 from . import baselines, metrics
-from ._core import Field, Keypoints, Model, __version__, detect
+from ._core import Field, Keypoints, Model, Registration, __version__, detect, estimate_normals, fpfh, register
 
-__all__ = ["Field", "Keypoints", "Model", "__version__", "baselines", "detect", "metrics"]
+__all__ = [
+    "Field",
+    "Keypoints",
+    "Model",
+    "Registration",
+    "__version__",
+    "baselines",
+    "detect",
+    "estimate_normals",
+    "fpfh",
+    "metrics",
+    "register",
+]

@@ -11,10 +11,13 @@ __all__ = [
     "Field",
     "Keypoints",
     "Model",
+    "Registration",
     "__version__",
     "detect",
+    "estimate_normals",
     "farthest_points",
     "feature_matching_recall",
+    "fpfh",
     "geodesic_distances",
     "harris3d",
     "information_matrix",
@@ -23,6 +26,7 @@ __all__ = [
     "iss",
     "mean_distance_to_keypoints",
     "random_points",
+    "register",
     "registration_recall",
     "relative_repeatability",
     "semantic_counts",
@@ -64,6 +68,20 @@ class _DetectOptions(_Preset, total=False):
 class _Options(_EncodeOptions, _DetectOptions, total=False): ...
 
 @type_check_only
+class _RegisterOptions(TypedDict, total=False):
+    descriptor: Literal["fpfh", "field"]
+    max_keypoints: int
+    voxel_size: float | None
+    normal_radius: float | None
+    feature_radius: float | None
+    inlier_distance: float | None
+    edge_length_ratio: float
+    max_iterations: int
+    confidence: float
+    seed: int
+    refine_steps: int
+
+@type_check_only
 class _Config(TypedDict):
     resolution: tuple[int, int, int]
     padding: float
@@ -78,6 +96,11 @@ class _Config(TypedDict):
     group_norm_groups: int
 
 def detect(points: ArrayLike, model: Model | None = None, **options: Unpack[_Options]) -> Keypoints: ...
+def register(
+    source: ArrayLike, target: ArrayLike, model: Model | None = None, **options: Unpack[_RegisterOptions]
+) -> Registration: ...
+def estimate_normals(points: ArrayLike, radius: float) -> NDArray[np.float32]: ...
+def fpfh(points: ArrayLike, normals: ArrayLike, radius: float) -> NDArray[np.float32]: ...
 
 @final
 class Model:
@@ -204,3 +227,24 @@ def feature_matching_recall(inlier_ratios: ArrayLike, threshold: float = 0.05) -
 def squared_registration_error(t_gt: ArrayLike, t_estimate: ArrayLike, information: ArrayLike) -> float: ...
 def information_matrix(points: ArrayLike) -> NDArray[np.float64]: ...
 def registration_recall(fragments: ArrayLike, squared_errors: ArrayLike, threshold: float = 0.2) -> float: ...
+
+@final
+class Registration:
+    def __new__(
+        cls,
+        t_target_source: NDArray[np.float64],
+        num_inliers: int,
+        num_correspondences: int,
+        rmse: float,
+        seconds: float,
+    ) -> Self: ...
+    @property
+    def t_target_source(self) -> NDArray[np.float64]: ...
+    @property
+    def num_inliers(self) -> int: ...
+    @property
+    def num_correspondences(self) -> int: ...
+    @property
+    def rmse(self) -> float: ...
+    @property
+    def seconds(self) -> float: ...

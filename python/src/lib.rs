@@ -9,6 +9,7 @@ mod keypoints;
 mod metrics;
 mod model;
 mod options;
+mod registration;
 
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
@@ -17,6 +18,7 @@ use error::py_error;
 use field::Field;
 use keypoints::Keypoints;
 use model::Model;
+use registration::{Registration, estimate_normals, fpfh, register};
 
 /// Keypoints of a cloud in one call: `model.encode(points).detect()`, with the built-in model if none is given.
 ///
@@ -31,10 +33,7 @@ fn detect(
     model: Option<&Bound<'_, Model>>,
     options: Option<&Bound<'_, PyDict>>,
 ) -> PyResult<Keypoints> {
-    let model = match model {
-        Some(model) => model.get().core().clone(),
-        None => model::builtin()?,
-    };
+    let model = model::given_or_builtin(model)?;
     let preset = options::resolve("detect", &options::ALL, model.recommended(), options)?;
     let points = arrays::points("points", points)?;
     let detection = py.detach(|| model.detect(&points, &preset)).map_err(py_error)?;
@@ -52,7 +51,7 @@ mod _core {
         squared_registration_error, symmetric_repeatability,
     };
     #[pymodule_export]
-    use super::{Field, Keypoints, Model, detect};
+    use super::{Field, Keypoints, Model, Registration, detect, estimate_normals, fpfh, register};
 
     #[pymodule_export]
     #[expect(non_upper_case_globals, reason = "Python's name for it")]

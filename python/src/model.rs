@@ -43,6 +43,14 @@ pub fn builtin() -> PyResult<core::Model> {
     }
 }
 
+/// The model of the argument `model`, the built-in one by default.
+pub fn given_or_builtin(model: Option<&Bound<'_, Model>>) -> PyResult<core::Model> {
+    match model {
+        Some(model) => Ok(model.get().core().clone()),
+        None => builtin(),
+    }
+}
+
 #[pymethods]
 impl Model {
     /// The compact model that comes with the package.

@@ -4,8 +4,10 @@
 use pyo3::exceptions::{PyTypeError, PyValueError};
 use pyo3::prelude::*;
 use pyo3::types::{PyDict, PyString};
+use serde::de::DeserializeOwned;
 use serde_json::{Number, Value};
 use snake_core::Preset;
+use snake_core::registration::RegisterOptions;
 
 use crate::error::py_error;
 
@@ -37,18 +39,42 @@ pub fn resolve(
         }
         let Some(part) = parts.iter().find(|part| tree[**part].get(&name).is_some()) else {
             let known = parts.iter().filter_map(|part| tree[part].as_object()).flat_map(|options| options.keys());
-            let known = known.map(String::as_str).collect::<Vec<_>>().join(", ");
-            return Err(PyTypeError::new_err(format!(
-                "{function}() got an unexpected keyword argument '{name}'; its options are preset, {known}"
-            )));
+            return Err(unexpected(function, &name, std::iter::once("preset").chain(known.map(String::as_str))));
         };
-        let refused = |reason: String| PyValueError::new_err(format!("option `{name}` is {value}: {reason}"));
-        tree[*part][&name] =
-            json(&value).ok_or_else(|| refused("expected a finite number, a string or a bool".into()))?;
-        // After each option, so that the error can name it.
-        preset = serde_json::from_value(tree.clone()).map_err(|e| refused(in_words(&e)))?;
+        preset = set(&mut tree, &format!("/{part}/{name}"), &name, &value)?;
     }
     Ok(preset)
+}
+
+/// The options of `register`: the defaults, overlaid with the keywords.
+pub fn register(given: Option<&Bound<PyDict>>) -> PyResult<RegisterOptions> {
+    let mut options = RegisterOptions::default();
+    let mut tree = serde_json::to_value(options).map_err(|e| PyValueError::new_err(e.to_string()))?;
+    for (name, value) in given.into_iter().flatten() {
+        let name: String = name.extract()?;
+        if tree.get(&name).is_none() {
+            let known = tree.as_object().into_iter().flatten().map(|(name, _)| name.as_str());
+            return Err(unexpected("register", &name, known));
+        }
+        options = set(&mut tree, &format!("/{name}"), &name, &value)?;
+    }
+    Ok(options)
+}
+
+fn unexpected<'a>(function: &str, name: &str, known: impl Iterator<Item = &'a str>) -> PyErr {
+    let known = known.collect::<Vec<_>>().join(", ");
+    let reason = format!("{function}() got an unexpected keyword argument '{name}'; its options are {known}");
+    PyTypeError::new_err(reason)
+}
+
+/// The options with one of them set; one after another, so that the error can name it.
+fn set<T: DeserializeOwned>(tree: &mut Value, pointer: &str, name: &str, value: &Bound<PyAny>) -> PyResult<T> {
+    let refused = |reason: String| PyValueError::new_err(format!("option `{name}` is {value}: {reason}"));
+    let given = json(value).ok_or_else(|| refused("expected a finite number, a string or a bool".into()))?;
+    if let Some(slot) = tree.pointer_mut(pointer) {
+        *slot = given;
+    }
+    serde_json::from_value(tree.clone()).map_err(|e| refused(in_words(&e)))
 }
 
 /// A preset as one flat dict, such that `detect(points, model, **flat)` takes it.
@@ -70,7 +96,12 @@ fn tree(preset: &Preset) -> PyResult<Value> {
 /// What serde says, without Rust's type names.
 fn in_words(error: &serde_json::Error) -> String {
     let text = error.to_string();
-    let words = [("f32", "a number"), ("usize", "a whole number, 0 or more"), ("u64", "a whole number, 0 or more")];
+    let words = [
+        ("f32", "a number"),
+        ("f64", "a number"),
+        ("usize", "a whole number, 0 or more"),
+        ("u64", "a whole number, 0 or more"),
+    ];
     let found = words.iter().find_map(|(rust, words)| Some(format!("{}{words}", text.strip_suffix(rust)?)));
     found.unwrap_or(text)
 }

@@ -15,6 +15,7 @@
 pub mod baselines;
 pub mod io;
 pub mod metrics;
+pub mod registration;
 
 mod decoder;
 mod detect;
@@ -39,7 +40,7 @@ pub use error::{Error, Result};
 pub use field::{EncodeOptions, Field};
 pub use kernels::SimdLevel;
 pub use model::{Model, ModelConfig};
-pub use points::{Normalization, NormalizationMethod, Point};
+pub use points::{Normalization, NormalizationMethod, Point, Transform};
 pub use volume::{Volume, VolumeFrame};
 
 /// The README's example is compiled with the documentation's.

@@ -1,9 +1,10 @@
-//! Neighbours of points in f64, for metrics and classical detectors.
+//! Neighbours of points in f64 and what they say of a place, for metrics, classical detectors and registration.
 
 use std::num::NonZeroUsize;
 
 use kiddo::{ImmutableKdTree, SquaredEuclidean};
-use nalgebra::Vector3;
+use nalgebra::{Matrix3, SymmetricEigen, Vector3};
+use rayon::prelude::*;
 
 use crate::points::Point;
 use crate::{Error, Result};
@@ -54,6 +55,44 @@ impl Neighbors {
         let query: [f64; 3] = (*query).into();
         self.tree.query(&query).nearest_one::<SquaredEuclidean<f64>>().execute().distance.sqrt()
     }
+
+    /// Mean distance of the points to their nearest others; 0 for one point.
+    pub(crate) fn resolution(&self) -> f64 {
+        const TWO: NonZeroUsize = NonZeroUsize::MIN.saturating_add(1);
+        let nearest = |point| self.nearest(point, TWO).get(1).map_or(0.0, |&(_, distance)| distance);
+        let nearest: Vec<f64> = self.points.par_iter().map(nearest).collect();
+        nearest.iter().sum::<f64>() / nearest.len() as f64
+    }
+
+    /// Covariance of some of the points about their mean.
+    pub(crate) fn covariance(&self, indices: &[usize]) -> Matrix3<f64> {
+        let count = indices.len() as f64;
+        let mean = indices.iter().map(|&i| self.points[i]).sum::<Vector>() / count;
+        self.scatter(indices, &mean) / count
+    }
+
+    /// Sum of `(q - center)(q - center)ᵀ` over some of the points.
+    pub(crate) fn scatter(&self, indices: &[usize], center: &Vector) -> Matrix3<f64> {
+        let squared = |&i: &usize| {
+            let offset = self.points[i] - center;
+            offset * offset.transpose()
+        };
+        indices.iter().map(squared).sum()
+    }
+
+    /// The unit normal of a neighbourhood, the direction in which it varies least, its sign left open; three points make
+    /// a plane.
+    pub(crate) fn normal(&self, indices: &[usize]) -> Option<Vector> {
+        (indices.len() >= 3).then(|| eigen(self.covariance(indices)).1)
+    }
+}
+
+/// Eigenvalues, ascending, with the eigenvector of the least.
+pub(crate) fn eigen(symmetric: Matrix3<f64>) -> ([f64; 3], Vector) {
+    let SymmetricEigen { eigenvalues, eigenvectors } = SymmetricEigen::new(symmetric);
+    let mut order = [0, 1, 2];
+    order.sort_by(|&a, &b| eigenvalues[a].total_cmp(&eigenvalues[b]));
+    (order.map(|i| eigenvalues[i]), eigenvectors.column(order[0]).into())
 }
 
 #[cfg(test)]
@@ -87,6 +126,13 @@ mod tests {
             }
             assert!((neighbors.distance(&query) - sorted[0]).abs() < 1e-12);
         }
+    }
+
+    #[test]
+    fn the_resolution_is_the_mean_distance_to_the_nearest_other_point() {
+        let cloud = |x: &[f64]| Neighbors::new(x.iter().map(|&x| Vector::new(x, 0.0, 0.0)).collect()).unwrap();
+        assert_eq!(cloud(&[0.0, 1.0, 4.0]).resolution(), (1.0 + 1.0 + 3.0) / 3.0);
+        assert_eq!(cloud(&[5.0]).resolution(), 0.0);
     }
 
     #[test]

@@ -61,16 +61,17 @@ fn nearest_of_all(points: &[Point], query: Point) -> usize {
 }
 
 /// A k-d tree over points.
-struct Tree(ImmutableKdTree<f32, 3>);
+pub(crate) struct Tree(ImmutableKdTree<f32, 3>);
 
 impl Tree {
-    fn new(points: &[Point]) -> Result<Self> {
+    pub(crate) fn new(points: &[Point]) -> Result<Self> {
         let tree = ImmutableKdTree::new_from_slice(points)
             .map_err(|e| Error::Input { what: "points", reason: format!("cannot be indexed: {e}") })?;
         Ok(Self(tree))
     }
 
-    fn nearest(&self, query: Point) -> usize {
+    /// Index of the point nearest to `query`; of equally near ones the lowest.
+    pub(crate) fn nearest(&self, query: Point) -> usize {
         let nearest = self.0.query(&query).nearest_one::<SquaredEuclidean<f32>>().execute();
         // The tree returns equally near points in no particular order.
         self.within(query, nearest.distance).min().unwrap_or(nearest.item as usize)

@@ -7,6 +7,9 @@ use crate::{Error, Result};
 /// One point, `[x, y, z]`.
 pub type Point = [f32; 3];
 
+/// A rigid transform as a row-major 4×4 matrix that acts on columns; its last row is 0 0 0 1.
+pub type Transform = [[f64; 4]; 4];
+
 /// How a cloud is brought into the network's frame, the cube ±0.5.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]

@@ -93,7 +93,7 @@ impl Volume {
     /// The features, indexed `[z][y][x][channel]`.
     pub fn features(&self) -> ArrayView4<'_, f32> {
         let [depth, height, width] = self.frame.size();
-        ArrayView4::from_shape((depth, height, width, self.channels), &*self.values)
+        ArrayView4::from_shape((depth, height, width, self.channels), &self.values)
             .expect("a volume is made with as many values as its frame has voxels")
     }
 

@@ -8,8 +8,7 @@ use rand::{Rng, RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use rand_distr::StandardNormal;
 use serde::{Deserialize, Serialize};
-use snake_core::metrics::Transform;
-use snake_core::{Normalization, NormalizationMethod, Point, io};
+use snake_core::{Normalization, NormalizationMethod, Point, Transform, io};
 
 use crate::detect::expand;
 

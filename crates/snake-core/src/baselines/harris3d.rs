@@ -3,8 +3,8 @@
 use nalgebra::Matrix3;
 use rayon::prelude::*;
 
-use super::{Length, Response, covariance, eigen, index_cloud, local_maxima};
-use crate::neighbors::{Neighbors, Vector};
+use super::{Length, Response, index_cloud, local_maxima};
+use crate::neighbors::Vector;
 use crate::points::Point;
 use crate::{Error, Result};
 
@@ -40,7 +40,7 @@ pub fn harris3d(points: &[Point], options: &Harris3dOptions) -> Result<Vec<Respo
     let cloud = index_cloud(points)?;
     let radius = options.radius.resolve("radius", &cloud)?;
     let neighbors = |point: &Vector| cloud.within(point, radius);
-    let normals: Vec<Option<Vector>> = cloud.points.par_iter().map(|point| normal(&cloud, &neighbors(point))).collect();
+    let normals: Vec<Option<Vector>> = cloud.points.par_iter().map(|point| cloud.normal(&neighbors(point))).collect();
     let response = |point| {
         let around: Vec<&Vector> = neighbors(point).into_iter().filter_map(|i| normals[i].as_ref()).collect();
         let sum: Matrix3<f64> = around.iter().map(|n| *n * n.transpose()).sum();
@@ -50,11 +50,6 @@ pub fn harris3d(points: &[Point], options: &Harris3dOptions) -> Result<Vec<Respo
     // Nothing is nearer than 0, so nothing is suppressed.
     let radius = if options.non_max { radius } else { 0.0 };
     Ok(local_maxima(&cloud, &responses, radius, 0, |response| response >= options.threshold))
-}
-
-/// The normal of a neighbourhood, its sign left open; three points make a plane.
-fn normal(cloud: &Neighbors, neighbors: &[usize]) -> Option<Vector> {
-    (neighbors.len() >= 3).then(|| eigen(covariance(cloud, neighbors)).1)
 }
 
 #[cfg(test)]

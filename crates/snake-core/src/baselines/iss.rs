@@ -2,7 +2,8 @@
 
 use rayon::prelude::*;
 
-use super::{Length, Response, covariance, eigen, index_cloud, local_maxima, scatter};
+use super::{Length, Response, index_cloud, local_maxima};
+use crate::neighbors::eigen;
 use crate::points::Point;
 use crate::{Error, Result};
 
@@ -71,8 +72,8 @@ pub fn iss(points: &[Point], options: &IssOptions) -> Result<Vec<Response>> {
             return 0.0;
         }
         let matrix = match options.covariance {
-            Covariance::AboutMean => covariance(&cloud, &neighbors),
-            Covariance::AboutPoint => scatter(&cloud, &neighbors, point),
+            Covariance::AboutMean => cloud.covariance(&neighbors),
+            Covariance::AboutPoint => cloud.scatter(&neighbors, point),
         };
         let ([third, second, first], _) = eigen(matrix);
         // A neighbourhood that is flat but for rounding has no saliency.

@@ -11,14 +11,12 @@ mod random;
 mod sift3d;
 
 use std::fmt;
-use std::num::NonZeroUsize;
 use std::str::FromStr;
 
-use nalgebra::{Matrix3, SymmetricEigen};
 use rand::SeedableRng;
 use rayon::prelude::*;
 
-use crate::neighbors::{Neighbors, Vector, vector};
+use crate::neighbors::{Neighbors, vector};
 use crate::points::{Point, check_points};
 use crate::{Error, Result};
 
@@ -52,7 +50,7 @@ impl Length {
     fn resolve(self, name: &'static str, cloud: &Neighbors) -> Result<f64> {
         let length = match self {
             Self::Units(length) => length,
-            Self::Resolutions(factor) => factor * resolution(cloud),
+            Self::Resolutions(factor) => factor * cloud.resolution(),
         };
         // Squared lengths must neither vanish nor overflow.
         if (1e-150..1e150).contains(&length) {
@@ -193,37 +191,6 @@ fn index_cloud(points: &[Point]) -> Result<Neighbors> {
         return Err(Error::Input { what: "points", reason: "need at least two different points".into() });
     }
     Neighbors::new(points.iter().map(|&p| vector(p)).collect())
-}
-
-/// Mean distance of a cloud's points to their nearest others.
-fn resolution(cloud: &Neighbors) -> f64 {
-    const TWO: NonZeroUsize = NonZeroUsize::MIN.saturating_add(1);
-    let nearest: Vec<f64> = cloud.points.par_iter().map(|p| cloud.nearest(p, TWO)[1].1).collect();
-    nearest.iter().sum::<f64>() / nearest.len() as f64
-}
-
-/// Covariance of some of the cloud's points about their mean.
-fn covariance(cloud: &Neighbors, indices: &[usize]) -> Matrix3<f64> {
-    let count = indices.len() as f64;
-    let mean = indices.iter().map(|&i| cloud.points[i]).sum::<Vector>() / count;
-    scatter(cloud, indices, &mean) / count
-}
-
-/// Sum of `(q - center)(q - center)ᵀ` over some of the cloud's points.
-fn scatter(cloud: &Neighbors, indices: &[usize], center: &Vector) -> Matrix3<f64> {
-    let squared = |&i: &usize| {
-        let offset = cloud.points[i] - center;
-        offset * offset.transpose()
-    };
-    indices.iter().map(squared).sum()
-}
-
-/// Eigenvalues, ascending, with the eigenvector of the least.
-fn eigen(symmetric: Matrix3<f64>) -> ([f64; 3], Vector) {
-    let SymmetricEigen { eigenvalues, eigenvectors } = SymmetricEigen::new(symmetric);
-    let mut order = [0, 1, 2];
-    order.sort_by(|&a, &b| eigenvalues[a].total_cmp(&eigenvalues[b]));
-    (order.map(|i| eigenvalues[i]), eigenvectors.column(order[0]).into())
 }
 
 /// The indices of the points whose score no point nearer than `radius` exceeds, of those that pass; equal ones all
@@ -421,11 +388,5 @@ mod tests {
         for text in ["", "x", "6X", "6 x", "wide"] {
             assert!(text.parse::<Length>().is_err(), "{text}");
         }
-    }
-
-    #[test]
-    fn the_resolution_is_the_mean_distance_to_the_nearest_other_point() {
-        let points = [[0.0; 3], [1.0, 0.0, 0.0], [4.0, 0.0, 0.0]];
-        assert_eq!(resolution(&index_cloud(&points).unwrap()), (1.0 + 1.0 + 3.0) / 3.0);
     }
 }

@@ -4,9 +4,9 @@ use std::num::NonZeroUsize;
 
 use rayon::prelude::*;
 
-use super::{Length, Response, by_falling_score, covariance, eigen, index_cloud};
-use crate::neighbors::{Neighbors, Vector};
-use crate::nms::NearestPoints;
+use super::{Length, Response, by_falling_score, index_cloud};
+use crate::neighbors::{Neighbors, Vector, eigen};
+use crate::nms::Tree;
 use crate::points::Point;
 use crate::{Error, Result};
 
@@ -75,7 +75,7 @@ pub fn sift3d(points: &[Point], options: &Sift3dOptions) -> Result<Vec<Response>
     let mut cloud = index_cloud(points)?;
     let min_scale = options.min_scale.resolve("min_scale", &cloud)?;
     let mut field = values(&cloud, options.field)?;
-    let input = NearestPoints::new(points)?;
+    let input = Tree::new(points)?;
     let mut strongest = vec![f64::NEG_INFINITY; points.len()];
     for octave in 0..options.octaves {
         let scale = min_scale * 2_f64.powi(octave as i32);
@@ -99,7 +99,7 @@ fn values(cloud: &Neighbors, field: SiftField) -> Result<Vec<f64>> {
     let SiftField::Curvature(radius) = field else { return Ok(cloud.points.iter().map(|p| p.y).collect()) };
     let radius = radius.resolve("curvature_radius", cloud)?;
     let variation = |point| {
-        let (eigenvalues, _) = eigen(covariance(cloud, &cloud.within(point, radius)));
+        let (eigenvalues, _) = eigen(cloud.covariance(&cloud.within(point, radius)));
         let sum: f64 = eigenvalues.iter().sum();
         if sum > 0.0 { eigenvalues[0].max(0.0) / sum } else { 0.0 }
     };

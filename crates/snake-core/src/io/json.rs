@@ -1,10 +1,11 @@
-//! Keypoints as JSON.
+//! Keypoints and registrations as JSON.
 
 use std::io::{self, Write};
 
 use serde_json::{Number, Value, json};
 
 use crate::detect::Keypoint;
+use crate::registration::Registration;
 
 /// One keypoint as an object with the keys x, y, z, saliency, occupancy and nearest_index.
 ///
@@ -25,6 +26,12 @@ pub fn keypoint_json(keypoint: &Keypoint) -> Value {
 pub(super) fn write(out: &mut dyn Write, keypoints: &[Keypoint]) -> io::Result<()> {
     let keypoints: Vec<Value> = keypoints.iter().map(keypoint_json).collect();
     serde_json::to_writer_pretty(&mut *out, &json!({ "keypoints": keypoints }))?;
+    writeln!(out)
+}
+
+/// Writes the object with the fields of a registration.
+pub(super) fn write_registration(out: &mut dyn Write, registration: &Registration) -> io::Result<()> {
+    serde_json::to_writer(&mut *out, registration)?;
     writeln!(out)
 }
 

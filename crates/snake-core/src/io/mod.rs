@@ -1,4 +1,4 @@
-//! Reading point clouds and writing keypoints.
+//! Reading point clouds, writing keypoints, clouds and transforms.
 //!
 //! The format follows from the file name's extension, in any case:
 //!
@@ -9,6 +9,8 @@
 //! | `csv` | as `xyz` | `x,y,z,saliency,occupancy,nearest_index` |
 //! | `xyz`, `txt`, `pts` | columns of text | |
 //! | `json` | | `{"keypoints": [{"x": .., ..}, ..]}` |
+//!
+//! Clouds are written as binary `ply`, registrations as `json` or as `txt`, the four rows of the matrix.
 //!
 //! Coordinates are held as `f32`. That loses digits of georeferenced clouds (at 5e6 m one step is 0.5 m): subtract an
 //! offset from them first.
@@ -26,6 +28,7 @@ use std::path::Path;
 
 use crate::detect::Keypoint;
 use crate::points::Point;
+use crate::registration::Registration;
 use crate::{Error, Result};
 
 pub use json::keypoint_json;
@@ -36,10 +39,18 @@ pub const POINT_EXTENSIONS: &[&str] = &["ply", "xyz", "txt", "csv", "pts", "npy"
 /// The extensions that [`write_keypoints`] knows.
 pub const KEYPOINT_EXTENSIONS: &[&str] = &["ply", "npy", "csv", "json"];
 
+/// The extensions that [`write_points`] knows.
+pub const CLOUD_EXTENSIONS: &[&str] = &["ply"];
+
+/// The extensions that [`write_registration`] knows.
+pub const REGISTRATION_EXTENSIONS: &[&str] = &["json", "txt"];
+
 /// A file's bytes to points, or the reason why not.
 type PointReader = fn(&[u8]) -> std::result::Result<Vec<Point>, String>;
 
 type KeypointWriter = fn(&mut dyn Write, &[Keypoint]) -> io::Result<()>;
+
+type RegistrationWriter = fn(&mut dyn Write, &Registration) -> io::Result<()>;
 
 /// Reads a point cloud; the extension says which format.
 ///
@@ -84,6 +95,47 @@ pub fn check_keypoint_path(path: &Path) -> Result<()> {
     keypoint_writer(path).map(drop)
 }
 
+/// Writes a point cloud as PLY, `float x y z`; like [`write_keypoints`] whole or not at all.
+///
+/// # Errors
+/// [`Error::Format`] when the extension is not among [`CLOUD_EXTENSIONS`]; [`Error::Io`] when the file cannot be
+/// written.
+pub fn write_points(path: &Path, points: &[Point]) -> Result<()> {
+    check_cloud_path(path)?;
+    write_atomically(path, |file| ply::write_points(file, points))
+        .map_err(|source| Error::Io { path: path.into(), source })
+}
+
+/// Refuses a path that [`write_points`] would refuse for its extension, before any work is done.
+///
+/// # Errors
+/// [`Error::Format`] when the extension is not among [`CLOUD_EXTENSIONS`].
+pub fn check_cloud_path(path: &Path) -> Result<()> {
+    match extension(path).as_str() {
+        "ply" => Ok(()),
+        _ => Err(unknown_extension(path, "written", CLOUD_EXTENSIONS)),
+    }
+}
+
+/// Writes a registration: as `json` the object with the fields of [`Registration`], as `txt` the four rows of
+/// `t_target_source`. Whole or not at all, like [`write_keypoints`].
+///
+/// # Errors
+/// [`Error::Format`] when the extension is not among [`REGISTRATION_EXTENSIONS`]; [`Error::Io`] when the file cannot be
+/// written.
+pub fn write_registration(path: &Path, registration: &Registration) -> Result<()> {
+    let write = registration_writer(path)?;
+    write_atomically(path, |file| write(file, registration)).map_err(|source| Error::Io { path: path.into(), source })
+}
+
+/// Refuses a path that [`write_registration`] would refuse for its extension, before any work is done.
+///
+/// # Errors
+/// [`Error::Format`] when the extension is not among [`REGISTRATION_EXTENSIONS`].
+pub fn check_registration_path(path: &Path) -> Result<()> {
+    registration_writer(path).map(drop)
+}
+
 fn point_reader(path: &Path) -> Result<PointReader> {
     Ok(match extension(path).as_str() {
         "ply" => ply::read,
@@ -101,6 +153,14 @@ fn keypoint_writer(path: &Path) -> Result<KeypointWriter> {
         "csv" => text::write,
         "json" => json::write,
         _ => return Err(unknown_extension(path, "written", KEYPOINT_EXTENSIONS)),
+    })
+}
+
+fn registration_writer(path: &Path) -> Result<RegistrationWriter> {
+    Ok(match extension(path).as_str() {
+        "json" => json::write_registration,
+        "txt" => text::write_transform,
+        _ => return Err(unknown_extension(path, "written", REGISTRATION_EXTENSIONS)),
     })
 }
 
@@ -206,6 +266,30 @@ mod tests {
     }
 
     #[test]
+    fn clouds_and_registrations_read_back() {
+        let folder = tempfile::tempdir().unwrap();
+        let (cloud, json, text) =
+            (folder.path().join("a.ply"), folder.path().join("b.json"), folder.path().join("c.TXT"));
+        write_points(&cloud, &CLOUD).unwrap();
+        assert_eq!(read_points(&cloud).unwrap(), CLOUD);
+        let t_target_source =
+            [[0.1, -1.0, 1e-17, 3.5], [1.0, 0.1, 0.0, 1e7], [0.0, 0.0, 1.0, 0.25], [0.0, 0.0, 0.0, 1.0]];
+        let registration =
+            Registration { t_target_source, num_inliers: 3, num_correspondences: 9, rmse: 0.1, seconds: 2.5 };
+        write_registration(&json, &registration).unwrap();
+        let value: serde_json::Value = serde_json::from_slice(&std::fs::read(&json).unwrap()).unwrap();
+        let expected = serde_json::json!({
+            "t_target_source": t_target_source, "num_inliers": 3, "num_correspondences": 9, "rmse": 0.1, "seconds": 2.5
+        });
+        assert_eq!(value, expected);
+        write_registration(&text, &registration).unwrap();
+        let rows = std::fs::read_to_string(&text).unwrap();
+        let rows = rows.lines().map(|row| row.split(' ').map(|v| v.parse::<f64>().unwrap()).collect::<Vec<_>>());
+        assert_eq!(rows.collect::<Vec<_>>(), t_target_source);
+        assert_eq!(std::fs::read_dir(folder.path()).unwrap().count(), 3, "temporary files remain");
+    }
+
+    #[test]
     fn a_failed_write_leaves_the_old_file_alone() {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("a.ply");
@@ -235,6 +319,8 @@ mod tests {
             let error = read_points(Path::new(name)).unwrap_err().to_string();
             assert!(error.contains(".ply, .xyz"), "{error}");
             assert!(check_keypoint_path(Path::new(name)).unwrap_err().to_string().contains(".json"));
+            assert!(check_registration_path(Path::new(name)).unwrap_err().to_string().contains(".txt"));
+            assert!(check_cloud_path(Path::new(name)).unwrap_err().to_string().contains(".ply"));
         }
         for extension in KEYPOINT_EXTENSIONS {
             check_keypoint_path(&Path::new("a").with_extension(extension)).unwrap();

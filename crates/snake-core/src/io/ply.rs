@@ -1,4 +1,4 @@
-//! PLY: reads the vertices with `ply-rs`, writes keypoints as vertices.
+//! PLY: reads the vertices with `ply-rs`, writes keypoints and clouds as vertices.
 //!
 //! `ply-rs` believes a header: it would loop over any number of elements that take no bytes, keep the last of two
 //! properties with one name and thereby shift the others, and refuse the property names of some programs. So the header
@@ -57,6 +57,13 @@ pub(super) fn write(out: &mut dyn Write, keypoints: &[Keypoint]) -> io::Result<(
         out.write_all(&index.to_le_bytes())?;
     }
     Ok(())
+}
+
+/// Writes vertices in binary little endian: `float x y z`.
+pub(super) fn write_points(out: &mut dyn Write, points: &[Point]) -> io::Result<()> {
+    write!(out, "ply\nformat binary_little_endian 1.0\nelement vertex {}\n", points.len())?;
+    write!(out, "property float x\nproperty float y\nproperty float z\nend_header\n")?;
+    points.as_flattened().iter().try_for_each(|value| out.write_all(&value.to_le_bytes()))
 }
 
 /// The header as text that `ply-rs` takes, line for line, and the data after it.

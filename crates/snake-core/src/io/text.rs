@@ -5,6 +5,7 @@ use std::io::{self, Write};
 use super::excerpt;
 use crate::detect::Keypoint;
 use crate::points::Point;
+use crate::registration::Registration;
 
 const BYTE_ORDER_MARK: &[u8] = b"\xef\xbb\xbf";
 
@@ -40,6 +41,14 @@ pub(super) fn write(out: &mut dyn Write, keypoints: &[Keypoint]) -> io::Result<(
     writeln!(out, "x,y,z,saliency,occupancy,nearest_index")?;
     for Keypoint { position: [x, y, z], saliency, occupancy, nearest_index } in keypoints {
         writeln!(out, "{x},{y},{z},{saliency},{occupancy},{nearest_index}")?;
+    }
+    Ok(())
+}
+
+/// Writes the four rows of a registration's matrix.
+pub(super) fn write_transform(out: &mut dyn Write, registration: &Registration) -> io::Result<()> {
+    for [a, b, c, d] in registration.t_target_source {
+        writeln!(out, "{a} {b} {c} {d}")?;
     }
     Ok(())
 }

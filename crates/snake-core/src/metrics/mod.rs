@@ -11,7 +11,7 @@ mod semantic;
 use nalgebra::{Matrix4, Point3};
 
 use crate::neighbors::{Vector, vector};
-use crate::points::{Point, check_points};
+use crate::points::{Point, Transform, check_points};
 use crate::{Error, Result};
 
 pub use registration::{
@@ -22,9 +22,6 @@ pub use repeatability::{mean_distance_to_keypoints, relative_repeatability, symm
 pub use semantic::{
     MatchCounts, SmplProtocol, Unreachable, geodesic_distances, semantic_counts, smpl_iou, smpl_pair_counts,
 };
-
-/// A rigid transform as a row-major 4×4 matrix.
-pub type Transform = [[f64; 4]; 4];
 
 /// The transform as a matrix.
 fn matrix(what: &'static str, transform: &Transform) -> Result<Matrix4<f64>> {

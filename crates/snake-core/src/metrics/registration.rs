@@ -2,9 +2,9 @@
 
 use nalgebra::{Matrix3, Matrix3x6, Matrix4, Matrix6, Rotation3, UnitQuaternion, Vector3, Vector6};
 
-use super::{Transform, matrix, moved};
+use super::{matrix, moved};
 use crate::neighbors::vector;
-use crate::points::{Point, check_points};
+use crate::points::{Point, Transform, check_points};
 use crate::{Error, Result};
 
 /// Inlier ratio: of correspondences (the same row of both arrays), the share that `t_target_source` brings nearer than

@@ -2,10 +2,10 @@
 
 use nalgebra::Matrix4;
 
-use super::{Transform, check_thresholds, matrix, moved};
+use super::{check_thresholds, matrix, moved};
 use crate::Result;
 use crate::neighbors::{Neighbors, Vector, vector};
-use crate::points::{Point, check_points};
+use crate::points::{Point, Transform, check_points};
 
 /// Relative repeatability (SNAKE section 4.2, USIP): of each `epsilon`, the share of view 1's keypoints that are
 /// nearer than it to a keypoint of view 2, brought to view 1 by `t_1_2`.

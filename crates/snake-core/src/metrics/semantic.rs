@@ -11,7 +11,7 @@ use rayon::prelude::*;
 
 use super::check_thresholds;
 use crate::neighbors::{Neighbors, vector};
-use crate::nms::NearestPoints;
+use crate::nms::nearest_points;
 use crate::points::{Point, check_points};
 use crate::{Error, Result};
 
@@ -200,8 +200,7 @@ fn snap(what: &'static str, keypoints: &[Point], points: &[Point]) -> Result<Vec
         return Ok(Vec::new());
     }
     check_points(what, keypoints)?;
-    let nearest = NearestPoints::new(points)?;
-    Ok(keypoints.iter().map(|&k| nearest.nearest(k)).collect())
+    nearest_points(points, keypoints)
 }
 
 /// Of each point, the points it shares an edge with, and the edges' lengths.

@@ -1,0 +1,361 @@
+//! Registration: the rigid transform that brings one cloud onto another.
+//!
+//! ```text
+//! cloud → keypoints ─────────────────────┐
+//!   └──→ voxels → normals → descriptors ─┴→ mutual nearest → RANSAC → ICP on the voxels → t_target_source
+//! ```
+//!
+//! [`register`] is one call for everything; [`fpfh`], [`mutual_nearest`], [`ransac`] and [`kabsch`] are its steps.
+//! `t_target_source` takes a point of the source to the target, `p_target = R p_source + t`. Results have the same bits
+//! for any number of threads.
+
+mod cloud;
+mod fpfh;
+mod icp;
+mod matching;
+mod ransac;
+mod rigid;
+
+use std::num::NonZeroUsize;
+use std::time::Instant;
+
+use serde::{Deserialize, Serialize};
+
+use crate::detect::{DetectOptions, Preset, detect};
+use crate::field::{EncodeOptions, Field};
+use crate::model::Model;
+use crate::neighbors::{Neighbors, Vector, vector};
+use crate::points::{Normalization, NormalizationMethod, Point, Transform, check_points};
+use crate::{Error, Result};
+
+use cloud::{check_radius, normals, voxel_means};
+use icp::icp;
+use ransac::{Pair, best_transform, consensus};
+
+pub use cloud::estimate_normals;
+pub use fpfh::{FPFH_DIMENSION, fpfh};
+pub use matching::mutual_nearest;
+pub use ransac::{Consensus, RansacOptions, ransac};
+pub use rigid::{kabsch, transform_points};
+
+/// What keypoints are matched by.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Descriptor {
+    /// FPFH of the down-sampled cloud at the point nearest to the keypoint: turns with the cloud.
+    #[default]
+    Fpfh,
+    /// The field's own features. Nothing makes them independent of the cloud's rotation, and the built-in model has
+    /// learnt that only in part.
+    Field,
+}
+
+/// Options of [`register`]. Lengths that are `None` follow from the clouds.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct RegisterOptions {
+    /// What keypoints are matched by.
+    pub descriptor: Descriptor,
+    /// At most this many keypoints of each cloud, the most salient, farther apart than `voxel_size`.
+    pub max_keypoints: usize,
+    /// Side of the voxels that clouds are reduced to for normals, FPFH and refinement, in cloud units. `None`: 1/80 of
+    /// the diameter of the smaller cloud, about its mean.
+    pub voxel_size: Option<f64>,
+    /// Radius of normals, in cloud units. `None`: 2 times the voxel size or, if that is greater, the mean distance
+    /// between neighbours in the reduced clouds.
+    pub normal_radius: Option<f64>,
+    /// Radius of FPFH, in cloud units. `None`: 7 times the same.
+    pub feature_radius: Option<f64>,
+    /// Correspondences nearer than this under a transform agree with it, in cloud units. `None`: 1.5 times the same.
+    pub inlier_distance: Option<f64>,
+    /// As in [`RansacOptions`].
+    pub edge_length_ratio: f64,
+    /// Samples of RANSAC, as in [`RansacOptions`].
+    pub max_iterations: usize,
+    /// As in [`RansacOptions`].
+    pub confidence: f64,
+    /// Seed of the samples.
+    pub seed: u64,
+    /// Steps of point-to-plane ICP on the reduced clouds; 0 for none. Pairs are as far apart as `inlier_distance`.
+    pub refine_steps: usize,
+}
+
+impl Default for RegisterOptions {
+    fn default() -> Self {
+        let RansacOptions { edge_length_ratio, max_iterations, confidence, seed, .. } = RansacOptions::default();
+        Self {
+            descriptor: Descriptor::default(),
+            max_keypoints: 2500,
+            voxel_size: None,
+            normal_radius: None,
+            feature_radius: None,
+            inlier_distance: None,
+            edge_length_ratio,
+            max_iterations,
+            confidence,
+            seed,
+            refine_steps: 30,
+        }
+    }
+}
+
+/// What [`register`] found.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+pub struct Registration {
+    /// Maps source points into the target's frame: `p_target = R p_source + t`.
+    pub t_target_source: Transform,
+    /// Correspondences that agree with it. Few, in number or of all correspondences: do not trust it.
+    pub num_inliers: usize,
+    /// Keypoints that are each other's nearest in descriptor space.
+    pub num_correspondences: usize,
+    /// Root mean square distance of the inliers, in cloud units; 0 without inliers.
+    pub rmse: f64,
+    /// Time it took.
+    pub seconds: f64,
+}
+
+/// Finds the rigid transform from `source` to `target` with nothing known beforehand. Both are in the same units; they
+/// may be parts that overlap.
+///
+/// ```
+/// use snake_core::Model;
+/// use snake_core::registration::{RegisterOptions, register, transform_points};
+/// # let source = snake_core::io::read_points(concat!(env!("CARGO_MANIFEST_DIR"), "/../../samples/plane.ply").as_ref())?;
+/// let quarter_turn = [[0.0, -1.0, 0.0, 3.0], [1.0, 0.0, 0.0, 0.0], [0.0, 0.0, 1.0, 0.0], [0.0, 0.0, 0.0, 1.0]];
+/// let target = transform_points(&quarter_turn, &source);
+/// let found = register(&source, &target, &Model::builtin()?, &RegisterOptions::default())?;
+/// assert!((found.t_target_source[0][3] - 3.0).abs() < 0.05 && found.num_inliers > 50);
+/// # Ok::<(), snake_core::Error>(())
+/// ```
+///
+/// # Errors
+/// [`Error::Input`] for a cloud that is empty, has coordinates that are not finite or no extent, and when the keypoints
+/// have too few correspondences, or none that agree; [`Error::Option`] when an option is outside its range.
+pub fn register(source: &[Point], target: &[Point], model: &Model, options: &RegisterOptions) -> Result<Registration> {
+    let start = Instant::now();
+    options.check()?;
+    let voxel_size = match options.voxel_size {
+        Some(size) => size,
+        None => diameter("source", source)?.min(diameter("target", target)?) / VOXELS_PER_DIAMETER,
+    };
+    let (source_voxels, target_voxels) = (reduce("source", source, voxel_size)?, reduce("target", target, voxel_size)?);
+    // Sparse clouds have most points alone in their voxels, and fewer neighbours than voxels.
+    let spacing = voxel_size.max(source_voxels.resolution()).max(target_voxels.resolution());
+    let normal_radius = options.normal_radius.unwrap_or(2.0 * spacing);
+    let source_normals = normals(&source_voxels, normal_radius);
+    let target_normals = normals(&target_voxels, normal_radius);
+
+    let describe = |points, voxels, normals| -> Result<(Vec<Point>, Vec<f32>)> {
+        let (field, keypoints) = keypoints(points, model, options.max_keypoints, voxel_size)?;
+        let descriptors = match options.descriptor {
+            Descriptor::Fpfh => fpfh_of(&keypoints, voxels, normals, options.feature_radius.unwrap_or(7.0 * spacing)),
+            Descriptor::Field => field.descriptors(&keypoints)?,
+        };
+        Ok((keypoints, descriptors))
+    };
+    let (source_keypoints, source_descriptors) = describe(source, &source_voxels, &source_normals)?;
+    let (target_keypoints, target_descriptors) = describe(target, &target_voxels, &target_normals)?;
+    let dimension = match options.descriptor {
+        Descriptor::Fpfh => FPFH_DIMENSION,
+        Descriptor::Field => model.config().c_dim,
+    };
+    let matches = mutual_nearest(&source_descriptors, &target_descriptors, dimension)?;
+    let pairs: Vec<Pair> =
+        matches.iter().map(|&[s, t]| (vector(source_keypoints[s]), vector(target_keypoints[t]))).collect();
+
+    let ransac_options = options.ransac(options.inlier_distance.unwrap_or(1.5 * spacing));
+    let Some(rough) = best_transform(&pairs, &ransac_options) else {
+        let (of_source, of_target) = (source_keypoints.len(), target_keypoints.len());
+        let reason = format!(
+            "no three of the {} correspondences, of {of_source} and {of_target} keypoints, fit a rigid transform; do the clouds overlap, and in the same units?",
+            pairs.len()
+        );
+        return Err(Error::Input { what: "source and target", reason });
+    };
+    let inlier_distance = ransac_options.inlier_distance;
+    let transform =
+        icp(&source_voxels.points, &target_voxels, &target_normals, rough, inlier_distance, options.refine_steps);
+    let Consensus { t_target_source, inliers, rmse } = consensus(&pairs, &transform, inlier_distance);
+    Ok(Registration {
+        t_target_source,
+        num_inliers: inliers.len(),
+        num_correspondences: pairs.len(),
+        rmse,
+        seconds: start.elapsed().as_secs_f64(),
+    })
+}
+
+/// Voxels along the diameter of the smaller cloud, by default.
+const VOXELS_PER_DIAMETER: f64 = 80.0;
+
+impl RegisterOptions {
+    fn check(&self) -> Result<()> {
+        let lengths = [
+            ("voxel_size", self.voxel_size),
+            ("normal_radius", self.normal_radius),
+            ("feature_radius", self.feature_radius),
+        ];
+        for (name, length) in lengths {
+            length.map_or(Ok(()), |length| check_radius(name, length))?;
+        }
+        if self.max_keypoints < 3 {
+            let value = self.max_keypoints.to_string();
+            return Err(Error::Option { name: "max_keypoints", value, allowed: "3 or more" });
+        }
+        self.ransac(self.inlier_distance.unwrap_or(1.0)).check()
+    }
+
+    fn ransac(&self, inlier_distance: f64) -> RansacOptions {
+        let Self { edge_length_ratio, max_iterations, confidence, seed, .. } = *self;
+        RansacOptions { inlier_distance, edge_length_ratio, max_iterations, confidence, seed }
+    }
+}
+
+/// Twice the largest distance from the mean.
+fn diameter(what: &'static str, points: &[Point]) -> Result<f64> {
+    let normalization = Normalization::of(points, NormalizationMethod::UnitSphere).map_err(|error| match error {
+        Error::Input { reason, .. } => Error::Input { what, reason },
+        other => other,
+    })?;
+    Ok(normalization.scale.into())
+}
+
+fn reduce(what: &'static str, points: &[Point], voxel_size: f64) -> Result<Neighbors> {
+    check_points(what, points)?;
+    Neighbors::new(voxel_means(points, voxel_size))
+}
+
+/// The most salient points of a cloud, farther apart than `spread`, and the field that they were found in. Scenes fill
+/// the volume better by the cube than by the sphere that suits objects.
+fn keypoints(points: &[Point], model: &Model, most: usize, spread: f64) -> Result<(Field, Vec<Point>)> {
+    let Preset { encode, detect: options } = *model.recommended();
+    let field = model.encode(points, &EncodeOptions { normalization: NormalizationMethod::UnitCube, ..encode })?;
+    let nms_radius = spread as f32;
+    let options = DetectOptions { saliency_threshold: 0.0, nms_radius, max_keypoints: most, ..options };
+    let keypoints = detect(&field, &options)?.keypoints.into_iter().map(|keypoint| keypoint.position).collect();
+    Ok((field, keypoints))
+}
+
+/// FPFH of the voxels nearest to the keypoints.
+fn fpfh_of(keypoints: &[Point], voxels: &Neighbors, normals: &[Vector], radius: f64) -> Vec<f32> {
+    let of_voxels = fpfh::descriptors(voxels, normals, radius);
+    let nearest = |&keypoint: &Point| voxels.nearest(&vector(keypoint), NonZeroUsize::MIN)[0].0;
+    let rows = keypoints.iter().map(|keypoint| &of_voxels[nearest(keypoint) * FPFH_DIMENSION..][..FPFH_DIMENSION]);
+    rows.flatten().copied().collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use nalgebra::IsometryMatrix3;
+    use rand::SeedableRng;
+    use rand_chacha::ChaCha8Rng;
+
+    use super::rigid::matrix;
+    use super::rigid::tests::random_transform;
+    use super::*;
+
+    fn sample() -> Vec<Point> {
+        let path = concat!(env!("CARGO_MANIFEST_DIR"), "/../../samples/plane.ply");
+        crate::io::read_points(path.as_ref()).unwrap()
+    }
+
+    fn options() -> RegisterOptions {
+        RegisterOptions { max_keypoints: 500, ..Default::default() }
+    }
+
+    fn run(source: &[Point], target: &[Point], options: &RegisterOptions) -> Result<Registration> {
+        register(source, target, &Model::builtin()?, options)
+    }
+
+    /// Largest distance between the points moved by the one and by the other.
+    fn difference(points: &[Point], a: &Transform, b: &Transform) -> f32 {
+        let (a, b) = (transform_points(a, points), transform_points(b, points));
+        a.as_flattened().iter().zip(b.as_flattened()).map(|(a, b)| (a - b).abs()).fold(0.0, f32::max)
+    }
+
+    #[test]
+    fn two_samplings_are_put_together_whatever_the_rotation() {
+        let points = sample();
+        // The second lacks a wing's end.
+        let source = &points[..2048];
+        let part: Vec<Point> = points[2048..].iter().copied().filter(|p| p[0] < 0.5).collect();
+        for seed in 0..4 {
+            let truth = matrix(&random_transform(&mut ChaCha8Rng::seed_from_u64(seed)));
+            let found = run(source, &transform_points(&truth, &part), &options()).unwrap();
+            assert!(difference(&points, &found.t_target_source, &truth) < 0.05, "seed {seed}: {found:?}");
+            assert!(found.num_inliers >= 3 && found.num_correspondences > found.num_inliers, "{found:?}");
+            assert!(found.rmse > 0.0 && found.rmse < 0.1 && found.seconds > 0.0, "{found:?}");
+        }
+    }
+
+    #[test]
+    fn field_descriptors_and_refinement_do_their_part() {
+        let points = sample();
+        let truth = matrix(&IsometryMatrix3::translation(0.3, -4.0, 1.0));
+        let (source, target) = (&points[..2048], transform_points(&truth, &points[2048..]));
+        let options = RegisterOptions { descriptor: Descriptor::Field, ..options() };
+        let error = |options: RegisterOptions| {
+            difference(source, &run(source, &target, &options).unwrap().t_target_source, &truth)
+        };
+        let (refined, rough) = (error(options), error(RegisterOptions { refine_steps: 0, ..options }));
+        assert!(refined < 0.02 && rough > 2.0 * refined, "{refined} {rough}");
+    }
+
+    #[test]
+    fn threads_do_not_matter() {
+        let points = sample();
+        let run = |threads| {
+            let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
+            let found = pool.install(|| run(&points[..2000], &points[2000..], &options()).unwrap());
+            Registration { seconds: 0.0, ..found }
+        };
+        assert_eq!(run(1), run(3));
+    }
+
+    #[test]
+    fn clouds_that_cannot_be_registered_are_refused() {
+        let good = sample();
+        let line: Vec<Point> = (0..500).map(|i| [0.01 * i as f32, 0.0, 0.0]).collect();
+        let plane: Vec<Point> = (0..900).map(|i| [(i % 30) as f32, (i / 30) as f32, 0.0]).collect();
+        let nan = [good.clone(), vec![[f32::NAN; 3]]].concat();
+        for (bad, expected) in [
+            (vec![], "no points"),
+            (vec![[1.0; 3]], "two different"),
+            (vec![[1.0; 3]; 99], "two different"),
+            (nan, "finite"),
+        ] {
+            let error = run(&bad, &good, &options()).unwrap_err().to_string();
+            assert!(error.starts_with("source: ") && error.contains(expected), "{error}");
+            let error = run(&good, &bad, &options()).unwrap_err().to_string();
+            assert!(error.starts_with("target: ") && error.contains(expected), "{error}");
+        }
+        // What fixes no rotation, or matches nothing, has few inliers or an error, but an answer.
+        for poor in [line, plane, good[..2].to_vec(), good[..5].to_vec()] {
+            for (source, target) in [(&poor, &good), (&good, &poor), (&poor, &poor)] {
+                match run(source, target, &options()) {
+                    Ok(found) => assert!(found.t_target_source.as_flattened().iter().all(|v| v.is_finite())),
+                    Err(error) => assert!(error.to_string().contains("correspondences"), "{error}"),
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn options_outside_their_range_are_named() {
+        let points = &sample()[..500];
+        for (options, name) in [
+            (RegisterOptions { max_keypoints: 2, ..options() }, "max_keypoints"),
+            (RegisterOptions { voxel_size: Some(0.0), ..options() }, "voxel_size"),
+            (RegisterOptions { normal_radius: Some(-1.0), ..options() }, "normal_radius"),
+            (RegisterOptions { feature_radius: Some(f64::NAN), ..options() }, "feature_radius"),
+            (RegisterOptions { inlier_distance: Some(f64::INFINITY), ..options() }, "inlier_distance"),
+            (RegisterOptions { confidence: 2.0, ..options() }, "confidence"),
+        ] {
+            let error = run(points, points, &options).unwrap_err().to_string();
+            assert!(error.contains(name), "{error}");
+        }
+        // One voxel is left of each cloud.
+        let options = RegisterOptions { voxel_size: Some(1e3), ..options() };
+        assert!(run(points, points, &options).unwrap_err().to_string().contains("correspondences"));
+    }
+}

@@ -1,0 +1,97 @@
+//! `snake_rs.register` and its parts.
+
+use numpy::{PyArray1, PyArray2, PyArrayMethods};
+use pyo3::prelude::*;
+use pyo3::types::{PyDict, PyTuple};
+use snake_core::registration as core;
+
+use crate::error::py_error;
+use crate::model::{self, Model};
+use crate::{arrays, options};
+
+/// A rigid transform between two clouds and how far it can be trusted; it can be pickled.
+#[pyclass(frozen, get_all, module = "snake_rs")]
+pub struct Registration {
+    /// Maps source points into the target's frame, (4, 4) float64: `p_target = R p_source + t`.
+    t_target_source: Py<PyArray2<f64>>,
+    /// Correspondences that agree with it.
+    num_inliers: usize,
+    /// Keypoints that are each other's nearest in descriptor space.
+    num_correspondences: usize,
+    /// Root mean square distance of the inliers, in cloud units.
+    rmse: f64,
+    /// Time it took.
+    seconds: f64,
+}
+
+#[pymethods]
+impl Registration {
+    #[new]
+    fn new(
+        t_target_source: Py<PyArray2<f64>>,
+        num_inliers: usize,
+        num_correspondences: usize,
+        rmse: f64,
+        seconds: f64,
+    ) -> Self {
+        Self { t_target_source, num_inliers, num_correspondences, rmse, seconds }
+    }
+
+    fn __getnewargs__<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyTuple>> {
+        (&self.t_target_source, self.num_inliers, self.num_correspondences, self.rmse, self.seconds).into_pyobject(py)
+    }
+
+    fn __repr__(&self) -> String {
+        let Self { num_inliers, num_correspondences, rmse, seconds, .. } = self;
+        format!("Registration({num_inliers} of {num_correspondences} correspondences, rmse {rmse:.5}, {seconds:.3} s)")
+    }
+}
+
+/// Finds the rigid transform that brings one cloud onto another, with nothing known beforehand.
+///
+/// `source` and `target` are (N, 3) and (M, 3), float32 or float64, in the same units; they may be parts that overlap.
+/// Keypoints of `model` (default: the built-in one) are matched by descriptors, RANSAC finds the transform that most
+/// matches agree on, and point-to-plane ICP refines it. Options: `descriptor` ("fpfh", which turns with the cloud, or
+/// "field", for clouds of about the same orientation), `max_keypoints`, `voxel_size`, `normal_radius`,
+/// `feature_radius`, `inlier_distance` (cloud units; None: from the clouds), `edge_length_ratio`, `max_iterations`,
+/// `confidence`, `seed`, `refine_steps` (0: no ICP). Raises ValueError for arrays or values that cannot be used and
+/// when no transform fits, TypeError for an unknown option.
+#[pyfunction]
+#[pyo3(signature = (source, target, model=None, **options))]
+pub fn register(
+    py: Python<'_>,
+    source: &Bound<'_, PyAny>,
+    target: &Bound<'_, PyAny>,
+    model: Option<&Bound<'_, Model>>,
+    options: Option<&Bound<'_, PyDict>>,
+) -> PyResult<Registration> {
+    let model = model::given_or_builtin(model)?;
+    let options = options::register(options)?;
+    let (source, target) = (arrays::points("source", source)?, arrays::points("target", target)?);
+    let found = py.detach(|| core::register(&source, &target, &model, &options)).map_err(py_error)?;
+    let matrix = PyArray1::from_vec(py, found.t_target_source.as_flattened().to_vec()).reshape([4, 4])?;
+    let core::Registration { num_inliers, num_correspondences, rmse, seconds, .. } = found;
+    Ok(Registration::new(matrix.unbind(), num_inliers, num_correspondences, rmse, seconds))
+}
+
+/// Unit normals (N, 3) float32 of a cloud (N, 3): the direction in which the points nearer than `radius` vary least,
+/// on the side of the cloud's mean. Zero where fewer than three points are near.
+#[pyfunction]
+pub fn estimate_normals<'py>(points: &Bound<'py, PyAny>, radius: f64) -> PyResult<Bound<'py, PyArray2<f32>>> {
+    let (py, points) = (points.py(), arrays::points("points", points)?);
+    let normals = py.detach(|| core::estimate_normals(&points, radius)).map_err(py_error)?;
+    arrays::rows(py, normals.into_flattened(), 3)
+}
+
+/// FPFH (N, 33) float32 of a cloud (N, 3) with unit normals (N, 3), of the points nearer than `radius`; as Open3D.
+#[pyfunction]
+pub fn fpfh<'py>(
+    points: &Bound<'py, PyAny>,
+    normals: &Bound<'py, PyAny>,
+    radius: f64,
+) -> PyResult<Bound<'py, PyArray2<f32>>> {
+    let py = points.py();
+    let (points, normals) = (arrays::points("points", points)?, arrays::points("normals", normals)?);
+    let flat = py.detach(|| core::fpfh(&points, &normals, radius)).map_err(py_error)?;
+    arrays::rows(py, flat, core::FPFH_DIMENSION)
+}

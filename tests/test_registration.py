@@ -1,0 +1,114 @@
+"""snake_rs.register and its parts; FPFH and normals against Open3D (`pytest tests/test_registration.py`)."""
+
+import pickle
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import snake_rs
+
+ROOT = Path(__file__).parents[1]
+
+
+@pytest.fixture(scope="module")
+def cloud():
+    """The sample, (4096, 3) float32, read from binary PLY."""
+    data = (ROOT / "samples" / "plane.ply").read_bytes()
+    return np.frombuffer(data.split(b"end_header\n", 1)[1], dtype="<f4").reshape(-1, 3).copy()
+
+
+def transform(seed=0):
+    """A random rotation and a translation, (4, 4)."""
+    rng = np.random.default_rng(seed)
+    q, _ = np.linalg.qr(rng.normal(size=(3, 3)))
+    t = np.eye(4)
+    t[:3, :3], t[:3, 3] = q * np.sign(np.linalg.det(q)), rng.normal(size=3)
+    return t
+
+
+def moved(t, points):
+    return points @ t[:3, :3].T + t[:3, 3]
+
+
+@pytest.fixture(scope="module")
+def found(cloud):
+    return snake_rs.register(cloud[:2048], moved(transform(), cloud[2048:]), max_keypoints=500)
+
+
+def test_register_finds_the_transform(cloud, found):
+    assert found.t_target_source.shape == (4, 4) and found.t_target_source.dtype == np.float64
+    assert np.abs(moved(found.t_target_source, cloud) - moved(transform(), cloud)).max() < 0.05
+    assert 3 <= found.num_inliers <= found.num_correspondences
+    assert 0 < found.rmse < 0.1 and found.seconds > 0
+    assert f"{found.num_inliers} of {found.num_correspondences}" in repr(found)
+
+
+def test_results_can_be_pickled(found):
+    copy = pickle.loads(pickle.dumps(found))
+    names = ("num_inliers", "num_correspondences", "rmse", "seconds")
+    assert all(getattr(copy, name) == getattr(found, name) for name in names)
+    assert np.array_equal(copy.t_target_source, found.t_target_source)
+
+
+def test_model_and_options_reach_the_core(cloud, found):
+    again = {"model": snake_rs.Model.builtin(), "max_keypoints": 500, "voxel_size": None, "seed": np.int64(0)}
+    args = (cloud[:2048], moved(transform(), cloud[2048:]))
+    assert np.array_equal(snake_rs.register(*args, **again).t_target_source, found.t_target_source)
+    for options in ({"descriptor": "field"}, {"refine_steps": 0}, {"feature_radius": 0.5}):
+        other = snake_rs.register(*args, **(again | options))
+        assert not np.array_equal(other.t_target_source, found.t_target_source), options
+
+
+@pytest.mark.parametrize(
+    "options, message",
+    [
+        ({"descriptor": "shot"}, "expected `fpfh` or `field`"),
+        ({"voxel_size": "big"}, "a number"),
+        ({"voxel_size": -1.0}, "voxel_size"),
+        ({"max_keypoints": 2}, "3 or more"),
+        ({"seed": -1}, "whole number"),
+        ({"confidence": 1}, "confidence"),
+    ],
+)
+def test_options_outside_their_range_are_named(cloud, options, message):
+    with pytest.raises(ValueError, match=message):
+        snake_rs.register(cloud, cloud, **options)
+
+
+def test_bad_arguments_are_refused(cloud):
+    with pytest.raises(TypeError, match=r"register\(\) got an unexpected keyword argument 'voxel'.*voxel_size"):
+        snake_rs.register(cloud, cloud, voxel=1)
+    with pytest.raises(ValueError, match="target: expected"):
+        snake_rs.register(cloud, cloud[:, :2])
+    with pytest.raises(ValueError, match="source: no points"):
+        snake_rs.register(cloud[:0], cloud)
+    with pytest.raises(ValueError, match="target: .*not finite"):
+        snake_rs.register(cloud, np.vstack([cloud, [[np.nan] * 3]]))
+    with pytest.raises(ValueError, match="correspondences"):
+        snake_rs.register(cloud[:2], cloud[:2])
+    with pytest.raises(ValueError, match="radius"):
+        snake_rs.estimate_normals(cloud, 0.0)
+    with pytest.raises(ValueError, match="normals: 4095 for 4096 points"):
+        snake_rs.fpfh(cloud, cloud[1:], 0.1)
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_normals_and_fpfh_are_those_of_open3d(cloud, seed):
+    o3d = pytest.importorskip("open3d", reason="open3d is not installed; tests/data/fpfh has a stored case")
+    points = moved(transform(seed), cloud[seed::2]).astype(np.float32)
+    pc = o3d.geometry.PointCloud(o3d.utility.Vector3dVector(points.astype(float)))
+    pc.estimate_normals(o3d.geometry.KDTreeSearchParamRadius(0.1))
+    pc.orient_normals_towards_camera_location(points.astype(float).mean(0))
+    theirs, ours = np.asarray(pc.normals), snake_rs.estimate_normals(points, 0.1)
+    assert ours.dtype == np.float32 and ours.shape == points.shape
+    crowded = np.linalg.norm(ours, axis=1) > 0  # Open3D gives lone points (0, 0, 1)
+    assert crowded.mean() > 0.9
+    # Where two directions vary equally little, or the mean lies on the surface, the normal is anyone's guess.
+    differ = np.abs(theirs - ours).max(axis=1)[crowded] > 1e-3
+    assert differ.mean() < 0.01
+    pc.normals = o3d.utility.Vector3dVector(ours.astype(float))
+    feature = o3d.pipelines.registration.compute_fpfh_feature(pc, o3d.geometry.KDTreeSearchParamRadius(0.15))
+    descriptors = snake_rs.fpfh(points, ours, 0.15)
+    assert descriptors.dtype == np.float32 and descriptors.shape == (len(points), 33)
+    assert np.abs(descriptors - feature.data.T).max() < 1e-3
