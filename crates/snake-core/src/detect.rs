@@ -260,12 +260,23 @@ pub(crate) fn occupied_queries(field: &Field, options: &DetectOptions) -> Vec<Po
     };
     let band = (options.query_band > 0).then(|| voxels_near_points(field, options.query_band));
     let frame = field.volume().frame();
+    // The coordinates along each axis with what they add to the index of the voxel.
+    let axes: [Vec<(f32, usize)>; 3] = std::array::from_fn(|axis| {
+        let [low, high] = if axis < 2 { [-0.5, 0.5] } else { [z_min, z_max] };
+        let coordinates = (0..resolution).map(|i| along(low, high, i));
+        coordinates.map(|coordinate| (coordinate, frame.voxel_along(axis, coordinate))).collect()
+    });
     let plane = |x: usize| -> Vec<Point> {
-        let x = along(-0.5, 0.5, x);
-        (0..resolution * resolution)
-            .map(|i| [x, along(-0.5, 0.5, i / resolution), along(z_min, z_max, i % resolution)])
-            .filter(|&query| band.as_ref().is_none_or(|band| band[frame.voxel(query)]))
-            .collect()
+        let (x, voxel_x) = axes[0][x];
+        let mut queries = Vec::new();
+        for &(y, voxel_y) in &axes[1] {
+            for &(z, voxel_z) in &axes[2] {
+                if band.as_ref().is_none_or(|band| band[voxel_x + voxel_y + voxel_z]) {
+                    queries.push([x, y, z]);
+                }
+            }
+        }
+        queries
     };
     let occupied = |tile: &[Point]| -> Vec<Point> {
         let occupancy = field.tile_values(Quantity::Occupancy, tile);

@@ -30,30 +30,34 @@ impl VolumeFrame {
         [z, y, x]
     }
 
-    /// A point of the network's frame in units of the volume, which spans [0, 1).
-    fn unclamped(&self, point: Point) -> Point {
-        let [x, y, z] = point.map(|v| v / (1.0 + self.padding + Self::EPSILON));
+    /// A coordinate of the network's frame in units of the volume, which spans [0, 1).
+    fn unclamped(&self, axis: usize, coordinate: f32) -> f32 {
+        let scaled = coordinate / (1.0 + self.padding + Self::EPSILON);
         let [z_min, z_max] = self.z_bounds;
-        [x + 0.5, y + 0.5, (z - z_min) / (z_max - z_min + Self::EPSILON)]
+        if axis < 2 { scaled + 0.5 } else { (scaled - z_min) / (z_max - z_min + Self::EPSILON) }
     }
 
     /// The same, clamped to [0, 1).
-    fn unit(&self, point: Point) -> Point {
-        self.unclamped(point).map(|u| if u >= 1.0 { 1.0 - Self::EPSILON } else { u.max(0.0) })
+    fn unit(&self, axis: usize, coordinate: f32) -> f32 {
+        let unit = self.unclamped(axis, coordinate);
+        if unit >= 1.0 { 1.0 - Self::EPSILON } else { unit.max(0.0) }
     }
 
     /// Flat index `x + X (y + Y z)` of the voxel that a point falls into.
     pub(crate) fn voxel(&self, point: Point) -> usize {
-        let unit = self.unit(point);
-        let [x, y, z] = std::array::from_fn(|axis| (unit[axis] * self.resolution[axis] as f32) as usize);
-        x + self.resolution[0] * (y + self.resolution[1] * z)
+        (0..3).map(|axis| self.voxel_along(axis, point[axis])).sum()
+    }
+
+    /// What a coordinate adds to the flat index of the voxel.
+    pub(crate) fn voxel_along(&self, axis: usize, coordinate: f32) -> usize {
+        let place = (self.unit(axis, coordinate) * self.resolution[axis] as f32) as usize;
+        place * self.resolution[..axis].iter().product::<usize>()
     }
 
     /// The voxels around a query: the first and the last voxel's centres lie on the volume's faces ("align corners").
     pub(crate) fn corners(&self, query: Point) -> Corners {
-        let unit = self.unit(query);
         let last = self.resolution.map(|r| r - 1);
-        let place: [f32; 3] = std::array::from_fn(|axis| unit[axis] * last[axis] as f32);
+        let place: [f32; 3] = std::array::from_fn(|axis| self.unit(axis, query[axis]) * last[axis] as f32);
         let low: [usize; 3] = std::array::from_fn(|axis| (place[axis] as usize).min(last[axis] - 1));
         let stride = [1, self.resolution[0], self.resolution[0] * self.resolution[1]];
         let voxels = std::array::from_fn(|corner| {
@@ -65,11 +69,11 @@ impl VolumeFrame {
     /// Voxels per network unit along each axis at a query: the factor from a derivative per voxel to one per unit;
     /// zero along axes where the query was clamped.
     pub(crate) fn voxels_per_unit(&self, query: Point) -> Point {
-        let unit = self.unclamped(query);
         let padded = 1.0 + self.padding + Self::EPSILON;
         let extent = [padded, padded, padded * (self.z_bounds[1] - self.z_bounds[0] + Self::EPSILON)];
         std::array::from_fn(|axis| {
-            let inside = unit[axis] > 0.0 && unit[axis] < 1.0;
+            let unit = self.unclamped(axis, query[axis]);
+            let inside = unit > 0.0 && unit < 1.0;
             if inside { (self.resolution[axis] - 1) as f32 / extent[axis] } else { 0.0 }
         })
     }
