@@ -123,3 +123,52 @@ impl Adam {
         }
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::{EncodeOptions, Model};
+
+    /// Algorithm 1 as printed: every position is asked for its saliency and its occupancy.
+    fn textbook(field: &Field, queries: &[Point], options: &DetectOptions) -> Vec<Candidate> {
+        let mut best: Vec<Candidate> = queries.iter().map(|&position| Candidate { position, score: -1.0 }).collect();
+        let mut positions = queries.to_vec();
+        let mut adam = Adam::new(queries.len(), options.refine_step_size);
+        for step in 0..=options.refine_steps {
+            let (saliency, gradient) = field.tile_values_and_gradients(Quantity::Saliency, &positions);
+            let occupancy = field.tile_values(Quantity::Occupancy, &positions);
+            for (i, best) in best.iter_mut().enumerate() {
+                let kept = saliency[i] > options.saliency_threshold && occupancy[i] > options.surface_threshold;
+                let score = if kept { saliency[i] } else { 0.0 };
+                if score > best.score {
+                    *best = Candidate { position: positions[i], score };
+                }
+            }
+            if step < options.refine_steps {
+                adam.step(&mut positions, &gradient, -1.0 / queries.len() as f32);
+            }
+        }
+        best
+    }
+
+    #[test]
+    fn asking_only_where_it_decides_gives_the_textbooks_result() {
+        let points: Vec<Point> = (0..2000)
+            .map(|i| {
+                let angle = i as f32 * 0.1;
+                [angle.cos(), angle.sin(), (i % 40) as f32 * 0.02]
+            })
+            .collect();
+        let field = Model::builtin().unwrap().encode(&points, &EncodeOptions::default()).unwrap();
+        let queries: Vec<Point> = points[..TILE].iter().map(|p| p.map(|v| 0.45 * v)).collect();
+        let mut outcomes = [0; 2];
+        for (refine_steps, saliency_threshold) in [(0, 0.0), (6, 0.0), (6, 0.3), (3, 0.6)] {
+            let options =
+                DetectOptions { refine_steps, saliency_threshold, refine_step_size: 0.01, ..Default::default() };
+            let found = refine(&field, &queries, &options);
+            assert_eq!(found, textbook(&field, &queries, &options), "{refine_steps} {saliency_threshold}");
+            found.iter().for_each(|candidate| outcomes[usize::from(candidate.score > 0.0)] += 1);
+        }
+        assert!(outcomes.iter().all(|&number| number > 10), "{outcomes:?}");
+    }
+}
