@@ -309,12 +309,12 @@ fn voxels_near_points(field: &Field, reach: usize) -> Vec<bool> {
 }
 
 #[cfg(test)]
-mod tests {
+pub(crate) mod tests {
     use super::*;
     use crate::Model;
 
-    #[test]
-    fn the_band_drops_only_queries_far_from_all_points() {
+    /// A cylinder's points and its field by the built-in model.
+    pub(crate) fn cylinder() -> (Vec<Point>, Field) {
         let points: Vec<Point> = (0..2000)
             .map(|i| {
                 let angle = i as f32 * 0.1;
@@ -322,6 +322,12 @@ mod tests {
             })
             .collect();
         let field = Model::builtin().unwrap().encode(&points, &EncodeOptions::default()).unwrap();
+        (points, field)
+    }
+
+    #[test]
+    fn the_band_drops_only_queries_far_from_all_points() {
+        let (points, field) = cylinder();
         let all = occupied_queries(&field, &DetectOptions::default());
         let frame = field.volume().frame();
         let voxel = |point: Point| {

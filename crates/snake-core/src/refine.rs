@@ -127,7 +127,6 @@ impl Adam {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::{EncodeOptions, Model};
 
     /// Algorithm 1 as printed: every position is asked for its saliency and its occupancy.
     fn textbook(field: &Field, queries: &[Point], options: &DetectOptions) -> Vec<Candidate> {
@@ -153,13 +152,7 @@ mod tests {
 
     #[test]
     fn asking_only_where_it_decides_gives_the_textbooks_result() {
-        let points: Vec<Point> = (0..2000)
-            .map(|i| {
-                let angle = i as f32 * 0.1;
-                [angle.cos(), angle.sin(), (i % 40) as f32 * 0.02]
-            })
-            .collect();
-        let field = Model::builtin().unwrap().encode(&points, &EncodeOptions::default()).unwrap();
+        let (points, field) = crate::detect::tests::cylinder();
         let queries: Vec<Point> = points[..TILE].iter().map(|p| p.map(|v| 0.45 * v)).collect();
         let mut outcomes = [0; 2];
         for (refine_steps, saliency_threshold) in [(0, 0.0), (6, 0.0), (6, 0.3), (3, 0.6)] {
