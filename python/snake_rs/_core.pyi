@@ -48,6 +48,7 @@ class _EncodeOptions(_Preset, total=False):
     normalization: Literal["unit-sphere", "unit-cube", "none"]
     max_points: int | None
     seed: int
+    rotations: int
 
 @type_check_only
 class _DetectOptions(_Preset, total=False):

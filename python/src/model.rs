@@ -119,7 +119,8 @@ impl Model {
     ///
     /// `points` is (N, 3), float32 or float64. Options: `normalization` ("unit-sphere", "unit-cube" or "none": the
     /// cloud is already in the cube +-0.5), `max_points` (encode at most this many, drawn at random; None: all of
-    /// them), `seed` of that draw, and `preset`. What is not given comes from `preset`, or else from
+    /// them), `seed` of that draw, `rotations` (average over this many turned copies of the cloud: keypoints repeat
+    /// far better, at as many times the cost), and `preset`. What is not given comes from `preset`, or else from
     /// `model.recommended`. Raises ValueError for an array or a value that cannot be used.
     #[pyo3(signature = (points, **options))]
     fn encode(&self, py: Python<'_>, points: &Bound<PyAny>, options: Option<&Bound<PyDict>>) -> PyResult<Field> {

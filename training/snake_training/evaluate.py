@@ -184,13 +184,18 @@ def repeatability(detector, shapes, number=10**9, num_points=5000, seed=0, epsil
     return {name: (np.mean(values[name], axis=0), float(np.mean(counts[name]))) for name in values}
 
 
-def detector(engine, weights, options, device="cpu"):
-    """points (N, 3) -> keypoints (K, >= 3), by the PyTorch detection of this file or by snake-rs."""
+def detector(engine, weights, options, device="cpu", rotations=1):
+    """points (N, 3) -> keypoints (K, >= 3), by the PyTorch detection of this file or by snake-rs.
+
+    Only snake-rs averages over `rotations` of the input.
+    """
     if engine == "snake-rs":
         import snake_rs
 
         model = snake_rs.Model.load(weights)
-        return lambda points: snake_rs.detect(points, model, **vars(options)).points
+        return lambda points: snake_rs.detect(points, model, rotations=rotations, **vars(options)).points
+    if rotations > 1:
+        raise ValueError("--rotations needs --engine snake-rs")
     network = load_network(weights, device)
     return lambda points: detect(network, points, options)
 
@@ -209,6 +214,7 @@ def main(argv=None):
     parser.add_argument("--epsilon", type=float, nargs="+", default=[0.02, 0.04, 0.06, 0.10], help="unit-sphere units")
     parser.add_argument("--seed", type=int, default=0, help="seed of rotations and point choices")
     parser.add_argument("--engine", choices=("torch", "snake-rs"), default="torch", help="which implementation detects")
+    parser.add_argument("--rotations", type=int, default=1, help="turned copies averaged (snake-rs only)")
     parser.add_argument("--device", default="cpu", help="torch device, for instance cuda")
     parser.add_argument("--threads", type=int, default=0, help="torch threads; 0: torch's default")
     for name, field in DetectOptions.__dataclass_fields__.items():
@@ -220,7 +226,7 @@ def main(argv=None):
         torch.set_num_threads(arguments.threads)
     options = DetectOptions(**{name: getattr(arguments, name) for name in DetectOptions.__dataclass_fields__})
     try:
-        find = detector(arguments.engine, arguments.weights, options, arguments.device)
+        find = detector(arguments.engine, arguments.weights, options, arguments.device, arguments.rotations)
         result = repeatability(
             lambda points: {"snake": find(points)}, open_shapes(arguments.data), arguments.objects,
             arguments.num_points, arguments.seed, arguments.epsilon, progress=True,

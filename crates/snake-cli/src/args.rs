@@ -272,6 +272,9 @@ pub struct DetectFlags {
     /// Seed of that draw.
     #[arg(long)]
     seed: Option<u64>,
+    /// Average over this many turned copies of the cloud: keypoints repeat far better, at as many times the cost.
+    #[arg(long)]
+    rotations: Option<usize>,
     /// Queries along each axis of the starting grid.
     #[arg(long)]
     query_resolution: Option<usize>,
@@ -322,6 +325,7 @@ impl DetectFlags {
         override_with(&mut encode.normalization, self.normalization);
         override_with(&mut encode.max_points, self.max_points.map(Some));
         override_with(&mut encode.seed, self.seed);
+        override_with(&mut encode.rotations, self.rotations);
         override_with(&mut detect.query_resolution, self.query_resolution);
         override_with(&mut detect.query_band, self.query_band);
         override_with(&mut detect.refine_steps, self.refine_steps);

@@ -154,7 +154,7 @@ impl Preset {
             }
             _ => common,
         };
-        Ok(Self { encode: EncodeOptions { normalization, max_points, seed: 0 }, detect })
+        Ok(Self { encode: EncodeOptions { normalization, max_points, ..Default::default() }, detect })
     }
 }
 

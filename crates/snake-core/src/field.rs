@@ -8,11 +8,12 @@ use crate::decoder::Decoder;
 use crate::model::Model;
 use crate::nn::TILE;
 use crate::points::{Normalization, NormalizationMethod, Point, check_points};
+use crate::rotations::{self, Rotation, turned, turned_back};
 use crate::volume::{Volume, VolumeFrame};
 use crate::{Error, Result};
 
 /// How a cloud becomes a field.
-#[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct EncodeOptions {
     /// How the cloud is brought into the network's frame; its statistics are those of all points.
@@ -21,6 +22,17 @@ pub struct EncodeOptions {
     pub max_points: Option<usize>,
     /// Seed of that draw.
     pub seed: u64,
+    /// Encode this many copies of the cloud, each turned another way, and average their fields (as log-odds). The network
+    /// is only roughly equivariant, and its errors in the copies are nearly independent: keypoints repeat far better, at
+    /// as many times the cost. 1 to 64; above 1 only with [`NormalizationMethod::UnitSphere`], since a turned cube leaves
+    /// the volume.
+    pub rotations: usize,
+}
+
+impl Default for EncodeOptions {
+    fn default() -> Self {
+        Self { normalization: NormalizationMethod::UnitSphere, max_points: None, seed: 0, rotations: 1 }
+    }
 }
 
 /// Occupancy and saliency of one cloud at any point of space. Queries, gradients and results are in the cloud's frame
@@ -28,10 +40,17 @@ pub struct EncodeOptions {
 #[derive(Debug, Clone)]
 pub struct Field {
     model: Model,
-    volume: Volume,
+    views: Vec<View>,
     normalization: Normalization,
     points: Vec<Point>,
     num_encoded: usize,
+}
+
+/// The cloud as one rotation of it was encoded.
+#[derive(Debug, Clone)]
+struct View {
+    rotation: Rotation,
+    volume: Volume,
 }
 
 /// Which of the two decoders a query asks.
@@ -43,6 +62,12 @@ pub(crate) enum Quantity {
 
 impl Field {
     pub(crate) fn new(model: Model, points: &[Point], options: &EncodeOptions) -> Result<Self> {
+        let rotations = options.rotations;
+        let unit_sphere = options.normalization == NormalizationMethod::UnitSphere;
+        if !(1..=64).contains(&rotations) || (rotations > 1 && !unit_sphere) {
+            let allowed = "1 to 64, above 1 only with unit-sphere normalization";
+            return Err(Error::Option { name: "rotations", value: rotations.to_string(), allowed });
+        }
         let normalization = Normalization::of(points, options.normalization)?;
         let to_network = |&point: &Point| normalization.to_network(point);
         let network_points: Vec<Point> = match options.max_points {
@@ -55,8 +80,17 @@ impl Field {
             }
             _ => points.iter().map(to_network).collect(),
         };
-        let volume = model.network().encoder.encode(&network_points);
-        Ok(Self { volume, normalization, points: points.to_vec(), num_encoded: network_points.len(), model })
+        let views = rotations::spread(rotations).into_iter().map(|rotation| {
+            let turned: Vec<Point> = network_points.iter().map(|&point| turned(&rotation, point)).collect();
+            View { rotation, volume: model.network().encoder.encode(&turned) }
+        });
+        Ok(Self {
+            views: views.collect(),
+            normalization,
+            points: points.to_vec(),
+            num_encoded: network_points.len(),
+            model,
+        })
     }
 
     /// The normalisation in use: `network = (cloud - center) / scale`.
@@ -74,9 +108,9 @@ impl Field {
         self.num_encoded
     }
 
-    /// The feature volume.
+    /// The feature volume of the cloud as it is; of other rotations there are others.
     pub fn volume(&self) -> &Volume {
-        &self.volume
+        &self.views[0].volume
     }
 
     /// Probability that there is surface at each query (SNAKE eq. 1).
@@ -121,16 +155,22 @@ impl Field {
         self.values_and_gradients(Quantity::Saliency, queries)
     }
 
-    /// Descriptors `(queries, c_dim)`, flat: the interpolated feature of each query, L2-normalised.
+    /// Descriptors `(queries, c_dim)`, flat: the interpolated feature of each query, L2-normalised (and before that
+    /// averaged over [`EncodeOptions::rotations`]).
     ///
     /// # Errors
     /// [`Error::Input`] when a query is not finite.
     pub fn descriptors(&self, queries: &[Point]) -> Result<Vec<f32>> {
-        let channels = self.volume.channels;
+        let channels = self.volume().channels;
         let queries = self.to_network(queries)?;
         let mut features = vec![0.0; queries.len() * channels];
         features.par_chunks_mut(TILE * channels).zip(queries.par_chunks(TILE)).for_each(|(features, queries)| {
-            self.volume.interpolate(&self.volume.frame, queries, features);
+            let mut of_view = vec![0.0; features.len()];
+            for View { rotation, volume } in &self.views {
+                let turned: Vec<Point> = queries.iter().map(|&query| turned(rotation, query)).collect();
+                volume.interpolate(&volume.frame, &turned, &mut of_view);
+                features.iter_mut().zip(&of_view).for_each(|(sum, f)| *sum += f);
+            }
             for feature in features.chunks_exact_mut(channels) {
                 let norm = feature.iter().map(|f| f * f).sum::<f32>().sqrt().max(f32::MIN_POSITIVE);
                 feature.iter_mut().for_each(|f| *f /= norm);
@@ -163,31 +203,71 @@ impl Field {
 
     fn decoder(&self, quantity: Quantity) -> (&Decoder, VolumeFrame) {
         let network = self.model.network();
+        let frame = self.volume().frame;
         match quantity {
-            Quantity::Occupancy => (&network.occupancy, self.volume.frame),
+            Quantity::Occupancy => (&network.occupancy, frame),
             // The released network gives its z bounds to the occupancy decoder only: its saliency decoder reads every
             // volume as if it spanned ±0.5 in z. All published networks do span that.
-            Quantity::Saliency => (&network.saliency, VolumeFrame { z_bounds: [-0.5, 0.5], ..self.volume.frame }),
+            Quantity::Saliency => (&network.saliency, VolumeFrame { z_bounds: [-0.5, 0.5], ..frame }),
         }
     }
 
     /// One tile of queries in the network's frame, on the calling thread.
     pub(crate) fn tile_values(&self, quantity: Quantity, queries: &[Point]) -> Vec<f32> {
+        if let [view] = &self.views[..] {
+            return self.view_values(view, quantity, queries);
+        }
+        let mut sums = vec![0.0; queries.len()];
+        for view in &self.views {
+            let turned: Vec<Point> = queries.iter().map(|&query| turned(&view.rotation, query)).collect();
+            let values = self.view_values(view, quantity, &turned);
+            sums.iter_mut().zip(values).for_each(|(sum, value)| *sum += log_odds(value));
+        }
+        sums.iter().map(|sum| probability(sum / self.views.len() as f32)).collect()
+    }
+
+    /// The same with gradients, per network unit.
+    pub(crate) fn tile_values_and_gradients(&self, quantity: Quantity, queries: &[Point]) -> (Vec<f32>, Vec<Point>) {
+        if let [view] = &self.views[..] {
+            return self.view_values_and_gradients(view, quantity, queries);
+        }
+        let mut sums = vec![0.0; queries.len()];
+        let mut gradients = vec![[0.0; 3]; queries.len()];
+        for view in &self.views {
+            let turned: Vec<Point> = queries.iter().map(|&query| turned(&view.rotation, query)).collect();
+            let of_view = self.view_values_and_gradients(view, quantity, &turned);
+            let of_view = of_view.0.into_iter().zip(of_view.1);
+            for ((sum, gradient), (value, of_value)) in sums.iter_mut().zip(&mut gradients).zip(of_view) {
+                let value = value.clamp(LEAST, 1.0 - LEAST);
+                let of_log_odds = turned_back(&view.rotation, of_value).map(|v| v / (value * (1.0 - value)));
+                *sum += log_odds(value);
+                *gradient = std::array::from_fn(|axis| gradient[axis] + of_log_odds[axis]);
+            }
+        }
+        let views = self.views.len() as f32;
+        let values: Vec<f32> = sums.iter().map(|sum| probability(sum / views)).collect();
+        for (gradient, value) in gradients.iter_mut().zip(&values) {
+            *gradient = gradient.map(|v| v * value * (1.0 - value) / views);
+        }
+        (values, gradients)
+    }
+
+    /// Values of one view at queries that were turned with it.
+    fn view_values(&self, view: &View, quantity: Quantity, queries: &[Point]) -> Vec<f32> {
         let (decoder, frame) = self.decoder(quantity);
-        let mut features = vec![0.0; queries.len() * self.volume.channels];
-        self.volume.interpolate(&frame, queries, &mut features);
+        let mut features = vec![0.0; queries.len() * view.volume.channels];
+        view.volume.interpolate(&frame, queries, &mut features);
         decoder.values(queries, &features)
     }
 
-    /// The same with gradients, per network unit: the decoder's own derivative in the query plus that through the
+    /// The same with gradients in the turned queries: the decoder's own derivative in the query plus that through the
     /// interpolated feature.
-    pub(crate) fn tile_values_and_gradients(&self, quantity: Quantity, queries: &[Point]) -> (Vec<f32>, Vec<Point>) {
+    fn view_values_and_gradients(&self, view: &View, quantity: Quantity, queries: &[Point]) -> (Vec<f32>, Vec<Point>) {
         let (decoder, frame) = self.decoder(quantity);
-        let channels = self.volume.channels;
-        let mut features = vec![0.0; queries.len() * channels];
-        let corners = self.volume.interpolate(&frame, queries, &mut features);
+        let mut features = vec![0.0; queries.len() * view.volume.channels];
+        let corners = view.volume.interpolate(&frame, queries, &mut features);
         let decoded = decoder.values_and_gradients(queries, &features);
-        let mut gradients = self.volume.interpolate_backward(&corners, &decoded.in_feature);
+        let mut gradients = view.volume.interpolate_backward(&corners, &decoded.in_feature);
         let (in_query, _) = decoded.in_query.as_chunks::<3>();
         for ((gradient, &query), in_query) in gradients.iter_mut().zip(queries).zip(in_query) {
             let voxels_per_unit = frame.voxels_per_unit(query);
@@ -199,5 +279,76 @@ impl Field {
     /// The model that made this field.
     pub fn model(&self) -> &Model {
         &self.model
+    }
+}
+
+/// Probabilities are kept this far from 0 and 1 when they are averaged as log-odds.
+const LEAST: f32 = 1e-6;
+
+fn log_odds(probability: f32) -> f32 {
+    let probability = probability.clamp(LEAST, 1.0 - LEAST);
+    (probability / (1.0 - probability)).ln()
+}
+
+fn probability(log_odds: f32) -> f32 {
+    1.0 / (1.0 + (-log_odds).exp())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn several_rotations_are_averaged_as_log_odds_and_gradients_match_differences() {
+        let points: Vec<Point> = (0..3000)
+            .map(|i| {
+                let angle = i as f32 * 0.1;
+                [angle.cos() + 3.0, 2.0 * angle.sin(), (i % 40) as f32 * 0.02]
+            })
+            .collect();
+        let model = Model::builtin().unwrap();
+        let encode = |points: &[Point], rotations| {
+            model.encode(points, &EncodeOptions { rotations, ..Default::default() }).unwrap()
+        };
+        let field = encode(&points, 4);
+        let queries = &points[..50];
+        // By hand: a field of each turned cloud.
+        let mut sums = vec![0.0; queries.len()];
+        for rotation in rotations::spread(4) {
+            let turned = |points: &[Point]| points.iter().map(|&p| turned(&rotation, p)).collect::<Vec<_>>();
+            let values = encode(&turned(&points), 1).saliency(&turned(queries)).unwrap();
+            sums.iter_mut().zip(values).for_each(|(sum, value)| *sum += log_odds(value));
+        }
+        let (values, gradients) = field.saliency_and_gradient(queries).unwrap();
+        for ((value, sum), alone) in values.iter().zip(sums).zip(field.saliency(queries).unwrap()) {
+            // The turned clouds are normalised anew, with other rounding.
+            assert!((value - probability(sum / 4.0)).abs() < 1e-3 && (value - alone).abs() < 1e-6, "{value} {alone}");
+        }
+        let mut errors: Vec<f32> = (0..queries.len() * 3)
+            .map(|i| {
+                let (query, axis, step) = (i / 3, i % 3, 1e-3);
+                let ends = [-step, step].map(|step| {
+                    let mut moved = queries[query];
+                    moved[axis] += step;
+                    field.saliency(&[moved]).unwrap()[0]
+                });
+                (gradients[query][axis] - (ends[1] - ends[0]) / (2.0 * step)).abs()
+            })
+            .collect();
+        errors.sort_by(f32::total_cmp);
+        let longest = gradients.as_flattened().iter().fold(0.0, |m: f32, v| m.max(v.abs()));
+        assert!(errors[errors.len() / 2] < 0.01 * longest && longest > 0.1, "{errors:?} {longest}");
+    }
+
+    #[test]
+    fn rotations_need_a_sphere() {
+        let points: Vec<Point> = (0..100).map(|i| [i as f32, (i * i % 7) as f32, 0.0]).collect();
+        let encode = |normalization, rotations| {
+            let options = EncodeOptions { normalization, rotations, ..Default::default() };
+            Model::builtin().unwrap().encode(&points, &options).is_ok()
+        };
+        assert!(encode(NormalizationMethod::UnitSphere, 2) && encode(NormalizationMethod::UnitCube, 1));
+        assert!(!encode(NormalizationMethod::UnitCube, 2) && !encode(NormalizationMethod::UnitSphere, 0));
+        assert!(!encode(NormalizationMethod::UnitSphere, 65));
     }
 }

@@ -32,6 +32,7 @@ mod nn;
 mod points;
 mod pool;
 mod refine;
+mod rotations;
 mod volume;
 mod weights;
 
