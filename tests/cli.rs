@@ -189,6 +189,8 @@ fn mistakes_get_one_line_that_says_what_to_do() {
         (&["register", &sample(), &sample(), "--aligned", &sample()], "is an input"),
         (&["register", &sample(), &sample(), "--model", &weights], "safetensors"),
         (&["register", &sample(), &sample(), "--descriptor", "shot"], "fpfh"),
+        (&["register", &sample(), &sample(), "--detector", "orb"], "harris3d"),
+        (&["register", &sample(), &sample(), "--detector", "iss", "--voxel-size", "99"], "two different points"),
         (&["register", &sample(), &sample(), "--voxel-size", "0"], "voxel_size"),
         (&["register", &sample(), &sample(), "--inlier-distance", "nan"], "inlier_distance"),
         (&["model", &weights], "safetensors"),
@@ -292,6 +294,8 @@ fn register_does_not_depend_on_threads_but_on_its_options() {
     assert_eq!(one, report(&["--threads", "2"]));
     assert_eq!(one, report(&["--threads", "5"]));
     for extra in [
+        ["--detector", "fps"],
+        ["--detector", "random"],
         ["--descriptor", "field"],
         ["--voxel-size", "0.1"],
         ["--normal-radius", "0.2"],
