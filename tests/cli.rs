@@ -398,39 +398,41 @@ fn real_pairs_are_evaluated_in_their_units() {
     assert!(shares.clone().count() == 2 && shares.clone().all(|share| share > 0.9), "{csv}");
 }
 
-/// Fragments 0 to 3 of a scene: the sample, each without every fourth point and in a frame of its own, turned about z
-/// and moved; with the transform from fragment j to fragment i.
-fn fragments() -> ([Vec<[f32; 3]>; 4], impl Fn(usize, usize) -> [[f64; 4]; 4]) {
+/// From the sample to fragment k of a scene: turned about z and moved.
+fn pose(k: usize) -> [[f64; 4]; 4] {
+    let (sin, cos) = (0.1 * k as f64).sin_cos();
+    [[cos, -sin, 0.0, k as f64], [sin, cos, 0.0, 0.0], [0.0, 0.0, 1.0, -0.5], [0.0, 0.0, 0.0, 1.0]]
+}
+
+/// From fragment j to fragment i.
+fn between(i: usize, j: usize) -> [[f64; 4]; 4] {
+    let (a, b) = (pose(i), pose(j));
+    let turn = |row: usize, column: usize| (0..3).map(|k| a[row][k] * b[column][k]).sum::<f64>();
+    let mut t = [[0.0; 4]; 4];
+    for row in 0..3 {
+        (0..3).for_each(|column| t[row][column] = turn(row, column));
+        t[row][3] = a[row][3] - (0..3).map(|k| turn(row, k) * b[k][3]).sum::<f64>();
+    }
+    t[3][3] = 1.0;
+    t
+}
+
+/// Fragments 0 to 3 of a scene: the sample, each without every fourth point and in its own frame.
+fn fragments() -> [Vec<[f32; 3]>; 4] {
     let points = snake_core::io::read_points(Path::new(&sample())).unwrap();
-    // A place p of the scene is at R p + t of fragment k.
-    let pose = |k: usize| {
-        let (sin, cos) = (0.1 * k as f64).sin_cos();
-        [[cos, -sin, 0.0, k as f64], [sin, cos, 0.0, 0.0], [0.0, 0.0, 1.0, -0.5], [0.0, 0.0, 0.0, 1.0]]
-    };
-    let clouds = std::array::from_fn(|k| {
-        let places: Vec<_> = points.iter().enumerate().filter(|(i, _)| i % 4 != k).map(|(_, p)| *p).collect();
-        snake_core::registration::transform_points(&pose(k), &places)
-    });
-    let between = move |i: usize, j: usize| {
-        let [a, b] = [pose(i), pose(j)];
-        let turn = |row: usize, column: usize| (0..3).map(|k| a[row][k] * b[column][k]).sum::<f64>();
-        let mut t = [[0.0, 0.0, 0.0, 0.0], [0.0; 4], [0.0; 4], [0.0, 0.0, 0.0, 1.0]];
-        for row in 0..3 {
-            (0..3).for_each(|column| t[row][column] = turn(row, column));
-            t[row][3] = a[row][3] - (0..3).map(|k| turn(row, k) * b[k][3]).sum::<f64>();
-        }
-        t
-    };
-    (clouds, between)
+    std::array::from_fn(|k| {
+        let seen: Vec<_> = points.iter().enumerate().filter(|(i, _)| i % 4 != k).map(|(_, p)| *p).collect();
+        snake_core::registration::transform_points(&pose(k), &seen)
+    })
 }
 
 /// Pairs (i, j) of [`fragments`] in our format.
 fn scenes(pairs: &[[usize; 2]]) -> TempDir {
-    let (folder, (clouds, t)) = (tempfile::tempdir().unwrap(), fragments());
+    let (folder, clouds) = (tempfile::tempdir().unwrap(), fragments());
     for (k, cloud) in clouds.iter().enumerate() {
         snake_core::io::write_points(&folder.path().join(format!("room__{k:02}.ply")), cloud).unwrap();
     }
-    let row = |&[i, j]: &[usize; 2]| serde_json::json!({"source": format!("room__{j:02}"), "target": format!("room__{i:02}"), "T": t(i, j)});
+    let row = |&[i, j]: &[usize; 2]| serde_json::json!({"source": format!("room__{j:02}"), "target": format!("room__{i:02}"), "T": between(i, j)});
     let rows: Vec<Value> = pairs.iter().map(row).collect();
     std::fs::write(folder.path().join("pairs.json"), serde_json::to_string(&rows).unwrap()).unwrap();
     folder
@@ -439,7 +441,7 @@ fn scenes(pairs: &[[usize; 2]]) -> TempDir {
 /// Pairs (i, j) of [`fragments`] as a scene of the 3DMatch benchmark, its truth in a folder beside it, 0.05 m off
 /// along z. Squared errors along z count `weight` times.
 fn benchmark_scene(folder: &Path, name: &str, pairs: &[[usize; 2]], weight: f64) {
-    let (clouds, t) = fragments();
+    let clouds = fragments();
     let (scene, truth) = (folder.join(name), folder.join(format!("{name}-evaluation")));
     std::fs::create_dir(&scene).unwrap();
     std::fs::create_dir(&truth).unwrap();
@@ -452,7 +454,7 @@ fn benchmark_scene(folder: &Path, name: &str, pairs: &[[usize; 2]], weight: f64)
             let line = |row: &Vec<f64>| row.iter().map(|v| format!("{v:.8e}\t")).collect::<String>() + "\n";
             format!("{i}\t {j}\t 4\n") + &rows.iter().map(line).collect::<String>()
         };
-        let mut truth = t(i, j);
+        let mut truth = between(i, j);
         truth[2][3] += 0.05;
         log += &rows(truth.iter().map(|row| row.to_vec()).collect());
         let mut information = snake_core::metrics::information_matrix(&clouds[j]).unwrap();

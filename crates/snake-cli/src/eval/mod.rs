@@ -4,13 +4,10 @@ mod methods;
 mod record;
 mod registration;
 mod report;
-mod scenes;
 mod table;
 mod views;
 
-use anyhow::{Context, Result, bail};
-use indicatif::{ProgressBar, ProgressStyle};
-use serde::de::DeserializeOwned;
+use anyhow::{Result, bail};
 use serde::{Deserialize, Serialize};
 use serde_json::{Value, json};
 use snake_core::metrics::{mean_distance_to_keypoints, relative_repeatability};
@@ -32,7 +29,7 @@ pub fn repeatability(arguments: &RepeatabilityArguments) -> Result<()> {
     let settings = plan.settings(arguments, &methods);
     let chosen = evenly_spaced(data.len(), arguments.limit)?;
     let mut record = Record::open(arguments.output.as_deref(), "repeatability", &settings, chosen.len())?;
-    complete(&mut record, &chosen, |pair| data.name(pair), |pair| plan.rows(&data, pair, &methods))?;
+    record.fill(&chosen, |pair| data.name(pair), |pair| plan.rows(&data, pair, &methods))?;
     let paper: &[PaperRow] = match data {
         _ if !arguments.paper => &[],
         Data::Objects { .. } => &report::MODELNET40,
@@ -48,25 +45,6 @@ pub fn repeatability(arguments: &RepeatabilityArguments) -> Result<()> {
 /// Limits the threads of everything that follows.
 fn set_threads(threads: Option<u16>) -> Result<()> {
     threads.map_or(Ok(()), |threads| Ok(rayon::ThreadPoolBuilder::new().num_threads(threads.into()).build_global()?))
-}
-
-/// Adds what is missing of the chosen pairs to the record.
-fn complete<Row: Serialize + DeserializeOwned>(
-    record: &mut Record<Row>,
-    chosen: &[usize],
-    name: impl Fn(usize) -> String,
-    mut rows: impl FnMut(usize) -> Result<Vec<Row>>,
-) -> Result<()> {
-    let bar = ProgressBar::new(chosen.len() as u64).with_position(record.len() as u64);
-    bar.set_style(ProgressStyle::with_template("{bar:30} {pos}/{len} {msg} (ETA {eta})")?);
-    bar.reset_eta();
-    for &pair in &chosen[record.len()..] {
-        bar.set_message(name(pair));
-        record.append(name(pair), rows(pair).with_context(|| name(pair))?)?;
-        bar.inc(1);
-    }
-    bar.finish_and_clear();
-    Ok(())
 }
 
 /// The figures of one method under one condition on one pair.

@@ -5,6 +5,7 @@ use std::io::{Seek, Write};
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result, bail};
+use indicatif::{ProgressBar, ProgressStyle};
 use serde::de::DeserializeOwned;
 use serde::{Deserialize, Serialize};
 use serde_json::{Value, json};
@@ -58,9 +59,24 @@ impl<Row: Serialize + DeserializeOwned> Record<Row> {
         Ok(record)
     }
 
-    /// How many pairs are done.
-    pub fn len(&self) -> usize {
-        self.pairs.len()
+    /// Evaluates those of the chosen pairs that are not yet recorded, and shows how it goes.
+    pub fn fill(
+        &mut self,
+        chosen: &[usize],
+        name: impl Fn(usize) -> String,
+        mut rows: impl FnMut(usize) -> Result<Vec<Row>>,
+    ) -> Result<()> {
+        let bar = ProgressBar::new(chosen.len() as u64).with_position(self.pairs.len() as u64);
+        bar.set_style(ProgressStyle::with_template("{bar:30} {pos}/{len} {msg} (ETA {eta})")?);
+        bar.reset_eta();
+        for &pair in &chosen[self.pairs.len()..] {
+            bar.set_message(name(pair));
+            let rows = rows(pair).with_context(|| name(pair))?;
+            self.append(name(pair), rows)?;
+            bar.inc(1);
+        }
+        bar.finish_and_clear();
+        Ok(())
     }
 
     /// The pairs so far.
@@ -69,7 +85,7 @@ impl<Row: Serialize + DeserializeOwned> Record<Row> {
     }
 
     /// Adds the next pair.
-    pub fn append(&mut self, name: String, rows: Vec<Row>) -> Result<()> {
+    fn append(&mut self, name: String, rows: Vec<Row>) -> Result<()> {
         let pair = Pair { name, rows };
         if let Some((path, file)) = &mut self.file {
             let line = serde_json::to_string(&pair)? + "\n";
@@ -103,8 +119,8 @@ mod tests {
         for length in 0..whole.len() {
             std::fs::write(&path, &whole[..length]).unwrap();
             let mut record = open(&settings, 3).unwrap();
-            assert_eq!(record.pairs(), &pairs[..record.len()]);
-            for pair in &pairs[record.len()..] {
+            assert_eq!(record.pairs(), &pairs[..record.pairs().len()]);
+            for pair in &pairs[record.pairs().len()..] {
                 record.append(pair.name.clone(), pair.rows.clone()).unwrap();
             }
             assert_eq!(std::fs::read(&path).unwrap(), whole, "{length}");

@@ -104,7 +104,8 @@ impl<'a> Report<'a> {
 
     /// Writes `repeatability.csv`, `.json` and `.md`.
     pub fn write(&self, output: &Path) -> Result<()> {
-        table::write(output, "repeatability", &self.csv(), &self.json(), &self.tables())
+        let markdown = table::markdown(&self.tables());
+        table::write(output, "repeatability", &[("csv", self.csv()), ("json", self.json()?), ("md", markdown)])
     }
 
     /// The paper's three tables: over epsilon, over down-sampling and over noise.
@@ -175,7 +176,7 @@ impl<'a> Report<'a> {
         text
     }
 
-    fn json(&self) -> Value {
+    fn json(&self) -> Result<String> {
         let row = |s: &Summary| {
             json!({
                 "method": s.method,
@@ -188,7 +189,8 @@ impl<'a> Report<'a> {
             })
         };
         let rows: Vec<Value> = self.summaries.iter().map(row).collect();
-        json!({"settings": self.settings, "pairs": self.num_pairs, "rows": rows})
+        let all = json!({"settings": self.settings, "pairs": self.num_pairs, "rows": rows});
+        Ok(serde_json::to_string_pretty(&all)? + "\n")
     }
 }
 
@@ -230,7 +232,7 @@ At ε 0.2, over noise:
         let csv = report.csv();
         assert_eq!(csv.lines().nth(1).unwrap(), "iss,1,0,0.1,0.375,0.1767766952966369,6,0.25,2");
         assert_eq!(csv.lines().count(), 5);
-        let json = report.json();
+        let json: Value = serde_json::from_str(&report.json().unwrap()).unwrap();
         assert_eq!(json["rows"][1]["repeatability"], json!([0.0, 0.25]));
         assert_eq!((json["rows"].as_array().unwrap().len(), &json["settings"]), (2, &settings));
         assert!(report.text().contains("iss             0.375 ±0.177"));

@@ -1,10 +1,9 @@
-//! Tables of figures, for people and as Markdown, and the files of a report.
+//! Tables for people and Markdown, and the files that results are written to.
 
 use std::fmt::Write;
 use std::path::Path;
 
 use anyhow::{Context, Result};
-use serde_json::Value;
 
 /// A table: its title, its columns' heads and its rows.
 pub struct Table {
@@ -37,10 +36,9 @@ pub fn markdown(tables: &[Table]) -> String {
     tables.iter().map(table).collect::<Vec<_>>().join("\n")
 }
 
-/// Writes `METRIC.csv`, `.json` and `.md` into a directory.
-pub fn write(output: &Path, metric: &str, csv: &str, json: &Value, tables: &[Table]) -> Result<()> {
-    let json = serde_json::to_string_pretty(json)? + "\n";
-    for (extension, text) in [("csv", csv), ("json", &json), ("md", &markdown(tables))] {
+/// Writes the texts as `METRIC.EXTENSION` into a directory.
+pub fn write(output: &Path, metric: &str, texts: &[(&str, String)]) -> Result<()> {
+    for (extension, text) in texts {
         let path = output.join(format!("{metric}.{extension}"));
         std::fs::write(&path, text).with_context(|| format!("cannot write {}", path.display()))?;
     }

@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 use anyhow::{Context, Result, bail};
 use snake_core::Transform;
 
-use super::views::{Data, PairEntry, find_cloud};
+use super::super::views::{Data, PairEntry, find_cloud};
 
 /// Fragments and the pairs of them that overlap.
 pub struct Scenes {
@@ -118,8 +118,11 @@ fn fragment(cloud: &str) -> Option<(&str, usize)> {
     Some((scene.trim_end_matches(['_', '-']), cloud[scene.len()..].parse().ok()?))
 }
 
-/// Entries of a `.log` or `.info` file: two fragments' numbers, a third number, and a matrix of N rows.
-fn entries<const N: usize>(path: &Path) -> Result<Vec<([usize; 2], [[f64; N]; N])>> {
+/// Two fragments' numbers and a matrix of N rows.
+type Entry<const N: usize> = ([usize; 2], [[f64; N]; N]);
+
+/// Entries of a `.log` or `.info` file, with a third number between fragments and matrix.
+fn entries<const N: usize>(path: &Path) -> Result<Vec<Entry<N>>> {
     let text = std::fs::read_to_string(path).with_context(|| format!("cannot read {}", path.display()))?;
     let words: Vec<&str> = text.split_whitespace().collect();
     let mut entries = Vec::new();
