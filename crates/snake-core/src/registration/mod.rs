@@ -5,7 +5,8 @@
 //!   └──→ voxels → normals → descriptors ─┴→ mutual nearest → RANSAC → ICP on the voxels → t_target_source
 //! ```
 //!
-//! [`register`] is one call for everything; [`fpfh`], [`mutual_nearest`], [`ransac`] and [`kabsch`] are its steps.
+//! [`register`] is one call for everything; a [`Scan`] gives keypoints and descriptors of one cloud, and [`fpfh`],
+//! [`mutual_nearest`], [`ransac`] and [`kabsch`] are the other steps.
 //! `t_target_source` takes a point of the source to the target, `p_target = R p_source + t`. Results have the same bits
 //! for any number of threads.
 
