@@ -55,7 +55,7 @@ def test_model_and_options_reach_the_core(cloud, found):
     again = {"model": snake_rs.Model.builtin(), "max_keypoints": 500, "voxel_size": None, "seed": np.int64(0)}
     args = (cloud[:2048], moved(transform(), cloud[2048:]))
     assert np.array_equal(snake_rs.register(*args, **again).t_target_source, found.t_target_source)
-    for options in ({"descriptor": "field"}, {"refine_steps": 0}, {"feature_radius": 0.5}):
+    for options in ({"detector": "fps"}, {"descriptor": "field"}, {"refine_steps": 0}, {"feature_radius": 0.5}):
         other = snake_rs.register(*args, **(again | options))
         assert not np.array_equal(other.t_target_source, found.t_target_source), options
 
@@ -63,6 +63,7 @@ def test_model_and_options_reach_the_core(cloud, found):
 @pytest.mark.parametrize(
     "options, message",
     [
+        ({"detector": "orb"}, "harris3d"),
         ({"descriptor": "shot"}, "expected `fpfh` or `field`"),
         ({"voxel_size": "big"}, "a number"),
         ({"voxel_size": -1.0}, "voxel_size"),

@@ -70,6 +70,7 @@ class _Options(_EncodeOptions, _DetectOptions, total=False): ...
 
 @type_check_only
 class _RegisterOptions(TypedDict, total=False):
+    detector: Literal["snake", "iss", "harris3d", "sift3d", "fps", "random"]
     descriptor: Literal["fpfh", "field"]
     max_keypoints: int
     voxel_size: float | None

@@ -51,8 +51,9 @@ impl Registration {
 ///
 /// `source` and `target` are (N, 3) and (M, 3), float32 or float64, in the same units; they may be parts that overlap.
 /// Keypoints of `model` (default: the built-in one) are matched by descriptors, RANSAC finds the transform that most
-/// matches agree on, and point-to-plane ICP refines it. Options: `descriptor` ("fpfh", which turns with the cloud, or
-/// "field", for clouds of about the same orientation), `max_keypoints`, `voxel_size`, `normal_radius`,
+/// matches agree on, and point-to-plane ICP refines it. Options: `detector` ("snake", the model's keypoints, or "iss",
+/// "harris3d", "sift3d", "fps" or "random", points of the reduced clouds), `descriptor` ("fpfh", which turns with the
+/// cloud, or "field", for clouds of about the same orientation), `max_keypoints`, `voxel_size`, `normal_radius`,
 /// `feature_radius`, `inlier_distance` (cloud units; None: from the clouds), `edge_length_ratio`, `max_iterations`,
 /// `confidence`, `seed`, `refine_steps` (0: no ICP). Raises ValueError for arrays or values that cannot be used and
 /// when no transform fits, TypeError for an unknown option.

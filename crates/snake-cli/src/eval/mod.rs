@@ -2,41 +2,34 @@
 
 mod methods;
 mod record;
+mod registration;
 mod report;
+mod table;
 mod views;
 
-use anyhow::{Context, Result, bail};
-use indicatif::{ProgressBar, ProgressStyle};
+use anyhow::{Result, bail};
+use serde::{Deserialize, Serialize};
 use serde_json::{Value, json};
 use snake_core::metrics::{mean_distance_to_keypoints, relative_repeatability};
 
 use crate::args::{ProtocolName, RepeatabilityArguments};
 use methods::Method;
-use record::{Record, Row};
+use record::Record;
 use report::{PaperRow, Report};
 use views::{Condition, Data, Views};
 
+pub use registration::registration;
+
 /// Evaluates every pair that is not yet recorded, then reports.
 pub fn repeatability(arguments: &RepeatabilityArguments) -> Result<()> {
-    if let Some(threads) = arguments.threads {
-        rayon::ThreadPoolBuilder::new().num_threads(threads.into()).build_global()?;
-    }
+    set_threads(arguments.threads)?;
     let data = Data::open(&arguments.data)?;
     let plan = Plan::new(arguments, &data)?;
     let methods = Method::all(arguments)?;
     let settings = plan.settings(arguments, &methods);
     let chosen = evenly_spaced(data.len(), arguments.limit)?;
-    let mut record = Record::open(arguments.output.as_deref(), &settings, chosen.len())?;
-    let bar = ProgressBar::new(chosen.len() as u64).with_position(record.len() as u64);
-    bar.set_style(ProgressStyle::with_template("{bar:30} {pos}/{len} {msg} (ETA {eta})")?);
-    bar.reset_eta();
-    for &pair in &chosen[record.len()..] {
-        bar.set_message(data.name(pair));
-        let rows = plan.rows(&data, pair, &methods).with_context(|| data.name(pair))?;
-        record.append(data.name(pair), rows)?;
-        bar.inc(1);
-    }
-    bar.finish_and_clear();
+    let mut record = Record::open(arguments.output.as_deref(), "repeatability", &settings, chosen.len())?;
+    record.fill(&chosen, |pair| data.name(pair), |pair| plan.rows(&data, pair, &methods))?;
     let paper: &[PaperRow] = match data {
         _ if !arguments.paper => &[],
         Data::Objects { .. } => &report::MODELNET40,
@@ -47,6 +40,25 @@ pub fn repeatability(arguments: &RepeatabilityArguments) -> Result<()> {
         report.write(output)?;
     }
     crate::print(&report.text())
+}
+
+/// Limits the threads of everything that follows.
+fn set_threads(threads: Option<u16>) -> Result<()> {
+    threads.map_or(Ok(()), |threads| Ok(rayon::ThreadPoolBuilder::new().num_threads(threads.into()).build_global()?))
+}
+
+/// The figures of one method under one condition on one pair.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Row {
+    pub method: String,
+    #[serde(flatten)]
+    pub condition: Condition,
+    /// How many keypoints view 1 has.
+    pub keypoints: usize,
+    /// Mean distance of view 1's points to their nearest keypoint; `None` without keypoints.
+    pub coverage: Option<f64>,
+    /// For each epsilon.
+    pub repeatability: Vec<f64>,
 }
 
 /// What is measured.

@@ -1,13 +1,14 @@
-//! Tables of the figures: for people, Markdown, CSV and JSON.
+//! Tables of repeatability.
 
-use std::fmt::Write;
 use std::path::Path;
 
-use anyhow::{Context, Result};
+use anyhow::Result;
 use serde_json::{Value, json};
 
 use super::Plan;
-use super::record::{Pair, Row};
+use super::Row;
+use super::record::Pair;
+use super::table::{self, Table};
 use super::views::Condition;
 
 /// A row of the paper's tables: the method, and its figures by epsilon in hundredths.
@@ -87,16 +88,9 @@ fn cell((mean, deviation): &(f64, f64)) -> String {
     format!("{mean:.3} ±{deviation:.3}")
 }
 
-/// A table: its title, its columns' heads and its rows.
-struct Table {
-    title: String,
-    head: Vec<String>,
-    rows: Vec<Vec<String>>,
-}
-
 impl<'a> Report<'a> {
     /// Sums up pairs that all have the same rows; the paper's rows are shown beside them.
-    pub fn new(plan: &'a Plan, settings: &'a Value, pairs: &[Pair], paper: &'a [PaperRow]) -> Self {
+    pub fn new(plan: &'a Plan, settings: &'a Value, pairs: &[Pair<Row>], paper: &'a [PaperRow]) -> Self {
         let num_rows = pairs.first().map_or(0, |pair| pair.rows.len());
         let rows_of = |i: usize| pairs.iter().map(|pair| &pair.rows[i]).collect::<Vec<_>>();
         let summaries = (0..num_rows).map(|i| Summary::new(&rows_of(i))).collect();
@@ -105,24 +99,13 @@ impl<'a> Report<'a> {
 
     /// The tables, for people.
     pub fn text(&self) -> String {
-        let table = |Table { title, head, rows }: Table| {
-            let mut text = format!("{title}\n");
-            for row in std::iter::once(&head).chain(&rows) {
-                let cells = row.iter().skip(1).map(|cell| format!("  {cell:>11}")).collect::<String>();
-                writeln!(text, "{:14}{cells}", row[0]).unwrap_or_default();
-            }
-            text
-        };
-        self.tables().into_iter().map(table).collect::<Vec<_>>().join("\n")
+        table::text(&self.tables())
     }
 
     /// Writes `repeatability.csv`, `.json` and `.md`.
     pub fn write(&self, output: &Path) -> Result<()> {
-        for (name, text) in [("csv", self.csv()), ("json", self.json()?), ("md", self.markdown())] {
-            let path = output.join(format!("repeatability.{name}"));
-            std::fs::write(&path, text).with_context(|| format!("cannot write {}", path.display()))?;
-        }
-        Ok(())
+        let markdown = table::markdown(&self.tables());
+        table::write(output, "repeatability", &[("csv", self.csv()), ("json", self.json()?), ("md", markdown)])
     }
 
     /// The paper's three tables: over epsilon, over down-sampling and over noise.
@@ -174,16 +157,6 @@ impl<'a> Report<'a> {
     /// The methods under one condition, in their order.
     fn under(&self, condition: Condition) -> impl Iterator<Item = &Summary> {
         self.summaries.iter().filter(move |summary| summary.condition == condition)
-    }
-
-    fn markdown(&self) -> String {
-        let line = |cells: &[String]| format!("| {} |\n", cells.join(" | "));
-        let table = |Table { title, head, rows }: Table| {
-            let rule = format!("|{}\n", "---|".repeat(head.len()));
-            let rows: String = rows.iter().map(|row| line(row)).collect();
-            format!("{title}:\n\n{}{rule}{rows}", line(&head))
-        };
-        self.tables().into_iter().map(table).collect::<Vec<_>>().join("\n")
     }
 
     /// A line for each method, condition and epsilon.
@@ -255,7 +228,7 @@ At ε 0.2, over noise:
 |---|---|---|
 | iss | 1.000 ±0.000 | 0.250 ±0.354 |
 ";
-        assert_eq!(report.markdown(), markdown);
+        assert_eq!(table::markdown(&report.tables()), markdown);
         let csv = report.csv();
         assert_eq!(csv.lines().nth(1).unwrap(), "iss,1,0,0.1,0.375,0.1767766952966369,6,0.25,2");
         assert_eq!(csv.lines().count(), 5);
@@ -270,7 +243,7 @@ At ε 0.2, over noise:
         let plan =
             Plan { epsilon: vec![0.04, 0.3], table_epsilon: 0.3, conditions: vec![CLEAN], num_points: 1, seed: 0 };
         let pairs = [Pair { name: "a".into(), rows: vec![row(CLEAN, 4, [0.5, 1.0])] }];
-        let markdown = Report::new(&plan, &json!({}), &pairs, &MODELNET40).markdown();
+        let markdown = table::markdown(&Report::new(&plan, &json!({}), &pairs, &MODELNET40).tables());
         assert!(
             markdown.ends_with("| SNAKE (paper) | 0.864 | - | - | - |\n| random (paper) | 0.094 | - | - | - |\n"),
             "{markdown}"

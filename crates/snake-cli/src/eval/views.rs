@@ -36,10 +36,10 @@ pub enum Clouds {
 /// A row of `pairs.json`; what else it has is ignored.
 #[derive(Deserialize)]
 pub struct PairEntry {
-    source: String,
-    target: String,
+    pub source: String,
+    pub target: String,
     #[serde(rename = "T")]
-    t_target_source: Transform,
+    pub t_target_source: Transform,
 }
 
 /// A row of `index.json`.
@@ -101,7 +101,8 @@ impl Data {
             Self::Objects { clouds: Clouds::Files(files), .. } => PairClouds::object(&io::read_points(&files[pair])?),
             Self::Pairs { folder, pairs } => {
                 let PairEntry { source, target, t_target_source } = &pairs[pair];
-                let clouds = [read_named(folder, target)?, read_named(folder, source)?];
+                let clouds =
+                    [io::read_points(&find_cloud(folder, target)?)?, io::read_points(&find_cloud(folder, source)?)?];
                 if clouds.iter().any(Vec::is_empty) {
                     bail!("a cloud without points");
                 }
@@ -173,17 +174,14 @@ fn choose(points: &[Point], number: usize, rng: &mut impl Rng) -> Vec<Point> {
     chosen.into_iter().map(|index| points[index]).collect()
 }
 
-/// Reads a cloud of a pair: a file of that name, with or without its extension.
-fn read_named(folder: &Path, name: &str) -> Result<Vec<Point>> {
+/// The cloud of that name in a folder, with or without its extension.
+pub fn find_cloud(folder: &Path, name: &str) -> Result<PathBuf> {
     let path = folder.join(name);
-    if path.is_file() {
-        return Ok(io::read_points(&path)?);
-    }
-    let mut candidates = io::POINT_EXTENSIONS.iter().map(|extension| folder.join(format!("{name}.{extension}")));
-    let Some(path) = candidates.find(|path| path.is_file()) else {
+    let with_extensions = io::POINT_EXTENSIONS.iter().map(|extension| folder.join(format!("{name}.{extension}")));
+    let Some(found) = std::iter::once(path.clone()).chain(with_extensions).find(|path| path.is_file()) else {
         bail!("{}: no such cloud (looked for .{})", path.display(), io::POINT_EXTENSIONS.join(", ."))
     };
-    Ok(io::read_points(&path)?)
+    Ok(found)
 }
 
 fn read_json<T: for<'a> Deserialize<'a>>(path: &Path) -> Result<T> {

@@ -15,7 +15,7 @@ use crate::points::{Point, Transform, check_points};
 use crate::{Error, Result};
 
 pub use registration::{
-    RegistrationOutcome, feature_matching_recall, information_matrix, inlier_ratio, registration_recall,
+    RegistrationOutcome, feature_matching_recall, information_matrix, inlier_ratio, overlap, registration_recall,
     squared_registration_error,
 };
 pub use repeatability::{mean_distance_to_keypoints, relative_repeatability, symmetric_repeatability};

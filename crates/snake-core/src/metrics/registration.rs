@@ -3,7 +3,7 @@
 use nalgebra::{Matrix3, Matrix3x6, Matrix4, Matrix6, Rotation3, UnitQuaternion, Vector3, Vector6};
 
 use super::{matrix, moved};
-use crate::neighbors::vector;
+use crate::neighbors::{Neighbors, vector};
 use crate::points::{Point, Transform, check_points};
 use crate::{Error, Result};
 
@@ -80,6 +80,20 @@ pub fn information_matrix(points: &[Point]) -> Result<[[f64; 6]; 6]> {
     Ok(std::array::from_fn(|row| std::array::from_fn(|column| sum[(row, column)])))
 }
 
+/// The source's points that `t_target_source` brings nearer than `distance` to some point of the target: those that
+/// [`information_matrix`] takes.
+///
+/// # Errors
+/// [`Error::Input`] for an empty cloud, coordinates that are not finite or a bad transform.
+pub fn overlap(source: &[Point], target: &[Point], t_target_source: &Transform, distance: f64) -> Result<Vec<Point>> {
+    check_points("source", source)?;
+    check_points("target", target)?;
+    let placed = moved("source", source, &matrix("t_target_source", t_target_source)?)?;
+    let target = Neighbors::new(target.iter().copied().map(vector).collect())?;
+    let near = placed.iter().map(|point| target.distance(point) < distance);
+    Ok(source.iter().zip(near).filter_map(|(&point, near)| near.then_some(point)).collect())
+}
+
 /// What registration made of one pair of fragments.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct RegistrationOutcome {
@@ -142,6 +156,16 @@ mod tests {
         assert_eq!(inlier_ratio(&source, &target, &IDENTITY, 0.5).unwrap(), 0.0);
         assert_eq!(inlier_ratio(&[], &[], &IDENTITY, 0.5).unwrap(), 0.0);
         assert!(inlier_ratio(&source, &target[..3], &IDENTITY, 0.5).is_err());
+    }
+
+    #[test]
+    fn the_overlap_is_what_is_strictly_within_the_distance() {
+        let source = [[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [2.0, 0.0, 0.0]];
+        let target = [[1.0, 0.25, 0.0], [9.0, 0.0, 0.0], [2.0, 0.0, 0.5]];
+        let t_target_source = transform([0.0; 3], [1.0, 0.0, 0.0]);
+        assert_eq!(overlap(&source, &target, &t_target_source, 0.5).unwrap(), source[..1]);
+        assert_eq!(overlap(&source, &target, &t_target_source, 0.6).unwrap(), source[..2]);
+        assert!(overlap(&source, &[], &t_target_source, 0.5).is_err());
     }
 
     #[test]

@@ -5,7 +5,8 @@
 //!   └──→ voxels → normals → descriptors ─┴→ mutual nearest → RANSAC → ICP on the voxels → t_target_source
 //! ```
 //!
-//! [`register`] is one call for everything; [`fpfh`], [`mutual_nearest`], [`ransac`] and [`kabsch`] are its steps.
+//! [`register`] is one call for everything; a [`Scan`] gives keypoints and descriptors of one cloud, and [`fpfh`],
+//! [`mutual_nearest`], [`ransac`] and [`kabsch`] are the other steps.
 //! `t_target_source` takes a point of the source to the target, `p_target = R p_source + t`. Results have the same bits
 //! for any number of threads.
 
@@ -15,48 +16,38 @@ mod icp;
 mod matching;
 mod ransac;
 mod rigid;
+mod scan;
 
-use std::num::NonZeroUsize;
 use std::time::Instant;
 
 use serde::{Deserialize, Serialize};
 
-use crate::detect::{DetectOptions, Preset, detect};
-use crate::field::{EncodeOptions, Field};
 use crate::model::Model;
-use crate::neighbors::{Neighbors, Vector, vector};
-use crate::points::{Normalization, NormalizationMethod, Point, Transform, check_points};
+use crate::neighbors::vector;
+use crate::points::{Normalization, NormalizationMethod, Point, Transform};
 use crate::{Error, Result};
 
-use cloud::{check_radius, normals, voxel_means};
+use cloud::check_radius;
 use icp::icp;
 use ransac::{Pair, best_transform, consensus};
+use scan::reduce;
 
 pub use cloud::estimate_normals;
 pub use fpfh::{FPFH_DIMENSION, fpfh};
 pub use matching::mutual_nearest;
 pub use ransac::{Consensus, RansacOptions, ransac};
 pub use rigid::{kabsch, transform_points};
-
-/// What keypoints are matched by.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
-#[serde(rename_all = "kebab-case")]
-pub enum Descriptor {
-    /// FPFH of the down-sampled cloud at the point nearest to the keypoint: turns with the cloud.
-    #[default]
-    Fpfh,
-    /// The field's own features. Nothing makes them independent of the cloud's rotation, and the built-in model has
-    /// learnt that only in part.
-    Field,
-}
+pub use scan::{Descriptor, KeypointDetector, Scan};
 
 /// Options of [`register`]. Lengths that are `None` follow from the clouds.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct RegisterOptions {
-    /// What keypoints are matched by.
+    /// What keypoints are found by.
+    pub detector: KeypointDetector,
+    /// What they are matched by.
     pub descriptor: Descriptor,
-    /// At most this many keypoints of each cloud, the most salient, farther apart than `voxel_size`.
+    /// At most this many keypoints of each cloud, the best.
     pub max_keypoints: usize,
     /// Side of the voxels that clouds are reduced to for normals, FPFH and refinement, in cloud units. `None`: 1/80 of
     /// the diameter of the smaller cloud, about its mean.
@@ -74,7 +65,7 @@ pub struct RegisterOptions {
     pub max_iterations: usize,
     /// As in [`RansacOptions`].
     pub confidence: f64,
-    /// Seed of the samples.
+    /// Seed of the samples, and of random keypoints.
     pub seed: u64,
     /// Steps of point-to-plane ICP on the reduced clouds; 0 for none. Pairs are as far apart as `inlier_distance`.
     pub refine_steps: usize,
@@ -84,6 +75,7 @@ impl Default for RegisterOptions {
     fn default() -> Self {
         let RansacOptions { edge_length_ratio, max_iterations, confidence, seed, .. } = RansacOptions::default();
         Self {
+            detector: KeypointDetector::default(),
             descriptor: Descriptor::default(),
             max_keypoints: 2500,
             voxel_size: None,
@@ -141,24 +133,20 @@ pub fn register(source: &[Point], target: &[Point], model: &Model, options: &Reg
     let (source_voxels, target_voxels) = (reduce("source", source, voxel_size)?, reduce("target", target, voxel_size)?);
     // Sparse clouds have most points alone in their voxels, and fewer neighbours than voxels.
     let spacing = voxel_size.max(source_voxels.resolution()).max(target_voxels.resolution());
-    let normal_radius = options.normal_radius.unwrap_or(2.0 * spacing);
-    let source_normals = normals(&source_voxels, normal_radius);
-    let target_normals = normals(&target_voxels, normal_radius);
+    let lengths =
+        [voxel_size, options.normal_radius.unwrap_or(2.0 * spacing), options.feature_radius.unwrap_or(7.0 * spacing)];
+    let source_scan = Scan::of(source, source_voxels, model, lengths)?;
+    let target_scan = Scan::of(target, target_voxels, model, lengths)?;
 
-    let describe = |points, voxels, normals| -> Result<(Vec<Point>, Vec<f32>)> {
-        let (field, keypoints) = keypoints(points, model, options.max_keypoints, voxel_size)?;
-        let descriptors = match options.descriptor {
-            Descriptor::Fpfh => fpfh_of(&keypoints, voxels, normals, options.feature_radius.unwrap_or(7.0 * spacing)),
-            Descriptor::Field => field.descriptors(&keypoints)?,
-        };
+    let describe = |scan: &Scan, seed| -> Result<(Vec<Point>, Vec<f32>)> {
+        let keypoints = scan.keypoints(options.detector, options.max_keypoints, seed)?;
+        let descriptors = scan.descriptors(&keypoints, options.descriptor)?;
         Ok((keypoints, descriptors))
     };
-    let (source_keypoints, source_descriptors) = describe(source, &source_voxels, &source_normals)?;
-    let (target_keypoints, target_descriptors) = describe(target, &target_voxels, &target_normals)?;
-    let dimension = match options.descriptor {
-        Descriptor::Fpfh => FPFH_DIMENSION,
-        Descriptor::Field => model.config().c_dim,
-    };
+    // Random points of the target are others: of equal clouds they would all have partners.
+    let (source_keypoints, source_descriptors) = describe(&source_scan, options.seed)?;
+    let (target_keypoints, target_descriptors) = describe(&target_scan, options.seed.wrapping_add(1))?;
+    let dimension = source_scan.dimension(options.descriptor);
     let matches = mutual_nearest(&source_descriptors, &target_descriptors, dimension)?;
     let pairs: Vec<Pair> =
         matches.iter().map(|&[s, t]| (vector(source_keypoints[s]), vector(target_keypoints[t]))).collect();
@@ -173,8 +161,8 @@ pub fn register(source: &[Point], target: &[Point], model: &Model, options: &Reg
         return Err(Error::Input { what: "source and target", reason });
     };
     let inlier_distance = ransac_options.inlier_distance;
-    let transform =
-        icp(&source_voxels.points, &target_voxels, &target_normals, rough, inlier_distance, options.refine_steps);
+    let Scan { voxels, normals, .. } = &target_scan;
+    let transform = icp(&source_scan.voxels.points, voxels, normals, rough, inlier_distance, options.refine_steps);
     let Consensus { t_target_source, inliers, rmse } = consensus(&pairs, &transform, inlier_distance);
     Ok(Registration {
         t_target_source,
@@ -218,30 +206,6 @@ fn diameter(what: &'static str, points: &[Point]) -> Result<f64> {
         other => other,
     })?;
     Ok(normalization.scale.into())
-}
-
-fn reduce(what: &'static str, points: &[Point], voxel_size: f64) -> Result<Neighbors> {
-    check_points(what, points)?;
-    Neighbors::new(voxel_means(points, voxel_size))
-}
-
-/// The most salient points of a cloud, farther apart than `spread`, and the field that they were found in. Scenes fill
-/// the volume better by the cube than by the sphere that suits objects.
-fn keypoints(points: &[Point], model: &Model, most: usize, spread: f64) -> Result<(Field, Vec<Point>)> {
-    let Preset { encode, detect: options } = *model.recommended();
-    let field = model.encode(points, &EncodeOptions { normalization: NormalizationMethod::UnitCube, ..encode })?;
-    let nms_radius = spread as f32;
-    let options = DetectOptions { saliency_threshold: 0.0, nms_radius, max_keypoints: most, ..options };
-    let keypoints = detect(&field, &options)?.keypoints.into_iter().map(|keypoint| keypoint.position).collect();
-    Ok((field, keypoints))
-}
-
-/// FPFH of the voxels nearest to the keypoints.
-fn fpfh_of(keypoints: &[Point], voxels: &Neighbors, normals: &[Vector], radius: f64) -> Vec<f32> {
-    let of_voxels = fpfh::descriptors(voxels, normals, radius);
-    let nearest = |&keypoint: &Point| voxels.nearest(&vector(keypoint), NonZeroUsize::MIN)[0].0;
-    let rows = keypoints.iter().map(|keypoint| &of_voxels[nearest(keypoint) * FPFH_DIMENSION..][..FPFH_DIMENSION]);
-    rows.flatten().copied().collect()
 }
 
 #[cfg(test)]
@@ -299,6 +263,29 @@ mod tests {
         };
         let (refined, rough) = (error(options), error(RegisterOptions { refine_steps: 0, ..options }));
         assert!(refined < 0.02 && rough > 2.0 * refined, "{refined} {rough}");
+    }
+
+    #[test]
+    fn keypoints_of_other_detectors_register_too() {
+        use KeypointDetector::{Fps, Random};
+        let points = sample();
+        let truth = matrix(&random_transform(&mut ChaCha8Rng::seed_from_u64(1)));
+        let (source, target) = (&points[..2048], transform_points(&truth, &points[2048..]));
+        for detector in [Fps, Random] {
+            let found = run(source, &target, &RegisterOptions { detector, ..options() }).unwrap();
+            assert!(difference(source, &found.t_target_source, &truth) < 0.05, "{detector:?}: {found:?}");
+        }
+        // The same cloud twice: most of its random points have no partner.
+        let few = RegisterOptions { detector: Random, max_keypoints: 200, ..options() };
+        let twice = run(source, source, &few).unwrap();
+        assert!(twice.num_correspondences < 150, "{twice:?}");
+        assert_ne!(
+            twice,
+            Registration {
+                seconds: twice.seconds,
+                ..run(source, source, &RegisterOptions { seed: 5, ..few }).unwrap()
+            }
+        );
     }
 
     #[test]

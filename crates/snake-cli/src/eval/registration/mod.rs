@@ -1,0 +1,220 @@
+//! The figures of the 3DMatch benchmark, for every detector and descriptor.
+
+mod report;
+mod scenes;
+
+use std::collections::HashMap;
+use std::collections::hash_map::Entry;
+use std::path::PathBuf;
+
+use anyhow::{Context, Result, bail};
+use serde::{Deserialize, Serialize};
+use serde_json::{Value, json};
+use snake_core::metrics::{information_matrix, inlier_ratio, overlap, squared_registration_error};
+use snake_core::registration::{Descriptor, KeypointDetector, RansacOptions, Scan, mutual_nearest, ransac};
+use snake_core::{Model, Point, io};
+
+use super::record::Record;
+use super::{evenly_spaced, set_threads};
+use crate::args::RegistrationArguments;
+use crate::model;
+use report::Report;
+use scenes::{ScenePair, Scenes};
+
+/// What the benchmark fixes, in metres: clouds are reduced to voxels of this size,
+const VOXEL_SIZE: f64 = 0.03;
+/// correspondences are right within this distance,
+const INLIER_DISTANCE: f64 = 0.1;
+/// a pair matches if more than this share of them is right,
+const INLIER_RATIO: f64 = 0.05;
+/// RANSAC counts those nearer than this,
+const RANSAC_DISTANCE: f64 = 0.05;
+/// takes at most this many samples,
+const RANSAC_SAMPLES: usize = 50_000;
+/// and a pair is registered up to this RMSE.
+const RMSE: f64 = 0.2;
+/// Where there is no gt.info, points overlap that are nearer than this.
+const OVERLAP_DISTANCE: f64 = 0.05;
+
+/// Evaluates every pair that is not yet recorded, then reports.
+pub fn registration(arguments: &RegistrationArguments) -> Result<()> {
+    set_threads(arguments.threads)?;
+    let scenes = Scenes::open(&arguments.data)?;
+    let model = model::load(arguments.model.as_deref())?;
+    let plan = Plan::new(arguments, &model)?;
+    let chosen = evenly_spaced(scenes.pairs.len(), arguments.limit)?;
+    let settings = plan.settings(arguments);
+    let mut record = Record::open(arguments.output.as_deref(), "registration", &settings, chosen.len())?;
+    let mut clouds = Clouds::default();
+    let rows = |pair| {
+        let pair: &ScenePair = &scenes.pairs[pair];
+        let [source, target] = clouds.of(pair, &scenes.clouds, &plan)?;
+        plan.rows(pair, source, target)
+    };
+    record.fill(&chosen, |pair| scenes.name(pair), rows)?;
+    let pairs: Vec<&ScenePair> = chosen.iter().map(|&pair| &scenes.pairs[pair]).collect();
+    let report = Report::new(&plan, &settings, &pairs, record.pairs())?;
+    if let Some(output) = &arguments.output {
+        report.write(output)?;
+    }
+    crate::print(&report.text())
+}
+
+/// What is measured.
+struct Plan<'a> {
+    model: &'a Model,
+    detectors: &'a [KeypointDetector],
+    descriptors: &'a [Descriptor],
+    keypoints: &'a [usize],
+    seed: u64,
+}
+
+/// The figures of one detector, descriptor and number of keypoints on one pair.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+struct Row {
+    /// Keypoints that there were, mean of both clouds.
+    found: f64,
+    correspondences: usize,
+    inlier_ratio: f64,
+    /// In square metres; `None` if no transform was found.
+    squared_error: Option<f64>,
+}
+
+impl<'a> Plan<'a> {
+    fn new(arguments: &'a RegistrationArguments, model: &'a Model) -> Result<Self> {
+        let RegistrationArguments { detectors, descriptors, keypoints, seed, .. } = arguments;
+        if keypoints.contains(&0) {
+            bail!("--keypoints must be 1 or more");
+        }
+        Ok(Self { model, detectors, descriptors, keypoints, seed: *seed })
+    }
+
+    /// Everything that the figures depend on, but for the data's content.
+    fn settings(&self, arguments: &RegistrationArguments) -> Value {
+        json!({
+            "metric": "registration",
+            "data": arguments.data,
+            "limit": arguments.limit,
+            "detectors": self.detectors,
+            "descriptors": self.descriptors,
+            "keypoints": self.keypoints,
+            "model": self.model.metadata(),
+            "voxel_size": VOXEL_SIZE,
+            "inlier_distance": INLIER_DISTANCE,
+            "inlier_ratio": INLIER_RATIO,
+            "overlap_distance": OVERLAP_DISTANCE,
+            "ransac": self.ransac(),
+            "rmse": RMSE,
+        })
+    }
+
+    fn ransac(&self) -> RansacOptions {
+        let (inlier_distance, max_iterations) = (RANSAC_DISTANCE, RANSAC_SAMPLES);
+        RansacOptions { inlier_distance, max_iterations, seed: self.seed, ..RansacOptions::default() }
+    }
+
+    /// Detector, descriptor and number of keypoints of each row of a pair.
+    fn cases(&self) -> Vec<(KeypointDetector, Descriptor, usize)> {
+        let mut cases = Vec::new();
+        for &detector in self.detectors {
+            for &descriptor in self.descriptors {
+                cases.extend(self.keypoints.iter().map(|&keypoints| (detector, descriptor, keypoints)));
+            }
+        }
+        cases
+    }
+
+    /// Reads a cloud, and describes as many keypoints of each detector as are needed.
+    fn cloud(&self, files: &[PathBuf], index: usize) -> Result<Cloud> {
+        let points = io::read_points(&files[index])?;
+        let scan = Scan::new(&points, self.model, VOXEL_SIZE)?;
+        let most = self.keypoints.iter().copied().max().unwrap_or_default();
+        // Random keypoints of two clouds have nothing to do with each other.
+        let seed = self.seed.wrapping_add(index as u64);
+        let mut features = Vec::new();
+        for &detector in self.detectors {
+            let keypoints = scan.keypoints(detector, most, seed)?;
+            for &descriptor in self.descriptors {
+                let (keypoints, dimension) = (keypoints.clone(), scan.dimension(descriptor));
+                let descriptors = scan.descriptors(&keypoints, descriptor)?;
+                features.push(Features { keypoints, descriptors, dimension });
+            }
+        }
+        Ok(Cloud { points, features })
+    }
+
+    /// The figures of one pair: a row for each case.
+    fn rows(&self, pair: &ScenePair, source: &Cloud, target: &Cloud) -> Result<Vec<Row>> {
+        let truth = &pair.t_target_source;
+        let information = match pair.information {
+            Some(information) => information,
+            None => information_matrix(&overlap(&source.points, &target.points, truth, OVERLAP_DISTANCE)?)
+                .context("the clouds do not overlap under the given transform")?,
+        };
+        let mut rows = Vec::new();
+        for (source, target) in source.features.iter().zip(&target.features) {
+            for &count in self.keypoints {
+                let [(source_points, source_rows), (target_points, target_rows)] =
+                    [source.best(count), target.best(count)];
+                let matches = mutual_nearest(source_rows, target_rows, source.dimension)?;
+                let from: Vec<Point> = matches.iter().map(|&[row, _]| source_points[row]).collect();
+                let to: Vec<Point> = matches.iter().map(|&[_, row]| target_points[row]).collect();
+                let found = ransac(&from, &to, &self.ransac())?;
+                let squared_error =
+                    found.map(|found| squared_registration_error(truth, &found.t_target_source, &information));
+                rows.push(Row {
+                    found: (source_points.len() + target_points.len()) as f64 / 2.0,
+                    correspondences: matches.len(),
+                    inlier_ratio: inlier_ratio(&from, &to, truth, INLIER_DISTANCE)?,
+                    squared_error: squared_error.transpose()?,
+                });
+            }
+        }
+        Ok(rows)
+    }
+}
+
+/// A cloud with its keypoints by each detector and descriptor.
+struct Cloud {
+    points: Vec<Point>,
+    features: Vec<Features>,
+}
+
+/// Keypoints, the best first, with a row of `dimension` numbers each.
+struct Features {
+    keypoints: Vec<Point>,
+    descriptors: Vec<f32>,
+    dimension: usize,
+}
+
+impl Features {
+    /// The first `count`, or all.
+    fn best(&self, count: usize) -> (&[Point], &[f32]) {
+        let count = count.min(self.keypoints.len());
+        (&self.keypoints[..count], &self.descriptors[..count * self.dimension])
+    }
+}
+
+/// The clouds of the scene at hand.
+#[derive(Default)]
+struct Clouds {
+    scene: String,
+    described: HashMap<usize, Cloud>,
+}
+
+impl Clouds {
+    /// Source and target of a pair.
+    fn of(&mut self, pair: &ScenePair, files: &[PathBuf], plan: &Plan) -> Result<[&Cloud; 2]> {
+        if self.scene != pair.scene {
+            self.scene.clone_from(&pair.scene);
+            self.described.clear();
+        }
+        for index in [pair.source, pair.target] {
+            if let Entry::Vacant(vacant) = self.described.entry(index) {
+                let cloud = plan.cloud(files, index).with_context(|| files[index].display().to_string())?;
+                vacant.insert(cloud);
+            }
+        }
+        Ok([&self.described[&pair.source], &self.described[&pair.target]])
+    }
+}

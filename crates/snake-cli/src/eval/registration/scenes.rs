@@ -1,0 +1,177 @@
+//! Scene fragments with known transforms: `pairs.json`, or the layout of the 3DMatch benchmark.
+
+use std::path::{Path, PathBuf};
+
+use anyhow::{Context, Result, bail};
+use snake_core::Transform;
+
+use super::super::views::{Data, PairEntry, find_cloud};
+
+/// Fragments and the pairs of them that overlap.
+pub struct Scenes {
+    pub clouds: Vec<PathBuf>,
+    pub pairs: Vec<ScenePair>,
+}
+
+/// Two fragments of a scene.
+pub struct ScenePair {
+    pub scene: String,
+    /// Indices of the clouds.
+    pub source: usize,
+    pub target: usize,
+    /// Numbers of the fragments within their scene; far apart where they have none.
+    pub fragments: [usize; 2],
+    pub t_target_source: Transform,
+    /// As in `gt.info`; `None` where it is to be computed from the overlap.
+    pub information: Option<[[f64; 6]; 6]>,
+}
+
+impl Scenes {
+    /// Recognises a folder with a `pairs.json`, a scene and a folder of scenes.
+    pub fn open(folder: &Path) -> Result<Self> {
+        let mut scenes = Self { clouds: Vec::new(), pairs: Vec::new() };
+        if folder.join("pairs.json").exists() {
+            if let Data::Pairs { folder, pairs } = Data::open(&[folder.to_path_buf()])? {
+                pairs.into_iter().try_for_each(|pair| scenes.add_entry(&folder, pair))?;
+            }
+            return Ok(scenes);
+        }
+        if let Some(truth) = ground_truth(folder) {
+            scenes.add_scene(folder, &truth)?;
+        } else {
+            let listed = || format!("cannot list {}", folder.display());
+            let entries =
+                folder.read_dir().with_context(listed)?.collect::<Result<Vec<_>, _>>().with_context(listed)?;
+            let mut inner: Vec<PathBuf> = entries.into_iter().map(|entry| entry.path()).collect();
+            inner.sort();
+            inner.retain(|path| path.is_dir() && !name(path).ends_with(EVALUATION));
+            for scene in inner {
+                ground_truth(&scene).map_or(Ok(()), |truth| scenes.add_scene(&scene, &truth))?;
+            }
+        }
+        if scenes.pairs.is_empty() {
+            bail!("{}: no pairs (looked for pairs.json, gt.log, and folders with gt.log)", folder.display());
+        }
+        Ok(scenes)
+    }
+
+    fn add_entry(&mut self, folder: &Path, entry: PairEntry) -> Result<()> {
+        let PairEntry { source, target, t_target_source } = entry;
+        let (scene, fragments) = match (fragment(&source), fragment(&target)) {
+            (Some((first, i)), Some((second, j))) if first == second => (first.to_owned(), [i, j]),
+            _ => (name(folder), [0, usize::MAX]),
+        };
+        let (source, target) = (self.cloud(find_cloud(folder, &source)?), self.cloud(find_cloud(folder, &target)?));
+        self.pairs.push(ScenePair { scene, source, target, fragments, t_target_source, information: None });
+        Ok(())
+    }
+
+    /// Takes the pairs of `gt.log`: `i j n` with the transform from fragment j to fragment i.
+    fn add_scene(&mut self, folder: &Path, truth: &Path) -> Result<()> {
+        let transforms = entries::<4>(&truth.join("gt.log"))?;
+        let information = entries::<6>(&truth.join("gt.info"))?;
+        for (fragments, t_target_source) in transforms {
+            let [target, source] = fragments;
+            let Some((_, information)) = information.iter().find(|(same, _)| *same == fragments) else {
+                bail!("{}: nothing on the pair {target} {source} of gt.log", truth.join("gt.info").display());
+            };
+            let mut cloud = |i| Ok::<_, anyhow::Error>(self.cloud(find_cloud(folder, &format!("cloud_bin_{i}"))?));
+            let (source, target) = (cloud(source)?, cloud(target)?);
+            let (scene, information) = (name(folder), Some(*information));
+            self.pairs.push(ScenePair { scene, source, target, fragments, t_target_source, information });
+        }
+        Ok(())
+    }
+
+    /// The index of a cloud.
+    fn cloud(&mut self, path: PathBuf) -> usize {
+        self.clouds.iter().position(|known| *known == path).unwrap_or_else(|| {
+            self.clouds.push(path);
+            self.clouds.len() - 1
+        })
+    }
+
+    /// What a pair is called.
+    pub fn name(&self, pair: usize) -> String {
+        let ScenePair { source, target, .. } = self.pairs[pair];
+        format!("{} to {}", self.clouds[source].display(), self.clouds[target].display())
+    }
+}
+
+/// What the benchmark adds to a scene's name for the folder of its ground truth.
+const EVALUATION: &str = "-evaluation";
+
+/// The folder that holds a scene's `gt.log`.
+fn ground_truth(scene: &Path) -> Option<PathBuf> {
+    let beside = scene.with_file_name(name(scene) + EVALUATION);
+    [scene.to_path_buf(), beside].into_iter().find(|folder| folder.join("gt.log").is_file())
+}
+
+fn name(path: &Path) -> String {
+    path.file_name().unwrap_or_default().to_string_lossy().into_owned()
+}
+
+/// Scene and number of a fragment called `SCENE_7` or `SCENE_7.ply`.
+fn fragment(cloud: &str) -> Option<(&str, usize)> {
+    let cloud = Path::new(cloud).file_stem()?.to_str()?;
+    let scene = cloud.trim_end_matches(|c: char| c.is_ascii_digit());
+    Some((scene.trim_end_matches(['_', '-']), cloud[scene.len()..].parse().ok()?))
+}
+
+/// Two fragments' numbers and a matrix of N rows.
+type Entry<const N: usize> = ([usize; 2], [[f64; N]; N]);
+
+/// Entries of a `.log` or `.info` file, with a third number between fragments and matrix.
+fn entries<const N: usize>(path: &Path) -> Result<Vec<Entry<N>>> {
+    let text = std::fs::read_to_string(path).with_context(|| format!("cannot read {}", path.display()))?;
+    let words: Vec<&str> = text.split_whitespace().collect();
+    let mut entries = Vec::new();
+    for entry in words.chunks(3 + N * N) {
+        if entry.len() < 3 + N * N {
+            bail!("{}: ends within an entry", path.display());
+        }
+        let wrong = |word: &str| format!("{}: entry {}: `{word:.20}` is wrong", path.display(), entries.len());
+        let mut fragments = [0; 2];
+        for (fragment, word) in fragments.iter_mut().zip(entry) {
+            *fragment = word.parse().with_context(|| wrong(word))?;
+        }
+        let mut matrix = [[0.0; N]; N];
+        for (value, word) in matrix.as_flattened_mut().iter_mut().zip(&entry[3..]) {
+            *value = word.parse().with_context(|| wrong(word))?;
+        }
+        entries.push((fragments, matrix));
+    }
+    Ok(entries)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn fragments_are_called_by_scene_and_number() {
+        assert_eq!(fragment("hotel-uc__07"), Some(("hotel-uc", 7)));
+        assert_eq!(fragment("a/cloud_bin_12.ply"), Some(("cloud_bin", 12)));
+        assert_eq!(fragment("bunny.ply"), None);
+        assert_eq!(fragment("99999999999999999999999"), None);
+    }
+
+    #[test]
+    fn broken_entries_are_named() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("gt.log");
+        let read = |text: &str| {
+            std::fs::write(&path, text).unwrap();
+            entries::<1>(&path)
+        };
+        assert_eq!(read("0 2 9\n 0.5\n1\t3 9\n-1e0\n").unwrap(), [([0, 2], [[0.5]]), ([1, 3], [[-1.0]])]);
+        assert!(read("").unwrap().is_empty());
+        for (text, message) in [
+            ("0 2 9\n 0.5\n1 3 9", "ends within an entry"),
+            ("0 2 9 0.5 -1 3 9 1", "entry 1: `-1` is wrong"),
+            ("0 2 9 x", "entry 0: `x` is wrong"),
+        ] {
+            assert!(read(text).unwrap_err().to_string().ends_with(message), "{text}");
+        }
+    }
+}

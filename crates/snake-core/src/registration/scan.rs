@@ -1,0 +1,199 @@
+//! A cloud made ready to be matched: reduced, encoded, with keypoints of any detector and descriptors of any kind.
+
+use std::num::NonZeroUsize;
+use std::sync::OnceLock;
+
+use serde::{Deserialize, Serialize};
+
+use super::cloud::{check_radius, normals, voxel_means};
+use super::fpfh::{self, FPFH_DIMENSION};
+use crate::Result;
+use crate::baselines::{Detector, Harris3dOptions, IssOptions, Protocol, Sift3dOptions};
+use crate::detect::{DetectOptions, Preset, detect};
+use crate::field::{EncodeOptions, Field};
+use crate::model::Model;
+use crate::neighbors::{Neighbors, Vector, vector};
+use crate::points::{NormalizationMethod, Point, check_points};
+
+/// What keypoints are found by: the model, or a classical detector of [`baselines`](crate::baselines) with its default
+/// options, which picks among the points of the reduced cloud.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum KeypointDetector {
+    /// The most salient points of the field, farther apart than the voxels.
+    #[default]
+    Snake,
+    /// Intrinsic shape signatures.
+    Iss,
+    /// Harris' corners of the normals.
+    Harris3d,
+    /// Extrema of differences of Gaussians of the curvature.
+    Sift3d,
+    /// Farthest-point sampling.
+    Fps,
+    /// Random points.
+    Random,
+}
+
+/// What keypoints are matched by.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Descriptor {
+    /// FPFH of the down-sampled cloud at the point nearest to the keypoint: turns with the cloud.
+    #[default]
+    Fpfh,
+    /// The field's own features. Nothing makes them independent of the cloud's rotation, and the built-in model has
+    /// learnt that only in part.
+    Field,
+}
+
+/// A cloud made ready to be matched. What takes long is done once for all detectors and descriptors.
+pub struct Scan {
+    pub(super) voxels: Neighbors,
+    pub(super) normals: Vec<Vector>,
+    voxel_size: f64,
+    feature_radius: f64,
+    field: Field,
+    fpfh: OnceLock<Vec<f32>>,
+}
+
+impl Scan {
+    /// Reduces a cloud to voxels of side `voxel_size` (cloud units), with normals of radius 2 and FPFH of radius 7 of
+    /// these, and encodes it.
+    ///
+    /// # Errors
+    /// [`Error::Input`](crate::Error::Input) for a cloud that is empty, has coordinates that are not finite or no
+    /// extent; [`Error::Option`](crate::Error::Option) when the voxel size is not positive.
+    pub fn new(points: &[Point], model: &Model, voxel_size: f64) -> Result<Self> {
+        check_radius("voxel_size", voxel_size)?;
+        let voxels = reduce("points", points, voxel_size)?;
+        Self::of(points, voxels, model, [voxel_size, 2.0 * voxel_size, 7.0 * voxel_size])
+    }
+
+    /// [`Scan::new`] of a reduced cloud; the lengths are voxel size, radius of normals and radius of FPFH.
+    pub(super) fn of(points: &[Point], voxels: Neighbors, model: &Model, lengths: [f64; 3]) -> Result<Self> {
+        let [voxel_size, normal_radius, feature_radius] = lengths;
+        // Scenes fill the volume better by the cube than by the sphere that suits objects.
+        let normalization = NormalizationMethod::UnitCube;
+        let field = model.encode(points, &EncodeOptions { normalization, ..model.recommended().encode })?;
+        let normals = normals(&voxels, normal_radius);
+        Ok(Self { voxels, normals, voxel_size, feature_radius, field, fpfh: OnceLock::new() })
+    }
+
+    /// At most `count` keypoints, the best first. Only random points depend on the seed.
+    ///
+    /// # Errors
+    /// [`Error::Input`](crate::Error::Input) when a classical detector finds a single voxel;
+    /// [`Error::Option`](crate::Error::Option) when it is asked for none.
+    pub fn keypoints(&self, detector: KeypointDetector, count: usize, seed: u64) -> Result<Vec<Point>> {
+        let classical = match detector {
+            KeypointDetector::Snake => return self.salient_points(count),
+            KeypointDetector::Iss => Detector::Iss(IssOptions::default()),
+            KeypointDetector::Harris3d => Detector::Harris3d(Harris3dOptions::default()),
+            KeypointDetector::Sift3d => Detector::Sift3d(Sift3dOptions::default()),
+            KeypointDetector::Fps => Detector::FarthestPoint,
+            KeypointDetector::Random => Detector::Random,
+        };
+        let voxels: Vec<Point> = self.voxels.points.iter().map(|point| point.map(|v| v as f32).into()).collect();
+        let found = classical.keypoints(&voxels, count, Protocol::Ranked, seed)?;
+        Ok(found.into_iter().map(|response| voxels[response.index]).collect())
+    }
+
+    fn salient_points(&self, most: usize) -> Result<Vec<Point>> {
+        let Preset { detect: options, .. } = *self.field.model().recommended();
+        let nms_radius = self.voxel_size as f32;
+        let options = DetectOptions { saliency_threshold: 0.0, nms_radius, max_keypoints: most, ..options };
+        Ok(detect(&self.field, &options)?.keypoints.into_iter().map(|keypoint| keypoint.position).collect())
+    }
+
+    /// Descriptors `(N, dimension)` of points `(N, 3)` in the cloud's frame, flat; see [`Scan::dimension`].
+    ///
+    /// # Errors
+    /// [`Error::Input`](crate::Error::Input) for coordinates that are not finite.
+    pub fn descriptors(&self, points: &[Point], descriptor: Descriptor) -> Result<Vec<f32>> {
+        match descriptor {
+            Descriptor::Fpfh => self.fpfh_at(points),
+            Descriptor::Field => self.field.descriptors(points),
+        }
+    }
+
+    /// Numbers per descriptor.
+    pub fn dimension(&self, descriptor: Descriptor) -> usize {
+        match descriptor {
+            Descriptor::Fpfh => FPFH_DIMENSION,
+            Descriptor::Field => self.field.model().config().c_dim,
+        }
+    }
+
+    /// FPFH of the voxels nearest to the points.
+    fn fpfh_at(&self, points: &[Point]) -> Result<Vec<f32>> {
+        if !points.is_empty() {
+            check_points("points", points)?;
+        }
+        let of_voxels = self.fpfh.get_or_init(|| fpfh::descriptors(&self.voxels, &self.normals, self.feature_radius));
+        let nearest = |&point: &Point| self.voxels.nearest(&vector(point), NonZeroUsize::MIN)[0].0;
+        let rows = points.iter().map(|point| &of_voxels[nearest(point) * FPFH_DIMENSION..][..FPFH_DIMENSION]);
+        Ok(rows.flatten().copied().collect())
+    }
+}
+
+/// The cloud's points by voxels.
+pub(super) fn reduce(what: &'static str, points: &[Point], voxel_size: f64) -> Result<Neighbors> {
+    check_points(what, points)?;
+    Neighbors::new(voxel_means(points, voxel_size))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use KeypointDetector::{Fps, Harris3d, Iss, Random, Sift3d, Snake};
+
+    fn sample() -> Vec<Point> {
+        crate::io::read_points(concat!(env!("CARGO_MANIFEST_DIR"), "/../../samples/plane.ply").as_ref()).unwrap()
+    }
+
+    #[test]
+    fn every_detector_has_keypoints_of_its_own_on_the_cloud_best_first() {
+        let scan = Scan::new(&sample(), &Model::builtin().unwrap(), 0.02).unwrap();
+        let mut earlier: Vec<Vec<Point>> = Vec::new();
+        for detector in [Snake, Iss, Harris3d, Sift3d, Fps, Random] {
+            let keypoints = |count, seed| scan.keypoints(detector, count, seed).unwrap();
+            let found = keypoints(100, 0);
+            assert!((5..=100).contains(&found.len()), "{detector:?}: {}", found.len());
+            assert_eq!(keypoints(5, 0), found[..5], "{detector:?}");
+            assert_eq!(keypoints(100, 1) == found, detector != Random, "{detector:?}");
+            assert!(found.iter().all(|&point| scan.voxels.distance(&vector(point)) < 0.1), "{detector:?}");
+            assert!(!earlier.contains(&found), "{detector:?}");
+            earlier.push(found);
+        }
+        let error = scan.keypoints(Iss, 0, 0).unwrap_err().to_string();
+        assert!(error.contains("count"), "{error}");
+    }
+
+    #[test]
+    fn descriptors_are_rows_of_the_voxel_nearest_to_each_point() {
+        let scan = Scan::new(&sample(), &Model::builtin().unwrap(), 0.05).unwrap();
+        let voxels: Vec<Point> = scan.voxels.points.iter().map(|point| point.map(|v| v as f32).into()).collect();
+        for descriptor in [Descriptor::Fpfh, Descriptor::Field] {
+            let all = scan.descriptors(&voxels, descriptor).unwrap();
+            let dimension = scan.dimension(descriptor);
+            assert_eq!(all.len(), voxels.len() * dimension);
+            assert_eq!(scan.descriptors(&voxels[7..9], descriptor).unwrap(), all[7 * dimension..9 * dimension]);
+            assert!(scan.descriptors(&[[f32::NAN; 3]], descriptor).is_err());
+            assert!(scan.descriptors(&[], descriptor).unwrap().is_empty());
+        }
+        let beside = voxels[3].map(|v| v + 1e-4);
+        let fpfh = |points: &[Point]| scan.descriptors(points, Descriptor::Fpfh).unwrap();
+        assert_eq!(fpfh(&[beside]), fpfh(&voxels[3..4]));
+    }
+
+    #[test]
+    fn clouds_and_sizes_that_cannot_be_used_are_refused() {
+        let model = Model::builtin().unwrap();
+        let scan = |points: &[Point], size| Scan::new(points, &model, size).err().unwrap().to_string();
+        assert!(scan(&[], 0.1).contains("no points"));
+        assert!(scan(&[[0.0; 3], [f32::NAN; 3]], 0.1).contains("finite"));
+        assert!(scan(&[[1.0; 3]; 4], 0.1).contains("two different"));
+        assert!(scan(&sample(), 0.0).contains("voxel_size"));
+    }
+}
