@@ -310,17 +310,23 @@ fn the_model_command_shows_shape_and_metadata() {
     assert!(text.contains("343874 parameters") && text.contains("32 x 32 x 32") && text.contains("digest"), "{text}");
 }
 
+/// Writes an array of f32 as NumPy would.
+fn write_npy(path: &Path, shape: &[usize], values: &[f32]) {
+    let shape: String = shape.iter().map(|length| format!("{length}, ")).collect();
+    let header = format!("{{'descr': '<f4', 'fortran_order': False, 'shape': ({shape}), }}\n");
+    let mut bytes = b"\x93NUMPY\x01\x00".to_vec();
+    bytes.extend((header.len() as u16).to_le_bytes());
+    bytes.extend(header.as_bytes());
+    bytes.extend(values.iter().flat_map(|v| v.to_le_bytes()));
+    std::fs::create_dir_all(path.parent().unwrap()).unwrap();
+    std::fs::write(path, bytes).unwrap();
+}
+
 /// A folder in the corpus format: `number` copies of the sample, each of `size` of its points.
 fn corpus(number: usize, size: usize) -> TempDir {
     let folder = tempfile::tempdir().unwrap();
     let points = snake_core::io::read_points(Path::new(&sample())).unwrap();
-    let header = format!("{{'descr': '<f4', 'fortran_order': False, 'shape': ({number}, {size}, 3), }}\n");
-    let mut bytes = b"\x93NUMPY\x01\x00".to_vec();
-    bytes.extend((header.len() as u16).to_le_bytes());
-    bytes.extend(header.as_bytes());
-    let values = points[..number * size].as_flattened().iter();
-    bytes.extend(values.flat_map(|v| v.to_le_bytes()));
-    std::fs::write(folder.path().join("points.npy"), bytes).unwrap();
+    write_npy(&folder.path().join("points.npy"), &[number, size, 3], points[..number * size].as_flattened());
     let index: Vec<_> = (0..number).map(|i| serde_json::json!({"name": format!("part {i}"), "faces": 1})).collect();
     std::fs::write(folder.path().join("index.json"), serde_json::to_string(&index).unwrap()).unwrap();
     folder
@@ -393,6 +399,62 @@ fn real_pairs_are_evaluated_in_their_units() {
     // All points of both views, so the same keypoints, but for the rounding of the shifted coordinates.
     let shares = csv.lines().skip(1).map(|line| line.split(',').nth(4).unwrap().parse::<f64>().unwrap());
     assert!(shares.clone().count() == 2 && shares.clone().all(|share| share > 0.9), "{csv}");
+}
+
+/// The points of the sample in a frame of their own: turned by a quarter about z, moved by (3, 0, -1), with the 3x4
+/// transform that takes them back.
+fn turned_view() -> (Vec<[f32; 3]>, [f32; 12]) {
+    let points = snake_core::io::read_points(Path::new(&sample())).unwrap();
+    let turned = points.iter().map(|p| [3.0 - p[1], p[0], p[2] - 1.0]).collect();
+    (turned, [0.0, 1.0, 0.0, 0.0, -1.0, 0.0, 0.0, 3.0, 0.0, 0.0, 1.0, 1.0])
+}
+
+#[test]
+fn usips_layouts_are_pairs_with_their_transforms() {
+    let folder = tempfile::tempdir().unwrap();
+    let points = snake_core::io::read_points(Path::new(&sample())).unwrap();
+    let (turned, back) = turned_view();
+    let shape = [points.len(), 3];
+    let (modelnet, redwood) = (folder.path().join("modelnet"), folder.path().join("redwood"));
+    for i in 0..2 {
+        write_npy(&modelnet.join(format!("original/{i}.npy")), &shape, points.as_flattened());
+        write_npy(&modelnet.join(format!("rotated/{i}.npy")), &shape, turned.as_flattened());
+    }
+    write_npy(&redwood.join("office1/4.npy"), &shape, points.as_flattened());
+    write_npy(&redwood.join("office1/5.npy"), &shape, turned.as_flattened());
+    std::fs::write(redwood.join("redwood_pair.txt"), "office1 4 5\noffice1 5 4\n").unwrap();
+    // The second pair's transform is wrong: nothing may be found again there.
+    let mut two = [back, back].concat();
+    two[15] += 100.0;
+    for data in [&modelnet, &redwood] {
+        write_npy(&data.join("transform.npy"), &[2, 3, 4], &two);
+        let output = folder.path().join("results");
+        let all = ["--methods", "fps", "--num-points", "99999", "--downsample", "1", "--noise", "0", "--paper", "-o"];
+        let (data, out) = (data.display().to_string(), output.display().to_string());
+        let found = snake(&[&["eval", "repeatability", &data], &all[..], &[&out]].concat());
+        assert!(found.status.success(), "{}", stderr(&found));
+        let record = std::fs::read_to_string(output.join("repeatability.jsonl")).unwrap();
+        let pairs: Vec<Value> = record.lines().skip(1).map(|line| serde_json::from_str(line).unwrap()).collect();
+        let share = |pair: usize| pairs[pair]["rows"][0]["repeatability"][7].as_f64().unwrap();
+        assert!(share(0) > 0.9 && share(1) == 0.0, "{record}");
+        std::fs::remove_dir_all(&output).unwrap();
+        let (epsilon, paper) = if data.ends_with("modelnet") { ("ε 0.04", "0.864") } else { ("ε 0.2", "0.393") };
+        let text = String::from_utf8_lossy(&found.stdout);
+        assert!(text.contains(epsilon) && text.contains(paper), "{text}");
+    }
+    let refused = |message: &str| {
+        let output = eval(&redwood, &[]);
+        assert_eq!(output.status.code(), Some(2));
+        assert!(stderr(&output).contains(message), "{}", stderr(&output));
+    };
+    write_npy(&redwood.join("transform.npy"), &[1, 3, 4], &back);
+    refused("2 pairs in redwood_pair.txt, but 1 transforms");
+    std::fs::write(redwood.join("redwood_pair.txt"), "office1 4\n").unwrap();
+    refused("expected a scene and two numbers, found `office1 4`");
+    std::fs::write(redwood.join("redwood_pair.txt"), "office1 4 6\n").unwrap();
+    refused("6.npy: no such cloud");
+    write_npy(&redwood.join("transform.npy"), &[3, 4], &back);
+    refused("needed is (S, 3, 4)");
 }
 
 #[test]

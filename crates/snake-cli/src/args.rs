@@ -54,17 +54,25 @@ pub enum Command {
 pub enum Eval {
     /// Relative repeatability: the share of keypoints that a second view finds again.
     ///
-    /// DATA is a folder of objects (points.npy of shape (S, N, 3) and index.json, or cloud files), cloud files, or a
-    /// folder with a pairs.json. An object's radius is brought to 1, and its second view is turned at random and sampled
-    /// anew. pairs.json lists real pairs, [{"source": "a.ply", "target": "b.ply", "T": [[..4], ..4]}, ..]: T takes the
-    /// source to the target, and the target is the first view.
+    /// DATA is one of:
+    /// - cloud files, or a folder of them, or a folder with points.npy of shape (S, N, 3) and index.json: objects. An
+    ///   object's radius is brought to 1, and its second view is turned at random and sampled anew.
+    /// - a folder with pairs.json, [{"source": "a.ply", "target": "b.ply", "T": [[..4], ..4]}, ..]: real pairs in metres.
+    ///   T takes the source to the target, and the target is the first view.
+    /// - ModelNet40 as USIP has it: original/0.npy, 1.npy, .. of shape (N, 3) or more columns, rotated/ of the same, and
+    ///   transform.npy of shape (S, 3, 4) or (S, 4, 4): row i takes the rotated object i to the original.
+    /// - Redwood as USIP has it: SCENE/0.npy, 1.npy, .., redwood_pair.txt with lines "SCENE i j" (as in the released
+    ///   code), and transform.npy, a row for each line: it takes cloud j to cloud i. Cloud i is the first view.
     ///
     /// Every method sees the same views: undisturbed, then at each down-sampling, then at each noise. The defaults are
-    /// those of the paper's tables: for ModelNet40 with objects, for Redwood with pairs.
-    #[command(after_help = "Examples:
+    /// those of the paper's tables: for ModelNet40 with objects, for Redwood with rooms.
+    #[command(
+        verbatim_doc_comment,
+        after_help = "Examples:
   snake-cli eval repeatability corpus/objects/val -o results/
   snake-cli eval repeatability my_scans/ --methods snake,iss,random --downsample 1 --noise 0
-  snake-cli eval repeatability scenes/val -o results/ --preset redwood --nms-radius 0.04")]
+  snake-cli eval repeatability scenes/val -o results/ --preset redwood --nms-radius 0.04"
+    )]
     Repeatability(Box<RepeatabilityArguments>),
 }
 
@@ -84,25 +92,25 @@ pub struct RepeatabilityArguments {
     /// tables: a random subset, of Harris 3D without suppression and SIFT 3D on the y coordinate.
     #[arg(long, value_enum, default_value = "ranked")]
     pub protocol: ProtocolName,
-    /// Distances at which a keypoint is found again [default: 0.03 to 0.1, pairs: 0.1 to 0.24].
+    /// Distances at which a keypoint is found again [default: 0.03 to 0.1, rooms: 0.1 to 0.24].
     #[arg(long, value_delimiter = ',')]
     pub epsilon: Option<Vec<f64>>,
-    /// The epsilon of the tables over down-sampling and noise [default: 0.04, pairs: 0.2].
+    /// The epsilon of the tables over down-sampling and noise [default: 0.04, rooms: 0.2].
     #[arg(long)]
     pub table_epsilon: Option<f64>,
     /// Rates of down-sampling.
     #[arg(long, value_delimiter = ',', default_value = "1,2,4,8,16")]
     pub downsample: Vec<usize>,
-    /// Standard deviations of Gaussian noise [default: 0 to 0.12, pairs: 0 to 0.1].
+    /// Standard deviations of Gaussian noise [default: 0 to 0.12, rooms: 0 to 0.1].
     #[arg(long, value_delimiter = ',')]
     pub noise: Option<Vec<f64>>,
     /// Keypoints of each view, the best.
     #[arg(long, default_value_t = 64)]
     pub count: usize,
-    /// Show the paper's figures for its own data sets in the table over epsilon: ModelNet40, pairs: Redwood.
+    /// Show the paper's figures for its own data sets in the table over epsilon: ModelNet40, rooms: Redwood.
     #[arg(long)]
     pub paper: bool,
-    /// Points of each view, drawn at random [default: 5000, pairs: 10240].
+    /// Points of each view, drawn at random [default: 5000, rooms: 10240].
     #[arg(long)]
     pub num_points: Option<usize>,
     /// Evaluate this many pairs, evenly spaced.

@@ -1,5 +1,6 @@
 //! `snake-cli eval`: metrics of keypoints over data sets.
 
+mod data;
 mod methods;
 mod record;
 mod report;
@@ -11,10 +12,11 @@ use serde_json::{Value, json};
 use snake_core::metrics::{mean_distance_to_keypoints, relative_repeatability};
 
 use crate::args::{ProtocolName, RepeatabilityArguments};
+use data::{Data, Scale};
 use methods::Method;
 use record::{Record, Row};
 use report::{PaperRow, Report};
-use views::{Condition, Data, Views};
+use views::{Condition, Views};
 
 /// Evaluates every pair that is not yet recorded, then reports.
 pub fn repeatability(arguments: &RepeatabilityArguments) -> Result<()> {
@@ -37,10 +39,10 @@ pub fn repeatability(arguments: &RepeatabilityArguments) -> Result<()> {
         bar.inc(1);
     }
     bar.finish_and_clear();
-    let paper: &[PaperRow] = match data {
+    let paper: &[PaperRow] = match data.scale {
         _ if !arguments.paper => &[],
-        Data::Objects { .. } => &report::MODELNET40,
-        Data::Pairs { .. } => &report::REDWOOD,
+        Scale::Object => &report::MODELNET40,
+        Scale::Room => &report::REDWOOD,
     };
     let report = Report::new(&plan, &settings, record.pairs(), paper);
     if let Some(output) = &arguments.output {
@@ -64,9 +66,9 @@ impl Plan {
         let hundredths = |range: std::ops::RangeInclusive<u32>, step| {
             range.step_by(step).map(|hundredth| f64::from(hundredth) / 100.0).collect::<Vec<_>>()
         };
-        let (epsilon, table_epsilon, noise, num_points) = match data {
-            Data::Objects { .. } => (hundredths(3..=10, 1), 0.04, hundredths(0..=12, 2), 5000),
-            Data::Pairs { .. } => (hundredths(10..=24, 2), 0.2, hundredths(0..=10, 2), 10_240),
+        let (epsilon, table_epsilon, noise, num_points) = match data.scale {
+            Scale::Object => (hundredths(3..=10, 1), 0.04, hundredths(0..=12, 2), 5000),
+            Scale::Room => (hundredths(10..=24, 2), 0.2, hundredths(0..=10, 2), 10_240),
         };
         let epsilon = arguments.epsilon.clone().unwrap_or(epsilon);
         let noise = arguments.noise.clone().unwrap_or(noise);

@@ -27,7 +27,7 @@ use std::io::{self, BufWriter, Write};
 use std::path::Path;
 
 use crate::detect::Keypoint;
-use crate::points::Point;
+use crate::points::{Point, Transform};
 use crate::registration::Registration;
 use crate::{Error, Result};
 
@@ -73,6 +73,16 @@ pub fn read_points(path: &Path) -> Result<Vec<Point>> {
 pub fn read_clouds(path: &Path) -> Result<Vec<Vec<Point>>> {
     let bytes = std::fs::read(path).map_err(|source| Error::Io { path: path.into(), source })?;
     npy::read_clouds(&bytes).map_err(|reason| Error::Format { path: path.into(), reason })
+}
+
+/// Reads rigid transforms from an `.npy` array of shape `(S, 3, 4)` or `(S, 4, 4)`, floats or integers; a missing fourth
+/// row is 0 0 0 1.
+///
+/// # Errors
+/// [`Error::Io`] when the file cannot be read; [`Error::Format`] when it is no such array.
+pub fn read_transforms(path: &Path) -> Result<Vec<Transform>> {
+    let bytes = std::fs::read(path).map_err(|source| Error::Io { path: path.into(), source })?;
+    npy::read_transforms(&bytes).map_err(|reason| Error::Format { path: path.into(), reason })
 }
 
 /// Writes keypoints; the extension says which format.
