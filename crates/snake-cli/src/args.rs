@@ -54,25 +54,25 @@ pub enum Command {
 pub enum Eval {
     /// Relative repeatability: the share of keypoints that a second view finds again.
     ///
-    /// DATA is one of:
-    /// - cloud files, or a folder of them, or a folder with points.npy of shape (S, N, 3) and index.json: objects. An
-    ///   object's radius is brought to 1, and its second view is turned at random and sampled anew.
-    /// - a folder with pairs.json, [{"source": "a.ply", "target": "b.ply", "T": [[..4], ..4]}, ..]: real pairs in metres.
-    ///   T takes the source to the target, and the target is the first view.
-    /// - ModelNet40 as USIP has it: original/0.npy, 1.npy, .. of shape (N, 3) or more columns, rotated/ of the same, and
-    ///   transform.npy of shape (S, 3, 4) or (S, 4, 4): row i takes the rotated object i to the original.
-    /// - Redwood as USIP has it: SCENE/0.npy, 1.npy, .., redwood_pair.txt with lines "SCENE i j" (as in the released
-    ///   code), and transform.npy, a row for each line: it takes cloud j to cloud i. Cloud i is the first view.
+    /// DATA is objects or pairs of clouds. Objects are cloud files, a folder of them, or a folder with points.npy of shape
+    /// (S, N, 3) and index.json. An object's radius is brought to 1, and its second view is turned at random and sampled
+    /// anew. Pairs are a folder of one of these layouts:
+    ///
+    /// pairs.json: [{"source": "a.ply", "target": "b.ply", "T": [[..4], ..4]}, ..], in metres. T takes the source to the
+    /// target, and the target is the first view.
+    ///
+    /// ModelNet40 as USIP has it: original/0.npy, 1.npy, .. of shape (N, 3) or more columns, rotated/ the same, and
+    /// transform.npy of shape (S, 3, 4) or (S, 4, 4), whose row i takes the rotated object i to the original.
+    ///
+    /// Redwood as USIP has it: SCENE/0.npy, 1.npy, .., redwood_pair.txt of the released code with lines "SCENE i j", and
+    /// transform.npy with a row for each line, which takes cloud j to cloud i, the first view.
     ///
     /// Every method sees the same views: undisturbed, then at each down-sampling, then at each noise. The defaults are
     /// those of the paper's tables: for ModelNet40 with objects, for Redwood with rooms.
-    #[command(
-        verbatim_doc_comment,
-        after_help = "Examples:
+    #[command(after_help = "Examples:
   snake-cli eval repeatability corpus/objects/val -o results/
   snake-cli eval repeatability my_scans/ --methods snake,iss,random --downsample 1 --noise 0
-  snake-cli eval repeatability scenes/val -o results/ --preset redwood --nms-radius 0.04"
-    )]
+  snake-cli eval repeatability scenes/val -o results/ --preset redwood --nms-radius 0.04")]
     Repeatability(Box<RepeatabilityArguments>),
 }
 
@@ -151,7 +151,7 @@ pub enum Format {
 
 #[derive(Args)]
 pub struct DetectArguments {
-    /// Point clouds (.ply, .xyz, .txt, .csv, .pts, .npy), or directories of them.
+    /// Point clouds (.ply, .pcd, .xyz, .txt, .csv, .pts, .npy), or directories of them.
     #[arg(required = true)]
     pub inputs: Vec<PathBuf>,
     /// Write the keypoints: to this file (.ply, .npy, .csv or .json), or, for several inputs, into this directory
@@ -180,7 +180,7 @@ pub struct DetectArguments {
 
 #[derive(Args)]
 pub struct RegisterArguments {
-    /// The cloud that is moved (.ply, .xyz, .txt, .csv, .pts, .npy).
+    /// The cloud that is moved (.ply, .pcd, .xyz, .txt, .csv, .pts, .npy).
     pub source: PathBuf,
     /// The cloud that it is brought onto, in the same units.
     pub target: PathBuf,

@@ -5,6 +5,7 @@
 //! | extension | clouds | keypoints |
 //! |---|---|---|
 //! | `ply` | ascii or binary, any scalar type | binary, `float x y z saliency occupancy`, `int nearest_index` |
+//! | `pcd` | ascii or binary, any scalar type | |
 //! | `npy` | `(N, C)`, `C >= 3`, floats or integers | `(K, 6)` of `<f8`, columns as in csv |
 //! | `csv` | as `xyz` | `x,y,z,saliency,occupancy,nearest_index` |
 //! | `xyz`, `txt`, `pts` | columns of text | |
@@ -20,6 +21,7 @@
 
 mod json;
 mod npy;
+mod pcd;
 mod ply;
 mod text;
 
@@ -34,7 +36,7 @@ use crate::{Error, Result};
 pub use json::keypoint_json;
 
 /// The extensions that [`read_points`] knows.
-pub const POINT_EXTENSIONS: &[&str] = &["ply", "xyz", "txt", "csv", "pts", "npy"];
+pub const POINT_EXTENSIONS: &[&str] = &["ply", "pcd", "xyz", "txt", "csv", "pts", "npy"];
 
 /// The extensions that [`write_keypoints`] knows.
 pub const KEYPOINT_EXTENSIONS: &[&str] = &["ply", "npy", "csv", "json"];
@@ -149,6 +151,7 @@ pub fn check_registration_path(path: &Path) -> Result<()> {
 fn point_reader(path: &Path) -> Result<PointReader> {
     Ok(match extension(path).as_str() {
         "ply" => ply::read,
+        "pcd" => pcd::read,
         "npy" => npy::read,
         "pts" => text::read_counted,
         "xyz" | "txt" | "csv" => text::read,
@@ -327,7 +330,7 @@ mod tests {
     fn unknown_extensions_are_refused_with_the_list() {
         for name in ["a.las", "a", "", ".ply"] {
             let error = read_points(Path::new(name)).unwrap_err().to_string();
-            assert!(error.contains(".ply, .xyz"), "{error}");
+            assert!(error.contains(".ply, .pcd"), "{error}");
             assert!(check_keypoint_path(Path::new(name)).unwrap_err().to_string().contains(".json"));
             assert!(check_registration_path(Path::new(name)).unwrap_err().to_string().contains(".txt"));
             assert!(check_cloud_path(Path::new(name)).unwrap_err().to_string().contains(".ply"));

@@ -156,15 +156,17 @@ fn parse_shape(shape: &str) -> Option<(Option<usize>, usize, usize)> {
     (columns >= 3).then_some((clouds, rows, columns))
 }
 
-struct Dtype {
+/// The type of an item; of PCD's too.
+pub(super) struct Dtype {
     kind: u8,
-    size: usize,
+    /// In bytes.
+    pub(super) size: usize,
     big_endian: bool,
 }
 
 impl Dtype {
     /// Parses byte order, kind and size, as in `<f4`.
-    fn parse(descr: &str) -> Option<Self> {
+    pub(super) fn parse(descr: &str) -> Option<Self> {
         let &[order, kind, size] = descr.as_bytes() else { return None };
         let size = usize::from(size.wrapping_sub(b'0'));
         let is_known = matches!((kind, size), (b'f', 4 | 8) | (b'i' | b'u', 1 | 2 | 4 | 8))
@@ -173,7 +175,7 @@ impl Dtype {
     }
 
     /// Decodes an item of `size` bytes.
-    fn decode(&self, item: &[u8]) -> f64 {
+    pub(super) fn decode(&self, item: &[u8]) -> f64 {
         let mut bytes = [0; 8];
         bytes[..self.size].copy_from_slice(item);
         if self.big_endian {
