@@ -5,45 +5,31 @@ use std::io::{Seek, Write};
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result, bail};
+use indicatif::{ProgressBar, ProgressStyle};
+use serde::de::DeserializeOwned;
 use serde::{Deserialize, Serialize};
 use serde_json::{Value, json};
 
-use super::views::Condition;
-
-/// The figures of one method under one condition on one pair.
+/// The figures of one pair, or of one shape.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-pub struct Row {
-    pub method: String,
-    #[serde(flatten)]
-    pub condition: Condition,
-    /// How many keypoints view 1 has.
-    pub keypoints: usize,
-    /// Mean distance of view 1's points to their nearest keypoint; `None` without keypoints.
-    pub coverage: Option<f64>,
-    /// For each epsilon.
-    pub repeatability: Vec<f64>,
-}
-
-/// The figures of one pair.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-pub struct Pair {
+pub struct Pair<Row> {
     pub name: String,
     pub rows: Vec<Row>,
 }
 
-/// The figures of the pairs so far, in order; in `repeatability.jsonl`, the settings on its first line, where there is
-/// an output directory.
-pub struct Record {
+/// The figures of the pairs so far, in order; in `METRIC.jsonl`, the settings on its first line, where there is an output
+/// directory.
+pub struct Record<Row> {
     file: Option<(PathBuf, File)>,
-    pairs: Vec<Pair>,
+    pairs: Vec<Pair<Row>>,
 }
 
-impl Record {
+impl<Row: Serialize + DeserializeOwned> Record<Row> {
     /// Opens the record of an output directory, and takes over what a run with the same settings left there.
-    pub fn open(output: Option<&Path>, settings: &Value, num_pairs: usize) -> Result<Self> {
+    pub fn open(output: Option<&Path>, metric: &str, settings: &Value, num_pairs: usize) -> Result<Self> {
         let Some(output) = output else { return Ok(Self { file: None, pairs: Vec::new() }) };
         std::fs::create_dir_all(output).with_context(|| format!("cannot make the directory {}", output.display()))?;
-        let path = output.join("repeatability.jsonl");
+        let path = output.join(format!("{metric}.jsonl"));
         let header = format!("{}\n", json!({ "settings": settings }));
         let text = if path.exists() { std::fs::read_to_string(&path) } else { Ok(String::new()) };
         let text = text.with_context(|| format!("cannot read {}", path.display()))?;
@@ -53,7 +39,7 @@ impl Record {
             bail!("{} is of a run with other settings; delete it or give another --output", path.display());
         }
         let lines = whole.get(header.len()..).unwrap_or_default().lines();
-        let pairs: Result<Vec<Pair>, _> = lines.map(serde_json::from_str).collect();
+        let pairs: Result<Vec<Pair<Row>>, _> = lines.map(serde_json::from_str).collect();
         let pairs = pairs.with_context(|| format!("{} is damaged; delete it", path.display()))?;
         if pairs.len() > num_pairs {
             bail!("{} has more pairs than the data; delete it or give another --output", path.display());
@@ -73,18 +59,33 @@ impl Record {
         Ok(record)
     }
 
-    /// How many pairs are done.
-    pub fn len(&self) -> usize {
-        self.pairs.len()
+    /// Evaluates those of the chosen pairs that are not yet recorded, and shows how it goes.
+    pub fn fill(
+        &mut self,
+        chosen: &[usize],
+        name: impl Fn(usize) -> String,
+        rows: impl Fn(usize) -> Result<Vec<Row>>,
+    ) -> Result<()> {
+        let bar = ProgressBar::new(chosen.len() as u64).with_position(self.pairs.len() as u64);
+        bar.set_style(ProgressStyle::with_template("{bar:30} {pos}/{len} {msg} (ETA {eta})")?);
+        bar.reset_eta();
+        for &pair in &chosen[self.pairs.len()..] {
+            bar.set_message(name(pair));
+            let rows = rows(pair).with_context(|| name(pair))?;
+            self.append(name(pair), rows)?;
+            bar.inc(1);
+        }
+        bar.finish_and_clear();
+        Ok(())
     }
 
     /// The pairs so far.
-    pub fn pairs(&self) -> &[Pair] {
+    pub fn pairs(&self) -> &[Pair<Row>] {
         &self.pairs
     }
 
     /// Adds the next pair.
-    pub fn append(&mut self, name: String, rows: Vec<Row>) -> Result<()> {
+    fn append(&mut self, name: String, rows: Vec<Row>) -> Result<()> {
         let pair = Pair { name, rows };
         if let Some((path, file)) = &mut self.file {
             let line = serde_json::to_string(&pair)? + "\n";
@@ -99,32 +100,28 @@ impl Record {
 mod tests {
     use super::*;
 
-    fn row(repeatability: f64) -> Row {
-        let condition = Condition { downsample: 1, noise: 0.1 };
-        Row { method: "iss".into(), condition, keypoints: 3, coverage: None, repeatability: vec![repeatability, 1.0] }
-    }
-
     #[test]
     fn a_record_is_taken_over_whole_or_refused() {
         let folder = tempfile::tempdir().unwrap();
         let (settings, other) = (json!({"seed": 0}), json!({"seed": 1}));
-        let open = |settings, number| Record::open(Some(folder.path()), settings, number);
+        let open = |settings, number| Record::open(Some(folder.path()), "metric", settings, number);
         let mut record = open(&settings, 3).unwrap();
-        record.append("a".into(), vec![row(0.1 + 0.2)]).unwrap();
-        record.append("b".into(), vec![row(1.0 / 3.0), row(0.0)]).unwrap();
+        record.append("a".into(), vec![0.1 + 0.2]).unwrap();
+        record.append("b".into(), vec![1.0 / 3.0, 0.0]).unwrap();
         let pairs = record.pairs().to_vec();
         drop(record);
         assert_eq!(open(&settings, 3).unwrap().pairs(), pairs);
         assert!(open(&other, 3).err().unwrap().to_string().contains("other settings"));
         assert!(open(&settings, 1).err().unwrap().to_string().contains("more pairs"));
         // Cut anywhere, the whole lines remain and the file can be gone on with.
-        let path = folder.path().join("repeatability.jsonl");
+        let path = folder.path().join("metric.jsonl");
         let whole = std::fs::read(&path).unwrap();
         for length in 0..whole.len() {
             std::fs::write(&path, &whole[..length]).unwrap();
             let mut record = open(&settings, 3).unwrap();
-            assert_eq!(record.pairs(), &pairs[..record.len()]);
-            for pair in &pairs[record.len()..] {
+            assert_eq!(record.pairs(), &pairs[..record.pairs().len()]);
+            let missing = &pairs[record.pairs().len()..];
+            for pair in missing {
                 record.append(pair.name.clone(), pair.rows.clone()).unwrap();
             }
             assert_eq!(std::fs::read(&path).unwrap(), whole, "{length}");

@@ -1,41 +1,20 @@
-//! Tables of the figures: for people, Markdown, CSV and JSON.
+//! The figures of repeatability: tables, curves, CSV and JSON.
 
-use std::fmt::Write;
 use std::path::Path;
 
-use anyhow::{Context, Result};
+use anyhow::Result;
 use serde_json::{Value, json};
 
-use super::Plan;
-use super::record::{Pair, Row};
+use super::super::paper::PaperRow;
+use super::super::plot::{self, Line, Panel};
+use super::super::record::Pair;
+use super::super::table::{self, Table};
 use super::views::Condition;
+use super::{Plan, Row};
 
-/// A row of the paper's tables: the method, and its figures by epsilon in hundredths.
-pub type PaperRow = (&'static str, [(u32, f64); 8]);
-
-/// SNAKE's table of repeatability on ModelNet40, in units of the objects' radius.
-pub const MODELNET40: [PaperRow; 2] = [
-    (
-        "SNAKE (paper)",
-        [(3, 0.763), (4, 0.864), (5, 0.897), (6, 0.910), (7, 0.917), (8, 0.923), (9, 0.927), (10, 0.930)],
-    ),
-    (
-        "random (paper)",
-        [(3, 0.056), (4, 0.094), (5, 0.140), (6, 0.191), (7, 0.249), (8, 0.308), (9, 0.368), (10, 0.429)],
-    ),
-];
-
-/// Its table on Redwood, in metres.
-pub const REDWOOD: [PaperRow; 2] = [
-    (
-        "SNAKE (paper)",
-        [(10, 0.205), (12, 0.246), (14, 0.286), (16, 0.323), (18, 0.359), (20, 0.393), (22, 0.425), (24, 0.454)],
-    ),
-    (
-        "random (paper)",
-        [(10, 0.090), (12, 0.126), (14, 0.163), (16, 0.204), (18, 0.246), (20, 0.287), (22, 0.326), (24, 0.362)],
-    ),
-];
+/// The sweeps that a condition can belong to; the undisturbed views to both.
+const DOWN_SAMPLED: fn(&Condition) -> bool = |c| c.noise == 0.0;
+const NOISY: fn(&Condition) -> bool = |c| c.downsample == 1;
 
 /// Means over all pairs.
 pub struct Report<'a> {
@@ -87,16 +66,9 @@ fn cell((mean, deviation): &(f64, f64)) -> String {
     format!("{mean:.3} ±{deviation:.3}")
 }
 
-/// A table: its title, its columns' heads and its rows.
-struct Table {
-    title: String,
-    head: Vec<String>,
-    rows: Vec<Vec<String>>,
-}
-
 impl<'a> Report<'a> {
     /// Sums up pairs that all have the same rows; the paper's rows are shown beside them.
-    pub fn new(plan: &'a Plan, settings: &'a Value, pairs: &[Pair], paper: &'a [PaperRow]) -> Self {
+    pub fn new(plan: &'a Plan, settings: &'a Value, pairs: &[Pair<Row>], paper: &'a [PaperRow]) -> Self {
         let num_rows = pairs.first().map_or(0, |pair| pair.rows.len());
         let rows_of = |i: usize| pairs.iter().map(|pair| &pair.rows[i]).collect::<Vec<_>>();
         let summaries = (0..num_rows).map(|i| Summary::new(&rows_of(i))).collect();
@@ -105,31 +77,72 @@ impl<'a> Report<'a> {
 
     /// The tables, for people.
     pub fn text(&self) -> String {
-        let table = |Table { title, head, rows }: Table| {
-            let mut text = format!("{title}\n");
-            for row in std::iter::once(&head).chain(&rows) {
-                let cells = row.iter().skip(1).map(|cell| format!("  {cell:>11}")).collect::<String>();
-                writeln!(text, "{:14}{cells}", row[0]).unwrap_or_default();
-            }
-            text
-        };
-        self.tables().into_iter().map(table).collect::<Vec<_>>().join("\n")
+        table::text(&self.tables())
     }
 
-    /// Writes `repeatability.csv`, `.json` and `.md`.
+    /// Writes `repeatability.csv`, `.json`, `.md` and `.svg`.
     pub fn write(&self, output: &Path) -> Result<()> {
-        for (name, text) in [("csv", self.csv()), ("json", self.json()?), ("md", self.markdown())] {
-            let path = output.join(format!("repeatability.{name}"));
-            std::fs::write(&path, text).with_context(|| format!("cannot write {}", path.display()))?;
-        }
-        Ok(())
+        let markdown = table::markdown(&self.tables());
+        let svg = plot::svg("relative repeatability", &self.panels());
+        let texts = [("csv", self.csv()), ("json", self.json()?), ("md", markdown), ("svg", svg)];
+        table::write(output, "repeatability", &texts)
     }
 
     /// The paper's three tables: over epsilon, over down-sampling and over noise.
     fn tables(&self) -> Vec<Table> {
-        let down_sampling = self.over("down-sampling", |c| c.noise == 0.0, |c| format!("1 in {}", c.downsample));
-        let noise = self.over("noise", |c| c.downsample == 1, |c| format!("σ {}", c.noise));
+        let down_sampling = self.over("down-sampling", DOWN_SAMPLED, |c| format!("1 in {}", c.downsample));
+        let noise = self.over("noise", NOISY, |c| format!("σ {}", c.noise));
         std::iter::once(self.over_epsilon()).chain(down_sampling).chain(noise).collect()
+    }
+
+    /// The same as curves; down-sampling on a logarithmic axis.
+    fn panels(&self) -> Vec<Panel> {
+        let Plan { epsilon, table_epsilon, conditions, .. } = self.plan;
+        let ours = |s: &Summary| Line {
+            name: s.method.clone(),
+            values: s.repeatability.iter().map(|(mean, _)| Some(*mean)).collect(),
+            dashed: false,
+        };
+        let theirs = |row: &PaperRow| Line { name: row.method.into(), values: row.at(epsilon), dashed: true };
+        let over_epsilon = Panel {
+            x_label: "ε".into(),
+            ticks: epsilon.iter().map(|epsilon| (*epsilon, epsilon.to_string())).collect(),
+            lines: self.under(conditions[0]).map(ours).chain(self.paper.iter().map(theirs)).collect(),
+        };
+        let down_sampling = self.swept(DOWN_SAMPLED).map(|swept| {
+            let tick = |c: &Condition| ((c.downsample as f64).log2(), c.downsample.to_string());
+            let x_label = format!("down-sampling, 1 in (ε {table_epsilon})");
+            Panel { x_label, ticks: swept.iter().map(tick).collect(), lines: self.lines(&swept) }
+        });
+        let noise = self.swept(NOISY).map(|swept| {
+            let ticks = swept.iter().map(|c| (c.noise, c.noise.to_string())).collect();
+            Panel { x_label: format!("noise σ (ε {table_epsilon})"), ticks, lines: self.lines(&swept) }
+        });
+        std::iter::once(over_epsilon).chain(down_sampling).chain(noise).collect()
+    }
+
+    /// A line for each method over conditions, at the tables' epsilon.
+    fn lines(&self, swept: &[Condition]) -> Vec<Line> {
+        let line = |i, first: &Summary| Line {
+            name: first.method.clone(),
+            values: swept
+                .iter()
+                .map(|c| self.under(*c).nth(i).map(|s| s.repeatability[self.table_column()].0))
+                .collect(),
+            dashed: false,
+        };
+        self.under(self.plan.conditions[0]).enumerate().map(|(i, first)| line(i, first)).collect()
+    }
+
+    /// The conditions of a sweep, if there are several.
+    fn swept(&self, belongs: fn(&Condition) -> bool) -> Option<Vec<Condition>> {
+        let swept: Vec<Condition> = self.plan.conditions.iter().copied().filter(belongs).collect();
+        (swept.len() > 1).then_some(swept)
+    }
+
+    /// Where the tables' epsilon is.
+    fn table_column(&self) -> usize {
+        self.plan.epsilon.iter().position(|epsilon| *epsilon == self.plan.table_epsilon).unwrap_or(0)
     }
 
     /// Undisturbed views, a row for each method.
@@ -145,10 +158,9 @@ impl<'a> Report<'a> {
             row
         };
         let title = format!("Relative repeatability, mean ± standard deviation over {} pairs", self.num_pairs);
-        let paper_row = |(method, figures): &PaperRow| {
-            let at = |epsilon: &f64| figures.iter().find(|(hundredths, _)| f64::from(*hundredths) / 100.0 == *epsilon);
-            let mut row = vec![(*method).to_owned()];
-            row.extend(self.plan.epsilon.iter().map(|e| at(e).map_or("-".into(), |(_, mean)| format!("{mean:.3}"))));
+        let paper_row = |paper: &PaperRow| {
+            let mut row = vec![paper.method.to_owned()];
+            row.extend(paper.cells(&self.plan.epsilon));
             row.extend(["-".into(), "-".into()]);
             row
         };
@@ -158,32 +170,19 @@ impl<'a> Report<'a> {
 
     /// One epsilon, a row for each method and a column for each condition that belongs; none of a single condition.
     fn over(&self, what: &str, belongs: fn(&Condition) -> bool, name: fn(&Condition) -> String) -> Option<Table> {
-        let Plan { epsilon, table_epsilon, conditions, .. } = self.plan;
-        let at = epsilon.iter().position(|epsilon| epsilon == table_epsilon)?;
-        let swept: Vec<&Condition> = conditions.iter().filter(|condition| belongs(condition)).collect();
-        let mut head = vec!["method".to_owned()];
-        head.extend(swept.iter().map(|condition| name(condition)));
-        let mut rows: Vec<Vec<String>> = self.under(conditions[0]).map(|s| vec![s.method.clone()]).collect();
-        for condition in &swept {
-            rows.iter_mut().zip(self.under(**condition)).for_each(|(row, s)| row.push(cell(&s.repeatability[at])));
+        let swept = self.swept(belongs)?;
+        let head = std::iter::once("method".to_owned()).chain(swept.iter().map(name)).collect();
+        let mut rows: Vec<Vec<String>> = self.under(self.plan.conditions[0]).map(|s| vec![s.method.clone()]).collect();
+        for condition in swept {
+            let cells = self.under(condition).map(|s| cell(&s.repeatability[self.table_column()]));
+            rows.iter_mut().zip(cells).for_each(|(row, cell)| row.push(cell));
         }
-        let title = format!("At ε {table_epsilon}, over {what}");
-        (swept.len() > 1).then_some(Table { title, head, rows })
+        Some(Table { title: format!("At ε {}, over {what}", self.plan.table_epsilon), head, rows })
     }
 
     /// The methods under one condition, in their order.
     fn under(&self, condition: Condition) -> impl Iterator<Item = &Summary> {
         self.summaries.iter().filter(move |summary| summary.condition == condition)
-    }
-
-    fn markdown(&self) -> String {
-        let line = |cells: &[String]| format!("| {} |\n", cells.join(" | "));
-        let table = |Table { title, head, rows }: Table| {
-            let rule = format!("|{}\n", "---|".repeat(head.len()));
-            let rows: String = rows.iter().map(|row| line(row)).collect();
-            format!("{title}:\n\n{}{rule}{rows}", line(&head))
-        };
-        self.tables().into_iter().map(table).collect::<Vec<_>>().join("\n")
     }
 
     /// A line for each method, condition and epsilon.
@@ -223,10 +222,11 @@ impl<'a> Report<'a> {
 
 #[cfg(test)]
 mod tests {
+    use super::super::super::paper::MODELNET40;
     use super::*;
 
     const CLEAN: Condition = Condition { downsample: 1, noise: 0.0 };
-    const NOISY: Condition = Condition { downsample: 1, noise: 0.1 };
+    const BLURRED: Condition = Condition { downsample: 1, noise: 0.1 };
 
     fn row(condition: Condition, keypoints: usize, repeatability: [f64; 2]) -> Row {
         let coverage = (keypoints > 0).then_some(0.25);
@@ -235,11 +235,11 @@ mod tests {
 
     #[test]
     fn tables_by_hand() {
-        let conditions = vec![CLEAN, NOISY];
+        let conditions = vec![CLEAN, BLURRED];
         let plan = Plan { epsilon: vec![0.1, 0.2], table_epsilon: 0.2, conditions, num_points: 1, seed: 0 };
         let pairs = [
-            Pair { name: "a".into(), rows: vec![row(CLEAN, 4, [0.5, 1.0]), row(NOISY, 0, [0.0, 0.0])] },
-            Pair { name: "b".into(), rows: vec![row(CLEAN, 8, [0.25, 1.0]), row(NOISY, 2, [0.0, 0.5])] },
+            Pair { name: "a".into(), rows: vec![row(CLEAN, 4, [0.5, 1.0]), row(BLURRED, 0, [0.0, 0.0])] },
+            Pair { name: "b".into(), rows: vec![row(CLEAN, 8, [0.25, 1.0]), row(BLURRED, 2, [0.0, 0.5])] },
         ];
         let settings = json!({"seed": 0});
         let report = Report::new(&plan, &settings, &pairs, &[]);
@@ -255,7 +255,7 @@ At ε 0.2, over noise:
 |---|---|---|
 | iss | 1.000 ±0.000 | 0.250 ±0.354 |
 ";
-        assert_eq!(report.markdown(), markdown);
+        assert_eq!(table::markdown(&report.tables()), markdown);
         let csv = report.csv();
         assert_eq!(csv.lines().nth(1).unwrap(), "iss,1,0,0.1,0.375,0.1767766952966369,6,0.25,2");
         assert_eq!(csv.lines().count(), 5);
@@ -263,6 +263,14 @@ At ε 0.2, over noise:
         assert_eq!(json["rows"][1]["repeatability"], json!([0.0, 0.25]));
         assert_eq!((json["rows"].as_array().unwrap().len(), &json["settings"]), (2, &settings));
         assert!(report.text().contains("iss             0.375 ±0.177"));
+        let panels = report.panels();
+        let curves: Vec<_> =
+            panels.iter().map(|panel| (panel.ticks[1].clone(), panel.lines[0].values.clone())).collect();
+        let expected = [
+            ((0.2, "0.2".to_owned()), vec![Some(0.375), Some(1.0)]),
+            ((0.1, "0.1".to_owned()), vec![Some(1.0), Some(0.25)]),
+        ];
+        assert_eq!(curves, expected);
     }
 
     #[test]
@@ -270,7 +278,9 @@ At ε 0.2, over noise:
         let plan =
             Plan { epsilon: vec![0.04, 0.3], table_epsilon: 0.3, conditions: vec![CLEAN], num_points: 1, seed: 0 };
         let pairs = [Pair { name: "a".into(), rows: vec![row(CLEAN, 4, [0.5, 1.0])] }];
-        let markdown = Report::new(&plan, &json!({}), &pairs, &MODELNET40).markdown();
+        let settings = json!({});
+        let report = Report::new(&plan, &settings, &pairs, &MODELNET40);
+        let markdown = table::markdown(&report.tables());
         assert!(
             markdown.ends_with("| SNAKE (paper) | 0.864 | - | - | - |\n| random (paper) | 0.094 | - | - | - |\n"),
             "{markdown}"

@@ -6,6 +6,7 @@ use anyhow::{Context, Result, bail};
 use serde::Deserialize;
 use snake_core::{Point, Transform, io};
 
+use super::super::read_json;
 use super::views::PairClouds;
 use crate::detect::expand;
 
@@ -191,10 +192,4 @@ fn read_named(path: &Path) -> Result<Vec<Point>> {
         bail!("{}: no such cloud (looked for .{})", path.display(), io::POINT_EXTENSIONS.join(", ."))
     };
     Ok(io::read_points(&found)?)
-}
-
-/// Reads a JSON file.
-fn read_json<T: for<'a> Deserialize<'a>>(path: &Path) -> Result<T> {
-    let text = std::fs::read_to_string(path).with_context(|| format!("cannot read {}", path.display()))?;
-    serde_json::from_str(&text).with_context(|| path.display().to_string())
 }
