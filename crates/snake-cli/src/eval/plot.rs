@@ -24,7 +24,9 @@ const WIDTH: f64 = 300.0;
 const HEIGHT: f64 = 220.0;
 const LEFT: f64 = 48.0;
 const TOP: f64 = 16.0;
-const BOTTOM: f64 = 76.0;
+const BOTTOM: f64 = 48.0;
+/// Of an entry of the legend.
+const ENTRY: [f64; 2] = [120.0, 16.0];
 /// Distinct also to colour-blind readers (Okabe and Ito).
 const COLORS: [&str; 7] = ["#d55e00", "#0072b2", "#009e73", "#e69f00", "#cc79a7", "#56b4e9", "#000000"];
 
@@ -40,7 +42,9 @@ pub fn svg(y_label: &str, panels: &[Panel]) -> String {
         let index = names.iter().position(|known| *known == (name, dashed)).unwrap_or(0);
         COLORS[index % COLORS.len()]
     };
-    let (width, height) = (panels.len().max(1) as f64 * (LEFT + WIDTH) + LEFT, TOP + HEIGHT + BOTTOM);
+    let width = panels.len() as f64 * (LEFT + WIDTH) + LEFT;
+    let columns = (((width - LEFT) / ENTRY[0]) as usize).max(1);
+    let height = TOP + HEIGHT + BOTTOM + names.len().div_ceil(columns) as f64 * ENTRY[1];
     let mut text = format!(
         "<svg xmlns=\"http://www.w3.org/2000/svg\" width=\"{width}\" height=\"{height}\" font-family=\"sans-serif\" \
          font-size=\"11\">\n<rect width=\"{width}\" height=\"{height}\" fill=\"white\"/>\n"
@@ -57,7 +61,8 @@ pub fn svg(y_label: &str, panels: &[Panel]) -> String {
         text += "</g>\n";
     }
     for (i, &(name, dashed)) in names.iter().enumerate() {
-        let (x, y) = (LEFT + 120.0 * (i % 8) as f64, TOP + HEIGHT + 48.0 + 16.0 * (i / 8) as f64);
+        let (column, row) = (i % columns, i / columns);
+        let (x, y) = (LEFT + column as f64 * ENTRY[0], TOP + HEIGHT + BOTTOM + row as f64 * ENTRY[1]);
         text += &curve(&[(x, y), (x + 22.0, y)], color(name, dashed), dashed);
         writeln!(text, "<text x=\"{}\" y=\"{}\">{name}</text>", x + 28.0, y + 4.0).unwrap_or_default();
     }
@@ -141,6 +146,14 @@ mod tests {
         for label in ["four", "two", "three", "seven", "ε", "σ", "share"] {
             assert!(text.contains(&format!(">{label}</text>")), "{label}");
         }
+        // Two columns fit below one panel: seven names take four rows of 16.
+        let names = ["a", "b", "c", "d", "e", "f", "g"].map(|name| line(name, &[Some(0.5)], false));
+        let one = Panel { x_label: "ε".into(), ticks: vec![(7.0, "seven".into())], lines: names.into() };
+        let legend = svg("share", &[one]);
+        assert!(
+            legend.contains("width=\"396\" height=\"348\"") && legend.contains("<text x=\"76\" y=\"336\">g"),
+            "{legend}"
+        );
         assert_eq!(text.matches("<g ").count(), text.matches("</g>").count());
     }
 }
