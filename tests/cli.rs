@@ -568,6 +568,13 @@ fn keypoints_are_compared_with_marked_ones() {
     std::fs::write(&split, "04-c\n").unwrap();
     let one = run("split", &["--methods", "random", "--split", &split.display().to_string()]);
     assert!(one.0.contains("1 shapes of 1 classes"), "{}", one.0);
+
+    // The clouds may lie beside the annotations.
+    for class in ["03", "04"] {
+        std::fs::rename(data.path().join("pcds").join(class), data.path().join(class)).unwrap();
+    }
+    std::fs::remove_dir(data.path().join("pcds")).unwrap();
+    assert_eq!(run("beside", &small).0, whole.0);
 }
 
 #[test]
