@@ -28,14 +28,14 @@ def test_it_says_where_others_do_as_well():
     made = rows({"snake": (0.7, 0.9, 0.5), "fps": (0.4, 0.88, 0.1), "random": (0.1, 0.4, 0.6)}, {})
     assert results.as_good(made, "fps") == ["ε 0.1 (0.88 to 0.90)"]
     assert results.as_good(made, "random") == ["1 in 1, σ 0.1 (0.60 to 0.50)"]
-    text = results.page(made, "TABLE A\n", "TABLE B\n")
+    text = results.page(made, "TABLE A\n", "TABLE B\n", "TABLE C\n")
     assert "- farthest-point: ε 0.1 (0.88 to 0.90)\n- random: 1 in 1, σ 0.1" in text
     assert "- ISS: nowhere" in text and "on 3 objects" in text
-    assert text.index("TABLE A") < text.index("TABLE B")
+    assert text.index("TABLE A") < text.index("TABLE B") < text.index("TABLE C")
 
 
 @pytest.mark.parametrize(("model", "clusters"), [(0.25, True), (0.05, False)])
 def test_it_says_whether_the_models_keypoints_cluster(model, clusters):
-    text = results.page(rows({}, {"snake": model, "random": 0.1}), "", "")
+    text = results.page(rows({}, {"snake": model, "random": 0.1}), "", "", "")
     assert f"{model:.3f} for the model" in text
     assert ("keypoints cluster" in text) == clusters
