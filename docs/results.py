@@ -8,6 +8,7 @@ import argparse
 import json
 import shutil
 import subprocess
+import textwrap
 from pathlib import Path
 
 RUNS = Path("target/results")
@@ -68,7 +69,7 @@ Made by `make results OBJECTS=FOLDER`, which writes this page whole: do not edit
 
 ## Repeatability of objects
 
-Relative repeatability on {ranked[0]["pairs"]} objects, evenly spaced in the validation split, that the model never saw:
+Relative repeatability on {ranked[0]["pairs"]} objects, evenly spaced in the validation split, which was not trained on:
 the share of keypoints of one view that the other view, rotated at random and sampled anew, finds again within ε (in units
 of the object's radius). 5000 points and the best 64 keypoints of each view; the built-in model with the options that it
 recommends. The rows marked as the paper's are its figures for ModelNet40: other objects, and a network with a 64³ volume.
@@ -90,7 +91,7 @@ Within {MARGIN} of the model, or better (at ε 0.04 where the views are disturbe
 
 {chr(10).join(good)}
 
-{spread}
+{textwrap.fill(spread, 120)}
 """
 
 
