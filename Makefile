@@ -3,7 +3,7 @@ VENV := .venv
 PYTHON := $(VENV)/bin/python
 export VIRTUAL_ENV := $(CURDIR)/$(VENV)
 
-.PHONY: help test check golden bench wheel
+.PHONY: help test check golden bench wheel results
 .DEFAULT_GOAL := help
 
 help:  ## this list
@@ -31,8 +31,8 @@ test: module  ## all tests: Rust, Python module, training, parity with PyTorch
 check: module  ## formatting, lints, type stubs
 	cargo fmt --check
 	cargo clippy --release --workspace --all-targets
-	$(VENV)/bin/ruff check training python tests
-	$(VENV)/bin/ruff format --check training python tests
+	$(VENV)/bin/ruff check training python tests docs
+	$(VENV)/bin/ruff format --check training python tests docs
 	$(PYTHON) -m mypy.stubtest snake_rs._core
 
 golden: $(VENV)/ready  ## check the golden files against the PyTorch network
@@ -41,6 +41,9 @@ golden: $(VENV)/ready  ## check the golden files against the PyTorch network
 bench: module $(VENV)/bench-ready  ## speed beside PyTorch, ONNX Runtime, OpenVINO and Open3D
 	cargo build --release
 	$(PYTHON) -m snake_training.benchmark
+
+results:  ## docs/results.md, from a folder of objects: make results OBJECTS=FOLDER; minutes, resumable
+	python3 docs/results.py $(or $(OBJECTS),$(error give the folder: make results OBJECTS=FOLDER))
 
 wheel: $(VENV)/ready  ## a wheel of the Python module in target/wheels
 	$(VENV)/bin/maturin build --release --manifest-path python/Cargo.toml

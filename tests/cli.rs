@@ -313,17 +313,23 @@ fn the_model_command_shows_shape_and_metadata() {
     assert!(text.contains("343874 parameters") && text.contains("32 x 32 x 32") && text.contains("digest"), "{text}");
 }
 
+/// Writes an array of f32 as NumPy would.
+fn write_npy(path: &Path, shape: &[usize], values: &[f32]) {
+    let shape: String = shape.iter().map(|length| format!("{length}, ")).collect();
+    let header = format!("{{'descr': '<f4', 'fortran_order': False, 'shape': ({shape}), }}\n");
+    let mut bytes = b"\x93NUMPY\x01\x00".to_vec();
+    bytes.extend((header.len() as u16).to_le_bytes());
+    bytes.extend(header.as_bytes());
+    bytes.extend(values.iter().flat_map(|v| v.to_le_bytes()));
+    std::fs::create_dir_all(path.parent().unwrap()).unwrap();
+    std::fs::write(path, bytes).unwrap();
+}
+
 /// A folder in the corpus format: `number` copies of the sample, each of `size` of its points.
 fn corpus(number: usize, size: usize) -> TempDir {
     let folder = tempfile::tempdir().unwrap();
     let points = snake_core::io::read_points(Path::new(&sample())).unwrap();
-    let header = format!("{{'descr': '<f4', 'fortran_order': False, 'shape': ({number}, {size}, 3), }}\n");
-    let mut bytes = b"\x93NUMPY\x01\x00".to_vec();
-    bytes.extend((header.len() as u16).to_le_bytes());
-    bytes.extend(header.as_bytes());
-    let values = points[..number * size].as_flattened().iter();
-    bytes.extend(values.flat_map(|v| v.to_le_bytes()));
-    std::fs::write(folder.path().join("points.npy"), bytes).unwrap();
+    write_npy(&folder.path().join("points.npy"), &[number, size, 3], points[..number * size].as_flattened());
     let index: Vec<_> = (0..number).map(|i| serde_json::json!({"name": format!("part {i}"), "faces": 1})).collect();
     std::fs::write(folder.path().join("index.json"), serde_json::to_string(&index).unwrap()).unwrap();
     folder
@@ -344,8 +350,8 @@ fn an_evaluation_goes_on_where_it_was_interrupted() {
         let folder = results.path().join(name);
         let output = eval(data.path(), &[&["-o", &folder.display().to_string()], extra].concat());
         assert!(output.status.success(), "{}", stderr(&output));
-        let files =
-            ["jsonl", "csv", "json", "md"].map(|e| std::fs::read(folder.join(format!("repeatability.{e}"))).unwrap());
+        let files = ["jsonl", "csv", "json", "md", "svg"]
+            .map(|e| std::fs::read(folder.join(format!("repeatability.{e}"))).unwrap());
         (output.stdout, files)
     };
     let whole = run("whole", &["--threads", "1"]);
@@ -368,6 +374,9 @@ fn an_evaluation_goes_on_where_it_was_interrupted() {
     assert_eq!(report["rows"][2]["keypoints"], 64.0);
     let text = String::from_utf8_lossy(&whole.0);
     assert!(text.contains("over 4 pairs") && text.contains("At ε 0.04, over down-sampling"), "{text}");
+    let curves = String::from_utf8_lossy(&whole.1[4]);
+    // Three methods in three panels, and in the legend.
+    assert_eq!((curves.matches("<g ").count(), curves.matches("<polyline").count()), (3, 12), "{curves}");
 
     let refused = eval(data.path(), &["--seed", "1", "-o", &results.path().join("whole").display().to_string()]);
     assert_eq!(refused.status.code(), Some(2));
@@ -592,6 +601,61 @@ fn scenes_that_cannot_be_evaluated_are_refused() {
     std::fs::write(data.path().join("room/cloud_bin_2.ply"), "junk").unwrap();
     refused(data.path(), &[], "cloud_bin_2.ply");
 }
+/// The points of the sample in a frame of their own: turned by a quarter about z, moved by (3, 0, -1), with the 3x4
+/// transform that takes them back.
+fn turned_view() -> (Vec<[f32; 3]>, [f32; 12]) {
+    let points = snake_core::io::read_points(Path::new(&sample())).unwrap();
+    let turned = points.iter().map(|p| [3.0 - p[1], p[0], p[2] - 1.0]).collect();
+    (turned, [0.0, 1.0, 0.0, 0.0, -1.0, 0.0, 0.0, 3.0, 0.0, 0.0, 1.0, 1.0])
+}
+
+#[test]
+fn usips_layouts_are_pairs_with_their_transforms() {
+    let folder = tempfile::tempdir().unwrap();
+    let points = snake_core::io::read_points(Path::new(&sample())).unwrap();
+    let (turned, back) = turned_view();
+    let shape = [points.len(), 3];
+    let (modelnet, redwood) = (folder.path().join("modelnet"), folder.path().join("redwood"));
+    for i in 0..2 {
+        write_npy(&modelnet.join(format!("original/{i}.npy")), &shape, points.as_flattened());
+        write_npy(&modelnet.join(format!("rotated/{i}.npy")), &shape, turned.as_flattened());
+    }
+    write_npy(&redwood.join("office1/4.npy"), &shape, points.as_flattened());
+    write_npy(&redwood.join("office1/5.npy"), &shape, turned.as_flattened());
+    std::fs::write(redwood.join("redwood_pair.txt"), "office1 4 5\noffice1 5 4\n").unwrap();
+    // The second pair's transform is wrong: nothing may be found again there.
+    let mut two = [back, back].concat();
+    two[15] += 100.0;
+    for data in [&modelnet, &redwood] {
+        write_npy(&data.join("transform.npy"), &[2, 3, 4], &two);
+        let output = folder.path().join("results");
+        let all = ["--methods", "fps", "--num-points", "99999", "--downsample", "1", "--noise", "0", "--paper", "-o"];
+        let (data, out) = (data.display().to_string(), output.display().to_string());
+        let found = snake(&[&["eval", "repeatability", &data], &all[..], &[&out]].concat());
+        assert!(found.status.success(), "{}", stderr(&found));
+        let record = std::fs::read_to_string(output.join("repeatability.jsonl")).unwrap();
+        let pairs: Vec<Value> = record.lines().skip(1).map(|line| serde_json::from_str(line).unwrap()).collect();
+        let share = |pair: usize| pairs[pair]["rows"][0]["repeatability"][7].as_f64().unwrap();
+        assert!(share(0) > 0.9 && share(1) == 0.0, "{record}");
+        std::fs::remove_dir_all(&output).unwrap();
+        let (epsilon, paper) = if data.ends_with("modelnet") { ("ε 0.04", "0.864") } else { ("ε 0.2", "0.393") };
+        let text = String::from_utf8_lossy(&found.stdout);
+        assert!(text.contains(epsilon) && text.contains(paper), "{text}");
+    }
+    let refused = |message: &str| {
+        let output = eval(&redwood, &[]);
+        assert_eq!(output.status.code(), Some(2));
+        assert!(stderr(&output).contains(message), "{}", stderr(&output));
+    };
+    write_npy(&redwood.join("transform.npy"), &[1, 3, 4], &back);
+    refused("2 pairs in redwood_pair.txt, but 1 transforms");
+    std::fs::write(redwood.join("redwood_pair.txt"), "office1 4\n").unwrap();
+    refused("expected a scene and two numbers, found `office1 4`");
+    std::fs::write(redwood.join("redwood_pair.txt"), "office1 4 6\n").unwrap();
+    refused("6.npy: no such cloud");
+    write_npy(&redwood.join("transform.npy"), &[3, 4], &back);
+    refused("needed is (S, 3, 4)");
+}
 
 #[test]
 fn evaluations_that_make_no_sense_are_refused() {
@@ -602,6 +666,7 @@ fn evaluations_that_make_no_sense_are_refused() {
         (&["--noise", "nan"], "--noise NaN: must be 0 or more"),
         (&["--downsample", "0"], "must be 1 or more"),
         (&["--limit", "0"], "--limit must be 1 or more"),
+        (&["--count", "0"], "--count must be 1 or more"),
         (&["--epsilon=-1"], "option `epsilon` is -1"),
         (&["--preset", "kitti"], "option `preset` is kitti"),
     ] {
@@ -622,4 +687,147 @@ fn evaluations_that_make_no_sense_are_refused() {
     assert!(stderr(&eval(empty.path(), &[])).contains("a to a: "));
     std::fs::write(empty.path().join("a.xyz"), "").unwrap();
     assert!(stderr(&eval(empty.path(), &[])).contains("a to a: a cloud without points"));
+}
+
+/// A folder in the layout of KeypointNet: three shapes of 600 points of the sample; on the two chairs the marked points
+/// are the first five of farthest-point sampling, on the table one that is not among them.
+fn keypointnet() -> TempDir {
+    let folder = tempfile::tempdir().unwrap();
+    let points = &snake_core::io::read_points(Path::new(&sample())).unwrap()[..600];
+    let found: Vec<usize> =
+        snake_core::baselines::farthest_points(points, 5).unwrap().iter().map(|response| response.index).collect();
+    let other = (0..600).find(|index| !found.contains(index)).unwrap();
+    let rows: String = points.iter().map(|[x, y, z]| format!("{x} {y} {z} 1\n")).collect();
+    let header = "FIELDS x y z rgb\nSIZE 4 4 4 4\nTYPE F F F F\nWIDTH 600\nHEIGHT 1\nPOINTS 600\nDATA ascii\n";
+    let annotation = |class: &str, model: &str, marked: &[usize]| {
+        let path = folder.path().join("pcds").join(class).join(format!("{model}.pcd"));
+        std::fs::create_dir_all(path.parent().unwrap()).unwrap();
+        std::fs::write(path, format!("{header}{rows}")).unwrap();
+        let marked: Vec<_> = marked
+            .iter()
+            .map(|index| serde_json::json!({"semantic_id": 0, "pcd_info": {"point_index": index, "xyz": [0, 0, 0]}}))
+            .collect();
+        serde_json::json!({"class_id": class, "model_id": model, "keypoints": marked})
+    };
+    let annotations = folder.path().join("annotations");
+    std::fs::create_dir(&annotations).unwrap();
+    let chairs = [annotation("03", "a", &found), annotation("03", "b", &found)];
+    std::fs::write(annotations.join("chair.json"), serde_json::to_string(&chairs).unwrap()).unwrap();
+    let tables = [annotation("04", "c", &[other, other])];
+    std::fs::write(annotations.join("table.json"), serde_json::to_string(&tables).unwrap()).unwrap();
+    std::fs::write(annotations.join("all.json"), "not read").unwrap();
+    folder
+}
+
+#[test]
+fn keypoints_are_compared_with_marked_ones() {
+    let data = keypointnet();
+    let results = tempfile::tempdir().unwrap();
+    let run = |name: &str, extra: &[&str]| {
+        let folder = results.path().join(name);
+        let (data, out) = (data.path().display().to_string(), folder.display().to_string());
+        let output = snake(&[&["eval", "semantic", &data, "-o", &out, "--threshold", "0,100"], extra].concat());
+        assert!(output.status.success(), "{}", stderr(&output));
+        let files =
+            ["jsonl", "csv", "json", "md", "svg"].map(|e| std::fs::read(folder.join(format!("semantic.{e}"))).unwrap());
+        (String::from_utf8_lossy(&output.stdout).into_owned(), files)
+    };
+    let rows = |files: &[Vec<u8>; 5]| -> Vec<Value> {
+        let report: Value = serde_json::from_slice(&files[2]).unwrap();
+        report["rows"].as_array().unwrap().clone()
+    };
+    let (text, files) = run("fps", &["--methods", "fps", "--count", "5", "--nms-radius", "0", "--paper"]);
+    let figures: Vec<Value> = rows(&files);
+    let expected = [(Value::Null, [0.5, 1.0]), ("chair".into(), [1.0, 1.0]), ("table".into(), [0.0, 1.0])];
+    for (row, (class, iou)) in figures.iter().zip(expected) {
+        assert_eq!((&row["class"], &row["paper"]), (&class, &serde_json::json!(iou)), "{row}");
+        assert_eq!((&row["method"], &row["keypoints"]), (&"fps".into(), &5.0.into()));
+    }
+    assert!(text.contains("mIoU over 3 shapes of 2 classes") && text.contains("SNAKE (paper)"), "{text}");
+
+    // All methods, whole and interrupted; the keypoints of each are farther apart than the radius.
+    let small = ["--nms-radius", "0.3", "--threads", "1"];
+    let whole = run("whole", &small);
+    let record = results.path().join("interrupted/semantic.jsonl");
+    std::fs::create_dir(record.parent().unwrap()).unwrap();
+    std::fs::write(&record, &whole.1[0][..whole.1[0].len() * 2 / 3]).unwrap();
+    assert_eq!(run("interrupted", &small), whole);
+    for row in rows(&whole.1) {
+        let iou = |rule: &str, i: usize| row[rule][i].as_f64().unwrap();
+        assert!(iou("strict", 0) <= iou("strict", 1) && (0.0..=1.0).contains(&iou("paper", 1)), "{row}");
+        assert!(row["keypoints"].as_f64().unwrap() < 40.0, "{row}");
+    }
+    // The radius is the ranked methods' only.
+    let random = run("paper", &["--methods", "iss", "--nms-radius", "0.3", "--protocol", "paper"]);
+    assert_eq!(rows(&random.1)[0]["keypoints"], 64.0);
+
+    let split = results.path().join("split.txt");
+    std::fs::write(&split, "04-c\n").unwrap();
+    let one = run("split", &["--methods", "random", "--split", &split.display().to_string()]);
+    assert!(one.0.contains("1 shapes of 1 classes"), "{}", one.0);
+
+    // The clouds may lie beside the annotations.
+    for class in ["03", "04"] {
+        std::fs::rename(data.path().join("pcds").join(class), data.path().join(class)).unwrap();
+    }
+    std::fs::remove_dir(data.path().join("pcds")).unwrap();
+    assert_eq!(run("beside", &small).0, whole.0);
+}
+
+#[test]
+fn bodies_are_compared_place_by_place() {
+    let folder = tempfile::tempdir().unwrap();
+    let points = snake_core::io::read_points(Path::new(&sample())).unwrap();
+    let turned: Vec<[f32; 3]> = points.iter().map(|[x, y, z]| [-y, *x, *z]).collect();
+    write_npy(&folder.path().join("body_1.npy"), &[2, 500, 3], points[..1000].as_flattened());
+    write_npy(&folder.path().join("body_2.npy"), &[2, 500, 3], turned[..1000].as_flattened());
+    let run = |extra: &[&str]| {
+        let data = folder.path().display().to_string();
+        snake(&[&["eval", "semantic", &data, "--methods", "fps,random", "--threshold", "0.001,100"], extra].concat())
+    };
+    let output = run(&[]);
+    let text = String::from_utf8_lossy(&output.stdout);
+    assert!(text.contains("mIoU over 2 pairs"), "{text}{}", stderr(&output));
+    let cells = |method: &str| -> Vec<f64> {
+        let row = text.lines().find(|line| line.starts_with(method)).unwrap();
+        row.split_whitespace().skip(1).map(|cell| cell.parse().unwrap()).collect()
+    };
+    // Farthest points are those of the turned body, random ones others.
+    assert!(cells("fps")[0] > 0.8 && cells("random")[0] < 0.2 && cells("random")[1] == 1.0, "{text}");
+    assert!(stderr(&run(&["--split", "x.txt"])).contains("--split is for KeypointNet"));
+    write_npy(&folder.path().join("body_2.npy"), &[1, 500, 3], turned[..500].as_flattened());
+    assert!(stderr(&run(&[])).contains("2 bodies in body_1.npy, 1 in body_2.npy"));
+    write_npy(&folder.path().join("body_2.npy"), &[2, 400, 3], turned[..800].as_flattened());
+    assert!(stderr(&run(&[])).contains("pair 0: body_2: 400 samples, but body_1 has 500"));
+}
+
+#[test]
+fn semantic_data_that_makes_no_sense_is_refused() {
+    let data = keypointnet();
+    let refused = |extra: &[&str], message: &str| {
+        let folder = data.path().display().to_string();
+        let output = snake(&[&["eval", "semantic", &folder, "--methods", "random"], extra].concat());
+        assert_eq!(output.status.code(), Some(2), "{extra:?}");
+        assert!(stderr(&output).contains(message), "{extra:?}: {}", stderr(&output));
+    };
+    let split = data.path().join("split.txt").display().to_string();
+    std::fs::write(&split, "03-a 03-z").unwrap();
+    refused(&["--split", &split], "03-z is not among the annotations");
+    refused(&["--split", "nowhere.txt"], "nowhere.txt");
+    refused(&["--threshold", "-1"], "unexpected argument");
+    refused(&["--threshold=-1"], "option `thresholds` is -1");
+    let annotations = data.path().join("annotations");
+    std::fs::write(annotations.join("table.json"), r#"[{"class_id": "04", "model_id": "c"}]"#).unwrap();
+    refused(&[], "table.json: missing field `keypoints`");
+    let beyond = r#"[{"class_id": "04", "model_id": "c", "keypoints": [{"pcd_info": {"point_index": 600}}]}]"#;
+    std::fs::write(annotations.join("table.json"), beyond).unwrap();
+    refused(&[], "04-c: ground_truth: index 600 is outside a cloud of 600 points");
+    std::fs::write(annotations.join("table.json"), beyond.replace("\"c\"", "\"d\"")).unwrap();
+    refused(&[], "d.pcd");
+    for class in ["chair", "table"] {
+        std::fs::remove_file(annotations.join(format!("{class}.json"))).unwrap();
+    }
+    refused(&[], "no annotated shapes");
+    std::fs::remove_dir_all(&annotations).unwrap();
+    refused(&[], "neither annotations/ (KeypointNet) nor body_1.npy");
 }

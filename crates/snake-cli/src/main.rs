@@ -13,13 +13,12 @@ use std::process::ExitCode;
 use anyhow::{Context, Result};
 use clap::Parser;
 
-use args::{Arguments, Command, Eval};
+use args::{Arguments, Command};
 
 fn main() -> ExitCode {
     let outcome = match Arguments::parse().command {
         Command::Detect(arguments) => detect::run(&arguments),
-        Command::Eval(Eval::Repeatability(arguments)) => eval::repeatability(&arguments).map(|()| ExitCode::SUCCESS),
-        Command::Eval(Eval::Registration(arguments)) => eval::registration(&arguments).map(|()| ExitCode::SUCCESS),
+        Command::Eval(command) => eval::run(&command).map(|()| ExitCode::SUCCESS),
         Command::Register(arguments) => register::run(&arguments).map(|()| ExitCode::SUCCESS),
         Command::Model { file } => model::run(file.as_deref()).map(|()| ExitCode::SUCCESS),
     };

@@ -31,7 +31,8 @@ fn group<'a>(criterion: &'a mut Criterion, name: &str, multiply_adds: usize) -> 
 
 /// The U-Net's convolutions at their sizes: channels of each source (upsampled or not) and of the output.
 fn convolutions(criterion: &mut Criterion) {
-    let layers: [(usize, &[(usize, bool)], usize); 4] = [
+    type Layer = (usize, &'static [(usize, bool)], usize);
+    let layers: [Layer; 4] = [
         (64, &[(32, false)], 32),
         (64, &[(32, false), (64, true)], 32),
         (32, &[(64, false)], 64),

@@ -1,44 +1,50 @@
 //! The detectors that are compared.
 
-use anyhow::Result;
+use anyhow::{Result, bail};
 use serde_json::{Value, json};
 use snake_core::baselines::{Detector, Protocol};
 use snake_core::{Model, Point, Preset};
 
-use crate::args::{ProtocolName, RepeatabilityArguments};
+use crate::args::{EvalArguments, ProtocolName};
 use crate::model;
 
 /// A detector with its settings: from a cloud to the positions of its best keypoints.
 pub enum Method {
     Snake { model: Box<Model>, options: Preset },
-    Classical { name: String, detector: Detector, count: usize, protocol: Protocol },
+    Classical { name: String, detector: Detector, count: usize, protocol: Protocol, spacing: Option<f32> },
 }
 
 impl Method {
-    /// The methods that were asked for.
-    pub fn all(arguments: &RepeatabilityArguments) -> Result<Vec<Self>> {
+    /// The methods that were asked for. With a spacing, or `--nms-radius` in its place, also the ranked keypoints of the
+    /// classical detectors are farther apart than that.
+    pub fn all(arguments: &EvalArguments, spacing: Option<f32>) -> Result<Vec<Self>> {
+        if arguments.count == 0 {
+            bail!("--count must be 1 or more");
+        }
+        let nms_radius = arguments.nms_radius.or(spacing);
         let protocol = match arguments.protocol {
             ProtocolName::Ranked => Protocol::Ranked,
             ProtocolName::Paper => Protocol::Paper,
         };
         let method = |name: &String| {
             if name == "snake" {
-                return Self::snake(arguments);
+                return Self::snake(arguments, nms_radius);
             }
             let detector = Detector::named(name, protocol)?;
-            Ok(Self::Classical { name: name.clone(), detector, count: arguments.count, protocol })
+            let spacing = spacing.and(nms_radius).filter(|_| protocol == Protocol::Ranked);
+            Ok(Self::Classical { name: name.clone(), detector, count: arguments.count, protocol, spacing })
         };
         arguments.methods.iter().map(method).collect()
     }
 
-    fn snake(arguments: &RepeatabilityArguments) -> Result<Self> {
+    fn snake(arguments: &EvalArguments, nms_radius: Option<f32>) -> Result<Self> {
         let model = model::load(arguments.model.as_deref())?;
         let mut options = match &arguments.preset {
             Some(name) => Preset::named(name)?,
             None => *model.recommended(),
         };
         options.detect.max_keypoints = arguments.count;
-        options.detect.nms_radius = arguments.nms_radius.unwrap_or(options.detect.nms_radius);
+        options.detect.nms_radius = nms_radius.unwrap_or(options.detect.nms_radius);
         Ok(Self::Snake { model: Box::new(model), options })
     }
 
@@ -50,13 +56,23 @@ impl Method {
         }
     }
 
-    /// What the keypoints depend on.
-    pub fn settings(&self) -> Value {
+    /// What the keypoints of all methods depend on.
+    pub fn all_settings(arguments: &EvalArguments, methods: &[Self]) -> Value {
+        json!({
+            "methods": methods.iter().map(Self::settings).collect::<Vec<_>>(),
+            "protocol": match arguments.protocol { ProtocolName::Ranked => "ranked", ProtocolName::Paper => "paper" },
+            "count": arguments.count,
+            "limit": arguments.limit,
+            "seed": arguments.seed,
+        })
+    }
+
+    fn settings(&self) -> Value {
         match self {
             Self::Snake { model, options } => {
                 json!({"name": "snake", "options": options, "model": model.metadata()})
             }
-            Self::Classical { name, .. } => json!({"name": name}),
+            Self::Classical { name, spacing, .. } => json!({"name": name, "spacing": spacing}),
         }
     }
 
@@ -66,10 +82,38 @@ impl Method {
             Self::Snake { model, options } => {
                 model.detect(points, options)?.keypoints.iter().map(|keypoint| keypoint.position).collect()
             }
-            Self::Classical { detector, count, protocol, .. } => {
-                let found = detector.keypoints(points, *count, *protocol, seed)?;
-                found.iter().map(|response| points[response.index]).collect()
+            Self::Classical { detector, count, protocol, spacing, .. } => {
+                let candidates = if spacing.is_some() { points.len() } else { *count };
+                let found = detector.keypoints(points, candidates, *protocol, seed)?;
+                spaced(found.iter().map(|response| points[response.index]), spacing.unwrap_or(0.0), *count)
             }
         })
+    }
+}
+
+/// Of points, best first, the first `count` that are farther than `radius` from all kept before them; a radius of 0 keeps
+/// all.
+fn spaced(points: impl Iterator<Item = Point>, radius: f32, count: usize) -> Vec<Point> {
+    let near = |a: &Point, b: &Point| (0..3).map(|axis| (a[axis] - b[axis]).powi(2)).sum::<f32>() <= radius * radius;
+    let mut kept: Vec<Point> = Vec::new();
+    for point in points {
+        if kept.len() < count && (radius == 0.0 || !kept.iter().any(|other| near(&point, other))) {
+            kept.push(point);
+        }
+    }
+    kept
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn spaced_points_are_the_best_that_are_far_enough_apart() {
+        let points = [0.0, 0.5, 1.0, 2.0, 1.25, 4.0].map(|x| [x, 0.0, 0.0]);
+        let found = |radius, count| spaced(points.into_iter(), radius, count).iter().map(|p| p[0]).collect::<Vec<_>>();
+        assert_eq!(found(0.5, 9), [0.0, 1.0, 2.0, 4.0]);
+        assert_eq!(found(0.5, 3), [0.0, 1.0, 2.0]);
+        assert_eq!(found(0.0, 5), [0.0, 0.5, 1.0, 2.0, 1.25]);
     }
 }

@@ -1,154 +1,42 @@
 //! `snake-cli eval`: metrics of keypoints over data sets.
 
 mod methods;
+mod pairs;
+mod paper;
+mod plot;
 mod record;
 mod registration;
-mod report;
+mod repeatability;
+mod semantic;
 mod table;
-mod views;
 
-use anyhow::{Result, bail};
-use serde::{Deserialize, Serialize};
-use serde_json::{Value, json};
-use snake_core::metrics::{mean_distance_to_keypoints, relative_repeatability};
+use std::path::Path;
 
-use crate::args::{ProtocolName, RepeatabilityArguments};
-use methods::Method;
-use record::Record;
-use report::{PaperRow, Report};
-use views::{Condition, Data, Views};
+use anyhow::{Context, Result, bail};
+use serde::de::DeserializeOwned;
 
-pub use registration::registration;
+use crate::args::Eval;
 
-/// Evaluates every pair that is not yet recorded, then reports.
-pub fn repeatability(arguments: &RepeatabilityArguments) -> Result<()> {
-    set_threads(arguments.threads)?;
-    let data = Data::open(&arguments.data)?;
-    let plan = Plan::new(arguments, &data)?;
-    let methods = Method::all(arguments)?;
-    let settings = plan.settings(arguments, &methods);
-    let chosen = evenly_spaced(data.len(), arguments.limit)?;
-    let mut record = Record::open(arguments.output.as_deref(), "repeatability", &settings, chosen.len())?;
-    record.fill(&chosen, |pair| data.name(pair), |pair| plan.rows(&data, pair, &methods))?;
-    let paper: &[PaperRow] = match data {
-        _ if !arguments.paper => &[],
-        Data::Objects { .. } => &report::MODELNET40,
-        Data::Pairs { .. } => &report::REDWOOD,
+/// Evaluates what is not yet recorded, then reports.
+pub fn run(command: &Eval) -> Result<()> {
+    let threads = match command {
+        Eval::Repeatability(arguments) => arguments.common.threads,
+        Eval::Semantic(arguments) => arguments.common.threads,
+        Eval::Registration(arguments) => arguments.threads,
     };
-    let report = Report::new(&plan, &settings, record.pairs(), paper);
-    if let Some(output) = &arguments.output {
-        report.write(output)?;
+    if let Some(threads) = threads {
+        rayon::ThreadPoolBuilder::new().num_threads(threads.into()).build_global()?;
     }
-    crate::print(&report.text())
+    match command {
+        Eval::Repeatability(arguments) => repeatability::run(arguments),
+        Eval::Semantic(arguments) => semantic::run(arguments),
+        Eval::Registration(arguments) => registration::run(arguments),
+    }
 }
 
-/// Limits the threads of everything that follows.
-fn set_threads(threads: Option<u16>) -> Result<()> {
-    threads.map_or(Ok(()), |threads| Ok(rayon::ThreadPoolBuilder::new().num_threads(threads.into()).build_global()?))
-}
-
-/// The figures of one method under one condition on one pair.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-pub struct Row {
-    pub method: String,
-    #[serde(flatten)]
-    pub condition: Condition,
-    /// How many keypoints view 1 has.
-    pub keypoints: usize,
-    /// Mean distance of view 1's points to their nearest keypoint; `None` without keypoints.
-    pub coverage: Option<f64>,
-    /// For each epsilon.
-    pub repeatability: Vec<f64>,
-}
-
-/// What is measured.
-struct Plan {
-    epsilon: Vec<f64>,
-    table_epsilon: f64,
-    conditions: Vec<Condition>,
-    num_points: usize,
-    seed: u64,
-}
-
-impl Plan {
-    fn new(arguments: &RepeatabilityArguments, data: &Data) -> Result<Self> {
-        // The columns of the paper's tables: ModelNet40, in units of the objects' radius, and Redwood, in metres.
-        let hundredths = |range: std::ops::RangeInclusive<u32>, step| {
-            range.step_by(step).map(|hundredth| f64::from(hundredth) / 100.0).collect::<Vec<_>>()
-        };
-        let (epsilon, table_epsilon, noise, num_points) = match data {
-            Data::Objects { .. } => (hundredths(3..=10, 1), 0.04, hundredths(0..=12, 2), 5000),
-            Data::Pairs { .. } => (hundredths(10..=24, 2), 0.2, hundredths(0..=10, 2), 10_240),
-        };
-        let epsilon = arguments.epsilon.clone().unwrap_or(epsilon);
-        let noise = arguments.noise.clone().unwrap_or(noise);
-        let num_points = arguments.num_points.unwrap_or(num_points);
-        let table_epsilon = match arguments.table_epsilon {
-            Some(given) => given,
-            None if epsilon.contains(&table_epsilon) => table_epsilon,
-            None => epsilon[0],
-        };
-        if !epsilon.contains(&table_epsilon) {
-            bail!("--table-epsilon {table_epsilon} is none of --epsilon");
-        }
-        if let Some(bad) = noise.iter().find(|sigma| !(0.0..=1e30).contains(*sigma)) {
-            bail!("--noise {bad}: must be 0 or more");
-        }
-        if arguments.downsample.contains(&0) || num_points == 0 || arguments.count == 0 {
-            bail!("--downsample, --num-points and --count must be 1 or more");
-        }
-        let clean = Condition { downsample: 1, noise: 0.0 };
-        let mut conditions = vec![clean];
-        conditions.extend(arguments.downsample.iter().map(|&downsample| Condition { downsample, ..clean }));
-        conditions.extend(noise.iter().map(|&noise| Condition { noise, ..clean }));
-        // The undisturbed views belong to both sweeps; they are measured once.
-        let mut different: Vec<Condition> = Vec::new();
-        for condition in conditions {
-            if !different.contains(&condition) {
-                different.push(condition);
-            }
-        }
-        Ok(Self { epsilon, table_epsilon, conditions: different, num_points, seed: arguments.seed })
-    }
-
-    /// Everything that the figures depend on, but for the data's content.
-    fn settings(&self, arguments: &RepeatabilityArguments, methods: &[Method]) -> Value {
-        json!({
-            "metric": "relative repeatability",
-            "data": arguments.data,
-            "limit": arguments.limit,
-            "methods": methods.iter().map(Method::settings).collect::<Vec<_>>(),
-            "protocol": match arguments.protocol { ProtocolName::Ranked => "ranked", ProtocolName::Paper => "paper" },
-            "count": arguments.count,
-            "num_points": self.num_points,
-            "seed": self.seed,
-            "epsilon": self.epsilon,
-            "conditions": self.conditions,
-        })
-    }
-
-    /// The figures of one pair: a row for each method and condition.
-    fn rows(&self, data: &Data, pair: usize, methods: &[Method]) -> Result<Vec<Row>> {
-        let clouds = data.clouds(pair)?;
-        let mut rows = Vec::new();
-        for condition in &self.conditions {
-            let Views { view_1, view_2, t_1_2, seeds } = clouds.views(*condition, self.num_points, self.seed, pair)?;
-            for method in methods {
-                let (first, second) = (method.keypoints(&view_1, seeds[0])?, method.keypoints(&view_2, seeds[1])?);
-                let repeatability = relative_repeatability(&first, &second, &t_1_2, &self.epsilon)?;
-                let coverage = if first.is_empty() { None } else { Some(mean_distance_to_keypoints(&view_1, &first)?) };
-                let keypoints = first.len();
-                rows.push(Row {
-                    method: method.name().into(),
-                    condition: *condition,
-                    keypoints,
-                    coverage,
-                    repeatability,
-                });
-            }
-        }
-        Ok(rows)
-    }
+fn read_json<T: DeserializeOwned>(path: &Path) -> Result<T> {
+    let text = std::fs::read_to_string(path).with_context(|| format!("cannot read {}", path.display()))?;
+    serde_json::from_str(&text).with_context(|| path.display().to_string())
 }
 
 /// Indices of `limit` of `length` pairs, evenly spaced from the first to the last.

@@ -10,15 +10,15 @@ use serde::de::DeserializeOwned;
 use serde::{Deserialize, Serialize};
 use serde_json::{Value, json};
 
-/// The figures of one pair.
+/// The figures of one pair, or of one shape.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Pair<Row> {
     pub name: String,
     pub rows: Vec<Row>,
 }
 
-/// The figures of the pairs so far, in order; in `METRIC.jsonl`, the settings on its first line, where there is an
-/// output directory.
+/// The figures of the pairs so far, in order; in `METRIC.jsonl`, the settings on its first line, where there is an output
+/// directory.
 pub struct Record<Row> {
     file: Option<(PathBuf, File)>,
     pairs: Vec<Pair<Row>>,
@@ -104,7 +104,7 @@ mod tests {
     fn a_record_is_taken_over_whole_or_refused() {
         let folder = tempfile::tempdir().unwrap();
         let (settings, other) = (json!({"seed": 0}), json!({"seed": 1}));
-        let open = |settings, number| Record::<f64>::open(Some(folder.path()), "figures", settings, number);
+        let open = |settings, number| Record::open(Some(folder.path()), "metric", settings, number);
         let mut record = open(&settings, 3).unwrap();
         record.append("a".into(), vec![0.1 + 0.2]).unwrap();
         record.append("b".into(), vec![1.0 / 3.0, 0.0]).unwrap();
@@ -114,13 +114,14 @@ mod tests {
         assert!(open(&other, 3).err().unwrap().to_string().contains("other settings"));
         assert!(open(&settings, 1).err().unwrap().to_string().contains("more pairs"));
         // Cut anywhere, the whole lines remain and the file can be gone on with.
-        let path = folder.path().join("figures.jsonl");
+        let path = folder.path().join("metric.jsonl");
         let whole = std::fs::read(&path).unwrap();
         for length in 0..whole.len() {
             std::fs::write(&path, &whole[..length]).unwrap();
             let mut record = open(&settings, 3).unwrap();
             assert_eq!(record.pairs(), &pairs[..record.pairs().len()]);
-            for pair in &pairs[record.pairs().len()..] {
+            let missing = &pairs[record.pairs().len()..];
+            for pair in missing {
                 record.append(pair.name.clone(), pair.rows.clone()).unwrap();
             }
             assert_eq!(std::fs::read(&path).unwrap(), whole, "{length}");

@@ -25,7 +25,7 @@ pub fn text(tables: &[Table]) -> String {
     tables.iter().map(table).collect::<Vec<_>>().join("\n")
 }
 
-/// The tables as Markdown.
+/// The same in Markdown.
 pub fn markdown(tables: &[Table]) -> String {
     let line = |cells: &[String]| format!("| {} |\n", cells.join(" | "));
     let table = |Table { title, head, rows }: &Table| {
@@ -36,7 +36,7 @@ pub fn markdown(tables: &[Table]) -> String {
     tables.iter().map(table).collect::<Vec<_>>().join("\n")
 }
 
-/// Writes the texts as `METRIC.EXTENSION` into a directory.
+/// Writes the texts as `metric.EXTENSION`.
 pub fn write(output: &Path, metric: &str, texts: &[(&str, String)]) -> Result<()> {
     for (extension, text) in texts {
         let path = output.join(format!("{metric}.{extension}"));

@@ -5,6 +5,7 @@
 //! | extension | clouds | keypoints |
 //! |---|---|---|
 //! | `ply` | ascii or binary, any scalar type | binary, `float x y z saliency occupancy`, `int nearest_index` |
+//! | `pcd` | ascii or binary, any scalar type | |
 //! | `npy` | `(N, C)`, `C >= 3`, floats or integers | `(K, 6)` of `<f8`, columns as in csv |
 //! | `csv` | as `xyz` | `x,y,z,saliency,occupancy,nearest_index` |
 //! | `xyz`, `txt`, `pts` | columns of text | |
@@ -20,6 +21,7 @@
 
 mod json;
 mod npy;
+mod pcd;
 mod ply;
 mod text;
 
@@ -27,14 +29,14 @@ use std::io::{self, BufWriter, Write};
 use std::path::Path;
 
 use crate::detect::Keypoint;
-use crate::points::Point;
+use crate::points::{Point, Transform};
 use crate::registration::Registration;
 use crate::{Error, Result};
 
 pub use json::keypoint_json;
 
 /// The extensions that [`read_points`] knows.
-pub const POINT_EXTENSIONS: &[&str] = &["ply", "xyz", "txt", "csv", "pts", "npy"];
+pub const POINT_EXTENSIONS: &[&str] = &["ply", "pcd", "xyz", "txt", "csv", "pts", "npy"];
 
 /// The extensions that [`write_keypoints`] knows.
 pub const KEYPOINT_EXTENSIONS: &[&str] = &["ply", "npy", "csv", "json"];
@@ -73,6 +75,16 @@ pub fn read_points(path: &Path) -> Result<Vec<Point>> {
 pub fn read_clouds(path: &Path) -> Result<Vec<Vec<Point>>> {
     let bytes = std::fs::read(path).map_err(|source| Error::Io { path: path.into(), source })?;
     npy::read_clouds(&bytes).map_err(|reason| Error::Format { path: path.into(), reason })
+}
+
+/// Reads rigid transforms from an `.npy` array of shape `(S, 3, 4)` or `(S, 4, 4)`, floats or integers; a missing fourth
+/// row is 0 0 0 1.
+///
+/// # Errors
+/// [`Error::Io`] when the file cannot be read; [`Error::Format`] when it is no such array.
+pub fn read_transforms(path: &Path) -> Result<Vec<Transform>> {
+    let bytes = std::fs::read(path).map_err(|source| Error::Io { path: path.into(), source })?;
+    npy::read_transforms(&bytes).map_err(|reason| Error::Format { path: path.into(), reason })
 }
 
 /// Writes keypoints; the extension says which format.
@@ -139,6 +151,7 @@ pub fn check_registration_path(path: &Path) -> Result<()> {
 fn point_reader(path: &Path) -> Result<PointReader> {
     Ok(match extension(path).as_str() {
         "ply" => ply::read,
+        "pcd" => pcd::read,
         "npy" => npy::read,
         "pts" => text::read_counted,
         "xyz" | "txt" | "csv" => text::read,
@@ -317,7 +330,7 @@ mod tests {
     fn unknown_extensions_are_refused_with_the_list() {
         for name in ["a.las", "a", "", ".ply"] {
             let error = read_points(Path::new(name)).unwrap_err().to_string();
-            assert!(error.contains(".ply, .xyz"), "{error}");
+            assert!(error.contains(".ply, .pcd"), "{error}");
             assert!(check_keypoint_path(Path::new(name)).unwrap_err().to_string().contains(".json"));
             assert!(check_registration_path(Path::new(name)).unwrap_err().to_string().contains(".txt"));
             assert!(check_cloud_path(Path::new(name)).unwrap_err().to_string().contains(".ply"));

@@ -4,7 +4,7 @@ use std::io::{self, Write};
 
 use super::excerpt;
 use crate::detect::Keypoint;
-use crate::points::Point;
+use crate::points::{Point, Transform};
 
 const MAGIC: &[u8] = b"\x93NUMPY";
 
@@ -28,6 +28,23 @@ pub(super) fn read_clouds(bytes: &[u8]) -> Result<Vec<Vec<Point>>, String> {
         return Err("clouds without points".into());
     }
     Ok((0..clouds).map(|cloud| array.cloud(data, cloud)).collect())
+}
+
+/// Reads the transforms of an array of shape `(S, 3, 4)` or `(S, 4, 4)`, rows one after the other; without a fourth row,
+/// that row is 0 0 0 1.
+pub(super) fn read_transforms(bytes: &[u8]) -> Result<Vec<Transform>, String> {
+    let (array, data) = open(bytes)?;
+    let plain = matches!((array.rows, array.columns), (3 | 4, 4)) && !array.fortran_order;
+    let transforms = array.clouds.filter(|_| plain).ok_or("needed is (S, 3, 4) or (S, 4, 4) in C order")?;
+    let row = |data: &[u8], row: usize| match row < array.rows {
+        true => std::array::from_fn(|column| array.item(data, row, column)),
+        false => [0.0, 0.0, 0.0, 1.0],
+    };
+    let one = |transform| {
+        let data = array.data_of(data, transform);
+        std::array::from_fn(|i| row(data, i))
+    };
+    Ok((0..transforms).map(one).collect())
 }
 
 /// The header, and the data, which holds the whole array.
@@ -106,12 +123,17 @@ impl ArrayHeader {
 
     /// One cloud; the data must hold the whole array.
     fn cloud(&self, data: &[u8], cloud: usize) -> Vec<Point> {
-        let data = &data[cloud * self.rows * self.columns * self.dtype.size..];
-        (0..self.rows).map(|row| std::array::from_fn(|column| self.item(data, row, column))).collect()
+        let data = self.data_of(data, cloud);
+        (0..self.rows).map(|row| std::array::from_fn(|column| self.item(data, row, column) as f32)).collect()
+    }
+
+    /// The data from a cloud on.
+    fn data_of<'a>(&self, data: &'a [u8], cloud: usize) -> &'a [u8] {
+        &data[cloud * self.rows * self.columns * self.dtype.size..]
     }
 
     /// One item of a cloud's data.
-    fn item(&self, data: &[u8], row: usize, column: usize) -> f32 {
+    fn item(&self, data: &[u8], row: usize, column: usize) -> f64 {
         let index = if self.fortran_order { column * self.rows + row } else { row * self.columns + column };
         let size = self.dtype.size;
         self.dtype.decode(&data[index * size..][..size])
@@ -134,15 +156,17 @@ fn parse_shape(shape: &str) -> Option<(Option<usize>, usize, usize)> {
     (columns >= 3).then_some((clouds, rows, columns))
 }
 
-struct Dtype {
+/// The type of an item; of PCD's too.
+pub(super) struct Dtype {
     kind: u8,
-    size: usize,
+    /// In bytes.
+    pub(super) size: usize,
     big_endian: bool,
 }
 
 impl Dtype {
     /// Parses byte order, kind and size, as in `<f4`.
-    fn parse(descr: &str) -> Option<Self> {
+    pub(super) fn parse(descr: &str) -> Option<Self> {
         let &[order, kind, size] = descr.as_bytes() else { return None };
         let size = usize::from(size.wrapping_sub(b'0'));
         let is_known = matches!((kind, size), (b'f', 4 | 8) | (b'i' | b'u', 1 | 2 | 4 | 8))
@@ -151,7 +175,7 @@ impl Dtype {
     }
 
     /// Decodes an item of `size` bytes.
-    fn decode(&self, item: &[u8]) -> f32 {
+    pub(super) fn decode(&self, item: &[u8]) -> f64 {
         let mut bytes = [0; 8];
         bytes[..self.size].copy_from_slice(item);
         if self.big_endian {
@@ -159,13 +183,13 @@ impl Dtype {
         }
         let bits = u64::from_le_bytes(bytes);
         match (self.kind, self.size) {
-            (b'f', 4) => f32::from_bits(bits as u32),
-            (b'f', _) => f64::from_bits(bits) as f32,
-            (b'u', _) => bits as f32,
+            (b'f', 4) => f32::from_bits(bits as u32).into(),
+            (b'f', _) => f64::from_bits(bits),
+            (b'u', _) => bits as f64,
             _ => {
                 // Up and down again, so that the sign bit fills the unused bytes.
                 let unused = 64 - 8 * self.size as u32;
-                ((bits << unused) as i64 >> unused) as f32
+                ((bits << unused) as i64 >> unused) as f64
             }
         }
     }
@@ -253,6 +277,23 @@ mod tests {
             read_clouds(&npy(1, "<i2", "False", shape, &encode(&values, "<i2"))).unwrap_err();
         }
         read_clouds(&npy(1, "<i2", "True", "(2, 2, 4)", &encode(&values, "<i2"))).unwrap_err();
+    }
+
+    #[test]
+    fn transforms_have_three_rows_or_four() {
+        let values: Vec<i8> = (0..32).collect();
+        let row = |first: i32| std::array::from_fn(|column| f64::from(first + column as i32));
+        let read = |order: &str, shape: &str| read_transforms(&npy(1, "<f8", order, shape, &encode(&values, "<f8")));
+        assert_eq!(read("False", "(2, 4, 4)").unwrap()[1], [row(16), row(20), row(24), row(28)]);
+        assert_eq!(read("False", "(2, 3, 4)").unwrap()[1], [row(12), row(16), row(20), [0.0, 0.0, 0.0, 1.0]]);
+        // Exact, not rounded to f32.
+        let third = npy(1, "<f8", "False", "(1, 3, 4)", &[1.0_f64 / 3.0; 12].map(f64::to_le_bytes).concat());
+        assert_eq!(read_transforms(&third).unwrap()[0][2][3], 1.0 / 3.0);
+        for (order, shape) in
+            [("True", "(2, 4, 4)"), ("False", "(4, 4)"), ("False", "(1, 5, 4)"), ("False", "(3, 4, 4)")]
+        {
+            read(order, shape).unwrap_err();
+        }
     }
 
     #[test]

@@ -8,6 +8,7 @@ use std::ops::AddAssign;
 
 use rand::SeedableRng;
 use rayon::prelude::*;
+use serde::{Deserialize, Serialize};
 
 use super::check_thresholds;
 use crate::neighbors::{Neighbors, vector};
@@ -44,7 +45,7 @@ pub enum SmplProtocol {
 }
 
 /// Matches of keypoints at one threshold; counts of shapes are added.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
 pub struct MatchCounts {
     /// Ground-truth keypoints (NP).
     pub ground_truth: usize,

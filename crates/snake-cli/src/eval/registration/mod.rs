@@ -14,8 +14,8 @@ use snake_core::metrics::{information_matrix, inlier_ratio, overlap, squared_reg
 use snake_core::registration::{Descriptor, KeypointDetector, RansacOptions, Scan, mutual_nearest, ransac};
 use snake_core::{Model, Point, io};
 
+use super::evenly_spaced;
 use super::record::Record;
-use super::{evenly_spaced, set_threads};
 use crate::args::RegistrationArguments;
 use crate::model;
 use report::Report;
@@ -37,8 +37,7 @@ const RMSE: f64 = 0.2;
 const OVERLAP_DISTANCE: f64 = 0.05;
 
 /// Evaluates every pair that is not yet recorded, then reports.
-pub fn registration(arguments: &RegistrationArguments) -> Result<()> {
-    set_threads(arguments.threads)?;
+pub fn run(arguments: &RegistrationArguments) -> Result<()> {
     let scenes = Scenes::open(&arguments.data)?;
     let model = model::load(arguments.model.as_deref())?;
     let plan = Plan::new(arguments, &model)?;

@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 use anyhow::{Context, Result, bail};
 use snake_core::Transform;
 
-use super::super::views::{Data, PairEntry, find_cloud};
+use super::super::pairs::{self, ListedPair, find_cloud};
 
 /// Fragments and the pairs of them that overlap.
 pub struct Scenes {
@@ -31,12 +31,8 @@ impl Scenes {
     pub fn open(folder: &Path) -> Result<Self> {
         let mut scenes = Self { clouds: Vec::new(), pairs: Vec::new() };
         if folder.join("pairs.json").exists() {
-            if let Data::Pairs { folder, pairs } = Data::open(&[folder.to_path_buf()])? {
-                pairs.into_iter().try_for_each(|pair| scenes.add_entry(&folder, pair))?;
-            }
-            return Ok(scenes);
-        }
-        if let Some(truth) = ground_truth(folder) {
+            pairs::listed(folder)?.into_iter().try_for_each(|pair| scenes.add_pair(folder, pair))?;
+        } else if let Some(truth) = ground_truth(folder) {
             scenes.add_scene(folder, &truth)?;
         } else {
             let listed = || format!("cannot list {}", folder.display());
@@ -55,13 +51,14 @@ impl Scenes {
         Ok(scenes)
     }
 
-    fn add_entry(&mut self, folder: &Path, entry: PairEntry) -> Result<()> {
-        let PairEntry { source, target, t_target_source } = entry;
+    fn add_pair(&mut self, folder: &Path, pair: ListedPair) -> Result<()> {
+        let ListedPair { source, target, t_target_source } = pair;
         let (scene, fragments) = match (fragment(&source), fragment(&target)) {
             (Some((first, i)), Some((second, j))) if first == second => (first.to_owned(), [i, j]),
             _ => (name(folder), [0, usize::MAX]),
         };
-        let (source, target) = (self.cloud(find_cloud(folder, &source)?), self.cloud(find_cloud(folder, &target)?));
+        let (source, target) =
+            (self.cloud(find_cloud(&folder.join(source))?), self.cloud(find_cloud(&folder.join(target))?));
         self.pairs.push(ScenePair { scene, source, target, fragments, t_target_source, information: None });
         Ok(())
     }
@@ -75,7 +72,7 @@ impl Scenes {
             let Some((_, information)) = information.iter().find(|(same, _)| *same == fragments) else {
                 bail!("{}: nothing on the pair {target} {source} of gt.log", truth.join("gt.info").display());
             };
-            let mut cloud = |i| Ok::<_, anyhow::Error>(self.cloud(find_cloud(folder, &format!("cloud_bin_{i}"))?));
+            let mut cloud = |i| Ok::<_, anyhow::Error>(self.cloud(find_cloud(&folder.join(format!("cloud_bin_{i}")))?));
             let (source, target) = (cloud(source)?, cloud(target)?);
             let (scene, information) = (name(folder), Some(*information));
             self.pairs.push(ScenePair { scene, source, target, fragments, t_target_source, information });

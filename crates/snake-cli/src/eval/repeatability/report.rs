@@ -1,42 +1,20 @@
-//! Tables of repeatability.
+//! The figures of repeatability: tables, curves, CSV and JSON.
 
 use std::path::Path;
 
 use anyhow::Result;
 use serde_json::{Value, json};
 
-use super::Plan;
-use super::Row;
-use super::record::Pair;
-use super::table::{self, Table};
+use super::super::paper::PaperRow;
+use super::super::plot::{self, Line, Panel};
+use super::super::record::Pair;
+use super::super::table::{self, Table};
 use super::views::Condition;
+use super::{Plan, Row};
 
-/// A row of the paper's tables: the method, and its figures by epsilon in hundredths.
-pub type PaperRow = (&'static str, [(u32, f64); 8]);
-
-/// SNAKE's table of repeatability on ModelNet40, in units of the objects' radius.
-pub const MODELNET40: [PaperRow; 2] = [
-    (
-        "SNAKE (paper)",
-        [(3, 0.763), (4, 0.864), (5, 0.897), (6, 0.910), (7, 0.917), (8, 0.923), (9, 0.927), (10, 0.930)],
-    ),
-    (
-        "random (paper)",
-        [(3, 0.056), (4, 0.094), (5, 0.140), (6, 0.191), (7, 0.249), (8, 0.308), (9, 0.368), (10, 0.429)],
-    ),
-];
-
-/// Its table on Redwood, in metres.
-pub const REDWOOD: [PaperRow; 2] = [
-    (
-        "SNAKE (paper)",
-        [(10, 0.205), (12, 0.246), (14, 0.286), (16, 0.323), (18, 0.359), (20, 0.393), (22, 0.425), (24, 0.454)],
-    ),
-    (
-        "random (paper)",
-        [(10, 0.090), (12, 0.126), (14, 0.163), (16, 0.204), (18, 0.246), (20, 0.287), (22, 0.326), (24, 0.362)],
-    ),
-];
+/// The sweeps that a condition can belong to; the undisturbed views to both.
+const DOWN_SAMPLED: fn(&Condition) -> bool = |c| c.noise == 0.0;
+const NOISY: fn(&Condition) -> bool = |c| c.downsample == 1;
 
 /// Means over all pairs.
 pub struct Report<'a> {
@@ -102,17 +80,69 @@ impl<'a> Report<'a> {
         table::text(&self.tables())
     }
 
-    /// Writes `repeatability.csv`, `.json` and `.md`.
+    /// Writes `repeatability.csv`, `.json`, `.md` and `.svg`.
     pub fn write(&self, output: &Path) -> Result<()> {
         let markdown = table::markdown(&self.tables());
-        table::write(output, "repeatability", &[("csv", self.csv()), ("json", self.json()?), ("md", markdown)])
+        let svg = plot::svg("relative repeatability", &self.panels());
+        let texts = [("csv", self.csv()), ("json", self.json()?), ("md", markdown), ("svg", svg)];
+        table::write(output, "repeatability", &texts)
     }
 
     /// The paper's three tables: over epsilon, over down-sampling and over noise.
     fn tables(&self) -> Vec<Table> {
-        let down_sampling = self.over("down-sampling", |c| c.noise == 0.0, |c| format!("1 in {}", c.downsample));
-        let noise = self.over("noise", |c| c.downsample == 1, |c| format!("σ {}", c.noise));
+        let down_sampling = self.over("down-sampling", DOWN_SAMPLED, |c| format!("1 in {}", c.downsample));
+        let noise = self.over("noise", NOISY, |c| format!("σ {}", c.noise));
         std::iter::once(self.over_epsilon()).chain(down_sampling).chain(noise).collect()
+    }
+
+    /// The same as curves; down-sampling on a logarithmic axis.
+    fn panels(&self) -> Vec<Panel> {
+        let Plan { epsilon, table_epsilon, conditions, .. } = self.plan;
+        let ours = |s: &Summary| Line {
+            name: s.method.clone(),
+            values: s.repeatability.iter().map(|(mean, _)| Some(*mean)).collect(),
+            dashed: false,
+        };
+        let theirs = |row: &PaperRow| Line { name: row.method.into(), values: row.at(epsilon), dashed: true };
+        let over_epsilon = Panel {
+            x_label: "ε".into(),
+            ticks: epsilon.iter().map(|epsilon| (*epsilon, epsilon.to_string())).collect(),
+            lines: self.under(conditions[0]).map(ours).chain(self.paper.iter().map(theirs)).collect(),
+        };
+        let down_sampling = self.swept(DOWN_SAMPLED).map(|swept| {
+            let tick = |c: &Condition| ((c.downsample as f64).log2(), c.downsample.to_string());
+            let x_label = format!("down-sampling, 1 in (ε {table_epsilon})");
+            Panel { x_label, ticks: swept.iter().map(tick).collect(), lines: self.lines(&swept) }
+        });
+        let noise = self.swept(NOISY).map(|swept| {
+            let ticks = swept.iter().map(|c| (c.noise, c.noise.to_string())).collect();
+            Panel { x_label: format!("noise σ (ε {table_epsilon})"), ticks, lines: self.lines(&swept) }
+        });
+        std::iter::once(over_epsilon).chain(down_sampling).chain(noise).collect()
+    }
+
+    /// A line for each method over conditions, at the tables' epsilon.
+    fn lines(&self, swept: &[Condition]) -> Vec<Line> {
+        let line = |i, first: &Summary| Line {
+            name: first.method.clone(),
+            values: swept
+                .iter()
+                .map(|c| self.under(*c).nth(i).map(|s| s.repeatability[self.table_column()].0))
+                .collect(),
+            dashed: false,
+        };
+        self.under(self.plan.conditions[0]).enumerate().map(|(i, first)| line(i, first)).collect()
+    }
+
+    /// The conditions of a sweep, if there are several.
+    fn swept(&self, belongs: fn(&Condition) -> bool) -> Option<Vec<Condition>> {
+        let swept: Vec<Condition> = self.plan.conditions.iter().copied().filter(belongs).collect();
+        (swept.len() > 1).then_some(swept)
+    }
+
+    /// Where the tables' epsilon is.
+    fn table_column(&self) -> usize {
+        self.plan.epsilon.iter().position(|epsilon| *epsilon == self.plan.table_epsilon).unwrap_or(0)
     }
 
     /// Undisturbed views, a row for each method.
@@ -128,10 +158,9 @@ impl<'a> Report<'a> {
             row
         };
         let title = format!("Relative repeatability, mean ± standard deviation over {} pairs", self.num_pairs);
-        let paper_row = |(method, figures): &PaperRow| {
-            let at = |epsilon: &f64| figures.iter().find(|(hundredths, _)| f64::from(*hundredths) / 100.0 == *epsilon);
-            let mut row = vec![(*method).to_owned()];
-            row.extend(self.plan.epsilon.iter().map(|e| at(e).map_or("-".into(), |(_, mean)| format!("{mean:.3}"))));
+        let paper_row = |paper: &PaperRow| {
+            let mut row = vec![paper.method.to_owned()];
+            row.extend(paper.cells(&self.plan.epsilon));
             row.extend(["-".into(), "-".into()]);
             row
         };
@@ -141,17 +170,14 @@ impl<'a> Report<'a> {
 
     /// One epsilon, a row for each method and a column for each condition that belongs; none of a single condition.
     fn over(&self, what: &str, belongs: fn(&Condition) -> bool, name: fn(&Condition) -> String) -> Option<Table> {
-        let Plan { epsilon, table_epsilon, conditions, .. } = self.plan;
-        let at = epsilon.iter().position(|epsilon| epsilon == table_epsilon)?;
-        let swept: Vec<&Condition> = conditions.iter().filter(|condition| belongs(condition)).collect();
-        let mut head = vec!["method".to_owned()];
-        head.extend(swept.iter().map(|condition| name(condition)));
-        let mut rows: Vec<Vec<String>> = self.under(conditions[0]).map(|s| vec![s.method.clone()]).collect();
-        for condition in &swept {
-            rows.iter_mut().zip(self.under(**condition)).for_each(|(row, s)| row.push(cell(&s.repeatability[at])));
+        let swept = self.swept(belongs)?;
+        let head = std::iter::once("method".to_owned()).chain(swept.iter().map(name)).collect();
+        let mut rows: Vec<Vec<String>> = self.under(self.plan.conditions[0]).map(|s| vec![s.method.clone()]).collect();
+        for condition in swept {
+            let cells = self.under(condition).map(|s| cell(&s.repeatability[self.table_column()]));
+            rows.iter_mut().zip(cells).for_each(|(row, cell)| row.push(cell));
         }
-        let title = format!("At ε {table_epsilon}, over {what}");
-        (swept.len() > 1).then_some(Table { title, head, rows })
+        Some(Table { title: format!("At ε {}, over {what}", self.plan.table_epsilon), head, rows })
     }
 
     /// The methods under one condition, in their order.
@@ -196,10 +222,11 @@ impl<'a> Report<'a> {
 
 #[cfg(test)]
 mod tests {
+    use super::super::super::paper::MODELNET40;
     use super::*;
 
     const CLEAN: Condition = Condition { downsample: 1, noise: 0.0 };
-    const NOISY: Condition = Condition { downsample: 1, noise: 0.1 };
+    const BLURRED: Condition = Condition { downsample: 1, noise: 0.1 };
 
     fn row(condition: Condition, keypoints: usize, repeatability: [f64; 2]) -> Row {
         let coverage = (keypoints > 0).then_some(0.25);
@@ -208,11 +235,11 @@ mod tests {
 
     #[test]
     fn tables_by_hand() {
-        let conditions = vec![CLEAN, NOISY];
+        let conditions = vec![CLEAN, BLURRED];
         let plan = Plan { epsilon: vec![0.1, 0.2], table_epsilon: 0.2, conditions, num_points: 1, seed: 0 };
         let pairs = [
-            Pair { name: "a".into(), rows: vec![row(CLEAN, 4, [0.5, 1.0]), row(NOISY, 0, [0.0, 0.0])] },
-            Pair { name: "b".into(), rows: vec![row(CLEAN, 8, [0.25, 1.0]), row(NOISY, 2, [0.0, 0.5])] },
+            Pair { name: "a".into(), rows: vec![row(CLEAN, 4, [0.5, 1.0]), row(BLURRED, 0, [0.0, 0.0])] },
+            Pair { name: "b".into(), rows: vec![row(CLEAN, 8, [0.25, 1.0]), row(BLURRED, 2, [0.0, 0.5])] },
         ];
         let settings = json!({"seed": 0});
         let report = Report::new(&plan, &settings, &pairs, &[]);
@@ -236,6 +263,14 @@ At ε 0.2, over noise:
         assert_eq!(json["rows"][1]["repeatability"], json!([0.0, 0.25]));
         assert_eq!((json["rows"].as_array().unwrap().len(), &json["settings"]), (2, &settings));
         assert!(report.text().contains("iss             0.375 ±0.177"));
+        let panels = report.panels();
+        let curves: Vec<_> =
+            panels.iter().map(|panel| (panel.ticks[1].clone(), panel.lines[0].values.clone())).collect();
+        let expected = [
+            ((0.2, "0.2".to_owned()), vec![Some(0.375), Some(1.0)]),
+            ((0.1, "0.1".to_owned()), vec![Some(1.0), Some(0.25)]),
+        ];
+        assert_eq!(curves, expected);
     }
 
     #[test]
@@ -243,7 +278,9 @@ At ε 0.2, over noise:
         let plan =
             Plan { epsilon: vec![0.04, 0.3], table_epsilon: 0.3, conditions: vec![CLEAN], num_points: 1, seed: 0 };
         let pairs = [Pair { name: "a".into(), rows: vec![row(CLEAN, 4, [0.5, 1.0])] }];
-        let markdown = table::markdown(&Report::new(&plan, &json!({}), &pairs, &MODELNET40).tables());
+        let settings = json!({});
+        let report = Report::new(&plan, &settings, &pairs, &MODELNET40);
+        let markdown = table::markdown(&report.tables());
         assert!(
             markdown.ends_with("| SNAKE (paper) | 0.864 | - | - | - |\n| random (paper) | 0.094 | - | - | - |\n"),
             "{markdown}"

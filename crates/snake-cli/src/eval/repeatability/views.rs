@@ -1,16 +1,12 @@
-//! Data sets as pairs of views: objects seen twice, or real pairs.
+//! Pairs of views: an object seen twice, or two clouds of one place.
 
-use std::path::{Path, PathBuf};
-
-use anyhow::{Context, Result, bail};
+use anyhow::Result;
 use nalgebra::{Point3, Quaternion, UnitQuaternion};
 use rand::{Rng, RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use rand_distr::StandardNormal;
 use serde::{Deserialize, Serialize};
-use snake_core::{Normalization, NormalizationMethod, Point, Transform, io};
-
-use crate::detect::expand;
+use snake_core::{Normalization, NormalizationMethod, Point, Transform};
 
 /// A disturbance of both views, as in the paper's tables.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
@@ -19,97 +15,6 @@ pub struct Condition {
     pub downsample: usize,
     /// Standard deviation of Gaussian noise on each coordinate, in units of the views.
     pub noise: f64,
-}
-
-/// What is evaluated on.
-pub enum Data {
-    Objects { names: Vec<String>, clouds: Clouds },
-    Pairs { folder: PathBuf, pairs: Vec<PairEntry> },
-}
-
-/// Clouds in memory, or the files to read them from.
-pub enum Clouds {
-    Loaded(Vec<Vec<Point>>),
-    Files(Vec<PathBuf>),
-}
-
-/// A row of `pairs.json`; what else it has is ignored.
-#[derive(Deserialize)]
-pub struct PairEntry {
-    pub source: String,
-    pub target: String,
-    #[serde(rename = "T")]
-    pub t_target_source: Transform,
-}
-
-/// A row of `index.json`.
-#[derive(Deserialize)]
-struct IndexEntry {
-    name: String,
-}
-
-impl Data {
-    /// Recognises a corpus folder, a folder with pairs, cloud files and folders of them.
-    pub fn open(inputs: &[PathBuf]) -> Result<Self> {
-        if let [folder] = inputs {
-            if folder.join("points.npy").exists() {
-                let entries: Vec<IndexEntry> = read_json(&folder.join("index.json"))?;
-                let clouds = io::read_clouds(&folder.join("points.npy"))?;
-                if entries.len() != clouds.len() {
-                    let (rows, clouds) = (entries.len(), clouds.len());
-                    bail!("{}: index.json has {rows} rows, points.npy {clouds} clouds", folder.display());
-                }
-                if clouds.is_empty() {
-                    bail!("{}: no clouds in points.npy", folder.display());
-                }
-                let names = entries.into_iter().map(|entry| entry.name).collect();
-                return Ok(Self::Objects { names, clouds: Clouds::Loaded(clouds) });
-            }
-            if folder.join("pairs.json").exists() {
-                let pairs: Vec<PairEntry> = read_json(&folder.join("pairs.json"))?;
-                if pairs.is_empty() {
-                    bail!("{}: no pairs in pairs.json", folder.display());
-                }
-                return Ok(Self::Pairs { folder: folder.clone(), pairs });
-            }
-        }
-        let files = expand(inputs)?;
-        let names = files.iter().map(|file| file.display().to_string()).collect();
-        Ok(Self::Objects { names, clouds: Clouds::Files(files) })
-    }
-
-    /// How many pairs of views there are.
-    pub fn len(&self) -> usize {
-        match self {
-            Self::Objects { names, .. } => names.len(),
-            Self::Pairs { pairs, .. } => pairs.len(),
-        }
-    }
-
-    /// What a pair of views is called.
-    pub fn name(&self, pair: usize) -> String {
-        match self {
-            Self::Objects { names, .. } => names[pair].clone(),
-            Self::Pairs { pairs, .. } => format!("{} to {}", pairs[pair].source, pairs[pair].target),
-        }
-    }
-
-    /// The clouds that the views of a pair are drawn from.
-    pub fn clouds(&self, pair: usize) -> Result<PairClouds> {
-        match self {
-            Self::Objects { clouds: Clouds::Loaded(clouds), .. } => PairClouds::object(&clouds[pair]),
-            Self::Objects { clouds: Clouds::Files(files), .. } => PairClouds::object(&io::read_points(&files[pair])?),
-            Self::Pairs { folder, pairs } => {
-                let PairEntry { source, target, t_target_source } = &pairs[pair];
-                let clouds =
-                    [io::read_points(&find_cloud(folder, target)?)?, io::read_points(&find_cloud(folder, source)?)?];
-                if clouds.iter().any(Vec::is_empty) {
-                    bail!("a cloud without points");
-                }
-                Ok(PairClouds::Real { clouds, t_1_2: *t_target_source })
-            }
-        }
-    }
 }
 
 /// The clouds of a pair in the units of the figures.
@@ -132,7 +37,7 @@ pub struct Views {
 
 impl PairClouds {
     /// Scales an object to radius 1 about its mean; it is not moved.
-    fn object(points: &[Point]) -> Result<Self> {
+    pub fn object(points: &[Point]) -> Result<Self> {
         let radius = Normalization::of(points, NormalizationMethod::UnitSphere)?.scale / 2.0;
         Ok(Self::Object(points.iter().map(|point| point.map(|v| v / radius)).collect()))
     }
@@ -172,21 +77,6 @@ impl PairClouds {
 fn choose(points: &[Point], number: usize, rng: &mut impl Rng) -> Vec<Point> {
     let chosen = rand::seq::index::sample(rng, points.len(), number);
     chosen.into_iter().map(|index| points[index]).collect()
-}
-
-/// The cloud of that name in a folder, with or without its extension.
-pub fn find_cloud(folder: &Path, name: &str) -> Result<PathBuf> {
-    let path = folder.join(name);
-    let with_extensions = io::POINT_EXTENSIONS.iter().map(|extension| folder.join(format!("{name}.{extension}")));
-    let Some(found) = std::iter::once(path.clone()).chain(with_extensions).find(|path| path.is_file()) else {
-        bail!("{}: no such cloud (looked for .{})", path.display(), io::POINT_EXTENSIONS.join(", ."))
-    };
-    Ok(found)
-}
-
-fn read_json<T: for<'a> Deserialize<'a>>(path: &Path) -> Result<T> {
-    let text = std::fs::read_to_string(path).with_context(|| format!("cannot read {}", path.display()))?;
-    serde_json::from_str(&text).with_context(|| path.display().to_string())
 }
 
 #[cfg(test)]

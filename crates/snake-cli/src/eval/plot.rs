@@ -1,0 +1,159 @@
+//! Curves as SVG, in the form of the paper's figure 5: a line for each method, panels side by side.
+
+use std::fmt::Write;
+
+/// One diagram of shares from 0 to 1.
+pub struct Panel {
+    pub x_label: String,
+    /// Where the figures are along x, and what is written there.
+    pub ticks: Vec<(f64, String)>,
+    pub lines: Vec<Line>,
+}
+
+/// The figures of a method.
+pub struct Line {
+    pub name: String,
+    /// For each tick, where there is one.
+    pub values: Vec<Option<f64>>,
+    /// Of the paper, not ours.
+    pub dashed: bool,
+}
+
+// Pixels: the area of a diagram, and the space around it.
+const WIDTH: f64 = 300.0;
+const HEIGHT: f64 = 220.0;
+const LEFT: f64 = 48.0;
+const TOP: f64 = 16.0;
+const BOTTOM: f64 = 48.0;
+/// Of an entry of the legend.
+const ENTRY: [f64; 2] = [120.0, 16.0];
+/// Distinct also to colour-blind readers (Okabe and Ito).
+const COLORS: [&str; 7] = ["#d55e00", "#0072b2", "#009e73", "#e69f00", "#cc79a7", "#56b4e9", "#000000"];
+
+/// The panels with one legend below.
+pub fn svg(y_label: &str, panels: &[Panel]) -> String {
+    let mut names: Vec<(&str, bool)> = Vec::new();
+    for Line { name, dashed, .. } in panels.iter().flat_map(|panel| &panel.lines) {
+        if !names.contains(&(name, *dashed)) {
+            names.push((name, *dashed));
+        }
+    }
+    let color = |name: &str, dashed: bool| {
+        let index = names.iter().position(|known| *known == (name, dashed)).unwrap_or(0);
+        COLORS[index % COLORS.len()]
+    };
+    let width = panels.len() as f64 * (LEFT + WIDTH) + LEFT;
+    let columns = (((width - LEFT) / ENTRY[0]) as usize).max(1);
+    let height = TOP + HEIGHT + BOTTOM + names.len().div_ceil(columns) as f64 * ENTRY[1];
+    let mut text = format!(
+        "<svg xmlns=\"http://www.w3.org/2000/svg\" width=\"{width}\" height=\"{height}\" font-family=\"sans-serif\" \
+         font-size=\"11\">\n<rect width=\"{width}\" height=\"{height}\" fill=\"white\"/>\n"
+    );
+    for (i, panel) in panels.iter().enumerate() {
+        let left = LEFT + i as f64 * (LEFT + WIDTH);
+        text += &format!("<g transform=\"translate({left} {TOP})\">\n{}", axes(panel, y_label));
+        for Line { name, values, dashed } in &panel.lines {
+            let points = panel.ticks.iter().zip(values).filter_map(|((x, _), y)| Some((across(panel, *x), up((*y)?))));
+            let mut points: Vec<(f64, f64)> = points.collect();
+            points.sort_by(|a, b| a.0.total_cmp(&b.0));
+            text += &curve(&points, color(name, *dashed), *dashed);
+        }
+        text += "</g>\n";
+    }
+    for (i, &(name, dashed)) in names.iter().enumerate() {
+        let (column, row) = (i % columns, i / columns);
+        let (x, y) = (LEFT + column as f64 * ENTRY[0], TOP + HEIGHT + BOTTOM + row as f64 * ENTRY[1]);
+        text += &curve(&[(x, y), (x + 22.0, y)], color(name, dashed), dashed);
+        writeln!(text, "<text x=\"{}\" y=\"{}\">{name}</text>", x + 28.0, y + 4.0).unwrap_or_default();
+    }
+    text + "</svg>\n"
+}
+
+/// Frame, grid, ticks and labels.
+fn axes(panel: &Panel, y_label: &str) -> String {
+    let mut text = String::new();
+    for fifth in 0..=5 {
+        let share = f64::from(fifth) / 5.0;
+        let y = up(share);
+        text += &format!("<path d=\"M0 {y}H{WIDTH}\" stroke=\"#ddd\"/>\n");
+        text += &format!("<text x=\"-6\" y=\"{}\" text-anchor=\"end\">{share}</text>\n", y + 4.0);
+    }
+    for (x, label) in &panel.ticks {
+        let (x, y) = (across(panel, *x), HEIGHT + 14.0);
+        text += &format!("<text x=\"{x:.1}\" y=\"{y}\" text-anchor=\"middle\">{label}</text>\n");
+    }
+    let (middle, below) = (WIDTH / 2.0, HEIGHT + 30.0);
+    text += &format!("<rect width=\"{WIDTH}\" height=\"{HEIGHT}\" fill=\"none\" stroke=\"#444\"/>\n");
+    text += &format!("<text x=\"{middle}\" y=\"{below}\" text-anchor=\"middle\">{}</text>\n", panel.x_label);
+    let (x, y) = (-HEIGHT / 2.0, -32.0);
+    text + &format!("<text transform=\"rotate(-90)\" x=\"{x}\" y=\"{y}\" text-anchor=\"middle\">{y_label}</text>\n")
+}
+
+/// A line through points, a dot on each; of none nothing.
+fn curve(points: &[(f64, f64)], color: &str, dashed: bool) -> String {
+    let through: Vec<String> = points.iter().map(|(x, y)| format!("{x:.1},{y:.1}")).collect();
+    let dashes = if dashed { " stroke-dasharray=\"5 3\"" } else { "" };
+    let mut text = format!(
+        "<polyline points=\"{}\" fill=\"none\" stroke=\"{color}\" stroke-width=\"1.5\"{dashes}/>\n",
+        through.join(" ")
+    );
+    for (x, y) in points {
+        writeln!(text, "<circle cx=\"{x:.1}\" cy=\"{y:.1}\" r=\"2.5\" fill=\"{color}\"/>").unwrap_or_default();
+    }
+    text
+}
+
+/// Pixels from the left edge of the diagram: the outer ticks a little within it, one alone in the middle.
+fn across(panel: &Panel, x: f64) -> f64 {
+    let of_ticks = |choose: fn(f64, f64) -> f64, start| panel.ticks.iter().map(|(x, _)| *x).fold(start, choose);
+    let (least, most) = (of_ticks(f64::min, f64::INFINITY), of_ticks(f64::max, f64::NEG_INFINITY));
+    let share = if most > least { (x - least) / (most - least) } else { 0.5 };
+    WIDTH * (0.05 + 0.9 * share)
+}
+
+/// Pixels from the top edge of the diagram.
+fn up(share: f64) -> f64 {
+    HEIGHT * (1.0 - share)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn lines_go_through_the_figures_in_the_order_of_x() {
+        let line =
+            |name: &str, values: &[Option<f64>], dashed| Line { name: name.into(), values: values.into(), dashed };
+        let ticks = vec![(4.0, "four".to_owned()), (2.0, "two".to_owned()), (3.0, "three".to_owned())];
+        let lines =
+            vec![line("iss", &[Some(1.0), Some(0.0), Some(0.5)], false), line("iss", &[None, Some(0.25), None], true)];
+        let panel = Panel { x_label: "ε".into(), ticks, lines };
+        let alone = vec![(7.0, "seven".to_owned())];
+        let other = Panel { x_label: "σ".into(), ticks: alone, lines: vec![line("iss", &[Some(0.5)], false)] };
+        let text = svg("share", &[panel, other]);
+        // 0.05, 0.5 and 0.95 of 300 across, and from 220 to 0 up.
+        assert!(
+            text.contains("points=\"15.0,220.0 150.0,110.0 285.0,0.0\" fill=\"none\" stroke=\"#d55e00\""),
+            "{text}"
+        );
+        assert!(
+            text.contains("points=\"15.0,165.0\" fill=\"none\" stroke=\"#0072b2\" stroke-width=\"1.5\" stroke-dash")
+        );
+        assert!(text.contains("points=\"150.0,110.0\""), "{text}");
+        // Three lines and two of the legend.
+        assert_eq!(text.matches("<polyline").count(), 5);
+        assert_eq!(text.matches(">iss</text>").count(), 2);
+        for label in ["four", "two", "three", "seven", "ε", "σ", "share"] {
+            assert!(text.contains(&format!(">{label}</text>")), "{label}");
+        }
+        // Two columns fit below one panel: seven names take four rows of 16.
+        let names = ["a", "b", "c", "d", "e", "f", "g"].map(|name| line(name, &[Some(0.5)], false));
+        let one = Panel { x_label: "ε".into(), ticks: vec![(7.0, "seven".into())], lines: names.into() };
+        let legend = svg("share", &[one]);
+        assert!(
+            legend.contains("width=\"396\" height=\"348\"") && legend.contains("<text x=\"76\" y=\"336\">g"),
+            "{legend}"
+        );
+        assert_eq!(text.matches("<g ").count(), text.matches("</g>").count());
+    }
+}

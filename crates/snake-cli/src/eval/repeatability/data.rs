@@ -1,0 +1,174 @@
+//! Data sets as pairs of clouds, by the layout of their folder.
+
+use std::path::{Path, PathBuf};
+
+use anyhow::{Context, Result, bail};
+use serde::Deserialize;
+use snake_core::{Point, Transform, io};
+
+use super::super::pairs::{self, ListedPair, find_cloud};
+use super::super::read_json;
+use super::views::PairClouds;
+use crate::detect::expand;
+
+/// What is evaluated on.
+pub struct Data {
+    /// Whose settings and figures of the paper belong to it.
+    pub scale: Scale,
+    source: Source,
+}
+
+/// The units of a data set.
+#[derive(Clone, Copy, PartialEq, Eq)]
+pub enum Scale {
+    /// Objects of radius 1, as ModelNet40.
+    Object,
+    /// Rooms in metres, as Redwood.
+    Room,
+}
+
+enum Source {
+    /// An object's second view is made.
+    Objects { names: Vec<String>, clouds: Clouds },
+    /// Both clouds are given.
+    Pairs(Vec<PairEntry>),
+}
+
+/// Clouds in memory, or the files to read them from.
+enum Clouds {
+    Loaded(Vec<Vec<Point>>),
+    Files(Vec<PathBuf>),
+}
+
+struct PairEntry {
+    name: String,
+    /// Views 1 and 2; the extension may be missing.
+    clouds: [PathBuf; 2],
+    t_1_2: Transform,
+}
+
+/// A row of `index.json`.
+#[derive(Deserialize)]
+struct IndexRow {
+    name: String,
+}
+
+impl Data {
+    /// Recognises the folders of a data set, else takes cloud files and folders of them.
+    pub fn open(inputs: &[PathBuf]) -> Result<Self> {
+        if let [folder] = inputs {
+            let has = |name: &str| folder.join(name).exists();
+            if has("points.npy") {
+                return Self::corpus(folder);
+            }
+            if has("pairs.json") {
+                return Self::pairs(Scale::Room, "pairs.json", listed_pairs(folder)?, folder);
+            }
+            if has("redwood_pair.txt") {
+                return Self::pairs(Scale::Room, "redwood_pair.txt", redwood_pairs(folder)?, folder);
+            }
+            if has("original") && has("rotated") {
+                return Self::pairs(Scale::Object, "transform.npy", modelnet_pairs(folder)?, folder);
+            }
+        }
+        let files = expand(inputs)?;
+        let names = files.iter().map(|file| file.display().to_string()).collect();
+        Ok(Self { scale: Scale::Object, source: Source::Objects { names, clouds: Clouds::Files(files) } })
+    }
+
+    /// Our own: `points.npy` and `index.json`.
+    fn corpus(folder: &Path) -> Result<Self> {
+        let entries: Vec<IndexRow> = read_json(&folder.join("index.json"))?;
+        let clouds = io::read_clouds(&folder.join("points.npy"))?;
+        if entries.len() != clouds.len() {
+            let (rows, clouds) = (entries.len(), clouds.len());
+            bail!("{}: index.json has {rows} rows, points.npy {clouds} clouds", folder.display());
+        }
+        if clouds.is_empty() {
+            bail!("{}: no clouds in points.npy", folder.display());
+        }
+        let names = entries.into_iter().map(|entry| entry.name).collect();
+        Ok(Self { scale: Scale::Object, source: Source::Objects { names, clouds: Clouds::Loaded(clouds) } })
+    }
+
+    /// Pairs that the file of that name lists, at least one.
+    fn pairs(scale: Scale, list: &str, pairs: Vec<PairEntry>, folder: &Path) -> Result<Self> {
+        if pairs.is_empty() {
+            bail!("{}: no pairs in {list}", folder.display());
+        }
+        Ok(Self { scale, source: Source::Pairs(pairs) })
+    }
+
+    /// How many pairs of views there are.
+    pub fn len(&self) -> usize {
+        match &self.source {
+            Source::Objects { names, .. } => names.len(),
+            Source::Pairs(pairs) => pairs.len(),
+        }
+    }
+
+    /// What a pair of views is called.
+    pub fn name(&self, pair: usize) -> String {
+        match &self.source {
+            Source::Objects { names, .. } => names[pair].clone(),
+            Source::Pairs(pairs) => pairs[pair].name.clone(),
+        }
+    }
+
+    /// The clouds that the views of a pair are drawn from.
+    pub fn clouds(&self, pair: usize) -> Result<PairClouds> {
+        match &self.source {
+            Source::Objects { clouds: Clouds::Loaded(clouds), .. } => PairClouds::object(&clouds[pair]),
+            Source::Objects { clouds: Clouds::Files(files), .. } => PairClouds::object(&io::read_points(&files[pair])?),
+            Source::Pairs(pairs) => {
+                let PairEntry { clouds: [first, second], t_1_2, .. } = &pairs[pair];
+                let clouds = [io::read_points(&find_cloud(first)?)?, io::read_points(&find_cloud(second)?)?];
+                if clouds.iter().any(Vec::is_empty) {
+                    bail!("a cloud without points");
+                }
+                Ok(PairClouds::Real { clouds, t_1_2: *t_1_2 })
+            }
+        }
+    }
+}
+
+/// `pairs.json`: the target is the first view.
+fn listed_pairs(folder: &Path) -> Result<Vec<PairEntry>> {
+    let entry = |ListedPair { source, target, t_target_source }| PairEntry {
+        name: format!("{source} to {target}"),
+        clouds: [folder.join(target), folder.join(source)],
+        t_1_2: t_target_source,
+    };
+    Ok(pairs::listed(folder)?.into_iter().map(entry).collect())
+}
+
+/// USIP's ModelNet40: `original/I.npy`, the same object turned as `rotated/I.npy`, and row I of `transform.npy`.
+fn modelnet_pairs(folder: &Path) -> Result<Vec<PairEntry>> {
+    let entry = |(i, t_1_2)| PairEntry {
+        name: format!("{i}"),
+        clouds: ["original", "rotated"].map(|view| folder.join(view).join(format!("{i}.npy"))),
+        t_1_2,
+    };
+    Ok(io::read_transforms(&folder.join("transform.npy"))?.into_iter().enumerate().map(entry).collect())
+}
+
+/// USIP's Redwood: lines `SCENE I J` of `redwood_pair.txt` for the clouds `SCENE/I.npy` and `SCENE/J.npy`, and a row of
+/// `transform.npy` for each line.
+fn redwood_pairs(folder: &Path) -> Result<Vec<PairEntry>> {
+    let path = folder.join("redwood_pair.txt");
+    let text = std::fs::read_to_string(&path).with_context(|| format!("cannot read {}", path.display()))?;
+    let lines: Vec<&str> = text.lines().filter(|line| !line.trim().is_empty()).collect();
+    let transforms = io::read_transforms(&folder.join("transform.npy"))?;
+    if lines.len() != transforms.len() {
+        let (lines, rows) = (lines.len(), transforms.len());
+        bail!("{}: {lines} pairs in redwood_pair.txt, but {rows} transforms in transform.npy", folder.display());
+    }
+    let entry = |(line, t_1_2): (&str, Transform)| {
+        let [scene, first, second] = line.split_whitespace().collect::<Vec<_>>()[..] else {
+            bail!("{}: expected a scene and two numbers, found `{line}`", path.display());
+        };
+        let clouds = [first, second].map(|number| folder.join(scene).join(format!("{number}.npy")));
+        Ok(PairEntry { name: format!("{scene} {first} {second}"), clouds, t_1_2 })
+    };
+    lines.into_iter().zip(transforms).map(entry).collect()
+}

@@ -1,0 +1,140 @@
+//! `snake-cli eval repeatability`.
+
+mod data;
+mod report;
+mod views;
+
+use anyhow::{Result, bail};
+use serde::{Deserialize, Serialize};
+use serde_json::{Value, json};
+use snake_core::metrics::{mean_distance_to_keypoints, relative_repeatability};
+
+use super::methods::Method;
+use super::paper;
+use super::record::Record;
+use crate::args::RepeatabilityArguments;
+use data::{Data, Scale};
+use report::Report;
+use views::{Condition, Views};
+
+/// Evaluates every pair that is not yet recorded, then reports.
+pub fn run(arguments: &RepeatabilityArguments) -> Result<()> {
+    let common = &arguments.common;
+    let data = Data::open(&arguments.data)?;
+    let plan = Plan::new(arguments, &data)?;
+    let methods = Method::all(common, None)?;
+    let settings = plan.settings(arguments, &methods);
+    let chosen = super::evenly_spaced(data.len(), common.limit)?;
+    let mut record = Record::open(common.output.as_deref(), "repeatability", &settings, chosen.len())?;
+    record.fill(&chosen, |pair| data.name(pair), |pair| plan.rows(&data, pair, &methods))?;
+    let paper: &[_] = match data.scale {
+        _ if !common.paper => &[],
+        Scale::Object => &paper::MODELNET40,
+        Scale::Room => &paper::REDWOOD,
+    };
+    let report = Report::new(&plan, &settings, record.pairs(), paper);
+    if let Some(output) = &common.output {
+        report.write(output)?;
+    }
+    crate::print(&report.text())
+}
+
+/// The figures of one method under one condition on one pair.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+struct Row {
+    method: String,
+    #[serde(flatten)]
+    condition: Condition,
+    /// How many keypoints view 1 has.
+    keypoints: usize,
+    /// Mean distance of view 1's points to their nearest keypoint; `None` without keypoints.
+    coverage: Option<f64>,
+    /// For each epsilon.
+    repeatability: Vec<f64>,
+}
+
+/// What is measured.
+struct Plan {
+    epsilon: Vec<f64>,
+    table_epsilon: f64,
+    conditions: Vec<Condition>,
+    num_points: usize,
+    seed: u64,
+}
+
+impl Plan {
+    fn new(arguments: &RepeatabilityArguments, data: &Data) -> Result<Self> {
+        // The columns of the paper's tables: ModelNet40, in units of the objects' radius, and Redwood, in metres.
+        let hundredths = |range: std::ops::RangeInclusive<u32>, step| {
+            range.step_by(step).map(|hundredth| f64::from(hundredth) / 100.0).collect::<Vec<_>>()
+        };
+        let (epsilon, table_epsilon, noise, num_points) = match data.scale {
+            Scale::Object => (hundredths(3..=10, 1), 0.04, hundredths(0..=12, 2), 5000),
+            Scale::Room => (hundredths(10..=24, 2), 0.2, hundredths(0..=10, 2), 10_240),
+        };
+        let epsilon = arguments.epsilon.clone().unwrap_or(epsilon);
+        let noise = arguments.noise.clone().unwrap_or(noise);
+        let num_points = arguments.num_points.unwrap_or(num_points);
+        let table_epsilon = match arguments.table_epsilon {
+            Some(given) => given,
+            None if epsilon.contains(&table_epsilon) => table_epsilon,
+            None => epsilon[0],
+        };
+        if !epsilon.contains(&table_epsilon) {
+            bail!("--table-epsilon {table_epsilon} is none of --epsilon");
+        }
+        if let Some(bad) = noise.iter().find(|sigma| !(0.0..=1e30).contains(*sigma)) {
+            bail!("--noise {bad}: must be 0 or more");
+        }
+        if arguments.downsample.contains(&0) || num_points == 0 {
+            bail!("--downsample and --num-points must be 1 or more");
+        }
+        let clean = Condition { downsample: 1, noise: 0.0 };
+        let mut conditions = vec![clean];
+        conditions.extend(arguments.downsample.iter().map(|&downsample| Condition { downsample, ..clean }));
+        conditions.extend(noise.iter().map(|&noise| Condition { noise, ..clean }));
+        // The undisturbed views belong to both sweeps; they are measured once.
+        let mut different: Vec<Condition> = Vec::new();
+        for condition in conditions {
+            if !different.contains(&condition) {
+                different.push(condition);
+            }
+        }
+        Ok(Self { epsilon, table_epsilon, conditions: different, num_points, seed: arguments.common.seed })
+    }
+
+    /// Everything that the figures depend on, but for the data's content.
+    fn settings(&self, arguments: &RepeatabilityArguments, methods: &[Method]) -> Value {
+        json!({
+            "metric": "relative repeatability",
+            "data": arguments.data,
+            "keypoints": Method::all_settings(&arguments.common, methods),
+            "num_points": self.num_points,
+            "epsilon": self.epsilon,
+            "conditions": self.conditions,
+        })
+    }
+
+    /// The figures of one pair: a row for each method and condition.
+    fn rows(&self, data: &Data, pair: usize, methods: &[Method]) -> Result<Vec<Row>> {
+        let clouds = data.clouds(pair)?;
+        let mut rows = Vec::new();
+        for condition in &self.conditions {
+            let Views { view_1, view_2, t_1_2, seeds } = clouds.views(*condition, self.num_points, self.seed, pair)?;
+            for method in methods {
+                let (first, second) = (method.keypoints(&view_1, seeds[0])?, method.keypoints(&view_2, seeds[1])?);
+                let repeatability = relative_repeatability(&first, &second, &t_1_2, &self.epsilon)?;
+                let coverage = if first.is_empty() { None } else { Some(mean_distance_to_keypoints(&view_1, &first)?) };
+                let keypoints = first.len();
+                rows.push(Row {
+                    method: method.name().into(),
+                    condition: *condition,
+                    keypoints,
+                    coverage,
+                    repeatability,
+                });
+            }
+        }
+        Ok(rows)
+    }
+}

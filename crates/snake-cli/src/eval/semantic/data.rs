@@ -1,0 +1,127 @@
+//! KeypointNet and pairs of SMPL bodies, by the layout of their folder.
+
+use std::collections::BTreeMap;
+use std::path::{Path, PathBuf};
+
+use anyhow::{Context, Result, bail};
+use serde::Deserialize;
+use snake_core::{Point, io};
+
+use super::super::read_json;
+
+/// What is evaluated on.
+pub enum Data {
+    KeypointNet(Vec<Shape>),
+    /// Row i of both is the same place of a body.
+    Smpl([Vec<Vec<Point>>; 2]),
+}
+
+/// A shape of KeypointNet.
+pub struct Shape {
+    pub name: String,
+    pub class: String,
+    pub cloud: PathBuf,
+    /// Indices of the points that people marked.
+    pub keypoints: Vec<usize>,
+}
+
+/// An entry of an annotation file; what else it has is ignored.
+#[derive(Deserialize)]
+struct Annotation {
+    class_id: String,
+    model_id: String,
+    keypoints: Vec<Marked>,
+}
+
+#[derive(Deserialize)]
+struct Marked {
+    pcd_info: MarkedPoint,
+}
+
+#[derive(Deserialize)]
+struct MarkedPoint {
+    point_index: usize,
+}
+
+impl Data {
+    /// Recognises the folder; of KeypointNet those shapes that the file of names lists.
+    pub fn open(folder: &Path, split: Option<&Path>) -> Result<Self> {
+        if folder.join("annotations").is_dir() {
+            return keypointnet(folder, split).map(Self::KeypointNet);
+        }
+        let [first, second] = ["body_1.npy", "body_2.npy"].map(|name| folder.join(name));
+        if !first.exists() || !second.exists() {
+            bail!("{}: neither annotations/ (KeypointNet) nor body_1.npy and body_2.npy (SMPL)", folder.display());
+        }
+        if split.is_some() {
+            bail!("--split is for KeypointNet");
+        }
+        let bodies = [io::read_clouds(&first)?, io::read_clouds(&second)?];
+        let [one, two] = bodies.each_ref().map(Vec::len);
+        if one != two || one == 0 {
+            bail!("{}: {one} bodies in body_1.npy, {two} in body_2.npy", folder.display());
+        }
+        Ok(Self::Smpl(bodies))
+    }
+
+    /// How many shapes, or pairs of bodies.
+    pub fn len(&self) -> usize {
+        match self {
+            Self::KeypointNet(shapes) => shapes.len(),
+            Self::Smpl([bodies, _]) => bodies.len(),
+        }
+    }
+
+    /// What a shape or a pair is called.
+    pub fn name(&self, index: usize) -> String {
+        match self {
+            Self::KeypointNet(shapes) => shapes[index].name.clone(),
+            Self::Smpl(_) => format!("pair {index}"),
+        }
+    }
+
+    /// The class of a shape.
+    pub fn class(&self, index: usize) -> Option<&str> {
+        match self {
+            Self::KeypointNet(shapes) => Some(&shapes[index].class),
+            Self::Smpl(_) => None,
+        }
+    }
+}
+
+/// The annotated shapes, class by class.
+fn keypointnet(folder: &Path, split: Option<&Path>) -> Result<Vec<Shape>> {
+    let annotations = folder.join("annotations");
+    let entries = annotations.read_dir().and_then(Iterator::collect::<std::io::Result<Vec<_>>>);
+    let entries = entries.with_context(|| format!("cannot list {}", annotations.display()))?;
+    let is_class =
+        |path: &PathBuf| path.extension().is_some_and(|e| e == "json") && path.file_stem().is_some_and(|s| s != "all");
+    let mut files: Vec<PathBuf> = entries.iter().map(|entry| entry.path()).filter(is_class).collect();
+    files.sort();
+    let pcds = folder.join("pcds");
+    let clouds = if pcds.is_dir() { &pcds } else { folder };
+    let mut shapes = Vec::new();
+    for file in files {
+        let class = file.file_stem().unwrap_or_default().to_string_lossy().into_owned();
+        for Annotation { class_id, model_id, keypoints } in read_json::<Vec<Annotation>>(&file)? {
+            shapes.push(Shape {
+                name: format!("{class_id}-{model_id}"),
+                class: class.clone(),
+                cloud: clouds.join(class_id).join(format!("{model_id}.pcd")),
+                keypoints: keypoints.into_iter().map(|marked| marked.pcd_info.point_index).collect(),
+            });
+        }
+    }
+    if let Some(split) = split {
+        let text = std::fs::read_to_string(split).with_context(|| format!("cannot read {}", split.display()))?;
+        let mut listed: BTreeMap<&str, bool> = text.split_whitespace().map(|name| (name, false)).collect();
+        shapes.retain(|shape| listed.get_mut(shape.name.as_str()).is_some_and(|found| !std::mem::replace(found, true)));
+        if let Some((name, _)) = listed.iter().find(|(_, found)| !**found) {
+            bail!("{}: {name} is not among the annotations", split.display());
+        }
+    }
+    if shapes.is_empty() {
+        bail!("{}: no annotated shapes", annotations.display());
+    }
+    Ok(shapes)
+}

@@ -1,0 +1,96 @@
+//! `snake-cli eval semantic`.
+
+mod data;
+mod report;
+
+use anyhow::Result;
+use rand::{RngExt, SeedableRng};
+use rand_chacha::ChaCha8Rng;
+use serde::{Deserialize, Serialize};
+use serde_json::{Value, json};
+use snake_core::io;
+use snake_core::metrics::{MatchCounts, SmplProtocol, Unreachable, semantic_counts, smpl_pair_counts};
+
+use super::methods::Method;
+use super::paper;
+use super::record::Record;
+use crate::args::SemanticArguments;
+use data::Data;
+use report::Report;
+
+/// The suppression radius of the paper's figures.
+const SPACING: f32 = 0.1;
+
+/// Evaluates every shape that is not yet recorded, then reports.
+pub fn run(arguments: &SemanticArguments) -> Result<()> {
+    let common = &arguments.common;
+    let data = Data::open(&arguments.data, arguments.split.as_deref())?;
+    let methods = Method::all(common, Some(SPACING))?;
+    let settings = settings(arguments, &methods);
+    let chosen = super::evenly_spaced(data.len(), common.limit)?;
+    let mut record = Record::open(common.output.as_deref(), "semantic", &settings, chosen.len())?;
+    record.fill(&chosen, |shape| data.name(shape), |shape| rows(&data, shape, &methods, arguments))?;
+    let paper: &[_] = match data {
+        Data::KeypointNet(_) if common.paper => &paper::KEYPOINTNET,
+        _ => &[],
+    };
+    let classes: Vec<Option<&str>> = chosen.iter().map(|&shape| data.class(shape)).collect();
+    let report = Report::new(&arguments.threshold, &settings, record.pairs(), &classes, paper)?;
+    if let Some(output) = &common.output {
+        report.write(output)?;
+    }
+    crate::print(&report.text())
+}
+
+/// The matches of one method on one shape or pair of bodies.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+struct Row {
+    method: String,
+    /// How many keypoints were found, on the first body of a pair.
+    keypoints: usize,
+    /// For each threshold, strictly, and as the paper's released code counts.
+    strict: Vec<MatchCounts>,
+    paper: Vec<MatchCounts>,
+}
+
+/// Everything that the figures depend on, but for the data's content.
+fn settings(arguments: &SemanticArguments, methods: &[Method]) -> Value {
+    json!({
+        "metric": "semantic consistency",
+        "data": arguments.data,
+        "split": arguments.split,
+        "keypoints": Method::all_settings(&arguments.common, methods),
+        "threshold": arguments.threshold,
+    })
+}
+
+/// The matches on one shape: a row for each method.
+fn rows(data: &Data, shape: usize, methods: &[Method], arguments: &SemanticArguments) -> Result<Vec<Row>> {
+    let mut rng = ChaCha8Rng::seed_from_u64(arguments.common.seed);
+    rng.set_stream(shape as u64);
+    let [seed_1, seed_2, filling]: [u64; 3] = std::array::from_fn(|_| rng.random());
+    let threshold = &arguments.threshold;
+    match data {
+        Data::KeypointNet(shapes) => {
+            let points = io::read_points(&shapes[shape].cloud)?;
+            let row = |method: &Method| {
+                let found = method.keypoints(&points, seed_1)?;
+                let counts = |rule| semantic_counts(&points, &shapes[shape].keypoints, &found, threshold, rule);
+                let (strict, paper) = (counts(Unreachable::Strict)?, counts(Unreachable::PaperCompatible)?);
+                Ok(Row { method: method.name().into(), keypoints: found.len(), strict, paper })
+            };
+            methods.iter().map(row).collect()
+        }
+        Data::Smpl([first, second]) => {
+            let (body_1, body_2) = (&first[shape], &second[shape]);
+            let row = |method: &Method| {
+                let (on_1, on_2) = (method.keypoints(body_1, seed_1)?, method.keypoints(body_2, seed_2)?);
+                let counts = |rule| smpl_pair_counts(body_1, body_2, &on_1, &on_2, threshold, rule);
+                let paper = counts(SmplProtocol::PaperCompatible { seed: filling })?;
+                let strict = counts(SmplProtocol::Strict)?;
+                Ok(Row { method: method.name().into(), keypoints: on_1.len(), strict, paper })
+            };
+            methods.iter().map(row).collect()
+        }
+    }
+}

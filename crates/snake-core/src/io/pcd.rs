@@ -1,0 +1,233 @@
+//! PCD: point clouds of the Point Cloud Library, ascii and binary.
+
+use super::excerpt;
+use super::npy::Dtype;
+use crate::points::Point;
+
+const AXES: [&str; 3] = ["x", "y", "z"];
+
+/// Reads the fields x, y, z, of any scalar type. `nan`, which marks missing points in organised clouds, comes through.
+pub(super) fn read(bytes: &[u8]) -> Result<Vec<Point>, String> {
+    let (header, data) = Header::parse(bytes)?;
+    match header.is_binary {
+        true => header.binary(data),
+        false => header.ascii(data),
+    }
+}
+
+/// An axis: its type, and where it is within a point, in bytes and in columns of text.
+struct Field {
+    dtype: Dtype,
+    offset: usize,
+    column: usize,
+}
+
+struct Header {
+    axes: [Field; 3],
+    /// Bytes and columns of a point.
+    size: usize,
+    columns: usize,
+    num_points: usize,
+    is_binary: bool,
+    /// How many lines it has.
+    lines: usize,
+}
+
+impl Header {
+    /// The header, up to its line DATA, and what follows.
+    fn parse(bytes: &[u8]) -> Result<(Self, &[u8]), String> {
+        let (mut fields, mut sizes, mut types, mut counts) = (Vec::new(), Vec::new(), Vec::new(), None);
+        let (mut points, mut width, mut height) = (None, None, None);
+        let mut length = 0;
+        for (lines, line) in (1..).zip(bytes.split_inclusive(|&byte| byte == b'\n')) {
+            length += line.len();
+            let bad = |what: &str| format!("header, line {lines}: {what}");
+            let line = str::from_utf8(line).map_err(|_| bad("not text; is this a PCD file?"))?.trim();
+            let mut words = line.split_whitespace();
+            let key = words.next().unwrap_or("#");
+            let values: Vec<&str> = words.collect();
+            let number = || values.first().and_then(|value| value.parse::<usize>().ok());
+            let number = || number().ok_or_else(|| bad(&format!("no number in `{}`", excerpt(line, 60))));
+            match key {
+                "FIELDS" | "COLUMNS" => fields = values,
+                "SIZE" => sizes = values,
+                "TYPE" => types = values,
+                "COUNT" => counts = Some(values),
+                "WIDTH" => width = Some(number()?),
+                "HEIGHT" => height = Some(number()?),
+                "POINTS" => points = Some(number()?),
+                "DATA" => {
+                    let is_binary = match values[..] {
+                        ["ascii"] => false,
+                        ["binary"] => true,
+                        ["binary_compressed"] => {
+                            return Err("DATA binary_compressed cannot be read; write the file as `binary`".into());
+                        }
+                        _ => return Err(bad(&format!("`{}`; DATA is ascii or binary", excerpt(line, 60)))),
+                    };
+                    let area = width.zip(height).and_then(|(width, height)| width.checked_mul(height));
+                    let num_points = points.or(area).ok_or("header: neither POINTS nor WIDTH and HEIGHT")?;
+                    let counts = counts.unwrap_or_else(|| vec!["1"; fields.len()]);
+                    let (axes, size, columns) = axes(&fields, &sizes, &types, &counts)?;
+                    return Ok((Self { axes, size, columns, num_points, is_binary, lines }, &bytes[length..]));
+                }
+                "VERSION" | "VIEWPOINT" => {}
+                comment if comment.starts_with('#') => {}
+                _ => return Err(bad(&format!("`{}` is no entry of a PCD header", excerpt(line, 60)))),
+            }
+        }
+        Err("no line DATA: not a PCD file, or cut short within its header".into())
+    }
+
+    fn binary(&self, data: &[u8]) -> Result<Vec<Point>, String> {
+        // Before anything is allocated: a header can claim any number.
+        let Self { num_points, size, .. } = self;
+        if num_points.checked_mul(*size).is_none_or(|needed| needed > data.len()) {
+            return Err(format!("{num_points} points of {size} bytes each, but {} bytes follow", data.len()));
+        }
+        let value =
+            |point: &[u8], Field { dtype, offset, .. }: &Field| dtype.decode(&point[*offset..][..dtype.size]) as f32;
+        let point = |point| self.axes.each_ref().map(|field| value(point, field));
+        Ok(data.chunks_exact(*size).take(*num_points).map(point).collect())
+    }
+
+    fn ascii(&self, data: &[u8]) -> Result<Vec<Point>, String> {
+        let mut points = Vec::new();
+        for (number, line) in (self.lines + 1..).zip(data.split(|&byte| byte == b'\n')) {
+            let line = str::from_utf8(line).map_err(|_| format!("line {number}: not text"))?.trim();
+            if line.is_empty() {
+                continue;
+            }
+            let values = || line.split_whitespace();
+            let value = |field: &Field| values().nth(field.column).and_then(|value| value.parse().ok());
+            match self.axes.each_ref().map(value) {
+                [Some(x), Some(y), Some(z)] if values().count() == self.columns => points.push([x, y, z]),
+                _ => return Err(format!("line {number}: `{}` does not fit FIELDS", excerpt(line, 60))),
+            }
+        }
+        match points.len() == self.num_points {
+            true => Ok(points),
+            false => Err(format!("the header promises {} points, {} follow", self.num_points, points.len())),
+        }
+    }
+}
+
+/// The three axes among the fields, and the bytes and columns that all fields of a point take.
+fn axes(
+    fields: &[&str],
+    sizes: &[&str],
+    types: &[&str],
+    counts: &[&str],
+) -> Result<([Field; 3], usize, usize), String> {
+    if [sizes.len(), types.len(), counts.len()] != [fields.len(); 3] {
+        return Err("header: FIELDS, SIZE, TYPE and COUNT differ in length".into());
+    }
+    let (mut offset, mut column) = (0_usize, 0_usize);
+    let mut found: [Option<Field>; 3] = [None, None, None];
+    for (((&name, size), kind), count) in fields.iter().zip(sizes).zip(types).zip(counts) {
+        let unusable = || {
+            format!(
+                "header: field `{}` of {} scalars of type {}{}",
+                excerpt(name, 40),
+                excerpt(count, 20),
+                excerpt(kind, 20),
+                excerpt(size, 20)
+            )
+        };
+        let dtype = Dtype::parse(&format!("<{}{size}", kind.to_ascii_lowercase()))
+            .or_else(|| Dtype::parse(&format!("|{}{size}", kind.to_ascii_lowercase())));
+        let (dtype, count) = dtype.zip(count.parse::<usize>().ok()).ok_or_else(unusable)?;
+        let end = dtype.size.checked_mul(count).and_then(|bytes| offset.checked_add(bytes)).ok_or_else(unusable)?;
+        if let Some(axis) = AXES.iter().position(|axis| *axis == name) {
+            if count != 1 || found[axis].is_some() {
+                return Err(format!("header: more than one `{name}`"));
+            }
+            found[axis] = Some(Field { dtype, offset, column });
+        }
+        // No more than the bytes.
+        (offset, column) = (end, column + count);
+    }
+    match found {
+        [Some(x), Some(y), Some(z)] => Ok(([x, y, z], offset, column)),
+        _ => Err("header: FIELDS lacks x, y or z".into()),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const TWO: [Point; 2] = [[1.0, 2.0, 3.0], [4.0, -5.0, 6.0]];
+
+    /// A file whose points have a label of two scalars between x and y.
+    fn pcd(scalar: &str, data: &str, payload: &[u8]) -> Vec<u8> {
+        let (kind, size) = scalar.split_at(1);
+        let header = format!(
+            "# .PCD v.7\nVERSION .7\r\nFIELDS x label y z\nSIZE {size} 2 {size} {size}\nTYPE {kind} U {kind} {kind}\n\
+             COUNT 1 2 1 1\nWIDTH 2\nHEIGHT 1\nVIEWPOINT 0 0 0 1 0 0 0\nPOINTS 2\nDATA {data}\n"
+        );
+        [header.as_bytes(), payload].concat()
+    }
+
+    fn payload(scalar: &str) -> Vec<u8> {
+        let encode = |value: f32| match scalar {
+            "F4" => value.to_le_bytes().to_vec(),
+            "F8" => f64::from(value).to_le_bytes().to_vec(),
+            _ => (value as i64).to_le_bytes()[..scalar[1..].parse().unwrap()].to_vec(),
+        };
+        TWO.iter().flat_map(|p| [encode(p[0]), vec![9; 4], encode(p[1]), encode(p[2])].concat()).collect()
+    }
+
+    #[test]
+    fn ascii_and_binary_of_every_scalar_type() {
+        for scalar in ["F4", "F8", "I1", "I2", "I4", "I8"] {
+            assert_eq!(read(&pcd(scalar, "ascii", b"1 7 7 2 3\r\n\n 4\t7 7 -5e0 6")).unwrap(), TWO, "{scalar}");
+            let binary = pcd(scalar, "binary", &payload(scalar));
+            assert_eq!(read(&binary).unwrap(), TWO, "{scalar}");
+            for length in 0..binary.len() {
+                read(&binary[..length]).unwrap_err();
+            }
+        }
+        let nan = read(&pcd("F4", "ascii", b"nan 7 7 2 3\n1 2 3 -inf 5\n")).unwrap();
+        assert!(nan[0][0].is_nan() && nan[1][1] == f32::NEG_INFINITY);
+    }
+
+    #[test]
+    fn short_headers_are_enough() {
+        let text = b"FIELDS z y x\nSIZE 4 4 4\nTYPE F F F\nWIDTH 1\nHEIGHT 2\nDATA ascii\n3 2 1\n6 -5 4\n";
+        assert_eq!(read(text).unwrap(), TWO);
+        assert!(read(b"FIELDS x y z\nSIZE 4 4 4\nTYPE F F F\nPOINTS 0\nDATA binary\n").unwrap().is_empty());
+    }
+
+    #[test]
+    fn bad_files_are_named() {
+        let xyz = "FIELDS x y z\nSIZE 4 4 4\nTYPE F F F\n";
+        for (text, expected) in [
+            ("solid cube\n".to_owned(), "line 1: `solid cube` is no entry"),
+            (String::new(), "no line DATA"),
+            (format!("{xyz}POINTS 1\n"), "no line DATA"),
+            (format!("{xyz}DATA ascii\n1 2 3\n"), "neither POINTS"),
+            (format!("{xyz}WIDTH 99999999999\nHEIGHT 99999999999\nDATA ascii\n"), "neither POINTS"),
+            (format!("{xyz}POINTS -1\nDATA ascii\n"), "line 4: no number"),
+            (format!("{xyz}POINTS 1\nDATA binary_compressed\n"), "as `binary`"),
+            (format!("{xyz}POINTS 1\nDATA morse\n"), "line 5: `DATA morse`"),
+            (format!("{xyz}POINTS 9999999999999\nDATA binary\n123"), "12 bytes each, but 3 bytes follow"),
+            (format!("{xyz}POINTS 18446744073709551615\nDATA binary\n"), "bytes follow"),
+            (format!("{xyz}POINTS 9999999999999\nDATA ascii\n1 2 3\n"), "promises 9999999999999 points, 1 follow"),
+            (format!("{xyz}POINTS 1\nDATA ascii\n1 2 3\n1 2 3\n"), "promises 1 points, 2 follow"),
+            (format!("{xyz}POINTS 1\nDATA ascii\n\n1 2\n"), "line 7: `1 2` does not fit"),
+            (format!("{xyz}POINTS 1\nDATA ascii\n1 2 3 4\n"), "does not fit"),
+            (format!("{xyz}POINTS 1\nDATA ascii\n1 2 potato\n"), "does not fit"),
+            (format!("{xyz}COUNT 1 1\nPOINTS 1\nDATA ascii\n"), "differ in length"),
+            (format!("{xyz}COUNT 1 1 18446744073709551615\nPOINTS 1\nDATA ascii\n"), "field `z`"),
+            (format!("{xyz}COUNT 1 1 2\nPOINTS 1\nDATA ascii\n1 2 3 4\n"), "more than one `z`"),
+            ("FIELDS x y z\nSIZE 4 4 3\nTYPE F F F\nPOINTS 0\nDATA ascii\n".into(), "of type F3"),
+            ("FIELDS x y x\nSIZE 4 4 4\nTYPE F F F\nPOINTS 0\nDATA ascii\n".into(), "more than one `x`"),
+            ("FIELDS x y\nSIZE 4 4\nTYPE F F\nPOINTS 0\nDATA ascii\n".into(), "lacks x, y or z"),
+        ] {
+            let reason = read(text.as_bytes()).unwrap_err();
+            assert!(reason.contains(expected), "{expected}: {reason}");
+        }
+        assert!(read(b"\xff\xfe1\n").unwrap_err().contains("not text"));
+    }
+}
