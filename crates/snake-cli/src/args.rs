@@ -114,10 +114,6 @@ pub enum Eval {
 pub struct RegistrationArguments {
     /// What to evaluate on.
     pub data: PathBuf,
-    /// Write registration.csv, .json and .md into this directory. Finished pairs are kept there in registration.jsonl:
-    /// an interrupted run goes on where it was.
-    #[arg(short, long)]
-    pub output: Option<PathBuf>,
     /// Among snake, iss, harris3d, sift3d, fps and random.
     #[arg(long, value_delimiter = ',', value_parser = named::<KeypointDetector>,
         default_value = "snake,iss,harris3d,sift3d,fps,random")]
@@ -128,18 +124,8 @@ pub struct RegistrationArguments {
     /// Numbers of keypoints of each cloud, the best.
     #[arg(long, value_delimiter = ',', default_value = "2500,1000,500,250,100")]
     pub keypoints: Vec<usize>,
-    /// Evaluate this many pairs, evenly spaced.
-    #[arg(long)]
-    pub limit: Option<usize>,
-    /// Seed of RANSAC and of random keypoints.
-    #[arg(long, default_value_t = 0)]
-    pub seed: u64,
-    /// Threads; default: all processors. The result does not depend on it.
-    #[arg(long, value_parser = clap::value_parser!(u16).range(1..))]
-    pub threads: Option<u16>,
-    /// Weight file (.safetensors); default: the built-in compact model.
-    #[arg(long)]
-    pub model: Option<PathBuf>,
+    #[command(flatten)]
+    pub run: RunArguments,
 }
 
 #[derive(Args)]
@@ -183,10 +169,6 @@ pub struct SemanticArguments {
 /// What all evaluations have.
 #[derive(Args)]
 pub struct EvalArguments {
-    /// Write the tables as .csv, .json and .md and the curves as .svg into this directory, named after the metric. What is
-    /// finished is kept there in a .jsonl: an interrupted run goes on where it was.
-    #[arg(short, long)]
-    pub output: Option<PathBuf>,
     /// Among snake, iss, harris3d, sift3d, fps and random.
     #[arg(long, value_delimiter = ',', default_value = "snake,iss,harris3d,sift3d,fps,random")]
     pub methods: Vec<String>,
@@ -200,18 +182,6 @@ pub struct EvalArguments {
     /// Show the paper's figures for its own data sets where there are any, marked as the paper's.
     #[arg(long)]
     pub paper: bool,
-    /// Evaluate this many pairs or shapes, evenly spaced.
-    #[arg(long)]
-    pub limit: Option<usize>,
-    /// Seed of rotations, points, noise and random keypoints.
-    #[arg(long, default_value_t = 0)]
-    pub seed: u64,
-    /// Threads; default: all processors. The result does not depend on it.
-    #[arg(long, value_parser = clap::value_parser!(u16).range(1..))]
-    pub threads: Option<u16>,
-    /// Weight file (.safetensors) of the method snake; default: the built-in compact model.
-    #[arg(long)]
-    pub model: Option<PathBuf>,
     /// The paper's settings of the method snake for a data set; default: what the model recommends.
     #[arg(long)]
     pub preset: Option<String>,
@@ -219,6 +189,32 @@ pub struct EvalArguments {
     /// ranked methods [default: 0.1].
     #[arg(long)]
     pub nms_radius: Option<f32>,
+    /// Turned copies of a cloud that the method snake averages over [default: its settings'].
+    #[arg(long)]
+    pub rotations: Option<usize>,
+    #[command(flatten)]
+    pub run: RunArguments,
+}
+
+/// What to run, and where the results go.
+#[derive(Args)]
+pub struct RunArguments {
+    /// Write the tables as .csv, .json and .md, and curves as .svg, into this directory, named after the metric. What is
+    /// finished is kept there in a .jsonl: an interrupted run goes on where it was.
+    #[arg(short, long)]
+    pub output: Option<PathBuf>,
+    /// Evaluate this many pairs or shapes, evenly spaced.
+    #[arg(long)]
+    pub limit: Option<usize>,
+    /// Seed of all random choices.
+    #[arg(long, default_value_t = 0)]
+    pub seed: u64,
+    /// Threads; default: all processors. The result does not depend on it.
+    #[arg(long, value_parser = clap::value_parser!(u16).range(1..))]
+    pub threads: Option<u16>,
+    /// Weight file (.safetensors) of the model; default: the built-in compact model.
+    #[arg(long)]
+    pub model: Option<PathBuf>,
 }
 
 /// The protocols of the classical detectors.

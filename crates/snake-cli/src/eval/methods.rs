@@ -38,12 +38,13 @@ impl Method {
     }
 
     fn snake(arguments: &EvalArguments, nms_radius: Option<f32>) -> Result<Self> {
-        let model = model::load(arguments.model.as_deref())?;
+        let model = model::load(arguments.run.model.as_deref())?;
         let mut options = match &arguments.preset {
             Some(name) => Preset::named(name)?,
             None => *model.recommended(),
         };
         options.detect.max_keypoints = arguments.count;
+        options.encode.rotations = arguments.rotations.unwrap_or(options.encode.rotations);
         options.detect.nms_radius = nms_radius.unwrap_or(options.detect.nms_radius);
         Ok(Self::Snake { model: Box::new(model), options })
     }
@@ -62,8 +63,8 @@ impl Method {
             "methods": methods.iter().map(Self::settings).collect::<Vec<_>>(),
             "protocol": match arguments.protocol { ProtocolName::Ranked => "ranked", ProtocolName::Paper => "paper" },
             "count": arguments.count,
-            "limit": arguments.limit,
-            "seed": arguments.seed,
+            "limit": arguments.run.limit,
+            "seed": arguments.run.seed,
         })
     }
 

@@ -20,9 +20,9 @@ use crate::args::Eval;
 /// Evaluates what is not yet recorded, then reports.
 pub fn run(command: &Eval) -> Result<()> {
     let threads = match command {
-        Eval::Repeatability(arguments) => arguments.common.threads,
-        Eval::Semantic(arguments) => arguments.common.threads,
-        Eval::Registration(arguments) => arguments.threads,
+        Eval::Repeatability(arguments) => arguments.common.run.threads,
+        Eval::Semantic(arguments) => arguments.common.run.threads,
+        Eval::Registration(arguments) => arguments.run.threads,
     };
     if let Some(threads) = threads {
         rayon::ThreadPoolBuilder::new().num_threads(threads.into()).build_global()?;

@@ -39,11 +39,11 @@ const OVERLAP_DISTANCE: f64 = 0.05;
 /// Evaluates every pair that is not yet recorded, then reports.
 pub fn run(arguments: &RegistrationArguments) -> Result<()> {
     let scenes = Scenes::open(&arguments.data)?;
-    let model = model::load(arguments.model.as_deref())?;
+    let model = model::load(arguments.run.model.as_deref())?;
     let plan = Plan::new(arguments, &model)?;
-    let chosen = evenly_spaced(scenes.pairs.len(), arguments.limit)?;
+    let chosen = evenly_spaced(scenes.pairs.len(), arguments.run.limit)?;
     let settings = plan.settings(arguments);
-    let mut record = Record::open(arguments.output.as_deref(), "registration", &settings, chosen.len())?;
+    let mut record = Record::open(arguments.run.output.as_deref(), "registration", &settings, chosen.len())?;
     let mut clouds = Clouds::default();
     let rows = |pair| {
         let pair: &ScenePair = &scenes.pairs[pair];
@@ -53,7 +53,7 @@ pub fn run(arguments: &RegistrationArguments) -> Result<()> {
     record.fill(&chosen, |pair| scenes.name(pair), rows)?;
     let pairs: Vec<&ScenePair> = chosen.iter().map(|&pair| &scenes.pairs[pair]).collect();
     let report = Report::new(&plan, &settings, &pairs, record.pairs())?;
-    if let Some(output) = &arguments.output {
+    if let Some(output) = &arguments.run.output {
         report.write(output)?;
     }
     crate::print(&report.text())
@@ -81,11 +81,11 @@ struct Row {
 
 impl<'a> Plan<'a> {
     fn new(arguments: &'a RegistrationArguments, model: &'a Model) -> Result<Self> {
-        let RegistrationArguments { detectors, descriptors, keypoints, seed, .. } = arguments;
+        let RegistrationArguments { detectors, descriptors, keypoints, run, .. } = arguments;
         if keypoints.contains(&0) {
             bail!("--keypoints must be 1 or more");
         }
-        Ok(Self { model, detectors, descriptors, keypoints, seed: *seed })
+        Ok(Self { model, detectors, descriptors, keypoints, seed: run.seed })
     }
 
     /// Everything that the figures depend on, but for the data's content.
@@ -93,7 +93,7 @@ impl<'a> Plan<'a> {
         json!({
             "metric": "registration",
             "data": arguments.data,
-            "limit": arguments.limit,
+            "limit": arguments.run.limit,
             "detectors": self.detectors,
             "descriptors": self.descriptors,
             "keypoints": self.keypoints,

@@ -24,8 +24,8 @@ pub fn run(arguments: &RepeatabilityArguments) -> Result<()> {
     let plan = Plan::new(arguments, &data)?;
     let methods = Method::all(common, None)?;
     let settings = plan.settings(arguments, &methods);
-    let chosen = super::evenly_spaced(data.len(), common.limit)?;
-    let mut record = Record::open(common.output.as_deref(), "repeatability", &settings, chosen.len())?;
+    let chosen = super::evenly_spaced(data.len(), common.run.limit)?;
+    let mut record = Record::open(common.run.output.as_deref(), "repeatability", &settings, chosen.len())?;
     record.fill(&chosen, |pair| data.name(pair), |pair| plan.rows(&data, pair, &methods))?;
     let paper: &[_] = match data.scale {
         _ if !common.paper => &[],
@@ -33,7 +33,7 @@ pub fn run(arguments: &RepeatabilityArguments) -> Result<()> {
         Scale::Room => &paper::REDWOOD,
     };
     let report = Report::new(&plan, &settings, record.pairs(), paper);
-    if let Some(output) = &common.output {
+    if let Some(output) = &common.run.output {
         report.write(output)?;
     }
     crate::print(&report.text())
@@ -100,7 +100,7 @@ impl Plan {
                 different.push(condition);
             }
         }
-        Ok(Self { epsilon, table_epsilon, conditions: different, num_points, seed: arguments.common.seed })
+        Ok(Self { epsilon, table_epsilon, conditions: different, num_points, seed: arguments.common.run.seed })
     }
 
     /// Everything that the figures depend on, but for the data's content.

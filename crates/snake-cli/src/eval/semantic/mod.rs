@@ -27,8 +27,8 @@ pub fn run(arguments: &SemanticArguments) -> Result<()> {
     let data = Data::open(&arguments.data, arguments.split.as_deref())?;
     let methods = Method::all(common, Some(SPACING))?;
     let settings = settings(arguments, &methods);
-    let chosen = super::evenly_spaced(data.len(), common.limit)?;
-    let mut record = Record::open(common.output.as_deref(), "semantic", &settings, chosen.len())?;
+    let chosen = super::evenly_spaced(data.len(), common.run.limit)?;
+    let mut record = Record::open(common.run.output.as_deref(), "semantic", &settings, chosen.len())?;
     record.fill(&chosen, |shape| data.name(shape), |shape| rows(&data, shape, &methods, arguments))?;
     let paper: &[_] = match data {
         Data::KeypointNet(_) if common.paper => &paper::KEYPOINTNET,
@@ -36,7 +36,7 @@ pub fn run(arguments: &SemanticArguments) -> Result<()> {
     };
     let classes: Vec<Option<&str>> = chosen.iter().map(|&shape| data.class(shape)).collect();
     let report = Report::new(&arguments.threshold, &settings, record.pairs(), &classes, paper)?;
-    if let Some(output) = &common.output {
+    if let Some(output) = &common.run.output {
         report.write(output)?;
     }
     crate::print(&report.text())
@@ -66,7 +66,7 @@ fn settings(arguments: &SemanticArguments, methods: &[Method]) -> Value {
 
 /// The matches on one shape: a row for each method.
 fn rows(data: &Data, shape: usize, methods: &[Method], arguments: &SemanticArguments) -> Result<Vec<Row>> {
-    let mut rng = ChaCha8Rng::seed_from_u64(arguments.common.seed);
+    let mut rng = ChaCha8Rng::seed_from_u64(arguments.common.run.seed);
     rng.set_stream(shape as u64);
     let [seed_1, seed_2, filling]: [u64; 3] = std::array::from_fn(|_| rng.random());
     let threshold = &arguments.threshold;
