@@ -4,6 +4,7 @@ use std::fmt::Write;
 use std::path::Path;
 
 use anyhow::{Context, Result};
+use snake_core::io;
 
 /// A table: its title, its columns' heads and its rows.
 pub struct Table {
@@ -40,7 +41,8 @@ pub fn markdown(tables: &[Table]) -> String {
 pub fn write(output: &Path, metric: &str, texts: &[(&str, String)]) -> Result<()> {
     for (extension, text) in texts {
         let path = output.join(format!("{metric}.{extension}"));
-        std::fs::write(&path, text).with_context(|| format!("cannot write {}", path.display()))?;
+        io::write_atomically(&path, |file| file.write_all(text.as_bytes()))
+            .with_context(|| format!("cannot write {}", path.display()))?;
     }
     Ok(())
 }

@@ -186,8 +186,11 @@ fn unknown_extension(path: &Path, verb: &str, extensions: &[&str]) -> Error {
     Error::Format { path: path.into(), reason }
 }
 
-/// Fills a temporary file beside the target, on the same file system, and renames it.
-fn write_atomically(path: &Path, fill: impl FnOnce(&mut dyn Write) -> io::Result<()>) -> io::Result<()> {
+/// Writes a file whole or not at all: fills a temporary file beside the target, on the same file system, and renames it.
+///
+/// # Errors
+/// Those of the file system and of `fill`; what was at the target then stays.
+pub fn write_atomically(path: &Path, fill: impl FnOnce(&mut dyn Write) -> io::Result<()>) -> io::Result<()> {
     let folder = path.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."));
     let mut builder = tempfile::Builder::new();
     #[cfg(unix)]
