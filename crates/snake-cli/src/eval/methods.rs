@@ -5,7 +5,7 @@ use serde_json::{Value, json};
 use snake_core::baselines::{Detector, Protocol};
 use snake_core::{Model, Point, Preset};
 
-use crate::args::{EvalArguments, ProtocolName};
+use super::args::{EvalArguments, ProtocolName};
 use crate::model;
 
 /// A detector with its settings: from a cloud to the positions of its best keypoints.

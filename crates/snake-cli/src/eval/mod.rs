@@ -1,5 +1,6 @@
 //! `snake-cli eval`: metrics of keypoints over data sets.
 
+pub mod args;
 mod methods;
 mod pairs;
 mod paper;
@@ -15,7 +16,7 @@ use std::path::Path;
 use anyhow::{Context, Result, bail};
 use serde::de::DeserializeOwned;
 
-use crate::args::Eval;
+use args::Eval;
 
 /// Evaluates what is not yet recorded, then reports.
 pub fn run(command: &Eval) -> Result<()> {

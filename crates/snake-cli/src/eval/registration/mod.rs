@@ -14,9 +14,9 @@ use snake_core::metrics::{information_matrix, inlier_ratio, overlap, squared_reg
 use snake_core::registration::{Descriptor, KeypointDetector, RansacOptions, Scan, mutual_nearest, ransac};
 use snake_core::{Model, Point, io};
 
+use super::args::RegistrationArguments;
 use super::evenly_spaced;
 use super::record::Record;
-use crate::args::RegistrationArguments;
 use crate::model;
 use report::Report;
 use scenes::{ScenePair, Scenes};

@@ -9,10 +9,10 @@ use serde::{Deserialize, Serialize};
 use serde_json::{Value, json};
 use snake_core::metrics::{mean_distance_to_keypoints, relative_repeatability};
 
+use super::args::RepeatabilityArguments;
 use super::methods::Method;
 use super::paper;
 use super::record::Record;
-use crate::args::RepeatabilityArguments;
 use data::{Data, Scale};
 use report::Report;
 use views::{Condition, Views};

@@ -11,10 +11,10 @@ use serde_json::{Value, json};
 use snake_core::io;
 use snake_core::metrics::{MatchCounts, SmplProtocol, Unreachable, semantic_counts, smpl_pair_counts};
 
+use super::args::SemanticArguments;
 use super::methods::Method;
 use super::paper;
 use super::record::Record;
-use crate::args::SemanticArguments;
 use data::Data;
 use report::Report;
 

@@ -1,5 +1,7 @@
 //! `snake-cli register`: read, register, write.
 
+pub mod args;
+
 use std::fmt::Write;
 use std::path::Path;
 
@@ -7,8 +9,8 @@ use anyhow::{Context, Result, bail};
 use snake_core::io;
 use snake_core::registration::{Registration, register, transform_points};
 
-use crate::args::RegisterArguments;
 use crate::model;
+use args::RegisterArguments;
 
 /// Finds the transform, writes what was asked for and prints the result.
 pub fn run(arguments: &RegisterArguments) -> Result<()> {

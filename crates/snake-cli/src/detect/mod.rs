@@ -1,5 +1,7 @@
 //! `snake-cli detect`: read, detect, write.
 
+pub mod args;
+
 use std::collections::{BTreeMap, HashSet};
 use std::fmt::Write;
 use std::path::{Path, PathBuf};
@@ -12,9 +14,9 @@ use indicatif::{ProgressBar, ProgressStyle};
 use serde_json::json;
 use snake_core::{Detection, Field, Model, Preset, detect, io};
 
-use crate::args::DetectArguments;
 use crate::model;
 use crate::timing::{self, STAGES, Seconds};
+use args::DetectArguments;
 
 /// Rows of keypoints that the table for people shows.
 const TABLE_ROWS: usize = 10;

@@ -1,0 +1,134 @@
+//! The command line of `snake-cli detect`.
+
+use std::path::PathBuf;
+
+use anyhow::Result;
+use clap::{Args, ValueEnum};
+use snake_core::{Model, NormalizationMethod, Preset, RefineMethod, Selection};
+
+use crate::args::{named, override_with};
+
+/// The formats that keypoints are written in.
+#[derive(Clone, Copy, ValueEnum)]
+pub enum Format {
+    Ply,
+    Npy,
+    Csv,
+    Json,
+}
+
+#[derive(Args)]
+pub struct DetectArguments {
+    /// Point clouds (.ply, .pcd, .xyz, .txt, .csv, .pts, .npy), or directories of them.
+    #[arg(required = true)]
+    pub inputs: Vec<PathBuf>,
+    /// Write the keypoints: to this file (.ply, .npy, .csv or .json), or, for several inputs, into this directory
+    /// as NAME.keypoints.EXT.
+    #[arg(short, long)]
+    pub output: Option<PathBuf>,
+    /// Format of the files in an output directory.
+    #[arg(long, value_enum, default_value = "ply")]
+    pub format: Format,
+    /// Print one JSON object per input, on one line, instead of a table.
+    #[arg(long)]
+    pub json: bool,
+    /// After the last input, print the seconds of each stage to the standard error: of the one cloud, or median,
+    /// maximum and sum over several.
+    #[arg(long)]
+    pub timing: bool,
+    /// Weight file (.safetensors); default: the built-in compact model.
+    #[arg(long)]
+    pub model: Option<PathBuf>,
+    /// Threads; default: all processors. The result does not depend on it.
+    #[arg(long, value_parser = clap::value_parser!(u16).range(1..))]
+    pub threads: Option<u16>,
+    #[command(flatten)]
+    pub options: DetectFlags,
+}
+
+/// What is not given comes from the preset, or from the model's recommended options.
+#[derive(Args)]
+#[command(next_help_heading = "Detection options (default: what the model recommends)")]
+pub struct DetectFlags {
+    /// Start from the paper's settings for a data set: modelnet40, keypointnet, smpl, redwood or 3dmatch.
+    #[arg(long)]
+    preset: Option<String>,
+    /// unit-sphere: mean to the origin, farthest point to the sphere of radius 0.5; unit-cube: largest coordinate to
+    /// the cube ±0.5; none: the cloud is in that cube already.
+    #[arg(long, value_parser = named::<NormalizationMethod>)]
+    normalization: Option<NormalizationMethod>,
+    /// Encode at most this many points, drawn at random.
+    #[arg(long)]
+    max_points: Option<usize>,
+    /// Seed of that draw.
+    #[arg(long)]
+    seed: Option<u64>,
+    /// Average over this many turned copies of the cloud: keypoints repeat far better, at as many times the cost.
+    #[arg(long)]
+    rotations: Option<usize>,
+    /// Queries along each axis of the starting grid.
+    #[arg(long)]
+    query_resolution: Option<usize>,
+    /// Ask only queries at most this many voxels from a voxel with points, along each axis; 0: all. Faster, and hardly
+    /// ever different.
+    #[arg(long)]
+    query_band: Option<usize>,
+    /// Refinement steps (J).
+    #[arg(long)]
+    refine_steps: Option<usize>,
+    /// Step size in network units (the cube ±0.5).
+    #[arg(long)]
+    refine_step_size: Option<f32>,
+    /// adam or gradient-descent.
+    #[arg(long, value_parser = named::<RefineMethod>)]
+    refine_method: Option<RefineMethod>,
+    /// best-position, or reference-final-position as the paper's released code.
+    #[arg(long, value_parser = named::<Selection>)]
+    selection: Option<Selection>,
+    /// Queries must be occupied with more than this probability before refinement.
+    #[arg(long)]
+    occupancy_threshold: Option<f32>,
+    /// Refined positions must be occupied with more than this probability.
+    #[arg(long)]
+    surface_threshold: Option<f32>,
+    /// Keypoints must be more salient than this.
+    #[arg(long)]
+    saliency_threshold: Option<f32>,
+    /// Keypoints are farther apart than this, in cloud units; 0: no suppression.
+    #[arg(long)]
+    nms_radius: Option<f32>,
+    /// At most this many keypoints, the best.
+    #[arg(long)]
+    max_keypoints: Option<usize>,
+    /// Move each keypoint to its nearest input point.
+    #[arg(long)]
+    snap: bool,
+}
+
+impl DetectFlags {
+    /// The options of a run: preset or model's recommendation, overridden by what was given.
+    pub fn resolve(&self, model: &Model) -> Result<Preset> {
+        let mut preset = match &self.preset {
+            Some(name) => Preset::named(name)?,
+            None => *model.recommended(),
+        };
+        let (encode, detect) = (&mut preset.encode, &mut preset.detect);
+        override_with(&mut encode.normalization, self.normalization);
+        override_with(&mut encode.max_points, self.max_points.map(Some));
+        override_with(&mut encode.seed, self.seed);
+        override_with(&mut encode.rotations, self.rotations);
+        override_with(&mut detect.query_resolution, self.query_resolution);
+        override_with(&mut detect.query_band, self.query_band);
+        override_with(&mut detect.refine_steps, self.refine_steps);
+        override_with(&mut detect.refine_step_size, self.refine_step_size);
+        override_with(&mut detect.refine_method, self.refine_method);
+        override_with(&mut detect.selection, self.selection);
+        override_with(&mut detect.occupancy_threshold, self.occupancy_threshold);
+        override_with(&mut detect.surface_threshold, self.surface_threshold);
+        override_with(&mut detect.saliency_threshold, self.saliency_threshold);
+        override_with(&mut detect.nms_radius, self.nms_radius);
+        override_with(&mut detect.max_keypoints, self.max_keypoints);
+        override_with(&mut detect.snap, self.snap.then_some(true));
+        Ok(preset)
+    }
+}
