@@ -5,18 +5,20 @@ import numpy as np
 BOUND = 0.5625  # half the side of the padded volume, 0.5 * (1 + padding)
 
 
-def normalize(points, method="unit-sphere"):
+def normalize(points, method="unit-sphere", rng=None):
     """Points (N, 3) of any unit into the cube +-0.5: (points, center, scale) with network = (cloud - center) / scale.
 
-    About the mean, by the largest distance from it (unit-sphere) or the largest coordinate (unit-cube).
+    About the mean, by the largest distance from it (unit-sphere) or the largest coordinate (unit-cube), or by an extent
+    that `rng` draws between these two (mixed).
     """
-    if method not in ("unit-sphere", "unit-cube", "none"):
-        raise ValueError(f"normalization {method!r} is none of unit-sphere, unit-cube, none")
+    if method not in ("unit-sphere", "unit-cube", "mixed", "none"):
+        raise ValueError(f"normalization {method!r} is none of unit-sphere, unit-cube, mixed, none")
     if method == "none":
         return points.astype(np.float32), np.zeros(3, np.float32), np.float32(1)
     center = points.mean(axis=0, dtype=np.float64)
     offset = points - center
-    extent = np.abs(offset).max() if method == "unit-cube" else np.sqrt((offset**2).sum(axis=1)).max()
+    cube, sphere = np.abs(offset).max(), np.sqrt((offset**2).sum(axis=1)).max()
+    extent = rng.uniform(cube, sphere) if method == "mixed" else cube if method == "unit-cube" else sphere
     if not 0 < extent < np.inf:
         raise ValueError("points must be finite and not all in one place")
     scale = 2 * extent
@@ -49,6 +51,30 @@ def choose(rng, points, number):
     return np.concatenate([points, points[rng.choice(len(points), number - len(points))]])
 
 
+def visible(points, pixel, tolerance):
+    """Which points (M, 3) in a camera's frame it sees: all in front of it that no other point hides.
+
+    A point is hidden by one in the same pixel, of size `pixel` (tangent), that is nearer by more than the share
+    `tolerance` of its depth. The pixel must be wider than the gaps between the points.
+    """
+    depth = points[:, 2]
+    image = np.floor(points[:, :2] / np.maximum(depth, 1e-6)[:, None] / pixel).astype(np.int64)
+    in_front = depth > 1e-6
+    _, pixel_of = np.unique(image[in_front], axis=0, return_inverse=True)
+    nearest = np.full(pixel_of.max(initial=-1) + 1, np.inf)
+    np.minimum.at(nearest, pixel_of.ravel(), depth[in_front])
+    seen = np.zeros(len(points), bool)
+    seen[in_front] = depth[in_front] <= nearest[pixel_of.ravel()] * (1 + tolerance)
+    return seen
+
+
+def facing(points, rng):
+    """Which points (N, 3) of an object within the cube +-0.5 a camera before it sees, one that looks along z."""
+    camera = points + (0, 0, rng.uniform(1.2, 3))
+    gap = np.sqrt(np.pi / len(points))  # between the points if they lay on a sphere of radius 0.5
+    return visible(camera, 2 * gap / camera[:, 2].mean(), 0.04)
+
+
 def within_bounds(points):
     """The points inside the padded volume, as the released code drops the rest; all of them if none is inside."""
     inside = (np.abs(points) <= BOUND).all(axis=1)
@@ -61,7 +87,7 @@ def two_views(cloud, config, rng):
     Returns a dict: points (2, N, 3); occupancy_queries (2, 2 K, 3), the first K on the surface;
     grids (2, G, H^3, 3), the same physical places in both views.
     """
-    clean, _, _ = normalize(cloud, config.normalization)
+    clean, _, _ = normalize(cloud, config.normalization, rng)
     rotation = random_rotation(rng, config.rotation)
     shift = rng.uniform(-config.translation, config.translation, 3).astype(np.float32)
     views = clean, clean @ rotation.T + shift
@@ -88,26 +114,43 @@ def two_views(cloud, config, rng):
 def distillation_views(shape, config, rng):
     """One sample from `Targets.sample`: two views, each rotated at random, a share of them thinned and noisy.
 
-    A view is normalised as it is seen, noise and all, as in detection. Returns a dict: points (2, N, 3);
-    occupancy_queries (2, 2 K, 3), the first K on the surface; queries (2, Q, 3), the same physical places in both
-    views, half of them among the fifth of the shape's queries of highest target; target (Q,).
+    A view is normalised as it is seen, noise and all, as in detection; of a share of the samples one view sees one side.
+    Returns a dict: points (2, N, 3); occupancy_queries (2, 2 K, 3), the first K on the surface that is seen; queries
+    (2, Q, 3), the same physical places in both views, near what both see, half of them among the fifth of highest
+    target; target (Q,).
     """
     cloud, queries, target = shape
-    best = target.argsort()[-max(len(target) // 5, 1) :]
-    chosen = rng.integers(len(target), size=config.num_targets)
+    one_sided = rng.integers(2) if rng.random() < config.partial_share else None
+    views, near = [], np.ones(len(queries), bool)
+    for view in range(2):
+        rotation = random_rotation(rng)
+        shown = cloud @ rotation.T
+        if view == one_sided:
+            side = facing(shown, rng)
+            shown = shown[side]
+            near = np.isin(cells(queries), cells(cloud[side]))
+        views.append((rotation, shown))
+    near = np.flatnonzero(near) if near.any() else np.arange(len(queries))
+    best = near[target[near].argsort()[-max(len(near) // 5, 1) :]]
+    chosen = near[rng.integers(len(near), size=config.num_targets)]
     chosen[::2] = best[rng.integers(len(best), size=len(chosen[::2]))]
     sample = {"points": [], "occupancy_queries": [], "queries": []}
-    for _ in range(2):
-        rotation = random_rotation(rng)
-        seen = cloud @ rotation.T
+    for rotation, shown in views:
+        seen = shown
         if rng.random() < config.degraded_share:
             kept = max(int(len(seen) / config.max_downsampling ** rng.random()), 2)
             noise = rng.uniform(0, config.max_noise) * rng.standard_normal((kept, 3))
             seen = choose(rng, seen, kept) + noise.astype(np.float32)
-        seen, center, scale = normalize(seen, config.normalization)
+        seen, center, scale = normalize(seen, config.normalization, rng)
         uniform = rng.uniform(-BOUND, BOUND, (config.num_occupancy, 3))
-        on_surface = (choose(rng, cloud, config.num_occupancy) @ rotation.T - center) / scale
+        on_surface = (choose(rng, shown, config.num_occupancy) - center) / scale
         sample["points"].append(choose(rng, seen, config.num_points))
         sample["occupancy_queries"].append(np.concatenate([on_surface, uniform]))
         sample["queries"].append((queries[chosen] @ rotation.T - center) / scale)
     return {name: np.stack(views).astype(np.float32) for name, views in sample.items()} | {"target": target[chosen]}
+
+
+def cells(points):
+    """The cell (N,) that each point (N, 3) within the padded volume lies in: 16 along each axis."""
+    x, y, z = np.floor((points + BOUND) * (16 / (2 * BOUND))).astype(int).clip(0, 15).T
+    return (z * 16 + y) * 16 + x

@@ -43,7 +43,9 @@ class TrainConfig:
     c_dim: int = setting(32, "channels of the volume")
 
     normalization: str = setting(
-        "unit-sphere", "of the clouds: unit-sphere or unit-cube", choices=("unit-sphere", "unit-cube")
+        "unit-sphere",
+        "of the clouds: unit-sphere (objects), unit-cube (rooms), or mixed: an extent between the two",
+        choices=("unit-sphere", "unit-cube", "mixed"),
     )
     num_points: int = setting(4096, "input points of each view")
     rotation: str = setting(
@@ -63,6 +65,7 @@ class TrainConfig:
 
     num_targets: int = setting(1024, "with targets: queries of the saliency a sample")
     degraded_share: float = setting(0.4, "with targets: share of views thinned and noisy")
+    partial_share: float = setting(0.0, "with targets: share of samples of which one view sees one side only")
     max_noise: float = setting(0.02, "with targets: their noise's standard deviation is uniform up to this")
 
     weight_occupancy: float = setting(1.0, "weight of the occupancy loss; 0 switches a loss off")
@@ -167,7 +170,7 @@ def check(config):
     for name in not_negative:
         if not 0 <= getattr(config, name) < math.inf:
             refuse(name, "0 or more")
-    for name in ("procedural_share", "degraded_share"):
+    for name in ("procedural_share", "degraded_share", "partial_share"):
         if not 0 <= getattr(config, name) <= 1:
             refuse(name, "within [0, 1]")
     if not 0 <= config.ema_decay < 1:

@@ -70,7 +70,8 @@ def validate(network, config, shapes, device):
     Repeatability is at epsilon 0.04 of clouds of radius 1, with suppression at 0.01 and at 0.05.
     """
     network.eval()
-    options = DetectOptions(normalization=config.normalization, query_resolution=config.validation_resolution)
+    normalization = "unit-sphere" if config.normalization == "mixed" else config.normalization
+    options = DetectOptions(normalization=normalization, query_resolution=config.validation_resolution)
     with torch.no_grad():
         batches = [make_batch(shapes, config, first, 4, device, stream=1) for first in range(0, 32, 4)]
         results = [snake_losses(network, batch, config.bf16) for batch in batches]

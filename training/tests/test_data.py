@@ -35,6 +35,13 @@ def test_normalize_is_about_the_mean_and_touches_the_bound(method):
     assert np.allclose(unit * scale + center, points, atol=1e-5)
 
 
+def test_mixed_extents_lie_between_cube_and_sphere():
+    points = cloud()
+    cube, sphere = (normalize(points, method)[2] for method in ("unit-cube", "unit-sphere"))
+    scales = [normalize(points, "mixed", rng(seed))[2] for seed in range(50)]
+    assert cube < min(scales) < cube + 0.2 * (sphere - cube) and sphere - 0.2 * (sphere - cube) < max(scales) < sphere
+
+
 def test_normalize_none_and_its_errors():
     points = cloud()
     unit, center, scale = normalize(points, "none")

@@ -132,6 +132,26 @@ def test_degraded_views_are_thinned_and_noisy(file):
     assert min(distinct) < 16 and max(distinct) > 90 and min(distinct) >= 128 // 16
 
 
+def test_one_view_of_a_sample_may_show_one_side(tmp_path, network):
+    path = tmp_path / "targets.safetensors"
+    write_targets(path, network, Procedural(3, points=3000), rotations=1, queries=2000, points=2000)
+    config = TrainConfig(**TINY | {"degraded_share": 0.0, "partial_share": 1.0, "num_points": 2000, "num_targets": 400})
+    for seed in range(6):
+        sample = distillation_views(
+            Targets(path).sample(np.random.default_rng(seed)), config, np.random.default_rng(seed)
+        )
+        full, partial = sorted(range(2), key=lambda view: -len(np.unique(sample["points"][view], axis=0)))
+        assert len(np.unique(sample["points"][partial], axis=0)) < 0.8 * len(np.unique(sample["points"][full], axis=0))
+        # What is asked is near what both show, and the one side is normalised as if there were nothing else.
+        for view in range(2):
+            gap = np.linalg.norm(sample["queries"][view][:, None] - sample["points"][view][None, ::2], axis=2).min(
+                axis=1
+            )
+            assert gap.max() < 0.2
+        assert np.abs(sample["points"].mean(axis=1)).max() < 0.02
+        assert np.allclose(np.linalg.norm(sample["points"], axis=2).max(axis=1), 0.5, atol=1e-5)
+
+
 def test_losses_vanish_for_a_network_that_is_its_own_target(file, network):
     batch = make_batch(Targets(file), TrainConfig(**TINY | {"num_targets": 40}), 0, 2, "cpu")
     queries = batch["queries"].flatten(0, 1)
