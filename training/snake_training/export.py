@@ -7,7 +7,6 @@ from contextlib import contextmanager
 from pathlib import Path
 
 import torch
-import yaml
 from safetensors import SafetensorError, safe_open
 from safetensors.torch import load_file, save_file
 
@@ -76,6 +75,8 @@ def read_checkpoint(path, config=None):
 
 def config_from_yaml(path):
     """NetworkConfig of an official experiment's config.yaml, wherever in its tree the keys stand."""
+    import yaml  # the only use; training does without it
+
     found = {}
 
     def walk(node):
@@ -83,7 +84,10 @@ def config_from_yaml(path):
             found.setdefault(key, value)
             walk(value)
 
-    walk(yaml.safe_load(Path(path).read_text()))
+    try:
+        walk(yaml.safe_load(Path(path).read_text()))
+    except yaml.YAMLError as error:
+        raise ValueError(f"{path}: {error}") from error
     resolution = found.get("grid_resolution", found.get("grid_reso", found.get("grid_res", 64)))
     return NetworkConfig(
         resolution=tuple(resolution) if isinstance(resolution, list) else (int(resolution),) * 3,
@@ -142,7 +146,7 @@ def main(argv=None):
         config = NetworkConfig(**vars(config) | {k: v for k, v in overrides.items() if v is not None})
         config, tensors = read_checkpoint(arguments.source, config)
         write_weights(arguments.output, config, tensors, torch.float16 if arguments.float16 else torch.float32, extra)
-    except (OSError, ValueError, yaml.YAMLError) as error:
+    except (OSError, ValueError) as error:
         parser.error(str(error))
     print(
         json.dumps({"output": arguments.output, "parameters": sum(t.numel() for t in tensors.values())} | vars(config))

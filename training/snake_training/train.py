@@ -13,7 +13,6 @@ import numpy as np
 import torch
 import torch.distributed as dist
 from torch.nn.parallel import DistributedDataParallel
-from torch.utils.tensorboard import SummaryWriter
 from tqdm import tqdm
 
 from .augment import distillation_views, two_views
@@ -123,6 +122,22 @@ def starting_network(config):
     return network
 
 
+def open_log(run):
+    """TensorBoard's writer for a run folder; None, said once, where it is not installed."""
+    try:
+        from torch.utils.tensorboard import SummaryWriter
+    except ImportError:
+        print("tensorboard is not installed: losses are shown but not logged", file=sys.stderr)
+        return None
+    return SummaryWriter(run)
+
+
+def write_scalars(log, group, values, step):
+    """A step's values to the log, if there is one."""
+    for name, value in values.items() if log else ():
+        log.add_scalar(f"{group}/{name}", value, step)
+
+
 def train(config):
     """Train from the configuration to its last step, or until its minutes are spent."""
     rank, world = int(os.environ.get("RANK", "0")), int(os.environ.get("WORLD_SIZE", "1"))
@@ -160,7 +175,7 @@ def train(config):
     if rank == 0:
         run.mkdir(parents=True, exist_ok=True)
         (run / "config.json").write_text(to_json(config))
-        log = SummaryWriter(run)
+        log = open_log(run)
     bar = tqdm(
         total=config.steps, initial=step, disable=rank != 0, unit="step", mininterval=2 if sys.stderr.isatty() else 60
     )
@@ -194,12 +209,10 @@ def train(config):
         if rank == 0:
             if step % 20 == 0 or finished:
                 bar.set_postfix({k[:3]: f"{v:.3f}" for k, v in running.items()}, refresh=False)
-                for name, value in running.items():
-                    log.add_scalar(f"train/{name}", value, step)
+                write_scalars(log, "train", running, step)
             if step % config.validate_every == 0 or finished:
                 values = validate(average, config, held_out, device)
-                for name, value in values.items():
-                    log.add_scalar(f"validation/{name}", value, step)
+                write_scalars(log, "validation", values, step)
                 tqdm.write(f"step {step}: " + " ".join(f"{k}={v:.3f}" for k, v in values.items()))
                 score = values["repeatability_nms_0.01"] + values["repeatability_nms_0.05"]
                 if score > best:

@@ -4,8 +4,9 @@ import json
 from pathlib import Path
 
 import numpy as np
-import trimesh
+from tqdm import tqdm
 
+from ..augment import choose, normalize
 from .procedural import Procedural
 
 
@@ -64,6 +65,8 @@ class Folder:
 
     def read_ply(self, path, seed):
         """The vertices of a cloud, or points drawn from a mesh's surface by area."""
+        import trimesh  # the only use; a machine that trains on packed points need not have it
+
         try:
             shape = trimesh.load(path, process=False)
             if len(getattr(shape, "faces", ())) > 0:
@@ -113,3 +116,15 @@ def read_npy(path):
 def open_shapes(folder):
     """A corpus if the folder holds one, else a folder of clouds."""
     return Corpus(folder) if (Path(folder) / "points.npy").exists() else Folder(folder)
+
+
+def write_corpus(folder, shapes, points=8192):
+    """A corpus folder of shapes: each about its mean, its farthest point at distance 1, `points` of its points."""
+    folder = Path(folder)
+    stored = np.empty((len(shapes), points, 3), np.int16)
+    for row in tqdm(range(len(shapes)), unit="shape", disable=None):
+        cloud = choose(np.random.default_rng(row), shapes[row], points)
+        stored[row] = (normalize(cloud)[0] * 2 * 32767).round()
+    folder.mkdir(parents=True, exist_ok=True)
+    np.save(folder / "points.npy", stored)
+    (folder / "index.json").write_text(json.dumps([{"name": f"shape-{row}"} for row in range(len(shapes))]))

@@ -7,14 +7,11 @@ In a room x, y are horizontal, z is up, lengths are metres; in a camera's frame 
 """
 
 import argparse
-import json
-from pathlib import Path
 
 import numpy as np
-from tqdm import tqdm
 
 from ..augment import choose, facing, normalize, random_rotation, visible
-from .datasets import Mixture, open_shapes
+from .datasets import Mixture, open_shapes, write_corpus
 from .procedural import RECIPES, about, box, moved, sample_surface, shelf, table
 
 FIELD_OF_VIEW = np.tan(np.radians((29, 23)))  # half of it, horizontally and vertically, as tangents
@@ -138,18 +135,6 @@ def standing(part, size, rng):
     return moved(part, (*(place - center), -low[2])), place, half, high[2] - low[2]
 
 
-def write_corpus(folder, scenes):
-    """The clouds of `scenes` as a corpus folder: each centred on its mean, its farthest point at distance 1."""
-    points = np.empty((len(scenes), scenes.points, 3), np.int16)
-    for row in tqdm(range(len(scenes)), unit="scene"):
-        points[row] = (normalize(scenes[row])[0] * 2 * 32767).round()
-    folder = Path(folder)
-    folder.mkdir(parents=True, exist_ok=True)
-    np.save(folder / "points.npy", points)
-    names = [{"name": f"scene-{scenes.seed}-{row}"} for row in range(len(scenes))]
-    (folder / "index.json").write_text(json.dumps(names))
-
-
 def main(argv=None):
     """Command line."""
     parser = argparse.ArgumentParser(
@@ -171,7 +156,7 @@ def main(argv=None):
     try:
         objects = Mixture([open_shapes(folder) for folder in arguments.data], 0.25)
         scenes = Scenes(objects, arguments.number, arguments.points, arguments.partial_share, arguments.seed)
-        write_corpus(arguments.output, scenes)
+        write_corpus(arguments.output, scenes, arguments.points)
     except (OSError, ValueError) as error:
         parser.error(str(error))
 
