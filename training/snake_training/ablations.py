@@ -1,0 +1,145 @@
+"""The paper's ablations on the compact size: `python -m snake_training.ablations -o ablations/ --data … --shapes …`.
+
+Trains the compact recipe once for each row (losses off, U, resolution) and evaluates each on unseen shapes; the refinement
+rows evaluate the full recipe with other J and step sizes. What is done is kept in the folder: run again to go on.
+"""
+
+import argparse
+import json
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+
+from .config import TrainConfig, check
+from .data import open_shapes
+from .evaluate import DetectOptions, detector, repeatability
+from .export import load_network, replacing, write_weights
+from .train import train
+
+EPSILON = 0.04
+BLIND = dict(occupancy_threshold=0.0, surface_threshold=0.0)  # a network that never learned where the surface is
+
+
+@dataclass(frozen=True)
+class Row:
+    """One row of a table: settings of training, options of detection, and the paper's figure for its own network."""
+
+    table: str
+    name: str
+    training: dict = field(default_factory=dict)
+    detection: dict = field(default_factory=dict)
+    paper: float | None = None
+
+    @property
+    def run(self):
+        """The name of the folder of its run; rows that train alike share one."""
+        return "-".join(f"{name}-{value:g}" for name, value in sorted(self.training.items())) or "all"
+
+
+# Relative repeatability at epsilon 0.04 on ModelNet40; sections 4.4 of the paper.
+ROWS = (
+    Row("losses", "all four", paper=0.85),
+    Row("losses", "no occupancy, no surface", dict(weight_occupancy=0, weight_surface=0), BLIND, 0.92),
+    Row("losses", "no surface", dict(weight_surface=0), paper=0.28),
+    Row("losses", "no repeatability", dict(weight_repeatability=0), paper=0.22),
+    Row("losses", "no sparsity", dict(weight_sparsity=0), paper=0.0),
+    Row("local grids", "U = 4", dict(grid_fraction=4), paper=0.79),
+    Row("local grids", "U = 6", paper=0.85),
+    Row("local grids", "U = 8", dict(grid_fraction=8), paper=0.79),
+    Row("local grids", "U = 10", dict(grid_fraction=10), paper=0.77),
+    Row("volume", "24³", dict(resolution=24)),
+    Row("volume", "32³", paper=0.62),
+    Row("volume", "48³", dict(resolution=48), paper=0.79),
+    Row("volume", "64³", dict(resolution=64), paper=0.85),
+    *(Row("refinement", f"J = {steps}", detection=dict(refine_steps=steps), paper=paper)
+      for steps, paper in ((0, 0.811), (5, None), (10, 0.864), (20, None))),
+    *(Row("refinement", f"J = 10, steps of {size:g}", detection=dict(refine_step_size=size), paper=paper)
+      for size, paper in ((0.1, 0.002), (0.01, 0.622), (0.001, 0.854), (0.0001, 0.826))),
+)  # fmt: skip
+
+
+def measure(row, folder, config, shapes, objects, engine, seeds=3):
+    """Train what the row needs, unless it is there, and evaluate it: {"repeatability", "deviation", "keypoints"}."""
+    run = folder / row.run
+    finished = run / "finished.safetensors"
+    if not finished.exists():
+        train(check(replace(config, run_dir=str(run), **row.training)))
+        network = load_network(run / "last.pt")
+        write_weights(finished, network.config, network.state_dict())
+    find = detector(engine, str(finished), replace(DetectOptions(), **row.detection))
+    values = []
+    for seed in range(seeds):
+        measured = repeatability(lambda points: {"": find(points)}, shapes, objects, seed=seed, epsilon=(EPSILON,))
+        values.append((float(measured[""][0][0]), measured[""][1]))
+    repeated, counts = zip(*values)
+    mean = sum(repeated) / seeds
+    deviation = (sum((value - mean) ** 2 for value in repeated) / seeds) ** 0.5
+    return {"repeatability": mean, "deviation": deviation, "keypoints": sum(counts) / seeds}
+
+
+def markdown(results):
+    """The rows that are done, as a table for each of the paper's."""
+    lines = []
+    for table in dict.fromkeys(row.table for row in ROWS):
+        done = [row for row in ROWS if row.table == table and f"{table}: {row.name}" in results]
+        if not done:
+            continue
+        lines += [
+            f"| {table} | repeatability at ε {EPSILON} | keypoints | paper (64³, ModelNet40) |",
+            "|---|---|---|---|",
+        ]
+        for row in done:
+            found = results[f"{table}: {row.name}"]
+            paper = "–" if row.paper is None else f"{row.paper:g}"
+            value = f"{found['repeatability']:.3f} ±{found['deviation']:.3f}"
+            lines.append(f"| {row.name} | {value} | {found['keypoints']:.0f} | {paper} |")
+        lines.append("")
+    return "\n".join(lines)
+
+
+def main(argv=None):
+    """Command line."""
+    parser = argparse.ArgumentParser(
+        prog="python -m snake_training.ablations",
+        description=__doc__.split("\n\n")[1],
+        formatter_class=argparse.ArgumentDefaultsHelpFormatter,
+    )
+    parser.add_argument("-o", "--output", required=True, help="folder of the runs, results.json and tables.md")
+    parser.add_argument("--data", nargs="*", default=[], help="training shapes; without them, procedural ones")
+    parser.add_argument("--shapes", required=True, help="unseen shapes to evaluate on")
+    parser.add_argument("--objects", type=int, default=40, help="evaluate on this many of them, evenly spaced")
+    parser.add_argument("--steps", type=int, default=1000, help="optimiser steps of each run")
+    parser.add_argument("--batch", type=int, default=4, help="samples a step")
+    parser.add_argument("--tables", nargs="*", default=sorted({row.table for row in ROWS}), help="tables to make")
+    parser.add_argument("--engine", choices=("torch", "snake-rs"), default="torch", help="which implementation detects")
+    arguments = parser.parse_args(argv)
+    unknown = set(arguments.tables) - {row.table for row in ROWS}
+    if unknown:
+        parser.error(f"--tables knows {', '.join(sorted({row.table for row in ROWS}))}; not {', '.join(unknown)}")
+    folder = Path(arguments.output)
+    config = TrainConfig(
+        data=tuple(arguments.data), steps=arguments.steps, batch=arguments.batch, warmup=min(200, arguments.steps // 5),
+        validate_every=arguments.steps, validation_objects=1,
+    )  # fmt: skip
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        shapes = open_shapes(arguments.shapes)
+        kept, settings = folder / "results.json", {k: v for k, v in vars(arguments).items() if k != "tables"}
+        results = json.loads(kept.read_text()) if kept.exists() else {"settings": settings}
+        if results["settings"] != settings:
+            raise ValueError(f"{kept} was made with other settings, {results['settings']}; give another --output")
+        for row in ROWS:
+            key = f"{row.table}: {row.name}"
+            if row.table not in arguments.tables or key in results:
+                continue
+            print(key, flush=True)
+            results[key] = measure(row, folder, config, shapes, arguments.objects, arguments.engine)
+            for path, text in ((kept, json.dumps(results, indent=1)), (folder / "tables.md", markdown(results))):
+                with replacing(path) as temporary:
+                    temporary.write_text(text)
+    except (OSError, ValueError) as error:
+        parser.error(str(error))
+    print(markdown(results))
+
+
+if __name__ == "__main__":
+    main()

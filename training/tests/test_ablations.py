@@ -1,0 +1,52 @@
+"""The ablations: which settings each row has, the tables, and going on where they were."""
+
+import json
+
+import pytest
+
+from conftest import TINY
+from snake_training import ablations
+from snake_training.ablations import BLIND, ROWS, Row, main, markdown, measure
+from snake_training.config import TrainConfig, check
+from snake_training.data import Procedural, write_corpus
+from snake_training.evaluate import DetectOptions
+
+
+def test_every_row_can_be_trained_and_detected_and_rows_alike_share_a_run():
+    runs = {}
+    for row in ROWS:
+        config = check(TrainConfig(**row.training))
+        DetectOptions(**row.detection)
+        assert runs.setdefault(row.run, config) == config
+    assert len(runs) == 11 and "all" in runs
+    assert {row.table for row in ROWS} == {"losses", "local grids", "volume", "refinement"}
+
+
+def test_a_row_is_trained_once_and_measured(tiny, tmp_path, monkeypatch):
+    shapes = Procedural(2, 400)
+    row = Row("losses", "none", {"weight_surface": 0.0}, BLIND | {"saliency_threshold": 0.0, "query_resolution": 8})
+    found = measure(row, tmp_path, tiny(), shapes, 1, "torch", seeds=2)
+    assert 0 <= found["repeatability"] <= 1 and found["deviation"] >= 0 and found["keypoints"] > 0
+    monkeypatch.setattr(ablations, "train", lambda config: pytest.fail("trained again"))
+    assert measure(row, tmp_path, tiny(), shapes, 1, "torch", seeds=2) == found
+
+
+def test_tables_grow_row_by_row_and_a_second_call_goes_on(tmp_path, monkeypatch, capsys):
+    write_corpus(tmp_path / "shapes", Procedural(2, 400), 400)
+    measured = []
+    monkeypatch.setattr(ablations, "TrainConfig", lambda **given: TrainConfig(**TINY | given))
+    monkeypatch.setattr(ablations, "measure", lambda row, *_: measured.append(row.name) or {
+        "repeatability": 0.5, "deviation": 0.01, "keypoints": 64.0
+    })  # fmt: skip
+    words = ["-o", str(tmp_path / "out"), "--shapes", str(tmp_path / "shapes")]
+    main([*words, "--tables", "losses"])
+    assert len(measured) == 5
+    main(words)
+    assert len(measured) == len(ROWS)
+    table = (tmp_path / "out" / "tables.md").read_text()
+    assert "| no surface | 0.500 ±0.010 | 64 | 0.28 |" in table and "| J = 5 | 0.500 ±0.010 | 64 | – |" in table
+    assert table == markdown(json.loads((tmp_path / "out" / "results.json").read_text()))
+    for wrong in (["--tables", "colours"], ["--steps", "7"]):
+        with pytest.raises(SystemExit):
+            main([*words, *wrong])
+    assert "other settings" in capsys.readouterr().err
