@@ -46,7 +46,7 @@ pub enum Command {
     Register(Box<RegisterArguments>),
     /// Show what a weight file is; without FILE, the built-in model.
     Model {
-        /// Weight file (.safetensors).
+        /// Weight file (.safetensors), or the name of a model as in `detect`.
         file: Option<PathBuf>,
     },
 }

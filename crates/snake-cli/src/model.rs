@@ -1,25 +1,66 @@
 //! `snake-cli model`: what a weight file is.
 
 use std::fmt::Write;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
-use anyhow::{Context, Result};
+use anyhow::{Context, Result, bail};
 use snake_core::Model;
 
-/// Loads a weight file, or the built-in model.
-pub fn load(file: Option<&Path>) -> Result<Model> {
-    match file {
-        Some(path) => Model::load(path).with_context(|| format!("cannot load the model {}", path.display())),
-        None => Ok(Model::builtin()?),
+/// Loads the model of a weight file or of a name, by default the built-in one.
+pub fn load(model: Option<&Path>) -> Result<Model> {
+    match model {
+        Some(model) if !is_builtin(model) => {
+            let file = locate(model)?;
+            Model::load(&file).with_context(|| format!("cannot load the model {}", file.display()))
+        }
+        _ => Ok(Model::builtin()?),
     }
 }
 
+fn is_builtin(model: &Path) -> bool {
+    model.as_os_str() == "compact" && !model.exists()
+}
+
+/// The weight file that a path or a name stands for. A name, like `standard`, is a file NAME.safetensors in a folder of
+/// models: that of SNAKE_MODELS, that of the program, and the user's.
+fn locate(model: &Path) -> Result<PathBuf> {
+    let is_name = model.extension().is_none() && model.components().count() == 1 && !model.exists();
+    if !is_name {
+        return Ok(model.into());
+    }
+    let beside = std::env::current_exe().ok().and_then(|program| Some(program.parent()?.to_owned()));
+    let folders: Vec<PathBuf> = [
+        std::env::var_os("SNAKE_MODELS").map(PathBuf::from),
+        beside.clone(),
+        beside.map(|folder| folder.join("models")),
+        dirs::data_dir().map(|data| data.join("snake-rs")),
+    ]
+    .into_iter()
+    .flatten()
+    .collect();
+    let file = model.with_extension("safetensors");
+    if let Some(found) = folders.iter().map(|folder| folder.join(&file)).find(|path| path.is_file()) {
+        return Ok(found);
+    }
+    let places: Vec<String> = folders.iter().map(|folder| folder.display().to_string()).collect();
+    bail!(
+        "no model `{}`: there is no {} in {}; copy it there from the folder models of snake-rs, or set SNAKE_MODELS to \
+         its folder",
+        model.display(),
+        file.display(),
+        places.join(", ")
+    );
+}
+
 /// Prints the network's shape, its recommended options and its metadata.
-pub fn run(file: Option<&Path>) -> Result<()> {
-    let model = load(file)?;
+pub fn run(model: Option<&Path>) -> Result<()> {
+    let name = match model {
+        Some(model) if !is_builtin(model) => model.display().to_string(),
+        _ => "compact, built-in".into(),
+    };
+    let model = load(model)?;
     let config = model.config();
     let [x, y, z] = config.frame.resolution;
-    let name = file.map_or("built-in".into(), |path| path.display().to_string());
     let mut text = format!("{name}: {} parameters\n", model.num_parameters());
     writeln!(text, "volume: {x} x {y} x {z} voxels, {} channels", config.c_dim)?;
     writeln!(text, "U-Net: {} levels from {} channels", config.unet_levels, config.unet_base_channels)?;

@@ -36,7 +36,8 @@ pub struct DetectArguments {
     /// maximum and sum over several.
     #[arg(long)]
     pub timing: bool,
-    /// Weight file (.safetensors); default: the built-in compact model.
+    /// Weight file (.safetensors), or the name of a model: compact, the built-in one, or that of a file in SNAKE_MODELS, beside
+    /// the program or in the user's data folder [default: compact].
     #[arg(long)]
     pub model: Option<PathBuf>,
     /// Threads; default: all processors. The result does not depend on it.

@@ -169,7 +169,7 @@ pub struct RunArguments {
     /// Threads; default: all processors. The result does not depend on it.
     #[arg(long, value_parser = clap::value_parser!(u16).range(1..))]
     pub threads: Option<u16>,
-    /// Weight file (.safetensors) of the model; default: the built-in compact model.
+    /// Weight file (.safetensors), or the name of a model as in `detect` [default: compact].
     #[arg(long)]
     pub model: Option<PathBuf>,
 }

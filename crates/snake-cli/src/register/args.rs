@@ -22,7 +22,8 @@ pub struct RegisterArguments {
     /// Print one JSON object on one line instead of text.
     #[arg(long)]
     pub json: bool,
-    /// Weight file (.safetensors); default: the built-in compact model.
+    /// Weight file (.safetensors), or the name of a model: compact, the built-in one, or that of a file in SNAKE_MODELS, beside
+    /// the program or in the user's data folder [default: compact].
     #[arg(long)]
     pub model: Option<PathBuf>,
     /// Threads; default: all processors. The result does not depend on it.
