@@ -285,7 +285,7 @@ impl Field {
 /// Probabilities are kept this far from 0 and 1 when they are averaged as log-odds.
 const LEAST: f32 = 1e-6;
 
-fn log_odds(probability: f32) -> f32 {
+pub(crate) fn log_odds(probability: f32) -> f32 {
     let probability = probability.clamp(LEAST, 1.0 - LEAST);
     (probability / (1.0 - probability)).ln()
 }

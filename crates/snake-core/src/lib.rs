@@ -33,6 +33,7 @@ mod points;
 mod pool;
 mod refine;
 mod rotations;
+mod surface;
 mod volume;
 mod weights;
 
@@ -42,6 +43,7 @@ pub use field::{EncodeOptions, Field};
 pub use kernels::SimdLevel;
 pub use model::{Model, ModelConfig};
 pub use points::{Normalization, NormalizationMethod, Point, Transform};
+pub use surface::{Mesh, MeshOptions};
 pub use volume::{Volume, VolumeFrame};
 
 /// The README's example is compiled with the documentation's.

@@ -30,6 +30,11 @@ impl VolumeFrame {
         [z, y, x]
     }
 
+    /// Lower and upper end along each axis of what the volume spans, in the network's frame.
+    pub(crate) fn bounds(&self) -> [[f32; 2]; 3] {
+        [[-0.5, 0.5], [-0.5, 0.5], self.z_bounds].map(|ends| ends.map(|end| end * (1.0 + self.padding)))
+    }
+
     /// A coordinate of the network's frame in units of the volume, which spans [0, 1).
     fn unclamped(&self, axis: usize, coordinate: f32) -> f32 {
         let scaled = coordinate / (1.0 + self.padding + Self::EPSILON);

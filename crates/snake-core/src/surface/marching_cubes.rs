@@ -1,0 +1,72 @@
+//! Marching cubes: from samples to triangles that share their vertices.
+
+use rayon::prelude::*;
+
+use super::cube::TRIANGLES;
+use super::samples::{Sample, Samples};
+
+/// Where the surface crosses an edge of the grid: a vertex.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(super) struct Crossing {
+    /// As numbered by [`Samples::edge`].
+    pub(super) edge: u32,
+    /// From the edge's low end, 0 to 1.
+    pub(super) fraction: f32,
+}
+
+/// Triangles counterclockwise seen from the empty side, by indices of crossings.
+#[derive(Debug, Clone, PartialEq)]
+pub(super) struct Surface {
+    /// By their edges.
+    pub(super) crossings: Vec<Crossing>,
+    pub(super) triangles: Vec<[u32; 3]>,
+}
+
+impl Surface {
+    /// The surface between the occupied and the empty samples: closed, and each edge is that of two triangles.
+    pub(super) fn of(samples: &Samples) -> Self {
+        let known = samples.known();
+        let crossings: Vec<Crossing> = known.par_iter().flat_map_iter(|&block| crossings(samples, block)).collect();
+        let triangles = known.par_iter().flat_map_iter(|&block| {
+            let cells = samples.of_block(block).flat_map(|low| {
+                TRIANGLES[case(samples, low)]
+                    .iter()
+                    .map(move |triangle| triangle.map(|(corner, axis)| samples.edge(place(low, corner), axis)))
+            });
+            cells.map(|edges| edges.map(|edge| vertex(&crossings, edge)))
+        });
+        let triangles = triangles.collect();
+        Self { crossings, triangles }
+    }
+}
+
+/// The index of the crossing of an edge that is crossed.
+pub(super) fn vertex(crossings: &[Crossing], edge: u32) -> u32 {
+    crossings.partition_point(|crossing| crossing.edge < edge) as u32
+}
+
+/// The crossings of the edges that begin in a block, as the edges are ordered.
+fn crossings(samples: &Samples, block: usize) -> Vec<Crossing> {
+    let mut crossings = Vec::new();
+    for low in samples.of_block(block) {
+        let value = samples.value(low);
+        for axis in 0..3 {
+            let high = samples.value(place(low, 1 << axis));
+            if (value > samples.level) != (high > samples.level) {
+                let fraction = (samples.level - value) / (high - value);
+                crossings.push(Crossing { edge: samples.edge(low, axis), fraction });
+            }
+        }
+    }
+    crossings
+}
+
+/// Which corners of the cell above a sample are occupied.
+fn case(samples: &Samples, low: Sample) -> usize {
+    (0..8).map(|corner| usize::from(samples.occupied(place(low, corner))) << corner).sum()
+}
+
+/// The sample at a corner of a cell.
+fn place(low: Sample, corner: usize) -> Sample {
+    std::array::from_fn(|axis| low[axis] + (corner >> axis & 1))
+}

@@ -1,0 +1,193 @@
+//! The surface of a cloud: marching cubes on its occupancy field.
+
+mod cube;
+mod marching_cubes;
+mod outer;
+mod samples;
+#[cfg(test)]
+mod tests;
+
+use rayon::prelude::*;
+use serde::{Deserialize, Serialize};
+
+use crate::field::{Field, Quantity, log_odds};
+use crate::nn::TILE;
+use crate::points::Point;
+use crate::{Error, Result};
+
+use marching_cubes::{Crossing, Surface};
+use samples::{Sample, Samples};
+
+/// Options of [`Field::mesh`].
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct MeshOptions {
+    /// Samples of the occupancy along each axis of the feature volume's box, ends included: 8 to 512.
+    pub resolution: usize,
+    /// The surface is where the occupancy has this value: 0.001 to 0.999; the default is the released code's.
+    pub level: f32,
+    /// Keep only what can be reached from outside. A network of SNAKE sees surfaces as thin shells, with a second surface
+    /// within, which this removes unless the shell has a hole.
+    pub outer: bool,
+}
+
+impl Default for MeshOptions {
+    fn default() -> Self {
+        Self { resolution: 128, level: 0.4, outer: false }
+    }
+}
+
+impl MeshOptions {
+    fn check(&self) -> Result<()> {
+        if !(8..=512).contains(&self.resolution) {
+            let value = self.resolution.to_string();
+            return Err(Error::Option { name: "resolution", value, allowed: "8 to 512 (samples along each axis)" });
+        }
+        if !(0.001..=0.999).contains(&self.level) {
+            let value = self.level.to_string();
+            return Err(Error::Option { name: "level", value, allowed: "0.001 to 0.999 (a probability)" });
+        }
+        Ok(())
+    }
+}
+
+/// A surface of triangles that share their vertices. Each edge is that of two triangles, in opposite directions.
+#[derive(Debug, Clone, PartialEq, Default)]
+pub struct Mesh {
+    /// In the cloud's frame and units.
+    pub vertices: Vec<Point>,
+    /// Unit normals at the vertices, out of what is occupied: against the gradient of the occupancy.
+    pub normals: Vec<[f32; 3]>,
+    /// Indices of vertices, counterclockwise seen from outside.
+    pub triangles: Vec<[u32; 3]>,
+}
+
+impl Mesh {
+    /// The area of all triangles, in squared cloud units.
+    pub fn area(&self) -> f64 {
+        self.triangles.iter().map(|&triangle| norm(self.cross(triangle)) / 2.0).sum()
+    }
+
+    /// A vector along the normal of a triangle, as long as twice its area.
+    pub(crate) fn cross(&self, triangle: [u32; 3]) -> [f64; 3] {
+        let [a, b, c] = triangle.map(|vertex| self.vertices[vertex as usize].map(f64::from));
+        let [u, v]: [[f64; 3]; 2] = [b, c].map(|end| std::array::from_fn(|axis| end[axis] - a[axis]));
+        [u[1] * v[2] - u[2] * v[1], u[2] * v[0] - u[0] * v[2], u[0] * v[1] - u[1] * v[0]]
+    }
+}
+
+fn norm(vector: [f64; 3]) -> f64 {
+    vector.iter().map(|v| v * v).sum::<f64>().sqrt()
+}
+
+impl Field {
+    /// The surface on which the occupancy is [`MeshOptions::level`] (marching cubes, along edges linear in the log-odds).
+    ///
+    /// It is closed: where the box of the feature volume, the network's cube ±0.5 with its padding, cuts what is occupied,
+    /// the face of the box closes the surface. A field without surface gives a mesh without triangles.
+    ///
+    /// Only samples near the surface are taken, in blocks of 4³. The mesh is that of all samples, except for occupied
+    /// specks that contain none of one sample in four along each axis and have no block with a point of the cloud.
+    ///
+    /// ```
+    /// use snake_core::{EncodeOptions, MeshOptions, Model};
+    /// # let points: Vec<[f32; 3]> = (0..500).map(|i| { let a = i as f32 * 0.1; [a.cos(), a.sin(), (a * 0.3).sin()] }).collect();
+    /// let field = Model::builtin()?.encode(&points, &EncodeOptions::default())?;
+    /// let mesh = field.mesh(&MeshOptions { resolution: 32, outer: true, ..Default::default() })?;
+    /// assert_eq!(mesh.vertices.len(), mesh.normals.len());
+    /// # Ok::<(), snake_core::Error>(())
+    /// ```
+    ///
+    /// # Errors
+    /// [`Error::Option`] when an option is out of its range.
+    pub fn mesh(&self, options: &MeshOptions) -> Result<Mesh> {
+        options.check()?;
+        let grid = Grid::new(self, options.resolution);
+        let near_points = self.points().iter().map(|&point| grid.sample_below(self.normalization().to_network(point)));
+        Ok(grid.mesh(options, near_points))
+    }
+}
+
+/// Where the samples of a field are.
+struct Grid<'a> {
+    field: &'a Field,
+    /// Coordinates in the network's frame along each axis.
+    coordinates: [Vec<f32>; 3],
+}
+
+impl<'a> Grid<'a> {
+    fn new(field: &'a Field, resolution: usize) -> Self {
+        let coordinates = field.volume().frame().bounds().map(|[low, high]| {
+            let share = |i| i as f32 / (resolution - 1) as f32;
+            (0..resolution).map(|i| low * (1.0 - share(i)) + high * share(i)).collect()
+        });
+        Self { field, coordinates }
+    }
+
+    fn point(&self, sample: Sample) -> Point {
+        std::array::from_fn(|axis| self.coordinates[axis][sample[axis]])
+    }
+
+    /// The last sample that is not above a point along any axis; the first one for a point below all.
+    fn sample_below(&self, point: Point) -> Sample {
+        std::array::from_fn(|axis| {
+            let above = self.coordinates[axis].partition_point(|&coordinate| coordinate <= point[axis]);
+            above.saturating_sub(1)
+        })
+    }
+
+    fn vertex(&self, samples: &Samples, crossing: &Crossing) -> Point {
+        let (low, axis) = samples.ends(crossing.edge);
+        let mut point = self.point(low);
+        point[axis] += crossing.fraction * (self.coordinates[axis][low[axis] + 1] - point[axis]);
+        point
+    }
+
+    fn mesh(&self, options: &MeshOptions, likely: impl IntoIterator<Item = Sample>) -> Mesh {
+        let value = |samples: &[Sample]| {
+            let queries: Vec<Point> = samples.iter().map(|&sample| self.point(sample)).collect();
+            let values = self.field.tile_values(Quantity::Occupancy, &queries);
+            // A network can overflow: `max` makes a number of what is none.
+            values.into_iter().map(|value| log_odds(value.max(0.0))).collect()
+        };
+        let samples = Samples::near_surface(options.resolution, log_odds(options.level), value, likely);
+        let mut surface = Surface::of(&samples);
+        if options.outer {
+            surface.retain_outer(&samples);
+        }
+        let vertices: Vec<Point> =
+            surface.crossings.par_iter().map(|crossing| self.vertex(&samples, crossing)).collect();
+        let gradients = vertices
+            .par_chunks(TILE)
+            .flat_map_iter(|tile| self.field.tile_values_and_gradients(Quantity::Occupancy, tile).1);
+        let gradients: Vec<Point> = gradients.collect();
+        let normalization = self.field.normalization();
+        let mut mesh = Mesh {
+            vertices: vertices.into_iter().map(|vertex| normalization.to_cloud(vertex)).collect(),
+            normals: Vec::new(),
+            triangles: surface.triangles,
+        };
+        mesh.normals = normals(&mesh, &gradients);
+        mesh
+    }
+}
+
+/// Of each vertex the direction against the gradient, or that of the triangles around it where the gradient does not
+/// point inwards: on the faces of the box.
+fn normals(mesh: &Mesh, gradients: &[Point]) -> Vec<[f32; 3]> {
+    let mut around = vec![[0.0; 3]; mesh.vertices.len()];
+    for &triangle in &mesh.triangles {
+        let cross = mesh.cross(triangle);
+        for sum in triangle.map(|vertex| vertex as usize) {
+            around[sum] = std::array::from_fn(|axis| around[sum][axis] + cross[axis]);
+        }
+    }
+    let normals = around.into_iter().zip(gradients).map(|(around, gradient)| {
+        let gradient = gradient.map(|v| -f64::from(v));
+        let points_out = (0..3).map(|axis| gradient[axis] * around[axis]).sum::<f64>() > 0.0;
+        let normal = if points_out { gradient } else { around };
+        let length = norm(normal);
+        if length > 0.0 { normal.map(|v| (v / length) as f32) } else { [0.0, 0.0, 1.0] }
+    });
+    normals.collect()
+}

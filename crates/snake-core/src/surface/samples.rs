@@ -1,0 +1,148 @@
+//! Samples of a function on a regular grid, taken only where its surface can be.
+
+use rayon::prelude::*;
+
+/// Samples along each axis of a block.
+const SIDE: usize = 4;
+
+/// Samples of a block: as many queries as the decoders take at once.
+const VOLUME: usize = SIDE * SIDE * SIDE;
+
+/// Indices of a sample along x, y, z.
+pub(super) type Sample = [usize; 3];
+
+/// A grid of samples in blocks, of which some are known. A sample is occupied if it is known and above the level. None on
+/// the border is: where the grid ends in the occupied part, the border closes the surface.
+pub(super) struct Samples {
+    /// Samples along each axis.
+    pub(super) resolution: usize,
+    pub(super) level: f32,
+    /// Of each block, x fastest, where its values are.
+    slots: Vec<Option<u32>>,
+    /// Of each sample of a block, x fastest.
+    values: Vec<[f32; VOLUME]>,
+}
+
+impl Samples {
+    /// Asks `value` for the samples near the surface: for one in each block; for all in the blocks in which that one is
+    /// above the level, or that hold one of the `likely` samples; and then for more blocks as long as an occupied sample
+    /// has a neighbour that is not known.
+    ///
+    /// So of a connected set of samples above the level (diagonally, too) all are known, and all around them; unless it
+    /// keeps clear both of one sample in four along each axis and of the likely blocks: then none are, and the set is
+    /// missed. Nothing is missed if every block is likely.
+    pub(super) fn near_surface(
+        resolution: usize,
+        level: f32,
+        value: impl Fn(&[Sample]) -> Vec<f32> + Sync,
+        likely: impl IntoIterator<Item = Sample>,
+    ) -> Self {
+        let number = resolution.div_ceil(SIDE).pow(3);
+        let mut samples = Self { resolution, level, slots: vec![None; number], values: Vec::new() };
+        let mut is_likely = vec![false; number];
+        likely.into_iter().for_each(|sample| is_likely[samples.place(sample).0] = true);
+        let middle = |block| samples.start(block).map(|i| (i + SIDE / 2).min(resolution - 1));
+        let mut wanted: Vec<usize> = (0..number.div_ceil(VOLUME))
+            .into_par_iter()
+            .flat_map_iter(|tile| {
+                let blocks = tile * VOLUME..number.min((tile + 1) * VOLUME);
+                let values = value(&blocks.clone().map(middle).collect::<Vec<_>>());
+                blocks.zip(values).filter(|&(block, value)| value > level || is_likely[block]).map(|(block, _)| block)
+            })
+            .collect();
+        while !wanted.is_empty() {
+            samples.ask(&wanted, &value);
+            wanted = wanted.par_iter().flat_map_iter(|&block| samples.unknown_beside_occupied(block)).collect();
+            wanted.par_sort_unstable();
+            wanted.dedup();
+        }
+        samples
+    }
+
+    /// Makes blocks known.
+    fn ask(&mut self, blocks: &[usize], value: &(impl Fn(&[Sample]) -> Vec<f32> + Sync)) {
+        let values = blocks.par_iter().map(|&block| {
+            let mut asked: Vec<Sample> = self.of_block(block).collect();
+            // A block at the end of the grid can be larger than what is left.
+            let inside: Vec<usize> = (0..VOLUME).filter(|&i| asked[i].iter().all(|&i| i < self.resolution)).collect();
+            asked.retain(|sample| sample.iter().all(|&i| i < self.resolution));
+            let mut values = [f32::NEG_INFINITY; VOLUME];
+            for ((place, value), sample) in inside.into_iter().zip(value(&asked)).zip(&asked) {
+                let on_border = sample.iter().any(|&i| i == 0 || i == self.resolution - 1);
+                values[place] = if on_border { value.min(self.level) } else { value };
+            }
+            values
+        });
+        let values: Vec<_> = values.collect();
+        for (&block, slot) in blocks.iter().zip(self.values.len() as u32..) {
+            self.slots[block] = Some(slot);
+        }
+        self.values.extend(values);
+    }
+
+    fn unknown_beside_occupied(&self, block: usize) -> Vec<usize> {
+        let mut found = Vec::new();
+        for sample in self.of_block(block).filter(|&sample| self.occupied(sample)) {
+            // An occupied sample is not on the border.
+            for step in 0..27 {
+                let neighbour = [sample[0] + step % 3 - 1, sample[1] + step / 3 % 3 - 1, sample[2] + step / 9 - 1];
+                let (beside, _) = self.place(neighbour);
+                if self.slots[beside].is_none() && !found.contains(&beside) {
+                    found.push(beside);
+                }
+            }
+        }
+        found
+    }
+
+    /// The known blocks, in the order of the grid.
+    pub(super) fn known(&self) -> Vec<usize> {
+        (0..self.slots.len()).filter(|&block| self.slots[block].is_some()).collect()
+    }
+
+    /// The samples of a block, x fastest.
+    pub(super) fn of_block(&self, block: usize) -> impl Iterator<Item = Sample> + use<> {
+        let [x, y, z] = self.start(block);
+        (0..VOLUME).map(move |i| [x + i % SIDE, y + i / SIDE % SIDE, z + i / (SIDE * SIDE)])
+    }
+
+    fn start(&self, block: usize) -> Sample {
+        let along = self.resolution.div_ceil(SIDE);
+        [block % along, block / along % along, block / (along * along)].map(|i| i * SIDE)
+    }
+
+    /// The block that a sample is in, and its place there.
+    fn place(&self, [x, y, z]: Sample) -> (usize, usize) {
+        let along = self.resolution.div_ceil(SIDE);
+        let block = x / SIDE + along * (y / SIDE + along * (z / SIDE));
+        (block, x % SIDE + SIDE * (y % SIDE + SIDE * (z % SIDE)))
+    }
+
+    /// The value of a sample, minus infinity if it is not known.
+    pub(super) fn value(&self, sample: Sample) -> f32 {
+        if sample.iter().any(|&i| i >= self.resolution) {
+            return f32::NEG_INFINITY;
+        }
+        let (block, place) = self.place(sample);
+        self.slots[block].map_or(f32::NEG_INFINITY, |slot| self.values[slot as usize][place])
+    }
+
+    pub(super) fn occupied(&self, sample: Sample) -> bool {
+        self.value(sample) > self.level
+    }
+
+    /// A number for the edge from a sample to the next one along an axis; it grows with the block, and within it with the
+    /// sample.
+    pub(super) fn edge(&self, low: Sample, axis: usize) -> u32 {
+        let (block, place) = self.place(low);
+        ((block * VOLUME + place) * 3 + axis) as u32
+    }
+
+    /// The sample and the axis of an edge.
+    pub(super) fn ends(&self, edge: u32) -> (Sample, usize) {
+        let (place, axis) = (edge as usize / 3, edge as usize % 3);
+        let [x, y, z] = self.start(place / VOLUME);
+        let i = place % VOLUME;
+        ([x + i % SIDE, y + i / SIDE % SIDE, z + i / (SIDE * SIDE)], axis)
+    }
+}
