@@ -10,6 +10,7 @@ model = snake_rs.Model.load("weights.safetensors")
 field = model.encode(points)               # encode once, query many times
 saliency, gradient = field.saliency_and_gradient(points)
 keypoints = field.detect(nms_radius=0.05, max_keypoints=128)
+mesh = field.mesh(outer=True)              # vertices, normals (V, 3), triangles (T, 3)
 
 found = snake_rs.register(source, target)  # rigid registration of two clouds
 found.t_target_source, found.num_inliers   # (4, 4): p_target = R p_source + t
@@ -18,11 +19,12 @@ Classical detectors are in snake_rs.baselines, figures of merit in snake_rs.metr
 """
 
 from . import baselines, metrics
-from ._core import Field, Keypoints, Model, Registration, __version__, detect, estimate_normals, fpfh, register
+from ._core import Field, Keypoints, Mesh, Model, Registration, __version__, detect, estimate_normals, fpfh, register
 
 __all__ = [
     "Field",
     "Keypoints",
+    "Mesh",
     "Model",
     "Registration",
     "__version__",

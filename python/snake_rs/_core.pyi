@@ -10,6 +10,7 @@ from typing_extensions import Self, Unpack
 __all__ = [
     "Field",
     "Keypoints",
+    "Mesh",
     "Model",
     "Registration",
     "__version__",
@@ -84,6 +85,12 @@ class _RegisterOptions(TypedDict, total=False):
     refine_steps: int
 
 @type_check_only
+class _MeshOptions(TypedDict, total=False):
+    resolution: int
+    level: float
+    outer: bool
+
+@type_check_only
 class _Config(TypedDict):
     resolution: tuple[int, int, int]
     padding: float
@@ -134,6 +141,7 @@ class Field:
     @property
     def normalization(self) -> tuple[NDArray[np.float32], float]: ...
     def detect(self, **options: Unpack[_DetectOptions]) -> Keypoints: ...
+    def mesh(self, **options: Unpack[_MeshOptions]) -> Mesh: ...
 
 @final
 class Keypoints:
@@ -159,6 +167,18 @@ class Keypoints:
     @property
     def timing_seconds(self) -> dict[str, float]: ...
     def __len__(self) -> int: ...
+
+@final
+class Mesh:
+    def __new__(
+        cls, vertices: NDArray[np.float32], normals: NDArray[np.float32], triangles: NDArray[np.uint32]
+    ) -> Self: ...
+    @property
+    def vertices(self) -> NDArray[np.float32]: ...
+    @property
+    def normals(self) -> NDArray[np.float32]: ...
+    @property
+    def triangles(self) -> NDArray[np.uint32]: ...
 
 def iss(
     points: ArrayLike,

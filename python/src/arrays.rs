@@ -30,7 +30,7 @@ pub fn values<T: numpy::Element>(py: Python<'_>, values: Vec<T>) -> Bound<'_, Py
 }
 
 /// Rows `(N, columns)` from flat values.
-pub fn rows(py: Python<'_>, flat: Vec<f32>, columns: usize) -> PyResult<Bound<'_, PyArray2<f32>>> {
+pub fn rows<T: numpy::Element>(py: Python<'_>, flat: Vec<T>, columns: usize) -> PyResult<Bound<'_, PyArray2<T>>> {
     let rows = flat.len() / columns;
     PyArray1::from_vec(py, flat).reshape([rows, columns])
 }

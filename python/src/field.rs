@@ -7,6 +7,7 @@ use snake_core::{self as core, Point};
 
 use crate::error::py_error;
 use crate::keypoints::Keypoints;
+use crate::mesh::Mesh;
 use crate::{arrays, options};
 
 /// The core's values and gradients of Q queries.
@@ -104,6 +105,18 @@ impl Field {
         let preset = options::resolve("detect", &options::DETECT, self.0.model().recommended(), options)?;
         let detection = py.detach(|| core::detect(&self.0, &preset.detect)).map_err(py_error)?;
         Keypoints::from_detection(py, detection)
+    }
+
+    /// The surface on which the occupancy is `level`, by marching cubes; closed, in the cloud's frame and units.
+    ///
+    /// Options: `resolution` (samples along each axis of the volume's box, 8 to 512; default 128), `level` (0.001 to
+    /// 0.999; default 0.4) and `outer` (keep only what can be reached from outside: thin shells have a second surface
+    /// within). Raises ValueError for a value that cannot be used and TypeError for an unknown option.
+    #[pyo3(signature = (**options))]
+    fn mesh(&self, py: Python<'_>, options: Option<&Bound<PyDict>>) -> PyResult<Mesh> {
+        let options: core::MeshOptions = options::of("mesh", options)?;
+        let mesh = py.detach(|| self.0.mesh(&options)).map_err(py_error)?;
+        Mesh::from_core(py, mesh)
     }
 
     fn __repr__(&self) -> String {

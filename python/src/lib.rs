@@ -6,6 +6,7 @@ mod baselines;
 mod error;
 mod field;
 mod keypoints;
+mod mesh;
 mod metrics;
 mod model;
 mod options;
@@ -17,6 +18,7 @@ use pyo3::types::PyDict;
 use error::py_error;
 use field::Field;
 use keypoints::Keypoints;
+use mesh::Mesh;
 use model::Model;
 use registration::{Registration, estimate_normals, fpfh, register};
 
@@ -51,7 +53,7 @@ mod _core {
         squared_registration_error, symmetric_repeatability,
     };
     #[pymodule_export]
-    use super::{Field, Keypoints, Model, Registration, detect, estimate_normals, fpfh, register};
+    use super::{Field, Keypoints, Mesh, Model, Registration, detect, estimate_normals, fpfh, register};
 
     #[pymodule_export]
     #[expect(non_upper_case_globals, reason = "Python's name for it")]

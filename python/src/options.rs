@@ -4,10 +4,10 @@
 use pyo3::exceptions::{PyTypeError, PyValueError};
 use pyo3::prelude::*;
 use pyo3::types::{PyDict, PyString};
+use serde::Serialize;
 use serde::de::DeserializeOwned;
 use serde_json::{Number, Value};
 use snake_core::Preset;
-use snake_core::registration::RegisterOptions;
 
 use crate::error::py_error;
 
@@ -46,15 +46,15 @@ pub fn resolve(
     Ok(preset)
 }
 
-/// The options of `register`: the defaults, overlaid with the keywords.
-pub fn register(given: Option<&Bound<PyDict>>) -> PyResult<RegisterOptions> {
-    let mut options = RegisterOptions::default();
-    let mut tree = serde_json::to_value(options).map_err(|e| PyValueError::new_err(e.to_string()))?;
+/// The options of a function that takes no preset: the defaults, overlaid with the keywords.
+pub fn of<T: Default + Serialize + DeserializeOwned>(function: &str, given: Option<&Bound<PyDict>>) -> PyResult<T> {
+    let mut options = T::default();
+    let mut tree = serde_json::to_value(&options).map_err(|e| PyValueError::new_err(e.to_string()))?;
     for (name, value) in given.into_iter().flatten() {
         let name: String = name.extract()?;
         if tree.get(&name).is_none() {
             let known = tree.as_object().into_iter().flatten().map(|(name, _)| name.as_str());
-            return Err(unexpected("register", &name, known));
+            return Err(unexpected(function, &name, known));
         }
         options = set(&mut tree, &format!("/{name}"), &name, &value)?;
     }

@@ -67,7 +67,7 @@ pub fn register(
     options: Option<&Bound<'_, PyDict>>,
 ) -> PyResult<Registration> {
     let model = model::given_or_builtin(model)?;
-    let options = options::register(options)?;
+    let options = options::of("register", options)?;
     let (source, target) = (arrays::points("source", source)?, arrays::points("target", target)?);
     let found = py.detach(|| core::register(&source, &target, &model, &options)).map_err(py_error)?;
     let matrix = PyArray1::from_vec(py, found.t_target_source.as_flattened().to_vec()).reshape([4, 4])?;

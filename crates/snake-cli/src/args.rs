@@ -2,11 +2,14 @@
 
 use std::path::PathBuf;
 
-use clap::{Parser, Subcommand};
+use anyhow::Result;
+use clap::{Args, Parser, Subcommand};
 use serde::de::DeserializeOwned;
+use snake_core::{Model, NormalizationMethod, Preset};
 
 use crate::detect::args::DetectArguments;
 use crate::eval::args::Eval;
+use crate::reconstruct::ReconstructArguments;
 use crate::register::args::RegisterArguments;
 
 /// Repeatable 3-D keypoints from point clouds (SNAKE), on the CPU.
@@ -31,6 +34,15 @@ pub enum Command {
     /// Measure how good keypoints are, beside those of the classical detectors.
     #[command(subcommand)]
     Eval(Eval),
+    /// Write the surface of a point cloud as a triangle mesh.
+    ///
+    /// The surface is where the network's occupancy has the value of --level. It is closed, and in the cloud's frame and
+    /// units. Thin shells have two surfaces; --outer removes the inner one.
+    #[command(after_help = "Examples:
+  snake-cli reconstruct scan.ply -o mesh.ply
+  snake-cli reconstruct scan.ply -o mesh.obj --outer --resolution 256
+  snake-cli reconstruct scan.ply -o mesh.stl --json | jq .area")]
+    Reconstruct(Box<ReconstructArguments>),
     /// Find the rigid transform that brings one cloud onto another.
     ///
     /// Keypoints of both clouds are matched by descriptors, and the transform is what most matches agree on (RANSAC),
@@ -49,6 +61,43 @@ pub enum Command {
         /// Weight file (.safetensors), or the name of a model as in `detect`.
         file: Option<PathBuf>,
     },
+}
+
+/// How a cloud is encoded. What is not given comes from the preset, or from the model's recommended options.
+#[derive(Args)]
+#[command(next_help_heading = "Encoding options (default: what the model recommends)")]
+pub struct EncodeFlags {
+    /// Start from the paper's settings for a data set: modelnet40, keypointnet, smpl, redwood or 3dmatch.
+    #[arg(long)]
+    preset: Option<String>,
+    /// unit-sphere: mean to the origin, farthest point to the sphere of radius 0.5; unit-cube: largest coordinate to
+    /// the cube ±0.5; none: the cloud is in that cube already.
+    #[arg(long, value_parser = named::<NormalizationMethod>)]
+    normalization: Option<NormalizationMethod>,
+    /// Encode at most this many points, drawn at random.
+    #[arg(long)]
+    max_points: Option<usize>,
+    /// Seed of that draw.
+    #[arg(long)]
+    seed: Option<u64>,
+    /// Average over this many turned copies of the cloud: keypoints repeat far better, at as many times the cost.
+    #[arg(long)]
+    rotations: Option<usize>,
+}
+
+impl EncodeFlags {
+    /// Preset or model's recommendation, its encoding overridden by what was given.
+    pub fn resolve(&self, model: &Model) -> Result<Preset> {
+        let mut preset = match &self.preset {
+            Some(name) => Preset::named(name)?,
+            None => *model.recommended(),
+        };
+        override_with(&mut preset.encode.normalization, self.normalization);
+        override_with(&mut preset.encode.max_points, self.max_points.map(Some));
+        override_with(&mut preset.encode.seed, self.seed);
+        override_with(&mut preset.encode.rotations, self.rotations);
+        Ok(preset)
+    }
 }
 
 /// Replaces an option by what was given.

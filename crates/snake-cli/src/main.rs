@@ -4,6 +4,7 @@ mod args;
 mod detect;
 mod eval;
 mod model;
+mod reconstruct;
 mod register;
 mod timing;
 
@@ -19,6 +20,7 @@ fn main() -> ExitCode {
     let outcome = match Arguments::parse().command {
         Command::Detect(arguments) => detect::run(&arguments),
         Command::Eval(command) => eval::run(&command).map(|()| ExitCode::SUCCESS),
+        Command::Reconstruct(arguments) => reconstruct::run(&arguments).map(|()| ExitCode::SUCCESS),
         Command::Register(arguments) => register::run(&arguments).map(|()| ExitCode::SUCCESS),
         Command::Model { file } => model::run(file.as_deref()).map(|()| ExitCode::SUCCESS),
     };

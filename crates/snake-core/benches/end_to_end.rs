@@ -13,7 +13,7 @@ use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use safetensors::Dtype;
 use safetensors::tensor::TensorView;
-use snake_core::{DetectOptions, EncodeOptions, Field, Model, Point, detect, io};
+use snake_core::{DetectOptions, EncodeOptions, Field, MeshOptions, Model, Point, detect, io};
 
 /// Queries along each axis, and how many of them refinement gets: as many as on a typical object.
 const QUERY_RESOLUTION: usize = 64;
@@ -122,10 +122,11 @@ fn stages(criterion: &mut Criterion) {
         group.bench_function("occupancy", |bencher| bencher.iter(occupancy));
         let mut sorted = occupancy();
         sorted.sort_by(f32::total_cmp);
+        let threshold = sorted[sorted.len() - OCCUPIED];
         for refine_steps in [0, 10] {
             let options = DetectOptions {
                 query_resolution: QUERY_RESOLUTION,
-                occupancy_threshold: sorted[sorted.len() - OCCUPIED],
+                occupancy_threshold: threshold,
                 refine_steps,
                 ..Default::default()
             };
@@ -133,6 +134,10 @@ fn stages(criterion: &mut Criterion) {
                 bencher.iter(|| detect(black_box(&field), &options).expect("options within range"));
             });
         }
+        let resolution = 128;
+        let options = MeshOptions { resolution, level: threshold, ..Default::default() };
+        let mesh = || field.mesh(black_box(&options)).expect("options within range");
+        group.bench_function(format!("mesh {resolution}, without encode"), |bencher| bencher.iter(mesh));
         group.finish();
     }
 }

@@ -4,9 +4,9 @@ use std::path::PathBuf;
 
 use anyhow::Result;
 use clap::{Args, ValueEnum};
-use snake_core::{Model, NormalizationMethod, Preset, RefineMethod, Selection};
+use snake_core::{Model, Preset, RefineMethod, Selection};
 
-use crate::args::{named, override_with};
+use crate::args::{EncodeFlags, named, override_with};
 
 /// The formats that keypoints are written in.
 #[derive(Clone, Copy, ValueEnum)]
@@ -51,22 +51,8 @@ pub struct DetectArguments {
 #[derive(Args)]
 #[command(next_help_heading = "Detection options (default: what the model recommends)")]
 pub struct DetectFlags {
-    /// Start from the paper's settings for a data set: modelnet40, keypointnet, smpl, redwood or 3dmatch.
-    #[arg(long)]
-    preset: Option<String>,
-    /// unit-sphere: mean to the origin, farthest point to the sphere of radius 0.5; unit-cube: largest coordinate to
-    /// the cube ±0.5; none: the cloud is in that cube already.
-    #[arg(long, value_parser = named::<NormalizationMethod>)]
-    normalization: Option<NormalizationMethod>,
-    /// Encode at most this many points, drawn at random.
-    #[arg(long)]
-    max_points: Option<usize>,
-    /// Seed of that draw.
-    #[arg(long)]
-    seed: Option<u64>,
-    /// Average over this many turned copies of the cloud: keypoints repeat far better, at as many times the cost.
-    #[arg(long)]
-    rotations: Option<usize>,
+    #[command(flatten)]
+    encode: EncodeFlags,
     /// Queries along each axis of the starting grid.
     #[arg(long)]
     query_resolution: Option<usize>,
@@ -109,15 +95,8 @@ pub struct DetectFlags {
 impl DetectFlags {
     /// The options of a run: preset or model's recommendation, overridden by what was given.
     pub fn resolve(&self, model: &Model) -> Result<Preset> {
-        let mut preset = match &self.preset {
-            Some(name) => Preset::named(name)?,
-            None => *model.recommended(),
-        };
-        let (encode, detect) = (&mut preset.encode, &mut preset.detect);
-        override_with(&mut encode.normalization, self.normalization);
-        override_with(&mut encode.max_points, self.max_points.map(Some));
-        override_with(&mut encode.seed, self.seed);
-        override_with(&mut encode.rotations, self.rotations);
+        let mut preset = self.encode.resolve(model)?;
+        let detect = &mut preset.detect;
         override_with(&mut detect.query_resolution, self.query_resolution);
         override_with(&mut detect.query_band, self.query_band);
         override_with(&mut detect.refine_steps, self.refine_steps);

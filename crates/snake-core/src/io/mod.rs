@@ -1,4 +1,4 @@
-//! Reading point clouds, writing keypoints, clouds and transforms.
+//! Reading point clouds, writing keypoints, clouds, meshes and transforms.
 //!
 //! The format follows from the file name's extension, in any case:
 //!
@@ -11,7 +11,7 @@
 //! | `xyz`, `txt`, `pts` | columns of text | |
 //! | `json` | | `{"keypoints": [{"x": .., ..}, ..]}` |
 //!
-//! Clouds are written as binary `ply`, registrations as `json` or as `txt`, the four rows of the matrix.
+//! Clouds are written as binary `ply`, meshes as `ply` or `stl`, both binary, or as `obj`, registrations as `json` or as `txt`, the four rows of the matrix.
 //!
 //! Coordinates are held as `f32`. That loses digits of georeferenced clouds (at 5e6 m one step is 0.5 m): subtract an
 //! offset from them first.
@@ -20,6 +20,7 @@
 //! memory exceeds a small multiple of the file's size.
 
 mod json;
+mod mesh;
 mod npy;
 mod pcd;
 mod ply;
@@ -31,7 +32,7 @@ use std::path::Path;
 use crate::detect::Keypoint;
 use crate::points::{Point, Transform};
 use crate::registration::Registration;
-use crate::{Error, Result};
+use crate::{Error, Mesh, Result};
 
 pub use json::keypoint_json;
 
@@ -44,6 +45,9 @@ pub const KEYPOINT_EXTENSIONS: &[&str] = &["ply", "npy", "csv", "json"];
 /// The extensions that [`write_points`] knows.
 pub const CLOUD_EXTENSIONS: &[&str] = &["ply"];
 
+/// The extensions that [`write_mesh`] knows.
+pub const MESH_EXTENSIONS: &[&str] = &["ply", "obj", "stl"];
+
 /// The extensions that [`write_registration`] knows.
 pub const REGISTRATION_EXTENSIONS: &[&str] = &["json", "txt"];
 
@@ -51,6 +55,8 @@ pub const REGISTRATION_EXTENSIONS: &[&str] = &["json", "txt"];
 type PointReader = fn(&[u8]) -> std::result::Result<Vec<Point>, String>;
 
 type KeypointWriter = fn(&mut dyn Write, &[Keypoint]) -> io::Result<()>;
+
+type MeshWriter = fn(&mut dyn Write, &Mesh) -> io::Result<()>;
 
 type RegistrationWriter = fn(&mut dyn Write, &Registration) -> io::Result<()>;
 
@@ -129,6 +135,24 @@ pub fn check_cloud_path(path: &Path) -> Result<()> {
     }
 }
 
+/// Writes a mesh: vertices with normals and triangles as `ply` or `obj`, triangles alone as `stl`. Whole or not at all,
+/// like [`write_keypoints`].
+///
+/// # Errors
+/// [`Error::Format`] when the extension is not among [`MESH_EXTENSIONS`]; [`Error::Io`] when the file cannot be written.
+pub fn write_mesh(path: &Path, mesh: &Mesh) -> Result<()> {
+    let write = mesh_writer(path)?;
+    write_atomically(path, |file| write(file, mesh)).map_err(|source| Error::Io { path: path.into(), source })
+}
+
+/// Refuses a path that [`write_mesh`] would refuse for its extension, before any work is done.
+///
+/// # Errors
+/// [`Error::Format`] when the extension is not among [`MESH_EXTENSIONS`].
+pub fn check_mesh_path(path: &Path) -> Result<()> {
+    mesh_writer(path).map(drop)
+}
+
 /// Writes a registration: as `json` the object with the fields of [`Registration`], as `txt` the four rows of
 /// `t_target_source`. Whole or not at all, like [`write_keypoints`].
 ///
@@ -166,6 +190,15 @@ fn keypoint_writer(path: &Path) -> Result<KeypointWriter> {
         "csv" => text::write,
         "json" => json::write,
         _ => return Err(unknown_extension(path, "written", KEYPOINT_EXTENSIONS)),
+    })
+}
+
+fn mesh_writer(path: &Path) -> Result<MeshWriter> {
+    Ok(match extension(path).as_str() {
+        "ply" => mesh::write_ply,
+        "obj" => mesh::write_obj,
+        "stl" => mesh::write_stl,
+        _ => return Err(unknown_extension(path, "written", MESH_EXTENSIONS)),
     })
 }
 
@@ -336,6 +369,7 @@ mod tests {
             assert!(error.contains(".ply, .pcd"), "{error}");
             assert!(check_keypoint_path(Path::new(name)).unwrap_err().to_string().contains(".json"));
             assert!(check_registration_path(Path::new(name)).unwrap_err().to_string().contains(".txt"));
+            assert!(check_mesh_path(Path::new(name)).unwrap_err().to_string().contains(".ply, .obj, .stl"));
             assert!(check_cloud_path(Path::new(name)).unwrap_err().to_string().contains(".ply"));
         }
         for extension in KEYPOINT_EXTENSIONS {

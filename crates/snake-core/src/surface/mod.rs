@@ -38,7 +38,11 @@ impl Default for MeshOptions {
 }
 
 impl MeshOptions {
-    fn check(&self) -> Result<()> {
+    /// Refuses what [`Field::mesh`] would refuse, before any work is done.
+    ///
+    /// # Errors
+    /// [`Error::Option`] when an option is out of its range.
+    pub fn check(&self) -> Result<()> {
         if !(8..=512).contains(&self.resolution) {
             let value = self.resolution.to_string();
             return Err(Error::Option { name: "resolution", value, allowed: "8 to 512 (samples along each axis)" });
@@ -68,8 +72,13 @@ impl Mesh {
         self.triangles.iter().map(|&triangle| norm(self.cross(triangle)) / 2.0).sum()
     }
 
+    /// The unit normal of one of the triangles; zero if it has no area.
+    pub(crate) fn triangle_normal(&self, triangle: [u32; 3]) -> [f32; 3] {
+        unit(self.cross(triangle))
+    }
+
     /// A vector along the normal of a triangle, as long as twice its area.
-    pub(crate) fn cross(&self, triangle: [u32; 3]) -> [f64; 3] {
+    fn cross(&self, triangle: [u32; 3]) -> [f64; 3] {
         let [a, b, c] = triangle.map(|vertex| self.vertices[vertex as usize].map(f64::from));
         let [u, v]: [[f64; 3]; 2] = [b, c].map(|end| std::array::from_fn(|axis| end[axis] - a[axis]));
         [u[1] * v[2] - u[2] * v[1], u[2] * v[0] - u[0] * v[2], u[0] * v[1] - u[1] * v[0]]
@@ -78,6 +87,12 @@ impl Mesh {
 
 fn norm(vector: [f64; 3]) -> f64 {
     vector.iter().map(|v| v * v).sum::<f64>().sqrt()
+}
+
+/// A vector of length 1, or of length 0 as it was.
+fn unit(vector: [f64; 3]) -> [f32; 3] {
+    let length = norm(vector);
+    if length > 0.0 { vector.map(|v| (v / length) as f32) } else { [0.0; 3] }
 }
 
 impl Field {
@@ -185,9 +200,10 @@ fn normals(mesh: &Mesh, gradients: &[Point]) -> Vec<[f32; 3]> {
     let normals = around.into_iter().zip(gradients).map(|(around, gradient)| {
         let gradient = gradient.map(|v| -f64::from(v));
         let points_out = (0..3).map(|axis| gradient[axis] * around[axis]).sum::<f64>() > 0.0;
-        let normal = if points_out { gradient } else { around };
-        let length = norm(normal);
-        if length > 0.0 { normal.map(|v| (v / length) as f32) } else { [0.0, 0.0, 1.0] }
+        match unit(if points_out { gradient } else { around }) {
+            [0.0, 0.0, 0.0] => [0.0, 0.0, 1.0],
+            normal => normal,
+        }
     });
     normals.collect()
 }

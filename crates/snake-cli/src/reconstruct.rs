@@ -1,0 +1,97 @@
+//! `snake-cli reconstruct`: read, encode, mesh, write.
+
+use std::fmt::Write;
+use std::path::PathBuf;
+use std::time::{Duration, Instant};
+
+use anyhow::{Context, Result, bail};
+use clap::Args;
+use indicatif::ProgressBar;
+use serde_json::json;
+use snake_core::{MeshOptions, io};
+
+use crate::args::{EncodeFlags, override_with};
+use crate::model;
+
+#[derive(Args)]
+pub struct ReconstructArguments {
+    /// The point cloud (.ply, .pcd, .xyz, .txt, .csv, .pts, .npy).
+    pub input: PathBuf,
+    /// The mesh: .ply or .obj with normals, or .stl.
+    #[arg(short, long)]
+    pub output: PathBuf,
+    /// Print one JSON object on one line instead of text.
+    #[arg(long)]
+    pub json: bool,
+    /// Weight file (.safetensors); default: the built-in compact model.
+    #[arg(long)]
+    pub model: Option<PathBuf>,
+    /// Threads; default: all processors. The result does not depend on it.
+    #[arg(long, value_parser = clap::value_parser!(u16).range(1..))]
+    pub threads: Option<u16>,
+    /// Samples along each axis of the network's box, 8 to 512 [default: 128].
+    #[arg(long)]
+    resolution: Option<usize>,
+    /// The occupancy at the surface, a probability: higher for thinner shells [default: 0.4].
+    #[arg(long)]
+    level: Option<f32>,
+    /// Keep only what can be reached from outside.
+    #[arg(long)]
+    outer: bool,
+    #[command(flatten)]
+    encode: EncodeFlags,
+}
+
+/// Writes the mesh and prints what it is.
+pub fn run(arguments: &ReconstructArguments) -> Result<()> {
+    if let Some(threads) = arguments.threads {
+        rayon::ThreadPoolBuilder::new().num_threads(threads.into()).build_global()?;
+    }
+    let ReconstructArguments { input, output, .. } = arguments;
+    io::check_mesh_path(output)?;
+    if input == output {
+        bail!("{}: is the input; give another --output", output.display());
+    }
+    let mut options = MeshOptions { outer: arguments.outer, ..Default::default() };
+    override_with(&mut options.resolution, arguments.resolution);
+    override_with(&mut options.level, arguments.level);
+    options.check()?;
+    let model = model::load(arguments.model.as_deref())?;
+    let encode = arguments.encode.resolve(&model)?.encode;
+
+    let spinner = ProgressBar::new_spinner();
+    spinner.enable_steady_tick(Duration::from_millis(100));
+    spinner.set_message(format!("{} ({} samples along each axis)", input.display(), options.resolution));
+    let start = Instant::now();
+    let points = io::read_points(input)?;
+    let read = start.elapsed().as_secs_f64();
+    let field = model.encode(&points, &encode).with_context(|| input.display().to_string())?;
+    let encoded = start.elapsed().as_secs_f64();
+    let mesh = field.mesh(&options)?;
+    let meshed = start.elapsed().as_secs_f64();
+    io::write_mesh(output, &mesh)?;
+    let total = start.elapsed().as_secs_f64();
+    spinner.finish_and_clear();
+
+    let (vertices, triangles, area) = (mesh.vertices.len(), mesh.triangles.len(), mesh.area());
+    if arguments.json {
+        let object = json!({
+            "input": input.display().to_string(),
+            "output": output.display().to_string(),
+            "num_points": points.len(),
+            "normalization": field.normalization(),
+            "vertices": vertices,
+            "triangles": triangles,
+            "area": area,
+            "timing_seconds": { "read": read, "encode": encoded - read, "mesh": meshed - encoded, "total": total },
+        });
+        return crate::print(&format!("{object}\n"));
+    }
+    let mut text = format!("{}: {vertices} vertices, {triangles} triangles, area {area:.5}", input.display());
+    writeln!(text, " from {} points in {total:.3} s", points.len())?;
+    if triangles == 0 {
+        writeln!(text, "no surface: try a lower --level, or --normalization")?;
+    }
+    writeln!(text, "written to {}", output.display())?;
+    crate::print(&text)
+}

@@ -1,0 +1,116 @@
+//! Triangle meshes: writes PLY, OBJ and STL.
+
+use std::io::{self, Write};
+
+use crate::Mesh;
+
+/// Writes binary little endian: vertices `float x y z nx ny nz`, faces as lists of three `int`.
+pub(super) fn write_ply(out: &mut dyn Write, mesh: &Mesh) -> io::Result<()> {
+    write!(out, "ply\nformat binary_little_endian 1.0\nelement vertex {}\n", mesh.vertices.len())?;
+    for name in ["x", "y", "z", "nx", "ny", "nz"] {
+        writeln!(out, "property float {name}")?;
+    }
+    writeln!(out, "element face {}", mesh.triangles.len())?;
+    write!(out, "property list uchar int vertex_indices\nend_header\n")?;
+    for (vertex, normal) in mesh.vertices.iter().zip(&mesh.normals) {
+        write_floats(out, vertex)?;
+        write_floats(out, normal)?;
+    }
+    for triangle in &mesh.triangles {
+        out.write_all(&[3])?;
+        triangle.iter().try_for_each(|vertex| out.write_all(&vertex.to_le_bytes()))?;
+    }
+    Ok(())
+}
+
+/// Writes vertices, their normals, and faces that name both.
+pub(super) fn write_obj(out: &mut dyn Write, mesh: &Mesh) -> io::Result<()> {
+    mesh.vertices.iter().try_for_each(|[x, y, z]| writeln!(out, "v {x} {y} {z}"))?;
+    mesh.normals.iter().try_for_each(|[x, y, z]| writeln!(out, "vn {x} {y} {z}"))?;
+    for triangle in &mesh.triangles {
+        let [a, b, c] = triangle.map(|vertex| u64::from(vertex) + 1);
+        writeln!(out, "f {a}//{a} {b}//{b} {c}//{c}")?;
+    }
+    Ok(())
+}
+
+/// Writes binary STL: for each triangle its normal and its corners; it has neither shared vertices nor their normals.
+pub(super) fn write_stl(out: &mut dyn Write, mesh: &Mesh) -> io::Result<()> {
+    let number = u32::try_from(mesh.triangles.len()).map_err(|_| io::Error::other("too many triangles for STL"))?;
+    // Readers take a header that begins with "solid" for text.
+    out.write_all(format!("{:80}", "binary STL").as_bytes())?;
+    out.write_all(&number.to_le_bytes())?;
+    for &triangle in &mesh.triangles {
+        write_floats(out, &mesh.triangle_normal(triangle))?;
+        triangle.iter().try_for_each(|&vertex| write_floats(out, &mesh.vertices[vertex as usize]))?;
+        out.write_all(&[0; 2])?;
+    }
+    Ok(())
+}
+
+fn write_floats(out: &mut dyn Write, values: &[f32; 3]) -> io::Result<()> {
+    values.iter().try_for_each(|value| out.write_all(&value.to_le_bytes()))
+}
+
+#[cfg(test)]
+mod tests {
+    use ply_rs::parser::Parser;
+    use ply_rs::ply::{DefaultElement, Property};
+
+    use super::*;
+
+    fn tetrahedron() -> Mesh {
+        Mesh {
+            vertices: vec![[0.0; 3], [0.5, 0.0, 0.0], [0.0, -1e-7, 0.0], [0.0, 0.0, 3e7]],
+            normals: vec![[0.0, 0.6, -0.8], [1.0, 0.0, 0.0], [0.0, -1.0, 0.0], [0.0, 0.0, 1.0]],
+            triangles: vec![[0, 1, 2], [0, 2, 3], [0, 3, 1], [1, 3, 2]],
+        }
+    }
+
+    fn written(write: fn(&mut dyn Write, &Mesh) -> io::Result<()>, mesh: &Mesh) -> Vec<u8> {
+        let mut bytes = Vec::new();
+        write(&mut bytes, mesh).unwrap();
+        bytes
+    }
+
+    #[test]
+    fn ply_reads_back() {
+        let mesh = tetrahedron();
+        let bytes = written(write_ply, &mesh);
+        let ply = Parser::<DefaultElement>::new().read_ply(&mut &bytes[..]).unwrap();
+        for (index, vertex) in ply.payload["vertex"].iter().enumerate() {
+            let row = |names: [&str; 3]| names.map(|name| vertex[name].clone());
+            assert_eq!(row(["x", "y", "z"]), mesh.vertices[index].map(Property::Float));
+            assert_eq!(row(["nx", "ny", "nz"]), mesh.normals[index].map(Property::Float));
+        }
+        let faces = ply.payload["face"].iter().map(|face| face["vertex_indices"].clone());
+        let expected = mesh.triangles.iter().map(|t| Property::ListInt(t.map(|vertex| vertex as i32).to_vec()));
+        assert!(faces.eq(expected) && ply.payload["vertex"].len() == 4);
+    }
+
+    #[test]
+    fn obj_counts_from_one_and_keeps_every_digit() {
+        let text = String::from_utf8(written(write_obj, &tetrahedron())).unwrap();
+        let lines: Vec<&str> = text.lines().collect();
+        assert_eq!(lines.len(), 4 + 4 + 4);
+        assert_eq!(lines[1], "v 0.5 0 0");
+        assert_eq!(lines[4], "vn 0 0.6 -0.8");
+        assert_eq!(lines[9], "f 1//1 3//3 4//4");
+        let third: Vec<f32> = lines[2].split(' ').skip(1).map(|v| v.parse().unwrap()).collect();
+        assert_eq!(third, tetrahedron().vertices[2]);
+    }
+
+    #[test]
+    fn stl_has_fifty_bytes_a_triangle() {
+        let bytes = written(write_stl, &tetrahedron());
+        assert_eq!(bytes.len(), 84 + 4 * 50);
+        assert!(!bytes.starts_with(b"solid") && bytes[80..84] == [4, 0, 0, 0]);
+        let floats: Vec<f32> =
+            bytes[84 + 50..][..48].as_chunks().0.iter().map(|&value| f32::from_le_bytes(value)).collect();
+        assert_eq!(floats[..3], [-1.0, 0.0, 0.0]);
+        assert_eq!(floats[3..], [0.0, 0.0, 0.0, 0.0, -1e-7, 0.0, 0.0, 0.0, 3e7]);
+        // A triangle without area has no normal.
+        let flat = Mesh { triangles: vec![[0, 1, 1]], ..tetrahedron() };
+        assert_eq!(written(write_stl, &flat)[84..96], [0; 12]);
+    }
+}

@@ -1,0 +1,46 @@
+//! `snake_rs.Mesh`.
+
+use numpy::{PyArray2, PyArrayMethods, PyUntypedArrayMethods};
+use pyo3::prelude::*;
+use pyo3::types::PyTuple;
+
+use crate::arrays;
+
+/// A surface of T triangles that share V vertices, closed; made by `Field.mesh`. It can be pickled.
+#[pyclass(frozen, get_all, module = "snake_rs")]
+pub struct Mesh {
+    /// Positions (V, 3) float32, in the cloud's frame and units.
+    vertices: Py<PyArray2<f32>>,
+    /// Unit normals (V, 3) float32 at the vertices, out of what is occupied.
+    normals: Py<PyArray2<f32>>,
+    /// Indices of vertices (T, 3) uint32, counterclockwise seen from outside.
+    triangles: Py<PyArray2<u32>>,
+}
+
+impl Mesh {
+    /// The core's mesh as arrays.
+    pub fn from_core(py: Python<'_>, mesh: snake_core::Mesh) -> PyResult<Self> {
+        Ok(Self {
+            vertices: arrays::rows(py, mesh.vertices.into_flattened(), 3)?.unbind(),
+            normals: arrays::rows(py, mesh.normals.into_flattened(), 3)?.unbind(),
+            triangles: arrays::rows(py, mesh.triangles.into_flattened(), 3)?.unbind(),
+        })
+    }
+}
+
+#[pymethods]
+impl Mesh {
+    #[new]
+    fn new(vertices: Py<PyArray2<f32>>, normals: Py<PyArray2<f32>>, triangles: Py<PyArray2<u32>>) -> Self {
+        Self { vertices, normals, triangles }
+    }
+
+    fn __getnewargs__<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyTuple>> {
+        (&self.vertices, &self.normals, &self.triangles).into_pyobject(py)
+    }
+
+    fn __repr__(&self, py: Python<'_>) -> String {
+        let [vertices, triangles] = [self.vertices.bind(py).shape()[0], self.triangles.bind(py).shape()[0]];
+        format!("Mesh({vertices} vertices, {triangles} triangles)")
+    }
+}
