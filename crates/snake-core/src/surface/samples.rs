@@ -41,7 +41,7 @@ impl Samples {
         let mut samples = Self { resolution, level, slots: vec![None; number], values: Vec::new() };
         let mut is_likely = vec![false; number];
         likely.into_iter().for_each(|sample| is_likely[samples.place(sample).0] = true);
-        let middle = |block| samples.start(block).map(|i| (i + SIDE / 2).min(resolution - 1));
+        let middle = |block| samples.sample(block, 0).map(|i| (i + SIDE / 2).min(resolution - 1));
         let mut wanted: Vec<usize> = (0..number.div_ceil(VOLUME))
             .into_par_iter()
             .flat_map_iter(|tile| {
@@ -62,14 +62,13 @@ impl Samples {
     /// Makes blocks known.
     fn ask(&mut self, blocks: &[usize], value: &(impl Fn(&[Sample]) -> Vec<f32> + Sync)) {
         let values = blocks.par_iter().map(|&block| {
-            let mut asked: Vec<Sample> = self.of_block(block).collect();
-            // A block at the end of the grid can be larger than what is left.
-            let inside: Vec<usize> = (0..VOLUME).filter(|&i| asked[i].iter().all(|&i| i < self.resolution)).collect();
-            asked.retain(|sample| sample.iter().all(|&i| i < self.resolution));
+            // The last block along an axis can reach beyond the grid.
+            let inside = |sample: &Sample| sample.iter().all(|&i| i < self.resolution);
+            let asked: Vec<Sample> = self.of_block(block).filter(inside).collect();
             let mut values = [f32::NEG_INFINITY; VOLUME];
-            for ((place, value), sample) in inside.into_iter().zip(value(&asked)).zip(&asked) {
+            for (&sample, value) in asked.iter().zip(value(&asked)) {
                 let on_border = sample.iter().any(|&i| i == 0 || i == self.resolution - 1);
-                values[place] = if on_border { value.min(self.level) } else { value };
+                values[self.place(sample).1] = if on_border { value.min(self.level) } else { value };
             }
             values
         });
@@ -101,14 +100,15 @@ impl Samples {
     }
 
     /// The samples of a block, x fastest.
-    pub(super) fn of_block(&self, block: usize) -> impl Iterator<Item = Sample> + use<> {
-        let [x, y, z] = self.start(block);
-        (0..VOLUME).map(move |i| [x + i % SIDE, y + i / SIDE % SIDE, z + i / (SIDE * SIDE)])
+    pub(super) fn of_block(&self, block: usize) -> impl Iterator<Item = Sample> {
+        (0..VOLUME).map(move |place| self.sample(block, place))
     }
 
-    fn start(&self, block: usize) -> Sample {
+    /// The sample at a place in a block.
+    fn sample(&self, block: usize, place: usize) -> Sample {
         let along = self.resolution.div_ceil(SIDE);
-        [block % along, block / along % along, block / (along * along)].map(|i| i * SIDE)
+        let start = [block % along, block / along % along, block / (along * along)].map(|i| i * SIDE);
+        [start[0] + place % SIDE, start[1] + place / SIDE % SIDE, start[2] + place / (SIDE * SIDE)]
     }
 
     /// The block that a sample is in, and its place there.
@@ -140,9 +140,7 @@ impl Samples {
 
     /// The sample and the axis of an edge.
     pub(super) fn ends(&self, edge: u32) -> (Sample, usize) {
-        let (place, axis) = (edge as usize / 3, edge as usize % 3);
-        let [x, y, z] = self.start(place / VOLUME);
-        let i = place % VOLUME;
-        ([x + i % SIDE, y + i / SIDE % SIDE, z + i / (SIDE * SIDE)], axis)
+        let (low, axis) = (edge as usize / 3, edge as usize % 3);
+        (self.sample(low / VOLUME, low % VOLUME), axis)
     }
 }
