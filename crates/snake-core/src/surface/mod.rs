@@ -69,7 +69,8 @@ pub struct Mesh {
 impl Mesh {
     /// The area of all triangles, in squared cloud units.
     pub fn area(&self) -> f64 {
-        self.triangles.iter().map(|&triangle| norm(self.cross(triangle)) / 2.0).sum()
+        // Not `sum`, which makes −0 of none.
+        self.triangles.iter().fold(0.0, |sum, &triangle| sum + norm(self.cross(triangle)) / 2.0)
     }
 
     /// The unit normal of one of the triangles; zero if it has no area.
