@@ -30,7 +30,7 @@ def samples(field, resolution, level):
     return np.log(occupancy / (1 - occupancy)), np.log(level / (1 - level)), along
 
 
-@pytest.mark.parametrize(("resolution", "level"), [(40, 0.4), (61, 0.8)])
+@pytest.mark.parametrize(("resolution", "level"), [(40, 0.4), (61, 0.8), (128, 0.4)])
 @pytest.mark.parametrize("method", ["lorensen", "lewiner"])
 def test_it_agrees_with_scikit_image(field, method, resolution, level):
     values, height, along = samples(field, resolution, level)
@@ -52,9 +52,11 @@ def test_it_agrees_with_scikit_image(field, method, resolution, level):
     ours, theirs = crossings(ours), crossings(vertices)
     assert len(ours) > 0.98 * len(mesh.vertices)
     np.testing.assert_allclose(ours, theirs, atol=1e-3)
-    # They differ in cells where corners alternate along a face, and in the diagonals of polygons.
-    area = measure.mesh_surface_area(mesh.vertices, mesh.triangles)
-    assert area == pytest.approx(measure.mesh_surface_area(vertices * spacing, triangles), rel=2e-3)
+    # Where occupied corners alternate around a face or a cell, there are several surfaces with these vertices, and the
+    # methods differ; among so many samples there are hardly any such cells.
+    if resolution == 128:
+        area = measure.mesh_surface_area(mesh.vertices, mesh.triangles)
+        assert area == pytest.approx(measure.mesh_surface_area(vertices * spacing, triangles), rel=1e-4)
 
 
 def test_the_outer_surface_is_one_of_two(field):
