@@ -400,7 +400,7 @@ def test_the_stub_is_that_of_the_module():
 
 
 def test_everything_public_is_documented():
-    classes = (snake_rs.Model, snake_rs.Field, snake_rs.Keypoints, snake_rs.Registration)
+    classes = (snake_rs.Model, snake_rs.Field, snake_rs.Keypoints, snake_rs.Mesh, snake_rs.Registration)
     functions = (snake_rs.detect, snake_rs.register, snake_rs.estimate_normals, snake_rs.fpfh)
     parts = (snake_rs.baselines, snake_rs.metrics)
     assert set(snake_rs.__all__) == {t.__name__.split(".")[-1] for t in classes + functions + parts} | {"__version__"}
@@ -419,6 +419,7 @@ def test_the_gil_is_released_while_computing(model, field, points):
         lambda: field.occupancy_and_gradient(many),
         lambda: field.descriptors(many),
         lambda: field.detect(query_resolution=24),
+        lambda: field.mesh(resolution=24, level=0.5),
         lambda: snake_rs.detect(many, model, query_resolution=12),
         lambda: snake_rs.baselines.iss(many, salient_radius=0.1, non_max_radius=0.1),
         lambda: snake_rs.metrics.geodesic_distances(many, [0, 1]),
