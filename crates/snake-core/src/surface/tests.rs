@@ -230,8 +230,8 @@ fn the_mesh_of_a_field_is_that_of_all_samples_at_the_level_and_faces_out() {
         let agreeing = found.triangles.iter().filter(|triangle| agree(triangle)).count();
         assert!(agreeing * 10 > found.triangles.len() * 9, "{agreeing} of {}", found.triangles.len());
         assert!(found.normals.iter().all(|n| (n.iter().map(|v| v * v).sum::<f32>() - 1.0).abs() < 1e-5));
-        // Two voxels of the 32³ volume.
-        let far = 0.07 * field.normalization().scale;
+        // Three voxels of the 32³ volume.
+        let far = 0.105 * field.normalization().scale;
         let distance = |a: Point, b: Point| (0..3).map(|axis| (a[axis] - b[axis]).powi(2)).sum::<f32>().sqrt();
         let nearest = |vertex: Point| points.iter().map(|&p| distance(p, vertex)).fold(f32::INFINITY, f32::min);
         assert!(found.vertices.iter().all(|&vertex| nearest(vertex) < far));
