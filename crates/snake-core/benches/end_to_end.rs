@@ -135,7 +135,7 @@ fn stages(criterion: &mut Criterion) {
             });
         }
         let resolution = 128;
-        let options = MeshOptions { resolution, level: threshold, ..Default::default() };
+        let options = MeshOptions { resolution, level: threshold.clamp(0.001, 0.999), ..Default::default() };
         let mesh = || field.mesh(black_box(&options)).expect("options within range");
         group.bench_function(format!("mesh {resolution}, without encode"), |bencher| bencher.iter(mesh));
         group.finish();
