@@ -61,7 +61,7 @@ class _DetectOptions(_Preset, total=False):
     selection: Literal["best-position", "reference-final-position"]
     surface_threshold: float
     saliency_threshold: float
-    nms_radius: float
+    nms_radius: float | str
     max_keypoints: int
     snap: bool
 
@@ -73,10 +73,10 @@ class _RegisterOptions(TypedDict, total=False):
     detector: Literal["snake", "iss", "harris3d", "sift3d", "fps", "random"]
     descriptor: Literal["fpfh", "field"]
     max_keypoints: int
-    voxel_size: float | None
-    normal_radius: float | None
-    feature_radius: float | None
-    inlier_distance: float | None
+    voxel_size: float | str | None
+    normal_radius: float | str | None
+    feature_radius: float | str | None
+    inlier_distance: float | str | None
     edge_length_ratio: float
     max_iterations: int
     confidence: float
@@ -163,8 +163,8 @@ class Keypoints:
 def iss(
     points: ArrayLike,
     *,
-    salient_radius: float | str = "6x",
-    non_max_radius: float | str = "4x",
+    salient_radius: float | str = "6r",
+    non_max_radius: float | str = "4r",
     gamma_21: float = 0.975,
     gamma_32: float = 0.975,
     min_neighbors: int = 5,
@@ -176,7 +176,7 @@ def iss(
 def harris3d(
     points: ArrayLike,
     *,
-    radius: float | str = "6x",
+    radius: float | str = "6r",
     threshold: float = 0.0,
     non_max: bool = True,
     count: int | None = None,
@@ -186,12 +186,12 @@ def harris3d(
 def sift3d(
     points: ArrayLike,
     *,
-    min_scale: float | str = "2x",
+    min_scale: float | str = "2r",
     octaves: int = 4,
     scales_per_octave: int = 8,
     min_contrast: float = 0.0,
     field: Literal["curvature", "y"] = "curvature",
-    curvature_radius: float | str = "6x",
+    curvature_radius: float | str = "6r",
     count: int | None = None,
     protocol: Literal["ranked", "paper"] = "ranked",
     seed: int = 0,

@@ -54,7 +54,8 @@ impl Registration {
 /// matches agree on, and point-to-plane ICP refines it. Options: `detector` ("snake", the model's keypoints, or "iss",
 /// "harris3d", "sift3d", "fps" or "random", points of the reduced clouds), `descriptor` ("fpfh", which turns with the
 /// cloud, or "field", for clouds of about the same orientation), `max_keypoints`, `voxel_size`, `normal_radius`,
-/// `feature_radius`, `inlier_distance` (cloud units; None: from the clouds), `edge_length_ratio`, `max_iterations`,
+/// `feature_radius`, `inlier_distance` (cloud units, or text as "3r": multiples of the coarser cloud's mean distance
+/// between nearest points; None: from the clouds), `edge_length_ratio`, `max_iterations`,
 /// `confidence`, `seed`, `refine_steps` (0: no ICP). Raises ValueError for arrays or values that cannot be used and
 /// when no transform fits, TypeError for an unknown option.
 #[pyfunction]

@@ -4,7 +4,7 @@ use std::path::PathBuf;
 
 use anyhow::Result;
 use clap::{Args, ValueEnum};
-use snake_core::{Model, NormalizationMethod, Preset, RefineMethod, Selection};
+use snake_core::{Length, Model, NormalizationMethod, Preset, RefineMethod, Selection};
 
 use crate::args::{named, override_with};
 
@@ -95,9 +95,10 @@ pub struct DetectFlags {
     /// Keypoints must be more salient than this.
     #[arg(long)]
     saliency_threshold: Option<f32>,
-    /// Keypoints are farther apart than this, in cloud units; 0: no suppression.
-    #[arg(long)]
-    nms_radius: Option<f32>,
+    /// Keypoints are farther apart than this, in cloud units, or as in `3r` in multiples of the cloud's resolution (mean
+    /// distance between nearest points); 0: no suppression.
+    #[arg(long, value_name = "LENGTH")]
+    nms_radius: Option<Length>,
     /// At most this many keypoints, the best.
     #[arg(long)]
     max_keypoints: Option<usize>,

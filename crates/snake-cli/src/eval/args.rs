@@ -3,6 +3,7 @@
 use std::path::PathBuf;
 
 use clap::{Args, Subcommand, ValueEnum};
+use snake_core::Length;
 use snake_core::registration::{Descriptor, KeypointDetector};
 
 use crate::args::named;
@@ -142,10 +143,10 @@ pub struct EvalArguments {
     /// The paper's settings of the method snake for a data set; default: what the model recommends.
     #[arg(long)]
     pub preset: Option<String>,
-    /// Suppression radius in units of the clouds: of the method snake [default: its settings'], and in `semantic` of all
-    /// ranked methods [default: 0.1].
-    #[arg(long)]
-    pub nms_radius: Option<f32>,
+    /// Suppression radius, in units of the clouds or as in `3r` in multiples of their resolution: of the method snake
+    /// [default: its settings'], and in `semantic` of all ranked methods [default: 0.1].
+    #[arg(long, value_name = "LENGTH")]
+    pub nms_radius: Option<Length>,
     /// Turned copies of a cloud that the method snake averages over [default: its settings'].
     #[arg(long)]
     pub rotations: Option<usize>,
