@@ -6,7 +6,7 @@ use clap::{Args, Subcommand, ValueEnum};
 use snake_core::Length;
 use snake_core::registration::{Descriptor, KeypointDetector};
 
-use crate::args::named;
+use crate::args::{ComputeArguments, named};
 
 #[derive(Subcommand)]
 pub enum Eval {
@@ -167,12 +167,8 @@ pub struct RunArguments {
     /// Seed of all random choices.
     #[arg(long, default_value_t = 0)]
     pub seed: u64,
-    /// Threads; default: all processors. The result does not depend on it.
-    #[arg(long, value_parser = clap::value_parser!(u16).range(1..))]
-    pub threads: Option<u16>,
-    /// Weight file (.safetensors), or the name of a model as in `detect` [default: compact].
-    #[arg(long)]
-    pub model: Option<PathBuf>,
+    #[command(flatten)]
+    pub compute: ComputeArguments,
 }
 
 /// The protocols of the classical detectors.

@@ -6,7 +6,6 @@ use snake_core::baselines::{Detector, Protocol};
 use snake_core::{Length, Model, Point, Preset};
 
 use super::args::{EvalArguments, ProtocolName};
-use crate::model;
 
 /// A detector with its settings: from a cloud to the positions of its best keypoints.
 pub enum Method {
@@ -38,7 +37,7 @@ impl Method {
     }
 
     fn snake(arguments: &EvalArguments, nms_radius: Option<Length>) -> Result<Self> {
-        let model = model::load(arguments.run.model.as_deref())?;
+        let model = arguments.run.compute.load_model()?;
         let mut options = match &arguments.preset {
             Some(name) => Preset::named(name)?,
             None => *model.recommended(),

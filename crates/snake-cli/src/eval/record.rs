@@ -5,10 +5,11 @@ use std::io::{Seek, Write};
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result, bail};
-use indicatif::{ProgressBar, ProgressStyle};
 use serde::de::DeserializeOwned;
 use serde::{Deserialize, Serialize};
 use serde_json::{Value, json};
+
+use crate::terminal;
 
 /// The figures of one pair, or of one shape.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -66,8 +67,7 @@ impl<Row: Serialize + DeserializeOwned> Record<Row> {
         name: impl Fn(usize) -> String,
         mut rows: impl FnMut(usize) -> Result<Vec<Row>>,
     ) -> Result<()> {
-        let bar = ProgressBar::new(chosen.len() as u64).with_position(self.pairs.len() as u64);
-        bar.set_style(ProgressStyle::with_template("{bar:30} {pos}/{len} {msg} (ETA {eta})")?);
+        let bar = terminal::progress(chosen.len())?.with_position(self.pairs.len() as u64);
         bar.reset_eta();
         for &pair in &chosen[self.pairs.len()..] {
             bar.set_message(name(pair));

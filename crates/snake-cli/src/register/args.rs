@@ -6,7 +6,7 @@ use clap::Args;
 use snake_core::Length;
 use snake_core::registration::{Descriptor, KeypointDetector, RegisterOptions};
 
-use crate::args::{named, override_with};
+use crate::args::{ComputeArguments, named, override_with};
 
 #[derive(Args)]
 pub struct RegisterArguments {
@@ -23,13 +23,8 @@ pub struct RegisterArguments {
     /// Print one JSON object on one line instead of text.
     #[arg(long)]
     pub json: bool,
-    /// Weight file (.safetensors), or the name of a model: compact, the built-in one, or that of a file in SNAKE_MODELS, beside
-    /// the program or in the user's data folder [default: compact].
-    #[arg(long)]
-    pub model: Option<PathBuf>,
-    /// Threads; default: all processors. The result does not depend on it.
-    #[arg(long, value_parser = clap::value_parser!(u16).range(1..))]
-    pub threads: Option<u16>,
+    #[command(flatten)]
+    pub compute: ComputeArguments,
     #[command(flatten)]
     pub options: RegisterFlags,
 }

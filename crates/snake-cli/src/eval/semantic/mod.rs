@@ -15,6 +15,7 @@ use super::args::SemanticArguments;
 use super::methods::Method;
 use super::paper;
 use super::record::Record;
+use crate::terminal;
 use data::Data;
 use report::Report;
 
@@ -39,7 +40,7 @@ pub fn run(arguments: &SemanticArguments) -> Result<()> {
     if let Some(output) = &common.run.output {
         report.write(output)?;
     }
-    crate::print(&report.text())
+    terminal::print_report(&report.text())
 }
 
 /// The matches of one method on one shape or pair of bodies.
