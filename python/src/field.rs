@@ -16,7 +16,7 @@ type ValuesAndGradients<'py> = (Bound<'py, PyArray1<f32>>, Bound<'py, PyArray2<f
 
 /// Occupancy and saliency of one cloud at any point of space; made by `Model.encode`.
 ///
-/// Queries are (Q, 3), float32 or float64; they and the gradients are in the cloud's frame and units.
+/// Queries are (Q, 3), as `detect` takes points; they and the gradients are in the cloud's frame and units.
 #[pyclass(frozen, module = "snake_rs")]
 pub struct Field(core::Field);
 
