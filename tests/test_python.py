@@ -328,6 +328,14 @@ def test_options_take_the_numbers_of_numpy(field, keypoints):
     assert same(field.detect(**every | {"query_resolution": np.uint8(12)}), keypoints)
 
 
+def test_radii_may_be_multiples_of_the_resolution(field, points):
+    exact = points.astype(np.float64)
+    distance = np.linalg.norm(exact[:, None] - exact, axis=2)
+    resolution = np.sort(distance, axis=1)[:, 1].mean()
+    detect = lambda radius: field.detect(**EASY, max_keypoints=10**6, nms_radius=radius)
+    assert same(detect("5r"), detect(5 * resolution)) and len(detect("5r")) < len(detect("3r"))
+
+
 @pytest.mark.parametrize(
     "options, message",
     [

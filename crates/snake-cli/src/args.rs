@@ -126,10 +126,10 @@ impl ComputeArguments {
             rayon::ThreadPoolBuilder::new().num_threads(threads.into()).build_global()?;
         }
         let simd = SimdLevel::current().name();
-        if let Ok(wanted) = std::env::var("SNAKE_SIMD")
-            && wanted != simd
-        {
-            terminal::warn(&format!("SNAKE_SIMD is {wanted}, which this processor does not have; {simd} is used"));
+        let wanted = std::env::var("SNAKE_SIMD").unwrap_or_default();
+        if !wanted.is_empty() && wanted != simd {
+            let names: Vec<&str> = SimdLevel::available().into_iter().map(SimdLevel::name).collect();
+            terminal::warn(&format!("SNAKE_SIMD is {wanted}, not {}; {simd} is used", names.join(" or ")));
         }
         terminal::detail("threads", || format!("{}, SIMD {simd}", rayon::current_num_threads()));
         Ok(())

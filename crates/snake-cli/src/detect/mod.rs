@@ -21,6 +21,8 @@ use args::DetectArguments;
 
 /// Rows of keypoints that the table for people shows.
 const TABLE_ROWS: usize = 10;
+/// Inputs that the last line of a run names of those that failed.
+const NAMED_FAILURES: usize = 10;
 
 /// Processes every input; a bad one is reported and does not stop the rest.
 pub fn run(arguments: &DetectArguments) -> Result<ExitCode> {
@@ -56,7 +58,9 @@ pub fn run(arguments: &DetectArguments) -> Result<ExitCode> {
     }
     bar.finish_and_clear();
     if !failed.is_empty() && inputs.len() > 1 {
-        terminal::error(&anyhow!("{} of {} inputs failed: {}", failed.len(), inputs.len(), failed.join(", ")));
+        let more = if failed.len() > NAMED_FAILURES { ", …" } else { "" };
+        let names = failed[..failed.len().min(NAMED_FAILURES)].join(", ");
+        terminal::error(&anyhow!("{} of {} inputs failed: {names}{more}", failed.len(), inputs.len()));
     }
     if arguments.timing && !timings.is_empty() {
         eprint!("{}", timing::summary(load_model, &timings));

@@ -28,6 +28,7 @@ pub struct Record<Row> {
 impl<Row: Serialize + DeserializeOwned> Record<Row> {
     /// Opens the record of an output directory, and takes over what a run with the same settings left there.
     pub fn open(output: Option<&Path>, metric: &str, settings: &Value, num_pairs: usize) -> Result<Self> {
+        terminal::detail("settings", || settings.to_string());
         let Some(output) = output else { return Ok(Self { file: None, pairs: Vec::new() }) };
         std::fs::create_dir_all(output).with_context(|| format!("cannot make the directory {}", output.display()))?;
         let path = output.join(format!("{metric}.jsonl"));
