@@ -125,10 +125,10 @@ def test_lengths_are_units_or_multiples_of_the_resolution():
         ("harris3d", "radius"),
         ("sift3d", "min_scale"),
     ):
-        relative = DETECTORS[detector](points, **{name: "5x"})
+        relative = DETECTORS[detector](points, **{name: "5r"})
         absolute = DETECTORS[detector](points, **{name: 5 * resolution})
         assert np.array_equal(relative[0], absolute[0]) and len(relative[0])
-    assert not np.array_equal(baselines.iss(points)[0], baselines.iss(points, salient_radius="5x")[0])
+    assert not np.array_equal(baselines.iss(points)[0], baselines.iss(points, salient_radius="5r")[0])
     # Everything scales and shifts with the cloud.
     moved = points * np.float32(64) + np.float32(8)
     assert np.array_equal(baselines.harris3d(moved)[0], baselines.harris3d(points)[0])
@@ -138,10 +138,10 @@ def test_every_option_does_something():
     points = box(3)
     changes = {
         "iss": dict(
-            non_max_radius="6x", gamma_21=0.5, gamma_32=0.2, min_neighbors=30, covariance="about-point", count=3
+            non_max_radius="6r", gamma_21=0.5, gamma_32=0.2, min_neighbors=30, covariance="about-point", count=3
         ),
         "harris3d": dict(threshold=0.01, non_max=False, count=3),
-        "sift3d": dict(octaves=1, scales_per_octave=3, min_contrast=0.01, field="y", curvature_radius="4x", count=3),
+        "sift3d": dict(octaves=1, scales_per_octave=3, min_contrast=0.01, field="y", curvature_radius="4r", count=3),
     }
     for name, options in changes.items():
         usual = DETECTORS[name](points)
@@ -173,7 +173,7 @@ def test_clouds_that_cannot_be_used_are_refused(name):
     "name, option, value, message",
     [
         ("iss", "salient_radius", 0, "^option `salient_radius` is 0: allowed is a positive length"),
-        ("iss", "non_max_radius", "-4x", "^option `non_max_radius` is -4x: allowed is a positive length"),
+        ("iss", "non_max_radius", "-4r", "^option `non_max_radius` is -4r: allowed is a positive length"),
         ("iss", "salient_radius", "wide", "^option `length` is wide: allowed is a number of cloud units"),
         ("iss", "gamma_21", float("nan"), "^option `gamma_21` is NaN: allowed is above 0"),
         ("iss", "covariance", "pcl", "^option `covariance` is pcl: allowed is about-mean or about-point"),

@@ -1,8 +1,8 @@
 """Repeatable 3-D keypoints from point clouds: SNAKE, the shape-aware neural 3D keypoint field, on the CPU.
 
-import numpy as np, snake_rs
+import snake_rs
 
-points = np.load("cloud.npy")              # (N, 3), float32 or float64
+points = snake_rs.read_points("scan.ply")  # (N, 3); or any array, tensor or cloud that numpy can take for one
 keypoints = snake_rs.detect(points)        # one call, built-in model
 keypoints.points, keypoints.saliency       # (K, 3), (K,)
 
@@ -19,7 +19,19 @@ Classical detectors are in snake_rs.baselines, figures of merit in snake_rs.metr
 """
 
 from . import baselines, metrics
-from ._core import Field, Keypoints, Mesh, Model, Registration, __version__, detect, estimate_normals, fpfh, register
+from ._core import (
+    Field,
+    Keypoints,
+    Mesh,
+    Model,
+    Registration,
+    __version__,
+    detect,
+    estimate_normals,
+    fpfh,
+    read_points,
+    register,
+)
 
 __all__ = [
     "Field",
@@ -33,5 +45,6 @@ __all__ = [
     "estimate_normals",
     "fpfh",
     "metrics",
+    "read_points",
     "register",
 ]

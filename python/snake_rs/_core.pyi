@@ -1,7 +1,7 @@
 """Types of the private module; checked with `python -m mypy.stubtest snake_rs._core`."""
 
 import os
-from typing import Literal, TypedDict, final, type_check_only
+from typing import Any, Literal, Protocol, TypeAlias, TypedDict, final, type_check_only
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -27,6 +27,7 @@ __all__ = [
     "iss",
     "mean_distance_to_keypoints",
     "random_points",
+    "read_points",
     "register",
     "registration_recall",
     "relative_repeatability",
@@ -39,6 +40,18 @@ __all__ = [
 ]
 
 __version__: str
+
+@type_check_only
+class _HasPoints(Protocol):
+    @property
+    def points(self) -> Any: ...
+
+@type_check_only
+class _HasVertices(Protocol):
+    @property
+    def vertices(self) -> Any: ...
+
+_Points: TypeAlias = ArrayLike | _HasPoints | _HasVertices
 
 @type_check_only
 class _Preset(TypedDict, total=False):
@@ -62,7 +75,7 @@ class _DetectOptions(_Preset, total=False):
     selection: Literal["best-position", "reference-final-position"]
     surface_threshold: float
     saliency_threshold: float
-    nms_radius: float
+    nms_radius: float | str
     max_keypoints: int
     snap: bool
 
@@ -74,10 +87,10 @@ class _RegisterOptions(TypedDict, total=False):
     detector: Literal["snake", "iss", "harris3d", "sift3d", "fps", "random"]
     descriptor: Literal["fpfh", "field"]
     max_keypoints: int
-    voxel_size: float | None
-    normal_radius: float | None
-    feature_radius: float | None
-    inlier_distance: float | None
+    voxel_size: float | str | None
+    normal_radius: float | str | None
+    feature_radius: float | str | None
+    inlier_distance: float | str | None
     edge_length_ratio: float
     max_iterations: int
     confidence: float
@@ -104,12 +117,13 @@ class _Config(TypedDict):
     unet_base_channels: int
     group_norm_groups: int
 
-def detect(points: ArrayLike, model: Model | None = None, **options: Unpack[_Options]) -> Keypoints: ...
+def detect(points: _Points, model: Model | None = None, **options: Unpack[_Options]) -> Keypoints: ...
 def register(
-    source: ArrayLike, target: ArrayLike, model: Model | None = None, **options: Unpack[_RegisterOptions]
+    source: _Points, target: _Points, model: Model | None = None, **options: Unpack[_RegisterOptions]
 ) -> Registration: ...
-def estimate_normals(points: ArrayLike, radius: float) -> NDArray[np.float32]: ...
-def fpfh(points: ArrayLike, normals: ArrayLike, radius: float) -> NDArray[np.float32]: ...
+def read_points(path: str | os.PathLike[str]) -> NDArray[np.float32]: ...
+def estimate_normals(points: _Points, radius: float) -> NDArray[np.float32]: ...
+def fpfh(points: _Points, normals: _Points, radius: float) -> NDArray[np.float32]: ...
 
 @final
 class Model:
@@ -127,15 +141,15 @@ class Model:
     def num_parameters(self) -> int: ...
     @property
     def recommended(self) -> _Options: ...
-    def encode(self, points: ArrayLike, **options: Unpack[_EncodeOptions]) -> Field: ...
+    def encode(self, points: _Points, **options: Unpack[_EncodeOptions]) -> Field: ...
 
 @final
 class Field:
-    def occupancy(self, queries: ArrayLike) -> NDArray[np.float32]: ...
-    def saliency(self, queries: ArrayLike) -> NDArray[np.float32]: ...
-    def occupancy_and_gradient(self, queries: ArrayLike) -> tuple[NDArray[np.float32], NDArray[np.float32]]: ...
-    def saliency_and_gradient(self, queries: ArrayLike) -> tuple[NDArray[np.float32], NDArray[np.float32]]: ...
-    def descriptors(self, queries: ArrayLike) -> NDArray[np.float32]: ...
+    def occupancy(self, queries: _Points) -> NDArray[np.float32]: ...
+    def saliency(self, queries: _Points) -> NDArray[np.float32]: ...
+    def occupancy_and_gradient(self, queries: _Points) -> tuple[NDArray[np.float32], NDArray[np.float32]]: ...
+    def saliency_and_gradient(self, queries: _Points) -> tuple[NDArray[np.float32], NDArray[np.float32]]: ...
+    def descriptors(self, queries: _Points) -> NDArray[np.float32]: ...
     @property
     def volume(self) -> NDArray[np.float32]: ...
     @property
@@ -166,6 +180,7 @@ class Keypoints:
     def counts(self) -> dict[str, int]: ...
     @property
     def timing_seconds(self) -> dict[str, float]: ...
+    def to_open3d(self) -> Any: ...
     def __len__(self) -> int: ...
 
 @final
@@ -181,10 +196,10 @@ class Mesh:
     def triangles(self) -> NDArray[np.uint32]: ...
 
 def iss(
-    points: ArrayLike,
+    points: _Points,
     *,
-    salient_radius: float | str = "6x",
-    non_max_radius: float | str = "4x",
+    salient_radius: float | str = "6r",
+    non_max_radius: float | str = "4r",
     gamma_21: float = 0.975,
     gamma_32: float = 0.975,
     min_neighbors: int = 5,
@@ -194,9 +209,9 @@ def iss(
     seed: int = 0,
 ) -> tuple[NDArray[np.int64], NDArray[np.float64]]: ...
 def harris3d(
-    points: ArrayLike,
+    points: _Points,
     *,
-    radius: float | str = "6x",
+    radius: float | str = "6r",
     threshold: float = 0.0,
     non_max: bool = True,
     count: int | None = None,
@@ -204,30 +219,30 @@ def harris3d(
     seed: int = 0,
 ) -> tuple[NDArray[np.int64], NDArray[np.float64]]: ...
 def sift3d(
-    points: ArrayLike,
+    points: _Points,
     *,
-    min_scale: float | str = "2x",
+    min_scale: float | str = "2r",
     octaves: int = 4,
     scales_per_octave: int = 8,
     min_contrast: float = 0.0,
     field: Literal["curvature", "y"] = "curvature",
-    curvature_radius: float | str = "6x",
+    curvature_radius: float | str = "6r",
     count: int | None = None,
     protocol: Literal["ranked", "paper"] = "ranked",
     seed: int = 0,
 ) -> tuple[NDArray[np.int64], NDArray[np.float64]]: ...
-def farthest_points(points: ArrayLike, count: int) -> tuple[NDArray[np.int64], NDArray[np.float64]]: ...
-def random_points(points: ArrayLike, count: int, seed: int = 0) -> tuple[NDArray[np.int64], NDArray[np.float64]]: ...
+def farthest_points(points: _Points, count: int) -> tuple[NDArray[np.int64], NDArray[np.float64]]: ...
+def random_points(points: _Points, count: int, seed: int = 0) -> tuple[NDArray[np.int64], NDArray[np.float64]]: ...
 def relative_repeatability(
-    keypoints_1: ArrayLike, keypoints_2: ArrayLike, t_1_2: ArrayLike, epsilon: ArrayLike
+    keypoints_1: _Points, keypoints_2: _Points, t_1_2: ArrayLike, epsilon: ArrayLike
 ) -> NDArray[np.float64]: ...
 def symmetric_repeatability(
-    keypoints_1: ArrayLike, keypoints_2: ArrayLike, t_1_2: ArrayLike, epsilon: ArrayLike
+    keypoints_1: _Points, keypoints_2: _Points, t_1_2: ArrayLike, epsilon: ArrayLike
 ) -> NDArray[np.float64]: ...
-def mean_distance_to_keypoints(points: ArrayLike, keypoints: ArrayLike) -> float: ...
-def geodesic_distances(points: ArrayLike, sources: ArrayLike, neighbors: int = 20) -> NDArray[np.float64]: ...
+def mean_distance_to_keypoints(points: _Points, keypoints: _Points) -> float: ...
+def geodesic_distances(points: _Points, sources: ArrayLike, neighbors: int = 20) -> NDArray[np.float64]: ...
 def semantic_counts(
-    points: ArrayLike,
+    points: _Points,
     ground_truth: ArrayLike,
     found: ArrayLike,
     thresholds: ArrayLike,
@@ -237,17 +252,17 @@ def iou(counts: ArrayLike) -> NDArray[np.float64]: ...
 def smpl_pair_counts(
     body_1: ArrayLike,
     body_2: ArrayLike,
-    keypoints_1: ArrayLike,
-    keypoints_2: ArrayLike,
+    keypoints_1: _Points,
+    keypoints_2: _Points,
     thresholds: ArrayLike,
     protocol: Literal["strict", "paper"] = "strict",
     seed: int = 0,
 ) -> NDArray[np.int64]: ...
 def smpl_iou(counts: ArrayLike, protocol: Literal["strict", "paper"] = "strict") -> float: ...
-def inlier_ratio(source: ArrayLike, target: ArrayLike, t_target_source: ArrayLike, threshold: float = 0.1) -> float: ...
+def inlier_ratio(source: _Points, target: _Points, t_target_source: ArrayLike, threshold: float = 0.1) -> float: ...
 def feature_matching_recall(inlier_ratios: ArrayLike, threshold: float = 0.05) -> float: ...
 def squared_registration_error(t_gt: ArrayLike, t_estimate: ArrayLike, information: ArrayLike) -> float: ...
-def information_matrix(points: ArrayLike) -> NDArray[np.float64]: ...
+def information_matrix(points: _Points) -> NDArray[np.float64]: ...
 def registration_recall(fragments: ArrayLike, squared_errors: ArrayLike, threshold: float = 0.2) -> float: ...
 
 @final

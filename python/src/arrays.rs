@@ -7,21 +7,41 @@ use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
 use snake_core::Point;
 
-/// Copies an array-like `(N, 3)` of float32 or float64 while the GIL is held: once it is released, another thread may
-/// write into the array. numpy's own conversion deals with strides, byte order and alignment.
+/// Copies points `(N, 3)` while the GIL is held: once it is released, another thread may write into the array. They are
+/// what numpy takes for an array of real numbers (numpy's own, tensors of torch, vectors of Open3D, vertices of trimesh),
+/// or an object that has such `points` or `vertices`; numpy's conversion deals with types, strides, byte order and
+/// alignment.
 pub fn points(what: &str, value: &Bound<PyAny>) -> PyResult<Vec<Point>> {
-    let numpy = value.py().import("numpy")?;
-    let given = numpy.call_method1("asarray", (value,))?;
+    let (py, numpy) = (value.py(), value.py().import("numpy")?);
+    let given = as_array(&numpy, value).map_err(|error| {
+        let refused = PyValueError::new_err(format!("{what}: {}", error.value(py)));
+        refused.set_cause(py, Some(error));
+        refused
+    })?;
     let array = given.cast::<PyUntypedArray>()?;
-    let is_float = array.dtype().kind() == b'f' && [4, 8].contains(&array.dtype().itemsize());
-    if !is_float || array.ndim() != 2 || array.shape()[1] != 3 {
+    let is_real = matches!(array.dtype().kind(), b'f' | b'i' | b'u');
+    if !is_real || array.ndim() != 2 || array.shape()[1] != 3 {
         let found = format!("{} of shape {}", array.dtype(), array.getattr("shape")?);
-        return Err(PyValueError::new_err(format!(
-            "{what}: expected float32 or float64 of shape (N, 3), found {found}"
-        )));
+        return Err(PyValueError::new_err(format!("{what}: expected real numbers of shape (N, 3), found {found}")));
     }
     let aligned: PyReadonlyArray2<f32> = numpy.call_method1("require", (array, "float32", "CA"))?.extract()?;
     Ok(aligned.as_slice()?.as_chunks().0.to_vec())
+}
+
+/// What numpy makes of a value, or of the points or vertices that it has; nothing is copied that need not be.
+fn as_array<'py>(numpy: &Bound<'py, PyModule>, value: &Bound<'py, PyAny>) -> PyResult<Bound<'py, PyAny>> {
+    if value.hasattr("__array__")? {
+        return numpy.call_method1("asarray", (value,));
+    }
+    if value.hasattr("__dlpack__")? {
+        return numpy.call_method1("from_dlpack", (value,));
+    }
+    for part in ["points", "vertices"] {
+        if let Some(part) = value.getattr_opt(part)? {
+            return numpy.call_method1("asarray", (part,));
+        }
+    }
+    numpy.call_method1("asarray", (value,))
 }
 
 /// Values `(N,)`.

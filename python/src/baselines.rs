@@ -3,8 +3,9 @@
 use numpy::PyArray1;
 use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
+use snake_core::Length;
 use snake_core::baselines::{
-    Covariance, Detector, Harris3dOptions, IssOptions, Length, Protocol, Response, Sift3dOptions, SiftField,
+    Covariance, Detector, Harris3dOptions, IssOptions, Protocol, Response, Sift3dOptions, SiftField,
 };
 
 use crate::arrays::{self, named};
@@ -13,7 +14,7 @@ use crate::error::py_error;
 /// Indices (K,) int64 and scores (K,) float64.
 type Found<'py> = (Bound<'py, PyArray1<i64>>, Bound<'py, PyArray1<f64>>);
 
-/// A length as Python gives it: a number of cloud units, or text such as "6x".
+/// A length as Python gives it: a number of cloud units, or text such as "6r".
 #[derive(FromPyObject)]
 pub enum LengthLike {
     /// In the cloud's units.
@@ -55,16 +56,16 @@ fn keypoints<'py>(
 /// a keypoint's is the largest nearer than `non_max_radius`. `covariance` is "about-mean" (divided by the number of
 /// points; with it the keypoints are those of Open3D's compute_iss_keypoints) or "about-point" (the sum, as PCL).
 ///
-/// A length is a number, in cloud units, or text such as "6x": 6 times the mean distance of the points to their nearest
+/// A length is a number, in cloud units, or text such as "6r": 6 times the mean distance of the points to their nearest
 /// others. `count` limits the keypoints; `protocol` "ranked" takes the strongest, "paper" a random subset, filled up
 /// with random points to `count`, as the paper's baselines were; `seed` is that of the random choices. Raises ValueError for an
 /// array or a value that cannot be used.
 #[pyfunction]
 #[pyo3(signature = (
-    points, *, salient_radius=LengthLike::Text("6x".into()), non_max_radius=LengthLike::Text("4x".into()),
+    points, *, salient_radius=LengthLike::Text("6r".into()), non_max_radius=LengthLike::Text("4r".into()),
     gamma_21=0.975, gamma_32=0.975, min_neighbors=5, covariance="about-mean", count=None, protocol="ranked", seed=0
 ))]
-#[pyo3(text_signature = "(points, *, salient_radius='6x', non_max_radius='4x', gamma_21=0.975, gamma_32=0.975, \
+#[pyo3(text_signature = "(points, *, salient_radius='6r', non_max_radius='4r', gamma_21=0.975, gamma_32=0.975, \
     min_neighbors=5, covariance='about-mean', count=None, protocol='ranked', seed=0)")]
 #[expect(clippy::too_many_arguments, reason = "keywords in Python")]
 pub fn iss<'py>(
@@ -98,9 +99,9 @@ pub fn iss<'py>(
 /// those of `iss`.
 #[pyfunction]
 #[pyo3(signature = (
-    points, *, radius=LengthLike::Text("6x".into()), threshold=0.0, non_max=true, count=None, protocol="ranked", seed=0
+    points, *, radius=LengthLike::Text("6r".into()), threshold=0.0, non_max=true, count=None, protocol="ranked", seed=0
 ))]
-#[pyo3(text_signature = "(points, *, radius='6x', threshold=0.0, non_max=True, count=None, protocol='ranked', seed=0)")]
+#[pyo3(text_signature = "(points, *, radius='6r', threshold=0.0, non_max=True, count=None, protocol='ranked', seed=0)")]
 pub fn harris3d<'py>(
     points: &Bound<'py, PyAny>,
     radius: LengthLike,
@@ -122,11 +123,11 @@ pub fn harris3d<'py>(
 /// and doubles with each of the `octaves`. Lengths, `count`, `protocol`, `seed` and errors are those of `iss`.
 #[pyfunction]
 #[pyo3(signature = (
-    points, *, min_scale=LengthLike::Text("2x".into()), octaves=4, scales_per_octave=8, min_contrast=0.0,
-    field="curvature", curvature_radius=LengthLike::Text("6x".into()), count=None, protocol="ranked", seed=0
+    points, *, min_scale=LengthLike::Text("2r".into()), octaves=4, scales_per_octave=8, min_contrast=0.0,
+    field="curvature", curvature_radius=LengthLike::Text("6r".into()), count=None, protocol="ranked", seed=0
 ))]
-#[pyo3(text_signature = "(points, *, min_scale='2x', octaves=4, scales_per_octave=8, min_contrast=0.0, \
-    field='curvature', curvature_radius='6x', count=None, protocol='ranked', seed=0)")]
+#[pyo3(text_signature = "(points, *, min_scale='2r', octaves=4, scales_per_octave=8, min_contrast=0.0, \
+    field='curvature', curvature_radius='6r', count=None, protocol='ranked', seed=0)")]
 #[expect(clippy::too_many_arguments, reason = "keywords in Python")]
 pub fn sift3d<'py>(
     points: &Bound<'py, PyAny>,

@@ -17,7 +17,7 @@ type ValuesAndGradients<'py> = (Bound<'py, PyArray1<f32>>, Bound<'py, PyArray2<f
 
 /// Occupancy and saliency of one cloud at any point of space; made by `Model.encode`.
 ///
-/// Queries are (Q, 3), float32 or float64; they and the gradients are in the cloud's frame and units.
+/// Queries are (Q, 3), as `detect` takes points; they and the gradients are in the cloud's frame and units.
 #[pyclass(frozen, module = "snake_rs")]
 pub struct Field(core::Field);
 
@@ -96,7 +96,8 @@ impl Field {
     ///
     /// Options: `query_resolution`, `occupancy_threshold`, `refine_steps`, `refine_step_size`, `refine_method` ("adam"
     /// or "gradient-descent"), `selection` ("best-position" or "reference-final-position"), `surface_threshold`,
-    /// `saliency_threshold`, `nms_radius` (cloud units; 0: off), `max_keypoints`, `snap` (move each keypoint to its
+    /// `saliency_threshold`, `nms_radius` (0: off; a number of cloud units, or text as "3r": multiples of the mean
+    /// distance of the points to their nearest others), `max_keypoints`, `snap` (move each keypoint to its
     /// nearest input point), and `preset` ("modelnet40", "keypointnet", "smpl", "redwood" or "3dmatch"). What is not
     /// given comes from `preset`, or else from the model's `recommended`. Raises ValueError for a value that cannot be
     /// used and TypeError for an unknown option.

@@ -1,6 +1,7 @@
 //! `snake_rs.Keypoints`.
 
 use numpy::{PyArray1, PyArray2, PyArrayMethods};
+use pyo3::exceptions::PyImportError;
 use pyo3::prelude::*;
 use pyo3::types::{IntoPyDict, PyDict, PyTuple};
 use snake_core::Detection;
@@ -59,6 +60,18 @@ impl Keypoints {
         timing_seconds: Py<PyDict>,
     ) -> Self {
         Self { points, saliency, occupancy, nearest_index, counts, timing_seconds }
+    }
+
+    /// The keypoints as an `open3d.geometry.PointCloud`, in the cloud's frame. Raises ImportError without Open3D.
+    fn to_open3d<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyAny>> {
+        let open3d = py.import("open3d").map_err(|error| {
+            let missing = PyImportError::new_err("Keypoints.to_open3d needs Open3D: pip install open3d");
+            missing.set_cause(py, Some(error));
+            missing
+        })?;
+        let points = self.points.bind(py).call_method1("astype", ("float64",))?;
+        let vector = open3d.getattr("utility")?.call_method1("Vector3dVector", (points,))?;
+        open3d.getattr("geometry")?.call_method1("PointCloud", (vector,))
     }
 
     fn __getnewargs__<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyTuple>> {

@@ -12,6 +12,9 @@ mod model;
 mod options;
 mod registration;
 
+use std::path::PathBuf;
+
+use numpy::PyArray2;
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
 
@@ -24,7 +27,8 @@ use registration::{Registration, estimate_normals, fpfh, register};
 
 /// Keypoints of a cloud in one call: `model.encode(points).detect()`, with the built-in model if none is given.
 ///
-/// `points` is (N, 3), float32 or float64. `options` are those of `Model.encode` and `Field.detect`; what is not given
+/// `points` is (N, 3) real numbers: a numpy array, a torch tensor on the CPU, an Open3D or trimesh point cloud, or
+/// anything else that numpy takes for such an array; it is copied as float32. `options` are those of `Model.encode` and `Field.detect`; what is not given
 /// comes from `preset`, or else from `model.recommended`. Raises ValueError for an array or a value that cannot be
 /// used, and TypeError for an unknown option.
 #[pyfunction]
@@ -42,6 +46,15 @@ fn detect(
     Keypoints::from_detection(py, detection)
 }
 
+/// Reads a point cloud file by its extension, as snake-cli does: (N, 3) float32, in the file's order, units and frame.
+///
+/// Raises OSError (FileNotFoundError, ...) when it cannot be read, ValueError when it is no such file.
+#[pyfunction]
+fn read_points(py: Python<'_>, path: PathBuf) -> PyResult<Bound<'_, PyArray2<f32>>> {
+    let points = py.detach(|| snake_core::io::read_points(&path)).map_err(py_error)?;
+    arrays::rows(py, points.into_flattened(), 3)
+}
+
 #[pymodule]
 mod _core {
     #[pymodule_export]
@@ -53,7 +66,7 @@ mod _core {
         squared_registration_error, symmetric_repeatability,
     };
     #[pymodule_export]
-    use super::{Field, Keypoints, Mesh, Model, Registration, detect, estimate_normals, fpfh, register};
+    use super::{Field, Keypoints, Mesh, Model, Registration, detect, estimate_normals, fpfh, read_points, register};
 
     #[pymodule_export]
     #[expect(non_upper_case_globals, reason = "Python's name for it")]

@@ -49,12 +49,13 @@ impl Registration {
 
 /// Finds the rigid transform that brings one cloud onto another, with nothing known beforehand.
 ///
-/// `source` and `target` are (N, 3) and (M, 3), float32 or float64, in the same units; they may be parts that overlap.
+/// `source` and `target` are (N, 3) and (M, 3), as `detect` takes them, in the same units; they may be parts that overlap.
 /// Keypoints of `model` (default: the built-in one) are matched by descriptors, RANSAC finds the transform that most
 /// matches agree on, and point-to-plane ICP refines it. Options: `detector` ("snake", the model's keypoints, or "iss",
 /// "harris3d", "sift3d", "fps" or "random", points of the reduced clouds), `descriptor` ("fpfh", which turns with the
 /// cloud, or "field", for clouds of about the same orientation), `max_keypoints`, `voxel_size`, `normal_radius`,
-/// `feature_radius`, `inlier_distance` (cloud units; None: from the clouds), `edge_length_ratio`, `max_iterations`,
+/// `feature_radius`, `inlier_distance` (cloud units, or text as "3r": multiples of the coarser cloud's mean distance
+/// between nearest points; None: from the clouds), `edge_length_ratio`, `max_iterations`,
 /// `confidence`, `seed`, `refine_steps` (0: no ICP). Raises ValueError for arrays or values that cannot be used and
 /// when no transform fits, TypeError for an unknown option.
 #[pyfunction]

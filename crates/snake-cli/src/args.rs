@@ -1,23 +1,62 @@
 //! The command line.
 
 use std::path::PathBuf;
+use std::time::Instant;
 
 use anyhow::Result;
 use clap::{Args, Parser, Subcommand};
+use clap_complete::Shell;
 use serde::de::DeserializeOwned;
-use snake_core::{Model, NormalizationMethod, Preset};
+use snake_core::{Model, NormalizationMethod, Preset, SimdLevel};
 
 use crate::detect::args::DetectArguments;
 use crate::eval::args::Eval;
+use crate::model;
 use crate::reconstruct::ReconstructArguments;
 use crate::register::args::RegisterArguments;
+use crate::terminal::{self, Verbosity};
 
 /// Repeatable 3-D keypoints from point clouds (SNAKE), on the CPU.
+///
+/// A network turns a cloud into a field that says where there is surface and where keypoints are. Files in, keypoints
+/// or transforms out; the model is built in.
 #[derive(Parser)]
-#[command(version, arg_required_else_help = true)]
+#[command(
+    version,
+    arg_required_else_help = true,
+    after_help = "Start here:
+  snake-cli detect scan.ply                     the keypoints of a cloud
+  snake-cli detect 'scans/*.pcd' -o keypoints/  those of many, into files
+  snake-cli register scan2.ply scan1.ply        the transform from one cloud to another
+  snake-cli detect --help                       every option, with examples
+
+Environment:
+  SNAKE_MODEL    weight file or name of a model, for --model
+  SNAKE_MODELS   folder of models that have a name
+  SNAKE_THREADS  number of threads, for --threads
+  SNAKE_SIMD     portable, avx2 or avx512; default: the best that the processor has
+  NO_COLOR       no colours; there are none where the output is not a terminal"
+)]
 pub struct Arguments {
     #[command(subcommand)]
     pub command: Command,
+    /// Only errors: no tables, no warnings, no progress. Files are written and --json printed as ever.
+    #[arg(short, long, global = true, conflicts_with = "verbose", help_heading = "Global options")]
+    quiet: bool,
+    /// Also say, on the standard error, what is loaded, the options in effect and the seconds of each stage.
+    #[arg(short, long, global = true, help_heading = "Global options")]
+    verbose: bool,
+}
+
+impl Arguments {
+    /// How much is to be said.
+    pub fn verbosity(&self) -> Verbosity {
+        match (self.quiet, self.verbose) {
+            (true, _) => Verbosity::Quiet,
+            (_, true) => Verbosity::Verbose,
+            _ => Verbosity::Normal,
+        }
+    }
 }
 
 #[derive(Subcommand)]
@@ -57,10 +96,65 @@ pub enum Command {
   snake-cli register part.ply whole.ply --voxel-size 0.01 --json | jq .t_target_source")]
     Register(Box<RegisterArguments>),
     /// Show what a weight file is; without FILE, the built-in model.
+    #[command(after_help = "Examples:
+  snake-cli model
+  snake-cli model standard
+  snake-cli model weights.safetensors")]
     Model {
         /// Weight file (.safetensors), or the name of a model as in `detect`.
+        #[arg(env = "SNAKE_MODEL")]
         file: Option<PathBuf>,
     },
+    /// Print what makes a shell complete the options of snake-cli.
+    #[command(after_help = "Examples:
+  snake-cli completions bash > ~/.local/share/bash-completion/completions/snake-cli
+  snake-cli completions zsh > ~/.zfunc/_snake-cli                  (a folder of $fpath)
+  snake-cli completions fish > ~/.config/fish/completions/snake-cli.fish
+  snake-cli completions powershell >> $PROFILE")]
+    Completions {
+        /// The shell.
+        shell: Shell,
+    },
+}
+
+/// What every sub-command that computes takes.
+#[derive(Args)]
+pub struct ComputeArguments {
+    /// Weight file (.safetensors), or the name of a model: compact, the built-in one, or that of a file in SNAKE_MODELS,
+    /// beside the program or in the user's data folder [default: compact].
+    #[arg(long, value_name = "MODEL", env = "SNAKE_MODEL")]
+    pub model: Option<PathBuf>,
+    /// Threads; default: all processors. The result does not depend on it.
+    #[arg(long, value_name = "NUMBER", env = "SNAKE_THREADS", value_parser = clap::value_parser!(u16).range(1..))]
+    pub threads: Option<u16>,
+}
+
+impl ComputeArguments {
+    /// Starts the threads; before anything is computed.
+    pub fn start_threads(&self) -> Result<()> {
+        if let Some(threads) = self.threads {
+            rayon::ThreadPoolBuilder::new().num_threads(threads.into()).build_global()?;
+        }
+        let simd = SimdLevel::current().name();
+        let wanted = std::env::var("SNAKE_SIMD").unwrap_or_default();
+        if !wanted.is_empty() && wanted != simd {
+            let names: Vec<&str> = SimdLevel::available().into_iter().map(SimdLevel::name).collect();
+            terminal::warn(&format!("SNAKE_SIMD is {wanted}, not {}; {simd} is used", names.join(" or ")));
+        }
+        terminal::detail("threads", || format!("{}, SIMD {simd}", rayon::current_num_threads()));
+        Ok(())
+    }
+
+    /// Loads the model of `--model`, by default the built-in one.
+    pub fn load_model(&self) -> Result<Model> {
+        let start = Instant::now();
+        let model = model::load(self.model.as_deref())?;
+        terminal::detail("model", || {
+            let (name, parameters) = (model::name(self.model.as_deref()), model.num_parameters());
+            format!("{name}, {parameters} parameters, {:.3} s", start.elapsed().as_secs_f64())
+        });
+        Ok(model)
+    }
 }
 
 /// How a cloud is encoded. What is not given comes from the preset, or from the model's recommended options.

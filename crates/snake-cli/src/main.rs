@@ -3,38 +3,47 @@
 mod args;
 mod detect;
 mod eval;
+mod inputs;
+mod interrupt;
 mod model;
 mod reconstruct;
 mod register;
+mod terminal;
 mod timing;
 
-use std::io::{self, Write};
 use std::process::ExitCode;
 
-use anyhow::{Context, Result};
-use clap::Parser;
+use anyhow::Result;
+use clap::{CommandFactory, Parser};
+use clap_complete::Shell;
 
 use args::{Arguments, Command};
 
 fn main() -> ExitCode {
-    let outcome = match Arguments::parse().command {
-        Command::Detect(arguments) => detect::run(&arguments),
-        Command::Eval(command) => eval::run(&command).map(|()| ExitCode::SUCCESS),
-        Command::Reconstruct(arguments) => reconstruct::run(&arguments).map(|()| ExitCode::SUCCESS),
-        Command::Register(arguments) => register::run(&arguments).map(|()| ExitCode::SUCCESS),
-        Command::Model { file } => model::run(file.as_deref()).map(|()| ExitCode::SUCCESS),
-    };
-    outcome.unwrap_or_else(|error| {
-        eprintln!("error: {error:#}");
+    let arguments = Arguments::parse();
+    terminal::set_verbosity(arguments.verbosity());
+    run(&arguments.command).unwrap_or_else(|error| {
+        terminal::error(&error);
         ExitCode::from(2)
     })
 }
 
-/// Prints to stdout; a reader that has closed it (`| head`) ends the program quietly.
-fn print(text: &str) -> Result<()> {
-    let mut stdout = io::stdout().lock();
-    match stdout.write_all(text.as_bytes()).and_then(|()| stdout.flush()) {
-        Err(error) if error.kind() == io::ErrorKind::BrokenPipe => std::process::exit(0),
-        outcome => outcome.context("cannot write to standard output"),
+fn run(command: &Command) -> Result<ExitCode> {
+    interrupt::end_between_files()?;
+    match command {
+        Command::Detect(arguments) => return detect::run(arguments),
+        Command::Eval(command) => eval::run(command)?,
+        Command::Reconstruct(arguments) => reconstruct::run(arguments)?,
+        Command::Register(arguments) => register::run(arguments)?,
+        Command::Model { file } => model::run(file.as_deref())?,
+        Command::Completions { shell } => complete(*shell)?,
     }
+    Ok(ExitCode::SUCCESS)
+}
+
+/// Prints a shell's completions.
+fn complete(shell: Shell) -> Result<()> {
+    let mut script = Vec::new();
+    clap_complete::generate(shell, &mut Arguments::command(), "snake-cli", &mut script);
+    terminal::print(&String::from_utf8_lossy(&script))
 }

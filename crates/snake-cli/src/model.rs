@@ -6,6 +6,8 @@ use std::path::{Path, PathBuf};
 use anyhow::{Context, Result, bail};
 use snake_core::Model;
 
+use crate::terminal;
+
 /// Loads the model of a weight file or of a name, by default the built-in one.
 pub fn load(model: Option<&Path>) -> Result<Model> {
     match model {
@@ -52,12 +54,17 @@ fn locate(model: &Path) -> Result<PathBuf> {
     );
 }
 
-/// Prints the network's shape, its recommended options and its metadata.
-pub fn run(model: Option<&Path>) -> Result<()> {
-    let name = match model {
+/// What reports call that model.
+pub fn name(model: Option<&Path>) -> String {
+    match model {
         Some(model) if !is_builtin(model) => model.display().to_string(),
         _ => "compact, built-in".into(),
-    };
+    }
+}
+
+/// Prints the network's shape, its recommended options and its metadata.
+pub fn run(model: Option<&Path>) -> Result<()> {
+    let name = name(model);
     let model = load(model)?;
     let config = model.config();
     let [x, y, z] = config.frame.resolution;
@@ -69,5 +76,5 @@ pub fn run(model: Option<&Path>) -> Result<()> {
     for (key, value) in model.metadata() {
         writeln!(text, "  {key}: {value}")?;
     }
-    crate::print(&text)
+    terminal::print(&text)
 }

@@ -2,16 +2,15 @@
 
 use std::fmt::Write;
 use std::path::PathBuf;
-use std::time::{Duration, Instant};
+use std::time::Instant;
 
 use anyhow::{Context, Result, bail};
 use clap::Args;
-use indicatif::ProgressBar;
 use serde_json::json;
 use snake_core::{MeshOptions, io};
 
-use crate::args::{EncodeFlags, override_with};
-use crate::model;
+use crate::args::{ComputeArguments, EncodeFlags, override_with};
+use crate::terminal;
 
 #[derive(Args)]
 pub struct ReconstructArguments {
@@ -23,12 +22,8 @@ pub struct ReconstructArguments {
     /// Print one JSON object on one line instead of text.
     #[arg(long)]
     pub json: bool,
-    /// Weight file (.safetensors), or the name of a model as in `detect` [default: compact].
-    #[arg(long)]
-    pub model: Option<PathBuf>,
-    /// Threads; default: all processors. The result does not depend on it.
-    #[arg(long, value_parser = clap::value_parser!(u16).range(1..))]
-    pub threads: Option<u16>,
+    #[command(flatten)]
+    compute: ComputeArguments,
     /// Samples along each axis of the network's box, 8 to 512 [default: 128].
     #[arg(long)]
     resolution: Option<usize>,
@@ -44,9 +39,7 @@ pub struct ReconstructArguments {
 
 /// Writes the mesh and prints what it is.
 pub fn run(arguments: &ReconstructArguments) -> Result<()> {
-    if let Some(threads) = arguments.threads {
-        rayon::ThreadPoolBuilder::new().num_threads(threads.into()).build_global()?;
-    }
+    arguments.compute.start_threads()?;
     let ReconstructArguments { input, output, .. } = arguments;
     io::check_mesh_path(output)?;
     if input == output {
@@ -56,12 +49,11 @@ pub fn run(arguments: &ReconstructArguments) -> Result<()> {
     override_with(&mut options.resolution, arguments.resolution);
     override_with(&mut options.level, arguments.level);
     options.check()?;
-    let model = model::load(arguments.model.as_deref())?;
+    let model = arguments.compute.load_model()?;
     let encode = arguments.encode.resolve(&model)?.encode;
-
-    let spinner = ProgressBar::new_spinner();
-    spinner.enable_steady_tick(Duration::from_millis(100));
-    spinner.set_message(format!("{} ({} samples along each axis)", input.display(), options.resolution));
+    terminal::detail("options", || json!({ "encode": encode, "mesh": options }).to_string());
+    let bar = terminal::progress(1)?;
+    bar.set_message(format!("{} ({} samples along each axis)", input.display(), options.resolution));
     let start = Instant::now();
     let points = io::read_points(input)?;
     let read = start.elapsed().as_secs_f64();
@@ -71,7 +63,7 @@ pub fn run(arguments: &ReconstructArguments) -> Result<()> {
     let meshed = start.elapsed().as_secs_f64();
     io::write_mesh(output, &mesh)?;
     let total = start.elapsed().as_secs_f64();
-    spinner.finish_and_clear();
+    bar.finish_and_clear();
 
     let (vertices, triangles, area) = (mesh.vertices.len(), mesh.triangles.len(), mesh.area());
     if arguments.json {
@@ -85,7 +77,7 @@ pub fn run(arguments: &ReconstructArguments) -> Result<()> {
             "area": area,
             "timing_seconds": { "read": read, "encode": encoded - read, "mesh": meshed - encoded, "total": total },
         });
-        return crate::print(&format!("{object}\n"));
+        return terminal::print(&format!("{object}\n"));
     }
     let mut text = format!("{}: {vertices} vertices, {triangles} triangles, area {area:.5}", input.display());
     writeln!(text, " from {} points in {total:.3} s", points.len())?;
@@ -93,5 +85,5 @@ pub fn run(arguments: &ReconstructArguments) -> Result<()> {
         writeln!(text, "no surface: try a lower --level, or --normalization")?;
     }
     writeln!(text, "written to {}", output.display())?;
-    crate::print(&text)
+    terminal::print_report(&text)
 }

@@ -6,6 +6,12 @@ pub const STAGES: [&str; 6] = ["read", "encode", "occupancy", "refine", "nms", "
 /// Seconds of each of [`STAGES`].
 pub type Seconds = [f64; STAGES.len()];
 
+/// The seconds of one cloud on one line.
+pub fn line(seconds: &Seconds) -> String {
+    let stage = |(stage, seconds): (&str, &f64)| format!("{stage} {seconds:.3}");
+    STAGES.into_iter().zip(seconds).map(stage).collect::<Vec<_>>().join(", ")
+}
+
 /// One aligned line per stage: the seconds of a single cloud, or median, maximum and sum over several (at least one).
 pub fn summary(load_model: f64, clouds: &[Seconds]) -> String {
     let columns: &[&str] = if clouds.len() == 1 { &["seconds"] } else { &["median", "maximum", "sum"] };

@@ -6,6 +6,7 @@ use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
 use crate::field::{EncodeOptions, Field, Quantity};
+use crate::length::Length;
 use crate::nms::{nearest_points, suppress};
 use crate::nn::TILE;
 use crate::points::{NormalizationMethod, Point};
@@ -72,8 +73,8 @@ pub struct DetectOptions {
     pub surface_threshold: f32,
     /// Keypoints have a score above this (thr_s).
     pub saliency_threshold: f32,
-    /// Keypoints are farther apart than this, in cloud units; 0 turns suppression off.
-    pub nms_radius: f32,
+    /// Keypoints are farther apart than this; 0 turns suppression off.
+    pub nms_radius: Length,
     /// At most this many keypoints, the best.
     pub max_keypoints: usize,
     /// Move each keypoint to its nearest input point. Two may then fall on the same point, as in the paper.
@@ -92,7 +93,7 @@ impl Default for DetectOptions {
             selection: Selection::BestPosition,
             surface_threshold: 0.8,
             saliency_threshold: 0.7,
-            nms_radius: 0.01,
+            nms_radius: Length::Units(0.01),
             max_keypoints: 64,
             snap: false,
         }
@@ -111,7 +112,16 @@ impl DetectOptions {
         within("occupancy_threshold", self.occupancy_threshold, 0.0..=1.0, "0 to 1")?;
         within("surface_threshold", self.surface_threshold, 0.0..=1.0, "0 to 1")?;
         within("saliency_threshold", self.saliency_threshold, 0.0..=1.0, "0 to 1")?;
-        within("nms_radius", self.nms_radius, 0.0..=f32::MAX, "0 or more (cloud units)")
+        let (Length::Units(nms_radius) | Length::Resolutions(nms_radius)) = self.nms_radius;
+        within("nms_radius", nms_radius as f32, 0.0..=f32::MAX, "0 or more (cloud units, or as in `3r` resolutions)")
+    }
+
+    /// The suppression radius in cloud units.
+    fn nms_radius(&self, points: &[Point]) -> Result<f32> {
+        match self.nms_radius {
+            Length::Units(radius) => Ok(radius as f32),
+            multiple => Ok(multiple.in_units("nms_radius", points)? as f32),
+        }
     }
 }
 
@@ -146,12 +156,18 @@ impl Preset {
         };
         let common = DetectOptions::default();
         let detect = match name {
-            "keypointnet" => DetectOptions { nms_radius: 0.1, ..common },
-            "smpl" => DetectOptions { nms_radius: 0.1, snap: true, ..common },
-            "redwood" => DetectOptions { query_resolution: 100, nms_radius: 0.04, max_keypoints: 512, ..common },
-            "3dmatch" => {
-                DetectOptions { saliency_threshold: 0.4, nms_radius: 0.04, max_keypoints: 2500, snap: true, ..common }
+            "keypointnet" => DetectOptions { nms_radius: Length::Units(0.1), ..common },
+            "smpl" => DetectOptions { nms_radius: Length::Units(0.1), snap: true, ..common },
+            "redwood" => {
+                DetectOptions { query_resolution: 100, nms_radius: Length::Units(0.04), max_keypoints: 512, ..common }
             }
+            "3dmatch" => DetectOptions {
+                saliency_threshold: 0.4,
+                nms_radius: Length::Units(0.04),
+                max_keypoints: 2500,
+                snap: true,
+                ..common
+            },
             _ => common,
         };
         Ok(Self { encode: EncodeOptions { normalization, max_points, ..Default::default() }, detect })
@@ -199,7 +215,7 @@ pub struct Timing {
 /// use snake_core::{DetectOptions, EncodeOptions, Model, detect};
 /// # let points: Vec<[f32; 3]> = (0..500).map(|i| { let a = i as f32 * 0.1; [a.cos(), a.sin(), (a * 0.3).sin()] }).collect();
 /// let field = Model::builtin()?.encode(&points, &EncodeOptions::default())?;
-/// let detection = detect(&field, &DetectOptions { max_keypoints: 16, nms_radius: 0.1, ..Default::default() })?;
+/// let detection = detect(&field, &DetectOptions { max_keypoints: 16, nms_radius: Length::Units(0.1), ..Default::default() })?;
 /// assert!(detection.keypoints.len() <= 16);
 /// # Ok::<(), snake_core::Error>(())
 /// ```
@@ -208,6 +224,7 @@ pub struct Timing {
 /// [`Error::Option`] when an option is out of its range.
 pub fn detect(field: &Field, options: &DetectOptions) -> Result<Detection> {
     options.check()?;
+    let nms_radius = options.nms_radius(field.points())?;
     let start = Instant::now();
     let occupied = occupied_queries(field, options);
     let occupancy_done = Instant::now();
@@ -216,7 +233,7 @@ pub fn detect(field: &Field, options: &DetectOptions) -> Result<Detection> {
     candidates.retain(|candidate| candidate.score > options.saliency_threshold);
     let positions: Vec<Point> = candidates.iter().map(|c| field.normalization().to_cloud(c.position)).collect();
     let scores: Vec<f32> = candidates.iter().map(|c| c.score).collect();
-    let kept = suppress(&positions, &scores, options.nms_radius, options.max_keypoints)?;
+    let kept = suppress(&positions, &scores, nms_radius, options.max_keypoints)?;
     let mut positions: Vec<Point> = kept.iter().map(|&index| positions[index]).collect();
     let nearest = nearest_points(field.points(), &positions)?;
     if options.snap {
@@ -323,6 +340,23 @@ pub(crate) mod tests {
             .collect();
         let field = Model::builtin().unwrap().encode(&points, &EncodeOptions::default()).unwrap();
         (points, field)
+    }
+
+    #[test]
+    fn a_suppression_radius_may_be_a_multiple_of_the_resolution() {
+        let (points, field) = cylinder();
+        let found = |nms_radius| {
+            let options =
+                DetectOptions { nms_radius, saliency_threshold: 0.0, max_keypoints: 1000, ..Default::default() };
+            detect(&field, &options).map(|detection| detection.keypoints)
+        };
+        let multiple = Length::Resolutions(5.0);
+        let radius = multiple.in_units("nms_radius", &points).unwrap();
+        assert_eq!(found(multiple).unwrap(), found(Length::Units(radius)).unwrap());
+        assert!(found(multiple).unwrap().len() < found(Length::Units(0.0)).unwrap().len());
+        for wrong in [Length::Resolutions(0.0), Length::Resolutions(-1.0), Length::Units(-1.0), Length::Units(1e60)] {
+            assert!(found(wrong).unwrap_err().to_string().contains("nms_radius"), "{wrong}");
+        }
     }
 
     #[test]

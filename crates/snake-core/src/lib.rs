@@ -25,6 +25,7 @@ mod field;
 #[cfg(test)]
 mod golden;
 mod kernels;
+mod length;
 mod model;
 mod neighbors;
 mod nms;
@@ -41,6 +42,7 @@ pub use detect::{Counts, DetectOptions, Detection, Keypoint, Preset, RefineMetho
 pub use error::{Error, Result};
 pub use field::{EncodeOptions, Field};
 pub use kernels::SimdLevel;
+pub use length::Length;
 pub use model::{Model, ModelConfig};
 pub use points::{Normalization, NormalizationMethod, Point, Transform};
 pub use surface::{Mesh, MeshOptions};

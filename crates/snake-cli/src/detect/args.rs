@@ -4,9 +4,9 @@ use std::path::PathBuf;
 
 use anyhow::Result;
 use clap::{Args, ValueEnum};
-use snake_core::{Model, Preset, RefineMethod, Selection};
+use snake_core::{Length, Model, Preset, RefineMethod, Selection};
 
-use crate::args::{EncodeFlags, named, override_with};
+use crate::args::{ComputeArguments, EncodeFlags, named, override_with};
 
 /// The formats that keypoints are written in.
 #[derive(Clone, Copy, ValueEnum)]
@@ -19,7 +19,7 @@ pub enum Format {
 
 #[derive(Args)]
 pub struct DetectArguments {
-    /// Point clouds (.ply, .pcd, .xyz, .txt, .csv, .pts, .npy), or directories of them.
+    /// Point clouds (.ply, .pcd, .xyz, .txt, .csv, .pts, .npy), directories of them, or quoted patterns: 'scans/**/*.ply'.
     #[arg(required = true)]
     pub inputs: Vec<PathBuf>,
     /// Write the keypoints: to this file (.ply, .npy, .csv or .json), or, for several inputs, into this directory
@@ -36,13 +36,8 @@ pub struct DetectArguments {
     /// maximum and sum over several.
     #[arg(long)]
     pub timing: bool,
-    /// Weight file (.safetensors), or the name of a model: compact, the built-in one, or that of a file in SNAKE_MODELS, beside
-    /// the program or in the user's data folder [default: compact].
-    #[arg(long)]
-    pub model: Option<PathBuf>,
-    /// Threads; default: all processors. The result does not depend on it.
-    #[arg(long, value_parser = clap::value_parser!(u16).range(1..))]
-    pub threads: Option<u16>,
+    #[command(flatten)]
+    pub compute: ComputeArguments,
     #[command(flatten)]
     pub options: DetectFlags,
 }
@@ -81,9 +76,10 @@ pub struct DetectFlags {
     /// Keypoints must be more salient than this.
     #[arg(long)]
     saliency_threshold: Option<f32>,
-    /// Keypoints are farther apart than this, in cloud units; 0: no suppression.
-    #[arg(long)]
-    nms_radius: Option<f32>,
+    /// Keypoints are farther apart than this, in cloud units, or as in `3r` in multiples of the cloud's resolution (mean
+    /// distance between nearest points); 0: no suppression.
+    #[arg(long, value_name = "LENGTH")]
+    nms_radius: Option<Length>,
     /// At most this many keypoints, the best.
     #[arg(long)]
     max_keypoints: Option<usize>,

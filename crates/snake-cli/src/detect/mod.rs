@@ -8,33 +8,34 @@ use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 use std::time::Instant;
 
-use anyhow::{Context, Result, bail};
+use anyhow::{Context, Result, anyhow, bail};
 use clap::ValueEnum;
-use indicatif::{ProgressBar, ProgressStyle};
+use console::style;
 use serde_json::json;
 use snake_core::{Detection, Field, Model, Preset, detect, io};
 
-use crate::model;
+use crate::inputs::expand;
+use crate::terminal;
 use crate::timing::{self, STAGES, Seconds};
 use args::DetectArguments;
 
 /// Rows of keypoints that the table for people shows.
 const TABLE_ROWS: usize = 10;
+/// Inputs that the last line of a run names of those that failed.
+const NAMED_FAILURES: usize = 10;
 
 /// Processes every input; a bad one is reported and does not stop the rest.
 pub fn run(arguments: &DetectArguments) -> Result<ExitCode> {
-    if let Some(threads) = arguments.threads {
-        rayon::ThreadPoolBuilder::new().num_threads(threads.into()).build_global()?;
-    }
+    arguments.compute.start_threads()?;
     let loading = Instant::now();
-    let model = model::load(arguments.model.as_deref())?;
+    let model = arguments.compute.load_model()?;
     let load_model = loading.elapsed().as_secs_f64();
     let options = arguments.options.resolve(&model)?;
+    terminal::detail("options", || serde_json::to_string(&options).unwrap_or_default());
     let inputs = expand(&arguments.inputs)?;
     let outputs = outputs(arguments, &inputs)?;
-    let bar = ProgressBar::new(inputs.len() as u64);
-    bar.set_style(ProgressStyle::with_template("{bar:30} {pos}/{len} {msg} (ETA {eta})")?);
-    let mut failures = 0;
+    let bar = terminal::progress(inputs.len())?;
+    let mut failed = Vec::new();
     let mut timings = Vec::new();
     for (index, input) in inputs.iter().enumerate() {
         bar.set_message(input.display().to_string());
@@ -42,56 +43,33 @@ pub fn run(arguments: &DetectArguments) -> Result<ExitCode> {
         match process(&model, &options, input, output, arguments.json) {
             Ok((report, seconds)) => {
                 timings.push(seconds);
-                bar.suspend(|| crate::print(&report))?;
+                let print = if arguments.json { terminal::print } else { terminal::print_report };
+                bar.suspend(|| {
+                    terminal::detail("seconds", || timing::line(&seconds));
+                    print(&report)
+                })?;
             }
             Err(error) => {
-                failures += 1;
-                bar.suspend(|| eprintln!("error: {error:#}"));
+                failed.push(input.display().to_string());
+                bar.suspend(|| terminal::error(&error));
             }
         }
-        // A single input needs no bar: it would flash by.
-        if inputs.len() > 1 {
-            bar.inc(1);
-        }
+        bar.inc(1);
     }
     bar.finish_and_clear();
-    if failures > 0 && inputs.len() > 1 {
-        eprintln!("{failures} of {} inputs failed", inputs.len());
+    if !failed.is_empty() && inputs.len() > 1 {
+        let more = if failed.len() > NAMED_FAILURES { ", …" } else { "" };
+        let names = failed[..failed.len().min(NAMED_FAILURES)].join(", ");
+        terminal::error(&anyhow!("{} of {} inputs failed: {names}{more}", failed.len(), inputs.len()));
     }
     if arguments.timing && !timings.is_empty() {
         eprint!("{}", timing::summary(load_model, &timings));
     }
-    Ok(ExitCode::from(match failures {
+    Ok(ExitCode::from(match failed.len() {
         0 => 0,
         n if n < inputs.len() => 1,
         _ => 2,
     }))
-}
-
-/// The files to read: what was named, and the clouds within directories in the order of their names.
-pub fn expand(inputs: &[PathBuf]) -> Result<Vec<PathBuf>> {
-    let mut files = Vec::new();
-    for input in inputs {
-        if !input.is_dir() {
-            files.push(input.clone());
-            continue;
-        }
-        let mut found = Vec::new();
-        for entry in input.read_dir().with_context(|| format!("cannot list {}", input.display()))? {
-            let path = entry.with_context(|| format!("cannot list {}", input.display()))?.path();
-            let extension = path.extension().unwrap_or_default().to_string_lossy().to_lowercase();
-            let is_result = path.file_stem().is_some_and(|stem| stem.to_string_lossy().ends_with(".keypoints"));
-            if path.is_file() && io::POINT_EXTENSIONS.contains(&extension.as_str()) && !is_result {
-                found.push(path);
-            }
-        }
-        if found.is_empty() {
-            bail!("{}: no point clouds in it (looked for .{})", input.display(), io::POINT_EXTENSIONS.join(", ."));
-        }
-        found.sort();
-        files.append(&mut found);
-    }
-    Ok(files)
 }
 
 /// The file that each input's keypoints go to; empty if they are only printed.
@@ -172,11 +150,9 @@ fn table(input: &Path, output: Option<&Path>, field: &Field, detection: &Detecti
         let advice = if occupied == 0 { "--occupancy-threshold or --normalization" } else { "--saliency-threshold" };
         writeln!(text, "no keypoints: try {advice}")?;
     } else {
-        writeln!(
-            text,
-            "{:>4} {:>12} {:>12} {:>12} {:>9} {:>9} {:>8}",
-            "#", "x", "y", "z", "saliency", "occupancy", "nearest"
-        )?;
+        let [x, y, z] = ["x", "y", "z"];
+        let head = format!("{:>4} {x:>12} {y:>12} {z:>12} {:>9} {:>9} {:>8}", "#", "saliency", "occupancy", "nearest");
+        writeln!(text, "{}", style(head).bold())?;
     }
     for (rank, k) in keypoints.iter().take(TABLE_ROWS).enumerate() {
         let [x, y, z] = k.position;

@@ -3,9 +3,10 @@
 use std::path::PathBuf;
 
 use clap::{Args, Subcommand, ValueEnum};
+use snake_core::Length;
 use snake_core::registration::{Descriptor, KeypointDetector};
 
-use crate::args::named;
+use crate::args::{ComputeArguments, named};
 
 #[derive(Subcommand)]
 pub enum Eval {
@@ -142,10 +143,10 @@ pub struct EvalArguments {
     /// The paper's settings of the method snake for a data set; default: what the model recommends.
     #[arg(long)]
     pub preset: Option<String>,
-    /// Suppression radius in units of the clouds: of the method snake [default: its settings'], and in `semantic` of all
-    /// ranked methods [default: 0.1].
-    #[arg(long)]
-    pub nms_radius: Option<f32>,
+    /// Suppression radius, in units of the clouds or as in `3r` in multiples of their resolution: of the method snake
+    /// [default: its settings'], and in `semantic` of all ranked methods [default: 0.1].
+    #[arg(long, value_name = "LENGTH")]
+    pub nms_radius: Option<Length>,
     /// Turned copies of a cloud that the method snake averages over [default: its settings'].
     #[arg(long)]
     pub rotations: Option<usize>,
@@ -166,12 +167,8 @@ pub struct RunArguments {
     /// Seed of all random choices.
     #[arg(long, default_value_t = 0)]
     pub seed: u64,
-    /// Threads; default: all processors. The result does not depend on it.
-    #[arg(long, value_parser = clap::value_parser!(u16).range(1..))]
-    pub threads: Option<u16>,
-    /// Weight file (.safetensors), or the name of a model as in `detect` [default: compact].
-    #[arg(long)]
-    pub model: Option<PathBuf>,
+    #[command(flatten)]
+    pub compute: ComputeArguments,
 }
 
 /// The protocols of the classical detectors.

@@ -3,21 +3,20 @@
 use anyhow::{Result, bail};
 use serde_json::{Value, json};
 use snake_core::baselines::{Detector, Protocol};
-use snake_core::{Model, Point, Preset};
+use snake_core::{Length, Model, Point, Preset};
 
 use super::args::{EvalArguments, ProtocolName};
-use crate::model;
 
 /// A detector with its settings: from a cloud to the positions of its best keypoints.
 pub enum Method {
     Snake { model: Box<Model>, options: Preset },
-    Classical { name: String, detector: Detector, count: usize, protocol: Protocol, spacing: Option<f32> },
+    Classical { name: String, detector: Detector, count: usize, protocol: Protocol, spacing: Option<Length> },
 }
 
 impl Method {
     /// The methods that were asked for. With a spacing, or `--nms-radius` in its place, also the ranked keypoints of the
     /// classical detectors are farther apart than that.
-    pub fn all(arguments: &EvalArguments, spacing: Option<f32>) -> Result<Vec<Self>> {
+    pub fn all(arguments: &EvalArguments, spacing: Option<Length>) -> Result<Vec<Self>> {
         if arguments.count == 0 {
             bail!("--count must be 1 or more");
         }
@@ -37,8 +36,8 @@ impl Method {
         arguments.methods.iter().map(method).collect()
     }
 
-    fn snake(arguments: &EvalArguments, nms_radius: Option<f32>) -> Result<Self> {
-        let model = model::load(arguments.run.model.as_deref())?;
+    fn snake(arguments: &EvalArguments, nms_radius: Option<Length>) -> Result<Self> {
+        let model = arguments.run.compute.load_model()?;
         let mut options = match &arguments.preset {
             Some(name) => Preset::named(name)?,
             None => *model.recommended(),
@@ -86,7 +85,11 @@ impl Method {
             Self::Classical { detector, count, protocol, spacing, .. } => {
                 let candidates = if spacing.is_some() { points.len() } else { *count };
                 let found = detector.keypoints(points, candidates, *protocol, seed)?;
-                spaced(found.iter().map(|response| points[response.index]), spacing.unwrap_or(0.0), *count)
+                let radius = match spacing {
+                    None | Some(Length::Units(0.0)) => 0.0,
+                    Some(spacing) => spacing.in_units("nms_radius", points)? as f32,
+                };
+                spaced(found.iter().map(|response| points[response.index]), radius, *count)
             }
         })
     }

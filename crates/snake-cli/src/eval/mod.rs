@@ -16,18 +16,16 @@ use std::path::Path;
 use anyhow::{Context, Result, bail};
 use serde::de::DeserializeOwned;
 
-use args::Eval;
+use args::{Eval, RunArguments};
 
 /// Evaluates what is not yet recorded, then reports.
 pub fn run(command: &Eval) -> Result<()> {
-    let threads = match command {
-        Eval::Repeatability(arguments) => arguments.common.run.threads,
-        Eval::Semantic(arguments) => arguments.common.run.threads,
-        Eval::Registration(arguments) => arguments.run.threads,
+    let RunArguments { compute, .. } = match command {
+        Eval::Repeatability(arguments) => &arguments.common.run,
+        Eval::Semantic(arguments) => &arguments.common.run,
+        Eval::Registration(arguments) => &arguments.run,
     };
-    if let Some(threads) = threads {
-        rayon::ThreadPoolBuilder::new().num_threads(threads.into()).build_global()?;
-    }
+    compute.start_threads()?;
     match command {
         Eval::Repeatability(arguments) => repeatability::run(arguments),
         Eval::Semantic(arguments) => semantic::run(arguments),

@@ -5,10 +5,11 @@ use std::io::{Seek, Write};
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result, bail};
-use indicatif::{ProgressBar, ProgressStyle};
 use serde::de::DeserializeOwned;
 use serde::{Deserialize, Serialize};
 use serde_json::{Value, json};
+
+use crate::terminal;
 
 /// The figures of one pair, or of one shape.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -27,6 +28,7 @@ pub struct Record<Row> {
 impl<Row: Serialize + DeserializeOwned> Record<Row> {
     /// Opens the record of an output directory, and takes over what a run with the same settings left there.
     pub fn open(output: Option<&Path>, metric: &str, settings: &Value, num_pairs: usize) -> Result<Self> {
+        terminal::detail("settings", || settings.to_string());
         let Some(output) = output else { return Ok(Self { file: None, pairs: Vec::new() }) };
         std::fs::create_dir_all(output).with_context(|| format!("cannot make the directory {}", output.display()))?;
         let path = output.join(format!("{metric}.jsonl"));
@@ -66,8 +68,7 @@ impl<Row: Serialize + DeserializeOwned> Record<Row> {
         name: impl Fn(usize) -> String,
         mut rows: impl FnMut(usize) -> Result<Vec<Row>>,
     ) -> Result<()> {
-        let bar = ProgressBar::new(chosen.len() as u64).with_position(self.pairs.len() as u64);
-        bar.set_style(ProgressStyle::with_template("{bar:30} {pos}/{len} {msg} (ETA {eta})")?);
+        let bar = terminal::progress(chosen.len())?.with_position(self.pairs.len() as u64);
         bar.reset_eta();
         for &pair in &chosen[self.pairs.len()..] {
             bar.set_message(name(pair));

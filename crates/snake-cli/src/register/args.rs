@@ -3,9 +3,10 @@
 use std::path::PathBuf;
 
 use clap::Args;
+use snake_core::Length;
 use snake_core::registration::{Descriptor, KeypointDetector, RegisterOptions};
 
-use crate::args::{named, override_with};
+use crate::args::{ComputeArguments, named, override_with};
 
 #[derive(Args)]
 pub struct RegisterArguments {
@@ -22,20 +23,17 @@ pub struct RegisterArguments {
     /// Print one JSON object on one line instead of text.
     #[arg(long)]
     pub json: bool,
-    /// Weight file (.safetensors), or the name of a model: compact, the built-in one, or that of a file in SNAKE_MODELS, beside
-    /// the program or in the user's data folder [default: compact].
-    #[arg(long)]
-    pub model: Option<PathBuf>,
-    /// Threads; default: all processors. The result does not depend on it.
-    #[arg(long, value_parser = clap::value_parser!(u16).range(1..))]
-    pub threads: Option<u16>,
+    #[command(flatten)]
+    pub compute: ComputeArguments,
     #[command(flatten)]
     pub options: RegisterFlags,
 }
 
 /// What is not given keeps its default.
 #[derive(Args)]
-#[command(next_help_heading = "Registration options (lengths in the clouds' units)")]
+#[command(
+    next_help_heading = "Registration options (LENGTH: in the clouds' units, or multiples of their resolution: 3r)"
+)]
 pub struct RegisterFlags {
     /// snake: the model; or iss, harris3d, sift3d, fps, random: points of the reduced clouds [default: snake].
     #[arg(long, value_parser = named::<KeypointDetector>)]
@@ -49,17 +47,17 @@ pub struct RegisterFlags {
     max_keypoints: Option<usize>,
     /// Clouds are reduced to voxels of this size for normals, FPFH, ICP and classical detectors; keypoints of snake are
     /// farther apart [default: 1/80 of the diameter of the smaller cloud].
-    #[arg(long)]
-    voxel_size: Option<f64>,
+    #[arg(long, value_name = "LENGTH")]
+    voxel_size: Option<Length>,
     /// Radius of normals [default: 2 voxels, or mean distances between the reduced points if they are greater].
-    #[arg(long)]
-    normal_radius: Option<f64>,
+    #[arg(long, value_name = "LENGTH")]
+    normal_radius: Option<Length>,
     /// Radius of FPFH [default: 7 of these].
-    #[arg(long)]
-    feature_radius: Option<f64>,
+    #[arg(long, value_name = "LENGTH")]
+    feature_radius: Option<Length>,
     /// Matches nearer than this under a transform agree with it [default: 1.5 of these].
-    #[arg(long)]
-    inlier_distance: Option<f64>,
+    #[arg(long, value_name = "LENGTH")]
+    inlier_distance: Option<Length>,
     /// Least ratio of the shorter to the longer of two matched edges of a sample [default: 0.9].
     #[arg(long)]
     edge_length_ratio: Option<f64>,

@@ -9,24 +9,27 @@ use anyhow::{Context, Result, bail};
 use snake_core::io;
 use snake_core::registration::{Registration, register, transform_points};
 
-use crate::model;
+use crate::terminal;
 use args::RegisterArguments;
 
 /// Finds the transform, writes what was asked for and prints the result.
 pub fn run(arguments: &RegisterArguments) -> Result<()> {
-    if let Some(threads) = arguments.threads {
-        rayon::ThreadPoolBuilder::new().num_threads(threads.into()).build_global()?;
-    }
+    arguments.compute.start_threads()?;
     let RegisterArguments { source, target, output, aligned, .. } = arguments;
     output.as_deref().map_or(Ok(()), io::check_registration_path)?;
     aligned.as_deref().map_or(Ok(()), io::check_cloud_path)?;
     if let Some(input) = output.iter().chain(aligned).find(|path| *path == source || *path == target) {
         bail!("{}: is an input; give another name to write to", input.display());
     }
-    let model = model::load(arguments.model.as_deref())?;
+    let model = arguments.compute.load_model()?;
+    let options = arguments.options.resolve();
+    terminal::detail("options", || serde_json::to_string(&options).unwrap_or_default());
+    let bar = terminal::progress(1)?.with_message(format!("{} to {}", source.display(), target.display()));
     let (source_points, target_points) = (io::read_points(source)?, io::read_points(target)?);
-    let found = register(&source_points, &target_points, &model, &arguments.options.resolve())
+    terminal::detail("points", || format!("{} and {}", source_points.len(), target_points.len()));
+    let found = register(&source_points, &target_points, &model, &options)
         .with_context(|| format!("cannot register {} to {}", source.display(), target.display()))?;
+    bar.finish_and_clear();
     if let Some(path) = output {
         io::write_registration(path, &found)?;
     }
@@ -34,7 +37,10 @@ pub fn run(arguments: &RegisterArguments) -> Result<()> {
         io::write_points(path, &transform_points(&found.t_target_source, &source_points))?;
     }
     let written: Vec<&Path> = output.iter().chain(aligned).map(AsRef::as_ref).collect();
-    crate::print(&if arguments.json { serde_json::to_string(&found)? + "\n" } else { text(&found, &written)? })
+    if arguments.json {
+        return terminal::print(&(serde_json::to_string(&found)? + "\n"));
+    }
+    terminal::print_report(&text(&found, &written)?)
 }
 
 fn text(found: &Registration, written: &[&Path]) -> Result<String> {

@@ -3,7 +3,8 @@
 use nalgebra::Matrix3;
 use rayon::prelude::*;
 
-use super::{Length, Response, index_cloud, local_maxima};
+use super::{Response, index_cloud, local_maxima};
+use crate::length::Length;
 use crate::neighbors::Vector;
 use crate::points::Point;
 use crate::{Error, Result};
@@ -38,7 +39,7 @@ pub fn harris3d(points: &[Point], options: &Harris3dOptions) -> Result<Vec<Respo
         return Err(Error::Option { name: "threshold", value, allowed: "a finite number" });
     }
     let cloud = index_cloud(points)?;
-    let radius = options.radius.resolve("radius", &cloud)?;
+    let radius = options.radius.resolve("radius", || cloud.resolution())?;
     let neighbors = |point: &Vector| cloud.within(point, radius);
     let normals: Vec<Option<Vector>> = cloud.points.par_iter().map(|point| cloud.normal(&neighbors(point))).collect();
     let response = |point| {

@@ -2,7 +2,8 @@
 
 use rayon::prelude::*;
 
-use super::{Length, Response, index_cloud, local_maxima};
+use super::{Response, index_cloud, local_maxima};
+use crate::length::Length;
 use crate::neighbors::eigen;
 use crate::points::Point;
 use crate::{Error, Result};
@@ -64,8 +65,8 @@ pub fn iss(points: &[Point], options: &IssOptions) -> Result<Vec<Response>> {
         }
     }
     let cloud = index_cloud(points)?;
-    let salient_radius = options.salient_radius.resolve("salient_radius", &cloud)?;
-    let non_max_radius = options.non_max_radius.resolve("non_max_radius", &cloud)?;
+    let salient_radius = options.salient_radius.resolve("salient_radius", || cloud.resolution())?;
+    let non_max_radius = options.non_max_radius.resolve("non_max_radius", || cloud.resolution())?;
     let saliency = |point| {
         let neighbors = cloud.within(point, salient_radius);
         if neighbors.len() < options.min_neighbors {

@@ -10,9 +10,6 @@ mod iss;
 mod random;
 mod sift3d;
 
-use std::fmt;
-use std::str::FromStr;
-
 use rand::SeedableRng;
 use rayon::prelude::*;
 
@@ -33,54 +30,6 @@ pub struct Response {
     pub index: usize,
     /// How strongly; what it measures is the detector's.
     pub score: f64,
-}
-
-/// A length, in the cloud's units or in multiples of its resolution: the mean distance of its points to their nearest
-/// others. As text `0.05` and `6x`.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub enum Length {
-    /// In the cloud's units.
-    Units(f64),
-    /// In multiples of the cloud's resolution.
-    Resolutions(f64),
-}
-
-impl Length {
-    /// The length in the cloud's units, checked to be usable.
-    fn resolve(self, name: &'static str, cloud: &Neighbors) -> Result<f64> {
-        let length = match self {
-            Self::Units(length) => length,
-            Self::Resolutions(factor) => factor * cloud.resolution(),
-        };
-        // Squared lengths must neither vanish nor overflow.
-        if (1e-150..1e150).contains(&length) {
-            return Ok(length);
-        }
-        let allowed = "a positive length (units of the cloud), or as in `6x` a positive multiple of its resolution, which must not be 0";
-        Err(Error::Option { name, value: self.to_string(), allowed })
-    }
-}
-
-impl fmt::Display for Length {
-    fn fmt(&self, f: &mut fmt::Formatter) -> fmt::Result {
-        match self {
-            Self::Units(length) => write!(f, "{length}"),
-            Self::Resolutions(factor) => write!(f, "{factor}x"),
-        }
-    }
-}
-
-impl FromStr for Length {
-    type Err = Error;
-
-    fn from_str(text: &str) -> Result<Self> {
-        let parsed = match text.strip_suffix('x') {
-            Some(factor) => factor.parse().map(Self::Resolutions),
-            None => text.parse().map(Self::Units),
-        };
-        let allowed = "a number of cloud units such as `0.05`, or of the cloud's resolutions such as `6x`";
-        parsed.map_err(|_| Error::Option { name: "length", value: text.into(), allowed })
-    }
 }
 
 /// How a number of keypoints is picked from a detector's responses.
@@ -221,6 +170,7 @@ fn by_falling_score(mut responses: Vec<Response>) -> Vec<Response> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::length::Length;
 
     /// A unit cube's surface: `side`² points on each face, the edges doubled as its faces share them.
     pub(super) fn cube(side: usize) -> Vec<Point> {
@@ -332,7 +282,7 @@ mod tests {
         // Every point twice: the resolution is 0.
         let doubled = [points.clone(), points].concat();
         let error = iss(&doubled, &IssOptions::default()).unwrap_err().to_string();
-        assert!(error.starts_with("option `salient_radius` is 6x: allowed is a positive length"), "{error}");
+        assert!(error.starts_with("option `salient_radius` is 6r: allowed is a positive length"), "{error}");
         let options =
             IssOptions { salient_radius: Length::Units(0.5), non_max_radius: Length::Units(0.3), ..Default::default() };
         assert!(iss(&doubled, &options).is_ok());
@@ -375,18 +325,5 @@ mod tests {
         assert_ne!(filled, indices(3, 10, 1));
         assert_eq!((indices(0, 10, 0).len(), indices(0, 10, 0)[0]), (10, 0));
         assert_eq!(random_subset(4, responses(0), 10, 0).len(), 4);
-    }
-
-    #[test]
-    fn lengths_are_read_as_they_are_written() {
-        for (text, length) in
-            [("0.05", Length::Units(0.05)), ("6x", Length::Resolutions(6.0)), ("2.5x", Length::Resolutions(2.5))]
-        {
-            assert_eq!(text.parse::<Length>().unwrap(), length);
-            assert_eq!(length.to_string(), text);
-        }
-        for text in ["", "x", "6X", "6 x", "wide"] {
-            assert!(text.parse::<Length>().is_err(), "{text}");
-        }
     }
 }

@@ -4,7 +4,8 @@ use std::num::NonZeroUsize;
 
 use rayon::prelude::*;
 
-use super::{Length, Response, by_falling_score, index_cloud};
+use super::{Response, by_falling_score, index_cloud};
+use crate::length::Length;
 use crate::neighbors::{Neighbors, Vector, eigen};
 use crate::nms::Tree;
 use crate::points::Point;
@@ -73,7 +74,7 @@ pub fn sift3d(points: &[Point], options: &Sift3dOptions) -> Result<Vec<Response>
         return Err(Error::Option { name: "min_contrast", value, allowed: "0 or more" });
     }
     let mut cloud = index_cloud(points)?;
-    let min_scale = options.min_scale.resolve("min_scale", &cloud)?;
+    let min_scale = options.min_scale.resolve("min_scale", || cloud.resolution())?;
     let mut field = values(&cloud, options.field)?;
     let input = Tree::new(points)?;
     let mut strongest = vec![f64::NEG_INFINITY; points.len()];
@@ -97,7 +98,7 @@ pub fn sift3d(points: &[Point], options: &Sift3dOptions) -> Result<Vec<Response>
 /// The field at each point.
 fn values(cloud: &Neighbors, field: SiftField) -> Result<Vec<f64>> {
     let SiftField::Curvature(radius) = field else { return Ok(cloud.points.iter().map(|p| p.y).collect()) };
-    let radius = radius.resolve("curvature_radius", cloud)?;
+    let radius = radius.resolve("curvature_radius", || cloud.resolution())?;
     let variation = |point| {
         let (eigenvalues, _) = eigen(cloud.covariance(&cloud.within(point, radius)));
         let sum: f64 = eigenvalues.iter().sum();

@@ -28,6 +28,7 @@ mod text;
 
 use std::io::{self, BufWriter, Write};
 use std::path::Path;
+use std::sync::{PoisonError, RwLock, RwLockWriteGuard};
 
 use crate::detect::Keypoint;
 use crate::points::{Point, Transform};
@@ -219,11 +220,21 @@ fn unknown_extension(path: &Path, verb: &str, extensions: &[&str]) -> Error {
     Error::Format { path: path.into(), reason }
 }
 
+/// Held to read by all that write a file.
+static WRITING: RwLock<()> = RwLock::new(());
+
+/// Waits until no file is being written, and holds up those that would begin. A program that ends itself on a signal
+/// leaves no temporary file behind if it holds this.
+pub fn hold_writes() -> RwLockWriteGuard<'static, ()> {
+    WRITING.write().unwrap_or_else(PoisonError::into_inner)
+}
+
 /// Writes a file whole or not at all: fills a temporary file beside the target, on the same file system, and renames it.
 ///
 /// # Errors
 /// Those of the file system and of `fill`; what was at the target then stays.
 pub fn write_atomically(path: &Path, fill: impl FnOnce(&mut dyn Write) -> io::Result<()>) -> io::Result<()> {
+    let _writing = WRITING.read().unwrap_or_else(PoisonError::into_inner);
     let folder = path.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."));
     let mut builder = tempfile::Builder::new();
     #[cfg(unix)]
@@ -312,6 +323,27 @@ mod tests {
             }
         }
         assert_eq!(std::fs::read_dir(folder.path()).unwrap().count(), 3, "temporary files remain");
+    }
+
+    #[test]
+    fn who_holds_writes_sees_no_file_half_written() {
+        let folder = tempfile::tempdir().unwrap();
+        let (begun, told) = std::sync::mpsc::channel();
+        let path = folder.path().join("slow.txt");
+        std::thread::scope(|scope| {
+            scope.spawn(|| {
+                let slowly = |file: &mut dyn Write| {
+                    begun.send(()).unwrap();
+                    std::thread::sleep(std::time::Duration::from_millis(300));
+                    file.write_all(b"whole")
+                };
+                write_atomically(&path, slowly).unwrap();
+            });
+            told.recv().unwrap();
+            let _writes = hold_writes();
+            assert_eq!(std::fs::read_to_string(&path).unwrap(), "whole");
+            assert_eq!(std::fs::read_dir(folder.path()).unwrap().count(), 1, "temporary files remain");
+        });
     }
 
     #[test]

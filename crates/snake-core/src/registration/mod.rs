@@ -22,12 +22,12 @@ use std::time::Instant;
 
 use serde::{Deserialize, Serialize};
 
+use crate::length::{Length, resolution};
 use crate::model::Model;
 use crate::neighbors::vector;
 use crate::points::{Normalization, NormalizationMethod, Point, Transform};
 use crate::{Error, Result};
 
-use cloud::check_radius;
 use icp::icp;
 use ransac::{Pair, best_transform, consensus};
 use scan::reduce;
@@ -39,7 +39,8 @@ pub use ransac::{Consensus, RansacOptions, ransac};
 pub use rigid::{kabsch, transform_points};
 pub use scan::{Descriptor, KeypointDetector, Scan};
 
-/// Options of [`register`]. Lengths that are `None` follow from the clouds.
+/// Options of [`register`]. Lengths that are `None` follow from the clouds; multiples are of the greater of the two
+/// clouds' resolutions.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct RegisterOptions {
@@ -49,16 +50,16 @@ pub struct RegisterOptions {
     pub descriptor: Descriptor,
     /// At most this many keypoints of each cloud, the best.
     pub max_keypoints: usize,
-    /// Side of the voxels that clouds are reduced to for normals, FPFH and refinement, in cloud units. `None`: 1/80 of
+    /// Side of the voxels that clouds are reduced to for normals, FPFH and refinement. `None`: 1/80 of
     /// the diameter of the smaller cloud, about its mean.
-    pub voxel_size: Option<f64>,
-    /// Radius of normals, in cloud units. `None`: 2 times the voxel size or, if that is greater, the mean distance
+    pub voxel_size: Option<Length>,
+    /// Radius of normals. `None`: 2 times the voxel size or, if that is greater, the mean distance
     /// between neighbours in the reduced clouds.
-    pub normal_radius: Option<f64>,
-    /// Radius of FPFH, in cloud units. `None`: 7 times the same.
-    pub feature_radius: Option<f64>,
-    /// Correspondences nearer than this under a transform agree with it, in cloud units. `None`: 1.5 times the same.
-    pub inlier_distance: Option<f64>,
+    pub normal_radius: Option<Length>,
+    /// Radius of FPFH. `None`: 7 times the same.
+    pub feature_radius: Option<Length>,
+    /// Correspondences nearer than this under a transform agree with it. `None`: 1.5 times the same.
+    pub inlier_distance: Option<Length>,
     /// As in [`RansacOptions`].
     pub edge_length_ratio: f64,
     /// Samples of RANSAC, as in [`RansacOptions`].
@@ -126,15 +127,15 @@ pub struct Registration {
 pub fn register(source: &[Point], target: &[Point], model: &Model, options: &RegisterOptions) -> Result<Registration> {
     let start = Instant::now();
     options.check()?;
-    let voxel_size = match options.voxel_size {
+    let [voxel_size, normal_radius, feature_radius, inlier_distance] = options.lengths(source, target)?;
+    let voxel_size = match voxel_size {
         Some(size) => size,
         None => diameter("source", source)?.min(diameter("target", target)?) / VOXELS_PER_DIAMETER,
     };
     let (source_voxels, target_voxels) = (reduce("source", source, voxel_size)?, reduce("target", target, voxel_size)?);
     // Sparse clouds have most points alone in their voxels, and fewer neighbours than voxels.
     let spacing = voxel_size.max(source_voxels.resolution()).max(target_voxels.resolution());
-    let lengths =
-        [voxel_size, options.normal_radius.unwrap_or(2.0 * spacing), options.feature_radius.unwrap_or(7.0 * spacing)];
+    let lengths = [voxel_size, normal_radius.unwrap_or(2.0 * spacing), feature_radius.unwrap_or(7.0 * spacing)];
     let source_scan = Scan::of(source, source_voxels, model, lengths)?;
     let target_scan = Scan::of(target, target_voxels, model, lengths)?;
 
@@ -151,7 +152,7 @@ pub fn register(source: &[Point], target: &[Point], model: &Model, options: &Reg
     let pairs: Vec<Pair> =
         matches.iter().map(|&[s, t]| (vector(source_keypoints[s]), vector(target_keypoints[t]))).collect();
 
-    let ransac_options = options.ransac(options.inlier_distance.unwrap_or(1.5 * spacing));
+    let ransac_options = options.ransac(inlier_distance.unwrap_or(1.5 * spacing));
     let Some(rough) = best_transform(&pairs, &ransac_options) else {
         let (of_source, of_target) = (source_keypoints.len(), target_keypoints.len());
         let reason = format!(
@@ -178,19 +179,31 @@ const VOXELS_PER_DIAMETER: f64 = 80.0;
 
 impl RegisterOptions {
     fn check(&self) -> Result<()> {
-        let lengths = [
-            ("voxel_size", self.voxel_size),
-            ("normal_radius", self.normal_radius),
-            ("feature_radius", self.feature_radius),
-        ];
-        for (name, length) in lengths {
-            length.map_or(Ok(()), |length| check_radius(name, length))?;
-        }
         if self.max_keypoints < 3 {
             let value = self.max_keypoints.to_string();
             return Err(Error::Option { name: "max_keypoints", value, allowed: "3 or more" });
         }
-        self.ransac(self.inlier_distance.unwrap_or(1.0)).check()
+        self.ransac(1.0).check()
+    }
+
+    /// Those lengths that were given, in the clouds' units: voxel size, radii of normals and of FPFH, inlier distance.
+    fn lengths(&self, source: &[Point], target: &[Point]) -> Result<[Option<f64>; 4]> {
+        let given = [
+            ("voxel_size", self.voxel_size),
+            ("normal_radius", self.normal_radius),
+            ("feature_radius", self.feature_radius),
+            ("inlier_distance", self.inlier_distance),
+        ];
+        let is_multiple = |length: Option<Length>| matches!(length, Some(Length::Resolutions(_)));
+        let coarser = match given.iter().any(|(_, length)| is_multiple(*length)) {
+            true => resolution("source", source)?.max(resolution("target", target)?),
+            false => 0.0,
+        };
+        let mut lengths = [None; 4];
+        for (slot, (name, length)) in lengths.iter_mut().zip(given) {
+            *slot = length.map(|length| length.resolve(name, || coarser)).transpose()?;
+        }
+        Ok(lengths)
     }
 
     fn ransac(&self, inlier_distance: f64) -> RansacOptions {
@@ -328,21 +341,38 @@ mod tests {
     }
 
     #[test]
+    fn lengths_may_be_multiples_of_the_coarser_clouds_resolution() {
+        let points = sample();
+        let (fine, coarse) = (&points[..3000], &points[3000..]);
+        let spacing = resolution("points", coarse).unwrap();
+        assert!(spacing > resolution("points", fine).unwrap());
+        let lengths = |unit: fn(f64) -> Length, scale: f64| RegisterOptions {
+            voxel_size: Some(unit(scale)),
+            normal_radius: Some(unit(3.0 * scale)),
+            feature_radius: Some(unit(8.0 * scale)),
+            inlier_distance: Some(unit(2.0 * scale)),
+            ..options()
+        };
+        let found = |options| Registration { seconds: 0.0, ..run(fine, coarse, &options).unwrap() };
+        assert_eq!(found(lengths(Length::Resolutions, 1.0)), found(lengths(Length::Units, spacing)));
+    }
+
+    #[test]
     fn options_outside_their_range_are_named() {
         let points = &sample()[..500];
         for (options, name) in [
             (RegisterOptions { max_keypoints: 2, ..options() }, "max_keypoints"),
-            (RegisterOptions { voxel_size: Some(0.0), ..options() }, "voxel_size"),
-            (RegisterOptions { normal_radius: Some(-1.0), ..options() }, "normal_radius"),
-            (RegisterOptions { feature_radius: Some(f64::NAN), ..options() }, "feature_radius"),
-            (RegisterOptions { inlier_distance: Some(f64::INFINITY), ..options() }, "inlier_distance"),
+            (RegisterOptions { voxel_size: Some(Length::Units(0.0)), ..options() }, "voxel_size"),
+            (RegisterOptions { normal_radius: Some(Length::Resolutions(-1.0)), ..options() }, "normal_radius"),
+            (RegisterOptions { feature_radius: Some(Length::Units(f64::NAN)), ..options() }, "feature_radius"),
+            (RegisterOptions { inlier_distance: Some(Length::Units(f64::INFINITY)), ..options() }, "inlier_distance"),
             (RegisterOptions { confidence: 2.0, ..options() }, "confidence"),
         ] {
             let error = run(points, points, &options).unwrap_err().to_string();
             assert!(error.contains(name), "{error}");
         }
         // One voxel is left of each cloud.
-        let options = RegisterOptions { voxel_size: Some(1e3), ..options() };
+        let options = RegisterOptions { voxel_size: Some(Length::Units(1e3)), ..options() };
         assert!(run(points, points, &options).unwrap_err().to_string().contains("correspondences"));
     }
 }

@@ -11,6 +11,7 @@ use crate::Result;
 use crate::baselines::{Detector, Harris3dOptions, IssOptions, Protocol, Sift3dOptions};
 use crate::detect::{DetectOptions, Preset, detect};
 use crate::field::{EncodeOptions, Field};
+use crate::length::Length;
 use crate::model::Model;
 use crate::neighbors::{Neighbors, Vector, vector};
 use crate::points::{NormalizationMethod, Point, check_points};
@@ -101,7 +102,7 @@ impl Scan {
 
     fn salient_points(&self, most: usize) -> Result<Vec<Point>> {
         let Preset { detect: options, .. } = *self.field.model().recommended();
-        let nms_radius = self.voxel_size as f32;
+        let nms_radius = Length::Units(self.voxel_size);
         let options = DetectOptions { saliency_threshold: 0.0, nms_radius, max_keypoints: most, ..options };
         Ok(detect(&self.field, &options)?.keypoints.into_iter().map(|keypoint| keypoint.position).collect())
     }

@@ -17,7 +17,7 @@ use snake_core::{Model, Point, io};
 use super::args::RegistrationArguments;
 use super::evenly_spaced;
 use super::record::Record;
-use crate::model;
+use crate::terminal;
 use report::Report;
 use scenes::{ScenePair, Scenes};
 
@@ -39,7 +39,7 @@ const OVERLAP_DISTANCE: f64 = 0.05;
 /// Evaluates every pair that is not yet recorded, then reports.
 pub fn run(arguments: &RegistrationArguments) -> Result<()> {
     let scenes = Scenes::open(&arguments.data)?;
-    let model = model::load(arguments.run.model.as_deref())?;
+    let model = arguments.run.compute.load_model()?;
     let plan = Plan::new(arguments, &model)?;
     let chosen = evenly_spaced(scenes.pairs.len(), arguments.run.limit)?;
     let settings = plan.settings(arguments);
@@ -56,7 +56,7 @@ pub fn run(arguments: &RegistrationArguments) -> Result<()> {
     if let Some(output) = &arguments.run.output {
         report.write(output)?;
     }
-    crate::print(&report.text())
+    terminal::print_report(&report.text())
 }
 
 /// What is measured.

@@ -9,7 +9,7 @@ use snake_core::{Point, Transform, io};
 use super::super::pairs::{self, ListedPair, find_cloud};
 use super::super::read_json;
 use super::views::PairClouds;
-use crate::detect::expand;
+use crate::inputs::expand;
 
 /// What is evaluated on.
 pub struct Data {

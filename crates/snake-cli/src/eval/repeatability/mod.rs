@@ -13,6 +13,7 @@ use super::args::RepeatabilityArguments;
 use super::methods::Method;
 use super::paper;
 use super::record::Record;
+use crate::terminal;
 use data::{Data, Scale};
 use report::Report;
 use views::{Condition, Views};
@@ -36,7 +37,7 @@ pub fn run(arguments: &RepeatabilityArguments) -> Result<()> {
     if let Some(output) = &common.run.output {
         report.write(output)?;
     }
-    crate::print(&report.text())
+    terminal::print_report(&report.text())
 }
 
 /// The figures of one method under one condition on one pair.

@@ -8,18 +8,19 @@ use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use serde::{Deserialize, Serialize};
 use serde_json::{Value, json};
-use snake_core::io;
 use snake_core::metrics::{MatchCounts, SmplProtocol, Unreachable, semantic_counts, smpl_pair_counts};
+use snake_core::{Length, io};
 
 use super::args::SemanticArguments;
 use super::methods::Method;
 use super::paper;
 use super::record::Record;
+use crate::terminal;
 use data::Data;
 use report::Report;
 
 /// The suppression radius of the paper's figures.
-const SPACING: f32 = 0.1;
+const SPACING: Length = Length::Units(0.1);
 
 /// Evaluates every shape that is not yet recorded, then reports.
 pub fn run(arguments: &SemanticArguments) -> Result<()> {
@@ -39,7 +40,7 @@ pub fn run(arguments: &SemanticArguments) -> Result<()> {
     if let Some(output) = &common.run.output {
         report.write(output)?;
     }
-    crate::print(&report.text())
+    terminal::print_report(&report.text())
 }
 
 /// The matches of one method on one shape or pair of bodies.

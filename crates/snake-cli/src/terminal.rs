@@ -1,0 +1,93 @@
+//! What is said, and where: results on the standard output, all else on the standard error.
+
+use std::io::{self, Write};
+use std::sync::OnceLock;
+use std::time::Duration;
+
+use anyhow::{Context, Result};
+use console::style;
+use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
+
+/// How much is said.
+#[derive(Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Default)]
+pub enum Verbosity {
+    /// Data that was asked for, and errors.
+    Quiet,
+    /// Also tables, warnings and progress.
+    #[default]
+    Normal,
+    /// Also what was loaded, the options and the time.
+    Verbose,
+}
+
+static VERBOSITY: OnceLock<Verbosity> = OnceLock::new();
+
+/// Sets how much is said; only the first call counts.
+pub fn set_verbosity(verbosity: Verbosity) {
+    VERBOSITY.get_or_init(|| verbosity);
+}
+
+fn verbosity() -> Verbosity {
+    VERBOSITY.get().copied().unwrap_or_default()
+}
+
+/// Prints data that was asked for, such as JSON. A reader that has closed the pipe (`| head`) ends the program quietly.
+pub fn print(text: &str) -> Result<()> {
+    let mut stdout = io::stdout().lock();
+    match stdout.write_all(text.as_bytes()).and_then(|()| stdout.flush()) {
+        Err(error) if error.kind() == io::ErrorKind::BrokenPipe => std::process::exit(0),
+        outcome => outcome.context("cannot write to standard output"),
+    }
+}
+
+/// Prints what is for people; nothing with `--quiet`.
+pub fn print_report(text: &str) -> Result<()> {
+    if verbosity() == Verbosity::Quiet { Ok(()) } else { print(text) }
+}
+
+/// An error on one line, with those of its causes that it does not name itself.
+pub fn error(error: &anyhow::Error) {
+    let mut text = error.to_string();
+    for cause in error.chain().skip(1).map(ToString::to_string) {
+        if !text.ends_with(&cause) {
+            text += &format!(": {cause}");
+        }
+    }
+    eprintln!("{} {text}", style("error:").for_stderr().red().bold());
+}
+
+/// What the user should know though it is no error; nothing with `--quiet`.
+pub fn warn(text: &str) {
+    if verbosity() > Verbosity::Quiet {
+        eprintln!("{} {text}", style("warning:").for_stderr().yellow().bold());
+    }
+}
+
+/// A line for `--verbose`, about `topic`.
+pub fn detail(topic: &str, text: impl FnOnce() -> String) {
+    if verbosity() == Verbosity::Verbose {
+        eprintln!("{} {}", style(format!("{topic}:")).for_stderr().bold(), text());
+    }
+}
+
+/// What takes less is over before a bar could be read.
+const BAR_AFTER: Duration = Duration::from_secs(1);
+
+/// A bar that shows itself after a second, with the expected time where there are several steps. It is drawn on a
+/// terminal only, and not with `--quiet`.
+pub fn progress(steps: usize) -> Result<ProgressBar> {
+    let bar = ProgressBar::with_draw_target(Some(steps as u64), ProgressDrawTarget::hidden());
+    let template = if steps > 1 { "{bar:30} {pos}/{len} {msg} (ETA {eta})" } else { "{spinner} {msg} ({elapsed})" };
+    bar.set_style(ProgressStyle::with_template(template)?);
+    if verbosity() > Verbosity::Quiet {
+        let shown = bar.downgrade();
+        std::thread::spawn(move || {
+            std::thread::sleep(BAR_AFTER);
+            if let Some(bar) = shown.upgrade().filter(|bar| !bar.is_finished()) {
+                bar.set_draw_target(ProgressDrawTarget::stderr());
+                bar.enable_steady_tick(Duration::from_millis(200));
+            }
+        });
+    }
+    Ok(bar)
+}

@@ -1,0 +1,177 @@
+//! Lengths in a cloud's units or in multiples of its resolution.
+
+use std::fmt;
+use std::str::FromStr;
+
+use serde::de::{self, Deserialize, Deserializer, Visitor};
+use serde::{Serialize, Serializer};
+
+use crate::neighbors::{Neighbors, vector};
+use crate::points::{Point, check_points};
+use crate::{Error, Result};
+
+/// A length, in the cloud's units or in multiples of its resolution: the mean distance of its points to their nearest
+/// others. As text `0.05` and `6r`; in JSON a number or such a text.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub enum Length {
+    /// In the cloud's units.
+    Units(f64),
+    /// In multiples of the cloud's resolution.
+    Resolutions(f64),
+}
+
+const FORMS: &str = "a number of cloud units such as `0.05`, or of the cloud's resolutions such as `6r`";
+
+impl Length {
+    /// The length in the units of a cloud, checked to be usable; `name` is what errors call it.
+    ///
+    /// ```
+    /// use snake_core::Length;
+    /// let cloud = [[0.0, 0.0, 0.0], [0.5, 0.0, 0.0], [1.0, 0.0, 0.0]];
+    /// assert_eq!("3r".parse::<Length>()?.in_units("radius", &cloud)?, 1.5);
+    /// # Ok::<(), snake_core::Error>(())
+    /// ```
+    ///
+    /// # Errors
+    /// [`Error::Option`] when it is not positive, or a multiple of a resolution of 0; [`Error::Input`] when a resolution
+    /// is asked of a cloud that is empty or has a coordinate that is not finite.
+    pub fn in_units(self, name: &'static str, points: &[Point]) -> Result<f64> {
+        match self {
+            Self::Units(_) => self.resolve(name, || 0.0),
+            Self::Resolutions(_) => {
+                let resolution = resolution("points", points)?;
+                self.resolve(name, || resolution)
+            }
+        }
+    }
+
+    /// [`Length::in_units`] of a cloud with that resolution, which is asked for only where it is needed.
+    pub(crate) fn resolve(self, name: &'static str, resolution: impl FnOnce() -> f64) -> Result<f64> {
+        let length = match self {
+            Self::Units(length) => length,
+            Self::Resolutions(factor) => factor * resolution(),
+        };
+        // Squared lengths must neither vanish nor overflow.
+        if (1e-150..1e150).contains(&length) {
+            return Ok(length);
+        }
+        let allowed = "a positive length (units of the cloud), or as in `6r` a positive multiple of its resolution, which must not be 0";
+        Err(Error::Option { name, value: self.to_string(), allowed })
+    }
+}
+
+/// Mean distance of a cloud's points to their nearest others.
+pub(crate) fn resolution(what: &'static str, points: &[Point]) -> Result<f64> {
+    check_points(what, points)?;
+    Ok(Neighbors::new(points.iter().copied().map(vector).collect())?.resolution())
+}
+
+impl From<f64> for Length {
+    fn from(length: f64) -> Self {
+        Self::Units(length)
+    }
+}
+
+impl fmt::Display for Length {
+    fn fmt(&self, f: &mut fmt::Formatter) -> fmt::Result {
+        match self {
+            Self::Units(length) => write!(f, "{length}"),
+            Self::Resolutions(factor) => write!(f, "{factor}r"),
+        }
+    }
+}
+
+impl FromStr for Length {
+    type Err = Error;
+
+    fn from_str(text: &str) -> Result<Self> {
+        let parsed = match text.strip_suffix('r') {
+            Some(factor) => factor.parse().map(Self::Resolutions),
+            None => text.parse().map(Self::Units),
+        };
+        parsed.map_err(|_| Error::Option { name: "length", value: text.into(), allowed: FORMS })
+    }
+}
+
+impl Serialize for Length {
+    fn serialize<S: Serializer>(&self, serializer: S) -> std::result::Result<S::Ok, S::Error> {
+        match self {
+            Self::Units(length) => serializer.serialize_f64(*length),
+            Self::Resolutions(_) => serializer.collect_str(self),
+        }
+    }
+}
+
+impl<'de> Deserialize<'de> for Length {
+    fn deserialize<D: Deserializer<'de>>(deserializer: D) -> std::result::Result<Self, D::Error> {
+        deserializer.deserialize_any(LengthVisitor)
+    }
+}
+
+struct LengthVisitor;
+
+impl Visitor<'_> for LengthVisitor {
+    type Value = Length;
+
+    fn expecting(&self, f: &mut fmt::Formatter) -> fmt::Result {
+        f.write_str(FORMS)
+    }
+
+    fn visit_f64<E>(self, length: f64) -> std::result::Result<Length, E> {
+        Ok(Length::Units(length))
+    }
+
+    fn visit_i64<E>(self, length: i64) -> std::result::Result<Length, E> {
+        Ok(Length::Units(length as f64))
+    }
+
+    fn visit_u64<E>(self, length: u64) -> std::result::Result<Length, E> {
+        Ok(Length::Units(length as f64))
+    }
+
+    fn visit_str<E: de::Error>(self, text: &str) -> std::result::Result<Length, E> {
+        text.parse().map_err(|_| E::invalid_value(de::Unexpected::Str(text), &self))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn lengths_are_read_as_they_are_written() {
+        for (text, json, length) in [
+            ("0.05", "0.05", Length::Units(0.05)),
+            ("6r", "\"6r\"", Length::Resolutions(6.0)),
+            ("2.5r", "\"2.5r\"", Length::Resolutions(2.5)),
+        ] {
+            assert_eq!(text.parse::<Length>().unwrap(), length);
+            assert_eq!(length.to_string(), text);
+            assert_eq!(serde_json::to_string(&length).unwrap(), json);
+            assert_eq!(serde_json::from_str::<Length>(json).unwrap(), length);
+        }
+        assert_eq!(serde_json::from_str::<Length>("2").unwrap(), Length::Units(2.0));
+        for text in ["", "r", "6R", "6x", "6 r", "wide"] {
+            let error = text.parse::<Length>().unwrap_err().to_string();
+            assert!(error.contains("such as `6r`"), "{error}");
+            let error = serde_json::from_str::<Length>(&format!("\"{text}\"")).unwrap_err().to_string();
+            assert!(error.contains("such as `6r`"), "{error}");
+        }
+        assert!(serde_json::from_str::<Length>("true").is_err());
+    }
+
+    #[test]
+    fn multiples_are_of_the_mean_distance_to_the_nearest_other_point() {
+        let cloud = [[0.0; 3], [1.0, 0.0, 0.0], [4.0, 0.0, 0.0]];
+        let length = |length: Length| length.in_units("radius", &cloud).unwrap();
+        assert_eq!(length(Length::Resolutions(3.0)), 5.0);
+        assert_eq!(length(Length::Units(3.0)), 3.0);
+        let refused = |length: Length, cloud: &[Point]| length.in_units("radius", cloud).unwrap_err().to_string();
+        for length in [Length::Units(0.0), Length::Units(f64::NAN), Length::Resolutions(-1.0)] {
+            assert!(refused(length, &cloud).starts_with(&format!("option `radius` is {length}: ")));
+        }
+        assert!(refused(Length::Resolutions(3.0), &[[1.0; 3]; 2]).contains("must not be 0"));
+        assert!(refused(Length::Resolutions(3.0), &[]).contains("no points"));
+        assert!(refused(Length::Resolutions(3.0), &[[f32::NAN; 3]]).contains("finite"));
+    }
+}

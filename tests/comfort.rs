@@ -1,0 +1,257 @@
+//! What makes the command line pleasant: help, completions, what is said and when, patterns, units, Ctrl-C.
+
+use std::path::{Path, PathBuf};
+use std::process::{Command, Output};
+
+use assert_cmd::cargo::CommandCargoExt;
+use serde_json::Value;
+
+fn root() -> PathBuf {
+    Path::new(env!("CARGO_MANIFEST_DIR")).join("../..")
+}
+
+fn sample() -> String {
+    root().join("samples/plane.ply").display().to_string()
+}
+
+/// snake-cli with an environment of its own.
+fn command(arguments: &[&str], environment: &[(&str, &str)]) -> Command {
+    let mut command = Command::cargo_bin("snake-cli").unwrap();
+    for name in ["SNAKE_MODEL", "SNAKE_MODELS", "SNAKE_THREADS", "SNAKE_SIMD", "NO_COLOR", "CLICOLOR_FORCE"] {
+        command.env_remove(name);
+    }
+    command.args(arguments).envs(environment.iter().copied());
+    command
+}
+
+fn snake_with(arguments: &[&str], environment: &[(&str, &str)]) -> Output {
+    command(arguments, environment).output().unwrap()
+}
+
+fn snake(arguments: &[&str]) -> Output {
+    snake_with(arguments, &[])
+}
+
+fn stdout(output: &Output) -> String {
+    assert!(output.status.success(), "{}", stderr(output));
+    String::from_utf8_lossy(&output.stdout).into()
+}
+
+fn stderr(output: &Output) -> String {
+    String::from_utf8_lossy(&output.stderr).into()
+}
+
+/// Keypoints of the one line of JSON.
+fn keypoints(output: &Output) -> Value {
+    let report: Value = serde_json::from_str(&stdout(output)).unwrap();
+    report["keypoints"].clone()
+}
+
+/// The help of a sub-command and of all below it, with their names.
+fn helps(name: &[&str]) -> Vec<(String, String)> {
+    let help = stdout(&snake(&[name, &["--help"]].concat()));
+    let (_, commands) = help.split_once("\nCommands:\n").unwrap_or_default();
+    let entries = commands.lines().take_while(|line| !line.is_empty());
+    // What is indented further goes on with the line before.
+    let names = entries.filter(|line| !line.starts_with("   ")).filter_map(|line| line.split_whitespace().next());
+    let below: Vec<_> =
+        names.filter(|below| *below != "help").flat_map(|below| helps(&[name, &[below]].concat())).collect();
+    [vec![(name.join(" "), help.clone())], below].concat()
+}
+
+#[test]
+fn every_sub_command_shows_examples() {
+    let helps = helps(&[]);
+    let (_, top) = &helps[0];
+    for expected in ["Start here:", "SNAKE_MODEL", "SNAKE_THREADS", "SNAKE_SIMD", "NO_COLOR", "--quiet", "--verbose"] {
+        assert!(top.contains(expected), "{expected}: {top}");
+    }
+    let names: Vec<&str> = helps.iter().map(|(name, _)| name.as_str()).collect();
+    for name in ["detect", "register", "model", "completions", "eval repeatability", "eval semantic"] {
+        assert!(names.contains(&name), "{names:?}");
+    }
+    for (name, help) in &helps {
+        // The ends of the tree: what only leads on to others has none of its own.
+        if !help.contains("\nCommands:\n") {
+            assert!(help.contains("Examples:\n") && help.contains(&format!("snake-cli {name}")), "{name}: {help}");
+            assert!(help.contains("--quiet"), "{name}: {help}");
+        }
+        assert!(help.lines().all(|line| line.trim_end().chars().count() <= 120), "{name}");
+    }
+}
+
+#[test]
+fn every_shell_gets_completions() {
+    for shell in ["bash", "zsh", "fish", "powershell", "elvish"] {
+        let script = stdout(&snake(&["completions", shell]));
+        assert!(script.contains("nms-radius") && script.contains("repeatability"), "{shell}: {script}");
+    }
+    assert_eq!(snake(&["completions", "cmd"]).status.code(), Some(2));
+}
+
+#[cfg(unix)]
+#[test]
+fn bash_completes_a_sub_command() {
+    let folder = tempfile::tempdir().unwrap();
+    let script = folder.path().join("snake-cli.bash");
+    std::fs::write(&script, stdout(&snake(&["completions", "bash"]))).unwrap();
+    let typed = "source $0; read -ra words <<< $(complete -p snake-cli); COMP_WORDS=(snake-cli regi); COMP_CWORD=1
+        ${words[${#words[@]} - 2]} snake-cli regi snake-cli; echo ${COMPREPLY[@]}";
+    let output = Command::new("bash").args(["-c", typed]).arg(&script).output().unwrap();
+    assert_eq!(stdout(&output).trim(), "register");
+}
+
+#[test]
+fn quiet_leaves_files_json_and_errors() {
+    let folder = tempfile::tempdir().unwrap();
+    let result = folder.path().join("k.csv").display().to_string();
+    let output = snake(&["detect", &sample(), "-q", "-o", &result]);
+    assert_eq!((stdout(&output), stderr(&output)), (String::new(), String::new()));
+    assert!(std::fs::read_to_string(&result).unwrap().starts_with("x,y,z"));
+    assert!(!keypoints(&snake(&["--quiet", "detect", &sample(), "--json"])).as_array().unwrap().is_empty());
+    let output = snake(&["register", &sample(), &sample(), "-q", "--max-keypoints", "100"]);
+    assert_eq!(stdout(&output), "");
+    let output = snake(&["detect", "nowhere.ply", "--quiet"]);
+    assert_eq!(output.status.code(), Some(2));
+    let said = stderr(&output);
+    assert!(said.starts_with("error: nowhere.ply: ") && said.lines().count() == 1, "{said}");
+    // What the system said, once.
+    assert_eq!(said.matches("(os error 2)").count(), 1, "{said}");
+    assert_eq!(snake(&["detect", &sample(), "-q", "-v"]).status.code(), Some(2));
+}
+
+#[test]
+fn verbose_says_what_is_used_and_changes_nothing() {
+    let plain = snake(&["detect", &sample(), "--json"]);
+    let verbose = snake(&["detect", &sample(), "--json", "-v", "--threads", "3", "--nms-radius", "4r"]);
+    assert_eq!(stderr(&plain), "");
+    let said = stderr(&verbose);
+    let simd = snake_core::SimdLevel::current().name();
+    for expected in [
+        &format!("threads: 3, SIMD {simd}\n"),
+        "model: compact, built-in, ",
+        "\"nms_radius\":\"4r\"",
+        "seconds: read 0.",
+        "total ",
+    ] {
+        assert!(said.contains(expected), "{expected}: {said}");
+    }
+    assert_eq!(keypoints(&verbose), keypoints(&snake(&["detect", &sample(), "--json", "--nms-radius", "4r"])));
+    let said = stderr(&snake(&["-v", "register", &sample(), &sample(), "--max-keypoints", "100"]));
+    assert!(said.contains("points: 4096 and 4096") && said.contains("\"voxel_size\":null"), "{said}");
+}
+
+#[test]
+fn options_may_stand_in_the_environment() {
+    let golden = root().join("tests/golden/tiny/weights.safetensors").display().to_string();
+    let weights: &[(&str, &str)] = &[("SNAKE_MODEL", &golden)];
+    let builtin = stdout(&snake(&["model"]));
+    assert_ne!(stdout(&snake_with(&["model"], weights)), builtin);
+    assert_eq!(stdout(&snake_with(&["model"], weights)), stdout(&snake(&["model", &golden])));
+    let nowhere: &[(&str, &str)] = &[("SNAKE_MODEL", "nowhere.safetensors")];
+    for arguments in [&["detect", &sample()][..], &["register", &sample(), &sample()]] {
+        let output = snake_with(arguments, nowhere);
+        assert!(stderr(&output).contains("nowhere.safetensors"), "{}", stderr(&output));
+    }
+    // What is given as an option is what counts.
+    assert!(snake_with(&["detect", &sample(), "--model", &golden], nowhere).status.success());
+    let said = stderr(&snake_with(&["detect", &sample(), "-v"], &[("SNAKE_THREADS", "3")]));
+    assert!(said.contains("threads: 3,"), "{said}");
+    let output = snake_with(&["detect", &sample()], &[("SNAKE_THREADS", "many")]);
+    assert!(output.status.code() == Some(2) && stderr(&output).contains("--threads"), "{}", stderr(&output));
+    let sse: &[(&str, &str)] = &[("SNAKE_SIMD", "sse")];
+    assert!(stderr(&snake_with(&["detect", &sample()], sse)).starts_with("warning: SNAKE_SIMD is sse, "));
+    assert_eq!(stderr(&snake_with(&["detect", &sample(), "-q"], sse)), "");
+    assert_eq!(stderr(&snake_with(&["detect", &sample()], &[("SNAKE_SIMD", "portable")])), "");
+}
+
+#[test]
+fn colours_are_for_terminals() {
+    let detect = ["detect", &sample(), "nowhere.ply"];
+    let all = |environment: &[(&str, &str)]| {
+        let output = snake_with(&detect, environment);
+        [output.stdout, output.stderr].map(|text| text.contains(&0x1b))
+    };
+    assert_eq!(all(&[]), [false, false]);
+    assert_eq!(all(&[("NO_COLOR", "1")]), [false, false]);
+    assert_eq!(all(&[("CLICOLOR_FORCE", "1")]), [true, true]);
+}
+
+#[test]
+fn lengths_may_be_multiples_of_the_resolution() {
+    let points = snake_core::io::read_points(Path::new(&sample())).unwrap();
+    let in_units = |multiple: f64| {
+        let length = snake_core::Length::Resolutions(multiple).in_units("length", &points).unwrap();
+        length.to_string()
+    };
+    let found = |radius: &str| keypoints(&snake(&["detect", &sample(), "--json", "--nms-radius", radius]));
+    assert_eq!(found("6r"), found(&in_units(6.0)));
+    assert_ne!(found("6r"), found("0"));
+    let registered = |voxel: &str, inlier: &str| {
+        let fixed = ["register", &sample(), &sample(), "--json", "--max-keypoints", "200"];
+        let lengths = ["--voxel-size", voxel, "--inlier-distance", inlier];
+        let found: Value = serde_json::from_str(&stdout(&snake(&[&fixed[..], &lengths].concat()))).unwrap();
+        (found["t_target_source"].clone(), found["num_inliers"].clone(), found["rmse"].clone())
+    };
+    assert_eq!(registered("2r", "3r"), registered(&in_units(2.0), &in_units(3.0)));
+    for option in ["--voxel-size", "--normal-radius", "--feature-radius", "--inlier-distance"] {
+        let output = snake(&["register", &sample(), &sample(), option, "3x"]);
+        assert!(stderr(&output).contains("such as `6r`") && stderr(&output).contains(option), "{}", stderr(&output));
+    }
+    for wrong in ["3x", "r", "wide"] {
+        let output = snake(&["detect", &sample(), "--nms-radius", wrong]);
+        assert_eq!(output.status.code(), Some(2));
+        assert!(stderr(&output).contains("such as `6r`"), "{wrong}: {}", stderr(&output));
+    }
+}
+
+#[test]
+fn patterns_that_no_shell_expanded_are_expanded() {
+    let folder = tempfile::tempdir().unwrap();
+    std::fs::create_dir(folder.path().join("deep")).unwrap();
+    for name in ["a.ply", "b.ply", "deep/c.ply"] {
+        std::fs::copy(sample(), folder.path().join(name)).unwrap();
+    }
+    std::fs::write(folder.path().join("deep/bad.ply"), "not a cloud").unwrap();
+    let pattern = |pattern: &str| folder.path().join(pattern).display().to_string();
+    let results = folder.path().join("results").display().to_string();
+    let output = snake(&["detect", &pattern("**/*.ply"), "-o", &results, "--format", "csv"]);
+    assert_eq!(output.status.code(), Some(1));
+    let last = stderr(&output).lines().last().unwrap().to_owned();
+    assert!(last.contains("1 of 4 inputs failed: ") && last.ends_with("bad.ply"), "{last}");
+    let mut written: Vec<String> =
+        Path::new(&results).read_dir().unwrap().map(|e| e.unwrap().file_name().into_string().unwrap()).collect();
+    written.sort();
+    assert_eq!(written, ["a.keypoints.csv", "b.keypoints.csv", "c.keypoints.csv"]);
+    let output = snake(&["detect", &pattern("*.xyz")]);
+    assert_eq!(output.status.code(), Some(2));
+    assert!(stderr(&output).contains("*.xyz: no file has such a name"), "{}", stderr(&output));
+}
+
+#[cfg(unix)]
+#[test]
+fn an_interrupt_leaves_whole_files_only() {
+    const INPUTS: usize = 400;
+    let folder = tempfile::tempdir().unwrap();
+    let (clouds, results) = (folder.path().join("clouds"), folder.path().join("results"));
+    std::fs::create_dir(&clouds).unwrap();
+    for index in 0..INPUTS {
+        std::fs::copy(sample(), clouds.join(format!("{index:03}.ply"))).unwrap();
+    }
+    let written = || results.read_dir().map_or(0, Iterator::count);
+    let arguments = ["detect", clouds.to_str().unwrap(), "-o", results.to_str().unwrap(), "--json"];
+    let mut child = command(&arguments, &[]).stdout(std::process::Stdio::null()).spawn().unwrap();
+    while written() < 5 {
+        assert!(child.try_wait().unwrap().is_none(), "ended by itself");
+        std::thread::sleep(std::time::Duration::from_millis(5));
+    }
+    let kill = Command::new("kill").args(["-INT", &child.id().to_string()]).status().unwrap();
+    assert!(kill.success());
+    assert_eq!(child.wait().unwrap().code(), Some(130));
+    assert!(written() < INPUTS);
+    for entry in results.read_dir().unwrap() {
+        let path = entry.unwrap().path();
+        assert!(path.display().to_string().ends_with(".keypoints.ply"), "{}", path.display());
+        assert!(!snake_core::io::read_points(&path).unwrap().is_empty(), "{}", path.display());
+    }
+}

@@ -1,0 +1,118 @@
+"""Points of other libraries go in as they are, and none of those libraries is imported for it."""
+
+import array
+import subprocess
+import sys
+from pathlib import Path
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+import snake_rs
+
+ROOT = Path(__file__).parents[1]
+
+
+@pytest.fixture(scope="module")
+def points():
+    return snake_rs.read_points(ROOT / "samples" / "plane.ply")[:300]
+
+
+@pytest.fixture(scope="module")
+def field(points):
+    return snake_rs.Model.builtin().encode(points)
+
+
+@pytest.fixture(scope="module")
+def same(field, points):
+    """Whether points from elsewhere are those of `points`, up to what float32 holds."""
+    expected = field.saliency(points)
+    return lambda other: np.array_equal(field.saliency(other), expected)
+
+
+def test_no_other_library_is_imported():
+    code = "import snake_rs, sys; print(sorted({'torch', 'open3d', 'trimesh', 'scipy'} & set(sys.modules)))"
+    assert subprocess.check_output([sys.executable, "-c", code], text=True).strip() == "[]"
+
+
+def test_whole_numbers_and_halves(field):
+    whole = np.arange(30).reshape(10, 3) % 7
+    expected = field.saliency(whole.astype(np.float32))
+    for kind in (np.int8, np.uint16, np.int64, np.float16, np.longdouble):
+        assert np.array_equal(field.saliency(whole.astype(kind)), expected), kind
+
+
+def test_torch_tensors(same, points):
+    torch = pytest.importorskip("torch")
+    tensor = torch.from_numpy(points.copy())
+    transposed = tensor.T.contiguous().T
+    assert not transposed.is_contiguous()
+    for other in (tensor, tensor.double(), transposed, torch.cat([tensor, tensor], 1)[:, :3]):
+        assert same(other)
+
+
+def test_torch_tensors_that_numpy_cannot_see_are_refused(field, points):
+    torch = pytest.importorskip("torch")
+    tensor = torch.from_numpy(points.copy())
+    with pytest.raises(ValueError, match=r"^queries: .*requires grad.*detach"):
+        field.saliency(tensor.clone().requires_grad_())
+    with pytest.raises(ValueError, match="^points: .*BFloat16"):
+        snake_rs.detect(tensor.bfloat16())
+    with pytest.raises(ValueError, match=r"^points: expected real numbers of shape \(N, 3\), found bool"):
+        snake_rs.detect(tensor > 0)
+
+
+def test_trimesh(same, points):
+    trimesh = pytest.importorskip("trimesh")
+    mesh = trimesh.Trimesh(points, [[0, 1, 2]], process=False)
+    for other in (mesh.vertices, trimesh.PointCloud(points), mesh):
+        assert same(other)
+
+
+def test_the_buffer_protocol_and_dlpack_alone_are_enough(same, points):
+    class OnlyDlpack:
+        def __dlpack__(self, **options):
+            return points.__dlpack__(**options)
+
+        def __dlpack_device__(self):
+            return points.__dlpack_device__()
+
+    flat = array.array("f", points.ravel().tolist())
+    buffer = memoryview(flat).cast("B").cast("f", points.shape)
+    for other in (OnlyDlpack(), buffer, SimpleNamespace(points=points), SimpleNamespace(vertices=points.tolist())):
+        assert same(other)
+
+
+def test_open3d(same, points):
+    open3d = pytest.importorskip("open3d", reason="Open3D is not installed")
+    vector = open3d.utility.Vector3dVector(points.astype(np.float64))
+    for other in (vector, open3d.geometry.PointCloud(vector), open3d.core.Tensor(points)):
+        assert same(other)
+    keypoints = snake_rs.detect(open3d.geometry.PointCloud(vector))
+    back = keypoints.to_open3d()
+    assert isinstance(back, open3d.geometry.PointCloud)
+    assert len(keypoints) > 0 and np.array_equal(np.asarray(back.points), keypoints.points)
+
+
+def test_without_open3d_the_error_says_what_to_do(field, monkeypatch):
+    monkeypatch.setitem(sys.modules, "open3d", None)
+    with pytest.raises(ImportError, match="pip install open3d"):
+        field.detect().to_open3d()
+
+
+def test_keypoints_are_points_too(field):
+    keypoints = field.detect(saliency_threshold=0.0)
+    shares = snake_rs.metrics.relative_repeatability(keypoints, keypoints, np.eye(4), epsilon=[0.01])
+    assert len(keypoints) > 0 and shares.tolist() == [1.0]
+
+
+def test_read_points(points, tmp_path):
+    assert points.dtype == np.float32 and points.shape == (300, 3)
+    np.save(tmp_path / "cloud.npy", points.astype(np.float64))
+    assert np.array_equal(snake_rs.read_points(str(tmp_path / "cloud.npy")), points)
+    with pytest.raises(FileNotFoundError):
+        snake_rs.read_points(tmp_path / "none.ply")
+    (tmp_path / "bad.ply").write_text("ply?")
+    with pytest.raises(ValueError, match=r"bad\.ply"):
+        snake_rs.read_points(tmp_path / "bad.ply")
