@@ -22,7 +22,7 @@ pub struct Keypoint {
     pub saliency: f32,
     /// Occupancy in [0, 1] at the position.
     pub occupancy: f32,
-    /// Index of the nearest input point.
+    /// Index of the nearest input point, in the cloud as it was given.
     pub nearest_index: usize,
 }
 
@@ -179,6 +179,8 @@ impl Preset {
 pub struct Detection {
     /// By falling saliency.
     pub keypoints: Vec<Keypoint>,
+    /// How many points of the cloud were skipped because they are not finite.
+    pub num_skipped: usize,
     /// How many queries each step left.
     pub counts: Counts,
     /// How long each step took.
@@ -245,7 +247,7 @@ pub fn detect(field: &Field, options: &DetectOptions) -> Result<Detection> {
             position: positions[i],
             saliency: scores[kept[i]],
             occupancy: occupancy[i],
-            nearest_index: nearest[i],
+            nearest_index: field.original_index(nearest[i]),
         })
         .collect();
     let counts = Counts {
@@ -259,7 +261,7 @@ pub fn detect(field: &Field, options: &DetectOptions) -> Result<Detection> {
         refine: (refine_done - occupancy_done).as_secs_f64(),
         nms: refine_done.elapsed().as_secs_f64(),
     };
-    Ok(Detection { keypoints, counts, timing })
+    Ok(Detection { keypoints, num_skipped: field.num_skipped(), counts, timing })
 }
 
 /// The grid queries above the occupancy threshold, in the network's frame, x slowest and z fastest.
@@ -357,6 +359,32 @@ pub(crate) mod tests {
         for wrong in [Length::Resolutions(0.0), Length::Resolutions(-1.0), Length::Units(-1.0), Length::Units(1e60)] {
             assert!(found(wrong).unwrap_err().to_string().contains("nms_radius"), "{wrong}");
         }
+    }
+
+    #[test]
+    fn points_that_are_not_finite_are_skipped_and_indices_are_those_of_the_whole_cloud() {
+        let (clean, _) = cylinder();
+        // Each third point is missing.
+        let mut whole = Vec::new();
+        for pair in clean.chunks(2) {
+            whole.extend(pair);
+            whole.push([pair[0][0], f32::NAN, f32::INFINITY]);
+        }
+        let model = Model::builtin().unwrap();
+        for max_points in [None, Some(700)] {
+            let mut preset = *model.recommended();
+            preset.encode.max_points = max_points;
+            let (of_whole, of_clean) = (model.detect(&whole, &preset).unwrap(), model.detect(&clean, &preset).unwrap());
+            assert_eq!((of_whole.num_skipped, of_clean.num_skipped), (1000, 0));
+            assert!(of_whole.keypoints.len() > 5);
+            let mapped = of_clean
+                .keypoints
+                .iter()
+                .map(|k| Keypoint { nearest_index: k.nearest_index / 2 * 3 + k.nearest_index % 2, ..*k });
+            assert_eq!(of_whole.keypoints, mapped.collect::<Vec<_>>());
+        }
+        let error = model.detect(&[[f32::NAN; 3]; 9], model.recommended()).unwrap_err().to_string();
+        assert_eq!(error, "points: none of the 9 points is finite");
     }
 
     #[test]

@@ -7,7 +7,7 @@ use serde::{Deserialize, Serialize};
 use crate::decoder::Decoder;
 use crate::model::Model;
 use crate::nn::TILE;
-use crate::points::{Normalization, NormalizationMethod, Point, check_points};
+use crate::points::{FinitePoints, Normalization, NormalizationMethod, Point, check_points};
 use crate::rotations::{self, Rotation, turned, turned_back};
 use crate::volume::{Volume, VolumeFrame};
 use crate::{Error, Result};
@@ -18,7 +18,7 @@ use crate::{Error, Result};
 pub struct EncodeOptions {
     /// How the cloud is brought into the network's frame; its statistics are those of all points.
     pub normalization: NormalizationMethod,
-    /// Encode at most this many points, drawn at random without replacement; `None`: all of them.
+    /// Encode at most this many finite points, drawn at random without replacement; `None`: all of them.
     pub max_points: Option<usize>,
     /// Seed of that draw.
     pub seed: u64,
@@ -42,7 +42,8 @@ pub struct Field {
     model: Model,
     views: Vec<View>,
     normalization: Normalization,
-    points: Vec<Point>,
+    points: FinitePoints<'static>,
+    num_skipped: usize,
     num_encoded: usize,
 }
 
@@ -68,6 +69,9 @@ impl Field {
             let allowed = "1 to 64, above 1 only with unit-sphere normalization";
             return Err(Error::Option { name: "rotations", value: rotations.to_string(), allowed });
         }
+        let num_given = points.len();
+        let finite = FinitePoints::of("points", points)?;
+        let points = &finite.points;
         let normalization = Normalization::of(points, options.normalization)?;
         let to_network = |&point: &Point| normalization.to_network(point);
         let network_points: Vec<Point> = match options.max_points {
@@ -87,7 +91,8 @@ impl Field {
         Ok(Self {
             views: views.collect(),
             normalization,
-            points: points.to_vec(),
+            num_skipped: num_given - points.len(),
+            points: finite.into_owned(),
             num_encoded: network_points.len(),
             model,
         })
@@ -98,9 +103,19 @@ impl Field {
         self.normalization
     }
 
-    /// The cloud, all of its points in the order they were given.
+    /// The finite points of the cloud in the order they were given.
     pub fn points(&self) -> &[Point] {
-        &self.points
+        &self.points.points
+    }
+
+    /// How many points of the cloud were skipped because a coordinate is infinite or not a number.
+    pub fn num_skipped(&self) -> usize {
+        self.num_skipped
+    }
+
+    /// The index in the cloud as it was given of one of [`Field::points`].
+    pub fn original_index(&self, index: usize) -> usize {
+        self.points.original_index(index)
     }
 
     /// How many of the points were encoded.

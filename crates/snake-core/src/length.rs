@@ -7,7 +7,7 @@ use serde::de::{self, Deserialize, Deserializer, Visitor};
 use serde::{Serialize, Serializer};
 
 use crate::neighbors::{Neighbors, vector};
-use crate::points::{Point, check_points};
+use crate::points::{FinitePoints, Point};
 use crate::{Error, Result};
 
 /// A length, in the cloud's units or in multiples of its resolution: the mean distance of its points to their nearest
@@ -60,9 +60,9 @@ impl Length {
     }
 }
 
-/// Mean distance of a cloud's points to their nearest others.
+/// Mean distance of a cloud's finite points to their nearest others.
 pub(crate) fn resolution(what: &'static str, points: &[Point]) -> Result<f64> {
-    check_points(what, points)?;
+    let FinitePoints { points, .. } = FinitePoints::of(what, points)?;
     Ok(Neighbors::new(points.iter().copied().map(vector).collect())?.resolution())
 }
 

@@ -1,5 +1,7 @@
 //! Point clouds: the point type, input checks and normalisation.
 
+use std::borrow::Cow;
+
 use serde::{Deserialize, Serialize};
 
 use crate::{Error, Result};
@@ -33,13 +35,13 @@ pub struct Normalization {
 }
 
 impl Normalization {
-    /// The normalisation of a cloud, from all of its points.
+    /// The normalisation of a cloud, from all of its finite points.
     ///
     /// # Errors
-    /// [`Error::Input`] when the cloud is empty, has a coordinate that is not finite, is one point repeated,
-    /// or is larger than `f32` arithmetic can hold.
+    /// [`Error::Input`] when the cloud has no finite points, is one point repeated, or is so large or so small that
+    /// squared distances leave `f32`.
     pub fn of(points: &[Point], method: NormalizationMethod) -> Result<Self> {
-        check_points("points", points)?;
+        let FinitePoints { points, .. } = FinitePoints::of("points", points)?;
         if method == NormalizationMethod::None {
             return Ok(Self { center: [0.0; 3], scale: 1.0 });
         }
@@ -57,9 +59,9 @@ impl Normalization {
             })
             .fold(0.0, f64::max);
         let (center, scale) = (mean.map(|v| v as f32), (2.0 * extent) as f32);
-        if !(scale.is_normal() && scale.recip().is_normal()) {
+        if !(1e-18..=1e18).contains(&extent) {
             let reason = format!(
-                "a cloud of extent {extent:e} cannot be normalised; it needs at least two different points and coordinates below 1e37"
+                "a cloud of extent {extent:e} cannot be normalised; it needs at least two different points, and an extent from 1e-18 to 1e18"
             );
             return Err(Error::Input { what: "points", reason });
         }
@@ -77,14 +79,52 @@ impl Normalization {
     }
 }
 
+/// The points of a cloud whose coordinates are all finite; depth cameras mark missing points by NaN.
+#[derive(Debug, Clone)]
+pub(crate) struct FinitePoints<'a> {
+    pub(crate) points: Cow<'a, [Point]>,
+    /// Where each was in the cloud; `None` if nothing was skipped.
+    indices: Option<Vec<usize>>,
+}
+
+impl<'a> FinitePoints<'a> {
+    /// Refuses a cloud without any. A clean cloud is not copied.
+    pub(crate) fn of(what: &'static str, points: &'a [Point]) -> Result<Self> {
+        if points.is_empty() {
+            return Err(Error::Input { what, reason: "no points".into() });
+        }
+        if points.iter().all(is_finite) {
+            return Ok(Self { points: points.into(), indices: None });
+        }
+        let indices: Vec<usize> = (0..points.len()).filter(|&index| is_finite(&points[index])).collect();
+        if indices.is_empty() {
+            return Err(Error::Input { what, reason: format!("none of the {} points is finite", points.len()) });
+        }
+        let kept: Vec<Point> = indices.iter().map(|&index| points[index]).collect();
+        Ok(Self { points: kept.into(), indices: Some(indices) })
+    }
+
+    /// The index in the whole cloud of a finite point.
+    pub(crate) fn original_index(&self, index: usize) -> usize {
+        self.indices.as_ref().map_or(index, |indices| indices[index])
+    }
+
+    pub(crate) fn into_owned(self) -> FinitePoints<'static> {
+        FinitePoints { points: self.points.into_owned().into(), indices: self.indices }
+    }
+}
+
+fn is_finite(point: &Point) -> bool {
+    point.iter().all(|v| v.is_finite())
+}
+
 /// Refuses an empty array and coordinates that are not finite.
 pub(crate) fn check_points(what: &'static str, points: &[Point]) -> Result<()> {
     if points.is_empty() {
         return Err(Error::Input { what, reason: "no points".into() });
     }
-    let is_bad = |p: &&Point| !p.iter().all(|v| v.is_finite());
-    if let Some(first) = points.iter().position(|p| is_bad(&p)) {
-        let count = points.iter().filter(is_bad).count();
+    if let Some(first) = points.iter().position(|point| !is_finite(point)) {
+        let count = points.iter().filter(|point| !is_finite(point)).count();
         let reason =
             format!("{count} of {} points are not finite, the first at index {first}; remove them", points.len());
         return Err(Error::Input { what, reason });
@@ -119,8 +159,31 @@ mod tests {
 
     #[test]
     fn clouds_without_extent_or_with_bad_numbers_are_refused() {
-        for cloud in [vec![], vec![[1.0; 3]; 5], vec![[0.0; 3], [f32::NAN; 3]], vec![[-3e38; 3], [3e38; 3]]] {
+        for cloud in [
+            vec![],
+            vec![[1.0; 3]; 5],
+            vec![[0.0; 3], [f32::NAN; 3]],
+            vec![[-3e38; 3], [3e38; 3]],
+            vec![[0.0; 3], [1e20; 3]],
+            vec![[0.0; 3], [1e-20; 3]],
+        ] {
             assert!(Normalization::of(&cloud, NormalizationMethod::UnitSphere).is_err(), "{cloud:?}");
         }
+    }
+
+    #[test]
+    fn finite_points_know_where_they_were() {
+        let nan = [0.0, f32::NAN, 0.0];
+        let clean = FinitePoints::of("points", &CLOUD).unwrap();
+        assert!(matches!(clean.points, Cow::Borrowed(_)) && clean.original_index(3) == 3);
+        let mixed = [nan, CLOUD[0], [f32::INFINITY; 3], CLOUD[1]];
+        let finite = FinitePoints::of("points", &mixed).unwrap();
+        assert_eq!((&finite.points[..], [0, 1].map(|i| finite.original_index(i))), (&CLOUD[..2], [1, 3]));
+        assert_eq!(
+            Normalization::of(&mixed, NormalizationMethod::UnitCube).unwrap(),
+            Normalization::of(&CLOUD[..2], NormalizationMethod::UnitCube).unwrap()
+        );
+        let reason = FinitePoints::of("points", &[nan; 2]).err().unwrap().to_string();
+        assert_eq!(reason, "points: none of the 2 points is finite");
     }
 }

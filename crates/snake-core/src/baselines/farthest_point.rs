@@ -1,6 +1,6 @@
 //! Farthest-point sampling.
 
-use super::{Response, index_cloud};
+use super::{Response, among_finite, index_cloud};
 use crate::Result;
 use crate::neighbors::Vector;
 use crate::points::Point;
@@ -11,9 +11,13 @@ use crate::points::Point;
 /// The score is the distance to the nearest point before; of the first, to the second.
 ///
 /// # Errors
-/// [`Error::Input`](crate::Error::Input) when the cloud is empty, has a coordinate that is not finite or is one point
-/// repeated.
+/// [`Error::Input`](crate::Error::Input) when the cloud has no finite points or is one point repeated.
 pub fn farthest_points(points: &[Point], count: usize) -> Result<Vec<Response>> {
+    among_finite(points, |points| find(points, count))
+}
+
+/// [`farthest_points`] of finite points.
+fn find(points: &[Point], count: usize) -> Result<Vec<Response>> {
     let points = index_cloud(points)?.points;
     let mean = points.iter().sum::<Vector>() / points.len() as f64;
     let mut next = farthest(&points.iter().map(|p| (p - mean).norm()).collect::<Vec<_>>());

@@ -3,7 +3,7 @@
 use nalgebra::Matrix3;
 use rayon::prelude::*;
 
-use super::{Response, index_cloud, local_maxima};
+use super::{Response, among_finite, index_cloud, local_maxima};
 use crate::length::Length;
 use crate::neighbors::Vector;
 use crate::points::Point;
@@ -31,9 +31,14 @@ impl Default for Harris3dOptions {
 /// input points: PCL's refinement of positions is left out.
 ///
 /// # Errors
-/// [`Error::Input`] when the cloud is empty, has a coordinate that is not finite or is one point repeated;
+/// [`Error::Input`] when the cloud has no finite points or is one point repeated;
 /// [`Error::Option`] when an option is outside its range.
 pub fn harris3d(points: &[Point], options: &Harris3dOptions) -> Result<Vec<Response>> {
+    among_finite(points, |points| find(points, options))
+}
+
+/// [`harris3d`] of finite points.
+fn find(points: &[Point], options: &Harris3dOptions) -> Result<Vec<Response>> {
     if !options.threshold.is_finite() {
         let value = options.threshold.to_string();
         return Err(Error::Option { name: "threshold", value, allowed: "a finite number" });

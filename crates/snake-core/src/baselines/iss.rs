@@ -2,7 +2,7 @@
 
 use rayon::prelude::*;
 
-use super::{Response, index_cloud, local_maxima};
+use super::{Response, among_finite, index_cloud, local_maxima};
 use crate::length::Length;
 use crate::neighbors::eigen;
 use crate::points::Point;
@@ -56,9 +56,14 @@ impl Default for IssOptions {
 /// there is no keypoint here, and there may be one there.
 ///
 /// # Errors
-/// [`Error::Input`] when the cloud is empty, has a coordinate that is not finite or is one point repeated;
+/// [`Error::Input`] when the cloud has no finite points or is one point repeated;
 /// [`Error::Option`] when an option is outside its range.
 pub fn iss(points: &[Point], options: &IssOptions) -> Result<Vec<Response>> {
+    among_finite(points, |points| find(points, options))
+}
+
+/// [`iss`] of finite points.
+fn find(points: &[Point], options: &IssOptions) -> Result<Vec<Response>> {
     for (name, gamma) in [("gamma_21", options.gamma_21), ("gamma_32", options.gamma_32)] {
         if gamma.is_nan() || gamma <= 0.0 {
             return Err(Error::Option { name, value: gamma.to_string(), allowed: "above 0" });

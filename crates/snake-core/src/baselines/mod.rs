@@ -2,7 +2,7 @@
 //!
 //! Each gives indices of input points with a score, by falling score (of equal ones the lower index first), the same
 //! for any number of threads. [`Detector`] is one of them with its options; [`Detector::keypoints`] picks a number of
-//! keypoints by a [`Protocol`].
+//! keypoints by a [`Protocol`]. Points that are not finite are skipped; indices are those of the whole cloud.
 
 mod farthest_point;
 mod harris3d;
@@ -14,7 +14,7 @@ use rand::SeedableRng;
 use rayon::prelude::*;
 
 use crate::neighbors::{Neighbors, vector};
-use crate::points::{Point, check_points};
+use crate::points::{FinitePoints, Point};
 use crate::{Error, Result};
 
 pub use farthest_point::farthest_points;
@@ -97,24 +97,26 @@ impl Detector {
     /// ```
     ///
     /// # Errors
-    /// [`Error::Input`] when the cloud is empty, has a coordinate that is not finite or is one point repeated;
+    /// [`Error::Input`] when the cloud has no finite points or is one point repeated;
     /// [`Error::Option`] when an option is outside its range.
     pub fn keypoints(&self, points: &[Point], count: usize, protocol: Protocol, seed: u64) -> Result<Vec<Response>> {
         if count == 0 {
             return Err(Error::Option { name: "count", value: "0".into(), allowed: "1 or more" });
         }
-        let mut responses = match self {
-            Self::Iss(options) => iss(points, options)?,
-            Self::Harris3d(options) => harris3d(points, options)?,
-            Self::Sift3d(options) => sift3d(points, options)?,
-            Self::FarthestPoint => return farthest_points(points, count),
-            Self::Random => return random_points(points, count, seed),
-        };
-        match protocol {
-            Protocol::Ranked => responses.truncate(count),
-            Protocol::Paper => responses = random_subset(points.len(), responses, count, seed),
-        }
-        Ok(responses)
+        among_finite(points, |points| {
+            let mut responses = match self {
+                Self::Iss(options) => iss(points, options)?,
+                Self::Harris3d(options) => harris3d(points, options)?,
+                Self::Sift3d(options) => sift3d(points, options)?,
+                Self::FarthestPoint => return farthest_points(points, count),
+                Self::Random => return random_points(points, count, seed),
+            };
+            match protocol {
+                Protocol::Ranked => responses.truncate(count),
+                Protocol::Paper => responses = random_subset(points.len(), responses, count, seed),
+            }
+            Ok(responses)
+        })
     }
 }
 
@@ -133,9 +135,15 @@ fn random_subset(num_points: usize, mut responses: Vec<Response>, count: usize, 
     responses
 }
 
+/// What a detector finds among the finite points of a cloud, with the indices of the whole cloud.
+fn among_finite(points: &[Point], find: impl FnOnce(&[Point]) -> Result<Vec<Response>>) -> Result<Vec<Response>> {
+    let finite = FinitePoints::of("points", points)?;
+    let found = find(&finite.points)?.into_iter();
+    Ok(found.map(|Response { index, score }| Response { index: finite.original_index(index), score }).collect())
+}
+
 /// A cloud of at least two different finite points, ready to be asked for neighbours.
 fn index_cloud(points: &[Point]) -> Result<Neighbors> {
-    check_points("points", points)?;
     if points.iter().all(|p| *p == points[0]) {
         return Err(Error::Input { what: "points", reason: "need at least two different points".into() });
     }
@@ -259,6 +267,29 @@ mod tests {
                 assert!(!found.is_empty() && found.len() <= points.len(), "{detector:?} {found:?}");
             }
         }
+    }
+
+    #[test]
+    fn points_that_are_not_finite_are_skipped() {
+        let clean = cube(8);
+        let mut whole = vec![[f32::NAN; 3]; 2];
+        for &point in &clean {
+            whole.extend([point, [0.0, f32::INFINITY, 0.0]]);
+        }
+        for detector in every_detector() {
+            for protocol in [Protocol::Ranked, Protocol::Paper] {
+                let found = detector.keypoints(&whole, 30, protocol, 1).unwrap();
+                let expected = detector.keypoints(&clean, 30, protocol, 1).unwrap().into_iter();
+                let expected = expected.map(|r| Response { index: 2 + 2 * r.index, ..r }).collect::<Vec<_>>();
+                assert_eq!(found, expected, "{detector:?}");
+            }
+        }
+        // By themselves, too.
+        let first = |found: Result<Vec<Response>>| whole[found.unwrap()[0].index][0];
+        assert!(first(iss(&whole, &IssOptions::default())).is_finite());
+        assert!(first(harris3d(&whole, &Harris3dOptions::default())).is_finite());
+        assert!(first(sift3d(&whole, &Sift3dOptions::default())).is_finite());
+        assert!(first(farthest_points(&whole, 1)).is_finite() && first(random_points(&whole, 1, 0)).is_finite());
     }
 
     #[test]

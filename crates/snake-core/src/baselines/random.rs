@@ -2,7 +2,7 @@
 
 use rand::{RngExt, SeedableRng};
 
-use super::{Response, by_falling_score, index_cloud};
+use super::{Response, among_finite, by_falling_score, index_cloud};
 use crate::Result;
 use crate::points::Point;
 
@@ -10,9 +10,13 @@ use crate::points::Point;
 /// [0, 1); the highest win.
 ///
 /// # Errors
-/// [`Error::Input`](crate::Error::Input) when the cloud is empty, has a coordinate that is not finite or is one point
-/// repeated.
+/// [`Error::Input`](crate::Error::Input) when the cloud has no finite points or is one point repeated.
 pub fn random_points(points: &[Point], count: usize, seed: u64) -> Result<Vec<Response>> {
+    among_finite(points, |points| find(points, count, seed))
+}
+
+/// [`random_points`] of finite points.
+fn find(points: &[Point], count: usize, seed: u64) -> Result<Vec<Response>> {
     index_cloud(points)?;
     let mut rng = rand_chacha::ChaCha8Rng::seed_from_u64(seed);
     let mut drawn = by_falling_score((0..points.len()).map(|index| Response { index, score: rng.random() }).collect());

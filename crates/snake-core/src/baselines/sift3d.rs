@@ -4,7 +4,7 @@ use std::num::NonZeroUsize;
 
 use rayon::prelude::*;
 
-use super::{Response, by_falling_score, index_cloud};
+use super::{Response, among_finite, by_falling_score, index_cloud};
 use crate::length::Length;
 use crate::neighbors::{Neighbors, Vector, eigen};
 use crate::nms::Tree;
@@ -61,9 +61,14 @@ impl Default for Sift3dOptions {
 /// several extrema there the strongest counts.
 ///
 /// # Errors
-/// [`Error::Input`] when the cloud is empty, has a coordinate that is not finite or is one point repeated;
+/// [`Error::Input`] when the cloud has no finite points or is one point repeated;
 /// [`Error::Option`] when an option is outside its range.
 pub fn sift3d(points: &[Point], options: &Sift3dOptions) -> Result<Vec<Response>> {
+    among_finite(points, |points| find(points, options))
+}
+
+/// [`sift3d`] of finite points.
+fn find(points: &[Point], options: &Sift3dOptions) -> Result<Vec<Response>> {
     for (name, value) in [("octaves", options.octaves), ("scales_per_octave", options.scales_per_octave)] {
         if !(1..=64).contains(&value) {
             return Err(Error::Option { name, value: value.to_string(), allowed: "1 to 64" });

@@ -4,14 +4,16 @@ use std::io::{self, Write};
 
 use serde_json::{Number, Value, json};
 
+use super::write::{KeypointSource, moved};
 use crate::detect::Keypoint;
 use crate::registration::Registration;
 
-/// One keypoint as an object with the keys x, y, z, saliency, occupancy and nearest_index.
+/// One keypoint as an object with the keys x, y, z, saliency, occupancy and nearest_index; the origin is added to its
+/// position.
 ///
 /// A number that is not finite becomes `null`.
-pub fn keypoint_json(keypoint: &Keypoint) -> Value {
-    let [x, y, z] = keypoint.position.map(number);
+pub fn keypoint_json(keypoint: &Keypoint, origin: [f64; 3]) -> Value {
+    let [x, y, z] = position(keypoint, origin);
     json!({
         "x": x,
         "y": y,
@@ -23,9 +25,31 @@ pub fn keypoint_json(keypoint: &Keypoint) -> Value {
 }
 
 /// Writes `{"keypoints": [..]}`.
-pub(super) fn write(out: &mut dyn Write, keypoints: &[Keypoint]) -> io::Result<()> {
-    let keypoints: Vec<Value> = keypoints.iter().map(keypoint_json).collect();
+pub(super) fn write(out: &mut dyn Write, keypoints: &[Keypoint], origin: [f64; 3]) -> io::Result<()> {
+    let keypoints: Vec<Value> = keypoints.iter().map(|keypoint| keypoint_json(keypoint, origin)).collect();
     serde_json::to_writer_pretty(&mut *out, &json!({ "keypoints": keypoints }))?;
+    writeln!(out)
+}
+
+/// Writes an annotation file of KeypointNet with one shape: which of its points are keypoints, and where. The place in
+/// the list, by falling saliency, stands for the meaning that people gave theirs (`semantic_id`).
+pub(super) fn write_keypointnet(
+    out: &mut dyn Write,
+    keypoints: &[Keypoint],
+    source: &KeypointSource,
+) -> io::Result<()> {
+    let mark = |(rank, keypoint): (usize, &Keypoint)| {
+        json!({
+            "xyz": position(keypoint, source.origin),
+            "semantic_id": rank,
+            "pcd_info": { "point_index": keypoint.nearest_index },
+            "saliency": number(keypoint.saliency),
+        })
+    };
+    let marked: Vec<Value> = keypoints.iter().enumerate().map(mark).collect();
+    let KeypointSource { class_id, model_id, .. } = source;
+    let shapes = json!([{ "class_id": class_id, "model_id": model_id, "keypoints": marked }]);
+    serde_json::to_writer_pretty(&mut *out, &shapes)?;
     writeln!(out)
 }
 
@@ -33,6 +57,13 @@ pub(super) fn write(out: &mut dyn Write, keypoints: &[Keypoint]) -> io::Result<(
 pub(super) fn write_registration(out: &mut dyn Write, registration: &Registration) -> io::Result<()> {
     serde_json::to_writer(&mut *out, registration)?;
     writeln!(out)
+}
+
+fn position(keypoint: &Keypoint, origin: [f64; 3]) -> [Option<Number>; 3] {
+    match origin == [0.0; 3] {
+        true => keypoint.position.map(number),
+        false => moved(keypoint.position, origin).map(Number::from_f64),
+    }
 }
 
 /// By way of its shortest decimal form: JSON numbers are `f64`, and 0.1 should not read 0.10000000149011612.
@@ -48,7 +79,7 @@ mod tests {
     #[test]
     fn numbers_are_short_and_exact() {
         let mut bytes = Vec::new();
-        write(&mut bytes, &KEYPOINTS).unwrap();
+        write(&mut bytes, &KEYPOINTS, [0.0; 3]).unwrap();
         let text = String::from_utf8(bytes).unwrap();
         assert!(text.contains("\"x\": 0.1,") && text.contains("\"nearest_index\": 16777217"), "{text}");
         let parsed: Value = serde_json::from_str(&text).unwrap();
@@ -61,7 +92,20 @@ mod tests {
 
     #[test]
     fn not_finite_is_null() {
-        let value = keypoint_json(&Keypoint { saliency: f32::NAN, occupancy: f32::INFINITY, ..KEYPOINTS[0] });
+        let value = keypoint_json(&Keypoint { saliency: f32::NAN, occupancy: f32::INFINITY, ..KEYPOINTS[0] }, [0.0; 3]);
         assert!(value["saliency"].is_null() && value["occupancy"].is_null());
+    }
+
+    #[test]
+    fn keypointnet_marks_indices_of_a_named_shape() {
+        let source = KeypointSource::new("pcds/02691156/1a04.pcd".as_ref(), [5e6, 0.0, 0.0]);
+        let mut bytes = Vec::new();
+        write_keypointnet(&mut bytes, &KEYPOINTS, &source).unwrap();
+        let value: Value = serde_json::from_slice(&bytes).unwrap();
+        let shape = &value[0];
+        assert_eq!((&shape["class_id"], &shape["model_id"]), (&"02691156".into(), &"1a04".into()));
+        let second = &shape["keypoints"][1];
+        assert_eq!((&second["semantic_id"], &second["pcd_info"]["point_index"]), (&1.into(), &16_777_217.into()));
+        assert_eq!(second["xyz"], json!([5_000_004.0, 5.0, 1e7]));
     }
 }

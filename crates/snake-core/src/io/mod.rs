@@ -2,29 +2,45 @@
 //!
 //! The format follows from the file name's extension, in any case:
 //!
-//! | extension | clouds | keypoints |
-//! |---|---|---|
-//! | `ply` | ascii or binary, any scalar type | binary, `float x y z saliency occupancy`, `int nearest_index` |
-//! | `pcd` | ascii or binary, any scalar type | |
-//! | `npy` | `(N, C)`, `C >= 3`, floats or integers | `(K, 6)` of `<f8`, columns as in csv |
-//! | `csv` | as `xyz` | `x,y,z,saliency,occupancy,nearest_index` |
-//! | `xyz`, `txt`, `pts` | columns of text | |
-//! | `json` | | `{"keypoints": [{"x": .., ..}, ..]}` |
+//! | extension | clouds are read | clouds are written | keypoints are written |
+//! |---|---|---|---|
+//! | `ply` | ascii or binary, any scalar type | binary `x y z` | binary, with colour by saliency |
+//! | `pcd` | ascii, binary, binary_compressed | binary `x y z` | binary, with colour by saliency |
+//! | `npy` | `(N, C)`, `C >= 3`, floats or integers | `(N, 3)` of `<f8` | `(K, 6)` of `<f8`, columns as in csv |
+//! | `npz` | array `points`, `xyz`, `pc`, `pos` or `arr_0`, or the only one of such a shape | | |
+//! | `csv` | as `xyz` | `x,y,z` | `x,y,z,saliency,occupancy,nearest_index` |
+//! | `xyz`, `txt`, `pts` | columns of text | only `xyz` | |
+//! | `obj`, `off`, `stl` | vertices, or samples of the surface (of a `ply` with faces too) | | |
+//! | `las`, `laz` | coordinates | | |
+//! | `json` | | | `{"keypoints": [{"x": .., ..}, ..]}` |
+//! | `keypointnet.json` | | | annotations of KeypointNet |
 //!
-//! Clouds are written as binary `ply`, meshes as `ply` or `stl`, both binary, or as `obj`, registrations as `json` or as `txt`, the four rows of the matrix.
+//! Meshes are written as `ply` or `stl`, both binary, or as `obj`, registrations as `json` or as `txt`, the four rows of the matrix. Colours, normals and other fields are
+//! ignored.
 //!
-//! Coordinates are held as `f32`. That loses digits of georeferenced clouds (at 5e6 m one step is 0.5 m): subtract an
-//! offset from them first.
+//! Coordinates are read as `f64` and held as `f32`. Clouds far from zero, as georeferenced scans are, would lose digits
+//! (at 5e6 m one step is 0.5 m): their points are held relative to a [`Cloud::origin`], which is added again to what is
+//! written.
 //!
 //! The readers take bytes from anywhere: whatever the content, the answer is a cloud or an error, and neither time nor
-//! memory exceeds a small multiple of the file's size.
+//! memory exceeds a small multiple of the file's size (of compressed files, 50 times).
 
+mod format;
 mod json;
+mod las;
+mod lzf;
 mod mesh;
 mod npy;
+mod npz;
+mod obj;
+mod off;
 mod pcd;
 mod ply;
+mod shape;
+mod stl;
+mod table;
 mod text;
+mod write;
 
 use std::io::{self, BufWriter, Write};
 use std::path::Path;
@@ -35,16 +51,13 @@ use crate::points::{Point, Transform};
 use crate::registration::Registration;
 use crate::{Error, Mesh, Result};
 
+use format::{extension, unknown_extension};
+use shape::Shape;
+
+pub use format::{CLOUD_EXTENSIONS, CloudFormat, KEYPOINT_EXTENSIONS, KeypointFormat, POINT_EXTENSIONS, PointFormat};
 pub use json::keypoint_json;
-
-/// The extensions that [`read_points`] knows.
-pub const POINT_EXTENSIONS: &[&str] = &["ply", "pcd", "xyz", "txt", "csv", "pts", "npy"];
-
-/// The extensions that [`write_keypoints`] knows.
-pub const KEYPOINT_EXTENSIONS: &[&str] = &["ply", "npy", "csv", "json"];
-
-/// The extensions that [`write_points`] knows.
-pub const CLOUD_EXTENSIONS: &[&str] = &["ply"];
+pub use shape::Cloud;
+pub use write::KeypointSource;
 
 /// The extensions that [`write_mesh`] knows.
 pub const MESH_EXTENSIONS: &[&str] = &["ply", "obj", "stl"];
@@ -52,27 +65,72 @@ pub const MESH_EXTENSIONS: &[&str] = &["ply", "obj", "stl"];
 /// The extensions that [`write_registration`] knows.
 pub const REGISTRATION_EXTENSIONS: &[&str] = &["json", "txt"];
 
-/// A file's bytes to points, or the reason why not.
-type PointReader = fn(&[u8]) -> std::result::Result<Vec<Point>, String>;
-
-type KeypointWriter = fn(&mut dyn Write, &[Keypoint]) -> io::Result<()>;
-
 type MeshWriter = fn(&mut dyn Write, &Mesh) -> io::Result<()>;
 
 type RegistrationWriter = fn(&mut dyn Write, &Registration) -> io::Result<()>;
 
+/// How clouds are read.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub struct ReadOptions {
+    /// Of a mesh, draw this many points from the surface, evenly by area; `None`: its vertices.
+    pub sample: Option<usize>,
+    /// Seed of that draw.
+    pub seed: u64,
+}
+
 /// Reads a point cloud; the extension says which format.
 ///
 /// The points keep the file's order, units and frame. A file without points gives an empty vector, and coordinates that
-/// are not finite come through: what to do about either is the caller's choice.
+/// are not finite come through: what to do about either is the caller's choice. Coordinates far from zero lose digits
+/// that [`read_cloud`] keeps.
 ///
 /// # Errors
-/// [`Error::Io`] when the file cannot be read; [`Error::Format`] when the extension is not among [`POINT_EXTENSIONS`]
-/// or the content is not what it promises.
+/// As [`read_cloud`].
 pub fn read_points(path: &Path) -> Result<Vec<Point>> {
-    let read = point_reader(path)?;
+    read_cloud(path, &ReadOptions::default()).map(Cloud::into_points)
+}
+
+/// Reads a point cloud with its origin; the extension says which format.
+///
+/// # Errors
+/// [`Error::Io`] when the file cannot be read; [`Error::Format`] when the extension is not among [`POINT_EXTENSIONS`],
+/// the content is not what it promises, or there is no surface to draw points from.
+pub fn read_cloud(path: &Path, options: &ReadOptions) -> Result<Cloud> {
+    let format = PointFormat::from_path(path)?;
     let bytes = std::fs::read(path).map_err(|source| Error::Io { path: path.into(), source })?;
-    read(&bytes).map_err(|reason| Error::Format { path: path.into(), reason })
+    parse(&bytes, format, options).map_err(|reason| Error::Format { path: path.into(), reason })
+}
+
+/// Reads a point cloud from the bytes of a file.
+///
+/// # Errors
+/// [`Error::Input`] when the content is not of that format, or there is no surface to draw points from.
+pub fn parse_cloud(bytes: &[u8], format: PointFormat, options: &ReadOptions) -> Result<Cloud> {
+    parse(bytes, format, options).map_err(|reason| Error::Input { what: format.name(), reason })
+}
+
+fn parse(bytes: &[u8], format: PointFormat, options: &ReadOptions) -> std::result::Result<Cloud, String> {
+    let shape = read_shape(bytes, format, options.sample.is_some())?;
+    match options.sample {
+        Some(number) => shape.sample(number, options.seed).map(Shape::into_cloud),
+        None => Ok(shape.into_cloud()),
+    }
+}
+
+/// The faces of a PLY are read only if they are wanted: most are of no use, and some are broken.
+fn read_shape(bytes: &[u8], format: PointFormat, with_faces: bool) -> std::result::Result<Shape, String> {
+    match format {
+        PointFormat::Ply => ply::read(bytes, with_faces),
+        PointFormat::Pcd => pcd::read(bytes),
+        PointFormat::Text => text::read(bytes),
+        PointFormat::Pts => text::read_counted(bytes),
+        PointFormat::Npy => npy::read(bytes),
+        PointFormat::Npz => npz::read(bytes),
+        PointFormat::Obj => obj::read(bytes),
+        PointFormat::Off => off::read(bytes),
+        PointFormat::Stl => stl::read(bytes),
+        PointFormat::Las => las::read(bytes),
+    }
 }
 
 /// Reads clouds of equally many points from an `.npy` array of shape `(S, N, C)`, `C >= 3`, floats or integers.
@@ -101,39 +159,21 @@ pub fn read_transforms(path: &Path) -> Result<Vec<Transform>> {
 /// # Errors
 /// [`Error::Format`] when the extension is not among [`KEYPOINT_EXTENSIONS`]; [`Error::Io`] when the file cannot be
 /// written.
-pub fn write_keypoints(path: &Path, keypoints: &[Keypoint]) -> Result<()> {
-    let write = keypoint_writer(path)?;
-    write_atomically(path, |file| write(file, keypoints)).map_err(|source| Error::Io { path: path.into(), source })
+pub fn write_keypoints(path: &Path, keypoints: &[Keypoint], source: &KeypointSource) -> Result<()> {
+    let format = KeypointFormat::from_path(path)?;
+    write_atomically(path, |file| format.write(file, keypoints, source))
+        .map_err(|source| Error::Io { path: path.into(), source })
 }
 
-/// Refuses a path that [`write_keypoints`] would refuse for its extension, before any work is done.
-///
-/// # Errors
-/// [`Error::Format`] when the extension is not among [`KEYPOINT_EXTENSIONS`].
-pub fn check_keypoint_path(path: &Path) -> Result<()> {
-    keypoint_writer(path).map(drop)
-}
-
-/// Writes a point cloud as PLY, `float x y z`; like [`write_keypoints`] whole or not at all.
+/// Writes points with an origin added to them; like [`write_keypoints`] whole or not at all.
 ///
 /// # Errors
 /// [`Error::Format`] when the extension is not among [`CLOUD_EXTENSIONS`]; [`Error::Io`] when the file cannot be
 /// written.
-pub fn write_points(path: &Path, points: &[Point]) -> Result<()> {
-    check_cloud_path(path)?;
-    write_atomically(path, |file| ply::write_points(file, points))
+pub fn write_points(path: &Path, points: &[Point], origin: [f64; 3]) -> Result<()> {
+    let format = CloudFormat::from_path(path)?;
+    write_atomically(path, |file| format.write(file, points, origin))
         .map_err(|source| Error::Io { path: path.into(), source })
-}
-
-/// Refuses a path that [`write_points`] would refuse for its extension, before any work is done.
-///
-/// # Errors
-/// [`Error::Format`] when the extension is not among [`CLOUD_EXTENSIONS`].
-pub fn check_cloud_path(path: &Path) -> Result<()> {
-    match extension(path).as_str() {
-        "ply" => Ok(()),
-        _ => Err(unknown_extension(path, "written", CLOUD_EXTENSIONS)),
-    }
 }
 
 /// Writes a mesh: vertices with normals and triangles as `ply` or `obj`, triangles alone as `stl`. Whole or not at all,
@@ -173,27 +213,6 @@ pub fn check_registration_path(path: &Path) -> Result<()> {
     registration_writer(path).map(drop)
 }
 
-fn point_reader(path: &Path) -> Result<PointReader> {
-    Ok(match extension(path).as_str() {
-        "ply" => ply::read,
-        "pcd" => pcd::read,
-        "npy" => npy::read,
-        "pts" => text::read_counted,
-        "xyz" | "txt" | "csv" => text::read,
-        _ => return Err(unknown_extension(path, "read", POINT_EXTENSIONS)),
-    })
-}
-
-fn keypoint_writer(path: &Path) -> Result<KeypointWriter> {
-    Ok(match extension(path).as_str() {
-        "ply" => ply::write,
-        "npy" => npy::write,
-        "csv" => text::write,
-        "json" => json::write,
-        _ => return Err(unknown_extension(path, "written", KEYPOINT_EXTENSIONS)),
-    })
-}
-
 fn mesh_writer(path: &Path) -> Result<MeshWriter> {
     Ok(match extension(path).as_str() {
         "ply" => mesh::write_ply,
@@ -209,15 +228,6 @@ fn registration_writer(path: &Path) -> Result<RegistrationWriter> {
         "txt" => text::write_transform,
         _ => return Err(unknown_extension(path, "written", REGISTRATION_EXTENSIONS)),
     })
-}
-
-fn extension(path: &Path) -> String {
-    path.extension().unwrap_or_default().to_string_lossy().to_ascii_lowercase()
-}
-
-fn unknown_extension(path: &Path, verb: &str, extensions: &[&str]) -> Error {
-    let reason = format!("unknown extension; files that can be {verb}: .{}", extensions.join(", ."));
-    Error::Format { path: path.into(), reason }
 }
 
 /// Held to read by all that write a file.
@@ -249,6 +259,10 @@ pub fn write_atomically(path: &Path, fill: impl FnOnce(&mut dyn Write) -> io::Re
     Ok(())
 }
 
+/// What is unpacked must not be larger than its file this many times over: no scan is, and a file made for it would take
+/// all memory.
+const MAX_EXPANSION: usize = 50;
+
 /// A piece of a file's content that is safe to show: one line, short, without control characters.
 fn excerpt(text: &str, max_chars: usize) -> String {
     let mut chars = text.trim().chars();
@@ -270,6 +284,11 @@ mod tests {
     /// The four points that each of the good files holds.
     const CLOUD: [Point; 4] = [[0.0, 0.0, 0.0], [1.0, -2.0, 0.5], [-0.25, 3.0, 100.0], [0.125, 1e-3, -7.0]];
 
+    /// The points of a shape as read_points gives them.
+    pub(super) fn points(shape: std::result::Result<Shape, String>) -> std::result::Result<Vec<Point>, String> {
+        Ok(shape?.into_cloud().into_points())
+    }
+
     fn sample_files(kind: &str) -> Vec<PathBuf> {
         let folder = Path::new(concat!(env!("CARGO_MANIFEST_DIR"), "/../../tests/data/io")).join(kind);
         let mut paths: Vec<_> = std::fs::read_dir(folder).unwrap().map(|entry| entry.unwrap().path()).collect();
@@ -289,6 +308,25 @@ mod tests {
     }
 
     #[test]
+    fn meshes_can_be_sampled_and_contents_are_recognised() {
+        for path in sample_files("good") {
+            let (format, bytes) = (PointFormat::from_path(&path).unwrap(), std::fs::read(&path).unwrap());
+            let options = ReadOptions { sample: Some(50), seed: 1 };
+            // Of the PLY files only this one has faces.
+            let is_mesh = matches!(format, PointFormat::Obj | PointFormat::Off | PointFormat::Stl)
+                || path.file_name().unwrap() == "ascii.ply";
+            match parse_cloud(&bytes, format, &options) {
+                Ok(cloud) => assert!(is_mesh && cloud.points.len() == 50, "{}", path.display()),
+                Err(error) => assert!(!is_mesh && error.to_string().contains("no faces"), "{error}"),
+            }
+            let has_signature = !matches!(format, PointFormat::Text | PointFormat::Pts | PointFormat::Obj)
+                && path.file_name().unwrap() != "binary.stl";
+            // Of PCD and OFF, comments may come first; these files have none.
+            assert_eq!(PointFormat::from_content(&bytes), has_signature.then_some(format), "{}", path.display());
+        }
+    }
+
+    #[test]
     fn hostile_files_are_refused() {
         for path in sample_files("hostile") {
             let error = read_points(&path).expect_err(&path.display().to_string()).to_string();
@@ -299,7 +337,8 @@ mod tests {
     #[test]
     fn damaged_files_never_panic() {
         for path in sample_files("good") {
-            let (read, good) = (point_reader(&path).unwrap(), std::fs::read(&path).unwrap());
+            let (format, good) = (PointFormat::from_path(&path).unwrap(), std::fs::read(&path).unwrap());
+            let read = |bytes: &[u8]| parse_cloud(bytes, format, &ReadOptions::default());
             for index in 0..good.len() {
                 let _ = read(&good[..index]);
                 for byte in [0, 0xff, b'9', b'-', b'e', b' ', b'\n', b'(', good[index].wrapping_add(1)] {
@@ -314,15 +353,39 @@ mod tests {
     #[test]
     fn keypoints_read_back_as_points() {
         let folder = tempfile::tempdir().unwrap();
-        for name in ["a.ply", "b.NPY", "c.csv"] {
+        for name in ["a.ply", "b.NPY", "c.csv", "d.pcd"] {
             let path = folder.path().join(name);
             for keypoints in [&KEYPOINTS[..], &[]] {
-                write_keypoints(&path, keypoints).unwrap();
+                write_keypoints(&path, keypoints, &KeypointSource::default()).unwrap();
                 let positions: Vec<_> = keypoints.iter().map(|keypoint| keypoint.position).collect();
                 assert_eq!(read_points(&path).unwrap(), positions, "{name}");
             }
         }
-        assert_eq!(std::fs::read_dir(folder.path()).unwrap().count(), 3, "temporary files remain");
+        assert_eq!(std::fs::read_dir(folder.path()).unwrap().count(), 4, "temporary files remain");
+    }
+
+    #[test]
+    fn clouds_far_away_read_back_to_the_last_digit() {
+        let folder = tempfile::tempdir().unwrap();
+        let cloud = Cloud { points: CLOUD.to_vec(), origin: [524_288.0, 5_400_000.0, 128.0] };
+        for extension in CLOUD_EXTENSIONS {
+            let path = folder.path().join("a").with_extension(extension);
+            write_points(&path, &cloud.points, cloud.origin).unwrap();
+            let read = read_cloud(&path, &ReadOptions::default()).unwrap();
+            for (point, expected) in read.points.iter().zip(CLOUD) {
+                for axis in 0..3 {
+                    let (found, expected) =
+                        (f64::from(point[axis]) + read.origin[axis], f64::from(expected[axis]) + cloud.origin[axis]);
+                    assert!((found - expected).abs() < 1e-5, "{extension}: {found} {expected}");
+                }
+            }
+            assert!(read.origin[1] > 5e6 && read.points.len() == 4);
+            write_points(&path, &CLOUD, [0.0; 3]).unwrap();
+            assert_eq!(
+                read_cloud(&path, &ReadOptions::default()).unwrap(),
+                Cloud { points: CLOUD.to_vec(), origin: [0.0; 3] }
+            );
+        }
     }
 
     #[test]
@@ -351,16 +414,23 @@ mod tests {
         let folder = tempfile::tempdir().unwrap();
         let (cloud, json, text) =
             (folder.path().join("a.ply"), folder.path().join("b.json"), folder.path().join("c.TXT"));
-        write_points(&cloud, &CLOUD).unwrap();
+        write_points(&cloud, &CLOUD, [0.0; 3]).unwrap();
         assert_eq!(read_points(&cloud).unwrap(), CLOUD);
         let t_target_source =
             [[0.1, -1.0, 1e-17, 3.5], [1.0, 0.1, 0.0, 1e7], [0.0, 0.0, 1.0, 0.25], [0.0, 0.0, 0.0, 1.0]];
-        let registration =
-            Registration { t_target_source, num_inliers: 3, num_correspondences: 9, rmse: 0.1, seconds: 2.5 };
+        let registration = Registration {
+            t_target_source,
+            num_inliers: 3,
+            num_correspondences: 9,
+            rmse: 0.1,
+            num_skipped: [0, 4],
+            seconds: 2.5,
+        };
         write_registration(&json, &registration).unwrap();
         let value: serde_json::Value = serde_json::from_slice(&std::fs::read(&json).unwrap()).unwrap();
         let expected = serde_json::json!({
-            "t_target_source": t_target_source, "num_inliers": 3, "num_correspondences": 9, "rmse": 0.1, "seconds": 2.5
+            "t_target_source": t_target_source, "num_inliers": 3, "num_correspondences": 9, "rmse": 0.1, "num_skipped": [0, 4],
+            "seconds": 2.5
         });
         assert_eq!(value, expected);
         write_registration(&text, &registration).unwrap();
@@ -374,10 +444,12 @@ mod tests {
     fn a_failed_write_leaves_the_old_file_alone() {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("a.ply");
-        write_keypoints(&path, &KEYPOINTS).unwrap();
+        write_keypoints(&path, &KEYPOINTS, &KeypointSource::default()).unwrap();
         let before = std::fs::read(&path).unwrap();
         let beyond_int = Keypoint { nearest_index: usize::MAX, ..KEYPOINTS[0] };
-        assert!(matches!(write_keypoints(&path, &[beyond_int]), Err(Error::Io { path: p, .. }) if p == path));
+        assert!(
+            matches!(write_keypoints(&path, &[beyond_int], &KeypointSource::default()), Err(Error::Io { path: p, .. }) if p == path)
+        );
         assert_eq!(std::fs::read(&path).unwrap(), before);
         assert_eq!(std::fs::read_dir(folder.path()).unwrap().count(), 1, "temporary files remain");
     }
@@ -388,7 +460,7 @@ mod tests {
         use std::os::unix::fs::PermissionsExt;
         let folder = tempfile::tempdir().unwrap();
         let (ours, ordinary) = (folder.path().join("a.csv"), folder.path().join("b"));
-        write_keypoints(&ours, &KEYPOINTS).unwrap();
+        write_keypoints(&ours, &KEYPOINTS, &KeypointSource::default()).unwrap();
         std::fs::write(&ordinary, "").unwrap();
         let mode = |path: &Path| std::fs::metadata(path).unwrap().permissions().mode();
         assert_eq!(mode(&ours), mode(&ordinary));
@@ -396,16 +468,17 @@ mod tests {
 
     #[test]
     fn unknown_extensions_are_refused_with_the_list() {
-        for name in ["a.las", "a", "", ".ply"] {
+        for name in ["a.doc", "a", "", ".ply"] {
             let error = read_points(Path::new(name)).unwrap_err().to_string();
             assert!(error.contains(".ply, .pcd"), "{error}");
-            assert!(check_keypoint_path(Path::new(name)).unwrap_err().to_string().contains(".json"));
+            assert!(KeypointFormat::from_path(Path::new(name)).unwrap_err().to_string().contains(".json"));
             assert!(check_registration_path(Path::new(name)).unwrap_err().to_string().contains(".txt"));
             assert!(check_mesh_path(Path::new(name)).unwrap_err().to_string().contains(".ply, .obj, .stl"));
-            assert!(check_cloud_path(Path::new(name)).unwrap_err().to_string().contains(".ply"));
+            assert!(CloudFormat::from_path(Path::new(name)).unwrap_err().to_string().contains(".ply"));
         }
         for extension in KEYPOINT_EXTENSIONS {
-            check_keypoint_path(&Path::new("a").with_extension(extension)).unwrap();
+            let format = KeypointFormat::from_path(&Path::new("a").with_extension(extension)).unwrap();
+            assert_eq!(format.extension(), *extension);
         }
         assert!(matches!(read_points(Path::new("/nowhere/a.PLY")), Err(Error::Io { .. })));
     }

@@ -1,18 +1,27 @@
-//! PCD: point clouds of the Point Cloud Library, ascii and binary.
+//! PCD: point clouds of the Point Cloud Library, ascii, binary and binary_compressed.
 
 use super::excerpt;
+use super::lzf;
 use super::npy::Dtype;
-use crate::points::Point;
+use super::shape::{Position, Shape};
 
 const AXES: [&str; 3] = ["x", "y", "z"];
 
 /// Reads the fields x, y, z, of any scalar type. `nan`, which marks missing points in organised clouds, comes through.
-pub(super) fn read(bytes: &[u8]) -> Result<Vec<Point>, String> {
+pub(super) fn read(bytes: &[u8]) -> Result<Shape, String> {
     let (header, data) = Header::parse(bytes)?;
-    match header.is_binary {
-        true => header.binary(data),
-        false => header.ascii(data),
-    }
+    let points = match header.encoding {
+        Encoding::Ascii => header.ascii(data),
+        Encoding::Binary => header.binary(data),
+        Encoding::BinaryCompressed => header.compressed(data),
+    };
+    Ok(points?.into())
+}
+
+enum Encoding {
+    Ascii,
+    Binary,
+    BinaryCompressed,
 }
 
 /// An axis: its type, and where it is within a point, in bytes and in columns of text.
@@ -28,7 +37,7 @@ struct Header {
     size: usize,
     columns: usize,
     num_points: usize,
-    is_binary: bool,
+    encoding: Encoding,
     /// How many lines it has.
     lines: usize,
 }
@@ -57,19 +66,20 @@ impl Header {
                 "HEIGHT" => height = Some(number()?),
                 "POINTS" => points = Some(number()?),
                 "DATA" => {
-                    let is_binary = match values[..] {
-                        ["ascii"] => false,
-                        ["binary"] => true,
-                        ["binary_compressed"] => {
-                            return Err("DATA binary_compressed cannot be read; write the file as `binary`".into());
+                    let encoding = match values[..] {
+                        ["ascii"] => Encoding::Ascii,
+                        ["binary"] => Encoding::Binary,
+                        ["binary_compressed"] => Encoding::BinaryCompressed,
+                        _ => {
+                            let reason = "DATA is ascii, binary or binary_compressed";
+                            return Err(bad(&format!("`{}`; {reason}", excerpt(line, 60))));
                         }
-                        _ => return Err(bad(&format!("`{}`; DATA is ascii or binary", excerpt(line, 60)))),
                     };
                     let area = width.zip(height).and_then(|(width, height)| width.checked_mul(height));
                     let num_points = points.or(area).ok_or("header: neither POINTS nor WIDTH and HEIGHT")?;
                     let counts = counts.unwrap_or_else(|| vec!["1"; fields.len()]);
                     let (axes, size, columns) = axes(&fields, &sizes, &types, &counts)?;
-                    return Ok((Self { axes, size, columns, num_points, is_binary, lines }, &bytes[length..]));
+                    return Ok((Self { axes, size, columns, num_points, encoding, lines }, &bytes[length..]));
                 }
                 "VERSION" | "VIEWPOINT" => {}
                 comment if comment.starts_with('#') => {}
@@ -79,19 +89,39 @@ impl Header {
         Err("no line DATA: not a PCD file, or cut short within its header".into())
     }
 
-    fn binary(&self, data: &[u8]) -> Result<Vec<Point>, String> {
+    fn binary(&self, data: &[u8]) -> Result<Vec<Position>, String> {
         // Before anything is allocated: a header can claim any number.
         let Self { num_points, size, .. } = self;
         if num_points.checked_mul(*size).is_none_or(|needed| needed > data.len()) {
             return Err(format!("{num_points} points of {size} bytes each, but {} bytes follow", data.len()));
         }
-        let value =
-            |point: &[u8], Field { dtype, offset, .. }: &Field| dtype.decode(&point[*offset..][..dtype.size]) as f32;
-        let point = |point| self.axes.each_ref().map(|field| value(point, field));
+        let point =
+            |point: &[u8]| self.axes.each_ref().map(|axis| axis.dtype.decode(&point[axis.offset..][..axis.dtype.size]));
         Ok(data.chunks_exact(*size).take(*num_points).map(point).collect())
     }
 
-    fn ascii(&self, data: &[u8]) -> Result<Vec<Point>, String> {
+    /// Two lengths, compressed and not, and LZF data: all points' first field, all points' second, and so on.
+    fn compressed(&self, data: &[u8]) -> Result<Vec<Position>, String> {
+        let Self { num_points, size, .. } = self;
+        let lengths = data.split_first_chunk::<4>().zip(data.get(4..).and_then(|rest| rest.split_first_chunk::<4>()));
+        let Some(((packed, _), (unpacked, packed_data))) = lengths else {
+            return Err("cut short: no lengths of the compressed data".into());
+        };
+        let [packed, unpacked] = [packed, unpacked].map(|length| u32::from_le_bytes(*length) as usize);
+        if num_points.checked_mul(*size) != Some(unpacked) {
+            return Err(format!("{num_points} points of {size} bytes each, but {unpacked} bytes are compressed"));
+        }
+        let packed_data = packed_data
+            .get(..packed)
+            .ok_or_else(|| format!("{packed} bytes of compressed data are promised, {} follow", packed_data.len()))?;
+        let columns = lzf::decompress(packed_data, unpacked)?;
+        let value = |axis: &Field, point: usize| {
+            axis.dtype.decode(&columns[axis.offset * num_points + point * axis.dtype.size..][..axis.dtype.size])
+        };
+        Ok((0..*num_points).map(|point| self.axes.each_ref().map(|axis| value(axis, point))).collect())
+    }
+
+    fn ascii(&self, data: &[u8]) -> Result<Vec<Position>, String> {
         let mut points = Vec::new();
         for (number, line) in (self.lines + 1..).zip(data.split(|&byte| byte == b'\n')) {
             let line = str::from_utf8(line).map_err(|_| format!("line {number}: not text"))?.trim();
@@ -155,7 +185,12 @@ fn axes(
 
 #[cfg(test)]
 mod tests {
-    use super::*;
+    use super::super::tests::points;
+    use crate::points::Point;
+
+    fn read(bytes: &[u8]) -> Result<Vec<Point>, String> {
+        points(super::read(bytes))
+    }
 
     const TWO: [Point; 2] = [[1.0, 2.0, 3.0], [4.0, -5.0, 6.0]];
 
@@ -193,6 +228,27 @@ mod tests {
     }
 
     #[test]
+    fn compressed_columns_of_every_scalar_type() {
+        for scalar in ["F4", "F8", "I1", "I2", "I4", "I8"] {
+            let size: usize = scalar[1..].parse().unwrap();
+            let rows = payload(scalar);
+            // The columns x, label (two scalars of two bytes), y and z, packed as literals alone.
+            let starts = [(0, size), (size, 4), (size + 4, size), (2 * size + 4, size)];
+            let column = |(start, width): (usize, usize)| {
+                rows.chunks(3 * size + 4).flat_map(move |row| &row[start..start + width]).copied().collect::<Vec<u8>>()
+            };
+            let columns = starts.map(column).concat();
+            let packed: Vec<u8> = columns.chunks(32).flat_map(|run| [&[run.len() as u8 - 1], run].concat()).collect();
+            let lengths = [packed.len() as u32, columns.len() as u32].map(u32::to_le_bytes).concat();
+            let file = pcd(scalar, "binary_compressed", &[lengths, packed].concat());
+            assert_eq!(read(&file).unwrap(), TWO, "{scalar}");
+            for length in 0..file.len() {
+                read(&file[..length]).unwrap_err();
+            }
+        }
+    }
+
+    #[test]
     fn short_headers_are_enough() {
         let text = b"FIELDS z y x\nSIZE 4 4 4\nTYPE F F F\nWIDTH 1\nHEIGHT 2\nDATA ascii\n3 2 1\n6 -5 4\n";
         assert_eq!(read(text).unwrap(), TWO);
@@ -209,7 +265,16 @@ mod tests {
             (format!("{xyz}DATA ascii\n1 2 3\n"), "neither POINTS"),
             (format!("{xyz}WIDTH 99999999999\nHEIGHT 99999999999\nDATA ascii\n"), "neither POINTS"),
             (format!("{xyz}POINTS -1\nDATA ascii\n"), "line 4: no number"),
-            (format!("{xyz}POINTS 1\nDATA binary_compressed\n"), "as `binary`"),
+            (format!("{xyz}POINTS 1\nDATA binary_compressed\n1234567"), "cut short"),
+            (format!("{xyz}POINTS 1\nDATA binary_compressed\n\x01\0\0\0\x0d\0\0\0"), "but 13 bytes are compressed"),
+            (
+                format!("{xyz}POINTS 1\nDATA binary_compressed\n\x03\0\0\0\x0c\0\0\0ab"),
+                "3 bytes of compressed data are promised, 2",
+            ),
+            (
+                format!("{xyz}POINTS 1\nDATA binary_compressed\n\x02\0\0\0\x0c\0\0\0\0a"),
+                "1 bytes were unpacked, 12 promised",
+            ),
             (format!("{xyz}POINTS 1\nDATA morse\n"), "line 5: `DATA morse`"),
             (format!("{xyz}POINTS 9999999999999\nDATA binary\n123"), "12 bytes each, but 3 bytes follow"),
             (format!("{xyz}POINTS 18446744073709551615\nDATA binary\n"), "bytes follow"),
@@ -228,6 +293,10 @@ mod tests {
             let reason = read(text.as_bytes()).unwrap_err();
             assert!(reason.contains(expected), "{expected}: {reason}");
         }
+        let huge = format!("{xyz}POINTS 300000000\nDATA binary_compressed\n");
+        let lengths = [9_u32, 3_600_000_000].map(u32::to_le_bytes).concat();
+        let reason = read(&[huge.as_bytes(), &lengths, &[0; 9]].concat()).unwrap_err();
+        assert_eq!(reason, "9 compressed bytes cannot hold 3600000000");
         assert!(read(b"\xff\xfe1\n").unwrap_err().contains("not text"));
     }
 }

@@ -1,69 +1,60 @@
-//! PLY: reads the vertices with `ply-rs`, writes keypoints and clouds as vertices.
+//! PLY: reads the vertices with `ply-rs`.
 //!
 //! `ply-rs` believes a header: it would loop over any number of elements that take no bytes, keep the last of two
 //! properties with one name and thereby shift the others, and refuse the property names of some programs. So the header
 //! is tidied and checked here, and the crate is given one element after another.
 
-use std::io::{self, Write};
+use std::borrow::Cow;
 
 use ply_rs::parser::{Parser, Reader};
 use ply_rs::ply::{ElementDef, Encoding, Header, Property, PropertyAccess, PropertyAccessResult, PropertyDef};
 use ply_rs::ply::{PropertyType, ScalarType};
 
 use super::excerpt;
-use crate::detect::Keypoint;
-use crate::points::Point;
+use super::shape::{Position, Shape, add_polygon};
 
 const AXES: [&str; 3] = ["x", "y", "z"];
+
+/// What the corners of a face are called.
+const CORNERS: [&str; 2] = ["vertex_indices", "vertex_index"];
 
 /// Far above any real header; it bounds the work on a hostile one, which grows with the square of the length.
 const MAX_HEADER_BYTES: usize = 1 << 16;
 
-/// Reads x, y, z of the element `vertex`, from ascii or binary of either byte order and from any scalar type.
+/// Reads x, y, z of the element `vertex`, from ascii or binary of either byte order and from any scalar type; and if
+/// asked for, the polygons of the element `face`.
 ///
-/// Other properties do not count, nor does any element after the vertices.
-pub(super) fn read(bytes: &[u8]) -> Result<Vec<Point>, String> {
+/// Other properties do not count, nor do other elements after these.
+pub(super) fn read(bytes: &[u8], with_faces: bool) -> Result<Shape, String> {
     let (header_text, data) = split_header(bytes)?;
     let header = Parser::<Vertex>::new()
         .read_header(&mut Reader::new(header_text.as_bytes()))
         .map_err(|e| format!("header: {}", excerpt(&e.to_string(), 160)))?;
     check_header(&header_text, &header, data.len())?;
     let mut payload = Payload { data, encoding: header.encoding, line: header_text.lines().count() };
+    let (mut points, mut triangles) = (None, Vec::new());
     // Elements without properties take no bytes, so that their count can be anything.
     for element in header.elements.values().filter(|element| !element.properties.is_empty()) {
-        if element.name == "vertex" {
-            return (0..element.count).map(|_| payload.next(element).map(|Vertex(point)| point)).collect();
-        }
-        for _ in 0..element.count {
-            payload.next::<Skipped>(element)?;
+        match element.name.as_str() {
+            "vertex" => {
+                let point = |_| payload.next(element).map(|Vertex(point)| point);
+                points = Some((0..element.count).map(point).collect::<Result<Vec<_>, _>>()?);
+                if !with_faces {
+                    break;
+                }
+            }
+            "face" if with_faces => {
+                for _ in 0..element.count {
+                    let Face(corners) = payload.next(element)?;
+                    add_polygon(&mut triangles, &corners);
+                }
+            }
+            _ => (0..element.count).try_for_each(|_| payload.next::<Skipped>(element).map(drop))?,
         }
     }
-    Err("no element `vertex`".into())
-}
-
-/// Writes vertices in binary little endian: `float x y z saliency occupancy`, `int nearest_index`.
-pub(super) fn write(out: &mut dyn Write, keypoints: &[Keypoint]) -> io::Result<()> {
-    write!(out, "ply\nformat binary_little_endian 1.0\nelement vertex {}\n", keypoints.len())?;
-    for name in ["x", "y", "z", "saliency", "occupancy"] {
-        writeln!(out, "property float {name}")?;
-    }
-    write!(out, "property int nearest_index\nend_header\n")?;
-    for Keypoint { position: [x, y, z], saliency, occupancy, nearest_index } in keypoints {
-        for value in [x, y, z, saliency, occupancy] {
-            out.write_all(&value.to_le_bytes())?;
-        }
-        let index = i32::try_from(*nearest_index)
-            .map_err(|_| io::Error::other(format!("nearest_index {nearest_index} exceeds a PLY int")))?;
-        out.write_all(&index.to_le_bytes())?;
-    }
-    Ok(())
-}
-
-/// Writes vertices in binary little endian: `float x y z`.
-pub(super) fn write_points(out: &mut dyn Write, points: &[Point]) -> io::Result<()> {
-    write!(out, "ply\nformat binary_little_endian 1.0\nelement vertex {}\n", points.len())?;
-    write!(out, "property float x\nproperty float y\nproperty float z\nend_header\n")?;
-    points.as_flattened().iter().try_for_each(|value| out.write_all(&value.to_le_bytes()))
+    let shape = Shape { points: points.ok_or("no element `vertex`")?, triangles };
+    shape.check_triangles()?;
+    Ok(shape)
 }
 
 /// The header as text that `ply-rs` takes, line for line, and the data after it.
@@ -84,7 +75,7 @@ fn split_header(bytes: &[u8]) -> Result<(String, &[u8]), String> {
     Err(format!("no line `end_header` within the first {length} bytes"))
 }
 
-/// A property line with a plain and unique name, unless it names an axis.
+/// A property line with a plain and unique name, unless it names an axis or corners.
 ///
 /// Other names do not matter, and the crate takes letters and digits only: CloudCompare has `scalar_Roughness_(0.1)`.
 fn plain_property(line: &str, number: usize) -> Option<String> {
@@ -97,7 +88,7 @@ fn plain_property(line: &str, number: usize) -> Option<String> {
         scalar => scalar.into(),
     };
     let name = words.next()?;
-    (!AXES.contains(&name)).then(|| format!("property {data_type} ignored_{number}\n"))
+    (!AXES.contains(&name) && !CORNERS.contains(&name)).then(|| format!("property {data_type} ignored_{number}\n"))
 }
 
 /// Refuses what would be misread, and counts that the data cannot hold.
@@ -169,22 +160,31 @@ impl Payload<'_> {
             if line.is_empty() {
                 continue;
             }
-            return parser.read_ascii_element(&line, element).map_err(|_| {
-                let hint =
-                    if has_non_finite(&line) { " (`nan` and `inf` are read from binary files only)" } else { "" };
-                format!("line {}: `{}` does not fit the properties of `{name}`{hint}", self.line, excerpt(&line, 60))
+            return parser.read_ascii_element(&without_non_finite(&line), element).map_err(|_| {
+                format!("line {}: `{}` does not fit the properties of `{name}`", self.line, excerpt(&line, 60))
             });
         }
         Err(format!("the file ends before the last `{name}`"))
     }
 }
 
-fn has_non_finite(line: &str) -> bool {
-    line.split_whitespace().any(|word| word.parse::<f64>().is_ok_and(|value| !value.is_finite()))
+/// Stands in for coordinates that are not finite, which `ply-rs` refuses in ascii. No cloud can have it: it cannot be
+/// normalised.
+const NOT_FINITE: f32 = f32::MAX;
+
+/// A line with numbers that are not finite replaced.
+fn without_non_finite(line: &str) -> Cow<'_, str> {
+    let is_not_finite = |word: &str| word.parse::<f64>().is_ok_and(|value| !value.is_finite());
+    if !line.split_whitespace().any(is_not_finite) {
+        return line.into();
+    }
+    let stand_in = NOT_FINITE.to_string();
+    let words = line.split_whitespace().map(|word| if is_not_finite(word) { &stand_in } else { word });
+    words.collect::<Vec<_>>().join(" ").into()
 }
 
-/// A vertex in 12 bytes; the crate's own element takes some hundreds.
-struct Vertex(Point);
+/// A vertex in 24 bytes; the crate's own element takes some hundreds.
+struct Vertex(Position);
 
 impl PropertyAccess for Vertex {
     fn new() -> Self {
@@ -192,9 +192,9 @@ impl PropertyAccess for Vertex {
     }
 
     fn set_property(&mut self, name: &str, value: Property) -> PropertyAccessResult {
-        match (AXES.iter().position(|axis| *axis == name), value.to_f32_lossy()) {
+        match (AXES.iter().position(|axis| *axis == name), number(&value)) {
             (Some(axis), Some(value)) => {
-                self.0[axis] = value;
+                self.0[axis] = if value as f32 == NOT_FINITE { f64::NAN } else { value };
                 PropertyAccessResult::Set
             }
             _ => PropertyAccessResult::Ignored,
@@ -202,7 +202,46 @@ impl PropertyAccess for Vertex {
     }
 }
 
-/// An element that comes before the vertices.
+/// A scalar without loss; the crate's own conversion is to `f32`.
+fn number(value: &Property) -> Option<f64> {
+    match *value {
+        Property::Double(value) => Some(value),
+        Property::Int(value) => Some(value.into()),
+        Property::UInt(value) => Some(value.into()),
+        ref other => other.to_f32_lossy().map(f64::from),
+    }
+}
+
+/// The corners of a polygon.
+struct Face(Vec<u32>);
+
+impl PropertyAccess for Face {
+    fn new() -> Self {
+        Self(Vec::new())
+    }
+
+    fn set_property(&mut self, name: &str, value: Property) -> PropertyAccessResult {
+        if !CORNERS.contains(&name) {
+            return PropertyAccessResult::Ignored;
+        }
+        // What is no index becomes one that no file has.
+        fn indices<T: TryInto<u32>>(corners: Vec<T>) -> Vec<u32> {
+            corners.into_iter().map(|corner| corner.try_into().unwrap_or(u32::MAX)).collect()
+        }
+        self.0 = match value {
+            Property::ListChar(corners) => indices(corners),
+            Property::ListUChar(corners) => indices(corners),
+            Property::ListShort(corners) => indices(corners),
+            Property::ListUShort(corners) => indices(corners),
+            Property::ListInt(corners) => indices(corners),
+            Property::ListUInt(corners) => corners,
+            _ => return PropertyAccessResult::Ignored,
+        };
+        PropertyAccessResult::Set
+    }
+}
+
+/// An element that is not wanted.
 struct Skipped;
 
 impl PropertyAccess for Skipped {
@@ -215,8 +254,14 @@ impl PropertyAccess for Skipped {
 mod tests {
     use ply_rs::ply::DefaultElement;
 
-    use super::super::tests::KEYPOINTS;
+    use super::super::tests::{KEYPOINTS, points};
+    use super::super::{KeypointFormat, KeypointSource};
     use super::*;
+    use crate::points::Point;
+
+    fn read(bytes: &[u8]) -> Result<Vec<Point>, String> {
+        points(super::read(bytes, false))
+    }
 
     const POINTS: [Point; 2] = [[1.0, 2.0, 3.0], [4.0, 50.0, 6.0]];
 
@@ -268,6 +313,47 @@ mod tests {
     }
 
     #[test]
+    fn coordinates_that_are_not_finite_come_through() {
+        for scalar in ["float", "double"] {
+            let xyz = format!("property {scalar} x\nproperty {scalar} y\nproperty {scalar} z\n");
+            let text = format!("ply\nformat ascii 1.0\nelement vertex 2\n{xyz}property {scalar} w\nend_header\n");
+            let points = read(format!("{text}1 -nan inf nan\n4 5 6 nan\n").as_bytes()).unwrap();
+            assert!(points[0][0] == 1.0 && !points[0][1].is_finite() && !points[0][2].is_finite(), "{points:?}");
+            assert_eq!(points[1], [4.0, 5.0, 6.0]);
+        }
+    }
+
+    #[test]
+    fn faces_are_polygons_in_every_encoding_and_type() {
+        let quads = "element vertex 4\nproperty float x\nproperty float y\nproperty float z\nelement face 2\n\
+            property uchar quality\nproperty list uchar KIND vertex_index\nend_header\n";
+        for kind in ["char", "uchar", "short", "ushort", "int", "uint"] {
+            let header = |encoding| format!("ply\nformat {encoding} 1.0\n{}", quads.replace("KIND", kind));
+            let ascii = header("ascii") + "0 0 0\n1 0 0\n1 1 0\n0 1 0\n9 4 0 1 2 3\n9 3 3 2 1\n";
+            let size = match kind {
+                "char" | "uchar" => 1,
+                "short" | "ushort" => 2,
+                _ => 4,
+            };
+            let mut binary = header("binary_little_endian").into_bytes();
+            binary.extend(
+                [0.0_f32, 0.0, 0.0, 1.0, 0.0, 0.0, 1.0, 1.0, 0.0, 0.0, 1.0, 0.0].map(f32::to_le_bytes).concat(),
+            );
+            for corners in [&[0_u32, 1, 2, 3][..], &[3, 2, 1]] {
+                binary.extend([9, corners.len() as u8]);
+                corners.iter().for_each(|corner| binary.extend(&corner.to_le_bytes()[..size]));
+            }
+            for bytes in [ascii.as_bytes(), &binary] {
+                let shape = super::read(bytes, true).unwrap();
+                assert_eq!((shape.points.len(), &shape.triangles[..]), (4, &[[0, 1, 2], [0, 2, 3], [3, 2, 1]][..]));
+                assert!(super::read(bytes, false).unwrap().triangles.is_empty());
+            }
+            let beyond = super::read(ascii.replace("3 3 2 1", "3 3 2 4").as_bytes(), true).unwrap_err();
+            assert!(beyond.contains("names vertex 4"), "{beyond}");
+        }
+    }
+
+    #[test]
     fn truncated_files_are_refused() {
         for (encoding, after_vertices) in
             [(Encoding::Ascii, 14), (Encoding::BinaryLittleEndian, 13), (Encoding::BinaryBigEndian, 13)]
@@ -278,7 +364,7 @@ mod tests {
             }
         }
         let mut bytes = Vec::new();
-        write(&mut bytes, &KEYPOINTS).unwrap();
+        KeypointFormat::Ply.write(&mut bytes, &KEYPOINTS, &KeypointSource::default()).unwrap();
         for length in 0..bytes.len() {
             read(&bytes[..length]).unwrap_err();
         }
@@ -293,7 +379,6 @@ mod tests {
             (format!("element vertex 99999999999999999999\n{xyz}end_header\n1 2 3\n"), "Invalid element"),
             (format!("element vertex 2\n{xyz}end_header\n1 2 3\n\n\n\n\n\n\n\n"), "ends before the last `vertex`"),
             (format!("element vertex 1\n{xyz}end_header\n1 2\n\n\n\n"), "line 8: `1 2` does not fit"),
-            (format!("element vertex 1\n{xyz}end_header\n1 -nan 3\n"), "from binary files only"),
             (format!("element vertex 1\n{xyz}property float x\nend_header\n1 2 3 4\n"), "same name"),
             (format!("element vertex 1\n{xyz}element vertex 1\n{xyz}end_header\n1 2 3\n1 2 3\n"), "same name"),
             ("element vertex 0\nproperty float x\nproperty float y\nend_header\n".into(), "no scalar property `z`"),
@@ -325,12 +410,13 @@ mod tests {
     #[test]
     fn written_properties_read_back() {
         let mut bytes = Vec::new();
-        write(&mut bytes, &KEYPOINTS).unwrap();
+        KeypointFormat::Ply.write(&mut bytes, &KEYPOINTS, &KeypointSource::default()).unwrap();
         let ply = Parser::<DefaultElement>::new().read_ply(&mut &bytes[..]).unwrap();
         for (vertex, keypoint) in ply.payload["vertex"].iter().zip(KEYPOINTS) {
             assert_eq!(AXES.map(|axis| vertex[axis].clone()), keypoint.position.map(Property::Float));
             assert_eq!(vertex["saliency"], Property::Float(keypoint.saliency));
             assert_eq!(vertex["occupancy"], Property::Float(keypoint.occupancy));
+            assert!(matches!(vertex["red"], Property::UChar(_)));
             assert_eq!(vertex["nearest_index"], Property::Int(keypoint.nearest_index as i32));
         }
     }

@@ -1,10 +1,9 @@
-//! Points and keypoints as columns of text.
+//! Points as columns of text.
 
 use std::io::{self, Write};
 
 use super::excerpt;
-use crate::detect::Keypoint;
-use crate::points::Point;
+use super::shape::{Position, Shape};
 use crate::registration::Registration;
 
 const BYTE_ORDER_MARK: &[u8] = b"\xef\xbb\xbf";
@@ -16,12 +15,12 @@ type Columns = [usize; 3];
 ///
 /// Columns are separated by semicolons, else by commas, else by white space, line by line. Blank lines and lines that
 /// start with `#` or `//` do not count. `nan` and `inf` are numbers.
-pub(super) fn read(bytes: &[u8]) -> Result<Vec<Point>, String> {
-    read_rows(&mut rows(bytes).peekable())
+pub(super) fn read(bytes: &[u8]) -> Result<Shape, String> {
+    Ok(read_rows(&mut rows(bytes).peekable())?.into())
 }
 
 /// Reads the same from a file whose first line may be the number of points.
-pub(super) fn read_counted(bytes: &[u8]) -> Result<Vec<Point>, String> {
+pub(super) fn read_counted(bytes: &[u8]) -> Result<Shape, String> {
     let mut rows = rows(bytes).peekable();
     let promised = rows.peek().and_then(|row| row.as_ref().ok()).and_then(|(_, line)| line.parse::<u64>().ok());
     if promised.is_some() {
@@ -32,17 +31,8 @@ pub(super) fn read_counted(bytes: &[u8]) -> Result<Vec<Point>, String> {
         Some(count) if count != points.len() as u64 => {
             Err(format!("the first line promises {count} points, {} follow", points.len()))
         }
-        _ => Ok(points),
+        _ => Ok(points.into()),
     }
-}
-
-/// Writes a header line and one keypoint a line, each number in its shortest exact form.
-pub(super) fn write(out: &mut dyn Write, keypoints: &[Keypoint]) -> io::Result<()> {
-    writeln!(out, "x,y,z,saliency,occupancy,nearest_index")?;
-    for Keypoint { position: [x, y, z], saliency, occupancy, nearest_index } in keypoints {
-        writeln!(out, "{x},{y},{z},{saliency},{occupancy},{nearest_index}")?;
-    }
-    Ok(())
 }
 
 /// Writes the four rows of a registration's matrix.
@@ -67,7 +57,7 @@ fn rows(bytes: &[u8]) -> impl Iterator<Item = Result<(usize, &str), String>> {
     )
 }
 
-fn read_rows(rows: &mut dyn Iterator<Item = Result<(usize, &str), String>>) -> Result<Vec<Point>, String> {
+fn read_rows(rows: &mut dyn Iterator<Item = Result<(usize, &str), String>>) -> Result<Vec<Position>, String> {
     let mut columns = [0, 1, 2];
     let mut points = Vec::new();
     for (index, row) in rows.enumerate() {
@@ -90,7 +80,7 @@ fn fields(line: &str) -> impl Iterator<Item = &str> {
         .filter(move |field| separator.is_some() || !field.is_empty())
 }
 
-fn parse_point(line: &str, columns: Columns) -> Option<Point> {
+fn parse_point(line: &str, columns: Columns) -> Option<Position> {
     let mut point = [None; 3];
     for (column, field) in fields(line).enumerate() {
         if let Some(axis) = columns.iter().position(|&c| c == column) {
@@ -116,8 +106,16 @@ fn named_columns(line: &str) -> Option<Columns> {
 
 #[cfg(test)]
 mod tests {
-    use super::super::tests::KEYPOINTS;
-    use super::*;
+    use super::super::tests::points;
+    use crate::points::Point;
+
+    fn read(bytes: &[u8]) -> Result<Vec<Point>, String> {
+        points(super::read(bytes))
+    }
+
+    fn read_counted(bytes: &[u8]) -> Result<Vec<Point>, String> {
+        points(super::read_counted(bytes))
+    }
 
     const TWO: [Point; 2] = [[1.0, 2.0, 3.0], [-0.5, 1e-3, 7.0]];
 
@@ -173,16 +171,5 @@ mod tests {
         for text in [&b"3\n1 2 3\n"[..], b"1000000000000\n1 2 3\n", b"1\n1 2 3\n1 2 3\n", b"2.5\n1 2 3"] {
             read_counted(text).unwrap_err();
         }
-    }
-
-    #[test]
-    fn written_numbers_are_exact() {
-        let mut bytes = Vec::new();
-        write(&mut bytes, &KEYPOINTS).unwrap();
-        let text = String::from_utf8(bytes).unwrap();
-        let expected =
-            "x,y,z,saliency,occupancy,nearest_index\n0.1,-2.5,0.0000003,0.75,0.5,7\n4,5,10000000,0.3,1,16777217\n";
-        assert_eq!(text, expected);
-        assert_eq!(read(text.as_bytes()).unwrap(), KEYPOINTS.map(|keypoint| keypoint.position));
     }
 }

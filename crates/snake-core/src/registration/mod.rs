@@ -25,7 +25,7 @@ use serde::{Deserialize, Serialize};
 use crate::length::{Length, resolution};
 use crate::model::Model;
 use crate::neighbors::vector;
-use crate::points::{Normalization, NormalizationMethod, Point, Transform};
+use crate::points::{FinitePoints, Normalization, NormalizationMethod, Point, Transform};
 use crate::{Error, Result};
 
 use icp::icp;
@@ -103,8 +103,21 @@ pub struct Registration {
     pub num_correspondences: usize,
     /// Root mean square distance of the inliers, in cloud units; 0 without inliers.
     pub rmse: f64,
+    /// Points of source and target that were skipped because they are not finite.
+    pub num_skipped: [usize; 2],
     /// Time it took.
     pub seconds: f64,
+}
+
+impl Registration {
+    /// The same for clouds that are relative to origins, as [`Cloud`](crate::io::Cloud) holds those far from zero: the
+    /// transform is then one of the points with their origins added.
+    pub fn between_origins(mut self, source: [f64; 3], target: [f64; 3]) -> Self {
+        for (row, target) in self.t_target_source.iter_mut().zip(target) {
+            row[3] += target - (0..3).map(|axis| row[axis] * source[axis]).sum::<f64>();
+        }
+        self
+    }
 }
 
 /// Finds the rigid transform from `source` to `target` with nothing known beforehand. Both are in the same units; they
@@ -122,11 +135,14 @@ pub struct Registration {
 /// ```
 ///
 /// # Errors
-/// [`Error::Input`] for a cloud that is empty, has coordinates that are not finite or no extent, and when the keypoints
+/// [`Error::Input`] for a cloud without finite points or without extent, and when the keypoints
 /// have too few correspondences, or none that agree; [`Error::Option`] when an option is outside its range.
 pub fn register(source: &[Point], target: &[Point], model: &Model, options: &RegisterOptions) -> Result<Registration> {
     let start = Instant::now();
     options.check()?;
+    let (num_source, num_target) = (source.len(), target.len());
+    let (source, target) = (FinitePoints::of("source", source)?.points, FinitePoints::of("target", target)?.points);
+    let (source, target) = (&source[..], &target[..]);
     let [voxel_size, normal_radius, feature_radius, inlier_distance] = options.lengths(source, target)?;
     let voxel_size = match voxel_size {
         Some(size) => size,
@@ -170,6 +186,7 @@ pub fn register(source: &[Point], target: &[Point], model: &Model, options: &Reg
         num_inliers: inliers.len(),
         num_correspondences: pairs.len(),
         rmse,
+        num_skipped: [num_source - source.len(), num_target - target.len()],
         seconds: start.elapsed().as_secs_f64(),
     })
 }
@@ -317,12 +334,11 @@ mod tests {
         let good = sample();
         let line: Vec<Point> = (0..500).map(|i| [0.01 * i as f32, 0.0, 0.0]).collect();
         let plane: Vec<Point> = (0..900).map(|i| [(i % 30) as f32, (i / 30) as f32, 0.0]).collect();
-        let nan = [good.clone(), vec![[f32::NAN; 3]]].concat();
         for (bad, expected) in [
             (vec![], "no points"),
             (vec![[1.0; 3]], "two different"),
             (vec![[1.0; 3]; 99], "two different"),
-            (nan, "finite"),
+            (vec![[f32::NAN; 3]; 9], "none of the 9 points is finite"),
         ] {
             let error = run(&bad, &good, &options()).unwrap_err().to_string();
             assert!(error.starts_with("source: ") && error.contains(expected), "{error}");
@@ -355,6 +371,37 @@ mod tests {
         };
         let found = |options| Registration { seconds: 0.0, ..run(fine, coarse, &options).unwrap() };
         assert_eq!(found(lengths(Length::Resolutions, 1.0)), found(lengths(Length::Units, spacing)));
+    }
+
+    #[test]
+    fn points_that_are_not_finite_are_skipped() {
+        let points = sample();
+        let (source, target) = (&points[..1500], &points[1500..3000]);
+        let nan = [source, &[[f32::NAN; 3]; 7], &[[0.0, 0.0, f32::INFINITY]]].concat();
+        let (expected, found) = (run(source, target, &options()).unwrap(), run(&nan, target, &options()).unwrap());
+        assert_eq!(found, Registration { num_skipped: [8, 0], seconds: found.seconds, ..expected });
+    }
+
+    #[test]
+    fn origins_are_added_to_both_clouds() {
+        let t_target_source = matrix(&random_transform(&mut ChaCha8Rng::seed_from_u64(3)));
+        let near = Registration {
+            t_target_source,
+            num_inliers: 3,
+            num_correspondences: 3,
+            rmse: 0.0,
+            num_skipped: [0; 2],
+            seconds: 0.0,
+        };
+        let (source, target) = ([10.0, -20.0, 30.0], [5.0, 6.0, -7.0]);
+        let far = near.between_origins(source, target).t_target_source;
+        let p = [1.0_f32, 2.0, -3.0];
+        let moved = transform_points(&t_target_source, &[p])[0];
+        let moved_far = transform_points(&far, &[std::array::from_fn(|axis| p[axis] + source[axis] as f32)])[0];
+        for axis in 0..3 {
+            assert!((moved[axis] + target[axis] as f32 - moved_far[axis]).abs() < 1e-4);
+        }
+        assert_eq!(far[3], [0.0, 0.0, 0.0, 1.0]);
     }
 
     #[test]

@@ -14,7 +14,7 @@ use crate::field::{EncodeOptions, Field};
 use crate::length::Length;
 use crate::model::Model;
 use crate::neighbors::{Neighbors, Vector, vector};
-use crate::points::{NormalizationMethod, Point, check_points};
+use crate::points::{FinitePoints, NormalizationMethod, Point, check_points};
 
 /// What keypoints are found by: the model, or a classical detector of [`baselines`](crate::baselines) with its default
 /// options, which picks among the points of the reduced cloud.
@@ -63,8 +63,7 @@ impl Scan {
     /// these, and encodes it.
     ///
     /// # Errors
-    /// [`Error::Input`](crate::Error::Input) for a cloud that is empty, has coordinates that are not finite or no
-    /// extent; [`Error::Option`](crate::Error::Option) when the voxel size is not positive.
+    /// [`Error::Input`](crate::Error::Input) for a cloud without finite points or without extent; [`Error::Option`](crate::Error::Option) when the voxel size is not positive.
     pub fn new(points: &[Point], model: &Model, voxel_size: f64) -> Result<Self> {
         check_radius("voxel_size", voxel_size)?;
         let voxels = reduce("points", points, voxel_size)?;
@@ -140,8 +139,7 @@ impl Scan {
 
 /// The cloud's points by voxels.
 pub(super) fn reduce(what: &'static str, points: &[Point], voxel_size: f64) -> Result<Neighbors> {
-    check_points(what, points)?;
-    Neighbors::new(voxel_means(points, voxel_size))
+    Neighbors::new(voxel_means(&FinitePoints::of(what, points)?.points, voxel_size))
 }
 
 #[cfg(test)]
@@ -193,7 +191,7 @@ mod tests {
         let model = Model::builtin().unwrap();
         let scan = |points: &[Point], size| Scan::new(points, &model, size).err().unwrap().to_string();
         assert!(scan(&[], 0.1).contains("no points"));
-        assert!(scan(&[[0.0; 3], [f32::NAN; 3]], 0.1).contains("finite"));
+        assert!(scan(&[[f32::NAN; 3]; 2], 0.1).contains("finite"));
         assert!(scan(&[[1.0; 3]; 4], 0.1).contains("two different"));
         assert!(scan(&sample(), 0.0).contains("voxel_size"));
     }

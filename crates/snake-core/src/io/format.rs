@@ -1,0 +1,201 @@
+//! The formats of files: their names, extensions and signatures.
+
+use std::path::Path;
+
+use serde::Deserialize;
+
+use super::{npy, npz};
+use crate::{Error, Result};
+
+/// A format that clouds are read from.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[non_exhaustive]
+pub enum PointFormat {
+    /// Polygon file format, ascii or binary; its faces are a surface.
+    Ply,
+    /// Point Cloud Library: ascii, binary or binary_compressed.
+    Pcd,
+    /// Columns of text: xyz, txt, csv.
+    Text,
+    /// Columns of text after a line with their number: pts.
+    Pts,
+    /// One array of NumPy.
+    Npy,
+    /// A zip archive of arrays of NumPy.
+    Npz,
+    /// Wavefront, a mesh.
+    Obj,
+    /// Object file format, a mesh.
+    Off,
+    /// Stereolithography, a mesh; ascii or binary.
+    Stl,
+    /// ASPRS laser scans, plain (las) or compressed (laz).
+    Las,
+}
+
+/// The extensions that [`PointFormat::from_path`] knows.
+pub const POINT_EXTENSIONS: &[&str] =
+    &["ply", "pcd", "xyz", "txt", "csv", "pts", "npy", "npz", "obj", "off", "stl", "las", "laz"];
+
+impl PointFormat {
+    /// The format that a file's extension names, in any case.
+    ///
+    /// # Errors
+    /// [`Error::Format`] when the extension is not among [`POINT_EXTENSIONS`].
+    pub fn from_path(path: &Path) -> Result<Self> {
+        Self::from_extension(&extension(path)).ok_or_else(|| unknown_extension(path, "read", POINT_EXTENSIONS))
+    }
+
+    /// The format that an extension in lower case and without a dot names.
+    pub fn from_extension(extension: &str) -> Option<Self> {
+        Some(match extension {
+            "ply" => Self::Ply,
+            "pcd" => Self::Pcd,
+            "xyz" | "txt" | "csv" => Self::Text,
+            "pts" => Self::Pts,
+            "npy" => Self::Npy,
+            "npz" => Self::Npz,
+            "obj" => Self::Obj,
+            "off" => Self::Off,
+            "stl" => Self::Stl,
+            "las" | "laz" => Self::Las,
+            _ => return None,
+        })
+    }
+
+    /// The format whose signature a file begins with. Columns of text, OBJ and binary STL have none.
+    pub fn from_content(bytes: &[u8]) -> Option<Self> {
+        let starts = |signatures: &[&[u8]]| signatures.iter().any(|signature| bytes.starts_with(signature));
+        if starts(&[b"ply\n", b"ply\r"]) {
+            Some(Self::Ply)
+        } else if starts(&[b"# .PCD", b"VERSION", b"FIELDS"]) {
+            Some(Self::Pcd)
+        } else if starts(&[npy::MAGIC]) {
+            Some(Self::Npy)
+        } else if starts(&[npz::MAGIC]) {
+            Some(Self::Npz)
+        } else if starts(&[b"OFF", b"COFF", b"NOFF", b"CNOFF", b"STOFF"]) {
+            Some(Self::Off)
+        } else if starts(&[b"solid "]) {
+            Some(Self::Stl)
+        } else if starts(&[b"LASF"]) {
+            Some(Self::Las)
+        } else {
+            None
+        }
+    }
+
+    /// What it is called.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Ply => "PLY",
+            Self::Pcd => "PCD",
+            Self::Text => "text",
+            Self::Pts => "PTS",
+            Self::Npy => "NPY",
+            Self::Npz => "NPZ",
+            Self::Obj => "OBJ",
+            Self::Off => "OFF",
+            Self::Stl => "STL",
+            Self::Las => "LAS",
+        }
+    }
+}
+
+/// A format that keypoints are written in.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Deserialize)]
+#[serde(rename_all = "lowercase")]
+#[non_exhaustive]
+pub enum KeypointFormat {
+    /// Vertices with colour (by saliency), saliency, occupancy and nearest index; binary.
+    Ply,
+    /// The same as points of the Point Cloud Library; binary.
+    Pcd,
+    /// An array `(K, 6)` of `<f8`: x, y, z, saliency, occupancy, nearest_index.
+    Npy,
+    /// The same columns as text.
+    Csv,
+    /// `{"keypoints": [{"x": .., ..}, ..]}`.
+    Json,
+    /// KeypointNet's annotations: a list of one shape with its marked points.
+    KeypointNet,
+}
+
+/// The extensions that [`KeypointFormat::from_path`] knows.
+pub const KEYPOINT_EXTENSIONS: &[&str] = &["ply", "pcd", "npy", "csv", "keypointnet.json", "json"];
+
+impl KeypointFormat {
+    /// The format that a file's extension names, in any case.
+    ///
+    /// # Errors
+    /// [`Error::Format`] when the extension is not among [`KEYPOINT_EXTENSIONS`].
+    pub fn from_path(path: &Path) -> Result<Self> {
+        let name = path.file_name().unwrap_or_default().to_string_lossy().to_ascii_lowercase();
+        Ok(match extension(path).as_str() {
+            "ply" => Self::Ply,
+            "pcd" => Self::Pcd,
+            "npy" => Self::Npy,
+            "csv" => Self::Csv,
+            "json" if name.ends_with(".keypointnet.json") => Self::KeypointNet,
+            "json" => Self::Json,
+            _ => return Err(unknown_extension(path, "written", KEYPOINT_EXTENSIONS)),
+        })
+    }
+
+    /// The extension of its files.
+    pub fn extension(self) -> &'static str {
+        match self {
+            Self::Ply => "ply",
+            Self::Pcd => "pcd",
+            Self::Npy => "npy",
+            Self::Csv => "csv",
+            Self::Json => "json",
+            Self::KeypointNet => "keypointnet.json",
+        }
+    }
+}
+
+/// A format that clouds are written in.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[non_exhaustive]
+pub enum CloudFormat {
+    /// Vertices; binary.
+    Ply,
+    /// Points of the Point Cloud Library; binary.
+    Pcd,
+    /// An array `(N, 3)` of `<f8`.
+    Npy,
+    /// Columns of text.
+    Xyz,
+    /// Columns of text below a line with their names.
+    Csv,
+}
+
+/// The extensions that [`CloudFormat::from_path`] knows.
+pub const CLOUD_EXTENSIONS: &[&str] = &["ply", "pcd", "npy", "xyz", "csv"];
+
+impl CloudFormat {
+    /// The format that a file's extension names, in any case.
+    ///
+    /// # Errors
+    /// [`Error::Format`] when the extension is not among [`CLOUD_EXTENSIONS`].
+    pub fn from_path(path: &Path) -> Result<Self> {
+        Ok(match extension(path).as_str() {
+            "ply" => Self::Ply,
+            "pcd" => Self::Pcd,
+            "npy" => Self::Npy,
+            "xyz" => Self::Xyz,
+            "csv" => Self::Csv,
+            _ => return Err(unknown_extension(path, "written", CLOUD_EXTENSIONS)),
+        })
+    }
+}
+
+pub(super) fn extension(path: &Path) -> String {
+    path.extension().unwrap_or_default().to_string_lossy().to_ascii_lowercase()
+}
+
+pub(super) fn unknown_extension(path: &Path, verb: &str, extensions: &[&str]) -> Error {
+    let reason = format!("unknown extension; files that can be {verb}: .{}", extensions.join(", ."));
+    Error::Format { path: path.into(), reason }
+}

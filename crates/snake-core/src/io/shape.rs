@@ -1,0 +1,212 @@
+//! What a file holds, in f64, and how it becomes a cloud in f32.
+
+use rand::{RngExt, SeedableRng};
+use rand_chacha::ChaCha8Rng;
+
+use crate::points::Point;
+
+/// A point as files have it.
+pub(super) type Position = [f64; 3];
+
+/// Points, and of a mesh its triangles.
+#[derive(Debug, Default)]
+pub(super) struct Shape {
+    pub(super) points: Vec<Position>,
+    /// Indices of points, all of them in range.
+    pub(super) triangles: Vec<[u32; 3]>,
+}
+
+/// A cloud as it was read, in the file's order and units.
+#[derive(Debug, Clone, PartialEq, Default)]
+pub struct Cloud {
+    /// The points, relative to the origin. Coordinates may be infinite or not a number.
+    pub points: Vec<Point>,
+    /// To be added to every point, and to whatever is found in their frame. Zero unless the file's coordinates are so
+    /// far from zero (more than 16 times the size of the cloud) that `f32` would lose their digits, as georeferenced
+    /// scans are.
+    pub origin: [f64; 3],
+}
+
+impl Cloud {
+    /// The points with the origin added: of georeferenced scans they lose digits (at 5e6 m one step is 0.5 m).
+    pub fn into_points(self) -> Vec<Point> {
+        let Self { mut points, origin } = self;
+        if origin != [0.0; 3] {
+            points.iter_mut().for_each(|p| *p = std::array::from_fn(|axis| (f64::from(p[axis]) + origin[axis]) as f32));
+        }
+        points
+    }
+}
+
+/// More would fill the memory of most machines.
+const MAX_SAMPLES: usize = 100_000_000;
+
+/// How far from zero a cloud may be, in sizes of the cloud, before an origin is subtracted: an `f32` then still has
+/// about 20 bits for the place within the cloud.
+const FAR: f64 = 16.0;
+
+impl Shape {
+    /// Refuses faces of points that there are not.
+    pub(super) fn check_triangles(&self) -> Result<(), String> {
+        match self.triangles.as_flattened().iter().find(|&&corner| corner as usize >= self.points.len()) {
+            Some(corner) => {
+                Err(format!("a face names vertex {corner} (counted from 0), but there are {}", self.points.len()))
+            }
+            None => Ok(()),
+        }
+    }
+
+    /// The points as `f32`, relative to an origin where they need one.
+    pub(super) fn into_cloud(self) -> Cloud {
+        let origin = origin(&self.points);
+        let point = |p: Position| -> Point { std::array::from_fn(|axis| (p[axis] - origin[axis]) as f32) };
+        Cloud { points: self.points.into_iter().map(point).collect(), origin }
+    }
+
+    /// `number` points of the surface, evenly by area: the area is cut into as many equal pieces, and each has a point
+    /// at random.
+    pub(super) fn sample(&self, number: usize, seed: u64) -> Result<Self, String> {
+        if !(1..=MAX_SAMPLES).contains(&number) {
+            return Err(format!("{number} samples; 1 to {MAX_SAMPLES} can be drawn"));
+        }
+        if self.triangles.is_empty() {
+            return Err("no faces to draw samples from".into());
+        }
+        let corners = |triangle: &[u32; 3]| triangle.map(|corner| self.points[corner as usize]);
+        let mut total = 0.0;
+        let sums: Vec<f64> = self
+            .triangles
+            .iter()
+            .map(|triangle| {
+                let area = area(corners(triangle));
+                // Triangles with corners that are not finite have no points.
+                total += if area.is_finite() { area } else { 0.0 };
+                total
+            })
+            .collect();
+        if !(total > 0.0 && total.is_finite()) {
+            return Err(format!("faces of area {total:e} in all cannot be sampled"));
+        }
+        let mut rng = ChaCha8Rng::seed_from_u64(seed);
+        // The last triangle with an area, for a place that rounding puts at the end.
+        let last = sums.partition_point(|&sum| sum < total);
+        let draw = |piece: usize| {
+            let place = (piece as f64 + rng.random::<f64>()) / number as f64 * total;
+            let triangle = sums.partition_point(|&sum| sum <= place).min(last);
+            let [a, b, c] = corners(&self.triangles[triangle]);
+            // The square root makes the draw uniform over the triangle.
+            let (along, across) = (rng.random::<f64>().sqrt(), rng.random::<f64>());
+            let weights = [1.0 - along, along * (1.0 - across), along * across];
+            std::array::from_fn(|axis| weights[0] * a[axis] + weights[1] * b[axis] + weights[2] * c[axis])
+        };
+        Ok((0..number).map(draw).collect::<Vec<_>>().into())
+    }
+}
+
+impl From<Vec<Position>> for Shape {
+    fn from(points: Vec<Position>) -> Self {
+        Self { points, triangles: Vec::new() }
+    }
+}
+
+/// Adds a polygon as a fan of triangles.
+pub(super) fn add_polygon(triangles: &mut Vec<[u32; 3]>, corners: &[u32]) {
+    if let [first, rest @ ..] = corners {
+        triangles.extend(rest.windows(2).map(|pair| [*first, pair[0], pair[1]]));
+    }
+}
+
+fn area([a, b, c]: [Position; 3]) -> f64 {
+    let edge = |to: Position| -> Position { std::array::from_fn(|axis| to[axis] - a[axis]) };
+    let (u, v) = (edge(b), edge(c));
+    let cross = [u[1] * v[2] - u[2] * v[1], u[2] * v[0] - u[0] * v[2], u[0] * v[1] - u[1] * v[0]];
+    cross.iter().map(|v| v * v).sum::<f64>().sqrt() / 2.0
+}
+
+/// Zero, or for a cloud far from zero its centre, rounded to a power of two so that subtracting it is exact.
+fn origin(points: &[Position]) -> [f64; 3] {
+    let finite = || points.iter().filter(|point| point.iter().all(|v| v.is_finite()));
+    let fold = |of: fn(f64, f64) -> f64, start: f64| {
+        finite().fold([start; 3], |bound, point| std::array::from_fn(|axis| of(bound[axis], point[axis])))
+    };
+    let (low, high) = (fold(f64::min, f64::INFINITY), fold(f64::max, f64::NEG_INFINITY));
+    let size = (0..3).map(|axis| high[axis] - low[axis]).fold(0.0, f64::max);
+    let farthest = low.into_iter().chain(high).map(f64::abs).fold(0.0, f64::max);
+    // Not so for a single place, for no points at all and for what overflows.
+    if !(size > 0.0 && farthest > FAR * size && farthest.is_finite()) {
+        return [0.0; 3];
+    }
+    let step = size.log2().floor().exp2();
+    std::array::from_fn(|axis| ((low[axis] + high[axis]) / 2.0 / step).round() * step)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn far_clouds_get_an_origin_and_keep_their_digits() {
+        let near = [[0.25, -3.0, 1.0], [0.5, 12.0, 100.0]];
+        let cloud = Shape::from(near.to_vec()).into_cloud();
+        assert_eq!((cloud.origin, cloud.points), ([0.0; 3], near.map(|p| p.map(|v| v as f32)).to_vec()));
+
+        let far = [
+            [500_000.123, 5_400_000.456, 200.0],
+            [500_010.789, 5_400_003.001, f64::NAN],
+            [500_020.5, 5_400_007.0, 210.0],
+        ];
+        let cloud = Shape::from(far.to_vec()).into_cloud();
+        assert!(cloud.points[1][2].is_nan());
+        for (found, expected) in cloud.points.iter().zip(far) {
+            for axis in 0..3 {
+                let back = f64::from(found[axis]) + cloud.origin[axis];
+                assert!((back - expected[axis]).abs() < 2e-6 || expected[axis].is_nan(), "{back} {expected:?}");
+            }
+        }
+        assert_eq!(cloud.clone().into_points()[0], far[0].map(|v| v as f32));
+        // One outlier far away does not take the digits of the rest.
+        let outlier = Shape::from(vec![[1e30, 0.0, 0.0], [0.1, 0.2, 0.3], [0.4, 0.5, 0.6]]).into_cloud();
+        assert_eq!((outlier.origin, outlier.points[1]), ([0.0; 3], [0.1, 0.2, 0.3]));
+        for points in [vec![], vec![[7.0; 3]; 3], vec![[f64::NAN; 3]], vec![[-1.7e308; 3], [1.7e308; 3]]] {
+            assert_eq!(Shape::from(points.clone()).into_cloud().origin, [0.0; 3], "{points:?}");
+        }
+    }
+
+    /// A square of side 2 in the plane z = 1, and a triangle of a quarter of its area in x = 5.
+    fn shape() -> Shape {
+        let points = [[0.0, 0.0], [2.0, 0.0], [2.0, 2.0], [0.0, 2.0]].map(|[x, y]| [x, y, 1.0]);
+        let beside = [[5.0, 0.0, 0.0], [5.0, 2.0, 0.0], [5.0, 0.0, 1.0]];
+        let mut triangles = vec![[0, 0, 1], [4, 5, 6]];
+        add_polygon(&mut triangles, &[0, 1, 2, 3]);
+        Shape { points: [&points[..], &beside].concat(), triangles }
+    }
+
+    #[test]
+    fn samples_are_even_seeded_and_on_the_surface() {
+        let drawn = shape().sample(5000, 1).unwrap().points;
+        assert_eq!(drawn, shape().sample(5000, 1).unwrap().points);
+        assert_ne!(drawn, shape().sample(5000, 2).unwrap().points);
+        let (square, beside): (Vec<&Position>, Vec<&Position>) =
+            drawn.iter().partition(|p| (p[2] - 1.0).abs() < 1e-12 && p[0] < 4.0);
+        // By area 4 to 1; even pieces leave hardly any chance.
+        assert!(square.len().abs_diff(4000) <= 2 && square.len() + beside.len() == 5000, "{}", square.len());
+        assert!(beside.iter().all(|p| (p[0] - 5.0).abs() < 1e-12 && p[1] / 2.0 + p[2] <= 1.0 + 1e-12));
+        // Quarters of the square have 1000 each, give or take 5 standard deviations.
+        for quarter in 0..4 {
+            let within = |p: &&&Position| usize::from(p[0] > 1.0) + 2 * usize::from(p[1] > 1.0) == quarter;
+            assert!(square.iter().filter(within).count().abs_diff(1000) < 140);
+        }
+    }
+
+    #[test]
+    fn surfaces_that_cannot_be_sampled_are_refused() {
+        assert!(Shape::from(vec![[0.0; 3]; 3]).sample(5, 0).unwrap_err().contains("no faces"));
+        assert!(shape().sample(0, 0).is_err() && shape().sample(usize::MAX, 0).is_err());
+        let degenerate = Shape { triangles: vec![[0, 0, 1]], ..shape() };
+        assert!(degenerate.sample(5, 0).unwrap_err().contains("of area 0e0"));
+        let mut broken = shape();
+        broken.points[0][0] = f64::NAN;
+        let drawn = broken.sample(100, 0).unwrap().points;
+        assert!(drawn.iter().all(|p| p.iter().all(|v| v.is_finite()) && p[0] > 4.9), "only the whole triangle is left");
+    }
+}

@@ -1,0 +1,112 @@
+//! Rows of numbers as PLY, PCD, NPY and text: keypoints and clouds are written through these.
+
+use std::io::{self, Write};
+
+use super::npy;
+
+/// How a column is stored in formats that have types.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) enum Kind {
+    Float,
+    Double,
+    Byte,
+    Int,
+}
+
+/// Named columns and the rows below them, each number in f64, which holds all kinds exactly.
+pub(super) struct Table<const N: usize, R> {
+    pub(super) columns: [(&'static str, Kind); N],
+    pub(super) num_rows: usize,
+    pub(super) rows: R,
+}
+
+impl Kind {
+    fn size(self) -> usize {
+        match self {
+            Self::Byte => 1,
+            Self::Float | Self::Int => 4,
+            Self::Double => 8,
+        }
+    }
+
+    fn write(self, out: &mut dyn Write, value: f64) -> io::Result<()> {
+        match self {
+            Self::Float => out.write_all(&(value as f32).to_le_bytes()),
+            Self::Double => out.write_all(&value.to_le_bytes()),
+            Self::Byte => out.write_all(&[value as u8]),
+            Self::Int if value <= f64::from(i32::MAX) => out.write_all(&(value as i32).to_le_bytes()),
+            Self::Int => Err(io::Error::other(format!("{value} exceeds the four bytes of an index"))),
+        }
+    }
+}
+
+impl<const N: usize, R: Iterator<Item = [f64; N]>> Table<N, R> {
+    /// Vertices, binary little endian.
+    pub(super) fn write_ply(self, out: &mut dyn Write) -> io::Result<()> {
+        write!(out, "ply\nformat binary_little_endian 1.0\nelement vertex {}\n", self.num_rows)?;
+        for (name, kind) in self.columns {
+            let kind = match kind {
+                Kind::Float => "float",
+                Kind::Double => "double",
+                Kind::Byte => "uchar",
+                Kind::Int => "int",
+            };
+            writeln!(out, "property {kind} {name}")?;
+        }
+        writeln!(out, "end_header")?;
+        self.write_binary(out)
+    }
+
+    /// An unorganised cloud, binary.
+    pub(super) fn write_pcd(self, out: &mut dyn Write) -> io::Result<()> {
+        let words = |of: fn(&(&'static str, Kind)) -> String| self.columns.each_ref().map(of).join(" ");
+        let kinds = words(|(_, kind)| match kind {
+            Kind::Float | Kind::Double => "F".into(),
+            Kind::Byte => "U".into(),
+            Kind::Int => "I".into(),
+        });
+        let (names, sizes) = (words(|(name, _)| name.to_string()), words(|(_, kind)| kind.size().to_string()));
+        let (counts, rows) = (["1"; N].join(" "), self.num_rows);
+        write!(out, "# .PCD v0.7 - Point Cloud Data file format\nVERSION 0.7\nFIELDS {names}\nSIZE {sizes}\n")?;
+        write!(out, "TYPE {kinds}\nCOUNT {counts}\nWIDTH {rows}\nHEIGHT 1\nVIEWPOINT 0 0 0 1 0 0 0\n")?;
+        write!(out, "POINTS {rows}\nDATA binary\n")?;
+        self.write_binary(out)
+    }
+
+    fn write_binary(self, out: &mut dyn Write) -> io::Result<()> {
+        for row in self.rows {
+            self.columns.iter().zip(row).try_for_each(|((_, kind), value)| kind.write(out, value))?;
+        }
+        Ok(())
+    }
+
+    /// An array `(rows, columns)` of `<f8`, because an index beyond 2^24 is not exact in `<f4`.
+    pub(super) fn write_npy(self, out: &mut dyn Write) -> io::Result<()> {
+        npy::write_header(out, [self.num_rows, N])?;
+        for row in self.rows {
+            row.iter().try_for_each(|value| out.write_all(&value.to_le_bytes()))?;
+        }
+        Ok(())
+    }
+
+    /// A line with the names, and a line for each row.
+    pub(super) fn write_csv(self, out: &mut dyn Write) -> io::Result<()> {
+        writeln!(out, "{}", self.columns.map(|(name, _)| name).join(","))?;
+        self.write_lines(out, ",")
+    }
+
+    /// A line for each row, every number in its shortest exact form.
+    pub(super) fn write_lines(self, out: &mut dyn Write, separator: &str) -> io::Result<()> {
+        for row in self.rows {
+            for (column, ((_, kind), value)) in self.columns.iter().zip(row).enumerate() {
+                let separator = if column == 0 { "" } else { separator };
+                match kind {
+                    Kind::Float => write!(out, "{separator}{}", value as f32)?,
+                    _ => write!(out, "{separator}{value}")?,
+                }
+            }
+            writeln!(out)?;
+        }
+        Ok(())
+    }
+}
