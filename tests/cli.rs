@@ -110,7 +110,7 @@ fn options_reach_the_detector() {
 #[test]
 fn every_output_format_holds_the_keypoints() {
     let folder = tempfile::tempdir().unwrap();
-    for (name, is_cloud) in [("k.ply", true), ("k.npy", true), ("k.csv", true), ("k.json", false)] {
+    for (name, is_cloud) in [("k.ply", true), ("k.pcd", true), ("k.npy", true), ("k.csv", true), ("k.json", false)] {
         let path = folder.path().join(name);
         let output = snake(&["detect", &sample(), "--max-keypoints", "7", "-o", path.to_str().unwrap()]);
         assert!(output.status.success(), "{}", stderr(&output));
@@ -121,7 +121,7 @@ fn every_output_format_holds_the_keypoints() {
             assert_eq!(value["keypoints"].as_array().unwrap().len(), 7);
         }
     }
-    assert_eq!(folder.path().read_dir().unwrap().count(), 4, "no temporary file is left");
+    assert_eq!(folder.path().read_dir().unwrap().count(), 5, "no temporary file is left");
 }
 
 #[test]
@@ -157,14 +157,23 @@ fn mistakes_get_one_line_that_says_what_to_do() {
     };
     let (one, same) = (file("one.xyz", "1 2 3\n"), file("same.xyz", &"1 2 3\n".repeat(9)));
     let (nan, empty, weights) =
-        (file("nan.xyz", "1 2 3\nnan 0 0\n"), file("empty.xyz", ""), file("w.safetensors", "junk"));
+        (file("nan.xyz", "nan nan nan\nnan 0 0\n"), file("empty.xyz", ""), file("w.safetensors", "junk"));
     let two = file("two.xyz", "0 0 0\n1 0 0\n");
     let nothing = folder.path().join("none").display().to_string();
     let cases: &[(&[&str], &str)] = &[
         (&["detect", "nowhere.ply"], "nowhere.ply"),
         (&["detect", &one], "at least two different points"),
         (&["detect", &same], "at least two different points"),
-        (&["detect", &nan], "not finite"),
+        (&["detect", &nan], "none of the 2 points is finite"),
+        (&["detect", &file("far.xyz", "0 0 0\n1e38 0 0\n")], "an extent from 1e-18 to 1e18"),
+        (&["detect", &sample(), "--sample", "100", "--input-format", "xyz"], "line 2"),
+        (&["detect", &same, "--sample", "100"], "no faces"),
+        (&["detect", &sample(), "--sample", "0"], "1..=100000000"),
+        (&["detect", &sample(), "--input-format", "doc"], "known are ply"),
+        (&["detect", &sample(), &sample(), "-o", "-"], "one input"),
+        (&["detect", "-", "-"], "only one of the inputs"),
+        (&["detect", "-"], "give --input-format"),
+        (&["register", "-", "-"], "only one of the inputs"),
         (&["detect", &empty], "no points"),
         (&["detect", &weights], "extension"),
         (&["detect", &sample(), "-o", "k.docx"], "k.docx"),
@@ -181,11 +190,11 @@ fn mistakes_get_one_line_that_says_what_to_do() {
         (&["register", "nowhere.ply", &sample()], "nowhere.ply"),
         (&["register", &sample(), &one], "at least two different points"),
         (&["register", &same, &sample()], "at least two different points"),
-        (&["register", &nan, &sample()], "source: 1 of 2 points are not finite"),
+        (&["register", &nan, &sample()], "source: none of the 2 points is finite"),
         (&["register", &sample(), &empty], "target: no points"),
         (&["register", &two, &two], "do the clouds overlap"),
         (&["register", &sample(), &sample(), "-o", "t.ply"], ".json, .txt"),
-        (&["register", &sample(), &sample(), "--aligned", "a.csv"], ".ply"),
+        (&["register", &sample(), &sample(), "--aligned", "a.txt"], ".ply"),
         (&["register", &sample(), &sample(), "--aligned", &sample()], "is an input"),
         (&["register", &sample(), &sample(), "--model", &weights], "safetensors"),
         (&["register", &sample(), &sample(), "--descriptor", "shot"], "fpfh"),
@@ -225,6 +234,140 @@ fn sub_sampling_is_seeded_and_said() {
     assert_ne!(report("1"), report("2"));
     let output = snake(&["detect", &sample(), "--max-points", "1500"]);
     assert!(String::from_utf8_lossy(&output.stdout).contains("(1500 encoded)"));
+    let output = snake(&["detect", &sample(), "--max-points", "1500", "--json"]);
+    assert_eq!(
+        (&json_lines(&output)[0]["num_encoded"], &json_lines(&output)[0]["num_points"]),
+        (&1500.into(), &4096.into())
+    );
+}
+
+/// 60 MB of coordinates: the file, its numbers in f64 and in f32, and a copy of these are some 300 MB.
+#[cfg(unix)]
+#[test]
+fn five_million_points_take_memory_in_proportion() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("large.npy");
+    let values: Vec<f32> = (0..15_000_000_u32).map(|i| (i.wrapping_mul(2_654_435_761) >> 8) as f32 / 1e7).collect();
+    write_npy(&path, &[5_000_000, 3], &values);
+    let program = Command::cargo_bin("snake-cli").unwrap();
+    let output = Command::new("sh")
+        .args(["-c", "ulimit -v 1000000; exec \"$0\" detect \"$1\" --max-points 20000 --json --threads 2"])
+        .args([program.get_program(), path.as_os_str()])
+        .output()
+        .unwrap();
+    assert!(output.status.success(), "{}", stderr(&output));
+    let report = &json_lines(&output)[0];
+    assert_eq!((&report["num_points"], &report["num_encoded"]), (&5_000_000.into(), &20_000.into()));
+}
+
+#[test]
+fn a_pipe_carries_only_the_keypoints() {
+    let bytes = std::fs::read(sample()).unwrap();
+    let run = |extra: &[&str], stdin: &[u8]| {
+        let arguments = [&["detect", "-", "-o", "-"], extra].concat();
+        Command::cargo_bin("snake-cli").unwrap().args(arguments).write_stdin(stdin.to_vec()).output().unwrap()
+    };
+    let output = run(&[], &bytes);
+    assert!(output.status.success(), "{}", stderr(&output));
+    assert!(output.stdout.starts_with(b"ply\nformat binary_little_endian"));
+    assert!(stderr(&output).starts_with("-: ") && stderr(&output).contains("keypoints from 4096 points"));
+    // The same as from a file to a file, and of text once it is named.
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("k.csv");
+    assert!(snake(&["detect", &sample(), "-o", path.to_str().unwrap()]).status.success());
+    let csv = std::fs::read(&path).unwrap();
+    assert_eq!(run(&["--format", "csv", "--json"], &bytes).stdout, csv);
+    let points = snake_core::io::read_points(Path::new(&sample())).unwrap();
+    let text: String = points.iter().map(|[x, y, z]| format!("{x} {y} {z}\n")).collect();
+    assert_eq!(run(&["--format", "csv", "--input-format", "xyz"], text.as_bytes()).stdout, csv);
+    assert_eq!(run(&[], text.as_bytes()).status.code(), Some(2));
+}
+
+#[test]
+fn points_that_are_not_finite_are_skipped_and_counted() {
+    let folder = tempfile::tempdir().unwrap();
+    let points = snake_core::io::read_points(Path::new(&sample())).unwrap();
+    let text: String = points.iter().map(|[x, y, z]| format!("nan nan nan\n{x} {y} {z}\n")).collect();
+    let path = folder.path().join("organized.xyz");
+    std::fs::write(&path, text).unwrap();
+    let path = path.display().to_string();
+    let (clean, with_nan) = (snake(&["detect", &sample(), "--json"]), snake(&["detect", &path, "--json"]));
+    let (clean, with_nan) = (&json_lines(&clean)[0], &json_lines(&with_nan)[0]);
+    assert_eq!((&with_nan["num_points"], &with_nan["num_skipped"]), (&8192.into(), &4096.into()));
+    assert_eq!(clean["num_skipped"], 0);
+    let pairs = clean["keypoints"].as_array().unwrap().iter().zip(with_nan["keypoints"].as_array().unwrap());
+    for (clean, with_nan) in pairs {
+        assert_eq!((&clean["x"], &clean["saliency"]), (&with_nan["x"], &with_nan["saliency"]));
+        let index = |keypoint: &Value| keypoint["nearest_index"].as_u64().unwrap();
+        assert_eq!(index(with_nan), 2 * index(clean) + 1);
+    }
+    assert!(
+        String::from_utf8_lossy(&snake(&["detect", &path]).stdout)
+            .contains("from 8192 points (4096 not finite, skipped)")
+    );
+    let output = snake(&["register", &path, &sample(), "--max-keypoints", "300"]);
+    assert!(
+        String::from_utf8_lossy(&output.stdout).contains("skipped 4096 points of the source"),
+        "{}",
+        stderr(&output)
+    );
+}
+
+#[test]
+fn georeferenced_clouds_keep_their_digits() {
+    let folder = tempfile::tempdir().unwrap();
+    let file = |name: &str| folder.path().join(name).display().to_string();
+    let points = snake_core::io::read_points(Path::new(&sample())).unwrap();
+    let far = [691_000.0, 5_336_000.0, 512.0];
+    snake_core::io::write_points(Path::new(&file("far.pcd")), &points, far).unwrap();
+    let report = |input: &str| json_lines(&snake(&["detect", input, "--json"])).remove(0);
+    let (near, found) = (report(&sample()), report(&file("far.pcd")));
+    let best = |report: &Value| ["x", "y", "z"].map(|axis| report["keypoints"][0][axis].as_f64().unwrap());
+    assert!(found["origin"][1].as_f64().unwrap() > 5e6 && near["origin"][1] == 0.0);
+    assert_eq!(near["keypoints"].as_array().unwrap().len(), found["keypoints"].as_array().unwrap().len());
+    for ((near, found), far) in best(&near).into_iter().zip(best(&found)).zip(far) {
+        assert!((near + far - found).abs() < 1e-3, "{near} {found}");
+    }
+    let (transform, aligned) = (file("t.json"), file("aligned.csv"));
+    let output = snake(&["register", &sample(), &file("far.pcd"), "-o", &transform, "--aligned", &aligned]);
+    assert!(output.status.success(), "{}", stderr(&output));
+    let value: Value = serde_json::from_slice(&std::fs::read(&transform).unwrap()).unwrap();
+    for (axis, far) in far.into_iter().enumerate() {
+        assert!((value["t_target_source"][axis][3].as_f64().unwrap() - far).abs() < 0.01, "{value}");
+    }
+    let moved = snake_core::io::read_cloud(Path::new(&aligned), &Default::default()).unwrap();
+    for axis in 0..3 {
+        let found = f64::from(moved.points[7][axis]) + moved.origin[axis];
+        assert!((found - f64::from(points[7][axis]) - far[axis]).abs() < 0.01, "{found}");
+    }
+}
+
+#[test]
+fn meshes_are_sampled_and_keypointnet_is_written() {
+    let folder = tempfile::tempdir().unwrap();
+    std::fs::create_dir(folder.path().join("02691156")).unwrap();
+    let (mesh, marks) = (folder.path().join("02691156/cube.off"), folder.path().join("cube.keypointnet.json"));
+    let corners: String = (0..8).map(|i| format!("{} {} {}\n", i & 1, i >> 1 & 1, i >> 2)).collect();
+    let faces = "4 0 1 3 2\n4 4 5 7 6\n4 0 1 5 4\n4 2 3 7 6\n4 0 2 6 4\n4 1 3 7 5\n";
+    std::fs::write(&mesh, format!("OFF\n8 6 12\n{corners}{faces}")).unwrap();
+    let (mesh, marks) = (mesh.display().to_string(), marks.display().to_string());
+    let run = |extra: &[&str]| {
+        let output = snake(&[&["detect", &mesh, "--json", "--max-keypoints", "8"], extra].concat());
+        assert!(output.status.success(), "{}", stderr(&output));
+        json_lines(&output).remove(0)
+    };
+    assert_eq!(run(&[])["num_points"], 8);
+    let report = run(&["--sample", "4000", "-o", &marks]);
+    assert_eq!(report["num_points"], 4000);
+    assert_ne!(report["keypoints"], run(&["--sample", "4000", "--seed", "3"])["keypoints"]);
+    let shapes: Value = serde_json::from_slice(&std::fs::read(&marks).unwrap()).unwrap();
+    assert_eq!((&shapes[0]["class_id"], &shapes[0]["model_id"]), (&"02691156".into(), &"cube".into()));
+    for (marked, keypoint) in
+        shapes[0]["keypoints"].as_array().unwrap().iter().zip(report["keypoints"].as_array().unwrap())
+    {
+        assert_eq!(marked["pcd_info"]["point_index"], keypoint["nearest_index"]);
+    }
+    assert!(!shapes[0]["keypoints"].as_array().unwrap().is_empty());
 }
 
 /// The sample, turned by a quarter about z and moved by (3, 0, -1), as a file; every second point of it.
@@ -232,7 +375,7 @@ fn turned_sample(folder: &Path) -> String {
     let points = snake_core::io::read_points(Path::new(&sample())).unwrap();
     let turned: Vec<_> = points.iter().step_by(2).map(|p| [3.0 - p[1], p[0], p[2] - 1.0]).collect();
     let path = folder.join("turned.ply");
-    snake_core::io::write_points(&path, &turned).unwrap();
+    snake_core::io::write_points(&path, &turned, [0.0; 3]).unwrap();
     path.display().to_string()
 }
 
@@ -246,7 +389,7 @@ fn register_prints_and_writes_the_transform() {
     assert!(output.status.success(), "{}", stderr(&output));
     let report = &json_lines(&output)[0];
     let keys: Vec<&String> = report.as_object().unwrap().keys().collect();
-    assert_eq!(keys, ["num_correspondences", "num_inliers", "rmse", "seconds", "t_target_source"]);
+    assert_eq!(keys, ["num_correspondences", "num_inliers", "num_skipped", "rmse", "seconds", "t_target_source"]);
     let (inliers, all) = (report["num_inliers"].as_u64().unwrap(), report["num_correspondences"].as_u64().unwrap());
     assert!(3 <= inliers && inliers <= all && report["rmse"].as_f64().unwrap() < 0.1);
 
@@ -460,7 +603,7 @@ fn fragments() -> [Vec<[f32; 3]>; 4] {
 fn scenes(pairs: &[[usize; 2]]) -> TempDir {
     let (folder, clouds) = (tempfile::tempdir().unwrap(), fragments());
     for (k, cloud) in clouds.iter().enumerate() {
-        snake_core::io::write_points(&folder.path().join(format!("room__{k:02}.ply")), cloud).unwrap();
+        snake_core::io::write_points(&folder.path().join(format!("room__{k:02}.ply")), cloud, [0.0; 3]).unwrap();
     }
     let row = |&[i, j]: &[usize; 2]| serde_json::json!({"source": format!("room__{j:02}"), "target": format!("room__{i:02}"), "T": between(i, j)});
     let rows: Vec<Value> = pairs.iter().map(row).collect();
@@ -476,7 +619,7 @@ fn benchmark_scene(folder: &Path, name: &str, pairs: &[[usize; 2]], weight: f64)
     std::fs::create_dir(&scene).unwrap();
     std::fs::create_dir(&truth).unwrap();
     for (k, cloud) in clouds.iter().enumerate() {
-        snake_core::io::write_points(&scene.join(format!("cloud_bin_{k}.ply")), cloud).unwrap();
+        snake_core::io::write_points(&scene.join(format!("cloud_bin_{k}.ply")), cloud, [0.0; 3]).unwrap();
     }
     let (mut log, mut info) = (String::new(), String::new());
     for &[i, j] in pairs {

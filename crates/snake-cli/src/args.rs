@@ -68,6 +68,8 @@ pub enum Command {
   snake-cli detect scan.ply
   snake-cli detect scan.ply -o keypoints.csv --max-keypoints 256 --nms-radius 0.05
   snake-cli detect clouds/ -o results/ --format json
+  snake-cli detect part.stl --sample 20000 -o keypoints.ply
+  snake-cli detect - --input-format xyz -o - --format csv < scan.txt > keypoints.csv
   snake-cli detect scan.ply --json | jq '.keypoints[0]'")]
     Detect(Box<DetectArguments>),
     /// Measure how good keypoints are, beside those of the classical detectors.
@@ -168,10 +170,10 @@ pub struct EncodeFlags {
     /// the cube ±0.5; none: the cloud is in that cube already.
     #[arg(long, value_parser = named::<NormalizationMethod>)]
     normalization: Option<NormalizationMethod>,
-    /// Encode at most this many points, drawn at random.
+    /// Encode at most this many points, drawn at random; the report says how many.
     #[arg(long)]
     max_points: Option<usize>,
-    /// Seed of that draw.
+    /// Seed of that draw, and of --sample.
     #[arg(long)]
     seed: Option<u64>,
     /// Average over this many turned copies of the cloud: keypoints repeat far better, at as many times the cost.

@@ -1,9 +1,61 @@
-//! The files that the arguments stand for.
+//! The files that the arguments stand for, and the clouds in them.
 
+use std::io::Read;
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result, bail};
-use snake_core::io;
+use clap::Args;
+use snake_core::io::{self, Cloud, POINT_EXTENSIONS, PointFormat, ReadOptions};
+
+/// Stands for the standard input or output.
+pub const DASH: &str = "-";
+
+/// How clouds are read.
+#[derive(Args)]
+pub struct InputArguments {
+    /// Read the inputs as files of this extension, whatever they are called. The standard input (`-`) needs it for text,
+    /// obj and binary stl; other formats are known by their content.
+    #[arg(long, value_name = "EXTENSION", value_parser = point_format)]
+    pub input_format: Option<PointFormat>,
+    /// Of meshes, draw this many points from the surface, evenly by area, instead of taking their vertices.
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=100_000_000))]
+    pub sample: Option<u32>,
+}
+
+impl InputArguments {
+    /// Reads a cloud; the seed is that of samples.
+    pub fn read(&self, path: &Path, seed: u64) -> Result<Cloud> {
+        let options = ReadOptions { sample: self.sample.map(|number| number as usize), seed };
+        if path == Path::new(DASH) {
+            let mut bytes = Vec::new();
+            std::io::stdin().lock().read_to_end(&mut bytes).context("cannot read the standard input")?;
+            let Some(format) = self.input_format.or_else(|| PointFormat::from_content(&bytes)) else {
+                bail!("standard input: nothing in it says what format it is; give --input-format");
+            };
+            return io::parse_cloud(&bytes, format, &options).context("standard input");
+        }
+        match self.input_format {
+            Some(format) => {
+                let bytes = std::fs::read(path).with_context(|| format!("cannot read {}", path.display()))?;
+                io::parse_cloud(&bytes, format, &options).with_context(|| path.display().to_string())
+            }
+            None => Ok(io::read_cloud(path, &options)?),
+        }
+    }
+}
+
+/// Refuses to read the standard input twice.
+pub fn check_inputs<'a>(inputs: impl IntoIterator<Item = &'a PathBuf>) -> Result<()> {
+    if inputs.into_iter().filter(|input| **input == Path::new(DASH)).count() > 1 {
+        bail!("the standard input can be only one of the inputs");
+    }
+    Ok(())
+}
+
+fn point_format(extension: &str) -> Result<PointFormat> {
+    let known = || format!("known are {}", POINT_EXTENSIONS.join(", "));
+    PointFormat::from_extension(extension.trim_start_matches('.')).with_context(known)
+}
 
 /// The files to read: what was named, what patterns match, and the clouds within directories, in the order of their
 /// names.
@@ -39,12 +91,12 @@ fn clouds_in(folder: &Path) -> Result<Vec<PathBuf>> {
         let path = entry.with_context(|| format!("cannot list {}", folder.display()))?.path();
         let extension = path.extension().unwrap_or_default().to_string_lossy().to_lowercase();
         let is_result = path.file_stem().is_some_and(|stem| stem.to_string_lossy().ends_with(".keypoints"));
-        if path.is_file() && io::POINT_EXTENSIONS.contains(&extension.as_str()) && !is_result {
+        if path.is_file() && POINT_EXTENSIONS.contains(&extension.as_str()) && !is_result {
             found.push(path);
         }
     }
     if found.is_empty() {
-        bail!("{}: no point clouds in it (looked for .{})", folder.display(), io::POINT_EXTENSIONS.join(", ."));
+        bail!("{}: no point clouds in it (looked for .{})", folder.display(), POINT_EXTENSIONS.join(", ."));
     }
     found.sort();
     Ok(found)

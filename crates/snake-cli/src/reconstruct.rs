@@ -10,15 +10,18 @@ use serde_json::json;
 use snake_core::{MeshOptions, io};
 
 use crate::args::{ComputeArguments, EncodeFlags, override_with};
+use crate::inputs::InputArguments;
 use crate::terminal;
 
 #[derive(Args)]
 pub struct ReconstructArguments {
-    /// The point cloud (.ply, .pcd, .xyz, .txt, .csv, .pts, .npy).
+    /// The point cloud, or a mesh, in any format that `detect` reads; `-` is the standard input.
     pub input: PathBuf,
     /// The mesh: .ply or .obj with normals, or .stl.
     #[arg(short, long)]
     pub output: PathBuf,
+    #[command(flatten)]
+    reading: InputArguments,
     /// Print one JSON object on one line instead of text.
     #[arg(long)]
     pub json: bool,
@@ -55,7 +58,7 @@ pub fn run(arguments: &ReconstructArguments) -> Result<()> {
     let bar = terminal::progress(1)?;
     bar.set_message(format!("{} ({} samples along each axis)", input.display(), options.resolution));
     let start = Instant::now();
-    let points = io::read_points(input)?;
+    let points = arguments.reading.read(input, encode.seed)?.into_points();
     let read = start.elapsed().as_secs_f64();
     let field = model.encode(&points, &encode).with_context(|| input.display().to_string())?;
     let encoded = start.elapsed().as_secs_f64();

@@ -33,8 +33,13 @@ fn verbosity() -> Verbosity {
 
 /// Prints data that was asked for, such as JSON. A reader that has closed the pipe (`| head`) ends the program quietly.
 pub fn print(text: &str) -> Result<()> {
+    print_bytes(text.as_bytes())
+}
+
+/// [`print`] of what need not be text.
+pub fn print_bytes(bytes: &[u8]) -> Result<()> {
     let mut stdout = io::stdout().lock();
-    match stdout.write_all(text.as_bytes()).and_then(|()| stdout.flush()) {
+    match stdout.write_all(bytes).and_then(|()| stdout.flush()) {
         Err(error) if error.kind() == io::ErrorKind::BrokenPipe => std::process::exit(0),
         outcome => outcome.context("cannot write to standard output"),
     }
@@ -43,6 +48,14 @@ pub fn print(text: &str) -> Result<()> {
 /// Prints what is for people; nothing with `--quiet`.
 pub fn print_report(text: &str) -> Result<()> {
     if verbosity() == Verbosity::Quiet { Ok(()) } else { print(text) }
+}
+
+/// [`print_report`] to the standard error, where the standard output carries a file.
+pub fn print_aside(text: &str) -> Result<()> {
+    if verbosity() > Verbosity::Quiet {
+        eprint!("{text}");
+    }
+    Ok(())
 }
 
 /// An error on one line, with those of its causes that it does not name itself.

@@ -3,32 +3,30 @@
 use std::path::PathBuf;
 
 use anyhow::Result;
-use clap::{Args, ValueEnum};
+use clap::Args;
+use snake_core::io::KeypointFormat;
 use snake_core::{Length, Model, Preset, RefineMethod, Selection};
 
 use crate::args::{ComputeArguments, EncodeFlags, named, override_with};
-
-/// The formats that keypoints are written in.
-#[derive(Clone, Copy, ValueEnum)]
-pub enum Format {
-    Ply,
-    Npy,
-    Csv,
-    Json,
-}
+use crate::inputs::InputArguments;
 
 #[derive(Args)]
 pub struct DetectArguments {
-    /// Point clouds (.ply, .pcd, .xyz, .txt, .csv, .pts, .npy), directories of them, or quoted patterns: 'scans/**/*.ply'.
+    /// Point clouds (.ply, .pcd, .xyz, .txt, .csv, .pts, .npy, .npz, .las, .laz) and meshes (.ply, .obj, .off, .stl),
+    /// directories of them, or quoted patterns: 'scans/**/*.ply'; `-` is the standard input.
     #[arg(required = true)]
     pub inputs: Vec<PathBuf>,
-    /// Write the keypoints: to this file (.ply, .npy, .csv or .json), or, for several inputs, into this directory
-    /// as NAME.keypoints.EXT.
+    /// Write the keypoints: to this file (.ply, .pcd, .npy, .csv, .json or .keypointnet.json), or, for several inputs, into
+    /// this directory as NAME.keypoints.EXT; `-` is the standard output, and what is printed then goes to the standard
+    /// error.
     #[arg(short, long)]
     pub output: Option<PathBuf>,
-    /// Format of the files in an output directory.
-    #[arg(long, value_enum, default_value = "ply")]
-    pub format: Format,
+    /// Format of the keypoints: ply, pcd, npy, csv, json or keypointnet (its annotations) [default: by the extension of
+    /// the output, else ply].
+    #[arg(long, value_parser = named::<KeypointFormat>)]
+    pub format: Option<KeypointFormat>,
+    #[command(flatten)]
+    pub input: InputArguments,
     /// Print one JSON object per input, on one line, instead of a table.
     #[arg(long)]
     pub json: bool,

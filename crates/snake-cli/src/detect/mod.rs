@@ -9,12 +9,12 @@ use std::process::ExitCode;
 use std::time::Instant;
 
 use anyhow::{Context, Result, anyhow, bail};
-use clap::ValueEnum;
 use console::style;
 use serde_json::json;
-use snake_core::{Detection, Field, Model, Preset, detect, io};
+use snake_core::io::{self, Cloud, KeypointFormat, KeypointSource};
+use snake_core::{Detection, Field, Model, NormalizationMethod, Preset, detect};
 
-use crate::inputs::expand;
+use crate::inputs::{DASH, check_inputs, expand};
 use crate::terminal;
 use crate::timing::{self, STAGES, Seconds};
 use args::DetectArguments;
@@ -33,6 +33,7 @@ pub fn run(arguments: &DetectArguments) -> Result<ExitCode> {
     let options = arguments.options.resolve(&model)?;
     terminal::detail("options", || serde_json::to_string(&options).unwrap_or_default());
     let inputs = expand(&arguments.inputs)?;
+    check_inputs(&inputs)?;
     let outputs = outputs(arguments, &inputs)?;
     let bar = terminal::progress(inputs.len())?;
     let mut failed = Vec::new();
@@ -40,10 +41,15 @@ pub fn run(arguments: &DetectArguments) -> Result<ExitCode> {
     for (index, input) in inputs.iter().enumerate() {
         bar.set_message(input.display().to_string());
         let output = outputs.get(index).map(PathBuf::as_path);
-        match process(&model, &options, input, output, arguments.json) {
+        match process(&model, &options, arguments, input, output) {
             Ok((report, seconds)) => {
                 timings.push(seconds);
-                let print = if arguments.json { terminal::print } else { terminal::print_report };
+                // The standard output is then the keypoints' alone.
+                let print = match output == Some(Path::new(DASH)) {
+                    true => terminal::print_aside,
+                    false if arguments.json => terminal::print,
+                    false => terminal::print_report,
+                };
                 bar.suspend(|| {
                     terminal::detail("seconds", || timing::line(&seconds));
                     print(&report)
@@ -77,13 +83,18 @@ fn outputs(arguments: &DetectArguments, inputs: &[PathBuf]) -> Result<Vec<PathBu
     let Some(output) = &arguments.output else { return Ok(Vec::new()) };
     let into_directory = output.is_dir() || inputs.len() > 1 || arguments.inputs.iter().any(|input| input.is_dir());
     if !into_directory {
-        io::check_keypoint_path(output)?;
-        if inputs.contains(output) {
+        if output != Path::new(DASH) && arguments.format.is_none() {
+            KeypointFormat::from_path(output)?;
+        }
+        if inputs.contains(output) && output != Path::new(DASH) {
             bail!("{}: is the input; give another --output", output.display());
         }
         return Ok(vec![output.clone()]);
     }
-    let extension = arguments.format.to_possible_value().map(|value| value.get_name().to_owned()).unwrap_or_default();
+    if output == Path::new(DASH) {
+        bail!("the standard output takes the keypoints of one input; give a directory for several");
+    }
+    let extension = arguments.format.unwrap_or(KeypointFormat::Ply).extension();
     let name = |input: &PathBuf| {
         let stem = input.file_stem().unwrap_or_default().to_string_lossy();
         output.join(format!("{stem}.keypoints.{extension}"))
@@ -101,45 +112,80 @@ fn outputs(arguments: &DetectArguments, inputs: &[PathBuf]) -> Result<Vec<PathBu
 fn process(
     model: &Model,
     options: &Preset,
+    arguments: &DetectArguments,
     input: &Path,
     output: Option<&Path>,
-    json: bool,
 ) -> Result<(String, Seconds)> {
     let start = Instant::now();
-    let points = io::read_points(input)?;
+    let mut cloud = arguments.input.read(input, options.encode.seed)?;
+    if options.encode.normalization == NormalizationMethod::None {
+        // The network's own frame has no other origin.
+        cloud = Cloud { points: cloud.into_points(), origin: [0.0; 3] };
+    }
+    let Cloud { points, origin } = cloud;
     let read = start.elapsed().as_secs_f64();
     let encoding = Instant::now();
     let field = model.encode(&points, &options.encode).with_context(|| input.display().to_string())?;
     let encode = encoding.elapsed().as_secs_f64();
     let detection = detect(&field, &options.detect)?;
     if let Some(output) = output {
-        io::write_keypoints(output, &detection.keypoints)?;
+        let source = KeypointSource::new(input, origin);
+        write(output, arguments.format, &detection, &source)?;
     }
     let (timing, total) = (detection.timing, start.elapsed().as_secs_f64());
     let seconds = [read, encode, timing.occupancy, timing.refine, timing.nms, total];
-    let report = if json {
-        json_line(input, &field, &detection, &seconds)
+    let report = if arguments.json {
+        json_line(input, &field, origin, &detection, &seconds)
     } else {
-        table(input, output, &field, &detection, total)?
+        table(input, output, &field, origin, &detection, total)?
     };
     Ok((report, seconds))
 }
 
-fn json_line(input: &Path, field: &Field, detection: &Detection, seconds: &Seconds) -> String {
+/// Keypoints to a file or to the standard output, in the format given or else in that of the file's extension.
+fn write(output: &Path, format: Option<KeypointFormat>, detection: &Detection, source: &KeypointSource) -> Result<()> {
+    let keypoints = &detection.keypoints;
+    if output == Path::new(DASH) {
+        let mut bytes = Vec::new();
+        format.unwrap_or(KeypointFormat::Ply).write(&mut bytes, keypoints, source)?;
+        return terminal::print_bytes(&bytes);
+    }
+    let cannot = || format!("cannot write {}", output.display());
+    match format {
+        Some(format) => io::write_atomically(output, |file| format.write(file, keypoints, source)).with_context(cannot),
+        None => Ok(io::write_keypoints(output, keypoints, source)?),
+    }
+}
+
+fn json_line(input: &Path, field: &Field, origin: [f64; 3], detection: &Detection, seconds: &Seconds) -> String {
     let object = json!({
         "input": input.display().to_string(),
-        "num_points": field.points().len(),
+        "num_points": field.points().len() + field.num_skipped(),
+        "num_skipped": field.num_skipped(),
+        "num_encoded": field.num_encoded(),
+        "origin": origin,
         "normalization": field.normalization(),
         "counts": detection.counts,
         "timing_seconds": STAGES.into_iter().zip(seconds).collect::<BTreeMap<_, _>>(),
-        "keypoints": detection.keypoints.iter().map(io::keypoint_json).collect::<Vec<_>>(),
+        "keypoints": detection.keypoints.iter().map(|keypoint| io::keypoint_json(keypoint, origin)).collect::<Vec<_>>(),
     });
     format!("{object}\n")
 }
 
-fn table(input: &Path, output: Option<&Path>, field: &Field, detection: &Detection, total: f64) -> Result<String> {
+fn table(
+    input: &Path,
+    output: Option<&Path>,
+    field: &Field,
+    origin: [f64; 3],
+    detection: &Detection,
+    total: f64,
+) -> Result<String> {
     let (counts, keypoints) = (detection.counts, &detection.keypoints);
-    let mut text = format!("{}: {} keypoints from {} points", input.display(), keypoints.len(), field.points().len());
+    let num_points = field.points().len() + field.num_skipped();
+    let mut text = format!("{}: {} keypoints from {num_points} points", input.display(), keypoints.len());
+    if field.num_skipped() > 0 {
+        write!(text, " ({} not finite, skipped)", field.num_skipped())?;
+    }
     if field.num_encoded() < field.points().len() {
         write!(text, " ({} encoded)", field.num_encoded())?;
     }
@@ -155,11 +201,12 @@ fn table(input: &Path, output: Option<&Path>, field: &Field, detection: &Detecti
         writeln!(text, "{}", style(head).bold())?;
     }
     for (rank, k) in keypoints.iter().take(TABLE_ROWS).enumerate() {
-        let [x, y, z] = k.position;
+        let [x, y, z]: [f64; 3] = std::array::from_fn(|axis| f64::from(k.position[axis]) + origin[axis]);
         let (saliency, occupancy, nearest) = (k.saliency, k.occupancy, k.nearest_index);
         writeln!(text, "{:>4} {x:>12.5} {y:>12.5} {z:>12.5} {saliency:>9.4} {occupancy:>9.4} {nearest:>8}", rank + 1)?;
     }
     match output {
+        Some(output) if output == Path::new(DASH) => (),
         Some(output) => writeln!(text, "written to {}", output.display())?,
         None if keypoints.len() > TABLE_ROWS => {
             writeln!(text, "… {} more; -o FILE writes all", keypoints.len() - TABLE_ROWS)?

@@ -7,19 +7,22 @@ use snake_core::Length;
 use snake_core::registration::{Descriptor, KeypointDetector, RegisterOptions};
 
 use crate::args::{ComputeArguments, named, override_with};
+use crate::inputs::InputArguments;
 
 #[derive(Args)]
 pub struct RegisterArguments {
-    /// The cloud that is moved (.ply, .pcd, .xyz, .txt, .csv, .pts, .npy).
+    /// The cloud that is moved, in any format that `detect` reads; `-` is the standard input.
     pub source: PathBuf,
     /// The cloud that it is brought onto, in the same units.
     pub target: PathBuf,
     /// Write the result: .json as --json prints it, .txt the four rows of the matrix.
     #[arg(short, long)]
     pub output: Option<PathBuf>,
-    /// Write the source's points in the target's frame (.ply).
+    /// Write the source's points in the target's frame (.ply, .pcd, .npy, .xyz or .csv).
     #[arg(long)]
     pub aligned: Option<PathBuf>,
+    #[command(flatten)]
+    pub input: InputArguments,
     /// Print one JSON object on one line instead of text.
     #[arg(long)]
     pub json: bool,

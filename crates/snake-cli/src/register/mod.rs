@@ -6,9 +6,10 @@ use std::fmt::Write;
 use std::path::Path;
 
 use anyhow::{Context, Result, bail};
-use snake_core::io;
+use snake_core::io::{self, CloudFormat};
 use snake_core::registration::{Registration, register, transform_points};
 
+use crate::inputs::check_inputs;
 use crate::terminal;
 use args::RegisterArguments;
 
@@ -17,7 +18,8 @@ pub fn run(arguments: &RegisterArguments) -> Result<()> {
     arguments.compute.start_threads()?;
     let RegisterArguments { source, target, output, aligned, .. } = arguments;
     output.as_deref().map_or(Ok(()), io::check_registration_path)?;
-    aligned.as_deref().map_or(Ok(()), io::check_cloud_path)?;
+    aligned.as_deref().map(CloudFormat::from_path).transpose()?;
+    check_inputs([source, target])?;
     if let Some(input) = output.iter().chain(aligned).find(|path| *path == source || *path == target) {
         bail!("{}: is an input; give another name to write to", input.display());
     }
@@ -25,16 +27,19 @@ pub fn run(arguments: &RegisterArguments) -> Result<()> {
     let options = arguments.options.resolve();
     terminal::detail("options", || serde_json::to_string(&options).unwrap_or_default());
     let bar = terminal::progress(1)?.with_message(format!("{} to {}", source.display(), target.display()));
-    let (source_points, target_points) = (io::read_points(source)?, io::read_points(target)?);
-    terminal::detail("points", || format!("{} and {}", source_points.len(), target_points.len()));
-    let found = register(&source_points, &target_points, &model, &options)
+    let read = |path| arguments.input.read(path, options.seed);
+    let (source_cloud, target_cloud) = (read(source)?, read(target)?);
+    terminal::detail("points", || format!("{} and {}", source_cloud.points.len(), target_cloud.points.len()));
+    let near = register(&source_cloud.points, &target_cloud.points, &model, &options)
         .with_context(|| format!("cannot register {} to {}", source.display(), target.display()))?;
     bar.finish_and_clear();
+    let found = near.between_origins(source_cloud.origin, target_cloud.origin);
     if let Some(path) = output {
         io::write_registration(path, &found)?;
     }
     if let Some(path) = aligned {
-        io::write_points(path, &transform_points(&found.t_target_source, &source_points))?;
+        let moved = transform_points(&near.t_target_source, &source_cloud.points);
+        io::write_points(path, &moved, target_cloud.origin)?;
     }
     let written: Vec<&Path> = output.iter().chain(aligned).map(AsRef::as_ref).collect();
     if arguments.json {
@@ -44,12 +49,16 @@ pub fn run(arguments: &RegisterArguments) -> Result<()> {
 }
 
 fn text(found: &Registration, written: &[&Path]) -> Result<String> {
-    let Registration { t_target_source, num_inliers, num_correspondences, rmse, seconds } = found;
+    let Registration { t_target_source, num_inliers, num_correspondences, rmse, num_skipped, seconds } = found;
     let mut text = String::from("t_target_source:\n");
     for [a, b, c, d] in t_target_source {
         writeln!(text, "{a:>12.6} {b:>12.6} {c:>12.6} {d:>14.6}")?;
     }
     writeln!(text, "{num_inliers} of {num_correspondences} correspondences agree, RMSE {rmse:.5}, {seconds:.3} s")?;
+    let [of_source, of_target] = num_skipped;
+    if of_source + of_target > 0 {
+        writeln!(text, "skipped {of_source} points of the source and {of_target} of the target, which are not finite")?;
+    }
     for path in written {
         writeln!(text, "written to {}", path.display())?;
     }

@@ -119,10 +119,10 @@ impl Data {
     pub fn clouds(&self, pair: usize) -> Result<PairClouds> {
         match &self.source {
             Source::Objects { clouds: Clouds::Loaded(clouds), .. } => PairClouds::object(&clouds[pair]),
-            Source::Objects { clouds: Clouds::Files(files), .. } => PairClouds::object(&io::read_points(&files[pair])?),
+            Source::Objects { clouds: Clouds::Files(files), .. } => PairClouds::object(&finite_points(&files[pair])?),
             Source::Pairs(pairs) => {
                 let PairEntry { clouds: [first, second], t_1_2, .. } = &pairs[pair];
-                let clouds = [io::read_points(&find_cloud(first)?)?, io::read_points(&find_cloud(second)?)?];
+                let clouds = [finite_points(&find_cloud(first)?)?, finite_points(&find_cloud(second)?)?];
                 if clouds.iter().any(Vec::is_empty) {
                     bail!("a cloud without points");
                 }
@@ -130,6 +130,13 @@ impl Data {
             }
         }
     }
+}
+
+/// A cloud without the points that are missing, so that views have as many points as they say.
+fn finite_points(path: &Path) -> Result<Vec<Point>> {
+    let mut points = io::read_points(path)?;
+    points.retain(|point| point.iter().all(|v| v.is_finite()));
+    Ok(points)
 }
 
 /// `pairs.json`: the target is the first view.
