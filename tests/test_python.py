@@ -204,14 +204,46 @@ def test_points_that_cannot_be_encoded_are_refused(model, field, points):
         model.encode(np.zeros((0, 3)))
     bad = points.copy()
     bad[[5, 9], 1] = np.nan, np.inf
-    with pytest.raises(ValueError, match="^points: 2 of 700 points are not finite, the first at index 5"):
-        model.encode(bad)
+    with pytest.raises(ValueError, match="^points: none of the 700 points is finite$"):
+        model.encode(np.full((700, 3), np.nan))
     with pytest.raises(ValueError, match="^queries: 2 of 700 points are not finite"):
         field.saliency(bad)
     with pytest.raises(ValueError, match="cannot be normalised"):
         model.encode(np.ones((10, 3)))
     with pytest.raises(ValueError, match="inhomogeneous"):
         model.encode([[1.0, 2.0, 3.0], [4.0]])
+
+
+def test_points_that_are_not_finite_are_skipped(model, points):
+    holes = np.full((2 * len(points), 3), np.nan)
+    holes[1::2] = points
+    clean, found = snake_rs.detect(points, model), snake_rs.detect(holes, model)
+    assert (clean.num_skipped, found.num_skipped) == (0, len(points))
+    assert np.array_equal(found.points, clean.points) and np.array_equal(found.saliency, clean.saliency)
+    assert np.array_equal(found.nearest_index, 2 * clean.nearest_index + 1)
+    assert pickle.loads(pickle.dumps(found)).num_skipped == len(points)
+    index, score = snake_rs.baselines.iss(holes)
+    expected, expected_score = snake_rs.baselines.iss(points)
+    assert np.array_equal(index, 2 * expected + 1) and np.array_equal(score, expected_score)
+
+
+def test_files_are_read(tmp_path):
+    good = Path(__file__).parent / "data/io/good"
+    cloud = np.array([[0, 0, 0], [1, -2, 0.5], [-0.25, 3, 100], [0.125, 0.001, -7]])
+    for name in ("ascii.ply", "compressed.pcd", "stored.npz", "mesh.obj", "binary.stl", "format_6.laz"):
+        points = snake_rs.read_points(good / name)
+        assert points.dtype == np.float64 and np.allclose(points, cloud, atol=1e-6), name
+    np.save(tmp_path / "far.npy", cloud + [5e5, 5e6, 0])
+    assert np.allclose(snake_rs.read_points(tmp_path / "far.npy"), cloud + [5e5, 5e6, 0], rtol=0, atol=1e-5)
+    samples = snake_rs.read_points(str(good / "mesh.off"), sample=1000, seed=3)
+    assert samples.shape == (1000, 3) and len(np.unique(samples, axis=0)) == 1000
+    assert (samples.min(axis=0) >= cloud.min(axis=0)).all() and (samples.max(axis=0) <= cloud.max(axis=0)).all()
+    with pytest.raises(FileNotFoundError):
+        snake_rs.read_points(tmp_path / "none.ply")
+    with pytest.raises(ValueError, match="no faces to draw samples from"):
+        snake_rs.read_points(good / "plain.xyz", sample=10)
+    with pytest.raises(ValueError, match="unknown extension"):
+        snake_rs.read_points(tmp_path / "a.doc")
 
 
 # Field

@@ -17,8 +17,10 @@ pub struct Keypoints {
     saliency: Py<PyArray1<f32>>,
     /// Occupancy (K,) float32 at the positions.
     occupancy: Py<PyArray1<f32>>,
-    /// Index (K,) int64 of the nearest input point.
+    /// Index (K,) int64 of the nearest input point; skipped ones count.
     nearest_index: Py<PyArray1<i64>>,
+    /// How many input points were skipped because they are not finite.
+    num_skipped: usize,
     /// How many queries each step left: "queries", "occupied", "above_threshold", "keypoints".
     counts: Py<PyDict>,
     /// Seconds that each step took: "occupancy", "refine", "nms".
@@ -28,7 +30,7 @@ pub struct Keypoints {
 impl Keypoints {
     /// The core's result as arrays and dicts.
     pub fn from_detection(py: Python<'_>, detection: Detection) -> PyResult<Self> {
-        let Detection { keypoints, counts, timing } = detection;
+        let Detection { keypoints, num_skipped, counts, timing } = detection;
         let counts = [
             ("queries", counts.queries),
             ("occupied", counts.occupied),
@@ -42,6 +44,7 @@ impl Keypoints {
             saliency: arrays::values(py, keypoints.iter().map(|k| k.saliency).collect()).unbind(),
             occupancy: arrays::values(py, keypoints.iter().map(|k| k.occupancy).collect()).unbind(),
             nearest_index: arrays::values(py, keypoints.iter().map(|k| k.nearest_index as i64).collect()).unbind(),
+            num_skipped,
             counts: counts.into_py_dict(py)?.unbind(),
             timing_seconds: timing.into_py_dict(py)?.unbind(),
         })
@@ -56,10 +59,11 @@ impl Keypoints {
         saliency: Py<PyArray1<f32>>,
         occupancy: Py<PyArray1<f32>>,
         nearest_index: Py<PyArray1<i64>>,
+        num_skipped: usize,
         counts: Py<PyDict>,
         timing_seconds: Py<PyDict>,
     ) -> Self {
-        Self { points, saliency, occupancy, nearest_index, counts, timing_seconds }
+        Self { points, saliency, occupancy, nearest_index, num_skipped, counts, timing_seconds }
     }
 
     /// The keypoints as an `open3d.geometry.PointCloud`, in the cloud's frame. Raises ImportError without Open3D.
@@ -75,8 +79,8 @@ impl Keypoints {
     }
 
     fn __getnewargs__<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyTuple>> {
-        (&self.points, &self.saliency, &self.occupancy, &self.nearest_index, &self.counts, &self.timing_seconds)
-            .into_pyobject(py)
+        let Self { points, saliency, occupancy, nearest_index, num_skipped, counts, timing_seconds } = self;
+        (points, saliency, occupancy, nearest_index, num_skipped, counts, timing_seconds).into_pyobject(py)
     }
 
     fn __len__(&self, py: Python<'_>) -> PyResult<usize> {

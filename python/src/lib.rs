@@ -5,6 +5,7 @@ mod arrays;
 mod baselines;
 mod error;
 mod field;
+mod io;
 mod keypoints;
 mod mesh;
 mod metrics;
@@ -12,14 +13,12 @@ mod model;
 mod options;
 mod registration;
 
-use std::path::PathBuf;
-
-use numpy::PyArray2;
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
 
 use error::py_error;
 use field::Field;
+use io::read_points;
 use keypoints::Keypoints;
 use mesh::Mesh;
 use model::Model;
@@ -28,9 +27,10 @@ use registration::{Registration, estimate_normals, fpfh, register};
 /// Keypoints of a cloud in one call: `model.encode(points).detect()`, with the built-in model if none is given.
 ///
 /// `points` is (N, 3) real numbers: a numpy array, a torch tensor on the CPU, an Open3D or trimesh point cloud, or
-/// anything else that numpy takes for such an array; it is copied as float32. `options` are those of `Model.encode` and `Field.detect`; what is not given
-/// comes from `preset`, or else from `model.recommended`. Raises ValueError for an array or a value that cannot be
-/// used, and TypeError for an unknown option.
+/// anything else that numpy takes for such an array; it is copied as float32. Points that are not finite are skipped
+/// (`Keypoints.num_skipped`), but `nearest_index` counts them. `options` are those of `Model.encode` and `Field.detect`;
+/// what is not given comes from `preset`, or else from `model.recommended`. Raises ValueError for an array or a value
+/// that cannot be used, and TypeError for an unknown option.
 #[pyfunction]
 #[pyo3(signature = (points, model=None, **options))]
 fn detect(
@@ -44,15 +44,6 @@ fn detect(
     let points = arrays::points("points", points)?;
     let detection = py.detach(|| model.detect(&points, &preset)).map_err(py_error)?;
     Keypoints::from_detection(py, detection)
-}
-
-/// Reads a point cloud file by its extension, as snake-cli does: (N, 3) float32, in the file's order, units and frame.
-///
-/// Raises OSError (FileNotFoundError, ...) when it cannot be read, ValueError when it is no such file.
-#[pyfunction]
-fn read_points(py: Python<'_>, path: PathBuf) -> PyResult<Bound<'_, PyArray2<f32>>> {
-    let points = py.detach(|| snake_core::io::read_points(&path)).map_err(py_error)?;
-    arrays::rows(py, points.into_flattened(), 3)
 }
 
 #[pymodule]

@@ -117,7 +117,8 @@ impl Model {
 
     /// Encodes a cloud once; the field then answers any number of queries.
     ///
-    /// `points` is (N, 3), as `detect` takes it. Options: `normalization` ("unit-sphere", "unit-cube" or "none": the
+    /// `points` is (N, 3), as `detect` takes it; points that are not finite are skipped. It is held as float32: subtract an
+    /// offset from coordinates far from zero. Options: `normalization` ("unit-sphere", "unit-cube" or "none": the
     /// cloud is already in the cube +-0.5), `max_points` (encode at most this many, drawn at random; None: all of
     /// them), `seed` of that draw, `rotations` (average over this many turned copies of the cloud: keypoints repeat
     /// far better, at as many times the cost), and `preset`. What is not given comes from `preset`, or else from

@@ -20,6 +20,8 @@ pub struct Registration {
     num_correspondences: usize,
     /// Root mean square distance of the inliers, in cloud units.
     rmse: f64,
+    /// Points of source and target that were skipped because they are not finite.
+    num_skipped: (usize, usize),
     /// Time it took.
     seconds: f64,
 }
@@ -32,13 +34,15 @@ impl Registration {
         num_inliers: usize,
         num_correspondences: usize,
         rmse: f64,
+        num_skipped: (usize, usize),
         seconds: f64,
     ) -> Self {
-        Self { t_target_source, num_inliers, num_correspondences, rmse, seconds }
+        Self { t_target_source, num_inliers, num_correspondences, rmse, num_skipped, seconds }
     }
 
     fn __getnewargs__<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyTuple>> {
-        (&self.t_target_source, self.num_inliers, self.num_correspondences, self.rmse, self.seconds).into_pyobject(py)
+        let Self { t_target_source, num_inliers, num_correspondences, rmse, num_skipped, seconds } = self;
+        (t_target_source, num_inliers, num_correspondences, rmse, *num_skipped, seconds).into_pyobject(py)
     }
 
     fn __repr__(&self) -> String {
@@ -50,6 +54,7 @@ impl Registration {
 /// Finds the rigid transform that brings one cloud onto another, with nothing known beforehand.
 ///
 /// `source` and `target` are (N, 3) and (M, 3), as `detect` takes them, in the same units; they may be parts that overlap.
+/// Points that are not finite are skipped.
 /// Keypoints of `model` (default: the built-in one) are matched by descriptors, RANSAC finds the transform that most
 /// matches agree on, and point-to-plane ICP refines it. Options: `detector` ("snake", the model's keypoints, or "iss",
 /// "harris3d", "sift3d", "fps" or "random", points of the reduced clouds), `descriptor` ("fpfh", which turns with the
@@ -72,8 +77,8 @@ pub fn register(
     let (source, target) = (arrays::points("source", source)?, arrays::points("target", target)?);
     let found = py.detach(|| core::register(&source, &target, &model, &options)).map_err(py_error)?;
     let matrix = PyArray1::from_vec(py, found.t_target_source.as_flattened().to_vec()).reshape([4, 4])?;
-    let core::Registration { num_inliers, num_correspondences, rmse, seconds, .. } = found;
-    Ok(Registration::new(matrix.unbind(), num_inliers, num_correspondences, rmse, seconds))
+    let core::Registration { num_inliers, num_correspondences, rmse, num_skipped, seconds, .. } = found;
+    Ok(Registration::new(matrix.unbind(), num_inliers, num_correspondences, rmse, num_skipped.into(), seconds))
 }
 
 /// Unit normals (N, 3) float32 of a cloud (N, 3): the direction in which the points nearer than `radius` vary least,
