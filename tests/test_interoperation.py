@@ -108,7 +108,7 @@ def test_keypoints_are_points_too(field):
 
 
 def test_read_points(points, tmp_path):
-    assert points.dtype == np.float32 and points.shape == (300, 3)
+    assert points.dtype == np.float64 and points.shape == (300, 3)
     np.save(tmp_path / "cloud.npy", points.astype(np.float64))
     assert np.array_equal(snake_rs.read_points(str(tmp_path / "cloud.npy")), points)
     with pytest.raises(FileNotFoundError):
