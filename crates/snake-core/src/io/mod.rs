@@ -25,6 +25,7 @@ mod npy;
 mod pcd;
 mod ply;
 mod text;
+mod transform;
 
 use std::io::{self, BufWriter, Write};
 use std::path::Path;
@@ -92,6 +93,32 @@ pub fn read_clouds(path: &Path) -> Result<Vec<Vec<Point>>> {
 pub fn read_transforms(path: &Path) -> Result<Vec<Transform>> {
     let bytes = std::fs::read(path).map_err(|source| Error::Io { path: path.into(), source })?;
     npy::read_transforms(&bytes).map_err(|reason| Error::Format { path: path.into(), reason })
+}
+
+/// Reads a rigid transform: from `json` the key `t_target_source` of an object, as [`write_registration`] writes it, or
+/// four rows alone; from `txt` four rows of four numbers.
+///
+/// # Errors
+/// [`Error::Io`] when the file cannot be read; [`Error::Format`] when the extension is not among
+/// [`REGISTRATION_EXTENSIONS`] or the content is no rigid transform.
+pub fn read_transform(path: &Path) -> Result<Transform> {
+    let read = match extension(path).as_str() {
+        "json" => transform::read_json,
+        "txt" => transform::read_text,
+        _ => return Err(unknown_extension(path, "read", REGISTRATION_EXTENSIONS)),
+    };
+    let bytes = std::fs::read(path).map_err(|source| Error::Io { path: path.into(), source })?;
+    read(&bytes).map_err(|reason| Error::Format { path: path.into(), reason })
+}
+
+/// Writes a volume as `.npy`, `<f4` in C order, plane by plane, so that it is never held whole; whole or not at all, like
+/// [`write_keypoints`]. `plane(i)` gives the values `[i]` of an array of this shape.
+///
+/// # Errors
+/// [`Error::Io`] when the file cannot be written, or a plane could not be had.
+pub fn write_volume(path: &Path, shape: [usize; 3], mut plane: impl FnMut(usize) -> Result<Vec<f32>>) -> Result<()> {
+    write_atomically(path, |file| npy::write_planes(file, shape, |index| plane(index).map_err(io::Error::other)))
+        .map_err(|source| Error::Io { path: path.into(), source })
 }
 
 /// Writes keypoints; the extension says which format.

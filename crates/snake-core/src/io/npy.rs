@@ -66,18 +66,39 @@ fn open(bytes: &[u8]) -> Result<(ArrayHeader, &[u8]), String> {
 ///
 /// Items are `<f8`, because an index beyond 2^24 is not exact in `<f4`.
 pub(super) fn write(out: &mut dyn Write, keypoints: &[Keypoint]) -> io::Result<()> {
-    let header = format!("{{'descr': '<f8', 'fortran_order': False, 'shape': ({}, 6), }}", keypoints.len());
-    // NumPy ends the header with a line feed at a multiple of 64 bytes, so that the data can be mapped.
-    let width = (MAGIC.len() + 4 + header.len() + 1).next_multiple_of(64) - MAGIC.len() - 5;
-    out.write_all(MAGIC)?;
-    out.write_all(&[1, 0])?;
-    out.write_all(&(width as u16 + 1).to_le_bytes())?;
-    writeln!(out, "{header:width$}")?;
+    write_header(out, "<f8", &format!("{}, 6", keypoints.len()))?;
     for Keypoint { position: [x, y, z], saliency, occupancy, nearest_index } in keypoints {
         for value in [x, y, z, saliency, occupancy] {
             out.write_all(&f64::from(*value).to_le_bytes())?;
         }
         out.write_all(&(*nearest_index as f64).to_le_bytes())?;
+    }
+    Ok(())
+}
+
+/// Writes the magic bytes and the header of an array in C order.
+fn write_header(out: &mut dyn Write, descr: &str, shape: &str) -> io::Result<()> {
+    let header = format!("{{'descr': '{descr}', 'fortran_order': False, 'shape': ({shape}), }}");
+    // NumPy ends the header with a line feed at a multiple of 64 bytes, so that the data can be mapped.
+    let width = (MAGIC.len() + 4 + header.len() + 1).next_multiple_of(64) - MAGIC.len() - 5;
+    out.write_all(MAGIC)?;
+    out.write_all(&[1, 0])?;
+    out.write_all(&(width as u16 + 1).to_le_bytes())?;
+    writeln!(out, "{header:width$}")
+}
+
+/// Writes an array of `<f4` of the shape `[planes][..]`, plane by plane.
+pub(super) fn write_planes(
+    out: &mut dyn Write,
+    shape: [usize; 3],
+    mut plane: impl FnMut(usize) -> io::Result<Vec<f32>>,
+) -> io::Result<()> {
+    let [planes, rows, columns] = shape;
+    write_header(out, "<f4", &format!("{planes}, {rows}, {columns}"))?;
+    for index in 0..planes {
+        for value in plane(index)? {
+            out.write_all(&value.to_le_bytes())?;
+        }
     }
     Ok(())
 }
