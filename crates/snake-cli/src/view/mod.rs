@@ -1,0 +1,105 @@
+//! `snake-cli view`: read, detect, register two clouds, write a page.
+
+pub mod args;
+
+use std::path::Path;
+
+use anyhow::{Context, Result, bail};
+use snake_core::metrics::repeated_keypoints;
+use snake_core::registration::{RegisterOptions, register};
+use snake_core::{
+    Field, Mesh, MeshOptions, Model, Normalization, NormalizationMethod, Point, Preset, Transform, detect, io,
+};
+
+use crate::model;
+use crate::render::page::{Page, Pair, ShownCloud};
+use args::ViewArguments;
+
+/// More points of a cloud than this are thinned, so that the page stays light.
+const MAX_SHOWN: usize = 400_000;
+/// Samples of the surface along each axis, the first that gives at most so many triangles.
+const SURFACE_RESOLUTIONS: [usize; 4] = [96, 64, 48, 32];
+const MAX_TRIANGLES: usize = 100_000;
+
+/// Writes the page and says what is on it.
+pub fn run(arguments: &ViewArguments) -> Result<()> {
+    if let Some(threads) = arguments.threads {
+        rayon::ThreadPoolBuilder::new().num_threads(threads.into()).build_global()?;
+    }
+    let ViewArguments { inputs, output, epsilon, transform, .. } = arguments;
+    let extension = output.extension().unwrap_or_default().to_string_lossy().to_ascii_lowercase();
+    if !["html", "htm"].contains(&extension.as_str()) {
+        bail!("{}: unknown extension; files that can be written: .html", output.display());
+    }
+    if inputs.len() < 2 && (epsilon.is_some() || transform.is_some()) {
+        bail!("--epsilon and --transform are for two clouds");
+    }
+    let t_first_second = transform.as_deref().map(io::read_transform).transpose()?;
+    let model = model::load(arguments.model.as_deref())?;
+    let options = arguments.options.resolve(&model)?;
+    let mut clouds: Vec<ShownCloud> = Vec::new();
+    for input in inputs {
+        clouds.push(shown(&model, &options, input).with_context(|| input.display().to_string())?);
+    }
+    let pair = match &clouds[..] {
+        [first, second] => Some(pair(&model, first, second, t_first_second, *epsilon)?),
+        _ => None,
+    };
+    let mut text: String = clouds.iter().map(|cloud| cloud.summary() + "\n").collect();
+    if let Some(pair) = &pair {
+        text += &(pair.summary() + "\n");
+    }
+    let model_name = arguments.model.as_ref().map_or("built-in".into(), |path| path.display().to_string());
+    let page = Page { clouds, pair, options, model_name, colormap: arguments.colormap };
+    io::write_atomically(output, |file| file.write_all(page.html()?.as_bytes()))
+        .with_context(|| format!("cannot write {}", output.display()))?;
+    crate::print(&format!("{text}written to {}\n", output.display()))
+}
+
+/// One cloud with all that the page shows of it.
+fn shown(model: &Model, options: &Preset, input: &Path) -> Result<ShownCloud> {
+    let points = io::read_points(input)?;
+    let field = model.encode(&points, &options.encode)?;
+    let detection = detect(&field, &options.detect)?;
+    let shown: Vec<Point> = points.iter().step_by(points.len().div_ceil(MAX_SHOWN)).copied().collect();
+    let surface = surface(&field)?;
+    let saliency = [field.saliency(&shown)?, field.saliency(&surface.vertices)?];
+    Ok(ShownCloud { name: input.display().to_string(), field, shown, surface, saliency, detection })
+}
+
+/// The outer surface, as fine as the page can bear.
+fn surface(field: &Field) -> Result<Mesh> {
+    let mut mesh = Mesh::default();
+    for resolution in SURFACE_RESOLUTIONS {
+        mesh = field.mesh(&MeshOptions { resolution, outer: true, ..Default::default() })?;
+        if mesh.triangles.len() <= MAX_TRIANGLES {
+            break;
+        }
+    }
+    Ok(mesh)
+}
+
+/// How the second cloud lies on the first, and which keypoints repeat.
+fn pair(
+    model: &Model,
+    first: &ShownCloud,
+    second: &ShownCloud,
+    given: Option<Transform>,
+    epsilon: Option<f64>,
+) -> Result<Pair> {
+    let radius = Normalization::of(first.field.points(), NormalizationMethod::UnitSphere)?.scale / 2.0;
+    let epsilon = epsilon.unwrap_or(0.04 * f64::from(radius));
+    let (t_first_second, registration) = match given {
+        Some(transform) => (transform, None),
+        None => {
+            let found = register(second.field.points(), first.field.points(), model, &RegisterOptions::default());
+            let found = found.with_context(|| {
+                format!("cannot register {} to {}; --transform FILE gives their poses", second.name, first.name)
+            })?;
+            (found.t_target_source, Some(found))
+        }
+    };
+    let [of_first, of_second] = [first, second].map(ShownCloud::keypoint_positions);
+    let partners = repeated_keypoints(&of_first, &of_second, &t_first_second, epsilon)?;
+    Ok(Pair { t_first_second, registration, epsilon, partners })
+}
