@@ -10,9 +10,9 @@ use snake_core::{Detection, Field, Mesh, Point, Preset, Transform};
 
 use super::colormap::Colormap;
 
-const BODY: &str = include_str!("page.html");
-const STYLE: &str = include_str!("page.css");
-const SCRIPT: &str = include_str!("page.js");
+const BODY: &str = include_str!("page/body.html");
+const STYLE: &str = include_str!("page/style.css");
+const SCRIPTS: [&str; 2] = [include_str!("page/scene.js"), include_str!("page/controls.js")];
 
 /// All that the page shows.
 pub struct Page {
@@ -54,6 +54,7 @@ impl Page {
         let title = escaped(&names.join(" + "));
         // Within a script element only "<" could end it or begin a comment.
         let data = serde_json::to_string(&self.data())?.replace('<', "\\u003c");
+        let script = SCRIPTS.join("\n");
         Ok(format!(
             "<!doctype html>\n<html lang=\"en\">\n<head>\n<meta charset=\"utf-8\">\n\
              <meta name=\"viewport\" content=\"width=device-width, initial-scale=1\">\n\
@@ -61,7 +62,7 @@ impl Page {
              script-src 'unsafe-inline'; style-src 'unsafe-inline'; img-src data:\">\n\
              <link rel=\"icon\" href=\"data:,\">\n<title>{title}: keypoints</title>\n\
              <style>\n{STYLE}</style>\n</head>\n<body>\n{BODY}\
-             <script type=\"application/json\" id=\"data\">{data}</script>\n<script>\n{SCRIPT}</script>\n\
+             <script type=\"application/json\" id=\"data\">{data}</script>\n<script>\n{script}</script>\n\
              </body>\n</html>\n"
         ))
     }
@@ -149,7 +150,7 @@ impl Pair {
             links.filter_map(|(first, partner)| partner.map(|(second, distance)| json!([first, second, distance])));
         json!({
             "t_first_second": self.t_first_second,
-            "registration": self.registration,
+            "registration": self.registration.map(|found| [found.num_inliers, found.num_correspondences]),
             "epsilon": self.epsilon,
             "links": links.collect::<Vec<_>>(),
         })

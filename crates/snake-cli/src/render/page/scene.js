@@ -1,5 +1,6 @@
 "use strict";
-// The page's data: see page.rs. Lengths are in the clouds' units, and the first cloud's frame is that of the scene.
+// The scene: clouds, surfaces, keypoints and links, drawn with WebGL. The data is that of page.rs: lengths are in the
+// clouds' units, and the scene is in the first cloud's frame.
 
 const data = JSON.parse(document.getElementById("data").textContent);
 const byId = (id) => document.getElementById(id);
@@ -26,6 +27,19 @@ const radius = Math.hypot(...extent) / 2 || 1;
 const toScene = scaled([1, 1, 1].map((v) => v / radius), low.map((v, axis) => -(v + high[axis]) / 2 / radius));
 const placed = poses.map((pose) => multiply(toScene, pose));
 
+const bytes = (text) => Uint8Array.from(atob(text), (c) => c.charCodeAt(0));
+
+/** Takes 16-bit positions, as shares of 65535, to the scene. */
+const unpacked = (of, { low, high }) => multiply(placed[of], scaled(high.map((v, axis) => v - low[axis]), low));
+
+// Enough points of the clouds to frame the first view by.
+const some = data.clouds.flatMap(({ points }, of) => {
+  const packed = new DataView(bytes(points.positions).buffer);
+  const step = Math.ceil(points.count / 1000);
+  return [...Array(Math.ceil(points.count / step)).keys()].map((i) =>
+    apply(unpacked(of, points), [0, 2, 4].map((offset) => packed.getUint16(i * step * 6 + offset, true) / 65535)));
+});
+
 const keypoints = data.clouds.flatMap((cloud, of) => cloud.keypoints.map((keypoint, rank) => {
   const at = apply(placed[of], [keypoint.x, keypoint.y, keypoint.z]);
   return { ...keypoint, of, rank, at, link: null };
@@ -42,8 +56,8 @@ const links = (data.pair ? data.pair.links : []).map(([first, second, distance])
 // A cloud that is much flatter along one axis probably lies on the ground of the other two.
 const flattest = extent.indexOf(Math.min(...extent));
 const guessedUp = extent[flattest] < 0.6 * Math.min(...extent.filter((_, axis) => axis !== flattest)) ? flattest : 2;
-const start = { yaw: -0.9, pitch: 0.5, zoom: 1, target: [0, 0, 0], up: guessedUp };
-const view = { ...start };
+const view = { yaw: -0.9, pitch: 0.5, zoom: 1, target: [0, 0, 0], up: guessedUp };
+const start = { ...view };
 const shown = { clouds: data.clouds.map(() => true), points: true, keypoints: true, surface: false, links: true };
 const size = Math.min(6, Math.max(1.6, 260 / Math.sqrt(data.clouds[0].points.count)));
 const style = { point: size, apart: 1 };
@@ -82,13 +96,13 @@ void main() {
   facing = mat3(camera) * (turn * normal);
   color = texture(colors, vec2((saliency * 255.0 + 0.5) / 256.0, 0.5)).rgb;
 }`, `${FOG}
-in vec3 color, facing, place; in float depth; out vec4 result;
+uniform float opacity; in vec3 color, facing, place; in float depth; out vec4 result;
 void main() {
   vec3 normal = normalize(facing), eye = normalize(-place);
   float lit = abs(dot(normal, eye));
-  float sky = 0.5 + 0.5 * normalize(facing).y;
-  vec3 shaded = color * (0.3 + 0.55 * lit + 0.2 * sky) + 0.12 * pow(lit, 24.0);
-  result = vec4(faded(shaded, depth), 1.0);
+  float sky = 0.5 + 0.5 * normal.y;
+  vec3 shaded = color * (0.4 + 0.55 * lit + 0.25 * sky) + 0.1 * pow(lit, 24.0);
+  result = vec4(faded(shaded, depth), opacity);
 }`],
   discs: [`
 uniform mat4 camera, projection; uniform float disc_size, hovered; uniform vec3 plain, repeated;
@@ -144,8 +158,6 @@ function compile(vertex, fragment) {
   return { program, uniforms };
 }
 
-const bytes = (text) => Uint8Array.from(atob(text), (c) => c.charCodeAt(0));
-
 /** Uploads arrays; `layout` has for each attribute its data, number of components, and type. */
 function upload(of, layout, indices) {
   const array = gl.createVertexArray();
@@ -164,9 +176,6 @@ function upload(of, layout, indices) {
   gl.bindVertexArray(null);
   return array;
 }
-
-/** Takes 16-bit positions, which arrive in [0, 1], to the scene. */
-const unpacked = (of, { low, high }) => multiply(placed[of], scaled(high.map((v, axis) => v - low[axis]), low));
 
 function prepare() {
   gl = canvas.getContext("webgl2", { antialias: true, alpha: false });
@@ -188,8 +197,8 @@ function prepare() {
 
 // --- The camera.
 
-/** Unit vectors of a view: to the right, up, and to the eye. */
-function basis(view) {
+/** Unit vectors of the view: to the right, up, and to the eye. */
+function basis() {
   const unit = (axis) => [0, 1, 2].map((i) => (i === axis % 3 ? 1 : 0));
   const [a, b, up] = [unit(view.up + 1), unit(view.up + 2), unit(view.up)];
   const level = add(a.map((v) => v * Math.cos(view.yaw)), b, Math.sin(view.yaw));
@@ -198,20 +207,31 @@ function basis(view) {
   return { right, up: cross(eye, right), eye };
 }
 
-const FIELD_OF_VIEW = 0.6;
+const FIELD_OF_VIEW = 0.45;
 
-/** The corners of the clouds' boxes as the first view sees them: right, up, towards the eye. */
-function firstSeen() {
-  const { right, up, eye } = basis({ ...start, up: view.up });
-  return corners.map((corner) => apply(toScene, corner)).map((p) => [right, up, eye].map((axis) => dot(axis, p)));
+/** What the first view has to show: points as it sees them (right, up, towards the eye), and the middle of them. */
+let frame = null;
+
+function reset() {
+  Object.assign(view, start, { up: view.up });
+  const axes = Object.values(basis());
+  const seen = some.map((p) => axes.map((axis) => dot(axis, p)));
+  const middle = [0, 1, 2].map((i) => {
+    const along = seen.map((p) => p[i]);
+    return (Math.min(...along) + Math.max(...along)) / 2;
+  });
+  view.target = axes.reduce((sum, axis, i) => add(sum, axis, middle[i]), [0, 0, 0]);
+  frame = { seen: seen.map((p) => add(p, middle, -1)) };
+  frame.width = Math.max(0.4, ...frame.seen.map(([x]) => Math.abs(x)));
+  redraw();
 }
 
 function camera() {
-  const { right, up, eye } = basis(view);
+  const { right, up, eye } = basis();
   const aspect = canvas.clientWidth / Math.max(1, canvas.clientHeight);
   const tangent = Math.tan(FIELD_OF_VIEW / 2);
-  const needed = ([x, y, z]) => z + 1.06 * Math.max((Math.abs(x) + gap()) / aspect, Math.abs(y)) / tangent;
-  const distance = Math.max(...firstSeen().map(needed)) * view.zoom;
+  const needed = ([x, y, z]) => z + 1.2 * Math.max((Math.abs(x) + gap()) / aspect, Math.abs(y)) / tangent;
+  const distance = Math.max(...frame.seen.map(needed)) * view.zoom;
   const at = add(view.target, eye, distance);
   const rows = [right, up, eye];
   const matrix = [...rows.flatMap((row) => [...row, -dot(row, at)]), 0, 0, 0, 1];
@@ -224,7 +244,7 @@ function camera() {
 }
 
 /** How far each of two clouds is moved aside, so that links can be seen: at first a little more than its width. */
-const gap = () => (data.clouds.length > 1 ? 1.08 * style.apart * Math.max(0.4, ...firstSeen().map(([x]) => Math.abs(x))) : 0);
+const gap = () => (data.clouds.length > 1 ? 1.08 * style.apart * frame.width : 0);
 const aside = (of, { right }) => right.map((v) => v * gap() * (of === 0 ? -1 : 1));
 const moved = (shift) => scaled([1, 1, 1], shift);
 
@@ -259,21 +279,30 @@ function draw() {
   gl.clearColor(...background, 1);
   gl.clear(gl.COLOR_BUFFER_BIT | gl.DEPTH_BUFFER_BIT);
   gl.enable(gl.DEPTH_TEST);
+  gl.enable(gl.BLEND);
+  gl.blendFunc(gl.SRC_ALPHA, gl.ONE_MINUS_SRC_ALPHA);
   data.clouds.forEach(({ points, surface }, of) => {
     if (!shown.clouds[of]) return;
     const shift = moved(aside(of, seen));
-    if (shown.surface && surface) {
-      const turn = [0, 1, 2, 4, 5, 6, 8, 9, 10].map((i) => poses[of][i]);
-      use("surface", seen, { model: multiply(shift, unpacked(of, surface.vertices)), turn, background, fog });
-      gl.bindVertexArray(buffers.surface[of]);
-      gl.drawElements(gl.TRIANGLES, surface.count * 3, gl.UNSIGNED_INT, 0);
-    }
     if (shown.points) {
       // A point of the size that was asked for is in the middle of the first view.
       const pointSize = style.point * ratio * seen.distance / view.zoom;
       use("points", seen, { model: multiply(shift, unpacked(of, points)), point_size: pointSize, background, fog });
       gl.bindVertexArray(buffers.points[of]);
       gl.drawArrays(gl.POINTS, 0, points.count);
+    }
+    if (shown.surface && surface) {
+      const turn = [0, 1, 2, 4, 5, 6, 8, 9, 10].map((i) => poses[of][i]);
+      const opacity = shown.points ? 0.6 : 1;
+      use("surface", seen, { model: multiply(shift, unpacked(of, surface.vertices)), turn, background, fog, opacity });
+      gl.bindVertexArray(buffers.surface[of]);
+      // Depth first, then colour: only the nearest layer lies over the points.
+      for (const visible of [false, true]) {
+        gl.colorMask(visible, visible, visible, visible);
+        gl.depthFunc(visible ? gl.EQUAL : gl.LESS);
+        gl.drawElements(gl.TRIANGLES, surface.count * 3, gl.UNSIGNED_INT, 0);
+      }
+      gl.depthFunc(gl.LESS);
     }
   });
   drawKeypoints(seen, ratio, [width, height]);
@@ -283,9 +312,7 @@ function draw() {
 const isShown = ({ of }) => shown.keypoints && shown.clouds[of];
 
 function drawKeypoints(seen, ratio, viewport) {
-  gl.enable(gl.BLEND);
-  gl.blendFunc(gl.SRC_ALPHA, gl.ONE_MINUS_SRC_ALPHA);
-  const [plain, repeated] = [color("--accent"), color("--repeated")];
+  const [plain, repeated] = [color(data.pair ? "--lone" : "--accent"), color("--accent")];
   const place = (keypoint) => add(keypoint.at, aside(keypoint.of, seen));
   gl.disable(gl.DEPTH_TEST);
   const both = shown.links ? links.filter(({ first, second }) => isShown(first) && isShown(second)) : [];
@@ -301,13 +328,12 @@ function drawKeypoints(seen, ratio, viewport) {
   const discs = keypoints.filter(isShown);
   const vertices = discs.flatMap((keypoint) => [...place(keypoint), keypoint.link ? 1 : 0]);
   // What is hidden by points still shines through.
-  for (const opacity of [0.3, 1]) {
+  for (const opacity of [shown.surface ? 0.6 : 0.3, 1]) {
     const disc_size = (discs.length > 300 ? 9 : 13) * ratio;
     use("discs", seen, { disc_size, hovered: discs.indexOf(hovered), plain, repeated, opacity });
     stream("discs", vertices, [["disc", 4]], gl.POINTS);
     gl.enable(gl.DEPTH_TEST);
   }
-  gl.disable(gl.BLEND);
 }
 
 /** Draws vertices that change with the view, one attribute after the other in each. */
@@ -346,228 +372,4 @@ function redraw() {
     draw();
     document.documentElement.dataset.state = "drawn";
   });
-}
-
-// --- Turning, moving, zooming, hovering.
-
-const pointers = new Map();
-
-function pan(dx, dy) {
-  const { right, up, distance } = camera();
-  const unit = 2 * distance * Math.tan(FIELD_OF_VIEW / 2) / canvas.clientHeight;
-  view.target = add(add(view.target, right, -dx * unit), up, dy * unit);
-}
-
-function zoom(factor) {
-  view.zoom = Math.min(4, Math.max(0.03, view.zoom * factor));
-}
-
-function onMove(event) {
-  const before = pointers.get(event.pointerId);
-  if (!before) return hover(event);
-  const now = [event.clientX, event.clientY];
-  const [dx, dy] = [now[0] - before[0], now[1] - before[1]];
-  if (pointers.size > 1) {
-    const other = [...pointers].find(([id]) => id !== event.pointerId)[1];
-    const apart = (p) => Math.hypot(p[0] - other[0], p[1] - other[1]);
-    zoom(apart(before) / Math.max(1, apart(now)));
-    pan(dx / 2, dy / 2);
-  } else if (event.buttons & 6 || event.shiftKey) {
-    pan(dx, dy);
-  } else {
-    view.yaw -= dx * 0.008;
-    view.pitch = Math.min(1.57, Math.max(-1.57, view.pitch + dy * 0.008));
-  }
-  pointers.set(event.pointerId, now);
-  redraw();
-}
-
-/** The keypoint under the pointer, the nearest to the eye of several. */
-function pick(x, y) {
-  const seen = camera();
-  const both = multiply(seen.projection, seen.matrix);
-  let best = null;
-  for (const keypoint of keypoints.filter(isShown)) {
-    const p = add(keypoint.at, aside(keypoint.of, seen));
-    const w = dot(both.slice(12, 15), p) + both[15];
-    const [sx, sy] = apply(both, p).map((v) => v / w);
-    const [px, py] = [(sx + 1) / 2 * canvas.clientWidth, (1 - sy) / 2 * canvas.clientHeight];
-    if (w > 0 && Math.hypot(px - x, py - y) < 9 && (!best || w < best.w)) best = { keypoint, w, px, py };
-  }
-  return best;
-}
-
-function hover(event) {
-  const box = canvas.getBoundingClientRect();
-  const found = pick(event.clientX - box.left, event.clientY - box.top);
-  const tooltip = byId("tooltip");
-  tooltip.hidden = !found;
-  if (hovered !== (found && found.keypoint)) redraw();
-  hovered = found && found.keypoint;
-  if (!found) return;
-  describe(tooltip, hovered);
-  const [width, height] = [tooltip.offsetWidth, tooltip.offsetHeight];
-  tooltip.style.left = `${Math.max(4, found.px + 16 + width > box.width ? found.px - 16 - width : found.px + 16)}px`;
-  tooltip.style.top = `${Math.max(4, Math.min(found.py - height / 2, box.height - height - 4))}px`;
-}
-
-const number = (value, digits = 4) => (value === null ? "–" : Number(value.toPrecision(digits)).toString());
-
-function describe(tooltip, { of, rank, saliency, occupancy, x, y, z, nearest_index, link }) {
-  const head = element("strong", data.clouds.length > 1 ? `Keypoint ${rank + 1} of ${"AB"[of]}` : `Keypoint ${rank + 1}`);
-  const rows = [["score (saliency)", number(saliency)], ["occupancy", number(occupancy)],
-    ["position", [x, y, z].map((v) => number(v)).join(", ")], ["nearest point", nearest_index]];
-  if (link) {
-    const partner = of === 0 ? link.second : link.first;
-    rows.push([`repeats ${"AB"[partner.of]}`, `${partner.rank + 1}, at ${number(link.distance, 3)}`]);
-  }
-  tooltip.replaceChildren(head, list(rows));
-}
-
-function reset() {
-  Object.assign(view, start, { up: view.up });
-  redraw();
-}
-
-function listen() {
-  canvas.addEventListener("pointerdown", (event) => {
-    canvas.setPointerCapture(event.pointerId);
-    pointers.set(event.pointerId, [event.clientX, event.clientY]);
-    canvas.classList.add("turning");
-    byId("tooltip").hidden = true;
-    if (event.pointerType === "touch") hover(event);
-  });
-  canvas.addEventListener("pointermove", onMove);
-  for (const name of ["pointerup", "pointercancel"]) {
-    canvas.addEventListener(name, (event) => {
-      pointers.delete(event.pointerId);
-      canvas.classList.toggle("turning", pointers.size > 0);
-    });
-  }
-  canvas.addEventListener("pointerleave", () => { byId("tooltip").hidden = true; hovered = null; redraw(); });
-  canvas.addEventListener("contextmenu", (event) => event.preventDefault());
-  canvas.addEventListener("dblclick", reset);
-  canvas.addEventListener("wheel", (event) => {
-    event.preventDefault();
-    zoom(Math.exp(Math.max(-60, Math.min(60, event.deltaY)) * 0.002));
-    redraw();
-  }, { passive: false });
-  canvas.addEventListener("webglcontextlost", (event) => {
-    event.preventDefault();
-    gl = null;
-    fail("The graphics driver dropped the picture. Load the page again.");
-  });
-  new ResizeObserver(redraw).observe(canvas);
-  matchMedia("(prefers-color-scheme: dark)").addEventListener("change", redraw);
-}
-
-// --- The panel. Text from files only ever becomes text, never markup.
-
-function element(tag, text, attributes = {}) {
-  const made = Object.assign(document.createElement(tag), attributes);
-  made.append(...[].concat(text ?? []));
-  return made;
-}
-
-const list = (rows) => element("dl", rows.flatMap(([name, value]) => [element("dt", name), element("dd", String(value))]));
-
-function toggle(name, holder, key, { disabled = false, why = "" } = {}) {
-  const box = element("input", null, { type: "checkbox", checked: holder[key] && !disabled, disabled });
-  box.addEventListener("change", () => { holder[key] = box.checked; redraw(); });
-  return element("label", [element("span", name), box], { title: why });
-}
-
-function slider(name, key, min, max) {
-  const range = element("input", null, { type: "range", min, max, step: (max - min) / 100 });
-  range.value = style[key];
-  range.addEventListener("input", () => { style[key] = Number(range.value); redraw(); });
-  return element("label", [element("span", name), range]);
-}
-
-function upButtons() {
-  const buttons = ["x", "y", "z"].map((name, axis) => {
-    const button = element("button", name, { type: "button" });
-    button.addEventListener("click", () => { view.up = axis; show(); reset(); });
-    return button;
-  });
-  const show = () => buttons.forEach((button, axis) => button.setAttribute("aria-pressed", axis === view.up));
-  show();
-  const back = element("button", "Reset", { type: "button" });
-  back.addEventListener("click", reset);
-  return element("div", [element("span", "Up"), ...buttons, back], { className: "buttons" });
-}
-
-const baseName = (path) => path.split(/[/\\]/).pop() || path;
-const count = (value) => value.toLocaleString("en").replaceAll(",", " ");
-
-function cloudFacts(cloud, of) {
-  const { counts, normalization, points } = cloud;
-  const box = points.high.map((v, axis) => number(v - points.low[axis], 4)).join(" × ");
-  const rows = [["points", count(cloud.num_points)]];
-  if (cloud.num_encoded < cloud.num_points) rows.push(["encoded", count(cloud.num_encoded)]);
-  if (points.count < cloud.num_points) rows.push(["shown", count(points.count)]);
-  rows.push(["extent", box], ["center", normalization.center.map((v) => number(v)).join(", ")],
-    ["scale", number(normalization.scale)], ["queries", count(counts.queries)], ["occupied", count(counts.occupied)],
-    ["above threshold", count(counts.above_threshold)], ["keypoints", count(counts.keypoints)]);
-  if (cloud.surface) rows.push(["triangles", count(cloud.surface.count)]);
-  const name = data.clouds.length > 1 ? `${"AB"[of]}: ${baseName(cloud.name)}` : baseName(cloud.name);
-  return [element("h2", name, { title: cloud.name }), list(rows)];
-}
-
-function pairFacts({ links: found, epsilon, registration, t_first_second }) {
-  const share = numOfFirst ? `${Math.round(100 * found.length / numOfFirst)} %` : "–";
-  const what = `${found.length} of ${numOfFirst} keypoints of A repeat in B within ${number(epsilon, 3)}`;
-  const rows = t_first_second.slice(0, 3).map((row, i) => [i ? "" : "B to A", row.map((v) => v.toFixed(3)).join("  ")]);
-  if (registration) {
-    const { num_inliers, num_correspondences } = registration;
-    rows.push(["registration", `${num_inliers} of ${num_correspondences} matches agree`]);
-  } else {
-    rows.push(["transform", "given"]);
-  }
-  return [element("p", [share, element("small", what)], { className: "share" }), list(rows)];
-}
-
-function panel() {
-  const names = data.clouds.map(({ name }) => baseName(name));
-  byId("title").append(element("small", `Keypoints · snake-rs ${data.version}`), names.join(" + "));
-  const palette = bytes(data.colors);
-  const stops = [...Array(33).keys()].map((i) => Math.min(255, i * 8)).map((i) => `rgb(${palette.slice(i * 3, i * 3 + 3)})`);
-  document.querySelector("#legend .bar").style.background = `linear-gradient(90deg, ${stops})`;
-  const key = (name, background) => {
-    const mark = element("i");
-    mark.style.background = `var(${background})`;
-    return element("div", [mark, name], { className: "key" });
-  };
-  const two = data.clouds.length > 1;
-  byId("legend").append(key(two ? "keypoint of one cloud only" : "keypoint", "--accent"));
-  if (two) byId("legend").append(key("keypoint that repeats", "--repeated"));
-  const hasSurface = data.clouds.some(({ surface }) => surface);
-  const why = hasSurface ? "" : "The field has no surface.";
-  byId("controls").append(toggle("Points", shown, "points"), toggle("Keypoints", shown, "keypoints"),
-    toggle("Surface", shown, "surface", { disabled: !hasSurface, why }));
-  if (two) {
-    byId("controls").append(toggle("Links", shown, "links"),
-      ...names.map((name, of) => toggle(`${"AB"[of]}: ${name}`, shown.clouds, of)), slider("Apart", "apart", 0, 1.5));
-  }
-  byId("controls").append(slider("Point size", "point", 1, 10), upButtons());
-  if (data.pair) byId("facts").append(...pairFacts(data.pair));
-  data.clouds.forEach((cloud, of) => byId("facts").append(...cloudFacts(cloud, of)));
-  const options = Object.entries({ model: data.model, ...data.options.encode, ...data.options.detect });
-  const values = options.map(([name, value]) => [name.replaceAll("_", " "),
-    typeof value === "number" ? number(value) : value === null ? "all" : String(value)]);
-  byId("facts").append(element("details", [element("summary", "Parameters"), list(values)]));
-}
-
-function fail(text) {
-  byId("message").textContent = text;
-  byId("message").hidden = false;
-  document.documentElement.dataset.state = "failed";
-}
-
-panel();
-if (prepare()) {
-  listen();
-  redraw();
-} else {
-  fail("This browser has no WebGL 2, which the picture needs. Update it, or switch hardware acceleration on; the figures on this page are complete without it.");
 }
