@@ -9,9 +9,10 @@ use crate::render::colormap::Colormap;
 
 #[derive(Args)]
 pub struct ViewArguments {
-    /// One or two point clouds (.ply, .pcd, .xyz, .txt, .csv, .pts, .npy).
-    #[arg(required = true, num_args = 1..=2, value_names = ["INPUT", "SECOND"])]
-    pub inputs: Vec<PathBuf>,
+    /// Point cloud (.ply, .pcd, .xyz, .txt, .csv, .pts, .npy).
+    pub input: PathBuf,
+    /// Another, of the same thing, to see which keypoints repeat.
+    pub second: Option<PathBuf>,
     /// Write the page (.html).
     #[arg(short, long)]
     pub output: PathBuf,

@@ -26,19 +26,19 @@ pub fn run(arguments: &ViewArguments) -> Result<()> {
     if let Some(threads) = arguments.threads {
         rayon::ThreadPoolBuilder::new().num_threads(threads.into()).build_global()?;
     }
-    let ViewArguments { inputs, output, epsilon, transform, .. } = arguments;
+    let ViewArguments { input, second, output, epsilon, transform, .. } = arguments;
     let extension = output.extension().unwrap_or_default().to_string_lossy().to_ascii_lowercase();
     if !["html", "htm"].contains(&extension.as_str()) {
         bail!("{}: unknown extension; files that can be written: .html", output.display());
     }
-    if inputs.len() < 2 && (epsilon.is_some() || transform.is_some()) {
+    if second.is_none() && (epsilon.is_some() || transform.is_some()) {
         bail!("--epsilon and --transform are for two clouds");
     }
     let t_first_second = transform.as_deref().map(io::read_transform).transpose()?;
     let model = model::load(arguments.model.as_deref())?;
     let options = arguments.options.resolve(&model)?;
     let mut clouds: Vec<ShownCloud> = Vec::new();
-    for input in inputs {
+    for input in [input].into_iter().chain(second) {
         clouds.push(shown(&model, &options, input).with_context(|| input.display().to_string())?);
     }
     let pair = match &clouds[..] {
