@@ -47,7 +47,7 @@ pub struct FieldArguments {
     #[arg(long, value_name = "POSITION", value_parser = slice, allow_hyphen_values = true)]
     pub slice: Option<Slice>,
     /// Values along each axis: 2 to 1024.
-    #[arg(long, default_value_t = 160)]
+    #[arg(long, default_value_t = 128)]
     pub resolution: usize,
     /// Colours, from low to high.
     #[arg(long, value_enum, default_value = "magma")]

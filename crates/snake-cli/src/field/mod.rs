@@ -67,62 +67,73 @@ fn write_volume(output: &Path, field: &Field, grid: &Grid, quantity: Quantity) -
 }
 
 fn write_picture(output: &Path, field: &Field, grid: &Grid, arguments: &FieldArguments) -> Result<()> {
-    let FieldArguments { quantity, axis, slice, .. } = arguments;
-    let planes = if slice.is_some() { 1 } else { grid.resolution };
-    let bar = progress(quantity.len() * axis.len() * planes)?;
-    let panel = |quantity, axis| panel(field, grid, quantity, axis as usize, arguments, &bar);
-    let row = |&quantity| axis.iter().map(|&axis| panel(quantity, axis)).collect::<Result<Vec<_>>>();
-    let rows: Vec<Vec<Panel>> = quantity.iter().map(row).collect::<Result<_>>()?;
-    bar.finish_and_clear();
+    let mut rows = Vec::new();
+    for &quantity in &arguments.quantity {
+        let largest = match arguments.slice {
+            None => largest(field, grid, quantity)?,
+            Some(_) => Default::default(),
+        };
+        let panel = |&axis| {
+            let (axis, name) = (axis as usize, NAMES[axis as usize]);
+            let (title, values, position) = match arguments.slice {
+                // An axis may be asked for twice.
+                None => (format!("largest {} along {name}", quantity.name()), largest[axis].clone(), None),
+                Some(slice) => {
+                    let position = position(slice, grid, axis)?;
+                    let values = quantity.of(field, &grid.plane(axis, position))?;
+                    (format!("{} at {name} = {position:.4}", quantity.name()), values, Some(position))
+                }
+            };
+            let within = Grid::plane_axes(axis);
+            let axes = within.map(|axis| PanelAxis { label: NAMES[axis], low: grid.low[axis], high: grid.high[axis] });
+            let points = if arguments.no_points { Vec::new() } else { dots(field, grid, axis, position) };
+            Ok(Panel { title, values, columns: grid.resolution, axes, points })
+        };
+        rows.push(arguments.axis.iter().map(panel).collect::<Result<Vec<_>>>()?);
+    }
     let canvas = figure(&rows, arguments.colormap);
     io::write_atomically(output, |file| canvas.write_png(file))
         .with_context(|| format!("cannot write {}", output.display()))
 }
 
-/// The picture of a quantity along an axis.
-fn panel(
-    field: &Field,
-    grid: &Grid,
-    quantity: Quantity,
-    axis: usize,
-    arguments: &FieldArguments,
-    bar: &ProgressBar,
-) -> Result<Panel> {
-    let name = NAMES[axis];
-    let position = arguments.slice.map(|slice| match slice {
-        Slice::Middle => f32::midpoint(grid.low[axis], grid.high[axis]),
-        Slice::At(position) => position,
-    });
-    let (title, values) = match position {
-        Some(position) if !(grid.low[axis]..=grid.high[axis]).contains(&position) => {
-            bail!("--slice {position}: the field reaches from {} to {} along {name}", grid.low[axis], grid.high[axis])
-        }
-        Some(position) => {
-            (format!("{} at {name} = {position:.4}", quantity.name()), quantity.of(field, &grid.plane(axis, position))?)
-        }
-        None => {
-            let mut largest = vec![0.0_f32; grid.resolution * grid.resolution];
-            for index in 0..grid.resolution {
-                let plane = quantity.of(field, &grid.plane(axis, grid.coordinate(axis, index)))?;
-                largest.iter_mut().zip(plane).for_each(|(largest, value)| *largest = largest.max(value));
-                bar.inc(1);
+/// The largest values along x, y and z, from one pass over the grid: of what is within a plane across the axis, rows of
+/// the higher axis one after the other.
+fn largest(field: &Field, grid: &Grid, quantity: Quantity) -> Result<[Vec<f32>; 3]> {
+    let resolution = grid.resolution;
+    let mut largest: [Vec<f32>; 3] = std::array::from_fn(|_| vec![0.0; resolution * resolution]);
+    let bar = progress(resolution)?;
+    for z in 0..resolution {
+        let plane = quantity.of(field, &grid.plane(2, grid.coordinate(2, z)))?;
+        for (index, value) in plane.into_iter().enumerate() {
+            let (x, y) = (index % resolution, index / resolution);
+            for (axis, pixel) in [z * resolution + y, z * resolution + x, index].into_iter().enumerate() {
+                largest[axis][pixel] = largest[axis][pixel].max(value);
             }
-            (format!("largest {} along {name}", quantity.name()), largest)
         }
-    };
-    // A slice shows the points that are at most a voxel of the network's volume away from it.
-    let frame = field.volume().frame();
-    let near = (grid.high[axis] - grid.low[axis]) / frame.resolution[axis] as f32;
-    let is_near = |point: &&[f32; 3]| position.is_none_or(|position| (point[axis] - position).abs() <= near);
+        bar.inc(1);
+    }
+    bar.finish_and_clear();
+    Ok(largest)
+}
+
+/// Where a slice is along an axis.
+fn position(slice: Slice, grid: &Grid, axis: usize) -> Result<f32> {
+    let (low, high) = (grid.low[axis], grid.high[axis]);
+    match slice {
+        Slice::Middle => Ok(f32::midpoint(low, high)),
+        Slice::At(position) if (low..=high).contains(&position) => Ok(position),
+        Slice::At(position) => {
+            bail!("--slice {position}: the field reaches from {low} to {high} along {}", NAMES[axis])
+        }
+    }
+}
+
+/// The cloud's points in the plane across an axis; of a slice those at most a voxel of the network's volume away.
+fn dots(field: &Field, grid: &Grid, axis: usize, position: Option<f32>) -> Vec<[f32; 2]> {
+    let voxel = (grid.high[axis] - grid.low[axis]) / field.volume().frame().resolution[axis] as f32;
+    let is_near = |point: &&[f32; 3]| position.is_none_or(|position| (point[axis] - position).abs() <= voxel);
     let within = Grid::plane_axes(axis);
-    let points = if arguments.no_points { &[] } else { field.points() };
-    Ok(Panel {
-        title,
-        values,
-        columns: grid.resolution,
-        axes: within.map(|axis| PanelAxis { label: NAMES[axis], low: grid.low[axis], high: grid.high[axis] }),
-        points: points.iter().filter(is_near).map(|point| within.map(|axis| point[axis])).collect(),
-    })
+    field.points().iter().filter(is_near).map(|point| within.map(|axis| point[axis])).collect()
 }
 
 /// Shows itself only on a terminal.

@@ -63,12 +63,18 @@ function hover(event) {
   tooltip.style.top = `${Math.max(4, Math.min(found.py - height / 2, box.height - height - 4))}px`;
 }
 
+/** A position, to a few thousandths of the cloud's size. */
+function position(point, { normalization: { scale } }) {
+  const decimals = Math.max(0, Math.min(8, 3 - Math.floor(Math.log10(scale))));
+  return point.map((v) => v.toFixed(decimals)).join(", ");
+}
+
 const number = (value, digits = 4) => (value === null ? "–" : Number(value.toPrecision(digits)).toString());
 
 function describe(tooltip, { of, rank, saliency, occupancy, x, y, z, nearest_index, link }) {
   const head = element("strong", data.clouds.length > 1 ? `Keypoint ${rank + 1} of ${"AB"[of]}` : `Keypoint ${rank + 1}`);
   const rows = [["score (saliency)", number(saliency)], ["occupancy", number(occupancy)],
-    ["position", [x, y, z].map((v) => number(v)).join(", ")], ["nearest point", nearest_index]];
+    ["position", position([x, y, z], data.clouds[of])], ["nearest point", nearest_index]];
   if (link) {
     const partner = of === 0 ? link.second : link.first;
     rows.push([`repeats ${"AB"[partner.of]}`, `${partner.rank + 1}, at ${number(link.distance, 3)}`]);
@@ -104,7 +110,8 @@ function listen() {
     gl = null;
     fail("The graphics driver dropped the picture. Load the page again.");
   });
-  new ResizeObserver(redraw).observe(canvas);
+  // At once: a frame later the old picture would be seen stretched.
+  new ResizeObserver(() => gl && draw()).observe(canvas);
   matchMedia("(prefers-color-scheme: dark)").addEventListener("change", redraw);
 }
 
@@ -153,7 +160,7 @@ function cloudFacts(cloud, of) {
   const rows = [["points", count(cloud.num_points)]];
   if (cloud.num_encoded < cloud.num_points) rows.push(["encoded", count(cloud.num_encoded)]);
   if (points.count < cloud.num_points) rows.push(["shown", count(points.count)]);
-  rows.push(["extent", box], ["center", normalization.center.map((v) => number(v, 3)).join(", ")],
+  rows.push(["extent", box], ["center", position(normalization.center, cloud)],
     ["scale", number(normalization.scale)], ["queries", count(counts.queries)], ["occupied", count(counts.occupied)],
     ["above threshold", count(counts.above_threshold)], ["keypoints", count(counts.keypoints)]);
   if (cloud.surface) rows.push(["triangles", count(cloud.surface.count)]);

@@ -307,6 +307,7 @@ function draw() {
   });
   drawKeypoints(seen, ratio, [width, height]);
   drawAxes(seen);
+  document.documentElement.dataset.state = "drawn";
 }
 
 const isShown = ({ of }) => shown.keypoints && shown.clouds[of];
@@ -370,6 +371,5 @@ function redraw() {
   requestAnimationFrame(() => {
     waiting = false;
     draw();
-    document.documentElement.dataset.state = "drawn";
   });
 }
