@@ -58,7 +58,7 @@ pub struct FieldArguments {
     /// Print one JSON object on one line instead of text.
     #[arg(long)]
     pub json: bool,
-    /// Weight file (.safetensors); default: the built-in compact model.
+    /// Weight file (.safetensors), or the name of a model as in `detect` [default: compact].
     #[arg(long)]
     pub model: Option<PathBuf>,
     /// Threads; default: all processors. The result does not depend on it.

@@ -27,7 +27,7 @@ pub struct ViewArguments {
     /// Colours of saliency, from low to high.
     #[arg(long, value_enum, default_value = "viridis")]
     pub colormap: Colormap,
-    /// Weight file (.safetensors); default: the built-in compact model.
+    /// Weight file (.safetensors), or the name of a model as in `detect` [default: compact].
     #[arg(long)]
     pub model: Option<PathBuf>,
     /// Threads; default: all processors. The page does not depend on it.

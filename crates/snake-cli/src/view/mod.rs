@@ -49,7 +49,7 @@ pub fn run(arguments: &ViewArguments) -> Result<()> {
     if let Some(pair) = &pair {
         text += &(pair.summary() + "\n");
     }
-    let model_name = arguments.model.as_ref().map_or("built-in".into(), |path| path.display().to_string());
+    let model_name = arguments.model.as_ref().map_or("compact".into(), |path| path.display().to_string());
     let page = Page { clouds, pair, options, model_name, colormap: arguments.colormap };
     io::write_atomically(output, |file| file.write_all(page.html()?.as_bytes()))
         .with_context(|| format!("cannot write {}", output.display()))?;

@@ -128,23 +128,36 @@ const list = (rows) => element("dl", rows.flatMap(([name, value]) => [element("d
 function toggle(name, holder, key, { disabled = false, why = "" } = {}) {
   const box = element("input", null, { type: "checkbox", checked: holder[key] && !disabled, disabled });
   box.addEventListener("change", () => { holder[key] = box.checked; redraw(); });
-  return element("label", [element("span", name), box], { title: why });
+  return element("label", [element("span", name), box], { title: why || name });
 }
 
-function slider(name, key, min, max) {
-  const range = element("input", null, { type: "range", min, max, step: (max - min) / 100 });
+/** A slider for a value of `style`; `name` is a text, or makes one of the value. */
+function slider(name, key, min, max, step = (max - min) / 100) {
+  const range = element("input", null, { type: "range", min, max, step });
   range.value = style[key];
-  range.addEventListener("input", () => { style[key] = Number(range.value); redraw(); });
-  return element("label", [element("span", name), range]);
+  const text = element("span");
+  const show = () => { text.textContent = typeof name === "string" ? name : name(style[key]); };
+  range.addEventListener("input", () => { style[key] = Number(range.value); show(); redraw(); });
+  show();
+  return element("label", [text, range]);
 }
 
 function upButtons() {
-  const buttons = ["x", "y", "z"].map((name, axis) => {
-    const button = element("button", name, { type: "button" });
-    button.addEventListener("click", () => { view.up = axis; show(); reset(); });
+  const buttons = [0, 1, 2].map((axis) => {
+    const button = element("button", null, { type: "button" });
+    button.title = "Again: turn over";
+    button.addEventListener("click", () => {
+      view.down = view.up === axis && !view.down;
+      view.up = axis;
+      show();
+      reset();
+    });
     return button;
   });
-  const show = () => buttons.forEach((button, axis) => button.setAttribute("aria-pressed", axis === view.up));
+  const show = () => buttons.forEach((button, axis) => {
+    button.setAttribute("aria-pressed", axis === view.up);
+    button.textContent = (axis === view.up && view.down ? "−" : "") + "xyz"[axis];
+  });
   show();
   const back = element("button", "Reset", { type: "button" });
   back.addEventListener("click", reset);
@@ -180,7 +193,8 @@ function pairFacts({ links: found, epsilon, registration, t_first_second }) {
 
 function panel() {
   const names = data.clouds.map(({ name }) => baseName(name));
-  byId("title").append(element("small", `Keypoints · snake-rs ${data.version}`), names.join(" + "));
+  const title = element("span", names.join(" + "), { title: names.join("\n") });
+  byId("title").append(element("small", `Keypoints · snake-rs ${data.version}`), title);
   const palette = bytes(data.colors);
   const stops = [...Array(33).keys()].map((i) => Math.min(255, i * 8)).map((i) => `rgb(${palette.slice(i * 3, i * 3 + 3)})`);
   document.querySelector("#legend .bar").style.background = `linear-gradient(90deg, ${stops})`;
@@ -200,6 +214,8 @@ function panel() {
     byId("controls").append(toggle("Links", shown, "links"),
       ...names.map((name, of) => toggle(`${"AB"[of]}: ${name}`, shown.clouds, of)), slider("Apart", "apart", 0, 1.5));
   }
+  const most = Math.max(...data.clouds.map((cloud) => cloud.keypoints.length));
+  if (most > 1) byId("controls").append(slider((best) => `Best ${best} of ${most}`, "best", 1, most, 1));
   byId("controls").append(slider("Point size", "point", 1, 10), upButtons());
   if (data.pair) byId("facts").append(...pairFacts(data.pair));
   data.clouds.forEach((cloud, of) => byId("facts").append(...cloudFacts(cloud, of)));

@@ -56,11 +56,12 @@ const links = (data.pair ? data.pair.links : []).map(([first, second, distance])
 // A cloud that is much flatter along one axis probably lies on the ground of the other two.
 const flattest = extent.indexOf(Math.min(...extent));
 const guessedUp = extent[flattest] < 0.6 * Math.min(...extent.filter((_, axis) => axis !== flattest)) ? flattest : 2;
-const view = { yaw: -0.9, pitch: 0.5, zoom: 1, target: [0, 0, 0], up: guessedUp };
+const view = { yaw: -0.9, pitch: 0.5, zoom: 1, target: [0, 0, 0], up: guessedUp, down: false };
 const start = { ...view };
 const shown = { clouds: data.clouds.map(() => true), points: true, keypoints: true, surface: false, links: true };
 const size = Math.min(6, Math.max(1.6, 260 / Math.sqrt(data.clouds[0].points.count)));
-const style = { point: size, apart: 1 };
+// More keypoints than this hide the cloud; the panel has a slider for them.
+const style = { point: size, apart: 1, best: Math.min(500, Math.max(...data.clouds.map((c) => c.keypoints.length))) };
 let hovered = null;
 
 // --- WebGL.
@@ -200,7 +201,8 @@ function prepare() {
 /** Unit vectors of the view: to the right, up, and to the eye. */
 function basis() {
   const unit = (axis) => [0, 1, 2].map((i) => (i === axis % 3 ? 1 : 0));
-  const [a, b, up] = [unit(view.up + 1), unit(view.up + 2), unit(view.up)];
+  let [a, b, up] = [unit(view.up + 1), unit(view.up + 2), unit(view.up)];
+  if (view.down) [a, b, up] = [b, a, up.map((v) => -v)];
   const level = add(a.map((v) => v * Math.cos(view.yaw)), b, Math.sin(view.yaw));
   const eye = add(level.map((v) => v * Math.cos(view.pitch)), up, Math.sin(view.pitch));
   const right = add(a.map((v) => -v * Math.sin(view.yaw)), b, Math.cos(view.yaw));
@@ -213,7 +215,7 @@ const FIELD_OF_VIEW = 0.45;
 let frame = null;
 
 function reset() {
-  Object.assign(view, start, { up: view.up });
+  Object.assign(view, start, { up: view.up, down: view.down });
   const axes = Object.values(basis());
   const seen = some.map((p) => axes.map((axis) => dot(axis, p)));
   const middle = [0, 1, 2].map((i) => {
@@ -310,15 +312,16 @@ function draw() {
   document.documentElement.dataset.state = "drawn";
 }
 
-const isShown = ({ of }) => shown.keypoints && shown.clouds[of];
+const isShown = ({ of, rank }) => shown.keypoints && shown.clouds[of] && rank < style.best;
 
 function drawKeypoints(seen, ratio, viewport) {
   const [plain, repeated] = [color(data.pair ? "--lone" : "--accent"), color("--accent")];
   const place = (keypoint) => add(keypoint.at, aside(keypoint.of, seen));
   gl.disable(gl.DEPTH_TEST);
   const both = shown.links ? links.filter(({ first, second }) => isShown(first) && isShown(second)) : [];
+  const faint = Math.max(0.08, Math.min(hovered ? 0.2 : 0.6, 40 / both.length));
   const about = (link) => hovered && (hovered === link.first || hovered === link.second);
-  for (const [some, width, opacity] of [[both, 1.5, hovered ? 0.2 : 0.6], [both.filter(about), 3, 1]]) {
+  for (const [some, width, opacity] of [[both, 1.5, faint], [both.filter(about), 3, 1]]) {
     const ends = some.flatMap(({ first, second }) => {
       const [a, b] = [place(first), place(second)];
       return [[0, -1], [0, 1], [1, -1], [1, -1], [0, 1], [1, 1]].flatMap((corner) => [...a, ...b, ...corner]);
@@ -327,10 +330,10 @@ function drawKeypoints(seen, ratio, viewport) {
     stream("lines", ends, [["here", 3], ["there", 3], ["corner", 2]], gl.TRIANGLES);
   }
   const discs = keypoints.filter(isShown);
+  const disc_size = Math.max(6, Math.min(13, 170 / Math.sqrt(discs.length))) * ratio;
   const vertices = discs.flatMap((keypoint) => [...place(keypoint), keypoint.link ? 1 : 0]);
   // What is hidden by points still shines through.
   for (const opacity of [shown.surface ? 0.6 : 0.3, 1]) {
-    const disc_size = (discs.length > 300 ? 9 : 13) * ratio;
     use("discs", seen, { disc_size, hovered: discs.indexOf(hovered), plain, repeated, opacity });
     stream("discs", vertices, [["disc", 4]], gl.POINTS);
     gl.enable(gl.DEPTH_TEST);
