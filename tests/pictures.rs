@@ -161,7 +161,7 @@ fn mistakes_get_one_line_that_says_what_to_do() {
         (&["view", plane, plane, plane, "-o", &html], "unexpected argument"),
         (&["view", plane, "-o", &html, "--epsilon", "1"], "two clouds"),
         (&["view", plane, plane, "-o", &html, "--transform", &matrix], "four rows of four numbers"),
-        (&["view", plane, plane, "-o", &html, "--epsilon", "-1"], "epsilon"),
+        (&["view", plane, plane, "-o", &html, "--epsilon=-1"], "epsilon"),
         (&["view", plane, "nowhere.ply", "-o", &html], "nowhere.ply"),
     ];
     for (arguments, expected) in cases {

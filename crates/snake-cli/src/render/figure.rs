@@ -126,9 +126,11 @@ impl PanelAxis {
         let power = 10_f64.powf(rough.log10().floor());
         let step = power * [1.0, 2.0, 5.0, 10.0].into_iter().find(|factor| factor * power >= rough).unwrap_or(10.0);
         let decimals = (-step.log10().floor()).clamp(0.0, 9.0) as usize;
-        let (first, last) = ((low / step).ceil() as i64, (high / step).floor() as i64);
-        let written = |position: f64| match position.abs().max(step) {
-            size if (1e-4..1e6).contains(&size) || position == 0.0 => format!("{position:.decimals$}"),
+        // An end that misses a tick by rounding has it.
+        let (first, last) = ((low / step - 1e-3).ceil() as i64, (high / step + 1e-3).floor() as i64);
+        let written = |position: f64| match position {
+            0.0 => "0".into(),
+            _ if (1e-4..1e5).contains(&step) => format!("{position:.decimals$}"),
             _ => format!("{position:.1e}"),
         };
         (first..=last).map(|i| i as f64 * step).map(|position| (position as f32, written(position))).collect()
@@ -161,9 +163,9 @@ mod tests {
     fn ticks_are_round_and_within_the_axis() {
         let labels =
             |low, high, most| -> Vec<String> { axis(low, high).ticks(most).into_iter().map(|t| t.1).collect() };
-        assert_eq!(labels(-0.55, 0.55, 6), ["-0.4", "-0.2", "0.0", "0.2", "0.4"]);
+        assert_eq!(labels(-0.55, 0.55, 6), ["-0.4", "-0.2", "0", "0.2", "0.4"]);
         assert_eq!(labels(10.0, 35.0, 5), ["10", "15", "20", "25", "30", "35"]);
-        assert_eq!(labels(0.0, 3e-5, 3), ["0.00000", "1.0e-5", "2.0e-5", "3.0e-5"]);
+        assert_eq!(labels(0.0, 3e-5, 3), ["0", "1.0e-5", "2.0e-5", "3.0e-5"]);
         assert_eq!(labels(0.0, 4e7, 4), ["0", "1.0e7", "2.0e7", "3.0e7", "4.0e7"]);
     }
 
