@@ -30,6 +30,7 @@ use crate::view::args::ViewArguments;
   snake-cli detect scan.ply                     the keypoints of a cloud
   snake-cli detect 'scans/*.pcd' -o keypoints/  those of many, into files
   snake-cli register scan2.ply scan1.ply        the transform from one cloud to another
+  snake-cli view scan.ply -o report.html        a page to look at them in a browser
   snake-cli detect --help                       every option, with examples
 
 Environment:

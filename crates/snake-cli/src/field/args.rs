@@ -4,7 +4,7 @@ use std::path::PathBuf;
 
 use clap::{Args, ValueEnum};
 
-use crate::args::EncodeFlags;
+use crate::args::{ComputeArguments, EncodeFlags};
 use crate::render::colormap::Colormap;
 
 /// What a field says of a place.
@@ -58,12 +58,8 @@ pub struct FieldArguments {
     /// Print one JSON object on one line instead of text.
     #[arg(long)]
     pub json: bool,
-    /// Weight file (.safetensors), or the name of a model as in `detect` [default: compact].
-    #[arg(long)]
-    pub model: Option<PathBuf>,
-    /// Threads; default: all processors. The result does not depend on it.
-    #[arg(long, value_parser = clap::value_parser!(u16).range(1..))]
-    pub threads: Option<u16>,
+    #[command(flatten)]
+    pub compute: ComputeArguments,
     #[command(flatten)]
     pub encode: EncodeFlags,
 }

@@ -5,19 +5,16 @@ pub mod args;
 use std::path::Path;
 
 use anyhow::{Context, Result, bail};
-use indicatif::{ProgressBar, ProgressStyle};
 use serde_json::json;
 use snake_core::{Field, Grid, io};
 
-use crate::model;
 use crate::render::figure::{Panel, PanelAxis, figure};
+use crate::terminal;
 use args::{FieldArguments, Quantity, Slice};
 
 /// Encodes the cloud, draws or writes what was asked for and says where it lies.
 pub fn run(arguments: &FieldArguments) -> Result<()> {
-    if let Some(threads) = arguments.threads {
-        rayon::ThreadPoolBuilder::new().num_threads(threads.into()).build_global()?;
-    }
+    arguments.compute.start_threads()?;
     let FieldArguments { input, output, quantity, resolution, .. } = arguments;
     if input == output {
         bail!("{}: is the input; give another --output", output.display());
@@ -29,36 +26,30 @@ pub fn run(arguments: &FieldArguments) -> Result<()> {
         ("npy", _) => bail!("{}: a volume has one --quantity", output.display()),
         _ => bail!("{}: unknown extension; files that can be written: .png, .npy", output.display()),
     };
-    let model = model::load(arguments.model.as_deref())?;
-    let options = arguments.encode.resolve(&model)?;
+    let model = arguments.compute.load_model()?;
+    let options = arguments.encode.resolve(&model)?.encode;
+    terminal::detail("options", || serde_json::to_string(&options).unwrap_or_default());
     let points = io::read_points(input)?;
-    let field = model.encode(&points, &options.encode).with_context(|| input.display().to_string())?;
+    let field = model.encode(&points, &options).with_context(|| input.display().to_string())?;
     let grid = field.grid(*resolution)?;
     match one_quantity {
         Some(quantity) => write_volume(output, &field, &grid, quantity)?,
         None => write_picture(output, &field, &grid, arguments)?,
     }
     let Grid { resolution, low, high } = grid;
-    crate::print(&if arguments.json {
+    if arguments.json {
         let (input, output) = (input.display().to_string(), output.display().to_string());
         let object = json!({"input": input, "output": output, "resolution": resolution, "low": low, "high": high});
-        format!("{object}\n")
-    } else {
-        let bounds = |axis: usize| format!("{} from {} to {}", NAMES[axis], low[axis], high[axis]);
-        format!(
-            "{resolution} values along {}, {}, {}\nwritten to {}\n",
-            bounds(0),
-            bounds(1),
-            bounds(2),
-            output.display()
-        )
-    })
+        return terminal::print(&format!("{object}\n"));
+    }
+    let bounds = [0, 1, 2].map(|axis| format!("{} from {} to {}", NAMES[axis], low[axis], high[axis])).join(", ");
+    terminal::print_report(&format!("{resolution} values along {bounds}\nwritten to {}\n", output.display()))
 }
 
 const NAMES: [&str; 3] = ["x", "y", "z"];
 
 fn write_volume(output: &Path, field: &Field, grid: &Grid, quantity: Quantity) -> Result<()> {
-    let bar = progress(grid.resolution)?;
+    let bar = terminal::progress(grid.resolution)?;
     io::write_volume(output, [grid.resolution; 3], |z| {
         bar.inc(1);
         quantity.of(field, &grid.plane(2, grid.coordinate(2, z)))
@@ -101,7 +92,7 @@ fn write_picture(output: &Path, field: &Field, grid: &Grid, arguments: &FieldArg
 fn largest(field: &Field, grid: &Grid, quantity: Quantity) -> Result<[Vec<f32>; 3]> {
     let resolution = grid.resolution;
     let mut largest: [Vec<f32>; 3] = std::array::from_fn(|_| vec![0.0; resolution * resolution]);
-    let bar = progress(resolution)?;
+    let bar = terminal::progress(resolution)?;
     for z in 0..resolution {
         let plane = quantity.of(field, &grid.plane(2, grid.coordinate(2, z)))?;
         for (index, value) in plane.into_iter().enumerate() {
@@ -134,12 +125,6 @@ fn dots(field: &Field, grid: &Grid, axis: usize, position: Option<f32>) -> Vec<[
     let is_near = |point: &&[f32; 3]| position.is_none_or(|position| (point[axis] - position).abs() <= voxel);
     let within = Grid::plane_axes(axis);
     field.points().iter().filter(is_near).map(|point| within.map(|axis| point[axis])).collect()
-}
-
-/// Shows itself only on a terminal.
-fn progress(planes: usize) -> Result<ProgressBar> {
-    let style = ProgressStyle::with_template("{bar:30} {pos}/{len} planes (ETA {eta})")?;
-    Ok(ProgressBar::new(planes as u64).with_style(style))
 }
 
 impl Quantity {

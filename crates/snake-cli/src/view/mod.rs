@@ -8,11 +8,12 @@ use anyhow::{Context, Result, bail};
 use snake_core::metrics::repeated_keypoints;
 use snake_core::registration::{RegisterOptions, register};
 use snake_core::{
-    Field, Mesh, MeshOptions, Model, Normalization, NormalizationMethod, Point, Preset, Transform, detect, io,
+    Field, Length, Mesh, MeshOptions, Model, Normalization, NormalizationMethod, Point, Preset, Transform, detect, io,
 };
 
 use crate::model;
 use crate::render::page::{Page, Pair, ShownCloud};
+use crate::terminal;
 use args::ViewArguments;
 
 /// More points of a cloud than this are thinned, so that the page stays light.
@@ -23,9 +24,7 @@ const MAX_TRIANGLES: usize = 100_000;
 
 /// Writes the page and says what is on it.
 pub fn run(arguments: &ViewArguments) -> Result<()> {
-    if let Some(threads) = arguments.threads {
-        rayon::ThreadPoolBuilder::new().num_threads(threads.into()).build_global()?;
-    }
+    arguments.compute.start_threads()?;
     let ViewArguments { input, second, output, epsilon, transform, .. } = arguments;
     let extension = output.extension().unwrap_or_default().to_string_lossy().to_ascii_lowercase();
     if !["html", "htm"].contains(&extension.as_str()) {
@@ -35,31 +34,37 @@ pub fn run(arguments: &ViewArguments) -> Result<()> {
         bail!("--epsilon and --transform are for two clouds");
     }
     let t_first_second = transform.as_deref().map(io::read_transform).transpose()?;
-    let model = model::load(arguments.model.as_deref())?;
+    let model = arguments.compute.load_model()?;
     let options = arguments.options.resolve(&model)?;
+    terminal::detail("options", || serde_json::to_string(&options).unwrap_or_default());
+    let bar = terminal::progress(1 + usize::from(second.is_some()) * 2)?;
     let mut clouds: Vec<ShownCloud> = Vec::new();
     for input in [input].into_iter().chain(second) {
-        clouds.push(shown(&model, &options, input).with_context(|| input.display().to_string())?);
+        bar.set_message(input.display().to_string());
+        clouds.push(shown(&model, &options, input)?);
+        bar.inc(1);
     }
+    bar.set_message("registration");
     let pair = match &clouds[..] {
         [first, second] => Some(pair(&model, first, second, t_first_second, *epsilon)?),
         _ => None,
     };
+    bar.finish_and_clear();
     let mut text: String = clouds.iter().map(|cloud| cloud.summary() + "\n").collect();
     if let Some(pair) = &pair {
         text += &(pair.summary() + "\n");
     }
-    let model_name = arguments.model.as_ref().map_or("compact".into(), |path| path.display().to_string());
+    let model_name = model::name(arguments.compute.model.as_deref());
     let page = Page { clouds, pair, options, model_name, colormap: arguments.colormap };
     io::write_atomically(output, |file| file.write_all(page.html()?.as_bytes()))
         .with_context(|| format!("cannot write {}", output.display()))?;
-    crate::print(&format!("{text}written to {}\n", output.display()))
+    terminal::print_report(&format!("{text}written to {}\n", output.display()))
 }
 
 /// One cloud with all that the page shows of it.
 fn shown(model: &Model, options: &Preset, input: &Path) -> Result<ShownCloud> {
     let points = io::read_points(input)?;
-    let field = model.encode(&points, &options.encode)?;
+    let field = model.encode(&points, &options.encode).with_context(|| input.display().to_string())?;
     let detection = detect(&field, &options.detect)?;
     let shown: Vec<Point> = points.iter().step_by(points.len().div_ceil(MAX_SHOWN)).copied().collect();
     let surface = surface(&field)?;
@@ -85,10 +90,11 @@ fn pair(
     first: &ShownCloud,
     second: &ShownCloud,
     given: Option<Transform>,
-    epsilon: Option<f64>,
+    epsilon: Option<Length>,
 ) -> Result<Pair> {
     let radius = Normalization::of(first.field.points(), NormalizationMethod::UnitSphere)?.scale / 2.0;
-    let epsilon = epsilon.unwrap_or(0.04 * f64::from(radius));
+    let epsilon = epsilon.unwrap_or(Length::Units(0.04 * f64::from(radius)));
+    let epsilon = epsilon.in_units("epsilon", first.field.points())?;
     let (t_first_second, registration) = match given {
         Some(transform) => (transform, None),
         None => {
