@@ -155,7 +155,7 @@ fn mistakes_get_one_line_that_says_what_to_do() {
         (&["field", plane, "-o", &npy, "--quantity", "occupancy,saliency"], "one --quantity"),
         (&["field", plane, "-o", &png, "--slice", "7"], "from -0.8"),
         (&["field", plane, "-o", &png, "--slice", "nan"], "`middle`"),
-        (&["field", plane, "-o", &png, "--resolution", "1"], "2 to 1024"),
+        (&["field", plane, "-o", &png, "--resolution", "1"], "2 to 512"),
         (&["field", plane, "-o", &png, "--axis", "w"], "possible values: x, y, z"),
         (&["view", plane, "-o", "a.pdf"], ".html"),
         (&["view", plane, plane, plane, "-o", &html], "unexpected argument"),

@@ -66,8 +66,8 @@ impl Field {
     /// # Errors
     /// [`Error::Option`] when the resolution is out of its range.
     pub fn grid(&self, resolution: usize) -> Result<Grid> {
-        if !(2..=1024).contains(&resolution) {
-            return Err(Error::Option { name: "resolution", value: resolution.to_string(), allowed: "2 to 1024" });
+        if !(2..=512).contains(&resolution) {
+            return Err(Error::Option { name: "resolution", value: resolution.to_string(), allowed: "2 to 512" });
         }
         let bounds = self.volume().frame().bounds();
         let corner = |end: usize| self.normalization().to_cloud(bounds.map(|ends| ends[end]));
@@ -93,7 +93,7 @@ mod tests {
                 assert!((normalization.to_network(point)[axis] - expected).abs() < 1e-6, "axis {axis}, index {index}");
             }
         }
-        assert!(field.grid(1).is_err() && field.grid(1025).is_err());
+        assert!(field.grid(1).is_err() && field.grid(513).is_err());
     }
 
     #[test]

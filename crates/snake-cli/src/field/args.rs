@@ -46,7 +46,7 @@ pub struct FieldArguments {
     /// values along the axis.
     #[arg(long, value_name = "POSITION", value_parser = slice, allow_hyphen_values = true)]
     pub slice: Option<Slice>,
-    /// Values along each axis: 2 to 1024.
+    /// Values along each axis: 2 to 512.
     #[arg(long, default_value_t = 128)]
     pub resolution: usize,
     /// Colours, from low to high.

@@ -50,11 +50,13 @@ const NAMES: [&str; 3] = ["x", "y", "z"];
 
 fn write_volume(output: &Path, field: &Field, grid: &Grid, quantity: Quantity) -> Result<()> {
     let bar = terminal::progress(grid.resolution)?;
-    io::write_volume(output, [grid.resolution; 3], |z| {
+    let mut values = Vec::new();
+    for z in 0..grid.resolution {
+        values.append(&mut quantity.of(field, &grid.plane(2, grid.coordinate(2, z)))?);
         bar.inc(1);
-        quantity.of(field, &grid.plane(2, grid.coordinate(2, z)))
-    })?;
-    Ok(bar.finish_and_clear())
+    }
+    bar.finish_and_clear();
+    Ok(io::write_volume(output, [grid.resolution; 3], &values)?)
 }
 
 fn write_picture(output: &Path, field: &Field, grid: &Grid, arguments: &FieldArguments) -> Result<()> {

@@ -1,7 +1,5 @@
 //! One page with clouds, keypoints and surfaces: markup, style, script and data in a single file.
 
-use std::io;
-
 use base64::Engine;
 use base64::engine::general_purpose::STANDARD;
 use serde_json::{Value, json};
@@ -49,7 +47,7 @@ pub struct Pair {
 
 impl Page {
     /// The whole file.
-    pub fn html(&self) -> io::Result<String> {
+    pub fn html(&self) -> serde_json::Result<String> {
         let names: Vec<&str> = self.clouds.iter().map(|cloud| cloud.name.as_str()).collect();
         let title = escaped(&names.join(" + "));
         // Within a script element only "<" could end it or begin a comment.

@@ -56,7 +56,8 @@ pub fn run(arguments: &ViewArguments) -> Result<()> {
     }
     let model_name = model::name(arguments.compute.model.as_deref());
     let page = Page { clouds, pair, options, model_name, colormap: arguments.colormap };
-    io::write_atomically(output, |file| file.write_all(page.html()?.as_bytes()))
+    let html = page.html()?;
+    io::write_atomically(output, |file| file.write_all(html.as_bytes()))
         .with_context(|| format!("cannot write {}", output.display()))?;
     terminal::print_report(&format!("{text}written to {}\n", output.display()))
 }

@@ -111,13 +111,17 @@ pub fn read_transform(path: &Path) -> Result<Transform> {
     read(&bytes).map_err(|reason| Error::Format { path: path.into(), reason })
 }
 
-/// Writes a volume as `.npy`, `<f4` in C order, plane by plane, so that it is never held whole; whole or not at all, like
-/// [`write_keypoints`]. `plane(i)` gives the values `[i]` of an array of this shape.
+/// Writes a volume as `.npy`, `<f4` in C order, of the shape `[z][y][x]` that the values have; whole or not at all, like
+/// [`write_keypoints`].
 ///
 /// # Errors
-/// [`Error::Io`] when the file cannot be written, or a plane could not be had.
-pub fn write_volume(path: &Path, shape: [usize; 3], mut plane: impl FnMut(usize) -> Result<Vec<f32>>) -> Result<()> {
-    write_atomically(path, |file| npy::write_planes(file, shape, |index| plane(index).map_err(io::Error::other)))
+/// [`Error::Input`] when the shape is not that of so many values; [`Error::Io`] when the file cannot be written.
+pub fn write_volume(path: &Path, shape: [usize; 3], values: &[f32]) -> Result<()> {
+    if shape.iter().try_fold(1_usize, |product, length| product.checked_mul(*length)) != Some(values.len()) {
+        let reason = format!("{} values do not have the shape {shape:?}", values.len());
+        return Err(Error::Input { what: "volume", reason });
+    }
+    write_atomically(path, |file| npy::write_volume(file, shape, values))
         .map_err(|source| Error::Io { path: path.into(), source })
 }
 

@@ -87,20 +87,11 @@ fn write_header(out: &mut dyn Write, descr: &str, shape: &str) -> io::Result<()>
     writeln!(out, "{header:width$}")
 }
 
-/// Writes an array of `<f4` of the shape `[planes][..]`, plane by plane.
-pub(super) fn write_planes(
-    out: &mut dyn Write,
-    shape: [usize; 3],
-    mut plane: impl FnMut(usize) -> io::Result<Vec<f32>>,
-) -> io::Result<()> {
-    let [planes, rows, columns] = shape;
-    write_header(out, "<f4", &format!("{planes}, {rows}, {columns}"))?;
-    for index in 0..planes {
-        for value in plane(index)? {
-            out.write_all(&value.to_le_bytes())?;
-        }
-    }
-    Ok(())
+/// Writes an array of `<f4` in C order.
+pub(super) fn write_volume(out: &mut dyn Write, shape: [usize; 3], values: &[f32]) -> io::Result<()> {
+    let [depth, height, width] = shape;
+    write_header(out, "<f4", &format!("{depth}, {height}, {width}"))?;
+    values.iter().try_for_each(|value| out.write_all(&value.to_le_bytes()))
 }
 
 /// The header's text and the data; its length takes 2 bytes in version 1 and 4 in versions 2 and 3.
@@ -328,5 +319,16 @@ mod tests {
         for length in 0..bytes.len() {
             read(&bytes[..length]).unwrap_err();
         }
+    }
+
+    #[test]
+    fn volumes_read_back() {
+        let values: Vec<f32> = (0..24).map(|i| i as f32 / 7.0).collect();
+        let mut bytes = Vec::new();
+        write_volume(&mut bytes, [2, 4, 3], &values).unwrap();
+        assert_eq!(bytes.len() % 64, 24 * 4 % 64, "the data begins at a multiple of 64 bytes");
+        assert_eq!(read_clouds(&bytes).unwrap().concat().concat(), values);
+        let path = std::path::Path::new("nowhere/volume.npy");
+        assert!(crate::io::write_volume(path, [2, 4, 4], &values).unwrap_err().to_string().contains("24 values"));
     }
 }
