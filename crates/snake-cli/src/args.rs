@@ -11,10 +11,12 @@ use snake_core::{Model, NormalizationMethod, Preset, SimdLevel};
 
 use crate::detect::args::DetectArguments;
 use crate::eval::args::Eval;
+use crate::field::args::FieldArguments;
 use crate::model;
 use crate::reconstruct::ReconstructArguments;
 use crate::register::args::RegisterArguments;
 use crate::terminal::{self, Verbosity};
+use crate::view::args::ViewArguments;
 
 /// Repeatable 3-D keypoints from point clouds (SNAKE), on the CPU.
 ///
@@ -28,6 +30,7 @@ use crate::terminal::{self, Verbosity};
   snake-cli detect scan.ply                     the keypoints of a cloud
   snake-cli detect 'scans/*.pcd' -o keypoints/  those of many, into files
   snake-cli register scan2.ply scan1.ply        the transform from one cloud to another
+  snake-cli view scan.ply -o report.html        a page to look at them in a browser
   snake-cli detect --help                       every option, with examples
 
 Environment:
@@ -75,6 +78,20 @@ pub enum Command {
     /// Measure how good keypoints are, beside those of the classical detectors.
     #[command(subcommand)]
     Eval(Eval),
+    /// Draw the occupancy or saliency field of a cloud, or write its values on a grid.
+    ///
+    /// A picture (.png) shows for each pixel the largest value along an axis, as in the paper's figures, or a slice, with
+    /// the cloud's points over it. Axes are in the cloud's frame and units.
+    ///
+    /// A volume (.npy) is a float32 array [z][y][x] of N values along each axis (--resolution), over the box that the
+    /// network sees. What is printed says where the box lies: index i along x is at low.x + i (high.x - low.x) / (N - 1),
+    /// and likewise for y and z.
+    #[command(after_help = "Examples:
+  snake-cli field scan.ply -o saliency.png
+  snake-cli field scan.ply -o all.png --quantity occupancy,saliency --axis x,y,z
+  snake-cli field scan.ply -o slice.png --quantity occupancy --axis y --slice 0.25 --colormap viridis
+  snake-cli field scan.ply -o saliency.npy --resolution 64 --json | jq '.low, .high'")]
+    Field(Box<FieldArguments>),
     /// Write the surface of a point cloud as a triangle mesh.
     ///
     /// The surface is where the network's occupancy has the value of --level. It is closed, and in the cloud's frame and
@@ -97,6 +114,17 @@ pub enum Command {
   snake-cli register scan2.ply scan1.ply -o t_1_2.txt --aligned scan2_in_1.ply
   snake-cli register part.ply whole.ply --voxel-size 0.01 --json | jq .t_target_source")]
     Register(Box<RegisterArguments>),
+    /// Write a page with the cloud, its saliency, keypoints and surface, to look at in a browser.
+    ///
+    /// The page is one file that needs no network. Of two clouds it shows both, side by side as they lie on one another,
+    /// and links the keypoints that repeat. The second is brought onto the first by registration (as
+    /// `snake-cli register SECOND FIRST`), or by a transform that is given.
+    #[command(after_help = "Examples:
+  snake-cli view scan.ply -o report.html
+  snake-cli view scan.ply -o report.html --max-keypoints 256 --nms-radius 0.05
+  snake-cli view scan1.ply scan2.ply -o pair.html --epsilon 0.05
+  snake-cli register scan2.ply scan1.ply -o t.json && snake-cli view scan1.ply scan2.ply --transform t.json -o pair.html")]
+    View(Box<ViewArguments>),
     /// Show what a weight file is; without FILE, the built-in model.
     #[command(after_help = "Examples:
   snake-cli model

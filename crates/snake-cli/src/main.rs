@@ -3,13 +3,16 @@
 mod args;
 mod detect;
 mod eval;
+mod field;
 mod inputs;
 mod interrupt;
 mod model;
 mod reconstruct;
 mod register;
+mod render;
 mod terminal;
 mod timing;
+mod view;
 
 use std::process::ExitCode;
 
@@ -33,8 +36,10 @@ fn run(command: &Command) -> Result<ExitCode> {
     match command {
         Command::Detect(arguments) => return detect::run(arguments),
         Command::Eval(command) => eval::run(command)?,
+        Command::Field(arguments) => field::run(arguments)?,
         Command::Reconstruct(arguments) => reconstruct::run(arguments)?,
         Command::Register(arguments) => register::run(arguments)?,
+        Command::View(arguments) => view::run(arguments)?,
         Command::Model { file } => model::run(file.as_deref())?,
         Command::Completions { shell } => complete(*shell)?,
     }

@@ -24,6 +24,7 @@ mod error;
 mod field;
 #[cfg(test)]
 mod golden;
+mod grid;
 mod kernels;
 mod length;
 mod model;
@@ -41,6 +42,7 @@ mod weights;
 pub use detect::{Counts, DetectOptions, Detection, Keypoint, Preset, RefineMethod, Selection, Timing, detect};
 pub use error::{Error, Result};
 pub use field::{EncodeOptions, Field};
+pub use grid::Grid;
 pub use kernels::SimdLevel;
 pub use length::Length;
 pub use model::{Model, ModelConfig};

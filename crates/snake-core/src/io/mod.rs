@@ -40,6 +40,7 @@ mod shape;
 mod stl;
 mod table;
 mod text;
+mod transform;
 mod write;
 
 use std::io::{self, BufWriter, Write};
@@ -150,6 +151,36 @@ pub fn read_clouds(path: &Path) -> Result<Vec<Vec<Point>>> {
 pub fn read_transforms(path: &Path) -> Result<Vec<Transform>> {
     let bytes = std::fs::read(path).map_err(|source| Error::Io { path: path.into(), source })?;
     npy::read_transforms(&bytes).map_err(|reason| Error::Format { path: path.into(), reason })
+}
+
+/// Reads a rigid transform: from `json` the key `t_target_source` of an object, as [`write_registration`] writes it, or
+/// four rows alone; from `txt` four rows of four numbers.
+///
+/// # Errors
+/// [`Error::Io`] when the file cannot be read; [`Error::Format`] when the extension is not among
+/// [`REGISTRATION_EXTENSIONS`] or the content is no rigid transform.
+pub fn read_transform(path: &Path) -> Result<Transform> {
+    let read = match extension(path).as_str() {
+        "json" => transform::read_json,
+        "txt" => transform::read_text,
+        _ => return Err(unknown_extension(path, "read", REGISTRATION_EXTENSIONS)),
+    };
+    let bytes = std::fs::read(path).map_err(|source| Error::Io { path: path.into(), source })?;
+    read(&bytes).map_err(|reason| Error::Format { path: path.into(), reason })
+}
+
+/// Writes a volume as `.npy`, `<f4` in C order, of the shape `[z][y][x]` that the values have; whole or not at all, like
+/// [`write_keypoints`].
+///
+/// # Errors
+/// [`Error::Input`] when the shape is not that of so many values; [`Error::Io`] when the file cannot be written.
+pub fn write_volume(path: &Path, shape: [usize; 3], values: &[f32]) -> Result<()> {
+    if shape.iter().try_fold(1_usize, |product, length| product.checked_mul(*length)) != Some(values.len()) {
+        let reason = format!("{} values do not have the shape {shape:?}", values.len());
+        return Err(Error::Input { what: "volume", reason });
+    }
+    write_atomically(path, |file| npy::write_volume(file, shape, values))
+        .map_err(|source| Error::Io { path: path.into(), source })
 }
 
 /// Writes keypoints; the extension says which format.

@@ -68,15 +68,22 @@ fn open(bytes: &[u8]) -> Result<(ArrayHeader, &[u8]), String> {
     Ok((array, data))
 }
 
-/// Writes the header of an array of `<f8` items, rows one after the other.
-pub(super) fn write_header(out: &mut dyn Write, [rows, columns]: [usize; 2]) -> io::Result<()> {
-    let header = format!("{{'descr': '<f8', 'fortran_order': False, 'shape': ({rows}, {columns}), }}");
+/// Writes the magic bytes and the header of an array in C order.
+pub(super) fn write_header(out: &mut dyn Write, descr: &str, shape: &str) -> io::Result<()> {
+    let header = format!("{{'descr': '{descr}', 'fortran_order': False, 'shape': ({shape}), }}");
     // NumPy ends the header with a line feed at a multiple of 64 bytes, so that the data can be mapped.
     let width = (MAGIC.len() + 4 + header.len() + 1).next_multiple_of(64) - MAGIC.len() - 5;
     out.write_all(MAGIC)?;
     out.write_all(&[1, 0])?;
     out.write_all(&(width as u16 + 1).to_le_bytes())?;
     writeln!(out, "{header:width$}")
+}
+
+/// Writes an array of `<f4` in C order.
+pub(super) fn write_volume(out: &mut dyn Write, shape: [usize; 3], values: &[f32]) -> io::Result<()> {
+    let [depth, height, width] = shape;
+    write_header(out, "<f4", &format!("{depth}, {height}, {width}"))?;
+    values.iter().try_for_each(|value| out.write_all(&value.to_le_bytes()))
 }
 
 /// The header's text and the data; its length takes 2 bytes in version 1 and 4 in versions 2 and 3.
@@ -295,5 +302,16 @@ mod tests {
         {
             read(order, shape).unwrap_err();
         }
+    }
+
+    #[test]
+    fn volumes_read_back() {
+        let values: Vec<f32> = (0..24).map(|i| i as f32 / 7.0).collect();
+        let mut bytes = Vec::new();
+        write_volume(&mut bytes, [2, 4, 3], &values).unwrap();
+        assert_eq!(bytes.len() % 64, 24 * 4 % 64, "the data begins at a multiple of 64 bytes");
+        assert_eq!(read_clouds(&bytes).unwrap().concat().concat(), values);
+        let path = std::path::Path::new("nowhere/volume.npy");
+        assert!(crate::io::write_volume(path, [2, 4, 4], &values).unwrap_err().to_string().contains("24 values"));
     }
 }

@@ -74,10 +74,10 @@ mod tests {
     use super::*;
 
     /// An array of `<f8` zeros; only its shape matters.
-    fn npy(shape: [usize; 2]) -> Vec<u8> {
+    fn npy([rows, columns]: [usize; 2]) -> Vec<u8> {
         let mut bytes = Vec::new();
-        npy::write_header(&mut bytes, shape).unwrap();
-        bytes.resize(bytes.len() + 8 * shape[0] * shape[1], 0);
+        npy::write_header(&mut bytes, "<f8", &format!("{rows}, {columns}")).unwrap();
+        bytes.resize(bytes.len() + 8 * rows * columns, 0);
         bytes
     }
 

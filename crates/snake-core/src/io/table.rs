@@ -82,7 +82,7 @@ impl<const N: usize, R: Iterator<Item = [f64; N]>> Table<N, R> {
 
     /// An array `(rows, columns)` of `<f8`, because an index beyond 2^24 is not exact in `<f4`.
     pub(super) fn write_npy(self, out: &mut dyn Write) -> io::Result<()> {
-        npy::write_header(out, [self.num_rows, N])?;
+        npy::write_header(out, "<f8", &format!("{}, {N}", self.num_rows))?;
         for row in self.rows {
             row.iter().try_for_each(|value| out.write_all(&value.to_le_bytes()))?;
         }

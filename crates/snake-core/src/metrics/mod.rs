@@ -18,7 +18,9 @@ pub use registration::{
     RegistrationOutcome, feature_matching_recall, information_matrix, inlier_ratio, overlap, registration_recall,
     squared_registration_error,
 };
-pub use repeatability::{mean_distance_to_keypoints, relative_repeatability, symmetric_repeatability};
+pub use repeatability::{
+    mean_distance_to_keypoints, relative_repeatability, repeated_keypoints, symmetric_repeatability,
+};
 pub use semantic::{
     MatchCounts, SmplProtocol, Unreachable, geodesic_distances, semantic_counts, smpl_iou, smpl_pair_counts,
 };

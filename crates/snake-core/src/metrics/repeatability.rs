@@ -34,6 +34,39 @@ pub fn relative_repeatability(
     shares_within(&first, second, epsilon)
 }
 
+/// Of each keypoint of view 1 the nearest keypoint of view 2, brought to view 1 by `t_1_2`, if it is nearer than
+/// `epsilon`: its index and the distance. The share of those that have one is [`relative_repeatability`].
+///
+/// ```
+/// use snake_core::metrics::repeated_keypoints;
+/// let t_1_2 = [[1.0, 0.0, 0.0, 5.0], [0.0, 1.0, 0.0, 0.0], [0.0, 0.0, 1.0, 0.0], [0.0, 0.0, 0.0, 1.0]];
+/// let (view_1, view_2) = ([[5.0, 0.0, 0.0], [9.0, 0.0, 0.0]], [[7.0, 0.0, 0.0], [0.0, 0.25, 0.0]]);
+/// assert_eq!(repeated_keypoints(&view_1, &view_2, &t_1_2, 0.5)?, [Some((1, 0.25)), None]);
+/// # Ok::<(), snake_core::Error>(())
+/// ```
+///
+/// # Errors
+/// Those of [`relative_repeatability`].
+pub fn repeated_keypoints(
+    keypoints_1: &[Point],
+    keypoints_2: &[Point],
+    t_1_2: &Transform,
+    epsilon: f64,
+) -> Result<Vec<Option<(usize, f64)>>> {
+    let [first, second] = in_view_1(keypoints_1, keypoints_2, t_1_2, &[epsilon])?;
+    if second.is_empty() {
+        return Ok(vec![None; first.len()]);
+    }
+    let neighbors = Neighbors::new(second)?;
+    // Of equal distances the lower index: the tree gives them in no order.
+    let nearest = |keypoint: &Vector| {
+        let within = neighbors.within(keypoint, epsilon).into_iter();
+        let distances = within.map(|index| (index, (neighbors.points[index] - keypoint).norm()));
+        distances.min_by(|a, b| a.1.total_cmp(&b.1))
+    };
+    Ok(first.iter().map(nearest).collect())
+}
+
 /// The mean of [`relative_repeatability`] from view 1 to view 2 and from view 2 to view 1.
 ///
 /// # Errors
@@ -125,6 +158,21 @@ mod tests {
             assert_eq!(relative_repeatability(one, other, &IDENTITY, &[1.0, 2.0]).unwrap(), [0.0, 0.0]);
             assert_eq!(symmetric_repeatability(one, other, &IDENTITY, &[1.0, 2.0]).unwrap(), [0.0, 0.0]);
         }
+    }
+
+    #[test]
+    fn partners_are_the_nearest_and_as_many_as_the_share_says() {
+        let found = repeated_keypoints(&VIEW_1, &VIEW_2, &IDENTITY, 0.51).unwrap();
+        assert_eq!(found, [Some((0, 0.25)), Some((1, 0.5)), None, None]);
+        assert_eq!(
+            repeated_keypoints(&VIEW_1, &VIEW_2, &IDENTITY, 0.25).unwrap(),
+            [None; 4],
+            "the boundary is outside"
+        );
+        let twice = [VIEW_2[1], VIEW_2[0], VIEW_2[0]];
+        assert_eq!(repeated_keypoints(&VIEW_1[..1], &twice, &IDENTITY, 9.0).unwrap(), [Some((1, 0.25))]);
+        assert_eq!(repeated_keypoints(&VIEW_1, &[], &IDENTITY, 9.0).unwrap(), [None; 4]);
+        assert!(repeated_keypoints(&VIEW_1, &VIEW_2, &IDENTITY, -1.0).is_err());
     }
 
     #[test]

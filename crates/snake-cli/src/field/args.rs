@@ -1,0 +1,76 @@
+//! The command line of `snake-cli field`.
+
+use std::path::PathBuf;
+
+use clap::{Args, ValueEnum};
+
+use crate::args::{ComputeArguments, EncodeFlags};
+use crate::inputs::InputArguments;
+use crate::render::colormap::Colormap;
+
+/// What a field says of a place.
+#[derive(Clone, Copy, ValueEnum)]
+pub enum Quantity {
+    Occupancy,
+    Saliency,
+}
+
+/// An axis of the cloud's frame.
+#[derive(Clone, Copy, ValueEnum)]
+pub enum Axis {
+    X,
+    Y,
+    Z,
+}
+
+/// Where a slice is along its axis.
+#[derive(Clone, Copy)]
+pub enum Slice {
+    Middle,
+    At(f32),
+}
+
+#[derive(Args)]
+pub struct FieldArguments {
+    /// The point cloud, or a mesh, in any format that `detect` reads; `-` is the standard input.
+    pub input: PathBuf,
+    /// Write a picture (.png), or all values of the grid (.npy).
+    #[arg(short, long)]
+    pub output: PathBuf,
+    /// What to show; of both, a row of pictures each.
+    #[arg(long, value_enum, value_delimiter = ',', default_value = "saliency")]
+    pub quantity: Vec<Quantity>,
+    /// The axis to look along; of several, a column of pictures each.
+    #[arg(long, value_enum, value_delimiter = ',', default_value = "z")]
+    pub axis: Vec<Axis>,
+    /// Show the slice at this position along the axis, in the cloud's units, or at the `middle`, instead of the largest
+    /// values along the axis.
+    #[arg(long, value_name = "POSITION", value_parser = slice, allow_hyphen_values = true)]
+    pub slice: Option<Slice>,
+    /// Values along each axis: 2 to 512.
+    #[arg(long, default_value_t = 128)]
+    pub resolution: usize,
+    /// Colours, from low to high.
+    #[arg(long, value_enum, default_value = "magma")]
+    pub colormap: Colormap,
+    /// Leave the cloud's points out of the picture; a slice shows only those near it.
+    #[arg(long)]
+    pub no_points: bool,
+    /// Print one JSON object on one line instead of text.
+    #[arg(long)]
+    pub json: bool,
+    #[command(flatten)]
+    pub reading: InputArguments,
+    #[command(flatten)]
+    pub compute: ComputeArguments,
+    #[command(flatten)]
+    pub encode: EncodeFlags,
+}
+
+fn slice(text: &str) -> Result<Slice, String> {
+    match text.parse() {
+        _ if text == "middle" => Ok(Slice::Middle),
+        Ok(position) if f32::is_finite(position) => Ok(Slice::At(position)),
+        _ => Err("needed is a number, or `middle`".into()),
+    }
+}

@@ -1,0 +1,146 @@
+//! `snake-cli field`: pictures and volumes of occupancy and saliency.
+
+pub mod args;
+
+use std::path::Path;
+
+use anyhow::{Context, Result, bail};
+use serde_json::json;
+use snake_core::{Field, Grid, io};
+
+use crate::render::figure::{Panel, PanelAxis, figure};
+use crate::terminal;
+use args::{FieldArguments, Quantity, Slice};
+
+/// Encodes the cloud, draws or writes what was asked for and says where it lies.
+pub fn run(arguments: &FieldArguments) -> Result<()> {
+    arguments.compute.start_threads()?;
+    let FieldArguments { input, output, quantity, resolution, .. } = arguments;
+    if input == output {
+        bail!("{}: is the input; give another --output", output.display());
+    }
+    let extension = output.extension().unwrap_or_default().to_string_lossy().to_ascii_lowercase();
+    let one_quantity = match (extension.as_str(), &quantity[..]) {
+        ("png", _) => None,
+        ("npy", &[quantity]) => Some(quantity),
+        ("npy", _) => bail!("{}: a volume has one --quantity", output.display()),
+        _ => bail!("{}: unknown extension; files that can be written: .png, .npy", output.display()),
+    };
+    let model = arguments.compute.load_model()?;
+    let options = arguments.encode.resolve(&model)?.encode;
+    terminal::detail("options", || serde_json::to_string(&options).unwrap_or_default());
+    let points = arguments.reading.read(input, options.seed)?.into_points();
+    let field = model.encode(&points, &options).with_context(|| input.display().to_string())?;
+    let grid = field.grid(*resolution)?;
+    match one_quantity {
+        Some(quantity) => write_volume(output, &field, &grid, quantity)?,
+        None => write_picture(output, &field, &grid, arguments)?,
+    }
+    let Grid { resolution, low, high } = grid;
+    if arguments.json {
+        let (input, output) = (input.display().to_string(), output.display().to_string());
+        let object = json!({"input": input, "output": output, "resolution": resolution, "low": low, "high": high});
+        return terminal::print(&format!("{object}\n"));
+    }
+    let bounds = [0, 1, 2].map(|axis| format!("{} from {} to {}", NAMES[axis], low[axis], high[axis])).join(", ");
+    terminal::print_report(&format!("{resolution} values along {bounds}\nwritten to {}\n", output.display()))
+}
+
+const NAMES: [&str; 3] = ["x", "y", "z"];
+
+fn write_volume(output: &Path, field: &Field, grid: &Grid, quantity: Quantity) -> Result<()> {
+    let bar = terminal::progress(grid.resolution)?;
+    let mut values = Vec::new();
+    for z in 0..grid.resolution {
+        values.append(&mut quantity.of(field, &grid.plane(2, grid.coordinate(2, z)))?);
+        bar.inc(1);
+    }
+    bar.finish_and_clear();
+    Ok(io::write_volume(output, [grid.resolution; 3], &values)?)
+}
+
+fn write_picture(output: &Path, field: &Field, grid: &Grid, arguments: &FieldArguments) -> Result<()> {
+    let mut rows = Vec::new();
+    for &quantity in &arguments.quantity {
+        let largest = match arguments.slice {
+            None => largest(field, grid, quantity)?,
+            Some(_) => Default::default(),
+        };
+        let panel = |&axis| {
+            let (axis, name) = (axis as usize, NAMES[axis as usize]);
+            let (title, values, position) = match arguments.slice {
+                // An axis may be asked for twice.
+                None => (format!("largest {} along {name}", quantity.name()), largest[axis].clone(), None),
+                Some(slice) => {
+                    let position = position(slice, grid, axis)?;
+                    let values = quantity.of(field, &grid.plane(axis, position))?;
+                    (format!("{} at {name} = {position:.4}", quantity.name()), values, Some(position))
+                }
+            };
+            let within = Grid::plane_axes(axis);
+            let axes = within.map(|axis| PanelAxis { label: NAMES[axis], low: grid.low[axis], high: grid.high[axis] });
+            let points = if arguments.no_points { Vec::new() } else { dots(field, grid, axis, position) };
+            Ok(Panel { title, values, columns: grid.resolution, axes, points })
+        };
+        rows.push(arguments.axis.iter().map(panel).collect::<Result<Vec<_>>>()?);
+    }
+    let canvas = figure(&rows, arguments.colormap);
+    io::write_atomically(output, |file| canvas.write_png(file))
+        .with_context(|| format!("cannot write {}", output.display()))
+}
+
+/// The largest values along x, y and z, from one pass over the grid: of what is within a plane across the axis, rows of
+/// the higher axis one after the other.
+fn largest(field: &Field, grid: &Grid, quantity: Quantity) -> Result<[Vec<f32>; 3]> {
+    let resolution = grid.resolution;
+    let mut largest: [Vec<f32>; 3] = std::array::from_fn(|_| vec![0.0; resolution * resolution]);
+    let bar = terminal::progress(resolution)?;
+    for z in 0..resolution {
+        let plane = quantity.of(field, &grid.plane(2, grid.coordinate(2, z)))?;
+        for (index, value) in plane.into_iter().enumerate() {
+            let (x, y) = (index % resolution, index / resolution);
+            for (axis, pixel) in [z * resolution + y, z * resolution + x, index].into_iter().enumerate() {
+                largest[axis][pixel] = largest[axis][pixel].max(value);
+            }
+        }
+        bar.inc(1);
+    }
+    bar.finish_and_clear();
+    Ok(largest)
+}
+
+/// Where a slice is along an axis.
+fn position(slice: Slice, grid: &Grid, axis: usize) -> Result<f32> {
+    let (low, high) = (grid.low[axis], grid.high[axis]);
+    match slice {
+        Slice::Middle => Ok(f32::midpoint(low, high)),
+        Slice::At(position) if (low..=high).contains(&position) => Ok(position),
+        Slice::At(position) => {
+            bail!("--slice {position}: the field reaches from {low} to {high} along {}", NAMES[axis])
+        }
+    }
+}
+
+/// The cloud's points in the plane across an axis; of a slice those at most a voxel of the network's volume away.
+fn dots(field: &Field, grid: &Grid, axis: usize, position: Option<f32>) -> Vec<[f32; 2]> {
+    let voxel = (grid.high[axis] - grid.low[axis]) / field.volume().frame().resolution[axis] as f32;
+    let is_near = |point: &&[f32; 3]| position.is_none_or(|position| (point[axis] - position).abs() <= voxel);
+    let within = Grid::plane_axes(axis);
+    field.points().iter().filter(is_near).map(|point| within.map(|axis| point[axis])).collect()
+}
+
+impl Quantity {
+    fn of(self, field: &Field, queries: &[[f32; 3]]) -> snake_core::Result<Vec<f32>> {
+        match self {
+            Self::Occupancy => field.occupancy(queries),
+            Self::Saliency => field.saliency(queries),
+        }
+    }
+
+    fn name(self) -> &'static str {
+        match self {
+            Self::Occupancy => "occupancy",
+            Self::Saliency => "saliency",
+        }
+    }
+}

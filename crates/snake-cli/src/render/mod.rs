@@ -1,0 +1,6 @@
+//! Pictures and pages.
+
+pub mod canvas;
+pub mod colormap;
+pub mod figure;
+pub mod page;

@@ -1,0 +1,115 @@
+//! `snake-cli view`: read, detect, register two clouds, write a page.
+
+pub mod args;
+
+use std::path::Path;
+
+use anyhow::{Context, Result, bail};
+use snake_core::metrics::repeated_keypoints;
+use snake_core::registration::{RegisterOptions, register};
+use snake_core::{
+    Field, Length, Mesh, MeshOptions, Model, Normalization, NormalizationMethod, Point, Preset, Transform, detect, io,
+};
+
+use crate::inputs::check_inputs;
+use crate::model;
+use crate::render::page::{Page, Pair, ShownCloud};
+use crate::terminal;
+use args::ViewArguments;
+
+/// More points of a cloud than this are thinned, so that the page stays light.
+const MAX_SHOWN: usize = 400_000;
+/// Samples of the surface along each axis, the first that gives at most so many triangles.
+const SURFACE_RESOLUTIONS: [usize; 4] = [96, 64, 48, 32];
+const MAX_TRIANGLES: usize = 100_000;
+
+/// Writes the page and says what is on it.
+pub fn run(arguments: &ViewArguments) -> Result<()> {
+    arguments.compute.start_threads()?;
+    let ViewArguments { input, second, output, epsilon, transform, .. } = arguments;
+    let extension = output.extension().unwrap_or_default().to_string_lossy().to_ascii_lowercase();
+    if !["html", "htm"].contains(&extension.as_str()) {
+        bail!("{}: unknown extension; files that can be written: .html", output.display());
+    }
+    if second.is_none() && (epsilon.is_some() || transform.is_some()) {
+        bail!("--epsilon and --transform are for two clouds");
+    }
+    check_inputs([input].into_iter().chain(second))?;
+    let t_first_second = transform.as_deref().map(io::read_transform).transpose()?;
+    let model = arguments.compute.load_model()?;
+    let options = arguments.options.resolve(&model)?;
+    terminal::detail("options", || serde_json::to_string(&options).unwrap_or_default());
+    let bar = terminal::progress(1 + usize::from(second.is_some()) * 2)?;
+    let mut clouds: Vec<ShownCloud> = Vec::new();
+    for input in [input].into_iter().chain(second) {
+        bar.set_message(input.display().to_string());
+        let points = arguments.reading.read(input, options.encode.seed)?.into_points();
+        clouds.push(shown(&model, &options, input, &points)?);
+        bar.inc(1);
+    }
+    bar.set_message("registration");
+    let pair = match &clouds[..] {
+        [first, second] => Some(pair(&model, first, second, t_first_second, *epsilon)?),
+        _ => None,
+    };
+    bar.finish_and_clear();
+    let mut text: String = clouds.iter().map(|cloud| cloud.summary() + "\n").collect();
+    if let Some(pair) = &pair {
+        text += &(pair.summary() + "\n");
+    }
+    let model_name = model::name(arguments.compute.model.as_deref());
+    let page = Page { clouds, pair, options, model_name, colormap: arguments.colormap };
+    let html = page.html()?;
+    io::write_atomically(output, |file| file.write_all(html.as_bytes()))
+        .with_context(|| format!("cannot write {}", output.display()))?;
+    terminal::print_report(&format!("{text}written to {}\n", output.display()))
+}
+
+/// One cloud with all that the page shows of it.
+fn shown(model: &Model, options: &Preset, input: &Path, points: &[Point]) -> Result<ShownCloud> {
+    let field = model.encode(points, &options.encode).with_context(|| input.display().to_string())?;
+    let detection = detect(&field, &options.detect)?;
+    let points = field.points();
+    let shown: Vec<Point> = points.iter().step_by(points.len().div_ceil(MAX_SHOWN)).copied().collect();
+    let surface = surface(&field)?;
+    let saliency = [field.saliency(&shown)?, field.saliency(&surface.vertices)?];
+    Ok(ShownCloud { name: input.display().to_string(), field, shown, surface, saliency, detection })
+}
+
+/// The outer surface, as fine as the page can bear.
+fn surface(field: &Field) -> Result<Mesh> {
+    let mut mesh = Mesh::default();
+    for resolution in SURFACE_RESOLUTIONS {
+        mesh = field.mesh(&MeshOptions { resolution, outer: true, ..Default::default() })?;
+        if mesh.triangles.len() <= MAX_TRIANGLES {
+            break;
+        }
+    }
+    Ok(mesh)
+}
+
+/// How the second cloud lies on the first, and which keypoints repeat.
+fn pair(
+    model: &Model,
+    first: &ShownCloud,
+    second: &ShownCloud,
+    given: Option<Transform>,
+    epsilon: Option<Length>,
+) -> Result<Pair> {
+    let radius = Normalization::of(first.field.points(), NormalizationMethod::UnitSphere)?.scale / 2.0;
+    let epsilon = epsilon.unwrap_or(Length::Units(0.04 * f64::from(radius)));
+    let epsilon = epsilon.in_units("epsilon", first.field.points())?;
+    let (t_first_second, registration) = match given {
+        Some(transform) => (transform, None),
+        None => {
+            let found = register(second.field.points(), first.field.points(), model, &RegisterOptions::default());
+            let found = found.with_context(|| {
+                format!("cannot register {} to {}; --transform FILE gives their poses", second.name, first.name)
+            })?;
+            (found.t_target_source, Some(found))
+        }
+    };
+    let [of_first, of_second] = [first, second].map(ShownCloud::keypoint_positions);
+    let partners = repeated_keypoints(&of_first, &of_second, &t_first_second, epsilon)?;
+    Ok(Pair { t_first_second, registration, epsilon, partners })
+}

@@ -1,0 +1,108 @@
+//! Regular grids of queries, for pictures and volumes of a field.
+
+use crate::field::Field;
+use crate::points::Point;
+use crate::{Error, Result};
+
+/// A regular grid over the box of a field's feature volume (the network's cube ±0.5 with its padding), ends included, in
+/// the cloud's frame and units.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Grid {
+    /// Positions along each axis.
+    pub resolution: usize,
+    /// The first position along each axis.
+    pub low: Point,
+    /// The last position along each axis.
+    pub high: Point,
+}
+
+impl Grid {
+    /// Where an index is along an axis: `low + index * (high - low) / (resolution - 1)`.
+    pub fn coordinate(&self, axis: usize, index: usize) -> f32 {
+        let share = index as f32 / (self.resolution - 1) as f32;
+        self.low[axis] * (1.0 - share) + self.high[axis] * share
+    }
+
+    /// The axes within a plane across `axis` (0 to 2), ascending.
+    pub fn plane_axes(axis: usize) -> [usize; 2] {
+        [[1, 2], [0, 2], [0, 1]][axis]
+    }
+
+    /// The grid's positions in a plane across `axis` at any place along it, `resolution²`: of the other two axes the
+    /// first runs fastest, so that planes across z one after the other are `[z][y][x]`.
+    ///
+    /// ```
+    /// let grid = snake_core::Grid { resolution: 2, low: [0.0, 10.0, 20.0], high: [1.0, 11.0, 21.0] };
+    /// assert_eq!(grid.plane(1, 5.0), [[0.0, 5.0, 20.0], [1.0, 5.0, 20.0], [0.0, 5.0, 21.0], [1.0, 5.0, 21.0]]);
+    /// ```
+    pub fn plane(&self, axis: usize, position: f32) -> Vec<Point> {
+        let [fast, slow] = Self::plane_axes(axis);
+        let mut queries = Vec::with_capacity(self.resolution * self.resolution);
+        for row in 0..self.resolution {
+            for column in 0..self.resolution {
+                let mut query = [position; 3];
+                query[fast] = self.coordinate(fast, column);
+                query[slow] = self.coordinate(slow, row);
+                queries.push(query);
+            }
+        }
+        queries
+    }
+}
+
+impl Field {
+    /// The grid with so many positions along each axis.
+    ///
+    /// ```
+    /// use snake_core::{EncodeOptions, Model};
+    /// # let points: Vec<[f32; 3]> = (0..500).map(|i| { let a = i as f32 * 0.1; [a.cos(), a.sin(), (a * 0.3).sin()] }).collect();
+    /// let field = Model::builtin()?.encode(&points, &EncodeOptions::default())?;
+    /// let grid = field.grid(64)?;
+    /// let slice = field.saliency(&grid.plane(2, 0.0))?; // [y][x] where z = 0
+    /// assert_eq!(slice.len(), 64 * 64);
+    /// # Ok::<(), snake_core::Error>(())
+    /// ```
+    ///
+    /// # Errors
+    /// [`Error::Option`] when the resolution is out of its range.
+    pub fn grid(&self, resolution: usize) -> Result<Grid> {
+        if !(2..=512).contains(&resolution) {
+            return Err(Error::Option { name: "resolution", value: resolution.to_string(), allowed: "2 to 512" });
+        }
+        let bounds = self.volume().frame().bounds();
+        let corner = |end: usize| self.normalization().to_cloud(bounds.map(|ends| ends[end]));
+        Ok(Grid { resolution, low: corner(0), high: corner(1) })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::detect::tests::cylinder;
+
+    #[test]
+    fn the_grid_spans_the_volume_in_the_clouds_frame() {
+        let (_, field) = cylinder();
+        let grid = field.grid(33).unwrap();
+        let (normalization, frame) = (field.normalization(), field.volume().frame());
+        let half = 0.5 * (1.0 + frame.padding);
+        for axis in 0..3 {
+            for (index, expected) in [(0, -half), (16, 0.0), (32, half)] {
+                let mut point = normalization.center;
+                point[axis] = grid.coordinate(axis, index);
+                assert!((normalization.to_network(point)[axis] - expected).abs() < 1e-6, "axis {axis}, index {index}");
+            }
+        }
+        assert!(field.grid(1).is_err() && field.grid(513).is_err());
+    }
+
+    #[test]
+    fn planes_across_z_stack_to_z_y_x() {
+        let grid = Grid { resolution: 3, low: [0.0; 3], high: [2.0; 3] };
+        let stacked: Vec<Point> = (0..3).flat_map(|z| grid.plane(2, grid.coordinate(2, z))).collect();
+        for (index, query) in stacked.iter().enumerate() {
+            assert_eq!(*query, [index % 3, index / 3 % 3, index / 9].map(|i| i as f32));
+        }
+        assert_eq!(grid.plane(0, 7.5)[5], [7.5, 2.0, 1.0]);
+    }
+}

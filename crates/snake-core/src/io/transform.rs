@@ -1,0 +1,78 @@
+//! Reading one rigid transform, as registrations are written.
+
+use serde::Deserialize;
+
+use crate::points::Transform;
+
+/// How far the products of a rotation's rows may be from those of an exact one: files round to a few digits.
+const TOLERANCE: f64 = 1e-3;
+
+#[derive(Deserialize)]
+#[serde(untagged)]
+enum Written {
+    Registration { t_target_source: Transform },
+    Rows(Transform),
+}
+
+/// Reads an object with the key `t_target_source`, or the matrix alone, as rows.
+pub(super) fn read_json(bytes: &[u8]) -> Result<Transform, String> {
+    match serde_json::from_slice(bytes) {
+        Ok(Written::Registration { t_target_source: rows } | Written::Rows(rows)) => checked(rows),
+        Err(_) => Err("needed is {\"t_target_source\": [[..4], ..4]}, or the rows alone".into()),
+    }
+}
+
+/// Reads four rows of four numbers.
+pub(super) fn read_text(bytes: &[u8]) -> Result<Transform, String> {
+    let numbers = |row: &str| -> Option<[f64; 4]> {
+        let numbers: Option<Vec<f64>> = row.split_whitespace().map(|number| number.parse().ok()).collect();
+        numbers?.try_into().ok()
+    };
+    let text = String::from_utf8_lossy(bytes);
+    let rows: Option<Vec<_>> = text.lines().filter(|row| !row.trim().is_empty()).map(numbers).collect();
+    checked(rows.and_then(|rows| rows.try_into().ok()).ok_or("needed are four rows of four numbers")?)
+}
+
+/// Refuses what is not rigid.
+fn checked(rows: Transform) -> Result<Transform, String> {
+    let product = |a: usize, b: usize| (0..3).map(|i| rows[a][i] * rows[b][i]).sum::<f64>();
+    let is_rotation = (0..3).all(|a| {
+        (0..=a).all(|b| (product(a, b) - f64::from(u8::from(a == b))).abs() < TOLERANCE) && rows[a][3].is_finite()
+    });
+    if !is_rotation || rows[3] != [0.0, 0.0, 0.0, 1.0] {
+        return Err("not a rigid transform: a rotation, a column of shifts, and 0 0 0 1 as the last row".into());
+    }
+    Ok(rows)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const ROWS: Transform = [[0.0, -1.0, 0.0, 3.5], [1.0, 0.0, 0.0, -1e6], [0.0, 0.0, 1.0, 0.25], [0.0, 0.0, 0.0, 1.0]];
+
+    #[test]
+    fn all_forms_hold_the_same_rows() {
+        let rows = serde_json::json!(ROWS).to_string();
+        assert_eq!(read_json(rows.as_bytes()).unwrap(), ROWS);
+        assert_eq!(read_json(format!(r#"{{"rmse": 1, "t_target_source": {rows}}}"#).as_bytes()).unwrap(), ROWS);
+        let text = "0 -1 0 3.5\r\n1 0 0 -1e6\n\n0 0 1 0.25\n 0\t0 0 1";
+        assert_eq!(read_text(text.as_bytes()).unwrap(), ROWS);
+    }
+
+    #[test]
+    fn anything_else_is_refused() {
+        for text in
+            ["", "1 0 0 0\n0 1 0 0\n0 0 1 0", "1 0 0\n0 1 0\n0 0 1\n0 0 0", "1 0 0 x\n0 1 0 0\n0 0 1 0\n0 0 0 1"]
+        {
+            assert!(read_text(text.as_bytes()).unwrap_err().contains("four rows"), "{text}");
+        }
+        for rows in ["2 0 0 0\n0 1 0 0\n0 0 1 0", "1 0 0 nan\n0 1 0 0\n0 0 1 0", "0 1 0 0\n0 1 0 0\n0 0 1 0"] {
+            assert!(read_text(format!("{rows}\n0 0 0 1").as_bytes()).unwrap_err().contains("rigid"), "{rows}");
+        }
+        assert!(read_text(b"1 0 0 0\n0 1 0 0\n0 0 1 0\n0 0 0 2").unwrap_err().contains("rigid"));
+        for text in ["", "{}", "[[1]]", r#"{"t_target_source": null}"#] {
+            assert!(read_json(text.as_bytes()).unwrap_err().contains("t_target_source"), "{text}");
+        }
+    }
+}
