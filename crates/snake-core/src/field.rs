@@ -35,6 +35,20 @@ impl Default for EncodeOptions {
     }
 }
 
+impl EncodeOptions {
+    pub(crate) fn check(&self) -> Result<()> {
+        let unit_sphere = self.normalization == NormalizationMethod::UnitSphere;
+        if !(1..=64).contains(&self.rotations) || (self.rotations > 1 && !unit_sphere) {
+            let allowed = "1 to 64, above 1 only with unit-sphere normalization";
+            return Err(Error::Option { name: "rotations", value: self.rotations.to_string(), allowed });
+        }
+        if self.max_points == Some(0) {
+            return Err(Error::Option { name: "max_points", value: "0".into(), allowed: "1 or more" });
+        }
+        Ok(())
+    }
+}
+
 /// Occupancy and saliency of one cloud at any point of space. Queries, gradients and results are in the cloud's frame
 /// and units.
 #[derive(Debug, Clone)]
@@ -63,19 +77,13 @@ pub(crate) enum Quantity {
 
 impl Field {
     pub(crate) fn new(model: Model, points: &[Point], options: &EncodeOptions) -> Result<Self> {
-        let rotations = options.rotations;
-        let unit_sphere = options.normalization == NormalizationMethod::UnitSphere;
-        if !(1..=64).contains(&rotations) || (rotations > 1 && !unit_sphere) {
-            let allowed = "1 to 64, above 1 only with unit-sphere normalization";
-            return Err(Error::Option { name: "rotations", value: rotations.to_string(), allowed });
-        }
+        options.check()?;
         let num_given = points.len();
         let finite = FinitePoints::of("points", points)?;
         let points = &finite.points;
         let normalization = Normalization::of(points, options.normalization)?;
         let to_network = |&point: &Point| normalization.to_network(point);
         let network_points: Vec<Point> = match options.max_points {
-            Some(0) => return Err(Error::Option { name: "max_points", value: "0".into(), allowed: "1 or more" }),
             Some(most) if most < points.len() => {
                 let mut rng = rand_chacha::ChaCha8Rng::seed_from_u64(options.seed);
                 let mut chosen = rand::seq::index::sample(&mut rng, points.len(), most).into_vec();
@@ -84,7 +92,7 @@ impl Field {
             }
             _ => points.iter().map(to_network).collect(),
         };
-        let views = rotations::spread(rotations).into_iter().map(|rotation| {
+        let views = rotations::spread(options.rotations).into_iter().map(|rotation| {
             let turned: Vec<Point> = network_points.iter().map(|&point| turned(&rotation, point)).collect();
             View { rotation, volume: model.network().encoder.encode(&turned) }
         });

@@ -38,8 +38,8 @@ impl Normalization {
     /// The normalisation of a cloud, from all of its finite points.
     ///
     /// # Errors
-    /// [`Error::Input`] when the cloud has no finite points, is one point repeated, or is so large or so small that
-    /// squared distances leave `f32`.
+    /// [`Error::Input`] when the cloud has no finite points, is one point repeated, or has an extent outside 1e-15 to
+    /// 1e15: squared distances must neither vanish nor overflow in `f32`.
     pub fn of(points: &[Point], method: NormalizationMethod) -> Result<Self> {
         let FinitePoints { points, .. } = FinitePoints::of("points", points)?;
         if method == NormalizationMethod::None {
@@ -59,10 +59,12 @@ impl Normalization {
             })
             .fold(0.0, f64::max);
         let (center, scale) = (mean.map(|v| v as f32), (2.0 * extent) as f32);
-        if !(1e-18..=1e18).contains(&extent) {
-            let reason = format!(
-                "a cloud of extent {extent:e} cannot be normalised; it needs at least two different points, and an extent from 1e-18 to 1e18"
-            );
+        if extent == 0.0 {
+            let reason = format!("all {} points are equal; a cloud needs at least two different ones", points.len());
+            return Err(Error::Input { what: "points", reason });
+        }
+        if !(1e-15..=1e15).contains(&extent) {
+            let reason = format!("extent {extent:.1e}, allowed is 1e-15 to 1e15; choose another unit or remove outliers");
             return Err(Error::Input { what: "points", reason });
         }
         Ok(Self { center, scale })

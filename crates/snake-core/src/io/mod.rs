@@ -264,7 +264,7 @@ pub fn write_atomically(path: &Path, fill: impl FnOnce(&mut dyn Write) -> io::Re
 const MAX_EXPANSION: usize = 50;
 
 /// A piece of a file's content that is safe to show: one line, short, without control characters.
-fn excerpt(text: &str, max_chars: usize) -> String {
+pub(crate) fn excerpt(text: &str, max_chars: usize) -> String {
     let mut chars = text.trim().chars();
     let shown: String = chars.by_ref().take(max_chars).map(|c| if c.is_control() { ' ' } else { c }).collect();
     if chars.next().is_some() { shown + "…" } else { shown }
