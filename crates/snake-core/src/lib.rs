@@ -24,6 +24,7 @@ mod error;
 mod field;
 #[cfg(test)]
 mod golden;
+mod kd_tree;
 mod kernels;
 mod length;
 mod model;

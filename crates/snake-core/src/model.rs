@@ -78,7 +78,11 @@ impl ModelConfig {
         let values = resolution.iter().product::<usize>() * channels;
         if values > MAX_VOLUME_VALUES {
             let found = format!("{text} voxels of {channels} channels, {values} values");
-            return Err(weights::error("resolution", &format!("a volume of at most {MAX_VOLUME_VALUES} values"), found));
+            return Err(weights::error(
+                "resolution",
+                &format!("a volume of at most {MAX_VOLUME_VALUES} values"),
+                found,
+            ));
         }
         let z_extent = z_max - z_min;
         if !((0.0..=10.0).contains(&padding) && z_extent > 0.0 && z_extent < 1e3) {

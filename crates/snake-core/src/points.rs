@@ -64,7 +64,8 @@ impl Normalization {
             return Err(Error::Input { what: "points", reason });
         }
         if !(1e-15..=1e15).contains(&extent) {
-            let reason = format!("extent {extent:.1e}, allowed is 1e-15 to 1e15; choose another unit or remove outliers");
+            let reason =
+                format!("extent {extent:.1e}, allowed is 1e-15 to 1e15; choose another unit or remove outliers");
             return Err(Error::Input { what: "points", reason });
         }
         Ok(Self { center, scale })

@@ -6,8 +6,8 @@ use rayon::prelude::*;
 
 use super::{Response, among_finite, by_falling_score, index_cloud};
 use crate::length::Length;
+use crate::kd_tree::KdTree;
 use crate::neighbors::{Neighbors, Vector, eigen};
-use crate::nms::Tree;
 use crate::points::Point;
 use crate::{Error, Result};
 
@@ -81,7 +81,7 @@ fn find(points: &[Point], options: &Sift3dOptions) -> Result<Vec<Response>> {
     let mut cloud = index_cloud(points)?;
     let min_scale = options.min_scale.resolve("min_scale", || cloud.resolution())?;
     let mut field = values(&cloud, options.field)?;
-    let input = Tree::new(points)?;
+    let input = KdTree::new(points)?;
     let mut strongest = vec![f64::NEG_INFINITY; points.len()];
     for octave in 0..options.octaves {
         let scale = min_scale * 2_f64.powi(octave as i32);
@@ -92,7 +92,8 @@ fn find(points: &[Point], options: &Sift3dOptions) -> Result<Vec<Response>> {
         (cloud, field) = (Neighbors::new(thinned)?, means);
         let differences = differences_of_gaussians(&cloud, &field, scale, options.scales_per_octave);
         for (position, contrast) in extrema(&cloud, &differences, options.min_contrast) {
-            let place = &mut strongest[input.nearest(position.map(|v| v as f32).into())];
+            let nearest = input.nearest(&position.map(|v| v as f32).into(), NonZeroUsize::MIN)[0].0;
+            let place = &mut strongest[nearest];
             *place = f64::max(*place, contrast);
         }
     }
@@ -104,6 +105,7 @@ fn find(points: &[Point], options: &Sift3dOptions) -> Result<Vec<Response>> {
 fn values(cloud: &Neighbors, field: SiftField) -> Result<Vec<f64>> {
     let SiftField::Curvature(radius) = field else { return Ok(cloud.points.iter().map(|p| p.y).collect()) };
     let radius = radius.resolve("curvature_radius", || cloud.resolution())?;
+    cloud.check_crowding("curvature_radius", radius)?;
     let variation = |point| {
         let (eigenvalues, _) = eigen(cloud.covariance(&cloud.within(point, radius)));
         let sum: f64 = eigenvalues.iter().sum();
