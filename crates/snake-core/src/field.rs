@@ -10,7 +10,7 @@ use crate::nn::TILE;
 use crate::points::{FinitePoints, Normalization, NormalizationMethod, Point, check_points};
 use crate::rotations::{self, Rotation, turned, turned_back};
 use crate::volume::{Volume, VolumeFrame};
-use crate::{Error, Result};
+use crate::{Error, Result, weights};
 
 /// How a cloud becomes a field.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
@@ -94,10 +94,16 @@ impl Field {
         };
         let views = rotations::spread(options.rotations).into_iter().map(|rotation| {
             let turned: Vec<Point> = network_points.iter().map(|&point| turned(&rotation, point)).collect();
-            View { rotation, volume: model.network().encoder.encode(&turned) }
+            let volume = model.network().encoder.encode(&turned);
+            match volume.values.par_iter().all(|value| value.is_finite()) {
+                true => Ok(View { rotation, volume }),
+                false => {
+                    Err(weights::error("encoder", "finite features", "weights so large that they overflow".into()))
+                }
+            }
         });
         Ok(Self {
-            views: views.collect(),
+            views: views.collect::<Result<_>>()?,
             normalization,
             num_skipped: num_given - points.len(),
             points: finite.into_owned(),

@@ -43,7 +43,11 @@ impl Normalization {
     pub fn of(points: &[Point], method: NormalizationMethod) -> Result<Self> {
         let FinitePoints { points, .. } = FinitePoints::of("points", points)?;
         if method == NormalizationMethod::None {
-            return Ok(Self { center: [0.0; 3], scale: 1.0 });
+            let largest = points.as_flattened().iter().fold(0.0, |m: f32, v| m.max(v.abs()));
+            return match largest <= 1e15 {
+                true => Ok(Self { center: [0.0; 3], scale: 1.0 }),
+                false => Err(outside(f64::from(largest))),
+            };
         }
         // Sums in f64: a mean over millions of points far from the origin keeps its digits.
         let mean: [f64; 3] =
@@ -64,9 +68,7 @@ impl Normalization {
             return Err(Error::Input { what: "points", reason });
         }
         if !(1e-15..=1e15).contains(&extent) {
-            let reason =
-                format!("extent {extent:.1e}, allowed is 1e-15 to 1e15; choose another unit or remove outliers");
-            return Err(Error::Input { what: "points", reason });
+            return Err(outside(extent));
         }
         Ok(Self { center, scale })
     }
@@ -80,6 +82,11 @@ impl Normalization {
     pub fn to_cloud(&self, point: Point) -> Point {
         std::array::from_fn(|axis| point[axis] * self.scale + self.center[axis])
     }
+}
+
+fn outside(extent: f64) -> Error {
+    let reason = format!("extent {extent:.1e}, allowed is 1e-15 to 1e15; choose another unit or remove outliers");
+    Error::Input { what: "points", reason }
 }
 
 /// The points of a cloud whose coordinates are all finite; depth cameras mark missing points by NaN.
