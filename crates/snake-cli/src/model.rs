@@ -74,7 +74,8 @@ pub fn run(model: Option<&Path>) -> Result<()> {
     writeln!(text, "recommended options: {}", serde_json::to_string(model.recommended())?)?;
     writeln!(text, "metadata:")?;
     for (key, value) in model.metadata() {
-        writeln!(text, "  {key}: {value}")?;
+        // A file must not move the terminal's cursor.
+        writeln!(text, "{}", format!("  {key}: {value}").replace(char::is_control, " "))?;
     }
     terminal::print(&text)
 }

@@ -10,7 +10,7 @@ use crate::length::Length;
 use crate::nms::{nearest_points, suppress};
 use crate::nn::TILE;
 use crate::points::{NormalizationMethod, Point};
-use crate::refine::refine;
+use crate::refine::{Candidate, refine};
 use crate::{Error, Result};
 
 /// One keypoint, in the frame and units of the input cloud.
@@ -232,8 +232,10 @@ pub fn detect(field: &Field, options: &DetectOptions) -> Result<Detection> {
     let occupancy_done = Instant::now();
     let mut candidates = refine(field, &occupied, options);
     let refine_done = Instant::now();
-    candidates.retain(|candidate| candidate.score > options.saliency_threshold);
-    let positions: Vec<Point> = candidates.iter().map(|c| field.normalization().to_cloud(c.position)).collect();
+    let to_cloud = |candidate: &Candidate| field.normalization().to_cloud(candidate.position);
+    // Huge steps can carry a query beyond all numbers.
+    candidates.retain(|c| c.score > options.saliency_threshold && to_cloud(c).iter().all(|v| v.is_finite()));
+    let positions: Vec<Point> = candidates.iter().map(to_cloud).collect();
     let scores: Vec<f32> = candidates.iter().map(|c| c.score).collect();
     let kept = suppress(&positions, &scores, nms_radius, options.max_keypoints)?;
     let mut positions: Vec<Point> = kept.iter().map(|&index| positions[index]).collect();

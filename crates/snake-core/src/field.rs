@@ -10,7 +10,7 @@ use crate::nn::TILE;
 use crate::points::{FinitePoints, Normalization, NormalizationMethod, Point, check_points};
 use crate::rotations::{self, Rotation, turned, turned_back};
 use crate::volume::{Volume, VolumeFrame};
-use crate::{Error, Result};
+use crate::{Error, Result, weights};
 
 /// How a cloud becomes a field.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
@@ -32,6 +32,20 @@ pub struct EncodeOptions {
 impl Default for EncodeOptions {
     fn default() -> Self {
         Self { normalization: NormalizationMethod::UnitSphere, max_points: None, seed: 0, rotations: 1 }
+    }
+}
+
+impl EncodeOptions {
+    pub(crate) fn check(&self) -> Result<()> {
+        let unit_sphere = self.normalization == NormalizationMethod::UnitSphere;
+        if !(1..=64).contains(&self.rotations) || (self.rotations > 1 && !unit_sphere) {
+            let allowed = "1 to 64, above 1 only with unit-sphere normalization";
+            return Err(Error::Option { name: "rotations", value: self.rotations.to_string(), allowed });
+        }
+        if self.max_points == Some(0) {
+            return Err(Error::Option { name: "max_points", value: "0".into(), allowed: "1 or more" });
+        }
+        Ok(())
     }
 }
 
@@ -63,19 +77,13 @@ pub(crate) enum Quantity {
 
 impl Field {
     pub(crate) fn new(model: Model, points: &[Point], options: &EncodeOptions) -> Result<Self> {
-        let rotations = options.rotations;
-        let unit_sphere = options.normalization == NormalizationMethod::UnitSphere;
-        if !(1..=64).contains(&rotations) || (rotations > 1 && !unit_sphere) {
-            let allowed = "1 to 64, above 1 only with unit-sphere normalization";
-            return Err(Error::Option { name: "rotations", value: rotations.to_string(), allowed });
-        }
+        options.check()?;
         let num_given = points.len();
         let finite = FinitePoints::of("points", points)?;
         let points = &finite.points;
         let normalization = Normalization::of(points, options.normalization)?;
         let to_network = |&point: &Point| normalization.to_network(point);
         let network_points: Vec<Point> = match options.max_points {
-            Some(0) => return Err(Error::Option { name: "max_points", value: "0".into(), allowed: "1 or more" }),
             Some(most) if most < points.len() => {
                 let mut rng = rand_chacha::ChaCha8Rng::seed_from_u64(options.seed);
                 let mut chosen = rand::seq::index::sample(&mut rng, points.len(), most).into_vec();
@@ -84,12 +92,18 @@ impl Field {
             }
             _ => points.iter().map(to_network).collect(),
         };
-        let views = rotations::spread(rotations).into_iter().map(|rotation| {
+        let views = rotations::spread(options.rotations).into_iter().map(|rotation| {
             let turned: Vec<Point> = network_points.iter().map(|&point| turned(&rotation, point)).collect();
-            View { rotation, volume: model.network().encoder.encode(&turned) }
+            let volume = model.network().encoder.encode(&turned);
+            match volume.values.par_iter().all(|value| value.is_finite()) {
+                true => Ok(View { rotation, volume }),
+                false => {
+                    Err(weights::error("encoder", "finite features", "weights so large that they overflow".into()))
+                }
+            }
         });
         Ok(Self {
-            views: views.collect(),
+            views: views.collect::<Result<_>>()?,
             normalization,
             num_skipped: num_given - points.len(),
             points: finite.into_owned(),

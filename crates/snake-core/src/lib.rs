@@ -25,6 +25,7 @@ mod field;
 #[cfg(test)]
 mod golden;
 mod grid;
+mod kd_tree;
 mod kernels;
 mod length;
 mod model;

@@ -15,6 +15,9 @@ use crate::{Error, Result};
 
 const BUILTIN: &[u8] = include_bytes!("../models/compact.safetensors");
 
+/// The metadata alone could otherwise ask for more memory than any machine has: 1 GiB, 32 channels in 203³ voxels.
+const MAX_VOLUME_VALUES: usize = 1 << 28;
+
 /// The shape of a network, read from the weight file's metadata.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct ModelConfig {
@@ -69,6 +72,16 @@ impl ModelConfig {
                 "resolution",
                 &format!("{smallest} to 512 voxels along each axis"),
                 text.into(),
+            ));
+        }
+        let channels = config.c_dim.max(config.unet_base_channels);
+        let values = resolution.iter().product::<usize>() * channels;
+        if values > MAX_VOLUME_VALUES {
+            let found = format!("{text} voxels of {channels} channels, {values} values");
+            return Err(weights::error(
+                "resolution",
+                &format!("a volume of at most {MAX_VOLUME_VALUES} values"),
+                found,
             ));
         }
         let z_extent = z_max - z_min;
@@ -141,6 +154,7 @@ impl Model {
             saliency: Decoder::saliency(&file.at("decoder_keypoint"), &config)?,
             num_parameters: file.num_parameters(),
         };
+        network.recommended.encode.check()?;
         network.recommended.detect.check()?;
         file.finish()?;
         Ok(Self(Arc::new(network)))
@@ -169,7 +183,8 @@ impl Model {
     /// Encodes a cloud once; the field then answers any number of queries.
     ///
     /// # Errors
-    /// [`Error::Input`] for an empty cloud, coordinates that are not finite, or a cloud without extent.
+    /// [`Error::Input`] for an empty cloud, coordinates that are not finite, or an extent outside 1e-15 to 1e15;
+    /// [`Error::Weights`] when the weights are so large that the features overflow.
     pub fn encode(&self, points: &[Point], options: &EncodeOptions) -> Result<Field> {
         Field::new(self.clone(), points, options)
     }

@@ -2,12 +2,15 @@
 
 use std::num::NonZeroUsize;
 
-use kiddo::{ImmutableKdTree, SquaredEuclidean};
 use nalgebra::{Matrix3, SymmetricEigen, Vector3};
 use rayon::prelude::*;
 
+use crate::kd_tree::KdTree;
 use crate::points::Point;
 use crate::{Error, Result};
+
+/// Pairs of near points that are looked at before a radius is refused: some minutes of work.
+const MAX_PAIRS: f64 = 1e10;
 
 /// A point or an offset in f64.
 pub(crate) type Vector = Vector3<f64>;
@@ -20,40 +23,57 @@ pub(crate) fn vector(point: Point) -> Vector {
 /// Points that can be asked for their neighbours.
 pub(crate) struct Neighbors {
     pub(crate) points: Vec<Vector>,
-    tree: ImmutableKdTree<f64, 3>,
+    tree: KdTree<f64>,
 }
 
 impl Neighbors {
     /// Indexes finite points, at least one.
     pub(crate) fn new(points: Vec<Vector>) -> Result<Self> {
         let rows: Vec<[f64; 3]> = points.iter().map(|&p| p.into()).collect();
-        let tree = ImmutableKdTree::new_from_slice(&rows)
-            .map_err(|e| Error::Input { what: "points", reason: format!("cannot be indexed: {e}") })?;
-        Ok(Self { points, tree })
+        Ok(Self { points, tree: KdTree::new(&rows)? })
+    }
+
+    /// Refuses a radius that holds so many of the points that all their neighbours would take hours to look at, as of a
+    /// cloud that is one point repeated but for a few.
+    pub(crate) fn check_crowding(&self, name: &'static str, radius: f64) -> Result<()> {
+        // All points of a cell are nearer to each other than the radius.
+        let cell = |point: &Vector| point.map(|v| ((v * 2.0 / radius).floor() + 0.0).to_bits());
+        let mut cells: Vec<[u64; 3]> = self.points.iter().map(|point| cell(point).into()).collect();
+        cells.par_sort_unstable();
+        let pairs: f64 = cells.chunk_by(|a, b| a == b).map(|cell| (cell.len() as f64).powi(2)).sum();
+        if pairs <= MAX_PAIRS {
+            return Ok(());
+        }
+        let (count, average) = (self.points.len(), pairs / self.points.len() as f64);
+        let reason = format!(
+            "the {count} points have more than {average:.0} neighbours each, on average, within {name} = {radius:.3e}; thin the cloud or choose a smaller radius"
+        );
+        Err(Error::Input { what: "points", reason })
     }
 
     /// Indices, ascending, of the points nearer than `radius`: the boundary is outside, as in Open3D.
     pub(crate) fn within(&self, query: &Vector, radius: f64) -> Vec<usize> {
         let squared = radius * radius;
-        let query: [f64; 3] = (*query).into();
-        let found = self.tree.query(&query).within::<SquaredEuclidean<f64>>(squared).unsorted().execute();
-        let mut indices: Vec<usize> =
-            found.into_iter().filter(|entry| entry.distance < squared).map(|entry| entry.item as usize).collect();
+        let mut indices = Vec::new();
+        self.tree.within(&(*query).into(), squared, |index, distance| {
+            if distance < squared {
+                indices.push(index);
+            }
+        });
         indices.sort_unstable();
         indices
     }
 
-    /// The nearest `number` points: indices and distances, nearest first.
+    /// The nearest `number` points: indices and distances, nearest first, of equally near ones the lowest index first.
     pub(crate) fn nearest(&self, query: &Vector, number: NonZeroUsize) -> Vec<(usize, f64)> {
-        let query: [f64; 3] = (*query).into();
-        let found = self.tree.query(&query).nearest_n::<SquaredEuclidean<f64>>(number).execute();
-        found.into_iter().map(|entry| (entry.item as usize, entry.distance.sqrt())).collect()
+        let mut found = self.tree.nearest(&(*query).into(), number);
+        found.iter_mut().for_each(|(_, distance)| *distance = distance.sqrt());
+        found
     }
 
     /// Distance to the nearest point.
     pub(crate) fn distance(&self, query: &Vector) -> f64 {
-        let query: [f64; 3] = (*query).into();
-        self.tree.query(&query).nearest_one::<SquaredEuclidean<f64>>().execute().distance.sqrt()
+        self.nearest(query, NonZeroUsize::MIN)[0].1
     }
 
     /// Mean distance of the points to their nearest others; 0 for one point.

@@ -1,10 +1,12 @@
 //! Non-maximum suppression by radius, and nearest input points.
 
-use kiddo::{ImmutableKdTree, SquaredEuclidean};
+use std::num::NonZeroUsize;
+
 use rayon::prelude::*;
 
+use crate::Result;
+use crate::kd_tree::KdTree;
 use crate::points::Point;
-use crate::{Error, Result};
 
 /// Greedy suppression: indices of the kept points, best first, each farther than `radius` from all kept before it.
 ///
@@ -17,7 +19,7 @@ pub(crate) fn suppress(points: &[Point], scores: &[f32], radius: f32, limit: usi
         order.truncate(limit);
         return Ok(order);
     }
-    let tree = Tree::new(points)?;
+    let tree = KdTree::new(points)?;
     let mut alive = vec![true; points.len()];
     let mut kept = Vec::new();
     for index in order {
@@ -26,7 +28,7 @@ pub(crate) fn suppress(points: &[Point], scores: &[f32], radius: f32, limit: usi
         }
         if alive[index] {
             kept.push(index);
-            tree.within(points[index], radius * radius).for_each(|other| alive[other] = false);
+            tree.within(&points[index], radius * radius, |other, _| alive[other] = false);
         }
     }
     Ok(kept)
@@ -38,8 +40,8 @@ pub(crate) fn nearest_points(points: &[Point], queries: &[Point]) -> Result<Vec<
     if queries.len() < 256 {
         return Ok(queries.par_iter().map(|&query| nearest_of_all(points, query)).collect());
     }
-    let tree = Tree::new(points)?;
-    Ok(queries.par_iter().map(|&query| tree.nearest(query)).collect())
+    let tree = KdTree::new(points)?;
+    Ok(queries.par_iter().map(|query| tree.nearest(query, NonZeroUsize::MIN)[0].0).collect())
 }
 
 fn nearest_of_all(points: &[Point], query: Point) -> usize {
@@ -58,29 +60,6 @@ fn nearest_of_all(points: &[Point], query: Point) -> usize {
         }
     }
     best
-}
-
-/// A k-d tree over points.
-pub(crate) struct Tree(ImmutableKdTree<f32, 3>);
-
-impl Tree {
-    pub(crate) fn new(points: &[Point]) -> Result<Self> {
-        let tree = ImmutableKdTree::new_from_slice(points)
-            .map_err(|e| Error::Input { what: "points", reason: format!("cannot be indexed: {e}") })?;
-        Ok(Self(tree))
-    }
-
-    /// Index of the point nearest to `query`; of equally near ones the lowest.
-    pub(crate) fn nearest(&self, query: Point) -> usize {
-        let nearest = self.0.query(&query).nearest_one::<SquaredEuclidean<f32>>().execute();
-        // The tree returns equally near points in no particular order.
-        self.within(query, nearest.distance).min().unwrap_or(nearest.item as usize)
-    }
-
-    fn within(&self, query: Point, squared_radius: f32) -> impl Iterator<Item = usize> {
-        let found = self.0.query(&query).within::<SquaredEuclidean<f32>>(squared_radius).unsorted().execute();
-        found.into_iter().map(|entry| entry.item as usize)
-    }
 }
 
 #[cfg(test)]

@@ -38,12 +38,16 @@ impl Normalization {
     /// The normalisation of a cloud, from all of its finite points.
     ///
     /// # Errors
-    /// [`Error::Input`] when the cloud has no finite points, is one point repeated, or is so large or so small that
-    /// squared distances leave `f32`.
+    /// [`Error::Input`] when the cloud has no finite points, is one point repeated, or has an extent outside 1e-15 to
+    /// 1e15: squared distances must neither vanish nor overflow in `f32`.
     pub fn of(points: &[Point], method: NormalizationMethod) -> Result<Self> {
         let FinitePoints { points, .. } = FinitePoints::of("points", points)?;
         if method == NormalizationMethod::None {
-            return Ok(Self { center: [0.0; 3], scale: 1.0 });
+            let largest = points.as_flattened().iter().fold(0.0, |m: f32, v| m.max(v.abs()));
+            return match largest <= 1e15 {
+                true => Ok(Self { center: [0.0; 3], scale: 1.0 }),
+                false => Err(outside(f64::from(largest))),
+            };
         }
         // Sums in f64: a mean over millions of points far from the origin keeps its digits.
         let mean: [f64; 3] =
@@ -59,11 +63,13 @@ impl Normalization {
             })
             .fold(0.0, f64::max);
         let (center, scale) = (mean.map(|v| v as f32), (2.0 * extent) as f32);
-        if !(1e-18..=1e18).contains(&extent) {
-            let reason = format!(
-                "a cloud of extent {extent:e} cannot be normalised; it needs at least two different points, and an extent from 1e-18 to 1e18"
-            );
+        if extent == 0.0 {
+            let reason =
+                format!("all points ({}) are at one place; a cloud needs at least two different ones", points.len());
             return Err(Error::Input { what: "points", reason });
+        }
+        if !(1e-15..=1e15).contains(&extent) {
+            return Err(outside(extent));
         }
         Ok(Self { center, scale })
     }
@@ -77,6 +83,11 @@ impl Normalization {
     pub fn to_cloud(&self, point: Point) -> Point {
         std::array::from_fn(|axis| point[axis] * self.scale + self.center[axis])
     }
+}
+
+fn outside(extent: f64) -> Error {
+    let reason = format!("extent {extent:.1e}, allowed is 1e-15 to 1e15; choose another unit or remove outliers");
+    Error::Input { what: "points", reason }
 }
 
 /// The points of a cloud whose coordinates are all finite; depth cameras mark missing points by NaN.

@@ -6,6 +6,7 @@ use std::collections::{BTreeSet, HashMap};
 use half::f16;
 use safetensors::{Dtype, SafeTensors};
 
+use crate::io::excerpt;
 use crate::{Error, Result};
 
 /// Tensors and metadata of one weight file; remembers which tensors were asked for.
@@ -108,7 +109,7 @@ impl Scope<'_> {
     }
 }
 
-/// An [`Error::Weights`].
+/// An [`Error::Weights`]; what comes from the file is cut to one short line.
 pub(crate) fn error(tensor: &str, expected: &str, found: String) -> Error {
-    Error::Weights { tensor: tensor.into(), expected: expected.into(), found }
+    Error::Weights { tensor: excerpt(tensor, 100), expected: expected.into(), found: excerpt(&found, 200) }
 }

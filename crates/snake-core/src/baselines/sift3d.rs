@@ -7,7 +7,6 @@ use rayon::prelude::*;
 use super::{Response, among_finite, by_falling_score, index_cloud};
 use crate::length::Length;
 use crate::neighbors::{Neighbors, Vector, eigen};
-use crate::nms::Tree;
 use crate::points::Point;
 use crate::{Error, Result};
 
@@ -78,23 +77,23 @@ fn find(points: &[Point], options: &Sift3dOptions) -> Result<Vec<Response>> {
         let value = options.min_contrast.to_string();
         return Err(Error::Option { name: "min_contrast", value, allowed: "0 or more" });
     }
-    let mut cloud = index_cloud(points)?;
-    let min_scale = options.min_scale.resolve("min_scale", || cloud.resolution())?;
-    let mut field = values(&cloud, options.field)?;
-    let input = Tree::new(points)?;
+    let input = index_cloud(points)?;
+    let min_scale = options.min_scale.resolve("min_scale", || input.resolution())?;
+    let (mut positions, mut field) = (input.points.clone(), values(&input, options.field)?);
     let mut strongest = vec![f64::NEG_INFINITY; points.len()];
     for octave in 0..options.octaves {
         let scale = min_scale * 2_f64.powi(octave as i32);
-        let (thinned, means) = thin(&cloud.points, &field, scale);
-        if thinned.len() < MIN_OCTAVE_POINTS {
+        (positions, field) = thin(&positions, &field, scale);
+        if positions.len() < MIN_OCTAVE_POINTS {
             break;
         }
-        (cloud, field) = (Neighbors::new(thinned)?, means);
+        let cloud = Neighbors::new(positions)?;
         let differences = differences_of_gaussians(&cloud, &field, scale, options.scales_per_octave);
         for (position, contrast) in extrema(&cloud, &differences, options.min_contrast) {
-            let place = &mut strongest[input.nearest(position.map(|v| v as f32).into())];
+            let place = &mut strongest[input.nearest(&position, NonZeroUsize::MIN)[0].0];
             *place = f64::max(*place, contrast);
         }
+        positions = cloud.points;
     }
     let responses = strongest.into_iter().enumerate().map(|(index, score)| Response { index, score });
     Ok(by_falling_score(responses.filter(|response| response.score >= 0.0).collect()))
@@ -104,6 +103,7 @@ fn find(points: &[Point], options: &Sift3dOptions) -> Result<Vec<Response>> {
 fn values(cloud: &Neighbors, field: SiftField) -> Result<Vec<f64>> {
     let SiftField::Curvature(radius) = field else { return Ok(cloud.points.iter().map(|p| p.y).collect()) };
     let radius = radius.resolve("curvature_radius", || cloud.resolution())?;
+    cloud.check_crowding("curvature_radius", radius)?;
     let variation = |point| {
         let (eigenvalues, _) = eigen(cloud.covariance(&cloud.within(point, radius)));
         let sum: f64 = eigenvalues.iter().sum();

@@ -34,20 +34,19 @@ pub fn fpfh(points: &[Point], normals: &[Point], radius: f64) -> Result<Vec<f32>
     }
     check_radius("radius", radius)?;
     let cloud = Neighbors::new(points.iter().copied().map(vector).collect())?;
+    cloud.check_crowding("radius", radius)?;
     let normals: Vec<Vector> = normals.iter().copied().map(vector).collect();
     Ok(descriptors(&cloud, &normals, radius))
 }
 
 /// [`fpfh`] of an indexed cloud.
 pub(super) fn descriptors(cloud: &Neighbors, normals: &[Vector], radius: f64) -> Vec<f32> {
-    let neighbors: Vec<Vec<usize>> = (0..cloud.points.len())
-        .into_par_iter()
-        .map(|i| cloud.within(&cloud.points[i], radius).into_iter().filter(|&j| j != i).collect())
-        .collect();
-    let simplified: Vec<Histograms> =
-        (0..neighbors.len()).into_par_iter().map(|i| simplified(cloud, normals, i, &neighbors[i])).collect();
-    let rows = (0..neighbors.len()).into_par_iter();
-    rows.flat_map_iter(|i| weighted(cloud, &simplified, i, &neighbors[i])).map(|v| v as f32).collect()
+    // Looked for twice: to keep them all would take memory without bound.
+    let neighbors =
+        |i: usize| -> Vec<usize> { cloud.within(&cloud.points[i], radius).into_iter().filter(|&j| j != i).collect() };
+    let points = (0..cloud.points.len()).into_par_iter();
+    let simplified: Vec<Histograms> = points.clone().map(|i| simplified(cloud, normals, i, &neighbors(i))).collect();
+    points.flat_map_iter(|i| weighted(cloud, &simplified, i, &neighbors(i))).map(|v| v as f32).collect()
 }
 
 /// SPFH: histograms of the angles between a point and its neighbours, each of sum 100.

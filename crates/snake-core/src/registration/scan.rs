@@ -76,6 +76,8 @@ impl Scan {
         // Scenes fill the volume better by the cube than by the sphere that suits objects.
         let normalization = NormalizationMethod::UnitCube;
         let field = model.encode(points, &EncodeOptions { normalization, ..model.recommended().encode })?;
+        voxels.check_crowding("normal_radius", normal_radius)?;
+        voxels.check_crowding("feature_radius", feature_radius)?;
         let normals = normals(&voxels, normal_radius);
         Ok(Self { voxels, normals, voxel_size, feature_radius, field, fpfh: OnceLock::new() })
     }

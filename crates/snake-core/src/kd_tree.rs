@@ -1,0 +1,175 @@
+//! A k-d tree that no arrangement of points makes slow.
+//!
+//! kiddo's queries take time in proportion to the points if these are equal, or on a line or a plane along the axes, as in
+//! drawings and where scans repeat points; n of them take the square. So it is given the distinct points, turned out of
+//! the axes. What it finds is measured again where the points were: answers are exact, and ties are broken by index.
+
+use std::num::NonZeroUsize;
+
+use kiddo::{ImmutableKdTree, SquaredEuclidean};
+use nalgebra::{RealField, Rotation3, Vector3};
+use rayon::prelude::*;
+
+use crate::{Error, Result};
+
+/// Points that can be asked for their neighbours. Distances are squared.
+pub(crate) struct KdTree<T> {
+    /// Of the distinct points, turned; `None` if there are none.
+    tree: Option<ImmutableKdTree<f64, 3>>,
+    turn: Rotation3<f64>,
+    distinct: Vec<[T; 3]>,
+    /// The largest coordinate.
+    extent: f64,
+    /// Of each distinct point where its indices start; they end where the next one's start.
+    starts: Vec<u32>,
+    /// The indices of equal points, ascending.
+    indices: Vec<u32>,
+}
+
+impl<T: RealField + Copy + Into<f64>> KdTree<T> {
+    /// Indexes finite points.
+    pub(crate) fn new(points: &[[T; 3]]) -> Result<Self> {
+        let failed = |reason: String| Error::Input { what: "points", reason: format!("cannot be indexed: {reason}") };
+        let count = u32::try_from(points.len()).map_err(|_| failed("more than 4294967295".into()))?;
+        let mut indices: Vec<u32> = (0..count).collect();
+        let point = |index: u32| points[index as usize];
+        indices.par_sort_unstable_by(|&a, &b| {
+            let order = point(a).partial_cmp(&point(b)).unwrap_or(std::cmp::Ordering::Equal);
+            order.then(a.cmp(&b))
+        });
+        let (mut distinct, mut starts): (Vec<[T; 3]>, Vec<u32>) = Default::default();
+        for (place, &index) in (0..).zip(&indices) {
+            if distinct.last() != Some(&point(index)) {
+                distinct.push(point(index));
+                starts.push(place);
+            }
+        }
+        starts.push(count);
+        let extent = distinct.as_flattened().iter().fold(0.0, |extent: f64, &v| extent.max(v.into().abs()));
+        let turn = Rotation3::from_euler_angles(0.7, 1.1, 0.4);
+        let turned: Vec<[f64; 3]> = distinct.iter().map(|point| turned(&turn, point)).collect();
+        let tree = match turned[..] {
+            [] => None,
+            _ => Some(ImmutableKdTree::new_from_slice(&turned).map_err(|error| failed(error.to_string()))?),
+        };
+        Ok(Self { tree, turn, distinct, extent, starts, indices })
+    }
+
+    /// Hands over the index and distance of each point at most so far away, in no particular order.
+    pub(crate) fn within(&self, query: &[T; 3], most: T, mut found: impl FnMut(usize, T)) {
+        let Some(tree) = &self.tree else { return };
+        let radius = self.reach(query, most.into().sqrt());
+        let turned = turned(&self.turn, query);
+        for entry in tree.query(&turned).within::<SquaredEuclidean<f64>>(radius * radius).unsorted().execute() {
+            let distance = squared_distance(query, &self.distinct[entry.item as usize]);
+            if distance <= most {
+                self.equal(entry.item as usize).for_each(|index| found(index, distance));
+            }
+        }
+    }
+
+    /// The nearest `number` points: indices and distances, nearest first, of equally near ones the lowest index first.
+    pub(crate) fn nearest(&self, query: &[T; 3], number: NonZeroUsize) -> Vec<(usize, T)> {
+        let Some(tree) = &self.tree else { return Vec::new() };
+        let turned = turned(&self.turn, query);
+        let first = tree.query(&turned).nearest_n::<SquaredEuclidean<f64>>(number).execute();
+        // Rounding may have put others before the last of these.
+        let radius = self.reach(query, first.iter().fold(0.0, |most: f64, entry| most.max(entry.distance)).sqrt());
+        let near = tree.query(&turned).within::<SquaredEuclidean<f64>>(radius * radius).unsorted().execute();
+        let mut found: Vec<(usize, T)> = Vec::with_capacity(number.get().min(self.indices.len()));
+        for entry in near {
+            let distance = squared_distance(query, &self.distinct[entry.item as usize]);
+            found.extend(self.equal(entry.item as usize).take(number.get()).map(|index| (index, distance)));
+        }
+        let order = |a: &(usize, T), b: &(usize, T)| a.1.partial_cmp(&b.1).unwrap_or(std::cmp::Ordering::Equal);
+        found.sort_unstable_by(|a, b| order(a, b).then(a.0.cmp(&b.0)));
+        found.truncate(number.get());
+        found
+    }
+
+    /// The indices of the points that equal one of the distinct ones.
+    fn equal(&self, distinct: usize) -> impl Iterator<Item = usize> {
+        let [start, end] = [0, 1].map(|next| self.starts[distinct + next] as usize);
+        self.indices[start..end].iter().map(|&index| index as usize)
+    }
+
+    /// A radius that is wide enough for the rounding of turned points, and of distances in `f32`.
+    fn reach(&self, query: &[T; 3], radius: f64) -> f64 {
+        let extent = query.iter().fold(self.extent, |extent, &v| extent.max(v.into().abs()));
+        radius * (1.0 + 1e-6) + 1e-14 * extent
+    }
+}
+
+fn turned<T: Copy + Into<f64>>(turn: &Rotation3<f64>, point: &[T; 3]) -> [f64; 3] {
+    (turn * Vector3::from(point.map(Into::into))).into()
+}
+
+fn squared_distance<T: RealField + Copy>(a: &[T; 3], b: &[T; 3]) -> T {
+    let [x, y, z] = [a[0] - b[0], a[1] - b[1], a[2] - b[2]];
+    x * x + y * y + z * z
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Clouds that trees find hard, with ties and duplicates.
+    fn clouds() -> Vec<Vec<[f64; 3]>> {
+        let lattice = |i: u32, axis: u32| f64::from(i / 7_u32.pow(axis) % 7);
+        let scattered = |i: u32, axis: usize| f64::from(i * [7919, 104_729, 1_299_709][axis] % 10_007);
+        vec![
+            (0..700).map(|i| std::array::from_fn(|axis| lattice(i, axis as u32))).collect(),
+            (0..1000).map(|i| std::array::from_fn(|axis| scattered(i, axis))).collect(),
+            (0..500).map(|i| [f64::from(i % 100), 0.0, 5.0]).collect(),
+            (0..500).map(|i| if i % 3 == 0 { [1.0; 3] } else { [scattered(i, 0), 2.0, scattered(i, 2)] }).collect(),
+            vec![[3.0, 4.0, 5.0]; 300],
+            vec![[3.0, 4.0, 5.0]],
+            vec![],
+        ]
+    }
+
+    #[test]
+    fn answers_equal_the_quadratic_loop() {
+        for points in clouds() {
+            let tree = KdTree::new(&points).unwrap();
+            let queries = points.iter().step_by(37).copied().chain([[0.5, 1.5, 2.5], [-1e4, 0.0, 0.0]]);
+            for query in queries {
+                let mut sorted: Vec<(usize, f64)> =
+                    points.iter().map(|point| squared_distance(&query, point)).enumerate().collect();
+                sorted.sort_by(|a, b| a.1.total_cmp(&b.1).then(a.0.cmp(&b.0)));
+                for number in [1, 2, 25, 2000] {
+                    let expected = &sorted[..number.min(points.len())];
+                    assert_eq!(tree.nearest(&query, NonZeroUsize::new(number).unwrap()), expected);
+                }
+                for most in [0.0, 1.0, 9.0, 1e6] {
+                    let mut found = Vec::new();
+                    tree.within(&query, most, |index, distance| found.push((index, distance)));
+                    found.sort_by(|a, b| a.1.total_cmp(&b.1).then(a.0.cmp(&b.0)));
+                    assert_eq!(found, &sorted[..sorted.partition_point(|entry| entry.1 <= most)]);
+                }
+            }
+        }
+    }
+
+    /// Queries that each look at all points would take this test from a second to minutes.
+    #[test]
+    fn every_point_of_a_hard_cloud_finds_its_neighbours() {
+        const NUMBER: u32 = 200_000;
+        let unit = |i: u32, factor: u32| f64::from(i.wrapping_mul(factor) >> 8) / f64::from(1_u32 << 24);
+        let clouds: [fn(f64, f64) -> [f64; 3]; 4] = [
+            |_, _| [1.0; 3],
+            |u, _| [0.0, u, 0.0],
+            |u, v| [u, v, 0.0],
+            |u, v| if u < 0.5 { [0.0; 3] } else { [v, u, 1.0] },
+        ];
+        for cloud in clouds {
+            let point = |i| cloud(unit(i, 2_654_435_761), unit(i, 0x9e37_79b1 ^ 0x0f0f_0f0f));
+            let points: Vec<[f64; 3]> = (0..NUMBER).map(point).collect();
+            let tree = KdTree::new(&points).unwrap();
+            for query in &points {
+                let (index, distance) = tree.nearest(query, NonZeroUsize::MIN)[0];
+                assert!(points[index] == *query && distance == 0.0);
+            }
+        }
+    }
+}
