@@ -19,6 +19,7 @@
 //! The readers take bytes from anywhere: whatever the content, the answer is a cloud or an error, and neither time nor
 //! memory exceeds a small multiple of the file's size.
 
+mod array;
 mod json;
 mod mesh;
 mod npy;
@@ -35,6 +36,7 @@ use crate::points::{Point, Transform};
 use crate::registration::Registration;
 use crate::{Error, Mesh, Result};
 
+pub use array::Array;
 pub use json::keypoint_json;
 
 /// The extensions that [`read_points`] knows.
@@ -92,6 +94,15 @@ pub fn read_clouds(path: &Path) -> Result<Vec<Vec<Point>>> {
 pub fn read_transforms(path: &Path) -> Result<Vec<Transform>> {
     let bytes = std::fs::read(path).map_err(|source| Error::Io { path: path.into(), source })?;
     npy::read_transforms(&bytes).map_err(|reason| Error::Format { path: path.into(), reason })
+}
+
+/// Reads an `.npy` array of any shape, floats or integers.
+///
+/// # Errors
+/// [`Error::Io`] when the file cannot be read; [`Error::Format`] when it is no such array.
+pub fn read_array(path: &Path) -> Result<Array> {
+    let bytes = std::fs::read(path).map_err(|source| Error::Io { path: path.into(), source })?;
+    npy::read_array(&bytes).map_err(|reason| Error::Format { path: path.into(), reason })
 }
 
 /// Writes keypoints; the extension says which format.

@@ -15,6 +15,7 @@ use super::args::SemanticArguments;
 use super::methods::Method;
 use super::paper;
 use super::record::Record;
+use super::schedule::{Schedule, Task};
 use crate::terminal;
 use data::Data;
 use report::Report;
@@ -28,15 +29,16 @@ pub fn run(arguments: &SemanticArguments) -> Result<()> {
     let data = Data::open(&arguments.data, arguments.split.as_deref())?;
     let methods = Method::all(common, Some(SPACING))?;
     let settings = settings(arguments, &methods);
-    let chosen = super::evenly_spaced(data.len(), common.run.limit)?;
-    let mut record = Record::open(common.run.output.as_deref(), "semantic", &settings, chosen.len())?;
-    record.fill(&chosen, |shape| data.name(shape), |shape| rows(&data, shape, &methods, arguments))?;
-    let paper: &[_] = match data {
-        Data::KeypointNet(_) if common.paper => &paper::KEYPOINTNET,
-        _ => &[],
-    };
-    let classes: Vec<Option<&str>> = chosen.iter().map(|&shape| data.class(shape)).collect();
-    let report = Report::new(&arguments.threshold, &settings, record.pairs(), &classes, paper)?;
+    let schedule = Schedule::new(data.len(), &common.run)?;
+    let mut record = Record::open(common.run.output.as_deref(), "semantic", &settings, schedule.tasks().len())?;
+    record.fill(schedule.tasks(), |shape| data.name(shape), |task| rows(&data, task, &methods, arguments))?;
+    let paper = common.run.paper.then_some(match data {
+        Data::KeypointNet(_) => &paper::KEYPOINTNET,
+        Data::Smpl(_) => &paper::SMPL,
+    });
+    let classes: Vec<Option<&str>> = schedule.chosen().iter().map(|&shape| data.class(shape)).collect();
+    let runs = schedule.by_seed(record.pairs());
+    let report = Report::new(&arguments.threshold, &settings, &runs, &classes, paper)?;
     if let Some(output) = &common.run.output {
         report.write(output)?;
     }
@@ -66,8 +68,13 @@ fn settings(arguments: &SemanticArguments, methods: &[Method]) -> Value {
 }
 
 /// The matches on one shape: a row for each method.
-fn rows(data: &Data, shape: usize, methods: &[Method], arguments: &SemanticArguments) -> Result<Vec<Row>> {
-    let mut rng = ChaCha8Rng::seed_from_u64(arguments.common.run.seed);
+fn rows(
+    data: &Data,
+    Task { seed, index: shape }: Task,
+    methods: &[Method],
+    arguments: &SemanticArguments,
+) -> Result<Vec<Row>> {
+    let mut rng = ChaCha8Rng::seed_from_u64(seed);
     rng.set_stream(shape as u64);
     let [seed_1, seed_2, filling]: [u64; 3] = std::array::from_fn(|_| rng.random());
     let threshold = &arguments.threshold;
