@@ -59,15 +59,18 @@ pub enum Eval {
     /// geodesic; the figure is the mean of the classes' IoU. For the paper's 630 shapes give --split the first 630 lines
     /// of the released code's list.
     ///
-    /// SMPL: body_1.npy and body_2.npy of shape (S, N, 3), the same N places of a body's surface in two poses, of S
-    /// pairs. The body model itself (model.pkl) is not read: pose and sample it with its own tools. Distances are
-    /// straight; the best 20 keypoints count.
+    /// SMPL: a body model of SMPL, SMPL+H or SMPL-X as it is downloaded: the file itself, .npz or .pkl (of which nothing
+    /// is executed), or a folder with model.npz or model.pkl. It is posed at random to 100 pairs of bodies, of 2048 points
+    /// each; or to those of pose_test_100.npy and beta_test_100.npy beside it, which the released code uses. Or bodies
+    /// that are posed already: body_1.npy and body_2.npy of shape (S, N, 3), the same N places of a body's surface in two
+    /// poses, of S pairs. Distances are straight; the best 20 keypoints count.
     ///
     /// Each figure is given by two rules. strict: points that no path joins never match; bodies have as many keypoints as
     /// were found; pairs are averaged. paper, as in the released code: such points always match; bodies are filled up to
     /// 20 with random points; the running IoU is averaged.
     #[command(after_help = "Examples:
   snake-cli eval semantic keypointnet/ --split test_630.txt --paper -o results/
+  snake-cli eval semantic SMPL_NEUTRAL.pkl --paper
   snake-cli eval semantic bodies/ --methods snake,iss,random")]
     Semantic(Box<SemanticArguments>),
 }

@@ -1,6 +1,14 @@
 //! Arrays of numbers of any shape, as NumPy keeps them.
 
-use super::npy::Dtype;
+use std::io::{Cursor, Read};
+
+use zip::ZipArchive;
+
+use super::excerpt;
+use super::npy::{self, Dtype};
+
+/// Arrays must not be larger than their file this many times over: none is, and a file made for it would take all memory.
+const MAX_EXPANSION: usize = 50;
 
 /// An array of numbers, the last axis fastest (C order).
 #[derive(Debug, Clone, PartialEq)]
@@ -57,9 +65,51 @@ impl Array {
     }
 }
 
+/// Reads arrays of an `.npz`, a zip archive of `.npy` files.
+pub(super) fn read_named(bytes: &[u8], names: &[&str]) -> Result<Vec<Array>, String> {
+    let mut archive = ZipArchive::new(Cursor::new(bytes)).map_err(|e| format!("not a .npz file: {e}"))?;
+    let mut named = |name: &&str| {
+        let entry = archive.by_name(&format!("{name}.npy")).map_err(|e| e.to_string())?;
+        let mut unpacked = Vec::new();
+        let most = bytes.len().saturating_mul(MAX_EXPANSION) as u64;
+        entry.take(most).read_to_end(&mut unpacked).map_err(|e| e.to_string())?;
+        npy::read_array(&unpacked)
+    };
+    names.iter().map(|name| named(name).map_err(|e| format!("array `{name}`: {}", excerpt(&e, 100)))).collect()
+}
+
 #[cfg(test)]
 mod tests {
+    use std::io::Write;
+
+    use zip::write::SimpleFileOptions;
+
     use super::*;
+
+    #[test]
+    fn named_arrays_of_an_archive() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("model.npz");
+        let mut archive = zip::ZipWriter::new(std::fs::File::create(&path).unwrap());
+        let header = "{'descr': '|u1', 'fortran_order': False, 'shape': (3,), }\n";
+        for (name, items) in [("a.npy", [1, 2, 3]), ("b.npy", [4, 5, 6])] {
+            archive.start_file(name, SimpleFileOptions::default()).unwrap();
+            let length = (header.len() as u16).to_le_bytes();
+            archive.write_all(&[b"\x93NUMPY\x01\x00", &length[..], header.as_bytes(), &items].concat()).unwrap();
+        }
+        archive.start_file("zeros.npy", SimpleFileOptions::default()).unwrap();
+        archive.write_all(&vec![0; 1 << 20]).unwrap();
+        archive.finish().unwrap();
+        let arrays = super::super::read_arrays(&path, &["b", "a"]).unwrap();
+        assert_eq!(arrays.iter().map(|array| array.items[0]).collect::<Vec<_>>(), [4.0, 1.0]);
+        let refused = |name| super::super::read_arrays(&path, &[name]).unwrap_err().to_string();
+        assert!(refused("c").contains("array `c`"), "{}", refused("c"));
+        assert!(refused("zeros").contains("not a .npy file"), "{}", refused("zeros"));
+        let bytes = std::fs::read(&path).unwrap();
+        for length in 0..bytes.len() {
+            read_named(&bytes[..length], &["a"]).unwrap_err();
+        }
+    }
 
     #[test]
     fn both_orders_of_any_shape() {

@@ -105,6 +105,15 @@ pub fn read_array(path: &Path) -> Result<Array> {
     npy::read_array(&bytes).map_err(|reason| Error::Format { path: path.into(), reason })
 }
 
+/// Reads arrays of the given names from an `.npz`, in their order.
+///
+/// # Errors
+/// [`Error::Io`] when the file cannot be read; [`Error::Format`] when it is no such archive, or lacks one of them.
+pub fn read_arrays(path: &Path, names: &[&str]) -> Result<Vec<Array>> {
+    let bytes = std::fs::read(path).map_err(|source| Error::Io { path: path.into(), source })?;
+    array::read_named(&bytes, names).map_err(|reason| Error::Format { path: path.into(), reason })
+}
+
 /// Writes keypoints; the extension says which format.
 ///
 /// The file appears under its name once it is complete; an earlier file of that name is replaced.

@@ -1,7 +1,11 @@
 //! `snake-cli eval semantic`.
 
+mod body_model;
 mod data;
+mod pickle;
+mod pickled_arrays;
 mod report;
+mod smpl;
 
 use anyhow::Result;
 use rand::{RngExt, SeedableRng};
@@ -9,7 +13,7 @@ use rand_chacha::ChaCha8Rng;
 use serde::{Deserialize, Serialize};
 use serde_json::{Value, json};
 use snake_core::metrics::{MatchCounts, SmplProtocol, Unreachable, semantic_counts, smpl_pair_counts};
-use snake_core::{Length, io};
+use snake_core::{Length, Point, io};
 
 use super::args::SemanticArguments;
 use super::methods::Method;
@@ -34,7 +38,7 @@ pub fn run(arguments: &SemanticArguments) -> Result<()> {
     record.fill(schedule.tasks(), |shape| data.name(shape), |task| rows(&data, task, &methods, arguments))?;
     let paper = common.run.paper.then_some(match data {
         Data::KeypointNet(_) => &paper::KEYPOINTNET,
-        Data::Smpl(_) => &paper::SMPL,
+        Data::Bodies(_) | Data::BodyModel(_) => &paper::SMPL,
     });
     let classes: Vec<Option<&str>> = schedule.chosen().iter().map(|&shape| data.class(shape)).collect();
     let runs = schedule.by_seed(record.pairs());
@@ -78,6 +82,16 @@ fn rows(
     rng.set_stream(shape as u64);
     let [seed_1, seed_2, filling]: [u64; 3] = std::array::from_fn(|_| rng.random());
     let threshold = &arguments.threshold;
+    let of_bodies = |body_1: &[Point], body_2: &[Point]| {
+        let row = |method: &Method| {
+            let (on_1, on_2) = (method.keypoints(body_1, seed_1)?, method.keypoints(body_2, seed_2)?);
+            let counts = |rule| smpl_pair_counts(body_1, body_2, &on_1, &on_2, threshold, rule);
+            let paper = counts(SmplProtocol::PaperCompatible { seed: filling })?;
+            let strict = counts(SmplProtocol::Strict)?;
+            Ok(Row { method: method.name().into(), keypoints: on_1.len(), strict, paper })
+        };
+        methods.iter().map(row).collect()
+    };
     match data {
         Data::KeypointNet(shapes) => {
             let points = io::read_points(&shapes[shape].cloud)?;
@@ -89,16 +103,10 @@ fn rows(
             };
             methods.iter().map(row).collect()
         }
-        Data::Smpl([first, second]) => {
-            let (body_1, body_2) = (&first[shape], &second[shape]);
-            let row = |method: &Method| {
-                let (on_1, on_2) = (method.keypoints(body_1, seed_1)?, method.keypoints(body_2, seed_2)?);
-                let counts = |rule| smpl_pair_counts(body_1, body_2, &on_1, &on_2, threshold, rule);
-                let paper = counts(SmplProtocol::PaperCompatible { seed: filling })?;
-                let strict = counts(SmplProtocol::Strict)?;
-                Ok(Row { method: method.name().into(), keypoints: on_1.len(), strict, paper })
-            };
-            methods.iter().map(row).collect()
+        Data::Bodies([first, second]) => of_bodies(&first[shape], &second[shape]),
+        Data::BodyModel(pairs) => {
+            let [body_1, body_2] = pairs.bodies(shape, &mut rng)?;
+            of_bodies(&body_1, &body_2)
         }
     }
 }
