@@ -5,7 +5,7 @@
 `model.pkl` is as SMPL's authors pickled theirs with Python 2: protocol 2, byte strings, chumpy arrays and a sparse joint
 regressor. chumpy itself is not needed: classes of the same names, pickled the same way, stand for its own. The others
 are the same without chumpy: `model_py3.pkl` as Python 3 pickles it for Python 2, with bytes as Latin-1 text,
-`model_py3_protocol5.pkl` as it does for itself, and `model.npz`. The body is an arm of three boxes along x with two elbows.
+`model_py3_protocol5.pkl` as it does for itself, and `model.npz`. `posed.npz` is a pose of it, by the definition in NumPy. The body is an arm of three boxes along x with two elbows.
 """
 
 import io
@@ -17,6 +17,7 @@ from typing import ClassVar
 
 import numpy as np
 import scipy.sparse
+import scipy.spatial
 
 FOLDER = Path(__file__).parent
 
@@ -61,6 +62,23 @@ def arm() -> dict[str, np.ndarray]:
     }
 
 
+def skinned(model: dict[str, np.ndarray], pose: np.ndarray, betas: np.ndarray) -> np.ndarray:
+    """Vertices (V, 3) by linear blend skinning, with matrices throughout; `pose` (K, 3) in radians."""
+    shaped = model["v_template"] + model["shapedirs"] @ betas
+    joints = model["J_regressor"] @ shaped
+    turns = scipy.spatial.transform.Rotation.from_rotvec(pose).as_matrix()
+    posed = shaped + model["posedirs"] @ (turns[1:] - np.eye(3)).ravel()
+    to_world = np.zeros((len(pose), 4, 4))
+    for joint, parent in enumerate(model["kintree_table"][0]):
+        local = np.eye(4)
+        local[:3, :3], local[:3, 3] = turns[joint], joints[joint] - (joints[parent] if joint else 0)
+        to_world[joint] = to_world[parent] @ local if joint else local
+    for joint, matrix in zip(joints, to_world, strict=True):
+        matrix[:3, 3] -= matrix[:3, :3] @ joint
+    blended = np.einsum("vk,kij->vij", model["weights"], to_world)
+    return np.einsum("vij,vj->vi", blended, np.column_stack([posed, np.ones(len(posed))]))[:, :3]
+
+
 class Python2Pickler(pickle._Pickler):
     """Writes bytes as Python 2 does, as its plain strings, and the modules' old names."""
 
@@ -103,6 +121,9 @@ def main() -> None:
     (FOLDER / "model_py3.pkl").write_bytes(pickle.dumps(sparse, protocol=2))
     (FOLDER / "model_py3_protocol5.pkl").write_bytes(pickle.dumps(sparse, protocol=5))
     np.savez_compressed(FOLDER / "model.npz", **plain)
+    rng = np.random.default_rng(1)
+    pose, betas = rng.normal(size=(3, 3)), rng.normal(size=10)
+    np.savez_compressed(FOLDER / "posed.npz", pose=pose, betas=betas, vertices=skinned(plain, pose, betas))
 
 
 if __name__ == "__main__":

@@ -76,6 +76,7 @@ pub const MODELNET40: PaperRepeatability = PaperRepeatability {
 };
 
 /// Repeatability on Redwood, in metres.
+#[allow(clippy::approx_constant)] // One share happens to begin as 1 / π does.
 pub const REDWOOD: PaperRepeatability = PaperRepeatability {
     table_epsilon: 0.2,
     epsilon: PaperTable {

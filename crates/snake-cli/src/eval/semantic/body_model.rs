@@ -248,6 +248,19 @@ mod tests {
     }
 
     #[test]
+    fn a_pose_is_that_of_the_definition() {
+        let [pose, betas, vertices] =
+            <[Array; 3]>::try_from(io::read_arrays(&sample("posed.npz"), &["pose", "betas", "vertices"]).unwrap())
+                .unwrap();
+        let pose: Vec<Vector3<f64>> = pose.items.as_chunks::<3>().0.iter().map(|&rotation| rotation.into()).collect();
+        let found = BodyModel::open(&sample("model.npz")).unwrap().vertices(&pose, &betas.items);
+        assert_eq!(found.len() * 3, vertices.items.len());
+        for (vertex, &expected) in found.iter().zip(vertices.items.as_chunks::<3>().0) {
+            assert!((vertex - Point3::from(expected)).norm() < 1e-12, "{vertex} {expected:?}");
+        }
+    }
+
+    #[test]
     fn a_damaged_pickle_is_an_error_wherever_it_is_damaged() {
         let bytes = std::fs::read(sample("model.pkl")).unwrap();
         assert!(pickled(&bytes).is_ok());
