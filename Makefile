@@ -42,8 +42,8 @@ bench: module $(VENV)/bench-ready  ## speed beside PyTorch, ONNX Runtime, OpenVI
 	cargo build --release
 	$(PYTHON) -m snake_training.benchmark
 
-results:  ## docs/results.md, from a folder of objects: make results OBJECTS=FOLDER; minutes, resumable
-	python3 docs/results.py $(or $(OBJECTS),$(error give the folder: make results OBJECTS=FOLDER))
+results:  ## docs/results.md: make results OBJECTS=FOLDER SCENES="FOLDER .." (or one of them); an hour, resumable
+	python3 docs/results.py $(if $(OBJECTS),--objects $(OBJECTS)) $(if $(SCENES),--scenes $(SCENES))
 
 wheel: $(VENV)/ready  ## a wheel of the Python module in target/wheels
 	$(VENV)/bin/maturin build --release --manifest-path python/Cargo.toml

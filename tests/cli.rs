@@ -542,6 +542,16 @@ fn an_evaluation_goes_on_where_it_was_interrupted() {
     // Three methods in three panels, and in the legend.
     assert_eq!((curves.matches("<g ").count(), curves.matches("<polyline").count()), (3, 12), "{curves}");
 
+    // Two seeds: the first with the same figures, and deviations over both.
+    let seeds = run("seeds", &["--seeds", "2"]);
+    let [both, one] = [&seeds, &whole].map(|(_, files)| String::from_utf8_lossy(&files[0]));
+    assert_eq!(both.lines().count(), 9);
+    assert!(both.lines().skip(1).take(4).eq(one.lines().skip(1)) && both.lines().nth(5) != one.lines().nth(1));
+    assert!(String::from_utf8_lossy(&seeds.0).contains("over 4 pairs ± standard deviation over 2 seeds"));
+    let record = results.path().join("seeds/repeatability.jsonl");
+    std::fs::write(&record, &seeds.1[0][..seeds.1[0].len() * 4 / 5]).unwrap();
+    assert_eq!(run("seeds", &["--seeds", "2", "--threads", "1"]), seeds);
+
     let refused = eval(data.path(), &["--seed", "1", "-o", &results.path().join("whole").display().to_string()]);
     assert_eq!(refused.status.code(), Some(2));
     assert!(stderr(&refused).contains("is of a run with other settings"), "{}", stderr(&refused));
@@ -569,6 +579,43 @@ fn real_pairs_are_evaluated_in_their_units() {
     // All points of both views, so the same keypoints, but for the rounding of the shifted coordinates.
     let shares = csv.lines().skip(1).map(|line| line.split(',').nth(4).unwrap().parse::<f64>().unwrap());
     assert!(shares.clone().count() == 2 && shares.clone().all(|share| share > 0.9), "{csv}");
+}
+
+#[test]
+fn two_files_and_their_transform_are_a_pair() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = |name: &str| folder.path().join(name).display().to_string();
+    // Ten times as large, and the second moved by 100 along x.
+    let points = snake_core::io::read_points(Path::new(&sample())).unwrap();
+    let rows =
+        |shift: f32| points.iter().map(move |p| format!("{} {} {}\n", 10.0 * p[0] - shift, 10.0 * p[1], 10.0 * p[2]));
+    std::fs::write(path("target.xyz"), rows(0.0).collect::<String>()).unwrap();
+    std::fs::write(path("source.xyz"), rows(100.0).collect::<String>()).unwrap();
+    std::fs::write(path("t.txt"), "1 0 0 100\n0 1 0 0\n0 0 1 0\n0 0 0 1\n").unwrap();
+    let t_target_source = [[1, 0, 0, 100], [0, 1, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]];
+    std::fs::write(path("t.json"), serde_json::json!({"t_target_source": t_target_source, "rmse": 0}).to_string())
+        .unwrap();
+    let [source, target] = ["source.xyz", "target.xyz"].map(path);
+    let run = |transform: &str| {
+        let small = ["--methods", "snakex2,fps", "--num-points", "4096", "--downsample", "1", "--noise", "0"];
+        let transform = path(transform);
+        snake(&[&["eval", "repeatability", &source, &target, "--transform", &transform], &small[..]].concat())
+    };
+    let (text, json) = (run("t.txt"), run("t.json"));
+    assert!(text.status.success(), "{}", stderr(&text));
+    assert_eq!(text.stdout, json.stdout);
+    let shown = String::from_utf8_lossy(&text.stdout).into_owned();
+    assert!(shown.contains("over 1 pairs"), "{shown}");
+    // Both views are the whole cloud: farthest points are the same, and the model's nearly so.
+    for (method, least) in [("fps", 0.95), ("snakex2", 0.6)] {
+        let row = shown.lines().find(|line| line.starts_with(method)).unwrap();
+        assert!(row.split_whitespace().nth(8).unwrap().parse::<f64>().unwrap() > least, "{shown}");
+    }
+    std::fs::write(path("t.txt"), "1 0 0 0 0 1 0 0 0 0 1 0 0 0 0 1 7").unwrap();
+    assert!(stderr(&run("t.txt")).contains("t.txt: needed are 16 numbers"));
+    assert!(stderr(&run("nowhere.json")).contains("cannot read"));
+    let one = snake(&["eval", "repeatability", &source, "--transform", &path("t.json")]);
+    assert!(stderr(&one).contains("--transform is for two clouds"), "{}", stderr(&one));
 }
 
 /// From the sample to fragment k of a scene: turned about z and moved.
@@ -907,7 +954,7 @@ fn keypoints_are_compared_with_marked_ones() {
         assert_eq!((&row["class"], &row["paper"]), (&class, &serde_json::json!(iou)), "{row}");
         assert_eq!((&row["method"], &row["keypoints"]), (&"fps".into(), &5.0.into()));
     }
-    assert!(text.contains("mIoU over 3 shapes of 2 classes") && text.contains("SNAKE (paper)"), "{text}");
+    assert!(text.contains("mIoU over 3 shapes of 2 classes") && text.contains("snake (paper)"), "{text}");
 
     // All methods, whole and interrupted; the keypoints of each are farther apart than the radius.
     let small = ["--nms-radius", "0.3", "--threads", "1"];
@@ -954,7 +1001,8 @@ fn bodies_are_compared_place_by_place() {
     assert!(text.contains("mIoU over 2 pairs"), "{text}{}", stderr(&output));
     let cells = |method: &str| -> Vec<f64> {
         let row = text.lines().find(|line| line.starts_with(method)).unwrap();
-        row.split_whitespace().skip(1).map(|cell| cell.parse().unwrap()).collect()
+        let shares = row.split_whitespace().skip(1).filter(|cell| !cell.starts_with('±'));
+        shares.map(|cell| cell.parse().unwrap()).collect()
     };
     // Farthest points are those of the turned body, random ones others.
     assert!(cells("fps")[0] > 0.8 && cells("random")[0] < 0.2 && cells("random")[1] == 1.0, "{text}");
@@ -963,6 +1011,49 @@ fn bodies_are_compared_place_by_place() {
     assert!(stderr(&run(&[])).contains("2 bodies in body_1.npy, 1 in body_2.npy"));
     write_npy(&folder.path().join("body_2.npy"), &[2, 400, 3], turned[..800].as_flattened());
     assert!(stderr(&run(&[])).contains("pair 0: body_2: 400 samples, but body_1 has 500"));
+}
+
+#[test]
+fn body_models_are_posed_and_sampled() {
+    let folder = tempfile::tempdir().unwrap();
+    let model = root().join("tests/data/smpl/model.pkl");
+    let run = |data: &Path, extra: &[&str]| {
+        let data = data.display().to_string();
+        let small = ["--methods", "fps,random", "--threshold", "0,0.1,100", "--limit", "3"];
+        snake(&[&["eval", "semantic", &data], &small[..], extra].concat())
+    };
+    let pickled = run(&model, &["--paper"]);
+    let text = String::from_utf8_lossy(&pickled.stdout).into_owned();
+    assert!(text.contains("mIoU over 3 pairs") && text.contains("ukpgan (paper)"), "{text}{}", stderr(&pickled));
+    // Bodies of a few metres whose poses are near each other, but not the same.
+    let random = text.lines().find(|line| line.starts_with("random")).unwrap();
+    let shares: Vec<&str> = random.split_whitespace().filter(|cell| !cell.starts_with('±')).collect();
+    assert!(shares[1] < "0.100" && shares[3] == "1.000" && !random.contains("0.000 ±0.000"), "{text}");
+    assert_eq!(run(&model.with_extension("npz"), &["--paper"]).stdout, pickled.stdout);
+    assert!(run(&model, &["--paper", "--seed", "1"]).stdout != pickled.stdout);
+
+    // A folder; the parameters of the released code: of two equal bodies all keypoints are the same.
+    std::fs::copy(&model, folder.path().join("model.pkl")).unwrap();
+    assert_eq!(run(folder.path(), &["--paper"]).stdout, pickled.stdout);
+    write_npy(&folder.path().join("pose_test_100.npy"), &[2, 2, 3, 3], &[0.7; 36]);
+    write_npy(&folder.path().join("beta_test_100.npy"), &[2, 2, 10], &[0.2; 40]);
+    let equal = String::from_utf8_lossy(&run(folder.path(), &[]).stdout).into_owned();
+    let fps = equal.lines().find(|line| line.starts_with("fps")).unwrap();
+    assert!(equal.contains("mIoU over 2 pairs") && fps.contains("1.000 ±0.000"), "{equal}");
+    write_npy(&folder.path().join("beta_test_100.npy"), &[2, 2, 9], &[0.2; 36]);
+    assert!(stderr(&run(folder.path(), &[])).contains("needed are 10 numbers"));
+
+    for (pickle, message) in [
+        (&b"cos\nsystem\n(S'false'\ntR."[..], "model.pkl: byte 0: `os.system` is none of the classes of body models"),
+        (b"}.", "model.pkl: no body model: it has no `v_template`"),
+        (b"\x80\x02}U\nv_templateK\x01s.", "`v_template` is no array"),
+        (b"\x80\x02}q\x00", "cut short"),
+    ] {
+        std::fs::write(folder.path().join("model.pkl"), pickle).unwrap();
+        let output = run(folder.path(), &[]);
+        assert_eq!(output.status.code(), Some(2));
+        assert!(stderr(&output).contains(message), "{}", stderr(&output));
+    }
 }
 
 #[test]
@@ -993,7 +1084,7 @@ fn semantic_data_that_makes_no_sense_is_refused() {
     }
     refused(&[], "no annotated shapes");
     std::fs::remove_dir_all(&annotations).unwrap();
-    refused(&[], "neither annotations/ (KeypointNet) nor body_1.npy");
+    refused(&[], "neither annotations/ (KeypointNet) nor model.pkl");
 }
 
 #[test]

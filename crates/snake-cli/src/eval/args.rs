@@ -14,7 +14,10 @@ pub enum Eval {
     ///
     /// DATA is objects or pairs of clouds. Objects are cloud files, a folder of them, or a folder with points.npy of shape
     /// (S, N, 3) and index.json. An object's radius is brought to 1, and its second view is turned at random and sampled
-    /// anew. Pairs are a folder of one of these layouts:
+    /// anew.
+    ///
+    /// Pairs are two cloud files, SOURCE and TARGET, with --transform: the target is the first view, and its radius is
+    /// brought to 1. Or they are a folder of one of these layouts, in its own units:
     ///
     /// pairs.json: [{"source": "a.ply", "target": "b.ply", "T": [[..4], ..4]}, ..], in metres. T takes the source to the
     /// target, and the target is the first view.
@@ -29,7 +32,8 @@ pub enum Eval {
     /// those of the paper's tables: for ModelNet40 with objects, for Redwood with rooms.
     #[command(after_help = "Examples:
   snake-cli eval repeatability corpus/objects/val -o results/
-  snake-cli eval repeatability my_scans/ --methods snake,iss,random --downsample 1 --noise 0
+  snake-cli eval repeatability my_scans/ --methods snake,snakex4,iss,random --downsample 1 --noise 0
+  snake-cli eval repeatability scan2.ply scan1.ply --transform t.json --seeds 5 --downsample 1 --noise 0
   snake-cli eval repeatability scenes/val -o results/ --preset redwood --nms-radius 0.04")]
     Repeatability(Box<RepeatabilityArguments>),
     /// Registration of scene fragments by the rules of the 3DMatch benchmark, of every detector and descriptor.
@@ -55,15 +59,18 @@ pub enum Eval {
     /// geodesic; the figure is the mean of the classes' IoU. For the paper's 630 shapes give --split the first 630 lines
     /// of the released code's list.
     ///
-    /// SMPL: body_1.npy and body_2.npy of shape (S, N, 3), the same N places of a body's surface in two poses, of S
-    /// pairs. The body model itself (model.pkl) is not read: pose and sample it with its own tools. Distances are
-    /// straight; the best 20 keypoints count.
+    /// SMPL: a body model of SMPL, SMPL+H or SMPL-X as it is downloaded: the file itself, .npz or .pkl (of which nothing
+    /// is executed), or a folder with model.npz or model.pkl. It is posed at random to 100 pairs of bodies, of 2048 points
+    /// each; or to those of pose_test_100.npy and beta_test_100.npy beside it, which the released code uses. Or bodies
+    /// that are posed already: body_1.npy and body_2.npy of shape (S, N, 3), the same N places of a body's surface in two
+    /// poses, of S pairs. Distances are straight; the best 20 keypoints count.
     ///
     /// Each figure is given by two rules. strict: points that no path joins never match; bodies have as many keypoints as
     /// were found; pairs are averaged. paper, as in the released code: such points always match; bodies are filled up to
     /// 20 with random points; the running IoU is averaged.
     #[command(after_help = "Examples:
   snake-cli eval semantic keypointnet/ --split test_630.txt --paper -o results/
+  snake-cli eval semantic SMPL_NEUTRAL.pkl --paper
   snake-cli eval semantic bodies/ --methods snake,iss,random")]
     Semantic(Box<SemanticArguments>),
 }
@@ -91,6 +98,10 @@ pub struct RepeatabilityArguments {
     /// What to evaluate on.
     #[arg(required = true)]
     pub data: Vec<PathBuf>,
+    /// The transform of two clouds, from the first to the second, as `register -o` writes it: .json with t_target_source,
+    /// or the 16 numbers of its rows as text.
+    #[arg(long)]
+    pub transform: Option<PathBuf>,
     /// Distances at which a keypoint is found again [default: 0.03 to 0.1, rooms: 0.1 to 0.24].
     #[arg(long, value_delimiter = ',')]
     pub epsilon: Option<Vec<f64>>,
@@ -127,7 +138,8 @@ pub struct SemanticArguments {
 /// What all evaluations have.
 #[derive(Args)]
 pub struct EvalArguments {
-    /// Among snake, iss, harris3d, sift3d, fps and random.
+    /// Among snake, iss, harris3d, sift3d, fps and random; snakex4 is snake averaged over 4 turned copies of each cloud
+    /// (--rotations of `detect`), likewise any other number.
     #[arg(long, value_delimiter = ',', default_value = "snake,iss,harris3d,sift3d,fps,random")]
     pub methods: Vec<String>,
     /// How the classical detectors pick keypoints: ranked, the strongest responses; or paper, as in the paper's
@@ -137,9 +149,6 @@ pub struct EvalArguments {
     /// Keypoints of each cloud, the best.
     #[arg(long, default_value_t = 64)]
     pub count: usize,
-    /// Show the paper's figures for its own data sets where there are any, marked as the paper's.
-    #[arg(long)]
-    pub paper: bool,
     /// The paper's settings of the method snake for a data set; default: what the model recommends.
     #[arg(long)]
     pub preset: Option<String>,
@@ -147,9 +156,6 @@ pub struct EvalArguments {
     /// [default: its settings'], and in `semantic` of all ranked methods [default: 0.1].
     #[arg(long, value_name = "LENGTH")]
     pub nms_radius: Option<Length>,
-    /// Turned copies of a cloud that the method snake averages over [default: its settings'].
-    #[arg(long)]
-    pub rotations: Option<usize>,
     #[command(flatten)]
     pub run: RunArguments,
 }
@@ -167,6 +173,13 @@ pub struct RunArguments {
     /// Seed of all random choices.
     #[arg(long, default_value_t = 0)]
     pub seed: u64,
+    /// Evaluate with this many seeds from --seed on: figures are means over them, ± their standard deviation. With one,
+    /// deviations are over pairs, shapes or scenes.
+    #[arg(long, default_value_t = 1, value_parser = clap::value_parser!(u16).range(1..))]
+    pub seeds: u16,
+    /// Show the paper's figures for its own data sets where there are any, marked as the paper's.
+    #[arg(long)]
+    pub paper: bool,
     #[command(flatten)]
     pub compute: ComputeArguments,
 }

@@ -9,7 +9,7 @@ use super::args::{EvalArguments, ProtocolName};
 
 /// A detector with its settings: from a cloud to the positions of its best keypoints.
 pub enum Method {
-    Snake { model: Box<Model>, options: Preset },
+    Snake { name: String, model: Box<Model>, options: Preset },
     Classical { name: String, detector: Detector, count: usize, protocol: Protocol, spacing: Option<Length> },
 }
 
@@ -26,8 +26,8 @@ impl Method {
             ProtocolName::Paper => Protocol::Paper,
         };
         let method = |name: &String| {
-            if name == "snake" {
-                return Self::snake(arguments, nms_radius);
+            if let Some(rotations) = rotations(name) {
+                return Self::snake(name, rotations, arguments, nms_radius);
             }
             let detector = Detector::named(name, protocol)?;
             let spacing = spacing.and(nms_radius).filter(|_| protocol == Protocol::Ranked);
@@ -36,23 +36,27 @@ impl Method {
         arguments.methods.iter().map(method).collect()
     }
 
-    fn snake(arguments: &EvalArguments, nms_radius: Option<Length>) -> Result<Self> {
+    fn snake(
+        name: &str,
+        rotations: Option<usize>,
+        arguments: &EvalArguments,
+        nms_radius: Option<Length>,
+    ) -> Result<Self> {
         let model = arguments.run.compute.load_model()?;
         let mut options = match &arguments.preset {
             Some(name) => Preset::named(name)?,
             None => *model.recommended(),
         };
         options.detect.max_keypoints = arguments.count;
-        options.encode.rotations = arguments.rotations.unwrap_or(options.encode.rotations);
+        options.encode.rotations = rotations.unwrap_or(options.encode.rotations);
         options.detect.nms_radius = nms_radius.unwrap_or(options.detect.nms_radius);
-        Ok(Self::Snake { model: Box::new(model), options })
+        Ok(Self::Snake { name: name.into(), model: Box::new(model), options })
     }
 
     /// As on the command line.
     pub fn name(&self) -> &str {
         match self {
-            Self::Snake { .. } => "snake",
-            Self::Classical { name, .. } => name,
+            Self::Snake { name, .. } | Self::Classical { name, .. } => name,
         }
     }
 
@@ -64,13 +68,14 @@ impl Method {
             "count": arguments.count,
             "limit": arguments.run.limit,
             "seed": arguments.run.seed,
+            "seeds": arguments.run.seeds,
         })
     }
 
     fn settings(&self) -> Value {
         match self {
-            Self::Snake { model, options } => {
-                json!({"name": "snake", "options": options, "model": model.metadata()})
+            Self::Snake { name, model, options } => {
+                json!({"name": name, "options": options, "model": model.metadata()})
             }
             Self::Classical { name, spacing, .. } => json!({"name": name, "spacing": spacing}),
         }
@@ -79,7 +84,7 @@ impl Method {
     /// Positions of the best keypoints, best first; the seed is that of random choices.
     pub fn keypoints(&self, points: &[Point], seed: u64) -> Result<Vec<Point>> {
         Ok(match self {
-            Self::Snake { model, options } => {
+            Self::Snake { model, options, .. } => {
                 model.detect(points, options)?.keypoints.iter().map(|keypoint| keypoint.position).collect()
             }
             Self::Classical { detector, count, protocol, spacing, .. } => {
@@ -92,6 +97,14 @@ impl Method {
                 spaced(found.iter().map(|response| points[response.index]), radius, *count)
             }
         })
+    }
+}
+
+/// Of the method `snakexN` the number of turned copies, of `snake` none; `None` of other methods.
+fn rotations(method: &str) -> Option<Option<usize>> {
+    match method.strip_prefix("snake")? {
+        "" => Some(None),
+        times => times.strip_prefix('x')?.parse().ok().map(Some),
     }
 }
 
@@ -111,6 +124,14 @@ fn spaced(points: impl Iterator<Item = Point>, radius: f32, count: usize) -> Vec
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn the_number_of_turned_copies_is_in_the_name() {
+        assert_eq!([rotations("snake"), rotations("snakex4")], [Some(None), Some(Some(4))]);
+        for other in ["iss", "snakex", "snakex-1", "snake4", "snakex4x"] {
+            assert_eq!(rotations(other), None);
+        }
+    }
 
     #[test]
     fn spaced_points_are_the_best_that_are_far_enough_apart() {

@@ -2,7 +2,7 @@
 
 use std::path::{Path, PathBuf};
 
-use anyhow::{Result, bail};
+use anyhow::{Context, Result, bail};
 use serde::Deserialize;
 use snake_core::{Transform, io};
 
@@ -20,6 +20,27 @@ pub struct ListedPair {
 /// The pairs of a folder.
 pub fn listed(folder: &Path) -> Result<Vec<ListedPair>> {
     read_json(&folder.join("pairs.json"))
+}
+
+/// What `register` writes as JSON; what else it has is ignored.
+#[derive(Deserialize)]
+struct Registered {
+    t_target_source: Transform,
+}
+
+/// A transform as `register` writes it: JSON, or 16 numbers of text, row by row.
+pub fn transform(path: &Path) -> Result<Transform> {
+    if path.extension().is_some_and(|extension| extension.eq_ignore_ascii_case("json")) {
+        return Ok(read_json::<Registered>(path)?.t_target_source);
+    }
+    let text = std::fs::read_to_string(path).with_context(|| format!("cannot read {}", path.display()))?;
+    let numbers = text.split_whitespace().map(str::parse).collect::<Result<Vec<f64>, _>>().ok();
+    match numbers {
+        Some(numbers) if numbers.len() == 16 => {
+            Ok(std::array::from_fn(|row| std::array::from_fn(|column| numbers[4 * row + column])))
+        }
+        _ => bail!("{}: needed are 16 numbers, the rows of t_target_source", path.display()),
+    }
 }
 
 /// That file, or the file of that name with an extension.

@@ -2,6 +2,8 @@
 
 use std::fmt::Write;
 
+use super::paper::PaperTable;
+
 /// One diagram of shares from 0 to 1.
 pub struct Panel {
     pub x_label: String,
@@ -12,11 +14,24 @@ pub struct Panel {
 
 /// The figures of a method.
 pub struct Line {
-    pub name: String,
+    method: String,
     /// For each tick, where there is one.
     pub values: Vec<Option<f64>>,
-    /// Of the paper, not ours.
-    pub dashed: bool,
+    /// The paper's, not ours: dashed in the colour of our method of the same name.
+    is_paper: bool,
+}
+
+impl Line {
+    /// Of our figures.
+    pub fn new(method: &str, values: Vec<Option<f64>>) -> Self {
+        Self { method: method.into(), values, is_paper: false }
+    }
+
+    /// Of all rows of a table of the paper, at the given places.
+    pub fn of_paper(table: &PaperTable, places: &[f64]) -> Vec<Self> {
+        let line = |(method, values): (&str, _)| Self { method: method.into(), values, is_paper: true };
+        table.at(places).into_iter().map(line).collect()
+    }
 }
 
 // Pixels: the area of a diagram, and the space around it.
@@ -28,23 +43,27 @@ const BOTTOM: f64 = 48.0;
 /// Of an entry of the legend.
 const ENTRY: [f64; 2] = [120.0, 16.0];
 /// Distinct also to colour-blind readers (Okabe and Ito).
-const COLORS: [&str; 7] = ["#d55e00", "#0072b2", "#009e73", "#e69f00", "#cc79a7", "#56b4e9", "#000000"];
+const COLORS: [&str; 9] =
+    ["#d55e00", "#0072b2", "#009e73", "#e69f00", "#cc79a7", "#56b4e9", "#000000", "#999999", "#f0e442"];
 
 /// The panels with one legend below.
 pub fn svg(y_label: &str, panels: &[Panel]) -> String {
-    let mut names: Vec<(&str, bool)> = Vec::new();
-    for Line { name, dashed, .. } in panels.iter().flat_map(|panel| &panel.lines) {
-        if !names.contains(&(name, *dashed)) {
-            names.push((name, *dashed));
+    let (mut methods, mut entries): (Vec<&str>, Vec<(&str, bool)>) = (Vec::new(), Vec::new());
+    for Line { method, is_paper, .. } in panels.iter().flat_map(|panel| &panel.lines) {
+        if !methods.contains(&method.as_str()) {
+            methods.push(method);
+        }
+        if !entries.contains(&(method, *is_paper)) {
+            entries.push((method, *is_paper));
         }
     }
-    let color = |name: &str, dashed: bool| {
-        let index = names.iter().position(|known| *known == (name, dashed)).unwrap_or(0);
+    let color = |method: &str| {
+        let index = methods.iter().position(|known| *known == method).unwrap_or(0);
         COLORS[index % COLORS.len()]
     };
     let width = panels.len() as f64 * (LEFT + WIDTH) + LEFT;
     let columns = (((width - LEFT) / ENTRY[0]) as usize).max(1);
-    let height = TOP + HEIGHT + BOTTOM + names.len().div_ceil(columns) as f64 * ENTRY[1];
+    let height = TOP + HEIGHT + BOTTOM + entries.len().div_ceil(columns) as f64 * ENTRY[1];
     let mut text = format!(
         "<svg xmlns=\"http://www.w3.org/2000/svg\" width=\"{width}\" height=\"{height}\" font-family=\"sans-serif\" \
          font-size=\"11\">\n<rect width=\"{width}\" height=\"{height}\" fill=\"white\"/>\n"
@@ -52,19 +71,20 @@ pub fn svg(y_label: &str, panels: &[Panel]) -> String {
     for (i, panel) in panels.iter().enumerate() {
         let left = LEFT + i as f64 * (LEFT + WIDTH);
         text += &format!("<g transform=\"translate({left} {TOP})\">\n{}", axes(panel, y_label));
-        for Line { name, values, dashed } in &panel.lines {
+        for Line { method, values, is_paper } in &panel.lines {
             let points = panel.ticks.iter().zip(values).filter_map(|((x, _), y)| Some((across(panel, *x), up((*y)?))));
             let mut points: Vec<(f64, f64)> = points.collect();
             points.sort_by(|a, b| a.0.total_cmp(&b.0));
-            text += &curve(&points, color(name, *dashed), *dashed);
+            text += &curve(&points, color(method), *is_paper);
         }
         text += "</g>\n";
     }
-    for (i, &(name, dashed)) in names.iter().enumerate() {
+    for (i, &(method, is_paper)) in entries.iter().enumerate() {
         let (column, row) = (i % columns, i / columns);
         let (x, y) = (LEFT + column as f64 * ENTRY[0], TOP + HEIGHT + BOTTOM + row as f64 * ENTRY[1]);
-        text += &curve(&[(x, y), (x + 22.0, y)], color(name, dashed), dashed);
-        writeln!(text, "<text x=\"{}\" y=\"{}\">{name}</text>", x + 28.0, y + 4.0).unwrap_or_default();
+        text += &curve(&[(x, y), (x + 22.0, y)], color(method), is_paper);
+        let mark = if is_paper { " (paper)" } else { "" };
+        writeln!(text, "<text x=\"{}\" y=\"{}\">{method}{mark}</text>", x + 28.0, y + 4.0).unwrap_or_default();
     }
     text + "</svg>\n"
 }
@@ -122,8 +142,11 @@ mod tests {
 
     #[test]
     fn lines_go_through_the_figures_in_the_order_of_x() {
-        let line =
-            |name: &str, values: &[Option<f64>], dashed| Line { name: name.into(), values: values.into(), dashed };
+        let line = |method: &str, values: &[Option<f64>], is_paper| Line {
+            method: method.into(),
+            values: values.into(),
+            is_paper,
+        };
         let ticks = vec![(4.0, "four".to_owned()), (2.0, "two".to_owned()), (3.0, "three".to_owned())];
         let lines =
             vec![line("iss", &[Some(1.0), Some(0.0), Some(0.5)], false), line("iss", &[None, Some(0.25), None], true)];
@@ -137,12 +160,12 @@ mod tests {
             "{text}"
         );
         assert!(
-            text.contains("points=\"15.0,165.0\" fill=\"none\" stroke=\"#0072b2\" stroke-width=\"1.5\" stroke-dash")
+            text.contains("points=\"15.0,165.0\" fill=\"none\" stroke=\"#d55e00\" stroke-width=\"1.5\" stroke-dash")
         );
         assert!(text.contains("points=\"150.0,110.0\""), "{text}");
         // Three lines and two of the legend.
         assert_eq!(text.matches("<polyline").count(), 5);
-        assert_eq!(text.matches(">iss</text>").count(), 2);
+        assert_eq!((text.matches(">iss</text>").count(), text.matches(">iss (paper)</text>").count()), (1, 1));
         for label in ["four", "two", "three", "seven", "ε", "σ", "share"] {
             assert!(text.contains(&format!(">{label}</text>")), "{label}");
         }

@@ -9,6 +9,7 @@ use serde::de::DeserializeOwned;
 use serde::{Deserialize, Serialize};
 use serde_json::{Value, json};
 
+use super::schedule::Task;
 use crate::terminal;
 
 /// The figures of one pair, or of one shape.
@@ -27,7 +28,7 @@ pub struct Record<Row> {
 
 impl<Row: Serialize + DeserializeOwned> Record<Row> {
     /// Opens the record of an output directory, and takes over what a run with the same settings left there.
-    pub fn open(output: Option<&Path>, metric: &str, settings: &Value, num_pairs: usize) -> Result<Self> {
+    pub fn open(output: Option<&Path>, metric: &str, settings: &Value, num_tasks: usize) -> Result<Self> {
         terminal::detail("settings", || settings.to_string());
         let Some(output) = output else { return Ok(Self { file: None, pairs: Vec::new() }) };
         std::fs::create_dir_all(output).with_context(|| format!("cannot make the directory {}", output.display()))?;
@@ -43,7 +44,7 @@ impl<Row: Serialize + DeserializeOwned> Record<Row> {
         let lines = whole.get(header.len()..).unwrap_or_default().lines();
         let pairs: Result<Vec<Pair<Row>>, _> = lines.map(serde_json::from_str).collect();
         let pairs = pairs.with_context(|| format!("{} is damaged; delete it", path.display()))?;
-        if pairs.len() > num_pairs {
+        if pairs.len() > num_tasks {
             bail!("{} has more pairs than the data; delete it or give another --output", path.display());
         }
         let mut record = Self { file: None, pairs };
@@ -61,26 +62,27 @@ impl<Row: Serialize + DeserializeOwned> Record<Row> {
         Ok(record)
     }
 
-    /// Evaluates those of the chosen pairs that are not yet recorded, and shows how it goes.
+    /// Does those of the tasks that are not yet recorded, and shows how it goes.
     pub fn fill(
         &mut self,
-        chosen: &[usize],
+        tasks: &[Task],
         name: impl Fn(usize) -> String,
-        mut rows: impl FnMut(usize) -> Result<Vec<Row>>,
+        mut rows: impl FnMut(Task) -> Result<Vec<Row>>,
     ) -> Result<()> {
-        let bar = terminal::progress(chosen.len())?.with_position(self.pairs.len() as u64);
+        let bar = terminal::progress(tasks.len())?.with_position(self.pairs.len() as u64);
         bar.reset_eta();
-        for &pair in &chosen[self.pairs.len()..] {
-            bar.set_message(name(pair));
-            let rows = rows(pair).with_context(|| name(pair))?;
-            self.append(name(pair), rows)?;
+        for &task in &tasks[self.pairs.len()..] {
+            let name = name(task.index);
+            bar.set_message(name.clone());
+            let rows = rows(task).with_context(|| name.clone())?;
+            self.append(name, rows)?;
             bar.inc(1);
         }
         bar.finish_and_clear();
         Ok(())
     }
 
-    /// The pairs so far.
+    /// The pairs so far, in the order of the tasks.
     pub fn pairs(&self) -> &[Pair<Row>] {
         &self.pairs
     }

@@ -25,6 +25,7 @@
 //! The readers take bytes from anywhere: whatever the content, the answer is a cloud or an error, and neither time nor
 //! memory exceeds a small multiple of the file's size (of compressed files, 50 times).
 
+mod array;
 mod format;
 mod json;
 mod las;
@@ -55,6 +56,7 @@ use crate::{Error, Mesh, Result};
 use format::{extension, unknown_extension};
 use shape::Shape;
 
+pub use array::Array;
 pub use format::{CLOUD_EXTENSIONS, CloudFormat, KEYPOINT_EXTENSIONS, KeypointFormat, POINT_EXTENSIONS, PointFormat};
 pub use json::keypoint_json;
 pub use shape::Cloud;
@@ -181,6 +183,24 @@ pub fn write_volume(path: &Path, shape: [usize; 3], values: &[f32]) -> Result<()
     }
     write_atomically(path, |file| npy::write_volume(file, shape, values))
         .map_err(|source| Error::Io { path: path.into(), source })
+}
+
+/// Reads an `.npy` array of any shape, floats or integers.
+///
+/// # Errors
+/// [`Error::Io`] when the file cannot be read; [`Error::Format`] when it is no such array.
+pub fn read_array(path: &Path) -> Result<Array> {
+    let bytes = std::fs::read(path).map_err(|source| Error::Io { path: path.into(), source })?;
+    npy::read_array(&bytes).map_err(|reason| Error::Format { path: path.into(), reason })
+}
+
+/// Reads arrays of the given names from an `.npz`, in their order.
+///
+/// # Errors
+/// [`Error::Io`] when the file cannot be read; [`Error::Format`] when it is no such archive, or lacks one of them.
+pub fn read_arrays(path: &Path, names: &[&str]) -> Result<Vec<Array>> {
+    let bytes = std::fs::read(path).map_err(|source| Error::Io { path: path.into(), source })?;
+    npz::read_named(&bytes, names).map_err(|reason| Error::Format { path: path.into(), reason })
 }
 
 /// Writes keypoints; the extension says which format.

@@ -2,6 +2,7 @@
 
 use std::io::{self, Write};
 
+use super::array::Array;
 use super::excerpt;
 use super::shape::{Position, Shape};
 use crate::points::{Point, Transform};
@@ -51,6 +52,16 @@ pub(super) fn read_transforms(bytes: &[u8]) -> Result<Vec<Transform>, String> {
         std::array::from_fn(|i| row(data, i))
     };
     Ok((0..transforms).map(one).collect())
+}
+
+/// Reads an array of any shape.
+pub(super) fn read_array(bytes: &[u8]) -> Result<Array, String> {
+    let (header, data) = split_header(bytes).ok_or("not a .npy file, or cut short within its header")?;
+    let Described { descr, fortran_order, shape } = Described::parse(header)?;
+    let lengths = shape.split(',').map(str::trim).filter(|length| !length.is_empty()).map(str::parse);
+    let lengths: Vec<usize> =
+        lengths.collect::<Result<_, _>>().map_err(|_| format!("shape ({})", excerpt(&shape, 40)))?;
+    Array::decode(&descr, &lengths, fortran_order, data)
 }
 
 /// The header, and the data, which holds the whole array.
@@ -106,22 +117,36 @@ struct ArrayHeader {
     columns: usize,
 }
 
-impl ArrayHeader {
+/// What a header says.
+struct Described {
+    descr: String,
+    fortran_order: bool,
+    /// Within its parentheses.
+    shape: String,
+}
+
+impl Described {
     /// Parses the literal of a Python dictionary, `{'descr': '<f4', 'fortran_order': False, 'shape': (3, 3), }`.
     fn parse(header: &[u8]) -> Result<Self, String> {
         let header = String::from_utf8_lossy(header);
-        let fields = (|| {
+        let fields = || {
             let (descr, _) = value(&header, "descr")?.strip_prefix('\'')?.split_once('\'')?;
             let (shape, _) = value(&header, "shape")?.strip_prefix('(')?.split_once(')')?;
             let fortran_order = value(&header, "fortran_order")?.starts_with("True");
-            Some((descr, fortran_order, shape))
-        })();
-        let (descr, fortran_order, shape) =
-            fields.ok_or_else(|| format!("no plain array is described by the header `{}`", excerpt(&header, 100)))?;
-        let dtype = Dtype::parse(descr)
-            .ok_or_else(|| format!("items of type `{}`; floats and integers can be read", excerpt(descr, 20)))?;
-        let (clouds, rows, columns) = parse_shape(shape)
-            .ok_or_else(|| format!("shape ({}); needed is (N, 3) or more columns", excerpt(shape, 40)))?;
+            Some(Self { descr: descr.into(), fortran_order, shape: shape.into() })
+        };
+        fields().ok_or_else(|| format!("no plain array is described by the header `{}`", excerpt(&header, 100)))
+    }
+}
+
+impl ArrayHeader {
+    /// Of an array of clouds, or of one.
+    fn parse(header: &[u8]) -> Result<Self, String> {
+        let Described { descr, fortran_order, shape } = Described::parse(header)?;
+        let dtype = Dtype::parse(&descr)
+            .ok_or_else(|| format!("items of type `{}`; floats and integers can be read", excerpt(&descr, 20)))?;
+        let (clouds, rows, columns) = parse_shape(&shape)
+            .ok_or_else(|| format!("shape ({}); needed is (N, 3) or more columns", excerpt(&shape, 40)))?;
         Ok(Self { dtype, fortran_order, clouds, rows, columns })
     }
 
@@ -301,6 +326,19 @@ mod tests {
             [("True", "(2, 4, 4)"), ("False", "(4, 4)"), ("False", "(1, 5, 4)"), ("False", "(3, 4, 4)")]
         {
             read(order, shape).unwrap_err();
+        }
+    }
+
+    #[test]
+    fn arrays_have_any_shape() {
+        let values: Vec<i8> = (0..16).collect();
+        for shape in ["(16,)", "(2, 2, 2, 2)", "(4, 4)"] {
+            let array = read_array(&npy(1, "<i2", "False", shape, &encode(&values, "<i2"))).unwrap();
+            assert_eq!(array.items, (0..16).map(f64::from).collect::<Vec<_>>());
+        }
+        assert_eq!(read_array(&npy(1, "<i2", "False", "()", &[7, 0])).unwrap().items, [7.0]);
+        for (descr, shape) in [("<i2", "(17,)"), ("<i2", "(2, -1)"), ("|O", "(2,)")] {
+            read_array(&npy(1, descr, "False", shape, &encode(&values, "<i2"))).unwrap_err();
         }
     }
 

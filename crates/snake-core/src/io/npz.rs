@@ -4,6 +4,7 @@ use std::io::{Cursor, Read};
 
 use zip::ZipArchive;
 
+use super::array::Array;
 use super::shape::Shape;
 use super::{MAX_EXPANSION, excerpt, npy};
 
@@ -20,7 +21,7 @@ type Archive<'a> = ZipArchive<Cursor<&'a [u8]>>;
 
 /// Reads the array of one of [`NAMES`], or the only array of shape `(N, C)`, `C >= 3`.
 pub(super) fn read(bytes: &[u8]) -> Result<Shape, String> {
-    let mut archive = ZipArchive::new(Cursor::new(bytes)).map_err(|e| format!("not a .npz file: {e}"))?;
+    let mut archive = open(bytes)?;
     let named = NAMES.iter().find_map(|name| archive.index_for_name(&format!("{name}.npy")));
     let index = match named {
         Some(index) => index,
@@ -28,6 +29,20 @@ pub(super) fn read(bytes: &[u8]) -> Result<Shape, String> {
     };
     let array = unpack(&mut archive, index, bytes.len().saturating_mul(MAX_EXPANSION))?;
     npy::read(&array).map_err(|reason| format!("array `{}`: {reason}", name(&archive, index)))
+}
+
+/// Reads arrays of these names, in their order.
+pub(super) fn read_named(bytes: &[u8], names: &[&str]) -> Result<Vec<Array>, String> {
+    let mut archive = open(bytes)?;
+    let mut named = |name: &&str| {
+        let index = archive.index_for_name(&format!("{name}.npy")).ok_or("not in the file")?;
+        npy::read_array(&unpack(&mut archive, index, bytes.len().saturating_mul(MAX_EXPANSION))?)
+    };
+    names.iter().map(|name| named(name).map_err(|reason| format!("array `{name}`: {reason}"))).collect()
+}
+
+fn open(bytes: &[u8]) -> Result<Archive<'_>, String> {
+    ZipArchive::new(Cursor::new(bytes)).map_err(|e| format!("not a .npz file: {e}"))
 }
 
 /// The index of the one array that has the shape of a cloud.
@@ -105,10 +120,22 @@ mod tests {
     }
 
     #[test]
+    fn arrays_are_found_by_their_names() {
+        let file = npz(&[("a.npy", npy([2, 3])), ("b.npy", npy([4, 1])), ("zeros.npy", vec![0; 1 << 20])]);
+        let shapes = |names: &[&str]| -> Result<Vec<Vec<usize>>, String> {
+            Ok(read_named(&file, names)?.into_iter().map(|array| array.shape).collect())
+        };
+        assert_eq!(shapes(&["b", "a"]), Ok(vec![vec![4, 1], vec![2, 3]]));
+        assert_eq!(shapes(&["a", "c"]), Err("array `c`: not in the file".into()));
+        assert!(shapes(&["zeros"]).unwrap_err().starts_with("array `zeros`: not a .npy file"));
+    }
+
+    #[test]
     fn damaged_archives_and_bombs_are_refused() {
         let whole = npz(&[("points.npy", npy([5, 3]))]);
         for length in 0..whole.len() {
             read(&whole[..length]).unwrap_err();
+            read_named(&whole[..length], &["points"]).unwrap_err();
         }
         assert!(read(b"\x93NUMPY").unwrap_err().contains("not a .npz file"));
         // 24 MB of zeros in some 24 kB.

@@ -15,8 +15,9 @@ use snake_core::registration::{Descriptor, KeypointDetector, RansacOptions, Scan
 use snake_core::{Model, Point, io};
 
 use super::args::RegistrationArguments;
-use super::evenly_spaced;
+use super::paper::THREE_D_MATCH;
 use super::record::Record;
+use super::schedule::{Schedule, Task};
 use crate::terminal;
 use report::Report;
 use scenes::{ScenePair, Scenes};
@@ -41,19 +42,21 @@ pub fn run(arguments: &RegistrationArguments) -> Result<()> {
     let scenes = Scenes::open(&arguments.data)?;
     let model = arguments.run.compute.load_model()?;
     let plan = Plan::new(arguments, &model)?;
-    let chosen = evenly_spaced(scenes.pairs.len(), arguments.run.limit)?;
+    let schedule = Schedule::new(scenes.pairs.len(), &arguments.run)?;
     let settings = plan.settings(arguments);
-    let mut record = Record::open(arguments.run.output.as_deref(), "registration", &settings, chosen.len())?;
+    let output = arguments.run.output.as_deref();
+    let mut record = Record::open(output, "registration", &settings, schedule.tasks().len())?;
     let mut clouds = Clouds::default();
-    let rows = |pair| {
-        let pair: &ScenePair = &scenes.pairs[pair];
-        let [source, target] = clouds.of(pair, &scenes.clouds, &plan)?;
-        plan.rows(pair, source, target)
+    let rows = |Task { seed, index }| {
+        let pair: &ScenePair = &scenes.pairs[index];
+        let [source, target] = clouds.of(pair, &scenes.clouds, &plan, seed)?;
+        plan.rows(pair, source, target, seed)
     };
-    record.fill(&chosen, |pair| scenes.name(pair), rows)?;
-    let pairs: Vec<&ScenePair> = chosen.iter().map(|&pair| &scenes.pairs[pair]).collect();
-    let report = Report::new(&plan, &settings, &pairs, record.pairs())?;
-    if let Some(output) = &arguments.run.output {
+    record.fill(schedule.tasks(), |pair| scenes.name(pair), rows)?;
+    let pairs: Vec<&ScenePair> = schedule.chosen().iter().map(|&pair| &scenes.pairs[pair]).collect();
+    let paper = arguments.run.paper.then_some(&THREE_D_MATCH);
+    let report = Report::new(&plan, &settings, &pairs, &schedule.by_seed(record.pairs()), paper)?;
+    if let Some(output) = output {
         report.write(output)?;
     }
     terminal::print_report(&report.text())
@@ -65,7 +68,6 @@ struct Plan<'a> {
     detectors: &'a [KeypointDetector],
     descriptors: &'a [Descriptor],
     keypoints: &'a [usize],
-    seed: u64,
 }
 
 /// The figures of one detector, descriptor and number of keypoints on one pair.
@@ -81,11 +83,11 @@ struct Row {
 
 impl<'a> Plan<'a> {
     fn new(arguments: &'a RegistrationArguments, model: &'a Model) -> Result<Self> {
-        let RegistrationArguments { detectors, descriptors, keypoints, run, .. } = arguments;
+        let RegistrationArguments { detectors, descriptors, keypoints, .. } = arguments;
         if keypoints.contains(&0) {
             bail!("--keypoints must be 1 or more");
         }
-        Ok(Self { model, detectors, descriptors, keypoints, seed: run.seed })
+        Ok(Self { model, detectors, descriptors, keypoints })
     }
 
     /// Everything that the figures depend on, but for the data's content.
@@ -102,14 +104,10 @@ impl<'a> Plan<'a> {
             "inlier_distance": INLIER_DISTANCE,
             "inlier_ratio": INLIER_RATIO,
             "overlap_distance": OVERLAP_DISTANCE,
-            "ransac": self.ransac(),
+            "ransac": ransac_options(arguments.run.seed),
+            "seeds": arguments.run.seeds,
             "rmse": RMSE,
         })
-    }
-
-    fn ransac(&self) -> RansacOptions {
-        let (inlier_distance, max_iterations) = (RANSAC_DISTANCE, RANSAC_SAMPLES);
-        RansacOptions { inlier_distance, max_iterations, seed: self.seed, ..RansacOptions::default() }
     }
 
     /// Detector, descriptor and number of keypoints of each row of a pair.
@@ -124,12 +122,12 @@ impl<'a> Plan<'a> {
     }
 
     /// Reads a cloud, and describes as many keypoints of each detector as are needed.
-    fn cloud(&self, files: &[PathBuf], index: usize) -> Result<Cloud> {
+    fn cloud(&self, files: &[PathBuf], index: usize, seed: u64) -> Result<Cloud> {
         let points = io::read_points(&files[index])?;
         let scan = Scan::new(&points, self.model, VOXEL_SIZE)?;
         let most = self.keypoints.iter().copied().max().unwrap_or_default();
         // Random keypoints of two clouds have nothing to do with each other.
-        let seed = self.seed.wrapping_add(index as u64);
+        let seed = seed.wrapping_add(index as u64);
         let mut features = Vec::new();
         for &detector in self.detectors {
             let keypoints = scan.keypoints(detector, most, seed)?;
@@ -143,7 +141,7 @@ impl<'a> Plan<'a> {
     }
 
     /// The figures of one pair: a row for each case.
-    fn rows(&self, pair: &ScenePair, source: &Cloud, target: &Cloud) -> Result<Vec<Row>> {
+    fn rows(&self, pair: &ScenePair, source: &Cloud, target: &Cloud, seed: u64) -> Result<Vec<Row>> {
         let truth = &pair.t_target_source;
         let information = match pair.information {
             Some(information) => information,
@@ -158,7 +156,7 @@ impl<'a> Plan<'a> {
                 let matches = mutual_nearest(source_rows, target_rows, source.dimension)?;
                 let from: Vec<Point> = matches.iter().map(|&[row, _]| source_points[row]).collect();
                 let to: Vec<Point> = matches.iter().map(|&[_, row]| target_points[row]).collect();
-                let found = ransac(&from, &to, &self.ransac())?;
+                let found = ransac(&from, &to, &ransac_options(seed))?;
                 let squared_error =
                     found.map(|found| squared_registration_error(truth, &found.t_target_source, &information));
                 rows.push(Row {
@@ -171,6 +169,12 @@ impl<'a> Plan<'a> {
         }
         Ok(rows)
     }
+}
+
+/// The benchmark's.
+fn ransac_options(seed: u64) -> RansacOptions {
+    let (inlier_distance, max_iterations) = (RANSAC_DISTANCE, RANSAC_SAMPLES);
+    RansacOptions { inlier_distance, max_iterations, seed, ..RansacOptions::default() }
 }
 
 /// A cloud with its keypoints by each detector and descriptor.
@@ -194,23 +198,24 @@ impl Features {
     }
 }
 
-/// The clouds of the scene at hand.
+/// The clouds of the scene and seed at hand.
 #[derive(Default)]
 struct Clouds {
     scene: String,
+    seed: u64,
     described: HashMap<usize, Cloud>,
 }
 
 impl Clouds {
     /// Source and target of a pair.
-    fn of(&mut self, pair: &ScenePair, files: &[PathBuf], plan: &Plan) -> Result<[&Cloud; 2]> {
-        if self.scene != pair.scene {
-            self.scene.clone_from(&pair.scene);
+    fn of(&mut self, pair: &ScenePair, files: &[PathBuf], plan: &Plan, seed: u64) -> Result<[&Cloud; 2]> {
+        if (&self.scene, self.seed) != (&pair.scene, seed) {
+            (self.scene, self.seed) = (pair.scene.clone(), seed);
             self.described.clear();
         }
         for index in [pair.source, pair.target] {
             if let Entry::Vacant(vacant) = self.described.entry(index) {
-                let cloud = plan.cloud(files, index).with_context(|| files[index].display().to_string())?;
+                let cloud = plan.cloud(files, index, seed).with_context(|| files[index].display().to_string())?;
                 vacant.insert(cloud);
             }
         }

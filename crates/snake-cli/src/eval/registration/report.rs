@@ -8,7 +8,9 @@ use serde_json::{Value, json};
 use snake_core::metrics::{RegistrationOutcome, feature_matching_recall, registration_recall};
 use snake_core::registration::{Descriptor, KeypointDetector};
 
+use super::super::paper::{PaperRegistration, PaperTable};
 use super::super::record::Pair;
+use super::super::statistic::{self, Statistic, mean};
 use super::super::table::{self, Table};
 use super::scenes::ScenePair;
 use super::{INLIER_RATIO, Plan, RMSE, Row};
@@ -19,20 +21,31 @@ pub struct Report<'a> {
     keypoints: &'a [usize],
     scenes: Vec<&'a str>,
     num_pairs: usize,
+    num_seeds: usize,
     summaries: Vec<Summary>,
+    paper: Option<&'a PaperRegistration>,
 }
 
-/// The figures of one case, of each scene and their mean.
+/// The figures of one case: of each scene, means over the seeds, and their mean.
 struct Summary {
     detector: Value,
     descriptor: Value,
     keypoints: usize,
     scenes: Vec<Figures>,
     mean: Figures,
+    deviation: Deviations,
+}
+
+/// Standard deviations over seeds or scenes, where there are several.
+#[derive(Serialize)]
+struct Deviations {
+    feature_matching_recall: Option<f64>,
+    inlier_ratio: Option<f64>,
+    registration_recall: Option<f64>,
 }
 
 /// The figures of one case.
-#[derive(Serialize)]
+#[derive(Clone, Serialize)]
 struct Figures {
     feature_matching_recall: f64,
     inlier_ratio: f64,
@@ -54,36 +67,53 @@ impl Figures {
         let outcomes: Vec<_> = pairs.iter().map(outcome).collect();
         Ok(Self {
             feature_matching_recall: feature_matching_recall(&ratios, INLIER_RATIO)?,
-            inlier_ratio: mean(ratios.iter().copied()),
+            inlier_ratio: mean(&ratios),
             // Its only error is that no pair is left.
             registration_recall: registration_recall(&outcomes, RMSE).ok(),
-            found: mean(pairs.iter().map(|(_, row)| row.found)),
-            correspondences: mean(pairs.iter().map(|(_, row)| row.correspondences as f64)),
+            found: mean(&pairs.iter().map(|(_, row)| row.found).collect::<Vec<_>>()),
+            correspondences: mean(&pairs.iter().map(|(_, row)| row.correspondences as f64).collect::<Vec<_>>()),
         })
     }
 
-    /// The plain mean over the scenes.
-    fn mean(scenes: &[Self]) -> Self {
-        let of = |figure: fn(&Self) -> f64| mean(scenes.iter().map(figure));
-        let recalls: Vec<f64> = scenes.iter().filter_map(|scene| scene.registration_recall).collect();
+    /// The plain mean over scenes, or seeds.
+    fn mean(all: &[Self]) -> Self {
+        let of = |figure: fn(&Self) -> f64| mean(&all.iter().map(figure).collect::<Vec<_>>());
+        let recalls: Vec<f64> = all.iter().filter_map(|one| one.registration_recall).collect();
         Self {
-            feature_matching_recall: of(|scene| scene.feature_matching_recall),
-            inlier_ratio: of(|scene| scene.inlier_ratio),
-            registration_recall: (!recalls.is_empty()).then(|| mean(recalls.iter().copied())),
-            found: of(|scene| scene.found),
-            correspondences: of(|scene| scene.correspondences),
+            feature_matching_recall: of(|one| one.feature_matching_recall),
+            inlier_ratio: of(|one| one.inlier_ratio),
+            registration_recall: (!recalls.is_empty()).then(|| mean(&recalls)),
+            found: of(|one| one.found),
+            correspondences: of(|one| one.correspondences),
         }
     }
 }
 
-fn mean(values: impl ExactSizeIterator<Item = f64>) -> f64 {
-    let count = values.len() as f64;
-    values.sum::<f64>() / count
+impl Deviations {
+    /// Of the means of each seed, or of one seed's scenes.
+    fn new(seeds: &[Figures], scenes: &[Figures]) -> Self {
+        let of = |figure: fn(&Figures) -> Option<f64>| {
+            let all = |figures: &[Figures]| figures.iter().filter_map(figure).collect::<Vec<_>>();
+            Statistic::over_seeds(&all(seeds), &all(scenes)).deviation
+        };
+        Self {
+            feature_matching_recall: of(|figures| Some(figures.feature_matching_recall)),
+            inlier_ratio: of(|figures| Some(figures.inlier_ratio)),
+            registration_recall: of(|figures| figures.registration_recall),
+        }
+    }
 }
 
 impl<'a> Report<'a> {
-    /// Sums up the rows of all pairs, of which there is at least one.
-    pub fn new(plan: &'a Plan, settings: &'a Value, pairs: &[&'a ScenePair], rows: &[Pair<Row>]) -> Result<Self> {
+    /// Sums up the rows of all pairs, of which there is at least one, seed by seed; the paper's rows are shown beside
+    /// them.
+    pub fn new(
+        plan: &'a Plan,
+        settings: &'a Value,
+        pairs: &[&'a ScenePair],
+        runs: &[&[Pair<Row>]],
+        paper: Option<&'a PaperRegistration>,
+    ) -> Result<Self> {
         let mut scenes: Vec<&str> = Vec::new();
         for pair in pairs {
             if !scenes.contains(&pair.scene.as_str()) {
@@ -91,16 +121,27 @@ impl<'a> Report<'a> {
             }
         }
         let summary = |(i, (detector, descriptor, keypoints)): (usize, (KeypointDetector, Descriptor, usize))| {
-            let of_scene = |scene: &&str| {
-                let rows = pairs.iter().zip(rows).filter(|(pair, _)| pair.scene == *scene);
+            let of_scene = |scene: &str, rows: &[Pair<Row>]| {
+                let rows = pairs.iter().zip(rows).filter(|(pair, _)| pair.scene == scene);
                 Figures::of_scene(&rows.map(|(pair, rows)| (*pair, &rows.rows[i])).collect::<Vec<_>>())
             };
-            let scenes = scenes.iter().map(of_scene).collect::<Result<Vec<_>>>()?;
-            let mean = Figures::mean(&scenes);
-            Ok(Summary { detector: json!(detector), descriptor: json!(descriptor), keypoints, scenes, mean })
+            let of_run = |rows: &&[Pair<Row>]| scenes.iter().map(|scene| of_scene(scene, rows)).collect();
+            let of_seeds = runs.iter().map(of_run).collect::<Result<Vec<Vec<Figures>>>>()?;
+            let means: Vec<Figures> = of_seeds.iter().map(|scenes| Figures::mean(scenes)).collect();
+            let over_seeds =
+                |scene: usize| Figures::mean(&of_seeds.iter().map(|scenes| scenes[scene].clone()).collect::<Vec<_>>());
+            Ok(Summary {
+                detector: json!(detector),
+                descriptor: json!(descriptor),
+                keypoints,
+                scenes: (0..scenes.len()).map(over_seeds).collect(),
+                mean: Figures::mean(&means),
+                deviation: Deviations::new(&means, &of_seeds[0]),
+            })
         };
         let summaries = plan.cases().into_iter().enumerate().map(summary).collect::<Result<_>>()?;
-        Ok(Self { settings, keypoints: plan.keypoints, scenes, num_pairs: pairs.len(), summaries })
+        let (num_pairs, num_seeds) = (pairs.len(), runs.len());
+        Ok(Self { settings, keypoints: plan.keypoints, scenes, num_pairs, num_seeds, summaries, paper })
     }
 
     /// The tables, for people.
@@ -117,55 +158,79 @@ impl<'a> Report<'a> {
     /// Of each figure a table: a row for each detector and descriptor, a column for each number of keypoints.
     fn tables(&self) -> Vec<Table> {
         let (pairs, scenes) = (self.num_pairs, self.scenes.len());
-        let titled = |title: String, cell: fn(&Figures) -> String| {
-            let mut head = vec!["keypoints".to_owned()];
-            head.extend(self.keypoints.iter().map(usize::to_string));
-            let row = |cases: &[Summary]| {
-                let name = |value: &Value| value.as_str().unwrap_or_default().to_owned();
-                let method = name(&cases[0].detector) + " " + &name(&cases[0].descriptor);
-                std::iter::once(method).chain(cases.iter().map(|case| cell(&case.mean))).collect()
-            };
-            Table { title, head, rows: self.summaries.chunks(self.keypoints.len()).map(row).collect() }
+        let over = match (scenes, self.num_seeds) {
+            (1, 1) => String::new(),
+            (_, seeds) => format!(" ± {}", statistic::over(seeds, "scenes")),
         };
+        let recall =
+            |mean: Option<f64>, deviation| mean.map_or("-".into(), |mean| Statistic { mean, deviation }.cell());
         vec![
-            titled(format!("Feature matching recall, {pairs} pairs, mean over scenes ({scenes})"), |figures| {
-                format!("{:.3}", figures.feature_matching_recall)
-            }),
-            titled("Inlier ratio".into(), |figures| format!("{:.3}", figures.inlier_ratio)),
-            titled("Registration recall, without consecutive fragments".into(), |figures| {
-                figures.registration_recall.map_or("-".into(), |recall| format!("{recall:.3}"))
-            }),
-            titled("Keypoints / correspondences, means over the pairs".into(), |figures| {
-                format!("{:.0} / {:.0}", figures.found, figures.correspondences)
-            }),
+            self.table(
+                format!("Feature matching recall, {pairs} pairs, mean over scenes ({scenes}){over}"),
+                |case| recall(Some(case.mean.feature_matching_recall), case.deviation.feature_matching_recall),
+                self.paper.map(|paper| &paper.feature_matching_recall),
+            ),
+            self.table(
+                "Inlier ratio".into(),
+                |case| recall(Some(case.mean.inlier_ratio), case.deviation.inlier_ratio),
+                self.paper.map(|paper| &paper.inlier_ratio),
+            ),
+            self.table(
+                "Registration recall, without consecutive fragments".into(),
+                |case| recall(case.mean.registration_recall, case.deviation.registration_recall),
+                self.paper.map(|paper| &paper.registration_recall),
+            ),
+            self.table(
+                "Keypoints / correspondences, means over the pairs".into(),
+                |case| format!("{:.0} / {:.0}", case.mean.found, case.mean.correspondences),
+                None,
+            ),
         ]
     }
 
-    /// A line for each case and scene, and one for the mean over the scenes.
+    fn table(&self, title: String, cell: impl Fn(&Summary) -> String, paper: Option<&PaperTable>) -> Table {
+        let mut head = vec!["keypoints".to_owned()];
+        head.extend(self.keypoints.iter().map(usize::to_string));
+        let row = |cases: &[Summary]| {
+            let name = |value: &Value| value.as_str().unwrap_or_default().to_owned();
+            let method = name(&cases[0].detector) + " " + &name(&cases[0].descriptor);
+            std::iter::once(method).chain(cases.iter().map(&cell)).collect()
+        };
+        let mut rows: Vec<Vec<String>> = self.summaries.chunks(self.keypoints.len()).map(row).collect();
+        let places: Vec<f64> = self.keypoints.iter().map(|&keypoints| keypoints as f64).collect();
+        rows.extend(paper.into_iter().flat_map(|table| table.rows(&places)));
+        Table { title, head, rows }
+    }
+
+    /// A line for each case and scene, one for the mean over the scenes, and one for its deviation.
     fn csv(&self) -> String {
         let mut text = String::from(
             "detector,descriptor,keypoints,scene,feature_matching_recall,inlier_ratio,registration_recall,found,correspondences\n",
         );
-        for Summary { detector, descriptor, keypoints, scenes, mean } in &self.summaries {
+        let cell = |value: Option<f64>| value.map(|value| value.to_string()).unwrap_or_default();
+        for Summary { detector, descriptor, keypoints, scenes, mean, deviation } in &self.summaries {
+            let (detector, descriptor) =
+                (detector.as_str().unwrap_or_default(), descriptor.as_str().unwrap_or_default());
             let quoted = self.scenes.iter().map(|scene| format!("\"{}\"", scene.replace('"', "\"\"")));
             for (scene, figures) in quoted.zip(scenes).chain(std::iter::once(("mean".into(), mean))) {
                 let Figures { feature_matching_recall, inlier_ratio, registration_recall, found, correspondences } =
                     figures;
-                let recall = registration_recall.map(|recall| recall.to_string()).unwrap_or_default();
-                let (detector, descriptor) =
-                    (detector.as_str().unwrap_or_default(), descriptor.as_str().unwrap_or_default());
+                let recall = cell(*registration_recall);
                 text += &format!(
                     "{detector},{descriptor},{keypoints},{scene},{feature_matching_recall},{inlier_ratio},{recall},{found},{correspondences}\n"
                 );
             }
+            let Deviations { feature_matching_recall, inlier_ratio, registration_recall } = deviation;
+            let cells = [feature_matching_recall, inlier_ratio, registration_recall].map(|value| cell(*value));
+            text += &format!("{detector},{descriptor},{keypoints},deviation,{},,\n", cells.join(","));
         }
         text
     }
 
     fn json(&self) -> Result<String> {
         let row = |summary: &Summary| {
-            let Summary { detector, descriptor, keypoints, scenes, mean } = summary;
-            json!({"detector": detector, "descriptor": descriptor, "keypoints": keypoints, "mean": mean, "scenes": scenes})
+            let Summary { detector, descriptor, keypoints, scenes, mean, deviation } = summary;
+            json!({"detector": detector, "descriptor": descriptor, "keypoints": keypoints, "mean": mean, "deviation": deviation, "scenes": scenes})
         };
         let rows: Vec<Value> = self.summaries.iter().map(row).collect();
         let all = json!({"settings": self.settings, "pairs": self.num_pairs, "scenes": self.scenes, "rows": rows});
@@ -177,6 +242,7 @@ impl<'a> Report<'a> {
 mod tests {
     use snake_core::Model;
 
+    use super::super::super::paper::THREE_D_MATCH;
     use super::*;
 
     fn pair(scene: &str, fragments: [usize; 2]) -> ScenePair {
@@ -193,26 +259,34 @@ mod tests {
     fn figures_are_means_over_the_scenes_by_hand() {
         let model = Model::builtin().unwrap();
         let (detectors, descriptors) = ([KeypointDetector::Iss], [Descriptor::Fpfh]);
-        let plan = Plan { model: &model, detectors: &detectors, descriptors: &descriptors, keypoints: &[100], seed: 0 };
+        let plan = Plan { model: &model, detectors: &detectors, descriptors: &descriptors, keypoints: &[100] };
         // Scene a has three pairs, one of them consecutive and one without a transform; b only a consecutive one.
         let pairs = [pair("a", [0, 1]), pair("a", [0, 2]), pair("a", [0, 3]), pair("b", [4, 5])];
         let rows = [row(0.5, None), row(0.04, Some(0.03)), row(0.06, None), row(0.0, Some(0.0))];
         let settings = json!({"seed": 0});
-        let report = Report::new(&plan, &settings, &pairs.each_ref(), &rows).unwrap();
+        let report = Report::new(&plan, &settings, &pairs.each_ref(), &[&rows], Some(&THREE_D_MATCH)).unwrap();
         let csv = report.csv();
         let lines: Vec<&str> = csv.lines().skip(1).collect();
         let a = format!("iss,fpfh,100,\"a\",{},{},0.5,50,10", 2.0 / 3.0, (0.5 + 0.04 + 0.06) / 3.0);
         assert_eq!(lines[..2], [&a[..], "iss,fpfh,100,\"b\",0,0,,50,10"]);
         assert!(lines[2].starts_with(&format!("iss,fpfh,100,mean,{},", 1.0 / 3.0)) && lines[2].ends_with(",0.5,50,10"));
+        // Of 2 / 3 and 0; only one scene has a recall.
+        let deviation = ["iss", "fpfh", "100", "deviation", "0.4714045207910317", "0.14142135623730953", "", "", ""];
+        assert_eq!(lines[3], deviation.join(","));
         let markdown = table::markdown(&report.tables());
         let expected = "Registration recall, without consecutive fragments:
 
 | keypoints | 100 |
 |---|---|
 | iss fpfh | 0.500 |
+| snake d3feat (paper) | 0.509 |
 ";
         assert!(markdown.contains(expected), "{markdown}");
-        assert!(markdown.contains("4 pairs, mean over scenes (2)") && markdown.contains("| 50 / 10 |"), "{markdown}");
+        for part in
+            ["4 pairs, mean over scenes (2) ± standard deviation over scenes:", "| 0.333 ±0.471 |", "| 50 / 10 |"]
+        {
+            assert!(markdown.contains(part), "{markdown}");
+        }
         let json: Value = serde_json::from_str(&report.json().unwrap()).unwrap();
         assert_eq!(json["rows"][0]["scenes"][1]["registration_recall"], Value::Null);
     }

@@ -30,8 +30,8 @@ pub enum Scale {
 enum Source {
     /// An object's second view is made.
     Objects { names: Vec<String>, clouds: Clouds },
-    /// Both clouds are given.
-    Pairs(Vec<PairEntry>),
+    /// Both clouds are given; brought to radius 1, or left in their units.
+    Pairs { pairs: Vec<PairEntry>, unit_radius: bool },
 }
 
 /// Clouds in memory, or the files to read them from.
@@ -55,7 +55,10 @@ struct IndexRow {
 
 impl Data {
     /// Recognises the folders of a data set, else takes cloud files and folders of them.
-    pub fn open(inputs: &[PathBuf]) -> Result<Self> {
+    pub fn open(inputs: &[PathBuf], transform: Option<&Path>) -> Result<Self> {
+        if let Some(transform) = transform {
+            return Self::one_pair(inputs, transform);
+        }
         if let [folder] = inputs {
             let has = |name: &str| folder.join(name).exists();
             if has("points.npy") {
@@ -96,14 +99,24 @@ impl Data {
         if pairs.is_empty() {
             bail!("{}: no pairs in {list}", folder.display());
         }
-        Ok(Self { scale, source: Source::Pairs(pairs) })
+        Ok(Self { scale, source: Source::Pairs { pairs, unit_radius: false } })
+    }
+
+    /// The user's two clouds, source and target, in units that nobody knows.
+    fn one_pair(inputs: &[PathBuf], transform: &Path) -> Result<Self> {
+        let [source, target] = inputs else {
+            bail!("--transform is for two clouds, SOURCE and TARGET; for more give a folder with pairs.json");
+        };
+        let name = format!("{} to {}", source.display(), target.display());
+        let pair = PairEntry { name, clouds: [target.clone(), source.clone()], t_1_2: pairs::transform(transform)? };
+        Ok(Self { scale: Scale::Object, source: Source::Pairs { pairs: vec![pair], unit_radius: true } })
     }
 
     /// How many pairs of views there are.
     pub fn len(&self) -> usize {
         match &self.source {
             Source::Objects { names, .. } => names.len(),
-            Source::Pairs(pairs) => pairs.len(),
+            Source::Pairs { pairs, .. } => pairs.len(),
         }
     }
 
@@ -111,7 +124,7 @@ impl Data {
     pub fn name(&self, pair: usize) -> String {
         match &self.source {
             Source::Objects { names, .. } => names[pair].clone(),
-            Source::Pairs(pairs) => pairs[pair].name.clone(),
+            Source::Pairs { pairs, .. } => pairs[pair].name.clone(),
         }
     }
 
@@ -120,13 +133,14 @@ impl Data {
         match &self.source {
             Source::Objects { clouds: Clouds::Loaded(clouds), .. } => PairClouds::object(&clouds[pair]),
             Source::Objects { clouds: Clouds::Files(files), .. } => PairClouds::object(&finite_points(&files[pair])?),
-            Source::Pairs(pairs) => {
+            Source::Pairs { pairs, unit_radius } => {
                 let PairEntry { clouds: [first, second], t_1_2, .. } = &pairs[pair];
                 let clouds = [finite_points(&find_cloud(first)?)?, finite_points(&find_cloud(second)?)?];
                 if clouds.iter().any(Vec::is_empty) {
                     bail!("a cloud without points");
                 }
-                Ok(PairClouds::Real { clouds, t_1_2: *t_1_2 })
+                let pair = PairClouds::Real { clouds, t_1_2: *t_1_2 };
+                if *unit_radius { pair.with_unit_radius() } else { Ok(pair) }
             }
         }
     }

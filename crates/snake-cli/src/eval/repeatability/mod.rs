@@ -13,6 +13,7 @@ use super::args::RepeatabilityArguments;
 use super::methods::Method;
 use super::paper;
 use super::record::Record;
+use super::schedule::{Schedule, Task};
 use crate::terminal;
 use data::{Data, Scale};
 use report::Report;
@@ -21,19 +22,19 @@ use views::{Condition, Views};
 /// Evaluates every pair that is not yet recorded, then reports.
 pub fn run(arguments: &RepeatabilityArguments) -> Result<()> {
     let common = &arguments.common;
-    let data = Data::open(&arguments.data)?;
+    let data = Data::open(&arguments.data, arguments.transform.as_deref())?;
     let plan = Plan::new(arguments, &data)?;
     let methods = Method::all(common, None)?;
     let settings = plan.settings(arguments, &methods);
-    let chosen = super::evenly_spaced(data.len(), common.run.limit)?;
-    let mut record = Record::open(common.run.output.as_deref(), "repeatability", &settings, chosen.len())?;
-    record.fill(&chosen, |pair| data.name(pair), |pair| plan.rows(&data, pair, &methods))?;
-    let paper: &[_] = match data.scale {
-        _ if !common.paper => &[],
-        Scale::Object => &paper::MODELNET40,
-        Scale::Room => &paper::REDWOOD,
+    let schedule = Schedule::new(data.len(), &common.run)?;
+    let mut record = Record::open(common.run.output.as_deref(), "repeatability", &settings, schedule.tasks().len())?;
+    record.fill(schedule.tasks(), |pair| data.name(pair), |task| plan.rows(&data, task, &methods))?;
+    let paper = match data.scale {
+        _ if !common.run.paper => None,
+        Scale::Object => Some(&paper::MODELNET40),
+        Scale::Room => Some(&paper::REDWOOD),
     };
-    let report = Report::new(&plan, &settings, record.pairs(), paper);
+    let report = Report::new(&plan, &settings, &schedule.by_seed(record.pairs()), paper);
     if let Some(output) = &common.run.output {
         report.write(output)?;
     }
@@ -60,7 +61,6 @@ struct Plan {
     table_epsilon: f64,
     conditions: Vec<Condition>,
     num_points: usize,
-    seed: u64,
 }
 
 impl Plan {
@@ -101,7 +101,7 @@ impl Plan {
                 different.push(condition);
             }
         }
-        Ok(Self { epsilon, table_epsilon, conditions: different, num_points, seed: arguments.common.run.seed })
+        Ok(Self { epsilon, table_epsilon, conditions: different, num_points })
     }
 
     /// Everything that the figures depend on, but for the data's content.
@@ -109,6 +109,7 @@ impl Plan {
         json!({
             "metric": "relative repeatability",
             "data": arguments.data,
+            "transform": arguments.transform,
             "keypoints": Method::all_settings(&arguments.common, methods),
             "num_points": self.num_points,
             "epsilon": self.epsilon,
@@ -117,11 +118,11 @@ impl Plan {
     }
 
     /// The figures of one pair: a row for each method and condition.
-    fn rows(&self, data: &Data, pair: usize, methods: &[Method]) -> Result<Vec<Row>> {
-        let clouds = data.clouds(pair)?;
+    fn rows(&self, data: &Data, Task { seed, index }: Task, methods: &[Method]) -> Result<Vec<Row>> {
+        let clouds = data.clouds(index)?;
         let mut rows = Vec::new();
         for condition in &self.conditions {
-            let Views { view_1, view_2, t_1_2, seeds } = clouds.views(*condition, self.num_points, self.seed, pair)?;
+            let Views { view_1, view_2, t_1_2, seeds } = clouds.views(*condition, self.num_points, seed, index)?;
             for method in methods {
                 let (first, second) = (method.keypoints(&view_1, seeds[0])?, method.keypoints(&view_2, seeds[1])?);
                 let repeatability = relative_repeatability(&first, &second, &t_1_2, &self.epsilon)?;

@@ -42,6 +42,15 @@ impl PairClouds {
         Ok(Self::Object(points.iter().map(|point| point.map(|v| v / radius)).collect()))
     }
 
+    /// Scales a real pair so that the first cloud has radius 1 about its mean; neither is moved.
+    pub fn with_unit_radius(self) -> Result<Self> {
+        let Self::Real { clouds, mut t_1_2 } = self else { return Ok(self) };
+        let radius = Normalization::of(&clouds[0], NormalizationMethod::UnitSphere)?.scale / 2.0;
+        let clouds = clouds.map(|points| points.into_iter().map(|point| point.map(|v| v / radius)).collect());
+        t_1_2.iter_mut().take(3).for_each(|row| row[3] /= f64::from(radius));
+        Ok(Self::Real { clouds, t_1_2 })
+    }
+
     /// Draws the views under a condition. The same seed and pair give the same rotation under every condition.
     pub fn views(&self, condition: Condition, num_points: usize, seed: u64, pair: usize) -> Result<Views> {
         let mut rng = ChaCha8Rng::seed_from_u64(seed);
@@ -142,6 +151,15 @@ mod tests {
         let views = clouds.views(CLEAN, 60, 0, 0).unwrap();
         assert_eq!((views.view_1.len(), views.view_2.len(), views.t_1_2), (50, 60, t_1_2));
         assert!(views.view_1.iter().all(|p| ball(50).contains(p)));
+        let Ok(PairClouds::Real { clouds: [first, second], t_1_2: scaled }) =
+            PairClouds::Real { clouds: [ball(300), ball(80)], t_1_2 }.with_unit_radius()
+        else {
+            panic!("a real pair")
+        };
+        let PairClouds::Object(object) = PairClouds::object(&ball(300)).unwrap() else { panic!("an object") };
+        let radius = f64::from(ball(300)[0][0] / first[0][0]);
+        assert_eq!((&first, &second), (&object, &object[..80].to_vec()));
+        assert!((scaled[0][3] - 2.0 / radius).abs() < 1e-6 && scaled[0][0] == 1.0 && scaled[3] == t_1_2[3]);
         // A cloud with fewer points than asked for is thinned all the same.
         let views = clouds.views(Condition { downsample: 4, noise: 0.0 }, 60, 0, 0).unwrap();
         assert_eq!((views.view_1.len(), views.view_2.len()), (12, 15));

@@ -8,12 +8,15 @@ use serde::Deserialize;
 use snake_core::{Point, io};
 
 use super::super::read_json;
+use super::smpl::BodyPairs;
 
 /// What is evaluated on.
 pub enum Data {
     KeypointNet(Vec<Shape>),
     /// Row i of both is the same place of a body.
-    Smpl([Vec<Vec<Point>>; 2]),
+    Bodies([Vec<Vec<Point>>; 2]),
+    /// Bodies are posed.
+    BodyModel(Box<BodyPairs>),
 }
 
 /// A shape of KeypointNet.
@@ -44,31 +47,38 @@ struct MarkedPoint {
 }
 
 impl Data {
-    /// Recognises the folder; of KeypointNet those shapes that the file of names lists.
+    /// Recognises the folder or body model; of KeypointNet those shapes that the file of names lists.
     pub fn open(folder: &Path, split: Option<&Path>) -> Result<Self> {
         if folder.join("annotations").is_dir() {
             return keypointnet(folder, split).map(Self::KeypointNet);
         }
-        let [first, second] = ["body_1.npy", "body_2.npy"].map(|name| folder.join(name));
-        if !first.exists() || !second.exists() {
-            bail!("{}: neither annotations/ (KeypointNet) nor body_1.npy and body_2.npy (SMPL)", folder.display());
-        }
         if split.is_some() {
             bail!("--split is for KeypointNet");
+        }
+        if let Some(pairs) = BodyPairs::open(folder)? {
+            return Ok(Self::BodyModel(Box::new(pairs)));
+        }
+        let [first, second] = ["body_1.npy", "body_2.npy"].map(|name| folder.join(name));
+        if !first.exists() || !second.exists() {
+            bail!(
+                "{}: neither annotations/ (KeypointNet) nor model.pkl, model.npz, or body_1.npy and body_2.npy (SMPL)",
+                folder.display()
+            );
         }
         let bodies = [io::read_clouds(&first)?, io::read_clouds(&second)?];
         let [one, two] = bodies.each_ref().map(Vec::len);
         if one != two || one == 0 {
             bail!("{}: {one} bodies in body_1.npy, {two} in body_2.npy", folder.display());
         }
-        Ok(Self::Smpl(bodies))
+        Ok(Self::Bodies(bodies))
     }
 
     /// How many shapes, or pairs of bodies.
     pub fn len(&self) -> usize {
         match self {
             Self::KeypointNet(shapes) => shapes.len(),
-            Self::Smpl([bodies, _]) => bodies.len(),
+            Self::Bodies([bodies, _]) => bodies.len(),
+            Self::BodyModel(pairs) => pairs.len(),
         }
     }
 
@@ -76,7 +86,7 @@ impl Data {
     pub fn name(&self, index: usize) -> String {
         match self {
             Self::KeypointNet(shapes) => shapes[index].name.clone(),
-            Self::Smpl(_) => format!("pair {index}"),
+            Self::Bodies(_) | Self::BodyModel(_) => format!("pair {index}"),
         }
     }
 
@@ -84,7 +94,7 @@ impl Data {
     pub fn class(&self, index: usize) -> Option<&str> {
         match self {
             Self::KeypointNet(shapes) => Some(&shapes[index].class),
-            Self::Smpl(_) => None,
+            Self::Bodies(_) | Self::BodyModel(_) => None,
         }
     }
 }

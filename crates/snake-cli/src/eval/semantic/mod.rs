@@ -1,7 +1,11 @@
 //! `snake-cli eval semantic`.
 
+mod body_model;
 mod data;
+mod pickle;
+mod pickled_arrays;
 mod report;
+mod smpl;
 
 use anyhow::Result;
 use rand::{RngExt, SeedableRng};
@@ -9,12 +13,13 @@ use rand_chacha::ChaCha8Rng;
 use serde::{Deserialize, Serialize};
 use serde_json::{Value, json};
 use snake_core::metrics::{MatchCounts, SmplProtocol, Unreachable, semantic_counts, smpl_pair_counts};
-use snake_core::{Length, io};
+use snake_core::{Length, Point, io};
 
 use super::args::SemanticArguments;
 use super::methods::Method;
 use super::paper;
 use super::record::Record;
+use super::schedule::{Schedule, Task};
 use crate::terminal;
 use data::Data;
 use report::Report;
@@ -28,15 +33,16 @@ pub fn run(arguments: &SemanticArguments) -> Result<()> {
     let data = Data::open(&arguments.data, arguments.split.as_deref())?;
     let methods = Method::all(common, Some(SPACING))?;
     let settings = settings(arguments, &methods);
-    let chosen = super::evenly_spaced(data.len(), common.run.limit)?;
-    let mut record = Record::open(common.run.output.as_deref(), "semantic", &settings, chosen.len())?;
-    record.fill(&chosen, |shape| data.name(shape), |shape| rows(&data, shape, &methods, arguments))?;
-    let paper: &[_] = match data {
-        Data::KeypointNet(_) if common.paper => &paper::KEYPOINTNET,
-        _ => &[],
-    };
-    let classes: Vec<Option<&str>> = chosen.iter().map(|&shape| data.class(shape)).collect();
-    let report = Report::new(&arguments.threshold, &settings, record.pairs(), &classes, paper)?;
+    let schedule = Schedule::new(data.len(), &common.run)?;
+    let mut record = Record::open(common.run.output.as_deref(), "semantic", &settings, schedule.tasks().len())?;
+    record.fill(schedule.tasks(), |shape| data.name(shape), |task| rows(&data, task, &methods, arguments))?;
+    let paper = common.run.paper.then_some(match data {
+        Data::KeypointNet(_) => &paper::KEYPOINTNET,
+        Data::Bodies(_) | Data::BodyModel(_) => &paper::SMPL,
+    });
+    let classes: Vec<Option<&str>> = schedule.chosen().iter().map(|&shape| data.class(shape)).collect();
+    let runs = schedule.by_seed(record.pairs());
+    let report = Report::new(&arguments.threshold, &settings, &runs, &classes, paper)?;
     if let Some(output) = &common.run.output {
         report.write(output)?;
     }
@@ -66,11 +72,26 @@ fn settings(arguments: &SemanticArguments, methods: &[Method]) -> Value {
 }
 
 /// The matches on one shape: a row for each method.
-fn rows(data: &Data, shape: usize, methods: &[Method], arguments: &SemanticArguments) -> Result<Vec<Row>> {
-    let mut rng = ChaCha8Rng::seed_from_u64(arguments.common.run.seed);
+fn rows(
+    data: &Data,
+    Task { seed, index: shape }: Task,
+    methods: &[Method],
+    arguments: &SemanticArguments,
+) -> Result<Vec<Row>> {
+    let mut rng = ChaCha8Rng::seed_from_u64(seed);
     rng.set_stream(shape as u64);
     let [seed_1, seed_2, filling]: [u64; 3] = std::array::from_fn(|_| rng.random());
     let threshold = &arguments.threshold;
+    let of_bodies = |body_1: &[Point], body_2: &[Point]| {
+        let row = |method: &Method| {
+            let (on_1, on_2) = (method.keypoints(body_1, seed_1)?, method.keypoints(body_2, seed_2)?);
+            let counts = |rule| smpl_pair_counts(body_1, body_2, &on_1, &on_2, threshold, rule);
+            let paper = counts(SmplProtocol::PaperCompatible { seed: filling })?;
+            let strict = counts(SmplProtocol::Strict)?;
+            Ok(Row { method: method.name().into(), keypoints: on_1.len(), strict, paper })
+        };
+        methods.iter().map(row).collect()
+    };
     match data {
         Data::KeypointNet(shapes) => {
             let points = io::read_points(&shapes[shape].cloud)?;
@@ -82,16 +103,10 @@ fn rows(data: &Data, shape: usize, methods: &[Method], arguments: &SemanticArgum
             };
             methods.iter().map(row).collect()
         }
-        Data::Smpl([first, second]) => {
-            let (body_1, body_2) = (&first[shape], &second[shape]);
-            let row = |method: &Method| {
-                let (on_1, on_2) = (method.keypoints(body_1, seed_1)?, method.keypoints(body_2, seed_2)?);
-                let counts = |rule| smpl_pair_counts(body_1, body_2, &on_1, &on_2, threshold, rule);
-                let paper = counts(SmplProtocol::PaperCompatible { seed: filling })?;
-                let strict = counts(SmplProtocol::Strict)?;
-                Ok(Row { method: method.name().into(), keypoints: on_1.len(), strict, paper })
-            };
-            methods.iter().map(row).collect()
+        Data::Bodies([first, second]) => of_bodies(&first[shape], &second[shape]),
+        Data::BodyModel(pairs) => {
+            let [body_1, body_2] = pairs.bodies(shape, &mut rng)?;
+            of_bodies(&body_1, &body_2)
         }
     }
 }

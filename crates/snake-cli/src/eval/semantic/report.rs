@@ -6,9 +6,10 @@ use anyhow::Result;
 use serde_json::{Value, json};
 use snake_core::metrics::{MatchCounts, SmplProtocol, smpl_iou};
 
-use super::super::paper::PaperRow;
+use super::super::paper::PaperTable;
 use super::super::plot::{self, Line, Panel};
 use super::super::record::Pair;
+use super::super::statistic::{self, Statistic, mean};
 use super::super::table::{self, Table};
 use super::Row;
 
@@ -19,7 +20,8 @@ pub struct Report<'a> {
     figures: Vec<Figure>,
     num_shapes: usize,
     num_classes: usize,
-    paper: &'a [PaperRow],
+    num_seeds: usize,
+    paper: Option<&'a PaperTable>,
 }
 
 /// The IoU of one method over a class, or the mean over the classes, or over pairs of bodies.
@@ -28,70 +30,69 @@ struct Figure {
     class: Option<String>,
     keypoints: f64,
     /// For each threshold, by either rule.
-    strict: Vec<f64>,
-    paper: Vec<f64>,
+    strict: Vec<Statistic>,
+    paper: Vec<Statistic>,
 }
 
+/// The figure of shapes, or pairs of bodies; by the paper's rule or strictly.
+type Iou = fn(&[MatchCounts], bool) -> Result<f64>;
+
+/// The rows of one method, class by class.
+type Classes<'a> = Vec<Vec<&'a Row>>;
+
 impl Figure {
-    /// Of the rows of one method.
-    fn new(rows: &[&Row], class: Option<&str>, iou: impl Fn(&[MatchCounts], bool) -> Result<f64>) -> Result<Self> {
+    /// The mean over classes, of each seed.
+    fn new(runs: &[Classes], class: Option<&str>, iou: Iou) -> Result<Self> {
         let at = |threshold: usize, is_paper: bool| {
             let counts = |row: &&Row| if is_paper { row.paper[threshold] } else { row.strict[threshold] };
-            iou(&rows.iter().map(counts).collect::<Vec<_>>(), is_paper)
+            let of_class = |rows: &Vec<&Row>| iou(&rows.iter().map(counts).collect::<Vec<_>>(), is_paper);
+            let of_run = |classes: &Classes| Ok(mean(&classes.iter().map(of_class).collect::<Result<Vec<_>>>()?));
+            let parts: Vec<f64> = runs[0].iter().flatten().map(|row| counts(row).iou()).collect();
+            Ok(Statistic::over_seeds(&runs.iter().map(of_run).collect::<Result<Vec<_>>>()?, &parts))
         };
-        let all = |is_paper| (0..rows[0].strict.len()).map(|threshold| at(threshold, is_paper)).collect::<Result<_>>();
+        let first = runs[0][0][0];
+        let all = |is_paper| (0..first.strict.len()).map(|threshold| at(threshold, is_paper)).collect::<Result<_>>();
+        let keypoints = |rows: &Vec<&Row>| mean(&rows.iter().map(|row| row.keypoints as f64).collect::<Vec<_>>());
         Ok(Self {
-            method: rows[0].method.clone(),
+            method: first.method.clone(),
             class: class.map(str::to_owned),
-            keypoints: rows.iter().map(|row| row.keypoints as f64).sum::<f64>() / rows.len() as f64,
+            keypoints: mean(&runs.iter().flatten().map(keypoints).collect::<Vec<_>>()),
             strict: all(false)?,
             paper: all(true)?,
         })
     }
-
-    /// The mean over the classes.
-    fn mean(classes: &[Self]) -> Self {
-        let mean = |of: fn(&Self) -> &[f64]| {
-            let at = |i: usize| classes.iter().map(|class| of(class)[i]).sum::<f64>() / classes.len() as f64;
-            (0..of(&classes[0]).len()).map(at).collect()
-        };
-        Self {
-            method: classes[0].method.clone(),
-            class: None,
-            keypoints: classes.iter().map(|class| class.keypoints).sum::<f64>() / classes.len() as f64,
-            strict: mean(|class| &class.strict),
-            paper: mean(|class| &class.paper),
-        }
-    }
 }
 
 impl<'a> Report<'a> {
-    /// Sums up shapes with their classes, or pairs of bodies, which have none; the paper's rows are shown beside them.
+    /// Sums up shapes with their classes, or pairs of bodies, which have none, seed by seed; the paper's rows are shown
+    /// beside them.
     pub fn new(
         threshold: &'a [f64],
         settings: &'a Value,
-        shapes: &[Pair<Row>],
+        runs: &[&[Pair<Row>]],
         classes: &[Option<&str>],
-        paper: &'a [PaperRow],
+        paper: Option<&'a PaperTable>,
     ) -> Result<Self> {
         let mut different = classes.to_vec();
         different.sort_unstable();
         different.dedup();
-        let mut figures = Vec::new();
-        for method in 0..shapes.first().map_or(0, |shape| shape.rows.len()) {
-            let of_class = |class: &Option<&str>| {
-                let belongs = shapes.iter().zip(classes).filter(|(_, other)| *other == class);
-                let rows: Vec<&Row> = belongs.map(|(shape, _)| &shape.rows[method]).collect();
-                Figure::new(&rows, *class, if class.is_some() { class_iou } else { pairs_iou })
-            };
-            let mut of_classes = different.iter().map(of_class).collect::<Result<Vec<_>>>()?;
-            if different[0].is_some() {
-                figures.push(Figure::mean(&of_classes));
-            }
-            figures.append(&mut of_classes);
-        }
         let num_classes = different.iter().flatten().count();
-        Ok(Self { threshold, settings, figures, num_shapes: shapes.len(), num_classes, paper })
+        let mut figures = Vec::new();
+        for method in 0..runs[0].first().map_or(0, |shape| shape.rows.len()) {
+            let figure = |chosen: &[Option<&str>], class, iou| {
+                let of_class = |number: usize, class: &Option<&str>| -> Vec<&Row> {
+                    let belongs = runs[number].iter().zip(classes).filter(|(_, other)| *other == class);
+                    belongs.map(|(shape, _)| &shape.rows[method]).collect()
+                };
+                let of_run = |number| chosen.iter().map(|class| of_class(number, class)).collect();
+                Figure::new(&(0..runs.len()).map(of_run).collect::<Vec<_>>(), class, iou)
+            };
+            figures.push(figure(&different, None, if num_classes > 0 { class_iou } else { pairs_iou })?);
+            for class in different.iter().filter(|class| class.is_some()) {
+                figures.push(figure(&[*class], *class, class_iou)?);
+            }
+        }
+        Ok(Self { threshold, settings, figures, num_shapes: classes.len(), num_classes, num_seeds: runs.len(), paper })
     }
 
     /// The tables, for people.
@@ -117,57 +118,51 @@ impl<'a> Report<'a> {
         let head = ["method".to_owned()].into_iter();
         let head: Vec<String> =
             head.chain(self.threshold.iter().map(f64::to_string)).chain(["keypoints".into()]).collect();
-        let table = |rule: &str, of: fn(&Figure) -> &[f64], paper: &[PaperRow]| {
+        let table = |rule: &str, of: fn(&Figure) -> &[Statistic], paper: Option<&PaperTable>| {
             let row = |figure: &Figure| {
                 let mut row = vec![figure.method.clone()];
-                row.extend(of(figure).iter().map(|iou| format!("{iou:.3}")));
+                row.extend(of(figure).iter().map(Statistic::cell));
                 row.push(format!("{:.1}", figure.keypoints));
                 row
             };
-            let paper_row = |paper: &PaperRow| {
-                let mut row = vec![paper.method.to_owned()];
-                row.extend(paper.cells(self.threshold));
-                row.push("-".into());
-                row
+            let (over, parts) = match self.num_classes {
+                0 => (format!("{} pairs", self.num_shapes), "pairs"),
+                classes => (format!("{} shapes of {classes} classes", self.num_shapes), "shapes"),
             };
-            let over = match self.num_classes {
-                0 => format!("{} pairs", self.num_shapes),
-                classes => format!("{} shapes of {classes} classes", self.num_shapes),
-            };
-            let rows = self.means().map(row).chain(paper.iter().map(paper_row)).collect();
-            Table { title: format!("mIoU over {over} at each threshold, {rule}"), head: head.clone(), rows }
+            let deviation = statistic::over(self.num_seeds, parts);
+            let theirs = paper.into_iter().flat_map(|paper| paper.rows(self.threshold));
+            let rows = self.means().map(row).chain(theirs.map(|row| [row, vec!["-".into()]].concat())).collect();
+            let title = format!("mIoU over {over} at each threshold ± {deviation}, {rule}");
+            Table { title, head: head.clone(), rows }
         };
         vec![
-            table("strict", |figure| &figure.strict, &[]),
+            table("strict", |figure| &figure.strict, None),
             table("as the paper's released code counts", |figure| &figure.paper, self.paper),
         ]
     }
 
     /// The same as curves.
     fn panels(&self) -> Vec<Panel> {
-        let panel = |rule: &str, of: fn(&Figure) -> &[f64], paper: &[PaperRow]| {
-            let ours = |figure: &Figure| Line {
-                name: figure.method.clone(),
-                values: of(figure).iter().copied().map(Some).collect(),
-                dashed: false,
-            };
-            let theirs =
-                |row: &PaperRow| Line { name: row.method.into(), values: row.at(self.threshold), dashed: true };
+        let panel = |rule: &str, of: fn(&Figure) -> &[Statistic], paper: Option<&PaperTable>| {
+            let ours =
+                |figure: &Figure| Line::new(&figure.method, of(figure).iter().map(|iou| Some(iou.mean)).collect());
+            let theirs = paper.into_iter().flat_map(|paper| Line::of_paper(paper, self.threshold));
             Panel {
                 x_label: format!("threshold ({rule})"),
                 ticks: self.threshold.iter().map(|threshold| (*threshold, threshold.to_string())).collect(),
-                lines: self.means().map(ours).chain(paper.iter().map(theirs)).collect(),
+                lines: self.means().map(ours).chain(theirs).collect(),
             }
         };
-        vec![panel("strict", |figure| &figure.strict, &[]), panel("as released", |figure| &figure.paper, self.paper)]
+        vec![panel("strict", |figure| &figure.strict, None), panel("as released", |figure| &figure.paper, self.paper)]
     }
 
     /// A line for each method, class and threshold; the mean over all classes has no class.
     fn csv(&self) -> String {
-        let mut text = String::from("method,class,threshold,strict,paper,keypoints\n");
+        let mut text = String::from("method,class,threshold,strict,strict_deviation,paper,paper_deviation,keypoints\n");
         for Figure { method, class, keypoints, strict, paper } in &self.figures {
             for ((threshold, strict), paper) in self.threshold.iter().zip(strict).zip(paper) {
                 let class = class.as_deref().unwrap_or_default();
+                let (strict, paper) = (strict.csv(), paper.csv());
                 text += &format!("{method},{class},{threshold},{strict},{paper},{keypoints}\n");
             }
         }
@@ -175,7 +170,19 @@ impl<'a> Report<'a> {
     }
 
     fn json(&self) -> Result<String> {
-        let row = |Figure { method, class, keypoints, strict, paper }: &Figure| json!({"method": method, "class": class, "keypoints": keypoints, "strict": strict, "paper": paper});
+        let row = |Figure { method, class, keypoints, strict, paper }: &Figure| {
+            let means = |all: &[Statistic]| all.iter().map(|iou| iou.mean).collect::<Vec<_>>();
+            let deviations = |all: &[Statistic]| all.iter().map(|iou| iou.deviation).collect::<Vec<_>>();
+            json!({
+                "method": method,
+                "class": class,
+                "keypoints": keypoints,
+                "strict": means(strict),
+                "strict_deviation": deviations(strict),
+                "paper": means(paper),
+                "paper_deviation": deviations(paper),
+            })
+        };
         let rows: Vec<Value> = self.figures.iter().map(row).collect();
         let all = json!({"settings": self.settings, "shapes": self.num_shapes, "rows": rows});
         Ok(serde_json::to_string_pretty(&all)? + "\n")
@@ -212,28 +219,29 @@ mod tests {
         let shapes = [shape(4, [4, 0, 0], [4, 0, 0]), shape(6, [4, 4, 4], [4, 0, 0]), shape(1, [2, 2, 1], [2, 0, 1])];
         let classes = [Some("chair"), Some("chair"), Some("airplane")];
         let settings = json!({});
-        let report = Report::new(&[0.1], &settings, &shapes, &classes, &KEYPOINTNET).unwrap();
+        let report = Report::new(&[0.1], &settings, &[&shapes], &classes, Some(&KEYPOINTNET)).unwrap();
         // Strictly the chair has (8 - 4) / (8 + 4), the airplane 1 / 4; as released 1 and 1 / 2.
         let markdown = table::markdown(&report.tables());
-        let expected = "mIoU over 3 shapes of 2 classes at each threshold, strict:
+        // By themselves the shapes have 1, 0 and 1 / 4; as released 1, 1 and 1 / 2.
+        let expected = "mIoU over 3 shapes of 2 classes at each threshold ± standard deviation over shapes, strict:
 
 | method | 0.1 | keypoints |
 |---|---|---|
-| iss | 0.292 | 3.0 |
+| iss | 0.292 ±0.520 | 3.0 |
 
-mIoU over 3 shapes of 2 classes at each threshold, as the paper's released code counts:
+mIoU over 3 shapes of 2 classes at each threshold ± standard deviation over shapes, as the paper's released code counts:
 
 | method | 0.1 | keypoints |
 |---|---|---|
-| iss | 0.750 | 3.0 |
-| SNAKE (paper) | 0.412 | - |
+| iss | 0.750 ±0.289 | 3.0 |
+| snake (paper) | 0.412 | - |
 ";
-        assert_eq!(markdown, expected);
+        assert!(markdown.starts_with(expected), "{markdown}");
         let csv = report.csv();
-        assert_eq!(csv.lines().nth(2).unwrap(), "iss,airplane,0.1,0.25,0.5,1");
+        assert_eq!(csv.lines().nth(2).unwrap(), "iss,airplane,0.1,0.25,,0.5,,1");
         assert_eq!(csv.lines().count(), 4);
         let panels = report.panels();
-        assert_eq!((panels[0].lines.len(), panels[1].lines.len()), (1, 2));
+        assert_eq!((panels[0].lines.len(), panels[1].lines.len()), (1, 8));
         assert_eq!(panels[1].lines[1].values, [Some(0.412)]);
     }
 
@@ -241,11 +249,25 @@ mIoU over 3 shapes of 2 classes at each threshold, as the paper's released code 
     fn pairs_are_averaged_by_the_rule() {
         let shapes = [shape(4, [4, 0, 0], [4, 0, 0]), shape(6, [4, 4, 4], [4, 4, 4])];
         let settings = json!({});
-        let report = Report::new(&[0.1], &settings, &shapes, &[None, None], &[]).unwrap();
+        let report = Report::new(&[0.1], &settings, &[&shapes], &[None, None], None).unwrap();
         let [figure] = &report.figures[..] else { panic!("one method") };
-        assert_eq!((figure.strict[0], figure.keypoints), (0.5, 5.0));
+        assert_eq!((figure.strict[0].mean, figure.keypoints), (0.5, 5.0));
         // Running: 4 / 4, then 4 / 12.
-        assert!((figure.paper[0] - (1.0 + 1.0 / 3.0) / 2.0).abs() < 1e-12);
-        assert!(report.text().contains("mIoU over 2 pairs at each threshold, strict"));
+        assert!((figure.paper[0].mean - (1.0 + 1.0 / 3.0) / 2.0).abs() < 1e-12);
+        assert!(report.text().contains("mIoU over 2 pairs at each threshold ± standard deviation over pairs, strict"));
+    }
+
+    #[test]
+    fn each_seed_has_its_own_classes() {
+        // Classes of 1 and 1 / 4, then of 0 and 1 / 4.
+        let first = [shape(4, [4, 0, 0], [4, 0, 0]), shape(2, [2, 2, 1], [2, 0, 1])];
+        let second = [shape(6, [4, 4, 4], [4, 0, 0]), shape(2, [2, 2, 1], [2, 0, 1])];
+        let settings = json!({});
+        let classes = [Some("chair"), Some("airplane")];
+        let report = Report::new(&[0.1], &settings, &[&first, &second], &classes, None).unwrap();
+        let markdown = table::markdown(&report.tables());
+        assert!(markdown.contains("± standard deviation over 2 seeds, strict"), "{markdown}");
+        // Means of 0.625 and 0.125.
+        assert!(markdown.contains("| iss | 0.375 ±0.354 | 3.5 |"), "{markdown}");
     }
 }

@@ -1,0 +1,83 @@
+//! What a run evaluates, in order.
+
+use anyhow::{Result, bail};
+
+use super::args::RunArguments;
+
+/// The chosen pairs or shapes, with each seed in turn.
+pub struct Schedule {
+    chosen: Vec<usize>,
+    tasks: Vec<Task>,
+}
+
+/// A pair or shape, and the seed of the random choices on it.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Task {
+    pub seed: u64,
+    pub index: usize,
+}
+
+impl Schedule {
+    /// Of `length` pairs or shapes, those that were asked for.
+    pub fn new(length: usize, run: &RunArguments) -> Result<Self> {
+        let chosen = evenly_spaced(length, run.limit)?;
+        let seeds = (0..run.seeds.into()).map(|i| run.seed.wrapping_add(i));
+        let tasks = seeds.flat_map(|seed| chosen.iter().map(move |&index| Task { seed, index })).collect();
+        Ok(Self { chosen, tasks })
+    }
+
+    /// The pairs or shapes.
+    pub fn chosen(&self) -> &[usize] {
+        &self.chosen
+    }
+
+    /// All tasks, seed by seed.
+    pub fn tasks(&self) -> &[Task] {
+        &self.tasks
+    }
+
+    /// What all tasks gave, seed by seed.
+    pub fn by_seed<'a, T>(&self, done: &'a [T]) -> Vec<&'a [T]> {
+        done.chunks(self.chosen.len()).collect()
+    }
+}
+
+/// Indices of `limit` of `length` pairs, evenly spaced from the first to the last.
+fn evenly_spaced(length: usize, limit: Option<usize>) -> Result<Vec<usize>> {
+    Ok(match limit {
+        Some(0) => bail!("--limit must be 1 or more"),
+        Some(1) => vec![0],
+        Some(limit) if limit < length => {
+            (0..limit).map(|i| (i * (length - 1) + (limit - 1) / 2) / (limit - 1)).collect()
+        }
+        _ => (0..length).collect(),
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::args::ComputeArguments;
+
+    #[test]
+    fn few_pairs_are_evenly_spaced() {
+        let spaced = |length, limit| evenly_spaced(length, limit).unwrap();
+        assert_eq!(spaced(5, None), [0, 1, 2, 3, 4]);
+        assert_eq!(spaced(5, Some(9)), [0, 1, 2, 3, 4]);
+        assert_eq!(spaced(9, Some(3)), [0, 4, 8]);
+        assert_eq!(spaced(9, Some(2)), [0, 8]);
+        assert_eq!(spaced(9, Some(1)), [0]);
+        assert!(evenly_spaced(9, Some(0)).is_err());
+    }
+
+    #[test]
+    fn every_seed_has_all_pairs() {
+        let (limit, seed, seeds) = (Some(2), u64::MAX, 2);
+        let compute = ComputeArguments { threads: None, model: None };
+        let run = RunArguments { output: None, limit, seed, seeds, paper: false, compute };
+        let schedule = Schedule::new(3, &run).unwrap();
+        let expected = [(u64::MAX, 0), (u64::MAX, 2), (0, 0), (0, 2)].map(|(seed, index)| Task { seed, index });
+        assert_eq!((schedule.tasks(), schedule.chosen()), (&expected[..], &[0, 2][..]));
+        assert_eq!(schedule.by_seed(&['a', 'b', 'c', 'd']), [['a', 'b'], ['c', 'd']]);
+    }
+}

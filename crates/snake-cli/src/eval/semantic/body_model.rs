@@ -1,0 +1,298 @@
+//! The body models of SMPL, SMPL+H and SMPL-X: a mesh that a shape and a pose deform.
+//!
+//! "SMPL: A Skinned Multi-Person Linear Model", Loper and others, 2015, sections 3 and 3.1.
+
+use std::path::Path;
+
+use anyhow::{Context, Result};
+use nalgebra::{Isometry3, Matrix3, Point3, Rotation3, Translation3, UnitQuaternion, Vector3};
+use snake_core::io::{self, Array};
+
+use super::pickle::Pickle;
+use super::pickled_arrays;
+
+/// Shape parameters that are used, the first.
+pub const BETAS: usize = 10;
+
+/// What a file of a body model holds.
+const NAMES: [&str; 7] = ["v_template", "shapedirs", "posedirs", "weights", "J_regressor", "kintree_table", "f"];
+
+/// A body model of V vertices and K joints.
+#[derive(Debug, PartialEq)]
+pub struct BodyModel {
+    /// The mean body, V vertices in metres.
+    template: Vec<Vector3<f64>>,
+    /// How far each shape parameter moves each coordinate, `(V, 3, num_betas)`.
+    shape_directions: Vec<f64>,
+    num_betas: usize,
+    /// How far each entry of the joints' rotation matrices moves each coordinate, `(V, 3, 9 (K - 1))`.
+    pose_directions: Vec<f64>,
+    /// How much each vertex follows each joint, `(V, K)`.
+    weights: Vec<f64>,
+    /// Joints from vertices, `(K, V)`.
+    regressor: Vec<f64>,
+    /// Of each joint but the first; parents come before their children.
+    parents: Vec<usize>,
+    /// Indices of the vertices of each triangle.
+    pub faces: Vec<[usize; 3]>,
+}
+
+impl BodyModel {
+    /// Reads a model, `.npz` or a pickle of any other name.
+    pub fn open(path: &Path) -> Result<Self> {
+        let arrays = if path.extension().is_some_and(|extension| extension.eq_ignore_ascii_case("npz")) {
+            io::read_arrays(path, &NAMES)?
+        } else {
+            let bytes = std::fs::read(path).with_context(|| format!("cannot read {}", path.display()))?;
+            pickled(&bytes).map_err(|reason| anyhow::anyhow!("{}: {reason}", path.display()))?
+        };
+        Self::new(arrays).map_err(|reason| anyhow::anyhow!("{}: {reason}", path.display()))
+    }
+
+    /// Of the arrays of [`NAMES`], in their order.
+    fn new(arrays: Vec<Array>) -> Result<Self, String> {
+        let Ok([template, shape, pose, weights, regressor, tree, faces]) = <[Array; 7]>::try_from(arrays) else {
+            return Err("an array is missing".into());
+        };
+        let (num_vertices, num_joints) = (template.shape.first().copied().unwrap_or(0), tree.items.len() / 2);
+        if num_vertices == 0 || num_joints == 0 || faces.items.is_empty() {
+            return Err("no vertices, joints or faces".into());
+        }
+        let num_betas = shape.shape.last().copied().unwrap_or(0);
+        let expected = [
+            vec![num_vertices, 3],
+            vec![num_vertices, 3, num_betas],
+            vec![num_vertices, 3, 9 * (num_joints - 1)],
+            vec![num_vertices, num_joints],
+            vec![num_joints, num_vertices],
+            vec![2, num_joints],
+            vec![faces.items.len() / 3, 3],
+        ];
+        let found = [&template, &shape, &pose, &weights, &regressor, &tree, &faces];
+        for ((name, array), expected) in NAMES.iter().zip(found).zip(&expected) {
+            if &array.shape != expected {
+                return Err(format!("`{name}` has the shape {:?}, expected is {expected:?}", array.shape));
+            }
+            // The parent of the root is any number.
+            if *name != "kintree_table" && !array.items.iter().all(|item| item.is_finite()) {
+                return Err(format!("`{name}` has numbers that are not finite"));
+            }
+        }
+        let vertex = |number: f64| {
+            let index = number as usize;
+            (index as f64 == number && index < num_vertices)
+                .then_some(index)
+                .ok_or("`f` names vertices that are not there")
+        };
+        let face = |face: &[f64; 3]| Ok([vertex(face[0])?, vertex(face[1])?, vertex(face[2])?]);
+        Ok(Self {
+            template: template.items.as_chunks::<3>().0.iter().map(|&[x, y, z]| Vector3::new(x, y, z)).collect(),
+            shape_directions: shape.items,
+            num_betas,
+            pose_directions: pose.items,
+            weights: weights.items,
+            regressor: regressor.items,
+            parents: parents(&tree.items)?,
+            faces: faces.items.as_chunks::<3>().0.iter().map(face).collect::<Result<_, String>>()?,
+        })
+    }
+
+    /// How many joints there are, the root included.
+    pub fn num_joints(&self) -> usize {
+        self.parents.len() + 1
+    }
+
+    /// The vertices of a body by linear blend skinning: a rotation vector in radians for each joint, relative to its
+    /// parent, and shape parameters, of which there may be fewer than the model has.
+    pub fn vertices(&self, pose: &[Vector3<f64>], betas: &[f64]) -> Vec<Point3<f64>> {
+        let rotations: Vec<Rotation3<f64>> = pose.iter().map(|&vector| Rotation3::new(vector)).collect();
+        let shaped = self.moved(&self.template, &self.shape_directions, self.num_betas, betas);
+        // Rows of the joints' rotations but the root's, less the identity.
+        let change = |rotation: &Rotation3<f64>| rotation.matrix() - Matrix3::identity();
+        let features: Vec<f64> = rotations[1..]
+            .iter()
+            .flat_map(|rotation| change(rotation).transpose().iter().copied().collect::<Vec<_>>())
+            .collect();
+        let posed = self.moved(&shaped, &self.pose_directions, features.len(), &features);
+        let movements = self.movements(&shaped, &rotations);
+        let skinned = |(vertex, weights): (&Vector3<f64>, &[f64])| {
+            let by_joint = movements
+                .iter()
+                .zip(weights)
+                .map(|(movement, weight)| (movement * Point3::from(*vertex)).coords * *weight);
+            Point3::from(by_joint.sum::<Vector3<f64>>())
+        };
+        posed.iter().zip(self.weights.chunks_exact(self.num_joints())).map(skinned).collect()
+    }
+
+    /// Vertices moved along directions, `(V, 3, stride)`, by as many amounts as are given.
+    fn moved(
+        &self,
+        vertices: &[Vector3<f64>],
+        directions: &[f64],
+        stride: usize,
+        amounts: &[f64],
+    ) -> Vec<Vector3<f64>> {
+        let along = |row: usize| -> f64 {
+            directions[row * stride..][..stride].iter().zip(amounts).map(|(direction, amount)| direction * amount).sum()
+        };
+        let moved = |(i, vertex): (usize, &Vector3<f64>)| vertex + Vector3::from_fn(|axis, _| along(3 * i + axis));
+        vertices.iter().enumerate().map(moved).collect()
+    }
+
+    /// Where each joint takes the points of the body at rest.
+    fn movements(&self, shaped: &[Vector3<f64>], rotations: &[Rotation3<f64>]) -> Vec<Isometry3<f64>> {
+        let joint = |weights: &[f64]| weights.iter().zip(shaped).map(|(weight, vertex)| vertex * *weight).sum();
+        let joints: Vec<Vector3<f64>> = self.regressor.chunks_exact(shaped.len()).map(joint).collect();
+        let local = |joint: usize, origin: Vector3<f64>| {
+            Isometry3::from_parts(Translation3::from(origin), UnitQuaternion::from(rotations[joint]))
+        };
+        let mut poses = vec![local(0, joints[0])];
+        for (joint, &parent) in (1..).zip(&self.parents) {
+            poses.push(poses[parent] * local(joint, joints[joint] - joints[parent]));
+        }
+        poses.iter().zip(joints).map(|(pose, joint)| pose * Translation3::from(-joint)).collect()
+    }
+}
+
+/// The arrays of a pickled model.
+fn pickled(bytes: &[u8]) -> Result<Vec<Array>, String> {
+    let pickle = Pickle::parse(bytes)?;
+    let array = |name: &str| {
+        let node = pickle.get(pickle.root(), name).ok_or_else(|| format!("no body model: it has no `{name}`"))?;
+        pickled_arrays::array(&pickle, node).map_err(|reason| format!("`{name}` {reason}"))
+    };
+    NAMES.iter().map(|name| array(name)).collect()
+}
+
+/// Of each joint but the first the number of its parent, from the two rows of `kintree_table`: parents, and the joints'
+/// own names.
+fn parents(tree: &[f64]) -> Result<Vec<usize>, String> {
+    let (parents, names) = tree.split_at(tree.len() / 2);
+    let number = |joint: usize| {
+        let parent = names[..joint].iter().position(|name| *name == parents[joint]);
+        parent.ok_or_else(|| format!("`kintree_table`: joint {joint} has no parent before it"))
+    };
+    (1..parents.len()).map(number).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use std::f64::consts::FRAC_PI_2;
+
+    use super::*;
+
+    fn array(shape: &[usize], items: &[f64]) -> Array {
+        assert_eq!(shape.iter().product::<usize>(), items.len());
+        Array { shape: shape.into(), items: items.into() }
+    }
+
+    /// An arm along x with joints at its first vertex, 0, and its second, 1; the third vertex is its end at 2. The first
+    /// follows the root, the third the elbow, and the second both.
+    fn arm() -> Vec<Array> {
+        let mut pose_directions = vec![0.0; 3 * 3 * 9];
+        // Row 1, column 0 of the elbow's matrix, its sine, lifts vertex 2 along z.
+        pose_directions[(3 * 2 + 2) * 9 + 3] = 0.5;
+        vec![
+            array(&[3, 3], &[0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 2.0, 0.0, 0.0]),
+            // Of two shape parameters the first makes the arm longer.
+            array(&[3, 3, 2], &[[0.0; 6], [1.0, 0.0, 0.0, 0.0, 0.0, 0.0], [2.0, 0.0, 0.0, 0.0, 0.0, 9.0]].concat()),
+            array(&[3, 3, 9], &pose_directions),
+            array(&[3, 2], &[1.0, 0.0, 0.5, 0.5, 0.0, 1.0]),
+            array(&[2, 3], &[1.0, 0.0, 0.0, 0.0, 1.0, 0.0]),
+            array(&[2, 2], &[4_294_967_295.0, 7.0, 7.0, 8.0]),
+            array(&[1, 3], &[0.0, 1.0, 2.0]),
+        ]
+    }
+
+    fn assert_vertices(model: &BodyModel, pose: [[f64; 3]; 2], betas: &[f64], expected: [[f64; 3]; 3]) {
+        let found = model.vertices(&pose.map(Vector3::from), betas);
+        for (vertex, expected) in found.iter().zip(expected) {
+            assert!((vertex - Point3::from(expected)).norm() < 1e-12, "{found:?}");
+        }
+    }
+
+    #[test]
+    fn an_arm_bends_by_hand() {
+        let model = BodyModel::new(arm()).unwrap();
+        let (rest, left) = ([0.0; 3], [0.0, 0.0, FRAC_PI_2]);
+        assert_vertices(&model, [rest, rest], &[], [[0.0; 3], [1.0, 0.0, 0.0], [2.0, 0.0, 0.0]]);
+        // From the shoulder the whole arm turns to y.
+        assert_vertices(&model, [left, rest], &[], [[0.0; 3], [0.0, 1.0, 0.0], [0.0, 2.0, 0.0]]);
+        // From the elbow the hand, which the pose also lifts by half the sine.
+        assert_vertices(&model, [rest, left], &[], [[0.0; 3], [1.0, 0.0, 0.0], [1.0, 1.0, 0.5]]);
+        // Both: the upper arm along y, the lower back along -x.
+        assert_vertices(&model, [left, left], &[], [[0.0; 3], [0.0, 1.0, 0.0], [-1.0, 1.0, 0.5]]);
+        // An arm of twice the length, whose elbow moves with it.
+        assert_vertices(&model, [rest, left], &[1.0], [[0.0; 3], [2.0, 0.0, 0.0], [2.0, 2.0, 0.5]]);
+        // A vertex of two joints ends in the middle: with the elbow elsewhere, half of it turns about it.
+        let mut arrays = arm();
+        arrays[4] = array(&[2, 3], &[1.0, 0.0, 0.0, 0.5, 0.5, 0.0]);
+        let model = BodyModel::new(arrays).unwrap();
+        assert_vertices(&model, [rest, left], &[], [[0.0; 3], [0.75, 0.25, 0.0], [0.5, 1.5, 0.5]]);
+    }
+
+    /// A file of `tests/data/smpl`.
+    fn sample(name: &str) -> std::path::PathBuf {
+        Path::new(env!("CARGO_MANIFEST_DIR")).join("../../tests/data/smpl").join(name)
+    }
+
+    #[test]
+    fn the_same_model_from_every_kind_of_file() {
+        let model = BodyModel::open(&sample("model.npz")).unwrap();
+        assert_eq!((model.template.len(), model.faces.len(), model.num_betas), (16, 28, 10));
+        assert_eq!(model.parents, [0, 1]);
+        for name in ["model.pkl", "model_py3.pkl", "model_py3_protocol5.pkl"] {
+            assert_eq!(BodyModel::open(&sample(name)).unwrap(), model, "{name}");
+        }
+    }
+
+    #[test]
+    fn a_pose_is_that_of_the_definition() {
+        let [pose, betas, vertices] =
+            <[Array; 3]>::try_from(io::read_arrays(&sample("posed.npz"), &["pose", "betas", "vertices"]).unwrap())
+                .unwrap();
+        let pose: Vec<Vector3<f64>> = pose.items.as_chunks::<3>().0.iter().map(|&rotation| rotation.into()).collect();
+        let found = BodyModel::open(&sample("model.npz")).unwrap().vertices(&pose, &betas.items);
+        assert_eq!(found.len() * 3, vertices.items.len());
+        for (vertex, &expected) in found.iter().zip(vertices.items.as_chunks::<3>().0) {
+            assert!((vertex - Point3::from(expected)).norm() < 1e-12, "{vertex} {expected:?}");
+        }
+    }
+
+    #[test]
+    fn a_damaged_pickle_is_an_error_wherever_it_is_damaged() {
+        let bytes = std::fs::read(sample("model.pkl")).unwrap();
+        assert!(pickled(&bytes).is_ok());
+        for length in 0..bytes.len() {
+            pickled(&bytes[..length]).unwrap_err();
+        }
+        let mut refused = 0;
+        for at in (0..bytes.len()).filter(|at| bytes.len() - at < 900 || *at < 900) {
+            for value in [0, 1, 0x7f, 0xff, b'.', b'R', b'b', b'h'] {
+                let mut damaged = bytes.clone();
+                damaged[at] = value;
+                // Whatever it says, it comes to an end.
+                refused += usize::from(pickled(&damaged).and_then(BodyModel::new).is_err());
+            }
+        }
+        assert!(refused > 5000, "{refused}");
+    }
+
+    #[test]
+    fn models_that_do_not_fit_together_are_refused() {
+        let refused = |change: &dyn Fn(&mut Vec<Array>), message: &str| {
+            let mut arrays = arm();
+            change(&mut arrays);
+            let reason = BodyModel::new(arrays).err().unwrap();
+            assert!(reason.contains(message), "{reason}");
+        };
+        refused(&|arrays| arrays[2].shape = vec![3, 9, 3], "`posedirs` has the shape [3, 9, 3], expected is [3, 3, 9]");
+        refused(&|arrays| arrays[0].items[4] = f64::NAN, "`v_template` has numbers that are not finite");
+        refused(&|arrays| arrays[6].items[1] = 3.0, "`f` names vertices that are not there");
+        refused(&|arrays| arrays[6].items[1] = -1.0, "`f` names vertices that are not there");
+        refused(&|arrays| arrays[5].items[1] = 8.0, "joint 1 has no parent before it");
+        refused(&|arrays| arrays[5] = array(&[2, 0], &[]), "no vertices, joints or faces");
+        refused(&|arrays| arrays[4].shape.reverse(), "`J_regressor`");
+    }
+}

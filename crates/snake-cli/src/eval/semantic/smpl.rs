@@ -1,0 +1,111 @@
+//! Pairs of bodies of a body model, as UKPGAN's protocol and SNAKE's have them (SNAKE section 4.1).
+
+use std::path::{Path, PathBuf};
+
+use anyhow::{Context, Result, bail};
+use nalgebra::{Point3, Vector3};
+use rand::distr::Distribution;
+use rand::distr::weighted::WeightedIndex;
+use rand::{Rng, RngExt};
+use snake_core::Point;
+use snake_core::io::{self, Array};
+
+use super::body_model::{BETAS, BodyModel};
+
+/// Samples of a body.
+const SAMPLES: usize = 2048;
+/// Pairs that are made where none are given.
+const PAIRS: usize = 100;
+/// Stored and drawn parameters are between 0 and 1; so wide is the range of a joint's rotation vector, in radians, and
+/// of a shape parameter, each about 0.
+const POSE_RANGE: f64 = 0.4;
+const BETA_RANGE: f64 = 0.06;
+
+/// A body model, and the parameters of its pairs: numbers from 0 to 1, or to be drawn.
+pub struct BodyPairs {
+    model: BodyModel,
+    stored: Option<[Array; 2]>,
+    len: usize,
+}
+
+impl BodyPairs {
+    /// A file of a model, or a folder with `model.npz` or `model.pkl`; `None` for other folders.
+    pub fn open(data: &Path) -> Result<Option<Self>> {
+        let named = |name: &str| data.join(name);
+        let file = if data.is_file() {
+            data.to_owned()
+        } else {
+            let known = ["model.npz", "model.pkl"].map(named);
+            let Some(file) = known.into_iter().find(|file| file.is_file()) else { return Ok(None) };
+            file
+        };
+        let model = BodyModel::open(&file)?;
+        let [poses, betas] = ["pose_test_100.npy", "beta_test_100.npy"].map(named);
+        let stored = if poses.is_file() && betas.is_file() { Some(parameters(&model, &poses, &betas)?) } else { None };
+        let len = stored.as_ref().map_or(PAIRS, |[poses, _]| poses.shape[0]);
+        Ok(Some(Self { model, stored, len }))
+    }
+
+    /// How many pairs there are.
+    pub fn len(&self) -> usize {
+        self.len
+    }
+
+    /// The same samples of a pair's two bodies, at random by the first one's area.
+    pub fn bodies(&self, pair: usize, rng: &mut impl Rng) -> Result<[Vec<Point>; 2]> {
+        let [first, second] = [0, 1].map(|body| self.vertices(pair, body, rng));
+        let corners = |vertices: &[Point3<f64>], face: usize| self.model.faces[face].map(|vertex| vertices[vertex]);
+        let area = |face| {
+            let [a, b, c] = corners(&first, face);
+            (b - a).cross(&(c - a)).norm() / 2.0
+        };
+        let faces = WeightedIndex::new((0..self.model.faces.len()).map(area)).context("a body without a surface")?;
+        let mut bodies = [Vec::with_capacity(SAMPLES), Vec::with_capacity(SAMPLES)];
+        for _ in 0..SAMPLES {
+            let face = faces.sample(rng);
+            let [mut u, mut v]: [f64; 2] = [rng.random(), rng.random()];
+            // The other half of the parallelogram.
+            if u + v > 1.0 {
+                (u, v) = (1.0 - u, 1.0 - v);
+            }
+            for (body, vertices) in bodies.iter_mut().zip([&first, &second]) {
+                let [a, b, c] = corners(vertices, face).map(|corner| corner.coords);
+                let sample = a * u + b * v + c * (1.0 - u - v);
+                body.push(sample.map(|v| v as f32).into());
+            }
+        }
+        Ok(bodies)
+    }
+
+    /// The vertices of one body of a pair.
+    fn vertices(&self, pair: usize, body: usize, rng: &mut impl Rng) -> Vec<Point3<f64>> {
+        let joints = self.model.num_joints();
+        let mut parameters = |kind: usize, count: usize| -> Vec<f64> {
+            match &self.stored {
+                Some(stored) => stored[kind].items[(2 * pair + body) * count..][..count].to_vec(),
+                None => (0..count).map(|_| rng.random()).collect(),
+            }
+        };
+        let (pose, betas) = (parameters(0, 3 * joints), parameters(1, BETAS));
+        let rotation = |&[x, y, z]: &[f64; 3]| Vector3::new(x, y, z).map(|v| (v - 0.5) * POSE_RANGE);
+        let pose: Vec<Vector3<f64>> = pose.as_chunks::<3>().0.iter().map(rotation).collect();
+        self.model.vertices(&pose, &betas.iter().map(|beta| (beta - 0.5) * BETA_RANGE).collect::<Vec<_>>())
+    }
+}
+
+/// The released code's parameters: `(S, 2, K, 3)` and `(S, 2, 10)`.
+fn parameters(model: &BodyModel, poses: &PathBuf, betas: &PathBuf) -> Result<[Array; 2]> {
+    let arrays = [io::read_array(poses)?, io::read_array(betas)?];
+    let pairs = arrays[0].shape.first().copied().unwrap_or(0);
+    for ((path, array), count) in [poses, betas].into_iter().zip(&arrays).zip([3 * model.num_joints(), BETAS]) {
+        let of_pairs = array.shape.starts_with(&[pairs, 2]) && array.items.len() == pairs * 2 * count;
+        if pairs == 0 || !of_pairs || !array.items.iter().all(|item| item.is_finite()) {
+            bail!(
+                "{}: shape {:?}; needed are {count} numbers for each of two bodies of each pair",
+                path.display(),
+                array.shape
+            );
+        }
+    }
+    Ok(arrays)
+}

@@ -1,0 +1,66 @@
+//! Means with their standard deviations.
+
+/// A figure and how much it varies.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Statistic {
+    pub mean: f64,
+    /// Standard deviation (n - 1); `None` of a single value.
+    pub deviation: Option<f64>,
+}
+
+impl Statistic {
+    /// Of a figure for each seed. A single seed's figure comes with the deviation over the values of its parts, which
+    /// are pairs, shapes or scenes.
+    pub fn over_seeds(figures: &[f64], parts: &[f64]) -> Self {
+        match figures {
+            [mean] => Self { mean: *mean, deviation: deviation(parts) },
+            _ => Self { mean: mean(figures), deviation: deviation(figures) },
+        }
+    }
+
+    /// As a table shows it.
+    pub fn cell(&self) -> String {
+        match self.deviation {
+            Some(deviation) => format!("{:.3} ±{deviation:.3}", self.mean),
+            None => format!("{:.3}", self.mean),
+        }
+    }
+
+    /// Both numbers as cells of a CSV file.
+    pub fn csv(&self) -> String {
+        format!("{},{}", self.mean, self.deviation.map(|deviation| deviation.to_string()).unwrap_or_default())
+    }
+}
+
+/// What the deviations of a table are over.
+pub fn over(seeds: usize, parts: &str) -> String {
+    match seeds {
+        1 => format!("standard deviation over {parts}"),
+        _ => format!("standard deviation over {seeds} seeds"),
+    }
+}
+
+pub fn mean(values: &[f64]) -> f64 {
+    values.iter().sum::<f64>() / values.len() as f64
+}
+
+fn deviation(values: &[f64]) -> Option<f64> {
+    let mean = mean(values);
+    let squares: f64 = values.iter().map(|value| (value - mean).powi(2)).sum();
+    (values.len() > 1).then(|| (squares / (values.len() - 1) as f64).sqrt())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn deviations_are_over_parts_or_seeds() {
+        let one = Statistic::over_seeds(&[0.5], &[0.25, 0.75]);
+        assert_eq!((one.cell().as_str(), one.csv().as_str()), ("0.500 ±0.354", "0.5,0.3535533905932738"));
+        let three = Statistic::over_seeds(&[0.25, 0.5, 0.75], &[9.0, 9.0]);
+        assert_eq!(three, Statistic { mean: 0.5, deviation: Some(0.25) });
+        let alone = Statistic::over_seeds(&[0.5], &[0.5]);
+        assert_eq!((alone.cell().as_str(), alone.csv().as_str()), ("0.500", "0.5,"));
+    }
+}
