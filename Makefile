@@ -3,7 +3,7 @@ VENV := .venv
 PYTHON := $(VENV)/bin/python
 export VIRTUAL_ENV := $(CURDIR)/$(VENV)
 
-.PHONY: help test check golden bench wheel results
+.PHONY: help test check golden bench wheel results fuzz
 .DEFAULT_GOAL := help
 
 help:  ## this list
@@ -47,3 +47,11 @@ results:  ## docs/results.md, from a folder of objects: make results OBJECTS=FOL
 
 wheel: $(VENV)/ready  ## a wheel of the Python module in target/wheels
 	$(VENV)/bin/maturin build --release --manifest-path python/Cargo.toml
+
+fuzz: SECONDS ?= 600
+fuzz:  ## search for bytes that break a reader, ten minutes for each: make fuzz SECONDS=60; needs cargo install cargo-fuzz
+	cd fuzz && for target in $$(cargo fuzz list); do \
+		mkdir -p target/corpus/$$target && \
+		cargo fuzz run --sanitizer none $$target target/corpus/$$target corpus/$$target -- \
+			-max_total_time=$(SECONDS) -max_len=8192 -rss_limit_mb=1024 -timeout=10 -verbosity=0 || exit 1; \
+	done

@@ -289,8 +289,8 @@ mod tests {
         Ok(shape?.into_cloud().into_points())
     }
 
-    fn sample_files(kind: &str) -> Vec<PathBuf> {
-        let folder = Path::new(concat!(env!("CARGO_MANIFEST_DIR"), "/../../tests/data/io")).join(kind);
+    fn good_files() -> Vec<PathBuf> {
+        let folder = Path::new(concat!(env!("CARGO_MANIFEST_DIR"), "/../../tests/data/io/good"));
         let mut paths: Vec<_> = std::fs::read_dir(folder).unwrap().map(|entry| entry.unwrap().path()).collect();
         paths.sort();
         paths
@@ -298,7 +298,7 @@ mod tests {
 
     #[test]
     fn good_files_hold_the_cloud() {
-        let paths = sample_files("good");
+        let paths = good_files();
         for extension in POINT_EXTENSIONS {
             assert!(paths.iter().any(|path| super::extension(path) == *extension), "no sample of .{extension}");
         }
@@ -309,7 +309,7 @@ mod tests {
 
     #[test]
     fn meshes_can_be_sampled_and_contents_are_recognised() {
-        for path in sample_files("good") {
+        for path in good_files() {
             let (format, bytes) = (PointFormat::from_path(&path).unwrap(), std::fs::read(&path).unwrap());
             let options = ReadOptions { sample: Some(50), seed: 1 };
             // Of the PLY files only this one has faces.
@@ -323,30 +323,6 @@ mod tests {
                 && path.file_name().unwrap() != "binary.stl";
             // Of PCD and OFF, comments may come first; these files have none.
             assert_eq!(PointFormat::from_content(&bytes), has_signature.then_some(format), "{}", path.display());
-        }
-    }
-
-    #[test]
-    fn hostile_files_are_refused() {
-        for path in sample_files("hostile") {
-            let error = read_points(&path).expect_err(&path.display().to_string()).to_string();
-            assert!(error.len() < 500 && !error.contains('\n'), "{error}");
-        }
-    }
-
-    #[test]
-    fn damaged_files_never_panic() {
-        for path in sample_files("good") {
-            let (format, good) = (PointFormat::from_path(&path).unwrap(), std::fs::read(&path).unwrap());
-            let read = |bytes: &[u8]| parse_cloud(bytes, format, &ReadOptions::default());
-            for index in 0..good.len() {
-                let _ = read(&good[..index]);
-                for byte in [0, 0xff, b'9', b'-', b'e', b' ', b'\n', b'(', good[index].wrapping_add(1)] {
-                    let mut damaged = good.clone();
-                    damaged[index] = byte;
-                    let _ = read(&damaged);
-                }
-            }
         }
     }
 

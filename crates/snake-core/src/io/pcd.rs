@@ -50,10 +50,14 @@ impl Header {
         let mut length = 0;
         for (lines, line) in (1..).zip(bytes.split_inclusive(|&byte| byte == b'\n')) {
             length += line.len();
+            // Comments may be in any encoding.
+            if line.starts_with(b"#") {
+                continue;
+            }
             let bad = |what: &str| format!("header, line {lines}: {what}");
             let line = str::from_utf8(line).map_err(|_| bad("not text; is this a PCD file?"))?.trim();
             let mut words = line.split_whitespace();
-            let key = words.next().unwrap_or("#");
+            let Some(key) = words.next() else { continue };
             let values: Vec<&str> = words.collect();
             let number = || values.first().and_then(|value| value.parse::<usize>().ok());
             let number = || number().ok_or_else(|| bad(&format!("no number in `{}`", excerpt(line, 60))));
@@ -82,7 +86,6 @@ impl Header {
                     return Ok((Self { axes, size, columns, num_points, encoding, lines }, &bytes[length..]));
                 }
                 "VERSION" | "VIEWPOINT" => {}
-                comment if comment.starts_with('#') => {}
                 _ => return Err(bad(&format!("`{}` is no entry of a PCD header", excerpt(line, 60)))),
             }
         }

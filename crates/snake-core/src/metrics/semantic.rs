@@ -108,17 +108,25 @@ pub fn semantic_counts(
     unreachable: Unreachable,
 ) -> Result<Vec<MatchCounts>> {
     check_thresholds("thresholds", thresholds)?;
+    check_points("points", points)?;
     check_indices("ground_truth", ground_truth, points.len())?;
     let mut ground_truth = ground_truth.to_vec();
     ground_truth.sort_unstable();
     ground_truth.dedup();
-    let mut distances = geodesic_distances(points, &ground_truth, GRAPH_NEIGHBORS)?;
-    if unreachable == Unreachable::PaperCompatible {
-        distances.iter_mut().flatten().filter(|d| d.is_infinite()).for_each(|d| *d = 0.0);
-    }
+    let graph = neighbor_graph(points, GRAPH_NEIGHBORS)?;
     let found = snap("found", found, points)?;
-    let to_ground_truth: Vec<f64> = found.iter().map(|&f| smallest(distances.iter().map(|row| row[f]))).collect();
-    let to_found: Vec<f64> = distances.iter().map(|row| smallest(found.iter().map(|&f| row[f]))).collect();
+    let between = |from_start: f64| match unreachable {
+        Unreachable::PaperCompatible if from_start.is_infinite() => 0.0,
+        _ => from_start,
+    };
+    // Rows of the found points alone: rows of all points would take the square of a cloud in which each is marked.
+    let row = |&start: &usize| -> Vec<f64> {
+        let distances = shortest_paths(&graph, start);
+        found.iter().map(|&f| between(distances[f])).collect()
+    };
+    let distances: Vec<Vec<f64>> = ground_truth.par_iter().map(row).collect();
+    let to_ground_truth: Vec<f64> = (0..found.len()).map(|f| smallest(distances.iter().map(|row| row[f]))).collect();
+    let to_found: Vec<f64> = distances.iter().map(|row| smallest(row.iter().copied())).collect();
     Ok(thresholds.iter().map(|&t| MatchCounts::new(&to_ground_truth, &to_found, t)).collect())
 }
 

@@ -153,6 +153,25 @@ mod tests {
         assert_eq!(fragment("99999999999999999999999"), None);
     }
 
+    proptest::proptest! {
+        #[test]
+        fn any_lists_are_read_or_refused(
+            log in "([-0-9.e]{1,4}[ \n]){0,60}",
+            info in "([0-9]{1,2}[ \n]){0,90}|.{0,40}",
+            pairs in r#"\[(\{"(source|target|T|x)":("[a-z./\\]{0,9}"|\[{0,5}[0-9,]{0,40}\]{0,5}|null)[,}\]]){0,4}\]?"#,
+            bytes: Vec<u8>,
+        ) {
+            for files in [[log.as_bytes(), info.as_bytes(), pairs.as_bytes()], [&bytes[..]; 3]] {
+                let folder = tempfile::tempdir().unwrap();
+                for (name, content) in ["gt.log", "gt.info", "pairs.json"].into_iter().zip(files) {
+                    std::fs::write(folder.path().join(name), content).unwrap();
+                    // There are no clouds to find.
+                    assert!(Scenes::open(folder.path()).is_err());
+                }
+            }
+        }
+    }
+
     #[test]
     fn broken_entries_are_named() {
         let folder = tempfile::tempdir().unwrap();

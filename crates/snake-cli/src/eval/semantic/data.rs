@@ -125,3 +125,30 @@ fn keypointnet(folder: &Path, split: Option<&Path>) -> Result<Vec<Shape>> {
     }
     Ok(shapes)
 }
+
+#[cfg(test)]
+mod tests {
+    use proptest::prelude::*;
+
+    use super::*;
+
+    proptest! {
+        #[test]
+        fn any_annotations_are_read_or_refused(
+            index in "-?[0-9]{1,25}|1e9|null|\"3\"", name in "[a-z./\\\\]{0,9}", length: prop::sample::Index, bytes: Vec<u8>,
+        ) {
+            let folder = tempfile::tempdir().unwrap();
+            let annotations = folder.path().join("annotations");
+            std::fs::create_dir(&annotations).unwrap();
+            let shape = format!(
+                r#"[{{"class_id": "{name}", "model_id": "1", "keypoints": [{{"pcd_info": {{"point_index": {index}}}}}], "x": 0}}]"#
+            );
+            for text in [shape.as_bytes(), &shape.as_bytes()[..length.index(shape.len())], &bytes] {
+                std::fs::write(annotations.join("chair.json"), text).unwrap();
+                if let Ok(data) = Data::open(folder.path(), None) {
+                    prop_assert_eq!(data.len(), 1);
+                }
+            }
+        }
+    }
+}

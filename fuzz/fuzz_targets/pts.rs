@@ -1,0 +1,5 @@
+#![no_main]
+
+use snake_core::io::PointFormat;
+
+libfuzzer_sys::fuzz_target!(|bytes: &[u8]| snake_fuzz::read_cloud(bytes, PointFormat::Pts));
