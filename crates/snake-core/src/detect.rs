@@ -214,7 +214,7 @@ pub struct Timing {
 /// Finds the keypoints of an encoded cloud (SNAKE Algorithm 1). A field without surface has none.
 ///
 /// ```
-/// use snake_core::{DetectOptions, EncodeOptions, Model, detect};
+/// use snake_core::{DetectOptions, EncodeOptions, Length, Model, detect};
 /// # let points: Vec<[f32; 3]> = (0..500).map(|i| { let a = i as f32 * 0.1; [a.cos(), a.sin(), (a * 0.3).sin()] }).collect();
 /// let field = Model::builtin()?.encode(&points, &EncodeOptions::default())?;
 /// let detection = detect(&field, &DetectOptions { max_keypoints: 16, nms_radius: 0.1.into(), ..Default::default() })?;
