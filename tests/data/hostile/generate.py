@@ -193,5 +193,7 @@ def cloud_files():
 
 
 if __name__ == "__main__":
-    for name, content in ({f"{name}.safetensors": file for name, file in weight_files().items()} | cloud_files()).items():
+    for name, content in (
+        {f"{name}.safetensors": file for name, file in weight_files().items()} | cloud_files()
+    ).items():
         (HERE / name).write_bytes(content)
