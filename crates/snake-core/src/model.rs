@@ -183,7 +183,7 @@ impl Model {
     /// Encodes a cloud once; the field then answers any number of queries.
     ///
     /// # Errors
-    /// [`Error::Input`] for an empty cloud, coordinates that are not finite, or an extent outside 1e-15 to 1e15;
+    /// [`Error::Input`] for a cloud without finite points or of an extent outside 1e-15 to 1e15;
     /// [`Error::Weights`] when the weights are so large that the features overflow.
     pub fn encode(&self, points: &[Point], options: &EncodeOptions) -> Result<Field> {
         Field::new(self.clone(), points, options)

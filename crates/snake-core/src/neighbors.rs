@@ -156,6 +156,15 @@ mod tests {
     }
 
     #[test]
+    fn a_radius_that_holds_too_many_of_many_points_is_refused() {
+        let cloud = |repeated| [vec![Vector::new(0.5, -0.5, 1e-3); repeated], lattice()].concat();
+        Neighbors::new(cloud(100_001)).unwrap().check_crowding("radius", 0.5).unwrap_err();
+        Neighbors::new(cloud(99_990)).unwrap().check_crowding("radius", 0.5).unwrap();
+        let spread = (0..200_000).map(|i| Vector::new(f64::from(i), 0.0, 0.0)).collect();
+        Neighbors::new(spread).unwrap().check_crowding("radius", 50.0).unwrap();
+    }
+
+    #[test]
     fn one_point_repeated_can_be_asked() {
         let neighbors = Neighbors::new(vec![Vector::zeros(); 1000]).unwrap();
         assert_eq!(neighbors.within(&Vector::zeros(), 1.0).len(), 1000);

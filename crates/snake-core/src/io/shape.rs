@@ -136,13 +136,21 @@ fn origin(points: &[Position]) -> [f64; 3] {
     if !(size > 0.0 && farthest > FAR * size && farthest.is_finite()) {
         return [0.0; 3];
     }
-    let step = size.log2().floor().exp2();
-    std::array::from_fn(|axis| ((low[axis] + high[axis]) / 2.0 / step).round() * step)
+    // No finer than the digits of the farthest coordinate, else the quotient can overflow, as the sum of the two can.
+    let step = size.log2().floor().exp2().max((farthest.log2().floor() - 52.0).exp2());
+    std::array::from_fn(|axis| ((low[axis] / 2.0 + high[axis] / 2.0) / step).round() * step)
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn origins_are_finite_at_both_ends_of_the_numbers() {
+        for (low, high) in [([1e308, 1e308, 0.0], [1.1e308, 1.2e308, 0.0]), ([1.0, 0.0, 0.0], [1.0, 1e-320, 0.0])] {
+            assert!(origin(&[low, high]).iter().all(|v| v.is_finite()));
+        }
+    }
 
     #[test]
     fn far_clouds_get_an_origin_and_keep_their_digits() {
