@@ -10,6 +10,7 @@ use laz::record::{LayeredPointRecordDecompressor, RecordDecompressor, Sequential
 use laz::{DecompressionSelection, LazItem, LazItemType, LazVlr};
 
 use super::MAX_EXPANSION;
+use super::gps_time::GpsTimes;
 use super::shape::{Position, Shape};
 
 /// Reads the coordinates: whole numbers times a scale plus an offset. Everything else of a point does not count.
@@ -134,7 +135,12 @@ impl Header {
         let (mut points, mut record) = (Vec::new(), vec![0; self.record_length]);
         while points.len() < self.num_points {
             let mut decoder = SequentialPointRecordDecompressor::new(&mut source);
-            decoder.set_fields_from(items).map_err(|e| format!("compression: {e}"))?;
+            for item in items {
+                match (item.item_type(), item.version()) {
+                    (LazItemType::GpsTime, 2) => decoder.add_field_decompressor(GpsTimes::default()),
+                    _ => decoder.set_fields_from(&vec![*item]).map_err(|e| format!("compression: {e}"))?,
+                }
+            }
             for _ in 0..chunk_size.min(self.num_points - points.len()) {
                 decoder.decompress_next(&mut record).map_err(|_| self.cut_short(points.len()))?;
                 points.push(self.position(&record));

@@ -27,6 +27,7 @@
 
 mod array;
 mod format;
+mod gps_time;
 mod json;
 mod las;
 mod lzf;
