@@ -111,43 +111,75 @@ def two_views(cloud, config, rng):
     }
 
 
+WINDOW_CORE = 0.42  # of a window of radius 0.5, in network units: what lies within has its surroundings in the window
+
+
+def window(points, rng):
+    """A ball of radius 0.4 to 0.5 near the origin: which points (N, 3) lie in it, its center and its diameter.
+
+    All points of a ball that leaves the padded volume may not be there, so it stays within.
+    """
+    radius = rng.uniform(0.4, 0.5)
+    direction = rng.normal(size=3)
+    center = direction / np.linalg.norm(direction) * rng.uniform(0, BOUND - radius)
+    inside = np.linalg.norm(points - center, axis=1) < radius
+    return (inside if inside.any() else ~inside), center, 2 * radius
+
+
 def distillation_views(shape, config, rng):
     """One sample from `Targets.sample`: two views, each rotated at random, a share of them thinned and noisy.
 
-    A view is normalised as it is seen, noise and all, as in detection; of a share of the samples one view sees one side.
+    Of a shape with several views two are taken, each cut out as a `window`. A view of one whole object is normalised as
+    it is seen, noise and all, as in detection; of a share of these samples one view sees one side.
     Returns a dict: points (2, N, 3); occupancy_queries (2, 2 K, 3), the first K on the surface that is seen; queries
     (2, Q, 3), the same physical places in both views, near what both see, half of them among the fifth of highest
     target; target (Q,).
     """
-    cloud, queries, target = shape
-    one_sided = rng.integers(2) if rng.random() < config.partial_share else None
-    views, near = [], np.ones(len(queries), bool)
+    clouds, queries, target = shape
+    whole = len(clouds) == 1
+    one_sided = rng.integers(2) if whole and rng.random() < config.partial_share else None
+    pair = (0, 0) if whole else rng.choice(len(clouds), 2, replace=False)
+    views, common = [], np.ones(len(queries), bool)
     for view in range(2):
-        rotation = random_rotation(rng)
+        cloud, rotation = clouds[pair[view]], random_rotation(rng)
+        frame = None
+        if not whole:
+            inside, center, scale = window(cloud, rng)
+            cloud, frame = cloud[inside], (rotation @ center, scale)
+            common &= near(queries, cloud) & (np.linalg.norm(queries - center, axis=1) < WINDOW_CORE * scale)
         shown = cloud @ rotation.T
         if view == one_sided:
             side = facing(shown, rng)
             shown = shown[side]
-            near = np.isin(cells(queries), cells(cloud[side]))
-        views.append((rotation, shown))
-    near = np.flatnonzero(near) if near.any() else np.arange(len(queries))
-    best = near[target[near].argsort()[-max(len(near) // 5, 1) :]]
-    chosen = near[rng.integers(len(near), size=config.num_targets)]
+            common = near(queries, cloud[side])
+        views.append((rotation, shown, frame))
+    common = np.flatnonzero(common) if common.any() else np.arange(len(queries))
+    best = common[target[common].argsort()[-max(len(common) // 5, 1) :]]
+    chosen = common[rng.integers(len(common), size=config.num_targets)]
     chosen[::2] = best[rng.integers(len(best), size=len(chosen[::2]))]
     sample = {"points": [], "occupancy_queries": [], "queries": []}
-    for rotation, shown in views:
+    for rotation, shown, frame in views:
         seen = shown
         if rng.random() < config.degraded_share:
             kept = max(int(len(seen) / config.max_downsampling ** rng.random()), 2)
             noise = rng.uniform(0, config.max_noise) * rng.standard_normal((kept, 3))
             seen = choose(rng, seen, kept) + noise.astype(np.float32)
-        seen, center, scale = normalize(seen, config.normalization, rng)
+        if frame:
+            center, scale = frame
+            seen = (seen - center) / scale
+        else:
+            seen, center, scale = normalize(seen, config.normalization, rng)
         uniform = rng.uniform(-BOUND, BOUND, (config.num_occupancy, 3))
         on_surface = (choose(rng, shown, config.num_occupancy) - center) / scale
         sample["points"].append(choose(rng, seen, config.num_points))
         sample["occupancy_queries"].append(np.concatenate([on_surface, uniform]))
         sample["queries"].append((queries[chosen] @ rotation.T - center) / scale)
     return {name: np.stack(views).astype(np.float32) for name, views in sample.items()} | {"target": target[chosen]}
+
+
+def near(queries, points):
+    """Which queries (Q, 3) lie in a cell with points (N, 3), of 16 cells along each axis of the padded volume."""
+    return np.isin(cells(queries), cells(points))
 
 
 def cells(points):

@@ -5,6 +5,7 @@ import dataclasses
 import json
 import math
 from dataclasses import dataclass
+from pathlib import Path
 
 import torch
 
@@ -28,10 +29,13 @@ class TrainConfig:
     data: tuple = setting((), "corpus folders (points.npy + index.json) or folders of .npy / .ply files", type=str)
     validation_data: tuple = setting((), "the same for validation; without it, procedural shapes are used", type=str)
     procedural_share: float = setting(0.25, "share of samples that are procedural shapes; 1 if no data is given")
-    targets: str = setting(
-        "", "file of snake_training.targets: learn its saliency instead of eqs. 3 to 5; needs no data"
+    targets: tuple = setting(
+        (), "files of snake_training.targets: learn their saliency instead of eqs. 3 to 5; needs no data", type=str
     )
-    init: str = setting("", "weights to start from: a safetensors export or a checkpoint")
+    init: str = setting(
+        "",
+        "weights to start from: a safetensors export, checkpoint or run; also the network's shape where it is not given",
+    )
     fresh_saliency: bool = setting(False, "with init: start the saliency decoder anew")
     seed: int = setting(1, "seed of initial weights and samples; sample i is the same whatever the number of processes")
     device: str = setting("auto", "auto, cpu or cuda", choices=("auto", "cpu", "cuda"))
@@ -142,9 +146,29 @@ def parse_arguments(argv, description):
     preset = parser.parse_known_args(argv)[0].preset
     parser.set_defaults(**PRESETS[preset])
     parser.add_argument("-h", "--help", action="help", help="show these settings, with the preset's values, and exit")
+    # What a namespace holds already, argparse leaves alone: None tells what was not given.
+    shape = vars(parser.parse_args(argv, argparse.Namespace(**dict.fromkeys(NETWORK_SHAPE))))
     values = vars(parser.parse_args(argv))
+    resumed = Path(values["run_dir"]) / "last.pt"
+    if values["init"]:
+        of = shape_of(resumed if resumed.exists() else values["init"])
+        values |= {name: value for name, value in of.items() if shape[name] is None}
     del values["preset"]
     return check(TrainConfig(**{k: tuple(v) if isinstance(v, list) else v for k, v in values.items()}))
+
+
+NETWORK_SHAPE = "resolution", "unet_levels", "unet_base_channels", "c_dim"
+
+
+def shape_of(weights):
+    """The settings of the network in a weight file, checkpoint or run folder."""
+    from .export import load_network  # which reads configurations too
+
+    try:
+        network = load_network(weights).config
+    except (OSError, ValueError) as error:
+        raise SystemExit(f"--init: {error}") from error
+    return {name: getattr(network, name) for name in NETWORK_SHAPE} | {"resolution": network.resolution[0]}
 
 
 def check(config):

@@ -99,7 +99,7 @@ def pack(output, config, megabytes):
         (code / "data").mkdir(parents=True)
         for source in Path(__file__).parent.rglob("*.py"):
             (code / source.relative_to(Path(__file__).parent)).write_bytes(source.read_bytes())
-        step, packed = 0, replace(config, run_dir="run", init="", data=(), validation_data=(), targets="")
+        step, packed = 0, replace(config, run_dir="run", init="", data=(), validation_data=(), targets=())
         if last.exists():
             state = torch.load(last, map_location="cpu", weights_only=True)
             step = state["step"]
@@ -117,8 +117,8 @@ def pack(output, config, megabytes):
         rng = np.random.default_rng([config.seed, step])
         shapes = of = 0
         if config.targets:
-            shapes, of = pack_targets(root / "targets.safetensors", Targets(config.targets), free, rng)
-            packed = replace(packed, targets="targets.safetensors")
+            shapes, of = pack_targets(root / "targets.safetensors", Targets(*config.targets), free, rng)
+            packed = replace(packed, targets=("targets.safetensors",))
         elif config.data:
             shapes, of = pack_shapes(root / "data", [open_shapes(folder) for folder in config.data], free, rng)
             packed = replace(packed, data=("data",))
@@ -146,7 +146,7 @@ def pack_shapes(folder, collections, free, rng, points=4096):
 
 def pack_targets(path, targets, free, rng):
     """A file of the targets that fit; (how many, of how many)."""
-    arrays = {"points": targets.points, "queries": targets.queries, "target": targets.target}
+    arrays = {"points": targets.points, "queries": targets.queries, "target": targets.target, "views": targets.views}
     rows = rows_that_fit(len(targets), sum(array[:1].nbytes for array in arrays.values()), free, rng)
     save_file({name: array[rows] for name, array in arrays.items()}, path, metadata=FORMAT)
     return len(rows), len(targets)

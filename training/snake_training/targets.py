@@ -8,6 +8,8 @@ them (SuperPoint, DeTone et al. 2018, averages over homographies for the same re
 
 import argparse
 import json
+import math
+import sys
 
 import numpy as np
 import torch
@@ -15,12 +17,13 @@ from safetensors import SafetensorError, safe_open
 from safetensors.numpy import load_file, save_file
 from tqdm import tqdm
 
-from .augment import BOUND, choose, normalize, random_rotation
-from .data import Mixture, Procedural, open_shapes
+from .augment import BOUND, WINDOW_CORE, choose, near, normalize, random_rotation, window
+from .data import Mixture, Procedural, Stretched, open_shapes
+from .data.scenes import Windows
 from .export import load_network, replacing
 
 QUANTUM = 1 / 32767  # of stored coordinates, which lie within +-0.5625
-FORMAT = {"format": "snake-targets", "format_version": "1"}
+FORMAT = {"format": "snake-targets", "format_version": "2"}
 
 
 def sample_queries(points, number, rng):
@@ -31,17 +34,61 @@ def sample_queries(points, number, rng):
     return np.concatenate([near, anywhere]).clip(-BOUND, BOUND).astype(np.float32)
 
 
-@torch.no_grad()
-def averaged_fields(network, points, queries, rotations):
+def torch_teacher(network):
+    """Points (K, N, 3) and queries (K, Q, 3) in network units -> log-odds of the saliency, occupancy, both (K, Q)."""
+    device = next(network.parameters()).device
+
+    @torch.no_grad()
+    def fields(points, queries):
+        points, queries = (torch.from_numpy(a).to(device) for a in (points, queries))
+        occupancy, saliency = network(points, queries, autocast=True)
+        return torch.logit(saliency, eps=1e-6).cpu().numpy(), occupancy.cpu().numpy()
+
+    return fields
+
+
+def snake_rs_teacher(weights):
+    """The same by snake-rs, for exports: on a CPU several times as fast."""
+    import snake_rs
+
+    model = snake_rs.Model.load(weights)
+
+    def fields(points, queries):
+        volumes = [model.encode(cloud, normalization="none") for cloud in points]
+        saliency = torch.from_numpy(np.stack([field.saliency(at) for field, at in zip(volumes, queries)]))
+        occupancy = np.stack([field.occupancy(at) for field, at in zip(volumes, queries)])
+        return torch.logit(saliency, eps=1e-6).numpy(), occupancy
+
+    return fields
+
+
+def averaged_fields(teacher, points, queries, rotations):
     """Mean log-odds of the saliency and mean occupancy, both (Q,), of queries (Q, 3) over rotations (K, 3, 3).
 
     The points (N, 3) and the queries are in network units and are turned together.
     """
-    device = next(network.parameters()).device
-    points, queries, rotations = (torch.from_numpy(a).to(device) for a in (points, queries, rotations))
-    turned = rotations.transpose(1, 2)
-    occupancy, saliency = network(points @ turned, queries @ turned, autocast=True)
-    return torch.logit(saliency, eps=1e-6).mean(dim=0).cpu().numpy(), occupancy.mean(dim=0).cpu().numpy()
+    turned = rotations.transpose(0, 2, 1)
+    log_odds, occupancy = teacher(points @ turned, queries @ turned)
+    return log_odds.mean(axis=0), occupancy.mean(axis=0)
+
+
+def averaged_windows(teacher, views, queries, number, rng):
+    """The same of several `views` (V, N, 3) of one place, each `number` times as `window` cuts and a rotation turns it.
+
+    A window counts for the queries that it sees; one that none sees is off the surface.
+    """
+    points, turned, seen = [], [], []
+    for view in np.tile(views, (number, 1, 1)):
+        inside, center, scale = window(view, rng)
+        rotation = random_rotation(rng).T
+        points.append(choose(rng, (view[inside] - center) / scale, len(view)) @ rotation)
+        turned.append((queries - center) / scale @ rotation)
+        seen.append(near(queries, view) & (np.linalg.norm(turned[-1], axis=1) < WINDOW_CORE))
+    log_odds, occupancy = teacher(*(np.stack(a).astype(np.float32) for a in (points, turned)))
+    seen = np.array(seen)
+    count = np.maximum(seen.sum(axis=0), 1)
+    mean = [np.where(seen, values, 0).sum(axis=0) / count for values in (log_odds, occupancy)]
+    return np.where(seen.any(axis=0), mean[0], -10), mean[1]
 
 
 def rank_targets(log_odds, occupancy):
@@ -62,18 +109,24 @@ def rank_targets(log_odds, occupancy):
 
 
 class Targets:
-    """A file of `write_targets`: `targets.sample(rng)` is (points (N, 3), queries (Q, 3), target (Q,)) of one shape."""
+    """Files of `write_targets`, of as many points and queries a shape.
 
-    def __init__(self, path):
-        try:
-            with safe_open(path, "np") as file:
-                metadata = file.metadata() or {}
-            if not FORMAT.items() <= metadata.items():
-                raise ValueError("not a file of python -m snake_training.targets")
-            arrays = load_file(path)
-            self.points, self.queries, self.target = (arrays[name] for name in ("points", "queries", "target"))
-        except (SafetensorError, KeyError, ValueError) as error:
-            raise ValueError(f"{path}: {error}") from error
+    `targets.sample(rng)` is (views (V, N, 3), queries (Q, 3), target (Q,)) of one shape.
+    """
+
+    def __init__(self, *paths):
+        files = []
+        for path in paths:
+            try:
+                with safe_open(path, "np") as file:
+                    metadata = file.metadata() or {}
+                if not FORMAT.items() <= metadata.items():
+                    raise ValueError("not a file of python -m snake_training.targets")
+                arrays = load_file(path)
+                files.append([arrays[name] for name in ("points", "queries", "target", "views")])
+            except (SafetensorError, KeyError, ValueError) as error:
+                raise ValueError(f"{path}: {error}") from error
+        self.points, self.queries, self.target, self.views = map(np.concatenate, zip(*files))
 
     def __len__(self):
         return len(self.points)
@@ -82,23 +135,36 @@ class Targets:
         """A random shape."""
         row = rng.integers(len(self))
         points, queries = (array[row].astype(np.float32) * QUANTUM for array in (self.points, self.queries))
-        return points, queries, self.target[row].astype(np.float32)
+        return points.reshape(self.views[row], -1, 3), queries, self.target[row].astype(np.float32)
 
 
-def write_targets(path, network, shapes, rotations=8, queries=4096, points=4096, seed=1, metadata=None):
-    """Targets of all shapes, each with its own seed, to a safetensors file (temporary name, then rename)."""
+def write_targets(path, teacher, shapes, rotations=8, queries=4096, points=4096, seed=1, metadata=None):
+    """Targets of all shapes, each with its own seed, to a safetensors file (temporary name, then rename).
+
+    A shape is a cloud (M, 3), or several views (V, M, 3) of one place within the padded volume, V a divisor of `points`.
+    """
     stored = {
         name: np.empty((len(shapes), size, 3), np.int16) for name, size in (("points", points), ("queries", queries))
     }
+    views = np.ones(len(shapes), np.uint8)
     log_odds, occupancy = np.empty((2, len(shapes), queries), np.float32)
-    for row in tqdm(range(len(shapes)), unit="shape"):
+    for row in tqdm(range(len(shapes)), unit="shape", mininterval=2 if sys.stderr.isatty() else 60):
         rng = np.random.default_rng([seed, row])
-        cloud = choose(rng, normalize(shapes[row])[0], points)
-        at = sample_queries(cloud, queries, rng)
-        turns = np.stack([random_rotation(rng) for _ in range(rotations)])
-        log_odds[row], occupancy[row] = averaged_fields(network, cloud, at, turns)
+        shape = shapes[row]
+        if shape.ndim == 2:
+            cloud = choose(rng, normalize(shape)[0], points)
+            at = sample_queries(cloud, queries, rng)
+            turns = np.stack([random_rotation(rng) for _ in range(rotations)])
+            log_odds[row], occupancy[row] = averaged_fields(teacher, cloud, at, turns)
+        else:
+            views[row] = len(shape)
+            each = np.stack([choose(rng, view, points // len(shape)) for view in shape])
+            cloud = each.reshape(-1, 3)
+            at = sample_queries(cloud, queries, rng)
+            times = math.ceil(rotations / len(shape))
+            log_odds[row], occupancy[row] = averaged_windows(teacher, each, at, times, rng)
         stored["points"][row], stored["queries"][row] = ((a / QUANTUM).round() for a in (cloud, at))
-    stored["target"] = rank_targets(log_odds, occupancy).astype(np.float16)
+    stored |= {"target": rank_targets(log_odds, occupancy).astype(np.float16), "views": views}
     with replacing(path) as temporary:
         save_file(stored, temporary, metadata=FORMAT | (metadata or {}))
 
@@ -113,24 +179,46 @@ def main(argv=None):
     parser.add_argument("weights", help="the teacher: a safetensors export, checkpoint or run folder")
     parser.add_argument("-o", "--output", required=True, help="file to write, about 57 kB a shape")
     parser.add_argument("--data", nargs="*", default=[], help="corpus folders or folders of .npy / .ply files")
+    parser.add_argument("--stretched", type=int, default=0, help="stretched copies added of each shape of the data")
     parser.add_argument("--procedural", type=int, default=500, help="procedural shapes added")
+    parser.add_argument(
+        "--windows", type=int, default=0, help="instead: places of rooms, each in several views, with the data in them"
+    )
     parser.add_argument("--rotations", type=int, default=8, help="rotated copies averaged")
     parser.add_argument("--queries", type=int, default=4096, help="queries a shape")
     parser.add_argument("--points", type=int, default=4096, help="points a shape")
     parser.add_argument("--seed", type=int, default=1, help="of queries and rotations")
+    parser.add_argument(
+        "--engine", choices=("torch", "snake-rs"), default="torch", help="snake-rs: exports only, on a CPU"
+    )
     parser.add_argument("--device", default="cpu", help="torch device, for instance cuda")
     arguments = parser.parse_args(argv)
-    for name, least in {"procedural": 0, "rotations": 1, "queries": 1, "points": 2}.items():
+    for name, least in {
+        "stretched": 0,
+        "procedural": 0,
+        "windows": 0,
+        "rotations": 1,
+        "queries": 1,
+        "points": 2,
+    }.items():
         if getattr(arguments, name) < least:
             parser.error(f"--{name} must be {least} or more")
     try:
-        shapes = Mixture([*map(open_shapes, arguments.data), Procedural(arguments.procedural)], 0.0)
+        clouds = Mixture([open_shapes(folder) for folder in arguments.data], 0.0)
+        copies = [Stretched(clouds, arguments.stretched)] if arguments.stretched else []
+        shapes = Mixture([clouds, *copies, Procedural(arguments.procedural)], 0.0)
+        if arguments.windows:
+            shapes = Windows(Mixture([clouds] if len(clouds) else [], 0.25), arguments.windows, seed=arguments.seed)
         if len(shapes) == 0:
-            parser.error("no shapes: give --data or --procedural")
+            parser.error("no shapes: give --data, --procedural or --windows")
         settings = {name: json.dumps(getattr(arguments, name)) for name in ("weights", "rotations", "seed")}
+        if arguments.engine == "snake-rs":
+            teacher = snake_rs_teacher(arguments.weights)
+        else:
+            teacher = torch_teacher(load_network(arguments.weights, arguments.device))
         write_targets(
-            arguments.output, load_network(arguments.weights, arguments.device), shapes, arguments.rotations,
-            arguments.queries, arguments.points, arguments.seed, settings,
+            arguments.output, teacher, shapes, arguments.rotations, arguments.queries, arguments.points,
+            arguments.seed, settings,
         )  # fmt: skip
     except (OSError, ValueError) as error:
         parser.error(str(error))

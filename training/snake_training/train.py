@@ -19,7 +19,7 @@ from .augment import distillation_views, two_views
 from .config import from_json, parse_arguments, to_json
 from .data import Mixture, Procedural, open_shapes
 from .evaluate import DetectOptions, candidates, repeatability, suppress
-from .export import load_network, replacing
+from .export import build_network, load_network, replacing
 from .losses import distillation_losses, snake_losses
 from .model import Decoder, SnakeNetwork
 from .targets import Targets
@@ -109,14 +109,13 @@ def choose_device(config):
 
 
 def starting_network(config):
-    """The network of the configuration, with the weights of `init` if there is one."""
+    """The network of the configuration, with the weights of `init` if there is one, whatever its resolution."""
     if not config.init:
         return SnakeNetwork(config.network)
-    network = load_network(config.init)
-    if network.config != config.network:
-        raise SystemExit(
-            f"--init {config.init} holds another network, {network.config}; the settings give {config.network}"
-        )
+    try:
+        network = build_network(config.network, load_network(config.init).state_dict())
+    except ValueError as error:
+        raise SystemExit(f"--init {config.init}: {error}") from error
     if config.fresh_saliency:
         network.decoder_keypoint = Decoder(config.network)
     return network
@@ -152,7 +151,7 @@ def train(config):
     resumed = (run / "last.pt").exists()
     try:
         clouds = [open_shapes(folder) for folder in config.data]
-        shapes = Targets(config.targets) if config.targets else Mixture(clouds, config.procedural_share)
+        shapes = Targets(*config.targets) if config.targets else Mixture(clouds, config.procedural_share)
         held_out = Mixture([open_shapes(folder) for folder in config.validation_data] or [Procedural()], 0.0)
         network = (SnakeNetwork(config.network) if resumed else starting_network(config)).to(device).train()
     except (OSError, ValueError) as error:

@@ -16,7 +16,7 @@ from snake_training.config import from_json
 from snake_training.data import Corpus, Procedural, write_corpus
 from snake_training.export import load_network
 from snake_training.slices import expand, main, pack, read_parts, shrink, write_parts
-from snake_training.targets import write_targets
+from snake_training.targets import torch_teacher, write_targets
 from snake_training.train import train
 
 
@@ -101,13 +101,15 @@ def test_as_many_shapes_as_fit_another_draw_each_slice(tiny, tmp_path):
 
 
 def test_targets_and_starting_weights_travel(tiny, tmp_path, network):
-    write_targets(tmp_path / "targets", network, Procedural(3, points=200), rotations=1, queries=64, points=128)
+    write_targets(
+        tmp_path / "targets", torch_teacher(network), Procedural(3, points=200), rotations=1, queries=64, points=128
+    )
     train(tiny(run_dir=str(tmp_path / "teacher")))
-    config = tiny(targets=str(tmp_path / "targets"), init=str(tmp_path / "teacher"))
+    config = tiny(targets=(str(tmp_path / "targets"),), init=str(tmp_path / "teacher"))
     pack(tmp_path / "slice.tar", config, 5)
     with tarfile.open(tmp_path / "slice.tar") as tar:
         tar.extractall(tmp_path, filter="data")
     packed = from_json((tmp_path / "slice" / "config.json").read_text())
-    assert (packed.targets, packed.init, packed.run_dir) == ("targets.safetensors", "init.safetensors", "run")
+    assert (packed.targets, packed.init, packed.run_dir) == (("targets.safetensors",), "init.safetensors", "run")
     ours, theirs = (load_network(path).state_dict() for path in (config.init, tmp_path / "slice" / "init.safetensors"))
     assert all(torch.equal(ours[name], theirs[name]) for name in ours)

@@ -8,12 +8,21 @@ import torch
 
 from conftest import TINY
 from snake_training import targets as module
-from snake_training.augment import BOUND, distillation_views, normalize, random_rotation
+from snake_training.augment import BOUND, WINDOW_CORE, distillation_views, near, normalize, random_rotation, window
 from snake_training.config import TrainConfig
-from snake_training.data import Procedural
+from snake_training.data import Procedural, Stretched
 from snake_training.export import load_network, write_weights
 from snake_training.losses import distillation_losses
-from snake_training.targets import Targets, averaged_fields, rank_targets, sample_queries, write_targets
+from snake_training.targets import (
+    Targets,
+    averaged_fields,
+    averaged_windows,
+    rank_targets,
+    sample_queries,
+    snake_rs_teacher,
+    torch_teacher,
+    write_targets,
+)
 from snake_training.train import make_batch, train
 
 
@@ -21,7 +30,7 @@ from snake_training.train import make_batch, train
 def file(tmp_path, network):
     """A file of targets of three procedural shapes."""
     path = tmp_path / "targets.safetensors"
-    write_targets(path, network, Procedural(3, points=200), rotations=2, queries=64, points=128)
+    write_targets(path, torch_teacher(network), Procedural(3, points=200), rotations=2, queries=64, points=128)
     return path
 
 
@@ -37,7 +46,7 @@ def test_fields_are_the_means_over_turned_copies(network):
     rng = np.random.default_rng(2)
     points, queries = (rng.uniform(-0.4, 0.4, (number, 3)).astype(np.float32) for number in (128, 50))
     turns = np.stack([random_rotation(rng) for _ in range(3)])
-    found = averaged_fields(network, points, queries, turns)
+    found = averaged_fields(torch_teacher(network), points, queries, turns)
     volumes = [network.encode(torch.from_numpy(points @ turn.T)[None], autocast=True) for turn in turns]
     fields = [
         network.occupancy_and_saliency(volume, torch.from_numpy(queries @ turn.T)[None])
@@ -48,6 +57,32 @@ def test_fields_are_the_means_over_turned_copies(network):
     assert np.allclose(found[0], log_odds.mean(axis=0), atol=0.01)  # bfloat16
     assert np.allclose(found[1], occupancy.mean(dim=0), atol=0.01)
     assert np.ptp(log_odds, axis=0).max() > 0.05
+
+
+def test_both_teachers_agree(network, tmp_path):
+    path = tmp_path / "weights.safetensors"
+    write_weights(path, network.config, network.state_dict())
+    rng = np.random.default_rng(3)
+    points, queries = (rng.uniform(-0.4, 0.4, (2, number, 3)).astype(np.float32) for number in (128, 50))
+    ours, theirs = (teacher(points, queries) for teacher in (snake_rs_teacher(path), torch_teacher(network)))
+    for one, other in zip(ours, theirs):
+        assert one.shape == other.shape == (2, 50) and np.allclose(one, other, atol=0.02)  # bfloat16
+
+
+def test_windows_are_averaged_where_they_see():
+    """A teacher that tells which view it was shown: its values are the means over the windows that hold a query."""
+    rng = np.random.default_rng(5)
+    left, right = (np.float32([[side, 0, 0]]) + rng.normal(0, 0.01, (300, 3)) for side in (-0.1, 0.1))
+    views = np.stack([np.concatenate([left, left]), np.concatenate([left, right])]).astype(np.float32)
+    queries = np.float32([[-0.1, 0, 0], [0.1, 0, 0], [0, 0.5, 0]])
+    shown = iter([1.0, 3.0] * 4)
+
+    def teacher(points, queries):
+        values = np.float32([next(shown) for _ in points])[:, None]
+        return np.repeat(values, queries.shape[1], axis=1), np.ones(queries.shape[:2], np.float32)
+
+    log_odds, occupancy = averaged_windows(teacher, views, queries, 4, rng)
+    assert log_odds.tolist() == [2.0, 3.0, -10.0] and occupancy.tolist() == [1.0, 1.0, 0.0]
 
 
 def test_targets_keep_the_order_and_spread_the_best():
@@ -77,13 +112,72 @@ def test_a_file_holds_the_shapes_and_comes_back(file, tmp_path):
     targets = Targets(file)
     assert len(targets) == 3 and [p.name for p in tmp_path.iterdir()] == [file.name]
     clouds = [normalize(Procedural(3, points=200)[row])[0] for row in range(3)]
-    points, queries, target = targets.sample(np.random.default_rng(0))
+    (points,), queries, target = targets.sample(np.random.default_rng(0))
     assert points.shape == (128, 3) and queries.shape == (64, 3) and target.shape == (64,)
     assert points.dtype == queries.dtype == target.dtype == np.float32
     gaps = [np.linalg.norm(points[:, None] - cloud[None], axis=2).min(axis=1).max() for cloud in clouds]
     first, second, _ = sorted(gaps)
     assert first < 1e-4 < second
     assert np.isfinite(target).all() and -3 <= target.min() and target.max() < 5
+
+
+class Places:
+    """Shapes of four views, each with 90 points of one sphere of radius 0.3."""
+
+    def __len__(self):
+        return 3
+
+    def __getitem__(self, row):
+        points = np.random.default_rng(row).normal(size=(4, 90, 3))
+        return (0.3 * points / np.linalg.norm(points, axis=2, keepdims=True)).astype(np.float32)
+
+
+@pytest.fixture
+def places(tmp_path, network):
+    """A file of targets of these."""
+    path = tmp_path / "places.safetensors"
+    write_targets(path, torch_teacher(network), Places(), rotations=4, queries=64, points=128)
+    return path
+
+
+def test_files_of_objects_and_of_places_come_together(file, places):
+    targets = Targets(file, places)
+    assert targets.views.tolist() == [1, 1, 1, 4, 4, 4]
+    shapes = {targets.sample(np.random.default_rng(seed))[0].shape for seed in range(20)}
+    assert shapes == {(1, 128, 3), (4, 32, 3)}
+
+
+def test_windows_of_a_place_show_the_same_places(places):
+    config = TrainConfig(**TINY | {"degraded_share": 0.0, "num_targets": 40})
+    shape = Targets(places).sample(np.random.default_rng(3))
+    for seed in range(10):
+        sample = distillation_views(shape, config, np.random.default_rng(seed))
+        assert np.linalg.norm(sample["points"], axis=2).max() <= 0.5 + 1e-5
+        # Each window has its own scale; distances between the queries agree up to it.
+        one, other = (np.linalg.norm(view[:, None] - view[None], axis=2) for view in sample["queries"])
+        assert np.allclose(one * (other.sum() / one.sum()), other, atol=1e-4)
+
+
+def test_a_window_is_a_ball_within_the_volume():
+    points = np.random.default_rng(0).uniform(-BOUND, BOUND, (2000, 3))
+    for seed in range(20):
+        inside, center, scale = window(points, np.random.default_rng(seed))
+        assert np.linalg.norm((points[inside] - center) / scale, axis=1).max() < 0.5
+        assert 0.8 <= scale <= 1 and np.linalg.norm(center) + scale / 2 <= BOUND + 1e-9
+    assert near(np.float32([[0, 0, 0.01], [0.3, 0, 0]]), np.zeros((1, 3))).tolist() == [True, False]
+    assert WINDOW_CORE < 0.5
+
+
+def test_stretched_copies_are_affine_images_of_their_shapes():
+    shapes = Procedural(2, points=50)
+    copies = Stretched(shapes, 2)
+    assert len(copies) == 4
+    for row in range(4):
+        source = np.c_[shapes[row % 2], np.ones(50)]
+        matrix, residual, _, _ = np.linalg.lstsq(source, copies[row], rcond=None)
+        stretch = np.linalg.svd(matrix[:3], compute_uv=False)
+        assert residual.max() < 1e-6 and stretch.max() < np.exp(0.5) + 1e-4 and stretch.min() > np.exp(-0.5) - 1e-4
+        assert np.ptp(stretch) > 0.01
 
 
 def test_another_file_is_refused(tmp_path, network):
@@ -100,9 +194,12 @@ def test_the_command_writes_targets_and_refuses_what_it_cannot_do(tmp_path, netw
     weights, output = tmp_path / "weights.safetensors", tmp_path / "targets.safetensors"
     write_weights(weights, network.config, network.state_dict())
     small = ["--rotations", "1", "--queries", "16", "--points", "32"]
-    module.main([str(weights), "-o", str(output), "--procedural", "2", *small])
-    assert len(Targets(output)) == 2
-    output.unlink()
+    for given, number in (
+        (["--procedural", "2"], 2), (["--procedural", "2", "--engine", "snake-rs"], 2), (["--windows", "1"], 1),
+    ):  # fmt: skip
+        module.main([str(weights), "-o", str(output), *given, *small])
+        assert len(Targets(output)) == number
+        output.unlink()
     for wrong, said in ((["--procedural", "0"], "no shapes"), (["--rotations", "0"], "--rotations must be 1 or more")):
         with pytest.raises(SystemExit):
             module.main([str(weights), "-o", str(output), *small, *wrong])
@@ -134,7 +231,7 @@ def test_degraded_views_are_thinned_and_noisy(file):
 
 def test_one_view_of_a_sample_may_show_one_side(tmp_path, network):
     path = tmp_path / "targets.safetensors"
-    write_targets(path, network, Procedural(3, points=3000), rotations=1, queries=2000, points=2000)
+    write_targets(path, torch_teacher(network), Procedural(3, points=3000), rotations=1, queries=2000, points=2000)
     config = TrainConfig(**TINY | {"degraded_share": 0.0, "partial_share": 1.0, "num_points": 2000, "num_targets": 400})
     for seed in range(6):
         sample = distillation_views(
@@ -168,7 +265,7 @@ def test_losses_vanish_for_a_network_that_is_its_own_target(file, network):
 def test_a_run_learns_the_targets(file, tiny, tmp_path, network):
     weights = tmp_path / "teacher.safetensors"
     write_weights(weights, network.config, network.state_dict())
-    config = tiny(targets=str(file), init=str(weights), fresh_saliency=True, steps=30, learning_rate=1e-2, batch=4)
+    config = tiny(targets=(str(file),), init=str(weights), fresh_saliency=True, steps=30, learning_rate=1e-2, batch=4)
     train(config)
     batch = make_batch(Targets(file), dataclasses.replace(config, seed=9), 0, 8, "cpu")
     student = load_network(config.run_dir)

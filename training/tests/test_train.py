@@ -170,6 +170,18 @@ def test_average_of_weights_follows_and_without_decay_copies(network):
     assert all(ours.equal(theirs) for ours, theirs in zip(average.parameters(), network.parameters()))
 
 
+def test_the_start_gives_the_networks_shape(tmp_path, network):
+    path = tmp_path / "start.safetensors"
+    write_weights(path, network.config, network.state_dict())
+    shape = network.config
+    start = ["--init", str(path), "--run-dir", str(tmp_path / "run")]
+    assert parse_arguments(start, "").network == shape != parse_arguments([], "").network
+    given = parse_arguments([*start, "--resolution", "32"], "").network
+    assert given == dataclasses.replace(shape, resolution=(32,) * 3)
+    with pytest.raises(SystemExit, match="absent"):
+        parse_arguments(["--init", str(tmp_path / "absent.pt")], "")
+
+
 def test_init_from_an_export_or_a_run(tiny, tmp_path, network):
     path = tmp_path / "start.safetensors"
     write_weights(path, network.config, network.state_dict())
@@ -181,8 +193,13 @@ def test_init_from_an_export_or_a_run(tiny, tmp_path, network):
     train(again)
     second = read_checkpoint(again.run_dir)[1]
     assert all(torch.allclose(second[name], tensor) for name, tensor in started.items())
-    with pytest.raises(SystemExit, match="holds another network"):  # same shapes, another resolution
-        train(dataclasses.replace(config, resolution=16, run_dir=str(tmp_path / "third")))
+    finer = dataclasses.replace(config, resolution=16, run_dir=str(tmp_path / "finer"))
+    train(finer)
+    network_of_finer, tensors = read_checkpoint(finer.run_dir)
+    assert network_of_finer.resolution == (16,) * 3
+    assert all(torch.allclose(tensors[name], tensor) for name, tensor in network.state_dict().items())
+    with pytest.raises(SystemExit, match="do not fit"):
+        train(dataclasses.replace(config, c_dim=16, run_dir=str(tmp_path / "third")))
     with pytest.raises(SystemExit, match="absent"):
         train(dataclasses.replace(config, init=str(tmp_path / "absent.pt"), run_dir=str(tmp_path / "third")))
     path.unlink()

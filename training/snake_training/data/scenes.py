@@ -10,7 +10,7 @@ import argparse
 
 import numpy as np
 
-from ..augment import choose, facing, normalize, random_rotation, visible
+from ..augment import BOUND, choose, facing, normalize, random_rotation, visible
 from .datasets import Mixture, open_shapes, write_corpus
 from .procedural import RECIPES, about, box, moved, sample_surface, shelf, table
 
@@ -44,6 +44,42 @@ class Scenes:
                 return choose(rng, cloud, self.points)
 
 
+class Windows:
+    """Places of random rooms, each as `views` fragments show it: (V, N, 3) float32 in units of twice a window's radius.
+
+    The middle is a place of the furniture; the fragments, of different cameras, are cut to the padded volume about it.
+    """
+
+    def __init__(self, objects, length, views=4, points=1024, seed=1, places=6):
+        self.objects, self.length, self.views, self.points = objects, length, views, points
+        self.seed, self.places = seed, places
+        self.room = None, None  # number and content of the last one
+
+    def __len__(self):
+        return self.length
+
+    def __getitem__(self, row):
+        number = row // self.places
+        if self.room[0] != number:
+            self.room = number, room(self.objects, np.random.default_rng([self.seed, number, 0x200]))
+        points, places = self.room[1]
+        rng = np.random.default_rng([self.seed, row, 0x201])
+        while True:
+            place = places[rng.integers(len(places))] + rng.normal(size=3) * 0.2
+            radius = np.exp(rng.uniform(*np.log((0.4, 1.2))))
+            views = []
+            for _ in range(4 * self.views):  # furniture or a wall may hide the place
+                eye, target = standpoint(points, rng), place + rng.normal(size=3) * 0.3
+                if np.linalg.norm(eye - place) < max(RANGE[0], 0.7 * radius):
+                    continue
+                seen = (fused(points, eye, target, rng) - place) / (2 * radius)
+                seen = seen[np.linalg.norm(seen, axis=1) < BOUND]
+                if len(seen) > 100 and np.linalg.svd(seen - seen.mean(axis=0), compute_uv=False)[2] > 0.5:
+                    views.append(choose(rng, seen, self.points))
+                if len(views) == self.views:
+                    return np.stack(views).astype(np.float32)
+
+
 def look_at(eye, target, up=(0, 0, 1)):
     """Rotation (3, 3) from the room to the frame of a camera at `eye` that looks at `target`."""
     forward = (target - eye) / np.linalg.norm(target - eye)
@@ -52,25 +88,33 @@ def look_at(eye, target, up=(0, 0, 1)):
     return np.stack([right, np.cross(forward, right), forward])
 
 
+def standpoint(points, rng):
+    """Where a camera may be in a room."""
+    low, high = points.min(axis=0), points.max(axis=0)
+    eye = rng.uniform(low + (high - low) * 0.15, high - (high - low) * 0.15)
+    eye[2] = rng.uniform(1, 1.8)
+    return eye
+
+
 def fragment(points, places, rng):
     """What one to six views of a moving depth camera see of a `room`, in the first camera's frame.
 
     It walks about the room and looks towards one of its places.
     """
-    low, high = points.min(axis=0), points.max(axis=0)
-    eye = rng.uniform(low + (high - low) * 0.15, high - (high - low) * 0.15)
-    eye[2] = rng.uniform(1, 1.8)
-    target = places[rng.integers(len(places))]
-    origin, axes = eye, look_at(eye, target)
+    eye, target = standpoint(points, rng), places[rng.integers(len(places))]
+    return ((fused(points, eye, target, rng) - eye) @ look_at(eye, target).T).astype(np.float32)
+
+
+def fused(points, eye, target, rng):
+    """What one to six views see from about `eye` when they look at about `target`, in the room's frame, (M, 3)."""
     parts = []
     for _ in range(rng.integers(1, 7)):
         turn = look_at(eye, target)
-        seen = depth_image((points - eye) @ turn.T, rng)
-        parts.append((seen @ turn + eye - origin) @ axes.T)
+        parts.append(depth_image((points - eye) @ turn.T, rng) @ turn + eye)
         eye, target = eye + rng.normal(size=3) * (0.15, 0.15, 0.05), target + rng.normal(size=3) * 0.35
-    fused = np.concatenate(parts).astype(np.float32)
-    _, first = np.unique(np.floor(fused / VOXEL).astype(np.int32), axis=0, return_index=True)
-    return fused[first]
+    together = np.concatenate(parts)
+    _, first = np.unique(np.floor(together / VOXEL).astype(np.int32), axis=0, return_index=True)
+    return together[first]
 
 
 def depth_image(points, rng):
