@@ -9,8 +9,9 @@ use crate::field::{EncodeOptions, Field, Quantity};
 use crate::length::Length;
 use crate::nms::{nearest_points, suppress};
 use crate::nn::TILE;
-use crate::points::{NormalizationMethod, Point};
-use crate::refine::{Candidate, refine};
+use crate::points::{Normalization, NormalizationMethod, Point};
+use crate::refine::refine;
+use crate::windows::WindowOptions;
 use crate::{Error, Result};
 
 /// One keypoint, in the frame and units of the input cloud.
@@ -117,7 +118,7 @@ impl DetectOptions {
     }
 
     /// The suppression radius in cloud units.
-    fn nms_radius(&self, points: &[Point]) -> Result<f32> {
+    pub(crate) fn nms_radius(&self, points: &[Point]) -> Result<f32> {
         match self.nms_radius {
             Length::Units(radius) => Ok(radius as f32),
             multiple => Ok(multiple.in_units("nms_radius", points)? as f32),
@@ -133,6 +134,8 @@ pub struct Preset {
     pub encode: EncodeOptions,
     /// How keypoints are found.
     pub detect: DetectOptions,
+    /// Whether in the whole cloud at once.
+    pub windows: WindowOptions,
 }
 
 impl Preset {
@@ -170,7 +173,7 @@ impl Preset {
             },
             _ => common,
         };
-        Ok(Self { encode: EncodeOptions { normalization, max_points, ..Default::default() }, detect })
+        Ok(Self { encode: EncodeOptions { normalization, max_points, ..Default::default() }, detect, ..Default::default() })
     }
 }
 
@@ -181,6 +184,10 @@ pub struct Detection {
     pub keypoints: Vec<Keypoint>,
     /// How many points of the cloud were skipped because they are not finite.
     pub num_skipped: usize,
+    /// How many of the points were encoded.
+    pub num_encoded: usize,
+    /// The normalisation in use; `None` in windows, each of which has its own.
+    pub normalization: Option<Normalization>,
     /// How many queries each step left.
     pub counts: Counts,
     /// How long each step took.
@@ -188,9 +195,11 @@ pub struct Detection {
 }
 
 /// How many queries each step of [`detect`] left.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize)]
 pub struct Counts {
-    /// On the starting grid.
+    /// How many windows the cloud was seen through.
+    pub windows: usize,
+    /// On the starting grid, of all windows together.
     pub queries: usize,
     /// Of those, above the occupancy threshold.
     pub occupied: usize,
@@ -200,9 +209,20 @@ pub struct Counts {
     pub keypoints: usize,
 }
 
-/// Seconds that each step of [`detect`] took.
-#[derive(Debug, Clone, Copy, PartialEq)]
+impl Counts {
+    pub(crate) fn add(&mut self, other: &Self) {
+        self.windows += other.windows;
+        self.queries += other.queries;
+        self.occupied += other.occupied;
+        self.above_threshold += other.above_threshold;
+    }
+}
+
+/// Seconds that each step of detection took.
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct Timing {
+    /// Encoding; 0 of [`detect`], which is given a field.
+    pub encode: f64,
     /// Occupancy of the starting grid.
     pub occupancy: f64,
     /// Refinement.
@@ -227,16 +247,8 @@ pub struct Timing {
 pub fn detect(field: &Field, options: &DetectOptions) -> Result<Detection> {
     options.check()?;
     let nms_radius = options.nms_radius(field.points())?;
+    let Found { positions, scores, mut counts, mut timing } = Found::of(field, options, |_| true);
     let start = Instant::now();
-    let occupied = occupied_queries(field, options);
-    let occupancy_done = Instant::now();
-    let mut candidates = refine(field, &occupied, options);
-    let refine_done = Instant::now();
-    let to_cloud = |candidate: &Candidate| field.normalization().to_cloud(candidate.position);
-    // Huge steps can carry a query beyond all numbers.
-    candidates.retain(|c| c.score > options.saliency_threshold && to_cloud(c).iter().all(|v| v.is_finite()));
-    let positions: Vec<Point> = candidates.iter().map(to_cloud).collect();
-    let scores: Vec<f32> = candidates.iter().map(|c| c.score).collect();
     let kept = suppress(&positions, &scores, nms_radius, options.max_keypoints)?;
     let mut positions: Vec<Point> = kept.iter().map(|&index| positions[index]).collect();
     let nearest = nearest_points(field.points(), &positions)?;
@@ -252,18 +264,53 @@ pub fn detect(field: &Field, options: &DetectOptions) -> Result<Detection> {
             nearest_index: field.original_index(nearest[i]),
         })
         .collect();
-    let counts = Counts {
-        queries: options.query_resolution.pow(3),
-        occupied: occupied.len(),
-        above_threshold: candidates.len(),
-        keypoints: keypoints.len(),
-    };
-    let timing = Timing {
-        occupancy: (occupancy_done - start).as_secs_f64(),
-        refine: (refine_done - occupancy_done).as_secs_f64(),
-        nms: refine_done.elapsed().as_secs_f64(),
-    };
-    Ok(Detection { keypoints, num_skipped: field.num_skipped(), counts, timing })
+    counts.keypoints = keypoints.len();
+    timing.nms = start.elapsed().as_secs_f64();
+    let (num_skipped, num_encoded) = (field.num_skipped(), field.num_encoded());
+    let normalization = Some(field.normalization());
+    Ok(Detection { keypoints, num_skipped, num_encoded, normalization, counts, timing })
+}
+
+/// What refinement finds above the saliency threshold.
+pub(crate) struct Found {
+    /// In the cloud's frame.
+    pub(crate) positions: Vec<Point>,
+    pub(crate) scores: Vec<f32>,
+    pub(crate) counts: Counts,
+    pub(crate) timing: Timing,
+}
+
+impl Found {
+    /// From the queries of a field whose positions in the cloud's frame are `owned`.
+    pub(crate) fn of(field: &Field, options: &DetectOptions, owned: impl Fn(&Point) -> bool) -> Self {
+        let to_cloud = |position| field.normalization().to_cloud(position);
+        let start = Instant::now();
+        let mut occupied = occupied_queries(field, options);
+        occupied.retain(|&query| owned(&to_cloud(query)));
+        let occupancy_done = Instant::now();
+        let mut candidates = refine(field, &occupied, options);
+        let timing = Timing {
+            occupancy: (occupancy_done - start).as_secs_f64(),
+            refine: occupancy_done.elapsed().as_secs_f64(),
+            ..Default::default()
+        };
+        // Huge steps can carry a query beyond all numbers.
+        candidates
+            .retain(|c| c.score > options.saliency_threshold && to_cloud(c.position).iter().all(|v| v.is_finite()));
+        let counts = Counts {
+            windows: 1,
+            queries: options.query_resolution.pow(3),
+            occupied: occupied.len(),
+            above_threshold: candidates.len(),
+            keypoints: 0,
+        };
+        Self {
+            positions: candidates.iter().map(|c| to_cloud(c.position)).collect(),
+            scores: candidates.iter().map(|c| c.score).collect(),
+            counts,
+            timing,
+        }
+    }
 }
 
 /// The grid queries above the occupancy threshold, in the network's frame, x slowest and z fastest.

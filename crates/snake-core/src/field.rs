@@ -1,5 +1,7 @@
 //! The field of one cloud: encode once, query many times.
 
+use std::borrow::Cow;
+
 use rand::SeedableRng;
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
@@ -39,13 +41,26 @@ impl EncodeOptions {
     pub(crate) fn check(&self) -> Result<()> {
         let unit_sphere = self.normalization == NormalizationMethod::UnitSphere;
         if !(1..=64).contains(&self.rotations) || (self.rotations > 1 && !unit_sphere) {
-            let allowed = "1 to 64, above 1 only with unit-sphere normalization";
+            let allowed = "1 to 64, above 1 only with unit-sphere normalization or in windows";
             return Err(Error::Option { name: "rotations", value: self.rotations.to_string(), allowed });
         }
         if self.max_points == Some(0) {
             return Err(Error::Option { name: "max_points", value: "0".into(), allowed: "1 or more" });
         }
         Ok(())
+    }
+
+    /// The points that are encoded: all, or at most `max_points` of them.
+    pub(crate) fn sample<'a>(&self, points: &'a [Point]) -> Cow<'a, [Point]> {
+        match self.max_points {
+            Some(most) if most < points.len() => {
+                let mut rng = rand_chacha::ChaCha8Rng::seed_from_u64(self.seed);
+                let mut chosen = rand::seq::index::sample(&mut rng, points.len(), most).into_vec();
+                chosen.sort_unstable();
+                chosen.into_iter().map(|i| points[i]).collect()
+            }
+            _ => points.into(),
+        }
     }
 }
 
@@ -68,6 +83,23 @@ struct View {
     volume: Volume,
 }
 
+impl View {
+    fn all(model: &Model, points: &[Point], normalization: Normalization, rotations: usize) -> Result<Vec<Self>> {
+        let network_points: Vec<Point> = points.iter().map(|&point| normalization.to_network(point)).collect();
+        let views = rotations::spread(rotations).into_iter().map(|rotation| {
+            let turned: Vec<Point> = network_points.iter().map(|&point| turned(&rotation, point)).collect();
+            let volume = model.network().encoder.encode(&turned);
+            match volume.values.par_iter().all(|value| value.is_finite()) {
+                true => Ok(Self { rotation, volume }),
+                false => {
+                    Err(weights::error("encoder", "finite features", "weights so large that they overflow".into()))
+                }
+            }
+        });
+        views.collect()
+    }
+}
+
 /// Which of the two decoders a query asks.
 #[derive(Debug, Clone, Copy)]
 pub(crate) enum Quantity {
@@ -82,32 +114,30 @@ impl Field {
         let finite = FinitePoints::of("points", points)?;
         let points = &finite.points;
         let normalization = Normalization::of(points, options.normalization)?;
-        let to_network = |&point: &Point| normalization.to_network(point);
-        let network_points: Vec<Point> = match options.max_points {
-            Some(most) if most < points.len() => {
-                let mut rng = rand_chacha::ChaCha8Rng::seed_from_u64(options.seed);
-                let mut chosen = rand::seq::index::sample(&mut rng, points.len(), most).into_vec();
-                chosen.sort_unstable();
-                chosen.into_iter().map(|i| to_network(&points[i])).collect()
-            }
-            _ => points.iter().map(to_network).collect(),
-        };
-        let views = rotations::spread(options.rotations).into_iter().map(|rotation| {
-            let turned: Vec<Point> = network_points.iter().map(|&point| turned(&rotation, point)).collect();
-            let volume = model.network().encoder.encode(&turned);
-            match volume.values.par_iter().all(|value| value.is_finite()) {
-                true => Ok(View { rotation, volume }),
-                false => {
-                    Err(weights::error("encoder", "finite features", "weights so large that they overflow".into()))
-                }
-            }
-        });
+        let encoded = options.sample(points);
         Ok(Self {
-            views: views.collect::<Result<_>>()?,
+            views: View::all(&model, &encoded, normalization, options.rotations)?,
             normalization,
             num_skipped: num_given - points.len(),
+            num_encoded: encoded.len(),
             points: finite.into_owned(),
-            num_encoded: network_points.len(),
+            model,
+        })
+    }
+
+    /// The field of a cloud of finite points as a given normalisation brings it into the network's frame.
+    pub(crate) fn normalized(
+        model: Model,
+        points: Vec<Point>,
+        normalization: Normalization,
+        rotations: usize,
+    ) -> Result<Self> {
+        Ok(Self {
+            views: View::all(&model, &points, normalization, rotations)?,
+            normalization,
+            num_skipped: 0,
+            num_encoded: points.len(),
+            points: FinitePoints::of("points", &points)?.into_owned(),
             model,
         })
     }

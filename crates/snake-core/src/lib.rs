@@ -39,6 +39,7 @@ mod rotations;
 mod surface;
 mod volume;
 mod weights;
+mod windows;
 
 pub use detect::{Counts, DetectOptions, Detection, Keypoint, Preset, RefineMethod, Selection, Timing, detect};
 pub use error::{Error, Result};
@@ -50,6 +51,7 @@ pub use model::{Model, ModelConfig};
 pub use points::{Normalization, NormalizationMethod, Point, Transform};
 pub use surface::{Mesh, MeshOptions};
 pub use volume::{Volume, VolumeFrame};
+pub use windows::WindowOptions;
 
 /// The README's example is compiled with the documentation's.
 #[cfg(doctest)]

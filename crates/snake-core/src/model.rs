@@ -3,6 +3,7 @@
 use std::collections::BTreeMap;
 use std::path::Path;
 use std::sync::Arc;
+use std::time::Instant;
 
 use crate::decoder::Decoder;
 use crate::detect::{Detection, Preset, detect};
@@ -10,6 +11,7 @@ use crate::encoder::Encoder;
 use crate::field::{EncodeOptions, Field};
 use crate::points::Point;
 use crate::volume::VolumeFrame;
+use crate::windows::detect_in_windows;
 use crate::weights::{self, Weights};
 use crate::{Error, Result};
 
@@ -189,7 +191,7 @@ impl Model {
         Field::new(self.clone(), points, options)
     }
 
-    /// Keypoints of a cloud in one call: [`Model::encode`], then [`detect`].
+    /// Keypoints of a cloud in one call: [`Model::encode`], then [`detect`]; or in windows, if the options say so.
     ///
     /// ```
     /// use snake_core::{Model, Preset};
@@ -205,8 +207,16 @@ impl Model {
     /// # Errors
     /// Those of [`Model::encode`] and [`detect`].
     pub fn detect(&self, points: &[Point], options: &Preset) -> Result<Detection> {
+        if let Some(radius) = options.windows.window_radius {
+            return detect_in_windows(self, points, radius, options);
+        }
         options.detect.check()?;
-        detect(&self.encode(points, &options.encode)?, &options.detect)
+        let start = Instant::now();
+        let field = self.encode(points, &options.encode)?;
+        let encode = start.elapsed().as_secs_f64();
+        let mut detection = detect(&field, &options.detect)?;
+        detection.timing.encode = encode;
+        Ok(detection)
     }
 
     pub(crate) fn network(&self) -> &Network {

@@ -1,0 +1,198 @@
+//! Detection in windows: a large cloud as overlapping balls, each encoded by itself.
+
+use std::collections::BTreeMap;
+use std::num::NonZeroUsize;
+use std::time::Instant;
+
+use serde::{Deserialize, Serialize};
+
+use crate::Result;
+use crate::detect::{Counts, Detection, Found, Keypoint, Preset, Timing};
+use crate::field::{EncodeOptions, Field};
+use crate::kd_tree::KdTree;
+use crate::length::Length;
+use crate::model::Model;
+use crate::nms::{nearest_points, suppress};
+use crate::points::{FinitePoints, Normalization, NormalizationMethod, Point};
+
+/// Options of detection in windows.
+#[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct WindowOptions {
+    /// The radius of the balls that cover the cloud, each of which is encoded by itself at the scale of its radius, so
+    /// that what is found at a place depends on its surroundings alone; the normalisation is not used. `None`: the whole
+    /// cloud is encoded at once, in which details of large clouds are lost.
+    pub window_radius: Option<Length>,
+}
+
+/// Side of the cells whose points' means are the middles of windows, in units of the radius: what a window answers for
+/// lies well within it.
+const SPACING: f32 = 0.8;
+
+/// Keypoints of a cloud in windows of `radius`: of each window those of its queries that no other window's middle is
+/// nearer to, then the best of all together, as in [`detect`](crate::detect()).
+///
+/// One window after the other: memory does not grow with their number.
+pub(crate) fn detect_in_windows(model: &Model, points: &[Point], radius: Length, options: &Preset) -> Result<Detection> {
+    let Preset { encode, detect: options, .. } = options;
+    // A ball can be turned as the sphere can.
+    EncodeOptions { normalization: NormalizationMethod::UnitSphere, ..*encode }.check()?;
+    options.check()?;
+    let finite = FinitePoints::of("points", points)?;
+    let radius = radius.in_units("window_radius", &finite.points)? as f32;
+    let nms_radius = options.nms_radius(&finite.points)?;
+    let encoded = encode.sample(&finite.points);
+    // Refuses extents whose squares vanish or overflow.
+    Normalization::of(&encoded, NormalizationMethod::UnitSphere)?;
+    let tree = KdTree::new(&encoded)?;
+    let middles = middles(&encoded, SPACING * radius);
+    let nearest_middle = KdTree::new(&middles)?;
+    let (mut positions, mut scores, mut occupancy) = (Vec::new(), Vec::new(), Vec::new());
+    let (mut counts, mut timing) = (Counts::default(), Timing::default());
+    for (window, &center) in middles.iter().enumerate() {
+        let start = Instant::now();
+        let mut inside = Vec::new();
+        tree.within(&center, radius * radius, |index, _| inside.push(index));
+        inside.sort_unstable();
+        let seen = inside.into_iter().map(|index| encoded[index]).collect();
+        let normalization = Normalization { center, scale: 2.0 * radius };
+        let field = Field::normalized(model.clone(), seen, normalization, encode.rotations)?;
+        timing.encode += start.elapsed().as_secs_f64();
+        let owned = |position: &Point| nearest_middle.nearest(position, NonZeroUsize::MIN)[0].0 == window;
+        let found = Found::of(&field, options, owned);
+        occupancy.extend(field.occupancy(&found.positions)?);
+        positions.extend(found.positions);
+        scores.extend(found.scores);
+        counts.add(&found.counts);
+        timing.occupancy += found.timing.occupancy;
+        timing.refine += found.timing.refine;
+    }
+    let start = Instant::now();
+    let kept = suppress(&positions, &scores, nms_radius, options.max_keypoints)?;
+    let kept_positions: Vec<Point> = kept.iter().map(|&index| positions[index]).collect();
+    let nearest = nearest_points(&finite.points, &kept_positions)?;
+    let keypoint = |(&index, &nearest): (&usize, &usize)| Keypoint {
+        position: if options.snap { finite.points[nearest] } else { positions[index] },
+        saliency: scores[index],
+        occupancy: occupancy[index],
+        nearest_index: finite.original_index(nearest),
+    };
+    let keypoints: Vec<Keypoint> = kept.iter().zip(&nearest).map(keypoint).collect();
+    counts.keypoints = keypoints.len();
+    timing.nms = start.elapsed().as_secs_f64();
+    let num_skipped = points.len() - finite.points.len();
+    Ok(Detection { keypoints, num_skipped, num_encoded: encoded.len(), normalization: None, counts, timing })
+}
+
+/// The mean of the points in each cell of a lattice of cells of that side, by ascending cell.
+fn middles(points: &[Point], side: f32) -> Vec<Point> {
+    let mut cells: BTreeMap<[i64; 3], ([f64; 3], u32)> = BTreeMap::new();
+    for point in points {
+        let (sum, number) = cells.entry(point.map(|v| (v / side).floor() as i64)).or_default();
+        sum.iter_mut().zip(point).for_each(|(sum, &v)| *sum += f64::from(v));
+        *number += 1;
+    }
+    cells.into_values().map(|(sum, number)| sum.map(|v| (v / f64::from(number)) as f32)).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::{DetectOptions, Error, detect};
+
+    /// A plate of 6 by 4 with two posts on it.
+    fn plate() -> Vec<Point> {
+        let plate = (0..9600).map(|i| [(i % 120) as f32 * 0.05, (i / 120) as f32 * 0.05, 0.0]);
+        let post = |x: f32, y: f32| {
+            (0..800).map(move |i| {
+                let angle = i as f32 * 0.7;
+                [x + 0.1 * angle.cos(), y + 0.1 * angle.sin(), i as f32 * 1e-3]
+            })
+        };
+        plate.chain(post(1.5, 1.0)).chain(post(4.5, 3.0)).collect()
+    }
+
+    fn preset(window_radius: f64) -> Preset {
+        let detect = DetectOptions { saliency_threshold: 0.0, max_keypoints: 200, ..Preset::default().detect };
+        let windows = WindowOptions { window_radius: Some(Length::Units(window_radius)) };
+        Preset { detect: DetectOptions { query_resolution: 24, refine_steps: 0, ..detect }, windows, ..Default::default() }
+    }
+
+    #[test]
+    fn each_point_is_answered_for_by_a_window_that_has_it_well_inside() {
+        let points = plate();
+        let middles = middles(&points, SPACING);
+        assert!(middles.len() > 20 && middles.len() < 100, "{}", middles.len());
+        let nearest = |p: &Point| {
+            let distance = |m: &Point| (0..3).map(|axis| (m[axis] - p[axis]).powi(2)).sum::<f32>().sqrt();
+            middles.iter().map(distance).fold(f32::INFINITY, f32::min)
+        };
+        assert!(points.iter().map(nearest).fold(0.0, f32::max) < 0.75);
+    }
+
+    #[test]
+    fn one_window_that_holds_the_cloud_is_its_field() {
+        let points: Vec<Point> = plate().into_iter().skip(9600).take(800).collect();
+        let model = Model::builtin().unwrap();
+        let found = model.detect(&points, &preset(5.0)).unwrap();
+        let center = middles(&points, SPACING * 5.0);
+        let [center] = center[..] else { panic!("{center:?}") };
+        let scaled: Vec<Point> = points.iter().map(|p| std::array::from_fn(|a| (p[a] - center[a]) / 10.0)).collect();
+        let mut whole = preset(5.0);
+        whole.windows.window_radius = None;
+        whole.encode.normalization = NormalizationMethod::None;
+        whole.detect.nms_radius = Length::Units(0.001);
+        let alone = model.detect(&scaled, &whole).unwrap();
+        assert_eq!(found.counts, alone.counts);
+        assert!(found.keypoints.len() > 3);
+        for (a, b) in found.keypoints.iter().zip(&alone.keypoints) {
+            assert_eq!((a.saliency, a.occupancy, a.nearest_index), (b.saliency, b.occupancy, b.nearest_index));
+            assert!((0..3).all(|axis| (a.position[axis] - (b.position[axis] * 10.0 + center[axis])).abs() < 1e-5));
+        }
+    }
+
+    /// What the whole cloud's windows find at a place, a cloud that ends a window further on finds too.
+    #[test]
+    fn what_is_found_depends_on_the_surroundings_alone() {
+        let model = Model::builtin().unwrap();
+        let points = plate();
+        // Cells of 0.8 along x: windows with middles below 2.4 see nothing beyond 3.4.
+        let near: Vec<Point> = points.iter().filter(|p| p[0] < 4.0).copied().collect();
+        let of = |points: &[Point]| -> Vec<Keypoint> {
+            let mut options = preset(1.0);
+            options.detect.max_keypoints = 1_000_000;
+            let found = model.detect(points, &options).unwrap().keypoints;
+            found.into_iter().filter(|k| k.position[0] < 1.6).collect()
+        };
+        let (whole, near) = (of(&points), of(&near));
+        assert!(whole.len() > 20);
+        assert_eq!(whole.iter().map(|k| k.position).collect::<Vec<_>>(), near.iter().map(|k| k.position).collect::<Vec<_>>());
+    }
+
+    #[test]
+    fn options_and_indices_are_as_without_windows() {
+        let model = Model::builtin().unwrap();
+        let mut points = plate();
+        points.insert(0, [f32::NAN; 3]);
+        let mut options = preset(1.5);
+        options.detect.nms_radius = Length::Units(0.3);
+        options.detect.snap = true;
+        options.encode.rotations = 2;
+        options.encode.max_points = Some(5000);
+        let found = model.detect(&points, &options).unwrap();
+        assert_eq!((found.num_skipped, found.num_encoded), (1, 5000));
+        assert!(found.keypoints.len() > 10);
+        assert!(found.keypoints.iter().all(|k| points[k.nearest_index] == k.position));
+        assert!(found.keypoints.is_sorted_by(|a, b| a.saliency >= b.saliency));
+        let pool = rayon::ThreadPoolBuilder::new().num_threads(1).build().unwrap();
+        assert_eq!(pool.install(|| model.detect(&points, &options)).unwrap().keypoints, found.keypoints);
+        for wrong in [0.0, -1.0, f64::NAN] {
+            let error = model.detect(&points, &preset(wrong)).unwrap_err();
+            assert!(matches!(error, Error::Option { name: "window_radius", .. }), "{error}");
+        }
+        options.encode.rotations = 65;
+        assert!(model.detect(&points, &options).unwrap_err().to_string().contains("rotations"));
+        assert!(model.detect(&[[1e30, 0.0, 0.0], [0.0; 3]], &preset(1.0)).is_err());
+        assert!(detect(&model.encode(&points, &Default::default()).unwrap(), &preset(1.0).detect).is_ok());
+    }
+}
