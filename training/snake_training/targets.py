@@ -8,7 +8,6 @@ them (SuperPoint, DeTone et al. 2018, averages over homographies for the same re
 
 import argparse
 import json
-import math
 import sys
 
 import numpy as np
@@ -17,9 +16,9 @@ from safetensors import SafetensorError, safe_open
 from safetensors.numpy import load_file, save_file
 from tqdm import tqdm
 
-from .augment import BOUND, WINDOW_CORE, choose, near, normalize, random_rotation, window
+from .augment import BOUND, choose, normalize, random_rotation
 from .data import Mixture, Procedural, Stretched, open_shapes
-from .data.scenes import Windows
+from .data.scenes import Place, Places
 from .export import load_network, replacing
 
 QUANTUM = 1 / 32767  # of stored coordinates, which lie within +-0.5625
@@ -72,27 +71,28 @@ def averaged_fields(teacher, points, queries, rotations):
     return log_odds.mean(axis=0), occupancy.mean(axis=0)
 
 
-def averaged_windows(teacher, views, queries, number, rng):
-    """The same of several `views` (V, N, 3) of one place, each `number` times as `window` cuts and a rotation turns it.
+def corners(surface, queries, radius=0.1):
+    """What a room's targets are made from, both (Q,): how much of a corner the surface (M, 3) is about each query (Q, 3),
+    as the logarithm of the smallest variance in a ball (Zhong 2009, ISS), and how near it is, from 0 to 1.
 
-    A window counts for the queries that it sees; one that none sees is off the surface.
+    The surface is clean and whole, the views that a student is shown are not: it learns to see through noise and gaps
+    (SuperPoint, DeTone et al. 2018, begins with the corners of synthetic shapes for the same reason).
     """
-    points, turned, seen = [], [], []
-    for view in np.tile(views, (number, 1, 1)):
-        inside, center, scale = window(view, rng)
-        rotation = random_rotation(rng).T
-        points.append(choose(rng, (view[inside] - center) / scale, len(view)) @ rotation)
-        turned.append((queries - center) / scale @ rotation)
-        seen.append(near(queries, view) & (np.linalg.norm(turned[-1], axis=1) < WINDOW_CORE))
-    log_odds, occupancy = teacher(*(np.stack(a).astype(np.float32) for a in (points, turned)))
-    seen = np.array(seen)
-    count = np.maximum(seen.sum(axis=0), 1)
-    mean = [np.where(seen, values, 0).sum(axis=0) / count for values in (log_odds, occupancy)]
-    return np.where(seen.any(axis=0), mean[0], -10), mean[1]
+    surface, queries = (torch.from_numpy(a).double() for a in (surface, queries))
+    apart = torch.cdist(queries, surface)
+    inside = (apart < radius).double()
+    count = inside.sum(dim=1).clamp(min=1)
+    mean = inside @ surface / count[:, None]
+    products = (surface[:, :, None] * surface[:, None, :]).flatten(1)
+    covariance = (inside @ products / count[:, None]).unflatten(1, (3, 3)) - mean[:, :, None] * mean[:, None, :]
+    least = torch.linalg.eigvalsh(covariance)[:, 0].clamp(min=0) / radius**2
+    least[count < 10] = 0
+    nearness = torch.exp(-0.5 * (apart.min(dim=1).values / 0.02) ** 2)
+    return (least + 1e-4).log().numpy(), nearness.numpy()
 
 
 def rank_targets(log_odds, occupancy):
-    """Target log-odds, same shape, from the averaged fields of all shapes.
+    """Target log-odds, same shape, from the averaged fields, or `corners`, of all shapes.
 
     The value is 0.6 T - 1 with T minus the logarithm of the share of surface queries that are more salient, so that the
     few best are as far apart as the many others: a trained saliency saturates, and what detection needs, the order among
@@ -141,7 +141,7 @@ class Targets:
 def write_targets(path, teacher, shapes, rotations=8, queries=4096, points=4096, seed=1, metadata=None):
     """Targets of all shapes, each with its own seed, to a safetensors file (temporary name, then rename).
 
-    A shape is a cloud (M, 3), or several views (V, M, 3) of one place within the padded volume, V a divisor of `points`.
+    A shape is a cloud (M, 3), or a `Place` whose number of views divides `points`.
     """
     stored = {
         name: np.empty((len(shapes), size, 3), np.int16) for name, size in (("points", points), ("queries", queries))
@@ -151,18 +151,16 @@ def write_targets(path, teacher, shapes, rotations=8, queries=4096, points=4096,
     for row in tqdm(range(len(shapes)), unit="shape", mininterval=2 if sys.stderr.isatty() else 60):
         rng = np.random.default_rng([seed, row])
         shape = shapes[row]
-        if shape.ndim == 2:
+        if isinstance(shape, Place):
+            views[row] = len(shape.views)
+            cloud = np.concatenate([choose(rng, view, points // len(shape.views)) for view in shape.views])
+            at = sample_queries(shape.surface, queries, rng)
+            log_odds[row], occupancy[row] = corners(choose(rng, shape.surface, points), at)
+        else:
             cloud = choose(rng, normalize(shape)[0], points)
             at = sample_queries(cloud, queries, rng)
             turns = np.stack([random_rotation(rng) for _ in range(rotations)])
             log_odds[row], occupancy[row] = averaged_fields(teacher, cloud, at, turns)
-        else:
-            views[row] = len(shape)
-            each = np.stack([choose(rng, view, points // len(shape)) for view in shape])
-            cloud = each.reshape(-1, 3)
-            at = sample_queries(cloud, queries, rng)
-            times = math.ceil(rotations / len(shape))
-            log_odds[row], occupancy[row] = averaged_windows(teacher, each, at, times, rng)
         stored["points"][row], stored["queries"][row] = ((a / QUANTUM).round() for a in (cloud, at))
     stored |= {"target": rank_targets(log_odds, occupancy).astype(np.float16), "views": views}
     with replacing(path) as temporary:
@@ -176,13 +174,16 @@ def main(argv=None):
         description="Write the rotation-averaged saliency of a network on shapes, for train --targets.",
         formatter_class=argparse.ArgumentDefaultsHelpFormatter,
     )
-    parser.add_argument("weights", help="the teacher: a safetensors export, checkpoint or run folder")
+    parser.add_argument("weights", nargs="?", help="the teacher: a safetensors export, checkpoint or run folder")
     parser.add_argument("-o", "--output", required=True, help="file to write, about 57 kB a shape")
     parser.add_argument("--data", nargs="*", default=[], help="corpus folders or folders of .npy / .ply files")
     parser.add_argument("--stretched", type=int, default=0, help="stretched copies added of each shape of the data")
     parser.add_argument("--procedural", type=int, default=500, help="procedural shapes added")
     parser.add_argument(
-        "--windows", type=int, default=0, help="instead: places of rooms, each in several views, with the data in them"
+        "--places",
+        type=int,
+        default=0,
+        help="instead: corners of places in rooms, with the data in them; no weights are needed",
     )
     parser.add_argument("--rotations", type=int, default=8, help="rotated copies averaged")
     parser.add_argument("--queries", type=int, default=4096, help="queries a shape")
@@ -196,7 +197,7 @@ def main(argv=None):
     for name, least in {
         "stretched": 0,
         "procedural": 0,
-        "windows": 0,
+        "places": 0,
         "rotations": 1,
         "queries": 1,
         "points": 2,
@@ -207,12 +208,17 @@ def main(argv=None):
         clouds = Mixture([open_shapes(folder) for folder in arguments.data], 0.0)
         copies = [Stretched(clouds, arguments.stretched)] if arguments.stretched else []
         shapes = Mixture([clouds, *copies, Procedural(arguments.procedural)], 0.0)
-        if arguments.windows:
-            shapes = Windows(Mixture([clouds] if len(clouds) else [], 0.25), arguments.windows, seed=arguments.seed)
+        if arguments.places:
+            shapes = Places(Mixture([clouds] if len(clouds) else [], 0.25), arguments.places, seed=arguments.seed)
         if len(shapes) == 0:
-            parser.error("no shapes: give --data, --procedural or --windows")
+            parser.error("no shapes: give --data, --procedural or --places")
         settings = {name: json.dumps(getattr(arguments, name)) for name in ("weights", "rotations", "seed")}
-        if arguments.engine == "snake-rs":
+        teacher = None
+        if arguments.places:
+            pass
+        elif arguments.weights is None:
+            parser.error("give the WEIGHTS of a teacher, or --places")
+        elif arguments.engine == "snake-rs":
             teacher = snake_rs_teacher(arguments.weights)
         else:
             teacher = torch_teacher(load_network(arguments.weights, arguments.device))

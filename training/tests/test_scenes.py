@@ -5,14 +5,31 @@ import json
 import numpy as np
 import pytest
 
-from snake_training.augment import facing, random_rotation, visible
+from snake_training.augment import BOUND, facing, random_rotation, visible
 from snake_training.data import Corpus, Procedural, write_corpus
 from snake_training.data.procedural import box, sample_surface
-from snake_training.data.scenes import RANGE, VOXEL, Scenes, depth_image, fragment, look_at, main, room
+from snake_training.data.scenes import (
+    RANGE,
+    VOXEL,
+    Places,
+    Scenes,
+    depth_image,
+    fragment,
+    look_at,
+    main,
+    one_in_each,
+    room,
+    within,
+)
 
 
 def rng(seed=0):
     return np.random.default_rng(seed)
+
+
+def distances(points, others):
+    """Of each point to the nearest of others."""
+    return np.linalg.norm(points[:, None] - others[None], axis=2).min(axis=1)
 
 
 def test_a_nearer_point_hides_those_behind_it():
@@ -85,3 +102,22 @@ def test_command_line(tmp_path, capsys):
             main(["-o", str(tmp_path / "other"), *wrong])
     assert "no such folder" in capsys.readouterr().err
     assert not (tmp_path / "other").exists()
+
+
+def test_views_of_a_place_show_parts_of_one_surface():
+    places = Places(Procedural(), 4, views=3, points=400, seed=2, places=2)
+    assert len(places) == 4
+    for row in (0, 3):
+        views, surface = places[row]
+        assert views.shape == (3, 400, 3) and np.linalg.norm(views, axis=2).max() < BOUND
+        again = Places(Procedural(), 4, views=3, points=400, seed=2, places=2)[row]
+        assert np.array_equal(views, again.views) and np.array_equal(surface, again.surface)
+        assert np.percentile(distances(views.reshape(-1, 3), surface), 90) < 0.06
+        gap = distances(views[0], views[1])
+        assert np.percentile(gap, 25) < 0.06 < gap.max()
+
+
+def test_points_within_a_voxel_of_others():
+    points = np.array([[0, 0, 0], [0.02, 0, 0], [0, 0, -0.05], [0.2, 0, 0]])
+    assert within(points, np.array([[0.005, 0.005, 0.005]]), side=0.03).tolist() == [True, True, False, False]
+    assert len(one_in_each(points, 0.03)) == 3

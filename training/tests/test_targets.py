@@ -11,12 +11,14 @@ from snake_training import targets as module
 from snake_training.augment import BOUND, WINDOW_CORE, distillation_views, near, normalize, random_rotation, window
 from snake_training.config import TrainConfig
 from snake_training.data import Procedural, Stretched
+from snake_training.data.procedural import box, sample_surface
+from snake_training.data.scenes import Places
 from snake_training.export import load_network, write_weights
 from snake_training.losses import distillation_losses
 from snake_training.targets import (
     Targets,
     averaged_fields,
-    averaged_windows,
+    corners,
     rank_targets,
     sample_queries,
     snake_rs_teacher,
@@ -69,20 +71,12 @@ def test_both_teachers_agree(network, tmp_path):
         assert one.shape == other.shape == (2, 50) and np.allclose(one, other, atol=0.02)  # bfloat16
 
 
-def test_windows_are_averaged_where_they_see():
-    """A teacher that tells which view it was shown: its values are the means over the windows that hold a query."""
-    rng = np.random.default_rng(5)
-    left, right = (np.float32([[side, 0, 0]]) + rng.normal(0, 0.01, (300, 3)) for side in (-0.1, 0.1))
-    views = np.stack([np.concatenate([left, left]), np.concatenate([left, right])]).astype(np.float32)
-    queries = np.float32([[-0.1, 0, 0], [0.1, 0, 0], [0, 0.5, 0]])
-    shown = iter([1.0, 3.0] * 4)
-
-    def teacher(points, queries):
-        values = np.float32([next(shown) for _ in points])[:, None]
-        return np.repeat(values, queries.shape[1], axis=1), np.ones(queries.shape[:2], np.float32)
-
-    log_odds, occupancy = averaged_windows(teacher, views, queries, 4, rng)
-    assert log_odds.tolist() == [2.0, 3.0, -10.0] and occupancy.tolist() == [1.0, 1.0, 0.0]
+def test_corners_are_where_three_faces_meet():
+    cube = sample_surface(box((0.6, 0.6, 0.6)), 4000, np.random.default_rng(0))
+    corner, edge, face, inside = (0.3, 0.3, 0.3), (0.3, 0.3, 0), (0.3, 0, 0), (0, 0, 0)
+    response, nearness = corners(cube, np.float32([corner, edge, face, inside]))
+    assert response[0] > response[1] + 0.3 > response[2] + 0.6 and response[3] == pytest.approx(np.log(1e-4))
+    assert (nearness[:3] > 0.5).all() and nearness[3] < 1e-9
 
 
 def test_targets_keep_the_order_and_spread_the_best():
@@ -121,22 +115,11 @@ def test_a_file_holds_the_shapes_and_comes_back(file, tmp_path):
     assert np.isfinite(target).all() and -3 <= target.min() and target.max() < 5
 
 
-class Places:
-    """Shapes of four views, each with 90 points of one sphere of radius 0.3."""
-
-    def __len__(self):
-        return 3
-
-    def __getitem__(self, row):
-        points = np.random.default_rng(row).normal(size=(4, 90, 3))
-        return (0.3 * points / np.linalg.norm(points, axis=2, keepdims=True)).astype(np.float32)
-
-
 @pytest.fixture
-def places(tmp_path, network):
-    """A file of targets of these."""
+def places(tmp_path):
+    """A file of targets of three places, each in four views."""
     path = tmp_path / "places.safetensors"
-    write_targets(path, torch_teacher(network), Places(), rotations=4, queries=64, points=128)
+    write_targets(path, None, Places(Procedural(), 3), queries=64, points=128)
     return path
 
 
@@ -195,14 +178,20 @@ def test_the_command_writes_targets_and_refuses_what_it_cannot_do(tmp_path, netw
     write_weights(weights, network.config, network.state_dict())
     small = ["--rotations", "1", "--queries", "16", "--points", "32"]
     for given, number in (
-        (["--procedural", "2"], 2), (["--procedural", "2", "--engine", "snake-rs"], 2), (["--windows", "1"], 1),
-    ):  # fmt: skip
-        module.main([str(weights), "-o", str(output), *given, *small])
+        ([str(weights), "--procedural", "2"], 2),
+        ([str(weights), "--procedural", "2", "--engine", "snake-rs"], 2),
+        (["--places", "1"], 1),
+    ):
+        module.main([*given, "-o", str(output), *small])
         assert len(Targets(output)) == number
         output.unlink()
-    for wrong, said in ((["--procedural", "0"], "no shapes"), (["--rotations", "0"], "--rotations must be 1 or more")):
+    for wrong, said in (
+        ([str(weights), "--procedural", "0"], "no shapes"),
+        ([str(weights), "--rotations", "0"], "--rotations must be 1 or more"),
+        (["--procedural", "2"], "give the WEIGHTS of a teacher"),
+    ):
         with pytest.raises(SystemExit):
-            module.main([str(weights), "-o", str(output), *small, *wrong])
+            module.main(["-o", str(output), *small, *wrong])
         assert said in capsys.readouterr().err and not output.exists()
 
 

@@ -7,6 +7,7 @@ In a room x, y are horizontal, z is up, lengths are metres; in a camera's frame 
 """
 
 import argparse
+from typing import NamedTuple
 
 import numpy as np
 
@@ -44,11 +45,16 @@ class Scenes:
                 return choose(rng, cloud, self.points)
 
 
-class Windows:
-    """Places of random rooms, each as `views` fragments show it: (V, N, 3) float32 in units of twice a window's radius.
+class Place(NamedTuple):
+    """A place of a room in units of twice a window's radius, within the padded volume: as fragments of different cameras
+    show it, `views` (V, N, 3), and what they see of its surface without noise and holes, `surface` (M, 3). float32."""
 
-    The middle is a place of the furniture; the fragments, of different cameras, are cut to the padded volume about it.
-    """
+    views: np.ndarray
+    surface: np.ndarray
+
+
+class Places:
+    """Places about the furniture of random rooms, for windows of 0.4 to 1.2 m radius; `places[i]` is a `Place`."""
 
     def __init__(self, objects, length, views=4, points=1024, seed=1, places=6):
         self.objects, self.length, self.views, self.points = objects, length, views, points
@@ -67,17 +73,37 @@ class Windows:
         while True:
             place = places[rng.integers(len(places))] + rng.normal(size=3) * 0.2
             radius = np.exp(rng.uniform(*np.log((0.4, 1.2))))
-            views = []
+            near = points[np.linalg.norm(points - place, axis=1) < BOUND * 2 * radius]
+            views, seen = [], []
             for _ in range(4 * self.views):  # furniture or a wall may hide the place
                 eye, target = standpoint(points, rng), place + rng.normal(size=3) * 0.3
                 if np.linalg.norm(eye - place) < max(RANGE[0], 0.7 * radius):
                     continue
-                seen = (fused(points, eye, target, rng) - place) / (2 * radius)
-                seen = seen[np.linalg.norm(seen, axis=1) < BOUND]
-                if len(seen) > 100 and np.linalg.svd(seen - seen.mean(axis=0), compute_uv=False)[2] > 0.5:
-                    views.append(choose(rng, seen, self.points))
+                view = (fused(points, eye, target, rng) - place) / (2 * radius)
+                view = view[np.linalg.norm(view, axis=1) < BOUND]
+                if len(view) > 100 and np.linalg.svd(view - view.mean(axis=0), compute_uv=False)[2] > 0.5:
+                    views.append(choose(rng, view, self.points))
+                    seen.append(view)
                 if len(views) == self.views:
-                    return np.stack(views).astype(np.float32)
+                    surface = one_in_each(near, VOXEL)
+                    surface = ((surface - place) / (2 * radius))[
+                        within(surface, np.concatenate(seen) * 2 * radius + place)
+                    ]
+                    return Place(*(a.astype(np.float32) for a in (np.stack(views), surface)))
+
+
+def one_in_each(points, side):
+    """One of the points (N, 3) in each voxel of that side."""
+    _, first = np.unique(np.floor(points / side).astype(np.int32), axis=0, return_index=True)
+    return points[first]
+
+
+def within(points, others, side=1.5 * VOXEL):
+    """Which of the points (N, 3) lie in or beside a voxel, of that side, with one of the others (M, 3)."""
+    step = np.stack(np.meshgrid(*[(-1, 0, 1)] * 3), axis=-1).reshape(-1, 1, 3)
+    number = lambda voxels: (voxels * (1, 1 << 20, 1 << 40)).sum(axis=-1)
+    beside = number(np.unique(np.floor(others / side).astype(np.int64), axis=0) + step)
+    return np.isin(number(np.floor(points / side).astype(np.int64)), beside)
 
 
 def look_at(eye, target, up=(0, 0, 1)):
@@ -112,9 +138,7 @@ def fused(points, eye, target, rng):
         turn = look_at(eye, target)
         parts.append(depth_image((points - eye) @ turn.T, rng) @ turn + eye)
         eye, target = eye + rng.normal(size=3) * (0.15, 0.15, 0.05), target + rng.normal(size=3) * 0.35
-    together = np.concatenate(parts)
-    _, first = np.unique(np.floor(together / VOXEL).astype(np.int32), axis=0, return_index=True)
-    return together[first]
+    return one_in_each(np.concatenate(parts), VOXEL)
 
 
 def depth_image(points, rng):
