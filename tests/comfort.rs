@@ -228,6 +228,35 @@ fn patterns_that_no_shell_expanded_are_expanded() {
     assert!(stderr(&output).contains("*.xyz: no file has such a name"), "{}", stderr(&output));
 }
 
+/// Long calls on a pseudo-terminal: minutes of work, ended once the expected time is shown.
+#[cfg(target_os = "linux")]
+#[test]
+fn a_long_call_shows_the_time_that_it_will_take() {
+    use std::io::Read;
+    use std::process::Stdio;
+    if Command::new("script").arg("--version").output().is_err() {
+        eprintln!("skipped: without `script` there is no terminal to look at");
+        return;
+    }
+    let folder = tempfile::tempdir().unwrap();
+    let (program, cloud) = (env!("CARGO_BIN_EXE_snake-cli"), sample());
+    let output = folder.path().join("page.html").display().to_string();
+    for command in [format!("detect '{cloud}'"), format!("view '{cloud}' -o '{output}'")] {
+        let command = format!("'{program}' {command} --rotations 8 --refine-steps 10000");
+        let mut script = Command::new("script");
+        script.args(["-qefc", &command, "/dev/null"]).stdin(Stdio::null());
+        let mut child = script.stdout(Stdio::piped()).spawn().unwrap();
+        let (mut shown, mut bytes) = (String::new(), [0; 4096]);
+        while !shown.contains("refinement (ETA ") {
+            let length = child.stdout.as_mut().unwrap().read(&mut bytes).unwrap();
+            assert!(length > 0, "{command}: ended by itself: {shown}");
+            shown += &String::from_utf8_lossy(&bytes[..length]);
+        }
+        child.kill().unwrap();
+        child.wait().unwrap();
+    }
+}
+
 #[cfg(target_os = "linux")]
 #[test]
 fn an_interrupt_leaves_whole_files_only() {

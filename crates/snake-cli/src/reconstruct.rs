@@ -7,7 +7,7 @@ use std::time::Instant;
 use anyhow::{Context, Result, bail};
 use clap::Args;
 use serde_json::json;
-use snake_core::{MeshOptions, io};
+use snake_core::{MeshOptions, Progress, io};
 
 use crate::args::{ComputeArguments, EncodeFlags, override_with};
 use crate::inputs::InputArguments;
@@ -52,10 +52,11 @@ pub fn run(arguments: &ReconstructArguments) -> Result<()> {
     override_with(&mut options.resolution, arguments.resolution);
     override_with(&mut options.level, arguments.level);
     options.check()?;
-    let model = arguments.compute.load_model()?;
+    let progress = Progress::default();
+    let model = arguments.compute.load_model()?.with_progress(&progress);
     let encode = arguments.encode.resolve(&model)?.encode;
     terminal::detail("options", || json!({ "encode": encode, "mesh": options }).to_string());
-    let bar = terminal::progress(1)?;
+    let bar = terminal::stages(&progress)?;
     bar.set_message(format!("{} ({} samples along each axis)", input.display(), options.resolution));
     let start = Instant::now();
     let points = arguments.reading.read(input, encode.seed)?.into_points();

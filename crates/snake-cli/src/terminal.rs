@@ -6,7 +6,8 @@ use std::time::Duration;
 
 use anyhow::{Context, Result};
 use console::style;
-use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
+use indicatif::{HumanDuration, ProgressBar, ProgressDrawTarget, ProgressStyle};
+use snake_core::Progress;
 
 /// How much is said.
 #[derive(Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Default)]
@@ -85,20 +86,48 @@ pub fn detail(topic: &str, text: impl FnOnce() -> String) {
 
 /// What takes less is over before a bar could be read.
 const BAR_AFTER: Duration = Duration::from_secs(1);
+/// Time between two pictures of a bar.
+const BAR_INTERVAL: Duration = Duration::from_millis(200);
 
 /// A bar that shows itself after a second, with the expected time where there are several steps. It is drawn on a
 /// terminal only, and not with `--quiet`.
 pub fn progress(steps: usize) -> Result<ProgressBar> {
-    let bar = ProgressBar::with_draw_target(Some(steps as u64), ProgressDrawTarget::hidden());
     let template = if steps > 1 { "{bar:30} {pos}/{len} {msg} (ETA {eta})" } else { "{spinner} {msg} ({elapsed})" };
+    shown_later(steps, template, |_| ())
+}
+
+/// Like [`progress`], a bar of one long call: the stages that a model counts, each with the time that it is expected to
+/// take.
+pub fn stages(progress: &Progress) -> Result<ProgressBar> {
+    let progress = progress.clone();
+    shown_later(1, "{bar:30} {prefix}: {msg}", move |bar| {
+        let Some(stage) = progress.stage() else { return bar.set_prefix("reading") };
+        bar.set_length(stage.total.max(1));
+        bar.set_position(stage.done);
+        bar.set_prefix(match stage.remaining() {
+            Some(remaining) => format!("{} (ETA {:#})", stage.name, HumanDuration(remaining)),
+            None => stage.name.into(),
+        });
+    })
+}
+
+/// A bar that is brought up to date by `update` for as long as it is shown.
+fn shown_later(steps: usize, template: &str, update: impl Fn(&ProgressBar) + Send + 'static) -> Result<ProgressBar> {
+    let bar = ProgressBar::with_draw_target(Some(steps as u64), ProgressDrawTarget::hidden());
     bar.set_style(ProgressStyle::with_template(template)?);
     if verbosity() > Verbosity::Quiet {
         let shown = bar.downgrade();
+        let running = move || shown.upgrade().filter(|bar| !bar.is_finished());
         std::thread::spawn(move || {
             std::thread::sleep(BAR_AFTER);
-            if let Some(bar) = shown.upgrade().filter(|bar| !bar.is_finished()) {
+            if let Some(bar) = running() {
                 bar.set_draw_target(ProgressDrawTarget::stderr());
-                bar.enable_steady_tick(Duration::from_millis(200));
+            }
+            while let Some(bar) = running() {
+                update(&bar);
+                bar.tick();
+                drop(bar);
+                std::thread::sleep(BAR_INTERVAL);
             }
         });
     }

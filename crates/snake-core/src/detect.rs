@@ -10,6 +10,7 @@ use crate::length::Length;
 use crate::nms::{nearest_points, suppress};
 use crate::nn::TILE;
 use crate::points::{Normalization, NormalizationMethod, Point};
+use crate::progress::Counter;
 use crate::refine::refine;
 use crate::windows::WindowOptions;
 use crate::{Error, Result};
@@ -249,6 +250,7 @@ pub fn detect(field: &Field, options: &DetectOptions) -> Result<Detection> {
     let nms_radius = options.nms_radius(field.points())?;
     let Found { positions, scores, mut counts, mut timing } = Found::of(field, options, |_| true);
     let start = Instant::now();
+    Counter::begin(field.model().progress(), "suppression", 0);
     let kept = suppress(&positions, &scores, nms_radius, options.max_keypoints)?;
     let mut positions: Vec<Point> = kept.iter().map(|&index| positions[index]).collect();
     let nearest = nearest_points(field.points(), &positions)?;
@@ -346,14 +348,18 @@ pub(crate) fn occupied_queries(field: &Field, options: &DetectOptions) -> Vec<Po
         }
         queries
     };
+    let counter = Counter::begin(field.model().progress(), "occupancy", resolution.pow(3));
     let occupied = |tile: &[Point]| -> Vec<Point> {
         let occupancy = field.tile_values(Quantity::Occupancy, tile);
+        counter.add(tile.len());
         tile.iter().zip(occupancy).filter(|(_, o)| *o > options.occupancy_threshold).map(|(q, _)| *q).collect()
     };
-    (0..resolution)
-        .into_par_iter()
-        .flat_map_iter(|x| plane(x).chunks(TILE).flat_map(occupied).collect::<Vec<_>>())
-        .collect()
+    let occupied_of_plane = |x: usize| -> Vec<Point> {
+        let queries = plane(x);
+        counter.add(resolution * resolution - queries.len());
+        queries.chunks(TILE).flat_map(occupied).collect()
+    };
+    (0..resolution).into_par_iter().flat_map_iter(occupied_of_plane).collect()
 }
 
 /// Of each voxel of the volume, whether a voxel with input points is at most `reach` away along every axis.

@@ -10,6 +10,7 @@ use crate::decoder::Decoder;
 use crate::model::Model;
 use crate::nn::TILE;
 use crate::points::{FinitePoints, Normalization, NormalizationMethod, Point, check_points};
+use crate::progress::Counter;
 use crate::rotations::{self, Rotation, turned, turned_back};
 use crate::volume::{Volume, VolumeFrame};
 use crate::{Error, Result, weights};
@@ -86,9 +87,11 @@ struct View {
 impl View {
     fn all(model: &Model, points: &[Point], normalization: Normalization, rotations: usize) -> Result<Vec<Self>> {
         let network_points: Vec<Point> = points.iter().map(|&point| normalization.to_network(point)).collect();
+        let encoder = &model.network().encoder;
+        let counter = Counter::begin(model.progress(), "encoding", rotations * encoder.work(points.len()));
         let views = rotations::spread(rotations).into_iter().map(|rotation| {
             let turned: Vec<Point> = network_points.iter().map(|&point| turned(&rotation, point)).collect();
-            let volume = model.network().encoder.encode(&turned);
+            let volume = encoder.encode(&turned, &counter);
             match volume.values.par_iter().all(|value| value.is_finite()) {
                 true => Ok(Self { rotation, volume }),
                 false => {
@@ -105,6 +108,15 @@ impl View {
 pub(crate) enum Quantity {
     Occupancy,
     Saliency,
+}
+
+impl Quantity {
+    fn name(self) -> &'static str {
+        match self {
+            Self::Occupancy => "occupancy",
+            Self::Saliency => "saliency",
+        }
+    }
 }
 
 impl Field {
@@ -240,14 +252,22 @@ impl Field {
 
     fn values(&self, quantity: Quantity, queries: &[Point]) -> Result<Vec<f32>> {
         let queries = self.to_network(queries)?;
-        Ok(queries.par_chunks(TILE).flat_map_iter(|tile| self.tile_values(quantity, tile)).collect())
+        let counter = Counter::begin(self.model.progress(), quantity.name(), queries.len());
+        let values = queries.par_chunks(TILE).flat_map_iter(|tile| {
+            let values = self.tile_values(quantity, tile);
+            counter.add(tile.len());
+            values
+        });
+        Ok(values.collect())
     }
 
     fn values_and_gradients(&self, quantity: Quantity, queries: &[Point]) -> Result<(Vec<f32>, Vec<Point>)> {
         let per_cloud_unit = self.normalization.scale.recip();
-        let pairs = self.to_network(queries)?;
-        let pairs = pairs.par_chunks(TILE).flat_map_iter(|tile| {
+        let queries = self.to_network(queries)?;
+        let counter = Counter::begin(self.model.progress(), quantity.name(), queries.len());
+        let pairs = queries.par_chunks(TILE).flat_map_iter(|tile| {
             let (values, gradients) = self.tile_values_and_gradients(quantity, tile);
+            counter.add(tile.len());
             values.into_iter().zip(gradients.into_iter().map(|g| g.map(|v| v * per_cloud_unit)))
         });
         Ok(pairs.unzip())

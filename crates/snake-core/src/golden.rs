@@ -6,6 +6,7 @@ use safetensors::SafeTensors;
 
 use crate::detect::{DetectOptions, RefineMethod, Selection, occupied_queries};
 use crate::encoder::VoxelGroups;
+use crate::progress::Counter;
 use crate::refine::refine;
 use crate::{EncodeOptions, Field, Model, NormalizationMethod, Point};
 
@@ -88,10 +89,10 @@ fn encoder_stages() {
         let encoder = &case.model.network().encoder;
         let (points, frame) = (case.points("points"), case.model.config().frame);
         let groups = VoxelGroups::new(&points, &frame);
-        let features = encoder.point_features(&points, &groups);
+        let features = encoder.point_features(&points, &groups, &Counter::default());
         case.assert_close("point_features", &features, 1e-5);
 
-        let scattered = encoder.scatter_mean(&features, &groups).values;
+        let scattered = encoder.scatter_mean(&features, &groups, &Counter::default()).values;
         let ([_, height, width], channels) = (frame.size(), features.len() / points.len());
         let mut expected = vec![0.0; scattered.len()];
         let values = case.floats("scatter_values");
@@ -101,7 +102,7 @@ fn encoder_stages() {
         }
         assert!(scattered.iter().zip(&expected).all(|(f, e)| (f - e).abs() < 1e-5), "{}: scatter", case.name);
 
-        let volume = encoder.encode(&points);
+        let volume = encoder.encode(&points, &Counter::default());
         let row = |voxel: usize| volume.values[voxel * volume.channels..][..volume.channels].to_vec();
         let sampled: Vec<f32> = case.indices("volume_sample_index").into_iter().flat_map(row).collect();
         // Eight to fourteen layers of float32 sums in another order.

@@ -10,6 +10,7 @@ use crate::detect::{Detection, Preset, detect};
 use crate::encoder::Encoder;
 use crate::field::{EncodeOptions, Field};
 use crate::points::Point;
+use crate::progress::Progress;
 use crate::volume::VolumeFrame;
 use crate::windows::detect_in_windows;
 use crate::weights::{self, Weights};
@@ -115,7 +116,10 @@ pub(crate) struct Network {
 /// # Ok::<(), snake_core::Error>(())
 /// ```
 #[derive(Debug, Clone)]
-pub struct Model(Arc<Network>);
+pub struct Model {
+    network: Arc<Network>,
+    progress: Option<Progress>,
+}
 
 impl Model {
     /// The compact model that comes with the crate (see `models/README.md`).
@@ -159,27 +163,32 @@ impl Model {
         network.recommended.encode.check()?;
         network.recommended.detect.check()?;
         file.finish()?;
-        Ok(Self(Arc::new(network)))
+        Ok(Self { network: Arc::new(network), progress: None })
+    }
+
+    /// The same model, and its fields, with a place where long calls say how far they are.
+    pub fn with_progress(self, progress: &Progress) -> Self {
+        Self { progress: Some(progress.clone()), ..self }
     }
 
     /// The network's shape.
     pub fn config(&self) -> &ModelConfig {
-        &self.0.config
+        &self.network.config
     }
 
     /// All metadata of the weight file.
     pub fn metadata(&self) -> &BTreeMap<String, String> {
-        &self.0.metadata
+        &self.network.metadata
     }
 
     /// Number of weights.
     pub fn num_parameters(&self) -> usize {
-        self.0.num_parameters
+        self.network.num_parameters
     }
 
     /// The options that suit these weights: from the metadata key `recommended_options`, else the defaults.
     pub fn recommended(&self) -> &Preset {
-        &self.0.recommended
+        &self.network.recommended
     }
 
     /// Encodes a cloud once; the field then answers any number of queries.
@@ -219,7 +228,16 @@ impl Model {
         Ok(detection)
     }
 
+    /// The same model for calls within a call that counts them.
+    pub(crate) fn without_progress(&self) -> Self {
+        Self { network: self.network.clone(), progress: None }
+    }
+
+    pub(crate) fn progress(&self) -> Option<&Progress> {
+        self.progress.as_ref()
+    }
+
     pub(crate) fn network(&self) -> &Network {
-        &self.0
+        &self.network
     }
 }

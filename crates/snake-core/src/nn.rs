@@ -105,7 +105,7 @@ impl Tensor {
         Self { size, channels, values, sums, blank: None }
     }
 
-    fn voxels(&self) -> usize {
+    pub(crate) fn voxels(&self) -> usize {
         self.size.iter().product()
     }
 

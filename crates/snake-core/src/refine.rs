@@ -6,6 +6,7 @@ use crate::detect::{DetectOptions, RefineMethod, Selection};
 use crate::field::{Field, Quantity};
 use crate::nn::TILE;
 use crate::points::Point;
+use crate::progress::Counter;
 
 /// A refined query.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -21,7 +22,9 @@ pub(crate) struct Candidate {
 /// Queries do not influence each other except that Adam's gradient is that of the *mean* saliency, one over their
 /// number times each query's own; so each tile makes all its steps on one thread.
 pub(crate) fn refine(field: &Field, queries: &[Point], options: &DetectOptions) -> Vec<Candidate> {
-    queries.par_chunks(TILE).flat_map_iter(|tile| refine_tile(field, tile, queries.len(), options)).collect()
+    let counter = Counter::begin(field.model().progress(), "refinement", queries.len() * (options.refine_steps + 1));
+    let refined = |tile| refine_tile(field, tile, queries.len(), options, &counter);
+    queries.par_chunks(TILE).flat_map_iter(refined).collect()
 }
 
 /// Where the queries of a tile were at one time, and their saliency there.
@@ -30,7 +33,13 @@ struct Stop {
     saliency: Vec<f32>,
 }
 
-fn refine_tile(field: &Field, queries: &[Point], num_queries: usize, options: &DetectOptions) -> Vec<Candidate> {
+fn refine_tile(
+    field: &Field,
+    queries: &[Point],
+    num_queries: usize,
+    options: &DetectOptions,
+    counter: &Counter,
+) -> Vec<Candidate> {
     let mut positions = queries.to_vec();
     let mut way = Vec::with_capacity(options.refine_steps + 1);
     let mut adam = Adam::new(queries.len(), options.refine_step_size);
@@ -45,8 +54,9 @@ fn refine_tile(field: &Field, queries: &[Point], num_queries: usize, options: &D
                 }
             }
         }
+        counter.add(queries.len());
     }
-    match options.selection {
+    let selected = match options.selection {
         Selection::ReferenceFinalPosition if options.refine_steps > 0 => {
             let mut best = best_on_surface(field, &way, options);
             best.iter_mut().zip(positions).for_each(|(best, position)| best.position = position);
@@ -57,7 +67,9 @@ fn refine_tile(field: &Field, queries: &[Point], num_queries: usize, options: &D
             way.push(Stop { positions, saliency });
             best_on_surface(field, &way, options)
         }
-    }
+    };
+    counter.add(queries.len());
+    selected
 }
 
 /// For each query of a tile the stop of its way with the highest saliency among those on the surface, the first of them

@@ -14,6 +14,7 @@ use crate::length::Length;
 use crate::model::Model;
 use crate::nms::{nearest_points, suppress};
 use crate::points::{FinitePoints, Normalization, NormalizationMethod, Point};
+use crate::progress::Counter;
 
 /// Options of detection in windows.
 #[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
@@ -49,6 +50,8 @@ pub(crate) fn detect_in_windows(model: &Model, points: &[Point], radius: Length,
     let nearest_middle = KdTree::new(&middles)?;
     let (mut positions, mut scores, mut occupancy) = (Vec::new(), Vec::new(), Vec::new());
     let (mut counts, mut timing) = (Counts::default(), Timing::default());
+    let counter = Counter::begin(model.progress(), "windows", middles.len());
+    let of_window = model.without_progress();
     for (window, &center) in middles.iter().enumerate() {
         let start = Instant::now();
         let mut inside = Vec::new();
@@ -56,7 +59,7 @@ pub(crate) fn detect_in_windows(model: &Model, points: &[Point], radius: Length,
         inside.sort_unstable();
         let seen = inside.into_iter().map(|index| encoded[index]).collect();
         let normalization = Normalization { center, scale: 2.0 * radius };
-        let field = Field::normalized(model.clone(), seen, normalization, encode.rotations)?;
+        let field = Field::normalized(of_window.clone(), seen, normalization, encode.rotations)?;
         timing.encode += start.elapsed().as_secs_f64();
         let owned = |position: &Point| nearest_middle.nearest(position, NonZeroUsize::MIN)[0].0 == window;
         let found = Found::of(&field, options, owned);
@@ -66,7 +69,9 @@ pub(crate) fn detect_in_windows(model: &Model, points: &[Point], radius: Length,
         counts.add(&found.counts);
         timing.occupancy += found.timing.occupancy;
         timing.refine += found.timing.refine;
+        counter.add(1);
     }
+    Counter::begin(model.progress(), "suppression", 0);
     let start = Instant::now();
     let kept = suppress(&positions, &scores, nms_radius, options.max_keypoints)?;
     let kept_positions: Vec<Point> = kept.iter().map(|&index| positions[index]).collect();

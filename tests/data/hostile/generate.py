@@ -147,9 +147,9 @@ def las(num_points, records, scale=0.01, record_length=20, point_format=0, recor
     return bytes(header) + records
 
 
-def laz(changes=()):
-    """Our good compressed file with other bytes at some places."""
-    content = bytearray((HERE / "../io/good/format_3.laz").read_bytes())
+def laz(changes=(), good="format_3.laz"):
+    """A good compressed file of ours with other bytes at some places."""
+    content = bytearray((HERE / "../io/good" / good).read_bytes())
     for place, value in changes:
         content[place : place + len(value)] = value
     return bytes(content)
@@ -185,6 +185,8 @@ def cloud_files():
         "count_4e9.laz": laz([(107, struct.pack("<I", 4_000_000_000))]),
         "items_of_no_point.laz": laz([(laszip + 34, struct.pack("<H", 9))]),
         "chunks_of_0.laz": laz([(laszip + 12, bytes(4))]),
+        # The first layer: header and table of chunks, the first point, number of points, nine sizes.
+        "beyond_interval.laz": laz([(469 + 8 + 30 + 4 + 36, b"\xff" * 4 + b"U" * 14)], "format_6.laz"),
         "unpacks_to_4e9.pcd": b"FIELDS x y z\nSIZE 4 4 4\nTYPE F F F\nPOINTS 333333333\nDATA binary_compressed\n"
         + struct.pack("<II", 3, 3_999_999_996)
         + b"\xe0\xff\x00",

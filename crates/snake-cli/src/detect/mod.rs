@@ -12,7 +12,7 @@ use anyhow::{Context, Result, anyhow, bail};
 use console::style;
 use serde_json::json;
 use snake_core::io::{self, Cloud, KeypointFormat, KeypointSource};
-use snake_core::{Detection, Field, Model, NormalizationMethod, Preset, detect};
+use snake_core::{Detection, Field, Model, NormalizationMethod, Preset, Progress, detect};
 
 use crate::inputs::{DASH, check_inputs, expand};
 use crate::terminal;
@@ -28,14 +28,18 @@ const NAMED_FAILURES: usize = 10;
 pub fn run(arguments: &DetectArguments) -> Result<ExitCode> {
     arguments.compute.start_threads()?;
     let loading = Instant::now();
-    let model = arguments.compute.load_model()?;
+    let progress = Progress::default();
+    let model = arguments.compute.load_model()?.with_progress(&progress);
     let load_model = loading.elapsed().as_secs_f64();
     let options = arguments.options.resolve(&model)?;
     terminal::detail("options", || serde_json::to_string(&options).unwrap_or_default());
     let inputs = expand(&arguments.inputs)?;
     check_inputs(&inputs)?;
     let outputs = outputs(arguments, &inputs)?;
-    let bar = terminal::progress(inputs.len())?;
+    let bar = match &inputs[..] {
+        [_] => terminal::stages(&progress)?,
+        several => terminal::progress(several.len())?,
+    };
     let mut failed = Vec::new();
     let mut timings = Vec::new();
     for (index, input) in inputs.iter().enumerate() {

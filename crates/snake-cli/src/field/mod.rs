@@ -6,7 +6,7 @@ use std::path::Path;
 
 use anyhow::{Context, Result, bail};
 use serde_json::json;
-use snake_core::{Field, Grid, io};
+use snake_core::{Field, Grid, Progress, io};
 
 use crate::render::figure::{Panel, PanelAxis, figure};
 use crate::terminal;
@@ -26,11 +26,14 @@ pub fn run(arguments: &FieldArguments) -> Result<()> {
         ("npy", _) => bail!("{}: a volume has one --quantity", output.display()),
         _ => bail!("{}: unknown extension; files that can be written: .png, .npy", output.display()),
     };
-    let model = arguments.compute.load_model()?;
+    let progress = Progress::default();
+    let model = arguments.compute.load_model()?.with_progress(&progress);
     let options = arguments.encode.resolve(&model)?.encode;
     terminal::detail("options", || serde_json::to_string(&options).unwrap_or_default());
+    let bar = terminal::stages(&progress)?.with_message(input.display().to_string());
     let points = arguments.reading.read(input, options.seed)?.into_points();
     let field = model.encode(&points, &options).with_context(|| input.display().to_string())?;
+    bar.finish_and_clear();
     let grid = field.grid(*resolution)?;
     match one_quantity {
         Some(quantity) => write_volume(output, &field, &grid, quantity)?,

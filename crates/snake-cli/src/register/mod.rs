@@ -6,6 +6,7 @@ use std::fmt::Write;
 use std::path::Path;
 
 use anyhow::{Context, Result, bail};
+use snake_core::Progress;
 use snake_core::io::{self, CloudFormat};
 use snake_core::registration::{Registration, register, transform_points};
 
@@ -23,10 +24,11 @@ pub fn run(arguments: &RegisterArguments) -> Result<()> {
     if let Some(input) = output.iter().chain(aligned).find(|path| *path == source || *path == target) {
         bail!("{}: is an input; give another name to write to", input.display());
     }
-    let model = arguments.compute.load_model()?;
+    let progress = Progress::default();
+    let model = arguments.compute.load_model()?.with_progress(&progress);
     let options = arguments.options.resolve();
     terminal::detail("options", || serde_json::to_string(&options).unwrap_or_default());
-    let bar = terminal::progress(1)?.with_message(format!("{} to {}", source.display(), target.display()));
+    let bar = terminal::stages(&progress)?.with_message(format!("{} to {}", source.display(), target.display()));
     let read = |path| arguments.input.read(path, options.seed);
     let (source_cloud, target_cloud) = (read(source)?, read(target)?);
     terminal::detail("points", || format!("{} and {}", source_cloud.points.len(), target_cloud.points.len()));

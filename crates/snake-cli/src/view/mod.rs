@@ -8,7 +8,8 @@ use anyhow::{Context, Result, bail};
 use snake_core::metrics::repeated_keypoints;
 use snake_core::registration::{RegisterOptions, register};
 use snake_core::{
-    Field, Length, Mesh, MeshOptions, Model, Normalization, NormalizationMethod, Point, Preset, Transform, detect, io,
+    Field, Length, Mesh, MeshOptions, Model, Normalization, NormalizationMethod, Point, Preset, Progress, Transform,
+    detect, io,
 };
 
 use crate::inputs::check_inputs;
@@ -36,16 +37,16 @@ pub fn run(arguments: &ViewArguments) -> Result<()> {
     }
     check_inputs([input].into_iter().chain(second))?;
     let t_first_second = transform.as_deref().map(io::read_transform).transpose()?;
-    let model = arguments.compute.load_model()?;
+    let progress = Progress::default();
+    let model = arguments.compute.load_model()?.with_progress(&progress);
     let options = arguments.options.resolve(&model)?;
     terminal::detail("options", || serde_json::to_string(&options).unwrap_or_default());
-    let bar = terminal::progress(1 + usize::from(second.is_some()) * 2)?;
+    let bar = terminal::stages(&progress)?;
     let mut clouds: Vec<ShownCloud> = Vec::new();
     for input in [input].into_iter().chain(second) {
         bar.set_message(input.display().to_string());
         let points = arguments.reading.read(input, options.encode.seed)?.into_points();
         clouds.push(shown(&model, &options, input, &points)?);
-        bar.inc(1);
     }
     bar.set_message("registration");
     let pair = match &clouds[..] {

@@ -7,6 +7,7 @@ use crate::kernels::Then;
 use crate::model::ModelConfig;
 use crate::nn::{Linear, ResnetBlockFc, TILE};
 use crate::points::Point;
+use crate::progress::Counter;
 use crate::volume::VolumeFrame;
 use crate::weights::Scope;
 
@@ -51,13 +52,13 @@ impl VoxelGroups {
     }
 
     /// Maximum over each run's points: `(points, width)` to `(runs, width)`.
-    fn max_pool(&self, features: &[f32], width: usize) -> Vec<f32> {
-        self.pool(features, width, f32::NEG_INFINITY, f32::max)
+    fn max_pool(&self, features: &[f32], width: usize, counter: &Counter) -> Vec<f32> {
+        self.pool(features, width, f32::NEG_INFINITY, f32::max, counter)
     }
 
     /// Mean over each run's points: `(points, width)` to `(runs, width)`.
-    pub(crate) fn mean_pool(&self, features: &[f32], width: usize) -> Vec<f32> {
-        let mut sums = self.pool(features, width, 0.0, |sum, feature| sum + feature);
+    pub(crate) fn mean_pool(&self, features: &[f32], width: usize, counter: &Counter) -> Vec<f32> {
+        let mut sums = self.pool(features, width, 0.0, |sum, feature| sum + feature, counter);
         for (run, sum) in sums.chunks_exact_mut(width).enumerate() {
             sum.iter_mut().for_each(|s| *s /= self.members(run).len() as f32);
         }
@@ -65,7 +66,14 @@ impl VoxelGroups {
     }
 
     /// Combines the features of each run's points, in rising order of the points.
-    fn pool(&self, features: &[f32], width: usize, start: f32, combine: impl Fn(f32, f32) -> f32 + Sync) -> Vec<f32> {
+    fn pool(
+        &self,
+        features: &[f32],
+        width: usize,
+        start: f32,
+        combine: impl Fn(f32, f32) -> f32 + Sync,
+        counter: &Counter,
+    ) -> Vec<f32> {
         let mut pooled = vec![start; self.runs.len() * width];
         pooled.par_chunks_mut(width).enumerate().for_each(|(run, pooled)| {
             for &point in self.members(run) {
@@ -73,6 +81,7 @@ impl VoxelGroups {
                     *p = combine(*p, f);
                 }
             }
+            counter.add(self.members(run).len());
         });
         pooled
     }
@@ -99,12 +108,17 @@ impl PointNet {
         })
     }
 
+    /// What [`PointNet::features`] counts: each point in each block, in the pooling between two, and in the last layer.
+    pub(crate) fn work(&self, num_points: usize) -> usize {
+        num_points * 2 * self.blocks.len()
+    }
+
     /// Features `(points, c_dim)` of points in the network's frame.
-    pub(crate) fn features(&self, points: &[Point], groups: &VoxelGroups) -> Vec<f32> {
+    pub(crate) fn features(&self, points: &[Point], groups: &VoxelGroups, counter: &Counter) -> Vec<f32> {
         let wide = 2 * self.hidden;
         let mut features = vec![0.0; points.len() * self.hidden];
         for (depth, block) in self.blocks.iter().enumerate() {
-            let pooled = if depth == 0 { Vec::new() } else { groups.max_pool(&features, self.hidden) };
+            let pooled = if depth == 0 { Vec::new() } else { groups.max_pool(&features, self.hidden, counter) };
             features.par_chunks_mut(TILE * self.hidden).enumerate().for_each(|(tile, features)| {
                 let first = tile * TILE;
                 let rows = features.len() / self.hidden;
@@ -119,15 +133,16 @@ impl PointNet {
                     }
                 }
                 block.forward(&input, features);
+                counter.add(rows);
             });
         }
         let c_dim = self.fc_c.outputs();
         let mut output = vec![0.0; points.len() * c_dim];
         let tiles = features.par_chunks(TILE * self.hidden);
-        output
-            .par_chunks_mut(TILE * c_dim)
-            .zip(tiles)
-            .for_each(|(out, input)| self.fc_c.forward(input, out, Then::Store));
+        output.par_chunks_mut(TILE * c_dim).zip(tiles).for_each(|(out, input)| {
+            self.fc_c.forward(input, out, Then::Store);
+            counter.add(input.len() / self.hidden);
+        });
         output
     }
 }

@@ -4,6 +4,7 @@ use crate::Result;
 use crate::model::ModelConfig;
 use crate::nn::{Linear, SingleConv, Tensor};
 use crate::pool::{Buffer, Pool};
+use crate::progress::Counter;
 use crate::weights::Scope;
 
 type DoubleConv = [SingleConv; 2];
@@ -60,12 +61,20 @@ impl UNet3d {
         })
     }
 
+    /// What [`UNet3d::forward`] counts: the voxels that each pair of convolutions makes.
+    pub(crate) fn work(&self, size: [usize; 3]) -> usize {
+        let levels = (0..=self.deeper.len()).chain(0..self.decoders.len());
+        levels.map(|level| size.iter().map(|n| n >> level).product::<usize>()).sum()
+    }
+
     /// `(D, H, W, c_dim)` to the same size and width.
-    pub(crate) fn forward(&self, volume: Tensor) -> Buffer {
+    pub(crate) fn forward(&self, volume: Tensor, counter: &Counter) -> Buffer {
         let run = |[first, second]: &DoubleConv, inputs: Vec<Tensor>| {
             let middle = first.forward(&inputs.iter().collect::<Vec<_>>(), &self.pool);
             drop(inputs);
-            second.forward(&[&middle], &self.pool)
+            let made = second.forward(&[&middle], &self.pool);
+            counter.add(made.voxels());
+            made
         };
         let mut skips = Vec::with_capacity(self.decoders.len());
         let mut current = run(&self.top, vec![volume]);

@@ -134,6 +134,9 @@ impl Header {
         let mut source = Cursor::new(data);
         let (mut points, mut record) = (Vec::new(), vec![0; self.record_length]);
         while points.len() < self.num_points {
+            if is_beyond_interval(data.get(source.position() as usize + self.record_length..)) {
+                return Err(self.cut_short(points.len()));
+            }
             let mut decoder = SequentialPointRecordDecompressor::new(&mut source);
             for item in items {
                 match (item.item_type(), item.version()) {
@@ -158,11 +161,15 @@ impl Header {
             let cut_short = || self.cut_short(points.len());
             let count: [u8; 4] = field(data, self.record_length).ok_or_else(cut_short)?;
             let sizes = data.get(sizes_at..sizes_at + 4 * num_layers).ok_or_else(cut_short)?;
-            let sizes = sizes.as_chunks().0.iter().map(|size| u64::from(u32::from_le_bytes(*size))).sum::<u64>();
-            let length = (sizes_at + 4 * num_layers) as u64 + sizes;
-            let (chunk, rest) = data.split_at_checked(length as usize).ok_or_else(cut_short)?;
+            let mut end = sizes_at + 4 * num_layers;
+            let mut is_damaged = false;
+            for size in sizes.as_chunks().0 {
+                is_damaged |= is_beyond_interval(data.get(end..));
+                end = end.saturating_add(u32::from_le_bytes(*size) as usize);
+            }
+            let (chunk, rest) = data.split_at_checked(end).ok_or_else(cut_short)?;
             let count = (u32::from_le_bytes(count) as usize).min(self.num_points - points.len());
-            if count == 0 {
+            if count == 0 || is_damaged {
                 return Err(cut_short());
             }
             let mut decoder = LayeredPointRecordDecompressor::new(Cursor::new(chunk));
@@ -185,6 +192,12 @@ impl Header {
 /// `N` bytes of a header.
 fn field<const N: usize>(bytes: &[u8], at: usize) -> Option<[u8; N]> {
     bytes.get(at..)?.first_chunk().copied()
+}
+
+/// Whether compressed data begins with what no encoder writes: the decoder's value must be below the length of its first
+/// interval. It would go on to look beyond its tables.
+fn is_beyond_interval(data: Option<&[u8]>) -> bool {
+    data.is_some_and(|data| data.starts_with(&[0xff; 4]))
 }
 
 /// Refuses parts of a point that are not as long as their kind is, or not as long together as the point.

@@ -6,20 +6,24 @@ use rayon::prelude::*;
 
 use crate::neighbors::{Neighbors, Vector, vector};
 use crate::points::{Point, check_points};
+use crate::progress::{Counter, Progress};
 use crate::{Error, Result};
 
 /// The mean of the points in each cube of side `voxel_size`, in the order of the cubes' first points.
-pub(super) fn voxel_means(points: &[Point], voxel_size: f64) -> Vec<Vector> {
+pub(super) fn voxel_means(points: &[Point], voxel_size: f64, counter: &Counter) -> Vec<Vector> {
     let mut cells: HashMap<[i64; 3], usize> = HashMap::new();
     let mut sums: Vec<(Vector, usize)> = Vec::new();
-    for point in points.iter().copied().map(vector) {
-        let cell = [point.x, point.y, point.z].map(|v| (v / voxel_size).floor() as i64);
-        let index = *cells.entry(cell).or_insert(sums.len());
-        if index == sums.len() {
-            sums.push((Vector::zeros(), 0));
+    for points in points.chunks(4096) {
+        for point in points.iter().copied().map(vector) {
+            let cell = [point.x, point.y, point.z].map(|v| (v / voxel_size).floor() as i64);
+            let index = *cells.entry(cell).or_insert(sums.len());
+            if index == sums.len() {
+                sums.push((Vector::zeros(), 0));
+            }
+            sums[index].0 += point;
+            sums[index].1 += 1;
         }
-        sums[index].0 += point;
-        sums[index].1 += 1;
+        counter.add(points.len());
     }
     sums.into_iter().map(|(sum, count)| sum / count as f64).collect()
 }
@@ -36,7 +40,7 @@ pub fn estimate_normals(points: &[Point], radius: f64) -> Result<Vec<Point>> {
     check_radius("radius", radius)?;
     let cloud = Neighbors::new(points.iter().copied().map(vector).collect())?;
     cloud.check_crowding("radius", radius)?;
-    Ok(normals(&cloud, radius).into_iter().map(|normal| normal.map(|v| v as f32).into()).collect())
+    Ok(normals(&cloud, radius, None).into_iter().map(|normal| normal.map(|v| v as f32).into()).collect())
 }
 
 pub(super) fn check_radius(name: &'static str, radius: f64) -> Result<()> {
@@ -48,9 +52,11 @@ pub(super) fn check_radius(name: &'static str, radius: f64) -> Result<()> {
 }
 
 /// [`estimate_normals`] of an indexed cloud.
-pub(super) fn normals(cloud: &Neighbors, radius: f64) -> Vec<Vector> {
+pub(super) fn normals(cloud: &Neighbors, radius: f64, progress: Option<&Progress>) -> Vec<Vector> {
+    let counter = Counter::begin(progress, "normals", cloud.points.len());
     let center = cloud.points.iter().sum::<Vector>() / cloud.points.len() as f64;
     let normal = |point: &Vector| {
+        counter.add(1);
         let Some(normal) = cloud.normal(&cloud.within(point, radius)) else { return Vector::zeros() };
         if normal.dot(&(center - point)) < 0.0 { -normal } else { normal }
     };
@@ -64,12 +70,12 @@ mod tests {
     #[test]
     fn each_voxel_gives_the_mean_of_its_points() {
         let points = [[0.9, 0.1, 0.1], [-0.1, 0.2, 0.3], [0.1, 0.5, 0.1], [-0.3, 0.4, 0.5]];
-        let means = voxel_means(&points, 1.0);
+        let means = voxel_means(&points, 1.0, &Counter::default());
         assert_eq!(means.len(), 2);
         assert!((means[0] - Vector::new(0.5, 0.3, 0.1)).norm() < 1e-7, "{means:?}");
         assert!((means[1] - Vector::new(-0.2, 0.3, 0.4)).norm() < 1e-7, "{means:?}");
         // Voxels beyond i64 do not panic.
-        assert_eq!(voxel_means(&[[3e38; 3], [-3e38; 3]], 1e-30).len(), 2);
+        assert_eq!(voxel_means(&[[3e38; 3], [-3e38; 3]], 1e-30, &Counter::default()).len(), 2);
     }
 
     #[test]

@@ -7,6 +7,7 @@ use rayon::prelude::*;
 use super::cloud::check_radius;
 use crate::neighbors::{Neighbors, Vector, vector};
 use crate::points::{Point, check_points};
+use crate::progress::{Counter, Progress};
 use crate::{Error, Result};
 
 /// Numbers per descriptor: three histograms of 11 bins.
@@ -36,14 +37,17 @@ pub fn fpfh(points: &[Point], normals: &[Point], radius: f64) -> Result<Vec<f32>
     let cloud = Neighbors::new(points.iter().copied().map(vector).collect())?;
     cloud.check_crowding("radius", radius)?;
     let normals: Vec<Vector> = normals.iter().copied().map(vector).collect();
-    Ok(descriptors(&cloud, &normals, radius))
+    Ok(descriptors(&cloud, &normals, radius, None))
 }
 
 /// [`fpfh`] of an indexed cloud.
-pub(super) fn descriptors(cloud: &Neighbors, normals: &[Vector], radius: f64) -> Vec<f32> {
+pub(super) fn descriptors(cloud: &Neighbors, normals: &[Vector], radius: f64, progress: Option<&Progress>) -> Vec<f32> {
     // Looked for twice: to keep them all would take memory without bound.
-    let neighbors =
-        |i: usize| -> Vec<usize> { cloud.within(&cloud.points[i], radius).into_iter().filter(|&j| j != i).collect() };
+    let counter = Counter::begin(progress, "FPFH", 2 * cloud.points.len());
+    let neighbors = |i: usize| -> Vec<usize> {
+        counter.add(1);
+        cloud.within(&cloud.points[i], radius).into_iter().filter(|&j| j != i).collect()
+    };
     let points = (0..cloud.points.len()).into_par_iter();
     let simplified: Vec<Histograms> = points.clone().map(|i| simplified(cloud, normals, i, &neighbors(i))).collect();
     points.flat_map_iter(|i| weighted(cloud, &simplified, i, &neighbors(i))).map(|v| v as f32).collect()

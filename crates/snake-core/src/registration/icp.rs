@@ -5,6 +5,7 @@ use rayon::prelude::*;
 
 use super::rigid::moved;
 use crate::neighbors::{Neighbors, Vector};
+use crate::progress::{Counter, Progress};
 
 /// Steps smaller than this part of the pair distance, and of a radian, end the iteration.
 const TOLERANCE: f64 = 1e-5;
@@ -21,9 +22,12 @@ pub(super) fn icp(
     rough: IsometryMatrix3<f64>,
     max_distance: f64,
     max_iterations: usize,
+    progress: Option<&Progress>,
 ) -> IsometryMatrix3<f64> {
     let mut transform = rough;
+    let counter = Counter::begin(progress, "ICP", max_iterations);
     for _ in 0..max_iterations {
+        counter.add(1);
         let pair = |point: &Vector| {
             let point = moved(&transform, point);
             let (index, distance) = target.nearest(&point, std::num::NonZeroUsize::MIN)[0];
@@ -88,7 +92,7 @@ mod tests {
 
     fn refined(source: &[Vector], target: Vec<Vector>, rough: IsometryMatrix3<f64>) -> IsometryMatrix3<f64> {
         let target = Neighbors::new(target).unwrap();
-        icp(source, &target, &normals(&target, 0.2), rough, 0.3, 30)
+        icp(source, &target, &normals(&target, 0.2, None), rough, 0.3, 30, None)
     }
 
     #[test]

@@ -29,6 +29,7 @@ use crate::points::{FinitePoints, Normalization, NormalizationMethod, Point, Tra
 use crate::{Error, Result};
 
 use icp::icp;
+use matching::matches;
 use ransac::{Pair, best_transform, consensus};
 use scan::reduce;
 
@@ -148,7 +149,9 @@ pub fn register(source: &[Point], target: &[Point], model: &Model, options: &Reg
         Some(size) => size,
         None => diameter("source", source)?.min(diameter("target", target)?) / VOXELS_PER_DIAMETER,
     };
-    let (source_voxels, target_voxels) = (reduce("source", source, voxel_size)?, reduce("target", target, voxel_size)?);
+    let progress = model.progress();
+    let source_voxels = reduce("source", source, voxel_size, progress)?;
+    let target_voxels = reduce("target", target, voxel_size, progress)?;
     // Sparse clouds have most points alone in their voxels, and fewer neighbours than voxels.
     let spacing = voxel_size.max(source_voxels.resolution()).max(target_voxels.resolution());
     let lengths = [voxel_size, normal_radius.unwrap_or(2.0 * spacing), feature_radius.unwrap_or(7.0 * spacing)];
@@ -164,12 +167,12 @@ pub fn register(source: &[Point], target: &[Point], model: &Model, options: &Reg
     let (source_keypoints, source_descriptors) = describe(&source_scan, options.seed)?;
     let (target_keypoints, target_descriptors) = describe(&target_scan, options.seed.wrapping_add(1))?;
     let dimension = source_scan.dimension(options.descriptor);
-    let matches = mutual_nearest(&source_descriptors, &target_descriptors, dimension)?;
+    let matches = matches(&source_descriptors, &target_descriptors, dimension, progress)?;
     let pairs: Vec<Pair> =
         matches.iter().map(|&[s, t]| (vector(source_keypoints[s]), vector(target_keypoints[t]))).collect();
 
     let ransac_options = options.ransac(inlier_distance.unwrap_or(1.5 * spacing));
-    let Some(rough) = best_transform(&pairs, &ransac_options) else {
+    let Some(rough) = best_transform(&pairs, &ransac_options, progress) else {
         let (of_source, of_target) = (source_keypoints.len(), target_keypoints.len());
         let reason = format!(
             "no three of the {} correspondences, of {of_source} and {of_target} keypoints, fit a rigid transform; do the clouds overlap, and in the same units?",
@@ -179,7 +182,8 @@ pub fn register(source: &[Point], target: &[Point], model: &Model, options: &Reg
     };
     let inlier_distance = ransac_options.inlier_distance;
     let Scan { voxels, normals, .. } = &target_scan;
-    let transform = icp(&source_scan.voxels.points, voxels, normals, rough, inlier_distance, options.refine_steps);
+    let (source_voxels, steps) = (&source_scan.voxels.points, options.refine_steps);
+    let transform = icp(source_voxels, voxels, normals, rough, inlier_distance, steps, progress);
     let Consensus { t_target_source, inliers, rmse } = consensus(&pairs, &transform, inlier_distance);
     Ok(Registration {
         t_target_source,

@@ -9,6 +9,7 @@ use serde::{Deserialize, Serialize};
 use super::rigid::{best_fit, check_pairs, matrix, moved};
 use crate::neighbors::{Vector, vector};
 use crate::points::{Point, Transform};
+use crate::progress::{Counter, Progress};
 use crate::{Error, Result};
 
 /// Samples that one thread draws in a row, from a random stream of their own.
@@ -83,12 +84,17 @@ pub fn ransac(source: &[Point], target: &[Point], options: &RansacOptions) -> Re
     check_pairs(source, target)?;
     options.check()?;
     let pairs: Vec<Pair> = source.iter().zip(target).map(|(&s, &t)| (vector(s), vector(t))).collect();
-    Ok(best_transform(&pairs, options).map(|transform| consensus(&pairs, &transform, options.inlier_distance)))
+    Ok(best_transform(&pairs, options, None).map(|transform| consensus(&pairs, &transform, options.inlier_distance)))
 }
 
 /// The transform of [`ransac`]; the options are checked.
-pub(super) fn best_transform(pairs: &[Pair], options: &RansacOptions) -> Option<IsometryMatrix3<f64>> {
-    best_sample(pairs, options).map(|best| refit(pairs, best, options.inlier_distance).transform)
+pub(super) fn best_transform(
+    pairs: &[Pair],
+    options: &RansacOptions,
+    progress: Option<&Progress>,
+) -> Option<IsometryMatrix3<f64>> {
+    let counter = Counter::begin(progress, "RANSAC", options.max_iterations);
+    best_sample(pairs, options, &counter).map(|best| refit(pairs, best, options.inlier_distance).transform)
 }
 
 /// The correspondences that agree with a transform.
@@ -130,14 +136,16 @@ impl Hypothesis {
     }
 }
 
-fn best_sample(pairs: &[Pair], options: &RansacOptions) -> Option<Hypothesis> {
+fn best_sample(pairs: &[Pair], options: &RansacOptions, counter: &Counter) -> Option<Hypothesis> {
     let mut best: Option<Hypothesis> = None;
     let mut drawn = 0;
     while pairs.len() >= 3 && drawn < options.max_iterations {
         let streams = (0..STREAMS_PER_ROUND).into_par_iter().map(|stream| {
             let first = drawn + stream * SAMPLES_PER_STREAM;
             let count = options.max_iterations.saturating_sub(first).min(SAMPLES_PER_STREAM);
-            best_of_stream(pairs, options, (first / SAMPLES_PER_STREAM) as u64, count)
+            let best = best_of_stream(pairs, options, (first / SAMPLES_PER_STREAM) as u64, count);
+            counter.add(count);
+            best
         });
         // In the order of the streams, so that of equally good samples the first one stays.
         for found in streams.collect::<Vec<_>>().into_iter().flatten() {
@@ -149,8 +157,12 @@ fn best_sample(pairs: &[Pair], options: &RansacOptions) -> Option<Hypothesis> {
         let inlier_ratio = best.map_or(0.0, |best| best.num_inliers as f64 / pairs.len() as f64);
         let none_of_inliers = (1.0 - inlier_ratio.powi(3)).powf(drawn as f64);
         if none_of_inliers <= 1.0 - options.confidence {
+            counter.set_total(drawn.min(options.max_iterations));
             break;
         }
+        // After how many samples that will be so, if none is better; infinite without inliers.
+        let enough = ((1.0 - options.confidence).ln() / (1.0 - inlier_ratio.powi(3)).ln()).abs();
+        counter.set_total(options.max_iterations.min(drawn.max(enough as usize)));
     }
     best
 }
@@ -281,6 +293,11 @@ mod tests {
         let (source, target, _) = problem(4, 2000, 2000);
         let many = RansacOptions { max_iterations: 100_000_000, ..OPTIONS };
         assert_eq!(ransac(&source, &target, &many).unwrap().unwrap().inliers.len(), 2000);
+        let pairs: Vec<Pair> = source.iter().zip(&target).map(|(&s, &t)| (vector(s), vector(t))).collect();
+        let progress = Progress::default();
+        best_transform(&pairs, &many, Some(&progress)).unwrap();
+        let stage = progress.stage().unwrap();
+        assert_eq!((stage.done, stage.total), (8192, 8192));
     }
 
     #[test]

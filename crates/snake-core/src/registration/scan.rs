@@ -15,6 +15,7 @@ use crate::length::Length;
 use crate::model::Model;
 use crate::neighbors::{Neighbors, Vector, vector};
 use crate::points::{FinitePoints, NormalizationMethod, Point, check_points};
+use crate::progress::{Counter, Progress};
 
 /// What keypoints are found by: the model, or a classical detector of [`baselines`](crate::baselines) with its default
 /// options, which picks among the points of the reduced cloud.
@@ -66,7 +67,7 @@ impl Scan {
     /// [`Error::Input`](crate::Error::Input) for a cloud without finite points or without extent; [`Error::Option`](crate::Error::Option) when the voxel size is not positive.
     pub fn new(points: &[Point], model: &Model, voxel_size: f64) -> Result<Self> {
         check_radius("voxel_size", voxel_size)?;
-        let voxels = reduce("points", points, voxel_size)?;
+        let voxels = reduce("points", points, voxel_size, model.progress())?;
         Self::of(points, voxels, model, [voxel_size, 2.0 * voxel_size, 7.0 * voxel_size])
     }
 
@@ -78,7 +79,7 @@ impl Scan {
         let field = model.encode(points, &EncodeOptions { normalization, ..model.recommended().encode })?;
         voxels.check_crowding("normal_radius", normal_radius)?;
         voxels.check_crowding("feature_radius", feature_radius)?;
-        let normals = normals(&voxels, normal_radius);
+        let normals = normals(&voxels, normal_radius, model.progress());
         Ok(Self { voxels, normals, voxel_size, feature_radius, field, fpfh: OnceLock::new() })
     }
 
@@ -97,6 +98,7 @@ impl Scan {
             KeypointDetector::Random => Detector::Random,
         };
         let voxels: Vec<Point> = self.voxels.points.iter().map(|point| point.map(|v| v as f32).into()).collect();
+        Counter::begin(self.field.model().progress(), "keypoints", 0);
         let found = classical.keypoints(&voxels, count, Protocol::Ranked, seed)?;
         Ok(found.into_iter().map(|response| voxels[response.index]).collect())
     }
@@ -132,7 +134,9 @@ impl Scan {
         if !points.is_empty() {
             check_points("points", points)?;
         }
-        let of_voxels = self.fpfh.get_or_init(|| fpfh::descriptors(&self.voxels, &self.normals, self.feature_radius));
+        let progress = self.field.model().progress();
+        let describe = || fpfh::descriptors(&self.voxels, &self.normals, self.feature_radius, progress);
+        let of_voxels = self.fpfh.get_or_init(describe);
         let nearest = |&point: &Point| self.voxels.nearest(&vector(point), NonZeroUsize::MIN)[0].0;
         let rows = points.iter().map(|point| &of_voxels[nearest(point) * FPFH_DIMENSION..][..FPFH_DIMENSION]);
         Ok(rows.flatten().copied().collect())
@@ -140,8 +144,15 @@ impl Scan {
 }
 
 /// The cloud's points by voxels.
-pub(super) fn reduce(what: &'static str, points: &[Point], voxel_size: f64) -> Result<Neighbors> {
-    Neighbors::new(voxel_means(&FinitePoints::of(what, points)?.points, voxel_size))
+pub(super) fn reduce(
+    what: &'static str,
+    points: &[Point],
+    voxel_size: f64,
+    progress: Option<&Progress>,
+) -> Result<Neighbors> {
+    let points = &FinitePoints::of(what, points)?.points;
+    let counter = Counter::begin(progress, "voxels", points.len());
+    Neighbors::new(voxel_means(points, voxel_size, &counter))
 }
 
 #[cfg(test)]

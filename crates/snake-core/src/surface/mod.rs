@@ -13,6 +13,7 @@ use serde::{Deserialize, Serialize};
 use crate::field::{Field, Quantity, log_odds};
 use crate::nn::TILE;
 use crate::points::Point;
+use crate::progress::Counter;
 use crate::{Error, Result};
 
 use marching_cubes::{Crossing, Surface};
@@ -166,16 +167,20 @@ impl<'a> Grid<'a> {
             // A network can overflow: `max` makes a number of what is none.
             values.into_iter().map(|value| log_odds(value.max(0.0))).collect()
         };
-        let samples = Samples::near_surface(options.resolution, log_odds(options.level), value, likely);
+        let progress = self.field.model().progress();
+        let samples = Samples::near_surface(options.resolution, log_odds(options.level), value, likely, progress);
+        Counter::begin(progress, "triangles", 0);
         let mut surface = Surface::of(&samples);
         if options.outer {
             surface.retain_outer(&samples);
         }
         let vertices: Vec<Point> =
             surface.crossings.par_iter().map(|crossing| self.vertex(&samples, crossing)).collect();
-        let gradients = vertices
-            .par_chunks(TILE)
-            .flat_map_iter(|tile| self.field.tile_values_and_gradients(Quantity::Occupancy, tile).1);
+        let counter = Counter::begin(progress, "normals", vertices.len());
+        let gradients = vertices.par_chunks(TILE).flat_map_iter(|tile| {
+            counter.add(tile.len());
+            self.field.tile_values_and_gradients(Quantity::Occupancy, tile).1
+        });
         let gradients: Vec<Point> = gradients.collect();
         let normalization = self.field.normalization();
         let mut mesh = Mesh {

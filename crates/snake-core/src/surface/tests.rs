@@ -11,7 +11,7 @@ use super::*;
 /// All samples of a function, or those that are found without a hint.
 fn samples(resolution: usize, all: bool, value: impl Fn(Sample) -> f32 + Sync) -> Samples {
     let likely = every_sample(resolution).filter(|_| all);
-    Samples::near_surface(resolution, 0.0, |asked| asked.iter().map(|&sample| value(sample)).collect(), likely)
+    Samples::near_surface(resolution, 0.0, |asked| asked.iter().map(|&sample| value(sample)).collect(), likely, None)
 }
 
 fn every_sample(resolution: usize) -> impl Iterator<Item = Sample> {
@@ -188,7 +188,7 @@ fn samples_near_the_surface_give_the_surface_of_all_samples() {
     // A speck in a block whose sample misses it: found if the block is likely.
     let speck = |sample| if sample == [9, 9, 9] { 1.0 } else { -1.0 };
     assert!(samples(32, false, speck).known().is_empty());
-    let likely = Samples::near_surface(32, 0.0, |asked| asked.iter().map(|&s| speck(s)).collect(), [[8, 11, 10]]);
+    let likely = Samples::near_surface(32, 0.0, |asked| asked.iter().map(|&s| speck(s)).collect(), [[8, 11, 10]], None);
     assert_eq!(Surface::of(&likely).crossings.len(), 6);
 }
 
