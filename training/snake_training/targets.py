@@ -71,24 +71,33 @@ def averaged_fields(teacher, points, queries, rotations):
     return log_odds.mean(axis=0), occupancy.mean(axis=0)
 
 
-def corners(surface, queries, radius=0.1):
+@torch.no_grad()
+def corners(surface, queries, scale=0.04):
     """What a room's targets are made from, both (Q,): how much of a corner the surface (M, 3) is about each query (Q, 3),
-    as the logarithm of the smallest variance in a ball (Zhong 2009, ISS), and how near it is, from 0 to 1.
+    as a logarithm, and how near the surface is, from 0 to 1.
 
-    The surface is clean and whole, the views that a student is shown are not: it learns to see through noise and gaps
-    (SuperPoint, DeTone et al. 2018, begins with the corners of synthetic shapes for the same reason).
+    A corner has normals in three directions: the smallest eigenvalue of their second moment, Gaussian weighted, is zero on
+    planes and straight edges (Shi and Tomasi 1994, of normals). The surface is clean and whole, the views that a student
+    is shown are not: it learns to see through noise and gaps (SuperPoint, DeTone et al. 2018, begins with the corners of
+    synthetic shapes for the same reason).
     """
-    surface, queries = (torch.from_numpy(a).double() for a in (surface, queries))
+    surface, queries = torch.from_numpy(surface), torch.from_numpy(queries)
+    near = (torch.cdist(surface, surface) < 0.05).float()
+    number = near.sum(dim=1)[:, None]
+    mean = near @ surface / number
+    covariance = (near @ outer(surface) / number - outer(mean)).unflatten(1, (3, 3))
+    normals = torch.linalg.eigh(covariance.double()).eigenvectors[:, :, 0].float()
     apart = torch.cdist(queries, surface)
-    inside = (apart < radius).double()
-    count = inside.sum(dim=1).clamp(min=1)
-    mean = inside @ surface / count[:, None]
-    products = (surface[:, :, None] * surface[:, None, :]).flatten(1)
-    covariance = (inside @ products / count[:, None]).unflatten(1, (3, 3)) - mean[:, :, None] * mean[:, None, :]
-    least = torch.linalg.eigvalsh(covariance)[:, 0].clamp(min=0) / radius**2
-    least[count < 10] = 0
+    weight = torch.exp(-0.5 * (apart / scale) ** 2)
+    moment = (weight @ outer(normals) / weight.sum(dim=1, keepdim=True).clamp(min=1e-3)).unflatten(1, (3, 3))
+    least = torch.linalg.eigvalsh(moment.double())[:, 0].clamp(min=0)
     nearness = torch.exp(-0.5 * (apart.min(dim=1).values / 0.02) ** 2)
-    return (least + 1e-4).log().numpy(), nearness.numpy()
+    return (least + 1e-3).log().numpy(), nearness.numpy()
+
+
+def outer(vectors):
+    """Each vector (N, 3) times itself, (N, 9)."""
+    return (vectors[:, :, None] * vectors[:, None, :]).flatten(1)
 
 
 def rank_targets(log_odds, occupancy):

@@ -15,10 +15,12 @@ from snake_training.data.scenes import (
     Scenes,
     depth_image,
     fragment,
+    fused,
     look_at,
     main,
     one_in_each,
     room,
+    standpoint,
     within,
 )
 
@@ -75,6 +77,7 @@ def test_a_fragment_is_a_part_of_the_room_in_the_frame_of_its_first_camera():
     points, places = room(Procedural(), rng(5))
     seen = fragment(points, places, rng(6))
     assert len(seen) > 500 and np.median(seen[:, 2]) > RANGE[0]
+    seen = fused(points, standpoint(points, rng(6)), places[0], rng(7))
     voxels = np.floor(seen / VOXEL).astype(int)
     assert len(np.unique(voxels, axis=0)) == len(seen)
 

@@ -75,7 +75,7 @@ def test_corners_are_where_three_faces_meet():
     cube = sample_surface(box((0.6, 0.6, 0.6)), 4000, np.random.default_rng(0))
     corner, edge, face, inside = (0.3, 0.3, 0.3), (0.3, 0.3, 0), (0.3, 0, 0), (0, 0, 0)
     response, nearness = corners(cube, np.float32([corner, edge, face, inside]))
-    assert response[0] > response[1] + 0.3 > response[2] + 0.6 and response[3] == pytest.approx(np.log(1e-4))
+    assert response[0] > -2.5 > -4 > response[1] > response[2] and response[3] < -6
     assert (nearness[:3] > 0.5).all() and nearness[3] < 1e-9
 
 
@@ -176,7 +176,7 @@ def test_another_file_is_refused(tmp_path, network):
 def test_the_command_writes_targets_and_refuses_what_it_cannot_do(tmp_path, network, capsys):
     weights, output = tmp_path / "weights.safetensors", tmp_path / "targets.safetensors"
     write_weights(weights, network.config, network.state_dict())
-    small = ["--rotations", "1", "--queries", "16", "--points", "32"]
+    small = ["--rotations", "1", "--queries", "64", "--points", "64"]
     for given, number in (
         ([str(weights), "--procedural", "2"], 2),
         ([str(weights), "--procedural", "2", "--engine", "snake-rs"], 2),
