@@ -241,6 +241,24 @@ fn sub_sampling_is_seeded_and_said() {
     );
 }
 
+#[test]
+fn a_cloud_may_be_seen_through_windows() {
+    let whole = json_lines(&snake(&["detect", &sample(), "--json"])).remove(0);
+    let radius = (whole["normalization"]["scale"].as_f64().unwrap() / 4.0).to_string();
+    let options = ["detect", &sample(), "--window-radius", &radius, "--saliency-threshold", "0.2"];
+    let report = json_lines(&snake(&[&options[..], &["--json"]].concat())).remove(0);
+    let windows = report["counts"]["windows"].as_u64().unwrap();
+    assert!(windows > 3 && report["normalization"].is_null());
+    assert_eq!((&whole["counts"]["windows"], &report["num_encoded"]), (&1.into(), &4096.into()));
+    assert_eq!(report["keypoints"].as_array().unwrap().len() as u64, report["counts"]["keypoints"]);
+    assert!(report["counts"]["keypoints"].as_u64().unwrap() > 10);
+    let table = String::from_utf8(snake(&options).stdout).unwrap();
+    assert!(table.contains(&format!("from 4096 points through {windows} windows in ")), "{table}");
+    let refused = snake(&["detect", &sample(), "--window-radius", "0"]);
+    assert_eq!(refused.status.code(), Some(2));
+    assert!(stderr(&refused).contains("window_radius"), "{}", stderr(&refused));
+}
+
 /// 60 MB of coordinates: the file, its numbers in f64 and in f32, and a copy of these are some 300 MB.
 #[cfg(unix)]
 #[test]

@@ -80,7 +80,8 @@ class _DetectOptions(_Preset, total=False):
     snap: bool
 
 @type_check_only
-class _Options(_EncodeOptions, _DetectOptions, total=False): ...
+class _Options(_EncodeOptions, _DetectOptions, total=False):
+    window_radius: float | str | None
 
 @type_check_only
 class _RegisterOptions(TypedDict, total=False):

@@ -21,23 +21,30 @@ pub struct Keypoints {
     nearest_index: Py<PyArray1<i64>>,
     /// How many input points were skipped because they are not finite.
     num_skipped: usize,
-    /// How many queries each step left: "queries", "occupied", "above_threshold", "keypoints".
+    /// How many "windows" the cloud was seen through, and how many queries each step left: "queries", "occupied",
+    /// "above_threshold", "keypoints".
     counts: Py<PyDict>,
-    /// Seconds that each step took: "occupancy", "refine", "nms".
+    /// Seconds that each step took: "encode" (0 of `Field.detect`), "occupancy", "refine", "nms".
     timing_seconds: Py<PyDict>,
 }
 
 impl Keypoints {
     /// The core's result as arrays and dicts.
     pub fn from_detection(py: Python<'_>, detection: Detection) -> PyResult<Self> {
-        let Detection { keypoints, num_skipped, counts, timing } = detection;
+        let Detection { keypoints, num_skipped, counts, timing, .. } = detection;
         let counts = [
+            ("windows", counts.windows),
             ("queries", counts.queries),
             ("occupied", counts.occupied),
             ("above_threshold", counts.above_threshold),
             ("keypoints", counts.keypoints),
         ];
-        let timing = [("occupancy", timing.occupancy), ("refine", timing.refine), ("nms", timing.nms)];
+        let timing = [
+            ("encode", timing.encode),
+            ("occupancy", timing.occupancy),
+            ("refine", timing.refine),
+            ("nms", timing.nms),
+        ];
         let points = keypoints.iter().flat_map(|k| k.position).collect();
         Ok(Self {
             points: arrays::rows(py, points, 3)?.unbind(),

@@ -28,8 +28,9 @@ use registration::{Registration, estimate_normals, fpfh, register};
 ///
 /// `points` is (N, 3) real numbers: a numpy array, a torch tensor on the CPU, an Open3D or trimesh point cloud, or
 /// anything else that numpy takes for such an array; it is copied as float32. Points that are not finite are skipped
-/// (`Keypoints.num_skipped`), but `nearest_index` counts them. `options` are those of `Model.encode` and `Field.detect`;
-/// what is not given comes from `preset`, or else from `model.recommended`. Raises ValueError for an array or a value
+/// (`Keypoints.num_skipped`), but `nearest_index` counts them. `options` are those of `Model.encode` and `Field.detect`,
+/// and `window_radius` (look through balls of this radius that cover the cloud, each encoded by itself, in cloud units or
+/// as in "40r" in multiples of its resolution; None: the whole cloud at once, in which details of a room are lost); what is not given comes from `preset`, or else from `model.recommended`. Raises ValueError for an array or a value
 /// that cannot be used, and TypeError for an unknown option.
 #[pyfunction]
 #[pyo3(signature = (points, model=None, **options))]

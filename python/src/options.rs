@@ -15,8 +15,8 @@ use crate::error::py_error;
 pub const ENCODE: [&str; 1] = ["encode"];
 /// The part that `Field.detect` takes.
 pub const DETECT: [&str; 1] = ["detect"];
-/// Both parts.
-pub const ALL: [&str; 2] = ["encode", "detect"];
+/// All parts.
+pub const ALL: [&str; 3] = ["encode", "detect", "windows"];
 
 /// The options of one call: the recommended preset or the one named by `preset`, overlaid with the other keywords,
 /// which must belong to one of the `parts`.

@@ -72,6 +72,7 @@ pub enum Command {
   snake-cli detect scan.ply -o keypoints.csv --max-keypoints 256 --nms-radius 0.05
   snake-cli detect clouds/ -o results/ --format json
   snake-cli detect part.stl --sample 20000 -o keypoints.ply
+  snake-cli detect room.pcd -o keypoints.ply --window-radius 1 --nms-radius 0.2
   snake-cli detect - --input-format xyz -o - --format csv < scan.txt > keypoints.csv
   snake-cli detect scan.ply --json | jq '.keypoints[0]'")]
     Detect(Box<DetectArguments>),

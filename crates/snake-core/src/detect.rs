@@ -174,7 +174,11 @@ impl Preset {
             },
             _ => common,
         };
-        Ok(Self { encode: EncodeOptions { normalization, max_points, ..Default::default() }, detect, ..Default::default() })
+        Ok(Self {
+            encode: EncodeOptions { normalization, max_points, ..Default::default() },
+            detect,
+            ..Default::default()
+        })
     }
 }
 

@@ -12,8 +12,8 @@ use crate::field::{EncodeOptions, Field};
 use crate::points::Point;
 use crate::progress::Progress;
 use crate::volume::VolumeFrame;
-use crate::windows::detect_in_windows;
 use crate::weights::{self, Weights};
+use crate::windows::detect_in_windows;
 use crate::{Error, Result};
 
 const BUILTIN: &[u8] = include_bytes!("../models/compact.safetensors");

@@ -34,7 +34,12 @@ const SPACING: f32 = 0.8;
 /// nearer to, then the best of all together, as in [`detect`](crate::detect()).
 ///
 /// One window after the other: memory does not grow with their number.
-pub(crate) fn detect_in_windows(model: &Model, points: &[Point], radius: Length, options: &Preset) -> Result<Detection> {
+pub(crate) fn detect_in_windows(
+    model: &Model,
+    points: &[Point],
+    radius: Length,
+    options: &Preset,
+) -> Result<Detection> {
     let Preset { encode, detect: options, .. } = options;
     // A ball can be turned as the sphere can.
     EncodeOptions { normalization: NormalizationMethod::UnitSphere, ..*encode }.check()?;
@@ -120,7 +125,11 @@ mod tests {
     fn preset(window_radius: f64) -> Preset {
         let detect = DetectOptions { saliency_threshold: 0.0, max_keypoints: 200, ..Preset::default().detect };
         let windows = WindowOptions { window_radius: Some(Length::Units(window_radius)) };
-        Preset { detect: DetectOptions { query_resolution: 24, refine_steps: 0, ..detect }, windows, ..Default::default() }
+        Preset {
+            detect: DetectOptions { query_resolution: 24, refine_steps: 0, ..detect },
+            windows,
+            ..Default::default()
+        }
     }
 
     #[test]
@@ -171,7 +180,10 @@ mod tests {
         };
         let (whole, near) = (of(&points), of(&near));
         assert!(whole.len() > 20);
-        assert_eq!(whole.iter().map(|k| k.position).collect::<Vec<_>>(), near.iter().map(|k| k.position).collect::<Vec<_>>());
+        assert_eq!(
+            whole.iter().map(|k| k.position).collect::<Vec<_>>(),
+            near.iter().map(|k| k.position).collect::<Vec<_>>()
+        );
     }
 
     #[test]

@@ -46,6 +46,10 @@ pub struct DetectArguments {
 pub struct DetectFlags {
     #[command(flatten)]
     encode: EncodeFlags,
+    /// Look through balls of this radius that cover the cloud, each encoded by itself, in cloud units or as in `40r`:
+    /// for rooms and larger, of which the whole cloud at once shows no details. --normalization is not used then.
+    #[arg(long, value_name = "LENGTH")]
+    window_radius: Option<Length>,
     /// Queries along each axis of the starting grid.
     #[arg(long)]
     query_resolution: Option<usize>,
@@ -90,6 +94,7 @@ impl DetectFlags {
     /// The options of a run: preset or model's recommendation, overridden by what was given.
     pub fn resolve(&self, model: &Model) -> Result<Preset> {
         let mut preset = self.encode.resolve(model)?;
+        override_with(&mut preset.windows.window_radius, self.window_radius.map(Some));
         let detect = &mut preset.detect;
         override_with(&mut detect.query_resolution, self.query_resolution);
         override_with(&mut detect.query_band, self.query_band);

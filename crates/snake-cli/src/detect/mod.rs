@@ -12,7 +12,7 @@ use anyhow::{Context, Result, anyhow, bail};
 use console::style;
 use serde_json::json;
 use snake_core::io::{self, Cloud, KeypointFormat, KeypointSource};
-use snake_core::{Detection, Field, Model, NormalizationMethod, Preset, Progress, detect};
+use snake_core::{Detection, Model, NormalizationMethod, Preset, Progress};
 
 use crate::inputs::{DASH, check_inputs, expand};
 use crate::terminal;
@@ -128,20 +128,17 @@ fn process(
     }
     let Cloud { points, origin } = cloud;
     let read = start.elapsed().as_secs_f64();
-    let encoding = Instant::now();
-    let field = model.encode(&points, &options.encode).with_context(|| input.display().to_string())?;
-    let encode = encoding.elapsed().as_secs_f64();
-    let detection = detect(&field, &options.detect)?;
+    let detection = model.detect(&points, options).with_context(|| input.display().to_string())?;
     if let Some(output) = output {
         let source = KeypointSource::new(input, origin);
         write(output, arguments.format, &detection, &source)?;
     }
     let (timing, total) = (detection.timing, start.elapsed().as_secs_f64());
-    let seconds = [read, encode, timing.occupancy, timing.refine, timing.nms, total];
+    let seconds = [read, timing.encode, timing.occupancy, timing.refine, timing.nms, total];
     let report = if arguments.json {
-        json_line(input, &field, origin, &detection, &seconds)
+        json_line(input, points.len(), origin, &detection, &seconds)
     } else {
-        table(input, output, &field, origin, &detection, total)?
+        table(input, output, points.len(), origin, &detection, total)?
     };
     Ok((report, seconds))
 }
@@ -161,14 +158,14 @@ fn write(output: &Path, format: Option<KeypointFormat>, detection: &Detection, s
     }
 }
 
-fn json_line(input: &Path, field: &Field, origin: [f64; 3], detection: &Detection, seconds: &Seconds) -> String {
+fn json_line(input: &Path, num_points: usize, origin: [f64; 3], detection: &Detection, seconds: &Seconds) -> String {
     let object = json!({
         "input": input.display().to_string(),
-        "num_points": field.points().len() + field.num_skipped(),
-        "num_skipped": field.num_skipped(),
-        "num_encoded": field.num_encoded(),
+        "num_points": num_points,
+        "num_skipped": detection.num_skipped,
+        "num_encoded": detection.num_encoded,
         "origin": origin,
-        "normalization": field.normalization(),
+        "normalization": detection.normalization,
         "counts": detection.counts,
         "timing_seconds": STAGES.into_iter().zip(seconds).collect::<BTreeMap<_, _>>(),
         "keypoints": detection.keypoints.iter().map(|keypoint| io::keypoint_json(keypoint, origin)).collect::<Vec<_>>(),
@@ -179,19 +176,21 @@ fn json_line(input: &Path, field: &Field, origin: [f64; 3], detection: &Detectio
 fn table(
     input: &Path,
     output: Option<&Path>,
-    field: &Field,
+    num_points: usize,
     origin: [f64; 3],
     detection: &Detection,
     total: f64,
 ) -> Result<String> {
     let (counts, keypoints) = (detection.counts, &detection.keypoints);
-    let num_points = field.points().len() + field.num_skipped();
     let mut text = format!("{}: {} keypoints from {num_points} points", input.display(), keypoints.len());
-    if field.num_skipped() > 0 {
-        write!(text, " ({} not finite, skipped)", field.num_skipped())?;
+    if detection.num_skipped > 0 {
+        write!(text, " ({} not finite, skipped)", detection.num_skipped)?;
     }
-    if field.num_encoded() < field.points().len() {
-        write!(text, " ({} encoded)", field.num_encoded())?;
+    if detection.num_encoded + detection.num_skipped < num_points {
+        write!(text, " ({} encoded)", detection.num_encoded)?;
+    }
+    if counts.windows > 1 {
+        write!(text, " through {} windows", counts.windows)?;
     }
     writeln!(text, " in {total:.3} s")?;
     let (queries, occupied, above) = (counts.queries, counts.occupied, counts.above_threshold);

@@ -156,6 +156,9 @@ pub struct EvalArguments {
     /// [default: its settings'], and in `semantic` of all ranked methods [default: 0.1].
     #[arg(long, value_name = "LENGTH")]
     pub nms_radius: Option<Length>,
+    /// Windows of the method snake, as of `detect`.
+    #[arg(long, value_name = "LENGTH")]
+    pub window_radius: Option<Length>,
     #[command(flatten)]
     pub run: RunArguments,
 }

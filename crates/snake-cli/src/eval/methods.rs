@@ -49,6 +49,7 @@ impl Method {
         };
         options.detect.max_keypoints = arguments.count;
         options.encode.rotations = rotations.unwrap_or(options.encode.rotations);
+        options.windows.window_radius = arguments.window_radius.or(options.windows.window_radius);
         options.detect.nms_radius = nms_radius.unwrap_or(options.detect.nms_radius);
         Ok(Self::Snake { name: name.into(), model: Box::new(model), options })
     }

@@ -69,7 +69,10 @@ pub fn run(arguments: &ViewArguments) -> Result<()> {
 /// One cloud with all that the page shows of it.
 fn shown(model: &Model, options: &Preset, input: &Path, points: &[Point]) -> Result<ShownCloud> {
     let field = model.encode(points, &options.encode).with_context(|| input.display().to_string())?;
-    let detection = detect(&field, &options.detect)?;
+    let detection = match options.windows.window_radius {
+        Some(_) => model.detect(points, options)?,
+        None => detect(&field, &options.detect)?,
+    };
     let points = field.points();
     let shown: Vec<Point> = points.iter().step_by(points.len().div_ceil(MAX_SHOWN)).copied().collect();
     let surface = surface(&field)?;
