@@ -325,7 +325,8 @@ def test_keypoints_print_and_pickle(field, keypoints):
     assert same(copy, keypoints) and copy.timing_seconds == keypoints.timing_seconds
     nothing = field.detect(occupancy_threshold=1.0, query_resolution=4)
     assert len(nothing) == 0 and nothing.points.shape == (0, 3) and nothing.nearest_index.dtype == np.int64
-    assert repr(nothing) == "Keypoints(0, counts {'windows': 1, 'queries': 64, 'occupied': 0, 'above_threshold': 0, 'keypoints': 0})"
+    counts = {"windows": 1, "queries": 64, "occupied": 0, "above_threshold": 0, "keypoints": 0}
+    assert repr(nothing) == f"Keypoints(0, counts {counts})"
 
 
 def test_every_option_does_something(model, field, keypoints, points):
