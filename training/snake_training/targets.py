@@ -1,4 +1,4 @@
-"""Targets of distillation: the saliency of a trained network averaged over rotations of its input.
+"""Targets of distillation: the saliency of a trained network averaged over rotations of its input, or corners of rooms.
 
 `python -m snake_training.targets WEIGHTS -o targets.safetensors --data CORPUS`, then
 `python -m snake_training.train --targets targets.safetensors --init WEIGHTS`. A network is only roughly equivariant, and
@@ -47,7 +47,7 @@ def torch_teacher(network):
 
 
 def snake_rs_teacher(weights):
-    """The same by snake-rs, for exports: on a CPU several times as fast."""
+    """The same by snake-rs, for exports: on a CPU twice as fast."""
     import snake_rs
 
     model = snake_rs.Model.load(weights)
@@ -150,7 +150,7 @@ class Targets:
 def write_targets(path, teacher, shapes, rotations=8, queries=4096, points=4096, seed=1, metadata=None):
     """Targets of all shapes, each with its own seed, to a safetensors file (temporary name, then rename).
 
-    A shape is a cloud (M, 3), or a `Place` whose number of views divides `points`.
+    A shape is a cloud (M, 3), which a teacher looks at, or a `Place` whose number of views divides `points`.
     """
     stored = {
         name: np.empty((len(shapes), size, 3), np.int16) for name, size in (("points", points), ("queries", queries))
@@ -222,15 +222,13 @@ def main(argv=None):
         if len(shapes) == 0:
             parser.error("no shapes: give --data, --procedural or --places")
         settings = {name: json.dumps(getattr(arguments, name)) for name in ("weights", "rotations", "seed")}
-        teacher = None
-        if arguments.places:
-            pass
-        elif arguments.weights is None:
+        if not (arguments.places or arguments.weights):
             parser.error("give the WEIGHTS of a teacher, or --places")
-        elif arguments.engine == "snake-rs":
-            teacher = snake_rs_teacher(arguments.weights)
-        else:
-            teacher = torch_teacher(load_network(arguments.weights, arguments.device))
+        teachers = {
+            "snake-rs": snake_rs_teacher,
+            "torch": lambda weights: torch_teacher(load_network(weights, arguments.device)),
+        }
+        teacher = None if arguments.places else teachers[arguments.engine](arguments.weights)
         write_targets(
             arguments.output, teacher, shapes, arguments.rotations, arguments.queries, arguments.points,
             arguments.seed, settings,
