@@ -254,9 +254,11 @@ fn a_cloud_may_be_seen_through_windows() {
     assert!(report["counts"]["keypoints"].as_u64().unwrap() > 10);
     let table = String::from_utf8(snake(&options).stdout).unwrap();
     assert!(table.contains(&format!("from 4096 points through {windows} windows in ")), "{table}");
-    let refused = snake(&["detect", &sample(), "--window-radius", "0"]);
-    assert_eq!(refused.status.code(), Some(2));
-    assert!(stderr(&refused).contains("window_radius"), "{}", stderr(&refused));
+    for wrong in ["0", "1e-60", "1e60", "0r"] {
+        let refused = snake(&["detect", &sample(), "--window-radius", wrong]);
+        assert_eq!(refused.status.code(), Some(2));
+        assert!(stderr(&refused).contains("window_radius"), "{}", stderr(&refused));
+    }
 }
 
 /// 60 MB of coordinates: the file, its numbers in f64 and in f32, and a copy of these are some 300 MB.

@@ -6,7 +6,6 @@ use std::time::Instant;
 
 use serde::{Deserialize, Serialize};
 
-use crate::Result;
 use crate::detect::{Counts, Detection, Found, Keypoint, Preset, Timing};
 use crate::field::{EncodeOptions, Field};
 use crate::kd_tree::KdTree;
@@ -15,6 +14,7 @@ use crate::model::Model;
 use crate::nms::{nearest_points, suppress};
 use crate::points::{FinitePoints, Normalization, NormalizationMethod, Point};
 use crate::progress::Counter;
+use crate::{Error, Result};
 
 /// Options of detection in windows.
 #[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
@@ -33,7 +33,7 @@ const SPACING: f32 = 0.8;
 /// Keypoints of a cloud in windows of `radius`: of each window those of its queries that no other window's middle is
 /// nearer to, then the best of all together, as in [`detect`](crate::detect()).
 ///
-/// One window after the other: memory does not grow with their number.
+/// One window after the other: there is never more than one volume.
 pub(crate) fn detect_in_windows(
     model: &Model,
     points: &[Point],
@@ -45,7 +45,14 @@ pub(crate) fn detect_in_windows(
     EncodeOptions { normalization: NormalizationMethod::UnitSphere, ..*encode }.check()?;
     options.check()?;
     let finite = FinitePoints::of("points", points)?;
-    let radius = radius.in_units("window_radius", &finite.points)? as f32;
+    let radius = match radius.in_units("window_radius", &finite.points)? {
+        // As the extents of clouds: squared distances must neither vanish nor overflow in f32.
+        units if (1e-15..=1e15).contains(&units) => units as f32,
+        units => {
+            let allowed = "1e-15 to 1e15 (cloud units)";
+            return Err(Error::Option { name: "window_radius", value: format!("{units:e}"), allowed });
+        }
+    };
     let nms_radius = options.nms_radius(&finite.points)?;
     let encoded = encode.sample(&finite.points);
     // Refuses extents whose squares vanish or overflow.
@@ -61,6 +68,10 @@ pub(crate) fn detect_in_windows(
         let start = Instant::now();
         let mut inside = Vec::new();
         tree.within(&center, radius * radius, |index, _| inside.push(index));
+        // Where coordinates are coarser than the radius, a rounded mean may have none.
+        if inside.is_empty() {
+            continue;
+        }
         inside.sort_unstable();
         let seen = inside.into_iter().map(|index| encoded[index]).collect();
         let normalization = Normalization { center, scale: 2.0 * radius };
@@ -96,9 +107,10 @@ pub(crate) fn detect_in_windows(
 
 /// The mean of the points in each cell of a lattice of cells of that side, by ascending cell.
 fn middles(points: &[Point], side: f32) -> Vec<Point> {
-    let mut cells: BTreeMap<[i64; 3], ([f64; 3], u32)> = BTreeMap::new();
+    let mut cells: BTreeMap<[i128; 3], ([f64; 3], u32)> = BTreeMap::new();
     for point in points {
-        let (sum, number) = cells.entry(point.map(|v| (v / side).floor() as i64)).or_default();
+        let cell = point.map(|v| (f64::from(v) / f64::from(side)).floor() as i128);
+        let (sum, number) = cells.entry(cell).or_default();
         sum.iter_mut().zip(point).for_each(|(sum, &v)| *sum += f64::from(v));
         *number += 1;
     }
@@ -108,7 +120,7 @@ fn middles(points: &[Point], side: f32) -> Vec<Point> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::{DetectOptions, Error, detect};
+    use crate::{DetectOptions, detect};
 
     /// A plate of 6 by 4 with two posts on it.
     fn plate() -> Vec<Point> {
@@ -203,10 +215,17 @@ mod tests {
         assert!(found.keypoints.is_sorted_by(|a, b| a.saliency >= b.saliency));
         let pool = rayon::ThreadPoolBuilder::new().num_threads(1).build().unwrap();
         assert_eq!(pool.install(|| model.detect(&points, &options)).unwrap().keypoints, found.keypoints);
-        for wrong in [0.0, -1.0, f64::NAN] {
+        for wrong in [0.0, -1.0, f64::NAN, 1e-60, 1e-16, 1e16, 1e60] {
             let error = model.detect(&points, &preset(wrong)).unwrap_err();
             assert!(matches!(error, Error::Option { name: "window_radius", .. }), "{error}");
         }
+        // One window for each point, and one for all; coordinates coarser than the radius.
+        let few = &points[1..30];
+        for (radius, windows) in [(1e-15, 29), (1e15, 1)] {
+            assert_eq!(model.detect(few, &preset(radius)).unwrap().counts.windows, windows);
+        }
+        let far: Vec<Point> = few.iter().map(|p| p.map(|v| 1e8 + 64.0 * v)).collect();
+        assert!(model.detect(&far, &preset(1.0)).is_ok());
         options.encode.rotations = 65;
         assert!(model.detect(&points, &options).unwrap_err().to_string().contains("rotations"));
         assert!(model.detect(&[[1e30, 0.0, 0.0], [0.0; 3]], &preset(1.0)).is_err());
