@@ -99,6 +99,17 @@ def test_models_can_be_pickled(model, field, points):
     assert len(builtin) < 1000 and pickle.loads(builtin).config == snake_rs.Model.builtin().config
 
 
+def test_the_built_in_models_have_names(points):
+    rooms = snake_rs.Model.builtin("rooms")
+    assert rooms.recommended["window_radius"] == 0.8 and rooms.metadata["name"] == "rooms"
+    kept = pickle.dumps(rooms)
+    assert len(kept) < 1000 and pickle.loads(kept).metadata == rooms.metadata
+    assert snake_rs.Model.builtin("compact").metadata == snake_rs.Model.builtin().metadata != rooms.metadata
+    assert len(snake_rs.detect(points, rooms)) > 0
+    with pytest.raises(ValueError, match="compact or rooms"):
+        snake_rs.Model.builtin("potatoes")
+
+
 def test_files_that_cannot_be_read_are_os_errors(tmp_path):
     with pytest.raises(FileNotFoundError, match="No such file") as error:
         snake_rs.Model.load(tmp_path / "missing.safetensors")

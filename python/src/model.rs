@@ -15,8 +15,13 @@ use crate::{arrays, options};
 #[pyclass(frozen, module = "snake_rs")]
 pub struct Model {
     core: core::Model,
-    /// The weight file, for pickling; `None` for the built-in model.
-    file: Option<Arc<Vec<u8>>>,
+    origin: Origin,
+}
+
+/// What a model is made from again when it is unpickled.
+enum Origin {
+    Builtin(String),
+    File(Arc<Vec<u8>>),
 }
 
 impl Model {
@@ -27,7 +32,7 @@ impl Model {
 
     fn from_file(py: Python<'_>, file: Vec<u8>) -> PyResult<Self> {
         let core = py.detach(|| core::Model::from_bytes(&file)).map_err(py_error)?;
-        Ok(Self { core, file: Some(Arc::new(file)) })
+        Ok(Self { core, origin: Origin::File(Arc::new(file)) })
     }
 }
 
@@ -53,11 +58,13 @@ pub fn given_or_builtin(model: Option<&Bound<'_, Model>>) -> PyResult<core::Mode
 
 #[pymethods]
 impl Model {
-    /// The compact model that comes with the package.
+    /// A model that comes with the package: "compact", for objects, or "rooms", for clouds of rooms in metres, which it
+    /// recommends to see through windows. Raises ValueError for another name.
     #[staticmethod]
-    #[pyo3(name = "builtin")]
-    fn py_builtin() -> PyResult<Self> {
-        Ok(Self { core: builtin()?, file: None })
+    #[pyo3(name = "builtin", signature = (name="compact"))]
+    fn py_builtin(name: &str) -> PyResult<Self> {
+        let core = if name == "compact" { builtin()? } else { core::Model::named(name).map_err(py_error)? };
+        Ok(Self { core, origin: Origin::Builtin(name.into()) })
     }
 
     /// Reads a weight file (`*.safetensors`, written by `snake_training.export`).
@@ -132,9 +139,9 @@ impl Model {
 
     fn __reduce__<'py>(slf: &Bound<'py, Self>) -> PyResult<(Bound<'py, PyAny>, Bound<'py, PyTuple>)> {
         let (py, class) = (slf.py(), slf.get_type());
-        match &slf.get().file {
-            Some(file) => Ok((class.getattr("from_bytes")?, PyTuple::new(py, [PyBytes::new(py, file)])?)),
-            None => Ok((class.getattr("builtin")?, PyTuple::empty(py))),
+        match &slf.get().origin {
+            Origin::File(file) => Ok((class.getattr("from_bytes")?, PyTuple::new(py, [PyBytes::new(py, file)])?)),
+            Origin::Builtin(name) => Ok((class.getattr("builtin")?, PyTuple::new(py, [name])?)),
         }
     }
 

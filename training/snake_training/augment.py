@@ -58,14 +58,19 @@ def visible(points, pixel, tolerance):
     `tolerance` of its depth. The pixel must be wider than the gaps between the points.
     """
     depth = points[:, 2]
-    image = np.floor(points[:, :2] / np.maximum(depth, 1e-6)[:, None] / pixel).astype(np.int64)
     in_front = depth > 1e-6
-    _, pixel_of = np.unique(image[in_front], axis=0, return_inverse=True)
+    image = numbered(np.floor(points[in_front, :2] / depth[in_front, None] / pixel))
+    _, pixel_of = np.unique(image, return_inverse=True)
     nearest = np.full(pixel_of.max(initial=-1) + 1, np.inf)
     np.minimum.at(nearest, pixel_of.ravel(), depth[in_front])
     seen = np.zeros(len(points), bool)
     seen[in_front] = depth[in_front] <= nearest[pixel_of.ravel()] * (1 + tolerance)
     return seen
+
+
+def numbered(cells):
+    """A number of each cell (.., 2 or 3) of integers below 2^20: a sort of numbers is far faster than one of rows."""
+    return cells.astype(np.int64) @ (1 << 20 * np.arange(cells.shape[-1]))
 
 
 def facing(points, rng):

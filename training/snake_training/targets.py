@@ -1,4 +1,5 @@
-"""Targets of distillation: the saliency of a trained network averaged over rotations of its input, or corners of rooms.
+"""Targets of distillation: the saliency of a trained network averaged over rotations of its input, or, without a network,
+how much the clean surface bends.
 
 `python -m snake_training.targets WEIGHTS -o targets.safetensors --data CORPUS`, then
 `python -m snake_training.train --targets targets.safetensors --init WEIGHTS`. A network is only roughly equivariant, and
@@ -72,36 +73,36 @@ def averaged_fields(teacher, points, queries, rotations):
 
 
 @torch.no_grad()
-def corners(surface, queries, scale=0.04):
-    """What a room's targets are made from, both (Q,): how much of a corner the surface (M, 3) is about each query (Q, 3),
-    as a logarithm, and how near the surface is, from 0 to 1.
+def surface_variation(surface, queries, radius=0.15):
+    """What targets without a teacher are made from, both (Q,): how much the surface (M, 3) bends about each query (Q, 3), as a
+    logarithm, and how near the surface is, from 0 to 1.
 
-    A corner has normals in three directions: the smallest eigenvalue of their second moment, Gaussian weighted, is zero on
-    planes and straight edges (Shi and Tomasi 1994, of normals). The surface is clean and whole, the views that a student
-    is shown are not: it learns to see through noise and gaps (SuperPoint, DeTone et al. 2018, begins with the corners of
-    synthetic shapes for the same reason).
+    With the eigenvalues of the covariance of what lies nearer than `radius`, weighted by 1 - (d / radius)^2: the least,
+    which is the response of ISS (Zhong 2009), times the least's share of their sum, which is the surface variation of
+    Pauly et al. (2002). The surface is clean and whole, the views that a student is shown are not: it learns to see
+    through noise and gaps (SuperPoint, DeTone et al. 2018, begins with the corners of synthetic shapes for the same
+    reason).
     """
     surface, queries = torch.from_numpy(surface), torch.from_numpy(queries)
-    near = (torch.cdist(surface, surface) < 0.05).float()
-    number = near.sum(dim=1)[:, None]
-    mean = near @ surface / number
-    covariance = (near @ outer(surface) / number - outer(mean)).unflatten(1, (3, 3))
-    normals = torch.linalg.eigh(covariance.double()).eigenvectors[:, :, 0].float()
-    apart = torch.cdist(queries, surface)
-    weight = torch.exp(-0.5 * (apart / scale) ** 2)
-    moment = (weight @ outer(normals) / weight.sum(dim=1, keepdim=True).clamp(min=1e-3)).unflatten(1, (3, 3))
-    least = torch.linalg.eigvalsh(moment.double())[:, 0].clamp(min=0)
-    nearness = torch.exp(-0.5 * (apart.min(dim=1).values / 0.02) ** 2)
-    return (least + 1e-3).log().numpy(), nearness.numpy()
-
-
-def outer(vectors):
-    """Each vector (N, 3) times itself, (N, 9)."""
-    return (vectors[:, :, None] * vectors[:, None, :]).flatten(1)
+    outer = (surface[:, :, None] * surface[:, None, :]).flatten(1)
+    powers = torch.cat([torch.ones(len(surface), 1), surface, outer], dim=1)
+    moments, apart = [], []
+    for some in queries.split(256):  # what fits a cache
+        distance = torch.cdist(some, surface)
+        moments.append((1 - (distance / radius).square()).clamp(min=0) @ powers)
+        apart.append(distance.amin(dim=1))
+    weight, first, second = torch.cat(moments).double().split([1, 3, 9], dim=1)
+    weight = weight.clamp(min=1e-9)
+    mean = first / weight
+    covariance = (second / weight).unflatten(1, (3, 3)) - mean[:, :, None] * mean[:, None, :]
+    values = torch.linalg.eigvalsh(covariance).clamp(min=0)
+    response = values[:, 0].square() / values.sum(dim=1).clamp(min=1e-12)
+    beyond = (torch.cat(apart) - 0.01).clamp(min=0) / 0.02
+    return (response + 1e-9).log().float().numpy(), (-0.5 * beyond.square()).exp().numpy()
 
 
 def rank_targets(log_odds, occupancy):
-    """Target log-odds, same shape, from the averaged fields, or `corners`, of all shapes.
+    """Target log-odds, same shape, from the averaged fields, or the `surface_variation`, of all shapes.
 
     The value is 0.6 T - 1 with T minus the logarithm of the share of surface queries that are more salient, so that the
     few best are as far apart as the many others: a trained saliency saturates, and what detection needs, the order among
@@ -150,13 +151,16 @@ class Targets:
 def write_targets(path, teacher, shapes, rotations=8, queries=4096, points=4096, seed=1, metadata=None):
     """Targets of all shapes, each with its own seed, to a safetensors file (temporary name, then rename).
 
-    A shape is a cloud (M, 3), which a teacher looks at, or a `Place` whose number of views divides `points`.
+    A shape is a cloud (M, 3), or a `Place` whose number of views divides `points`. Without a teacher, and of places
+    always, the targets are the `surface_variation`. Its ranks are those within a cloud, which is as it is seen; places
+    are parts of larger scenes and are ranked together, as a teacher's values are.
     """
     stored = {
         name: np.empty((len(shapes), size, 3), np.int16) for name, size in (("points", points), ("queries", queries))
     }
     views = np.ones(len(shapes), np.uint8)
     log_odds, occupancy = np.empty((2, len(shapes), queries), np.float32)
+    alone = []  # rows that are ranked by themselves
     for row in tqdm(range(len(shapes)), unit="shape", mininterval=2 if sys.stderr.isatty() else 60):
         rng = np.random.default_rng([seed, row])
         shape = shapes[row]
@@ -164,14 +168,22 @@ def write_targets(path, teacher, shapes, rotations=8, queries=4096, points=4096,
             views[row] = len(shape.views)
             cloud = np.concatenate([choose(rng, view, points // len(shape.views)) for view in shape.views])
             at = sample_queries(shape.surface, queries, rng)
-            log_odds[row], occupancy[row] = corners(choose(rng, shape.surface, points), at)
+            log_odds[row], occupancy[row] = surface_variation(choose(rng, shape.surface, points), at)
         else:
             cloud = choose(rng, normalize(shape)[0], points)
             at = sample_queries(cloud, queries, rng)
-            turns = np.stack([random_rotation(rng) for _ in range(rotations)])
-            log_odds[row], occupancy[row] = averaged_fields(teacher, cloud, at, turns)
+            if teacher:
+                turns = np.stack([random_rotation(rng) for _ in range(rotations)])
+                log_odds[row], occupancy[row] = averaged_fields(teacher, cloud, at, turns)
+            else:
+                log_odds[row], occupancy[row] = surface_variation(cloud, at)
+                alone.append(row)
         stored["points"][row], stored["queries"][row] = ((a / QUANTUM).round() for a in (cloud, at))
-    stored |= {"target": rank_targets(log_odds, occupancy).astype(np.float16), "views": views}
+    target = np.empty(log_odds.shape, np.float16)
+    together = np.setdiff1d(np.arange(len(shapes)), alone)
+    for rows in [*alone, together] if len(together) else alone:
+        target[rows] = rank_targets(log_odds[rows], occupancy[rows])
+    stored |= {"target": target, "views": views}
     with replacing(path) as temporary:
         save_file(stored, temporary, metadata=FORMAT | (metadata or {}))
 
@@ -183,7 +195,11 @@ def main(argv=None):
         description="Write the rotation-averaged saliency of a network on shapes, for train --targets.",
         formatter_class=argparse.ArgumentDefaultsHelpFormatter,
     )
-    parser.add_argument("weights", nargs="?", help="the teacher: a safetensors export, checkpoint or run folder")
+    parser.add_argument(
+        "weights",
+        nargs="?",
+        help="the teacher: a safetensors export, checkpoint or run folder; without it, how much the surface bends",
+    )
     parser.add_argument("-o", "--output", required=True, help="file to write, about 57 kB a shape")
     parser.add_argument("--data", nargs="*", default=[], help="corpus folders or folders of .npy / .ply files")
     parser.add_argument("--stretched", type=int, default=0, help="stretched copies added of each shape of the data")
@@ -192,7 +208,7 @@ def main(argv=None):
         "--places",
         type=int,
         default=0,
-        help="instead: corners of places in rooms, with the data in them; no weights are needed",
+        help="instead: this many places in rooms, with the data in them; no weights are used",
     )
     parser.add_argument("--rotations", type=int, default=8, help="rotated copies averaged")
     parser.add_argument("--queries", type=int, default=4096, help="queries a shape")
@@ -222,13 +238,13 @@ def main(argv=None):
         if len(shapes) == 0:
             parser.error("no shapes: give --data, --procedural or --places")
         settings = {name: json.dumps(getattr(arguments, name)) for name in ("weights", "rotations", "seed")}
-        if not (arguments.places or arguments.weights):
-            parser.error("give the WEIGHTS of a teacher, or --places")
+        if arguments.places and arguments.weights:
+            parser.error("--places makes its targets without a teacher; leave out the WEIGHTS")
         teachers = {
             "snake-rs": snake_rs_teacher,
             "torch": lambda weights: torch_teacher(load_network(weights, arguments.device)),
         }
-        teacher = None if arguments.places else teachers[arguments.engine](arguments.weights)
+        teacher = teachers[arguments.engine](arguments.weights) if arguments.weights else None
         write_targets(
             arguments.output, teacher, shapes, arguments.rotations, arguments.queries, arguments.points,
             arguments.seed, settings,

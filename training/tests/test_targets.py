@@ -18,10 +18,10 @@ from snake_training.losses import distillation_losses
 from snake_training.targets import (
     Targets,
     averaged_fields,
-    corners,
     rank_targets,
     sample_queries,
     snake_rs_teacher,
+    surface_variation,
     torch_teacher,
     write_targets,
 )
@@ -71,12 +71,28 @@ def test_both_teachers_agree(network, tmp_path):
         assert one.shape == other.shape == (2, 50) and np.allclose(one, other, atol=0.02)  # bfloat16
 
 
-def test_corners_are_where_three_faces_meet():
+def test_a_surface_bends_most_at_corners():
     cube = sample_surface(box((0.6, 0.6, 0.6)), 4000, np.random.default_rng(0))
     corner, edge, face, inside = (0.3, 0.3, 0.3), (0.3, 0.3, 0), (0.3, 0, 0), (0, 0, 0)
-    response, nearness = corners(cube, np.float32([corner, edge, face, inside]))
-    assert response[0] > -2.5 > -4 > response[1] > response[2] and response[3] < -6
-    assert (nearness[:3] > 0.5).all() and nearness[3] < 1e-9
+    response, nearness = surface_variation(cube, np.float32([corner, edge, face, inside]))
+    assert response[0] > response[1] > response[2] + 5 and response[3] < -20
+    assert (nearness[:3] > 0.9).all() and nearness[3] < 1e-9
+
+
+def test_surface_variation_is_that_of_the_weighted_covariance():
+    rng = np.random.default_rng(1)
+    surface = rng.uniform(-0.3, 0.3, (300, 3)).astype(np.float32)
+    for query, response in zip(surface, surface_variation(surface, surface[:20], 0.2)[0]):
+        weight = np.maximum(1 - ((surface - query) ** 2).sum(axis=1) / 0.2**2, 0)
+        values = np.linalg.eigvalsh(np.cov(surface.T, aweights=weight, ddof=0))
+        assert np.isclose(response, np.log(values[0] ** 2 / values.sum()), atol=1e-3)
+
+
+def test_clouds_without_a_teacher_are_ranked_by_themselves(tmp_path):
+    shapes = Procedural(3, points=400)
+    write_targets(tmp_path / "all", None, shapes, queries=256, points=256)
+    write_targets(tmp_path / "first", None, [shapes[0]], queries=256, points=256)
+    assert np.array_equal(Targets(tmp_path / "all").target[0], Targets(tmp_path / "first").target[0])
 
 
 def test_targets_keep_the_order_and_spread_the_best():
@@ -180,6 +196,7 @@ def test_the_command_writes_targets_and_refuses_what_it_cannot_do(tmp_path, netw
     for given, number in (
         ([str(weights), "--procedural", "2"], 2),
         ([str(weights), "--procedural", "2", "--engine", "snake-rs"], 2),
+        (["--procedural", "2"], 2),
         (["--places", "1"], 1),
     ):
         module.main([*given, "-o", str(output), *small])
@@ -188,7 +205,7 @@ def test_the_command_writes_targets_and_refuses_what_it_cannot_do(tmp_path, netw
     for wrong, said in (
         ([str(weights), "--procedural", "0"], "no shapes"),
         ([str(weights), "--rotations", "0"], "--rotations must be 1 or more"),
-        (["--procedural", "2"], "give the WEIGHTS of a teacher"),
+        ([str(weights), "--places", "1"], "leave out the WEIGHTS"),
     ):
         with pytest.raises(SystemExit):
             module.main(["-o", str(output), *small, *wrong])

@@ -8,19 +8,19 @@ use snake_core::Model;
 
 use crate::terminal;
 
-/// Loads the model of a weight file or of a name, by default the built-in one.
+/// Loads the model of a weight file or of a name, by default `compact`.
 pub fn load(model: Option<&Path>) -> Result<Model> {
-    match model {
-        Some(model) if !is_builtin(model) => {
-            let file = locate(model)?;
-            Model::load(&file).with_context(|| format!("cannot load the model {}", file.display()))
-        }
-        _ => Ok(Model::builtin()?),
+    let Some(model) = model else { return Ok(Model::builtin()?) };
+    if let Some(name) = builtin_name(model) {
+        return Ok(Model::named(name)?);
     }
+    let file = locate(model)?;
+    Model::load(&file).with_context(|| format!("cannot load the model {}", file.display()))
 }
 
-fn is_builtin(model: &Path) -> bool {
-    model.as_os_str() == "compact" && !model.exists()
+/// The name of a built-in model, unless a file is called so.
+fn builtin_name(model: &Path) -> Option<&'static str> {
+    Model::NAMES.into_iter().find(|name| model.as_os_str() == *name && !model.exists())
 }
 
 /// The weight file that a path or a name stands for. A name, like `standard`, is a file NAME.safetensors in a folder of
@@ -56,10 +56,8 @@ fn locate(model: &Path) -> Result<PathBuf> {
 
 /// What reports call that model.
 pub fn name(model: Option<&Path>) -> String {
-    match model {
-        Some(model) if !is_builtin(model) => model.display().to_string(),
-        _ => "compact, built-in".into(),
-    }
+    let model = model.unwrap_or(Path::new("compact"));
+    builtin_name(model).map_or_else(|| model.display().to_string(), |name| format!("{name}, built-in"))
 }
 
 /// Prints the network's shape, its recommended options and its metadata.

@@ -16,7 +16,8 @@ use crate::weights::{self, Weights};
 use crate::windows::detect_in_windows;
 use crate::{Error, Result};
 
-const BUILTIN: &[u8] = include_bytes!("../models/compact.safetensors");
+const COMPACT: &[u8] = include_bytes!("../models/compact.safetensors");
+const ROOMS: &[u8] = include_bytes!("../models/rooms.safetensors");
 
 /// The metadata alone could otherwise ask for more memory than any machine has: 1 GiB, 32 channels in 203³ voxels.
 const MAX_VOLUME_VALUES: usize = 1 << 28;
@@ -122,12 +123,28 @@ pub struct Model {
 }
 
 impl Model {
-    /// The compact model that comes with the crate (see `models/README.md`).
+    /// The names that [`Model::named`] knows: the models that come with the crate (see `models/README.md`).
+    pub const NAMES: [&'static str; 2] = ["compact", "rooms"];
+
+    /// A model that comes with the crate: `compact`, for objects, or `rooms`, for clouds of rooms in metres, which it
+    /// recommends to see through windows.
+    ///
+    /// # Errors
+    /// [`Error::Option`] for an unknown name.
+    pub fn named(name: &str) -> Result<Self> {
+        match name {
+            "compact" => Self::from_bytes(COMPACT),
+            "rooms" => Self::from_bytes(ROOMS),
+            _ => Err(Error::Option { name: "model", value: name.into(), allowed: "compact or rooms" }),
+        }
+    }
+
+    /// The model `compact`.
     ///
     /// # Errors
     /// None in a released build: the embedded file is checked by the tests.
     pub fn builtin() -> Result<Self> {
-        Self::from_bytes(BUILTIN)
+        Self::named("compact")
     }
 
     /// Reads a weight file (safetensors; float32 or float16).

@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ..augment import BOUND, choose, facing, normalize, random_rotation, visible
+from ..augment import BOUND, choose, facing, normalize, numbered, random_rotation, visible
 from .datasets import Mixture, open_shapes, write_corpus
 from .procedural import RECIPES, about, box, moved, sample_surface, shelf, table
 
@@ -94,16 +94,15 @@ class Places:
 
 def one_in_each(points, side):
     """One of the points (N, 3) in each voxel of that side."""
-    _, first = np.unique(np.floor(points / side).astype(np.int32), axis=0, return_index=True)
+    _, first = np.unique(numbered(np.floor(points / side)), return_index=True)
     return points[first]
 
 
 def within(points, others, side=1.5 * VOXEL):
     """Which of the points (N, 3) lie in or beside a voxel, of that side, with one of the others (M, 3)."""
     step = np.stack(np.meshgrid(*[(-1, 0, 1)] * 3), axis=-1).reshape(-1, 1, 3)
-    number = lambda voxels: (voxels * (1, 1 << 20, 1 << 40)).sum(axis=-1)
-    beside = number(np.unique(np.floor(others / side).astype(np.int64), axis=0) + step)
-    return np.isin(number(np.floor(points / side).astype(np.int64)), beside)
+    beside = numbered(np.floor(one_in_each(others, side) / side) + step)
+    return np.isin(numbered(np.floor(points / side)), beside)
 
 
 def look_at(eye, target, up=(0, 0, 1)):

@@ -97,17 +97,28 @@ impl Scan {
             KeypointDetector::Fps => Detector::FarthestPoint,
             KeypointDetector::Random => Detector::Random,
         };
-        let voxels: Vec<Point> = self.voxels.points.iter().map(|point| point.map(|v| v as f32).into()).collect();
+        let voxels = self.voxel_means();
         Counter::begin(self.field.model().progress(), "keypoints", 0);
         let found = classical.keypoints(&voxels, count, Protocol::Ranked, seed)?;
         Ok(found.into_iter().map(|response| voxels[response.index]).collect())
     }
 
+    fn voxel_means(&self) -> Vec<Point> {
+        self.voxels.points.iter().map(|point| point.map(|v| v as f32).into()).collect()
+    }
+
     fn salient_points(&self, most: usize) -> Result<Vec<Point>> {
-        let Preset { detect: options, .. } = *self.field.model().recommended();
-        let nms_radius = Length::Units(self.voxel_size);
-        let options = DetectOptions { saliency_threshold: 0.0, nms_radius, max_keypoints: most, ..options };
-        Ok(detect(&self.field, &options)?.keypoints.into_iter().map(|keypoint| keypoint.position).collect())
+        let recommended = *self.field.model().recommended();
+        let mut options = DetectOptions { saliency_threshold: 0.0, max_keypoints: most, ..recommended.detect };
+        let found = match recommended.windows.window_radius {
+            // The suppression radius that suits objects of any size is not one of this cloud's units; that of windows is.
+            None => {
+                options.nms_radius = Length::Units(self.voxel_size);
+                detect(&self.field, &options)?
+            }
+            Some(_) => self.field.model().detect(&self.voxel_means(), &Preset { detect: options, ..recommended })?,
+        };
+        Ok(found.keypoints.into_iter().map(|keypoint| keypoint.position).collect())
     }
 
     /// Descriptors `(N, dimension)` of points `(N, 3)` in the cloud's frame, flat; see [`Scan::dimension`].
@@ -180,6 +191,18 @@ mod tests {
         }
         let error = scan.keypoints(Iss, 0, 0).unwrap_err().to_string();
         assert!(error.contains("count"), "{error}");
+    }
+
+    #[test]
+    fn a_model_that_sees_through_windows_does_so_with_its_own_suppression_radius() {
+        let room: Vec<Point> = sample().iter().map(|point| point.map(|v| 3.0 * v)).collect();
+        let model = Model::named("rooms").unwrap();
+        let scan = Scan::new(&room, &model, 0.03).unwrap();
+        let found = scan.keypoints(Snake, 50, 0).unwrap();
+        let Length::Units(radius) = model.recommended().detect.nms_radius else { panic!("a length in metres") };
+        let apart = |a: &Point, b: &Point| (vector(*a) - vector(*b)).norm() >= radius;
+        assert!(found.len() > 10 && (1..found.len()).all(|i| found[..i].iter().all(|other| apart(other, &found[i]))));
+        assert!(radius > 0.03 && model.recommended().windows.window_radius.is_some());
     }
 
     #[test]
