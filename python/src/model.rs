@@ -58,8 +58,8 @@ pub fn given_or_builtin(model: Option<&Bound<'_, Model>>) -> PyResult<core::Mode
 
 #[pymethods]
 impl Model {
-    /// A model that comes with the package: "compact", for objects, or "rooms", for clouds of rooms in metres, which it
-    /// recommends to see through windows. Raises ValueError for another name.
+    /// A model that comes with the package: "compact", for objects; "standard", for objects too, whose keypoints repeat
+    /// better and take longer; or "rooms", for clouds of rooms in metres, which it recommends to see through windows. Raises ValueError for another name.
     #[staticmethod]
     #[pyo3(name = "builtin", signature = (name="compact"))]
     fn py_builtin(name: &str) -> PyResult<Self> {

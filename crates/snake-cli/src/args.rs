@@ -151,8 +151,9 @@ pub enum Command {
 /// What every sub-command that computes takes.
 #[derive(Args)]
 pub struct ComputeArguments {
-    /// Weight file (.safetensors), or the name of a model: compact (for objects) and rooms (for rooms in metres) are built
-    /// in, another is that of a file in SNAKE_MODELS, beside the program or in the user's data folder [default: compact].
+    /// Weight file (.safetensors), or the name of a model: compact (for objects), standard (for objects, better and
+    /// slower) and rooms (for rooms in metres) are built in, another is that of a file in SNAKE_MODELS, beside the program
+    /// or in the user's data folder [default: compact].
     #[arg(long, value_name = "MODEL", env = "SNAKE_MODEL")]
     pub model: Option<PathBuf>,
     /// Threads; default: all processors. The result does not depend on it.

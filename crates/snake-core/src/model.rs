@@ -17,6 +17,7 @@ use crate::windows::detect_in_windows;
 use crate::{Error, Result};
 
 const COMPACT: &[u8] = include_bytes!("../models/compact.safetensors");
+const STANDARD: &[u8] = include_bytes!("../models/standard.safetensors");
 const ROOMS: &[u8] = include_bytes!("../models/rooms.safetensors");
 
 /// The metadata alone could otherwise ask for more memory than any machine has: 1 GiB, 32 channels in 203³ voxels.
@@ -124,18 +125,19 @@ pub struct Model {
 
 impl Model {
     /// The names that [`Model::named`] knows: the models that come with the crate (see `models/README.md`).
-    pub const NAMES: [&'static str; 2] = ["compact", "rooms"];
+    pub const NAMES: [&'static str; 3] = ["compact", "standard", "rooms"];
 
-    /// A model that comes with the crate: `compact`, for objects, or `rooms`, for clouds of rooms in metres, which it
-    /// recommends to see through windows.
+    /// A model that comes with the crate: `compact`, for objects; `standard`, for objects too, whose keypoints repeat better
+    /// and take longer; or `rooms`, for clouds of rooms in metres, which it recommends to see through windows.
     ///
     /// # Errors
     /// [`Error::Option`] for an unknown name.
     pub fn named(name: &str) -> Result<Self> {
         match name {
             "compact" => Self::from_bytes(COMPACT),
+            "standard" => Self::from_bytes(STANDARD),
             "rooms" => Self::from_bytes(ROOMS),
-            _ => Err(Error::Option { name: "model", value: name.into(), allowed: "compact or rooms" }),
+            _ => Err(Error::Option { name: "model", value: name.into(), allowed: "compact, standard or rooms" }),
         }
     }
 

@@ -74,9 +74,9 @@ impl Scan {
     /// [`Scan::new`] of a reduced cloud; the lengths are voxel size, radius of normals and radius of FPFH.
     pub(super) fn of(points: &[Point], voxels: Neighbors, model: &Model, lengths: [f64; 3]) -> Result<Self> {
         let [voxel_size, normal_radius, feature_radius] = lengths;
-        // Scenes fill the volume better by the cube than by the sphere that suits objects.
+        // Scenes fill the volume better by the cube than by the sphere that suits objects; a cube cannot be turned in it.
         let normalization = NormalizationMethod::UnitCube;
-        let field = model.encode(points, &EncodeOptions { normalization, ..model.recommended().encode })?;
+        let field = model.encode(points, &EncodeOptions { normalization, rotations: 1, ..model.recommended().encode })?;
         voxels.check_crowding("normal_radius", normal_radius)?;
         voxels.check_crowding("feature_radius", feature_radius)?;
         let normals = normals(&voxels, normal_radius, model.progress());
