@@ -76,7 +76,8 @@ impl Scan {
         let [voxel_size, normal_radius, feature_radius] = lengths;
         // Scenes fill the volume better by the cube than by the sphere that suits objects; a cube cannot be turned in it.
         let normalization = NormalizationMethod::UnitCube;
-        let field = model.encode(points, &EncodeOptions { normalization, rotations: 1, ..model.recommended().encode })?;
+        let field =
+            model.encode(points, &EncodeOptions { normalization, rotations: 1, ..model.recommended().encode })?;
         voxels.check_crowding("normal_radius", normal_radius)?;
         voxels.check_crowding("feature_radius", feature_radius)?;
         let normals = normals(&voxels, normal_radius, model.progress());
@@ -203,6 +204,14 @@ mod tests {
         let apart = |a: &Point, b: &Point| (vector(*a) - vector(*b)).norm() >= radius;
         assert!(found.len() > 10 && (1..found.len()).all(|i| found[..i].iter().all(|other| apart(other, &found[i]))));
         assert!(radius > 0.03 && model.recommended().windows.window_radius.is_some());
+    }
+
+    #[test]
+    fn a_model_that_recommends_several_copies_encodes_one() {
+        let model = Model::named("standard").unwrap();
+        assert!(model.recommended().encode.rotations > 1);
+        let scan = Scan::new(&sample(), &model, 0.05).unwrap();
+        assert_eq!(scan.keypoints(Snake, 10, 0).unwrap().len(), 10);
     }
 
     #[test]
