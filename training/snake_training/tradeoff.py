@@ -57,9 +57,13 @@ def plot(path, rows):
             panel.semilogx([x for x, _, _ in line], [y for _, y, _ in line], "o-", ms=3, lw=1, label=name)
             for x, y, copies in line:
                 panel.annotate(f"×{copies}", (x, y), (2, -8), textcoords="offset points", fontsize=6)
+        low, high = min(row[2] for row in rows), max(row[2] for row in rows)
+        ticks = [tick for tick in (1, 2, 5, 10, 20, 50, 100, 200, 500, 1000, 2000, 5000) if low / 2 < tick < high * 2]
+        panel.set_xticks(ticks, ticks)
+        panel.minorticks_off()
         panel.set_title(f"NMS {radius}")
         panel.set_xlabel("milliseconds a cloud")
-        panel.grid(alpha=0.3, which="both")
+        panel.grid(alpha=0.3)
     panels[0].set_ylabel(f"relative repeatability, ε {EPSILON}")
     panels[0].legend(frameon=False)
     figure.tight_layout()
