@@ -76,7 +76,7 @@ def test_a_surface_bends_most_at_corners():
     corner, edge, face, inside = (0.3, 0.3, 0.3), (0.3, 0.3, 0), (0.3, 0, 0), (0, 0, 0)
     response, nearness = surface_variation(cube, np.float32([corner, edge, face, inside]))
     assert response[0] > response[1] > response[2] + 5 and response[3] < -20
-    assert (nearness[:3] > 0.9).all() and nearness[3] < 1e-9
+    assert (nearness[:3] > 0.8).all() and nearness[3] < 1e-9
 
 
 def test_surface_variation_is_that_of_the_weighted_covariance():
@@ -146,14 +146,16 @@ def test_files_of_objects_and_of_places_come_together(file, places):
     assert shapes == {(1, 128, 3), (4, 32, 3)}
 
 
-def test_windows_of_a_place_show_the_same_places(places):
+def test_windows_of_a_place_show_the_same_places(tmp_path):
     config = TrainConfig(**TINY | {"degraded_share": 0.0, "num_targets": 40})
-    shape = Targets(places).sample(np.random.default_rng(3))
+    write_targets(tmp_path / "places", None, Places(Procedural(), 1), queries=1024, points=512)
+    shape = Targets(tmp_path / "places").sample(np.random.default_rng(3))
     for seed in range(10):
         sample = distillation_views(shape, config, np.random.default_rng(seed))
         assert np.linalg.norm(sample["points"], axis=2).max() <= 0.5 + 1e-5
         # Each window has its own scale; distances between the queries agree up to it.
         one, other = (np.linalg.norm(view[:, None] - view[None], axis=2) for view in sample["queries"])
+        assert one.sum() > 0
         assert np.allclose(one * (other.sum() / one.sum()), other, atol=1e-4)
 
 
