@@ -1,4 +1,4 @@
-"""Makes `results.md` and its curves: the built-in model and the classical detectors on objects and on real scenes.
+"""Makes `results.md` and its curves: the built-in models and the classical detectors on objects and on real scenes.
 
 Run from the repository's root, by `make results OBJECTS=FOLDER SCENES="FOLDER .."`; an interrupted run goes on where it
 was. The part of the page whose folder is not given stays as it is. Needs nothing but Python.
@@ -96,24 +96,32 @@ are disturbed; theirs to the model's):
 """
 
 
-def objects_part(ranked: tuple[dict, str], spread_tables: str, paper_tables: str) -> str:
+def objects_part(
+    ranked: tuple[dict, str], spread_tables: str, standard_tables: str, standard_spread_tables: str, paper_tables: str
+) -> str:
     report, tables = ranked
     return f"""## Objects
 
 Relative repeatability on {report["pairs"]} objects that were not trained on: the share of keypoints of one view that the
 other view, rotated at random and sampled anew, finds again within ε (in units of the object's radius). 5000 points and the
-best 64 keypoints of each view; the built-in model with the options that it recommends, and as `snakex4` averaged over four
-turned copies of each view, which takes four times as long. The paper's figures are for ModelNet40: other objects, a network
-with a 64³ volume, and classical detectors of which it took a random subset.
+best 64 keypoints of each view; `snake` is the model `compact` with the options that it recommends, and `snakex4` the same
+averaged over four turned copies of each view, which takes four times as long. The paper's figures are for ModelNet40: other
+objects, a network with a 64³ volume, and classical detectors of which it took a random subset.
 
 The classical detectors ranked by their response, the fair way:
 
 {tables}
 ![the same as curves](repeatability.svg)
 
-The model with `--nms-radius {SPREAD}`, so that its keypoints cannot crowd:
+`compact` with `--nms-radius {SPREAD}`, so that its keypoints cannot crowd:
 
 {spread_tables}
+`--model standard`, three seeds:
+
+{standard_tables}
+The same with `--nms-radius {SPREAD}`:
+
+{standard_spread_tables}
 The classical detectors as in the paper, a random subset of the detections, which makes them little better than random
 points:
 
@@ -164,11 +172,11 @@ def scenes_part(repeatability: tuple[dict, str], registrations: list[tuple[dict,
     more = "".join(f"\n### Registration, more scenes\n\n{registration(*one)}" for one in registrations[1:])
     return f"""## Scenes
 
-Real clouds with known transforms, in metres. The built-in model has only seen objects.
+Real clouds with known transforms, in metres, and the model `rooms`, which has seen procedural rooms only.
 
 ### Repeatability on scenes
 
-The paper's settings for Redwood, `--preset redwood --nms-radius 0.04`: 10240 points of each cloud, J = 10, 64 keypoints, ε in
+10240 points of each cloud, 64 keypoints, of the model through windows of 0.8 m and 0.1 m apart as it recommends; ε in
 metres. {report["pairs"]} evenly spaced pairs of the first folder. The paper's figures are for Redwood.
 
 {tables}
@@ -209,17 +217,26 @@ def main() -> None:
         methods = "snake,snakex4,iss,harris3d,sift3d,fps,random"
         ranked = evaluate("ranked", "repeatability", *data, "--methods", methods, "--paper")
         _, spread = evaluate("spread", "repeatability", *data, "--methods", "snake", "--nms-radius", SPREAD)
-        as_in_paper = ["--protocol", "paper", "--methods", "iss,harris3d,sift3d", "--downsample", "1", "--noise", "0"]
+        few = ["--model", "standard", "--methods", "snake", "--epsilon", "0.02,0.03,0.04,0.1", "--seeds", "3"]
+        _, standard = evaluate("standard", "repeatability", *data, *few, "--downsample", "1,8", "--noise", "0,0.06")
+        undisturbed = ["--downsample", "1", "--noise", "0"]
+        _, standard_spread = evaluate(
+            "standard-spread", "repeatability", *data, *few, *undisturbed, "--nms-radius", SPREAD
+        )
+        as_in_paper = ["--protocol", "paper", "--methods", "iss,harris3d,sift3d", *undisturbed]
         _, paper = evaluate("paper", "repeatability", *data, *as_in_paper)
-        parts["Objects"] = objects_part(ranked, spread, paper)
+        parts["Objects"] = objects_part(ranked, spread, standard, standard_spread, paper)
         shutil.copy(RUNS / "ranked/repeatability.svg", PAGE.with_name("repeatability.svg"))
     if arguments.scenes:
         first, *others = arguments.scenes
-        settings = ["--preset", "redwood", "--nms-radius", "0.04", "--limit", str(REPEATABILITY_PAIRS), "--paper"]
-        repeatability = evaluate("scenes", "repeatability", first, *settings)
-        registrations = [evaluate("scenes", "registration", first, "--paper")]
+        rooms = ["--model", "rooms"]
+        pairs = ["--limit", str(REPEATABILITY_PAIRS)]
+        repeatability = evaluate("scenes", "repeatability", first, *rooms, *pairs, "--paper")
+        registrations = [evaluate("scenes", "registration", first, *rooms, "--paper")]
         for number, folder in enumerate(others):
-            registrations.append(evaluate(f"scenes-{number}", "registration", folder, "--limit", str(MORE_PAIRS)))
+            registrations.append(
+                evaluate(f"scenes-{number}", "registration", folder, *rooms, "--limit", str(MORE_PAIRS))
+            )
         parts["Scenes"] = scenes_part(repeatability, registrations)
         shutil.copy(RUNS / "scenes/repeatability.svg", PAGE.with_name("repeatability-scenes.svg"))
     PAGE.write_text(page(parts, PAGE.read_text() if PAGE.exists() else ""))

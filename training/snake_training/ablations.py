@@ -107,6 +107,9 @@ def main(argv=None):
     parser.add_argument("--data", nargs="*", default=[], help="training shapes; without them, procedural ones")
     parser.add_argument("--shapes", required=True, help="unseen shapes to evaluate on")
     parser.add_argument("--objects", type=int, default=40, help="evaluate on this many of them, evenly spaced")
+    parser.add_argument(
+        "--init", default="", help="start from these weights with a new saliency decoder, which takes far fewer steps"
+    )
     parser.add_argument("--steps", type=int, default=1000, help="optimiser steps of each run")
     parser.add_argument("--batch", type=int, default=4, help="samples a step")
     parser.add_argument("--tables", nargs="*", default=sorted({row.table for row in ROWS}), help="tables to make")
@@ -118,7 +121,7 @@ def main(argv=None):
     folder = Path(arguments.output)
     config = TrainConfig(
         data=tuple(arguments.data), steps=arguments.steps, batch=arguments.batch, warmup=min(200, arguments.steps // 5),
-        validate_every=arguments.steps, validation_objects=1,
+        validate_every=arguments.steps, validation_objects=1, init=arguments.init, fresh_saliency=bool(arguments.init),
     )  # fmt: skip
     try:
         folder.mkdir(parents=True, exist_ok=True)

@@ -35,7 +35,7 @@ def test_tables_grow_row_by_row_and_a_second_call_goes_on(tmp_path, monkeypatch,
     write_corpus(tmp_path / "shapes", Procedural(2, 400), 400)
     measured = []
     monkeypatch.setattr(ablations, "TrainConfig", lambda **given: TrainConfig(**TINY | given))
-    monkeypatch.setattr(ablations, "measure", lambda row, *_: measured.append(row.name) or {
+    monkeypatch.setattr(ablations, "measure", lambda row, folder, config, *_: measured.append(config) or {
         "repeatability": 0.5, "deviation": 0.01, "keypoints": 64.0
     })  # fmt: skip
     words = ["-o", str(tmp_path / "out"), "--shapes", str(tmp_path / "shapes")]
@@ -50,3 +50,15 @@ def test_tables_grow_row_by_row_and_a_second_call_goes_on(tmp_path, monkeypatch,
         with pytest.raises(SystemExit):
             main([*words, *wrong])
     assert "other settings" in capsys.readouterr().err
+
+
+def test_rows_can_start_from_weights_with_a_new_saliency_decoder(tmp_path, monkeypatch):
+    write_corpus(tmp_path / "shapes", Procedural(2, 400), 400)
+    given = []
+    monkeypatch.setattr(ablations, "measure", lambda row, folder, config, *_: given.append(config) or {
+        "repeatability": 0.5, "deviation": 0.01, "keypoints": 64.0
+    })  # fmt: skip
+    for words in ([], ["--init", "some.safetensors"]):
+        main(["-o", str(tmp_path / f"out{len(words)}"), "--shapes", str(tmp_path / "shapes"), *words])
+    starts = [(config.init, config.fresh_saliency) for config in given]
+    assert starts == [("", False)] * len(ROWS) + [("some.safetensors", True)] * len(ROWS)
