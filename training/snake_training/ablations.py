@@ -34,6 +34,16 @@ class Row:
         """The name of the folder of its run; rows that train alike share one."""
         return "-".join(f"{name}-{value:g}" for name, value in sorted(self.training.items())) or "all"
 
+    @property
+    def key(self):
+        """Its name in the results."""
+        return f"{self.table}: {self.name}"
+
+    @property
+    def options(self):
+        """The options of its detection."""
+        return replace(DetectOptions(), **self.detection)
+
 
 # Relative repeatability at epsilon 0.04 on ModelNet40; sections 4.4 of the paper.
 ROWS = (
@@ -65,7 +75,7 @@ def measure(row, folder, config, shapes, objects, engine, seeds=3):
         train(check(replace(config, run_dir=str(run), **row.training)))
         network = load_network(run / "last.pt")
         write_weights(finished, network.config, network.state_dict())
-    find = detector(engine, str(finished), replace(DetectOptions(), **row.detection))
+    find = detector(engine, str(finished), row.options)
     values = []
     for seed in range(seeds):
         measured = repeatability(lambda points: {"": find(points)}, shapes, objects, seed=seed, epsilon=(EPSILON,))
@@ -80,7 +90,7 @@ def markdown(results):
     """The rows that are done, as a table for each of the paper's."""
     lines = []
     for table in dict.fromkeys(row.table for row in ROWS):
-        done = [row for row in ROWS if row.table == table and f"{table}: {row.name}" in results]
+        done = [row for row in ROWS if row.table == table and row.key in results]
         if not done:
             continue
         lines += [
@@ -88,7 +98,7 @@ def markdown(results):
             "|---|---|---|---|",
         ]
         for row in done:
-            found = results[f"{table}: {row.name}"]
+            found = results[row.key]
             paper = "–" if row.paper is None else f"{row.paper:g}"
             value = f"{found['repeatability']:.3f} ±{found['deviation']:.3f}"
             lines.append(f"| {row.name} | {value} | {found['keypoints']:.0f} | {paper} |")
@@ -131,11 +141,14 @@ def main(argv=None):
         if results["settings"] != settings:
             raise ValueError(f"{kept} was made with other settings, {results['settings']}; give another --output")
         for row in ROWS:
-            key = f"{row.table}: {row.name}"
-            if row.table not in arguments.tables or key in results:
+            if row.table not in arguments.tables or row.key in results:
                 continue
-            print(key, flush=True)
-            results[key] = measure(row, folder, config, shapes, arguments.objects, arguments.engine)
+            print(row.key, flush=True)
+            alike = [other.key for other in ROWS if (other.run, other.options) == (row.run, row.options)]
+            known = [results[key] for key in alike if key in results]
+            results[row.key] = (
+                known[0] if known else measure(row, folder, config, shapes, arguments.objects, arguments.engine)
+            )
             for path, text in ((kept, json.dumps(results, indent=1)), (folder / "tables.md", markdown(results))):
                 with replacing(path) as temporary:
                     temporary.write_text(text)
