@@ -1,4 +1,5 @@
 //! `snake-cli`: keypoints from point-cloud files.
+#![forbid(unsafe_code)]
 
 mod args;
 mod detect;

@@ -1,10 +1,10 @@
 //! The implicit decoder: a residual MLP on the query that receives the interpolated feature before every block.
 
-use crate::kernels::Then;
 use crate::nn::{Linear, ResnetBlockFc};
 use crate::points::Point;
 use crate::weights::Scope;
 use crate::{ModelConfig, Result};
+use snake_kernels::Epilogue;
 
 /// How a decoder's logit becomes a probability.
 #[derive(Debug, Clone, Copy)]
@@ -101,15 +101,15 @@ impl Decoder {
         let size = trace.last.len();
         let (mut gradient, mut in_hidden) = (vec![0.0; size], vec![0.0; size]);
         let mut in_feature = vec![0.0; features.len()];
-        self.fc_out.backward(&slopes, &mut gradient, Then::Mask(&trace.last));
+        self.fc_out.backward(&slopes, &mut gradient, Epilogue::Mask(&trace.last));
         for (stage, relus) in self.stages.iter().zip(trace.relus.chunks_exact(2 * size)).rev() {
             let (input, hidden) = relus.split_at(size);
-            stage.block.fc_1.backward(&gradient, &mut in_hidden, Then::Mask(hidden));
-            stage.block.fc_0.backward(&in_hidden, &mut gradient, Then::AddMasked(input));
-            stage.fc_c.backward(&gradient, &mut in_feature, Then::Add);
+            stage.block.fc_1.backward(&gradient, &mut in_hidden, Epilogue::Mask(hidden));
+            stage.block.fc_0.backward(&in_hidden, &mut gradient, Epilogue::AddMasked(input));
+            stage.fc_c.backward(&gradient, &mut in_feature, Epilogue::Add);
         }
         let mut in_query = vec![0.0; queries.len() * 3];
-        self.fc_p.backward(&gradient, &mut in_query, Then::Store);
+        self.fc_p.backward(&gradient, &mut in_query, Epilogue::Store);
         ValuesAndGradients { values, in_query, in_feature }
     }
 
@@ -117,17 +117,17 @@ impl Decoder {
         let size = queries.len() * self.fc_p.outputs();
         let mut state = vec![0.0; size];
         let mut relus = vec![0.0; 2 * size * if traced { self.stages.len() } else { 1 }];
-        self.fc_p.forward(queries.as_flattened(), &mut state, Then::Store);
+        self.fc_p.forward(queries.as_flattened(), &mut state, Epilogue::Store);
         for (number, stage) in self.stages.iter().enumerate() {
             let relus = &mut relus[if traced { 2 * size * number } else { 0 }..][..2 * size];
             let (input, hidden) = relus.split_at_mut(size);
-            stage.fc_c.forward(features, &mut state, Then::AddAndRelu(input));
-            stage.block.fc_0.forward(input, hidden, Then::Relu);
-            stage.block.fc_1.forward(hidden, &mut state, Then::Add);
+            stage.fc_c.forward(features, &mut state, Epilogue::AddAndRelu(input));
+            stage.block.fc_0.forward(input, hidden, Epilogue::Relu);
+            stage.block.fc_1.forward(hidden, &mut state, Epilogue::Add);
         }
         state.iter_mut().for_each(|v| *v = v.max(0.0));
         let mut logits = vec![0.0; queries.len()];
-        self.fc_out.forward(&state, &mut logits, Then::Store);
+        self.fc_out.forward(&state, &mut logits, Epilogue::Store);
         (logits, Trace { relus, last: state })
     }
 }

@@ -12,6 +12,8 @@
 //!
 //! [`metrics`] measure how good keypoints are, and [`baselines`] are the classical detectors to compare them with.
 
+#![forbid(unsafe_code)]
+
 pub mod baselines;
 pub mod io;
 pub mod metrics;
@@ -26,14 +28,12 @@ mod field;
 mod golden;
 mod grid;
 mod kd_tree;
-mod kernels;
 mod length;
 mod model;
 mod neighbors;
 mod nms;
 mod nn;
 mod points;
-mod pool;
 mod progress;
 mod refine;
 mod rotations;
@@ -46,11 +46,11 @@ pub use detect::{Counts, DetectOptions, Detection, Keypoint, Preset, RefineMetho
 pub use error::{Error, Result};
 pub use field::{EncodeOptions, Field};
 pub use grid::Grid;
-pub use kernels::SimdLevel;
 pub use length::Length;
 pub use model::{Model, ModelConfig};
 pub use points::{Normalization, NormalizationMethod, Point, Transform};
 pub use progress::{Progress, Stage};
+pub use snake_kernels::SimdLevel;
 pub use surface::{Mesh, MeshOptions};
 pub use volume::{Volume, VolumeFrame};
 pub use windows::WindowOptions;

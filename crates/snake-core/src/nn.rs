@@ -3,11 +3,11 @@
 use rayon::prelude::*;
 
 use crate::Result;
-use crate::kernels::{
-    self, Blank, Conv3d, GroupNorm, PackedConv3d, PackedLinear, SimdLevel, Source, Then, channel_sums,
-};
-use crate::pool::{Buffer, Pool};
 use crate::weights::Scope;
+use snake_kernels::{Buffer, BufferPool};
+use snake_kernels::{
+    ConstantRegion, Conv3d, Epilogue, GroupNorm, PackedConv3d, PackedLinear, SimdLevel, Source, channel_sums,
+};
 
 /// Rows that one task handles at a time: their features stay in the first-level cache.
 pub(crate) const TILE: usize = 64;
@@ -39,17 +39,17 @@ impl Linear {
     }
 
     pub(crate) fn outputs(&self) -> usize {
-        self.packed.outputs
+        self.packed.outputs()
     }
 
     /// `W input + b`.
-    pub(crate) fn forward(&self, input: &[f32], output: &mut [f32], then: Then) {
-        kernels::linear(SimdLevel::current(), &self.packed, input, output, then);
+    pub(crate) fn forward(&self, input: &[f32], output: &mut [f32], epilogue: Epilogue) {
+        snake_kernels::linear(SimdLevel::current(), &self.packed, input, output, epilogue);
     }
 
     /// `Wᵀ gradient`.
-    pub(crate) fn backward(&self, gradient: &[f32], output: &mut [f32], then: Then) {
-        kernels::linear(SimdLevel::current(), &self.transposed, gradient, output, then);
+    pub(crate) fn backward(&self, gradient: &[f32], output: &mut [f32], epilogue: Epilogue) {
+        snake_kernels::linear(SimdLevel::current(), &self.transposed, gradient, output, epilogue);
     }
 }
 
@@ -77,12 +77,12 @@ impl ResnetBlockFc {
         let rectified: Vec<f32> = input.iter().map(|v| v.max(0.0)).collect();
         let rows = output.len() / self.fc_1.outputs();
         let mut hidden = vec![0.0; rows * self.fc_0.outputs()];
-        self.fc_0.forward(&rectified, &mut hidden, Then::Relu);
+        self.fc_0.forward(&rectified, &mut hidden, Epilogue::Relu);
         match &self.shortcut {
-            Some(shortcut) => shortcut.forward(input, output, Then::Store),
+            Some(shortcut) => shortcut.forward(input, output, Epilogue::Store),
             None => output.copy_from_slice(input),
         }
-        self.fc_1.forward(&hidden, output, Then::Add);
+        self.fc_1.forward(&hidden, output, Epilogue::Add);
     }
 }
 
@@ -95,14 +95,14 @@ pub(crate) struct Tensor {
     pub(crate) values: Buffer,
     /// Sum and sum of squares of each channel.
     pub(crate) sums: Vec<[f64; 2]>,
-    /// Where the values are known to repeat.
-    pub(crate) blank: Option<Blank>,
+    /// Voxels whose values repeat.
+    pub(crate) constant: Option<ConstantRegion>,
 }
 
 impl Tensor {
     fn new(size: [usize; 3], channels: usize, values: Buffer) -> Self {
         let sums = channel_sums(&values, channels);
-        Self { size, channels, values, sums, blank: None }
+        Self { size, channels, values, sums, constant: None }
     }
 
     pub(crate) fn voxels(&self) -> usize {
@@ -110,7 +110,7 @@ impl Tensor {
     }
 
     /// Maximum over blocks of 2x2x2; an odd last slice is dropped.
-    pub(crate) fn max_pool(&self, pool: &Pool) -> Self {
+    pub(crate) fn max_pool(&self, pool: &BufferPool) -> Self {
         let (size, channels) = (self.size.map(|n| n / 2), self.channels);
         let [_, height, width] = size;
         let mut pooled = pool.take(size.iter().product::<usize>() * channels);
@@ -127,12 +127,12 @@ impl Tensor {
                 }
             }
         });
-        Self { blank: self.blank.as_ref().map(Blank::pooled), ..Self::new(size, channels, pooled) }
+        Self { constant: self.constant.as_ref().map(ConstantRegion::pooled), ..Self::new(size, channels, pooled) }
     }
 
     /// `self` and, behind its channels, `coarse` upsampled to its size by nearest neighbour
     /// (index = floor(i · coarse / fine)).
-    pub(crate) fn concat_upsampled(&self, coarse: &Self, pool: &Pool) -> Self {
+    pub(crate) fn concat_upsampled(&self, coarse: &Self, pool: &BufferPool) -> Self {
         let ([_, height, width], channels) = (self.size, self.channels + coarse.channels);
         let mut joined = pool.take(self.voxels() * channels);
         let source = |axis: usize, i: usize| i * coarse.size[axis] / self.size[axis];
@@ -149,11 +149,11 @@ impl Tensor {
     }
 
     /// A linear layer at each voxel (a 1x1x1 convolution).
-    pub(crate) fn pointwise(&self, layer: &Linear, pool: &Pool) -> Buffer {
+    pub(crate) fn pointwise(&self, layer: &Linear, pool: &BufferPool) -> Buffer {
         let mut output = pool.take(self.voxels() * layer.outputs());
         let chunks = self.values.par_chunks(TILE * self.channels);
         let outputs = output.par_chunks_mut(TILE * layer.outputs());
-        outputs.zip(chunks).for_each(|(out, input)| layer.forward(input, out, Then::Store));
+        outputs.zip(chunks).for_each(|(out, input)| layer.forward(input, out, Epilogue::Store));
         output
     }
 
@@ -198,7 +198,7 @@ impl SingleConv {
     }
 
     /// The first input has the output's size, a second one half of it.
-    pub(crate) fn forward(&self, inputs: &[&Tensor], pool: &Pool) -> Tensor {
+    pub(crate) fn forward(&self, inputs: &[&Tensor], pool: &BufferPool) -> Tensor {
         let size = inputs[0].size;
         let voxels = inputs[0].voxels();
         // Upsampling repeats each value eight times.
@@ -214,11 +214,11 @@ impl SingleConv {
             .iter()
             .map(|input| Source { values: &input.values, channels: input.channels, upsampled: input.size != size })
             .collect();
-        let blank = match inputs {
-            [input] => input.blank.as_ref().map(Blank::convolved),
+        let constant = match inputs {
+            [input] => input.constant.as_ref().map(ConstantRegion::convolved),
             _ => None,
         };
-        let originals = blank.as_ref().map(|blank| blank.originals(self.conv.tile)).unwrap_or_default();
+        let originals = constant.as_ref().map(|constant| constant.originals(self.conv.tile())).unwrap_or_default();
         let conv = Conv3d {
             layer: &self.conv,
             size,
@@ -227,9 +227,9 @@ impl SingleConv {
             shift: &norm[1],
             originals: &originals,
         };
-        let mut values = pool.take(voxels * self.conv.outputs);
-        let sums = kernels::conv3d(SimdLevel::current(), &conv, &mut values);
-        Tensor { size, channels: self.conv.outputs, values, sums, blank }
+        let mut values = pool.take(voxels * self.conv.outputs());
+        let sums = snake_kernels::conv3d(SimdLevel::current(), &conv, &mut values);
+        Tensor { size, channels: self.conv.outputs(), values, sums, constant }
     }
 }
 
@@ -239,7 +239,7 @@ mod tests {
 
     #[test]
     fn pooling_and_upsampling_of_odd_sizes() {
-        let pool = Pool::default();
+        let pool = BufferPool::default();
         let tensor = |size: [usize; 3], value: fn(usize) -> f32| {
             let mut values = pool.take(size.iter().product());
             values.iter_mut().enumerate().for_each(|(i, v)| *v = value(i));

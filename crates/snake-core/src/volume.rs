@@ -2,9 +2,9 @@
 
 use ndarray::ArrayView4;
 
-use crate::kernels::{Corners, SimdLevel, interpolate, interpolate_backward};
 use crate::points::Point;
-use crate::pool::Buffer;
+use snake_kernels::Buffer;
+use snake_kernels::{Corners, SimdLevel, interpolate, interpolate_backward};
 
 /// Where the voxels of a volume lie in the network's frame (ConvONet's normalisation of coordinates).
 ///

@@ -9,13 +9,13 @@ use self::pointnet::PointNet;
 pub(crate) use self::pointnet::VoxelGroups;
 use self::unet::UNet3d;
 use crate::Result;
-use crate::kernels::{Blank, channel_sums};
 use crate::model::ModelConfig;
 use crate::nn::Tensor;
 use crate::points::Point;
 use crate::progress::Counter;
 use crate::volume::{Volume, VolumeFrame};
 use crate::weights::Scope;
+use snake_kernels::{ConstantRegion, channel_sums};
 
 /// The encoder of a model.
 #[derive(Debug)]
@@ -64,7 +64,7 @@ impl Encoder {
         for (voxel, mean) in groups.voxels().zip(means.chunks_exact(channels)) {
             values[voxel * channels..][..channels].copy_from_slice(mean);
         }
-        let blank = Some(Blank::around(size, groups.voxels()));
-        Tensor { size, channels, values, sums: channel_sums(&means, channels), blank }
+        let constant = Some(ConstantRegion::around(size, groups.voxels()));
+        Tensor { size, channels, values, sums: channel_sums(&means, channels), constant }
     }
 }

@@ -3,13 +3,13 @@
 use rayon::prelude::*;
 
 use crate::Result;
-use crate::kernels::Then;
 use crate::model::ModelConfig;
 use crate::nn::{Linear, ResnetBlockFc, TILE};
 use crate::points::Point;
 use crate::progress::Counter;
 use crate::volume::VolumeFrame;
 use crate::weights::Scope;
+use snake_kernels::Epilogue;
 
 /// Which points share a voxel.
 #[derive(Debug)]
@@ -124,7 +124,7 @@ impl PointNet {
                 let rows = features.len() / self.hidden;
                 let mut input = vec![0.0; rows * wide];
                 if depth == 0 {
-                    self.fc_pos.forward(points[first..first + rows].as_flattened(), &mut input, Then::Store);
+                    self.fc_pos.forward(points[first..first + rows].as_flattened(), &mut input, Epilogue::Store);
                 } else {
                     for (row, input) in input.chunks_exact_mut(wide).enumerate() {
                         let run = groups.run_of_point[first + row] as usize;
@@ -140,7 +140,7 @@ impl PointNet {
         let mut output = vec![0.0; points.len() * c_dim];
         let tiles = features.par_chunks(TILE * self.hidden);
         output.par_chunks_mut(TILE * c_dim).zip(tiles).for_each(|(out, input)| {
-            self.fc_c.forward(input, out, Then::Store);
+            self.fc_c.forward(input, out, Epilogue::Store);
             counter.add(input.len() / self.hidden);
         });
         output

@@ -3,9 +3,9 @@
 use crate::Result;
 use crate::model::ModelConfig;
 use crate::nn::{Linear, SingleConv, Tensor};
-use crate::pool::{Buffer, Pool};
 use crate::progress::Counter;
 use crate::weights::Scope;
+use snake_kernels::{Buffer, BufferPool};
 
 type DoubleConv = [SingleConv; 2];
 
@@ -18,7 +18,7 @@ pub(crate) struct UNet3d {
     deeper: Vec<DoubleConv>,
     decoders: Vec<DoubleConv>,
     final_conv: Linear,
-    pub(crate) pool: Pool,
+    pub(crate) pool: BufferPool,
 }
 
 impl UNet3d {
@@ -52,7 +52,7 @@ impl UNet3d {
             top: encoder(0)?,
             deeper: (1..config.unet_levels).map(encoder).collect::<Result<_>>()?,
             decoders: (0..config.unet_levels - 1).map(decoder).collect::<Result<_>>()?,
-            pool: Pool::default(),
+            pool: BufferPool::default(),
             final_conv: {
                 let scope = scope.at("final_conv");
                 let weight = scope.tensor("weight", &[config.c_dim, channels[0], 1, 1, 1])?;

@@ -2,19 +2,17 @@
 //!
 //! Throughput is in multiply-adds of the textbook, so a convolution's can exceed what the processor could do directly.
 
-// The kernels are private to the crate: they are compiled into the bench.
-#[allow(dead_code, unreachable_pub, unused_imports, clippy::needless_range_loop)]
-#[path = "../src/kernels/mod.rs"]
-mod kernels;
-
 use std::hint::black_box;
 use std::time::Duration;
 
 use criterion::measurement::WallTime;
 use criterion::{BenchmarkGroup, Criterion, Throughput, criterion_group, criterion_main};
-use kernels::{Conv3d, Corners, PackedConv3d, PackedLinear, SimdLevel, Source, Then};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
+use snake_kernels::{
+    Conv3d, Corners, Epilogue, PackedConv3d, PackedLinear, SimdLevel, Source, conv3d, interpolate,
+    interpolate_backward, linear,
+};
 
 fn random(number: usize) -> Vec<f32> {
     let mut rng = ChaCha8Rng::seed_from_u64(0);
@@ -62,7 +60,7 @@ fn convolutions(criterion: &mut Criterion) {
                 Conv3d { layer: &layer, size, sources: &sources, scale: &norm[0], shift: &norm[1], originals: &[] };
             for level in SimdLevel::available() {
                 group.bench_function(format!("tiles of {tile}, {}", level.name()), |bencher| {
-                    bencher.iter(|| kernels::conv3d(level, black_box(&conv), &mut output));
+                    bencher.iter(|| conv3d(level, black_box(&conv), &mut output));
                 });
             }
         }
@@ -78,7 +76,7 @@ fn decoder_parts(criterion: &mut Criterion) {
     let mut linear = group(criterion, "linear 64 rows, 32 to 32", ROWS * WIDTH * WIDTH);
     for level in SimdLevel::available() {
         linear.bench_function(level.name(), |bencher| {
-            bencher.iter(|| kernels::linear(level, &layer, black_box(&input), &mut output, Then::Relu));
+            bencher.iter(|| linear(level, &layer, black_box(&input), &mut output, Epilogue::Relu));
         });
     }
     linear.finish();
@@ -100,11 +98,11 @@ fn decoder_parts(criterion: &mut Criterion) {
     let mut gradients = vec![[0.0; 3]; ROWS];
     for level in SimdLevel::available() {
         interpolate.bench_function(level.name(), |bencher| {
-            bencher.iter(|| kernels::interpolate(level, &volume, WIDTH, black_box(&corners), &mut output));
+            bencher.iter(|| interpolate(level, &volume, WIDTH, black_box(&corners), &mut output));
         });
         interpolate.bench_function(format!("backward, {}", level.name()), |bencher| {
             bencher.iter(|| {
-                kernels::interpolate_backward(level, &volume, WIDTH, black_box(&corners), &input, &mut gradients);
+                interpolate_backward(level, &volume, WIDTH, black_box(&corners), &input, &mut gradients);
             });
         });
     }

@@ -1,10 +1,10 @@
-//! Group normalisation as a scale and a shift of every channel, which the convolution applies as it reads.
+//! Group normalisation as a scale and a shift of each channel, which the convolution applies as it reads.
 
 use rayon::prelude::*;
 
-/// Sum and sum of squares of each channel of a volume `(voxels, channels)`, in float64 over fixed runs of voxels that
-/// are added in order.
-pub(crate) fn channel_sums(volume: &[f32], channels: usize) -> Vec<[f64; 2]> {
+/// The sum and the sum of squares of each channel of a volume `(voxels, channels)`, in float64. Fixed runs of voxels are
+/// summed in parallel and added in order, so the bits do not depend on the number of threads.
+pub fn channel_sums(volume: &[f32], channels: usize) -> Vec<[f64; 2]> {
     const RUN: usize = 4096;
     let partial: Vec<Vec<[f64; 2]>> = volume
         .par_chunks(RUN * channels)
@@ -24,7 +24,7 @@ pub(crate) fn channel_sums(volume: &[f32], channels: usize) -> Vec<[f64; 2]> {
 }
 
 /// Adds the sums of several runs, first to last.
-pub(super) fn add_in_order(partial: &[Vec<[f64; 2]>], channels: usize) -> Vec<[f64; 2]> {
+pub(crate) fn add_in_order(partial: &[Vec<[f64; 2]>], channels: usize) -> Vec<[f64; 2]> {
     let mut total = vec![[0.0; 2]; channels];
     for sums in partial {
         for (total, sum) in total.iter_mut().zip(sums) {
@@ -35,20 +35,23 @@ pub(super) fn add_in_order(partial: &[Vec<[f64; 2]>], channels: usize) -> Vec<[f
     total
 }
 
-/// A group normalisation's weights.
+/// The weights of a group normalisation.
 #[derive(Debug)]
-pub(crate) struct GroupNorm {
+pub struct GroupNorm {
     /// Groups of consecutive channels.
-    pub(crate) groups: usize,
-    pub(crate) weight: Vec<f32>,
-    pub(crate) bias: Vec<f32>,
+    pub groups: usize,
+    /// Factor of each channel.
+    pub weight: Vec<f32>,
+    /// Offset of each channel.
+    pub bias: Vec<f32>,
 }
 
 impl GroupNorm {
     const EPSILON: f64 = 1e-5;
 
-    /// Scale and shift of each channel (`normalised = value * scale + shift`) from the channels' sums over `voxels`.
-    pub(crate) fn scale_and_shift(&self, sums: &[[f64; 2]], voxels: usize) -> [Vec<f32>; 2] {
+    /// The scale and the shift of each channel (`normalised = value * scale + shift`), from the sums of
+    /// [`channel_sums`] over this many voxels.
+    pub fn scale_and_shift(&self, sums: &[[f64; 2]], voxels: usize) -> [Vec<f32>; 2] {
         let size = sums.len() / self.groups;
         let count = (voxels * size) as f64;
         let (mut scale, mut shift) = (vec![0.0; sums.len()], vec![0.0; sums.len()]);
@@ -69,8 +72,8 @@ impl GroupNorm {
 
 #[cfg(test)]
 mod tests {
-    use super::super::naive;
     use super::*;
+    use crate::naive;
 
     #[test]
     fn equals_the_textbook() {

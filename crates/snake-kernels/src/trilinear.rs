@@ -1,18 +1,18 @@
 //! Trilinear interpolation of feature rows.
 
-use super::simd::{LANES, Lanes, load, simd_levels, store};
+use crate::simd::{LANES, Lanes, load, simd_levels, store};
 
-/// The eight voxels around a query and its place between them.
+/// The eight voxels around a query, and the position of the query between them.
 #[derive(Debug, Clone, Copy)]
-pub(crate) struct Corners {
-    /// Flat voxel indices; bit 0 of the corner's number is x, bit 1 is y, bit 2 is z.
-    pub(crate) voxels: [u32; 8],
+pub struct Corners {
+    /// Flat voxel indices. Bit 0 of a corner's number is x, bit 1 is y, bit 2 is z.
+    pub voxels: [u32; 8],
     /// Position within the cell along x, y, z, in [0, 1].
-    pub(crate) fraction: [f32; 3],
+    pub fraction: [f32; 3],
 }
 
 impl Corners {
-    /// Of each corner the weight, a product over axes of the fraction or its complement.
+    /// The weight of each corner: a product over the axes of the fraction or its complement.
     #[inline(always)]
     fn weights(&self) -> [f32; 8] {
         let [x, y, z] = self.fraction;
@@ -24,7 +24,7 @@ impl Corners {
         weights
     }
 
-    /// Derivatives of the weights along x, y, z, per voxel.
+    /// Derivatives of the weights along x, y and z, per voxel.
     #[inline(always)]
     fn slopes(&self) -> [[f32; 3]; 8] {
         let [x, y, z] = self.fraction;
@@ -40,8 +40,11 @@ impl Corners {
 }
 
 simd_levels! {
-    /// Interpolates rows of `channels` values of `volume` at each of the corners; `features` is `(queries, channels)`.
-    pub(crate) fn interpolate(volume: &[f32], channels: usize, corners: &[Corners], features: &mut [f32]) = interpolate_body
+    /// Interpolates `volume`, (voxels, channels), at each query; `features` is (queries, channels).
+    ///
+    /// # Panics
+    /// If a corner lies outside the volume.
+    pub fn interpolate(volume: &[f32], channels: usize, corners: &[Corners], features: &mut [f32]) = interpolate_body
 }
 
 #[inline(always)]
@@ -52,9 +55,9 @@ fn interpolate_body<L: Lanes, const ROWS: usize>(
     features: &mut [f32],
 ) {
     for (query, (at, feature)) in corners.iter().zip(features.chunks_exact_mut(channels)).enumerate() {
-        // The rows of different queries lie far apart: those of one that comes soon are fetched ahead.
-        if let Some(soon) = corners.get(query + 8) {
-            for &voxel in &soon.voxels {
+        // Rows of different queries lie far apart in memory: fetch the rows of a later query ahead.
+        if let Some(later) = corners.get(query + 8) {
+            for &voxel in &later.voxels {
                 for line in (0..channels).step_by(LANES) {
                     L::prefetch(volume.as_ptr().wrapping_add(voxel as usize * channels + line));
                 }
@@ -73,9 +76,12 @@ fn interpolate_body<L: Lanes, const ROWS: usize>(
 }
 
 simd_levels! {
-    /// Derivatives along x, y, z, per voxel, of the interpolated feature times `in_feature` `(queries, channels)`, the
-    /// feature's gradient.
-    pub(crate) fn interpolate_backward(
+    /// Propagates `in_feature`, the gradient with respect to the features (queries, channels), back to the queries:
+    /// derivatives along x, y and z, per voxel.
+    ///
+    /// # Panics
+    /// If a corner lies outside the volume.
+    pub fn interpolate_backward(
         volume: &[f32], channels: usize, corners: &[Corners], in_feature: &[f32], gradients: &mut [[f32; 3]],
     ) = interpolate_backward_body
 }
@@ -111,7 +117,7 @@ fn interpolate_backward_body<L: Lanes, const ROWS: usize>(
     }
 }
 
-/// Sum by halves.
+/// Sums the lanes pairwise, by halves.
 #[inline(always)]
 fn sum_of_lanes(mut values: [f32; LANES]) -> f32 {
     let mut half = LANES / 2;
@@ -126,8 +132,8 @@ fn sum_of_lanes(mut values: [f32; LANES]) -> f32 {
 
 #[cfg(test)]
 mod tests {
-    use super::super::{SimdLevel, naive};
     use super::*;
+    use crate::{SimdLevel, naive};
 
     #[test]
     fn every_level_is_exact_on_a_trilinear_function() {

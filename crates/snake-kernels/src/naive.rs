@@ -1,7 +1,7 @@
-//! Textbook versions of the kernels, in float64, and what their tests share.
+//! Textbook versions of the kernels in float64, and helpers of the tests.
 
 /// `(rows, inputs)` to `(rows, outputs)`, weights `(outputs, inputs)`.
-pub(super) fn linear(inputs: usize, outputs: usize, weight: &[f32], bias: &[f32], input: &[f32]) -> Vec<f32> {
+pub(crate) fn linear(inputs: usize, outputs: usize, weight: &[f32], bias: &[f32], input: &[f32]) -> Vec<f32> {
     let rows = input.len() / inputs;
     let value = |row: usize, output: usize| {
         let products = (0..inputs).map(|k| f64::from(input[row * inputs + k]) * f64::from(weight[output * inputs + k]));
@@ -11,7 +11,7 @@ pub(super) fn linear(inputs: usize, outputs: usize, weight: &[f32], bias: &[f32]
 }
 
 /// Zero border of one voxel around a volume `(D, H, W, channels)`.
-pub(super) fn pad([depth, height, width]: [usize; 3], channels: usize, volume: &[f32]) -> Vec<f32> {
+pub(crate) fn pad([depth, height, width]: [usize; 3], channels: usize, volume: &[f32]) -> Vec<f32> {
     let mut padded = vec![0.0; (depth + 2) * (height + 2) * (width + 2) * channels];
     for z in 0..depth {
         for y in 0..height {
@@ -24,7 +24,7 @@ pub(super) fn pad([depth, height, width]: [usize; 3], channels: usize, volume: &
 }
 
 /// Volumes of several sources side by side, upsampled where that is said, then scaled and shifted by channel.
-pub(super) fn normalized(
+pub(crate) fn normalized(
     [depth, height, width]: [usize; 3],
     sources: &[(usize, bool)],
     volumes: &[Vec<f32>],
@@ -44,7 +44,7 @@ pub(super) fn normalized(
 }
 
 /// 3x3x3 convolution with zero padding, then ReLU; weights `(outputs, inputs, 3, 3, 3)`.
-pub(super) fn conv3d_relu(size: [usize; 3], inputs: usize, outputs: usize, weight: &[f32], volume: &[f32]) -> Vec<f32> {
+pub(crate) fn conv3d_relu(size: [usize; 3], inputs: usize, outputs: usize, weight: &[f32], volume: &[f32]) -> Vec<f32> {
     let padded = pad(size, inputs, volume);
     let [depth, height, width] = size;
     let mut result = Vec::with_capacity(depth * height * width * outputs);
@@ -70,7 +70,7 @@ pub(super) fn conv3d_relu(size: [usize; 3], inputs: usize, outputs: usize, weigh
 }
 
 /// Group normalisation of a volume `(voxels, channels)`.
-pub(super) fn group_norm(groups: usize, weight: &[f32], bias: &[f32], epsilon: f64, volume: &[f32]) -> Vec<f32> {
+pub(crate) fn group_norm(groups: usize, weight: &[f32], bias: &[f32], epsilon: f64, volume: &[f32]) -> Vec<f32> {
     let channels = weight.len();
     let group_of = |i: usize| i % channels / (channels / groups);
     let moment = |group: usize, of: &dyn Fn(f64) -> f64| {
@@ -88,14 +88,14 @@ pub(super) fn group_norm(groups: usize, weight: &[f32], bias: &[f32], epsilon: f
 }
 
 /// Seeded uniform values in [-1, 1).
-pub(super) struct Random(u64);
+pub(crate) struct Random(u64);
 
 impl Random {
-    pub(super) fn new(seed: u64) -> Self {
+    pub(crate) fn new(seed: u64) -> Self {
         Self(seed.wrapping_mul(0x9E37_79B9_7F4A_7C15) | 1)
     }
 
-    pub(super) fn values(&mut self, number: usize) -> Vec<f32> {
+    pub(crate) fn values(&mut self, number: usize) -> Vec<f32> {
         (0..number)
             .map(|_| {
                 self.0 ^= self.0 << 13;
@@ -107,7 +107,7 @@ impl Random {
     }
 }
 
-pub(super) fn assert_close(found: &[f32], expected: &[f32], tolerance: f32, case: &str) {
+pub(crate) fn assert_close(found: &[f32], expected: &[f32], tolerance: f32, case: &str) {
     assert_eq!(found.len(), expected.len(), "{case}");
     for (i, (f, e)) in found.iter().zip(expected).enumerate() {
         assert!((f - e).abs() <= tolerance, "{case}: value {i} is {f}, expected {e}");

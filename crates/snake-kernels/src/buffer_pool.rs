@@ -1,26 +1,26 @@
-//! Memory of volumes that have been used, for the next ones: the system would clear fresh pages page by page.
+//! Reuse of the memory of volumes: the operating system clears fresh memory page by page, which takes time.
 
 use std::mem::take;
 use std::ops::{Deref, DerefMut};
 use std::sync::{Arc, Mutex, PoisonError};
 
-/// Unused buffers, shared by all that a model makes.
+/// Unused buffers; clones share them.
 #[derive(Debug, Clone, Default)]
-pub(crate) struct Pool(Arc<Mutex<Vec<Vec<f32>>>>);
+pub struct BufferPool(Arc<Mutex<Vec<Vec<f32>>>>);
 
-/// Values that go back to their pool when dropped.
+/// Values of a volume. Dropping them returns their memory to the pool.
 #[derive(Debug)]
-pub(crate) struct Buffer {
+pub struct Buffer {
     values: Vec<f32>,
-    pool: Pool,
+    pool: BufferPool,
 }
 
-impl Pool {
-    /// Unused buffers of one length that are kept: what one cloud needs at a time.
+impl BufferPool {
+    /// The pool keeps at most this many unused buffers of one length: one cloud uses no more at a time.
     const KEPT: usize = 4;
 
-    /// `length` values, whatever they are.
-    pub(crate) fn take(&self, length: usize) -> Buffer {
+    /// A buffer of `length` values, whose contents are arbitrary.
+    pub fn take(&self, length: usize) -> Buffer {
         let mut free = self.0.lock().unwrap_or_else(PoisonError::into_inner);
         let place = free.iter().position(|values| values.len() == length);
         let values = place.map(|place| free.swap_remove(place));
@@ -32,7 +32,7 @@ impl Pool {
 impl Drop for Buffer {
     fn drop(&mut self) {
         let mut free = self.pool.0.lock().unwrap_or_else(PoisonError::into_inner);
-        if free.iter().filter(|values| values.len() == self.values.len()).count() < Pool::KEPT {
+        if free.iter().filter(|values| values.len() == self.values.len()).count() < BufferPool::KEPT {
             free.push(take(&mut self.values));
         }
     }
@@ -66,7 +66,7 @@ mod tests {
 
     #[test]
     fn a_dropped_buffer_is_used_again_for_the_same_length() {
-        let pool = Pool::default();
+        let pool = BufferPool::default();
         let mut first = pool.take(3);
         first.copy_from_slice(&[1.0, 2.0, 3.0]);
         let copy = first.clone();
@@ -75,6 +75,6 @@ mod tests {
         assert_eq!(*pool.take(2), [0.0; 2]);
         assert_eq!(*pool.take(3), [1.0, 2.0, 3.0]);
         drop((0..10).map(|_| pool.take(5)).collect::<Vec<_>>());
-        assert_eq!(pool.0.lock().unwrap().iter().filter(|values| values.len() == 5).count(), Pool::KEPT);
+        assert_eq!(pool.0.lock().unwrap().iter().filter(|values| values.len() == 5).count(), BufferPool::KEPT);
     }
 }

@@ -1,4 +1,4 @@
-//! Instruction-set levels and the one microkernel that convolutions and linear layers share.
+//! Levels of instructions, and the microkernel that convolutions and linear layers share.
 
 #[cfg(target_arch = "x86_64")]
 use std::arch::x86_64::{
@@ -10,74 +10,85 @@ use std::sync::OnceLock;
 /// Output channels that a microkernel holds at a time; weights are packed in blocks of this many.
 pub(crate) const LANES: usize = 16;
 
+/// A level of instructions that this processor has.
+///
+/// Only detection makes one ([`SimdLevel::available`], [`SimdLevel::current`]), so a kernel that is given a level can rely
+/// on its instructions.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct SimdLevel(pub(crate) Instructions);
+
 /// The instructions that kernels are compiled for.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum SimdLevel {
-    /// What every processor of the architecture has (SSE2 on x86-64, NEON on aarch64).
+pub(crate) enum Instructions {
+    /// The baseline of the architecture: SSE2 on x86-64, NEON on aarch64.
     Portable,
     /// AVX2 with fused multiply-add.
+    #[cfg(target_arch = "x86_64")]
     Avx2,
     /// AVX-512 F with fused multiply-add.
+    #[cfg(target_arch = "x86_64")]
     Avx512,
 }
 
 impl SimdLevel {
-    /// The levels that this processor can run, slowest first.
+    /// The levels that this processor has, slowest first.
     pub fn available() -> Vec<Self> {
         #[allow(unused_mut)]
-        let mut levels = vec![Self::Portable];
+        let mut levels = vec![Self(Instructions::Portable)];
         #[cfg(target_arch = "x86_64")]
         {
             if is_x86_feature_detected!("avx2") && is_x86_feature_detected!("fma") {
-                levels.push(Self::Avx2);
+                levels.push(Self(Instructions::Avx2));
                 if is_x86_feature_detected!("avx512f") {
-                    levels.push(Self::Avx512);
+                    levels.push(Self(Instructions::Avx512));
                 }
             }
         }
         levels
     }
 
-    /// The level in use, chosen once: the fastest available, or the one that the environment variable `SNAKE_SIMD`
-    /// names (`portable`, `avx2`, `avx512`) if this processor has it.
+    /// The level in use, chosen at the first call: the level that the environment variable `SNAKE_SIMD` names
+    /// (`portable`, `avx2`, `avx512`) if this processor has it, else the fastest.
     pub fn current() -> Self {
         static LEVEL: OnceLock<SimdLevel> = OnceLock::new();
         *LEVEL.get_or_init(|| {
             let wanted = std::env::var("SNAKE_SIMD").unwrap_or_default();
             let levels = Self::available();
             let named = levels.iter().find(|level| level.name() == wanted);
-            named.or(levels.last()).copied().unwrap_or(Self::Portable)
+            named.or(levels.last()).copied().unwrap_or(Self(Instructions::Portable))
         })
     }
 
-    /// The name that `SNAKE_SIMD` takes.
+    /// The name of the level, as in `SNAKE_SIMD`.
     pub fn name(self) -> &'static str {
-        match self {
-            Self::Portable => "portable",
-            Self::Avx2 => "avx2",
-            Self::Avx512 => "avx512",
+        match self.0 {
+            Instructions::Portable => "portable",
+            #[cfg(target_arch = "x86_64")]
+            Instructions::Avx2 => "avx2",
+            #[cfg(target_arch = "x86_64")]
+            Instructions::Avx512 => "avx512",
         }
     }
 }
 
-/// LANES numbers in a level's registers.
+/// LANES numbers in the registers of a level.
 pub(crate) trait Lanes: Copy {
     /// Whether multiply-adds round once.
     const FUSED: bool;
-    /// Rows whose sums fit into the registers beside a row of weights.
+    /// Rows whose sums fit into the registers, beside a row of weights.
     const ROWS: usize;
     fn load(values: &[f32; LANES]) -> Self;
     fn splat(value: f32) -> Self;
     /// `self * factor + addend`.
     fn multiply_add(self, factor: Self, addend: Self) -> Self;
-    fn plus(self, other: Self) -> Self;
-    fn minus(self, other: Self) -> Self;
+    fn add(self, other: Self) -> Self;
+    fn sub(self, other: Self) -> Self;
     /// The larger of each pair.
-    fn at_least(self, other: Self) -> Self;
-    /// `self` where `condition` is above zero, zero elsewhere.
-    fn where_positive(self, condition: Self) -> Self;
+    fn max(self, other: Self) -> Self;
+    /// `self` where `condition` is above zero, and zero elsewhere.
+    fn mask_positive(self, condition: Self) -> Self;
     fn store(self, values: &mut [f32; LANES]);
-    /// Asks for the memory at an address, which need not exist, to be brought near.
+    /// Prefetches the memory at an address, which need not be valid.
     fn prefetch(_address: *const f32) {}
 
     #[inline(always)]
@@ -88,7 +99,7 @@ pub(crate) trait Lanes: Copy {
     }
 }
 
-/// The portable level: plain arrays, which the compiler fits to the architecture's baseline registers.
+/// The portable level: plain arrays, which the compiler maps to the baseline registers.
 #[derive(Clone, Copy)]
 pub(crate) struct PortableLanes([f32; LANES]);
 
@@ -115,22 +126,22 @@ impl Lanes for PortableLanes {
     }
 
     #[inline(always)]
-    fn plus(self, other: Self) -> Self {
+    fn add(self, other: Self) -> Self {
         Self(std::array::from_fn(|lane| self.0[lane] + other.0[lane]))
     }
 
     #[inline(always)]
-    fn minus(self, other: Self) -> Self {
+    fn sub(self, other: Self) -> Self {
         Self(std::array::from_fn(|lane| self.0[lane] - other.0[lane]))
     }
 
     #[inline(always)]
-    fn at_least(self, other: Self) -> Self {
+    fn max(self, other: Self) -> Self {
         Self(std::array::from_fn(|lane| if self.0[lane] > other.0[lane] { self.0[lane] } else { other.0[lane] }))
     }
 
     #[inline(always)]
-    fn where_positive(self, condition: Self) -> Self {
+    fn mask_positive(self, condition: Self) -> Self {
         Self(std::array::from_fn(|lane| if condition.0[lane] > 0.0 { self.0[lane] } else { 0.0 }))
     }
 
@@ -143,14 +154,14 @@ impl Lanes for PortableLanes {
 #[cfg(target_arch = "x86_64")]
 #[target_feature(enable = "avx2")]
 #[inline]
-fn where_positive_256(value: __m256, condition: __m256) -> __m256 {
+fn mask_positive_256(value: __m256, condition: __m256) -> __m256 {
     _mm256_and_ps(value, _mm256_cmp_ps::<_CMP_GT_OQ>(condition, _mm256_setzero_ps()))
 }
 
 #[cfg(target_arch = "x86_64")]
 #[target_feature(enable = "avx512f")]
 #[inline]
-fn where_positive_512(value: __m512, condition: __m512) -> __m512 {
+fn mask_positive_512(value: __m512, condition: __m512) -> __m512 {
     _mm512_maskz_mov_ps(_mm512_cmp_ps_mask::<_CMP_GT_OQ>(condition, _mm512_setzero_ps()), value)
 }
 
@@ -159,7 +170,7 @@ fn where_positive_512(value: __m512, condition: __m512) -> __m512 {
 macro_rules! x86_lanes {
     ($(#[$doc:meta])* $name:ident, $register:ty, $count:literal, $rows:literal,
      $load:ident, $store:ident, $splat:ident, $fused:ident, $plus:ident, $minus:ident, $max:ident,
-     $where_positive:ident) => {
+     $mask_positive:ident) => {
         $(#[$doc])*
         #[derive(Clone, Copy)]
         pub(crate) struct $name([$register; $count]);
@@ -199,7 +210,7 @@ macro_rules! x86_lanes {
             }
 
             #[inline(always)]
-            fn plus(self, other: Self) -> Self {
+            fn add(self, other: Self) -> Self {
                 let mut result = self;
                 for i in 0..$count {
                     result.0[i] = unsafe { std::arch::x86_64::$plus(self.0[i], other.0[i]) };
@@ -208,7 +219,7 @@ macro_rules! x86_lanes {
             }
 
             #[inline(always)]
-            fn minus(self, other: Self) -> Self {
+            fn sub(self, other: Self) -> Self {
                 let mut result = self;
                 for i in 0..$count {
                     result.0[i] = unsafe { std::arch::x86_64::$minus(self.0[i], other.0[i]) };
@@ -217,7 +228,7 @@ macro_rules! x86_lanes {
             }
 
             #[inline(always)]
-            fn at_least(self, other: Self) -> Self {
+            fn max(self, other: Self) -> Self {
                 let mut result = self;
                 for i in 0..$count {
                     result.0[i] = unsafe { std::arch::x86_64::$max(self.0[i], other.0[i]) };
@@ -226,10 +237,10 @@ macro_rules! x86_lanes {
             }
 
             #[inline(always)]
-            fn where_positive(self, condition: Self) -> Self {
+            fn mask_positive(self, condition: Self) -> Self {
                 let mut result = self;
                 for i in 0..$count {
-                    result.0[i] = unsafe { $where_positive(self.0[i], condition.0[i]) };
+                    result.0[i] = unsafe { $mask_positive(self.0[i], condition.0[i]) };
                 }
                 result
             }
@@ -256,7 +267,7 @@ x86_lanes!(
     _mm256_add_ps,
     _mm256_sub_ps,
     _mm256_max_ps,
-    where_positive_256
+    mask_positive_256
 );
 #[cfg(target_arch = "x86_64")]
 x86_lanes!(
@@ -271,16 +282,16 @@ x86_lanes!(
     _mm512_add_ps,
     _mm512_sub_ps,
     _mm512_max_ps,
-    where_positive_512
+    mask_positive_512
 );
 
-/// Compiles `$body::<L, ROWS>(args)` for each level's [`Lanes`] and defines `$name(level, args)` that calls the right
-/// one.
+/// Compiles `$body::<L, ROWS>(args)` for the [`Lanes`] of each level, and defines `$name(level, args)`, which calls the
+/// version of the level.
 macro_rules! simd_levels {
     ($(#[$doc:meta])* $visibility:vis fn $name:ident($($argument:ident: $kind:ty),* $(,)?) = $body:ident) => {
         $(#[$doc])*
-        $visibility fn $name(level: $crate::kernels::SimdLevel, $($argument: $kind),*) {
-            use $crate::kernels::simd::*;
+        $visibility fn $name(level: $crate::simd::SimdLevel, $($argument: $kind),*) {
+            use $crate::simd::*;
             #[cfg(target_arch = "x86_64")]
             #[target_feature(enable = "avx2,fma")]
             fn avx2($($argument: $kind),*) {
@@ -291,13 +302,13 @@ macro_rules! simd_levels {
             fn avx512($($argument: $kind),*) {
                 $body::<Avx512Lanes, { Avx512Lanes::ROWS }>($($argument),*)
             }
-            match level {
-                // SAFETY: these levels come from `SimdLevel::available`, which asked the processor.
+            match level.0 {
+                // SAFETY: a `SimdLevel` comes from `SimdLevel::available` alone, which asked the processor.
                 #[cfg(target_arch = "x86_64")]
-                SimdLevel::Avx2 => unsafe { avx2($($argument),*) },
+                Instructions::Avx2 => unsafe { avx2($($argument),*) },
                 #[cfg(target_arch = "x86_64")]
-                SimdLevel::Avx512 => unsafe { avx512($($argument),*) },
-                _ => $body::<PortableLanes, { PortableLanes::ROWS }>($($argument),*),
+                Instructions::Avx512 => unsafe { avx512($($argument),*) },
+                Instructions::Portable => $body::<PortableLanes, { PortableLanes::ROWS }>($($argument),*),
             }
         }
     };
@@ -316,8 +327,8 @@ pub(crate) fn accumulate_tile<L: Lanes, const ROWS: usize>(
     for (k, weight) in weights.iter().enumerate() {
         let weight = L::load(weight);
         for (r, sum) in sums.iter_mut().enumerate() {
-            // SAFETY: r < ROWS and k < weights.len(), so the index is below the length asserted above. A check here, one
-            // for every product, costs a third of the speed.
+            // SAFETY: r < ROWS and k < weights.len(), so the index is below the length asserted above. A check of each
+            // product would cost a third of the speed.
             let value = unsafe { *input.get_unchecked(r * stride + k) };
             *sum = L::splat(value).multiply_add(weight, *sum);
         }
@@ -325,7 +336,7 @@ pub(crate) fn accumulate_tile<L: Lanes, const ROWS: usize>(
     sums
 }
 
-/// The first `lanes` values, zeros beyond.
+/// Loads the first `lanes` values, and zeros into the other lanes.
 #[inline(always)]
 pub(crate) fn load<L: Lanes>(values: &[f32], lanes: usize) -> L {
     match values.first_chunk() {
@@ -338,7 +349,7 @@ pub(crate) fn load<L: Lanes>(values: &[f32], lanes: usize) -> L {
     }
 }
 
-/// Stores the first `lanes` values.
+/// Stores the first `lanes` lanes.
 #[inline(always)]
 pub(crate) fn store<L: Lanes>(from: L, values: &mut [f32], lanes: usize) {
     match values.first_chunk_mut() {
@@ -347,7 +358,7 @@ pub(crate) fn store<L: Lanes>(from: L, values: &mut [f32], lanes: usize) {
     }
 }
 
-/// Packs rows of weights `(outputs, inputs)` into blocks of LANES outputs: `[block][input][lane]`, zero beyond.
+/// Packs weights `(outputs, inputs)` into blocks of LANES outputs, `[block][input][lane]`, padded with zeros.
 pub(crate) fn pack(outputs: usize, inputs: usize, weight: impl Fn(usize, usize) -> f32) -> Vec<[f32; LANES]> {
     let mut packed = Vec::with_capacity(outputs.div_ceil(LANES) * inputs);
     for block in 0..outputs.div_ceil(LANES) {

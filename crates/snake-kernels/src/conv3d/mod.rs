@@ -1,0 +1,213 @@
+//! 3x3x3 convolution of a normalised, zero-padded volume by Winograd's minimal filtering, then ReLU.
+//!
+//! Along one axis, M outputs of a 3-tap filter g need N = M + 2 products instead of 3 M. The filter and its N inputs d
+//! are polynomials, which are multiplied by their values at N points; one point is infinity (Toom and Cook). For M = 2
+//! the other points are 0, 1 and -1:
+//!
+//! ```text
+//! V = (d0 - d2, d1 + d2, d2 - d1, d1 - d3)        U = (g0, (g0 + g1 + g2) / 2, (g0 - g1 + g2) / 2, g2)
+//! y = (V0 U0 + V1 U1 + V2 U2, V1 U1 - V2 U2 - V3 U3)
+//! ```
+//!
+//! For M = 4 the points are 0, ±11/16 and ±23/16. They keep the rounding error near that of a plain sum; the usual points
+//! 0, ±1 and ±2 make it four times as large. Over three axes, a tile of 4x4x4 outputs needs 216 products instead of 1728
+//! for each pair of channels, 8 times fewer; a tile of 2x2x2 needs 64 instead of 216. The products of many tiles at one of
+//! the N³ points are a matrix product. Larger tiles need more transformed weights, so small volumes use the small tiles.
+//!
+//! A coarser input that is upsampled by two is read in place. With M = 2 it has d1 = d2, so V2 = 0 along every axis and 27
+//! of the 64 points remain.
+
+mod pack;
+mod products;
+#[cfg(test)]
+mod tests;
+mod transform;
+
+use std::cell::RefCell;
+
+use rayon::prelude::*;
+
+use crate::SimdLevel;
+use crate::constant_region::copy_constant_tiles;
+use crate::group_norm::add_in_order;
+use crate::simd::{LANES, Lanes, simd_levels};
+
+pub use self::pack::PackedConv3d;
+use self::pack::{BLOCK, points};
+use self::products::multiply;
+use self::transform::{transform_inputs, transform_outputs};
+
+/// One input volume of a convolution. The channels of several sources follow each other.
+#[derive(Debug, Clone, Copy)]
+pub struct Source<'a> {
+    /// Values `[z][y][x][channel]`; half the output's size along each axis if the volume is upsampled.
+    pub values: &'a [f32],
+    /// Channels of this volume.
+    pub channels: usize,
+    /// Whether the volume is upsampled by two, by nearest neighbour.
+    pub upsampled: bool,
+}
+
+/// The arguments of [`conv3d`].
+#[derive(Debug, Clone, Copy)]
+pub struct Conv3d<'a> {
+    /// Weights of the convolution.
+    pub layer: &'a PackedConv3d,
+    /// The output's D, H, W.
+    pub size: [usize; 3],
+    /// Input volumes.
+    pub sources: &'a [Source<'a>],
+    /// Factor of each input channel, applied before the convolution.
+    pub scale: &'a [f32],
+    /// Offset of each input channel, added after the factor.
+    pub shift: &'a [f32],
+    /// For each tile the tile that it repeats, as [`ConstantRegion::originals`](crate::ConstantRegion::originals) gives
+    /// it. Empty: every tile is computed.
+    pub originals: &'a [Option<u32>],
+}
+
+/// One task's share of the output: the rows of tiles from `row` on, in the tile plane `plane`.
+struct Task<'a> {
+    plane: usize,
+    row: usize,
+    /// The task's part of each of the M planes of voxels.
+    planes: Vec<&'a mut [f32]>,
+}
+
+/// Transformed inputs and products of a task.
+#[derive(Default)]
+struct Scratch {
+    inputs: Vec<f32>,
+    products: Vec<f32>,
+}
+
+/// The first `length` values of a scratch buffer, which grows where it is shorter. Old contents stay.
+fn first_values(values: &mut Vec<f32>, length: usize) -> &mut [f32] {
+    if values.len() < length {
+        values.resize(length, 0.0);
+    }
+    &mut values[..length]
+}
+
+thread_local! {
+    /// Kept between tasks: fresh memory costs more than the arithmetic on it.
+    static SCRATCH: RefCell<Scratch> = RefCell::default();
+}
+
+/// Normalises the sources (`value * scale + shift`), pads them with zeros, convolves and applies the ReLU. `output` is
+/// `[z][y][x][channel]`. Returns the sum and the sum of squares of each output channel, in float64 and in a fixed order.
+///
+/// # Panics
+/// If a slice is shorter than the sizes say.
+pub fn conv3d(level: SimdLevel, conv: &Conv3d, output: &mut [f32]) -> Vec<[f64; 2]> {
+    let &Conv3d { layer, size, originals, .. } = conv;
+    let [_, height, width] = size;
+    let plane = height * width * layer.outputs;
+    let tile_rows = height.div_ceil(layer.tile);
+    let batch = if layer.tile == 2 { BATCH_2 } else { BATCH_4 };
+    // Where many tiles are copies, a task spans more rows to find enough tiles to compute.
+    let rows_factor = if originals.is_empty() { 1 } else { 4 };
+    let rows = (rows_factor * batch / width.div_ceil(layer.tile)).clamp(1, tile_rows);
+    let share = layer.tile * rows * width * layer.outputs;
+    let mut tasks = Vec::new();
+    for (z, planes) in output.chunks_mut(layer.tile * plane).enumerate() {
+        let mut planes: Vec<_> = planes.chunks_mut(plane).map(|plane| plane.chunks_mut(share)).collect();
+        for row in (0..tile_rows).step_by(rows) {
+            tasks.push(Task { plane: z, row, planes: planes.iter_mut().filter_map(Iterator::next).collect() });
+        }
+    }
+    let partial: Vec<Vec<[f64; 2]>> = tasks
+        .into_par_iter()
+        .map(|task| {
+            let mut sums = vec![[0.0; 2]; layer.outputs];
+            SCRATCH.with_borrow_mut(|scratch| conv3d_task(level, conv, scratch, task, &mut sums));
+            sums
+        })
+        .collect();
+    let mut sums = add_in_order(&partial, layer.outputs);
+    if !originals.is_empty() {
+        copy_constant_tiles(originals, layer.tile, size, layer.outputs, output, &mut sums);
+    }
+    sums
+}
+
+/// Tiles that are multiplied together, for M = 2 and M = 4: their transforms stay in the second-level cache.
+const BATCH_2: usize = 32;
+const BATCH_4: usize = 16;
+
+simd_levels! {
+    fn conv3d_task(conv: &Conv3d, scratch: &mut Scratch, task: Task, sums: &mut [[f64; 2]]) = conv3d_task_body
+}
+
+#[inline(always)]
+fn conv3d_task_body<L: Lanes, const ROWS: usize>(
+    conv: &Conv3d,
+    scratch: &mut Scratch,
+    task: Task,
+    sums: &mut [[f64; 2]],
+) {
+    match conv.layer.tile {
+        2 => conv3d_tiles::<L, ROWS, 4>(conv, scratch, task, sums, BATCH_2),
+        _ => conv3d_tiles::<L, ROWS, 6>(conv, scratch, task, sums, BATCH_4),
+    }
+}
+
+#[inline(always)]
+fn conv3d_tiles<L: Lanes, const ROWS: usize, const N: usize>(
+    conv: &Conv3d,
+    scratch: &mut Scratch,
+    mut task: Task,
+    sums: &mut [[f64; 2]],
+    batch: usize,
+) {
+    let &Conv3d { layer, size, originals, .. } = conv;
+    let [tile_rows, tiles_along] = [size[1].div_ceil(N - 2), size[2].div_ceil(N - 2)];
+    let rows = (task.planes[0].len() / (size[2] * layer.outputs)).div_ceil(N - 2);
+    let mut tiles = Vec::with_capacity(rows * tiles_along);
+    for row in task.row..task.row + rows {
+        for x in 0..tiles_along {
+            let tile = (task.plane * tile_rows + row) * tiles_along + x;
+            if originals.get(tile).copied().flatten().is_none_or(|original| original as usize == tile) {
+                tiles.push([row, x]);
+            }
+        }
+    }
+    let output_blocks = layer.outputs.div_ceil(LANES);
+    for tiles in tiles.chunks(batch) {
+        let padded_tiles = tiles.len().next_multiple_of(ROWS);
+        // One cache line more than a power of two keeps the points out of the same cache sets.
+        let input_pitch = padded_tiles * BLOCK + LANES;
+        let product_pitch = padded_tiles * LANES + LANES;
+        let inputs = first_values(&mut scratch.inputs, N * N * N * input_pitch);
+        let products = first_values(&mut scratch.products, N * N * N * output_blocks * product_pitch);
+        for (number, block) in layer.blocks.iter().enumerate() {
+            for half in 0..block.channels.div_ceil(LANES) {
+                transform_inputs::<L, N>(
+                    conv,
+                    block,
+                    half,
+                    task.plane,
+                    tiles,
+                    &mut inputs[half * LANES..],
+                    input_pitch,
+                );
+            }
+            for (k, p) in points(N, block.upsampled).enumerate() {
+                let inputs = &inputs[p * input_pitch..][..padded_tiles * BLOCK];
+                let weights = &block.weights[k * output_blocks * block.channels..][..output_blocks * block.channels];
+                let products = &mut products[p * output_blocks * product_pitch..][..output_blocks * product_pitch];
+                let weights = weights.chunks_exact(block.channels);
+                for (weights, products) in weights.zip(products.chunks_exact_mut(product_pitch)) {
+                    multiply::<L, ROWS>(inputs, weights, &mut products[..padded_tiles * LANES], number == 0);
+                }
+            }
+        }
+        for (tile, &[row, x]) in tiles.iter().enumerate() {
+            for out in 0..output_blocks {
+                let products = &products[out * product_pitch + tile * LANES..];
+                let place = [row - task.row, x];
+                transform_outputs::<L, N>(conv, products, output_blocks * product_pitch, place, out, &mut task, sums);
+            }
+        }
+    }
+}

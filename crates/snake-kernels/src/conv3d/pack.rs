@@ -1,0 +1,108 @@
+//! Transformed and packed weights of a 3x3x3 convolution.
+
+use rayon::prelude::*;
+
+use super::transform::{FAR, NEAR};
+use crate::simd::{LANES, pack};
+
+/// Input channels of one matrix product.
+pub(super) const BLOCK: usize = 2 * LANES;
+
+/// Up to BLOCK channels of one source.
+#[derive(Debug)]
+pub(super) struct Block {
+    pub(super) source: usize,
+    /// First channel within the source, and within the whole input.
+    pub(super) first: [usize; 2],
+    pub(super) channels: usize,
+    /// `[point][output block][channel][lane]`; points that are always zero are left out.
+    pub(super) weights: Vec<[f32; LANES]>,
+    pub(super) upsampled: bool,
+}
+
+/// Weights of a 3x3x3 convolution without bias, transformed and packed.
+#[derive(Debug)]
+pub struct PackedConv3d {
+    pub(super) outputs: usize,
+    /// Outputs of a tile along an axis: M.
+    pub(super) tile: usize,
+    pub(super) blocks: Vec<Block>,
+}
+
+/// The points of a source: all N³. With N = 4, an upsampled source has only those without a 2 along any axis.
+pub(super) fn points(n: usize, upsampled: bool) -> impl Iterator<Item = usize> {
+    let skip = upsampled && n == 4;
+    (0..n * n * n).filter(move |p| !skip || [p / 16, p / 4 % 4, p % 4].iter().all(|&k| k != 2))
+}
+
+/// Transforms a filter along an axis to U; the first N values count.
+fn weights_of_axis(n: usize, [a, b, c]: [f64; 3]) -> [f64; 6] {
+    if n == 4 {
+        return [a, 0.5 * (a + b + c), 0.5 * (a - b + c), c, 0.0, 0.0];
+    }
+    // The filter's polynomial at a point, divided by the distances of this point from the other finite points.
+    let at = |node: f64, distances: f64| (a + node * (b + node * c)) / distances;
+    let [near, far] = [NEAR * NEAR, FAR * FAR];
+    let [of_near, of_far] = [2.0 * near * (near - far), 2.0 * far * (far - near)];
+    [a / (near * far), at(NEAR, of_near), at(-NEAR, of_near), at(FAR, of_far), at(-FAR, of_far), c]
+}
+
+impl PackedConv3d {
+    /// Transforms weights `(outputs, inputs, 3, 3, 3)`, with taps in the order z, y, x. `sources` holds the channels of
+    /// each source and whether it is upsampled; `tile` is M: 2, or else 4.
+    ///
+    /// # Panics
+    /// If there are fewer weights than the shape says.
+    pub fn new(sources: &[(usize, bool)], outputs: usize, weight: &[f32], tile: usize) -> Self {
+        let tile = if tile == 2 { 2 } else { 4 };
+        let inputs: usize = sources.iter().map(|s| s.0).sum();
+        let n = tile + 2;
+        // Transforms the filter of one pair of channels along x, then y, then z.
+        let transformed = |output: usize, input: usize| -> Vec<f32> {
+            let g = &weight[(output * inputs + input) * 27..][..27];
+            let rows: [[f64; 6]; 9] =
+                std::array::from_fn(|zy| weights_of_axis(n, std::array::from_fn(|x| f64::from(g[zy * 3 + x]))));
+            let mut values = vec![0.0; n * n * n];
+            for x in 0..n {
+                let planes: [[f64; 6]; 3] =
+                    std::array::from_fn(|z| weights_of_axis(n, std::array::from_fn(|y| rows[z * 3 + y][x])));
+                for y in 0..n {
+                    let column = weights_of_axis(n, planes.map(|plane| plane[y]));
+                    for z in 0..n {
+                        values[(z * n + y) * n + x] = column[z] as f32;
+                    }
+                }
+            }
+            values
+        };
+        let mut blocks = Vec::new();
+        let mut before = 0;
+        for (source, &(channels, upsampled)) in sources.iter().enumerate() {
+            for first in (0..channels).step_by(BLOCK) {
+                let width = BLOCK.min(channels - first);
+                let filters: Vec<Vec<f32>> = (0..outputs * width)
+                    .into_par_iter()
+                    .map(|i| transformed(i / width, before + first + i % width))
+                    .collect();
+                let points: Vec<usize> = points(n, upsampled).collect();
+                let weights = points
+                    .into_par_iter()
+                    .flat_map_iter(|p| pack(outputs, width, |output, k| filters[output * width + k][p]))
+                    .collect();
+                blocks.push(Block { source, first: [first, before + first], channels: width, weights, upsampled });
+            }
+            before += channels;
+        }
+        Self { outputs, tile, blocks }
+    }
+
+    /// Channels of the output.
+    pub fn outputs(&self) -> usize {
+        self.outputs
+    }
+
+    /// Outputs of a tile along an axis: 2 or 4.
+    pub fn tile(&self) -> usize {
+        self.tile
+    }
+}

@@ -1,0 +1,28 @@
+//! The products of many tiles at one point: a small matrix product.
+
+use super::pack::BLOCK;
+use crate::simd::{LANES, Lanes, accumulate_tile};
+
+/// `products (tiles, LANES) += inputs (tiles, BLOCK) weights (channels, LANES)`; `fresh` starts the sums at zero.
+#[inline(always)]
+pub(super) fn multiply<L: Lanes, const ROWS: usize>(
+    inputs: &[f32],
+    weights: &[[f32; LANES]],
+    products: &mut [f32],
+    fresh: bool,
+) {
+    let inputs = inputs.as_chunks::<BLOCK>().0.as_chunks::<ROWS>().0;
+    let products = products.as_chunks_mut::<LANES>().0.as_chunks_mut::<ROWS>().0;
+    for (inputs, products) in inputs.iter().zip(products) {
+        let mut sums = [L::splat(0.0); ROWS];
+        if !fresh {
+            for r in 0..ROWS {
+                sums[r] = L::load(&products[r]);
+            }
+        }
+        let sums = accumulate_tile::<L, ROWS>(sums, inputs.as_flattened(), BLOCK, weights);
+        for r in 0..ROWS {
+            sums[r].store(&mut products[r]);
+        }
+    }
+}

@@ -1,0 +1,215 @@
+//! Transforms of tiles: inputs before the products, products to outputs.
+//!
+//! The bodies of kernels are loops and functions marked for inlining: a closure would be compiled without the level's
+//! instructions.
+
+use super::pack::{BLOCK, Block};
+use super::{Conv3d, Task};
+use crate::simd::{LANES, Lanes, load, store};
+
+/// The largest M.
+const MAX_TILE: usize = 4;
+
+/// For M = 4 the points beside 0 and infinity are plus and minus these.
+pub(super) const NEAR: f64 = 11.0 / 16.0;
+pub(super) const FAR: f64 = 23.0 / 16.0;
+
+/// Transforms LANES input channels of the tiles `[row, x]` of one plane of tiles to V. `to` holds `pitch` values for each
+/// point, BLOCK for each tile.
+///
+/// A column of inputs is transformed along z and y once, for all tiles along x that share it.
+#[inline(always)]
+pub(super) fn transform_inputs<L: Lanes, const N: usize>(
+    conv: &Conv3d,
+    block: &Block,
+    half: usize,
+    plane: usize,
+    tiles: &[[usize; 2]],
+    to: &mut [f32],
+    pitch: usize,
+) {
+    let &Conv3d { size, sources, scale, shift, .. } = conv;
+    let source = &sources[block.source];
+    let lanes = LANES.min(block.channels - half * LANES);
+    let [first, global] = block.first.map(|first| first + half * LANES);
+    let norm = [load::<L>(&scale[global..], lanes), load::<L>(&shift[global..], lanes)];
+    let values = &source.values[first..];
+    // Two neighbours of an upsampled volume are one voxel.
+    let shift = usize::from(source.upsampled);
+    let [height, width] = [size[1] >> shift, size[2] >> shift];
+    let zero = L::splat(0.0);
+    let mut columns = [[[zero; N]; N]; N];
+    let mut previous = None;
+    for (tile, &[row, x]) in tiles.iter().enumerate() {
+        // Where each line along x begins; `None` beyond the border.
+        let mut lines = [[None; N]; N];
+        for (j, lines) in lines.iter_mut().enumerate() {
+            for (k, line) in lines.iter_mut().enumerate() {
+                let [z, y] = [(N - 2) * plane + k, (N - 2) * row + j];
+                if (1..=size[0]).contains(&z) && (1..=size[1]).contains(&y) {
+                    *line = Some((((z - 1) >> shift) * height + ((y - 1) >> shift)) * width * source.channels);
+                }
+            }
+        }
+        // Neighbours along x share two columns.
+        let known = if x > 0 && previous == Some([row, x - 1]) { 2 } else { 0 };
+        for i in 0..known {
+            columns[i] = columns[N - 2 + i];
+        }
+        previous = Some([row, x]);
+        for i in known..N {
+            let column = (N - 2) * x + i;
+            if source.upsampled && i > 0 && i % 2 == 0 {
+                columns[i] = columns[i - 1];
+                continue;
+            }
+            if !(1..=size[2]).contains(&column) {
+                columns[i] = [[zero; N]; N];
+                continue;
+            }
+            let from = ((column - 1) >> shift) * source.channels;
+            let mut rows = [[zero; N]; N];
+            for (along_z, lines) in rows.iter_mut().zip(&lines) {
+                for (value, line) in along_z.iter_mut().zip(lines) {
+                    if let Some(line) = line {
+                        let values = &values[line + from..];
+                        // The first half of the block's channels fetches ahead for both halves.
+                        if half == 0 {
+                            let ahead = values.as_ptr().wrapping_add((N >> shift) * source.channels);
+                            L::prefetch(ahead);
+                            L::prefetch(ahead.wrapping_add(LANES));
+                        }
+                        *value = load::<L>(values, lanes).multiply_add(norm[0], norm[1]);
+                    }
+                }
+                *along_z = inputs_of_axis(*along_z);
+            }
+            for z in 0..N {
+                let mut along_y = [zero; N];
+                for (value, row) in along_y.iter_mut().zip(&rows) {
+                    *value = row[z];
+                }
+                columns[i][z] = inputs_of_axis(along_y);
+            }
+        }
+        for z in 0..N {
+            for y in 0..N {
+                let mut along_x = [zero; N];
+                for (i, value) in along_x.iter_mut().enumerate() {
+                    *value = columns[i][z][y];
+                }
+                for (i, value) in inputs_of_axis(along_x).into_iter().enumerate() {
+                    store(value, &mut to[((z * N + y) * N + i) * pitch + tile * BLOCK..], LANES);
+                }
+            }
+        }
+    }
+}
+
+/// Writes the outputs of the tile at `[row, x]` of the task, for one block of channels and after the ReLU, and adds them
+/// to the sums. The products of the points are `pitch` apart.
+#[inline(always)]
+pub(super) fn transform_outputs<L: Lanes, const N: usize>(
+    conv: &Conv3d,
+    products: &[f32],
+    pitch: usize,
+    [row, x]: [usize; 2],
+    out: usize,
+    task: &mut Task,
+    sums: &mut [[f64; 2]],
+) {
+    let &Conv3d { layer, size, .. } = conv;
+    let zero = L::splat(0.0);
+    let mut planes = [[[zero; MAX_TILE]; MAX_TILE]; N];
+    for (z, plane) in planes.iter_mut().enumerate() {
+        let mut rows = [[zero; MAX_TILE]; N];
+        for (y, along_x) in rows.iter_mut().enumerate() {
+            let mut products_of_row = [zero; N];
+            for (x, value) in products_of_row.iter_mut().enumerate() {
+                *value = load(&products[((z * N + y) * N + x) * pitch..], LANES);
+            }
+            *along_x = outputs_of_axis(products_of_row);
+        }
+        for x in 0..N - 2 {
+            let mut column = [zero; N];
+            for (value, row) in column.iter_mut().zip(&rows) {
+                *value = row[x];
+            }
+            for (row, value) in plane.iter_mut().zip(outputs_of_axis(column)) {
+                row[x] = value;
+            }
+        }
+    }
+    let lanes = LANES.min(layer.outputs - out * LANES);
+    let (mut sum, mut squares) = (zero, zero);
+    let (first_y, first_x) = ((N - 2) * row, (N - 2) * x);
+    for y in 0..N - 2 {
+        for x in 0..(N - 2).min(size[2] - first_x) {
+            let mut column = [zero; N];
+            for (value, plane) in column.iter_mut().zip(&planes) {
+                *value = plane[y][x];
+            }
+            let place = (((first_y + y) * size[2]) + first_x + x) * layer.outputs + out * LANES;
+            for (plane, value) in task.planes.iter_mut().zip(outputs_of_axis(column)) {
+                if let Some(voxel) = plane.get_mut(place..place + lanes) {
+                    let value = value.max(zero);
+                    store(value, voxel, lanes);
+                    sum = sum.add(value);
+                    squares = value.multiply_add(value, squares);
+                }
+            }
+        }
+    }
+    let totals = sum.to_array().into_iter().zip(squares.to_array());
+    for (total, (sum, squares)) in sums[out * LANES..][..lanes].iter_mut().zip(totals) {
+        total[0] += f64::from(sum);
+        total[1] += f64::from(squares);
+    }
+}
+
+/// Transforms N inputs along an axis to V.
+#[inline(always)]
+fn inputs_of_axis<L: Lanes, const N: usize>(d: [L; N]) -> [L; N] {
+    let mut v = d;
+    if N == 4 {
+        v[0] = d[0].sub(d[2]);
+        v[1] = d[1].add(d[2]);
+        v[2] = d[2].sub(d[1]);
+        v[3] = d[1].sub(d[3]);
+        return v;
+    }
+    let [near, far] = [L::splat(NEAR as f32), L::splat(FAR as f32)];
+    let minus = [L::splat(-(NEAR * NEAR) as f32), L::splat(-(FAR * FAR) as f32)];
+    let [sum, product] = [L::splat(-(NEAR * NEAR + FAR * FAR) as f32), L::splat((NEAR * NEAR * FAR * FAR) as f32)];
+    v[0] = d[0].multiply_add(product, d[2].multiply_add(sum, d[4]));
+    v[5] = d[1].multiply_add(product, d[3].multiply_add(sum, d[5]));
+    let [even, odd] = [d[2].multiply_add(minus[1], d[4]), d[1].multiply_add(minus[1], d[3])];
+    v[1] = odd.multiply_add(near, even);
+    v[2] = odd.multiply_add(L::splat(-NEAR as f32), even);
+    let [even, odd] = [d[2].multiply_add(minus[0], d[4]), d[1].multiply_add(minus[0], d[3])];
+    v[3] = odd.multiply_add(far, even);
+    v[4] = odd.multiply_add(L::splat(-FAR as f32), even);
+    v
+}
+
+/// Transforms N products along an axis to M outputs.
+#[inline(always)]
+fn outputs_of_axis<L: Lanes, const N: usize>(m: [L; N]) -> [L; MAX_TILE] {
+    let zero = L::splat(0.0);
+    if N == 4 {
+        return [m[0].add(m[1]).add(m[2]), m[1].sub(m[2]).sub(m[3]), zero, zero];
+    }
+    let (near_sum, near_difference) = (m[1].add(m[2]), m[1].sub(m[2]));
+    let (far_sum, far_difference) = (m[3].add(m[4]), m[3].sub(m[4]));
+    let mut y = [m[0].add(near_sum).add(far_sum), zero, zero, m[5]];
+    let [mut near, mut far] = [1.0; 2];
+    for (value, [of_near, of_far]) in y[1..].iter_mut().zip([
+        [near_difference, far_difference],
+        [near_sum, far_sum],
+        [near_difference, far_difference],
+    ]) {
+        (near, far) = (near * NEAR as f32, far * FAR as f32);
+        *value = of_near.multiply_add(L::splat(near), of_far.multiply_add(L::splat(far), *value));
+    }
+    y
+}
