@@ -73,13 +73,13 @@ fn decoder_parts(criterion: &mut Criterion) {
     const WIDTH: usize = 32;
     let layer = PackedLinear::new(WIDTH, WIDTH, &random(WIDTH * WIDTH), &random(WIDTH));
     let (input, mut output) = (random(ROWS * WIDTH), vec![0.0; ROWS * WIDTH]);
-    let mut linear = group(criterion, "linear 64 rows, 32 to 32", ROWS * WIDTH * WIDTH);
+    let mut benches = group(criterion, "linear 64 rows, 32 to 32", ROWS * WIDTH * WIDTH);
     for level in SimdLevel::available() {
-        linear.bench_function(level.name(), |bencher| {
+        benches.bench_function(level.name(), |bencher| {
             bencher.iter(|| linear(level, &layer, black_box(&input), &mut output, Epilogue::Relu));
         });
     }
-    linear.finish();
+    benches.finish();
 
     let resolution = 32;
     let volume = random(resolution * resolution * resolution * WIDTH);
@@ -94,13 +94,13 @@ fn decoder_parts(criterion: &mut Criterion) {
             Corners { voxels: std::array::from_fn(voxel), fraction: std::array::from_fn(|_| rng.random()) }
         })
         .collect();
-    let mut interpolate = group(criterion, "interpolate 64 rows of 32", ROWS * WIDTH * 8);
+    let mut benches = group(criterion, "interpolate 64 rows of 32", ROWS * WIDTH * 8);
     let mut gradients = vec![[0.0; 3]; ROWS];
     for level in SimdLevel::available() {
-        interpolate.bench_function(level.name(), |bencher| {
+        benches.bench_function(level.name(), |bencher| {
             bencher.iter(|| interpolate(level, &volume, WIDTH, black_box(&corners), &mut output));
         });
-        interpolate.bench_function(format!("backward, {}", level.name()), |bencher| {
+        benches.bench_function(format!("backward, {}", level.name()), |bencher| {
             bencher.iter(|| {
                 interpolate_backward(level, &volume, WIDTH, black_box(&corners), &input, &mut gradients);
             });
