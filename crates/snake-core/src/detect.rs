@@ -2,16 +2,15 @@
 
 use std::time::Instant;
 
-use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
-use crate::field::{EncodeOptions, Field, Quantity};
+use crate::field::{EncodeOptions, Field};
 use crate::length::Length;
 use crate::nms::{nearest_points, suppress};
-use crate::nn::TILE;
-use crate::points::{Normalization, NormalizationMethod, Point};
+use crate::points::{FinitePoints, Normalization, NormalizationMethod, Point};
 use crate::progress::Counter;
-use crate::refine::refine;
+use crate::query_grid::{QueryGrid, above_occupancy};
+use crate::refine::{Refined, refine};
 use crate::windows::WindowOptions;
 use crate::{Error, Result};
 
@@ -215,7 +214,7 @@ pub struct Counts {
 }
 
 impl Counts {
-    pub(crate) fn add(&mut self, other: &Self) {
+    fn add(&mut self, other: &Self) {
         self.windows += other.windows;
         self.queries += other.queries;
         self.occupied += other.occupied;
@@ -236,6 +235,15 @@ pub struct Timing {
     pub nms: f64,
 }
 
+impl Timing {
+    fn add(&mut self, other: &Self) {
+        self.encode += other.encode;
+        self.occupancy += other.occupancy;
+        self.refine += other.refine;
+        self.nms += other.nms;
+    }
+}
+
 /// Finds the keypoints of an encoded cloud (SNAKE Algorithm 1). A field without surface has none.
 ///
 /// ```
@@ -252,138 +260,96 @@ pub struct Timing {
 pub fn detect(field: &Field, options: &DetectOptions) -> Result<Detection> {
     options.check()?;
     let nms_radius = options.nms_radius(field.points())?;
-    let Found { positions, scores, mut counts, mut timing } = Found::of(field, options, |_| true);
-    let start = Instant::now();
+    let candidates = Candidates::of(field, options, |_| true);
+    let occupancy = |_: &[usize], positions: &[Point]| field.occupancy(positions);
     Counter::begin(field.model().progress(), "suppression", 0);
-    let kept = suppress(&positions, &scores, nms_radius, options.max_keypoints)?;
-    let mut positions: Vec<Point> = kept.iter().map(|&index| positions[index]).collect();
-    let nearest = nearest_points(field.points(), &positions)?;
-    if options.snap {
-        positions = nearest.iter().map(|&index| field.points()[index]).collect();
-    }
-    let occupancy = field.occupancy(&positions)?;
-    let keypoints: Vec<Keypoint> = (0..kept.len())
-        .map(|i| Keypoint {
-            position: positions[i],
-            saliency: scores[kept[i]],
-            occupancy: occupancy[i],
-            nearest_index: field.original_index(nearest[i]),
-        })
-        .collect();
-    counts.keypoints = keypoints.len();
-    timing.nms = start.elapsed().as_secs_f64();
-    let (num_skipped, num_encoded) = (field.num_skipped(), field.num_encoded());
-    let normalization = Some(field.normalization());
-    Ok(Detection { keypoints, num_skipped, num_encoded, normalization, counts, timing })
+    let mut detection = finish(candidates, field.finite_points(), nms_radius, options, occupancy)?;
+    detection.num_skipped = field.num_skipped();
+    detection.num_encoded = field.num_encoded();
+    detection.normalization = Some(field.normalization());
+    Ok(detection)
 }
 
-/// What refinement finds above the saliency threshold.
-pub(crate) struct Found {
-    /// In the cloud's frame.
+/// Refined queries above the saliency threshold, of a whole cloud or of its windows.
+#[derive(Default)]
+pub(crate) struct Candidates {
+    /// In the cloud's frame and units.
     pub(crate) positions: Vec<Point>,
     pub(crate) scores: Vec<f32>,
     pub(crate) counts: Counts,
     pub(crate) timing: Timing,
 }
 
-impl Found {
-    /// From the queries of a field whose positions in the cloud's frame are `owned`.
-    pub(crate) fn of(field: &Field, options: &DetectOptions, owned: impl Fn(&Point) -> bool) -> Self {
-        let to_cloud = |position| field.normalization().to_cloud(position);
+impl Candidates {
+    /// The candidates of a field, from the starting queries that `owns` accepts by their positions in the cloud's frame.
+    pub(crate) fn of(field: &Field, options: &DetectOptions, owns: impl Fn(&Point) -> bool) -> Self {
         let start = Instant::now();
-        let mut occupied = occupied_queries(field, options);
-        occupied.retain(|&query| owned(&to_cloud(query)));
+        let queries = QueryGrid::new(field, options);
+        let mut occupied = above_occupancy(field, &queries, options.occupancy_threshold);
+        occupied.retain(|&query| owns(&field.normalization().to_cloud(query)));
         let occupancy_done = Instant::now();
-        let mut candidates = refine(field, &occupied, options);
-        let timing = Timing {
-            occupancy: (occupancy_done - start).as_secs_f64(),
-            refine: occupancy_done.elapsed().as_secs_f64(),
-            ..Default::default()
-        };
-        // Huge steps can carry a query beyond all numbers.
-        candidates
-            .retain(|c| c.score > options.saliency_threshold && to_cloud(c.position).iter().all(|v| v.is_finite()));
-        let counts = Counts {
+        let refined = refine(field, &occupied, options);
+        let mut candidates = above_saliency(field, &refined, options.saliency_threshold);
+        candidates.timing.occupancy = (occupancy_done - start).as_secs_f64();
+        candidates.timing.refine = occupancy_done.elapsed().as_secs_f64();
+        candidates.counts = Counts {
             windows: 1,
             queries: options.query_resolution.pow(3),
             occupied: occupied.len(),
-            above_threshold: candidates.len(),
+            above_threshold: candidates.positions.len(),
             keypoints: 0,
         };
-        Self {
-            positions: candidates.iter().map(|c| to_cloud(c.position)).collect(),
-            scores: candidates.iter().map(|c| c.score).collect(),
-            counts,
-            timing,
-        }
+        candidates
+    }
+
+    /// Adds the candidates of another window.
+    pub(crate) fn append(&mut self, other: Self) {
+        self.positions.extend(other.positions);
+        self.scores.extend(other.scores);
+        self.counts.add(&other.counts);
+        self.timing.add(&other.timing);
     }
 }
 
-/// The grid queries above the occupancy threshold, in the network's frame, x slowest and z fastest.
-pub(crate) fn occupied_queries(field: &Field, options: &DetectOptions) -> Vec<Point> {
-    let resolution = options.query_resolution;
-    let [z_min, z_max] = field.volume().frame().z_bounds;
-    // Counted from the nearer end, as torch.linspace does, so that the grid is symmetric to the last bit.
-    let along = |low: f32, high: f32, i: usize| {
-        let step = (high - low) / resolution.saturating_sub(1).max(1) as f32;
-        if i < resolution / 2 || resolution == 1 {
-            low + step * i as f32
-        } else {
-            high - step * (resolution - 1 - i) as f32
-        }
-    };
-    let band = (options.query_band > 0).then(|| voxels_near_points(field, options.query_band));
-    let frame = field.volume().frame();
-    // The coordinates along each axis with what they add to the index of the voxel.
-    let axes: [Vec<(f32, usize)>; 3] = std::array::from_fn(|axis| {
-        let [low, high] = if axis < 2 { [-0.5, 0.5] } else { [z_min, z_max] };
-        let coordinates = (0..resolution).map(|i| along(low, high, i));
-        coordinates.map(|coordinate| (coordinate, frame.voxel_along(axis, coordinate))).collect()
-    });
-    let plane = |x: usize| -> Vec<Point> {
-        let (x, voxel_x) = axes[0][x];
-        let mut queries = Vec::new();
-        for &(y, voxel_y) in &axes[1] {
-            for &(z, voxel_z) in &axes[2] {
-                if band.as_ref().is_none_or(|band| band[voxel_x + voxel_y + voxel_z]) {
-                    queries.push([x, y, z]);
-                }
-            }
-        }
-        queries
-    };
-    let counter = Counter::begin(field.model().progress(), "occupancy", resolution.pow(3));
-    let occupied = |tile: &[Point]| -> Vec<Point> {
-        let occupancy = field.tile_values(Quantity::Occupancy, tile);
-        counter.add(tile.len());
-        tile.iter().zip(occupancy).filter(|(_, o)| *o > options.occupancy_threshold).map(|(q, _)| *q).collect()
-    };
-    let occupied_of_plane = |x: usize| -> Vec<Point> {
-        let queries = plane(x);
-        counter.add(resolution * resolution - queries.len());
-        queries.chunks(TILE).flat_map(occupied).collect()
-    };
-    (0..resolution).into_par_iter().flat_map_iter(occupied_of_plane).collect()
+/// The refined queries whose score is above the saliency threshold, in the cloud's frame. Huge steps can carry a query to
+/// where its coordinates overflow: it is dropped.
+fn above_saliency(field: &Field, refined: &[Refined], threshold: f32) -> Candidates {
+    let in_cloud = refined.iter().map(|query| (field.normalization().to_cloud(query.position), query.score));
+    let kept = in_cloud.filter(|(position, score)| *score > threshold && position.iter().all(|v| v.is_finite()));
+    let (positions, scores) = kept.unzip();
+    Candidates { positions, scores, ..Default::default() }
 }
 
-/// Of each voxel of the volume, whether a voxel with input points is at most `reach` away along every axis.
-fn voxels_near_points(field: &Field, reach: usize) -> Vec<bool> {
-    let frame = field.volume().frame();
-    let mut near = vec![false; frame.resolution.iter().product()];
-    for &point in field.points() {
-        near[frame.voxel(field.normalization().to_network(point))] = true;
+/// Suppression, nearest input points, snapping and occupancy: the end of every detection.
+///
+/// `occupancy` gives the occupancy of kept candidates, by their indices and by their final positions. What only a field
+/// knows is left for the caller to fill in.
+pub(crate) fn finish(
+    candidates: Candidates,
+    points: &FinitePoints,
+    nms_radius: f32,
+    options: &DetectOptions,
+    occupancy: impl FnOnce(&[usize], &[Point]) -> Result<Vec<f32>>,
+) -> Result<Detection> {
+    let start = Instant::now();
+    let Candidates { positions, scores, mut counts, mut timing } = candidates;
+    let kept = suppress(&positions, &scores, nms_radius, options.max_keypoints)?;
+    let mut positions: Vec<Point> = kept.iter().map(|&index| positions[index]).collect();
+    let nearest = nearest_points(&points.points, &positions)?;
+    if options.snap {
+        positions = nearest.iter().map(|&index| points.points[index]).collect();
     }
-    let mut stride = 1;
-    for length in frame.resolution {
-        let before = near.clone();
-        for (voxel, near) in near.iter_mut().enumerate() {
-            let place = voxel / stride % length;
-            let line = voxel - place * stride;
-            *near = (place.saturating_sub(reach)..=(place + reach).min(length - 1)).any(|i| before[line + i * stride]);
-        }
-        stride *= length;
-    }
-    near
+    let occupancy = occupancy(&kept, &positions)?;
+    let keypoint = |(rank, &candidate): (usize, &usize)| Keypoint {
+        position: positions[rank],
+        saliency: scores[candidate],
+        occupancy: occupancy[rank],
+        nearest_index: points.original_index(nearest[rank]),
+    };
+    let keypoints: Vec<Keypoint> = kept.iter().enumerate().map(keypoint).collect();
+    counts.keypoints = keypoints.len();
+    timing.nms = start.elapsed().as_secs_f64();
+    Ok(Detection { keypoints, num_skipped: 0, num_encoded: 0, normalization: None, counts, timing })
 }
 
 #[cfg(test)]
@@ -444,27 +410,5 @@ pub(crate) mod tests {
         }
         let error = model.detect(&[[f32::NAN; 3]; 9], model.recommended()).unwrap_err().to_string();
         assert_eq!(error, "points: none of the 9 points is finite");
-    }
-
-    #[test]
-    fn the_band_drops_only_queries_far_from_all_points() {
-        let (points, field) = cylinder();
-        let all = occupied_queries(&field, &DetectOptions::default());
-        let frame = field.volume().frame();
-        let voxel = |point: Point| {
-            let flat = frame.voxel(point);
-            [flat % 32, flat / 32 % 32, flat / 1024]
-        };
-        let occupied: Vec<_> = points.iter().map(|&p| voxel(field.normalization().to_network(p))).collect();
-        for reach in [1, 2] {
-            let near = |query: &&Point| {
-                let place = voxel(**query);
-                occupied.iter().any(|other| (0..3).all(|axis| place[axis].abs_diff(other[axis]) <= reach))
-            };
-            let expected: Vec<Point> = all.iter().filter(near).copied().collect();
-            let options = DetectOptions { query_band: reach, ..Default::default() };
-            assert_eq!(occupied_queries(&field, &options), expected);
-        }
-        assert!(!all.is_empty());
     }
 }

@@ -164,6 +164,11 @@ impl Field {
         &self.points.points
     }
 
+    /// [`Field::points`] with their indices in the cloud as it was given.
+    pub(crate) fn finite_points(&self) -> &FinitePoints<'static> {
+        &self.points
+    }
+
     /// How many points of the cloud were skipped because a coordinate is infinite or not a number.
     pub fn num_skipped(&self) -> usize {
         self.num_skipped

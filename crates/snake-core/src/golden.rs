@@ -4,9 +4,10 @@ use std::path::{Path, PathBuf};
 
 use safetensors::SafeTensors;
 
-use crate::detect::{DetectOptions, RefineMethod, Selection, occupied_queries};
+use crate::detect::{DetectOptions, RefineMethod, Selection};
 use crate::encoder::VoxelGroups;
 use crate::progress::Counter;
+use crate::query_grid::tests::occupied_queries;
 use crate::refine::refine;
 use crate::{EncodeOptions, Field, Model, NormalizationMethod, Point};
 

@@ -35,6 +35,7 @@ mod nms;
 mod nn;
 mod points;
 mod progress;
+mod query_grid;
 mod refine;
 mod rotations;
 mod surface;

@@ -100,7 +100,8 @@ impl Counter {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::detect::{occupied_queries, tests::cylinder};
+    use crate::detect::tests::cylinder;
+    use crate::query_grid::tests::occupied_queries;
     use crate::refine::refine;
     use crate::registration::{Descriptor, RegisterOptions, Registration, Scan, register};
     use crate::{DetectOptions, EncodeOptions, MeshOptions, Model, Selection};

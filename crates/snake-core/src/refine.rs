@@ -10,7 +10,7 @@ use crate::progress::Counter;
 
 /// A refined query.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub(crate) struct Candidate {
+pub(crate) struct Refined {
     /// In the network's frame.
     pub(crate) position: Point,
     /// Saliency, or 0 where that is not above the saliency threshold or the occupancy not above the surface threshold.
@@ -21,7 +21,7 @@ pub(crate) struct Candidate {
 ///
 /// Queries do not influence each other except that Adam's gradient is that of the *mean* saliency, one over their
 /// number times each query's own; so each tile makes all its steps on one thread.
-pub(crate) fn refine(field: &Field, queries: &[Point], options: &DetectOptions) -> Vec<Candidate> {
+pub(crate) fn refine(field: &Field, queries: &[Point], options: &DetectOptions) -> Vec<Refined> {
     let counter = Counter::begin(field.model().progress(), "refinement", queries.len() * (options.refine_steps + 1));
     let refined = |tile| refine_tile(field, tile, queries.len(), options, &counter);
     queries.par_chunks(TILE).flat_map_iter(refined).collect()
@@ -39,7 +39,7 @@ fn refine_tile(
     num_queries: usize,
     options: &DetectOptions,
     counter: &Counter,
-) -> Vec<Candidate> {
+) -> Vec<Refined> {
     let mut positions = queries.to_vec();
     let mut way = Vec::with_capacity(options.refine_steps + 1);
     let mut adam = Adam::new(queries.len(), options.refine_step_size);
@@ -77,9 +77,8 @@ fn refine_tile(
 ///
 /// The stops are asked for their occupancy from the most salient one on, until one lies on the surface or the saliency
 /// is too low for a keypoint: the same result as asking all of them, for most queries without any.
-fn best_on_surface(field: &Field, way: &[Stop], options: &DetectOptions) -> Vec<Candidate> {
-    let mut best: Vec<Candidate> =
-        way[0].positions.iter().map(|&position| Candidate { position, score: 0.0 }).collect();
+fn best_on_surface(field: &Field, way: &[Stop], options: &DetectOptions) -> Vec<Refined> {
+    let mut best: Vec<Refined> = way[0].positions.iter().map(|&position| Refined { position, score: 0.0 }).collect();
     // The queries without a result, each with its stops by falling saliency.
     let mut open: Vec<(usize, Vec<&Stop>)> = (0..best.len())
         .map(|query| {
@@ -97,7 +96,7 @@ fn best_on_surface(field: &Field, way: &[Stop], options: &DetectOptions) -> Vec<
             let on_surface = occupancy.next().is_some_and(|occupancy| occupancy > options.surface_threshold);
             if on_surface {
                 let stop = stops[rank];
-                best[*query] = Candidate { position: stop.positions[*query], score: stop.saliency[*query] };
+                best[*query] = Refined { position: stop.positions[*query], score: stop.saliency[*query] };
             }
             !on_surface
         });
@@ -141,8 +140,8 @@ mod tests {
     use super::*;
 
     /// Algorithm 1 as printed: every position is asked for its saliency and its occupancy.
-    fn textbook(field: &Field, queries: &[Point], options: &DetectOptions) -> Vec<Candidate> {
-        let mut best: Vec<Candidate> = queries.iter().map(|&position| Candidate { position, score: -1.0 }).collect();
+    fn textbook(field: &Field, queries: &[Point], options: &DetectOptions) -> Vec<Refined> {
+        let mut best: Vec<Refined> = queries.iter().map(|&position| Refined { position, score: -1.0 }).collect();
         let mut positions = queries.to_vec();
         let mut adam = Adam::new(queries.len(), options.refine_step_size);
         for step in 0..=options.refine_steps {
@@ -152,7 +151,7 @@ mod tests {
                 let kept = saliency[i] > options.saliency_threshold && occupancy[i] > options.surface_threshold;
                 let score = if kept { saliency[i] } else { 0.0 };
                 if score > best.score {
-                    *best = Candidate { position: positions[i], score };
+                    *best = Refined { position: positions[i], score };
                 }
             }
             if step < options.refine_steps {
@@ -172,7 +171,7 @@ mod tests {
                 DetectOptions { refine_steps, saliency_threshold, refine_step_size: 0.01, ..Default::default() };
             let found = refine(&field, &queries, &options);
             assert_eq!(found, textbook(&field, &queries, &options), "{refine_steps} {saliency_threshold}");
-            found.iter().for_each(|candidate| outcomes[usize::from(candidate.score > 0.0)] += 1);
+            found.iter().for_each(|refined| outcomes[usize::from(refined.score > 0.0)] += 1);
         }
         assert!(outcomes.iter().all(|&number| number > 10), "{outcomes:?}");
     }

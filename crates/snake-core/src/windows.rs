@@ -4,14 +4,14 @@ use std::collections::BTreeMap;
 use std::num::NonZeroUsize;
 use std::time::Instant;
 
+use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
-use crate::detect::{Counts, Detection, Found, Keypoint, Preset, Timing};
+use crate::detect::{Candidates, Detection, Preset, finish};
 use crate::field::{EncodeOptions, Field};
 use crate::kd_tree::KdTree;
 use crate::length::Length;
 use crate::model::Model;
-use crate::nms::{nearest_points, suppress};
 use crate::points::{FinitePoints, Normalization, NormalizationMethod, Point};
 use crate::progress::Counter;
 use crate::{Error, Result};
@@ -60,8 +60,8 @@ pub(crate) fn detect_in_windows(
     let tree = KdTree::new(&encoded)?;
     let middles = middles(&encoded, SPACING * radius);
     let nearest_middle = KdTree::new(&middles)?;
-    let (mut positions, mut scores, mut occupancy) = (Vec::new(), Vec::new(), Vec::new());
-    let (mut counts, mut timing) = (Counts::default(), Timing::default());
+    let snap = options.snap.then(|| KdTree::new(&finite.points)).transpose()?;
+    let (mut candidates, mut occupancy) = (Candidates::default(), Vec::new());
     let counter = Counter::begin(model.progress(), "windows", middles.len());
     let of_window = model.without_progress();
     for (window, &center) in middles.iter().enumerate() {
@@ -76,33 +76,27 @@ pub(crate) fn detect_in_windows(
         let seen = inside.into_iter().map(|index| encoded[index]).collect();
         let normalization = Normalization { center, scale: 2.0 * radius };
         let field = Field::normalized(of_window.clone(), seen, normalization, encode.rotations)?;
-        timing.encode += start.elapsed().as_secs_f64();
-        let owned = |position: &Point| nearest_middle.nearest(position, NonZeroUsize::MIN)[0].0 == window;
-        let found = Found::of(&field, options, owned);
-        occupancy.extend(field.occupancy(&found.positions)?);
-        positions.extend(found.positions);
-        scores.extend(found.scores);
-        counts.add(&found.counts);
-        timing.occupancy += found.timing.occupancy;
-        timing.refine += found.timing.refine;
+        let seconds = start.elapsed().as_secs_f64();
+        let owns = |position: &Point| nearest_middle.nearest(position, NonZeroUsize::MIN)[0].0 == window;
+        let mut found = Candidates::of(&field, options, owns);
+        found.timing.encode = seconds;
+        // Only this window's field knows the occupancy where its keypoints will be.
+        occupancy.extend(match &snap {
+            Some(tree) => {
+                let nearest = |position: &Point| finite.points[tree.nearest(position, NonZeroUsize::MIN)[0].0];
+                field.occupancy(&found.positions.par_iter().map(nearest).collect::<Vec<_>>())?
+            }
+            None => field.occupancy(&found.positions)?,
+        });
+        candidates.append(found);
         counter.add(1);
     }
     Counter::begin(model.progress(), "suppression", 0);
-    let start = Instant::now();
-    let kept = suppress(&positions, &scores, nms_radius, options.max_keypoints)?;
-    let kept_positions: Vec<Point> = kept.iter().map(|&index| positions[index]).collect();
-    let nearest = nearest_points(&finite.points, &kept_positions)?;
-    let keypoint = |(&index, &nearest): (&usize, &usize)| Keypoint {
-        position: if options.snap { finite.points[nearest] } else { positions[index] },
-        saliency: scores[index],
-        occupancy: occupancy[index],
-        nearest_index: finite.original_index(nearest),
-    };
-    let keypoints: Vec<Keypoint> = kept.iter().zip(&nearest).map(keypoint).collect();
-    counts.keypoints = keypoints.len();
-    timing.nms = start.elapsed().as_secs_f64();
-    let num_skipped = points.len() - finite.points.len();
-    Ok(Detection { keypoints, num_skipped, num_encoded: encoded.len(), normalization: None, counts, timing })
+    let of_kept = |kept: &[usize], _: &[Point]| Ok(kept.iter().map(|&index| occupancy[index]).collect());
+    let mut detection = finish(candidates, &finite, nms_radius, options, of_kept)?;
+    detection.num_skipped = points.len() - finite.points.len();
+    detection.num_encoded = encoded.len();
+    Ok(detection)
 }
 
 /// The mean of the points in each cell of a lattice of cells of that side, by ascending cell.
@@ -120,7 +114,7 @@ fn middles(points: &[Point], side: f32) -> Vec<Point> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::{DetectOptions, detect};
+    use crate::{DetectOptions, Keypoint, detect};
 
     /// A plate of 6 by 4 with two posts on it.
     fn plate() -> Vec<Point> {
@@ -160,20 +154,28 @@ mod tests {
     fn one_window_that_holds_the_cloud_is_its_field() {
         let points: Vec<Point> = plate().into_iter().skip(9600).take(800).collect();
         let model = Model::builtin().unwrap();
-        let found = model.detect(&points, &preset(5.0)).unwrap();
-        let center = middles(&points, SPACING * 5.0);
-        let [center] = center[..] else { panic!("{center:?}") };
-        let scaled: Vec<Point> = points.iter().map(|p| std::array::from_fn(|a| (p[a] - center[a]) / 10.0)).collect();
-        let mut whole = preset(5.0);
-        whole.windows.window_radius = None;
-        whole.encode.normalization = NormalizationMethod::None;
-        whole.detect.nms_radius = Length::Units(0.001);
-        let alone = model.detect(&scaled, &whole).unwrap();
-        assert_eq!(found.counts, alone.counts);
-        assert!(found.keypoints.len() > 3);
-        for (a, b) in found.keypoints.iter().zip(&alone.keypoints) {
-            assert_eq!((a.saliency, a.occupancy, a.nearest_index), (b.saliency, b.occupancy, b.nearest_index));
-            assert!((0..3).all(|axis| (a.position[axis] - (b.position[axis] * 10.0 + center[axis])).abs() < 1e-5));
+        for snap in [false, true] {
+            let mut options = preset(5.0);
+            options.detect.snap = snap;
+            let found = model.detect(&points, &options).unwrap();
+            let center = middles(&points, SPACING * 5.0);
+            let [center] = center[..] else { panic!("{center:?}") };
+            let scaled: Vec<Point> =
+                points.iter().map(|p| std::array::from_fn(|a| (p[a] - center[a]) / 10.0)).collect();
+            options.windows.window_radius = None;
+            options.encode.normalization = NormalizationMethod::None;
+            options.detect.nms_radius = Length::Units(0.001);
+            let alone = model.detect(&scaled, &options).unwrap();
+            assert_eq!(found.counts, alone.counts);
+            assert!(found.keypoints.len() > 3);
+            for (a, b) in found.keypoints.iter().zip(&alone.keypoints) {
+                assert_eq!(
+                    (a.saliency, a.occupancy, a.nearest_index),
+                    (b.saliency, b.occupancy, b.nearest_index),
+                    "snap: {snap}"
+                );
+                assert!((0..3).all(|axis| (a.position[axis] - (b.position[axis] * 10.0 + center[axis])).abs() < 1e-5));
+            }
         }
     }
 

@@ -1,0 +1,130 @@
+//! The starting queries: a regular grid over the network's cube, of which the occupied part is kept.
+
+use rayon::prelude::*;
+
+use crate::detect::DetectOptions;
+use crate::field::{Field, Quantity};
+use crate::nn::TILE;
+use crate::points::Point;
+use crate::progress::Counter;
+
+/// The starting queries of a detection, in the network's frame, plane by plane: there can be more than memory holds.
+pub(crate) struct QueryGrid {
+    /// Along each axis the coordinates of the queries, each with what it adds to the index of the voxel.
+    axes: [Vec<(f32, usize)>; 3],
+    /// For each voxel whether its queries are asked; `None` if all are.
+    band: Option<Vec<bool>>,
+}
+
+impl QueryGrid {
+    /// The grid over the cube ±0.5, in z over the volume's bounds.
+    pub(crate) fn new(field: &Field, options: &DetectOptions) -> Self {
+        let resolution = options.query_resolution;
+        let frame = field.volume().frame();
+        let [z_min, z_max] = frame.z_bounds;
+        let axes = std::array::from_fn(|axis| {
+            let [low, high] = if axis < 2 { [-0.5, 0.5] } else { [z_min, z_max] };
+            let coordinates = (0..resolution).map(|i| coordinate(low, high, resolution, i));
+            coordinates.map(|coordinate| (coordinate, frame.voxel_along(axis, coordinate))).collect()
+        });
+        Self { axes, band: (options.query_band > 0).then(|| voxels_near_points(field, options.query_band)) }
+    }
+
+    fn resolution(&self) -> usize {
+        self.axes[0].len()
+    }
+
+    /// The queries of one plane across x, z fastest.
+    fn plane(&self, x: usize) -> Vec<Point> {
+        let (x, voxel_x) = self.axes[0][x];
+        let mut queries = Vec::new();
+        for &(y, voxel_y) in &self.axes[1] {
+            for &(z, voxel_z) in &self.axes[2] {
+                if self.band.as_ref().is_none_or(|band| band[voxel_x + voxel_y + voxel_z]) {
+                    queries.push([x, y, z]);
+                }
+            }
+        }
+        queries
+    }
+}
+
+/// Coordinate `i` of `resolution` from `low` to `high`. It is counted from the nearer end, as torch.linspace does, so that
+/// the grid is symmetric to the last bit.
+fn coordinate(low: f32, high: f32, resolution: usize, i: usize) -> f32 {
+    let step = (high - low) / resolution.saturating_sub(1).max(1) as f32;
+    if i < resolution / 2 || resolution == 1 {
+        low + step * i as f32
+    } else {
+        high - step * (resolution - 1 - i) as f32
+    }
+}
+
+/// The queries whose occupancy is above the threshold, in the network's frame, x slowest and z fastest.
+pub(crate) fn above_occupancy(field: &Field, queries: &QueryGrid, threshold: f32) -> Vec<Point> {
+    let resolution = queries.resolution();
+    let counter = Counter::begin(field.model().progress(), "occupancy", resolution.pow(3));
+    let occupied = |tile: &[Point]| -> Vec<Point> {
+        let occupancy = field.tile_values(Quantity::Occupancy, tile);
+        counter.add(tile.len());
+        tile.iter().zip(occupancy).filter(|(_, o)| *o > threshold).map(|(q, _)| *q).collect()
+    };
+    let occupied_of_plane = |x: usize| -> Vec<Point> {
+        let plane = queries.plane(x);
+        counter.add(resolution * resolution - plane.len());
+        plane.chunks(TILE).flat_map(occupied).collect()
+    };
+    (0..resolution).into_par_iter().flat_map_iter(occupied_of_plane).collect()
+}
+
+/// For each voxel of the volume, whether a voxel with input points is at most `reach` away along every axis.
+fn voxels_near_points(field: &Field, reach: usize) -> Vec<bool> {
+    let frame = field.volume().frame();
+    let mut near = vec![false; frame.resolution.iter().product()];
+    for &point in field.points() {
+        near[frame.voxel(field.normalization().to_network(point))] = true;
+    }
+    let mut stride = 1;
+    for length in frame.resolution {
+        let before = near.clone();
+        for (voxel, near) in near.iter_mut().enumerate() {
+            let place = voxel / stride % length;
+            let line = voxel - place * stride;
+            *near = (place.saturating_sub(reach)..=(place + reach).min(length - 1)).any(|i| before[line + i * stride]);
+        }
+        stride *= length;
+    }
+    near
+}
+
+#[cfg(test)]
+pub(crate) mod tests {
+    use super::*;
+    use crate::detect::tests::cylinder;
+
+    pub(crate) fn occupied_queries(field: &Field, options: &DetectOptions) -> Vec<Point> {
+        above_occupancy(field, &QueryGrid::new(field, options), options.occupancy_threshold)
+    }
+
+    #[test]
+    fn the_band_drops_only_queries_far_from_all_points() {
+        let (points, field) = cylinder();
+        let all = occupied_queries(&field, &DetectOptions::default());
+        let frame = field.volume().frame();
+        let voxel = |point: Point| {
+            let flat = frame.voxel(point);
+            [flat % 32, flat / 32 % 32, flat / 1024]
+        };
+        let occupied: Vec<_> = points.iter().map(|&p| voxel(field.normalization().to_network(p))).collect();
+        for reach in [1, 2] {
+            let near = |query: &&Point| {
+                let place = voxel(**query);
+                occupied.iter().any(|other| (0..3).all(|axis| place[axis].abs_diff(other[axis]) <= reach))
+            };
+            let expected: Vec<Point> = all.iter().filter(near).copied().collect();
+            let options = DetectOptions { query_band: reach, ..Default::default() };
+            assert_eq!(occupied_queries(&field, &options), expected);
+        }
+        assert!(!all.is_empty());
+    }
+}
