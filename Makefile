@@ -50,8 +50,9 @@ wheel: $(VENV)/ready  ## a wheel of the Python module in target/wheels
 
 fuzz: SECONDS ?= 600
 fuzz:  ## search for bytes that break a reader, ten minutes for each: make fuzz SECONDS=60; needs cargo install cargo-fuzz
+	python3 -m zipfile -e fuzz/corpus.zip fuzz/target/stored
 	cd fuzz && for target in $$(cargo fuzz list); do \
 		mkdir -p target/corpus/$$target && \
-		cargo fuzz run --release --sanitizer none $$target target/corpus/$$target corpus/$$target -- \
+		cargo fuzz run --release --sanitizer none $$target target/corpus/$$target target/stored/$$target -- \
 			-max_total_time=$(SECONDS) -max_len=8192 -rss_limit_mb=1024 -timeout=10 -verbosity=0 || exit 1; \
 	done

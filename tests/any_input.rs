@@ -1,6 +1,7 @@
 //! Readers and writers under any input: the stored corpus of the fuzz targets, arbitrary bytes, damaged files, and what
 //! was written read back.
 
+use std::io::Read;
 use std::path::{Path, PathBuf};
 
 use proptest::collection::vec;
@@ -29,16 +30,17 @@ fn files(folder: &Path) -> Vec<PathBuf> {
 
 #[test]
 fn the_stored_corpus_is_read_or_refused() {
-    for target in files(&root().join("fuzz/corpus")) {
-        let name = target.file_name().unwrap().to_str().unwrap();
-        let inputs = files(&target);
-        assert!(!inputs.is_empty(), "{name}");
-        for bytes in inputs.iter().map(|input| std::fs::read(input).unwrap()) {
-            match name {
-                "weights" => checks::load_model(&bytes),
-                "text" => checks::read_cloud(&bytes, PointFormat::Text),
-                _ => checks::read_cloud(&bytes, PointFormat::from_extension(name).unwrap()),
-            }
+    let archive = std::fs::File::open(root().join("fuzz/corpus.zip")).unwrap();
+    let mut archive = zip::ZipArchive::new(archive).unwrap();
+    assert!(archive.len() > 1000);
+    for index in 0..archive.len() {
+        let mut entry = archive.by_index(index).unwrap();
+        let mut bytes = Vec::new();
+        entry.read_to_end(&mut bytes).unwrap();
+        match entry.name().split_once('/').unwrap().0 {
+            "weights" => checks::load_model(&bytes),
+            "text" => checks::read_cloud(&bytes, PointFormat::Text),
+            target => checks::read_cloud(&bytes, PointFormat::from_extension(target).unwrap()),
         }
     }
 }
