@@ -37,7 +37,7 @@ fn the_stored_corpus_is_read_or_refused() {
         let mut entry = archive.by_index(index).unwrap();
         let mut bytes = Vec::new();
         entry.read_to_end(&mut bytes).unwrap();
-        match entry.name().split_once('/').unwrap().0 {
+        match entry.name().unwrap().split_once('/').unwrap().0 {
             "weights" => checks::load_model(&bytes),
             "text" => checks::read_cloud(&bytes, PointFormat::Text),
             target => checks::read_cloud(&bytes, PointFormat::from_extension(target).unwrap()),
