@@ -39,7 +39,7 @@ class TrainConfig:
     fresh_saliency: bool = setting(False, "with init: start the saliency decoder anew")
     seed: int = setting(1, "seed of initial weights and samples; sample i is the same whatever the number of processes")
     device: str = setting("auto", "auto, cpu or cuda", choices=("auto", "cpu", "cuda"))
-    bf16: bool = setting(True, "run the U-Net in bfloat16, where the GPU has it; the rest stays float32")
+    bf16: bool = setting(True, "run the U-Net in bfloat16, where the GPU or processor has it; the rest stays float32")
 
     resolution: int = setting(32, "voxels along each axis of the volume")
     unet_levels: int = setting(3, "levels of the U-Net")

@@ -5,7 +5,6 @@ import math
 import os
 import sys
 import time
-from dataclasses import replace
 from datetime import timedelta
 from pathlib import Path
 
@@ -18,6 +17,7 @@ from tqdm import tqdm
 from .augment import distillation_views, two_views
 from .config import from_json, parse_arguments, to_json
 from .data import Mixture, Procedural, open_shapes
+from .device import choose_device
 from .evaluate import DetectOptions, candidates, repeatability, suppress
 from .export import build_network, load_network, replacing
 from .losses import distillation_losses, snake_losses
@@ -95,17 +95,6 @@ def save_checkpoint(path, config, step, network, average, optimizer, best):
     }  # fmt: skip
     with replacing(path) as temporary:
         torch.save(state, temporary)
-
-
-def choose_device(config):
-    """The torch device of this process, and the configuration with bfloat16 off where the GPU lacks it."""
-    if config.device == "cpu" or (config.device == "auto" and not torch.cuda.is_available()):
-        return torch.device("cpu"), config
-    if not torch.cuda.is_available():
-        raise SystemExit("--device cuda: torch finds no GPU here")
-    device = torch.device("cuda", int(os.environ.get("LOCAL_RANK", "0")))
-    torch.cuda.set_device(device)
-    return device, replace(config, bf16=config.bf16 and torch.cuda.is_bf16_supported(including_emulation=False))
 
 
 def starting_network(config):

@@ -359,9 +359,3 @@ def test_a_run_on_the_gpu(tiny):
     train(config)
     assert state(config)["step"] == 2
     assert all(math.isfinite(value) for steps in scalars(config).values() for value in steps.values())
-
-
-def test_bfloat16_runs_on_the_processor(tiny):
-    config = tiny(bf16=True, steps=1)
-    train(config)
-    assert all(math.isfinite(value) for steps in scalars(config).values() for value in steps.values())

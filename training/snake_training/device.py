@@ -1,0 +1,52 @@
+"""The device a run computes on, and whether it computes fast in bfloat16."""
+
+import functools
+import os
+import sys
+import time
+from dataclasses import replace
+
+import torch
+import torch.nn.functional as F
+
+
+def choose_device(config):
+    """The torch device of this process, and the configuration with bfloat16 off where the device is slow in it."""
+    if config.device == "cpu" or (config.device == "auto" and not torch.cuda.is_available()):
+        device, fast = torch.device("cpu"), processor_has_fast_bfloat16
+    elif torch.cuda.is_available():
+        device = torch.device("cuda", int(os.environ.get("LOCAL_RANK", "0")))
+        torch.cuda.set_device(device)
+        fast = functools.partial(torch.cuda.is_bf16_supported, including_emulation=False)
+    else:
+        raise SystemExit("--device cuda: torch finds no GPU here")
+    if config.bf16 and not fast():
+        if int(os.environ.get("RANK", "0")) == 0:
+            print(f"bfloat16 is slow on this {device.type}: the U-Net runs in float32", file=sys.stderr)
+        config = replace(config, bf16=False)
+    return device, config
+
+
+@functools.cache
+def processor_has_fast_bfloat16():
+    """Whether this processor multiplies bfloat16 in hardware. Without it torch emulates, up to 150 times slower.
+
+    On x86 torch names the instructions. Elsewhere, and in a torch that does not name them, a convolution is timed once.
+    """
+    capabilities = getattr(torch.cpu, "get_capabilities", dict)()
+    instructions = [capabilities[name] for name in ("avx512_bf16", "amx_bf16") if name in capabilities]
+    if instructions:
+        return any(instructions)
+    return convolution_seconds(torch.bfloat16) < convolution_seconds(torch.float32)
+
+
+def convolution_seconds(dtype):
+    """Seconds of one 3-D convolution of the U-Net's kind, forward and backward; the fastest of three."""
+    volume = torch.ones(4, 64, 8, 8, 8, dtype=dtype).contiguous(memory_format=torch.channels_last_3d).requires_grad_()
+    weight = torch.ones(64, 64, 3, 3, 3, dtype=dtype, requires_grad=True)
+    seconds = []
+    for _ in range(3):
+        started = time.perf_counter()
+        F.conv3d(volume, weight, padding=1).sum().backward()
+        seconds.append(time.perf_counter() - started)
+    return min(seconds)

@@ -1,0 +1,60 @@
+"""Which device and precision a run computes in."""
+
+import pytest
+import torch
+
+from snake_training import device
+from snake_training.data import Mixture
+from snake_training.device import choose_device, convolution_seconds, processor_has_fast_bfloat16
+from snake_training.losses import snake_losses
+from snake_training.train import make_batch
+
+
+@pytest.fixture(autouse=True)
+def forget_the_processor():
+    """Each test asks the processor anew."""
+    processor_has_fast_bfloat16.cache_clear()
+    yield
+    processor_has_fast_bfloat16.cache_clear()
+
+
+def test_bfloat16_changes_the_losses_by_rounding_only(tiny, network):
+    batch = make_batch(Mixture([], 1.0), tiny(), 0, 2, torch.device("cpu"))
+    full, _ = snake_losses(network, batch, autocast=False)
+    rounded, _ = snake_losses(network, batch, autocast=True)
+    # The volume's values round to 8 bits; each loss is a mean over them.
+    assert {name: value.item() for name, value in rounded.items()} == pytest.approx(
+        {name: value.item() for name, value in full.items()}, abs=0.02
+    )
+
+
+@pytest.mark.parametrize(
+    ("capabilities", "fast"),
+    [
+        ({"avx512_f": True, "avx512_bf16": False, "amx_bf16": False}, False),
+        ({"avx512_f": True, "avx512_bf16": True, "amx_bf16": False}, True),
+        ({"avx512_f": True, "avx512_bf16": False, "amx_bf16": True}, True),
+    ],
+)
+def test_bfloat16_is_used_only_where_the_processor_has_it(tiny, monkeypatch, capabilities, fast):
+    monkeypatch.setattr(torch.cpu, "get_capabilities", lambda: capabilities, raising=False)
+    assert choose_device(tiny(bf16=True)) == (torch.device("cpu"), tiny(bf16=fast))
+    assert choose_device(tiny(bf16=False)) == (torch.device("cpu"), tiny(bf16=False))
+
+
+@pytest.mark.parametrize("fast", [False, True])
+def test_bfloat16_is_timed_once_where_torch_does_not_name_the_instructions(tiny, monkeypatch, fast):
+    timed = []
+
+    def seconds(dtype):
+        timed.append(dtype)
+        return 1.0 if (dtype == torch.bfloat16) == fast else 2.0
+
+    monkeypatch.setattr(torch.cpu, "get_capabilities", lambda: {"architecture": "aarch64"}, raising=False)
+    monkeypatch.setattr(device, "convolution_seconds", seconds)
+    assert choose_device(tiny(bf16=True))[1].bf16 == choose_device(tiny(bf16=True))[1].bf16 == fast
+    assert sorted(map(str, timed)) == ["torch.bfloat16", "torch.float32"]
+
+
+def test_a_convolution_is_timed_in_both_precisions():
+    assert all(convolution_seconds(dtype) > 0 for dtype in (torch.float32, torch.bfloat16))
