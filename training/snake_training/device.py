@@ -13,18 +13,24 @@ import torch.nn.functional as F
 def choose_device(config):
     """The torch device of this process, and the configuration with bfloat16 off where the device is slow in it."""
     if config.device == "cpu" or (config.device == "auto" and not torch.cuda.is_available()):
-        device, fast = torch.device("cpu"), processor_has_fast_bfloat16
+        device = torch.device("cpu")
     elif torch.cuda.is_available():
         device = torch.device("cuda", int(os.environ.get("LOCAL_RANK", "0")))
         torch.cuda.set_device(device)
-        fast = functools.partial(torch.cuda.is_bf16_supported, including_emulation=False)
     else:
         raise SystemExit("--device cuda: torch finds no GPU here")
-    if config.bf16 and not fast():
+    if config.bf16 and not has_fast_bfloat16(device):
         if int(os.environ.get("RANK", "0")) == 0:
             print(f"bfloat16 is slow on this {device.type}: the U-Net runs in float32", file=sys.stderr)
         config = replace(config, bf16=False)
     return device, config
+
+
+def has_fast_bfloat16(device):
+    """Whether a torch device multiplies bfloat16 in hardware."""
+    if device.type == "cuda":
+        return torch.cuda.is_bf16_supported(including_emulation=False)
+    return processor_has_fast_bfloat16()
 
 
 @functools.cache

@@ -20,6 +20,7 @@ from tqdm import tqdm
 from .augment import BOUND, choose, normalize, random_rotation
 from .data import Mixture, Procedural, Stretched, open_shapes
 from .data.scenes import Place, Places
+from .device import has_fast_bfloat16
 from .export import load_network, replacing
 
 QUANTUM = 1 / 32767  # of stored coordinates, which lie within +-0.5625
@@ -37,11 +38,12 @@ def sample_queries(points, number, rng):
 def torch_teacher(network):
     """Points (K, N, 3) and queries (K, Q, 3) in network units -> log-odds of the saliency, occupancy, both (K, Q)."""
     device = next(network.parameters()).device
+    autocast = has_fast_bfloat16(device)
 
     @torch.no_grad()
     def fields(points, queries):
         points, queries = (torch.from_numpy(a).to(device) for a in (points, queries))
-        occupancy, saliency = network(points, queries, autocast=True)
+        occupancy, saliency = network(points, queries, autocast)
         return torch.logit(saliency, eps=1e-6).cpu().numpy(), occupancy.cpu().numpy()
 
     return fields

@@ -16,7 +16,7 @@ from tqdm import tqdm
 
 from .augment import distillation_views, two_views
 from .config import from_json, parse_arguments, to_json
-from .data import Mixture, Procedural, open_shapes
+from .data import Mixture, Procedural, ShapeError, open_shapes
 from .device import choose_device
 from .evaluate import DetectOptions, candidates, repeatability, suppress
 from .export import build_network, load_network, replacing
@@ -128,6 +128,14 @@ def write_scalars(log, group, values, step):
 
 def train(config):
     """Train from the configuration to its last step, or until its minutes are spent."""
+    try:
+        run_steps(config)
+    except ShapeError as error:
+        raise SystemExit(f"{error}; remove that file and run the same command again to resume") from error
+
+
+def run_steps(config):
+    """The training loop."""
     rank, world = int(os.environ.get("RANK", "0")), int(os.environ.get("WORLD_SIZE", "1"))
     if config.batch % world:
         raise SystemExit(f"--batch {config.batch} does not divide over {world} processes")

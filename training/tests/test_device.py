@@ -1,5 +1,6 @@
 """Which device and precision a run computes in."""
 
+import numpy as np
 import pytest
 import torch
 
@@ -7,6 +8,7 @@ from snake_training import device
 from snake_training.data import Mixture
 from snake_training.device import choose_device, convolution_seconds, processor_has_fast_bfloat16
 from snake_training.losses import snake_losses
+from snake_training.targets import torch_teacher
 from snake_training.train import make_batch
 
 
@@ -58,3 +60,17 @@ def test_bfloat16_is_timed_once_where_torch_does_not_name_the_instructions(tiny,
 
 def test_a_convolution_is_timed_in_both_precisions():
     assert all(convolution_seconds(dtype) > 0 for dtype in (torch.float32, torch.bfloat16))
+
+
+@pytest.mark.parametrize("fast", [False, True])
+def test_a_teacher_computes_in_the_precision_that_is_fast(network, monkeypatch, fast):
+    monkeypatch.setattr(torch.cpu, "get_capabilities", lambda: {"avx512_bf16": fast}, raising=False)
+    used = []
+
+    def fields(points, queries, autocast):
+        used.append(autocast)
+        return torch.full(queries.shape[:2], 0.5), torch.full(queries.shape[:2], 0.5)
+
+    monkeypatch.setattr(network, "forward", fields)
+    torch_teacher(network)(np.zeros((1, 8, 3), np.float32), np.zeros((1, 4, 3), np.float32))
+    assert used == [fast]

@@ -347,6 +347,13 @@ def test_a_batch_that_does_not_divide_is_refused(tiny, monkeypatch):
         train(tiny(batch=6))
 
 
+@pytest.mark.parametrize("option", ["data", "validation_data"])
+def test_a_file_of_nan_ends_the_run_with_a_line_that_names_it(tiny, tmp_path, option):
+    np.save(tmp_path / "empty.npy", np.full((100, 3), np.nan, np.float32))
+    with pytest.raises(SystemExit, match=r"empty\.npy: needs at least two different finite points; remove that file"):
+        train(tiny(procedural_share=0.0, **{option: (str(tmp_path),)}))
+
+
 @pytest.mark.skipif(torch.cuda.is_available(), reason="there is a GPU")
 def test_cuda_without_a_gpu_is_refused(tiny):
     with pytest.raises(SystemExit, match="torch finds no GPU"):

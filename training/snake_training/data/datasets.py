@@ -10,6 +10,10 @@ from ..augment import choose, normalize, random_rotation
 from .procedural import Procedural
 
 
+class ShapeError(ValueError):
+    """A file that holds no shape to train or evaluate on; the message names it."""
+
+
 class Corpus:
     """A folder with `points.npy`, int16 (S, M, 3), one unit sphere a row (p / 32767), and `index.json`."""
 
@@ -19,13 +23,13 @@ class Corpus:
         try:
             self.index = json.loads((folder / "index.json").read_text())
         except (OSError, ValueError) as error:
-            raise ValueError(f"{folder}/index.json: {error}") from error
+            raise ShapeError(f"{folder}/index.json: {error}") from error
         if self.points.dtype != np.int16 or self.points.ndim != 3 or self.points.shape[2] != 3 or not self.points.size:
-            raise ValueError(
+            raise ShapeError(
                 f"{folder}/points.npy: expected int16 (S, M, 3), found {self.points.dtype} {self.points.shape}"
             )
         if len(self.index) != len(self.points):
-            raise ValueError(f"{folder}: index.json has {len(self.index)} rows, points.npy has {len(self.points)}")
+            raise ShapeError(f"{folder}: index.json has {len(self.index)} rows, points.npy has {len(self.points)}")
 
     def __len__(self):
         return len(self.points)
@@ -43,11 +47,11 @@ class Folder:
 
     def __init__(self, folder, mesh_points=8192):
         if not Path(folder).is_dir():
-            raise ValueError(f"{folder}: no such folder")
+            raise ShapeError(f"{folder}: no such folder")
         self.files = sorted(p for p in Path(folder).rglob("*") if p.suffix.lower() in (".npy", ".ply"))
         self.mesh_points = mesh_points
         if not self.files:
-            raise ValueError(f"{folder}: neither points.npy + index.json nor any .npy or .ply file")
+            raise ShapeError(f"{folder}: neither points.npy + index.json nor any .npy or .ply file")
 
     def __len__(self):
         return len(self.files)
@@ -56,11 +60,11 @@ class Folder:
         path = self.files[row]
         points = read_npy(path) if path.suffix.lower() == ".npy" else self.read_ply(path, row)
         if points.dtype.kind not in "fiu" or points.ndim != 2 or points.shape[1] < 3:
-            raise ValueError(f"{path}: expected (N, 3) numbers, found {points.dtype} {points.shape}")
+            raise ShapeError(f"{path}: expected (N, 3) numbers, found {points.dtype} {points.shape}")
         points = points[:, :3].astype(np.float32)
         points = points[np.isfinite(points).all(axis=1)]
         if len(points) < 2 or (points == points[0]).all():
-            raise ValueError(f"{path}: needs at least two different finite points")
+            raise ShapeError(f"{path}: needs at least two different finite points")
         return points
 
     def read_ply(self, path, seed):
@@ -73,7 +77,7 @@ class Folder:
                 return trimesh.sample.sample_surface(shape, self.mesh_points, seed=seed)[0]
             return np.asarray(shape.vertices)
         except Exception as error:  # whatever trimesh's parser trips over
-            raise ValueError(f"{path}: not a readable PLY ({error})") from error
+            raise ShapeError(f"{path}: not a readable PLY ({error})") from error
 
     def cloud(self, rng):
         """A random file's cloud."""
@@ -126,7 +130,7 @@ def read_npy(path):
     try:
         return np.load(path, mmap_mode="r", allow_pickle=False)
     except (OSError, ValueError, EOFError, TypeError, OverflowError) as error:
-        raise ValueError(f"{path}: not a readable NPY ({error})") from error
+        raise ShapeError(f"{path}: not a readable NPY ({error})") from error
 
 
 def open_shapes(folder):
