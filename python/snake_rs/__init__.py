@@ -29,8 +29,10 @@ from ._core import (
     detect,
     estimate_normals,
     fpfh,
+    get_num_threads,
     read_points,
     register,
+    set_num_threads,
 )
 
 __all__ = [
@@ -44,7 +46,9 @@ __all__ = [
     "detect",
     "estimate_normals",
     "fpfh",
+    "get_num_threads",
     "metrics",
     "read_points",
     "register",
+    "set_num_threads",
 ]

@@ -20,6 +20,7 @@ __all__ = [
     "feature_matching_recall",
     "fpfh",
     "geodesic_distances",
+    "get_num_threads",
     "harris3d",
     "information_matrix",
     "inlier_ratio",
@@ -32,6 +33,7 @@ __all__ = [
     "registration_recall",
     "relative_repeatability",
     "semantic_counts",
+    "set_num_threads",
     "sift3d",
     "smpl_iou",
     "smpl_pair_counts",
@@ -124,6 +126,8 @@ def register(
 ) -> Registration: ...
 def read_points(path: str | os.PathLike[str], sample: int | None = None, seed: int = 0) -> NDArray[np.float64]: ...
 def estimate_normals(points: _Points, radius: float) -> NDArray[np.float32]: ...
+def set_num_threads(num_threads: int) -> None: ...
+def get_num_threads() -> int: ...
 def fpfh(points: _Points, normals: _Points, radius: float) -> NDArray[np.float32]: ...
 
 @final

@@ -10,6 +10,7 @@ use snake_core::baselines::{
 
 use crate::arrays::{self, named};
 use crate::error::py_error;
+use crate::threads;
 
 /// Indices (K,) int64 and scores (K,) float64.
 type Found<'py> = (Bound<'py, PyArray1<i64>>, Bound<'py, PyArray1<f64>>);
@@ -45,7 +46,7 @@ fn keypoints<'py>(
     }
     let (py, points) = (points.py(), arrays::points("points", points)?);
     let count = count.unwrap_or(usize::MAX);
-    let found: Vec<Response> = py.detach(|| detector.keypoints(&points, count, protocol, seed)).map_err(py_error)?;
+    let found: Vec<Response> = threads::run(py, || detector.keypoints(&points, count, protocol, seed))?;
     let indices = found.iter().map(|response| response.index as i64).collect();
     Ok((arrays::values(py, indices), arrays::values(py, found.iter().map(|response| response.score).collect())))
 }

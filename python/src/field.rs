@@ -5,10 +5,9 @@ use pyo3::prelude::*;
 use pyo3::types::PyDict;
 use snake_core::{self as core, Point};
 
-use crate::error::py_error;
 use crate::keypoints::Keypoints;
 use crate::mesh::Mesh;
-use crate::{arrays, options};
+use crate::{arrays, options, threads};
 
 /// The core's values and gradients of Q queries.
 type Pairs = (Vec<f32>, Vec<Point>);
@@ -34,7 +33,7 @@ impl Field {
         of: fn(&core::Field, &[Point]) -> core::Result<Vec<f32>>,
     ) -> PyResult<Bound<'py, PyArray1<f32>>> {
         let (py, queries) = (queries.py(), arrays::points("queries", queries)?);
-        let values = py.detach(|| of(&self.0, &queries)).map_err(py_error)?;
+        let values = threads::run(py, || of(&self.0, &queries))?;
         Ok(arrays::values(py, values))
     }
 
@@ -45,7 +44,7 @@ impl Field {
         of: fn(&core::Field, &[Point]) -> core::Result<Pairs>,
     ) -> PyResult<ValuesAndGradients<'py>> {
         let (py, queries) = (queries.py(), arrays::points("queries", queries)?);
-        let (values, gradients) = py.detach(|| of(&self.0, &queries)).map_err(py_error)?;
+        let (values, gradients) = threads::run(py, || of(&self.0, &queries))?;
         Ok((arrays::values(py, values), arrays::rows(py, gradients.into_flattened(), 3)?))
     }
 }
@@ -75,7 +74,7 @@ impl Field {
     /// Descriptors (Q, c_dim) float32: the feature of each query, L2-normalised.
     fn descriptors<'py>(&self, queries: &Bound<'py, PyAny>) -> PyResult<Bound<'py, PyArray2<f32>>> {
         let (py, queries) = (queries.py(), arrays::points("queries", queries)?);
-        let flat = py.detach(|| self.0.descriptors(&queries)).map_err(py_error)?;
+        let flat = threads::run(py, || self.0.descriptors(&queries))?;
         arrays::rows(py, flat, self.0.model().config().c_dim)
     }
 
@@ -104,7 +103,7 @@ impl Field {
     #[pyo3(signature = (**options))]
     fn detect(&self, py: Python<'_>, options: Option<&Bound<PyDict>>) -> PyResult<Keypoints> {
         let preset = options::resolve("detect", &options::DETECT, self.0.model().recommended(), options)?;
-        let detection = py.detach(|| core::detect(&self.0, &preset.detect)).map_err(py_error)?;
+        let detection = threads::run(py, || core::detect(&self.0, &preset.detect))?;
         Keypoints::from_detection(py, detection)
     }
 
@@ -116,7 +115,7 @@ impl Field {
     #[pyo3(signature = (**options))]
     fn mesh(&self, py: Python<'_>, options: Option<&Bound<PyDict>>) -> PyResult<Mesh> {
         let options: core::MeshOptions = options::of("mesh", options)?;
-        let mesh = py.detach(|| self.0.mesh(&options)).map_err(py_error)?;
+        let mesh = threads::run(py, || self.0.mesh(&options))?;
         Mesh::from_core(py, mesh)
     }
 

@@ -6,7 +6,7 @@ use numpy::{PyArray1, PyArray2, PyArrayMethods};
 use pyo3::prelude::*;
 use snake_core::io::{ReadOptions, read_cloud};
 
-use crate::error::py_error;
+use crate::threads;
 
 /// Reads a point cloud or a mesh: (N, 3) float64, in the file's order, units and frame.
 ///
@@ -22,7 +22,7 @@ pub fn read_points(
     sample: Option<usize>,
     seed: u64,
 ) -> PyResult<Bound<'_, PyArray2<f64>>> {
-    let cloud = py.detach(|| read_cloud(&path, &ReadOptions { sample, seed })).map_err(py_error)?;
+    let cloud = threads::run(py, || read_cloud(&path, &ReadOptions { sample, seed }))?;
     let row =
         |point: &[f32; 3]| -> [f64; 3] { std::array::from_fn(|axis| f64::from(point[axis]) + cloud.origin[axis]) };
     let rows: Vec<[f64; 3]> = cloud.points.iter().map(row).collect();

@@ -12,17 +12,18 @@ mod metrics;
 mod model;
 mod options;
 mod registration;
+mod threads;
 
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
 
-use error::py_error;
 use field::Field;
 use io::read_points;
 use keypoints::Keypoints;
 use mesh::Mesh;
 use model::Model;
 use registration::{Registration, estimate_normals, fpfh, register};
+use threads::{get_num_threads, set_num_threads};
 
 /// Keypoints of a cloud in one call: `model.encode(points).detect()`, with the built-in model if none is given.
 ///
@@ -40,10 +41,10 @@ fn detect(
     model: Option<&Bound<'_, Model>>,
     options: Option<&Bound<'_, PyDict>>,
 ) -> PyResult<Keypoints> {
-    let model = model::given_or_builtin(model)?;
+    let model = model::given_or_builtin(py, model)?;
     let preset = options::resolve("detect", &options::ALL, model.recommended(), options)?;
     let points = arrays::points("points", points)?;
-    let detection = py.detach(|| model.detect(&points, &preset)).map_err(py_error)?;
+    let detection = threads::run(py, || model.detect(&points, &preset))?;
     Keypoints::from_detection(py, detection)
 }
 
@@ -58,7 +59,10 @@ mod _core {
         squared_registration_error, symmetric_repeatability,
     };
     #[pymodule_export]
-    use super::{Field, Keypoints, Mesh, Model, Registration, detect, estimate_normals, fpfh, read_points, register};
+    use super::{
+        Field, Keypoints, Mesh, Model, Registration, detect, estimate_normals, fpfh, get_num_threads, read_points,
+        register, set_num_threads,
+    };
 
     #[pymodule_export]
     #[expect(non_upper_case_globals, reason = "Python's name for it")]

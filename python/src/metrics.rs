@@ -8,6 +8,7 @@ use snake_core::{self, Point, Transform};
 
 use crate::arrays::{self, named};
 use crate::error::py_error;
+use crate::threads;
 
 /// One number for each threshold.
 type Numbers<'py> = Bound<'py, PyArray1<f64>>;
@@ -63,7 +64,7 @@ fn repeatability<'py>(
     let py = t_1_2.py();
     let (first, second) = (arrays::points("keypoints_1", keypoints[0])?, arrays::points("keypoints_2", keypoints[1])?);
     let (t_1_2, epsilon) = (transform("t_1_2", t_1_2)?, thresholds("epsilon", epsilon)?);
-    let shares = py.detach(|| of(&first, &second, &t_1_2, &epsilon)).map_err(py_error)?;
+    let shares = threads::run(py, || of(&first, &second, &t_1_2, &epsilon))?;
     Ok(arrays::values(py, shares))
 }
 
@@ -99,7 +100,7 @@ pub fn symmetric_repeatability<'py>(
 pub fn mean_distance_to_keypoints(points: &Bound<PyAny>, keypoints: &Bound<PyAny>) -> PyResult<f64> {
     let py = points.py();
     let (points, keypoints) = (arrays::points("points", points)?, arrays::points("keypoints", keypoints)?);
-    py.detach(|| core::mean_distance_to_keypoints(&points, &keypoints)).map_err(py_error)
+    threads::run(py, || core::mean_distance_to_keypoints(&points, &keypoints))
 }
 
 /// Geodesic distances (S, N) float64 from the points at the indices `sources` (S,) to all `points` (N, 3), in cloud
@@ -113,7 +114,7 @@ pub fn geodesic_distances<'py>(
     neighbors: usize,
 ) -> PyResult<Bound<'py, PyArray2<f64>>> {
     let (py, points, sources) = (points.py(), arrays::points("points", points)?, indices("sources", sources)?);
-    let rows = py.detach(|| core::geodesic_distances(&points, &sources, neighbors)).map_err(py_error)?;
+    let rows = threads::run(py, || core::geodesic_distances(&points, &sources, neighbors))?;
     PyArray1::from_vec(py, rows.concat()).reshape([sources.len(), points.len()])
 }
 
@@ -136,8 +137,7 @@ pub fn semantic_counts<'py>(
     let unreachable = named("unreachable", unreachable, known)?;
     let (py, points, found) = (points.py(), arrays::points("points", points)?, arrays::points("found", found)?);
     let (truth, limits) = (indices("ground_truth", ground_truth)?, self::thresholds("thresholds", thresholds)?);
-    let counts =
-        py.detach(|| core::semantic_counts(&points, &truth, &found, &limits, unreachable)).map_err(py_error)?;
+    let counts = threads::run(py, || core::semantic_counts(&points, &truth, &found, &limits, unreachable))?;
     counts_array(py, counts)
 }
 
@@ -175,8 +175,8 @@ pub fn smpl_pair_counts<'py>(
     let bodies = (arrays::points("body_1", body_1)?, arrays::points("body_2", body_2)?);
     let found = (arrays::points("keypoints_1", keypoints_1)?, arrays::points("keypoints_2", keypoints_2)?);
     let limits = self::thresholds("thresholds", thresholds)?;
-    let counts = core::smpl_pair_counts(&bodies.0, &bodies.1, &found.0, &found.1, &limits, protocol);
-    counts_array(py, counts.map_err(py_error)?)
+    let work = || core::smpl_pair_counts(&bodies.0, &bodies.1, &found.0, &found.1, &limits, protocol);
+    counts_array(py, threads::run(py, work)?)
 }
 
 /// The SMPL figure at one threshold from the pairs' counts (P, 3), in order: the mean IoU of the pairs ("strict"), or

@@ -9,7 +9,7 @@ use snake_core as core;
 
 use crate::error::py_error;
 use crate::field::Field;
-use crate::{arrays, options};
+use crate::{arrays, options, threads};
 
 /// A network with its weights. Make one with `Model.builtin`, `Model.load` or `Model.from_bytes`; it can be pickled.
 #[pyclass(frozen, module = "snake_rs")]
@@ -31,28 +31,28 @@ impl Model {
     }
 
     fn from_file(py: Python<'_>, file: Vec<u8>) -> PyResult<Self> {
-        let core = py.detach(|| core::Model::from_bytes(&file)).map_err(py_error)?;
+        let core = threads::run(py, || core::Model::from_bytes(&file))?;
         Ok(Self { core, origin: Origin::File(Arc::new(file)) })
     }
 }
 
 /// The built-in model, read once.
-pub fn builtin() -> PyResult<core::Model> {
+pub fn builtin(py: Python<'_>) -> PyResult<core::Model> {
     static MODEL: OnceLock<core::Model> = OnceLock::new();
     match MODEL.get() {
         Some(model) => Ok(model.clone()),
         None => {
-            let model = core::Model::builtin().map_err(py_error)?;
+            let model = threads::run(py, core::Model::builtin)?;
             Ok(MODEL.get_or_init(|| model).clone())
         }
     }
 }
 
 /// The model of the argument `model`, the built-in one by default.
-pub fn given_or_builtin(model: Option<&Bound<'_, Model>>) -> PyResult<core::Model> {
+pub fn given_or_builtin(py: Python<'_>, model: Option<&Bound<'_, Model>>) -> PyResult<core::Model> {
     match model {
         Some(model) => Ok(model.get().core().clone()),
-        None => builtin(),
+        None => builtin(py),
     }
 }
 
@@ -62,8 +62,8 @@ impl Model {
     /// better and take longer; or "rooms", for clouds of rooms in metres, which it recommends to see through windows. Raises ValueError for another name.
     #[staticmethod]
     #[pyo3(name = "builtin", signature = (name="compact"))]
-    fn py_builtin(name: &str) -> PyResult<Self> {
-        let core = if name == "compact" { builtin()? } else { core::Model::named(name).map_err(py_error)? };
+    fn py_builtin(py: Python<'_>, name: &str) -> PyResult<Self> {
+        let core = if name == "compact" { builtin(py)? } else { threads::run(py, || core::Model::named(name))? };
         Ok(Self { core, origin: Origin::Builtin(name.into()) })
     }
 
@@ -134,7 +134,7 @@ impl Model {
     fn encode(&self, py: Python<'_>, points: &Bound<PyAny>, options: Option<&Bound<PyDict>>) -> PyResult<Field> {
         let preset = options::resolve("encode", &options::ENCODE, self.core.recommended(), options)?;
         let points = arrays::points("points", points)?;
-        py.detach(|| self.core.encode(&points, &preset.encode)).map(Field::new).map_err(py_error)
+        threads::run(py, || self.core.encode(&points, &preset.encode)).map(Field::new)
     }
 
     fn __reduce__<'py>(slf: &Bound<'py, Self>) -> PyResult<(Bound<'py, PyAny>, Bound<'py, PyTuple>)> {

@@ -5,9 +5,8 @@ use pyo3::prelude::*;
 use pyo3::types::{PyDict, PyTuple};
 use snake_core::registration as core;
 
-use crate::error::py_error;
 use crate::model::{self, Model};
-use crate::{arrays, options};
+use crate::{arrays, options, threads};
 
 /// A rigid transform between two clouds and how far it can be trusted; it can be pickled.
 #[pyclass(frozen, get_all, module = "snake_rs")]
@@ -72,10 +71,10 @@ pub fn register(
     model: Option<&Bound<'_, Model>>,
     options: Option<&Bound<'_, PyDict>>,
 ) -> PyResult<Registration> {
-    let model = model::given_or_builtin(model)?;
+    let model = model::given_or_builtin(py, model)?;
     let options = options::of("register", options)?;
     let (source, target) = (arrays::points("source", source)?, arrays::points("target", target)?);
-    let found = py.detach(|| core::register(&source, &target, &model, &options)).map_err(py_error)?;
+    let found = threads::run(py, || core::register(&source, &target, &model, &options))?;
     let matrix = PyArray1::from_vec(py, found.t_target_source.as_flattened().to_vec()).reshape([4, 4])?;
     let core::Registration { num_inliers, num_correspondences, rmse, num_skipped, seconds, .. } = found;
     Ok(Registration::new(matrix.unbind(), num_inliers, num_correspondences, rmse, num_skipped.into(), seconds))
@@ -86,7 +85,7 @@ pub fn register(
 #[pyfunction]
 pub fn estimate_normals<'py>(points: &Bound<'py, PyAny>, radius: f64) -> PyResult<Bound<'py, PyArray2<f32>>> {
     let (py, points) = (points.py(), arrays::points("points", points)?);
-    let normals = py.detach(|| core::estimate_normals(&points, radius)).map_err(py_error)?;
+    let normals = threads::run(py, || core::estimate_normals(&points, radius))?;
     arrays::rows(py, normals.into_flattened(), 3)
 }
 
@@ -99,6 +98,6 @@ pub fn fpfh<'py>(
 ) -> PyResult<Bound<'py, PyArray2<f32>>> {
     let py = points.py();
     let (points, normals) = (arrays::points("points", points)?, arrays::points("normals", normals)?);
-    let flat = py.detach(|| core::fpfh(&points, &normals, radius)).map_err(py_error)?;
+    let flat = threads::run(py, || core::fpfh(&points, &normals, radius))?;
     arrays::rows(py, flat, core::FPFH_DIMENSION)
 }

@@ -2,7 +2,7 @@
 
 use std::mem::take;
 use std::ops::{Deref, DerefMut};
-use std::sync::{Arc, Mutex, PoisonError};
+use std::sync::{Arc, Mutex, MutexGuard, TryLockError};
 
 /// Unused buffers; clones share them.
 #[derive(Debug, Clone, Default)]
@@ -21,19 +21,30 @@ impl BufferPool {
 
     /// A buffer of `length` values, whose contents are arbitrary.
     pub fn take(&self, length: usize) -> Buffer {
-        let mut free = self.0.lock().unwrap_or_else(PoisonError::into_inner);
-        let place = free.iter().position(|values| values.len() == length);
-        let values = place.map(|place| free.swap_remove(place));
-        drop(free);
+        let values = self.unused().and_then(|mut unused| {
+            let place = unused.iter().position(|values| values.len() == length)?;
+            Some(unused.swap_remove(place))
+        });
         Buffer { values: values.unwrap_or_else(|| vec![0.0; length]), pool: self.clone() }
+    }
+
+    /// The unused buffers, or none while another thread has them. Nothing waits for them: in a forked child that thread
+    /// does not exist and would never give them back.
+    fn unused(&self) -> Option<MutexGuard<'_, Vec<Vec<f32>>>> {
+        match self.0.try_lock() {
+            Ok(unused) => Some(unused),
+            Err(TryLockError::Poisoned(unused)) => Some(unused.into_inner()),
+            Err(TryLockError::WouldBlock) => None,
+        }
     }
 }
 
 impl Drop for Buffer {
     fn drop(&mut self) {
-        let mut free = self.pool.0.lock().unwrap_or_else(PoisonError::into_inner);
-        if free.iter().filter(|values| values.len() == self.values.len()).count() < BufferPool::KEPT {
-            free.push(take(&mut self.values));
+        if let Some(mut unused) = self.pool.unused()
+            && unused.iter().filter(|values| values.len() == self.values.len()).count() < BufferPool::KEPT
+        {
+            unused.push(take(&mut self.values));
         }
     }
 }
@@ -63,6 +74,13 @@ impl DerefMut for Buffer {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn nothing_waits_for_a_pool_that_is_locked_for_good() {
+        let pool = BufferPool::default();
+        let _another_thread = pool.0.lock().unwrap();
+        drop(pool.take(3).clone());
+    }
 
     #[test]
     fn a_dropped_buffer_is_used_again_for_the_same_length() {

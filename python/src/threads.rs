@@ -1,0 +1,74 @@
+//! Threads of the core's work: one pool for each process, so that work goes on after a fork.
+
+use std::mem::forget;
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+
+use pyo3::exceptions::{PyRuntimeError, PyValueError};
+use pyo3::prelude::*;
+use rayon::{ThreadPool, ThreadPoolBuilder};
+use snake_core::Result;
+
+use crate::error::py_error;
+
+/// What `set_num_threads` chose, and the pool with the id of the process that its threads live in.
+struct State {
+    num_threads: usize,
+    pool: Option<(u32, Arc<ThreadPool>)>,
+}
+
+static STATE: Mutex<State> = Mutex::new(State { num_threads: 0, pool: None });
+
+/// Locks the state. Python forks with the GIL held, and this lock is only held together with the GIL: a child process
+/// therefore never inherits it locked.
+fn state(_py: Python<'_>) -> MutexGuard<'static, State> {
+    STATE.lock().unwrap_or_else(PoisonError::into_inner)
+}
+
+/// The pool of this process. A forked child has the parent's memory but not its threads, so it starts a pool of its own.
+fn pool(py: Python<'_>) -> PyResult<Arc<ThreadPool>> {
+    let (mut state, process) = (state(py), std::process::id());
+    if let Some((of, pool)) = &state.pool
+        && *of == process
+    {
+        return Ok(pool.clone());
+    }
+    let builder = ThreadPoolBuilder::new().num_threads(state.num_threads);
+    let pool = Arc::new(builder.build().map_err(|e| PyRuntimeError::new_err(e.to_string()))?);
+    // Dropping the parent's pool would signal threads that do not exist here.
+    forget(state.pool.replace((process, pool.clone())));
+    Ok(pool)
+}
+
+/// Runs work of the core on this process's threads, with the GIL released. Every call of the core that may compute in
+/// parallel goes through here: on Rayon's global pool it would wait forever in a forked child.
+pub fn run<T: Send>(py: Python<'_>, work: impl FnOnce() -> Result<T> + Send) -> PyResult<T> {
+    let pool = pool(py)?;
+    py.detach(|| pool.install(work)).map_err(py_error)
+}
+
+/// Sets the number of threads that all calls of this process share, from the next call on; by default as many as the
+/// process may use processors (or `RAYON_NUM_THREADS`). A forked child keeps the number and has threads of its own.
+/// Results have the same bits for any number. Raises ValueError for 0 or more than 1024.
+#[pyfunction]
+pub fn set_num_threads(py: Python<'_>, num_threads: usize) -> PyResult<()> {
+    if !(1..=MAX_THREADS).contains(&num_threads) {
+        return Err(PyValueError::new_err(format!("num_threads is {num_threads}: allowed is 1 to {MAX_THREADS}")));
+    }
+    let mut state = state(py);
+    state.num_threads = num_threads;
+    if let Some((process, pool)) = state.pool.take()
+        && process != std::process::id()
+    {
+        forget(pool);
+    }
+    Ok(())
+}
+
+/// More threads than any machine has processors for; a typing error should not start tens of thousands.
+const MAX_THREADS: usize = 1024;
+
+/// The number of threads that all calls of this process share. Raises RuntimeError when they cannot be started.
+#[pyfunction]
+pub fn get_num_threads(py: Python<'_>) -> PyResult<usize> {
+    Ok(pool(py)?.current_num_threads())
+}

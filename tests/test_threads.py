@@ -1,0 +1,161 @@
+"""Threads of the Python module: forked children compute, and the number of threads can be set.
+
+Each test runs in a process of its own, which is stopped with all its children if it hangs.
+"""
+
+import os
+import signal
+import subprocess
+import sys
+import textwrap
+
+import pytest
+
+import snake_rs
+
+SETUP = """
+import os
+import numpy as np
+import snake_rs
+
+points = np.random.default_rng(5).normal(size=(2000, 3))
+options = dict(query_resolution=16, refine_steps=2)
+
+def detect(_=None):
+    return snake_rs.detect(points, **options).points.tobytes()
+
+def in_a_child(work):
+    "Whether a forked child ends with work() true."
+    child = os.fork()
+    if child == 0:
+        try:
+            os._exit(0 if work() else 1)
+        finally:
+            os._exit(2)
+    return os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]) == 0
+"""
+
+
+def run(code, seconds=60):
+    """What a process of its own prints that runs SETUP and the code; it must end well within the time."""
+    command = [sys.executable, "-c", SETUP + textwrap.dedent(code)]
+    with subprocess.Popen(
+        command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, start_new_session=True
+    ) as process:
+        try:
+            output, errors = process.communicate(timeout=seconds)
+        finally:
+            try:
+                os.killpg(process.pid, signal.SIGKILL)
+            except ProcessLookupError:
+                pass
+    assert process.returncode == 0, errors
+    return output
+
+
+forks = pytest.mark.skipif(not hasattr(os, "fork"), reason="no fork on this system")
+
+
+@forks
+def test_a_child_forked_before_the_first_use_computes():
+    run("assert in_a_child(detect)")
+
+
+@forks
+def test_a_child_forked_after_use_computes_the_same():
+    run("""
+        expected = detect()
+        assert in_a_child(lambda: detect() == expected)
+        # A child of a child, and the parent afterwards.
+        assert in_a_child(lambda: detect() == expected and in_a_child(lambda: detect() == expected))
+        assert detect() == expected
+    """)
+
+
+@forks
+def test_every_part_of_the_module_computes_in_a_child():
+    run("""
+        eye = np.eye(4)
+        def everything():
+            model = snake_rs.Model.builtin("rooms")
+            field = model.encode(points)
+            field.occupancy(points), field.saliency_and_gradient(points), field.descriptors(points)
+            found = field.detect(**options).points
+            field.mesh(resolution=16)
+            normals = snake_rs.estimate_normals(points, 0.5)
+            snake_rs.fpfh(points, normals, 0.5)
+            snake_rs.register(points, points, descriptor="fpfh", detector="iss")
+            snake_rs.baselines.iss(points), snake_rs.baselines.harris3d(points), snake_rs.baselines.sift3d(points)
+            snake_rs.metrics.relative_repeatability(points, points, eye, [0.1])
+            snake_rs.metrics.mean_distance_to_keypoints(points, points[:9])
+            snake_rs.metrics.geodesic_distances(points, [0, 1])
+            snake_rs.metrics.semantic_counts(points, [0, 1], points[:2], [0.1])
+            snake_rs.metrics.smpl_pair_counts(points, points, points[:9], points[:9], [0.1])
+            return True
+        everything()
+        assert in_a_child(everything)
+    """)
+
+
+@forks
+def test_children_forked_while_another_thread_computes():
+    run("""
+        import threading
+        model, stop = snake_rs.Model.builtin(), threading.Event()
+        def compute():
+            while not stop.is_set():
+                snake_rs.detect(points, model, **options)
+        thread = threading.Thread(target=compute)
+        thread.start()
+        for _ in range(10):
+            assert in_a_child(lambda: len(snake_rs.detect(points, model, **options)) >= 0)
+        stop.set()
+        thread.join()
+    """)
+
+
+@forks
+def test_a_fork_pool_of_multiprocessing():
+    run("""
+        import multiprocessing
+        expected = detect()
+        with multiprocessing.get_context("fork").Pool(2) as pool:
+            assert pool.map(detect, range(4)) == [expected] * 4
+    """)
+
+
+@forks
+def test_a_torch_data_loader_with_two_workers():
+    pytest.importorskip("torch")
+    run("""
+        import torch
+        class Clouds(torch.utils.data.Dataset):
+            def __len__(self):
+                return 4
+            def __getitem__(self, row):
+                return torch.from_numpy(snake_rs.detect(points, **options).points)
+        expected = torch.from_numpy(snake_rs.detect(points, **options).points)
+        loader = torch.utils.data.DataLoader(Clouds(), batch_size=None, num_workers=2, multiprocessing_context="fork")
+        assert all(torch.equal(found, expected) for found in loader)
+    """)
+
+
+def test_the_number_of_threads_changes_no_bit_and_is_kept_in_a_child():
+    run("""
+        found = []
+        for number in (1, 3):
+            snake_rs.set_num_threads(number)
+            assert snake_rs.get_num_threads() == number
+            found.append(detect())
+        assert found[0] == found[1]
+        if hasattr(os, "fork"):
+            assert in_a_child(lambda: snake_rs.get_num_threads() == 3)
+            assert in_a_child(lambda: snake_rs.set_num_threads(2) or snake_rs.get_num_threads() == 2)
+        assert snake_rs.get_num_threads() == 3
+    """)
+
+
+@pytest.mark.parametrize("number", [0, 1025])
+def test_numbers_of_threads_that_make_no_sense_are_refused(number):
+    with pytest.raises(ValueError, match=f"num_threads is {number}: allowed is 1 to 1024"):
+        snake_rs.set_num_threads(number)
