@@ -9,12 +9,16 @@ export VIRTUAL_ENV := $(CURDIR)/$(VENV)
 help:  ## this list
 	@grep -hE '^[a-z]+:.*##' $(MAKEFILE_LIST) | sed 's/:.*##/\t/'
 
-# uv knows where PyTorch's build without CUDA is, a tenth of the size. Where only PyPI is reached, pip installs the default.
+# uv knows where PyTorch is without CUDA, which PyPI does not have for Linux. Where uv cannot reach that, pip installs the
+# build with CUDA, 4.5 GB more.
 TEST_PACKAGES := "maturin>=1.16" -e "training[test]"
 $(VENV)/ready: python/pyproject.toml training/pyproject.toml
 	python3 -m venv $(VENV)
 	$(PYTHON) -m pip install --quiet --upgrade pip uv
-	$(VENV)/bin/uv pip install --quiet --torch-backend=cpu $(TEST_PACKAGES) || $(PYTHON) -m pip install --quiet $(TEST_PACKAGES)
+	$(VENV)/bin/uv pip install --quiet --torch-backend=cpu $(TEST_PACKAGES) || { \
+		echo "PyTorch without CUDA cannot be reached: installing the default" && \
+		$(PYTHON) -m pip install --quiet $(TEST_PACKAGES); \
+	}
 	touch $@
 
 $(VENV)/check-ready: $(VENV)/ready
