@@ -89,11 +89,12 @@ fn encoder_stages() {
     for case in cases() {
         let encoder = &case.model.network().encoder;
         let (points, frame) = (case.points("points"), case.model.config().frame);
-        let groups = VoxelGroups::new(&points, &frame);
-        let features = encoder.point_features(&points, &groups, &Counter::default());
+        let [features, means] = encoder.pointnet.plain(&points, &frame);
         case.assert_close("point_features", &features, 1e-5);
 
-        let scattered = encoder.scatter_mean(&features, &groups, &Counter::default()).values;
+        let groups = VoxelGroups::new(points.len(), |index| points[index], &frame);
+        assert_eq!(encoder.pointnet.voxel_means(&groups, |index| points[index], &Counter::default()), means);
+        let scattered = encoder.scatter(&means, &groups).values;
         let ([_, height, width], channels) = (frame.size(), features.len() / points.len());
         let mut expected = vec![0.0; scattered.len()];
         let values = case.floats("scatter_values");
@@ -103,7 +104,7 @@ fn encoder_stages() {
         }
         assert!(scattered.iter().zip(&expected).all(|(f, e)| (f - e).abs() < 1e-5), "{}: scatter", case.name);
 
-        let volume = encoder.encode(&points, &Counter::default());
+        let volume = encoder.encode(points.len(), |index| points[index], &Counter::default());
         let row = |voxel: usize| volume.values[voxel * volume.channels..][..volume.channels].to_vec();
         let sampled: Vec<f32> = case.indices("volume_sample_index").into_iter().flat_map(row).collect();
         // Eight to fourteen layers of float32 sums in another order.

@@ -40,9 +40,21 @@ pub(crate) fn nearest_points(points: &[Point], queries: &[Point]) -> Result<Vec<
     if queries.len() < 256 {
         return Ok(queries.par_iter().map(|&query| nearest_of_all(points, query)).collect());
     }
-    let tree = KdTree::new(points)?;
-    Ok(queries.par_iter().map(|query| tree.nearest(query, NonZeroUsize::MIN)[0].0).collect())
+    let mut nearest = vec![(f32::INFINITY, 0); queries.len()];
+    for (number, points) in points.chunks(TREE_POINTS).enumerate() {
+        let tree = KdTree::new(points)?;
+        nearest.par_iter_mut().zip(queries).for_each(|(nearest, query)| {
+            let (index, distance) = tree.nearest(query, NonZeroUsize::MIN)[0];
+            if distance < nearest.0 {
+                *nearest = (distance, number * TREE_POINTS + index);
+            }
+        });
+    }
+    Ok(nearest.into_iter().map(|(_, index)| index).collect())
 }
+
+/// A tree takes about 100 bytes a point, so large clouds have several, one after the other.
+const TREE_POINTS: usize = 1 << 16;
 
 fn nearest_of_all(points: &[Point], query: Point) -> usize {
     const RUN: usize = 64;
@@ -100,8 +112,10 @@ mod tests {
 
     #[test]
     fn the_tree_and_the_scan_find_the_same_point() {
-        let coordinate = |i: u32, axis: usize| (i * [7919, 104_729, 1_299_709][axis] % 10_007) as f32 * 1e-4;
-        let points: Vec<Point> = (0..1000).map(|i| std::array::from_fn(|axis| coordinate(i, axis))).collect();
+        let coordinate = |i: u32, axis: usize| (u64::from(i) * [7919, 104_729, 1_299_709][axis] % 10_007) as f32 * 1e-4;
+        // So many that points of several trees are equally near.
+        let points: Vec<Point> =
+            (0..2 * TREE_POINTS as u32 + 1000).map(|i| std::array::from_fn(|axis| coordinate(i, axis))).collect();
         let queries: Vec<Point> = (5000..5300).map(|i| std::array::from_fn(|axis| coordinate(i, axis))).collect();
         let scanned: Vec<usize> = queries.iter().map(|&query| nearest_of_all(&points, query)).collect();
         assert_eq!(nearest_points(&points, &queries).unwrap(), scanned);

@@ -2,12 +2,13 @@
 
 mod pointnet;
 mod unet;
+mod voxel_groups;
 
 use rayon::prelude::*;
 
-use self::pointnet::PointNet;
-pub(crate) use self::pointnet::VoxelGroups;
+pub(crate) use self::pointnet::PointNet;
 use self::unet::UNet3d;
+pub(crate) use self::voxel_groups::VoxelGroups;
 use crate::Result;
 use crate::model::ModelConfig;
 use crate::nn::Tensor;
@@ -21,7 +22,7 @@ use snake_kernels::{ConstantRegion, channel_sums};
 #[derive(Debug)]
 pub(crate) struct Encoder {
     frame: VolumeFrame,
-    pointnet: PointNet,
+    pub(crate) pointnet: PointNet,
     unet: UNet3d,
 }
 
@@ -34,37 +35,31 @@ impl Encoder {
         })
     }
 
-    /// What [`Encoder::encode`] counts for so many points: each point in each pass over them, which are grouping, those of
-    /// the PointNet and scattering, and the voxels of the U-Net, which take about as long.
+    /// What [`Encoder::encode`] counts for so many points: each point when it is grouped and in each layer of the PointNet,
+    /// and the voxels of the U-Net, which take about as long.
     pub(crate) fn work(&self, num_points: usize) -> usize {
-        2 * num_points + self.pointnet.work(num_points) + self.unet.work(self.frame.size())
+        num_points + self.pointnet.work(num_points) + self.unet.work(self.frame.size())
     }
 
-    /// Points of the network's frame to the feature volume.
-    pub(crate) fn encode(&self, points: &[Point], counter: &Counter) -> Volume {
-        let groups = VoxelGroups::new(points, &self.frame);
-        counter.add(points.len());
-        let features = self.point_features(points, &groups, counter);
-        let volume = self.scatter_mean(&features, &groups, counter);
+    /// `num_points` points, which `point` gives in the network's frame, to the feature volume.
+    pub(crate) fn encode(&self, num_points: usize, point: impl Fn(usize) -> Point + Sync, counter: &Counter) -> Volume {
+        let groups = VoxelGroups::new(num_points, &point, &self.frame);
+        counter.add(num_points);
+        let means = self.pointnet.voxel_means(&groups, &point, counter);
+        let volume = self.scatter(&means, &groups);
+        drop((means, groups));
         Volume { frame: self.frame, channels: volume.channels, values: self.unet.forward(volume, counter) }
     }
 
-    /// Features `(points, c_dim)`.
-    pub(crate) fn point_features(&self, points: &[Point], groups: &VoxelGroups, counter: &Counter) -> Vec<f32> {
-        self.pointnet.features(points, groups, counter)
-    }
-
-    /// Mean feature of each voxel's points; voxels without points are zero.
-    pub(crate) fn scatter_mean(&self, features: &[f32], groups: &VoxelGroups, counter: &Counter) -> Tensor {
-        let channels = features.len() / groups.num_points();
-        let size = self.frame.size();
-        let means = groups.mean_pool(features, channels, counter);
+    /// The mean features of the occupied voxels at their places; voxels without points are zero.
+    pub(crate) fn scatter(&self, means: &[f32], groups: &VoxelGroups) -> Tensor {
+        let (size, channels) = (self.frame.size(), self.pointnet.channels());
         let mut values = self.unet.pool.take(size.iter().product::<usize>() * channels);
         values.par_chunks_mut(size[1] * size[2] * channels).for_each(|plane| plane.fill(0.0));
         for (voxel, mean) in groups.voxels().zip(means.chunks_exact(channels)) {
             values[voxel * channels..][..channels].copy_from_slice(mean);
         }
         let constant = Some(ConstantRegion::around(size, groups.voxels()));
-        Tensor { size, channels, values, sums: channel_sums(&means, channels), constant }
+        Tensor { size, channels, values, sums: channel_sums(means, channels), constant }
     }
 }

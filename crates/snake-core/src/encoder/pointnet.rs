@@ -1,91 +1,24 @@
 //! PointNet with local pooling: between blocks each point also sees the maximum over its voxel's points.
+//!
+//! Voxels do not influence each other. So the network takes a few voxels at a time through all of its blocks and keeps
+//! only their mean features: memory does not grow with the number of points.
 
 use rayon::prelude::*;
 
+use super::voxel_groups::VoxelGroups;
 use crate::Result;
 use crate::model::ModelConfig;
 use crate::nn::{Linear, ResnetBlockFc, TILE};
 use crate::points::Point;
 use crate::progress::Counter;
-use crate::volume::VolumeFrame;
 use crate::weights::Scope;
 use snake_kernels::Epilogue;
 
-/// Which points share a voxel.
-#[derive(Debug)]
-pub(crate) struct VoxelGroups {
-    /// Occupied voxels in rising order, each with the end of its run in `members`.
-    runs: Vec<(usize, usize)>,
-    /// Point indices, voxel by voxel, in rising order within a voxel.
-    members: Vec<u32>,
-    /// The run that each point belongs to.
-    run_of_point: Vec<u32>,
-}
+/// Points of the voxels that one task takes together: their features stay in the second-level cache.
+const CHUNK: usize = 2048;
 
-impl VoxelGroups {
-    pub(crate) fn new(points: &[Point], frame: &VolumeFrame) -> Self {
-        let mut keys: Vec<(usize, u32)> = points.iter().map(|&p| frame.voxel(p)).zip(0..).collect();
-        keys.par_sort_unstable();
-        let (mut runs, mut run_of_point) = (Vec::new(), vec![0; points.len()]);
-        for (end, &(voxel, point)) in (1..).zip(&keys) {
-            match runs.last_mut() {
-                Some((last, run_end)) if *last == voxel => *run_end = end,
-                _ => runs.push((voxel, end)),
-            }
-            run_of_point[point as usize] = runs.len() as u32 - 1;
-        }
-        Self { runs, members: keys.into_iter().map(|(_, point)| point).collect(), run_of_point }
-    }
-
-    pub(crate) fn num_points(&self) -> usize {
-        self.members.len()
-    }
-
-    /// Occupied voxels in rising order.
-    pub(crate) fn voxels(&self) -> impl Iterator<Item = usize> {
-        self.runs.iter().map(|run| run.0)
-    }
-
-    fn members(&self, run: usize) -> &[u32] {
-        let start = run.checked_sub(1).map_or(0, |before| self.runs[before].1);
-        &self.members[start..self.runs[run].1]
-    }
-
-    /// Maximum over each run's points: `(points, width)` to `(runs, width)`.
-    fn max_pool(&self, features: &[f32], width: usize, counter: &Counter) -> Vec<f32> {
-        self.pool(features, width, f32::NEG_INFINITY, f32::max, counter)
-    }
-
-    /// Mean over each run's points: `(points, width)` to `(runs, width)`.
-    pub(crate) fn mean_pool(&self, features: &[f32], width: usize, counter: &Counter) -> Vec<f32> {
-        let mut sums = self.pool(features, width, 0.0, |sum, feature| sum + feature, counter);
-        for (run, sum) in sums.chunks_exact_mut(width).enumerate() {
-            sum.iter_mut().for_each(|s| *s /= self.members(run).len() as f32);
-        }
-        sums
-    }
-
-    /// Combines the features of each run's points, in rising order of the points.
-    fn pool(
-        &self,
-        features: &[f32],
-        width: usize,
-        start: f32,
-        combine: impl Fn(f32, f32) -> f32 + Sync,
-        counter: &Counter,
-    ) -> Vec<f32> {
-        let mut pooled = vec![start; self.runs.len() * width];
-        pooled.par_chunks_mut(width).enumerate().for_each(|(run, pooled)| {
-            for &point in self.members(run) {
-                for (p, &f) in pooled.iter_mut().zip(&features[point as usize * width..]) {
-                    *p = combine(*p, f);
-                }
-            }
-            counter.add(self.members(run).len());
-        });
-        pooled
-    }
-}
+/// The features of voxels with more points are not stored between blocks but computed again.
+const LARGE: usize = 16 * CHUNK;
 
 /// The point encoder before scattering.
 #[derive(Debug)]
@@ -108,41 +41,190 @@ impl PointNet {
         })
     }
 
-    /// What [`PointNet::features`] counts: each point in each block, in the pooling between two, and in the last layer.
+    /// What [`PointNet::voxel_means`] counts: each point in each block and in the last layer.
     pub(crate) fn work(&self, num_points: usize) -> usize {
-        num_points * 2 * self.blocks.len()
+        num_points * (self.blocks.len() + 1)
     }
 
-    /// Features `(points, c_dim)` of points in the network's frame.
-    pub(crate) fn features(&self, points: &[Point], groups: &VoxelGroups, counter: &Counter) -> Vec<f32> {
-        let wide = 2 * self.hidden;
-        let mut features = vec![0.0; points.len() * self.hidden];
-        for (depth, block) in self.blocks.iter().enumerate() {
-            let pooled = if depth == 0 { Vec::new() } else { groups.max_pool(&features, self.hidden, counter) };
-            features.par_chunks_mut(TILE * self.hidden).enumerate().for_each(|(tile, features)| {
-                let first = tile * TILE;
-                let rows = features.len() / self.hidden;
-                let mut input = vec![0.0; rows * wide];
-                if depth == 0 {
-                    self.fc_pos.forward(points[first..first + rows].as_flattened(), &mut input, Epilogue::Store);
-                } else {
-                    for (row, input) in input.chunks_exact_mut(wide).enumerate() {
-                        let run = groups.run_of_point[first + row] as usize;
-                        input[..self.hidden].copy_from_slice(&features[row * self.hidden..][..self.hidden]);
-                        input[self.hidden..].copy_from_slice(&pooled[run * self.hidden..][..self.hidden]);
-                    }
-                }
-                block.forward(&input, features);
-                counter.add(rows);
-            });
+    /// Channels of a feature.
+    pub(crate) fn channels(&self) -> usize {
+        self.fc_c.outputs()
+    }
+
+    /// Mean feature of each occupied voxel's points, `(voxels, c_dim)`; `point` gives the grouped points in the network's
+    /// frame.
+    pub(crate) fn voxel_means(
+        &self,
+        groups: &VoxelGroups,
+        point: impl Fn(usize) -> Point + Sync,
+        counter: &Counter,
+    ) -> Vec<f32> {
+        let mut means = vec![0.0; groups.num_voxels() * self.channels()];
+        let (mut chunks, mut large) = (Vec::new(), Vec::new());
+        let mut rest = &mut means[..];
+        for voxels in groups.chunks(CHUNK) {
+            let means = rest.split_off_mut(..voxels.len() * self.channels()).unwrap_or_default();
+            let kind = if groups.num_points(voxels.clone()) <= LARGE { &mut chunks } else { &mut large };
+            kind.push((voxels, means));
         }
-        let c_dim = self.fc_c.outputs();
-        let mut output = vec![0.0; points.len() * c_dim];
-        let tiles = features.par_chunks(TILE * self.hidden);
-        output.par_chunks_mut(TILE * c_dim).zip(tiles).for_each(|(out, input)| {
-            self.fc_c.forward(input, out, Epilogue::Store);
-            counter.add(input.len() / self.hidden);
+        chunks.into_par_iter().for_each(|(voxels, means)| {
+            let points: Vec<Point> = groups.members(voxels.clone()).map(&point).collect();
+            let sizes: Vec<usize> = voxels.map(|voxel| groups.num_points(voxel..voxel + 1)).collect();
+            self.chunk_means(&points, &sizes, means);
+            counter.add(self.work(points.len()));
         });
-        output
+        for (voxel, mean) in large {
+            let points: Vec<Point> = groups.members(voxel).map(&point).collect();
+            self.large_voxel_mean(&points, mean, counter);
+        }
+        means
+    }
+
+    /// Adds up the mean features of voxels whose points lie one voxel after the other, as many as `sizes` says.
+    fn chunk_means(&self, points: &[Point], sizes: &[usize], means: &mut [f32]) {
+        let voxel_of_row: Vec<usize> =
+            sizes.iter().enumerate().flat_map(|(voxel, &size)| std::iter::repeat_n(voxel, size)).collect();
+        let mut features = vec![0.0; points.len() * self.hidden];
+        let mut maxima = vec![0.0; sizes.len() * self.hidden];
+        for depth in 0..self.blocks.len() {
+            if depth > 0 {
+                maxima.fill(f32::NEG_INFINITY);
+                pool(&features, self.hidden, &voxel_of_row, &mut maxima, f32::max);
+            }
+            let tiles = features.chunks_mut(TILE * self.hidden).zip(points.chunks(TILE));
+            for ((features, points), voxels) in tiles.zip(voxel_of_row.chunks(TILE)) {
+                self.block(depth, points, |row| &maxima[voxels[row] * self.hidden..], features);
+            }
+        }
+        for (features, voxels) in features.chunks(TILE * self.hidden).zip(voxel_of_row.chunks(TILE)) {
+            let mut output = vec![0.0; voxels.len() * self.channels()];
+            self.fc_c.forward(features, &mut output, Epilogue::Store);
+            pool(&output, self.channels(), voxels, means, |sum, feature| sum + feature);
+        }
+        for (mean, &size) in means.chunks_exact_mut(self.channels()).zip(sizes) {
+            mean.iter_mut().for_each(|sum| *sum /= size as f32);
+        }
+    }
+
+    /// The mean feature of one voxel: after each pooling all blocks before it run again, so that only some features are in
+    /// memory at a time.
+    fn large_voxel_mean(&self, points: &[Point], mean: &mut [f32], counter: &Counter) {
+        let mut maxima: Vec<Vec<f32>> = Vec::new();
+        for depth in 0..self.blocks.len() - 1 {
+            let of_chunk = |chunk: &[Point]| {
+                let mut most = vec![f32::NEG_INFINITY; self.hidden];
+                for tile in chunk.chunks(TILE) {
+                    let features = self.features_to(depth, tile, &maxima);
+                    pool(&features, self.hidden, &[0; TILE], &mut most, f32::max);
+                }
+                counter.add(chunk.len());
+                most
+            };
+            let of_chunks: Vec<Vec<f32>> = points.par_chunks(CHUNK).map(of_chunk).collect();
+            let mut most = vec![f32::NEG_INFINITY; self.hidden];
+            of_chunks.iter().for_each(|of_chunk| pool(of_chunk, self.hidden, &[0], &mut most, f32::max));
+            maxima.push(most);
+        }
+        for points in points.chunks(LARGE) {
+            let outputs = points.par_chunks(TILE).map(|tile| {
+                let mut output = vec![0.0; tile.len() * self.channels()];
+                self.fc_c.forward(&self.features_to(self.blocks.len() - 1, tile, &maxima), &mut output, Epilogue::Store);
+                output
+            });
+            for output in outputs.collect::<Vec<_>>() {
+                pool(&output, self.channels(), &[0; TILE], mean, |sum, feature| sum + feature);
+            }
+            counter.add(2 * points.len());
+        }
+        mean.iter_mut().for_each(|sum| *sum /= points.len() as f32);
+    }
+
+    /// The features `(points, hidden)` after block `depth` of a tile of points in one voxel, from the maxima over that
+    /// voxel after each block before.
+    fn features_to(&self, depth: usize, points: &[Point], maxima: &[Vec<f32>]) -> Vec<f32> {
+        let mut features = vec![0.0; points.len() * self.hidden];
+        self.block(0, points, |_| &[], &mut features);
+        for depth in 1..=depth {
+            self.block(depth, points, |_| &maxima[depth - 1], &mut features);
+        }
+        features
+    }
+
+    /// One block for a tile of points: replaces their features by the block's output. `maxima` begins for each row with
+    /// the maximum over its voxel; the first block does not read it.
+    fn block<'a>(&self, depth: usize, points: &[Point], maxima: impl Fn(usize) -> &'a [f32], features: &mut [f32]) {
+        let mut input = vec![0.0; points.len() * 2 * self.hidden];
+        if depth == 0 {
+            self.fc_pos.forward(points.as_flattened(), &mut input, Epilogue::Store);
+        } else {
+            let rows = input.chunks_exact_mut(2 * self.hidden).zip(features.chunks_exact(self.hidden));
+            for (row, (input, feature)) in rows.enumerate() {
+                input[..self.hidden].copy_from_slice(feature);
+                input[self.hidden..].copy_from_slice(&maxima(row)[..self.hidden]);
+            }
+        }
+        self.blocks[depth].forward(&input, features);
+    }
+}
+
+/// Combines the rows of `features` with the row of `pooled` that `target` names for each, one after the other.
+fn pool(features: &[f32], width: usize, target: &[usize], pooled: &mut [f32], combine: impl Fn(f32, f32) -> f32) {
+    for (feature, &target) in features.chunks_exact(width).zip(target) {
+        for (pooled, &value) in pooled[target * width..].iter_mut().zip(feature) {
+            *pooled = combine(*pooled, value);
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use rand::{RngExt, SeedableRng};
+    use rand_chacha::ChaCha8Rng;
+
+    use super::*;
+    use crate::Model;
+    use crate::volume::VolumeFrame;
+
+    impl PointNet {
+        /// The textbook: features `(points, c_dim)` of all points, and the mean over each occupied voxel.
+        pub(crate) fn plain(&self, points: &[Point], frame: &VolumeFrame) -> [Vec<f32>; 2] {
+            let mut voxels: Vec<usize> = points.iter().map(|&point| frame.voxel(point)).collect();
+            let mut occupied = voxels.clone();
+            occupied.sort_unstable();
+            occupied.dedup();
+            voxels.iter_mut().for_each(|voxel| *voxel = occupied.partition_point(|other| other < voxel));
+            let mut features = vec![0.0; points.len() * self.hidden];
+            for depth in 0..self.blocks.len() {
+                let mut maxima = vec![f32::NEG_INFINITY; occupied.len() * self.hidden];
+                pool(&features, self.hidden, &voxels, &mut maxima, f32::max);
+                self.block(depth, points, |row| &maxima[voxels[row] * self.hidden..], &mut features);
+            }
+            let mut output = vec![0.0; points.len() * self.channels()];
+            self.fc_c.forward(&features, &mut output, Epilogue::Store);
+            let mut means = vec![0.0; occupied.len() * self.channels()];
+            pool(&output, self.channels(), &voxels, &mut means, |sum, feature| sum + feature);
+            for (voxel, mean) in means.chunks_exact_mut(self.channels()).enumerate() {
+                let size = voxels.iter().filter(|&&other| other == voxel).count();
+                mean.iter_mut().for_each(|sum| *sum /= size as f32);
+            }
+            [output, means]
+        }
+    }
+
+    #[test]
+    fn voxels_of_any_size_have_the_bits_of_the_textbook() {
+        let model = Model::builtin().unwrap();
+        let (net, frame) = (&model.network().encoder.pointnet, model.config().frame);
+        let mut random = ChaCha8Rng::seed_from_u64(1);
+        // Crowds in a few voxels, as of a scan with an outlier, between points all over the volume.
+        for (crowd, others) in
+            [(0, 1), (0, 700), (1, 63), (65, 64), (CHUNK, 3000), (LARGE, 500), (LARGE + 1, 7), (2 * LARGE + 99, 0)]
+        {
+            let mut point = |size: f32| std::array::from_fn(|_| size * (random.random::<f32>() - 0.5));
+            let points: Vec<Point> = (0..crowd + others).map(|i| point(if i < crowd { 0.02 } else { 1.0 })).collect();
+            let groups = VoxelGroups::new(points.len(), |index| points[index], &frame);
+            let means = net.voxel_means(&groups, |index| points[index], &Counter::default());
+            assert_eq!(means, net.plain(&points, &frame)[1], "{crowd} and {others}");
+        }
     }
 }

@@ -114,6 +114,9 @@ pub fn parse_cloud(bytes: &[u8], format: PointFormat, options: &ReadOptions) -> 
 }
 
 fn parse(bytes: &[u8], format: PointFormat, options: &ReadOptions) -> std::result::Result<Cloud, String> {
+    if let (PointFormat::Npy, None) = (format, options.sample) {
+        return npy::positions(bytes).map(Cloud::from_positions);
+    }
     let shape = read_shape(bytes, format, options.sample.is_some())?;
     match options.sample {
         Some(number) => shape.sample(number, options.seed).map(Shape::into_cloud),

@@ -12,12 +12,17 @@ pub(super) const MAGIC: &[u8] = b"\x93NUMPY";
 /// Reads x, y, z from the first three columns of an array of shape `(N, C)`, `C >= 3`.
 ///
 /// Items may be `f4`, `f8` or integers of any width, of either byte order, rows or columns contiguous.
-pub(super) fn read(bytes: &[u8]) -> Result<Shape, String> {
+pub(super) fn positions(bytes: &[u8]) -> Result<impl Iterator<Item = Position> + Clone, String> {
     let (array, data) = open(bytes)?;
     if array.clouds.is_some() {
         return Err("an array of shape (S, N, C) is several clouds; needed is (N, 3) or more columns".into());
     }
-    Ok(array.cloud(data, 0).collect::<Vec<_>>().into())
+    Ok(array.cloud(data, 0))
+}
+
+/// [`positions`] as a shape without faces.
+pub(super) fn read(bytes: &[u8]) -> Result<Shape, String> {
+    Ok(positions(bytes)?.collect::<Vec<_>>().into())
 }
 
 /// Whether the beginning of a file is that of an array of shape `(N, C)`, `C >= 3`.
@@ -108,6 +113,7 @@ fn split_header(bytes: &[u8]) -> Option<(&[u8], &[u8])> {
     rest.split_at_checked(length.try_into().ok()?)
 }
 
+#[derive(Clone, Copy)]
 struct ArrayHeader {
     dtype: Dtype,
     fortran_order: bool,
@@ -151,7 +157,7 @@ impl ArrayHeader {
     }
 
     /// One cloud; the data must hold the whole array.
-    fn cloud(&self, data: &[u8], cloud: usize) -> impl Iterator<Item = Position> {
+    fn cloud(self, data: &[u8], cloud: usize) -> impl Iterator<Item = Position> + Clone {
         let data = self.data_of(data, cloud);
         (0..self.rows).map(move |row| std::array::from_fn(|column| self.item(data, row, column)))
     }
@@ -186,6 +192,7 @@ fn parse_shape(shape: &str) -> Option<(Option<usize>, usize, usize)> {
 }
 
 /// The type of an item; of PCD's too.
+#[derive(Clone, Copy)]
 pub(super) struct Dtype {
     kind: u8,
     /// In bytes.

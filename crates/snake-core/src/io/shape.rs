@@ -28,6 +28,14 @@ pub struct Cloud {
 }
 
 impl Cloud {
+    /// The points as `f32`, relative to an origin where they need one. They are gone through twice, so that they need not
+    /// all be in memory.
+    pub(super) fn from_positions(positions: impl Iterator<Item = Position> + Clone) -> Self {
+        let origin = origin(positions.clone());
+        let point = |p: Position| -> Point { std::array::from_fn(|axis| (p[axis] - origin[axis]) as f32) };
+        Self { points: positions.map(point).collect(), origin }
+    }
+
     /// The points with the origin added: of georeferenced scans they lose digits (at 5e6 m one step is 0.5 m).
     pub fn into_points(self) -> Vec<Point> {
         let Self { mut points, origin } = self;
@@ -58,9 +66,7 @@ impl Shape {
 
     /// The points as `f32`, relative to an origin where they need one.
     pub(super) fn into_cloud(self) -> Cloud {
-        let origin = origin(&self.points);
-        let point = |p: Position| -> Point { std::array::from_fn(|axis| (p[axis] - origin[axis]) as f32) };
-        Cloud { points: self.points.into_iter().map(point).collect(), origin }
+        Cloud::from_positions(self.points.iter().copied())
     }
 
     /// `number` points of the surface, evenly by area: the area is cut into as many equal pieces, and each has a point
@@ -124,8 +130,8 @@ fn area([a, b, c]: [Position; 3]) -> f64 {
 }
 
 /// Zero, or for a cloud far from zero its centre, rounded to a power of two so that subtracting it is exact.
-fn origin(points: &[Position]) -> [f64; 3] {
-    let finite = || points.iter().filter(|point| point.iter().all(|v| v.is_finite()));
+fn origin(points: impl Iterator<Item = Position> + Clone) -> [f64; 3] {
+    let finite = || points.clone().filter(|point| point.iter().all(|v| v.is_finite()));
     let fold = |of: fn(f64, f64) -> f64, start: f64| {
         finite().fold([start; 3], |bound, point| std::array::from_fn(|axis| of(bound[axis], point[axis])))
     };
@@ -148,7 +154,7 @@ mod tests {
     #[test]
     fn origins_are_finite_at_both_ends_of_the_numbers() {
         for (low, high) in [([1e308, 1e308, 0.0], [1.1e308, 1.2e308, 0.0]), ([1.0, 0.0, 0.0], [1.0, 1e-320, 0.0])] {
-            assert!(origin(&[low, high]).iter().all(|v| v.is_finite()));
+            assert!(origin([low, high].into_iter()).iter().all(|v| v.is_finite()));
         }
     }
 

@@ -1,0 +1,75 @@
+//! How much memory reading and detection take for each point.
+
+use peak_alloc::PeakAlloc;
+use snake_core::io::{ReadOptions, read_cloud, write_points};
+use snake_core::{Model, Point, Preset};
+
+#[global_allocator]
+static MEMORY: PeakAlloc = PeakAlloc;
+
+/// Bytes at most, beside the cloud itself.
+const BYTES_PER_POINT: usize = 60;
+
+/// The most memory in use at a time while `work` runs, beyond what was in use before.
+fn peak<T>(work: impl FnOnce() -> T) -> (T, usize) {
+    let before = MEMORY.current_usage();
+    MEMORY.reset_peak_usage();
+    let result = work();
+    (result, MEMORY.peak_usage().saturating_sub(before))
+}
+
+/// A torus; with an outlier so far away that all other points share few voxels.
+fn cloud(num_points: usize, with_outlier: bool) -> Vec<Point> {
+    let angle = |i: usize, turns: f64| (i as f64 * turns).rem_euclid(1.0) * std::f64::consts::TAU;
+    let point = |i: usize| {
+        let (u, v) = (angle(i, 0.618_033_988_7), angle(i, 0.754_877_666_2));
+        let radius = 2.0 + 0.7 * v.cos();
+        [radius * u.cos(), radius * u.sin(), 0.7 * v.sin()].map(|v| v as f32)
+    };
+    let mut points: Vec<Point> = (0..num_points).map(point).collect();
+    if with_outlier {
+        points[0] = [1e3, 0.0, 0.0];
+    }
+    points
+}
+
+/// Of two clouds, so that what does not grow with the points is not counted.
+const SIZES: [usize; 2] = [100_000, 600_000];
+
+fn bytes_per_point(peaks: [usize; 2]) -> usize {
+    peaks[1].saturating_sub(peaks[0]) / (SIZES[1] - SIZES[0])
+}
+
+/// One test, as all tests of a process share its memory.
+#[test]
+fn memory_grows_by_few_bytes_for_each_point() {
+    let model = Model::builtin().unwrap();
+    let mut many_keypoints = *model.recommended();
+    many_keypoints.detect.max_keypoints = 1000;
+    many_keypoints.detect.saliency_threshold = 0.0;
+    for (name, options, with_outlier) in [
+        ("as recommended", *model.recommended(), false),
+        ("with an outlier", *model.recommended(), true),
+        ("with 1000 keypoints", many_keypoints, false),
+    ] {
+        let detect = |options: &Preset, points: &[Point]| model.detect(points, options).unwrap().counts.keypoints;
+        let of_size = |num_points| {
+            let points = cloud(num_points, with_outlier);
+            peak(|| detect(&options, &points)).1
+        };
+        of_size(SIZES[0]);
+        let bytes = bytes_per_point(SIZES.map(of_size));
+        assert!(bytes <= BYTES_PER_POINT, "{name}: {bytes} bytes a point");
+    }
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("cloud.npy");
+    let read = |num_points| {
+        write_points(&path, &cloud(num_points, false), [0.0; 3]).unwrap();
+        let (cloud, bytes) = peak(|| read_cloud(&path, &ReadOptions::default()).unwrap());
+        assert_eq!(cloud.points.len(), num_points);
+        bytes
+    };
+    // The file has 24 bytes a point, and the cloud 12.
+    let bytes = bytes_per_point(SIZES.map(read));
+    assert!(bytes <= 40, "reading: {bytes} bytes a point");
+}
