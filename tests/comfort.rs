@@ -242,7 +242,8 @@ fn a_long_call_shows_the_time_that_it_will_take() {
     let (program, cloud) = (env!("CARGO_BIN_EXE_snake-cli"), sample());
     let output = folder.path().join("page.html").display().to_string();
     for command in [format!("detect '{cloud}'"), format!("view '{cloud}' -o '{output}'")] {
-        let command = format!("'{program}' {command} --rotations 8 --refine-steps 10000");
+        let options = "--rotations 8 --refine-steps 120 --query-band 0 --occupancy-threshold 0";
+        let command = format!("'{program}' {command} {options}");
         let mut script = Command::new("script");
         script.args(["-qefc", &command, "/dev/null"]).stdin(Stdio::null());
         let mut child = script.stdout(Stdio::piped()).spawn().unwrap();

@@ -3,7 +3,7 @@
 use std::path::PathBuf;
 use std::time::Instant;
 
-use anyhow::Result;
+use anyhow::{Result, bail};
 use clap::{Args, Parser, Subcommand};
 use clap_complete::Shell;
 use serde::de::DeserializeOwned;
@@ -148,6 +148,9 @@ pub enum Command {
     },
 }
 
+/// Threads at most, where there are not more processors: a thousand on few processors only wait for each other.
+const MAX_THREADS: usize = 256;
+
 /// What every sub-command that computes takes.
 #[derive(Args)]
 pub struct ComputeArguments {
@@ -156,7 +159,7 @@ pub struct ComputeArguments {
     /// or in the user's data folder [default: compact].
     #[arg(long, value_name = "MODEL", env = "SNAKE_MODEL")]
     pub model: Option<PathBuf>,
-    /// Threads; default: all processors. The result does not depend on it.
+    /// Threads, at most 256 or the number of processors; default: all processors. The result does not depend on it.
     #[arg(long, value_name = "NUMBER", env = "SNAKE_THREADS", value_parser = clap::value_parser!(u16).range(1..))]
     pub threads: Option<u16>,
 }
@@ -165,6 +168,10 @@ impl ComputeArguments {
     /// Starts the threads; before anything is computed.
     pub fn start_threads(&self) -> Result<()> {
         if let Some(threads) = self.threads {
+            let most = std::thread::available_parallelism().map_or(1, usize::from).max(MAX_THREADS);
+            if usize::from(threads) > most {
+                bail!("--threads is {threads}: allowed is 1 to {most}");
+            }
             rayon::ThreadPoolBuilder::new().num_threads(threads.into()).build_global()?;
         }
         let simd = SimdLevel::current().name();

@@ -12,7 +12,7 @@ use crate::progress::Counter;
 use crate::query_grid::{QueryGrid, above_occupancy};
 use crate::refine::{Refined, refine};
 use crate::windows::WindowOptions;
-use crate::{Error, Result};
+use crate::{Error, ModelConfig, Result, budget};
 
 /// One keypoint, in the frame and units of the input cloud.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -102,11 +102,12 @@ impl Default for DetectOptions {
 }
 
 impl DetectOptions {
-    pub(crate) fn check(&self) -> Result<()> {
+    /// Also whether there are too many queries and steps for fields of so many copies.
+    pub(crate) fn check(&self, rotations: usize) -> Result<()> {
         let within = |name, value: f32, range: std::ops::RangeInclusive<f32>, allowed| {
             if range.contains(&value) { Ok(()) } else { Err(Error::Option { name, value: value.to_string(), allowed }) }
         };
-        within("query_resolution", self.query_resolution as f32, 1.0..=1024.0, "1 to 1024")?;
+        within("query_resolution", self.query_resolution as f32, 1.0..=256.0, "1 to 256")?;
         within("query_band", self.query_band as f32, 0.0..=1024.0, "0 to 1024 (voxels)")?;
         within("refine_steps", self.refine_steps as f32, 0.0..=10_000.0, "0 to 10000")?;
         within("refine_step_size", self.refine_step_size, 0.0..=1.0, "0 to 1 (network units)")?;
@@ -114,7 +115,8 @@ impl DetectOptions {
         within("surface_threshold", self.surface_threshold, 0.0..=1.0, "0 to 1")?;
         within("saliency_threshold", self.saliency_threshold, 0.0..=1.0, "0 to 1")?;
         let (Length::Units(nms_radius) | Length::Resolutions(nms_radius)) = self.nms_radius;
-        within("nms_radius", nms_radius as f32, 0.0..=f32::MAX, "0 or more (cloud units, or as in `3r` resolutions)")
+        within("nms_radius", nms_radius as f32, 0.0..=f32::MAX, "0 or more (cloud units, or as in `3r` resolutions)")?;
+        budget::check_queries(self.query_resolution, self.refine_steps, rotations)
     }
 
     /// The suppression radius in cloud units.
@@ -141,6 +143,18 @@ pub struct Preset {
 impl Preset {
     /// The names that [`Preset::named`] knows: the rows of the paper's table of hyper-parameters.
     pub const NAMES: [&'static str; 5] = ["modelnet40", "keypointnet", "smpl", "redwood", "3dmatch"];
+
+    /// Refuses what is out of its range, and what would ask for too much of the machine with that network.
+    pub(crate) fn check(&self, config: &ModelConfig) -> Result<()> {
+        self.windows.check()?;
+        let normalization = match self.windows.window_radius {
+            // A ball can be turned as the sphere can.
+            Some(_) => NormalizationMethod::UnitSphere,
+            None => self.encode.normalization,
+        };
+        EncodeOptions { normalization, ..self.encode }.check(config)?;
+        self.detect.check(self.encode.rotations)
+    }
 
     /// The test settings of one of the paper's data sets (appendix B, and the released code where the paper is silent).
     ///
@@ -258,7 +272,7 @@ impl Timing {
 /// # Errors
 /// [`Error::Option`] when an option is out of its range.
 pub fn detect(field: &Field, options: &DetectOptions) -> Result<Detection> {
-    options.check()?;
+    options.check(field.num_copies())?;
     let nms_radius = options.nms_radius(field.points())?;
     let candidates = Candidates::of(field, options, |_| true);
     let occupancy = |_: &[usize], positions: &[Point]| field.occupancy(positions);

@@ -7,13 +7,13 @@ use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
 use crate::decoder::Decoder;
-use crate::model::Model;
+use crate::model::{Model, ModelConfig};
 use crate::nn::TILE;
 use crate::points::{FinitePoints, Normalization, NormalizationMethod, Point, check_points};
 use crate::progress::Counter;
 use crate::rotations::{self, Rotation, turned, turned_back};
 use crate::volume::{Volume, VolumeFrame};
-use crate::{Error, Result, weights};
+use crate::{Error, Result, budget, weights};
 
 /// How a cloud becomes a field.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
@@ -39,7 +39,8 @@ impl Default for EncodeOptions {
 }
 
 impl EncodeOptions {
-    pub(crate) fn check(&self) -> Result<()> {
+    /// Also whether a network's volumes leave room for so many copies.
+    pub(crate) fn check(&self, config: &ModelConfig) -> Result<()> {
         let unit_sphere = self.normalization == NormalizationMethod::UnitSphere;
         if !(1..=64).contains(&self.rotations) || (self.rotations > 1 && !unit_sphere) {
             let allowed = "1 to 64, above 1 only with unit-sphere normalization or in windows";
@@ -48,7 +49,7 @@ impl EncodeOptions {
         if self.max_points == Some(0) {
             return Err(Error::Option { name: "max_points", value: "0".into(), allowed: "1 or more" });
         }
-        Ok(())
+        budget::check_rotations(self.rotations, config)
     }
 
     /// The points that are encoded: all, or at most `max_points` of them.
@@ -86,12 +87,15 @@ struct View {
 
 impl View {
     fn all(model: &Model, points: &[Point], normalization: Normalization, rotations: usize) -> Result<Vec<Self>> {
-        let network_points: Vec<Point> = points.iter().map(|&point| normalization.to_network(point)).collect();
+        if u32::try_from(points.len()).is_err() {
+            let reason = format!("{} points, at most {} can be encoded; give max_points", points.len(), u32::MAX);
+            return Err(Error::Input { what: "points", reason });
+        }
         let encoder = &model.network().encoder;
         let counter = Counter::begin(model.progress(), "encoding", rotations * encoder.work(points.len()));
         let views = rotations::spread(rotations).into_iter().map(|rotation| {
-            let turned: Vec<Point> = network_points.iter().map(|&point| turned(&rotation, point)).collect();
-            let volume = encoder.encode(&turned, &counter);
+            let point = |index: usize| turned(&rotation, normalization.to_network(points[index]));
+            let volume = encoder.encode(points.len(), point, &counter);
             match volume.values.par_iter().all(|value| value.is_finite()) {
                 true => Ok(Self { rotation, volume }),
                 false => {
@@ -121,7 +125,7 @@ impl Quantity {
 
 impl Field {
     pub(crate) fn new(model: Model, points: &[Point], options: &EncodeOptions) -> Result<Self> {
-        options.check()?;
+        options.check(model.config())?;
         let num_given = points.len();
         let finite = FinitePoints::of("points", points)?;
         let points = &finite.points;
@@ -182,6 +186,11 @@ impl Field {
     /// How many of the points were encoded.
     pub fn num_encoded(&self) -> usize {
         self.num_encoded
+    }
+
+    /// How many copies of the cloud were encoded.
+    pub(crate) fn num_copies(&self) -> usize {
+        self.views.len()
     }
 
     /// The feature volume of the cloud as it is; of other rotations there are others.

@@ -19,6 +19,7 @@ pub mod io;
 pub mod metrics;
 pub mod registration;
 
+mod budget;
 mod decoder;
 mod detect;
 mod encoder;

@@ -14,14 +14,11 @@ use crate::progress::Progress;
 use crate::volume::VolumeFrame;
 use crate::weights::{self, Weights};
 use crate::windows::detect_in_windows;
-use crate::{Error, Result};
+use crate::{Error, Result, budget};
 
 const COMPACT: &[u8] = include_bytes!("../models/compact.safetensors");
 const STANDARD: &[u8] = include_bytes!("../models/standard.safetensors");
 const ROOMS: &[u8] = include_bytes!("../models/rooms.safetensors");
-
-/// The metadata alone could otherwise ask for more memory than any machine has: 1 GiB, 32 channels in 203³ voxels.
-const MAX_VOLUME_VALUES: usize = 1 << 28;
 
 /// The shape of a network, read from the weight file's metadata.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -79,16 +76,7 @@ impl ModelConfig {
                 text.into(),
             ));
         }
-        let channels = config.c_dim.max(config.unet_base_channels);
-        let values = resolution.iter().product::<usize>() * channels;
-        if values > MAX_VOLUME_VALUES {
-            let found = format!("{text} voxels of {channels} channels, {values} values");
-            return Err(weights::error(
-                "resolution",
-                &format!("a volume of at most {MAX_VOLUME_VALUES} values"),
-                found,
-            ));
-        }
+        budget::check_volume(&config)?;
         let z_extent = z_max - z_min;
         if !((0.0..=10.0).contains(&padding) && z_extent > 0.0 && z_extent < 1e3) {
             let found = format!("padding {padding}, z from {z_min} to {z_max}");
@@ -179,8 +167,7 @@ impl Model {
             saliency: Decoder::saliency(&file.at("decoder_keypoint"), &config)?,
             num_parameters: file.num_parameters(),
         };
-        network.recommended.encode.check()?;
-        network.recommended.detect.check()?;
+        network.recommended.check(&config)?;
         file.finish()?;
         Ok(Self { network: Arc::new(network), progress: None })
     }
@@ -235,10 +222,10 @@ impl Model {
     /// # Errors
     /// Those of [`Model::encode`] and [`detect`].
     pub fn detect(&self, points: &[Point], options: &Preset) -> Result<Detection> {
+        options.check(self.config())?;
         if let Some(radius) = options.windows.window_radius {
             return detect_in_windows(self, points, radius, options);
         }
-        options.detect.check()?;
         let start = Instant::now();
         let field = self.encode(points, &options.encode)?;
         let encode = start.elapsed().as_secs_f64();

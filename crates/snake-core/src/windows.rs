@@ -8,7 +8,7 @@ use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
 use crate::detect::{Candidates, Detection, Preset, finish};
-use crate::field::{EncodeOptions, Field};
+use crate::field::Field;
 use crate::kd_tree::KdTree;
 use crate::length::Length;
 use crate::model::Model;
@@ -26,6 +26,29 @@ pub struct WindowOptions {
     pub window_radius: Option<Length>,
 }
 
+impl WindowOptions {
+    pub(crate) fn check(&self) -> Result<()> {
+        match self.window_radius {
+            // A multiple has the range of a length; what it multiplies is known later.
+            Some(length @ (Length::Units(value) | Length::Resolutions(value))) => {
+                check_radius(value, || length.to_string())
+            }
+            None => Ok(()),
+        }
+    }
+}
+
+/// As of the extents of clouds: squared distances must neither vanish nor overflow in f32.
+fn check_radius(radius: f64, shown: impl FnOnce() -> String) -> Result<()> {
+    match (1e-15..=1e15).contains(&radius) {
+        true => Ok(()),
+        false => {
+            let allowed = "1e-15 to 1e15 (cloud units, or as in `40r` resolutions)";
+            Err(Error::Option { name: "window_radius", value: shown(), allowed })
+        }
+    }
+}
+
 /// Side of the cells whose points' means are the middles of windows, in units of the radius: what a window answers for
 /// lies well within it.
 const SPACING: f32 = 0.8;
@@ -41,18 +64,10 @@ pub(crate) fn detect_in_windows(
     options: &Preset,
 ) -> Result<Detection> {
     let Preset { encode, detect: options, .. } = options;
-    // A ball can be turned as the sphere can.
-    EncodeOptions { normalization: NormalizationMethod::UnitSphere, ..*encode }.check()?;
-    options.check()?;
     let finite = FinitePoints::of("points", points)?;
-    let radius = match radius.in_units("window_radius", &finite.points)? {
-        // As the extents of clouds: squared distances must neither vanish nor overflow in f32.
-        units if (1e-15..=1e15).contains(&units) => units as f32,
-        units => {
-            let allowed = "1e-15 to 1e15 (cloud units)";
-            return Err(Error::Option { name: "window_radius", value: format!("{units:e}"), allowed });
-        }
-    };
+    let radius = radius.in_units("window_radius", &finite.points)?;
+    check_radius(radius, || format!("{radius:e}"))?;
+    let radius = radius as f32;
     let nms_radius = options.nms_radius(&finite.points)?;
     let encoded = encode.sample(&finite.points);
     // Refuses extents whose squares vanish or overflow.

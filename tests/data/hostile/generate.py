@@ -78,6 +78,11 @@ def with_header(header, data):
     return struct.pack("<Q", len(text)) + text + data
 
 
+def options(recommended, metadata=None):
+    """A weight file that recommends these options."""
+    return weight_file((metadata or {}) | {"recommended_options": json.dumps(recommended)})
+
+
 def weight_files():
     good = weight_file()
     length = 8 + int.from_bytes(good[:8], "little")
@@ -119,6 +124,16 @@ def weight_files():
         "options_unknown": weight_file({"recommended_options": '{"detect": {"potatoes": 1}}'}),
         "options_out_of_range": weight_file({"recommended_options": '{"detect": {"query_resolution": 100000}}'}),
         "options_of_encoding_out_of_range": weight_file({"recommended_options": '{"encode": {"rotations": 1000000}}'}),
+        "resolution_512": weight_file({"resolution": "[512, 512, 512]"}),
+        "options_query_resolution_1024": options({"detect": {"query_resolution": 1024}}),
+        "options_rotations_64_on_128": options({"encode": {"rotations": 64}}, {"resolution": "[128, 128, 128]"}),
+        "options_rotations_in_a_cube": options({"encode": {"rotations": 2, "normalization": "unit-cube"}}),
+        "options_refine_steps_10000": options({"detect": {"refine_steps": 10000}}),
+        "options_steps_times_rotations": options({"encode": {"rotations": 64}, "detect": {"refine_steps": 100}}),
+        "options_window_radius_0": options({"windows": {"window_radius": 0}}),
+        "options_window_radius_1e-16": options({"windows": {"window_radius": 1e-16}}),
+        "options_window_radius_1e-15": options({"windows": {"window_radius": 1e-15}}),
+        "options_window_radius_1e-9r": options({"windows": {"window_radius": "1e-9r"}}),
         "metadata_not_text": with_header({"__metadata__": {"format": 3}}, b""),
     }
 

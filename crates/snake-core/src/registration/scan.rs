@@ -84,12 +84,14 @@ impl Scan {
         Ok(Self { voxels, normals, voxel_size, feature_radius, field, fpfh: OnceLock::new() })
     }
 
-    /// At most `count` keypoints, the best first. Only random points depend on the seed.
+    /// At most `count` keypoints, and no more than the cloud has points, the best first. Only random points depend on the seed.
     ///
     /// # Errors
     /// [`Error::Input`](crate::Error::Input) when a classical detector finds a single voxel;
     /// [`Error::Option`](crate::Error::Option) when it is asked for none.
     pub fn keypoints(&self, detector: KeypointDetector, count: usize, seed: u64) -> Result<Vec<Point>> {
+        // More than the points say nothing new, and matching takes time by the square of their number.
+        let count = count.min(self.field.points().len());
         let classical = match detector {
             KeypointDetector::Snake => return self.salient_points(count),
             KeypointDetector::Iss => Detector::Iss(IssOptions::default()),
@@ -190,6 +192,9 @@ mod tests {
             assert!(!earlier.contains(&found), "{detector:?}");
             earlier.push(found);
         }
+        let sparse: Vec<Point> = sample().into_iter().step_by(20).collect();
+        let scan_of_sparse = Scan::new(&sparse, &Model::builtin().unwrap(), 1e-3).unwrap();
+        assert_eq!(scan_of_sparse.keypoints(Snake, 100_000, 0).unwrap().len(), sparse.len());
         let error = scan.keypoints(Iss, 0, 0).unwrap_err().to_string();
         assert!(error.contains("count"), "{error}");
     }

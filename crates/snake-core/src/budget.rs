@@ -1,0 +1,91 @@
+//! What a network and its options may ask of the machine: within the ranges of single options, a weight file of some
+//! kilobytes could otherwise ask for hours and for all memory.
+
+use crate::{Error, ModelConfig, Result, weights};
+
+/// Values of one feature volume: 256 MiB. The U-Net holds about five volumes at a time.
+const MAX_VOLUME_VALUES: usize = 1 << 26;
+
+/// Values of the feature volumes of all copies of a cloud: 1 GiB.
+const MAX_COPIES_VALUES: usize = 1 << 28;
+
+/// Evaluations of the decoders: a minute on four cores for the built-in networks, if every query is occupied.
+const MAX_EVALUATIONS: usize = 1 << 28;
+
+/// Channels that any voxel costs: the kernels compute so many at once.
+const LEAST_CHANNELS: usize = 16;
+
+/// Values of a feature volume, or of the widest one of that resolution in the U-Net.
+fn volume_values(config: &ModelConfig) -> usize {
+    let channels = config.c_dim.max(config.unet_base_channels).max(LEAST_CHANNELS);
+    config.frame.resolution.iter().product::<usize>() * channels
+}
+
+/// Refuses a network whose feature volume would be too large.
+pub(crate) fn check_volume(config: &ModelConfig) -> Result<()> {
+    let values = volume_values(config);
+    if values <= MAX_VOLUME_VALUES {
+        return Ok(());
+    }
+    let [x, y, z] = config.frame.resolution;
+    let channels = config.c_dim.max(config.unet_base_channels).max(LEAST_CHANNELS);
+    let found =
+        format!("{x} x {y} x {z} voxels of {channels} channels (at least {LEAST_CHANNELS} count), {values} values");
+    Err(weights::error("resolution", &format!("a volume of at most {MAX_VOLUME_VALUES} values"), found))
+}
+
+/// Refuses more copies of a cloud than the volumes of a network leave room for.
+pub(crate) fn check_rotations(rotations: usize, config: &ModelConfig) -> Result<()> {
+    let values = volume_values(config);
+    if rotations.saturating_mul(values) <= MAX_COPIES_VALUES {
+        return Ok(());
+    }
+    let value = format!("{rotations}, with volumes of {values} values");
+    Err(Error::Option { name: "rotations", value, allowed: "up to 268435456 values in all volumes together" })
+}
+
+/// Refuses more queries, steps and copies than can be evaluated in a minute or two.
+pub(crate) fn check_queries(query_resolution: usize, refine_steps: usize, rotations: usize) -> Result<()> {
+    let factors = [query_resolution, query_resolution, query_resolution, refine_steps.saturating_add(1), rotations];
+    if factors.into_iter().fold(1, usize::saturating_mul) <= MAX_EVALUATIONS {
+        return Ok(());
+    }
+    let value = format!("{query_resolution}, with {refine_steps} refine_steps and {rotations} rotations");
+    let allowed = "query_resolution³ × (refine_steps + 1) × rotations up to 268435456";
+    Err(Error::Option { name: "query_resolution", value, allowed })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::Model;
+
+    #[test]
+    fn the_limits_in_messages_are_those_that_are_checked() {
+        let mut config = *Model::builtin().unwrap().config();
+        config.frame.resolution = [128; 3];
+        check_volume(&config).unwrap();
+        check_rotations(4, &config).unwrap();
+        let error = check_rotations(5, &config).unwrap_err().to_string();
+        assert!(error.contains(&MAX_COPIES_VALUES.to_string()) && error.contains("is 5, with"), "{error}");
+        config.frame.resolution[0] += 1;
+        let error = check_volume(&config).unwrap_err().to_string();
+        assert!(error.contains("129 x 128 x 128") && error.contains(&MAX_VOLUME_VALUES.to_string()), "{error}");
+        check_queries(256, 15, 1).unwrap();
+        check_queries(64, 15, 64).unwrap();
+        for (resolution, steps, rotations) in [(256, 16, 1), (64, 16, 64), (usize::MAX, 0, 1), (1, usize::MAX, 2)] {
+            let error = check_queries(resolution, steps, rotations).unwrap_err().to_string();
+            assert!(error.contains(&MAX_EVALUATIONS.to_string()), "{error}");
+        }
+    }
+
+    /// The largest networks and the most queries of the paper, with some copies.
+    #[test]
+    fn the_papers_settings_are_within_the_budget() {
+        let mut config = *Model::builtin().unwrap().config();
+        config.frame.resolution = [64; 3];
+        check_volume(&config).unwrap();
+        check_rotations(32, &config).unwrap();
+        check_queries(100, 10, 16).unwrap();
+    }
+}
