@@ -128,7 +128,11 @@ impl PointNet {
         for points in points.chunks(LARGE) {
             let outputs = points.par_chunks(TILE).map(|tile| {
                 let mut output = vec![0.0; tile.len() * self.channels()];
-                self.fc_c.forward(&self.features_to(self.blocks.len() - 1, tile, &maxima), &mut output, Epilogue::Store);
+                self.fc_c.forward(
+                    &self.features_to(self.blocks.len() - 1, tile, &maxima),
+                    &mut output,
+                    Epilogue::Store,
+                );
                 output
             });
             for output in outputs.collect::<Vec<_>>() {
