@@ -256,6 +256,16 @@ impl Timing {
         self.refine += other.refine;
         self.nms += other.nms;
     }
+
+    /// Divides the seconds of threads that worked side by side so that their sum is the time that passed.
+    pub(crate) fn scale_to(&mut self, seconds: f64) {
+        let sum = self.encode + self.occupancy + self.refine;
+        if sum > 0.0 {
+            for stage in [&mut self.encode, &mut self.occupancy, &mut self.refine] {
+                *stage *= seconds / sum;
+            }
+        }
+    }
 }
 
 /// Finds the keypoints of an encoded cloud (SNAKE Algorithm 1). A field without surface has none.

@@ -87,10 +87,7 @@ struct View {
 
 impl View {
     fn all(model: &Model, points: &[Point], normalization: Normalization, rotations: usize) -> Result<Vec<Self>> {
-        if u32::try_from(points.len()).is_err() {
-            let reason = format!("{} points, at most {} can be encoded; give max_points", points.len(), u32::MAX);
-            return Err(Error::Input { what: "points", reason });
-        }
+        check_number_of_points(points.len())?;
         let encoder = &model.network().encoder;
         let counter = Counter::begin(model.progress(), "encoding", rotations * encoder.work(points.len()));
         let views = rotations::spread(rotations).into_iter().map(|rotation| {
@@ -104,6 +101,17 @@ impl View {
             }
         });
         views.collect()
+    }
+}
+
+/// Points are counted by 32 bits.
+pub(crate) fn check_number_of_points(number: usize) -> Result<()> {
+    match u32::try_from(number) {
+        Ok(_) => Ok(()),
+        Err(_) => {
+            let reason = format!("{number} points, at most {} can be encoded; give max_points", u32::MAX);
+            Err(Error::Input { what: "points", reason })
+        }
     }
 }
 

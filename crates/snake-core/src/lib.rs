@@ -39,9 +39,11 @@ mod progress;
 mod query_grid;
 mod refine;
 mod rotations;
+mod side_by_side;
 mod surface;
 mod volume;
 mod weights;
+mod window_cells;
 mod windows;
 
 pub use detect::{Counts, DetectOptions, Detection, Keypoint, Preset, RefineMethod, Selection, Timing, detect};

@@ -1,6 +1,5 @@
 //! Detection in windows: a large cloud as overlapping balls, each encoded by itself.
 
-use std::collections::BTreeMap;
 use std::num::NonZeroUsize;
 use std::time::Instant;
 
@@ -8,12 +7,14 @@ use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
 use crate::detect::{Candidates, Detection, Preset, finish};
-use crate::field::Field;
+use crate::field::{Field, check_number_of_points};
 use crate::kd_tree::KdTree;
 use crate::length::Length;
 use crate::model::Model;
 use crate::points::{FinitePoints, Normalization, NormalizationMethod, Point};
 use crate::progress::Counter;
+use crate::side_by_side::side_by_side;
+use crate::window_cells::{WindowCells, has_more_windows};
 use crate::{Error, Result};
 
 /// Options of detection in windows.
@@ -49,14 +50,13 @@ fn check_radius(radius: f64, shown: impl FnOnce() -> String) -> Result<()> {
     }
 }
 
-/// Side of the cells whose points' means are the middles of windows, in units of the radius: what a window answers for
-/// lies well within it.
-const SPACING: f32 = 0.8;
+/// Every cloud may have so many windows, however few its points.
+const FEW_WINDOWS: usize = 64;
 
-/// Keypoints of a cloud in windows of `radius`: of each window those of its queries that no other window's middle is
-/// nearer to, then the best of all together, as in [`detect`](crate::detect()).
+/// Detects keypoints in windows of `radius`: each window keeps the queries closest to its own centre, and the best of all
+/// windows together are suppressed as in [`detect`](crate::detect()).
 ///
-/// One window after the other: there is never more than one volume.
+/// Windows are encoded side by side: there are never more volumes than threads.
 pub(crate) fn detect_in_windows(
     model: &Model,
     points: &[Point],
@@ -70,42 +70,44 @@ pub(crate) fn detect_in_windows(
     let radius = radius as f32;
     let nms_radius = options.nms_radius(&finite.points)?;
     let encoded = encode.sample(&finite.points);
-    // Refuses extents whose squares vanish or overflow.
-    Normalization::of(&encoded, NormalizationMethod::UnitSphere)?;
-    let tree = KdTree::new(&encoded)?;
-    let middles = middles(&encoded, SPACING * radius);
-    let nearest_middle = KdTree::new(&middles)?;
+    check_number_of_points(encoded.len())?;
+    check_number_of_windows(&encoded, radius)?;
+    let cells = WindowCells::new(&encoded, radius);
+    let nearest_center = KdTree::new(&cells.centers)?;
     let snap = options.snap.then(|| KdTree::new(&finite.points)).transpose()?;
-    let (mut candidates, mut occupancy) = (Candidates::default(), Vec::new());
-    let counter = Counter::begin(model.progress(), "windows", middles.len());
+    let counter = Counter::begin(model.progress(), "windows", cells.centers.len());
     let of_window = model.without_progress();
-    for (window, &center) in middles.iter().enumerate() {
+    let look = |window: usize| -> Result<(Candidates, Vec<f32>)> {
         let start = Instant::now();
-        let mut inside = Vec::new();
-        tree.within(&center, radius * radius, |index, _| inside.push(index));
-        // Where coordinates are coarser than the radius, a rounded mean may have none.
-        if inside.is_empty() {
-            continue;
+        let seen = cells.points_of(window);
+        // Where coordinates are coarser than the radius, a rounded centre may see no point.
+        if seen.is_empty() {
+            return Ok(Default::default());
         }
-        inside.sort_unstable();
-        let seen = inside.into_iter().map(|index| encoded[index]).collect();
-        let normalization = Normalization { center, scale: 2.0 * radius };
+        let normalization = Normalization { center: cells.centers[window], scale: 2.0 * radius };
         let field = Field::normalized(of_window.clone(), seen, normalization, encode.rotations)?;
         let seconds = start.elapsed().as_secs_f64();
-        let owns = |position: &Point| nearest_middle.nearest(position, NonZeroUsize::MIN)[0].0 == window;
+        let owns = |position: &Point| nearest_center.nearest(position, NonZeroUsize::MIN)[0].0 == window;
         let mut found = Candidates::of(&field, options, owns);
         found.timing.encode = seconds;
         // Only this window's field knows the occupancy where its keypoints will be.
-        occupancy.extend(match &snap {
+        let occupancy = match &snap {
             Some(tree) => {
                 let nearest = |position: &Point| finite.points[tree.nearest(position, NonZeroUsize::MIN)[0].0];
                 field.occupancy(&found.positions.par_iter().map(nearest).collect::<Vec<_>>())?
             }
             None => field.occupancy(&found.positions)?,
-        });
-        candidates.append(found);
+        };
         counter.add(1);
+        Ok((found, occupancy))
+    };
+    let start = Instant::now();
+    let (mut candidates, mut occupancy) = (Candidates::default(), Vec::new());
+    for (of_window, occupancy_of_window) in side_by_side(cells.centers.len(), look)? {
+        candidates.append(of_window);
+        occupancy.extend(occupancy_of_window);
     }
+    candidates.timing.scale_to(start.elapsed().as_secs_f64());
     Counter::begin(model.progress(), "suppression", 0);
     let of_kept = |kept: &[usize], _: &[Point]| Ok(kept.iter().map(|&index| occupancy[index]).collect());
     let mut detection = finish(candidates, &finite, nms_radius, options, of_kept)?;
@@ -114,16 +116,33 @@ pub(crate) fn detect_in_windows(
     Ok(detection)
 }
 
-/// The mean of the points in each cell of a lattice of cells of that side, by ascending cell.
-fn middles(points: &[Point], side: f32) -> Vec<Point> {
-    let mut cells: BTreeMap<[i128; 3], ([f64; 3], u32)> = BTreeMap::new();
-    for point in points {
-        let cell = point.map(|v| (f64::from(v) / f64::from(side)).floor() as i128);
-        let (sum, number) = cells.entry(cell).or_default();
-        sum.iter_mut().zip(point).for_each(|(sum, &v)| *sum += f64::from(v));
-        *number += 1;
+/// Refuses more than one window for two points: each is encoded by itself, which takes hours for a large cloud and
+/// shows each window next to nothing. Refuses also extents whose squares vanish or overflow.
+fn check_number_of_windows(points: &[Point], radius: f32) -> Result<()> {
+    let extent = Normalization::of(points, NormalizationMethod::UnitSphere)?.scale;
+    let most = FEW_WINDOWS.max(points.len() / 2);
+    if !has_more_windows(points, radius, most) {
+        return Ok(());
     }
-    cells.into_values().map(|(sum, number)| sum.map(|v| (v / f64::from(number)) as f32)).collect()
+    let suggested = larger_radius(points, radius, extent);
+    let reason = format!(
+        "radius {radius} gives more than {most} windows for {} points, which is too many; {suggested} would suit them \
+         (--window-radius)",
+        points.len()
+    );
+    Err(Error::Input { what: "window_radius", reason })
+}
+
+/// A radius, with one digit, of windows with 16 points each on average, or of a single one.
+fn larger_radius(points: &[Point], radius: f32, extent: f32) -> f64 {
+    let mut suggested = extent;
+    while suggested / 2.0 > radius && !has_more_windows(points, suggested / 2.0, points.len() / 16) {
+        suggested /= 2.0;
+    }
+    let digit = 10_f64.powf(f64::from(suggested).log10().floor());
+    // Through text: a product with a power of ten has more digits.
+    let rounded = (f64::from(suggested) / digit).ceil() * digit;
+    format!("{rounded:.0e}").parse().unwrap_or(rounded)
 }
 
 #[cfg(test)]
@@ -154,18 +173,6 @@ mod tests {
     }
 
     #[test]
-    fn each_point_is_answered_for_by_a_window_that_has_it_well_inside() {
-        let points = plate();
-        let middles = middles(&points, SPACING);
-        assert!(middles.len() > 20 && middles.len() < 100, "{}", middles.len());
-        let nearest = |p: &Point| {
-            let distance = |m: &Point| (0..3).map(|axis| (m[axis] - p[axis]).powi(2)).sum::<f32>().sqrt();
-            middles.iter().map(distance).fold(f32::INFINITY, f32::min)
-        };
-        assert!(points.iter().map(nearest).fold(0.0, f32::max) < 0.75);
-    }
-
-    #[test]
     fn one_window_that_holds_the_cloud_is_its_field() {
         let points: Vec<Point> = plate().into_iter().skip(9600).take(800).collect();
         let model = Model::builtin().unwrap();
@@ -173,7 +180,7 @@ mod tests {
             let mut options = preset(5.0);
             options.detect.snap = snap;
             let found = model.detect(&points, &options).unwrap();
-            let center = middles(&points, SPACING * 5.0);
+            let center = WindowCells::new(&points, 5.0).centers;
             let [center] = center[..] else { panic!("{center:?}") };
             let scaled: Vec<Point> =
                 points.iter().map(|p| std::array::from_fn(|a| (p[a] - center[a]) / 10.0)).collect();
@@ -191,6 +198,37 @@ mod tests {
                 );
                 assert!((0..3).all(|axis| (a.position[axis] - (b.position[axis] * 10.0 + center[axis])).abs() < 1e-5));
             }
+        }
+    }
+
+    #[test]
+    fn any_number_of_threads_gives_the_same_bits() {
+        let model = Model::builtin().unwrap();
+        let points = plate();
+        let mut options = preset(0.6);
+        options.detect.query_resolution = 12;
+        let found = |threads| {
+            let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
+            let Detection { keypoints, counts, .. } = pool.install(|| model.detect(&points, &options)).unwrap();
+            (keypoints, counts)
+        };
+        let one = found(1);
+        assert!(one.1.windows > 60 && one.0.len() > 20, "{:?}", one.1);
+        for threads in [2, 3, 60] {
+            assert_eq!(found(threads), one);
+        }
+    }
+
+    #[test]
+    fn more_windows_than_half_the_points_are_refused_with_a_radius_that_suits_them() {
+        let model = Model::builtin().unwrap();
+        let points = plate();
+        for radius in [1e-15, 1e-9, 0.03] {
+            let error = model.detect(&points, &preset(radius)).unwrap_err().to_string();
+            assert!(error.starts_with("window_radius: ") && error.contains("--window-radius"), "{error}");
+            let suggested = error.split("too many; ").last().and_then(|end| end.split(' ').next()).unwrap();
+            let windows = WindowCells::new(&points, suggested.parse().unwrap()).centers.len();
+            assert!((points.len() / 200..points.len() / 4).contains(&windows), "{error}: {windows}");
         }
     }
 

@@ -111,15 +111,19 @@ impl Scan {
     }
 
     fn salient_points(&self, most: usize) -> Result<Vec<Point>> {
-        let recommended = *self.field.model().recommended();
-        let mut options = DetectOptions { saliency_threshold: 0.0, max_keypoints: most, ..recommended.detect };
-        let found = match recommended.windows.window_radius {
+        let model = self.field.model();
+        let recommended = *model.recommended();
+        let options = DetectOptions { saliency_threshold: 0.0, max_keypoints: most, ..recommended.detect };
+        let uses_windows = match recommended.windows.window_radius {
+            // Windows of hardly more than a voxel show nothing.
+            Some(Length::Units(radius)) => radius >= 2.0 * self.voxel_size,
+            radius => radius.is_some(),
+        };
+        let found = if uses_windows {
+            model.detect(&self.voxel_means(), &Preset { detect: options, ..recommended })?
+        } else {
             // The suppression radius that suits objects of any size is not one of this cloud's units; that of windows is.
-            None => {
-                options.nms_radius = Length::Units(self.voxel_size);
-                detect(&self.field, &options)?
-            }
-            Some(_) => self.field.model().detect(&self.voxel_means(), &Preset { detect: options, ..recommended })?,
+            detect(&self.field, &DetectOptions { nms_radius: Length::Units(self.voxel_size), ..options })?
         };
         Ok(found.keypoints.into_iter().map(|keypoint| keypoint.position).collect())
     }
