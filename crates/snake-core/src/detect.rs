@@ -55,7 +55,8 @@ pub enum Selection {
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct DetectOptions {
-    /// Queries along each axis of the starting grid, which spans the network's cube ±0.5.
+    /// Queries along each axis of the starting grid, which spans the network's cube ±0.5; 1 to 256, so that its cube times
+    /// `refine_steps + 1` times [`EncodeOptions::rotations`] is at most 2^28.
     pub query_resolution: usize,
     /// Queries more than this many voxels of the volume, along any axis, from every voxel with input points are dropped
     /// unasked: far from the points there is hardly ever a surface, and there are many such queries. 0: all are asked.
