@@ -7,7 +7,7 @@ use std::sync::{Mutex, PoisonError};
 
 use peak_alloc::PeakAlloc;
 use snake_core::io::{Cloud, PointFormat, ReadOptions, parse_cloud};
-use snake_core::{DetectOptions, EncodeOptions, Model, NormalizationMethod, Point, detect};
+use snake_core::{DetectOptions, EncodeOptions, Model, NormalizationMethod, Point};
 
 #[global_allocator]
 static MEMORY: PeakAlloc = PeakAlloc;
@@ -36,7 +36,7 @@ pub fn load_model(bytes: &[u8]) {
     let Ok(field) = model.encode(&points, &encode) else { return };
     let options = DetectOptions { query_resolution: 4, nms_radius: 0.1.into(), ..model.recommended().detect };
     let options = DetectOptions { refine_steps: options.refine_steps.min(3), ..options };
-    let found = detect(&field, &options).expect("the options were checked when the model was loaded");
+    let found = field.detect(&options).expect("the options were checked when the model was loaded");
     assert!(found.keypoints.iter().all(|k| k.position.iter().chain([&k.saliency]).all(|v| v.is_finite())));
 }
 

@@ -75,7 +75,7 @@ impl Field {
     fn descriptors<'py>(&self, queries: &Bound<'py, PyAny>) -> PyResult<Bound<'py, PyArray2<f32>>> {
         let (py, queries) = (queries.py(), arrays::points("queries", queries)?);
         let flat = threads::run(py, || self.0.descriptors(&queries))?;
-        arrays::rows(py, flat, self.0.model().config().c_dim)
+        arrays::rows(py, flat, self.0.config().c_dim)
     }
 
     /// A copy of the feature volume, (C, D, H, W) float32: D, H, W along z, y, x.
@@ -102,8 +102,8 @@ impl Field {
     /// used and TypeError for an unknown option.
     #[pyo3(signature = (**options))]
     fn detect(&self, py: Python<'_>, options: Option<&Bound<PyDict>>) -> PyResult<Keypoints> {
-        let preset = options::resolve("detect", &options::DETECT, self.0.model().recommended(), options)?;
-        let detection = threads::run(py, || core::detect(&self.0, &preset.detect))?;
+        let preset = options::resolve("detect", &options::DETECT, self.0.recommended(), options)?;
+        let detection = threads::run(py, || self.0.detect(&preset.detect))?;
         Keypoints::from_detection(py, detection)
     }
 

@@ -7,7 +7,7 @@ use std::time::Instant;
 use anyhow::{Context, Result, bail};
 use clap::Args;
 use serde_json::json;
-use snake_core::{MeshOptions, Progress, io};
+use snake_core::{Control, MeshOptions, Progress, io};
 
 use crate::args::{ComputeArguments, EncodeFlags, override_with};
 use crate::inputs::InputArguments;
@@ -53,7 +53,8 @@ pub fn run(arguments: &ReconstructArguments) -> Result<()> {
     override_with(&mut options.level, arguments.level);
     options.check()?;
     let progress = Progress::default();
-    let model = arguments.compute.load_model()?.with_progress(&progress);
+    let model = arguments.compute.load_model()?;
+    let control = Control::new().progress(&progress);
     let encode = arguments.encode.resolve(&model)?.encode;
     terminal::detail("options", || json!({ "encode": encode, "mesh": options }).to_string());
     let bar = terminal::stages(&progress)?;
@@ -61,9 +62,9 @@ pub fn run(arguments: &ReconstructArguments) -> Result<()> {
     let start = Instant::now();
     let points = arguments.reading.read(input, encode.seed)?.into_points();
     let read = start.elapsed().as_secs_f64();
-    let field = model.encode(&points, &encode).with_context(|| input.display().to_string())?;
+    let field = model.encode_with(&points, &encode, &control).with_context(|| input.display().to_string())?;
     let encoded = start.elapsed().as_secs_f64();
-    let mesh = field.mesh(&options)?;
+    let mesh = field.mesh_with(&options, &control)?;
     let meshed = start.elapsed().as_secs_f64();
     io::write_mesh(output, &mesh)?;
     let total = start.elapsed().as_secs_f64();

@@ -13,7 +13,7 @@ use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use safetensors::Dtype;
 use safetensors::tensor::TensorView;
-use snake_core::{DetectOptions, EncodeOptions, Field, MeshOptions, Model, Point, detect, io};
+use snake_core::{DetectOptions, EncodeOptions, Field, MeshOptions, Model, Point, io};
 
 /// Queries along each axis, and how many of them refinement gets: as many as on a typical object.
 const QUERY_RESOLUTION: usize = 64;
@@ -131,7 +131,7 @@ fn stages(criterion: &mut Criterion) {
                 ..Default::default()
             };
             group.bench_function(format!("detect J={refine_steps}, without encode"), |bencher| {
-                bencher.iter(|| detect(black_box(&field), &options).expect("options within range"));
+                bencher.iter(|| black_box(&field).detect(&options).expect("options within range"));
             });
         }
         let resolution = 128;

@@ -50,6 +50,12 @@ pub enum Error {
         /// The values that can be used.
         allowed: &'static str,
     },
+    /// The caller cancelled the call by its [`CancelFlag`](crate::CancelFlag).
+    #[error("cancelled")]
+    Cancelled,
+    /// The call was not done by its [deadline](crate::Control::deadline).
+    #[error("the deadline passed before the call was done")]
+    DeadlineExceeded,
 }
 
 /// A result with the crate's [`Error`].

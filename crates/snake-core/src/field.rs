@@ -1,76 +1,25 @@
 //! The field of one cloud: encode once, query many times.
 
-use std::borrow::Cow;
+use std::sync::Arc;
 
-use rand::SeedableRng;
 use rayon::prelude::*;
-use serde::{Deserialize, Serialize};
 
+use crate::config::ModelConfig;
+use crate::control::Control;
 use crate::decoder::Decoder;
-use crate::model::{Model, ModelConfig};
+use crate::network::Network;
 use crate::nn::TILE;
-use crate::points::{FinitePoints, Normalization, NormalizationMethod, Point, check_points};
-use crate::progress::Counter;
+use crate::options::{EncodeOptions, Preset};
+use crate::points::{FinitePoints, Normalization, Point, check_points};
 use crate::rotations::{self, Rotation, turned, turned_back};
 use crate::volume::{Volume, VolumeFrame};
-use crate::{Error, Result, budget, weights};
-
-/// How a cloud becomes a field.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
-#[serde(default, deny_unknown_fields)]
-pub struct EncodeOptions {
-    /// How the cloud is brought into the network's frame; its statistics are those of all points.
-    pub normalization: NormalizationMethod,
-    /// Encode at most this many finite points, drawn at random without replacement; `None`: all of them.
-    pub max_points: Option<usize>,
-    /// Seed of that draw.
-    pub seed: u64,
-    /// Encode this many copies of the cloud, each turned another way, and average their fields (as log-odds). The network
-    /// is only roughly equivariant, and its errors in the copies are nearly independent: keypoints repeat far better, at
-    /// as many times the cost. 1 to 64; above 1 only with [`NormalizationMethod::UnitSphere`], since a turned cube leaves
-    /// the volume.
-    pub rotations: usize,
-}
-
-impl Default for EncodeOptions {
-    fn default() -> Self {
-        Self { normalization: NormalizationMethod::UnitSphere, max_points: None, seed: 0, rotations: 1 }
-    }
-}
-
-impl EncodeOptions {
-    /// Also whether a network's volumes leave room for so many copies.
-    pub(crate) fn check(&self, config: &ModelConfig) -> Result<()> {
-        let unit_sphere = self.normalization == NormalizationMethod::UnitSphere;
-        if !(1..=64).contains(&self.rotations) || (self.rotations > 1 && !unit_sphere) {
-            let allowed = "1 to 64, above 1 only with unit-sphere normalization or in windows";
-            return Err(Error::Option { name: "rotations", value: self.rotations.to_string(), allowed });
-        }
-        if self.max_points == Some(0) {
-            return Err(Error::Option { name: "max_points", value: "0".into(), allowed: "1 or more" });
-        }
-        budget::check_rotations(self.rotations, config)
-    }
-
-    /// The points that are encoded: all, or at most `max_points` of them.
-    pub(crate) fn sample<'a>(&self, points: &'a [Point]) -> Cow<'a, [Point]> {
-        match self.max_points {
-            Some(most) if most < points.len() => {
-                let mut rng = rand_chacha::ChaCha8Rng::seed_from_u64(self.seed);
-                let mut chosen = rand::seq::index::sample(&mut rng, points.len(), most).into_vec();
-                chosen.sort_unstable();
-                chosen.into_iter().map(|i| points[i]).collect()
-            }
-            _ => points.into(),
-        }
-    }
-}
+use crate::{Error, Result, weights};
 
 /// Occupancy and saliency of one cloud at any point of space. Queries, gradients and results are in the cloud's frame
 /// and units.
 #[derive(Debug, Clone)]
 pub struct Field {
-    model: Model,
+    network: Arc<Network>,
     views: Vec<View>,
     normalization: Normalization,
     points: FinitePoints<'static>,
@@ -86,13 +35,19 @@ struct View {
 }
 
 impl View {
-    fn all(model: &Model, points: &[Point], normalization: Normalization, rotations: usize) -> Result<Vec<Self>> {
+    fn all(
+        network: &Network,
+        points: &[Point],
+        normalization: Normalization,
+        rotations: usize,
+        control: &Control,
+    ) -> Result<Vec<Self>> {
         check_number_of_points(points.len())?;
-        let encoder = &model.network().encoder;
-        let counter = Counter::begin(model.progress(), "encoding", rotations * encoder.work(points.len()));
+        let encoder = &network.encoder;
+        let counter = control.begin("encoding", rotations * encoder.work(points.len()));
         let views = rotations::spread(rotations).into_iter().map(|rotation| {
             let point = |index: usize| turned(&rotation, normalization.to_network(points[index]));
-            let volume = encoder.encode(points.len(), point, &counter);
+            let volume = encoder.encode(points.len(), point, &counter)?;
             match volume.values.par_iter().all(|value| value.is_finite()) {
                 true => Ok(Self { rotation, volume }),
                 false => {
@@ -122,47 +77,44 @@ pub(crate) enum Quantity {
     Saliency,
 }
 
-impl Quantity {
-    fn name(self) -> &'static str {
-        match self {
-            Self::Occupancy => "occupancy",
-            Self::Saliency => "saliency",
-        }
-    }
-}
-
 impl Field {
-    pub(crate) fn new(model: Model, points: &[Point], options: &EncodeOptions) -> Result<Self> {
-        options.check(model.config())?;
+    pub(crate) fn new(
+        network: Arc<Network>,
+        points: &[Point],
+        options: &EncodeOptions,
+        control: &Control,
+    ) -> Result<Self> {
+        options.check(&network.config)?;
         let num_given = points.len();
         let finite = FinitePoints::of("points", points)?;
         let points = &finite.points;
         let normalization = Normalization::of(points, options.normalization)?;
         let encoded = options.sample(points);
         Ok(Self {
-            views: View::all(&model, &encoded, normalization, options.rotations)?,
+            views: View::all(&network, &encoded, normalization, options.rotations, control)?,
             normalization,
             num_skipped: num_given - points.len(),
             num_encoded: encoded.len(),
             points: finite.into_owned(),
-            model,
+            network,
         })
     }
 
     /// The field of a cloud of finite points as a given normalisation brings it into the network's frame.
     pub(crate) fn normalized(
-        model: Model,
+        network: Arc<Network>,
         points: Vec<Point>,
         normalization: Normalization,
         rotations: usize,
+        control: &Control,
     ) -> Result<Self> {
         Ok(Self {
-            views: View::all(&model, &points, normalization, rotations)?,
+            views: View::all(&network, &points, normalization, rotations, control)?,
             normalization,
             num_skipped: 0,
             num_encoded: points.len(),
             points: FinitePoints::of("points", &points)?.into_owned(),
-            model,
+            network,
         })
     }
 
@@ -274,22 +226,15 @@ impl Field {
 
     fn values(&self, quantity: Quantity, queries: &[Point]) -> Result<Vec<f32>> {
         let queries = self.to_network(queries)?;
-        let counter = Counter::begin(self.model.progress(), quantity.name(), queries.len());
-        let values = queries.par_chunks(TILE).flat_map_iter(|tile| {
-            let values = self.tile_values(quantity, tile);
-            counter.add(tile.len());
-            values
-        });
+        let values = queries.par_chunks(TILE).flat_map_iter(|tile| self.tile_values(quantity, tile));
         Ok(values.collect())
     }
 
     fn values_and_gradients(&self, quantity: Quantity, queries: &[Point]) -> Result<(Vec<f32>, Vec<Point>)> {
         let per_cloud_unit = self.normalization.scale.recip();
         let queries = self.to_network(queries)?;
-        let counter = Counter::begin(self.model.progress(), quantity.name(), queries.len());
         let pairs = queries.par_chunks(TILE).flat_map_iter(|tile| {
             let (values, gradients) = self.tile_values_and_gradients(quantity, tile);
-            counter.add(tile.len());
             values.into_iter().zip(gradients.into_iter().map(|g| g.map(|v| v * per_cloud_unit)))
         });
         Ok(pairs.unzip())
@@ -303,7 +248,7 @@ impl Field {
     }
 
     fn decoder(&self, quantity: Quantity) -> (&Decoder, VolumeFrame) {
-        let network = self.model.network();
+        let network = &self.network;
         let frame = self.volume().frame;
         match quantity {
             Quantity::Occupancy => (&network.occupancy, frame),
@@ -377,9 +322,14 @@ impl Field {
         (decoded.values, gradients)
     }
 
-    /// The model that made this field.
-    pub fn model(&self) -> &Model {
-        &self.model
+    /// The shape of the network that made this field.
+    pub fn config(&self) -> &ModelConfig {
+        &self.network.config
+    }
+
+    /// The options that suit the network that made this field.
+    pub fn recommended(&self) -> &Preset {
+        &self.network.recommended
     }
 }
 
@@ -398,6 +348,8 @@ fn probability(log_odds: f32) -> f32 {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::Model;
+    use crate::points::NormalizationMethod;
 
     #[test]
     fn several_rotations_are_averaged_as_log_odds_and_gradients_match_differences() {

@@ -4,9 +4,9 @@ use std::path::{Path, PathBuf};
 
 use safetensors::SafeTensors;
 
-use crate::detect::{DetectOptions, RefineMethod, Selection};
+use crate::control::{Control, Counter};
 use crate::encoder::VoxelGroups;
-use crate::progress::Counter;
+use crate::options::{DetectOptions, RefineMethod, Selection};
 use crate::query_grid::tests::occupied_queries;
 use crate::refine::refine;
 use crate::{EncodeOptions, Field, Model, NormalizationMethod, Point};
@@ -93,7 +93,7 @@ fn encoder_stages() {
         case.assert_close("point_features", &features, 1e-5);
 
         let groups = VoxelGroups::new(points.len(), |index| points[index], &frame);
-        assert_eq!(encoder.pointnet.voxel_means(&groups, |index| points[index], &Counter::default()), means);
+        assert_eq!(encoder.pointnet.voxel_means(&groups, |index| points[index], &Counter::default()).unwrap(), means);
         let scattered = encoder.scatter(&means, &groups).values;
         let ([_, height, width], channels) = (frame.size(), features.len() / points.len());
         let mut expected = vec![0.0; scattered.len()];
@@ -104,7 +104,7 @@ fn encoder_stages() {
         }
         assert!(scattered.iter().zip(&expected).all(|(f, e)| (f - e).abs() < 1e-5), "{}: scatter", case.name);
 
-        let volume = encoder.encode(points.len(), |index| points[index], &Counter::default());
+        let volume = encoder.encode(points.len(), |index| points[index], &Counter::default()).unwrap();
         let row = |voxel: usize| volume.values[voxel * volume.channels..][..volume.channels].to_vec();
         let sampled: Vec<f32> = case.indices("volume_sample_index").into_iter().flat_map(row).collect();
         // Eight to fourteen layers of float32 sums in another order.
@@ -159,7 +159,7 @@ fn refinement_by_both_methods() {
         let scores = case.floats("refine_adam_masked_score_per_step");
         let selection = Selection::ReferenceFinalPosition;
         let options = DetectOptions { selection, saliency_threshold: 0.0, ..Default::default() };
-        let found = refine(&field, &start, &options);
+        let found = refine(&field, &start, &options, &Control::default()).unwrap();
         let positions: Vec<Point> = found.iter().map(|c| c.position).collect();
         // Adam divides by the gradient's size: where that is near zero, rounding decides the direction.
         let [median, most] = distance_quantiles(&positions, &case.points("refine_adam_end"), [0.5, 0.99]);
@@ -172,7 +172,8 @@ fn refinement_by_both_methods() {
 
         // Plain descent follows the gradient itself, which jumps where a ReLU switches.
         let options = DetectOptions { refine_method: RefineMethod::GradientDescent, ..options };
-        let positions: Vec<Point> = refine(&field, &start, &options).iter().map(|c| c.position).collect();
+        let positions: Vec<Point> =
+            refine(&field, &start, &options, &Control::default()).unwrap().iter().map(|c| c.position).collect();
         let [median, most] = distance_quantiles(&positions, &case.points("refine_gd_sum_end"), [0.5, 0.99]);
         assert!(median < 1e-6 && most < 1e-3, "{}: descent ends {median} (median), {most} (99 %) away", case.name);
     }
@@ -184,8 +185,8 @@ fn the_best_position_scores_no_less_than_any_step() {
         let (field, start) = (case.field(), case.points("refine_start"));
         let options = DetectOptions { saliency_threshold: 0.0, ..Default::default() };
         let reference = DetectOptions { selection: Selection::ReferenceFinalPosition, ..options };
-        let best = refine(&field, &start, &options);
-        for (best, reference) in best.iter().zip(refine(&field, &start, &reference)) {
+        let best = refine(&field, &start, &options, &Control::default()).unwrap();
+        for (best, reference) in best.iter().zip(refine(&field, &start, &reference, &Control::default()).unwrap()) {
             assert!(best.score >= reference.score, "{}", case.name);
         }
         // Its score is the field's value at its position, which the reference's is not.

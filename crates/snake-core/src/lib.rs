@@ -7,7 +7,7 @@
 //!          query grid → occupancy filter → refine → threshold → NMS ────┴→ keypoints
 //! ```
 //!
-//! A cloud is encoded once ([`Model::encode`]); its [`Field`] answers any number of queries, and [`detect`] climbs it
+//! A cloud is encoded once ([`Model::encode`]); its [`Field`] answers any number of queries, and [`Field::detect`] climbs it
 //! to the keypoints. [`Model::detect`] does both. Results have the same bits for any number of threads.
 //!
 //! [`metrics`] measure how good keypoints are, and [`baselines`] are the classical detectors to compare them with.
@@ -20,10 +20,13 @@ pub mod metrics;
 pub mod registration;
 
 mod budget;
+mod config;
+mod control;
 mod decoder;
 mod detect;
 mod encoder;
 mod error;
+mod excerpt;
 mod field;
 #[cfg(test)]
 mod golden;
@@ -32,8 +35,10 @@ mod kd_tree;
 mod length;
 mod model;
 mod neighbors;
+mod network;
 mod nms;
 mod nn;
+mod options;
 mod points;
 mod progress;
 mod query_grid;
@@ -46,18 +51,20 @@ mod weights;
 mod window_cells;
 mod windows;
 
-pub use detect::{Counts, DetectOptions, Detection, Keypoint, Preset, RefineMethod, Selection, Timing, detect};
+pub use config::ModelConfig;
+pub use control::{CancelFlag, Control, Counter};
+pub use detect::{Counts, Detection, Keypoint, Timing};
 pub use error::{Error, Result};
-pub use field::{EncodeOptions, Field};
+pub use field::Field;
 pub use grid::Grid;
 pub use length::Length;
-pub use model::{Model, ModelConfig};
+pub use model::Model;
+pub use options::{DetectOptions, EncodeOptions, MeshOptions, Preset, RefineMethod, Selection, WindowOptions};
 pub use points::{Normalization, NormalizationMethod, Point, Transform};
 pub use progress::{Progress, Stage};
 pub use snake_kernels::SimdLevel;
-pub use surface::{Mesh, MeshOptions};
+pub use surface::Mesh;
 pub use volume::{Volume, VolumeFrame};
-pub use windows::WindowOptions;
 
 /// The README's example is compiled with the documentation's.
 #[cfg(doctest)]

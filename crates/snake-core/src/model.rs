@@ -5,98 +5,19 @@ use std::path::Path;
 use std::sync::Arc;
 use std::time::Instant;
 
-use crate::decoder::Decoder;
-use crate::detect::{Detection, Preset, detect};
-use crate::encoder::Encoder;
-use crate::field::{EncodeOptions, Field};
+use crate::config::ModelConfig;
+use crate::control::Control;
+use crate::detect::Detection;
+use crate::field::Field;
+use crate::network::Network;
+use crate::options::{EncodeOptions, Preset};
 use crate::points::Point;
-use crate::progress::Progress;
-use crate::volume::VolumeFrame;
-use crate::weights::{self, Weights};
 use crate::windows::detect_in_windows;
-use crate::{Error, Result, budget};
+use crate::{Error, Result};
 
 const COMPACT: &[u8] = include_bytes!("../models/compact.safetensors");
 const STANDARD: &[u8] = include_bytes!("../models/standard.safetensors");
 const ROOMS: &[u8] = include_bytes!("../models/rooms.safetensors");
-
-/// The shape of a network, read from the weight file's metadata.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct ModelConfig {
-    /// Resolution and bounds of the feature volume.
-    pub frame: VolumeFrame,
-    /// Channels of the volume.
-    pub c_dim: usize,
-    /// Width of the point encoder.
-    pub hidden_dim: usize,
-    /// Width of the decoders.
-    pub decoder_hidden_dim: usize,
-    /// Residual blocks in the point encoder and in each decoder.
-    pub resnet_blocks: usize,
-    /// Levels of the U-Net.
-    pub unet_levels: usize,
-    /// Channels of its first level; each level below doubles them.
-    pub unet_base_channels: usize,
-    /// Groups of its normalisations (1 where a layer has fewer channels).
-    pub group_norm_groups: usize,
-}
-
-impl ModelConfig {
-    fn from_weights(file: &Weights) -> Result<Self> {
-        let whole = |key: &str, most: usize| match file.number::<usize>(key)? {
-            value if (1..=most).contains(&value) => Ok(value),
-            value => Err(weights::error(key, &format!("1 to {most}"), value.to_string())),
-        };
-        let text = file.text("resolution")?;
-        let sizes = text.trim_matches(['[', ']']).split(',').map(|v| v.trim().parse::<usize>().ok());
-        let resolution: Option<Vec<usize>> = sizes.collect();
-        let [x, y, z] = resolution.as_deref().unwrap_or_default() else {
-            return Err(weights::error("resolution", "[x, y, z]", text.into()));
-        };
-        let config = Self {
-            frame: VolumeFrame {
-                resolution: [*x, *y, *z],
-                padding: file.number("padding")?,
-                z_bounds: [file.number("z_min")?, file.number("z_max")?],
-            },
-            c_dim: whole("c_dim", 1024)?,
-            hidden_dim: whole("hidden_dim", 1024)?,
-            decoder_hidden_dim: whole("decoder_hidden_dim", 1024)?,
-            resnet_blocks: whole("resnet_blocks", 64)?,
-            unet_levels: whole("unet_levels", 8)?,
-            unet_base_channels: whole("unet_base_channels", 1024)?,
-            group_norm_groups: whole("group_norm_groups", 1024)?,
-        };
-        let smallest = 2.max(1 << (config.unet_levels - 1));
-        let VolumeFrame { resolution, padding, z_bounds: [z_min, z_max] } = config.frame;
-        if resolution.iter().any(|size| !(smallest..=512).contains(size)) {
-            return Err(weights::error(
-                "resolution",
-                &format!("{smallest} to 512 voxels along each axis"),
-                text.into(),
-            ));
-        }
-        budget::check_volume(&config)?;
-        let z_extent = z_max - z_min;
-        if !((0.0..=10.0).contains(&padding) && z_extent > 0.0 && z_extent < 1e3) {
-            let found = format!("padding {padding}, z from {z_min} to {z_max}");
-            return Err(weights::error("padding", "0 to 10, and z_min below z_max", found));
-        }
-        Ok(config)
-    }
-}
-
-/// Encoder and decoders.
-#[derive(Debug)]
-pub(crate) struct Network {
-    config: ModelConfig,
-    metadata: BTreeMap<String, String>,
-    recommended: Preset,
-    num_parameters: usize,
-    pub(crate) encoder: Encoder,
-    pub(crate) occupancy: Decoder,
-    pub(crate) saliency: Decoder,
-}
 
 /// A network with its weights; cloning it is cheap.
 ///
@@ -108,7 +29,6 @@ pub(crate) struct Network {
 #[derive(Debug, Clone)]
 pub struct Model {
     network: Arc<Network>,
-    progress: Option<Progress>,
 }
 
 impl Model {
@@ -152,29 +72,7 @@ impl Model {
     /// # Errors
     /// [`Error::Weights`] when a tensor or a metadata key is missing, unknown, of another shape or type, or not finite.
     pub fn from_bytes(bytes: &[u8]) -> Result<Self> {
-        let file = Weights::open(bytes)?;
-        let config = ModelConfig::from_weights(&file)?;
-        let network = Network {
-            config,
-            metadata: file.metadata.clone().into_iter().collect(),
-            recommended: match file.metadata.get("recommended_options") {
-                Some(json) => serde_json::from_str(json)
-                    .map_err(|e| weights::error("recommended_options", "options of snake-rs as JSON", e.to_string()))?,
-                None => Preset::default(),
-            },
-            encoder: Encoder::load(&file.at("encoder"), &config)?,
-            occupancy: Decoder::occupancy(&file.at("decoder_occup"), &config)?,
-            saliency: Decoder::saliency(&file.at("decoder_keypoint"), &config)?,
-            num_parameters: file.num_parameters(),
-        };
-        network.recommended.check(&config)?;
-        file.finish()?;
-        Ok(Self { network: Arc::new(network), progress: None })
-    }
-
-    /// The same model, and its fields, with a place where long calls say how far they are.
-    pub fn with_progress(self, progress: &Progress) -> Self {
-        Self { progress: Some(progress.clone()), ..self }
+        Ok(Self { network: Arc::new(Network::from_bytes(bytes)?) })
     }
 
     /// The network's shape.
@@ -203,10 +101,18 @@ impl Model {
     /// [`Error::Input`] for a cloud without finite points or of an extent outside 1e-15 to 1e15;
     /// [`Error::Weights`] when the weights are so large that the features overflow.
     pub fn encode(&self, points: &[Point], options: &EncodeOptions) -> Result<Field> {
-        Field::new(self.clone(), points, options)
+        self.encode_with(points, options, &Control::default())
     }
 
-    /// Keypoints of a cloud in one call: [`Model::encode`], then [`detect`]; or in windows, if the options say so.
+    /// [`Model::encode`] under the caller's control.
+    ///
+    /// # Errors
+    /// Those of [`Model::encode`]; [`Error::Cancelled`] and [`Error::DeadlineExceeded`].
+    pub fn encode_with(&self, points: &[Point], options: &EncodeOptions, control: &Control) -> Result<Field> {
+        Field::new(self.network.clone(), points, options, control)
+    }
+
+    /// Keypoints of a cloud in one call: [`Model::encode`], then [`Field::detect`]; or in windows, if the options say so.
     ///
     /// ```
     /// use snake_core::{Model, Preset};
@@ -220,29 +126,29 @@ impl Model {
     /// ```
     ///
     /// # Errors
-    /// Those of [`Model::encode`] and [`detect`].
+    /// Those of [`Model::encode`] and [`Field::detect`].
     pub fn detect(&self, points: &[Point], options: &Preset) -> Result<Detection> {
+        self.detect_with(points, options, &Control::default())
+    }
+
+    /// [`Model::detect`] under the caller's control.
+    ///
+    /// # Errors
+    /// Those of [`Model::detect`]; [`Error::Cancelled`] and [`Error::DeadlineExceeded`].
+    pub fn detect_with(&self, points: &[Point], options: &Preset, control: &Control) -> Result<Detection> {
         options.check(self.config())?;
         if let Some(radius) = options.windows.window_radius {
-            return detect_in_windows(self, points, radius, options);
+            return detect_in_windows(&self.network, points, radius, options, control);
         }
         let start = Instant::now();
-        let field = self.encode(points, &options.encode)?;
+        let field = self.encode_with(points, &options.encode, control)?;
         let encode = start.elapsed().as_secs_f64();
-        let mut detection = detect(&field, &options.detect)?;
+        let mut detection = field.detect_with(&options.detect, control)?;
         detection.timing.encode = encode;
         Ok(detection)
     }
 
-    /// The same model for calls within a call that counts them.
-    pub(crate) fn without_progress(&self) -> Self {
-        Self { network: self.network.clone(), progress: None }
-    }
-
-    pub(crate) fn progress(&self) -> Option<&Progress> {
-        self.progress.as_ref()
-    }
-
+    #[cfg(test)]
     pub(crate) fn network(&self) -> &Network {
         &self.network
     }

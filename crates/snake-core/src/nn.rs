@@ -197,8 +197,9 @@ impl SingleConv {
         })
     }
 
-    /// The first input has the output's size, a second one half of it.
-    pub(crate) fn forward(&self, inputs: &[&Tensor], pool: &BufferPool) -> Tensor {
+    /// The first input has the output's size, a second one half of it. Once `stop` says so, the rest is left out, and the
+    /// output is not to be used.
+    pub(crate) fn forward(&self, inputs: &[&Tensor], pool: &BufferPool, stop: &(dyn Fn() -> bool + Sync)) -> Tensor {
         let size = inputs[0].size;
         let voxels = inputs[0].voxels();
         // Upsampling repeats each value eight times.
@@ -228,7 +229,7 @@ impl SingleConv {
             originals: &originals,
         };
         let mut values = pool.take(voxels * self.conv.outputs());
-        let sums = snake_kernels::conv3d(SimdLevel::current(), &conv, &mut values);
+        let sums = snake_kernels::conv3d(SimdLevel::current(), &conv, stop, &mut values);
         Tensor { size, channels: self.conv.outputs(), values, sums, constant }
     }
 }

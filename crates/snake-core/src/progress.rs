@@ -6,18 +6,17 @@ use std::time::{Duration, Instant};
 
 /// How far a long call is, for another thread to read while it runs.
 ///
-/// A model that has one ([`Model::with_progress`](crate::Model::with_progress)) counts there what is done with it and with
-/// its fields: encoding, queries, [`detect`](crate::detect()), [`Field::mesh`](crate::Field::mesh),
-/// [`register`](crate::registration::register). Results do not depend on it. Of calls at the same time, it shows what
-/// began last.
+/// A call that is given one ([`Control::progress`](crate::Control::progress)) counts its stages there. Results do not
+/// depend on it. Of several calls that share one, it shows the stage that began last.
 ///
 /// ```
-/// use snake_core::{Model, Progress};
+/// use snake_core::{Control, Model, Progress};
 /// # let points: Vec<[f32; 3]> = (0..500).map(|i| { let a = i as f32 * 0.1; [a.cos(), a.sin(), (a * 0.3).sin()] }).collect();
 /// let progress = Progress::default();
-/// let model = Model::builtin()?.with_progress(&progress);
+/// let model = Model::builtin()?;
+/// let control = Control::new().progress(&progress);
 /// std::thread::scope(|scope| {
-///     let detection = scope.spawn(|| model.detect(&points, model.recommended()));
+///     let detection = scope.spawn(|| model.detect_with(&points, model.recommended(), &control));
 ///     while !detection.is_finished() {
 ///         if let Some(stage) = progress.stage() {
 ///             println!("{}: {} of {}, {:?} left", stage.name, stage.done, stage.total, stage.remaining());
@@ -50,6 +49,13 @@ impl Progress {
         let (done, total) = (count.done.load(Ordering::Relaxed), count.total.load(Ordering::Relaxed));
         Some(Stage { name: count.name, done: done.min(total), total, elapsed: count.start.elapsed() })
     }
+
+    pub(crate) fn begin(&self, name: &'static str, total: usize) -> Arc<Count> {
+        let [done, total] = [0, total as u64].map(AtomicU64::new);
+        let count = Arc::new(Count { name, done, total, start: Instant::now() });
+        *self.0.lock().unwrap_or_else(PoisonError::into_inner) = Some(count.clone());
+        count
+    }
 }
 
 impl Stage {
@@ -59,41 +65,22 @@ impl Stage {
     }
 }
 
+/// How much of a stage is done.
 #[derive(Debug)]
-struct Count {
+pub(crate) struct Count {
     name: &'static str,
     done: AtomicU64,
     total: AtomicU64,
     start: Instant,
 }
 
-/// What counts a stage; without a [`Progress`] it does nothing.
-#[derive(Debug, Clone, Default)]
-pub(crate) struct Counter(Option<Arc<Count>>);
-
-impl Counter {
-    /// Begins a stage of so many pieces, 0 if their number is not known.
-    pub(crate) fn begin(progress: Option<&Progress>, name: &'static str, total: usize) -> Self {
-        Self(progress.map(|Progress(current)| {
-            let [done, total] = [0, total as u64].map(AtomicU64::new);
-            let count = Arc::new(Count { name, done, total, start: Instant::now() });
-            *current.lock().unwrap_or_else(PoisonError::into_inner) = Some(count.clone());
-            count
-        }))
-    }
-
-    /// So many more pieces are done.
+impl Count {
     pub(crate) fn add(&self, number: usize) {
-        if let Some(count) = &self.0 {
-            count.done.fetch_add(number as u64, Ordering::Relaxed);
-        }
+        self.done.fetch_add(number as u64, Ordering::Relaxed);
     }
 
-    /// It turns out that there are so many pieces.
     pub(crate) fn set_total(&self, total: usize) {
-        if let Some(count) = &self.0 {
-            count.total.store(total as u64, Ordering::Relaxed);
-        }
+        self.total.store(total as u64, Ordering::Relaxed);
     }
 }
 
@@ -101,10 +88,10 @@ impl Counter {
 mod tests {
     use super::*;
     use crate::detect::tests::cylinder;
-    use crate::query_grid::tests::occupied_queries;
+    use crate::query_grid::{QueryGrid, above_occupancy};
     use crate::refine::refine;
-    use crate::registration::{Descriptor, RegisterOptions, Registration, Scan, register};
-    use crate::{DetectOptions, EncodeOptions, MeshOptions, Model, Selection};
+    use crate::registration::{Descriptor, RegisterOptions, Registration, Scan, register, register_with};
+    use crate::{Control, DetectOptions, EncodeOptions, MeshOptions, Model, Selection};
 
     /// Asserts that a stage of this name began last and is complete.
     fn assert_complete(progress: &Progress, name: &str) {
@@ -118,31 +105,34 @@ mod tests {
         let (points, field) = cylinder();
         let progress = Progress::default();
         assert_eq!(progress.stage(), None);
-        let model = Model::builtin().unwrap().with_progress(&progress);
+        let control = Control::new().progress(&progress);
+        let model = Model::builtin().unwrap();
         for rotations in [3, 1] {
-            model.encode(&points, &EncodeOptions { rotations, ..Default::default() }).unwrap();
+            let options = EncodeOptions { rotations, ..Default::default() };
+            model.encode_with(&points, &options, &control).unwrap();
             assert_complete(&progress, "encoding");
         }
-        let watched = model.encode(&points, &EncodeOptions::default()).unwrap();
+        let watched = model.encode_with(&points, &EncodeOptions::default(), &control).unwrap();
         assert_eq!(*watched.volume().values, *field.volume().values);
         let default = DetectOptions { query_resolution: 24, ..Default::default() };
+        let occupied = |options: &DetectOptions, control: &Control| {
+            let queries = QueryGrid::new(&field, options);
+            above_occupancy(&field, &queries, options.occupancy_threshold, control).unwrap()
+        };
         for query_band in [1, 0] {
             let options = DetectOptions { query_band, ..default };
-            assert_eq!(occupied_queries(&watched, &options), occupied_queries(&field, &options));
+            assert_eq!(occupied(&options, &control), occupied(&options, &Control::default()));
             assert_complete(&progress, "occupancy");
         }
-        let queries = occupied_queries(&field, &default);
+        let queries = occupied(&default, &Control::default());
         for (refine_steps, selection) in [(0, Selection::BestPosition), (3, Selection::ReferenceFinalPosition)] {
             let options = DetectOptions { refine_steps, selection, ..default };
-            assert_eq!(refine(&watched, &queries, &options), refine(&field, &queries, &options));
+            let refined = |control| refine(&field, &queries, &options, control).unwrap();
+            assert_eq!(refined(&control), refined(&Control::default()));
             assert_complete(&progress, "refinement");
         }
-        assert_eq!(watched.saliency_and_gradient(&points).unwrap(), field.saliency_and_gradient(&points).unwrap());
-        assert_complete(&progress, "saliency");
-        assert_eq!(watched.occupancy(&points).unwrap(), field.occupancy(&points).unwrap());
-        assert_complete(&progress, "occupancy");
         let options = MeshOptions { resolution: 40, ..Default::default() };
-        assert_eq!(watched.mesh(&options).unwrap(), field.mesh(&options).unwrap());
+        assert_eq!(field.mesh_with(&options, &control).unwrap(), field.mesh(&options).unwrap());
         assert_complete(&progress, "normals");
     }
 
@@ -152,17 +142,15 @@ mod tests {
         let points = points.unwrap();
         let progress = Progress::default();
         let model = Model::builtin().unwrap();
-        let watched = model.clone().with_progress(&progress);
-        let scan = Scan::new(&points, &watched, 0.05).unwrap();
+        let control = Control::new().progress(&progress);
+        let scan = Scan::new_with(&points, &model, 0.05, &control).unwrap();
         assert_complete(&progress, "normals");
-        scan.descriptors(&points[..3], Descriptor::Fpfh).unwrap();
+        scan.descriptors_with(&points[..3], Descriptor::Fpfh, &control).unwrap();
         assert_complete(&progress, "FPFH");
         let options = RegisterOptions { max_keypoints: 200, ..Default::default() };
-        let found = |model| {
-            let found = register(&points[..2048], &points[2048..], model, &options).unwrap();
-            Registration { seconds: 0.0, ..found }
-        };
-        assert_eq!(found(&watched), found(&model));
+        let found = register(&points[..2048], &points[2048..], &model, &options).unwrap();
+        let watched = register_with(&points[..2048], &points[2048..], &model, &options, &control).unwrap();
+        assert_eq!(watched, Registration { seconds: watched.seconds, ..found });
         let Stage { name, done, total, .. } = progress.stage().unwrap();
         assert!(name == "ICP" && (1..=30).contains(&done) && total == 30, "{done} of {total}");
     }
@@ -171,10 +159,10 @@ mod tests {
     fn another_thread_sees_it_grow() {
         let (points, _) = cylinder();
         let progress = Progress::default();
-        let model = Model::builtin().unwrap().with_progress(&progress);
+        let (model, control) = (Model::builtin().unwrap(), Control::new().progress(&progress));
         let options = EncodeOptions { rotations: 16, ..Default::default() };
         std::thread::scope(|scope| {
-            let encoding = scope.spawn(|| model.encode(&points, &options).unwrap());
+            let encoding = scope.spawn(|| model.encode_with(&points, &options, &control).unwrap());
             let mut seen = 0;
             while !encoding.is_finished() {
                 if let Some(stage) = progress.stage() {

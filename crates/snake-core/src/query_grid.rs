@@ -2,11 +2,12 @@
 
 use rayon::prelude::*;
 
-use crate::detect::DetectOptions;
+use crate::Result;
+use crate::control::Control;
 use crate::field::{Field, Quantity};
 use crate::nn::TILE;
+use crate::options::DetectOptions;
 use crate::points::Point;
-use crate::progress::Counter;
 
 /// The starting queries of a detection, in the network's frame, plane by plane: there can be more than memory holds.
 pub(crate) struct QueryGrid {
@@ -61,20 +62,28 @@ fn coordinate(low: f32, high: f32, resolution: usize, i: usize) -> f32 {
 }
 
 /// The queries whose occupancy is above the threshold, in the network's frame, x slowest and z fastest.
-pub(crate) fn above_occupancy(field: &Field, queries: &QueryGrid, threshold: f32) -> Vec<Point> {
+pub(crate) fn above_occupancy(
+    field: &Field,
+    queries: &QueryGrid,
+    threshold: f32,
+    control: &Control,
+) -> Result<Vec<Point>> {
     let resolution = queries.resolution();
-    let counter = Counter::begin(field.model().progress(), "occupancy", resolution.pow(3));
-    let occupied = |tile: &[Point]| -> Vec<Point> {
-        let occupancy = field.tile_values(Quantity::Occupancy, tile);
-        counter.add(tile.len());
-        tile.iter().zip(occupancy).filter(|(_, o)| *o > threshold).map(|(q, _)| *q).collect()
-    };
-    let occupied_of_plane = |x: usize| -> Vec<Point> {
+    let counter = control.begin("occupancy", resolution.pow(3));
+    let occupied_of_plane = |x: usize| -> Result<Vec<Point>> {
         let plane = queries.plane(x);
         counter.add(resolution * resolution - plane.len());
-        plane.chunks(TILE).flat_map(occupied).collect()
+        let mut occupied = Vec::new();
+        for tile in plane.chunks(TILE) {
+            counter.check()?;
+            let occupancy = field.tile_values(Quantity::Occupancy, tile);
+            occupied.extend(tile.iter().zip(occupancy).filter(|(_, o)| *o > threshold).map(|(query, _)| *query));
+            counter.add(tile.len());
+        }
+        Ok(occupied)
     };
-    (0..resolution).into_par_iter().flat_map_iter(occupied_of_plane).collect()
+    let planes: Vec<Vec<Point>> = (0..resolution).into_par_iter().map(occupied_of_plane).collect::<Result<_>>()?;
+    Ok(planes.concat())
 }
 
 /// For each voxel of the volume, whether a voxel with input points is at most `reach` away along every axis.
@@ -103,7 +112,8 @@ pub(crate) mod tests {
     use crate::detect::tests::cylinder;
 
     pub(crate) fn occupied_queries(field: &Field, options: &DetectOptions) -> Vec<Point> {
-        above_occupancy(field, &QueryGrid::new(field, options), options.occupancy_threshold)
+        let queries = QueryGrid::new(field, options);
+        above_occupancy(field, &queries, options.occupancy_threshold, &Control::default()).unwrap()
     }
 
     #[test]

@@ -2,11 +2,12 @@
 
 use rayon::prelude::*;
 
-use crate::detect::{DetectOptions, RefineMethod, Selection};
+use crate::Result;
+use crate::control::{Control, Counter};
 use crate::field::{Field, Quantity};
 use crate::nn::TILE;
+use crate::options::{DetectOptions, RefineMethod, Selection};
 use crate::points::Point;
-use crate::progress::Counter;
 
 /// A refined query.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -21,10 +22,16 @@ pub(crate) struct Refined {
 ///
 /// Queries do not influence each other except that Adam's gradient is that of the *mean* saliency, one over their
 /// number times each query's own; so each tile makes all its steps on one thread.
-pub(crate) fn refine(field: &Field, queries: &[Point], options: &DetectOptions) -> Vec<Refined> {
-    let counter = Counter::begin(field.model().progress(), "refinement", queries.len() * (options.refine_steps + 1));
+pub(crate) fn refine(
+    field: &Field,
+    queries: &[Point],
+    options: &DetectOptions,
+    control: &Control,
+) -> Result<Vec<Refined>> {
+    let counter = control.begin("refinement", queries.len() * (options.refine_steps + 1));
     let refined = |tile| refine_tile(field, tile, queries.len(), options, &counter);
-    queries.par_chunks(TILE).flat_map_iter(refined).collect()
+    let tiles: Vec<Vec<Refined>> = queries.par_chunks(TILE).map(refined).collect::<Result<_>>()?;
+    Ok(tiles.concat())
 }
 
 /// Where the queries of a tile were at one time, and their saliency there.
@@ -39,11 +46,12 @@ fn refine_tile(
     num_queries: usize,
     options: &DetectOptions,
     counter: &Counter,
-) -> Vec<Refined> {
+) -> Result<Vec<Refined>> {
     let mut positions = queries.to_vec();
     let mut way = Vec::with_capacity(options.refine_steps + 1);
     let mut adam = Adam::new(queries.len(), options.refine_step_size);
     for _ in 0..options.refine_steps {
+        counter.check()?;
         let (saliency, gradient) = field.tile_values_and_gradients(Quantity::Saliency, &positions);
         way.push(Stop { positions: positions.clone(), saliency });
         match options.refine_method {
@@ -56,6 +64,7 @@ fn refine_tile(
         }
         counter.add(queries.len());
     }
+    counter.check()?;
     let selected = match options.selection {
         Selection::ReferenceFinalPosition if options.refine_steps > 0 => {
             let mut best = best_on_surface(field, &way, options);
@@ -69,7 +78,7 @@ fn refine_tile(
         }
     };
     counter.add(queries.len());
-    selected
+    Ok(selected)
 }
 
 /// For each query of a tile the stop of its way with the highest saliency among those on the surface, the first of them
@@ -169,7 +178,7 @@ mod tests {
         for (refine_steps, saliency_threshold) in [(0, 0.0), (6, 0.0), (6, 0.3), (3, 0.6)] {
             let options =
                 DetectOptions { refine_steps, saliency_threshold, refine_step_size: 0.01, ..Default::default() };
-            let found = refine(&field, &queries, &options);
+            let found = refine(&field, &queries, &options, &Control::default()).unwrap();
             assert_eq!(found, textbook(&field, &queries, &options), "{refine_steps} {saliency_threshold}");
             found.iter().for_each(|refined| outcomes[usize::from(refined.score > 0.0)] += 1);
         }

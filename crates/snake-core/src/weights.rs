@@ -6,7 +6,7 @@ use std::collections::{BTreeSet, HashMap};
 use half::f16;
 use safetensors::{Dtype, SafeTensors};
 
-use crate::io::excerpt;
+use crate::excerpt::excerpt;
 use crate::{Error, Result};
 
 /// Tensors and metadata of one weight file; remembers which tensors were asked for.

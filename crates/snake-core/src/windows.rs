@@ -1,67 +1,36 @@
 //! Detection in windows: a large cloud as overlapping balls, each encoded by itself.
 
 use std::num::NonZeroUsize;
+use std::sync::Arc;
 use std::time::Instant;
 
 use rayon::prelude::*;
-use serde::{Deserialize, Serialize};
 
-use crate::detect::{Candidates, Detection, Preset, finish};
+use crate::control::Control;
+use crate::detect::{Candidates, Detection, finish};
 use crate::field::{Field, check_number_of_points};
 use crate::kd_tree::KdTree;
 use crate::length::Length;
-use crate::model::Model;
+use crate::network::Network;
+use crate::options::{Preset, check_radius};
 use crate::points::{FinitePoints, Normalization, NormalizationMethod, Point};
-use crate::progress::Counter;
 use crate::side_by_side::side_by_side;
 use crate::window_cells::{WindowCells, has_more_windows};
 use crate::{Error, Result};
-
-/// Options of detection in windows.
-#[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
-#[serde(default, deny_unknown_fields)]
-pub struct WindowOptions {
-    /// The radius of the balls that cover the cloud, each of which is encoded by itself at the scale of its radius, so
-    /// that what is found at a place depends on its surroundings alone; the normalisation is not used. `None`: the whole
-    /// cloud is encoded at once, in which details of large clouds are lost.
-    pub window_radius: Option<Length>,
-}
-
-impl WindowOptions {
-    pub(crate) fn check(&self) -> Result<()> {
-        match self.window_radius {
-            // A multiple has the range of a length; what it multiplies is known later.
-            Some(length @ (Length::Units(value) | Length::Resolutions(value))) => {
-                check_radius(value, || length.to_string())
-            }
-            None => Ok(()),
-        }
-    }
-}
-
-/// As of the extents of clouds: squared distances must neither vanish nor overflow in f32.
-fn check_radius(radius: f64, shown: impl FnOnce() -> String) -> Result<()> {
-    match (1e-15..=1e15).contains(&radius) {
-        true => Ok(()),
-        false => {
-            let allowed = "1e-15 to 1e15 (cloud units, or as in `40r` resolutions)";
-            Err(Error::Option { name: "window_radius", value: shown(), allowed })
-        }
-    }
-}
 
 /// Every cloud may have so many windows, however few its points.
 const FEW_WINDOWS: usize = 64;
 
 /// Detects keypoints in windows of `radius`: each window keeps the queries closest to its own centre, and the best of all
-/// windows together are suppressed as in [`detect`](crate::detect()).
+/// windows together are suppressed as in [`Field::detect`].
 ///
 /// Windows are encoded side by side: there are never more volumes than threads.
 pub(crate) fn detect_in_windows(
-    model: &Model,
+    network: &Arc<Network>,
     points: &[Point],
     radius: Length,
     options: &Preset,
+    control: &Control,
 ) -> Result<Detection> {
     let Preset { encode, detect: options, .. } = options;
     let finite = FinitePoints::of("points", points)?;
@@ -75,8 +44,8 @@ pub(crate) fn detect_in_windows(
     let cells = WindowCells::new(&encoded, radius);
     let nearest_center = KdTree::new(&cells.centers)?;
     let snap = options.snap.then(|| KdTree::new(&finite.points)).transpose()?;
-    let counter = Counter::begin(model.progress(), "windows", cells.centers.len());
-    let of_window = model.without_progress();
+    let counter = control.begin("windows", cells.centers.len());
+    let of_window = control.without_progress();
     let look = |window: usize| -> Result<(Candidates, Vec<f32>)> {
         let start = Instant::now();
         let seen = cells.points_of(window);
@@ -85,10 +54,10 @@ pub(crate) fn detect_in_windows(
             return Ok(Default::default());
         }
         let normalization = Normalization { center: cells.centers[window], scale: 2.0 * radius };
-        let field = Field::normalized(of_window.clone(), seen, normalization, encode.rotations)?;
+        let field = Field::normalized(network.clone(), seen, normalization, encode.rotations, &of_window)?;
         let seconds = start.elapsed().as_secs_f64();
         let owns = |position: &Point| nearest_center.nearest(position, NonZeroUsize::MIN)[0].0 == window;
-        let mut found = Candidates::of(&field, options, owns);
+        let mut found = Candidates::of(&field, options, owns, &of_window)?;
         found.timing.encode = seconds;
         // Only this window's field knows the occupancy where its keypoints will be.
         let occupancy = match &snap {
@@ -108,7 +77,7 @@ pub(crate) fn detect_in_windows(
         occupancy.extend(occupancy_of_window);
     }
     candidates.timing.scale_to(start.elapsed().as_secs_f64());
-    Counter::begin(model.progress(), "suppression", 0);
+    control.begin("suppression", 0).check()?;
     let of_kept = |kept: &[usize], _: &[Point]| Ok(kept.iter().map(|&index| occupancy[index]).collect());
     let mut detection = finish(candidates, &finite, nms_radius, options, of_kept)?;
     detection.num_skipped = points.len() - finite.points.len();
@@ -148,7 +117,7 @@ fn larger_radius(points: &[Point], radius: f32, extent: f32) -> f64 {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::{DetectOptions, Keypoint, detect};
+    use crate::{DetectOptions, Keypoint, Model, WindowOptions};
 
     /// A plate of 6 by 4 with two posts on it.
     fn plate() -> Vec<Point> {
@@ -284,6 +253,6 @@ mod tests {
         options.encode.rotations = 65;
         assert!(model.detect(&points, &options).unwrap_err().to_string().contains("rotations"));
         assert!(model.detect(&[[1e30, 0.0, 0.0], [0.0; 3]], &preset(1.0)).is_err());
-        assert!(detect(&model.encode(&points, &Default::default()).unwrap(), &preset(1.0).detect).is_ok());
+        assert!(model.encode(&points, &Default::default()).unwrap().detect(&preset(1.0).detect).is_ok());
     }
 }

@@ -60,7 +60,7 @@ fn convolutions(criterion: &mut Criterion) {
                 Conv3d { layer: &layer, size, sources: &sources, scale: &norm[0], shift: &norm[1], originals: &[] };
             for level in SimdLevel::available() {
                 group.bench_function(format!("tiles of {tile}, {}", level.name()), |bencher| {
-                    bencher.iter(|| conv3d(level, black_box(&conv), &mut output));
+                    bencher.iter(|| conv3d(level, black_box(&conv), &|| false, &mut output));
                 });
             }
         }

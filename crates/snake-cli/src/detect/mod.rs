@@ -12,7 +12,7 @@ use anyhow::{Context, Result, anyhow, bail};
 use console::style;
 use serde_json::json;
 use snake_core::io::{self, Cloud, KeypointFormat, KeypointSource};
-use snake_core::{Detection, Model, NormalizationMethod, Preset, Progress};
+use snake_core::{Control, Detection, Model, NormalizationMethod, Preset, Progress};
 
 use crate::inputs::{DASH, check_inputs, expand};
 use crate::terminal;
@@ -29,7 +29,8 @@ pub fn run(arguments: &DetectArguments) -> Result<ExitCode> {
     arguments.compute.start_threads()?;
     let loading = Instant::now();
     let progress = Progress::default();
-    let model = arguments.compute.load_model()?.with_progress(&progress);
+    let model = arguments.compute.load_model()?;
+    let control = Control::new().progress(&progress);
     let load_model = loading.elapsed().as_secs_f64();
     let options = arguments.options.resolve(&model)?;
     terminal::detail("options", || serde_json::to_string(&options).unwrap_or_default());
@@ -45,7 +46,7 @@ pub fn run(arguments: &DetectArguments) -> Result<ExitCode> {
     for (index, input) in inputs.iter().enumerate() {
         bar.set_message(input.display().to_string());
         let output = outputs.get(index).map(PathBuf::as_path);
-        match process(&model, &options, arguments, input, output) {
+        match process(&model, &options, arguments, input, output, &control) {
             Ok((report, seconds)) => {
                 timings.push(seconds);
                 // The standard output is then the keypoints' alone.
@@ -119,6 +120,7 @@ fn process(
     arguments: &DetectArguments,
     input: &Path,
     output: Option<&Path>,
+    control: &Control,
 ) -> Result<(String, Seconds)> {
     let start = Instant::now();
     let mut cloud = arguments.input.read(input, options.encode.seed)?;
@@ -128,7 +130,7 @@ fn process(
     }
     let Cloud { points, origin } = cloud;
     let read = start.elapsed().as_secs_f64();
-    let detection = model.detect(&points, options).with_context(|| input.display().to_string())?;
+    let detection = model.detect_with(&points, options, control).with_context(|| input.display().to_string())?;
     if let Some(output) = output {
         let source = KeypointSource::new(input, origin);
         write(output, arguments.format, &detection, &source)?;

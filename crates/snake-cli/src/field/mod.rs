@@ -6,7 +6,7 @@ use std::path::Path;
 
 use anyhow::{Context, Result, bail};
 use serde_json::json;
-use snake_core::{Field, Grid, Progress, io};
+use snake_core::{Control, Field, Grid, Progress, io};
 
 use crate::render::figure::{Panel, PanelAxis, figure};
 use crate::terminal;
@@ -27,12 +27,13 @@ pub fn run(arguments: &FieldArguments) -> Result<()> {
         _ => bail!("{}: unknown extension; files that can be written: .png, .npy", output.display()),
     };
     let progress = Progress::default();
-    let model = arguments.compute.load_model()?.with_progress(&progress);
+    let model = arguments.compute.load_model()?;
+    let control = Control::new().progress(&progress);
     let options = arguments.encode.resolve(&model)?.encode;
     terminal::detail("options", || serde_json::to_string(&options).unwrap_or_default());
     let bar = terminal::stages(&progress)?.with_message(input.display().to_string());
     let points = arguments.reading.read(input, options.seed)?.into_points();
-    let field = model.encode(&points, &options).with_context(|| input.display().to_string())?;
+    let field = model.encode_with(&points, &options, &control).with_context(|| input.display().to_string())?;
     bar.finish_and_clear();
     let grid = field.grid(*resolution)?;
     match one_quantity {

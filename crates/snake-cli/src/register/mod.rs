@@ -6,9 +6,9 @@ use std::fmt::Write;
 use std::path::Path;
 
 use anyhow::{Context, Result, bail};
-use snake_core::Progress;
 use snake_core::io::{self, CloudFormat};
-use snake_core::registration::{Registration, register, transform_points};
+use snake_core::registration::{Registration, register_with, transform_points};
+use snake_core::{Control, Progress};
 
 use crate::inputs::check_inputs;
 use crate::terminal;
@@ -25,14 +25,15 @@ pub fn run(arguments: &RegisterArguments) -> Result<()> {
         bail!("{}: is an input; give another name to write to", input.display());
     }
     let progress = Progress::default();
-    let model = arguments.compute.load_model()?.with_progress(&progress);
+    let model = arguments.compute.load_model()?;
+    let control = Control::new().progress(&progress);
     let options = arguments.options.resolve();
     terminal::detail("options", || serde_json::to_string(&options).unwrap_or_default());
     let bar = terminal::stages(&progress)?.with_message(format!("{} to {}", source.display(), target.display()));
     let read = |path| arguments.input.read(path, options.seed);
     let (source_cloud, target_cloud) = (read(source)?, read(target)?);
     terminal::detail("points", || format!("{} and {}", source_cloud.points.len(), target_cloud.points.len()));
-    let near = register(&source_cloud.points, &target_cloud.points, &model, &options)
+    let near = register_with(&source_cloud.points, &target_cloud.points, &model, &options, &control)
         .with_context(|| format!("cannot register {} to {}", source.display(), target.display()))?;
     bar.finish_and_clear();
     let found = near.between_origins(source_cloud.origin, target_cloud.origin);

@@ -6,10 +6,10 @@ use std::path::Path;
 
 use anyhow::{Context, Result, bail};
 use snake_core::metrics::repeated_keypoints;
-use snake_core::registration::{RegisterOptions, register};
+use snake_core::registration::{RegisterOptions, register_with};
 use snake_core::{
-    Field, Length, Mesh, MeshOptions, Model, Normalization, NormalizationMethod, Point, Preset, Progress, Transform,
-    detect, io,
+    Control, Field, Length, Mesh, MeshOptions, Model, Normalization, NormalizationMethod, Point, Preset, Progress,
+    Transform, io,
 };
 
 use crate::inputs::check_inputs;
@@ -38,7 +38,8 @@ pub fn run(arguments: &ViewArguments) -> Result<()> {
     check_inputs([input].into_iter().chain(second))?;
     let t_first_second = transform.as_deref().map(io::read_transform).transpose()?;
     let progress = Progress::default();
-    let model = arguments.compute.load_model()?.with_progress(&progress);
+    let model = arguments.compute.load_model()?;
+    let control = Control::new().progress(&progress);
     let options = arguments.options.resolve(&model)?;
     terminal::detail("options", || serde_json::to_string(&options).unwrap_or_default());
     let bar = terminal::stages(&progress)?;
@@ -46,11 +47,11 @@ pub fn run(arguments: &ViewArguments) -> Result<()> {
     for input in [input].into_iter().chain(second) {
         bar.set_message(input.display().to_string());
         let points = arguments.reading.read(input, options.encode.seed)?.into_points();
-        clouds.push(shown(&model, &options, input, &points)?);
+        clouds.push(shown(&model, &options, input, &points, &control)?);
     }
     bar.set_message("registration");
     let pair = match &clouds[..] {
-        [first, second] => Some(pair(&model, first, second, t_first_second, *epsilon)?),
+        [first, second] => Some(pair(&model, first, second, t_first_second, *epsilon, &control)?),
         _ => None,
     };
     bar.finish_and_clear();
@@ -67,24 +68,24 @@ pub fn run(arguments: &ViewArguments) -> Result<()> {
 }
 
 /// One cloud with all that the page shows of it.
-fn shown(model: &Model, options: &Preset, input: &Path, points: &[Point]) -> Result<ShownCloud> {
-    let field = model.encode(points, &options.encode).with_context(|| input.display().to_string())?;
+fn shown(model: &Model, options: &Preset, input: &Path, points: &[Point], control: &Control) -> Result<ShownCloud> {
+    let field = model.encode_with(points, &options.encode, control).with_context(|| input.display().to_string())?;
     let detection = match options.windows.window_radius {
-        Some(_) => model.detect(points, options)?,
-        None => detect(&field, &options.detect)?,
+        Some(_) => model.detect_with(points, options, control)?,
+        None => field.detect_with(&options.detect, control)?,
     };
     let points = field.points();
     let shown: Vec<Point> = points.iter().step_by(points.len().div_ceil(MAX_SHOWN)).copied().collect();
-    let surface = surface(&field)?;
+    let surface = surface(&field, control)?;
     let saliency = [field.saliency(&shown)?, field.saliency(&surface.vertices)?];
     Ok(ShownCloud { name: input.display().to_string(), field, shown, surface, saliency, detection })
 }
 
 /// The outer surface, as fine as the page can bear.
-fn surface(field: &Field) -> Result<Mesh> {
+fn surface(field: &Field, control: &Control) -> Result<Mesh> {
     let mut mesh = Mesh::default();
     for resolution in SURFACE_RESOLUTIONS {
-        mesh = field.mesh(&MeshOptions { resolution, outer: true, ..Default::default() })?;
+        mesh = field.mesh_with(&MeshOptions { resolution, outer: true, ..Default::default() }, control)?;
         if mesh.triangles.len() <= MAX_TRIANGLES {
             break;
         }
@@ -99,6 +100,7 @@ fn pair(
     second: &ShownCloud,
     given: Option<Transform>,
     epsilon: Option<Length>,
+    control: &Control,
 ) -> Result<Pair> {
     let radius = Normalization::of(first.field.points(), NormalizationMethod::UnitSphere)?.scale / 2.0;
     let epsilon = epsilon.unwrap_or(Length::Units(0.04 * f64::from(radius)));
@@ -106,7 +108,8 @@ fn pair(
     let (t_first_second, registration) = match given {
         Some(transform) => (transform, None),
         None => {
-            let found = register(second.field.points(), first.field.points(), model, &RegisterOptions::default());
+            let (source, target) = (second.field.points(), first.field.points());
+            let found = register_with(source, target, model, &RegisterOptions::default(), control);
             let found = found.with_context(|| {
                 format!("cannot register {} to {}; --transform FILE gives their poses", second.name, first.name)
             })?;

@@ -10,10 +10,10 @@ pub(crate) use self::pointnet::PointNet;
 use self::unet::UNet3d;
 pub(crate) use self::voxel_groups::VoxelGroups;
 use crate::Result;
-use crate::model::ModelConfig;
+use crate::config::ModelConfig;
+use crate::control::Counter;
 use crate::nn::Tensor;
 use crate::points::Point;
-use crate::progress::Counter;
 use crate::volume::{Volume, VolumeFrame};
 use crate::weights::Scope;
 use snake_kernels::{ConstantRegion, channel_sums};
@@ -42,13 +42,19 @@ impl Encoder {
     }
 
     /// `num_points` points, which `point` gives in the network's frame, to the feature volume.
-    pub(crate) fn encode(&self, num_points: usize, point: impl Fn(usize) -> Point + Sync, counter: &Counter) -> Volume {
+    pub(crate) fn encode(
+        &self,
+        num_points: usize,
+        point: impl Fn(usize) -> Point + Sync,
+        counter: &Counter,
+    ) -> Result<Volume> {
         let groups = VoxelGroups::new(num_points, &point, &self.frame);
         counter.add(num_points);
-        let means = self.pointnet.voxel_means(&groups, &point, counter);
+        counter.check()?;
+        let means = self.pointnet.voxel_means(&groups, &point, counter)?;
         let volume = self.scatter(&means, &groups);
         drop((means, groups));
-        Volume { frame: self.frame, channels: volume.channels, values: self.unet.forward(volume, counter) }
+        Ok(Volume { frame: self.frame, channels: volume.channels, values: self.unet.forward(volume, counter)? })
     }
 
     /// The mean features of the occupied voxels at their places; voxels without points are zero.

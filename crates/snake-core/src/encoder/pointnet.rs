@@ -7,10 +7,10 @@ use rayon::prelude::*;
 
 use super::voxel_groups::VoxelGroups;
 use crate::Result;
-use crate::model::ModelConfig;
+use crate::config::ModelConfig;
+use crate::control::Counter;
 use crate::nn::{Linear, ResnetBlockFc, TILE};
 use crate::points::Point;
-use crate::progress::Counter;
 use crate::weights::Scope;
 use snake_kernels::Epilogue;
 
@@ -58,7 +58,7 @@ impl PointNet {
         groups: &VoxelGroups,
         point: impl Fn(usize) -> Point + Sync,
         counter: &Counter,
-    ) -> Vec<f32> {
+    ) -> Result<Vec<f32>> {
         let mut means = vec![0.0; groups.num_voxels() * self.channels()];
         let (mut chunks, mut large) = (Vec::new(), Vec::new());
         let mut rest = &mut means[..];
@@ -67,17 +67,19 @@ impl PointNet {
             let kind = if groups.num_points(voxels.clone()) <= LARGE { &mut chunks } else { &mut large };
             kind.push((voxels, means));
         }
-        chunks.into_par_iter().for_each(|(voxels, means)| {
+        chunks.into_par_iter().try_for_each(|(voxels, means)| {
+            counter.check()?;
             let points: Vec<Point> = groups.members(voxels.clone()).map(&point).collect();
             let sizes: Vec<usize> = voxels.map(|voxel| groups.num_points(voxel..voxel + 1)).collect();
             self.chunk_means(&points, &sizes, means);
             counter.add(self.work(points.len()));
-        });
+            Ok(())
+        })?;
         for (voxel, mean) in large {
             let points: Vec<Point> = groups.members(voxel).map(&point).collect();
-            self.large_voxel_mean(&points, mean, counter);
+            self.large_voxel_mean(&points, mean, counter)?;
         }
-        means
+        Ok(means)
     }
 
     /// Adds up the mean features of voxels whose points lie one voxel after the other, as many as `sizes` says.
@@ -108,24 +110,26 @@ impl PointNet {
 
     /// The mean feature of one voxel: after each pooling all blocks before it run again, so that only some features are in
     /// memory at a time.
-    fn large_voxel_mean(&self, points: &[Point], mean: &mut [f32], counter: &Counter) {
+    fn large_voxel_mean(&self, points: &[Point], mean: &mut [f32], counter: &Counter) -> Result<()> {
         let mut maxima: Vec<Vec<f32>> = Vec::new();
         for depth in 0..self.blocks.len() - 1 {
             let of_chunk = |chunk: &[Point]| {
+                counter.check()?;
                 let mut most = vec![f32::NEG_INFINITY; self.hidden];
                 for tile in chunk.chunks(TILE) {
                     let features = self.features_to(depth, tile, &maxima);
                     pool(&features, self.hidden, &[0; TILE], &mut most, f32::max);
                 }
                 counter.add(chunk.len());
-                most
+                Ok(most)
             };
-            let of_chunks: Vec<Vec<f32>> = points.par_chunks(CHUNK).map(of_chunk).collect();
+            let of_chunks: Vec<Vec<f32>> = points.par_chunks(CHUNK).map(of_chunk).collect::<Result<_>>()?;
             let mut most = vec![f32::NEG_INFINITY; self.hidden];
             of_chunks.iter().for_each(|of_chunk| pool(of_chunk, self.hidden, &[0], &mut most, f32::max));
             maxima.push(most);
         }
         for points in points.chunks(LARGE) {
+            counter.check()?;
             let outputs = points.par_chunks(TILE).map(|tile| {
                 let mut output = vec![0.0; tile.len() * self.channels()];
                 self.fc_c.forward(
@@ -141,6 +145,7 @@ impl PointNet {
             counter.add(2 * points.len());
         }
         mean.iter_mut().for_each(|sum| *sum /= points.len() as f32);
+        Ok(())
     }
 
     /// The features `(points, hidden)` after block `depth` of a tile of points in one voxel, from the maxima over that
@@ -227,7 +232,7 @@ mod tests {
             let mut point = |size: f32| std::array::from_fn(|_| size * (random.random::<f32>() - 0.5));
             let points: Vec<Point> = (0..crowd + others).map(|i| point(if i < crowd { 0.02 } else { 1.0 })).collect();
             let groups = VoxelGroups::new(points.len(), |index| points[index], &frame);
-            let means = net.voxel_means(&groups, |index| points[index], &Counter::default());
+            let means = net.voxel_means(&groups, |index| points[index], &Counter::default()).unwrap();
             assert_eq!(means, net.plain(&points, &frame)[1], "{crowd} and {others}");
         }
     }

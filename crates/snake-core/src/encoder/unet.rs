@@ -1,9 +1,9 @@
 //! 3-D U-Net: max-pool on the way down, nearest upsampling to the skip's size on the way up.
 
 use crate::Result;
-use crate::model::ModelConfig;
+use crate::config::ModelConfig;
+use crate::control::Counter;
 use crate::nn::{Linear, SingleConv, Tensor};
-use crate::progress::Counter;
 use crate::weights::Scope;
 use snake_kernels::{Buffer, BufferPool};
 
@@ -68,28 +68,31 @@ impl UNet3d {
     }
 
     /// `(D, H, W, c_dim)` to the same size and width.
-    pub(crate) fn forward(&self, volume: Tensor, counter: &Counter) -> Buffer {
-        let run = |[first, second]: &DoubleConv, inputs: Vec<Tensor>| {
-            let middle = first.forward(&inputs.iter().collect::<Vec<_>>(), &self.pool);
+    pub(crate) fn forward(&self, volume: Tensor, counter: &Counter) -> Result<Buffer> {
+        let stop = || counter.is_stopped();
+        let run = |[first, second]: &DoubleConv, inputs: Vec<Tensor>| -> Result<Tensor> {
+            let middle = first.forward(&inputs.iter().collect::<Vec<_>>(), &self.pool, &stop);
             drop(inputs);
-            let made = second.forward(&[&middle], &self.pool);
+            counter.check()?;
+            let made = second.forward(&[&middle], &self.pool, &stop);
+            counter.check()?;
             counter.add(made.voxels());
-            made
+            Ok(made)
         };
         let mut skips = Vec::with_capacity(self.decoders.len());
-        let mut current = run(&self.top, vec![volume]);
+        let mut current = run(&self.top, vec![volume])?;
         for encoder in &self.deeper {
             let pooled = current.max_pool(&self.pool);
             skips.push(current);
-            current = run(encoder, vec![pooled]);
+            current = run(encoder, vec![pooled])?;
         }
         for (decoder, skip) in self.decoders.iter().zip(skips.into_iter().rev()) {
             current = if skip.size == current.size.map(|n| 2 * n) {
-                run(decoder, vec![skip, current])
+                run(decoder, vec![skip, current])?
             } else {
-                run(decoder, vec![skip.concat_upsampled(&current, &self.pool)])
+                run(decoder, vec![skip.concat_upsampled(&current, &self.pool)])?
             };
         }
-        current.pointwise(&self.final_conv, &self.pool)
+        Ok(current.pointwise(&self.final_conv, &self.pool))
     }
 }

@@ -50,6 +50,7 @@ use std::path::Path;
 use std::sync::{PoisonError, RwLock, RwLockWriteGuard};
 
 use crate::detect::Keypoint;
+use crate::excerpt::excerpt;
 use crate::points::{Point, Transform};
 use crate::registration::Registration;
 use crate::{Error, Mesh, Result};
@@ -317,13 +318,6 @@ pub fn write_atomically(path: &Path, fill: impl FnOnce(&mut dyn Write) -> io::Re
 /// What is unpacked must not be larger than its file this many times over: no scan is, and a file made for it would take
 /// all memory.
 const MAX_EXPANSION: usize = 50;
-
-/// A piece of a file's content that is safe to show: one line, short, without control characters.
-pub(crate) fn excerpt(text: &str, max_chars: usize) -> String {
-    let mut chars = text.trim().chars();
-    let shown: String = chars.by_ref().take(max_chars).map(|c| if c.is_control() { ' ' } else { c }).collect();
-    if chars.next().is_some() { shown + "…" } else { shown }
-}
 
 #[cfg(test)]
 mod tests {

@@ -3,8 +3,8 @@
 use std::io::{self, Write};
 
 use super::array::Array;
-use super::excerpt;
 use super::shape::{Position, Shape};
+use crate::excerpt::excerpt;
 use crate::points::{Point, Transform};
 
 pub(super) const MAGIC: &[u8] = b"\x93NUMPY";

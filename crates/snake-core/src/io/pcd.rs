@@ -1,9 +1,9 @@
 //! PCD: point clouds of the Point Cloud Library, ascii, binary and binary_compressed.
 
-use super::excerpt;
 use super::lzf;
 use super::npy::Dtype;
 use super::shape::{Position, Shape};
+use crate::excerpt::excerpt;
 
 const AXES: [&str; 3] = ["x", "y", "z"];
 

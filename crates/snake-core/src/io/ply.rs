@@ -10,8 +10,8 @@ use ply_rs::parser::{Parser, Reader};
 use ply_rs::ply::{ElementDef, Encoding, Header, Property, PropertyAccess, PropertyAccessResult, PropertyDef};
 use ply_rs::ply::{PropertyType, ScalarType};
 
-use super::excerpt;
 use super::shape::{Position, Shape, add_polygon};
+use crate::excerpt::excerpt;
 
 const AXES: [&str; 3] = ["x", "y", "z"];
 

@@ -2,8 +2,8 @@
 
 use std::collections::HashMap;
 
-use super::excerpt;
 use super::shape::{Position, Shape};
+use crate::excerpt::excerpt;
 
 /// Bytes before the triangles of a binary file, the last four of them their number.
 const HEADER_BYTES: usize = 84;

@@ -2,8 +2,8 @@
 
 use std::io::{self, Write};
 
-use super::excerpt;
 use super::shape::{Position, Shape};
+use crate::excerpt::excerpt;
 use crate::registration::Registration;
 
 const BYTE_ORDER_MARK: &[u8] = b"\xef\xbb\xbf";

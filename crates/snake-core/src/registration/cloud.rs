@@ -4,16 +4,17 @@ use std::collections::HashMap;
 
 use rayon::prelude::*;
 
+use crate::control::{Control, Counter};
 use crate::neighbors::{Neighbors, Vector, vector};
 use crate::points::{Point, check_points};
-use crate::progress::{Counter, Progress};
 use crate::{Error, Result};
 
 /// The mean of the points in each cube of side `voxel_size`, in the order of the cubes' first points.
-pub(super) fn voxel_means(points: &[Point], voxel_size: f64, counter: &Counter) -> Vec<Vector> {
+pub(super) fn voxel_means(points: &[Point], voxel_size: f64, counter: &Counter) -> Result<Vec<Vector>> {
     let mut cells: HashMap<[i64; 3], usize> = HashMap::new();
     let mut sums: Vec<(Vector, usize)> = Vec::new();
     for points in points.chunks(4096) {
+        counter.check()?;
         for point in points.iter().copied().map(vector) {
             let cell = [point.x, point.y, point.z].map(|v| (v / voxel_size).floor() as i64);
             let index = *cells.entry(cell).or_insert(sums.len());
@@ -25,7 +26,7 @@ pub(super) fn voxel_means(points: &[Point], voxel_size: f64, counter: &Counter) 
         }
         counter.add(points.len());
     }
-    sums.into_iter().map(|(sum, count)| sum / count as f64).collect()
+    Ok(sums.into_iter().map(|(sum, count)| sum / count as f64).collect())
 }
 
 /// Unit normals `(N, 3)`: the direction in which the points nearer than `radius` (cloud units) vary least. Their sign is
@@ -40,7 +41,10 @@ pub fn estimate_normals(points: &[Point], radius: f64) -> Result<Vec<Point>> {
     check_radius("radius", radius)?;
     let cloud = Neighbors::new(points.iter().copied().map(vector).collect())?;
     cloud.check_crowding("radius", radius)?;
-    Ok(normals(&cloud, radius, None).into_iter().map(|normal| normal.map(|v| v as f32).into()).collect())
+    Ok(normals(&cloud, radius, &Control::default())?
+        .into_iter()
+        .map(|normal| normal.map(|v| v as f32).into())
+        .collect())
 }
 
 pub(super) fn check_radius(name: &'static str, radius: f64) -> Result<()> {
@@ -52,13 +56,14 @@ pub(super) fn check_radius(name: &'static str, radius: f64) -> Result<()> {
 }
 
 /// [`estimate_normals`] of an indexed cloud.
-pub(super) fn normals(cloud: &Neighbors, radius: f64, progress: Option<&Progress>) -> Vec<Vector> {
-    let counter = Counter::begin(progress, "normals", cloud.points.len());
+pub(super) fn normals(cloud: &Neighbors, radius: f64, control: &Control) -> Result<Vec<Vector>> {
+    let counter = control.begin("normals", cloud.points.len());
     let center = cloud.points.iter().sum::<Vector>() / cloud.points.len() as f64;
     let normal = |point: &Vector| {
+        counter.check()?;
         counter.add(1);
-        let Some(normal) = cloud.normal(&cloud.within(point, radius)) else { return Vector::zeros() };
-        if normal.dot(&(center - point)) < 0.0 { -normal } else { normal }
+        let Some(normal) = cloud.normal(&cloud.within(point, radius)) else { return Ok(Vector::zeros()) };
+        Ok(if normal.dot(&(center - point)) < 0.0 { -normal } else { normal })
     };
     cloud.points.par_iter().map(normal).collect()
 }
@@ -70,12 +75,12 @@ mod tests {
     #[test]
     fn each_voxel_gives_the_mean_of_its_points() {
         let points = [[0.9, 0.1, 0.1], [-0.1, 0.2, 0.3], [0.1, 0.5, 0.1], [-0.3, 0.4, 0.5]];
-        let means = voxel_means(&points, 1.0, &Counter::default());
+        let means = voxel_means(&points, 1.0, &Counter::default()).unwrap();
         assert_eq!(means.len(), 2);
         assert!((means[0] - Vector::new(0.5, 0.3, 0.1)).norm() < 1e-7, "{means:?}");
         assert!((means[1] - Vector::new(-0.2, 0.3, 0.4)).norm() < 1e-7, "{means:?}");
         // Voxels beyond i64 do not panic.
-        assert_eq!(voxel_means(&[[3e38; 3], [-3e38; 3]], 1e-30, &Counter::default()).len(), 2);
+        assert_eq!(voxel_means(&[[3e38; 3], [-3e38; 3]], 1e-30, &Counter::default()).unwrap().len(), 2);
     }
 
     #[test]

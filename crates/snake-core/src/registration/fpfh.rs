@@ -5,9 +5,9 @@ use std::f64::consts::PI;
 use rayon::prelude::*;
 
 use super::cloud::check_radius;
+use crate::control::Control;
 use crate::neighbors::{Neighbors, Vector, vector};
 use crate::points::{Point, check_points};
-use crate::progress::{Counter, Progress};
 use crate::{Error, Result};
 
 /// Numbers per descriptor: three histograms of 11 bins.
@@ -37,20 +37,24 @@ pub fn fpfh(points: &[Point], normals: &[Point], radius: f64) -> Result<Vec<f32>
     let cloud = Neighbors::new(points.iter().copied().map(vector).collect())?;
     cloud.check_crowding("radius", radius)?;
     let normals: Vec<Vector> = normals.iter().copied().map(vector).collect();
-    Ok(descriptors(&cloud, &normals, radius, None))
+    descriptors(&cloud, &normals, radius, &Control::default())
 }
 
 /// [`fpfh`] of an indexed cloud.
-pub(super) fn descriptors(cloud: &Neighbors, normals: &[Vector], radius: f64, progress: Option<&Progress>) -> Vec<f32> {
+pub(super) fn descriptors(cloud: &Neighbors, normals: &[Vector], radius: f64, control: &Control) -> Result<Vec<f32>> {
     // Looked for twice: to keep them all would take memory without bound.
-    let counter = Counter::begin(progress, "FPFH", 2 * cloud.points.len());
-    let neighbors = |i: usize| -> Vec<usize> {
+    let counter = control.begin("FPFH", 2 * cloud.points.len());
+    let neighbors = |i: usize| -> Result<Vec<usize>> {
+        counter.check()?;
         counter.add(1);
-        cloud.within(&cloud.points[i], radius).into_iter().filter(|&j| j != i).collect()
+        Ok(cloud.within(&cloud.points[i], radius).into_iter().filter(|&j| j != i).collect())
     };
     let points = (0..cloud.points.len()).into_par_iter();
-    let simplified: Vec<Histograms> = points.clone().map(|i| simplified(cloud, normals, i, &neighbors(i))).collect();
-    points.flat_map_iter(|i| weighted(cloud, &simplified, i, &neighbors(i))).map(|v| v as f32).collect()
+    let simplified = |i| Ok(simplified(cloud, normals, i, &neighbors(i)?));
+    let simplified: Vec<Histograms> = points.clone().map(simplified).collect::<Result<_>>()?;
+    let weighted = |i| Ok(weighted(cloud, &simplified, i, &neighbors(i)?));
+    let weighted: Vec<Histograms> = points.map(weighted).collect::<Result<_>>()?;
+    Ok(weighted.into_iter().flatten().map(|v| v as f32).collect())
 }
 
 /// SPFH: histograms of the angles between a point and its neighbours, each of sum 100.

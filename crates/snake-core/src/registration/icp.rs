@@ -4,8 +4,9 @@ use nalgebra::{IsometryMatrix3, Matrix6, Rotation3, Translation3, Vector6};
 use rayon::prelude::*;
 
 use super::rigid::moved;
+use crate::Result;
+use crate::control::Control;
 use crate::neighbors::{Neighbors, Vector};
-use crate::progress::{Counter, Progress};
 
 /// Steps smaller than this part of the pair distance, and of a radian, end the iteration.
 const TOLERANCE: f64 = 1e-5;
@@ -22,11 +23,12 @@ pub(super) fn icp(
     rough: IsometryMatrix3<f64>,
     max_distance: f64,
     max_iterations: usize,
-    progress: Option<&Progress>,
-) -> IsometryMatrix3<f64> {
+    control: &Control,
+) -> Result<IsometryMatrix3<f64>> {
     let mut transform = rough;
-    let counter = Counter::begin(progress, "ICP", max_iterations);
+    let counter = control.begin("ICP", max_iterations);
     for _ in 0..max_iterations {
+        counter.check()?;
         counter.add(1);
         let pair = |point: &Vector| {
             let point = moved(&transform, point);
@@ -40,7 +42,7 @@ pub(super) fn icp(
             break;
         }
     }
-    transform
+    Ok(transform)
 }
 
 /// The least-squares step of pairs (source point in the target's frame, index of its partner); `None` when they are of one point or none.
@@ -92,7 +94,8 @@ mod tests {
 
     fn refined(source: &[Vector], target: Vec<Vector>, rough: IsometryMatrix3<f64>) -> IsometryMatrix3<f64> {
         let target = Neighbors::new(target).unwrap();
-        icp(source, &target, &normals(&target, 0.2, None), rough, 0.3, 30, None)
+        let normals = normals(&target, 0.2, &Control::default()).unwrap();
+        icp(source, &target, &normals, rough, 0.3, 30, &Control::default()).unwrap()
     }
 
     #[test]

@@ -22,6 +22,7 @@ use std::time::Instant;
 
 use serde::{Deserialize, Serialize};
 
+use crate::control::Control;
 use crate::length::{Length, resolution};
 use crate::model::Model;
 use crate::neighbors::vector;
@@ -139,6 +140,20 @@ impl Registration {
 /// [`Error::Input`] for a cloud without finite points or without extent, and when the keypoints
 /// have too few correspondences, or none that agree; [`Error::Option`] when an option is outside its range.
 pub fn register(source: &[Point], target: &[Point], model: &Model, options: &RegisterOptions) -> Result<Registration> {
+    register_with(source, target, model, options, &Control::default())
+}
+
+/// [`register`] under the caller's control; a classical detector is not interrupted.
+///
+/// # Errors
+/// Those of [`register`]; [`Error::Cancelled`] and [`Error::DeadlineExceeded`].
+pub fn register_with(
+    source: &[Point],
+    target: &[Point],
+    model: &Model,
+    options: &RegisterOptions,
+    control: &Control,
+) -> Result<Registration> {
     let start = Instant::now();
     options.check()?;
     let (num_source, num_target) = (source.len(), target.len());
@@ -149,30 +164,29 @@ pub fn register(source: &[Point], target: &[Point], model: &Model, options: &Reg
         Some(size) => size,
         None => diameter("source", source)?.min(diameter("target", target)?) / VOXELS_PER_DIAMETER,
     };
-    let progress = model.progress();
-    let source_voxels = reduce("source", source, voxel_size, progress)?;
-    let target_voxels = reduce("target", target, voxel_size, progress)?;
+    let source_voxels = reduce(source, voxel_size, control)?;
+    let target_voxels = reduce(target, voxel_size, control)?;
     // Sparse clouds have most points alone in their voxels, and fewer neighbours than voxels.
     let spacing = voxel_size.max(source_voxels.resolution()).max(target_voxels.resolution());
     let lengths = [voxel_size, normal_radius.unwrap_or(2.0 * spacing), feature_radius.unwrap_or(7.0 * spacing)];
-    let source_scan = Scan::of(source, source_voxels, model, lengths)?;
-    let target_scan = Scan::of(target, target_voxels, model, lengths)?;
+    let source_scan = Scan::of(source, source_voxels, model, lengths, control)?;
+    let target_scan = Scan::of(target, target_voxels, model, lengths, control)?;
 
     let describe = |scan: &Scan, seed| -> Result<(Vec<Point>, Vec<f32>)> {
-        let keypoints = scan.keypoints(options.detector, options.max_keypoints, seed)?;
-        let descriptors = scan.descriptors(&keypoints, options.descriptor)?;
+        let keypoints = scan.keypoints_with(options.detector, options.max_keypoints, seed, control)?;
+        let descriptors = scan.descriptors_with(&keypoints, options.descriptor, control)?;
         Ok((keypoints, descriptors))
     };
     // Random points of the target are others: of equal clouds they would all have partners.
     let (source_keypoints, source_descriptors) = describe(&source_scan, options.seed)?;
     let (target_keypoints, target_descriptors) = describe(&target_scan, options.seed.wrapping_add(1))?;
     let dimension = source_scan.dimension(options.descriptor);
-    let matches = matches(&source_descriptors, &target_descriptors, dimension, progress)?;
+    let matches = matches(&source_descriptors, &target_descriptors, dimension, control)?;
     let pairs: Vec<Pair> =
         matches.iter().map(|&[s, t]| (vector(source_keypoints[s]), vector(target_keypoints[t]))).collect();
 
     let ransac_options = options.ransac(inlier_distance.unwrap_or(1.5 * spacing));
-    let Some(rough) = best_transform(&pairs, &ransac_options, progress) else {
+    let Some(rough) = best_transform(&pairs, &ransac_options, control)? else {
         let (of_source, of_target) = (source_keypoints.len(), target_keypoints.len());
         let reason = format!(
             "no three of the {} correspondences, of {of_source} and {of_target} keypoints, fit a rigid transform; do the clouds overlap, and in the same units?",
@@ -183,7 +197,7 @@ pub fn register(source: &[Point], target: &[Point], model: &Model, options: &Reg
     let inlier_distance = ransac_options.inlier_distance;
     let Scan { voxels, normals, .. } = &target_scan;
     let (source_voxels, steps) = (&source_scan.voxels.points, options.refine_steps);
-    let transform = icp(source_voxels, voxels, normals, rough, inlier_distance, steps, progress);
+    let transform = icp(source_voxels, voxels, normals, rough, inlier_distance, steps, control)?;
     let Consensus { t_target_source, inliers, rmse } = consensus(&pairs, &transform, inlier_distance);
     Ok(Registration {
         t_target_source,

@@ -7,9 +7,9 @@ use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
 use super::rigid::{best_fit, check_pairs, matrix, moved};
+use crate::control::{Control, Counter};
 use crate::neighbors::{Vector, vector};
 use crate::points::{Point, Transform};
-use crate::progress::{Counter, Progress};
 use crate::{Error, Result};
 
 /// Samples that one thread draws in a row, from a random stream of their own.
@@ -84,17 +84,19 @@ pub fn ransac(source: &[Point], target: &[Point], options: &RansacOptions) -> Re
     check_pairs(source, target)?;
     options.check()?;
     let pairs: Vec<Pair> = source.iter().zip(target).map(|(&s, &t)| (vector(s), vector(t))).collect();
-    Ok(best_transform(&pairs, options, None).map(|transform| consensus(&pairs, &transform, options.inlier_distance)))
+    let best = best_transform(&pairs, options, &Control::default())?;
+    Ok(best.map(|transform| consensus(&pairs, &transform, options.inlier_distance)))
 }
 
 /// The transform of [`ransac`]; the options are checked.
 pub(super) fn best_transform(
     pairs: &[Pair],
     options: &RansacOptions,
-    progress: Option<&Progress>,
-) -> Option<IsometryMatrix3<f64>> {
-    let counter = Counter::begin(progress, "RANSAC", options.max_iterations);
-    best_sample(pairs, options, &counter).map(|best| refit(pairs, best, options.inlier_distance).transform)
+    control: &Control,
+) -> Result<Option<IsometryMatrix3<f64>>> {
+    let counter = control.begin("RANSAC", options.max_iterations);
+    let best = best_sample(pairs, options, &counter)?;
+    Ok(best.map(|best| refit(pairs, best, options.inlier_distance).transform))
 }
 
 /// The correspondences that agree with a transform.
@@ -136,19 +138,20 @@ impl Hypothesis {
     }
 }
 
-fn best_sample(pairs: &[Pair], options: &RansacOptions, counter: &Counter) -> Option<Hypothesis> {
+fn best_sample(pairs: &[Pair], options: &RansacOptions, counter: &Counter) -> Result<Option<Hypothesis>> {
     let mut best: Option<Hypothesis> = None;
     let mut drawn = 0;
     while pairs.len() >= 3 && drawn < options.max_iterations {
         let streams = (0..STREAMS_PER_ROUND).into_par_iter().map(|stream| {
             let first = drawn + stream * SAMPLES_PER_STREAM;
             let count = options.max_iterations.saturating_sub(first).min(SAMPLES_PER_STREAM);
+            counter.check()?;
             let best = best_of_stream(pairs, options, (first / SAMPLES_PER_STREAM) as u64, count);
             counter.add(count);
-            best
+            Ok(best)
         });
         // In the order of the streams, so that of equally good samples the first one stays.
-        for found in streams.collect::<Vec<_>>().into_iter().flatten() {
+        for found in streams.collect::<Result<Vec<_>>>()?.into_iter().flatten() {
             if found.is_better_than(&best) {
                 best = Some(found);
             }
@@ -164,7 +167,7 @@ fn best_sample(pairs: &[Pair], options: &RansacOptions, counter: &Counter) -> Op
         let enough = ((1.0 - options.confidence).ln() / (1.0 - inlier_ratio.powi(3)).ln()).abs();
         counter.set_total(options.max_iterations.min(drawn.max(enough as usize)));
     }
-    best
+    Ok(best)
 }
 
 fn best_of_stream(pairs: &[Pair], options: &RansacOptions, stream: u64, count: usize) -> Option<Hypothesis> {
@@ -221,6 +224,7 @@ fn squared_distance(transform: &IsometryMatrix3<f64>, (source, target): &Pair) -
 mod tests {
     use super::super::rigid::tests::{random_points, random_transform};
     use super::*;
+    use crate::Progress;
 
     /// `count` correspondences of which the first `inliers` fit a transform, up to noise of 0.005 along each axis.
     fn problem(seed: u64, count: usize, inliers: usize) -> (Vec<Point>, Vec<Point>, IsometryMatrix3<f64>) {
@@ -295,7 +299,7 @@ mod tests {
         assert_eq!(ransac(&source, &target, &many).unwrap().unwrap().inliers.len(), 2000);
         let pairs: Vec<Pair> = source.iter().zip(&target).map(|(&s, &t)| (vector(s), vector(t))).collect();
         let progress = Progress::default();
-        best_transform(&pairs, &many, Some(&progress)).unwrap();
+        best_transform(&pairs, &many, &Control::new().progress(&progress)).unwrap().unwrap();
         let stage = progress.stage().unwrap();
         assert_eq!((stage.done, stage.total), (8192, 8192));
     }

@@ -9,13 +9,13 @@ use super::cloud::{check_radius, normals, voxel_means};
 use super::fpfh::{self, FPFH_DIMENSION};
 use crate::Result;
 use crate::baselines::{Detector, Harris3dOptions, IssOptions, Protocol, Sift3dOptions};
-use crate::detect::{DetectOptions, Preset, detect};
-use crate::field::{EncodeOptions, Field};
+use crate::control::Control;
+use crate::field::Field;
 use crate::length::Length;
 use crate::model::Model;
 use crate::neighbors::{Neighbors, Vector, vector};
-use crate::points::{FinitePoints, NormalizationMethod, Point, check_points};
-use crate::progress::{Counter, Progress};
+use crate::options::{DetectOptions, EncodeOptions, Preset};
+use crate::points::{FinitePoints, Normalization, NormalizationMethod, Point, check_points};
 
 /// What keypoints are found by: the model, or a classical detector of [`baselines`](crate::baselines) with its default
 /// options, which picks among the points of the reduced cloud.
@@ -49,51 +49,96 @@ pub enum Descriptor {
     Field,
 }
 
-/// A cloud made ready to be matched. What takes long is done once for all detectors and descriptors.
+/// A cloud made ready to be matched. What takes long is done when it is first needed, once for all detectors and
+/// descriptors: the model runs only for those that ask for its field.
 pub struct Scan {
     pub(super) voxels: Neighbors,
     pub(super) normals: Vec<Vector>,
     voxel_size: f64,
     feature_radius: f64,
-    field: Field,
+    /// The finite points.
+    points: Vec<Point>,
+    model: Model,
+    field: OnceLock<Field>,
     fpfh: OnceLock<Vec<f32>>,
 }
 
 impl Scan {
     /// Reduces a cloud to voxels of side `voxel_size` (cloud units), with normals of radius 2 and FPFH of radius 7 of
-    /// these, and encodes it.
+    /// these.
     ///
     /// # Errors
-    /// [`Error::Input`](crate::Error::Input) for a cloud without finite points or without extent; [`Error::Option`](crate::Error::Option) when the voxel size is not positive.
+    /// [`Error::Input`](crate::Error::Input) for a cloud without finite points or without extent;
+    /// [`Error::Option`](crate::Error::Option) when the voxel size is not positive.
     pub fn new(points: &[Point], model: &Model, voxel_size: f64) -> Result<Self> {
-        check_radius("voxel_size", voxel_size)?;
-        let voxels = reduce("points", points, voxel_size, model.progress())?;
-        Self::of(points, voxels, model, [voxel_size, 2.0 * voxel_size, 7.0 * voxel_size])
+        Self::new_with(points, model, voxel_size, &Control::default())
     }
 
-    /// [`Scan::new`] of a reduced cloud; the lengths are voxel size, radius of normals and radius of FPFH.
-    pub(super) fn of(points: &[Point], voxels: Neighbors, model: &Model, lengths: [f64; 3]) -> Result<Self> {
+    /// [`Scan::new`] under the caller's control.
+    ///
+    /// # Errors
+    /// Those of [`Scan::new`]; [`Error::Cancelled`](crate::Error::Cancelled) and
+    /// [`Error::DeadlineExceeded`](crate::Error::DeadlineExceeded).
+    pub fn new_with(points: &[Point], model: &Model, voxel_size: f64, control: &Control) -> Result<Self> {
+        check_radius("voxel_size", voxel_size)?;
+        let points = FinitePoints::of("points", points)?.points;
+        let voxels = reduce(&points, voxel_size, control)?;
+        Self::of(&points, voxels, model, [voxel_size, 2.0 * voxel_size, 7.0 * voxel_size], control)
+    }
+
+    /// [`Scan::new`] of finite points and their voxels; the lengths are voxel size, radius of normals and radius of FPFH.
+    pub(super) fn of(
+        points: &[Point],
+        voxels: Neighbors,
+        model: &Model,
+        lengths: [f64; 3],
+        control: &Control,
+    ) -> Result<Self> {
         let [voxel_size, normal_radius, feature_radius] = lengths;
-        // Scenes fill the volume better by the cube than by the sphere that suits objects; a cube cannot be turned in it.
-        let normalization = NormalizationMethod::UnitCube;
-        let field =
-            model.encode(points, &EncodeOptions { normalization, rotations: 1, ..model.recommended().encode })?;
+        // Refuses extents that no model takes, also where none runs.
+        Normalization::of(points, NORMALIZATION)?;
         voxels.check_crowding("normal_radius", normal_radius)?;
         voxels.check_crowding("feature_radius", feature_radius)?;
-        let normals = normals(&voxels, normal_radius, model.progress());
-        Ok(Self { voxels, normals, voxel_size, feature_radius, field, fpfh: OnceLock::new() })
+        let normals = normals(&voxels, normal_radius, control)?;
+        Ok(Self {
+            voxels,
+            normals,
+            voxel_size,
+            feature_radius,
+            points: points.to_vec(),
+            model: model.clone(),
+            field: OnceLock::new(),
+            fpfh: OnceLock::new(),
+        })
     }
 
-    /// At most `count` keypoints, and no more than the cloud has points, the best first. Only random points depend on the seed.
+    /// At most `count` keypoints, and no more than the cloud has points, the best first. Only random points depend on the
+    /// seed.
     ///
     /// # Errors
     /// [`Error::Input`](crate::Error::Input) when a classical detector finds a single voxel;
-    /// [`Error::Option`](crate::Error::Option) when it is asked for none.
+    /// [`Error::Option`](crate::Error::Option) when it is asked for none; [`Error::Weights`](crate::Error::Weights) when
+    /// the model overflows.
     pub fn keypoints(&self, detector: KeypointDetector, count: usize, seed: u64) -> Result<Vec<Point>> {
+        self.keypoints_with(detector, count, seed, &Control::default())
+    }
+
+    /// [`Scan::keypoints`] under the caller's control; a classical detector is not interrupted.
+    ///
+    /// # Errors
+    /// Those of [`Scan::keypoints`]; [`Error::Cancelled`](crate::Error::Cancelled) and
+    /// [`Error::DeadlineExceeded`](crate::Error::DeadlineExceeded).
+    pub fn keypoints_with(
+        &self,
+        detector: KeypointDetector,
+        count: usize,
+        seed: u64,
+        control: &Control,
+    ) -> Result<Vec<Point>> {
         // More than the points say nothing new, and matching takes time by the square of their number.
-        let count = count.min(self.field.points().len());
+        let count = count.min(self.points.len());
         let classical = match detector {
-            KeypointDetector::Snake => return self.salient_points(count),
+            KeypointDetector::Snake => return self.salient_points(count, control),
             KeypointDetector::Iss => Detector::Iss(IssOptions::default()),
             KeypointDetector::Harris3d => Detector::Harris3d(Harris3dOptions::default()),
             KeypointDetector::Sift3d => Detector::Sift3d(Sift3dOptions::default()),
@@ -101,7 +146,7 @@ impl Scan {
             KeypointDetector::Random => Detector::Random,
         };
         let voxels = self.voxel_means();
-        Counter::begin(self.field.model().progress(), "keypoints", 0);
+        control.begin("keypoints", 0).check()?;
         let found = classical.keypoints(&voxels, count, Protocol::Ranked, seed)?;
         Ok(found.into_iter().map(|response| voxels[response.index]).collect())
     }
@@ -110,9 +155,19 @@ impl Scan {
         self.voxels.points.iter().map(|point| point.map(|v| v as f32).into()).collect()
     }
 
-    fn salient_points(&self, most: usize) -> Result<Vec<Point>> {
-        let model = self.field.model();
-        let recommended = *model.recommended();
+    /// The whole cloud's field, encoded when it is first asked for.
+    fn field(&self, control: &Control) -> Result<&Field> {
+        if let Some(field) = self.field.get() {
+            return Ok(field);
+        }
+        let recommended = self.model.recommended().encode;
+        let options = EncodeOptions { normalization: NORMALIZATION, rotations: 1, ..recommended };
+        let field = self.model.encode_with(&self.points, &options, control)?;
+        Ok(self.field.get_or_init(|| field))
+    }
+
+    fn salient_points(&self, most: usize, control: &Control) -> Result<Vec<Point>> {
+        let recommended = *self.model.recommended();
         let options = DetectOptions { saliency_threshold: 0.0, max_keypoints: most, ..recommended.detect };
         let uses_windows = match recommended.windows.window_radius {
             // Windows of hardly more than a voxel show nothing.
@@ -120,10 +175,12 @@ impl Scan {
             radius => radius.is_some(),
         };
         let found = if uses_windows {
-            model.detect(&self.voxel_means(), &Preset { detect: options, ..recommended })?
+            let options = Preset { detect: options, ..recommended };
+            self.model.detect_with(&self.voxel_means(), &options, control)?
         } else {
             // The suppression radius that suits objects of any size is not one of this cloud's units; that of windows is.
-            detect(&self.field, &DetectOptions { nms_radius: Length::Units(self.voxel_size), ..options })?
+            let options = DetectOptions { nms_radius: Length::Units(self.voxel_size), ..options };
+            self.field(control)?.detect_with(&options, control)?
         };
         Ok(found.keypoints.into_iter().map(|keypoint| keypoint.position).collect())
     }
@@ -131,11 +188,21 @@ impl Scan {
     /// Descriptors `(N, dimension)` of points `(N, 3)` in the cloud's frame, flat; see [`Scan::dimension`].
     ///
     /// # Errors
-    /// [`Error::Input`](crate::Error::Input) for coordinates that are not finite.
+    /// [`Error::Input`](crate::Error::Input) for coordinates that are not finite; [`Error::Weights`](crate::Error::Weights)
+    /// when the model overflows.
     pub fn descriptors(&self, points: &[Point], descriptor: Descriptor) -> Result<Vec<f32>> {
+        self.descriptors_with(points, descriptor, &Control::default())
+    }
+
+    /// [`Scan::descriptors`] under the caller's control.
+    ///
+    /// # Errors
+    /// Those of [`Scan::descriptors`]; [`Error::Cancelled`](crate::Error::Cancelled) and
+    /// [`Error::DeadlineExceeded`](crate::Error::DeadlineExceeded).
+    pub fn descriptors_with(&self, points: &[Point], descriptor: Descriptor, control: &Control) -> Result<Vec<f32>> {
         match descriptor {
-            Descriptor::Fpfh => self.fpfh_at(points),
-            Descriptor::Field => self.field.descriptors(points),
+            Descriptor::Fpfh => self.fpfh_at(points, control),
+            Descriptor::Field => self.field(control)?.descriptors(points),
         }
     }
 
@@ -143,34 +210,35 @@ impl Scan {
     pub fn dimension(&self, descriptor: Descriptor) -> usize {
         match descriptor {
             Descriptor::Fpfh => FPFH_DIMENSION,
-            Descriptor::Field => self.field.model().config().c_dim,
+            Descriptor::Field => self.model.config().c_dim,
         }
     }
 
     /// FPFH of the voxels nearest to the points.
-    fn fpfh_at(&self, points: &[Point]) -> Result<Vec<f32>> {
+    fn fpfh_at(&self, points: &[Point], control: &Control) -> Result<Vec<f32>> {
         if !points.is_empty() {
             check_points("points", points)?;
         }
-        let progress = self.field.model().progress();
-        let describe = || fpfh::descriptors(&self.voxels, &self.normals, self.feature_radius, progress);
-        let of_voxels = self.fpfh.get_or_init(describe);
+        let of_voxels = match self.fpfh.get() {
+            Some(of_voxels) => of_voxels,
+            None => {
+                let made = fpfh::descriptors(&self.voxels, &self.normals, self.feature_radius, control)?;
+                self.fpfh.get_or_init(|| made)
+            }
+        };
         let nearest = |&point: &Point| self.voxels.nearest(&vector(point), NonZeroUsize::MIN)[0].0;
         let rows = points.iter().map(|point| &of_voxels[nearest(point) * FPFH_DIMENSION..][..FPFH_DIMENSION]);
         Ok(rows.flatten().copied().collect())
     }
 }
 
-/// The cloud's points by voxels.
-pub(super) fn reduce(
-    what: &'static str,
-    points: &[Point],
-    voxel_size: f64,
-    progress: Option<&Progress>,
-) -> Result<Neighbors> {
-    let points = &FinitePoints::of(what, points)?.points;
-    let counter = Counter::begin(progress, "voxels", points.len());
-    Neighbors::new(voxel_means(points, voxel_size, &counter))
+/// Scenes fill the volume better by the cube than by the sphere that suits objects; a cube cannot be turned in it.
+const NORMALIZATION: NormalizationMethod = NormalizationMethod::UnitCube;
+
+/// Finite points by voxels.
+pub(super) fn reduce(points: &[Point], voxel_size: f64, control: &Control) -> Result<Neighbors> {
+    let counter = control.begin("voxels", points.len());
+    Neighbors::new(voxel_means(points, voxel_size, &counter)?)
 }
 
 #[cfg(test)]
@@ -221,6 +289,23 @@ mod tests {
         assert!(model.recommended().encode.rotations > 1);
         let scan = Scan::new(&sample(), &model, 0.05).unwrap();
         assert_eq!(scan.keypoints(Snake, 10, 0).unwrap().len(), 10);
+    }
+
+    #[test]
+    fn the_model_runs_only_for_what_asks_for_its_field_and_once() {
+        for name in Model::NAMES {
+            let scan = Scan::new(&sample(), &Model::named(name).unwrap(), 0.05).unwrap();
+            scan.keypoints(Iss, 10, 0).unwrap();
+            scan.descriptors(&sample()[..3], Descriptor::Fpfh).unwrap();
+            assert!(scan.field.get().is_none(), "{name}");
+            scan.keypoints(Snake, 10, 0).unwrap();
+            let in_windows = name == "rooms";
+            assert_eq!(scan.field.get().is_none(), in_windows, "{name}");
+            scan.descriptors(&sample()[..3], Descriptor::Field).unwrap();
+            let first: *const Field = scan.field.get().unwrap();
+            scan.descriptors(&sample()[..3], Descriptor::Field).unwrap();
+            assert!(std::ptr::eq(first, scan.field.get().unwrap()), "{name}");
+        }
     }
 
     #[test]

@@ -8,53 +8,16 @@ mod samples;
 mod tests;
 
 use rayon::prelude::*;
-use serde::{Deserialize, Serialize};
 
+use crate::Result;
+use crate::control::Control;
 use crate::field::{Field, Quantity, log_odds};
 use crate::nn::TILE;
+use crate::options::MeshOptions;
 use crate::points::Point;
-use crate::progress::Counter;
-use crate::{Error, Result};
 
 use marching_cubes::{Crossing, Surface};
 use samples::{Sample, Samples};
-
-/// Options of [`Field::mesh`].
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
-#[serde(default, deny_unknown_fields)]
-pub struct MeshOptions {
-    /// Samples of the occupancy along each axis of the feature volume's box, ends included: 8 to 512.
-    pub resolution: usize,
-    /// The surface is where the occupancy has this value: 0.001 to 0.999; the default is the released code's.
-    pub level: f32,
-    /// Keep only what can be reached from outside. A network of SNAKE sees surfaces as thin shells, with a second surface
-    /// within, which this removes unless the shell has a hole.
-    pub outer: bool,
-}
-
-impl Default for MeshOptions {
-    fn default() -> Self {
-        Self { resolution: 128, level: 0.4, outer: false }
-    }
-}
-
-impl MeshOptions {
-    /// Refuses what [`Field::mesh`] would refuse, before any work is done.
-    ///
-    /// # Errors
-    /// [`Error::Option`] when an option is out of its range.
-    pub fn check(&self) -> Result<()> {
-        if !(8..=512).contains(&self.resolution) {
-            let value = self.resolution.to_string();
-            return Err(Error::Option { name: "resolution", value, allowed: "8 to 512 (samples along each axis)" });
-        }
-        if !(0.001..=0.999).contains(&self.level) {
-            let value = self.level.to_string();
-            return Err(Error::Option { name: "level", value, allowed: "0.001 to 0.999 (a probability)" });
-        }
-        Ok(())
-    }
-}
 
 /// A surface of triangles that share their vertices. Each edge is that of two triangles, in opposite directions.
 #[derive(Debug, Clone, PartialEq, Default)]
@@ -116,12 +79,21 @@ impl Field {
     /// ```
     ///
     /// # Errors
-    /// [`Error::Option`] when an option is out of its range.
+    /// [`Error::Option`](crate::Error::Option) when an option is out of its range.
     pub fn mesh(&self, options: &MeshOptions) -> Result<Mesh> {
+        self.mesh_with(options, &Control::default())
+    }
+
+    /// [`Field::mesh`] under the caller's control.
+    ///
+    /// # Errors
+    /// Those of [`Field::mesh`]; [`Error::Cancelled`](crate::Error::Cancelled) and
+    /// [`Error::DeadlineExceeded`](crate::Error::DeadlineExceeded).
+    pub fn mesh_with(&self, options: &MeshOptions, control: &Control) -> Result<Mesh> {
         options.check()?;
         let grid = Grid::new(self, options.resolution);
         let near_points = self.points().iter().map(|&point| grid.sample_below(self.normalization().to_network(point)));
-        Ok(grid.mesh(options, near_points))
+        grid.mesh(options, near_points, control)
     }
 }
 
@@ -160,28 +132,28 @@ impl<'a> Grid<'a> {
         point
     }
 
-    fn mesh(&self, options: &MeshOptions, likely: impl IntoIterator<Item = Sample>) -> Mesh {
+    fn mesh(&self, options: &MeshOptions, likely: impl IntoIterator<Item = Sample>, control: &Control) -> Result<Mesh> {
         let value = |samples: &[Sample]| {
             let queries: Vec<Point> = samples.iter().map(|&sample| self.point(sample)).collect();
             let values = self.field.tile_values(Quantity::Occupancy, &queries);
             // A network can overflow: `max` makes a number of what is none.
             values.into_iter().map(|value| log_odds(value.max(0.0))).collect()
         };
-        let progress = self.field.model().progress();
-        let samples = Samples::near_surface(options.resolution, log_odds(options.level), value, likely, progress);
-        Counter::begin(progress, "triangles", 0);
+        let samples = Samples::near_surface(options.resolution, log_odds(options.level), value, likely, control)?;
+        control.begin("triangles", 0).check()?;
         let mut surface = Surface::of(&samples);
         if options.outer {
             surface.retain_outer(&samples);
         }
         let vertices: Vec<Point> =
             surface.crossings.par_iter().map(|crossing| self.vertex(&samples, crossing)).collect();
-        let counter = Counter::begin(progress, "normals", vertices.len());
-        let gradients = vertices.par_chunks(TILE).flat_map_iter(|tile| {
+        let counter = control.begin("normals", vertices.len());
+        let gradients = vertices.par_chunks(TILE).map(|tile| {
+            counter.check()?;
             counter.add(tile.len());
-            self.field.tile_values_and_gradients(Quantity::Occupancy, tile).1
+            Ok(self.field.tile_values_and_gradients(Quantity::Occupancy, tile).1)
         });
-        let gradients: Vec<Point> = gradients.collect();
+        let gradients = gradients.collect::<Result<Vec<_>>>()?.concat();
         let normalization = self.field.normalization();
         let mut mesh = Mesh {
             vertices: vertices.into_iter().map(|vertex| normalization.to_cloud(vertex)).collect(),
@@ -189,7 +161,7 @@ impl<'a> Grid<'a> {
             triangles: surface.triangles,
         };
         mesh.normals = normals(&mesh, &gradients);
-        mesh
+        Ok(mesh)
     }
 }
 

@@ -2,7 +2,8 @@
 
 use rayon::prelude::*;
 
-use crate::progress::{Counter, Progress};
+use crate::Result;
+use crate::control::{Control, Counter};
 
 /// Samples along each axis of a block.
 const SIDE: usize = 4;
@@ -38,35 +39,42 @@ impl Samples {
         level: f32,
         value: impl Fn(&[Sample]) -> Vec<f32> + Sync,
         likely: impl IntoIterator<Item = Sample>,
-        progress: Option<&Progress>,
-    ) -> Self {
+        control: &Control,
+    ) -> Result<Self> {
         let number = resolution.div_ceil(SIDE).pow(3);
         let mut samples = Self { resolution, level, slots: vec![None; number], values: Vec::new() };
         let mut is_likely = vec![false; number];
         likely.into_iter().for_each(|sample| is_likely[samples.place(sample).0] = true);
         let middle = |block| samples.sample(block, 0).map(|i| (i + SIDE / 2).min(resolution - 1));
-        let counter = Counter::begin(progress, "search for the surface", number);
-        let mut wanted: Vec<usize> = (0..number.div_ceil(VOLUME))
-            .into_par_iter()
-            .flat_map_iter(|tile| {
-                let blocks = tile * VOLUME..number.min((tile + 1) * VOLUME);
-                let values = value(&blocks.clone().map(middle).collect::<Vec<_>>());
-                counter.add(blocks.len());
-                blocks.zip(values).filter(|&(block, value)| value > level || is_likely[block]).map(|(block, _)| block)
-            })
-            .collect();
+        let counter = control.begin("search for the surface", number);
+        let search = |tile: usize| -> Result<Vec<usize>> {
+            counter.check()?;
+            let blocks = tile * VOLUME..number.min((tile + 1) * VOLUME);
+            let values = value(&blocks.clone().map(middle).collect::<Vec<_>>());
+            counter.add(blocks.len());
+            let found = blocks.zip(values).filter(|&(block, value)| value > level || is_likely[block]);
+            Ok(found.map(|(block, _)| block).collect())
+        };
+        let tiles = (0..number.div_ceil(VOLUME)).into_par_iter().map(search);
+        let mut wanted = tiles.collect::<Result<Vec<_>>>()?.concat();
         while !wanted.is_empty() {
-            samples.ask(&wanted, &value, &Counter::begin(progress, "occupancy", wanted.len()));
+            samples.ask(&wanted, &value, &control.begin("occupancy", wanted.len()))?;
             wanted = wanted.par_iter().flat_map_iter(|&block| samples.unknown_beside_occupied(block)).collect();
             wanted.par_sort_unstable();
             wanted.dedup();
         }
-        samples
+        Ok(samples)
     }
 
     /// Makes blocks known.
-    fn ask(&mut self, blocks: &[usize], value: &(impl Fn(&[Sample]) -> Vec<f32> + Sync), counter: &Counter) {
+    fn ask(
+        &mut self,
+        blocks: &[usize],
+        value: &(impl Fn(&[Sample]) -> Vec<f32> + Sync),
+        counter: &Counter,
+    ) -> Result<()> {
         let values = blocks.par_iter().map(|&block| {
+            counter.check()?;
             // The last block along an axis can reach beyond the grid.
             let inside = |sample: &Sample| sample.iter().all(|&i| i < self.resolution);
             let asked: Vec<Sample> = self.of_block(block).filter(inside).collect();
@@ -76,13 +84,14 @@ impl Samples {
                 let on_border = sample.iter().any(|&i| i == 0 || i == self.resolution - 1);
                 values[self.place(sample).1] = if on_border { value.min(self.level) } else { value };
             }
-            values
+            Ok(values)
         });
-        let values: Vec<_> = values.collect();
+        let values: Vec<_> = values.collect::<Result<_>>()?;
         for (&block, slot) in blocks.iter().zip(self.values.len() as u32..) {
             self.slots[block] = Some(slot);
         }
         self.values.extend(values);
+        Ok(())
     }
 
     fn unknown_beside_occupied(&self, block: usize) -> Vec<usize> {

@@ -7,11 +7,19 @@ use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
 use super::*;
+use crate::Error;
 
 /// All samples of a function, or those that are found without a hint.
 fn samples(resolution: usize, all: bool, value: impl Fn(Sample) -> f32 + Sync) -> Samples {
     let likely = every_sample(resolution).filter(|_| all);
-    Samples::near_surface(resolution, 0.0, |asked| asked.iter().map(|&sample| value(sample)).collect(), likely, None)
+    Samples::near_surface(
+        resolution,
+        0.0,
+        |asked| asked.iter().map(|&sample| value(sample)).collect(),
+        likely,
+        &Control::default(),
+    )
+    .unwrap()
 }
 
 fn every_sample(resolution: usize) -> impl Iterator<Item = Sample> {
@@ -188,7 +196,14 @@ fn samples_near_the_surface_give_the_surface_of_all_samples() {
     // A speck in a block whose sample misses it: found if the block is likely.
     let speck = |sample| if sample == [9, 9, 9] { 1.0 } else { -1.0 };
     assert!(samples(32, false, speck).known().is_empty());
-    let likely = Samples::near_surface(32, 0.0, |asked| asked.iter().map(|&s| speck(s)).collect(), [[8, 11, 10]], None);
+    let likely = Samples::near_surface(
+        32,
+        0.0,
+        |asked| asked.iter().map(|&s| speck(s)).collect(),
+        [[8, 11, 10]],
+        &Control::default(),
+    )
+    .unwrap();
     assert_eq!(Surface::of(&likely).crossings.len(), 6);
 }
 
@@ -212,7 +227,10 @@ fn the_mesh_of_a_field_is_that_of_all_samples_at_the_level_and_faces_out() {
     for (resolution, level, outer) in [(50, 0.4, false), (64, 0.8, true)] {
         let options = MeshOptions { resolution, level, outer };
         let found = field.mesh(&options).unwrap();
-        assert_eq!(found, Grid::new(&field, resolution).mesh(&options, every_sample(resolution)));
+        assert_eq!(
+            found,
+            Grid::new(&field, resolution).mesh(&options, every_sample(resolution), &Control::default()).unwrap()
+        );
         euler_characteristic(&found);
         let threads = rayon::ThreadPoolBuilder::new().num_threads(3).build().unwrap();
         assert_eq!(found, threads.install(|| field.mesh(&options)).unwrap());

@@ -97,9 +97,12 @@ thread_local! {
 /// Normalises the sources (`value * scale + shift`), pads them with zeros, convolves and applies the ReLU. `output` is
 /// `[z][y][x][channel]`. Returns the sum and the sum of squares of each output channel, in float64 and in a fixed order.
 ///
+/// `stop` is asked before each of the many parts of the work. Once it says true, the remaining parts are left out, and
+/// output and sums are not to be used.
+///
 /// # Panics
 /// If a slice is shorter than the sizes say.
-pub fn conv3d(level: SimdLevel, conv: &Conv3d, output: &mut [f32]) -> Vec<[f64; 2]> {
+pub fn conv3d(level: SimdLevel, conv: &Conv3d, stop: &(dyn Fn() -> bool + Sync), output: &mut [f32]) -> Vec<[f64; 2]> {
     let &Conv3d { layer, size, originals, .. } = conv;
     let [_, height, width] = size;
     let plane = height * width * layer.outputs;
@@ -120,7 +123,9 @@ pub fn conv3d(level: SimdLevel, conv: &Conv3d, output: &mut [f32]) -> Vec<[f64; 
         .into_par_iter()
         .map(|task| {
             let mut sums = vec![[0.0; 2]; layer.outputs];
-            SCRATCH.with_borrow_mut(|scratch| conv3d_task(level, conv, scratch, task, &mut sums));
+            if !stop() {
+                SCRATCH.with_borrow_mut(|scratch| conv3d_task(level, conv, scratch, task, &mut sums));
+            }
             sums
         })
         .collect();

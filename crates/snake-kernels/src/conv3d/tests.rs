@@ -31,7 +31,7 @@ fn every_level_equals_the_textbook() {
             let layer = PackedConv3d::new(&sources, outputs, &weight, tile);
             let [scale, shift] = &norm;
             let conv = Conv3d { layer: &layer, size, sources: &volumes_, scale, shift, originals: &[] };
-            let sums = conv3d(level, &conv, &mut output);
+            let sums = conv3d(level, &conv, &|| false, &mut output);
             let case = format!("{level:?} {tile} {size:?} {sources:?} {outputs}");
             // Sums of up to 1296 products of values below 2.
             naive::assert_close(&output, &expected, 4e-4, &case);
@@ -71,7 +71,7 @@ fn copied_tiles_are_those_that_would_be_computed() {
                     let mut output = vec![f32::NAN; size.iter().product::<usize>() * outputs];
                     let (scale, shift) = (&scale, &shift);
                     let conv = Conv3d { layer: &layer, size, sources: &sources, scale, shift, originals };
-                    let sums = conv3d(level, &conv, &mut output);
+                    let sums = conv3d(level, &conv, &|| false, &mut output);
                     (output, sums)
                 };
                 let ((computed, sums), (copied, copied_sums)) = (run(&[]), run(&originals));

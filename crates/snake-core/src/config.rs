@@ -1,0 +1,71 @@
+//! The shape of a network.
+
+use crate::volume::VolumeFrame;
+use crate::weights::{self, Weights};
+use crate::{Result, budget};
+
+/// The shape of a network, read from the weight file's metadata.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct ModelConfig {
+    /// Resolution and bounds of the feature volume.
+    pub frame: VolumeFrame,
+    /// Channels of the volume.
+    pub c_dim: usize,
+    /// Width of the point encoder.
+    pub hidden_dim: usize,
+    /// Width of the decoders.
+    pub decoder_hidden_dim: usize,
+    /// Residual blocks in the point encoder and in each decoder.
+    pub resnet_blocks: usize,
+    /// Levels of the U-Net.
+    pub unet_levels: usize,
+    /// Channels of its first level; each level below doubles them.
+    pub unet_base_channels: usize,
+    /// Groups of its normalisations (1 where a layer has fewer channels).
+    pub group_norm_groups: usize,
+}
+
+impl ModelConfig {
+    pub(crate) fn from_weights(file: &Weights) -> Result<Self> {
+        let whole = |key: &str, most: usize| match file.number::<usize>(key)? {
+            value if (1..=most).contains(&value) => Ok(value),
+            value => Err(weights::error(key, &format!("1 to {most}"), value.to_string())),
+        };
+        let text = file.text("resolution")?;
+        let sizes = text.trim_matches(['[', ']']).split(',').map(|v| v.trim().parse::<usize>().ok());
+        let resolution: Option<Vec<usize>> = sizes.collect();
+        let [x, y, z] = resolution.as_deref().unwrap_or_default() else {
+            return Err(weights::error("resolution", "[x, y, z]", text.into()));
+        };
+        let config = Self {
+            frame: VolumeFrame {
+                resolution: [*x, *y, *z],
+                padding: file.number("padding")?,
+                z_bounds: [file.number("z_min")?, file.number("z_max")?],
+            },
+            c_dim: whole("c_dim", 1024)?,
+            hidden_dim: whole("hidden_dim", 1024)?,
+            decoder_hidden_dim: whole("decoder_hidden_dim", 1024)?,
+            resnet_blocks: whole("resnet_blocks", 64)?,
+            unet_levels: whole("unet_levels", 8)?,
+            unet_base_channels: whole("unet_base_channels", 1024)?,
+            group_norm_groups: whole("group_norm_groups", 1024)?,
+        };
+        let smallest = 2.max(1 << (config.unet_levels - 1));
+        let VolumeFrame { resolution, padding, z_bounds: [z_min, z_max] } = config.frame;
+        if resolution.iter().any(|size| !(smallest..=512).contains(size)) {
+            return Err(weights::error(
+                "resolution",
+                &format!("{smallest} to 512 voxels along each axis"),
+                text.into(),
+            ));
+        }
+        budget::check_volume(&config)?;
+        let z_extent = z_max - z_min;
+        if !((0.0..=10.0).contains(&padding) && z_extent > 0.0 && z_extent < 1e3) {
+            let found = format!("padding {padding}, z from {z_min} to {z_max}");
+            return Err(weights::error("padding", "0 to 10, and z_min below z_max", found));
+        }
+        Ok(config)
+    }
+}

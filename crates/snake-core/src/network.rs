@@ -1,0 +1,46 @@
+//! A network's layers with what its weight file says of it: what models and fields share.
+
+use std::collections::BTreeMap;
+
+use crate::Result;
+use crate::config::ModelConfig;
+use crate::decoder::Decoder;
+use crate::encoder::Encoder;
+use crate::options::Preset;
+use crate::weights::{self, Weights};
+
+/// Encoder and decoders.
+#[derive(Debug)]
+pub(crate) struct Network {
+    pub(crate) config: ModelConfig,
+    pub(crate) metadata: BTreeMap<String, String>,
+    pub(crate) recommended: Preset,
+    pub(crate) num_parameters: usize,
+    pub(crate) encoder: Encoder,
+    pub(crate) occupancy: Decoder,
+    pub(crate) saliency: Decoder,
+}
+
+impl Network {
+    /// A network from the bytes of a weight file, all of whose tensors it must use.
+    pub(crate) fn from_bytes(bytes: &[u8]) -> Result<Self> {
+        let file = Weights::open(bytes)?;
+        let config = ModelConfig::from_weights(&file)?;
+        let network = Self {
+            config,
+            metadata: file.metadata.clone().into_iter().collect(),
+            recommended: match file.metadata.get("recommended_options") {
+                Some(json) => serde_json::from_str(json)
+                    .map_err(|e| weights::error("recommended_options", "options of snake-rs as JSON", e.to_string()))?,
+                None => Preset::default(),
+            },
+            encoder: Encoder::load(&file.at("encoder"), &config)?,
+            occupancy: Decoder::occupancy(&file.at("decoder_occup"), &config)?,
+            saliency: Decoder::saliency(&file.at("decoder_keypoint"), &config)?,
+            num_parameters: file.num_parameters(),
+        };
+        network.recommended.check(&config)?;
+        file.finish()?;
+        Ok(network)
+    }
+}

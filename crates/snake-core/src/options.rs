@@ -1,0 +1,301 @@
+//! All options of encoding, detection and meshes, with their ranges.
+
+use std::borrow::Cow;
+
+use rand::SeedableRng;
+use serde::{Deserialize, Serialize};
+
+use crate::config::ModelConfig;
+use crate::length::Length;
+use crate::points::{NormalizationMethod, Point};
+use crate::{Error, Result, budget};
+
+/// How a cloud becomes a field.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct EncodeOptions {
+    /// How the cloud is brought into the network's frame; its statistics are those of all points.
+    pub normalization: NormalizationMethod,
+    /// Encode at most this many finite points, drawn at random without replacement; `None`: all of them.
+    pub max_points: Option<usize>,
+    /// Seed of that draw.
+    pub seed: u64,
+    /// Encode this many copies of the cloud, each turned another way, and average their fields (as log-odds). The network
+    /// is only roughly equivariant, and its errors in the copies are nearly independent: keypoints repeat far better, at
+    /// as many times the cost. 1 to 64; above 1 only with [`NormalizationMethod::UnitSphere`], since a turned cube leaves
+    /// the volume.
+    pub rotations: usize,
+}
+
+impl Default for EncodeOptions {
+    fn default() -> Self {
+        Self { normalization: NormalizationMethod::UnitSphere, max_points: None, seed: 0, rotations: 1 }
+    }
+}
+
+impl EncodeOptions {
+    /// Also whether a network's volumes leave room for so many copies.
+    pub(crate) fn check(&self, config: &ModelConfig) -> Result<()> {
+        let unit_sphere = self.normalization == NormalizationMethod::UnitSphere;
+        if !(1..=64).contains(&self.rotations) || (self.rotations > 1 && !unit_sphere) {
+            let allowed = "1 to 64, above 1 only with unit-sphere normalization or in windows";
+            return Err(Error::Option { name: "rotations", value: self.rotations.to_string(), allowed });
+        }
+        if self.max_points == Some(0) {
+            return Err(Error::Option { name: "max_points", value: "0".into(), allowed: "1 or more" });
+        }
+        budget::check_rotations(self.rotations, config)
+    }
+
+    /// The points that are encoded: all, or at most `max_points` of them.
+    pub(crate) fn sample<'a>(&self, points: &'a [Point]) -> Cow<'a, [Point]> {
+        match self.max_points {
+            Some(most) if most < points.len() => {
+                let mut rng = rand_chacha::ChaCha8Rng::seed_from_u64(self.seed);
+                let mut chosen = rand::seq::index::sample(&mut rng, points.len(), most).into_vec();
+                chosen.sort_unstable();
+                chosen.into_iter().map(|i| points[i]).collect()
+            }
+            _ => points.into(),
+        }
+    }
+}
+
+/// How queries climb.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum RefineMethod {
+    /// Adam on one minus the mean saliency of all the cloud's queries: what the released code does. Its ε makes steps
+    /// on nearly flat ground depend a little on the number of queries.
+    #[default]
+    Adam,
+    /// Algorithm 1 as printed, with each query's own gradient (that of the mean would not move anything).
+    GradientDescent,
+}
+
+/// Which position and score a refined query gets. A score is the saliency where the occupancy is above the surface
+/// threshold, else 0.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Selection {
+    /// The best score on the way, the position after the last step counted too, and the position that had it.
+    #[default]
+    BestPosition,
+    /// What the released code returns: the position after the last step, with the best score measured before any step.
+    ReferenceFinalPosition,
+}
+
+/// Options of [`Field::detect`](crate::Field::detect); the defaults are the paper's for ModelNet40.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct DetectOptions {
+    /// Queries along each axis of the starting grid, which spans the network's cube ±0.5; 1 to 256, so that its cube times
+    /// `refine_steps + 1` times [`EncodeOptions::rotations`] is at most 2^28.
+    pub query_resolution: usize,
+    /// Queries more than this many voxels of the volume, along any axis, from every voxel with input points are dropped
+    /// unasked: far from the points there is hardly ever a surface, and there are many such queries. 0: all are asked.
+    pub query_band: usize,
+    /// Queries whose occupancy is not above this are dropped before refinement (1 − thr_o).
+    pub occupancy_threshold: f32,
+    /// Refinement steps (J).
+    pub refine_steps: usize,
+    /// Step size (λ), in network units.
+    pub refine_step_size: f32,
+    /// How queries climb.
+    pub refine_method: RefineMethod,
+    /// Which position and score they get.
+    pub selection: Selection,
+    /// A position scores 0 unless its occupancy is above this; the released code's 0.8.
+    pub surface_threshold: f32,
+    /// Keypoints have a score above this (thr_s).
+    pub saliency_threshold: f32,
+    /// Keypoints are farther apart than this; 0 turns suppression off.
+    pub nms_radius: Length,
+    /// At most this many keypoints, the best.
+    pub max_keypoints: usize,
+    /// Move each keypoint to its nearest input point. Two may then fall on the same point, as in the paper.
+    pub snap: bool,
+}
+
+impl Default for DetectOptions {
+    fn default() -> Self {
+        Self {
+            query_resolution: 64,
+            query_band: 0,
+            occupancy_threshold: 0.5,
+            refine_steps: 10,
+            refine_step_size: 1e-3,
+            refine_method: RefineMethod::Adam,
+            selection: Selection::BestPosition,
+            surface_threshold: 0.8,
+            saliency_threshold: 0.7,
+            nms_radius: Length::Units(0.01),
+            max_keypoints: 64,
+            snap: false,
+        }
+    }
+}
+
+impl DetectOptions {
+    /// Also whether there are too many queries and steps for fields of so many copies.
+    pub(crate) fn check(&self, rotations: usize) -> Result<()> {
+        let within = |name, value: f32, range: std::ops::RangeInclusive<f32>, allowed| {
+            if range.contains(&value) { Ok(()) } else { Err(Error::Option { name, value: value.to_string(), allowed }) }
+        };
+        within("query_resolution", self.query_resolution as f32, 1.0..=256.0, "1 to 256")?;
+        within("query_band", self.query_band as f32, 0.0..=1024.0, "0 to 1024 (voxels)")?;
+        within("refine_steps", self.refine_steps as f32, 0.0..=10_000.0, "0 to 10000")?;
+        within("refine_step_size", self.refine_step_size, 0.0..=1.0, "0 to 1 (network units)")?;
+        within("occupancy_threshold", self.occupancy_threshold, 0.0..=1.0, "0 to 1")?;
+        within("surface_threshold", self.surface_threshold, 0.0..=1.0, "0 to 1")?;
+        within("saliency_threshold", self.saliency_threshold, 0.0..=1.0, "0 to 1")?;
+        let (Length::Units(nms_radius) | Length::Resolutions(nms_radius)) = self.nms_radius;
+        within("nms_radius", nms_radius as f32, 0.0..=f32::MAX, "0 or more (cloud units, or as in `3r` resolutions)")?;
+        budget::check_queries(self.query_resolution, self.refine_steps, rotations)
+    }
+
+    /// The suppression radius in cloud units.
+    pub(crate) fn nms_radius(&self, points: &[Point]) -> Result<f32> {
+        match self.nms_radius {
+            Length::Units(radius) => Ok(radius as f32),
+            multiple => Ok(multiple.in_units("nms_radius", points)? as f32),
+        }
+    }
+}
+
+/// Encoding and detection options that belong together.
+#[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct Preset {
+    /// How the cloud is encoded.
+    pub encode: EncodeOptions,
+    /// How keypoints are found.
+    pub detect: DetectOptions,
+    /// Whether in the whole cloud at once.
+    pub windows: WindowOptions,
+}
+
+impl Preset {
+    /// The names that [`Preset::named`] knows: the rows of the paper's table of hyper-parameters.
+    pub const NAMES: [&'static str; 5] = ["modelnet40", "keypointnet", "smpl", "redwood", "3dmatch"];
+
+    /// Refuses what is out of its range, and what would ask for too much of the machine with that network.
+    pub(crate) fn check(&self, config: &ModelConfig) -> Result<()> {
+        self.windows.check()?;
+        let normalization = match self.windows.window_radius {
+            // A ball can be turned as the sphere can.
+            Some(_) => NormalizationMethod::UnitSphere,
+            None => self.encode.normalization,
+        };
+        EncodeOptions { normalization, ..self.encode }.check(config)?;
+        self.detect.check(self.encode.rotations)
+    }
+
+    /// The test settings of one of the paper's data sets (appendix B, and the released code where the paper is silent).
+    ///
+    /// # Errors
+    /// [`Error::Option`] for an unknown name.
+    pub fn named(name: &str) -> Result<Self> {
+        let (normalization, max_points) = match name {
+            "modelnet40" => (NormalizationMethod::UnitSphere, Some(5000)),
+            "keypointnet" | "smpl" => (NormalizationMethod::UnitCube, Some(2048)),
+            "redwood" => (NormalizationMethod::UnitCube, Some(10_240)),
+            "3dmatch" => (NormalizationMethod::UnitCube, None),
+            _ => {
+                let allowed = "modelnet40, keypointnet, smpl, redwood or 3dmatch";
+                return Err(Error::Option { name: "preset", value: name.into(), allowed });
+            }
+        };
+        let common = DetectOptions::default();
+        let detect = match name {
+            "keypointnet" => DetectOptions { nms_radius: Length::Units(0.1), ..common },
+            "smpl" => DetectOptions { nms_radius: Length::Units(0.1), snap: true, ..common },
+            "redwood" => {
+                DetectOptions { query_resolution: 100, nms_radius: Length::Units(0.04), max_keypoints: 512, ..common }
+            }
+            "3dmatch" => DetectOptions {
+                saliency_threshold: 0.4,
+                nms_radius: Length::Units(0.04),
+                max_keypoints: 2500,
+                snap: true,
+                ..common
+            },
+            _ => common,
+        };
+        Ok(Self {
+            encode: EncodeOptions { normalization, max_points, ..Default::default() },
+            detect,
+            ..Default::default()
+        })
+    }
+}
+
+/// Options of detection in windows.
+#[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct WindowOptions {
+    /// The radius of the balls that cover the cloud, each of which is encoded by itself at the scale of its radius, so
+    /// that what is found at a place depends on its surroundings alone; the normalisation is not used. `None`: the whole
+    /// cloud is encoded at once, in which details of large clouds are lost.
+    pub window_radius: Option<Length>,
+}
+
+impl WindowOptions {
+    pub(crate) fn check(&self) -> Result<()> {
+        match self.window_radius {
+            // A multiple has the range of a length; what it multiplies is known later.
+            Some(length @ (Length::Units(value) | Length::Resolutions(value))) => {
+                check_radius(value, || length.to_string())
+            }
+            None => Ok(()),
+        }
+    }
+}
+
+/// As of the extents of clouds: squared distances must neither vanish nor overflow in f32.
+pub(crate) fn check_radius(radius: f64, shown: impl FnOnce() -> String) -> Result<()> {
+    match (1e-15..=1e15).contains(&radius) {
+        true => Ok(()),
+        false => {
+            let allowed = "1e-15 to 1e15 (cloud units, or as in `40r` resolutions)";
+            Err(Error::Option { name: "window_radius", value: shown(), allowed })
+        }
+    }
+}
+
+/// Options of [`Field::mesh`](crate::Field::mesh).
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct MeshOptions {
+    /// Samples of the occupancy along each axis of the feature volume's box, ends included: 8 to 512.
+    pub resolution: usize,
+    /// The surface is where the occupancy has this value: 0.001 to 0.999; the default is the released code's.
+    pub level: f32,
+    /// Keep only what can be reached from outside. A network of SNAKE sees surfaces as thin shells, with a second surface
+    /// within, which this removes unless the shell has a hole.
+    pub outer: bool,
+}
+
+impl Default for MeshOptions {
+    fn default() -> Self {
+        Self { resolution: 128, level: 0.4, outer: false }
+    }
+}
+
+impl MeshOptions {
+    /// Refuses what [`Field::mesh`](crate::Field::mesh) would refuse, before any work is done.
+    ///
+    /// # Errors
+    /// [`Error::Option`] when an option is out of its range.
+    pub fn check(&self) -> Result<()> {
+        if !(8..=512).contains(&self.resolution) {
+            let value = self.resolution.to_string();
+            return Err(Error::Option { name: "resolution", value, allowed: "8 to 512 (samples along each axis)" });
+        }
+        if !(0.001..=0.999).contains(&self.level) {
+            let value = self.level.to_string();
+            return Err(Error::Option { name: "level", value, allowed: "0.001 to 0.999 (a probability)" });
+        }
+        Ok(())
+    }
+}
