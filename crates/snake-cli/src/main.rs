@@ -11,6 +11,7 @@ mod model;
 mod reconstruct;
 mod register;
 mod render;
+mod setup;
 mod terminal;
 mod timing;
 mod view;

@@ -9,8 +9,8 @@ use clap::Args;
 use serde_json::json;
 use snake_core::{Control, MeshOptions, Progress, io};
 
-use crate::args::{ComputeArguments, EncodeFlags, override_with};
 use crate::inputs::InputArguments;
+use crate::setup::{ComputeArguments, EncodeFlags, override_with};
 use crate::terminal;
 
 #[derive(Args)]

@@ -166,9 +166,9 @@ mod tests {
     }
 
     /// Calls `call` once to its end, then cancelled and with a deadline at moments all over the time that it took, and
-    /// returns the median time from such a moment to the call's return. A call that was stopped must not change what
-    /// later calls return.
-    fn stopped_at_any_moment<T: PartialEq + Send>(call: impl Fn(&Control) -> Result<T> + Sync) -> Duration {
+    /// asserts that half of the calls return soon after such a moment. A call that was stopped must not change what later
+    /// calls return.
+    fn assert_stops_soon<T: PartialEq + Send>(call: impl Fn(&Control) -> Result<T> + Sync) {
         const MOMENTS: u32 = 10;
         let start = Instant::now();
         let expected = call(&Control::default()).unwrap();
@@ -202,10 +202,10 @@ mod tests {
         assert!(call(&Control::default()).unwrap() == expected);
         assert!(delays.len() > MOMENTS as usize, "{} of the calls were stopped", delays.len());
         delays.sort();
-        delays[delays.len() / 2]
+        let median = delays[delays.len() / 2];
+        // On a machine that is busy with other things everything takes longer.
+        assert!(median < Duration::from_millis(50).max(whole / 4), "{median:?} of {whole:?}");
     }
-
-    const SOON: Duration = Duration::from_millis(50);
 
     #[test]
     fn detection_stops_soon_and_leaves_nothing_behind() {
@@ -216,10 +216,9 @@ mod tests {
         let mut windows = *Model::builtin().unwrap().recommended();
         windows.windows.window_radius = Some(0.5.into());
         for (model, options) in [(&model, whole), (&Model::builtin().unwrap(), windows)] {
-            let delay = stopped_at_any_moment(|control| {
+            assert_stops_soon(|control| {
                 model.detect_with(&points, &options, control).map(|detection| detection.keypoints)
             });
-            assert!(delay < SOON, "{delay:?}");
         }
     }
 
@@ -227,21 +226,18 @@ mod tests {
     fn encoding_meshes_and_registration_stop_soon() {
         let (points, field) = cylinder();
         let model = model_of_64();
-        let delay = stopped_at_any_moment(|control| {
+        assert_stops_soon(|control| {
             let field = model.encode_with(&points, &EncodeOptions::default(), control)?;
             Ok(field.volume().values.to_vec())
         });
-        assert!(delay < SOON, "encode {delay:?}");
         let options = MeshOptions::default();
-        let delay = stopped_at_any_moment(|control| field.mesh_with(&options, control));
-        assert!(delay < SOON, "mesh {delay:?}");
+        assert_stops_soon(|control| field.mesh_with(&options, control));
         let model = Model::builtin().unwrap();
         let bent: Vec<Point> = points.iter().map(|p| [p[0], p[1] + p[2], p[2] + p[0] * p[0]]).collect();
         let options = RegisterOptions { max_keypoints: 500, ..Default::default() };
-        let delay = stopped_at_any_moment(|control| {
+        assert_stops_soon(|control| {
             register_with(&bent, &bent, &model, &options, control).map(|found| found.t_target_source)
         });
-        assert!(delay < SOON, "register {delay:?}");
     }
 
     #[test]

@@ -7,8 +7,8 @@ use clap::Args;
 use snake_core::io::KeypointFormat;
 use snake_core::{Length, Model, Preset, RefineMethod, Selection};
 
-use crate::args::{ComputeArguments, EncodeFlags, named, override_with};
 use crate::inputs::InputArguments;
+use crate::setup::{ComputeArguments, EncodeFlags, named, override_with};
 
 #[derive(Args)]
 pub struct DetectArguments {

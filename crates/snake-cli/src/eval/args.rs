@@ -6,7 +6,7 @@ use clap::{Args, Subcommand, ValueEnum};
 use snake_core::Length;
 use snake_core::registration::{Descriptor, KeypointDetector};
 
-use crate::args::{ComputeArguments, named};
+use crate::setup::{ComputeArguments, named};
 
 #[derive(Subcommand)]
 pub enum Eval {

@@ -57,7 +57,7 @@ fn evenly_spaced(length: usize, limit: Option<usize>) -> Result<Vec<usize>> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::args::ComputeArguments;
+    use crate::setup::ComputeArguments;
 
     #[test]
     fn few_pairs_are_evenly_spaced() {

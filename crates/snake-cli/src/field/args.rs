@@ -4,9 +4,9 @@ use std::path::PathBuf;
 
 use clap::{Args, ValueEnum};
 
-use crate::args::{ComputeArguments, EncodeFlags};
 use crate::inputs::InputArguments;
 use crate::render::colormap::Colormap;
+use crate::setup::{ComputeArguments, EncodeFlags};
 
 /// What a field says of a place.
 #[derive(Clone, Copy, ValueEnum)]

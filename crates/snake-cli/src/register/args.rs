@@ -6,8 +6,8 @@ use clap::Args;
 use snake_core::Length;
 use snake_core::registration::{Descriptor, KeypointDetector, RegisterOptions};
 
-use crate::args::{ComputeArguments, named, override_with};
 use crate::inputs::InputArguments;
+use crate::setup::{ComputeArguments, named, override_with};
 
 #[derive(Args)]
 pub struct RegisterArguments {

@@ -5,10 +5,10 @@ use std::path::PathBuf;
 use clap::Args;
 use snake_core::Length;
 
-use crate::args::ComputeArguments;
 use crate::detect::args::DetectFlags;
 use crate::inputs::InputArguments;
 use crate::render::colormap::Colormap;
+use crate::setup::ComputeArguments;
 
 #[derive(Args)]
 pub struct ViewArguments {

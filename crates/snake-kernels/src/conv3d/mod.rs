@@ -37,6 +37,10 @@ use self::pack::{BLOCK, points};
 use self::products::multiply;
 use self::transform::{transform_inputs, transform_outputs};
 
+/// For M = 4 the points beside 0 and infinity are plus and minus these.
+const NEAR: f64 = 11.0 / 16.0;
+const FAR: f64 = 23.0 / 16.0;
+
 /// One input volume of a convolution. The channels of several sources follow each other.
 #[derive(Debug, Clone, Copy)]
 pub struct Source<'a> {

@@ -2,7 +2,7 @@
 
 use rayon::prelude::*;
 
-use super::transform::{FAR, NEAR};
+use super::{FAR, NEAR};
 use crate::simd::{LANES, pack};
 
 /// Input channels of one matrix product.

@@ -4,15 +4,11 @@
 //! instructions.
 
 use super::pack::{BLOCK, Block};
-use super::{Conv3d, Task};
+use super::{Conv3d, FAR, NEAR, Task};
 use crate::simd::{LANES, Lanes, load, store};
 
 /// The largest M.
 const MAX_TILE: usize = 4;
-
-/// For M = 4 the points beside 0 and infinity are plus and minus these.
-pub(super) const NEAR: f64 = 11.0 / 16.0;
-pub(super) const FAR: f64 = 23.0 / 16.0;
 
 /// Transforms LANES input channels of the tiles `[row, x]` of one plane of tiles to V. `to` holds `pitch` values for each
 /// point, BLOCK for each tile.
