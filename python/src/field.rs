@@ -103,7 +103,7 @@ impl Field {
     #[pyo3(signature = (**options))]
     fn detect(&self, py: Python<'_>, options: Option<&Bound<PyDict>>) -> PyResult<Keypoints> {
         let preset = options::resolve("detect", &options::DETECT, self.0.recommended(), options)?;
-        let detection = threads::run(py, || self.0.detect(&preset.detect))?;
+        let detection = threads::run_with_signals(py, |control| self.0.detect_with(&preset.detect, control))?;
         Keypoints::from_detection(py, detection)
     }
 
@@ -115,7 +115,7 @@ impl Field {
     #[pyo3(signature = (**options))]
     fn mesh(&self, py: Python<'_>, options: Option<&Bound<PyDict>>) -> PyResult<Mesh> {
         let options: core::MeshOptions = options::of("mesh", options)?;
-        let mesh = threads::run(py, || self.0.mesh(&options))?;
+        let mesh = threads::run_with_signals(py, |control| self.0.mesh_with(&options, control))?;
         Mesh::from_core(py, mesh)
     }
 

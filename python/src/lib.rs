@@ -44,7 +44,7 @@ fn detect(
     let model = model::given_or_builtin(py, model)?;
     let preset = options::resolve("detect", &options::ALL, model.recommended(), options)?;
     let points = arrays::points("points", points)?;
-    let detection = threads::run(py, || model.detect(&points, &preset))?;
+    let detection = threads::run_with_signals(py, |control| model.detect_with(&points, &preset, control))?;
     Keypoints::from_detection(py, detection)
 }
 

@@ -134,7 +134,7 @@ impl Model {
     fn encode(&self, py: Python<'_>, points: &Bound<PyAny>, options: Option<&Bound<PyDict>>) -> PyResult<Field> {
         let preset = options::resolve("encode", &options::ENCODE, self.core.recommended(), options)?;
         let points = arrays::points("points", points)?;
-        threads::run(py, || self.core.encode(&points, &preset.encode)).map(Field::new)
+        threads::run_with_signals(py, |control| self.core.encode_with(&points, &preset.encode, control)).map(Field::new)
     }
 
     fn __reduce__<'py>(slf: &Bound<'py, Self>) -> PyResult<(Bound<'py, PyAny>, Bound<'py, PyTuple>)> {

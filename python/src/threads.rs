@@ -1,12 +1,16 @@
-//! Threads of the core's work: one pool for each process, so that work goes on after a fork.
+//! Threads of the core's work: one pool for each process, so that work goes on after a fork, and signals such as Ctrl-C
+//! while they work.
 
 use std::mem::forget;
+use std::sync::mpsc::{RecvTimeoutError, channel};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::thread::available_parallelism;
+use std::time::Duration;
 
 use pyo3::exceptions::{PyRuntimeError, PyValueError};
 use pyo3::prelude::*;
 use rayon::{ThreadPool, ThreadPoolBuilder};
-use snake_core::Result;
+use snake_core::{CancelFlag, Control, Result};
 
 use crate::error::py_error;
 
@@ -46,13 +50,46 @@ pub fn run<T: Send>(py: Python<'_>, work: impl FnOnce() -> Result<T> + Send) -> 
     py.detach(|| pool.install(work)).map_err(py_error)
 }
 
+/// How often a call looks for signals: Ctrl-C must end it within 0.2 s.
+const SIGNAL_INTERVAL: Duration = Duration::from_millis(20);
+
+/// The same for work that takes long and can be cancelled. Python runs signal handlers only in its main thread and only
+/// between its own instructions, so the calling thread takes the GIL every `SIGNAL_INTERVAL` to let them run. An exception
+/// of a handler, such as KeyboardInterrupt, cancels the work and is raised once the work has stopped.
+pub fn run_with_signals<T: Send>(py: Python<'_>, work: impl FnOnce(&Control) -> Result<T> + Send) -> PyResult<T> {
+    let (pool, flag) = (pool(py)?, CancelFlag::default());
+    let control = Control::new().cancel(&flag);
+    let (done, result) = channel();
+    py.detach(|| {
+        pool.in_place_scope(|scope| {
+            scope.spawn(|_| drop(done.send(work(&control))));
+            let mut raised = None;
+            loop {
+                match result.recv_timeout(SIGNAL_INTERVAL) {
+                    Ok(result) => return raised.map_or_else(|| result.map_err(py_error), Err),
+                    Err(RecvTimeoutError::Timeout) if raised.is_none() => {
+                        raised = Python::attach(|py| py.check_signals()).err();
+                        if raised.is_some() {
+                            flag.cancel();
+                        }
+                    }
+                    Err(RecvTimeoutError::Timeout) => {}
+                    // The work panicked; the scope passes that on.
+                    Err(RecvTimeoutError::Disconnected) => return Err(PyRuntimeError::new_err("the work panicked")),
+                }
+            }
+        })
+    })
+}
+
 /// Sets the number of threads that all calls of this process share, from the next call on; by default as many as the
 /// process may use processors (or `RAYON_NUM_THREADS`). A forked child keeps the number and has threads of its own.
-/// Results have the same bits for any number. Raises ValueError for 0 or more than 1024.
+/// Results have the same bits for any number. Raises ValueError for 0, and for more than 256 and the processors.
 #[pyfunction]
 pub fn set_num_threads(py: Python<'_>, num_threads: usize) -> PyResult<()> {
-    if !(1..=MAX_THREADS).contains(&num_threads) {
-        return Err(PyValueError::new_err(format!("num_threads is {num_threads}: allowed is 1 to {MAX_THREADS}")));
+    let most = available_parallelism().map_or(1, usize::from).max(MAX_THREADS);
+    if !(1..=most).contains(&num_threads) {
+        return Err(PyValueError::new_err(format!("num_threads is {num_threads}: allowed is 1 to {most}")));
     }
     let mut state = state(py);
     state.num_threads = num_threads;
@@ -64,8 +101,8 @@ pub fn set_num_threads(py: Python<'_>, num_threads: usize) -> PyResult<()> {
     Ok(())
 }
 
-/// More threads than any machine has processors for; a typing error should not start tens of thousands.
-const MAX_THREADS: usize = 1024;
+/// Threads at most, where there are not more processors: a thousand on few processors only wait for each other.
+const MAX_THREADS: usize = 256;
 
 /// The number of threads that all calls of this process share. Raises RuntimeError when they cannot be started.
 #[pyfunction]
