@@ -55,12 +55,25 @@ def test_torch_tensors(same, points):
 def test_torch_tensors_that_numpy_cannot_see_are_refused(field, points):
     torch = pytest.importorskip("torch")
     tensor = torch.from_numpy(points.copy())
-    with pytest.raises(ValueError, match=r"^queries: .*requires grad.*detach"):
+    with pytest.raises(RuntimeError, match=r"requires grad.*detach"):
         field.saliency(tensor.clone().requires_grad_())
-    with pytest.raises(ValueError, match="^points: .*BFloat16"):
+    with pytest.raises(TypeError, match="BFloat16"):
         snake_rs.detect(tensor.bfloat16())
     with pytest.raises(ValueError, match=r"^points: expected real numbers of shape \(N, 3\), found bool"):
         snake_rs.detect(tensor > 0)
+
+
+@pytest.mark.parametrize("method", ["__array__", "__dlpack__"])
+@pytest.mark.parametrize("error", [KeyboardInterrupt(), OSError("no disk"), ValueError("no points")], ids=type)
+def test_an_exception_of_the_callers_conversion_is_passed_on_as_it_is(field, method, error):
+    def refuse(*_, **__):
+        raise error
+
+    refusing = type("Refusing", (), {method: refuse, "__dlpack_device__": lambda _: (1, 0)})()
+    for value in (refusing, SimpleNamespace(points=refusing)):
+        with pytest.raises(type(error)) as caught:
+            field.saliency(value)
+        assert caught.value is error and error.__cause__ is None
 
 
 def test_trimesh(same, points):

@@ -13,11 +13,7 @@ use snake_core::Point;
 /// alignment.
 pub fn points(what: &str, value: &Bound<PyAny>) -> PyResult<Vec<Point>> {
     let (py, numpy) = (value.py(), value.py().import("numpy")?);
-    let given = as_array(&numpy, value).map_err(|error| {
-        let refused = PyValueError::new_err(format!("{what}: {}", error.value(py)));
-        refused.set_cause(py, Some(error));
-        refused
-    })?;
+    let given = as_array(&numpy, what, value)?;
     let array = given.cast::<PyUntypedArray>()?;
     let is_real = matches!(array.dtype().kind(), b'f' | b'i' | b'u');
     if !is_real || array.ndim() != 2 || array.shape()[1] != 3 {
@@ -28,20 +24,32 @@ pub fn points(what: &str, value: &Bound<PyAny>) -> PyResult<Vec<Point>> {
     Ok(aligned.as_slice()?.as_chunks().0.to_vec())
 }
 
-/// What numpy makes of a value, or of the points or vertices that it has; nothing is copied that need not be.
-fn as_array<'py>(numpy: &Bound<'py, PyModule>, value: &Bound<'py, PyAny>) -> PyResult<Bound<'py, PyAny>> {
+/// What numpy makes of a value, or of the points or vertices that it has.
+fn as_array<'py>(numpy: &Bound<'py, PyModule>, what: &str, value: &Bound<'py, PyAny>) -> PyResult<Bound<'py, PyAny>> {
+    if !value.hasattr("__array__")? && !value.hasattr("__dlpack__")? {
+        for part in ["points", "vertices"] {
+            if let Some(part) = value.getattr_opt(part)? {
+                return converted(numpy, what, &part);
+            }
+        }
+    }
+    converted(numpy, what, value)
+}
+
+/// What numpy makes of a value; nothing is copied that need not be. An exception of the value's own conversion is passed
+/// on as it is, one of numpy's becomes a ValueError that begins with `what`.
+fn converted<'py>(numpy: &Bound<'py, PyModule>, what: &str, value: &Bound<'py, PyAny>) -> PyResult<Bound<'py, PyAny>> {
     if value.hasattr("__array__")? {
         return numpy.call_method1("asarray", (value,));
     }
     if value.hasattr("__dlpack__")? {
         return numpy.call_method1("from_dlpack", (value,));
     }
-    for part in ["points", "vertices"] {
-        if let Some(part) = value.getattr_opt(part)? {
-            return numpy.call_method1("asarray", (part,));
-        }
-    }
-    numpy.call_method1("asarray", (value,))
+    numpy.call_method1("asarray", (value,)).map_err(|error| {
+        let refused = PyValueError::new_err(format!("{what}: {}", error.value(value.py())));
+        refused.set_cause(value.py(), Some(error));
+        refused
+    })
 }
 
 /// Values `(N,)`.
