@@ -169,7 +169,7 @@ import signal, threading
 many = np.random.default_rng(6).normal(size=(20_000, 3))
 many /= np.linalg.norm(many, axis=1, keepdims=True)
 model = snake_rs.Model.builtin()
-field = model.encode(points)
+field = model.encode(many)
 
 def seconds_until_interrupted(call):
     "Seconds from a SIGINT in the middle of a long call to its KeyboardInterrupt."
@@ -192,7 +192,7 @@ CALLS = {
     "detect": "snake_rs.detect(many, rotations=64)",
     "detect through windows": "snake_rs.detect(many, window_radius=0.1)",
     "encode": "model.encode(many, rotations=64)",
-    "detect of a field": "field.detect(query_resolution=256, refine_steps=1000)",
+    "detect of a field": "field.detect(query_resolution=128, refine_steps=100, occupancy_threshold=0.01)",
     "mesh": "field.mesh(resolution=512)",
     "register": "snake_rs.register(many, many + 1, max_iterations=10**8, confidence=0.999999)",
 }

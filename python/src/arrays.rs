@@ -12,7 +12,7 @@ use snake_core::Point;
 /// or an object that has such `points` or `vertices`; numpy's conversion deals with types, strides, byte order and
 /// alignment.
 pub fn points(what: &str, value: &Bound<PyAny>) -> PyResult<Vec<Point>> {
-    let (py, numpy) = (value.py(), value.py().import("numpy")?);
+    let numpy = value.py().import("numpy")?;
     let given = as_array(&numpy, what, value)?;
     let array = given.cast::<PyUntypedArray>()?;
     let is_real = matches!(array.dtype().kind(), b'f' | b'i' | b'u');

@@ -74,9 +74,8 @@ pub fn register(
     let model = model::given_or_builtin(py, model)?;
     let options = options::of("register", options)?;
     let (source, target) = (arrays::points("source", source)?, arrays::points("target", target)?);
-    let found = threads::run_with_signals(py, |control| {
-        core::registration::register_with(&source, &target, &model, &options, control)
-    })?;
+    let found =
+        threads::run_with_signals(py, |control| core::register_with(&source, &target, &model, &options, control))?;
     let matrix = PyArray1::from_vec(py, found.t_target_source.as_flattened().to_vec()).reshape([4, 4])?;
     let core::Registration { num_inliers, num_correspondences, rmse, num_skipped, seconds, .. } = found;
     Ok(Registration::new(matrix.unbind(), num_inliers, num_correspondences, rmse, num_skipped.into(), seconds))

@@ -59,8 +59,8 @@ const SIGNAL_INTERVAL: Duration = Duration::from_millis(20);
 pub fn run_with_signals<T: Send>(py: Python<'_>, work: impl FnOnce(&Control) -> Result<T> + Send) -> PyResult<T> {
     let (pool, flag) = (pool(py)?, CancelFlag::default());
     let control = Control::new().cancel(&flag);
-    let (done, result) = channel();
     py.detach(|| {
+        let (done, result) = channel();
         pool.in_place_scope(|scope| {
             scope.spawn(|_| drop(done.send(work(&control))));
             let mut raised = None;
