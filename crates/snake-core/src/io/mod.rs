@@ -26,6 +26,7 @@
 //! memory exceeds a small multiple of the file's size (of compressed files, 50 times).
 
 mod array;
+mod atomic;
 mod format;
 mod gps_time;
 mod json;
@@ -45,9 +46,8 @@ mod text;
 mod transform;
 mod write;
 
-use std::io::{self, BufWriter, Write};
+use std::io::{self, Write};
 use std::path::Path;
-use std::sync::{PoisonError, RwLock, RwLockWriteGuard};
 
 use crate::detect::Keypoint;
 use crate::excerpt::excerpt;
@@ -59,6 +59,7 @@ use format::{extension, unknown_extension};
 use shape::Shape;
 
 pub use array::Array;
+pub use atomic::{hold_writes, write_atomically};
 pub use format::{CLOUD_EXTENSIONS, CloudFormat, KEYPOINT_EXTENSIONS, KeypointFormat, POINT_EXTENSIONS, PointFormat};
 pub use json::keypoint_json;
 pub use shape::Cloud;
@@ -210,7 +211,8 @@ pub fn read_arrays(path: &Path, names: &[&str]) -> Result<Vec<Array>> {
 
 /// Writes keypoints; the extension says which format.
 ///
-/// The file appears under its name once it is complete; an earlier file of that name is replaced.
+/// The file appears under its name once it is complete; an earlier file of that name is replaced. Links and special
+/// files are treated as by [`write_atomically`].
 ///
 /// # Errors
 /// [`Error::Format`] when the extension is not among [`KEYPOINT_EXTENSIONS`]; [`Error::Io`] when the file cannot be
@@ -284,35 +286,6 @@ fn registration_writer(path: &Path) -> Result<RegistrationWriter> {
         "txt" => text::write_transform,
         _ => return Err(unknown_extension(path, "written", REGISTRATION_EXTENSIONS)),
     })
-}
-
-/// Held to read by all that write a file.
-static WRITING: RwLock<()> = RwLock::new(());
-
-/// Waits until no file is being written, and holds up those that would begin. A program that ends itself on a signal
-/// leaves no temporary file behind if it holds this.
-pub fn hold_writes() -> RwLockWriteGuard<'static, ()> {
-    WRITING.write().unwrap_or_else(PoisonError::into_inner)
-}
-
-/// Writes a file whole or not at all: fills a temporary file beside the target, on the same file system, and renames it.
-///
-/// # Errors
-/// Those of the file system and of `fill`; what was at the target then stays.
-pub fn write_atomically(path: &Path, fill: impl FnOnce(&mut dyn Write) -> io::Result<()>) -> io::Result<()> {
-    let _writing = WRITING.read().unwrap_or_else(PoisonError::into_inner);
-    let folder = path.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."));
-    let mut builder = tempfile::Builder::new();
-    #[cfg(unix)]
-    {
-        use std::os::unix::fs::PermissionsExt;
-        // The usual permissions, less the umask; a temporary file would otherwise be its owner's alone.
-        builder.permissions(std::fs::Permissions::from_mode(0o666));
-    }
-    let mut file = BufWriter::new(builder.tempfile_in(folder)?);
-    fill(&mut file)?;
-    file.into_inner()?.persist(path)?;
-    Ok(())
 }
 
 /// What is unpacked must not be larger than its file this many times over: no scan is, and a file made for it would take
@@ -411,27 +384,6 @@ mod tests {
                 Cloud { points: CLOUD.to_vec(), origin: [0.0; 3] }
             );
         }
-    }
-
-    #[test]
-    fn who_holds_writes_sees_no_file_half_written() {
-        let folder = tempfile::tempdir().unwrap();
-        let (begun, told) = std::sync::mpsc::channel();
-        let path = folder.path().join("slow.txt");
-        std::thread::scope(|scope| {
-            scope.spawn(|| {
-                let slowly = |file: &mut dyn Write| {
-                    begun.send(()).unwrap();
-                    std::thread::sleep(std::time::Duration::from_millis(300));
-                    file.write_all(b"whole")
-                };
-                write_atomically(&path, slowly).unwrap();
-            });
-            told.recv().unwrap();
-            let _writes = hold_writes();
-            assert_eq!(std::fs::read_to_string(&path).unwrap(), "whole");
-            assert_eq!(std::fs::read_dir(folder.path()).unwrap().count(), 1, "temporary files remain");
-        });
     }
 
     #[test]

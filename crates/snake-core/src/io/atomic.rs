@@ -1,0 +1,103 @@
+//! Writing files whole or not at all.
+
+use std::fs::{File, metadata, read_link};
+use std::io::{self, BufWriter, ErrorKind, Write};
+use std::path::Path;
+use std::sync::{PoisonError, RwLock, RwLockWriteGuard};
+
+/// Every write of a temporary file holds this for reading.
+static WRITING: RwLock<()> = RwLock::new(());
+
+/// Waits until no file is being written, and holds up those that would begin. A program that ends itself on a signal
+/// leaves no temporary file behind if it holds this.
+pub fn hold_writes() -> RwLockWriteGuard<'static, ()> {
+    WRITING.write().unwrap_or_else(PoisonError::into_inner)
+}
+
+/// Writes a file whole or not at all: fills a temporary file beside the target, on the same file system, and renames it.
+///
+/// A symbolic link stays, and the file that it leads to is written. A device, a FIFO or a socket is written directly.
+///
+/// # Errors
+/// Those of the file system and of `fill`; what was at the target then stays. They do not name the temporary file.
+pub fn write_atomically(path: &Path, fill: impl FnOnce(&mut dyn Write) -> io::Result<()>) -> io::Result<()> {
+    match metadata(path) {
+        Ok(found) if found.is_file() => replace(&path.canonicalize()?, fill),
+        Ok(found) if found.is_dir() => Err(ErrorKind::IsADirectory.into()),
+        Ok(_) => write_to(&File::options().write(true).open(path)?, fill),
+        Err(error) if error.kind() == ErrorKind::NotFound => {
+            // A link may lead to a file that is not there yet.
+            let mut target = path.to_owned();
+            while let Ok(next) = read_link(&target) {
+                target = target.parent().unwrap_or(Path::new("")).join(next);
+            }
+            replace(&target, fill)
+        }
+        Err(error) => Err(error),
+    }
+}
+
+fn replace(target: &Path, fill: impl FnOnce(&mut dyn Write) -> io::Result<()>) -> io::Result<()> {
+    let _writing = WRITING.read().unwrap_or_else(PoisonError::into_inner);
+    let folder = target.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."));
+    // `tempfile_in` would leave the file to its owner alone, and name it in errors.
+    let temporary = tempfile::Builder::new().make_in(folder, |path| File::create_new(path))?;
+    write_to(temporary.as_file(), fill)?;
+    temporary.persist(target)?;
+    Ok(())
+}
+
+fn write_to(file: &File, fill: impl FnOnce(&mut dyn Write) -> io::Result<()>) -> io::Result<()> {
+    let mut writer = BufWriter::new(file);
+    fill(&mut writer)?;
+    writer.flush()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn who_holds_writes_sees_no_file_half_written() {
+        let folder = tempfile::tempdir().unwrap();
+        let (begun, told) = std::sync::mpsc::channel();
+        let path = folder.path().join("slow.txt");
+        std::thread::scope(|scope| {
+            scope.spawn(|| {
+                let slowly = |file: &mut dyn Write| {
+                    begun.send(()).unwrap();
+                    std::thread::sleep(std::time::Duration::from_millis(300));
+                    file.write_all(b"whole")
+                };
+                write_atomically(&path, slowly).unwrap();
+            });
+            told.recv().unwrap();
+            let _writes = hold_writes();
+            assert_eq!(std::fs::read_to_string(&path).unwrap(), "whole");
+            assert_eq!(std::fs::read_dir(folder.path()).unwrap().count(), 1, "temporary files remain");
+        });
+    }
+
+    #[cfg(unix)]
+    #[test]
+    fn links_stay_and_lead_to_what_was_written() {
+        use std::os::unix::fs::symlink;
+        let folder = tempfile::tempdir().unwrap();
+        let path = |name: &str| folder.path().join(name);
+        symlink("deep/file", path("link")).unwrap();
+        symlink("link", path("link to link")).unwrap();
+        symlink("loop", path("loop")).unwrap();
+        // Without its folder nothing can be written, and nothing is replaced.
+        let write =
+            |name: &str, text: &'static str| write_atomically(&path(name), |file| file.write_all(text.as_bytes()));
+        assert_eq!(write("link", "none").unwrap_err().kind(), ErrorKind::NotFound);
+        assert!(write("loop", "none").is_err() && path("loop").is_symlink());
+        std::fs::create_dir(path("deep")).unwrap();
+        for (name, text) in [("link to link", "first"), ("link", "second"), ("link to link", "third")] {
+            write(name, text).unwrap();
+            assert!(path(name).is_symlink());
+            assert_eq!(std::fs::read_to_string(path("deep/file")).unwrap(), text);
+        }
+        assert_eq!(write("deep", "none").unwrap_err().kind(), ErrorKind::IsADirectory);
+    }
+}
