@@ -177,7 +177,7 @@ fn mistakes_get_one_line_that_says_what_to_do() {
         (&["detect", &empty], "no points"),
         (&["detect", &weights], "extension"),
         (&["detect", &sample(), "-o", "k.docx"], "k.docx"),
-        (&["detect", &sample(), "-o", &sample()], "is the input"),
+        (&["detect", &sample(), "-o", &sample()], "is an input"),
         (&["detect", &sample(), "--model", &weights], "safetensors"),
         (&["detect", &sample(), "--preset", "kitti"], "modelnet40"),
         (&["detect", &sample(), "--refine-method", "newton"], "gradient-descent"),
@@ -1161,7 +1161,7 @@ fn a_reconstruction_that_cannot_be_is_refused_before_work() {
     let mesh = folder.path().join("mesh.ply").display().to_string();
     for (arguments, expected) in [
         (&["nowhere.ply", "-o", "mesh.xyz"][..], ".ply, .obj, .stl"),
-        (&["nowhere.ply", "-o", "nowhere.ply"], "is the input"),
+        (&["nowhere.ply", "-o", "nowhere.ply"], "is an input"),
         (&["nowhere.ply", "-o", &mesh, "--resolution", "1000000"], "allowed is 8 to 512"),
         (&["nowhere.ply", "-o", &mesh, "--level", "1"], "allowed is 0.001 to 0.999"),
         (&["nowhere.ply", "-o", &mesh], "nowhere.ply"),

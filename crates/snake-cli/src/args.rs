@@ -20,6 +20,7 @@ use crate::view::args::ViewArguments;
 #[derive(Parser)]
 #[command(
     version,
+    bin_name = "snake-cli",
     arg_required_else_help = true,
     after_help = "Start here:
   snake-cli detect scan.ply                     the keypoints of a cloud
@@ -128,7 +129,7 @@ pub enum Command {
   snake-cli model weights.safetensors")]
     Model {
         /// Weight file (.safetensors), or the name of a model as in `detect`.
-        #[arg(env = "SNAKE_MODEL")]
+        #[arg(env = "SNAKE_MODEL", hide_env_values = true)]
         file: Option<PathBuf>,
     },
     /// Print what makes a shell complete the options of snake-cli.

@@ -4,6 +4,8 @@ use anyhow::Result;
 use console::Term;
 use snake_core::io;
 
+use crate::terminal;
+
 /// The exit code of a program that Ctrl-C ended, as shells have it: 128 and the number of SIGINT.
 const INTERRUPTED: i32 = 130;
 
@@ -17,7 +19,7 @@ pub fn end_between_files() -> Result<()> {
             // The bar may stand there.
             let _ = terminal.clear_line();
         }
-        eprintln!("interrupted");
+        terminal::print_to_stderr(&["interrupted"].into_iter().collect());
         std::process::exit(INTERRUPTED);
     });
     match outcome {

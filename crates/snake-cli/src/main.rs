@@ -8,6 +8,7 @@ mod field;
 mod inputs;
 mod interrupt;
 mod model;
+mod output;
 mod reconstruct;
 mod register;
 mod render;
@@ -19,13 +20,18 @@ mod view;
 use std::process::ExitCode;
 
 use anyhow::Result;
+use clap::error::{ContextKind, ContextValue, ErrorKind};
 use clap::{CommandFactory, Parser};
 use clap_complete::Shell;
 
 use args::{Arguments, Command};
+use terminal::printable;
 
 fn main() -> ExitCode {
-    let arguments = Arguments::parse();
+    let arguments = match Arguments::try_parse() {
+        Ok(arguments) => arguments,
+        Err(error) => return explain(error),
+    };
     terminal::set_verbosity(arguments.verbosity());
     run(&arguments.command).unwrap_or_else(|error| {
         terminal::error(&error);
@@ -48,9 +54,35 @@ fn run(command: &Command) -> Result<ExitCode> {
     Ok(ExitCode::SUCCESS)
 }
 
+/// Prints the help that was asked for, or what is wrong with the command line.
+fn explain(error: clap::Error) -> ExitCode {
+    let code = ExitCode::from(if error.use_stderr() { 2 } else { 0 });
+    match error.kind() {
+        ErrorKind::DisplayHelp | ErrorKind::DisplayHelpOnMissingArgumentOrSubcommand | ErrorKind::DisplayVersion => {
+            // All of it is ours.
+            let _ = error.print();
+        }
+        _ => terminal::usage_error(&harmless(error).render().to_string()),
+    }
+    code
+}
+
+/// The same error about the same arguments in a form that can be printed: it quotes them in several places, and a new
+/// line in them would look like one of clap's.
+fn harmless(error: clap::Error) -> clap::Error {
+    let arguments = std::env::args_os().map(|argument| printable(&argument.to_string_lossy()).into_owned());
+    let mut error = Arguments::try_parse_from(arguments).err().unwrap_or(error);
+    // That of an environment variable is no argument.
+    if let Some(ContextValue::String(value)) = error.get(ContextKind::InvalidValue) {
+        let value = printable(value).into_owned();
+        error.insert(ContextKind::InvalidValue, ContextValue::String(value));
+    }
+    error
+}
+
 /// Prints a shell's completions.
 fn complete(shell: Shell) -> Result<()> {
     let mut script = Vec::new();
     clap_complete::generate(shell, &mut Arguments::command(), "snake-cli", &mut script);
-    terminal::print(&String::from_utf8_lossy(&script))
+    terminal::print_bytes(&script)
 }

@@ -1,12 +1,11 @@
 //! `snake-cli model`: what a weight file is.
 
-use std::fmt::Write;
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result, bail};
 use snake_core::Model;
 
-use crate::terminal;
+use crate::terminal::{self, Report};
 
 /// Loads the model of a weight file or of a name, by default `compact`.
 pub fn load(model: Option<&Path>) -> Result<Model> {
@@ -66,14 +65,14 @@ pub fn run(model: Option<&Path>) -> Result<()> {
     let model = load(model)?;
     let config = model.config();
     let [x, y, z] = config.frame.resolution;
-    let mut text = format!("{name}: {} parameters\n", model.num_parameters());
-    writeln!(text, "volume: {x} x {y} x {z} voxels, {} channels", config.c_dim)?;
-    writeln!(text, "U-Net: {} levels from {} channels", config.unet_levels, config.unet_base_channels)?;
-    writeln!(text, "recommended options: {}", serde_json::to_string(model.recommended())?)?;
-    writeln!(text, "metadata:")?;
+    let mut report = Report::default();
+    report.line(format!("{name}: {} parameters", model.num_parameters()));
+    report.line(format!("volume: {x} x {y} x {z} voxels, {} channels", config.c_dim));
+    report.line(format!("U-Net: {} levels from {} channels", config.unet_levels, config.unet_base_channels));
+    report.line(format!("recommended options: {}", serde_json::to_string(model.recommended())?));
+    report.line("metadata:");
     for (key, value) in model.metadata() {
-        // A file must not move the terminal's cursor.
-        writeln!(text, "{}", format!("  {key}: {value}").replace(char::is_control, " "))?;
+        report.line(format!("  {key}: {value}"));
     }
-    terminal::print(&text)
+    terminal::print(&report)
 }

@@ -1,17 +1,17 @@
 //! `snake-cli reconstruct`: read, encode, mesh, write.
 
-use std::fmt::Write;
 use std::path::PathBuf;
 use std::time::Instant;
 
-use anyhow::{Context, Result, bail};
+use anyhow::{Context, Result};
 use clap::Args;
 use serde_json::json;
 use snake_core::{Control, MeshOptions, Progress, io};
 
 use crate::inputs::InputArguments;
+use crate::output::InputFiles;
 use crate::setup::{ComputeArguments, EncodeFlags, override_with};
-use crate::terminal;
+use crate::terminal::{self, Report};
 
 #[derive(Args)]
 pub struct ReconstructArguments {
@@ -45,9 +45,7 @@ pub fn run(arguments: &ReconstructArguments) -> Result<()> {
     arguments.compute.start_threads()?;
     let ReconstructArguments { input, output, .. } = arguments;
     io::check_mesh_path(output)?;
-    if input == output {
-        bail!("{}: is the input; give another --output", output.display());
-    }
+    InputFiles::new([input].into_iter().chain(&arguments.compute.model)).refuse_as_output(output)?;
     let mut options = MeshOptions { outer: arguments.outer, ..Default::default() };
     override_with(&mut options.resolution, arguments.resolution);
     override_with(&mut options.level, arguments.level);
@@ -68,11 +66,11 @@ pub fn run(arguments: &ReconstructArguments) -> Result<()> {
     let meshed = start.elapsed().as_secs_f64();
     io::write_mesh(output, &mesh)?;
     let total = start.elapsed().as_secs_f64();
-    bar.finish_and_clear();
+    bar.finish();
 
     let (vertices, triangles, area) = (mesh.vertices.len(), mesh.triangles.len(), mesh.area());
     if arguments.json {
-        let object = json!({
+        return terminal::print_json(&json!({
             "input": input.display().to_string(),
             "output": output.display().to_string(),
             "num_points": points.len(),
@@ -81,14 +79,16 @@ pub fn run(arguments: &ReconstructArguments) -> Result<()> {
             "triangles": triangles,
             "area": area,
             "timing_seconds": { "read": read, "encode": encoded - read, "mesh": meshed - encoded, "total": total },
-        });
-        return terminal::print(&format!("{object}\n"));
+        }));
     }
-    let mut text = format!("{}: {vertices} vertices, {triangles} triangles, area {area:.5}", input.display());
-    writeln!(text, " from {} points in {total:.3} s", points.len())?;
+    let mut report = Report::default();
+    let (name, num_points) = (input.display(), points.len());
+    report.line(format!(
+        "{name}: {vertices} vertices, {triangles} triangles, area {area:.5} from {num_points} points in {total:.3} s"
+    ));
     if triangles == 0 {
-        writeln!(text, "no surface: try a lower --level, or --normalization")?;
+        report.line("no surface: try a lower --level, or --normalization");
     }
-    writeln!(text, "written to {}", output.display())?;
-    terminal::print_report(&text)
+    report.line(format!("written to {}", output.display()));
+    terminal::print_report(&report)
 }

@@ -20,10 +20,11 @@ pub struct ComputeArguments {
     /// Weight file (.safetensors), or the name of a model: compact (for objects), standard (for objects, better and
     /// slower) and rooms (for rooms in metres) are built in, another is that of a file in SNAKE_MODELS, beside the program
     /// or in the user's data folder [default: compact].
-    #[arg(long, value_name = "MODEL", env = "SNAKE_MODEL")]
+    #[arg(long, value_name = "MODEL", env = "SNAKE_MODEL", hide_env_values = true)]
     pub model: Option<PathBuf>,
     /// Threads, at most 256 or the number of processors; default: all processors. The result does not depend on it.
-    #[arg(long, value_name = "NUMBER", env = "SNAKE_THREADS", value_parser = clap::value_parser!(u16).range(1..))]
+    #[arg(long, value_name = "NUMBER", env = "SNAKE_THREADS", hide_env_values = true,
+        value_parser = clap::value_parser!(u16).range(1..))]
     pub threads: Option<u16>,
 }
 

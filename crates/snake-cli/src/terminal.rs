@@ -1,12 +1,19 @@
-//! What is said, and where: results on the standard output, all else on the standard error.
+//! Everything that is printed goes through here: results to the standard output, all else to the standard error.
+//!
+//! Text for people is printed line by line, each through [`printable`]: names of files, values of options and the
+//! environment cannot steer the terminal. A standard output or error that takes no more never stops the work.
 
+use std::borrow::Cow;
+use std::fmt::Display;
 use std::io::{self, Write};
 use std::sync::OnceLock;
+use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
 
 use anyhow::{Context, Result};
 use console::style;
 use indicatif::{HumanDuration, ProgressBar, ProgressDrawTarget, ProgressStyle};
+use serde::Serialize;
 use snake_core::Progress;
 
 /// How much is said.
@@ -32,31 +39,111 @@ fn verbosity() -> Verbosity {
     VERBOSITY.get().copied().unwrap_or_default()
 }
 
-/// Prints data that was asked for, such as JSON. A reader that has closed the pipe (`| head`) ends the program quietly.
-pub fn print(text: &str) -> Result<()> {
-    print_bytes(text.as_bytes())
+/// The text on one line. Characters that end the line, steer the terminal or change the direction of writing are shown
+/// as escapes, such as `\n` and `\u{1b}`.
+pub fn printable(text: &str) -> Cow<'_, str> {
+    if !text.contains(is_harmful) {
+        return text.into();
+    }
+    text.chars().map(|c| if is_harmful(c) { c.escape_debug().to_string() } else { c.to_string() }).collect()
 }
 
-/// [`print`] of what need not be text.
-pub fn print_bytes(bytes: &[u8]) -> Result<()> {
-    let mut stdout = io::stdout().lock();
-    match stdout.write_all(bytes).and_then(|()| stdout.flush()) {
-        Err(error) if error.kind() == io::ErrorKind::BrokenPipe => std::process::exit(0),
-        outcome => outcome.context("cannot write to standard output"),
+/// Control characters, separators of lines and paragraphs, and bidirectional controls.
+fn is_harmful(c: char) -> bool {
+    c.is_control()
+        || matches!(c, '\u{61c}' | '\u{200e}' | '\u{200f}' | '\u{2028}'..='\u{202e}' | '\u{2066}'..='\u{2069}')
+}
+
+/// Lines that can be printed.
+#[derive(Default)]
+pub struct Report(String);
+
+impl Report {
+    /// A JSON value on one line. Harmful characters are escaped as JSON has it: the value stays the same.
+    pub fn json(value: &impl Serialize) -> Result<Self> {
+        let escape = |c: char| match is_harmful(c) {
+            true => format!("\\u{:04x}", u32::from(c)),
+            false => c.to_string(),
+        };
+        let text = serde_json::to_string(value)?;
+        let text = if text.contains(is_harmful) { text.chars().map(escape).collect() } else { text };
+        Ok(Self(text + "\n"))
     }
+
+    /// Adds a line.
+    pub fn line(&mut self, text: impl AsRef<str>) {
+        self.0 += &printable(text.as_ref());
+        self.0 += "\n";
+    }
+
+    /// Adds a line in bold.
+    pub fn heading(&mut self, text: impl AsRef<str>) {
+        self.0 += &format!("{}\n", style(printable(text.as_ref())).bold());
+    }
+}
+
+impl<S: AsRef<str>> FromIterator<S> for Report {
+    fn from_iter<I: IntoIterator<Item = S>>(lines: I) -> Self {
+        let mut report = Self::default();
+        lines.into_iter().for_each(|line| report.line(line));
+        report
+    }
+}
+
+/// Set once the standard output takes no more.
+static STDOUT_ENDED: AtomicBool = AtomicBool::new(false);
+
+/// Whether the standard output takes no more, as after `| head`: what is only printed need not be computed.
+pub fn stdout_ended() -> bool {
+    STDOUT_ENDED.load(Ordering::Relaxed)
+}
+
+/// Prints bytes that were asked for. A reader that closed the pipe, as `| head` does, had enough: that is no error. After
+/// any failure nothing more is printed.
+pub fn print_bytes(bytes: &[u8]) -> Result<()> {
+    if stdout_ended() {
+        return Ok(());
+    }
+    let mut stdout = io::stdout().lock();
+    let Err(error) = stdout.write_all(bytes).and_then(|()| stdout.flush()) else { return Ok(()) };
+    STDOUT_ENDED.store(true, Ordering::Relaxed);
+    match error.kind() {
+        io::ErrorKind::BrokenPipe => Ok(()),
+        _ => Err(error).context("cannot write to standard output"),
+    }
+}
+
+/// Prints a JSON value on one line.
+pub fn print_json(value: &impl Serialize) -> Result<()> {
+    print(&Report::json(value)?)
+}
+
+/// Prints lines that were asked for.
+pub fn print(report: &Report) -> Result<()> {
+    print_bytes(report.0.as_bytes())
 }
 
 /// Prints what is for people; nothing with `--quiet`.
-pub fn print_report(text: &str) -> Result<()> {
-    if verbosity() == Verbosity::Quiet { Ok(()) } else { print(text) }
+pub fn print_report(report: &Report) -> Result<()> {
+    if verbosity() == Verbosity::Quiet { Ok(()) } else { print(report) }
 }
 
 /// [`print_report`] to the standard error, where the standard output carries a file.
-pub fn print_aside(text: &str) -> Result<()> {
+pub fn print_aside(report: &Report) -> Result<()> {
     if verbosity() > Verbosity::Quiet {
-        eprint!("{text}");
+        print_to_stderr(report);
     }
     Ok(())
+}
+
+/// Prints to the standard error. Nobody can be told that it takes no more.
+pub fn print_to_stderr(report: &Report) {
+    let _ = io::stderr().lock().write_all(report.0.as_bytes());
+}
+
+/// A line on the standard error after a word that says what it is.
+fn say(topic: impl Display, text: &str) {
+    print_to_stderr(&Report(format!("{topic} {}\n", printable(text))));
 }
 
 /// An error on one line, with those of its causes that it does not name itself.
@@ -67,20 +154,32 @@ pub fn error(error: &anyhow::Error) {
             text += &format!(": {cause}");
         }
     }
-    eprintln!("{} {text}", style("error:").for_stderr().red().bold());
+    say_error(&text);
+}
+
+fn say_error(text: &str) {
+    say(style("error:").for_stderr().red().bold(), text);
+}
+
+/// An error in the command line, with advice below it.
+pub fn usage_error(text: &str) {
+    let mut lines = text.trim_end().lines();
+    let first = lines.next().unwrap_or_default();
+    say_error(first.strip_prefix("error: ").unwrap_or(first));
+    print_to_stderr(&lines.collect());
 }
 
 /// What the user should know though it is no error; nothing with `--quiet`.
 pub fn warn(text: &str) {
     if verbosity() > Verbosity::Quiet {
-        eprintln!("{} {text}", style("warning:").for_stderr().yellow().bold());
+        say(style("warning:").for_stderr().yellow().bold(), text);
     }
 }
 
 /// A line for `--verbose`, about `topic`.
 pub fn detail(topic: &str, text: impl FnOnce() -> String) {
     if verbosity() == Verbosity::Verbose {
-        eprintln!("{} {}", style(format!("{topic}:")).for_stderr().bold(), text());
+        say(style(format!("{topic}:")).for_stderr().bold(), &text());
     }
 }
 
@@ -91,14 +190,14 @@ const BAR_INTERVAL: Duration = Duration::from_millis(200);
 
 /// A bar that shows itself after a second, with the expected time where there are several steps. It is drawn on a
 /// terminal only, and not with `--quiet`.
-pub fn progress(steps: usize) -> Result<ProgressBar> {
+pub fn progress(steps: usize) -> Result<Bar> {
     let template = if steps > 1 { "{bar:30} {pos}/{len} {msg} (ETA {eta})" } else { "{spinner} {msg} ({elapsed})" };
     shown_later(steps, template, |_| ())
 }
 
 /// Like [`progress`], a bar of one long call: the stages that a model counts, each with the time that it is expected to
 /// take.
-pub fn stages(progress: &Progress) -> Result<ProgressBar> {
+pub fn stages(progress: &Progress) -> Result<Bar> {
     let progress = progress.clone();
     shown_later(1, "{bar:30} {prefix}: {msg}", move |bar| {
         let Some(stage) = progress.stage() else { return bar.set_prefix("reading") };
@@ -111,8 +210,39 @@ pub fn stages(progress: &Progress) -> Result<ProgressBar> {
     })
 }
 
+/// A progress bar.
+pub struct Bar(ProgressBar);
+
+impl Bar {
+    /// Shows what is worked on.
+    pub fn set_message(&self, message: impl AsRef<str>) {
+        self.0.set_message(printable(message.as_ref()).into_owned());
+    }
+
+    /// Begins at this many steps, which took no time.
+    pub fn begin_at(&self, steps: usize) {
+        self.0.set_position(steps as u64);
+        self.0.reset_eta();
+    }
+
+    /// Counts a step.
+    pub fn step(&self) {
+        self.0.inc(1);
+    }
+
+    /// Hides the bar while something else is printed.
+    pub fn suspend<T>(&self, print: impl FnOnce() -> T) -> T {
+        self.0.suspend(print)
+    }
+
+    /// Takes the bar away.
+    pub fn finish(self) {
+        self.0.finish_and_clear();
+    }
+}
+
 /// A bar that is brought up to date by `update` for as long as it is shown.
-fn shown_later(steps: usize, template: &str, update: impl Fn(&ProgressBar) + Send + 'static) -> Result<ProgressBar> {
+fn shown_later(steps: usize, template: &str, update: impl Fn(&ProgressBar) + Send + 'static) -> Result<Bar> {
     let bar = ProgressBar::with_draw_target(Some(steps as u64), ProgressDrawTarget::hidden());
     bar.set_style(ProgressStyle::with_template(template)?);
     if verbosity() > Verbosity::Quiet {
@@ -131,5 +261,20 @@ fn shown_later(steps: usize, template: &str, update: impl Fn(&ProgressBar) + Sen
             }
         });
     }
-    Ok(bar)
+    Ok(Bar(bar))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn only_harmful_characters_are_escaped() {
+        for harmless in ["", "a b.ply", "C:\\scans\\é \"x\" 'y'.ply", "扫描 🐍", "فارسی\u{200c}ها"] {
+            assert_eq!(printable(harmless), harmless);
+        }
+        let harmful = "\u{1b}[1m\r\n\t\u{0}\u{7f}\u{85}\u{202e}\u{2066}\u{2028}\u{200f}\u{61c}";
+        let shown = printable(harmful);
+        assert_eq!(shown, "\\u{1b}[1m\\r\\n\\t\\0\\u{7f}\\u{85}\\u{202e}\\u{2066}\\u{2028}\\u{200f}\\u{61c}");
+    }
 }

@@ -1,5 +1,7 @@
 //! Seconds of each stage of a detection: for the JSON report and `--timing`.
 
+use crate::terminal::Report;
+
 /// The stages of one cloud, in order; the total includes writing the output.
 pub const STAGES: [&str; 6] = ["read", "encode", "occupancy", "refine", "nms", "total"];
 
@@ -13,22 +15,26 @@ pub fn line(seconds: &Seconds) -> String {
 }
 
 /// One aligned line per stage: the seconds of a single cloud, or median, maximum and sum over several (at least one).
-pub fn summary(load_model: f64, clouds: &[Seconds]) -> String {
+pub fn summary(load_model: f64, clouds: &[Seconds]) -> Report {
     let columns: &[&str] = if clouds.len() == 1 { &["seconds"] } else { &["median", "maximum", "sum"] };
     let line = |stage: &str, cells: &[String]| {
         let cells: String = cells.iter().map(|cell| format!("{cell:>10}")).collect();
-        format!("{stage:<10}{cells}\n")
+        format!("{stage:<10}{cells}")
     };
-    let head = if clouds.len() == 1 { String::new() } else { format!("seconds over {} clouds\n", clouds.len()) };
-    let mut text = head + &line("stage", &columns.iter().map(|&name| name.into()).collect::<Vec<_>>());
-    text += &line("load model", &[format!("{load_model:.4}")]);
+    let mut report = Report::default();
+    if clouds.len() > 1 {
+        report.line(format!("seconds over {} clouds", clouds.len()));
+    }
+    report.line(line("stage", &columns.iter().map(|&name| name.into()).collect::<Vec<_>>()));
+    report.line(line("load model", &[format!("{load_model:.4}")]));
     for (index, stage) in STAGES.iter().enumerate() {
         let mut seconds: Vec<f64> = clouds.iter().map(|cloud| cloud[index]).collect();
         seconds.sort_by(f64::total_cmp);
         let last = seconds.len() - 1;
         let median = (seconds[last / 2] + seconds[last.div_ceil(2)]) / 2.0;
         let values = [median, seconds[last], seconds.iter().sum()];
-        text += &line(stage, &values[..columns.len()].iter().map(|value| format!("{value:.4}")).collect::<Vec<_>>());
+        let cells: Vec<String> = values[..columns.len()].iter().map(|value| format!("{value:.4}")).collect();
+        report.line(line(stage, &cells));
     }
-    text
+    report
 }

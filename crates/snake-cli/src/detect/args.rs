@@ -21,6 +21,10 @@ pub struct DetectArguments {
     /// error.
     #[arg(short, long)]
     pub output: Option<PathBuf>,
+    /// Number results that would have the same name in the directory, as those of a.las and a.laz: NAME.keypoints.EXT,
+    /// NAME.2.keypoints.EXT; otherwise these inputs fail.
+    #[arg(long, requires = "output")]
+    pub number_results: bool,
     /// Format of the keypoints: ply, pcd, npy, csv, json or keypointnet (its annotations) [default: by the extension of
     /// the output, else ply].
     #[arg(long, value_parser = named::<KeypointFormat>)]

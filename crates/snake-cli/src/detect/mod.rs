@@ -2,20 +2,20 @@
 
 pub mod args;
 
-use std::collections::{BTreeMap, HashSet};
+use std::collections::BTreeMap;
 use std::fmt::Write;
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 use std::time::Instant;
 
 use anyhow::{Context, Result, anyhow, bail};
-use console::style;
 use serde_json::json;
 use snake_core::io::{self, Cloud, KeypointFormat, KeypointSource};
 use snake_core::{Control, Detection, Model, NormalizationMethod, Preset, Progress};
 
 use crate::inputs::{DASH, check_inputs, expand};
-use crate::terminal;
+use crate::output::{InputFiles, in_folder};
+use crate::terminal::{self, Report};
 use crate::timing::{self, STAGES, Seconds};
 use args::DetectArguments;
 
@@ -43,74 +43,80 @@ pub fn run(arguments: &DetectArguments) -> Result<ExitCode> {
     };
     let mut failed = Vec::new();
     let mut timings = Vec::new();
-    for (index, input) in inputs.iter().enumerate() {
+    let mut is_reported = true;
+    for (input, output) in inputs.iter().zip(outputs) {
+        if arguments.output.is_none() && terminal::stdout_ended() {
+            break;
+        }
         bar.set_message(input.display().to_string());
-        let output = outputs.get(index).map(PathBuf::as_path);
-        match process(&model, &options, arguments, input, output, &control) {
+        // The standard output is then the keypoints' alone.
+        let print = match &output {
+            Ok(Some(output)) if output == Path::new(DASH) => terminal::print_aside,
+            _ if arguments.json => terminal::print,
+            _ => terminal::print_report,
+        };
+        match output.and_then(|output| process(&model, &options, arguments, input, output.as_deref(), &control)) {
             Ok((report, seconds)) => {
                 timings.push(seconds);
-                // The standard output is then the keypoints' alone.
-                let print = match output == Some(Path::new(DASH)) {
-                    true => terminal::print_aside,
-                    false if arguments.json => terminal::print,
-                    false => terminal::print_report,
-                };
-                bar.suspend(|| {
+                let printed = bar.suspend(|| {
                     terminal::detail("seconds", || timing::line(&seconds));
                     print(&report)
-                })?;
+                });
+                if let Err(error) = printed {
+                    if arguments.output.is_none() {
+                        return Err(error);
+                    }
+                    is_reported = false;
+                    bar.suspend(|| terminal::error(&error));
+                }
             }
             Err(error) => {
                 failed.push(input.display().to_string());
                 bar.suspend(|| terminal::error(&error));
             }
         }
-        bar.inc(1);
+        bar.step();
     }
-    bar.finish_and_clear();
+    bar.finish();
     if !failed.is_empty() && inputs.len() > 1 {
         let more = if failed.len() > NAMED_FAILURES { ", …" } else { "" };
         let names = failed[..failed.len().min(NAMED_FAILURES)].join(", ");
         terminal::error(&anyhow!("{} of {} inputs failed: {names}{more}", failed.len(), inputs.len()));
     }
     if arguments.timing && !timings.is_empty() {
-        eprint!("{}", timing::summary(load_model, &timings));
+        terminal::print_to_stderr(&timing::summary(load_model, &timings));
     }
     Ok(ExitCode::from(match failed.len() {
-        0 => 0,
+        0 if is_reported => 0,
         n if n < inputs.len() => 1,
         _ => 2,
     }))
 }
 
-/// The file that each input's keypoints go to; empty if they are only printed.
-fn outputs(arguments: &DetectArguments, inputs: &[PathBuf]) -> Result<Vec<PathBuf>> {
-    let Some(output) = &arguments.output else { return Ok(Vec::new()) };
+/// The file that each input's keypoints go to, if they are not only printed; none is an input.
+fn outputs(arguments: &DetectArguments, inputs: &[PathBuf]) -> Result<Vec<Result<Option<PathBuf>>>> {
+    let Some(output) = &arguments.output else { return Ok(inputs.iter().map(|_| Ok(None)).collect()) };
+    let input_files = InputFiles::new(inputs.iter().chain(&arguments.compute.model));
     let into_directory = output.is_dir() || inputs.len() > 1 || arguments.inputs.iter().any(|input| input.is_dir());
     if !into_directory {
         if output != Path::new(DASH) && arguments.format.is_none() {
             KeypointFormat::from_path(output)?;
         }
-        if inputs.contains(output) && output != Path::new(DASH) {
-            bail!("{}: is the input; give another --output", output.display());
-        }
-        return Ok(vec![output.clone()]);
+        input_files.refuse_as_output(output)?;
+        return Ok(vec![Ok(Some(output.clone()))]);
     }
     if output == Path::new(DASH) {
         bail!("the standard output takes the keypoints of one input; give a directory for several");
     }
     let extension = arguments.format.unwrap_or(KeypointFormat::Ply).extension();
-    let name = |input: &PathBuf| {
-        let stem = input.file_stem().unwrap_or_default().to_string_lossy();
-        output.join(format!("{stem}.keypoints.{extension}"))
-    };
-    let outputs: Vec<PathBuf> = inputs.iter().map(name).collect();
-    let mut seen = HashSet::new();
-    if let Some(twice) = outputs.iter().find(|output| !seen.insert(*output)) {
-        bail!("{}: two inputs would be written there; run them into different directories", twice.display());
-    }
     std::fs::create_dir_all(output).with_context(|| format!("cannot make the directory {}", output.display()))?;
-    Ok(outputs)
+    let outputs = in_folder(output, inputs, extension, arguments.number_results).into_iter();
+    let checked = outputs.map(|output| {
+        let output = output?;
+        input_files.refuse_as_output(&output)?;
+        Ok(Some(output))
+    });
+    Ok(checked.collect())
 }
 
 /// One input from file to file; returns what is printed about it, and how long it took.
@@ -121,7 +127,7 @@ fn process(
     input: &Path,
     output: Option<&Path>,
     control: &Control,
-) -> Result<(String, Seconds)> {
+) -> Result<(Report, Seconds)> {
     let start = Instant::now();
     let mut cloud = arguments.input.read(input, options.encode.seed)?;
     if options.encode.normalization == NormalizationMethod::None {
@@ -138,7 +144,7 @@ fn process(
     let (timing, total) = (detection.timing, start.elapsed().as_secs_f64());
     let seconds = [read, timing.encode, timing.occupancy, timing.refine, timing.nms, total];
     let report = if arguments.json {
-        json_line(input, points.len(), origin, &detection, &seconds)
+        json_line(input, output, points.len(), origin, &detection, &seconds)?
     } else {
         table(input, output, points.len(), origin, &detection, total)?
     };
@@ -160,9 +166,17 @@ fn write(output: &Path, format: Option<KeypointFormat>, detection: &Detection, s
     }
 }
 
-fn json_line(input: &Path, num_points: usize, origin: [f64; 3], detection: &Detection, seconds: &Seconds) -> String {
-    let object = json!({
+fn json_line(
+    input: &Path,
+    output: Option<&Path>,
+    num_points: usize,
+    origin: [f64; 3],
+    detection: &Detection,
+    seconds: &Seconds,
+) -> Result<Report> {
+    Report::json(&json!({
         "input": input.display().to_string(),
+        "output": output.map(|output| output.display().to_string()),
         "num_points": num_points,
         "num_skipped": detection.num_skipped,
         "num_encoded": detection.num_encoded,
@@ -171,8 +185,7 @@ fn json_line(input: &Path, num_points: usize, origin: [f64; 3], detection: &Dete
         "counts": detection.counts,
         "timing_seconds": STAGES.into_iter().zip(seconds).collect::<BTreeMap<_, _>>(),
         "keypoints": detection.keypoints.iter().map(|keypoint| io::keypoint_json(keypoint, origin)).collect::<Vec<_>>(),
-    });
-    format!("{object}\n")
+    }))
 }
 
 fn table(
@@ -182,41 +195,45 @@ fn table(
     origin: [f64; 3],
     detection: &Detection,
     total: f64,
-) -> Result<String> {
+) -> Result<Report> {
     let (counts, keypoints) = (detection.counts, &detection.keypoints);
-    let mut text = format!("{}: {} keypoints from {num_points} points", input.display(), keypoints.len());
+    let mut report = Report::default();
+    let mut first = format!("{}: {} keypoints from {num_points} points", input.display(), keypoints.len());
     if detection.num_skipped > 0 {
-        write!(text, " ({} not finite, skipped)", detection.num_skipped)?;
+        write!(first, " ({} not finite, skipped)", detection.num_skipped)?;
     }
     if detection.num_encoded + detection.num_skipped < num_points {
-        write!(text, " ({} encoded)", detection.num_encoded)?;
+        write!(first, " ({} encoded)", detection.num_encoded)?;
     }
     if counts.windows > 1 {
-        write!(text, " through {} windows", counts.windows)?;
+        write!(first, " through {} windows", counts.windows)?;
     }
-    writeln!(text, " in {total:.3} s")?;
+    report.line(format!("{first} in {total:.3} s"));
     let (queries, occupied, above) = (counts.queries, counts.occupied, counts.above_threshold);
-    writeln!(text, "{queries} queries, {occupied} occupied, {above} above the saliency threshold")?;
+    report.line(format!("{queries} queries, {occupied} occupied, {above} above the saliency threshold"));
     if keypoints.is_empty() {
         let advice = if occupied == 0 { "--occupancy-threshold or --normalization" } else { "--saliency-threshold" };
-        writeln!(text, "no keypoints: try {advice}")?;
+        report.line(format!("no keypoints: try {advice}"));
     } else {
         let [x, y, z] = ["x", "y", "z"];
-        let head = format!("{:>4} {x:>12} {y:>12} {z:>12} {:>9} {:>9} {:>8}", "#", "saliency", "occupancy", "nearest");
-        writeln!(text, "{}", style(head).bold())?;
+        report.heading(format!(
+            "{:>4} {x:>12} {y:>12} {z:>12} {:>9} {:>9} {:>8}",
+            "#", "saliency", "occupancy", "nearest"
+        ));
     }
     for (rank, k) in keypoints.iter().take(TABLE_ROWS).enumerate() {
         let [x, y, z]: [f64; 3] = std::array::from_fn(|axis| f64::from(k.position[axis]) + origin[axis]);
         let (saliency, occupancy, nearest) = (k.saliency, k.occupancy, k.nearest_index);
-        writeln!(text, "{:>4} {x:>12.5} {y:>12.5} {z:>12.5} {saliency:>9.4} {occupancy:>9.4} {nearest:>8}", rank + 1)?;
+        let rank = rank + 1;
+        report.line(format!("{rank:>4} {x:>12.5} {y:>12.5} {z:>12.5} {saliency:>9.4} {occupancy:>9.4} {nearest:>8}"));
     }
     match output {
         Some(output) if output == Path::new(DASH) => (),
-        Some(output) => writeln!(text, "written to {}", output.display())?,
+        Some(output) => report.line(format!("written to {}", output.display())),
         None if keypoints.len() > TABLE_ROWS => {
-            writeln!(text, "… {} more; -o FILE writes all", keypoints.len() - TABLE_ROWS)?
+            report.line(format!("… {} more; -o FILE writes all", keypoints.len() - TABLE_ROWS))
         }
         None => (),
     }
-    Ok(text)
+    Ok(report)
 }

@@ -18,6 +18,7 @@ use std::path::Path;
 use anyhow::{Context, Result};
 use serde::de::DeserializeOwned;
 
+use crate::output::InputFiles;
 use args::{Eval, RunArguments};
 
 /// Evaluates what is not yet recorded, then reports.
@@ -33,6 +34,15 @@ pub fn run(command: &Eval) -> Result<()> {
         Eval::Semantic(arguments) => semantic::run(arguments),
         Eval::Registration(arguments) => registration::run(arguments),
     }
+}
+
+/// Refuses an output directory in which results would replace a file that is read.
+fn check_outputs<'a>(run: &'a RunArguments, metric: &str, inputs: impl Iterator<Item = &'a Path>) -> Result<()> {
+    let Some(folder) = &run.output else { return Ok(()) };
+    let inputs = InputFiles::new(inputs.chain(run.compute.model.as_deref()));
+    table::EXTENSIONS
+        .iter()
+        .try_for_each(|extension| inputs.refuse_as_output(&folder.join(format!("{metric}.{extension}"))))
 }
 
 fn read_json<T: DeserializeOwned>(path: &Path) -> Result<T> {

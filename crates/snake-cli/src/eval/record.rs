@@ -34,6 +34,9 @@ impl<Row: Serialize + DeserializeOwned> Record<Row> {
         std::fs::create_dir_all(output).with_context(|| format!("cannot make the directory {}", output.display()))?;
         let path = output.join(format!("{metric}.jsonl"));
         let header = format!("{}\n", json!({ "settings": settings }));
+        if path.exists() && !path.is_file() {
+            bail!("{} is no file; give another --output", path.display());
+        }
         let text = if path.exists() { std::fs::read_to_string(&path) } else { Ok(String::new()) };
         let text = text.with_context(|| format!("cannot read {}", path.display()))?;
         // An interrupted run may leave a line without its end.
@@ -69,16 +72,16 @@ impl<Row: Serialize + DeserializeOwned> Record<Row> {
         name: impl Fn(usize) -> String,
         mut rows: impl FnMut(Task) -> Result<Vec<Row>>,
     ) -> Result<()> {
-        let bar = terminal::progress(tasks.len())?.with_position(self.pairs.len() as u64);
-        bar.reset_eta();
+        let bar = terminal::progress(tasks.len())?;
+        bar.begin_at(self.pairs.len());
         for &task in &tasks[self.pairs.len()..] {
             let name = name(task.index);
-            bar.set_message(name.clone());
+            bar.set_message(&name);
             let rows = rows(task).with_context(|| name.clone())?;
             self.append(name, rows)?;
-            bar.inc(1);
+            bar.step();
         }
-        bar.finish_and_clear();
+        bar.finish();
         Ok(())
     }
 

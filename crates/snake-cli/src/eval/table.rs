@@ -1,6 +1,5 @@
 //! Tables for people and Markdown, and the files that results are written to.
 
-use std::fmt::Write;
 use std::path::Path;
 
 use anyhow::{Context, Result};
@@ -13,17 +12,20 @@ pub struct Table {
     pub rows: Vec<Vec<String>>,
 }
 
-/// The tables, for people.
-pub fn text(tables: &[Table]) -> String {
-    let table = |Table { title, head, rows }: &Table| {
-        let mut text = format!("{title}\n");
+/// The lines of the tables, for people.
+pub fn lines(tables: &[Table]) -> Vec<String> {
+    let mut lines = Vec::new();
+    for (index, Table { title, head, rows }) in tables.iter().enumerate() {
+        if index > 0 {
+            lines.push(String::new());
+        }
+        lines.push(title.clone());
         for row in std::iter::once(head).chain(rows) {
             let cells = row.iter().skip(1).map(|cell| format!("  {cell:>11}")).collect::<String>();
-            writeln!(text, "{:14}{cells}", row[0]).unwrap_or_default();
+            lines.push(format!("{:14}{cells}", row[0]));
         }
-        text
-    };
-    tables.iter().map(table).collect::<Vec<_>>().join("\n")
+    }
+    lines
 }
 
 /// The same in Markdown.
@@ -36,6 +38,9 @@ pub fn markdown(tables: &[Table]) -> String {
     };
     tables.iter().map(table).collect::<Vec<_>>().join("\n")
 }
+
+/// The extensions of the files of a metric's results.
+pub const EXTENSIONS: [&str; 5] = ["csv", "json", "jsonl", "md", "svg"];
 
 /// Writes the texts as `metric.EXTENSION`.
 pub fn write(output: &Path, metric: &str, texts: &[(&str, String)]) -> Result<()> {

@@ -8,6 +8,7 @@ use anyhow::{Context, Result, bail};
 use serde_json::json;
 use snake_core::{Control, Field, Grid, Progress, io};
 
+use crate::output::InputFiles;
 use crate::render::figure::{Panel, PanelAxis, figure};
 use crate::terminal;
 use args::{FieldArguments, Quantity, Slice};
@@ -16,9 +17,7 @@ use args::{FieldArguments, Quantity, Slice};
 pub fn run(arguments: &FieldArguments) -> Result<()> {
     arguments.compute.start_threads()?;
     let FieldArguments { input, output, quantity, resolution, .. } = arguments;
-    if input == output {
-        bail!("{}: is the input; give another --output", output.display());
-    }
+    InputFiles::new([input].into_iter().chain(&arguments.compute.model)).refuse_as_output(output)?;
     let extension = output.extension().unwrap_or_default().to_string_lossy().to_ascii_lowercase();
     let one_quantity = match (extension.as_str(), &quantity[..]) {
         ("png", _) => None,
@@ -31,10 +30,11 @@ pub fn run(arguments: &FieldArguments) -> Result<()> {
     let control = Control::new().progress(&progress);
     let options = arguments.encode.resolve(&model)?.encode;
     terminal::detail("options", || serde_json::to_string(&options).unwrap_or_default());
-    let bar = terminal::stages(&progress)?.with_message(input.display().to_string());
+    let bar = terminal::stages(&progress)?;
+    bar.set_message(input.display().to_string());
     let points = arguments.reading.read(input, options.seed)?.into_points();
     let field = model.encode_with(&points, &options, &control).with_context(|| input.display().to_string())?;
-    bar.finish_and_clear();
+    bar.finish();
     let grid = field.grid(*resolution)?;
     match one_quantity {
         Some(quantity) => write_volume(output, &field, &grid, quantity)?,
@@ -44,10 +44,11 @@ pub fn run(arguments: &FieldArguments) -> Result<()> {
     if arguments.json {
         let (input, output) = (input.display().to_string(), output.display().to_string());
         let object = json!({"input": input, "output": output, "resolution": resolution, "low": low, "high": high});
-        return terminal::print(&format!("{object}\n"));
+        return terminal::print_json(&object);
     }
     let bounds = [0, 1, 2].map(|axis| format!("{} from {} to {}", NAMES[axis], low[axis], high[axis])).join(", ");
-    terminal::print_report(&format!("{resolution} values along {bounds}\nwritten to {}\n", output.display()))
+    let lines = [format!("{resolution} values along {bounds}"), format!("written to {}", output.display())];
+    terminal::print_report(&lines.into_iter().collect())
 }
 
 const NAMES: [&str; 3] = ["x", "y", "z"];
@@ -57,9 +58,9 @@ fn write_volume(output: &Path, field: &Field, grid: &Grid, quantity: Quantity) -
     let mut values = Vec::new();
     for z in 0..grid.resolution {
         values.append(&mut quantity.of(field, &grid.plane(2, grid.coordinate(2, z)))?);
-        bar.inc(1);
+        bar.step();
     }
-    bar.finish_and_clear();
+    bar.finish();
     Ok(io::write_volume(output, [grid.resolution; 3], &values)?)
 }
 
@@ -107,9 +108,9 @@ fn largest(field: &Field, grid: &Grid, quantity: Quantity) -> Result<[Vec<f32>; 
                 largest[axis][pixel] = largest[axis][pixel].max(value);
             }
         }
-        bar.inc(1);
+        bar.step();
     }
-    bar.finish_and_clear();
+    bar.finish();
     Ok(largest)
 }
 

@@ -2,16 +2,16 @@
 
 pub mod args;
 
-use std::fmt::Write;
 use std::path::Path;
 
-use anyhow::{Context, Result, bail};
+use anyhow::{Context, Result};
 use snake_core::io::{self, CloudFormat};
 use snake_core::registration::{Registration, register_with, transform_points};
 use snake_core::{Control, Progress};
 
 use crate::inputs::check_inputs;
-use crate::terminal;
+use crate::output::InputFiles;
+use crate::terminal::{self, Report};
 use args::RegisterArguments;
 
 /// Finds the transform, writes what was asked for and prints the result.
@@ -21,21 +21,21 @@ pub fn run(arguments: &RegisterArguments) -> Result<()> {
     output.as_deref().map_or(Ok(()), io::check_registration_path)?;
     aligned.as_deref().map(CloudFormat::from_path).transpose()?;
     check_inputs([source, target])?;
-    if let Some(input) = output.iter().chain(aligned).find(|path| *path == source || *path == target) {
-        bail!("{}: is an input; give another name to write to", input.display());
-    }
+    let inputs = InputFiles::new([source, target].into_iter().chain(&arguments.compute.model));
+    output.iter().chain(aligned).try_for_each(|path| inputs.refuse_as_output(path))?;
     let progress = Progress::default();
     let model = arguments.compute.load_model()?;
     let control = Control::new().progress(&progress);
     let options = arguments.options.resolve();
     terminal::detail("options", || serde_json::to_string(&options).unwrap_or_default());
-    let bar = terminal::stages(&progress)?.with_message(format!("{} to {}", source.display(), target.display()));
+    let bar = terminal::stages(&progress)?;
+    bar.set_message(format!("{} to {}", source.display(), target.display()));
     let read = |path| arguments.input.read(path, options.seed);
     let (source_cloud, target_cloud) = (read(source)?, read(target)?);
     terminal::detail("points", || format!("{} and {}", source_cloud.points.len(), target_cloud.points.len()));
     let near = register_with(&source_cloud.points, &target_cloud.points, &model, &options, &control)
         .with_context(|| format!("cannot register {} to {}", source.display(), target.display()))?;
-    bar.finish_and_clear();
+    bar.finish();
     let found = near.between_origins(source_cloud.origin, target_cloud.origin);
     if let Some(path) = output {
         io::write_registration(path, &found)?;
@@ -46,24 +46,28 @@ pub fn run(arguments: &RegisterArguments) -> Result<()> {
     }
     let written: Vec<&Path> = output.iter().chain(aligned).map(AsRef::as_ref).collect();
     if arguments.json {
-        return terminal::print(&(serde_json::to_string(&found)? + "\n"));
+        return terminal::print_json(&found);
     }
-    terminal::print_report(&text(&found, &written)?)
+    terminal::print_report(&report(&found, &written))
 }
 
-fn text(found: &Registration, written: &[&Path]) -> Result<String> {
+fn report(found: &Registration, written: &[&Path]) -> Report {
     let Registration { t_target_source, num_inliers, num_correspondences, rmse, num_skipped, seconds } = found;
-    let mut text = String::from("t_target_source:\n");
+    let mut report = Report::default();
+    report.line("t_target_source:");
     for [a, b, c, d] in t_target_source {
-        writeln!(text, "{a:>12.6} {b:>12.6} {c:>12.6} {d:>14.6}")?;
+        report.line(format!("{a:>12.6} {b:>12.6} {c:>12.6} {d:>14.6}"));
     }
-    writeln!(text, "{num_inliers} of {num_correspondences} correspondences agree, RMSE {rmse:.5}, {seconds:.3} s")?;
+    report
+        .line(format!("{num_inliers} of {num_correspondences} correspondences agree, RMSE {rmse:.5}, {seconds:.3} s"));
     let [of_source, of_target] = num_skipped;
     if of_source + of_target > 0 {
-        writeln!(text, "skipped {of_source} points of the source and {of_target} of the target, which are not finite")?;
+        report.line(format!(
+            "skipped {of_source} points of the source and {of_target} of the target, which are not finite"
+        ));
     }
     for path in written {
-        writeln!(text, "written to {}", path.display())?;
+        report.line(format!("written to {}", path.display()));
     }
-    Ok(text)
+    report
 }

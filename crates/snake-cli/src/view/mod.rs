@@ -14,8 +14,9 @@ use snake_core::{
 
 use crate::inputs::check_inputs;
 use crate::model;
+use crate::output::InputFiles;
 use crate::render::page::{Page, Pair, ShownCloud};
-use crate::terminal;
+use crate::terminal::{self, Report};
 use args::ViewArguments;
 
 /// More points of a cloud than this are thinned, so that the page stays light.
@@ -36,6 +37,8 @@ pub fn run(arguments: &ViewArguments) -> Result<()> {
         bail!("--epsilon and --transform are for two clouds");
     }
     check_inputs([input].into_iter().chain(second))?;
+    let inputs = [input].into_iter().chain(second).chain(transform).chain(&arguments.compute.model);
+    InputFiles::new(inputs).refuse_as_output(output)?;
     let t_first_second = transform.as_deref().map(io::read_transform).transpose()?;
     let progress = Progress::default();
     let model = arguments.compute.load_model()?;
@@ -54,17 +57,15 @@ pub fn run(arguments: &ViewArguments) -> Result<()> {
         [first, second] => Some(pair(&model, first, second, t_first_second, *epsilon, &control)?),
         _ => None,
     };
-    bar.finish_and_clear();
-    let mut text: String = clouds.iter().map(|cloud| cloud.summary() + "\n").collect();
-    if let Some(pair) = &pair {
-        text += &(pair.summary() + "\n");
-    }
+    bar.finish();
+    let mut report: Report = clouds.iter().map(ShownCloud::summary).chain(pair.as_ref().map(Pair::summary)).collect();
     let model_name = model::name(arguments.compute.model.as_deref());
     let page = Page { clouds, pair, options, model_name, colormap: arguments.colormap };
     let html = page.html()?;
     io::write_atomically(output, |file| file.write_all(html.as_bytes()))
         .with_context(|| format!("cannot write {}", output.display()))?;
-    terminal::print_report(&format!("{text}written to {}\n", output.display()))
+    report.line(format!("written to {}", output.display()));
+    terminal::print_report(&report)
 }
 
 /// One cloud with all that the page shows of it.

@@ -15,6 +15,7 @@ use snake_core::registration::{Descriptor, KeypointDetector, RansacOptions, Scan
 use snake_core::{Model, Point, io};
 
 use super::args::RegistrationArguments;
+use super::check_outputs;
 use super::paper::THREE_D_MATCH;
 use super::record::Record;
 use super::schedule::{Schedule, Task};
@@ -43,6 +44,7 @@ pub fn run(arguments: &RegistrationArguments) -> Result<()> {
     let model = arguments.run.compute.load_model()?;
     let plan = Plan::new(arguments, &model)?;
     let schedule = Schedule::new(scenes.pairs.len(), &arguments.run)?;
+    check_outputs(&arguments.run, "registration", scenes.clouds.iter().map(PathBuf::as_path))?;
     let settings = plan.settings(arguments);
     let output = arguments.run.output.as_deref();
     let mut record = Record::open(output, "registration", &settings, schedule.tasks().len())?;
@@ -59,7 +61,7 @@ pub fn run(arguments: &RegistrationArguments) -> Result<()> {
     if let Some(output) = output {
         report.write(output)?;
     }
-    terminal::print_report(&report.text())
+    terminal::print_report(&report.text_lines().into_iter().collect())
 }
 
 /// What is measured.

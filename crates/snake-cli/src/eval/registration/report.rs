@@ -145,8 +145,8 @@ impl<'a> Report<'a> {
     }
 
     /// The tables, for people.
-    pub fn text(&self) -> String {
-        table::text(&self.tables())
+    pub fn text_lines(&self) -> Vec<String> {
+        table::lines(&self.tables())
     }
 
     /// Writes `registration.csv`, `.json` and `.md`.

@@ -112,6 +112,15 @@ impl Data {
         Ok(Self { scale: Scale::Object, source: Source::Pairs { pairs: vec![pair], unit_radius: true } })
     }
 
+    /// The cloud files that will be read; where a list leaves their extension out, without it.
+    pub fn files(&self) -> Vec<&Path> {
+        match &self.source {
+            Source::Objects { clouds: Clouds::Loaded(_), .. } => Vec::new(),
+            Source::Objects { clouds: Clouds::Files(files), .. } => files.iter().map(PathBuf::as_path).collect(),
+            Source::Pairs { pairs, .. } => pairs.iter().flat_map(|pair| &pair.clouds).map(PathBuf::as_path).collect(),
+        }
+    }
+
     /// How many pairs of views there are.
     pub fn len(&self) -> usize {
         match &self.source {

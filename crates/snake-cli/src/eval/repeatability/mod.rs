@@ -10,6 +10,7 @@ use serde_json::{Value, json};
 use snake_core::metrics::{mean_distance_to_keypoints, relative_repeatability};
 
 use super::args::RepeatabilityArguments;
+use super::check_outputs;
 use super::methods::Method;
 use super::paper;
 use super::record::Record;
@@ -27,6 +28,8 @@ pub fn run(arguments: &RepeatabilityArguments) -> Result<()> {
     let methods = Method::all(common, None)?;
     let settings = plan.settings(arguments, &methods);
     let schedule = Schedule::new(data.len(), &common.run)?;
+    let inputs = data.files().into_iter().chain(arguments.transform.as_deref());
+    check_outputs(&common.run, "repeatability", inputs)?;
     let mut record = Record::open(common.run.output.as_deref(), "repeatability", &settings, schedule.tasks().len())?;
     record.fill(schedule.tasks(), |pair| data.name(pair), |task| plan.rows(&data, task, &methods))?;
     let paper = match data.scale {
@@ -38,7 +41,7 @@ pub fn run(arguments: &RepeatabilityArguments) -> Result<()> {
     if let Some(output) = &common.run.output {
         report.write(output)?;
     }
-    terminal::print_report(&report.text())
+    terminal::print_report(&report.text_lines().into_iter().collect())
 }
 
 /// The figures of one method under one condition on one pair.

@@ -84,8 +84,8 @@ impl<'a> Report<'a> {
     }
 
     /// The tables, for people.
-    pub fn text(&self) -> String {
-        table::text(&self.tables())
+    pub fn text_lines(&self) -> Vec<String> {
+        table::lines(&self.tables())
     }
 
     /// Writes `repeatability.csv`, `.json`, `.md` and `.svg`.
@@ -266,7 +266,7 @@ At ε 0.2, over noise:
         let json: Value = serde_json::from_str(&report.json().unwrap()).unwrap();
         assert_eq!(json["rows"][1]["repeatability"], json!([0.0, 0.25]));
         assert_eq!((json["rows"].as_array().unwrap().len(), &json["settings"]), (2, &settings));
-        assert!(report.text().contains("iss             0.375 ±0.177"));
+        assert!(report.text_lines().join("\n").contains("iss             0.375 ±0.177"));
         let panels = report.panels();
         let curves: Vec<_> =
             panels.iter().map(|panel| (panel.ticks[1].clone(), panel.lines[0].values.clone())).collect();

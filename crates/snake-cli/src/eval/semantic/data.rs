@@ -73,6 +73,14 @@ impl Data {
         Ok(Self::Bodies(bodies))
     }
 
+    /// The cloud files that will be read.
+    pub fn files(&self) -> Vec<&Path> {
+        match self {
+            Self::KeypointNet(shapes) => shapes.iter().map(|shape| shape.cloud.as_path()).collect(),
+            Self::Bodies(_) | Self::BodyModel(_) => Vec::new(),
+        }
+    }
+
     /// How many shapes, or pairs of bodies.
     pub fn len(&self) -> usize {
         match self {

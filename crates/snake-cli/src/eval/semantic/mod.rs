@@ -16,6 +16,7 @@ use snake_core::metrics::{MatchCounts, SmplProtocol, Unreachable, semantic_count
 use snake_core::{Length, Point, io};
 
 use super::args::SemanticArguments;
+use super::check_outputs;
 use super::methods::Method;
 use super::paper;
 use super::record::Record;
@@ -34,6 +35,8 @@ pub fn run(arguments: &SemanticArguments) -> Result<()> {
     let methods = Method::all(common, Some(SPACING))?;
     let settings = settings(arguments, &methods);
     let schedule = Schedule::new(data.len(), &common.run)?;
+    let inputs = data.files().into_iter().chain([&*arguments.data]).chain(arguments.split.as_deref());
+    check_outputs(&common.run, "semantic", inputs)?;
     let mut record = Record::open(common.run.output.as_deref(), "semantic", &settings, schedule.tasks().len())?;
     record.fill(schedule.tasks(), |shape| data.name(shape), |task| rows(&data, task, &methods, arguments))?;
     let paper = common.run.paper.then_some(match data {
@@ -46,7 +49,7 @@ pub fn run(arguments: &SemanticArguments) -> Result<()> {
     if let Some(output) = &common.run.output {
         report.write(output)?;
     }
-    terminal::print_report(&report.text())
+    terminal::print_report(&report.text_lines().into_iter().collect())
 }
 
 /// The matches of one method on one shape or pair of bodies.

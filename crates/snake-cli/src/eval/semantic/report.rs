@@ -96,8 +96,8 @@ impl<'a> Report<'a> {
     }
 
     /// The tables, for people.
-    pub fn text(&self) -> String {
-        table::text(&self.tables())
+    pub fn text_lines(&self) -> Vec<String> {
+        table::lines(&self.tables())
     }
 
     /// Writes `semantic.csv`, `.json`, `.md` and `.svg`.
@@ -254,7 +254,12 @@ mIoU over 3 shapes of 2 classes at each threshold ± standard deviation over sha
         assert_eq!((figure.strict[0].mean, figure.keypoints), (0.5, 5.0));
         // Running: 4 / 4, then 4 / 12.
         assert!((figure.paper[0].mean - (1.0 + 1.0 / 3.0) / 2.0).abs() < 1e-12);
-        assert!(report.text().contains("mIoU over 2 pairs at each threshold ± standard deviation over pairs, strict"));
+        assert!(
+            report
+                .lines()
+                .join("\n")
+                .contains("mIoU over 2 pairs at each threshold ± standard deviation over pairs, strict")
+        );
     }
 
     #[test]
