@@ -221,7 +221,8 @@ proptest! {
         let [r0, r1, r2] = [0, 4, 8].map(|at| std::array::from_fn(|column| values[at + column]));
         let t_target_source = [r0, r1, r2, [0.0, 0.0, 0.0, 1.0]];
         let registration = Registration {
-            t_target_source, num_inliers: 3, num_correspondences: 9, rmse: 0.1, num_skipped: [0; 2], seconds: 2.5,
+            t_target_source, num_inliers: 3, num_correspondences: 9, rmse: 0.1,
+            inlier_distance: 0.5, fitness: 0.75, fitness_rmse: 0.0625, num_skipped: [0; 2], seconds: 2.5,
         };
         let folder = tempfile::tempdir().unwrap();
         let (json, text) = (folder.path().join("a.json"), folder.path().join("a.txt"));

@@ -417,7 +417,12 @@ fn register_prints_and_writes_the_transform() {
     assert!(output.status.success(), "{}", stderr(&output));
     let report = &json_lines(&output)[0];
     let keys: Vec<&String> = report.as_object().unwrap().keys().collect();
-    assert_eq!(keys, ["num_correspondences", "num_inliers", "num_skipped", "rmse", "seconds", "t_target_source"]);
+    let of_ransac = ["inlier_distance", "num_correspondences", "num_inliers"];
+    let expected =
+        [&["fitness", "fitness_rmse"], &of_ransac[..], &["num_skipped", "rmse", "seconds", "t_target_source"]];
+    assert_eq!(keys, expected.concat());
+    let number = |key: &str| report[key].as_f64().unwrap();
+    assert!(number("fitness") > 0.95 && number("fitness_rmse") < 0.03 && number("inlier_distance") > 0.03, "{report}");
     let (inliers, all) = (report["num_inliers"].as_u64().unwrap(), report["num_correspondences"].as_u64().unwrap());
     assert!(3 <= inliers && inliers <= all && report["rmse"].as_f64().unwrap() < 0.1);
 
@@ -445,7 +450,9 @@ fn register_prints_and_writes_the_transform() {
     let printed = String::from_utf8_lossy(&output.stdout).into_owned();
     let report: Value = serde_json::from_slice(&std::fs::read(&json).unwrap()).unwrap();
     assert!(printed.contains("t_target_source") && printed.contains(&json), "{printed}");
-    assert!(printed.contains(&format!("of {} correspondences", report["num_correspondences"])), "{printed}");
+    // What each number is of.
+    let inliers = format!("RANSAC: {} of {} correspondences", report["num_inliers"], report["num_correspondences"]);
+    assert!(printed.contains(&inliers) && printed.contains("% of the source's voxels within"), "{printed}");
     assert!(report["num_correspondences"].as_u64().unwrap() < all.min(400));
 }
 

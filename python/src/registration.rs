@@ -13,11 +13,12 @@ use crate::{arrays, options, threads};
 pub struct Registration {
     /// Maps source points into the target's frame, (4, 4) float64: `p_target = R p_source + t`.
     t_target_source: Py<PyArray2<f64>>,
-    /// Correspondences that agree with it.
+    /// Correspondences that RANSAC's transform, from which ICP starts, brings near to each other.
     num_inliers: usize,
     /// Keypoints that are each other's nearest in descriptor space.
     num_correspondences: usize,
-    /// Root mean square distance of the inliers, in cloud units.
+    /// Root mean square distance of these inliers under RANSAC's transform, in cloud units: how far apart keypoints of one
+    /// place are found, not how exact `t_target_source` is.
     rmse: f64,
     /// Points of source and target that were skipped because they are not finite.
     num_skipped: (usize, usize),
@@ -46,7 +47,9 @@ impl Registration {
 
     fn __repr__(&self) -> String {
         let Self { num_inliers, num_correspondences, rmse, seconds, .. } = self;
-        format!("Registration({num_inliers} of {num_correspondences} correspondences, rmse {rmse:.5}, {seconds:.3} s)")
+        format!(
+            "Registration(RANSAC: {num_inliers} of {num_correspondences} correspondences, rmse {rmse:.5}; {seconds:.3} s)"
+        )
     }
 }
 

@@ -104,8 +104,11 @@ pub enum Command {
     /// refined on the clouds themselves (ICP). Nothing need be known about the poses; the units must be the same.
     /// `t_target_source` takes a point of the source to the target: p_target = R p_source + t.
     ///
-    /// Exit code: 0 if a transform was found, 2 if not. Compare the inliers with the correspondences before you trust
-    /// it.
+    /// Before you trust it: RANSAC's inliers are the correspondences that its transform brings together; their RMSE says
+    /// how far apart keypoints of one place are found. The result, after ICP, is judged by the share of the source's
+    /// voxels that are near the target's, and by their RMSE.
+    ///
+    /// Exit code: 0 if a transform was found, 2 if not.
     #[command(after_help = "Examples:
   snake-cli register scan2.ply scan1.ply
   snake-cli register scan2.ply scan1.ply -o t_1_2.txt --aligned scan2_in_1.ply

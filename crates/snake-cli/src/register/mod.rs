@@ -52,14 +52,21 @@ pub fn run(arguments: &RegisterArguments) -> Result<()> {
 }
 
 fn report(found: &Registration, written: &[&Path]) -> Report {
-    let Registration { t_target_source, num_inliers, num_correspondences, rmse, num_skipped, seconds } = found;
+    let Registration { t_target_source, num_inliers, num_correspondences, rmse, num_skipped, .. } = found;
+    let Registration { inlier_distance: near, fitness, fitness_rmse, seconds, .. } = found;
     let mut report = Report::default();
     report.line("t_target_source:");
     for [a, b, c, d] in t_target_source {
         report.line(format!("{a:>12.6} {b:>12.6} {c:>12.6} {d:>14.6}"));
     }
-    report
-        .line(format!("{num_inliers} of {num_correspondences} correspondences agree, RMSE {rmse:.5}, {seconds:.3} s"));
+    report.line(format!(
+        "RANSAC: {num_inliers} of {num_correspondences} correspondences of keypoints within {near:.5}, RMSE {rmse:.5}"
+    ));
+    report.line(format!(
+        "result: {:.1} % of the source's voxels within {near:.5} of the target's, RMSE {fitness_rmse:.5}",
+        100.0 * fitness
+    ));
+    report.line(format!("{seconds:.3} s"));
     let [of_source, of_target] = num_skipped;
     if of_source + of_target > 0 {
         report.line(format!(

@@ -141,7 +141,7 @@ impl Pair {
         let of = format!("{} of {} keypoints repeat within {:.4}", self.repeated(), self.partners.len(), self.epsilon);
         match &self.registration {
             Some(Registration { num_inliers, num_correspondences, .. }) => {
-                format!("{of}; {num_inliers} of {num_correspondences} correspondences agree with the registration")
+                format!("{of}; {num_inliers} of {num_correspondences} correspondences are inliers of RANSAC")
             }
             None => of,
         }

@@ -400,14 +400,17 @@ mod tests {
             num_inliers: 3,
             num_correspondences: 9,
             rmse: 0.1,
+            inlier_distance: 0.5,
+            fitness: 0.75,
+            fitness_rmse: 0.0625,
             num_skipped: [0, 4],
             seconds: 2.5,
         };
         write_registration(&json, &registration).unwrap();
         let value: serde_json::Value = serde_json::from_slice(&std::fs::read(&json).unwrap()).unwrap();
         let expected = serde_json::json!({
-            "t_target_source": t_target_source, "num_inliers": 3, "num_correspondences": 9, "rmse": 0.1, "num_skipped": [0, 4],
-            "seconds": 2.5
+            "t_target_source": t_target_source, "num_inliers": 3, "num_correspondences": 9, "rmse": 0.1,
+            "inlier_distance": 0.5, "fitness": 0.75, "fitness_rmse": 0.0625, "num_skipped": [0, 4], "seconds": 2.5
         });
         assert_eq!(value, expected);
         write_registration(&text, &registration).unwrap();

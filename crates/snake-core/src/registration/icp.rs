@@ -45,6 +45,21 @@ pub(super) fn icp(
     Ok(transform)
 }
 
+/// How well the transform fits, as Open3D's `evaluate_registration` has it: the share of the source's points that are
+/// nearer than `max_distance` to the target, and the root mean square distance of these; 0 without any.
+pub(super) fn fitness(
+    source: &[Vector],
+    target: &Neighbors,
+    transform: &IsometryMatrix3<f64>,
+    max_distance: f64,
+) -> (f64, f64) {
+    let distance = |point: &Vector| target.nearest(&moved(transform, point), std::num::NonZeroUsize::MIN)[0].1;
+    let distances: Vec<f64> = source.par_iter().map(distance).filter(|distance| *distance < max_distance).collect();
+    let count = distances.len() as f64;
+    let sum: f64 = distances.iter().map(|distance| distance.powi(2)).sum();
+    (count / source.len().max(1) as f64, (sum / count.max(1.0)).sqrt())
+}
+
 /// The least-squares step of pairs (source point in the target's frame, index of its partner); `None` when they are of one point or none.
 fn plane_step(pairs: &[(Vector, usize)], target: &Neighbors, normals: &[Vector]) -> Option<IsometryMatrix3<f64>> {
     let count = pairs.len() as f64;
@@ -107,6 +122,15 @@ mod tests {
         let found = refined(&source, faces(3, 2), error * truth);
         let left = found * truth.inverse();
         assert!(left.translation.vector.norm() < 5e-3 && left.rotation.angle() < 5e-3, "{left}");
+    }
+
+    #[test]
+    fn fitness_counts_what_is_near() {
+        let target = Neighbors::new(vec![Vector::zeros(), Vector::x()]).unwrap();
+        let source = [Vector::zeros(), Vector::x(), 0.3 * Vector::y(), 9.0 * Vector::z()];
+        let of = |transform| fitness(&source, &target, &transform, 1.0);
+        assert_eq!(of(IsometryMatrix3::identity()), (0.75, 0.03_f64.sqrt()));
+        assert_eq!(of(IsometryMatrix3::translation(0.0, 0.0, 99.0)), (0.0, 0.0));
     }
 
     #[test]

@@ -29,9 +29,10 @@ use crate::neighbors::vector;
 use crate::points::{FinitePoints, Normalization, NormalizationMethod, Point, Transform};
 use crate::{Error, Result};
 
-use icp::icp;
+use icp::{fitness, icp};
 use matching::matches;
 use ransac::{Pair, best_transform, consensus};
+use rigid::matrix;
 use scan::reduce;
 
 pub use cloud::estimate_normals;
@@ -99,12 +100,22 @@ impl Default for RegisterOptions {
 pub struct Registration {
     /// Maps source points into the target's frame: `p_target = R p_source + t`.
     pub t_target_source: Transform,
-    /// Correspondences that agree with it. Few, in number or of all correspondences: do not trust it.
+    /// Correspondences that RANSAC's transform brings nearer to each other than `inlier_distance`; ICP starts from that
+    /// transform. Few, in number or of all correspondences: do not trust it.
     pub num_inliers: usize,
     /// Keypoints that are each other's nearest in descriptor space.
     pub num_correspondences: usize,
-    /// Root mean square distance of the inliers, in cloud units; 0 without inliers.
+    /// Root mean square distance of these inliers under RANSAC's transform, in cloud units; 0 without inliers. It says
+    /// how far apart keypoints of one place are found, not how exact `t_target_source` is.
     pub rmse: f64,
+    /// The distance below which correspondences agree and surfaces are near, in cloud units.
+    pub inlier_distance: f64,
+    /// Share of the source's voxels that `t_target_source` brings nearer than `inlier_distance` to a voxel of the target,
+    /// 0 to 1 (Open3D's fitness). The other voxels do not overlap, or the transform is wrong.
+    pub fitness: f64,
+    /// Root mean square distance of these voxels to their nearest ones, in cloud units (Open3D's inlier RMSE); 0 without
+    /// any. Right transforms have about the mean distance between neighbours.
+    pub fitness_rmse: f64,
     /// Points of source and target that were skipped because they are not finite.
     pub num_skipped: [usize; 2],
     /// Time it took.
@@ -198,12 +209,16 @@ pub fn register_with(
     let Scan { voxels, normals, .. } = &target_scan;
     let (source_voxels, steps) = (&source_scan.voxels.points, options.refine_steps);
     let transform = icp(source_voxels, voxels, normals, rough, inlier_distance, steps, control)?;
-    let Consensus { t_target_source, inliers, rmse } = consensus(&pairs, &transform, inlier_distance);
+    let Consensus { inliers, rmse, .. } = consensus(&pairs, &rough, inlier_distance);
+    let (fitness, fitness_rmse) = fitness(source_voxels, voxels, &transform, inlier_distance);
     Ok(Registration {
-        t_target_source,
+        t_target_source: matrix(&transform),
         num_inliers: inliers.len(),
         num_correspondences: pairs.len(),
         rmse,
+        inlier_distance,
+        fitness,
+        fitness_rmse,
         num_skipped: [num_source - source.len(), num_target - target.len()],
         seconds: start.elapsed().as_secs_f64(),
     })
@@ -262,7 +277,6 @@ mod tests {
     use rand::SeedableRng;
     use rand_chacha::ChaCha8Rng;
 
-    use super::rigid::matrix;
     use super::rigid::tests::random_transform;
     use super::*;
 
@@ -311,6 +325,19 @@ mod tests {
         };
         let (refined, rough) = (error(options), error(RegisterOptions { refine_steps: 0, ..options }));
         assert!(refined < 0.02 && rough > 2.0 * refined, "{refined} {rough}");
+    }
+
+    #[test]
+    fn inliers_are_those_of_ransac_and_fitness_is_that_of_the_result() {
+        let points = sample();
+        let truth = matrix(&random_transform(&mut ChaCha8Rng::seed_from_u64(7)));
+        let (source, target) = (&points[..2048], transform_points(&truth, &points[2048..]));
+        let found = run(source, &target, &options()).unwrap();
+        let rough = run(source, &target, &RegisterOptions { refine_steps: 0, ..options() }).unwrap();
+        assert_eq!((found.num_inliers, found.rmse), (rough.num_inliers, rough.rmse));
+        assert_eq!(found.inlier_distance, rough.inlier_distance);
+        assert!(found.fitness > 0.99 && found.fitness >= rough.fitness, "{found:?} {rough:?}");
+        assert!(found.fitness_rmse < rough.fitness_rmse && found.fitness_rmse < found.inlier_distance / 2.0);
     }
 
     #[test]
@@ -408,6 +435,9 @@ mod tests {
             num_inliers: 3,
             num_correspondences: 3,
             rmse: 0.0,
+            inlier_distance: 1.0,
+            fitness: 1.0,
+            fitness_rmse: 0.0,
             num_skipped: [0; 2],
             seconds: 0.0,
         };

@@ -256,7 +256,7 @@ mIoU over 3 shapes of 2 classes at each threshold ± standard deviation over sha
         assert!((figure.paper[0].mean - (1.0 + 1.0 / 3.0) / 2.0).abs() < 1e-12);
         assert!(
             report
-                .lines()
+                .text_lines()
                 .join("\n")
                 .contains("mIoU over 2 pairs at each threshold ± standard deviation over pairs, strict")
         );

@@ -186,7 +186,7 @@ function pairFacts({ links: found, epsilon, registration, t_first_second }) {
   const share = numOfFirst ? `${Math.round(100 * found.length / numOfFirst)} %` : "–";
   const what = `${found.length} of ${numOfFirst} keypoints of A repeat in B within ${number(epsilon, 3)}`;
   const from = registration
-    ? `registration: ${registration[0]} of ${registration[1]} matches agree` : "as given";
+    ? `registration: ${registration[0]} of ${registration[1]} correspondences are inliers of RANSAC` : "as given";
   const matrix = t_first_second.map((row) => row.map((v) => v.toFixed(4).padStart(9)).join("")).join("\n");
   return [element("p", [share, element("small", what)], { className: "share" }),
     element("details", [element("summary", `B to A, ${from}`), element("pre", matrix)])];
