@@ -202,7 +202,7 @@ def test_max_points_draws_by_seed(model, field, points):
     ],
 )
 def test_arrays_of_another_kind_are_refused(model, field, array, found):
-    expected = r"expected real numbers of shape \(N, 3\), found " + found
+    expected = r"expected real numbers of shape \(N, 3\) or more columns, found " + found
     for call, what in ((model.encode, "points"), (field.occupancy, "queries"), (field.descriptors, "queries")):
         with pytest.raises(ValueError, match=f"^{what}: {expected}$"):
             call(array)

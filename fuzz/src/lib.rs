@@ -15,12 +15,20 @@ static MEMORY: PeakAlloc = PeakAlloc;
 /// Reads a cloud, and draws points from the surface where the format can have one.
 pub fn read_cloud(bytes: &[u8], format: PointFormat) {
     let most = expansion(format) * bytes.len();
-    let read = |sample| in_proportion(most, || parse_cloud(bytes, format, &ReadOptions { sample, seed: 0 }));
-    if let Ok(Cloud { points, origin }) = read(None) {
+    let read = |sample, columns: Option<&str>| {
+        let columns = columns.map(|columns| columns.parse().expect("names of columns"));
+        in_proportion(most, || parse_cloud(bytes, format, &ReadOptions { sample, columns, ..Default::default() }))
+    };
+    if let Ok(Cloud { points, origin }) = read(None, None) {
         assert!(points.len() <= most && origin.iter().all(|v| v.is_finite()));
     }
+    for columns in ["x,y,z", "2,x,9"] {
+        if let Ok(Cloud { points, .. }) = read(None, Some(columns)) {
+            assert!(points.len() <= most);
+        }
+    }
     let is_mesh = matches!(format, PointFormat::Ply | PointFormat::Obj | PointFormat::Off | PointFormat::Stl);
-    if let Some(Ok(Cloud { points, .. })) = is_mesh.then(|| read(Some(5))) {
+    if let Some(Ok(Cloud { points, .. })) = is_mesh.then(|| read(Some(5), None)) {
         assert_eq!(points.len(), 5);
     }
 }

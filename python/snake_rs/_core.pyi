@@ -1,6 +1,7 @@
 """Types of the private module; checked with `python -m mypy.stubtest snake_rs._core`."""
 
 import os
+from collections.abc import Sequence
 from typing import Any, Literal, Protocol, TypeAlias, TypedDict, final, type_check_only
 
 import numpy as np
@@ -54,6 +55,9 @@ class _HasVertices(Protocol):
     def vertices(self) -> Any: ...
 
 _Points: TypeAlias = ArrayLike | _HasPoints | _HasVertices
+
+# float32 if the cloud was float32 or float16, else float64.
+_Positions: TypeAlias = NDArray[np.float32] | NDArray[np.float64]
 
 @type_check_only
 class _Preset(TypedDict, total=False):
@@ -124,7 +128,12 @@ def detect(points: _Points, model: Model | None = None, **options: Unpack[_Optio
 def register(
     source: _Points, target: _Points, model: Model | None = None, **options: Unpack[_RegisterOptions]
 ) -> Registration: ...
-def read_points(path: str | os.PathLike[str], sample: int | None = None, seed: int = 0) -> NDArray[np.float64]: ...
+def read_points(
+    path: str | os.PathLike[str],
+    sample: int | None = None,
+    seed: int = 0,
+    columns: Sequence[int | str] | None = None,
+) -> NDArray[np.float64]: ...
 def estimate_normals(points: _Points, radius: float) -> NDArray[np.float32]: ...
 def set_num_threads(num_threads: int) -> None: ...
 def get_num_threads() -> int: ...
@@ -158,7 +167,7 @@ class Field:
     @property
     def volume(self) -> NDArray[np.float32]: ...
     @property
-    def normalization(self) -> tuple[NDArray[np.float32], float]: ...
+    def normalization(self) -> tuple[_Positions, float]: ...
     def detect(self, **options: Unpack[_DetectOptions]) -> Keypoints: ...
     def mesh(self, **options: Unpack[_MeshOptions]) -> Mesh: ...
 
@@ -166,7 +175,7 @@ class Field:
 class Keypoints:
     def __new__(
         cls,
-        points: NDArray[np.float32],
+        points: _Positions,
         saliency: NDArray[np.float32],
         occupancy: NDArray[np.float32],
         nearest_index: NDArray[np.int64],
@@ -175,7 +184,7 @@ class Keypoints:
         timing_seconds: dict[str, float],
     ) -> Self: ...
     @property
-    def points(self) -> NDArray[np.float32]: ...
+    def points(self) -> _Positions: ...
     @property
     def saliency(self) -> NDArray[np.float32]: ...
     @property
@@ -194,10 +203,10 @@ class Keypoints:
 @final
 class Mesh:
     def __new__(
-        cls, vertices: NDArray[np.float32], normals: NDArray[np.float32], triangles: NDArray[np.uint32]
+        cls, vertices: _Positions, normals: NDArray[np.float32], triangles: NDArray[np.uint32]
     ) -> Self: ...
     @property
-    def vertices(self) -> NDArray[np.float32]: ...
+    def vertices(self) -> _Positions: ...
     @property
     def normals(self) -> NDArray[np.float32]: ...
     @property

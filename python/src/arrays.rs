@@ -5,23 +5,119 @@ use numpy::{
 };
 use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
-use snake_core::Point;
+use snake_core::{Cloud, Point, add_origin, subtract_origin};
 
-/// Copies points `(N, 3)` while the GIL is held: once it is released, another thread may write into the array. They are
-/// what numpy takes for an array of real numbers (numpy's own, tensors of torch, vectors of Open3D, vertices of trimesh),
-/// or an object that has such `points` or `vertices`; numpy's conversion deals with types, strides, byte order and
-/// alignment.
-pub fn points(what: &str, value: &Bound<PyAny>) -> PyResult<Vec<Point>> {
-    let numpy = value.py().import("numpy")?;
+/// Rows `(N, 3)` of an array: of `float32` if the array has that type or `float16`, else of `float64`, which holds the
+/// coordinates of georeferenced scans.
+pub enum Rows<'py> {
+    Single(PyReadonlyArray2<'py, f32>),
+    Double(PyReadonlyArray2<'py, f64>),
+}
+
+/// The type of positions: that of the points that they belong to.
+#[derive(Clone, Copy, PartialEq)]
+pub enum Precision {
+    Single,
+    Double,
+}
+
+/// Positions `(N, 3)` in and out, in one of two types.
+#[derive(FromPyObject, IntoPyObjectRef)]
+pub enum Positions {
+    Single(Py<PyArray2<f32>>),
+    Double(Py<PyArray2<f64>>),
+}
+
+impl Rows<'_> {
+    /// Copies the rows relative to an origin where they need one, and says their type. The GIL is held: once it is
+    /// released, another thread may write into the array.
+    pub fn cloud(&self) -> PyResult<(Cloud, Precision)> {
+        Ok(match self {
+            Self::Single(rows) => {
+                let positions = rows.as_slice()?.as_chunks().0.iter().map(|point: &[f32; 3]| point.map(f64::from));
+                (Cloud::from_positions(positions), Precision::Single)
+            }
+            Self::Double(rows) => {
+                (Cloud::from_positions(rows.as_slice()?.as_chunks().0.iter().copied()), Precision::Double)
+            }
+        })
+    }
+
+    /// Copies the rows relative to an origin that is given.
+    pub fn relative_to(&self, origin: [f64; 3]) -> PyResult<Vec<Point>> {
+        Ok(match self {
+            Self::Single(rows) => {
+                let points = rows.as_slice()?.as_chunks().0.iter();
+                points.map(|point: &[f32; 3]| subtract_origin(point.map(f64::from), origin)).collect()
+            }
+            Self::Double(rows) => {
+                let points = rows.as_slice()?.as_chunks().0.iter();
+                points.map(|&position| subtract_origin(position, origin)).collect()
+            }
+        })
+    }
+}
+
+impl Positions {
+    /// Points with an origin added.
+    pub fn new(py: Python<'_>, points: &[Point], origin: [f64; 3], precision: Precision) -> PyResult<Self> {
+        let positions = points.iter().flat_map(|&point| add_origin(point, origin));
+        Ok(match precision {
+            Precision::Single => Self::Single(rows(py, positions.map(|v| v as f32).collect(), 3)?.unbind()),
+            Precision::Double => Self::Double(rows(py, positions.collect(), 3)?.unbind()),
+        })
+    }
+
+    /// The array.
+    pub fn bind<'py>(&self, py: Python<'py>) -> Bound<'py, PyAny> {
+        match self {
+            Self::Single(array) => array.bind(py).clone().into_any(),
+            Self::Double(array) => array.bind(py).clone().into_any(),
+        }
+    }
+}
+
+/// The rows of what numpy takes for an array of real numbers (numpy's own, tensors of torch, vectors of Open3D, vertices
+/// of trimesh), or of an object that has such `points` or `vertices`: the first three of their columns. Rows that are
+/// masked are NaN. numpy's conversion deals with types, strides, byte order and alignment.
+pub fn given_rows<'py>(what: &str, value: &Bound<'py, PyAny>) -> PyResult<Rows<'py>> {
+    let (py, numpy) = (value.py(), value.py().import("numpy")?);
     let given = as_array(&numpy, what, value)?;
     let array = given.cast::<PyUntypedArray>()?;
-    let is_real = matches!(array.dtype().kind(), b'f' | b'i' | b'u');
-    if !is_real || array.ndim() != 2 || array.shape()[1] != 3 {
-        let found = format!("{} of shape {}", array.dtype(), array.getattr("shape")?);
-        return Err(PyValueError::new_err(format!("{what}: expected real numbers of shape (N, 3), found {found}")));
+    let refused = |why: &str| {
+        let shape = array.getattr("shape")?;
+        let needed = "expected real numbers of shape (N, 3) or more columns, found";
+        Ok(PyValueError::new_err(format!("{what}: {needed} {} of shape {shape}{why}", array.dtype())))
+    };
+    let (kind, size) = (array.dtype().kind(), array.dtype().itemsize());
+    if !matches!(kind, b'f' | b'i' | b'u') || array.ndim() != 2 || array.shape()[1] < 3 {
+        return Err(refused("")?);
     }
-    let aligned: PyReadonlyArray2<f32> = numpy.call_method1("require", (array, "float32", "CA"))?.extract()?;
-    Ok(aligned.as_slice()?.as_chunks().0.to_vec())
+    if let &[rows @ (3 | 4), columns @ 17..] = array.shape() {
+        return Err(refused(&format!(": a point is a row, so transpose {columns} points in {rows} rows"))?);
+    }
+    let dtype = if kind == b'f' && size <= 4 { "float32" } else { "float64" };
+    let columns = given.get_item((pyo3::types::PySlice::full(py), pyo3::types::PySlice::new(py, 0, 3, 1)))?;
+    let is_masked = given.is_instance(&numpy.getattr("ma")?.getattr("MaskedArray")?)?;
+    let filled = match is_masked {
+        true => columns.call_method1("astype", (dtype,))?.call_method1("filled", (f64::NAN,))?,
+        false => columns,
+    };
+    let required = numpy.call_method1("require", (filled, dtype, "CA"))?;
+    Ok(match dtype {
+        "float32" => Rows::Single(required.extract()?),
+        _ => Rows::Double(required.extract()?),
+    })
+}
+
+/// The rows of an array relative to no origin.
+pub fn points(what: &str, value: &Bound<PyAny>) -> PyResult<Vec<Point>> {
+    given_rows(what, value)?.relative_to([0.0; 3])
+}
+
+/// The rows of an array as a cloud.
+pub fn cloud(what: &str, value: &Bound<PyAny>) -> PyResult<(Cloud, Precision)> {
+    given_rows(what, value)?.cloud()
 }
 
 /// What numpy makes of a value, or of the points or vertices that it has.
@@ -40,7 +136,10 @@ fn as_array<'py>(numpy: &Bound<'py, PyModule>, what: &str, value: &Bound<'py, Py
 /// on as it is, one of numpy's becomes a ValueError that begins with `what`.
 fn converted<'py>(numpy: &Bound<'py, PyModule>, what: &str, value: &Bound<'py, PyAny>) -> PyResult<Bound<'py, PyAny>> {
     if value.hasattr("__array__")? {
-        return numpy.call_method1("asarray", (value,));
+        let masked = numpy.getattr("ma")?.getattr("MaskedArray")?;
+        // A masked array stays one.
+        let convert = if value.is_instance(&masked)? { "asanyarray" } else { "asarray" };
+        return numpy.call_method1(convert, (value,));
     }
     if value.hasattr("__dlpack__")? {
         return numpy.call_method1("from_dlpack", (value,));

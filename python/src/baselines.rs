@@ -3,10 +3,10 @@
 use numpy::PyArray1;
 use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
-use snake_core::Length;
 use snake_core::baselines::{
     Covariance, Detector, Harris3dOptions, IssOptions, Protocol, Response, Sift3dOptions, SiftField,
 };
+use snake_core::{Cloud, Length};
 
 use crate::arrays::{self, named};
 use crate::error::py_error;
@@ -44,7 +44,7 @@ fn keypoints<'py>(
     if protocol == Protocol::Paper && count.is_none() {
         return Err(PyValueError::new_err("option `count` is None: protocol paper needs a number"));
     }
-    let (py, points) = (points.py(), arrays::points("points", points)?);
+    let (py, (Cloud { points, .. }, _)) = (points.py(), arrays::cloud("points", points)?);
     let count = count.unwrap_or(usize::MAX);
     let found: Vec<Response> = threads::run(py, || detector.keypoints(&points, count, protocol, seed))?;
     let indices = found.iter().map(|response| response.index as i64).collect();

@@ -5,6 +5,7 @@ use pyo3::prelude::*;
 use pyo3::types::PyDict;
 use snake_core::{self as core, Point};
 
+use crate::arrays::{Positions, Precision};
 use crate::keypoints::Keypoints;
 use crate::mesh::Mesh;
 use crate::{arrays, options, threads};
@@ -16,14 +17,25 @@ type ValuesAndGradients<'py> = (Bound<'py, PyArray1<f32>>, Bound<'py, PyArray2<f
 
 /// Occupancy and saliency of one cloud at any point of space; made by `Model.encode`.
 ///
-/// Queries are (Q, 3), as `detect` takes points; they and the gradients are in the cloud's frame and units.
+/// Queries are (Q, 3), as `detect` takes points; they and the gradients are in the cloud's frame and units. Give queries far
+/// from zero as float64, of which no digits are lost.
 #[pyclass(frozen, module = "snake_rs")]
-pub struct Field(core::Field);
+pub struct Field {
+    core: core::Field,
+    /// To be added to all positions of the core's field.
+    origin: [f64; 3],
+    /// The type of the cloud that was encoded.
+    precision: Precision,
+}
 
 impl Field {
-    /// Wraps the core's field.
-    pub fn new(field: core::Field) -> Self {
-        Self(field)
+    /// Wraps the core's field of a cloud relative to an origin.
+    pub fn new(core: core::Field, origin: [f64; 3], precision: Precision) -> Self {
+        Self { core, origin, precision }
+    }
+
+    fn queries(&self, queries: &Bound<PyAny>) -> PyResult<Vec<Point>> {
+        arrays::given_rows("queries", queries)?.relative_to(self.origin)
     }
 
     /// One value per query, computed without the GIL.
@@ -32,8 +44,8 @@ impl Field {
         queries: &Bound<'py, PyAny>,
         of: fn(&core::Field, &[Point]) -> core::Result<Vec<f32>>,
     ) -> PyResult<Bound<'py, PyArray1<f32>>> {
-        let (py, queries) = (queries.py(), arrays::points("queries", queries)?);
-        let values = threads::run(py, || of(&self.0, &queries))?;
+        let (py, queries) = (queries.py(), self.queries(queries)?);
+        let values = threads::run(py, || of(&self.core, &queries))?;
         Ok(arrays::values(py, values))
     }
 
@@ -43,8 +55,8 @@ impl Field {
         queries: &Bound<'py, PyAny>,
         of: fn(&core::Field, &[Point]) -> core::Result<Pairs>,
     ) -> PyResult<ValuesAndGradients<'py>> {
-        let (py, queries) = (queries.py(), arrays::points("queries", queries)?);
-        let (values, gradients) = threads::run(py, || of(&self.0, &queries))?;
+        let (py, queries) = (queries.py(), self.queries(queries)?);
+        let (values, gradients) = threads::run(py, || of(&self.core, &queries))?;
         Ok((arrays::values(py, values), arrays::rows(py, gradients.into_flattened(), 3)?))
     }
 }
@@ -73,22 +85,23 @@ impl Field {
 
     /// Descriptors (Q, c_dim) float32: the feature of each query, L2-normalised.
     fn descriptors<'py>(&self, queries: &Bound<'py, PyAny>) -> PyResult<Bound<'py, PyArray2<f32>>> {
-        let (py, queries) = (queries.py(), arrays::points("queries", queries)?);
-        let flat = threads::run(py, || self.0.descriptors(&queries))?;
-        arrays::rows(py, flat, self.0.config().c_dim)
+        let (py, queries) = (queries.py(), self.queries(queries)?);
+        let flat = threads::run(py, || self.core.descriptors(&queries))?;
+        arrays::rows(py, flat, self.core.config().c_dim)
     }
 
     /// A copy of the feature volume, (C, D, H, W) float32: D, H, W along z, y, x.
     #[getter]
     fn volume<'py>(&self, py: Python<'py>) -> Bound<'py, PyArray4<f32>> {
-        PyArray::from_array(py, &self.0.volume().features().permuted_axes([3, 0, 1, 2]))
+        PyArray::from_array(py, &self.core.volume().features().permuted_axes([3, 0, 1, 2]))
     }
 
-    /// Center (3,) float32 and scale, in cloud units: `network = (cloud - center) / scale`.
+    /// Center (3,), of the type of the cloud's points, and scale, in cloud units: `network = (cloud - center) / scale`.
     #[getter]
-    fn normalization<'py>(&self, py: Python<'py>) -> (Bound<'py, PyArray1<f32>>, f32) {
-        let core::Normalization { center, scale } = self.0.normalization();
-        (arrays::values(py, center.to_vec()), scale)
+    fn normalization<'py>(&self, py: Python<'py>) -> PyResult<(Bound<'py, PyAny>, f32)> {
+        let core::Normalization { center, scale } = self.core.normalization();
+        let center = Positions::new(py, &[center], self.origin, self.precision)?.bind(py).get_item(0)?;
+        Ok((center, scale))
     }
 
     /// Keypoints of the encoded cloud.
@@ -102,9 +115,9 @@ impl Field {
     /// used and TypeError for an unknown option.
     #[pyo3(signature = (**options))]
     fn detect(&self, py: Python<'_>, options: Option<&Bound<PyDict>>) -> PyResult<Keypoints> {
-        let preset = options::resolve("detect", &options::DETECT, self.0.recommended(), options)?;
-        let detection = threads::run_with_signals(py, |control| self.0.detect_with(&preset.detect, control))?;
-        Keypoints::from_detection(py, detection)
+        let preset = options::resolve("detect", &options::DETECT, self.core.recommended(), options)?;
+        let detection = threads::run_with_signals(py, |control| self.core.detect_with(&preset.detect, control))?;
+        Keypoints::from_detection(py, detection, self.origin, self.precision)
     }
 
     /// The surface on which the occupancy is `level`, by marching cubes; closed, in the cloud's frame and units.
@@ -115,13 +128,17 @@ impl Field {
     #[pyo3(signature = (**options))]
     fn mesh(&self, py: Python<'_>, options: Option<&Bound<PyDict>>) -> PyResult<Mesh> {
         let options: core::MeshOptions = options::of("mesh", options)?;
-        let mesh = threads::run_with_signals(py, |control| self.0.mesh_with(&options, control))?;
-        Mesh::from_core(py, mesh)
+        let mesh = threads::run_with_signals(py, |control| self.core.mesh_with(&options, control))?;
+        Mesh::from_core(py, mesh, self.origin, self.precision)
     }
 
     fn __repr__(&self) -> String {
-        let core::Normalization { center, scale } = self.0.normalization();
-        let (encoded, points) = (self.0.num_encoded(), self.0.points().len());
-        format!("Field({encoded} of {points} points encoded, center {center:?}, scale {scale})")
+        let core::Normalization { center, scale } = self.core.normalization();
+        let center = match self.origin == [0.0; 3] {
+            true => format!("{center:?}"),
+            false => format!("{:?}", core::add_origin(center, self.origin)),
+        };
+        let (encoded, points) = (self.core.num_encoded(), self.core.points().len());
+        format!("Field({encoded} of {points} points encoded, center {center}, scale {scale})")
     }
 }

@@ -1,18 +1,18 @@
 //! `snake_rs.Keypoints`.
 
-use numpy::{PyArray1, PyArray2, PyArrayMethods};
+use numpy::{PyArray1, PyArrayMethods};
 use pyo3::exceptions::PyImportError;
 use pyo3::prelude::*;
 use pyo3::types::{IntoPyDict, PyDict, PyTuple};
-use snake_core::Detection;
+use snake_core::{Detection, Point};
 
-use crate::arrays;
+use crate::arrays::{self, Positions, Precision};
 
 /// K keypoints by falling saliency, and how they came about; it can be pickled.
 #[pyclass(frozen, get_all, module = "snake_rs")]
 pub struct Keypoints {
-    /// Positions (K, 3) float32, in the cloud's frame and units.
-    points: Py<PyArray2<f32>>,
+    /// Positions (K, 3), in the cloud's frame and units: float32 if the cloud was float32 or float16, else float64.
+    points: Positions,
     /// Saliency (K,) float32 in [0, 1]: the score that keypoints are ranked by.
     saliency: Py<PyArray1<f32>>,
     /// Occupancy (K,) float32 at the positions.
@@ -30,7 +30,12 @@ pub struct Keypoints {
 
 impl Keypoints {
     /// The core's result as arrays and dicts.
-    pub fn from_detection(py: Python<'_>, detection: Detection) -> PyResult<Self> {
+    pub fn from_detection(
+        py: Python<'_>,
+        detection: Detection,
+        origin: [f64; 3],
+        precision: Precision,
+    ) -> PyResult<Self> {
         let Detection { keypoints, num_skipped, counts, timing, .. } = detection;
         let counts = [
             ("windows", counts.windows),
@@ -45,9 +50,9 @@ impl Keypoints {
             ("refine", timing.refine),
             ("nms", timing.nms),
         ];
-        let points = keypoints.iter().flat_map(|k| k.position).collect();
+        let points: Vec<Point> = keypoints.iter().map(|k| k.position).collect();
         Ok(Self {
-            points: arrays::rows(py, points, 3)?.unbind(),
+            points: Positions::new(py, &points, origin, precision)?,
             saliency: arrays::values(py, keypoints.iter().map(|k| k.saliency).collect()).unbind(),
             occupancy: arrays::values(py, keypoints.iter().map(|k| k.occupancy).collect()).unbind(),
             nearest_index: arrays::values(py, keypoints.iter().map(|k| k.nearest_index as i64).collect()).unbind(),
@@ -62,7 +67,7 @@ impl Keypoints {
 impl Keypoints {
     #[new]
     fn new(
-        points: Py<PyArray2<f32>>,
+        points: Positions,
         saliency: Py<PyArray1<f32>>,
         occupancy: Py<PyArray1<f32>>,
         nearest_index: Py<PyArray1<i64>>,

@@ -16,6 +16,7 @@ mod threads;
 
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
+use snake_core::Cloud;
 
 use field::Field;
 use io::read_points;
@@ -27,9 +28,11 @@ use threads::{get_num_threads, set_num_threads};
 
 /// Keypoints of a cloud in one call: `model.encode(points).detect()`, with the built-in model if none is given.
 ///
-/// `points` is (N, 3) real numbers: a numpy array, a torch tensor on the CPU, an Open3D or trimesh point cloud, or
-/// anything else that numpy takes for such an array; it is copied as float32. Points that are not finite are skipped
-/// (`Keypoints.num_skipped`), but `nearest_index` counts them. `options` are those of `Model.encode` and `Field.detect`,
+/// `points` is (N, 3) real numbers, or more columns of which the first three count: a numpy array, a torch tensor on the
+/// CPU, an Open3D or trimesh point cloud, or anything else that numpy takes for such an array. It is copied as float32,
+/// relative to an origin where it is far from zero, so that float64 coordinates of georeferenced scans keep their digits;
+/// positions come back as float32 if the points are float32 or float16, else as float64. Points that are not finite or
+/// are masked are skipped (`Keypoints.num_skipped`), but `nearest_index` counts them. `options` are those of `Model.encode` and `Field.detect`,
 /// and `window_radius` (look through balls of this radius that cover the cloud, each encoded by itself, in cloud units or
 /// as in "40r" in multiples of its resolution; None: the whole cloud at once, in which details of a room are lost); what is not given comes from `preset`, or else from `model.recommended`. Raises ValueError for an array or a value
 /// that cannot be used, and TypeError for an unknown option.
@@ -43,9 +46,10 @@ fn detect(
 ) -> PyResult<Keypoints> {
     let model = model::given_or_builtin(py, model)?;
     let preset = options::resolve("detect", &options::ALL, model.recommended(), options)?;
-    let points = arrays::points("points", points)?;
+    let (cloud, precision) = arrays::cloud("points", points)?;
+    let Cloud { points, origin } = cloud.for_normalization(preset.encode.normalization);
     let detection = threads::run_with_signals(py, |control| model.detect_with(&points, &preset, control))?;
-    Keypoints::from_detection(py, detection)
+    Keypoints::from_detection(py, detection, origin, precision)
 }
 
 #[pymodule]

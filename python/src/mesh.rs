@@ -4,13 +4,13 @@ use numpy::{PyArray2, PyUntypedArrayMethods};
 use pyo3::prelude::*;
 use pyo3::types::PyTuple;
 
-use crate::arrays;
+use crate::arrays::{self, Positions, Precision};
 
 /// A surface of T triangles that share V vertices, closed; made by `Field.mesh`. It can be pickled.
 #[pyclass(frozen, get_all, module = "snake_rs")]
 pub struct Mesh {
-    /// Positions (V, 3) float32, in the cloud's frame and units.
-    vertices: Py<PyArray2<f32>>,
+    /// Positions (V, 3), in the cloud's frame and units: float32 if the cloud was float32 or float16, else float64.
+    vertices: Positions,
     /// Unit normals (V, 3) float32 at the vertices, out of what is occupied.
     normals: Py<PyArray2<f32>>,
     /// Indices of vertices (T, 3) uint32, counterclockwise seen from outside.
@@ -19,9 +19,9 @@ pub struct Mesh {
 
 impl Mesh {
     /// The core's mesh as arrays.
-    pub fn from_core(py: Python<'_>, mesh: snake_core::Mesh) -> PyResult<Self> {
+    pub fn from_core(py: Python<'_>, mesh: snake_core::Mesh, origin: [f64; 3], precision: Precision) -> PyResult<Self> {
         Ok(Self {
-            vertices: arrays::rows(py, mesh.vertices.into_flattened(), 3)?.unbind(),
+            vertices: Positions::new(py, &mesh.vertices, origin, precision)?,
             normals: arrays::rows(py, mesh.normals.into_flattened(), 3)?.unbind(),
             triangles: arrays::rows(py, mesh.triangles.into_flattened(), 3)?.unbind(),
         })
@@ -31,7 +31,7 @@ impl Mesh {
 #[pymethods]
 impl Mesh {
     #[new]
-    fn new(vertices: Py<PyArray2<f32>>, normals: Py<PyArray2<f32>>, triangles: Py<PyArray2<u32>>) -> Self {
+    fn new(vertices: Positions, normals: Py<PyArray2<f32>>, triangles: Py<PyArray2<u32>>) -> Self {
         Self { vertices, normals, triangles }
     }
 
@@ -40,7 +40,7 @@ impl Mesh {
     }
 
     fn __repr__(&self, py: Python<'_>) -> String {
-        let [vertices, triangles] = [self.vertices.bind(py).shape()[0], self.triangles.bind(py).shape()[0]];
+        let [vertices, triangles] = [self.normals.bind(py).shape()[0], self.triangles.bind(py).shape()[0]];
         format!("Mesh({vertices} vertices, {triangles} triangles)")
     }
 }

@@ -124,8 +124,7 @@ impl Model {
 
     /// Encodes a cloud once; the field then answers any number of queries.
     ///
-    /// `points` is (N, 3), as `detect` takes it; points that are not finite are skipped. It is held as float32: subtract an
-    /// offset from coordinates far from zero. Options: `normalization` ("unit-sphere", "unit-cube" or "none": the
+    /// `points` is (N, 3), as `detect` takes it; points that are not finite are skipped. Options: `normalization` ("unit-sphere", "unit-cube" or "none": the
     /// cloud is already in the cube +-0.5), `max_points` (encode at most this many, drawn at random; None: all of
     /// them), `seed` of that draw, `rotations` (average over this many turned copies of the cloud: keypoints repeat
     /// far better, at as many times the cost), and `preset`. What is not given comes from `preset`, or else from
@@ -133,8 +132,10 @@ impl Model {
     #[pyo3(signature = (points, **options))]
     fn encode(&self, py: Python<'_>, points: &Bound<PyAny>, options: Option<&Bound<PyDict>>) -> PyResult<Field> {
         let preset = options::resolve("encode", &options::ENCODE, self.core.recommended(), options)?;
-        let points = arrays::points("points", points)?;
-        threads::run_with_signals(py, |control| self.core.encode_with(&points, &preset.encode, control)).map(Field::new)
+        let (cloud, precision) = arrays::cloud("points", points)?;
+        let core::Cloud { points, origin } = cloud.for_normalization(preset.encode.normalization);
+        let field = threads::run_with_signals(py, |control| self.core.encode_with(&points, &preset.encode, control))?;
+        Ok(Field::new(field, origin, precision))
     }
 
     fn __reduce__<'py>(slf: &Bound<'py, Self>) -> PyResult<(Bound<'py, PyAny>, Bound<'py, PyTuple>)> {

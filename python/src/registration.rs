@@ -3,6 +3,7 @@
 use numpy::{PyArray1, PyArray2, PyArrayMethods};
 use pyo3::prelude::*;
 use pyo3::types::{PyDict, PyTuple};
+use snake_core::Cloud;
 use snake_core::registration as core;
 
 use crate::model::{self, Model};
@@ -76,9 +77,10 @@ pub fn register(
 ) -> PyResult<Registration> {
     let model = model::given_or_builtin(py, model)?;
     let options = options::of("register", options)?;
-    let (source, target) = (arrays::points("source", source)?, arrays::points("target", target)?);
-    let found =
-        threads::run_with_signals(py, |control| core::register_with(&source, &target, &model, &options, control))?;
+    let ((source, _), (target, _)) = (arrays::cloud("source", source)?, arrays::cloud("target", target)?);
+    let (from, to) = (&source.points, &target.points);
+    let near = threads::run_with_signals(py, |control| core::register_with(from, to, &model, &options, control))?;
+    let found = near.between_origins(source.origin, target.origin);
     let matrix = PyArray1::from_vec(py, found.t_target_source.as_flattened().to_vec()).reshape([4, 4])?;
     let core::Registration { num_inliers, num_correspondences, rmse, num_skipped, seconds, .. } = found;
     Ok(Registration::new(matrix.unbind(), num_inliers, num_correspondences, rmse, num_skipped.into(), seconds))
@@ -88,7 +90,7 @@ pub fn register(
 /// on the side of the cloud's mean. Zero where fewer than three points are near.
 #[pyfunction]
 pub fn estimate_normals<'py>(points: &Bound<'py, PyAny>, radius: f64) -> PyResult<Bound<'py, PyArray2<f32>>> {
-    let (py, points) = (points.py(), arrays::points("points", points)?);
+    let (py, (Cloud { points, .. }, _)) = (points.py(), arrays::cloud("points", points)?);
     let normals = threads::run(py, || core::estimate_normals(&points, radius))?;
     arrays::rows(py, normals.into_flattened(), 3)
 }
@@ -101,7 +103,7 @@ pub fn fpfh<'py>(
     radius: f64,
 ) -> PyResult<Bound<'py, PyArray2<f32>>> {
     let py = points.py();
-    let (points, normals) = (arrays::points("points", points)?, arrays::points("normals", normals)?);
+    let ((Cloud { points, .. }, _), normals) = (arrays::cloud("points", points)?, arrays::points("normals", normals)?);
     let flat = threads::run(py, || core::fpfh(&points, &normals, radius))?;
     arrays::rows(py, flat, core::FPFH_DIMENSION)
 }

@@ -2,10 +2,13 @@
 
 use std::io::Read;
 use std::path::{Path, PathBuf};
+use std::sync::Once;
 
 use anyhow::{Context, Result, bail};
 use clap::Args;
-use snake_core::io::{self, Cloud, POINT_EXTENSIONS, PointFormat, ReadOptions};
+use snake_core::io::{self, Cloud, Columns, Contents, POINT_EXTENSIONS, PointFormat, ReadOptions};
+
+use crate::terminal;
 
 /// Stands for the standard input or output.
 pub const DASH: &str = "-";
@@ -20,28 +23,78 @@ pub struct InputArguments {
     /// Of meshes, draw this many points from the surface, evenly by area, instead of taking their vertices.
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=100_000_000))]
     pub sample: Option<u32>,
+    #[command(flatten)]
+    pub columns: ColumnArguments,
+}
+
+/// Which columns of text and arrays hold the coordinates.
+#[derive(Args, Clone, Default)]
+pub struct ColumnArguments {
+    /// Of text and NumPy arrays: the columns of x, y and z, by their names in the header or by numbers from 1: `x,y,z`,
+    /// `Points:0,Points:1,Points:2`, `4,5,6` [default: as the header says, without one the first three].
+    #[arg(long, value_name = "X,Y,Z")]
+    pub columns: Option<Columns>,
+}
+
+impl ColumnArguments {
+    /// Reads the file of a data set.
+    pub fn read(&self, path: &Path) -> Result<Cloud> {
+        let options = ReadOptions { columns: self.columns.clone(), ..ReadOptions::default() };
+        Ok(io::read_cloud(path, &options)?)
+    }
 }
 
 impl InputArguments {
-    /// Reads a cloud; the seed is that of samples.
+    /// Reads a cloud; the seed is that of samples. Says once if the vertices of a mesh are taken for its surface.
     pub fn read(&self, path: &Path, seed: u64) -> Result<Cloud> {
-        let options = ReadOptions { sample: self.sample.map(|number| number as usize), seed };
+        let Contents { cloud, unsampled_faces, .. } = self.contents(path, seed)?;
+        if unsampled_faces > 0 {
+            static SAID: Once = Once::new();
+            let (name, vertices) = (path.display(), cloud.points.len());
+            SAID.call_once(|| {
+                terminal::warn(&format!(
+                    "{name} is a mesh of {unsampled_faces} faces: its {vertices} vertices are taken; \
+                     --sample N draws N points from the surface"
+                ));
+            });
+        }
+        Ok(cloud)
+    }
+
+    fn contents(&self, path: &Path, seed: u64) -> Result<Contents> {
+        let columns = self.columns.columns.clone();
+        let options = ReadOptions { sample: self.sample.map(|number| number as usize), seed, columns };
         if path == Path::new(DASH) {
             let mut bytes = Vec::new();
             std::io::stdin().lock().read_to_end(&mut bytes).context("cannot read the standard input")?;
             let Some(format) = self.input_format.or_else(|| PointFormat::from_content(&bytes)) else {
                 bail!("standard input: nothing in it says what format it is; give --input-format");
             };
-            return io::parse_cloud(&bytes, format, &options).context("standard input");
+            return io::parse_contents(&bytes, format, &options).context("standard input");
         }
         match self.input_format {
             Some(format) => {
                 let bytes = std::fs::read(path).with_context(|| format!("cannot read {}", path.display()))?;
-                io::parse_cloud(&bytes, format, &options).with_context(|| path.display().to_string())
+                io::parse_contents(&bytes, format, &options).with_context(|| path.display().to_string())
             }
-            None => Ok(io::read_cloud(path, &options)?),
+            None => Ok(io::read_contents(path, &options)?),
         }
     }
+}
+
+/// What is to be added to the coordinates of a file that is written: nothing, or where its format has only four bytes a
+/// coordinate, the origin, which is then also said.
+pub fn output_origin(path: &Path, adds_origin: bool, origin: [f64; 3]) -> [f64; 3] {
+    if adds_origin || origin == [0.0; 3] {
+        return [0.0; 3];
+    }
+    let [x, y, z] = origin;
+    terminal::warn(&format!(
+        "{}: its format has no room for coordinates that far from zero: they are relative to the origin {x} {y} {z}, \
+         which is to be added; other formats hold them whole",
+        path.display()
+    ));
+    origin
 }
 
 /// Refuses to read the standard input twice.

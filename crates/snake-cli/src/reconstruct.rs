@@ -6,9 +6,9 @@ use std::time::Instant;
 use anyhow::{Context, Result};
 use clap::Args;
 use serde_json::json;
-use snake_core::{Control, MeshOptions, Progress, io};
+use snake_core::{Cloud, Control, MeshOptions, Progress, io};
 
-use crate::inputs::InputArguments;
+use crate::inputs::{InputArguments, output_origin};
 use crate::output::InputFiles;
 use crate::setup::{ComputeArguments, EncodeFlags, override_with};
 use crate::terminal::{self, Report};
@@ -58,15 +58,16 @@ pub fn run(arguments: &ReconstructArguments) -> Result<()> {
     let bar = terminal::stages(&progress)?;
     bar.set_message(format!("{} ({} samples along each axis)", input.display(), options.resolution));
     let start = Instant::now();
-    let points = arguments.reading.read(input, encode.seed)?.into_points();
+    let Cloud { points, origin } = arguments.reading.read(input, encode.seed)?.for_normalization(encode.normalization);
     let read = start.elapsed().as_secs_f64();
     let field = model.encode_with(&points, &encode, &control).with_context(|| input.display().to_string())?;
     let encoded = start.elapsed().as_secs_f64();
     let mesh = field.mesh_with(&options, &control)?;
     let meshed = start.elapsed().as_secs_f64();
-    io::write_mesh(output, &mesh)?;
+    io::write_mesh(output, &mesh, origin)?;
     let total = start.elapsed().as_secs_f64();
     bar.finish();
+    let output_origin = output_origin(output, io::adds_origin(output), origin);
 
     let (vertices, triangles, area) = (mesh.vertices.len(), mesh.triangles.len(), mesh.area());
     if arguments.json {
@@ -74,6 +75,8 @@ pub fn run(arguments: &ReconstructArguments) -> Result<()> {
             "input": input.display().to_string(),
             "output": output.display().to_string(),
             "num_points": points.len(),
+            "origin": origin,
+            "output_origin": output_origin,
             "normalization": field.normalization(),
             "vertices": vertices,
             "triangles": triangles,

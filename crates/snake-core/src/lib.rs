@@ -20,6 +20,7 @@ pub mod metrics;
 pub mod registration;
 
 mod budget;
+mod cloud;
 mod config;
 mod control;
 mod decoder;
@@ -51,6 +52,7 @@ mod weights;
 mod window_cells;
 mod windows;
 
+pub use cloud::{Cloud, add_origin, subtract_origin};
 pub use config::ModelConfig;
 pub use control::{CancelFlag, Control, Counter};
 pub use detect::{Counts, Detection, Keypoint, Timing};

@@ -11,9 +11,9 @@ use std::time::Instant;
 use anyhow::{Context, Result, anyhow, bail};
 use serde_json::json;
 use snake_core::io::{self, Cloud, KeypointFormat, KeypointSource};
-use snake_core::{Control, Detection, Model, NormalizationMethod, Preset, Progress};
+use snake_core::{Control, Detection, Model, Preset, Progress, add_origin};
 
-use crate::inputs::{DASH, check_inputs, expand};
+use crate::inputs::{DASH, check_inputs, expand, output_origin};
 use crate::output::{InputFiles, in_folder};
 use crate::terminal::{self, Report};
 use crate::timing::{self, STAGES, Seconds};
@@ -129,26 +129,33 @@ fn process(
     control: &Control,
 ) -> Result<(Report, Seconds)> {
     let start = Instant::now();
-    let mut cloud = arguments.input.read(input, options.encode.seed)?;
-    if options.encode.normalization == NormalizationMethod::None {
-        // The network's own frame has no other origin.
-        cloud = Cloud { points: cloud.into_points(), origin: [0.0; 3] };
-    }
-    let Cloud { points, origin } = cloud;
+    let cloud = arguments.input.read(input, options.encode.seed)?;
+    let Cloud { points, origin } = cloud.for_normalization(options.encode.normalization);
     let read = start.elapsed().as_secs_f64();
     let detection = model.detect_with(&points, options, control).with_context(|| input.display().to_string())?;
+    let mut to_add = [0.0; 3];
     if let Some(output) = output {
         let source = KeypointSource::new(input, origin);
         write(output, arguments.format, &detection, &source)?;
+        to_add = output_origin(output, adds_origin(output, arguments.format), origin);
     }
     let (timing, total) = (detection.timing, start.elapsed().as_secs_f64());
     let seconds = [read, timing.encode, timing.occupancy, timing.refine, timing.nms, total];
     let report = if arguments.json {
-        json_line(input, output, points.len(), origin, &detection, &seconds)?
+        json_line(input, output, points.len(), [origin, to_add], &detection, &seconds)?
     } else {
         table(input, output, points.len(), origin, &detection, total)?
     };
     Ok((report, seconds))
+}
+
+/// Whether keypoints are written with the origin added.
+fn adds_origin(output: &Path, format: Option<KeypointFormat>) -> bool {
+    match format {
+        Some(format) => format != KeypointFormat::Pcd,
+        // The standard output then gets a PLY.
+        None => io::adds_origin(output),
+    }
 }
 
 /// Keypoints to a file or to the standard output, in the format given or else in that of the file's extension.
@@ -166,14 +173,16 @@ fn write(output: &Path, format: Option<KeypointFormat>, detection: &Detection, s
     }
 }
 
+/// `origins`: of the points, and what is to be added to the coordinates in the output.
 fn json_line(
     input: &Path,
     output: Option<&Path>,
     num_points: usize,
-    origin: [f64; 3],
+    origins: [[f64; 3]; 2],
     detection: &Detection,
     seconds: &Seconds,
 ) -> Result<Report> {
+    let [origin, output_origin] = origins;
     Report::json(&json!({
         "input": input.display().to_string(),
         "output": output.map(|output| output.display().to_string()),
@@ -181,6 +190,7 @@ fn json_line(
         "num_skipped": detection.num_skipped,
         "num_encoded": detection.num_encoded,
         "origin": origin,
+        "output_origin": output_origin,
         "normalization": detection.normalization,
         "counts": detection.counts,
         "timing_seconds": STAGES.into_iter().zip(seconds).collect::<BTreeMap<_, _>>(),
@@ -222,7 +232,7 @@ fn table(
         ));
     }
     for (rank, k) in keypoints.iter().take(TABLE_ROWS).enumerate() {
-        let [x, y, z]: [f64; 3] = std::array::from_fn(|axis| f64::from(k.position[axis]) + origin[axis]);
+        let [x, y, z] = add_origin(k.position, origin);
         let (saliency, occupancy, nearest) = (k.saliency, k.occupancy, k.nearest_index);
         let rank = rank + 1;
         report.line(format!("{rank:>4} {x:>12.5} {y:>12.5} {z:>12.5} {saliency:>9.4} {occupancy:>9.4} {nearest:>8}"));

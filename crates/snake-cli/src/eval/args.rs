@@ -6,6 +6,7 @@ use clap::{Args, Subcommand, ValueEnum};
 use snake_core::Length;
 use snake_core::registration::{Descriptor, KeypointDetector};
 
+use crate::inputs::ColumnArguments;
 use crate::setup::{ComputeArguments, named};
 
 #[derive(Subcommand)]
@@ -183,6 +184,8 @@ pub struct RunArguments {
     /// Show the paper's figures for its own data sets where there are any, marked as the paper's.
     #[arg(long)]
     pub paper: bool,
+    #[command(flatten)]
+    pub columns: ColumnArguments,
     #[command(flatten)]
     pub compute: ComputeArguments,
 }

@@ -57,6 +57,7 @@ fn evenly_spaced(length: usize, limit: Option<usize>) -> Result<Vec<usize>> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::inputs::ColumnArguments;
     use crate::setup::ComputeArguments;
 
     #[test]
@@ -74,7 +75,8 @@ mod tests {
     fn every_seed_has_all_pairs() {
         let (limit, seed, seeds) = (Some(2), u64::MAX, 2);
         let compute = ComputeArguments { threads: None, model: None };
-        let run = RunArguments { output: None, limit, seed, seeds, paper: false, compute };
+        let columns = ColumnArguments::default();
+        let run = RunArguments { output: None, limit, seed, seeds, paper: false, columns, compute };
         let schedule = Schedule::new(3, &run).unwrap();
         let expected = [(u64::MAX, 0), (u64::MAX, 2), (0, 0), (0, 2)].map(|(seed, index)| Task { seed, index });
         assert_eq!((schedule.tasks(), schedule.chosen()), (&expected[..], &[0, 2][..]));

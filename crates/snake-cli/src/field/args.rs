@@ -27,7 +27,7 @@ pub enum Axis {
 #[derive(Clone, Copy)]
 pub enum Slice {
     Middle,
-    At(f32),
+    At(f64),
 }
 
 #[derive(Args)]
@@ -70,7 +70,7 @@ pub struct FieldArguments {
 fn slice(text: &str) -> Result<Slice, String> {
     match text.parse() {
         _ if text == "middle" => Ok(Slice::Middle),
-        Ok(position) if f32::is_finite(position) => Ok(Slice::At(position)),
+        Ok(position) if f64::is_finite(position) => Ok(Slice::At(position)),
         _ => Err("needed is a number, or `middle`".into()),
     }
 }

@@ -6,7 +6,7 @@ use std::path::Path;
 
 use anyhow::{Context, Result, bail};
 use serde_json::json;
-use snake_core::{Control, Field, Grid, Progress, io};
+use snake_core::{Cloud, Control, Field, Grid, Progress, add_origin, io};
 
 use crate::output::InputFiles;
 use crate::render::figure::{Panel, PanelAxis, figure};
@@ -32,26 +32,36 @@ pub fn run(arguments: &FieldArguments) -> Result<()> {
     terminal::detail("options", || serde_json::to_string(&options).unwrap_or_default());
     let bar = terminal::stages(&progress)?;
     bar.set_message(input.display().to_string());
-    let points = arguments.reading.read(input, options.seed)?.into_points();
+    let Cloud { points, origin } =
+        arguments.reading.read(input, options.seed)?.for_normalization(options.normalization);
     let field = model.encode_with(&points, &options, &control).with_context(|| input.display().to_string())?;
     bar.finish();
     let grid = field.grid(*resolution)?;
     match one_quantity {
         Some(quantity) => write_volume(output, &field, &grid, quantity)?,
-        None => write_picture(output, &field, &grid, arguments)?,
+        None => write_picture(output, &field, &grid, origin, arguments)?,
     }
-    let Grid { resolution, low, high } = grid;
+    let (resolution, low, high) = (grid.resolution, add_origin(grid.low, origin), add_origin(grid.high, origin));
     if arguments.json {
         let (input, output) = (input.display().to_string(), output.display().to_string());
-        let object = json!({"input": input, "output": output, "resolution": resolution, "low": low, "high": high});
+        let object = json!({
+            "input": input, "output": output, "resolution": resolution, "low": low, "high": high, "origin": origin,
+        });
         return terminal::print_json(&object);
     }
-    let bounds = [0, 1, 2].map(|axis| format!("{} from {} to {}", NAMES[axis], low[axis], high[axis])).join(", ");
+    let bounds = |axis: usize| format!("{} from {} to {}", NAMES[axis], short(low[axis]), short(high[axis]));
+    let bounds = [0, 1, 2].map(bounds).join(", ");
     let lines = [format!("{resolution} values along {bounds}"), format!("written to {}", output.display())];
     terminal::print_report(&lines.into_iter().collect())
 }
 
 const NAMES: [&str; 3] = ["x", "y", "z"];
+
+/// A coordinate with no more digits than it has.
+fn short(coordinate: f64) -> String {
+    let near = coordinate as f32;
+    if f64::from(near) == coordinate { near.to_string() } else { coordinate.to_string() }
+}
 
 fn write_volume(output: &Path, field: &Field, grid: &Grid, quantity: Quantity) -> Result<()> {
     let bar = terminal::progress(grid.resolution)?;
@@ -64,7 +74,15 @@ fn write_volume(output: &Path, field: &Field, grid: &Grid, quantity: Quantity) -
     Ok(io::write_volume(output, [grid.resolution; 3], &values)?)
 }
 
-fn write_picture(output: &Path, field: &Field, grid: &Grid, arguments: &FieldArguments) -> Result<()> {
+/// The grid is relative to the origin, what is drawn and said is not.
+fn write_picture(
+    output: &Path,
+    field: &Field,
+    grid: &Grid,
+    origin: [f64; 3],
+    arguments: &FieldArguments,
+) -> Result<()> {
+    let (low, high) = (add_origin(grid.low, origin), add_origin(grid.high, origin));
     let mut rows = Vec::new();
     for &quantity in &arguments.quantity {
         let largest = match arguments.slice {
@@ -77,14 +95,15 @@ fn write_picture(output: &Path, field: &Field, grid: &Grid, arguments: &FieldArg
                 // An axis may be asked for twice.
                 None => (format!("largest {} along {name}", quantity.name()), largest[axis].clone(), None),
                 Some(slice) => {
-                    let position = position(slice, grid, axis)?;
-                    let values = quantity.of(field, &grid.plane(axis, position))?;
-                    (format!("{} at {name} = {position:.4}", quantity.name()), values, Some(position))
+                    let at = position(slice, axis, [low[axis], high[axis]])?;
+                    let near = (at - origin[axis]) as f32;
+                    let values = quantity.of(field, &grid.plane(axis, near))?;
+                    (format!("{} at {name} = {at:.4}", quantity.name()), values, Some(near))
                 }
             };
             let within = Grid::plane_axes(axis);
-            let axes = within.map(|axis| PanelAxis { label: NAMES[axis], low: grid.low[axis], high: grid.high[axis] });
-            let points = if arguments.no_points { Vec::new() } else { dots(field, grid, axis, position) };
+            let axes = within.map(|axis| PanelAxis { label: NAMES[axis], low: low[axis], high: high[axis] });
+            let points = if arguments.no_points { Vec::new() } else { dots(field, grid, origin, axis, position) };
             Ok(Panel { title, values, columns: grid.resolution, axes, points })
         };
         rows.push(arguments.axis.iter().map(panel).collect::<Result<Vec<_>>>()?);
@@ -114,24 +133,24 @@ fn largest(field: &Field, grid: &Grid, quantity: Quantity) -> Result<[Vec<f32>; 
     Ok(largest)
 }
 
-/// Where a slice is along an axis.
-fn position(slice: Slice, grid: &Grid, axis: usize) -> Result<f32> {
-    let (low, high) = (grid.low[axis], grid.high[axis]);
+/// Where a slice is along an axis on which the field has these bounds.
+fn position(slice: Slice, axis: usize, [low, high]: [f64; 2]) -> Result<f64> {
     match slice {
-        Slice::Middle => Ok(f32::midpoint(low, high)),
+        Slice::Middle => Ok(f64::midpoint(low, high)),
         Slice::At(position) if (low..=high).contains(&position) => Ok(position),
         Slice::At(position) => {
-            bail!("--slice {position}: the field reaches from {low} to {high} along {}", NAMES[axis])
+            bail!("--slice {position}: the field reaches from {} to {} along {}", short(low), short(high), NAMES[axis])
         }
     }
 }
 
 /// The cloud's points in the plane across an axis; of a slice those at most a voxel of the network's volume away.
-fn dots(field: &Field, grid: &Grid, axis: usize, position: Option<f32>) -> Vec<[f32; 2]> {
+fn dots(field: &Field, grid: &Grid, origin: [f64; 3], axis: usize, position: Option<f32>) -> Vec<[f64; 2]> {
     let voxel = (grid.high[axis] - grid.low[axis]) / field.volume().frame().resolution[axis] as f32;
     let is_near = |point: &&[f32; 3]| position.is_none_or(|position| (point[axis] - position).abs() <= voxel);
     let within = Grid::plane_axes(axis);
-    field.points().iter().filter(is_near).map(|point| within.map(|axis| point[axis])).collect()
+    let dot = |&point: &[f32; 3]| within.map(|axis| add_origin(point, origin)[axis]);
+    field.points().iter().filter(is_near).map(dot).collect()
 }
 
 impl Quantity {

@@ -5,11 +5,12 @@ pub mod args;
 use std::path::Path;
 
 use anyhow::{Context, Result};
+use serde_json::json;
 use snake_core::io::{self, CloudFormat};
 use snake_core::registration::{Registration, register_with, transform_points};
 use snake_core::{Control, Progress};
 
-use crate::inputs::check_inputs;
+use crate::inputs::{check_inputs, output_origin};
 use crate::output::InputFiles;
 use crate::terminal::{self, Report};
 use args::RegisterArguments;
@@ -40,13 +41,19 @@ pub fn run(arguments: &RegisterArguments) -> Result<()> {
     if let Some(path) = output {
         io::write_registration(path, &found)?;
     }
+    let mut aligned_origin = [0.0; 3];
     if let Some(path) = aligned {
         let moved = transform_points(&near.t_target_source, &source_cloud.points);
         io::write_points(path, &moved, target_cloud.origin)?;
+        aligned_origin = output_origin(path, io::adds_origin(path), target_cloud.origin);
     }
     let written: Vec<&Path> = output.iter().chain(aligned).map(AsRef::as_ref).collect();
     if arguments.json {
-        return terminal::print_json(&found);
+        let mut object = serde_json::to_value(found)?;
+        if aligned_origin != [0.0; 3] {
+            object["aligned_origin"] = json!(aligned_origin);
+        }
+        return terminal::print_json(&object);
     }
     terminal::print_report(&report(&found, &written))
 }

@@ -14,14 +14,14 @@ pub struct Panel {
     /// Horizontal and vertical.
     pub axes: [PanelAxis; 2],
     /// Horizontal and vertical coordinates of the dots over the image.
-    pub points: Vec<[f32; 2]>,
+    pub points: Vec<[f64; 2]>,
 }
 
 /// One axis of a panel.
 pub struct PanelAxis {
     pub label: &'static str,
-    pub low: f32,
-    pub high: f32,
+    pub low: f64,
+    pub high: f64,
 }
 
 /// Pixels of the longer side of an image.
@@ -57,7 +57,7 @@ pub fn figure(rows: &[Vec<Panel>], colormap: Colormap) -> Canvas {
 impl Panel {
     /// Pixels of the image.
     fn size(&self) -> [i32; 2] {
-        let extents = self.axes.each_ref().map(|axis| axis.high - axis.low);
+        let extents = self.axes.each_ref().map(|axis| (axis.high - axis.low) as f32);
         let longest = extents[0].max(extents[1]);
         // A field that is hardly deep at all is still seen.
         extents.map(|extent| ((SIDE * extent / longest).round() as i32).max(24))
@@ -115,13 +115,13 @@ impl Panel {
 }
 
 impl PanelAxis {
-    fn share(&self, position: f32) -> f32 {
-        (position - self.low) / (self.high - self.low)
+    fn share(&self, position: f64) -> f32 {
+        ((position - self.low) / (self.high - self.low)) as f32
     }
 
     /// At most about so many round positions with what is written there.
-    fn ticks(&self, most: i32) -> Vec<(f32, String)> {
-        let (low, high) = (f64::from(self.low), f64::from(self.high));
+    fn ticks(&self, most: i32) -> Vec<(f64, String)> {
+        let (low, high) = (self.low, self.high);
         let rough = (high - low) / f64::from(most.clamp(2, 8));
         let power = 10_f64.powf(rough.log10().floor());
         let step = power * [1.0, 2.0, 5.0, 10.0].into_iter().find(|factor| factor * power >= rough).unwrap_or(10.0);
@@ -133,7 +133,7 @@ impl PanelAxis {
             _ if (1e-4..1e5).contains(&step) => format!("{position:.decimals$}"),
             _ => format!("{position:.1e}"),
         };
-        (first..=last).map(|i| i as f64 * step).map(|position| (position as f32, written(position))).collect()
+        (first..=last).map(|i| i as f64 * step).map(|position| (position, written(position))).collect()
     }
 }
 
@@ -155,7 +155,7 @@ fn color_bar(canvas: &mut Canvas, [left, top]: [i32; 2], height: i32, colormap: 
 mod tests {
     use super::*;
 
-    fn axis(low: f32, high: f32) -> PanelAxis {
+    fn axis(low: f64, high: f64) -> PanelAxis {
         PanelAxis { label: "x", low, high }
     }
 

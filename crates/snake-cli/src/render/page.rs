@@ -4,7 +4,7 @@ use base64::Engine;
 use base64::engine::general_purpose::STANDARD;
 use serde_json::{Value, json};
 use snake_core::registration::Registration;
-use snake_core::{Detection, Field, Mesh, Point, Preset, Transform, io};
+use snake_core::{Detection, Field, Mesh, Normalization, Point, Preset, Transform, add_origin, io};
 
 use super::colormap::Colormap;
 
@@ -26,6 +26,8 @@ pub struct Page {
 /// A cloud and what was found of it.
 pub struct ShownCloud {
     pub name: String,
+    /// To be added to all positions of the cloud.
+    pub origin: [f64; 3],
     pub field: Field,
     /// The points that the page shows.
     pub shown: Vec<Point>,
@@ -37,6 +39,7 @@ pub struct ShownCloud {
 
 /// What two clouds have in common.
 pub struct Pair {
+    /// Of the clouds with their origins added.
     pub t_first_second: Transform,
     /// Where the transform is from, if it was not given.
     pub registration: Option<Registration>,
@@ -98,18 +101,19 @@ impl ShownCloud {
     }
 
     fn data(&self) -> Value {
-        let keypoints = self.detection.keypoints.iter().map(|keypoint| io::keypoint_json(keypoint, [0.0; 3]));
+        let keypoints = self.detection.keypoints.iter().map(|keypoint| io::keypoint_json(keypoint, self.origin));
         let keypoints: Vec<Value> = keypoints.collect();
+        let Normalization { center, scale } = self.field.normalization();
         json!({
             "name": self.name,
-            "points": Vertices::of(&self.shown, &self.saliency[0]),
+            "points": Vertices::of(&self.shown, self.origin, &self.saliency[0]),
             "surface": self.surface_data(),
             "keypoints": keypoints,
             "num_points": self.field.points().len(),
             "num_skipped": self.field.num_skipped(),
             "num_encoded": self.field.num_encoded(),
             "counts": self.detection.counts,
-            "normalization": self.field.normalization(),
+            "normalization": { "center": add_origin(center, self.origin), "scale": scale },
         })
     }
 
@@ -122,7 +126,7 @@ impl ShownCloud {
         (!triangles.is_empty()).then(|| {
             json!({
                 "count": triangles.len(),
-                "vertices": Vertices::of(vertices, &self.saliency[1]),
+                "vertices": Vertices::of(vertices, self.origin, &self.saliency[1]),
                 "normals": STANDARD.encode(normals.collect::<Vec<u8>>()),
                 "triangles": STANDARD.encode(indices.collect::<Vec<u8>>()),
             })
@@ -174,16 +178,16 @@ struct Vertices {
 }
 
 impl Vertices {
-    fn of(points: &[Point], saliency: &[f32]) -> Self {
+    fn of(points: &[Point], origin: [f64; 3], saliency: &[f32]) -> Self {
         let along = |axis: usize, choose: fn(f64, f64) -> f64, start: f64| {
-            points.iter().map(|point| f64::from(point[axis])).fold(start, choose)
+            points.iter().map(|point| add_origin(*point, origin)[axis]).fold(start, choose)
         };
         let low: [f64; 3] = std::array::from_fn(|axis| along(axis, f64::min, f64::INFINITY));
         let high: [f64; 3] = std::array::from_fn(|axis| along(axis, f64::max, f64::NEG_INFINITY));
         let quantised = |point: &Point| -> [[u8; 2]; 3] {
             std::array::from_fn(|axis| {
                 let extent = (high[axis] - low[axis]).max(f64::MIN_POSITIVE);
-                let share = (f64::from(point[axis]) - low[axis]) / extent;
+                let share = (add_origin(*point, origin)[axis] - low[axis]) / extent;
                 ((share * 65535.0).round() as u16).to_le_bytes()
             })
         };
@@ -206,7 +210,7 @@ mod tests {
     #[test]
     fn vertices_come_back_within_half_a_step() {
         let points = [[0.0, -5.0, 1e6], [1.0, 5.0, 1e6], [0.3, 0.1, 1e6]];
-        let vertices = Vertices::of(&points, &[0.0, 1.0, 0.5]);
+        let vertices = Vertices::of(&points, [0.0; 3], &[0.0, 1.0, 0.5]);
         let bytes = STANDARD.decode(&vertices.positions).unwrap();
         let (steps, _) = bytes.as_chunks::<2>();
         for (index, step) in steps.iter().enumerate() {

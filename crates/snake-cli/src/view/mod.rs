@@ -6,10 +6,10 @@ use std::path::Path;
 
 use anyhow::{Context, Result, bail};
 use snake_core::metrics::repeated_keypoints;
-use snake_core::registration::{RegisterOptions, register_with};
+use snake_core::registration::{RegisterOptions, add_origins, register_with, subtract_origins};
 use snake_core::{
-    Control, Field, Length, Mesh, MeshOptions, Model, Normalization, NormalizationMethod, Point, Preset, Progress,
-    Transform, io,
+    Cloud, Control, Field, Length, Mesh, MeshOptions, Model, Normalization, NormalizationMethod, Point, Preset,
+    Progress, Transform, io,
 };
 
 use crate::inputs::check_inputs;
@@ -49,8 +49,9 @@ pub fn run(arguments: &ViewArguments) -> Result<()> {
     let mut clouds: Vec<ShownCloud> = Vec::new();
     for input in [input].into_iter().chain(second) {
         bar.set_message(input.display().to_string());
-        let points = arguments.reading.read(input, options.encode.seed)?.into_points();
-        clouds.push(shown(&model, &options, input, &points, &control)?);
+        let cloud = arguments.reading.read(input, options.encode.seed)?;
+        let cloud = cloud.for_normalization(options.encode.normalization);
+        clouds.push(shown(&model, &options, input, &cloud, &control)?);
     }
     bar.set_message("registration");
     let pair = match &clouds[..] {
@@ -69,7 +70,8 @@ pub fn run(arguments: &ViewArguments) -> Result<()> {
 }
 
 /// One cloud with all that the page shows of it.
-fn shown(model: &Model, options: &Preset, input: &Path, points: &[Point], control: &Control) -> Result<ShownCloud> {
+fn shown(model: &Model, options: &Preset, input: &Path, cloud: &Cloud, control: &Control) -> Result<ShownCloud> {
+    let points = &cloud.points;
     let field = model.encode_with(points, &options.encode, control).with_context(|| input.display().to_string())?;
     let detection = match options.windows.window_radius {
         Some(_) => model.detect_with(points, options, control)?,
@@ -79,7 +81,8 @@ fn shown(model: &Model, options: &Preset, input: &Path, points: &[Point], contro
     let shown: Vec<Point> = points.iter().step_by(points.len().div_ceil(MAX_SHOWN)).copied().collect();
     let surface = surface(&field, control)?;
     let saliency = [field.saliency(&shown)?, field.saliency(&surface.vertices)?];
-    Ok(ShownCloud { name: input.display().to_string(), field, shown, surface, saliency, detection })
+    let (name, origin) = (input.display().to_string(), cloud.origin);
+    Ok(ShownCloud { name, origin, field, shown, surface, saliency, detection })
 }
 
 /// The outer surface, as fine as the page can bear.
@@ -106,8 +109,8 @@ fn pair(
     let radius = Normalization::of(first.field.points(), NormalizationMethod::UnitSphere)?.scale / 2.0;
     let epsilon = epsilon.unwrap_or(Length::Units(0.04 * f64::from(radius)));
     let epsilon = epsilon.in_units("epsilon", first.field.points())?;
-    let (t_first_second, registration) = match given {
-        Some(transform) => (transform, None),
+    let (near, registration) = match given {
+        Some(transform) => (subtract_origins(&transform, second.origin, first.origin), None),
         None => {
             let (source, target) = (second.field.points(), first.field.points());
             let found = register_with(source, target, model, &RegisterOptions::default(), control);
@@ -118,6 +121,7 @@ fn pair(
         }
     };
     let [of_first, of_second] = [first, second].map(ShownCloud::keypoint_positions);
-    let partners = repeated_keypoints(&of_first, &of_second, &t_first_second, epsilon)?;
+    let partners = repeated_keypoints(&of_first, &of_second, &near, epsilon)?;
+    let t_first_second = add_origins(&near, second.origin, first.origin);
     Ok(Pair { t_first_second, registration, epsilon, partners })
 }

@@ -4,7 +4,8 @@ use std::io::{self, Write};
 
 use serde_json::{Number, Value, json};
 
-use super::write::{KeypointSource, moved};
+use super::write::KeypointSource;
+use crate::cloud::add_origin;
 use crate::detect::Keypoint;
 use crate::registration::Registration;
 
@@ -62,7 +63,7 @@ pub(super) fn write_registration(out: &mut dyn Write, registration: &Registratio
 fn position(keypoint: &Keypoint, origin: [f64; 3]) -> [Option<Number>; 3] {
     match origin == [0.0; 3] {
         true => keypoint.position.map(number),
-        false => moved(keypoint.position, origin).map(Number::from_f64),
+        false => add_origin(keypoint.position, origin).map(Number::from_f64),
     }
 }
 

@@ -2,18 +2,24 @@
 
 use std::io::{self, Write};
 
+use super::table::Kind;
+use super::write::axes;
 use crate::Mesh;
+use crate::cloud::add_origin;
 
-/// Writes binary little endian: vertices `float x y z nx ny nz`, faces as lists of three `int`.
-pub(super) fn write_ply(out: &mut dyn Write, mesh: &Mesh) -> io::Result<()> {
+/// Writes binary little endian: vertices `x y z` (of eight bytes if there is an origin) and `float nx ny nz`, faces as
+/// lists of three `int`.
+pub(super) fn write_ply(out: &mut dyn Write, mesh: &Mesh, origin: [f64; 3]) -> io::Result<()> {
     write!(out, "ply\nformat binary_little_endian 1.0\nelement vertex {}\n", mesh.vertices.len())?;
-    for name in ["x", "y", "z", "nx", "ny", "nz"] {
-        writeln!(out, "property float {name}")?;
+    let axes = axes(origin);
+    for (name, kind) in axes.into_iter().chain(["nx", "ny", "nz"].map(|name| (name, Kind::Float))) {
+        writeln!(out, "property {} {name}", kind.in_ply())?;
     }
     writeln!(out, "element face {}", mesh.triangles.len())?;
     write!(out, "property list uchar int vertex_indices\nend_header\n")?;
-    for (vertex, normal) in mesh.vertices.iter().zip(&mesh.normals) {
-        write_floats(out, vertex)?;
+    for (&vertex, normal) in mesh.vertices.iter().zip(&mesh.normals) {
+        let position = add_origin(vertex, origin);
+        axes.iter().zip(position).try_for_each(|((_, kind), value)| kind.write(out, value))?;
         write_floats(out, normal)?;
     }
     for triangle in &mesh.triangles {
@@ -24,8 +30,14 @@ pub(super) fn write_ply(out: &mut dyn Write, mesh: &Mesh) -> io::Result<()> {
 }
 
 /// Writes vertices, their normals, and faces that name both.
-pub(super) fn write_obj(out: &mut dyn Write, mesh: &Mesh) -> io::Result<()> {
-    mesh.vertices.iter().try_for_each(|[x, y, z]| writeln!(out, "v {x} {y} {z}"))?;
+pub(super) fn write_obj(out: &mut dyn Write, mesh: &Mesh, origin: [f64; 3]) -> io::Result<()> {
+    if origin == [0.0; 3] {
+        // The shortest digits of an f32.
+        mesh.vertices.iter().try_for_each(|[x, y, z]| writeln!(out, "v {x} {y} {z}"))?;
+    } else {
+        let positions = mesh.vertices.iter().map(|&vertex| add_origin(vertex, origin));
+        positions.into_iter().try_for_each(|[x, y, z]| writeln!(out, "v {x} {y} {z}"))?;
+    }
     mesh.normals.iter().try_for_each(|[x, y, z]| writeln!(out, "vn {x} {y} {z}"))?;
     for triangle in &mesh.triangles {
         let [a, b, c] = triangle.map(|vertex| u64::from(vertex) + 1);
@@ -34,8 +46,9 @@ pub(super) fn write_obj(out: &mut dyn Write, mesh: &Mesh) -> io::Result<()> {
     Ok(())
 }
 
-/// Writes binary STL: for each triangle its normal and its corners; it has neither shared vertices nor their normals.
-pub(super) fn write_stl(out: &mut dyn Write, mesh: &Mesh) -> io::Result<()> {
+/// Writes binary STL: for each triangle its normal and its corners; it has neither shared vertices nor their normals. Its
+/// coordinates have four bytes, so that they stay relative to the origin.
+pub(super) fn write_stl(out: &mut dyn Write, mesh: &Mesh, _origin: [f64; 3]) -> io::Result<()> {
     let number = u32::try_from(mesh.triangles.len()).map_err(|_| io::Error::other("too many triangles for STL"))?;
     // Readers take a header that begins with "solid" for text.
     out.write_all(format!("{:80}", "binary STL").as_bytes())?;
@@ -67,9 +80,9 @@ mod tests {
         }
     }
 
-    fn written(write: fn(&mut dyn Write, &Mesh) -> io::Result<()>, mesh: &Mesh) -> Vec<u8> {
+    fn written(write: fn(&mut dyn Write, &Mesh, [f64; 3]) -> io::Result<()>, mesh: &Mesh) -> Vec<u8> {
         let mut bytes = Vec::new();
-        write(&mut bytes, mesh).unwrap();
+        write(&mut bytes, mesh, [0.0; 3]).unwrap();
         bytes
     }
 
@@ -98,6 +111,20 @@ mod tests {
         assert_eq!(lines[9], "f 1//1 3//3 4//4");
         let third: Vec<f32> = lines[2].split(' ').skip(1).map(|v| v.parse().unwrap()).collect();
         assert_eq!(third, tetrahedron().vertices[2]);
+    }
+
+    #[test]
+    fn the_origin_is_added_where_it_fits() {
+        let (mesh, origin) = (tetrahedron(), [500_000.0, 5_400_000.0, 0.0]);
+        let folder = tempfile::tempdir().unwrap();
+        for (name, expected) in [("a.ply", 500_000.5), ("a.obj", 500_000.5), ("a.stl", 0.5)] {
+            let path = folder.path().join(name);
+            crate::io::write_mesh(&path, &mesh, origin).unwrap();
+            assert_eq!(crate::io::adds_origin(&path), expected > 1.0);
+            let read = crate::io::read_cloud(&path, &Default::default()).unwrap();
+            let largest = read.points.iter().map(|&point| add_origin(point, read.origin)[0]).fold(0.0, f64::max);
+            assert_eq!(largest, expected, "{name}");
+        }
     }
 
     #[test]

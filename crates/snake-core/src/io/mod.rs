@@ -20,13 +20,16 @@
 //!
 //! Coordinates are read as `f64` and held as `f32`. Clouds far from zero, as georeferenced scans are, would lose digits
 //! (at 5e6 m one step is 0.5 m): their points are held relative to a [`Cloud::origin`], which is added again to what is
-//! written.
+//! written, in columns of eight bytes. PCD and STL files are the exception ([`adds_origin`]): PCL, Open3D and others read
+//! four bytes a coordinate and nothing else, so that points stay relative to the origin. In a PCD file a comment
+//! `# snake-rs origin X Y Z` says it, and is heeded when the file is read here.
 //!
 //! The readers take bytes from anywhere: whatever the content, the answer is a cloud or an error, and neither time nor
 //! memory exceeds a small multiple of the file's size (of compressed files, 50 times).
 
 mod array;
 mod atomic;
+mod columns;
 mod format;
 mod gps_time;
 mod json;
@@ -58,11 +61,12 @@ use crate::{Error, Mesh, Result};
 use format::{extension, unknown_extension};
 use shape::Shape;
 
+pub use crate::cloud::Cloud;
 pub use array::Array;
 pub use atomic::{hold_writes, write_atomically};
+pub use columns::{Column, Columns};
 pub use format::{CLOUD_EXTENSIONS, CloudFormat, KEYPOINT_EXTENSIONS, KeypointFormat, POINT_EXTENSIONS, PointFormat};
 pub use json::keypoint_json;
-pub use shape::Cloud;
 pub use write::KeypointSource;
 
 /// The extensions that [`write_mesh`] knows.
@@ -71,17 +75,29 @@ pub const MESH_EXTENSIONS: &[&str] = &["ply", "obj", "stl"];
 /// The extensions that [`write_registration`] knows.
 pub const REGISTRATION_EXTENSIONS: &[&str] = &["json", "txt"];
 
-type MeshWriter = fn(&mut dyn Write, &Mesh) -> io::Result<()>;
+type MeshWriter = fn(&mut dyn Write, &Mesh, [f64; 3]) -> io::Result<()>;
 
 type RegistrationWriter = fn(&mut dyn Write, &Registration) -> io::Result<()>;
 
 /// How clouds are read.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+#[derive(Debug, Clone, PartialEq, Eq, Default)]
 pub struct ReadOptions {
     /// Of a mesh, draw this many points from the surface, evenly by area; `None`: its vertices.
     pub sample: Option<usize>,
     /// Seed of that draw.
     pub seed: u64,
+    /// Of text and of NumPy's arrays, the columns that hold x, y and z; `None`: those that a header names, or without one
+    /// the first three.
+    pub columns: Option<Columns>,
+}
+
+/// What a file holds.
+#[derive(Debug, Clone, PartialEq, Default)]
+pub struct Contents {
+    /// The points.
+    pub cloud: Cloud,
+    /// Faces of a mesh of which the vertices were taken, because no samples were asked for.
+    pub unsampled_faces: usize,
 }
 
 /// Reads a point cloud; the extension says which format.
@@ -100,8 +116,16 @@ pub fn read_points(path: &Path) -> Result<Vec<Point>> {
 ///
 /// # Errors
 /// [`Error::Io`] when the file cannot be read; [`Error::Format`] when the extension is not among [`POINT_EXTENSIONS`],
-/// the content is not what it promises, or there is no surface to draw points from.
+/// the content is not what it promises, its columns cannot be told, or there is no surface to draw points from.
 pub fn read_cloud(path: &Path, options: &ReadOptions) -> Result<Cloud> {
+    read_contents(path, options).map(|contents| contents.cloud)
+}
+
+/// [`read_cloud`] with what else the file holds.
+///
+/// # Errors
+/// As [`read_cloud`].
+pub fn read_contents(path: &Path, options: &ReadOptions) -> Result<Contents> {
     let format = PointFormat::from_path(path)?;
     let bytes = std::fs::read(path).map_err(|source| Error::Io { path: path.into(), source })?;
     parse(&bytes, format, options).map_err(|reason| Error::Format { path: path.into(), reason })
@@ -112,29 +136,42 @@ pub fn read_cloud(path: &Path, options: &ReadOptions) -> Result<Cloud> {
 /// # Errors
 /// [`Error::Input`] when the content is not of that format, or there is no surface to draw points from.
 pub fn parse_cloud(bytes: &[u8], format: PointFormat, options: &ReadOptions) -> Result<Cloud> {
+    parse_contents(bytes, format, options).map(|contents| contents.cloud)
+}
+
+/// [`parse_cloud`] with what else the file holds.
+///
+/// # Errors
+/// As [`parse_cloud`].
+pub fn parse_contents(bytes: &[u8], format: PointFormat, options: &ReadOptions) -> Result<Contents> {
     parse(bytes, format, options).map_err(|reason| Error::Input { what: format.name(), reason })
 }
 
-fn parse(bytes: &[u8], format: PointFormat, options: &ReadOptions) -> std::result::Result<Cloud, String> {
+fn parse(bytes: &[u8], format: PointFormat, options: &ReadOptions) -> std::result::Result<Contents, String> {
     if let (PointFormat::Npy, None) = (format, options.sample) {
-        return npy::positions(bytes).map(Cloud::from_positions);
+        let cloud = Cloud::from_positions(npy::positions(bytes, options.columns.as_ref())?);
+        return Ok(Contents { cloud, unsampled_faces: 0 });
     }
-    let shape = read_shape(bytes, format, options.sample.is_some())?;
-    match options.sample {
-        Some(number) => shape.sample(number, options.seed).map(Shape::into_cloud),
-        None => Ok(shape.into_cloud()),
-    }
+    let shape = read_shape(bytes, format, options)?;
+    Ok(match options.sample {
+        Some(number) => Contents { cloud: shape.sample(number, options.seed)?.into_cloud(), unsampled_faces: 0 },
+        None => Contents { unsampled_faces: shape.num_faces(), cloud: shape.into_cloud() },
+    })
 }
 
-/// The faces of a PLY are read only if they are wanted: most are of no use, and some are broken.
-fn read_shape(bytes: &[u8], format: PointFormat, with_faces: bool) -> std::result::Result<Shape, String> {
+fn read_shape(bytes: &[u8], format: PointFormat, options: &ReadOptions) -> std::result::Result<Shape, String> {
+    let columns = options.columns.as_ref();
     match format {
-        PointFormat::Ply => ply::read(bytes, with_faces),
+        PointFormat::Text => text::read(bytes, columns),
+        PointFormat::Pts => text::read_counted(bytes, columns),
+        PointFormat::Npy => npy::read(bytes, columns),
+        PointFormat::Npz => npz::read(bytes, columns),
+        _ if columns.is_some() => {
+            Err("columns can be chosen in text and in arrays of NumPy; this format names its coordinates".into())
+        }
+        // Faces are read only if they are wanted: most are of no use, and some are broken.
+        PointFormat::Ply => ply::read(bytes, options.sample.is_some()),
         PointFormat::Pcd => pcd::read(bytes),
-        PointFormat::Text => text::read(bytes),
-        PointFormat::Pts => text::read_counted(bytes),
-        PointFormat::Npy => npy::read(bytes),
-        PointFormat::Npz => npz::read(bytes),
         PointFormat::Obj => obj::read(bytes),
         PointFormat::Off => off::read(bytes),
         PointFormat::Stl => stl::read(bytes),
@@ -223,7 +260,12 @@ pub fn write_keypoints(path: &Path, keypoints: &[Keypoint], source: &KeypointSou
         .map_err(|source| Error::Io { path: path.into(), source })
 }
 
-/// Writes points with an origin added to them; like [`write_keypoints`] whole or not at all.
+/// Whether what is written to a file of that name has the origin added; otherwise it is relative to the origin.
+pub fn adds_origin(path: &Path) -> bool {
+    !matches!(extension(path).as_str(), "pcd" | "stl")
+}
+
+/// Writes points with an origin added to them if [`adds_origin`]; like [`write_keypoints`] whole or not at all.
 ///
 /// # Errors
 /// [`Error::Format`] when the extension is not among [`CLOUD_EXTENSIONS`]; [`Error::Io`] when the file cannot be
@@ -234,14 +276,14 @@ pub fn write_points(path: &Path, points: &[Point], origin: [f64; 3]) -> Result<(
         .map_err(|source| Error::Io { path: path.into(), source })
 }
 
-/// Writes a mesh: vertices with normals and triangles as `ply` or `obj`, triangles alone as `stl`. Whole or not at all,
-/// like [`write_keypoints`].
+/// Writes a mesh with an origin added to its vertices if [`adds_origin`]: vertices with normals and triangles as `ply` or
+/// `obj`, triangles alone as `stl`. Whole or not at all, like [`write_keypoints`].
 ///
 /// # Errors
 /// [`Error::Format`] when the extension is not among [`MESH_EXTENSIONS`]; [`Error::Io`] when the file cannot be written.
-pub fn write_mesh(path: &Path, mesh: &Mesh) -> Result<()> {
+pub fn write_mesh(path: &Path, mesh: &Mesh, origin: [f64; 3]) -> Result<()> {
     let write = mesh_writer(path)?;
-    write_atomically(path, |file| write(file, mesh)).map_err(|source| Error::Io { path: path.into(), source })
+    write_atomically(path, |file| write(file, mesh, origin)).map_err(|source| Error::Io { path: path.into(), source })
 }
 
 /// Refuses a path that [`write_mesh`] would refuse for its extension, before any work is done.
@@ -333,7 +375,7 @@ mod tests {
     fn meshes_can_be_sampled_and_contents_are_recognised() {
         for path in good_files() {
             let (format, bytes) = (PointFormat::from_path(&path).unwrap(), std::fs::read(&path).unwrap());
-            let options = ReadOptions { sample: Some(50), seed: 1 };
+            let options = ReadOptions { sample: Some(50), seed: 1, columns: None };
             // Of the PLY files only this one has faces.
             let is_mesh = matches!(format, PointFormat::Obj | PointFormat::Off | PointFormat::Stl)
                 || path.file_name().unwrap() == "ascii.ply";
@@ -341,6 +383,8 @@ mod tests {
                 Ok(cloud) => assert!(is_mesh && cloud.points.len() == 50, "{}", path.display()),
                 Err(error) => assert!(!is_mesh && error.to_string().contains("no faces"), "{error}"),
             }
+            let contents = parse_contents(&bytes, format, &ReadOptions::default()).unwrap();
+            assert_eq!(contents.unsampled_faces > 0, is_mesh, "{}", path.display());
             let has_signature = !matches!(format, PointFormat::Text | PointFormat::Pts | PointFormat::Obj)
                 && path.file_name().unwrap() != "binary.stl";
             // Of PCD and OFF, comments may come first; these files have none.
@@ -444,6 +488,20 @@ mod tests {
         std::fs::write(&ordinary, "").unwrap();
         let mode = |path: &Path| std::fs::metadata(path).unwrap().permissions().mode();
         assert_eq!(mode(&ours), mode(&ordinary));
+    }
+
+    #[test]
+    fn columns_are_chosen_only_where_there_are_columns() {
+        let options = ReadOptions { columns: Some("2,1,3".parse().unwrap()), ..Default::default() };
+        for path in good_files() {
+            let format = PointFormat::from_path(&path).unwrap();
+            let has_columns =
+                matches!(format, PointFormat::Text | PointFormat::Pts | PointFormat::Npy | PointFormat::Npz);
+            match read_cloud(&path, &options) {
+                Ok(cloud) => assert!(has_columns && cloud.points[1] == [-2.0, 1.0, 0.5], "{}", path.display()),
+                Err(error) => assert!(!has_columns && error.to_string().contains("columns can be chosen"), "{error}"),
+            }
+        }
     }
 
     #[test]

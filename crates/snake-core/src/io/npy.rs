@@ -3,26 +3,34 @@
 use std::io::{self, Write};
 
 use super::array::Array;
+use super::columns::{Columns, Indices};
 use super::shape::{Position, Shape};
 use crate::excerpt::excerpt;
 use crate::points::{Point, Transform};
 
 pub(super) const MAGIC: &[u8] = b"\x93NUMPY";
 
-/// Reads x, y, z from the first three columns of an array of shape `(N, C)`, `C >= 3`.
+/// Reads x, y, z from the first three columns of an array of shape `(N, C)`, `C >= 3`, or from those that are chosen.
 ///
 /// Items may be `f4`, `f8` or integers of any width, of either byte order, rows or columns contiguous.
-pub(super) fn positions(bytes: &[u8]) -> Result<impl Iterator<Item = Position> + Clone, String> {
+pub(super) fn positions<'a>(
+    bytes: &'a [u8],
+    columns: Option<&Columns>,
+) -> Result<impl Iterator<Item = Position> + Clone + use<'a>, String> {
     let (array, data) = open(bytes)?;
     if array.clouds.is_some() {
         return Err("an array of shape (S, N, C) is several clouds; needed is (N, 3) or more columns".into());
     }
-    Ok(array.cloud(data, 0))
+    let indices = columns.map_or(Ok([0, 1, 2]), Columns::of_array)?;
+    if let Some(missing) = indices.iter().find(|&&index| index >= array.columns) {
+        return Err(format!("no column {}; the array has {}", missing.saturating_add(1), array.columns));
+    }
+    Ok(array.cloud(data, 0, indices))
 }
 
 /// [`positions`] as a shape without faces.
-pub(super) fn read(bytes: &[u8]) -> Result<Shape, String> {
-    Ok(positions(bytes)?.collect::<Vec<_>>().into())
+pub(super) fn read(bytes: &[u8], columns: Option<&Columns>) -> Result<Shape, String> {
+    Ok(positions(bytes, columns)?.collect::<Vec<_>>().into())
 }
 
 /// Whether the beginning of a file is that of an array of shape `(N, C)`, `C >= 3`.
@@ -39,7 +47,9 @@ pub(super) fn read_clouds(bytes: &[u8]) -> Result<Vec<Vec<Point>>, String> {
     if array.rows == 0 {
         return Err("clouds without points".into());
     }
-    Ok((0..clouds).map(|cloud| array.cloud(data, cloud).map(|point| point.map(|v| v as f32)).collect()).collect())
+    Ok((0..clouds)
+        .map(|cloud| array.cloud(data, cloud, [0, 1, 2]).map(|point| point.map(|v| v as f32)).collect())
+        .collect())
 }
 
 /// Reads the transforms of an array of shape `(S, 3, 4)` or `(S, 4, 4)`, rows one after the other; without a fourth row,
@@ -157,9 +167,9 @@ impl ArrayHeader {
     }
 
     /// One cloud; the data must hold the whole array.
-    fn cloud(self, data: &[u8], cloud: usize) -> impl Iterator<Item = Position> + Clone {
+    fn cloud(self, data: &[u8], cloud: usize, columns: Indices) -> impl Iterator<Item = Position> + Clone {
         let data = self.data_of(data, cloud);
-        (0..self.rows).map(move |row| std::array::from_fn(|column| self.item(data, row, column)))
+        (0..self.rows).map(move |row| columns.map(|column| self.item(data, row, column)))
     }
 
     /// The data from a cloud on.
@@ -237,7 +247,7 @@ mod tests {
     use super::*;
 
     fn read(bytes: &[u8]) -> Result<Vec<Point>, String> {
-        points(super::read(bytes))
+        points(super::read(bytes, None))
     }
 
     /// A file of the given version; the header is not padded, which NumPy allows too.
@@ -347,6 +357,17 @@ mod tests {
         for (descr, shape) in [("<i2", "(17,)"), ("<i2", "(2, -1)"), ("|O", "(2,)")] {
             read_array(&npy(1, descr, "False", shape, &encode(&values, "<i2"))).unwrap_err();
         }
+    }
+
+    #[test]
+    fn columns_can_be_chosen() {
+        let bytes = npy(1, "<i2", "False", "(2, 5)", &encode(&[9, 9, 1, 2, 3, 9, 9, 4, 5, 6], "<i2"));
+        let read = |columns: &str| points(super::read(&bytes, Some(&columns.parse().unwrap())));
+        assert_eq!(read("3,4,5").unwrap(), [[1.0, 2.0, 3.0], [4.0, 5.0, 6.0]]);
+        assert_eq!(read("5,4,3").unwrap()[0], [3.0, 2.0, 1.0]);
+        assert_eq!(read("4,5,6").unwrap_err(), "no column 6; the array has 5");
+        assert!(read("x,y,z").unwrap_err().contains("by numbers"));
+        assert!(read("1,2,18446744073709551615").unwrap_err().contains("no column"));
     }
 
     #[test]

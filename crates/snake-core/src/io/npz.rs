@@ -5,6 +5,7 @@ use std::io::{Cursor, Read};
 use zip::ZipArchive;
 
 use super::array::Array;
+use super::columns::Columns;
 use super::shape::Shape;
 use super::{MAX_EXPANSION, excerpt, npy};
 
@@ -20,7 +21,7 @@ const MAX_HEADER_BYTES: usize = 1 << 12;
 type Archive<'a> = ZipArchive<Cursor<&'a [u8]>>;
 
 /// Reads the array of one of [`NAMES`], or the only array of shape `(N, C)`, `C >= 3`.
-pub(super) fn read(bytes: &[u8]) -> Result<Shape, String> {
+pub(super) fn read(bytes: &[u8], columns: Option<&Columns>) -> Result<Shape, String> {
     let mut archive = open(bytes)?;
     let named = NAMES.iter().find_map(|name| archive.index_for_name(&format!("{name}.npy")));
     let index = match named {
@@ -28,7 +29,7 @@ pub(super) fn read(bytes: &[u8]) -> Result<Shape, String> {
         None => only_cloud(&mut archive)?,
     };
     let array = unpack(&mut archive, index, bytes.len().saturating_mul(MAX_EXPANSION))?;
-    npy::read(&array).map_err(|reason| format!("array `{}`: {reason}", name(&archive, index)))
+    npy::read(&array, columns).map_err(|reason| format!("array `{}`: {reason}", name(&archive, index)))
 }
 
 /// Reads arrays of these names, in their order.
@@ -107,7 +108,7 @@ mod tests {
 
     #[test]
     fn the_cloud_is_found_by_name_or_shape() {
-        let number = |arrays: &[(&str, Vec<u8>)]| read(&npz(arrays)).map(|shape| shape.points.len());
+        let number = |arrays: &[(&str, Vec<u8>)]| read(&npz(arrays), None).map(|shape| shape.points.len());
         let (flat, other) = (("labels.npy", npy([9, 1])), ("normals.npy", npy([2, 3])));
         assert_eq!(number(&[flat.clone(), other.clone(), ("points.npy", npy([5, 3]))]), Ok(5));
         assert_eq!(number(&[("pc.npy", npy([4, 3])), ("xyz.npy", npy([5, 4]))]), Ok(5));
@@ -134,13 +135,13 @@ mod tests {
     fn damaged_archives_and_bombs_are_refused() {
         let whole = npz(&[("points.npy", npy([5, 3]))]);
         for length in 0..whole.len() {
-            read(&whole[..length]).unwrap_err();
+            read(&whole[..length], None).unwrap_err();
             read_named(&whole[..length], &["points"]).unwrap_err();
         }
-        assert!(read(b"\x93NUMPY").unwrap_err().contains("not a .npz file"));
+        assert!(read(b"\x93NUMPY", None).unwrap_err().contains("not a .npz file"));
         // 24 MB of zeros in some 24 kB.
         let bomb = npz(&[("points.npy", npy([1_000_000, 3]))]);
-        let reason = read(&bomb).unwrap_err();
+        let reason = read(&bomb, None).unwrap_err();
         assert!(bomb.len() < 200_000 && reason.contains("shape (1000000, 3) of 8 bytes each, but"), "{reason}");
     }
 }

@@ -7,15 +7,35 @@ use crate::excerpt::excerpt;
 
 const AXES: [&str; 3] = ["x", "y", "z"];
 
-/// Reads the fields x, y, z, of any scalar type. `nan`, which marks missing points in organised clouds, comes through.
+/// How a comment begins that says the origin of the points.
+const ORIGIN: &str = "# snake-rs origin ";
+
+/// The comment that says the origin which is to be added to the points.
+pub(super) fn origin_comment([x, y, z]: [f64; 3]) -> String {
+    format!("{ORIGIN}{x} {y} {z}")
+}
+
+/// The origin of such a comment.
+fn parse_origin(comment: &[u8]) -> Option<[f64; 3]> {
+    let words = str::from_utf8(comment).ok()?.strip_prefix(ORIGIN)?.split_whitespace();
+    let origin: Vec<f64> =
+        words.map(|word| word.parse().ok().filter(|v: &f64| v.is_finite())).collect::<Option<_>>()?;
+    origin.try_into().ok()
+}
+
+/// Reads the fields x, y, z, of any scalar type, and adds the origin of our own files. `nan`, which marks missing points in
+/// organised clouds, comes through.
 pub(super) fn read(bytes: &[u8]) -> Result<Shape, String> {
     let (header, data) = Header::parse(bytes)?;
-    let points = match header.encoding {
+    let mut points = match header.encoding {
         Encoding::Ascii => header.ascii(data),
         Encoding::Binary => header.binary(data),
         Encoding::BinaryCompressed => header.compressed(data),
-    };
-    Ok(points?.into())
+    }?;
+    if let Some(origin) = header.origin {
+        points.iter_mut().for_each(|point| *point = std::array::from_fn(|axis| point[axis] + origin[axis]));
+    }
+    Ok(points.into())
 }
 
 enum Encoding {
@@ -40,18 +60,21 @@ struct Header {
     encoding: Encoding,
     /// How many lines it has.
     lines: usize,
+    /// What is to be added to the points.
+    origin: Option<[f64; 3]>,
 }
 
 impl Header {
     /// The header, up to its line DATA, and what follows.
     fn parse(bytes: &[u8]) -> Result<(Self, &[u8]), String> {
         let (mut fields, mut sizes, mut types, mut counts) = (Vec::new(), Vec::new(), Vec::new(), None);
-        let (mut points, mut width, mut height) = (None, None, None);
+        let (mut points, mut width, mut height, mut origin) = (None, None, None, None);
         let mut length = 0;
         for (lines, line) in (1..).zip(bytes.split_inclusive(|&byte| byte == b'\n')) {
             length += line.len();
             // Comments may be in any encoding.
             if line.starts_with(b"#") {
+                origin = origin.or_else(|| parse_origin(line));
                 continue;
             }
             let bad = |what: &str| format!("header, line {lines}: {what}");
@@ -83,7 +106,7 @@ impl Header {
                     let num_points = points.or(area).ok_or("header: neither POINTS nor WIDTH and HEIGHT")?;
                     let counts = counts.unwrap_or_else(|| vec!["1"; fields.len()]);
                     let (axes, size, columns) = axes(&fields, &sizes, &types, &counts)?;
-                    return Ok((Self { axes, size, columns, num_points, encoding, lines }, &bytes[length..]));
+                    return Ok((Self { axes, size, columns, num_points, encoding, lines, origin }, &bytes[length..]));
                 }
                 "VERSION" | "VIEWPOINT" => {}
                 _ => return Err(bad(&format!("`{}` is no entry of a PCD header", excerpt(line, 60)))),
@@ -248,6 +271,20 @@ mod tests {
             for length in 0..file.len() {
                 read(&file[..length]).unwrap_err();
             }
+        }
+    }
+
+    #[test]
+    fn origins_of_our_own_files_are_added() {
+        let file = |comment: &str| {
+            let header = "FIELDS x y z\nSIZE 4 4 4\nTYPE F F F\nPOINTS 1\nDATA ascii\n1 2 3\n";
+            super::read(format!("{comment}\n{header}").as_bytes()).unwrap().points
+        };
+        assert_eq!(file(&super::origin_comment([5e5, 5.4e6, -0.5])), [[500_001.0, 5_400_002.0, 2.5]]);
+        for comment in
+            ["# snake-rs origin 1 2", "# snake-rs origin 1 2 nan", "# origin 1 2 3", "# snake-rs origin \u{fc}"]
+        {
+            assert_eq!(file(comment), [[1.0, 2.0, 3.0]], "{comment}");
         }
     }
 

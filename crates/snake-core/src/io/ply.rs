@@ -52,7 +52,9 @@ pub(super) fn read(bytes: &[u8], with_faces: bool) -> Result<Shape, String> {
             _ => (0..element.count).try_for_each(|_| payload.next::<Skipped>(element).map(drop))?,
         }
     }
-    let shape = Shape { points: points.ok_or("no element `vertex`")?, triangles };
+    let faces = header.elements.get("face").filter(|_| !with_faces);
+    let unread_faces = faces.map_or(0, |element| element.count);
+    let shape = Shape { points: points.ok_or("no element `vertex`")?, triangles, unread_faces };
     shape.check_triangles()?;
     Ok(shape)
 }

@@ -3,7 +3,7 @@
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
-use crate::points::Point;
+use crate::cloud::Cloud;
 
 /// A point as files have it.
 pub(super) type Position = [f64; 3];
@@ -14,44 +14,12 @@ pub(super) struct Shape {
     pub(super) points: Vec<Position>,
     /// Indices of points, all of them in range.
     pub(super) triangles: Vec<[u32; 3]>,
-}
-
-/// A cloud as it was read, in the file's order and units.
-#[derive(Debug, Clone, PartialEq, Default)]
-pub struct Cloud {
-    /// The points, relative to the origin. Coordinates may be infinite or not a number.
-    pub points: Vec<Point>,
-    /// To be added to every point, and to whatever is found in their frame. Zero unless the file's coordinates are so
-    /// far from zero (more than 16 times the size of the cloud) that `f32` would lose their digits, as georeferenced
-    /// scans are.
-    pub origin: [f64; 3],
-}
-
-impl Cloud {
-    /// The points as `f32`, relative to an origin where they need one. They are gone through twice, so that they need not
-    /// all be in memory.
-    pub(super) fn from_positions(positions: impl Iterator<Item = Position> + Clone) -> Self {
-        let origin = origin(positions.clone());
-        let point = |p: Position| -> Point { std::array::from_fn(|axis| (p[axis] - origin[axis]) as f32) };
-        Self { points: positions.map(point).collect(), origin }
-    }
-
-    /// The points with the origin added: of georeferenced scans they lose digits (at 5e6 m one step is 0.5 m).
-    pub fn into_points(self) -> Vec<Point> {
-        let Self { mut points, origin } = self;
-        if origin != [0.0; 3] {
-            points.iter_mut().for_each(|p| *p = std::array::from_fn(|axis| (f64::from(p[axis]) + origin[axis]) as f32));
-        }
-        points
-    }
+    /// Faces that the file has and that were not read.
+    pub(super) unread_faces: usize,
 }
 
 /// More would fill the memory of most machines.
 const MAX_SAMPLES: usize = 100_000_000;
-
-/// How far from zero a cloud may be, in sizes of the cloud, before an origin is subtracted: an `f32` then still has
-/// about 20 bits for the place within the cloud.
-const FAR: f64 = 16.0;
 
 impl Shape {
     /// Refuses faces of points that there are not.
@@ -62,6 +30,11 @@ impl Shape {
             }
             None => Ok(()),
         }
+    }
+
+    /// How many faces the file has.
+    pub(super) fn num_faces(&self) -> usize {
+        self.triangles.len() + self.unread_faces
     }
 
     /// The points as `f32`, relative to an origin where they need one.
@@ -111,7 +84,7 @@ impl Shape {
 
 impl From<Vec<Position>> for Shape {
     fn from(points: Vec<Position>) -> Self {
-        Self { points, triangles: Vec::new() }
+        Self { points, ..Self::default() }
     }
 }
 
@@ -129,62 +102,9 @@ fn area([a, b, c]: [Position; 3]) -> f64 {
     cross.iter().map(|v| v * v).sum::<f64>().sqrt() / 2.0
 }
 
-/// Zero, or for a cloud far from zero its centre, rounded to a power of two so that subtracting it is exact.
-fn origin(points: impl Iterator<Item = Position> + Clone) -> [f64; 3] {
-    let finite = || points.clone().filter(|point| point.iter().all(|v| v.is_finite()));
-    let fold = |of: fn(f64, f64) -> f64, start: f64| {
-        finite().fold([start; 3], |bound, point| std::array::from_fn(|axis| of(bound[axis], point[axis])))
-    };
-    let (low, high) = (fold(f64::min, f64::INFINITY), fold(f64::max, f64::NEG_INFINITY));
-    let size = (0..3).map(|axis| high[axis] - low[axis]).fold(0.0, f64::max);
-    let farthest = low.into_iter().chain(high).map(f64::abs).fold(0.0, f64::max);
-    // Not so for a single place, for no points at all and for what overflows.
-    if !(size > 0.0 && farthest > FAR * size && farthest.is_finite()) {
-        return [0.0; 3];
-    }
-    // No finer than the digits of the farthest coordinate, else the quotient can overflow, as the sum of the two can.
-    let step = size.log2().floor().exp2().max((farthest.log2().floor() - 52.0).exp2());
-    std::array::from_fn(|axis| ((low[axis] / 2.0 + high[axis] / 2.0) / step).round() * step)
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
-
-    #[test]
-    fn origins_are_finite_at_both_ends_of_the_numbers() {
-        for (low, high) in [([1e308, 1e308, 0.0], [1.1e308, 1.2e308, 0.0]), ([1.0, 0.0, 0.0], [1.0, 1e-320, 0.0])] {
-            assert!(origin([low, high].into_iter()).iter().all(|v| v.is_finite()));
-        }
-    }
-
-    #[test]
-    fn far_clouds_get_an_origin_and_keep_their_digits() {
-        let near = [[0.25, -3.0, 1.0], [0.5, 12.0, 100.0]];
-        let cloud = Shape::from(near.to_vec()).into_cloud();
-        assert_eq!((cloud.origin, cloud.points), ([0.0; 3], near.map(|p| p.map(|v| v as f32)).to_vec()));
-
-        let far = [
-            [500_000.123, 5_400_000.456, 200.0],
-            [500_010.789, 5_400_003.001, f64::NAN],
-            [500_020.5, 5_400_007.0, 210.0],
-        ];
-        let cloud = Shape::from(far.to_vec()).into_cloud();
-        assert!(cloud.points[1][2].is_nan());
-        for (found, expected) in cloud.points.iter().zip(far) {
-            for axis in 0..3 {
-                let back = f64::from(found[axis]) + cloud.origin[axis];
-                assert!((back - expected[axis]).abs() < 2e-6 || expected[axis].is_nan(), "{back} {expected:?}");
-            }
-        }
-        assert_eq!(cloud.clone().into_points()[0], far[0].map(|v| v as f32));
-        // One outlier far away does not take the digits of the rest.
-        let outlier = Shape::from(vec![[1e30, 0.0, 0.0], [0.1, 0.2, 0.3], [0.4, 0.5, 0.6]]).into_cloud();
-        assert_eq!((outlier.origin, outlier.points[1]), ([0.0; 3], [0.1, 0.2, 0.3]));
-        for points in [vec![], vec![[7.0; 3]; 3], vec![[f64::NAN; 3]], vec![[-1.7e308; 3], [1.7e308; 3]]] {
-            assert_eq!(Shape::from(points.clone()).into_cloud().origin, [0.0; 3], "{points:?}");
-        }
-    }
 
     /// A square of side 2 in the plane z = 1, and a triangle of a quarter of its area in x = 5.
     fn shape() -> Shape {
@@ -192,7 +112,7 @@ mod tests {
         let beside = [[5.0, 0.0, 0.0], [5.0, 2.0, 0.0], [5.0, 0.0, 1.0]];
         let mut triangles = vec![[0, 0, 1], [4, 5, 6]];
         add_polygon(&mut triangles, &[0, 1, 2, 3]);
-        Shape { points: [&points[..], &beside].concat(), triangles }
+        Shape { points: [&points[..], &beside].concat(), triangles, ..Shape::default() }
     }
 
     #[test]

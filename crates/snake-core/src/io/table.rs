@@ -2,7 +2,7 @@
 
 use std::io::{self, Write};
 
-use super::npy;
+use super::{npy, pcd};
 
 /// How a column is stored in formats that have types.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -29,7 +29,17 @@ impl Kind {
         }
     }
 
-    fn write(self, out: &mut dyn Write, value: f64) -> io::Result<()> {
+    /// What PLY calls it.
+    pub(super) fn in_ply(self) -> &'static str {
+        match self {
+            Self::Float => "float",
+            Self::Double => "double",
+            Self::Byte => "uchar",
+            Self::Int => "int",
+        }
+    }
+
+    pub(super) fn write(self, out: &mut dyn Write, value: f64) -> io::Result<()> {
         match self {
             Self::Float => out.write_all(&(value as f32).to_le_bytes()),
             Self::Double => out.write_all(&value.to_le_bytes()),
@@ -45,20 +55,14 @@ impl<const N: usize, R: Iterator<Item = [f64; N]>> Table<N, R> {
     pub(super) fn write_ply(self, out: &mut dyn Write) -> io::Result<()> {
         write!(out, "ply\nformat binary_little_endian 1.0\nelement vertex {}\n", self.num_rows)?;
         for (name, kind) in self.columns {
-            let kind = match kind {
-                Kind::Float => "float",
-                Kind::Double => "double",
-                Kind::Byte => "uchar",
-                Kind::Int => "int",
-            };
-            writeln!(out, "property {kind} {name}")?;
+            writeln!(out, "property {} {name}", kind.in_ply())?;
         }
         writeln!(out, "end_header")?;
         self.write_binary(out)
     }
 
-    /// An unorganised cloud, binary.
-    pub(super) fn write_pcd(self, out: &mut dyn Write) -> io::Result<()> {
+    /// An unorganised cloud, binary. A comment says the origin that its points are relative to, if there is one.
+    pub(super) fn write_pcd(self, out: &mut dyn Write, origin: [f64; 3]) -> io::Result<()> {
         let words = |of: fn(&(&'static str, Kind)) -> String| self.columns.each_ref().map(of).join(" ");
         let kinds = words(|(_, kind)| match kind {
             Kind::Float | Kind::Double => "F".into(),
@@ -67,7 +71,11 @@ impl<const N: usize, R: Iterator<Item = [f64; N]>> Table<N, R> {
         });
         let (names, sizes) = (words(|(name, _)| name.to_string()), words(|(_, kind)| kind.size().to_string()));
         let (counts, rows) = (["1"; N].join(" "), self.num_rows);
-        write!(out, "# .PCD v0.7 - Point Cloud Data file format\nVERSION 0.7\nFIELDS {names}\nSIZE {sizes}\n")?;
+        writeln!(out, "# .PCD v0.7 - Point Cloud Data file format")?;
+        if origin != [0.0; 3] {
+            writeln!(out, "{}", pcd::origin_comment(origin))?;
+        }
+        write!(out, "VERSION 0.7\nFIELDS {names}\nSIZE {sizes}\n")?;
         write!(out, "TYPE {kinds}\nCOUNT {counts}\nWIDTH {rows}\nHEIGHT 1\nVIEWPOINT 0 0 0 1 0 0 0\n")?;
         write!(out, "POINTS {rows}\nDATA binary\n")?;
         self.write_binary(out)

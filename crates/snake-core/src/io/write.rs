@@ -6,6 +6,7 @@ use std::path::Path;
 use super::format::{CloudFormat, KeypointFormat};
 use super::json;
 use super::table::{Kind, Table};
+use crate::cloud::add_origin;
 use crate::detect::Keypoint;
 use crate::points::Point;
 
@@ -29,7 +30,7 @@ impl KeypointSource {
 }
 
 impl KeypointFormat {
-    /// Writes keypoints.
+    /// Writes keypoints; the origin is added but for PCD, whose coordinates have four bytes.
     ///
     /// # Errors
     /// Those of `out`; and for PLY and PCD when an index does not fit into their integers.
@@ -37,7 +38,7 @@ impl KeypointFormat {
         let [x, y, z] = axes(source.origin);
         let [saliency, occupancy] = ["saliency", "occupancy"].map(|name| (name, Kind::Float));
         let index = ("nearest_index", Kind::Int);
-        let position = |keypoint: &Keypoint| moved(keypoint.position, source.origin);
+        let position = |keypoint: &Keypoint| add_origin(keypoint.position, source.origin);
         let values = |k: &Keypoint| [k.saliency.into(), k.occupancy.into(), k.nearest_index as f64];
         let num_rows = keypoints.len();
         match self {
@@ -52,15 +53,17 @@ impl KeypointFormat {
                 Table { columns, num_rows, rows }.write_ply(out)
             }
             Self::Pcd => {
+                let [x, y, z] = axes([0.0; 3]);
                 let rows = keypoints.iter().map(|keypoint| {
-                    let ([x, y, z], [saliency, occupancy, index]) = (position(keypoint), values(keypoint));
+                    let ([x, y, z], [saliency, occupancy, index]) =
+                        (keypoint.position.map(f64::from), values(keypoint));
                     let [red, green, blue] = color(keypoint.saliency);
                     // PCL's way: the bytes of a colour as those of a float.
                     let rgb = f32::from_bits(u32::from_be_bytes([0, red, green, blue]));
                     [x, y, z, rgb.into(), saliency, occupancy, index]
                 });
                 let columns = [x, y, z, ("rgb", Kind::Float), saliency, occupancy, index];
-                Table { columns, num_rows, rows }.write_pcd(out)
+                Table { columns, num_rows, rows }.write_pcd(out, source.origin)
             }
             Self::Npy | Self::Csv => {
                 let rows = keypoints.iter().map(|keypoint| {
@@ -77,16 +80,20 @@ impl KeypointFormat {
 }
 
 impl CloudFormat {
-    /// Writes points with an origin added to them.
+    /// Writes points with an origin added to them, but for PCD, whose coordinates have four bytes.
     ///
     /// # Errors
     /// Those of `out`.
     pub fn write(self, out: &mut dyn Write, points: &[Point], origin: [f64; 3]) -> io::Result<()> {
-        let rows = points.iter().map(|&point| moved(point, origin));
-        let table = Table { columns: axes(origin), num_rows: points.len(), rows };
+        let num_rows = points.len();
+        let rows = points.iter().map(|&point| add_origin(point, origin));
+        let table = Table { columns: axes(origin), num_rows, rows };
         match self {
             Self::Ply => table.write_ply(out),
-            Self::Pcd => table.write_pcd(out),
+            Self::Pcd => {
+                let rows = points.iter().map(|point| point.map(f64::from));
+                Table { columns: axes([0.0; 3]), num_rows, rows }.write_pcd(out, origin)
+            }
             Self::Npy => table.write_npy(out),
             Self::Xyz => table.write_lines(out, " "),
             Self::Csv => table.write_csv(out),
@@ -95,13 +102,9 @@ impl CloudFormat {
 }
 
 /// Coordinates far from zero need more digits.
-fn axes(origin: [f64; 3]) -> [(&'static str, Kind); 3] {
+pub(super) fn axes(origin: [f64; 3]) -> [(&'static str, Kind); 3] {
     let kind = if origin == [0.0; 3] { Kind::Float } else { Kind::Double };
     ["x", "y", "z"].map(|axis| (axis, kind))
-}
-
-pub(super) fn moved(point: Point, origin: [f64; 3]) -> [f64; 3] {
-    std::array::from_fn(|axis| f64::from(point[axis]) + origin[axis])
 }
 
 /// A saliency's colour, from violet at 0 by way of green to yellow at 1 (five colours of viridis).
@@ -176,7 +179,11 @@ mod tests {
         assert!(text(CloudFormat::Xyz, origin).starts_with("500000.5 5400000.25 -1\n"));
         assert!(text(CloudFormat::Csv, origin).starts_with("x,y,z\n500000.5,5400000.25,-1\n"));
         assert!(text(CloudFormat::Ply, origin).contains("property double x\n"));
-        assert!(text(CloudFormat::Pcd, origin).contains("SIZE 8 8 8\n"));
+        let pcd = text(CloudFormat::Pcd, origin);
+        assert!(pcd.contains("SIZE 4 4 4\n") && pcd.contains("\n# snake-rs origin 500000 5400000 0\n"), "{pcd}");
+        assert!(!text(CloudFormat::Pcd, [0.0; 3]).contains("origin"));
+        let keypoints = String::from_utf8_lossy(&written(KeypointFormat::Pcd, origin)).into_owned();
+        assert!(keypoints.contains("SIZE 4 4 4 4") && keypoints.contains("# snake-rs origin 500000"), "{keypoints}");
         assert!(text(CloudFormat::Ply, [0.0; 3]).contains("property float x\n"));
     }
 }

@@ -123,14 +123,26 @@ pub struct Registration {
 }
 
 impl Registration {
-    /// The same for clouds that are relative to origins, as [`Cloud`](crate::io::Cloud) holds those far from zero: the
+    /// The same for clouds that are relative to origins, as [`Cloud`](crate::Cloud) holds those far from zero: the
     /// transform is then one of the points with their origins added.
     pub fn between_origins(mut self, source: [f64; 3], target: [f64; 3]) -> Self {
-        for (row, target) in self.t_target_source.iter_mut().zip(target) {
-            row[3] += target - (0..3).map(|axis| row[axis] * source[axis]).sum::<f64>();
-        }
+        self.t_target_source = add_origins(&self.t_target_source, source, target);
         self
     }
+}
+
+/// The transform of points with their origins added, from that of points relative to their origins.
+pub fn add_origins(t_target_source: &Transform, source: [f64; 3], target: [f64; 3]) -> Transform {
+    let mut transform = *t_target_source;
+    for (row, target) in transform.iter_mut().zip(target) {
+        row[3] += target - (0..3).map(|axis| row[axis] * source[axis]).sum::<f64>();
+    }
+    transform
+}
+
+/// The transform of points relative to their origins, from that of points with their origins added.
+pub fn subtract_origins(t_target_source: &Transform, source: [f64; 3], target: [f64; 3]) -> Transform {
+    add_origins(t_target_source, source.map(|v| -v), target.map(|v| -v))
 }
 
 /// Finds the rigid transform from `source` to `target` with nothing known beforehand. Both are in the same units; they
@@ -450,6 +462,8 @@ mod tests {
             assert!((moved[axis] + target[axis] as f32 - moved_far[axis]).abs() < 1e-4);
         }
         assert_eq!(far[3], [0.0, 0.0, 0.0, 1.0]);
+        let back = subtract_origins(&far, source, target);
+        assert!(back.as_flattened().iter().zip(t_target_source.as_flattened()).all(|(a, b)| (a - b).abs() < 1e-12));
     }
 
     #[test]

@@ -11,14 +11,17 @@ use anyhow::{Context, Result, bail};
 use serde::{Deserialize, Serialize};
 use serde_json::{Value, json};
 use snake_core::metrics::{information_matrix, inlier_ratio, overlap, squared_registration_error};
-use snake_core::registration::{Descriptor, KeypointDetector, RansacOptions, Scan, mutual_nearest, ransac};
-use snake_core::{Model, Point, io};
+use snake_core::registration::{
+    Descriptor, KeypointDetector, RansacOptions, Scan, mutual_nearest, ransac, subtract_origins,
+};
+use snake_core::{Cloud, Model, Point};
 
 use super::args::RegistrationArguments;
 use super::check_outputs;
 use super::paper::THREE_D_MATCH;
 use super::record::Record;
 use super::schedule::{Schedule, Task};
+use crate::inputs::ColumnArguments;
 use crate::terminal;
 use report::Report;
 use scenes::{ScenePair, Scenes};
@@ -70,6 +73,7 @@ struct Plan<'a> {
     detectors: &'a [KeypointDetector],
     descriptors: &'a [Descriptor],
     keypoints: &'a [usize],
+    columns: &'a ColumnArguments,
 }
 
 /// The figures of one detector, descriptor and number of keypoints on one pair.
@@ -89,7 +93,7 @@ impl<'a> Plan<'a> {
         if keypoints.contains(&0) {
             bail!("--keypoints must be 1 or more");
         }
-        Ok(Self { model, detectors, descriptors, keypoints })
+        Ok(Self { model, detectors, descriptors, keypoints, columns: &arguments.run.columns })
     }
 
     /// Everything that the figures depend on, but for the data's content.
@@ -97,6 +101,7 @@ impl<'a> Plan<'a> {
         json!({
             "metric": "registration",
             "data": arguments.data,
+            "columns": arguments.run.columns.columns,
             "limit": arguments.run.limit,
             "detectors": self.detectors,
             "descriptors": self.descriptors,
@@ -124,8 +129,8 @@ impl<'a> Plan<'a> {
     }
 
     /// Reads a cloud, and describes as many keypoints of each detector as are needed.
-    fn cloud(&self, files: &[PathBuf], index: usize, seed: u64) -> Result<Cloud> {
-        let points = io::read_points(&files[index])?;
+    fn cloud(&self, files: &[PathBuf], index: usize, seed: u64) -> Result<DescribedCloud> {
+        let Cloud { points, origin } = self.columns.read(&files[index])?;
         let scan = Scan::new(&points, self.model, VOXEL_SIZE)?;
         let most = self.keypoints.iter().copied().max().unwrap_or_default();
         // Random keypoints of two clouds have nothing to do with each other.
@@ -139,13 +144,15 @@ impl<'a> Plan<'a> {
                 features.push(Features { keypoints, descriptors, dimension });
             }
         }
-        Ok(Cloud { points, features })
+        Ok(DescribedCloud { points, origin, features })
     }
 
     /// The figures of one pair: a row for each case.
-    fn rows(&self, pair: &ScenePair, source: &Cloud, target: &Cloud, seed: u64) -> Result<Vec<Row>> {
-        let truth = &pair.t_target_source;
-        let information = match pair.information {
+    fn rows(&self, pair: &ScenePair, source: &DescribedCloud, target: &DescribedCloud, seed: u64) -> Result<Vec<Row>> {
+        let truth = &subtract_origins(&pair.t_target_source, source.origin, target.origin);
+        // The matrix of gt.info is about zero, not about an origin.
+        let given = pair.information.filter(|_| source.origin == [0.0; 3]);
+        let information = match given {
             Some(information) => information,
             None => information_matrix(&overlap(&source.points, &target.points, truth, OVERLAP_DISTANCE)?)
                 .context("the clouds do not overlap under the given transform")?,
@@ -180,8 +187,10 @@ fn ransac_options(seed: u64) -> RansacOptions {
 }
 
 /// A cloud with its keypoints by each detector and descriptor.
-struct Cloud {
+struct DescribedCloud {
     points: Vec<Point>,
+    /// To be added to the points.
+    origin: [f64; 3],
     features: Vec<Features>,
 }
 
@@ -205,12 +214,12 @@ impl Features {
 struct Clouds {
     scene: String,
     seed: u64,
-    described: HashMap<usize, Cloud>,
+    described: HashMap<usize, DescribedCloud>,
 }
 
 impl Clouds {
     /// Source and target of a pair.
-    fn of(&mut self, pair: &ScenePair, files: &[PathBuf], plan: &Plan, seed: u64) -> Result<[&Cloud; 2]> {
+    fn of(&mut self, pair: &ScenePair, files: &[PathBuf], plan: &Plan, seed: u64) -> Result<[&DescribedCloud; 2]> {
         if (&self.scene, self.seed) != (&pair.scene, seed) {
             (self.scene, self.seed) = (pair.scene.clone(), seed);
             self.described.clear();

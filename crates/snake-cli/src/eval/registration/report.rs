@@ -244,6 +244,7 @@ mod tests {
 
     use super::super::super::paper::THREE_D_MATCH;
     use super::*;
+    use crate::inputs::ColumnArguments;
 
     fn pair(scene: &str, fragments: [usize; 2]) -> ScenePair {
         let t_target_source = std::array::from_fn(|i| std::array::from_fn(|j| f64::from(u8::from(i == j))));
@@ -259,7 +260,8 @@ mod tests {
     fn figures_are_means_over_the_scenes_by_hand() {
         let model = Model::builtin().unwrap();
         let (detectors, descriptors) = ([KeypointDetector::Iss], [Descriptor::Fpfh]);
-        let plan = Plan { model: &model, detectors: &detectors, descriptors: &descriptors, keypoints: &[100] };
+        let (keypoints, columns) = (&[100], &ColumnArguments::default());
+        let plan = Plan { model: &model, detectors: &detectors, descriptors: &descriptors, keypoints, columns };
         // Scene a has three pairs, one of them consecutive and one without a transform; b only a consecutive one.
         let pairs = [pair("a", [0, 1]), pair("a", [0, 2]), pair("a", [0, 3]), pair("b", [4, 5])];
         let rows = [row(0.5, None), row(0.04, Some(0.03)), row(0.06, None), row(0.0, Some(0.0))];

@@ -4,18 +4,21 @@ use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result, bail};
 use serde::Deserialize;
-use snake_core::{Point, Transform, io};
+use snake_core::registration::subtract_origins;
+use snake_core::{Cloud, Point, Transform, io};
 
 use super::super::pairs::{self, ListedPair, find_cloud};
 use super::super::read_json;
 use super::views::PairClouds;
-use crate::inputs::expand;
+use crate::inputs::{ColumnArguments, expand};
 
 /// What is evaluated on.
 pub struct Data {
     /// Whose settings and figures of the paper belong to it.
     pub scale: Scale,
     source: Source,
+    /// How the files of clouds are read.
+    columns: ColumnArguments,
 }
 
 /// The units of a data set.
@@ -55,7 +58,12 @@ struct IndexRow {
 
 impl Data {
     /// Recognises the folders of a data set, else takes cloud files and folders of them.
-    pub fn open(inputs: &[PathBuf], transform: Option<&Path>) -> Result<Self> {
+    pub fn open(inputs: &[PathBuf], transform: Option<&Path>, columns: &ColumnArguments) -> Result<Self> {
+        let (scale, source) = Self::recognise(inputs, transform)?;
+        Ok(Self { scale, source, columns: columns.clone() })
+    }
+
+    fn recognise(inputs: &[PathBuf], transform: Option<&Path>) -> Result<(Scale, Source)> {
         if let Some(transform) = transform {
             return Self::one_pair(inputs, transform);
         }
@@ -76,11 +84,11 @@ impl Data {
         }
         let files = expand(inputs)?;
         let names = files.iter().map(|file| file.display().to_string()).collect();
-        Ok(Self { scale: Scale::Object, source: Source::Objects { names, clouds: Clouds::Files(files) } })
+        Ok((Scale::Object, Source::Objects { names, clouds: Clouds::Files(files) }))
     }
 
     /// Our own: `points.npy` and `index.json`.
-    fn corpus(folder: &Path) -> Result<Self> {
+    fn corpus(folder: &Path) -> Result<(Scale, Source)> {
         let entries: Vec<IndexRow> = read_json(&folder.join("index.json"))?;
         let clouds = io::read_clouds(&folder.join("points.npy"))?;
         if entries.len() != clouds.len() {
@@ -91,25 +99,25 @@ impl Data {
             bail!("{}: no clouds in points.npy", folder.display());
         }
         let names = entries.into_iter().map(|entry| entry.name).collect();
-        Ok(Self { scale: Scale::Object, source: Source::Objects { names, clouds: Clouds::Loaded(clouds) } })
+        Ok((Scale::Object, Source::Objects { names, clouds: Clouds::Loaded(clouds) }))
     }
 
     /// Pairs that the file of that name lists, at least one.
-    fn pairs(scale: Scale, list: &str, pairs: Vec<PairEntry>, folder: &Path) -> Result<Self> {
+    fn pairs(scale: Scale, list: &str, pairs: Vec<PairEntry>, folder: &Path) -> Result<(Scale, Source)> {
         if pairs.is_empty() {
             bail!("{}: no pairs in {list}", folder.display());
         }
-        Ok(Self { scale, source: Source::Pairs { pairs, unit_radius: false } })
+        Ok((scale, Source::Pairs { pairs, unit_radius: false }))
     }
 
     /// The user's two clouds, source and target, in units that nobody knows.
-    fn one_pair(inputs: &[PathBuf], transform: &Path) -> Result<Self> {
+    fn one_pair(inputs: &[PathBuf], transform: &Path) -> Result<(Scale, Source)> {
         let [source, target] = inputs else {
             bail!("--transform is for two clouds, SOURCE and TARGET; for more give a folder with pairs.json");
         };
         let name = format!("{} to {}", source.display(), target.display());
         let pair = PairEntry { name, clouds: [target.clone(), source.clone()], t_1_2: pairs::transform(transform)? };
-        Ok(Self { scale: Scale::Object, source: Source::Pairs { pairs: vec![pair], unit_radius: true } })
+        Ok((Scale::Object, Source::Pairs { pairs: vec![pair], unit_radius: true }))
     }
 
     /// The cloud files that will be read; where a list leaves their extension out, without it.
@@ -141,25 +149,29 @@ impl Data {
     pub fn clouds(&self, pair: usize) -> Result<PairClouds> {
         match &self.source {
             Source::Objects { clouds: Clouds::Loaded(clouds), .. } => PairClouds::object(&clouds[pair]),
-            Source::Objects { clouds: Clouds::Files(files), .. } => PairClouds::object(&finite_points(&files[pair])?),
+            Source::Objects { clouds: Clouds::Files(files), .. } => {
+                PairClouds::object(&self.finite_points(&files[pair])?.points)
+            }
             Source::Pairs { pairs, unit_radius } => {
                 let PairEntry { clouds: [first, second], t_1_2, .. } = &pairs[pair];
-                let clouds = [finite_points(&find_cloud(first)?)?, finite_points(&find_cloud(second)?)?];
-                if clouds.iter().any(Vec::is_empty) {
+                let clouds = [self.finite_points(&find_cloud(first)?)?, self.finite_points(&find_cloud(second)?)?];
+                if clouds.iter().any(|cloud| cloud.points.is_empty()) {
                     bail!("a cloud without points");
                 }
-                let pair = PairClouds::Real { clouds, t_1_2: *t_1_2 };
+                let [first, second] = clouds.each_ref().map(|cloud| cloud.origin);
+                let t_1_2 = subtract_origins(t_1_2, second, first);
+                let pair = PairClouds::Real { clouds: clouds.map(|cloud| cloud.points), t_1_2 };
                 if *unit_radius { pair.with_unit_radius() } else { Ok(pair) }
             }
         }
     }
-}
 
-/// A cloud without the points that are missing, so that views have as many points as they say.
-fn finite_points(path: &Path) -> Result<Vec<Point>> {
-    let mut points = io::read_points(path)?;
-    points.retain(|point| point.iter().all(|v| v.is_finite()));
-    Ok(points)
+    /// A cloud without the points that are missing, so that views have as many points as they say.
+    fn finite_points(&self, path: &Path) -> Result<Cloud> {
+        let mut cloud = self.columns.read(path)?;
+        cloud.points.retain(|point| point.iter().all(|v| v.is_finite()));
+        Ok(cloud)
+    }
 }
 
 /// `pairs.json`: the target is the first view.

@@ -23,7 +23,7 @@ use views::{Condition, Views};
 /// Evaluates every pair that is not yet recorded, then reports.
 pub fn run(arguments: &RepeatabilityArguments) -> Result<()> {
     let common = &arguments.common;
-    let data = Data::open(&arguments.data, arguments.transform.as_deref())?;
+    let data = Data::open(&arguments.data, arguments.transform.as_deref(), &arguments.common.run.columns)?;
     let plan = Plan::new(arguments, &data)?;
     let methods = Method::all(common, None)?;
     let settings = plan.settings(arguments, &methods);
@@ -112,6 +112,7 @@ impl Plan {
         json!({
             "metric": "relative repeatability",
             "data": arguments.data,
+            "columns": arguments.common.run.columns.columns,
             "transform": arguments.transform,
             "keypoints": Method::all_settings(&arguments.common, methods),
             "num_points": self.num_points,

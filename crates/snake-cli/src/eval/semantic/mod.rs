@@ -13,7 +13,7 @@ use rand_chacha::ChaCha8Rng;
 use serde::{Deserialize, Serialize};
 use serde_json::{Value, json};
 use snake_core::metrics::{MatchCounts, SmplProtocol, Unreachable, semantic_counts, smpl_pair_counts};
-use snake_core::{Length, Point, io};
+use snake_core::{Length, Point};
 
 use super::args::SemanticArguments;
 use super::check_outputs;
@@ -68,6 +68,7 @@ fn settings(arguments: &SemanticArguments, methods: &[Method]) -> Value {
     json!({
         "metric": "semantic consistency",
         "data": arguments.data,
+        "columns": arguments.common.run.columns.columns,
         "split": arguments.split,
         "keypoints": Method::all_settings(&arguments.common, methods),
         "threshold": arguments.threshold,
@@ -97,7 +98,8 @@ fn rows(
     };
     match data {
         Data::KeypointNet(shapes) => {
-            let points = io::read_points(&shapes[shape].cloud)?;
+            // Its points are marked by their indices, so that the origin does not matter.
+            let points = arguments.common.run.columns.read(&shapes[shape].cloud)?.points;
             let row = |method: &Method| {
                 let found = method.keypoints(&points, seed_1)?;
                 let counts = |rule| semantic_counts(&points, &shapes[shape].keypoints, &found, threshold, rule);
