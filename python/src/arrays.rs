@@ -84,7 +84,7 @@ pub fn given_rows<'py>(what: &str, value: &Bound<'py, PyAny>) -> PyResult<Rows<'
     let (py, numpy) = (value.py(), value.py().import("numpy")?);
     let given = as_array(&numpy, what, value)?;
     let array = given.cast::<PyUntypedArray>()?;
-    let refused = |why: &str| {
+    let refused = |why: &str| -> PyResult<PyErr> {
         let shape = array.getattr("shape")?;
         let needed = "expected real numbers of shape (N, 3) or more columns, found";
         Ok(PyValueError::new_err(format!("{what}: {needed} {} of shape {shape}{why}", array.dtype())))
@@ -93,7 +93,9 @@ pub fn given_rows<'py>(what: &str, value: &Bound<'py, PyAny>) -> PyResult<Rows<'
     if !matches!(kind, b'f' | b'i' | b'u') || array.ndim() != 2 || array.shape()[1] < 3 {
         return Err(refused("")?);
     }
-    if let &[rows @ (3 | 4), columns @ 17..] = array.shape() {
+    if let &[rows @ (3 | 4), columns] = array.shape()
+        && columns > 16
+    {
         return Err(refused(&format!(": a point is a row, so transpose {columns} points in {rows} rows"))?);
     }
     let dtype = if kind == b'f' && size <= 4 { "float32" } else { "float64" };
