@@ -258,6 +258,27 @@ fn a_long_call_shows_the_time_that_it_will_take() {
     }
 }
 
+/// Many windows and no terminal: what it will take is said beforehand, and how far it is every ten seconds.
+#[test]
+fn many_windows_are_announced_and_counted_without_a_terminal() {
+    use std::io::{BufRead, BufReader};
+    use std::process::Stdio;
+    let options =
+        ["--window-radius", "0.05", "--refine-steps", "100", "--occupancy-threshold", "0", "--query-band", "0"];
+    let mut command = Command::new(env!("CARGO_BIN_EXE_snake-cli"));
+    command.arg("detect").arg(sample()).args(options).stdout(Stdio::null()).stderr(Stdio::piped());
+    let start = std::time::Instant::now();
+    let mut child = command.spawn().unwrap();
+    let mut lines = BufReader::new(child.stderr.take().unwrap()).lines().map(Result::unwrap);
+    let announced = lines.next().unwrap();
+    assert!(announced.starts_with("note: ") && announced.contains(" windows, about "), "{announced}");
+    let counted = lines.next().unwrap();
+    assert!(counted.contains(": windows, ") && counted.ends_with(" left"), "{counted}");
+    assert!(start.elapsed().as_secs() >= 10);
+    child.kill().unwrap();
+    child.wait().unwrap();
+}
+
 #[cfg(target_os = "linux")]
 #[test]
 fn an_interrupt_leaves_whole_files_only() {

@@ -8,13 +8,13 @@ use std::fmt::Display;
 use std::io::{self, Write};
 use std::sync::OnceLock;
 use std::sync::atomic::{AtomicBool, Ordering};
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 use anyhow::{Context, Result};
-use console::style;
+use console::{Term, style};
 use indicatif::{HumanDuration, ProgressBar, ProgressDrawTarget, ProgressStyle};
 use serde::Serialize;
-use snake_core::Progress;
+use snake_core::{Progress, Stage};
 
 /// How much is said.
 #[derive(Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Default)]
@@ -169,6 +169,11 @@ pub fn usage_error(text: &str) {
     print_to_stderr(&lines.collect());
 }
 
+/// What the user may want to know while waiting.
+fn note(text: &str) {
+    say(style("note:").for_stderr().bold(), text);
+}
+
 /// What the user should know though it is no error; nothing with `--quiet`.
 pub fn warn(text: &str) {
     if verbosity() > Verbosity::Quiet {
@@ -188,26 +193,79 @@ const BAR_AFTER: Duration = Duration::from_secs(1);
 /// Time between two pictures of a bar.
 const BAR_INTERVAL: Duration = Duration::from_millis(200);
 
-/// A bar that shows itself after a second, with the expected time where there are several steps. It is drawn on a
-/// terminal only, and not with `--quiet`.
+/// Time between two lines where there is no terminal for a bar.
+const LINE_INTERVAL: Duration = Duration::from_secs(10);
+/// How many windows there are is said beforehand if they take longer.
+const LONG: Duration = Duration::from_secs(10);
+
+/// A bar that shows itself after a second, with the expected time where there are several steps. Where the standard error
+/// is no terminal, a line every ten seconds takes its place. Neither with `--quiet`.
 pub fn progress(steps: usize) -> Result<Bar> {
     let template = if steps > 1 { "{bar:30} {pos}/{len} {msg} (ETA {eta})" } else { "{spinner} {msg} ({elapsed})" };
-    shown_later(steps, template, |_| ())
+    shown_later(steps, template, steps_done)
 }
 
 /// Like [`progress`], a bar of one long call: the stages that a model counts, each with the time that it is expected to
 /// take.
 pub fn stages(progress: &Progress) -> Result<Bar> {
-    let progress = progress.clone();
+    let (progress, mut windows) = (progress.clone(), Windows::default());
     shown_later(1, "{bar:30} {prefix}: {msg}", move |bar| {
-        let Some(stage) = progress.stage() else { return bar.set_prefix("reading") };
+        let Some(stage) = progress.stage() else {
+            bar.set_prefix("reading");
+            return format!("reading {}", bar.message());
+        };
+        windows.announce(bar, &stage);
         bar.set_length(stage.total.max(1));
         bar.set_position(stage.done);
         bar.set_prefix(match stage.remaining() {
             Some(remaining) => format!("{} (ETA {:#})", stage.name, HumanDuration(remaining)),
             None => stage.name.into(),
         });
+        format!("{}: {}", bar.message(), stage_line(&stage))
     })
+}
+
+/// Like [`progress`], a bar of several calls, each of which has the stages that a model counts.
+pub fn calls(number: usize, progress: &Progress) -> Result<Bar> {
+    let (progress, mut windows) = (progress.clone(), Windows::default());
+    shown_later(number, "{bar:30} {pos}/{len} {msg} (ETA {eta})", move |bar| {
+        let Some(stage) = progress.stage() else { return steps_done(bar) };
+        windows.announce(bar, &stage);
+        format!("{}: {}", steps_done(bar), stage_line(&stage))
+    })
+}
+
+fn steps_done(bar: &ProgressBar) -> String {
+    format!("{} of {} done, {}", bar.position(), bar.length().unwrap_or_default(), bar.message())
+}
+
+fn stage_line(stage: &Stage) -> String {
+    match stage.remaining() {
+        Some(left) => format!("{}, {} of {}, about {} left", stage.name, stage.done, stage.total, HumanDuration(left)),
+        None => stage.name.into(),
+    }
+}
+
+/// What was said of the windows of a cloud.
+#[derive(Default)]
+struct Windows {
+    /// Time since the stage began, when it was last looked at.
+    elapsed: Duration,
+    announced: bool,
+}
+
+impl Windows {
+    /// Says once for each cloud how many windows it has and how long they take, if that is long.
+    fn announce(&mut self, bar: &ProgressBar, stage: &Stage) {
+        self.announced &= stage.name == "windows" && stage.elapsed >= self.elapsed;
+        self.elapsed = stage.elapsed;
+        let remaining = stage.remaining().filter(|remaining| stage.elapsed >= BAR_AFTER && *remaining >= LONG);
+        if let (Some(remaining), false, "windows") = (remaining, self.announced, stage.name) {
+            self.announced = true;
+            let time = HumanDuration(stage.elapsed + remaining);
+            bar.suspend(|| note(&format!("{}: {} windows, about {time} in all", bar.message(), stage.total)));
+        }
+    }
 }
 
 /// A progress bar.
@@ -241,21 +299,32 @@ impl Bar {
     }
 }
 
-/// A bar that is brought up to date by `update` for as long as it is shown.
-fn shown_later(steps: usize, template: &str, update: impl Fn(&ProgressBar) + Send + 'static) -> Result<Bar> {
+/// A bar that is brought up to date by `update` for as long as it is shown; the text that this gives is the line that takes
+/// its place where there is no terminal.
+fn shown_later(
+    steps: usize,
+    template: &str,
+    mut update: impl FnMut(&ProgressBar) -> String + Send + 'static,
+) -> Result<Bar> {
     let bar = ProgressBar::with_draw_target(Some(steps as u64), ProgressDrawTarget::hidden());
     bar.set_style(ProgressStyle::with_template(template)?);
     if verbosity() > Verbosity::Quiet {
         let shown = bar.downgrade();
         let running = move || shown.upgrade().filter(|bar| !bar.is_finished());
+        let is_terminal = Term::stderr().is_term();
+        let mut last_line = Instant::now();
         std::thread::spawn(move || {
             std::thread::sleep(BAR_AFTER);
-            if let Some(bar) = running() {
+            if let Some(bar) = running().filter(|_| is_terminal) {
                 bar.set_draw_target(ProgressDrawTarget::stderr());
             }
             while let Some(bar) = running() {
-                update(&bar);
+                let line = update(&bar);
                 bar.tick();
+                if !is_terminal && last_line.elapsed() >= LINE_INTERVAL {
+                    last_line = Instant::now();
+                    note(&line);
+                }
                 drop(bar);
                 std::thread::sleep(BAR_INTERVAL);
             }

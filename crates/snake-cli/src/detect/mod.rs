@@ -39,7 +39,7 @@ pub fn run(arguments: &DetectArguments) -> Result<ExitCode> {
     let outputs = outputs(arguments, &inputs)?;
     let bar = match &inputs[..] {
         [_] => terminal::stages(&progress)?,
-        several => terminal::progress(several.len())?,
+        several => terminal::calls(several.len(), &progress)?,
     };
     let mut failed = Vec::new();
     let mut timings = Vec::new();
