@@ -150,7 +150,7 @@ fn mistakes_get_one_line_that_says_what_to_do() {
     let plane = &sample();
     let cases: &[(&[&str], &str)] = &[
         (&["field", plane, "-o", "a.jpg"], ".png, .npy"),
-        (&["field", plane, "-o", plane], "is the input"),
+        (&["field", plane, "-o", plane], "is an input"),
         (&["field", "nowhere.ply", "-o", &png], "nowhere.ply"),
         (&["field", plane, "-o", &npy, "--quantity", "occupancy,saliency"], "one --quantity"),
         (&["field", plane, "-o", &png, "--slice", "7"], "from -0.8"),

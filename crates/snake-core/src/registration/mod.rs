@@ -348,8 +348,9 @@ mod tests {
         let rough = run(source, &target, &RegisterOptions { refine_steps: 0, ..options() }).unwrap();
         assert_eq!((found.num_inliers, found.rmse), (rough.num_inliers, rough.rmse));
         assert_eq!(found.inlier_distance, rough.inlier_distance);
-        assert!(found.fitness > 0.99 && found.fitness >= rough.fitness, "{found:?} {rough:?}");
-        assert!(found.fitness_rmse < rough.fitness_rmse && found.fitness_rmse < found.inlier_distance / 2.0);
+        // Two samplings of one surface; the rough transform leaves a part of it out of reach.
+        assert!(found.fitness > 0.95 && found.fitness > rough.fitness + 0.1, "{found:?} {rough:?}");
+        assert!(found.fitness_rmse < rough.fitness_rmse, "{found:?} {rough:?}");
     }
 
     #[test]
