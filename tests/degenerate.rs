@@ -4,7 +4,7 @@
 use snake_core::baselines::{Detector, Protocol};
 use snake_core::metrics::{Unreachable, relative_repeatability, semantic_counts};
 use snake_core::registration::{RegisterOptions, estimate_normals, fpfh, register};
-use snake_core::{Length, Model, NormalizationMethod, Point, Preset, Result};
+use snake_core::{Builtin, Length, Model, NormalizationMethod, Options, Point, Preset, Result};
 
 const IDENTITY: [[f64; 4]; 4] =
     [[1.0, 0.0, 0.0, 0.0], [0.0, 1.0, 0.0, 0.0], [0.0, 0.0, 1.0, 0.0], [0.0, 0.0, 0.0, 1.0]];
@@ -56,14 +56,14 @@ fn usable<T>(what: &str, result: Result<T>) -> Option<T> {
 
 #[test]
 fn keypoints_are_finite_or_refused() {
-    let model = Model::builtin().unwrap();
+    let model = Model::builtin(Builtin::Compact);
     for (name, can_be_encoded, cloud) in clouds() {
-        let named = |name| Preset::named(name).unwrap();
+        let named = |name| Preset::named(name).unwrap().options();
         for mut preset in [*model.recommended(), named("modelnet40"), named("redwood"), named("smpl")] {
             preset.detect.query_resolution = 32;
             // Cubes as well, and radii in proportion.
             let extent = cloud.as_flattened().iter().fold(0.0, |m: f32, v| m.max(v.abs())).min(1e20);
-            preset.detect.nms_radius = Length::Units(f64::from(extent) / 50.0);
+            preset.detect.nms_radius = Some(Length::Units(f64::from(extent) / 50.0));
             let found = usable(name, model.detect(&cloud, &preset));
             assert_eq!(found.is_some(), can_be_encoded, "{name}");
             for keypoint in found.iter().flat_map(|found| &found.keypoints) {
@@ -76,7 +76,7 @@ fn keypoints_are_finite_or_refused() {
                 );
             }
         }
-        let mut preset = Preset::default();
+        let mut preset = Options::default();
         preset.encode.normalization = NormalizationMethod::None;
         preset.detect.query_resolution = 32;
         usable(name, model.detect(&cloud, &preset));
@@ -85,7 +85,7 @@ fn keypoints_are_finite_or_refused() {
 
 #[test]
 fn registrations_are_finite_or_refused() {
-    let model = Model::builtin().unwrap();
+    let model = Model::builtin(Builtin::Compact);
     let options = RegisterOptions { max_iterations: 1000, max_keypoints: 50, ..Default::default() };
     for (name, can_be_encoded, cloud) in clouds() {
         let found = usable(name, register(&cloud, &cloud, &model, &options));

@@ -2,7 +2,7 @@
 
 use peak_alloc::PeakAlloc;
 use snake_core::io::{ReadOptions, read_cloud, write_points};
-use snake_core::{Model, Point, Preset};
+use snake_core::{Builtin, Model, Options, Point};
 
 #[global_allocator]
 static MEMORY: PeakAlloc = PeakAlloc;
@@ -43,7 +43,7 @@ fn bytes_per_point(peaks: [usize; 2]) -> usize {
 /// One test, as all tests of a process share its memory.
 #[test]
 fn memory_grows_by_few_bytes_for_each_point() {
-    let model = Model::builtin().unwrap();
+    let model = Model::builtin(Builtin::Compact);
     let mut many_keypoints = *model.recommended();
     many_keypoints.detect.max_keypoints = 1000;
     many_keypoints.detect.saliency_threshold = 0.0;
@@ -52,7 +52,7 @@ fn memory_grows_by_few_bytes_for_each_point() {
         ("with an outlier", *model.recommended(), true),
         ("with 1000 keypoints", many_keypoints, false),
     ] {
-        let detect = |options: &Preset, points: &[Point]| model.detect(points, options).unwrap().counts.keypoints;
+        let detect = |options: &Options, points: &[Point]| model.detect(points, options).unwrap().counts.keypoints;
         let of_size = |num_points| {
             let points = cloud(num_points, with_outlier);
             peak(|| detect(&options, &points)).1

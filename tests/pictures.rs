@@ -6,7 +6,7 @@ use std::process::Output;
 use assert_cmd::Command;
 use serde_json::Value;
 use snake_core::registration::transform_points;
-use snake_core::{EncodeOptions, Field, Model, Point, Transform, io};
+use snake_core::{Builtin, EncodeOptions, Field, Model, Point, Transform, io};
 use tempfile::TempDir;
 
 fn sample() -> String {
@@ -31,7 +31,7 @@ fn file(folder: &TempDir, name: &str) -> String {
 
 fn sample_field() -> Field {
     let points = io::read_points(Path::new(&sample())).unwrap();
-    Model::builtin().unwrap().encode(&points, &EncodeOptions::default()).unwrap()
+    Model::builtin(Builtin::Compact).encode(&points, &EncodeOptions::default()).unwrap()
 }
 
 /// Width, height and the red channel of a PNG.

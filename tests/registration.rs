@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 use serde_json::Value;
 use snake_core::Transform;
 use snake_core::registration::{RegisterOptions, Registration, register};
-use snake_core::{Model, io};
+use snake_core::{Builtin, Model, io};
 
 /// A registration is right up to this many degrees and metres.
 const MOST: (f64, f64) = (15.0, 0.3);
@@ -58,7 +58,7 @@ fn error(a: &Transform, b: &Transform) -> (f64, f64) {
 
 /// The share of pairs that are put right, printed with the seconds that a pair takes.
 fn recall(name: &str, pairs: &[Pair], options: &RegisterOptions) -> f64 {
-    let model = Model::builtin().unwrap();
+    let model = Model::builtin(Builtin::Compact);
     let mut errors = Vec::new();
     let mut seconds = Vec::new();
     for pair in pairs {

@@ -401,7 +401,7 @@ def test_radii_may_be_multiples_of_the_resolution(field, points):
         ({"refine_method": "sgd"}, "option `refine_method` is sgd: .*`adam` or `gradient-descent`"),
         ({"selection": 1}, "option `selection` is 1: "),
         ({"selection": "x"}, "option `selection` is x: .*`best-position` or `reference-final-position`"),
-        ({"preset": "kitti"}, "option `preset` is kitti: allowed is modelnet40, keypointnet, smpl, redwood or 3dmatch"),
+        ({"preset": "kitti"}, "option `preset` is kitti: allowed is modelnet40, keypointnet, smpl, redwood, 3dmatch or standard"),
         ({"nms_radius": -1}, r"option `nms_radius` is -1: allowed is 0 or more \(cloud units, "),
         ({"nms_radius": float("nan")}, "option `nms_radius` is nan: expected a finite number"),
         ({"nms_radius": "wide"}, "option `nms_radius` is wide: .*such as `6r`"),

@@ -42,7 +42,7 @@ pub fn load_model(bytes: &[u8]) {
     let points: Vec<Point> = (0..40).map(|i| [i, i * i % 7, i % 5].map(|v| v as f32 * 0.02 - 0.4)).collect();
     let encode = EncodeOptions { normalization: NormalizationMethod::None, ..Default::default() };
     let Ok(field) = model.encode(&points, &encode) else { return };
-    let options = DetectOptions { query_resolution: 4, nms_radius: 0.1.into(), ..model.recommended().detect };
+    let options = DetectOptions { query_resolution: 4, nms_radius: Some(0.1.into()), ..model.recommended().detect };
     let options = DetectOptions { refine_steps: options.refine_steps.min(3), ..options };
     let found = field.detect(&options).expect("the options were checked when the model was loaded");
     assert!(found.keypoints.iter().all(|k| k.position.iter().chain([&k.saliency]).all(|v| v.is_finite())));

@@ -42,7 +42,7 @@ pub fn builtin(py: Python<'_>) -> PyResult<core::Model> {
     match MODEL.get() {
         Some(model) => Ok(model.clone()),
         None => {
-            let model = threads::run(py, core::Model::builtin)?;
+            let model = threads::run(py, || Ok(core::Model::builtin(core::Builtin::Compact)))?;
             Ok(MODEL.get_or_init(|| model).clone())
         }
     }

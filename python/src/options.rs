@@ -7,28 +7,28 @@ use pyo3::types::{PyDict, PyString};
 use serde::Serialize;
 use serde::de::DeserializeOwned;
 use serde_json::{Number, Value};
-use snake_core::Preset;
+use snake_core::{Options, Preset};
 
 use crate::error::py_error;
 
-/// The part of a [`Preset`] that `Model.encode` takes.
-pub const ENCODE: [&str; 1] = ["encode"];
+/// The part of [`Options`] that `Model.encode` takes.
+pub const ENCODE: [&str; 1] = ["/encode"];
 /// The part that `Field.detect` takes.
-pub const DETECT: [&str; 1] = ["detect"];
-/// All parts.
-pub const ALL: [&str; 3] = ["encode", "detect", "windows"];
+pub const DETECT: [&str; 1] = ["/detect"];
+/// All parts, and what belongs to none.
+pub const ALL: [&str; 3] = ["/encode", "/detect", ""];
 
 /// The options of one call: the recommended preset or the one named by `preset`, overlaid with the other keywords,
 /// which must belong to one of the `parts`.
 pub fn resolve(
     function: &str,
     parts: &[&str],
-    recommended: &Preset,
+    recommended: &Options,
     given: Option<&Bound<PyDict>>,
-) -> PyResult<Preset> {
+) -> PyResult<Options> {
     let Some(given) = given else { return Ok(*recommended) };
     let mut preset = match given.get_item("preset")?.filter(|name| !name.is_none()) {
-        Some(name) => Preset::named(&name.str()?.to_cow()?).map_err(py_error)?,
+        Some(name) => Preset::named(&name.str()?.to_cow()?).map_err(py_error)?.options(),
         None => *recommended,
     };
     let mut tree = tree(&preset)?;
@@ -37,13 +37,19 @@ pub fn resolve(
         if name == "preset" {
             continue;
         }
-        let Some(part) = parts.iter().find(|part| tree[**part].get(&name).is_some()) else {
-            let known = parts.iter().filter_map(|part| tree[part].as_object()).flat_map(|options| options.keys());
-            return Err(unexpected(function, &name, std::iter::once("preset").chain(known.map(String::as_str))));
+        let Some(part) = parts.iter().find(|part| options_of(&tree, part).any(|option| *option == name)) else {
+            let known = parts.iter().flat_map(|part| options_of(&tree, part)).map(String::as_str);
+            return Err(unexpected(function, &name, std::iter::once("preset").chain(known)));
         };
-        preset = set(&mut tree, &format!("/{part}/{name}"), &name, &value)?;
+        preset = set(&mut tree, &format!("{part}/{name}"), &name, &value)?;
     }
     Ok(preset)
+}
+
+/// The names of the options of one part, which are no parts themselves.
+fn options_of<'a>(tree: &'a Value, part: &str) -> impl Iterator<Item = &'a String> {
+    let entries = tree.pointer(part).and_then(Value::as_object).into_iter().flatten();
+    entries.filter(|(_, value)| !value.is_object()).map(|(name, _)| name)
 }
 
 /// The options of a function that takes no preset: the defaults, overlaid with the keywords.
@@ -77,19 +83,22 @@ fn set<T: DeserializeOwned>(tree: &mut Value, pointer: &str, name: &str, value: 
     serde_json::from_value(tree.clone()).map_err(|e| refused(in_words(&e)))
 }
 
-/// A preset as one flat dict, such that `detect(points, model, **flat)` takes it.
-pub fn flat<'py>(py: Python<'py>, preset: &Preset) -> PyResult<Bound<'py, PyDict>> {
+/// Options as one flat dict, such that `detect(points, model, **flat)` takes it.
+pub fn flat<'py>(py: Python<'py>, preset: &Options) -> PyResult<Bound<'py, PyDict>> {
     let options = PyDict::new(py);
     // By way of text: 0.7 in float32 prints as 0.7 and not as 0.699999988.
     let text = serde_json::to_string(preset).map_err(|e| PyValueError::new_err(e.to_string()))?;
     let parts = py.import("json")?.call_method1("loads", (text,))?;
-    for part in ALL {
-        options.update(parts.get_item(part)?.cast()?)?;
+    for (name, value) in parts.cast::<PyDict>()? {
+        match value.cast::<PyDict>() {
+            Ok(part) => options.update(part.as_mapping())?,
+            Err(_) => options.set_item(name, value)?,
+        }
     }
     Ok(options)
 }
 
-fn tree(preset: &Preset) -> PyResult<Value> {
+fn tree(preset: &Options) -> PyResult<Value> {
     serde_json::to_value(preset).map_err(|e| PyValueError::new_err(e.to_string()))
 }
 

@@ -3,13 +3,13 @@
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result, bail};
-use snake_core::Model;
+use snake_core::{Builtin, Model};
 
 use crate::terminal::{self, Report};
 
 /// Loads the model of a weight file or of a name, by default `compact`.
 pub fn load(model: Option<&Path>) -> Result<Model> {
-    let Some(model) = model else { return Ok(Model::builtin()?) };
+    let Some(model) = model else { return Ok(Model::builtin(Builtin::Compact)) };
     if let Some(name) = builtin_name(model) {
         return Ok(Model::named(name)?);
     }

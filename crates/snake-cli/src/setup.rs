@@ -6,7 +6,7 @@ use std::time::Instant;
 use anyhow::{Result, bail};
 use clap::Args;
 use serde::de::DeserializeOwned;
-use snake_core::{Model, NormalizationMethod, Preset, SimdLevel};
+use snake_core::{Length, Model, NormalizationMethod, Options, Preset, SimdLevel};
 
 use crate::model;
 use crate::terminal;
@@ -64,7 +64,8 @@ impl ComputeArguments {
 #[derive(Args)]
 #[command(next_help_heading = "Encoding options (default: what the model recommends)")]
 pub struct EncodeFlags {
-    /// Start from the paper's settings for a data set: modelnet40, keypointnet, smpl, redwood or 3dmatch.
+    /// Start from the paper's settings for a data set, modelnet40, keypointnet, smpl, redwood or 3dmatch, or from those of
+    /// the model standard.
     #[arg(long)]
     preset: Option<String>,
     /// unit-sphere: mean to the origin, farthest point to the sphere of radius 0.5; unit-cube: largest coordinate to
@@ -83,10 +84,10 @@ pub struct EncodeFlags {
 }
 
 impl EncodeFlags {
-    /// Preset or model's recommendation, its encoding overridden by what was given.
-    pub fn resolve(&self, model: &Model) -> Result<Preset> {
+    /// The preset's or the model's options, their encoding overridden by what was given.
+    pub fn resolve(&self, model: &Model) -> Result<Options> {
         let mut preset = match &self.preset {
-            Some(name) => Preset::named(name)?,
+            Some(name) => Preset::named(name)?.options(),
             None => *model.recommended(),
         };
         override_with(&mut preset.encode.normalization, self.normalization);
@@ -102,6 +103,11 @@ pub fn override_with<T>(option: &mut T, given: Option<T>) {
     if let Some(given) = given {
         *option = given;
     }
+}
+
+/// A length that 0 turns off.
+pub fn none_if_zero(length: Length) -> Option<Length> {
+    Some(length).filter(|length| *length != Length::Units(0.0))
 }
 
 /// Parses an option's value by the name that it has in weight files and reports.

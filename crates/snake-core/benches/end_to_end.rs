@@ -13,7 +13,7 @@ use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use safetensors::Dtype;
 use safetensors::tensor::TensorView;
-use snake_core::{DetectOptions, EncodeOptions, Field, MeshOptions, Model, Point, io};
+use snake_core::{Builtin, DetectOptions, EncodeOptions, Field, MeshOptions, Model, Point, io};
 
 /// Queries along each axis, and how many of them refinement gets: as many as on a typical object.
 const QUERY_RESOLUTION: usize = 64;
@@ -111,7 +111,7 @@ fn query_grid(field: &Field) -> Vec<Point> {
 fn stages(criterion: &mut Criterion) {
     let sample = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../samples/plane.ply");
     let points = io::read_points(&sample).expect("the sample of 4096 points");
-    for (name, model) in [("built-in", Model::builtin().expect("the built-in model")), ("paper-64", paper_model())] {
+    for (name, model) in [("built-in", Model::builtin(Builtin::Compact)), ("paper-64", paper_model())] {
         let mut group = criterion.benchmark_group(name);
         group.sample_size(10).warm_up_time(Duration::from_secs(1)).measurement_time(Duration::from_secs(5));
         let encode = || model.encode(black_box(&points), &EncodeOptions::default()).expect("a cloud with extent");

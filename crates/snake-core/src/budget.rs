@@ -58,11 +58,11 @@ pub(crate) fn check_queries(query_resolution: usize, refine_steps: usize, rotati
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::Model;
+    use crate::{Builtin, Model};
 
     #[test]
     fn the_limits_in_messages_are_those_that_are_checked() {
-        let mut config = *Model::builtin().unwrap().config();
+        let mut config = *Model::builtin(Builtin::Compact).config();
         config.frame.resolution = [128; 3];
         check_volume(&config).unwrap();
         check_rotations(4, &config).unwrap();
@@ -82,7 +82,7 @@ mod tests {
     /// The largest networks and the most queries of the paper, with some copies.
     #[test]
     fn the_papers_settings_are_within_the_budget() {
-        let mut config = *Model::builtin().unwrap().config();
+        let mut config = *Model::builtin(Builtin::Compact).config();
         config.frame.resolution = [64; 3];
         check_volume(&config).unwrap();
         check_rotations(32, &config).unwrap();

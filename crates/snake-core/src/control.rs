@@ -17,9 +17,9 @@ use crate::{Error, Result};
 /// same model and field can be used again at once.
 ///
 /// ```
-/// use snake_core::{CancelFlag, Control, Error, Model};
+/// use snake_core::{Builtin, CancelFlag, Control, Error, Model};
 /// # let points: Vec<[f32; 3]> = (0..500).map(|i| { let a = i as f32 * 0.1; [a.cos(), a.sin(), (a * 0.3).sin()] }).collect();
-/// let model = Model::builtin()?;
+/// let model = Model::builtin(Builtin::Compact);
 /// let cancel = CancelFlag::default();
 /// cancel.cancel(); // from any thread, at any time
 /// let stopped = model.detect_with(&points, model.recommended(), &Control::new().cancel(&cancel));
@@ -154,12 +154,12 @@ mod tests {
     use super::*;
     use crate::detect::tests::cylinder;
     use crate::registration::{RegisterOptions, register_with};
-    use crate::{EncodeOptions, MeshOptions, Model, Point, Preset};
+    use crate::{Builtin, EncodeOptions, MeshOptions, Model, Options, Point};
 
     /// The built-in weights in a volume of 64³ voxels.
     fn model_of_64() -> Model {
         let file = safetensors::SafeTensors::deserialize(include_bytes!("../models/compact.safetensors")).unwrap();
-        let mut metadata = Model::builtin().unwrap().metadata().clone();
+        let mut metadata = Model::builtin(Builtin::Compact).metadata().clone();
         metadata.insert("resolution".into(), "[64, 64, 64]".into());
         let bytes = safetensors::serialize(file.tensors(), Some(metadata.into_iter().collect())).unwrap();
         Model::from_bytes(&bytes).unwrap()
@@ -211,11 +211,11 @@ mod tests {
     fn detection_stops_soon_and_leaves_nothing_behind() {
         let (points, _) = cylinder();
         let model = model_of_64();
-        let mut whole = Preset::default();
+        let mut whole = Options::default();
         whole.encode.rotations = 2;
-        let mut windows = *Model::builtin().unwrap().recommended();
-        windows.windows.window_radius = Some(0.5.into());
-        for (model, options) in [(&model, whole), (&Model::builtin().unwrap(), windows)] {
+        let mut windows = *Model::builtin(Builtin::Compact).recommended();
+        windows.window_radius = Some(0.5.into());
+        for (model, options) in [(&model, whole), (&Model::builtin(Builtin::Compact), windows)] {
             assert_stops_soon(|control| {
                 model.detect_with(&points, &options, control).map(|detection| detection.keypoints)
             });
@@ -232,7 +232,7 @@ mod tests {
         });
         let options = MeshOptions::default();
         assert_stops_soon(|control| field.mesh_with(&options, control));
-        let model = Model::builtin().unwrap();
+        let model = Model::builtin(Builtin::Compact);
         let bent: Vec<Point> = points.iter().map(|p| [p[0], p[1] + p[2], p[2] + p[0] * p[0]]).collect();
         let options = RegisterOptions { max_keypoints: 500, ..Default::default() };
         assert_stops_soon(|control| {
@@ -243,7 +243,7 @@ mod tests {
     #[test]
     fn a_call_that_is_stopped_before_it_begins_does_nothing() {
         let (points, _) = cylinder();
-        let model = Model::builtin().unwrap();
+        let model = Model::builtin(Builtin::Compact);
         let flag = CancelFlag::default();
         let late = Control::new().deadline(Instant::now());
         assert!(matches!(model.detect_with(&points, model.recommended(), &late), Err(Error::DeadlineExceeded)));

@@ -103,10 +103,10 @@ impl Field {
     /// Finds the keypoints of the encoded cloud (SNAKE Algorithm 1). A field without surface has none.
     ///
     /// ```
-    /// use snake_core::{DetectOptions, EncodeOptions, Length, Model};
+    /// use snake_core::{Builtin, DetectOptions, EncodeOptions, Length, Model};
     /// # let points: Vec<[f32; 3]> = (0..500).map(|i| { let a = i as f32 * 0.1; [a.cos(), a.sin(), (a * 0.3).sin()] }).collect();
-    /// let field = Model::builtin()?.encode(&points, &EncodeOptions::default())?;
-    /// let options = DetectOptions { max_keypoints: 16, nms_radius: 0.1.into(), ..Default::default() };
+    /// let field = Model::builtin(Builtin::Compact).encode(&points, &EncodeOptions::default())?;
+    /// let options = DetectOptions { max_keypoints: 16, nms_radius: Some(0.1.into()), ..Default::default() };
     /// assert!(field.detect(&options)?.keypoints.len() <= 16);
     /// # Ok::<(), snake_core::Error>(())
     /// ```
@@ -227,7 +227,7 @@ pub(crate) fn finish(
 pub(crate) mod tests {
     use super::*;
     use crate::length::Length;
-    use crate::{EncodeOptions, Model};
+    use crate::{Builtin, EncodeOptions, Model};
 
     /// A cylinder's points and its field by the built-in model.
     pub(crate) fn cylinder() -> (Vec<Point>, Field) {
@@ -237,14 +237,15 @@ pub(crate) mod tests {
                 [angle.cos(), angle.sin(), (i % 40) as f32 * 0.02]
             })
             .collect();
-        let field = Model::builtin().unwrap().encode(&points, &EncodeOptions::default()).unwrap();
+        let field = Model::builtin(Builtin::Compact).encode(&points, &EncodeOptions::default()).unwrap();
         (points, field)
     }
 
     #[test]
     fn a_suppression_radius_may_be_a_multiple_of_the_resolution() {
         let (points, field) = cylinder();
-        let found = |nms_radius| {
+        let found = |radius: Length| {
+            let nms_radius = Some(radius);
             let options =
                 DetectOptions { nms_radius, saliency_threshold: 0.0, max_keypoints: 1000, ..Default::default() };
             field.detect(&options).map(|detection| detection.keypoints)
@@ -267,7 +268,7 @@ pub(crate) mod tests {
             whole.extend(pair);
             whole.push([pair[0][0], f32::NAN, f32::INFINITY]);
         }
-        let model = Model::builtin().unwrap();
+        let model = Model::builtin(Builtin::Compact);
         for max_points in [None, Some(700)] {
             let mut preset = *model.recommended();
             preset.encode.max_points = max_points;

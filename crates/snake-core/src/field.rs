@@ -9,7 +9,7 @@ use crate::control::Control;
 use crate::decoder::Decoder;
 use crate::network::Network;
 use crate::nn::TILE;
-use crate::options::{EncodeOptions, Preset};
+use crate::options::{EncodeOptions, Options};
 use crate::points::{FinitePoints, Normalization, Point, check_points};
 use crate::rotations::{self, Rotation, turned, turned_back};
 use crate::volume::{Volume, VolumeFrame};
@@ -161,9 +161,9 @@ impl Field {
     /// Probability that there is surface at each query (SNAKE eq. 1).
     ///
     /// ```
-    /// use snake_core::{EncodeOptions, Model};
+    /// use snake_core::{Builtin, EncodeOptions, Model};
     /// # let points: Vec<[f32; 3]> = (0..500).map(|i| { let a = i as f32 * 0.1; [a.cos(), a.sin(), (a * 0.3).sin()] }).collect();
-    /// let field = Model::builtin()?.encode(&points, &EncodeOptions::default())?;
+    /// let field = Model::builtin(Builtin::Compact).encode(&points, &EncodeOptions::default())?;
     /// let occupancy = field.occupancy(&[[0.0, 0.0, 0.0], points[0]])?;
     /// let (saliency, gradient) = field.saliency_and_gradient(&points)?;
     /// # assert_eq!((occupancy.len(), saliency.len(), gradient.len()), (2, 500, 500));
@@ -328,7 +328,7 @@ impl Field {
     }
 
     /// The options that suit the network that made this field.
-    pub fn recommended(&self) -> &Preset {
+    pub fn recommended(&self) -> &Options {
         &self.network.recommended
     }
 }
@@ -348,8 +348,8 @@ fn probability(log_odds: f32) -> f32 {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::Model;
     use crate::points::NormalizationMethod;
+    use crate::{Builtin, Model};
 
     #[test]
     fn several_rotations_are_averaged_as_log_odds_and_gradients_match_differences() {
@@ -359,7 +359,7 @@ mod tests {
                 [angle.cos() + 3.0, 2.0 * angle.sin(), (i % 40) as f32 * 0.02]
             })
             .collect();
-        let model = Model::builtin().unwrap();
+        let model = Model::builtin(Builtin::Compact);
         let encode = |points: &[Point], rotations| {
             model.encode(points, &EncodeOptions { rotations, ..Default::default() }).unwrap()
         };
@@ -398,7 +398,7 @@ mod tests {
         let points: Vec<Point> = (0..100).map(|i| [i as f32, (i * i % 7) as f32, 0.0]).collect();
         let encode = |normalization, rotations| {
             let options = EncodeOptions { normalization, rotations, ..Default::default() };
-            Model::builtin().unwrap().encode(&points, &options).is_ok()
+            Model::builtin(Builtin::Compact).encode(&points, &options).is_ok()
         };
         assert!(encode(NormalizationMethod::UnitSphere, 2) && encode(NormalizationMethod::UnitCube, 1));
         assert!(!encode(NormalizationMethod::UnitCube, 2) && !encode(NormalizationMethod::UnitSphere, 0));

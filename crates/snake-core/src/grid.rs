@@ -54,9 +54,9 @@ impl Field {
     /// The grid with so many positions along each axis.
     ///
     /// ```
-    /// use snake_core::{EncodeOptions, Model};
+    /// use snake_core::{Builtin, EncodeOptions, Model};
     /// # let points: Vec<[f32; 3]> = (0..500).map(|i| { let a = i as f32 * 0.1; [a.cos(), a.sin(), (a * 0.3).sin()] }).collect();
-    /// let field = Model::builtin()?.encode(&points, &EncodeOptions::default())?;
+    /// let field = Model::builtin(Builtin::Compact).encode(&points, &EncodeOptions::default())?;
     /// let grid = field.grid(64)?;
     /// let slice = field.saliency(&grid.plane(2, 0.0))?; // [y][x] where z = 0
     /// assert_eq!(slice.len(), 64 * 64);

@@ -10,19 +10,30 @@ use crate::control::Control;
 use crate::detect::Detection;
 use crate::field::Field;
 use crate::network::Network;
-use crate::options::{EncodeOptions, Preset};
+use crate::options::{EncodeOptions, Options, Preset};
 use crate::points::Point;
 use crate::windows::detect_in_windows;
 use crate::{Error, Result};
 
 const COMPACT: &[u8] = include_bytes!("../models/compact.safetensors");
-const STANDARD: &[u8] = include_bytes!("../models/standard.safetensors");
 const ROOMS: &[u8] = include_bytes!("../models/rooms.safetensors");
+
+/// A model that comes with the crate (see `models/README.md`).
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+#[non_exhaustive]
+pub enum Builtin {
+    /// For objects, of any unit.
+    #[default]
+    Compact,
+    /// For clouds of rooms in metres, which it recommends to see through windows.
+    Rooms,
+}
 
 /// A network with its weights; cloning it is cheap.
 ///
 /// ```
-/// let model = snake_core::Model::builtin()?;
+/// use snake_core::{Builtin, Model};
+/// let model = Model::builtin(Builtin::Compact);
 /// assert_eq!(model.config().frame.resolution, [32, 32, 32]);
 /// # Ok::<(), snake_core::Error>(())
 /// ```
@@ -32,29 +43,34 @@ pub struct Model {
 }
 
 impl Model {
-    /// The names that [`Model::named`] knows: the models that come with the crate (see `models/README.md`).
+    /// The names that [`Model::named`] knows: the built-in models, and `standard`.
     pub const NAMES: [&'static str; 3] = ["compact", "standard", "rooms"];
 
-    /// A model that comes with the crate: `compact`, for objects; `standard`, for objects too, whose keypoints repeat better
-    /// and take longer; or `rooms`, for clouds of rooms in metres, which it recommends to see through windows.
+    /// A model that comes with the crate.
+    pub fn builtin(which: Builtin) -> Self {
+        let bytes = match which {
+            Builtin::Compact => COMPACT,
+            Builtin::Rooms => ROOMS,
+        };
+        Self::from_bytes(bytes).expect("a test reads every embedded file")
+    }
+
+    /// A built-in model by its name, `compact` or `rooms`; or `standard`, the model `compact` that recommends
+    /// [`Preset::Standard`], with which keypoints repeat better and take longer.
     ///
     /// # Errors
     /// [`Error::Option`] for an unknown name.
     pub fn named(name: &str) -> Result<Self> {
         match name {
-            "compact" => Self::from_bytes(COMPACT),
-            "standard" => Self::from_bytes(STANDARD),
-            "rooms" => Self::from_bytes(ROOMS),
+            "compact" => Ok(Self::builtin(Builtin::Compact)),
+            "rooms" => Ok(Self::builtin(Builtin::Rooms)),
+            "standard" => {
+                let mut network = Network::from_bytes(COMPACT)?;
+                network.recommended = Preset::Standard.options();
+                Ok(Self { network: Arc::new(network) })
+            }
             _ => Err(Error::Option { name: "model", value: name.into(), allowed: "compact, standard or rooms" }),
         }
-    }
-
-    /// The model `compact`.
-    ///
-    /// # Errors
-    /// None in a released build: the embedded file is checked by the tests.
-    pub fn builtin() -> Result<Self> {
-        Self::named("compact")
     }
 
     /// Reads a weight file (safetensors; float32 or float16).
@@ -91,7 +107,7 @@ impl Model {
     }
 
     /// The options that suit these weights: from the metadata key `recommended_options`, else the defaults.
-    pub fn recommended(&self) -> &Preset {
+    pub fn recommended(&self) -> &Options {
         &self.network.recommended
     }
 
@@ -115,9 +131,9 @@ impl Model {
     /// Keypoints of a cloud in one call: [`Model::encode`], then [`Field::detect`]; or in windows, if the options say so.
     ///
     /// ```
-    /// use snake_core::{Model, Preset};
+    /// use snake_core::{Builtin, Model, Options};
     /// # let points: Vec<[f32; 3]> = (0..500).map(|i| { let a = i as f32 * 0.1; [a.cos(), a.sin(), (a * 0.3).sin()] }).collect();
-    /// let model = Model::builtin()?;
+    /// let model = Model::builtin(Builtin::Compact);
     /// let detection = model.detect(&points, model.recommended())?;
     /// for keypoint in &detection.keypoints {
     ///     println!("{:?} {:.3}", keypoint.position, keypoint.saliency);
@@ -127,7 +143,7 @@ impl Model {
     ///
     /// # Errors
     /// Those of [`Model::encode`] and [`Field::detect`].
-    pub fn detect(&self, points: &[Point], options: &Preset) -> Result<Detection> {
+    pub fn detect(&self, points: &[Point], options: &Options) -> Result<Detection> {
         self.detect_with(points, options, &Control::default())
     }
 
@@ -135,9 +151,9 @@ impl Model {
     ///
     /// # Errors
     /// Those of [`Model::detect`]; [`Error::Cancelled`] and [`Error::DeadlineExceeded`].
-    pub fn detect_with(&self, points: &[Point], options: &Preset, control: &Control) -> Result<Detection> {
+    pub fn detect_with(&self, points: &[Point], options: &Options, control: &Control) -> Result<Detection> {
         options.check(self.config())?;
-        if let Some(radius) = options.windows.window_radius {
+        if let Some(radius) = options.window_radius {
             return detect_in_windows(&self.network, points, radius, options, control);
         }
         let start = Instant::now();
@@ -151,5 +167,22 @@ impl Model {
     #[cfg(test)]
     pub(crate) fn network(&self) -> &Network {
         &self.network
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn every_embedded_model_is_read_and_recommends_what_it_was_trained_for() {
+        let [compact, standard, rooms] = Model::NAMES.map(|name| Model::named(name).unwrap());
+        assert_eq!(compact.metadata(), standard.metadata());
+        assert_eq!(*standard.recommended(), Preset::Standard.options());
+        assert_eq!((compact.recommended().encode.rotations, standard.recommended().encode.rotations), (1, 8));
+        assert!(compact.recommended().window_radius.is_none() && rooms.recommended().window_radius.is_some());
+        assert_eq!(Model::builtin(Builtin::default()).metadata(), compact.metadata());
+        assert_eq!(Model::builtin(Builtin::Rooms).metadata(), rooms.metadata());
+        assert!(Model::named("large").is_err());
     }
 }

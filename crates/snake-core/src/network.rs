@@ -6,7 +6,7 @@ use crate::Result;
 use crate::config::ModelConfig;
 use crate::decoder::Decoder;
 use crate::encoder::Encoder;
-use crate::options::Preset;
+use crate::options::Options;
 use crate::weights::{self, Weights};
 
 /// Encoder and decoders.
@@ -14,7 +14,7 @@ use crate::weights::{self, Weights};
 pub(crate) struct Network {
     pub(crate) config: ModelConfig,
     pub(crate) metadata: BTreeMap<String, String>,
-    pub(crate) recommended: Preset,
+    pub(crate) recommended: Options,
     pub(crate) num_parameters: usize,
     pub(crate) encoder: Encoder,
     pub(crate) occupancy: Decoder,
@@ -32,7 +32,7 @@ impl Network {
             recommended: match file.metadata.get("recommended_options") {
                 Some(json) => serde_json::from_str(json)
                     .map_err(|e| weights::error("recommended_options", "options of snake-rs as JSON", e.to_string()))?,
-                None => Preset::default(),
+                None => Options::default(),
             },
             encoder: Encoder::load(&file.at("encoder"), &config)?,
             occupancy: Decoder::occupancy(&file.at("decoder_occup"), &config)?,

@@ -109,8 +109,9 @@ pub struct DetectOptions {
     pub surface_threshold: f32,
     /// Keypoints have a score above this (thr_s).
     pub saliency_threshold: f32,
-    /// Keypoints are farther apart than this; 0 turns suppression off.
-    pub nms_radius: Length,
+    /// Keypoints are farther apart than this; `None` turns suppression off. In JSON 0 is also `None`.
+    #[serde(deserialize_with = "none_if_zero")]
+    pub nms_radius: Option<Length>,
     /// At most this many keypoints, the best.
     pub max_keypoints: usize,
     /// Move each keypoint to its nearest input point. Two may then fall on the same point, as in the paper.
@@ -129,7 +130,7 @@ impl Default for DetectOptions {
             selection: Selection::BestPosition,
             surface_threshold: 0.8,
             saliency_threshold: 0.7,
-            nms_radius: Length::Units(0.01),
+            nms_radius: Some(Length::Units(0.01)),
             max_keypoints: 64,
             snap: false,
         }
@@ -149,40 +150,76 @@ impl DetectOptions {
         within("occupancy_threshold", self.occupancy_threshold, 0.0..=1.0, "0 to 1")?;
         within("surface_threshold", self.surface_threshold, 0.0..=1.0, "0 to 1")?;
         within("saliency_threshold", self.saliency_threshold, 0.0..=1.0, "0 to 1")?;
-        let (Length::Units(nms_radius) | Length::Resolutions(nms_radius)) = self.nms_radius;
-        within("nms_radius", nms_radius as f32, 0.0..=f32::MAX, "0 or more (cloud units, or as in `3r` resolutions)")?;
+        if let Some(length @ (Length::Units(value) | Length::Resolutions(value))) = self.nms_radius
+            && !(value >= 0.0 && value as f32 <= f32::MAX)
+        {
+            let allowed = "0 or more (cloud units, or as in `3r` resolutions)";
+            return Err(Error::Option { name: "nms_radius", value: length.to_string(), allowed });
+        }
         budget::check_queries(self.query_resolution, self.refine_steps, rotations)
     }
 
-    /// The suppression radius in cloud units.
+    /// The suppression radius in cloud units; 0 for none.
     pub(crate) fn nms_radius(&self, points: &[Point]) -> Result<f32> {
         match self.nms_radius {
-            Length::Units(radius) => Ok(radius as f32),
-            multiple => Ok(multiple.in_units("nms_radius", points)? as f32),
+            None => Ok(0.0),
+            Some(Length::Units(radius)) => Ok(radius as f32),
+            Some(multiple) => Ok(multiple.in_units("nms_radius", points)? as f32),
         }
     }
 }
 
-/// Encoding and detection options that belong together.
+/// A length, or `None` for 0 and null.
+fn none_if_zero<'de, D: serde::Deserializer<'de>>(deserializer: D) -> std::result::Result<Option<Length>, D::Error> {
+    let length = Option::<Length>::deserialize(deserializer)?;
+    Ok(length.filter(|length| *length != Length::Units(0.0)))
+}
+
+/// All options of [`Model::detect`](crate::Model::detect).
 #[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
-#[serde(default, deny_unknown_fields)]
-pub struct Preset {
+#[serde(from = "OptionsFile")]
+pub struct Options {
     /// How the cloud is encoded.
     pub encode: EncodeOptions,
     /// How keypoints are found.
     pub detect: DetectOptions,
-    /// Whether in the whole cloud at once.
-    pub windows: WindowOptions,
+    /// The radius of the balls that cover the cloud, each of which is encoded by itself at the scale of its radius, so
+    /// that what is found at a place depends on its surroundings alone; the normalisation is not used. `None`: the whole
+    /// cloud is encoded at once, in which details of large clouds are lost.
+    pub window_radius: Option<Length>,
 }
 
-impl Preset {
-    /// The names that [`Preset::named`] knows: the rows of the paper's table of hyper-parameters.
-    pub const NAMES: [&'static str; 5] = ["modelnet40", "keypointnet", "smpl", "redwood", "3dmatch"];
+/// [`Options`] as files hold them; those of 2025 have the radius in a group of its own.
+#[derive(Default, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+struct OptionsFile {
+    encode: EncodeOptions,
+    detect: DetectOptions,
+    window_radius: Option<Length>,
+    windows: WindowsFile,
+}
 
+#[derive(Default, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+struct WindowsFile {
+    window_radius: Option<Length>,
+}
+
+impl From<OptionsFile> for Options {
+    fn from(file: OptionsFile) -> Self {
+        let OptionsFile { encode, detect, window_radius, windows } = file;
+        Self { encode, detect, window_radius: window_radius.or(windows.window_radius) }
+    }
+}
+
+impl Options {
     /// Refuses what is out of its range, and what would ask for too much of the machine with that network.
     pub(crate) fn check(&self, config: &ModelConfig) -> Result<()> {
-        self.windows.check()?;
-        let normalization = match self.windows.window_radius {
+        // A multiple has the range of a length; what it multiplies is known later.
+        if let Some(length @ (Length::Units(value) | Length::Resolutions(value))) = self.window_radius {
+            check_radius(value, || length.to_string())?;
+        }
+        let normalization = match self.window_radius {
             // A ball can be turned as the sphere can.
             Some(_) => NormalizationMethod::UnitSphere,
             None => self.encode.normalization,
@@ -190,65 +227,85 @@ impl Preset {
         EncodeOptions { normalization, ..self.encode }.check(config)?;
         self.detect.check(self.encode.rotations)
     }
+}
 
-    /// The test settings of one of the paper's data sets (appendix B, and the released code where the paper is silent).
+/// A named set of options.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[non_exhaustive]
+pub enum Preset {
+    /// The paper's settings for ModelNet40.
+    ModelNet40,
+    /// The paper's settings for KeypointNet.
+    KeypointNet,
+    /// The paper's settings for SMPL.
+    Smpl,
+    /// The paper's settings for Redwood.
+    Redwood,
+    /// The paper's settings for 3DMatch.
+    ThreeDMatch,
+    /// For [`Builtin::Compact`](crate::Builtin::Compact): eight turned copies and refinement, whose keypoints repeat
+    /// better and take longer.
+    Standard,
+}
+
+impl Preset {
+    /// All presets, those of the paper's table of hyper-parameters first.
+    pub const ALL: [Self; 6] =
+        [Self::ModelNet40, Self::KeypointNet, Self::Smpl, Self::Redwood, Self::ThreeDMatch, Self::Standard];
+
+    /// Its name, as [`Preset::named`] takes it.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::ModelNet40 => "modelnet40",
+            Self::KeypointNet => "keypointnet",
+            Self::Smpl => "smpl",
+            Self::Redwood => "redwood",
+            Self::ThreeDMatch => "3dmatch",
+            Self::Standard => "standard",
+        }
+    }
+
+    /// The preset of that name.
     ///
     /// # Errors
     /// [`Error::Option`] for an unknown name.
     pub fn named(name: &str) -> Result<Self> {
-        let (normalization, max_points) = match name {
-            "modelnet40" => (NormalizationMethod::UnitSphere, Some(5000)),
-            "keypointnet" | "smpl" => (NormalizationMethod::UnitCube, Some(2048)),
-            "redwood" => (NormalizationMethod::UnitCube, Some(10_240)),
-            "3dmatch" => (NormalizationMethod::UnitCube, None),
-            _ => {
-                let allowed = "modelnet40, keypointnet, smpl, redwood or 3dmatch";
-                return Err(Error::Option { name: "preset", value: name.into(), allowed });
-            }
-        };
+        Self::ALL.into_iter().find(|preset| preset.name() == name).ok_or_else(|| {
+            let allowed = "modelnet40, keypointnet, smpl, redwood, 3dmatch or standard";
+            Error::Option { name: "preset", value: name.into(), allowed }
+        })
+    }
+
+    /// Its options: those of the paper's appendix B, and of the released code where the paper is silent.
+    pub fn options(self) -> Options {
         let common = DetectOptions::default();
-        let detect = match name {
-            "keypointnet" => DetectOptions { nms_radius: Length::Units(0.1), ..common },
-            "smpl" => DetectOptions { nms_radius: Length::Units(0.1), snap: true, ..common },
-            "redwood" => {
-                DetectOptions { query_resolution: 100, nms_radius: Length::Units(0.04), max_keypoints: 512, ..common }
+        let radius = |units| Some(Length::Units(units));
+        let (normalization, max_points) = match self {
+            Self::ModelNet40 => (NormalizationMethod::UnitSphere, Some(5000)),
+            Self::KeypointNet | Self::Smpl => (NormalizationMethod::UnitCube, Some(2048)),
+            Self::Redwood => (NormalizationMethod::UnitCube, Some(10_240)),
+            Self::ThreeDMatch => (NormalizationMethod::UnitCube, None),
+            Self::Standard => (NormalizationMethod::UnitSphere, None),
+        };
+        let detect = match self {
+            Self::ModelNet40 => common,
+            Self::KeypointNet => DetectOptions { nms_radius: radius(0.1), ..common },
+            Self::Smpl => DetectOptions { nms_radius: radius(0.1), snap: true, ..common },
+            Self::Redwood => {
+                DetectOptions { query_resolution: 100, nms_radius: radius(0.04), max_keypoints: 512, ..common }
             }
-            "3dmatch" => DetectOptions {
+            Self::ThreeDMatch => DetectOptions {
                 saliency_threshold: 0.4,
-                nms_radius: Length::Units(0.04),
+                nms_radius: radius(0.04),
                 max_keypoints: 2500,
                 snap: true,
                 ..common
             },
-            _ => common,
+            Self::Standard => DetectOptions { saliency_threshold: 0.5, query_band: 1, ..common },
         };
-        Ok(Self {
-            encode: EncodeOptions { normalization, max_points, ..Default::default() },
-            detect,
-            ..Default::default()
-        })
-    }
-}
-
-/// Options of detection in windows.
-#[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
-#[serde(default, deny_unknown_fields)]
-pub struct WindowOptions {
-    /// The radius of the balls that cover the cloud, each of which is encoded by itself at the scale of its radius, so
-    /// that what is found at a place depends on its surroundings alone; the normalisation is not used. `None`: the whole
-    /// cloud is encoded at once, in which details of large clouds are lost.
-    pub window_radius: Option<Length>,
-}
-
-impl WindowOptions {
-    pub(crate) fn check(&self) -> Result<()> {
-        match self.window_radius {
-            // A multiple has the range of a length; what it multiplies is known later.
-            Some(length @ (Length::Units(value) | Length::Resolutions(value))) => {
-                check_radius(value, || length.to_string())
-            }
-            None => Ok(()),
-        }
+        let rotations = if self == Self::Standard { 8 } else { 1 };
+        let encode = EncodeOptions { normalization, max_points, rotations, ..Default::default() };
+        Options { encode, detect, window_radius: None }
     }
 }
 
@@ -297,5 +354,37 @@ impl MeshOptions {
             return Err(Error::Option { name: "level", value, allowed: "0.001 to 0.999 (a probability)" });
         }
         Ok(())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_radius_of_0_is_none_and_old_files_keep_their_windows() {
+        let read = |json: &str| serde_json::from_str::<Options>(json).unwrap();
+        for off in ["0", "0.0", "null"] {
+            assert_eq!(read(&format!("{{\"detect\":{{\"nms_radius\":{off}}}}}")).detect.nms_radius, None, "{off}");
+        }
+        assert_eq!(read(r#"{"detect":{"nms_radius":"3r"}}"#).detect.nms_radius, Some(Length::Resolutions(3.0)));
+        let old = read(r#"{"detect":{"refine_steps":0},"windows":{"window_radius":0.8}}"#);
+        assert_eq!(old, read(r#"{"detect":{"refine_steps":0},"window_radius":0.8}"#));
+        assert_eq!(old.window_radius, Some(Length::Units(0.8)));
+        assert!(serde_json::from_str::<Options>(r#"{"window":{}}"#).is_err());
+    }
+
+    #[test]
+    fn options_are_read_as_they_are_written() {
+        for preset in Preset::ALL {
+            let options = preset.options();
+            assert_eq!(Preset::named(preset.name()).unwrap(), preset);
+            assert_eq!(serde_json::from_str::<Options>(&serde_json::to_string(&options).unwrap()).unwrap(), options);
+        }
+        let mut options = Options { window_radius: Some(Length::Resolutions(40.0)), ..Default::default() };
+        options.detect.nms_radius = None;
+        assert_eq!(serde_json::from_str::<Options>(&serde_json::to_string(&options).unwrap()).unwrap(), options);
+        let error = Preset::named("scannet").unwrap_err().to_string();
+        assert!(Preset::ALL.iter().all(|preset| error.contains(preset.name())), "{error}");
     }
 }

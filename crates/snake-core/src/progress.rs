@@ -10,10 +10,10 @@ use std::time::{Duration, Instant};
 /// depend on it. Of several calls that share one, it shows the stage that began last.
 ///
 /// ```
-/// use snake_core::{Control, Model, Progress};
+/// use snake_core::{Builtin, Control, Model, Progress};
 /// # let points: Vec<[f32; 3]> = (0..500).map(|i| { let a = i as f32 * 0.1; [a.cos(), a.sin(), (a * 0.3).sin()] }).collect();
 /// let progress = Progress::default();
-/// let model = Model::builtin()?;
+/// let model = Model::builtin(Builtin::Compact);
 /// let control = Control::new().progress(&progress);
 /// std::thread::scope(|scope| {
 ///     let detection = scope.spawn(|| model.detect_with(&points, model.recommended(), &control));
@@ -91,7 +91,7 @@ mod tests {
     use crate::query_grid::{QueryGrid, above_occupancy};
     use crate::refine::refine;
     use crate::registration::{Descriptor, RegisterOptions, Registration, Scan, register, register_with};
-    use crate::{Control, DetectOptions, EncodeOptions, MeshOptions, Model, Selection};
+    use crate::{Builtin, Control, DetectOptions, EncodeOptions, MeshOptions, Model, Selection};
 
     /// Asserts that a stage of this name began last and is complete.
     fn assert_complete(progress: &Progress, name: &str) {
@@ -106,7 +106,7 @@ mod tests {
         let progress = Progress::default();
         assert_eq!(progress.stage(), None);
         let control = Control::new().progress(&progress);
-        let model = Model::builtin().unwrap();
+        let model = Model::builtin(Builtin::Compact);
         for rotations in [3, 1] {
             let options = EncodeOptions { rotations, ..Default::default() };
             model.encode_with(&points, &options, &control).unwrap();
@@ -141,7 +141,7 @@ mod tests {
         let points = crate::io::read_points(concat!(env!("CARGO_MANIFEST_DIR"), "/../../samples/plane.ply").as_ref());
         let points = points.unwrap();
         let progress = Progress::default();
-        let model = Model::builtin().unwrap();
+        let model = Model::builtin(Builtin::Compact);
         let control = Control::new().progress(&progress);
         let scan = Scan::new_with(&points, &model, 0.05, &control).unwrap();
         assert_complete(&progress, "normals");
@@ -159,7 +159,7 @@ mod tests {
     fn another_thread_sees_it_grow() {
         let (points, _) = cylinder();
         let progress = Progress::default();
-        let (model, control) = (Model::builtin().unwrap(), Control::new().progress(&progress));
+        let (model, control) = (Model::builtin(Builtin::Compact), Control::new().progress(&progress));
         let options = EncodeOptions { rotations: 16, ..Default::default() };
         std::thread::scope(|scope| {
             let encoding = scope.spawn(|| model.encode_with(&points, &options, &control).unwrap());

@@ -12,7 +12,7 @@ use crate::field::{Field, check_number_of_points};
 use crate::kd_tree::KdTree;
 use crate::length::Length;
 use crate::network::Network;
-use crate::options::{Preset, check_radius};
+use crate::options::{Options, check_radius};
 use crate::points::{FinitePoints, Normalization, NormalizationMethod, Point};
 use crate::side_by_side::side_by_side;
 use crate::window_cells::{WindowCells, has_more_windows};
@@ -29,10 +29,10 @@ pub(crate) fn detect_in_windows(
     network: &Arc<Network>,
     points: &[Point],
     radius: Length,
-    options: &Preset,
+    options: &Options,
     control: &Control,
 ) -> Result<Detection> {
-    let Preset { encode, detect: options, .. } = options;
+    let Options { encode, detect: options, .. } = options;
     let finite = FinitePoints::of("points", points)?;
     let radius = radius.in_units("window_radius", &finite.points)?;
     check_radius(radius, || format!("{radius:e}"))?;
@@ -117,7 +117,7 @@ fn larger_radius(points: &[Point], radius: f32, extent: f32) -> f64 {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::{DetectOptions, Keypoint, Model, WindowOptions};
+    use crate::{Builtin, DetectOptions, Keypoint, Model};
 
     /// A plate of 6 by 4 with two posts on it.
     fn plate() -> Vec<Point> {
@@ -131,12 +131,11 @@ mod tests {
         plate.chain(post(1.5, 1.0)).chain(post(4.5, 3.0)).collect()
     }
 
-    fn preset(window_radius: f64) -> Preset {
-        let detect = DetectOptions { saliency_threshold: 0.0, max_keypoints: 200, ..Preset::default().detect };
-        let windows = WindowOptions { window_radius: Some(Length::Units(window_radius)) };
-        Preset {
+    fn preset(window_radius: f64) -> Options {
+        let detect = DetectOptions { saliency_threshold: 0.0, max_keypoints: 200, ..Options::default().detect };
+        Options {
             detect: DetectOptions { query_resolution: 24, refine_steps: 0, ..detect },
-            windows,
+            window_radius: Some(Length::Units(window_radius)),
             ..Default::default()
         }
     }
@@ -144,7 +143,7 @@ mod tests {
     #[test]
     fn one_window_that_holds_the_cloud_is_its_field() {
         let points: Vec<Point> = plate().into_iter().skip(9600).take(800).collect();
-        let model = Model::builtin().unwrap();
+        let model = Model::builtin(Builtin::Compact);
         for snap in [false, true] {
             let mut options = preset(5.0);
             options.detect.snap = snap;
@@ -153,9 +152,9 @@ mod tests {
             let [center] = center[..] else { panic!("{center:?}") };
             let scaled: Vec<Point> =
                 points.iter().map(|p| std::array::from_fn(|a| (p[a] - center[a]) / 10.0)).collect();
-            options.windows.window_radius = None;
+            options.window_radius = None;
             options.encode.normalization = NormalizationMethod::None;
-            options.detect.nms_radius = Length::Units(0.001);
+            options.detect.nms_radius = Some(Length::Units(0.001));
             let alone = model.detect(&scaled, &options).unwrap();
             assert_eq!(found.counts, alone.counts);
             assert!(found.keypoints.len() > 3);
@@ -172,7 +171,7 @@ mod tests {
 
     #[test]
     fn any_number_of_threads_gives_the_same_bits() {
-        let model = Model::builtin().unwrap();
+        let model = Model::builtin(Builtin::Compact);
         let points = plate();
         let mut options = preset(0.6);
         options.detect.query_resolution = 12;
@@ -190,7 +189,7 @@ mod tests {
 
     #[test]
     fn more_windows_than_half_the_points_are_refused_with_a_radius_that_suits_them() {
-        let model = Model::builtin().unwrap();
+        let model = Model::builtin(Builtin::Compact);
         let points = plate();
         for radius in [1e-15, 1e-9, 0.03] {
             let error = model.detect(&points, &preset(radius)).unwrap_err().to_string();
@@ -204,7 +203,7 @@ mod tests {
     /// What the whole cloud's windows find at a place, a cloud that ends a window further on finds too.
     #[test]
     fn what_is_found_depends_on_the_surroundings_alone() {
-        let model = Model::builtin().unwrap();
+        let model = Model::builtin(Builtin::Compact);
         let points = plate();
         // Cells of 0.8 along x: windows with middles below 2.4 see nothing beyond 3.4.
         let near: Vec<Point> = points.iter().filter(|p| p[0] < 4.0).copied().collect();
@@ -224,11 +223,11 @@ mod tests {
 
     #[test]
     fn options_and_indices_are_as_without_windows() {
-        let model = Model::builtin().unwrap();
+        let model = Model::builtin(Builtin::Compact);
         let mut points = plate();
         points.insert(0, [f32::NAN; 3]);
         let mut options = preset(1.5);
-        options.detect.nms_radius = Length::Units(0.3);
+        options.detect.nms_radius = Some(Length::Units(0.3));
         options.detect.snap = true;
         options.encode.rotations = 2;
         options.encode.max_points = Some(5000);

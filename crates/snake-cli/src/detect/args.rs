@@ -5,10 +5,10 @@ use std::path::PathBuf;
 use anyhow::Result;
 use clap::Args;
 use snake_core::io::KeypointFormat;
-use snake_core::{Length, Model, Preset, RefineMethod, Selection};
+use snake_core::{Length, Model, Options, RefineMethod, Selection};
 
 use crate::inputs::InputArguments;
-use crate::setup::{ComputeArguments, EncodeFlags, named, override_with};
+use crate::setup::{ComputeArguments, EncodeFlags, named, none_if_zero, override_with};
 
 #[derive(Args)]
 pub struct DetectArguments {
@@ -96,9 +96,9 @@ pub struct DetectFlags {
 
 impl DetectFlags {
     /// The options of a run: preset or model's recommendation, overridden by what was given.
-    pub fn resolve(&self, model: &Model) -> Result<Preset> {
+    pub fn resolve(&self, model: &Model) -> Result<Options> {
         let mut preset = self.encode.resolve(model)?;
-        override_with(&mut preset.windows.window_radius, self.window_radius.map(Some));
+        override_with(&mut preset.window_radius, self.window_radius.map(Some));
         let detect = &mut preset.detect;
         override_with(&mut detect.query_resolution, self.query_resolution);
         override_with(&mut detect.query_band, self.query_band);
@@ -109,7 +109,7 @@ impl DetectFlags {
         override_with(&mut detect.occupancy_threshold, self.occupancy_threshold);
         override_with(&mut detect.surface_threshold, self.surface_threshold);
         override_with(&mut detect.saliency_threshold, self.saliency_threshold);
-        override_with(&mut detect.nms_radius, self.nms_radius);
+        override_with(&mut detect.nms_radius, self.nms_radius.map(none_if_zero));
         override_with(&mut detect.max_keypoints, self.max_keypoints);
         override_with(&mut detect.snap, self.snap.then_some(true));
         Ok(preset)

@@ -11,7 +11,7 @@ use std::time::Instant;
 use anyhow::{Context, Result, anyhow, bail};
 use serde_json::json;
 use snake_core::io::{self, Cloud, KeypointFormat, KeypointSource};
-use snake_core::{Control, Detection, Model, Preset, Progress, add_origin};
+use snake_core::{Control, Detection, Model, Options, Progress, add_origin};
 
 use crate::inputs::{DASH, check_inputs, expand, output_origin};
 use crate::output::{InputFiles, in_folder};
@@ -122,7 +122,7 @@ fn outputs(arguments: &DetectArguments, inputs: &[PathBuf]) -> Result<Vec<Result
 /// One input from file to file; returns what is printed about it, and how long it took.
 fn process(
     model: &Model,
-    options: &Preset,
+    options: &Options,
     arguments: &DetectArguments,
     input: &Path,
     output: Option<&Path>,

@@ -3,13 +3,14 @@
 use anyhow::{Result, bail};
 use serde_json::{Value, json};
 use snake_core::baselines::{Detector, Protocol};
-use snake_core::{Length, Model, Point, Preset};
+use snake_core::{Length, Model, Options, Point, Preset};
 
 use super::args::{EvalArguments, ProtocolName};
+use crate::setup::none_if_zero;
 
 /// A detector with its settings: from a cloud to the positions of its best keypoints.
 pub enum Method {
-    Snake { name: String, model: Box<Model>, options: Preset },
+    Snake { name: String, model: Box<Model>, options: Options },
     Classical { name: String, detector: Detector, count: usize, protocol: Protocol, spacing: Option<Length> },
 }
 
@@ -44,13 +45,13 @@ impl Method {
     ) -> Result<Self> {
         let model = arguments.run.compute.load_model()?;
         let mut options = match &arguments.preset {
-            Some(name) => Preset::named(name)?,
+            Some(name) => Preset::named(name)?.options(),
             None => *model.recommended(),
         };
         options.detect.max_keypoints = arguments.count;
         options.encode.rotations = rotations.unwrap_or(options.encode.rotations);
-        options.windows.window_radius = arguments.window_radius.or(options.windows.window_radius);
-        options.detect.nms_radius = nms_radius.unwrap_or(options.detect.nms_radius);
+        options.window_radius = arguments.window_radius.or(options.window_radius);
+        options.detect.nms_radius = nms_radius.map_or(options.detect.nms_radius, none_if_zero);
         Ok(Self::Snake { name: name.into(), model: Box::new(model), options })
     }
 

@@ -4,7 +4,7 @@ use base64::Engine;
 use base64::engine::general_purpose::STANDARD;
 use serde_json::{Value, json};
 use snake_core::registration::Registration;
-use snake_core::{Detection, Field, Mesh, Normalization, Point, Preset, Transform, add_origin, io};
+use snake_core::{Detection, Field, Mesh, Normalization, Options, Point, Transform, add_origin, io};
 
 use super::colormap::Colormap;
 
@@ -18,7 +18,7 @@ pub struct Page {
     pub clouds: Vec<ShownCloud>,
     /// Of two clouds.
     pub pair: Option<Pair>,
-    pub options: Preset,
+    pub options: Options,
     pub model_name: String,
     pub colormap: Colormap,
 }

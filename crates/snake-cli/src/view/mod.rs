@@ -8,7 +8,7 @@ use anyhow::{Context, Result, bail};
 use snake_core::metrics::repeated_keypoints;
 use snake_core::registration::{RegisterOptions, add_origins, register_with, subtract_origins};
 use snake_core::{
-    Cloud, Control, Field, Length, Mesh, MeshOptions, Model, Normalization, NormalizationMethod, Point, Preset,
+    Cloud, Control, Field, Length, Mesh, MeshOptions, Model, Normalization, NormalizationMethod, Options, Point,
     Progress, Transform, io,
 };
 
@@ -70,10 +70,10 @@ pub fn run(arguments: &ViewArguments) -> Result<()> {
 }
 
 /// One cloud with all that the page shows of it.
-fn shown(model: &Model, options: &Preset, input: &Path, cloud: &Cloud, control: &Control) -> Result<ShownCloud> {
+fn shown(model: &Model, options: &Options, input: &Path, cloud: &Cloud, control: &Control) -> Result<ShownCloud> {
     let points = &cloud.points;
     let field = model.encode_with(points, &options.encode, control).with_context(|| input.display().to_string())?;
-    let detection = match options.windows.window_radius {
+    let detection = match options.window_radius {
         Some(_) => model.detect_with(points, options, control)?,
         None => field.detect_with(&options.detect, control)?,
     };

@@ -191,8 +191,8 @@ mod tests {
     use rand_chacha::ChaCha8Rng;
 
     use super::*;
-    use crate::Model;
     use crate::volume::VolumeFrame;
+    use crate::{Builtin, Model};
 
     impl PointNet {
         /// The textbook: features `(points, c_dim)` of all points, and the mean over each occupied voxel.
@@ -222,7 +222,7 @@ mod tests {
 
     #[test]
     fn voxels_of_any_size_have_the_bits_of_the_textbook() {
-        let model = Model::builtin().unwrap();
+        let model = Model::builtin(Builtin::Compact);
         let (net, frame) = (&model.network().encoder.pointnet, model.config().frame);
         let mut random = ChaCha8Rng::seed_from_u64(1);
         // Crowds in a few voxels, as of a scan with an outlier, between points all over the volume.

@@ -149,12 +149,12 @@ pub fn subtract_origins(t_target_source: &Transform, source: [f64; 3], target: [
 /// may be parts that overlap.
 ///
 /// ```
-/// use snake_core::Model;
+/// use snake_core::{Builtin, Model};
 /// use snake_core::registration::{RegisterOptions, register, transform_points};
 /// # let source = snake_core::io::read_points(concat!(env!("CARGO_MANIFEST_DIR"), "/../../samples/plane.ply").as_ref())?;
 /// let quarter_turn = [[0.0, -1.0, 0.0, 3.0], [1.0, 0.0, 0.0, 0.0], [0.0, 0.0, 1.0, 0.0], [0.0, 0.0, 0.0, 1.0]];
 /// let target = transform_points(&quarter_turn, &source);
-/// let found = register(&source, &target, &Model::builtin()?, &RegisterOptions::default())?;
+/// let found = register(&source, &target, &Model::builtin(Builtin::Compact), &RegisterOptions::default())?;
 /// assert!((found.t_target_source[0][3] - 3.0).abs() < 0.05 && found.num_inliers > 50);
 /// # Ok::<(), snake_core::Error>(())
 /// ```
@@ -291,6 +291,7 @@ mod tests {
 
     use super::rigid::tests::random_transform;
     use super::*;
+    use crate::Builtin;
 
     fn sample() -> Vec<Point> {
         let path = concat!(env!("CARGO_MANIFEST_DIR"), "/../../samples/plane.ply");
@@ -302,7 +303,7 @@ mod tests {
     }
 
     fn run(source: &[Point], target: &[Point], options: &RegisterOptions) -> Result<Registration> {
-        register(source, target, &Model::builtin()?, options)
+        register(source, target, &Model::builtin(Builtin::Compact), options)
     }
 
     /// Largest distance between the points moved by the one and by the other.

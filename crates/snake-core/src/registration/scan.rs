@@ -14,7 +14,7 @@ use crate::field::Field;
 use crate::length::Length;
 use crate::model::Model;
 use crate::neighbors::{Neighbors, Vector, vector};
-use crate::options::{DetectOptions, EncodeOptions, Preset};
+use crate::options::{DetectOptions, EncodeOptions, Options};
 use crate::points::{FinitePoints, Normalization, NormalizationMethod, Point, check_points};
 
 /// What keypoints are found by: the model, or a classical detector of [`baselines`](crate::baselines) with its default
@@ -169,17 +169,17 @@ impl Scan {
     fn salient_points(&self, most: usize, control: &Control) -> Result<Vec<Point>> {
         let recommended = *self.model.recommended();
         let options = DetectOptions { saliency_threshold: 0.0, max_keypoints: most, ..recommended.detect };
-        let uses_windows = match recommended.windows.window_radius {
+        let uses_windows = match recommended.window_radius {
             // Windows of hardly more than a voxel show nothing.
             Some(Length::Units(radius)) => radius >= 2.0 * self.voxel_size,
             radius => radius.is_some(),
         };
         let found = if uses_windows {
-            let options = Preset { detect: options, ..recommended };
+            let options = Options { detect: options, ..recommended };
             self.model.detect_with(&self.voxel_means(), &options, control)?
         } else {
             // The suppression radius that suits objects of any size is not one of this cloud's units; that of windows is.
-            let options = DetectOptions { nms_radius: Length::Units(self.voxel_size), ..options };
+            let options = DetectOptions { nms_radius: Some(Length::Units(self.voxel_size)), ..options };
             self.field(control)?.detect_with(&options, control)?
         };
         Ok(found.keypoints.into_iter().map(|keypoint| keypoint.position).collect())
@@ -244,6 +244,7 @@ pub(super) fn reduce(points: &[Point], voxel_size: f64, control: &Control) -> Re
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::Builtin;
     use KeypointDetector::{Fps, Harris3d, Iss, Random, Sift3d, Snake};
 
     fn sample() -> Vec<Point> {
@@ -252,7 +253,7 @@ mod tests {
 
     #[test]
     fn every_detector_has_keypoints_of_its_own_on_the_cloud_best_first() {
-        let scan = Scan::new(&sample(), &Model::builtin().unwrap(), 0.02).unwrap();
+        let scan = Scan::new(&sample(), &Model::builtin(Builtin::Compact), 0.02).unwrap();
         let mut earlier: Vec<Vec<Point>> = Vec::new();
         for detector in [Snake, Iss, Harris3d, Sift3d, Fps, Random] {
             let keypoints = |count, seed| scan.keypoints(detector, count, seed).unwrap();
@@ -265,7 +266,7 @@ mod tests {
             earlier.push(found);
         }
         let sparse: Vec<Point> = sample().into_iter().step_by(20).collect();
-        let scan_of_sparse = Scan::new(&sparse, &Model::builtin().unwrap(), 1e-3).unwrap();
+        let scan_of_sparse = Scan::new(&sparse, &Model::builtin(Builtin::Compact), 1e-3).unwrap();
         assert_eq!(scan_of_sparse.keypoints(Snake, 100_000, 0).unwrap().len(), sparse.len());
         let error = scan.keypoints(Iss, 0, 0).unwrap_err().to_string();
         assert!(error.contains("count"), "{error}");
@@ -277,10 +278,10 @@ mod tests {
         let model = Model::named("rooms").unwrap();
         let scan = Scan::new(&room, &model, 0.03).unwrap();
         let found = scan.keypoints(Snake, 50, 0).unwrap();
-        let Length::Units(radius) = model.recommended().detect.nms_radius else { panic!("a length in metres") };
+        let Some(Length::Units(radius)) = model.recommended().detect.nms_radius else { panic!("a length in metres") };
         let apart = |a: &Point, b: &Point| (vector(*a) - vector(*b)).norm() >= radius;
         assert!(found.len() > 10 && (1..found.len()).all(|i| found[..i].iter().all(|other| apart(other, &found[i]))));
-        assert!(radius > 0.03 && model.recommended().windows.window_radius.is_some());
+        assert!(radius > 0.03 && model.recommended().window_radius.is_some());
     }
 
     #[test]
@@ -310,7 +311,7 @@ mod tests {
 
     #[test]
     fn descriptors_are_rows_of_the_voxel_nearest_to_each_point() {
-        let scan = Scan::new(&sample(), &Model::builtin().unwrap(), 0.05).unwrap();
+        let scan = Scan::new(&sample(), &Model::builtin(Builtin::Compact), 0.05).unwrap();
         let voxels: Vec<Point> = scan.voxels.points.iter().map(|point| point.map(|v| v as f32).into()).collect();
         for descriptor in [Descriptor::Fpfh, Descriptor::Field] {
             let all = scan.descriptors(&voxels, descriptor).unwrap();
@@ -327,7 +328,7 @@ mod tests {
 
     #[test]
     fn clouds_and_sizes_that_cannot_be_used_are_refused() {
-        let model = Model::builtin().unwrap();
+        let model = Model::builtin(Builtin::Compact);
         let scan = |points: &[Point], size| Scan::new(points, &model, size).err().unwrap().to_string();
         assert!(scan(&[], 0.1).contains("no points"));
         assert!(scan(&[[f32::NAN; 3]; 2], 0.1).contains("finite"));

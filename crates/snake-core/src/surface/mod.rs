@@ -70,9 +70,9 @@ impl Field {
     /// specks that contain none of one sample in four along each axis and have no block with a point of the cloud.
     ///
     /// ```
-    /// use snake_core::{EncodeOptions, MeshOptions, Model};
+    /// use snake_core::{Builtin, EncodeOptions, MeshOptions, Model};
     /// # let points: Vec<[f32; 3]> = (0..500).map(|i| { let a = i as f32 * 0.1; [a.cos(), a.sin(), (a * 0.3).sin()] }).collect();
-    /// let field = Model::builtin()?.encode(&points, &EncodeOptions::default())?;
+    /// let field = Model::builtin(Builtin::Compact).encode(&points, &EncodeOptions::default())?;
     /// let mesh = field.mesh(&MeshOptions { resolution: 32, outer: true, ..Default::default() })?;
     /// assert_eq!(mesh.vertices.len(), mesh.normals.len());
     /// # Ok::<(), snake_core::Error>(())

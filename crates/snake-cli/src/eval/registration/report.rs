@@ -240,7 +240,7 @@ impl<'a> Report<'a> {
 
 #[cfg(test)]
 mod tests {
-    use snake_core::Model;
+    use snake_core::{Builtin, Model};
 
     use super::super::super::paper::THREE_D_MATCH;
     use super::*;
@@ -258,7 +258,7 @@ mod tests {
 
     #[test]
     fn figures_are_means_over_the_scenes_by_hand() {
-        let model = Model::builtin().unwrap();
+        let model = Model::builtin(Builtin::Compact);
         let (detectors, descriptors) = ([KeypointDetector::Iss], [Descriptor::Fpfh]);
         let (keypoints, columns) = (&[100], &ColumnArguments::default());
         let plan = Plan { model: &model, detectors: &detectors, descriptors: &descriptors, keypoints, columns };
