@@ -9,9 +9,9 @@ use proptest::num::f32::{NEGATIVE, NORMAL, POSITIVE, SUBNORMAL, ZERO};
 use proptest::prelude::*;
 use proptest::sample::{Index, select};
 use serde_json::Value;
-use snake_core::io::{self, Cloud, KeypointSource, PointFormat, ReadOptions};
 use snake_core::registration::Registration;
 use snake_core::{Keypoint, Point};
+use snake_io::{self as io, Cloud, KeypointSource, PointFormat, ReadOptions};
 
 /// Also counts the memory in use.
 #[path = "../fuzz/src/lib.rs"]

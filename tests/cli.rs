@@ -42,7 +42,7 @@ fn keypoints_of_the_sample_lie_on_it() {
     assert_eq!(count("queries"), 64 * 64 * 64);
     assert!(count("queries") > count("occupied") && count("occupied") > count("above_threshold"));
 
-    let points = snake_core::io::read_points(Path::new(&sample())).unwrap();
+    let points = snake_io::read_points(Path::new(&sample())).unwrap();
     let keypoints = report["keypoints"].as_array().unwrap();
     assert_eq!(keypoints.len() as u64, count("keypoints"));
     assert!(keypoints.len() >= 10);
@@ -100,7 +100,7 @@ fn options_reach_the_detector() {
     assert_eq!(count(&["--occupancy-threshold", "1"], "occupied"), 0);
     assert_eq!(count(&["--preset", "redwood"], "queries"), 1_000_000);
     let snapped = snake(&["detect", &sample(), "--json", "--snap", "--max-keypoints", "3"]);
-    let points = snake_core::io::read_points(Path::new(&sample())).unwrap();
+    let points = snake_io::read_points(Path::new(&sample())).unwrap();
     for keypoint in json_lines(&snapped)[0]["keypoints"].as_array().unwrap() {
         let nearest = points[keypoint["nearest_index"].as_u64().unwrap() as usize];
         assert_eq!(keypoint["x"].as_f64().unwrap() as f32, nearest[0]);
@@ -115,7 +115,7 @@ fn every_output_format_holds_the_keypoints() {
         let output = snake(&["detect", &sample(), "--max-keypoints", "7", "-o", path.to_str().unwrap()]);
         assert!(output.status.success(), "{}", stderr(&output));
         if is_cloud {
-            assert_eq!(snake_core::io::read_points(&path).unwrap().len(), 7, "{name}");
+            assert_eq!(snake_io::read_points(&path).unwrap().len(), 7, "{name}");
         } else {
             let value: Value = serde_json::from_slice(&std::fs::read(&path).unwrap()).unwrap();
             assert_eq!(value["keypoints"].as_array().unwrap().len(), 7);
@@ -305,7 +305,7 @@ fn a_pipe_carries_only_the_keypoints() {
     assert!(snake(&["detect", &sample(), "-o", path.to_str().unwrap()]).status.success());
     let csv = std::fs::read(&path).unwrap();
     assert_eq!(run(&["--format", "csv", "--json"], &bytes).stdout, csv);
-    let points = snake_core::io::read_points(Path::new(&sample())).unwrap();
+    let points = snake_io::read_points(Path::new(&sample())).unwrap();
     let text: String = points.iter().map(|[x, y, z]| format!("{x} {y} {z}\n")).collect();
     assert_eq!(run(&["--format", "csv", "--input-format", "xyz"], text.as_bytes()).stdout, csv);
     assert_eq!(run(&[], text.as_bytes()).status.code(), Some(2));
@@ -314,7 +314,7 @@ fn a_pipe_carries_only_the_keypoints() {
 #[test]
 fn points_that_are_not_finite_are_skipped_and_counted() {
     let folder = tempfile::tempdir().unwrap();
-    let points = snake_core::io::read_points(Path::new(&sample())).unwrap();
+    let points = snake_io::read_points(Path::new(&sample())).unwrap();
     let text: String = points.iter().map(|[x, y, z]| format!("nan nan nan\n{x} {y} {z}\n")).collect();
     let path = folder.path().join("organized.xyz");
     std::fs::write(&path, text).unwrap();
@@ -345,9 +345,9 @@ fn points_that_are_not_finite_are_skipped_and_counted() {
 fn georeferenced_clouds_keep_their_digits() {
     let folder = tempfile::tempdir().unwrap();
     let file = |name: &str| folder.path().join(name).display().to_string();
-    let points = snake_core::io::read_points(Path::new(&sample())).unwrap();
+    let points = snake_io::read_points(Path::new(&sample())).unwrap();
     let far = [691_000.0, 5_336_000.0, 512.0];
-    snake_core::io::write_points(Path::new(&file("far.pcd")), &points, far).unwrap();
+    snake_io::write_points(Path::new(&file("far.pcd")), &points, far).unwrap();
     let report = |input: &str| json_lines(&snake(&["detect", input, "--json"])).remove(0);
     let (near, found) = (report(&sample()), report(&file("far.pcd")));
     let best = |report: &Value| ["x", "y", "z"].map(|axis| report["keypoints"][0][axis].as_f64().unwrap());
@@ -363,7 +363,7 @@ fn georeferenced_clouds_keep_their_digits() {
     for (axis, far) in far.into_iter().enumerate() {
         assert!((value["t_target_source"][axis][3].as_f64().unwrap() - far).abs() < 0.01, "{value}");
     }
-    let moved = snake_core::io::read_cloud(Path::new(&aligned), &Default::default()).unwrap();
+    let moved = snake_io::read_cloud(Path::new(&aligned), &Default::default()).unwrap();
     for axis in 0..3 {
         let found = f64::from(moved.points[7][axis]) + moved.origin[axis];
         assert!((found - f64::from(points[7][axis]) - far[axis]).abs() < 0.01, "{found}");
@@ -400,10 +400,10 @@ fn meshes_are_sampled_and_keypointnet_is_written() {
 
 /// The sample, turned by a quarter about z and moved by (3, 0, -1), as a file; every second point of it.
 fn turned_sample(folder: &Path) -> String {
-    let points = snake_core::io::read_points(Path::new(&sample())).unwrap();
+    let points = snake_io::read_points(Path::new(&sample())).unwrap();
     let turned: Vec<_> = points.iter().step_by(2).map(|p| [3.0 - p[1], p[0], p[2] - 1.0]).collect();
     let path = folder.join("turned.ply");
-    snake_core::io::write_points(&path, &turned, [0.0; 3]).unwrap();
+    snake_io::write_points(&path, &turned, [0.0; 3]).unwrap();
     path.display().to_string()
 }
 
@@ -438,8 +438,8 @@ fn register_prints_and_writes_the_transform() {
         // serde_json may be off by the last bit.
         assert!(numbers.len() == 4 && numbers.iter().zip(row).all(|(a, b)| (a - b).abs() < 1e-12), "{line}");
     }
-    let points = snake_core::io::read_points(Path::new(&sample())).unwrap();
-    let moved = snake_core::io::read_points(Path::new(&aligned)).unwrap();
+    let points = snake_io::read_points(Path::new(&sample())).unwrap();
+    let moved = snake_io::read_points(Path::new(&aligned)).unwrap();
     assert_eq!(moved.len(), points.len());
     for (p, q) in points.iter().zip(&moved) {
         let truth = [3.0 - p[1], p[0], p[2] - 1.0];
@@ -528,7 +528,7 @@ fn write_npy(path: &Path, shape: &[usize], values: &[f32]) {
 /// A folder in the corpus format: `number` copies of the sample, each of `size` of its points.
 fn corpus(number: usize, size: usize) -> TempDir {
     let folder = tempfile::tempdir().unwrap();
-    let points = snake_core::io::read_points(Path::new(&sample())).unwrap();
+    let points = snake_io::read_points(Path::new(&sample())).unwrap();
     write_npy(&folder.path().join("points.npy"), &[number, size, 3], points[..number * size].as_flattened());
     let index: Vec<_> = (0..number).map(|i| serde_json::json!({"name": format!("part {i}"), "faces": 1})).collect();
     std::fs::write(folder.path().join("index.json"), serde_json::to_string(&index).unwrap()).unwrap();
@@ -598,7 +598,7 @@ fn real_pairs_are_evaluated_in_their_units() {
     let folder = tempfile::tempdir().unwrap();
     std::fs::copy(sample(), folder.path().join("a.ply")).unwrap();
     // The second view is the first moved by 10 along x.
-    let points = snake_core::io::read_points(Path::new(&sample())).unwrap();
+    let points = snake_io::read_points(Path::new(&sample())).unwrap();
     let moved: String = points.iter().map(|[x, y, z]| format!("{} {y} {z}\n", x - 10.0)).collect();
     std::fs::write(folder.path().join("b.xyz"), moved).unwrap();
     let t_target_source = [[1, 0, 0, 10], [0, 1, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]];
@@ -622,7 +622,7 @@ fn two_files_and_their_transform_are_a_pair() {
     let folder = tempfile::tempdir().unwrap();
     let path = |name: &str| folder.path().join(name).display().to_string();
     // Ten times as large, and the second moved by 100 along x.
-    let points = snake_core::io::read_points(Path::new(&sample())).unwrap();
+    let points = snake_io::read_points(Path::new(&sample())).unwrap();
     let rows =
         |shift: f32| points.iter().map(move |p| format!("{} {} {}\n", 10.0 * p[0] - shift, 10.0 * p[1], 10.0 * p[2]));
     std::fs::write(path("target.xyz"), rows(0.0).collect::<String>()).unwrap();
@@ -675,7 +675,7 @@ fn between(i: usize, j: usize) -> [[f64; 4]; 4] {
 
 /// Fragments 0 to 3 of a scene: the sample, each without every fourth point and in its own frame.
 fn fragments() -> [Vec<[f32; 3]>; 4] {
-    let points = snake_core::io::read_points(Path::new(&sample())).unwrap();
+    let points = snake_io::read_points(Path::new(&sample())).unwrap();
     std::array::from_fn(|k| {
         let seen: Vec<_> = points.iter().enumerate().filter(|(i, _)| i % 4 != k).map(|(_, p)| *p).collect();
         snake_core::registration::transform_points(&pose(k), &seen)
@@ -686,7 +686,7 @@ fn fragments() -> [Vec<[f32; 3]>; 4] {
 fn scenes(pairs: &[[usize; 2]]) -> TempDir {
     let (folder, clouds) = (tempfile::tempdir().unwrap(), fragments());
     for (k, cloud) in clouds.iter().enumerate() {
-        snake_core::io::write_points(&folder.path().join(format!("room__{k:02}.ply")), cloud, [0.0; 3]).unwrap();
+        snake_io::write_points(&folder.path().join(format!("room__{k:02}.ply")), cloud, [0.0; 3]).unwrap();
     }
     let row = |&[i, j]: &[usize; 2]| serde_json::json!({"source": format!("room__{j:02}"), "target": format!("room__{i:02}"), "T": between(i, j)});
     let rows: Vec<Value> = pairs.iter().map(row).collect();
@@ -702,7 +702,7 @@ fn benchmark_scene(folder: &Path, name: &str, pairs: &[[usize; 2]], weight: f64)
     std::fs::create_dir(&scene).unwrap();
     std::fs::create_dir(&truth).unwrap();
     for (k, cloud) in clouds.iter().enumerate() {
-        snake_core::io::write_points(&scene.join(format!("cloud_bin_{k}.ply")), cloud, [0.0; 3]).unwrap();
+        snake_io::write_points(&scene.join(format!("cloud_bin_{k}.ply")), cloud, [0.0; 3]).unwrap();
     }
     let (mut log, mut info) = (String::new(), String::new());
     for &[i, j] in pairs {
@@ -851,7 +851,7 @@ fn scenes_that_cannot_be_evaluated_are_refused() {
 /// The points of the sample in a frame of their own: turned by a quarter about z, moved by (3, 0, -1), with the 3x4
 /// transform that takes them back.
 fn turned_view() -> (Vec<[f32; 3]>, [f32; 12]) {
-    let points = snake_core::io::read_points(Path::new(&sample())).unwrap();
+    let points = snake_io::read_points(Path::new(&sample())).unwrap();
     let turned = points.iter().map(|p| [3.0 - p[1], p[0], p[2] - 1.0]).collect();
     (turned, [0.0, 1.0, 0.0, 0.0, -1.0, 0.0, 0.0, 3.0, 0.0, 0.0, 1.0, 1.0])
 }
@@ -859,7 +859,7 @@ fn turned_view() -> (Vec<[f32; 3]>, [f32; 12]) {
 #[test]
 fn usips_layouts_are_pairs_with_their_transforms() {
     let folder = tempfile::tempdir().unwrap();
-    let points = snake_core::io::read_points(Path::new(&sample())).unwrap();
+    let points = snake_io::read_points(Path::new(&sample())).unwrap();
     let (turned, back) = turned_view();
     let shape = [points.len(), 3];
     let (modelnet, redwood) = (folder.path().join("modelnet"), folder.path().join("redwood"));
@@ -940,7 +940,7 @@ fn evaluations_that_make_no_sense_are_refused() {
 /// are the first five of farthest-point sampling, on the table one that is not among them.
 fn keypointnet() -> TempDir {
     let folder = tempfile::tempdir().unwrap();
-    let points = &snake_core::io::read_points(Path::new(&sample())).unwrap()[..600];
+    let points = &snake_io::read_points(Path::new(&sample())).unwrap()[..600];
     let found: Vec<usize> =
         snake_core::baselines::farthest_points(points, 5).unwrap().iter().map(|response| response.index).collect();
     let other = (0..600).find(|index| !found.contains(index)).unwrap();
@@ -1024,7 +1024,7 @@ fn keypoints_are_compared_with_marked_ones() {
 #[test]
 fn bodies_are_compared_place_by_place() {
     let folder = tempfile::tempdir().unwrap();
-    let points = snake_core::io::read_points(Path::new(&sample())).unwrap();
+    let points = snake_io::read_points(Path::new(&sample())).unwrap();
     let turned: Vec<[f32; 3]> = points.iter().map(|[x, y, z]| [-y, *x, *z]).collect();
     write_npy(&folder.path().join("body_1.npy"), &[2, 500, 3], points[..1000].as_flattened());
     write_npy(&folder.path().join("body_2.npy"), &[2, 500, 3], turned[..1000].as_flattened());
@@ -1139,7 +1139,7 @@ fn a_reconstruction_is_written_in_each_format() {
     let (vertices, triangles) = (number("vertices"), number("triangles"));
     assert!(triangles > 500 && number("num_points") == 4096, "{report}");
     assert!(report["timing_seconds"]["mesh"].as_f64().unwrap() > 0.0);
-    let written = snake_core::io::read_points(&folder.path().join("a.ply")).unwrap();
+    let written = snake_io::read_points(&folder.path().join("a.ply")).unwrap();
     assert_eq!(written.len(), vertices);
     let scale = report["normalization"]["scale"].as_f64().unwrap();
     // The surface of a thin shell: both sides of an object that touches the sphere of this diameter.

@@ -179,7 +179,7 @@ fn colours_are_for_terminals() {
 
 #[test]
 fn lengths_may_be_multiples_of_the_resolution() {
-    let points = snake_core::io::read_points(Path::new(&sample())).unwrap();
+    let points = snake_io::read_points(Path::new(&sample())).unwrap();
     let in_units = |multiple: f64| {
         let length = snake_core::Length::Resolutions(multiple).in_units("length", &points).unwrap();
         length.to_string()
@@ -306,6 +306,6 @@ fn an_interrupt_leaves_whole_files_only() {
     for entry in results.read_dir().unwrap() {
         let path = entry.unwrap().path();
         assert!(path.display().to_string().ends_with(".keypoints.ply"), "{}", path.display());
-        assert!(!snake_core::io::read_points(&path).unwrap().is_empty(), "{}", path.display());
+        assert!(!snake_io::read_points(&path).unwrap().is_empty(), "{}", path.display());
     }
 }

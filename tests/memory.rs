@@ -1,8 +1,8 @@
 //! How much memory reading and detection take for each point.
 
 use peak_alloc::PeakAlloc;
-use snake_core::io::{ReadOptions, read_cloud, write_points};
 use snake_core::{Builtin, Model, Options, Point};
+use snake_io::{ReadOptions, read_cloud, write_points};
 
 #[global_allocator]
 static MEMORY: PeakAlloc = PeakAlloc;

@@ -5,8 +5,8 @@ use std::process::Output;
 
 use assert_cmd::Command;
 use serde_json::Value;
-use snake_core::io::{Cloud, ReadOptions, read_cloud, read_points, write_points};
 use snake_core::{Point, add_origin};
+use snake_io::{Cloud, ReadOptions, read_cloud, read_points, write_points};
 use tempfile::TempDir;
 
 /// A whole number of metres, as those of a UTM zone.

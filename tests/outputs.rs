@@ -43,9 +43,9 @@ fn an_output_never_replaces_an_input() {
     use std::os::unix::fs::symlink;
     let folder = clouds(&["a.ply", "b.ply", "scans/a.ply", "scans/b.ply", "results/keep"]);
     let path = |name: &str| folder.path().join(name);
-    let points = snake_core::io::read_points(&sample()).unwrap();
+    let points = snake_io::read_points(&sample()).unwrap();
     for name in ["a.npy", "a.xyz", "repeatability.csv"] {
-        snake_core::io::write_points(&path(name), &points, [0.0; 3]).unwrap();
+        snake_io::write_points(&path(name), &points, [0.0; 3]).unwrap();
     }
     std::fs::rename(path("a.xyz"), path("a.txt")).unwrap();
     let identity = "[[1, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]]";

@@ -6,7 +6,8 @@ use std::process::Output;
 use assert_cmd::Command;
 use serde_json::Value;
 use snake_core::registration::transform_points;
-use snake_core::{Builtin, EncodeOptions, Field, Model, Point, Transform, io};
+use snake_core::{Builtin, EncodeOptions, Field, Model, Point, Transform};
+use snake_io as io;
 use tempfile::TempDir;
 
 fn sample() -> String {

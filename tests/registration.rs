@@ -6,7 +6,8 @@ use std::path::{Path, PathBuf};
 use serde_json::Value;
 use snake_core::Transform;
 use snake_core::registration::{RegisterOptions, Registration, register};
-use snake_core::{Builtin, Model, io};
+use snake_core::{Builtin, Model};
+use snake_io as io;
 
 /// A registration is right up to this many degrees and metres.
 const MOST: (f64, f64) = (15.0, 0.3);

@@ -6,8 +6,8 @@
 use std::sync::{Mutex, PoisonError};
 
 use peak_alloc::PeakAlloc;
-use snake_core::io::{Cloud, PointFormat, ReadOptions, parse_cloud};
 use snake_core::{DetectOptions, EncodeOptions, Model, NormalizationMethod, Point};
+use snake_io::{Cloud, PointFormat, ReadOptions, parse_cloud};
 
 #[global_allocator]
 static MEMORY: PeakAlloc = PeakAlloc;

@@ -1,4 +1,6 @@
-//! The core's errors as Python exceptions.
+//! Errors of the crates as Python exceptions.
+
+use std::path::PathBuf;
 
 use pyo3::PyErr;
 use pyo3::exceptions::{PyOSError, PyValueError};
@@ -7,11 +9,21 @@ use snake_core::Error;
 /// `Io` becomes an OSError with errno and file name (so FileNotFoundError and its kin), the rest a ValueError.
 pub fn py_error(error: Error) -> PyErr {
     match error {
-        Error::Io { path, source } => {
-            let text = source.to_string();
-            let reason = text.split(" (os error").next().unwrap_or_default().to_owned();
-            PyOSError::new_err((source.raw_os_error(), reason, path.into_os_string()))
-        }
+        Error::Io { path, source } => os_error(path, &source),
         other => PyValueError::new_err(other.to_string()),
     }
+}
+
+/// The same for errors of files.
+pub fn file_error(error: snake_io::Error) -> PyErr {
+    match error {
+        snake_io::Error::Io { path, source } => os_error(path, &source),
+        other => PyValueError::new_err(other.to_string()),
+    }
+}
+
+fn os_error(path: PathBuf, source: &std::io::Error) -> PyErr {
+    let text = source.to_string();
+    let reason = text.split(" (os error").next().unwrap_or_default().to_owned();
+    PyOSError::new_err((source.raw_os_error(), reason, path.into_os_string()))
 }

@@ -5,7 +5,7 @@ use std::path::PathBuf;
 use numpy::PyArray2;
 use pyo3::prelude::*;
 use snake_core::add_origin;
-use snake_core::io::{Cloud, Column, Columns, ReadOptions, read_contents};
+use snake_io::{Cloud, Column, Columns, ReadOptions, read_contents};
 
 use crate::{arrays, threads};
 
@@ -27,7 +27,7 @@ pub fn read_points(
     columns: Option<[ColumnLike; 3]>,
 ) -> PyResult<Bound<'_, PyArray2<f64>>> {
     let columns = columns.map(|columns| Columns(columns.map(Column::from)));
-    let contents = threads::run(py, || read_contents(&path, &ReadOptions { sample, seed, columns }))?;
+    let contents = py.detach(|| read_contents(&path, &ReadOptions { sample, seed, columns })).map_err(file_error)?;
     let Cloud { points, origin } = contents.cloud;
     if contents.unsampled_faces > 0 {
         let what = format!("{} is a mesh of {} faces", path.display(), contents.unsampled_faces);

@@ -6,7 +6,7 @@ use std::sync::Once;
 
 use anyhow::{Context, Result, bail};
 use clap::Args;
-use snake_core::io::{self, Cloud, Columns, Contents, POINT_EXTENSIONS, PointFormat, ReadOptions};
+use snake_io::{self as io, Cloud, Columns, Contents, POINT_EXTENSIONS, PointFormat, ReadOptions};
 
 use crate::terminal;
 

@@ -2,7 +2,7 @@
 
 use anyhow::Result;
 use console::Term;
-use snake_core::io;
+use snake_io as io;
 
 use crate::terminal;
 

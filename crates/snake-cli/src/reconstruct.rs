@@ -6,7 +6,8 @@ use std::time::Instant;
 use anyhow::{Context, Result};
 use clap::Args;
 use serde_json::json;
-use snake_core::{Cloud, Control, MeshOptions, Progress, io};
+use snake_core::{Cloud, Control, MeshOptions, Progress};
+use snake_io as io;
 
 use crate::inputs::{InputArguments, output_origin};
 use crate::output::InputFiles;

@@ -13,7 +13,8 @@ use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use safetensors::Dtype;
 use safetensors::tensor::TensorView;
-use snake_core::{Builtin, DetectOptions, EncodeOptions, Field, MeshOptions, Model, Point, io};
+use snake_core::{Builtin, DetectOptions, EncodeOptions, Field, MeshOptions, Model, Point};
+use snake_io as io;
 
 /// Queries along each axis, and how many of them refinement gets: as many as on a typical object.
 const QUERY_RESOLUTION: usize = 64;

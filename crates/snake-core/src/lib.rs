@@ -15,7 +15,6 @@
 #![forbid(unsafe_code)]
 
 pub mod baselines;
-pub mod io;
 pub mod metrics;
 pub mod registration;
 
@@ -57,6 +56,8 @@ pub use config::ModelConfig;
 pub use control::{CancelFlag, Control, Counter};
 pub use detect::{Counts, Detection, Keypoint, Timing};
 pub use error::{Error, Result};
+#[doc(hidden)]
+pub use excerpt::excerpt;
 pub use field::Field;
 pub use grid::Grid;
 pub use length::Length;

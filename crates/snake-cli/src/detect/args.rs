@@ -4,8 +4,8 @@ use std::path::PathBuf;
 
 use anyhow::Result;
 use clap::Args;
-use snake_core::io::KeypointFormat;
 use snake_core::{Length, Model, Options, RefineMethod, Selection};
+use snake_io::KeypointFormat;
 
 use crate::inputs::InputArguments;
 use crate::setup::{ComputeArguments, EncodeFlags, named, none_if_zero, override_with};

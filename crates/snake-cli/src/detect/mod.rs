@@ -10,8 +10,8 @@ use std::time::Instant;
 
 use anyhow::{Context, Result, anyhow, bail};
 use serde_json::json;
-use snake_core::io::{self, Cloud, KeypointFormat, KeypointSource};
 use snake_core::{Control, Detection, Model, Options, Progress, add_origin};
+use snake_io::{self as io, Cloud, KeypointFormat, KeypointSource};
 
 use crate::inputs::{DASH, check_inputs, expand, output_origin};
 use crate::output::{InputFiles, in_folder};

@@ -4,7 +4,8 @@ use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result, bail};
 use serde::Deserialize;
-use snake_core::{Transform, io};
+use snake_core::Transform;
+use snake_io as io;
 
 use super::read_json;
 

@@ -3,7 +3,7 @@
 use std::path::Path;
 
 use anyhow::{Context, Result};
-use snake_core::io;
+use snake_io as io;
 
 /// A table: its title, its columns' heads and its rows.
 pub struct Table {

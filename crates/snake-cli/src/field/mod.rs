@@ -6,7 +6,8 @@ use std::path::Path;
 
 use anyhow::{Context, Result, bail};
 use serde_json::json;
-use snake_core::{Cloud, Control, Field, Grid, Progress, add_origin, io};
+use snake_core::{Cloud, Control, Field, Grid, Progress, add_origin};
+use snake_io as io;
 
 use crate::output::InputFiles;
 use crate::render::figure::{Panel, PanelAxis, figure};

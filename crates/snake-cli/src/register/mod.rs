@@ -6,9 +6,9 @@ use std::path::Path;
 
 use anyhow::{Context, Result};
 use serde_json::json;
-use snake_core::io::{self, CloudFormat};
 use snake_core::registration::{Registration, register_with, transform_points};
 use snake_core::{Control, Progress};
+use snake_io::{self as io, CloudFormat};
 
 use crate::inputs::{check_inputs, output_origin};
 use crate::output::InputFiles;
@@ -39,7 +39,7 @@ pub fn run(arguments: &RegisterArguments) -> Result<()> {
     bar.finish();
     let found = near.between_origins(source_cloud.origin, target_cloud.origin);
     if let Some(path) = output {
-        io::write_registration(path, &found)?;
+        io::write_registration(path, &found.t_target_source, &found)?;
     }
     let mut aligned_origin = [0.0; 3];
     if let Some(path) = aligned {

@@ -4,7 +4,8 @@ use base64::Engine;
 use base64::engine::general_purpose::STANDARD;
 use serde_json::{Value, json};
 use snake_core::registration::Registration;
-use snake_core::{Detection, Field, Mesh, Normalization, Options, Point, Transform, add_origin, io};
+use snake_core::{Detection, Field, Mesh, Normalization, Options, Point, Transform, add_origin};
+use snake_io as io;
 
 use super::colormap::Colormap;
 

@@ -9,8 +9,9 @@ use snake_core::metrics::repeated_keypoints;
 use snake_core::registration::{RegisterOptions, add_origins, register_with, subtract_origins};
 use snake_core::{
     Cloud, Control, Field, Length, Mesh, MeshOptions, Model, Normalization, NormalizationMethod, Options, Point,
-    Progress, Transform, io,
+    Progress, Transform,
 };
+use snake_io as io;
 
 use crate::inputs::check_inputs;
 use crate::model;

@@ -151,7 +151,7 @@ pub fn subtract_origins(t_target_source: &Transform, source: [f64; 3], target: [
 /// ```
 /// use snake_core::{Builtin, Model};
 /// use snake_core::registration::{RegisterOptions, register, transform_points};
-/// # let source = snake_core::io::read_points(concat!(env!("CARGO_MANIFEST_DIR"), "/../../samples/plane.ply").as_ref())?;
+/// # let source = snake_io::read_points(concat!(env!("CARGO_MANIFEST_DIR"), "/../../samples/plane.ply").as_ref())?;
 /// let quarter_turn = [[0.0, -1.0, 0.0, 3.0], [1.0, 0.0, 0.0, 0.0], [0.0, 0.0, 1.0, 0.0], [0.0, 0.0, 0.0, 1.0]];
 /// let target = transform_points(&quarter_turn, &source);
 /// let found = register(&source, &target, &Model::builtin(Builtin::Compact), &RegisterOptions::default())?;

@@ -38,7 +38,10 @@ impl Mesh {
     }
 
     /// The unit normal of one of the triangles; zero if it has no area.
-    pub(crate) fn triangle_normal(&self, triangle: [u32; 3]) -> [f32; 3] {
+    ///
+    /// # Panics
+    /// If a vertex of the triangle is not among [`Mesh::vertices`].
+    pub fn triangle_normal(&self, triangle: [u32; 3]) -> [f32; 3] {
         unit(self.cross(triangle))
     }
 

@@ -6,7 +6,7 @@ use std::path::Path;
 
 use anyhow::{Context, Result};
 use nalgebra::{Isometry3, Matrix3, Point3, Rotation3, Translation3, UnitQuaternion, Vector3};
-use snake_core::io::{self, Array};
+use snake_io::{self as io, Array};
 
 use super::pickle::Pickle;
 use super::pickled_arrays;

@@ -5,7 +5,8 @@ use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result, bail};
 use serde::Deserialize;
-use snake_core::{Point, io};
+use snake_core::Point;
+use snake_io as io;
 
 use super::super::read_json;
 use super::smpl::BodyPairs;

@@ -2,7 +2,7 @@
 
 use std::borrow::Cow;
 
-use snake_core::io::Array;
+use snake_io::Array;
 
 use super::pickle::{Node, Pickle};
 

@@ -8,7 +8,7 @@ use rand::distr::Distribution;
 use rand::distr::weighted::WeightedIndex;
 use rand::{Rng, RngExt};
 use snake_core::Point;
-use snake_core::io::{self, Array};
+use snake_io::{self as io, Array};
 
 use super::body_model::{BETAS, BodyModel};
 

@@ -4,8 +4,11 @@ use std::path::Path;
 
 use serde::Deserialize;
 
-use super::{npy, npz};
+use super::npy;
 use crate::{Error, Result};
+
+/// How a zip archive begins.
+const NPZ_MAGIC: &[u8] = b"PK\x03\x04";
 
 /// A format that clouds are read from.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -72,7 +75,7 @@ impl PointFormat {
             Some(Self::Pcd)
         } else if starts(&[npy::MAGIC]) {
             Some(Self::Npy)
-        } else if starts(&[npz::MAGIC]) {
+        } else if starts(&[NPZ_MAGIC]) {
             Some(Self::Npz)
         } else if starts(&[b"OFF", b"COFF", b"NOFF", b"CNOFF", b"STOFF"]) {
             Some(Self::Off)

@@ -4,8 +4,7 @@ use std::io::{self, Write};
 
 use super::columns::{self, Columns, Indices};
 use super::shape::{Position, Shape};
-use crate::excerpt::excerpt;
-use crate::registration::Registration;
+use snake_core::{Transform, excerpt};
 
 const BYTE_ORDER_MARK: &[u8] = b"\xef\xbb\xbf";
 
@@ -24,9 +23,9 @@ pub(super) fn read_counted(bytes: &[u8], columns: Option<&Columns>) -> Result<Sh
     Ok(read_rows(bytes, columns, true)?.into())
 }
 
-/// Writes the four rows of a registration's matrix.
-pub(super) fn write_transform(out: &mut dyn Write, registration: &Registration) -> io::Result<()> {
-    for [a, b, c, d] in registration.t_target_source {
+/// Writes the four rows of a matrix.
+pub(super) fn write_rows(out: &mut dyn Write, rows: &Transform) -> io::Result<()> {
+    for [a, b, c, d] in rows {
         writeln!(out, "{a} {b} {c} {d}")?;
     }
     Ok(())
@@ -234,7 +233,7 @@ impl Layout {
 #[cfg(test)]
 mod tests {
     use super::super::tests::points;
-    use crate::points::Point;
+    use snake_core::{Point, Transform};
 
     fn read(bytes: &[u8]) -> Result<Vec<Point>, String> {
         points(super::read(bytes, None))

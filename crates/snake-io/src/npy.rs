@@ -5,8 +5,8 @@ use std::io::{self, Write};
 use super::array::Array;
 use super::columns::{Columns, Indices};
 use super::shape::{Position, Shape};
-use crate::excerpt::excerpt;
-use crate::points::{Point, Transform};
+use snake_core::excerpt;
+use snake_core::{Point, Transform};
 
 pub(super) const MAGIC: &[u8] = b"\x93NUMPY";
 
@@ -34,6 +34,7 @@ pub(super) fn read(bytes: &[u8], columns: Option<&Columns>) -> Result<Shape, Str
 }
 
 /// Whether the beginning of a file is that of an array of shape `(N, C)`, `C >= 3`.
+#[cfg(feature = "npz")]
 pub(super) fn is_cloud(bytes: &[u8]) -> bool {
     let array = split_header(bytes).and_then(|(header, _)| ArrayHeader::parse(header).ok());
     array.is_some_and(|array| array.clouds.is_none())
@@ -378,6 +379,6 @@ mod tests {
         assert_eq!(bytes.len() % 64, 24 * 4 % 64, "the data begins at a multiple of 64 bytes");
         assert_eq!(read_clouds(&bytes).unwrap().concat().concat(), values);
         let path = std::path::Path::new("nowhere/volume.npy");
-        assert!(crate::io::write_volume(path, [2, 4, 4], &values).unwrap_err().to_string().contains("24 values"));
+        assert!(crate::write_volume(path, [2, 4, 4], &values).unwrap_err().to_string().contains("24 values"));
     }
 }

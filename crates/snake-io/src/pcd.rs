@@ -3,7 +3,7 @@
 use super::lzf;
 use super::npy::Dtype;
 use super::shape::{Position, Shape};
-use crate::excerpt::excerpt;
+use snake_core::excerpt;
 
 const AXES: [&str; 3] = ["x", "y", "z"];
 
@@ -212,7 +212,7 @@ fn axes(
 #[cfg(test)]
 mod tests {
     use super::super::tests::points;
-    use crate::points::Point;
+    use snake_core::Point;
 
     fn read(bytes: &[u8]) -> Result<Vec<Point>, String> {
         points(super::read(bytes))

@@ -1,7 +1,7 @@
 //! Wavefront OBJ: vertices and faces.
 
 use super::shape::{Position, Shape, add_polygon};
-use crate::excerpt::excerpt;
+use snake_core::excerpt;
 
 /// Reads the lines `v` and `f`; everything else (normals, textures, groups, materials, points and lines) does not count.
 /// A face may name vertices that come after it.

@@ -3,7 +3,7 @@
 use std::collections::HashMap;
 
 use super::shape::{Position, Shape};
-use crate::excerpt::excerpt;
+use snake_core::excerpt;
 
 /// Bytes before the triangles of a binary file, the last four of them their number.
 const HEADER_BYTES: usize = 84;

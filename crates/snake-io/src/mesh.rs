@@ -4,8 +4,8 @@ use std::io::{self, Write};
 
 use super::table::Kind;
 use super::write::axes;
-use crate::Mesh;
-use crate::cloud::add_origin;
+use snake_core::Mesh;
+use snake_core::add_origin;
 
 /// Writes binary little endian: vertices `x y z` (of eight bytes if there is an origin) and `float nx ny nz`, faces as
 /// lists of three `int`.
@@ -119,9 +119,9 @@ mod tests {
         let folder = tempfile::tempdir().unwrap();
         for (name, expected) in [("a.ply", 500_000.5), ("a.obj", 500_000.5), ("a.stl", 0.5)] {
             let path = folder.path().join(name);
-            crate::io::write_mesh(&path, &mesh, origin).unwrap();
-            assert_eq!(crate::io::adds_origin(&path), expected > 1.0);
-            let read = crate::io::read_cloud(&path, &Default::default()).unwrap();
+            crate::write_mesh(&path, &mesh, origin).unwrap();
+            assert_eq!(crate::adds_origin(&path), expected > 1.0);
+            let read = crate::read_cloud(&path, &Default::default()).unwrap();
             let largest = read.points.iter().map(|&point| add_origin(point, read.origin)[0]).fold(0.0, f64::max);
             assert_eq!(largest, expected, "{name}");
         }

@@ -1,7 +1,7 @@
 //! Object file format (OFF): vertices and faces.
 
 use super::shape::{Shape, add_polygon};
-use crate::excerpt::excerpt;
+use snake_core::excerpt;
 
 /// The first words of a file; what else its vertices have comes after their coordinates.
 const KEYWORDS: [&str; 6] = ["STOFF", "CNOFF", "STCOFF", "COFF", "NOFF", "OFF"];

@@ -3,7 +3,7 @@
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
-use crate::cloud::Cloud;
+use snake_core::Cloud;
 
 /// A point as files have it.
 pub(super) type Position = [f64; 3];

@@ -30,13 +30,17 @@
 mod array;
 mod atomic;
 mod columns;
+mod error;
 mod format;
+#[cfg(feature = "laz")]
 mod gps_time;
 mod json;
+#[cfg(feature = "laz")]
 mod las;
 mod lzf;
 mod mesh;
 mod npy;
+#[cfg(feature = "npz")]
 mod npz;
 mod obj;
 mod off;
@@ -52,21 +56,19 @@ mod write;
 use std::io::{self, Write};
 use std::path::Path;
 
-use crate::detect::Keypoint;
-use crate::excerpt::excerpt;
-use crate::points::{Point, Transform};
-use crate::registration::Registration;
-use crate::{Error, Mesh, Result};
+use serde::Serialize;
+use snake_core::{Keypoint, Mesh, Point, Transform};
 
 use format::{extension, unknown_extension};
 use shape::Shape;
 
-pub use crate::cloud::Cloud;
 pub use array::Array;
 pub use atomic::{hold_writes, write_atomically};
 pub use columns::{Column, Columns};
+pub use error::{Error, Result};
 pub use format::{CLOUD_EXTENSIONS, CloudFormat, KEYPOINT_EXTENSIONS, KeypointFormat, POINT_EXTENSIONS, PointFormat};
 pub use json::keypoint_json;
+pub use snake_core::Cloud;
 pub use write::KeypointSource;
 
 /// The extensions that [`write_mesh`] knows.
@@ -76,8 +78,6 @@ pub const MESH_EXTENSIONS: &[&str] = &["ply", "obj", "stl"];
 pub const REGISTRATION_EXTENSIONS: &[&str] = &["json", "txt"];
 
 type MeshWriter = fn(&mut dyn Write, &Mesh, [f64; 3]) -> io::Result<()>;
-
-type RegistrationWriter = fn(&mut dyn Write, &Registration) -> io::Result<()>;
 
 /// How clouds are read.
 #[derive(Debug, Clone, PartialEq, Eq, Default)]
@@ -165,7 +165,10 @@ fn read_shape(bytes: &[u8], format: PointFormat, options: &ReadOptions) -> std::
         PointFormat::Text => text::read(bytes, columns),
         PointFormat::Pts => text::read_counted(bytes, columns),
         PointFormat::Npy => npy::read(bytes, columns),
+        #[cfg(feature = "npz")]
         PointFormat::Npz => npz::read(bytes, columns),
+        #[cfg(not(feature = "npz"))]
+        PointFormat::Npz => Err("this build cannot read .npz: it lacks the feature `npz` of snake-io".into()),
         _ if columns.is_some() => {
             Err("columns can be chosen in text and in arrays of NumPy; this format names its coordinates".into())
         }
@@ -175,7 +178,10 @@ fn read_shape(bytes: &[u8], format: PointFormat, options: &ReadOptions) -> std::
         PointFormat::Obj => obj::read(bytes),
         PointFormat::Off => off::read(bytes),
         PointFormat::Stl => stl::read(bytes),
+        #[cfg(feature = "laz")]
         PointFormat::Las => las::read(bytes),
+        #[cfg(not(feature = "laz"))]
+        PointFormat::Las => Err("this build cannot read .las and .laz: it lacks the feature `laz` of snake-io".into()),
     }
 }
 
@@ -241,6 +247,7 @@ pub fn read_array(path: &Path) -> Result<Array> {
 ///
 /// # Errors
 /// [`Error::Io`] when the file cannot be read; [`Error::Format`] when it is no such archive, or lacks one of them.
+#[cfg(feature = "npz")]
 pub fn read_arrays(path: &Path, names: &[&str]) -> Result<Vec<Array>> {
     let bytes = std::fs::read(path).map_err(|source| Error::Io { path: path.into(), source })?;
     npz::read_named(&bytes, names).map_err(|reason| Error::Format { path: path.into(), reason })
@@ -294,15 +301,22 @@ pub fn check_mesh_path(path: &Path) -> Result<()> {
     mesh_writer(path).map(drop)
 }
 
-/// Writes a registration: as `json` the object with the fields of [`Registration`], as `txt` the four rows of
-/// `t_target_source`. Whole or not at all, like [`write_keypoints`].
+/// Writes a registration. As `json` it is the record, an object that should have the key `t_target_source`; as `txt` it is
+/// the four rows of the matrix.
 ///
 /// # Errors
-/// [`Error::Format`] when the extension is not among [`REGISTRATION_EXTENSIONS`]; [`Error::Io`] when the file cannot be
-/// written.
-pub fn write_registration(path: &Path, registration: &Registration) -> Result<()> {
-    let write = registration_writer(path)?;
-    write_atomically(path, |file| write(file, registration)).map_err(|source| Error::Io { path: path.into(), source })
+/// As [`write_keypoints`].
+pub fn write_registration(path: &Path, t_target_source: &Transform, record: &impl Serialize) -> Result<()> {
+    check_registration_path(path)?;
+    let is_json = extension(path) == "json";
+    let write = |file: &mut dyn Write| match is_json {
+        true => {
+            serde_json::to_writer(&mut *file, record)?;
+            writeln!(file)
+        }
+        false => text::write_rows(file, t_target_source),
+    };
+    write_atomically(path, write).map_err(|source| Error::Io { path: path.into(), source })
 }
 
 /// Refuses a path that [`write_registration`] would refuse for its extension, before any work is done.
@@ -310,7 +324,10 @@ pub fn write_registration(path: &Path, registration: &Registration) -> Result<()
 /// # Errors
 /// [`Error::Format`] when the extension is not among [`REGISTRATION_EXTENSIONS`].
 pub fn check_registration_path(path: &Path) -> Result<()> {
-    registration_writer(path).map(drop)
+    match REGISTRATION_EXTENSIONS.contains(&extension(path).as_str()) {
+        true => Ok(()),
+        false => Err(unknown_extension(path, "written", REGISTRATION_EXTENSIONS)),
+    }
 }
 
 fn mesh_writer(path: &Path) -> Result<MeshWriter> {
@@ -322,16 +339,9 @@ fn mesh_writer(path: &Path) -> Result<MeshWriter> {
     })
 }
 
-fn registration_writer(path: &Path) -> Result<RegistrationWriter> {
-    Ok(match extension(path).as_str() {
-        "json" => json::write_registration,
-        "txt" => text::write_transform,
-        _ => return Err(unknown_extension(path, "written", REGISTRATION_EXTENSIONS)),
-    })
-}
-
 /// What is unpacked must not be larger than its file this many times over: no scan is, and a file made for it would take
 /// all memory.
+#[cfg(any(feature = "laz", feature = "npz"))]
 const MAX_EXPANSION: usize = 50;
 
 #[cfg(test)]
@@ -439,25 +449,11 @@ mod tests {
         assert_eq!(read_points(&cloud).unwrap(), CLOUD);
         let t_target_source =
             [[0.1, -1.0, 1e-17, 3.5], [1.0, 0.1, 0.0, 1e7], [0.0, 0.0, 1.0, 0.25], [0.0, 0.0, 0.0, 1.0]];
-        let registration = Registration {
-            t_target_source,
-            num_inliers: 3,
-            num_correspondences: 9,
-            rmse: 0.1,
-            inlier_distance: 0.5,
-            fitness: 0.75,
-            fitness_rmse: 0.0625,
-            num_skipped: [0, 4],
-            seconds: 2.5,
-        };
-        write_registration(&json, &registration).unwrap();
+        let record = serde_json::json!({ "t_target_source": t_target_source, "num_inliers": 3, "rmse": 0.1 });
+        write_registration(&json, &t_target_source, &record).unwrap();
         let value: serde_json::Value = serde_json::from_slice(&std::fs::read(&json).unwrap()).unwrap();
-        let expected = serde_json::json!({
-            "t_target_source": t_target_source, "num_inliers": 3, "num_correspondences": 9, "rmse": 0.1,
-            "inlier_distance": 0.5, "fitness": 0.75, "fitness_rmse": 0.0625, "num_skipped": [0, 4], "seconds": 2.5
-        });
-        assert_eq!(value, expected);
-        write_registration(&text, &registration).unwrap();
+        assert_eq!(value, record);
+        write_registration(&text, &t_target_source, &record).unwrap();
         let rows = std::fs::read_to_string(&text).unwrap();
         let rows = rows.lines().map(|row| row.split(' ').map(|v| v.parse::<f64>().unwrap()).collect::<Vec<_>>());
         assert_eq!(rows.collect::<Vec<_>>(), t_target_source);

@@ -7,10 +7,8 @@ use zip::ZipArchive;
 use super::array::Array;
 use super::columns::Columns;
 use super::shape::Shape;
-use super::{MAX_EXPANSION, excerpt, npy};
-
-/// How a zip archive begins.
-pub(super) const MAGIC: &[u8] = b"PK\x03\x04";
+use super::{MAX_EXPANSION, npy};
+use snake_core::excerpt;
 
 /// Names that a cloud goes by, the likeliest first; the last is that of an array that was saved without a name.
 const NAMES: [&str; 5] = ["points", "xyz", "pc", "pos", "arr_0"];

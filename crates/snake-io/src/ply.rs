@@ -11,7 +11,7 @@ use ply_rs::ply::{ElementDef, Encoding, Header, Property, PropertyAccess, Proper
 use ply_rs::ply::{PropertyType, ScalarType};
 
 use super::shape::{Position, Shape, add_polygon};
-use crate::excerpt::excerpt;
+use snake_core::excerpt;
 
 const AXES: [&str; 3] = ["x", "y", "z"];
 
@@ -259,7 +259,7 @@ mod tests {
     use super::super::tests::{KEYPOINTS, points};
     use super::super::{KeypointFormat, KeypointSource};
     use super::*;
-    use crate::points::Point;
+    use snake_core::Point;
 
     fn read(bytes: &[u8]) -> Result<Vec<Point>, String> {
         points(super::read(bytes, false))

@@ -1,13 +1,12 @@
-//! Keypoints and registrations as JSON.
+//! Keypoints as JSON.
 
 use std::io::{self, Write};
 
 use serde_json::{Number, Value, json};
 
 use super::write::KeypointSource;
-use crate::cloud::add_origin;
-use crate::detect::Keypoint;
-use crate::registration::Registration;
+use snake_core::Keypoint;
+use snake_core::add_origin;
 
 /// One keypoint as an object with the keys x, y, z, saliency, occupancy and nearest_index; the origin is added to its
 /// position.
@@ -51,12 +50,6 @@ pub(super) fn write_keypointnet(
     let KeypointSource { class_id, model_id, .. } = source;
     let shapes = json!([{ "class_id": class_id, "model_id": model_id, "keypoints": marked }]);
     serde_json::to_writer_pretty(&mut *out, &shapes)?;
-    writeln!(out)
-}
-
-/// Writes the object with the fields of a registration.
-pub(super) fn write_registration(out: &mut dyn Write, registration: &Registration) -> io::Result<()> {
-    serde_json::to_writer(&mut *out, registration)?;
     writeln!(out)
 }
 

@@ -6,9 +6,9 @@ use std::path::Path;
 use super::format::{CloudFormat, KeypointFormat};
 use super::json;
 use super::table::{Kind, Table};
-use crate::cloud::add_origin;
-use crate::detect::Keypoint;
-use crate::points::Point;
+use snake_core::Keypoint;
+use snake_core::Point;
+use snake_core::add_origin;
 
 /// What a file of keypoints says about the cloud that they are of.
 #[derive(Debug, Clone, PartialEq, Default)]

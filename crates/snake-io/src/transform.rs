@@ -2,7 +2,7 @@
 
 use serde::Deserialize;
 
-use crate::points::Transform;
+use snake_core::Transform;
 
 /// How far the products of a rotation's rows may be from those of an exact one: files round to a few digits.
 const TOLERANCE: f64 = 1e-3;

@@ -5,7 +5,7 @@ use std::str::FromStr;
 use serde::Serialize;
 
 use crate::Error;
-use crate::excerpt::excerpt;
+use snake_core::excerpt;
 
 /// The columns that hold x, y and z, chosen by names of a header or by places.
 ///
