@@ -3,10 +3,10 @@
 use numpy::PyArray1;
 use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
-use snake_core::baselines::{
+use snake_core::{Cloud, Length};
+use snake_registration::detectors::{
     Covariance, Detector, Harris3dOptions, IssOptions, Protocol, Response, Sift3dOptions, SiftField,
 };
-use snake_core::{Cloud, Length};
 
 use crate::arrays::{self, named};
 use crate::error::py_error;

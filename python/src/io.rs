@@ -7,7 +7,8 @@ use pyo3::prelude::*;
 use snake_core::add_origin;
 use snake_io::{Cloud, Column, Columns, ReadOptions, read_contents};
 
-use crate::{arrays, threads};
+use crate::arrays;
+use crate::error::file_error;
 
 /// Reads a point cloud or a mesh: (N, 3) float64, in the file's order, units and frame.
 ///

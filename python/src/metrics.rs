@@ -3,8 +3,8 @@
 use numpy::{PyArray1, PyArray2, PyArrayMethods};
 use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
-use snake_core::metrics::{self as core, MatchCounts, RegistrationOutcome, SmplProtocol, Unreachable};
 use snake_core::{self, Point, Transform};
+use snake_eval::{self as core, MatchCounts, RegistrationOutcome, SmplProtocol, Unreachable};
 
 use crate::arrays::{self, named};
 use crate::error::py_error;

@@ -4,7 +4,7 @@ use numpy::{PyArray1, PyArray2, PyArrayMethods};
 use pyo3::prelude::*;
 use pyo3::types::{PyDict, PyTuple};
 use snake_core::Cloud;
-use snake_core::registration as core;
+use snake_registration as core;
 
 use crate::model::{self, Model};
 use crate::{arrays, options, threads};

@@ -71,7 +71,7 @@ impl Control {
     }
 
     /// The same for calls within a call that counts them.
-    pub(crate) fn without_progress(&self) -> Self {
+    pub fn without_progress(&self) -> Self {
         Self { progress: None, limits: self.limits.clone() }
     }
 }
@@ -142,7 +142,7 @@ impl Counter {
     }
 
     /// Whether the call must stop: [`Counter::check`] is and stays an error.
-    pub(crate) fn is_stopped(&self) -> bool {
+    pub fn is_stopped(&self) -> bool {
         self.check().is_err()
     }
 }
@@ -153,8 +153,7 @@ mod tests {
 
     use super::*;
     use crate::detect::tests::cylinder;
-    use crate::registration::{RegisterOptions, register_with};
-    use crate::{Builtin, EncodeOptions, MeshOptions, Model, Options, Point};
+    use crate::{Builtin, EncodeOptions, MeshOptions, Model, Options};
 
     /// The built-in weights in a volume of 64³ voxels.
     fn model_of_64() -> Model {
@@ -225,7 +224,7 @@ mod tests {
     }
 
     #[test]
-    fn encoding_meshes_and_registration_stop_soon() {
+    fn encoding_and_meshes_stop_soon() {
         let (points, field) = cylinder();
         let model = model_of_64();
         assert_stops_soon(|control| {
@@ -234,12 +233,6 @@ mod tests {
         });
         let options = MeshOptions::default();
         assert_stops_soon(|control| field.mesh_with(&options, control));
-        let model = Model::builtin(Builtin::Compact);
-        let bent: Vec<Point> = points.iter().map(|p| [p[0], p[1] + p[2], p[2] + p[0] * p[0]]).collect();
-        let options = RegisterOptions { max_keypoints: 500, ..Default::default() };
-        assert_stops_soon(|control| {
-            register_with(&bent, &bent, &model, &options, control).map(|found| found.t_target_source)
-        });
     }
 
     #[test]

@@ -13,7 +13,7 @@ use rayon::prelude::*;
 use crate::{Error, Result};
 
 /// Points that can be asked for their neighbours. Distances are squared.
-pub(crate) struct KdTree<T> {
+pub struct KdTree<T> {
     /// Of the distinct points, turned; `None` if there are none.
     tree: Option<ImmutableKdTree<f64, 3>>,
     turn: Rotation3<f64>,
@@ -28,7 +28,7 @@ pub(crate) struct KdTree<T> {
 
 impl<T: RealField + Copy + Into<f64>> KdTree<T> {
     /// Indexes finite points.
-    pub(crate) fn new(points: &[[T; 3]]) -> Result<Self> {
+    pub fn new(points: &[[T; 3]]) -> Result<Self> {
         let failed = |reason: String| Error::Input { what: "points", reason: format!("cannot be indexed: {reason}") };
         let count = u32::try_from(points.len()).map_err(|_| failed("more than 4294967295".into()))?;
         let mut indices: Vec<u32> = (0..count).collect();
@@ -56,7 +56,7 @@ impl<T: RealField + Copy + Into<f64>> KdTree<T> {
     }
 
     /// Hands over the index and distance of each point at most so far away, in no particular order.
-    pub(crate) fn within(&self, query: &[T; 3], most: T, mut found: impl FnMut(usize, T)) {
+    pub fn within(&self, query: &[T; 3], most: T, mut found: impl FnMut(usize, T)) {
         let Some(tree) = &self.tree else { return };
         let radius = self.reach(query, most.into().sqrt());
         let turned = turned(&self.turn, query);
@@ -69,7 +69,7 @@ impl<T: RealField + Copy + Into<f64>> KdTree<T> {
     }
 
     /// The nearest `number` points: indices and distances, nearest first, of equally near ones the lowest index first.
-    pub(crate) fn nearest(&self, query: &[T; 3], number: NonZeroUsize) -> Vec<(usize, T)> {
+    pub fn nearest(&self, query: &[T; 3], number: NonZeroUsize) -> Vec<(usize, T)> {
         let Some(tree) = &self.tree else { return Vec::new() };
         let turned = turned(&self.turn, query);
         let first = tree.query(&turned).nearest_n::<SquaredEuclidean<f64>>(number).execute();

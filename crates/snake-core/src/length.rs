@@ -46,7 +46,7 @@ impl Length {
     }
 
     /// [`Length::in_units`] of a cloud with that resolution, which is asked for only where it is needed.
-    pub(crate) fn resolve(self, name: &'static str, resolution: impl FnOnce() -> f64) -> Result<f64> {
+    pub fn resolve(self, name: &'static str, resolution: impl FnOnce() -> f64) -> Result<f64> {
         let length = match self {
             Self::Units(length) => length,
             Self::Resolutions(factor) => factor * resolution(),
@@ -61,7 +61,7 @@ impl Length {
 }
 
 /// Mean distance of a cloud's finite points to their nearest others.
-pub(crate) fn resolution(what: &'static str, points: &[Point]) -> Result<f64> {
+pub fn resolution(what: &'static str, points: &[Point]) -> Result<f64> {
     let FinitePoints { points, .. } = FinitePoints::of(what, points)?;
     Ok(Neighbors::new(points.iter().copied().map(vector).collect())?.resolution())
 }

@@ -14,10 +14,6 @@
 
 #![forbid(unsafe_code)]
 
-pub mod baselines;
-pub mod metrics;
-pub mod registration;
-
 mod budget;
 mod cloud;
 mod config;
@@ -45,6 +41,7 @@ mod query_grid;
 mod refine;
 mod rotations;
 mod side_by_side;
+pub mod space;
 mod surface;
 mod volume;
 mod weights;
@@ -71,5 +68,5 @@ pub use volume::{Volume, VolumeFrame};
 
 /// The README's example is compiled with the documentation's.
 #[cfg(doctest)]
-#[doc = include_str!("../../../README.md")]
+#[doc = include_str!("../README.md")]
 struct ReadMe;

@@ -13,29 +13,30 @@ use crate::{Error, Result};
 const MAX_PAIRS: f64 = 1e10;
 
 /// A point or an offset in f64.
-pub(crate) type Vector = Vector3<f64>;
+pub type Vector = Vector3<f64>;
 
 /// The same point in f64.
-pub(crate) fn vector(point: Point) -> Vector {
+pub fn vector(point: Point) -> Vector {
     point.map(f64::from).into()
 }
 
 /// Points that can be asked for their neighbours.
-pub(crate) struct Neighbors {
-    pub(crate) points: Vec<Vector>,
+pub struct Neighbors {
+    /// The points, in the order they were given.
+    pub points: Vec<Vector>,
     tree: KdTree<f64>,
 }
 
 impl Neighbors {
     /// Indexes finite points, at least one.
-    pub(crate) fn new(points: Vec<Vector>) -> Result<Self> {
+    pub fn new(points: Vec<Vector>) -> Result<Self> {
         let rows: Vec<[f64; 3]> = points.iter().map(|&p| p.into()).collect();
         Ok(Self { points, tree: KdTree::new(&rows)? })
     }
 
     /// Refuses a radius that holds so many of the points that all their neighbours would take hours to look at, as of a
     /// cloud that is one point repeated but for a few.
-    pub(crate) fn check_crowding(&self, name: &'static str, radius: f64) -> Result<()> {
+    pub fn check_crowding(&self, name: &'static str, radius: f64) -> Result<()> {
         // All points of a cell are nearer to each other than the radius.
         let cell = |point: &Vector| point.map(|v| ((v * 2.0 / radius).floor() + 0.0).to_bits());
         let mut cells: Vec<[u64; 3]> = self.points.iter().map(|point| cell(point).into()).collect();
@@ -52,7 +53,7 @@ impl Neighbors {
     }
 
     /// Indices, ascending, of the points nearer than `radius`: the boundary is outside, as in Open3D.
-    pub(crate) fn within(&self, query: &Vector, radius: f64) -> Vec<usize> {
+    pub fn within(&self, query: &Vector, radius: f64) -> Vec<usize> {
         let squared = radius * radius;
         let mut indices = Vec::new();
         self.tree.within(&(*query).into(), squared, |index, distance| {
@@ -65,19 +66,19 @@ impl Neighbors {
     }
 
     /// The nearest `number` points: indices and distances, nearest first, of equally near ones the lowest index first.
-    pub(crate) fn nearest(&self, query: &Vector, number: NonZeroUsize) -> Vec<(usize, f64)> {
+    pub fn nearest(&self, query: &Vector, number: NonZeroUsize) -> Vec<(usize, f64)> {
         let mut found = self.tree.nearest(&(*query).into(), number);
         found.iter_mut().for_each(|(_, distance)| *distance = distance.sqrt());
         found
     }
 
     /// Distance to the nearest point.
-    pub(crate) fn distance(&self, query: &Vector) -> f64 {
+    pub fn distance(&self, query: &Vector) -> f64 {
         self.nearest(query, NonZeroUsize::MIN)[0].1
     }
 
     /// Mean distance of the points to their nearest others; 0 for one point.
-    pub(crate) fn resolution(&self) -> f64 {
+    pub fn resolution(&self) -> f64 {
         const TWO: NonZeroUsize = NonZeroUsize::MIN.saturating_add(1);
         let nearest = |point| self.nearest(point, TWO).get(1).map_or(0.0, |&(_, distance)| distance);
         let nearest: Vec<f64> = self.points.par_iter().map(nearest).collect();
@@ -85,14 +86,14 @@ impl Neighbors {
     }
 
     /// Covariance of some of the points about their mean.
-    pub(crate) fn covariance(&self, indices: &[usize]) -> Matrix3<f64> {
+    pub fn covariance(&self, indices: &[usize]) -> Matrix3<f64> {
         let count = indices.len() as f64;
         let mean = indices.iter().map(|&i| self.points[i]).sum::<Vector>() / count;
         self.scatter(indices, &mean) / count
     }
 
     /// Sum of `(q - center)(q - center)ᵀ` over some of the points.
-    pub(crate) fn scatter(&self, indices: &[usize], center: &Vector) -> Matrix3<f64> {
+    pub fn scatter(&self, indices: &[usize], center: &Vector) -> Matrix3<f64> {
         let squared = |&i: &usize| {
             let offset = self.points[i] - center;
             offset * offset.transpose()
@@ -102,13 +103,13 @@ impl Neighbors {
 
     /// The unit normal of a neighbourhood, the direction in which it varies least, its sign left open; three points make
     /// a plane.
-    pub(crate) fn normal(&self, indices: &[usize]) -> Option<Vector> {
+    pub fn normal(&self, indices: &[usize]) -> Option<Vector> {
         (indices.len() >= 3).then(|| eigen(self.covariance(indices)).1)
     }
 }
 
 /// Eigenvalues, ascending, with the eigenvector of the least.
-pub(crate) fn eigen(symmetric: Matrix3<f64>) -> ([f64; 3], Vector) {
+pub fn eigen(symmetric: Matrix3<f64>) -> ([f64; 3], Vector) {
     let SymmetricEigen { eigenvalues, eigenvectors } = SymmetricEigen::new(symmetric);
     let mut order = [0, 1, 2];
     order.sort_by(|&a, &b| eigenvalues[a].total_cmp(&eigenvalues[b]));

@@ -35,7 +35,7 @@ pub(crate) fn suppress(points: &[Point], scores: &[f32], radius: f32, limit: usi
 }
 
 /// Index of the point nearest to each query; of equally near ones the lowest.
-pub(crate) fn nearest_points(points: &[Point], queries: &[Point]) -> Result<Vec<usize>> {
+pub fn nearest_points(points: &[Point], queries: &[Point]) -> Result<Vec<usize>> {
     // To look at every point costs less than to build a tree for a few hundred queries.
     if queries.len() < 256 {
         return Ok(queries.par_iter().map(|&query| nearest_of_all(points, query)).collect());

@@ -92,15 +92,16 @@ fn outside(extent: f64) -> Error {
 
 /// The points of a cloud whose coordinates are all finite; depth cameras mark missing points by NaN.
 #[derive(Debug, Clone)]
-pub(crate) struct FinitePoints<'a> {
-    pub(crate) points: Cow<'a, [Point]>,
+pub struct FinitePoints<'a> {
+    /// The finite points, in the order they were given.
+    pub points: Cow<'a, [Point]>,
     /// Where each was in the cloud; `None` if nothing was skipped.
     indices: Option<Vec<usize>>,
 }
 
 impl<'a> FinitePoints<'a> {
     /// Refuses a cloud without any. A clean cloud is not copied.
-    pub(crate) fn of(what: &'static str, points: &'a [Point]) -> Result<Self> {
+    pub fn of(what: &'static str, points: &'a [Point]) -> Result<Self> {
         if points.is_empty() {
             return Err(Error::Input { what, reason: "no points".into() });
         }
@@ -116,11 +117,12 @@ impl<'a> FinitePoints<'a> {
     }
 
     /// The index in the whole cloud of a finite point.
-    pub(crate) fn original_index(&self, index: usize) -> usize {
+    pub fn original_index(&self, index: usize) -> usize {
         self.indices.as_ref().map_or(index, |indices| indices[index])
     }
 
-    pub(crate) fn into_owned(self) -> FinitePoints<'static> {
+    /// The same points, copied if they were borrowed.
+    pub fn into_owned(self) -> FinitePoints<'static> {
         FinitePoints { points: self.points.into_owned().into(), indices: self.indices }
     }
 }
@@ -130,7 +132,7 @@ fn is_finite(point: &Point) -> bool {
 }
 
 /// Refuses an empty array and coordinates that are not finite.
-pub(crate) fn check_points(what: &'static str, points: &[Point]) -> Result<()> {
+pub fn check_points(what: &'static str, points: &[Point]) -> Result<()> {
     if points.is_empty() {
         return Err(Error::Input { what, reason: "no points".into() });
     }

@@ -90,7 +90,6 @@ mod tests {
     use crate::detect::tests::cylinder;
     use crate::query_grid::{QueryGrid, above_occupancy};
     use crate::refine::refine;
-    use crate::registration::{Descriptor, RegisterOptions, Registration, Scan, register, register_with};
     use crate::{Builtin, Control, DetectOptions, EncodeOptions, MeshOptions, Model, Selection};
 
     /// Asserts that a stage of this name began last and is complete.
@@ -134,25 +133,6 @@ mod tests {
         let options = MeshOptions { resolution: 40, ..Default::default() };
         assert_eq!(field.mesh_with(&options, &control).unwrap(), field.mesh(&options).unwrap());
         assert_complete(&progress, "normals");
-    }
-
-    #[test]
-    fn registration_is_counted_and_stays_the_same() {
-        let points = crate::io::read_points(concat!(env!("CARGO_MANIFEST_DIR"), "/../../samples/plane.ply").as_ref());
-        let points = points.unwrap();
-        let progress = Progress::default();
-        let model = Model::builtin(Builtin::Compact);
-        let control = Control::new().progress(&progress);
-        let scan = Scan::new_with(&points, &model, 0.05, &control).unwrap();
-        assert_complete(&progress, "normals");
-        scan.descriptors_with(&points[..3], Descriptor::Fpfh, &control).unwrap();
-        assert_complete(&progress, "FPFH");
-        let options = RegisterOptions { max_keypoints: 200, ..Default::default() };
-        let found = register(&points[..2048], &points[2048..], &model, &options).unwrap();
-        let watched = register_with(&points[..2048], &points[2048..], &model, &options, &control).unwrap();
-        assert_eq!(watched, Registration { seconds: watched.seconds, ..found });
-        let Stage { name, done, total, .. } = progress.stage().unwrap();
-        assert!(name == "ICP" && (1..=30).contains(&done) && total == 30, "{done} of {total}");
     }
 
     #[test]

@@ -27,6 +27,8 @@
 //! The readers take bytes from anywhere: whatever the content, the answer is a cloud or an error, and neither time nor
 //! memory exceeds a small multiple of the file's size (of compressed files, 50 times).
 
+#![forbid(unsafe_code)]
+
 mod array;
 mod atomic;
 mod columns;

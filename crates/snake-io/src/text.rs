@@ -233,7 +233,7 @@ impl Layout {
 #[cfg(test)]
 mod tests {
     use super::super::tests::points;
-    use snake_core::{Point, Transform};
+    use snake_core::Point;
 
     fn read(bytes: &[u8]) -> Result<Vec<Point>, String> {
         points(super::read(bytes, None))

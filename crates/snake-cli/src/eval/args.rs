@@ -4,7 +4,7 @@ use std::path::PathBuf;
 
 use clap::{Args, Subcommand, ValueEnum};
 use snake_core::Length;
-use snake_core::registration::{Descriptor, KeypointDetector};
+use snake_registration::{Descriptor, KeypointDetector};
 
 use crate::inputs::ColumnArguments;
 use crate::setup::{ComputeArguments, named};

@@ -2,8 +2,8 @@
 
 use anyhow::{Result, bail};
 use serde_json::{Value, json};
-use snake_core::baselines::{Detector, Protocol};
 use snake_core::{Length, Model, Options, Point, Preset};
+use snake_registration::detectors::{Detector, Protocol};
 
 use super::args::{EvalArguments, ProtocolName};
 use crate::setup::none_if_zero;

@@ -4,7 +4,7 @@ use std::path::PathBuf;
 
 use clap::Args;
 use snake_core::Length;
-use snake_core::registration::{Descriptor, KeypointDetector, RegisterOptions};
+use snake_registration::{Descriptor, KeypointDetector, RegisterOptions};
 
 use crate::inputs::InputArguments;
 use crate::setup::{ComputeArguments, named, override_with};

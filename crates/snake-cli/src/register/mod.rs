@@ -6,9 +6,9 @@ use std::path::Path;
 
 use anyhow::{Context, Result};
 use serde_json::json;
-use snake_core::registration::{Registration, register_with, transform_points};
 use snake_core::{Control, Progress};
 use snake_io::{self as io, CloudFormat};
+use snake_registration::{Registration, register_with, transform_points};
 
 use crate::inputs::{check_inputs, output_origin};
 use crate::output::InputFiles;

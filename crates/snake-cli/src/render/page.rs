@@ -3,9 +3,9 @@
 use base64::Engine;
 use base64::engine::general_purpose::STANDARD;
 use serde_json::{Value, json};
-use snake_core::registration::Registration;
 use snake_core::{Detection, Field, Mesh, Normalization, Options, Point, Transform, add_origin};
 use snake_io as io;
+use snake_registration::Registration;
 
 use super::colormap::Colormap;
 

@@ -5,13 +5,13 @@ pub mod args;
 use std::path::Path;
 
 use anyhow::{Context, Result, bail};
-use snake_core::metrics::repeated_keypoints;
-use snake_core::registration::{RegisterOptions, add_origins, register_with, subtract_origins};
 use snake_core::{
     Cloud, Control, Field, Length, Mesh, MeshOptions, Model, Normalization, NormalizationMethod, Options, Point,
     Progress, Transform,
 };
+use snake_eval::repeated_keypoints;
 use snake_io as io;
+use snake_registration::{RegisterOptions, add_origins, register_with, subtract_origins};
 
 use crate::inputs::check_inputs;
 use crate::model;

@@ -10,11 +10,9 @@ use std::path::PathBuf;
 use anyhow::{Context, Result, bail};
 use serde::{Deserialize, Serialize};
 use serde_json::{Value, json};
-use snake_core::metrics::{information_matrix, inlier_ratio, overlap, squared_registration_error};
-use snake_core::registration::{
-    Descriptor, KeypointDetector, RansacOptions, Scan, mutual_nearest, ransac, subtract_origins,
-};
 use snake_core::{Cloud, Model, Point};
+use snake_eval::{information_matrix, inlier_ratio, overlap, squared_registration_error};
+use snake_registration::{Descriptor, KeypointDetector, RansacOptions, Scan, mutual_nearest, ransac, subtract_origins};
 
 use super::args::RegistrationArguments;
 use super::check_outputs;

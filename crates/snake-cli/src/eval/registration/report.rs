@@ -5,8 +5,8 @@ use std::path::Path;
 use anyhow::Result;
 use serde::Serialize;
 use serde_json::{Value, json};
-use snake_core::metrics::{RegistrationOutcome, feature_matching_recall, registration_recall};
-use snake_core::registration::{Descriptor, KeypointDetector};
+use snake_eval::{RegistrationOutcome, feature_matching_recall, registration_recall};
+use snake_registration::{Descriptor, KeypointDetector};
 
 use super::super::paper::{PaperRegistration, PaperTable};
 use super::super::record::Pair;

@@ -4,9 +4,9 @@ use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result, bail};
 use serde::Deserialize;
-use snake_core::registration::subtract_origins;
 use snake_core::{Cloud, Point, Transform};
 use snake_io as io;
+use snake_registration::subtract_origins;
 
 use super::super::pairs::{self, ListedPair, find_cloud};
 use super::super::read_json;

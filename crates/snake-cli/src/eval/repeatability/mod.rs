@@ -7,7 +7,7 @@ mod views;
 use anyhow::{Result, bail};
 use serde::{Deserialize, Serialize};
 use serde_json::{Value, json};
-use snake_core::metrics::{mean_distance_to_keypoints, relative_repeatability};
+use snake_eval::{mean_distance_to_keypoints, relative_repeatability};
 
 use super::args::RepeatabilityArguments;
 use super::check_outputs;

@@ -12,8 +12,8 @@ use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use serde::{Deserialize, Serialize};
 use serde_json::{Value, json};
-use snake_core::metrics::{MatchCounts, SmplProtocol, Unreachable, semantic_counts, smpl_pair_counts};
 use snake_core::{Length, Point};
+use snake_eval::{MatchCounts, SmplProtocol, Unreachable, semantic_counts, smpl_pair_counts};
 
 use super::args::SemanticArguments;
 use super::check_outputs;

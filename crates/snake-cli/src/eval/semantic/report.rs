@@ -4,7 +4,7 @@ use std::path::Path;
 
 use anyhow::Result;
 use serde_json::{Value, json};
-use snake_core::metrics::{MatchCounts, SmplProtocol, smpl_iou};
+use snake_eval::{MatchCounts, SmplProtocol, smpl_iou};
 
 use super::super::paper::PaperTable;
 use super::super::plot::{self, Line, Panel};

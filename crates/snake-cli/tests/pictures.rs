@@ -1,0 +1,371 @@
+//! `snake-cli field` and `snake-cli view`: pictures, volumes and pages.
+
+use std::path::{Path, PathBuf};
+use std::process::Output;
+
+use assert_cmd::Command;
+use serde_json::Value;
+use snake_core::{Builtin, EncodeOptions, Field, Model, Point, Transform};
+use snake_io as io;
+use snake_registration::transform_points;
+use tempfile::TempDir;
+
+fn sample() -> String {
+    Path::new(env!("CARGO_MANIFEST_DIR")).join("../../samples/plane.ply").display().to_string()
+}
+
+fn snake(arguments: &[&str]) -> Output {
+    Command::cargo_bin("snake-cli").unwrap().args(arguments).output().unwrap()
+}
+
+/// Runs a command that must succeed; what it printed.
+fn succeed(arguments: &[&str]) -> String {
+    let output = snake(arguments);
+    assert!(output.status.success(), "{arguments:?}: {}", String::from_utf8_lossy(&output.stderr));
+    String::from_utf8(output.stdout).unwrap()
+}
+
+/// The path of a new file in a folder, as text.
+fn file(folder: &TempDir, name: &str) -> String {
+    folder.path().join(name).display().to_string()
+}
+
+fn sample_field() -> Field {
+    let points = io::read_points(Path::new(&sample())).unwrap();
+    Model::builtin(Builtin::Compact).encode(&points, &EncodeOptions::default()).unwrap()
+}
+
+/// Width, height and the red channel of a PNG.
+fn red(path: &str) -> (usize, usize, Vec<u8>) {
+    let file = std::io::BufReader::new(std::fs::File::open(path).unwrap());
+    let mut reader = png::Decoder::new(file).read_info().unwrap();
+    let mut pixels = vec![0; reader.output_buffer_size().unwrap()];
+    let info = reader.next_frame(&mut pixels).unwrap();
+    let channels = info.color_type.samples();
+    (info.width as usize, info.height as usize, pixels.iter().copied().step_by(channels).collect())
+}
+
+/// The header and the values of a `.npy` of `<f4`.
+fn npy(path: &str) -> (String, Vec<f32>) {
+    let bytes = std::fs::read(path).unwrap();
+    let data = 10 + usize::from(u16::from_le_bytes([bytes[8], bytes[9]]));
+    let (values, _) = bytes[data..].as_chunks::<4>();
+    (String::from_utf8_lossy(&bytes[10..data]).into(), values.iter().map(|v| f32::from_le_bytes(*v)).collect())
+}
+
+#[test]
+fn a_volume_holds_the_field_at_the_places_that_are_printed() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = file(&folder, "volume.npy");
+    let printed = succeed(&["field", &sample(), "-o", &path, "--resolution", "20", "--json"]);
+    let printed: Value = serde_json::from_str(&printed).unwrap();
+    let (header, values) = npy(&path);
+    assert!(header.contains("'<f4'") && header.contains("(20, 20, 20)") && header.contains("False"), "{header}");
+    let place = |axis: usize, index: usize| {
+        let [low, high] = ["low", "high"].map(|end| printed[end][axis].as_f64().unwrap());
+        (low + index as f64 * (high - low) / 19.0) as f32
+    };
+    let queries: Vec<Point> =
+        (0..20 * 20 * 20).map(|i| [place(0, i % 20), place(1, i / 20 % 20), place(2, i / 400)]).collect();
+    let expected = sample_field().saliency(&queries).unwrap();
+    assert_eq!(values.len(), expected.len());
+    assert!(values.iter().zip(&expected).all(|(a, b)| (a - b).abs() < 1e-4));
+    assert!(expected.iter().any(|v| *v > 0.5));
+}
+
+/// Pixels of the image within a picture of one panel.
+const LEFT: usize = 92;
+const TOP: usize = 36;
+const SIDE: usize = 440;
+
+/// Compares a gray picture with values `[row][column]` from the lower left, linear between them.
+fn assert_shows(path: &str, expected: &[f32], resolution: usize) {
+    let (width, _, pixels) = red(path);
+    for y in (0..SIDE).step_by(7) {
+        for x in (0..SIDE).step_by(7) {
+            let place = [x, SIDE - 1 - y].map(|i| i as f32 / (SIDE - 1) as f32 * (resolution - 1) as f32);
+            let [column, row] = place.map(|v| (v as usize).min(resolution - 2));
+            let [across, up] = [place[0] - column as f32, place[1] - row as f32];
+            let at = |row: usize, column: usize| expected[row * resolution + column];
+            let along = |row| at(row, column) * (1.0 - across) + at(row, column + 1) * across;
+            let value = along(row) * (1.0 - up) + along(row + 1) * up;
+            let shown = f32::from(pixels[(TOP + y) * width + LEFT + x]) / 255.0;
+            assert!((shown - value).abs() < 0.004, "{path}: {shown} for {value} at {x}, {y}");
+        }
+    }
+}
+
+#[test]
+fn pictures_show_slices_and_largest_values_of_the_volume() {
+    let folder = tempfile::tempdir().unwrap();
+    let volume = file(&folder, "volume.npy");
+    let common = ["--quantity", "occupancy", "--resolution", "40"];
+    let printed = succeed(&[&["field", &sample(), "-o", &volume, "--json"], &common[..]].concat());
+    let printed: Value = serde_json::from_str(&printed).unwrap();
+    let (_, values) = npy(&volume);
+    // Strides of x, y and z in the volume, and of each axis to look along those of the picture's columns and rows.
+    let strides = [1, 40, 1600];
+    for (axis, name, [across, up]) in [(0, "x", [1, 2]), (1, "y", [0, 2]), (2, "z", [0, 1])] {
+        let plane = |along: &dyn Fn(usize) -> f32| -> Vec<f32> {
+            (0..1600).map(|i| along(i % 40 * strides[across] + i / 40 * strides[up])).collect()
+        };
+        let largest = plane(&|start| (0..40).map(|i| values[start + i * strides[axis]]).fold(0.0, f32::max));
+        let slice = plane(&|start| values[start + 25 * strides[axis]]);
+        let [low, high] = ["low", "high"].map(|end| printed[end][axis].as_f64().unwrap());
+        let position = (low + 25.0 * (high - low) / 39.0).to_string();
+        for (expected, extra) in [(largest, vec![]), (slice, vec!["--slice", &position])] {
+            let path = file(&folder, &format!("{name}{}.png", extra.len()));
+            let gray = ["field", &sample(), "-o", &path, "--axis", name, "--colormap", "gray", "--no-points"];
+            succeed(&[&gray[..], &common, &extra].concat());
+            assert_shows(&path, &expected, 40);
+        }
+    }
+}
+
+#[test]
+fn panels_stand_in_rows_and_columns_and_points_can_be_left_out() {
+    let folder = tempfile::tempdir().unwrap();
+    let draw = |name: &str, extra: &[&str]| {
+        let path = file(&folder, name);
+        succeed(&[&["field", &sample(), "-o", &path, "--resolution", "16"], extra].concat());
+        red(&path)
+    };
+    let (width, height, dotted) = draw("one.png", &[]);
+    let (_, _, plain) = draw("plain.png", &["--no-points"]);
+    assert!(dotted.iter().zip(&plain).filter(|(a, b)| a != b).count() > 1000);
+    let (wide, high, _) = draw("six.png", &["--quantity", "occupancy,saliency", "--axis", "x,y,z"]);
+    assert!(high == 2 * height && wide > 2 * width && wide < 3 * width);
+    // No point is near the edge of the box.
+    let far = ["--axis", "z", "--slice", "-0.8"];
+    assert_eq!(draw("far.png", &far), draw("far_plain.png", &[&far[..], &["--no-points"]].concat()));
+    assert_ne!(draw("middle.png", &["--slice", "middle"]), draw("m.png", &["--slice", "middle", "--no-points"]));
+    assert_ne!(draw("viridis.png", &["--colormap", "viridis"]).2, dotted);
+}
+
+#[test]
+fn mistakes_get_one_line_that_says_what_to_do() {
+    let folder = tempfile::tempdir().unwrap();
+    let [png, npy, html] = ["a.png", "a.npy", "a.html"].map(|name| file(&folder, name));
+    let matrix = file(&folder, "t.txt");
+    std::fs::write(&matrix, "1 0 0\n").unwrap();
+    let plane = &sample();
+    let cases: &[(&[&str], &str)] = &[
+        (&["field", plane, "-o", "a.jpg"], ".png, .npy"),
+        (&["field", plane, "-o", plane], "is an input"),
+        (&["field", "nowhere.ply", "-o", &png], "nowhere.ply"),
+        (&["field", plane, "-o", &npy, "--quantity", "occupancy,saliency"], "one --quantity"),
+        (&["field", plane, "-o", &png, "--slice", "7"], "from -0.8"),
+        (&["field", plane, "-o", &png, "--slice", "nan"], "`middle`"),
+        (&["field", plane, "-o", &png, "--resolution", "1"], "2 to 512"),
+        (&["field", plane, "-o", &png, "--axis", "w"], "possible values: x, y, z"),
+        (&["view", plane, "-o", "a.pdf"], ".html"),
+        (&["view", plane, plane, plane, "-o", &html], "unexpected argument"),
+        (&["view", plane, "-o", &html, "--epsilon", "1"], "two clouds"),
+        (&["view", plane, plane, "-o", &html, "--transform", &matrix], "four rows of four numbers"),
+        (&["view", plane, plane, "-o", &html, "--epsilon=-1"], "epsilon"),
+        (&["view", plane, "nowhere.ply", "-o", &html], "nowhere.ply"),
+    ];
+    for (arguments, expected) in cases {
+        let output = snake(arguments);
+        let error = String::from_utf8_lossy(&output.stderr);
+        assert_eq!(output.status.code(), Some(2), "{arguments:?}: {error}");
+        assert!(error.contains(expected), "{arguments:?}: {error}");
+    }
+    assert_eq!(folder.path().read_dir().unwrap().count(), 1, "nothing is written");
+}
+
+/// The data within a page.
+fn page_data(path: &str) -> Value {
+    let page = std::fs::read_to_string(path).unwrap();
+    let (_, rest) = page.split_once("<script type=\"application/json\" id=\"data\">").unwrap();
+    serde_json::from_str(rest.split_once("</script>").unwrap().0).unwrap()
+}
+
+const SHIFTED_TURN: Transform =
+    [[0.0, -1.0, 0.0, 5.0], [1.0, 0.0, 0.0, 0.0], [0.0, 0.0, 1.0, 1.0], [0.0, 0.0, 0.0, 1.0]];
+
+/// The sample, turned and moved.
+fn turned(folder: &TempDir) -> String {
+    let path = folder.path().join("turned.ply");
+    let points = io::read_points(Path::new(&sample())).unwrap();
+    io::write_points(&path, &transform_points(&SHIFTED_TURN, &points), [0.0; 3]).unwrap();
+    path.display().to_string()
+}
+
+#[test]
+fn of_two_clouds_the_keypoints_within_epsilon_are_linked() {
+    let folder = tempfile::tempdir().unwrap();
+    let (page, given, json) = (file(&folder, "pair.html"), file(&folder, "given.html"), file(&folder, "t.json"));
+    let second = turned(&folder);
+    let options = ["--max-keypoints", "40", "--epsilon", "0.02"];
+    let printed = succeed(&[&["view", &sample(), &second, "-o", &page], &options[..]].concat());
+    let data = page_data(&page);
+    let pair = &data["pair"];
+    let t: Transform = serde_json::from_value(pair["t_first_second"].clone()).unwrap();
+    let keypoints = |cloud: usize| -> Vec<Point> {
+        let rows = data["clouds"][cloud]["keypoints"].as_array().unwrap().iter();
+        rows.map(|row| ["x", "y", "z"].map(|axis| row[axis].as_f64().unwrap() as f32)).collect()
+    };
+    let second_in_first = transform_points(&t, &keypoints(1));
+    let mut expected = Vec::new();
+    for (i, a) in keypoints(0).iter().enumerate() {
+        let distance = |b: &Point| (0..3).map(|axis| (a[axis] - b[axis]).powi(2)).sum::<f32>().sqrt();
+        let distances = second_in_first.iter().map(distance).enumerate();
+        let (j, least) = distances.min_by(|a, b| a.1.total_cmp(&b.1)).unwrap();
+        if least < 0.02 {
+            expected.push([i, j]);
+        }
+    }
+    let links: Vec<[usize; 2]> =
+        pair["links"].as_array().unwrap().iter().map(|l| [0, 1].map(|end| l[end].as_u64().unwrap() as usize)).collect();
+    assert_eq!(links, expected);
+    assert!(links.len() > 5, "a turned copy has keypoints at the same places");
+    assert!(printed.contains(&format!("{} of 40 keypoints repeat within 0.0200", links.len())), "{printed}");
+
+    // The transform that `register` writes is the one that `view` finds.
+    succeed(&["register", &second, &sample(), "-o", &json]);
+    succeed(&[&["view", &sample(), &second, "-o", &given, "--transform", &json], &options[..]].concat());
+    let given = &page_data(&given)["pair"];
+    assert_eq!((&given["t_first_second"], &given["links"]), (&pair["t_first_second"], &pair["links"]));
+    assert!(given["registration"].is_null() && pair["registration"].is_array());
+}
+
+#[test]
+fn a_page_holds_all_and_is_the_same_for_any_number_of_threads() {
+    let folder = tempfile::tempdir().unwrap();
+    let (one, two) = (file(&folder, "one.html"), file(&folder, "two.html"));
+    succeed(&["view", &sample(), &turned(&folder), "-o", &one, "--threads", "1"]);
+    succeed(&["view", &sample(), &turned(&folder), "-o", &two, "--threads", "3"]);
+    let page = std::fs::read_to_string(&one).unwrap();
+    assert_eq!(page, std::fs::read_to_string(&two).unwrap());
+    for network in ["http:", "https:", "src=", "@import", "fetch("] {
+        assert!(!page.contains(network), "{network}");
+    }
+    let data = page_data(&one);
+    let cloud = &data["clouds"][0];
+    assert_eq!((cloud["num_points"].as_u64(), cloud["points"]["count"].as_u64()), (Some(4096), Some(4096)));
+    assert!(cloud["surface"]["count"].as_u64().unwrap() > 1000);
+    assert_eq!(data["options"]["detect"]["max_keypoints"], 64);
+}
+
+/// A tube along a knot, in text.
+fn knot(count: usize) -> String {
+    let row = |i: usize| {
+        let (t, a) = (i as f64 * 0.618_034 % 1.0 * std::f64::consts::TAU, i as f64);
+        let r = 2.0 + (3.0 * t).cos() + 0.3 * a.cos();
+        format!("{:.4} {:.4} {:.4}\n", r * (2.0 * t).cos(), r * (2.0 * t).sin(), (3.0 * t).sin() + 0.3 * a.sin())
+    };
+    (0..count).map(row).collect()
+}
+
+#[test]
+fn pages_stay_small() {
+    let folder = tempfile::tempdir().unwrap();
+    let (cloud, page) = (file(&folder, "knot.xyz"), file(&folder, "knot.html"));
+    let size = |number| {
+        std::fs::write(&cloud, knot(number)).unwrap();
+        let printed = succeed(&["view", &cloud, "-o", &page]);
+        (printed, page_data(&page)["clouds"][0]["points"]["count"].as_u64(), std::fs::metadata(&page).unwrap().len())
+    };
+    let (_, shown, bytes) = size(100_000);
+    assert!(shown == Some(100_000) && bytes < 8_000_000, "{bytes}");
+    let (printed, shown, bytes) = size(500_000);
+    assert!(printed.contains("(250000 shown)") && shown == Some(250_000) && bytes < 8_000_000, "{printed} {bytes}");
+}
+
+/// Chromium, if there is one.
+fn chromium() -> Option<PathBuf> {
+    let names = ["chromium", "chromium-browser", "google-chrome"];
+    let folders: Vec<PathBuf> = std::env::split_paths(&std::env::var_os("PATH").unwrap_or_default()).collect();
+    let found = folders.iter().flat_map(|folder| names.map(|name| folder.join(name))).find(|path| path.is_file());
+    if found.is_none() {
+        eprintln!("skipped: no Chromium to open the page in");
+    }
+    found
+}
+
+/// Opens a page with a script appended; its elements once that ran. The console must stay empty.
+fn open(chromium: &Path, folder: &TempDir, page: &str, script: &str) -> String {
+    let (path, profile) = (file(folder, "opened.html"), file(folder, "profile"));
+    let text = std::fs::read_to_string(page).unwrap();
+    std::fs::write(&path, text.replace("</body>", &format!("<script>{script}</script></body>"))).unwrap();
+    let flags = "--headless=new --no-sandbox --use-gl=angle --use-angle=swiftshader --enable-unsafe-swiftshader \
+                 --window-size=1200,800 --virtual-time-budget=5000 --enable-logging=stderr --dump-dom";
+    let output = Command::new(chromium)
+        .args(flags.split_whitespace())
+        .args([format!("--user-data-dir={profile}"), format!("file://{path}")])
+        .output()
+        .unwrap();
+    let log = String::from_utf8_lossy(&output.stderr);
+    let console: Vec<&str> = log.lines().filter(|line| line.contains("CONSOLE")).collect();
+    assert!(output.status.success() && console.is_empty(), "{console:#?}");
+    String::from_utf8_lossy(&output.stdout).into()
+}
+
+/// Switches the surface on, then points at places until there is a keypoint, and counts the colours that are drawn.
+const LOOK: &str = r##"
+setTimeout(() => {
+  document.querySelectorAll("#controls label")[2].click();
+  draw();
+  const pixels = new Uint8Array(canvas.width * canvas.height * 4);
+  gl.readPixels(0, 0, canvas.width, canvas.height, gl.RGBA, gl.UNSIGNED_BYTE, pixels);
+  document.documentElement.dataset.colors = new Set(new Uint32Array(pixels.buffer)).size;
+  for (let y = 0; y < canvas.clientHeight && byId("tooltip").hidden; y += 5) {
+    for (let x = 0; x < canvas.clientWidth && byId("tooltip").hidden; x += 5) {
+      canvas.dispatchEvent(new PointerEvent("pointermove", { clientX: x, clientY: y }));
+    }
+  }
+}, 500);"##;
+
+/// The number after an attribute's name.
+fn attribute(page: &str, name: &str) -> Option<u32> {
+    page.split_once(&format!("{name}=\""))?.1.split_once('"')?.0.parse().ok()
+}
+
+#[test]
+fn pages_open_in_chromium_without_errors() {
+    let Some(chromium) = chromium() else { return };
+    let folder = tempfile::tempdir().unwrap();
+    let (one, two) = (file(&folder, "one.html"), file(&folder, "two.html"));
+    succeed(&["view", &sample(), "-o", &one]);
+    succeed(&["view", &sample(), &turned(&folder), "-o", &two, "--nms-radius", "0.05"]);
+    for (page, words) in [(&one, vec!["triangles"]), (&two, vec!["repeat in B within", "keypoint of one cloud only"])] {
+        let seen = open(&chromium, &folder, page, LOOK);
+        assert!(seen.contains("data-state=\"drawn\""), "the scene was not drawn");
+        assert!(attribute(&seen, "data-colors").unwrap() > 500, "{:?}", attribute(&seen, "data-colors"));
+        let (_, tooltip) = seen.split_once("id=\"tooltip\"").unwrap();
+        assert!(tooltip[..400].contains("score (saliency)"), "{}", &tooltip[..400]);
+        assert!(words.iter().all(|word| seen.contains(word)));
+    }
+}
+
+#[test]
+fn a_page_without_webgl_says_so() {
+    let Some(chromium) = chromium() else { return };
+    let folder = tempfile::tempdir().unwrap();
+    let page = file(&folder, "page.html");
+    succeed(&["view", &sample(), "-o", &page]);
+    let text = std::fs::read_to_string(&page).unwrap();
+    let without = text.replace("<body>", "<body><script>HTMLCanvasElement.prototype.getContext = () => null</script>");
+    std::fs::write(&page, without).unwrap();
+    let seen = open(&chromium, &folder, &page, "");
+    assert!(seen.contains("data-state=\"failed\"") && seen.contains("This browser has no WebGL 2"));
+    assert!(seen.contains("262 144"), "the counts are there");
+}
+
+#[cfg(unix)]
+#[test]
+fn file_names_cannot_become_markup() {
+    let folder = tempfile::tempdir().unwrap();
+    let (page, parent) = (file(&folder, "page.html"), folder.path().join("a<"));
+    std::fs::create_dir(&parent).unwrap();
+    let cloud = parent.join("script><img src=x onerror=console.error(1)>&\"'{SCRIPT}.ply");
+    std::fs::copy(sample(), &cloud).unwrap();
+    succeed(&["view", cloud.to_str().unwrap(), "-o", &page]);
+    let text = std::fs::read_to_string(&page).unwrap();
+    assert!(!text.contains("<img"));
+    assert_eq!(page_data(&page)["clouds"][0]["name"], cloud.to_str().unwrap());
+    let Some(chromium) = chromium() else { return };
+    let seen = open(&chromium, &folder, &page, "");
+    assert!(seen.contains("data-state=\"drawn\"") && !seen.contains("<img"));
+}

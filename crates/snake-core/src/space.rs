@@ -1,0 +1,7 @@
+//! Neighbours and checks of points, for this crate and for crates that build on it.
+
+pub use crate::kd_tree::KdTree;
+pub use crate::length::resolution;
+pub use crate::neighbors::{Neighbors, Vector, eigen, vector};
+pub use crate::nms::nearest_points;
+pub use crate::points::{FinitePoints, check_points};

@@ -1,0 +1,248 @@
+//! The 3DMatch benchmark's figures: inlier ratio, feature matching recall, registration recall.
+
+use nalgebra::{Matrix3, Matrix3x6, Matrix4, Matrix6, Rotation3, UnitQuaternion, Vector3, Vector6};
+
+use super::{matrix, moved};
+use snake_core::space::check_points;
+use snake_core::space::{Neighbors, vector};
+use snake_core::{Error, Result};
+use snake_core::{Point, Transform};
+
+/// Inlier ratio: of correspondences (the same row of both arrays), the share that `t_target_source` brings nearer than
+/// `threshold` to one another; 0 without correspondences. 3DMatch takes 0.1 m.
+///
+/// # Errors
+/// [`Error::Input`] when the arrays differ in length, or for coordinates that are not finite or a bad transform.
+pub fn inlier_ratio(source: &[Point], target: &[Point], t_target_source: &Transform, threshold: f64) -> Result<f64> {
+    if source.len() != target.len() {
+        let reason = format!("{} points, but the source has {}; row i matches row i", target.len(), source.len());
+        return Err(Error::Input { what: "target", reason });
+    }
+    let source = moved("source", source, &matrix("t_target_source", t_target_source)?)?;
+    let target = moved("target", target, &Matrix4::identity())?;
+    let inliers = source.iter().zip(&target).filter(|(s, t)| (*s - *t).norm() < threshold).count();
+    Ok(inliers as f64 / source.len().max(1) as f64)
+}
+
+/// Feature matching recall: the share of pairs whose inlier ratio is above `threshold` (3DMatch: 0.05). The
+/// benchmark's pairs include consecutive fragments, and its figure is the plain mean over the scenes.
+///
+/// # Errors
+/// [`Error::Input`] without pairs.
+pub fn feature_matching_recall(inlier_ratios: &[f64], threshold: f64) -> Result<f64> {
+    if inlier_ratios.is_empty() {
+        return Err(Error::Input { what: "inlier_ratios", reason: "no pairs".into() });
+    }
+    Ok(inlier_ratios.iter().filter(|ratio| **ratio > threshold).count() as f64 / inlier_ratios.len() as f64)
+}
+
+/// The mean squared distance by which an estimated transform misplaces the overlap of a pair, to first order, from the
+/// information matrix of `gt.info`: `eᵀ I e / I₁₁` with `e = (t, q_xyz)` of `t_gt⁻¹ t_estimate` (3DMatch, after Choi,
+/// Zhou and Koltun 2015). In square units of the cloud.
+///
+/// The rotation's quaternion `(q_w, q_xyz)`, `q_w ≥ 0`, turns points; MATLAB's `dcm2quat`, used by the released code,
+/// gives its conjugate and is negated there.
+///
+/// # Errors
+/// [`Error::Input`] for a transform that is not rigid or an information matrix without information.
+pub fn squared_registration_error(
+    t_gt: &Transform,
+    t_estimate: &Transform,
+    information: &[[f64; 6]; 6],
+) -> Result<f64> {
+    let (rotation_gt, shift_gt) = rigid("t_gt", t_gt)?;
+    let (rotation, shift) = rigid("t_estimate", t_estimate)?;
+    if !(information.as_flattened().iter().all(|v| v.is_finite()) && information[0][0] > 0.0) {
+        let reason = "expected finite numbers and a positive first entry, the number of points".into();
+        return Err(Error::Input { what: "information", reason });
+    }
+    let between = UnitQuaternion::from_rotation_matrix(&(rotation_gt.inverse() * rotation));
+    let t = rotation_gt.inverse() * (shift - shift_gt);
+    let q = between.imag() * if between.w < 0.0 { -1.0 } else { 1.0 };
+    let error = Vector6::new(t.x, t.y, t.z, q.x, q.y, q.z);
+    let information = Matrix6::from_fn(|row, column| information[row][column]);
+    Ok(error.dot(&(information * error)) / information[(0, 0)])
+}
+
+/// The information matrix of the overlap of a pair, as `gt.info` has it: `Σ GᵀG` over the source's points that have a
+/// partner in the target, `G = [I, -2 [p]ₓ]`.
+///
+/// # Errors
+/// [`Error::Input`] without points or for coordinates that are not finite.
+pub fn information_matrix(points: &[Point]) -> Result<[[f64; 6]; 6]> {
+    check_points("points", points)?;
+    let mut sum = Matrix6::zeros();
+    for &point in points {
+        let mut g = Matrix3x6::zeros();
+        g.fixed_columns_mut::<3>(0).copy_from(&Matrix3::identity());
+        g.fixed_columns_mut::<3>(3).copy_from(&(vector(point).cross_matrix() * -2.0));
+        sum += g.transpose() * g;
+    }
+    Ok(std::array::from_fn(|row| std::array::from_fn(|column| sum[(row, column)])))
+}
+
+/// The source's points that `t_target_source` brings nearer than `distance` to some point of the target: those that
+/// [`information_matrix`] takes.
+///
+/// # Errors
+/// [`Error::Input`] for an empty cloud, coordinates that are not finite or a bad transform.
+pub fn overlap(source: &[Point], target: &[Point], t_target_source: &Transform, distance: f64) -> Result<Vec<Point>> {
+    check_points("source", source)?;
+    check_points("target", target)?;
+    let placed = moved("source", source, &matrix("t_target_source", t_target_source)?)?;
+    let target = Neighbors::new(target.iter().copied().map(vector).collect())?;
+    let near = placed.iter().map(|point| target.distance(point) < distance);
+    Ok(source.iter().zip(near).filter_map(|(&point, near)| near.then_some(point)).collect())
+}
+
+/// What registration made of one pair of fragments.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct RegistrationOutcome {
+    /// Number of the first fragment within its scene.
+    pub first: usize,
+    /// Number of the second.
+    pub second: usize,
+    /// By [`squared_registration_error`]; `None` if no transform was found.
+    pub squared_error: Option<f64>,
+}
+
+/// Registration recall of one scene: the share of its ground-truth pairs, consecutive fragments left out, that are
+/// registered with a mean squared error of at most `threshold` squared (3DMatch: 0.2 m). The benchmark's figure is the
+/// plain mean over the scenes.
+///
+/// # Errors
+/// [`Error::Input`] when no pair is left.
+pub fn registration_recall(outcomes: &[RegistrationOutcome], threshold: f64) -> Result<f64> {
+    let counted: Vec<_> = outcomes.iter().filter(|pair| pair.first.abs_diff(pair.second) > 1).collect();
+    if counted.is_empty() {
+        return Err(Error::Input { what: "outcomes", reason: "no pairs besides consecutive fragments".into() });
+    }
+    let good = |pair: &&&RegistrationOutcome| pair.squared_error.is_some_and(|error| error <= threshold * threshold);
+    Ok(counted.iter().filter(good).count() as f64 / counted.len() as f64)
+}
+
+/// Rotation and translation of a transform that is rigid to 1e-3: files hold few digits.
+fn rigid(what: &'static str, transform: &Transform) -> Result<(Rotation3<f64>, Vector3<f64>)> {
+    let matrix = matrix(what, transform)?;
+    let linear: Matrix3<f64> = matrix.fixed_view::<3, 3>(0, 0).into();
+    if (linear.transpose() * linear - Matrix3::identity()).amax() > 1e-3 || linear.determinant() < 0.0 {
+        return Err(Error::Input { what, reason: "its upper left 3x3 block is not a rotation".into() });
+    }
+    Ok((Rotation3::from_matrix_unchecked(linear), matrix.fixed_view::<3, 1>(0, 3).into()))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::IDENTITY;
+    use super::*;
+
+    fn transform(axis_angle: [f64; 3], shift: [f64; 3]) -> Transform {
+        let rotation = Rotation3::new(Vector3::from(axis_angle));
+        let mut transform = IDENTITY;
+        for row in 0..3 {
+            for column in 0..3 {
+                transform[row][column] = rotation[(row, column)];
+            }
+            transform[row][3] = shift[row];
+        }
+        transform
+    }
+
+    #[test]
+    fn inliers_are_strictly_within_the_threshold() {
+        let source = [[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [2.0, 0.0, 0.0], [3.0, 0.0, 0.0]];
+        let target = [[1.0, 0.0, 0.0], [2.0, 0.25, 0.0], [3.0, 0.5, 0.0], [9.0, 0.0, 0.0]];
+        let t_target_source = transform([0.0; 3], [1.0, 0.0, 0.0]);
+        assert_eq!(inlier_ratio(&source, &target, &t_target_source, 0.5).unwrap(), 0.5);
+        assert_eq!(inlier_ratio(&source, &target, &IDENTITY, 0.5).unwrap(), 0.0);
+        assert_eq!(inlier_ratio(&[], &[], &IDENTITY, 0.5).unwrap(), 0.0);
+        assert!(inlier_ratio(&source, &target[..3], &IDENTITY, 0.5).is_err());
+    }
+
+    #[test]
+    fn the_overlap_is_what_is_strictly_within_the_distance() {
+        let source = [[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [2.0, 0.0, 0.0]];
+        let target = [[1.0, 0.25, 0.0], [9.0, 0.0, 0.0], [2.0, 0.0, 0.5]];
+        let t_target_source = transform([0.0; 3], [1.0, 0.0, 0.0]);
+        assert_eq!(overlap(&source, &target, &t_target_source, 0.5).unwrap(), source[..1]);
+        assert_eq!(overlap(&source, &target, &t_target_source, 0.6).unwrap(), source[..2]);
+        assert!(overlap(&source, &[], &t_target_source, 0.5).is_err());
+    }
+
+    #[test]
+    fn a_pair_matches_above_the_threshold_only() {
+        assert_eq!(feature_matching_recall(&[0.05, 0.051, 0.0, 1.0], 0.05).unwrap(), 0.5);
+        assert!(feature_matching_recall(&[], 0.05).is_err());
+    }
+
+    #[test]
+    fn a_pure_shift_is_its_own_error() {
+        let gt = transform([0.3, -0.2, 0.9], [1.0, 2.0, 3.0]);
+        let mut estimate = gt;
+        estimate[0][3] += 0.3;
+        estimate[2][3] -= 0.4;
+        let information = information_matrix(&[[0.4, 0.1, 0.9], [1.0, -2.0, 0.3]]).unwrap();
+        assert_eq!(information[0][0], 2.0);
+        assert!((squared_registration_error(&gt, &estimate, &information).unwrap() - 0.25).abs() < 1e-12);
+    }
+
+    #[test]
+    fn a_quarter_turn_by_hand() {
+        // e = (0, 0, 0, 0, 0, sin 45°); I₆₆ = 10, I₁₁ = 5: p = 0.5 · 10 / 5.
+        let mut information = [[0.0; 6]; 6];
+        (information[0][0], information[5][5]) = (5.0, 10.0);
+        let turn = transform([0.0, 0.0, std::f64::consts::FRAC_PI_2], [0.0; 3]);
+        assert!((squared_registration_error(&IDENTITY, &turn, &information).unwrap() - 1.0).abs() < 1e-12);
+    }
+
+    #[test]
+    fn small_errors_are_the_mean_squared_displacement_of_the_overlap() {
+        // Fails if the quaternion's sign or the order of the transforms is wrong.
+        let points: Vec<Point> =
+            (0..50).map(|i| [1.0 + (i % 7) as f32 * 0.3, (i % 5) as f32 * 0.2 - 2.0, (i % 11) as f32 * 0.1]).collect();
+        let gt = transform([0.3, -0.2, 0.9], [1.0, 2.0, 3.0]);
+        let (gt_rotation, gt_shift) = rigid("t", &gt).unwrap();
+        let error = transform([0.004, -0.002, 0.003], [0.01, 0.0, -0.02]);
+        let product = matrix("t", &gt).unwrap() * matrix("t", &error).unwrap();
+        let estimate: Transform = std::array::from_fn(|row| std::array::from_fn(|column| product[(row, column)]));
+        let (rotation, shift) = rigid("t", &estimate).unwrap();
+        let displacement = |&p: &Point| {
+            let p = vector(p);
+            (rotation * p + shift - (gt_rotation * p + gt_shift)).norm_squared()
+        };
+        let expected = points.iter().map(displacement).sum::<f64>() / points.len() as f64;
+        let information = information_matrix(&points).unwrap();
+        let found = squared_registration_error(&gt, &estimate, &information).unwrap();
+        assert!((found / expected - 1.0).abs() < 0.01, "{found} {expected}");
+    }
+
+    #[test]
+    fn recall_leaves_out_consecutive_fragments_and_counts_failures() {
+        let pair = |first, second, squared_error| RegistrationOutcome { first, second, squared_error };
+        let scene = [
+            pair(0, 1, Some(0.0)),
+            pair(3, 2, Some(0.0)),
+            pair(0, 2, Some(0.04)),
+            pair(5, 1, Some(0.041)),
+            pair(0, 9, None),
+            pair(2, 4, Some(0.001)),
+        ];
+        assert_eq!(registration_recall(&scene, 0.2).unwrap(), 0.5);
+        assert!(registration_recall(&scene[..2], 0.2).is_err());
+    }
+
+    #[test]
+    fn what_is_not_rigid_is_refused() {
+        let information = information_matrix(&[[1.0; 3]]).unwrap();
+        let mut scaled = IDENTITY;
+        scaled[1][1] = 1.1;
+        let mut mirrored = IDENTITY;
+        mirrored[1][1] = -1.0;
+        for bad in [scaled, mirrored] {
+            let error = squared_registration_error(&IDENTITY, &bad, &information).unwrap_err().to_string();
+            assert_eq!(error, "t_estimate: its upper left 3x3 block is not a rotation");
+        }
+        assert!(squared_registration_error(&IDENTITY, &IDENTITY, &[[0.0; 6]; 6]).is_err());
+        assert!(information_matrix(&[]).is_err());
+    }
+}

@@ -1,0 +1,201 @@
+//! Relative repeatability, and how well keypoints cover a surface.
+
+use nalgebra::Matrix4;
+
+use super::{check_thresholds, matrix, moved};
+use snake_core::Result;
+use snake_core::space::check_points;
+use snake_core::space::{Neighbors, Vector, vector};
+use snake_core::{Point, Transform};
+
+/// Relative repeatability (SNAKE section 4.2, USIP): of each `epsilon`, the share of view 1's keypoints that are
+/// nearer than it to a keypoint of view 2, brought to view 1 by `t_1_2`.
+///
+/// One-directional, not one-to-one, without a test of overlap; the boundary does not count. A view without keypoints
+/// gives 0. The figure of a data set is the plain mean over its pairs.
+///
+/// ```
+/// use snake_eval::relative_repeatability;
+/// let t_1_2 = [[1.0, 0.0, 0.0, 5.0], [0.0, 1.0, 0.0, 0.0], [0.0, 0.0, 1.0, 0.0], [0.0, 0.0, 0.0, 1.0]];
+/// let (view_1, view_2) = ([[5.0, 0.0, 0.0], [9.0, 0.0, 0.0]], [[0.0, 0.25, 0.0]]);
+/// assert_eq!(relative_repeatability(&view_1, &view_2, &t_1_2, &[0.25, 0.5])?, [0.0, 0.5]);
+/// # Ok::<(), snake_core::Error>(())
+/// ```
+///
+/// # Errors
+/// [`Error::Input`](snake_core::Error::Input) for coordinates that are not finite or a bad transform,
+/// [`Error::Option`](snake_core::Error::Option) for a negative epsilon.
+pub fn relative_repeatability(
+    keypoints_1: &[Point],
+    keypoints_2: &[Point],
+    t_1_2: &Transform,
+    epsilon: &[f64],
+) -> Result<Vec<f64>> {
+    let [first, second] = in_view_1(keypoints_1, keypoints_2, t_1_2, epsilon)?;
+    shares_within(&first, second, epsilon)
+}
+
+/// Of each keypoint of view 1 the nearest keypoint of view 2, brought to view 1 by `t_1_2`, if it is nearer than
+/// `epsilon`: its index and the distance. The share of those that have one is [`relative_repeatability`].
+///
+/// ```
+/// use snake_eval::repeated_keypoints;
+/// let t_1_2 = [[1.0, 0.0, 0.0, 5.0], [0.0, 1.0, 0.0, 0.0], [0.0, 0.0, 1.0, 0.0], [0.0, 0.0, 0.0, 1.0]];
+/// let (view_1, view_2) = ([[5.0, 0.0, 0.0], [9.0, 0.0, 0.0]], [[7.0, 0.0, 0.0], [0.0, 0.25, 0.0]]);
+/// assert_eq!(repeated_keypoints(&view_1, &view_2, &t_1_2, 0.5)?, [Some((1, 0.25)), None]);
+/// # Ok::<(), snake_core::Error>(())
+/// ```
+///
+/// # Errors
+/// Those of [`relative_repeatability`].
+pub fn repeated_keypoints(
+    keypoints_1: &[Point],
+    keypoints_2: &[Point],
+    t_1_2: &Transform,
+    epsilon: f64,
+) -> Result<Vec<Option<(usize, f64)>>> {
+    let [first, second] = in_view_1(keypoints_1, keypoints_2, t_1_2, &[epsilon])?;
+    if second.is_empty() {
+        return Ok(vec![None; first.len()]);
+    }
+    let neighbors = Neighbors::new(second)?;
+    // Of equal distances the lower index: the tree gives them in no order.
+    let nearest = |keypoint: &Vector| {
+        let within = neighbors.within(keypoint, epsilon).into_iter();
+        let distances = within.map(|index| (index, (neighbors.points[index] - keypoint).norm()));
+        distances.min_by(|a, b| a.1.total_cmp(&b.1))
+    };
+    Ok(first.iter().map(nearest).collect())
+}
+
+/// The mean of [`relative_repeatability`] from view 1 to view 2 and from view 2 to view 1.
+///
+/// # Errors
+/// Those of [`relative_repeatability`].
+pub fn symmetric_repeatability(
+    keypoints_1: &[Point],
+    keypoints_2: &[Point],
+    t_1_2: &Transform,
+    epsilon: &[f64],
+) -> Result<Vec<f64>> {
+    let [first, second] = in_view_1(keypoints_1, keypoints_2, t_1_2, epsilon)?;
+    let forward = shares_within(&first, second.clone(), epsilon)?;
+    let backward = shares_within(&second, first, epsilon)?;
+    Ok(forward.iter().zip(backward).map(|(a, b)| (a + b) / 2.0).collect())
+}
+
+/// Mean distance from each point of a cloud to its nearest keypoint: how well the keypoints cover it. Keypoints that
+/// crowd at one place repeat well; this tells them from keypoints that are spread.
+///
+/// # Errors
+/// [`Error::Input`](snake_core::Error::Input) when there are no points or no keypoints, or a coordinate is not finite.
+pub fn mean_distance_to_keypoints(points: &[Point], keypoints: &[Point]) -> Result<f64> {
+    check_points("points", points)?;
+    check_points("keypoints", keypoints)?;
+    let neighbors = Neighbors::new(keypoints.iter().map(|&p| vector(p)).collect())?;
+    Ok(points.iter().map(|&p| neighbors.distance(&vector(p))).sum::<f64>() / points.len() as f64)
+}
+
+/// The keypoints of both views in the frame of view 1.
+fn in_view_1(
+    keypoints_1: &[Point],
+    keypoints_2: &[Point],
+    t_1_2: &Transform,
+    epsilon: &[f64],
+) -> Result<[Vec<Vector>; 2]> {
+    check_thresholds("epsilon", epsilon)?;
+    let first = moved("keypoints_1", keypoints_1, &Matrix4::identity())?;
+    Ok([first, moved("keypoints_2", keypoints_2, &matrix("t_1_2", t_1_2)?)?])
+}
+
+/// Of each epsilon, the share of `of` that is nearer than it to one of `to`.
+fn shares_within(of: &[Vector], to: Vec<Vector>, epsilon: &[f64]) -> Result<Vec<f64>> {
+    if of.is_empty() || to.is_empty() {
+        return Ok(vec![0.0; epsilon.len()]);
+    }
+    let neighbors = Neighbors::new(to)?;
+    let distances: Vec<f64> = of.iter().map(|p| neighbors.distance(p)).collect();
+    let share = |limit: &f64| distances.iter().filter(|d| *d < limit).count() as f64 / of.len() as f64;
+    Ok(epsilon.iter().map(share).collect())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::IDENTITY;
+    use super::*;
+
+    const VIEW_1: [Point; 4] = [[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [5.0, 0.0, 0.0], [9.0, 9.0, 9.0]];
+    const VIEW_2: [Point; 2] = [[0.25, 0.0, 0.0], [1.0, 0.5, 0.0]];
+
+    #[test]
+    fn the_share_strictly_within_epsilon_by_hand() {
+        let found = relative_repeatability(&VIEW_1, &VIEW_2, &IDENTITY, &[0.25, 0.26, 0.5, 0.51, 100.0]).unwrap();
+        assert_eq!(found, [0.0, 0.25, 0.25, 0.5, 1.0]);
+    }
+
+    #[test]
+    fn directions_differ_and_the_symmetric_variant_is_their_mean() {
+        // Two keypoints of the one view share a keypoint of the other.
+        let (one, other) = ([[0.0, 0.0, 0.0], [0.1, 0.0, 0.0]], [[0.05, 0.0, 0.0], [3.0, 0.0, 0.0], [4.0, 0.0, 0.0]]);
+        assert_eq!(relative_repeatability(&one, &other, &IDENTITY, &[0.06]).unwrap(), [1.0]);
+        assert_eq!(relative_repeatability(&other, &one, &IDENTITY, &[0.06]).unwrap(), [1.0 / 3.0]);
+        assert_eq!(symmetric_repeatability(&one, &other, &IDENTITY, &[0.06]).unwrap(), [2.0 / 3.0]);
+        assert_eq!(symmetric_repeatability(&other, &one, &IDENTITY, &[0.06]).unwrap(), [2.0 / 3.0]);
+    }
+
+    #[test]
+    fn the_transform_takes_view_2_to_view_1() {
+        // A quarter turn about z, then a shift: (x, y) in view 2 is (2 - y, x) in view 1.
+        let t_1_2 = [[0.0, -1.0, 0.0, 2.0], [1.0, 0.0, 0.0, 0.0], [0.0, 0.0, 1.0, 0.0], [0.0, 0.0, 0.0, 1.0]];
+        let (view_1, view_2) = ([[-1.0, 7.0, 4.0]], [[7.0, 3.0, 4.0]]);
+        assert_eq!(relative_repeatability(&view_1, &view_2, &t_1_2, &[1e-6]).unwrap(), [1.0]);
+        assert_eq!(relative_repeatability(&view_2, &view_1, &t_1_2, &[1e-6]).unwrap(), [0.0]);
+        assert_eq!(symmetric_repeatability(&view_1, &view_2, &t_1_2, &[1e-6]).unwrap(), [1.0]);
+    }
+
+    #[test]
+    fn a_view_without_keypoints_repeats_nothing() {
+        for (one, other) in [(&VIEW_1[..0], &VIEW_2[..]), (&VIEW_1[..], &[]), (&[], &[])] {
+            assert_eq!(relative_repeatability(one, other, &IDENTITY, &[1.0, 2.0]).unwrap(), [0.0, 0.0]);
+            assert_eq!(symmetric_repeatability(one, other, &IDENTITY, &[1.0, 2.0]).unwrap(), [0.0, 0.0]);
+        }
+    }
+
+    #[test]
+    fn partners_are_the_nearest_and_as_many_as_the_share_says() {
+        let found = repeated_keypoints(&VIEW_1, &VIEW_2, &IDENTITY, 0.51).unwrap();
+        assert_eq!(found, [Some((0, 0.25)), Some((1, 0.5)), None, None]);
+        assert_eq!(
+            repeated_keypoints(&VIEW_1, &VIEW_2, &IDENTITY, 0.25).unwrap(),
+            [None; 4],
+            "the boundary is outside"
+        );
+        let twice = [VIEW_2[1], VIEW_2[0], VIEW_2[0]];
+        assert_eq!(repeated_keypoints(&VIEW_1[..1], &twice, &IDENTITY, 9.0).unwrap(), [Some((1, 0.25))]);
+        assert_eq!(repeated_keypoints(&VIEW_1, &[], &IDENTITY, 9.0).unwrap(), [None; 4]);
+        assert!(repeated_keypoints(&VIEW_1, &VIEW_2, &IDENTITY, -1.0).is_err());
+    }
+
+    #[test]
+    fn coverage_is_the_mean_distance_to_the_nearest() {
+        let keypoints = [[0.0, 0.0, 0.0], [5.0, 0.0, 0.0]];
+        assert_eq!(mean_distance_to_keypoints(&VIEW_1[..3], &keypoints).unwrap(), 1.0 / 3.0);
+        assert!(mean_distance_to_keypoints(&VIEW_1, &[]).is_err());
+        assert!(mean_distance_to_keypoints(&[], &keypoints).is_err());
+    }
+
+    #[test]
+    fn bad_numbers_are_refused() {
+        let call = |bad: Point, transform: &Transform, epsilon: f64| {
+            relative_repeatability(&[bad], &VIEW_2, transform, &[epsilon]).map_err(|e| e.to_string())
+        };
+        let mut scaled = IDENTITY;
+        scaled[3][3] = 2.0;
+        assert!(call([f32::NAN, 0.0, 0.0], &IDENTITY, 1.0).unwrap_err().starts_with("keypoints_1: 1 of 1"));
+        assert!(call([0.0; 3], &scaled, 1.0).unwrap_err().starts_with("t_1_2: expected a finite 4x4"));
+        assert!(call([0.0; 3], &[[f64::NAN; 4]; 4], 1.0).is_err());
+        for epsilon in [-0.1, f64::NAN] {
+            assert!(call([0.0; 3], &IDENTITY, epsilon).unwrap_err().starts_with("option `epsilon`"));
+        }
+    }
+}

@@ -1,0 +1,13 @@
+use snake_core::{Builtin, DetectOptions, EncodeOptions, Model};
+
+fn main() -> Result<(), Box<dyn std::error::Error>> {
+    let points = snake_io::read_points("samples/plane.ply".as_ref())?;
+    let model = Model::builtin(Builtin::Compact);
+    let detection = model.detect(&points, model.recommended())?; // one call for everything
+
+    let field = model.encode(&points, &EncodeOptions::default())?; // or encode once, query many times
+    let (saliency, gradient) = field.saliency_and_gradient(&points)?;
+    let spread = field.detect(&DetectOptions { nms_radius: Some(0.2.into()), ..Default::default() })?;
+    println!("{} {} {} {}", detection.keypoints.len(), spread.keypoints.len(), saliency.len(), gradient.len());
+    Ok(())
+}

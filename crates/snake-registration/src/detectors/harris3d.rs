@@ -1,0 +1,101 @@
+//! Harris 3D (Sipiran and Bustos 2011), as PCL computes it.
+
+use nalgebra::Matrix3;
+use rayon::prelude::*;
+
+use super::{Response, among_finite, index_cloud, local_maxima};
+use snake_core::Length;
+use snake_core::Point;
+use snake_core::space::Vector;
+use snake_core::{Error, Result};
+
+/// Options of [`harris3d`].
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Harris3dOptions {
+    /// Points nearer than this make up the neighbourhood of a normal, of a response and of a maximum.
+    pub radius: Length,
+    /// Responses below are dropped; they lie between 0 and 1/27.
+    pub threshold: f64,
+    /// Keep only local maxima. Without, every point is a keypoint, as in the wrapper that the paper's tables used.
+    pub non_max: bool,
+}
+
+impl Default for Harris3dOptions {
+    fn default() -> Self {
+        Self { radius: Length::Resolutions(6.0), threshold: 0.0, non_max: true }
+    }
+}
+
+/// Harris 3D keypoints. The score is PCL's response `0.04 + det C - 0.04 (tr C)²` of the mean `C` of the neighbours'
+/// `n nᵀ`, n the normal; as `tr C` is 1, that is the determinant: how far the normals point every way. Keypoints are
+/// input points: PCL's refinement of positions is left out.
+///
+/// # Errors
+/// [`Error::Input`] when the cloud has no finite points or is one point repeated;
+/// [`Error::Option`] when an option is outside its range.
+pub fn harris3d(points: &[Point], options: &Harris3dOptions) -> Result<Vec<Response>> {
+    among_finite(points, |points| find(points, options))
+}
+
+/// [`harris3d`] of finite points.
+fn find(points: &[Point], options: &Harris3dOptions) -> Result<Vec<Response>> {
+    if !options.threshold.is_finite() {
+        let value = options.threshold.to_string();
+        return Err(Error::Option { name: "threshold", value, allowed: "a finite number" });
+    }
+    let cloud = index_cloud(points)?;
+    let radius = options.radius.resolve("radius", || cloud.resolution())?;
+    cloud.check_crowding("radius", radius)?;
+    let neighbors = |point: &Vector| cloud.within(point, radius);
+    let normals: Vec<Option<Vector>> = cloud.points.par_iter().map(|point| cloud.normal(&neighbors(point))).collect();
+    let response = |point| {
+        let around: Vec<&Vector> = neighbors(point).into_iter().filter_map(|i| normals[i].as_ref()).collect();
+        let sum: Matrix3<f64> = around.iter().map(|n| *n * n.transpose()).sum();
+        (sum / around.len().max(1) as f64).determinant().max(0.0)
+    };
+    let responses: Vec<f64> = cloud.points.par_iter().map(response).collect();
+    // Nothing is nearer than 0, so nothing is suppressed.
+    let radius = if options.non_max { radius } else { 0.0 };
+    Ok(local_maxima(&cloud, &responses, radius, 0, |response| response >= options.threshold))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::tests::{corner, cube};
+    use super::*;
+    use snake_core::space::vector;
+
+    #[test]
+    fn the_corners_of_a_cube_are_the_keypoints() {
+        let points = cube(11);
+        let options = Harris3dOptions { radius: Length::Units(0.45), ..Default::default() };
+        let found = harris3d(&points, &options).unwrap();
+        let mut corners: Vec<_> = found.iter().filter_map(|response| corner(points[response.index])).collect();
+        corners.sort_unstable();
+        assert_eq!((found.len(), corners), (8, vec![0, 1, 2, 3, 4, 5, 6, 7]));
+        // A threshold takes or leaves a response that equals it or is below.
+        let above = |threshold| harris3d(&points, &Harris3dOptions { threshold, ..options }).unwrap().len();
+        assert_eq!((above(found[7].score), above(found[0].score), above(found[0].score * 1.01)), (8, 1, 0));
+    }
+
+    #[test]
+    fn without_suppression_every_point_has_the_response_of_the_definition() {
+        let points = cube(6);
+        let options = Harris3dOptions { radius: Length::Units(0.41), threshold: 0.0, non_max: false };
+        let found = harris3d(&points, &options).unwrap();
+        assert_eq!(found.len(), points.len());
+        let near = |a: Point| points.iter().copied().filter(move |&b| (vector(a) - vector(b)).norm() < 0.41);
+        let normal = |a: Point| {
+            let mean = near(a).map(vector).sum::<Vector>() / near(a).count() as f64;
+            let sum: Matrix3<f64> = near(a).map(|b| (vector(b) - mean) * (vector(b) - mean).transpose()).sum();
+            let eigen = sum.symmetric_eigen();
+            eigen.eigenvectors.column(eigen.eigenvalues.imin()).into_owned()
+        };
+        for response in found {
+            let normals: Vec<Vector> = near(points[response.index]).map(normal).collect();
+            let mean = normals.iter().map(|n| n * n.transpose()).sum::<Matrix3<f64>>() / normals.len() as f64;
+            let expected = 0.04 + mean.determinant() - 0.04 * mean.trace().powi(2);
+            assert!((response.score - expected).abs() < 1e-9, "{} {expected}", response.score);
+        }
+    }
+}

@@ -1,0 +1,194 @@
+//! Intrinsic shape signatures (Zhong 2009), as Open3D and PCL compute them.
+
+use rayon::prelude::*;
+
+use super::{Response, among_finite, index_cloud, local_maxima};
+use snake_core::Length;
+use snake_core::Point;
+use snake_core::space::eigen;
+use snake_core::{Error, Result};
+
+/// Which matrix of a neighbourhood gives the eigenvalues.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub enum Covariance {
+    /// About the neighbourhood's mean, divided by its size, as in Open3D: density does not matter.
+    #[default]
+    AboutMean,
+    /// The sum about the point itself, as in PCL: dense regions are favoured.
+    AboutPoint,
+}
+
+/// Options of [`iss`]; the defaults are Open3D's.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct IssOptions {
+    /// Points nearer than this make up a neighbourhood.
+    pub salient_radius: Length,
+    /// A keypoint's saliency is the largest of all points nearer than this.
+    pub non_max_radius: Length,
+    /// The second eigenvalue must be below this share of the first.
+    pub gamma_21: f64,
+    /// The third eigenvalue must be below this share of the second.
+    pub gamma_32: f64,
+    /// Both neighbourhoods, the point itself included, must have as many points as this.
+    pub min_neighbors: usize,
+    /// Which matrix gives the eigenvalues.
+    pub covariance: Covariance,
+}
+
+impl Default for IssOptions {
+    fn default() -> Self {
+        Self {
+            salient_radius: Length::Resolutions(6.0),
+            non_max_radius: Length::Resolutions(4.0),
+            gamma_21: 0.975,
+            gamma_32: 0.975,
+            min_neighbors: 5,
+            covariance: Covariance::AboutMean,
+        }
+    }
+}
+
+/// ISS keypoints. The score is the smallest eigenvalue, in square units of the cloud: how far the neighbourhood spreads
+/// in every direction.
+///
+/// With the default options these are Open3D's `compute_iss_keypoints`, but for what its rounding decides: of points
+/// with the same neighbours, so of equal saliency, all stay here and one there; and in an exactly flat neighbourhood
+/// there is no keypoint here, and there may be one there.
+///
+/// # Errors
+/// [`Error::Input`] when the cloud has no finite points or is one point repeated;
+/// [`Error::Option`] when an option is outside its range.
+pub fn iss(points: &[Point], options: &IssOptions) -> Result<Vec<Response>> {
+    among_finite(points, |points| find(points, options))
+}
+
+/// [`iss`] of finite points.
+fn find(points: &[Point], options: &IssOptions) -> Result<Vec<Response>> {
+    for (name, gamma) in [("gamma_21", options.gamma_21), ("gamma_32", options.gamma_32)] {
+        if gamma.is_nan() || gamma <= 0.0 {
+            return Err(Error::Option { name, value: gamma.to_string(), allowed: "above 0" });
+        }
+    }
+    let cloud = index_cloud(points)?;
+    let salient_radius = options.salient_radius.resolve("salient_radius", || cloud.resolution())?;
+    let non_max_radius = options.non_max_radius.resolve("non_max_radius", || cloud.resolution())?;
+    cloud.check_crowding("salient_radius", salient_radius)?;
+    cloud.check_crowding("non_max_radius", non_max_radius)?;
+    let saliency = |point| {
+        let neighbors = cloud.within(point, salient_radius);
+        if neighbors.len() < options.min_neighbors {
+            return 0.0;
+        }
+        let matrix = match options.covariance {
+            Covariance::AboutMean => cloud.covariance(&neighbors),
+            Covariance::AboutPoint => cloud.scatter(&neighbors, point),
+        };
+        let ([third, second, first], _) = eigen(matrix);
+        // A neighbourhood that is flat but for rounding has no saliency.
+        let distinct = third > first * f64::EPSILON * 8.0;
+        if distinct && second / first < options.gamma_21 && third / second < options.gamma_32 { third } else { 0.0 }
+    };
+    let saliencies: Vec<f64> = cloud.points.par_iter().map(saliency).collect();
+    Ok(local_maxima(&cloud, &saliencies, non_max_radius, options.min_neighbors, |saliency| saliency > 0.0))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::tests::{corner, cube};
+    use super::*;
+
+    #[test]
+    fn the_corners_of_a_cube_are_the_strongest() {
+        let points = cube(11);
+        // Around a corner two eigenvalues are equal: limits below 1 would drop it.
+        for covariance in [Covariance::AboutMean, Covariance::AboutPoint] {
+            let options = IssOptions {
+                salient_radius: Length::Units(0.35),
+                non_max_radius: Length::Units(0.3),
+                gamma_21: 1.1,
+                gamma_32: 1.1,
+                covariance,
+                ..Default::default()
+            };
+            let found = iss(&points, &options).unwrap();
+            let mut corners: Vec<_> = found[..8].iter().filter_map(|response| corner(points[response.index])).collect();
+            corners.sort_unstable();
+            assert_eq!(corners, [0, 1, 2, 3, 4, 5, 6, 7], "{covariance:?}");
+        }
+    }
+
+    #[test]
+    fn saliencies_by_hand() {
+        // Two points on each axis, at 1, 2 and 3; with the point itself seven. Sums: 2, 8, 18; means: a seventh.
+        let mut points = vec![[0.0; 3]];
+        for (axis, offset) in [1.0, 2.0, 3.0].into_iter().enumerate() {
+            for sign in [-1.0, 1.0] {
+                let mut point = [0.0; 3];
+                point[axis] = sign * offset;
+                points.push(point);
+            }
+        }
+        let options = IssOptions {
+            salient_radius: Length::Units(3.1),
+            non_max_radius: Length::Units(0.5),
+            min_neighbors: 1,
+            ..Default::default()
+        };
+        let score = |options: &IssOptions| iss(&points, options).unwrap().into_iter().find(|r| r.index == 0);
+        assert!((score(&options).unwrap().score - 2.0 / 7.0).abs() < 1e-12);
+        let sum = IssOptions { covariance: Covariance::AboutPoint, ..options };
+        assert!((score(&sum).unwrap().score - 2.0).abs() < 1e-12);
+        // The shares are 8 / 18 and 2 / 8; limits are strict, and neighbours count the point itself.
+        for (gamma_21, gamma_32, found) in [(0.45, 0.26, true), (0.44, 0.26, false), (0.45, 0.25, false)] {
+            assert_eq!(score(&IssOptions { gamma_21, gamma_32, ..options }).is_some(), found, "{gamma_21} {gamma_32}");
+        }
+        assert_eq!(score(&IssOptions { min_neighbors: 2, ..options }), None);
+        let wide = IssOptions { non_max_radius: Length::Units(3.1), ..options };
+        assert!(score(&IssOptions { min_neighbors: 7, ..wide }).is_some());
+        assert_eq!(score(&IssOptions { min_neighbors: 8, ..wide }), None);
+        // The boundary of the radius is outside: without the points at 3 the cloud is flat.
+        assert_eq!(score(&IssOptions { salient_radius: Length::Units(3.0), ..options }), None);
+    }
+
+    /// A number in [0, 1) from a whole number (SplitMix64).
+    fn uniform(number: u64) -> f64 {
+        let mut z = number.wrapping_add(1).wrapping_mul(0x9E37_79B9_7F4A_7C15);
+        z = (z ^ (z >> 30)).wrapping_mul(0xBF58_476D_1CE4_E5B9);
+        z = (z ^ (z >> 27)).wrapping_mul(0x94D0_49BB_1331_11EB);
+        ((z ^ (z >> 31)) >> 11) as f64 / (1_u64 << 53) as f64
+    }
+
+    /// The clouds of `tests/test_baselines.py`, to the last bit.
+    fn noisy_box(seed: u64) -> Vec<Point> {
+        let point = |i: u64| {
+            let u: [f64; 8] = std::array::from_fn(|k| uniform(8 * i + k as u64));
+            let mut unit = [u[0], u[1], u[2]];
+            unit[(u[3] * 3.0) as usize] = if u[4] < 0.5 { 1.0 } else { 0.0 };
+            std::array::from_fn(|axis| (unit[axis] * [1.0, 1.7, 2.9][axis] + 0.04 * u[5 + axis]) as f32)
+        };
+        (1000 * seed..1000 * (seed + 1)).map(point).collect()
+    }
+
+    #[test]
+    fn the_keypoints_are_those_of_open3d() {
+        let path = concat!(env!("CARGO_MANIFEST_DIR"), "/../../tests/data/iss_open3d.json");
+        let expected: Vec<Vec<usize>> = serde_json::from_str(&std::fs::read_to_string(path).unwrap()).unwrap();
+        let mut without_ties = 0;
+        for (seed, expected) in (0..).zip(expected) {
+            let found = iss(&noisy_box(seed), &IssOptions::default()).unwrap();
+            // Of keypoints of equal saliency Open3D's rounding keeps one.
+            let tie = |a: &Response, b: &Response| (a.score / b.score - 1.0).abs() < 1e-9;
+            let (same, extra): (Vec<_>, Vec<_>) = found.iter().partition(|r| expected.contains(&r.index));
+            assert_eq!(same.len(), expected.len(), "cloud {seed}");
+            assert!(extra.iter().all(|e| same.iter().any(|s| tie(e, s))), "cloud {seed}");
+            without_ties += usize::from(extra.is_empty());
+        }
+        assert!(without_ties >= 20, "{without_ties}");
+    }
+
+    #[test]
+    fn flat_clouds_have_no_keypoints() {
+        let plane = |i: u32| [(i % 30) as f32 * 0.1, (i / 30) as f32 * 0.13, 7.7];
+        assert_eq!(iss(&(0..900).map(plane).collect::<Vec<_>>(), &IssOptions::default()).unwrap(), []);
+    }
+}

@@ -1,0 +1,361 @@
+//! The detectors that keypoints are compared with: ISS, Harris 3D, SIFT 3D, farthest-point sampling and random points.
+//!
+//! Each gives indices of input points with a score, by falling score (of equal ones the lower index first), the same
+//! for any number of threads. [`Detector`] is one of them with its options; [`Detector::keypoints`] picks a number of
+//! keypoints by a [`Protocol`]. Points that are not finite are skipped; indices are those of the whole cloud.
+
+mod farthest_point;
+mod harris3d;
+mod iss;
+mod random;
+mod sift3d;
+
+use rand::SeedableRng;
+use rayon::prelude::*;
+
+use snake_core::Point;
+use snake_core::space::FinitePoints;
+use snake_core::space::{Neighbors, vector};
+use snake_core::{Error, Result};
+
+pub use farthest_point::farthest_points;
+pub use harris3d::{Harris3dOptions, harris3d};
+pub use iss::{Covariance, IssOptions, iss};
+pub use random::random_points;
+pub use sift3d::{Sift3dOptions, SiftField, sift3d};
+
+/// A point of the cloud that a detector responds to.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Response {
+    /// Index into the cloud.
+    pub index: usize,
+    /// How strongly; what it measures is the detector's.
+    pub score: f64,
+}
+
+/// How a number of keypoints is picked from a detector's responses.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub enum Protocol {
+    /// The strongest responses: what a user would take. There may be fewer than asked for.
+    #[default]
+    Ranked,
+    /// As the baselines of the paper's tables (USIP's harness): a random subset of the responses, filled up with random
+    /// points where there are too few; of no response, the cloud's first point. Always as many as asked for, up to the
+    /// size of the cloud, but hardly better than random points.
+    Paper,
+}
+
+/// A classical detector with its options.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub enum Detector {
+    /// Intrinsic shape signatures.
+    Iss(IssOptions),
+    /// Harris' corners of the normals.
+    Harris3d(Harris3dOptions),
+    /// Extrema of differences of Gaussians of a field on the points.
+    Sift3d(Sift3dOptions),
+    /// Farthest-point sampling.
+    FarthestPoint,
+    /// Random points.
+    Random,
+}
+
+impl Detector {
+    /// The names that [`Detector::named`] knows.
+    pub const NAMES: [&'static str; 5] = ["iss", "harris3d", "sift3d", "fps", "random"];
+
+    /// A detector with its default options; for [`Protocol::Paper`] Harris 3D without suppression and SIFT 3D on the y
+    /// coordinate, as in the wrapper that the paper's tables used.
+    ///
+    /// # Errors
+    /// [`Error::Option`] for an unknown name.
+    pub fn named(name: &str, protocol: Protocol) -> Result<Self> {
+        let (harris, sift) = (Harris3dOptions::default(), Sift3dOptions::default());
+        Ok(match (name, protocol) {
+            ("iss", _) => Self::Iss(IssOptions::default()),
+            ("harris3d", Protocol::Ranked) => Self::Harris3d(harris),
+            ("harris3d", Protocol::Paper) => Self::Harris3d(Harris3dOptions { non_max: false, ..harris }),
+            ("sift3d", Protocol::Ranked) => Self::Sift3d(sift),
+            ("sift3d", Protocol::Paper) => Self::Sift3d(Sift3dOptions { field: SiftField::Y, ..sift }),
+            ("fps", _) => Self::FarthestPoint,
+            ("random", _) => Self::Random,
+            _ => {
+                let allowed = "iss, harris3d, sift3d, fps or random";
+                return Err(Error::Option { name: "detector", value: name.into(), allowed });
+            }
+        })
+    }
+
+    /// `count` keypoints of a cloud. The seed is that of all random choices; of [`Protocol::Ranked`] only the random
+    /// points depend on it.
+    ///
+    /// ```
+    /// use snake_registration::detectors::{Detector, Protocol};
+    /// # let points: Vec<[f32; 3]> = (0..500).map(|i| { let a = i as f32 * 0.1; [a.cos(), a.sin(), (a * 0.3).sin()] }).collect();
+    /// let keypoints = Detector::named("iss", Protocol::Ranked)?.keypoints(&points, 16, Protocol::Ranked, 0)?;
+    /// assert!(keypoints.windows(2).all(|pair| pair[0].score >= pair[1].score));
+    /// # Ok::<(), snake_core::Error>(())
+    /// ```
+    ///
+    /// # Errors
+    /// [`Error::Input`] when the cloud has no finite points or is one point repeated;
+    /// [`Error::Option`] when an option is outside its range.
+    pub fn keypoints(&self, points: &[Point], count: usize, protocol: Protocol, seed: u64) -> Result<Vec<Response>> {
+        if count == 0 {
+            return Err(Error::Option { name: "count", value: "0".into(), allowed: "1 or more" });
+        }
+        among_finite(points, |points| {
+            let mut responses = match self {
+                Self::Iss(options) => iss(points, options)?,
+                Self::Harris3d(options) => harris3d(points, options)?,
+                Self::Sift3d(options) => sift3d(points, options)?,
+                Self::FarthestPoint => return farthest_points(points, count),
+                Self::Random => return random_points(points, count, seed),
+            };
+            match protocol {
+                Protocol::Ranked => responses.truncate(count),
+                Protocol::Paper => responses = random_subset(points.len(), responses, count, seed),
+            }
+            Ok(responses)
+        })
+    }
+}
+
+/// The choice of [`Protocol::Paper`].
+fn random_subset(num_points: usize, mut responses: Vec<Response>, count: usize, seed: u64) -> Vec<Response> {
+    let mut rng = rand_chacha::ChaCha8Rng::seed_from_u64(seed);
+    if responses.is_empty() {
+        responses.push(Response { index: 0, score: 0.0 });
+    }
+    if responses.len() > count {
+        return rand::seq::index::sample(&mut rng, responses.len(), count).into_iter().map(|i| responses[i]).collect();
+    }
+    let missing = count.min(num_points) - responses.len();
+    let filling = rand::seq::index::sample(&mut rng, num_points, missing);
+    responses.extend(filling.into_iter().map(|index| Response { index, score: 0.0 }));
+    responses
+}
+
+/// What a detector finds among the finite points of a cloud, with the indices of the whole cloud.
+fn among_finite(points: &[Point], find: impl FnOnce(&[Point]) -> Result<Vec<Response>>) -> Result<Vec<Response>> {
+    let finite = FinitePoints::of("points", points)?;
+    let found = find(&finite.points)?.into_iter();
+    Ok(found.map(|Response { index, score }| Response { index: finite.original_index(index), score }).collect())
+}
+
+/// A cloud of at least two different finite points, ready to be asked for neighbours.
+fn index_cloud(points: &[Point]) -> Result<Neighbors> {
+    if points.iter().all(|p| *p == points[0]) {
+        return Err(Error::Input { what: "points", reason: "need at least two different points".into() });
+    }
+    Neighbors::new(points.iter().map(|&p| vector(p)).collect())
+}
+
+/// The indices of the points whose score no point nearer than `radius` exceeds, of those that pass; equal ones all
+/// stay. As in PCL and Open3D, every neighbour counts, whether it passes or not.
+fn local_maxima(
+    cloud: &Neighbors,
+    scores: &[f64],
+    radius: f64,
+    min_neighbors: usize,
+    passes: impl Fn(f64) -> bool + Sync,
+) -> Vec<Response> {
+    let is_maximum = |index: &usize| {
+        passes(scores[*index]) && {
+            let neighbors = cloud.within(&cloud.points[*index], radius);
+            neighbors.len() >= min_neighbors && neighbors.iter().all(|&other| scores[other] <= scores[*index])
+        }
+    };
+    let kept = (0..scores.len()).into_par_iter().filter(is_maximum);
+    by_falling_score(kept.map(|index| Response { index, score: scores[index] }).collect())
+}
+
+/// Sorts by falling score, of equal ones by index.
+fn by_falling_score(mut responses: Vec<Response>) -> Vec<Response> {
+    responses.sort_by(|a, b| b.score.total_cmp(&a.score).then(a.index.cmp(&b.index)));
+    responses
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use snake_core::Length;
+
+    /// A unit cube's surface: `side`² points on each face, the edges doubled as its faces share them.
+    pub(super) fn cube(side: usize) -> Vec<Point> {
+        let at = |i: usize| i as f32 / (side - 1) as f32;
+        let on_faces = (0..6 * side * side).map(|i| {
+            let (face, row, column) = (i / (side * side), i / side % side, i % side);
+            let mut point = [at(row), at(column), (face % 2) as f32];
+            point.rotate_right(face / 2);
+            point
+        });
+        let mut points: Vec<Point> = on_faces.collect();
+        points.sort_by(|a, b| a.partial_cmp(b).unwrap());
+        points.dedup();
+        points
+    }
+
+    /// The corner of [`cube`] that a point is near, as bits of x, y and z.
+    pub(super) fn corner(point: Point) -> Option<usize> {
+        let near = point.iter().all(|v| !(0.25..=0.75).contains(v));
+        near.then(|| point.iter().enumerate().map(|(axis, v)| usize::from(*v > 0.5) << axis).sum())
+    }
+
+    fn every_detector() -> Vec<Detector> {
+        let sum = IssOptions { covariance: Covariance::AboutPoint, ..Default::default() };
+        let protocols = [Protocol::Ranked, Protocol::Paper].into_iter();
+        let named = protocols.flat_map(|protocol| Detector::NAMES.map(|name| Detector::named(name, protocol).unwrap()));
+        named.chain([Detector::Iss(sum)]).collect()
+    }
+
+    #[test]
+    fn the_papers_harris_is_random_and_its_sift_is_of_y() {
+        let named = |name| Detector::named(name, Protocol::Paper).unwrap();
+        assert!(matches!(named("harris3d"), Detector::Harris3d(Harris3dOptions { non_max: false, .. })));
+        assert!(matches!(named("sift3d"), Detector::Sift3d(Sift3dOptions { field: SiftField::Y, .. })));
+        assert_eq!(named("iss"), Detector::named("iss", Protocol::Ranked).unwrap());
+    }
+
+    #[test]
+    fn every_detector_gives_different_indices_by_falling_score() {
+        let points = cube(12);
+        for detector in every_detector() {
+            let found = detector.keypoints(&points, 20, Protocol::Ranked, 0).unwrap();
+            assert!(!found.is_empty() && found.len() <= 20, "{detector:?}");
+            assert!(found.windows(2).all(|pair| pair[0].score >= pair[1].score), "{detector:?}");
+            let mut indices: Vec<_> = found.iter().map(|response| response.index).collect();
+            indices.sort_unstable();
+            indices.dedup();
+            assert_eq!(indices.len(), found.len(), "{detector:?}");
+            assert!(indices.iter().all(|&index| index < points.len()));
+        }
+    }
+
+    #[test]
+    fn threads_do_not_matter() {
+        let points = cube(12);
+        let run = |threads: usize| {
+            let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
+            let all = || every_detector().into_iter().map(|d| d.keypoints(&points, 50, Protocol::Paper, 3).unwrap());
+            pool.install(|| all().collect::<Vec<_>>())
+        };
+        assert_eq!(run(1), run(5));
+    }
+
+    #[test]
+    fn clouds_that_cannot_be_used_are_refused() {
+        let bad = [
+            vec![],
+            vec![[1.0; 3]],
+            vec![[2.0; 3]; 40],
+            vec![[0.0; 3], [f32::NAN; 3]],
+            vec![[0.0; 3], [f32::INFINITY; 3]],
+        ];
+        for (detector, points) in every_detector().iter().flat_map(|d| bad.iter().map(move |points| (d, points))) {
+            let found = detector.keypoints(points, 5, Protocol::Ranked, 0);
+            assert!(matches!(found, Err(Error::Input { what: "points", .. })), "{detector:?} {points:?}");
+        }
+    }
+
+    #[test]
+    fn two_points_and_far_points_are_no_panic() {
+        for points in
+            [vec![[0.0; 3], [1.0, 0.0, 0.0]], vec![[3e38; 3], [-3e38; 3], [0.0; 3]], vec![[1e-40; 3], [0.0; 3]]]
+        {
+            for detector in every_detector() {
+                let found = detector.keypoints(&points, 5, Protocol::Paper, 0).unwrap();
+                assert!(!found.is_empty() && found.len() <= points.len(), "{detector:?} {found:?}");
+            }
+        }
+    }
+
+    #[test]
+    fn points_that_are_not_finite_are_skipped() {
+        let clean = cube(8);
+        let mut whole = vec![[f32::NAN; 3]; 2];
+        for &point in &clean {
+            whole.extend([point, [0.0, f32::INFINITY, 0.0]]);
+        }
+        for detector in every_detector() {
+            for protocol in [Protocol::Ranked, Protocol::Paper] {
+                let found = detector.keypoints(&whole, 30, protocol, 1).unwrap();
+                let expected = detector.keypoints(&clean, 30, protocol, 1).unwrap().into_iter();
+                let expected = expected.map(|r| Response { index: 2 + 2 * r.index, ..r }).collect::<Vec<_>>();
+                assert_eq!(found, expected, "{detector:?}");
+            }
+        }
+        // By themselves, too.
+        let first = |found: Result<Vec<Response>>| whole[found.unwrap()[0].index][0];
+        assert!(first(iss(&whole, &IssOptions::default())).is_finite());
+        assert!(first(harris3d(&whole, &Harris3dOptions::default())).is_finite());
+        assert!(first(sift3d(&whole, &Sift3dOptions::default())).is_finite());
+        assert!(first(farthest_points(&whole, 1)).is_finite() && first(random_points(&whole, 1, 0)).is_finite());
+    }
+
+    #[test]
+    fn lengths_that_cannot_be_used_are_refused() {
+        let points = cube(5);
+        for length in [0.0, -1.0, f64::NAN, f64::INFINITY, 1e-200] {
+            for length in [Length::Units(length), Length::Resolutions(length)] {
+                let detectors = [
+                    Detector::Iss(IssOptions { salient_radius: length, ..Default::default() }),
+                    Detector::Iss(IssOptions { non_max_radius: length, ..Default::default() }),
+                    Detector::Harris3d(Harris3dOptions { radius: length, ..Default::default() }),
+                    Detector::Sift3d(Sift3dOptions { min_scale: length, ..Default::default() }),
+                    Detector::Sift3d(Sift3dOptions { field: SiftField::Curvature(length), ..Default::default() }),
+                ];
+                for detector in detectors {
+                    let found = detector.keypoints(&points, 5, Protocol::Ranked, 0);
+                    assert!(matches!(found, Err(Error::Option { .. })), "{detector:?}");
+                }
+            }
+        }
+        // Every point twice: the resolution is 0.
+        let doubled = [points.clone(), points].concat();
+        let error = iss(&doubled, &IssOptions::default()).unwrap_err().to_string();
+        assert!(error.starts_with("option `salient_radius` is 6r: allowed is a positive length"), "{error}");
+        let options =
+            IssOptions { salient_radius: Length::Units(0.5), non_max_radius: Length::Units(0.3), ..Default::default() };
+        assert!(iss(&doubled, &options).is_ok());
+    }
+
+    #[test]
+    fn other_options_out_of_range_are_refused() {
+        let points = cube(5);
+        let detectors = [
+            Detector::Iss(IssOptions { gamma_21: 0.0, ..Default::default() }),
+            Detector::Iss(IssOptions { gamma_32: f64::NAN, ..Default::default() }),
+            Detector::Harris3d(Harris3dOptions { threshold: f64::NAN, ..Default::default() }),
+            Detector::Sift3d(Sift3dOptions { octaves: 0, ..Default::default() }),
+            Detector::Sift3d(Sift3dOptions { scales_per_octave: 1000, ..Default::default() }),
+            Detector::Sift3d(Sift3dOptions { min_contrast: -1.0, ..Default::default() }),
+        ];
+        for detector in detectors {
+            let found = detector.keypoints(&points, 5, Protocol::Ranked, 0);
+            assert!(matches!(found, Err(Error::Option { .. })), "{detector:?}");
+        }
+        assert!(Detector::Random.keypoints(&points, 0, Protocol::Ranked, 0).is_err());
+        assert!(Detector::named("orb", Protocol::Ranked).is_err());
+    }
+
+    #[test]
+    fn the_paper_protocol_draws_and_fills_up() {
+        let responses =
+            |number| (0..number).map(|index| Response { index: index + 100, score: 1.0 }).collect::<Vec<_>>();
+        let indices = |number, count, seed| -> Vec<usize> {
+            random_subset(1000, responses(number), count, seed).into_iter().map(|r| r.index).collect()
+        };
+        // More than asked for: a subset of them, and not the first.
+        let drawn = indices(50, 10, 0);
+        assert_eq!(drawn.len(), 10);
+        assert!(drawn.iter().all(|i| (100..150).contains(i)) && drawn.iter().any(|&i| i >= 110));
+        assert_ne!(drawn, indices(50, 10, 1));
+        // Fewer: all of them, then random points. None: the first point, then random points.
+        let filled = indices(3, 10, 0);
+        assert_eq!((filled.len(), &filled[..3]), (10, &[100, 101, 102][..]));
+        assert_ne!(filled, indices(3, 10, 1));
+        assert_eq!((indices(0, 10, 0).len(), indices(0, 10, 0)[0]), (10, 0));
+        assert_eq!(random_subset(4, responses(0), 10, 0).len(), 4);
+    }
+}

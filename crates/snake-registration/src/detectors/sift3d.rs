@@ -1,0 +1,250 @@
+//! SIFT 3D: scale-space extrema of a field on the points, as PCL computes them.
+
+use std::num::NonZeroUsize;
+
+use rayon::prelude::*;
+
+use super::{Response, among_finite, by_falling_score, index_cloud};
+use snake_core::Length;
+use snake_core::Point;
+use snake_core::space::{Neighbors, Vector, eigen};
+use snake_core::{Error, Result};
+
+/// An octave with fewer points is the last.
+const MIN_OCTAVE_POINTS: usize = 25;
+/// An extremum is one among so many nearest points, itself included.
+const EXTREMUM_NEIGHBORS: NonZeroUsize = NonZeroUsize::MIN.saturating_add(24);
+
+/// The field whose extrema are sought.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub enum SiftField {
+    /// Surface variation: the smallest eigenvalue's share of the covariance of the points nearer than this, 0 to 1/3.
+    /// It turns with the cloud.
+    Curvature(Length),
+    /// The y coordinate, as in the wrapper that the paper's tables used. It does not turn with the cloud.
+    Y,
+}
+
+/// Options of [`sift3d`].
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Sift3dOptions {
+    /// Standard deviation of the first octave's second Gaussian, and edge of its voxels; it doubles with each octave.
+    pub min_scale: Length,
+    /// Octaves at most.
+    pub octaves: usize,
+    /// Differences of Gaussians of an octave that are searched for extrema.
+    pub scales_per_octave: usize,
+    /// An extremum's difference of Gaussians is at least this, in the field's units.
+    pub min_contrast: f64,
+    /// The field.
+    pub field: SiftField,
+}
+
+impl Default for Sift3dOptions {
+    fn default() -> Self {
+        Self {
+            min_scale: Length::Resolutions(2.0),
+            octaves: 4,
+            scales_per_octave: 8,
+            min_contrast: 0.0,
+            field: SiftField::Curvature(Length::Resolutions(6.0)),
+        }
+    }
+}
+
+/// SIFT 3D keypoints. The score is the size of the difference of Gaussians, in the field's units.
+///
+/// Each octave thins the cloud of the one before to the means of the voxels of its scale, blurs the field at
+/// `scales_per_octave + 3` scales, and keeps the points whose difference between neighbouring scales is an extremum
+/// among the 25 nearest points and beats the adjacent scales'. A keypoint is the input point nearest to an extremum; of
+/// several extrema there the strongest counts.
+///
+/// # Errors
+/// [`Error::Input`] when the cloud has no finite points or is one point repeated;
+/// [`Error::Option`] when an option is outside its range.
+pub fn sift3d(points: &[Point], options: &Sift3dOptions) -> Result<Vec<Response>> {
+    among_finite(points, |points| find(points, options))
+}
+
+/// [`sift3d`] of finite points.
+fn find(points: &[Point], options: &Sift3dOptions) -> Result<Vec<Response>> {
+    for (name, value) in [("octaves", options.octaves), ("scales_per_octave", options.scales_per_octave)] {
+        if !(1..=64).contains(&value) {
+            return Err(Error::Option { name, value: value.to_string(), allowed: "1 to 64" });
+        }
+    }
+    if options.min_contrast.is_nan() || options.min_contrast < 0.0 {
+        let value = options.min_contrast.to_string();
+        return Err(Error::Option { name: "min_contrast", value, allowed: "0 or more" });
+    }
+    let input = index_cloud(points)?;
+    let min_scale = options.min_scale.resolve("min_scale", || input.resolution())?;
+    let (mut positions, mut field) = (input.points.clone(), values(&input, options.field)?);
+    let mut strongest = vec![f64::NEG_INFINITY; points.len()];
+    for octave in 0..options.octaves {
+        let scale = min_scale * 2_f64.powi(octave as i32);
+        (positions, field) = thin(&positions, &field, scale);
+        if positions.len() < MIN_OCTAVE_POINTS {
+            break;
+        }
+        let cloud = Neighbors::new(positions)?;
+        let differences = differences_of_gaussians(&cloud, &field, scale, options.scales_per_octave);
+        for (position, contrast) in extrema(&cloud, &differences, options.min_contrast) {
+            let place = &mut strongest[input.nearest(&position, NonZeroUsize::MIN)[0].0];
+            *place = f64::max(*place, contrast);
+        }
+        positions = cloud.points;
+    }
+    let responses = strongest.into_iter().enumerate().map(|(index, score)| Response { index, score });
+    Ok(by_falling_score(responses.filter(|response| response.score >= 0.0).collect()))
+}
+
+/// The field at each point.
+fn values(cloud: &Neighbors, field: SiftField) -> Result<Vec<f64>> {
+    let SiftField::Curvature(radius) = field else { return Ok(cloud.points.iter().map(|p| p.y).collect()) };
+    let radius = radius.resolve("curvature_radius", || cloud.resolution())?;
+    cloud.check_crowding("curvature_radius", radius)?;
+    let variation = |point| {
+        let (eigenvalues, _) = eigen(cloud.covariance(&cloud.within(point, radius)));
+        let sum: f64 = eigenvalues.iter().sum();
+        if sum > 0.0 { eigenvalues[0].max(0.0) / sum } else { 0.0 }
+    };
+    Ok(cloud.points.par_iter().map(variation).collect())
+}
+
+/// The mean point and the mean of the field of every voxel with points; voxels lie on multiples of `edge`.
+fn thin(points: &[Vector], field: &[f64], edge: f64) -> (Vec<Vector>, Vec<f64>) {
+    let voxel = |p: &Vector| -> [i64; 3] { (p / edge).map(|v| v.floor() as i64).into() };
+    let mut order: Vec<([i64; 3], usize)> = points.iter().map(voxel).zip(0..).collect();
+    order.sort_unstable();
+    let mean = |voxel: &[([i64; 3], usize)]| {
+        let count = voxel.len() as f64;
+        let point = voxel.iter().map(|&(_, i)| points[i]).sum::<Vector>() / count;
+        (point, voxel.iter().map(|&(_, i)| field[i]).sum::<f64>() / count)
+    };
+    order.chunk_by(|a, b| a.0 == b.0).map(mean).unzip()
+}
+
+/// Of each point, the differences of the field between neighbouring scales of an octave; Gaussians end at 3 sigma.
+fn differences_of_gaussians(cloud: &Neighbors, field: &[f64], base: f64, scales: usize) -> Vec<Vec<f64>> {
+    let sigmas: Vec<f64> = (0..scales + 3).map(|i| base * 2_f64.powf((i as f64 - 1.0) / scales as f64)).collect();
+    let reach = 3.0 * sigmas[scales + 2];
+    let of_point = |point: &Vector| {
+        let neighbors: Vec<(f64, f64)> = cloud
+            .within(point, reach)
+            .into_iter()
+            .map(|i| ((cloud.points[i] - point).norm_squared(), field[i]))
+            .collect();
+        let blurred = sigmas.iter().map(|sigma| {
+            let (mut sum, mut weights) = (0.0, 0.0);
+            for &(squared, value) in neighbors.iter().filter(|(squared, _)| *squared <= 9.0 * sigma * sigma) {
+                let weight = (-0.5 * squared / (sigma * sigma)).exp();
+                sum += weight * value;
+                weights += weight;
+            }
+            sum / weights
+        });
+        blurred.collect::<Vec<_>>().windows(2).map(|pair| pair[1] - pair[0]).collect()
+    };
+    cloud.points.par_iter().map(of_point).collect()
+}
+
+/// Positions of the extrema and how large they are.
+fn extrema(cloud: &Neighbors, differences: &[Vec<f64>], min_contrast: f64) -> Vec<(Vector, f64)> {
+    let of_point = |index: usize| {
+        let neighbors = cloud.nearest(&cloud.points[index], EXTREMUM_NEIGHBORS);
+        let is_maximum = |sign: f64, scale: usize| {
+            let value = sign * differences[index][scale];
+            let largest = |scale: usize| {
+                neighbors.iter().map(|&(i, _)| sign * differences[i][scale]).fold(f64::NEG_INFINITY, f64::max)
+            };
+            value >= largest(scale) && value > largest(scale - 1) && value > largest(scale + 1)
+        };
+        let contrast = |scale: usize| differences[index][scale].abs();
+        (1..differences[index].len() - 1)
+            .filter(|&scale| contrast(scale) >= min_contrast && (is_maximum(1.0, scale) || is_maximum(-1.0, scale)))
+            .map(|scale| (cloud.points[index], contrast(scale)))
+            .collect::<Vec<_>>()
+    };
+    (0..cloud.points.len()).into_par_iter().flat_map_iter(of_point).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn on_line(positions: &[f64]) -> Vec<Vector> {
+        positions.iter().map(|&x| Vector::new(x, 0.0, 0.0)).collect()
+    }
+
+    #[test]
+    fn voxels_lie_on_multiples_of_their_edge() {
+        let points = on_line(&[0.1, 0.7, -0.1, 1.0, 0.4]);
+        let (means, field) = thin(&points, &[1.0, 2.0, 5.0, 7.0, 6.0], 1.0);
+        assert_eq!(field, [5.0, 3.0, 7.0]);
+        assert!(means.iter().zip(on_line(&[-0.1, 0.4, 1.0])).all(|(a, b)| (a - b).norm() < 1e-12));
+    }
+
+    #[test]
+    fn differences_of_gaussians_by_hand() {
+        // With one scale an octave the deviations are half the base, the base, twice and four times it. The neighbour is
+        // 2 away: beyond 3 sigma of the first, within that of the others.
+        let cloud = Neighbors::new(on_line(&[0.0, 2.0])).unwrap();
+        let found = differences_of_gaussians(&cloud, &[0.0, 1.0], 1.0, 1);
+        let blurred = |sigma: f64| {
+            let weight = (-0.5 * (2.0 / sigma).powi(2)).exp();
+            weight / (1.0 + weight)
+        };
+        let expected = [blurred(1.0) - 0.0, blurred(2.0) - blurred(1.0), blurred(4.0) - blurred(2.0)];
+        assert!(found[0].iter().zip(expected).all(|(a, b)| (a - b).abs() < 1e-12), "{found:?}");
+        assert!(found[1].iter().zip(expected).all(|(a, b)| (a + b).abs() < 1e-12), "{found:?}");
+    }
+
+    #[test]
+    fn extrema_beat_their_neighbours_and_the_adjacent_scales() {
+        // 30 points on a line: the first sees points 0 to 24, the last 5 to 29.
+        let cloud = Neighbors::new(on_line(&(0..30).map(f64::from).collect::<Vec<_>>())).unwrap();
+        let mut differences = vec![vec![0.0; 4]; 30];
+        differences[0] = vec![0.5, 2.0, 1.0, 0.0]; // a maximum at scale 1
+        differences[29] = vec![0.0, 0.0, -3.0, -4.0]; // the least of its scale, but less at the next
+        let found = extrema(&cloud, &differences, 0.0);
+        assert_eq!(found, [(cloud.points[0], 2.0)]);
+        differences[29][3] = 0.0;
+        assert_eq!(extrema(&cloud, &differences, 0.0), [(cloud.points[0], 2.0), (cloud.points[29], 3.0)]);
+        assert_eq!(extrema(&cloud, &differences, 2.5), [(cloud.points[29], 3.0)]);
+        differences[12][1] = 2.5; // among the nearest of both ends: no maximum is left at the first
+        assert_eq!(extrema(&cloud, &differences, 2.5), [(cloud.points[12], 2.5), (cloud.points[29], 3.0)]);
+    }
+
+    #[test]
+    fn a_bump_on_a_plane_is_the_strongest() {
+        let plane = |i: u32| {
+            let (x, y) = ((i % 50) as f32 * 0.1, (i / 50) as f32 * 0.1);
+            let squared = (x - 2.0).powi(2) + (y - 3.0).powi(2);
+            [x, y, 0.4 * (-squared / 0.08).exp()]
+        };
+        let points: Vec<Point> = (0..2500).map(plane).collect();
+        let strongest = points[sift3d(&points, &Sift3dOptions::default()).unwrap()[0].index];
+        let distance = ((strongest[0] - 2.0).powi(2) + (strongest[1] - 3.0).powi(2)).sqrt();
+        assert!(distance < 0.3, "{strongest:?}");
+    }
+
+    #[test]
+    fn fields_options_and_octaves_matter() {
+        let wave = |i: u32| [(i % 60) as f32 * 0.1, (i / 60) as f32 * 0.1, ((i % 60) as f32 * 0.4).sin()];
+        let points: Vec<Point> = (0..3600).map(wave).collect();
+        let found = |options: Sift3dOptions| sift3d(&points, &options).unwrap();
+        let default = Sift3dOptions::default();
+        let all = found(default);
+        assert!(all.len() > 10);
+        assert_ne!(found(Sift3dOptions { field: SiftField::Y, ..default }), all);
+        assert_ne!(found(Sift3dOptions { min_scale: Length::Resolutions(3.0), ..default }), all);
+        assert_ne!(found(Sift3dOptions { scales_per_octave: 3, ..default }), all);
+        assert!(found(Sift3dOptions { octaves: 1, ..default }).len() < all.len());
+        let median = all[all.len() / 2].score;
+        let strong: Vec<_> = all.iter().copied().filter(|response| response.score >= median).collect();
+        assert_eq!(found(Sift3dOptions { min_contrast: median, ..default }), strong);
+        // Fewer than 25 voxels end the search.
+        assert_eq!(found(Sift3dOptions { min_scale: Length::Units(100.0), ..default }), []);
+    }
+}

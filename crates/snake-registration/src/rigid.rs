@@ -1,0 +1,175 @@
+//! Rigid transforms: the best one between matched points, and points moved by one.
+
+use nalgebra::{IsometryMatrix3, Matrix3, Matrix4, Point3, Quaternion, SymmetricEigen, Translation3, UnitQuaternion};
+
+use snake_core::space::check_points;
+use snake_core::space::{Vector, vector};
+use snake_core::{Error, Result};
+use snake_core::{Point, Transform};
+
+/// Least-squares rotation and translation from points `source` to points `target`, row i to row i: the transform
+/// `t_target_source` with the least `Σ |R source_i + t - target_i|²` (Kabsch 1976), never a
+/// reflection, however well that would fit.
+///
+/// ```
+/// use snake_registration::{kabsch, transform_points};
+/// let source = [[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 2.0, 0.0]];
+/// let target = [[5.0, 0.0, 0.0], [5.0, 1.0, 0.0], [3.0, 0.0, 0.0]];
+/// let moved = transform_points(&kabsch(&source, &target)?, &source);
+/// assert!(moved.as_flattened().iter().zip(target.as_flattened()).all(|(a, b)| (a - b).abs() < 1e-6));
+/// # Ok::<(), snake_core::Error>(())
+/// ```
+///
+/// # Errors
+/// [`Error::Input`] when the arrays differ in length, hold fewer than three points, a coordinate that is not finite, or
+/// only points of one line, about which any rotation would do.
+pub fn kabsch(source: &[Point], target: &[Point]) -> Result<Transform> {
+    check_pairs(source, target)?;
+    let pairs = source.iter().zip(target).map(|(&s, &t)| (vector(s), vector(t)));
+    let reason = || "fewer than three points that are not on one line: any rotation about it would do".into();
+    best_fit(pairs).map(|fit| matrix(&fit)).ok_or_else(|| Error::Input { what: "source", reason: reason() })
+}
+
+/// Points moved by a transform, computed in f64.
+pub fn transform_points(transform: &Transform, points: &[Point]) -> Vec<Point> {
+    let row = |row: &[f64; 4], p: Vector| (row[0] * p.x + row[1] * p.y + row[2] * p.z + row[3]) as f32;
+    points.iter().map(|&p| std::array::from_fn(|axis| row(&transform[axis], vector(p)))).collect()
+}
+
+/// Refuses matched points that differ in number or are not finite; none are fine.
+pub(super) fn check_pairs(source: &[Point], target: &[Point]) -> Result<()> {
+    if source.len() != target.len() {
+        let reason = format!("{} points, but the source has {}; row i matches row i", target.len(), source.len());
+        return Err(Error::Input { what: "target", reason });
+    }
+    if !source.is_empty() {
+        check_points("source", source)?;
+        check_points("target", target)?;
+    }
+    Ok(())
+}
+
+/// [`kabsch`] of pairs (source, target); `None` if the points of either lie on one line.
+///
+/// By the eigenvector of Horn (1987), a unit quaternion and so never a reflection: nalgebra's decomposition of 3×3
+/// matrices squares them and loses half of the digits where three points are nearly on a line.
+pub(super) fn best_fit(pairs: impl Iterator<Item = (Vector, Vector)> + Clone) -> Option<IsometryMatrix3<f64>> {
+    let count = pairs.clone().count() as f64;
+    let [source_mean, target_mean] =
+        pairs.clone().fold([Vector::zeros(); 2], |[a, b], (s, t)| [a + s, b + t]).map(|sum| sum / count);
+    let c: Matrix3<f64> = pairs.map(|(s, t)| (s - source_mean) * (t - target_mean).transpose()).sum();
+    let skew = Vector::new(c.m23 - c.m32, c.m31 - c.m13, c.m12 - c.m21);
+    let mut horn = Matrix4::from_diagonal_element(c.trace());
+    horn.fixed_view_mut::<1, 3>(0, 1).copy_from(&skew.transpose());
+    horn.fixed_view_mut::<3, 1>(1, 0).copy_from(&skew);
+    horn.fixed_view_mut::<3, 3>(1, 1).copy_from(&(c + c.transpose() - Matrix3::from_diagonal_element(c.trace())));
+    let SymmetricEigen { eigenvalues, eigenvectors } = horn.symmetric_eigen();
+    let largest = eigenvalues.imax();
+    let gap = eigenvalues[largest] - eigenvalues.remove_row(largest).max();
+    // On a line two quaternions are equally good, up to the squares of rounding errors of coordinates in f32. Of no
+    // pairs all are.
+    if gap <= 1e-8 * eigenvalues[largest] {
+        return None;
+    }
+    let q = eigenvectors.column(largest);
+    let rotation = UnitQuaternion::new_normalize(Quaternion::new(q[0], q[1], q[2], q[3])).to_rotation_matrix();
+    let translation = target_mean - rotation * source_mean;
+    Some(IsometryMatrix3::from_parts(Translation3::from(translation), rotation))
+}
+
+/// A vector, moved.
+pub(super) fn moved(transform: &IsometryMatrix3<f64>, point: &Vector) -> Vector {
+    transform.transform_point(&Point3::from(*point)).coords
+}
+
+/// The transform as the rows that are handed out.
+pub(super) fn matrix(transform: &IsometryMatrix3<f64>) -> Transform {
+    let matrix = transform.to_homogeneous();
+    std::array::from_fn(|row| std::array::from_fn(|column| matrix[(row, column)]))
+}
+
+#[cfg(test)]
+pub(super) mod tests {
+    use rand::{RngExt, SeedableRng};
+    use rand_chacha::ChaCha8Rng;
+
+    use super::*;
+
+    /// A uniformly random rotation with a translation of a few units.
+    pub(in super::super) fn random_transform(rng: &mut ChaCha8Rng) -> IsometryMatrix3<f64> {
+        let mut normal = || (0..12).map(|_| rng.random::<f64>()).sum::<f64>() - 6.0;
+        let quaternion =
+            nalgebra::UnitQuaternion::new_normalize(nalgebra::Quaternion::new(normal(), normal(), normal(), normal()));
+        let translation = Translation3::new(normal(), normal(), normal());
+        IsometryMatrix3::from_parts(translation, quaternion.to_rotation_matrix())
+    }
+
+    pub(in super::super) fn random_points(rng: &mut ChaCha8Rng, count: usize) -> Vec<Point> {
+        (0..count).map(|_| std::array::from_fn(|_| rng.random_range(-1.0..1.0))).collect()
+    }
+
+    fn squared_residual(transform: &IsometryMatrix3<f64>, pairs: &[(Vector, Vector)]) -> f64 {
+        pairs.iter().map(|(s, t)| (moved(transform, s) - t).norm_squared()).sum()
+    }
+
+    #[test]
+    fn known_transforms_are_recovered_from_space_and_plane() {
+        let mut rng = ChaCha8Rng::seed_from_u64(1);
+        for case in 0..300 {
+            let (truth, offset) = (random_transform(&mut rng), if case % 3 == 0 { 1e4 } else { 0.0 });
+            let mut source = random_points(&mut rng, 3 + case % 40);
+            if case % 2 == 0 {
+                // A plane, where a mirror image fits as well as a rotation.
+                source.iter_mut().for_each(|p| p[2] = 0.3 * p[0] - 0.2);
+            }
+            let source: Vec<Vector> = source.into_iter().map(|p| vector(p).add_scalar(offset)).collect();
+            let fit = best_fit(source.iter().map(|s| (*s, moved(&truth, s)))).unwrap();
+            assert!((fit.rotation.matrix() - truth.rotation.matrix()).norm() < 1e-7, "case {case}");
+            assert!(source.iter().all(|s| (moved(&fit, s) - moved(&truth, s)).norm() < 1e-7), "case {case}");
+        }
+    }
+
+    #[test]
+    fn noisy_and_mirrored_points_get_the_best_proper_rotation() {
+        let mut rng = ChaCha8Rng::seed_from_u64(2);
+        for case in 0..60 {
+            let truth = random_transform(&mut rng);
+            let noise = random_points(&mut rng, 12);
+            let pairs: Vec<(Vector, Vector)> = random_points(&mut rng, 12)
+                .into_iter()
+                .zip(noise)
+                .map(|(p, noise)| {
+                    let mirrored = if case % 2 == 0 { [-p[0], p[1], p[2]] } else { p };
+                    (vector(p), moved(&truth, &vector(mirrored)) + 0.1 * vector(noise))
+                })
+                .collect();
+            let fit = best_fit(pairs.iter().copied()).unwrap();
+            assert!((fit.rotation.matrix().determinant() - 1.0).abs() < 1e-9);
+            let least = squared_residual(&fit, &pairs);
+            // No transform nearby or far away does better.
+            for step in [1e-3, 1e-2, 0.1, 1.0, 3.0] {
+                for axis in 0..6 {
+                    let mut parameters = [0.0; 6];
+                    parameters[axis] = step;
+                    let [x, y, z, a, b, c] = parameters;
+                    let change = IsometryMatrix3::new(Vector::new(x, y, z), Vector::new(a, b, c));
+                    assert!(squared_residual(&(change * fit), &pairs) > least, "case {case}");
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn what_does_not_fix_a_rotation_is_refused() {
+        let line: Vec<Point> =
+            (0..9).map(|i| [0.1 * i as f32, 0.7 - 0.3 * i as f32, 1000.0 + 0.2 * i as f32]).collect();
+        for points in [vec![], vec![[1.0; 3]; 2], vec![[2.0, 1.0, 0.0]; 9], vec![[0.0; 3], [1.0; 3]], line] {
+            let error = kabsch(&points, &points).unwrap_err().to_string();
+            assert!(error.contains("one line"), "{error}");
+        }
+        let three = [[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]];
+        assert!(kabsch(&three, &three[..2]).unwrap_err().to_string().contains("2 points"));
+        assert!(kabsch(&three, &[[f32::NAN; 3]; 3]).unwrap_err().to_string().contains("finite"));
+        assert!(kabsch(&three.map(|p| p.map(|v| v * f32::MAX)), &three).is_ok());
+    }
+}

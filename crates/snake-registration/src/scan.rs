@@ -1,0 +1,339 @@
+//! A cloud made ready to be matched: reduced, encoded, with keypoints of any detector and descriptors of any kind.
+
+use std::num::NonZeroUsize;
+use std::sync::OnceLock;
+
+use serde::{Deserialize, Serialize};
+
+use super::cloud::{check_radius, normals, voxel_means};
+use super::fpfh::{self, FPFH_DIMENSION};
+use crate::detectors::{Detector, Harris3dOptions, IssOptions, Protocol, Sift3dOptions};
+use snake_core::Control;
+use snake_core::Field;
+use snake_core::Length;
+use snake_core::Model;
+use snake_core::Result;
+use snake_core::space::{FinitePoints, check_points};
+use snake_core::space::{Neighbors, Vector, vector};
+use snake_core::{DetectOptions, EncodeOptions, Options};
+use snake_core::{Normalization, NormalizationMethod, Point};
+
+/// What keypoints are found by: the model, or a classical detector of [`baselines`](crate::detectors) with its default
+/// options, which picks among the points of the reduced cloud.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum KeypointDetector {
+    /// The most salient points of the field, farther apart than the voxels.
+    #[default]
+    Snake,
+    /// Intrinsic shape signatures.
+    Iss,
+    /// Harris' corners of the normals.
+    Harris3d,
+    /// Extrema of differences of Gaussians of the curvature.
+    Sift3d,
+    /// Farthest-point sampling.
+    Fps,
+    /// Random points.
+    Random,
+}
+
+/// What keypoints are matched by.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Descriptor {
+    /// FPFH of the down-sampled cloud at the point nearest to the keypoint: turns with the cloud.
+    #[default]
+    Fpfh,
+    /// The field's own features. Nothing makes them independent of the cloud's rotation, and the built-in model has
+    /// learnt that only in part.
+    Field,
+}
+
+/// A cloud made ready to be matched. What takes long is done when it is first needed, once for all detectors and
+/// descriptors: the model runs only for those that ask for its field.
+pub struct Scan {
+    pub(super) voxels: Neighbors,
+    pub(super) normals: Vec<Vector>,
+    voxel_size: f64,
+    feature_radius: f64,
+    /// The finite points.
+    points: Vec<Point>,
+    model: Model,
+    field: OnceLock<Field>,
+    fpfh: OnceLock<Vec<f32>>,
+}
+
+impl Scan {
+    /// Reduces a cloud to voxels of side `voxel_size` (cloud units), with normals of radius 2 and FPFH of radius 7 of
+    /// these.
+    ///
+    /// # Errors
+    /// [`Error::Input`](snake_core::Error::Input) for a cloud without finite points or without extent;
+    /// [`Error::Option`](snake_core::Error::Option) when the voxel size is not positive.
+    pub fn new(points: &[Point], model: &Model, voxel_size: f64) -> Result<Self> {
+        Self::new_with(points, model, voxel_size, &Control::default())
+    }
+
+    /// [`Scan::new`] under the caller's control.
+    ///
+    /// # Errors
+    /// Those of [`Scan::new`]; [`Error::Cancelled`](snake_core::Error::Cancelled) and
+    /// [`Error::DeadlineExceeded`](snake_core::Error::DeadlineExceeded).
+    pub fn new_with(points: &[Point], model: &Model, voxel_size: f64, control: &Control) -> Result<Self> {
+        check_radius("voxel_size", voxel_size)?;
+        let points = FinitePoints::of("points", points)?.points;
+        let voxels = reduce(&points, voxel_size, control)?;
+        Self::of(&points, voxels, model, [voxel_size, 2.0 * voxel_size, 7.0 * voxel_size], control)
+    }
+
+    /// [`Scan::new`] of finite points and their voxels; the lengths are voxel size, radius of normals and radius of FPFH.
+    pub(super) fn of(
+        points: &[Point],
+        voxels: Neighbors,
+        model: &Model,
+        lengths: [f64; 3],
+        control: &Control,
+    ) -> Result<Self> {
+        let [voxel_size, normal_radius, feature_radius] = lengths;
+        // Refuses extents that no model takes, also where none runs.
+        Normalization::of(points, NORMALIZATION)?;
+        voxels.check_crowding("normal_radius", normal_radius)?;
+        voxels.check_crowding("feature_radius", feature_radius)?;
+        let normals = normals(&voxels, normal_radius, control)?;
+        Ok(Self {
+            voxels,
+            normals,
+            voxel_size,
+            feature_radius,
+            points: points.to_vec(),
+            model: model.clone(),
+            field: OnceLock::new(),
+            fpfh: OnceLock::new(),
+        })
+    }
+
+    /// At most `count` keypoints, and no more than the cloud has points, the best first. Only random points depend on the
+    /// seed.
+    ///
+    /// # Errors
+    /// [`Error::Input`](snake_core::Error::Input) when a classical detector finds a single voxel;
+    /// [`Error::Option`](snake_core::Error::Option) when it is asked for none; [`Error::Weights`](snake_core::Error::Weights) when
+    /// the model overflows.
+    pub fn keypoints(&self, detector: KeypointDetector, count: usize, seed: u64) -> Result<Vec<Point>> {
+        self.keypoints_with(detector, count, seed, &Control::default())
+    }
+
+    /// [`Scan::keypoints`] under the caller's control; a classical detector is not interrupted.
+    ///
+    /// # Errors
+    /// Those of [`Scan::keypoints`]; [`Error::Cancelled`](snake_core::Error::Cancelled) and
+    /// [`Error::DeadlineExceeded`](snake_core::Error::DeadlineExceeded).
+    pub fn keypoints_with(
+        &self,
+        detector: KeypointDetector,
+        count: usize,
+        seed: u64,
+        control: &Control,
+    ) -> Result<Vec<Point>> {
+        // More than the points say nothing new, and matching takes time by the square of their number.
+        let count = count.min(self.points.len());
+        let classical = match detector {
+            KeypointDetector::Snake => return self.salient_points(count, control),
+            KeypointDetector::Iss => Detector::Iss(IssOptions::default()),
+            KeypointDetector::Harris3d => Detector::Harris3d(Harris3dOptions::default()),
+            KeypointDetector::Sift3d => Detector::Sift3d(Sift3dOptions::default()),
+            KeypointDetector::Fps => Detector::FarthestPoint,
+            KeypointDetector::Random => Detector::Random,
+        };
+        let voxels = self.voxel_means();
+        control.begin("keypoints", 0).check()?;
+        let found = classical.keypoints(&voxels, count, Protocol::Ranked, seed)?;
+        Ok(found.into_iter().map(|response| voxels[response.index]).collect())
+    }
+
+    fn voxel_means(&self) -> Vec<Point> {
+        self.voxels.points.iter().map(|point| point.map(|v| v as f32).into()).collect()
+    }
+
+    /// The whole cloud's field, encoded when it is first asked for.
+    fn field(&self, control: &Control) -> Result<&Field> {
+        if let Some(field) = self.field.get() {
+            return Ok(field);
+        }
+        let recommended = self.model.recommended().encode;
+        let options = EncodeOptions { normalization: NORMALIZATION, rotations: 1, ..recommended };
+        let field = self.model.encode_with(&self.points, &options, control)?;
+        Ok(self.field.get_or_init(|| field))
+    }
+
+    fn salient_points(&self, most: usize, control: &Control) -> Result<Vec<Point>> {
+        let recommended = *self.model.recommended();
+        let options = DetectOptions { saliency_threshold: 0.0, max_keypoints: most, ..recommended.detect };
+        let uses_windows = match recommended.window_radius {
+            // Windows of hardly more than a voxel show nothing.
+            Some(Length::Units(radius)) => radius >= 2.0 * self.voxel_size,
+            radius => radius.is_some(),
+        };
+        let found = if uses_windows {
+            let options = Options { detect: options, ..recommended };
+            self.model.detect_with(&self.voxel_means(), &options, control)?
+        } else {
+            // The suppression radius that suits objects of any size is not one of this cloud's units; that of windows is.
+            let options = DetectOptions { nms_radius: Some(Length::Units(self.voxel_size)), ..options };
+            self.field(control)?.detect_with(&options, control)?
+        };
+        Ok(found.keypoints.into_iter().map(|keypoint| keypoint.position).collect())
+    }
+
+    /// Descriptors `(N, dimension)` of points `(N, 3)` in the cloud's frame, flat; see [`Scan::dimension`].
+    ///
+    /// # Errors
+    /// [`Error::Input`](snake_core::Error::Input) for coordinates that are not finite; [`Error::Weights`](snake_core::Error::Weights)
+    /// when the model overflows.
+    pub fn descriptors(&self, points: &[Point], descriptor: Descriptor) -> Result<Vec<f32>> {
+        self.descriptors_with(points, descriptor, &Control::default())
+    }
+
+    /// [`Scan::descriptors`] under the caller's control.
+    ///
+    /// # Errors
+    /// Those of [`Scan::descriptors`]; [`Error::Cancelled`](snake_core::Error::Cancelled) and
+    /// [`Error::DeadlineExceeded`](snake_core::Error::DeadlineExceeded).
+    pub fn descriptors_with(&self, points: &[Point], descriptor: Descriptor, control: &Control) -> Result<Vec<f32>> {
+        match descriptor {
+            Descriptor::Fpfh => self.fpfh_at(points, control),
+            Descriptor::Field => self.field(control)?.descriptors(points),
+        }
+    }
+
+    /// Numbers per descriptor.
+    pub fn dimension(&self, descriptor: Descriptor) -> usize {
+        match descriptor {
+            Descriptor::Fpfh => FPFH_DIMENSION,
+            Descriptor::Field => self.model.config().c_dim,
+        }
+    }
+
+    /// FPFH of the voxels nearest to the points.
+    fn fpfh_at(&self, points: &[Point], control: &Control) -> Result<Vec<f32>> {
+        if !points.is_empty() {
+            check_points("points", points)?;
+        }
+        let of_voxels = match self.fpfh.get() {
+            Some(of_voxels) => of_voxels,
+            None => {
+                let made = fpfh::descriptors(&self.voxels, &self.normals, self.feature_radius, control)?;
+                self.fpfh.get_or_init(|| made)
+            }
+        };
+        let nearest = |&point: &Point| self.voxels.nearest(&vector(point), NonZeroUsize::MIN)[0].0;
+        let rows = points.iter().map(|point| &of_voxels[nearest(point) * FPFH_DIMENSION..][..FPFH_DIMENSION]);
+        Ok(rows.flatten().copied().collect())
+    }
+}
+
+/// Scenes fill the volume better by the cube than by the sphere that suits objects; a cube cannot be turned in it.
+const NORMALIZATION: NormalizationMethod = NormalizationMethod::UnitCube;
+
+/// Finite points by voxels.
+pub(super) fn reduce(points: &[Point], voxel_size: f64, control: &Control) -> Result<Neighbors> {
+    let counter = control.begin("voxels", points.len());
+    Neighbors::new(voxel_means(points, voxel_size, &counter)?)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use KeypointDetector::{Fps, Harris3d, Iss, Random, Sift3d, Snake};
+    use snake_core::Builtin;
+
+    fn sample() -> Vec<Point> {
+        snake_io::read_points(concat!(env!("CARGO_MANIFEST_DIR"), "/../../samples/plane.ply").as_ref()).unwrap()
+    }
+
+    #[test]
+    fn every_detector_has_keypoints_of_its_own_on_the_cloud_best_first() {
+        let scan = Scan::new(&sample(), &Model::builtin(Builtin::Compact), 0.02).unwrap();
+        let mut earlier: Vec<Vec<Point>> = Vec::new();
+        for detector in [Snake, Iss, Harris3d, Sift3d, Fps, Random] {
+            let keypoints = |count, seed| scan.keypoints(detector, count, seed).unwrap();
+            let found = keypoints(100, 0);
+            assert!((5..=100).contains(&found.len()), "{detector:?}: {}", found.len());
+            assert_eq!(keypoints(5, 0), found[..5], "{detector:?}");
+            assert_eq!(keypoints(100, 1) == found, detector != Random, "{detector:?}");
+            assert!(found.iter().all(|&point| scan.voxels.distance(&vector(point)) < 0.1), "{detector:?}");
+            assert!(!earlier.contains(&found), "{detector:?}");
+            earlier.push(found);
+        }
+        let sparse: Vec<Point> = sample().into_iter().step_by(20).collect();
+        let scan_of_sparse = Scan::new(&sparse, &Model::builtin(Builtin::Compact), 1e-3).unwrap();
+        assert_eq!(scan_of_sparse.keypoints(Snake, 100_000, 0).unwrap().len(), sparse.len());
+        let error = scan.keypoints(Iss, 0, 0).unwrap_err().to_string();
+        assert!(error.contains("count"), "{error}");
+    }
+
+    #[test]
+    fn a_model_that_sees_through_windows_does_so_with_its_own_suppression_radius() {
+        let room: Vec<Point> = sample().iter().map(|point| point.map(|v| 3.0 * v)).collect();
+        let model = Model::named("rooms").unwrap();
+        let scan = Scan::new(&room, &model, 0.03).unwrap();
+        let found = scan.keypoints(Snake, 50, 0).unwrap();
+        let Some(Length::Units(radius)) = model.recommended().detect.nms_radius else { panic!("a length in metres") };
+        let apart = |a: &Point, b: &Point| (vector(*a) - vector(*b)).norm() >= radius;
+        assert!(found.len() > 10 && (1..found.len()).all(|i| found[..i].iter().all(|other| apart(other, &found[i]))));
+        assert!(radius > 0.03 && model.recommended().window_radius.is_some());
+    }
+
+    #[test]
+    fn a_model_that_recommends_several_copies_encodes_one() {
+        let model = Model::named("standard").unwrap();
+        assert!(model.recommended().encode.rotations > 1);
+        let scan = Scan::new(&sample(), &model, 0.05).unwrap();
+        assert_eq!(scan.keypoints(Snake, 10, 0).unwrap().len(), 10);
+    }
+
+    #[test]
+    fn the_model_runs_only_for_what_asks_for_its_field_and_once() {
+        for name in Model::NAMES {
+            let scan = Scan::new(&sample(), &Model::named(name).unwrap(), 0.05).unwrap();
+            scan.keypoints(Iss, 10, 0).unwrap();
+            scan.descriptors(&sample()[..3], Descriptor::Fpfh).unwrap();
+            assert!(scan.field.get().is_none(), "{name}");
+            scan.keypoints(Snake, 10, 0).unwrap();
+            let in_windows = name == "rooms";
+            assert_eq!(scan.field.get().is_none(), in_windows, "{name}");
+            scan.descriptors(&sample()[..3], Descriptor::Field).unwrap();
+            let first: *const Field = scan.field.get().unwrap();
+            scan.descriptors(&sample()[..3], Descriptor::Field).unwrap();
+            assert!(std::ptr::eq(first, scan.field.get().unwrap()), "{name}");
+        }
+    }
+
+    #[test]
+    fn descriptors_are_rows_of_the_voxel_nearest_to_each_point() {
+        let scan = Scan::new(&sample(), &Model::builtin(Builtin::Compact), 0.05).unwrap();
+        let voxels: Vec<Point> = scan.voxels.points.iter().map(|point| point.map(|v| v as f32).into()).collect();
+        for descriptor in [Descriptor::Fpfh, Descriptor::Field] {
+            let all = scan.descriptors(&voxels, descriptor).unwrap();
+            let dimension = scan.dimension(descriptor);
+            assert_eq!(all.len(), voxels.len() * dimension);
+            assert_eq!(scan.descriptors(&voxels[7..9], descriptor).unwrap(), all[7 * dimension..9 * dimension]);
+            assert!(scan.descriptors(&[[f32::NAN; 3]], descriptor).is_err());
+            assert!(scan.descriptors(&[], descriptor).unwrap().is_empty());
+        }
+        let beside = voxels[3].map(|v| v + 1e-4);
+        let fpfh = |points: &[Point]| scan.descriptors(points, Descriptor::Fpfh).unwrap();
+        assert_eq!(fpfh(&[beside]), fpfh(&voxels[3..4]));
+    }
+
+    #[test]
+    fn clouds_and_sizes_that_cannot_be_used_are_refused() {
+        let model = Model::builtin(Builtin::Compact);
+        let scan = |points: &[Point], size| Scan::new(points, &model, size).err().unwrap().to_string();
+        assert!(scan(&[], 0.1).contains("no points"));
+        assert!(scan(&[[f32::NAN; 3]; 2], 0.1).contains("finite"));
+        assert!(scan(&[[1.0; 3]; 4], 0.1).contains("two different"));
+        assert!(scan(&sample(), 0.0).contains("voxel_size"));
+    }
+}

@@ -1,0 +1,69 @@
+//! Progress and cancellation of registration.
+
+use std::time::{Duration, Instant};
+
+use snake_core::{Builtin, CancelFlag, Control, Error, Model, Point, Progress};
+use snake_registration::{Descriptor, RegisterOptions, Registration, Scan, register, register_with};
+
+fn plane() -> Vec<Point> {
+    let path = concat!(env!("CARGO_MANIFEST_DIR"), "/../../samples/plane.ply");
+    snake_io::read_points(path.as_ref()).unwrap()
+}
+
+/// Asserts that the stage of this name began last, and is complete.
+fn assert_complete(progress: &Progress, name: &str) {
+    let stage = progress.stage().unwrap();
+    assert!(stage.name == name && stage.done == stage.total && stage.total > 0, "{name}: {stage:?}");
+}
+
+#[test]
+fn stages_are_counted_to_their_ends_and_change_no_result() {
+    let points = plane();
+    let progress = Progress::default();
+    let model = Model::builtin(Builtin::Compact);
+    let control = Control::new().progress(&progress);
+    let scan = Scan::new_with(&points, &model, 0.05, &control).unwrap();
+    assert_complete(&progress, "normals");
+    scan.descriptors_with(&points[..3], Descriptor::Fpfh, &control).unwrap();
+    assert_complete(&progress, "FPFH");
+    let options = RegisterOptions { max_keypoints: 200, ..Default::default() };
+    let found = register(&points[..2048], &points[2048..], &model, &options).unwrap();
+    let watched = register_with(&points[..2048], &points[2048..], &model, &options, &control).unwrap();
+    assert_eq!(watched, Registration { seconds: watched.seconds, ..found });
+    let stage = progress.stage().unwrap();
+    assert!(stage.name == "ICP" && (1..=30).contains(&stage.done) && stage.total == 30, "{stage:?}");
+}
+
+#[test]
+fn a_cancelled_registration_ends_soon() {
+    const MOMENTS: u32 = 10;
+    let (points, model) = (plane(), Model::builtin(Builtin::Compact));
+    let options = RegisterOptions { max_keypoints: 500, ..Default::default() };
+    let call = |control: &Control| {
+        let found = register_with(&points[..2048], &points[2048..], &model, &options, control);
+        found.map(|found| found.t_target_source)
+    };
+    let start = Instant::now();
+    let expected = call(&Control::default()).unwrap();
+    let whole = start.elapsed();
+    let mut delays = Vec::new();
+    for moment in 0..MOMENTS {
+        let flag = CancelFlag::default();
+        std::thread::scope(|scope| {
+            let running = scope.spawn(|| (call(&Control::new().cancel(&flag)), Instant::now()));
+            std::thread::sleep(whole * moment / MOMENTS);
+            let cancelled = Instant::now();
+            flag.cancel();
+            match running.join().unwrap() {
+                (Ok(found), _) => assert!(found == expected),
+                (Err(Error::Cancelled), end) => delays.push(end.saturating_duration_since(cancelled)),
+                (Err(error), _) => panic!("{error}"),
+            }
+        });
+    }
+    assert!(call(&Control::default()).unwrap() == expected);
+    delays.sort();
+    let median = delays[delays.len() / 2];
+    // On a busy machine everything takes longer.
+    assert!(median < Duration::from_millis(50).max(whole / 4), "{median:?} of {whole:?}");
+}

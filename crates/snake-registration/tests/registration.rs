@@ -1,0 +1,107 @@
+//! Registration of the real scene pairs of `../shared/data/scenes` (3DMatch fragments, see the README there), as
+//! `register` does it by default.
+
+use std::path::{Path, PathBuf};
+
+use serde_json::Value;
+use snake_core::Transform;
+use snake_core::{Builtin, Model};
+use snake_io as io;
+use snake_registration::{RegisterOptions, Registration, register};
+
+/// A registration is right up to this many degrees and metres.
+const MOST: (f64, f64) = (15.0, 0.3);
+
+struct Pair {
+    source: PathBuf,
+    target: PathBuf,
+    t_target_source: Transform,
+}
+
+/// The pairs of a split with at least half of the points of each cloud in common, both ways round; `None` without data.
+fn pairs(split: &str) -> Option<Vec<Pair>> {
+    let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../../shared/data/scenes").join(split);
+    let Ok(text) = std::fs::read(folder.join("pairs.json")) else {
+        eprintln!("skipped: no {}", folder.display());
+        return None;
+    };
+    let rows: Vec<Value> = serde_json::from_slice(&text).unwrap();
+    let overlaps = |row: &&Value| ["overlap", "overlap_reverse"].iter().all(|key| row[key].as_f64().unwrap() >= 0.5);
+    let both_ways = rows.iter().filter(overlaps).flat_map(|row| {
+        let file = |key: &str| folder.join(format!("{}.npy", row[key].as_str().unwrap()));
+        let forth: Transform = serde_json::from_value(row["T"].clone()).unwrap();
+        [
+            Pair { source: file("source"), target: file("target"), t_target_source: forth },
+            Pair { source: file("target"), target: file("source"), t_target_source: inverse(&forth) },
+        ]
+    });
+    Some(both_ways.collect())
+}
+
+fn inverse(t: &Transform) -> Transform {
+    let mut inverse = [[0.0; 4]; 4];
+    inverse[3][3] = 1.0;
+    for row in 0..3 {
+        for column in 0..3 {
+            inverse[row][column] = t[column][row];
+            inverse[row][3] -= t[column][row] * t[column][3];
+        }
+    }
+    inverse
+}
+
+/// Degrees between the rotations and distance of the translations.
+fn error(a: &Transform, b: &Transform) -> (f64, f64) {
+    let trace: f64 = (0..9).map(|i| a[i / 3][i % 3] * b[i / 3][i % 3]).sum();
+    let distance = (0..3).map(|row| (a[row][3] - b[row][3]).powi(2)).sum::<f64>().sqrt();
+    (((trace - 1.0) / 2.0).clamp(-1.0, 1.0).acos().to_degrees(), distance)
+}
+
+/// The share of pairs that are put right, printed with the seconds that a pair takes.
+fn recall(name: &str, pairs: &[Pair], options: &RegisterOptions) -> f64 {
+    let model = Model::builtin(Builtin::Compact);
+    let mut errors = Vec::new();
+    let mut seconds = Vec::new();
+    for pair in pairs {
+        let [source, target] = [&pair.source, &pair.target].map(|path| io::read_points(path).unwrap());
+        let found: Registration = register(&source, &target, &model, options).unwrap();
+        errors.push(error(&found.t_target_source, &pair.t_target_source));
+        seconds.push(found.seconds);
+    }
+    let share = |degrees, distance| {
+        errors.iter().filter(|(a, b)| *a <= degrees && *b <= distance).count() as f64 / errors.len() as f64
+    };
+    seconds.sort_by(f64::total_cmp);
+    let (right, fine) = (share(MOST.0, MOST.1), share(5.0, 0.1));
+    let (median, longest) = (seconds[seconds.len() / 2], seconds[seconds.len() - 1]);
+    let count = pairs.len();
+    println!(
+        "{name}: {count} pairs, {right:.3} right, {fine:.3} within 5° and 0.1 m, {median:.2} s, at most {longest:.2} s"
+    );
+    right
+}
+
+#[test]
+fn most_of_the_real_pairs_are_recovered() {
+    let Some(pairs) = pairs("val") else { return };
+    // A fourth of them, half of these the other way round.
+    let some: Vec<Pair> =
+        pairs.into_iter().enumerate().filter(|(i, _)| i % 8 == 0 || i % 8 == 5).map(|(_, p)| p).collect();
+    assert!(recall("val, a fourth", &some, &RegisterOptions::default()) >= 0.85);
+}
+
+/// The README's table: `cargo test --release --test registration -- --ignored --nocapture`.
+#[test]
+#[ignore = "takes minutes"]
+fn table() {
+    use snake_registration::Descriptor::Field;
+    let Some(val) = pairs("val") else { return };
+    let default = RegisterOptions::default();
+    assert!(recall("val", &val, &default) >= 0.85);
+    recall("val, seed 1", &val, &RegisterOptions { seed: 1, ..default });
+    recall("val, 1000 keypoints", &val, &RegisterOptions { max_keypoints: 1000, ..default });
+    recall("val, without ICP", &val, &RegisterOptions { refine_steps: 0, ..default });
+    recall("val, field descriptors", &val, &RegisterOptions { descriptor: Field, ..default });
+    let train: Vec<Pair> = pairs("train").unwrap().into_iter().step_by(9).collect();
+    recall("train, a ninth", &train, &default);
+}
