@@ -1,3 +1,5 @@
+//! Keypoints of a file, and the field behind them.
+
 use snake_core::{Builtin, DetectOptions, EncodeOptions, Model};
 
 fn main() -> Result<(), Box<dyn std::error::Error>> {
