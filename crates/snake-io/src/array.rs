@@ -1,6 +1,6 @@
 //! Arrays of numbers of any shape, as NumPy keeps them.
 
-use super::npy::Dtype;
+use super::dtype::Dtype;
 
 /// An array of numbers, the last axis fastest (C order).
 #[derive(Debug, Clone, PartialEq)]

@@ -4,7 +4,7 @@ use std::io::{self, Write};
 
 use serde_json::{Number, Value, json};
 
-use super::write::KeypointSource;
+use super::keypoint_source::KeypointSource;
 use snake_core::Keypoint;
 use snake_core::add_origin;
 

@@ -32,11 +32,13 @@
 mod array;
 mod atomic;
 mod columns;
+mod dtype;
 mod error;
 mod format;
 #[cfg(feature = "laz")]
 mod gps_time;
 mod json;
+mod keypoint_source;
 #[cfg(feature = "laz")]
 mod las;
 mod lzf;
@@ -70,8 +72,8 @@ pub use columns::{Column, Columns};
 pub use error::{Error, Result};
 pub use format::{CLOUD_EXTENSIONS, CloudFormat, KEYPOINT_EXTENSIONS, KeypointFormat, POINT_EXTENSIONS, PointFormat};
 pub use json::keypoint_json;
+pub use keypoint_source::KeypointSource;
 pub use snake_core::Cloud;
-pub use write::KeypointSource;
 
 /// The extensions that [`write_mesh`] knows.
 pub const MESH_EXTENSIONS: &[&str] = &["ply", "obj", "stl"];

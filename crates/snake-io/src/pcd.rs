@@ -1,7 +1,7 @@
 //! PCD: point clouds of the Point Cloud Library, ascii, binary and binary_compressed.
 
+use super::dtype::Dtype;
 use super::lzf;
-use super::npy::Dtype;
 use super::shape::{Position, Shape};
 use snake_core::excerpt;
 

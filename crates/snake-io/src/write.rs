@@ -1,33 +1,14 @@
 //! Keypoints and clouds as the numbers that files hold.
 
 use std::io::{self, Write};
-use std::path::Path;
 
 use super::format::{CloudFormat, KeypointFormat};
 use super::json;
+use super::keypoint_source::KeypointSource;
 use super::table::{Kind, Table};
 use snake_core::Keypoint;
 use snake_core::Point;
 use snake_core::add_origin;
-
-/// What a file of keypoints says about the cloud that they are of.
-#[derive(Debug, Clone, PartialEq, Default)]
-pub struct KeypointSource {
-    /// Added to the positions, as of [`Cloud::origin`](super::Cloud::origin).
-    pub origin: [f64; 3],
-    /// Class of the shape, for KeypointNet's annotations.
-    pub class_id: String,
-    /// Name of the shape, for KeypointNet's annotations.
-    pub model_id: String,
-}
-
-impl KeypointSource {
-    /// By the file that the cloud was read from: KeypointNet's are called `CLASS_ID/MODEL_ID.pcd`.
-    pub fn new(path: &Path, origin: [f64; 3]) -> Self {
-        let text = |part: Option<&std::ffi::OsStr>| part.unwrap_or_default().to_string_lossy().into_owned();
-        Self { origin, class_id: text(path.parent().and_then(Path::file_name)), model_id: text(path.file_stem()) }
-    }
-}
 
 impl KeypointFormat {
     /// Writes keypoints; the origin is added but for PCD, whose coordinates have four bytes.
