@@ -263,7 +263,9 @@ impl Windows {
         if let (Some(remaining), false, "windows") = (remaining, self.announced, stage.name) {
             self.announced = true;
             let time = HumanDuration(stage.elapsed + remaining);
-            bar.suspend(|| note(&format!("{}: {} windows, about {time} in all", bar.message(), stage.total)));
+            let text = format!("{}: {} windows, about {time} in all", bar.message(), stage.total);
+            // The bar is locked meanwhile: even its message cannot be read.
+            bar.suspend(|| note(&text));
         }
     }
 }
