@@ -246,19 +246,27 @@ fn a_long_call_shows_the_time_that_it_will_take() {
         let command = format!("'{program}' {command} {options}");
         let mut script = Command::new("script");
         script.args(["-qefc", &command, "/dev/null"]).stdin(Stdio::null());
-        let mut child = script.stdout(Stdio::piped()).spawn().unwrap();
+        let mut child = Running(script.stdout(Stdio::piped()).spawn().unwrap());
         let (mut shown, mut bytes) = (String::new(), [0; 4096]);
         while !shown.contains("refinement (ETA ") {
-            let length = child.stdout.as_mut().unwrap().read(&mut bytes).unwrap();
+            let length = child.0.stdout.as_mut().unwrap().read(&mut bytes).unwrap();
             assert!(length > 0, "{command}: ended by itself: {shown}");
             shown += &String::from_utf8_lossy(&bytes[..length]);
         }
-        child.kill().unwrap();
-        child.wait().unwrap();
     }
 }
 
-/// Many windows and no terminal: what it will take is said beforehand, and how far it is every ten seconds.
+/// A program that is killed when the test is done with it, however the test ends.
+struct Running(std::process::Child);
+
+impl Drop for Running {
+    fn drop(&mut self) {
+        self.0.kill().ok();
+        self.0.wait().ok();
+    }
+}
+
+/// Many windows and no terminal: the work is announced beforehand, and a line every ten seconds shows the progress.
 #[test]
 fn many_windows_are_announced_and_counted_without_a_terminal() {
     use std::io::{BufRead, BufReader};
@@ -268,15 +276,13 @@ fn many_windows_are_announced_and_counted_without_a_terminal() {
     let mut command = Command::new(env!("CARGO_BIN_EXE_snake-cli"));
     command.arg("detect").arg(sample()).args(options).stdout(Stdio::null()).stderr(Stdio::piped());
     let start = std::time::Instant::now();
-    let mut child = command.spawn().unwrap();
-    let mut lines = BufReader::new(child.stderr.take().unwrap()).lines().map(Result::unwrap);
+    let mut child = Running(command.spawn().unwrap());
+    let mut lines = BufReader::new(child.0.stderr.take().unwrap()).lines().map(Result::unwrap);
     let announced = lines.next().unwrap();
     assert!(announced.starts_with("note: ") && announced.contains(" windows, about "), "{announced}");
     let counted = lines.next().unwrap();
     assert!(counted.contains(": windows, ") && counted.ends_with(" left"), "{counted}");
     assert!(start.elapsed().as_secs() >= 10);
-    child.kill().unwrap();
-    child.wait().unwrap();
 }
 
 #[cfg(target_os = "linux")]
