@@ -15,40 +15,40 @@ use crate::view::args::ViewArguments;
 
 /// Repeatable 3-D keypoints from point clouds (SNAKE), on the CPU.
 ///
-/// A network turns a cloud into a field that says where there is surface and where keypoints are. Files in, keypoints
-/// or transforms out; the model is built in.
+/// A neural network encodes the cloud as a field. The field gives the occupancy and the saliency of every point in
+/// space, and keypoints are the maxima of saliency on the surface. The model is built in.
 #[derive(Parser)]
 #[command(
     version,
     bin_name = "snake-cli",
     arg_required_else_help = true,
     after_help = "Start here:
-  snake-cli detect scan.ply                     the keypoints of a cloud
-  snake-cli detect 'scans/*.pcd' -o keypoints/  those of many, into files
-  snake-cli register scan2.ply scan1.ply        the transform from one cloud to another
-  snake-cli view scan.ply -o report.html        a page to look at them in a browser
-  snake-cli detect --help                       every option, with examples
+  snake-cli detect scan.ply                     print the keypoints of a cloud
+  snake-cli detect 'scans/*.pcd' -o keypoints/  write the keypoints of many clouds to files
+  snake-cli register scan2.ply scan1.ply        find the transform from one cloud to another
+  snake-cli view scan.ply -o report.html        write a web page that shows the cloud and its keypoints
+  snake-cli detect --help                       show every option, with examples
 
 Environment:
-  SNAKE_MODEL    weight file or name of a model, for --model
-  SNAKE_MODELS   folder of models that have a name
-  SNAKE_THREADS  number of threads, for --threads
-  SNAKE_SIMD     portable, avx2 or avx512; default: the best that the processor has
-  NO_COLOR       no colours; there are none where the output is not a terminal"
+  SNAKE_MODEL    default of --model: a weight file or the name of a model
+  SNAKE_MODELS   folder in which named models are looked up
+  SNAKE_THREADS  default of --threads: the number of threads
+  SNAKE_SIMD     portable, avx2 or avx512; default: the best level of the processor
+  NO_COLOR       turns colours off; colours are only used on a terminal"
 )]
 pub struct Arguments {
     #[command(subcommand)]
     pub command: Command,
-    /// Only errors: no tables, no warnings, no progress. Files are written and --json printed as ever.
+    /// Print errors only: no tables, warnings or progress. Files are still written, and --json is still printed.
     #[arg(short, long, global = true, conflicts_with = "verbose", help_heading = "Global options")]
     quiet: bool,
-    /// Also say, on the standard error, what is loaded, the options in effect and the seconds of each stage.
+    /// Also print to the standard error: the loaded model, the options in effect and the seconds of each stage.
     #[arg(short, long, global = true, help_heading = "Global options")]
     verbose: bool,
 }
 
 impl Arguments {
-    /// How much is to be said.
+    /// How much to print.
     pub fn verbosity(&self) -> Verbosity {
         match (self.quiet, self.verbose) {
             (true, _) => Verbosity::Quiet,
@@ -62,7 +62,7 @@ impl Arguments {
 pub enum Command {
     /// Find the keypoints of point clouds.
     ///
-    /// Exit code: 0 if every input was processed, 1 if some failed, 2 if nothing could be done.
+    /// Exit code: 0 if every input was processed, 1 if some failed, 2 if all failed or the command could not start.
     #[command(after_help = "Examples:
   snake-cli detect scan.ply
   snake-cli detect scan.ply -o keypoints.csv --max-keypoints 256 --nms-radius 0.05
@@ -72,17 +72,17 @@ pub enum Command {
   snake-cli detect - --input-format xyz -o - --format csv < scan.txt > keypoints.csv
   snake-cli detect scan.ply --json | jq '.keypoints[0]'")]
     Detect(Box<DetectArguments>),
-    /// Measure how good keypoints are, beside those of the classical detectors.
+    /// Evaluate keypoints on a data set and compare them with classical detectors.
     #[command(subcommand)]
     Eval(Eval),
     /// Draw the occupancy or saliency field of a cloud, or write its values on a grid.
     ///
-    /// A picture (.png) shows for each pixel the largest value along an axis, as in the paper's figures, or a slice, with
-    /// the cloud's points over it. Axes are in the cloud's frame and units.
+    /// A picture (.png) is a maximum projection along an axis, as in the paper's figures, or a slice (--slice). The
+    /// cloud's points are drawn over it. Axes are in the cloud's frame and units.
     ///
-    /// A volume (.npy) is a float32 array [z][y][x] of N values along each axis (--resolution), over the box that the
-    /// network sees. What is printed says where the box lies: index i along x is at low.x + i (high.x - low.x) / (N - 1),
-    /// and likewise for y and z.
+    /// A volume (.npy) is a float32 array [z][y][x] with N values along each axis (--resolution). It covers the box
+    /// that the network encodes. The command prints the corners `low` and `high` of that box: index i along x is at
+    /// low.x + i (high.x - low.x) / (N - 1), and likewise for y and z.
     #[command(after_help = "Examples:
   snake-cli field scan.ply -o saliency.png
   snake-cli field scan.ply -o all.png --quantity occupancy,saliency --axis x,y,z
@@ -91,8 +91,8 @@ pub enum Command {
     Field(Box<FieldArguments>),
     /// Write the surface of a point cloud as a triangle mesh.
     ///
-    /// The surface is where the network's occupancy has the value of --level. It is closed, and in the cloud's frame and
-    /// units. Thin shells have two surfaces; --outer removes the inner one.
+    /// The surface is the level set of the occupancy at --level. The mesh is closed and in the cloud's frame and units.
+    /// A thin shell has two surfaces; --outer removes the inner one.
     #[command(after_help = "Examples:
   snake-cli reconstruct scan.ply -o mesh.ply
   snake-cli reconstruct scan.ply -o mesh.obj --outer --resolution 256
@@ -100,42 +100,42 @@ pub enum Command {
     Reconstruct(Box<ReconstructArguments>),
     /// Find the rigid transform that brings one cloud onto another.
     ///
-    /// Keypoints of both clouds are matched by descriptors, and the transform is what most matches agree on (RANSAC),
-    /// refined on the clouds themselves (ICP). Nothing need be known about the poses; the units must be the same.
-    /// `t_target_source` takes a point of the source to the target: p_target = R p_source + t.
+    /// The command matches the keypoints of both clouds by their descriptors. RANSAC finds the transform that agrees
+    /// with most matches, and ICP refines it on the clouds. The poses may be arbitrary, but both clouds must have the
+    /// same units. `t_target_source` maps a point of the source into the target's frame: p_target = R p_source + t.
     ///
-    /// Before you trust it: RANSAC's inliers are the correspondences that its transform brings together; their RMSE says
-    /// how far apart keypoints of one place are found. The result, after ICP, is judged by the share of the source's
-    /// voxels that are near the target's, and by their RMSE.
+    /// Check the result before you trust it. The inliers of RANSAC are the correspondences that agree with its
+    /// transform, and their RMSE is the typical distance between two keypoints of the same place. The result after ICP
+    /// has two figures of its own: the share of the source's voxels near a voxel of the target, and their RMSE.
     ///
-    /// Exit code: 0 if a transform was found, 2 if not.
+    /// Exit code: 0 if a transform was found, 2 otherwise.
     #[command(after_help = "Examples:
   snake-cli register scan2.ply scan1.ply
   snake-cli register scan2.ply scan1.ply -o t_1_2.txt --aligned scan2_in_1.ply
   snake-cli register part.ply whole.ply --voxel-size 0.01 --json | jq .t_target_source")]
     Register(Box<RegisterArguments>),
-    /// Write a page with the cloud, its saliency, keypoints and surface, to look at in a browser.
+    /// Write a web page that shows the cloud, its saliency, keypoints and surface.
     ///
-    /// The page is one file that needs no network. Of two clouds it shows both, side by side as they lie on one another,
-    /// and links the keypoints that repeat. The second is brought onto the first by registration (as
-    /// `snake-cli register SECOND FIRST`), or by a transform that is given.
+    /// The page is one file and works offline. Given two clouds, it shows both, aligned or side by side, and links the
+    /// keypoints that repeat. The second cloud is aligned to the first by registration (as
+    /// `snake-cli register SECOND FIRST`) or by --transform.
     #[command(after_help = "Examples:
   snake-cli view scan.ply -o report.html
   snake-cli view scan.ply -o report.html --max-keypoints 256 --nms-radius 0.05
   snake-cli view scan1.ply scan2.ply -o pair.html --epsilon 0.05
   snake-cli register scan2.ply scan1.ply -o t.json && snake-cli view scan1.ply scan2.ply --transform t.json -o pair.html")]
     View(Box<ViewArguments>),
-    /// Show what a weight file is; without FILE, the built-in model.
+    /// Show the network, the recommended options and the metadata of a model.
     #[command(after_help = "Examples:
   snake-cli model
   snake-cli model standard
   snake-cli model weights.safetensors")]
     Model {
-        /// Weight file (.safetensors), or the name of a model as in `detect`.
+        /// Weight file (.safetensors), or the name of a model as in `detect` [default: compact].
         #[arg(env = "SNAKE_MODEL", hide_env_values = true)]
         file: Option<PathBuf>,
     },
-    /// Print what makes a shell complete the options of snake-cli.
+    /// Print the script with which a shell completes the options of snake-cli.
     #[command(after_help = "Examples:
   snake-cli completions bash > ~/.local/share/bash-completion/completions/snake-cli
   snake-cli completions zsh > ~/.zfunc/_snake-cli                  (a folder of $fpath)

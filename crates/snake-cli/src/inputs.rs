@@ -1,4 +1,4 @@
-//! The files that the arguments stand for, and the clouds in them.
+//! Input files: expands the arguments to files and reads the clouds.
 
 use std::io::Read;
 use std::path::{Path, PathBuf};
@@ -10,34 +10,36 @@ use snake_io::{self as io, Cloud, Columns, Contents, POINT_EXTENSIONS, PointForm
 
 use crate::terminal;
 
-/// Stands for the standard input or output.
+/// The argument for the standard input or output.
 pub const DASH: &str = "-";
 
-/// How clouds are read.
+/// Options of reading clouds.
 #[derive(Args)]
 pub struct InputArguments {
-    /// Read the inputs as files of this extension, whatever they are called. The standard input (`-`) needs it for text,
-    /// obj and binary stl; other formats are known by their content.
+    /// Read the inputs in the format of this extension, regardless of their names. The standard input (`-`) needs this
+    /// option for text, obj and binary stl; other formats are recognised by their content [default: each input's own
+    /// extension].
     #[arg(long, value_name = "EXTENSION", value_parser = point_format)]
     pub input_format: Option<PointFormat>,
-    /// Of meshes, draw this many points from the surface, evenly by area, instead of taking their vertices.
+    /// Sample this many points from the surface of a mesh, uniformly by area [default: the vertices of the mesh].
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=100_000_000))]
     pub sample: Option<u32>,
     #[command(flatten)]
     pub columns: ColumnArguments,
 }
 
-/// Which columns of text and arrays hold the coordinates.
+/// The columns of text files and NumPy arrays that hold the coordinates.
 #[derive(Args, Clone, Default)]
 pub struct ColumnArguments {
-    /// Of text and NumPy arrays: the columns of x, y and z, by their names in the header or by numbers from 1: `x,y,z`,
-    /// `Points:0,Points:1,Points:2`, `4,5,6` [default: as the header says, without one the first three].
+    /// Columns of x, y and z in text files and NumPy arrays: names in the header or numbers from 1, such as `x,y,z`,
+    /// `Points:0,Points:1,Points:2` or `4,5,6` [default: x, y and z of the header, or without a header the first
+    /// three].
     #[arg(long, value_name = "X,Y,Z")]
     pub columns: Option<Columns>,
 }
 
 impl ColumnArguments {
-    /// Reads the file of a data set.
+    /// Reads a cloud of a data set.
     pub fn read(&self, path: &Path) -> Result<Cloud> {
         let options = ReadOptions { columns: self.columns.clone(), ..ReadOptions::default() };
         Ok(io::read_cloud(path, &options)?)
@@ -45,13 +47,13 @@ impl ColumnArguments {
 }
 
 impl InputArguments {
-    /// Reads a cloud; the seed is that of samples. Says once if the vertices of a mesh are taken for its surface.
+    /// Reads a cloud. The seed is used by --sample. Warns once if the vertices of a mesh stand in for its surface.
     pub fn read(&self, path: &Path, seed: u64) -> Result<Cloud> {
         let Contents { cloud, unsampled_faces, .. } = self.contents(path, seed)?;
         if unsampled_faces > 0 {
-            static SAID: Once = Once::new();
+            static WARNED: Once = Once::new();
             let (name, vertices) = (path.display(), cloud.points.len());
-            SAID.call_once(|| {
+            WARNED.call_once(|| {
                 terminal::warn(&format!(
                     "{name} is a mesh of {unsampled_faces} faces: its {vertices} vertices are taken; \
                      --sample N draws N points from the surface"
@@ -82,8 +84,8 @@ impl InputArguments {
     }
 }
 
-/// What is to be added to the coordinates of a file that is written: nothing, or where its format has only four bytes a
-/// coordinate, the origin, which is then also said.
+/// The offset that a reader has to add to the coordinates of a written file. It is zero if the format holds full
+/// coordinates. A format with four bytes a coordinate needs the origin; the function then prints a warning.
 pub fn output_origin(path: &Path, adds_origin: bool, origin: [f64; 3]) -> [f64; 3] {
     if adds_origin || origin == [0.0; 3] {
         return [0.0; 3];
@@ -110,8 +112,8 @@ fn point_format(extension: &str) -> Result<PointFormat> {
     PointFormat::from_extension(extension.trim_start_matches('.')).with_context(known)
 }
 
-/// The files to read: what was named, what patterns match, and the clouds within directories, in the order of their
-/// names.
+/// The files to read: named files, files that match a pattern, and the clouds in directories. The files of a pattern or
+/// a directory are sorted by name.
 pub fn expand(inputs: &[PathBuf]) -> Result<Vec<PathBuf>> {
     let mut files = Vec::new();
     for input in inputs {
@@ -122,8 +124,8 @@ pub fn expand(inputs: &[PathBuf]) -> Result<Vec<PathBuf>> {
     Ok(files)
 }
 
-/// What a pattern of `*`, `?`, `[..]` and `**` stands for that no shell has expanded, because it was quoted or on Windows;
-/// of anything else, and of a file of that very name, the path itself.
+/// The paths that match a pattern of `*`, `?`, `[..]` and `**`. The shell leaves patterns to us when they are quoted,
+/// and on Windows. Any other path, and a pattern that is also the name of a file, gives the path itself.
 fn matching(input: &Path) -> Result<Vec<PathBuf>> {
     let Some(pattern) = input.to_str().filter(|text| text.contains(['*', '?', '[']) && !input.exists()) else {
         return Ok(vec![input.into()]);
@@ -137,7 +139,7 @@ fn matching(input: &Path) -> Result<Vec<PathBuf>> {
     Ok(paths)
 }
 
-/// The clouds directly within a directory; results of ours are none.
+/// The clouds directly in a directory, except our own results (`NAME.keypoints.EXT`).
 fn clouds_in(folder: &Path) -> Result<Vec<PathBuf>> {
     let mut found = Vec::new();
     for entry in folder.read_dir().with_context(|| format!("cannot list {}", folder.display()))? {
@@ -176,7 +178,7 @@ mod tests {
         assert_eq!(files(&["**/[de].*"]).unwrap(), ["deep/d.pcd", "deep/er/e.ply"]);
         assert_eq!(files(&["."]).unwrap(), ["a.ply", "b.ply", "odd[1].ply"]);
         assert_eq!(files(&["dee*"]).unwrap(), ["deep/d.pcd"]);
-        // A name with brackets is a name, and what is not there is for the reader to say.
+        // A file name may have brackets, and a missing file is left to the reader.
         assert_eq!(files(&["odd[1].ply", "none.ply"]).unwrap(), ["odd[1].ply", "none.ply"]);
         let refused = |pattern| files(&[pattern]).unwrap_err().to_string();
         assert!(refused("*.xyz").ends_with("no file has such a name"));

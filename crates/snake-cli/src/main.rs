@@ -54,25 +54,25 @@ fn run(command: &Command) -> Result<ExitCode> {
     Ok(ExitCode::SUCCESS)
 }
 
-/// Prints the help that was asked for, or what is wrong with the command line.
+/// Prints the requested help, or the error in the command line.
 fn explain(error: clap::Error) -> ExitCode {
     let code = ExitCode::from(if error.use_stderr() { 2 } else { 0 });
     match error.kind() {
         ErrorKind::DisplayHelp | ErrorKind::DisplayHelpOnMissingArgumentOrSubcommand | ErrorKind::DisplayVersion => {
-            // All of it is ours.
+            // The help quotes no arguments, so it is safe to print.
             let _ = error.print();
         }
-        _ => terminal::usage_error(&harmless(error).render().to_string()),
+        _ => terminal::usage_error(&with_printable_arguments(error).render().to_string()),
     }
     code
 }
 
-/// The same error about the same arguments in a form that can be printed: it quotes them in several places, and a new
-/// line in them would look like one of clap's.
-fn harmless(error: clap::Error) -> clap::Error {
+/// The same error with the arguments in printable form. The error quotes the arguments in several places, and a line
+/// break in an argument would look like a line of clap's own text.
+fn with_printable_arguments(error: clap::Error) -> clap::Error {
     let arguments = std::env::args_os().map(|argument| printable(&argument.to_string_lossy()).into_owned());
     let mut error = Arguments::try_parse_from(arguments).err().unwrap_or(error);
-    // That of an environment variable is no argument.
+    // The value of an environment variable is not among the arguments.
     if let Some(ContextValue::String(value)) = error.get(ContextKind::InvalidValue) {
         let value = printable(value).into_owned();
         error.insert(ContextKind::InvalidValue, ContextValue::String(value));
@@ -80,7 +80,7 @@ fn harmless(error: clap::Error) -> clap::Error {
     error
 }
 
-/// Prints a shell's completions.
+/// Prints the completion script of a shell.
 fn complete(shell: Shell) -> Result<()> {
     let mut script = Vec::new();
     clap_complete::generate(shell, &mut Arguments::command(), "snake-cli", &mut script);

@@ -1,4 +1,4 @@
-//! `snake-cli model`: what a weight file is.
+//! `snake-cli model`: describes a model.
 
 use std::path::{Path, PathBuf};
 
@@ -7,7 +7,7 @@ use snake_core::{Builtin, Model};
 
 use crate::terminal::{self, Report};
 
-/// Loads the model of a weight file or of a name, by default `compact`.
+/// Loads a model from a weight file or by its name; the default is `compact`.
 pub fn load(model: Option<&Path>) -> Result<Model> {
     let Some(model) = model else { return Ok(Model::builtin(Builtin::Compact)) };
     if let Some(name) = builtin_name(model) {
@@ -17,13 +17,13 @@ pub fn load(model: Option<&Path>) -> Result<Model> {
     Model::load(&file).with_context(|| format!("cannot load the model {}", file.display()))
 }
 
-/// The name of a built-in model, unless a file is called so.
+/// The name of a built-in model, unless a file has that name.
 fn builtin_name(model: &Path) -> Option<&'static str> {
     Model::NAMES.into_iter().find(|name| model.as_os_str() == *name && !model.exists())
 }
 
-/// The weight file that a path or a name stands for. A name, like `standard`, is a file NAME.safetensors in a folder of
-/// models: that of SNAKE_MODELS, that of the program, and the user's.
+/// The weight file of a path or a name. A name stands for the first file NAME.safetensors in these folders:
+/// SNAKE_MODELS, the program's folder, its subfolder `models`, and `snake-rs` in the user's data folder.
 fn locate(model: &Path) -> Result<PathBuf> {
     let is_name = model.extension().is_none() && model.components().count() == 1 && !model.exists();
     if !is_name {
@@ -53,7 +53,7 @@ fn locate(model: &Path) -> Result<PathBuf> {
     );
 }
 
-/// What reports call that model.
+/// The name of the model in reports.
 pub fn name(model: Option<&Path>) -> String {
     let model = model.unwrap_or(Path::new("compact"));
     builtin_name(model).map_or_else(|| model.display().to_string(), |name| format!("{name}, built-in"))

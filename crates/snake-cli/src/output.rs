@@ -1,4 +1,4 @@
-//! Where results go: never onto an input, and each to a name of its own.
+//! Output files: they never replace an input, and each result has a name of its own.
 
 use std::collections::{HashMap, HashSet};
 use std::fs::Metadata;
@@ -9,17 +9,17 @@ use anyhow::{Result, bail};
 
 use crate::inputs::DASH;
 
-/// The files that are read, by identity: a file has many spellings and may have several names.
+/// The input files by identity, because several paths may lead to the same file.
 #[derive(Default)]
 pub struct InputFiles(HashSet<Identity>);
 
 impl InputFiles {
-    /// Of these paths; those that are no files, such as names of models, do not count.
+    /// The files at these paths. Paths that are not files, such as names of models, are ignored.
     pub fn new<'a, P: AsRef<Path> + ?Sized + 'a>(paths: impl IntoIterator<Item = &'a P>) -> Self {
         Self(paths.into_iter().filter_map(|path| identity(path.as_ref())).collect())
     }
 
-    /// Refuses an output that is one of these files.
+    /// Returns an error if the output is one of these files.
     pub fn refuse_as_output(&self, output: &Path) -> Result<()> {
         if output != Path::new(DASH) && identity(output).is_some_and(|output| self.0.contains(&output)) {
             bail!("{}: is an input, which would be lost; give another name to write to", output.display());
@@ -28,13 +28,14 @@ impl InputFiles {
     }
 }
 
-/// What is the same for all paths to a regular file: on Unix its device and number, elsewhere its canonical path.
+/// The identity of a regular file, the same for all of its paths: device and inode on Unix, the canonical path
+/// elsewhere.
 #[cfg(unix)]
 type Identity = (u64, u64);
 #[cfg(not(unix))]
 type Identity = PathBuf;
 
-/// `None` of what is no regular file, as no other file can be replaced.
+/// The identity of a regular file. Anything else gives `None`, because only regular files can be replaced.
 fn identity(path: &Path) -> Option<Identity> {
     let metadata = if path == Path::new(DASH) { stdin_metadata() } else { path.metadata() }.ok()?;
     if !metadata.is_file() {
@@ -62,8 +63,8 @@ fn stdin_metadata() -> io::Result<Metadata> {
 
 /// The file in `folder` for the result of each input, `NAME.keypoints.EXTENSION`.
 ///
-/// Inputs of one name, as `a.las` and `a.laz`, are numbered if so wanted: `NAME.2.keypoints.EXTENSION`. Otherwise each of
-/// them has an error that names it and another.
+/// Inputs with the same name, such as `a.las` and `a.laz`, are numbered if `number` is set:
+/// `NAME.2.keypoints.EXTENSION`. Otherwise each of them gives an error that names it and another one.
 pub fn in_folder(folder: &Path, inputs: &[PathBuf], extension: &str, number: bool) -> Vec<Result<PathBuf>> {
     let stem = |input: &PathBuf| input.file_stem().unwrap_or_default().to_string_lossy().into_owned();
     let mut by_stem: HashMap<String, Vec<&PathBuf>> = HashMap::new();
@@ -74,13 +75,13 @@ pub fn in_folder(folder: &Path, inputs: &[PathBuf], extension: &str, number: boo
     let mut taken: HashSet<String> = HashSet::new();
     let mut numbered = |stem: &str| {
         let names = std::iter::once(stem.to_owned()).chain((2..).map(|number| format!("{stem}.{number}")));
-        // A number of one input may be the name of another.
+        // A numbered name may be the name of another input.
         let mut free = names.filter(|name| name == stem || !by_stem.contains_key(name));
         free.find(|name| taken.insert(name.clone())).unwrap_or_default()
     };
     let output = |input: &PathBuf| {
         let stem = stem(input);
-        // The same path may be given twice.
+        // Compares by address, because the same path may be given twice.
         let other = by_stem[&stem].iter().find(|other| !std::ptr::eq(**other, input));
         match other {
             None => Ok(path(&stem)),

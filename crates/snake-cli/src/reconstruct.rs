@@ -18,7 +18,7 @@ use crate::terminal::{self, Report};
 pub struct ReconstructArguments {
     /// The point cloud, or a mesh, in any format that `detect` reads; `-` is the standard input.
     pub input: PathBuf,
-    /// The mesh: .ply or .obj with normals, or .stl.
+    /// Write the mesh: .ply or .obj with vertex normals, or .stl.
     #[arg(short, long)]
     pub output: PathBuf,
     #[command(flatten)]
@@ -28,20 +28,20 @@ pub struct ReconstructArguments {
     pub json: bool,
     #[command(flatten)]
     compute: ComputeArguments,
-    /// Samples along each axis of the network's box, 8 to 512 [default: 128].
+    /// Number of samples along each axis of the network's box, 8 to 512 [default: 128].
     #[arg(long)]
     resolution: Option<usize>,
-    /// The occupancy at the surface, a probability: higher for thinner shells [default: 0.4].
+    /// Occupancy at the surface, a probability from 0.001 to 0.999. A higher level gives thinner shells [default: 0.4].
     #[arg(long)]
     level: Option<f32>,
-    /// Keep only what can be reached from outside.
+    /// Keep only the surfaces that can be reached from outside [default: keep all].
     #[arg(long)]
     outer: bool,
     #[command(flatten)]
     encode: EncodeFlags,
 }
 
-/// Writes the mesh and prints what it is.
+/// Writes the mesh and prints its size.
 pub fn run(arguments: &ReconstructArguments) -> Result<()> {
     arguments.compute.start_threads()?;
     let ReconstructArguments { input, output, .. } = arguments;

@@ -1,4 +1,4 @@
-//! What the sub-commands share: model, threads and how a cloud is encoded.
+//! Options that several sub-commands share: the model, the threads and the encoding.
 
 use std::path::PathBuf;
 use std::time::Instant;
@@ -11,25 +11,26 @@ use snake_core::{Length, Model, NormalizationMethod, Options, Preset, SimdLevel}
 use crate::model;
 use crate::terminal;
 
-/// Threads at most, where there are not more processors: a thousand on few processors only wait for each other.
+/// The most threads on a machine with fewer processors: more threads would only wait for each other.
 const MAX_THREADS: usize = 256;
 
-/// What every sub-command that computes takes.
+/// Options of every sub-command that runs the network.
 #[derive(Args)]
 pub struct ComputeArguments {
-    /// Weight file (.safetensors), or the name of a model: compact (for objects), standard (for objects, better and
-    /// slower) and rooms (for rooms in metres) are built in, another is that of a file in SNAKE_MODELS, beside the program
-    /// or in the user's data folder [default: compact].
+    /// Weight file (.safetensors), or the name of a model. Built in are compact (for objects), standard (for objects,
+    /// better and slower) and rooms (for rooms in metres). Any other NAME is a file NAME.safetensors in SNAKE_MODELS,
+    /// beside the program or in the user's data folder [default: compact].
     #[arg(long, value_name = "MODEL", env = "SNAKE_MODEL", hide_env_values = true)]
     pub model: Option<PathBuf>,
-    /// Threads, at most 256 or the number of processors; default: all processors. The result does not depend on it.
+    /// Number of threads, at most 256 or the number of processors [default: one for each processor]. The result does
+    /// not depend on it.
     #[arg(long, value_name = "NUMBER", env = "SNAKE_THREADS", hide_env_values = true,
         value_parser = clap::value_parser!(u16).range(1..))]
     pub threads: Option<u16>,
 }
 
 impl ComputeArguments {
-    /// Starts the threads; before anything is computed.
+    /// Starts the threads. Call it before any computation.
     pub fn start_threads(&self) -> Result<()> {
         if let Some(threads) = self.threads {
             let most = std::thread::available_parallelism().map_or(1, usize::from).max(MAX_THREADS);
@@ -60,31 +61,33 @@ impl ComputeArguments {
     }
 }
 
-/// How a cloud is encoded. What is not given comes from the preset, or from the model's recommended options.
+/// Options of the encoding. Each one defaults to the value of the preset, or else to the model's recommended value.
 #[derive(Args)]
-#[command(next_help_heading = "Encoding options (default: what the model recommends)")]
+#[command(next_help_heading = "Encoding options (default: the value that the model recommends)")]
 pub struct EncodeFlags {
-    /// Start from the paper's settings for a data set, modelnet40, keypointnet, smpl, redwood or 3dmatch, or from those of
-    /// the model standard.
+    /// Start from a named set of options: the paper's settings for a data set (modelnet40, keypointnet, smpl, redwood
+    /// or 3dmatch), or the options of the model standard [default: the model's own].
     #[arg(long)]
     preset: Option<String>,
-    /// unit-sphere: mean to the origin, farthest point to the sphere of radius 0.5; unit-cube: largest coordinate to
-    /// the cube ±0.5; none: the cloud is in that cube already.
+    /// How the cloud is scaled into the network's cube ±0.5. unit-sphere: the mean moves to the origin, the farthest
+    /// point to the sphere of radius 0.5. unit-cube: the mean moves to the origin, the largest coordinate to ±0.5.
+    /// none: the cloud already lies in the cube.
     #[arg(long, value_parser = named::<NormalizationMethod>)]
     normalization: Option<NormalizationMethod>,
-    /// Encode at most this many points, drawn at random; the report says how many.
+    /// Encode at most this many points, drawn at random. The report gives the number of encoded points.
     #[arg(long)]
     max_points: Option<usize>,
-    /// Seed of that draw, and of --sample.
+    /// Seed of the random draws of --max-points and --sample.
     #[arg(long)]
     seed: Option<u64>,
-    /// Average over this many turned copies of the cloud: keypoints repeat far better, at as many times the cost.
+    /// Average the field over this many rotated copies of the cloud. Keypoints repeat far better, and the time grows in
+    /// proportion.
     #[arg(long)]
     rotations: Option<usize>,
 }
 
 impl EncodeFlags {
-    /// The preset's or the model's options, their encoding overridden by what was given.
+    /// The options of the preset or the model, with the encoding overridden by the command line.
     pub fn resolve(&self, model: &Model) -> Result<Options> {
         let mut preset = match &self.preset {
             Some(name) => Preset::named(name)?.options(),
@@ -98,19 +101,19 @@ impl EncodeFlags {
     }
 }
 
-/// Replaces an option by what was given.
+/// Replaces an option by the given value, if there is one.
 pub fn override_with<T>(option: &mut T, given: Option<T>) {
     if let Some(given) = given {
         *option = given;
     }
 }
 
-/// A length that 0 turns off.
+/// The length, or `None` for 0, which turns the option off.
 pub fn none_if_zero(length: Length) -> Option<Length> {
     Some(length).filter(|length| *length != Length::Units(0.0))
 }
 
-/// Parses an option's value by the name that it has in weight files and reports.
+/// Parses the value of an option from its name in weight files and reports.
 pub fn named<T: DeserializeOwned>(name: &str) -> Result<T, serde_json::Error> {
     serde_json::from_value(name.into())
 }

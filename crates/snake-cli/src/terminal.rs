@@ -1,7 +1,7 @@
-//! Everything that is printed goes through here: results to the standard output, all else to the standard error.
+//! All printing goes through this module: results to the standard output, everything else to the standard error.
 //!
-//! Text for people is printed line by line, each through [`printable`]: names of files, values of options and the
-//! environment cannot steer the terminal. A standard output or error that takes no more never stops the work.
+//! Text for people passes through [`printable`] line by line, so that file names, option values and the environment
+//! cannot control the terminal. A closed standard output or error never stops the work.
 
 use std::borrow::Cow;
 use std::fmt::Display;
@@ -16,21 +16,21 @@ use indicatif::{HumanDuration, ProgressBar, ProgressDrawTarget, ProgressStyle};
 use serde::Serialize;
 use snake_core::{Progress, Stage};
 
-/// How much is said.
+/// How much is printed.
 #[derive(Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Default)]
 pub enum Verbosity {
-    /// Data that was asked for, and errors.
+    /// Requested data, and errors.
     Quiet,
     /// Also tables, warnings and progress.
     #[default]
     Normal,
-    /// Also what was loaded, the options and the time.
+    /// Also the loaded model, the options and the time.
     Verbose,
 }
 
 static VERBOSITY: OnceLock<Verbosity> = OnceLock::new();
 
-/// Sets how much is said; only the first call counts.
+/// Sets how much is printed; only the first call has an effect.
 pub fn set_verbosity(verbosity: Verbosity) {
     VERBOSITY.get_or_init(|| verbosity);
 }
@@ -39,8 +39,8 @@ fn verbosity() -> Verbosity {
     VERBOSITY.get().copied().unwrap_or_default()
 }
 
-/// The text on one line. Characters that end the line, steer the terminal or change the direction of writing are shown
-/// as escapes, such as `\n` and `\u{1b}`.
+/// The text on one line. Characters that end the line, control the terminal or change the direction of writing are
+/// escaped, for example as `\n` and `\u{1b}`.
 pub fn printable(text: &str) -> Cow<'_, str> {
     if !text.contains(is_harmful) {
         return text.into();
@@ -54,12 +54,12 @@ fn is_harmful(c: char) -> bool {
         || matches!(c, '\u{61c}' | '\u{200e}' | '\u{200f}' | '\u{2028}'..='\u{202e}' | '\u{2066}'..='\u{2069}')
 }
 
-/// Lines that can be printed.
+/// Lines of printable text.
 #[derive(Default)]
 pub struct Report(String);
 
 impl Report {
-    /// A JSON value on one line. Harmful characters are escaped as JSON has it: the value stays the same.
+    /// A JSON value on one line. Harmful characters become JSON escapes, so that the value stays the same.
     pub fn json(value: &impl Serialize) -> Result<Self> {
         let escape = |c: char| match is_harmful(c) {
             true => format!("\\u{:04x}", u32::from(c)),
@@ -90,16 +90,17 @@ impl<S: AsRef<str>> FromIterator<S> for Report {
     }
 }
 
-/// Set once the standard output takes no more.
+/// Set when the standard output accepts no more data.
 static STDOUT_ENDED: AtomicBool = AtomicBool::new(false);
 
-/// Whether the standard output takes no more, as after `| head`: what is only printed need not be computed.
+/// Whether the standard output accepts no more data, as after `| head`. Results that are only printed are then not
+/// needed.
 pub fn stdout_ended() -> bool {
     STDOUT_ENDED.load(Ordering::Relaxed)
 }
 
-/// Prints bytes that were asked for. A reader that closed the pipe, as `| head` does, had enough: that is no error. After
-/// any failure nothing more is printed.
+/// Prints requested bytes. A reader that closes the pipe, as `| head` does, is not an error. After any failure nothing
+/// more is printed.
 pub fn print_bytes(bytes: &[u8]) -> Result<()> {
     if stdout_ended() {
         return Ok(());
@@ -118,12 +119,12 @@ pub fn print_json(value: &impl Serialize) -> Result<()> {
     print(&Report::json(value)?)
 }
 
-/// Prints lines that were asked for.
+/// Prints requested lines.
 pub fn print(report: &Report) -> Result<()> {
     print_bytes(report.0.as_bytes())
 }
 
-/// Prints what is for people; nothing with `--quiet`.
+/// Prints a report for people; nothing with `--quiet`.
 pub fn print_report(report: &Report) -> Result<()> {
     if verbosity() == Verbosity::Quiet { Ok(()) } else { print(report) }
 }
@@ -136,17 +137,17 @@ pub fn print_aside(report: &Report) -> Result<()> {
     Ok(())
 }
 
-/// Prints to the standard error. Nobody can be told that it takes no more.
+/// Prints to the standard error. A failure is ignored, because there is no place left to report it.
 pub fn print_to_stderr(report: &Report) {
     let _ = io::stderr().lock().write_all(report.0.as_bytes());
 }
 
-/// A line on the standard error after a word that says what it is.
+/// Prints a line to the standard error, with its topic in front.
 fn say(topic: impl Display, text: &str) {
     print_to_stderr(&Report(format!("{topic} {}\n", printable(text))));
 }
 
-/// An error on one line, with those of its causes that it does not name itself.
+/// Prints an error on one line, followed by the causes that its text does not contain.
 pub fn error(error: &anyhow::Error) {
     let mut text = error.to_string();
     for cause in error.chain().skip(1).map(ToString::to_string) {
@@ -161,7 +162,7 @@ fn say_error(text: &str) {
     say(style("error:").for_stderr().red().bold(), text);
 }
 
-/// An error in the command line, with advice below it.
+/// Prints an error in the command line, with advice below it.
 pub fn usage_error(text: &str) {
     let mut lines = text.trim_end().lines();
     let first = lines.next().unwrap_or_default();
@@ -169,44 +170,43 @@ pub fn usage_error(text: &str) {
     print_to_stderr(&lines.collect());
 }
 
-/// What the user may want to know while waiting.
+/// Prints information for a waiting user.
 fn note(text: &str) {
     say(style("note:").for_stderr().bold(), text);
 }
 
-/// What the user should know though it is no error; nothing with `--quiet`.
+/// Prints a warning; nothing with `--quiet`.
 pub fn warn(text: &str) {
     if verbosity() > Verbosity::Quiet {
         say(style("warning:").for_stderr().yellow().bold(), text);
     }
 }
 
-/// A line for `--verbose`, about `topic`.
+/// Prints a line about `topic` with `--verbose`.
 pub fn detail(topic: &str, text: impl FnOnce() -> String) {
     if verbosity() == Verbosity::Verbose {
         say(style(format!("{topic}:")).for_stderr().bold(), &text());
     }
 }
 
-/// What takes less is over before a bar could be read.
+/// Delay before a bar appears. Shorter work is over before the bar could be read.
 const BAR_AFTER: Duration = Duration::from_secs(1);
-/// Time between two pictures of a bar.
+/// Time between two updates of a bar.
 const BAR_INTERVAL: Duration = Duration::from_millis(200);
 
-/// Time between two lines where there is no terminal for a bar.
+/// Time between two progress lines when there is no terminal for a bar.
 const LINE_INTERVAL: Duration = Duration::from_secs(10);
-/// How many windows there are is said beforehand if they take longer.
+/// The number of windows is announced if the remaining time is at least this.
 const LONG: Duration = Duration::from_secs(10);
 
-/// A bar that shows itself after a second, with the expected time where there are several steps. Where the standard error
-/// is no terminal, a line every ten seconds takes its place. Neither with `--quiet`.
+/// A bar that shows itself after a second, with the expected time where there are several steps. Where the standard
+/// error is no terminal, a line every ten seconds takes its place. Neither with `--quiet`.
 pub fn progress(steps: usize) -> Result<Bar> {
     let template = if steps > 1 { "{bar:30} {pos}/{len} {msg} (ETA {eta})" } else { "{spinner} {msg} ({elapsed})" };
     shown_later(steps, template, steps_done)
 }
 
-/// Like [`progress`], a bar of one long call: the stages that a model counts, each with the time that it is expected to
-/// take.
+/// A bar for one long call, like [`progress`]. It shows the current stage of the model with its remaining time.
 pub fn stages(progress: &Progress) -> Result<Bar> {
     let (progress, mut windows) = (progress.clone(), Windows::default());
     shown_later(1, "{bar:30} {prefix}: {msg}", move |bar| {
@@ -225,7 +225,7 @@ pub fn stages(progress: &Progress) -> Result<Bar> {
     })
 }
 
-/// Like [`progress`], a bar of several calls, each of which has the stages that a model counts.
+/// A bar for several calls, like [`progress`]. Each call shows the current stage of the model.
 pub fn calls(number: usize, progress: &Progress) -> Result<Bar> {
     let (progress, mut windows) = (progress.clone(), Windows::default());
     shown_later(number, "{bar:30} {pos}/{len} {msg} (ETA {eta})", move |bar| {
@@ -246,16 +246,16 @@ fn stage_line(stage: &Stage) -> String {
     }
 }
 
-/// What was said of the windows of a cloud.
+/// Whether the windows of the current cloud have been announced.
 #[derive(Default)]
 struct Windows {
-    /// Time since the stage began, when it was last looked at.
+    /// Time since the stage began, at the last update.
     elapsed: Duration,
     announced: bool,
 }
 
 impl Windows {
-    /// Says once for each cloud how many windows it has and how long they take, if that is long.
+    /// Prints the number of windows and their time once for each cloud, if they take long.
     fn announce(&mut self, bar: &ProgressBar, stage: &Stage) {
         self.announced &= stage.name == "windows" && stage.elapsed >= self.elapsed;
         self.elapsed = stage.elapsed;
@@ -274,12 +274,12 @@ impl Windows {
 pub struct Bar(ProgressBar);
 
 impl Bar {
-    /// Shows what is worked on.
+    /// Shows the current item.
     pub fn set_message(&self, message: impl AsRef<str>) {
         self.0.set_message(printable(message.as_ref()).into_owned());
     }
 
-    /// Begins at this many steps, which took no time.
+    /// Starts the bar at this many steps, which do not count for the remaining time.
     pub fn begin_at(&self, steps: usize) {
         self.0.set_position(steps as u64);
         self.0.reset_eta();
@@ -295,14 +295,14 @@ impl Bar {
         self.0.suspend(print)
     }
 
-    /// Takes the bar away.
+    /// Removes the bar.
     pub fn finish(self) {
         self.0.finish_and_clear();
     }
 }
 
-/// A bar that is brought up to date by `update` for as long as it is shown; the text that this gives is the line that takes
-/// its place where there is no terminal.
+/// A bar that appears after [`BAR_AFTER`]. `update` refreshes the bar while it is shown, and returns the line that is
+/// printed instead when there is no terminal.
 fn shown_later(
     steps: usize,
     template: &str,

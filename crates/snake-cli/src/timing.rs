@@ -1,11 +1,11 @@
-//! Seconds of each stage of a detection: for the JSON report and `--timing`.
+//! Seconds of each stage of a detection, for the JSON report and `--timing`.
 
 use crate::terminal::Report;
 
 /// The stages of one cloud, in order; the total includes writing the output.
 pub const STAGES: [&str; 6] = ["read", "encode", "occupancy", "refine", "nms", "total"];
 
-/// Seconds of each of [`STAGES`].
+/// The seconds of each stage in [`STAGES`].
 pub type Seconds = [f64; STAGES.len()];
 
 /// The seconds of one cloud on one line.
@@ -14,7 +14,8 @@ pub fn line(seconds: &Seconds) -> String {
     STAGES.into_iter().zip(seconds).map(stage).collect::<Vec<_>>().join(", ")
 }
 
-/// One aligned line per stage: the seconds of a single cloud, or median, maximum and sum over several (at least one).
+/// A table with one line per stage: the seconds of a single cloud, or the median, maximum and sum over several clouds.
+/// There is at least one cloud.
 pub fn summary(load_model: f64, clouds: &[Seconds]) -> Report {
     let columns: &[&str] = if clouds.len() == 1 { &["seconds"] } else { &["median", "maximum", "sum"] };
     let line = |stage: &str, cells: &[String]| {

@@ -12,21 +12,21 @@ use crate::setup::{ComputeArguments, EncodeFlags, named, none_if_zero, override_
 
 #[derive(Args)]
 pub struct DetectArguments {
-    /// Point clouds (.ply, .pcd, .xyz, .txt, .csv, .pts, .npy, .npz, .las, .laz) and meshes (.ply, .obj, .off, .stl),
-    /// directories of them, or quoted patterns: 'scans/**/*.ply'; `-` is the standard input.
+    /// Point clouds (.ply, .pcd, .xyz, .txt, .csv, .pts, .npy, .npz, .las, .laz), meshes (.ply, .obj, .off, .stl),
+    /// directories of such files, or quoted patterns: 'scans/**/*.ply'; `-` is the standard input.
     #[arg(required = true)]
     pub inputs: Vec<PathBuf>,
-    /// Write the keypoints: to this file (.ply, .pcd, .npy, .csv, .json or .keypointnet.json), or, for several inputs, into
-    /// this directory as NAME.keypoints.EXT; `-` is the standard output, and what is printed then goes to the standard
+    /// Write the keypoints to this file (.ply, .pcd, .npy, .csv, .json or .keypointnet.json). For several inputs, write
+    /// them to this directory as NAME.keypoints.EXT. `-` is the standard output; the report then goes to the standard
     /// error.
     #[arg(short, long)]
     pub output: Option<PathBuf>,
-    /// Number results that would have the same name in the directory, as those of a.las and a.laz: NAME.keypoints.EXT,
-    /// NAME.2.keypoints.EXT; otherwise these inputs fail.
+    /// Number the results of inputs with the same name, such as a.las and a.laz: NAME.keypoints.EXT,
+    /// NAME.2.keypoints.EXT. Without this option these inputs fail.
     #[arg(long, requires = "output")]
     pub number_results: bool,
-    /// Format of the keypoints: ply, pcd, npy, csv, json or keypointnet (its annotations) [default: by the extension of
-    /// the output, else ply].
+    /// Format of the keypoints: ply, pcd, npy, csv, json or keypointnet (annotations as in KeypointNet) [default: by
+    /// the extension of the output, else ply].
     #[arg(long, value_parser = named::<KeypointFormat>)]
     pub format: Option<KeypointFormat>,
     #[command(flatten)]
@@ -34,8 +34,8 @@ pub struct DetectArguments {
     /// Print one JSON object per input, on one line, instead of a table.
     #[arg(long)]
     pub json: bool,
-    /// After the last input, print the seconds of each stage to the standard error: of the one cloud, or median,
-    /// maximum and sum over several.
+    /// After the last input, print the seconds of each stage to the standard error. For several clouds, print their
+    /// median, maximum and sum.
     #[arg(long)]
     pub timing: bool,
     #[command(flatten)]
@@ -44,49 +44,50 @@ pub struct DetectArguments {
     pub options: DetectFlags,
 }
 
-/// What is not given comes from the preset, or from the model's recommended options.
+/// Options of detection. Each one defaults to the value of the preset, or else to the model's recommended value.
 #[derive(Args)]
-#[command(next_help_heading = "Detection options (default: what the model recommends)")]
+#[command(next_help_heading = "Detection options (default: the value that the model recommends)")]
 pub struct DetectFlags {
     #[command(flatten)]
     encode: EncodeFlags,
-    /// Look through balls of this radius that cover the cloud, each encoded by itself, in cloud units or as in `40r`:
-    /// for rooms and larger, of which the whole cloud at once shows no details. --normalization is not used then.
+    /// Split the cloud into overlapping balls of this radius and encode each one separately. Use windows for rooms and
+    /// larger scenes, whose details are lost when the whole cloud is encoded at once. The radius is in cloud units, or
+    /// in multiples of the cloud's resolution (`40r`). --normalization is ignored with windows.
     #[arg(long, value_name = "LENGTH")]
     window_radius: Option<Length>,
-    /// Queries along each axis of the starting grid.
+    /// Number of queries along each axis of the initial grid.
     #[arg(long)]
     query_resolution: Option<usize>,
-    /// Ask only queries at most this many voxels from a voxel with points, along each axis; 0: all. Faster, and hardly
-    /// ever different.
+    /// Evaluate only queries that are at most this many voxels, along each axis, from a voxel with points; 0 evaluates
+    /// all queries. A small band is faster and rarely changes the result.
     #[arg(long)]
     query_band: Option<usize>,
-    /// Refinement steps (J).
+    /// Number of refinement steps (J in the paper).
     #[arg(long)]
     refine_steps: Option<usize>,
-    /// Step size in network units (the cube ±0.5).
+    /// Step size of the refinement, in network units (the cube ±0.5).
     #[arg(long)]
     refine_step_size: Option<f32>,
-    /// adam or gradient-descent.
+    /// Optimiser of the refinement: adam or gradient-descent.
     #[arg(long, value_parser = named::<RefineMethod>)]
     refine_method: Option<RefineMethod>,
-    /// best-position, or reference-final-position as the paper's released code.
+    /// Position that a refined query keeps: best-position, or reference-final-position as in the paper's released code.
     #[arg(long, value_parser = named::<Selection>)]
     selection: Option<Selection>,
-    /// Queries must be occupied with more than this probability before refinement.
+    /// Refine only queries whose occupancy, a probability, is above this threshold.
     #[arg(long)]
     occupancy_threshold: Option<f32>,
-    /// Refined positions must be occupied with more than this probability.
+    /// Keep only refined positions whose occupancy, a probability, is above this threshold.
     #[arg(long)]
     surface_threshold: Option<f32>,
-    /// Keypoints must be more salient than this.
+    /// Keep only keypoints whose saliency, 0 to 1, is above this threshold.
     #[arg(long)]
     saliency_threshold: Option<f32>,
-    /// Keypoints are farther apart than this, in cloud units, or as in `3r` in multiples of the cloud's resolution (mean
-    /// distance between nearest points); 0: no suppression.
+    /// Radius of non-maximum suppression: keypoints are farther apart than this. The radius is in cloud units, or in
+    /// multiples of the cloud's resolution, the mean distance between nearest points (`3r`); 0 turns suppression off.
     #[arg(long, value_name = "LENGTH")]
     nms_radius: Option<Length>,
-    /// At most this many keypoints, the best.
+    /// Keep at most this many keypoints, those with the highest saliency.
     #[arg(long)]
     max_keypoints: Option<usize>,
     /// Move each keypoint to its nearest input point.
@@ -95,7 +96,7 @@ pub struct DetectFlags {
 }
 
 impl DetectFlags {
-    /// The options of a run: preset or model's recommendation, overridden by what was given.
+    /// The options of a run: those of the preset or the model, overridden by the command line.
     pub fn resolve(&self, model: &Model) -> Result<Options> {
         let mut preset = self.encode.resolve(model)?;
         override_with(&mut preset.window_radius, self.window_radius.map(Some));

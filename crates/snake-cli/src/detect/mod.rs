@@ -19,12 +19,12 @@ use crate::terminal::{self, Report};
 use crate::timing::{self, STAGES, Seconds};
 use args::DetectArguments;
 
-/// Rows of keypoints that the table for people shows.
+/// The most keypoints that the printed table shows.
 const TABLE_ROWS: usize = 10;
-/// Inputs that the last line of a run names of those that failed.
+/// The most failed inputs that the last line of a run names.
 const NAMED_FAILURES: usize = 10;
 
-/// Processes every input; a bad one is reported and does not stop the rest.
+/// Processes every input. A failed input is reported, and the run continues.
 pub fn run(arguments: &DetectArguments) -> Result<ExitCode> {
     arguments.compute.start_threads()?;
     let loading = Instant::now();
@@ -49,7 +49,7 @@ pub fn run(arguments: &DetectArguments) -> Result<ExitCode> {
             break;
         }
         bar.set_message(input.display().to_string());
-        // The standard output is then the keypoints' alone.
+        // With `-o -` the standard output carries only the keypoints.
         let print = match &output {
             Ok(Some(output)) if output == Path::new(DASH) => terminal::print_aside,
             _ if arguments.json => terminal::print,
@@ -93,7 +93,7 @@ pub fn run(arguments: &DetectArguments) -> Result<ExitCode> {
     }))
 }
 
-/// The file that each input's keypoints go to, if they are not only printed; none is an input.
+/// The output file of each input, or `None` if its keypoints are only printed. No output file is an input.
 fn outputs(arguments: &DetectArguments, inputs: &[PathBuf]) -> Result<Vec<Result<Option<PathBuf>>>> {
     let Some(output) = &arguments.output else { return Ok(inputs.iter().map(|_| Ok(None)).collect()) };
     let input_files = InputFiles::new(inputs.iter().chain(&arguments.compute.model));
@@ -119,7 +119,7 @@ fn outputs(arguments: &DetectArguments, inputs: &[PathBuf]) -> Result<Vec<Result
     Ok(checked.collect())
 }
 
-/// One input from file to file; returns what is printed about it, and how long it took.
+/// Processes one input from file to file. Returns its report and the seconds of each stage.
 fn process(
     model: &Model,
     options: &Options,
@@ -133,32 +133,33 @@ fn process(
     let Cloud { points, origin } = cloud.for_normalization(options.encode.normalization);
     let read = start.elapsed().as_secs_f64();
     let detection = model.detect_with(&points, options, control).with_context(|| input.display().to_string())?;
-    let mut to_add = [0.0; 3];
+    let mut origin_to_add = [0.0; 3];
     if let Some(output) = output {
         let source = KeypointSource::new(input, origin);
         write(output, arguments.format, &detection, &source)?;
-        to_add = output_origin(output, adds_origin(output, arguments.format), origin);
+        origin_to_add = output_origin(output, adds_origin(output, arguments.format), origin);
     }
     let (timing, total) = (detection.timing, start.elapsed().as_secs_f64());
     let seconds = [read, timing.encode, timing.occupancy, timing.refine, timing.nms, total];
     let report = if arguments.json {
-        json_line(input, output, points.len(), [origin, to_add], &detection, &seconds)?
+        json_line(input, output, points.len(), [origin, origin_to_add], &detection, &seconds)?
     } else {
         table(input, output, points.len(), origin, &detection, total)?
     };
     Ok((report, seconds))
 }
 
-/// Whether keypoints are written with the origin added.
+/// Whether the file format holds the coordinates with the origin added.
 fn adds_origin(output: &Path, format: Option<KeypointFormat>) -> bool {
     match format {
         Some(format) => format != KeypointFormat::Pcd,
-        // The standard output then gets a PLY.
+        // The standard output gets a PLY, which does.
         None => io::adds_origin(output),
     }
 }
 
-/// Keypoints to a file or to the standard output, in the format given or else in that of the file's extension.
+/// Writes keypoints to a file or to the standard output. The format is the given one, or else follows from the
+/// extension.
 fn write(output: &Path, format: Option<KeypointFormat>, detection: &Detection, source: &KeypointSource) -> Result<()> {
     let keypoints = &detection.keypoints;
     if output == Path::new(DASH) {
@@ -173,7 +174,8 @@ fn write(output: &Path, format: Option<KeypointFormat>, detection: &Detection, s
     }
 }
 
-/// `origins`: of the points, and what is to be added to the coordinates in the output.
+/// The JSON report of one input. `origins` are the origin of the points and the offset to add to the output's
+/// coordinates.
 fn json_line(
     input: &Path,
     output: Option<&Path>,

@@ -8,7 +8,7 @@ use crate::inputs::InputArguments;
 use crate::render::colormap::Colormap;
 use crate::setup::{ComputeArguments, EncodeFlags};
 
-/// What a field says of a place.
+/// A scalar field to show.
 #[derive(Clone, Copy, ValueEnum)]
 pub enum Quantity {
     Occupancy,
@@ -23,7 +23,7 @@ pub enum Axis {
     Z,
 }
 
-/// Where a slice is along its axis.
+/// The position of a slice along its axis.
 #[derive(Clone, Copy)]
 pub enum Slice {
     Middle,
@@ -37,23 +37,23 @@ pub struct FieldArguments {
     /// Write a picture (.png), or all values of the grid (.npy).
     #[arg(short, long)]
     pub output: PathBuf,
-    /// What to show; of both, a row of pictures each.
+    /// The fields to show; each one is a row of pictures.
     #[arg(long, value_enum, value_delimiter = ',', default_value = "saliency")]
     pub quantity: Vec<Quantity>,
-    /// The axis to look along; of several, a column of pictures each.
+    /// The viewing axes; each one is a column of pictures.
     #[arg(long, value_enum, value_delimiter = ',', default_value = "z")]
     pub axis: Vec<Axis>,
-    /// Show the slice at this position along the axis, in the cloud's units, or at the `middle`, instead of the largest
-    /// values along the axis.
+    /// Show the slice at this position along the axis, in cloud units, or in the `middle` of the box [default: the
+    /// maximum projection along the axis].
     #[arg(long, value_name = "POSITION", value_parser = slice, allow_hyphen_values = true)]
     pub slice: Option<Slice>,
-    /// Values along each axis: 2 to 512.
+    /// Number of values along each axis of the grid, 2 to 512.
     #[arg(long, default_value_t = 128)]
     pub resolution: usize,
-    /// Colours, from low to high.
+    /// Colour map of the values, from 0 to 1.
     #[arg(long, value_enum, default_value = "magma")]
     pub colormap: Colormap,
-    /// Leave the cloud's points out of the picture; a slice shows only those near it.
+    /// Do not draw the cloud's points. Without this option a picture shows all points, and a slice those near it.
     #[arg(long)]
     pub no_points: bool,
     /// Print one JSON object on one line instead of text.

@@ -14,7 +14,7 @@ use crate::render::figure::{Panel, PanelAxis, figure};
 use crate::terminal;
 use args::{FieldArguments, Quantity, Slice};
 
-/// Encodes the cloud, draws or writes what was asked for and says where it lies.
+/// Encodes the cloud, writes the picture or the volume and prints its bounds.
 pub fn run(arguments: &FieldArguments) -> Result<()> {
     arguments.compute.start_threads()?;
     let FieldArguments { input, output, quantity, resolution, .. } = arguments;
@@ -58,7 +58,7 @@ pub fn run(arguments: &FieldArguments) -> Result<()> {
 
 const NAMES: [&str; 3] = ["x", "y", "z"];
 
-/// A coordinate with no more digits than it has.
+/// A coordinate with the fewest digits that represent it.
 fn short(coordinate: f64) -> String {
     let near = coordinate as f32;
     if f64::from(near) == coordinate { near.to_string() } else { coordinate.to_string() }
@@ -75,7 +75,7 @@ fn write_volume(output: &Path, field: &Field, grid: &Grid, quantity: Quantity) -
     Ok(io::write_volume(output, [grid.resolution; 3], &values)?)
 }
 
-/// The grid is relative to the origin, what is drawn and said is not.
+/// Writes the picture. The grid is relative to the origin; the axes of the picture have the origin added.
 fn write_picture(
     output: &Path,
     field: &Field,
@@ -93,7 +93,7 @@ fn write_picture(
         let panel = |&axis| {
             let (axis, name) = (axis as usize, NAMES[axis as usize]);
             let (title, values, position) = match arguments.slice {
-                // An axis may be asked for twice.
+                // The clone is needed because an axis may be given twice.
                 None => (format!("largest {} along {name}", quantity.name()), largest[axis].clone(), None),
                 Some(slice) => {
                     let at = position(slice, axis, [low[axis], high[axis]])?;
@@ -114,8 +114,8 @@ fn write_picture(
         .with_context(|| format!("cannot write {}", output.display()))
 }
 
-/// The largest values along x, y and z, from one pass over the grid: of what is within a plane across the axis, rows of
-/// the higher axis one after the other.
+/// Maximum projections along x, y and z, from one pass over the grid. Each projection has the rows of the higher of its
+/// two remaining axes one after the other.
 fn largest(field: &Field, grid: &Grid, quantity: Quantity) -> Result<[Vec<f32>; 3]> {
     let resolution = grid.resolution;
     let mut largest: [Vec<f32>; 3] = std::array::from_fn(|_| vec![0.0; resolution * resolution]);
@@ -134,7 +134,7 @@ fn largest(field: &Field, grid: &Grid, quantity: Quantity) -> Result<[Vec<f32>; 
     Ok(largest)
 }
 
-/// Where a slice is along an axis on which the field has these bounds.
+/// The coordinate of a slice along an axis, within the bounds of the field.
 fn position(slice: Slice, axis: usize, [low, high]: [f64; 2]) -> Result<f64> {
     match slice {
         Slice::Middle => Ok(f64::midpoint(low, high)),
@@ -145,7 +145,8 @@ fn position(slice: Slice, axis: usize, [low, high]: [f64; 2]) -> Result<f64> {
     }
 }
 
-/// The cloud's points in the plane across an axis; of a slice those at most a voxel of the network's volume away.
+/// The cloud's points projected along an axis. For a slice, only the points at most one voxel of the network's volume
+/// away.
 fn dots(field: &Field, grid: &Grid, origin: [f64; 3], axis: usize, position: Option<f32>) -> Vec<[f64; 2]> {
     let voxel = (grid.high[axis] - grid.low[axis]) / field.volume().frame().resolution[axis] as f32;
     let is_near = |point: &&[f32; 3]| position.is_none_or(|position| (point[axis] - position).abs() <= voxel);

@@ -11,14 +11,14 @@ use crate::setup::{ComputeArguments, named, override_with};
 
 #[derive(Args)]
 pub struct RegisterArguments {
-    /// The cloud that is moved, in any format that `detect` reads; `-` is the standard input.
+    /// The cloud to align, in any format that `detect` reads; `-` is the standard input.
     pub source: PathBuf,
-    /// The cloud that it is brought onto, in the same units.
+    /// The cloud to align it to, in the same units.
     pub target: PathBuf,
-    /// Write the result: .json as --json prints it, .txt the four rows of the matrix.
+    /// Write the result to this file: .json has the same content as --json, .txt has the four rows of the matrix.
     #[arg(short, long)]
     pub output: Option<PathBuf>,
-    /// Write the source's points in the target's frame (.ply, .pcd, .npy, .xyz or .csv).
+    /// Write the source's points in the target's frame to this file (.ply, .pcd, .npy, .xyz or .csv).
     #[arg(long)]
     pub aligned: Option<PathBuf>,
     #[command(flatten)]
@@ -32,54 +32,57 @@ pub struct RegisterArguments {
     pub options: RegisterFlags,
 }
 
-/// What is not given keeps its default.
+/// Options of registration; an option that is not given keeps its default.
 #[derive(Args)]
 #[command(
     next_help_heading = "Registration options (LENGTH: in the clouds' units, or multiples of their resolution: 3r)"
 )]
 pub struct RegisterFlags {
-    /// snake: the model; or iss, harris3d, sift3d, fps, random: points of the reduced clouds [default: snake].
+    /// Keypoint detector: snake (the model), or iss, harris3d, sift3d, fps or random on the downsampled clouds
+    /// [default: snake].
     #[arg(long, value_parser = named::<KeypointDetector>)]
     detector: Option<KeypointDetector>,
-    /// fpfh: turns with the cloud; field: the network's features, for clouds of about the same orientation [default:
-    /// fpfh].
+    /// Descriptor of the keypoints: fpfh is invariant to rotation; field, the network's features, is for clouds of
+    /// about the same orientation [default: fpfh].
     #[arg(long, value_parser = named::<Descriptor>)]
     descriptor: Option<Descriptor>,
-    /// At most this many keypoints of each cloud, the best [default: 2500].
+    /// Use at most this many keypoints of each cloud, the best ones [default: 2500].
     #[arg(long)]
     max_keypoints: Option<usize>,
-    /// Clouds are reduced to voxels of this size for normals, FPFH, ICP and classical detectors; keypoints of snake are
-    /// farther apart [default: 1/80 of the diameter of the smaller cloud].
+    /// Size of the voxels to which both clouds are downsampled for normals, FPFH, ICP and the classical detectors. It
+    /// is also the least distance between the keypoints of snake [default: 1/80 of the diameter of the smaller cloud].
     #[arg(long, value_name = "LENGTH")]
     voxel_size: Option<Length>,
-    /// Radius of normals [default: 2 voxels, or mean distances between the reduced points if they are greater].
+    /// Radius of the neighbourhood for normals [default: 2 units, where a unit is the voxel size, or the mean distance
+    /// between neighbouring downsampled points if that is greater].
     #[arg(long, value_name = "LENGTH")]
     normal_radius: Option<Length>,
-    /// Radius of FPFH [default: 7 of these].
+    /// Radius of the neighbourhood for FPFH [default: 7 such units].
     #[arg(long, value_name = "LENGTH")]
     feature_radius: Option<Length>,
-    /// Matches nearer than this under a transform agree with it [default: 1.5 of these].
+    /// Distance up to which a match is an inlier of a transform [default: 1.5 such units].
     #[arg(long, value_name = "LENGTH")]
     inlier_distance: Option<Length>,
-    /// Least ratio of the shorter to the longer of two matched edges of a sample [default: 0.9].
+    /// Reject a RANSAC sample if the ratio of the shorter to the longer of two matched edges is below this, 0 to 1
+    /// [default: 0.9].
     #[arg(long)]
     edge_length_ratio: Option<f64>,
-    /// At most this many samples [default: 100000].
+    /// Maximum number of RANSAC samples [default: 100000].
     #[arg(long)]
     max_iterations: Option<usize>,
-    /// Stop sampling once a sample was right with this probability [default: 0.999].
+    /// Stop sampling when one of the samples is correct with this probability [default: 0.999].
     #[arg(long)]
     confidence: Option<f64>,
-    /// Seed of the samples and of random keypoints [default: 0].
+    /// Seed of the RANSAC samples and of random keypoints [default: 0].
     #[arg(long)]
     seed: Option<u64>,
-    /// Steps of point-to-plane ICP; 0: none [default: 30].
+    /// Number of point-to-plane ICP steps; 0 turns ICP off [default: 30].
     #[arg(long)]
     refine_steps: Option<usize>,
 }
 
 impl RegisterFlags {
-    /// The defaults, overridden by what was given.
+    /// The defaults, overridden by the command line.
     pub fn resolve(&self) -> RegisterOptions {
         let mut options = RegisterOptions::default();
         override_with(&mut options.detector, self.detector);

@@ -15,7 +15,7 @@ use crate::output::InputFiles;
 use crate::terminal::{self, Report};
 use args::RegisterArguments;
 
-/// Finds the transform, writes what was asked for and prints the result.
+/// Finds the transform, writes the output files and prints the result.
 pub fn run(arguments: &RegisterArguments) -> Result<()> {
     arguments.compute.start_threads()?;
     let RegisterArguments { source, target, output, aligned, .. } = arguments;

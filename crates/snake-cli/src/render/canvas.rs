@@ -7,18 +7,18 @@ use noto_sans_mono_bitmap::{FontWeight, RasterHeight, get_raster, get_raster_wid
 /// Red, green, blue.
 pub type Color = [u8; 3];
 
-/// Pixels of a line of text, and of a character.
+/// Height of a line of text and width of a character, in pixels.
 pub const TEXT_HEIGHT: i32 = RasterHeight::Size16.val() as i32;
 pub const TEXT_WIDTH: i32 = get_raster_width(FontWeight::Regular, RasterHeight::Size16) as i32;
 
-/// Pixels from the left and from the top; what lies outside is cut off.
+/// A picture in RGB. Coordinates are pixels from the left and from the top; drawing outside the picture has no effect.
 pub struct Canvas {
     width: i32,
     height: i32,
     pixels: Vec<Color>,
 }
 
-/// Which way text runs.
+/// The direction of text.
 #[derive(Clone, Copy, PartialEq)]
 pub enum Direction {
     Right,
@@ -31,7 +31,7 @@ impl Canvas {
         Self { width, height, pixels: vec![[255; 3]; width as usize * height as usize] }
     }
 
-    /// Brings a pixel nearer to a colour: 0 leaves it, 1 replaces it.
+    /// Blends a colour into a pixel; an opacity of 0 keeps the pixel, 1 replaces it.
     pub fn blend(&mut self, x: i32, y: i32, color: Color, opacity: f32) {
         if (0..self.width).contains(&x) && (0..self.height).contains(&y) {
             let pixel = &mut self.pixels[(y * self.width + x) as usize];
@@ -48,7 +48,7 @@ impl Canvas {
         }
     }
 
-    /// A disc with a soft edge, its centre anywhere between the pixels.
+    /// A disc with an antialiased edge; its centre may lie between pixels.
     pub fn disc(&mut self, [x, y]: [f32; 2], radius: f32, color: Color, opacity: f32) {
         let reach = radius.ceil() as i32 + 1;
         let (column, row) = (x.round() as i32, y.round() as i32);
@@ -60,7 +60,7 @@ impl Canvas {
         }
     }
 
-    /// Text centred at a place; what the font lacks becomes a question mark.
+    /// Text centred at a position. A character that the font lacks is drawn as a question mark.
     pub fn text(&mut self, [x, y]: [i32; 2], text: &str, direction: Direction, weight: FontWeight) {
         const INK: Color = [38, 38, 44];
         let length = text.chars().count() as i32 * TEXT_WIDTH;

@@ -2,7 +2,7 @@
 
 use clap::ValueEnum;
 
-/// Colour scales on which equal steps look equal, but for turbo, which shows more steps.
+/// Colour maps. All of them are perceptually uniform except turbo, which shows more detail.
 #[derive(Clone, Copy, ValueEnum)]
 pub enum Colormap {
     Viridis,
@@ -15,7 +15,7 @@ pub enum Colormap {
 }
 
 impl Colormap {
-    /// The colour of a share of the range, red, green and blue; beyond the range that of its end.
+    /// The colour, red, green and blue, of a position from 0 to 1. Positions outside the range are clamped.
     pub fn color(self, share: f32) -> [u8; 3] {
         let gradient = match self {
             Self::Viridis => colorous::VIRIDIS,
@@ -24,7 +24,7 @@ impl Colormap {
             Self::Plasma => colorous::PLASMA,
             Self::Cividis => colorous::CIVIDIS,
             Self::Turbo => colorous::TURBO,
-            // This one alone runs from light to dark.
+            // The gray scale of the crate runs from light to dark.
             Self::Gray => return [(share.clamp(0.0, 1.0) * 255.0).round() as u8; 3],
         };
         let color = gradient.eval_continuous(share.clamp(0.0, 1.0).into());

@@ -8,7 +8,8 @@ use super::colormap::Colormap;
 /// An image of values over a rectangle.
 pub struct Panel {
     pub title: String,
-    /// Values row by row from the lower end of the vertical axis, `columns` each, ends included.
+    /// Values in rows of `columns` each, from the low end of the vertical axis. The first and the last row and column
+    /// lie on the ends of the axes.
     pub values: Vec<f32>,
     pub columns: usize,
     /// Horizontal and vertical.
@@ -24,15 +25,15 @@ pub struct PanelAxis {
     pub high: f64,
 }
 
-/// Pixels of the longer side of an image.
+/// Length of the longer side of an image, in pixels.
 const SIDE: f32 = 440.0;
-/// Pixels around an image: left, top, right, bottom.
+/// Margins of an image, in pixels: left, top, right, bottom.
 const MARGIN: [i32; 4] = [92, 36, 20, 56];
-/// Pixels of a colour bar, and of what stands right of it.
+/// Width of a colour bar and of the numbers to its right, in pixels.
 const BAR: i32 = 16;
 const BAR_NUMBERS: i32 = 64;
 const FRAME: Color = [38, 38, 44];
-/// More dots than this hide the image: evenly chosen ones are drawn.
+/// The most dots on an image, because more would hide it. Beyond this number every n-th point is drawn.
 const MAX_DOTS: usize = 6000;
 
 /// Rows of panels, one colour bar for each row; the colours run from 0 to 1.
@@ -55,15 +56,15 @@ pub fn figure(rows: &[Vec<Panel>], colormap: Colormap) -> Canvas {
 }
 
 impl Panel {
-    /// Pixels of the image.
+    /// Width and height of the image, in pixels.
     fn size(&self) -> [i32; 2] {
         let extents = self.axes.each_ref().map(|axis| (axis.high - axis.low) as f32);
         let longest = extents[0].max(extents[1]);
-        // A field that is hardly deep at all is still seen.
+        // A very flat field stays visible.
         extents.map(|extent| ((SIDE * extent / longest).round() as i32).max(24))
     }
 
-    /// The value at shares of the width and of the height, between the values linear.
+    /// The value at a position, bilinearly interpolated. The position is a fraction of the width and of the height.
     fn value(&self, [across, up]: [f32; 2]) -> f32 {
         let rows = self.values.len() / self.columns;
         let (x, y) = (across * (self.columns - 1) as f32, up * (rows - 1) as f32);
@@ -119,25 +120,25 @@ impl PanelAxis {
         ((position - self.low) / (self.high - self.low)) as f32
     }
 
-    /// At most about so many round positions with what is written there.
+    /// Round positions with their labels, about `most` of them at most.
     fn ticks(&self, most: i32) -> Vec<(f64, String)> {
         let (low, high) = (self.low, self.high);
         let rough = (high - low) / f64::from(most.clamp(2, 8));
         let power = 10_f64.powf(rough.log10().floor());
         let step = power * [1.0, 2.0, 5.0, 10.0].into_iter().find(|factor| factor * power >= rough).unwrap_or(10.0);
         let decimals = (-step.log10().floor()).clamp(0.0, 9.0) as usize;
-        // An end that misses a tick by rounding has it.
+        // The tolerance keeps a tick at an end of the axis despite rounding.
         let (first, last) = ((low / step - 1e-3).ceil() as i64, (high / step + 1e-3).floor() as i64);
-        let written = |position: f64| match position {
+        let label = |position: f64| match position {
             0.0 => "0".into(),
             _ if (1e-4..1e5).contains(&step) => format!("{position:.decimals$}"),
             _ => format!("{position:.1e}"),
         };
-        (first..=last).map(|i| i as f64 * step).map(|position| (position, written(position))).collect()
+        (first..=last).map(|i| i as f64 * step).map(|position| (position, label(position))).collect()
     }
 }
 
-/// The colours from 0 to 1 with numbers.
+/// Draws the colour bar, with numbers from 0 to 1.
 fn color_bar(canvas: &mut Canvas, [left, top]: [i32; 2], height: i32, colormap: Colormap) {
     canvas.rectangle([left - 1, top - 1], [BAR + 2, height + 2], FRAME);
     for y in 0..height {

@@ -1,4 +1,4 @@
-//! Pictures and pages.
+//! Pictures and web pages.
 
 pub mod canvas;
 pub mod colormap;

@@ -13,39 +13,40 @@ const BODY: &str = include_str!("page/body.html");
 const STYLE: &str = include_str!("page/style.css");
 const SCRIPTS: [&str; 2] = [include_str!("page/scene.js"), include_str!("page/controls.js")];
 
-/// All that the page shows.
+/// The content of the page.
 pub struct Page {
-    /// One or two.
+    /// One or two clouds.
     pub clouds: Vec<ShownCloud>,
-    /// Of two clouds.
+    /// Present if there are two clouds.
     pub pair: Option<Pair>,
     pub options: Options,
     pub model_name: String,
     pub colormap: Colormap,
 }
 
-/// A cloud and what was found of it.
+/// A cloud with its field, surface and keypoints.
 pub struct ShownCloud {
     pub name: String,
-    /// To be added to all positions of the cloud.
+    /// Offset to add to all positions of the cloud.
     pub origin: [f64; 3],
     pub field: Field,
     /// The points that the page shows.
     pub shown: Vec<Point>,
     pub surface: Mesh,
-    /// Of these points, and of the surface's vertices.
+    /// Saliency of the shown points and of the surface's vertices.
     pub saliency: [Vec<f32>; 2],
     pub detection: Detection,
 }
 
-/// What two clouds have in common.
+/// The alignment of two clouds and their repeated keypoints.
 pub struct Pair {
-    /// Of the clouds with their origins added.
+    /// Maps a point of the second cloud to the first; the origins are included.
     pub t_first_second: Transform,
-    /// Where the transform is from, if it was not given.
+    /// The registration that found the transform; `None` if the user gave it.
     pub registration: Option<Registration>,
     pub epsilon: f64,
-    /// Of each keypoint of the first cloud, the keypoint of the second that repeats it, and their distance.
+    /// For each keypoint of the first cloud: the index of the keypoint of the second that repeats it, and their
+    /// distance.
     pub partners: Vec<Option<(usize, f64)>>,
 }
 
@@ -54,7 +55,7 @@ impl Page {
     pub fn html(&self) -> serde_json::Result<String> {
         let names: Vec<&str> = self.clouds.iter().map(|cloud| cloud.name.as_str()).collect();
         let title = escaped(&names.join(" + "));
-        // Within a script element only "<" could end it or begin a comment.
+        // Only "<" could end the script element or begin a comment in it.
         let data = serde_json::to_string(&self.data())?.replace('<', "\\u003c");
         let script = SCRIPTS.join("\n");
         Ok(format!(
@@ -88,7 +89,7 @@ impl ShownCloud {
         self.detection.keypoints.iter().map(|keypoint| keypoint.position).collect()
     }
 
-    /// A line for people.
+    /// A line for the printed report.
     pub fn summary(&self) -> String {
         let (keypoints, points) = (self.detection.keypoints.len(), self.field.points().len());
         let mut text = format!("{}: {keypoints} keypoints from {points} points", self.name);
@@ -118,8 +119,8 @@ impl ShownCloud {
         })
     }
 
-    /// The surface, if there is one: normals as x y z and an unused byte, each 127 times its value, and the indices of
-    /// triangles in 32 bits; base64.
+    /// The surface, if there is one. Normals are four signed bytes, x y z and padding, each 127 times its value.
+    /// Triangles are indices of 32 bits. Both are base64.
     fn surface_data(&self) -> Option<Value> {
         let Mesh { vertices, normals, triangles } = &self.surface;
         let normals = normals.iter().flat_map(|[x, y, z]| [*x, *y, *z, 0.0].map(|v| (v * 127.0).round() as i8 as u8));
@@ -141,14 +142,15 @@ impl Pair {
         self.partners.iter().flatten().count()
     }
 
-    /// A line for people.
+    /// A line for the printed report.
     pub fn summary(&self) -> String {
-        let of = format!("{} of {} keypoints repeat within {:.4}", self.repeated(), self.partners.len(), self.epsilon);
+        let repeated =
+            format!("{} of {} keypoints repeat within {:.4}", self.repeated(), self.partners.len(), self.epsilon);
         match &self.registration {
             Some(Registration { num_inliers, num_correspondences, .. }) => {
-                format!("{of}; {num_inliers} of {num_correspondences} correspondences are inliers of RANSAC")
+                format!("{repeated}; {num_inliers} of {num_correspondences} correspondences are inliers of RANSAC")
             }
-            None => of,
+            None => repeated,
         }
     }
 
@@ -165,8 +167,8 @@ impl Pair {
     }
 }
 
-/// Positions in 16 bits of their bounding box, `low + (high - low) q / 65535`, and saliency in 8 bits of [0, 1]: below a
-/// pixel of any screen, and a third of the size of floats.
+/// Quantised vertices. Positions have 16 bits within their bounding box, `low + (high - low) q / 65535`, and saliency
+/// has 8 bits within [0, 1]. The error is below a pixel of any screen, and the size is a third of that of floats.
 #[derive(serde::Serialize)]
 struct Vertices {
     count: usize,
@@ -199,7 +201,7 @@ impl Vertices {
     }
 }
 
-/// Text as HTML.
+/// Text with the special characters of HTML escaped.
 fn escaped(text: &str) -> String {
     text.replace('&', "&amp;").replace('<', "&lt;").replace('>', "&gt;").replace('"', "&quot;")
 }

@@ -14,20 +14,21 @@ use crate::setup::ComputeArguments;
 pub struct ViewArguments {
     /// The point cloud, or a mesh, in any format that `detect` reads; `-` is the standard input.
     pub input: PathBuf,
-    /// Another, of the same thing, to see which keypoints repeat.
+    /// A second cloud of the same object or scene, to see which keypoints repeat.
     pub second: Option<PathBuf>,
-    /// Write the page (.html).
+    /// Write the page to this file (.html).
     #[arg(short, long)]
     pub output: PathBuf,
-    /// Of two clouds: keypoints repeat if they are nearer than this to one of the other cloud, in the clouds' units or, as
-    /// `3r`, multiples of the first one's resolution [default: 0.04 of the first cloud's radius].
+    /// For two clouds: a keypoint repeats if a keypoint of the other cloud is nearer than this. The distance is in the
+    /// clouds' units, or in multiples of the first cloud's resolution (`3r`) [default: 0.04 of the first cloud's
+    /// radius].
     #[arg(long, value_name = "LENGTH")]
     pub epsilon: Option<Length>,
-    /// Of two clouds: the transform that takes a point of the second to the first, as `snake-cli register SECOND FIRST
-    /// -o FILE` writes it (.json, .txt); default: it is found by registration.
+    /// For two clouds: the transform that maps a point of the second cloud to the first, in a file as
+    /// `snake-cli register SECOND FIRST -o FILE` writes it (.json, .txt) [default: found by registration].
     #[arg(long, value_name = "FILE")]
     pub transform: Option<PathBuf>,
-    /// Colours of saliency, from low to high.
+    /// Colour map of the saliency, from 0 to 1.
     #[arg(long, value_enum, default_value = "viridis")]
     pub colormap: Colormap,
     #[command(flatten)]

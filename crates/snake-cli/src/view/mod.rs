@@ -20,13 +20,14 @@ use crate::render::page::{Page, Pair, ShownCloud};
 use crate::terminal::{self, Report};
 use args::ViewArguments;
 
-/// More points of a cloud than this are thinned, so that the page stays light.
+/// The most points of a cloud on the page. Larger clouds are subsampled to keep the file small.
 const MAX_SHOWN: usize = 400_000;
-/// Samples of the surface along each axis, the first that gives at most so many triangles.
+/// Numbers of samples of the surface along each axis, tried in this order until the mesh has few enough triangles.
 const SURFACE_RESOLUTIONS: [usize; 4] = [96, 64, 48, 32];
+/// The most triangles of a surface on the page.
 const MAX_TRIANGLES: usize = 100_000;
 
-/// Writes the page and says what is on it.
+/// Writes the page and prints a summary.
 pub fn run(arguments: &ViewArguments) -> Result<()> {
     arguments.compute.start_threads()?;
     let ViewArguments { input, second, output, epsilon, transform, .. } = arguments;
@@ -70,7 +71,7 @@ pub fn run(arguments: &ViewArguments) -> Result<()> {
     terminal::print_report(&report)
 }
 
-/// One cloud with all that the page shows of it.
+/// Encodes one cloud and computes everything that the page shows of it.
 fn shown(model: &Model, options: &Options, input: &Path, cloud: &Cloud, control: &Control) -> Result<ShownCloud> {
     let points = &cloud.points;
     let field = model.encode_with(points, &options.encode, control).with_context(|| input.display().to_string())?;
@@ -86,7 +87,7 @@ fn shown(model: &Model, options: &Options, input: &Path, cloud: &Cloud, control:
     Ok(ShownCloud { name, origin, field, shown, surface, saliency, detection })
 }
 
-/// The outer surface, as fine as the page can bear.
+/// The outer surface, at the finest resolution with at most [`MAX_TRIANGLES`] triangles.
 fn surface(field: &Field, control: &Control) -> Result<Mesh> {
     let mut mesh = Mesh::default();
     for resolution in SURFACE_RESOLUTIONS {
@@ -98,7 +99,7 @@ fn surface(field: &Field, control: &Control) -> Result<Mesh> {
     Ok(mesh)
 }
 
-/// How the second cloud lies on the first, and which keypoints repeat.
+/// Aligns the second cloud to the first and finds the keypoints that repeat.
 fn pair(
     model: &Model,
     first: &ShownCloud,

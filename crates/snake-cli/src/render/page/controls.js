@@ -1,6 +1,6 @@
-// What a person does with the scene, and the panel beside it.
+// The user's interaction with the scene, and the panel beside it.
 
-// --- Turning, moving, zooming, hovering.
+// --- Rotating, moving, zooming, hovering.
 
 const pointers = new Map();
 
@@ -110,12 +110,12 @@ function listen() {
     gl = null;
     fail("The graphics driver dropped the picture. Load the page again.");
   });
-  // At once: a frame later the old picture would be seen stretched.
+  // Draw at once: one frame later the old picture would appear stretched.
   new ResizeObserver(() => gl && draw()).observe(canvas);
   matchMedia("(prefers-color-scheme: dark)").addEventListener("change", redraw);
 }
 
-// --- The panel. Text from files only ever becomes text, never markup.
+// --- The panel. Text from files is only inserted as text, never as markup.
 
 function element(tag, text, attributes = {}) {
   const made = Object.assign(document.createElement(tag), attributes);
@@ -131,7 +131,7 @@ function toggle(name, holder, key, { disabled = false, why = "" } = {}) {
   return element("label", [element("span", name), box], { title: why || name });
 }
 
-/** A slider for a value of `style`; `name` is a text, or makes one of the value. */
+/** A slider for a value of `style`; `name` is a label, or a function from the value to the label. */
 function slider(name, key, min, max, step = (max - min) / 100) {
   const range = element("input", null, { type: "range", min, max, step });
   range.value = style[key];
@@ -145,7 +145,7 @@ function slider(name, key, min, max, step = (max - min) / 100) {
 function upButtons() {
   const buttons = [0, 1, 2].map((axis) => {
     const button = element("button", null, { type: "button" });
-    button.title = "Again: turn over";
+    button.title = "Again: flip";
     button.addEventListener("click", () => {
       view.down = view.up === axis && !view.down;
       view.up = axis;

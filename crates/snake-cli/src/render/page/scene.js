@@ -1,5 +1,5 @@
 "use strict";
-// The scene: clouds, surfaces, keypoints and links, drawn with WebGL. The data is that of page.rs: lengths are in the
+// The scene: clouds, surfaces, keypoints and links, drawn with WebGL. The data comes from page.rs. Lengths are in the
 // clouds' units, and the scene is in the first cloud's frame.
 
 const data = JSON.parse(document.getElementById("data").textContent);
@@ -15,7 +15,7 @@ const multiply = (a, b) => a.map((_, i) => [0, 1, 2, 3].reduce((s, k) => s + a[i
 const apply = (m, p) => [0, 4, 8].map((row) => m[row] * p[0] + m[row + 1] * p[1] + m[row + 2] * p[2] + m[row + 3]);
 const scaled = (s, t) => [s[0], 0, 0, t[0], 0, s[1], 0, t[1], 0, 0, s[2], t[2], 0, 0, 0, 1];
 
-// --- The scene: both clouds in the first one's frame, moved and shrunk so that all lies within the unit sphere.
+// --- The scene: both clouds in the first one's frame, translated and scaled into the unit sphere.
 
 const poses = data.clouds.map((_, i) => (i === 0 ? scaled([1, 1, 1], [0, 0, 0]) : data.pair.t_first_second.flat()));
 const corners = data.clouds.flatMap(({ points: { low, high } }, i) =>
@@ -32,7 +32,7 @@ const bytes = (text) => Uint8Array.from(atob(text), (c) => c.charCodeAt(0));
 /** Takes 16-bit positions, as shares of 65535, to the scene. */
 const unpacked = (of, { low, high }) => multiply(placed[of], scaled(high.map((v, axis) => v - low[axis]), low));
 
-// Enough points of the clouds to frame the first view by.
+// A sample of the clouds' points, enough to frame the first view.
 const some = data.clouds.flatMap(({ points }, of) => {
   const packed = new DataView(bytes(points.positions).buffer);
   const step = Math.ceil(points.count / 1000);
@@ -53,7 +53,7 @@ const links = (data.pair ? data.pair.links : []).map(([first, second, distance])
   return link;
 });
 
-// A cloud that is much flatter along one axis probably lies on the ground of the other two.
+// A cloud that is much flatter along one axis probably has that axis as its up direction.
 const flattest = extent.indexOf(Math.min(...extent));
 const guessedUp = extent[flattest] < 0.6 * Math.min(...extent.filter((_, axis) => axis !== flattest)) ? flattest : 2;
 const view = { yaw: -0.9, pitch: 0.5, zoom: 1, target: [0, 0, 0], up: guessedUp, down: false };
@@ -287,7 +287,7 @@ function draw() {
     if (!shown.clouds[of]) return;
     const shift = moved(aside(of, seen));
     if (shown.points) {
-      // A point of the size that was asked for is in the middle of the first view.
+      // A point in the middle of the first view has the size that the user chose.
       const pointSize = style.point * ratio * seen.distance / view.zoom;
       use("points", seen, { model: multiply(shift, unpacked(of, points)), point_size: pointSize, background, fog });
       gl.bindVertexArray(buffers.points[of]);
@@ -298,7 +298,7 @@ function draw() {
       const opacity = shown.points ? 0.6 : 1;
       use("surface", seen, { model: multiply(shift, unpacked(of, surface.vertices)), turn, background, fog, opacity });
       gl.bindVertexArray(buffers.surface[of]);
-      // Depth first, then colour: only the nearest layer lies over the points.
+      // Depth first, then colour: only the nearest layer of the surface is blended over the points.
       for (const visible of [false, true]) {
         gl.colorMask(visible, visible, visible, visible);
         gl.depthFunc(visible ? gl.EQUAL : gl.LESS);
@@ -332,7 +332,7 @@ function drawKeypoints(seen, ratio, viewport) {
   const discs = keypoints.filter(isShown);
   const disc_size = Math.max(6, Math.min(13, 170 / Math.sqrt(discs.length))) * ratio;
   const vertices = discs.flatMap((keypoint) => [...place(keypoint), keypoint.link ? 1 : 0]);
-  // What is hidden by points still shines through.
+  // Keypoints behind points stay faintly visible.
   for (const opacity of [shown.surface ? 0.6 : 0.3, 1]) {
     use("discs", seen, { disc_size, hovered: discs.indexOf(hovered), plain, repeated, opacity });
     stream("discs", vertices, [["disc", 4]], gl.POINTS);
