@@ -1,26 +1,26 @@
-//! Arrays of numbers of any shape, as NumPy keeps them.
+//! Arrays of numbers with any shape, as in NumPy.
 
 use super::dtype::Dtype;
 
-/// An array of numbers, the last axis fastest (C order).
+/// An array of numbers in C order: the last axis varies fastest.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Array {
     /// The length of each axis.
     pub shape: Vec<usize>,
-    /// As many as the product of the lengths.
+    /// The values, as many as the product of the lengths.
     pub items: Vec<f64>,
 }
 
 impl Array {
-    /// Decodes an array from its bytes, its type as NumPy writes it (`<f8`), and its order; the data may be longer than
-    /// the array.
+    /// Decodes an array from its bytes, its type in NumPy's notation (`<f8`), and its order. Bytes after the array are
+    /// ignored.
     ///
     /// # Errors
     /// A reason, when the items are neither floats nor integers or the data is too short.
     pub fn decode(descr: &str, shape: &[usize], fortran_order: bool, data: &[u8]) -> Result<Self, String> {
         let dtype = Dtype::parse(descr)
             .ok_or_else(|| format!("items of type `{descr:.20}`; floats and integers can be read"))?;
-        // Before anything is allocated: a file can claim any shape.
+        // This check comes before any allocation, because a file can claim any shape.
         let length = shape.iter().try_fold(1_usize, |product, &length| product.checked_mul(length));
         let bytes = length.and_then(|length| length.checked_mul(dtype.size));
         let Some(data) = bytes.and_then(|bytes| data.get(..bytes)) else {
@@ -31,7 +31,7 @@ impl Array {
         Ok(if fortran_order && shape.len() > 1 { array.with_first_axis_fastest() } else { array })
     }
 
-    /// The array whose items are there in Fortran's order, the first axis fastest.
+    /// Converts items in Fortran order (first axis fastest) to C order.
     fn with_first_axis_fastest(self) -> Self {
         let strides: Vec<usize> = self
             .shape

@@ -1,32 +1,33 @@
-//! Writing files whole or not at all.
+//! Writes a file whole or not at all.
 
 use std::fs::{File, metadata, read_link};
 use std::io::{self, BufWriter, ErrorKind, Write};
 use std::path::Path;
 use std::sync::{PoisonError, RwLock, RwLockWriteGuard};
 
-/// Every write of a temporary file holds this for reading.
+/// Every writer of a temporary file holds a read lock on this.
 static WRITING: RwLock<()> = RwLock::new(());
 
-/// Waits until no file is being written, and holds up those that would begin. A program that ends itself on a signal
-/// leaves no temporary file behind if it holds this.
+/// Waits until no file is being written, and blocks new writes until the guard is dropped. A program that ends on a
+/// signal holds this guard so that it leaves no temporary file behind.
 pub fn hold_writes() -> RwLockWriteGuard<'static, ()> {
     WRITING.write().unwrap_or_else(PoisonError::into_inner)
 }
 
-/// Writes a file whole or not at all: fills a temporary file beside the target, on the same file system, and renames it.
+/// Writes a file whole or not at all: fills a temporary file in the folder of the target and then renames it.
 ///
-/// A symbolic link stays, and the file that it leads to is written. A device, a FIFO or a socket is written directly.
+/// A symbolic link is followed: the link stays and its target is written. A device, a FIFO or a socket is written
+/// directly.
 ///
 /// # Errors
-/// Those of the file system and of `fill`; what was at the target then stays. They do not name the temporary file.
+/// The errors of the file system and of `fill`, which do not name the temporary file. The old target then stays.
 pub fn write_atomically(path: &Path, fill: impl FnOnce(&mut dyn Write) -> io::Result<()>) -> io::Result<()> {
     match metadata(path) {
         Ok(found) if found.is_file() => replace(&path.canonicalize()?, fill),
         Ok(found) if found.is_dir() => Err(ErrorKind::IsADirectory.into()),
         Ok(_) => write_to(&File::options().write(true).open(path)?, fill),
         Err(error) if error.kind() == ErrorKind::NotFound => {
-            // A link may lead to a file that is not there yet.
+            // A link may point to a file that does not exist yet.
             let mut target = path.to_owned();
             while let Ok(next) = read_link(&target) {
                 target = target.parent().unwrap_or(Path::new("")).join(next);
@@ -40,7 +41,7 @@ pub fn write_atomically(path: &Path, fill: impl FnOnce(&mut dyn Write) -> io::Re
 fn replace(target: &Path, fill: impl FnOnce(&mut dyn Write) -> io::Result<()>) -> io::Result<()> {
     let _writing = WRITING.read().unwrap_or_else(PoisonError::into_inner);
     let folder = target.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."));
-    // `tempfile_in` would leave the file to its owner alone, and name it in errors.
+    // `tempfile_in` would give the file to its owner alone, and would name the temporary file in errors.
     let temporary = tempfile::Builder::new().make_in(folder, |path| File::create_new(path))?;
     write_to(temporary.as_file(), fill)?;
     temporary.persist(target)?;
@@ -87,7 +88,7 @@ mod tests {
         symlink("deep/file", path("link")).unwrap();
         symlink("link", path("link to link")).unwrap();
         symlink("loop", path("loop")).unwrap();
-        // Without its folder nothing can be written, and nothing is replaced.
+        // Without the folder nothing can be written and nothing is replaced.
         let write =
             |name: &str, text: &'static str| write_atomically(&path(name), |file| file.write_all(text.as_bytes()));
         assert_eq!(write("link", "none").unwrap_err().kind(), ErrorKind::NotFound);

@@ -1,4 +1,4 @@
-//! Which columns of a table hold x, y and z: by the words of known programs, or as they are chosen.
+//! Finds the columns of a table that hold x, y and z: by the names that known programs use, or by the caller's choice.
 
 use std::str::FromStr;
 
@@ -7,9 +7,9 @@ use serde::Serialize;
 use crate::Error;
 use snake_core::excerpt;
 
-/// The columns that hold x, y and z, chosen by names of a header or by places.
+/// The columns that hold x, y and z, chosen by name or by position.
 ///
-/// As text they are names or numbers from 1: `Points:0,Points:1,Points:2` or `4,5,6`.
+/// The text form is three names or three numbers counted from 1: `Points:0,Points:1,Points:2` or `4,5,6`.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize)]
 pub struct Columns(pub [Column; 3]);
 
@@ -17,32 +17,32 @@ pub struct Columns(pub [Column; 3]);
 #[derive(Debug, Clone, PartialEq, Eq, Serialize)]
 #[serde(untagged)]
 pub enum Column {
-    /// By its name, in any case, with its unit or without: `X (m)` or `x`.
+    /// By its name, in upper or lower case, with or without its unit: `X (m)` or `x`.
     Name(String),
-    /// By its place, from 0.
+    /// By its position, counted from 0.
     Index(usize),
 }
 
-/// Indices of the columns of x, y and z, from 0.
+/// Indices of the columns of x, y and z, counted from 0.
 pub(super) type Indices = [usize; 3];
 
-/// Names of columns, lower case and without units, the likeliest first.
+/// Column names in lower case and without units, the likeliest set first.
 const KNOWN: [Names; 18] = [
     ["x", "y", "z"],
-    // Trajectories of TUM.
+    // TUM trajectories.
     ["tx", "ty", "tz"],
-    // ParaView, before and after version 5.13; VeloView.
+    // ParaView before and after version 5.13, and VeloView.
     ["points:0", "points:1", "points:2"],
     ["points_0", "points_1", "points_2"],
     ["points_m_xyz:0", "points_m_xyz:1", "points_m_xyz:2"],
     ["points_m_xyz_0", "points_m_xyz_1", "points_m_xyz_2"],
-    // GIS and surveying.
+    // GIS and surveying programs.
     ["point_x", "point_y", "point_z"],
     ["easting", "northing", "elevation"],
     ["easting", "northing", "height"],
     ["easting", "northing", "altitude"],
     ["east", "north", "up"],
-    // Tables of one's own, and messages of ROS as text.
+    // Hand-made tables, and ROS messages as text.
     ["x_m", "y_m", "z_m"],
     ["px", "py", "pz"],
     ["pos_x", "pos_y", "pos_z"],
@@ -70,12 +70,12 @@ impl FromStr for Columns {
 }
 
 impl Columns {
-    /// The columns of an array, which have no names.
+    /// Finds the columns of an array, which has no names.
     pub(super) fn of_array(&self) -> Result<Indices, String> {
         self.indices(|name| Err(format!("an array has no column `{}`; choose columns by numbers", excerpt(name, 40))))
     }
 
-    /// The columns of text; `names` are empty where there is no header.
+    /// Finds the columns of text; `names` is empty without a header.
     pub(super) fn of_text(&self, names: &[String]) -> Result<Indices, String> {
         self.indices(|wanted| {
             let is_wanted = |name: &&String| clean(name).eq_ignore_ascii_case(wanted) || plain(name) == plain(wanted);
@@ -102,7 +102,7 @@ impl Columns {
     }
 }
 
-/// The columns that a header gives to x, y and z, if they can be told: each name of a set is there, and once.
+/// The columns of x, y and z by a header's names: the first set whose names each occur exactly once.
 pub(super) fn known(names: &[String]) -> Option<Indices> {
     let plain: Vec<String> = names.iter().map(|name| plain(name)).collect();
     let count = |name: &str| plain.iter().filter(|known| *known == name).count();
@@ -117,14 +117,14 @@ pub(super) fn known(names: &[String]) -> Option<Indices> {
     Some([column(x)?, column(y)?, column(z)?])
 }
 
-/// Whether names are those that pandas gives to a plain array: none for the index, and 0, 1, 2, ...
+/// Whether these are the names that pandas gives to a plain array: an empty name for the index, then 0, 1, 2, ...
 pub(super) fn is_numbered(names: &[String]) -> bool {
     names.len() > 3
         && names[0].is_empty()
         && names[1..].iter().enumerate().all(|(number, name)| *name == number.to_string())
 }
 
-/// Says that no three columns can be told, and how to choose them.
+/// The error for unknown columns, with the way to choose them.
 pub(super) fn cannot_tell(names: &[String]) -> String {
     format!(
         "the header does not say which columns are x, y and z: choose them by names or numbers, as in --columns x,y,z. \
@@ -133,18 +133,18 @@ pub(super) fn cannot_tell(names: &[String]) -> String {
     )
 }
 
-/// Columns with their numbers from 1.
+/// Lists columns with their numbers counted from 1.
 fn listed(names: &[String]) -> String {
     let all: Vec<String> = (1..).zip(names).map(|(number, name)| format!("{number} `{}`", excerpt(name, 40))).collect();
     excerpt(&all.join(", "), 500)
 }
 
-/// A name without marks of comments and quotes.
+/// A name without comment marks and quotes.
 fn clean(name: &str) -> &str {
     name.trim_matches(|c: char| c.is_whitespace() || matches!(c, '#' | '/' | '"' | '\''))
 }
 
-/// A name in lower case, without its unit in parentheses or brackets.
+/// A name in lower case, without a unit in parentheses or brackets.
 fn plain(name: &str) -> String {
     let name = clean(name);
     name.split(['(', '[']).next().unwrap_or_default().trim_end().to_lowercase()

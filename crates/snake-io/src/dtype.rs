@@ -1,16 +1,16 @@
 //! Types of numbers in binary files.
 
-/// The type of an item of a NumPy array, or of a field of a PCD file.
+/// The number type of a NumPy array's items or of a PCD field.
 #[derive(Clone, Copy)]
 pub(super) struct Dtype {
     kind: u8,
-    /// In bytes.
+    /// Size in bytes.
     pub(super) size: usize,
     big_endian: bool,
 }
 
 impl Dtype {
-    /// Parses byte order, kind and size, as in `<f4`.
+    /// Parses byte order, kind and size, for example `<f4`.
     pub(super) fn parse(descr: &str) -> Option<Self> {
         let &[order, kind, size] = descr.as_bytes() else { return None };
         let size = usize::from(size.wrapping_sub(b'0'));
@@ -32,7 +32,7 @@ impl Dtype {
             (b'f', _) => f64::from_bits(bits),
             (b'u', _) => bits as f64,
             _ => {
-                // Up and down again, so that the sign bit fills the unused bytes.
+                // The shift to the left and back extends the sign bit over the unused bytes.
                 let unused = 64 - 8 * self.size as u32;
                 ((bits << unused) as i64 >> unused) as f64
             }

@@ -1,8 +1,8 @@
-//! The one error type of the crate.
+//! The error type of the crate.
 
 use std::path::PathBuf;
 
-/// A file that cannot be read or written, and why.
+/// The reason why a file cannot be read or written.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum Error {
@@ -11,23 +11,23 @@ pub enum Error {
     Io {
         /// The file.
         path: PathBuf,
-        /// What the operating system said.
+        /// The error of the operating system.
         source: std::io::Error,
     },
-    /// A file's content does not follow its format, or its extension names none.
+    /// The content of a file does not follow its format, or the extension names no known format.
     #[error("{}: {reason}", path.display())]
     Format {
         /// The file.
         path: PathBuf,
-        /// What is wrong, with the line or the byte offset where one is known.
+        /// The fault, with the line or the byte offset where one is known.
         reason: String,
     },
     /// An argument cannot be used.
     #[error("{what}: {reason}")]
     Input {
-        /// The argument.
+        /// The name of the argument.
         what: &'static str,
-        /// Why it cannot be used.
+        /// The reason why it cannot be used.
         reason: String,
     },
 }

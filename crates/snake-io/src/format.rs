@@ -1,4 +1,4 @@
-//! The formats of files: their names, extensions and signatures.
+//! The file formats with their names, extensions and signatures.
 
 use std::path::Path;
 
@@ -7,41 +7,41 @@ use serde::Deserialize;
 use super::npy;
 use crate::{Error, Result};
 
-/// How a zip archive begins.
+/// The first bytes of a zip archive.
 const NPZ_MAGIC: &[u8] = b"PK\x03\x04";
 
-/// A format that clouds are read from.
+/// A format from which clouds are read.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 #[non_exhaustive]
 pub enum PointFormat {
-    /// Polygon file format, ascii or binary; its faces are a surface.
+    /// Polygon file format, ascii or binary; faces define a surface.
     Ply,
     /// Point Cloud Library: ascii, binary or binary_compressed.
     Pcd,
     /// Columns of text: xyz, txt, csv.
     Text,
-    /// Columns of text after a line with their number: pts.
+    /// Columns of text after a line with the number of points: pts.
     Pts,
-    /// One array of NumPy.
+    /// One NumPy array.
     Npy,
-    /// A zip archive of arrays of NumPy.
+    /// A zip archive of NumPy arrays.
     Npz,
-    /// Wavefront, a mesh.
+    /// Wavefront mesh.
     Obj,
     /// Object file format, a mesh.
     Off,
-    /// Stereolithography, a mesh; ascii or binary.
+    /// Stereolithography mesh, ascii or binary.
     Stl,
     /// ASPRS laser scans, plain (las) or compressed (laz).
     Las,
 }
 
-/// The extensions that [`PointFormat::from_path`] knows.
+/// The extensions that [`PointFormat::from_path`] accepts.
 pub const POINT_EXTENSIONS: &[&str] =
     &["ply", "pcd", "xyz", "txt", "csv", "pts", "npy", "npz", "obj", "off", "stl", "las", "laz"];
 
 impl PointFormat {
-    /// The format that a file's extension names, in any case.
+    /// The format of a file by its extension, in upper or lower case.
     ///
     /// # Errors
     /// [`Error::Format`] when the extension is not among [`POINT_EXTENSIONS`].
@@ -49,7 +49,7 @@ impl PointFormat {
         Self::from_extension(&extension(path)).ok_or_else(|| unknown_extension(path, "read", POINT_EXTENSIONS))
     }
 
-    /// The format that an extension in lower case and without a dot names.
+    /// The format of an extension in lower case without a dot.
     pub fn from_extension(extension: &str) -> Option<Self> {
         Some(match extension {
             "ply" => Self::Ply,
@@ -66,7 +66,7 @@ impl PointFormat {
         })
     }
 
-    /// The format whose signature a file begins with. Columns of text, OBJ and binary STL have none.
+    /// The format of a file by its signature. Columns of text, OBJ and binary STL have no signature.
     pub fn from_content(bytes: &[u8]) -> Option<Self> {
         let starts = |signatures: &[&[u8]]| signatures.iter().any(|signature| bytes.starts_with(signature));
         if starts(&[b"ply\n", b"ply\r"]) {
@@ -88,7 +88,7 @@ impl PointFormat {
         }
     }
 
-    /// What it is called.
+    /// The name of the format in messages.
     pub fn name(self) -> &'static str {
         match self {
             Self::Ply => "PLY",
@@ -105,30 +105,30 @@ impl PointFormat {
     }
 }
 
-/// A format that keypoints are written in.
+/// A format in which keypoints are written.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Deserialize)]
 #[serde(rename_all = "lowercase")]
 #[non_exhaustive]
 pub enum KeypointFormat {
-    /// Vertices with colour (by saliency), saliency, occupancy and nearest index; binary.
+    /// Binary PLY vertices with colour (by saliency), saliency, occupancy and nearest index.
     Ply,
-    /// The same as points of the Point Cloud Library; binary.
+    /// Binary PCD points with the same fields.
     Pcd,
     /// An array `(K, 6)` of `<f8`: x, y, z, saliency, occupancy, nearest_index.
     Npy,
     /// The same columns as text.
     Csv,
-    /// `{"keypoints": [{"x": .., ..}, ..]}`.
+    /// The JSON object `{"keypoints": [{"x": .., ..}, ..]}`.
     Json,
-    /// KeypointNet's annotations: a list of one shape with its marked points.
+    /// KeypointNet annotations: a list with one shape and its keypoints.
     KeypointNet,
 }
 
-/// The extensions that [`KeypointFormat::from_path`] knows.
+/// The extensions that [`KeypointFormat::from_path`] accepts.
 pub const KEYPOINT_EXTENSIONS: &[&str] = &["ply", "pcd", "npy", "csv", "keypointnet.json", "json"];
 
 impl KeypointFormat {
-    /// The format that a file's extension names, in any case.
+    /// The format of a file by its extension, in upper or lower case.
     ///
     /// # Errors
     /// [`Error::Format`] when the extension is not among [`KEYPOINT_EXTENSIONS`].
@@ -145,7 +145,7 @@ impl KeypointFormat {
         })
     }
 
-    /// The extension of its files.
+    /// The extension of files in this format.
     pub fn extension(self) -> &'static str {
         match self {
             Self::Ply => "ply",
@@ -158,27 +158,27 @@ impl KeypointFormat {
     }
 }
 
-/// A format that clouds are written in.
+/// A format in which clouds are written.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 #[non_exhaustive]
 pub enum CloudFormat {
-    /// Vertices; binary.
+    /// Binary PLY vertices.
     Ply,
-    /// Points of the Point Cloud Library; binary.
+    /// Binary PCD points.
     Pcd,
     /// An array `(N, 3)` of `<f8`.
     Npy,
     /// Columns of text.
     Xyz,
-    /// Columns of text below a line with their names.
+    /// Columns of text below a line with the column names.
     Csv,
 }
 
-/// The extensions that [`CloudFormat::from_path`] knows.
+/// The extensions that [`CloudFormat::from_path`] accepts.
 pub const CLOUD_EXTENSIONS: &[&str] = &["ply", "pcd", "npy", "xyz", "csv"];
 
 impl CloudFormat {
-    /// The format that a file's extension names, in any case.
+    /// The format of a file by its extension, in upper or lower case.
     ///
     /// # Errors
     /// [`Error::Format`] when the extension is not among [`CLOUD_EXTENSIONS`].

@@ -1,7 +1,7 @@
-//! The GPS times of LAZ files, which stand between the coordinates of one point and the next.
+//! Decodes the GPS times of LAZ files, which are stored between the coordinates of consecutive points.
 //!
-//! `laz` follows a point that belongs to another sequence of times by a call within a call, without end in a damaged
-//! file: the stack overflows and the process dies. This is the same decoder (LASzip's version 2) with a loop.
+//! A point can refer to another sequence of times. `laz` follows such references by recursion, without a limit in a
+//! damaged file: the stack overflows and the process dies. This is the same decoder (LASzip's version 2) with a loop.
 
 use std::io::{Read, Result};
 
@@ -10,13 +10,14 @@ use laz::decompressors::{IntegerDecompressor, IntegerDecompressorBuilder};
 use laz::models::{ArithmeticModel, ArithmeticModelBuilder};
 use laz::record::FieldDecompressor;
 
-/// Codes of a time that follows a known step: how many times the step it is away, 2 to 499 and from here -1 to -9.
+/// The code of a time that is 500 steps or more later. Codes 2 to 499 are the number of steps, and codes 501 to 509 are
+/// -1 to -9 steps.
 const MANY: i32 = 500;
-/// From this code on negative multiples.
+/// The code of a time that is 10 steps or more earlier.
 const MINUS: i32 = MANY + 10;
-/// The same time again; the next code begins a sequence, those after it change to another.
+/// This code means: the same time again. The next code begins a new sequence, and the codes after that select another.
 const UNCHANGED: i32 = MANY + 11;
-/// Steps that do not fit, after which a new one is taken over.
+/// The number of differences that do not fit before the step is replaced.
 const MISFITS: u32 = 3;
 
 /// Up to four interleaved sequences of times.
@@ -31,7 +32,7 @@ pub(super) struct GpsTimes {
 
 #[derive(Default, Clone, Copy)]
 struct Sequence {
-    /// The bits of a double.
+    /// The bits of an f64.
     time: i64,
     step: i32,
     misfits: u32,
@@ -64,7 +65,7 @@ impl<R: Read> FieldDecompressor<R> for GpsTimes {
     }
 
     fn decompress_with(&mut self, decoder: &mut ArithmeticDecoder<R>, time: &mut [u8]) -> Result<()> {
-        // Each turn takes some of the data.
+        // Every iteration consumes data, so the loop ends.
         while let Some(other) = self.next(decoder)? {
             self.last = (self.last + other) % 4;
         }
@@ -74,7 +75,7 @@ impl<R: Read> FieldDecompressor<R> for GpsTimes {
 }
 
 impl GpsTimes {
-    /// Decodes a time, or how many sequences further to look for it.
+    /// Decodes a time and returns `None`, or returns how many sequences further to look for it.
     fn next<R: Read>(&mut self, decoder: &mut ArithmeticDecoder<R>) -> Result<Option<usize>> {
         let sequence = &mut self.sequences[self.last];
         if sequence.step == 0 {
@@ -118,7 +119,7 @@ impl GpsTimes {
         Ok(None)
     }
 
-    /// Begins a sequence, in place of the oldest.
+    /// Begins a new sequence in place of the oldest.
     fn begin<R: Read>(&mut self, decoder: &mut ArithmeticDecoder<R>) -> Result<()> {
         let upper = (self.sequences[self.last].time >> 32) as i32;
         let upper = self.numbers.decompress(decoder, upper, 8)?;
@@ -139,7 +140,7 @@ mod tests {
 
     use super::*;
 
-    /// Times of every code: regular and irregular steps, back and forth, and five sequences by turns.
+    /// Times that use every code: regular and irregular steps, back and forth, and five interleaved sequences.
     fn times() -> Vec<i64> {
         let steps = [0, 0, 1000, 1000, 1001, 2000, 49_000, 499_000, 3_000_000, -7000, -9000, -40_000, 3, 0, 1000, 1];
         let mut times: Vec<i64> = (0..2000).map(|i| steps[i * i % 16] + steps[i / 16 % 16]).collect();

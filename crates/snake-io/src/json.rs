@@ -1,4 +1,4 @@
-//! Keypoints as JSON.
+//! Writes keypoints as JSON.
 
 use std::io::{self, Write};
 
@@ -8,10 +8,9 @@ use super::keypoint_source::KeypointSource;
 use snake_core::Keypoint;
 use snake_core::add_origin;
 
-/// One keypoint as an object with the keys x, y, z, saliency, occupancy and nearest_index; the origin is added to its
-/// position.
+/// One keypoint as an object with the keys x, y, z, saliency, occupancy and nearest_index.
 ///
-/// A number that is not finite becomes `null`.
+/// The origin is added to the position. A number that is not finite is written as `null`.
 pub fn keypoint_json(keypoint: &Keypoint, origin: [f64; 3]) -> Value {
     let [x, y, z] = position(keypoint, origin);
     json!({
@@ -31,8 +30,8 @@ pub(super) fn write(out: &mut dyn Write, keypoints: &[Keypoint], origin: [f64; 3
     writeln!(out)
 }
 
-/// Writes an annotation file of KeypointNet with one shape: which of its points are keypoints, and where. The place in
-/// the list, by falling saliency, stands for the meaning that people gave theirs (`semantic_id`).
+/// Writes a KeypointNet annotation file with one shape. Each keypoint has its position and the index of its nearest
+/// point. Its rank by falling saliency takes the place of KeypointNet's `semantic_id`.
 pub(super) fn write_keypointnet(
     out: &mut dyn Write,
     keypoints: &[Keypoint],
@@ -60,7 +59,7 @@ fn position(keypoint: &Keypoint, origin: [f64; 3]) -> [Option<Number>; 3] {
     }
 }
 
-/// By way of its shortest decimal form: JSON numbers are `f64`, and 0.1 should not read 0.10000000149011612.
+/// Converts through the shortest decimal form: JSON numbers are `f64`, and 0.1 must not read 0.10000000149011612.
 fn number(value: f32) -> Option<Number> {
     value.to_string().parse().ok().and_then(Number::from_f64)
 }

@@ -1,7 +1,7 @@
-//! ASPRS LAS laser scans, and LAZ, their compression, which `laz` decodes.
+//! Reads ASPRS LAS laser scans, and their compressed form LAZ with the decoder of `laz`.
 //!
-//! The decoder believes what it is told: it would allocate whatever sizes a file claims. So the chunks are found and
-//! their sizes checked here, and it is given one chunk after another.
+//! The decoder trusts the file and allocates any size that it claims. This module therefore finds the chunks, checks
+//! their sizes, and gives the decoder one chunk at a time.
 
 use std::io::Cursor;
 
@@ -13,7 +13,7 @@ use super::MAX_EXPANSION;
 use super::gps_time::GpsTimes;
 use super::shape::{Position, Shape};
 
-/// Reads the coordinates: whole numbers times a scale plus an offset. Everything else of a point does not count.
+/// Reads the coordinates: integers times a scale plus an offset. All other fields of a point are ignored.
 pub(super) fn read(bytes: &[u8]) -> Result<Shape, String> {
     let header = Header::parse(bytes)?;
     let data = bytes.get(header.data_offset..).ok_or("cut short before the points")?;
@@ -23,11 +23,11 @@ pub(super) fn read(bytes: &[u8]) -> Result<Shape, String> {
 
 struct Header {
     num_points: usize,
-    /// Bytes of a point.
+    /// Bytes per point.
     record_length: usize,
     is_compressed: bool,
     data_offset: usize,
-    /// Where the variable length records begin, and their number.
+    /// The offset of the variable length records, and their number.
     records_offset: usize,
     num_records: u32,
     scale: [f64; 3],
@@ -35,14 +35,14 @@ struct Header {
 }
 
 impl Header {
-    /// The public header block of LAS 1.0 to 1.4.
+    /// Parses the public header block of LAS 1.0 to 1.4.
     fn parse(bytes: &[u8]) -> Result<Self, String> {
         if !bytes.starts_with(b"LASF") {
             return Err("not a LAS file: it does not begin with `LASF`".into());
         }
         let parsed = || {
             let [minor, point_format] = [*bytes.get(25)?, *bytes.get(104)?];
-            // Since 1.4 there can be more points than the older number holds; it may then be 0.
+            // LAS 1.4 has a wider field for the number of points; the older field may then be 0.
             let wide = if minor >= 4 { u64::from_le_bytes(field(bytes, 247)?) } else { 0 };
             let num_points = if wide > 0 { wide } else { u32::from_le_bytes(field(bytes, 107)?).into() };
             let triple = |at: usize| -> Option<[f64; 3]> {
@@ -52,7 +52,7 @@ impl Header {
             Some(Self {
                 num_points: num_points.try_into().ok()?,
                 record_length: u16::from_le_bytes(field(bytes, 105)?).into(),
-                // The upper bits of the format mark compression.
+                // The upper bits of the point format mark compression.
                 is_compressed: point_format & 0xc0 != 0,
                 data_offset: u32::from_le_bytes(field(bytes, 96)?) as usize,
                 records_offset: u16::from_le_bytes(field(bytes, 94)?).into(),
@@ -73,14 +73,14 @@ impl Header {
 
     fn plain(&self, data: &[u8]) -> Result<Vec<Position>, String> {
         let Self { num_points, record_length, .. } = self;
-        // Before anything is allocated: a header can claim any number.
+        // This check comes before any allocation, because a header can claim any number.
         if *num_points > data.len() / record_length {
             return Err(format!("{num_points} points of {record_length} bytes each, but {} bytes follow", data.len()));
         }
         Ok(data.chunks_exact(*record_length).take(*num_points).map(|record| self.position(record)).collect())
     }
 
-    /// A point's record begins with its coordinates, in LAZ too once it is decoded.
+    /// The position in a point record. LAS records and decoded LAZ records begin with the coordinates.
     fn position(&self, record: &[u8]) -> Position {
         let (axes, _) = record.as_chunks::<4>();
         std::array::from_fn(|axis| f64::from(i32::from_le_bytes(axes[axis])) * self.scale[axis] + self.offset[axis])
@@ -98,7 +98,7 @@ impl Header {
         let mut compressor = [0; 2];
         compressor.copy_from_slice(&record[..2]);
         let layered = items[0].version() >= 3;
-        // Eight bytes, where the table of chunks is, come before the points if there are chunks.
+        // Chunked data begins with eight bytes: the offset of the chunk table.
         let chunks = data.get(8..).ok_or("cut short before the points");
         match (u16::from_le_bytes(compressor), layered) {
             (kind, false) if kind == CompressorType::PointWise as u16 => self.sequential(items, data, usize::MAX),
@@ -113,7 +113,7 @@ impl Header {
         }
     }
 
-    /// The variable length record that LASzip adds.
+    /// The variable length record of LASzip.
     fn laszip_record<'a>(&self, bytes: &'a [u8]) -> Option<&'a [u8]> {
         let mut rest = bytes.get(self.records_offset..)?;
         for _ in 0..self.num_records {
@@ -129,7 +129,7 @@ impl Header {
         None
     }
 
-    /// Points one after the other, the decoder started anew every `chunk_size` points.
+    /// Decodes points one after another, with a new decoder every `chunk_size` points.
     fn sequential(&self, items: &Vec<LazItem>, data: &[u8], chunk_size: usize) -> Result<Vec<Position>, String> {
         let mut source = Cursor::new(data);
         let (mut points, mut record) = (Vec::new(), vec![0; self.record_length]);
@@ -152,7 +152,8 @@ impl Header {
         Ok(points)
     }
 
-    /// Chunks of a whole first point, the number of points, the sizes of the layers, and the layers.
+    /// Decodes chunks; each holds an uncompressed first point, the number of points, the sizes of the layers, and the
+    /// layers.
     fn layered(&self, items: &Vec<LazItem>, mut data: &[u8]) -> Result<Vec<Position>, String> {
         let num_layers: usize = items.iter().map(num_layers).sum();
         let sizes_at = self.record_length + 4;
@@ -189,18 +190,18 @@ impl Header {
     }
 }
 
-/// `N` bytes of a header.
+/// `N` bytes at an offset.
 fn field<const N: usize>(bytes: &[u8], at: usize) -> Option<[u8; N]> {
     bytes.get(at..)?.first_chunk().copied()
 }
 
-/// Whether compressed data begins with what no encoder writes: the decoder's value must be below the length of its first
-/// interval. It would go on to look beyond its tables.
+/// Whether compressed data begins with bytes that no encoder writes. The decoder's first value must be below the length
+/// of its first interval; a larger value would make it read beyond its tables.
 fn is_beyond_interval(data: Option<&[u8]>) -> bool {
     data.is_some_and(|data| data.starts_with(&[0xff; 4]))
 }
 
-/// Refuses parts of a point that are not as long as their kind is, or not as long together as the point.
+/// Refuses a part of a point whose size differs from its type's size, and parts that do not add up to the point's size.
 fn check_items(items: &[LazItem], record_length: usize) -> Result<(), String> {
     let is_known = |item: &LazItem| {
         let size = match item.item_type() {
@@ -223,7 +224,7 @@ fn check_items(items: &[LazItem], record_length: usize) -> Result<(), String> {
     }
 }
 
-/// How many layers a part of a point has.
+/// The number of layers of one part of a point.
 fn num_layers(item: &LazItem) -> usize {
     match item.item_type() {
         LazItemType::Point14 => 9,
@@ -285,7 +286,7 @@ mod tests {
             let reason = read(&bytes).unwrap_err();
             assert!(reason.contains(expected), "{expected}: {reason}");
         }
-        // The sizes of layers, which the decoder would allocate.
+        // These are the sizes of the layers, which the decoder would allocate.
         let bytes = sample("format_6.laz");
         let data_offset = u32::from_le_bytes(bytes[96..100].try_into().unwrap()) as usize;
         let reason = read(&with(bytes, data_offset + 8 + 30 + 4, &many)).unwrap_err();

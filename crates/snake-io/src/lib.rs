@@ -1,31 +1,53 @@
-//! Reading point clouds, writing keypoints, clouds, meshes and transforms.
+//! Files of the snake-rs crates: reads point clouds, meshes, arrays and transforms, and writes keypoints, clouds,
+//! meshes, volumes and transforms. A reader accepts any bytes: it returns a cloud or an error and never panics. A
+//! writer writes a whole file or none.
 //!
-//! The format follows from the file name's extension, in any case:
+//! ```text
+//! file → read_cloud → Cloud {points (N, 3) f32, origin f64} → snake_core::Model → Keypoint, Mesh
+//!                       │                                                            │
+//!                       └→ write_points                    write_keypoints, write_mesh ←┘
+//! ```
+//!
+//! ```
+//! use snake_core::add_origin;
+//! use snake_io::{ReadOptions, read_cloud, write_points};
+//! # let folder = tempfile::tempdir()?;
+//! # let [scan, copy] = ["scan.xyz", "copy.ply"].map(|name| folder.path().join(name));
+//! std::fs::write(&scan, "691000.25 5336000.5 512\n691001 5336003 514.125\n")?;
+//! let cloud = read_cloud(&scan, &ReadOptions::default())?;
+//! assert_eq!(add_origin(cloud.points[0], cloud.origin), [691_000.25, 5_336_000.5, 512.0]);
+//! write_points(&copy, &cloud.points, cloud.origin)?;
+//! assert_eq!(read_cloud(&copy, &ReadOptions::default())?, cloud);
+//! # Ok::<(), Box<dyn std::error::Error>>(())
+//! ```
+//!
+//! The extension of the file name selects the format, in upper or lower case:
 //!
 //! | extension | clouds are read | clouds are written | keypoints are written |
 //! |---|---|---|---|
 //! | `ply` | ascii or binary, any scalar type | binary `x y z` | binary, with colour by saliency |
 //! | `pcd` | ascii, binary, binary_compressed | binary `x y z` | binary, with colour by saliency |
 //! | `npy` | `(N, C)`, `C >= 3`, floats or integers | `(N, 3)` of `<f8` | `(K, 6)` of `<f8`, columns as in csv |
-//! | `npz` | array `points`, `xyz`, `pc`, `pos` or `arr_0`, or the only one of such a shape | | |
+//! | `npz` | the array `points`, `xyz`, `pc`, `pos` or `arr_0`; else the only array with the shape of a cloud | | |
 //! | `csv` | as `xyz` | `x,y,z` | `x,y,z,saliency,occupancy,nearest_index` |
 //! | `xyz`, `txt`, `pts` | columns of text | only `xyz` | |
-//! | `obj`, `off`, `stl` | vertices, or samples of the surface (of a `ply` with faces too) | | |
+//! | `obj`, `off`, `stl` | vertices, or points sampled on the surface (also of a `ply` with faces) | | |
 //! | `las`, `laz` | coordinates | | |
 //! | `json` | | | `{"keypoints": [{"x": .., ..}, ..]}` |
-//! | `keypointnet.json` | | | annotations of KeypointNet |
+//! | `keypointnet.json` | | | annotations in the format of KeypointNet |
 //!
-//! Meshes are written as `ply` or `stl`, both binary, or as `obj`, registrations as `json` or as `txt`, the four rows of the matrix. Colours, normals and other fields are
-//! ignored.
+//! Meshes are written as binary `ply`, as binary `stl` or as `obj`. Registrations are written as `json`, or as `txt`
+//! with the four rows of the matrix. The readers ignore colours, normals and other fields.
 //!
-//! Coordinates are read as `f64` and held as `f32`. Clouds far from zero, as georeferenced scans are, would lose digits
-//! (at 5e6 m one step is 0.5 m): their points are held relative to a [`Cloud::origin`], which is added again to what is
-//! written, in columns of eight bytes. PCD and STL files are the exception ([`adds_origin`]): PCL, Open3D and others read
-//! four bytes a coordinate and nothing else, so that points stay relative to the origin. In a PCD file a comment
-//! `# snake-rs origin X Y Z` says it, and is heeded when the file is read here.
+//! Coordinates are read as `f64` and stored as `f32`. Georeferenced scans lie far from zero and would lose digits (at
+//! 5e6 m one `f32` step is 0.5 m). Their points are therefore stored relative to a [`Cloud::origin`]. The writers add
+//! the origin and then use columns of eight bytes.
 //!
-//! The readers take bytes from anywhere: whatever the content, the answer is a cloud or an error, and neither time nor
-//! memory exceeds a small multiple of the file's size (of compressed files, 50 times).
+//! PCD and STL files are the exception ([`adds_origin`]): PCL, Open3D and others read only coordinates of four bytes,
+//! so these files contain points relative to the origin. A PCD file states the origin in a comment `# snake-rs origin X
+//! Y Z`; the PCD reader of this crate adds it again.
+//!
+//! Time and memory of a reader are limited to a small multiple of the file's size, for compressed files to 50 times.
 
 #![forbid(unsafe_code)]
 
@@ -75,40 +97,39 @@ pub use json::keypoint_json;
 pub use keypoint_source::KeypointSource;
 pub use snake_core::Cloud;
 
-/// The extensions that [`write_mesh`] knows.
+/// The extensions that [`write_mesh`] accepts.
 pub const MESH_EXTENSIONS: &[&str] = &["ply", "obj", "stl"];
 
-/// The extensions that [`write_registration`] knows.
+/// The extensions that [`write_registration`] accepts.
 pub const REGISTRATION_EXTENSIONS: &[&str] = &["json", "txt"];
 
 type MeshWriter = fn(&mut dyn Write, &Mesh, [f64; 3]) -> io::Result<()>;
 
-/// How clouds are read.
+/// Options of [`read_cloud`].
 #[derive(Debug, Clone, PartialEq, Eq, Default)]
 pub struct ReadOptions {
-    /// Of a mesh, draw this many points from the surface, evenly by area; `None`: its vertices.
+    /// The number of points to sample on the surface of a mesh, uniformly by area; `None` reads its vertices.
     pub sample: Option<usize>,
-    /// Seed of that draw.
+    /// Seed of the samples.
     pub seed: u64,
-    /// Of text and of NumPy's arrays, the columns that hold x, y and z; `None`: those that a header names, or without one
-    /// the first three.
+    /// The columns of text and NumPy arrays that hold x, y and z. `None` uses the columns that a header names, and the
+    /// first three columns without a header.
     pub columns: Option<Columns>,
 }
 
-/// What a file holds.
+/// The content of a file.
 #[derive(Debug, Clone, PartialEq, Default)]
 pub struct Contents {
     /// The points.
     pub cloud: Cloud,
-    /// Faces of a mesh of which the vertices were taken, because no samples were asked for.
+    /// The number of faces that were ignored because the vertices were read and not samples of the surface.
     pub unsampled_faces: usize,
 }
 
-/// Reads a point cloud; the extension says which format.
+/// Reads the points `(N, 3)` of a file; the extension selects the format.
 ///
-/// The points keep the file's order, units and frame. A file without points gives an empty vector, and coordinates that
-/// are not finite come through: what to do about either is the caller's choice. Coordinates far from zero lose digits
-/// that [`read_cloud`] keeps.
+/// The points keep the file's order, units and frame. A file without points gives an empty vector. Coordinates that are
+/// not finite are kept. Coordinates far from zero lose digits, which [`read_cloud`] keeps.
 ///
 /// # Errors
 /// As [`read_cloud`].
@@ -116,16 +137,17 @@ pub fn read_points(path: &Path) -> Result<Vec<Point>> {
     read_cloud(path, &ReadOptions::default()).map(Cloud::into_points)
 }
 
-/// Reads a point cloud with its origin; the extension says which format.
+/// Reads a point cloud with its origin; the extension selects the format.
 ///
 /// # Errors
 /// [`Error::Io`] when the file cannot be read; [`Error::Format`] when the extension is not among [`POINT_EXTENSIONS`],
-/// the content is not what it promises, its columns cannot be told, or there is no surface to draw points from.
+/// the content does not follow the format, the columns of x, y and z are unknown, or samples are asked for and there is
+/// no surface.
 pub fn read_cloud(path: &Path, options: &ReadOptions) -> Result<Cloud> {
     read_contents(path, options).map(|contents| contents.cloud)
 }
 
-/// [`read_cloud`] with what else the file holds.
+/// [`read_cloud`] with the number of ignored faces.
 ///
 /// # Errors
 /// As [`read_cloud`].
@@ -138,12 +160,12 @@ pub fn read_contents(path: &Path, options: &ReadOptions) -> Result<Contents> {
 /// Reads a point cloud from the bytes of a file.
 ///
 /// # Errors
-/// [`Error::Input`] when the content is not of that format, or there is no surface to draw points from.
+/// [`Error::Input`] when the content does not follow the format, or samples are asked for and there is no surface.
 pub fn parse_cloud(bytes: &[u8], format: PointFormat, options: &ReadOptions) -> Result<Cloud> {
     parse_contents(bytes, format, options).map(|contents| contents.cloud)
 }
 
-/// [`parse_cloud`] with what else the file holds.
+/// [`parse_cloud`] with the number of ignored faces.
 ///
 /// # Errors
 /// As [`parse_cloud`].
@@ -176,7 +198,7 @@ fn read_shape(bytes: &[u8], format: PointFormat, options: &ReadOptions) -> std::
         _ if columns.is_some() => {
             Err("columns can be chosen in text and in arrays of NumPy; this format names its coordinates".into())
         }
-        // Faces are read only if they are wanted: most are of no use, and some are broken.
+        // Faces are read only for samples: most readers of a cloud do not need them, and some files have broken faces.
         PointFormat::Ply => ply::read(bytes, options.sample.is_some()),
         PointFormat::Pcd => pcd::read(bytes),
         PointFormat::Obj => obj::read(bytes),
@@ -189,31 +211,33 @@ fn read_shape(bytes: &[u8], format: PointFormat, options: &ReadOptions) -> std::
     }
 }
 
-/// Reads clouds of equally many points from an `.npy` array of shape `(S, N, C)`, `C >= 3`, floats or integers.
+/// Reads clouds with equal numbers of points from an `.npy` array `(S, N, C)`, `C >= 3`, of floats or integers.
 ///
 /// # Errors
-/// [`Error::Io`] when the file cannot be read; [`Error::Format`] when it is no such array.
+/// [`Error::Io`] when the file cannot be read; [`Error::Format`] when it does not hold such an array.
 pub fn read_clouds(path: &Path) -> Result<Vec<Vec<Point>>> {
     let bytes = std::fs::read(path).map_err(|source| Error::Io { path: path.into(), source })?;
     npy::read_clouds(&bytes).map_err(|reason| Error::Format { path: path.into(), reason })
 }
 
-/// Reads rigid transforms from an `.npy` array of shape `(S, 3, 4)` or `(S, 4, 4)`, floats or integers; a missing fourth
-/// row is 0 0 0 1.
+/// Reads rigid transforms from an `.npy` array `(S, 3, 4)` or `(S, 4, 4)` of floats or integers. A missing fourth row
+/// is 0 0 0 1.
 ///
 /// # Errors
-/// [`Error::Io`] when the file cannot be read; [`Error::Format`] when it is no such array.
+/// [`Error::Io`] when the file cannot be read; [`Error::Format`] when it does not hold such an array.
 pub fn read_transforms(path: &Path) -> Result<Vec<Transform>> {
     let bytes = std::fs::read(path).map_err(|source| Error::Io { path: path.into(), source })?;
     npy::read_transforms(&bytes).map_err(|reason| Error::Format { path: path.into(), reason })
 }
 
-/// Reads a rigid transform: from `json` the key `t_target_source` of an object, as [`write_registration`] writes it, or
-/// four rows alone; from `txt` four rows of four numbers.
+/// Reads a rigid transform.
+///
+/// A `json` file holds an object with the key `t_target_source`, as [`write_registration`] writes it, or the four rows
+/// alone. A `txt` file holds four rows of four numbers.
 ///
 /// # Errors
 /// [`Error::Io`] when the file cannot be read; [`Error::Format`] when the extension is not among
-/// [`REGISTRATION_EXTENSIONS`] or the content is no rigid transform.
+/// [`REGISTRATION_EXTENSIONS`] or the content is not a rigid transform.
 pub fn read_transform(path: &Path) -> Result<Transform> {
     let read = match extension(path).as_str() {
         "json" => transform::read_json,
@@ -224,11 +248,11 @@ pub fn read_transform(path: &Path) -> Result<Transform> {
     read(&bytes).map_err(|reason| Error::Format { path: path.into(), reason })
 }
 
-/// Writes a volume as `.npy`, `<f4` in C order, of the shape `[z][y][x]` that the values have; whole or not at all, like
+/// Writes a volume `[z][y][x]` as an `.npy` array of `<f4` in C order. The file is written whole or not at all, as by
 /// [`write_keypoints`].
 ///
 /// # Errors
-/// [`Error::Input`] when the shape is not that of so many values; [`Error::Io`] when the file cannot be written.
+/// [`Error::Input`] when the shape does not match the number of values; [`Error::Io`] when the file cannot be written.
 pub fn write_volume(path: &Path, shape: [usize; 3], values: &[f32]) -> Result<()> {
     if shape.iter().try_fold(1_usize, |product, length| product.checked_mul(*length)) != Some(values.len()) {
         let reason = format!("{} values do not have the shape {shape:?}", values.len());
@@ -238,28 +262,28 @@ pub fn write_volume(path: &Path, shape: [usize; 3], values: &[f32]) -> Result<()
         .map_err(|source| Error::Io { path: path.into(), source })
 }
 
-/// Reads an `.npy` array of any shape, floats or integers.
+/// Reads an `.npy` array of any shape, of floats or integers.
 ///
 /// # Errors
-/// [`Error::Io`] when the file cannot be read; [`Error::Format`] when it is no such array.
+/// [`Error::Io`] when the file cannot be read; [`Error::Format`] when it does not hold such an array.
 pub fn read_array(path: &Path) -> Result<Array> {
     let bytes = std::fs::read(path).map_err(|source| Error::Io { path: path.into(), source })?;
     npy::read_array(&bytes).map_err(|reason| Error::Format { path: path.into(), reason })
 }
 
-/// Reads arrays of the given names from an `.npz`, in their order.
+/// Reads the named arrays of an `.npz` archive, in the order of `names`.
 ///
 /// # Errors
-/// [`Error::Io`] when the file cannot be read; [`Error::Format`] when it is no such archive, or lacks one of them.
+/// [`Error::Io`] when the file cannot be read; [`Error::Format`] when it is not an archive or lacks one of the arrays.
 #[cfg(feature = "npz")]
 pub fn read_arrays(path: &Path, names: &[&str]) -> Result<Vec<Array>> {
     let bytes = std::fs::read(path).map_err(|source| Error::Io { path: path.into(), source })?;
     npz::read_named(&bytes, names).map_err(|reason| Error::Format { path: path.into(), reason })
 }
 
-/// Writes keypoints; the extension says which format.
+/// Writes keypoints; the extension selects the format.
 ///
-/// The file appears under its name once it is complete; an earlier file of that name is replaced. Links and special
+/// The file appears under its name once it is complete and replaces an earlier file of that name. Links and special
 /// files are treated as by [`write_atomically`].
 ///
 /// # Errors
@@ -271,12 +295,13 @@ pub fn write_keypoints(path: &Path, keypoints: &[Keypoint], source: &KeypointSou
         .map_err(|source| Error::Io { path: path.into(), source })
 }
 
-/// Whether what is written to a file of that name has the origin added; otherwise it is relative to the origin.
+/// Whether the writers add the origin to the coordinates in this file; otherwise these stay relative to the origin.
 pub fn adds_origin(path: &Path) -> bool {
     !matches!(extension(path).as_str(), "pcd" | "stl")
 }
 
-/// Writes points with an origin added to them if [`adds_origin`]; like [`write_keypoints`] whole or not at all.
+/// Writes points `(N, 3)` and adds the origin if [`adds_origin`]. The file is written whole or not at all, as by
+/// [`write_keypoints`].
 ///
 /// # Errors
 /// [`Error::Format`] when the extension is not among [`CLOUD_EXTENSIONS`]; [`Error::Io`] when the file cannot be
@@ -287,17 +312,20 @@ pub fn write_points(path: &Path, points: &[Point], origin: [f64; 3]) -> Result<(
         .map_err(|source| Error::Io { path: path.into(), source })
 }
 
-/// Writes a mesh with an origin added to its vertices if [`adds_origin`]: vertices with normals and triangles as `ply` or
-/// `obj`, triangles alone as `stl`. Whole or not at all, like [`write_keypoints`].
+/// Writes a mesh and adds the origin to its vertices if [`adds_origin`].
+///
+/// `ply` and `obj` hold vertices, normals and triangles; `stl` holds triangles alone. The file is written whole or not
+/// at all, as by [`write_keypoints`].
 ///
 /// # Errors
-/// [`Error::Format`] when the extension is not among [`MESH_EXTENSIONS`]; [`Error::Io`] when the file cannot be written.
+/// [`Error::Format`] when the extension is not among [`MESH_EXTENSIONS`]; [`Error::Io`] when the file cannot be
+/// written.
 pub fn write_mesh(path: &Path, mesh: &Mesh, origin: [f64; 3]) -> Result<()> {
     let write = mesh_writer(path)?;
     write_atomically(path, |file| write(file, mesh, origin)).map_err(|source| Error::Io { path: path.into(), source })
 }
 
-/// Refuses a path that [`write_mesh`] would refuse for its extension, before any work is done.
+/// Refuses a path whose extension [`write_mesh`] would refuse, so that a caller can check it before any work is done.
 ///
 /// # Errors
 /// [`Error::Format`] when the extension is not among [`MESH_EXTENSIONS`].
@@ -305,8 +333,8 @@ pub fn check_mesh_path(path: &Path) -> Result<()> {
     mesh_writer(path).map(drop)
 }
 
-/// Writes a registration. As `json` it is the record, an object that should have the key `t_target_source`; as `txt` it is
-/// the four rows of the matrix.
+/// Writes a registration. A `json` file holds the record, an object that should have the key `t_target_source`. A `txt`
+/// file holds the four rows of the matrix.
 ///
 /// # Errors
 /// As [`write_keypoints`].
@@ -323,7 +351,7 @@ pub fn write_registration(path: &Path, t_target_source: &Transform, record: &imp
     write_atomically(path, write).map_err(|source| Error::Io { path: path.into(), source })
 }
 
-/// Refuses a path that [`write_registration`] would refuse for its extension, before any work is done.
+/// Refuses a path whose extension [`write_registration`] would refuse, so that a caller can check it before any work.
 ///
 /// # Errors
 /// [`Error::Format`] when the extension is not among [`REGISTRATION_EXTENSIONS`].
@@ -343,7 +371,7 @@ fn mesh_writer(path: &Path) -> Result<MeshWriter> {
     })
 }
 
-/// What is unpacked must not be larger than its file this many times over: no scan is, and a file made for it would take
+/// The limit of the unpacked size, in sizes of the packed file. No scan exceeds it; a file made to exceed it would take
 /// all memory.
 #[cfg(any(feature = "laz", feature = "npz"))]
 const MAX_EXPANSION: usize = 50;
@@ -359,10 +387,10 @@ mod tests {
         Keypoint { position: [4.0, 5.0, 1.0e7], saliency: 0.3, occupancy: 1.0, nearest_index: 16_777_217 },
     ];
 
-    /// The four points that each of the good files holds.
+    /// The four points that every file in `good` holds.
     const CLOUD: [Point; 4] = [[0.0, 0.0, 0.0], [1.0, -2.0, 0.5], [-0.25, 3.0, 100.0], [0.125, 1e-3, -7.0]];
 
-    /// The points of a shape as read_points gives them.
+    /// The points of a shape as `read_points` returns them.
     pub(super) fn points(shape: std::result::Result<Shape, String>) -> std::result::Result<Vec<Point>, String> {
         Ok(shape?.into_cloud().into_points())
     }
@@ -390,7 +418,7 @@ mod tests {
         for path in good_files() {
             let (format, bytes) = (PointFormat::from_path(&path).unwrap(), std::fs::read(&path).unwrap());
             let options = ReadOptions { sample: Some(50), seed: 1, columns: None };
-            // Of the PLY files only this one has faces.
+            // This is the only one of the PLY files that has faces.
             let is_mesh = matches!(format, PointFormat::Obj | PointFormat::Off | PointFormat::Stl)
                 || path.file_name().unwrap() == "ascii.ply";
             match parse_cloud(&bytes, format, &options) {
@@ -401,7 +429,7 @@ mod tests {
             assert_eq!(contents.unsampled_faces > 0, is_mesh, "{}", path.display());
             let has_signature = !matches!(format, PointFormat::Text | PointFormat::Pts | PointFormat::Obj)
                 && path.file_name().unwrap() != "binary.stl";
-            // Of PCD and OFF, comments may come first; these files have none.
+            // PCD and OFF files can begin with comments; these files have none.
             assert_eq!(PointFormat::from_content(&bytes), has_signature.then_some(format), "{}", path.display());
         }
     }

@@ -1,6 +1,6 @@
-//! LZF, the compression of `binary_compressed` PCD files: Marc Lehmann's format of literals and references back.
+//! LZF, the compression of `binary_compressed` PCD files: Marc Lehmann's format of literals and back references.
 
-/// The most bytes that a byte can stand for: a reference of 3 bytes copies up to 264.
+/// The largest number of output bytes for one input byte: a back reference of 3 bytes copies up to 264.
 const MAX_EXPANSION: usize = 88;
 
 /// Decompresses to exactly `length` bytes.
@@ -19,10 +19,10 @@ pub(super) fn decompress(data: &[u8], length: usize) -> Result<Vec<u8>, String> 
     }
 }
 
-/// Unpacks one run, and returns what follows it.
+/// Decompresses one run and returns the data after it.
 fn step<'a>(data: &'a [u8], out: &mut Vec<u8>) -> Option<&'a [u8]> {
     let (&control, rest) = data.split_first()?;
-    // The upper three bits are a length; 0 means a run of literals, 7 that another byte adds to it.
+    // The upper three bits are a length: 0 marks a run of literals, and 7 means that the next byte is added to it.
     let (literals, rest) = match control >> 5 {
         0 => rest.split_at_checked(usize::from(control) + 1)?,
         short => {
@@ -30,7 +30,7 @@ fn step<'a>(data: &'a [u8], out: &mut Vec<u8>) -> Option<&'a [u8]> {
             let (&low, rest) = rest.split_first()?;
             let distance = (usize::from(control & 0x1f) << 8 | usize::from(low)) + 1;
             let start = out.len().checked_sub(distance)?;
-            // Byte by byte: a reference may reach into what it writes.
+            // The copy goes byte by byte, because a back reference may overlap its own output.
             (start..start + usize::from(short) + usize::from(more) + 2).for_each(|index| out.push(out[index]));
             return Some(rest);
         }

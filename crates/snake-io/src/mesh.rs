@@ -1,4 +1,4 @@
-//! Triangle meshes: writes PLY, OBJ and STL.
+//! Writes triangle meshes as PLY, OBJ and STL.
 
 use std::io::{self, Write};
 
@@ -7,8 +7,8 @@ use super::write::axes;
 use snake_core::Mesh;
 use snake_core::add_origin;
 
-/// Writes binary little endian: vertices `x y z` (of eight bytes if there is an origin) and `float nx ny nz`, faces as
-/// lists of three `int`.
+/// Writes binary little-endian PLY: vertices `x y z` (eight bytes each with an origin) and `float nx ny nz`, and faces
+/// as lists of three `int`.
 pub(super) fn write_ply(out: &mut dyn Write, mesh: &Mesh, origin: [f64; 3]) -> io::Result<()> {
     write!(out, "ply\nformat binary_little_endian 1.0\nelement vertex {}\n", mesh.vertices.len())?;
     let axes = axes(origin);
@@ -29,10 +29,10 @@ pub(super) fn write_ply(out: &mut dyn Write, mesh: &Mesh, origin: [f64; 3]) -> i
     Ok(())
 }
 
-/// Writes vertices, their normals, and faces that name both.
+/// Writes OBJ: vertices, normals, and faces that refer to both.
 pub(super) fn write_obj(out: &mut dyn Write, mesh: &Mesh, origin: [f64; 3]) -> io::Result<()> {
     if origin == [0.0; 3] {
-        // The shortest digits of an f32.
+        // An f32 is written with the fewest digits that identify it.
         mesh.vertices.iter().try_for_each(|[x, y, z]| writeln!(out, "v {x} {y} {z}"))?;
     } else {
         let positions = mesh.vertices.iter().map(|&vertex| add_origin(vertex, origin));
@@ -46,11 +46,11 @@ pub(super) fn write_obj(out: &mut dyn Write, mesh: &Mesh, origin: [f64; 3]) -> i
     Ok(())
 }
 
-/// Writes binary STL: for each triangle its normal and its corners; it has neither shared vertices nor their normals. Its
-/// coordinates have four bytes, so that they stay relative to the origin.
+/// Writes binary STL: a normal and three corners for each triangle. The format has no shared vertices and no vertex
+/// normals. Coordinates have four bytes and therefore stay relative to the origin.
 pub(super) fn write_stl(out: &mut dyn Write, mesh: &Mesh, _origin: [f64; 3]) -> io::Result<()> {
     let number = u32::try_from(mesh.triangles.len()).map_err(|_| io::Error::other("too many triangles for STL"))?;
-    // Readers take a header that begins with "solid" for text.
+    // Readers treat a file whose header begins with "solid" as text.
     out.write_all(format!("{:80}", "binary STL").as_bytes())?;
     out.write_all(&number.to_le_bytes())?;
     for &triangle in &mesh.triangles {

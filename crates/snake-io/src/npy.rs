@@ -1,4 +1,4 @@
-//! NumPy's `.npy`.
+//! NumPy's `.npy` format.
 
 use std::io::{self, Write};
 
@@ -11,9 +11,9 @@ use snake_core::{Point, Transform};
 
 pub(super) const MAGIC: &[u8] = b"\x93NUMPY";
 
-/// Reads x, y, z from the first three columns of an array of shape `(N, C)`, `C >= 3`, or from those that are chosen.
+/// Reads x, y, z from the chosen columns, else from the first three columns, of an array `(N, C)`, `C >= 3`.
 ///
-/// Items may be `f4`, `f8` or integers of any width, of either byte order, rows or columns contiguous.
+/// Items may be `f4`, `f8` or integers of any width, in either byte order, in C or Fortran order.
 pub(super) fn positions<'a>(
     bytes: &'a [u8],
     columns: Option<&Columns>,
@@ -34,18 +34,18 @@ pub(super) fn read(bytes: &[u8], columns: Option<&Columns>) -> Result<Shape, Str
     Ok(positions(bytes, columns)?.collect::<Vec<_>>().into())
 }
 
-/// Whether the beginning of a file is that of an array of shape `(N, C)`, `C >= 3`.
+/// Whether these first bytes of a file announce an array `(N, C)`, `C >= 3`.
 #[cfg(feature = "npz")]
 pub(super) fn is_cloud(bytes: &[u8]) -> bool {
     let array = split_header(bytes).and_then(|(header, _)| ArrayHeader::parse(header).ok());
     array.is_some_and(|array| array.clouds.is_none())
 }
 
-/// Reads the clouds of an array of shape `(S, N, C)`, `C >= 3`, likewise; its items must not be in Fortran's order.
+/// Reads clouds from an array `(S, N, C)`, `C >= 3`, in C order.
 pub(super) fn read_clouds(bytes: &[u8]) -> Result<Vec<Vec<Point>>, String> {
     let (array, data) = open(bytes)?;
     let clouds = array.clouds.filter(|_| !array.fortran_order).ok_or("needed is (S, N, 3) in C order")?;
-    // An array without points has no items that would bound the number of clouds.
+    // Without points there are no items whose bytes would limit the number of clouds.
     if array.rows == 0 {
         return Err("clouds without points".into());
     }
@@ -54,8 +54,7 @@ pub(super) fn read_clouds(bytes: &[u8]) -> Result<Vec<Vec<Point>>, String> {
         .collect())
 }
 
-/// Reads the transforms of an array of shape `(S, 3, 4)` or `(S, 4, 4)`, rows one after the other; without a fourth row,
-/// that row is 0 0 0 1.
+/// Reads transforms from an array `(S, 3, 4)` or `(S, 4, 4)`, row by row. A missing fourth row is 0 0 0 1.
 pub(super) fn read_transforms(bytes: &[u8]) -> Result<Vec<Transform>, String> {
     let (array, data) = open(bytes)?;
     let plain = matches!((array.rows, array.columns), (3 | 4, 4)) && !array.fortran_order;
@@ -81,11 +80,11 @@ pub(super) fn read_array(bytes: &[u8]) -> Result<Array, String> {
     Array::decode(&descr, &lengths, fortran_order, data)
 }
 
-/// The header, and the data, which holds the whole array.
+/// The header and the data. The data is checked to hold the whole array.
 fn open(bytes: &[u8]) -> Result<(ArrayHeader, &[u8]), String> {
     let (header, data) = split_header(bytes).ok_or("not a .npy file, or cut short within its header")?;
     let array = ArrayHeader::parse(header)?;
-    // Before anything is allocated: a header can claim any size.
+    // This check comes before any allocation, because a header can claim any size.
     let lengths = [array.clouds.unwrap_or(1), array.rows, array.columns, array.dtype.size];
     let needed = lengths.into_iter().try_fold(1_usize, usize::checked_mul);
     if needed.is_none_or(|needed| needed > data.len()) {
@@ -99,7 +98,7 @@ fn open(bytes: &[u8]) -> Result<(ArrayHeader, &[u8]), String> {
 /// Writes the magic bytes and the header of an array in C order.
 pub(super) fn write_header(out: &mut dyn Write, descr: &str, shape: &str) -> io::Result<()> {
     let header = format!("{{'descr': '{descr}', 'fortran_order': False, 'shape': ({shape}), }}");
-    // NumPy ends the header with a line feed at a multiple of 64 bytes, so that the data can be mapped.
+    // NumPy pads the header to a multiple of 64 bytes, so that the data can be memory-mapped.
     let width = (MAGIC.len() + 4 + header.len() + 1).next_multiple_of(64) - MAGIC.len() - 5;
     out.write_all(MAGIC)?;
     out.write_all(&[1, 0])?;
@@ -114,7 +113,8 @@ pub(super) fn write_volume(out: &mut dyn Write, shape: [usize; 3], values: &[f32
     values.iter().try_for_each(|value| out.write_all(&value.to_le_bytes()))
 }
 
-/// The header's text and the data; its length takes 2 bytes in version 1 and 4 in versions 2 and 3.
+/// Splits a file into the header's text and the data. The header's length has 2 bytes in version 1, 4 in versions 2 and
+/// 3.
 fn split_header(bytes: &[u8]) -> Option<(&[u8], &[u8])> {
     let (version, rest) = bytes.strip_prefix(MAGIC)?.split_first_chunk::<2>()?;
     let (length, rest) = match version[0] {
@@ -129,22 +129,22 @@ fn split_header(bytes: &[u8]) -> Option<(&[u8], &[u8])> {
 struct ArrayHeader {
     dtype: Dtype,
     fortran_order: bool,
-    /// The length before rows and columns, where there is one.
+    /// The length of the axis before rows and columns, if there is one.
     clouds: Option<usize>,
     rows: usize,
     columns: usize,
 }
 
-/// What a header says.
+/// The content of a header.
 struct Described {
     descr: String,
     fortran_order: bool,
-    /// Within its parentheses.
+    /// The text within the parentheses.
     shape: String,
 }
 
 impl Described {
-    /// Parses the literal of a Python dictionary, `{'descr': '<f4', 'fortran_order': False, 'shape': (3, 3), }`.
+    /// Parses a Python dictionary such as `{'descr': '<f4', 'fortran_order': False, 'shape': (3, 3), }`.
     fn parse(header: &[u8]) -> Result<Self, String> {
         let header = String::from_utf8_lossy(header);
         let fields = || {
@@ -158,7 +158,7 @@ impl Described {
 }
 
 impl ArrayHeader {
-    /// Of an array of clouds, or of one.
+    /// The layout of an array of clouds, or of one cloud.
     fn parse(header: &[u8]) -> Result<Self, String> {
         let Described { descr, fortran_order, shape } = Described::parse(header)?;
         let dtype = Dtype::parse(&descr)
@@ -168,18 +168,18 @@ impl ArrayHeader {
         Ok(Self { dtype, fortran_order, clouds, rows, columns })
     }
 
-    /// One cloud; the data must hold the whole array.
+    /// The layout of one cloud, after a check that the data holds the whole array.
     fn cloud(self, data: &[u8], cloud: usize, columns: Indices) -> impl Iterator<Item = Position> + Clone {
         let data = self.data_of(data, cloud);
         (0..self.rows).map(move |row| columns.map(|column| self.item(data, row, column)))
     }
 
-    /// The data from a cloud on.
+    /// The data from the start of a cloud.
     fn data_of<'a>(&self, data: &'a [u8], cloud: usize) -> &'a [u8] {
         &data[cloud * self.rows * self.columns * self.dtype.size..]
     }
 
-    /// One item of a cloud's data.
+    /// Decodes one item of a cloud's data.
     fn item(&self, data: &[u8], row: usize, column: usize) -> f64 {
         let index = if self.fortran_order { column * self.rows + row } else { row * self.columns + column };
         let size = self.dtype.size;
@@ -187,7 +187,7 @@ impl ArrayHeader {
     }
 }
 
-/// What follows `'key':`.
+/// The text after `'key':`.
 fn value<'a>(header: &'a str, key: &str) -> Option<&'a str> {
     let (_, rest) = header.split_once(&format!("'{key}'"))?;
     rest.trim_start().strip_prefix(':').map(str::trim_start)
@@ -212,7 +212,7 @@ mod tests {
         points(super::read(bytes, None))
     }
 
-    /// A file of the given version; the header is not padded, which NumPy allows too.
+    /// A file of the given version. The header is not padded, which NumPy also allows.
     fn npy(version: u8, descr: &str, fortran_order: &str, shape: &str, data: &[u8]) -> Vec<u8> {
         let header = format!("{{'descr': '{descr}', 'fortran_order': {fortran_order}, 'shape': {shape}, }}\n");
         let mut bytes = [MAGIC, &[version, 0]].concat();
@@ -223,13 +223,13 @@ mod tests {
         [&bytes, header.as_bytes(), data].concat()
     }
 
-    /// Bytes of small whole numbers in the given dtype.
+    /// The bytes of small integers in the given dtype.
     fn encode(values: &[i8], descr: &str) -> Vec<u8> {
         let encode_one = |&value: &i8| {
             let mut bytes = match &descr[1..] {
                 "f4" => f32::from(value).to_le_bytes().to_vec(),
                 "f8" => f64::from(value).to_le_bytes().to_vec(),
-                // Two's complement: the low bytes of an i64 are the number in each narrower type.
+                // In two's complement the low bytes of an i64 are the same number in a narrower type.
                 kind => i64::from(value).to_le_bytes()[..usize::from(kind.as_bytes()[1] - b'0')].to_vec(),
             };
             if descr.starts_with('>') {
@@ -298,7 +298,7 @@ mod tests {
         let read = |order: &str, shape: &str| read_transforms(&npy(1, "<f8", order, shape, &encode(&values, "<f8")));
         assert_eq!(read("False", "(2, 4, 4)").unwrap()[1], [row(16), row(20), row(24), row(28)]);
         assert_eq!(read("False", "(2, 3, 4)").unwrap()[1], [row(12), row(16), row(20), [0.0, 0.0, 0.0, 1.0]]);
-        // Exact, not rounded to f32.
+        // The values are exact and not rounded to f32.
         let third = npy(1, "<f8", "False", "(1, 3, 4)", &[1.0_f64 / 3.0; 12].map(f64::to_le_bytes).concat());
         assert_eq!(read_transforms(&third).unwrap()[0][2][3], 1.0 / 3.0);
         for (order, shape) in

@@ -10,15 +10,15 @@ use super::shape::Shape;
 use super::{MAX_EXPANSION, npy};
 use snake_core::excerpt;
 
-/// Names that a cloud goes by, the likeliest first; the last is that of an array that was saved without a name.
+/// Names of the array with the cloud, the likeliest first. NumPy gives the last one to an array saved without a name.
 const NAMES: [&str; 5] = ["points", "xyz", "pc", "pos", "arr_0"];
 
-/// Enough of an array to see its shape.
+/// Bytes that are enough to read an array's shape.
 const MAX_HEADER_BYTES: usize = 1 << 12;
 
 type Archive<'a> = ZipArchive<Cursor<&'a [u8]>>;
 
-/// Reads the array of one of [`NAMES`], or the only array of shape `(N, C)`, `C >= 3`.
+/// Reads the array with one of [`NAMES`], or the only array of shape `(N, C)`, `C >= 3`.
 pub(super) fn read(bytes: &[u8], columns: Option<&Columns>) -> Result<Shape, String> {
     let mut archive = open(bytes)?;
     let named = NAMES.iter().find_map(|name| archive.index_for_name(&format!("{name}.npy")));
@@ -30,7 +30,7 @@ pub(super) fn read(bytes: &[u8], columns: Option<&Columns>) -> Result<Shape, Str
     npy::read(&array, columns).map_err(|reason| format!("array `{}`: {reason}", name(&archive, index)))
 }
 
-/// Reads arrays of these names, in their order.
+/// Reads the named arrays, in the order of `names`.
 pub(super) fn read_named(bytes: &[u8], names: &[&str]) -> Result<Vec<Array>, String> {
     let mut archive = open(bytes)?;
     let mut named = |name: &&str| {
@@ -44,7 +44,7 @@ fn open(bytes: &[u8]) -> Result<Archive<'_>, String> {
     ZipArchive::new(Cursor::new(bytes)).map_err(|e| format!("not a .npz file: {e}"))
 }
 
-/// The index of the one array that has the shape of a cloud.
+/// The index of the only array with the shape of a cloud.
 fn only_cloud(archive: &mut Archive) -> Result<usize, String> {
     let mut clouds = Vec::new();
     for index in 0..archive.len() {
@@ -63,13 +63,13 @@ fn only_cloud(archive: &mut Archive) -> Result<usize, String> {
     ))
 }
 
-/// An array's name.
+/// The name of an array.
 fn name(archive: &Archive, index: usize) -> String {
     let name = archive.name_for_index(index).and_then(Result::ok).unwrap_or("?".into());
     excerpt(name.strip_suffix(".npy").unwrap_or(&name), 40)
 }
 
-/// An entry, or its first bytes if there are more.
+/// Unpacks the first `most` bytes of an entry.
 fn unpack(archive: &mut Archive, index: usize, most: usize) -> Result<Vec<u8>, String> {
     let damaged = |e: &dyn std::fmt::Display| format!("entry {index}: {}", excerpt(&e.to_string(), 100));
     let entry = archive.by_index(index).map_err(|e| damaged(&e))?;
@@ -137,7 +137,7 @@ mod tests {
             read_named(&whole[..length], &["points"]).unwrap_err();
         }
         assert!(read(b"\x93NUMPY", None).unwrap_err().contains("not a .npz file"));
-        // 24 MB of zeros in some 24 kB.
+        // 24 MB of zeros take about 24 kB.
         let bomb = npz(&[("points.npy", npy([1_000_000, 3]))]);
         let reason = read(&bomb, None).unwrap_err();
         assert!(bomb.len() < 200_000 && reason.contains("shape (1000000, 3) of 8 bytes each, but"), "{reason}");

@@ -3,8 +3,8 @@
 use super::shape::{Position, Shape, add_polygon};
 use snake_core::excerpt;
 
-/// Reads the lines `v` and `f`; everything else (normals, textures, groups, materials, points and lines) does not count.
-/// A face may name vertices that come after it.
+/// Reads the lines `v` and `f`; normals, textures, groups, materials, points and lines are ignored. A face may refer to
+/// a vertex that comes after it.
 pub(super) fn read(bytes: &[u8]) -> Result<Shape, String> {
     let mut shape = Shape::default();
     let mut corners = Vec::new();
@@ -37,7 +37,7 @@ fn position(text: &str) -> Option<Position> {
     Some([values.next()??, values.next()??, values.next()??])
 }
 
-/// The index of a corner `vertex/texture/normal`: the file counts from 1, or backwards from the last vertex so far.
+/// The index of a corner `vertex/texture/normal`. The file counts from 1, or backwards from the last vertex so far.
 fn corner(word: &str, num_points: usize) -> Option<u32> {
     let index: i64 = word.split('/').next()?.parse().ok()?;
     let from_start = if index < 0 { index.checked_add_unsigned(num_points as u64)? } else { index.checked_sub(1)? };

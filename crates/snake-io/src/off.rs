@@ -3,12 +3,12 @@
 use super::shape::{Shape, add_polygon};
 use snake_core::excerpt;
 
-/// The first words of a file; what else its vertices have comes after their coordinates.
+/// Keywords at the beginning of a file. The letters before OFF announce fields after the coordinates of a vertex.
 const KEYWORDS: [&str; 6] = ["STOFF", "CNOFF", "STCOFF", "COFF", "NOFF", "OFF"];
 
-/// Reads vertices and faces; colours, normals and texture coordinates do not count.
+/// Reads vertices and faces; colours, normals and texture coordinates are ignored.
 ///
-/// Counts may follow the keyword on its line, also without a space, as in some files of ModelNet40.
+/// The counts may follow the keyword on the same line, even without a space, as in some files of ModelNet40.
 pub(super) fn read(bytes: &[u8]) -> Result<Shape, String> {
     let lines = bytes.split(|&byte| byte == b'\n').zip(1_usize..);
     let mut lines = lines.filter_map(|(line, number)| {
@@ -51,7 +51,7 @@ pub(super) fn read(bytes: &[u8]) -> Result<Shape, String> {
     Ok(shape)
 }
 
-/// A number of corners and as many indices; a colour may follow.
+/// Parses the number of corners and their indices; a colour may follow.
 fn polygon(line: &str) -> Option<Vec<u32>> {
     let mut words = line.split_whitespace();
     let count: usize = words.next()?.parse().ok()?;

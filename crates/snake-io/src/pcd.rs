@@ -1,4 +1,4 @@
-//! PCD: point clouds of the Point Cloud Library, ascii, binary and binary_compressed.
+//! Reads PCD, the format of the Point Cloud Library: ascii, binary and binary_compressed.
 
 use super::dtype::Dtype;
 use super::lzf;
@@ -7,15 +7,15 @@ use snake_core::excerpt;
 
 const AXES: [&str; 3] = ["x", "y", "z"];
 
-/// How a comment begins that says the origin of the points.
+/// The beginning of the comment that states the origin of the points.
 const ORIGIN: &str = "# snake-rs origin ";
 
-/// The comment that says the origin which is to be added to the points.
+/// The comment that states the origin of the points.
 pub(super) fn origin_comment([x, y, z]: [f64; 3]) -> String {
     format!("{ORIGIN}{x} {y} {z}")
 }
 
-/// The origin of such a comment.
+/// The origin in a comment.
 fn parse_origin(comment: &[u8]) -> Option<[f64; 3]> {
     let words = str::from_utf8(comment).ok()?.strip_prefix(ORIGIN)?.split_whitespace();
     let origin: Vec<f64> =
@@ -23,8 +23,8 @@ fn parse_origin(comment: &[u8]) -> Option<[f64; 3]> {
     origin.try_into().ok()
 }
 
-/// Reads the fields x, y, z, of any scalar type, and adds the origin of our own files. `nan`, which marks missing points in
-/// organised clouds, comes through.
+/// Reads the fields x, y, z of any scalar type, and adds the origin that a file of this crate states. `nan`, which
+/// marks missing points in organised clouds, is kept.
 pub(super) fn read(bytes: &[u8]) -> Result<Shape, String> {
     let (header, data) = Header::parse(bytes)?;
     let mut points = match header.encoding {
@@ -44,7 +44,7 @@ enum Encoding {
     BinaryCompressed,
 }
 
-/// An axis: its type, and where it is within a point, in bytes and in columns of text.
+/// An axis: its type and its position within a point, in bytes and in columns of text.
 struct Field {
     dtype: Dtype,
     offset: usize,
@@ -53,19 +53,19 @@ struct Field {
 
 struct Header {
     axes: [Field; 3],
-    /// Bytes and columns of a point.
+    /// Bytes of a point in binary data; `columns` is its number of columns in ascii data.
     size: usize,
     columns: usize,
     num_points: usize,
     encoding: Encoding,
-    /// How many lines it has.
+    /// The number of lines in the header.
     lines: usize,
-    /// What is to be added to the points.
+    /// The origin of the points.
     origin: Option<[f64; 3]>,
 }
 
 impl Header {
-    /// The header, up to its line DATA, and what follows.
+    /// Parses the header, up to its line DATA, and returns it with the data.
     fn parse(bytes: &[u8]) -> Result<(Self, &[u8]), String> {
         let (mut fields, mut sizes, mut types, mut counts) = (Vec::new(), Vec::new(), Vec::new(), None);
         let (mut points, mut width, mut height, mut origin) = (None, None, None, None);
@@ -116,7 +116,7 @@ impl Header {
     }
 
     fn binary(&self, data: &[u8]) -> Result<Vec<Position>, String> {
-        // Before anything is allocated: a header can claim any number.
+        // This check comes before any allocation, because a header can claim any number.
         let Self { num_points, size, .. } = self;
         if num_points.checked_mul(*size).is_none_or(|needed| needed > data.len()) {
             return Err(format!("{num_points} points of {size} bytes each, but {} bytes follow", data.len()));
@@ -126,7 +126,8 @@ impl Header {
         Ok(data.chunks_exact(*size).take(*num_points).map(point).collect())
     }
 
-    /// Two lengths, compressed and not, and LZF data: all points' first field, all points' second, and so on.
+    /// Reads two lengths (compressed, uncompressed) and LZF data with the first field of all points, then the second,
+    /// ...
     fn compressed(&self, data: &[u8]) -> Result<Vec<Position>, String> {
         let Self { num_points, size, .. } = self;
         let lengths = data.split_first_chunk::<4>().zip(data.get(4..).and_then(|rest| rest.split_first_chunk::<4>()));
@@ -168,7 +169,7 @@ impl Header {
     }
 }
 
-/// The three axes among the fields, and the bytes and columns that all fields of a point take.
+/// The three axes, and the bytes and columns of all fields of a point.
 fn axes(
     fields: &[&str],
     sizes: &[&str],
@@ -200,7 +201,7 @@ fn axes(
             }
             found[axis] = Some(Field { dtype, offset, column });
         }
-        // No more than the bytes.
+        // There are never more columns than bytes, so their sum cannot overflow.
         (offset, column) = (end, column + count);
     }
     match found {
@@ -258,7 +259,7 @@ mod tests {
         for scalar in ["F4", "F8", "I1", "I2", "I4", "I8"] {
             let size: usize = scalar[1..].parse().unwrap();
             let rows = payload(scalar);
-            // The columns x, label (two scalars of two bytes), y and z, packed as literals alone.
+            // The columns are x, label (two scalars of two bytes), y and z; LZF stores them as literals alone.
             let starts = [(0, size), (size, 4), (size + 4, size), (2 * size + 4, size)];
             let column = |(start, width): (usize, usize)| {
                 rows.chunks(3 * size + 4).flat_map(move |row| &row[start..start + width]).copied().collect::<Vec<u8>>()

@@ -1,8 +1,8 @@
-//! PLY: reads the vertices with `ply-rs`.
+//! Reads PLY with `ply-rs`.
 //!
-//! `ply-rs` believes a header: it would loop over any number of elements that take no bytes, keep the last of two
-//! properties with one name and thereby shift the others, and refuse the property names of some programs. So the header
-//! is tidied and checked here, and the crate is given one element after another.
+//! `ply-rs` trusts a header. It would loop over any number of elements that take no bytes, keep only the last of two
+//! properties with one name and thereby shift the others, and refuse the property names of some programs. This module
+//! therefore rewrites and checks the header, and gives the crate one element at a time.
 
 use std::borrow::Cow;
 
@@ -15,16 +15,17 @@ use snake_core::excerpt;
 
 const AXES: [&str; 3] = ["x", "y", "z"];
 
-/// What the corners of a face are called.
+/// Names of the property with the corners of a face.
 const CORNERS: [&str; 2] = ["vertex_indices", "vertex_index"];
 
-/// Far above any real header; it bounds the work on a hostile one, which grows with the square of the length.
+/// A limit far above any real header. It bounds the work on a hostile header, which grows with the square of the
+/// length.
 const MAX_HEADER_BYTES: usize = 1 << 16;
 
-/// Reads x, y, z of the element `vertex`, from ascii or binary of either byte order and from any scalar type; and if
-/// asked for, the polygons of the element `face`.
+/// Reads x, y, z of the element `vertex` and, if asked for, the polygons of the element `face`.
 ///
-/// Other properties do not count, nor do other elements after these.
+/// The file may be ascii or binary in either byte order, with any scalar type. Other properties are ignored, and so are
+/// all elements after these two.
 pub(super) fn read(bytes: &[u8], with_faces: bool) -> Result<Shape, String> {
     let (header_text, data) = split_header(bytes)?;
     let header = Parser::<Vertex>::new()
@@ -33,7 +34,7 @@ pub(super) fn read(bytes: &[u8], with_faces: bool) -> Result<Shape, String> {
     check_header(&header_text, &header, data.len())?;
     let mut payload = Payload { data, encoding: header.encoding, line: header_text.lines().count() };
     let (mut points, mut triangles) = (None, Vec::new());
-    // Elements without properties take no bytes, so that their count can be anything.
+    // Elements without properties take no bytes, so the file's length does not limit their number.
     for element in header.elements.values().filter(|element| !element.properties.is_empty()) {
         match element.name.as_str() {
             "vertex" => {
@@ -59,7 +60,7 @@ pub(super) fn read(bytes: &[u8], with_faces: bool) -> Result<Shape, String> {
     Ok(shape)
 }
 
-/// The header as text that `ply-rs` takes, line for line, and the data after it.
+/// The header rewritten for `ply-rs`, line by line, and the data after it.
 fn split_header(bytes: &[u8]) -> Result<(String, &[u8]), String> {
     if !bytes.starts_with(b"ply") {
         return Err("not a PLY file: it does not begin with `ply`".into());
@@ -77,9 +78,10 @@ fn split_header(bytes: &[u8]) -> Result<(String, &[u8]), String> {
     Err(format!("no line `end_header` within the first {length} bytes"))
 }
 
-/// A property line with a plain and unique name, unless it names an axis or corners.
+/// Replaces the name of a property with a unique one, unless it names an axis or the corners.
 ///
-/// Other names do not matter, and the crate takes letters and digits only: CloudCompare has `scalar_Roughness_(0.1)`.
+/// Other names are not used, and `ply-rs` accepts only letters and digits: CloudCompare writes
+/// `scalar_Roughness_(0.1)`.
 fn plain_property(line: &str, number: usize) -> Option<String> {
     let mut words = line.split_whitespace();
     if words.next() != Some("property") {
@@ -93,7 +95,7 @@ fn plain_property(line: &str, number: usize) -> Option<String> {
     (!AXES.contains(&name) && !CORNERS.contains(&name)).then(|| format!("property {data_type} ignored_{number}\n"))
 }
 
-/// Refuses what would be misread, and counts that the data cannot hold.
+/// Refuses headers that would be misread, and counts that exceed the data.
 fn check_header(text: &str, header: &Header, data_length: usize) -> Result<(), String> {
     let is_declaration = |line: &&str| matches!(line.split_whitespace().next(), Some("element" | "property"));
     let kept: usize = header.elements.values().map(|element| 1 + element.properties.len()).sum();
@@ -121,7 +123,8 @@ fn check_header(text: &str, header: &Header, data_length: usize) -> Result<(), S
     Ok(())
 }
 
-/// The fewest bytes that a property takes: a digit and a separator, or the value, or the length of an empty list.
+/// The fewest bytes of a property: a digit and a separator in ascii; the value, or the length of an empty list, in
+/// binary.
 fn least_size(property: &PropertyDef, encoding: Encoding) -> usize {
     let (PropertyType::Scalar(scalar) | PropertyType::List(scalar, _)) = &property.data_type;
     match (encoding, scalar) {
@@ -133,11 +136,11 @@ fn least_size(property: &PropertyDef, encoding: Encoding) -> usize {
     }
 }
 
-/// The data not yet read.
+/// The data that is not yet read.
 struct Payload<'a> {
     data: &'a [u8],
     encoding: Encoding,
-    /// Number of the last line read; for ascii only.
+    /// Number of the last line, for ascii only.
     line: usize,
 }
 
@@ -170,11 +173,11 @@ impl Payload<'_> {
     }
 }
 
-/// Stands in for coordinates that are not finite, which `ply-rs` refuses in ascii. No cloud can have it: it cannot be
-/// normalised.
+/// A placeholder for numbers that are not finite, which `ply-rs` refuses in ascii. No valid cloud contains it, because
+/// it could not be normalised.
 const NOT_FINITE: f32 = f32::MAX;
 
-/// A line with numbers that are not finite replaced.
+/// A line in which the placeholder replaces numbers that are not finite.
 fn without_non_finite(line: &str) -> Cow<'_, str> {
     let is_not_finite = |word: &str| word.parse::<f64>().is_ok_and(|value| !value.is_finite());
     if !line.split_whitespace().any(is_not_finite) {
@@ -185,7 +188,7 @@ fn without_non_finite(line: &str) -> Cow<'_, str> {
     words.collect::<Vec<_>>().join(" ").into()
 }
 
-/// A vertex in 24 bytes; the crate's own element takes some hundreds.
+/// A vertex in 24 bytes; an element of `ply-rs` takes some hundreds.
 struct Vertex(Position);
 
 impl PropertyAccess for Vertex {
@@ -204,7 +207,7 @@ impl PropertyAccess for Vertex {
     }
 }
 
-/// A scalar without loss; the crate's own conversion is to `f32`.
+/// A scalar in f64, without loss; the conversion of `ply-rs` is to `f32`.
 fn number(value: &Property) -> Option<f64> {
     match *value {
         Property::Double(value) => Some(value),
@@ -226,7 +229,7 @@ impl PropertyAccess for Face {
         if !CORNERS.contains(&name) {
             return PropertyAccessResult::Ignored;
         }
-        // What is no index becomes one that no file has.
+        // A value that is not an index is replaced by an index that no file has.
         fn indices<T: TryInto<u32>>(corners: Vec<T>) -> Vec<u32> {
             corners.into_iter().map(|corner| corner.try_into().unwrap_or(u32::MAX)).collect()
         }
@@ -243,7 +246,7 @@ impl PropertyAccess for Face {
     }
 }
 
-/// An element that is not wanted.
+/// An element that is skipped.
 struct Skipped;
 
 impl PropertyAccess for Skipped {
@@ -267,7 +270,7 @@ mod tests {
 
     const POINTS: [Point; 2] = [[1.0, 2.0, 3.0], [4.0, 50.0, 6.0]];
 
-    /// A file with a list before and after the coordinates, an element before and an element after the vertices.
+    /// A file with a list before and after the coordinates, and an element before and after the vertices.
     fn ply(encoding: Encoding, scalar: &str) -> Vec<u8> {
         let integer_size = |name: &str| match name {
             "char" | "uchar" | "int8" | "uint8" => 1,
@@ -400,11 +403,11 @@ mod tests {
 
     #[test]
     fn hostile_headers_cost_little() {
-        // The crate copies the element's name for each property.
+        // `ply-rs` copies the element's name for each property.
         let long_name = "n".repeat(MAX_HEADER_BYTES / 2);
         let many = "property char a\n".repeat(MAX_HEADER_BYTES / 2 / 24);
         read(format!("ply\nformat ascii 1.0\nelement {long_name} 1\n{many}end_header\n").as_bytes()).unwrap_err();
-        // A list that claims 4e9 items: the crate reserves some, and finds the end.
+        // The list claims 4e9 items: `ply-rs` reserves space for some and then finds the end of the data.
         let list = "ply\nformat binary_little_endian 1.0\nelement face 1\nproperty list uint double a\nend_header\n";
         read(&[list.as_bytes(), &[255; 64]].concat()).unwrap_err();
     }

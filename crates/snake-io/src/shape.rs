@@ -1,28 +1,28 @@
-//! What a file holds, in f64, and how it becomes a cloud in f32.
+//! The content of a file in f64, and its conversion to a cloud in f32.
 
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
 use snake_core::Cloud;
 
-/// A point as files have it.
+/// A position in the file's precision.
 pub(super) type Position = [f64; 3];
 
-/// Points, and of a mesh its triangles.
+/// Points, and the triangles of a mesh.
 #[derive(Debug, Default)]
 pub(super) struct Shape {
     pub(super) points: Vec<Position>,
-    /// Indices of points, all of them in range.
+    /// Indices of points, all in range.
     pub(super) triangles: Vec<[u32; 3]>,
-    /// Faces that the file has and that were not read.
+    /// The number of faces in the file that were not read.
     pub(super) unread_faces: usize,
 }
 
-/// More would fill the memory of most machines.
+/// A larger number would fill the memory of most machines.
 const MAX_SAMPLES: usize = 100_000_000;
 
 impl Shape {
-    /// Refuses faces of points that there are not.
+    /// Refuses faces that refer to missing points.
     pub(super) fn check_triangles(&self) -> Result<(), String> {
         match self.triangles.as_flattened().iter().find(|&&corner| corner as usize >= self.points.len()) {
             Some(corner) => {
@@ -32,18 +32,18 @@ impl Shape {
         }
     }
 
-    /// How many faces the file has.
+    /// The number of faces in the file.
     pub(super) fn num_faces(&self) -> usize {
         self.triangles.len() + self.unread_faces
     }
 
-    /// The points as `f32`, relative to an origin where they need one.
+    /// The points as `f32`, relative to an origin if they are far from zero.
     pub(super) fn into_cloud(self) -> Cloud {
         Cloud::from_positions(self.points.iter().copied())
     }
 
-    /// `number` points of the surface, evenly by area: the area is cut into as many equal pieces, and each has a point
-    /// at random.
+    /// Samples `number` points on the surface, stratified by area: the area is divided into `number` equal parts, and
+    /// each part has one random point.
     pub(super) fn sample(&self, number: usize, seed: u64) -> Result<Self, String> {
         if !(1..=MAX_SAMPLES).contains(&number) {
             return Err(format!("{number} samples; 1 to {MAX_SAMPLES} can be drawn"));
@@ -58,7 +58,7 @@ impl Shape {
             .iter()
             .map(|triangle| {
                 let area = area(corners(triangle));
-                // Triangles with corners that are not finite have no points.
+                // A triangle with a corner that is not finite has area 0 and gets no points.
                 total += if area.is_finite() { area } else { 0.0 };
                 total
             })
@@ -67,13 +67,13 @@ impl Shape {
             return Err(format!("faces of area {total:e} in all cannot be sampled"));
         }
         let mut rng = ChaCha8Rng::seed_from_u64(seed);
-        // The last triangle with an area, for a place that rounding puts at the end.
+        // Rounding can exceed the last sum; then the last triangle with an area is used.
         let last = sums.partition_point(|&sum| sum < total);
         let draw = |piece: usize| {
             let place = (piece as f64 + rng.random::<f64>()) / number as f64 * total;
             let triangle = sums.partition_point(|&sum| sum <= place).min(last);
             let [a, b, c] = corners(&self.triangles[triangle]);
-            // The square root makes the draw uniform over the triangle.
+            // The square root makes the distribution uniform over the triangle.
             let (along, across) = (rng.random::<f64>().sqrt(), rng.random::<f64>());
             let weights = [1.0 - along, along * (1.0 - across), along * across];
             std::array::from_fn(|axis| weights[0] * a[axis] + weights[1] * b[axis] + weights[2] * c[axis])
@@ -88,7 +88,7 @@ impl From<Vec<Position>> for Shape {
     }
 }
 
-/// Adds a polygon as a fan of triangles.
+/// Adds a polygon as a triangle fan.
 pub(super) fn add_polygon(triangles: &mut Vec<[u32; 3]>, corners: &[u32]) {
     if let [first, rest @ ..] = corners {
         triangles.extend(rest.windows(2).map(|pair| [*first, pair[0], pair[1]]));
@@ -106,7 +106,7 @@ fn area([a, b, c]: [Position; 3]) -> f64 {
 mod tests {
     use super::*;
 
-    /// A square of side 2 in the plane z = 1, and a triangle of a quarter of its area in x = 5.
+    /// A square of side 2 in the plane z = 1, and a triangle with a quarter of its area in the plane x = 5.
     fn shape() -> Shape {
         let points = [[0.0, 0.0], [2.0, 0.0], [2.0, 2.0], [0.0, 2.0]].map(|[x, y]| [x, y, 1.0]);
         let beside = [[5.0, 0.0, 0.0], [5.0, 2.0, 0.0], [5.0, 0.0, 1.0]];
@@ -122,10 +122,10 @@ mod tests {
         assert_ne!(drawn, shape().sample(5000, 2).unwrap().points);
         let (square, beside): (Vec<&Position>, Vec<&Position>) =
             drawn.iter().partition(|p| (p[2] - 1.0).abs() < 1e-12 && p[0] < 4.0);
-        // By area 4 to 1; even pieces leave hardly any chance.
+        // The areas are 4 to 1, and stratified samples follow them almost exactly.
         assert!(square.len().abs_diff(4000) <= 2 && square.len() + beside.len() == 5000, "{}", square.len());
         assert!(beside.iter().all(|p| (p[0] - 5.0).abs() < 1e-12 && p[1] / 2.0 + p[2] <= 1.0 + 1e-12));
-        // Quarters of the square have 1000 each, give or take 5 standard deviations.
+        // Each quarter of the square has 1000 samples within 5 standard deviations.
         for quarter in 0..4 {
             let within = |p: &&&Position| usize::from(p[0] > 1.0) + 2 * usize::from(p[1] > 1.0) == quarter;
             assert!(square.iter().filter(within).count().abs_diff(1000) < 140);

@@ -1,19 +1,19 @@
-//! Stereolithography (STL): triangles, ascii and binary.
+//! Reads stereolithography (STL) meshes, ascii and binary.
 
 use std::collections::HashMap;
 
 use super::shape::{Position, Shape};
 use snake_core::excerpt;
 
-/// Bytes before the triangles of a binary file, the last four of them their number.
+/// Bytes before the triangles of a binary file; the last four are the number of triangles.
 const HEADER_BYTES: usize = 84;
 /// Bytes of a triangle: a normal, three corners, two bytes of attributes.
 const TRIANGLE_BYTES: usize = 50;
 
-/// Reads the triangles; corners at the same place are one point, in the order of their first mention.
+/// Reads the triangles. Corners at the same position become one point, in the order of their first occurrence.
 ///
-/// A file is binary if its length is that of as many triangles as it promises, even if it begins with `solid`, as some
-/// programs write it.
+/// A file is binary if its length matches the number of triangles that it states, even if it begins with `solid`, as in
+/// the files of some programs.
 pub(super) fn read(bytes: &[u8]) -> Result<Shape, String> {
     let promised = bytes.get(HEADER_BYTES - 4..HEADER_BYTES).and_then(|count| count.first_chunk());
     let promised = promised.map(|count| u32::from_le_bytes(*count) as usize);
@@ -63,18 +63,18 @@ fn ascii(bytes: &[u8]) -> Result<Shape, String> {
     }
 }
 
-/// Triangles that do not know each other, and the points that they share.
+/// Collects separate triangles and the points that they share.
 #[derive(Default)]
 struct Soup {
     shape: Shape,
     indices: HashMap<[u64; 3], u32>,
-    /// Of the triangle that is being read.
+    /// The corners of the current triangle.
     corners: Vec<u32>,
 }
 
 impl Soup {
     fn add(&mut self, position: Position) -> Result<(), String> {
-        // Adding 0 makes the two zeros one.
+        // Adding 0 turns -0 into 0.
         let place = position.map(|v| (v + 0.0).to_bits());
         let index = match self.indices.get(&place) {
             Some(&index) => index,
@@ -122,7 +122,7 @@ mod tests {
             assert_eq!((&shape.points[..], &shape.triangles[..]), (&POINTS[..], &TRIANGLES[..]));
         }
         assert!(read(b"solid\nendsolid\n").unwrap().points.is_empty());
-        // Some programs add bytes of their own.
+        // Some programs append bytes of their own.
         assert_eq!(read(&[binary_file("x"), vec![0; 9]].concat()).unwrap().points, POINTS);
     }
 

@@ -1,10 +1,10 @@
-//! Rows of numbers as PLY, PCD, NPY and text: keypoints and clouds are written through these.
+//! Writes rows of numbers as PLY, PCD, NPY and text, for keypoints and clouds.
 
 use std::io::{self, Write};
 
 use super::{npy, pcd};
 
-/// How a column is stored in formats that have types.
+/// The type of a column in formats that have types.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum Kind {
     Float,
@@ -13,7 +13,7 @@ pub(super) enum Kind {
     Int,
 }
 
-/// Named columns and the rows below them, each number in f64, which holds all kinds exactly.
+/// Named columns and their rows, in f64, which represents every type exactly.
 pub(super) struct Table<const N: usize, R> {
     pub(super) columns: [(&'static str, Kind); N],
     pub(super) num_rows: usize,
@@ -29,7 +29,7 @@ impl Kind {
         }
     }
 
-    /// What PLY calls it.
+    /// The name of the type in PLY.
     pub(super) fn in_ply(self) -> &'static str {
         match self {
             Self::Float => "float",
@@ -51,7 +51,7 @@ impl Kind {
 }
 
 impl<const N: usize, R: Iterator<Item = [f64; N]>> Table<N, R> {
-    /// Vertices, binary little endian.
+    /// Writes binary little-endian vertices.
     pub(super) fn write_ply(self, out: &mut dyn Write) -> io::Result<()> {
         write!(out, "ply\nformat binary_little_endian 1.0\nelement vertex {}\n", self.num_rows)?;
         for (name, kind) in self.columns {
@@ -61,7 +61,7 @@ impl<const N: usize, R: Iterator<Item = [f64; N]>> Table<N, R> {
         self.write_binary(out)
     }
 
-    /// An unorganised cloud, binary. A comment says the origin that its points are relative to, if there is one.
+    /// Writes a binary unorganised cloud. A comment states the origin of its points, if there is one.
     pub(super) fn write_pcd(self, out: &mut dyn Write, origin: [f64; 3]) -> io::Result<()> {
         let words = |of: fn(&(&'static str, Kind)) -> String| self.columns.each_ref().map(of).join(" ");
         let kinds = words(|(_, kind)| match kind {
@@ -88,7 +88,7 @@ impl<const N: usize, R: Iterator<Item = [f64; N]>> Table<N, R> {
         Ok(())
     }
 
-    /// An array `(rows, columns)` of `<f8`, because an index beyond 2^24 is not exact in `<f4`.
+    /// Writes an array `(rows, columns)` of `<f8`, because an index above 2^24 is not exact in `<f4`.
     pub(super) fn write_npy(self, out: &mut dyn Write) -> io::Result<()> {
         npy::write_header(out, "<f8", &format!("{}, {N}", self.num_rows))?;
         for row in self.rows {
@@ -97,13 +97,13 @@ impl<const N: usize, R: Iterator<Item = [f64; N]>> Table<N, R> {
         Ok(())
     }
 
-    /// A line with the names, and a line for each row.
+    /// Writes a line with the names and a line for each row.
     pub(super) fn write_csv(self, out: &mut dyn Write) -> io::Result<()> {
         writeln!(out, "{}", self.columns.map(|(name, _)| name).join(","))?;
         self.write_lines(out, ",")
     }
 
-    /// A line for each row, every number in its shortest exact form.
+    /// Writes a line for each row, every number in its shortest exact form.
     pub(super) fn write_lines(self, out: &mut dyn Write, separator: &str) -> io::Result<()> {
         for row in self.rows {
             for (column, ((_, kind), value)) in self.columns.iter().zip(row).enumerate() {

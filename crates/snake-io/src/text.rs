@@ -1,4 +1,4 @@
-//! Points as columns of text.
+//! Reads points from columns of text.
 
 use std::io::{self, Write};
 
@@ -8,17 +8,17 @@ use snake_core::{Transform, excerpt};
 
 const BYTE_ORDER_MARK: &[u8] = b"\xef\xbb\xbf";
 
-/// Reads one point a line: x, y, z in the columns that are chosen, or that a header names, or without a header in the
-/// first three.
+/// Reads one point per line: x, y, z in the chosen columns, else in the columns that a header names, else in the first
+/// three.
 ///
-/// Columns are separated by semicolons, else by commas, else by white space, line by line; below a header with tabs, by
-/// tabs. Separators within double quotes do not count. Blank lines and lines that start with `#` or `//` do not count
-/// either, but one of them can be the header. `nan` and `inf` are numbers.
+/// The separator is chosen line by line: semicolons, else commas, else white space; below a header with tabs it is the
+/// tab. Separators within double quotes are ignored. Blank lines and lines that start with `#` or `//` are ignored too,
+/// except that one of them can be the header. `nan` and `inf` are numbers.
 pub(super) fn read(bytes: &[u8], columns: Option<&Columns>) -> Result<Shape, String> {
     Ok(read_rows(bytes, columns, false)?.into())
 }
 
-/// Reads the same from a file whose first line may be the number of points.
+/// Reads the same columns from a file whose first line may be the number of points.
 pub(super) fn read_counted(bytes: &[u8], columns: Option<&Columns>) -> Result<Shape, String> {
     Ok(read_rows(bytes, columns, true)?.into())
 }
@@ -31,10 +31,10 @@ pub(super) fn write_rows(out: &mut dyn Write, rows: &Transform) -> io::Result<()
     Ok(())
 }
 
-/// The lines that are not blank, without white space at their ends, with their numbers from 1.
+/// The lines that are not blank, trimmed, with their numbers counted from 1.
 fn lines(bytes: &[u8]) -> impl Iterator<Item = (usize, &[u8])> {
     let bytes = bytes.strip_prefix(BYTE_ORDER_MARK).unwrap_or(bytes);
-    // A file from an old Macintosh would otherwise be one line, that is one point.
+    // A file of the classic Mac OS would otherwise be one line and so one point.
     let line_end = if bytes.contains(&b'\n') { b'\n' } else { b'\r' };
     (1..)
         .zip(bytes.split(move |&byte| byte == line_end).map(<[u8]>::trim_ascii_end))
@@ -48,7 +48,7 @@ fn read_rows(bytes: &[u8], columns: Option<&Columns>, may_be_counted: bool) -> R
     for (number, line) in lines(bytes) {
         let start = line.trim_ascii_start();
         if start.starts_with(b"#") || start.starts_with(b"//") {
-            // Any of those above the points can be the header.
+            // Any comment above the points can be the header.
             if layout.is_none() {
                 comments.push(start);
             }
@@ -85,7 +85,7 @@ fn read_rows(bytes: &[u8], columns: Option<&Columns>, may_be_counted: bool) -> R
     }
 }
 
-/// What is between the columns of a line.
+/// The separator between the columns of a line.
 #[derive(Clone, Copy, PartialEq)]
 enum Separator {
     Char(char),
@@ -93,8 +93,8 @@ enum Separator {
 }
 
 impl Separator {
-    /// The first of these that is in a line. One a line, so that the decimal commas of `1,5;2,5;3,5` are refused rather
-    /// than taken for separators.
+    /// The first of these separators that a line contains. Only one is used per line, so that the decimal commas of
+    /// `1,5;2,5;3,5` are refused and not read as separators.
     fn of(line: &str, known: &[char]) -> Self {
         let separates = |separator| line.contains(separator) && split(line, |c| c == separator).nth(1).is_some();
         let found = known.iter().find(|&&separator| separates(separator));
@@ -113,7 +113,7 @@ impl Separator {
     }
 }
 
-/// The pieces of a line between separators that are not within double quotes.
+/// The pieces of a line between separators outside double quotes.
 fn split(line: &str, is_separator: impl Fn(char) -> bool) -> impl Iterator<Item = &str> {
     let mut within_quotes = false;
     line.split(move |c| {
@@ -126,17 +126,17 @@ fn split(line: &str, is_separator: impl Fn(char) -> bool) -> impl Iterator<Item 
 struct Header {
     names: Vec<String>,
     separator: Separator,
-    /// Whether white space is before the first name.
+    /// Whether white space precedes the first name.
     is_indented: bool,
 }
 
 impl Header {
-    /// The names of a line, if it has nothing but names.
+    /// The names in a line that consists of names only.
     fn of(line: &str) -> Option<Self> {
         let separator = Separator::of(line, &[';', ',', '\t']);
         let is_indented = line.starts_with(char::is_whitespace);
         let names: Vec<String> = match separator {
-            // The unit of `X (m)` is no column of its own.
+            // The unit in `X (m)` is not a column of its own.
             Separator::WhiteSpace => separator.fields(&without_units(line)).map(String::from).collect(),
             Separator::Char(_) => separator.fields(line).map(String::from).collect(),
         };
@@ -145,8 +145,8 @@ impl Header {
         has_names.then_some(Self { names, separator, is_indented })
     }
 
-    /// The last comment that names the columns of the first row: as many, and three of them are known or chosen, or there
-    /// are separators that prose does not have.
+    /// The last comment that names the columns of the first row. It must have as many names as the row has columns. It
+    /// must also contain three chosen or known names, or use the row's semicolons or commas as separators.
     fn among(comments: &[&[u8]], row: &str, columns: Option<&Columns>) -> Option<Self> {
         let separator = Separator::of(row, &[';', ',']);
         let number = separator.fields(row).count();
@@ -164,8 +164,8 @@ impl Header {
         comments.iter().rev().find_map(of_comment)
     }
 
-    /// Adds a name for an index before the first row that the header does not name: pandas indents such a header as text,
-    /// and R quotes the index.
+    /// Adds a name for an index column that the header does not name: pandas indents the header of its text output, and
+    /// R quotes the index.
     fn name_index(&mut self, row: &str) {
         let is_indexed = self.is_indented && !row.starts_with(char::is_whitespace) || row.trim_start().starts_with('"');
         let is_one_short = self.separator.fields(row).count() == self.names.len() + 1;
@@ -175,7 +175,7 @@ impl Header {
     }
 }
 
-/// A line without what is in parentheses or brackets.
+/// A line without text in parentheses or brackets.
 fn without_units(line: &str) -> String {
     let mut depth = 0_usize;
     let is_kept = |&c: &char| match c {
@@ -192,14 +192,14 @@ fn without_units(line: &str) -> String {
     line.chars().filter(is_kept).collect()
 }
 
-/// Where a row has its coordinates.
+/// The positions of the coordinates in a row.
 struct Layout {
     columns: Indices,
     has_tabs: bool,
 }
 
 impl Layout {
-    /// By the header, the comments above the first row and the columns that are chosen.
+    /// The layout by the header, the comments above the first row and the chosen columns.
     fn of(header: Option<Header>, comments: &[&[u8]], row: &str, columns: Option<&Columns>) -> Result<Self, String> {
         let mut header = header.or_else(|| Header::among(comments, row, columns));
         if let Some(header) = &mut header {
@@ -300,7 +300,7 @@ mod tests {
         ] {
             assert_eq!(read(text.as_bytes()).unwrap_or_else(|reason| panic!("{program}: {reason}")), TWO, "{program}");
         }
-        // Prose is no header.
+        // Prose is not a header.
         for text in ["# made by me today\n1 2 3 9\n-.5 1e-3 7 9", "# x is east\n1 2 3\n-.5 1e-3 7"] {
             assert_eq!(read(text.as_bytes()).unwrap(), TWO, "{text:?}");
         }

@@ -1,10 +1,10 @@
-//! Reading one rigid transform, as registrations are written.
+//! Reads one rigid transform in the formats of a registration.
 
 use serde::Deserialize;
 
 use snake_core::Transform;
 
-/// How far the products of a rotation's rows may be from those of an exact one: files round to a few digits.
+/// The tolerance of the products of a rotation's rows: files round to a few digits.
 const TOLERANCE: f64 = 1e-3;
 
 #[derive(Deserialize)]
@@ -14,7 +14,7 @@ enum Written {
     Rows(Transform),
 }
 
-/// Reads an object with the key `t_target_source`, or the matrix alone, as rows.
+/// Reads the four rows of the matrix, alone or under the key `t_target_source` of an object.
 pub(super) fn read_json(bytes: &[u8]) -> Result<Transform, String> {
     match serde_json::from_slice(bytes) {
         Ok(Written::Registration { t_target_source: rows } | Written::Rows(rows)) => checked(rows),
@@ -33,7 +33,7 @@ pub(super) fn read_text(bytes: &[u8]) -> Result<Transform, String> {
     checked(rows.and_then(|rows| rows.try_into().ok()).ok_or("needed are four rows of four numbers")?)
 }
 
-/// Refuses what is not rigid.
+/// Refuses a transform that is not rigid.
 fn checked(rows: Transform) -> Result<Transform, String> {
     let product = |a: usize, b: usize| (0..3).map(|i| rows[a][i] * rows[b][i]).sum::<f64>();
     let is_rotation = (0..3).all(|a| {

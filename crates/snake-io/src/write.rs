@@ -1,4 +1,4 @@
-//! Keypoints and clouds as the numbers that files hold.
+//! Converts keypoints and clouds to the columns of a file.
 
 use std::io::{self, Write};
 
@@ -11,10 +11,10 @@ use snake_core::Point;
 use snake_core::add_origin;
 
 impl KeypointFormat {
-    /// Writes keypoints; the origin is added but for PCD, whose coordinates have four bytes.
+    /// Writes keypoints and adds the origin, except in PCD, whose coordinates have four bytes.
     ///
     /// # Errors
-    /// Those of `out`; and for PLY and PCD when an index does not fit into their integers.
+    /// The errors of `out`; for PLY and PCD also an index that does not fit into their integers.
     pub fn write(self, out: &mut dyn Write, keypoints: &[Keypoint], source: &KeypointSource) -> io::Result<()> {
         let [x, y, z] = axes(source.origin);
         let [saliency, occupancy] = ["saliency", "occupancy"].map(|name| (name, Kind::Float));
@@ -39,7 +39,7 @@ impl KeypointFormat {
                     let ([x, y, z], [saliency, occupancy, index]) =
                         (keypoint.position.map(f64::from), values(keypoint));
                     let [red, green, blue] = color(keypoint.saliency);
-                    // PCL's way: the bytes of a colour as those of a float.
+                    // PCL stores the bytes of a colour as the bits of a float.
                     let rgb = f32::from_bits(u32::from_be_bytes([0, red, green, blue]));
                     [x, y, z, rgb.into(), saliency, occupancy, index]
                 });
@@ -61,10 +61,10 @@ impl KeypointFormat {
 }
 
 impl CloudFormat {
-    /// Writes points with an origin added to them, but for PCD, whose coordinates have four bytes.
+    /// Writes points `(N, 3)` and adds the origin, except in PCD, whose coordinates have four bytes.
     ///
     /// # Errors
-    /// Those of `out`.
+    /// The errors of `out`.
     pub fn write(self, out: &mut dyn Write, points: &[Point], origin: [f64; 3]) -> io::Result<()> {
         let num_rows = points.len();
         let rows = points.iter().map(|&point| add_origin(point, origin));
@@ -82,13 +82,13 @@ impl CloudFormat {
     }
 }
 
-/// Coordinates far from zero need more digits.
+/// The columns of the coordinates. Coordinates with an origin need eight bytes.
 pub(super) fn axes(origin: [f64; 3]) -> [(&'static str, Kind); 3] {
     let kind = if origin == [0.0; 3] { Kind::Float } else { Kind::Double };
     ["x", "y", "z"].map(|axis| (axis, kind))
 }
 
-/// A saliency's colour, from violet at 0 by way of green to yellow at 1 (five colours of viridis).
+/// The colour of a saliency, from violet at 0 through green to yellow at 1 (five colours of viridis).
 fn color(saliency: f32) -> [u8; 3] {
     const COLORS: [[u8; 3]; 5] = [[68, 1, 84], [59, 82, 139], [33, 145, 140], [94, 201, 98], [253, 231, 37]];
     let place = saliency.clamp(0.0, 1.0) * (COLORS.len() - 1) as f32;
@@ -144,7 +144,7 @@ mod tests {
             ),
             "{text}"
         );
-        // Little endian: blue comes first.
+        // In little-endian order blue comes first.
         assert_eq!(bytes[bytes.len() - 56..][12..16], [98, 201, 94, 0]);
     }
 

@@ -1,5 +1,5 @@
-//! Readers and writers under any input: the stored corpus of the fuzz targets, arbitrary bytes, damaged files, and what
-//! was written read back.
+//! Readers and writers with any input: the stored corpus of the fuzz targets, arbitrary bytes, damaged files, and files
+//! that were written and read back.
 
 use std::io::Read;
 use std::path::{Path, PathBuf};
@@ -12,7 +12,7 @@ use serde_json::Value;
 use snake_core::{Keypoint, Point};
 use snake_io::{self as io, Cloud, KeypointSource, PointFormat, ReadOptions};
 
-/// Also counts the memory in use.
+/// An allocator that also counts the memory in use.
 mod checks;
 
 fn root() -> PathBuf {
@@ -43,7 +43,7 @@ fn the_stored_corpus_is_read_or_refused() {
     }
 }
 
-/// Damage to a file.
+/// A kind of damage to a file.
 #[derive(Debug, Clone)]
 enum Edit {
     Insert(Index, Vec<u8>),
@@ -86,7 +86,7 @@ fn edits() -> impl Strategy<Value = Vec<Edit>> {
     vec(edit, 1..6)
 }
 
-/// Coordinates that a file can hold: anything finite.
+/// Coordinates that a file can hold: all finite numbers.
 fn coordinate() -> impl Strategy<Value = f32> {
     POSITIVE | NEGATIVE | NORMAL | SUBNORMAL | ZERO
 }
@@ -99,7 +99,7 @@ fn points() -> impl Strategy<Value = Vec<Point>> {
         .fold(Just(vec![]).boxed(), |all, one| prop_oneof![all, one].boxed())
 }
 
-/// Equal, but for the digits that a cloud far from zero loses to its origin.
+/// Whether two clouds are equal up to the digits that an origin costs.
 fn assert_same(expected: &[Point], cloud: Cloud) {
     let exact = cloud.origin == [0.0; 3];
     let read = cloud.into_points();

@@ -1,4 +1,4 @@
-//! How much memory reading and detection take for each point.
+//! The memory that reading and detection take per point.
 
 use peak_alloc::PeakAlloc;
 use snake_core::{Builtin, Model, Options, Point};
@@ -7,10 +7,10 @@ use snake_io::{ReadOptions, read_cloud, write_points};
 #[global_allocator]
 static MEMORY: PeakAlloc = PeakAlloc;
 
-/// Bytes at most, beside the cloud itself.
+/// The limit in bytes per point, without the cloud itself.
 const BYTES_PER_POINT: usize = 60;
 
-/// The most memory in use at a time while `work` runs, beyond what was in use before.
+/// The peak of the memory in use while `work` runs, minus the memory in use before.
 fn peak<T>(work: impl FnOnce() -> T) -> (T, usize) {
     let before = MEMORY.current_usage();
     MEMORY.reset_peak_usage();
@@ -18,7 +18,7 @@ fn peak<T>(work: impl FnOnce() -> T) -> (T, usize) {
     (result, MEMORY.peak_usage().saturating_sub(before))
 }
 
-/// A torus; with an outlier so far away that all other points share few voxels.
+/// A torus, optionally with an outlier so far away that all other points share a few voxels.
 fn cloud(num_points: usize, with_outlier: bool) -> Vec<Point> {
     let angle = |i: usize, turns: f64| (i as f64 * turns).rem_euclid(1.0) * std::f64::consts::TAU;
     let point = |i: usize| {
@@ -33,14 +33,14 @@ fn cloud(num_points: usize, with_outlier: bool) -> Vec<Point> {
     points
 }
 
-/// Of two clouds, so that what does not grow with the points is not counted.
+/// Points of the two clouds that are compared; the difference does not count constant memory.
 const SIZES: [usize; 2] = [100_000, 600_000];
 
 fn bytes_per_point(peaks: [usize; 2]) -> usize {
     peaks[1].saturating_sub(peaks[0]) / (SIZES[1] - SIZES[0])
 }
 
-/// One test, as all tests of a process share its memory.
+/// All cases are in one test, because all tests of a process share its memory.
 #[test]
 fn memory_grows_by_few_bytes_for_each_point() {
     let model = Model::builtin(Builtin::Compact);
