@@ -38,9 +38,11 @@ test: module  ## all tests: Rust, Python module, training, parity with PyTorch
 	cargo test --release
 	OMP_NUM_THREADS=1 $(PYTHON) -m pytest -q -rs tests training/tests
 
-check: module $(VENV)/check-ready  ## formatting, lints, type stubs
+check: module $(VENV)/check-ready  ## formatting, lints, type stubs, documentation, packages
 	cargo fmt --check
 	cargo clippy --release --workspace --all-targets
+	RUSTDOCFLAGS="-D warnings" cargo doc --release --workspace --no-deps
+	CARGO_PROFILE_DEV_OPT_LEVEL=0 cargo package --workspace --exclude snake-rs-python --allow-dirty
 	$(VENV)/bin/ruff check training python tests docs
 	$(VENV)/bin/ruff format --check training python tests docs
 	$(PYTHON) -m mypy.stubtest snake_rs._core
