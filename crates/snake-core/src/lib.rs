@@ -58,7 +58,9 @@ pub use excerpt::excerpt;
 pub use field::Field;
 pub use grid::Grid;
 pub use length::Length;
-pub use model::{Builtin, Model};
+#[cfg(feature = "builtin-models")]
+pub use model::Builtin;
+pub use model::Model;
 pub use options::{DetectOptions, EncodeOptions, MeshOptions, Options, Preset, RefineMethod, Selection};
 pub use points::{Normalization, NormalizationMethod, Point, Transform};
 pub use progress::{Progress, Stage};

@@ -10,15 +10,20 @@ use crate::control::Control;
 use crate::detect::Detection;
 use crate::field::Field;
 use crate::network::Network;
-use crate::options::{EncodeOptions, Options, Preset};
+#[cfg(feature = "builtin-models")]
+use crate::options::Preset;
+use crate::options::{EncodeOptions, Options};
 use crate::points::Point;
 use crate::windows::detect_in_windows;
 use crate::{Error, Result};
 
+#[cfg(feature = "builtin-models")]
 const COMPACT: &[u8] = include_bytes!("../models/compact.safetensors");
+#[cfg(feature = "builtin-models")]
 const ROOMS: &[u8] = include_bytes!("../models/rooms.safetensors");
 
-/// A model that comes with the crate (see `models/README.md`).
+/// A model that comes with the crate (see `models/README.md`), with the feature `builtin-models`.
+#[cfg(feature = "builtin-models")]
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 #[non_exhaustive]
 pub enum Builtin {
@@ -42,6 +47,7 @@ pub struct Model {
     network: Arc<Network>,
 }
 
+#[cfg(feature = "builtin-models")]
 impl Model {
     /// The names that [`Model::named`] knows: the built-in models, and `standard`.
     pub const NAMES: [&'static str; 3] = ["compact", "standard", "rooms"];
@@ -72,7 +78,9 @@ impl Model {
             _ => Err(Error::Option { name: "model", value: name.into(), allowed: "compact, standard or rooms" }),
         }
     }
+}
 
+impl Model {
     /// Reads a weight file (safetensors; float32 or float16).
     ///
     /// # Errors
