@@ -199,8 +199,8 @@ const LINE_INTERVAL: Duration = Duration::from_secs(10);
 /// The number of windows is announced if the remaining time is at least this.
 const LONG: Duration = Duration::from_secs(10);
 
-/// A bar that shows itself after a second, with the expected time where there are several steps. Where the standard
-/// error is no terminal, a line every ten seconds takes its place. Neither with `--quiet`.
+/// A bar that appears after a second. With several steps it shows the remaining time. If the standard error is not a
+/// terminal, a line every ten seconds replaces the bar. With `--quiet` there is neither.
 pub fn progress(steps: usize) -> Result<Bar> {
     let template = if steps > 1 { "{bar:30} {pos}/{len} {msg} (ETA {eta})" } else { "{spinner} {msg} ({elapsed})" };
     shown_later(steps, template, steps_done)

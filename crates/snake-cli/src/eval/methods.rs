@@ -1,4 +1,4 @@
-//! The detectors that are compared.
+//! The detectors that an evaluation compares.
 
 use anyhow::{Result, bail};
 use serde_json::{Value, json};
@@ -8,15 +8,15 @@ use snake_registration::detectors::{Detector, Protocol};
 use super::args::{EvalArguments, ProtocolName};
 use crate::setup::none_if_zero;
 
-/// A detector with its settings: from a cloud to the positions of its best keypoints.
+/// A detector with its options. It maps a cloud to the positions of its best keypoints.
 pub enum Method {
     Snake { name: String, model: Box<Model>, options: Options },
     Classical { name: String, detector: Detector, count: usize, protocol: Protocol, spacing: Option<Length> },
 }
 
 impl Method {
-    /// The methods that were asked for. With a spacing, or `--nms-radius` in its place, also the ranked keypoints of the
-    /// classical detectors are farther apart than that.
+    /// The methods of the command line. If `spacing` is given, the ranked keypoints of the classical detectors are
+    /// farther apart than `--nms-radius`, or else than `spacing`.
     pub fn all(arguments: &EvalArguments, spacing: Option<Length>) -> Result<Vec<Self>> {
         if arguments.count == 0 {
             bail!("--count must be 1 or more");
@@ -55,14 +55,14 @@ impl Method {
         Ok(Self::Snake { name: name.into(), model: Box::new(model), options })
     }
 
-    /// As on the command line.
+    /// The name on the command line.
     pub fn name(&self) -> &str {
         match self {
             Self::Snake { name, .. } | Self::Classical { name, .. } => name,
         }
     }
 
-    /// What the keypoints of all methods depend on.
+    /// All settings that the keypoints depend on.
     pub fn all_settings(arguments: &EvalArguments, methods: &[Self]) -> Value {
         json!({
             "methods": methods.iter().map(Self::settings).collect::<Vec<_>>(),
@@ -83,7 +83,7 @@ impl Method {
         }
     }
 
-    /// Positions of the best keypoints, best first; the seed is that of random choices.
+    /// Positions of the best keypoints, best first. The seed determines random choices.
     pub fn keypoints(&self, points: &[Point], seed: u64) -> Result<Vec<Point>> {
         Ok(match self {
             Self::Snake { model, options, .. } => {
@@ -102,7 +102,8 @@ impl Method {
     }
 }
 
-/// Of the method `snakexN` the number of turned copies, of `snake` none; `None` of other methods.
+/// The number of rotated copies in a method's name: N for `snakexN`, no number for `snake`, and `None` for other
+/// methods.
 fn rotations(method: &str) -> Option<Option<usize>> {
     match method.strip_prefix("snake")? {
         "" => Some(None),
@@ -110,8 +111,8 @@ fn rotations(method: &str) -> Option<Option<usize>> {
     }
 }
 
-/// Of points, best first, the first `count` that are farther than `radius` from all kept before them; a radius of 0 keeps
-/// all.
+/// Greedy suppression of points that come best first: keeps a point if it is farther than `radius` from all kept ones,
+/// up to `count` points. A radius of 0 suppresses nothing.
 fn spaced(points: impl Iterator<Item = Point>, radius: f32, count: usize) -> Vec<Point> {
     let near = |a: &Point, b: &Point| (0..3).map(|axis| (a[axis] - b[axis]).powi(2)).sum::<f32>() <= radius * radius;
     let mut kept: Vec<Point> = Vec::new();
@@ -128,7 +129,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_number_of_turned_copies_is_in_the_name() {
+    fn the_number_of_rotated_copies_is_in_the_name() {
         assert_eq!([rotations("snake"), rotations("snakex4")], [Some(None), Some(Some(4))]);
         for other in ["iss", "snakex", "snakex-1", "snake4", "snakex4x"] {
             assert_eq!(rotations(other), None);

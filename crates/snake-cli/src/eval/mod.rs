@@ -1,4 +1,4 @@
-//! `snake-cli eval`: metrics of keypoints over data sets.
+//! `snake-cli eval`: metrics of keypoints on data sets.
 
 pub mod args;
 mod methods;
@@ -21,7 +21,7 @@ use serde::de::DeserializeOwned;
 use crate::output::InputFiles;
 use args::{Eval, RunArguments};
 
-/// Evaluates what is not yet recorded, then reports.
+/// Evaluates everything that is not yet recorded, then reports.
 pub fn run(command: &Eval) -> Result<()> {
     let RunArguments { compute, .. } = match command {
         Eval::Repeatability(arguments) => &arguments.common.run,
@@ -36,7 +36,7 @@ pub fn run(command: &Eval) -> Result<()> {
     }
 }
 
-/// Refuses an output directory in which results would replace a file that is read.
+/// Returns an error if the results would replace an input file.
 fn check_outputs<'a>(run: &'a RunArguments, metric: &str, inputs: impl Iterator<Item = &'a Path>) -> Result<()> {
     let Some(folder) = &run.output else { return Ok(()) };
     let inputs = InputFiles::new(inputs.chain(run.compute.model.as_deref()));

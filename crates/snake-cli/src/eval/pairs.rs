@@ -1,4 +1,4 @@
-//! `pairs.json`, a folder's list of pairs of clouds.
+//! `pairs.json`: a folder's list of pairs of clouds, and files with the transform of one pair.
 
 use std::path::{Path, PathBuf};
 
@@ -9,7 +9,7 @@ use snake_io as io;
 
 use super::read_json;
 
-/// A row of `pairs.json`; what else it has is ignored.
+/// A row of `pairs.json`; other keys are ignored.
 #[derive(Deserialize)]
 pub struct ListedPair {
     pub source: String,
@@ -23,13 +23,13 @@ pub fn listed(folder: &Path) -> Result<Vec<ListedPair>> {
     read_json(&folder.join("pairs.json"))
 }
 
-/// What `register` writes as JSON; what else it has is ignored.
+/// The JSON of `register`; other keys are ignored.
 #[derive(Deserialize)]
 struct Registered {
     t_target_source: Transform,
 }
 
-/// A transform as `register` writes it: JSON, or 16 numbers of text, row by row.
+/// Reads a transform as `register` writes it: JSON, or 16 numbers as text, row by row.
 pub fn transform(path: &Path) -> Result<Transform> {
     if path.extension().is_some_and(|extension| extension.eq_ignore_ascii_case("json")) {
         return Ok(read_json::<Registered>(path)?.t_target_source);
@@ -44,7 +44,7 @@ pub fn transform(path: &Path) -> Result<Transform> {
     }
 }
 
-/// That file, or the file of that name with an extension.
+/// The file at this path, or at this path with the extension of a known format.
 pub fn find_cloud(path: &Path) -> Result<PathBuf> {
     let with = |extension: &&str| PathBuf::from(format!("{}.{extension}", path.display()));
     let named = std::iter::once(path.to_path_buf()).chain(io::POINT_EXTENSIONS.iter().map(with));

@@ -1,37 +1,37 @@
-//! The paper's own figures, to stand beside ours.
+//! The figures of the paper, shown beside our own.
 
 /// A table of the paper.
 pub struct PaperTable {
     /// The columns: epsilon, threshold, rate, σ or number of keypoints.
-    places: &'static [f64],
+    column_values: &'static [f64],
     rows: &'static [(&'static str, &'static [f64])],
 }
 
 impl PaperTable {
-    /// Each method with its figures at the given places, where it has them.
-    pub fn at(&self, places: &[f64]) -> Vec<(&'static str, Vec<Option<f64>>)> {
-        let column = |place: &f64| self.places.iter().position(|known| known == place);
-        let columns: Vec<Option<usize>> = places.iter().map(column).collect();
+    /// Each method with its figures for the given column values; `None` where it has none.
+    pub fn at(&self, column_values: &[f64]) -> Vec<(&'static str, Vec<Option<f64>>)> {
+        let column = |value: &f64| self.column_values.iter().position(|known| known == value);
+        let columns: Vec<Option<usize>> = column_values.iter().map(column).collect();
         let row = |(method, figures): &(&'static str, &[f64])| {
             (*method, columns.iter().map(|column| column.map(|column| figures[column])).collect())
         };
         self.rows.iter().map(row).collect()
     }
 
-    /// The same as rows of a table, marked as the paper's.
-    pub fn rows(&self, places: &[f64]) -> Vec<Vec<String>> {
+    /// Rows of a table with these figures, marked as the paper's.
+    pub fn rows(&self, column_values: &[f64]) -> Vec<Vec<String>> {
         let cell = |figure: Option<f64>| figure.map_or("-".into(), |figure| format!("{figure:.3}"));
         let row = |(method, figures): (&str, Vec<Option<f64>>)| {
             std::iter::once(format!("{method} (paper)")).chain(figures.into_iter().map(cell)).collect()
         };
-        self.at(places).into_iter().map(row).collect()
+        self.at(column_values).into_iter().map(row).collect()
     }
 }
 
 /// The three tables of a data set's repeatability.
 pub struct PaperRepeatability {
     pub epsilon: PaperTable,
-    /// At which the other two are.
+    /// The epsilon of the other two tables.
     pub table_epsilon: f64,
     pub downsample: PaperTable,
     pub noise: PaperTable,
@@ -41,7 +41,7 @@ pub struct PaperRepeatability {
 pub const MODELNET40: PaperRepeatability = PaperRepeatability {
     table_epsilon: 0.04,
     epsilon: PaperTable {
-        places: &[0.03, 0.04, 0.05, 0.06, 0.07, 0.08, 0.09, 0.1],
+        column_values: &[0.03, 0.04, 0.05, 0.06, 0.07, 0.08, 0.09, 0.1],
         rows: &[
             ("snake", &[0.763, 0.864, 0.897, 0.910, 0.917, 0.923, 0.927, 0.930]),
             ("iss", &[0.058, 0.096, 0.140, 0.192, 0.247, 0.306, 0.367, 0.427]),
@@ -52,7 +52,7 @@ pub const MODELNET40: PaperRepeatability = PaperRepeatability {
         ],
     },
     downsample: PaperTable {
-        places: &[1.0, 2.0, 4.0, 8.0, 16.0],
+        column_values: &[1.0, 2.0, 4.0, 8.0, 16.0],
         rows: &[
             ("snake", &[0.864, 0.851, 0.820, 0.730, 0.528]),
             ("iss", &[0.096, 0.088, 0.088, 0.083, 0.076]),
@@ -63,7 +63,7 @@ pub const MODELNET40: PaperRepeatability = PaperRepeatability {
         ],
     },
     noise: PaperTable {
-        places: &[0.0, 0.02, 0.04, 0.06, 0.08, 0.1, 0.12],
+        column_values: &[0.0, 0.02, 0.04, 0.06, 0.08, 0.1, 0.12],
         rows: &[
             ("snake", &[0.864, 0.869, 0.841, 0.766, 0.619, 0.464, 0.354]),
             ("iss", &[0.096, 0.061, 0.037, 0.025, 0.020, 0.016, 0.015]),
@@ -76,11 +76,11 @@ pub const MODELNET40: PaperRepeatability = PaperRepeatability {
 };
 
 /// Repeatability on Redwood, in metres.
-#[allow(clippy::approx_constant)] // One share happens to begin as 1 / π does.
+#[allow(clippy::approx_constant)] // One figure happens to begin like 1 / π.
 pub const REDWOOD: PaperRepeatability = PaperRepeatability {
     table_epsilon: 0.2,
     epsilon: PaperTable {
-        places: &[0.1, 0.12, 0.14, 0.16, 0.18, 0.2, 0.22, 0.24],
+        column_values: &[0.1, 0.12, 0.14, 0.16, 0.18, 0.2, 0.22, 0.24],
         rows: &[
             ("snake", &[0.205, 0.246, 0.286, 0.323, 0.359, 0.393, 0.425, 0.454]),
             ("iss", &[0.087, 0.119, 0.156, 0.191, 0.228, 0.264, 0.301, 0.336]),
@@ -91,7 +91,7 @@ pub const REDWOOD: PaperRepeatability = PaperRepeatability {
         ],
     },
     downsample: PaperTable {
-        places: &[1.0, 2.0, 4.0, 8.0, 16.0],
+        column_values: &[1.0, 2.0, 4.0, 8.0, 16.0],
         rows: &[
             ("snake", &[0.393, 0.394, 0.391, 0.381, 0.362]),
             ("iss", &[0.264, 0.277, 0.158, 0.067, 0.021]),
@@ -102,7 +102,7 @@ pub const REDWOOD: PaperRepeatability = PaperRepeatability {
         ],
     },
     noise: PaperTable {
-        places: &[0.0, 0.02, 0.04, 0.06, 0.08, 0.1],
+        column_values: &[0.0, 0.02, 0.04, 0.06, 0.08, 0.1],
         rows: &[
             ("snake", &[0.393, 0.392, 0.381, 0.359, 0.318, 0.256]),
             ("iss", &[0.264, 0.260, 0.268, 0.259, 0.250, 0.214]),
@@ -114,12 +114,12 @@ pub const REDWOOD: PaperRepeatability = PaperRepeatability {
     },
 };
 
-/// Thresholds of the semantic tables.
+/// Thresholds of the tables of semantic consistency.
 const THRESHOLDS: &[f64] = &[0.0, 0.01, 0.02, 0.03, 0.04, 0.05, 0.06, 0.07, 0.08, 0.09, 0.1];
 
 /// mIoU on KeypointNet: airplanes, chairs and tables.
 pub const KEYPOINTNET: PaperTable = PaperTable {
-    places: THRESHOLDS,
+    column_values: THRESHOLDS,
     rows: &[
         ("snake", &[0.006, 0.012, 0.025, 0.039, 0.058, 0.091, 0.144, 0.214, 0.291, 0.361, 0.412]),
         ("iss", &[0.008, 0.012, 0.024, 0.040, 0.060, 0.088, 0.121, 0.160, 0.198, 0.242, 0.286]),
@@ -133,7 +133,7 @@ pub const KEYPOINTNET: PaperTable = PaperTable {
 
 /// mIoU on pairs of SMPL bodies.
 pub const SMPL: PaperTable = PaperTable {
-    places: THRESHOLDS,
+    column_values: THRESHOLDS,
     rows: &[
         ("snake", &[0.063, 0.079, 0.094, 0.128, 0.182, 0.255, 0.355, 0.457, 0.557, 0.639, 0.704]),
         ("iss", &[0.078, 0.095, 0.101, 0.113, 0.129, 0.148, 0.174, 0.206, 0.231, 0.258, 0.293]),
@@ -148,7 +148,7 @@ pub const SMPL: PaperTable = PaperTable {
 /// Numbers of keypoints of the registration table.
 const KEYPOINTS: &[f64] = &[2500.0, 1000.0, 500.0, 250.0, 100.0];
 
-/// Registration on the eight scenes of 3DMatch, of keypoints with the descriptor D3Feat.
+/// Registration on the eight scenes of 3DMatch, with the descriptor D3Feat.
 pub struct PaperRegistration {
     pub feature_matching_recall: PaperTable,
     pub inlier_ratio: PaperTable,
@@ -157,7 +157,7 @@ pub struct PaperRegistration {
 
 pub const THREE_D_MATCH: PaperRegistration = PaperRegistration {
     feature_matching_recall: PaperTable {
-        places: KEYPOINTS,
+        column_values: KEYPOINTS,
         rows: &[
             ("snake d3feat", &[0.955, 0.950, 0.947, 0.929, 0.895]),
             ("iss d3feat", &[0.952, 0.944, 0.934, 0.901, 0.810]),
@@ -168,7 +168,7 @@ pub const THREE_D_MATCH: PaperRegistration = PaperRegistration {
         ],
     },
     inlier_ratio: PaperTable {
-        places: KEYPOINTS,
+        column_values: KEYPOINTS,
         rows: &[
             ("snake d3feat", &[0.413, 0.390, 0.370, 0.335, 0.300]),
             ("iss d3feat", &[0.382, 0.335, 0.288, 0.239, 0.174]),
@@ -179,7 +179,7 @@ pub const THREE_D_MATCH: PaperRegistration = PaperRegistration {
         ],
     },
     registration_recall: PaperTable {
-        places: KEYPOINTS,
+        column_values: KEYPOINTS,
         rows: &[
             ("snake d3feat", &[0.851, 0.837, 0.812, 0.746, 0.509]),
             ("iss d3feat", &[0.835, 0.792, 0.760, 0.643, 0.372]),
@@ -201,8 +201,8 @@ mod tests {
         let registration =
             [&THREE_D_MATCH.feature_matching_recall, &THREE_D_MATCH.inlier_ratio, &THREE_D_MATCH.registration_recall];
         let tables = of_repeatability.into_iter().chain([[&KEYPOINTNET, &SMPL, &SMPL], registration]).flatten();
-        for PaperTable { places, rows } in tables {
-            assert!(rows.iter().all(|(_, figures)| figures.len() == places.len()));
+        for PaperTable { column_values, rows } in tables {
+            assert!(rows.iter().all(|(_, figures)| figures.len() == column_values.len()));
             assert!(rows.iter().all(|(_, figures)| figures.iter().all(|figure| (0.0..1.0).contains(figure))));
         }
     }

@@ -1,52 +1,52 @@
-//! Curves as SVG, in the form of the paper's figure 5: a line for each method, panels side by side.
+//! Curves as SVG, in the style of the paper's figure 5: one line for each method, with panels side by side.
 
 use std::fmt::Write;
 
 use super::paper::PaperTable;
 
-/// One diagram of shares from 0 to 1.
+/// One diagram with values from 0 to 1.
 pub struct Panel {
     pub x_label: String,
-    /// Where the figures are along x, and what is written there.
+    /// The x coordinates of the values, with their labels.
     pub ticks: Vec<(f64, String)>,
     pub lines: Vec<Line>,
 }
 
-/// The figures of a method.
+/// The curve of a method.
 pub struct Line {
     method: String,
-    /// For each tick, where there is one.
+    /// One value for each tick; `None` where there is no figure.
     pub values: Vec<Option<f64>>,
-    /// The paper's, not ours: dashed in the colour of our method of the same name.
+    /// Whether the figures are the paper's. The line is then dashed, in the colour of our method of the same name.
     is_paper: bool,
 }
 
 impl Line {
-    /// Of our figures.
+    /// A line of our own figures.
     pub fn new(method: &str, values: Vec<Option<f64>>) -> Self {
         Self { method: method.into(), values, is_paper: false }
     }
 
-    /// Of all rows of a table of the paper, at the given places.
-    pub fn of_paper(table: &PaperTable, places: &[f64]) -> Vec<Self> {
+    /// One line for each row of a table of the paper, with the figures for the given column values.
+    pub fn of_paper(table: &PaperTable, column_values: &[f64]) -> Vec<Self> {
         let line = |(method, values): (&str, _)| Self { method: method.into(), values, is_paper: true };
-        table.at(places).into_iter().map(line).collect()
+        table.at(column_values).into_iter().map(line).collect()
     }
 }
 
-// Pixels: the area of a diagram, and the space around it.
+// Size of a diagram and of its margins, in pixels.
 const WIDTH: f64 = 300.0;
 const HEIGHT: f64 = 220.0;
 const LEFT: f64 = 48.0;
 const TOP: f64 = 16.0;
 const BOTTOM: f64 = 48.0;
-/// Of an entry of the legend.
+/// Width and height of an entry of the legend, in pixels.
 const ENTRY: [f64; 2] = [120.0, 16.0];
-/// Distinct also to colour-blind readers (Okabe and Ito).
+/// Colours that colour-blind readers can distinguish (Okabe and Ito).
 const COLORS: [&str; 9] =
     ["#d55e00", "#0072b2", "#009e73", "#e69f00", "#cc79a7", "#56b4e9", "#000000", "#999999", "#f0e442"];
 
-/// The panels with one legend below.
+/// Draws the panels with one legend below.
 pub fn svg(y_label: &str, panels: &[Panel]) -> String {
     let (mut methods, mut entries): (Vec<&str>, Vec<(&str, bool)>) = (Vec::new(), Vec::new());
     for Line { method, is_paper, .. } in panels.iter().flat_map(|panel| &panel.lines) {
@@ -89,7 +89,7 @@ pub fn svg(y_label: &str, panels: &[Panel]) -> String {
     text + "</svg>\n"
 }
 
-/// Frame, grid, ticks and labels.
+/// Draws the frame, grid, ticks and labels.
 fn axes(panel: &Panel, y_label: &str) -> String {
     let mut text = String::new();
     for fifth in 0..=5 {
@@ -109,7 +109,7 @@ fn axes(panel: &Panel, y_label: &str) -> String {
     text + &format!("<text transform=\"rotate(-90)\" x=\"{x}\" y=\"{y}\" text-anchor=\"middle\">{y_label}</text>\n")
 }
 
-/// A line through points, a dot on each; of none nothing.
+/// Draws a line through points, with a dot on each point. An empty list draws nothing.
 fn curve(points: &[(f64, f64)], color: &str, dashed: bool) -> String {
     let through: Vec<String> = points.iter().map(|(x, y)| format!("{x:.1},{y:.1}")).collect();
     let dashes = if dashed { " stroke-dasharray=\"5 3\"" } else { "" };
@@ -123,7 +123,7 @@ fn curve(points: &[(f64, f64)], color: &str, dashed: bool) -> String {
     text
 }
 
-/// Pixels from the left edge of the diagram: the outer ticks a little within it, one alone in the middle.
+/// Pixels from the left edge of the diagram. The outer ticks lie a little inside it, and a single tick in the middle.
 fn across(panel: &Panel, x: f64) -> f64 {
     let of_ticks = |choose: fn(f64, f64) -> f64, start| panel.ticks.iter().map(|(x, _)| *x).fold(start, choose);
     let (least, most) = (of_ticks(f64::min, f64::INFINITY), of_ticks(f64::max, f64::NEG_INFINITY));

@@ -1,4 +1,4 @@
-//! The figures of each pair, kept in a file so that an interrupted run goes on where it was.
+//! The figures of each pair, kept in a file so that an interrupted run continues where it stopped.
 
 use std::fs::File;
 use std::io::{Seek, Write};
@@ -19,15 +19,15 @@ pub struct Pair<Row> {
     pub rows: Vec<Row>,
 }
 
-/// The figures of the pairs so far, in order; in `METRIC.jsonl`, the settings on its first line, where there is an output
-/// directory.
+/// The figures of the finished pairs, in order. With an output directory they are kept in `METRIC.jsonl`, whose first
+/// line has the settings.
 pub struct Record<Row> {
     file: Option<(PathBuf, File)>,
     pairs: Vec<Pair<Row>>,
 }
 
 impl<Row: Serialize + DeserializeOwned> Record<Row> {
-    /// Opens the record of an output directory, and takes over what a run with the same settings left there.
+    /// Opens the record of an output directory and loads the figures that a run with the same settings left there.
     pub fn open(output: Option<&Path>, metric: &str, settings: &Value, num_tasks: usize) -> Result<Self> {
         terminal::detail("settings", || settings.to_string());
         let Some(output) = output else { return Ok(Self { file: None, pairs: Vec::new() }) };
@@ -39,7 +39,7 @@ impl<Row: Serialize + DeserializeOwned> Record<Row> {
         }
         let text = if path.exists() { std::fs::read_to_string(&path) } else { Ok(String::new()) };
         let text = text.with_context(|| format!("cannot read {}", path.display()))?;
-        // An interrupted run may leave a line without its end.
+        // An interrupted run may leave an incomplete last line.
         let whole = &text[..text.rfind('\n').map_or(0, |end| end + 1)];
         if !whole.is_empty() && !whole.starts_with(&header) {
             bail!("{} is of a run with other settings; delete it or give another --output", path.display());
@@ -65,7 +65,7 @@ impl<Row: Serialize + DeserializeOwned> Record<Row> {
         Ok(record)
     }
 
-    /// Does those of the tasks that are not yet recorded, and shows how it goes.
+    /// Runs the tasks that are not yet recorded and shows the progress.
     pub fn fill(
         &mut self,
         tasks: &[Task],
@@ -85,7 +85,7 @@ impl<Row: Serialize + DeserializeOwned> Record<Row> {
         Ok(())
     }
 
-    /// The pairs so far, in the order of the tasks.
+    /// The finished pairs, in the order of the tasks.
     pub fn pairs(&self) -> &[Pair<Row>] {
         &self.pairs
     }
@@ -107,7 +107,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_record_is_taken_over_whole_or_refused() {
+    fn a_record_is_continued_or_refused() {
         let folder = tempfile::tempdir().unwrap();
         let (settings, other) = (json!({"seed": 0}), json!({"seed": 1}));
         let open = |settings, number| Record::open(Some(folder.path()), "metric", settings, number);
@@ -119,7 +119,7 @@ mod tests {
         assert_eq!(open(&settings, 3).unwrap().pairs(), pairs);
         assert!(open(&other, 3).err().unwrap().to_string().contains("other settings"));
         assert!(open(&settings, 1).err().unwrap().to_string().contains("more pairs"));
-        // Cut anywhere, the whole lines remain and the file can be gone on with.
+        // A file that is cut anywhere keeps its complete lines and can be continued.
         let path = folder.path().join("metric.jsonl");
         let whole = std::fs::read(&path).unwrap();
         for length in 0..whole.len() {

@@ -1,10 +1,10 @@
-//! What a run evaluates, in order.
+//! The tasks of a run, in order.
 
 use anyhow::{Result, bail};
 
 use super::args::RunArguments;
 
-/// The chosen pairs or shapes, with each seed in turn.
+/// The selected pairs or shapes, repeated for each seed.
 pub struct Schedule {
     chosen: Vec<usize>,
     tasks: Vec<Task>,
@@ -18,7 +18,7 @@ pub struct Task {
 }
 
 impl Schedule {
-    /// Of `length` pairs or shapes, those that were asked for.
+    /// Selects among `length` pairs or shapes by `--limit`, and repeats them for each seed.
     pub fn new(length: usize, run: &RunArguments) -> Result<Self> {
         let chosen = evenly_spaced(length, run.limit)?;
         let seeds = (0..run.seeds.into()).map(|i| run.seed.wrapping_add(i));
@@ -26,7 +26,7 @@ impl Schedule {
         Ok(Self { chosen, tasks })
     }
 
-    /// The pairs or shapes.
+    /// Indices of the selected pairs or shapes.
     pub fn chosen(&self) -> &[usize] {
         &self.chosen
     }
@@ -36,7 +36,7 @@ impl Schedule {
         &self.tasks
     }
 
-    /// What all tasks gave, seed by seed.
+    /// The results of all tasks, seed by seed.
     pub fn by_seed<'a, T>(&self, done: &'a [T]) -> Vec<&'a [T]> {
         done.chunks(self.chosen.len()).collect()
     }

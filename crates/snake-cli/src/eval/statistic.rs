@@ -1,16 +1,16 @@
 //! Means with their standard deviations.
 
-/// A figure and how much it varies.
+/// A mean with its standard deviation.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Statistic {
     pub mean: f64,
-    /// Standard deviation (n - 1); `None` of a single value.
+    /// Sample standard deviation (n - 1); `None` for a single value.
     pub deviation: Option<f64>,
 }
 
 impl Statistic {
-    /// Of a figure for each seed. A single seed's figure comes with the deviation over the values of its parts, which
-    /// are pairs, shapes or scenes.
+    /// The mean and deviation of one figure for each seed. A single seed has the deviation over its parts, which are
+    /// pairs, shapes or scenes.
     pub fn over_seeds(figures: &[f64], parts: &[f64]) -> Self {
         match figures {
             [mean] => Self { mean: *mean, deviation: deviation(parts) },
@@ -18,7 +18,7 @@ impl Statistic {
         }
     }
 
-    /// As a table shows it.
+    /// The text of a table's cell.
     pub fn cell(&self) -> String {
         match self.deviation {
             Some(deviation) => format!("{:.3} ±{deviation:.3}", self.mean),
@@ -32,7 +32,7 @@ impl Statistic {
     }
 }
 
-/// What the deviations of a table are over.
+/// The name of a table's deviations: over seeds, or over the parts of a single seed.
 pub fn over(seeds: usize, parts: &str) -> String {
     match seeds {
         1 => format!("standard deviation over {parts}"),

@@ -1,18 +1,18 @@
-//! Tables for people and Markdown, and the files that results are written to.
+//! Tables as plain text and as Markdown, and the files of the results.
 
 use std::path::Path;
 
 use anyhow::{Context, Result};
 use snake_io as io;
 
-/// A table: its title, its columns' heads and its rows.
+/// A table: its title, the heads of its columns and its rows.
 pub struct Table {
     pub title: String,
     pub head: Vec<String>,
     pub rows: Vec<Vec<String>>,
 }
 
-/// The lines of the tables, for people.
+/// The tables as lines of plain text.
 pub fn lines(tables: &[Table]) -> Vec<String> {
     let mut lines = Vec::new();
     for (index, Table { title, head, rows }) in tables.iter().enumerate() {
@@ -28,7 +28,7 @@ pub fn lines(tables: &[Table]) -> Vec<String> {
     lines
 }
 
-/// The same in Markdown.
+/// The tables as Markdown.
 pub fn markdown(tables: &[Table]) -> String {
     let line = |cells: &[String]| format!("| {} |\n", cells.join(" | "));
     let table = |Table { title, head, rows }: &Table| {
@@ -39,10 +39,10 @@ pub fn markdown(tables: &[Table]) -> String {
     tables.iter().map(table).collect::<Vec<_>>().join("\n")
 }
 
-/// The extensions of the files of a metric's results.
+/// The extensions of a metric's result files.
 pub const EXTENSIONS: [&str; 5] = ["csv", "json", "jsonl", "md", "svg"];
 
-/// Writes the texts as `metric.EXTENSION`.
+/// Writes each text to `METRIC.EXTENSION` in the output directory.
 pub fn write(output: &Path, metric: &str, texts: &[(&str, String)]) -> Result<()> {
     for (extension, text) in texts {
         let path = output.join(format!("{metric}.{extension}"));

@@ -1,4 +1,4 @@
-//! The figures of the 3DMatch benchmark, for every detector and descriptor.
+//! `snake-cli eval registration`: the 3DMatch benchmark for every detector and descriptor.
 
 mod report;
 mod scenes;
@@ -24,19 +24,20 @@ use crate::terminal;
 use report::Report;
 use scenes::{ScenePair, Scenes};
 
-/// What the benchmark fixes, in metres: clouds are reduced to voxels of this size,
+// Settings that the benchmark fixes; lengths are in metres.
+/// Size of the voxels to which clouds are downsampled.
 const VOXEL_SIZE: f64 = 0.03;
-/// correspondences are right within this distance,
+/// A correspondence is an inlier up to this distance under the true transform.
 const INLIER_DISTANCE: f64 = 0.1;
-/// a pair matches if more than this share of them is right,
+/// A pair counts for feature matching recall above this inlier ratio.
 const INLIER_RATIO: f64 = 0.05;
-/// RANSAC counts those nearer than this,
+/// A correspondence is an inlier of RANSAC below this distance.
 const RANSAC_DISTANCE: f64 = 0.05;
-/// takes at most this many samples,
+/// The most samples of RANSAC.
 const RANSAC_SAMPLES: usize = 50_000;
-/// and a pair is registered up to this RMSE.
+/// A pair counts as registered up to this RMSE.
 const RMSE: f64 = 0.2;
-/// Where there is no gt.info, points overlap that are nearer than this.
+/// Without a gt.info, points nearer than this overlap.
 const OVERLAP_DISTANCE: f64 = 0.05;
 
 /// Evaluates every pair that is not yet recorded, then reports.
@@ -65,7 +66,7 @@ pub fn run(arguments: &RegistrationArguments) -> Result<()> {
     terminal::print_report(&report.text_lines().into_iter().collect())
 }
 
-/// What is measured.
+/// The detectors, descriptors and numbers of keypoints to evaluate.
 struct Plan<'a> {
     model: &'a Model,
     detectors: &'a [KeypointDetector],
@@ -77,7 +78,7 @@ struct Plan<'a> {
 /// The figures of one detector, descriptor and number of keypoints on one pair.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 struct Row {
-    /// Keypoints that there were, mean of both clouds.
+    /// Number of keypoints, the mean of both clouds.
     found: f64,
     correspondences: usize,
     inlier_ratio: f64,
@@ -94,7 +95,7 @@ impl<'a> Plan<'a> {
         Ok(Self { model, detectors, descriptors, keypoints, columns: &arguments.run.columns })
     }
 
-    /// Everything that the figures depend on, but for the data's content.
+    /// All settings that the figures depend on, without the content of the data.
     fn settings(&self, arguments: &RegistrationArguments) -> Value {
         json!({
             "metric": "registration",
@@ -115,7 +116,7 @@ impl<'a> Plan<'a> {
         })
     }
 
-    /// Detector, descriptor and number of keypoints of each row of a pair.
+    /// The detector, descriptor and number of keypoints of each row of a pair.
     fn cases(&self) -> Vec<(KeypointDetector, Descriptor, usize)> {
         let mut cases = Vec::new();
         for &detector in self.detectors {
@@ -126,12 +127,12 @@ impl<'a> Plan<'a> {
         cases
     }
 
-    /// Reads a cloud, and describes as many keypoints of each detector as are needed.
+    /// Reads a cloud and computes the keypoints of each detector with their descriptors.
     fn cloud(&self, files: &[PathBuf], index: usize, seed: u64) -> Result<DescribedCloud> {
         let Cloud { points, origin } = self.columns.read(&files[index])?;
         let scan = Scan::new(&points, self.model, VOXEL_SIZE)?;
         let most = self.keypoints.iter().copied().max().unwrap_or_default();
-        // Random keypoints of two clouds have nothing to do with each other.
+        // The random keypoints of two clouds must be independent.
         let seed = seed.wrapping_add(index as u64);
         let mut features = Vec::new();
         for &detector in self.detectors {
@@ -148,7 +149,7 @@ impl<'a> Plan<'a> {
     /// The figures of one pair: a row for each case.
     fn rows(&self, pair: &ScenePair, source: &DescribedCloud, target: &DescribedCloud, seed: u64) -> Result<Vec<Row>> {
         let truth = &subtract_origins(&pair.t_target_source, source.origin, target.origin);
-        // The matrix of gt.info is about zero, not about an origin.
+        // The matrix of gt.info holds for coordinates without an origin subtracted.
         let given = pair.information.filter(|_| source.origin == [0.0; 3]);
         let information = match given {
             Some(information) => information,
@@ -178,21 +179,21 @@ impl<'a> Plan<'a> {
     }
 }
 
-/// The benchmark's.
+/// The benchmark's options of RANSAC.
 fn ransac_options(seed: u64) -> RansacOptions {
     let (inlier_distance, max_iterations) = (RANSAC_DISTANCE, RANSAC_SAMPLES);
     RansacOptions { inlier_distance, max_iterations, seed, ..RansacOptions::default() }
 }
 
-/// A cloud with its keypoints by each detector and descriptor.
+/// A cloud with the keypoints and descriptors of each combination of detector and descriptor.
 struct DescribedCloud {
     points: Vec<Point>,
-    /// To be added to the points.
+    /// Offset to add to the points.
     origin: [f64; 3],
     features: Vec<Features>,
 }
 
-/// Keypoints, the best first, with a row of `dimension` numbers each.
+/// Keypoints, best first, each with a descriptor of `dimension` numbers.
 struct Features {
     keypoints: Vec<Point>,
     descriptors: Vec<f32>,
@@ -200,14 +201,14 @@ struct Features {
 }
 
 impl Features {
-    /// The first `count`, or all.
+    /// The first `count` keypoints and descriptors, or all if there are fewer.
     fn best(&self, count: usize) -> (&[Point], &[f32]) {
         let count = count.min(self.keypoints.len());
         (&self.keypoints[..count], &self.descriptors[..count * self.dimension])
     }
 }
 
-/// The clouds of the scene and seed at hand.
+/// A cache of the clouds of the current scene and seed.
 #[derive(Default)]
 struct Clouds {
     scene: String,
@@ -216,7 +217,7 @@ struct Clouds {
 }
 
 impl Clouds {
-    /// Source and target of a pair.
+    /// The source and target of a pair.
     fn of(&mut self, pair: &ScenePair, files: &[PathBuf], plan: &Plan, seed: u64) -> Result<[&DescribedCloud; 2]> {
         if (&self.scene, self.seed) != (&pair.scene, seed) {
             (self.scene, self.seed) = (pair.scene.clone(), seed);

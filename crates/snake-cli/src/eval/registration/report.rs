@@ -1,4 +1,4 @@
-//! Tables of registration: means over the scenes.
+//! Tables of registration, as means over the scenes.
 
 use std::path::Path;
 
@@ -15,7 +15,7 @@ use super::super::table::{self, Table};
 use super::scenes::ScenePair;
 use super::{INLIER_RATIO, Plan, RMSE, Row};
 
-/// The figures of every case.
+/// The figures of every case: a detector, a descriptor and a number of keypoints.
 pub struct Report<'a> {
     settings: &'a Value,
     keypoints: &'a [usize],
@@ -26,7 +26,7 @@ pub struct Report<'a> {
     paper: Option<&'a PaperRegistration>,
 }
 
-/// The figures of one case: of each scene, means over the seeds, and their mean.
+/// The figures of one case: the mean over the seeds for each scene, and the mean over the scenes.
 struct Summary {
     detector: Value,
     descriptor: Value,
@@ -49,15 +49,15 @@ struct Deviations {
 struct Figures {
     feature_matching_recall: f64,
     inlier_ratio: f64,
-    /// `None` of nothing but consecutive fragments.
+    /// `None` if all pairs are consecutive fragments.
     registration_recall: Option<f64>,
-    /// Keypoints that there were, and their correspondences, means over the pairs.
+    /// Numbers of keypoints and of correspondences, means over the pairs.
     found: f64,
     correspondences: f64,
 }
 
 impl Figures {
-    /// Of the pairs of one scene.
+    /// The figures of one scene, from its pairs.
     fn of_scene(pairs: &[(&ScenePair, &Row)]) -> Result<Self> {
         let ratios: Vec<f64> = pairs.iter().map(|(_, row)| row.inlier_ratio).collect();
         let outcome = |(pair, row): &(&ScenePair, &Row)| {
@@ -68,14 +68,14 @@ impl Figures {
         Ok(Self {
             feature_matching_recall: feature_matching_recall(&ratios, INLIER_RATIO)?,
             inlier_ratio: mean(&ratios),
-            // Its only error is that no pair is left.
+            // The only error is that all pairs are consecutive fragments.
             registration_recall: registration_recall(&outcomes, RMSE).ok(),
             found: mean(&pairs.iter().map(|(_, row)| row.found).collect::<Vec<_>>()),
             correspondences: mean(&pairs.iter().map(|(_, row)| row.correspondences as f64).collect::<Vec<_>>()),
         })
     }
 
-    /// The plain mean over scenes, or seeds.
+    /// The unweighted mean over scenes or seeds.
     fn mean(all: &[Self]) -> Self {
         let of = |figure: fn(&Self) -> f64| mean(&all.iter().map(figure).collect::<Vec<_>>());
         let recalls: Vec<f64> = all.iter().filter_map(|one| one.registration_recall).collect();
@@ -90,7 +90,7 @@ impl Figures {
 }
 
 impl Deviations {
-    /// Of the means of each seed, or of one seed's scenes.
+    /// The deviations over the seeds' means, or over the scenes of a single seed.
     fn new(seeds: &[Figures], scenes: &[Figures]) -> Self {
         let of = |figure: fn(&Figures) -> Option<f64>| {
             let all = |figures: &[Figures]| figures.iter().filter_map(figure).collect::<Vec<_>>();
@@ -105,8 +105,8 @@ impl Deviations {
 }
 
 impl<'a> Report<'a> {
-    /// Sums up the rows of all pairs, of which there is at least one, seed by seed; the paper's rows are shown beside
-    /// them.
+    /// Summarises the rows of all pairs, seed by seed. There is at least one pair. The tables also show the paper's
+    /// rows.
     pub fn new(
         plan: &'a Plan,
         settings: &'a Value,
@@ -197,12 +197,12 @@ impl<'a> Report<'a> {
             std::iter::once(method).chain(cases.iter().map(&cell)).collect()
         };
         let mut rows: Vec<Vec<String>> = self.summaries.chunks(self.keypoints.len()).map(row).collect();
-        let places: Vec<f64> = self.keypoints.iter().map(|&keypoints| keypoints as f64).collect();
-        rows.extend(paper.into_iter().flat_map(|table| table.rows(&places)));
+        let column_values: Vec<f64> = self.keypoints.iter().map(|&keypoints| keypoints as f64).collect();
+        rows.extend(paper.into_iter().flat_map(|table| table.rows(&column_values)));
         Table { title, head, rows }
     }
 
-    /// A line for each case and scene, one for the mean over the scenes, and one for its deviation.
+    /// The CSV file: a line for each case and scene, then the mean over the scenes and its deviation.
     fn csv(&self) -> String {
         let mut text = String::from(
             "detector,descriptor,keypoints,scene,feature_matching_recall,inlier_ratio,registration_recall,found,correspondences\n",
@@ -272,7 +272,7 @@ mod tests {
         let a = format!("iss,fpfh,100,\"a\",{},{},0.5,50,10", 2.0 / 3.0, (0.5 + 0.04 + 0.06) / 3.0);
         assert_eq!(lines[..2], [&a[..], "iss,fpfh,100,\"b\",0,0,,50,10"]);
         assert!(lines[2].starts_with(&format!("iss,fpfh,100,mean,{},", 1.0 / 3.0)) && lines[2].ends_with(",0.5,50,10"));
-        // Of 2 / 3 and 0; only one scene has a recall.
+        // The deviation of 2 / 3 and 0; only one scene has a recall.
         let deviation = ["iss", "fpfh", "100", "deviation", "0.4714045207910317", "0.14142135623730953", "", "", ""];
         assert_eq!(lines[3], deviation.join(","));
         let markdown = table::markdown(&report.tables());

@@ -1,4 +1,4 @@
-//! Scene fragments with known transforms: `pairs.json`, or the layout of the 3DMatch benchmark.
+//! Scene fragments with known transforms, from `pairs.json` or in the layout of the 3DMatch benchmark.
 
 use std::path::{Path, PathBuf};
 
@@ -7,7 +7,7 @@ use snake_core::Transform;
 
 use super::super::pairs::{self, ListedPair, find_cloud};
 
-/// Fragments and the pairs of them that overlap.
+/// Fragments, and pairs of fragments that overlap.
 pub struct Scenes {
     pub clouds: Vec<PathBuf>,
     pub pairs: Vec<ScenePair>,
@@ -16,18 +16,18 @@ pub struct Scenes {
 /// Two fragments of a scene.
 pub struct ScenePair {
     pub scene: String,
-    /// Indices of the clouds.
+    /// Index of the source and of the target in `clouds`.
     pub source: usize,
     pub target: usize,
-    /// Numbers of the fragments within their scene; far apart where they have none.
+    /// Numbers of the fragments within their scene. Fragments without numbers get two that are not consecutive.
     pub fragments: [usize; 2],
     pub t_target_source: Transform,
-    /// As in `gt.info`; `None` where it is to be computed from the overlap.
+    /// Information matrix of `gt.info`; `None` if it has to be computed from the overlap.
     pub information: Option<[[f64; 6]; 6]>,
 }
 
 impl Scenes {
-    /// Recognises a folder with a `pairs.json`, a scene and a folder of scenes.
+    /// Opens a folder with a `pairs.json`, a scene, or a folder of scenes.
     pub fn open(folder: &Path) -> Result<Self> {
         let mut scenes = Self { clouds: Vec::new(), pairs: Vec::new() };
         if folder.join("pairs.json").exists() {
@@ -63,7 +63,7 @@ impl Scenes {
         Ok(())
     }
 
-    /// Takes the pairs of `gt.log`: `i j n` with the transform from fragment j to fragment i.
+    /// Adds the pairs of `gt.log`. An entry is `i j n` and the transform from fragment j to fragment i.
     fn add_scene(&mut self, folder: &Path, truth: &Path) -> Result<()> {
         let transforms = entries::<4>(&truth.join("gt.log"))?;
         let information = entries::<6>(&truth.join("gt.info"))?;
@@ -80,7 +80,7 @@ impl Scenes {
         Ok(())
     }
 
-    /// The index of a cloud.
+    /// The index of a cloud, which is added if it is new.
     fn cloud(&mut self, path: PathBuf) -> usize {
         self.clouds.iter().position(|known| *known == path).unwrap_or_else(|| {
             self.clouds.push(path);
@@ -88,14 +88,14 @@ impl Scenes {
         })
     }
 
-    /// What a pair is called.
+    /// The name of a pair.
     pub fn name(&self, pair: usize) -> String {
         let ScenePair { source, target, .. } = self.pairs[pair];
         format!("{} to {}", self.clouds[source].display(), self.clouds[target].display())
     }
 }
 
-/// What the benchmark adds to a scene's name for the folder of its ground truth.
+/// Suffix of the folder with a scene's ground truth.
 const EVALUATION: &str = "-evaluation";
 
 /// The folder that holds a scene's `gt.log`.
@@ -108,17 +108,17 @@ fn name(path: &Path) -> String {
     path.file_name().unwrap_or_default().to_string_lossy().into_owned()
 }
 
-/// Scene and number of a fragment called `SCENE_7` or `SCENE_7.ply`.
+/// The scene and the number in a fragment's name, such as `SCENE_7` or `SCENE_7.ply`.
 fn fragment(cloud: &str) -> Option<(&str, usize)> {
     let cloud = Path::new(cloud).file_stem()?.to_str()?;
     let scene = cloud.trim_end_matches(|c: char| c.is_ascii_digit());
     Some((scene.trim_end_matches(['_', '-']), cloud[scene.len()..].parse().ok()?))
 }
 
-/// Two fragments' numbers and a matrix of N rows.
+/// The numbers of two fragments, and an N×N matrix.
 type Entry<const N: usize> = ([usize; 2], [[f64; N]; N]);
 
-/// Entries of a `.log` or `.info` file, with a third number between fragments and matrix.
+/// Reads the entries of a `.log` or `.info` file. A third number stands between the fragments and the matrix.
 fn entries<const N: usize>(path: &Path) -> Result<Vec<Entry<N>>> {
     let text = std::fs::read_to_string(path).with_context(|| format!("cannot read {}", path.display()))?;
     let words: Vec<&str> = text.split_whitespace().collect();
@@ -146,7 +146,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn fragments_are_called_by_scene_and_number() {
+    fn fragments_are_named_by_scene_and_number() {
         assert_eq!(fragment("hotel-uc__07"), Some(("hotel-uc", 7)));
         assert_eq!(fragment("a/cloud_bin_12.ply"), Some(("cloud_bin", 12)));
         assert_eq!(fragment("bunny.ply"), None);

@@ -1,4 +1,4 @@
-//! Data sets as pairs of clouds, by the layout of their folder.
+//! Data sets of repeatability, recognised by the layout of their folder.
 
 use std::path::{Path, PathBuf};
 
@@ -13,28 +13,28 @@ use super::super::read_json;
 use super::views::PairClouds;
 use crate::inputs::{ColumnArguments, expand};
 
-/// What is evaluated on.
+/// A data set.
 pub struct Data {
-    /// Whose settings and figures of the paper belong to it.
+    /// Determines which settings and figures of the paper apply.
     pub scale: Scale,
     source: Source,
-    /// How the files of clouds are read.
+    /// The columns of the coordinates in the files.
     columns: ColumnArguments,
 }
 
 /// The units of a data set.
 #[derive(Clone, Copy, PartialEq, Eq)]
 pub enum Scale {
-    /// Objects of radius 1, as ModelNet40.
+    /// Objects of radius 1, like ModelNet40.
     Object,
-    /// Rooms in metres, as Redwood.
+    /// Rooms in metres, like Redwood.
     Room,
 }
 
 enum Source {
-    /// An object's second view is made.
+    /// Objects, whose second view is generated.
     Objects { names: Vec<String>, clouds: Clouds },
-    /// Both clouds are given; brought to radius 1, or left in their units.
+    /// Pairs of given clouds, scaled to radius 1 or left in their units.
     Pairs { pairs: Vec<PairEntry>, unit_radius: bool },
 }
 
@@ -46,7 +46,7 @@ enum Clouds {
 
 struct PairEntry {
     name: String,
-    /// Views 1 and 2; the extension may be missing.
+    /// Files of views 1 and 2; a path may lack the extension.
     clouds: [PathBuf; 2],
     t_1_2: Transform,
 }
@@ -58,7 +58,7 @@ struct IndexRow {
 }
 
 impl Data {
-    /// Recognises the folders of a data set, else takes cloud files and folders of them.
+    /// Opens the folder of a data set. Other inputs are read as cloud files and folders of cloud files.
     pub fn open(inputs: &[PathBuf], transform: Option<&Path>, columns: &ColumnArguments) -> Result<Self> {
         let (scale, source) = Self::recognise(inputs, transform)?;
         Ok(Self { scale, source, columns: columns.clone() })
@@ -88,7 +88,7 @@ impl Data {
         Ok((Scale::Object, Source::Objects { names, clouds: Clouds::Files(files) }))
     }
 
-    /// Our own: `points.npy` and `index.json`.
+    /// Our own layout: `points.npy` and `index.json`.
     fn corpus(folder: &Path) -> Result<(Scale, Source)> {
         let entries: Vec<IndexRow> = read_json(&folder.join("index.json"))?;
         let clouds = io::read_clouds(&folder.join("points.npy"))?;
@@ -103,7 +103,7 @@ impl Data {
         Ok((Scale::Object, Source::Objects { names, clouds: Clouds::Loaded(clouds) }))
     }
 
-    /// Pairs that the file of that name lists, at least one.
+    /// The pairs of the file `list`. There must be at least one.
     fn pairs(scale: Scale, list: &str, pairs: Vec<PairEntry>, folder: &Path) -> Result<(Scale, Source)> {
         if pairs.is_empty() {
             bail!("{}: no pairs in {list}", folder.display());
@@ -111,7 +111,7 @@ impl Data {
         Ok((scale, Source::Pairs { pairs, unit_radius: false }))
     }
 
-    /// The user's two clouds, source and target, in units that nobody knows.
+    /// The user's two clouds, source and target, in unknown units.
     fn one_pair(inputs: &[PathBuf], transform: &Path) -> Result<(Scale, Source)> {
         let [source, target] = inputs else {
             bail!("--transform is for two clouds, SOURCE and TARGET; for more give a folder with pairs.json");
@@ -121,7 +121,7 @@ impl Data {
         Ok((Scale::Object, Source::Pairs { pairs: vec![pair], unit_radius: true }))
     }
 
-    /// The cloud files that will be read; where a list leaves their extension out, without it.
+    /// The cloud files that will be read. A path lacks the extension if the list leaves it out.
     pub fn files(&self) -> Vec<&Path> {
         match &self.source {
             Source::Objects { clouds: Clouds::Loaded(_), .. } => Vec::new(),
@@ -130,7 +130,7 @@ impl Data {
         }
     }
 
-    /// How many pairs of views there are.
+    /// The number of pairs of views.
     pub fn len(&self) -> usize {
         match &self.source {
             Source::Objects { names, .. } => names.len(),
@@ -138,7 +138,7 @@ impl Data {
         }
     }
 
-    /// What a pair of views is called.
+    /// The name of a pair of views.
     pub fn name(&self, pair: usize) -> String {
         match &self.source {
             Source::Objects { names, .. } => names[pair].clone(),
@@ -167,7 +167,7 @@ impl Data {
         }
     }
 
-    /// A cloud without the points that are missing, so that views have as many points as they say.
+    /// The finite points of a cloud, so that views have the requested number of points.
     fn finite_points(&self, path: &Path) -> Result<Cloud> {
         let mut cloud = self.columns.read(path)?;
         cloud.points.retain(|point| point.iter().all(|v| v.is_finite()));
@@ -185,7 +185,7 @@ fn listed_pairs(folder: &Path) -> Result<Vec<PairEntry>> {
     Ok(pairs::listed(folder)?.into_iter().map(entry).collect())
 }
 
-/// USIP's ModelNet40: `original/I.npy`, the same object turned as `rotated/I.npy`, and row I of `transform.npy`.
+/// USIP's ModelNet40: `original/I.npy`, the rotated object `rotated/I.npy`, and row I of `transform.npy`.
 fn modelnet_pairs(folder: &Path) -> Result<Vec<PairEntry>> {
     let entry = |(i, t_1_2)| PairEntry {
         name: format!("{i}"),
@@ -195,8 +195,8 @@ fn modelnet_pairs(folder: &Path) -> Result<Vec<PairEntry>> {
     Ok(io::read_transforms(&folder.join("transform.npy"))?.into_iter().enumerate().map(entry).collect())
 }
 
-/// USIP's Redwood: lines `SCENE I J` of `redwood_pair.txt` for the clouds `SCENE/I.npy` and `SCENE/J.npy`, and a row of
-/// `transform.npy` for each line.
+/// USIP's Redwood: a line `SCENE I J` of `redwood_pair.txt` stands for the clouds `SCENE/I.npy` and `SCENE/J.npy`, and
+/// `transform.npy` has a row for each line.
 fn redwood_pairs(folder: &Path) -> Result<Vec<PairEntry>> {
     let path = folder.join("redwood_pair.txt");
     let text = std::fs::read_to_string(&path).with_context(|| format!("cannot read {}", path.display()))?;

@@ -50,15 +50,15 @@ struct Row {
     method: String,
     #[serde(flatten)]
     condition: Condition,
-    /// How many keypoints view 1 has.
+    /// Number of keypoints in view 1.
     keypoints: usize,
-    /// Mean distance of view 1's points to their nearest keypoint; `None` without keypoints.
+    /// Mean distance from the points of view 1 to their nearest keypoint; `None` without keypoints.
     coverage: Option<f64>,
-    /// For each epsilon.
+    /// Relative repeatability for each epsilon.
     repeatability: Vec<f64>,
 }
 
-/// What is measured.
+/// The thresholds, conditions and number of points to evaluate.
 struct Plan {
     epsilon: Vec<f64>,
     table_epsilon: f64,
@@ -97,17 +97,17 @@ impl Plan {
         let mut conditions = vec![clean];
         conditions.extend(arguments.downsample.iter().map(|&downsample| Condition { downsample, ..clean }));
         conditions.extend(noise.iter().map(|&noise| Condition { noise, ..clean }));
-        // The undisturbed views belong to both sweeps; they are measured once.
-        let mut different: Vec<Condition> = Vec::new();
+        // The clean views belong to both sweeps and are measured once.
+        let mut distinct: Vec<Condition> = Vec::new();
         for condition in conditions {
-            if !different.contains(&condition) {
-                different.push(condition);
+            if !distinct.contains(&condition) {
+                distinct.push(condition);
             }
         }
-        Ok(Self { epsilon, table_epsilon, conditions: different, num_points })
+        Ok(Self { epsilon, table_epsilon, conditions: distinct, num_points })
     }
 
-    /// Everything that the figures depend on, but for the data's content.
+    /// All settings that the figures depend on, without the content of the data.
     fn settings(&self, arguments: &RepeatabilityArguments, methods: &[Method]) -> Value {
         json!({
             "metric": "relative repeatability",

@@ -1,4 +1,4 @@
-//! The figures of repeatability: tables, curves, CSV and JSON.
+//! Reports of repeatability: tables, curves, CSV and JSON.
 
 use std::path::Path;
 
@@ -13,19 +13,19 @@ use super::super::table::{self, Table};
 use super::views::Condition;
 use super::{Plan, Row};
 
-/// What is swept over: which conditions belong, where each stands, and the paper's table.
+/// A sweep over one disturbance: its conditions, the column value of each condition, and the paper's table.
 struct Sweep {
     belongs: fn(&Condition) -> bool,
-    place: fn(&Condition) -> f64,
+    column_value: fn(&Condition) -> f64,
     paper: fn(&PaperRepeatability) -> &PaperTable,
 }
 
-/// The undisturbed views belong to both.
+// The clean views belong to both sweeps.
 const DOWN_SAMPLING: Sweep =
-    Sweep { belongs: |c| c.noise == 0.0, place: |c| c.downsample as f64, paper: |paper| &paper.downsample };
-const NOISE: Sweep = Sweep { belongs: |c| c.downsample == 1, place: |c| c.noise, paper: |paper| &paper.noise };
+    Sweep { belongs: |c| c.noise == 0.0, column_value: |c| c.downsample as f64, paper: |paper| &paper.downsample };
+const NOISE: Sweep = Sweep { belongs: |c| c.downsample == 1, column_value: |c| c.noise, paper: |paper| &paper.noise };
 
-/// Means over all pairs.
+/// The figures of every method and condition, as means over all pairs.
 pub struct Report<'a> {
     plan: &'a Plan,
     settings: &'a Value,
@@ -40,14 +40,14 @@ struct Summary {
     method: String,
     condition: Condition,
     keypoints: f64,
-    /// Over the pairs that have keypoints; `None` if none has.
+    /// Mean over the pairs that have keypoints; `None` if no pair has any.
     coverage: Option<f64>,
-    /// For each epsilon.
+    /// Relative repeatability for each epsilon.
     repeatability: Vec<Statistic>,
 }
 
 impl Summary {
-    /// Of the rows of all pairs that belong to the same method and condition, seed by seed.
+    /// Summarises the rows of all pairs for one method and condition, seed by seed.
     fn new(runs: &[Vec<&Row>]) -> Self {
         let Row { method, condition, repeatability, .. } = runs[0][0];
         let keypoints: Vec<f64> = runs.iter().flatten().map(|row| row.keypoints as f64).collect();
@@ -68,7 +68,8 @@ impl Summary {
 }
 
 impl<'a> Report<'a> {
-    /// Sums up the pairs of each seed, which all have the same rows; the paper's rows are shown beside them.
+    /// Summarises the pairs of each seed. All pairs have rows for the same methods and conditions. The tables also show
+    /// the paper's rows.
     pub fn new(
         plan: &'a Plan,
         settings: &'a Value,
@@ -83,7 +84,7 @@ impl<'a> Report<'a> {
         Self { plan, settings, summaries, num_pairs: runs[0].len(), num_seeds: runs.len(), paper }
     }
 
-    /// The tables, for people.
+    /// The tables as lines of plain text.
     pub fn text_lines(&self) -> Vec<String> {
         table::lines(&self.tables())
     }
@@ -103,7 +104,7 @@ impl<'a> Report<'a> {
         std::iter::once(self.over_epsilon()).chain(down_sampling).chain(noise).collect()
     }
 
-    /// The same as curves; down-sampling on a logarithmic axis.
+    /// The tables as curves, with a logarithmic axis for down-sampling.
     fn panels(&self) -> Vec<Panel> {
         let Plan { epsilon, table_epsilon, conditions, .. } = self.plan;
         let ours = |s: &Summary| Line::new(&s.method, s.repeatability.iter().map(|share| Some(share.mean)).collect());
@@ -125,33 +126,34 @@ impl<'a> Report<'a> {
         std::iter::once(over_epsilon).chain(down_sampling).chain(noise).collect()
     }
 
-    /// A line for each method over conditions, at the tables' epsilon.
+    /// One line for each method over the conditions of a sweep, at the tables' epsilon.
     fn lines(&self, swept: &[Condition], sweep: &Sweep) -> Vec<Line> {
         let share = |c: &Condition, i| self.under(*c).nth(i).map(|s| s.repeatability[self.table_column()].mean);
         let line = |i, first: &Summary| Line::new(&first.method, swept.iter().map(|c| share(c, i)).collect());
         let ours = self.under(self.plan.conditions[0]).enumerate().map(|(i, first)| line(i, first));
         let theirs = self.paper_sweep(swept, sweep);
-        ours.chain(theirs.into_iter().flat_map(|(table, places)| Line::of_paper(table, &places))).collect()
+        ours.chain(theirs.into_iter().flat_map(|(table, column_values)| Line::of_paper(table, &column_values)))
+            .collect()
     }
 
-    /// The conditions of a sweep, if there are several.
+    /// The conditions of a sweep; `None` if there is only one.
     fn swept(&self, sweep: &Sweep) -> Option<Vec<Condition>> {
         let swept: Vec<Condition> = self.plan.conditions.iter().copied().filter(sweep.belongs).collect();
         (swept.len() > 1).then_some(swept)
     }
 
-    /// The paper's table of a sweep, where it is of the same epsilon, and the columns that are wanted.
+    /// The paper's table of a sweep with the requested column values; `None` if its epsilon differs from ours.
     fn paper_sweep(&self, swept: &[Condition], sweep: &Sweep) -> Option<(&'a PaperTable, Vec<f64>)> {
         let paper = self.paper.filter(|paper| paper.table_epsilon == self.plan.table_epsilon)?;
-        Some(((sweep.paper)(paper), swept.iter().map(sweep.place).collect()))
+        Some(((sweep.paper)(paper), swept.iter().map(sweep.column_value).collect()))
     }
 
-    /// Where the tables' epsilon is.
+    /// The index of the tables' epsilon.
     fn table_column(&self) -> usize {
         self.plan.epsilon.iter().position(|epsilon| *epsilon == self.plan.table_epsilon).unwrap_or(0)
     }
 
-    /// Undisturbed views, a row for each method.
+    /// The table of the clean views over epsilon, with a row for each method.
     fn over_epsilon(&self) -> Table {
         let mut head = vec!["method".to_owned()];
         head.extend(self.plan.epsilon.iter().map(|epsilon| format!("ε {epsilon}")));
@@ -171,7 +173,7 @@ impl<'a> Report<'a> {
         Table { title, head, rows }
     }
 
-    /// One epsilon, a row for each method and a column for each condition that belongs; none of a single condition.
+    /// The table of a sweep, with a row for each method and a column for each condition; `None` if there is only one.
     fn over(&self, what: &str, sweep: &Sweep, name: fn(&Condition) -> String) -> Option<Table> {
         let swept = self.swept(sweep)?;
         let head = std::iter::once("method".to_owned()).chain(swept.iter().map(name)).collect();
@@ -181,16 +183,16 @@ impl<'a> Report<'a> {
             rows.iter_mut().zip(cells).for_each(|(row, cell)| row.push(cell));
         }
         let theirs = self.paper_sweep(&swept, sweep);
-        rows.extend(theirs.into_iter().flat_map(|(table, places)| table.rows(&places)));
+        rows.extend(theirs.into_iter().flat_map(|(table, column_values)| table.rows(&column_values)));
         Some(Table { title: format!("At ε {}, over {what}", self.plan.table_epsilon), head, rows })
     }
 
-    /// The methods under one condition, in their order.
+    /// The summaries of all methods under one condition, in their order.
     fn under(&self, condition: Condition) -> impl Iterator<Item = &Summary> {
         self.summaries.iter().filter(move |summary| summary.condition == condition)
     }
 
-    /// A line for each method, condition and epsilon.
+    /// The CSV file: a line for each method, condition and epsilon.
     fn csv(&self) -> String {
         let mut text =
             String::from("method,downsample,noise,epsilon,repeatability,deviation,keypoints,coverage,pairs\n");
@@ -295,7 +297,7 @@ At ε 0.2, over noise:
         ] {
             assert!(usual.contains(row), "{usual}");
         }
-        // The paper's sweeps are of another epsilon than this.
+        // The paper's sweeps have another epsilon.
         assert!(!markdown(0.3).contains("| iss (paper) | 0.096 | 0.020 |"));
     }
 

@@ -1,4 +1,4 @@
-//! Pairs of views: an object seen twice, or two clouds of one place.
+//! Pairs of views: two samples of an object, or two clouds of the same scene.
 
 use anyhow::Result;
 use nalgebra::{Point3, Quaternion, UnitQuaternion};
@@ -11,13 +11,13 @@ use snake_core::{Normalization, NormalizationMethod, Point, Transform};
 /// A disturbance of both views, as in the paper's tables.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct Condition {
-    /// A view has a share of 1 in so many of its points.
+    /// Down-sampling rate: a rate of N keeps one point in N.
     pub downsample: usize,
-    /// Standard deviation of Gaussian noise on each coordinate, in units of the views.
+    /// Standard deviation of the Gaussian noise on each coordinate, in units of the views.
     pub noise: f64,
 }
 
-/// The clouds of a pair in the units of the figures.
+/// The clouds of a pair, in the units of the figures.
 pub enum PairClouds {
     /// An object of radius 1.
     Object(Vec<Point>),
@@ -27,7 +27,7 @@ pub enum PairClouds {
     },
 }
 
-/// Two views, the transform that takes the second to the first, and a seed for each.
+/// Two views, the transform from the second to the first, and a seed for each view.
 pub struct Views {
     pub view_1: Vec<Point>,
     pub view_2: Vec<Point>,
@@ -36,13 +36,13 @@ pub struct Views {
 }
 
 impl PairClouds {
-    /// Scales an object to radius 1 about its mean; it is not moved.
+    /// Scales an object so that its radius about its mean is 1. The object is not centred.
     pub fn object(points: &[Point]) -> Result<Self> {
         let radius = Normalization::of(points, NormalizationMethod::UnitSphere)?.scale / 2.0;
         Ok(Self::Object(points.iter().map(|point| point.map(|v| v / radius)).collect()))
     }
 
-    /// Scales a real pair so that the first cloud has radius 1 about its mean; neither is moved.
+    /// Scales a real pair so that the radius of the first cloud about its mean is 1. The clouds are not centred.
     pub fn with_unit_radius(self) -> Result<Self> {
         let Self::Real { clouds, mut t_1_2 } = self else { return Ok(self) };
         let radius = Normalization::of(&clouds[0], NormalizationMethod::UnitSphere)?.scale / 2.0;
@@ -61,21 +61,21 @@ impl PairClouds {
                 // A unit quaternion in a uniform direction is a uniform rotation.
                 let [w, x, y, z] = std::array::from_fn(|_| rng.sample::<f64, _>(StandardNormal));
                 let rotation = UnitQuaternion::from_quaternion(Quaternion::new(w, x, y, z));
-                let turn = |point: Point| -> Point {
+                let rotate = |point: Point| -> Point {
                     (rotation * Point3::from(point.map(f64::from))).coords.map(|v| v as f32).into()
                 };
                 let first = choose(points, share(points), &mut rng);
-                let second = choose(points, share(points), &mut rng).into_iter().map(turn).collect();
-                let back = rotation.inverse().to_homogeneous();
-                ([first, second], std::array::from_fn(|row| std::array::from_fn(|column| back[(row, column)])))
+                let second = choose(points, share(points), &mut rng).into_iter().map(rotate).collect();
+                let inverse = rotation.inverse().to_homogeneous();
+                ([first, second], std::array::from_fn(|row| std::array::from_fn(|column| inverse[(row, column)])))
             }
             Self::Real { clouds, t_1_2 } => {
                 (clouds.each_ref().map(|points| choose(points, share(points), &mut rng)), *t_1_2)
             }
         };
         let mut noisy = |points: Vec<Point>| -> Vec<Point> {
-            let mut moved = |v: f32| (f64::from(v) + condition.noise * rng.sample::<f64, _>(StandardNormal)) as f32;
-            points.into_iter().map(|point| point.map(&mut moved)).collect()
+            let mut add_noise = |v: f32| (f64::from(v) + condition.noise * rng.sample::<f64, _>(StandardNormal)) as f32;
+            points.into_iter().map(|point| point.map(&mut add_noise)).collect()
         };
         let (view_1, view_2) = (noisy(first), noisy(second));
         Ok(Views { view_1, view_2, t_1_2, seeds: [rng.random(), rng.random()] })
@@ -109,7 +109,7 @@ mod tests {
     const CLEAN: Condition = Condition { downsample: 1, noise: 0.0 };
 
     #[test]
-    fn an_object_has_radius_1_and_its_second_view_comes_back() {
+    fn an_object_has_radius_1_and_the_transform_aligns_its_second_view() {
         let clouds = PairClouds::object(&ball(300)).unwrap();
         let PairClouds::Object(points) = &clouds else { unreachable!() };
         let mean: Point = std::array::from_fn(|axis| points.iter().map(|p| p[axis]).sum::<f32>() / 300.0);
@@ -160,7 +160,7 @@ mod tests {
         let radius = f64::from(ball(300)[0][0] / first[0][0]);
         assert_eq!((&first, &second), (&object, &object[..80].to_vec()));
         assert!((scaled[0][3] - 2.0 / radius).abs() < 1e-6 && scaled[0][0] == 1.0 && scaled[3] == t_1_2[3]);
-        // A cloud with fewer points than asked for is thinned all the same.
+        // Down-sampling also applies to a cloud with fewer points than requested.
         let views = clouds.views(Condition { downsample: 4, noise: 0.0 }, 60, 0, 0).unwrap();
         assert_eq!((views.view_1.len(), views.view_2.len()), (12, 15));
     }

@@ -1,4 +1,4 @@
-//! The body models of SMPL, SMPL+H and SMPL-X: a mesh that a shape and a pose deform.
+//! The body models of SMPL, SMPL+H and SMPL-X: a mesh that is deformed by shape and pose parameters.
 //!
 //! "SMPL: A Skinned Multi-Person Linear Model", Loper and others, 2015, sections 3 and 3.1.
 
@@ -11,34 +11,34 @@ use snake_io::{self as io, Array};
 use super::pickle::Pickle;
 use super::pickled_arrays;
 
-/// Shape parameters that are used, the first.
+/// Number of shape parameters that are used, from the first.
 pub const BETAS: usize = 10;
 
-/// What a file of a body model holds.
+/// The arrays in a file of a body model.
 const NAMES: [&str; 7] = ["v_template", "shapedirs", "posedirs", "weights", "J_regressor", "kintree_table", "f"];
 
 /// A body model of V vertices and K joints.
 #[derive(Debug, PartialEq)]
 pub struct BodyModel {
-    /// The mean body, V vertices in metres.
+    /// The mean body: V vertices in metres.
     template: Vec<Vector3<f64>>,
-    /// How far each shape parameter moves each coordinate, `(V, 3, num_betas)`.
+    /// Displacement of each coordinate per unit of each shape parameter, `(V, 3, num_betas)`.
     shape_directions: Vec<f64>,
     num_betas: usize,
-    /// How far each entry of the joints' rotation matrices moves each coordinate, `(V, 3, 9 (K - 1))`.
+    /// Displacement of each coordinate per unit of each entry of the joints' rotation matrices, `(V, 3, 9 (K - 1))`.
     pose_directions: Vec<f64>,
-    /// How much each vertex follows each joint, `(V, K)`.
+    /// Skinning weights of each vertex for each joint, `(V, K)`.
     weights: Vec<f64>,
-    /// Joints from vertices, `(K, V)`.
+    /// Weights that give the joints' positions from the vertices, `(K, V)`.
     regressor: Vec<f64>,
-    /// Of each joint but the first; parents come before their children.
+    /// The parent of each joint except the first. Parents come before their children.
     parents: Vec<usize>,
-    /// Indices of the vertices of each triangle.
+    /// Vertex indices of each triangle.
     pub faces: Vec<[usize; 3]>,
 }
 
 impl BodyModel {
-    /// Reads a model, `.npz` or a pickle of any other name.
+    /// Reads a model from an `.npz` file, or from a pickle with any other extension.
     pub fn open(path: &Path) -> Result<Self> {
         let arrays = if path.extension().is_some_and(|extension| extension.eq_ignore_ascii_case("npz")) {
             io::read_arrays(path, &NAMES)?
@@ -49,7 +49,7 @@ impl BodyModel {
         Self::new(arrays).map_err(|reason| anyhow::anyhow!("{}: {reason}", path.display()))
     }
 
-    /// Of the arrays of [`NAMES`], in their order.
+    /// A model from the arrays of [`NAMES`], in that order.
     fn new(arrays: Vec<Array>) -> Result<Self, String> {
         let Ok([template, shape, pose, weights, regressor, tree, faces]) = <[Array; 7]>::try_from(arrays) else {
             return Err("an array is missing".into());
@@ -73,7 +73,7 @@ impl BodyModel {
             if &array.shape != expected {
                 return Err(format!("`{name}` has the shape {:?}, expected is {expected:?}", array.shape));
             }
-            // The parent of the root is any number.
+            // The root has no parent, so its number is arbitrary.
             if *name != "kintree_table" && !array.items.iter().all(|item| item.is_finite()) {
                 return Err(format!("`{name}` has numbers that are not finite"));
             }
@@ -97,36 +97,37 @@ impl BodyModel {
         })
     }
 
-    /// How many joints there are, the root included.
+    /// Number of joints, including the root.
     pub fn num_joints(&self) -> usize {
         self.parents.len() + 1
     }
 
-    /// The vertices of a body by linear blend skinning: a rotation vector in radians for each joint, relative to its
-    /// parent, and shape parameters, of which there may be fewer than the model has.
+    /// The vertices of a body, by linear blend skinning. `pose` has a rotation vector in radians for each joint,
+    /// relative to its parent. `betas` are shape parameters; there may be fewer than the model has.
     pub fn vertices(&self, pose: &[Vector3<f64>], betas: &[f64]) -> Vec<Point3<f64>> {
         let rotations: Vec<Rotation3<f64>> = pose.iter().map(|&vector| Rotation3::new(vector)).collect();
-        let shaped = self.moved(&self.template, &self.shape_directions, self.num_betas, betas);
-        // Rows of the joints' rotations but the root's, less the identity.
-        let change = |rotation: &Rotation3<f64>| rotation.matrix() - Matrix3::identity();
+        let shaped = self.displaced(&self.template, &self.shape_directions, self.num_betas, betas);
+        // The rotation matrices of all joints except the root, row by row, minus the identity.
+        let difference = |rotation: &Rotation3<f64>| rotation.matrix() - Matrix3::identity();
         let features: Vec<f64> = rotations[1..]
             .iter()
-            .flat_map(|rotation| change(rotation).transpose().iter().copied().collect::<Vec<_>>())
+            .flat_map(|rotation| difference(rotation).transpose().iter().copied().collect::<Vec<_>>())
             .collect();
-        let posed = self.moved(&shaped, &self.pose_directions, features.len(), &features);
-        let movements = self.movements(&shaped, &rotations);
+        let posed = self.displaced(&shaped, &self.pose_directions, features.len(), &features);
+        let transforms = self.joint_transforms(&shaped, &rotations);
         let skinned = |(vertex, weights): (&Vector3<f64>, &[f64])| {
-            let by_joint = movements
+            let by_joint = transforms
                 .iter()
                 .zip(weights)
-                .map(|(movement, weight)| (movement * Point3::from(*vertex)).coords * *weight);
+                .map(|(transform, weight)| (transform * Point3::from(*vertex)).coords * *weight);
             Point3::from(by_joint.sum::<Vector3<f64>>())
         };
         posed.iter().zip(self.weights.chunks_exact(self.num_joints())).map(skinned).collect()
     }
 
-    /// Vertices moved along directions, `(V, 3, stride)`, by as many amounts as are given.
-    fn moved(
+    /// Vertices displaced along `directions`, `(V, 3, stride)`. Only the first directions have amounts if there are
+    /// fewer amounts than `stride`.
+    fn displaced(
         &self,
         vertices: &[Vector3<f64>],
         directions: &[f64],
@@ -136,12 +137,12 @@ impl BodyModel {
         let along = |row: usize| -> f64 {
             directions[row * stride..][..stride].iter().zip(amounts).map(|(direction, amount)| direction * amount).sum()
         };
-        let moved = |(i, vertex): (usize, &Vector3<f64>)| vertex + Vector3::from_fn(|axis, _| along(3 * i + axis));
-        vertices.iter().enumerate().map(moved).collect()
+        let displaced = |(i, vertex): (usize, &Vector3<f64>)| vertex + Vector3::from_fn(|axis, _| along(3 * i + axis));
+        vertices.iter().enumerate().map(displaced).collect()
     }
 
-    /// Where each joint takes the points of the body at rest.
-    fn movements(&self, shaped: &[Vector3<f64>], rotations: &[Rotation3<f64>]) -> Vec<Isometry3<f64>> {
+    /// The transform of each joint, from the body at rest to the posed body.
+    fn joint_transforms(&self, shaped: &[Vector3<f64>], rotations: &[Rotation3<f64>]) -> Vec<Isometry3<f64>> {
         let joint = |weights: &[f64]| weights.iter().zip(shaped).map(|(weight, vertex)| vertex * *weight).sum();
         let joints: Vec<Vector3<f64>> = self.regressor.chunks_exact(shaped.len()).map(joint).collect();
         let local = |joint: usize, origin: Vector3<f64>| {
@@ -165,8 +166,8 @@ fn pickled(bytes: &[u8]) -> Result<Vec<Array>, String> {
     NAMES.iter().map(|name| array(name)).collect()
 }
 
-/// Of each joint but the first the number of its parent, from the two rows of `kintree_table`: parents, and the joints'
-/// own names.
+/// The index of the parent of each joint except the first. The two rows of `kintree_table` are the names of the parents
+/// and the names of the joints.
 fn parents(tree: &[f64]) -> Result<Vec<usize>, String> {
     let (parents, names) = tree.split_at(tree.len() / 2);
     let number = |joint: usize| {
@@ -187,15 +188,15 @@ mod tests {
         Array { shape: shape.into(), items: items.into() }
     }
 
-    /// An arm along x with joints at its first vertex, 0, and its second, 1; the third vertex is its end at 2. The first
-    /// follows the root, the third the elbow, and the second both.
+    /// An arm along x with vertices at 0, 1 and 2. The root joint is at the first vertex, the elbow at the second. The
+    /// first vertex follows the root, the third the elbow, and the second both.
     fn arm() -> Vec<Array> {
         let mut pose_directions = vec![0.0; 3 * 3 * 9];
-        // Row 1, column 0 of the elbow's matrix, its sine, lifts vertex 2 along z.
+        // Row 1, column 0 of the elbow's matrix, its sine, moves vertex 2 along z.
         pose_directions[(3 * 2 + 2) * 9 + 3] = 0.5;
         vec![
             array(&[3, 3], &[0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 2.0, 0.0, 0.0]),
-            // Of two shape parameters the first makes the arm longer.
+            // The first of two shape parameters makes the arm longer.
             array(&[3, 3, 2], &[[0.0; 6], [1.0, 0.0, 0.0, 0.0, 0.0, 0.0], [2.0, 0.0, 0.0, 0.0, 0.0, 9.0]].concat()),
             array(&[3, 3, 9], &pose_directions),
             array(&[3, 2], &[1.0, 0.0, 0.5, 0.5, 0.0, 1.0]),
@@ -217,15 +218,15 @@ mod tests {
         let model = BodyModel::new(arm()).unwrap();
         let (rest, left) = ([0.0; 3], [0.0, 0.0, FRAC_PI_2]);
         assert_vertices(&model, [rest, rest], &[], [[0.0; 3], [1.0, 0.0, 0.0], [2.0, 0.0, 0.0]]);
-        // From the shoulder the whole arm turns to y.
+        // The shoulder rotates the whole arm to y.
         assert_vertices(&model, [left, rest], &[], [[0.0; 3], [0.0, 1.0, 0.0], [0.0, 2.0, 0.0]]);
-        // From the elbow the hand, which the pose also lifts by half the sine.
+        // The elbow rotates the hand, and the pose moves it by half the sine along z.
         assert_vertices(&model, [rest, left], &[], [[0.0; 3], [1.0, 0.0, 0.0], [1.0, 1.0, 0.5]]);
-        // Both: the upper arm along y, the lower back along -x.
+        // Both joints: the upper arm points along y, the lower arm along -x.
         assert_vertices(&model, [left, left], &[], [[0.0; 3], [0.0, 1.0, 0.0], [-1.0, 1.0, 0.5]]);
-        // An arm of twice the length, whose elbow moves with it.
+        // The arm has twice the length, and the elbow moves with it.
         assert_vertices(&model, [rest, left], &[1.0], [[0.0; 3], [2.0, 0.0, 0.0], [2.0, 2.0, 0.5]]);
-        // A vertex of two joints ends in the middle: with the elbow elsewhere, half of it turns about it.
+        // A vertex with two joints is the average of both. Here the elbow is not at that vertex.
         let mut arrays = arm();
         arrays[4] = array(&[2, 3], &[1.0, 0.0, 0.0, 0.5, 0.5, 0.0]);
         let model = BodyModel::new(arrays).unwrap();
@@ -248,7 +249,7 @@ mod tests {
     }
 
     #[test]
-    fn a_pose_is_that_of_the_definition() {
+    fn a_posed_body_equals_the_reference() {
         let [pose, betas, vertices] =
             <[Array; 3]>::try_from(io::read_arrays(&sample("posed.npz"), &["pose", "betas", "vertices"]).unwrap())
                 .unwrap();
@@ -272,7 +273,7 @@ mod tests {
             for value in [0, 1, 0x7f, 0xff, b'.', b'R', b'b', b'h'] {
                 let mut damaged = bytes.clone();
                 damaged[at] = value;
-                // Whatever it says, it comes to an end.
+                // Any content is parsed or refused in finite time.
                 refused += usize::from(pickled(&damaged).and_then(BodyModel::new).is_err());
             }
         }

@@ -1,4 +1,4 @@
-//! KeypointNet and pairs of SMPL bodies, by the layout of their folder.
+//! Data sets of semantic consistency: KeypointNet and pairs of SMPL bodies, recognised by the layout of their folder.
 
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
@@ -11,12 +11,12 @@ use snake_io as io;
 use super::super::read_json;
 use super::smpl::BodyPairs;
 
-/// What is evaluated on.
+/// A data set.
 pub enum Data {
     KeypointNet(Vec<Shape>),
-    /// Row i of both is the same place of a body.
+    /// Posed bodies. Point i of both bodies of a pair is the same point of the surface.
     Bodies([Vec<Vec<Point>>; 2]),
-    /// Bodies are posed.
+    /// A body model, which is posed for each pair.
     BodyModel(Box<BodyPairs>),
 }
 
@@ -25,11 +25,11 @@ pub struct Shape {
     pub name: String,
     pub class: String,
     pub cloud: PathBuf,
-    /// Indices of the points that people marked.
+    /// Indices of the annotated points.
     pub keypoints: Vec<usize>,
 }
 
-/// An entry of an annotation file; what else it has is ignored.
+/// An entry of an annotation file; other keys are ignored.
 #[derive(Deserialize)]
 struct Annotation {
     class_id: String,
@@ -48,7 +48,7 @@ struct MarkedPoint {
 }
 
 impl Data {
-    /// Recognises the folder or body model; of KeypointNet those shapes that the file of names lists.
+    /// Opens a folder or a body model. For KeypointNet, `split` is a file that lists the shapes to use.
     pub fn open(folder: &Path, split: Option<&Path>) -> Result<Self> {
         if folder.join("annotations").is_dir() {
             return keypointnet(folder, split).map(Self::KeypointNet);
@@ -82,7 +82,7 @@ impl Data {
         }
     }
 
-    /// How many shapes, or pairs of bodies.
+    /// Number of shapes or of pairs of bodies.
     pub fn len(&self) -> usize {
         match self {
             Self::KeypointNet(shapes) => shapes.len(),
@@ -91,7 +91,7 @@ impl Data {
         }
     }
 
-    /// What a shape or a pair is called.
+    /// The name of a shape or a pair.
     pub fn name(&self, index: usize) -> String {
         match self {
             Self::KeypointNet(shapes) => shapes[index].name.clone(),
@@ -99,7 +99,7 @@ impl Data {
         }
     }
 
-    /// The class of a shape.
+    /// The class of a shape; `None` for bodies.
     pub fn class(&self, index: usize) -> Option<&str> {
         match self {
             Self::KeypointNet(shapes) => Some(&shapes[index].class),

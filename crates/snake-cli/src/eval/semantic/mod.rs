@@ -56,14 +56,14 @@ pub fn run(arguments: &SemanticArguments) -> Result<()> {
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 struct Row {
     method: String,
-    /// How many keypoints were found, on the first body of a pair.
+    /// Number of keypoints; for a pair of bodies, on the first one.
     keypoints: usize,
-    /// For each threshold, strictly, and as the paper's released code counts.
+    /// Counts for each threshold, by the strict rule and by the rule of the paper's released code.
     strict: Vec<MatchCounts>,
     paper: Vec<MatchCounts>,
 }
 
-/// Everything that the figures depend on, but for the data's content.
+/// All settings that the figures depend on, without the content of the data.
 fn settings(arguments: &SemanticArguments, methods: &[Method]) -> Value {
     json!({
         "metric": "semantic consistency",
@@ -84,13 +84,13 @@ fn rows(
 ) -> Result<Vec<Row>> {
     let mut rng = ChaCha8Rng::seed_from_u64(seed);
     rng.set_stream(shape as u64);
-    let [seed_1, seed_2, filling]: [u64; 3] = std::array::from_fn(|_| rng.random());
+    let [seed_1, seed_2, fill_seed]: [u64; 3] = std::array::from_fn(|_| rng.random());
     let threshold = &arguments.threshold;
     let of_bodies = |body_1: &[Point], body_2: &[Point]| {
         let row = |method: &Method| {
             let (on_1, on_2) = (method.keypoints(body_1, seed_1)?, method.keypoints(body_2, seed_2)?);
             let counts = |rule| smpl_pair_counts(body_1, body_2, &on_1, &on_2, threshold, rule);
-            let paper = counts(SmplProtocol::PaperCompatible { seed: filling })?;
+            let paper = counts(SmplProtocol::PaperCompatible { seed: fill_seed })?;
             let strict = counts(SmplProtocol::Strict)?;
             Ok(Row { method: method.name().into(), keypoints: on_1.len(), strict, paper })
         };
@@ -98,7 +98,7 @@ fn rows(
     };
     match data {
         Data::KeypointNet(shapes) => {
-            // Its points are marked by their indices, so that the origin does not matter.
+            // The annotations are indices of points, so the origin does not matter.
             let points = arguments.common.run.columns.read(&shapes[shape].cloud)?.points;
             let row = |method: &Method| {
                 let found = method.keypoints(&points, seed_1)?;

@@ -1,15 +1,15 @@
-//! Python's pickles as plain data: nothing in them is imported, called or otherwise run.
+//! Reads Python pickles as plain data. No code is imported, called or otherwise executed.
 //!
-//! The opcodes of protocols 0 to 5 build numbers, bytes, lists, dictionaries and objects; an object is the name of its
-//! class, its arguments and its state. Classes other than those of body models are refused by name.
+//! The opcodes of protocols 0 to 5 build numbers, bytes, lists, dictionaries and objects. An object is the name of its
+//! class, its arguments and its state. Only the classes of body models are allowed.
 
 use std::borrow::Cow;
 use std::collections::HashMap;
 
-/// More objects than any body model has; it bounds the memory that a hostile file takes.
-const MOST_NODES: usize = 1 << 20;
+/// The most objects in a pickle, far more than any body model has. It bounds the memory for a hostile file.
+const MAX_NODES: usize = 1 << 20;
 
-/// Where a value lies. Values may share others, and even hold themselves: who walks them must bound the depth.
+/// Index of a value. Values may be shared and may even contain themselves, so a traversal must bound its depth.
 pub type Id = usize;
 
 /// A value.
@@ -19,15 +19,15 @@ pub enum Node<'a> {
     Bool(bool),
     Int(i64),
     Float(f64),
-    /// Strings too, as UTF-8.
+    /// Bytes, or a string as UTF-8.
     Bytes(Cow<'a, [u8]>),
     Tuple(Vec<Id>),
     List(Vec<Id>),
     Dict(Vec<(Id, Id)>),
     /// `module.name` of a class or function.
     Global(String),
-    /// What a class or function, a [`Node::Global`], would have made of its arguments, a [`Node::Tuple`], and the state it
-    /// would then have been given.
+    /// An object: the class or function that makes it, a [`Node::Global`], its arguments, a [`Node::Tuple`], and the
+    /// state that is set afterwards.
     Object {
         class: Id,
         arguments: Id,
@@ -43,7 +43,7 @@ pub struct Pickle<'a> {
 }
 
 impl<'a> Pickle<'a> {
-    /// Reads a pickle up to its end; what follows is ignored.
+    /// Reads a pickle. Bytes after its end are ignored.
     pub fn parse(bytes: &'a [u8]) -> Result<Self, String> {
         let mut machine =
             Machine { bytes, at: 0, nodes: Vec::new(), stack: Vec::new(), marks: Vec::new(), memo: HashMap::new() };
@@ -62,12 +62,12 @@ impl<'a> Pickle<'a> {
         &self.nodes[self.root]
     }
 
-    /// The value at a place.
+    /// The value with this index.
     pub fn node(&self, id: Id) -> &Node<'a> {
         &self.nodes[id]
     }
 
-    /// The name of a class or function; of anything else nothing.
+    /// The name of a class or function; empty for any other value.
     pub fn name(&self, id: Id) -> &str {
         match &self.nodes[id] {
             Node::Global(name) => name,
@@ -75,7 +75,7 @@ impl<'a> Pickle<'a> {
         }
     }
 
-    /// The values of a tuple or list; of anything else nothing.
+    /// The items of a tuple or list; none for any other value.
     pub fn items<'b>(&'b self, node: &'b Node) -> impl ExactSizeIterator<Item = &'b Node<'a>> {
         let ids: &[Id] = match node {
             Node::Tuple(ids) | Node::List(ids) => ids,
@@ -84,16 +84,16 @@ impl<'a> Pickle<'a> {
         ids.iter().map(|&id| self.node(id))
     }
 
-    /// Of a dictionary, the value of a string.
+    /// The value of a string key in a dictionary.
     pub fn get(&self, dict: &Node, key: &str) -> Option<&Node<'a>> {
         let Node::Dict(items) = dict else { return None };
         let is_key = |id: Id| matches!(self.node(id), Node::Bytes(bytes) if **bytes == *key.as_bytes());
-        // As in Python, the last one counts.
+        // As in Python, the last value of a key is valid.
         items.iter().rev().find(|(id, _)| is_key(*id)).map(|(_, value)| self.node(*value))
     }
 }
 
-/// Modules whose classes stand for arrays or sparse matrices, and the functions that make them.
+/// Whether a name is a known class of arrays or sparse matrices, or a function that makes them.
 fn is_known(module: &str, name: &str) -> bool {
     match module {
         "copy_reg" | "copyreg" => name == "_reconstructor",
@@ -113,7 +113,7 @@ struct Machine<'a> {
     at: usize,
     nodes: Vec<Node<'a>>,
     stack: Vec<Id>,
-    /// Heights of the stack.
+    /// Heights of the stack at the open marks.
     marks: Vec<usize>,
     memo: HashMap<u64, Id>,
 }
@@ -121,7 +121,7 @@ struct Machine<'a> {
 type Step<T> = Result<T, String>;
 
 impl<'a> Machine<'a> {
-    /// Does one opcode; at the last one returns the value.
+    /// Executes one opcode. The last opcode returns the value of the pickle.
     fn step(&mut self) -> Step<Option<Id>> {
         let opcode = self.take(1)?[0];
         match opcode {
@@ -158,7 +158,7 @@ impl<'a> Machine<'a> {
         }
     }
 
-    /// Keeps the top of the stack under a number, or takes it from there.
+    /// Stores the top of the stack in the memo, or pushes a value of the memo.
     fn memoize(&mut self, opcode: u8) -> Step<()> {
         let key = match opcode {
             b'p' | b'g' => self.parsed_line("number of the memo")?,
@@ -171,7 +171,7 @@ impl<'a> Machine<'a> {
             return self.push(known);
         }
         let top = *self.stack.last().ok_or(EMPTY)?;
-        if self.memo.len() == MOST_NODES {
+        if self.memo.len() == MAX_NODES {
             return Err(TOO_MANY.into());
         }
         self.memo.insert(key, top);
@@ -261,7 +261,7 @@ impl<'a> Machine<'a> {
         }
     }
 
-    /// Globals, objects of them and objects' states.
+    /// Executes the opcodes of classes and functions, of objects and of objects' states.
     fn object(&mut self, opcode: u8) -> Step<()> {
         match opcode {
             b'c' => {
@@ -289,7 +289,7 @@ impl<'a> Machine<'a> {
                 let (Node::Global(name), Node::Tuple(items)) = (&self.nodes[class], &self.nodes[arguments]) else {
                     return Err("only known classes and functions can be called".into());
                 };
-                // What protocols 0 and 1 make objects with: (class, object, None).
+                // Protocols 0 and 1 make objects with a function of the arguments (class, object, None).
                 let class = match name.ends_with("._reconstructor") {
                     true => *items.first().ok_or("an object without a class")?,
                     false => class,
@@ -308,14 +308,14 @@ impl<'a> Machine<'a> {
     }
 
     fn mark(&mut self) -> Step<()> {
-        if self.marks.len() == MOST_NODES {
+        if self.marks.len() == MAX_NODES {
             return Err(TOO_MANY.into());
         }
         self.marks.push(self.stack.len());
         Ok(())
     }
 
-    /// The values since the last mark.
+    /// Removes and returns the values since the last mark.
     fn pop_mark(&mut self) -> Step<Vec<Id>> {
         let height = self.marks.pop().ok_or("a mark is missing")?;
         Ok(self.stack.split_off(height))
@@ -328,7 +328,7 @@ impl<'a> Machine<'a> {
         }
     }
 
-    /// The values from a height on, none of which is below the last mark.
+    /// Removes and returns the values from a height of the stack on. The height must not be below the last mark.
     fn split_off(&mut self, height: usize) -> Step<Vec<Id>> {
         if self.marks.last().is_some_and(|mark| height < *mark) {
             return Err(EMPTY.into());
@@ -342,7 +342,7 @@ impl<'a> Machine<'a> {
     }
 
     fn add(&mut self, node: Node<'a>) -> Step<()> {
-        if self.nodes.len() == MOST_NODES {
+        if self.nodes.len() == MAX_NODES {
             return Err(TOO_MANY.into());
         }
         self.nodes.push(node);
@@ -350,14 +350,14 @@ impl<'a> Machine<'a> {
     }
 
     fn push(&mut self, id: Id) -> Step<()> {
-        if self.stack.len() == MOST_NODES {
+        if self.stack.len() == MAX_NODES {
             return Err(TOO_MANY.into());
         }
         self.stack.push(id);
         Ok(())
     }
 
-    /// The next bytes, borrowed: a length that the file does not have costs nothing.
+    /// The next bytes. They are borrowed, so a length beyond the end of the file allocates nothing.
     fn take(&mut self, length: usize) -> Step<&'a [u8]> {
         let end = self.at.checked_add(length);
         let taken = end.and_then(|end| self.bytes.get(self.at..end)).ok_or("cut short")?;
@@ -370,14 +370,14 @@ impl<'a> Machine<'a> {
         Ok(std::array::from_fn(|i| taken[i]))
     }
 
-    /// A length of so many bytes.
+    /// Reads a length that is stored in `width` bytes.
     fn length(&mut self, width: usize) -> Step<usize> {
         let mut bytes = [0; 8];
         bytes[..width].copy_from_slice(self.take(width)?);
         usize::try_from(u64::from_le_bytes(bytes)).map_err(|_| "cut short".into())
     }
 
-    /// The text up to the end of the line.
+    /// The text up to the end of the line, without the line break.
     fn line(&mut self) -> Step<&'a [u8]> {
         let length = self.bytes[self.at..].iter().position(|&byte| byte == b'\n').ok_or("cut short")?;
         let line = self.take(length + 1)?;
@@ -397,7 +397,7 @@ fn parsed<T: std::str::FromStr>(text: &[u8], what: &str) -> Step<T> {
     text.parse().map_err(|_| format!("`{text:.20}` is no {what}"))
 }
 
-/// Keys and values that take turns.
+/// Pairs of alternating keys and values.
 fn pairs(items: &[Id]) -> Step<Vec<(Id, Id)>> {
     if items.len() % 2 == 1 {
         return Err("a key without a value".into());
@@ -413,7 +413,7 @@ fn little_endian(bytes: &[u8]) -> Step<i64> {
     Ok(i64::from_le_bytes(all))
 }
 
-/// A string of Python 2 between its quotes, with its escapes.
+/// The content of a quoted Python 2 string, with its escapes resolved.
 fn unquoted(line: &[u8]) -> Step<Vec<u8>> {
     let inner = [b"'", b"\""].iter().find_map(|quote| line.strip_prefix(*quote)?.strip_suffix(*quote));
     let mut rest = inner.ok_or("a string without quotes")?;
@@ -497,7 +497,7 @@ mod tests {
             }
             assert_eq!(pickle.get(pickle.root(), "c"), None);
         }
-        // The last value of a key counts; POP, DUP and POP_MARK.
+        // The last value of a key is valid. Also tests POP, DUP and POP_MARK.
         let pickle = Pickle::parse(b"}(U\x01aK\x01U\x01aK\x02uK\x0902(K\x01K\x0210.").unwrap();
         assert_eq!(pickle.get(pickle.root(), "a"), Some(&Node::Int(2)));
     }
@@ -526,7 +526,7 @@ mod tests {
         refused(b"cos\nsystem\n(S'true'\ntR.", "byte 0: `os.system` is none of the classes");
         refused(b"\x80\x04\x8c\x08builtins\x8c\x04eval\x93.", "`builtins.eval`");
         refused(b"cnumpy\nload\n.", "`numpy.load`");
-        // chumpyx is not chumpy.
+        // chumpyx is not a module of chumpy.
         refused(b"cchumpyx\nCh\n.", "`chumpyx.Ch`");
         refused(b"K\x01)R.", "only known classes");
         refused(b"(i__main__\nA\n.", "opcode 0x69");
@@ -537,19 +537,19 @@ mod tests {
         refused(b"K\x01K\x02a.", "no list");
         refused(b"}(K\x01u.", "a key without a value");
         refused(b"}K\x01b.", "no object");
-        // The mark guards what is below it.
+        // Opcodes cannot take values from below the mark.
         refused(b"K\x01(0.", "a value is missing");
         refused(b"K\x01K\x02(\x86.", "a value is missing");
         refused(b"\x8a\x09000000000.", "more than 8 bytes");
         for text in [&b""[..], b"T\xff\xff\xff\xff", b"\x8e\xff\xff\xff\xff\xff\xff\xff\xff", b"I1", b"cnumpy\n"] {
             refused(text, "cut short");
         }
-        // Nesting, marks, copies and memo entries beyond any model.
+        // More nesting, marks, copies and memo entries than any model has.
         for opcodes in [&b"]"[..], b"(", b"K\x01\x94", b"N0"] {
-            refused(&opcodes.repeat(MOST_NODES + 1), "more objects");
+            refused(&opcodes.repeat(MAX_NODES + 1), "more objects");
         }
-        refused(&[&b"N"[..], &b"2".repeat(MOST_NODES)].concat(), "more objects");
-        // Each list holds the one before it twice, the last 2 to the power of 60 values; and one holds itself.
+        refused(&[&b"N"[..], &b"2".repeat(MAX_NODES)].concat(), "more objects");
+        // Each list contains the previous one twice, so the last one has 2^60 values. Another list contains itself.
         let bomb = [&b"]q\x00"[..], &b"0](h\x00h\x00eq\x00".repeat(60), b"."].concat();
         let pickle = Pickle::parse(&bomb).unwrap();
         assert_eq!((pickle.nodes.len(), pickle.items(pickle.root()).len()), (61, 2));

@@ -1,4 +1,4 @@
-//! Arrays within a pickle: NumPy's, SciPy's sparse ones and chumpy's, which the authors of SMPL made their models with.
+//! Arrays in a pickle: NumPy arrays, sparse SciPy matrices and arrays of chumpy, the library behind the SMPL files.
 
 use std::borrow::Cow;
 
@@ -6,20 +6,20 @@ use snake_io::Array;
 
 use super::pickle::{Node, Pickle};
 
-/// Arrays within arrays, at most; chumpy's expressions are one or two deep.
-const MOST_DEPTH: usize = 8;
-/// Items of a dense matrix made of a sparse one, at most.
-const MOST_ITEMS: usize = 1 << 24;
+/// The deepest nesting of arrays; expressions of chumpy are one or two deep.
+const MAX_DEPTH: usize = 8;
+/// The most items of a dense matrix that is made from a sparse one.
+const MAX_ITEMS: usize = 1 << 24;
 
-/// The array of a value, of whatever kind.
+/// Converts a value to an array, for any of these kinds of arrays.
 pub fn array(pickle: &Pickle, node: &Node) -> Result<Array, String> {
     nested(pickle, node, 0)
 }
 
 fn nested(pickle: &Pickle, node: &Node, depth: usize) -> Result<Array, String> {
     let Node::Object { class, arguments, state } = *node else { return Err("is no array".into()) };
-    if depth == MOST_DEPTH {
-        return Err(format!("holds arrays more than {MOST_DEPTH} deep"));
+    if depth == MAX_DEPTH {
+        return Err(format!("holds arrays more than {MAX_DEPTH} deep"));
     }
     let (class, arguments) = (pickle.name(class), pickle.node(arguments));
     if class.ends_with("._frombuffer") {
@@ -46,7 +46,7 @@ fn nested(pickle: &Pickle, node: &Node, depth: usize) -> Result<Array, String> {
     }
 }
 
-/// NumPy's array of its state: (version, shape, type, whether in Fortran's order, bytes).
+/// A NumPy array from its state: (version, shape, type, whether in Fortran order, bytes).
 fn plain(pickle: &Pickle, state: &Node) -> Result<Array, String> {
     let [_, shape, dtype, order, data] = pickle.items(state).collect::<Vec<_>>()[..] else {
         return Err("is an array of an unknown kind".into());
@@ -55,7 +55,7 @@ fn plain(pickle: &Pickle, state: &Node) -> Result<Array, String> {
     Array::decode(&descr(pickle, dtype)?, &lengths(pickle, shape)?, fortran_order, &bytes(pickle, data)?)
 }
 
-/// NumPy's array of protocol 5: (bytes, type, shape, order).
+/// A NumPy array of protocol 5: (bytes, type, shape, order).
 fn from_buffer(pickle: &Pickle, arguments: &Node) -> Result<Array, String> {
     let [data, dtype, shape, order] = pickle.items(arguments).collect::<Vec<_>>()[..] else {
         return Err("is an array of an unknown kind".into());
@@ -78,7 +78,7 @@ fn descr(pickle: &Pickle, dtype: &Node) -> Result<String, String> {
     }
 }
 
-/// An array's bytes; Python 3 writes those of protocols below 3 as Latin-1 text.
+/// The bytes of an array. Python 3 writes them as Latin-1 text in protocols below 3.
 fn bytes<'a>(pickle: &'a Pickle, node: &'a Node) -> Result<Cow<'a, [u8]>, String> {
     match node {
         Node::Bytes(bytes) => Ok(Cow::Borrowed(bytes)),
@@ -100,10 +100,10 @@ fn lengths(pickle: &Pickle, shape: &Node) -> Result<Vec<usize>, String> {
     lengths.ok_or_else(|| "has a shape that is none".into())
 }
 
-/// The items of an array at the given places, in another shape.
-fn select(array: &Array, places: &Array, shape: Vec<usize>) -> Result<Array, String> {
-    let item = |place: &f64| index(*place, array.items.len()).map(|index| array.items[index]);
-    let items = places.items.iter().map(item).collect::<Option<Vec<f64>>>();
+/// The items of an array at the given indices, in another shape.
+fn select(array: &Array, indices: &Array, shape: Vec<usize>) -> Result<Array, String> {
+    let item = |number: &f64| index(*number, array.items.len()).map(|index| array.items[index]);
+    let items = indices.items.iter().map(item).collect::<Option<Vec<f64>>>();
     let items = items.ok_or("selects items that are not there")?;
     if shape.iter().try_fold(1_usize, |product, &length| product.checked_mul(length)) != Some(items.len()) {
         return Err("selects more or fewer items than its shape has".into());
@@ -111,10 +111,10 @@ fn select(array: &Array, places: &Array, shape: Vec<usize>) -> Result<Array, Str
     Ok(Array { shape, items })
 }
 
-/// The dense matrix of a sparse one in compressed columns; entries of one place add up.
+/// The dense form of a sparse matrix in compressed columns (CSC). Entries at the same position are added.
 fn dense(data: &Array, rows: &Array, starts: &Array, shape: &[usize]) -> Result<Array, String> {
     let &[num_rows, num_columns] = shape else { return Err("is a sparse matrix without two axes".into()) };
-    let length = num_rows.checked_mul(num_columns).filter(|length| *length <= MOST_ITEMS);
+    let length = num_rows.checked_mul(num_columns).filter(|length| *length <= MAX_ITEMS);
     let length = length.ok_or_else(|| format!("is a sparse matrix of {num_rows} by {num_columns}"))?;
     let damaged = || "is a sparse matrix whose entries do not fit it".to_owned();
     if starts.items.len() != num_columns + 1 || rows.items.len() != data.items.len() {

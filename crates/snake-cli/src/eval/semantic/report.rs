@@ -1,4 +1,4 @@
-//! The figures of semantic consistency: tables, curves, CSV and JSON.
+//! Reports of semantic consistency: tables, curves, CSV and JSON.
 
 use std::path::Path;
 
@@ -24,24 +24,24 @@ pub struct Report<'a> {
     paper: Option<&'a PaperTable>,
 }
 
-/// The IoU of one method over a class, or the mean over the classes, or over pairs of bodies.
+/// The IoU of one method: of a class, or the mean over the classes or over the pairs of bodies.
 struct Figure {
     method: String,
     class: Option<String>,
     keypoints: f64,
-    /// For each threshold, by either rule.
+    /// IoU for each threshold, by the strict rule and by the paper's.
     strict: Vec<Statistic>,
     paper: Vec<Statistic>,
 }
 
-/// The figure of shapes, or pairs of bodies; by the paper's rule or strictly.
+/// Computes the IoU of shapes or of pairs of bodies. The flag selects the paper's rule instead of the strict one.
 type Iou = fn(&[MatchCounts], bool) -> Result<f64>;
 
 /// The rows of one method, class by class.
 type Classes<'a> = Vec<Vec<&'a Row>>;
 
 impl Figure {
-    /// The mean over classes, of each seed.
+    /// The statistic over the seeds of the mean over the classes.
     fn new(runs: &[Classes], class: Option<&str>, iou: Iou) -> Result<Self> {
         let at = |threshold: usize, is_paper: bool| {
             let counts = |row: &&Row| if is_paper { row.paper[threshold] } else { row.strict[threshold] };
@@ -64,8 +64,8 @@ impl Figure {
 }
 
 impl<'a> Report<'a> {
-    /// Sums up shapes with their classes, or pairs of bodies, which have none, seed by seed; the paper's rows are shown
-    /// beside them.
+    /// Summarises the shapes with their classes, or the pairs of bodies without classes, seed by seed. The tables also
+    /// show the paper's rows.
     pub fn new(
         threshold: &'a [f64],
         settings: &'a Value,
@@ -73,10 +73,10 @@ impl<'a> Report<'a> {
         classes: &[Option<&str>],
         paper: Option<&'a PaperTable>,
     ) -> Result<Self> {
-        let mut different = classes.to_vec();
-        different.sort_unstable();
-        different.dedup();
-        let num_classes = different.iter().flatten().count();
+        let mut distinct = classes.to_vec();
+        distinct.sort_unstable();
+        distinct.dedup();
+        let num_classes = distinct.iter().flatten().count();
         let mut figures = Vec::new();
         for method in 0..runs[0].first().map_or(0, |shape| shape.rows.len()) {
             let figure = |chosen: &[Option<&str>], class, iou| {
@@ -87,15 +87,15 @@ impl<'a> Report<'a> {
                 let of_run = |number| chosen.iter().map(|class| of_class(number, class)).collect();
                 Figure::new(&(0..runs.len()).map(of_run).collect::<Vec<_>>(), class, iou)
             };
-            figures.push(figure(&different, None, if num_classes > 0 { class_iou } else { pairs_iou })?);
-            for class in different.iter().filter(|class| class.is_some()) {
+            figures.push(figure(&distinct, None, if num_classes > 0 { class_iou } else { pairs_iou })?);
+            for class in distinct.iter().filter(|class| class.is_some()) {
                 figures.push(figure(&[*class], *class, class_iou)?);
             }
         }
         Ok(Self { threshold, settings, figures, num_shapes: classes.len(), num_classes, num_seeds: runs.len(), paper })
     }
 
-    /// The tables, for people.
+    /// The tables as lines of plain text.
     pub fn text_lines(&self) -> Vec<String> {
         table::lines(&self.tables())
     }
@@ -113,7 +113,7 @@ impl<'a> Report<'a> {
         self.figures.iter().filter(|figure| figure.class.is_none())
     }
 
-    /// A table by each rule.
+    /// One table for each rule.
     fn tables(&self) -> Vec<Table> {
         let head = ["method".to_owned()].into_iter();
         let head: Vec<String> =
@@ -141,7 +141,7 @@ impl<'a> Report<'a> {
         ]
     }
 
-    /// The same as curves.
+    /// The tables as curves.
     fn panels(&self) -> Vec<Panel> {
         let panel = |rule: &str, of: fn(&Figure) -> &[Statistic], paper: Option<&PaperTable>| {
             let ours =
@@ -156,7 +156,7 @@ impl<'a> Report<'a> {
         vec![panel("strict", |figure| &figure.strict, None), panel("as released", |figure| &figure.paper, self.paper)]
     }
 
-    /// A line for each method, class and threshold; the mean over all classes has no class.
+    /// The CSV file: a line for each method, class and threshold. The class of the mean over all classes is empty.
     fn csv(&self) -> String {
         let mut text = String::from("method,class,threshold,strict,strict_deviation,paper,paper_deviation,keypoints\n");
         for Figure { method, class, keypoints, strict, paper } in &self.figures {
@@ -189,14 +189,14 @@ impl<'a> Report<'a> {
     }
 }
 
-/// The IoU of the counts of a class's shapes, by either rule.
+/// The IoU of a class: of the summed counts of its shapes, by either rule.
 fn class_iou(counts: &[MatchCounts], _is_paper: bool) -> Result<f64> {
     let mut sum = MatchCounts::default();
     counts.iter().for_each(|&one| sum += one);
     Ok(sum.iou())
 }
 
-/// The figure of pairs of bodies; the random filling was before.
+/// The IoU of pairs of bodies. The counts already include the random keypoints of the paper's rule.
 fn pairs_iou(counts: &[MatchCounts], is_paper: bool) -> Result<f64> {
     Ok(smpl_iou(counts, if is_paper { SmplProtocol::PaperCompatible { seed: 0 } } else { SmplProtocol::Strict })?)
 }
@@ -220,9 +220,9 @@ mod tests {
         let classes = [Some("chair"), Some("chair"), Some("airplane")];
         let settings = json!({});
         let report = Report::new(&[0.1], &settings, &[&shapes], &classes, Some(&KEYPOINTNET)).unwrap();
-        // Strictly the chair has (8 - 4) / (8 + 4), the airplane 1 / 4; as released 1 and 1 / 2.
+        // By the strict rule the chair has (8 - 4) / (8 + 4), the airplane 1 / 4; by the released code 1 and 1 / 2.
         let markdown = table::markdown(&report.tables());
-        // By themselves the shapes have 1, 0 and 1 / 4; as released 1, 1 and 1 / 2.
+        // The single shapes have 1, 0 and 1 / 4 by the strict rule; by the released code 1, 1 and 1 / 2.
         let expected = "mIoU over 3 shapes of 2 classes at each threshold ± standard deviation over shapes, strict:
 
 | method | 0.1 | keypoints |
@@ -252,7 +252,7 @@ mIoU over 3 shapes of 2 classes at each threshold ± standard deviation over sha
         let report = Report::new(&[0.1], &settings, &[&shapes], &[None, None], None).unwrap();
         let [figure] = &report.figures[..] else { panic!("one method") };
         assert_eq!((figure.strict[0].mean, figure.keypoints), (0.5, 5.0));
-        // Running: 4 / 4, then 4 / 12.
+        // The running IoU is 4 / 4, then 4 / 12.
         assert!((figure.paper[0].mean - (1.0 + 1.0 / 3.0) / 2.0).abs() < 1e-12);
         assert!(
             report

@@ -1,4 +1,4 @@
-//! Pairs of bodies of a body model, as UKPGAN's protocol and SNAKE's have them (SNAKE section 4.1).
+//! Pairs of posed bodies, by the protocol of UKPGAN and SNAKE (SNAKE section 4.1).
 
 use std::path::{Path, PathBuf};
 
@@ -12,16 +12,17 @@ use snake_io::{self as io, Array};
 
 use super::body_model::{BETAS, BodyModel};
 
-/// Samples of a body.
+/// Number of points on a body.
 const SAMPLES: usize = 2048;
-/// Pairs that are made where none are given.
+/// Number of pairs if no parameters are stored.
 const PAIRS: usize = 100;
-/// Stored and drawn parameters are between 0 and 1; so wide is the range of a joint's rotation vector, in radians, and
-/// of a shape parameter, each about 0.
+// Stored and random parameters lie between 0 and 1. They are mapped to ranges of these widths around 0.
+/// Range of each component of a joint's rotation vector, in radians.
 const POSE_RANGE: f64 = 0.4;
+/// Range of a shape parameter.
 const BETA_RANGE: f64 = 0.06;
 
-/// A body model, and the parameters of its pairs: numbers from 0 to 1, or to be drawn.
+/// A body model with the parameters of its pairs: stored numbers from 0 to 1, or `None` for random ones.
 pub struct BodyPairs {
     model: BodyModel,
     stored: Option<[Array; 2]>,
@@ -29,7 +30,7 @@ pub struct BodyPairs {
 }
 
 impl BodyPairs {
-    /// A file of a model, or a folder with `model.npz` or `model.pkl`; `None` for other folders.
+    /// Opens a model file, or a folder with `model.npz` or `model.pkl`. Other folders give `None`.
     pub fn open(data: &Path) -> Result<Option<Self>> {
         let named = |name: &str| data.join(name);
         let file = if data.is_file() {
@@ -46,12 +47,12 @@ impl BodyPairs {
         Ok(Some(Self { model, stored, len }))
     }
 
-    /// How many pairs there are.
+    /// Number of pairs.
     pub fn len(&self) -> usize {
         self.len
     }
 
-    /// The same samples of a pair's two bodies, at random by the first one's area.
+    /// The two bodies of a pair, sampled at the same random points, uniformly over the area of the first body.
     pub fn bodies(&self, pair: usize, rng: &mut impl Rng) -> Result<[Vec<Point>; 2]> {
         let [first, second] = [0, 1].map(|body| self.vertices(pair, body, rng));
         let corners = |vertices: &[Point3<f64>], face: usize| self.model.faces[face].map(|vertex| vertices[vertex]);
@@ -64,7 +65,7 @@ impl BodyPairs {
         for _ in 0..SAMPLES {
             let face = faces.sample(rng);
             let [mut u, mut v]: [f64; 2] = [rng.random(), rng.random()];
-            // The other half of the parallelogram.
+            // Reflects a sample in the other half of the parallelogram into the triangle.
             if u + v > 1.0 {
                 (u, v) = (1.0 - u, 1.0 - v);
             }
@@ -93,7 +94,7 @@ impl BodyPairs {
     }
 }
 
-/// The released code's parameters: `(S, 2, K, 3)` and `(S, 2, 10)`.
+/// Reads the released code's parameters: poses `(S, 2, K, 3)` and shapes `(S, 2, 10)`.
 fn parameters(model: &BodyModel, poses: &PathBuf, betas: &PathBuf) -> Result<[Array; 2]> {
     let arrays = [io::read_array(poses)?, io::read_array(betas)?];
     let pairs = arrays[0].shape.first().copied().unwrap_or(0);
