@@ -1,4 +1,4 @@
-//! Clouds made ready for descriptors: down-sampled, with normals.
+//! Prepares clouds for descriptors: voxel means and normals.
 
 use std::collections::HashMap;
 
@@ -10,7 +10,7 @@ use snake_core::space::{Neighbors, Vector, vector};
 use snake_core::{Control, Counter};
 use snake_core::{Error, Result};
 
-/// The mean of the points in each cube of side `voxel_size`, in the order of the cubes' first points.
+/// The mean of the points in each voxel of side `voxel_size`, in the order of the voxels' first points.
 pub(super) fn voxel_means(points: &[Point], voxel_size: f64, counter: &Counter) -> Result<Vec<Vector>> {
     let mut cells: HashMap<[i64; 3], usize> = HashMap::new();
     let mut sums: Vec<(Vector, usize)> = Vec::new();
@@ -30,9 +30,10 @@ pub(super) fn voxel_means(points: &[Point], voxel_size: f64, counter: &Counter) 
     Ok(sums.into_iter().map(|(sum, count)| sum / count as f64).collect())
 }
 
-/// Unit normals `(N, 3)`: the direction in which the points nearer than `radius` (cloud units) vary least. Their sign is
-/// that which points to the cloud's mean, so that they turn and move with the cloud. Zero where fewer than three points
-/// are near.
+/// Unit normals `(N, 3)`: the directions of least variance among the points closer than `radius` (cloud units).
+///
+/// A normal points to the side of the cloud's mean, so normals rotate and move with the cloud. It is zero if fewer than
+/// three points are closer than `radius`.
 ///
 /// # Errors
 /// [`Error::Input`] when the cloud is empty or has a coordinate that is not finite; [`Error::Option`] when the radius
@@ -49,7 +50,7 @@ pub fn estimate_normals(points: &[Point], radius: f64) -> Result<Vec<Point>> {
 }
 
 pub(super) fn check_radius(name: &'static str, radius: f64) -> Result<()> {
-    // Squares of radii must neither vanish nor overflow.
+    // The square of a radius must neither vanish nor overflow.
     if (1e-150..1e150).contains(&radius) {
         return Ok(());
     }
@@ -80,7 +81,7 @@ mod tests {
         assert_eq!(means.len(), 2);
         assert!((means[0] - Vector::new(0.5, 0.3, 0.1)).norm() < 1e-7, "{means:?}");
         assert!((means[1] - Vector::new(-0.2, 0.3, 0.4)).norm() < 1e-7, "{means:?}");
-        // Voxels beyond i64 do not panic.
+        // Voxel indices beyond i64 do not panic.
         assert_eq!(voxel_means(&[[3e38; 3], [-3e38; 3]], 1e-30, &Counter::default()).unwrap().len(), 2);
     }
 
@@ -88,7 +89,7 @@ mod tests {
     fn normals_of_a_sphere_point_to_its_center() {
         let mut points: Vec<Point> = (0..2000)
             .map(|i| {
-                // Fibonacci's lattice.
+                // This is a Fibonacci lattice.
                 let (z, angle) = (1.0 - (2 * i + 1) as f32 / 2000.0, i as f32 * 2.399_963);
                 let ring = (1.0 - z * z).sqrt();
                 [5.0 + ring * angle.cos(), ring * angle.sin(), z - 3.0]

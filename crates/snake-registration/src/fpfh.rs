@@ -11,21 +11,23 @@ use snake_core::space::check_points;
 use snake_core::space::{Neighbors, Vector, vector};
 use snake_core::{Error, Result};
 
-/// Numbers per descriptor: three histograms of 11 bins.
+/// Length of a descriptor: three histograms of 11 bins.
 pub const FPFH_DIMENSION: usize = 3 * BINS;
 
 const BINS: usize = 11;
 
 type Histograms = [f64; FPFH_DIMENSION];
 
-/// Descriptors `(N, 33)`, flat, of points with unit normals: how the normals stand to each other among the points
-/// nearer than `radius` (cloud units). They do not change when cloud and normals are moved or turned.
+/// FPFH descriptors `(N, 33)`, flat, of points `(N, 3)` with unit normals `(N, 3)`.
 ///
-/// Where Open3D departs from the paper, so does this: weights are squared distances, and each of the three histograms of
-/// the neighbours is scaled to 100 before the point's own is added. Points without neighbours have zeros.
+/// A descriptor is three histograms of the angles between the normals of a point and of its neighbours closer than
+/// `radius` (cloud units). It is invariant to rigid motion of the cloud with its normals.
+///
+/// Like Open3D and unlike the paper, this weights neighbours by inverse squared distances, and scales each of their three
+/// histograms to 100 before it adds the point's own histogram. Points without neighbours have zeros.
 ///
 /// # Errors
-/// [`Error::Input`] when there are no points, a number is not finite, or not as many normals as points;
+/// [`Error::Input`] when there are no points, a number is not finite, or the numbers of points and normals differ;
 /// [`Error::Option`] when the radius is not positive.
 pub fn fpfh(points: &[Point], normals: &[Point], radius: f64) -> Result<Vec<f32>> {
     check_points("points", points)?;
@@ -43,7 +45,7 @@ pub fn fpfh(points: &[Point], normals: &[Point], radius: f64) -> Result<Vec<f32>
 
 /// [`fpfh`] of an indexed cloud.
 pub(super) fn descriptors(cloud: &Neighbors, normals: &[Vector], radius: f64, control: &Control) -> Result<Vec<f32>> {
-    // Looked for twice: to keep them all would take memory without bound.
+    // Neighbours are searched twice, because storing them all would take memory without bound.
     let counter = control.begin("FPFH", 2 * cloud.points.len());
     let neighbors = |i: usize| -> Result<Vec<usize>> {
         counter.check()?;
@@ -58,7 +60,7 @@ pub(super) fn descriptors(cloud: &Neighbors, normals: &[Vector], radius: f64, co
     Ok(weighted.into_iter().flatten().map(|v| v as f32).collect())
 }
 
-/// SPFH: histograms of the angles between a point and its neighbours, each of sum 100.
+/// SPFH: histograms of the angles between a point and its neighbours; each has sum 100.
 fn simplified(cloud: &Neighbors, normals: &[Vector], point: usize, neighbors: &[usize]) -> Histograms {
     let mut histograms = [0.0; FPFH_DIMENSION];
     let share = 100.0 / neighbors.len() as f64;
@@ -67,7 +69,7 @@ fn simplified(cloud: &Neighbors, normals: &[Vector], point: usize, neighbors: &[
         let [theta, alpha, phi] = pair_angles(&offset, &normals[point], &normals[other]);
         let units = [(theta + PI) / (2.0 * PI), (alpha + 1.0) / 2.0, (phi + 1.0) / 2.0];
         for (histogram, unit) in units.into_iter().enumerate() {
-            // A cast takes what is below 0 to 0.
+            // The cast saturates: negative values become 0.
             let bin = ((BINS as f64 * unit).floor() as usize).min(BINS - 1);
             histograms[histogram * BINS + bin] += share;
         }
@@ -75,15 +77,15 @@ fn simplified(cloud: &Neighbors, normals: &[Vector], point: usize, neighbors: &[
     histograms
 }
 
-/// Darboux angles of a pair of points: θ in [-π, π], and the cosines α and φ. All 0 where they are not defined.
+/// Darboux angles of a pair of points: θ in [-π, π], and the cosines α and φ. All are 0 where they are undefined.
 fn pair_angles(offset: &Vector, normal: &Vector, other_normal: &Vector) -> [f64; 3] {
     let distance = offset.norm();
     if distance == 0.0 {
         return [0.0; 3];
     }
     let cosines = [normal.dot(offset) / distance, other_normal.dot(offset) / distance];
-    // The frame stands on the point whose normal is nearer to the line between the two. The angles are compared and not
-    // their cosines, as near a right angle both round to the same.
+    // The frame is at the point whose normal has the smaller angle to the connecting line. The comparison uses angles and
+    // not cosines, because near a right angle different cosines round to the same angle.
     let (first, second, offset, phi) = if cosines[0].abs().acos() > cosines[1].abs().acos() {
         (other_normal, normal, -offset, -cosines[1])
     } else {
@@ -99,7 +101,7 @@ fn pair_angles(offset: &Vector, normal: &Vector, other_normal: &Vector) -> [f64;
     [w.dot(second).atan2(first.dot(second)), v.dot(second), phi]
 }
 
-/// A point's own histograms and those of its neighbours, the nearer the more.
+/// Adds the weighted histograms of the neighbours to a point's own histograms.
 fn weighted(cloud: &Neighbors, simplified: &[Histograms], point: usize, neighbors: &[usize]) -> Histograms {
     let mut around = [0.0; FPFH_DIMENSION];
     for &other in neighbors {
@@ -151,12 +153,12 @@ mod tests {
     }
 
     #[test]
-    fn descriptors_move_and_turn_with_the_cloud() {
+    fn descriptors_are_invariant_to_rigid_motion() {
         let (points, _, _) = of_open3d();
         let points = &points[..140];
-        let turned: Vec<Point> = points.iter().map(|p| [p[1] + 2.0, p[2], p[0] - 7.0]).collect();
+        let rotated: Vec<Point> = points.iter().map(|p| [p[1] + 2.0, p[2], p[0] - 7.0]).collect();
         let describe = |points: &[Point]| fpfh(points, &estimate_normals(points, 0.5).unwrap(), 0.8).unwrap();
-        let (before, after) = (describe(points), describe(&turned));
+        let (before, after) = (describe(points), describe(&rotated));
         // A pair at the edge of a bin may change bins by rounding: few do.
         let changed = before.iter().zip(&after).filter(|(a, b)| (**a - **b).abs() > 0.1).count();
         assert!(changed < before.len() / 100, "{changed}");

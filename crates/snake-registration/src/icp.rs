@@ -1,4 +1,4 @@
-//! Refinement: point-to-plane ICP.
+//! Point-to-plane ICP.
 
 use nalgebra::{IsometryMatrix3, Matrix6, Rotation3, Translation3, Vector6};
 use rayon::prelude::*;
@@ -8,14 +8,17 @@ use snake_core::Control;
 use snake_core::Result;
 use snake_core::space::{Neighbors, Vector};
 
-/// Steps smaller than this part of the pair distance, and of a radian, end the iteration.
+/// The iteration ends when the translation is below this share of the pair distance and the rotation below this angle
+/// in radians.
 const TOLERANCE: f64 = 1e-5;
-/// Directions in which the mean squared cosine to the planes' normals is below this are left open.
+/// The mean squared cosine to the normals below which the pairs do not constrain a direction.
 const OPEN_DIRECTION: f64 = 1e-3;
 
-/// The transform that brings the source's points to the planes through their nearest points of the target (Chen and
-/// Medioni 1991, linearised), from a rough one. Pairs farther apart than `max_distance` do not count. Of a geometry
-/// that leaves a direction open, such as one plane, that direction stays as it was.
+/// Refines a rough transform by point-to-plane ICP (Chen and Medioni 1991, linearised).
+///
+/// Each source point is paired with its nearest target point and moved towards that point's tangent plane. Pairs
+/// farther apart than `max_distance` are ignored. Directions that the geometry does not constrain, as with a single
+/// plane, are not changed.
 pub(super) fn icp(
     source: &[Vector],
     target: &Neighbors,
@@ -45,8 +48,8 @@ pub(super) fn icp(
     Ok(transform)
 }
 
-/// How well the transform fits, as Open3D's `evaluate_registration` has it: the share of the source's points that are
-/// nearer than `max_distance` to the target, and the root mean square distance of these; 0 without any.
+/// The quality of a transform, as in Open3D's `evaluate_registration`: the share of source points closer than
+/// `max_distance` to the target, and the root mean square distance of these points; 0 without any.
 pub(super) fn fitness(
     source: &[Vector],
     target: &Neighbors,
@@ -60,7 +63,8 @@ pub(super) fn fitness(
     (count / source.len().max(1) as f64, (sum / count.max(1.0)).sqrt())
 }
 
-/// The least-squares step of pairs (source point in the target's frame, index of its partner); `None` when they are of one point or none.
+/// The least-squares step of pairs (source point in the target frame, index of its partner); `None` for no pairs or a
+/// single point.
 fn plane_step(pairs: &[(Vector, usize)], target: &Neighbors, normals: &[Vector]) -> Option<IsometryMatrix3<f64>> {
     let count = pairs.len() as f64;
     let center = pairs.iter().map(|(point, _)| point).sum::<Vector>() / count;
@@ -71,7 +75,7 @@ fn plane_step(pairs: &[(Vector, usize)], target: &Neighbors, normals: &[Vector])
     let (mut information, mut residuals) = (Matrix6::zeros(), Vector6::zeros());
     for (point, index) in pairs {
         let normal = &normals[*index];
-        // Rotations are counted in lengths, as the translations are, so that the eigenvalues can be compared.
+        // Rotations are scaled to lengths, so that their eigenvalues are comparable with those of translations.
         let lever = (point - center).cross(normal) / extent;
         let row = Vector6::new(lever.x, lever.y, lever.z, normal.x, normal.y, normal.z);
         information += row * row.transpose();
@@ -96,7 +100,7 @@ mod tests {
     use super::*;
     use snake_core::space::vector;
 
-    /// Random points on `sides` faces of the cube ±1, each at another place.
+    /// Random points on `sides` faces of the cube ±1.
     fn faces(sides: usize, seed: u64) -> Vec<Vector> {
         let points = random_points(&mut ChaCha8Rng::seed_from_u64(seed), 3000).into_iter().enumerate();
         points
@@ -117,7 +121,7 @@ mod tests {
     fn a_rough_transform_becomes_exact() {
         let truth = IsometryMatrix3::new(Vector::new(2.0, -1.0, 0.5), Vector::new(0.4, 1.1, -0.3));
         let error = IsometryMatrix3::new(Vector::new(0.06, -0.05, 0.08), Vector::new(0.05, 0.04, -0.06));
-        // Not the same points: a face of each is sampled twice.
+        // The two clouds are different samples of the same faces.
         let source: Vec<Vector> = faces(3, 1).iter().map(|p| moved(&truth.inverse(), p)).collect();
         let found = refined(&source, faces(3, 2), error * truth);
         let left = found * truth.inverse();

@@ -1,14 +1,28 @@
-//! Registration: the rigid transform that brings one cloud onto another.
+//! Rigid registration: finds the rotation and translation that map one point cloud onto another, without an initial
+//! guess. It matches keypoints by descriptors, estimates a transform with RANSAC and refines it with ICP. Keypoints and
+//! descriptors come from a SNAKE model or from classical methods ([`detectors`], [`fpfh`]).
 //!
 //! ```text
 //! cloud → keypoints ─────────────────────┐
 //!   └──→ voxels → normals → descriptors ─┴→ mutual nearest → RANSAC → ICP on the voxels → t_target_source
 //! ```
 //!
-//! [`register`] is one call for everything; a [`Scan`] gives keypoints and descriptors of one cloud, and [`fpfh`],
-//! [`mutual_nearest`], [`ransac`] and [`kabsch`] are the other steps.
-//! `t_target_source` takes a point of the source to the target, `p_target = R p_source + t`. Results have the same bits
-//! for any number of threads.
+//! [`register`] runs all steps. A [`Scan`] computes keypoints and descriptors of one cloud. [`fpfh`],
+//! [`mutual_nearest`], [`ransac`] and [`kabsch`] are the single steps:
+//!
+//! ```
+//! use snake_registration::{RansacOptions, ransac, transform_points};
+//! let source = [[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 2.0, 0.0], [0.0, 0.0, 3.0], [1.0, 1.0, 1.0]];
+//! let t_target_source = [[0.0, -1.0, 0.0, 3.0], [1.0, 0.0, 0.0, 0.0], [0.0, 0.0, 1.0, 0.0], [0.0, 0.0, 0.0, 1.0]];
+//! let mut target = transform_points(&t_target_source, &source);
+//! target[4] = [9.0, 9.0, 9.0]; // a wrong correspondence
+//! let found = ransac(&source, &target, &RansacOptions::default())?.expect("four correspondences agree");
+//! assert_eq!(found.inliers, [0, 1, 2, 3]);
+//! # Ok::<(), snake_core::Error>(())
+//! ```
+//!
+//! `t_target_source` maps a point from the source frame to the target frame: `p_target = R p_source + t`. Results have
+//! the same bits for any number of threads.
 
 #![forbid(unsafe_code)]
 
@@ -47,36 +61,38 @@ pub use ransac::{Consensus, RansacOptions, ransac};
 pub use rigid::{kabsch, transform_points};
 pub use scan::{Descriptor, KeypointDetector, Scan};
 
-/// Options of [`register`]. Lengths that are `None` follow from the clouds; multiples are of the greater of the two
-/// clouds' resolutions.
+/// Options of [`register`].
+///
+/// A length that is `None` is derived from the clouds. A length in resolutions refers to the coarser of the two clouds.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct RegisterOptions {
-    /// What keypoints are found by.
+    /// The keypoint detector.
     pub detector: KeypointDetector,
-    /// What they are matched by.
+    /// The descriptor that matches keypoints.
     pub descriptor: Descriptor,
-    /// At most this many keypoints of each cloud, the best.
+    /// Maximum number of keypoints per cloud; the best are kept.
     pub max_keypoints: usize,
-    /// Side of the voxels that clouds are reduced to for normals, FPFH and refinement. `None`: 1/80 of
-    /// the diameter of the smaller cloud, about its mean.
+    /// Side of the voxels for normals, FPFH and refinement. `None`: 1/80 of the smaller cloud's diameter, which is
+    /// twice the largest distance of a point from the mean.
     pub voxel_size: Option<Length>,
-    /// Radius of normals. `None`: 2 times the voxel size or, if that is greater, the mean distance
+    /// Radius of normals. `None`: twice the spacing, which is the voxel size or, if that is greater, the mean distance
     /// between neighbours in the reduced clouds.
     pub normal_radius: Option<Length>,
-    /// Radius of FPFH. `None`: 7 times the same.
+    /// Radius of FPFH. `None`: 7 times the spacing.
     pub feature_radius: Option<Length>,
-    /// Correspondences nearer than this under a transform agree with it. `None`: 1.5 times the same.
+    /// A correspondence agrees with a transform that brings its points closer than this. `None`: 1.5 times the spacing.
     pub inlier_distance: Option<Length>,
-    /// As in [`RansacOptions`].
+    /// See [`RansacOptions::edge_length_ratio`].
     pub edge_length_ratio: f64,
-    /// Samples of RANSAC, as in [`RansacOptions`].
+    /// Maximum number of RANSAC samples, see [`RansacOptions::max_iterations`].
     pub max_iterations: usize,
-    /// As in [`RansacOptions`].
+    /// See [`RansacOptions::confidence`].
     pub confidence: f64,
-    /// Seed of the samples, and of random keypoints.
+    /// Seed of the RANSAC samples and of random keypoints.
     pub seed: u64,
-    /// Steps of point-to-plane ICP on the reduced clouds; 0 for none. Pairs are as far apart as `inlier_distance`.
+    /// Maximum number of point-to-plane ICP steps on the reduced clouds; 0 skips ICP. Pairs are closer than
+    /// `inlier_distance`.
     pub refine_steps: usize,
 }
 
@@ -100,43 +116,43 @@ impl Default for RegisterOptions {
     }
 }
 
-/// What [`register`] found.
+/// The result of [`register`].
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct Registration {
-    /// Maps source points into the target's frame: `p_target = R p_source + t`.
+    /// Maps source points to the target frame: `p_target = R p_source + t`.
     pub t_target_source: Transform,
-    /// Correspondences that RANSAC's transform brings nearer to each other than `inlier_distance`; ICP starts from that
-    /// transform. Few, in number or of all correspondences: do not trust it.
+    /// Number of correspondences that RANSAC's transform brings closer than `inlier_distance`; ICP starts from that
+    /// transform. Do not trust the result if they are few or a small share of all correspondences.
     pub num_inliers: usize,
-    /// Keypoints that are each other's nearest in descriptor space.
+    /// Number of keypoint pairs that are mutual nearest neighbours in descriptor space.
     pub num_correspondences: usize,
-    /// Root mean square distance of these inliers under RANSAC's transform, in cloud units; 0 without inliers. It says
-    /// how far apart keypoints of one place are found, not how exact `t_target_source` is.
+    /// Root mean square distance of these inliers under RANSAC's transform, in cloud units; 0 without inliers. It
+    /// measures how precisely keypoints repeat, not the error of `t_target_source`.
     pub rmse: f64,
-    /// The distance below which correspondences agree and surfaces are near, in cloud units.
+    /// The distance below which correspondences agree and voxels overlap, in cloud units.
     pub inlier_distance: f64,
-    /// Share of the source's voxels that `t_target_source` brings nearer than `inlier_distance` to a voxel of the target,
-    /// 0 to 1 (Open3D's fitness). The other voxels do not overlap, or the transform is wrong.
+    /// Share of the source's voxels, 0 to 1, that `t_target_source` brings closer than `inlier_distance` to a voxel of
+    /// the target (Open3D's fitness). The other voxels do not overlap the target, or the transform is wrong.
     pub fitness: f64,
-    /// Root mean square distance of these voxels to their nearest ones, in cloud units (Open3D's inlier RMSE); 0 without
-    /// any. Right transforms have about the mean distance between neighbours.
+    /// Root mean square distance of these voxels to their nearest ones, in cloud units (Open3D's inlier RMSE); 0
+    /// without any. A correct transform gives about the mean distance between neighbours.
     pub fitness_rmse: f64,
-    /// Points of source and target that were skipped because they are not finite.
+    /// Number of source and target points that were skipped because they are not finite.
     pub num_skipped: [usize; 2],
-    /// Time it took.
+    /// Run time.
     pub seconds: f64,
 }
 
 impl Registration {
-    /// The same for clouds that are relative to origins, as [`Cloud`](snake_core::Cloud) holds those far from zero: the
-    /// transform is then one of the points with their origins added.
+    /// Converts the transform from points relative to an origin (see [`Cloud`](snake_core::Cloud)) to points with their
+    /// origins added.
     pub fn between_origins(mut self, source: [f64; 3], target: [f64; 3]) -> Self {
         self.t_target_source = add_origins(&self.t_target_source, source, target);
         self
     }
 }
 
-/// The transform of points with their origins added, from that of points relative to their origins.
+/// Converts a transform of points relative to their origins to a transform of points with their origins added.
 pub fn add_origins(t_target_source: &Transform, source: [f64; 3], target: [f64; 3]) -> Transform {
     let mut transform = *t_target_source;
     for (row, target) in transform.iter_mut().zip(target) {
@@ -145,13 +161,14 @@ pub fn add_origins(t_target_source: &Transform, source: [f64; 3], target: [f64; 
     transform
 }
 
-/// The transform of points relative to their origins, from that of points with their origins added.
+/// Converts a transform of points with their origins added to a transform of points relative to their origins.
 pub fn subtract_origins(t_target_source: &Transform, source: [f64; 3], target: [f64; 3]) -> Transform {
     add_origins(t_target_source, source.map(|v| -v), target.map(|v| -v))
 }
 
-/// Finds the rigid transform from `source` to `target` with nothing known beforehand. Both are in the same units; they
-/// may be parts that overlap.
+/// Finds the rigid transform from `source` `(N, 3)` to `target` `(M, 3)` without an initial guess.
+///
+/// Both clouds are in the same units; they may overlap only in part.
 ///
 /// ```
 /// use snake_core::{Builtin, Model};
@@ -165,16 +182,16 @@ pub fn subtract_origins(t_target_source: &Transform, source: [f64; 3], target: [
 /// ```
 ///
 /// # Errors
-/// [`Error::Input`] for a cloud without finite points or without extent, and when the keypoints
-/// have too few correspondences, or none that agree; [`Error::Option`] when an option is outside its range.
+/// [`Error::Input`] for a cloud without finite points or without extent, and when too few correspondences are found or
+/// none of them agree; [`Error::Option`] when an option is outside its range.
 pub fn register(source: &[Point], target: &[Point], model: &Model, options: &RegisterOptions) -> Result<Registration> {
     register_with(source, target, model, options, &Control::default())
 }
 
-/// [`register`] under the caller's control; a classical detector is not interrupted.
+/// [`register`] with progress and cancellation; a classical detector is not interrupted.
 ///
 /// # Errors
-/// Those of [`register`]; [`Error::Cancelled`] and [`Error::DeadlineExceeded`].
+/// The errors of [`register`]; [`Error::Cancelled`] and [`Error::DeadlineExceeded`].
 pub fn register_with(
     source: &[Point],
     target: &[Point],
@@ -194,7 +211,7 @@ pub fn register_with(
     };
     let source_voxels = reduce(source, voxel_size, control)?;
     let target_voxels = reduce(target, voxel_size, control)?;
-    // Sparse clouds have most points alone in their voxels, and fewer neighbours than voxels.
+    // In a sparse cloud most voxels hold one point, and the voxel size is less than the distance between neighbours.
     let spacing = voxel_size.max(source_voxels.resolution()).max(target_voxels.resolution());
     let lengths = [voxel_size, normal_radius.unwrap_or(2.0 * spacing), feature_radius.unwrap_or(7.0 * spacing)];
     let source_scan = Scan::of(source, source_voxels, model, lengths, control)?;
@@ -205,7 +222,7 @@ pub fn register_with(
         let descriptors = scan.descriptors_with(&keypoints, options.descriptor, control)?;
         Ok((keypoints, descriptors))
     };
-    // Random points of the target are others: of equal clouds they would all have partners.
+    // The clouds get different random keypoints. With one seed, equal clouds would have a partner for every keypoint.
     let (source_keypoints, source_descriptors) = describe(&source_scan, options.seed)?;
     let (target_keypoints, target_descriptors) = describe(&target_scan, options.seed.wrapping_add(1))?;
     let dimension = source_scan.dimension(options.descriptor);
@@ -241,7 +258,7 @@ pub fn register_with(
     })
 }
 
-/// Voxels along the diameter of the smaller cloud, by default.
+/// Default number of voxels along the diameter of the smaller cloud.
 const VOXELS_PER_DIAMETER: f64 = 80.0;
 
 impl RegisterOptions {
@@ -253,7 +270,7 @@ impl RegisterOptions {
         self.ransac(1.0).check()
     }
 
-    /// Those lengths that were given, in the clouds' units: voxel size, radii of normals and of FPFH, inlier distance.
+    /// The lengths that are set, in cloud units: voxel size, radius of normals, radius of FPFH, inlier distance.
     fn lengths(&self, source: &[Point], target: &[Point]) -> Result<[Option<f64>; 4]> {
         let given = [
             ("voxel_size", self.voxel_size),
@@ -311,16 +328,16 @@ mod tests {
         register(source, target, &Model::builtin(Builtin::Compact), options)
     }
 
-    /// Largest distance between the points moved by the one and by the other.
+    /// The largest coordinate difference between the points under two transforms.
     fn difference(points: &[Point], a: &Transform, b: &Transform) -> f32 {
         let (a, b) = (transform_points(a, points), transform_points(b, points));
         a.as_flattened().iter().zip(b.as_flattened()).map(|(a, b)| (a - b).abs()).fold(0.0, f32::max)
     }
 
     #[test]
-    fn two_samplings_are_put_together_whatever_the_rotation() {
+    fn two_samplings_are_registered_for_any_rotation() {
         let points = sample();
-        // The second lacks a wing's end.
+        // The second sampling lacks the end of a wing.
         let source = &points[..2048];
         let part: Vec<Point> = points[2048..].iter().copied().filter(|p| p[0] < 0.5).collect();
         for seed in 0..4 {
@@ -354,7 +371,7 @@ mod tests {
         let rough = run(source, &target, &RegisterOptions { refine_steps: 0, ..options() }).unwrap();
         assert_eq!((found.num_inliers, found.rmse), (rough.num_inliers, rough.rmse));
         assert_eq!(found.inlier_distance, rough.inlier_distance);
-        // Two samplings of one surface; the rough transform leaves a part of it out of reach.
+        // These are two samplings of one surface, and the rough transform puts a part of it out of reach.
         assert!(found.fitness > 0.95 && found.fitness > rough.fitness + 0.1, "{found:?} {rough:?}");
         assert!(found.fitness_rmse < rough.fitness_rmse, "{found:?} {rough:?}");
     }
@@ -369,7 +386,7 @@ mod tests {
             let found = run(source, &target, &RegisterOptions { detector, ..options() }).unwrap();
             assert!(difference(source, &found.t_target_source, &truth) < 0.05, "{detector:?}: {found:?}");
         }
-        // The same cloud twice: most of its random points have no partner.
+        // The cloud is registered to itself: most of its random points have no partner.
         let few = RegisterOptions { detector: Random, max_keypoints: 200, ..options() };
         let twice = run(source, source, &few).unwrap();
         assert!(twice.num_correspondences < 150, "{twice:?}");
@@ -409,7 +426,7 @@ mod tests {
             let error = run(&good, &bad, &options()).unwrap_err().to_string();
             assert!(error.starts_with("target: ") && error.contains(expected), "{error}");
         }
-        // What fixes no rotation, or matches nothing, has few inliers or an error, but an answer.
+        // Clouds that determine no rotation, or that do not match, give few inliers or an error, but never a panic.
         for poor in [line, plane, good[..2].to_vec(), good[..5].to_vec()] {
             for (source, target) in [(&poor, &good), (&good, &poor), (&poor, &poor)] {
                 match run(source, target, &options()) {
@@ -487,7 +504,7 @@ mod tests {
             let error = run(points, points, &options).unwrap_err().to_string();
             assert!(error.contains(name), "{error}");
         }
-        // One voxel is left of each cloud.
+        // Each cloud is reduced to one voxel.
         let options = RegisterOptions { voxel_size: Some(Length::Units(1e3)), ..options() };
         assert!(run(points, points, &options).unwrap_err().to_string().contains("correspondences"));
     }

@@ -5,16 +5,18 @@ use rayon::prelude::*;
 use snake_core::{Control, Counter};
 use snake_core::{Error, Result};
 
-/// Pairs `[row of source, row of target]`, by rising source row, of descriptors that are each other's nearest in
-/// Euclidean distance. Both arrays are `(N, dimension)`, flat; of equally near rows the lowest counts.
+/// Mutual nearest neighbours in descriptor space, by Euclidean distance: pairs `[source row, target row]`, by rising
+/// source row.
+///
+/// Both arrays are `(N, dimension)`, flat. Among equally near rows the lowest is the nearest.
 ///
 /// # Errors
-/// [`Error::Input`] when an array is no multiple of `dimension` or has a number that is not finite.
+/// [`Error::Input`] when an array's length is not a multiple of `dimension` or it has a number that is not finite.
 pub fn mutual_nearest(source: &[f32], target: &[f32], dimension: usize) -> Result<Vec<[usize; 2]>> {
     matches(source, target, dimension, &Control::default())
 }
 
-/// [`mutual_nearest`], counted.
+/// [`mutual_nearest`] with progress and cancellation.
 pub(super) fn matches(source: &[f32], target: &[f32], dimension: usize, control: &Control) -> Result<Vec<[usize; 2]>> {
     for (what, descriptors) in [("source", source), ("target", target)] {
         if dimension == 0 || descriptors.len() % dimension != 0 {
@@ -32,7 +34,7 @@ pub(super) fn matches(source: &[f32], target: &[f32], dimension: usize, control:
     Ok(pairs.filter(|&[row, nearest]| to_source[nearest] == row).collect())
 }
 
-/// Of each row of `queries`, the nearest row of `rows`; nothing if there are no rows.
+/// For each row of `queries` the nearest row of `rows`; empty if `rows` is empty.
 fn nearest_rows(queries: &[f32], rows: &[f32], dimension: usize, counter: &Counter) -> Result<Vec<usize>> {
     let squared_distance = |a: &[f32], b: &[f32]| -> f32 { a.iter().zip(b).map(|(a, b)| (a - b) * (a - b)).sum() };
     let nearest = |query: &[f32]| {

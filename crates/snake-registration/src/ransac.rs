@@ -1,4 +1,4 @@
-//! The transform that most correspondences agree on.
+//! RANSAC: the transform with the most inliers.
 
 use nalgebra::IsometryMatrix3;
 use rand::{RngExt, SeedableRng};
@@ -12,23 +12,23 @@ use snake_core::{Control, Counter};
 use snake_core::{Error, Result};
 use snake_core::{Point, Transform};
 
-/// Samples that one thread draws in a row, from a random stream of their own.
+/// Samples of one random stream; a stream is drawn by one thread.
 const SAMPLES_PER_STREAM: usize = 512;
-/// Streams between two looks at whether enough samples were drawn; fixed, so that threads do not matter.
+/// Streams between two checks of the stopping criterion. The number is fixed, so results do not depend on the threads.
 const STREAMS_PER_ROUND: usize = 16;
 
 /// Options of [`ransac`].
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct RansacOptions {
-    /// A correspondence agrees with a transform that brings its points nearer to each other than this, in cloud units.
+    /// A correspondence is an inlier of a transform that brings its points closer than this, in cloud units.
     pub inlier_distance: f64,
-    /// Samples are dropped in which two points and their partners are unequally far apart: the ratio of the shorter to
-    /// the longer distance must be at least this.
+    /// A sample is rejected if an edge has different lengths in source and target: the ratio of the shorter to the
+    /// longer length must be at least this, 0 to 1.
     pub edge_length_ratio: f64,
-    /// At most this many samples of three.
+    /// Maximum number of samples; a sample is three correspondences.
     pub max_iterations: usize,
-    /// Stop once, with this probability, one sample was of inliers only.
+    /// The search stops when, with this probability, one of the samples had inliers only.
     pub confidence: f64,
     /// Seed of the samples.
     pub seed: u64,
@@ -59,23 +59,25 @@ impl RansacOptions {
     }
 }
 
-/// A transform and the correspondences that agree with it.
+/// A transform and its inliers.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Consensus {
-    /// Maps source points into the target's frame.
+    /// Maps source points to the target frame.
     pub t_target_source: Transform,
-    /// Rows of the correspondences that agree, ascending.
+    /// Indices of the inliers, ascending.
     pub inliers: Vec<usize>,
-    /// Root mean square distance of their points, in cloud units; 0 without inliers.
+    /// Root mean square distance of the inliers, in cloud units; 0 without inliers.
     pub rmse: f64,
 }
 
-/// The rigid transform from `source` to `target`, row i matching row i, that most correspondences agree on: RANSAC
-/// (Fischler and Bolles 1981) over samples of three, checked by their edge lengths and by their own distances as in
-/// Open3D, then the least-squares fit to the inliers, repeated while it wins some.
+/// The rigid transform from `source` `(N, 3)` to `target` `(N, 3)`, row i to row i, with the most inliers: RANSAC
+/// (Fischler and Bolles 1981) over samples of three correspondences.
 ///
-/// The result depends on the seed, not on the number of threads. `None` when no sample passes the checks: with fewer
-/// than three correspondences, with points on one line, or when nothing fits.
+/// As in Open3D, a sample must have similar edge lengths in both clouds and must consist of inliers of its own
+/// transform. The best transform is fitted to its inliers by least squares, repeatedly while that improves it.
+///
+/// The result depends on the seed and not on the number of threads. It is `None` when no sample passes the checks: with
+/// fewer than three correspondences, with collinear points, or when nothing fits.
 ///
 /// # Errors
 /// [`Error::Input`] when the arrays differ in length or have a coordinate that is not finite; [`Error::Option`] when an
@@ -88,7 +90,7 @@ pub fn ransac(source: &[Point], target: &[Point], options: &RansacOptions) -> Re
     Ok(best.map(|transform| consensus(&pairs, &transform, options.inlier_distance)))
 }
 
-/// The transform of [`ransac`]; the options are checked.
+/// [`ransac`] for options that were checked.
 pub(super) fn best_transform(
     pairs: &[Pair],
     options: &RansacOptions,
@@ -99,11 +101,11 @@ pub(super) fn best_transform(
     Ok(best.map(|best| refit(pairs, best, options.inlier_distance).transform))
 }
 
-/// The correspondences that agree with a transform.
+/// The inliers of a transform.
 pub(super) fn consensus(pairs: &[Pair], transform: &IsometryMatrix3<f64>, inlier_distance: f64) -> Consensus {
     let inliers: Vec<usize> =
         (0..pairs.len()).filter(|&i| squared_distance(transform, &pairs[i]) < inlier_distance.powi(2)).collect();
-    // The sum of no floats would be -0.
+    // The sum of no floats is -0.
     let sum = inliers.iter().fold(0.0, |sum, &i| sum + squared_distance(transform, &pairs[i]));
     let rmse = (sum / inliers.len().max(1) as f64).sqrt();
     Consensus { t_target_source: matrix(transform), inliers, rmse }
@@ -112,7 +114,7 @@ pub(super) fn consensus(pairs: &[Pair], transform: &IsometryMatrix3<f64>, inlier
 /// A source point and its partner in the target.
 pub(super) type Pair = (Vector, Vector);
 
-/// A transform with what it is judged by.
+/// A transform and its score.
 #[derive(Clone, Copy)]
 struct Hypothesis {
     transform: IsometryMatrix3<f64>,
@@ -129,7 +131,7 @@ impl Hypothesis {
         Self { transform, num_inliers, squared_residual }
     }
 
-    /// More inliers; of equally many, nearer ones.
+    /// Whether it has more inliers, or as many with a smaller residual.
     fn is_better_than(&self, other: &Option<Self>) -> bool {
         other.is_none_or(|other| {
             self.num_inliers > other.num_inliers
@@ -150,7 +152,7 @@ fn best_sample(pairs: &[Pair], options: &RansacOptions, counter: &Counter) -> Re
             counter.add(count);
             Ok(best)
         });
-        // In the order of the streams, so that of equally good samples the first one stays.
+        // The order of the streams makes the first of equally good samples win.
         for found in streams.collect::<Result<Vec<_>>>()?.into_iter().flatten() {
             if found.is_better_than(&best) {
                 best = Some(found);
@@ -163,7 +165,7 @@ fn best_sample(pairs: &[Pair], options: &RansacOptions, counter: &Counter) -> Re
             counter.set_total(drawn.min(options.max_iterations));
             break;
         }
-        // After how many samples that will be so, if none is better; infinite without inliers.
+        // This many samples are enough unless a better transform is found; infinite without inliers.
         let enough = ((1.0 - options.confidence).ln() / (1.0 - inlier_ratio.powi(3)).ln()).abs();
         counter.set_total(options.max_iterations.min(drawn.max(enough as usize)));
     }
@@ -191,7 +193,7 @@ fn best_of_stream(pairs: &[Pair], options: &RansacOptions, stream: u64, count: u
     best
 }
 
-/// Whether the three edges are about as long in the source as in the target. An edge from a point to itself is not.
+/// Whether the three edges have similar lengths in source and target. An edge of length 0 never agrees.
 fn edges_agree(sample: &[Pair; 3], ratio: f64) -> bool {
     [(0, 1), (1, 2), (2, 0)].into_iter().all(|(a, b)| {
         let [in_source, in_target] =
@@ -201,9 +203,9 @@ fn edges_agree(sample: &[Pair; 3], ratio: f64) -> bool {
     })
 }
 
-/// The least-squares transform of the inliers, for as long as it is better.
+/// Fits the transform to its inliers by least squares, while that improves it.
 fn refit(pairs: &[Pair], mut best: Hypothesis, inlier_distance: f64) -> Hypothesis {
-    // It ends, as the number of inliers grows or the residual falls; the bound is for residuals that fall by rounding.
+    // Each step gains inliers or lowers the residual, so the loop ends; the limit is for changes by rounding alone.
     for _ in 0..50 {
         let is_inlier = |pair: &&Pair| squared_distance(&best.transform, pair) < inlier_distance.powi(2);
         let Some(transform) = best_fit(pairs.iter().filter(is_inlier).copied()) else { break };
@@ -289,11 +291,11 @@ mod tests {
 
     #[test]
     fn the_iterations_are_bounded_and_end_early() {
-        // Of 2000 correspondences 3 fit: one sample does not find them.
+        // Only 3 of 2000 correspondences fit, and one sample does not find them.
         let (source, target, _) = problem(4, 2000, 3);
         let one = RansacOptions { max_iterations: 1, inlier_distance: 1e-6, ..OPTIONS };
         assert_eq!(ransac(&source, &target, &one).unwrap(), None);
-        // All fit: a first round is enough, however many are allowed.
+        // All correspondences fit, so the first round is enough.
         let (source, target, _) = problem(4, 2000, 2000);
         let many = RansacOptions { max_iterations: 100_000_000, ..OPTIONS };
         assert_eq!(ransac(&source, &target, &many).unwrap().unwrap().inliers.len(), 2000);

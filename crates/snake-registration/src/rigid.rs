@@ -1,4 +1,4 @@
-//! Rigid transforms: the best one between matched points, and points moved by one.
+//! Rigid transforms: the least-squares fit, and the transform of points.
 
 use nalgebra::{IsometryMatrix3, Matrix3, Matrix4, Point3, Quaternion, SymmetricEigen, Translation3, UnitQuaternion};
 
@@ -7,9 +7,10 @@ use snake_core::space::{Vector, vector};
 use snake_core::{Error, Result};
 use snake_core::{Point, Transform};
 
-/// Least-squares rotation and translation from points `source` to points `target`, row i to row i: the transform
-/// `t_target_source` with the least `Σ |R source_i + t - target_i|²` (Kabsch 1976), never a
-/// reflection, however well that would fit.
+/// The least-squares rigid transform `t_target_source` from `source` `(N, 3)` to `target` `(N, 3)`, row i to row i.
+///
+/// It minimises `Σ |R source_i + t - target_i|²` (Kabsch 1976). It is always a rotation, even where a reflection would
+/// fit better.
 ///
 /// ```
 /// use snake_registration::{kabsch, transform_points};
@@ -21,8 +22,8 @@ use snake_core::{Point, Transform};
 /// ```
 ///
 /// # Errors
-/// [`Error::Input`] when the arrays differ in length, hold fewer than three points, a coordinate that is not finite, or
-/// only points of one line, about which any rotation would do.
+/// [`Error::Input`] when the arrays differ in length, hold fewer than three points or a coordinate that is not finite,
+/// or are collinear, so that the rotation is not unique.
 pub fn kabsch(source: &[Point], target: &[Point]) -> Result<Transform> {
     check_pairs(source, target)?;
     let pairs = source.iter().zip(target).map(|(&s, &t)| (vector(s), vector(t)));
@@ -30,13 +31,13 @@ pub fn kabsch(source: &[Point], target: &[Point]) -> Result<Transform> {
     best_fit(pairs).map(|fit| matrix(&fit)).ok_or_else(|| Error::Input { what: "source", reason: reason() })
 }
 
-/// Points moved by a transform, computed in f64.
+/// Points `(N, 3)` under a transform, computed in f64.
 pub fn transform_points(transform: &Transform, points: &[Point]) -> Vec<Point> {
     let row = |row: &[f64; 4], p: Vector| (row[0] * p.x + row[1] * p.y + row[2] * p.z + row[3]) as f32;
     points.iter().map(|&p| std::array::from_fn(|axis| row(&transform[axis], vector(p)))).collect()
 }
 
-/// Refuses matched points that differ in number or are not finite; none are fine.
+/// Refuses matched points that differ in number or are not finite; empty arrays are accepted.
 pub(super) fn check_pairs(source: &[Point], target: &[Point]) -> Result<()> {
     if source.len() != target.len() {
         let reason = format!("{} points, but the source has {}; row i matches row i", target.len(), source.len());
@@ -49,10 +50,10 @@ pub(super) fn check_pairs(source: &[Point], target: &[Point]) -> Result<()> {
     Ok(())
 }
 
-/// [`kabsch`] of pairs (source, target); `None` if the points of either lie on one line.
+/// [`kabsch`] of pairs (source, target); `None` if the points of either are collinear.
 ///
-/// By the eigenvector of Horn (1987), a unit quaternion and so never a reflection: nalgebra's decomposition of 3×3
-/// matrices squares them and loses half of the digits where three points are nearly on a line.
+/// The rotation is the eigenvector of Horn (1987), a unit quaternion and so never a reflection. nalgebra's
+/// decomposition of 3×3 matrices squares them and loses half of the digits where three points are nearly collinear.
 pub(super) fn best_fit(pairs: impl Iterator<Item = (Vector, Vector)> + Clone) -> Option<IsometryMatrix3<f64>> {
     let count = pairs.clone().count() as f64;
     let [source_mean, target_mean] =
@@ -66,8 +67,8 @@ pub(super) fn best_fit(pairs: impl Iterator<Item = (Vector, Vector)> + Clone) ->
     let SymmetricEigen { eigenvalues, eigenvectors } = horn.symmetric_eigen();
     let largest = eigenvalues.imax();
     let gap = eigenvalues[largest] - eigenvalues.remove_row(largest).max();
-    // On a line two quaternions are equally good, up to the squares of rounding errors of coordinates in f32. Of no
-    // pairs all are.
+    // For collinear points two quaternions are equally good, up to squared rounding errors of f32 coordinates. Without
+    // pairs all quaternions are equally good.
     if gap <= 1e-8 * eigenvalues[largest] {
         return None;
     }
@@ -77,12 +78,12 @@ pub(super) fn best_fit(pairs: impl Iterator<Item = (Vector, Vector)> + Clone) ->
     Some(IsometryMatrix3::from_parts(Translation3::from(translation), rotation))
 }
 
-/// A vector, moved.
+/// A vector under a transform.
 pub(super) fn moved(transform: &IsometryMatrix3<f64>, point: &Vector) -> Vector {
     transform.transform_point(&Point3::from(*point)).coords
 }
 
-/// The transform as the rows that are handed out.
+/// The rows of a transform.
 pub(super) fn matrix(transform: &IsometryMatrix3<f64>) -> Transform {
     let matrix = transform.to_homogeneous();
     std::array::from_fn(|row| std::array::from_fn(|column| matrix[(row, column)]))
@@ -119,7 +120,7 @@ pub(super) mod tests {
             let (truth, offset) = (random_transform(&mut rng), if case % 3 == 0 { 1e4 } else { 0.0 });
             let mut source = random_points(&mut rng, 3 + case % 40);
             if case % 2 == 0 {
-                // A plane, where a mirror image fits as well as a rotation.
+                // On a plane a reflection fits as well as a rotation.
                 source.iter_mut().for_each(|p| p[2] = 0.3 * p[0] - 0.2);
             }
             let source: Vec<Vector> = source.into_iter().map(|p| vector(p).add_scalar(offset)).collect();
@@ -146,7 +147,7 @@ pub(super) mod tests {
             let fit = best_fit(pairs.iter().copied()).unwrap();
             assert!((fit.rotation.matrix().determinant() - 1.0).abs() < 1e-9);
             let least = squared_residual(&fit, &pairs);
-            // No transform nearby or far away does better.
+            // No transform, near or far, has a smaller residual.
             for step in [1e-3, 1e-2, 0.1, 1.0, 3.0] {
                 for axis in 0..6 {
                     let mut parameters = [0.0; 6];

@@ -1,4 +1,4 @@
-//! A cloud made ready to be matched: reduced, encoded, with keypoints of any detector and descriptors of any kind.
+//! A cloud with the data for matching: voxels, field, keypoints and descriptors.
 
 use std::num::NonZeroUsize;
 use std::sync::OnceLock;
@@ -18,19 +18,19 @@ use snake_core::space::{Neighbors, Vector, vector};
 use snake_core::{DetectOptions, EncodeOptions, Options};
 use snake_core::{Normalization, NormalizationMethod, Point};
 
-/// What keypoints are found by: the model, or a classical detector of [`baselines`](crate::detectors) with its default
-/// options, which picks among the points of the reduced cloud.
+/// The keypoint detector: the model, or a classical detector of [`detectors`](crate::detectors) with its default
+/// options. Classical detectors select points of the reduced cloud.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum KeypointDetector {
-    /// The most salient points of the field, farther apart than the voxels.
+    /// The most salient points of the field, at least a voxel apart.
     #[default]
     Snake,
     /// Intrinsic shape signatures.
     Iss,
-    /// Harris' corners of the normals.
+    /// Harris corners of the normals.
     Harris3d,
-    /// Extrema of differences of Gaussians of the curvature.
+    /// Extrema of the differences of Gaussians of the curvature.
     Sift3d,
     /// Farthest-point sampling.
     Fps,
@@ -38,20 +38,20 @@ pub enum KeypointDetector {
     Random,
 }
 
-/// What keypoints are matched by.
+/// The descriptor that matches keypoints.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Descriptor {
-    /// FPFH of the down-sampled cloud at the point nearest to the keypoint: turns with the cloud.
+    /// FPFH of the reduced cloud at the point nearest to the keypoint; invariant to rotation.
     #[default]
     Fpfh,
-    /// The field's own features. Nothing makes them independent of the cloud's rotation, and the built-in model has
-    /// learnt that only in part.
+    /// The features of the field. Their definition is not invariant to rotation; the built-in model has learnt
+    /// invariance only in part.
     Field,
 }
 
-/// A cloud made ready to be matched. What takes long is done when it is first needed, once for all detectors and
-/// descriptors: the model runs only for those that ask for its field.
+/// A cloud with the data for matching. Each part is computed when it is first needed and then kept for all detectors
+/// and descriptors. The model runs only for a detector or descriptor that needs its field.
 pub struct Scan {
     pub(super) voxels: Neighbors,
     pub(super) normals: Vec<Vector>,
@@ -65,8 +65,8 @@ pub struct Scan {
 }
 
 impl Scan {
-    /// Reduces a cloud to voxels of side `voxel_size` (cloud units), with normals of radius 2 and FPFH of radius 7 of
-    /// these.
+    /// Reduces a cloud `(N, 3)` to voxels of side `voxel_size` (cloud units). The radius of normals is 2 voxels and the
+    /// radius of FPFH 7 voxels.
     ///
     /// # Errors
     /// [`Error::Input`](snake_core::Error::Input) for a cloud without finite points or without extent;
@@ -75,10 +75,10 @@ impl Scan {
         Self::new_with(points, model, voxel_size, &Control::default())
     }
 
-    /// [`Scan::new`] under the caller's control.
+    /// [`Scan::new`] with progress and cancellation.
     ///
     /// # Errors
-    /// Those of [`Scan::new`]; [`Error::Cancelled`](snake_core::Error::Cancelled) and
+    /// The errors of [`Scan::new`]; [`Error::Cancelled`](snake_core::Error::Cancelled) and
     /// [`Error::DeadlineExceeded`](snake_core::Error::DeadlineExceeded).
     pub fn new_with(points: &[Point], model: &Model, voxel_size: f64, control: &Control) -> Result<Self> {
         check_radius("voxel_size", voxel_size)?;
@@ -87,7 +87,7 @@ impl Scan {
         Self::of(&points, voxels, model, [voxel_size, 2.0 * voxel_size, 7.0 * voxel_size], control)
     }
 
-    /// [`Scan::new`] of finite points and their voxels; the lengths are voxel size, radius of normals and radius of FPFH.
+    /// [`Scan::new`] of finite points and their voxels; `lengths` are voxel size, radius of normals and radius of FPFH.
     pub(super) fn of(
         points: &[Point],
         voxels: Neighbors,
@@ -96,7 +96,7 @@ impl Scan {
         control: &Control,
     ) -> Result<Self> {
         let [voxel_size, normal_radius, feature_radius] = lengths;
-        // Refuses extents that no model takes, also where none runs.
+        // This refuses extents that no model accepts, even where no model runs.
         Normalization::of(points, NORMALIZATION)?;
         voxels.check_crowding("normal_radius", normal_radius)?;
         voxels.check_crowding("feature_radius", feature_radius)?;
@@ -113,21 +113,21 @@ impl Scan {
         })
     }
 
-    /// At most `count` keypoints, and no more than the cloud has points, the best first. Only random points depend on the
-    /// seed.
+    /// At most `count` keypoints `(K, 3)` in the cloud's frame, best first, and no more than the cloud has points. Only
+    /// random points depend on the seed.
     ///
     /// # Errors
-    /// [`Error::Input`](snake_core::Error::Input) when a classical detector finds a single voxel;
-    /// [`Error::Option`](snake_core::Error::Option) when it is asked for none; [`Error::Weights`](snake_core::Error::Weights) when
-    /// the model overflows.
+    /// [`Error::Input`](snake_core::Error::Input) when a classical detector is used on a single voxel;
+    /// [`Error::Option`](snake_core::Error::Option) when `count` is 0; [`Error::Weights`](snake_core::Error::Weights)
+    /// when the model overflows.
     pub fn keypoints(&self, detector: KeypointDetector, count: usize, seed: u64) -> Result<Vec<Point>> {
         self.keypoints_with(detector, count, seed, &Control::default())
     }
 
-    /// [`Scan::keypoints`] under the caller's control; a classical detector is not interrupted.
+    /// [`Scan::keypoints`] with progress and cancellation; a classical detector is not interrupted.
     ///
     /// # Errors
-    /// Those of [`Scan::keypoints`]; [`Error::Cancelled`](snake_core::Error::Cancelled) and
+    /// The errors of [`Scan::keypoints`]; [`Error::Cancelled`](snake_core::Error::Cancelled) and
     /// [`Error::DeadlineExceeded`](snake_core::Error::DeadlineExceeded).
     pub fn keypoints_with(
         &self,
@@ -136,7 +136,7 @@ impl Scan {
         seed: u64,
         control: &Control,
     ) -> Result<Vec<Point>> {
-        // More than the points say nothing new, and matching takes time by the square of their number.
+        // More keypoints than points add no information, and matching takes time in the square of their number.
         let count = count.min(self.points.len());
         let classical = match detector {
             KeypointDetector::Snake => return self.salient_points(count, control),
@@ -156,7 +156,7 @@ impl Scan {
         self.voxels.points.iter().map(|point| point.map(|v| v as f32).into()).collect()
     }
 
-    /// The whole cloud's field, encoded when it is first asked for.
+    /// The field of the whole cloud, encoded at the first call.
     fn field(&self, control: &Control) -> Result<&Field> {
         if let Some(field) = self.field.get() {
             return Ok(field);
@@ -171,7 +171,7 @@ impl Scan {
         let recommended = *self.model.recommended();
         let options = DetectOptions { saliency_threshold: 0.0, max_keypoints: most, ..recommended.detect };
         let uses_windows = match recommended.window_radius {
-            // Windows of hardly more than a voxel show nothing.
+            // Windows need a size well above a voxel.
             Some(Length::Units(radius)) => radius >= 2.0 * self.voxel_size,
             radius => radius.is_some(),
         };
@@ -179,7 +179,7 @@ impl Scan {
             let options = Options { detect: options, ..recommended };
             self.model.detect_with(&self.voxel_means(), &options, control)?
         } else {
-            // The suppression radius that suits objects of any size is not one of this cloud's units; that of windows is.
+            // The suppression radius of a whole object is relative to its size; that of windows is in cloud units.
             let options = DetectOptions { nms_radius: Some(Length::Units(self.voxel_size)), ..options };
             self.field(control)?.detect_with(&options, control)?
         };
@@ -189,16 +189,16 @@ impl Scan {
     /// Descriptors `(N, dimension)` of points `(N, 3)` in the cloud's frame, flat; see [`Scan::dimension`].
     ///
     /// # Errors
-    /// [`Error::Input`](snake_core::Error::Input) for coordinates that are not finite; [`Error::Weights`](snake_core::Error::Weights)
-    /// when the model overflows.
+    /// [`Error::Input`](snake_core::Error::Input) for coordinates that are not finite;
+    /// [`Error::Weights`](snake_core::Error::Weights) when the model overflows.
     pub fn descriptors(&self, points: &[Point], descriptor: Descriptor) -> Result<Vec<f32>> {
         self.descriptors_with(points, descriptor, &Control::default())
     }
 
-    /// [`Scan::descriptors`] under the caller's control.
+    /// [`Scan::descriptors`] with progress and cancellation.
     ///
     /// # Errors
-    /// Those of [`Scan::descriptors`]; [`Error::Cancelled`](snake_core::Error::Cancelled) and
+    /// The errors of [`Scan::descriptors`]; [`Error::Cancelled`](snake_core::Error::Cancelled) and
     /// [`Error::DeadlineExceeded`](snake_core::Error::DeadlineExceeded).
     pub fn descriptors_with(&self, points: &[Point], descriptor: Descriptor, control: &Control) -> Result<Vec<f32>> {
         match descriptor {
@@ -207,7 +207,7 @@ impl Scan {
         }
     }
 
-    /// Numbers per descriptor.
+    /// Length of a descriptor.
     pub fn dimension(&self, descriptor: Descriptor) -> usize {
         match descriptor {
             Descriptor::Fpfh => FPFH_DIMENSION,
@@ -215,7 +215,7 @@ impl Scan {
         }
     }
 
-    /// FPFH of the voxels nearest to the points.
+    /// FPFH at the voxels nearest to the points.
     fn fpfh_at(&self, points: &[Point], control: &Control) -> Result<Vec<f32>> {
         if !points.is_empty() {
             check_points("points", points)?;
@@ -233,10 +233,11 @@ impl Scan {
     }
 }
 
-/// Scenes fill the volume better by the cube than by the sphere that suits objects; a cube cannot be turned in it.
+/// Scenes are normalised to the cube, which they fill better than the sphere that suits objects. A cube cannot be
+/// rotated within itself.
 const NORMALIZATION: NormalizationMethod = NormalizationMethod::UnitCube;
 
-/// Finite points by voxels.
+/// Reduces finite points to voxel means.
 pub(super) fn reduce(points: &[Point], voxel_size: f64, control: &Control) -> Result<Neighbors> {
     let counter = control.begin("voxels", points.len());
     Neighbors::new(voxel_means(points, voxel_size, &counter)?)

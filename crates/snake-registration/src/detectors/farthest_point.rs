@@ -5,10 +5,12 @@ use snake_core::Point;
 use snake_core::Result;
 use snake_core::space::Vector;
 
-/// `count` points, each the farthest from all before it; the first is the farthest from the mean, so the choice turns
-/// with the cloud. Of equally far points the lowest index is taken. There are fewer when the rest are duplicates.
+/// At most `count` points; each is the farthest from all points before it.
 ///
-/// The score is the distance to the nearest point before; of the first, to the second.
+/// The first is the farthest from the mean, so the selection rotates with the cloud. Among equally far points the
+/// lowest index is taken. Fewer points are returned when the rest are duplicates.
+///
+/// The score is the distance to the nearest earlier point; the first point has the score of the second.
 ///
 /// # Errors
 /// [`Error::Input`](snake_core::Error::Input) when the cloud has no finite points or is one point repeated.
@@ -35,7 +37,7 @@ fn find(points: &[Point], count: usize) -> Result<Vec<Response>> {
     Ok(chosen)
 }
 
-/// The first of the largest values.
+/// The index of the first largest value.
 fn farthest(distances: &[f64]) -> Response {
     let start = Response { index: 0, score: f64::NEG_INFINITY };
     let larger = |best: Response, (index, &score)| if score > best.score { Response { index, score } } else { best };

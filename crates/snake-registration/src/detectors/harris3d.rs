@@ -12,11 +12,11 @@ use snake_core::{Error, Result};
 /// Options of [`harris3d`].
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Harris3dOptions {
-    /// Points nearer than this make up the neighbourhood of a normal, of a response and of a maximum.
+    /// Radius of the neighbourhood for normals, responses and local maxima.
     pub radius: Length,
-    /// Responses below are dropped; they lie between 0 and 1/27.
+    /// Responses below this are dropped; responses lie between 0 and 1/27.
     pub threshold: f64,
-    /// Keep only local maxima. Without, every point is a keypoint, as in the wrapper that the paper's tables used.
+    /// Keep only local maxima. If false, every point is a keypoint, as in the wrapper behind the paper's tables.
     pub non_max: bool,
 }
 
@@ -26,9 +26,11 @@ impl Default for Harris3dOptions {
     }
 }
 
-/// Harris 3D keypoints. The score is PCL's response `0.04 + det C - 0.04 (tr C)²` of the mean `C` of the neighbours'
-/// `n nᵀ`, n the normal; as `tr C` is 1, that is the determinant: how far the normals point every way. Keypoints are
-/// input points: PCL's refinement of positions is left out.
+/// Harris 3D keypoints, by falling score.
+///
+/// The score is PCL's response `0.04 + det C - 0.04 (tr C)²`, where `C` is the mean of `n nᵀ` over the neighbours'
+/// normals n. As `tr C` is 1, the response is the determinant, which is large where normals point in all directions.
+/// Keypoints are input points: PCL's refinement of positions is omitted.
 ///
 /// # Errors
 /// [`Error::Input`] when the cloud has no finite points or is one point repeated;
@@ -54,7 +56,7 @@ fn find(points: &[Point], options: &Harris3dOptions) -> Result<Vec<Response>> {
         (sum / around.len().max(1) as f64).determinant().max(0.0)
     };
     let responses: Vec<f64> = cloud.points.par_iter().map(response).collect();
-    // Nothing is nearer than 0, so nothing is suppressed.
+    // No point is closer than 0, so this radius suppresses nothing.
     let radius = if options.non_max { radius } else { 0.0 };
     Ok(local_maxima(&cloud, &responses, radius, 0, |response| response >= options.threshold))
 }
@@ -73,7 +75,7 @@ mod tests {
         let mut corners: Vec<_> = found.iter().filter_map(|response| corner(points[response.index])).collect();
         corners.sort_unstable();
         assert_eq!((found.len(), corners), (8, vec![0, 1, 2, 3, 4, 5, 6, 7]));
-        // A threshold takes or leaves a response that equals it or is below.
+        // The threshold keeps equal responses and drops smaller ones.
         let above = |threshold| harris3d(&points, &Harris3dOptions { threshold, ..options }).unwrap().len();
         assert_eq!((above(found[7].score), above(found[0].score), above(found[0].score * 1.01)), (8, 1, 0));
     }

@@ -8,30 +8,30 @@ use snake_core::Point;
 use snake_core::space::eigen;
 use snake_core::{Error, Result};
 
-/// Which matrix of a neighbourhood gives the eigenvalues.
+/// The matrix whose eigenvalues are used.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub enum Covariance {
-    /// About the neighbourhood's mean, divided by its size, as in Open3D: density does not matter.
+    /// The covariance about the neighbourhood's mean, as in Open3D; it does not depend on density.
     #[default]
     AboutMean,
-    /// The sum about the point itself, as in PCL: dense regions are favoured.
+    /// The sum about the point itself, as in PCL; it favours dense regions.
     AboutPoint,
 }
 
 /// Options of [`iss`]; the defaults are Open3D's.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct IssOptions {
-    /// Points nearer than this make up a neighbourhood.
+    /// Radius of the neighbourhood for the eigenvalues.
     pub salient_radius: Length,
-    /// A keypoint's saliency is the largest of all points nearer than this.
+    /// Radius of non-maximum suppression: a keypoint's saliency is the largest within this radius.
     pub non_max_radius: Length,
-    /// The second eigenvalue must be below this share of the first.
+    /// Upper limit of the ratio of the second to the first eigenvalue.
     pub gamma_21: f64,
-    /// The third eigenvalue must be below this share of the second.
+    /// Upper limit of the ratio of the third to the second eigenvalue.
     pub gamma_32: f64,
-    /// Both neighbourhoods, the point itself included, must have as many points as this.
+    /// Minimum number of points in each of the two neighbourhoods, the point itself included.
     pub min_neighbors: usize,
-    /// Which matrix gives the eigenvalues.
+    /// The matrix whose eigenvalues are used.
     pub covariance: Covariance,
 }
 
@@ -48,12 +48,12 @@ impl Default for IssOptions {
     }
 }
 
-/// ISS keypoints. The score is the smallest eigenvalue, in square units of the cloud: how far the neighbourhood spreads
-/// in every direction.
+/// ISS keypoints, by falling score. The score is the smallest eigenvalue, in squared cloud units: the variance in the
+/// direction of least variance.
 ///
-/// With the default options these are Open3D's `compute_iss_keypoints`, but for what its rounding decides: of points
-/// with the same neighbours, so of equal saliency, all stay here and one there; and in an exactly flat neighbourhood
-/// there is no keypoint here, and there may be one there.
+/// The default options give the keypoints of Open3D's `compute_iss_keypoints`, except where that depends on rounding.
+/// Points with the same neighbours have equal saliency: all are kept here and one is kept there. An exactly flat
+/// neighbourhood has no keypoint here and may have one there.
 ///
 /// # Errors
 /// [`Error::Input`] when the cloud has no finite points or is one point repeated;
@@ -84,7 +84,7 @@ fn find(points: &[Point], options: &IssOptions) -> Result<Vec<Response>> {
             Covariance::AboutPoint => cloud.scatter(&neighbors, point),
         };
         let ([third, second, first], _) = eigen(matrix);
-        // A neighbourhood that is flat but for rounding has no saliency.
+        // A neighbourhood that is flat up to rounding has no saliency.
         let distinct = third > first * f64::EPSILON * 8.0;
         if distinct && second / first < options.gamma_21 && third / second < options.gamma_32 { third } else { 0.0 }
     };
@@ -100,7 +100,7 @@ mod tests {
     #[test]
     fn the_corners_of_a_cube_are_the_strongest() {
         let points = cube(11);
-        // Around a corner two eigenvalues are equal: limits below 1 would drop it.
+        // At a corner two eigenvalues are equal, and a ratio limit below 1 would drop it.
         for covariance in [Covariance::AboutMean, Covariance::AboutPoint] {
             let options = IssOptions {
                 salient_radius: Length::Units(0.35),
@@ -176,7 +176,7 @@ mod tests {
         let mut without_ties = 0;
         for (seed, expected) in (0..).zip(expected) {
             let found = iss(&noisy_box(seed), &IssOptions::default()).unwrap();
-            // Of keypoints of equal saliency Open3D's rounding keeps one.
+            // Among keypoints of equal saliency Open3D's rounding keeps one.
             let tie = |a: &Response, b: &Response| (a.score / b.score - 1.0).abs() < 1e-9;
             let (same, extra): (Vec<_>, Vec<_>) = found.iter().partition(|r| expected.contains(&r.index));
             assert_eq!(same.len(), expected.len(), "cloud {seed}");

@@ -1,8 +1,8 @@
-//! The detectors that keypoints are compared with: ISS, Harris 3D, SIFT 3D, farthest-point sampling and random points.
+//! Classical detectors for comparison: ISS, Harris 3D, SIFT 3D, farthest-point sampling and random points.
 //!
-//! Each gives indices of input points with a score, by falling score (of equal ones the lower index first), the same
-//! for any number of threads. [`Detector`] is one of them with its options; [`Detector::keypoints`] picks a number of
-//! keypoints by a [`Protocol`]. Points that are not finite are skipped; indices are those of the whole cloud.
+//! Each returns indices of input points with a score, by falling score and, for equal scores, by rising index. Results
+//! are the same for any number of threads. A [`Detector`] is one of them with its options, and [`Detector::keypoints`]
+//! selects keypoints by a [`Protocol`]. Points that are not finite are skipped; indices refer to the whole cloud.
 
 mod farthest_point;
 mod harris3d;
@@ -24,24 +24,24 @@ pub use iss::{Covariance, IssOptions, iss};
 pub use random::random_points;
 pub use sift3d::{Sift3dOptions, SiftField, sift3d};
 
-/// A point of the cloud that a detector responds to.
+/// A point of the cloud with its score.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Response {
     /// Index into the cloud.
     pub index: usize,
-    /// How strongly; what it measures is the detector's.
+    /// Strength of the response; its meaning depends on the detector.
     pub score: f64,
 }
 
-/// How a number of keypoints is picked from a detector's responses.
+/// The rule that selects keypoints from a detector's responses.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub enum Protocol {
-    /// The strongest responses: what a user would take. There may be fewer than asked for.
+    /// The strongest responses. There may be fewer than asked for.
     #[default]
     Ranked,
-    /// As the baselines of the paper's tables (USIP's harness): a random subset of the responses, filled up with random
-    /// points where there are too few; of no response, the cloud's first point. Always as many as asked for, up to the
-    /// size of the cloud, but hardly better than random points.
+    /// The selection for the baselines in the paper's tables (USIP's test code): a random subset of the responses,
+    /// filled up with random points. Without responses it starts with the cloud's first point. It always returns the
+    /// number asked for, up to the size of the cloud, but is hardly better than random points.
     Paper,
 }
 
@@ -50,9 +50,9 @@ pub enum Protocol {
 pub enum Detector {
     /// Intrinsic shape signatures.
     Iss(IssOptions),
-    /// Harris' corners of the normals.
+    /// Harris corners of the normals.
     Harris3d(Harris3dOptions),
-    /// Extrema of differences of Gaussians of a field on the points.
+    /// Extrema of the differences of Gaussians of a field on the points.
     Sift3d(Sift3dOptions),
     /// Farthest-point sampling.
     FarthestPoint,
@@ -61,11 +61,11 @@ pub enum Detector {
 }
 
 impl Detector {
-    /// The names that [`Detector::named`] knows.
+    /// The names that [`Detector::named`] accepts.
     pub const NAMES: [&'static str; 5] = ["iss", "harris3d", "sift3d", "fps", "random"];
 
-    /// A detector with its default options; for [`Protocol::Paper`] Harris 3D without suppression and SIFT 3D on the y
-    /// coordinate, as in the wrapper that the paper's tables used.
+    /// A detector with its default options. For [`Protocol::Paper`], Harris 3D has no suppression and SIFT 3D uses the
+    /// y coordinate, as in the wrapper behind the paper's tables.
     ///
     /// # Errors
     /// [`Error::Option`] for an unknown name.
@@ -86,8 +86,8 @@ impl Detector {
         })
     }
 
-    /// `count` keypoints of a cloud. The seed is that of all random choices; of [`Protocol::Ranked`] only the random
-    /// points depend on it.
+    /// `count` keypoints of a cloud `(N, 3)`. The seed determines all random choices; with [`Protocol::Ranked`] only
+    /// random points use it.
     ///
     /// ```
     /// use snake_registration::detectors::{Detector, Protocol};
@@ -121,7 +121,7 @@ impl Detector {
     }
 }
 
-/// The choice of [`Protocol::Paper`].
+/// The selection of [`Protocol::Paper`].
 fn random_subset(num_points: usize, mut responses: Vec<Response>, count: usize, seed: u64) -> Vec<Response> {
     let mut rng = rand_chacha::ChaCha8Rng::seed_from_u64(seed);
     if responses.is_empty() {
@@ -136,14 +136,14 @@ fn random_subset(num_points: usize, mut responses: Vec<Response>, count: usize, 
     responses
 }
 
-/// What a detector finds among the finite points of a cloud, with the indices of the whole cloud.
+/// Runs a detector on the finite points of a cloud and returns indices of the whole cloud.
 fn among_finite(points: &[Point], find: impl FnOnce(&[Point]) -> Result<Vec<Response>>) -> Result<Vec<Response>> {
     let finite = FinitePoints::of("points", points)?;
     let found = find(&finite.points)?.into_iter();
     Ok(found.map(|Response { index, score }| Response { index: finite.original_index(index), score }).collect())
 }
 
-/// A cloud of at least two different finite points, ready to be asked for neighbours.
+/// Indexes a cloud of at least two different finite points.
 fn index_cloud(points: &[Point]) -> Result<Neighbors> {
     if points.iter().all(|p| *p == points[0]) {
         return Err(Error::Input { what: "points", reason: "need at least two different points".into() });
@@ -151,8 +151,8 @@ fn index_cloud(points: &[Point]) -> Result<Neighbors> {
     Neighbors::new(points.iter().map(|&p| vector(p)).collect())
 }
 
-/// The indices of the points whose score no point nearer than `radius` exceeds, of those that pass; equal ones all
-/// stay. As in PCL and Open3D, every neighbour counts, whether it passes or not.
+/// Non-maximum suppression: the indices of points that pass and whose score no point closer than `radius` exceeds.
+/// Points with equal scores all stay. As in PCL and Open3D, every neighbour counts, whether it passes or not.
 fn local_maxima(
     cloud: &Neighbors,
     scores: &[f64],
@@ -170,7 +170,7 @@ fn local_maxima(
     by_falling_score(kept.map(|index| Response { index, score: scores[index] }).collect())
 }
 
-/// Sorts by falling score, of equal ones by index.
+/// Sorts by falling score and, for equal scores, by rising index.
 fn by_falling_score(mut responses: Vec<Response>) -> Vec<Response> {
     responses.sort_by(|a, b| b.score.total_cmp(&a.score).then(a.index.cmp(&b.index)));
     responses
@@ -196,7 +196,7 @@ mod tests {
         points
     }
 
-    /// The corner of [`cube`] that a point is near, as bits of x, y and z.
+    /// The index of the corner of [`cube`] near a point, as bits of x, y and z.
     pub(super) fn corner(point: Point) -> Option<usize> {
         let near = point.iter().all(|v| !(0.25..=0.75).contains(v));
         near.then(|| point.iter().enumerate().map(|(axis, v)| usize::from(*v > 0.5) << axis).sum())
@@ -311,7 +311,7 @@ mod tests {
                 }
             }
         }
-        // Every point twice: the resolution is 0.
+        // Every point occurs twice, so the resolution is 0.
         let doubled = [points.clone(), points].concat();
         let error = iss(&doubled, &IssOptions::default()).unwrap_err().to_string();
         assert!(error.starts_with("option `salient_radius` is 6r: allowed is a positive length"), "{error}");

@@ -1,4 +1,4 @@
-//! Random points: what every detector must beat.
+//! Random points, the baseline for every detector.
 
 use rand::{RngExt, SeedableRng};
 
@@ -6,8 +6,8 @@ use super::{Response, among_finite, by_falling_score, index_cloud};
 use snake_core::Point;
 use snake_core::Result;
 
-/// `count` points of the cloud, or all if it has fewer, drawn without replacement. Every point draws a score from
-/// [0, 1); the highest win.
+/// `count` points of the cloud, or all if it has fewer, drawn without replacement. Every point gets a random score in
+/// [0, 1), and the highest scores are taken.
 ///
 /// # Errors
 /// [`Error::Input`](snake_core::Error::Input) when the cloud has no finite points or is one point repeated.

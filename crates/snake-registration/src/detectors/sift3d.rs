@@ -1,4 +1,4 @@
-//! SIFT 3D: scale-space extrema of a field on the points, as PCL computes them.
+//! SIFT 3D as in PCL: scale-space extrema of a scalar field on the points.
 
 use std::num::NonZeroUsize;
 
@@ -10,31 +10,31 @@ use snake_core::Point;
 use snake_core::space::{Neighbors, Vector, eigen};
 use snake_core::{Error, Result};
 
-/// An octave with fewer points is the last.
+/// The search ends at an octave with fewer points.
 const MIN_OCTAVE_POINTS: usize = 25;
-/// An extremum is one among so many nearest points, itself included.
+/// The number of nearest points, itself included, among which a point must be an extremum.
 const EXTREMUM_NEIGHBORS: NonZeroUsize = NonZeroUsize::MIN.saturating_add(24);
 
-/// The field whose extrema are sought.
+/// The scalar field whose extrema are searched.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum SiftField {
-    /// Surface variation: the smallest eigenvalue's share of the covariance of the points nearer than this, 0 to 1/3.
-    /// It turns with the cloud.
+    /// Surface variation within this radius: the smallest eigenvalue of the covariance divided by the sum of the three,
+    /// 0 to 1/3. It is invariant to rotation.
     Curvature(Length),
-    /// The y coordinate, as in the wrapper that the paper's tables used. It does not turn with the cloud.
+    /// The y coordinate, as in the wrapper behind the paper's tables. It is not invariant to rotation.
     Y,
 }
 
 /// Options of [`sift3d`].
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Sift3dOptions {
-    /// Standard deviation of the first octave's second Gaussian, and edge of its voxels; it doubles with each octave.
+    /// Standard deviation of the first octave's second Gaussian, and side of its voxels; both double with each octave.
     pub min_scale: Length,
-    /// Octaves at most.
+    /// Maximum number of octaves.
     pub octaves: usize,
-    /// Differences of Gaussians of an octave that are searched for extrema.
+    /// Number of differences of Gaussians per octave that are searched for extrema.
     pub scales_per_octave: usize,
-    /// An extremum's difference of Gaussians is at least this, in the field's units.
+    /// Minimum absolute difference of Gaussians of an extremum, in the field's units.
     pub min_contrast: f64,
     /// The field.
     pub field: SiftField,
@@ -52,12 +52,11 @@ impl Default for Sift3dOptions {
     }
 }
 
-/// SIFT 3D keypoints. The score is the size of the difference of Gaussians, in the field's units.
+/// SIFT 3D keypoints, by falling score. The score is the absolute difference of Gaussians, in the field's units.
 ///
-/// Each octave thins the cloud of the one before to the means of the voxels of its scale, blurs the field at
-/// `scales_per_octave + 3` scales, and keeps the points whose difference between neighbouring scales is an extremum
-/// among the 25 nearest points and beats the adjacent scales'. A keypoint is the input point nearest to an extremum; of
-/// several extrema there the strongest counts.
+/// Each octave reduces the previous octave's cloud to voxel means and blurs the field at `scales_per_octave + 3` scales.
+/// An extremum is a difference between neighbouring scales that is extreme among the 25 nearest points and exceeds both
+/// adjacent scales. A keypoint is the input point nearest to an extremum; the strongest of several extrema counts.
 ///
 /// # Errors
 /// [`Error::Input`] when the cloud has no finite points or is one point repeated;
@@ -112,7 +111,7 @@ fn values(cloud: &Neighbors, field: SiftField) -> Result<Vec<f64>> {
     Ok(cloud.points.par_iter().map(variation).collect())
 }
 
-/// The mean point and the mean of the field of every voxel with points; voxels lie on multiples of `edge`.
+/// The mean point and the mean of the field in every occupied voxel; voxels lie on multiples of `edge`.
 fn thin(points: &[Vector], field: &[f64], edge: f64) -> (Vec<Vector>, Vec<f64>) {
     let voxel = |p: &Vector| -> [i64; 3] { (p / edge).map(|v| v.floor() as i64).into() };
     let mut order: Vec<([i64; 3], usize)> = points.iter().map(voxel).zip(0..).collect();
@@ -125,7 +124,7 @@ fn thin(points: &[Vector], field: &[f64], edge: f64) -> (Vec<Vector>, Vec<f64>) 
     order.chunk_by(|a, b| a.0 == b.0).map(mean).unzip()
 }
 
-/// Of each point, the differences of the field between neighbouring scales of an octave; Gaussians end at 3 sigma.
+/// The differences of the field between neighbouring scales of an octave, `[point][scale]`; Gaussians end at 3 sigma.
 fn differences_of_gaussians(cloud: &Neighbors, field: &[f64], base: f64, scales: usize) -> Vec<Vec<f64>> {
     let sigmas: Vec<f64> = (0..scales + 3).map(|i| base * 2_f64.powf((i as f64 - 1.0) / scales as f64)).collect();
     let reach = 3.0 * sigmas[scales + 2];
@@ -149,7 +148,7 @@ fn differences_of_gaussians(cloud: &Neighbors, field: &[f64], base: f64, scales:
     cloud.points.par_iter().map(of_point).collect()
 }
 
-/// Positions of the extrema and how large they are.
+/// Positions of the extrema and their absolute values.
 fn extrema(cloud: &Neighbors, differences: &[Vec<f64>], min_contrast: f64) -> Vec<(Vector, f64)> {
     let of_point = |index: usize| {
         let neighbors = cloud.nearest(&cloud.points[index], EXTREMUM_NEIGHBORS);
@@ -187,8 +186,8 @@ mod tests {
 
     #[test]
     fn differences_of_gaussians_by_hand() {
-        // With one scale an octave the deviations are half the base, the base, twice and four times it. The neighbour is
-        // 2 away: beyond 3 sigma of the first, within that of the others.
+        // With one scale per octave the standard deviations are half the base, the base, twice and four times the base.
+        // The neighbour is 2 away: beyond 3 sigma of the first Gaussian and within 3 sigma of the others.
         let cloud = Neighbors::new(on_line(&[0.0, 2.0])).unwrap();
         let found = differences_of_gaussians(&cloud, &[0.0, 1.0], 1.0, 1);
         let blurred = |sigma: f64| {
@@ -206,13 +205,13 @@ mod tests {
         let cloud = Neighbors::new(on_line(&(0..30).map(f64::from).collect::<Vec<_>>())).unwrap();
         let mut differences = vec![vec![0.0; 4]; 30];
         differences[0] = vec![0.5, 2.0, 1.0, 0.0]; // a maximum at scale 1
-        differences[29] = vec![0.0, 0.0, -3.0, -4.0]; // the least of its scale, but less at the next
+        differences[29] = vec![0.0, 0.0, -3.0, -4.0]; // the minimum of its scale, but smaller at the next
         let found = extrema(&cloud, &differences, 0.0);
         assert_eq!(found, [(cloud.points[0], 2.0)]);
         differences[29][3] = 0.0;
         assert_eq!(extrema(&cloud, &differences, 0.0), [(cloud.points[0], 2.0), (cloud.points[29], 3.0)]);
         assert_eq!(extrema(&cloud, &differences, 2.5), [(cloud.points[29], 3.0)]);
-        differences[12][1] = 2.5; // among the nearest of both ends: no maximum is left at the first
+        differences[12][1] = 2.5; // a neighbour of both ends: the first is no longer a maximum
         assert_eq!(extrema(&cloud, &differences, 2.5), [(cloud.points[12], 2.5), (cloud.points[29], 3.0)]);
     }
 
