@@ -2,7 +2,7 @@
 
 import snake_rs
 
-points = snake_rs.read_points("scan.ply")  # (N, 3); or any array, tensor or cloud that numpy can take for one
+points = snake_rs.read_points("scan.ply")  # (N, 3), or any array, tensor or cloud that numpy can convert
 keypoints = snake_rs.detect(points)        # one call, built-in model
 keypoints.points, keypoints.saliency       # (K, 3), (K,)
 
@@ -15,7 +15,7 @@ mesh = field.mesh(outer=True)              # vertices, normals (V, 3), triangles
 found = snake_rs.register(source, target)  # rigid registration of two clouds
 found.t_target_source, found.num_inliers   # (4, 4): p_target = R p_source + t
 
-Classical detectors are in snake_rs.baselines, figures of merit in snake_rs.metrics.
+Classical detectors are in snake_rs.baselines, metrics in snake_rs.metrics.
 """
 
 from . import baselines, metrics

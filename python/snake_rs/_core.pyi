@@ -1,4 +1,4 @@
-"""Types of the private module; checked with `python -m mypy.stubtest snake_rs._core`."""
+"""Types of the private module `_core`. Check them with `python -m mypy.stubtest snake_rs._core`."""
 
 import os
 from collections.abc import Sequence
@@ -56,7 +56,7 @@ class _HasVertices(Protocol):
 
 _Points: TypeAlias = ArrayLike | _HasPoints | _HasVertices
 
-# float32 if the cloud was float32 or float16, else float64.
+# float32 for clouds of float32 or float16, else float64.
 _Positions: TypeAlias = NDArray[np.float32] | NDArray[np.float64]
 
 @type_check_only

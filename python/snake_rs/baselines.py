@@ -1,4 +1,4 @@
-"""Classical detectors to compare keypoints with: indices of input points and scores, by falling score.
+"""Classical detectors for comparison. They return indices of input points and scores, best first.
 
 index, score = snake_rs.baselines.iss(points, count=64)      # points (N, 3) -> (K,) int64, (K,) float64
 keypoints = points[index]

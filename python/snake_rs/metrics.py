@@ -1,6 +1,6 @@
-"""How good keypoints are: repeatability, semantic consistency and registration, by the rules of the compared papers.
+"""Metrics of keypoints: repeatability, semantic consistency and registration, by the rules of the compared papers.
 
-t_1_2 = np.eye(4)                                             # takes view 2 to view 1
+t_1_2 = np.eye(4)                                             # maps view 2 to view 1
 share = snake_rs.metrics.relative_repeatability(keypoints_1, keypoints_2, t_1_2, epsilon=[0.04, 0.1])
 """
 

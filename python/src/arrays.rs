@@ -1,4 +1,4 @@
-//! Arrays and names in and out: points are checked and copied once, results become numpy arrays without a copy.
+//! Converts arrays and names. Points are checked and copied once; results become numpy arrays without a copy.
 
 use numpy::{
     PyArray1, PyArray2, PyArrayDescrMethods, PyArrayMethods, PyReadonlyArray2, PyUntypedArray, PyUntypedArrayMethods,
@@ -7,21 +7,21 @@ use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
 use snake_core::{Cloud, Point, add_origin, subtract_origin};
 
-/// Rows `(N, 3)` of an array: of `float32` if the array has that type or `float16`, else of `float64`, which holds the
+/// Rows `(N, 3)` of an array. They are `float32` for arrays of `float32` or `float16`, else `float64`, which holds the
 /// coordinates of georeferenced scans.
 pub enum Rows<'py> {
     Single(PyReadonlyArray2<'py, f32>),
     Double(PyReadonlyArray2<'py, f64>),
 }
 
-/// The type of positions: that of the points that they belong to.
+/// The floating-point type of positions, which follows the input points.
 #[derive(Clone, Copy, PartialEq)]
 pub enum Precision {
     Single,
     Double,
 }
 
-/// Positions `(N, 3)` in and out, in one of two types.
+/// Positions `(N, 3)` as a numpy array of one of the two types.
 #[derive(FromPyObject, IntoPyObjectRef)]
 pub enum Positions {
     Single(Py<PyArray2<f32>>),
@@ -29,8 +29,8 @@ pub enum Positions {
 }
 
 impl Rows<'_> {
-    /// Copies the rows relative to an origin where they need one, and says their type. The GIL is held: once it is
-    /// released, another thread may write into the array.
+    /// Copies the rows, relative to an origin if they are far from zero, and returns their type. The GIL must be held,
+    /// because another thread may write into the array once it is released.
     pub fn cloud(&self) -> PyResult<(Cloud, Precision)> {
         Ok(match self {
             Self::Single(rows) => {
@@ -43,7 +43,7 @@ impl Rows<'_> {
         })
     }
 
-    /// Copies the rows relative to an origin that is given.
+    /// Copies the rows relative to the given origin.
     pub fn relative_to(&self, origin: [f64; 3]) -> PyResult<Vec<Point>> {
         Ok(match self {
             Self::Single(rows) => {
@@ -59,7 +59,7 @@ impl Rows<'_> {
 }
 
 impl Positions {
-    /// Points with an origin added.
+    /// An array of points, with the origin added.
     pub fn new(py: Python<'_>, points: &[Point], origin: [f64; 3], precision: Precision) -> PyResult<Self> {
         let positions = points.iter().flat_map(|&point| add_origin(point, origin));
         Ok(match precision {
@@ -77,9 +77,9 @@ impl Positions {
     }
 }
 
-/// The rows of what numpy takes for an array of real numbers (numpy's own, tensors of torch, vectors of Open3D, vertices
-/// of trimesh), or of an object that has such `points` or `vertices`: the first three of their columns. Rows that are
-/// masked are NaN. numpy's conversion deals with types, strides, byte order and alignment.
+/// The first three columns of an array of real numbers. The value is anything that numpy converts to such an array
+/// (numpy arrays, torch tensors, vectors of Open3D, vertices of trimesh), or an object with such `points` or
+/// `vertices`. Masked rows become NaN. The conversion of numpy handles types, strides, byte order and alignment.
 pub fn given_rows<'py>(what: &str, value: &Bound<'py, PyAny>) -> PyResult<Rows<'py>> {
     let (py, numpy) = (value.py(), value.py().import("numpy")?);
     let given = as_array(&numpy, what, value)?;
@@ -112,7 +112,7 @@ pub fn given_rows<'py>(what: &str, value: &Bound<'py, PyAny>) -> PyResult<Rows<'
     })
 }
 
-/// The rows of an array relative to no origin.
+/// The rows of an array, without an origin subtracted.
 pub fn points(what: &str, value: &Bound<PyAny>) -> PyResult<Vec<Point>> {
     given_rows(what, value)?.relative_to([0.0; 3])
 }
@@ -122,7 +122,7 @@ pub fn cloud(what: &str, value: &Bound<PyAny>) -> PyResult<(Cloud, Precision)> {
     given_rows(what, value)?.cloud()
 }
 
-/// What numpy makes of a value, or of the points or vertices that it has.
+/// Converts a value, or its points or vertices, to a numpy array.
 fn as_array<'py>(numpy: &Bound<'py, PyModule>, what: &str, value: &Bound<'py, PyAny>) -> PyResult<Bound<'py, PyAny>> {
     if !value.hasattr("__array__")? && !value.hasattr("__dlpack__")? {
         for part in ["points", "vertices"] {
@@ -134,12 +134,12 @@ fn as_array<'py>(numpy: &Bound<'py, PyModule>, what: &str, value: &Bound<'py, Py
     converted(numpy, what, value)
 }
 
-/// What numpy makes of a value; nothing is copied that need not be. An exception of the value's own conversion is passed
-/// on as it is, one of numpy's becomes a ValueError that begins with `what`.
+/// Converts a value to a numpy array, without a copy where possible. An exception from the value's own conversion is
+/// passed on unchanged. An exception from numpy becomes a ValueError that begins with `what`.
 fn converted<'py>(numpy: &Bound<'py, PyModule>, what: &str, value: &Bound<'py, PyAny>) -> PyResult<Bound<'py, PyAny>> {
     if value.hasattr("__array__")? {
         let masked = numpy.getattr("ma")?.getattr("MaskedArray")?;
-        // A masked array stays one.
+        // `asanyarray` keeps the mask of a masked array.
         let convert = if value.is_instance(&masked)? { "asanyarray" } else { "asarray" };
         return numpy.call_method1(convert, (value,));
     }
@@ -153,18 +153,18 @@ fn converted<'py>(numpy: &Bound<'py, PyModule>, what: &str, value: &Bound<'py, P
     })
 }
 
-/// Values `(N,)`.
+/// An array `(N,)` of values.
 pub fn values<T: numpy::Element>(py: Python<'_>, values: Vec<T>) -> Bound<'_, PyArray1<T>> {
     PyArray1::from_vec(py, values)
 }
 
-/// Rows `(N, columns)` from flat values.
+/// An array `(N, columns)` from flat values.
 pub fn rows<T: numpy::Element>(py: Python<'_>, flat: Vec<T>, columns: usize) -> PyResult<Bound<'_, PyArray2<T>>> {
     let rows = flat.len() / columns;
     PyArray1::from_vec(py, flat).reshape([rows, columns])
 }
 
-/// What a name stands for.
+/// The value with the given name among `known`.
 pub fn named<T: Copy>(option: &str, name: &str, known: [(&str, T); 2]) -> PyResult<T> {
     let found = known.iter().find(|(known, _)| *known == name).map(|(_, value)| *value);
     found.ok_or_else(|| {

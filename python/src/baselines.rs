@@ -15,12 +15,12 @@ use crate::threads;
 /// Indices (K,) int64 and scores (K,) float64.
 type Found<'py> = (Bound<'py, PyArray1<i64>>, Bound<'py, PyArray1<f64>>);
 
-/// A length as Python gives it: a number of cloud units, or text such as "6r".
+/// A length in Python: a number of cloud units, or text such as "6r".
 #[derive(FromPyObject)]
 pub enum LengthLike {
     /// In the cloud's units.
     Units(f64),
-    /// As the core reads it.
+    /// Text that the core parses.
     Text(String),
 }
 
@@ -51,16 +51,17 @@ fn keypoints<'py>(
     Ok((arrays::values(py, indices), arrays::values(py, found.iter().map(|response| response.score).collect())))
 }
 
-/// Intrinsic shape signatures: indices (K,) int64 into `points` (N, 3) and scores (K,) float64, by falling score.
+/// Intrinsic shape signatures (ISS): indices (K,) int64 into `points` (N, 3) and scores (K,) float64, best first.
 ///
-/// The score is the smallest eigenvalue of the covariance of the points nearer than `salient_radius`, in square units;
-/// a keypoint's is the largest nearer than `non_max_radius`. `covariance` is "about-mean" (divided by the number of
-/// points; with it the keypoints are those of Open3D's compute_iss_keypoints) or "about-point" (the sum, as PCL).
+/// The score is the smallest eigenvalue of the covariance of the points nearer than `salient_radius`, in square units.
+/// A keypoint has the largest score of all points nearer than `non_max_radius`. `covariance` is "about-mean" (divided
+/// by the number of points, as in Open3D's compute_iss_keypoints, which gives the same keypoints) or "about-point" (the
+/// sum, as in PCL).
 ///
-/// A length is a number, in cloud units, or text such as "6r": 6 times the mean distance of the points to their nearest
-/// others. `count` limits the keypoints; `protocol` "ranked" takes the strongest, "paper" a random subset, filled up
-/// with random points to `count`, as the paper's baselines were; `seed` is that of the random choices. Raises ValueError for an
-/// array or a value that cannot be used.
+/// A length is a number, in cloud units, or text such as "6r": 6 times the mean distance between nearest points.
+/// `count` limits the number of keypoints. `protocol` "ranked" selects the strongest keypoints. "paper" selects a
+/// random subset and fills it up to `count` with random points, like the baselines of the paper. `seed` determines the
+/// random choices. Raises ValueError for an invalid array or value.
 #[pyfunction]
 #[pyo3(signature = (
     points, *, salient_radius=LengthLike::Text("6r".into()), non_max_radius=LengthLike::Text("4r".into()),
@@ -93,11 +94,11 @@ pub fn iss<'py>(
     keypoints(points, Detector::Iss(options), count, protocol, seed)
 }
 
-/// Harris 3D, as PCL computes it: indices (K,) int64 into `points` (N, 3) and scores (K,) float64, by falling score.
+/// Harris 3D as in PCL: indices (K,) int64 into `points` (N, 3) and scores (K,) float64, best first.
 ///
-/// The score is the determinant of the mean of the normals' outer products within `radius`, 0 to 1/27. `threshold`
-/// drops scores below; without `non_max` every point is a keypoint. Lengths, `count`, `protocol`, `seed` and errors are
-/// those of `iss`.
+/// The score is the determinant of the mean outer product of the normals within `radius`, 0 to 1/27. Points with a
+/// score below `threshold` are dropped. Without non-maximum suppression (`non_max=False`) every point is a keypoint.
+/// Lengths, `count`, `protocol`, `seed` and errors are as in `iss`.
 #[pyfunction]
 #[pyo3(signature = (
     points, *, radius=LengthLike::Text("6r".into()), threshold=0.0, non_max=true, count=None, protocol="ranked", seed=0
@@ -116,12 +117,13 @@ pub fn harris3d<'py>(
     keypoints(points, Detector::Harris3d(options), count, protocol, seed)
 }
 
-/// SIFT 3D, as PCL computes it: indices (K,) int64 into `points` (N, 3) and scores (K,) float64, by falling score.
+/// SIFT 3D as in PCL: indices (K,) int64 into `points` (N, 3) and scores (K,) float64, best first.
 ///
-/// Keypoints are the input points nearest to the extrema of differences of Gaussians of a field: `field` "curvature"
-/// (surface variation within `curvature_radius`) or "y" (the coordinate, as the paper's baseline; it does not turn with
-/// the cloud). The score is the size of the difference, at least `min_contrast`. `min_scale` is the first octave's scale
-/// and doubles with each of the `octaves`. Lengths, `count`, `protocol`, `seed` and errors are those of `iss`.
+/// Keypoints are the input points nearest to the extrema of differences of Gaussians of a scalar field. `field` is
+/// "curvature" (surface variation within `curvature_radius`) or "y" (the coordinate, as in the paper's baseline, which
+/// is not invariant to rotation). The score is the absolute difference, at least `min_contrast`. `min_scale` is the
+/// scale of the first octave, and the scale doubles with each of the `octaves`. Lengths, `count`, `protocol`, `seed`
+/// and errors are as in `iss`.
 #[pyfunction]
 #[pyo3(signature = (
     points, *, min_scale=LengthLike::Text("2r".into()), octaves=4, scales_per_octave=8, min_contrast=0.0,
@@ -153,17 +155,18 @@ pub fn sift3d<'py>(
     keypoints(points, Detector::Sift3d(options), count, protocol, seed)
 }
 
-/// Farthest-point sampling: indices (K,) int64 into `points` (N, 3) and scores (K,) float64, by falling score.
+/// Farthest-point sampling: indices (K,) int64 into `points` (N, 3) and scores (K,) float64, best first.
 ///
-/// The first is the point farthest from the mean. The score is the distance to the nearest point before; of the first,
-/// to the second. Raises ValueError for an array or a count that cannot be used.
+/// The first point is the one farthest from the mean. The score of a point is its distance to the nearest point
+/// selected before it; the score of the first point is its distance to the second. Raises ValueError for an invalid
+/// array or count.
 #[pyfunction]
 pub fn farthest_points<'py>(points: &Bound<'py, PyAny>, count: usize) -> PyResult<Found<'py>> {
     keypoints(points, Detector::FarthestPoint, Some(count), "ranked", 0)
 }
 
-/// Random points without replacement: indices (K,) int64 into `points` (N, 3) and scores (K,) float64, by falling
-/// score. Raises ValueError for an array or a count that cannot be used.
+/// Random points without replacement: indices (K,) int64 into `points` (N, 3) and scores (K,) float64, best first.
+/// Raises ValueError for an invalid array or count.
 #[pyfunction]
 #[pyo3(signature = (points, count, seed=0))]
 pub fn random_points<'py>(points: &Bound<'py, PyAny>, count: usize, seed: u64) -> PyResult<Found<'py>> {

@@ -1,4 +1,4 @@
-//! Errors of the crates as Python exceptions.
+//! Converts errors of the crates to Python exceptions.
 
 use std::path::PathBuf;
 
@@ -6,7 +6,8 @@ use pyo3::PyErr;
 use pyo3::exceptions::{PyOSError, PyValueError};
 use snake_core::Error;
 
-/// `Io` becomes an OSError with errno and file name (so FileNotFoundError and its kin), the rest a ValueError.
+/// The exception for an error of the core. `Io` becomes an OSError with errno and file name, which gives
+/// FileNotFoundError and similar subclasses. Any other error becomes a ValueError.
 pub fn py_error(error: Error) -> PyErr {
     match error {
         Error::Io { path, source } => os_error(path, &source),
@@ -14,7 +15,7 @@ pub fn py_error(error: Error) -> PyErr {
     }
 }
 
-/// The same for errors of files.
+/// The exception for an error of reading a file, by the same rule.
 pub fn file_error(error: snake_io::Error) -> PyErr {
     match error {
         snake_io::Error::Io { path, source } => os_error(path, &source),

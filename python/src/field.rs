@@ -10,26 +10,26 @@ use crate::keypoints::Keypoints;
 use crate::mesh::Mesh;
 use crate::{arrays, options, threads};
 
-/// The core's values and gradients of Q queries.
+/// Values and gradients of Q queries.
 type Pairs = (Vec<f32>, Vec<Point>);
-/// The same as arrays `(Q,)` and `(Q, 3)`.
+/// Values and gradients as arrays `(Q,)` and `(Q, 3)`.
 type ValuesAndGradients<'py> = (Bound<'py, PyArray1<f32>>, Bound<'py, PyArray2<f32>>);
 
-/// Occupancy and saliency of one cloud at any point of space; made by `Model.encode`.
+/// Occupancy and saliency of one cloud at any point in space; made by `Model.encode`.
 ///
-/// Queries are (Q, 3), as `detect` takes points; they and the gradients are in the cloud's frame and units. Give queries far
-/// from zero as float64, of which no digits are lost.
+/// Queries are (Q, 3), in the same forms as the points of `detect`. Queries and gradients are in the cloud's frame and
+/// units. Use float64 for queries far from zero, so that no digits are lost.
 #[pyclass(frozen, module = "snake_rs")]
 pub struct Field {
     core: core::Field,
-    /// To be added to all positions of the core's field.
+    /// Offset to add to all positions of the core's field.
     origin: [f64; 3],
-    /// The type of the cloud that was encoded.
+    /// The type of the encoded cloud.
     precision: Precision,
 }
 
 impl Field {
-    /// Wraps the core's field of a cloud relative to an origin.
+    /// Wraps the core's field of a cloud from which `origin` was subtracted.
     pub fn new(core: core::Field, origin: [f64; 3], precision: Precision) -> Self {
         Self { core, origin, precision }
     }
@@ -49,7 +49,7 @@ impl Field {
         Ok(arrays::values(py, values))
     }
 
-    /// The same with gradients.
+    /// One value and gradient per query, computed without the GIL.
     fn values_and_gradients<'py>(
         &self,
         queries: &Bound<'py, PyAny>,
@@ -63,7 +63,7 @@ impl Field {
 
 #[pymethods]
 impl Field {
-    /// Probability that there is surface at each query: (Q,) float32.
+    /// Occupancy of each query, the probability that it lies on the surface: (Q,) float32.
     fn occupancy<'py>(&self, queries: &Bound<'py, PyAny>) -> PyResult<Bound<'py, PyArray1<f32>>> {
         self.values(queries, core::Field::occupancy)
     }
@@ -83,20 +83,20 @@ impl Field {
         self.values_and_gradients(queries, core::Field::saliency_and_gradient)
     }
 
-    /// Descriptors (Q, c_dim) float32: the feature of each query, L2-normalised.
+    /// Descriptors (Q, c_dim) float32: the L2-normalised feature of each query.
     fn descriptors<'py>(&self, queries: &Bound<'py, PyAny>) -> PyResult<Bound<'py, PyArray2<f32>>> {
         let (py, queries) = (queries.py(), self.queries(queries)?);
         let flat = threads::run(py, || self.core.descriptors(&queries))?;
         arrays::rows(py, flat, self.core.config().c_dim)
     }
 
-    /// A copy of the feature volume, (C, D, H, W) float32: D, H, W along z, y, x.
+    /// A copy of the feature volume, (C, D, H, W) float32, with D, H and W along z, y and x.
     #[getter]
     fn volume<'py>(&self, py: Python<'py>) -> Bound<'py, PyArray4<f32>> {
         PyArray::from_array(py, &self.core.volume().features().permuted_axes([3, 0, 1, 2]))
     }
 
-    /// Center (3,), of the type of the cloud's points, and scale, in cloud units: `network = (cloud - center) / scale`.
+    /// Center (3,), in the type of the cloud's points, and scale, in cloud units: `network = (cloud - center) / scale`.
     #[getter]
     fn normalization<'py>(&self, py: Python<'py>) -> PyResult<(Bound<'py, PyAny>, f32)> {
         let core::Normalization { center, scale } = self.core.normalization();
@@ -108,11 +108,11 @@ impl Field {
     ///
     /// Options: `query_resolution`, `occupancy_threshold`, `refine_steps`, `refine_step_size`, `refine_method` ("adam"
     /// or "gradient-descent"), `selection` ("best-position" or "reference-final-position"), `surface_threshold`,
-    /// `saliency_threshold`, `nms_radius` (0: off; a number of cloud units, or text as "3r": multiples of the mean
-    /// distance of the points to their nearest others), `max_keypoints`, `snap` (move each keypoint to its
-    /// nearest input point), and `preset` ("modelnet40", "keypointnet", "smpl", "redwood" or "3dmatch"). What is not
-    /// given comes from `preset`, or else from the model's `recommended`. Raises ValueError for a value that cannot be
-    /// used and TypeError for an unknown option.
+    /// `saliency_threshold`, `nms_radius` (a number of cloud units, or text such as "3r" in multiples of the mean
+    /// distance between nearest points; 0: off), `max_keypoints`, `snap` (move each keypoint to its nearest input
+    /// point), and `preset` ("modelnet40", "keypointnet", "smpl", "redwood", "3dmatch" or "standard"). Other options
+    /// default to the values of `preset`, or else of the model's `recommended`. Raises ValueError for an invalid value
+    /// and TypeError for an unknown option.
     #[pyo3(signature = (**options))]
     fn detect(&self, py: Python<'_>, options: Option<&Bound<PyDict>>) -> PyResult<Keypoints> {
         let preset = options::resolve("detect", &options::DETECT, self.core.recommended(), options)?;
@@ -120,11 +120,12 @@ impl Field {
         Keypoints::from_detection(py, detection, self.origin, self.precision)
     }
 
-    /// The surface on which the occupancy is `level`, by marching cubes; closed, in the cloud's frame and units.
+    /// The level set of the occupancy at `level`, by marching cubes: a closed mesh in the cloud's frame and units.
     ///
     /// Options: `resolution` (samples along each axis of the volume's box, 8 to 512; default 128), `level` (0.001 to
-    /// 0.999; default 0.4) and `outer` (keep only what can be reached from outside: thin shells have a second surface
-    /// within). Raises ValueError for a value that cannot be used and TypeError for an unknown option.
+    /// 0.999; default 0.4) and `outer` (keep only surfaces that can be reached from outside, because a thin shell has a
+    /// second surface inside; default False). Raises ValueError for an invalid value and TypeError for an unknown
+    /// option.
     #[pyo3(signature = (**options))]
     fn mesh(&self, py: Python<'_>, options: Option<&Bound<PyDict>>) -> PyResult<Mesh> {
         let options: core::MeshOptions = options::of("mesh", options)?;

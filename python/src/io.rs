@@ -12,12 +12,13 @@ use crate::error::file_error;
 
 /// Reads a point cloud or a mesh: (N, 3) float64, in the file's order, units and frame.
 ///
-/// The extension says which format: ply, pcd, xyz, txt, csv, pts, npy, npz, las, laz, obj, off or stl. Of a mesh, `sample`
-/// draws that many points from the surface, evenly by area, instead of taking its vertices; `seed` is that of the draw.
-/// Without `sample`, a mesh gives a UserWarning. Of text and numpy arrays, `columns` are those of x, y and z: three names of
-/// the header, or indices from 0; by default the header says them, and without one they are the first three. Points that
-/// are not finite come through. Coordinates keep about 7 digits of the cloud's size. Raises OSError when the file cannot
-/// be read, ValueError when it is not what its name says, its columns cannot be told or it has no surface to draw from.
+/// The extension determines the format: ply, pcd, xyz, txt, csv, pts, npy, npz, las, laz, obj, off or stl. For a mesh,
+/// `sample` draws that many points from the surface, uniformly by area, and `seed` determines the draw. Without
+/// `sample`, a mesh gives its vertices and a UserWarning. For text and numpy arrays, `columns` selects x, y and z:
+/// three names in the header, or indices from 0. The default is x, y and z of the header, or without a header the first
+/// three columns. Points that are not finite are kept. Coordinates keep about 7 digits relative to the cloud's size.
+/// Raises OSError when the file cannot be read. Raises ValueError when the content does not match the extension, when
+/// the columns are ambiguous, or when there is no surface to sample.
 #[pyfunction]
 #[pyo3(signature = (path, sample=None, seed=0, columns=None))]
 pub fn read_points(
@@ -38,7 +39,7 @@ pub fn read_points(
     arrays::rows(py, points.iter().flat_map(|&point| add_origin(point, origin)).collect(), 3)
 }
 
-/// A column as Python gives it.
+/// A column in Python: an index from 0, or a name.
 #[derive(FromPyObject)]
 pub enum ColumnLike {
     Index(usize),

@@ -8,7 +8,7 @@ use snake_core::{Detection, Point};
 
 use crate::arrays::{self, Positions, Precision};
 
-/// K keypoints by falling saliency, and how they came about; it can be pickled.
+/// K keypoints, sorted by decreasing saliency, with the counts and times of their detection. It can be pickled.
 #[pyclass(frozen, get_all, module = "snake_rs")]
 pub struct Keypoints {
     /// Positions (K, 3), in the cloud's frame and units: float32 if the cloud was float32 or float16, else float64.
@@ -17,19 +17,19 @@ pub struct Keypoints {
     saliency: Py<PyArray1<f32>>,
     /// Occupancy (K,) float32 at the positions.
     occupancy: Py<PyArray1<f32>>,
-    /// Index (K,) int64 of the nearest input point; skipped ones count.
+    /// Index (K,) int64 of the nearest input point, in the input array with its skipped points.
     nearest_index: Py<PyArray1<i64>>,
-    /// How many input points were skipped because they are not finite.
+    /// Number of input points that were skipped because they are not finite.
     num_skipped: usize,
-    /// How many "windows" the cloud was seen through, and how many queries each step left: "queries", "occupied",
+    /// Number of "windows" that were encoded, and the number of queries after each step: "queries", "occupied",
     /// "above_threshold", "keypoints".
     counts: Py<PyDict>,
-    /// Seconds that each step took: "encode" (0 of `Field.detect`), "occupancy", "refine", "nms".
+    /// Seconds of each step: "encode" (0 for `Field.detect`), "occupancy", "refine", "nms".
     timing_seconds: Py<PyDict>,
 }
 
 impl Keypoints {
-    /// The core's result as arrays and dicts.
+    /// Converts the core's result to arrays and dicts.
     pub fn from_detection(
         py: Python<'_>,
         detection: Detection,

@@ -26,16 +26,20 @@ use model::Model;
 use registration::{Registration, estimate_normals, fpfh, register};
 use threads::{get_num_threads, set_num_threads};
 
-/// Keypoints of a cloud in one call: `model.encode(points).detect()`, with the built-in model if none is given.
+/// Detects the keypoints of a cloud in one call: `model.encode(points).detect()`. `model` defaults to the built-in
+/// model.
 ///
-/// `points` is (N, 3) real numbers, or more columns of which the first three count: a numpy array, a torch tensor on the
-/// CPU, an Open3D or trimesh point cloud, or anything else that numpy takes for such an array. It is copied as float32,
-/// relative to an origin where it is far from zero, so that float64 coordinates of georeferenced scans keep their digits;
-/// positions come back as float32 if the points are float32 or float16, else as float64. Points that are not finite or
-/// are masked are skipped (`Keypoints.num_skipped`), but `nearest_index` counts them. `options` are those of `Model.encode` and `Field.detect`,
-/// and `window_radius` (look through balls of this radius that cover the cloud, each encoded by itself, in cloud units or
-/// as in "40r" in multiples of its resolution; None: the whole cloud at once, in which details of a room are lost); what is not given comes from `preset`, or else from `model.recommended`. Raises ValueError for an array or a value
-/// that cannot be used, and TypeError for an unknown option.
+/// `points` (N, 3) are real numbers; additional columns are ignored. They can be a numpy array, a torch tensor on the
+/// CPU, an Open3D or trimesh point cloud, or any other value that numpy converts to such an array. They are copied as
+/// float32. Coordinates far from zero are copied relative to an origin, so that georeferenced scans in float64 keep
+/// their digits. Positions are returned as float32 if the points are float32 or float16, else as float64. Masked points
+/// and points that are not finite are skipped (`Keypoints.num_skipped`), but `nearest_index` counts them.
+///
+/// `options` are the options of `Model.encode` and `Field.detect`, and `window_radius`. With `window_radius` the cloud
+/// is split into overlapping balls of that radius, and each ball is encoded separately. It is in cloud units, or text
+/// such as "40r" in multiples of the cloud's resolution. None encodes the whole cloud at once, which loses the details
+/// of a room. Options default to the values of `preset`, or else of `model.recommended`. Raises ValueError for an
+/// invalid array or value, and TypeError for an unknown option.
 #[pyfunction]
 #[pyo3(signature = (points, model=None, **options))]
 fn detect(

@@ -6,19 +6,19 @@ use pyo3::types::PyTuple;
 
 use crate::arrays::{self, Positions, Precision};
 
-/// A surface of T triangles that share V vertices, closed; made by `Field.mesh`. It can be pickled.
+/// A closed surface of T triangles with V shared vertices; made by `Field.mesh`. It can be pickled.
 #[pyclass(frozen, get_all, module = "snake_rs")]
 pub struct Mesh {
     /// Positions (V, 3), in the cloud's frame and units: float32 if the cloud was float32 or float16, else float64.
     vertices: Positions,
-    /// Unit normals (V, 3) float32 at the vertices, out of what is occupied.
+    /// Unit normals (V, 3) float32 at the vertices, pointing out of the occupied volume.
     normals: Py<PyArray2<f32>>,
-    /// Indices of vertices (T, 3) uint32, counterclockwise seen from outside.
+    /// Vertex indices (T, 3) uint32, counterclockwise when seen from outside.
     triangles: Py<PyArray2<u32>>,
 }
 
 impl Mesh {
-    /// The core's mesh as arrays.
+    /// Converts the core's mesh to arrays.
     pub fn from_core(py: Python<'_>, mesh: snake_core::Mesh, origin: [f64; 3], precision: Precision) -> PyResult<Self> {
         Ok(Self {
             vertices: Positions::new(py, &mesh.vertices, origin, precision)?,

@@ -15,10 +15,10 @@ type Numbers<'py> = Bound<'py, PyArray1<f64>>;
 /// Rows of ground truth, false positives and false negatives.
 type Counts<'py> = Bound<'py, PyArray2<i64>>;
 
-/// Keypoints of two views, the transform between them and thresholds to shares.
+/// Computes repeatability from the keypoints of two views, the transform between them, and thresholds.
 type Repeatability = fn(&[Point], &[Point], &Transform, &[f64]) -> snake_core::Result<Vec<f64>>;
 
-/// An array-like of numbers as Rust has it.
+/// Converts an array-like of numbers to a Rust type.
 fn numbers<T>(what: &str, expected: &str, value: &Bound<PyAny>) -> PyResult<T>
 where
     T: for<'a, 'py> FromPyObject<'a, 'py>,
@@ -54,7 +54,7 @@ fn counts_from(rows: Vec<[usize; 3]>) -> Vec<MatchCounts> {
     rows.into_iter().map(counts).collect()
 }
 
-/// What the two variants of repeatability share.
+/// Converts the arguments of a variant of repeatability and calls it.
 fn repeatability<'py>(
     keypoints: [&Bound<'py, PyAny>; 2],
     t_1_2: &Bound<'py, PyAny>,
@@ -68,11 +68,12 @@ fn repeatability<'py>(
     Ok(arrays::values(py, shares))
 }
 
-/// Relative repeatability (SNAKE section 4.2, USIP): of each `epsilon` (T,), the share of view 1's keypoints (K, 3)
-/// nearer than it to one of view 2's (L, 3), brought to view 1 by `t_1_2` (4, 4). Returns (T,) float64.
+/// Relative repeatability (SNAKE section 4.2, USIP): (T,) float64, the share of repeated keypoints for each `epsilon`
+/// (T,).
 ///
-/// One-directional, not one-to-one, without a test of overlap; a view without keypoints gives 0. Raises ValueError for
-/// arrays that cannot be used.
+/// A keypoint of view 1 (K, 3) is repeated if it is nearer than `epsilon` to a keypoint of view 2 (L, 3) that `t_1_2`
+/// (4, 4) maps to view 1. The measure has one direction, is not one-to-one and does not test for overlap. A view
+/// without keypoints gives 0. Raises ValueError for invalid arrays.
 #[pyfunction]
 pub fn relative_repeatability<'py>(
     keypoints_1: &Bound<'py, PyAny>,
@@ -94,8 +95,8 @@ pub fn symmetric_repeatability<'py>(
     repeatability([keypoints_1, keypoints_2], t_1_2, epsilon, core::symmetric_repeatability)
 }
 
-/// Mean distance from each point (N, 3) to its nearest keypoint (K, 3), in cloud units: how well keypoints cover a
-/// cloud. Raises ValueError for arrays that cannot be used.
+/// Mean distance from each point (N, 3) to its nearest keypoint (K, 3), in cloud units. It measures how well the
+/// keypoints cover the cloud. Raises ValueError for invalid arrays.
 #[pyfunction]
 pub fn mean_distance_to_keypoints(points: &Bound<PyAny>, keypoints: &Bound<PyAny>) -> PyResult<f64> {
     let py = points.py();
@@ -103,9 +104,9 @@ pub fn mean_distance_to_keypoints(points: &Bound<PyAny>, keypoints: &Bound<PyAny
     threads::run(py, || core::mean_distance_to_keypoints(&points, &keypoints))
 }
 
-/// Geodesic distances (S, N) float64 from the points at the indices `sources` (S,) to all `points` (N, 3), in cloud
-/// units: shortest paths over the undirected graph of each point's `neighbors` nearest; inf where there is no path.
-/// Raises ValueError for arrays that cannot be used.
+/// Geodesic distances (S, N) float64 from the points with the indices `sources` (S,) to all `points` (N, 3), in cloud
+/// units. They are shortest paths in the undirected graph of each point's `neighbors` nearest points, and inf where
+/// there is no path. Raises ValueError for invalid arrays.
 #[pyfunction]
 #[pyo3(signature = (points, sources, neighbors=20))]
 pub fn geodesic_distances<'py>(
@@ -118,12 +119,14 @@ pub fn geodesic_distances<'py>(
     PyArray1::from_vec(py, rows.concat()).reshape([sources.len(), points.len()])
 }
 
-/// KeypointNet's counts for one shape (SNAKE section 4.1): (T, 3) int64, for each of `thresholds` (T,) the number of
-/// ground-truth keypoints, of false positives and of false negatives. Add the counts of a class's shapes for `iou`.
+/// KeypointNet's match counts for one shape (SNAKE section 4.1): (T, 3) int64. Each row has the numbers of ground-truth
+/// keypoints, false positives and false negatives at one of the `thresholds` (T,). Add the counts of all shapes of a
+/// class before `iou`.
 ///
-/// `ground_truth` are indices (G,) into `points` (N, 3); `found` (K, 3) are brought to their nearest points. They match
-/// at a geodesic distance of at most the threshold. `unreachable` is "strict" (points without a path never match) or
-/// "paper" (they always match, as in the released code). Raises ValueError for arrays that cannot be used.
+/// `ground_truth` are indices (G,) into `points` (N, 3). `found` (K, 3) are keypoints, which are snapped to their
+/// nearest points. Two keypoints match if their geodesic distance is at most the threshold. `unreachable` is "strict"
+/// (points without a path never match) or "paper" (they always match, as in the released code). Raises ValueError for
+/// invalid arrays.
 #[pyfunction]
 #[pyo3(signature = (points, ground_truth, found, thresholds, unreachable="strict"))]
 pub fn semantic_counts<'py>(
@@ -141,8 +144,8 @@ pub fn semantic_counts<'py>(
     counts_array(py, counts)
 }
 
-/// Intersection over union (T,) float64 of counts (T, 3) as `semantic_counts` gives them: (NP - FN) / (NP + FP).
-/// Raises ValueError for an array that cannot be used.
+/// Intersection over union (T,) float64 from the counts (T, 3) of `semantic_counts`: (NP - FN) / (NP + FP).
+/// Raises ValueError for an invalid array.
 #[pyfunction]
 pub fn iou<'py>(counts: &Bound<'py, PyAny>) -> PyResult<Numbers<'py>> {
     let rows = counts_from(numbers("counts", "whole numbers, 0 or more, of shape (T, 3)", counts)?);
@@ -153,12 +156,12 @@ fn smpl_protocol(protocol: &str, seed: u64) -> PyResult<SmplProtocol> {
     named("protocol", protocol, [("strict", SmplProtocol::Strict), ("paper", SmplProtocol::PaperCompatible { seed })])
 }
 
-/// The SMPL counts of one pair of bodies: (T, 3) int64 as `semantic_counts` gives them.
+/// The match counts of one pair of SMPL bodies: (T, 3) int64, as in `semantic_counts`.
 ///
-/// `body_1` and `body_2` (N, 3) are the same samples of a surface in two poses, `keypoints_1` and `keypoints_2` (K, 3)
-/// come best first; the best 20 are brought to their nearest samples. A keypoint carried to the other body matches one
-/// of its keypoints at most the threshold away. `protocol` "paper" fills up to 20 with random samples, by `seed`;
-/// "strict" does not. Raises ValueError for arrays that cannot be used.
+/// `body_1` and `body_2` (N, 3) are the same samples of a surface in two poses. `keypoints_1` and `keypoints_2` (K, 3)
+/// come best first, and the best 20 are snapped to their nearest samples. A keypoint is transferred to the other body
+/// and matches a keypoint there at a distance of at most the threshold. `protocol` "paper" adds random samples up to 20
+/// keypoints, determined by `seed`; "strict" does not. Raises ValueError for invalid arrays.
 #[pyfunction]
 #[pyo3(signature = (body_1, body_2, keypoints_1, keypoints_2, thresholds, protocol="strict", seed=0))]
 pub fn smpl_pair_counts<'py>(
@@ -179,9 +182,9 @@ pub fn smpl_pair_counts<'py>(
     counts_array(py, threads::run(py, work)?)
 }
 
-/// The SMPL figure at one threshold from the pairs' counts (P, 3), in order: the mean IoU of the pairs ("strict"), or
-/// the mean of the running IoU after each pair ("paper", as in the released code). Raises ValueError for an array that
-/// cannot be used.
+/// The mIoU on SMPL at one threshold, from the counts (P, 3) of the pairs in order. `protocol` "strict" is the mean IoU
+/// of the pairs. "paper" is the mean of the running IoU after each pair, as in the released code. Raises ValueError for
+/// an invalid array.
 #[pyfunction]
 #[pyo3(signature = (counts, protocol="strict"))]
 pub fn smpl_iou(counts: &Bound<PyAny>, protocol: &str) -> PyResult<f64> {
@@ -189,8 +192,9 @@ pub fn smpl_iou(counts: &Bound<PyAny>, protocol: &str) -> PyResult<f64> {
     core::smpl_iou(&pairs, smpl_protocol(protocol, 0)?).map_err(py_error)
 }
 
-/// The share of correspondences, row i of `source` (N, 3) and of `target` (N, 3), that `t_target_source` (4, 4) brings
-/// nearer than `threshold`, in cloud units; 0 without any. Raises ValueError for arrays that cannot be used.
+/// The share of correspondences that are inliers of `t_target_source` (4, 4); 0 without correspondences. Row i of
+/// `source` (N, 3) and row i of `target` (N, 3) correspond. They are an inlier if the transformed source point is
+/// nearer than `threshold`, in cloud units, to the target point. Raises ValueError for invalid arrays.
 #[pyfunction]
 #[pyo3(signature = (source, target, t_target_source, threshold=0.1))]
 pub fn inlier_ratio(
@@ -203,16 +207,17 @@ pub fn inlier_ratio(
     core::inlier_ratio(&source, &target, &transform("t_target_source", t_target_source)?, threshold).map_err(py_error)
 }
 
-/// The share of pairs whose inlier ratio (P,) is above `threshold`; 3DMatch averages it over scenes. Raises ValueError
-/// without pairs.
+/// The share of pairs with an inlier ratio (P,) above `threshold`. 3DMatch averages it over scenes. Raises ValueError
+/// if there are no pairs.
 #[pyfunction]
 #[pyo3(signature = (inlier_ratios, threshold=0.05))]
 pub fn feature_matching_recall(inlier_ratios: &Bound<PyAny>, threshold: f64) -> PyResult<f64> {
     core::feature_matching_recall(&thresholds("inlier_ratios", inlier_ratios)?, threshold).map_err(py_error)
 }
 
-/// Mean squared distance, in square units, by which `t_estimate` (4, 4) misplaces the overlap of a pair, to first order,
-/// from the information matrix (6, 6) of 3DMatch's `gt.info`. Raises ValueError for arrays that cannot be used.
+/// Mean squared error of the overlapping points of a pair under `t_estimate` (4, 4), in square units, relative to
+/// `t_gt` (4, 4). It is a first-order approximation from the information matrix (6, 6) of 3DMatch's `gt.info`. Raises
+/// ValueError for invalid arrays.
 #[pyfunction]
 pub fn squared_registration_error(
     t_gt: &Bound<PyAny>,
@@ -224,17 +229,18 @@ pub fn squared_registration_error(
     core::squared_registration_error(&t_gt, &t_estimate, &information).map_err(py_error)
 }
 
-/// The information matrix (6, 6) float64 of a pair, as `gt.info` has it, from the source's points (N, 3) that have a
-/// partner in the target. Raises ValueError for an array that cannot be used.
+/// The information matrix (6, 6) float64 of a pair, as in `gt.info`. `points` (N, 3) are the source points that have a
+/// partner in the target. Raises ValueError for an invalid array.
 #[pyfunction]
 pub fn information_matrix<'py>(points: &Bound<'py, PyAny>) -> PyResult<Bound<'py, PyArray2<f64>>> {
     let information = core::information_matrix(&arrays::points("points", points)?).map_err(py_error)?;
     PyArray1::from_vec(points.py(), information.concat()).reshape([6, 6])
 }
 
-/// Registration recall of one scene by 3DMatch's rules: the share of pairs, consecutive fragments left out, whose
-/// squared error is at most `threshold` squared. `fragments` (P, 2) are the pairs' numbers within the scene;
-/// `squared_errors` (P,) are inf where no transform was found. Raises ValueError for arrays that cannot be used.
+/// Registration recall of one scene by the rules of 3DMatch: the share of pairs with a squared error of at most
+/// `threshold` squared. Pairs of consecutive fragments are left out. `fragments` (P, 2) are the numbers of the
+/// fragments within the scene. `squared_errors` (P,) are inf where no transform was found. Raises ValueError for
+/// invalid arrays.
 #[pyfunction]
 #[pyo3(signature = (fragments, squared_errors, threshold=0.2))]
 pub fn registration_recall(fragments: &Bound<PyAny>, squared_errors: &Bound<PyAny>, threshold: f64) -> PyResult<f64> {

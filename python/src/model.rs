@@ -11,21 +11,21 @@ use crate::error::py_error;
 use crate::field::Field;
 use crate::{arrays, options, threads};
 
-/// A network with its weights. Make one with `Model.builtin`, `Model.load` or `Model.from_bytes`; it can be pickled.
+/// A network with its weights, made by `Model.builtin`, `Model.load` or `Model.from_bytes`. It can be pickled.
 #[pyclass(frozen, module = "snake_rs")]
 pub struct Model {
     core: core::Model,
     origin: Origin,
 }
 
-/// What a model is made from again when it is unpickled.
+/// The source from which a model is restored when it is unpickled.
 enum Origin {
     Builtin(String),
     File(Arc<Vec<u8>>),
 }
 
 impl Model {
-    /// The model of the core.
+    /// The core's model.
     pub fn core(&self) -> &core::Model {
         &self.core
     }
@@ -36,7 +36,7 @@ impl Model {
     }
 }
 
-/// The built-in model, read once.
+/// The default built-in model, loaded once.
 pub fn builtin(py: Python<'_>) -> PyResult<core::Model> {
     static MODEL: OnceLock<core::Model> = OnceLock::new();
     match MODEL.get() {
@@ -48,7 +48,7 @@ pub fn builtin(py: Python<'_>) -> PyResult<core::Model> {
     }
 }
 
-/// The model of the argument `model`, the built-in one by default.
+/// The given model, or by default the built-in one.
 pub fn given_or_builtin(py: Python<'_>, model: Option<&Bound<'_, Model>>) -> PyResult<core::Model> {
     match model {
         Some(model) => Ok(model.get().core().clone()),
@@ -58,8 +58,9 @@ pub fn given_or_builtin(py: Python<'_>, model: Option<&Bound<'_, Model>>) -> PyR
 
 #[pymethods]
 impl Model {
-    /// A model that comes with the package: "compact", for objects; "standard", for objects too, whose keypoints repeat
-    /// better and take longer; or "rooms", for clouds of rooms in metres, which it recommends to see through windows. Raises ValueError for another name.
+    /// A model that comes with the package. "compact" is for objects. "standard" is also for objects; it is slower, and
+    /// its keypoints repeat better. "rooms" is for clouds of rooms in metres and recommends windows. Raises ValueError
+    /// for any other name.
     #[staticmethod]
     #[pyo3(name = "builtin", signature = (name="compact"))]
     fn py_builtin(py: Python<'_>, name: &str) -> PyResult<Self> {
@@ -69,20 +70,21 @@ impl Model {
 
     /// Reads a weight file (`*.safetensors`, written by `snake_training.export`).
     ///
-    /// Raises OSError (FileNotFoundError, ...) when it cannot be read, ValueError when it does not hold a network.
+    /// Raises OSError (FileNotFoundError, ...) when the file cannot be read, ValueError when it does not hold a
+    /// network.
     #[staticmethod]
     fn load(py: Python<'_>, path: PathBuf) -> PyResult<Self> {
         let read = py.detach(|| std::fs::read(&path));
         Self::from_file(py, read.map_err(|source| py_error(core::Error::Io { path, source }))?)
     }
 
-    /// A network from the bytes of a weight file. Raises ValueError when they do not hold one.
+    /// A model from the bytes of a weight file. Raises ValueError when they do not hold a network.
     #[staticmethod]
     fn from_bytes(py: Python<'_>, data: &[u8]) -> PyResult<Self> {
         Self::from_file(py, data.to_vec())
     }
 
-    /// The network's shape, under the names of `snake_training.model.NetworkConfig`.
+    /// The shape of the network, a dict with the names of `snake_training.model.NetworkConfig`.
     #[getter]
     fn config<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyDict>> {
         let config = self.core.config();
@@ -116,19 +118,20 @@ impl Model {
         self.core.num_parameters()
     }
 
-    /// The options that suit these weights, as keyword arguments of `detect`: what it uses unless told otherwise.
+    /// The recommended options of these weights, as keyword arguments of `detect`. They are its defaults.
     #[getter]
     fn recommended<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyDict>> {
         options::flat(py, self.core.recommended())
     }
 
-    /// Encodes a cloud once; the field then answers any number of queries.
+    /// Encodes a cloud once; the field can then be queried any number of times.
     ///
-    /// `points` is (N, 3), as `detect` takes it; points that are not finite are skipped. Options: `normalization` ("unit-sphere", "unit-cube" or "none": the
-    /// cloud is already in the cube +-0.5), `max_points` (encode at most this many, drawn at random; None: all of
-    /// them), `seed` of that draw, `rotations` (average over this many turned copies of the cloud: keypoints repeat
-    /// far better, at as many times the cost), and `preset`. What is not given comes from `preset`, or else from
-    /// `model.recommended`. Raises ValueError for an array or a value that cannot be used.
+    /// `points` is (N, 3), in the same forms as in `detect`; points that are not finite are skipped. Options:
+    /// `normalization` ("unit-sphere", "unit-cube" or "none": the cloud already lies in the cube +-0.5), `max_points`
+    /// (encode at most this many points, drawn at random; None: all points), `seed` of that draw, `rotations` (average
+    /// over this many rotated copies of the cloud: keypoints repeat far better, and the time grows in proportion), and
+    /// `preset`. Other options default to the values of `preset`, or else of `model.recommended`. Raises ValueError for
+    /// an invalid array or value.
     #[pyo3(signature = (points, **options))]
     fn encode(&self, py: Python<'_>, points: &Bound<PyAny>, options: Option<&Bound<PyDict>>) -> PyResult<Field> {
         let preset = options::resolve("encode", &options::ENCODE, self.core.recommended(), options)?;

@@ -1,5 +1,5 @@
-//! Keyword arguments to the core's options. The names and types of the options are those that the core serialises, so
-//! there is no second list of them here.
+//! Converts keyword arguments to the core's options. Names and types come from the core's serialisation, so there is no
+//! second list of options here.
 
 use pyo3::exceptions::{PyTypeError, PyValueError};
 use pyo3::prelude::*;
@@ -15,11 +15,11 @@ use crate::error::py_error;
 pub const ENCODE: [&str; 1] = ["/encode"];
 /// The part that `Field.detect` takes.
 pub const DETECT: [&str; 1] = ["/detect"];
-/// All parts, and what belongs to none.
+/// All parts, and the options that belong to no part.
 pub const ALL: [&str; 3] = ["/encode", "/detect", ""];
 
-/// The options of one call: the recommended preset or the one named by `preset`, overlaid with the other keywords,
-/// which must belong to one of the `parts`.
+/// The options of one call: the recommended options or the named `preset`, overridden by the other keywords. Each
+/// keyword must belong to one of the `parts`.
 pub fn resolve(
     function: &str,
     parts: &[&str],
@@ -46,13 +46,13 @@ pub fn resolve(
     Ok(preset)
 }
 
-/// The names of the options of one part, which are no parts themselves.
+/// The names of the options of one part, without nested parts.
 fn options_of<'a>(tree: &'a Value, part: &str) -> impl Iterator<Item = &'a String> {
     let entries = tree.pointer(part).and_then(Value::as_object).into_iter().flatten();
     entries.filter(|(_, value)| !value.is_object()).map(|(name, _)| name)
 }
 
-/// The options of a function that takes no preset: the defaults, overlaid with the keywords.
+/// The options of a function without presets: the defaults, overridden by the keywords.
 pub fn of<T: Default + Serialize + DeserializeOwned>(function: &str, given: Option<&Bound<PyDict>>) -> PyResult<T> {
     let mut options = T::default();
     let mut tree = serde_json::to_value(&options).map_err(|e| PyValueError::new_err(e.to_string()))?;
@@ -73,7 +73,7 @@ fn unexpected<'a>(function: &str, name: &str, known: impl Iterator<Item = &'a st
     PyTypeError::new_err(reason)
 }
 
-/// The options with one of them set; one after another, so that the error can name it.
+/// Sets one option and returns all options. Options are set one at a time, so that an error can name the option.
 fn set<T: DeserializeOwned>(tree: &mut Value, pointer: &str, name: &str, value: &Bound<PyAny>) -> PyResult<T> {
     let refused = |reason: String| PyValueError::new_err(format!("option `{name}` is {value}: {reason}"));
     let given = json(value).ok_or_else(|| refused("expected a finite number, a string or a bool".into()))?;
@@ -83,10 +83,10 @@ fn set<T: DeserializeOwned>(tree: &mut Value, pointer: &str, name: &str, value: 
     serde_json::from_value(tree.clone()).map_err(|e| refused(in_words(&e)))
 }
 
-/// Options as one flat dict, such that `detect(points, model, **flat)` takes it.
+/// The options as one flat dict, for `detect(points, model, **flat)`.
 pub fn flat<'py>(py: Python<'py>, preset: &Options) -> PyResult<Bound<'py, PyDict>> {
     let options = PyDict::new(py);
-    // By way of text: 0.7 in float32 prints as 0.7 and not as 0.699999988.
+    // The conversion goes through text, so that 0.7 in float32 becomes 0.7 and not 0.699999988.
     let text = serde_json::to_string(preset).map_err(|e| PyValueError::new_err(e.to_string()))?;
     let parts = py.import("json")?.call_method1("loads", (text,))?;
     for (name, value) in parts.cast::<PyDict>()? {
@@ -102,7 +102,7 @@ fn tree(preset: &Options) -> PyResult<Value> {
     serde_json::to_value(preset).map_err(|e| PyValueError::new_err(e.to_string()))
 }
 
-/// What serde says, without Rust's type names.
+/// The message of a serde error, without Rust's type names.
 fn in_words(error: &serde_json::Error) -> String {
     let text = error.to_string();
     let words = [
@@ -115,7 +115,7 @@ fn in_words(error: &serde_json::Error) -> String {
     found.unwrap_or(text)
 }
 
-/// None, bool, str and numbers, those of numpy included; nothing else and nothing that is not finite.
+/// Converts None, bool, str and finite numbers, including numpy's, to JSON. Any other value gives `None`.
 fn json(value: &Bound<PyAny>) -> Option<Value> {
     if value.is_none() {
         Some(Value::Null)

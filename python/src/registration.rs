@@ -1,4 +1,4 @@
-//! `snake_rs.register` and its parts.
+//! `snake_rs.register`, `estimate_normals` and `fpfh`.
 
 use numpy::{PyArray1, PyArray2, PyArrayMethods};
 use pyo3::prelude::*;
@@ -9,21 +9,21 @@ use snake_registration as core;
 use crate::model::{self, Model};
 use crate::{arrays, options, threads};
 
-/// A rigid transform between two clouds and how far it can be trusted; it can be pickled.
+/// A rigid transform between two clouds, with figures of its quality. It can be pickled.
 #[pyclass(frozen, get_all, module = "snake_rs")]
 pub struct Registration {
     /// Maps source points into the target's frame, (4, 4) float64: `p_target = R p_source + t`.
     t_target_source: Py<PyArray2<f64>>,
-    /// Correspondences that RANSAC's transform, from which ICP starts, brings near to each other.
+    /// Number of correspondences that are inliers of RANSAC's transform, from which ICP starts.
     num_inliers: usize,
-    /// Keypoints that are each other's nearest in descriptor space.
+    /// Number of correspondences: keypoints that are mutual nearest neighbours in descriptor space.
     num_correspondences: usize,
-    /// Root mean square distance of these inliers under RANSAC's transform, in cloud units: how far apart keypoints of one
-    /// place are found, not how exact `t_target_source` is.
+    /// Root mean square distance of the inliers under RANSAC's transform, in cloud units. It measures how far apart two
+    /// keypoints of the same place are, not the accuracy of `t_target_source`.
     rmse: f64,
-    /// Points of source and target that were skipped because they are not finite.
+    /// Numbers of points of source and target that were skipped because they are not finite.
     num_skipped: (usize, usize),
-    /// Time it took.
+    /// Seconds that the registration took.
     seconds: f64,
 }
 
@@ -54,18 +54,18 @@ impl Registration {
     }
 }
 
-/// Finds the rigid transform that brings one cloud onto another, with nothing known beforehand.
+/// Finds the rigid transform that aligns one cloud to another, without an initial pose.
 ///
-/// `source` and `target` are (N, 3) and (M, 3), as `detect` takes them, in the same units; they may be parts that overlap.
-/// Points that are not finite are skipped.
-/// Keypoints of `model` (default: the built-in one) are matched by descriptors, RANSAC finds the transform that most
-/// matches agree on, and point-to-plane ICP refines it. Options: `detector` ("snake", the model's keypoints, or "iss",
-/// "harris3d", "sift3d", "fps" or "random", points of the reduced clouds), `descriptor` ("fpfh", which turns with the
-/// cloud, or "field", for clouds of about the same orientation), `max_keypoints`, `voxel_size`, `normal_radius`,
-/// `feature_radius`, `inlier_distance` (cloud units, or text as "3r": multiples of the coarser cloud's mean distance
-/// between nearest points; None: from the clouds), `edge_length_ratio`, `max_iterations`,
-/// `confidence`, `seed`, `refine_steps` (0: no ICP). Raises ValueError for arrays or values that cannot be used and
-/// when no transform fits, TypeError for an unknown option.
+/// `source` (N, 3) and `target` (M, 3) have the same forms as in `detect` and the same units. They may overlap only
+/// partly. Points that are not finite are skipped. The keypoints of `model` (default: the built-in one) are matched by
+/// their descriptors, RANSAC finds the transform with the most inliers, and point-to-plane ICP refines it.
+///
+/// Options: `detector` ("snake", the model's keypoints, or "iss", "harris3d", "sift3d", "fps" or "random" on the
+/// downsampled clouds), `descriptor` ("fpfh", which is invariant to rotation, or "field", for clouds of about the same
+/// orientation), `max_keypoints`, `voxel_size`, `normal_radius`, `feature_radius` and `inlier_distance` (lengths in
+/// cloud units, or text such as "3r" in multiples of the coarser cloud's mean distance between nearest points; None:
+/// derived from the clouds), `edge_length_ratio`, `max_iterations`, `confidence`, `seed`, `refine_steps` (0: no ICP).
+/// Raises ValueError for invalid arrays or values and when no transform fits, TypeError for an unknown option.
 #[pyfunction]
 #[pyo3(signature = (source, target, model=None, **options))]
 pub fn register(
@@ -86,8 +86,8 @@ pub fn register(
     Ok(Registration::new(matrix.unbind(), num_inliers, num_correspondences, rmse, num_skipped.into(), seconds))
 }
 
-/// Unit normals (N, 3) float32 of a cloud (N, 3): the direction in which the points nearer than `radius` vary least,
-/// on the side of the cloud's mean. Zero where fewer than three points are near.
+/// Unit normals (N, 3) float32 of a cloud (N, 3). A normal is the direction of the least variance of the points nearer
+/// than `radius`, oriented towards the cloud's mean. It is zero where fewer than three points are near.
 #[pyfunction]
 pub fn estimate_normals<'py>(points: &Bound<'py, PyAny>, radius: f64) -> PyResult<Bound<'py, PyArray2<f32>>> {
     let (py, (Cloud { points, .. }, _)) = (points.py(), arrays::cloud("points", points)?);
@@ -95,7 +95,8 @@ pub fn estimate_normals<'py>(points: &Bound<'py, PyAny>, radius: f64) -> PyResul
     arrays::rows(py, normals.into_flattened(), 3)
 }
 
-/// FPFH (N, 33) float32 of a cloud (N, 3) with unit normals (N, 3), of the points nearer than `radius`; as Open3D.
+/// FPFH descriptors (N, 33) float32 of a cloud (N, 3) with unit normals (N, 3), from the points nearer than `radius`,
+/// as in Open3D.
 #[pyfunction]
 pub fn fpfh<'py>(
     points: &Bound<'py, PyAny>,

@@ -1,5 +1,5 @@
-//! Threads of the core's work: one pool for each process, so that work goes on after a fork, and signals such as Ctrl-C
-//! while they work.
+//! Threads and signals. Each process has its own thread pool, so that calls also work after a fork. Long calls handle
+//! signals such as Ctrl-C while they run.
 
 use std::mem::forget;
 use std::sync::mpsc::{RecvTimeoutError, channel};
@@ -14,7 +14,7 @@ use snake_core::{CancelFlag, Control, Result};
 
 use crate::error::py_error;
 
-/// What `set_num_threads` chose, and the pool with the id of the process that its threads live in.
+/// The number of threads from `set_num_threads` (0: the default), and the pool with the id of its process.
 struct State {
     num_threads: usize,
     pool: Option<(u32, Arc<ThreadPool>)>,
@@ -28,7 +28,8 @@ fn state(_py: Python<'_>) -> MutexGuard<'static, State> {
     STATE.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
-/// The pool of this process. A forked child has the parent's memory but not its threads, so it starts a pool of its own.
+/// The pool of this process. A forked child has the memory of its parent but not its threads, so it starts its own
+/// pool.
 fn pool(py: Python<'_>) -> PyResult<Arc<ThreadPool>> {
     let (mut state, process) = (state(py), std::process::id());
     if let Some((of, pool)) = &state.pool
@@ -50,12 +51,12 @@ pub fn run<T: Send>(py: Python<'_>, work: impl FnOnce() -> Result<T> + Send) -> 
     py.detach(|| pool.install(work)).map_err(py_error)
 }
 
-/// How often a call looks for signals: Ctrl-C must end it within 0.2 s.
+/// Interval at which a call checks for signals: Ctrl-C must end the call within 0.2 s.
 const SIGNAL_INTERVAL: Duration = Duration::from_millis(20);
 
-/// The same for work that takes long and can be cancelled. Python runs signal handlers only in its main thread and only
-/// between its own instructions, so the calling thread takes the GIL every `SIGNAL_INTERVAL` to let them run. An exception
-/// of a handler, such as KeyboardInterrupt, cancels the work and is raised once the work has stopped.
+/// Like [`run`], for long work that can be cancelled. Python runs signal handlers only in its main thread and only
+/// between its own instructions, so the calling thread takes the GIL every `SIGNAL_INTERVAL` to let them run. An
+/// exception from a handler, such as KeyboardInterrupt, cancels the work and is raised when the work has stopped.
 pub fn run_with_signals<T: Send>(py: Python<'_>, work: impl FnOnce(&Control) -> Result<T> + Send) -> PyResult<T> {
     let (pool, flag) = (pool(py)?, CancelFlag::default());
     let control = Control::new().cancel(&flag);
@@ -82,9 +83,10 @@ pub fn run_with_signals<T: Send>(py: Python<'_>, work: impl FnOnce(&Control) -> 
     })
 }
 
-/// Sets the number of threads that all calls of this process share, from the next call on; by default as many as the
-/// process may use processors (or `RAYON_NUM_THREADS`). A forked child keeps the number and has threads of its own.
-/// Results have the same bits for any number. Raises ValueError for 0, and for more than 256 and the processors.
+/// Sets the number of threads that all calls of this process share, from the next call on. The default is
+/// `RAYON_NUM_THREADS`, or else the number of processors that the process may use. A forked child keeps the number and
+/// has its own threads. Results have the same bits for any number of threads. Raises ValueError if `num_threads` is 0,
+/// or greater than both 256 and the number of processors.
 #[pyfunction]
 pub fn set_num_threads(py: Python<'_>, num_threads: usize) -> PyResult<()> {
     let most = available_parallelism().map_or(1, usize::from).max(MAX_THREADS);
@@ -101,10 +103,10 @@ pub fn set_num_threads(py: Python<'_>, num_threads: usize) -> PyResult<()> {
     Ok(())
 }
 
-/// Threads at most, where there are not more processors: a thousand on few processors only wait for each other.
+/// The most threads on a machine with fewer processors: more threads would only wait for each other.
 const MAX_THREADS: usize = 256;
 
-/// The number of threads that all calls of this process share. Raises RuntimeError when they cannot be started.
+/// The number of threads that all calls of this process share. Raises RuntimeError when the threads cannot be started.
 #[pyfunction]
 pub fn get_num_threads(py: Python<'_>) -> PyResult<usize> {
     Ok(pool(py)?.current_num_threads())
