@@ -96,7 +96,7 @@ pub struct DetectFlags {
 }
 
 impl DetectFlags {
-    /// The options of a run: those of the preset or the model, overridden by the command line.
+    /// The options of a run: the options of the preset or the model, overridden by the command line.
     pub fn resolve(&self, model: &Model) -> Result<Options> {
         let mut preset = self.encode.resolve(model)?;
         override_with(&mut preset.window_radius, self.window_radius.map(Some));

@@ -137,7 +137,7 @@ impl ShownCloud {
 }
 
 impl Pair {
-    /// How many keypoints of the first cloud repeat.
+    /// Number of keypoints of the first cloud that repeat.
     fn repeated(&self) -> usize {
         self.partners.iter().flatten().count()
     }

@@ -144,7 +144,7 @@ impl<'a> Report<'a> {
         Ok(Self { settings, keypoints: plan.keypoints, scenes, num_pairs, num_seeds, summaries, paper })
     }
 
-    /// The tables, for people.
+    /// The tables as lines of plain text.
     pub fn text_lines(&self) -> Vec<String> {
         table::lines(&self.tables())
     }
@@ -155,7 +155,7 @@ impl<'a> Report<'a> {
         table::write(output, "registration", &[("csv", self.csv()), ("json", self.json()?), ("md", markdown)])
     }
 
-    /// Of each figure a table: a row for each detector and descriptor, a column for each number of keypoints.
+    /// One table for each figure, with a row for each detector and descriptor and a column for each number of keypoints.
     fn tables(&self) -> Vec<Table> {
         let (pairs, scenes) = (self.num_pairs, self.scenes.len());
         let over = match (scenes, self.num_seeds) {
