@@ -1,8 +1,28 @@
-//! How good keypoints are: repeatability, semantic consistency and registration, by the rules of the papers that the
-//! figures are compared with. Points and indices in, numbers out; no model is seen here.
+//! Metrics of keypoints and of registrations: repeatability, semantic consistency and 3DMatch recall, by the rules of
+//! the papers behind the published figures. The inputs are points, indices and transforms; the outputs are numbers. No
+//! model is run here.
 //!
-//! Lengths are in the points' own units and distances are computed in f64. A transform is a row-major 4×4 matrix that
-//! acts on columns: `t_target_source` takes a point of the source to the target, `p_target = R p_source + t`.
+//! ```text
+//! keypoints of two views + t_1_2 ─────────→ relative_repeatability
+//! keypoints of a shape + annotations ─────→ semantic_counts → MatchCounts::iou
+//! keypoints of a body in two poses ───────→ smpl_pair_counts → smpl_iou
+//! correspondences + t_target_source ──────→ inlier_ratio → feature_matching_recall
+//! estimated and true transforms ──────────→ squared_registration_error → registration_recall
+//! ```
+//!
+//! ```
+//! use snake_eval::{feature_matching_recall, inlier_ratio};
+//! let t_target_source = [[1.0, 0.0, 0.0, 5.0], [0.0, 1.0, 0.0, 0.0], [0.0, 0.0, 1.0, 0.0], [0.0, 0.0, 0.0, 1.0]];
+//! let (source, target) = ([[0.0; 3], [1.0, 0.0, 0.0]], [[5.0, 0.0, 0.0], [9.0, 0.0, 0.0]]);
+//! let ratio = inlier_ratio(&source, &target, &t_target_source, 0.1)?;
+//! assert_eq!(ratio, 0.5);
+//! assert_eq!(feature_matching_recall(&[ratio, 0.0], 0.05)?, 0.5);
+//! # Ok::<(), snake_core::Error>(())
+//! ```
+//!
+//! Lengths are in the units of the points, and distances are computed in f64. A transform is a row-major 4×4 matrix
+//! that multiplies column vectors. `t_target_source` maps a source point to the target frame:
+//! `p_target = R p_source + t`.
 
 #![forbid(unsafe_code)]
 
@@ -28,7 +48,7 @@ pub use semantic::{
     MatchCounts, SmplProtocol, Unreachable, geodesic_distances, semantic_counts, smpl_iou, smpl_pair_counts,
 };
 
-/// The transform as a matrix.
+/// The matrix of a transform.
 fn matrix(what: &'static str, transform: &Transform) -> Result<Matrix4<f64>> {
     if !transform.as_flattened().iter().all(|v| v.is_finite()) || transform[3] != [0.0, 0.0, 0.0, 1.0] {
         let reason = "expected a finite 4x4 transform whose last row is 0 0 0 1".into();
@@ -37,7 +57,7 @@ fn matrix(what: &'static str, transform: &Transform) -> Result<Matrix4<f64>> {
     Ok(Matrix4::from_fn(|row, column| transform[row][column]))
 }
 
-/// The points, moved; none is fine.
+/// Points under a transform; an empty array is accepted.
 fn moved(what: &'static str, points: &[Point], transform: &Matrix4<f64>) -> Result<Vec<Vector>> {
     if !points.is_empty() {
         check_points(what, points)?;

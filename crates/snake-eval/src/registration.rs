@@ -1,4 +1,4 @@
-//! The 3DMatch benchmark's figures: inlier ratio, feature matching recall, registration recall.
+//! The metrics of the 3DMatch benchmark: inlier ratio, feature matching recall, registration recall.
 
 use nalgebra::{Matrix3, Matrix3x6, Matrix4, Matrix6, Rotation3, UnitQuaternion, Vector3, Vector6};
 
@@ -8,8 +8,10 @@ use snake_core::space::{Neighbors, vector};
 use snake_core::{Error, Result};
 use snake_core::{Point, Transform};
 
-/// Inlier ratio: of correspondences (the same row of both arrays), the share that `t_target_source` brings nearer than
-/// `threshold` to one another; 0 without correspondences. 3DMatch takes 0.1 m.
+/// Inlier ratio: the share of correspondences that `t_target_source` brings closer than `threshold`.
+///
+/// A correspondence is one row of `source` `(N, 3)` and the same row of `target`. The ratio is 0 without
+/// correspondences. 3DMatch uses a threshold of 0.1 m.
 ///
 /// # Errors
 /// [`Error::Input`] when the arrays differ in length, or for coordinates that are not finite or a bad transform.
@@ -24,8 +26,9 @@ pub fn inlier_ratio(source: &[Point], target: &[Point], t_target_source: &Transf
     Ok(inliers as f64 / source.len().max(1) as f64)
 }
 
-/// Feature matching recall: the share of pairs whose inlier ratio is above `threshold` (3DMatch: 0.05). The
-/// benchmark's pairs include consecutive fragments, and its figure is the plain mean over the scenes.
+/// Feature matching recall: the share of pairs whose inlier ratio is above `threshold` (3DMatch: 0.05).
+///
+/// The benchmark's pairs include consecutive fragments. Its figure is the unweighted mean over the scenes.
 ///
 /// # Errors
 /// [`Error::Input`] without pairs.
@@ -36,12 +39,12 @@ pub fn feature_matching_recall(inlier_ratios: &[f64], threshold: f64) -> Result<
     Ok(inlier_ratios.iter().filter(|ratio| **ratio > threshold).count() as f64 / inlier_ratios.len() as f64)
 }
 
-/// The mean squared distance by which an estimated transform misplaces the overlap of a pair, to first order, from the
-/// information matrix of `gt.info`: `eᵀ I e / I₁₁` with `e = (t, q_xyz)` of `t_gt⁻¹ t_estimate` (3DMatch, after Choi,
-/// Zhou and Koltun 2015). In square units of the cloud.
+/// The mean squared displacement of a pair's overlap by the error of an estimated transform, to first order, in squared
+/// cloud units (3DMatch, after Choi, Zhou and Koltun 2015).
 ///
-/// The rotation's quaternion `(q_w, q_xyz)`, `q_w ≥ 0`, turns points; MATLAB's `dcm2quat`, used by the released code,
-/// gives its conjugate and is negated there.
+/// It is `eᵀ I e / I₁₁` with the information matrix I of `gt.info` and `e = (t, q_xyz)` of `t_gt⁻¹ t_estimate`. The
+/// quaternion `(q_w, q_xyz)`, `q_w ≥ 0`, rotates points. The released code uses MATLAB's `dcm2quat`, which returns the
+/// conjugate, and negates it.
 ///
 /// # Errors
 /// [`Error::Input`] for a transform that is not rigid or an information matrix without information.
@@ -64,8 +67,8 @@ pub fn squared_registration_error(
     Ok(error.dot(&(information * error)) / information[(0, 0)])
 }
 
-/// The information matrix of the overlap of a pair, as `gt.info` has it: `Σ GᵀG` over the source's points that have a
-/// partner in the target, `G = [I, -2 [p]ₓ]`.
+/// The information matrix of a pair's overlap, as in `gt.info`: the sum of `GᵀG` with `G = [I, -2 [p]ₓ]` over the
+/// source points `(N, 3)` in the overlap.
 ///
 /// # Errors
 /// [`Error::Input`] without points or for coordinates that are not finite.
@@ -81,8 +84,8 @@ pub fn information_matrix(points: &[Point]) -> Result<[[f64; 6]; 6]> {
     Ok(std::array::from_fn(|row| std::array::from_fn(|column| sum[(row, column)])))
 }
 
-/// The source's points that `t_target_source` brings nearer than `distance` to some point of the target: those that
-/// [`information_matrix`] takes.
+/// The overlap of a pair: the source points that `t_target_source` brings closer than `distance` to a target point.
+/// [`information_matrix`] takes these points.
 ///
 /// # Errors
 /// [`Error::Input`] for an empty cloud, coordinates that are not finite or a bad transform.
@@ -95,20 +98,21 @@ pub fn overlap(source: &[Point], target: &[Point], t_target_source: &Transform, 
     Ok(source.iter().zip(near).filter_map(|(&point, near)| near.then_some(point)).collect())
 }
 
-/// What registration made of one pair of fragments.
+/// The registration result of one pair of fragments.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct RegistrationOutcome {
     /// Number of the first fragment within its scene.
     pub first: usize,
-    /// Number of the second.
+    /// Number of the second fragment.
     pub second: usize,
-    /// By [`squared_registration_error`]; `None` if no transform was found.
+    /// The [`squared_registration_error`]; `None` if no transform was found.
     pub squared_error: Option<f64>,
 }
 
-/// Registration recall of one scene: the share of its ground-truth pairs, consecutive fragments left out, that are
-/// registered with a mean squared error of at most `threshold` squared (3DMatch: 0.2 m). The benchmark's figure is the
-/// plain mean over the scenes.
+/// Registration recall of one scene: the share of its ground-truth pairs, without consecutive fragments, whose mean
+/// squared error is at most `threshold` squared (3DMatch: 0.2 m).
+///
+/// The benchmark's figure is the unweighted mean over the scenes.
 ///
 /// # Errors
 /// [`Error::Input`] when no pair is left.
@@ -121,7 +125,7 @@ pub fn registration_recall(outcomes: &[RegistrationOutcome], threshold: f64) -> 
     Ok(counted.iter().filter(good).count() as f64 / counted.len() as f64)
 }
 
-/// Rotation and translation of a transform that is rigid to 1e-3: files hold few digits.
+/// Rotation and translation of a transform. The tolerance of 1e-3 allows for files with few digits.
 fn rigid(what: &'static str, transform: &Transform) -> Result<(Rotation3<f64>, Vector3<f64>)> {
     let matrix = matrix(what, transform)?;
     let linear: Matrix3<f64> = matrix.fixed_view::<3, 3>(0, 0).into();
@@ -160,7 +164,7 @@ mod tests {
     }
 
     #[test]
-    fn the_overlap_is_what_is_strictly_within_the_distance() {
+    fn the_overlap_is_strictly_within_the_distance() {
         let source = [[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [2.0, 0.0, 0.0]];
         let target = [[1.0, 0.25, 0.0], [9.0, 0.0, 0.0], [2.0, 0.0, 0.5]];
         let t_target_source = transform([0.0; 3], [1.0, 0.0, 0.0]);
@@ -176,7 +180,7 @@ mod tests {
     }
 
     #[test]
-    fn a_pure_shift_is_its_own_error() {
+    fn the_error_of_a_pure_translation_is_its_squared_length() {
         let gt = transform([0.3, -0.2, 0.9], [1.0, 2.0, 3.0]);
         let mut estimate = gt;
         estimate[0][3] += 0.3;
@@ -232,7 +236,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_not_rigid_is_refused() {
+    fn transforms_that_are_not_rigid_are_refused() {
         let information = information_matrix(&[[1.0; 3]]).unwrap();
         let mut scaled = IDENTITY;
         scaled[1][1] = 1.1;

@@ -1,4 +1,4 @@
-//! Relative repeatability, and how well keypoints cover a surface.
+//! Relative repeatability, and the coverage of a surface by keypoints.
 
 use nalgebra::Matrix4;
 
@@ -8,11 +8,11 @@ use snake_core::space::check_points;
 use snake_core::space::{Neighbors, Vector, vector};
 use snake_core::{Point, Transform};
 
-/// Relative repeatability (SNAKE section 4.2, USIP): of each `epsilon`, the share of view 1's keypoints that are
-/// nearer than it to a keypoint of view 2, brought to view 1 by `t_1_2`.
+/// Relative repeatability (SNAKE section 4.2, USIP): for each `epsilon`, the share of view 1's keypoints `(K, 3)` that
+/// are closer than `epsilon` to a keypoint of view 2. `t_1_2` maps view 2 to the frame of view 1.
 ///
-/// One-directional, not one-to-one, without a test of overlap; the boundary does not count. A view without keypoints
-/// gives 0. The figure of a data set is the plain mean over its pairs.
+/// The measure is one-directional, it is not one-to-one, and it does not test for overlap. A distance equal to
+/// `epsilon` does not count. A view without keypoints gives 0. The figure of a data set is the mean over its pairs.
 ///
 /// ```
 /// use snake_eval::relative_repeatability;
@@ -35,8 +35,8 @@ pub fn relative_repeatability(
     shares_within(&first, second, epsilon)
 }
 
-/// Of each keypoint of view 1 the nearest keypoint of view 2, brought to view 1 by `t_1_2`, if it is nearer than
-/// `epsilon`: its index and the distance. The share of those that have one is [`relative_repeatability`].
+/// For each keypoint of view 1 the nearest keypoint of view 2, as its index and distance, if it is closer than
+/// `epsilon`. `t_1_2` maps view 2 to the frame of view 1. The share of `Some` is [`relative_repeatability`].
 ///
 /// ```
 /// use snake_eval::repeated_keypoints;
@@ -47,7 +47,7 @@ pub fn relative_repeatability(
 /// ```
 ///
 /// # Errors
-/// Those of [`relative_repeatability`].
+/// The errors of [`relative_repeatability`].
 pub fn repeated_keypoints(
     keypoints_1: &[Point],
     keypoints_2: &[Point],
@@ -59,7 +59,7 @@ pub fn repeated_keypoints(
         return Ok(vec![None; first.len()]);
     }
     let neighbors = Neighbors::new(second)?;
-    // Of equal distances the lower index: the tree gives them in no order.
+    // The lower index wins among equal distances, because the tree returns them in no fixed order.
     let nearest = |keypoint: &Vector| {
         let within = neighbors.within(keypoint, epsilon).into_iter();
         let distances = within.map(|index| (index, (neighbors.points[index] - keypoint).norm()));
@@ -71,7 +71,7 @@ pub fn repeated_keypoints(
 /// The mean of [`relative_repeatability`] from view 1 to view 2 and from view 2 to view 1.
 ///
 /// # Errors
-/// Those of [`relative_repeatability`].
+/// The errors of [`relative_repeatability`].
 pub fn symmetric_repeatability(
     keypoints_1: &[Point],
     keypoints_2: &[Point],
@@ -84,8 +84,8 @@ pub fn symmetric_repeatability(
     Ok(forward.iter().zip(backward).map(|(a, b)| (a + b) / 2.0).collect())
 }
 
-/// Mean distance from each point of a cloud to its nearest keypoint: how well the keypoints cover it. Keypoints that
-/// crowd at one place repeat well; this tells them from keypoints that are spread.
+/// Coverage: the mean distance from each point of a cloud to its nearest keypoint. Clustered keypoints can have a high
+/// repeatability; this measure tells them from evenly distributed keypoints.
 ///
 /// # Errors
 /// [`Error::Input`](snake_core::Error::Input) when there are no points or no keypoints, or a coordinate is not finite.
@@ -108,7 +108,7 @@ fn in_view_1(
     Ok([first, moved("keypoints_2", keypoints_2, &matrix("t_1_2", t_1_2)?)?])
 }
 
-/// Of each epsilon, the share of `of` that is nearer than it to one of `to`.
+/// For each epsilon, the share of `of` that is closer than epsilon to a point of `to`.
 fn shares_within(of: &[Vector], to: Vec<Vector>, epsilon: &[f64]) -> Result<Vec<f64>> {
     if of.is_empty() || to.is_empty() {
         return Ok(vec![0.0; epsilon.len()]);
@@ -135,7 +135,7 @@ mod tests {
 
     #[test]
     fn directions_differ_and_the_symmetric_variant_is_their_mean() {
-        // Two keypoints of the one view share a keypoint of the other.
+        // Two keypoints of one view match the same keypoint of the other.
         let (one, other) = ([[0.0, 0.0, 0.0], [0.1, 0.0, 0.0]], [[0.05, 0.0, 0.0], [3.0, 0.0, 0.0], [4.0, 0.0, 0.0]]);
         assert_eq!(relative_repeatability(&one, &other, &IDENTITY, &[0.06]).unwrap(), [1.0]);
         assert_eq!(relative_repeatability(&other, &one, &IDENTITY, &[0.06]).unwrap(), [1.0 / 3.0]);
@@ -145,7 +145,7 @@ mod tests {
 
     #[test]
     fn the_transform_takes_view_2_to_view_1() {
-        // A quarter turn about z, then a shift: (x, y) in view 2 is (2 - y, x) in view 1.
+        // A rotation of 90° about z, then a translation: (x, y) in view 2 is (2 - y, x) in view 1.
         let t_1_2 = [[0.0, -1.0, 0.0, 2.0], [1.0, 0.0, 0.0, 0.0], [0.0, 0.0, 1.0, 0.0], [0.0, 0.0, 0.0, 1.0]];
         let (view_1, view_2) = ([[-1.0, 7.0, 4.0]], [[7.0, 3.0, 4.0]]);
         assert_eq!(relative_repeatability(&view_1, &view_2, &t_1_2, &[1e-6]).unwrap(), [1.0]);

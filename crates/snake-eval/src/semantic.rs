@@ -1,5 +1,5 @@
-//! Semantic consistency: do keypoints lie where people mark them (KeypointNet), and at the same places of a body in two
-//! poses (SMPL)?
+//! Semantic consistency: the agreement of keypoints with human annotations (KeypointNet), and between two poses of a
+//! body (SMPL).
 
 use std::cmp::Ordering;
 use std::collections::BinaryHeap;
@@ -17,53 +17,53 @@ use snake_core::space::nearest_points;
 use snake_core::space::{Neighbors, vector};
 use snake_core::{Error, Result};
 
-/// Neighbours of each point in the graph of geodesic distances (SNAKE section 4.1, KeypointNet).
+/// Number of neighbours of a point in the graph of geodesic distances (SNAKE section 4.1, KeypointNet).
 const GRAPH_NEIGHBORS: usize = 20;
-/// Keypoints of a body that the SMPL protocol compares.
+/// Number of keypoints per body in the SMPL protocol.
 const SMPL_KEYPOINTS: usize = 20;
 
-/// What the distance between points is that no path of the neighbourhood graph joins.
+/// The distance between points that no path of the neighbourhood graph connects.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub enum Unreachable {
     /// Infinite: such points never match.
     #[default]
     Strict,
-    /// 0, as in the released code, by way of an old scikit-learn: such points always match. The paper's figures need it.
+    /// 0, as in the released code through an old scikit-learn: such points always match. The paper's figures need it.
     PaperCompatible,
 }
 
-/// How the SMPL protocol fills up and averages.
+/// The variant of the SMPL protocol.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum SmplProtocol {
-    /// As many keypoints as there are, at most 20; the mean of the pairs' IoU.
+    /// The detected keypoints only, at most 20 per body; the figure is the mean IoU of the pairs.
     Strict,
-    /// As in the released code: fewer than 20 keypoints are filled up with random samples of the body; counts run on
-    /// over the pairs, and the figure is the mean of the running IoU after each pair.
+    /// As in the released code: random samples of the body fill up fewer than 20 keypoints. Counts accumulate over the
+    /// pairs, and the figure is the mean of the accumulated IoU after each pair.
     PaperCompatible {
         /// Seed of the random samples.
         seed: u64,
     },
 }
 
-/// Matches of keypoints at one threshold; counts of shapes are added.
+/// Matches of keypoints at one threshold. Add the counts of several shapes.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
 pub struct MatchCounts {
     /// Ground-truth keypoints (NP).
     pub ground_truth: usize,
-    /// Found keypoints that match no ground truth (FP).
+    /// Detected keypoints that match no ground-truth keypoint (FP).
     pub false_positives: usize,
-    /// Ground-truth keypoints that no found one matches (FN).
+    /// Ground-truth keypoints that match no detected keypoint (FN).
     pub false_negatives: usize,
 }
 
 impl MatchCounts {
-    /// Intersection over union, `(NP - FN) / (NP + FP)`; without any keypoint 0. The class figure of KeypointNet is the
+    /// Intersection over union, `(NP - FN) / (NP + FP)`; 0 without keypoints. KeypointNet's figure of a class is the
     /// IoU of the counts summed over its shapes.
     pub fn iou(&self) -> f64 {
         (self.ground_truth - self.false_negatives) as f64 / (self.ground_truth + self.false_positives).max(1) as f64
     }
 
-    /// The counts at one threshold, from each found and each ground-truth keypoint's distance to the other kind.
+    /// The counts at one threshold, from the distance of each keypoint to the nearest keypoint of the other kind.
     fn new(found: &[f64], ground_truth: &[f64], threshold: f64) -> Self {
         let beyond = |distances: &[f64]| distances.iter().filter(|d| **d > threshold).count();
         Self { ground_truth: ground_truth.len(), false_positives: beyond(found), false_negatives: beyond(ground_truth) }
@@ -78,11 +78,11 @@ impl AddAssign for MatchCounts {
     }
 }
 
-/// Geodesic distances from each source to every point: shortest paths over the undirected graph that joins each point
-/// to its `neighbors` nearest others, edges as long as in space. Infinite where there is no path. A row for each source.
+/// Geodesic distances `[source][point]`: shortest paths in the undirected graph that connects each point to its
+/// `neighbors` nearest other points, with Euclidean edge lengths. Infinite where there is no path.
 ///
 /// # Errors
-/// [`Error::Input`] for no points, coordinates that are not finite or a source that is no index,
+/// [`Error::Input`] for no points, coordinates that are not finite or a source index out of range,
 /// [`Error::Option`] for `neighbors` 0.
 pub fn geodesic_distances(points: &[Point], sources: &[usize], neighbors: usize) -> Result<Vec<Vec<f64>>> {
     check_points("points", points)?;
@@ -91,12 +91,14 @@ pub fn geodesic_distances(points: &[Point], sources: &[usize], neighbors: usize)
     Ok(sources.par_iter().map(|&source| shortest_paths(&graph, source)).collect())
 }
 
-/// KeypointNet's counts for one shape, one for each threshold (SNAKE section 4.1): found keypoints are brought to their
-/// nearest point of the cloud, and a found and a ground-truth keypoint match when their geodesic distance over the
-/// 20-nearest-neighbour graph is at most the threshold; many may match one.
+/// KeypointNet's counts for one shape, one for each threshold (SNAKE section 4.1).
 ///
-/// `ground_truth` are indices into `points`; repeated ones count once. Add the counts of a class's shapes, then take
-/// [`MatchCounts::iou`].
+/// Each detected keypoint is snapped to its nearest point of the cloud. A detected and a ground-truth keypoint match
+/// when their geodesic distance in the 20-nearest-neighbour graph is at most the threshold. Several keypoints may match
+/// one.
+///
+/// `ground_truth` holds indices into `points`; duplicates count once. The figure of a class is the
+/// [`MatchCounts::iou`] of its shapes' summed counts.
 ///
 /// # Errors
 /// [`Error::Input`] for no points, coordinates that are not finite or an index out of range,
@@ -120,7 +122,7 @@ pub fn semantic_counts(
         Unreachable::PaperCompatible if from_start.is_infinite() => 0.0,
         _ => from_start,
     };
-    // Rows of the found points alone: rows of all points would take the square of a cloud in which each is marked.
+    // Only rows of detected points are computed: rows of all points take quadratic memory if every point is annotated.
     let row = |&start: &usize| -> Vec<f64> {
         let distances = shortest_paths(&graph, start);
         found.iter().map(|&f| between(distances[f])).collect()
@@ -131,12 +133,12 @@ pub fn semantic_counts(
     Ok(thresholds.iter().map(|&t| MatchCounts::new(&to_ground_truth, &to_found, t)).collect())
 }
 
-/// The SMPL counts of one pair of bodies, one for each threshold: a keypoint of a body, carried to the same sample of
-/// the other body, matches a keypoint of that body at most the threshold away (straight distance). Body 2 is the
-/// ground truth.
+/// The SMPL counts of one pair of bodies, one for each threshold.
 ///
-/// `body_1` and `body_2` are the same samples of one surface in two poses, row by row. The best 20 keypoints of each,
-/// best first, are brought to their nearest samples.
+/// `body_1` and `body_2` `(N, 3)` are the same samples of one surface in two poses, row by row. The best 20 keypoints
+/// of each body, given best first, are snapped to their nearest samples. A keypoint is transferred to the same sample
+/// of the other body. It matches a keypoint of that body at a Euclidean distance of at most the threshold. Body 2 is
+/// the ground truth.
 ///
 /// # Errors
 /// [`Error::Input`] when the bodies differ in their number of samples, have none, or a coordinate is not finite,
@@ -173,7 +175,7 @@ pub fn smpl_pair_counts(
     Ok(thresholds.iter().map(|&t| MatchCounts::new(&on_body_2, &on_body_1, t)).collect())
 }
 
-/// The SMPL figure at one threshold from the counts of each pair.
+/// The SMPL figure at one threshold from the counts of all pairs.
 ///
 /// # Errors
 /// [`Error::Input`] without pairs.
@@ -213,7 +215,7 @@ fn snap(what: &'static str, keypoints: &[Point], points: &[Point]) -> Result<Vec
     nearest_points(points, keypoints)
 }
 
-/// Of each point, the points it shares an edge with, and the edges' lengths.
+/// For each point its neighbours in the graph and the lengths of the edges.
 type Graph = Vec<Vec<(usize, f64)>>;
 
 fn neighbor_graph(points: &[Point], neighbors: usize) -> Result<Graph> {
@@ -224,7 +226,7 @@ fn neighbor_graph(points: &[Point], neighbors: usize) -> Result<Graph> {
     let nearest: Graph = tree.points.par_iter().map(|p| tree.nearest(p, with_itself)).collect();
     let mut graph = vec![Vec::new(); points.len()];
     for (point, found) in nearest.iter().enumerate() {
-        // Among more duplicates than neighbours a point may miss itself.
+        // A point with more duplicates than neighbours may not find itself.
         for &(other, length) in found.iter().filter(|(other, _)| *other != point).take(neighbors) {
             graph[point].push((other, length));
             graph[other].push((point, length));
@@ -233,7 +235,7 @@ fn neighbor_graph(points: &[Point], neighbors: usize) -> Result<Graph> {
     Ok(graph)
 }
 
-/// A place on the frontier of Dijkstra's algorithm; the nearest is the greatest.
+/// An entry of the priority queue of Dijkstra's algorithm; the nearest entry is the greatest.
 #[derive(PartialEq)]
 struct Frontier {
     distance: f64,
@@ -288,7 +290,7 @@ mod tests {
 
     #[test]
     fn geodesics_follow_the_cloud() {
-        // A ring of 12: half way round, the path is 6 chords, not the diameter.
+        // On a ring of 12 the longest path has 6 chords and is not the diameter.
         let ring: Vec<Point> = (0..12)
             .map(|i| (f64::from(i) * std::f64::consts::TAU / 12.0).sin_cos())
             .map(|(sin, cos)| [cos as f32, sin as f32, 0.0])
@@ -305,7 +307,7 @@ mod tests {
 
     #[test]
     fn edges_go_both_ways_and_need_not_be_mutual() {
-        // Point 3's nearest is 2, but 2's nearest is 1: the edge exists all the same.
+        // The nearest point of 3 is 2, and the nearest point of 2 is 1: the edge between 2 and 3 exists nevertheless.
         let points = [[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [2.5, 0.0, 0.0], [9.0, 0.0, 0.0]];
         assert_eq!(geodesic_distances(&points, &[0], 1).unwrap(), [[0.0, 1.0, 2.5, 9.0]]);
     }
@@ -322,7 +324,7 @@ mod tests {
     fn counts_by_hand() {
         let points = rows(30);
         let ground_truth = [10, 5, 10];
-        // Snapped to 5, 12, 12 and, in the other component, 40.
+        // The keypoints snap to points 5, 12, 12 and, in the other component, 40.
         let found = [[5.2, 0.0, 0.0], [12.4, 0.0, 0.0], [11.8, 1.0, 0.0], [10.0, 1e4, 0.0]];
         let call =
             |unreachable| semantic_counts(&points, &ground_truth, &found, &[0.0, 1.9, 2.0], unreachable).unwrap();
@@ -349,8 +351,8 @@ mod tests {
     fn smpl_pairs_by_hand() {
         let body_1: Vec<Point> = (0..30).map(|i| [i as f32, 0.0, 0.0]).collect();
         let body_2: Vec<Point> = (0..30).map(|i| [0.0, 2.0 * i as f32, 0.0]).collect();
-        // Keypoints at samples 3, 8, 20 and at samples 4, 8: on body 2 the first lie 2, 0 and 24 away, on body 1 the
-        // second 1 and 0.
+        // Keypoints are at samples 3, 8, 20 and at samples 4, 8. The distances of the first are 2, 0 and 24 on body 2;
+        // those of the second are 1 and 0 on body 1.
         let (first, second) = ([body_1[3], body_1[8], body_1[20]], [body_2[4], body_2[8]]);
         let call =
             |thresholds| smpl_pair_counts(&body_1, &body_2, &first, &second, thresholds, SmplProtocol::Strict).unwrap();
@@ -368,7 +370,7 @@ mod tests {
     fn smpl_averages_by_hand() {
         let pairs = [counts(4, 0, 0), counts(4, 4, 4)];
         assert_eq!(smpl_iou(&pairs, SmplProtocol::Strict).unwrap(), 0.5);
-        // Running: 4 / 4, then 4 / 12.
+        // The accumulated IoU is 4 / 4, then 4 / 12.
         let paper = smpl_iou(&pairs, SmplProtocol::PaperCompatible { seed: 0 }).unwrap();
         assert!((paper - (1.0 + 1.0 / 3.0) / 2.0).abs() < 1e-12);
         assert!(smpl_iou(&[], SmplProtocol::Strict).is_err());

@@ -1,5 +1,5 @@
-//! Clouds that are no surface, from one point to a hundred thousand equal ones, through everything that takes a cloud:
-//! an error of one line, or a finite result.
+//! Degenerate clouds, from one point to a hundred thousand equal points, in every function that takes a cloud: the
+//! result is finite or an error of one line.
 
 use snake_core::{Builtin, Length, Model, NormalizationMethod, Options, Point, Preset, Result};
 use snake_eval::{Unreachable, relative_repeatability, semantic_counts};
@@ -9,7 +9,7 @@ use snake_registration::{RegisterOptions, estimate_normals, fpfh, register};
 const IDENTITY: [[f64; 4]; 4] =
     [[1.0, 0.0, 0.0, 0.0], [0.0, 1.0, 0.0, 0.0], [0.0, 0.0, 1.0, 0.0], [0.0, 0.0, 0.0, 1.0]];
 
-/// Clouds with their names, and whether the network can be asked for their keypoints.
+/// Clouds with their names, and whether the network can detect keypoints in them.
 fn clouds() -> Vec<(&'static str, bool, Vec<Point>)> {
     let along = |step: Point| (0..100).map(|i| step.map(|v| v * i as f32)).collect::<Vec<Point>>();
     let plane = |scale: f32| (0..400).map(|i| [(i % 20) as f32 * scale, (i / 20) as f32 * scale, 0.0]).collect();
@@ -17,7 +17,7 @@ fn clouds() -> Vec<(&'static str, bool, Vec<Point>)> {
     let mut missing = along([0.1, 0.2, 0.3]);
     missing[3] = [f32::NAN; 3];
     missing[7][1] = f32::INFINITY;
-    // So many that looking at all neighbours of each would take hours.
+    // There are so many points that a search of all pairs would take hours.
     let mut nearly_one = vec![[0.5; 3]; 150_000];
     nearly_one.extend(along([1.0, 0.0, 0.0]));
     vec![
@@ -46,7 +46,7 @@ fn is_finite(points: &[Point]) -> bool {
     points.as_flattened().iter().all(|v| v.is_finite())
 }
 
-/// What came out, if it is no error; an error must be of one short line.
+/// The result if it is not an error; an error must be one short line.
 fn usable<T>(what: &str, result: Result<T>) -> Option<T> {
     result
         .map_err(|error| error.to_string())
