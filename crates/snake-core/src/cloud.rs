@@ -2,18 +2,18 @@
 
 use crate::points::{NormalizationMethod, Point};
 
-/// A cloud in its own order and units.
+/// A point cloud with its origin, in the file's order and units.
 #[derive(Debug, Clone, PartialEq, Default)]
 pub struct Cloud {
     /// The points `(N, 3)`, relative to the origin. Coordinates may be infinite or not a number.
     pub points: Vec<Point>,
-    /// To be added to every point, and to whatever is found in their frame. Zero unless the coordinates are so far from
-    /// zero (more than 16 times the size of the cloud) that `f32` would lose their digits, as georeferenced scans are.
+    /// Added to every point and to every result in the points' frame. It is zero unless the coordinates are so far from
+    /// zero (more than 16 times the size of the cloud) that `f32` would lose digits, as in georeferenced scans.
     pub origin: [f64; 3],
 }
 
 impl Cloud {
-    /// Holds positions in `f64` relative to an origin where they need one. They are gone through twice.
+    /// Converts positions in `f64` to points relative to an origin, which is zero near zero. The iterator is run twice.
     ///
     /// ```
     /// use snake_core::{Cloud, add_origin};
@@ -26,7 +26,7 @@ impl Cloud {
         Self { points: positions.map(|position| subtract_origin(position, origin)).collect(), origin }
     }
 
-    /// The points with the origin added: of georeferenced scans they lose digits (at 5e6 m one step is 0.5 m).
+    /// The points with the origin added. Georeferenced points lose digits: at 5e6 m one `f32` step is 0.5 m.
     pub fn into_points(self) -> Vec<Point> {
         let Self { mut points, origin } = self;
         if origin != [0.0; 3] {
@@ -35,8 +35,8 @@ impl Cloud {
         points
     }
 
-    /// The cloud as it is encoded. The method [`NormalizationMethod::None`] says that coordinates are those of the
-    /// network's frame, which has no other origin, so that the origin is added to the points.
+    /// The cloud for encoding. With [`NormalizationMethod::None`] coordinates are those of the network's frame, so the
+    /// origin is added to the points.
     #[must_use]
     pub fn for_normalization(self, method: NormalizationMethod) -> Self {
         match method {
@@ -46,21 +46,21 @@ impl Cloud {
     }
 }
 
-/// A point relative to an origin, as a position in `f64`.
+/// Converts a point relative to an origin to a position in `f64`.
 pub fn add_origin(point: Point, origin: [f64; 3]) -> [f64; 3] {
     std::array::from_fn(|axis| f64::from(point[axis]) + origin[axis])
 }
 
-/// A position as a point relative to an origin.
+/// Converts a position to a point relative to an origin.
 pub fn subtract_origin(position: [f64; 3], origin: [f64; 3]) -> Point {
     std::array::from_fn(|axis| (position[axis] - origin[axis]) as f32)
 }
 
-/// How far from zero a cloud may be, in sizes of the cloud, before an origin is subtracted: an `f32` then still has
-/// about 20 bits for the place within the cloud.
+/// The distance from zero, in sizes of the cloud, above which an origin is subtracted. At this distance an `f32` has
+/// about 20 bits for the position within the cloud.
 const FAR: f64 = 16.0;
 
-/// Zero, or for positions far from zero their centre, rounded to a power of two so that subtracting it is exact.
+/// Zero, or for positions far from zero their centre, rounded to a power of two so that the subtraction is exact.
 fn origin(positions: impl Iterator<Item = [f64; 3]>) -> [f64; 3] {
     let (mut low, mut high) = ([f64::INFINITY; 3], [f64::NEG_INFINITY; 3]);
     for position in positions.filter(|position| position.iter().all(|v| v.is_finite())) {
@@ -71,7 +71,7 @@ fn origin(positions: impl Iterator<Item = [f64; 3]>) -> [f64; 3] {
     }
     let size = (0..3).map(|axis| high[axis] - low[axis]).fold(0.0, f64::max);
     let farthest = low.into_iter().chain(high).map(f64::abs).fold(0.0, f64::max);
-    // Not so for a single place, for no points at all and for what overflows.
+    // A single position, no points and coordinates that overflow get no origin.
     if !(size > 0.0 && farthest > FAR * size && farthest.is_finite()) {
         return [0.0; 3];
     }
@@ -111,7 +111,7 @@ mod tests {
             }
         }
         assert_eq!(found.into_points()[0], far[0].map(|v| v as f32));
-        // One outlier far away does not take the digits of the rest.
+        // One outlier far away does not cost the other points their digits.
         let outlier = cloud(&[[1e30, 0.0, 0.0], [0.1, 0.2, 0.3], [0.4, 0.5, 0.6]]);
         assert_eq!((outlier.origin, outlier.points[1]), ([0.0; 3], [0.1, 0.2, 0.3]));
         for points in [vec![], vec![[7.0; 3]; 3], vec![[f64::NAN; 3]], vec![[-1.7e308; 3], [1.7e308; 3]]] {

@@ -1,4 +1,4 @@
-//! The implicit decoder: a residual MLP on the query that receives the interpolated feature before every block.
+//! The implicit decoder: a residual MLP on the query with the interpolated feature as input of every block.
 
 use crate::nn::{Linear, ResnetBlockFc};
 use crate::points::Point;
@@ -6,7 +6,7 @@ use crate::weights::Scope;
 use crate::{ModelConfig, Result};
 use snake_kernels::Epilogue;
 
-/// How a decoder's logit becomes a probability.
+/// The function that maps a decoder's logit to a probability.
 #[derive(Debug, Clone, Copy)]
 enum Head {
     /// Sigmoid.
@@ -16,7 +16,7 @@ enum Head {
 }
 
 impl Head {
-    /// Probability and its derivative in the logit.
+    /// The probability and its derivative with respect to the logit.
     fn apply(self, logit: f32) -> (f32, f32) {
         let sigmoid = 1.0 / (1.0 + (-logit).exp());
         match self {
@@ -29,7 +29,7 @@ impl Head {
     }
 }
 
-/// One of a model's two decoders, with its head.
+/// One of a model's two decoders.
 #[derive(Debug)]
 pub(crate) struct Decoder {
     head: Head,
@@ -44,17 +44,17 @@ struct Stage {
     block: ResnetBlockFc,
 }
 
-/// What the forward pass leaves for the backward pass: the ReLUs, of which zeros stop the gradient.
+/// The activations that the backward pass needs: outputs of ReLUs, whose zeros stop the gradient.
 struct Trace {
-    /// Of each block's input and of its first layer's output, `(2 stages, queries, width)`; if no backward pass follows,
-    /// those of the last block alone.
+    /// ReLU of each block's input and of its first layer's output, `(2 stages, queries, width)`; only of the last block
+    /// if no backward pass follows.
     relus: Vec<f32>,
-    /// Of the last block's output.
+    /// ReLU of the last block's output.
     last: Vec<f32>,
 }
 
-/// Values of a field at queries with their derivatives in the query's coordinates, the feature held fixed, and in
-/// the feature.
+/// Values of a field at queries, with the derivatives with respect to the query's coordinates (at a constant feature)
+/// and with respect to the feature.
 pub(crate) struct ValuesAndGradients {
     pub(crate) values: Vec<f32>,
     /// `(queries, 3)`.
@@ -88,12 +88,12 @@ impl Decoder {
         })
     }
 
-    /// Probabilities at queries in the network's frame with their features `(queries, c_dim)`.
+    /// Probabilities at queries `(queries, 3)` in the network's frame with their features `(queries, c_dim)`.
     pub(crate) fn values(&self, queries: &[Point], features: &[f32]) -> Vec<f32> {
         self.logits(queries, features, false).0.into_iter().map(|logit| self.head.apply(logit).0).collect()
     }
 
-    /// Probabilities and gradients; the backward pass is written by hand.
+    /// Probabilities and gradients; the backward pass is hand-written.
     pub(crate) fn values_and_gradients(&self, queries: &[Point], features: &[f32]) -> ValuesAndGradients {
         let (logits, trace) = self.logits(queries, features, true);
         let (values, slopes): (Vec<f32>, Vec<f32>) = logits.into_iter().map(|logit| self.head.apply(logit)).unzip();

@@ -1,14 +1,14 @@
-//! Regular grids of queries, for pictures and volumes of a field.
+//! Regular query grids, for images and volumes of a field.
 
 use crate::field::Field;
 use crate::points::Point;
 use crate::{Error, Result};
 
-/// A regular grid over the box of a field's feature volume (the network's cube ±0.5 with its padding), ends included, in
-/// the cloud's frame and units.
+/// A regular grid over the box of a field's feature volume, in the cloud's frame and units. The box is the network's
+/// cube ±0.5 with its padding; the grid includes both ends.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Grid {
-    /// Positions along each axis.
+    /// Number of positions along each axis.
     pub resolution: usize,
     /// The first position along each axis.
     pub low: Point,
@@ -17,19 +17,20 @@ pub struct Grid {
 }
 
 impl Grid {
-    /// Where an index is along an axis: `low + index * (high - low) / (resolution - 1)`.
+    /// The coordinate of an index along an axis: `low + index * (high - low) / (resolution - 1)`.
     pub fn coordinate(&self, axis: usize, index: usize) -> f32 {
         let share = index as f32 / (self.resolution - 1) as f32;
         self.low[axis] * (1.0 - share) + self.high[axis] * share
     }
 
-    /// The axes within a plane across `axis` (0 to 2), ascending.
+    /// The two axes of a plane perpendicular to `axis` (0 to 2), ascending.
     pub fn plane_axes(axis: usize) -> [usize; 2] {
         [[1, 2], [0, 2], [0, 1]][axis]
     }
 
-    /// The grid's positions in a plane across `axis` at any place along it, `resolution²`: of the other two axes the
-    /// first runs fastest, so that planes across z one after the other are `[z][y][x]`.
+    /// The `resolution²` grid positions in a plane perpendicular to `axis`, at the coordinate `position` along it.
+    ///
+    /// The first of the other two axes varies fastest, so consecutive planes perpendicular to z are `[z][y][x]`.
     ///
     /// ```
     /// let grid = snake_core::Grid { resolution: 2, low: [0.0, 10.0, 20.0], high: [1.0, 11.0, 21.0] };
@@ -51,7 +52,7 @@ impl Grid {
 }
 
 impl Field {
-    /// The grid with so many positions along each axis.
+    /// The grid over this field's volume with `resolution` positions along each axis.
     ///
     /// ```
     /// use snake_core::{Builtin, EncodeOptions, Model};

@@ -1,8 +1,8 @@
-//! A k-d tree that no arrangement of points makes slow.
+//! A k-d tree whose queries stay fast for every arrangement of points.
 //!
-//! kiddo's queries take time in proportion to the points if these are equal, or on a line or a plane along the axes, as in
-//! drawings and where scans repeat points; n of them take the square. So it is given the distinct points, turned out of
-//! the axes. What it finds is measured again where the points were: answers are exact, and ties are broken by index.
+//! kiddo's queries take linear time if the points are equal, or lie on a line or plane along the axes, as in drawings
+//! and in scans with repeated points. This tree therefore holds the distinct points, and rotates them out of the axes.
+//! Distances are computed again from the original points, so results are exact, and ties are broken by index.
 
 use std::num::NonZeroUsize;
 
@@ -12,15 +12,15 @@ use rayon::prelude::*;
 
 use crate::{Error, Result};
 
-/// Points that can be asked for their neighbours. Distances are squared.
+/// An index of points for neighbour queries. All distances are squared.
 pub struct KdTree<T> {
-    /// Of the distinct points, turned; `None` if there are none.
+    /// The tree of the rotated distinct points; `None` if there are none.
     tree: Option<ImmutableKdTree<f64, 3>>,
-    turn: Rotation3<f64>,
+    rotation: Rotation3<f64>,
     distinct: Vec<[T; 3]>,
-    /// The largest coordinate.
+    /// The largest absolute coordinate.
     extent: f64,
-    /// Of each distinct point where its indices start; they end where the next one's start.
+    /// For each distinct point the start of its range in `indices`; the range ends at the next start.
     starts: Vec<u32>,
     /// The indices of equal points, ascending.
     indices: Vec<u32>,
@@ -46,21 +46,22 @@ impl<T: RealField + Copy + Into<f64>> KdTree<T> {
         }
         starts.push(count);
         let extent = distinct.as_flattened().iter().fold(0.0, |extent: f64, &v| extent.max(v.into().abs()));
-        let turn = Rotation3::from_euler_angles(0.7, 1.1, 0.4);
-        let turned: Vec<[f64; 3]> = distinct.iter().map(|point| turned(&turn, point)).collect();
-        let tree = match turned[..] {
+        let rotation = Rotation3::from_euler_angles(0.7, 1.1, 0.4);
+        let rotated: Vec<[f64; 3]> = distinct.iter().map(|point| rotate(&rotation, point)).collect();
+        let tree = match rotated[..] {
             [] => None,
-            _ => Some(ImmutableKdTree::new_from_slice(&turned).map_err(|error| failed(error.to_string()))?),
+            _ => Some(ImmutableKdTree::new_from_slice(&rotated).map_err(|error| failed(error.to_string()))?),
         };
-        Ok(Self { tree, turn, distinct, extent, starts, indices })
+        Ok(Self { tree, rotation, distinct, extent, starts, indices })
     }
 
-    /// Hands over the index and distance of each point at most so far away, in no particular order.
+    /// Calls `found` with the index and squared distance of each point at a squared distance of at most `most`, in no
+    /// fixed order.
     pub fn within(&self, query: &[T; 3], most: T, mut found: impl FnMut(usize, T)) {
         let Some(tree) = &self.tree else { return };
         let radius = self.reach(query, most.into().sqrt());
-        let turned = turned(&self.turn, query);
-        for entry in tree.query(&turned).within::<SquaredEuclidean<f64>>(radius * radius).unsorted().execute() {
+        let rotated = rotate(&self.rotation, query);
+        for entry in tree.query(&rotated).within::<SquaredEuclidean<f64>>(radius * radius).unsorted().execute() {
             let distance = squared_distance(query, &self.distinct[entry.item as usize]);
             if distance <= most {
                 self.equal(entry.item as usize).for_each(|index| found(index, distance));
@@ -68,14 +69,14 @@ impl<T: RealField + Copy + Into<f64>> KdTree<T> {
         }
     }
 
-    /// The nearest `number` points: indices and distances, nearest first, of equally near ones the lowest index first.
+    /// The nearest `number` points as indices and squared distances, nearest first; ties are ordered by index.
     pub fn nearest(&self, query: &[T; 3], number: NonZeroUsize) -> Vec<(usize, T)> {
         let Some(tree) = &self.tree else { return Vec::new() };
-        let turned = turned(&self.turn, query);
-        let first = tree.query(&turned).nearest_n::<SquaredEuclidean<f64>>(number).execute();
-        // Rounding may have put others before the last of these.
+        let rotated = rotate(&self.rotation, query);
+        let first = tree.query(&rotated).nearest_n::<SquaredEuclidean<f64>>(number).execute();
+        // Rounding of the rotated points may have put nearer points behind the last of these.
         let radius = self.reach(query, first.iter().fold(0.0, |most: f64, entry| most.max(entry.distance)).sqrt());
-        let near = tree.query(&turned).within::<SquaredEuclidean<f64>>(radius * radius).unsorted().execute();
+        let near = tree.query(&rotated).within::<SquaredEuclidean<f64>>(radius * radius).unsorted().execute();
         let mut found: Vec<(usize, T)> = Vec::with_capacity(number.get().min(self.indices.len()));
         for entry in near {
             let distance = squared_distance(query, &self.distinct[entry.item as usize]);
@@ -87,21 +88,21 @@ impl<T: RealField + Copy + Into<f64>> KdTree<T> {
         found
     }
 
-    /// The indices of the points that equal one of the distinct ones.
+    /// The indices of the points that equal one distinct point.
     fn equal(&self, distinct: usize) -> impl Iterator<Item = usize> {
         let [start, end] = [0, 1].map(|next| self.starts[distinct + next] as usize);
         self.indices[start..end].iter().map(|&index| index as usize)
     }
 
-    /// A radius that is wide enough for the rounding of turned points, and of distances in `f32`.
+    /// Enlarges a radius by the rounding errors of rotated points and of distances in `f32`.
     fn reach(&self, query: &[T; 3], radius: f64) -> f64 {
         let extent = query.iter().fold(self.extent, |extent, &v| extent.max(v.into().abs()));
         radius * (1.0 + 1e-6) + 1e-14 * extent
     }
 }
 
-fn turned<T: Copy + Into<f64>>(turn: &Rotation3<f64>, point: &[T; 3]) -> [f64; 3] {
-    (turn * Vector3::from(point.map(Into::into))).into()
+fn rotate<T: Copy + Into<f64>>(rotation: &Rotation3<f64>, point: &[T; 3]) -> [f64; 3] {
+    (rotation * Vector3::from(point.map(Into::into))).into()
 }
 
 fn squared_distance<T: RealField + Copy>(a: &[T; 3], b: &[T; 3]) -> T {
@@ -113,7 +114,7 @@ fn squared_distance<T: RealField + Copy>(a: &[T; 3], b: &[T; 3]) -> T {
 mod tests {
     use super::*;
 
-    /// Clouds that trees find hard, with ties and duplicates.
+    /// Clouds that are hard for k-d trees, with ties and duplicates.
     fn clouds() -> Vec<Vec<[f64; 3]>> {
         let lattice = |i: u32, axis: u32| f64::from(i / 7_u32.pow(axis) % 7);
         let scattered = |i: u32, axis: usize| f64::from(i * [7919, 104_729, 1_299_709][axis] % 10_007);
@@ -151,7 +152,7 @@ mod tests {
         }
     }
 
-    /// Queries that each look at all points would take this test from a second to minutes.
+    // This test would take minutes and not a second if each query looked at all points.
     #[test]
     fn every_point_of_a_hard_cloud_finds_its_neighbours() {
         const NUMBER: u32 = 200_000;

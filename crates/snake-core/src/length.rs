@@ -1,4 +1,4 @@
-//! Lengths in a cloud's units or in multiples of its resolution.
+//! Lengths in cloud units or in multiples of a cloud's resolution.
 
 use std::fmt;
 use std::str::FromStr;
@@ -10,11 +10,11 @@ use crate::neighbors::{Neighbors, vector};
 use crate::points::{FinitePoints, Point};
 use crate::{Error, Result};
 
-/// A length, in the cloud's units or in multiples of its resolution: the mean distance of its points to their nearest
-/// others. As text `0.05` and `6r`; in JSON a number or such a text.
+/// A length in cloud units, or in multiples of the cloud's resolution, which is the mean distance of its points to
+/// their nearest other point. The text forms are `0.05` and `6r`; the JSON form is a number or such a text.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum Length {
-    /// In the cloud's units.
+    /// In cloud units.
     Units(f64),
     /// In multiples of the cloud's resolution.
     Resolutions(f64),
@@ -23,7 +23,7 @@ pub enum Length {
 const FORMS: &str = "a number of cloud units such as `0.05`, or of the cloud's resolutions such as `6r`";
 
 impl Length {
-    /// The length in the units of a cloud, checked to be usable; `name` is what errors call it.
+    /// The length in the units of a cloud `(N, 3)`; `name` is the name in error messages.
     ///
     /// ```
     /// use snake_core::Length;
@@ -33,8 +33,8 @@ impl Length {
     /// ```
     ///
     /// # Errors
-    /// [`Error::Option`] when it is not positive, or a multiple of a resolution of 0; [`Error::Input`] when a resolution
-    /// is asked of a cloud that is empty or has a coordinate that is not finite.
+    /// [`Error::Option`] when the length is not positive, or a multiple of a resolution of 0; [`Error::Input`] when a
+    /// resolution is needed and the cloud is empty or has a coordinate that is not finite.
     pub fn in_units(self, name: &'static str, points: &[Point]) -> Result<f64> {
         match self {
             Self::Units(_) => self.resolve(name, || 0.0),
@@ -45,7 +45,7 @@ impl Length {
         }
     }
 
-    /// [`Length::in_units`] of a cloud with that resolution, which is asked for only where it is needed.
+    /// [`Length::in_units`] for a known resolution, which is computed only if it is needed.
     pub fn resolve(self, name: &'static str, resolution: impl FnOnce() -> f64) -> Result<f64> {
         let length = match self {
             Self::Units(length) => length,
@@ -60,7 +60,7 @@ impl Length {
     }
 }
 
-/// Mean distance of a cloud's finite points to their nearest others.
+/// The resolution of a cloud `(N, 3)`: the mean distance of its finite points to their nearest other point.
 pub fn resolution(what: &'static str, points: &[Point]) -> Result<f64> {
     let FinitePoints { points, .. } = FinitePoints::of(what, points)?;
     Ok(Neighbors::new(points.iter().copied().map(vector).collect())?.resolution())

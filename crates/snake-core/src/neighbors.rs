@@ -1,4 +1,4 @@
-//! Neighbours of points in f64 and what they say of a place, for metrics, classical detectors and registration.
+//! Neighbours of points in f64, and local statistics, for metrics, classical detectors and registration.
 
 use std::num::NonZeroUsize;
 
@@ -9,20 +9,20 @@ use crate::kd_tree::KdTree;
 use crate::points::Point;
 use crate::{Error, Result};
 
-/// Pairs of near points that are looked at before a radius is refused: some minutes of work.
+/// The limit of the number of neighbour pairs; more would take minutes.
 const MAX_PAIRS: f64 = 1e10;
 
 /// A point or an offset in f64.
 pub type Vector = Vector3<f64>;
 
-/// The same point in f64.
+/// Converts a point to f64.
 pub fn vector(point: Point) -> Vector {
     point.map(f64::from).into()
 }
 
-/// Points that can be asked for their neighbours.
+/// Points with an index for neighbour queries.
 pub struct Neighbors {
-    /// The points, in the order they were given.
+    /// The points, in the given order.
     pub points: Vec<Vector>,
     tree: KdTree<f64>,
 }
@@ -34,10 +34,10 @@ impl Neighbors {
         Ok(Self { points, tree: KdTree::new(&rows)? })
     }
 
-    /// Refuses a radius that holds so many of the points that all their neighbours would take hours to look at, as of a
-    /// cloud that is one point repeated but for a few.
+    /// Refuses a radius for which the search of all points' neighbours would take hours, as in a cloud that is almost
+    /// only one point repeated.
     pub fn check_crowding(&self, name: &'static str, radius: f64) -> Result<()> {
-        // All points of a cell are nearer to each other than the radius.
+        // All points of a cell are closer to each other than the radius.
         let cell = |point: &Vector| point.map(|v| ((v * 2.0 / radius).floor() + 0.0).to_bits());
         let mut cells: Vec<[u64; 3]> = self.points.iter().map(|point| cell(point).into()).collect();
         cells.par_sort_unstable();
@@ -52,7 +52,8 @@ impl Neighbors {
         Err(Error::Input { what: "points", reason })
     }
 
-    /// Indices, ascending, of the points nearer than `radius`: the boundary is outside, as in Open3D.
+    /// Indices, ascending, of the points closer than `radius`; a distance equal to `radius` does not count, as in
+    /// Open3D.
     pub fn within(&self, query: &Vector, radius: f64) -> Vec<usize> {
         let squared = radius * radius;
         let mut indices = Vec::new();
@@ -65,7 +66,7 @@ impl Neighbors {
         indices
     }
 
-    /// The nearest `number` points: indices and distances, nearest first, of equally near ones the lowest index first.
+    /// The nearest `number` points as indices and distances, nearest first; ties are ordered by index.
     pub fn nearest(&self, query: &Vector, number: NonZeroUsize) -> Vec<(usize, f64)> {
         let mut found = self.tree.nearest(&(*query).into(), number);
         found.iter_mut().for_each(|(_, distance)| *distance = distance.sqrt());
@@ -77,7 +78,7 @@ impl Neighbors {
         self.nearest(query, NonZeroUsize::MIN)[0].1
     }
 
-    /// Mean distance of the points to their nearest others; 0 for one point.
+    /// Mean distance of the points to their nearest other point; 0 for one point.
     pub fn resolution(&self) -> f64 {
         const TWO: NonZeroUsize = NonZeroUsize::MIN.saturating_add(1);
         let nearest = |point| self.nearest(point, TWO).get(1).map_or(0.0, |&(_, distance)| distance);
@@ -85,14 +86,14 @@ impl Neighbors {
         nearest.iter().sum::<f64>() / nearest.len() as f64
     }
 
-    /// Covariance of some of the points about their mean.
+    /// Covariance of the selected points about their mean.
     pub fn covariance(&self, indices: &[usize]) -> Matrix3<f64> {
         let count = indices.len() as f64;
         let mean = indices.iter().map(|&i| self.points[i]).sum::<Vector>() / count;
         self.scatter(indices, &mean) / count
     }
 
-    /// Sum of `(q - center)(q - center)ᵀ` over some of the points.
+    /// Sum of `(q - center)(q - center)ᵀ` over the selected points.
     pub fn scatter(&self, indices: &[usize], center: &Vector) -> Matrix3<f64> {
         let squared = |&i: &usize| {
             let offset = self.points[i] - center;
@@ -101,14 +102,14 @@ impl Neighbors {
         indices.iter().map(squared).sum()
     }
 
-    /// The unit normal of a neighbourhood, the direction in which it varies least, its sign left open; three points make
-    /// a plane.
+    /// The unit normal of a neighbourhood, which is the direction of least variance; its sign is arbitrary. It needs at
+    /// least three points.
     pub fn normal(&self, indices: &[usize]) -> Option<Vector> {
         (indices.len() >= 3).then(|| eigen(self.covariance(indices)).1)
     }
 }
 
-/// Eigenvalues, ascending, with the eigenvector of the least.
+/// Eigenvalues, ascending, and the eigenvector of the smallest.
 pub fn eigen(symmetric: Matrix3<f64>) -> ([f64; 3], Vector) {
     let SymmetricEigen { eigenvalues, eigenvectors } = SymmetricEigen::new(symmetric);
     let mut order = [0, 1, 2];
@@ -121,7 +122,7 @@ mod tests {
     use super::*;
 
     fn lattice() -> Vec<Vector> {
-        // Duplicates and exact ties on purpose.
+        // The points have duplicates and exact ties.
         (0..300).map(|i| Vector::new(f64::from(i % 5), f64::from(i / 5 % 5), f64::from(i % 7))).collect()
     }
 

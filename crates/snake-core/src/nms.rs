@@ -8,9 +8,10 @@ use crate::Result;
 use crate::kd_tree::KdTree;
 use crate::points::Point;
 
-/// Greedy suppression: indices of the kept points, best first, each farther than `radius` from all kept before it.
+/// Greedy non-maximum suppression: indices of the kept points, best first, each farther than `radius` from all earlier
+/// ones.
 ///
-/// Points are taken by falling score; of equal scores the lower index comes first. At most `limit` are kept.
+/// Points are processed by falling score and, for equal scores, by rising index. At most `limit` are kept.
 /// A radius of 0 suppresses only by `limit`.
 pub(crate) fn suppress(points: &[Point], scores: &[f32], radius: f32, limit: usize) -> Result<Vec<usize>> {
     let mut order: Vec<usize> = (0..points.len()).collect();
@@ -34,9 +35,9 @@ pub(crate) fn suppress(points: &[Point], scores: &[f32], radius: f32, limit: usi
     Ok(kept)
 }
 
-/// Index of the point nearest to each query; of equally near ones the lowest.
+/// Index of the nearest point `(N, 3)` for each query `(M, 3)`; the lowest index among equally near points.
 pub fn nearest_points(points: &[Point], queries: &[Point]) -> Result<Vec<usize>> {
-    // To look at every point costs less than to build a tree for a few hundred queries.
+    // For a few hundred queries a linear search is faster than building a tree.
     if queries.len() < 256 {
         return Ok(queries.par_iter().map(|&query| nearest_of_all(points, query)).collect());
     }
@@ -53,7 +54,7 @@ pub fn nearest_points(points: &[Point], queries: &[Point]) -> Result<Vec<usize>>
     Ok(nearest.into_iter().map(|(_, index)| index).collect())
 }
 
-/// A tree takes about 100 bytes a point, so large clouds have several, one after the other.
+/// Points per tree. A tree takes about 100 bytes per point, so large clouds are searched with several, one at a time.
 const TREE_POINTS: usize = 1 << 16;
 
 fn nearest_of_all(points: &[Point], query: Point) -> usize {
@@ -113,7 +114,7 @@ mod tests {
     #[test]
     fn the_tree_and_the_scan_find_the_same_point() {
         let coordinate = |i: u32, axis: usize| (u64::from(i) * [7919, 104_729, 1_299_709][axis] % 10_007) as f32 * 1e-4;
-        // So many that points of several trees are equally near.
+        // There are so many points that several trees have equally near points.
         let points: Vec<Point> =
             (0..2 * TREE_POINTS as u32 + 1000).map(|i| std::array::from_fn(|axis| coordinate(i, axis))).collect();
         let queries: Vec<Point> = (5000..5300).map(|i| std::array::from_fn(|axis| coordinate(i, axis))).collect();

@@ -1,4 +1,4 @@
-//! Layers: weights, shape check, call to a kernel. Rows of features are flat `(rows, width)`.
+//! Layers: they hold weights, check shapes and call kernels. Features are flat `(rows, width)`.
 
 use rayon::prelude::*;
 
@@ -9,7 +9,7 @@ use snake_kernels::{
     ConstantRegion, Conv3d, Epilogue, GroupNorm, PackedConv3d, PackedLinear, SimdLevel, Source, channel_sums,
 };
 
-/// Rows that one task handles at a time: their features stay in the first-level cache.
+/// Rows per task: their features fit the first-level cache.
 pub(crate) const TILE: usize = 64;
 
 /// A fully connected layer.
@@ -31,10 +31,10 @@ impl Linear {
     }
 
     pub(crate) fn new(inputs: usize, outputs: usize, weight: &[f32], bias: &[f32]) -> Self {
-        let turned: Vec<f32> = (0..inputs * outputs).map(|i| weight[i % outputs * inputs + i / outputs]).collect();
+        let transposed: Vec<f32> = (0..inputs * outputs).map(|i| weight[i % outputs * inputs + i / outputs]).collect();
         Self {
             packed: PackedLinear::new(inputs, outputs, weight, bias),
-            transposed: PackedLinear::new(outputs, inputs, &turned, &[]),
+            transposed: PackedLinear::new(outputs, inputs, &transposed, &[]),
         }
     }
 
@@ -95,7 +95,7 @@ pub(crate) struct Tensor {
     pub(crate) values: Buffer,
     /// Sum and sum of squares of each channel.
     pub(crate) sums: Vec<[f64; 2]>,
-    /// Voxels whose values repeat.
+    /// The region of voxels with constant values.
     pub(crate) constant: Option<ConstantRegion>,
 }
 
@@ -109,7 +109,7 @@ impl Tensor {
         self.size.iter().product()
     }
 
-    /// Maximum over blocks of 2x2x2; an odd last slice is dropped.
+    /// Max-pooling over 2x2x2 blocks; an odd last slice is dropped.
     pub(crate) fn max_pool(&self, pool: &BufferPool) -> Self {
         let (size, channels) = (self.size.map(|n| n / 2), self.channels);
         let [_, height, width] = size;
@@ -130,8 +130,8 @@ impl Tensor {
         Self { constant: self.constant.as_ref().map(ConstantRegion::pooled), ..Self::new(size, channels, pooled) }
     }
 
-    /// `self` and, behind its channels, `coarse` upsampled to its size by nearest neighbour
-    /// (index = floor(i · coarse / fine)).
+    /// Concatenates the channels of `self` and of `coarse`, which is upsampled by nearest neighbour to the size of
+    /// `self` (index = floor(i · coarse / fine)).
     pub(crate) fn concat_upsampled(&self, coarse: &Self, pool: &BufferPool) -> Self {
         let ([_, height, width], channels) = (self.size, self.channels + coarse.channels);
         let mut joined = pool.take(self.voxels() * channels);
@@ -163,7 +163,7 @@ impl Tensor {
     }
 }
 
-/// Voxels from which on tiles of 4x4x4 pay for their larger weights.
+/// The number of voxels above which 4x4x4 tiles outweigh their larger weights.
 const LARGE: usize = 32 * 32 * 32;
 
 /// GroupNorm, 3x3x3 convolution without bias, ReLU ("gcr").
@@ -174,7 +174,8 @@ pub(crate) struct SingleConv {
 }
 
 impl SingleConv {
-    /// For inputs of these channels side by side, each upsampled by two or not, and volumes of this many voxels.
+    /// Loads the layer for concatenated inputs with these numbers of channels, each upsampled by two or not, and for
+    /// volumes of `voxels` voxels.
     pub(crate) fn load(
         scope: &Scope,
         sources: &[(usize, bool)],
@@ -197,8 +198,8 @@ impl SingleConv {
         })
     }
 
-    /// The first input has the output's size, a second one half of it. Once `stop` says so, the rest is left out, and the
-    /// output is not to be used.
+    /// The first input has the output's size, a second input half of it. Once `stop` returns true the rest is skipped,
+    /// and the output must not be used.
     pub(crate) fn forward(&self, inputs: &[&Tensor], pool: &BufferPool, stop: &(dyn Fn() -> bool + Sync)) -> Tensor {
         let size = inputs[0].size;
         let voxels = inputs[0].voxels();

@@ -9,10 +9,10 @@ use crate::{Error, Result};
 /// One point, `[x, y, z]`.
 pub type Point = [f32; 3];
 
-/// A rigid transform as a row-major 4×4 matrix that acts on columns; its last row is 0 0 0 1.
+/// A rigid transform as a row-major 4×4 matrix that multiplies column vectors; its last row is 0 0 0 1.
 pub type Transform = [[f64; 4]; 4];
 
-/// How a cloud is brought into the network's frame, the cube ±0.5.
+/// The method that maps a cloud into the network's frame, the cube ±0.5.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum NormalizationMethod {
@@ -35,7 +35,7 @@ pub struct Normalization {
 }
 
 impl Normalization {
-    /// The normalisation of a cloud, from all of its finite points.
+    /// The normalisation of a cloud `(N, 3)`, from all of its finite points.
     ///
     /// # Errors
     /// [`Error::Input`] when the cloud has no finite points, is one point repeated, or has an extent outside 1e-15 to
@@ -49,7 +49,7 @@ impl Normalization {
                 false => Err(outside(f64::from(largest))),
             };
         }
-        // Sums in f64: a mean over millions of points far from the origin keeps its digits.
+        // The sums are in f64, so that a mean over millions of points far from the origin keeps its digits.
         let mean: [f64; 3] =
             std::array::from_fn(|axis| points.iter().map(|p| f64::from(p[axis])).sum::<f64>() / points.len() as f64);
         let extent = points
@@ -74,12 +74,12 @@ impl Normalization {
         Ok(Self { center, scale })
     }
 
-    /// A point of the cloud in the network's frame.
+    /// Maps a point from the cloud's frame to the network's frame.
     pub fn to_network(&self, point: Point) -> Point {
         std::array::from_fn(|axis| (point[axis] - self.center[axis]) / self.scale)
     }
 
-    /// A point of the network's frame in cloud units.
+    /// Maps a point from the network's frame to the cloud's frame.
     pub fn to_cloud(&self, point: Point) -> Point {
         std::array::from_fn(|axis| point[axis] * self.scale + self.center[axis])
     }
@@ -90,17 +90,20 @@ fn outside(extent: f64) -> Error {
     Error::Input { what: "points", reason }
 }
 
-/// The points of a cloud whose coordinates are all finite; depth cameras mark missing points by NaN.
+/// The points of a cloud whose coordinates are all finite. Depth cameras mark missing points by NaN.
 #[derive(Debug, Clone)]
 pub struct FinitePoints<'a> {
     /// The finite points, in the order they were given.
     pub points: Cow<'a, [Point]>,
-    /// Where each was in the cloud; `None` if nothing was skipped.
+    /// The index of each in the whole cloud; `None` if no point was skipped.
     indices: Option<Vec<usize>>,
 }
 
 impl<'a> FinitePoints<'a> {
-    /// Refuses a cloud without any. A clean cloud is not copied.
+    /// Selects the finite points; a cloud with finite points only is not copied.
+    ///
+    /// # Errors
+    /// [`Error::Input`] when there are no finite points.
     pub fn of(what: &'static str, points: &'a [Point]) -> Result<Self> {
         if points.is_empty() {
             return Err(Error::Input { what, reason: "no points".into() });
@@ -116,12 +119,12 @@ impl<'a> FinitePoints<'a> {
         Ok(Self { points: kept.into(), indices: Some(indices) })
     }
 
-    /// The index in the whole cloud of a finite point.
+    /// The index of a finite point in the whole cloud.
     pub fn original_index(&self, index: usize) -> usize {
         self.indices.as_ref().map_or(index, |indices| indices[index])
     }
 
-    /// The same points, copied if they were borrowed.
+    /// The same points, copied if they are borrowed.
     pub fn into_owned(self) -> FinitePoints<'static> {
         FinitePoints { points: self.points.into_owned().into(), indices: self.indices }
     }

@@ -1,11 +1,12 @@
-//! A fixed set of rotations, spread evenly.
+//! A fixed set of evenly distributed rotations.
 
 use crate::points::Point;
 
 /// A rotation matrix, row by row.
 pub(crate) type Rotation = [Point; 3];
 
-/// `number` rotations, the first of them none at all: super-Fibonacci spirals (Alexa, CVPR 2022), turned so.
+/// `number` evenly distributed rotations: super-Fibonacci spirals (Alexa, CVPR 2022), rotated so that the first is the
+/// identity.
 pub(crate) fn spread(number: usize) -> Vec<Rotation> {
     let quaternion = |i: usize| {
         let place = i as f64 + 0.5;
@@ -24,7 +25,7 @@ pub(crate) fn spread(number: usize) -> Vec<Rotation> {
         let rotation = (quaternion(i) * back).to_rotation_matrix();
         std::array::from_fn(|row| std::array::from_fn(|column| rotation[(row, column)] as f32))
     };
-    // The first is exact, not up to rounding.
+    // The identity is exact, without rounding.
     let none = [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]];
     std::iter::once(none).chain((1..number).map(matrix)).collect()
 }

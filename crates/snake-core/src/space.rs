@@ -1,4 +1,4 @@
-//! Neighbours and checks of points, for this crate and for crates that build on it.
+//! Neighbour queries and checks of points, for this crate and for crates that build on it.
 
 pub use crate::kd_tree::KdTree;
 pub use crate::length::resolution;

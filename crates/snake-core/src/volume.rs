@@ -1,4 +1,4 @@
-//! The feature volume and its frame: the only file that knows axis order, padding and clamping.
+//! The feature volume and its frame. Axis order, padding and clamping are defined only in this file.
 
 use ndarray::ArrayView4;
 
@@ -6,13 +6,13 @@ use crate::points::Point;
 use snake_kernels::Buffer;
 use snake_kernels::{Corners, SimdLevel, interpolate, interpolate_backward};
 
-/// Where the voxels of a volume lie in the network's frame (ConvONet's normalisation of coordinates).
+/// The positions of a volume's voxels in the network's frame (ConvONet's normalisation of coordinates).
 ///
-/// A coordinate is divided by `1 + padding` and brought to [0, 1): x and y by adding 0.5, z by its bounds. Outside it
-/// is clamped, so far queries read the border and their gradient along that axis is zero.
+/// A coordinate is divided by `1 + padding` and mapped to [0, 1): x and y by adding 0.5, z by its bounds. Coordinates
+/// outside are clamped, so far queries read the border and have zero gradient along that axis.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct VolumeFrame {
-    /// Voxels along x, y, z.
+    /// Number of voxels along x, y, z.
     pub resolution: [usize; 3],
     /// The volume spans ±0.5 · (1 + padding) along x and y.
     pub padding: f32,
@@ -30,36 +30,37 @@ impl VolumeFrame {
         [z, y, x]
     }
 
-    /// Lower and upper end along each axis of what the volume spans, in the network's frame.
+    /// Lower and upper end of the volume along each axis, in the network's frame.
     pub(crate) fn bounds(&self) -> [[f32; 2]; 3] {
         [[-0.5, 0.5], [-0.5, 0.5], self.z_bounds].map(|ends| ends.map(|end| end * (1.0 + self.padding)))
     }
 
-    /// A coordinate of the network's frame in units of the volume, which spans [0, 1).
+    /// Maps a coordinate of the network's frame so that the volume spans [0, 1).
     fn unclamped(&self, axis: usize, coordinate: f32) -> f32 {
         let scaled = coordinate / (1.0 + self.padding + Self::EPSILON);
         let [z_min, z_max] = self.z_bounds;
         if axis < 2 { scaled + 0.5 } else { (scaled - z_min) / (z_max - z_min + Self::EPSILON) }
     }
 
-    /// The same, clamped to [0, 1).
+    /// [`VolumeFrame::unclamped`], clamped to [0, 1).
     fn unit(&self, axis: usize, coordinate: f32) -> f32 {
         let unit = self.unclamped(axis, coordinate);
         if unit >= 1.0 { 1.0 - Self::EPSILON } else { unit.max(0.0) }
     }
 
-    /// Flat index `x + X (y + Y z)` of the voxel that a point falls into.
+    /// Flat index `x + X (y + Y z)` of the voxel that contains a point.
     pub(crate) fn voxel(&self, point: Point) -> usize {
         (0..3).map(|axis| self.voxel_along(axis, point[axis])).sum()
     }
 
-    /// What a coordinate adds to the flat index of the voxel.
+    /// One coordinate's part of the flat index of the voxel.
     pub(crate) fn voxel_along(&self, axis: usize, coordinate: f32) -> usize {
         let place = (self.unit(axis, coordinate) * self.resolution[axis] as f32) as usize;
         place * self.resolution[..axis].iter().product::<usize>()
     }
 
-    /// The voxels around a query: the first and the last voxel's centres lie on the volume's faces ("align corners").
+    /// The eight voxels around a query. The centres of the first and last voxels lie on the volume's faces ("align
+    /// corners").
     pub(crate) fn corners(&self, query: Point) -> Corners {
         let last = self.resolution.map(|r| r - 1);
         let place: [f32; 3] = std::array::from_fn(|axis| self.unit(axis, query[axis]) * last[axis] as f32);
@@ -71,8 +72,8 @@ impl VolumeFrame {
         Corners { voxels, fraction: std::array::from_fn(|axis| place[axis] - low[axis] as f32) }
     }
 
-    /// Voxels per network unit along each axis at a query: the factor from a derivative per voxel to one per unit;
-    /// zero along axes where the query was clamped.
+    /// Voxels per network unit along each axis at a query. The factor converts a derivative per voxel to one per unit;
+    /// it is zero along axes where the query is clamped.
     pub(crate) fn voxels_per_unit(&self, query: Point) -> Point {
         let padded = 1.0 + self.padding + Self::EPSILON;
         let extent = [padded, padded, padded * (self.z_bounds[1] - self.z_bounds[0] + Self::EPSILON)];
@@ -84,7 +85,7 @@ impl VolumeFrame {
     }
 }
 
-/// The feature volume of one cloud: what the encoder makes of the points, read by both decoders.
+/// The feature volume of one cloud: the output of the encoder and the input of both decoders.
 #[derive(Debug, Clone)]
 pub struct Volume {
     pub(crate) frame: VolumeFrame,
@@ -94,7 +95,7 @@ pub struct Volume {
 }
 
 impl Volume {
-    /// Where the voxels lie.
+    /// The positions of the voxels.
     pub fn frame(&self) -> VolumeFrame {
         self.frame
     }
@@ -106,15 +107,15 @@ impl Volume {
             .expect("a volume is made with as many values as its frame has voxels")
     }
 
-    /// Trilinear features `(queries, channels)`; returns the corners that were read.
+    /// Writes trilinear features `(queries, channels)` and returns the corners that were read.
     pub(crate) fn interpolate(&self, frame: &VolumeFrame, queries: &[Point], features: &mut [f32]) -> Vec<Corners> {
         let corners: Vec<Corners> = queries.iter().map(|&query| frame.corners(query)).collect();
         interpolate(SimdLevel::current(), &self.values, self.channels, &corners, features);
         corners
     }
 
-    /// Derivatives along x, y, z, per voxel, at the corners that [`Volume::interpolate`] returned, from the gradient in
-    /// the features `(queries, channels)`.
+    /// Derivatives `(queries, 3)` per voxel along x, y, z, from the gradient with respect to the features
+    /// `(queries, channels)`, at the corners from [`Volume::interpolate`].
     pub(crate) fn interpolate_backward(&self, corners: &[Corners], in_feature: &[f32]) -> Vec<Point> {
         let mut gradients = vec![[0.0; 3]; corners.len()];
         let level = SimdLevel::current();

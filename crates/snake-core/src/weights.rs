@@ -1,4 +1,4 @@
-//! Opens a weight file (safetensors, `format=snake-field`) and hands its tensors down by name.
+//! Opens a weight file (safetensors, `format=snake-field`) and loads its tensors by name.
 
 use std::cell::RefCell;
 use std::collections::{BTreeSet, HashMap};
@@ -9,7 +9,7 @@ use safetensors::{Dtype, SafeTensors};
 use crate::excerpt::excerpt;
 use crate::{Error, Result};
 
-/// Tensors and metadata of one weight file; remembers which tensors were asked for.
+/// Tensors and metadata of one weight file, and the names of the tensors that were read.
 pub(crate) struct Weights<'data> {
     tensors: SafeTensors<'data>,
     pub(crate) metadata: HashMap<String, String>,
@@ -59,7 +59,7 @@ impl<'data> Weights<'data> {
         self.tensors.iter().map(|(_, view)| view.shape().iter().product::<usize>()).sum()
     }
 
-    /// Fails on a tensor that nothing asked for.
+    /// Fails if a tensor was not read.
     pub(crate) fn finish(self) -> Result<()> {
         let asked = self.asked.borrow();
         let mut unknown: Vec<&str> = self.tensors.names().into_iter().filter(|name| !asked.contains(*name)).collect();
@@ -76,7 +76,7 @@ impl<'data> Weights<'data> {
         let expected = || format!("float32 or float16 of shape {shape:?}");
         let view = self.tensors.tensor(name).map_err(|_| error(name, &expected(), "nothing".into()))?;
         self.asked.borrow_mut().insert(name.into());
-        // The data may lie unaligned within the file, so numbers are assembled from bytes.
+        // The data may be unaligned within the file, so numbers are decoded from bytes.
         let data = view.data();
         let values: Vec<f32> = match view.dtype() {
             _ if view.shape() != shape => return Err(error(name, &expected(), format!("shape {:?}", view.shape()))),
@@ -91,25 +91,25 @@ impl<'data> Weights<'data> {
     }
 }
 
-/// A sub-tree of the tensors.
+/// The tensors under one prefix.
 pub(crate) struct Scope<'w> {
     weights: &'w Weights<'w>,
     prefix: String,
 }
 
 impl Scope<'_> {
-    /// The sub-tree `name` below this one.
+    /// The tensors under the prefix `name` within this scope.
     pub(crate) fn at(&self, name: &str) -> Scope<'_> {
         Scope { weights: self.weights, prefix: format!("{}.{name}", self.prefix) }
     }
 
-    /// The tensor `name` of this sub-tree, which must have this shape and finite values.
+    /// The tensor `name` of this scope, which must have this shape and finite values.
     pub(crate) fn tensor(&self, name: &str, shape: &[usize]) -> Result<Vec<f32>> {
         self.weights.tensor(&format!("{}.{name}", self.prefix), shape)
     }
 }
 
-/// An [`Error::Weights`]; what comes from the file is cut to one short line.
+/// An [`Error::Weights`]; text from the file is cut to one short line.
 pub(crate) fn error(tensor: &str, expected: &str, found: String) -> Error {
     Error::Weights { tensor: excerpt(tensor, 100), expected: expected.into(), found: excerpt(&found, 200) }
 }

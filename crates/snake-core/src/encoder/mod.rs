@@ -1,4 +1,5 @@
-//! Points to volume: PointNet with local max-pooling, scatter-mean, 3-D U-Net (SNAKE 3.1, ConvONet).
+//! The encoder, from points to a volume: PointNet with local max-pooling, scatter_mean, 3-D U-Net (SNAKE 3.1,
+//! ConvONet).
 
 mod pointnet;
 mod unet;
@@ -35,13 +36,13 @@ impl Encoder {
         })
     }
 
-    /// What [`Encoder::encode`] counts for so many points: each point when it is grouped and in each layer of the PointNet,
-    /// and the voxels of the U-Net, which take about as long.
+    /// The progress units of [`Encoder::encode`]: each point once for grouping and once per PointNet layer, and the
+    /// voxels of the U-Net. All take similar times.
     pub(crate) fn work(&self, num_points: usize) -> usize {
         num_points + self.pointnet.work(num_points) + self.unet.work(self.frame.size())
     }
 
-    /// `num_points` points, which `point` gives in the network's frame, to the feature volume.
+    /// Encodes `num_points` points, given by `point` in the network's frame, to the feature volume.
     pub(crate) fn encode(
         &self,
         num_points: usize,
@@ -57,7 +58,7 @@ impl Encoder {
         Ok(Volume { frame: self.frame, channels: volume.channels, values: self.unet.forward(volume, counter)? })
     }
 
-    /// The mean features of the occupied voxels at their places; voxels without points are zero.
+    /// Scatters the mean features to the occupied voxels; voxels without points are zero.
     pub(crate) fn scatter(&self, means: &[f32], groups: &VoxelGroups) -> Tensor {
         let (size, channels) = (self.frame.size(), self.pointnet.channels());
         let mut values = self.unet.pool.take(size.iter().product::<usize>() * channels);

@@ -1,7 +1,7 @@
-//! PointNet with local pooling: between blocks each point also sees the maximum over its voxel's points.
+//! PointNet with local pooling: between blocks each point also receives the maximum over the points of its voxel.
 //!
-//! Voxels do not influence each other. So the network takes a few voxels at a time through all of its blocks and keeps
-//! only their mean features: memory does not grow with the number of points.
+//! Voxels are independent of each other. The network therefore processes a few voxels at a time through all blocks and
+//! stores only their mean features, so memory does not grow with the number of points.
 
 use rayon::prelude::*;
 
@@ -14,10 +14,10 @@ use crate::points::Point;
 use crate::weights::Scope;
 use snake_kernels::Epilogue;
 
-/// Points of the voxels that one task takes together: their features stay in the second-level cache.
+/// Points of the voxels in one task: their features fit the second-level cache.
 const CHUNK: usize = 2048;
 
-/// The features of voxels with more points are not stored between blocks but computed again.
+/// The number of points in a voxel above which features are not stored between blocks but computed again.
 const LARGE: usize = 16 * CHUNK;
 
 /// The point encoder before scattering.
@@ -41,17 +41,17 @@ impl PointNet {
         })
     }
 
-    /// What [`PointNet::voxel_means`] counts: each point in each block and in the last layer.
+    /// The progress units of [`PointNet::voxel_means`]: each point in each block and in the last layer.
     pub(crate) fn work(&self, num_points: usize) -> usize {
         num_points * (self.blocks.len() + 1)
     }
 
-    /// Channels of a feature.
+    /// Number of channels of a feature.
     pub(crate) fn channels(&self) -> usize {
         self.fc_c.outputs()
     }
 
-    /// Mean feature of each occupied voxel's points, `(voxels, c_dim)`; `point` gives the grouped points in the network's
+    /// Mean feature of each occupied voxel, `(voxels, c_dim)`; `point` returns the grouped points in the network's
     /// frame.
     pub(crate) fn voxel_means(
         &self,
@@ -82,7 +82,7 @@ impl PointNet {
         Ok(means)
     }
 
-    /// Adds up the mean features of voxels whose points lie one voxel after the other, as many as `sizes` says.
+    /// Computes the mean features of voxels whose points are consecutive, with `sizes` points each.
     fn chunk_means(&self, points: &[Point], sizes: &[usize], means: &mut [f32]) {
         let voxel_of_row: Vec<usize> =
             sizes.iter().enumerate().flat_map(|(voxel, &size)| std::iter::repeat_n(voxel, size)).collect();
@@ -108,8 +108,8 @@ impl PointNet {
         }
     }
 
-    /// The mean feature of one voxel: after each pooling all blocks before it run again, so that only some features are in
-    /// memory at a time.
+    /// The mean feature of one voxel. After each pooling all earlier blocks run again, so that only a part of the
+    /// features is in memory.
     fn large_voxel_mean(&self, points: &[Point], mean: &mut [f32], counter: &Counter) -> Result<()> {
         let mut maxima: Vec<Vec<f32>> = Vec::new();
         for depth in 0..self.blocks.len() - 1 {
@@ -148,8 +148,8 @@ impl PointNet {
         Ok(())
     }
 
-    /// The features `(points, hidden)` after block `depth` of a tile of points in one voxel, from the maxima over that
-    /// voxel after each block before.
+    /// The features `(points, hidden)` after block `depth` for a tile of points in one voxel; `maxima` are the maxima
+    /// over that voxel after each earlier block.
     fn features_to(&self, depth: usize, points: &[Point], maxima: &[Vec<f32>]) -> Vec<f32> {
         let mut features = vec![0.0; points.len() * self.hidden];
         self.block(0, points, |_| &[], &mut features);
@@ -159,8 +159,8 @@ impl PointNet {
         features
     }
 
-    /// One block for a tile of points: replaces their features by the block's output. `maxima` begins for each row with
-    /// the maximum over its voxel; the first block does not read it.
+    /// Runs one block on a tile of points and replaces their features by its output. `maxima(row)` begins with the
+    /// maximum over the voxel of that row; the first block does not read it.
     fn block<'a>(&self, depth: usize, points: &[Point], maxima: impl Fn(usize) -> &'a [f32], features: &mut [f32]) {
         let mut input = vec![0.0; points.len() * 2 * self.hidden];
         if depth == 0 {
@@ -176,7 +176,7 @@ impl PointNet {
     }
 }
 
-/// Combines the rows of `features` with the row of `pooled` that `target` names for each, one after the other.
+/// Combines each row of `features` with the row `target` of `pooled`, in order.
 fn pool(features: &[f32], width: usize, target: &[usize], pooled: &mut [f32], combine: impl Fn(f32, f32) -> f32) {
     for (feature, &target) in features.chunks_exact(width).zip(target) {
         for (pooled, &value) in pooled[target * width..].iter_mut().zip(feature) {
@@ -195,7 +195,8 @@ mod tests {
     use crate::{Builtin, Model};
 
     impl PointNet {
-        /// The textbook: features `(points, c_dim)` of all points, and the mean over each occupied voxel.
+        /// The reference implementation: features `(points, c_dim)` of all points, and the mean over each occupied
+        /// voxel.
         pub(crate) fn plain(&self, points: &[Point], frame: &VolumeFrame) -> [Vec<f32>; 2] {
             let mut voxels: Vec<usize> = points.iter().map(|&point| frame.voxel(point)).collect();
             let mut occupied = voxels.clone();
@@ -225,7 +226,7 @@ mod tests {
         let model = Model::builtin(Builtin::Compact);
         let (net, frame) = (&model.network().encoder.pointnet, model.config().frame);
         let mut random = ChaCha8Rng::seed_from_u64(1);
-        // Crowds in a few voxels, as of a scan with an outlier, between points all over the volume.
+        // Clusters in a few voxels, as in a scan with an outlier, and points all over the volume.
         for (crowd, others) in
             [(0, 1), (0, 700), (1, 63), (65, 64), (CHUNK, 3000), (LARGE, 500), (LARGE + 1, 7), (2 * LARGE + 99, 0)]
         {

@@ -1,4 +1,4 @@
-//! 3-D U-Net: max-pool on the way down, nearest upsampling to the skip's size on the way up.
+//! 3-D U-Net: max-pooling in the encoder, nearest-neighbour upsampling to the size of the skip in the decoder.
 
 use crate::Result;
 use crate::config::ModelConfig;
@@ -14,7 +14,7 @@ type DoubleConv = [SingleConv; 2];
 pub(crate) struct UNet3d {
     /// The encoder at full resolution.
     top: DoubleConv,
-    /// The encoders below it, each after a pooling.
+    /// The encoders at lower resolutions, each after a max-pooling.
     deeper: Vec<DoubleConv>,
     decoders: Vec<DoubleConv>,
     final_conv: Linear,
@@ -41,7 +41,7 @@ impl UNet3d {
         let decoder = |k: usize| {
             let level = config.unet_levels - 2 - k;
             let outputs = channels[level];
-            // Where the coarser size is exactly half, the convolution upsamples as it reads.
+            // Where the coarser size is exactly half, the convolution upsamples while it reads.
             let sources: &[_] = match doubles(level) {
                 true => &[(outputs, false), (2 * outputs, true)],
                 false => &[(3 * outputs, false)],
@@ -61,13 +61,13 @@ impl UNet3d {
         })
     }
 
-    /// What [`UNet3d::forward`] counts: the voxels that each pair of convolutions makes.
+    /// The progress units of [`UNet3d::forward`]: the output voxels of each pair of convolutions.
     pub(crate) fn work(&self, size: [usize; 3]) -> usize {
         let levels = (0..=self.deeper.len()).chain(0..self.decoders.len());
         levels.map(|level| size.iter().map(|n| n >> level).product::<usize>()).sum()
     }
 
-    /// `(D, H, W, c_dim)` to the same size and width.
+    /// Maps a volume `(D, H, W, c_dim)` to a volume of the same shape.
     pub(crate) fn forward(&self, volume: Tensor, counter: &Counter) -> Result<Buffer> {
         let stop = || counter.is_stopped();
         let run = |[first, second]: &DoubleConv, inputs: Vec<Tensor>| -> Result<Tensor> {

@@ -1,4 +1,4 @@
-//! Which points share a voxel of the volume.
+//! Groups points by voxel.
 
 use std::ops::Range;
 
@@ -7,17 +7,17 @@ use rayon::prelude::*;
 use crate::points::Point;
 use crate::volume::VolumeFrame;
 
-/// The points of a cloud, grouped by the voxel that they fall into: eight bytes for each point.
+/// The points of a cloud, grouped by the voxel that contains them, in eight bytes per point.
 #[derive(Debug)]
 pub(crate) struct VoxelGroups {
-    /// The voxel in the upper half and the point's index in the lower, ascending.
+    /// The voxel in the upper 32 bits and the point's index in the lower 32 bits, ascending.
     members: Vec<u64>,
-    /// Where the members of each occupied voxel start, and the end.
+    /// The start of each occupied voxel in `members`, and the end.
     starts: Vec<u32>,
 }
 
 impl VoxelGroups {
-    /// Groups `num_points` points, at most [`u32::MAX`], which `point` gives in the network's frame.
+    /// Groups `num_points` points, at most [`u32::MAX`], given by `point` in the network's frame.
     pub(crate) fn new(num_points: usize, point: impl Fn(usize) -> Point + Sync, frame: &VolumeFrame) -> Self {
         let member = |index: usize| (frame.voxel(point(index)) as u64) << 32 | index as u64;
         let mut members: Vec<u64> = (0..num_points).into_par_iter().map(member).collect();
@@ -28,7 +28,7 @@ impl VoxelGroups {
         Self { members, starts }
     }
 
-    /// How many voxels have points.
+    /// The number of occupied voxels.
     pub(crate) fn num_voxels(&self) -> usize {
         self.starts.len() - 1
     }
@@ -38,7 +38,7 @@ impl VoxelGroups {
         self.starts[..self.num_voxels()].iter().map(|&start| voxel(self.members[start as usize]))
     }
 
-    /// Ranges of occupied voxels, counted from 0, with at most `num_points` points in all, or a single voxel with more.
+    /// Splits the occupied voxels into ranges with at most `num_points` points, or with a single voxel that has more.
     pub(crate) fn chunks(&self, num_points: usize) -> Vec<Range<usize>> {
         let mut chunks: Vec<Range<usize>> = Vec::new();
         for voxel in 0..self.num_voxels() {
@@ -50,7 +50,7 @@ impl VoxelGroups {
         chunks
     }
 
-    /// How many points a range of occupied voxels has.
+    /// The number of points in a range of occupied voxels.
     pub(crate) fn num_points(&self, voxels: Range<usize>) -> usize {
         (self.starts[voxels.end] - self.starts[voxels.start]) as usize
     }

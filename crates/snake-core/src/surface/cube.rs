@@ -1,17 +1,17 @@
-//! What the surface looks like in one cell, for each of the 256 ways in which its corners can be occupied.
+//! The triangles of one cell for each of the 256 cases of occupied corners.
 
 use std::sync::LazyLock;
 
 /// An edge of the cell: its lower corner and its axis. Bits 0, 1, 2 of a corner are its place along x, y, z.
 pub(super) type CubeEdge = (usize, usize);
 
-/// The triangles of each case, as edges whose crossings they join, counterclockwise seen from the empty side. Bit c of a
-/// case says that corner c is occupied.
+/// The triangles of each case, as triples of crossed edges, counterclockwise seen from the empty side. Bit c of a case
+/// is set if corner c is occupied.
 ///
-/// Marching cubes (Lorensen and Cline, SIGGRAPH 1987) from rules instead of a table. On each face of the cell the
-/// crossings are joined such that occupied corners are never separated, which the cell on the other side does as well:
-/// surfaces have no holes, and thin shells do not tear. A fan of triangles fills each loop; its apex is such that no edge
-/// within it lies on a face, where the other cell could have the same edge once more.
+/// This is marching cubes (Lorensen and Cline, SIGGRAPH 1987) by rules and not by a table. On each face of the cell the
+/// crossings are connected so that occupied corners are never separated. The neighbouring cell uses the same rule, so
+/// surfaces have no holes and thin shells do not tear. A fan of triangles fills each loop. Its apex is chosen so that
+/// no inner edge lies on a face, where the neighbouring cell could have the same edge.
 pub(super) static TRIANGLES: LazyLock<[Vec<[CubeEdge; 3]>; 256]> =
     LazyLock::new(|| std::array::from_fn(|case| loops(case).iter().flat_map(|polygon| fan(polygon)).collect()));
 
@@ -33,7 +33,7 @@ fn edge(a: usize, b: usize) -> CubeEdge {
 /// The closed loops of crossings on the faces of the cell.
 fn loops(case: usize) -> Vec<Vec<CubeEdge>> {
     let occupied = |corner: usize| case >> corner & 1 == 1;
-    // Of each crossing the next one: on a face, the surface goes from the end of a run of empty corners to its start.
+    // Each crossing leads to the next: on a face, the surface goes from the end of a run of empty corners to its start.
     let mut segments: Vec<(CubeEdge, CubeEdge)> = Vec::new();
     for ring in faces() {
         let corner = |i: usize| ring[i % 4];
@@ -82,7 +82,7 @@ mod tests {
                 let used = triangles.iter().flatten().any(|&edge| edge == (corner, axis));
                 assert_eq!(crossed, used, "{case:08b} {corner} {axis}");
             }
-            // An edge within the cell belongs to two of its triangles; an edge on a face to one.
+            // An edge inside the cell belongs to two of its triangles, an edge on a face to one.
             for (t, i) in (0..triangles.len()).flat_map(|t| (0..3).map(move |i| (t, i))) {
                 let (from, to) = (triangles[t][i], triangles[t][(i + 1) % 3]);
                 let back =

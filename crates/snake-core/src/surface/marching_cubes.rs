@@ -1,29 +1,29 @@
-//! Marching cubes: from samples to triangles that share their vertices.
+//! Marching cubes: converts samples to triangles with shared vertices.
 
 use rayon::prelude::*;
 
 use super::cube::TRIANGLES;
 use super::samples::{Sample, Samples};
 
-/// Where the surface crosses an edge of the grid: a vertex.
+/// A vertex: the point where the surface crosses an edge of the grid.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) struct Crossing {
-    /// As numbered by [`Samples::edge`].
+    /// The edge's number, see [`Samples::edge`].
     pub(super) edge: u32,
-    /// From the edge's low end, 0 to 1.
+    /// The position along the edge from its low end, 0 to 1.
     pub(super) fraction: f32,
 }
 
 /// Triangles counterclockwise seen from the empty side, by indices of crossings.
 #[derive(Debug, Clone, PartialEq)]
 pub(super) struct Surface {
-    /// By their edges.
+    /// The crossings, ordered by edge.
     pub(super) crossings: Vec<Crossing>,
     pub(super) triangles: Vec<[u32; 3]>,
 }
 
 impl Surface {
-    /// The surface between the occupied and the empty samples: closed, and each edge is that of two triangles.
+    /// The closed surface between occupied and empty samples. Each edge belongs to two triangles.
     pub(super) fn of(samples: &Samples) -> Self {
         let known = samples.known();
         let crossings: Vec<Crossing> = known.par_iter().flat_map_iter(|&block| crossings(samples, block)).collect();
@@ -40,12 +40,12 @@ impl Surface {
     }
 }
 
-/// The index of the crossing of an edge that is crossed.
+/// The index of the crossing of a crossed edge.
 pub(super) fn vertex(crossings: &[Crossing], edge: u32) -> u32 {
     crossings.partition_point(|crossing| crossing.edge < edge) as u32
 }
 
-/// The crossings of the edges that begin in a block, as the edges are ordered.
+/// The crossings of the edges that begin in a block, in the order of the edges.
 fn crossings(samples: &Samples, block: usize) -> Vec<Crossing> {
     let mut crossings = Vec::new();
     for low in samples.of_block(block) {
@@ -61,7 +61,7 @@ fn crossings(samples: &Samples, block: usize) -> Vec<Crossing> {
     crossings
 }
 
-/// Which corners of the cell above a sample are occupied.
+/// The case of the cell above a sample: the bits of its occupied corners.
 fn case(samples: &Samples, low: Sample) -> usize {
     (0..8).map(|corner| usize::from(samples.occupied(place(low, corner))) << corner).sum()
 }

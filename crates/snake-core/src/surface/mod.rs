@@ -1,4 +1,4 @@
-//! The surface of a cloud: marching cubes on its occupancy field.
+//! Surface reconstruction: marching cubes on the occupancy field.
 
 mod cube;
 mod marching_cubes;
@@ -19,25 +19,25 @@ use crate::points::Point;
 use marching_cubes::{Crossing, Surface};
 use samples::{Sample, Samples};
 
-/// A surface of triangles that share their vertices. Each edge is that of two triangles, in opposite directions.
+/// A triangle mesh with shared vertices. Each edge belongs to two triangles, which use it in opposite directions.
 #[derive(Debug, Clone, PartialEq, Default)]
 pub struct Mesh {
-    /// In the cloud's frame and units.
+    /// Positions `(V, 3)` in the cloud's frame and units.
     pub vertices: Vec<Point>,
-    /// Unit normals at the vertices, out of what is occupied: against the gradient of the occupancy.
+    /// Unit normals `(V, 3)` that point out of the occupied region: the negative gradient of the occupancy.
     pub normals: Vec<[f32; 3]>,
-    /// Indices of vertices, counterclockwise seen from outside.
+    /// Indices of vertices `(T, 3)`, counterclockwise seen from outside.
     pub triangles: Vec<[u32; 3]>,
 }
 
 impl Mesh {
     /// The area of all triangles, in squared cloud units.
     pub fn area(&self) -> f64 {
-        // Not `sum`, which makes −0 of none.
+        // `sum` would return -0 for no triangles.
         self.triangles.iter().fold(0.0, |sum, &triangle| sum + norm(self.cross(triangle)) / 2.0)
     }
 
-    /// The unit normal of one of the triangles; zero if it has no area.
+    /// The unit normal of a triangle; zero if its area is zero.
     ///
     /// # Panics
     /// If a vertex of the triangle is not among [`Mesh::vertices`].
@@ -45,7 +45,7 @@ impl Mesh {
         unit(self.cross(triangle))
     }
 
-    /// A vector along the normal of a triangle, as long as twice its area.
+    /// A vector along the normal of a triangle with twice the triangle's area as its length.
     fn cross(&self, triangle: [u32; 3]) -> [f64; 3] {
         let [a, b, c] = triangle.map(|vertex| self.vertices[vertex as usize].map(f64::from));
         let [u, v]: [[f64; 3]; 2] = [b, c].map(|end| std::array::from_fn(|axis| end[axis] - a[axis]));
@@ -57,20 +57,23 @@ fn norm(vector: [f64; 3]) -> f64 {
     vector.iter().map(|v| v * v).sum::<f64>().sqrt()
 }
 
-/// A vector of length 1, or of length 0 as it was.
+/// The unit vector in the same direction; a zero vector stays zero.
 fn unit(vector: [f64; 3]) -> [f32; 3] {
     let length = norm(vector);
     if length > 0.0 { vector.map(|v| (v / length) as f32) } else { [0.0; 3] }
 }
 
 impl Field {
-    /// The surface on which the occupancy is [`MeshOptions::level`] (marching cubes, along edges linear in the log-odds).
+    /// The surface where the occupancy equals [`MeshOptions::level`] (marching cubes; along edges linear in the
+    /// log-odds).
     ///
-    /// It is closed: where the box of the feature volume, the network's cube ±0.5 with its padding, cuts what is occupied,
-    /// the face of the box closes the surface. A field without surface gives a mesh without triangles.
+    /// The surface is closed. The grid covers the box of the feature volume, which is the network's cube ±0.5 with its
+    /// padding. Where the box cuts the occupied region, its face closes the surface. A field without a surface gives a
+    /// mesh without triangles.
     ///
-    /// Only samples near the surface are taken, in blocks of 4³. The mesh is that of all samples, except for occupied
-    /// specks that contain none of one sample in four along each axis and have no block with a point of the cloud.
+    /// Samples are taken only near the surface, in blocks of 4³. The mesh equals that of all samples, except for small
+    /// occupied regions that contain no sample of every fourth along each axis and no point of the cloud in their
+    /// blocks.
     ///
     /// ```
     /// use snake_core::{Builtin, EncodeOptions, MeshOptions, Model};
@@ -87,10 +90,10 @@ impl Field {
         self.mesh_with(options, &Control::default())
     }
 
-    /// [`Field::mesh`] under the caller's control.
+    /// [`Field::mesh`] with progress and cancellation.
     ///
     /// # Errors
-    /// Those of [`Field::mesh`]; [`Error::Cancelled`](crate::Error::Cancelled) and
+    /// The errors of [`Field::mesh`]; [`Error::Cancelled`](crate::Error::Cancelled) and
     /// [`Error::DeadlineExceeded`](crate::Error::DeadlineExceeded).
     pub fn mesh_with(&self, options: &MeshOptions, control: &Control) -> Result<Mesh> {
         options.check()?;
@@ -100,7 +103,7 @@ impl Field {
     }
 }
 
-/// Where the samples of a field are.
+/// The sample positions of a field.
 struct Grid<'a> {
     field: &'a Field,
     /// Coordinates in the network's frame along each axis.
@@ -120,7 +123,7 @@ impl<'a> Grid<'a> {
         std::array::from_fn(|axis| self.coordinates[axis][sample[axis]])
     }
 
-    /// The last sample that is not above a point along any axis; the first one for a point below all.
+    /// The last sample that does not exceed a point along any axis; the first sample for a point below all.
     fn sample_below(&self, point: Point) -> Sample {
         std::array::from_fn(|axis| {
             let above = self.coordinates[axis].partition_point(|&coordinate| coordinate <= point[axis]);
@@ -139,7 +142,7 @@ impl<'a> Grid<'a> {
         let value = |samples: &[Sample]| {
             let queries: Vec<Point> = samples.iter().map(|&sample| self.point(sample)).collect();
             let values = self.field.tile_values(Quantity::Occupancy, &queries);
-            // A network can overflow: `max` makes a number of what is none.
+            // A network can overflow: `max` replaces NaN by a number.
             values.into_iter().map(|value| log_odds(value.max(0.0))).collect()
         };
         let samples = Samples::near_surface(options.resolution, log_odds(options.level), value, likely, control)?;
@@ -168,8 +171,8 @@ impl<'a> Grid<'a> {
     }
 }
 
-/// Of each vertex the direction against the gradient, or that of the triangles around it where the gradient does not
-/// point inwards: on the faces of the box.
+/// For each vertex the direction of the negative gradient. On the faces of the box the gradient does not point inwards;
+/// there it is the direction of the adjacent triangles' normals.
 fn normals(mesh: &Mesh, gradients: &[Point]) -> Vec<[f32; 3]> {
     let mut around = vec![[0.0; 3]; mesh.vertices.len()];
     for &triangle in &mesh.triangles {

@@ -1,17 +1,17 @@
-//! The outer surface: that which can be reached from the border of the grid through empty samples.
+//! The outer surface: the parts that can be reached from the border of the grid through empty samples.
 
 use super::marching_cubes::{Surface, vertex};
 use super::samples::Samples;
 
 impl Surface {
-    /// Keeps the parts of the surface whose empty side is joined to the border; cavities go, and whatever is in them.
+    /// Keeps the parts of the surface whose empty side is connected to the border. Cavities and everything in them go.
     ///
-    /// Each part, a closed surface, has empty samples of one connected set on one side. If it is its outside: from the
-    /// last crossing along x of the part, a way through empty samples leads on along x, to the border or to another
-    /// part beside the same set, which reaches farther along x.
+    /// Each part is a closed surface with one connected set of empty samples on one side. If the set is outside, start
+    /// at the part's last crossing along x and follow empty samples along x. They end at the border, or at another part
+    /// next to the same set that reaches farther along x.
     pub(super) fn retain_outer(&mut self, samples: &Samples) {
         let part = self.parts();
-        // Of each part the last edge along x: the edges are not in the order of x.
+        // The last edge of each part along x; edges are not ordered by x.
         let mut last: Vec<Option<(usize, u32)>> = vec![None; part.len()];
         for (crossing, &part) in self.crossings.iter().zip(&part) {
             if let (low, 0) = samples.ends(crossing.edge) {
@@ -35,7 +35,7 @@ impl Surface {
         self.retain(|vertex| outer[part[vertex as usize]]);
     }
 
-    /// Of each vertex the first vertex of its connected part.
+    /// For each vertex the first vertex of its connected part.
     fn parts(&self) -> Vec<usize> {
         fn first(of: &mut [usize], mut vertex: usize) -> usize {
             while of[vertex] != vertex {
@@ -54,7 +54,7 @@ impl Surface {
         (0..of.len()).map(|vertex| first(&mut of, vertex)).collect()
     }
 
-    /// Keeps whole parts.
+    /// Keeps the triangles of the selected parts.
     fn retain(&mut self, keep: impl Fn(u32) -> bool) {
         let mut number = 0;
         let renumbered: Vec<u32> = (0..self.crossings.len() as u32)

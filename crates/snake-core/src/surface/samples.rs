@@ -1,39 +1,39 @@
-//! Samples of a function on a regular grid, taken only where its surface can be.
+//! Samples of a function on a regular grid, taken only near its surface.
 
 use rayon::prelude::*;
 
 use crate::Result;
 use crate::control::{Control, Counter};
 
-/// Samples along each axis of a block.
+/// Samples per axis of a block.
 const SIDE: usize = 4;
 
-/// Samples of a block: as many queries as the decoders take at once.
+/// Samples per block; the decoders process as many queries at once.
 const VOLUME: usize = SIDE * SIDE * SIDE;
 
 /// Indices of a sample along x, y, z.
 pub(super) type Sample = [usize; 3];
 
-/// A grid of samples in blocks, of which some are known. A sample is occupied if it is known and above the level. None on
-/// the border is: where the grid ends in the occupied part, the border closes the surface.
+/// A grid of samples in blocks, some of which are known. A sample is occupied if it is known and above the level.
+/// Samples on the border are never occupied, so the border closes a surface that it cuts.
 pub(super) struct Samples {
-    /// Samples along each axis.
+    /// Samples per axis of the grid.
     pub(super) resolution: usize,
     pub(super) level: f32,
-    /// Of each block, x fastest, where its values are.
+    /// The index into `values` for each block, x fastest; `None` for unknown blocks.
     slots: Vec<Option<u32>>,
-    /// Of each sample of a block, x fastest.
+    /// The values of each known block, x fastest.
     values: Vec<[f32; VOLUME]>,
 }
 
 impl Samples {
-    /// Asks `value` for the samples near the surface: for one in each block; for all in the blocks in which that one is
-    /// above the level, or that hold one of the `likely` samples; and then for more blocks as long as an occupied sample
-    /// has a neighbour that is not known.
+    /// Evaluates `value` near the surface. It starts with one sample in each block. Next are all samples of the blocks
+    /// whose first sample is above the level and of the blocks with a `likely` sample. More blocks follow as long as an
+    /// occupied sample has an unknown neighbour.
     ///
-    /// So of a connected set of samples above the level (diagonally, too) all are known, and all around them; unless it
-    /// keeps clear both of one sample in four along each axis and of the likely blocks: then none are, and the set is
-    /// missed. Nothing is missed if every block is likely.
+    /// A connected set of samples above the level (also diagonally) is thereby known completely, with all its
+    /// neighbours. A set is missed only if it contains neither one of the first samples nor a sample of a likely block.
+    /// Nothing is missed if every block is likely.
     pub(super) fn near_surface(
         resolution: usize,
         level: f32,
@@ -66,7 +66,7 @@ impl Samples {
         Ok(samples)
     }
 
-    /// Makes blocks known.
+    /// Evaluates all samples of blocks.
     fn ask(
         &mut self,
         blocks: &[usize],
@@ -75,7 +75,7 @@ impl Samples {
     ) -> Result<()> {
         let values = blocks.par_iter().map(|&block| {
             counter.check()?;
-            // The last block along an axis can reach beyond the grid.
+            // The last block along an axis can extend beyond the grid.
             let inside = |sample: &Sample| sample.iter().all(|&i| i < self.resolution);
             let asked: Vec<Sample> = self.of_block(block).filter(inside).collect();
             let mut values = [f32::NEG_INFINITY; VOLUME];
@@ -119,21 +119,21 @@ impl Samples {
         (0..VOLUME).map(move |place| self.sample(block, place))
     }
 
-    /// The sample at a place in a block.
+    /// The sample at a position in a block.
     fn sample(&self, block: usize, place: usize) -> Sample {
         let along = self.resolution.div_ceil(SIDE);
         let start = [block % along, block / along % along, block / (along * along)].map(|i| i * SIDE);
         [start[0] + place % SIDE, start[1] + place / SIDE % SIDE, start[2] + place / (SIDE * SIDE)]
     }
 
-    /// The block that a sample is in, and its place there.
+    /// The block of a sample, and its position in the block.
     fn place(&self, [x, y, z]: Sample) -> (usize, usize) {
         let along = self.resolution.div_ceil(SIDE);
         let block = x / SIDE + along * (y / SIDE + along * (z / SIDE));
         (block, x % SIDE + SIDE * (y % SIDE + SIDE * (z % SIDE)))
     }
 
-    /// The value of a sample, minus infinity if it is not known.
+    /// The value of a sample; minus infinity if it is unknown.
     pub(super) fn value(&self, sample: Sample) -> f32 {
         if sample.iter().any(|&i| i >= self.resolution) {
             return f32::NEG_INFINITY;
@@ -146,14 +146,14 @@ impl Samples {
         self.value(sample) > self.level
     }
 
-    /// A number for the edge from a sample to the next one along an axis; it grows with the block, and within it with the
-    /// sample.
+    /// The number of the edge from a sample to the next along an axis. Numbers grow with the block, and within a block
+    /// with the sample.
     pub(super) fn edge(&self, low: Sample, axis: usize) -> u32 {
         let (block, place) = self.place(low);
         ((block * VOLUME + place) * 3 + axis) as u32
     }
 
-    /// The sample and the axis of an edge.
+    /// The lower sample and the axis of an edge.
     pub(super) fn ends(&self, edge: u32) -> (Sample, usize) {
         let (low, axis) = (edge as usize / 3, edge as usize % 3);
         (self.sample(low / VOLUME, low % VOLUME), axis)
