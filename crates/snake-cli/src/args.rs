@@ -80,7 +80,7 @@ pub enum Command {
     /// A picture (.png) is a maximum projection along an axis, as in the paper's figures, or a slice (--slice). The
     /// cloud's points are drawn over it. Axes are in the cloud's frame and units.
     ///
-    /// A volume (.npy) is a float32 array [z][y][x] with N values along each axis (--resolution). It covers the box
+    /// A volume (.npy) is a float32 array `[z][y][x]` with N values along each axis (--resolution). It covers the box
     /// that the network encodes. The command prints the corners `low` and `high` of that box: index i along x is at
     /// low.x + i (high.x - low.x) / (N - 1), and likewise for y and z.
     #[command(after_help = "Examples:

@@ -10,7 +10,7 @@ use crate::{Error, Result};
 /// Progress, cancellation and a deadline of a long call, an argument of
 /// [`Model::encode_with`](crate::Model::encode_with), [`Model::detect_with`](crate::Model::detect_with),
 /// [`Field::detect_with`](crate::Field::detect_with), [`Field::mesh_with`](crate::Field::mesh_with) and
-/// [`register_with`](crate::registration::register_with). Results do not depend on it. The default does nothing.
+/// `snake_registration::register_with`. Results do not depend on it. The default does nothing.
 ///
 /// A call looks at it between the layers of the network and the parts of a layer, between tiles of queries, refinement
 /// steps, windows, RANSAC rounds and ICP steps. A call that was stopped returns an error and leaves nothing behind: the

@@ -43,7 +43,7 @@ pub struct Detection {
     pub timing: Timing,
 }
 
-/// How many queries each step of [`detect`] left.
+/// How many queries each step of [`Field::detect`](crate::Field::detect) left.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize)]
 pub struct Counts {
     /// How many windows the cloud was seen through.
@@ -70,7 +70,7 @@ impl Counts {
 /// Seconds that each step of detection took.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct Timing {
-    /// Encoding; 0 of [`detect`], which is given a field.
+    /// Encoding; 0 for [`Field::detect`](crate::Field::detect), which starts from a field.
     pub encode: f64,
     /// Occupancy of the starting grid.
     pub occupancy: f64,

@@ -10,7 +10,7 @@
 //! A cloud is encoded once ([`Model::encode`]); its [`Field`] answers any number of queries, and [`Field::detect`] climbs it
 //! to the keypoints. [`Model::detect`] does both. Results have the same bits for any number of threads.
 //!
-//! [`metrics`] measure how good keypoints are, and [`baselines`] are the classical detectors to compare them with.
+//! The crate `snake-eval` has the metrics of keypoints, and `snake-registration` has classical detectors for comparison.
 
 #![forbid(unsafe_code)]
 
