@@ -178,7 +178,7 @@ pub fn subtract_origins(t_target_source: &Transform, source: [f64; 3], target: [
 /// let target = transform_points(&quarter_turn, &source);
 /// let found = register(&source, &target, &Model::builtin(Builtin::Compact), &RegisterOptions::default())?;
 /// assert!((found.t_target_source[0][3] - 3.0).abs() < 0.05 && found.num_inliers > 50);
-/// # Ok::<(), snake_core::Error>(())
+/// # Ok::<(), Box<dyn std::error::Error>>(())
 /// ```
 ///
 /// # Errors
