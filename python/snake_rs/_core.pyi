@@ -81,6 +81,7 @@ class _DetectOptions(_Preset, total=False):
     selection: Literal["best-position", "reference-final-position"]
     surface_threshold: float
     saliency_threshold: float
+    mode_radius: float | str | None
     nms_radius: float | str
     max_keypoints: int
     snap: bool
@@ -123,6 +124,7 @@ class _Config(TypedDict):
     unet_levels: int
     unet_base_channels: int
     group_norm_groups: int
+    scatter: str
 
 def detect(points: _Points, model: Model | None = None, **options: Unpack[_Options]) -> Keypoints: ...
 def register(

@@ -108,11 +108,12 @@ impl Field {
     ///
     /// Options: `query_resolution`, `occupancy_threshold`, `refine_steps`, `refine_step_size`, `refine_method` ("adam"
     /// or "gradient-descent"), `selection` ("best-position" or "reference-final-position"), `surface_threshold`,
-    /// `saliency_threshold`, `nms_radius` (a number of cloud units, or text such as "3r" in multiples of the mean
-    /// distance between nearest points; 0: off), `max_keypoints`, `snap` (move each keypoint to its nearest input
-    /// point), and `preset` ("modelnet40", "keypointnet", "smpl", "redwood", "3dmatch" or "standard"). Other options
-    /// default to the values of `preset`, or else of the model's `recommended`. Raises ValueError for an invalid value
-    /// and TypeError for an unknown option.
+    /// `saliency_threshold`, `mode_radius` (move keypoints to the mode of the candidates within this length; None:
+    /// off), `nms_radius` (a number of cloud units, or text such as "3r" in multiples of the mean distance between
+    /// nearest points; 0: off), `max_keypoints`, `snap` (move each keypoint to its nearest input point), and `preset`
+    /// ("modelnet40", "keypointnet", "smpl", "redwood", "3dmatch" or "standard"). Other options default to the values
+    /// of `preset`, or else of the model's `recommended`. Raises ValueError for an invalid value and TypeError for an
+    /// unknown option.
     #[pyo3(signature = (**options))]
     fn detect(&self, py: Python<'_>, options: Option<&Bound<PyDict>>) -> PyResult<Keypoints> {
         let preset = options::resolve("detect", &options::DETECT, self.core.recommended(), options)?;

@@ -103,6 +103,7 @@ impl Model {
         dict.set_item("padding", config.frame.padding)?;
         dict.set_item("z_min", config.frame.z_bounds[0])?;
         dict.set_item("z_max", config.frame.z_bounds[1])?;
+        dict.set_item("scatter", config.scatter.name())?;
         Ok(dict)
     }
 

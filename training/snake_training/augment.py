@@ -51,6 +51,11 @@ def choose(rng, points, number):
     return np.concatenate([points, points[rng.choice(len(points), number - len(points))]])
 
 
+def draw(rng, points, number, replacement):
+    """`number` random points: with replacement, as the released code draws them, or by `choose`."""
+    return points[rng.integers(len(points), size=number)] if replacement else choose(rng, points, number)
+
+
 def visible(points, pixel, tolerance):
     """Which points (M, 3) in a camera's frame it sees: all in front of it that no other point hides.
 
@@ -95,11 +100,15 @@ def two_views(cloud, config, rng):
     clean, _, _ = normalize(cloud, config.normalization, rng)
     rotation = random_rotation(rng, config.rotation)
     shift = rng.uniform(-config.translation, config.translation, 3).astype(np.float32)
-    views = clean, clean @ rotation.T + shift
+    moved = clean @ rotation.T + shift
+    views = clean, moved - moved.mean(axis=0) if config.recenter else moved
+    shift = shift - moved.mean(axis=0) if config.recenter else shift
     noise = config.jitter_sigma * rng.standard_normal(clean.shape, dtype=np.float32)
     noisy = within_bounds(views[1] + noise.clip(-config.jitter_clip, config.jitter_clip))
-    kept = max(int(len(noisy) / rng.uniform(1, config.max_downsampling)), 1)
-    inputs = choose(rng, views[0], config.num_points), choose(rng, choose(rng, noisy, kept), config.num_points)
+    kept = max(int(config.num_points / rng.uniform(1, config.max_downsampling)), 1)
+    thinned = draw(rng, noisy, kept, config.with_replacement)
+    repeats = choose(rng, thinned, config.num_points)  # all of the thinned points, some of them several times
+    inputs = draw(rng, views[0], config.num_points, config.with_replacement), repeats
 
     queries = []
     for view in views:

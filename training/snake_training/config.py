@@ -37,6 +37,9 @@ class TrainConfig:
         "weights to start from: a safetensors export, checkpoint or run; also the network's shape where it is not given",
     )
     fresh_saliency: bool = setting(False, "with init: start the saliency decoder anew")
+    revive: bool = setting(
+        False, "with init: start the point encoder anew, from the same mean features: for weights whose encoder is dead"
+    )
     seed: int = setting(1, "seed of initial weights and samples; sample i is the same whatever the number of processes")
     device: str = setting("auto", "auto, cpu or cuda", choices=("auto", "cpu", "cuda"))
     bf16: bool = setting(True, "run the U-Net in bfloat16, where the GPU or processor has it; the rest stays float32")
@@ -45,6 +48,11 @@ class TrainConfig:
     unet_levels: int = setting(3, "levels of the U-Net")
     unet_base_channels: int = setting(16, "channels of its first level")
     c_dim: int = setting(32, "channels of the volume")
+    scatter: str = setting(
+        "soft",
+        "features to voxels: hard, each to its own (released code), or soft, to its eight by trilinear weights",
+        choices=("hard", "soft"),
+    )
 
     normalization: str = setting(
         "unit-sphere",
@@ -56,10 +64,17 @@ class TrainConfig:
         "so3", "second view: uniform, or three uniform angles (released code)", choices=("so3", "euler")
     )
     translation: float = setting(0.0, "second view: uniform shift of up to this much along each axis")
+    recenter: bool = setting(
+        False, "second view: moved back so that its mean is the origin (the released code does with 3DMatch)"
+    )
+    with_replacement: bool = setting(
+        True, "points of a view are drawn with replacement (released code), so some come twice; off: distinct ones"
+    )
     jitter_sigma: float = setting(0.005, "second view: standard deviation of the noise on each coordinate")
     jitter_clip: float = setting(0.015, "the noise is clipped to this")
     max_downsampling: float = setting(
-        4.0, "second view: thinned by a uniform rate between 1 and this, then repeated; with targets: degraded views"
+        4.0,
+        "second view: num_points / a uniform rate between 1 and this are drawn, then repeated; with targets: degraded views",
     )
 
     num_occupancy: int = setting(600, "occupancy queries on the surface, and as many uniform ones, a view")
@@ -82,7 +97,9 @@ class TrainConfig:
     steps: int = setting(8000, "optimiser steps of the whole schedule")
     batch: int = setting(4, "samples a step, over all processes")
     learning_rate: float = setting(1e-3, "Adam's learning rate after warm-up")
-    weight_decay: float = setting(5e-4, "Adam's L2 penalty")
+    weight_decay: float = setting(
+        5e-4, "AdamW's decay, a share of the learning rate; the point encoder, whose gradients are small, has none"
+    )
     schedule: str = setting(
         "cosine", "cosine: towards 0; step: x 0.1 after two thirds of the steps", choices=("cosine", "step")
     )
@@ -103,7 +120,7 @@ class TrainConfig:
         """The network's part of the configuration."""
         return NetworkConfig(
             resolution=(self.resolution,) * 3, unet_levels=self.unet_levels,
-            unet_base_channels=self.unet_base_channels, c_dim=self.c_dim,
+            unet_base_channels=self.unet_base_channels, c_dim=self.c_dim, scatter=self.scatter,
         )  # fmt: skip
 
 
@@ -111,7 +128,7 @@ class TrainConfig:
 # epochs x training shapes / batch.
 PAPER = dict(
     resolution=64, unet_levels=4, unet_base_channels=32, num_grids=500, grid_size=8, batch=16, learning_rate=1e-4,
-    rotation="euler", schedule="step", warmup=0, ema_decay=0.0, procedural_share=0.0, bf16=False, clip_norm=0.0,
+    scatter="hard", rotation="euler", schedule="step", warmup=0, ema_decay=0.0, procedural_share=0.0, bf16=False, clip_norm=0.0,
 )  # fmt: skip
 PRESETS = {
     "compact": {},
@@ -122,9 +139,15 @@ PRESETS = {
     "smpl": PAPER | dict(
         steps=1900, num_points=2048, num_occupancy=1000, grid_fraction=8.0, jitter_clip=0.01, max_downsampling=1.0,
     ),
-    "3dmatch": PAPER | dict(
+    # The repeatability network of the Redwood tables, trained on 3DMatch.
+    "redwood": PAPER | dict(
         steps=133000, resolution=100, num_points=10000, num_occupancy=3000, num_grids=150, grid_size=10,
-        grid_fraction=8.0, jitter_clip=0.01, batch=6, translation=0.3, normalization="unit-cube",
+        grid_fraction=8.0, jitter_clip=0.01, batch=6, translation=0.3, recenter=True, normalization="unit-cube",
+    ),
+    # The registration network of the 3DMatch tables, trained on KeypointNet.
+    "3dmatch": PAPER | dict(
+        steps=21600, num_points=2048, num_occupancy=1000, grid_size=6, grid_fraction=12.0, jitter_clip=0.01,
+        max_downsampling=1.0,
     ),
 }  # fmt: skip
 
@@ -157,7 +180,7 @@ def parse_arguments(argv, description):
     return check(TrainConfig(**{k: tuple(v) if isinstance(v, list) else v for k, v in values.items()}))
 
 
-NETWORK_SHAPE = "resolution", "unet_levels", "unet_base_channels", "c_dim"
+NETWORK_SHAPE = "resolution", "unet_levels", "unet_base_channels", "c_dim", "scatter"
 
 
 def shape_of(weights):
@@ -199,8 +222,11 @@ def check(config):
             refuse(name, "within [0, 1]")
     if not 0 <= config.ema_decay < 1:
         refuse("ema_decay", "within [0, 1)")
-    if config.fresh_saliency and not config.init:
-        raise SystemExit("--fresh-saliency needs --init: without it every part of the network starts anew")
+    for name in ("fresh_saliency", "revive"):
+        if getattr(config, name) and not config.init:
+            raise SystemExit(
+                f"--{name.replace('_', '-')} needs --init: without it every part of the network starts anew"
+            )
     if config.max_downsampling < 1:
         refuse("max_downsampling", "1 or more")
     if config.resolution >> (config.unet_levels - 1) < 1:
@@ -219,5 +245,6 @@ def to_json(config):
 
 
 def from_json(text):
-    """Inverse of `to_json`."""
-    return TrainConfig(**{k: tuple(v) if isinstance(v, list) else v for k, v in json.loads(text).items()})
+    """Inverse of `to_json`; configurations from before soft scattering are hard."""
+    values = {"scatter": "hard"} | json.loads(text)
+    return TrainConfig(**{k: tuple(v) if isinstance(v, list) else v for k, v in values.items()})

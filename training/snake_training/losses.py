@@ -29,6 +29,12 @@ def masked_mean(values, mask, processes=1):
     return processes * (mask * values).sum() / count.clamp(min=1)
 
 
+def mean_of_views(loss, *fields, processes=1):
+    """Mean of a loss over the two views of fields (B, 2, ...), each view with its own mean, as in the released code."""
+    views = zip(*(field.unbind(1) for field in fields))
+    return sum(loss(*view, processes) for view in views) / 2
+
+
 def occupancy_loss(occupancy, target):
     """Binary cross-entropy of eq. 2, with the released code's log(x + 1e-5)."""
     return -(target * torch.log(occupancy + 1e-5) + (1 - target) * torch.log(1 - occupancy + 1e-5)).mean()
@@ -80,8 +86,8 @@ def snake_losses(network, batch, autocast, processes=1):
     losses = {
         "occupancy": occupancy_loss(occupancy[:, :, :number], target),
         "repeatability": repeatability_loss(*grid_saliency.unbind(1), *inside.unbind(1), processes),
-        "surface": surface_loss(occupancy, saliency, counted, processes),
-        "sparsity": sparsity_loss(grid_occupancy, grid_saliency, inside, processes),
+        "surface": mean_of_views(surface_loss, occupancy, saliency, counted, processes=processes),
+        "sparsity": mean_of_views(sparsity_loss, grid_occupancy, grid_saliency, inside, processes=processes),
     }
     on_surface = inside & (grid_occupancy >= 0.5)
     return losses, masked_mean((grid_saliency.detach() > 0.9).float(), on_surface, processes)

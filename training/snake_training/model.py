@@ -26,6 +26,11 @@ class NetworkConfig:
     unet_levels: int = 4
     unet_base_channels: int = 32
     group_norm_groups: int = 8
+    scatter: str = "hard"  # features to voxels: each to its own voxel (as released), or "soft", to its eight voxels
+
+    def __post_init__(self):
+        if self.scatter not in ("hard", "soft"):
+            raise ValueError(f"scatter {self.scatter!r} is neither hard nor soft")
 
     def to_metadata(self):
         """Metadata strings of the weight file, `format_version` 1."""
@@ -41,10 +46,11 @@ class NetworkConfig:
         """Inverse of `to_metadata`; unknown keys are ignored."""
         if metadata.get("format") != "snake-field" or int(metadata.get("format_version", 0)) != 1:
             raise ValueError("not a snake-field weight file of format version 1")
+        metadata = {"scatter": "hard"} | metadata  # files from before soft scattering do not say
         missing = [name for name in cls.__dataclass_fields__ if name not in metadata]
         if missing:
             raise ValueError(f"the weight file's metadata lacks {', '.join(missing)}")
-        read = {int: int, float: float, tuple: lambda text: tuple(json.loads(text))}
+        read = {int: int, float: float, str: str, tuple: lambda text: tuple(json.loads(text))}
         return cls(**{name: read[field.type](metadata[name]) for name, field in cls.__dataclass_fields__.items()})
 
 
@@ -163,9 +169,30 @@ class PointEncoder(nn.Module):
         volume = (total / count.clamp(min=1).unsqueeze(1)).reshape(batch, size, channels)
         return volume.transpose(1, 2).reshape(batch, channels, *reversed(self.config.resolution))
 
+    def scatter_soft(self, features, points):
+        """features (B, N, C) of points (B, N, 3) -> volume (B, C, D, H, W), anti-aliased; zero far from the points.
+
+        Each feature is added to its 8 voxels with the trilinear weights w that `interpolate` reads them with. A voxel
+        of mass m = sum w holds sum w f / max(m, mean mass of the cloud's voxels with mass): a weighted mean where points
+        are many, and less where few points touch the voxel's border.
+        """
+        batch, _, channels = features.shape
+        size = voxels_per_volume(self.config)
+        voxels, weights = corner_voxels(points, self.config)
+        index = (voxels + torch.arange(batch, device=voxels.device)[:, None, None] * size).reshape(-1)
+        mass = features.new_zeros(batch * size).index_add(0, index, weights.reshape(-1))
+        spread = (weights.unsqueeze(-1) * features.unsqueeze(1)).reshape(-1, channels)
+        total = features.new_zeros(batch * size, channels).index_add(0, index, spread).reshape(batch, size, channels)
+        mass = mass.reshape(batch, size)
+        typical = mass.sum(dim=1, keepdim=True) / (mass > 0).sum(dim=1, keepdim=True)
+        volume = total / torch.maximum(mass, typical).unsqueeze(-1)
+        return volume.transpose(1, 2).reshape(batch, channels, *reversed(self.config.resolution))
+
     def forward(self, points, autocast=False):
         voxels = voxel_index(points, self.config)
-        volume = self.scatter_mean(self.point_features(points, voxels), voxels)
+        features = self.point_features(points, voxels)
+        soft = self.config.scatter == "soft"
+        volume = self.scatter_soft(features, points) if soft else self.scatter_mean(features, voxels)
         if volume.device.type == "cpu":
             volume = volume.contiguous(memory_format=torch.channels_last_3d)
         with torch.autocast(volume.device.type, torch.bfloat16, enabled=autocast):
@@ -256,6 +283,22 @@ def voxel_index(points, config):
     cell = (to_volume_frame(points, config) * resolution).long()
     x, y, _ = config.resolution
     return cell[..., 0] + x * (cell[..., 1] + y * cell[..., 2])
+
+
+def corner_voxels(points, config):
+    """Flat indices and trilinear weights (B, 8, N) of the voxels about each point, corners aligned as in `interpolate`."""
+    resolution = torch.tensor(config.resolution, device=points.device)
+    at = to_volume_frame(points, config) * (resolution - 1)
+    lower = torch.minimum(at.long(), (resolution - 2).clamp(min=0))
+    above = at - lower
+    x, y, _ = config.resolution
+    voxels, weights = [], []
+    for corner in range(8):
+        step = torch.tensor([corner & 1, corner >> 1 & 1, corner >> 2], device=points.device)
+        cell = torch.minimum(lower + step, resolution - 1)
+        voxels.append(cell[..., 0] + x * (cell[..., 1] + y * cell[..., 2]))
+        weights.append(torch.where(step == 1, above, 1 - above).prod(dim=-1))
+    return torch.stack(voxels, dim=1), torch.stack(weights, dim=1)
 
 
 def interpolate(volume, queries, config):

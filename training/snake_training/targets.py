@@ -103,6 +103,41 @@ def surface_variation(surface, queries, radius=0.15):
     return (response + 1e-9).log().float().numpy(), (-0.5 * beyond.square()).exp().numpy()
 
 
+@torch.no_grad()
+def local_contrast(surface, queries, scales=((0.25, 0.3), (0.5, 0.15)), samples=2048):
+    """What local targets are made from, both (Q,): how much the surface (M, 3) about each query (Q, 3) stands out from its
+    neighbourhood, in standard deviations, and how near the surface is, from 0 to 1.
+
+    What stands out is the distance of a surface point from the centroid of the surface within a radius, divided by the
+    radius (the zero-moment shift of Clarenz et al. 2004): large at tips, corners and edges. It is an average over many points, so noise
+    hardly moves it. For each pair (radius, neighbourhood) of `scales` its mean within the neighbourhood is subtracted and
+    the rest divided by the deviation there; the scores are averaged. A query takes the score of the surface nearest to it.
+    """
+    surface, queries = torch.from_numpy(surface[:samples]), torch.from_numpy(queries)
+    squared = torch.cdist(surface, surface).square()
+
+    def kernel(radius):
+        weight = (1 - squared / radius**2).clamp(min=0)
+        return weight / weight.sum(dim=1, keepdim=True)
+
+    score = torch.zeros(len(surface))
+    for radius, neighborhood in scales:
+        offset = (kernel(radius) @ surface - surface).norm(dim=1) / radius
+        near = kernel(neighborhood)
+        mean = near @ offset
+        deviation = (near @ offset.square() - mean.square()).clamp(min=0).sqrt()
+        score += (offset - mean) / (deviation + 0.1 * offset.std() + 1e-6) / len(scales)
+    values, apart = [], []
+    for some in queries.split(512):  # what fits a cache
+        distance = torch.cdist(some, surface)
+        nearest = distance.amin(dim=1)
+        weight = (-0.5 * (distance.square() - nearest[:, None].square()) / 0.0125**2).exp()
+        values.append(weight @ score / weight.sum(dim=1))
+        apart.append(nearest)
+    beyond = (torch.cat(apart) - 0.01).clamp(min=0) / 0.02
+    return torch.cat(values).numpy(), (-0.5 * beyond.square()).exp().numpy()
+
+
 def rank_targets(log_odds, occupancy):
     """Target log-odds, same shape, from the averaged fields, or the `surface_variation`, of all shapes.
 
@@ -118,6 +153,28 @@ def rank_targets(log_odds, occupancy):
         raise ValueError("the network sees no surface anywhere: train it first")
     share = 1 - np.searchsorted(ranked, score) / len(ranked)
     return np.maximum(-0.6 * np.log(share + 1e-4) - 1 + surface, -3)
+
+
+@torch.no_grad()
+def sharpen(target, queries, radius=0.15):
+    """Targets (Q,) of one shape's queries (Q, 3) with a sharp peak at each local maximum, wherever on the shape it is.
+
+    A logarithm of the share of the surface queries within `radius` that have a higher target, plus a quarter of the target,
+    by which the peaks are ordered. What a shape's best place does to `rank_targets`, each place does to its neighbourhood.
+    """
+    at, value = torch.from_numpy(queries), torch.from_numpy(target)
+    sharp = torch.full_like(value, -3.0)
+    asked = value > -2.9
+    at, value = at[asked], value[asked]
+    on_surface = (value > -1.3).float()
+    shares = []
+    for some, values in zip(at.split(512), value.split(512)):
+        weight = (1 - torch.cdist(some, at).square() / radius**2).clamp(min=0) * on_surface
+        higher = (weight * (value[None] > values[:, None])).sum(dim=1)
+        shares.append(higher / weight.sum(dim=1).clamp(min=1e-6))
+    peaks = -0.6 * (torch.cat(shares) + 0.01).log() - 1 + 0.25 * value - 0.6 * (1 - on_surface)
+    sharp[asked] = peaks.clamp(min=-3)
+    return sharp.numpy()
 
 
 class Targets:
@@ -150,11 +207,12 @@ class Targets:
         return points.reshape(self.views[row], -1, 3), queries, self.target[row].astype(np.float32)
 
 
-def write_targets(path, teacher, shapes, rotations=8, queries=4096, points=4096, seed=1, metadata=None):
+def write_targets(path, teacher, shapes, rotations=8, queries=4096, points=4096, seed=1, metadata=None, local=None):
     """Targets of all shapes, each with its own seed, to a safetensors file (temporary name, then rename).
 
     A shape is a cloud (M, 3), or a `Place` whose number of views divides `points`. Without a teacher, and of places
-    always, the targets are the `surface_variation`. Its ranks are those within a cloud, which is as it is seen; places
+    always, the targets are the `surface_variation`, or if `local` is "contrast" or "peaks" the `local_contrast`, for peaks
+    with `sharpen`. Its ranks are those within a cloud, which is as it is seen; places
     are parts of larger scenes and are ranked together, as a teacher's values are.
     """
     stored = {
@@ -178,13 +236,16 @@ def write_targets(path, teacher, shapes, rotations=8, queries=4096, points=4096,
                 turns = np.stack([random_rotation(rng) for _ in range(rotations)])
                 log_odds[row], occupancy[row] = averaged_fields(teacher, cloud, at, turns)
             else:
-                log_odds[row], occupancy[row] = surface_variation(cloud, at)
+                log_odds[row], occupancy[row] = (local_contrast if local else surface_variation)(cloud, at)
                 alone.append(row)
         stored["points"][row], stored["queries"][row] = ((a / QUANTUM).round() for a in (cloud, at))
     target = np.empty(log_odds.shape, np.float16)
     together = np.setdiff1d(np.arange(len(shapes)), alone)
     for rows in [*alone, together] if len(together) else alone:
         target[rows] = rank_targets(log_odds[rows], occupancy[rows])
+    for row in range(len(shapes)) if local == "peaks" else ():
+        at = stored["queries"][row].astype(np.float32) * QUANTUM
+        target[row] = sharpen(target[row].astype(np.float32), at)
     stored |= {"target": target, "views": views}
     with replacing(path) as temporary:
         save_file(stored, temporary, metadata=FORMAT | (metadata or {}))
@@ -211,6 +272,12 @@ def main(argv=None):
         type=int,
         default=0,
         help="instead: this many places in rooms, with the data in them; no weights are used",
+    )
+    parser.add_argument(
+        "--local",
+        choices=("contrast", "peaks"),
+        help="instead of a teacher: how much the surface stands out from its neighbourhood, ranked over the whole shape; "
+        "peaks: ranked in each neighbourhood too",
     )
     parser.add_argument("--rotations", type=int, default=8, help="rotated copies averaged")
     parser.add_argument("--queries", type=int, default=4096, help="queries a shape")
@@ -242,6 +309,8 @@ def main(argv=None):
         settings = {name: json.dumps(getattr(arguments, name)) for name in ("weights", "rotations", "seed")}
         if arguments.places and arguments.weights:
             parser.error("--places makes its targets without a teacher; leave out the WEIGHTS")
+        if arguments.local and (arguments.weights or arguments.places):
+            parser.error("--local makes its targets of whole shapes without a teacher; leave out WEIGHTS and --places")
         teachers = {
             "snake-rs": snake_rs_teacher,
             "torch": lambda weights: torch_teacher(load_network(weights, arguments.device)),
@@ -249,7 +318,7 @@ def main(argv=None):
         teacher = teachers[arguments.engine](arguments.weights) if arguments.weights else None
         write_targets(
             arguments.output, teacher, shapes, arguments.rotations, arguments.queries, arguments.points,
-            arguments.seed, settings,
+            arguments.seed, settings, arguments.local,
         )  # fmt: skip
     except (OSError, ValueError) as error:
         parser.error(str(error))

@@ -21,7 +21,7 @@ from .device import choose_device
 from .evaluate import DetectOptions, candidates, repeatability, suppress
 from .export import build_network, load_network, replacing
 from .losses import distillation_losses, snake_losses
-from .model import Decoder, SnakeNetwork
+from .model import Decoder, PointEncoder, SnakeNetwork, voxel_index
 from .targets import Targets
 
 DESCRIPTION = """Train a SNAKE keypoint field without labels. Running the same command again resumes the run from its last
@@ -107,7 +107,49 @@ def starting_network(config):
         raise SystemExit(f"--init {config.init}: {error}") from error
     if config.fresh_saliency:
         network.decoder_keypoint = Decoder(config.network)
+    if config.revive:
+        network.encoder = revived(network.encoder)
     return network
+
+
+@torch.no_grad()
+def revived(encoder):
+    """An encoder with new layers before the volume, whose features vary a little about the old one's mean."""
+    config = encoder.config
+    points = torch.rand(1, 4096, 3) - 0.5
+    mean = encoder.point_features(points, voxel_index(points, config)).mean(dim=(0, 1))
+    fresh = PointEncoder(config)
+    fresh.unet3d = encoder.unet3d
+    fresh.fc_c.weight *= 0.3
+    fresh.fc_c.bias.copy_(mean)
+    return fresh
+
+
+@torch.no_grad()
+def encoder_health(encoder, points):
+    """How alive the point encoder is, by name, for points (B, N, 3).
+
+    dead_share: layers of which more than nine tenths of the weights are below 1e-6; feature_deviation: standard deviation of the
+    features over points, relative to their root mean square. A dead encoder has features that do not vary.
+    """
+    weights = [p for name, p in encoder.named_parameters() if p.dim() == 2 and not name.startswith("unet3d")]
+    dead = [bool((weight.abs() < 1e-6).float().mean() > 0.9) for weight in weights]
+    features = encoder.point_features(points, voxel_index(points, encoder.config)).flatten(0, 1)
+    spread = features.var(dim=0).mean().sqrt() / features.square().mean().sqrt().clamp(min=1e-12)
+    return {"dead_share": float(np.mean(dead)), "feature_deviation": float(spread)}
+
+
+def make_optimizer(network, config):
+    """AdamW, without decay on the layers before the volume.
+
+    The L2 penalty inside Adam is divided by the gradient's own scale: where gradients are small it alone decides, and it
+    set every point encoder trained with it to zero.
+    """
+    point_encoder = [p for name, p in network.encoder.named_parameters() if not name.startswith("unet3d")]
+    kept = {id(p) for p in point_encoder}
+    others = [p for p in network.parameters() if id(p) not in kept]
+    groups = [{"params": others}, {"params": point_encoder, "weight_decay": 0.0}]
+    return torch.optim.AdamW(groups, lr=config.learning_rate, weight_decay=config.weight_decay)
 
 
 def open_log(run):
@@ -154,7 +196,7 @@ def run_steps(config):
     except (OSError, ValueError) as error:
         raise SystemExit(str(error)) from error
     average = copy.deepcopy(network).requires_grad_(False)
-    optimizer = torch.optim.Adam(network.parameters(), lr=config.learning_rate, weight_decay=config.weight_decay)
+    optimizer = make_optimizer(network, config)
     step, best = 0, -1.0
     if resumed:
         state = torch.load(run / "last.pt", map_location="cpu", weights_only=True)
@@ -179,7 +221,8 @@ def run_steps(config):
     share = config.batch // world
     running = {}
     while step < config.steps:
-        optimizer.param_groups[0]["lr"] = learning_rate(config, step)
+        for group in optimizer.param_groups:
+            group["lr"] = learning_rate(config, step)
         batch = make_batch(shapes, config, step * config.batch + rank * share, share, device)
         losses, saturated = losses_of(model, batch, config.bf16, world)
         loss = total_loss(losses, config)
@@ -208,6 +251,7 @@ def run_steps(config):
                 write_scalars(log, "train", running, step)
             if step % config.validate_every == 0 or finished:
                 values = validate(average, config, held_out, device)
+                values |= encoder_health(average.encoder, batch["points"].flatten(0, 1))
                 write_scalars(log, "validation", values, step)
                 tqdm.write(f"step {step}: " + " ".join(f"{k}={v:.3f}" for k, v in values.items()))
                 score = values["repeatability_nms_0.01"] + values["repeatability_nms_0.05"]

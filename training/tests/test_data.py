@@ -117,7 +117,10 @@ def motion(views):
 @pytest.mark.parametrize("kind", ["so3", "euler"])
 @pytest.mark.parametrize("translation", [0.0, 0.2])
 def test_the_second_view_is_the_first_moved_by_one_rigid_motion(tiny, kind, translation):
-    config = tiny(rotation=kind, translation=translation, jitter_sigma=0.0, max_downsampling=1.0, num_points=600)
+    config = tiny(
+        rotation=kind, translation=translation, jitter_sigma=0.0, max_downsampling=1.0, num_points=600,
+        with_replacement=False,
+    )  # fmt: skip
     points = cloud()
     views = two_views(points, config, rng())
     rotation, shift = motion(views)
@@ -136,7 +139,7 @@ def test_the_second_view_is_the_first_moved_by_one_rigid_motion(tiny, kind, tran
 
 
 def test_grids_are_cubes_of_a_sixth_around_input_points(tiny):
-    config = tiny(grid_size=3, grid_fraction=6.0)
+    config = tiny(grid_size=3, grid_fraction=6.0, with_replacement=False)
     views = two_views(cloud(), config, rng())
     grids = views["grids"][0]
     centers = grids[:, 13]  # the middle one of 27
@@ -146,7 +149,7 @@ def test_grids_are_cubes_of_a_sixth_around_input_points(tiny):
 
 
 def test_jitter_is_clipped_and_only_on_the_second_views_input(tiny):
-    config = tiny(jitter_sigma=0.1, jitter_clip=0.02, max_downsampling=1.0, num_points=600)
+    config = tiny(jitter_sigma=0.1, jitter_clip=0.02, max_downsampling=1.0, num_points=600, with_replacement=False)
     points = cloud()
     views = two_views(points, config, rng())
     rotation, shift = motion(views)
@@ -167,9 +170,28 @@ def test_the_number_of_points_is_constant(tiny, number):
 
 
 def test_downsampling_thins_the_second_view_by_up_to_the_rate(tiny):
-    config = tiny(num_points=600, max_downsampling=4.0, jitter_sigma=0.0)
+    config = tiny(num_points=600, max_downsampling=4.0, jitter_sigma=0.0, with_replacement=False)
     distinct = [len(np.unique(two_views(cloud(), config, rng(seed))["points"][1], axis=0)) for seed in range(40)]
     assert 150 <= min(distinct) < 200 and 400 < max(distinct) <= 600
+
+
+def test_views_have_as_many_distinct_points_as_the_released_codes(tiny):
+    """Of 5000 drawn from 8192 points it has 3740 in the first view and 1898 in the second, on average over the rates."""
+    config = tiny(num_points=5000, max_downsampling=4.0, jitter_sigma=0.0)
+    points = [two_views(cloud(8192), config, rng(seed))["points"] for seed in range(30)]
+    distinct = np.mean([[len(np.unique(view, axis=0)) for view in views] for views in points], axis=0)
+    assert abs(distinct[0] - 3740) < 30 and abs(distinct[1] - 1898) < 250
+
+
+def test_the_second_view_can_be_recentered(tiny):
+    means = {}
+    for recenter in (False, True):
+        config = tiny(recenter=recenter, translation=0.3, jitter_sigma=0.0, num_points=600)
+        views = two_views(cloud(), config, rng())
+        motion(views)  # grids and surface queries move with the points
+        surface = views["occupancy_queries"][1, : config.num_occupancy]
+        means[recenter] = np.abs(surface.mean(axis=0)).max()
+    assert means[False] > 0.1 and means[True] < 0.06
 
 
 def test_points_shifted_out_of_the_volume_are_dropped_and_replaced(tiny):

@@ -134,9 +134,10 @@ def test_snake_losses_puts_each_query_where_it_belongs():
     losses, saturated = snake_losses(Fields(), batch, autocast=False)
     assert losses["occupancy"].item() == pytest.approx((3 * -math.log(1 + 1e-5) - math.log(1e-5)) / 4, rel=1e-5)
     assert losses["repeatability"].item() == 0  # the only grid is half outside in view 2
-    # Off the surface: 0.2 in view 1; 0.1 and 0.4 in view 2; the grid point outside is not among the seven counted.
-    assert losses["surface"].item() == pytest.approx((0.2 + 0.1 + 0.4) / 7, rel=1e-5)
-    assert losses["sparsity"].item() == pytest.approx(1 - (0.3 - 0.2), abs=1e-5)  # view 1's grid alone
+    # Off the surface: 0.2 of four in view 1; 0.1 and 0.4 of three in view 2, whose grid point outside is not counted.
+    # The mean of the two views' means, as the released code has it, not the mean of all seven.
+    assert losses["surface"].item() == pytest.approx((0.2 / 4 + (0.1 + 0.4) / 3) / 2, rel=1e-5)
+    assert losses["sparsity"].item() == pytest.approx((1 - (0.3 - 0.2)) / 2, abs=1e-5)  # view 2 has no grid and adds 0
     assert saturated.item() == 0
 
 

@@ -18,8 +18,10 @@ from snake_training.losses import distillation_losses
 from snake_training.targets import (
     Targets,
     averaged_fields,
+    local_contrast,
     rank_targets,
     sample_queries,
+    sharpen,
     snake_rs_teacher,
     surface_variation,
     torch_teacher,
@@ -86,6 +88,41 @@ def test_surface_variation_is_that_of_the_weighted_covariance():
         weight = np.maximum(1 - ((surface - query) ** 2).sum(axis=1) / 0.2**2, 0)
         values = np.linalg.eigvalsh(np.cov(surface.T, aweights=weight, ddof=0))
         assert np.isclose(response, np.log(values[0] ** 2 / values.sum()), atol=1e-3)
+
+
+def test_corners_and_tips_stand_out_from_their_own_surroundings():
+    rng = np.random.default_rng(1)
+    cube = rng.uniform(-0.25, 0.25, (6000, 3))
+    axis = rng.integers(3, size=6000)
+    cube[np.arange(6000), axis] = rng.choice([-0.25, 0.25], 6000)
+    cube = cube.astype(np.float32)
+    corner, edge, face, inside = [0.25] * 3, [0.25, 0.25, 0], [0.25, 0, 0], [0, 0, 0]
+    score, nearness = local_contrast(cube, np.float32([corner, edge, face, inside]))
+    assert score[0] > score[1] + 0.5 > score[2] + 1
+    assert (nearness[:3] > 0.5).all() and nearness[3] < 0.01
+
+
+def test_contrast_hardly_changes_with_other_points_of_the_same_surface():
+    rng = np.random.default_rng(2)
+    directions = rng.normal(size=(2, 4096, 3))
+    directions /= np.linalg.norm(directions, axis=2, keepdims=True)
+    first, second = (directions * (0.2, 0.3, 0.4)).astype(np.float32)  # two samples of an ellipsoid
+    one, other = (local_contrast(cloud, first[:200])[0] for cloud in (first, second))
+    assert np.corrcoef(one, other)[0, 1] > 0.8
+
+
+def test_every_place_gets_a_sharp_peak_whatever_its_height():
+    rng = np.random.default_rng(3)
+    queries = rng.uniform(-0.5, 0.5, (4000, 3)).astype(np.float32)
+    queries[:, 2] = 0
+    centers = np.float32([[-0.3, 0, 0], [0.3, 0, 0]])
+    bumps = [h * np.exp(-((queries - c) ** 2).sum(axis=1) / (2 * 0.1**2)) for h, c in zip((3, 1), centers)]
+    target = (sum(bumps) - 1).astype(np.float32)
+    sharp = sharpen(target, queries)
+    high, low = (sharp[np.argmin(((queries - c) ** 2).sum(axis=1))] for c in centers)
+    slope = sharp[np.argmin(((queries - (-0.3, 0.1, 0)) ** 2).sum(axis=1))]
+    assert high > low > slope + 0.5  # before, the high bump's slope was above the low bump's top
+    assert sharpen(np.full(10, -3, np.float32), queries[:10]).max() == -3
 
 
 def test_clouds_without_a_teacher_are_ranked_by_themselves(tmp_path):
@@ -199,6 +236,7 @@ def test_the_command_writes_targets_and_refuses_what_it_cannot_do(tmp_path, netw
         ([str(weights), "--procedural", "2"], 2),
         ([str(weights), "--procedural", "2", "--engine", "snake-rs"], 2),
         (["--procedural", "2"], 2),
+        (["--procedural", "2", "--local", "peaks"], 2),
         (["--places", "1"], 1),
     ):
         module.main([*given, "-o", str(output), *small])
@@ -208,6 +246,7 @@ def test_the_command_writes_targets_and_refuses_what_it_cannot_do(tmp_path, netw
         ([str(weights), "--procedural", "0"], "no shapes"),
         ([str(weights), "--rotations", "0"], "--rotations must be 1 or more"),
         ([str(weights), "--places", "1"], "leave out the WEIGHTS"),
+        ([str(weights), "--local", "peaks"], "leave out WEIGHTS"),
     ):
         with pytest.raises(SystemExit):
             module.main(["-o", str(output), *small, *wrong])

@@ -19,7 +19,7 @@ from snake_training import train as training
 from snake_training.config import PRESETS, TrainConfig, check, from_json, parse_arguments, to_json
 from snake_training.export import load_network, read_checkpoint, write_weights
 from snake_training.losses import snake_losses
-from snake_training.model import SnakeNetwork
+from snake_training.model import SnakeNetwork, voxel_index
 from snake_training.train import learning_rate, make_batch, train, update_average
 
 
@@ -287,7 +287,10 @@ def test_the_papers_presets_have_the_papers_figures():
     paper = parse_arguments(["--preset", "keypointnet"], "")
     assert sum(p.numel() for p in SnakeNetwork(paper.network).parameters()) == 4_182_658
     assert (paper.grid_size, paper.grid_fraction, paper.num_grids, paper.num_points) == (8, 8.0, 500, 2048)
-    assert parse_arguments(["--preset", "3dmatch"], "").resolution == 100
+    redwood, registration = (parse_arguments(["--preset", name], "") for name in ("redwood", "3dmatch"))
+    assert (redwood.resolution, redwood.grid_size, redwood.recenter) == (100, 10, True)
+    found = registration.resolution, registration.grid_size, registration.grid_fraction, registration.num_points
+    assert found == (64, 6, 12.0, 2048)
     assert parse_arguments([], "") == TrainConfig()
 
 
@@ -366,3 +369,54 @@ def test_a_run_on_the_gpu(tiny):
     train(config)
     assert state(config)["step"] == 2
     assert all(math.isfinite(value) for steps in scalars(config).values() for value in steps.values())
+
+
+# A living encoder
+
+
+def test_a_short_run_keeps_the_encoder_alive(tiny):
+    config = tiny(steps=80, learning_rate=1e-2, weight_decay=0.05, clip_norm=1.0)
+    torch.manual_seed(config.seed)
+    start = training.encoder_health(SnakeNetwork(config.network).encoder, torch.rand(2, 64, 3) - 0.5)
+    train(config)
+    network = load_network(config.run_dir)
+    end = training.encoder_health(network.encoder, torch.rand(2, 64, 3) - 0.5)
+    assert start["dead_share"] < 0.5  # the last layers of the blocks start at zero
+    assert end["dead_share"] == 0 and end["feature_deviation"] > 0.005  # 0 with the L2 penalty inside Adam
+
+
+def test_weights_without_gradient_are_not_decayed(network, tiny):
+    optimizer = training.make_optimizer(network, tiny(weight_decay=0.1))
+    before = {name: p.detach().clone() for name, p in network.named_parameters()}
+    for parameter in network.parameters():
+        parameter.grad = torch.zeros_like(parameter)
+    for _ in range(50):
+        optimizer.step()
+    for name, parameter in network.named_parameters():
+        if name.startswith("encoder.") and not name.startswith("encoder.unet3d."):
+            assert torch.equal(parameter, before[name]), name
+
+
+def test_health_tells_a_dead_encoder_from_a_living_one(network):
+    points = torch.rand(2, 64, 3) - 0.5
+    alive = training.encoder_health(network.encoder, points)
+    assert alive["dead_share"] == 0 and alive["feature_deviation"] > 0.02
+    network.encoder.fc_pos.weight.data.zero_()
+    network.encoder.fc_pos.bias.data.zero_()
+    for block in network.encoder.blocks:
+        for parameter in block.parameters():
+            parameter.data.zero_()
+    dead = training.encoder_health(network.encoder, points)
+    assert dead["dead_share"] > 0.9 and dead["feature_deviation"] < 1e-6
+
+
+def test_a_revived_encoder_starts_from_the_mean_of_the_dead_one(network):
+    for parameter in network.encoder.blocks.parameters():
+        parameter.data.zero_()
+    points = torch.rand(1, 64, 3) - 0.5
+    fresh = training.revived(network.encoder)
+    assert fresh.unet3d is network.encoder.unet3d
+    assert training.encoder_health(fresh, points)["feature_deviation"] > 0.01
+    voxels = voxel_index(points, network.config)
+    old, new = (e.point_features(points, voxels).detach().mean(dim=1) for e in (network.encoder, fresh))
+    assert torch.allclose(old, new, atol=0.3)

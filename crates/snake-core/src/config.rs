@@ -4,6 +4,27 @@ use crate::volume::VolumeFrame;
 use crate::weights::{self, Weights};
 use crate::{Result, budget};
 
+/// How the encoder brings features from points to voxels.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub enum Scatter {
+    /// Each voxel holds the mean of the points that fall into it (the authors' network).
+    #[default]
+    Hard,
+    /// Each feature is spread over the eight voxels about its point with trilinear weights, and a voxel's sum is divided by
+    /// its mass or the cloud's typical voxel mass, whichever is larger.
+    Soft,
+}
+
+impl Scatter {
+    /// The name in a weight file's metadata: `hard` or `soft`.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Hard => "hard",
+            Self::Soft => "soft",
+        }
+    }
+}
+
 /// The shape of a network, read from the weight file's metadata.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct ModelConfig {
@@ -23,6 +44,8 @@ pub struct ModelConfig {
     pub unet_base_channels: usize,
     /// Groups of its normalisations (1 where a layer has fewer channels).
     pub group_norm_groups: usize,
+    /// How features get from points to voxels; files that do not say are hard.
+    pub scatter: Scatter,
 }
 
 impl ModelConfig {
@@ -50,6 +73,11 @@ impl ModelConfig {
             unet_levels: whole("unet_levels", 8)?,
             unet_base_channels: whole("unet_base_channels", 1024)?,
             group_norm_groups: whole("group_norm_groups", 1024)?,
+            scatter: match file.metadata.get("scatter").map(String::as_str) {
+                None | Some("hard") => Scatter::Hard,
+                Some("soft") => Scatter::Soft,
+                Some(other) => return Err(weights::error("scatter", "hard or soft", other.into())),
+            },
         };
         let smallest = 2.max(1 << (config.unet_levels - 1));
         let VolumeFrame { resolution, padding, z_bounds: [z_min, z_max] } = config.frame;

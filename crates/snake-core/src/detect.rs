@@ -7,8 +7,9 @@ use serde::Serialize;
 use crate::Result;
 use crate::control::Control;
 use crate::field::Field;
+use crate::modes::seek_modes;
 use crate::nms::{nearest_points, suppress};
-use crate::options::DetectOptions;
+use crate::options::{DetectOptions, Radii};
 use crate::points::{FinitePoints, Normalization, Point};
 use crate::query_grid::{QueryGrid, above_occupancy};
 use crate::refine::{Refined, refine};
@@ -124,11 +125,11 @@ impl Field {
     /// [`Error::DeadlineExceeded`](crate::Error::DeadlineExceeded).
     pub fn detect_with(&self, options: &DetectOptions, control: &Control) -> Result<Detection> {
         options.check(self.num_copies())?;
-        let nms_radius = options.nms_radius(self.points())?;
+        let radii = options.radii(self.points())?;
         let candidates = Candidates::of(self, options, |_| true, control)?;
         control.begin("suppression", 0).check()?;
         let occupancy = |_: &[usize], positions: &[Point]| self.occupancy(positions);
-        let mut detection = finish(candidates, self.finite_points(), nms_radius, options, occupancy)?;
+        let mut detection = finish(candidates, self.finite_points(), radii, options, occupancy)?;
         detection.num_skipped = self.num_skipped();
         detection.num_encoded = self.num_encoded();
         detection.normalization = Some(self.normalization());
@@ -198,14 +199,25 @@ fn above_saliency(field: &Field, refined: &[Refined], threshold: f32) -> Candida
 pub(crate) fn finish(
     candidates: Candidates,
     points: &FinitePoints,
-    nms_radius: f32,
+    radii: Radii,
     options: &DetectOptions,
     occupancy: impl FnOnce(&[usize], &[Point]) -> Result<Vec<f32>>,
 ) -> Result<Detection> {
     let start = Instant::now();
     let Candidates { positions, scores, mut counts, mut timing } = candidates;
-    let kept = suppress(&positions, &scores, nms_radius, options.max_keypoints)?;
-    let mut positions: Vec<Point> = kept.iter().map(|&index| positions[index]).collect();
+    let (kept, mut positions) = match radii.mode {
+        None => {
+            let kept = suppress(&positions, &scores, radii.nms, options.max_keypoints)?;
+            let positions: Vec<Point> = kept.iter().map(|&index| positions[index]).collect();
+            (kept, positions)
+        }
+        Some(radius) => {
+            let (starts, modes) = seek_modes(&positions, &scores, radius, options.max_keypoints)?;
+            let of_starts: Vec<f32> = starts.iter().map(|&start| scores[start]).collect();
+            let kept = suppress(&modes, &of_starts, radii.nms, options.max_keypoints)?;
+            kept.iter().map(|&mode| (starts[mode], modes[mode])).unzip()
+        }
+    };
     let nearest = nearest_points(&points.points, &positions)?;
     if options.snap {
         positions = nearest.iter().map(|&index| points.points[index]).collect();
@@ -239,6 +251,30 @@ pub(crate) mod tests {
             .collect();
         let field = Model::builtin(Builtin::Compact).encode(&points, &EncodeOptions::default()).unwrap();
         (points, field)
+    }
+
+    #[test]
+    fn keypoints_that_moved_to_modes_are_suppressed_again() {
+        let (_, field) = cylinder();
+        let found = |mode_radius, nms_radius: f64| {
+            let options = DetectOptions {
+                mode_radius,
+                nms_radius: Some(nms_radius.into()),
+                refine_steps: 0,
+                saliency_threshold: 0.0,
+                ..Default::default()
+            };
+            field.detect(&options).unwrap().keypoints
+        };
+        let modes = found(Some(Length::Units(0.1)), 0.1);
+        assert!(modes.len() > 5 && modes != found(None, 0.1));
+        assert!(modes.is_sorted_by(|a, b| a.saliency >= b.saliency));
+        for (i, a) in modes.iter().enumerate() {
+            for b in &modes[..i] {
+                let squared: f32 = (0..3).map(|axis| (a.position[axis] - b.position[axis]).powi(2)).sum();
+                assert!(squared > 0.1 * 0.1, "{a:?} {b:?}");
+            }
+        }
     }
 
     #[test]

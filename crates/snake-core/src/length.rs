@@ -1,4 +1,4 @@
-//! Lengths in cloud units or in multiples of a cloud's resolution.
+//! Lengths in cloud units, in multiples of a cloud's resolution, or in per cent of its radius.
 
 use std::fmt;
 use std::str::FromStr;
@@ -7,20 +7,23 @@ use serde::de::{self, Deserialize, Deserializer, Visitor};
 use serde::{Serialize, Serializer};
 
 use crate::neighbors::{Neighbors, vector};
-use crate::points::{FinitePoints, Point};
+use crate::points::{FinitePoints, Normalization, NormalizationMethod, Point};
 use crate::{Error, Result};
 
-/// A length in cloud units, or in multiples of the cloud's resolution, which is the mean distance of its points to
-/// their nearest other point. The text forms are `0.05` and `6r`; the JSON form is a number or such a text.
+/// A length in cloud units, in multiples of the cloud's resolution, or in per cent of its radius. The resolution is the
+/// mean distance of the points to their nearest other point; the radius is the largest distance of a point from their mean.
+/// The text forms are `0.05`, `6r` and `10%`; the JSON form is a number or such a text.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum Length {
     /// In cloud units.
     Units(f64),
     /// In multiples of the cloud's resolution.
     Resolutions(f64),
+    /// In per cent of the cloud's radius.
+    Percent(f64),
 }
 
-const FORMS: &str = "a number of cloud units such as `0.05`, or of the cloud's resolutions such as `6r`";
+const FORMS: &str = "a number of cloud units such as `0.05`, of the cloud's resolutions such as `6r`, or per cent of its radius as `10%`";
 
 impl Length {
     /// The length in the units of a cloud `(N, 3)`; `name` is the name in error messages.
@@ -34,10 +37,14 @@ impl Length {
     ///
     /// # Errors
     /// [`Error::Option`] when the length is not positive, or a multiple of a resolution of 0; [`Error::Input`] when a
-    /// resolution is needed and the cloud is empty or has a coordinate that is not finite.
+    /// resolution or a radius is needed and the cloud is empty, or all points are equal.
     pub fn in_units(self, name: &'static str, points: &[Point]) -> Result<f64> {
         match self {
             Self::Units(_) => self.resolve(name, || 0.0),
+            Self::Percent(share) => {
+                let radius = f64::from(Normalization::of(points, NormalizationMethod::UnitSphere)?.scale) / 2.0;
+                check(name, self, share / 100.0 * radius)
+            }
             Self::Resolutions(_) => {
                 let resolution = resolution("points", points)?;
                 self.resolve(name, || resolution)
@@ -45,19 +52,30 @@ impl Length {
         }
     }
 
-    /// [`Length::in_units`] for a known resolution, which is computed only if it is needed.
+    /// [`Length::in_units`] for a known resolution, which is computed only if it is needed. Per cent of a radius are an
+    /// error here.
     pub fn resolve(self, name: &'static str, resolution: impl FnOnce() -> f64) -> Result<f64> {
-        let length = match self {
-            Self::Units(length) => length,
-            Self::Resolutions(factor) => factor * resolution(),
-        };
-        // Squared lengths must neither vanish nor overflow.
-        if (1e-150..1e150).contains(&length) {
-            return Ok(length);
+        match self {
+            Self::Units(length) => check(name, self, length),
+            Self::Resolutions(factor) => check(name, self, factor * resolution()),
+            Self::Percent(_) => check(name, self, f64::NAN),
         }
-        let allowed = "a positive length (units of the cloud), or as in `6r` a positive multiple of its resolution, which must not be 0";
-        Err(Error::Option { name, value: self.to_string(), allowed })
     }
+
+    /// The number alone, without its unit.
+    pub(crate) fn number(self) -> f64 {
+        let (Self::Units(number) | Self::Resolutions(number) | Self::Percent(number)) = self;
+        number
+    }
+}
+
+/// A length in a cloud's units if its square neither vanishes nor overflows.
+fn check(name: &'static str, given: Length, length: f64) -> Result<f64> {
+    if (1e-150..1e150).contains(&length) {
+        return Ok(length);
+    }
+    let allowed = "a positive length (units of the cloud), or as in `6r` a positive multiple of its resolution, which must not be 0";
+    Err(Error::Option { name, value: given.to_string(), allowed })
 }
 
 /// The resolution of a cloud `(N, 3)`: the mean distance of its finite points to their nearest other point.
@@ -77,6 +95,7 @@ impl fmt::Display for Length {
         match self {
             Self::Units(length) => write!(f, "{length}"),
             Self::Resolutions(factor) => write!(f, "{factor}r"),
+            Self::Percent(share) => write!(f, "{share}%"),
         }
     }
 }
@@ -85,9 +104,10 @@ impl FromStr for Length {
     type Err = Error;
 
     fn from_str(text: &str) -> Result<Self> {
-        let parsed = match text.strip_suffix('r') {
-            Some(factor) => factor.parse().map(Self::Resolutions),
-            None => text.parse().map(Self::Units),
+        let parsed = match (text.strip_suffix('r'), text.strip_suffix('%')) {
+            (Some(factor), _) => factor.parse().map(Self::Resolutions),
+            (_, Some(share)) => share.parse().map(Self::Percent),
+            _ => text.parse().map(Self::Units),
         };
         parsed.map_err(|_| Error::Option { name: "length", value: text.into(), allowed: FORMS })
     }
@@ -97,7 +117,7 @@ impl Serialize for Length {
     fn serialize<S: Serializer>(&self, serializer: S) -> std::result::Result<S::Ok, S::Error> {
         match self {
             Self::Units(length) => serializer.serialize_f64(*length),
-            Self::Resolutions(_) => serializer.collect_str(self),
+            Self::Resolutions(_) | Self::Percent(_) => serializer.collect_str(self),
         }
     }
 }
@@ -144,6 +164,7 @@ mod tests {
             ("0.05", "0.05", Length::Units(0.05)),
             ("6r", "\"6r\"", Length::Resolutions(6.0)),
             ("2.5r", "\"2.5r\"", Length::Resolutions(2.5)),
+            ("10%", "\"10%\"", Length::Percent(10.0)),
         ] {
             assert_eq!(text.parse::<Length>().unwrap(), length);
             assert_eq!(length.to_string(), text);
@@ -166,11 +187,14 @@ mod tests {
         let length = |length: Length| length.in_units("radius", &cloud).unwrap();
         assert_eq!(length(Length::Resolutions(3.0)), 5.0);
         assert_eq!(length(Length::Units(3.0)), 3.0);
+        assert!((length(Length::Percent(30.0)) - 0.7).abs() < 1e-6); // 30 % of 4 - 5/3
         let refused = |length: Length, cloud: &[Point]| length.in_units("radius", cloud).unwrap_err().to_string();
-        for length in [Length::Units(0.0), Length::Units(f64::NAN), Length::Resolutions(-1.0)] {
+        for length in [Length::Units(0.0), Length::Units(f64::NAN), Length::Resolutions(-1.0), Length::Percent(0.0)] {
             assert!(refused(length, &cloud).starts_with(&format!("option `radius` is {length}: ")));
         }
         assert!(refused(Length::Resolutions(3.0), &[[1.0; 3]; 2]).contains("must not be 0"));
+        assert!(Length::Percent(3.0).resolve("radius", || 1.0).is_err());
+        assert!(refused(Length::Percent(3.0), &[]).contains("no points"));
         assert!(refused(Length::Resolutions(3.0), &[]).contains("no points"));
         assert!(refused(Length::Resolutions(3.0), &[[f32::NAN; 3]]).contains("finite"));
     }

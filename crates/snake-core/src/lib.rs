@@ -30,6 +30,7 @@ mod grid;
 mod kd_tree;
 mod length;
 mod model;
+mod modes;
 mod neighbors;
 mod network;
 mod nms;
@@ -49,7 +50,7 @@ mod window_cells;
 mod windows;
 
 pub use cloud::{Cloud, add_origin, subtract_origin};
-pub use config::ModelConfig;
+pub use config::{ModelConfig, Scatter};
 pub use control::{CancelFlag, Control, Counter};
 pub use detect::{Counts, Detection, Keypoint, Timing};
 pub use error::{Error, Result};

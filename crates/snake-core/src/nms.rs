@@ -14,16 +14,31 @@ use crate::points::Point;
 /// Points are processed by falling score and, for equal scores, by rising index. At most `limit` are kept.
 /// A radius of 0 suppresses only by `limit`.
 pub(crate) fn suppress(points: &[Point], scores: &[f32], radius: f32, limit: usize) -> Result<Vec<usize>> {
-    let mut order: Vec<usize> = (0..points.len()).collect();
-    order.sort_by(|&a, &b| scores[b].total_cmp(&scores[a]).then(a.cmp(&b)));
     if radius <= 0.0 || points.is_empty() {
+        let mut order = by_falling_score(scores);
         order.truncate(limit);
         return Ok(order);
     }
-    let tree = KdTree::new(points)?;
+    Ok(suppress_in(&KdTree::new(points)?, points, scores, radius, limit))
+}
+
+fn by_falling_score(scores: &[f32]) -> Vec<usize> {
+    let mut order: Vec<usize> = (0..scores.len()).collect();
+    order.sort_by(|&a, &b| scores[b].total_cmp(&scores[a]).then(a.cmp(&b)));
+    order
+}
+
+/// [`suppress`] of points that a tree holds already, by a radius above 0.
+pub(crate) fn suppress_in(
+    tree: &KdTree<f32>,
+    points: &[Point],
+    scores: &[f32],
+    radius: f32,
+    limit: usize,
+) -> Vec<usize> {
     let mut alive = vec![true; points.len()];
     let mut kept = Vec::new();
-    for index in order {
+    for index in by_falling_score(scores) {
         if kept.len() == limit {
             break;
         }
@@ -32,7 +47,7 @@ pub(crate) fn suppress(points: &[Point], scores: &[f32], radius: f32, limit: usi
             tree.within(&points[index], radius * radius, |other, _| alive[other] = false);
         }
     }
-    Ok(kept)
+    kept
 }
 
 /// Index of the nearest point `(N, 3)` for each query `(M, 3)`; the lowest index among equally near points.

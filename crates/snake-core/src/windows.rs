@@ -37,7 +37,7 @@ pub(crate) fn detect_in_windows(
     let radius = radius.in_units("window_radius", &finite.points)?;
     check_radius(radius, || format!("{radius:e}"))?;
     let radius = radius as f32;
-    let nms_radius = options.nms_radius(&finite.points)?;
+    let radii = options.radii(&finite.points)?;
     let encoded = encode.sample(&finite.points);
     check_number_of_points(encoded.len())?;
     check_number_of_windows(&encoded, radius)?;
@@ -79,7 +79,7 @@ pub(crate) fn detect_in_windows(
     candidates.timing.scale_to(start.elapsed().as_secs_f64());
     control.begin("suppression", 0).check()?;
     let of_kept = |kept: &[usize], _: &[Point]| Ok(kept.iter().map(|&index| occupancy[index]).collect());
-    let mut detection = finish(candidates, &finite, nms_radius, options, of_kept)?;
+    let mut detection = finish(candidates, &finite, radii, options, of_kept)?;
     detection.num_skipped = points.len() - finite.points.len();
     detection.num_encoded = encoded.len();
     Ok(detection)

@@ -14,7 +14,7 @@ pub struct Corners {
 impl Corners {
     /// The weight of each corner: a product over the axes of the fraction or its complement.
     #[inline(always)]
-    fn weights(&self) -> [f32; 8] {
+    pub fn weights(&self) -> [f32; 8] {
         let [x, y, z] = self.fraction;
         let [x, y, z] = [[1.0 - x, x], [1.0 - y, y], [1.0 - z, z]];
         let mut weights = [0.0; 8];

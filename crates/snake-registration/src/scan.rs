@@ -180,7 +180,8 @@ impl Scan {
             self.model.detect_with(&self.voxel_means(), &options, control)?
         } else {
             // The suppression radius of a whole object is relative to its size; that of windows is in cloud units.
-            let options = DetectOptions { nms_radius: Some(Length::Units(self.voxel_size)), ..options };
+            let nms_radius = Some(Length::Units(self.voxel_size));
+            let options = DetectOptions { nms_radius, mode_radius: None, ..options };
             self.field(control)?.detect_with(&options, control)?
         };
         Ok(found.keypoints.into_iter().map(|keypoint| keypoint.position).collect())

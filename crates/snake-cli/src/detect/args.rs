@@ -83,8 +83,13 @@ pub struct DetectFlags {
     /// Keep only keypoints whose saliency, 0 to 1, is above this threshold.
     #[arg(long)]
     saliency_threshold: Option<f32>,
-    /// Radius of non-maximum suppression: keypoints are farther apart than this. The radius is in cloud units, or in
-    /// multiples of the cloud's resolution, the mean distance between nearest points (`3r`); 0 turns suppression off.
+    /// Before suppression, move keypoints to the weighted mean of the candidates within this radius. A length as of
+    /// --nms-radius.
+    #[arg(long, value_name = "LENGTH")]
+    mode_radius: Option<Length>,
+    /// Radius of non-maximum suppression: keypoints are farther apart than this. The radius is in cloud units, in
+    /// multiples of the cloud's resolution, the mean distance between nearest points (`3r`), or in per cent of the
+    /// cloud's radius (`10%`); 0 turns suppression off.
     #[arg(long, value_name = "LENGTH")]
     nms_radius: Option<Length>,
     /// Keep at most this many keypoints, those with the highest saliency.
@@ -110,6 +115,7 @@ impl DetectFlags {
         override_with(&mut detect.occupancy_threshold, self.occupancy_threshold);
         override_with(&mut detect.surface_threshold, self.surface_threshold);
         override_with(&mut detect.saliency_threshold, self.saliency_threshold);
+        override_with(&mut detect.mode_radius, self.mode_radius.map(Some));
         override_with(&mut detect.nms_radius, self.nms_radius.map(none_if_zero));
         override_with(&mut detect.max_keypoints, self.max_keypoints);
         override_with(&mut detect.snap, self.snap.then_some(true));

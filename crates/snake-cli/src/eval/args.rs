@@ -159,7 +159,7 @@ pub struct EvalArguments {
     #[arg(long)]
     pub preset: Option<String>,
     /// Radius of non-maximum suppression, in cloud units or in multiples of the cloud's resolution (`3r`). It applies
-    /// to the method snake [default: from its options], and in `semantic` to all ranked methods [default: 0.1].
+    /// to all ranked methods [default: from the options of snake, none for the others; in `semantic` 0.1 for all].
     #[arg(long, value_name = "LENGTH")]
     pub nms_radius: Option<Length>,
     /// Radius of the windows of the method snake, as in `detect` [default: from its options].

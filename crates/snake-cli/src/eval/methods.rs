@@ -15,8 +15,8 @@ pub enum Method {
 }
 
 impl Method {
-    /// The methods of the command line. If `spacing` is given, the ranked keypoints of the classical detectors are
-    /// farther apart than `--nms-radius`, or else than `spacing`.
+    /// The methods of the command line. With `--nms-radius`, or else with a `spacing`, the ranked keypoints of the
+    /// classical detectors too are farther apart than that.
     pub fn all(arguments: &EvalArguments, spacing: Option<Length>) -> Result<Vec<Self>> {
         if arguments.count == 0 {
             bail!("--count must be 1 or more");
@@ -31,7 +31,7 @@ impl Method {
                 return Self::snake(name, rotations, arguments, nms_radius);
             }
             let detector = Detector::named(name, protocol)?;
-            let spacing = spacing.and(nms_radius).filter(|_| protocol == Protocol::Ranked);
+            let spacing = nms_radius.filter(|_| protocol == Protocol::Ranked);
             Ok(Self::Classical { name: name.clone(), detector, count: arguments.count, protocol, spacing })
         };
         arguments.methods.iter().map(method).collect()

@@ -2,6 +2,7 @@
 //! ConvONet).
 
 mod pointnet;
+mod scatter;
 mod unet;
 mod voxel_groups;
 
@@ -11,7 +12,7 @@ pub(crate) use self::pointnet::PointNet;
 use self::unet::UNet3d;
 pub(crate) use self::voxel_groups::VoxelGroups;
 use crate::Result;
-use crate::config::ModelConfig;
+use crate::config::{ModelConfig, Scatter};
 use crate::control::Counter;
 use crate::nn::Tensor;
 use crate::points::Point;
@@ -23,6 +24,7 @@ use snake_kernels::{ConstantRegion, channel_sums};
 #[derive(Debug)]
 pub(crate) struct Encoder {
     frame: VolumeFrame,
+    scatter: Scatter,
     pub(crate) pointnet: PointNet,
     unet: UNet3d,
 }
@@ -31,6 +33,7 @@ impl Encoder {
     pub(crate) fn load(scope: &Scope, config: &ModelConfig) -> Result<Self> {
         Ok(Self {
             frame: config.frame,
+            scatter: config.scatter,
             pointnet: PointNet::load(scope, config)?,
             unet: UNet3d::load(&scope.at("unet3d"), config)?,
         })
@@ -52,9 +55,11 @@ impl Encoder {
         let groups = VoxelGroups::new(num_points, &point, &self.frame);
         counter.add(num_points);
         counter.check()?;
-        let means = self.pointnet.voxel_means(&groups, &point, counter)?;
-        let volume = self.scatter(&means, &groups);
-        drop((means, groups));
+        let volume = match self.scatter {
+            Scatter::Hard => self.scatter(&self.pointnet.voxel_means(&groups, &point, counter)?, &groups),
+            Scatter::Soft => self.scatter_soft(&groups, &point, counter)?,
+        };
+        drop(groups);
         Ok(Volume { frame: self.frame, channels: volume.channels, values: self.unet.forward(volume, counter)? })
     }
 
@@ -68,5 +73,23 @@ impl Encoder {
         }
         let constant = Some(ConstantRegion::around(size, groups.voxels()));
         Tensor { size, channels, values, sums: channel_sums(means, channels), constant }
+    }
+
+    /// The features of the points, spread over the voxels about them ([`Scatter::Soft`]); voxels without mass are zero.
+    fn scatter_soft(
+        &self,
+        groups: &VoxelGroups,
+        point: impl Fn(usize) -> Point + Sync,
+        counter: &Counter,
+    ) -> Result<Tensor> {
+        let (size, channels) = (self.frame.size(), self.pointnet.channels());
+        let spread =
+            |point: Point, feature: &[f32], slots: &mut [f32]| scatter::spread(&self.frame, point, feature, slots);
+        let slots = self.pointnet.voxel_sums(groups, point, scatter::slots_width(channels), spread, counter)?;
+        let mut values = self.unet.pool.take(size.iter().product::<usize>() * channels);
+        values.par_chunks_mut(size[1] * size[2] * channels).for_each(|plane| plane.fill(0.0));
+        let touched = scatter::gather(&self.frame, groups, &slots, &mut values);
+        let sums = channel_sums(&values, channels);
+        Ok(Tensor { size, channels, values, sums, constant: Some(ConstantRegion::around(size, touched.into_iter())) })
     }
 }

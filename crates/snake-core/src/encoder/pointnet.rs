@@ -59,31 +59,59 @@ impl PointNet {
         point: impl Fn(usize) -> Point + Sync,
         counter: &Counter,
     ) -> Result<Vec<f32>> {
-        let mut means = vec![0.0; groups.num_voxels() * self.channels()];
-        let (mut chunks, mut large) = (Vec::new(), Vec::new());
-        let mut rest = &mut means[..];
-        for voxels in groups.chunks(CHUNK) {
-            let means = rest.split_off_mut(..voxels.len() * self.channels()).unwrap_or_default();
-            let kind = if groups.num_points(voxels.clone()) <= LARGE { &mut chunks } else { &mut large };
-            kind.push((voxels, means));
-        }
-        chunks.into_par_iter().try_for_each(|(voxels, means)| {
-            counter.check()?;
-            let points: Vec<Point> = groups.members(voxels.clone()).map(&point).collect();
-            let sizes: Vec<usize> = voxels.map(|voxel| groups.num_points(voxel..voxel + 1)).collect();
-            self.chunk_means(&points, &sizes, means);
-            counter.add(self.work(points.len()));
-            Ok(())
-        })?;
-        for (voxel, mean) in large {
-            let points: Vec<Point> = groups.members(voxel).map(&point).collect();
-            self.large_voxel_mean(&points, mean, counter)?;
+        let add = |_: Point, feature: &[f32], sums: &mut [f32]| {
+            sums.iter_mut().zip(feature).for_each(|(sum, value)| *sum += value);
+        };
+        let mut means = self.voxel_sums(groups, point, self.channels(), add, counter)?;
+        for (voxel, mean) in means.chunks_exact_mut(self.channels()).enumerate() {
+            let size = groups.num_points(voxel..voxel + 1);
+            mean.iter_mut().for_each(|sum| *sum /= size as f32);
         }
         Ok(means)
     }
 
-    /// Computes the mean features of voxels whose points are consecutive, with `sizes` points each.
-    fn chunk_means(&self, points: &[Point], sizes: &[usize], means: &mut [f32]) {
+    /// Sums over the points of each occupied voxel, `(voxels, width)`. `add` adds one point with its feature `(c_dim)` to
+    /// the sums of its voxel; the points come in the order of the cloud.
+    pub(super) fn voxel_sums(
+        &self,
+        groups: &VoxelGroups,
+        point: impl Fn(usize) -> Point + Sync,
+        width: usize,
+        add: impl Fn(Point, &[f32], &mut [f32]) + Sync,
+        counter: &Counter,
+    ) -> Result<Vec<f32>> {
+        let mut sums = vec![0.0; groups.num_voxels() * width];
+        let (mut chunks, mut large) = (Vec::new(), Vec::new());
+        let mut rest = &mut sums[..];
+        for voxels in groups.chunks(CHUNK) {
+            let sums = rest.split_off_mut(..voxels.len() * width).unwrap_or_default();
+            let kind = if groups.num_points(voxels.clone()) <= LARGE { &mut chunks } else { &mut large };
+            kind.push((voxels, sums));
+        }
+        chunks.into_par_iter().try_for_each(|(voxels, sums)| {
+            counter.check()?;
+            let points: Vec<Point> = groups.members(voxels.clone()).map(&point).collect();
+            let sizes: Vec<usize> = voxels.map(|voxel| groups.num_points(voxel..voxel + 1)).collect();
+            self.chunk_sums(&points, &sizes, sums, &add);
+            counter.add(self.work(points.len()));
+            Ok(())
+        })?;
+        for (voxel, sums) in large {
+            let points: Vec<Point> = groups.members(voxel).map(&point).collect();
+            self.large_voxel_sums(&points, sums, &add, counter)?;
+        }
+        Ok(sums)
+    }
+
+    /// Computes the sums of voxels whose points are consecutive, with `sizes` points each.
+    fn chunk_sums(
+        &self,
+        points: &[Point],
+        sizes: &[usize],
+        sums: &mut [f32],
+        add: &impl Fn(Point, &[f32], &mut [f32]),
+    ) {
+        let width = sums.len() / sizes.len();
         let voxel_of_row: Vec<usize> =
             sizes.iter().enumerate().flat_map(|(voxel, &size)| std::iter::repeat_n(voxel, size)).collect();
         let mut features = vec![0.0; points.len() * self.hidden];
@@ -98,19 +126,25 @@ impl PointNet {
                 self.block(depth, points, |row| &maxima[voxels[row] * self.hidden..], features);
             }
         }
-        for (features, voxels) in features.chunks(TILE * self.hidden).zip(voxel_of_row.chunks(TILE)) {
+        let tiles = features.chunks(TILE * self.hidden).zip(points.chunks(TILE)).zip(voxel_of_row.chunks(TILE));
+        for ((features, points), voxels) in tiles {
             let mut output = vec![0.0; voxels.len() * self.channels()];
             self.fc_c.forward(features, &mut output, Epilogue::Store);
-            pool(&output, self.channels(), voxels, means, |sum, feature| sum + feature);
-        }
-        for (mean, &size) in means.chunks_exact_mut(self.channels()).zip(sizes) {
-            mean.iter_mut().for_each(|sum| *sum /= size as f32);
+            for ((&point, feature), voxel) in points.iter().zip(output.chunks_exact(self.channels())).zip(voxels) {
+                add(point, feature, &mut sums[voxel * width..][..width]);
+            }
         }
     }
 
-    /// The mean feature of one voxel. After each pooling all earlier blocks run again, so that only a part of the
-    /// features is in memory.
-    fn large_voxel_mean(&self, points: &[Point], mean: &mut [f32], counter: &Counter) -> Result<()> {
+    /// The sums of one voxel. After each pooling all earlier blocks run again, so that only a part of the features is in
+    /// memory.
+    fn large_voxel_sums(
+        &self,
+        points: &[Point],
+        sums: &mut [f32],
+        add: &impl Fn(Point, &[f32], &mut [f32]),
+        counter: &Counter,
+    ) -> Result<()> {
         let mut maxima: Vec<Vec<f32>> = Vec::new();
         for depth in 0..self.blocks.len() - 1 {
             let of_chunk = |chunk: &[Point]| {
@@ -139,12 +173,11 @@ impl PointNet {
                 );
                 output
             });
-            for output in outputs.collect::<Vec<_>>() {
-                pool(&output, self.channels(), &[0; TILE], mean, |sum, feature| sum + feature);
-            }
+            let outputs: Vec<Vec<f32>> = outputs.collect();
+            let features = outputs.iter().flat_map(|output| output.chunks_exact(self.channels()));
+            points.iter().zip(features).for_each(|(&point, feature)| add(point, feature, sums));
             counter.add(2 * points.len());
         }
-        mean.iter_mut().for_each(|sum| *sum /= points.len() as f32);
         Ok(())
     }
 

@@ -1,0 +1,136 @@
+//! Soft scattering: each point's feature is spread over the eight voxels about it.
+//!
+//! A feature goes to each voxel with the trilinear weight w that a query at the point reads the voxel with. A voxel of
+//! mass m = Σ w holds Σ w · feature / max(m, typical mass), where the typical mass is the mean over the cloud's voxels
+//! with mass: a weighted mean where points are many, and less where they only touch the voxel's border. So the volume
+//! changes smoothly as the cloud moves through the voxels.
+//!
+//! The points that fall into one voxel spread over it and its neighbours: 27 slots of feature and mass. Slots are summed
+//! over a voxel's points first, and then each voxel adds up the slots of its neighbours that reach it. Memory does not grow
+//! with the number of points, and the bits do not depend on the number of threads.
+
+use rayon::prelude::*;
+
+use super::voxel_groups::VoxelGroups;
+use crate::points::Point;
+use crate::volume::VolumeFrame;
+
+/// The voxels that the points of one voxel spread over: itself and its neighbours, x fastest.
+const SLOTS: usize = 27;
+
+/// Values of a voxel's slots, each of `channels` feature sums and a mass.
+pub(super) fn slots_width(channels: usize) -> usize {
+    SLOTS * (channels + 1)
+}
+
+/// Adds the feature of a point to the slots of the voxel that it falls into.
+pub(super) fn spread(frame: &VolumeFrame, point: Point, feature: &[f32], slots: &mut [f32]) {
+    let corners = frame.corners(point);
+    let own = coordinates(frame, frame.voxel(point));
+    for (&voxel, weight) in corners.voxels.iter().zip(corners.weights()) {
+        let other = coordinates(frame, voxel as usize);
+        let [x, y, z]: [usize; 3] = std::array::from_fn(|axis| other[axis] + 1 - own[axis]);
+        let slot = &mut slots[(x + 3 * (y + 3 * z)) * (feature.len() + 1)..][..feature.len() + 1];
+        slot.iter_mut().zip(feature).for_each(|(sum, value)| *sum += weight * value);
+        slot[feature.len()] += weight;
+    }
+}
+
+/// The volume `[z][y][x][channel]` of the slots `(voxels, slots_width)` of the occupied voxels, into zeroed values; returns
+/// the voxels with mass, ascending.
+pub(super) fn gather(frame: &VolumeFrame, groups: &VoxelGroups, slots: &[f32], values: &mut [f32]) -> Vec<usize> {
+    let num_voxels: usize = frame.resolution.iter().product();
+    let channels = values.len() / num_voxels;
+    let mut row_of_voxel = vec![u32::MAX; num_voxels];
+    (0..).zip(groups.voxels()).for_each(|(row, voxel)| row_of_voxel[voxel] = row);
+    // The slots that reach a voxel, in a fixed order.
+    let reaching = |voxel: usize| {
+        let (at, row_of_voxel) = (coordinates(frame, voxel), &row_of_voxel);
+        (0..SLOTS).filter_map(move |slot| {
+            let step = [slot % 3, slot / 3 % 3, slot / 9];
+            let [x, y, z]: [usize; 3] = std::array::from_fn(|axis| (at[axis] + 1).wrapping_sub(step[axis]));
+            let [width, height, depth] = frame.resolution;
+            let row = if x < width && y < height && z < depth {
+                row_of_voxel[x + width * (y + height * z)]
+            } else {
+                u32::MAX
+            };
+            (row != u32::MAX).then(|| &slots[(row as usize * SLOTS + slot) * (channels + 1)..][..channels + 1])
+        })
+    };
+    let masses: Vec<f32> =
+        (0..num_voxels).into_par_iter().map(|voxel| reaching(voxel).map(|slot| slot[channels]).sum()).collect();
+    let touched: Vec<usize> = (0..num_voxels).filter(|&voxel| masses[voxel] > 0.0).collect();
+    let total: f64 = touched.iter().map(|&voxel| f64::from(masses[voxel])).sum();
+    let typical = (total / touched.len().max(1) as f64) as f32;
+    values.par_chunks_mut(channels).enumerate().filter(|(voxel, _)| masses[*voxel] > 0.0).for_each(
+        |(voxel, values)| {
+            for slot in reaching(voxel) {
+                values.iter_mut().zip(slot).for_each(|(value, sum)| *value += sum);
+            }
+            let divisor = masses[voxel].max(typical);
+            values.iter_mut().for_each(|value| *value /= divisor);
+        },
+    );
+    touched
+}
+
+/// A voxel's place along x, y and z.
+fn coordinates(frame: &VolumeFrame, voxel: usize) -> [usize; 3] {
+    let [width, height, _] = frame.resolution;
+    [voxel % width, voxel / width % height, voxel / (width * height)]
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const FRAME: VolumeFrame = VolumeFrame { resolution: [5, 4, 3], padding: 0.125, z_bounds: [-0.5, 0.5] };
+
+    /// The formula as it is written: one pass over points and corners.
+    fn plain(points: &[Point], features: &[f32], channels: usize) -> Vec<f32> {
+        let (mut mass, mut sum) = (vec![0.0; 60], vec![0.0; 60 * channels]);
+        for (point, feature) in points.iter().zip(features.chunks(channels)) {
+            let corners = FRAME.corners(*point);
+            for (&voxel, weight) in corners.voxels.iter().zip(corners.weights()) {
+                mass[voxel as usize] += weight;
+                for (sum, f) in sum[voxel as usize * channels..].iter_mut().zip(feature) {
+                    *sum += weight * f;
+                }
+            }
+        }
+        let with_mass = mass.iter().filter(|&&m| m > 0.0).count();
+        let typical = mass.iter().sum::<f32>() / with_mass as f32;
+        sum.chunks_mut(channels).zip(&mass).for_each(|(sum, m)| sum.iter_mut().for_each(|s| *s /= m.max(typical)));
+        sum
+    }
+
+    /// The volume by slots, and the voxels with mass.
+    fn soft(points: &[Point], features: &[f32], channels: usize) -> (Vec<f32>, Vec<usize>) {
+        let groups = VoxelGroups::new(points.len(), |index| points[index], &FRAME);
+        let mut slots = vec![0.0; groups.num_voxels() * slots_width(channels)];
+        for (row, slots) in slots.chunks_mut(slots_width(channels)).enumerate() {
+            for index in groups.members(row..row + 1).collect::<Vec<_>>() {
+                spread(&FRAME, points[index], &features[index * channels..][..channels], slots);
+            }
+        }
+        let mut values = vec![0.0; 60 * channels];
+        let touched = gather(&FRAME, &groups, &slots, &mut values);
+        (values, touched)
+    }
+
+    #[test]
+    fn slots_give_the_formula_for_any_number_of_points() {
+        let at = |i: usize, k: usize| ((i * k) % 101) as f32 / 101.0 * 1.4 - 0.7; // some lie beyond the volume
+        for number in [1, 2, 7, 8, 9, 500] {
+            let points: Vec<Point> = (0..number).map(|i| [at(i, 37), at(i, 59), at(i, 83)]).collect();
+            let features: Vec<f32> = (0..number * 3).map(|i| (i as f32).sin()).collect();
+            let (volume, touched) = soft(&points, &features, 3);
+            for (ours, theirs) in volume.iter().zip(plain(&points, &features, 3)) {
+                assert!((ours - theirs).abs() < 1e-5, "{number} points: {ours} and {theirs}");
+            }
+            let filled = |voxel: &usize| volume[voxel * 3..][..3].iter().any(|&v| v != 0.0);
+            assert_eq!(touched, (0..60).filter(filled).collect::<Vec<_>>());
+        }
+    }
+}

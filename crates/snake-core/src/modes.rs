@@ -1,0 +1,115 @@
+//! Mode seeking: keypoints move to the places where salient candidates gather.
+
+use rayon::prelude::*;
+
+use crate::Result;
+use crate::kd_tree::KdTree;
+use crate::nms::suppress_in;
+use crate::points::Point;
+
+/// Steps of the mean shift.
+const STEPS: usize = 3;
+
+/// Weights are this power of the saliency: a candidate a tenth less salient weighs half as much.
+const POWER: i32 = 8;
+
+/// As many candidates are moved for each keypoint that is wanted: several of them end at the same mode.
+const STARTS: usize = 11;
+
+/// Candidates that are farther apart than half of `radius`, the most salient first, each moved to a mode: by mean
+/// shift (Comaniciu and Meer 2002), three times to the mean of the candidates within `radius`, weighted by the eighth power
+/// of their saliency. Returns the indices of the candidates and their new positions.
+///
+/// The position of one most salient query is off by as much as its field errs; the mean over its surroundings is not.
+/// Modes may fall onto each other, so they are suppressed afterwards.
+///
+/// # Errors
+/// [`crate::Error::Input`] when a position is not finite.
+pub(crate) fn seek_modes(
+    positions: &[Point],
+    scores: &[f32],
+    radius: f32,
+    max_keypoints: usize,
+) -> Result<(Vec<usize>, Vec<Point>)> {
+    if positions.is_empty() {
+        return Ok((Vec::new(), Vec::new()));
+    }
+    let tree = KdTree::new(positions)?;
+    let starts = suppress_in(&tree, positions, scores, radius / 2.0, STARTS.saturating_mul(max_keypoints));
+    let weights: Vec<f32> = scores.iter().map(|score| score.powi(POWER)).collect();
+    let mode = |&start: &usize| {
+        (0..STEPS).fold(positions[start], |at, _| weighted_mean(&tree, positions, &weights, at, radius))
+    };
+    let modes = starts.par_iter().map(mode).collect();
+    Ok((starts, modes))
+}
+
+/// The mean of the candidates within `radius` of a place; the place itself if there is none.
+fn weighted_mean(tree: &KdTree<f32>, positions: &[Point], weights: &[f32], at: Point, radius: f32) -> Point {
+    let mut near = Vec::new();
+    tree.within(&at, radius * radius, |index, _| near.push(index));
+    near.sort_unstable(); // the order of the sum decides its last bits
+    let (mut total, mut sum) = (0.0_f64, [0.0_f64; 3]);
+    for index in near {
+        let weight = f64::from(weights[index]);
+        total += weight;
+        sum.iter_mut().zip(positions[index]).for_each(|(sum, value)| *sum += weight * f64::from(value));
+    }
+    if total > 0.0 { sum.map(|value| (value / total) as f32) } else { at }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Every candidate a start of its own and every sum over all of them.
+    fn plain(positions: &[Point], scores: &[f32], at: Point, radius: f32) -> Point {
+        (0..3).fold(at, |at, _| {
+            let weight = |p: &Point, s: f32| {
+                let squared: f32 = (0..3).map(|axis| (p[axis] - at[axis]).powi(2)).sum();
+                if squared <= radius * radius { f64::from(s).powi(8) } else { 0.0 }
+            };
+            let weights: Vec<f64> = positions.iter().zip(scores).map(|(p, &s)| weight(p, s)).collect();
+            let total: f64 = weights.iter().sum();
+            std::array::from_fn(|axis| {
+                (positions.iter().zip(&weights).map(|(p, w)| w * f64::from(p[axis])).sum::<f64>() / total) as f32
+            })
+        })
+    }
+
+    fn candidates() -> (Vec<Point>, Vec<f32>) {
+        let at = |i: u32, k: u32| (i * k % 997) as f32 / 997.0;
+        let positions: Vec<Point> = (0_u32..800).map(|i| [at(i, 131), at(i, 577), at(i, 883)]).collect();
+        let scores = (0_u32..800).map(|i| 0.2 + 0.8 * at(i, 311)).collect();
+        (positions, scores)
+    }
+
+    #[test]
+    fn modes_are_those_of_the_plain_mean_shift() {
+        let (positions, scores) = candidates();
+        let (starts, modes) = seek_modes(&positions, &scores, 0.3, 100).unwrap();
+        assert!(starts.len() > 10 && starts.is_sorted_by(|&a, &b| scores[a] >= scores[b]));
+        for (&start, mode) in starts.iter().zip(&modes) {
+            let expected = plain(&positions, &scores, positions[start], 0.3);
+            assert!((0..3).all(|axis| (mode[axis] - expected[axis]).abs() < 1e-5), "{mode:?} {expected:?}");
+        }
+    }
+
+    #[test]
+    fn a_bump_is_found_between_the_grid_points_that_it_was_asked_at() {
+        let center = [0.031, -0.012, 0.007];
+        let grid = |i: u32| (i as f32 - 8.0) * 0.03;
+        let positions: Vec<Point> = (0..4096).map(|i| [grid(i % 16), grid(i / 16 % 16), grid(i / 256)]).collect();
+        let squared = |p: &Point| (0..3).map(|axis| (p[axis] - center[axis]).powi(2)).sum::<f32>();
+        let scores: Vec<f32> = positions.iter().map(|p| (-squared(p) / (2.0 * 0.05_f32.powi(2))).exp()).collect();
+        let (_, modes) = seek_modes(&positions, &scores, 0.06, 100).unwrap();
+        assert!(squared(&modes[0]).sqrt() < 0.005, "{:?}", modes[0]);
+    }
+
+    #[test]
+    fn none_and_one_candidate_and_scores_of_zero() {
+        assert_eq!(seek_modes(&[], &[], 0.1, 9).unwrap(), (vec![], vec![]));
+        assert_eq!(seek_modes(&[[1.0, 2.0, 3.0]], &[0.5], 0.1, 9).unwrap(), (vec![0], vec![[1.0, 2.0, 3.0]]));
+        assert_eq!(seek_modes(&[[1.0, 2.0, 3.0]], &[0.0], 0.1, 9).unwrap(), (vec![0], vec![[1.0, 2.0, 3.0]]));
+    }
+}
