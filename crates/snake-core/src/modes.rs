@@ -13,7 +13,8 @@ const STEPS: usize = 3;
 /// Weights are this power of the saliency: a candidate a tenth less salient weighs half as much.
 const POWER: i32 = 8;
 
-/// As many candidates are moved for each keypoint that is wanted: several of them end at the same mode.
+/// As many candidates are moved for each keypoint that is wanted: several of them end at the same mode. With few keypoints
+/// wanted as many as for 64, for the most salient candidates lie close together.
 const STARTS: usize = 11;
 
 /// Candidates that are farther apart than half of `radius`, the most salient first, each moved to a mode: by mean
@@ -35,7 +36,7 @@ pub(crate) fn seek_modes(
         return Ok((Vec::new(), Vec::new()));
     }
     let tree = KdTree::new(positions)?;
-    let starts = suppress_in(&tree, positions, scores, radius / 2.0, STARTS.saturating_mul(max_keypoints));
+    let starts = suppress_in(&tree, positions, scores, radius / 2.0, STARTS.saturating_mul(max_keypoints.max(64)));
     let weights: Vec<f32> = scores.iter().map(|score| score.powi(POWER)).collect();
     let mode = |&start: &usize| {
         (0..STEPS).fold(positions[start], |at, _| weighted_mean(&tree, positions, &weights, at, radius))
