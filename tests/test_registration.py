@@ -41,12 +41,22 @@ def test_register_finds_the_transform(cloud, found):
     assert np.abs(moved(found.t_target_source, cloud) - moved(transform(), cloud)).max() < 0.05
     assert 3 <= found.num_inliers <= found.num_correspondences
     assert 0 < found.rmse < 0.1 and found.seconds > 0
+    assert 0 < found.fitness <= 1 and 0 < found.fitness_rmse < found.inlier_distance
     assert f"{found.num_inliers} of {found.num_correspondences}" in repr(found)
 
 
 def test_results_can_be_pickled(found):
     copy = pickle.loads(pickle.dumps(found))
-    names = ("num_inliers", "num_correspondences", "rmse", "num_skipped", "seconds")
+    names = (
+        "num_inliers",
+        "num_correspondences",
+        "rmse",
+        "inlier_distance",
+        "fitness",
+        "fitness_rmse",
+        "num_skipped",
+        "seconds",
+    )
     assert all(getattr(copy, name) == getattr(found, name) for name in names)
     assert np.array_equal(copy.t_target_source, found.t_target_source)
 

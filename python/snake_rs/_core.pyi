@@ -204,9 +204,7 @@ class Keypoints:
 
 @final
 class Mesh:
-    def __new__(
-        cls, vertices: _Positions, normals: NDArray[np.float32], triangles: NDArray[np.uint32]
-    ) -> Self: ...
+    def __new__(cls, vertices: _Positions, normals: NDArray[np.float32], triangles: NDArray[np.uint32]) -> Self: ...
     @property
     def vertices(self) -> _Positions: ...
     @property
@@ -292,6 +290,9 @@ class Registration:
         num_inliers: int,
         num_correspondences: int,
         rmse: float,
+        inlier_distance: float,
+        fitness: float,
+        fitness_rmse: float,
         num_skipped: tuple[int, int],
         seconds: float,
     ) -> Self: ...
@@ -303,6 +304,12 @@ class Registration:
     def num_correspondences(self) -> int: ...
     @property
     def rmse(self) -> float: ...
+    @property
+    def inlier_distance(self) -> float: ...
+    @property
+    def fitness(self) -> float: ...
+    @property
+    def fitness_rmse(self) -> float: ...
     @property
     def num_skipped(self) -> tuple[int, int]: ...
     @property

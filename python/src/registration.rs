@@ -21,6 +21,12 @@ pub struct Registration {
     /// Root mean square distance of the inliers under RANSAC's transform, in cloud units. It measures how far apart two
     /// keypoints of the same place are, not the accuracy of `t_target_source`.
     rmse: f64,
+    /// Distance up to which a correspondence is an inlier, in cloud units.
+    inlier_distance: f64,
+    /// Share of the source's voxels within `inlier_distance` of the target's under `t_target_source`, in [0, 1].
+    fitness: f64,
+    /// Root mean square distance of these voxels to the target's, in cloud units.
+    fitness_rmse: f64,
     /// Numbers of points of source and target that were skipped because they are not finite.
     num_skipped: (usize, usize),
     /// Seconds that the registration took.
@@ -30,26 +36,53 @@ pub struct Registration {
 #[pymethods]
 impl Registration {
     #[new]
+    #[expect(clippy::too_many_arguments, reason = "a pickle holds them all")]
     fn new(
         t_target_source: Py<PyArray2<f64>>,
         num_inliers: usize,
         num_correspondences: usize,
         rmse: f64,
+        inlier_distance: f64,
+        fitness: f64,
+        fitness_rmse: f64,
         num_skipped: (usize, usize),
         seconds: f64,
     ) -> Self {
-        Self { t_target_source, num_inliers, num_correspondences, rmse, num_skipped, seconds }
+        Self {
+            t_target_source,
+            num_inliers,
+            num_correspondences,
+            rmse,
+            inlier_distance,
+            fitness,
+            fitness_rmse,
+            num_skipped,
+            seconds,
+        }
     }
 
     fn __getnewargs__<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyTuple>> {
-        let Self { t_target_source, num_inliers, num_correspondences, rmse, num_skipped, seconds } = self;
-        (t_target_source, num_inliers, num_correspondences, rmse, *num_skipped, seconds).into_pyobject(py)
+        let Self { t_target_source, num_inliers, num_correspondences, rmse, num_skipped, seconds, .. } = self;
+        let Self { inlier_distance, fitness, fitness_rmse, .. } = self;
+        (
+            t_target_source,
+            num_inliers,
+            num_correspondences,
+            rmse,
+            inlier_distance,
+            fitness,
+            fitness_rmse,
+            *num_skipped,
+            seconds,
+        )
+            .into_pyobject(py)
     }
 
     fn __repr__(&self) -> String {
-        let Self { num_inliers, num_correspondences, rmse, seconds, .. } = self;
+        let Self { num_inliers, num_correspondences, rmse, fitness, fitness_rmse, seconds, .. } = self;
         format!(
-            "Registration(RANSAC: {num_inliers} of {num_correspondences} correspondences, rmse {rmse:.5}; {seconds:.3} s)"
+            "Registration(RANSAC: {num_inliers} of {num_correspondences} correspondences, rmse {rmse:.5}; \
+             fitness {fitness:.3}, rmse {fitness_rmse:.5}; {seconds:.3} s)"
         )
     }
 }
@@ -83,7 +116,18 @@ pub fn register(
     let found = near.between_origins(source.origin, target.origin);
     let matrix = PyArray1::from_vec(py, found.t_target_source.as_flattened().to_vec()).reshape([4, 4])?;
     let core::Registration { num_inliers, num_correspondences, rmse, num_skipped, seconds, .. } = found;
-    Ok(Registration::new(matrix.unbind(), num_inliers, num_correspondences, rmse, num_skipped.into(), seconds))
+    let core::Registration { inlier_distance, fitness, fitness_rmse, .. } = found;
+    Ok(Registration {
+        t_target_source: matrix.unbind(),
+        num_inliers,
+        num_correspondences,
+        rmse,
+        inlier_distance,
+        fitness,
+        fitness_rmse,
+        num_skipped: num_skipped.into(),
+        seconds,
+    })
 }
 
 /// Unit normals (N, 3) float32 of a cloud (N, 3). A normal is the direction of the least variance of the points nearer
