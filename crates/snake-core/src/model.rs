@@ -187,7 +187,7 @@ mod tests {
         let [compact, standard, rooms] = Model::NAMES.map(|name| Model::named(name).unwrap());
         assert_eq!(compact.metadata(), standard.metadata());
         assert_eq!(*standard.recommended(), Preset::Standard.options());
-        assert_eq!((compact.recommended().encode.rotations, standard.recommended().encode.rotations), (1, 8));
+        assert_eq!((compact.recommended().encode.rotations, standard.recommended().encode.rotations), (1, 4));
         assert!(compact.recommended().window_radius.is_none() && rooms.recommended().window_radius.is_some());
         assert_eq!(Model::builtin(Builtin::default()).metadata(), compact.metadata());
         assert_eq!(Model::builtin(Builtin::Rooms).metadata(), rooms.metadata());

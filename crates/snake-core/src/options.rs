@@ -330,7 +330,6 @@ impl Preset {
             Self::Standard => DetectOptions {
                 query_band: 1,
                 refine_steps: 0,
-                surface_threshold: 0.5,
                 saliency_threshold: 0.3,
                 mode_radius: Some(Length::Percent(8.0)),
                 nms_radius: Some(Length::Percent(10.0)),

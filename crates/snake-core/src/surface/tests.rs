@@ -238,8 +238,8 @@ fn the_mesh_of_a_field_is_that_of_all_samples_at_the_level_and_faces_out() {
         let mut errors: Vec<f32> =
             field.occupancy(&found.vertices).unwrap().into_iter().map(|value| (value - level).abs()).collect();
         errors.sort_by(f32::total_cmp);
-        // The occupancy rises within a few samples.
-        assert!(errors[errors.len() / 2] < 0.05, "{}", errors[errors.len() / 2]);
+        // The occupancy rises within a sample or two.
+        assert!(errors[errors.len() / 2] < 0.15, "{}", errors[errors.len() / 2]);
         let agree = |&triangle: &[u32; 3]| {
             let cross = found.cross(triangle);
             let dot = |normal: [f32; 3]| (0..3).map(|axis| cross[axis] * f64::from(normal[axis])).sum::<f64>();
