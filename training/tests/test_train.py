@@ -58,7 +58,8 @@ def test_a_run_writes_its_config_checkpoints_and_logs(tiny):
     losses = {"occupancy", "repeatability", "surface", "sparsity", "saturated"}
     assert {name.removeprefix("train/") for name in logged if "train/" in name} == losses | {"gradient_norm"}
     measured = {f"{what}_nms_{radius}" for what in ("repeatability", "keypoints") for radius in (0.01, 0.05)}
-    assert {name.removeprefix("validation/") for name in logged if "validation/" in name} == losses | measured
+    health = {"dead_share", "feature_deviation"}
+    assert {name.removeprefix("validation/") for name in logged if "validation/" in name} == losses | measured | health
     assert all(math.isfinite(value) for steps in logged.values() for value in steps.values())
     assert not list(run.glob("*.partial"))
     # What is exported is the average, in a network that detection can use.
@@ -125,7 +126,7 @@ def test_two_processes_train_like_one(tiny, tmp_path):
     processes' means would differ. Adam hides the gradient's scale, so its first moments are compared, unclipped.
     """
     one = tiny(
-        batch=4, steps=2, translation=0.4, clip_norm=0.0, learning_rate=1e-5, ema_decay=0.5, run_dir=str(tmp_path / "one")
+        batch=4, steps=2, translation=0.5, clip_norm=0.0, learning_rate=1e-5, ema_decay=0.5, run_dir=str(tmp_path / "one")
     )  # fmt: skip
     train(one)
     two = dataclasses.replace(one, run_dir=str(tmp_path / "two"))
@@ -135,7 +136,9 @@ def test_two_processes_train_like_one(tiny, tmp_path):
     assert first.keys() == second.keys()
     for path, value in first.items():
         if isinstance(value, torch.Tensor):
-            tolerance = 1e-4 * value.abs().max().item() + 1e-9
+            # Of weights that start at zero, Adam's epsilon shows in the first steps where gradients are tiny.
+            share = 1e-4 if path.startswith("/optimizer") else 3e-3
+            tolerance = share * value.abs().max().item() + 1e-9
             assert (value - second[path]).abs().max().item() <= tolerance, path
     logged_one, logged_two = scalars(one), scalars(two)
     for name in (name for name in logged_one if name.startswith("train/")):
@@ -144,7 +147,7 @@ def test_two_processes_train_like_one(tiny, tmp_path):
 
 def test_unequal_masks_in_the_two_process_test(tiny):
     """What the test above relies on: its two halves of a batch differ in the number of grids that count."""
-    config = tiny(batch=4, translation=0.4)
+    config = tiny(batch=4, translation=0.5)
     counts = []
     for first in range(0, 8, 2):
         grids = make_batch(training.Mixture([], 1.0), config, first, 2, "cpu")["grids"]
