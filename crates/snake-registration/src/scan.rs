@@ -181,7 +181,8 @@ impl Scan {
         } else {
             // The suppression radius of a whole object is relative to its size; that of windows is in cloud units.
             let nms_radius = Some(Length::Units(self.voxel_size));
-            let options = DetectOptions { nms_radius, mode_radius: None, ..options };
+            // FPFH describes the surface, so keypoints are moved onto it.
+            let options = DetectOptions { nms_radius, mode_radius: None, snap: true, ..options };
             self.field(control)?.detect_with(&options, control)?
         };
         Ok(found.keypoints.into_iter().map(|keypoint| keypoint.position).collect())
