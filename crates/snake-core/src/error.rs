@@ -14,14 +14,6 @@ pub enum Error {
         /// What the operating system said.
         source: std::io::Error,
     },
-    /// A file's content is not what its format promises.
-    #[error("{}: {reason}", path.display())]
-    Format {
-        /// The file.
-        path: PathBuf,
-        /// What is wrong, with the line or byte offset where one is known.
-        reason: String,
-    },
     /// A weight file does not hold the network that it claims to hold.
     #[error("weights: `{tensor}`: expected {expected}, found {found}")]
     Weights {

@@ -11,7 +11,7 @@ use crate::network::Network;
 use crate::nn::TILE;
 use crate::options::{EncodeOptions, Options};
 use crate::points::{FinitePoints, Normalization, Point, check_points};
-use crate::rotations::{self, Rotation, turned, turned_back};
+use crate::rotations::{self, Rotation, rotate, rotate_inverse};
 use crate::volume::{Volume, VolumeFrame};
 use crate::{Error, Result, weights};
 
@@ -45,8 +45,8 @@ impl View {
         check_number_of_points(points.len())?;
         let encoder = &network.encoder;
         let counter = control.begin("encoding", rotations * encoder.work(points.len()));
-        let views = rotations::spread(rotations).into_iter().map(|rotation| {
-            let point = |index: usize| turned(&rotation, normalization.to_network(points[index]));
+        let views = rotations::super_fibonacci(rotations).into_iter().map(|rotation| {
+            let point = |index: usize| rotate(&rotation, normalization.to_network(points[index]));
             let volume = encoder.encode(points.len(), point, &counter)?;
             match volume.values.par_iter().all(|value| value.is_finite()) {
                 true => Ok(Self { rotation, volume }),
@@ -212,8 +212,8 @@ impl Field {
         features.par_chunks_mut(TILE * channels).zip(queries.par_chunks(TILE)).for_each(|(features, queries)| {
             let mut of_view = vec![0.0; features.len()];
             for View { rotation, volume } in &self.views {
-                let turned: Vec<Point> = queries.iter().map(|&query| turned(rotation, query)).collect();
-                volume.interpolate(&volume.frame, &turned, &mut of_view);
+                let rotated: Vec<Point> = queries.iter().map(|&query| rotate(rotation, query)).collect();
+                volume.interpolate(&volume.frame, &rotated, &mut of_view);
                 features.iter_mut().zip(&of_view).for_each(|(sum, f)| *sum += f);
             }
             for feature in features.chunks_exact_mut(channels) {
@@ -265,8 +265,8 @@ impl Field {
         }
         let mut sums = vec![0.0; queries.len()];
         for view in &self.views {
-            let turned: Vec<Point> = queries.iter().map(|&query| turned(&view.rotation, query)).collect();
-            let values = self.view_values(view, quantity, &turned);
+            let rotated: Vec<Point> = queries.iter().map(|&query| rotate(&view.rotation, query)).collect();
+            let values = self.view_values(view, quantity, &rotated);
             sums.iter_mut().zip(values).for_each(|(sum, value)| *sum += log_odds(value));
         }
         sums.iter().map(|sum| probability(sum / self.views.len() as f32)).collect()
@@ -280,12 +280,12 @@ impl Field {
         let mut sums = vec![0.0; queries.len()];
         let mut gradients = vec![[0.0; 3]; queries.len()];
         for view in &self.views {
-            let turned: Vec<Point> = queries.iter().map(|&query| turned(&view.rotation, query)).collect();
-            let of_view = self.view_values_and_gradients(view, quantity, &turned);
+            let rotated: Vec<Point> = queries.iter().map(|&query| rotate(&view.rotation, query)).collect();
+            let of_view = self.view_values_and_gradients(view, quantity, &rotated);
             let of_view = of_view.0.into_iter().zip(of_view.1);
             for ((sum, gradient), (value, of_value)) in sums.iter_mut().zip(&mut gradients).zip(of_view) {
                 let value = value.clamp(LEAST, 1.0 - LEAST);
-                let of_log_odds = turned_back(&view.rotation, of_value).map(|v| v / (value * (1.0 - value)));
+                let of_log_odds = rotate_inverse(&view.rotation, of_value).map(|v| v / (value * (1.0 - value)));
                 *sum += log_odds(value);
                 *gradient = std::array::from_fn(|axis| gradient[axis] + of_log_odds[axis]);
             }
@@ -298,7 +298,7 @@ impl Field {
         (values, gradients)
     }
 
-    /// Values of one view at queries that were turned with it.
+    /// Values of one view at queries that were rotated with it.
     fn view_values(&self, view: &View, quantity: Quantity, queries: &[Point]) -> Vec<f32> {
         let (decoder, frame) = self.decoder(quantity);
         let mut features = vec![0.0; queries.len() * view.volume.channels];
@@ -306,7 +306,7 @@ impl Field {
         decoder.values(queries, &features)
     }
 
-    /// The same with gradients in the turned queries: the decoder's own derivative in the query plus that through the
+    /// The same with gradients in the rotated queries: the decoder's own derivative in the query plus that through the
     /// interpolated feature.
     fn view_values_and_gradients(&self, view: &View, quantity: Quantity, queries: &[Point]) -> (Vec<f32>, Vec<Point>) {
         let (decoder, frame) = self.decoder(quantity);
@@ -365,16 +365,16 @@ mod tests {
         };
         let field = encode(&points, 4);
         let queries = &points[..50];
-        // By hand: a field of each turned cloud.
+        // By hand: a field of each rotated cloud.
         let mut sums = vec![0.0; queries.len()];
-        for rotation in rotations::spread(4) {
-            let turned = |points: &[Point]| points.iter().map(|&p| turned(&rotation, p)).collect::<Vec<_>>();
-            let values = encode(&turned(&points), 1).saliency(&turned(queries)).unwrap();
+        for rotation in rotations::super_fibonacci(4) {
+            let rotated = |points: &[Point]| points.iter().map(|&p| rotate(&rotation, p)).collect::<Vec<_>>();
+            let values = encode(&rotated(&points), 1).saliency(&rotated(queries)).unwrap();
             sums.iter_mut().zip(values).for_each(|(sum, value)| *sum += log_odds(value));
         }
         let (values, gradients) = field.saliency_and_gradient(queries).unwrap();
         for ((value, sum), alone) in values.iter().zip(sums).zip(field.saliency(queries).unwrap()) {
-            // The turned clouds are normalised anew, with other rounding.
+            // The rotated clouds are normalised anew, with other rounding.
             assert!((value - probability(sum / 4.0)).abs() < 1e-3 && (value - alone).abs() < 1e-6, "{value} {alone}");
         }
         let mut errors: Vec<f32> = (0..queries.len() * 3)

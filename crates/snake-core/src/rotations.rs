@@ -7,7 +7,7 @@ pub(crate) type Rotation = [Point; 3];
 
 /// `number` evenly distributed rotations: super-Fibonacci spirals (Alexa, CVPR 2022), rotated so that the first is the
 /// identity.
-pub(crate) fn spread(number: usize) -> Vec<Rotation> {
+pub(crate) fn super_fibonacci(number: usize) -> Vec<Rotation> {
     let quaternion = |i: usize| {
         let place = i as f64 + 0.5;
         let share = place / number as f64;
@@ -31,12 +31,12 @@ pub(crate) fn spread(number: usize) -> Vec<Rotation> {
 }
 
 /// `R p`.
-pub(crate) fn turned(rotation: &Rotation, point: Point) -> Point {
+pub(crate) fn rotate(rotation: &Rotation, point: Point) -> Point {
     rotation.map(|row| row[0] * point[0] + row[1] * point[1] + row[2] * point[2])
 }
 
 /// `Rᵀ p`.
-pub(crate) fn turned_back(rotation: &Rotation, point: Point) -> Point {
+pub(crate) fn rotate_inverse(rotation: &Rotation, point: Point) -> Point {
     std::array::from_fn(|axis| (0..3).map(|row| rotation[row][axis] * point[row]).sum())
 }
 
@@ -47,11 +47,11 @@ mod tests {
     #[test]
     fn rotations_are_rotations_and_far_apart() {
         for number in [1, 2, 8, 32] {
-            let rotations = spread(number);
+            let rotations = super_fibonacci(number);
             assert_eq!(rotations.len(), number);
             for (i, a) in rotations.iter().enumerate() {
                 let point = [0.3, -0.5, 0.7];
-                let back = turned_back(a, turned(a, point));
+                let back = rotate_inverse(a, rotate(a, point));
                 assert!(point.iter().zip(back).all(|(p, b)| (p - b).abs() < 1e-6), "{back:?}");
                 for b in &rotations[..i] {
                     let trace: f32 = a.as_flattened().iter().zip(b.as_flattened()).map(|(a, b)| a * b).sum();

@@ -22,7 +22,7 @@ pub(crate) struct WindowCells<'a> {
     starts: Vec<usize>,
     /// Indices of points, cell by cell, ascending within a cell.
     members: Vec<u32>,
-    /// Of each cell the mean of its points.
+    /// The mean of the points of each cell.
     pub(crate) centers: Vec<Point>,
 }
 

@@ -205,7 +205,7 @@ mod tests {
     fn what_is_found_depends_on_the_surroundings_alone() {
         let model = Model::builtin(Builtin::Compact);
         let points = plate();
-        // Cells of 0.8 along x: windows with middles below 2.4 see nothing beyond 3.4.
+        // Cells of 0.8 along x: windows with centers below 2.4 see nothing beyond 3.4.
         let near: Vec<Point> = points.iter().filter(|p| p[0] < 4.0).copied().collect();
         let of = |points: &[Point]| -> Vec<Keypoint> {
             let mut options = preset(1.0);
