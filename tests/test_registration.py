@@ -33,7 +33,7 @@ def moved(t, points):
 
 @pytest.fixture(scope="module")
 def found(cloud):
-    return snake_rs.register(cloud[:2048], moved(transform(), cloud[2048:]), max_keypoints=500)
+    return snake_rs.register(cloud[:2048], moved(transform(), cloud[2048:]))
 
 
 def test_register_finds_the_transform(cloud, found):
@@ -62,7 +62,7 @@ def test_results_can_be_pickled(found):
 
 
 def test_model_and_options_reach_the_core(cloud, found):
-    again = {"model": snake_rs.Model.builtin(), "max_keypoints": 500, "voxel_size": None, "seed": np.int64(0)}
+    again = {"model": snake_rs.Model.builtin(), "voxel_size": None, "seed": np.int64(0)}
     args = (cloud[:2048], moved(transform(), cloud[2048:]))
     assert np.array_equal(snake_rs.register(*args, **again).t_target_source, found.t_target_source)
     for options in ({"detector": "fps"}, {"descriptor": "field"}, {"refine_steps": 0}, {"feature_radius": 0.5}):

@@ -41,17 +41,20 @@ def test_it_agrees_with_scikit_image(field, method, resolution, level):
     ours = (mesh.vertices - along[0]) / spacing
 
     def crossings(points):
-        """Points on edges of the grid, in the order of their edges."""
+        """Points on edges of the grid, by their edges."""
         fraction = np.abs(points - np.round(points)) > 1e-3
         points = points[fraction.sum(axis=1) == 1]
         fraction = np.abs(points - np.round(points)) > 1e-3
         low = np.where(fraction, np.floor(points), np.round(points)).astype(int)
-        return points[np.lexsort((*low.T, fraction.argmax(axis=1)))]
+        edges = map(tuple, np.column_stack([low, fraction.argmax(axis=1)]))
+        return dict(zip(edges, points, strict=True))
 
     # Vertices within cells, which lewiner has, and those next to a sample, which rounding could give to any edge, aside.
     ours, theirs = crossings(ours), crossings(vertices)
-    assert len(ours) > 0.98 * len(mesh.vertices)
-    np.testing.assert_allclose(ours, theirs, atol=1e-3)
+    shared = sorted(ours.keys() & theirs.keys())
+    # Rounding may put a vertex on either side of the limit, but hardly ever.
+    assert len(shared) > 0.98 * len(mesh.vertices) and len(ours.keys() ^ theirs.keys()) <= 1e-4 * len(shared)
+    np.testing.assert_allclose([ours[edge] for edge in shared], [theirs[edge] for edge in shared], atol=1e-3)
     # Where occupied corners alternate around a face or a cell, there are several surfaces with these vertices, and the
     # methods differ; among so many samples there are hardly any such cells.
     if resolution == 128:

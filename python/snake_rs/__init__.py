@@ -18,6 +18,9 @@ found.t_target_source, found.num_inliers   # (4, 4): p_target = R p_source + t
 Classical detectors are in snake_rs.baselines, metrics in snake_rs.metrics.
 """
 
+# NumPy imports this lazily: a child forked while another thread imports it would wait for the import lock forever.
+import numpy.ma  # noqa: F401
+
 from . import baselines, metrics
 from ._core import (
     Field,
