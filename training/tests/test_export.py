@@ -3,7 +3,6 @@
 import hashlib
 import json
 import os
-
 from dataclasses import replace
 
 import pytest
