@@ -44,6 +44,7 @@ def test_repeatability_is_that_of_the_training_side():
     for _ in range(20):
         first, second = rng.normal(size=(64, 3)).astype("f4"), rng.normal(size=(50, 3)).astype("f4")
         rotation = np.linalg.qr(rng.normal(size=(3, 3)))[0]
+        rotation *= np.linalg.det(rotation)
         t_1_2 = np.eye(4)
         t_1_2[:3, :3] = rotation
         found = metrics.relative_repeatability(first, second, t_1_2, epsilon)

@@ -3,7 +3,7 @@
 use numpy::{PyArray1, PyArray2, PyArrayMethods};
 use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
-use snake_core::{self, Point, Transform};
+use snake_core::{self, Error, Point, RigidTransform};
 use snake_eval::{self as core, MatchCounts, RegistrationOutcome, SmplProtocol, Unreachable};
 
 use crate::arrays::{self, named};
@@ -16,7 +16,7 @@ type Numbers<'py> = Bound<'py, PyArray1<f64>>;
 type Counts<'py> = Bound<'py, PyArray2<i64>>;
 
 /// Computes repeatability from the keypoints of two views, the transform between them, and thresholds.
-type Repeatability = fn(&[Point], &[Point], &Transform, &[f64]) -> snake_core::Result<Vec<f64>>;
+type Repeatability = fn(&[Point], &[Point], &RigidTransform, &[f64]) -> snake_core::Result<Vec<f64>>;
 
 /// Converts an array-like of numbers to a Rust type.
 fn numbers<T>(what: &str, expected: &str, value: &Bound<PyAny>) -> PyResult<T>
@@ -27,8 +27,12 @@ where
     list.extract().map_err(|_| PyValueError::new_err(format!("{what}: expected {expected}, found {value}")))
 }
 
-fn transform(what: &str, value: &Bound<PyAny>) -> PyResult<Transform> {
-    numbers(what, "a transform of shape (4, 4)", value)
+fn transform(what: &str, value: &Bound<PyAny>) -> PyResult<RigidTransform> {
+    let rows = numbers(what, "a transform of shape (4, 4)", value)?;
+    RigidTransform::from_matrix(rows).map_err(|error| match error {
+        Error::Input { reason, .. } => PyValueError::new_err(format!("{what}: {reason}")),
+        other => py_error(other),
+    })
 }
 
 fn thresholds(what: &str, value: &Bound<PyAny>) -> PyResult<Vec<f64>> {

@@ -114,7 +114,7 @@ pub fn register(
     let (from, to) = (&source.points, &target.points);
     let near = threads::run_with_signals(py, |control| core::register_with(from, to, &model, &options, control))?;
     let found = near.between_origins(source.origin, target.origin);
-    let matrix = PyArray1::from_vec(py, found.t_target_source.as_flattened().to_vec()).reshape([4, 4])?;
+    let matrix = PyArray1::from_vec(py, found.t_target_source.to_matrix().as_flattened().to_vec()).reshape([4, 4])?;
     let core::Registration { num_inliers, num_correspondences, rmse, num_skipped, seconds, .. } = found;
     let core::Registration { inlier_distance, fitness, fitness_rmse, .. } = found;
     Ok(Registration {

@@ -4,7 +4,9 @@ use std::path::{Path, PathBuf};
 use std::process::Output;
 
 use assert_cmd::Command;
+use nalgebra::{IsometryMatrix3, Vector3};
 use serde_json::Value;
+use snake_core::RigidTransform;
 use tempfile::TempDir;
 
 fn root() -> PathBuf {
@@ -648,29 +650,28 @@ fn two_files_and_their_transform_are_a_pair() {
         assert!(row.split_whitespace().nth(8).unwrap().parse::<f64>().unwrap() > least, "{shown}");
     }
     std::fs::write(path("t.txt"), "1 0 0 0 0 1 0 0 0 0 1 0 0 0 0 1 7").unwrap();
-    assert!(stderr(&run("t.txt")).contains("t.txt: needed are 16 numbers"));
+    assert!(stderr(&run("t.txt")).contains("t.txt: expected four rows of four numbers"));
+    // Matrices that are not rigid are refused here and by `view`.
+    for rows in ["2 0 0 0\n0 1 0 0\n0 0 1 0\n0 0 0 1", "1 0 0 0\n0 -1 0 0\n0 0 1 0\n0 0 0 1"] {
+        std::fs::write(path("t.txt"), rows).unwrap();
+        let view = snake(&["view", &target, &source, "--transform", &path("t.txt"), "-o", &path("pair.html")]);
+        for refused in [run("t.txt"), view] {
+            assert!(stderr(&refused).contains("t.txt: rigid transform: expected"), "{}", stderr(&refused));
+        }
+    }
     assert!(stderr(&run("nowhere.json")).contains("cannot read"));
     let one = snake(&["eval", "repeatability", &source, "--transform", &path("t.json")]);
     assert!(stderr(&one).contains("--transform is for two clouds"), "{}", stderr(&one));
 }
 
 /// From the sample to fragment k of a scene: turned about z and moved.
-fn pose(k: usize) -> [[f64; 4]; 4] {
-    let (sin, cos) = (0.1 * k as f64).sin_cos();
-    [[cos, -sin, 0.0, k as f64], [sin, cos, 0.0, 0.0], [0.0, 0.0, 1.0, -0.5], [0.0, 0.0, 0.0, 1.0]]
+fn pose(k: usize) -> RigidTransform {
+    IsometryMatrix3::new(Vector3::new(k as f64, 0.0, -0.5), Vector3::z() * 0.1 * k as f64).into()
 }
 
 /// From fragment j to fragment i.
-fn between(i: usize, j: usize) -> [[f64; 4]; 4] {
-    let (a, b) = (pose(i), pose(j));
-    let turn = |row: usize, column: usize| (0..3).map(|k| a[row][k] * b[column][k]).sum::<f64>();
-    let mut t = [[0.0; 4]; 4];
-    for row in 0..3 {
-        (0..3).for_each(|column| t[row][column] = turn(row, column));
-        t[row][3] = a[row][3] - (0..3).map(|k| turn(row, k) * b[k][3]).sum::<f64>();
-    }
-    t[3][3] = 1.0;
-    t
+fn between(i: usize, j: usize) -> RigidTransform {
+    pose(i) * pose(j).inverse()
 }
 
 /// Fragments 0 to 3 of a scene: the sample, each without every fourth point and in its own frame.
@@ -710,7 +711,7 @@ fn benchmark_scene(folder: &Path, name: &str, pairs: &[[usize; 2]], weight: f64)
             let line = |row: &Vec<f64>| row.iter().map(|v| format!("{v:.8e}\t")).collect::<String>() + "\n";
             format!("{i}\t {j}\t 4\n") + &rows.iter().map(line).collect::<String>()
         };
-        let mut truth = between(i, j);
+        let mut truth = between(i, j).to_matrix();
         truth[2][3] += 0.05;
         log += &rows(truth.iter().map(|row| row.to_vec()).collect());
         let mut information = snake_eval::information_matrix(&clouds[j]).unwrap();

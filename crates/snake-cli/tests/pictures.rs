@@ -5,7 +5,7 @@ use std::process::Output;
 
 use assert_cmd::Command;
 use serde_json::Value;
-use snake_core::{Builtin, EncodeOptions, Field, Model, Point, Transform};
+use snake_core::{Builtin, EncodeOptions, Field, Model, Point, RigidTransform};
 use snake_io as io;
 use snake_registration::transform_points;
 use tempfile::TempDir;
@@ -181,14 +181,15 @@ fn page_data(path: &str) -> Value {
     serde_json::from_str(rest.split_once("</script>").unwrap().0).unwrap()
 }
 
-const SHIFTED_TURN: Transform =
+const SHIFTED_TURN: [[f64; 4]; 4] =
     [[0.0, -1.0, 0.0, 5.0], [1.0, 0.0, 0.0, 0.0], [0.0, 0.0, 1.0, 1.0], [0.0, 0.0, 0.0, 1.0]];
 
 /// The sample, turned and moved.
 fn turned(folder: &TempDir) -> String {
     let path = folder.path().join("turned.ply");
     let points = io::read_points(Path::new(&sample())).unwrap();
-    io::write_points(&path, &transform_points(&SHIFTED_TURN, &points), [0.0; 3]).unwrap();
+    io::write_points(&path, &transform_points(&RigidTransform::from_matrix(SHIFTED_TURN).unwrap(), &points), [0.0; 3])
+        .unwrap();
     path.display().to_string()
 }
 
@@ -201,7 +202,7 @@ fn of_two_clouds_the_keypoints_within_epsilon_are_linked() {
     let printed = succeed(&[&["view", &sample(), &second, "-o", &page], &options[..]].concat());
     let data = page_data(&page);
     let pair = &data["pair"];
-    let t: Transform = serde_json::from_value(pair["t_first_second"].clone()).unwrap();
+    let t: RigidTransform = serde_json::from_value(pair["t_first_second"].clone()).unwrap();
     let keypoints = |cloud: usize| -> Vec<Point> {
         let rows = data["clouds"][cloud]["keypoints"].as_array().unwrap().iter();
         rows.map(|row| ["x", "y", "z"].map(|axis| row[axis].as_f64().unwrap() as f32)).collect()

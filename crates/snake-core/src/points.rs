@@ -9,9 +9,6 @@ use crate::{Error, Result};
 /// One point, `[x, y, z]`.
 pub type Point = [f32; 3];
 
-/// A rigid transform as a row-major 4×4 matrix that multiplies column vectors; its last row is 0 0 0 1.
-pub type Transform = [[f64; 4]; 4];
-
 /// The method that maps a cloud into the network's frame, the cube ±0.5.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]

@@ -11,8 +11,10 @@
 //! ```
 //!
 //! ```
+//! use snake_core::RigidTransform;
 //! use snake_eval::{feature_matching_recall, inlier_ratio};
-//! let t_target_source = [[1.0, 0.0, 0.0, 5.0], [0.0, 1.0, 0.0, 0.0], [0.0, 0.0, 1.0, 0.0], [0.0, 0.0, 0.0, 1.0]];
+//! let rows = [[1.0, 0.0, 0.0, 5.0], [0.0, 1.0, 0.0, 0.0], [0.0, 0.0, 1.0, 0.0], [0.0, 0.0, 0.0, 1.0]];
+//! let t_target_source = RigidTransform::from_matrix(rows)?;
 //! let (source, target) = ([[0.0; 3], [1.0, 0.0, 0.0]], [[5.0, 0.0, 0.0], [9.0, 0.0, 0.0]]);
 //! let ratio = inlier_ratio(&source, &target, &t_target_source, 0.1)?;
 //! assert_eq!(ratio, 0.5);
@@ -20,9 +22,8 @@
 //! # Ok::<(), snake_core::Error>(())
 //! ```
 //!
-//! Lengths are in the units of the points, and distances are computed in f64. A transform is a row-major 4×4 matrix
-//! that multiplies column vectors. `t_target_source` maps a source point to the target frame:
-//! `p_target = R p_source + t`.
+//! Lengths are in the units of the points, and distances are computed in f64. `t_target_source` maps a source point
+//! to the target frame: `p_target = R p_source + t`.
 
 #![forbid(unsafe_code)]
 
@@ -30,12 +31,10 @@ mod registration;
 mod repeatability;
 mod semantic;
 
-use nalgebra::{Matrix4, Point3};
-
 use snake_core::space::check_points;
 use snake_core::space::{Vector, vector};
 use snake_core::{Error, Result};
-use snake_core::{Point, Transform};
+use snake_core::{Point, RigidTransform};
 
 pub use registration::{
     RegistrationOutcome, feature_matching_recall, information_matrix, inlier_ratio, overlap, registration_recall,
@@ -48,21 +47,12 @@ pub use semantic::{
     MatchCounts, SmplProtocol, Unreachable, geodesic_distances, semantic_counts, smpl_iou, smpl_pair_counts,
 };
 
-/// The matrix of a transform.
-fn matrix(what: &'static str, transform: &Transform) -> Result<Matrix4<f64>> {
-    if !transform.as_flattened().iter().all(|v| v.is_finite()) || transform[3] != [0.0, 0.0, 0.0, 1.0] {
-        let reason = "expected a finite 4x4 transform whose last row is 0 0 0 1".into();
-        return Err(Error::Input { what, reason });
-    }
-    Ok(Matrix4::from_fn(|row, column| transform[row][column]))
-}
-
 /// Points under a transform; an empty array is accepted.
-fn moved(what: &'static str, points: &[Point], transform: &Matrix4<f64>) -> Result<Vec<Vector>> {
+fn moved(what: &'static str, points: &[Point], transform: &RigidTransform) -> Result<Vec<Vector>> {
     if !points.is_empty() {
         check_points(what, points)?;
     }
-    Ok(points.iter().map(|&p| transform.transform_point(&Point3::from(vector(p))).coords).collect())
+    Ok(points.iter().map(|&p| transform.apply_vector(&vector(p))).collect())
 }
 
 /// Refuses thresholds that are negative or not numbers.
@@ -72,7 +62,3 @@ fn check_thresholds(name: &'static str, thresholds: &[f64]) -> Result<()> {
         None => Ok(()),
     }
 }
-
-#[cfg(test)]
-pub(crate) const IDENTITY: Transform =
-    [[1.0, 0.0, 0.0, 0.0], [0.0, 1.0, 0.0, 0.0], [0.0, 0.0, 1.0, 0.0], [0.0, 0.0, 0.0, 1.0]];

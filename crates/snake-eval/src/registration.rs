@@ -1,12 +1,12 @@
 //! The metrics of the 3DMatch benchmark: inlier ratio, feature matching recall, registration recall.
 
-use nalgebra::{Matrix3, Matrix3x6, Matrix4, Matrix6, Rotation3, UnitQuaternion, Vector3, Vector6};
+use nalgebra::{Matrix3, Matrix3x6, Matrix6, UnitQuaternion, Vector6};
 
-use super::{matrix, moved};
+use super::moved;
 use snake_core::space::check_points;
 use snake_core::space::{Neighbors, vector};
 use snake_core::{Error, Result};
-use snake_core::{Point, Transform};
+use snake_core::{Point, RigidTransform};
 
 /// Inlier ratio: the share of correspondences that `t_target_source` brings closer than `threshold`.
 ///
@@ -14,14 +14,19 @@ use snake_core::{Point, Transform};
 /// correspondences. 3DMatch uses a threshold of 0.1 m.
 ///
 /// # Errors
-/// [`Error::Input`] when the arrays differ in length, or for coordinates that are not finite or a bad transform.
-pub fn inlier_ratio(source: &[Point], target: &[Point], t_target_source: &Transform, threshold: f64) -> Result<f64> {
+/// [`Error::Input`] when the arrays differ in length or have coordinates that are not finite.
+pub fn inlier_ratio(
+    source: &[Point],
+    target: &[Point],
+    t_target_source: &RigidTransform,
+    threshold: f64,
+) -> Result<f64> {
     if source.len() != target.len() {
         let reason = format!("{} points, but the source has {}; row i matches row i", target.len(), source.len());
         return Err(Error::Input { what: "target", reason });
     }
-    let source = moved("source", source, &matrix("t_target_source", t_target_source)?)?;
-    let target = moved("target", target, &Matrix4::identity())?;
+    let source = moved("source", source, t_target_source)?;
+    let target = moved("target", target, &RigidTransform::identity())?;
     let inliers = source.iter().zip(&target).filter(|(s, t)| (*s - *t).norm() < threshold).count();
     Ok(inliers as f64 / source.len().max(1) as f64)
 }
@@ -47,20 +52,19 @@ pub fn feature_matching_recall(inlier_ratios: &[f64], threshold: f64) -> Result<
 /// conjugate, and negates it.
 ///
 /// # Errors
-/// [`Error::Input`] for a transform that is not rigid or an information matrix without information.
+/// [`Error::Input`] for an information matrix without information.
 pub fn squared_registration_error(
-    t_gt: &Transform,
-    t_estimate: &Transform,
+    t_gt: &RigidTransform,
+    t_estimate: &RigidTransform,
     information: &[[f64; 6]; 6],
 ) -> Result<f64> {
-    let (rotation_gt, shift_gt) = rigid("t_gt", t_gt)?;
-    let (rotation, shift) = rigid("t_estimate", t_estimate)?;
+    let (gt, estimate) = (t_gt.isometry(), t_estimate.isometry());
     if !(information.as_flattened().iter().all(|v| v.is_finite()) && information[0][0] > 0.0) {
         let reason = "expected finite numbers and a positive first entry, the number of points".into();
         return Err(Error::Input { what: "information", reason });
     }
-    let between = UnitQuaternion::from_rotation_matrix(&(rotation_gt.inverse() * rotation));
-    let t = rotation_gt.inverse() * (shift - shift_gt);
+    let between = UnitQuaternion::from_rotation_matrix(&(gt.rotation.inverse() * estimate.rotation));
+    let t = gt.rotation.inverse() * (estimate.translation.vector - gt.translation.vector);
     let q = between.imag() * if between.w < 0.0 { -1.0 } else { 1.0 };
     let error = Vector6::new(t.x, t.y, t.z, q.x, q.y, q.z);
     let information = Matrix6::from_fn(|row, column| information[row][column]);
@@ -88,11 +92,16 @@ pub fn information_matrix(points: &[Point]) -> Result<[[f64; 6]; 6]> {
 /// [`information_matrix`] takes these points.
 ///
 /// # Errors
-/// [`Error::Input`] for an empty cloud, coordinates that are not finite or a bad transform.
-pub fn overlap(source: &[Point], target: &[Point], t_target_source: &Transform, distance: f64) -> Result<Vec<Point>> {
+/// [`Error::Input`] for an empty cloud or coordinates that are not finite.
+pub fn overlap(
+    source: &[Point],
+    target: &[Point],
+    t_target_source: &RigidTransform,
+    distance: f64,
+) -> Result<Vec<Point>> {
     check_points("source", source)?;
     check_points("target", target)?;
-    let placed = moved("source", source, &matrix("t_target_source", t_target_source)?)?;
+    let placed = moved("source", source, t_target_source)?;
     let target = Neighbors::new(target.iter().copied().map(vector).collect())?;
     let near = placed.iter().map(|point| target.distance(point) < distance);
     Ok(source.iter().zip(near).filter_map(|(&point, near)| near.then_some(point)).collect())
@@ -125,31 +134,14 @@ pub fn registration_recall(outcomes: &[RegistrationOutcome], threshold: f64) -> 
     Ok(counted.iter().filter(good).count() as f64 / counted.len() as f64)
 }
 
-/// Rotation and translation of a transform. The tolerance of 1e-3 allows for files with few digits.
-fn rigid(what: &'static str, transform: &Transform) -> Result<(Rotation3<f64>, Vector3<f64>)> {
-    let matrix = matrix(what, transform)?;
-    let linear: Matrix3<f64> = matrix.fixed_view::<3, 3>(0, 0).into();
-    if (linear.transpose() * linear - Matrix3::identity()).amax() > 1e-3 || linear.determinant() < 0.0 {
-        return Err(Error::Input { what, reason: "its upper left 3x3 block is not a rotation".into() });
-    }
-    Ok((Rotation3::from_matrix_unchecked(linear), matrix.fixed_view::<3, 1>(0, 3).into()))
-}
-
 #[cfg(test)]
 mod tests {
-    use super::super::IDENTITY;
+    use nalgebra::{IsometryMatrix3, Vector3};
+
     use super::*;
 
-    fn transform(axis_angle: [f64; 3], shift: [f64; 3]) -> Transform {
-        let rotation = Rotation3::new(Vector3::from(axis_angle));
-        let mut transform = IDENTITY;
-        for row in 0..3 {
-            for column in 0..3 {
-                transform[row][column] = rotation[(row, column)];
-            }
-            transform[row][3] = shift[row];
-        }
-        transform
+    fn transform(axis_angle: [f64; 3], translation: [f64; 3]) -> RigidTransform {
+        IsometryMatrix3::new(Vector3::from(translation), Vector3::from(axis_angle)).into()
     }
 
     #[test]
@@ -158,9 +150,9 @@ mod tests {
         let target = [[1.0, 0.0, 0.0], [2.0, 0.25, 0.0], [3.0, 0.5, 0.0], [9.0, 0.0, 0.0]];
         let t_target_source = transform([0.0; 3], [1.0, 0.0, 0.0]);
         assert_eq!(inlier_ratio(&source, &target, &t_target_source, 0.5).unwrap(), 0.5);
-        assert_eq!(inlier_ratio(&source, &target, &IDENTITY, 0.5).unwrap(), 0.0);
-        assert_eq!(inlier_ratio(&[], &[], &IDENTITY, 0.5).unwrap(), 0.0);
-        assert!(inlier_ratio(&source, &target[..3], &IDENTITY, 0.5).is_err());
+        assert_eq!(inlier_ratio(&source, &target, &RigidTransform::identity(), 0.5).unwrap(), 0.0);
+        assert_eq!(inlier_ratio(&[], &[], &RigidTransform::identity(), 0.5).unwrap(), 0.0);
+        assert!(inlier_ratio(&source, &target[..3], &RigidTransform::identity(), 0.5).is_err());
     }
 
     #[test]
@@ -182,9 +174,7 @@ mod tests {
     #[test]
     fn the_error_of_a_pure_translation_is_its_squared_length() {
         let gt = transform([0.3, -0.2, 0.9], [1.0, 2.0, 3.0]);
-        let mut estimate = gt;
-        estimate[0][3] += 0.3;
-        estimate[2][3] -= 0.4;
+        let estimate = transform([0.3, -0.2, 0.9], [1.3, 2.0, 2.6]);
         let information = information_matrix(&[[0.4, 0.1, 0.9], [1.0, -2.0, 0.3]]).unwrap();
         assert_eq!(information[0][0], 2.0);
         assert!((squared_registration_error(&gt, &estimate, &information).unwrap() - 0.25).abs() < 1e-12);
@@ -196,7 +186,9 @@ mod tests {
         let mut information = [[0.0; 6]; 6];
         (information[0][0], information[5][5]) = (5.0, 10.0);
         let turn = transform([0.0, 0.0, std::f64::consts::FRAC_PI_2], [0.0; 3]);
-        assert!((squared_registration_error(&IDENTITY, &turn, &information).unwrap() - 1.0).abs() < 1e-12);
+        assert!(
+            (squared_registration_error(&RigidTransform::identity(), &turn, &information).unwrap() - 1.0).abs() < 1e-12
+        );
     }
 
     #[test]
@@ -205,14 +197,11 @@ mod tests {
         let points: Vec<Point> =
             (0..50).map(|i| [1.0 + (i % 7) as f32 * 0.3, (i % 5) as f32 * 0.2 - 2.0, (i % 11) as f32 * 0.1]).collect();
         let gt = transform([0.3, -0.2, 0.9], [1.0, 2.0, 3.0]);
-        let (gt_rotation, gt_shift) = rigid("t", &gt).unwrap();
         let error = transform([0.004, -0.002, 0.003], [0.01, 0.0, -0.02]);
-        let product = matrix("t", &gt).unwrap() * matrix("t", &error).unwrap();
-        let estimate: Transform = std::array::from_fn(|row| std::array::from_fn(|column| product[(row, column)]));
-        let (rotation, shift) = rigid("t", &estimate).unwrap();
+        let estimate = gt * error;
         let displacement = |&p: &Point| {
             let p = vector(p);
-            (rotation * p + shift - (gt_rotation * p + gt_shift)).norm_squared()
+            (estimate.apply_vector(&p) - gt.apply_vector(&p)).norm_squared()
         };
         let expected = points.iter().map(displacement).sum::<f64>() / points.len() as f64;
         let information = information_matrix(&points).unwrap();
@@ -236,17 +225,9 @@ mod tests {
     }
 
     #[test]
-    fn transforms_that_are_not_rigid_are_refused() {
-        let information = information_matrix(&[[1.0; 3]]).unwrap();
-        let mut scaled = IDENTITY;
-        scaled[1][1] = 1.1;
-        let mut mirrored = IDENTITY;
-        mirrored[1][1] = -1.0;
-        for bad in [scaled, mirrored] {
-            let error = squared_registration_error(&IDENTITY, &bad, &information).unwrap_err().to_string();
-            assert_eq!(error, "t_estimate: its upper left 3x3 block is not a rotation");
-        }
-        assert!(squared_registration_error(&IDENTITY, &IDENTITY, &[[0.0; 6]; 6]).is_err());
+    fn pairs_without_information_are_refused() {
+        let identity = RigidTransform::identity();
+        assert!(squared_registration_error(&identity, &identity, &[[0.0; 6]; 6]).is_err());
         assert!(information_matrix(&[]).is_err());
     }
 }

@@ -1,12 +1,10 @@
 //! Relative repeatability, and the coverage of a surface by keypoints.
 
-use nalgebra::Matrix4;
-
-use super::{check_thresholds, matrix, moved};
+use super::{check_thresholds, moved};
 use snake_core::Result;
 use snake_core::space::check_points;
 use snake_core::space::{Neighbors, Vector, vector};
-use snake_core::{Point, Transform};
+use snake_core::{Point, RigidTransform};
 
 /// Relative repeatability (SNAKE section 4.2, USIP): for each `epsilon`, the share of view 1's keypoints `(K, 3)` that
 /// are closer than `epsilon` to a keypoint of view 2. `t_1_2` maps view 2 to the frame of view 1.
@@ -15,20 +13,22 @@ use snake_core::{Point, Transform};
 /// `epsilon` does not count. A view without keypoints gives 0. The figure of a data set is the mean over its pairs.
 ///
 /// ```
+/// use snake_core::RigidTransform;
 /// use snake_eval::relative_repeatability;
-/// let t_1_2 = [[1.0, 0.0, 0.0, 5.0], [0.0, 1.0, 0.0, 0.0], [0.0, 0.0, 1.0, 0.0], [0.0, 0.0, 0.0, 1.0]];
+/// let rows = [[1.0, 0.0, 0.0, 5.0], [0.0, 1.0, 0.0, 0.0], [0.0, 0.0, 1.0, 0.0], [0.0, 0.0, 0.0, 1.0]];
+/// let t_1_2 = RigidTransform::from_matrix(rows)?;
 /// let (view_1, view_2) = ([[5.0, 0.0, 0.0], [9.0, 0.0, 0.0]], [[0.0, 0.25, 0.0]]);
 /// assert_eq!(relative_repeatability(&view_1, &view_2, &t_1_2, &[0.25, 0.5])?, [0.0, 0.5]);
 /// # Ok::<(), snake_core::Error>(())
 /// ```
 ///
 /// # Errors
-/// [`Error::Input`](snake_core::Error::Input) for coordinates that are not finite or a bad transform,
+/// [`Error::Input`](snake_core::Error::Input) for coordinates that are not finite,
 /// [`Error::Option`](snake_core::Error::Option) for a negative epsilon.
 pub fn relative_repeatability(
     keypoints_1: &[Point],
     keypoints_2: &[Point],
-    t_1_2: &Transform,
+    t_1_2: &RigidTransform,
     epsilon: &[f64],
 ) -> Result<Vec<f64>> {
     let [first, second] = in_view_1(keypoints_1, keypoints_2, t_1_2, epsilon)?;
@@ -39,8 +39,10 @@ pub fn relative_repeatability(
 /// `epsilon`. `t_1_2` maps view 2 to the frame of view 1. The share of `Some` is [`relative_repeatability`].
 ///
 /// ```
+/// use snake_core::RigidTransform;
 /// use snake_eval::repeated_keypoints;
-/// let t_1_2 = [[1.0, 0.0, 0.0, 5.0], [0.0, 1.0, 0.0, 0.0], [0.0, 0.0, 1.0, 0.0], [0.0, 0.0, 0.0, 1.0]];
+/// let rows = [[1.0, 0.0, 0.0, 5.0], [0.0, 1.0, 0.0, 0.0], [0.0, 0.0, 1.0, 0.0], [0.0, 0.0, 0.0, 1.0]];
+/// let t_1_2 = RigidTransform::from_matrix(rows)?;
 /// let (view_1, view_2) = ([[5.0, 0.0, 0.0], [9.0, 0.0, 0.0]], [[7.0, 0.0, 0.0], [0.0, 0.25, 0.0]]);
 /// assert_eq!(repeated_keypoints(&view_1, &view_2, &t_1_2, 0.5)?, [Some((1, 0.25)), None]);
 /// # Ok::<(), snake_core::Error>(())
@@ -51,7 +53,7 @@ pub fn relative_repeatability(
 pub fn repeated_keypoints(
     keypoints_1: &[Point],
     keypoints_2: &[Point],
-    t_1_2: &Transform,
+    t_1_2: &RigidTransform,
     epsilon: f64,
 ) -> Result<Vec<Option<(usize, f64)>>> {
     let [first, second] = in_view_1(keypoints_1, keypoints_2, t_1_2, &[epsilon])?;
@@ -75,7 +77,7 @@ pub fn repeated_keypoints(
 pub fn symmetric_repeatability(
     keypoints_1: &[Point],
     keypoints_2: &[Point],
-    t_1_2: &Transform,
+    t_1_2: &RigidTransform,
     epsilon: &[f64],
 ) -> Result<Vec<f64>> {
     let [first, second] = in_view_1(keypoints_1, keypoints_2, t_1_2, epsilon)?;
@@ -100,12 +102,12 @@ pub fn mean_distance_to_keypoints(points: &[Point], keypoints: &[Point]) -> Resu
 fn in_view_1(
     keypoints_1: &[Point],
     keypoints_2: &[Point],
-    t_1_2: &Transform,
+    t_1_2: &RigidTransform,
     epsilon: &[f64],
 ) -> Result<[Vec<Vector>; 2]> {
     check_thresholds("epsilon", epsilon)?;
-    let first = moved("keypoints_1", keypoints_1, &Matrix4::identity())?;
-    Ok([first, moved("keypoints_2", keypoints_2, &matrix("t_1_2", t_1_2)?)?])
+    let first = moved("keypoints_1", keypoints_1, &RigidTransform::identity())?;
+    Ok([first, moved("keypoints_2", keypoints_2, t_1_2)?])
 }
 
 /// For each epsilon, the share of `of` that is closer than epsilon to a point of `to`.
@@ -121,7 +123,6 @@ fn shares_within(of: &[Vector], to: Vec<Vector>, epsilon: &[f64]) -> Result<Vec<
 
 #[cfg(test)]
 mod tests {
-    use super::super::IDENTITY;
     use super::*;
 
     const VIEW_1: [Point; 4] = [[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [5.0, 0.0, 0.0], [9.0, 9.0, 9.0]];
@@ -129,7 +130,9 @@ mod tests {
 
     #[test]
     fn the_share_strictly_within_epsilon_by_hand() {
-        let found = relative_repeatability(&VIEW_1, &VIEW_2, &IDENTITY, &[0.25, 0.26, 0.5, 0.51, 100.0]).unwrap();
+        let found =
+            relative_repeatability(&VIEW_1, &VIEW_2, &RigidTransform::identity(), &[0.25, 0.26, 0.5, 0.51, 100.0])
+                .unwrap();
         assert_eq!(found, [0.0, 0.25, 0.25, 0.5, 1.0]);
     }
 
@@ -137,16 +140,17 @@ mod tests {
     fn directions_differ_and_the_symmetric_variant_is_their_mean() {
         // Two keypoints of one view match the same keypoint of the other.
         let (one, other) = ([[0.0, 0.0, 0.0], [0.1, 0.0, 0.0]], [[0.05, 0.0, 0.0], [3.0, 0.0, 0.0], [4.0, 0.0, 0.0]]);
-        assert_eq!(relative_repeatability(&one, &other, &IDENTITY, &[0.06]).unwrap(), [1.0]);
-        assert_eq!(relative_repeatability(&other, &one, &IDENTITY, &[0.06]).unwrap(), [1.0 / 3.0]);
-        assert_eq!(symmetric_repeatability(&one, &other, &IDENTITY, &[0.06]).unwrap(), [2.0 / 3.0]);
-        assert_eq!(symmetric_repeatability(&other, &one, &IDENTITY, &[0.06]).unwrap(), [2.0 / 3.0]);
+        assert_eq!(relative_repeatability(&one, &other, &RigidTransform::identity(), &[0.06]).unwrap(), [1.0]);
+        assert_eq!(relative_repeatability(&other, &one, &RigidTransform::identity(), &[0.06]).unwrap(), [1.0 / 3.0]);
+        assert_eq!(symmetric_repeatability(&one, &other, &RigidTransform::identity(), &[0.06]).unwrap(), [2.0 / 3.0]);
+        assert_eq!(symmetric_repeatability(&other, &one, &RigidTransform::identity(), &[0.06]).unwrap(), [2.0 / 3.0]);
     }
 
     #[test]
     fn the_transform_takes_view_2_to_view_1() {
         // A rotation of 90° about z, then a translation: (x, y) in view 2 is (2 - y, x) in view 1.
-        let t_1_2 = [[0.0, -1.0, 0.0, 2.0], [1.0, 0.0, 0.0, 0.0], [0.0, 0.0, 1.0, 0.0], [0.0, 0.0, 0.0, 1.0]];
+        let rows = [[0.0, -1.0, 0.0, 2.0], [1.0, 0.0, 0.0, 0.0], [0.0, 0.0, 1.0, 0.0], [0.0, 0.0, 0.0, 1.0]];
+        let t_1_2 = RigidTransform::from_matrix(rows).unwrap();
         let (view_1, view_2) = ([[-1.0, 7.0, 4.0]], [[7.0, 3.0, 4.0]]);
         assert_eq!(relative_repeatability(&view_1, &view_2, &t_1_2, &[1e-6]).unwrap(), [1.0]);
         assert_eq!(relative_repeatability(&view_2, &view_1, &t_1_2, &[1e-6]).unwrap(), [0.0]);
@@ -156,24 +160,33 @@ mod tests {
     #[test]
     fn a_view_without_keypoints_repeats_nothing() {
         for (one, other) in [(&VIEW_1[..0], &VIEW_2[..]), (&VIEW_1[..], &[]), (&[], &[])] {
-            assert_eq!(relative_repeatability(one, other, &IDENTITY, &[1.0, 2.0]).unwrap(), [0.0, 0.0]);
-            assert_eq!(symmetric_repeatability(one, other, &IDENTITY, &[1.0, 2.0]).unwrap(), [0.0, 0.0]);
+            assert_eq!(
+                relative_repeatability(one, other, &RigidTransform::identity(), &[1.0, 2.0]).unwrap(),
+                [0.0, 0.0]
+            );
+            assert_eq!(
+                symmetric_repeatability(one, other, &RigidTransform::identity(), &[1.0, 2.0]).unwrap(),
+                [0.0, 0.0]
+            );
         }
     }
 
     #[test]
     fn partners_are_the_nearest_and_as_many_as_the_share_says() {
-        let found = repeated_keypoints(&VIEW_1, &VIEW_2, &IDENTITY, 0.51).unwrap();
+        let found = repeated_keypoints(&VIEW_1, &VIEW_2, &RigidTransform::identity(), 0.51).unwrap();
         assert_eq!(found, [Some((0, 0.25)), Some((1, 0.5)), None, None]);
         assert_eq!(
-            repeated_keypoints(&VIEW_1, &VIEW_2, &IDENTITY, 0.25).unwrap(),
+            repeated_keypoints(&VIEW_1, &VIEW_2, &RigidTransform::identity(), 0.25).unwrap(),
             [None; 4],
             "the boundary is outside"
         );
         let twice = [VIEW_2[1], VIEW_2[0], VIEW_2[0]];
-        assert_eq!(repeated_keypoints(&VIEW_1[..1], &twice, &IDENTITY, 9.0).unwrap(), [Some((1, 0.25))]);
-        assert_eq!(repeated_keypoints(&VIEW_1, &[], &IDENTITY, 9.0).unwrap(), [None; 4]);
-        assert!(repeated_keypoints(&VIEW_1, &VIEW_2, &IDENTITY, -1.0).is_err());
+        assert_eq!(
+            repeated_keypoints(&VIEW_1[..1], &twice, &RigidTransform::identity(), 9.0).unwrap(),
+            [Some((1, 0.25))]
+        );
+        assert_eq!(repeated_keypoints(&VIEW_1, &[], &RigidTransform::identity(), 9.0).unwrap(), [None; 4]);
+        assert!(repeated_keypoints(&VIEW_1, &VIEW_2, &RigidTransform::identity(), -1.0).is_err());
     }
 
     #[test]
@@ -186,16 +199,12 @@ mod tests {
 
     #[test]
     fn bad_numbers_are_refused() {
-        let call = |bad: Point, transform: &Transform, epsilon: f64| {
-            relative_repeatability(&[bad], &VIEW_2, transform, &[epsilon]).map_err(|e| e.to_string())
+        let call = |bad: Point, epsilon: f64| {
+            relative_repeatability(&[bad], &VIEW_2, &RigidTransform::identity(), &[epsilon]).map_err(|e| e.to_string())
         };
-        let mut scaled = IDENTITY;
-        scaled[3][3] = 2.0;
-        assert!(call([f32::NAN, 0.0, 0.0], &IDENTITY, 1.0).unwrap_err().starts_with("keypoints_1: 1 of 1"));
-        assert!(call([0.0; 3], &scaled, 1.0).unwrap_err().starts_with("t_1_2: expected a finite 4x4"));
-        assert!(call([0.0; 3], &[[f64::NAN; 4]; 4], 1.0).is_err());
+        assert!(call([f32::NAN, 0.0, 0.0], 1.0).unwrap_err().starts_with("keypoints_1: 1 of 1"));
         for epsilon in [-0.1, f64::NAN] {
-            assert!(call([0.0; 3], &IDENTITY, epsilon).unwrap_err().starts_with("option `epsilon`"));
+            assert!(call([0.0; 3], epsilon).unwrap_err().starts_with("option `epsilon`"));
         }
     }
 }

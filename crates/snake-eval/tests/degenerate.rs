@@ -1,13 +1,10 @@
 //! Degenerate clouds, from one point to a hundred thousand equal points, in every function that takes a cloud: the
 //! result is finite or an error of one line.
 
-use snake_core::{Builtin, Length, Model, NormalizationMethod, Options, Point, Preset, Result};
+use snake_core::{Builtin, Length, Model, NormalizationMethod, Options, Point, Preset, Result, RigidTransform};
 use snake_eval::{Unreachable, relative_repeatability, semantic_counts};
 use snake_registration::detectors::{Detector, Protocol};
 use snake_registration::{RegisterOptions, estimate_normals, fpfh, register};
-
-const IDENTITY: [[f64; 4]; 4] =
-    [[1.0, 0.0, 0.0, 0.0], [0.0, 1.0, 0.0, 0.0], [0.0, 0.0, 1.0, 0.0], [0.0, 0.0, 0.0, 1.0]];
 
 /// Clouds with their names, and whether the network can detect keypoints in them.
 fn clouds() -> Vec<(&'static str, bool, Vec<Point>)> {
@@ -92,7 +89,8 @@ fn registrations_are_finite_or_refused() {
         assert!(can_be_encoded || found.is_none(), "{name}");
         if let Some(found) = found {
             assert!(
-                found.t_target_source.as_flattened().iter().all(|v| v.is_finite()) && found.rmse.is_finite(),
+                found.t_target_source.to_matrix().as_flattened().iter().all(|v| v.is_finite())
+                    && found.rmse.is_finite(),
                 "{name}"
             );
         }
@@ -125,7 +123,8 @@ fn classical_keypoints_are_points_of_the_cloud_or_refused() {
 fn figures_are_finite_or_refused() {
     for (name, _, cloud) in clouds() {
         let few = &cloud[..cloud.len().min(500)];
-        let shares = usable(name, relative_repeatability(few, few, &IDENTITY, &[0.1])).unwrap_or_default();
+        let shares =
+            usable(name, relative_repeatability(few, few, &RigidTransform::identity(), &[0.1])).unwrap_or_default();
         assert!(shares.iter().all(|share| (0.0..=1.0).contains(share)), "{name}");
         let counts = usable(name, semantic_counts(few, &[0], few, &[0.1], Unreachable::Strict)).unwrap_or_default();
         assert!(counts.iter().all(|counts| (0.0..=1.0).contains(&counts.iou())), "{name}");

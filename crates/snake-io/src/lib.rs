@@ -83,7 +83,7 @@ use std::io::{self, Write};
 use std::path::Path;
 
 use serde::Serialize;
-use snake_core::{Keypoint, Mesh, Point, Transform};
+use snake_core::{Keypoint, Mesh, Point, RigidTransform};
 
 use format::{extension, unknown_extension};
 use shape::Shape;
@@ -225,7 +225,7 @@ pub fn read_clouds(path: &Path) -> Result<Vec<Vec<Point>>> {
 ///
 /// # Errors
 /// [`Error::Io`] when the file cannot be read; [`Error::Format`] when it does not hold such an array.
-pub fn read_transforms(path: &Path) -> Result<Vec<Transform>> {
+pub fn read_transforms(path: &Path) -> Result<Vec<RigidTransform>> {
     let bytes = std::fs::read(path).map_err(|source| Error::Io { path: path.into(), source })?;
     npy::read_transforms(&bytes).map_err(|reason| Error::Format { path: path.into(), reason })
 }
@@ -238,7 +238,7 @@ pub fn read_transforms(path: &Path) -> Result<Vec<Transform>> {
 /// # Errors
 /// [`Error::Io`] when the file cannot be read; [`Error::Format`] when the extension is not among
 /// [`REGISTRATION_EXTENSIONS`] or the content is not a rigid transform.
-pub fn read_transform(path: &Path) -> Result<Transform> {
+pub fn read_transform(path: &Path) -> Result<RigidTransform> {
     let read = match extension(path).as_str() {
         "json" => transform::read_json,
         "txt" => transform::read_text,
@@ -338,7 +338,7 @@ pub fn check_mesh_path(path: &Path) -> Result<()> {
 ///
 /// # Errors
 /// As [`write_keypoints`].
-pub fn write_registration(path: &Path, t_target_source: &Transform, record: &impl Serialize) -> Result<()> {
+pub fn write_registration(path: &Path, t_target_source: &RigidTransform, record: &impl Serialize) -> Result<()> {
     check_registration_path(path)?;
     let is_json = extension(path) == "json";
     let write = |file: &mut dyn Write| match is_json {
@@ -479,16 +479,14 @@ mod tests {
             (folder.path().join("a.ply"), folder.path().join("b.json"), folder.path().join("c.TXT"));
         write_points(&cloud, &CLOUD, [0.0; 3]).unwrap();
         assert_eq!(read_points(&cloud).unwrap(), CLOUD);
-        let t_target_source =
-            [[0.1, -1.0, 1e-17, 3.5], [1.0, 0.1, 0.0, 1e7], [0.0, 0.0, 1.0, 0.25], [0.0, 0.0, 0.0, 1.0]];
+        let rows = [[0.6, -0.8, 1e-17, 3.5], [0.8, 0.6, 0.0, 1e7], [0.0, 0.0, 1.0, 0.25], [0.0, 0.0, 0.0, 1.0]];
+        let t_target_source = RigidTransform::from_matrix(rows).unwrap();
         let record = serde_json::json!({ "t_target_source": t_target_source, "num_inliers": 3, "rmse": 0.1 });
         write_registration(&json, &t_target_source, &record).unwrap();
         let value: serde_json::Value = serde_json::from_slice(&std::fs::read(&json).unwrap()).unwrap();
         assert_eq!(value, record);
         write_registration(&text, &t_target_source, &record).unwrap();
-        let rows = std::fs::read_to_string(&text).unwrap();
-        let rows = rows.lines().map(|row| row.split(' ').map(|v| v.parse::<f64>().unwrap()).collect::<Vec<_>>());
-        assert_eq!(rows.collect::<Vec<_>>(), t_target_source);
+        assert_eq!(read_transform(&text).unwrap(), t_target_source);
         assert_eq!(std::fs::read_dir(folder.path()).unwrap().count(), 3, "temporary files remain");
     }
 

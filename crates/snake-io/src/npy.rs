@@ -6,8 +6,9 @@ use super::array::Array;
 use super::columns::{Columns, Indices};
 use super::dtype::Dtype;
 use super::shape::{Position, Shape};
+use super::transform::checked;
 use snake_core::excerpt;
-use snake_core::{Point, Transform};
+use snake_core::{Point, RigidTransform};
 
 pub(super) const MAGIC: &[u8] = b"\x93NUMPY";
 
@@ -55,7 +56,7 @@ pub(super) fn read_clouds(bytes: &[u8]) -> Result<Vec<Vec<Point>>, String> {
 }
 
 /// Reads transforms from an array `(S, 3, 4)` or `(S, 4, 4)`, row by row. A missing fourth row is 0 0 0 1.
-pub(super) fn read_transforms(bytes: &[u8]) -> Result<Vec<Transform>, String> {
+pub(super) fn read_transforms(bytes: &[u8]) -> Result<Vec<RigidTransform>, String> {
     let (array, data) = open(bytes)?;
     let plain = matches!((array.rows, array.columns), (3 | 4, 4)) && !array.fortran_order;
     let transforms = array.clouds.filter(|_| plain).ok_or("needed is (S, 3, 4) or (S, 4, 4) in C order")?;
@@ -65,9 +66,10 @@ pub(super) fn read_transforms(bytes: &[u8]) -> Result<Vec<Transform>, String> {
     };
     let one = |transform| {
         let data = array.data_of(data, transform);
-        std::array::from_fn(|i| row(data, i))
+        let rows = std::array::from_fn(|i| row(data, i));
+        checked(rows).map_err(|reason| format!("transform {transform}: {reason}"))
     };
-    Ok((0..transforms).map(one).collect())
+    (0..transforms).map(one).collect()
 }
 
 /// Reads an array of any shape.
@@ -293,14 +295,26 @@ mod tests {
 
     #[test]
     fn transforms_have_three_rows_or_four() {
-        let values: Vec<i8> = (0..32).collect();
-        let row = |first: i32| std::array::from_fn(|column| f64::from(first + column as i32));
-        let read = |order: &str, shape: &str| read_transforms(&npy(1, "<f8", order, shape, &encode(&values, "<f8")));
-        assert_eq!(read("False", "(2, 4, 4)").unwrap()[1], [row(16), row(20), row(24), row(28)]);
-        assert_eq!(read("False", "(2, 3, 4)").unwrap()[1], [row(12), row(16), row(20), [0.0, 0.0, 0.0, 1.0]]);
+        const ROWS: [[i8; 4]; 4] = [[0, -1, 0, 7], [1, 0, 0, -3], [0, 0, 1, 5], [0, 0, 0, 1]];
+        const IDENTITY: [[i8; 4]; 4] = [[1, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]];
+        let file = |order: &str, shape: &str, values: &[i8]| npy(1, "<f8", order, shape, &encode(values, "<f8"));
+        let read = |order: &str, shape: &str| {
+            let rows = if shape.contains("3, 4)") { 3 } else { 4 };
+            let values = [&IDENTITY[..rows], &ROWS[..rows]].concat().concat();
+            read_transforms(&file(order, shape, &values))
+        };
+        for shape in ["(2, 4, 4)", "(2, 3, 4)"] {
+            assert_eq!(read("False", shape).unwrap()[1].to_matrix(), ROWS.map(|row| row.map(f64::from)), "{shape}");
+        }
         // The values are exact and not rounded to f32.
-        let third = npy(1, "<f8", "False", "(1, 3, 4)", &[1.0_f64 / 3.0; 12].map(f64::to_le_bytes).concat());
-        assert_eq!(read_transforms(&third).unwrap()[0][2][3], 1.0 / 3.0);
+        let mut third = [1.0, 0.0, 0.0, 1.0 / 3.0, 0.0, 1.0, 0.0, 0.0, 0.0, 0.0, 1.0, 0.0_f64];
+        let exact = |values: &[f64]| {
+            npy(1, "<f8", "False", "(1, 3, 4)", &values.iter().flat_map(|v| v.to_le_bytes()).collect::<Vec<u8>>())
+        };
+        assert_eq!(read_transforms(&exact(&third)).unwrap()[0].to_matrix()[0][3], 1.0 / 3.0);
+        third[0] = 2.0;
+        let error = read_transforms(&exact(&third)).unwrap_err();
+        assert!(error.starts_with("transform 0: rigid transform: expected"), "{error}");
         for (order, shape) in
             [("True", "(2, 4, 4)"), ("False", "(4, 4)"), ("False", "(1, 5, 4)"), ("False", "(3, 4, 4)")]
         {

@@ -4,7 +4,7 @@ use std::io::{self, Write};
 
 use super::columns::{self, Columns, Indices};
 use super::shape::{Position, Shape};
-use snake_core::{Transform, excerpt};
+use snake_core::{RigidTransform, excerpt};
 
 const BYTE_ORDER_MARK: &[u8] = b"\xef\xbb\xbf";
 
@@ -23,9 +23,9 @@ pub(super) fn read_counted(bytes: &[u8], columns: Option<&Columns>) -> Result<Sh
     Ok(read_rows(bytes, columns, true)?.into())
 }
 
-/// Writes the four rows of a matrix.
-pub(super) fn write_rows(out: &mut dyn Write, rows: &Transform) -> io::Result<()> {
-    for [a, b, c, d] in rows {
+/// Writes the four rows of a transform's matrix.
+pub(super) fn write_rows(out: &mut dyn Write, transform: &RigidTransform) -> io::Result<()> {
+    for [a, b, c, d] in transform.to_matrix() {
         writeln!(out, "{a} {b} {c} {d}")?;
     }
     Ok(())

@@ -2,62 +2,56 @@
 
 use serde::Deserialize;
 
-use snake_core::Transform;
-
-/// The tolerance of the products of a rotation's rows: files round to a few digits.
-const TOLERANCE: f64 = 1e-3;
+use snake_core::RigidTransform;
 
 #[derive(Deserialize)]
 #[serde(untagged)]
 enum Written {
-    Registration { t_target_source: Transform },
-    Rows(Transform),
+    Registration { t_target_source: [[f64; 4]; 4] },
+    Rows([[f64; 4]; 4]),
 }
 
 /// Reads the four rows of the matrix, alone or under the key `t_target_source` of an object.
-pub(super) fn read_json(bytes: &[u8]) -> Result<Transform, String> {
+pub(super) fn read_json(bytes: &[u8]) -> Result<RigidTransform, String> {
     match serde_json::from_slice(bytes) {
         Ok(Written::Registration { t_target_source: rows } | Written::Rows(rows)) => checked(rows),
-        Err(_) => Err("needed is {\"t_target_source\": [[..4], ..4]}, or the rows alone".into()),
+        Err(_) => Err("expected {\"t_target_source\": [[..4], ..4]}, or the rows alone".into()),
     }
 }
 
 /// Reads four rows of four numbers.
-pub(super) fn read_text(bytes: &[u8]) -> Result<Transform, String> {
+pub(super) fn read_text(bytes: &[u8]) -> Result<RigidTransform, String> {
     let numbers = |row: &str| -> Option<[f64; 4]> {
         let numbers: Option<Vec<f64>> = row.split_whitespace().map(|number| number.parse().ok()).collect();
         numbers?.try_into().ok()
     };
     let text = String::from_utf8_lossy(bytes);
     let rows: Option<Vec<_>> = text.lines().filter(|row| !row.trim().is_empty()).map(numbers).collect();
-    checked(rows.and_then(|rows| rows.try_into().ok()).ok_or("needed are four rows of four numbers")?)
+    checked(rows.and_then(|rows| rows.try_into().ok()).ok_or("expected four rows of four numbers")?)
 }
 
-/// Refuses a transform that is not rigid.
-fn checked(rows: Transform) -> Result<Transform, String> {
-    let product = |a: usize, b: usize| (0..3).map(|i| rows[a][i] * rows[b][i]).sum::<f64>();
-    let is_rotation = (0..3).all(|a| {
-        (0..=a).all(|b| (product(a, b) - f64::from(u8::from(a == b))).abs() < TOLERANCE) && rows[a][3].is_finite()
-    });
-    if !is_rotation || rows[3] != [0.0, 0.0, 0.0, 1.0] {
-        return Err("not a rigid transform: a rotation, a column of shifts, and 0 0 0 1 as the last row".into());
-    }
-    Ok(rows)
+/// The transform of these rows.
+pub(super) fn checked(rows: [[f64; 4]; 4]) -> Result<RigidTransform, String> {
+    RigidTransform::from_matrix(rows).map_err(|error| error.to_string())
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
 
-    const ROWS: Transform = [[0.0, -1.0, 0.0, 3.5], [1.0, 0.0, 0.0, -1e6], [0.0, 0.0, 1.0, 0.25], [0.0, 0.0, 0.0, 1.0]];
+    const ROWS: [[f64; 4]; 4] =
+        [[0.0, -1.0, 0.0, 3.5], [1.0, 0.0, 0.0, -1e6], [0.0, 0.0, 1.0, 0.25], [0.0, 0.0, 0.0, 1.0]];
 
     #[test]
     fn all_forms_hold_the_same_rows() {
         let rows = serde_json::json!(ROWS).to_string();
-        assert_eq!(read_json(rows.as_bytes()).unwrap(), ROWS);
-        assert_eq!(read_json(format!(r#"{{"rmse": 1, "t_target_source": {rows}}}"#).as_bytes()).unwrap(), ROWS);
+        assert_eq!(read_json(rows.as_bytes()).unwrap().to_matrix(), ROWS);
+        assert_eq!(
+            read_json(format!(r#"{{"rmse": 1, "t_target_source": {rows}}}"#).as_bytes()).unwrap().to_matrix(),
+            ROWS
+        );
         let text = "0 -1 0 3.5\r\n1 0 0 -1e6\n\n0 0 1 0.25\n 0\t0 0 1";
-        assert_eq!(read_text(text.as_bytes()).unwrap(), ROWS);
+        assert_eq!(read_text(text.as_bytes()).unwrap().to_matrix(), ROWS);
     }
 
     #[test]

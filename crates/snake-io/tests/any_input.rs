@@ -9,7 +9,7 @@ use proptest::num::f32::{NEGATIVE, NORMAL, POSITIVE, SUBNORMAL, ZERO};
 use proptest::prelude::*;
 use proptest::sample::{Index, select};
 use serde_json::Value;
-use snake_core::{Keypoint, Point};
+use snake_core::{Keypoint, Point, RigidTransform};
 use snake_io::{self as io, Cloud, KeypointSource, PointFormat, ReadOptions};
 
 /// An allocator that also counts the memory in use.
@@ -215,18 +215,16 @@ proptest! {
     }
 
     #[test]
-    fn written_registrations_read_back(values in prop::array::uniform12(-1e300..1e300)) {
-        let [r0, r1, r2] = [0, 4, 8].map(|at| std::array::from_fn(|column| values[at + column]));
-        let t_target_source = [r0, r1, r2, [0.0, 0.0, 0.0, 1.0]];
+    fn written_registrations_read_back(angle in -4.0..4.0_f64, translation in prop::array::uniform3(-1e300..1e300)) {
+        let ((sin, cos), [x, y, z]) = (angle.sin_cos(), translation);
+        let rows = [[cos, -sin, 0.0, x], [sin, cos, 0.0, y], [0.0, 0.0, 1.0, z], [0.0, 0.0, 0.0, 1.0]];
+        let t_target_source = RigidTransform::from_matrix(rows).unwrap();
         let record = serde_json::json!({ "t_target_source": t_target_source });
         let folder = tempfile::tempdir().unwrap();
         let (json, text) = (folder.path().join("a.json"), folder.path().join("a.txt"));
         io::write_registration(&json, &t_target_source, &record).unwrap();
         io::write_registration(&text, &t_target_source, &record).unwrap();
-        let value: Value = serde_json::from_slice(&std::fs::read(&json).unwrap()).unwrap();
-        prop_assert_eq!(&value["t_target_source"], &serde_json::json!(t_target_source));
-        let words = std::fs::read_to_string(&text).unwrap();
-        let read: Vec<f64> = words.split_whitespace().map(|word| word.parse().unwrap()).collect();
-        prop_assert_eq!(&read[..], t_target_source.as_flattened());
+        prop_assert_eq!(io::read_transform(&json).unwrap(), t_target_source);
+        prop_assert_eq!(io::read_transform(&text).unwrap(), t_target_source);
     }
 }

@@ -11,9 +11,11 @@
 //! [`mutual_nearest`], [`ransac`] and [`kabsch`] are the single steps:
 //!
 //! ```
+//! use snake_core::RigidTransform;
 //! use snake_registration::{RansacOptions, ransac, transform_points};
 //! let source = [[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 2.0, 0.0], [0.0, 0.0, 3.0], [1.0, 1.0, 1.0]];
-//! let t_target_source = [[0.0, -1.0, 0.0, 3.0], [1.0, 0.0, 0.0, 0.0], [0.0, 0.0, 1.0, 0.0], [0.0, 0.0, 0.0, 1.0]];
+//! let rows = [[0.0, -1.0, 0.0, 3.0], [1.0, 0.0, 0.0, 0.0], [0.0, 0.0, 1.0, 0.0], [0.0, 0.0, 0.0, 1.0]];
+//! let t_target_source = RigidTransform::from_matrix(rows)?;
 //! let mut target = transform_points(&t_target_source, &source);
 //! target[4] = [9.0, 9.0, 9.0]; // a wrong correspondence
 //! let found = ransac(&source, &target, &RansacOptions::default())?.expect("four correspondences agree");
@@ -46,12 +48,11 @@ use snake_core::space::FinitePoints;
 use snake_core::space::resolution;
 use snake_core::space::vector;
 use snake_core::{Error, Result};
-use snake_core::{Normalization, NormalizationMethod, Point, Transform};
+use snake_core::{Normalization, NormalizationMethod, Point, RigidTransform};
 
 use icp::{fitness, icp};
 use matching::matches;
 use ransac::{Pair, best_transform, consensus};
-use rigid::matrix;
 use scan::reduce;
 
 pub use cloud::estimate_normals;
@@ -120,7 +121,7 @@ impl Default for RegisterOptions {
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct Registration {
     /// Maps source points to the target frame: `p_target = R p_source + t`.
-    pub t_target_source: Transform,
+    pub t_target_source: RigidTransform,
     /// Number of correspondences that RANSAC's transform brings closer than `inlier_distance`; ICP starts from that
     /// transform. Do not trust the result if they are few or a small share of all correspondences.
     pub num_inliers: usize,
@@ -147,23 +148,9 @@ impl Registration {
     /// Converts the transform from points relative to an origin (see [`Cloud`](snake_core::Cloud)) to points with their
     /// origins added.
     pub fn between_origins(mut self, source: [f64; 3], target: [f64; 3]) -> Self {
-        self.t_target_source = add_origins(&self.t_target_source, source, target);
+        self.t_target_source = self.t_target_source.add_origins(source, target);
         self
     }
-}
-
-/// Converts a transform of points relative to their origins to a transform of points with their origins added.
-pub fn add_origins(t_target_source: &Transform, source: [f64; 3], target: [f64; 3]) -> Transform {
-    let mut transform = *t_target_source;
-    for (row, target) in transform.iter_mut().zip(target) {
-        row[3] += target - (0..3).map(|axis| row[axis] * source[axis]).sum::<f64>();
-    }
-    transform
-}
-
-/// Converts a transform of points with their origins added to a transform of points relative to their origins.
-pub fn subtract_origins(t_target_source: &Transform, source: [f64; 3], target: [f64; 3]) -> Transform {
-    add_origins(t_target_source, source.map(|v| -v), target.map(|v| -v))
 }
 
 /// Finds the rigid transform from `source` `(N, 3)` to `target` `(M, 3)` without an initial guess.
@@ -171,13 +158,15 @@ pub fn subtract_origins(t_target_source: &Transform, source: [f64; 3], target: [
 /// Both clouds are in the same units; they may overlap only in part.
 ///
 /// ```
-/// use snake_core::{Builtin, Model};
+/// use snake_core::{Builtin, Model, RigidTransform};
 /// use snake_registration::{RegisterOptions, register, transform_points};
 /// # let source = snake_io::read_points(concat!(env!("CARGO_MANIFEST_DIR"), "/../../samples/plane.ply").as_ref())?;
-/// let quarter_turn = [[0.0, -1.0, 0.0, 3.0], [1.0, 0.0, 0.0, 0.0], [0.0, 0.0, 1.0, 0.0], [0.0, 0.0, 0.0, 1.0]];
-/// let target = transform_points(&quarter_turn, &source);
+/// let rows = [[0.0, -1.0, 0.0, 3.0], [1.0, 0.0, 0.0, 0.0], [0.0, 0.0, 1.0, 0.0], [0.0, 0.0, 0.0, 1.0]];
+/// let t_target_source = RigidTransform::from_matrix(rows)?;
+/// let target = transform_points(&t_target_source, &source);
 /// let found = register(&source, &target, &Model::builtin(Builtin::Compact), &RegisterOptions::default())?;
-/// assert!((found.t_target_source[0][3] - 3.0).abs() < 0.05 && found.num_inliers > 50);
+/// let (angle, distance) = found.t_target_source.angle_and_distance_to(&t_target_source);
+/// assert!(angle < 0.05 && distance < 0.05 && found.num_inliers > 50);
 /// # Ok::<(), Box<dyn std::error::Error>>(())
 /// ```
 ///
@@ -246,7 +235,7 @@ pub fn register_with(
     let Consensus { inliers, rmse, .. } = consensus(&pairs, &rough, inlier_distance);
     let (fitness, fitness_rmse) = fitness(source_voxels, voxels, &transform, inlier_distance);
     Ok(Registration {
-        t_target_source: matrix(&transform),
+        t_target_source: transform.into(),
         num_inliers: inliers.len(),
         num_correspondences: pairs.len(),
         rmse,
@@ -329,7 +318,7 @@ mod tests {
     }
 
     /// The largest coordinate difference between the points under two transforms.
-    fn difference(points: &[Point], a: &Transform, b: &Transform) -> f32 {
+    fn difference(points: &[Point], a: &RigidTransform, b: &RigidTransform) -> f32 {
         let (a, b) = (transform_points(a, points), transform_points(b, points));
         a.as_flattened().iter().zip(b.as_flattened()).map(|(a, b)| (a - b).abs()).fold(0.0, f32::max)
     }
@@ -341,7 +330,7 @@ mod tests {
         let source = &points[..2048];
         let part: Vec<Point> = points[2048..].iter().copied().filter(|p| p[0] < 0.5).collect();
         for seed in 0..4 {
-            let truth = matrix(&random_transform(&mut ChaCha8Rng::seed_from_u64(seed)));
+            let truth = RigidTransform::from(random_transform(&mut ChaCha8Rng::seed_from_u64(seed)));
             let found = run(source, &transform_points(&truth, &part), &options()).unwrap();
             assert!(difference(&points, &found.t_target_source, &truth) < 0.05, "seed {seed}: {found:?}");
             assert!(found.num_inliers >= 3 && found.num_correspondences > found.num_inliers, "{found:?}");
@@ -352,7 +341,7 @@ mod tests {
     #[test]
     fn field_descriptors_and_refinement_do_their_part() {
         let points = sample();
-        let truth = matrix(&IsometryMatrix3::translation(0.3, -4.0, 1.0));
+        let truth = RigidTransform::from(IsometryMatrix3::translation(0.3, -4.0, 1.0));
         let (source, target) = (&points[..2048], transform_points(&truth, &points[2048..]));
         let options = RegisterOptions { descriptor: Descriptor::Field, ..options() };
         let error = |options: RegisterOptions| {
@@ -365,7 +354,7 @@ mod tests {
     #[test]
     fn inliers_are_those_of_ransac_and_fitness_is_that_of_the_result() {
         let points = sample();
-        let truth = matrix(&random_transform(&mut ChaCha8Rng::seed_from_u64(7)));
+        let truth = RigidTransform::from(random_transform(&mut ChaCha8Rng::seed_from_u64(7)));
         let (source, target) = (&points[..2048], transform_points(&truth, &points[2048..]));
         let found = run(source, &target, &options()).unwrap();
         let rough = run(source, &target, &RegisterOptions { refine_steps: 0, ..options() }).unwrap();
@@ -380,7 +369,7 @@ mod tests {
     fn keypoints_of_other_detectors_register_too() {
         use KeypointDetector::{Fps, Random};
         let points = sample();
-        let truth = matrix(&random_transform(&mut ChaCha8Rng::seed_from_u64(1)));
+        let truth = RigidTransform::from(random_transform(&mut ChaCha8Rng::seed_from_u64(1)));
         let (source, target) = (&points[..2048], transform_points(&truth, &points[2048..]));
         for detector in [Fps, Random] {
             let found = run(source, &target, &RegisterOptions { detector, ..options() }).unwrap();
@@ -430,7 +419,9 @@ mod tests {
         for poor in [line, plane, good[..2].to_vec(), good[..5].to_vec()] {
             for (source, target) in [(&poor, &good), (&good, &poor), (&poor, &poor)] {
                 match run(source, target, &options()) {
-                    Ok(found) => assert!(found.t_target_source.as_flattened().iter().all(|v| v.is_finite())),
+                    Ok(found) => {
+                        assert!(found.t_target_source.to_matrix().as_flattened().iter().all(|v| v.is_finite()))
+                    }
                     Err(error) => assert!(error.to_string().contains("correspondences"), "{error}"),
                 }
             }
@@ -461,33 +452,6 @@ mod tests {
         let nan = [source, &[[f32::NAN; 3]; 7], &[[0.0, 0.0, f32::INFINITY]]].concat();
         let (expected, found) = (run(source, target, &options()).unwrap(), run(&nan, target, &options()).unwrap());
         assert_eq!(found, Registration { num_skipped: [8, 0], seconds: found.seconds, ..expected });
-    }
-
-    #[test]
-    fn origins_are_added_to_both_clouds() {
-        let t_target_source = matrix(&random_transform(&mut ChaCha8Rng::seed_from_u64(3)));
-        let near = Registration {
-            t_target_source,
-            num_inliers: 3,
-            num_correspondences: 3,
-            rmse: 0.0,
-            inlier_distance: 1.0,
-            fitness: 1.0,
-            fitness_rmse: 0.0,
-            num_skipped: [0; 2],
-            seconds: 0.0,
-        };
-        let (source, target) = ([10.0, -20.0, 30.0], [5.0, 6.0, -7.0]);
-        let far = near.between_origins(source, target).t_target_source;
-        let p = [1.0_f32, 2.0, -3.0];
-        let moved = transform_points(&t_target_source, &[p])[0];
-        let moved_far = transform_points(&far, &[std::array::from_fn(|axis| p[axis] + source[axis] as f32)])[0];
-        for axis in 0..3 {
-            assert!((moved[axis] + target[axis] as f32 - moved_far[axis]).abs() < 1e-4);
-        }
-        assert_eq!(far[3], [0.0, 0.0, 0.0, 1.0]);
-        let back = subtract_origins(&far, source, target);
-        assert!(back.as_flattened().iter().zip(t_target_source.as_flattened()).all(|(a, b)| (a - b).abs() < 1e-12));
     }
 
     #[test]

@@ -6,11 +6,11 @@ use rand_chacha::ChaCha8Rng;
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
-use super::rigid::{best_fit, check_pairs, matrix, moved};
+use super::rigid::{best_fit, check_pairs, moved};
 use snake_core::space::{Vector, vector};
 use snake_core::{Control, Counter};
 use snake_core::{Error, Result};
-use snake_core::{Point, Transform};
+use snake_core::{Point, RigidTransform};
 
 /// Samples of one random stream; a stream is drawn by one thread.
 const SAMPLES_PER_STREAM: usize = 512;
@@ -63,7 +63,7 @@ impl RansacOptions {
 #[derive(Debug, Clone, PartialEq)]
 pub struct Consensus {
     /// Maps source points to the target frame.
-    pub t_target_source: Transform,
+    pub t_target_source: RigidTransform,
     /// Indices of the inliers, ascending.
     pub inliers: Vec<usize>,
     /// Root mean square distance of the inliers, in cloud units; 0 without inliers.
@@ -108,7 +108,7 @@ pub(super) fn consensus(pairs: &[Pair], transform: &IsometryMatrix3<f64>, inlier
     // The sum of no floats is -0.
     let sum = inliers.iter().fold(0.0, |sum, &i| sum + squared_distance(transform, &pairs[i]));
     let rmse = (sum / inliers.len().max(1) as f64).sqrt();
-    Consensus { t_target_source: matrix(transform), inliers, rmse }
+    Consensus { t_target_source: (*transform).into(), inliers, rmse }
 }
 
 /// A source point and its partner in the target.
@@ -260,16 +260,12 @@ mod tests {
                 let found = ransac(&source, &target, &OPTIONS).unwrap().unwrap();
                 let right = found.inliers.iter().filter(|&&i| i < inliers).count();
                 assert!(right == inliers && found.inliers.len() <= inliers + 3, "{outlier_percent} % seed {seed}");
-                let moved_by = |t: &Transform| vector(transform_one(t, [0.5, -0.5, 0.7]));
-                let error = (moved_by(&found.t_target_source) - moved_by(&matrix(&truth))).norm();
+                let moved_by = |t: RigidTransform| vector(t.apply([0.5, -0.5, 0.7]));
+                let error = (moved_by(found.t_target_source) - moved_by(truth.into())).norm();
                 assert!(error < 0.004, "{outlier_percent} % seed {seed}: {error}");
                 assert!((0.001..0.009).contains(&found.rmse), "{}", found.rmse);
             }
         }
-    }
-
-    fn transform_one(transform: &Transform, point: Point) -> Point {
-        super::super::transform_points(transform, &[point])[0]
     }
 
     #[test]
@@ -317,7 +313,7 @@ mod tests {
         let plane: Vec<Point> = (0..25).map(|i| [(i % 5) as f32, (i / 5) as f32, 0.0]).collect();
         let found = ransac(&plane, &plane, &OPTIONS).unwrap().unwrap();
         assert_eq!(found.inliers.len(), 25);
-        assert!((found.t_target_source[2][2] - 1.0).abs() < 1e-9);
+        assert!((found.t_target_source.to_matrix()[2][2] - 1.0).abs() < 1e-9);
     }
 
     #[test]

@@ -1,11 +1,11 @@
 //! Rigid transforms: the least-squares fit, and the transform of points.
 
-use nalgebra::{IsometryMatrix3, Matrix3, Matrix4, Point3, Quaternion, SymmetricEigen, Translation3, UnitQuaternion};
+use nalgebra::{IsometryMatrix3, Matrix3, Matrix4, Quaternion, SymmetricEigen, Translation3, UnitQuaternion};
 
 use snake_core::space::check_points;
 use snake_core::space::{Vector, vector};
 use snake_core::{Error, Result};
-use snake_core::{Point, Transform};
+use snake_core::{Point, RigidTransform};
 
 /// The least-squares rigid transform `t_target_source` from `source` `(N, 3)` to `target` `(N, 3)`, row i to row i.
 ///
@@ -24,17 +24,16 @@ use snake_core::{Point, Transform};
 /// # Errors
 /// [`Error::Input`] when the arrays differ in length, hold fewer than three points or a coordinate that is not finite,
 /// or are collinear, so that the rotation is not unique.
-pub fn kabsch(source: &[Point], target: &[Point]) -> Result<Transform> {
+pub fn kabsch(source: &[Point], target: &[Point]) -> Result<RigidTransform> {
     check_pairs(source, target)?;
     let pairs = source.iter().zip(target).map(|(&s, &t)| (vector(s), vector(t)));
     let reason = || "fewer than three points that are not on one line: any rotation about it would do".into();
-    best_fit(pairs).map(|fit| matrix(&fit)).ok_or_else(|| Error::Input { what: "source", reason: reason() })
+    best_fit(pairs).map(RigidTransform::from).ok_or_else(|| Error::Input { what: "source", reason: reason() })
 }
 
 /// Points `(N, 3)` under a transform, computed in f64.
-pub fn transform_points(transform: &Transform, points: &[Point]) -> Vec<Point> {
-    let row = |row: &[f64; 4], p: Vector| (row[0] * p.x + row[1] * p.y + row[2] * p.z + row[3]) as f32;
-    points.iter().map(|&p| std::array::from_fn(|axis| row(&transform[axis], vector(p)))).collect()
+pub fn transform_points(transform: &RigidTransform, points: &[Point]) -> Vec<Point> {
+    points.iter().map(|&point| transform.apply(point)).collect()
 }
 
 /// Refuses matched points that differ in number or are not finite; empty arrays are accepted.
@@ -80,13 +79,7 @@ pub(super) fn best_fit(pairs: impl Iterator<Item = (Vector, Vector)> + Clone) ->
 
 /// A vector under a transform.
 pub(super) fn moved(transform: &IsometryMatrix3<f64>, point: &Vector) -> Vector {
-    transform.transform_point(&Point3::from(*point)).coords
-}
-
-/// The rows of a transform.
-pub(super) fn matrix(transform: &IsometryMatrix3<f64>) -> Transform {
-    let matrix = transform.to_homogeneous();
-    std::array::from_fn(|row| std::array::from_fn(|column| matrix[(row, column)]))
+    transform.transform_point(&(*point).into()).coords
 }
 
 #[cfg(test)]

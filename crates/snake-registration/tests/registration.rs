@@ -4,8 +4,7 @@
 use std::path::{Path, PathBuf};
 
 use serde_json::Value;
-use snake_core::Transform;
-use snake_core::{Builtin, Model};
+use snake_core::{Builtin, Model, RigidTransform};
 use snake_io as io;
 use snake_registration::{RegisterOptions, Registration, register};
 
@@ -15,7 +14,7 @@ const MOST: (f64, f64) = (15.0, 0.3);
 struct Pair {
     source: PathBuf,
     target: PathBuf,
-    t_target_source: Transform,
+    t_target_source: RigidTransform,
 }
 
 /// The pairs of a split with at least half of the points of each cloud in common, both ways round; `None` without data.
@@ -29,32 +28,13 @@ fn pairs(split: &str) -> Option<Vec<Pair>> {
     let overlaps = |row: &&Value| ["overlap", "overlap_reverse"].iter().all(|key| row[key].as_f64().unwrap() >= 0.5);
     let both_ways = rows.iter().filter(overlaps).flat_map(|row| {
         let file = |key: &str| folder.join(format!("{}.npy", row[key].as_str().unwrap()));
-        let forth: Transform = serde_json::from_value(row["T"].clone()).unwrap();
+        let forth: RigidTransform = serde_json::from_value(row["T"].clone()).unwrap();
         [
             Pair { source: file("source"), target: file("target"), t_target_source: forth },
-            Pair { source: file("target"), target: file("source"), t_target_source: inverse(&forth) },
+            Pair { source: file("target"), target: file("source"), t_target_source: forth.inverse() },
         ]
     });
     Some(both_ways.collect())
-}
-
-fn inverse(t: &Transform) -> Transform {
-    let mut inverse = [[0.0; 4]; 4];
-    inverse[3][3] = 1.0;
-    for row in 0..3 {
-        for column in 0..3 {
-            inverse[row][column] = t[column][row];
-            inverse[row][3] -= t[column][row] * t[column][3];
-        }
-    }
-    inverse
-}
-
-/// Degrees between the rotations and distance of the translations.
-fn error(a: &Transform, b: &Transform) -> (f64, f64) {
-    let trace: f64 = (0..9).map(|i| a[i / 3][i % 3] * b[i / 3][i % 3]).sum();
-    let distance = (0..3).map(|row| (a[row][3] - b[row][3]).powi(2)).sum::<f64>().sqrt();
-    (((trace - 1.0) / 2.0).clamp(-1.0, 1.0).acos().to_degrees(), distance)
 }
 
 /// The share of pairs that are put right, printed with the seconds that a pair takes.
@@ -65,7 +45,8 @@ fn recall(name: &str, pairs: &[Pair], options: &RegisterOptions) -> f64 {
     for pair in pairs {
         let [source, target] = [&pair.source, &pair.target].map(|path| io::read_points(path).unwrap());
         let found: Registration = register(&source, &target, &model, options).unwrap();
-        errors.push(error(&found.t_target_source, &pair.t_target_source));
+        let (angle, distance) = found.t_target_source.angle_and_distance_to(&pair.t_target_source);
+        errors.push((angle.to_degrees(), distance));
         seconds.push(found.seconds);
     }
     let share = |degrees, distance| {

@@ -102,7 +102,7 @@ pub struct RepeatabilityArguments {
     #[arg(required = true)]
     pub data: Vec<PathBuf>,
     /// The transform from the first cloud to the second, in a file as `register -o` writes it: .json with
-    /// t_target_source, or its 16 numbers, row by row, as text.
+    /// t_target_source, or .txt with the four rows of the matrix.
     #[arg(long)]
     pub transform: Option<PathBuf>,
     /// Distances below which a keypoint counts as repeated, in units of the data set (objects: their radius) [default:

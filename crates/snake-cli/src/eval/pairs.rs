@@ -1,10 +1,10 @@
-//! `pairs.json`: a folder's list of pairs of clouds, and files with the transform of one pair.
+//! `pairs.json`: a folder's list of pairs of clouds.
 
 use std::path::{Path, PathBuf};
 
-use anyhow::{Context, Result, bail};
+use anyhow::{Result, bail};
 use serde::Deserialize;
-use snake_core::Transform;
+use snake_core::RigidTransform;
 use snake_io as io;
 
 use super::read_json;
@@ -15,33 +15,12 @@ pub struct ListedPair {
     pub source: String,
     pub target: String,
     #[serde(rename = "T")]
-    pub t_target_source: Transform,
+    pub t_target_source: RigidTransform,
 }
 
 /// The pairs of a folder.
 pub fn listed(folder: &Path) -> Result<Vec<ListedPair>> {
     read_json(&folder.join("pairs.json"))
-}
-
-/// The JSON of `register`; other keys are ignored.
-#[derive(Deserialize)]
-struct Registered {
-    t_target_source: Transform,
-}
-
-/// Reads a transform as `register` writes it: JSON, or 16 numbers as text, row by row.
-pub fn transform(path: &Path) -> Result<Transform> {
-    if path.extension().is_some_and(|extension| extension.eq_ignore_ascii_case("json")) {
-        return Ok(read_json::<Registered>(path)?.t_target_source);
-    }
-    let text = std::fs::read_to_string(path).with_context(|| format!("cannot read {}", path.display()))?;
-    let numbers = text.split_whitespace().map(str::parse).collect::<Result<Vec<f64>, _>>().ok();
-    match numbers {
-        Some(numbers) if numbers.len() == 16 => {
-            Ok(std::array::from_fn(|row| std::array::from_fn(|column| numbers[4 * row + column])))
-        }
-        _ => bail!("{}: needed are 16 numbers, the rows of t_target_source", path.display()),
-    }
 }
 
 /// The file at this path, or at this path with the extension of a known format.

@@ -63,7 +63,7 @@ fn report(found: &Registration, written: &[&Path]) -> Report {
     let Registration { inlier_distance: near, fitness, fitness_rmse, seconds, .. } = found;
     let mut report = Report::default();
     report.line("t_target_source:");
-    for [a, b, c, d] in t_target_source {
+    for [a, b, c, d] in t_target_source.to_matrix() {
         report.line(format!("{a:>12.6} {b:>12.6} {c:>12.6} {d:>14.6}"));
     }
     report.line(format!(

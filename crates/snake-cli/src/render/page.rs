@@ -3,7 +3,7 @@
 use base64::Engine;
 use base64::engine::general_purpose::STANDARD;
 use serde_json::{Value, json};
-use snake_core::{Detection, Field, Mesh, Normalization, Options, Point, Transform, add_origin};
+use snake_core::{Detection, Field, Mesh, Normalization, Options, Point, RigidTransform, add_origin};
 use snake_io as io;
 use snake_registration::Registration;
 
@@ -41,7 +41,7 @@ pub struct ShownCloud {
 /// The alignment of two clouds and their repeated keypoints.
 pub struct Pair {
     /// Maps a point of the second cloud to the first; the origins are included.
-    pub t_first_second: Transform,
+    pub t_first_second: RigidTransform,
     /// The registration that found the transform; `None` if the user gave it.
     pub registration: Option<Registration>,
     pub epsilon: f64,

@@ -7,11 +7,11 @@ use std::path::Path;
 use anyhow::{Context, Result, bail};
 use snake_core::{
     Cloud, Control, Field, Length, Mesh, MeshOptions, Model, Normalization, NormalizationMethod, Options, Point,
-    Progress, Transform,
+    Progress, RigidTransform,
 };
 use snake_eval::repeated_keypoints;
 use snake_io as io;
-use snake_registration::{RegisterOptions, add_origins, register_with, subtract_origins};
+use snake_registration::{RegisterOptions, register_with};
 
 use crate::inputs::check_inputs;
 use crate::model;
@@ -104,7 +104,7 @@ fn pair(
     model: &Model,
     first: &ShownCloud,
     second: &ShownCloud,
-    given: Option<Transform>,
+    given: Option<RigidTransform>,
     epsilon: Option<Length>,
     control: &Control,
 ) -> Result<Pair> {
@@ -112,7 +112,7 @@ fn pair(
     let epsilon = epsilon.unwrap_or(Length::Units(0.04 * f64::from(radius)));
     let epsilon = epsilon.in_units("epsilon", first.field.points())?;
     let (near, registration) = match given {
-        Some(transform) => (subtract_origins(&transform, second.origin, first.origin), None),
+        Some(transform) => (transform.subtract_origins(second.origin, first.origin), None),
         None => {
             let (source, target) = (second.field.points(), first.field.points());
             let found = register_with(source, target, model, &RegisterOptions::default(), control);
@@ -124,6 +124,6 @@ fn pair(
     };
     let [of_first, of_second] = [first, second].map(ShownCloud::keypoint_positions);
     let partners = repeated_keypoints(&of_first, &of_second, &near, epsilon)?;
-    let t_first_second = add_origins(&near, second.origin, first.origin);
+    let t_first_second = near.add_origins(second.origin, first.origin);
     Ok(Pair { t_first_second, registration, epsilon, partners })
 }

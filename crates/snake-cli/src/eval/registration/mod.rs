@@ -12,7 +12,7 @@ use serde::{Deserialize, Serialize};
 use serde_json::{Value, json};
 use snake_core::{Cloud, Model, Point};
 use snake_eval::{information_matrix, inlier_ratio, overlap, squared_registration_error};
-use snake_registration::{Descriptor, KeypointDetector, RansacOptions, Scan, mutual_nearest, ransac, subtract_origins};
+use snake_registration::{Descriptor, KeypointDetector, RansacOptions, Scan, mutual_nearest, ransac};
 
 use super::args::RegistrationArguments;
 use super::check_outputs;
@@ -148,7 +148,7 @@ impl<'a> Plan<'a> {
 
     /// The figures of one pair: a row for each case.
     fn rows(&self, pair: &ScenePair, source: &DescribedCloud, target: &DescribedCloud, seed: u64) -> Result<Vec<Row>> {
-        let truth = &subtract_origins(&pair.t_target_source, source.origin, target.origin);
+        let truth = &pair.t_target_source.subtract_origins(source.origin, target.origin);
         // The matrix of gt.info holds for coordinates without an origin subtracted.
         let given = pair.information.filter(|_| source.origin == [0.0; 3]);
         let information = match given {

@@ -240,14 +240,14 @@ impl<'a> Report<'a> {
 
 #[cfg(test)]
 mod tests {
-    use snake_core::{Builtin, Model};
+    use snake_core::{Builtin, Model, RigidTransform};
 
     use super::super::super::paper::THREE_D_MATCH;
     use super::*;
     use crate::inputs::ColumnArguments;
 
     fn pair(scene: &str, fragments: [usize; 2]) -> ScenePair {
-        let t_target_source = std::array::from_fn(|i| std::array::from_fn(|j| f64::from(u8::from(i == j))));
+        let t_target_source = RigidTransform::identity();
         ScenePair { scene: scene.into(), source: 0, target: 1, fragments, t_target_source, information: None }
     }
 

@@ -3,7 +3,7 @@
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result, bail};
-use snake_core::Transform;
+use snake_core::RigidTransform;
 
 use super::super::pairs::{self, ListedPair, find_cloud};
 
@@ -21,7 +21,7 @@ pub struct ScenePair {
     pub target: usize,
     /// Numbers of the fragments within their scene. Fragments without numbers get two that are not consecutive.
     pub fragments: [usize; 2],
-    pub t_target_source: Transform,
+    pub t_target_source: RigidTransform,
     /// Information matrix of `gt.info`; `None` if it has to be computed from the overlap.
     pub information: Option<[[f64; 6]; 6]>,
 }
@@ -67,8 +67,10 @@ impl Scenes {
     fn add_scene(&mut self, folder: &Path, truth: &Path) -> Result<()> {
         let transforms = entries::<4>(&truth.join("gt.log"))?;
         let information = entries::<6>(&truth.join("gt.info"))?;
-        for (fragments, t_target_source) in transforms {
+        for (fragments, rows) in transforms {
             let [target, source] = fragments;
+            let t_target_source = RigidTransform::from_matrix(rows)
+                .with_context(|| format!("{}: pair {target} {source}", truth.join("gt.log").display()))?;
             let Some((_, information)) = information.iter().find(|(same, _)| *same == fragments) else {
                 bail!("{}: nothing on the pair {target} {source} of gt.log", truth.join("gt.info").display());
             };

@@ -4,9 +4,8 @@ use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result, bail};
 use serde::Deserialize;
-use snake_core::{Cloud, Point, Transform};
+use snake_core::{Cloud, Point, RigidTransform};
 use snake_io as io;
-use snake_registration::subtract_origins;
 
 use super::super::pairs::{self, ListedPair, find_cloud};
 use super::super::read_json;
@@ -48,7 +47,7 @@ struct PairEntry {
     name: String,
     /// Files of views 1 and 2; a path may lack the extension.
     clouds: [PathBuf; 2],
-    t_1_2: Transform,
+    t_1_2: RigidTransform,
 }
 
 /// A row of `index.json`.
@@ -117,7 +116,7 @@ impl Data {
             bail!("--transform is for two clouds, SOURCE and TARGET; for more give a folder with pairs.json");
         };
         let name = format!("{} to {}", source.display(), target.display());
-        let pair = PairEntry { name, clouds: [target.clone(), source.clone()], t_1_2: pairs::transform(transform)? };
+        let pair = PairEntry { name, clouds: [target.clone(), source.clone()], t_1_2: io::read_transform(transform)? };
         Ok((Scale::Object, Source::Pairs { pairs: vec![pair], unit_radius: true }))
     }
 
@@ -160,7 +159,7 @@ impl Data {
                     bail!("a cloud without points");
                 }
                 let [first, second] = clouds.each_ref().map(|cloud| cloud.origin);
-                let t_1_2 = subtract_origins(t_1_2, second, first);
+                let t_1_2 = t_1_2.subtract_origins(second, first);
                 let pair = PairClouds::Real { clouds: clouds.map(|cloud| cloud.points), t_1_2 };
                 if *unit_radius { pair.with_unit_radius() } else { Ok(pair) }
             }
@@ -206,7 +205,7 @@ fn redwood_pairs(folder: &Path) -> Result<Vec<PairEntry>> {
         let (lines, rows) = (lines.len(), transforms.len());
         bail!("{}: {lines} pairs in redwood_pair.txt, but {rows} transforms in transform.npy", folder.display());
     }
-    let entry = |(line, t_1_2): (&str, Transform)| {
+    let entry = |(line, t_1_2): (&str, RigidTransform)| {
         let [scene, first, second] = line.split_whitespace().collect::<Vec<_>>()[..] else {
             bail!("{}: expected a scene and two numbers, found `{line}`", path.display());
         };

@@ -1,12 +1,12 @@
 //! Pairs of views: two samples of an object, or two clouds of the same scene.
 
 use anyhow::Result;
-use nalgebra::{Point3, Quaternion, UnitQuaternion};
+use nalgebra::{IsometryMatrix3, Point3, Quaternion, Translation3, UnitQuaternion};
 use rand::{Rng, RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use rand_distr::StandardNormal;
 use serde::{Deserialize, Serialize};
-use snake_core::{Normalization, NormalizationMethod, Point, Transform};
+use snake_core::{Normalization, NormalizationMethod, Point, RigidTransform};
 
 /// A disturbance of both views, as in the paper's tables.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
@@ -23,7 +23,7 @@ pub enum PairClouds {
     Object(Vec<Point>),
     Real {
         clouds: [Vec<Point>; 2],
-        t_1_2: Transform,
+        t_1_2: RigidTransform,
     },
 }
 
@@ -31,7 +31,7 @@ pub enum PairClouds {
 pub struct Views {
     pub view_1: Vec<Point>,
     pub view_2: Vec<Point>,
-    pub t_1_2: Transform,
+    pub t_1_2: RigidTransform,
     pub seeds: [u64; 2],
 }
 
@@ -44,11 +44,10 @@ impl PairClouds {
 
     /// Scales a real pair so that the radius of the first cloud about its mean is 1. The clouds are not centred.
     pub fn with_unit_radius(self) -> Result<Self> {
-        let Self::Real { clouds, mut t_1_2 } = self else { return Ok(self) };
+        let Self::Real { clouds, t_1_2 } = self else { return Ok(self) };
         let radius = Normalization::of(&clouds[0], NormalizationMethod::UnitSphere)?.scale / 2.0;
         let clouds = clouds.map(|points| points.into_iter().map(|point| point.map(|v| v / radius)).collect());
-        t_1_2.iter_mut().take(3).for_each(|row| row[3] /= f64::from(radius));
-        Ok(Self::Real { clouds, t_1_2 })
+        Ok(Self::Real { clouds, t_1_2: t_1_2.in_units_of(f64::from(radius)) })
     }
 
     /// Draws the views under a condition. The same seed and pair give the same rotation under every condition.
@@ -66,8 +65,8 @@ impl PairClouds {
                 };
                 let first = choose(points, share(points), &mut rng);
                 let second = choose(points, share(points), &mut rng).into_iter().map(rotate).collect();
-                let inverse = rotation.inverse().to_homogeneous();
-                ([first, second], std::array::from_fn(|row| std::array::from_fn(|column| inverse[(row, column)])))
+                let inverse = rotation.inverse().to_rotation_matrix();
+                ([first, second], IsometryMatrix3::from_parts(Translation3::identity(), inverse).into())
             }
             Self::Real { clouds, t_1_2 } => {
                 (clouds.each_ref().map(|points| choose(points, share(points), &mut rng)), *t_1_2)
@@ -100,12 +99,6 @@ mod tests {
         (0..3).map(|axis| (f64::from(a[axis]) - f64::from(b[axis])).powi(2)).sum::<f64>().sqrt()
     }
 
-    fn apply(t: &Transform, p: Point) -> Point {
-        std::array::from_fn(|row| {
-            ((0..3).map(|column| t[row][column] * f64::from(p[column])).sum::<f64>() + t[row][3]) as f32
-        })
-    }
-
     const CLEAN: Condition = Condition { downsample: 1, noise: 0.0 };
 
     #[test]
@@ -119,7 +112,7 @@ mod tests {
         assert_eq!((views.view_1.len(), views.view_2.len()), (200, 200));
         let on_cloud = |p: Point| points.iter().any(|&q| distance(p, q) < 1e-5);
         assert!(views.view_1.iter().all(|&p| on_cloud(p)));
-        assert!(views.view_2.iter().all(|&p| on_cloud(apply(&views.t_1_2, p))));
+        assert!(views.view_2.iter().all(|&p| on_cloud(views.t_1_2.apply(p))));
         assert!(views.view_2.iter().filter(|&&p| on_cloud(p)).count() < 100);
     }
 
@@ -144,9 +137,7 @@ mod tests {
 
     #[test]
     fn real_pairs_keep_their_units_and_transform() {
-        let mut t_1_2 = [[0.0; 4]; 4];
-        (0..4).for_each(|i| t_1_2[i][i] = 1.0);
-        t_1_2[0][3] = 2.0;
+        let t_1_2 = RigidTransform::from(IsometryMatrix3::translation(2.0, 0.0, 0.0));
         let clouds = PairClouds::Real { clouds: [ball(50), ball(80)], t_1_2 };
         let views = clouds.views(CLEAN, 60, 0, 0).unwrap();
         assert_eq!((views.view_1.len(), views.view_2.len(), views.t_1_2), (50, 60, t_1_2));
@@ -159,7 +150,8 @@ mod tests {
         let PairClouds::Object(object) = PairClouds::object(&ball(300)).unwrap() else { panic!("an object") };
         let radius = f64::from(ball(300)[0][0] / first[0][0]);
         assert_eq!((&first, &second), (&object, &object[..80].to_vec()));
-        assert!((scaled[0][3] - 2.0 / radius).abs() < 1e-6 && scaled[0][0] == 1.0 && scaled[3] == t_1_2[3]);
+        let (angle, distance) = scaled.angle_and_distance_to(&RigidTransform::identity());
+        assert!((distance - 2.0 / radius).abs() < 1e-6 && angle == 0.0);
         // Down-sampling also applies to a cloud with fewer points than requested.
         let views = clouds.views(Condition { downsample: 4, noise: 0.0 }, 60, 0, 0).unwrap();
         assert_eq!((views.view_1.len(), views.view_2.len()), (12, 15));
