@@ -83,14 +83,13 @@ pub fn iss<'py>(
     seed: u64,
 ) -> PyResult<Found<'py>> {
     let known = [("about-mean", Covariance::AboutMean), ("about-point", Covariance::AboutPoint)];
-    let options = IssOptions {
-        salient_radius: salient_radius.length()?,
-        non_max_radius: non_max_radius.length()?,
-        gamma_21,
-        gamma_32,
-        min_neighbors,
-        covariance: named("covariance", covariance, known)?,
-    };
+    let options = IssOptions::default()
+        .with_salient_radius(salient_radius.length()?)
+        .with_non_max_radius(non_max_radius.length()?)
+        .with_gamma_21(gamma_21)
+        .with_gamma_32(gamma_32)
+        .with_min_neighbors(min_neighbors)
+        .with_covariance(named("covariance", covariance, known)?);
     keypoints(points, Detector::Iss(options), count, protocol, seed)
 }
 
@@ -113,7 +112,8 @@ pub fn harris3d<'py>(
     protocol: &str,
     seed: u64,
 ) -> PyResult<Found<'py>> {
-    let options = Harris3dOptions { radius: radius.length()?, threshold, non_max };
+    let options =
+        Harris3dOptions::default().with_radius(radius.length()?).with_threshold(threshold).with_non_max(non_max);
     keypoints(points, Detector::Harris3d(options), count, protocol, seed)
 }
 
@@ -145,13 +145,12 @@ pub fn sift3d<'py>(
     seed: u64,
 ) -> PyResult<Found<'py>> {
     let known = [("curvature", SiftField::Curvature(curvature_radius.length()?)), ("y", SiftField::Y)];
-    let options = Sift3dOptions {
-        min_scale: min_scale.length()?,
-        octaves,
-        scales_per_octave,
-        min_contrast,
-        field: named("field", field, known)?,
-    };
+    let options = Sift3dOptions::default()
+        .with_min_scale(min_scale.length()?)
+        .with_octaves(octaves)
+        .with_scales_per_octave(scales_per_octave)
+        .with_min_contrast(min_contrast)
+        .with_field(named("field", field, known)?);
     keypoints(points, Detector::Sift3d(options), count, protocol, seed)
 }
 

@@ -125,18 +125,16 @@ fn stages(criterion: &mut Criterion) {
         sorted.sort_by(f32::total_cmp);
         let threshold = sorted[sorted.len() - OCCUPIED];
         for refine_steps in [0, 10] {
-            let options = DetectOptions {
-                query_resolution: QUERY_RESOLUTION,
-                occupancy_threshold: threshold,
-                refine_steps,
-                ..Default::default()
-            };
+            let options = DetectOptions::default()
+                .with_query_resolution(QUERY_RESOLUTION)
+                .with_occupancy_threshold(threshold)
+                .with_refine_steps(refine_steps);
             group.bench_function(format!("detect J={refine_steps}, without encode"), |bencher| {
                 bencher.iter(|| black_box(&field).detect(&options).expect("options within range"));
             });
         }
         let resolution = 128;
-        let options = MeshOptions { resolution, level: threshold.clamp(0.001, 0.999), ..Default::default() };
+        let options = MeshOptions::default().with_resolution(resolution).with_level(threshold.clamp(0.001, 0.999));
         let mesh = || field.mesh(black_box(&options)).expect("options within range");
         group.bench_function(format!("mesh {resolution}, without encode"), |bencher| bencher.iter(mesh));
         group.finish();

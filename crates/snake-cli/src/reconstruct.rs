@@ -47,7 +47,7 @@ pub fn run(arguments: &ReconstructArguments) -> Result<()> {
     let ReconstructArguments { input, output, .. } = arguments;
     io::check_mesh_path(output)?;
     InputFiles::new([input].into_iter().chain(&arguments.compute.model)).refuse_as_output(output)?;
-    let mut options = MeshOptions { outer: arguments.outer, ..Default::default() };
+    let mut options = MeshOptions::default().with_outer(arguments.outer);
     override_with(&mut options.resolution, arguments.resolution);
     override_with(&mut options.level, arguments.level);
     options.check()?;

@@ -30,7 +30,7 @@ fn main() -> Result<()> {
         );
     }
 
-    let options = DetectOptions { nms_radius: Some(0.2.into()), ..Default::default() };
+    let options = DetectOptions::default().with_nms_radius(Some(0.2.into()));
     println!("{} keypoints at least 0.2 apart", field.detect(&options)?.keypoints.len());
     Ok(())
 }

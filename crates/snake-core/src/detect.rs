@@ -2,7 +2,7 @@
 
 use std::time::Instant;
 
-use serde::Serialize;
+use serde::{Deserialize, Serialize};
 
 use crate::Result;
 use crate::control::Control;
@@ -15,7 +15,10 @@ use crate::query_grid::{QueryGrid, above_occupancy};
 use crate::refine::{Refined, refine};
 
 /// One keypoint, in the frame and units of the input cloud.
-#[derive(Debug, Clone, Copy, PartialEq)]
+///
+/// Serde writes the keys x, y, z, saliency, occupancy and nearest_index.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[serde(from = "KeypointRecord", into = "KeypointRecord")]
 pub struct Keypoint {
     /// Position in cloud units.
     pub position: Point,
@@ -27,8 +30,32 @@ pub struct Keypoint {
     pub nearest_index: usize,
 }
 
+/// A [`Keypoint`] in files.
+#[derive(Serialize, Deserialize)]
+struct KeypointRecord {
+    x: f32,
+    y: f32,
+    z: f32,
+    saliency: f32,
+    occupancy: f32,
+    nearest_index: usize,
+}
+
+impl From<Keypoint> for KeypointRecord {
+    fn from(Keypoint { position: [x, y, z], saliency, occupancy, nearest_index }: Keypoint) -> Self {
+        Self { x, y, z, saliency, occupancy, nearest_index }
+    }
+}
+
+impl From<KeypointRecord> for Keypoint {
+    fn from(KeypointRecord { x, y, z, saliency, occupancy, nearest_index }: KeypointRecord) -> Self {
+        Self { position: [x, y, z], saliency, occupancy, nearest_index }
+    }
+}
+
 /// Keypoints and how they came about.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[non_exhaustive]
 pub struct Detection {
     /// By falling saliency.
     pub keypoints: Vec<Keypoint>,
@@ -40,12 +67,14 @@ pub struct Detection {
     pub normalization: Option<Normalization>,
     /// How many queries each step left.
     pub counts: Counts,
-    /// How long each step took.
+    /// How long each step took; `timing_seconds` in JSON.
+    #[serde(rename = "timing_seconds")]
     pub timing: Timing,
 }
 
 /// How many queries each step of [`Field::detect`](crate::Field::detect) left.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
+#[non_exhaustive]
 pub struct Counts {
     /// How many windows the cloud was seen through.
     pub windows: usize,
@@ -69,7 +98,8 @@ impl Counts {
 }
 
 /// Seconds that each step of detection took.
-#[derive(Debug, Clone, Copy, PartialEq, Default)]
+#[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
+#[non_exhaustive]
 pub struct Timing {
     /// Encoding; 0 for [`Field::detect`](crate::Field::detect), which starts from a field.
     pub encode: f64,
@@ -107,7 +137,7 @@ impl Field {
     /// use snake_core::{Builtin, DetectOptions, EncodeOptions, Length, Model};
     /// # let points: Vec<[f32; 3]> = (0..500).map(|i| { let a = i as f32 * 0.1; [a.cos(), a.sin(), (a * 0.3).sin()] }).collect();
     /// let field = Model::builtin(Builtin::Compact).encode(&points, &EncodeOptions::default())?;
-    /// let options = DetectOptions { max_keypoints: 16, nms_radius: Some(0.1.into()), ..Default::default() };
+    /// let options = DetectOptions::default().with_max_keypoints(16).with_nms_radius(Some(0.1.into()));
     /// assert!(field.detect(&options)?.keypoints.len() <= 16);
     /// # Ok::<(), snake_core::Error>(())
     /// ```
@@ -251,6 +281,19 @@ pub(crate) mod tests {
             .collect();
         let field = Model::builtin(Builtin::Compact).encode(&points, &EncodeOptions::default()).unwrap();
         (points, field)
+    }
+
+    #[test]
+    fn detections_read_back_from_json() {
+        let (points, _) = cylinder();
+        let model = Model::builtin(Builtin::Compact);
+        let found = model.detect(&points, model.recommended()).unwrap();
+        let text = serde_json::to_string(&found).unwrap();
+        assert_eq!(serde_json::from_str::<Detection>(&text).unwrap(), found);
+        let value: serde_json::Value = serde_json::from_str(&text).unwrap();
+        let keys: Vec<&String> = value["keypoints"][0].as_object().unwrap().keys().collect();
+        assert_eq!(keys, ["nearest_index", "occupancy", "saliency", "x", "y", "z"]);
+        assert!(value["timing_seconds"]["encode"].as_f64().unwrap() > 0.0);
     }
 
     #[test]

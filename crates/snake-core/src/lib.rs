@@ -42,6 +42,7 @@ mod query_grid;
 mod refine;
 mod rigid_transform;
 mod rotations;
+mod setters;
 mod side_by_side;
 pub mod space;
 mod surface;

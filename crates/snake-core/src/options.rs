@@ -8,11 +8,12 @@ use serde::{Deserialize, Serialize};
 use crate::config::ModelConfig;
 use crate::length::Length;
 use crate::points::{NormalizationMethod, Point};
-use crate::{Error, Result, budget};
+use crate::{Error, Result, budget, setters};
 
 /// How a cloud becomes a field.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
+#[non_exhaustive]
 pub struct EncodeOptions {
     /// How the cloud is brought into the network's frame; its statistics are those of all points.
     pub normalization: NormalizationMethod,
@@ -26,6 +27,13 @@ pub struct EncodeOptions {
     /// the volume.
     pub rotations: usize,
 }
+
+setters!(EncodeOptions {
+    normalization: NormalizationMethod => with_normalization,
+    max_points: Option<usize> => with_max_points,
+    seed: u64 => with_seed,
+    rotations: usize => with_rotations,
+});
 
 impl Default for EncodeOptions {
     fn default() -> Self {
@@ -88,6 +96,7 @@ pub enum Selection {
 /// Options of [`Field::detect`](crate::Field::detect); the defaults are the paper's for ModelNet40.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
+#[non_exhaustive]
 pub struct DetectOptions {
     /// Queries along each axis of the starting grid, which spans the network's cube ±0.5; 1 to 256, so that its cube times
     /// `refine_steps + 1` times [`EncodeOptions::rotations`] is at most 2^28.
@@ -121,6 +130,22 @@ pub struct DetectOptions {
     /// Move each keypoint to its nearest input point. Two may then fall on the same point, as in the paper.
     pub snap: bool,
 }
+
+setters!(DetectOptions {
+    query_resolution: usize => with_query_resolution,
+    query_band: usize => with_query_band,
+    occupancy_threshold: f32 => with_occupancy_threshold,
+    refine_steps: usize => with_refine_steps,
+    refine_step_size: f32 => with_refine_step_size,
+    refine_method: RefineMethod => with_refine_method,
+    selection: Selection => with_selection,
+    surface_threshold: f32 => with_surface_threshold,
+    saliency_threshold: f32 => with_saliency_threshold,
+    mode_radius: Option<Length> => with_mode_radius,
+    nms_radius: Option<Length> => with_nms_radius,
+    max_keypoints: usize => with_max_keypoints,
+    snap: bool => with_snap,
+});
 
 impl Default for DetectOptions {
     fn default() -> Self {
@@ -199,6 +224,7 @@ fn none_if_zero<'de, D: serde::Deserializer<'de>>(deserializer: D) -> std::resul
 /// All options of [`Model::detect`](crate::Model::detect).
 #[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
 #[serde(from = "OptionsFile")]
+#[non_exhaustive]
 pub struct Options {
     /// How the cloud is encoded.
     pub encode: EncodeOptions,
@@ -209,6 +235,12 @@ pub struct Options {
     /// cloud is encoded at once, in which details of large clouds are lost.
     pub window_radius: Option<Length>,
 }
+
+setters!(Options {
+    encode: EncodeOptions => with_encode,
+    detect: DetectOptions => with_detect,
+    window_radius: Option<Length> => with_window_radius,
+});
 
 /// [`Options`] as files hold them; those of 2025 have the radius in a group of its own.
 #[derive(Default, Deserialize)]
@@ -356,6 +388,7 @@ pub(crate) fn check_radius(radius: f64, shown: impl FnOnce() -> String) -> Resul
 /// Options of [`Field::mesh`](crate::Field::mesh).
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
+#[non_exhaustive]
 pub struct MeshOptions {
     /// Samples of the occupancy along each axis of the feature volume's box, ends included: 8 to 512.
     pub resolution: usize,
@@ -365,6 +398,12 @@ pub struct MeshOptions {
     /// within, which this removes unless the shell has a hole.
     pub outer: bool,
 }
+
+setters!(MeshOptions {
+    resolution: usize => with_resolution,
+    level: f32 => with_level,
+    outer: bool => with_outer,
+});
 
 impl Default for MeshOptions {
     fn default() -> Self {

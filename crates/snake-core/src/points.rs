@@ -23,7 +23,7 @@ pub enum NormalizationMethod {
 }
 
 /// The map between cloud units and the network's frame: `network = (cloud - center) / scale`.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct Normalization {
     /// Subtracted from each point, in cloud units.
     pub center: Point,

@@ -2,6 +2,8 @@
 
 use nalgebra::{Matrix3, Matrix3x6, Matrix6, UnitQuaternion, Vector6};
 
+use serde::{Deserialize, Serialize};
+
 use super::moved;
 use snake_core::space::check_points;
 use snake_core::space::{Neighbors, vector};
@@ -108,7 +110,7 @@ pub fn overlap(
 }
 
 /// The registration result of one pair of fragments.
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct RegistrationOutcome {
     /// Number of the first fragment within its scene.
     pub first: usize,

@@ -23,7 +23,8 @@ const GRAPH_NEIGHBORS: usize = 20;
 const SMPL_KEYPOINTS: usize = 20;
 
 /// The distance between points that no path of the neighbourhood graph connects.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
 pub enum Unreachable {
     /// Infinite: such points never match.
     #[default]
@@ -33,7 +34,8 @@ pub enum Unreachable {
 }
 
 /// The variant of the SMPL protocol.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
 pub enum SmplProtocol {
     /// The detected keypoints only, at most 20 per body; the figure is the mean IoU of the pairs.
     Strict,

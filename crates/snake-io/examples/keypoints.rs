@@ -9,7 +9,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
 
     let field = model.encode(&points, &EncodeOptions::default())?; // or encode once, query many times
     let (saliency, gradient) = field.saliency_and_gradient(&points)?;
-    let spread = field.detect(&DetectOptions { nms_radius: Some(0.2.into()), ..Default::default() })?;
+    let spread = field.detect(&DetectOptions::default().with_nms_radius(Some(0.2.into())))?;
     println!("{} {} {} {}", detection.keypoints.len(), spread.keypoints.len(), saliency.len(), gradient.len());
     Ok(())
 }

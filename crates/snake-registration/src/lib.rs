@@ -47,7 +47,7 @@ use snake_core::Model;
 use snake_core::space::FinitePoints;
 use snake_core::space::resolution;
 use snake_core::space::vector;
-use snake_core::{Error, Result};
+use snake_core::{Error, Result, setters};
 use snake_core::{Normalization, NormalizationMethod, Point, RigidTransform};
 
 use icp::{fitness, icp};
@@ -67,6 +67,7 @@ pub use scan::{Descriptor, KeypointDetector, Scan};
 /// A length that is `None` is derived from the clouds. A length in resolutions refers to the coarser of the two clouds.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
+#[non_exhaustive]
 pub struct RegisterOptions {
     /// The keypoint detector.
     pub detector: KeypointDetector,
@@ -97,6 +98,21 @@ pub struct RegisterOptions {
     pub refine_steps: usize,
 }
 
+setters!(RegisterOptions {
+    detector: KeypointDetector => with_detector,
+    descriptor: Descriptor => with_descriptor,
+    max_keypoints: usize => with_max_keypoints,
+    voxel_size: Option<Length> => with_voxel_size,
+    normal_radius: Option<Length> => with_normal_radius,
+    feature_radius: Option<Length> => with_feature_radius,
+    inlier_distance: Option<Length> => with_inlier_distance,
+    edge_length_ratio: f64 => with_edge_length_ratio,
+    max_iterations: usize => with_max_iterations,
+    confidence: f64 => with_confidence,
+    seed: u64 => with_seed,
+    refine_steps: usize => with_refine_steps,
+});
+
 impl Default for RegisterOptions {
     fn default() -> Self {
         let RansacOptions { edge_length_ratio, max_iterations, confidence, seed, .. } = RansacOptions::default();
@@ -118,7 +134,8 @@ impl Default for RegisterOptions {
 }
 
 /// The result of [`register`].
-#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[non_exhaustive]
 pub struct Registration {
     /// Maps source points to the target frame: `p_target = R p_source + t`.
     pub t_target_source: RigidTransform,

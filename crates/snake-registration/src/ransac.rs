@@ -9,7 +9,7 @@ use serde::{Deserialize, Serialize};
 use super::rigid::{best_fit, check_pairs, moved};
 use snake_core::space::{Vector, vector};
 use snake_core::{Control, Counter};
-use snake_core::{Error, Result};
+use snake_core::{Error, Result, setters};
 use snake_core::{Point, RigidTransform};
 
 /// Samples of one random stream; a stream is drawn by one thread.
@@ -20,6 +20,7 @@ const STREAMS_PER_ROUND: usize = 16;
 /// Options of [`ransac`].
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
+#[non_exhaustive]
 pub struct RansacOptions {
     /// A correspondence is an inlier of a transform that brings its points closer than this, in cloud units.
     pub inlier_distance: f64,
@@ -33,6 +34,14 @@ pub struct RansacOptions {
     /// Seed of the samples.
     pub seed: u64,
 }
+
+setters!(RansacOptions {
+    inlier_distance: f64 => with_inlier_distance,
+    edge_length_ratio: f64 => with_edge_length_ratio,
+    max_iterations: usize => with_max_iterations,
+    confidence: f64 => with_confidence,
+    seed: u64 => with_seed,
+});
 
 impl Default for RansacOptions {
     fn default() -> Self {
@@ -60,7 +69,8 @@ impl RansacOptions {
 }
 
 /// A transform and its inliers.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[non_exhaustive]
 pub struct Consensus {
     /// Maps source points to the target frame.
     pub t_target_source: RigidTransform,

@@ -15,7 +15,6 @@ use snake_core::Model;
 use snake_core::Result;
 use snake_core::space::{FinitePoints, check_points};
 use snake_core::space::{Neighbors, Vector, vector};
-use snake_core::{DetectOptions, EncodeOptions, Options};
 use snake_core::{Normalization, NormalizationMethod, Point};
 
 /// The keypoint detector: the model, or a classical detector of [`detectors`](crate::detectors) with its default
@@ -162,27 +161,27 @@ impl Scan {
             return Ok(field);
         }
         let recommended = self.model.recommended().encode;
-        let options = EncodeOptions { normalization: NORMALIZATION, rotations: 1, ..recommended };
+        let options = recommended.with_normalization(NORMALIZATION).with_rotations(1);
         let field = self.model.encode_with(&self.points, &options, control)?;
         Ok(self.field.get_or_init(|| field))
     }
 
     fn salient_points(&self, most: usize, control: &Control) -> Result<Vec<Point>> {
         let recommended = *self.model.recommended();
-        let options = DetectOptions { saliency_threshold: 0.0, max_keypoints: most, ..recommended.detect };
+        let options = recommended.detect.with_saliency_threshold(0.0).with_max_keypoints(most);
         let uses_windows = match recommended.window_radius {
             // Windows need a size well above a voxel.
             Some(Length::Units(radius)) => radius >= 2.0 * self.voxel_size,
             radius => radius.is_some(),
         };
         let found = if uses_windows {
-            let options = Options { detect: options, ..recommended };
+            let options = recommended.with_detect(options);
             self.model.detect_with(&self.voxel_means(), &options, control)?
         } else {
             // The suppression radius of a whole object is relative to its size; that of windows is in cloud units.
             let nms_radius = Some(Length::Units(self.voxel_size));
             // FPFH describes the surface, so keypoints are moved onto it.
-            let options = DetectOptions { nms_radius, mode_radius: None, snap: true, ..options };
+            let options = options.with_nms_radius(nms_radius).with_mode_radius(None).with_snap(true);
             self.field(control)?.detect_with(&options, control)?
         };
         Ok(found.keypoints.into_iter().map(|keypoint| keypoint.position).collect())

@@ -79,10 +79,10 @@ fn table() {
     let Some(val) = pairs("val") else { return };
     let default = RegisterOptions::default();
     assert!(recall("val", &val, &default) >= 0.85);
-    recall("val, seed 1", &val, &RegisterOptions { seed: 1, ..default });
-    recall("val, 1000 keypoints", &val, &RegisterOptions { max_keypoints: 1000, ..default });
-    recall("val, without ICP", &val, &RegisterOptions { refine_steps: 0, ..default });
-    recall("val, field descriptors", &val, &RegisterOptions { descriptor: Field, ..default });
+    recall("val, seed 1", &val, &default.with_seed(1));
+    recall("val, 1000 keypoints", &val, &default.with_max_keypoints(1000));
+    recall("val, without ICP", &val, &default.with_refine_steps(0));
+    recall("val, field descriptors", &val, &default.with_descriptor(Field));
     let train: Vec<Pair> = pairs("train").unwrap().into_iter().step_by(9).collect();
     recall("train, a ninth", &train, &default);
 }

@@ -91,7 +91,7 @@ fn shown(model: &Model, options: &Options, input: &Path, cloud: &Cloud, control:
 fn surface(field: &Field, control: &Control) -> Result<Mesh> {
     let mut mesh = Mesh::default();
     for resolution in SURFACE_RESOLUTIONS {
-        mesh = field.mesh_with(&MeshOptions { resolution, outer: true, ..Default::default() }, control)?;
+        mesh = field.mesh_with(&MeshOptions::default().with_resolution(resolution).with_outer(true), control)?;
         if mesh.triangles.len() <= MAX_TRIANGLES {
             break;
         }

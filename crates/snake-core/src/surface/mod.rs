@@ -8,6 +8,7 @@ mod samples;
 mod tests;
 
 use rayon::prelude::*;
+use serde::{Deserialize, Serialize};
 
 use crate::Result;
 use crate::control::Control;
@@ -20,7 +21,7 @@ use marching_cubes::{Crossing, Surface};
 use samples::{Sample, Samples};
 
 /// A triangle mesh with shared vertices. Each edge belongs to two triangles, which use it in opposite directions.
-#[derive(Debug, Clone, PartialEq, Default)]
+#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
 pub struct Mesh {
     /// Positions `(V, 3)` in the cloud's frame and units.
     pub vertices: Vec<Point>,
@@ -79,7 +80,7 @@ impl Field {
     /// use snake_core::{Builtin, EncodeOptions, MeshOptions, Model};
     /// # let points: Vec<[f32; 3]> = (0..500).map(|i| { let a = i as f32 * 0.1; [a.cos(), a.sin(), (a * 0.3).sin()] }).collect();
     /// let field = Model::builtin(Builtin::Compact).encode(&points, &EncodeOptions::default())?;
-    /// let mesh = field.mesh(&MeshOptions { resolution: 32, outer: true, ..Default::default() })?;
+    /// let mesh = field.mesh(&MeshOptions::default().with_resolution(32).with_outer(true))?;
     /// assert_eq!(mesh.vertices.len(), mesh.normals.len());
     /// # Ok::<(), snake_core::Error>(())
     /// ```

@@ -6,7 +6,7 @@
 use std::sync::{Mutex, PoisonError};
 
 use peak_alloc::PeakAlloc;
-use snake_core::{DetectOptions, EncodeOptions, Model, NormalizationMethod, Point};
+use snake_core::{EncodeOptions, Model, NormalizationMethod, Point};
 use snake_io::{Cloud, PointFormat, ReadOptions, parse_cloud};
 
 #[global_allocator]
@@ -40,10 +40,10 @@ pub fn load_model(bytes: &[u8]) {
         return;
     }
     let points: Vec<Point> = (0..40).map(|i| [i, i * i % 7, i % 5].map(|v| v as f32 * 0.02 - 0.4)).collect();
-    let encode = EncodeOptions { normalization: NormalizationMethod::None, ..Default::default() };
+    let encode = EncodeOptions::default().with_normalization(NormalizationMethod::None);
     let Ok(field) = model.encode(&points, &encode) else { return };
-    let options = DetectOptions { query_resolution: 4, nms_radius: Some(0.1.into()), ..model.recommended().detect };
-    let options = DetectOptions { refine_steps: options.refine_steps.min(3), ..options };
+    let options = model.recommended().detect.with_query_resolution(4).with_nms_radius(Some(0.1.into()));
+    let options = options.with_refine_steps(options.refine_steps.min(3));
     let found = field.detect(&options).expect("the options were checked when the model was loaded");
     assert!(found.keypoints.iter().all(|k| k.position.iter().chain([&k.saliency]).all(|v| v.is_finite())));
 }

@@ -2,15 +2,18 @@
 
 use nalgebra::Matrix3;
 use rayon::prelude::*;
+use serde::{Deserialize, Serialize};
 
 use super::{Response, among_finite, index_cloud, local_maxima};
 use snake_core::Length;
 use snake_core::Point;
 use snake_core::space::Vector;
-use snake_core::{Error, Result};
+use snake_core::{Error, Result, setters};
 
 /// Options of [`harris3d`].
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+#[non_exhaustive]
 pub struct Harris3dOptions {
     /// Radius of the neighbourhood for normals, responses and local maxima.
     pub radius: Length,
@@ -19,6 +22,12 @@ pub struct Harris3dOptions {
     /// Keep only local maxima. If false, every point is a keypoint, as in the wrapper behind the paper's tables.
     pub non_max: bool,
 }
+
+setters!(Harris3dOptions {
+    radius: Length => with_radius,
+    threshold: f64 => with_threshold,
+    non_max: bool => with_non_max,
+});
 
 impl Default for Harris3dOptions {
     fn default() -> Self {

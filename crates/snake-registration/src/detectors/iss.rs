@@ -1,15 +1,17 @@
 //! Intrinsic shape signatures (Zhong 2009), as Open3D and PCL compute them.
 
 use rayon::prelude::*;
+use serde::{Deserialize, Serialize};
 
 use super::{Response, among_finite, index_cloud, local_maxima};
 use snake_core::Length;
 use snake_core::Point;
 use snake_core::space::eigen;
-use snake_core::{Error, Result};
+use snake_core::{Error, Result, setters};
 
 /// The matrix whose eigenvalues are used.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
 pub enum Covariance {
     /// The covariance about the neighbourhood's mean, as in Open3D; it does not depend on density.
     #[default]
@@ -19,7 +21,9 @@ pub enum Covariance {
 }
 
 /// Options of [`iss`]; the defaults are Open3D's.
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+#[non_exhaustive]
 pub struct IssOptions {
     /// Radius of the neighbourhood for the eigenvalues.
     pub salient_radius: Length,
@@ -34,6 +38,15 @@ pub struct IssOptions {
     /// The matrix whose eigenvalues are used.
     pub covariance: Covariance,
 }
+
+setters!(IssOptions {
+    salient_radius: Length => with_salient_radius,
+    non_max_radius: Length => with_non_max_radius,
+    gamma_21: f64 => with_gamma_21,
+    gamma_32: f64 => with_gamma_32,
+    min_neighbors: usize => with_min_neighbors,
+    covariance: Covariance => with_covariance,
+});
 
 impl Default for IssOptions {
     fn default() -> Self {

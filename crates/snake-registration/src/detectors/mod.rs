@@ -12,6 +12,7 @@ mod sift3d;
 
 use rand::SeedableRng;
 use rayon::prelude::*;
+use serde::{Deserialize, Serialize};
 
 use snake_core::Point;
 use snake_core::space::FinitePoints;
@@ -25,7 +26,7 @@ pub use random::random_points;
 pub use sift3d::{Sift3dOptions, SiftField, sift3d};
 
 /// A point of the cloud with its score.
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct Response {
     /// Index into the cloud.
     pub index: usize,
@@ -34,7 +35,8 @@ pub struct Response {
 }
 
 /// The rule that selects keypoints from a detector's responses.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
 pub enum Protocol {
     /// The strongest responses. There may be fewer than asked for.
     #[default]
@@ -46,7 +48,8 @@ pub enum Protocol {
 }
 
 /// A classical detector with its options.
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
 pub enum Detector {
     /// Intrinsic shape signatures.
     Iss(IssOptions),

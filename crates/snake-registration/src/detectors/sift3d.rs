@@ -3,12 +3,13 @@
 use std::num::NonZeroUsize;
 
 use rayon::prelude::*;
+use serde::{Deserialize, Serialize};
 
 use super::{Response, among_finite, by_falling_score, index_cloud};
 use snake_core::Length;
 use snake_core::Point;
 use snake_core::space::{Neighbors, Vector, eigen};
-use snake_core::{Error, Result};
+use snake_core::{Error, Result, setters};
 
 /// The search ends at an octave with fewer points.
 const MIN_OCTAVE_POINTS: usize = 25;
@@ -16,7 +17,8 @@ const MIN_OCTAVE_POINTS: usize = 25;
 const EXTREMUM_NEIGHBORS: NonZeroUsize = NonZeroUsize::MIN.saturating_add(24);
 
 /// The scalar field whose extrema are searched.
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
 pub enum SiftField {
     /// Surface variation within this radius: the smallest eigenvalue of the covariance divided by the sum of the three,
     /// 0 to 1/3. It is invariant to rotation.
@@ -26,7 +28,9 @@ pub enum SiftField {
 }
 
 /// Options of [`sift3d`].
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+#[non_exhaustive]
 pub struct Sift3dOptions {
     /// Standard deviation of the first octave's second Gaussian, and side of its voxels; both double with each octave.
     pub min_scale: Length,
@@ -39,6 +43,14 @@ pub struct Sift3dOptions {
     /// The field.
     pub field: SiftField,
 }
+
+setters!(Sift3dOptions {
+    min_scale: Length => with_min_scale,
+    octaves: usize => with_octaves,
+    scales_per_octave: usize => with_scales_per_octave,
+    min_contrast: f64 => with_min_contrast,
+    field: SiftField => with_field,
+});
 
 impl Default for Sift3dOptions {
     fn default() -> Self {

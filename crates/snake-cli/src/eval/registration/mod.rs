@@ -181,8 +181,7 @@ impl<'a> Plan<'a> {
 
 /// The benchmark's options of RANSAC.
 fn ransac_options(seed: u64) -> RansacOptions {
-    let (inlier_distance, max_iterations) = (RANSAC_DISTANCE, RANSAC_SAMPLES);
-    RansacOptions { inlier_distance, max_iterations, seed, ..RansacOptions::default() }
+    RansacOptions::default().with_inlier_distance(RANSAC_DISTANCE).with_max_iterations(RANSAC_SAMPLES).with_seed(seed)
 }
 
 /// A cloud with the keypoints and descriptors of each combination of detector and descriptor.
