@@ -19,7 +19,8 @@ import numpy as np
 import torch
 from safetensors.numpy import save_file
 
-from .config import from_json, parse_arguments, to_json
+from .command_line import parse_arguments
+from .config import from_json, to_json
 from .data import Mixture, open_shapes, write_corpus
 from .export import load_network, read_checkpoint, replacing, write_weights
 from .targets import FORMAT, Targets

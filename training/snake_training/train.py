@@ -15,7 +15,8 @@ from torch.nn.parallel import DistributedDataParallel
 from tqdm import tqdm
 
 from .augment import distillation_views, two_views
-from .config import from_json, parse_arguments, to_json
+from .command_line import parse_arguments
+from .config import from_json, to_json
 from .data import Mixture, Procedural, ShapeError, open_shapes
 from .device import choose_device
 from .evaluate import DetectOptions, candidates, repeatability, suppress

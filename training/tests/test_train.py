@@ -16,7 +16,8 @@ from tensorboard.backend.event_processing.event_accumulator import EventAccumula
 
 from conftest import TINY, arguments
 from snake_training import train as training
-from snake_training.config import PRESETS, TrainConfig, check, from_json, parse_arguments, to_json
+from snake_training.command_line import parse_arguments
+from snake_training.config import PRESETS, TrainConfig, check, from_json, to_json
 from snake_training.export import load_network, read_checkpoint, write_weights
 from snake_training.losses import snake_losses
 from snake_training.model import SnakeNetwork, voxel_index
