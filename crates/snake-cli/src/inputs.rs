@@ -41,8 +41,12 @@ pub struct ColumnArguments {
 impl ColumnArguments {
     /// Reads a cloud of a data set.
     pub fn read(&self, path: &Path) -> Result<Cloud> {
-        let options = ReadOptions { columns: self.columns.clone(), ..ReadOptions::default() };
-        Ok(io::read_cloud(path, &options)?)
+        Ok(io::read_cloud(path, &self.options())?)
+    }
+
+    /// The options that read the clouds of a data set.
+    pub fn options(&self) -> ReadOptions {
+        ReadOptions { columns: self.columns.clone(), ..ReadOptions::default() }
     }
 }
 

@@ -1,6 +1,12 @@
-//! Metrics of keypoints and of registrations: repeatability, semantic consistency and 3DMatch recall, by the rules of
-//! the papers behind the published figures. The inputs are points, indices and transforms; the outputs are numbers. No
-//! model is run here.
+//! Evaluation of keypoints and of registrations, by the rules of the papers behind the published figures. No model is
+//! run here.
+//!
+//! - The metrics take points, indices and transforms, and return numbers: repeatability, semantic consistency and
+//!   3DMatch recall.
+//! - `datasets` finds the clouds and the ground truth of a data set in its layout on disk. `smpl` reads and poses body
+//!   models. `views` draws the disturbed views of repeatability. They need the feature `datasets`, which is on by
+//!   default.
+//! - [`tables`] turns figures into tables and curves, with the figures of the SNAKE paper beside them.
 //!
 //! ```text
 //! keypoints of two views + t_1_2 ─────────→ relative_repeatability
@@ -27,15 +33,25 @@
 
 #![forbid(unsafe_code)]
 
+#[cfg(feature = "datasets")]
+pub mod datasets;
+#[cfg(feature = "datasets")]
+mod error;
 mod registration;
 mod repeatability;
 mod semantic;
+#[cfg(feature = "datasets")]
+pub mod smpl;
+pub mod tables;
+#[cfg(feature = "datasets")]
+pub mod views;
 
 use snake_core::space::check_points;
 use snake_core::space::{Vector, vector};
-use snake_core::{Error, Result};
 use snake_core::{Point, RigidTransform};
 
+#[cfg(feature = "datasets")]
+pub use error::Error;
 pub use registration::{
     RegistrationOutcome, feature_matching_recall, information_matrix, inlier_ratio, overlap, registration_recall,
     squared_registration_error,
@@ -48,7 +64,7 @@ pub use semantic::{
 };
 
 /// Points under a transform; an empty array is accepted.
-fn moved(what: &'static str, points: &[Point], transform: &RigidTransform) -> Result<Vec<Vector>> {
+fn moved(what: &'static str, points: &[Point], transform: &RigidTransform) -> snake_core::Result<Vec<Vector>> {
     if !points.is_empty() {
         check_points(what, points)?;
     }
@@ -56,9 +72,11 @@ fn moved(what: &'static str, points: &[Point], transform: &RigidTransform) -> Re
 }
 
 /// Refuses thresholds that are negative or not numbers.
-fn check_thresholds(name: &'static str, thresholds: &[f64]) -> Result<()> {
+fn check_thresholds(name: &'static str, thresholds: &[f64]) -> snake_core::Result<()> {
     match thresholds.iter().find(|t| t.is_nan() || **t < 0.0) {
-        Some(bad) => Err(Error::Option { name, value: bad.to_string(), allowed: "0 or more (units of the points)" }),
+        Some(bad) => {
+            Err(snake_core::Error::Option { name, value: bad.to_string(), allowed: "0 or more (units of the points)" })
+        }
         None => Ok(()),
     }
 }

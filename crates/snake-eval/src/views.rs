@@ -1,12 +1,13 @@
-//! Pairs of views: two samples of an object, or two clouds of the same scene.
+//! Disturbed views of an object or of a scene, as in the paper's tables of repeatability (SNAKE section 4.2).
 
-use anyhow::Result;
 use nalgebra::{IsometryMatrix3, Point3, Quaternion, Translation3, UnitQuaternion};
 use rand::{Rng, RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use rand_distr::StandardNormal;
 use serde::{Deserialize, Serialize};
 use snake_core::{Normalization, NormalizationMethod, Point, RigidTransform};
+
+use crate::error::{Error, Result};
 
 /// A disturbance of both views, as in the paper's tables.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
@@ -17,32 +18,47 @@ pub struct Condition {
     pub noise: f64,
 }
 
-/// The clouds of a pair, in the units of the figures.
+/// The clouds that the views of a pair are drawn from, in the units of the figures.
+#[derive(Debug, Clone, PartialEq)]
 pub enum PairClouds {
-    /// An object of radius 1.
+    /// An object `(N, 3)` of radius 1. Both views are samples of it, and the second view is rotated at random.
     Object(Vec<Point>),
+    /// Two clouds of the same scene.
     Real {
+        /// Clouds 1 `(N, 3)` and 2 `(M, 3)`, each in its own frame.
         clouds: [Vec<Point>; 2],
+        /// Maps cloud 2 to the frame of cloud 1.
         t_1_2: RigidTransform,
     },
 }
 
-/// Two views, the transform from the second to the first, and a seed for each view.
+/// Two views of a pair.
+#[derive(Debug, Clone, PartialEq)]
 pub struct Views {
+    /// The points of the first view.
     pub view_1: Vec<Point>,
+    /// The points of the second view, in a frame of its own.
     pub view_2: Vec<Point>,
+    /// Maps the second view to the frame of the first.
     pub t_1_2: RigidTransform,
+    /// A seed for the random choices of a detector on each view.
     pub seeds: [u64; 2],
 }
 
 impl PairClouds {
-    /// Scales an object so that its radius about its mean is 1. The object is not centred.
+    /// Scales an object `(N, 3)` so that its radius about its mean is 1. The object is not centred.
+    ///
+    /// # Errors
+    /// [`Error::Core`] when the points have no extent.
     pub fn object(points: &[Point]) -> Result<Self> {
         let radius = Normalization::of(points, NormalizationMethod::UnitSphere)?.scale / 2.0;
         Ok(Self::Object(points.iter().map(|point| point.map(|v| v / radius)).collect()))
     }
 
     /// Scales a real pair so that the radius of the first cloud about its mean is 1. The clouds are not centred.
+    ///
+    /// # Errors
+    /// [`Error::Core`] when the points of the first cloud have no extent.
     pub fn with_unit_radius(self) -> Result<Self> {
         let Self::Real { clouds, t_1_2 } = self else { return Ok(self) };
         let radius = Normalization::of(&clouds[0], NormalizationMethod::UnitSphere)?.scale / 2.0;
@@ -50,8 +66,13 @@ impl PairClouds {
         Ok(Self::Real { clouds, t_1_2: t_1_2.in_units_of(f64::from(radius)) })
     }
 
-    /// Draws the views under a condition. The same seed and pair give the same rotation under every condition.
+    /// Draws views of at most `num_points` points under a condition. The number of the pair selects a random stream of
+    /// the seed. The same seed and pair give the same rotation under every condition.
+    ///
+    /// # Errors
+    /// [`Error::Input`] when a cloud has no points, the down-sampling rate is 0, or the noise is negative or not finite.
     pub fn views(&self, condition: Condition, num_points: usize, seed: u64, pair: usize) -> Result<Views> {
+        self.check(condition)?;
         let mut rng = ChaCha8Rng::seed_from_u64(seed);
         rng.set_stream(pair as u64);
         let share = |points: &[Point]| (num_points.min(points.len()) / condition.downsample).max(1);
@@ -78,6 +99,21 @@ impl PairClouds {
         };
         let (view_1, view_2) = (noisy(first), noisy(second));
         Ok(Views { view_1, view_2, t_1_2, seeds: [rng.random(), rng.random()] })
+    }
+
+    /// Refuses clouds and conditions that no view can be drawn from.
+    fn check(&self, condition: Condition) -> Result<()> {
+        let is_empty = match self {
+            Self::Object(points) => points.is_empty(),
+            Self::Real { clouds, .. } => clouds.iter().any(Vec::is_empty),
+        };
+        let refused = |what, reason: &str| Err(Error::Input { what, reason: reason.into() });
+        match condition {
+            _ if is_empty => refused("clouds", "a cloud without points"),
+            Condition { downsample: 0, .. } => refused("downsample", "allowed is 1 or more"),
+            Condition { noise, .. } if !(0.0..=1e30).contains(&noise) => refused("noise", "allowed is 0 to 1e30"),
+            _ => Ok(()),
+        }
     }
 }
 
@@ -152,6 +188,15 @@ mod tests {
         assert_eq!((&first, &second), (&object, &object[..80].to_vec()));
         let (angle, distance) = scaled.angle_and_distance_to(&RigidTransform::identity());
         assert!((distance - 2.0 / radius).abs() < 1e-6 && angle == 0.0);
+        for (condition, message) in [
+            (Condition { downsample: 0, noise: 0.0 }, "downsample"),
+            (Condition { downsample: 1, noise: f64::NAN }, "noise"),
+            (Condition { downsample: 1, noise: -0.1 }, "noise"),
+        ] {
+            assert!(clouds.views(condition, 60, 0, 0).unwrap_err().to_string().starts_with(message));
+        }
+        let empty = PairClouds::Object(Vec::new()).views(CLEAN, 60, 0, 0).unwrap_err();
+        assert_eq!(empty.to_string(), "clouds: a cloud without points");
         // Down-sampling also applies to a cloud with fewer points than requested.
         let views = clouds.views(Condition { downsample: 4, noise: 0.0 }, 60, 0, 0).unwrap();
         assert_eq!((views.view_1.len(), views.view_2.len()), (12, 15));

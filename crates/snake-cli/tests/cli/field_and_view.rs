@@ -1,22 +1,15 @@
 //! `snake-cli field` and `snake-cli view`: pictures, volumes and pages.
 
 use std::path::{Path, PathBuf};
-use std::process::Output;
+use std::process::Command;
 
-use assert_cmd::Command;
 use serde_json::Value;
 use snake_core::{Builtin, EncodeOptions, Field, Model, Point, RigidTransform};
 use snake_io as io;
 use snake_registration::transform_points;
 use tempfile::TempDir;
 
-fn sample() -> String {
-    Path::new(env!("CARGO_MANIFEST_DIR")).join("../../samples/plane.ply").display().to_string()
-}
-
-fn snake(arguments: &[&str]) -> Output {
-    Command::cargo_bin("snake-cli").unwrap().args(arguments).output().unwrap()
-}
+use super::{sample, snake};
 
 /// Runs a command that must succeed; what it printed.
 fn succeed(arguments: &[&str]) -> String {
@@ -54,7 +47,7 @@ fn npy(path: &str) -> (String, Vec<f32>) {
 }
 
 #[test]
-fn a_volume_holds_the_field_at_the_places_that_are_printed() {
+fn a_volume_holds_the_field_at_the_printed_positions() {
     let folder = tempfile::tempdir().unwrap();
     let path = file(&folder, "volume.npy");
     let printed = succeed(&["field", &sample(), "-o", &path, "--resolution", "20", "--json"]);
@@ -123,7 +116,7 @@ fn pictures_show_slices_and_largest_values_of_the_volume() {
 }
 
 #[test]
-fn panels_stand_in_rows_and_columns_and_points_can_be_left_out() {
+fn panels_form_rows_and_columns_and_points_are_optional() {
     let folder = tempfile::tempdir().unwrap();
     let draw = |name: &str, extra: &[&str]| {
         let path = file(&folder, name);
@@ -143,7 +136,7 @@ fn panels_stand_in_rows_and_columns_and_points_can_be_left_out() {
 }
 
 #[test]
-fn mistakes_get_one_line_that_says_what_to_do() {
+fn invalid_options_are_refused() {
     let folder = tempfile::tempdir().unwrap();
     let [png, npy, html] = ["a.png", "a.npy", "a.html"].map(|name| file(&folder, name));
     let matrix = file(&folder, "t.txt");
@@ -194,7 +187,7 @@ fn turned(folder: &TempDir) -> String {
 }
 
 #[test]
-fn of_two_clouds_the_keypoints_within_epsilon_are_linked() {
+fn keypoints_within_epsilon_are_linked() {
     let folder = tempfile::tempdir().unwrap();
     let (page, given, json) = (file(&folder, "pair.html"), file(&folder, "given.html"), file(&folder, "t.json"));
     let second = turned(&folder);
@@ -232,7 +225,7 @@ fn of_two_clouds_the_keypoints_within_epsilon_are_linked() {
 }
 
 #[test]
-fn a_page_holds_all_and_is_the_same_for_any_number_of_threads() {
+fn a_page_is_complete_and_identical_for_any_number_of_threads() {
     let folder = tempfile::tempdir().unwrap();
     let (one, two) = (file(&folder, "one.html"), file(&folder, "two.html"));
     succeed(&["view", &sample(), &turned(&folder), "-o", &one, "--threads", "1"]);
@@ -341,7 +334,7 @@ fn pages_open_in_chromium_without_errors() {
 }
 
 #[test]
-fn a_page_without_webgl_says_so() {
+fn a_page_without_webgl_shows_a_message() {
     let Some(chromium) = chromium() else { return };
     let folder = tempfile::tempdir().unwrap();
     let page = file(&folder, "page.html");

@@ -1,4 +1,4 @@
-//! What each file of `tests/data/hostile` gets, by the table beside them.
+//! The result of each file of `tests/data/hostile`, by the table `expected.json` beside them.
 
 use std::path::{Path, PathBuf};
 
@@ -29,7 +29,7 @@ fn table() -> Vec<Expected> {
 }
 
 #[test]
-fn every_file_gets_what_the_table_says() {
+fn every_file_gives_the_expected_result() {
     for Expected { file, command, exit, message, num_points, num_skipped } in table() {
         let arguments = command.split(' ').map(|word| word.replace("FILE", &file));
         let run = Command::cargo_bin("snake-cli").unwrap().current_dir(folder()).args(arguments).output().unwrap();

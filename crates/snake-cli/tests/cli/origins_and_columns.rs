@@ -1,20 +1,14 @@
-//! Where coordinates are in a file, and clouds far from zero, through every command.
+//! Columns of coordinates and clouds far from zero, in every command.
 
-use std::path::{Path, PathBuf};
-use std::process::Output;
-
-use assert_cmd::Command;
 use serde_json::Value;
 use snake_core::{Point, add_origin};
 use snake_io::{Cloud, ReadOptions, read_cloud, read_points, write_points};
 use tempfile::TempDir;
 
+use super::{sample, snake};
+
 /// A whole number of metres, as those of a UTM zone.
 const FAR: [f64; 3] = [691_000.0, 5_336_000.0, 512.0];
-
-fn sample() -> PathBuf {
-    Path::new(env!("CARGO_MANIFEST_DIR")).join("../../samples/plane.ply")
-}
 
 /// The sample near zero and far from it, as `near.npy` and `far.npy`.
 struct Clouds(TempDir);
@@ -22,7 +16,7 @@ struct Clouds(TempDir);
 impl Clouds {
     fn new() -> Self {
         let clouds = Self(tempfile::tempdir().unwrap());
-        let points = read_points(&sample()).unwrap();
+        let points = read_points(sample().as_ref()).unwrap();
         write_points(clouds.path("near.npy").as_ref(), &points, [0.0; 3]).unwrap();
         write_points(clouds.path("far.npy").as_ref(), &points, FAR).unwrap();
         clouds
@@ -36,10 +30,6 @@ impl Clouds {
         let Cloud { points, origin } = read_cloud(self.path(name).as_ref(), &ReadOptions::default()).unwrap();
         points.into_iter().map(|point| add_origin(point, origin)).collect()
     }
-}
-
-fn snake(arguments: &[&str]) -> Output {
-    Command::cargo_bin("snake-cli").unwrap().args(arguments).output().unwrap()
 }
 
 /// What a command that ends well prints with `--json`, and its standard error.
@@ -61,7 +51,7 @@ fn assert_moved(near: [f64; 3], far: [f64; 3], by: [f64; 3]) {
 }
 
 #[test]
-fn pcd_of_far_keypoints_has_floats_and_says_its_origin() {
+fn a_pcd_of_far_keypoints_reports_its_origin() {
     let clouds = Clouds::new();
     let (keypoints, aligned) = (clouds.path("k.pcd"), clouds.path("aligned.pcd"));
     let (json, said) = report(&["detect", &clouds.path("far.npy"), "--json", "-o", &keypoints]);
@@ -85,7 +75,7 @@ fn pcd_of_far_keypoints_has_floats_and_says_its_origin() {
 }
 
 #[test]
-fn every_command_keeps_the_digits_of_far_clouds() {
+fn every_command_keeps_the_precision_of_far_clouds() {
     let clouds = Clouds::new();
     let (near, far) = (clouds.path("near.npy"), clouds.path("far.npy"));
     for extension in ["ply", "obj"] {
@@ -124,7 +114,7 @@ fn every_command_keeps_the_digits_of_far_clouds() {
 }
 
 #[test]
-fn evaluations_keep_the_digits_of_far_clouds() {
+fn evaluations_keep_the_precision_of_far_clouds() {
     let clouds = Clouds::new();
     let transform = clouds.path("t.txt");
     let [x, y, z] = FAR;
@@ -149,12 +139,12 @@ fn evaluations_keep_the_digits_of_far_clouds() {
 
 /// The sample as text below a header.
 fn table(path: &str, header: &str, row: impl Fn(Point) -> String) {
-    let rows: Vec<String> = read_points(&sample()).unwrap().into_iter().map(row).collect();
+    let rows: Vec<String> = read_points(sample().as_ref()).unwrap().into_iter().map(row).collect();
     std::fs::write(path, format!("{header}\n{}\n", rows.join("\n"))).unwrap();
 }
 
 #[test]
-fn columns_are_told_or_chosen_in_every_command() {
+fn columns_can_be_chosen_in_every_command() {
     let clouds = Clouds::new();
     let (told, untold) = (clouds.path("paraview.csv"), clouds.path("untold.csv"));
     table(&told, "\"ring\",\"range\",\"Points:0\",\"Points:1\",\"Points:2\"", |[x, y, z]| format!("1,2,{x},{y},{z}"));
@@ -197,7 +187,7 @@ fn columns_are_told_or_chosen_in_every_command() {
 }
 
 #[test]
-fn vertices_of_a_mesh_are_said_to_be_taken() {
+fn using_the_vertices_of_a_mesh_prints_a_warning() {
     let folder = tempfile::tempdir().unwrap();
     let mesh = folder.path().join("cube.off").display().to_string();
     let corners: String = (0..8).map(|i| format!("{} {} {}\n", i & 1, i >> 1 & 1, i >> 2)).collect();
@@ -207,5 +197,5 @@ fn vertices_of_a_mesh_are_said_to_be_taken() {
     let text = said(&[]);
     assert!(text.contains("its 8 vertices are taken") && text.contains("--sample N"), "{text}");
     assert_eq!(said(&["--sample", "2000"]) + &said(&["--quiet"]), "");
-    assert_eq!(report(&["detect", &sample().display().to_string(), "--json"]).1, "");
+    assert_eq!(report(&["detect", &sample(), "--json"]).1, "");
 }

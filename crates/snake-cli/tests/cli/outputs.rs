@@ -1,23 +1,17 @@
 //! Files that the command line writes: they replace no input, and go where the user said.
 
-use std::path::{Path, PathBuf};
+use std::path::Path;
 use std::process::Output;
 
 use assert_cmd::Command;
 use serde_json::Value;
 use tempfile::TempDir;
 
-fn sample() -> PathBuf {
-    Path::new(env!("CARGO_MANIFEST_DIR")).join("../../samples/plane.ply")
-}
+use super::{sample, stderr};
 
 /// Runs snake-cli in a folder.
 fn snake(folder: &TempDir, arguments: &[&str]) -> Output {
     Command::cargo_bin("snake-cli").unwrap().current_dir(folder.path()).args(arguments).output().unwrap()
-}
-
-fn stderr(output: &Output) -> String {
-    String::from_utf8_lossy(&output.stderr).into()
 }
 
 /// A folder with the sample under each of these names.
@@ -43,7 +37,7 @@ fn an_output_never_replaces_an_input() {
     use std::os::unix::fs::symlink;
     let folder = clouds(&["a.ply", "b.ply", "scans/a.ply", "scans/b.ply", "results/keep"]);
     let path = |name: &str| folder.path().join(name);
-    let points = snake_io::read_points(&sample()).unwrap();
+    let points = snake_io::read_points(sample().as_ref()).unwrap();
     for name in ["a.npy", "a.xyz", "repeatability.csv"] {
         snake_io::write_points(&path(name), &points, [0.0; 3]).unwrap();
     }
@@ -100,7 +94,7 @@ fn an_output_never_replaces_an_input() {
 
 #[cfg(unix)]
 #[test]
-fn links_and_special_files_stay_what_they_are() {
+fn links_and_special_files_are_kept() {
     use std::os::unix::fs::{FileTypeExt, symlink};
     let folder = clouds(&["a.ply"]);
     let path = |name: &str| folder.path().join(name);
@@ -164,7 +158,7 @@ fn errors_name_the_path_that_was_given() {
 }
 
 #[test]
-fn a_clash_of_names_stops_only_those_that_clash() {
+fn equal_output_names_stop_only_their_inputs() {
     let folder = clouds(&["scans/a.ply", "scans/b.ply", "deep/a.ply", "deep/a.2.ply"]);
     std::fs::copy(sample(), folder.path().join("scans/c.ply")).unwrap();
     let output = snake(&folder, &["detect", "scans", "deep", "-o", "results", "--json"]);

@@ -1,15 +1,12 @@
-//! What is printed: whatever becomes of the standard output and error, the work goes on; names are shown harmlessly.
+//! Printing: the work continues when stdout or stderr fails, and names print no control characters.
 
 use std::fs::File;
-use std::path::{Path, PathBuf};
 use std::process::{Command, Output, Stdio};
 
 use serde_json::Value;
 use tempfile::TempDir;
 
-fn sample() -> PathBuf {
-    Path::new(env!("CARGO_MANIFEST_DIR")).join("../../samples/plane.ply")
-}
+use super::sample;
 
 fn snake() -> Command {
     Command::new(env!("CARGO_BIN_EXE_snake-cli"))
@@ -43,7 +40,7 @@ fn full_disk() -> Stdio {
 
 #[cfg(target_os = "linux")]
 #[test]
-fn an_interrupt_ends_the_program_where_nothing_can_be_printed() {
+fn an_interrupt_ends_the_program_when_output_fails() {
     for stderr in [full_disk(), closed_pipe()] {
         let folder = copies(400);
         let mut command = Command::new("env");
@@ -61,7 +58,7 @@ fn an_interrupt_ends_the_program_where_nothing_can_be_printed() {
 
 #[cfg(target_os = "linux")]
 #[test]
-fn a_batch_does_not_end_with_what_takes_its_reports() {
+fn a_batch_continues_when_its_output_is_closed() {
     let run = |stdout: Stdio, stderr: Stdio, extra: &[&str]| {
         let folder = copies(4);
         std::fs::write(folder.path().join("clouds/001.ply"), "not a cloud").unwrap();
@@ -97,7 +94,7 @@ fn a_batch_does_not_end_with_what_takes_its_reports() {
 
 #[cfg(target_os = "linux")]
 #[test]
-fn nothing_that_prints_panics() {
+fn printing_never_panics() {
     let folder = copies(2);
     let (a, b) = ("clouds/000.ply", "clouds/001.ply");
     let eval = ["--methods", "random", "--downsample", "1", "--noise", "0", "--num-points", "100"];
@@ -135,7 +132,7 @@ const HOSTILE: &str = "\u{1b}[31mx\ny\u{202e}z\u{9b}1m";
 
 #[cfg(unix)]
 #[test]
-fn names_and_values_cannot_steer_the_terminal() {
+fn names_and_values_print_no_control_characters() {
     let folder = tempfile::tempdir().unwrap();
     let name = |extension: &str| format!("{HOSTILE}.{extension}");
     std::fs::copy(sample(), folder.path().join(name("ply"))).unwrap();
@@ -213,7 +210,7 @@ fn names_and_values_cannot_steer_the_terminal() {
 /// The bar's message has the input's name.
 #[cfg(target_os = "linux")]
 #[test]
-fn names_in_a_progress_bar_are_harmless() {
+fn a_progress_bar_prints_no_control_characters() {
     use std::io::Read;
     if Command::new("script").arg("--version").output().is_err() {
         eprintln!("skipped: without `script` there is no terminal to look at");

@@ -1,18 +1,12 @@
-//! What makes the command line pleasant: help, completions, what is said and when, patterns, units, Ctrl-C.
+//! Use of the command line: help, completions, verbosity, environment, patterns, units, progress, Ctrl-C.
 
-use std::path::{Path, PathBuf};
+use std::path::Path;
 use std::process::{Command, Output};
 
 use assert_cmd::cargo::CommandCargoExt;
 use serde_json::Value;
 
-fn root() -> PathBuf {
-    Path::new(env!("CARGO_MANIFEST_DIR")).join("../..")
-}
-
-fn sample() -> String {
-    root().join("samples/plane.ply").display().to_string()
-}
+use super::{root, sample, stderr};
 
 /// snake-cli with an environment of its own.
 fn command(arguments: &[&str], environment: &[(&str, &str)]) -> Command {
@@ -35,10 +29,6 @@ fn snake(arguments: &[&str]) -> Output {
 fn stdout(output: &Output) -> String {
     assert!(output.status.success(), "{}", stderr(output));
     String::from_utf8_lossy(&output.stdout).into()
-}
-
-fn stderr(output: &Output) -> String {
-    String::from_utf8_lossy(&output.stderr).into()
 }
 
 /// Keypoints of the one line of JSON.
@@ -121,7 +111,7 @@ fn quiet_leaves_files_json_and_errors() {
 }
 
 #[test]
-fn verbose_says_what_is_used_and_changes_nothing() {
+fn verbose_reports_settings_and_changes_no_result() {
     let plain = snake(&["detect", &sample(), "--json"]);
     let verbose = snake(&["detect", &sample(), "--json", "-v", "--threads", "3", "--nms-radius", "4r"]);
     assert_eq!(stderr(&plain), "");
@@ -142,7 +132,7 @@ fn verbose_says_what_is_used_and_changes_nothing() {
 }
 
 #[test]
-fn options_may_stand_in_the_environment() {
+fn options_can_be_environment_variables() {
     let golden = root().join("tests/golden/tiny/weights.safetensors").display().to_string();
     let weights: &[(&str, &str)] = &[("SNAKE_MODEL", &golden)];
     let builtin = stdout(&snake(&["model"]));
@@ -178,7 +168,7 @@ fn colours_are_for_terminals() {
 }
 
 #[test]
-fn lengths_may_be_multiples_of_the_resolution() {
+fn lengths_can_be_multiples_of_the_resolution() {
     let points = snake_io::read_points(Path::new(&sample())).unwrap();
     let in_units = |multiple: f64| {
         let length = snake_core::Length::Resolutions(multiple).in_units("length", &points).unwrap();
@@ -206,7 +196,7 @@ fn lengths_may_be_multiples_of_the_resolution() {
 }
 
 #[test]
-fn patterns_that_no_shell_expanded_are_expanded() {
+fn quoted_patterns_are_expanded() {
     let folder = tempfile::tempdir().unwrap();
     std::fs::create_dir(folder.path().join("deep")).unwrap();
     for name in ["a.ply", "b.ply", "deep/c.ply"] {
@@ -231,7 +221,7 @@ fn patterns_that_no_shell_expanded_are_expanded() {
 /// Long calls on a pseudo-terminal: minutes of work, ended once the expected time is shown.
 #[cfg(target_os = "linux")]
 #[test]
-fn a_long_call_shows_the_time_that_it_will_take() {
+fn a_long_call_shows_the_remaining_time() {
     use std::io::Read;
     use std::process::Stdio;
     if Command::new("script").arg("--version").output().is_err() {
@@ -286,7 +276,7 @@ fn many_windows_are_announced_and_counted_without_a_terminal() {
 
 #[cfg(target_os = "linux")]
 #[test]
-fn an_interrupt_leaves_whole_files_only() {
+fn an_interrupt_leaves_only_complete_files() {
     const INPUTS: usize = 400;
     let folder = tempfile::tempdir().unwrap();
     let (clouds, results) = (folder.path().join("clouds"), folder.path().join("results"));

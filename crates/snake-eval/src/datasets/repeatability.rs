@@ -1,28 +1,24 @@
-//! Data sets of repeatability, recognised by the layout of their folder.
+//! Pairs of views for repeatability: two samples of an object, or two clouds of the same scene.
 
 use std::path::{Path, PathBuf};
 
-use anyhow::{Context, Result, bail};
 use serde::Deserialize;
 use snake_core::{Cloud, Point, RigidTransform};
-use snake_io as io;
+use snake_io::{self as io, ReadOptions};
 
-use super::super::pairs::{self, ListedPair, find_cloud};
-use super::super::read_json;
-use super::views::PairClouds;
-use crate::inputs::{ColumnArguments, expand};
+use super::pairs_json::{self, ListedPair};
+use super::{find_cloud, read_json, read_text};
+use crate::error::{Error, Result};
+use crate::views::PairClouds;
 
-/// A data set.
-pub struct Data {
-    /// Determines which settings and figures of the paper apply.
-    pub scale: Scale,
+/// A data set of pairs of views.
+pub struct ViewPairs {
+    scale: Scale,
     source: Source,
-    /// The columns of the coordinates in the files.
-    columns: ColumnArguments,
 }
 
 /// The units of a data set.
-#[derive(Clone, Copy, PartialEq, Eq)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Scale {
     /// Objects of radius 1, like ModelNet40.
     Object,
@@ -56,68 +52,75 @@ struct IndexRow {
     name: String,
 }
 
-impl Data {
-    /// Opens the folder of a data set. Other inputs are read as cloud files and folders of cloud files.
-    pub fn open(inputs: &[PathBuf], transform: Option<&Path>, columns: &ColumnArguments) -> Result<Self> {
-        let (scale, source) = Self::recognise(inputs, transform)?;
-        Ok(Self { scale, source, columns: columns.clone() })
+impl ViewPairs {
+    /// Opens the folder of a data set. A folder in none of the known layouts gives `None`.
+    ///
+    /// | layout | content |
+    /// |---|---|
+    /// | objects | `points.npy` `(S, N, 3)` and `index.json`, a list of S objects with the key `name` |
+    /// | pairs | `pairs.json`, in metres: `[{"source": "a.ply", "target": "b.ply", "T": [[..4], ..4]}, ..]`, where T maps the source to the target, the first view |
+    /// | Redwood of USIP | `redwood_pair.txt` with lines `SCENE I J`, `SCENE/I.npy` and `transform.npy`, whose rows map cloud J to cloud I, the first view |
+    /// | ModelNet40 of USIP | `original/I.npy`, `rotated/I.npy` and `transform.npy`, whose row I maps the rotated object to the original |
+    ///
+    /// # Errors
+    /// [`Error::Io`] and [`Error::File`] when a list cannot be read; [`Error::Layout`] when it does not follow its
+    /// layout or is empty.
+    pub fn open(folder: &Path) -> Result<Option<Self>> {
+        let has = |name: &str| folder.join(name).exists();
+        let opened = if has("points.npy") {
+            Self::corpus(folder)
+        } else if has(pairs_json::NAME) {
+            Self::pairs(Scale::Room, pairs_json::NAME, listed_pairs(folder)?, folder)
+        } else if has("redwood_pair.txt") {
+            Self::pairs(Scale::Room, "redwood_pair.txt", redwood_pairs(folder)?, folder)
+        } else if has("original") && has("rotated") {
+            Self::pairs(Scale::Object, "transform.npy", modelnet_pairs(folder)?, folder)
+        } else {
+            return Ok(None);
+        };
+        opened.map(Some)
     }
 
-    fn recognise(inputs: &[PathBuf], transform: Option<&Path>) -> Result<(Scale, Source)> {
-        if let Some(transform) = transform {
-            return Self::one_pair(inputs, transform);
-        }
-        if let [folder] = inputs {
-            let has = |name: &str| folder.join(name).exists();
-            if has("points.npy") {
-                return Self::corpus(folder);
-            }
-            if has("pairs.json") {
-                return Self::pairs(Scale::Room, "pairs.json", listed_pairs(folder)?, folder);
-            }
-            if has("redwood_pair.txt") {
-                return Self::pairs(Scale::Room, "redwood_pair.txt", redwood_pairs(folder)?, folder);
-            }
-            if has("original") && has("rotated") {
-                return Self::pairs(Scale::Object, "transform.npy", modelnet_pairs(folder)?, folder);
-            }
-        }
-        let files = expand(inputs)?;
+    /// The objects in these cloud files. Each object is scaled to radius 1, and its second view is generated.
+    pub fn from_objects(files: Vec<PathBuf>) -> Self {
         let names = files.iter().map(|file| file.display().to_string()).collect();
-        Ok((Scale::Object, Source::Objects { names, clouds: Clouds::Files(files) }))
+        Self { scale: Scale::Object, source: Source::Objects { names, clouds: Clouds::Files(files) } }
+    }
+
+    /// One pair of cloud files in unknown units, with the transform from the source to the target. The target is the
+    /// first view, and the pair is scaled so that the target has radius 1.
+    pub fn from_pair(source: &Path, target: &Path, t_target_source: RigidTransform) -> Self {
+        let name = format!("{} to {}", source.display(), target.display());
+        let pair = PairEntry { name, clouds: [target.into(), source.into()], t_1_2: t_target_source };
+        Self { scale: Scale::Object, source: Source::Pairs { pairs: vec![pair], unit_radius: true } }
     }
 
     /// Our own layout: `points.npy` and `index.json`.
-    fn corpus(folder: &Path) -> Result<(Scale, Source)> {
+    fn corpus(folder: &Path) -> Result<Self> {
         let entries: Vec<IndexRow> = read_json(&folder.join("index.json"))?;
         let clouds = io::read_clouds(&folder.join("points.npy"))?;
         if entries.len() != clouds.len() {
             let (rows, clouds) = (entries.len(), clouds.len());
-            bail!("{}: index.json has {rows} rows, points.npy {clouds} clouds", folder.display());
+            return Err(Error::layout(folder, format!("index.json has {rows} rows, points.npy {clouds} clouds")));
         }
         if clouds.is_empty() {
-            bail!("{}: no clouds in points.npy", folder.display());
+            return Err(Error::layout(folder, "no clouds in points.npy"));
         }
         let names = entries.into_iter().map(|entry| entry.name).collect();
-        Ok((Scale::Object, Source::Objects { names, clouds: Clouds::Loaded(clouds) }))
+        Ok(Self { scale: Scale::Object, source: Source::Objects { names, clouds: Clouds::Loaded(clouds) } })
     }
 
     /// The pairs of the file `list`. There must be at least one.
-    fn pairs(scale: Scale, list: &str, pairs: Vec<PairEntry>, folder: &Path) -> Result<(Scale, Source)> {
+    fn pairs(scale: Scale, list: &str, pairs: Vec<PairEntry>, folder: &Path) -> Result<Self> {
         if pairs.is_empty() {
-            bail!("{}: no pairs in {list}", folder.display());
+            return Err(Error::layout(folder, format!("no pairs in {list}")));
         }
-        Ok((scale, Source::Pairs { pairs, unit_radius: false }))
+        Ok(Self { scale, source: Source::Pairs { pairs, unit_radius: false } })
     }
 
-    /// The user's two clouds, source and target, in unknown units.
-    fn one_pair(inputs: &[PathBuf], transform: &Path) -> Result<(Scale, Source)> {
-        let [source, target] = inputs else {
-            bail!("--transform is for two clouds, SOURCE and TARGET; for more give a folder with pairs.json");
-        };
-        let name = format!("{} to {}", source.display(), target.display());
-        let pair = PairEntry { name, clouds: [target.clone(), source.clone()], t_1_2: io::read_transform(transform)? };
-        Ok((Scale::Object, Source::Pairs { pairs: vec![pair], unit_radius: true }))
+    /// The units of the data set, which select the figures of the paper to compare with.
+    pub fn scale(&self) -> Scale {
+        self.scale
     }
 
     /// The cloud files that will be read. A path lacks the extension if the list leaves it out.
@@ -137,7 +140,15 @@ impl Data {
         }
     }
 
+    /// Whether there are no pairs.
+    pub fn is_empty(&self) -> bool {
+        self.len() == 0
+    }
+
     /// The name of a pair of views.
+    ///
+    /// # Panics
+    /// When `pair` is not below [`len`](Self::len).
     pub fn name(&self, pair: usize) -> String {
         match &self.source {
             Source::Objects { names, .. } => names[pair].clone(),
@@ -145,18 +156,27 @@ impl Data {
         }
     }
 
-    /// The clouds that the views of a pair are drawn from.
-    pub fn clouds(&self, pair: usize) -> Result<PairClouds> {
+    /// Reads the clouds that the views of a pair are drawn from. Points that are not finite are left out, so that views
+    /// have the requested number of points.
+    ///
+    /// # Errors
+    /// [`Error::File`] when a cloud cannot be read; [`Error::Core`] when it has no extent; [`Error::Layout`] when it
+    /// cannot be found or has no points.
+    ///
+    /// # Panics
+    /// When `pair` is not below [`len`](Self::len).
+    pub fn clouds(&self, pair: usize, options: &ReadOptions) -> Result<PairClouds> {
         match &self.source {
             Source::Objects { clouds: Clouds::Loaded(clouds), .. } => PairClouds::object(&clouds[pair]),
             Source::Objects { clouds: Clouds::Files(files), .. } => {
-                PairClouds::object(&self.finite_points(&files[pair])?.points)
+                PairClouds::object(&finite_points(&files[pair], options)?.points)
             }
             Source::Pairs { pairs, unit_radius } => {
                 let PairEntry { clouds: [first, second], t_1_2, .. } = &pairs[pair];
-                let clouds = [self.finite_points(&find_cloud(first)?)?, self.finite_points(&find_cloud(second)?)?];
-                if clouds.iter().any(|cloud| cloud.points.is_empty()) {
-                    bail!("a cloud without points");
+                let files = [find_cloud(first)?, find_cloud(second)?];
+                let clouds = [finite_points(&files[0], options)?, finite_points(&files[1], options)?];
+                if let Some((file, _)) = files.iter().zip(&clouds).find(|(_, cloud)| cloud.points.is_empty()) {
+                    return Err(Error::layout(file, "a cloud without points"));
                 }
                 let [first, second] = clouds.each_ref().map(|cloud| cloud.origin);
                 let t_1_2 = t_1_2.subtract_origins(second, first);
@@ -165,13 +185,13 @@ impl Data {
             }
         }
     }
+}
 
-    /// The finite points of a cloud, so that views have the requested number of points.
-    fn finite_points(&self, path: &Path) -> Result<Cloud> {
-        let mut cloud = self.columns.read(path)?;
-        cloud.points.retain(|point| point.iter().all(|v| v.is_finite()));
-        Ok(cloud)
-    }
+/// Reads the finite points of a cloud.
+fn finite_points(path: &Path, options: &ReadOptions) -> Result<Cloud> {
+    let mut cloud = io::read_cloud(path, options)?;
+    cloud.points.retain(|point| point.iter().all(|v| v.is_finite()));
+    Ok(cloud)
 }
 
 /// `pairs.json`: the target is the first view.
@@ -181,7 +201,7 @@ fn listed_pairs(folder: &Path) -> Result<Vec<PairEntry>> {
         clouds: [folder.join(target), folder.join(source)],
         t_1_2: t_target_source,
     };
-    Ok(pairs::listed(folder)?.into_iter().map(entry).collect())
+    Ok(pairs_json::read(folder)?.into_iter().map(entry).collect())
 }
 
 /// USIP's ModelNet40: `original/I.npy`, the rotated object `rotated/I.npy`, and row I of `transform.npy`.
@@ -198,16 +218,17 @@ fn modelnet_pairs(folder: &Path) -> Result<Vec<PairEntry>> {
 /// `transform.npy` has a row for each line.
 fn redwood_pairs(folder: &Path) -> Result<Vec<PairEntry>> {
     let path = folder.join("redwood_pair.txt");
-    let text = std::fs::read_to_string(&path).with_context(|| format!("cannot read {}", path.display()))?;
+    let text = read_text(&path)?;
     let lines: Vec<&str> = text.lines().filter(|line| !line.trim().is_empty()).collect();
     let transforms = io::read_transforms(&folder.join("transform.npy"))?;
     if lines.len() != transforms.len() {
         let (lines, rows) = (lines.len(), transforms.len());
-        bail!("{}: {lines} pairs in redwood_pair.txt, but {rows} transforms in transform.npy", folder.display());
+        let reason = format!("{lines} pairs in redwood_pair.txt, but {rows} transforms in transform.npy");
+        return Err(Error::layout(folder, reason));
     }
     let entry = |(line, t_1_2): (&str, RigidTransform)| {
         let [scene, first, second] = line.split_whitespace().collect::<Vec<_>>()[..] else {
-            bail!("{}: expected a scene and two numbers, found `{line}`", path.display());
+            return Err(Error::layout(&path, format!("expected a scene and two numbers, found `{line}`")));
         };
         let clouds = [first, second].map(|number| folder.join(scene).join(format!("{number}.npy")));
         Ok(PairEntry { name: format!("{scene} {first} {second}"), clouds, t_1_2 })

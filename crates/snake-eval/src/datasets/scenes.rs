@@ -2,42 +2,58 @@
 
 use std::path::{Path, PathBuf};
 
-use anyhow::{Context, Result, bail};
 use snake_core::RigidTransform;
 
-use super::super::pairs::{self, ListedPair, find_cloud};
+use super::pairs_json::{self, ListedPair};
+use super::{find_cloud, read_text};
+use crate::error::{Error, Result};
 
-/// Fragments, and pairs of fragments that overlap.
+/// Fragments, and pairs of fragments that overlap. Lengths are in metres.
+#[derive(Debug, Clone)]
+#[non_exhaustive]
 pub struct Scenes {
+    /// The files of the fragments of all scenes.
     pub clouds: Vec<PathBuf>,
+    /// The pairs, scene by scene. There is at least one.
     pub pairs: Vec<ScenePair>,
 }
 
 /// Two fragments of a scene.
+#[derive(Debug, Clone)]
 pub struct ScenePair {
+    /// The name of the scene.
     pub scene: String,
-    /// Index of the source and of the target in `clouds`.
+    /// Index of the source in [`Scenes::clouds`].
     pub source: usize,
+    /// Index of the target in [`Scenes::clouds`].
     pub target: usize,
     /// Numbers of the fragments within their scene. Fragments without numbers get two that are not consecutive.
     pub fragments: [usize; 2],
+    /// Maps the source to the frame of the target.
     pub t_target_source: RigidTransform,
-    /// Information matrix of `gt.info`; `None` if it has to be computed from the overlap.
+    /// Information matrix of `gt.info`, for coordinates as they are in the files; `None` if it has to be computed from the overlap.
     pub information: Option<[[f64; 6]; 6]>,
 }
 
 impl Scenes {
-    /// Opens a folder with a `pairs.json`, a scene, or a folder of scenes.
+    /// Opens a folder with a `pairs.json`, a scene of the 3DMatch benchmark, or a folder of scenes.
+    ///
+    /// A scene has the fragments `cloud_bin_0.ply`, .. and the files `gt.log` and `gt.info`, beside the fragments or in
+    /// the folder `SCENE-evaluation`. In `pairs.json` (see [`ViewPairs::open`](super::ViewPairs::open)) a fragment named
+    /// `SCENE_NUMBER` belongs to that scene.
+    ///
+    /// # Errors
+    /// [`Error::Io`] when a list cannot be read; [`Error::Layout`] when it does not follow its format, a cloud is
+    /// missing, or there are no pairs.
     pub fn open(folder: &Path) -> Result<Self> {
         let mut scenes = Self { clouds: Vec::new(), pairs: Vec::new() };
-        if folder.join("pairs.json").exists() {
-            pairs::listed(folder)?.into_iter().try_for_each(|pair| scenes.add_pair(folder, pair))?;
+        if folder.join(pairs_json::NAME).exists() {
+            pairs_json::read(folder)?.into_iter().try_for_each(|pair| scenes.add_pair(folder, pair))?;
         } else if let Some(truth) = ground_truth(folder) {
             scenes.add_scene(folder, &truth)?;
         } else {
-            let listed = || format!("cannot list {}", folder.display());
-            let entries =
-                folder.read_dir().with_context(listed)?.collect::<Result<Vec<_>, _>>().with_context(listed)?;
+            let entries = folder.read_dir().and_then(Iterator::collect::<std::io::Result<Vec<_>>>);
+            let entries = entries.map_err(|source| Error::io(folder, source))?;
             let mut inner: Vec<PathBuf> = entries.into_iter().map(|entry| entry.path()).collect();
             inner.sort();
             inner.retain(|path| path.is_dir() && !name(path).ends_with(EVALUATION));
@@ -46,7 +62,8 @@ impl Scenes {
             }
         }
         if scenes.pairs.is_empty() {
-            bail!("{}: no pairs (looked for pairs.json, gt.log, and folders with gt.log)", folder.display());
+            let reason = "no pairs (looked for pairs.json, gt.log, and folders with gt.log)";
+            return Err(Error::layout(folder, reason));
         }
         Ok(scenes)
     }
@@ -69,12 +86,13 @@ impl Scenes {
         let information = entries::<6>(&truth.join("gt.info"))?;
         for (fragments, rows) in transforms {
             let [target, source] = fragments;
-            let t_target_source = RigidTransform::from_matrix(rows)
-                .with_context(|| format!("{}: pair {target} {source}", truth.join("gt.log").display()))?;
+            let not_rigid = |reason| Error::layout(&truth.join("gt.log"), format!("pair {target} {source}: {reason}"));
+            let t_target_source = RigidTransform::from_matrix(rows).map_err(not_rigid)?;
             let Some((_, information)) = information.iter().find(|(same, _)| *same == fragments) else {
-                bail!("{}: nothing on the pair {target} {source} of gt.log", truth.join("gt.info").display());
+                let reason = format!("nothing on the pair {target} {source} of gt.log");
+                return Err(Error::layout(&truth.join("gt.info"), reason));
             };
-            let mut cloud = |i| Ok::<_, anyhow::Error>(self.cloud(find_cloud(&folder.join(format!("cloud_bin_{i}")))?));
+            let mut cloud = |i| Ok::<_, Error>(self.cloud(find_cloud(&folder.join(format!("cloud_bin_{i}")))?));
             let (source, target) = (cloud(source)?, cloud(target)?);
             let (scene, information) = (name(folder), Some(*information));
             self.pairs.push(ScenePair { scene, source, target, fragments, t_target_source, information });
@@ -91,6 +109,9 @@ impl Scenes {
     }
 
     /// The name of a pair.
+    ///
+    /// # Panics
+    /// When `pair` is not an index of [`pairs`](Self::pairs).
     pub fn name(&self, pair: usize) -> String {
         let ScenePair { source, target, .. } = self.pairs[pair];
         format!("{} to {}", self.clouds[source].display(), self.clouds[target].display())
@@ -122,21 +143,22 @@ type Entry<const N: usize> = ([usize; 2], [[f64; N]; N]);
 
 /// Reads the entries of a `.log` or `.info` file. A third number stands between the fragments and the matrix.
 fn entries<const N: usize>(path: &Path) -> Result<Vec<Entry<N>>> {
-    let text = std::fs::read_to_string(path).with_context(|| format!("cannot read {}", path.display()))?;
+    let text = read_text(path)?;
     let words: Vec<&str> = text.split_whitespace().collect();
     let mut entries = Vec::new();
     for entry in words.chunks(3 + N * N) {
         if entry.len() < 3 + N * N {
-            bail!("{}: ends within an entry", path.display());
+            return Err(Error::layout(path, "ends within an entry"));
         }
-        let wrong = |word: &str| format!("{}: entry {}: `{word:.20}` is wrong", path.display(), entries.len());
+        let number = entries.len();
+        let wrong = |word: &str| Error::layout(path, format!("entry {number}: `{word:.20}` is wrong"));
         let mut fragments = [0; 2];
         for (fragment, word) in fragments.iter_mut().zip(entry) {
-            *fragment = word.parse().with_context(|| wrong(word))?;
+            *fragment = word.parse().map_err(|_| wrong(word))?;
         }
         let mut matrix = [[0.0; N]; N];
         for (value, word) in matrix.as_flattened_mut().iter_mut().zip(&entry[3..]) {
-            *value = word.parse().with_context(|| wrong(word))?;
+            *value = word.parse().map_err(|_| wrong(word))?;
         }
         entries.push((fragments, matrix));
     }

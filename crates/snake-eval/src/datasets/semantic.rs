@@ -1,31 +1,37 @@
-//! Data sets of semantic consistency: KeypointNet and pairs of SMPL bodies, recognised by the layout of their folder.
+//! Data sets of semantic consistency: KeypointNet and pairs of SMPL bodies.
 
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
-use anyhow::{Context, Result, bail};
 use serde::Deserialize;
 use snake_core::Point;
 use snake_io as io;
 
-use super::super::read_json;
-use super::smpl::BodyPairs;
+use super::{read_json, read_text};
+use crate::error::{Error, Result};
+use crate::smpl::BodyPairs;
 
-/// A data set.
-pub enum Data {
+/// A data set of semantic consistency.
+pub enum SemanticData {
+    /// Shapes with annotated keypoints.
     KeypointNet(Vec<Shape>),
-    /// Posed bodies. Point i of both bodies of a pair is the same point of the surface.
+    /// The first and the second bodies of all pairs. Point i of both bodies of a pair is the same point of the surface.
     Bodies([Vec<Vec<Point>>; 2]),
     /// A body model, which is posed for each pair.
     BodyModel(Box<BodyPairs>),
 }
 
 /// A shape of KeypointNet.
+#[derive(Debug, Clone, PartialEq, Eq)]
+#[non_exhaustive]
 pub struct Shape {
+    /// `CLASS_ID-MODEL_ID`, as in the released code's lists.
     pub name: String,
+    /// The name of the annotation file, such as `chair`.
     pub class: String,
+    /// The file of the cloud.
     pub cloud: PathBuf,
-    /// Indices of the annotated points.
+    /// Indices of the annotated points in the cloud.
     pub keypoints: Vec<usize>,
 }
 
@@ -47,29 +53,40 @@ struct MarkedPoint {
     point_index: usize,
 }
 
-impl Data {
-    /// Opens a folder or a body model. For KeypointNet, `split` is a file that lists the shapes to use.
+impl SemanticData {
+    /// Opens a data set by its layout. For KeypointNet, `split` is a file with a `CLASS_ID-MODEL_ID` for each shape to
+    /// use.
+    ///
+    /// | layout | content |
+    /// |---|---|
+    /// | KeypointNet | `annotations/CLASS.json` and the clouds `CLASS_ID/MODEL_ID.pcd`, in `pcds/` or in the folder itself |
+    /// | body model | a file `.npz` or `.pkl`, or a folder with `model.npz` or `model.pkl`, see [`BodyPairs::open`] |
+    /// | bodies | `body_1.npy` and `body_2.npy` `(S, N, 3)` |
+    ///
+    /// # Errors
+    /// [`Error::Io`] and [`Error::File`] when a list, an array or a model cannot be read; [`Error::Layout`] when the
+    /// folder has none of the layouts, a file does not follow it, or a shape of `split` has no annotation.
     pub fn open(folder: &Path, split: Option<&Path>) -> Result<Self> {
         if folder.join("annotations").is_dir() {
             return keypointnet(folder, split).map(Self::KeypointNet);
         }
         if split.is_some() {
-            bail!("--split is for KeypointNet");
+            return Err(Error::layout(folder, "the split is for KeypointNet, and this is another data set"));
         }
         if let Some(pairs) = BodyPairs::open(folder)? {
             return Ok(Self::BodyModel(Box::new(pairs)));
         }
         let [first, second] = ["body_1.npy", "body_2.npy"].map(|name| folder.join(name));
         if !first.exists() || !second.exists() {
-            bail!(
-                "{}: neither annotations/ (KeypointNet) nor model.pkl, model.npz, or body_1.npy and body_2.npy (SMPL)",
-                folder.display()
-            );
+            return Err(Error::layout(
+                folder,
+                "neither annotations/ (KeypointNet) nor model.pkl, model.npz, or body_1.npy and body_2.npy (SMPL)",
+            ));
         }
         let bodies = [io::read_clouds(&first)?, io::read_clouds(&second)?];
         let [one, two] = bodies.each_ref().map(Vec::len);
         if one != two || one == 0 {
-            bail!("{}: {one} bodies in body_1.npy, {two} in body_2.npy", folder.display());
+            return Err(Error::layout(folder, format!("{one} bodies in body_1.npy, {two} in body_2.npy")));
         }
         Ok(Self::Bodies(bodies))
     }
@@ -91,7 +108,15 @@ impl Data {
         }
     }
 
+    /// Whether there are no shapes and no pairs.
+    pub fn is_empty(&self) -> bool {
+        self.len() == 0
+    }
+
     /// The name of a shape or a pair.
+    ///
+    /// # Panics
+    /// When `index` is not below [`len`](Self::len).
     pub fn name(&self, index: usize) -> String {
         match self {
             Self::KeypointNet(shapes) => shapes[index].name.clone(),
@@ -100,6 +125,9 @@ impl Data {
     }
 
     /// The class of a shape; `None` for bodies.
+    ///
+    /// # Panics
+    /// When `index` is not below [`len`](Self::len).
     pub fn class(&self, index: usize) -> Option<&str> {
         match self {
             Self::KeypointNet(shapes) => Some(&shapes[index].class),
@@ -112,7 +140,7 @@ impl Data {
 fn keypointnet(folder: &Path, split: Option<&Path>) -> Result<Vec<Shape>> {
     let annotations = folder.join("annotations");
     let entries = annotations.read_dir().and_then(Iterator::collect::<std::io::Result<Vec<_>>>);
-    let entries = entries.with_context(|| format!("cannot list {}", annotations.display()))?;
+    let entries = entries.map_err(|source| Error::io(&annotations, source))?;
     let is_class =
         |path: &PathBuf| path.extension().is_some_and(|e| e == "json") && path.file_stem().is_some_and(|s| s != "all");
     let mut files: Vec<PathBuf> = entries.iter().map(|entry| entry.path()).filter(is_class).collect();
@@ -132,15 +160,15 @@ fn keypointnet(folder: &Path, split: Option<&Path>) -> Result<Vec<Shape>> {
         }
     }
     if let Some(split) = split {
-        let text = std::fs::read_to_string(split).with_context(|| format!("cannot read {}", split.display()))?;
+        let text = read_text(split)?;
         let mut listed: BTreeMap<&str, bool> = text.split_whitespace().map(|name| (name, false)).collect();
         shapes.retain(|shape| listed.get_mut(shape.name.as_str()).is_some_and(|found| !std::mem::replace(found, true)));
         if let Some((name, _)) = listed.iter().find(|(_, found)| !**found) {
-            bail!("{}: {name} is not among the annotations", split.display());
+            return Err(Error::layout(split, format!("{name} is not among the annotations")));
         }
     }
     if shapes.is_empty() {
-        bail!("{}: no annotated shapes", annotations.display());
+        return Err(Error::layout(&annotations, "no annotated shapes"));
     }
     Ok(shapes)
 }
@@ -164,7 +192,7 @@ mod tests {
             );
             for text in [shape.as_bytes(), &shape.as_bytes()[..length.index(shape.len())], &bytes] {
                 std::fs::write(annotations.join("chair.json"), text).unwrap();
-                if let Ok(data) = Data::open(folder.path(), None) {
+                if let Ok(data) = SemanticData::open(folder.path(), None) {
                     prop_assert_eq!(data.len(), 1);
                 }
             }

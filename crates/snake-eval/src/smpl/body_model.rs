@@ -4,15 +4,12 @@
 
 use std::path::Path;
 
-use anyhow::{Context, Result};
 use nalgebra::{Isometry3, Matrix3, Point3, Rotation3, Translation3, UnitQuaternion, Vector3};
 use snake_io::{self as io, Array};
 
 use super::pickle::Pickle;
 use super::pickled_arrays;
-
-/// Number of shape parameters that are used, from the first.
-pub const BETAS: usize = 10;
+use crate::error::{Error, Result};
 
 /// The arrays in a file of a body model.
 const NAMES: [&str; 7] = ["v_template", "shapedirs", "posedirs", "weights", "J_regressor", "kintree_table", "f"];
@@ -38,19 +35,22 @@ pub struct BodyModel {
 }
 
 impl BodyModel {
-    /// Reads a model from an `.npz` file, or from a pickle with any other extension.
+    /// Reads a model from an `.npz` file, or from a pickle with any other extension. No code in a pickle is executed.
+    ///
+    /// # Errors
+    /// [`Error::Io`] and [`Error::File`] when the file cannot be read; [`Error::Layout`] when it is no body model.
     pub fn open(path: &Path) -> Result<Self> {
         let arrays = if path.extension().is_some_and(|extension| extension.eq_ignore_ascii_case("npz")) {
             io::read_arrays(path, &NAMES)?
         } else {
-            let bytes = std::fs::read(path).with_context(|| format!("cannot read {}", path.display()))?;
-            pickled(&bytes).map_err(|reason| anyhow::anyhow!("{}: {reason}", path.display()))?
+            let bytes = std::fs::read(path).map_err(|source| Error::io(path, source))?;
+            pickled(&bytes).map_err(|reason| Error::layout(path, reason))?
         };
-        Self::new(arrays).map_err(|reason| anyhow::anyhow!("{}: {reason}", path.display()))
+        Self::new(arrays).map_err(|reason| Error::layout(path, reason))
     }
 
     /// A model from the arrays of [`NAMES`], in that order.
-    fn new(arrays: Vec<Array>) -> Result<Self, String> {
+    fn new(arrays: Vec<Array>) -> std::result::Result<Self, String> {
         let Ok([template, shape, pose, weights, regressor, tree, faces]) = <[Array; 7]>::try_from(arrays) else {
             return Err("an array is missing".into());
         };
@@ -93,7 +93,7 @@ impl BodyModel {
             weights: weights.items,
             regressor: regressor.items,
             parents: parents(&tree.items)?,
-            faces: faces.items.as_chunks::<3>().0.iter().map(face).collect::<Result<_, String>>()?,
+            faces: faces.items.as_chunks::<3>().0.iter().map(face).collect::<std::result::Result<_, String>>()?,
         })
     }
 
@@ -104,6 +104,9 @@ impl BodyModel {
 
     /// The vertices of a body, by linear blend skinning. `pose` has a rotation vector in radians for each joint,
     /// relative to its parent. `betas` are shape parameters; there may be fewer than the model has.
+    ///
+    /// # Panics
+    /// When `pose` has fewer vectors than the model has joints.
     pub fn vertices(&self, pose: &[Vector3<f64>], betas: &[f64]) -> Vec<Point3<f64>> {
         let rotations: Vec<Rotation3<f64>> = pose.iter().map(|&vector| Rotation3::new(vector)).collect();
         let shaped = self.displaced(&self.template, &self.shape_directions, self.num_betas, betas);
@@ -157,7 +160,7 @@ impl BodyModel {
 }
 
 /// The arrays of a pickled model.
-fn pickled(bytes: &[u8]) -> Result<Vec<Array>, String> {
+fn pickled(bytes: &[u8]) -> std::result::Result<Vec<Array>, String> {
     let pickle = Pickle::parse(bytes)?;
     let array = |name: &str| {
         let node = pickle.get(pickle.root(), name).ok_or_else(|| format!("no body model: it has no `{name}`"))?;
@@ -168,7 +171,7 @@ fn pickled(bytes: &[u8]) -> Result<Vec<Array>, String> {
 
 /// The index of the parent of each joint except the first. The two rows of `kintree_table` are the names of the parents
 /// and the names of the joints.
-fn parents(tree: &[f64]) -> Result<Vec<usize>, String> {
+fn parents(tree: &[f64]) -> std::result::Result<Vec<usize>, String> {
     let (parents, names) = tree.split_at(tree.len() / 2);
     let number = |joint: usize| {
         let parent = names[..joint].iter().position(|name| *name == parents[joint]);

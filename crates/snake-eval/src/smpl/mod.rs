@@ -1,8 +1,12 @@
-//! Pairs of posed bodies, by the protocol of UKPGAN and SNAKE (SNAKE section 4.1).
+//! SMPL bodies: reads body models, poses them, and samples pairs of bodies by the protocol of UKPGAN and SNAKE (SNAKE
+//! section 4.1).
+
+mod body_model;
+mod pickle;
+mod pickled_arrays;
 
 use std::path::{Path, PathBuf};
 
-use anyhow::{Context, Result, bail};
 use nalgebra::{Point3, Vector3};
 use rand::distr::Distribution;
 use rand::distr::weighted::WeightedIndex;
@@ -10,8 +14,12 @@ use rand::{Rng, RngExt};
 use snake_core::Point;
 use snake_io::{self as io, Array};
 
-use super::body_model::{BETAS, BodyModel};
+use crate::error::{Error, Result};
 
+pub use body_model::BodyModel;
+
+/// Number of shape parameters that are used, from the first.
+const BETAS: usize = 10;
 /// Number of points on a body.
 const SAMPLES: usize = 2048;
 /// Number of pairs if no parameters are stored.
@@ -30,7 +38,12 @@ pub struct BodyPairs {
 }
 
 impl BodyPairs {
-    /// Opens a model file, or a folder with `model.npz` or `model.pkl`. Other folders give `None`.
+    /// Opens a model file of SMPL, SMPL+H or SMPL-X, or a folder with `model.npz` or `model.pkl`. Other folders give
+    /// `None`. A folder may also hold the released code's parameters, `pose_test_100.npy` `(S, 2, K, 3)` and
+    /// `beta_test_100.npy` `(S, 2, 10)`. Without them there are 100 pairs with random parameters.
+    ///
+    /// # Errors
+    /// As [`BodyModel::open`]; [`Error::Layout`] when the parameters do not fit the model.
     pub fn open(data: &Path) -> Result<Option<Self>> {
         let named = |name: &str| data.join(name);
         let file = if data.is_file() {
@@ -52,7 +65,19 @@ impl BodyPairs {
         self.len
     }
 
-    /// The two bodies of a pair, sampled at the same random points, uniformly over the area of the first body.
+    /// Whether there are no pairs.
+    pub fn is_empty(&self) -> bool {
+        self.len == 0
+    }
+
+    /// The two bodies of a pair in metres, each `(2048, 3)`, sampled at the same random points, uniformly over the area
+    /// of the first body.
+    ///
+    /// # Errors
+    /// [`Error::Input`] when the body has no surface.
+    ///
+    /// # Panics
+    /// When `pair` is not below [`len`](Self::len) and parameters are stored.
     pub fn bodies(&self, pair: usize, rng: &mut impl Rng) -> Result<[Vec<Point>; 2]> {
         let [first, second] = [0, 1].map(|body| self.vertices(pair, body, rng));
         let corners = |vertices: &[Point3<f64>], face: usize| self.model.faces[face].map(|vertex| vertices[vertex]);
@@ -60,7 +85,8 @@ impl BodyPairs {
             let [a, b, c] = corners(&first, face);
             (b - a).cross(&(c - a)).norm() / 2.0
         };
-        let faces = WeightedIndex::new((0..self.model.faces.len()).map(area)).context("a body without a surface")?;
+        let faces = WeightedIndex::new((0..self.model.faces.len()).map(area));
+        let faces = faces.map_err(|_| Error::Input { what: "body", reason: "it has no surface".into() })?;
         let mut bodies = [Vec::with_capacity(SAMPLES), Vec::with_capacity(SAMPLES)];
         for _ in 0..SAMPLES {
             let face = faces.sample(rng);
@@ -101,11 +127,9 @@ fn parameters(model: &BodyModel, poses: &PathBuf, betas: &PathBuf) -> Result<[Ar
     for ((path, array), count) in [poses, betas].into_iter().zip(&arrays).zip([3 * model.num_joints(), BETAS]) {
         let of_pairs = array.shape.starts_with(&[pairs, 2]) && array.items.len() == pairs * 2 * count;
         if pairs == 0 || !of_pairs || !array.items.iter().all(|item| item.is_finite()) {
-            bail!(
-                "{}: shape {:?}; needed are {count} numbers for each of two bodies of each pair",
-                path.display(),
-                array.shape
-            );
+            let shape = &array.shape;
+            let reason = format!("shape {shape:?}; needed are {count} numbers for each of two bodies of each pair");
+            return Err(Error::layout(path, reason));
         }
     }
     Ok(arrays)

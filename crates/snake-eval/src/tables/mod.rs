@@ -1,19 +1,24 @@
-//! Tables as plain text and as Markdown, and the files of the results.
+//! Tables of results as plain text and as Markdown, curves as SVG, and the figures of the paper beside them.
 
-use std::path::Path;
+pub mod paper;
+pub mod plot;
+mod statistic;
 
-use anyhow::{Context, Result};
-use snake_io as io;
+pub use statistic::{Statistic, deviation_name, mean};
 
-/// A table: its title, the heads of its columns and its rows.
+/// A table of results.
+#[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Table {
+    /// The title, which stands above the table.
     pub title: String,
+    /// The names of the columns. There is at least one.
     pub head: Vec<String>,
+    /// The rows, each with a cell for each column.
     pub rows: Vec<Vec<String>>,
 }
 
 /// The tables as lines of plain text.
-pub fn lines(tables: &[Table]) -> Vec<String> {
+pub fn text_lines(tables: &[Table]) -> Vec<String> {
     let mut lines = Vec::new();
     for (index, Table { title, head, rows }) in tables.iter().enumerate() {
         if index > 0 {
@@ -22,7 +27,7 @@ pub fn lines(tables: &[Table]) -> Vec<String> {
         lines.push(title.clone());
         for row in std::iter::once(head).chain(rows) {
             let cells = row.iter().skip(1).map(|cell| format!("  {cell:>11}")).collect::<String>();
-            lines.push(format!("{:14}{cells}", row[0]));
+            lines.push(format!("{:14}{cells}", row.first().map_or("", String::as_str)));
         }
     }
     lines
@@ -37,17 +42,4 @@ pub fn markdown(tables: &[Table]) -> String {
         format!("{title}:\n\n{}{rule}{rows}", line(head))
     };
     tables.iter().map(table).collect::<Vec<_>>().join("\n")
-}
-
-/// The extensions of a metric's result files.
-pub const EXTENSIONS: [&str; 5] = ["csv", "json", "jsonl", "md", "svg"];
-
-/// Writes each text to `METRIC.EXTENSION` in the output directory.
-pub fn write(output: &Path, metric: &str, texts: &[(&str, String)]) -> Result<()> {
-    for (extension, text) in texts {
-        let path = output.join(format!("{metric}.{extension}"));
-        io::write_atomically(&path, |file| file.write_all(text.as_bytes()))
-            .with_context(|| format!("cannot write {}", path.display()))?;
-    }
-    Ok(())
 }

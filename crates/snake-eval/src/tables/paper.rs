@@ -1,4 +1,4 @@
-//! The figures of the paper, shown beside our own.
+//! The figures of the SNAKE paper, shown beside our own.
 
 /// A table of the paper.
 pub struct PaperTable {
@@ -30,10 +30,13 @@ impl PaperTable {
 
 /// The three tables of a data set's repeatability.
 pub struct PaperRepeatability {
+    /// Over epsilon.
     pub epsilon: PaperTable,
     /// The epsilon of the other two tables.
     pub table_epsilon: f64,
+    /// Over the down-sampling rate.
     pub downsample: PaperTable,
+    /// Over the standard deviation of the noise.
     pub noise: PaperTable,
 }
 
@@ -150,11 +153,15 @@ const KEYPOINTS: &[f64] = &[2500.0, 1000.0, 500.0, 250.0, 100.0];
 
 /// Registration on the eight scenes of 3DMatch, with the descriptor D3Feat.
 pub struct PaperRegistration {
+    /// Feature matching recall.
     pub feature_matching_recall: PaperTable,
+    /// Inlier ratio.
     pub inlier_ratio: PaperTable,
+    /// Registration recall.
     pub registration_recall: PaperTable,
 }
 
+/// Registration on 3DMatch, over the number of keypoints.
 pub const THREE_D_MATCH: PaperRegistration = PaperRegistration {
     feature_matching_recall: PaperTable {
         column_values: KEYPOINTS,

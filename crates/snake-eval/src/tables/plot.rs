@@ -5,14 +5,18 @@ use std::fmt::Write;
 use super::paper::PaperTable;
 
 /// One diagram with values from 0 to 1.
+#[derive(Debug, Clone, PartialEq)]
 pub struct Panel {
+    /// The label of the x axis.
     pub x_label: String,
     /// The x coordinates of the values, with their labels.
     pub ticks: Vec<(f64, String)>,
+    /// The curves.
     pub lines: Vec<Line>,
 }
 
 /// The curve of a method.
+#[derive(Debug, Clone, PartialEq)]
 pub struct Line {
     method: String,
     /// One value for each tick; `None` where there is no figure.
@@ -46,7 +50,7 @@ const ENTRY: [f64; 2] = [120.0, 16.0];
 const COLORS: [&str; 9] =
     ["#d55e00", "#0072b2", "#009e73", "#e69f00", "#cc79a7", "#56b4e9", "#000000", "#999999", "#f0e442"];
 
-/// Draws the panels with one legend below.
+/// Draws the panels side by side with one legend below. The result is a whole SVG file.
 pub fn svg(y_label: &str, panels: &[Panel]) -> String {
     let (mut methods, mut entries): (Vec<&str>, Vec<(&str, bool)>) = (Vec::new(), Vec::new());
     for Line { method, is_paper, .. } in panels.iter().flat_map(|panel| &panel.lines) {

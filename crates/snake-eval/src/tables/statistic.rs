@@ -3,6 +3,7 @@
 /// A mean with its standard deviation.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Statistic {
+    /// The mean.
     pub mean: f64,
     /// Sample standard deviation (n - 1); `None` for a single value.
     pub deviation: Option<f64>,
@@ -32,14 +33,16 @@ impl Statistic {
     }
 }
 
-/// The name of a table's deviations: over seeds, or over the parts of a single seed.
-pub fn over(seeds: usize, parts: &str) -> String {
+/// The name of the deviations of [`Statistic::over_seeds`]: over the seeds, or over the `parts` of a single seed, such
+/// as `pairs`.
+pub fn deviation_name(seeds: usize, parts: &str) -> String {
     match seeds {
         1 => format!("standard deviation over {parts}"),
         _ => format!("standard deviation over {seeds} seeds"),
     }
 }
 
+/// The arithmetic mean; NaN without values.
 pub fn mean(values: &[f64]) -> f64 {
     values.iter().sum::<f64>() / values.len() as f64
 }

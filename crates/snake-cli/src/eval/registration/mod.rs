@@ -1,7 +1,6 @@
 //! `snake-cli eval registration`: the 3DMatch benchmark for every detector and descriptor.
 
 mod report;
-mod scenes;
 
 use std::collections::HashMap;
 use std::collections::hash_map::Entry;
@@ -11,18 +10,18 @@ use anyhow::{Context, Result, bail};
 use serde::{Deserialize, Serialize};
 use serde_json::{Value, json};
 use snake_core::{Cloud, Model, Point};
+use snake_eval::datasets::{ScenePair, Scenes};
+use snake_eval::tables::paper::THREE_D_MATCH;
 use snake_eval::{information_matrix, inlier_ratio, overlap, squared_registration_error};
 use snake_registration::{Descriptor, KeypointDetector, RansacOptions, Scan, mutual_nearest, ransac};
 
 use super::args::RegistrationArguments;
-use super::check_outputs;
-use super::paper::THREE_D_MATCH;
+use super::files;
 use super::record::Record;
 use super::schedule::{Schedule, Task};
 use crate::inputs::ColumnArguments;
 use crate::terminal;
 use report::Report;
-use scenes::{ScenePair, Scenes};
 
 // Settings that the benchmark fixes; lengths are in metres.
 /// Size of the voxels to which clouds are downsampled.
@@ -46,7 +45,7 @@ pub fn run(arguments: &RegistrationArguments) -> Result<()> {
     let model = arguments.run.compute.load_model()?;
     let plan = Plan::new(arguments, &model)?;
     let schedule = Schedule::new(scenes.pairs.len(), &arguments.run)?;
-    check_outputs(&arguments.run, "registration", scenes.clouds.iter().map(PathBuf::as_path))?;
+    files::check(&arguments.run, "registration", scenes.clouds.iter().map(PathBuf::as_path))?;
     let settings = plan.settings(arguments);
     let output = arguments.run.output.as_deref();
     let mut record = Record::open(output, "registration", &settings, schedule.tasks().len())?;

@@ -5,14 +5,14 @@ use std::path::Path;
 use anyhow::Result;
 use serde::Serialize;
 use serde_json::{Value, json};
+use snake_eval::datasets::ScenePair;
+use snake_eval::tables::paper::{PaperRegistration, PaperTable};
+use snake_eval::tables::{self, Statistic, Table, mean};
 use snake_eval::{RegistrationOutcome, feature_matching_recall, registration_recall};
 use snake_registration::{Descriptor, KeypointDetector};
 
-use super::super::paper::{PaperRegistration, PaperTable};
+use super::super::files;
 use super::super::record::Pair;
-use super::super::statistic::{self, Statistic, mean};
-use super::super::table::{self, Table};
-use super::scenes::ScenePair;
 use super::{INLIER_RATIO, Plan, RMSE, Row};
 
 /// The figures of every case: a detector, a descriptor and a number of keypoints.
@@ -146,13 +146,13 @@ impl<'a> Report<'a> {
 
     /// The tables as lines of plain text.
     pub fn text_lines(&self) -> Vec<String> {
-        table::lines(&self.tables())
+        tables::text_lines(&self.tables())
     }
 
     /// Writes `registration.csv`, `.json` and `.md`.
     pub fn write(&self, output: &Path) -> Result<()> {
-        let markdown = table::markdown(&self.tables());
-        table::write(output, "registration", &[("csv", self.csv()), ("json", self.json()?), ("md", markdown)])
+        let markdown = tables::markdown(&self.tables());
+        files::write(output, "registration", &[("csv", self.csv()), ("json", self.json()?), ("md", markdown)])
     }
 
     /// One table for each figure, with a row for each detector and descriptor and a column for each number of keypoints.
@@ -160,7 +160,7 @@ impl<'a> Report<'a> {
         let (pairs, scenes) = (self.num_pairs, self.scenes.len());
         let over = match (scenes, self.num_seeds) {
             (1, 1) => String::new(),
-            (_, seeds) => format!(" ± {}", statistic::over(seeds, "scenes")),
+            (_, seeds) => format!(" ± {}", tables::deviation_name(seeds, "scenes")),
         };
         let recall =
             |mean: Option<f64>, deviation| mean.map_or("-".into(), |mean| Statistic { mean, deviation }.cell());
@@ -241,8 +241,8 @@ impl<'a> Report<'a> {
 #[cfg(test)]
 mod tests {
     use snake_core::{Builtin, Model, RigidTransform};
+    use snake_eval::tables::paper::THREE_D_MATCH;
 
-    use super::super::super::paper::THREE_D_MATCH;
     use super::*;
     use crate::inputs::ColumnArguments;
 
@@ -275,7 +275,7 @@ mod tests {
         // The deviation of 2 / 3 and 0; only one scene has a recall.
         let deviation = ["iss", "fpfh", "100", "deviation", "0.4714045207910317", "0.14142135623730953", "", "", ""];
         assert_eq!(lines[3], deviation.join(","));
-        let markdown = table::markdown(&report.tables());
+        let markdown = tables::markdown(&report.tables());
         let expected = "Registration recall, without consecutive fragments:
 
 | keypoints | 100 |

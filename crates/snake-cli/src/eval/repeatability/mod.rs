@@ -1,47 +1,72 @@
 //! `snake-cli eval repeatability`.
 
-mod data;
 mod report;
-mod views;
 
-use anyhow::{Result, bail};
+use std::path::{Path, PathBuf};
+
+use anyhow::{Context, Result, bail};
 use serde::{Deserialize, Serialize};
 use serde_json::{Value, json};
+use snake_eval::datasets::{Scale, ViewPairs};
+use snake_eval::tables::paper;
+use snake_eval::views::{Condition, Views};
 use snake_eval::{mean_distance_to_keypoints, relative_repeatability};
+use snake_io as io;
 
 use super::args::RepeatabilityArguments;
-use super::check_outputs;
+use super::files;
 use super::methods::Method;
-use super::paper;
 use super::record::Record;
 use super::schedule::{Schedule, Task};
+use crate::inputs::{ColumnArguments, expand};
 use crate::terminal;
-use data::{Data, Scale};
 use report::Report;
-use views::{Condition, Views};
 
 /// Evaluates every pair that is not yet recorded, then reports.
 pub fn run(arguments: &RepeatabilityArguments) -> Result<()> {
     let common = &arguments.common;
-    let data = Data::open(&arguments.data, arguments.transform.as_deref(), &arguments.common.run.columns)?;
+    let data = open(arguments)?;
+    let columns = &common.run.columns;
     let plan = Plan::new(arguments, &data)?;
     let methods = Method::all(common, None)?;
     let settings = plan.settings(arguments, &methods);
     let schedule = Schedule::new(data.len(), &common.run)?;
     let inputs = data.files().into_iter().chain(arguments.transform.as_deref());
-    check_outputs(&common.run, "repeatability", inputs)?;
+    files::check(&common.run, "repeatability", inputs)?;
     let mut record = Record::open(common.run.output.as_deref(), "repeatability", &settings, schedule.tasks().len())?;
-    record.fill(schedule.tasks(), |pair| data.name(pair), |task| plan.rows(&data, task, &methods))?;
-    let paper = match data.scale {
+    record.fill(schedule.tasks(), |pair| data.name(pair), |task| plan.rows(&data, columns, task, &methods))?;
+    let paper = match data.scale() {
         _ if !common.run.paper => None,
-        Scale::Object => Some(&paper::MODELNET40),
         Scale::Room => Some(&paper::REDWOOD),
+        Scale::Object => Some(&paper::MODELNET40),
     };
     let report = Report::new(&plan, &settings, &schedule.by_seed(record.pairs()), paper);
     if let Some(output) = &common.run.output {
         report.write(output)?;
     }
     terminal::print_report(&report.text_lines().into_iter().collect())
+}
+
+/// Opens the data set of the command line: two clouds with their transform, a folder in a known layout, or cloud files.
+fn open(arguments: &RepeatabilityArguments) -> Result<ViewPairs> {
+    let inputs = &arguments.data[..];
+    if let Some(transform) = &arguments.transform {
+        return open_pair(inputs, transform);
+    }
+    if let [folder] = inputs
+        && let Some(data) = ViewPairs::open(folder)?
+    {
+        return Ok(data);
+    }
+    Ok(ViewPairs::from_objects(expand(inputs)?))
+}
+
+fn open_pair(inputs: &[PathBuf], transform: &Path) -> Result<ViewPairs> {
+    let [source, target] = inputs else {
+        bail!("--transform is for two clouds, SOURCE and TARGET; for more give a folder with pairs.json");
+    };
+    let t_target_source = io::read_transform(transform).context("--transform")?;
+    Ok(ViewPairs::from_pair(source, target, t_target_source))
 }
 
 /// The figures of one method under one condition on one pair.
@@ -67,14 +92,14 @@ struct Plan {
 }
 
 impl Plan {
-    fn new(arguments: &RepeatabilityArguments, data: &Data) -> Result<Self> {
+    fn new(arguments: &RepeatabilityArguments, data: &ViewPairs) -> Result<Self> {
         // The columns of the paper's tables: ModelNet40, in units of the objects' radius, and Redwood, in metres.
         let hundredths = |range: std::ops::RangeInclusive<u32>, step| {
             range.step_by(step).map(|hundredth| f64::from(hundredth) / 100.0).collect::<Vec<_>>()
         };
-        let (epsilon, table_epsilon, noise, num_points) = match data.scale {
-            Scale::Object => (hundredths(3..=10, 1), 0.04, hundredths(0..=12, 2), 5000),
+        let (epsilon, table_epsilon, noise, num_points) = match data.scale() {
             Scale::Room => (hundredths(10..=24, 2), 0.2, hundredths(0..=10, 2), 10_240),
+            Scale::Object => (hundredths(3..=10, 1), 0.04, hundredths(0..=12, 2), 5000),
         };
         let epsilon = arguments.epsilon.clone().unwrap_or(epsilon);
         let noise = arguments.noise.clone().unwrap_or(noise);
@@ -122,8 +147,14 @@ impl Plan {
     }
 
     /// The figures of one pair: a row for each method and condition.
-    fn rows(&self, data: &Data, Task { seed, index }: Task, methods: &[Method]) -> Result<Vec<Row>> {
-        let clouds = data.clouds(index)?;
+    fn rows(
+        &self,
+        data: &ViewPairs,
+        columns: &ColumnArguments,
+        Task { seed, index }: Task,
+        methods: &[Method],
+    ) -> Result<Vec<Row>> {
+        let clouds = data.clouds(index, &columns.options())?;
         let mut rows = Vec::new();
         for condition in &self.conditions {
             let Views { view_1, view_2, t_1_2, seeds } = clouds.views(*condition, self.num_points, seed, index)?;

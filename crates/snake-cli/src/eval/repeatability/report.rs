@@ -4,13 +4,13 @@ use std::path::Path;
 
 use anyhow::Result;
 use serde_json::{Value, json};
+use snake_eval::tables::paper::{PaperRepeatability, PaperTable};
+use snake_eval::tables::plot::{self, Line, Panel};
+use snake_eval::tables::{self, Statistic, Table, mean};
+use snake_eval::views::Condition;
 
-use super::super::paper::{PaperRepeatability, PaperTable};
-use super::super::plot::{self, Line, Panel};
+use super::super::files;
 use super::super::record::Pair;
-use super::super::statistic::{self, Statistic, mean};
-use super::super::table::{self, Table};
-use super::views::Condition;
 use super::{Plan, Row};
 
 /// A sweep over one disturbance: its conditions, the column value of each condition, and the paper's table.
@@ -86,15 +86,15 @@ impl<'a> Report<'a> {
 
     /// The tables as lines of plain text.
     pub fn text_lines(&self) -> Vec<String> {
-        table::lines(&self.tables())
+        tables::text_lines(&self.tables())
     }
 
     /// Writes `repeatability.csv`, `.json`, `.md` and `.svg`.
     pub fn write(&self, output: &Path) -> Result<()> {
-        let markdown = table::markdown(&self.tables());
+        let markdown = tables::markdown(&self.tables());
         let svg = plot::svg("relative repeatability", &self.panels());
         let texts = [("csv", self.csv()), ("json", self.json()?), ("md", markdown), ("svg", svg)];
-        table::write(output, "repeatability", &texts)
+        files::write(output, "repeatability", &texts)
     }
 
     /// The paper's three tables: over epsilon, over down-sampling and over noise.
@@ -165,7 +165,7 @@ impl<'a> Report<'a> {
             row.push(s.coverage.map_or("-".into(), |coverage| format!("{coverage:.4}")));
             row
         };
-        let over = statistic::over(self.num_seeds, "pairs");
+        let over = tables::deviation_name(self.num_seeds, "pairs");
         let title = format!("Relative repeatability, mean over {} pairs ± {over}", self.num_pairs);
         let theirs = self.paper.into_iter().flat_map(|paper| paper.epsilon.rows(&self.plan.epsilon));
         let theirs = theirs.map(|row| [row, vec!["-".into(), "-".into()]].concat());
@@ -228,8 +228,8 @@ impl<'a> Report<'a> {
 
 #[cfg(test)]
 mod tests {
-    use super::super::super::paper::MODELNET40;
     use super::*;
+    use snake_eval::tables::paper::MODELNET40;
 
     const CLEAN: Condition = Condition { downsample: 1, noise: 0.0 };
     const BLURRED: Condition = Condition { downsample: 1, noise: 0.1 };
@@ -261,7 +261,7 @@ At ε 0.2, over noise:
 |---|---|---|
 | iss | 1.000 ±0.000 | 0.250 ±0.354 |
 ";
-        assert_eq!(table::markdown(&report.tables()), markdown);
+        assert_eq!(tables::markdown(&report.tables()), markdown);
         let csv = report.csv();
         assert_eq!(csv.lines().nth(1).unwrap(), "iss,1,0,0.1,0.375,0.1767766952966369,6,0.25,2");
         assert_eq!(csv.lines().count(), 5);
@@ -287,7 +287,7 @@ At ε 0.2, over noise:
         let markdown = |table_epsilon| {
             let (epsilon, conditions) = (vec![0.04, 0.3], vec![CLEAN, blurred]);
             let plan = Plan { epsilon, table_epsilon, conditions, num_points: 1 };
-            table::markdown(&Report::new(&plan, &settings, &[&pairs], Some(&MODELNET40)).tables())
+            tables::markdown(&Report::new(&plan, &settings, &[&pairs], Some(&MODELNET40)).tables())
         };
         let usual = markdown(0.04);
         for row in [
@@ -308,7 +308,7 @@ At ε 0.2, over noise:
         let runs = [[pair([0.25, 0.5]), pair([0.5, 0.5])], [pair([0.5, 0.75]), pair([0.75, 0.75])]];
         let settings = json!({});
         let report = Report::new(&plan, &settings, &runs.each_ref().map(|run| &run[..]), None);
-        let markdown = table::markdown(&report.tables());
+        let markdown = tables::markdown(&report.tables());
         assert!(markdown.starts_with("Relative repeatability, mean over 2 pairs ± standard deviation over 2 seeds:"));
         // Means of 0.375 and 0.625, 0.5 and 0.75.
         assert!(markdown.contains("| iss | 0.500 ±0.177 | 0.625 ±0.177 | 4.0 | 0.2500 |"), "{markdown}");

@@ -1,11 +1,6 @@
 //! `snake-cli eval semantic`.
 
-mod body_model;
-mod data;
-mod pickle;
-mod pickled_arrays;
 mod report;
-mod smpl;
 
 use anyhow::Result;
 use rand::{RngExt, SeedableRng};
@@ -13,16 +8,16 @@ use rand_chacha::ChaCha8Rng;
 use serde::{Deserialize, Serialize};
 use serde_json::{Value, json};
 use snake_core::{Length, Point};
+use snake_eval::datasets::SemanticData;
+use snake_eval::tables::paper;
 use snake_eval::{MatchCounts, SmplProtocol, Unreachable, semantic_counts, smpl_pair_counts};
 
 use super::args::SemanticArguments;
-use super::check_outputs;
+use super::files;
 use super::methods::Method;
-use super::paper;
 use super::record::Record;
 use super::schedule::{Schedule, Task};
 use crate::terminal;
-use data::Data;
 use report::Report;
 
 /// The suppression radius of the paper's figures.
@@ -31,17 +26,17 @@ const SPACING: Length = Length::Units(0.1);
 /// Evaluates every shape that is not yet recorded, then reports.
 pub fn run(arguments: &SemanticArguments) -> Result<()> {
     let common = &arguments.common;
-    let data = Data::open(&arguments.data, arguments.split.as_deref())?;
+    let data = SemanticData::open(&arguments.data, arguments.split.as_deref())?;
     let methods = Method::all(common, Some(SPACING))?;
     let settings = settings(arguments, &methods);
     let schedule = Schedule::new(data.len(), &common.run)?;
     let inputs = data.files().into_iter().chain([&*arguments.data]).chain(arguments.split.as_deref());
-    check_outputs(&common.run, "semantic", inputs)?;
+    files::check(&common.run, "semantic", inputs)?;
     let mut record = Record::open(common.run.output.as_deref(), "semantic", &settings, schedule.tasks().len())?;
     record.fill(schedule.tasks(), |shape| data.name(shape), |task| rows(&data, task, &methods, arguments))?;
     let paper = common.run.paper.then_some(match data {
-        Data::KeypointNet(_) => &paper::KEYPOINTNET,
-        Data::Bodies(_) | Data::BodyModel(_) => &paper::SMPL,
+        SemanticData::KeypointNet(_) => &paper::KEYPOINTNET,
+        _ => &paper::SMPL,
     });
     let classes: Vec<Option<&str>> = schedule.chosen().iter().map(|&shape| data.class(shape)).collect();
     let runs = schedule.by_seed(record.pairs());
@@ -77,7 +72,7 @@ fn settings(arguments: &SemanticArguments, methods: &[Method]) -> Value {
 
 /// The matches on one shape: a row for each method.
 fn rows(
-    data: &Data,
+    data: &SemanticData,
     Task { seed, index: shape }: Task,
     methods: &[Method],
     arguments: &SemanticArguments,
@@ -97,7 +92,7 @@ fn rows(
         methods.iter().map(row).collect()
     };
     match data {
-        Data::KeypointNet(shapes) => {
+        SemanticData::KeypointNet(shapes) => {
             // The annotations are indices of points, so the origin does not matter.
             let points = arguments.common.run.columns.read(&shapes[shape].cloud)?.points;
             let row = |method: &Method| {
@@ -108,8 +103,8 @@ fn rows(
             };
             methods.iter().map(row).collect()
         }
-        Data::Bodies([first, second]) => of_bodies(&first[shape], &second[shape]),
-        Data::BodyModel(pairs) => {
+        SemanticData::Bodies([first, second]) => of_bodies(&first[shape], &second[shape]),
+        SemanticData::BodyModel(pairs) => {
             let [body_1, body_2] = pairs.bodies(shape, &mut rng)?;
             of_bodies(&body_1, &body_2)
         }

@@ -4,13 +4,13 @@ use std::path::Path;
 
 use anyhow::Result;
 use serde_json::{Value, json};
+use snake_eval::tables::paper::PaperTable;
+use snake_eval::tables::plot::{self, Line, Panel};
+use snake_eval::tables::{self, Statistic, Table, mean};
 use snake_eval::{MatchCounts, SmplProtocol, smpl_iou};
 
-use super::super::paper::PaperTable;
-use super::super::plot::{self, Line, Panel};
+use super::super::files;
 use super::super::record::Pair;
-use super::super::statistic::{self, Statistic, mean};
-use super::super::table::{self, Table};
 use super::Row;
 
 /// The figures of all methods.
@@ -97,15 +97,15 @@ impl<'a> Report<'a> {
 
     /// The tables as lines of plain text.
     pub fn text_lines(&self) -> Vec<String> {
-        table::lines(&self.tables())
+        tables::text_lines(&self.tables())
     }
 
     /// Writes `semantic.csv`, `.json`, `.md` and `.svg`.
     pub fn write(&self, output: &Path) -> Result<()> {
-        let markdown = table::markdown(&self.tables());
+        let markdown = tables::markdown(&self.tables());
         let texts =
             [("csv", self.csv()), ("json", self.json()?), ("md", markdown), ("svg", plot::svg("mIoU", &self.panels()))];
-        table::write(output, "semantic", &texts)
+        files::write(output, "semantic", &texts)
     }
 
     /// The means over classes or pairs.
@@ -129,7 +129,7 @@ impl<'a> Report<'a> {
                 0 => (format!("{} pairs", self.num_shapes), "pairs"),
                 classes => (format!("{} shapes of {classes} classes", self.num_shapes), "shapes"),
             };
-            let deviation = statistic::over(self.num_seeds, parts);
+            let deviation = tables::deviation_name(self.num_seeds, parts);
             let theirs = paper.into_iter().flat_map(|paper| paper.rows(self.threshold));
             let rows = self.means().map(row).chain(theirs.map(|row| [row, vec!["-".into()]].concat())).collect();
             let title = format!("mIoU over {over} at each threshold ± {deviation}, {rule}");
@@ -203,8 +203,8 @@ fn pairs_iou(counts: &[MatchCounts], is_paper: bool) -> Result<f64> {
 
 #[cfg(test)]
 mod tests {
-    use super::super::super::paper::KEYPOINTNET;
     use super::*;
+    use snake_eval::tables::paper::KEYPOINTNET;
 
     fn shape(keypoints: usize, strict: [usize; 3], paper: [usize; 3]) -> Pair<Row> {
         let counts = |[ground_truth, false_positives, false_negatives]: [usize; 3]| {
@@ -221,7 +221,7 @@ mod tests {
         let settings = json!({});
         let report = Report::new(&[0.1], &settings, &[&shapes], &classes, Some(&KEYPOINTNET)).unwrap();
         // By the strict rule the chair has (8 - 4) / (8 + 4), the airplane 1 / 4; by the released code 1 and 1 / 2.
-        let markdown = table::markdown(&report.tables());
+        let markdown = tables::markdown(&report.tables());
         // The single shapes have 1, 0 and 1 / 4 by the strict rule; by the released code 1, 1 and 1 / 2.
         let expected = "mIoU over 3 shapes of 2 classes at each threshold ± standard deviation over shapes, strict:
 
@@ -270,7 +270,7 @@ mIoU over 3 shapes of 2 classes at each threshold ± standard deviation over sha
         let settings = json!({});
         let classes = [Some("chair"), Some("airplane")];
         let report = Report::new(&[0.1], &settings, &[&first, &second], &classes, None).unwrap();
-        let markdown = table::markdown(&report.tables());
+        let markdown = tables::markdown(&report.tables());
         assert!(markdown.contains("± standard deviation over 2 seeds, strict"), "{markdown}");
         // Means of 0.625 and 0.125.
         assert!(markdown.contains("| iss | 0.375 ±0.354 | 3.5 |"), "{markdown}");

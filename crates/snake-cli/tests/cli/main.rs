@@ -1,0 +1,54 @@
+//! The command line as a person uses it, a file for each command and topic. One test binary links once.
+
+mod detect;
+mod eval_registration;
+mod eval_repeatability;
+mod eval_semantic;
+mod field_and_view;
+mod hostile_files;
+mod mistakes;
+mod model;
+mod origins_and_columns;
+mod outputs;
+mod printing;
+mod reconstruct;
+mod register;
+mod usage;
+
+use std::path::{Path, PathBuf};
+use std::process::Output;
+
+use assert_cmd::Command;
+use serde_json::Value;
+
+fn root() -> PathBuf {
+    Path::new(env!("CARGO_MANIFEST_DIR")).join("../..")
+}
+
+fn sample() -> String {
+    root().join("samples/plane.ply").display().to_string()
+}
+
+fn snake(arguments: &[&str]) -> Output {
+    Command::cargo_bin("snake-cli").unwrap().args(arguments).output().unwrap()
+}
+
+fn json_lines(output: &Output) -> Vec<Value> {
+    String::from_utf8_lossy(&output.stdout).lines().map(|line| serde_json::from_str(line).unwrap()).collect()
+}
+
+fn stderr(output: &Output) -> String {
+    String::from_utf8_lossy(&output.stderr).into()
+}
+
+/// Writes an array of f32 as NumPy would.
+fn write_npy(path: &Path, shape: &[usize], values: &[f32]) {
+    let shape: String = shape.iter().map(|length| format!("{length}, ")).collect();
+    let header = format!("{{'descr': '<f4', 'fortran_order': False, 'shape': ({shape}), }}\n");
+    let mut bytes = b"\x93NUMPY\x01\x00".to_vec();
+    bytes.extend((header.len() as u16).to_le_bytes());
+    bytes.extend(header.as_bytes());
+    bytes.extend(values.iter().flat_map(|v| v.to_le_bytes()));
+    std::fs::create_dir_all(path.parent().unwrap()).unwrap();
+    std::fs::write(path, bytes).unwrap();
+}

@@ -1,0 +1,74 @@
+//! Mistakes on the command line and in its files.
+
+use super::{sample, snake, stderr};
+
+#[test]
+fn each_mistake_gets_one_line_with_advice() {
+    let folder = tempfile::tempdir().unwrap();
+    let file = |name: &str, content: &str| {
+        let path = folder.path().join(name);
+        std::fs::write(&path, content).unwrap();
+        path.display().to_string()
+    };
+    let (one, same) = (file("one.xyz", "1 2 3\n"), file("same.xyz", &"1 2 3\n".repeat(9)));
+    let (nan, empty, weights) =
+        (file("nan.xyz", "nan nan nan\nnan 0 0\n"), file("empty.xyz", ""), file("w.safetensors", "junk"));
+    let two = file("two.xyz", "0 0 0\n1 0 0\n");
+    let nothing = folder.path().join("none").display().to_string();
+    let cases: &[(&[&str], &str)] = &[
+        (&["detect", "nowhere.ply"], "nowhere.ply"),
+        (&["detect", &one], "at least two different"),
+        (&["detect", &same], "at least two different"),
+        (&["detect", &nan], "none of the 2 points is finite"),
+        (&["detect", &file("far.xyz", "0 0 0\n1e38 0 0\n")], "allowed is 1e-15 to 1e15"),
+        (&["detect", &sample(), "--sample", "100", "--input-format", "xyz"], "--columns x,y,z"),
+        (&["detect", &same, "--sample", "100"], "no faces"),
+        (&["detect", &sample(), "--sample", "0"], "1..=100000000"),
+        (&["detect", &sample(), "--input-format", "doc"], "known are ply"),
+        (&["detect", &sample(), &sample(), "-o", "-"], "one input"),
+        (&["detect", "-", "-"], "only one of the inputs"),
+        (&["detect", "-"], "give --input-format"),
+        (&["register", "-", "-"], "only one of the inputs"),
+        (&["detect", &empty], "no points"),
+        (&["detect", &weights], "extension"),
+        (&["detect", &sample(), "-o", "k.docx"], "k.docx"),
+        (&["detect", &sample(), "-o", &sample()], "is an input"),
+        (&["detect", &sample(), "--model", &weights], "safetensors"),
+        (&["detect", &sample(), "--preset", "kitti"], "modelnet40"),
+        (&["detect", &sample(), "--refine-method", "newton"], "gradient-descent"),
+        (&["detect", &sample(), "--query-resolution", "0"], "1 to 256"),
+        (&["detect", &sample(), "--query-resolution", "1024"], "1 to 256"),
+        (&["detect", &sample(), "--refine-steps", "10000"], "(refine_steps + 1) × rotations up to"),
+        (
+            &["detect", &sample(), "--refine-steps", "100", "--rotations", "64"],
+            "64, with 100 refine_steps and 64 rotations",
+        ),
+        (&["detect", &sample(), "--threads", "65535"], "--threads is 65535: allowed is 1 to"),
+        (&["detect", &sample(), "--saliency-threshold", "nan"], "0 to 1"),
+        (&["detect", &sample(), "--nms-radius", "inf"], "0 or more"),
+        (&["detect", &sample(), "--max-points", "0"], "1 or more"),
+        (&["detect", &nothing], "none"),
+        (&["register", &sample()], "<TARGET>"),
+        (&["register", "nowhere.ply", &sample()], "nowhere.ply"),
+        (&["register", &sample(), &one], "at least two different"),
+        (&["register", &same, &sample()], "at least two different"),
+        (&["register", &nan, &sample()], "source: none of the 2 points is finite"),
+        (&["register", &sample(), &empty], "target: no points"),
+        (&["register", &two, &two], "do the clouds overlap"),
+        (&["register", &sample(), &sample(), "-o", "t.ply"], ".json, .txt"),
+        (&["register", &sample(), &sample(), "--aligned", "a.txt"], ".ply"),
+        (&["register", &sample(), &sample(), "--aligned", &sample()], "is an input"),
+        (&["register", &sample(), &sample(), "--model", &weights], "safetensors"),
+        (&["register", &sample(), &sample(), "--descriptor", "shot"], "fpfh"),
+        (&["register", &sample(), &sample(), "--detector", "orb"], "harris3d"),
+        (&["register", &sample(), &sample(), "--voxel-size", "0"], "voxel_size"),
+        (&["register", &sample(), &sample(), "--inlier-distance", "nan"], "inlier_distance"),
+        (&["model", &weights], "safetensors"),
+    ];
+    for (arguments, expected) in cases {
+        let output = snake(arguments);
+        assert_eq!(output.status.code(), Some(2), "{arguments:?}");
+        assert!(stderr(&output).contains(expected), "{arguments:?}: {}", stderr(&output));
+        assert!(!stderr(&output).contains("panicked"), "{arguments:?}: {}", stderr(&output));
+    }
+}

@@ -1,0 +1,122 @@
+//! `snake-cli register`.
+
+use std::path::Path;
+
+use serde_json::Value;
+
+use super::{json_lines, sample, snake, stderr};
+
+/// The sample, turned by a quarter about z and moved by (3, 0, -1), as a file; every second point of it.
+fn rotated_sample(folder: &Path) -> String {
+    let points = snake_io::read_points(Path::new(&sample())).unwrap();
+    let turned: Vec<_> = points.iter().step_by(2).map(|p| [3.0 - p[1], p[0], p[2] - 1.0]).collect();
+    let path = folder.join("turned.ply");
+    snake_io::write_points(&path, &turned, [0.0; 3]).unwrap();
+    path.display().to_string()
+}
+
+#[test]
+fn register_prints_and_writes_the_transform() {
+    let folder = tempfile::tempdir().unwrap();
+    let turned = rotated_sample(folder.path());
+    let file = |name: &str| folder.path().join(name).display().to_string();
+    let (text, aligned, json) = (file("t.txt"), file("aligned.ply"), file("t.json"));
+    let output = snake(&["register", &sample(), &turned, "--json", "-o", &text, "--aligned", &aligned]);
+    assert!(output.status.success(), "{}", stderr(&output));
+    let report = &json_lines(&output)[0];
+    let keys: Vec<&String> = report.as_object().unwrap().keys().collect();
+    let of_ransac = ["inlier_distance", "num_correspondences", "num_inliers"];
+    let expected =
+        [&["fitness", "fitness_rmse"], &of_ransac[..], &["num_skipped", "rmse", "seconds", "t_target_source"]];
+    assert_eq!(keys, expected.concat());
+    let number = |key: &str| report[key].as_f64().unwrap();
+    assert!(number("fitness") > 0.95 && number("fitness_rmse") < 0.03 && number("inlier_distance") > 0.02, "{report}");
+    let (inliers, all) = (report["num_inliers"].as_u64().unwrap(), report["num_correspondences"].as_u64().unwrap());
+    assert!(3 <= inliers && inliers <= all && report["rmse"].as_f64().unwrap() < 0.1);
+
+    let rows: Vec<Vec<f64>> = serde_json::from_value(report["t_target_source"].clone()).unwrap();
+    let expected = [[0.0, -1.0, 0.0, 3.0], [1.0, 0.0, 0.0, 0.0], [0.0, 0.0, 1.0, -1.0], [0.0, 0.0, 0.0, 1.0]];
+    for (row, expected) in rows.iter().flatten().zip(expected.iter().flatten()) {
+        assert!((row - expected).abs() < 0.03, "{rows:?}");
+    }
+    let written = std::fs::read_to_string(&text).unwrap();
+    assert_eq!(written.lines().count(), 4);
+    for (line, row) in written.lines().zip(&rows) {
+        let numbers: Vec<f64> = line.split(' ').map(|v| v.parse().unwrap()).collect();
+        // serde_json may be off by the last bit.
+        assert!(numbers.len() == 4 && numbers.iter().zip(row).all(|(a, b)| (a - b).abs() < 1e-12), "{line}");
+    }
+    let points = snake_io::read_points(Path::new(&sample())).unwrap();
+    let moved = snake_io::read_points(Path::new(&aligned)).unwrap();
+    assert_eq!(moved.len(), points.len());
+    for (p, q) in points.iter().zip(&moved) {
+        let truth = [3.0 - p[1], p[0], p[2] - 1.0];
+        assert!((0..3).all(|axis| (q[axis] - truth[axis]).abs() < 0.05), "{p:?} {q:?}");
+    }
+
+    let output = snake(&["register", &sample(), &turned, "-o", &json, "--max-keypoints", "400", "--refine-steps", "5"]);
+    let printed = String::from_utf8_lossy(&output.stdout).into_owned();
+    let report: Value = serde_json::from_slice(&std::fs::read(&json).unwrap()).unwrap();
+    assert!(printed.contains("t_target_source") && printed.contains(&json), "{printed}");
+    // What each number is of.
+    let inliers = format!("RANSAC: {} of {} correspondences", report["num_inliers"], report["num_correspondences"]);
+    assert!(printed.contains(&inliers) && printed.contains("% of the source's voxels within"), "{printed}");
+    assert!(report["num_correspondences"].as_u64().unwrap() < all.min(400));
+}
+
+#[test]
+fn registration_depends_on_its_options_and_not_on_threads() {
+    let folder = tempfile::tempdir().unwrap();
+    let turned = rotated_sample(folder.path());
+    let report = |extra: &[&str]| {
+        let output = snake(&[&["register", &sample(), &turned, "--json", "--max-keypoints", "300"], extra].concat());
+        assert!(output.status.success(), "{}", stderr(&output));
+        let mut report = json_lines(&output).remove(0);
+        report["seconds"] = Value::Null;
+        report
+    };
+    let one = report(&["--threads", "1"]);
+    assert_eq!(one, report(&["--threads", "2"]));
+    assert_eq!(one, report(&["--threads", "5"]));
+    for extra in [
+        ["--detector", "fps"],
+        ["--detector", "random"],
+        ["--descriptor", "field"],
+        ["--voxel-size", "0.1"],
+        ["--normal-radius", "0.2"],
+        ["--feature-radius", "0.5"],
+        ["--inlier-distance", "0.2"],
+        ["--refine-steps", "0"],
+    ] {
+        assert_ne!(one, report(&extra), "{extra:?}");
+    }
+}
+
+#[test]
+fn georeferenced_clouds_keep_full_precision() {
+    let folder = tempfile::tempdir().unwrap();
+    let file = |name: &str| folder.path().join(name).display().to_string();
+    let points = snake_io::read_points(Path::new(&sample())).unwrap();
+    let far = [691_000.0, 5_336_000.0, 512.0];
+    snake_io::write_points(Path::new(&file("far.pcd")), &points, far).unwrap();
+    let report = |input: &str| json_lines(&snake(&["detect", input, "--json"])).remove(0);
+    let (near, found) = (report(&sample()), report(&file("far.pcd")));
+    let best = |report: &Value| ["x", "y", "z"].map(|axis| report["keypoints"][0][axis].as_f64().unwrap());
+    assert!(found["origin"][1].as_f64().unwrap() > 5e6 && near["origin"][1] == 0.0);
+    assert_eq!(near["keypoints"].as_array().unwrap().len(), found["keypoints"].as_array().unwrap().len());
+    for ((near, found), far) in best(&near).into_iter().zip(best(&found)).zip(far) {
+        assert!((near + far - found).abs() < 1e-3, "{near} {found}");
+    }
+    let (transform, aligned) = (file("t.json"), file("aligned.csv"));
+    let output = snake(&["register", &sample(), &file("far.pcd"), "-o", &transform, "--aligned", &aligned]);
+    assert!(output.status.success(), "{}", stderr(&output));
+    let value: Value = serde_json::from_slice(&std::fs::read(&transform).unwrap()).unwrap();
+    for (axis, far) in far.into_iter().enumerate() {
+        assert!((value["t_target_source"][axis][3].as_f64().unwrap() - far).abs() < 0.01, "{value}");
+    }
+    let moved = snake_io::read_cloud(Path::new(&aligned), &Default::default()).unwrap();
+    for axis in 0..3 {
+        let found = f64::from(moved.points[7][axis]) + moved.origin[axis];
+        assert!((found - f64::from(points[7][axis]) - far[axis]).abs() < 0.01, "{found}");
+    }
+}
