@@ -3,7 +3,6 @@
 //! For the built-in model and for the paper's 64³ network with seeded random weights (no weights of that size come with
 //! the crate, and speed does not depend on their values).
 
-use std::collections::HashMap;
 use std::hint::black_box;
 use std::path::Path;
 use std::time::Duration;
@@ -94,7 +93,7 @@ fn paper_model() -> Model {
         ("unet_base_channels", "32"),
         ("group_norm_groups", "8"),
     ];
-    let metadata: HashMap<String, String> = metadata.map(|(key, value)| (key.into(), value.into())).into();
+    let metadata = metadata.map(|(key, value)| (key.to_owned(), value.to_owned())).into_iter().collect();
     let file = safetensors::serialize(views, Some(metadata)).expect("tensors of unique names");
     Model::from_bytes(&file).expect("the paper's network")
 }

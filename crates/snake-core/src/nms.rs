@@ -14,12 +14,26 @@ use crate::points::Point;
 /// Points are processed by falling score and, for equal scores, by rising index. At most `limit` are kept.
 /// A radius of 0 suppresses only by `limit`.
 pub(crate) fn suppress(points: &[Point], scores: &[f32], radius: f32, limit: usize) -> Result<Vec<usize>> {
+    suppress_in_order(points, by_falling_score(scores), radius, limit)
+}
+
+/// Greedy non-maximum suppression of points `(N, 3)` that are ranked, best first: indices of the kept points, in the
+/// same order, each farther than `radius` from all earlier ones.
+///
+/// At most `limit` are kept. A radius of 0 suppresses only by `limit`.
+///
+/// # Errors
+/// [`Error::Input`](crate::Error::Input) for more points than [`u32::MAX`]. The points must be finite.
+pub fn suppress_ranked(points: &[Point], radius: f32, limit: usize) -> Result<Vec<usize>> {
+    suppress_in_order(points, (0..points.len()).collect(), radius, limit)
+}
+
+fn suppress_in_order(points: &[Point], mut order: Vec<usize>, radius: f32, limit: usize) -> Result<Vec<usize>> {
     if radius <= 0.0 || points.is_empty() {
-        let mut order = by_falling_score(scores);
         order.truncate(limit);
         return Ok(order);
     }
-    Ok(suppress_in(&KdTree::new(points)?, points, scores, radius, limit))
+    Ok(keep_in_order(&KdTree::new(points)?, points, order, radius, limit))
 }
 
 fn by_falling_score(scores: &[f32]) -> Vec<usize> {
@@ -36,9 +50,13 @@ pub(crate) fn suppress_in(
     radius: f32,
     limit: usize,
 ) -> Vec<usize> {
+    keep_in_order(tree, points, by_falling_score(scores), radius, limit)
+}
+
+fn keep_in_order(tree: &KdTree<f32>, points: &[Point], order: Vec<usize>, radius: f32, limit: usize) -> Vec<usize> {
     let mut alive = vec![true; points.len()];
     let mut kept = Vec::new();
-    for index in by_falling_score(scores) {
+    for index in order {
         if kept.len() == limit {
             break;
         }
@@ -116,6 +134,15 @@ mod tests {
             }
             assert_eq!(suppress(&points, &scores, radius, limit).unwrap(), expected, "radius {radius}");
         }
+    }
+
+    #[test]
+    fn ranked_points_are_kept_in_their_order() {
+        let points = [0.0, 0.5, 1.0, 2.0, 1.25, 4.0].map(|x| [x, 0.0, 0.0]);
+        assert_eq!(suppress_ranked(&points, 0.5, 9).unwrap(), [0, 2, 3, 5]);
+        assert_eq!(suppress_ranked(&points, 0.5, 3).unwrap(), [0, 2, 3]);
+        assert_eq!(suppress_ranked(&points, 0.0, 5).unwrap(), [0, 1, 2, 3, 4]);
+        assert_eq!(suppress_ranked(&[], 0.5, 5).unwrap(), [] as [usize; 0]);
     }
 
     #[test]

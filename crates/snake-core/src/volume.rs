@@ -1,7 +1,5 @@
 //! The feature volume and its frame. Axis order, padding and clamping are defined only in this file.
 
-use ndarray::ArrayView4;
-
 use crate::points::Point;
 use snake_kernels::Buffer;
 use snake_kernels::{Corners, SimdLevel, interpolate, interpolate_backward};
@@ -100,11 +98,15 @@ impl Volume {
         self.frame
     }
 
-    /// The features, indexed `[z][y][x][channel]`.
-    pub fn features(&self) -> ArrayView4<'_, f32> {
+    /// The features, flat, in the order of [`Volume::shape`].
+    pub fn features(&self) -> &[f32] {
+        &self.values
+    }
+
+    /// The number of features along each dimension: `[z][y][x][channel]`.
+    pub fn shape(&self) -> [usize; 4] {
         let [depth, height, width] = self.frame.size();
-        ArrayView4::from_shape((depth, height, width, self.channels), &self.values)
-            .expect("a volume is made with as many values as its frame has voxels")
+        [depth, height, width, self.channels]
     }
 
     /// Writes trilinear features `(queries, channels)` and returns the corners that were read.

@@ -21,7 +21,8 @@ impl<'data> Weights<'data> {
     pub(crate) fn open(bytes: &'data [u8]) -> Result<Self> {
         let broken = |e| error("file", "a safetensors file", format!("{e}"));
         let (_, header) = SafeTensors::read_metadata(bytes).map_err(broken)?;
-        let metadata = header.metadata().clone().unwrap_or_default();
+        let entries = header.metadata().iter().flatten();
+        let metadata = entries.map(|(key, value)| (key.clone(), value.clone())).collect();
         let tensors = SafeTensors::deserialize(bytes).map_err(broken)?;
         let weights = Self { tensors, metadata, asked: RefCell::default() };
         let format = weights.metadata.get("format").cloned().unwrap_or_default();

@@ -2,6 +2,7 @@
 
 use anyhow::{Result, bail};
 use serde_json::{Value, json};
+use snake_core::space::suppress_ranked;
 use snake_core::{Length, Model, Options, Point, Preset};
 use snake_registration::detectors::{Detector, Protocol};
 
@@ -96,7 +97,8 @@ impl Method {
                     None | Some(Length::Units(0.0)) => 0.0,
                     Some(spacing) => spacing.in_units("nms_radius", points)? as f32,
                 };
-                spaced(found.iter().map(|response| points[response.index]), radius, *count)
+                let ranked: Vec<Point> = found.iter().map(|response| points[response.index]).collect();
+                suppress_ranked(&ranked, radius, *count)?.into_iter().map(|index| ranked[index]).collect()
             }
         })
     }
@@ -111,19 +113,6 @@ fn rotations(method: &str) -> Option<Option<usize>> {
     }
 }
 
-/// Greedy suppression of points that come best first: keeps a point if it is farther than `radius` from all kept ones,
-/// up to `count` points. A radius of 0 suppresses nothing.
-fn spaced(points: impl Iterator<Item = Point>, radius: f32, count: usize) -> Vec<Point> {
-    let near = |a: &Point, b: &Point| (0..3).map(|axis| (a[axis] - b[axis]).powi(2)).sum::<f32>() <= radius * radius;
-    let mut kept: Vec<Point> = Vec::new();
-    for point in points {
-        if kept.len() < count && (radius == 0.0 || !kept.iter().any(|other| near(&point, other))) {
-            kept.push(point);
-        }
-    }
-    kept
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -134,14 +123,5 @@ mod tests {
         for other in ["iss", "snakex", "snakex-1", "snake4", "snakex4x"] {
             assert_eq!(rotations(other), None);
         }
-    }
-
-    #[test]
-    fn spaced_points_are_the_best_that_are_far_enough_apart() {
-        let points = [0.0, 0.5, 1.0, 2.0, 1.25, 4.0].map(|x| [x, 0.0, 0.0]);
-        let found = |radius, count| spaced(points.into_iter(), radius, count).iter().map(|p| p[0]).collect::<Vec<_>>();
-        assert_eq!(found(0.5, 9), [0.0, 1.0, 2.0, 4.0]);
-        assert_eq!(found(0.5, 3), [0.0, 1.0, 2.0]);
-        assert_eq!(found(0.0, 5), [0.0, 0.5, 1.0, 2.0, 1.25]);
     }
 }
