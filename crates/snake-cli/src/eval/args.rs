@@ -4,6 +4,7 @@ use std::path::PathBuf;
 
 use clap::{Args, Subcommand, ValueEnum};
 use snake_core::Length;
+use snake_registration::detectors::Detector;
 use snake_registration::{Descriptor, KeypointDetector};
 
 use crate::inputs::ColumnArguments;
@@ -78,13 +79,18 @@ pub enum Eval {
     Semantic(Box<SemanticArguments>),
 }
 
+/// The network and all classical detectors.
+fn methods() -> impl Iterator<Item = &'static str> {
+    std::iter::once("snake").chain(Detector::NAMES)
+}
+
 #[derive(Args)]
 pub struct RegistrationArguments {
     /// The data set.
     pub data: PathBuf,
-    /// Detectors to evaluate: any of snake, iss, harris3d, sift3d, fps and random.
+    /// Detectors to evaluate; all of them by default.
     #[arg(long, value_delimiter = ',', value_parser = named::<KeypointDetector>,
-        default_value = "snake,iss,harris3d,sift3d,fps,random")]
+        default_values = methods())]
     pub detectors: Vec<KeypointDetector>,
     /// Descriptors to evaluate: field, fpfh or both.
     #[arg(long, value_delimiter = ',', value_parser = named::<Descriptor>, default_value = "field,fpfh")]
@@ -144,9 +150,9 @@ pub struct SemanticArguments {
 /// Options of keypoint evaluations.
 #[derive(Args)]
 pub struct EvalArguments {
-    /// Methods to evaluate: any of snake, iss, harris3d, sift3d, fps and random. snakex4 is snake averaged over 4
-    /// rotated copies of each cloud (--rotations of `detect`); any other number works as well.
-    #[arg(long, value_delimiter = ',', default_value = "snake,iss,harris3d,sift3d,fps,random")]
+    /// Methods to evaluate; all of them by default. snakex4 is snake averaged over 4 rotated copies of each cloud
+    /// (--rotations of `detect`); any other number works as well.
+    #[arg(long, value_delimiter = ',', default_values = methods())]
     pub methods: Vec<String>,
     /// How the classical detectors select keypoints. ranked: the strongest responses. paper: a random subset, as in the
     /// paper's tables, with Harris 3D without suppression and SIFT 3D on the y coordinate.

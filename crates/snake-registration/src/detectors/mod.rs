@@ -339,7 +339,8 @@ mod tests {
             assert!(matches!(found, Err(Error::Option { .. })), "{detector:?}");
         }
         assert!(Detector::Random.keypoints(&points, 0, Protocol::Ranked, 0).is_err());
-        assert!(Detector::named("orb", Protocol::Ranked).is_err());
+        let unknown = Detector::named("orb", Protocol::Ranked).unwrap_err().to_string();
+        assert!(Detector::NAMES.iter().all(|name| unknown.contains(name)), "{unknown}");
     }
 
     #[test]
