@@ -1,0 +1,39 @@
+"""The package: stub and documentation."""
+
+import ast
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+import snake_rs
+
+STUB = Path(__file__).parents[1] / "python" / "snake_rs" / "_core.pyi"
+
+
+def test_the_stub_lists_every_option(model):
+    classes = [node for node in ast.parse(STUB.read_text()).body if isinstance(node, ast.ClassDef)]
+    names = {c.name: [n.target.id for n in c.body if isinstance(n, ast.AnnAssign)] for c in classes}
+    parts = names["_EncodeOptions"] + names["_DetectOptions"] + names["_Options"]
+    assert parts == list(model.recommended)
+    assert set(names["_Config"]) == set(model.config)
+
+
+def test_the_stub_matches_the_module():
+    pytest.importorskip("mypy.stubtest")
+    result = subprocess.run([sys.executable, "-m", "mypy.stubtest", "snake_rs"], capture_output=True, text=True)
+    assert result.returncode == 0, result.stdout + result.stderr
+
+
+def test_everything_public_is_documented():
+    classes = (snake_rs.Model, snake_rs.Field, snake_rs.Keypoints, snake_rs.Mesh, snake_rs.Registration)
+    functions = (snake_rs.detect, snake_rs.register, snake_rs.estimate_normals, snake_rs.fpfh, snake_rs.read_points)
+    functions += (snake_rs.get_num_threads, snake_rs.set_num_threads)
+    parts = (snake_rs.baselines, snake_rs.metrics)
+    assert set(snake_rs.__all__) == {t.__name__.split(".")[-1] for t in classes + functions + parts} | {"__version__"}
+    functions += tuple(getattr(part, name) for part in parts for name in part.__all__)
+    members = [getattr(c, name) for c in classes for name in vars(c) if not name.startswith("_")]
+    assert len(members) > 20
+    assert all(thing.__doc__ for thing in (snake_rs, *parts, *functions, *classes, *members))
+    assert {c.__module__ for c in classes} == {"snake_rs"}
