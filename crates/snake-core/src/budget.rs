@@ -1,23 +1,23 @@
-//! What a network and its options may ask of the machine: within the ranges of single options, a weight file of some
-//! kilobytes could otherwise ask for hours and for all memory.
+//! Limits of memory and time that hold for every call. Without them, a small weight file could use all memory or run for
+//! hours, although each option is within its range.
 
 use crate::{Error, ModelConfig, Result, weights};
 
-/// Values of one feature volume: 256 MiB. The U-Net holds about five volumes at a time.
+/// Maximum number of values of one feature volume: 256 MiB. The U-Net needs about five volumes at a time.
 const MAX_VOLUME_VALUES: usize = 1 << 26;
 
-/// Values of the feature volumes of all copies of a cloud: 1 GiB.
-const MAX_COPIES_VALUES: usize = 1 << 28;
+/// Maximum number of values of the feature volumes of all rotations: 1 GiB.
+const MAX_ROTATIONS_VALUES: usize = 1 << 28;
 
-/// Evaluations of the decoders: a minute on four cores for the built-in networks, if every query is occupied.
+/// Maximum number of evaluations of the decoders: a minute on four cores for the built-in networks.
 const MAX_EVALUATIONS: usize = 1 << 28;
 
-/// Channels that any voxel costs: the kernels compute so many at once.
-const LEAST_CHANNELS: usize = 16;
+/// Number of channels that the kernels compute at once. A voxel with fewer channels costs as much.
+const MIN_CHANNELS: usize = 16;
 
-/// Values of a feature volume, or of the widest one of that resolution in the U-Net.
-fn volume_values(config: &ModelConfig) -> usize {
-    let channels = config.c_dim.max(config.unet_base_channels).max(LEAST_CHANNELS);
+/// Number of values of a feature volume, or of the widest volume of this resolution in the U-Net.
+pub(crate) fn volume_values(config: &ModelConfig) -> usize {
+    let channels = config.c_dim.max(config.unet_base_channels).max(MIN_CHANNELS);
     config.frame.resolution.iter().product::<usize>() * channels
 }
 
@@ -28,30 +28,30 @@ pub(crate) fn check_volume(config: &ModelConfig) -> Result<()> {
         return Ok(());
     }
     let [x, y, z] = config.frame.resolution;
-    let channels = config.c_dim.max(config.unet_base_channels).max(LEAST_CHANNELS);
+    let channels = config.c_dim.max(config.unet_base_channels).max(MIN_CHANNELS);
     let found =
-        format!("{x} x {y} x {z} voxels of {channels} channels (at least {LEAST_CHANNELS} count), {values} values");
+        format!("{x} x {y} x {z} voxels of {channels} channels (at least {MIN_CHANNELS} are counted), {values} values");
     Err(weights::error("resolution", &format!("a volume of at most {MAX_VOLUME_VALUES} values"), found))
 }
 
-/// Refuses more copies of a cloud than the volumes of a network leave room for.
+/// Refuses more rotations than fit into the memory for feature volumes.
 pub(crate) fn check_rotations(rotations: usize, config: &ModelConfig) -> Result<()> {
     let values = volume_values(config);
-    if rotations.saturating_mul(values) <= MAX_COPIES_VALUES {
+    if rotations.saturating_mul(values) <= MAX_ROTATIONS_VALUES {
         return Ok(());
     }
     let value = format!("{rotations}, with volumes of {values} values");
-    Err(Error::Option { name: "rotations", value, allowed: "up to 268435456 values in all volumes together" })
+    Err(Error::Option { name: "rotations", value, allowed: "at most 268435456 values in all volumes together" })
 }
 
-/// Refuses more queries, steps and copies than can be evaluated in a minute or two.
+/// Refuses more queries, steps and rotations than can be evaluated in a minute or two.
 pub(crate) fn check_queries(query_resolution: usize, refine_steps: usize, rotations: usize) -> Result<()> {
     let factors = [query_resolution, query_resolution, query_resolution, refine_steps.saturating_add(1), rotations];
     if factors.into_iter().fold(1, usize::saturating_mul) <= MAX_EVALUATIONS {
         return Ok(());
     }
     let value = format!("{query_resolution}, with {refine_steps} refine_steps and {rotations} rotations");
-    let allowed = "query_resolution³ × (refine_steps + 1) × rotations up to 268435456";
+    let allowed = "query_resolution³ × (refine_steps + 1) × rotations of at most 268435456";
     Err(Error::Option { name: "query_resolution", value, allowed })
 }
 
@@ -67,7 +67,7 @@ mod tests {
         check_volume(&config).unwrap();
         check_rotations(4, &config).unwrap();
         let error = check_rotations(5, &config).unwrap_err().to_string();
-        assert!(error.contains(&MAX_COPIES_VALUES.to_string()) && error.contains("is 5, with"), "{error}");
+        assert!(error.contains(&MAX_ROTATIONS_VALUES.to_string()) && error.contains("is 5, with"), "{error}");
         config.frame.resolution[0] += 1;
         let error = check_volume(&config).unwrap_err().to_string();
         assert!(error.contains("129 x 128 x 128") && error.contains(&MAX_VOLUME_VALUES.to_string()), "{error}");
@@ -79,7 +79,7 @@ mod tests {
         }
     }
 
-    /// The largest networks and the most queries of the paper, with some copies.
+    /// The largest networks and query grids of the paper, with several rotations.
     #[test]
     fn the_papers_settings_are_within_the_budget() {
         let mut config = *Model::builtin(Builtin::Compact).config();

@@ -1,17 +1,17 @@
-//! The shape of a network.
+//! The configuration of a network.
 
 use crate::volume::VolumeFrame;
 use crate::weights::{self, Weights};
 use crate::{Result, budget};
 
-/// How the encoder brings features from points to voxels.
+/// How the encoder scatters the features of points to voxels.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub enum Scatter {
-    /// Each voxel holds the mean of the points that fall into it (the authors' network).
+    /// A voxel is the mean of the features of its points, as in the authors' network.
     #[default]
     Hard,
-    /// Each feature is spread over the eight voxels about its point with trilinear weights, and a voxel's sum is divided by
-    /// its mass or the cloud's typical voxel mass, whichever is larger.
+    /// A feature is added to the eight nearest voxels with trilinear weights. A voxel's sum is divided by its total weight,
+    /// or by the typical total weight of the cloud's voxels if that is larger.
     Soft,
 }
 
@@ -25,7 +25,7 @@ impl Scatter {
     }
 }
 
-/// The shape of a network, read from the weight file's metadata.
+/// The configuration of a network, from the weight file's metadata.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct ModelConfig {
     /// Resolution and bounds of the feature volume.
@@ -42,9 +42,9 @@ pub struct ModelConfig {
     pub unet_levels: usize,
     /// Channels of its first level; each level below doubles them.
     pub unet_base_channels: usize,
-    /// Groups of its normalisations (1 where a layer has fewer channels).
+    /// Groups of its group normalisations; 1 for layers with fewer channels.
     pub group_norm_groups: usize,
-    /// How features get from points to voxels; files that do not say are hard.
+    /// How features are scattered to voxels; hard if the file does not say.
     pub scatter: Scatter,
 }
 

@@ -1,20 +1,20 @@
-//! What a caller can do about a long call while it runs: see how far it is, cancel it, limit its time.
+//! Progress, cancellation, deadline and limits of long calls.
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Instant;
 
+use crate::limits::Limits;
 use crate::progress::{Count, Progress};
 use crate::{Error, Result};
 
-/// Progress, cancellation and a deadline of a long call, an argument of
+/// Progress, cancellation, a deadline and limits of a long call, an argument of
 /// [`Model::encode_with`](crate::Model::encode_with), [`Model::detect_with`](crate::Model::detect_with),
 /// [`Field::detect_with`](crate::Field::detect_with), [`Field::mesh_with`](crate::Field::mesh_with) and
 /// `snake_registration::register_with`. Results do not depend on it. The default does nothing.
 ///
-/// A call looks at it between the layers of the network and the parts of a layer, between tiles of queries, refinement
-/// steps, windows, RANSAC rounds and ICP steps. A call that was stopped returns an error and leaves nothing behind: the
-/// same model and field can be used again at once.
+/// A call checks it between the layers of the network and the parts of a layer, between tiles of queries, refinement
+/// steps, windows, RANSAC rounds and ICP steps. A stopped call returns an error. Model and field stay as they were.
 ///
 /// ```
 /// use snake_core::{Builtin, CancelFlag, Control, Error, Model};
@@ -30,58 +30,70 @@ use crate::{Error, Result};
 pub struct Control {
     progress: Option<Progress>,
     limits: Limits,
+    stop: Stop,
 }
 
 impl Control {
-    /// A control that does nothing yet.
+    /// A control that neither watches nor limits a call.
     pub fn new() -> Self {
         Self::default()
     }
 
-    /// Counts the stages of the call in `progress`.
+    /// Reports the stages of the call to `progress`.
     pub fn progress(mut self, progress: &Progress) -> Self {
         self.progress = Some(progress.clone());
         self
     }
 
-    /// Stops the call with [`Error::Cancelled`] once the flag is set.
+    /// Stops the call with [`Error::Cancelled`] when the flag is set.
     pub fn cancel(mut self, flag: &CancelFlag) -> Self {
-        self.limits.cancel = Some(flag.clone());
+        self.stop.cancel = Some(flag.clone());
         self
     }
 
-    /// Stops the call with [`Error::DeadlineExceeded`] at that time.
+    /// Stops the call with [`Error::DeadlineExceeded`] at this time.
     pub fn deadline(mut self, deadline: Instant) -> Self {
-        self.limits.deadline = Some(deadline);
+        self.stop.deadline = Some(deadline);
         self
     }
 
-    /// Whether the call may go on.
+    /// Refuses the call with [`Error::LimitExceeded`] before it begins if it would exceed a limit.
+    pub fn limits(mut self, limits: Limits) -> Self {
+        self.limits = limits;
+        self
+    }
+
+    /// The limits of the call.
+    pub(crate) fn get_limits(&self) -> &Limits {
+        &self.limits
+    }
+
+    /// Returns an error if the call must stop.
     ///
     /// # Errors
     /// [`Error::Cancelled`] and [`Error::DeadlineExceeded`].
     pub fn check(&self) -> Result<()> {
-        self.limits.check()
+        self.stop.check()
     }
 
-    /// Begins a stage of so many pieces that take about equally long; 0 if their number is not known.
+    /// Begins a stage of `total` units of work of similar duration; 0 if their number is unknown.
     pub fn begin(&self, name: &'static str, total: usize) -> Counter {
         let count = self.progress.as_ref().map(|progress| progress.begin(name, total));
-        Counter { count, limits: self.limits.clone() }
+        Counter { count, stop: self.stop.clone() }
     }
 
-    /// The same for calls within a call that counts them.
+    /// The same control for inner calls, whose progress the outer call reports.
     pub fn without_progress(&self) -> Self {
-        Self { progress: None, limits: self.limits.clone() }
+        Self { progress: None, limits: self.limits, stop: self.stop.clone() }
     }
 }
 
-/// A flag that cancels calls, shared by its clones. Once set it stays set: a later call takes a new flag.
+/// A flag that cancels calls. Clones share it. It cannot be reset: a later call takes a new flag.
 #[derive(Debug, Clone, Default)]
 pub struct CancelFlag(Arc<AtomicBool>);
 
 impl CancelFlag {
-    /// Cancels the calls that were given this flag.
+    /// Cancels all calls with this flag.
     pub fn cancel(&self) {
         self.0.store(true, Ordering::Relaxed);
     }
@@ -92,15 +104,19 @@ impl CancelFlag {
     }
 }
 
-/// When a call must stop.
+/// The conditions under which a call must stop.
 #[derive(Debug, Clone, Default)]
-struct Limits {
+struct Stop {
     cancel: Option<CancelFlag>,
     deadline: Option<Instant>,
+    #[cfg(test)]
+    checks: Option<tests::Checks>,
 }
 
-impl Limits {
+impl Stop {
     fn check(&self) -> Result<()> {
+        #[cfg(test)]
+        self.checks.iter().for_each(tests::Checks::add);
         if self.cancel.as_ref().is_some_and(CancelFlag::is_cancelled) {
             return Err(Error::Cancelled);
         }
@@ -111,37 +127,37 @@ impl Limits {
     }
 }
 
-/// Counts the pieces of one stage of a call, and says when to stop.
+/// The progress of one stage of a call. It also tells when the call must stop.
 #[derive(Debug, Clone, Default)]
 pub struct Counter {
     count: Option<Arc<Count>>,
-    limits: Limits,
+    stop: Stop,
 }
 
 impl Counter {
-    /// So many more pieces are done.
+    /// Adds completed units of work.
     pub fn add(&self, number: usize) {
         if let Some(count) = &self.count {
             count.add(number);
         }
     }
 
-    /// It turns out that there are so many pieces.
+    /// Corrects the number of units of work.
     pub fn set_total(&self, total: usize) {
         if let Some(count) = &self.count {
             count.set_total(total);
         }
     }
 
-    /// Whether the call may go on.
+    /// Returns an error if the call must stop.
     ///
     /// # Errors
     /// [`Error::Cancelled`] and [`Error::DeadlineExceeded`].
     pub fn check(&self) -> Result<()> {
-        self.limits.check()
+        self.stop.check()
     }
 
-    /// Whether the call must stop: [`Counter::check`] is and stays an error.
+    /// Whether the call must stop. From then on [`Counter::check`] is an error.
     pub fn is_stopped(&self) -> bool {
         self.check().is_err()
     }
@@ -155,6 +171,58 @@ mod tests {
     use crate::detect::tests::cylinder;
     use crate::{Builtin, EncodeOptions, MeshOptions, Model, Options};
 
+    /// The moments at which a call asked whether it may go on.
+    #[derive(Debug, Clone, Default)]
+    pub(super) struct Checks(Arc<std::sync::Mutex<Vec<Instant>>>);
+
+    impl Checks {
+        pub(super) fn add(&self) {
+            self.0.lock().unwrap().push(Instant::now());
+        }
+    }
+
+    /// Asserts that a call on one thread checks its control at least every 50 ms. A call makes the same checks each time.
+    /// Other programs make single runs longer, so each gap between two checks is the shortest of up to 20 runs.
+    fn assert_checked_often(call: impl Fn(&Control) + Sync) {
+        const LIMIT: Duration = Duration::from_millis(50);
+        let one_thread = rayon::ThreadPoolBuilder::new().num_threads(1).build().unwrap();
+        let gaps_of_run = || {
+            let checks = Checks::default();
+            let mut control = Control::new();
+            control.stop.checks = Some(checks.clone());
+            checks.add();
+            one_thread.install(|| call(&control));
+            checks.add();
+            let moments = checks.0.lock().unwrap();
+            moments.windows(2).map(|pair| pair[1] - pair[0]).collect::<Vec<Duration>>()
+        };
+        let mut gaps = gaps_of_run();
+        for _ in 1..20 {
+            if gaps.iter().all(|gap| *gap < LIMIT) {
+                break;
+            }
+            let again = gaps_of_run();
+            assert_eq!(again.len(), gaps.len(), "runs differ");
+            gaps.iter_mut().zip(again).for_each(|(gap, again)| *gap = again.min(*gap));
+        }
+        let longest = gaps.iter().max();
+        assert!(longest < Some(&LIMIT), "{longest:?}");
+    }
+
+    /// A cancelled call returns within 50 ms: no step between two checks takes longer, even on a single thread.
+    #[test]
+    fn a_network_of_64_is_checked_at_least_every_50_ms() {
+        let (points, _) = cylinder();
+        let model = model_of_64();
+        let mut options = Options::default();
+        options.encode.rotations = 2;
+        let encode = |control: &Control| drop(model.encode_with(&points, &options.encode, control).unwrap());
+        assert_checked_often(encode);
+        let field = model.encode(&points, &EncodeOptions::default()).unwrap();
+        assert_checked_often(|control| drop(field.detect_with(&options.detect, control).unwrap()));
+        assert_checked_often(|control| drop(field.mesh_with(&MeshOptions::default(), control).unwrap()));
+    }
+
     /// The built-in weights in a volume of 64³ voxels.
     fn model_of_64() -> Model {
         let file = safetensors::SafeTensors::deserialize(include_bytes!("../models/compact.safetensors")).unwrap();
@@ -164,9 +232,8 @@ mod tests {
         Model::from_bytes(&bytes).unwrap()
     }
 
-    /// Calls `call` once to its end, then cancelled and with a deadline at moments all over the time that it took, and
-    /// asserts that half of the calls return soon after such a moment. A call that was stopped must not change what later
-    /// calls return.
+    /// Stops calls by a flag and by a deadline, at moments spread over the duration of a whole call. Half of the calls
+    /// must return soon, and a stopped call must not change the results of later calls.
     fn assert_stops_soon<T: PartialEq + Send>(call: impl Fn(&Control) -> Result<T> + Sync) {
         const MOMENTS: u32 = 10;
         let expected = call(&Control::default()).unwrap();
@@ -236,7 +303,7 @@ mod tests {
     }
 
     #[test]
-    fn a_call_that_is_stopped_before_it_begins_does_nothing() {
+    fn a_call_stopped_before_it_begins_does_nothing() {
         let (points, _) = cylinder();
         let model = Model::builtin(Builtin::Compact);
         let flag = CancelFlag::default();

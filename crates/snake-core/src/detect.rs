@@ -53,38 +53,38 @@ impl From<KeypointRecord> for Keypoint {
     }
 }
 
-/// Keypoints and how they came about.
+/// The result of a detection: keypoints, counts and run times.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[non_exhaustive]
 pub struct Detection {
-    /// By falling saliency.
+    /// The keypoints, by falling saliency.
     pub keypoints: Vec<Keypoint>,
-    /// How many points of the cloud were skipped because they are not finite.
+    /// Number of points of the cloud that were skipped because they are not finite.
     pub num_skipped: usize,
-    /// How many of the points were encoded.
+    /// Number of points that were encoded.
     pub num_encoded: usize,
-    /// The normalisation in use; `None` in windows, each of which has its own.
+    /// The normalisation of the cloud; `None` with windows, because each window has its own.
     pub normalization: Option<Normalization>,
-    /// How many queries each step left.
+    /// Number of queries after each step.
     pub counts: Counts,
-    /// How long each step took; `timing_seconds` in JSON.
+    /// Run time of each step; `timing_seconds` in JSON.
     #[serde(rename = "timing_seconds")]
     pub timing: Timing,
 }
 
-/// How many queries each step of [`Field::detect`](crate::Field::detect) left.
+/// Number of queries after each step of [`Field::detect`](crate::Field::detect).
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
 #[non_exhaustive]
 pub struct Counts {
-    /// How many windows the cloud was seen through.
+    /// Number of windows; 1 without windows.
     pub windows: usize,
-    /// On the starting grid, of all windows together.
+    /// Queries of the query grid, in all windows.
     pub queries: usize,
-    /// Of those, above the occupancy threshold.
+    /// Queries above the occupancy threshold.
     pub occupied: usize,
-    /// Of those, above the saliency threshold after refinement.
+    /// Queries above the saliency threshold after refinement.
     pub above_threshold: usize,
-    /// Of those, left by suppression.
+    /// Keypoints after suppression.
     pub keypoints: usize,
 }
 
@@ -97,13 +97,13 @@ impl Counts {
     }
 }
 
-/// Seconds that each step of detection took.
+/// Run time of each step of detection, in seconds.
 #[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
 #[non_exhaustive]
 pub struct Timing {
     /// Encoding; 0 for [`Field::detect`](crate::Field::detect), which starts from a field.
     pub encode: f64,
-    /// Occupancy of the starting grid.
+    /// Occupancy of the query grid.
     pub occupancy: f64,
     /// Refinement.
     pub refine: f64,
@@ -119,7 +119,7 @@ impl Timing {
         self.nms += other.nms;
     }
 
-    /// Divides the seconds of threads that worked side by side so that their sum is the time that passed.
+    /// Scales the run times summed over parallel threads so that their sum is the wall time `seconds`.
     pub(crate) fn scale_to(&mut self, seconds: f64) {
         let sum = self.encode + self.occupancy + self.refine;
         if sum > 0.0 {
@@ -131,7 +131,7 @@ impl Timing {
 }
 
 impl Field {
-    /// Finds the keypoints of the encoded cloud (SNAKE Algorithm 1). A field without surface has none.
+    /// Detects the keypoints of the encoded cloud (SNAKE Algorithm 1). A field without surface has none.
     ///
     /// ```
     /// use snake_core::{Builtin, DetectOptions, EncodeOptions, Length, Model};
@@ -148,13 +148,14 @@ impl Field {
         self.detect_with(options, &Control::default())
     }
 
-    /// [`Field::detect`] under the caller's control.
+    /// [`Field::detect`] with progress, cancellation and limits.
     ///
     /// # Errors
-    /// Those of [`Field::detect`]; [`Error::Cancelled`](crate::Error::Cancelled) and
-    /// [`Error::DeadlineExceeded`](crate::Error::DeadlineExceeded).
+    /// The errors of [`Field::detect`]; [`Error::Cancelled`](crate::Error::Cancelled),
+    /// [`Error::DeadlineExceeded`](crate::Error::DeadlineExceeded) and [`Error::LimitExceeded`](crate::Error::LimitExceeded).
     pub fn detect_with(&self, options: &DetectOptions, control: &Control) -> Result<Detection> {
-        options.check(self.num_copies())?;
+        options.check(self.num_rotations())?;
+        control.get_limits().check_evaluations(&options.evaluations(self.num_rotations()))?;
         let radii = options.radii(self.points())?;
         let candidates = Candidates::of(self, options, |_| true, control)?;
         control.begin("suppression", 0).check()?;
@@ -178,7 +179,7 @@ pub(crate) struct Candidates {
 }
 
 impl Candidates {
-    /// The candidates of a field, from the starting queries that `owns` accepts by their positions in the cloud's frame.
+    /// The candidates of a field. Only queries whose positions in the cloud's frame `owns` accepts are refined.
     pub(crate) fn of(
         field: &Field,
         options: &DetectOptions,
@@ -213,8 +214,8 @@ impl Candidates {
     }
 }
 
-/// The refined queries whose score is above the saliency threshold, in the cloud's frame. Huge steps can carry a query to
-/// where its coordinates overflow: it is dropped.
+/// The refined queries whose score is above the saliency threshold, in the cloud's frame. Queries whose coordinates
+/// overflow, as with very large steps, are dropped.
 fn above_saliency(field: &Field, refined: &[Refined], threshold: f32) -> Candidates {
     let in_cloud = refined.iter().map(|query| (field.normalization().to_cloud(query.position), query.score));
     let kept = in_cloud.filter(|(position, score)| *score > threshold && position.iter().all(|v| v.is_finite()));
@@ -222,10 +223,10 @@ fn above_saliency(field: &Field, refined: &[Refined], threshold: f32) -> Candida
     Candidates { positions, scores, ..Default::default() }
 }
 
-/// Suppression, nearest input points, snapping and occupancy: the end of every detection.
+/// The last steps of every detection: suppression, nearest input points, snapping and occupancy.
 ///
-/// `occupancy` gives the occupancy of kept candidates, by their indices and by their final positions. What only a field
-/// knows is left for the caller to fill in.
+/// `occupancy` returns the occupancy of the kept candidates, given their indices and their final positions. The caller
+/// fills in the numbers of points and the normalisation.
 pub(crate) fn finish(
     candidates: Candidates,
     points: &FinitePoints,
@@ -297,7 +298,7 @@ pub(crate) mod tests {
     }
 
     #[test]
-    fn keypoints_that_moved_to_modes_are_suppressed_again() {
+    fn modes_are_suppressed() {
         let (_, field) = cylinder();
         let found = |mode_radius, nms_radius: f64| {
             let options = DetectOptions {

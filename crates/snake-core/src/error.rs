@@ -1,8 +1,8 @@
-//! The one error type of the crate.
+//! The error type of the crate.
 
 use std::path::PathBuf;
 
-/// What went wrong, in words that say what to do about it.
+/// An error. Its text says what to do about it.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum Error {
@@ -11,42 +11,52 @@ pub enum Error {
     Io {
         /// The file.
         path: PathBuf,
-        /// What the operating system said.
+        /// The error of the operating system.
         source: std::io::Error,
     },
-    /// A weight file does not hold the network that it claims to hold.
+    /// A weight file does not match the network that its metadata describes.
     #[error("weights: `{tensor}`: expected {expected}, found {found}")]
     Weights {
         /// The tensor or the metadata key.
         tensor: String,
-        /// What the network needs there.
+        /// The expected content.
         expected: String,
-        /// What the file holds.
+        /// The content of the file.
         found: String,
     },
-    /// An array handed in cannot be used.
+    /// An argument cannot be used.
     #[error("{what}: {reason}")]
     Input {
-        /// Which argument.
+        /// The name of the argument.
         what: &'static str,
-        /// Why it cannot be used.
+        /// The reason.
         reason: String,
     },
     /// An option is outside its range.
     #[error("option `{name}` is {value}: allowed is {allowed}")]
     Option {
-        /// The option's name, as in the options struct.
+        /// The name of the option in the options struct.
         name: &'static str,
-        /// The value given.
+        /// The given value.
         value: String,
-        /// The values that can be used.
+        /// The allowed values.
         allowed: &'static str,
     },
-    /// The caller cancelled the call by its [`CancelFlag`](crate::CancelFlag).
+    /// The call would exceed a limit that the caller set with [`Control::limits`](crate::Control::limits).
+    #[error("{number} {what} are above the limit of {limit} for this call")]
+    LimitExceeded {
+        /// What is limited.
+        what: &'static str,
+        /// How much of it the call needs.
+        number: usize,
+        /// How much of it the call may use.
+        limit: usize,
+    },
+    /// The caller cancelled the call with its [`CancelFlag`](crate::CancelFlag).
     #[error("cancelled")]
     Cancelled,
-    /// The call was not done by its [deadline](crate::Control::deadline).
-    #[error("the deadline passed before the call was done")]
+    /// The call did not end before its [deadline](crate::Control::deadline).
+    #[error("the deadline passed before the call ended")]
     DeadlineExceeded,
 }
 

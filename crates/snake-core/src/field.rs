@@ -15,8 +15,7 @@ use crate::rotations::{self, Rotation, rotate, rotate_inverse};
 use crate::volume::{Volume, VolumeFrame};
 use crate::{Error, Result, weights};
 
-/// Occupancy and saliency of one cloud at any point of space. Queries, gradients and results are in the cloud's frame
-/// and units.
+/// Occupancy and saliency of one cloud at any point of space. Queries and gradients are in the cloud's frame and units.
 #[derive(Debug, Clone)]
 pub struct Field {
     network: Arc<Network>,
@@ -27,7 +26,7 @@ pub struct Field {
     num_encoded: usize,
 }
 
-/// The cloud as one rotation of it was encoded.
+/// The feature volume of one rotated copy of the cloud.
 #[derive(Debug, Clone)]
 struct View {
     rotation: Rotation,
@@ -59,18 +58,18 @@ impl View {
     }
 }
 
-/// Points are counted by 32 bits.
+/// Refuses more points than 32-bit indices can count.
 pub(crate) fn check_number_of_points(number: usize) -> Result<()> {
     match u32::try_from(number) {
         Ok(_) => Ok(()),
         Err(_) => {
-            let reason = format!("{number} points, at most {} can be encoded; give max_points", u32::MAX);
+            let reason = format!("{number} points, at most {} can be encoded; set max_points", u32::MAX);
             Err(Error::Input { what: "points", reason })
         }
     }
 }
 
-/// Which of the two decoders a query asks.
+/// One of the two decoders.
 #[derive(Debug, Clone, Copy)]
 pub(crate) enum Quantity {
     Occupancy,
@@ -85,6 +84,8 @@ impl Field {
         control: &Control,
     ) -> Result<Self> {
         options.check(&network.config)?;
+        control.get_limits().check_points(points.len())?;
+        control.get_limits().check_volumes(&network.config, options.rotations)?;
         let num_given = points.len();
         let finite = FinitePoints::of("points", points)?;
         let points = &finite.points;
@@ -100,7 +101,7 @@ impl Field {
         })
     }
 
-    /// The field of a cloud of finite points as a given normalisation brings it into the network's frame.
+    /// The field of a cloud of finite points with a given normalisation.
     pub(crate) fn normalized(
         network: Arc<Network>,
         points: Vec<Point>,
@@ -133,7 +134,7 @@ impl Field {
         &self.points
     }
 
-    /// How many points of the cloud were skipped because a coordinate is infinite or not a number.
+    /// Number of points of the cloud that were skipped because they are not finite.
     pub fn num_skipped(&self) -> usize {
         self.num_skipped
     }
@@ -143,22 +144,22 @@ impl Field {
         self.points.original_index(index)
     }
 
-    /// How many of the points were encoded.
+    /// Number of points that were encoded.
     pub fn num_encoded(&self) -> usize {
         self.num_encoded
     }
 
-    /// How many copies of the cloud were encoded.
-    pub(crate) fn num_copies(&self) -> usize {
+    /// Number of rotated copies of the cloud that were encoded.
+    pub(crate) fn num_rotations(&self) -> usize {
         self.views.len()
     }
 
-    /// The feature volume of the cloud as it is; of other rotations there are others.
+    /// The feature volume of the cloud without rotation. Each further rotation has a volume of its own.
     pub fn volume(&self) -> &Volume {
         &self.views[0].volume
     }
 
-    /// Probability that there is surface at each query (SNAKE eq. 1).
+    /// Occupancy of each query `(Q, 3)`, in [0, 1]: the probability of a surface (SNAKE eq. 1).
     ///
     /// ```
     /// use snake_core::{Builtin, EncodeOptions, Model};
@@ -176,7 +177,7 @@ impl Field {
         self.values(Quantity::Occupancy, queries)
     }
 
-    /// Saliency of each query, in [0, 1) (SNAKE eq. 1).
+    /// Saliency of each query `(Q, 3)`, in [0, 1) (SNAKE eq. 1).
     ///
     /// # Errors
     /// [`Error::Input`] when a query is not finite.
@@ -184,7 +185,7 @@ impl Field {
         self.values(Quantity::Saliency, queries)
     }
 
-    /// Occupancy and its gradient, per cloud unit.
+    /// Occupancy and its gradient `(Q, 3)`, per cloud unit.
     ///
     /// # Errors
     /// [`Error::Input`] when a query is not finite.
@@ -192,7 +193,7 @@ impl Field {
         self.values_and_gradients(Quantity::Occupancy, queries)
     }
 
-    /// Saliency and its gradient, per cloud unit.
+    /// Saliency and its gradient `(Q, 3)`, per cloud unit.
     ///
     /// # Errors
     /// [`Error::Input`] when a query is not finite.
@@ -200,8 +201,8 @@ impl Field {
         self.values_and_gradients(Quantity::Saliency, queries)
     }
 
-    /// Descriptors `(queries, c_dim)`, flat: the interpolated feature of each query, L2-normalised (and before that
-    /// averaged over [`EncodeOptions::rotations`]).
+    /// Descriptors `(Q, c_dim)`, flat: the interpolated feature of each query, averaged over
+    /// [`EncodeOptions::rotations`] and then L2-normalised.
     ///
     /// # Errors
     /// [`Error::Input`] when a query is not finite.
@@ -252,8 +253,8 @@ impl Field {
         let frame = self.volume().frame;
         match quantity {
             Quantity::Occupancy => (&network.occupancy, frame),
-            // The released network gives its z bounds to the occupancy decoder only: its saliency decoder reads every
-            // volume as if it spanned ±0.5 in z. All published networks do span that.
+            // In the released code only the occupancy decoder uses the z bounds; the saliency decoder assumes ±0.5. All
+            // published networks have these bounds.
             Quantity::Saliency => (&network.saliency, VolumeFrame { z_bounds: [-0.5, 0.5], ..frame }),
         }
     }
@@ -272,7 +273,7 @@ impl Field {
         sums.iter().map(|sum| probability(sum / self.views.len() as f32)).collect()
     }
 
-    /// The same with gradients, per network unit.
+    /// [`Field::tile_values`] with gradients, per network unit.
     pub(crate) fn tile_values_and_gradients(&self, quantity: Quantity, queries: &[Point]) -> (Vec<f32>, Vec<Point>) {
         if let [view] = &self.views[..] {
             return self.view_values_and_gradients(view, quantity, queries);
@@ -298,7 +299,7 @@ impl Field {
         (values, gradients)
     }
 
-    /// Values of one view at queries that were rotated with it.
+    /// Values of one view at rotated queries.
     fn view_values(&self, view: &View, quantity: Quantity, queries: &[Point]) -> Vec<f32> {
         let (decoder, frame) = self.decoder(quantity);
         let mut features = vec![0.0; queries.len() * view.volume.channels];
@@ -306,8 +307,8 @@ impl Field {
         decoder.values(queries, &features)
     }
 
-    /// The same with gradients in the rotated queries: the decoder's own derivative in the query plus that through the
-    /// interpolated feature.
+    /// [`Field::view_values`] with gradients in the rotated frame: the decoder's derivative with respect to the query, plus
+    /// the derivative through the interpolated feature.
     fn view_values_and_gradients(&self, view: &View, quantity: Quantity, queries: &[Point]) -> (Vec<f32>, Vec<Point>) {
         let (decoder, frame) = self.decoder(quantity);
         let mut features = vec![0.0; queries.len() * view.volume.channels];
@@ -327,13 +328,13 @@ impl Field {
         &self.network.config
     }
 
-    /// The options that suit the network that made this field.
+    /// The recommended options of the network that made this field.
     pub fn recommended(&self) -> &Options {
         &self.network.recommended
     }
 }
 
-/// Probabilities are kept this far from 0 and 1 when they are averaged as log-odds.
+/// Probabilities are clamped to this distance from 0 and 1 before they are averaged as log-odds.
 const LEAST: f32 = 1e-6;
 
 pub(crate) fn log_odds(probability: f32) -> f32 {

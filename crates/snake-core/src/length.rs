@@ -23,7 +23,7 @@ pub enum Length {
     Percent(f64),
 }
 
-const FORMS: &str = "a number of cloud units such as `0.05`, of the cloud's resolutions such as `6r`, or per cent of its radius as `10%`";
+const FORMS: &str = "a number of cloud units such as `0.05`, a multiple of the cloud's resolution such as `6r`, or per cent of its radius such as `10%`";
 
 impl Length {
     /// The length in the units of a cloud `(N, 3)`; `name` is the name in error messages.
@@ -74,7 +74,7 @@ fn check(name: &'static str, given: Length, length: f64) -> Result<f64> {
     if (1e-150..1e150).contains(&length) {
         return Ok(length);
     }
-    let allowed = "a positive length (units of the cloud), or as in `6r` a positive multiple of its resolution, which must not be 0";
+    let allowed = "a positive length in cloud units, or a positive multiple of the cloud's resolution such as `6r`, if that is not 0";
     Err(Error::Option { name, value: given.to_string(), allowed })
 }
 

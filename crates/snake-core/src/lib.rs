@@ -1,5 +1,5 @@
-//! SNAKE (Shape-aware Neural 3D Keypoint Field, NeurIPS 2022) on the CPU: repeatable keypoints, surface occupancy and
-//! saliency of a point cloud at any point of space, from exported weights.
+//! SNAKE (Shape-aware Neural 3D Keypoint Field, NeurIPS 2022) on the CPU: repeatable keypoints of point clouds, and
+//! surface occupancy and saliency at any point of space.
 //!
 //! ```text
 //! points → normalise → PointNet → scatter mean → volume → 3-D U-Net → Field ─ occupancy, saliency, gradients
@@ -7,8 +7,8 @@
 //!          query grid → occupancy filter → refine → threshold → NMS ────┴→ keypoints
 //! ```
 //!
-//! A cloud is encoded once ([`Model::encode`]); its [`Field`] answers any number of queries, and [`Field::detect`] climbs it
-//! to the keypoints. [`Model::detect`] does both. Results have the same bits for any number of threads.
+//! [`Model::encode`] encodes a cloud once. Its [`Field`] answers any number of queries, and [`Field::detect`] finds its
+//! keypoints. [`Model::detect`] does both. Results have the same bits for any number of threads.
 //!
 //! The crate `snake-eval` has the metrics of keypoints, and `snake-registration` has classical detectors for comparison.
 
@@ -29,6 +29,7 @@ mod golden;
 mod grid;
 mod kd_tree;
 mod length;
+mod limits;
 mod model;
 mod modes;
 mod neighbors;
@@ -61,6 +62,7 @@ pub use excerpt::excerpt;
 pub use field::Field;
 pub use grid::Grid;
 pub use length::Length;
+pub use limits::Limits;
 #[cfg(feature = "builtin-models")]
 pub use model::Builtin;
 pub use model::Model;
@@ -72,7 +74,7 @@ pub use snake_kernels::SimdLevel;
 pub use surface::Mesh;
 pub use volume::{Volume, VolumeFrame};
 
-/// The README's example is compiled with the documentation's.
+/// The README's example runs as a test.
 #[cfg(doctest)]
 #[doc = include_str!("../README.md")]
 struct ReadMe;

@@ -30,7 +30,7 @@ pub enum Builtin {
     /// For objects, of any unit.
     #[default]
     Compact,
-    /// For clouds of rooms in metres, which it recommends to see through windows.
+    /// For clouds of rooms in metres. It recommends windows.
     Rooms,
 }
 
@@ -61,8 +61,8 @@ impl Model {
         Self::from_bytes(bytes).expect("a test reads every embedded file")
     }
 
-    /// A built-in model by its name, `compact` or `rooms`; or `standard`, the model `compact` that recommends
-    /// [`Preset::Standard`], with which keypoints repeat better and take longer.
+    /// A built-in model by its name: `compact`, `rooms`, or `standard`, which is `compact` with the recommended options of
+    /// [`Preset::Standard`].
     ///
     /// # Errors
     /// [`Error::Option`] for an unknown name.
@@ -91,7 +91,7 @@ impl Model {
         Self::from_bytes(&bytes)
     }
 
-    /// A network from the bytes of a weight file.
+    /// Loads a network from the bytes of a weight file.
     ///
     /// # Errors
     /// [`Error::Weights`] when a tensor or a metadata key is missing, unknown, of another shape or type, or not finite.
@@ -114,12 +114,12 @@ impl Model {
         self.network.num_parameters
     }
 
-    /// The options that suit these weights: from the metadata key `recommended_options`, else the defaults.
+    /// The recommended options of these weights: from the metadata key `recommended_options`, else the defaults.
     pub fn recommended(&self) -> &Options {
         &self.network.recommended
     }
 
-    /// Encodes a cloud once; the field then answers any number of queries.
+    /// Encodes a cloud `(N, 3)` once. The field then answers any number of queries.
     ///
     /// # Errors
     /// [`Error::Input`] for a cloud without finite points or of an extent outside 1e-15 to 1e15;
@@ -128,15 +128,16 @@ impl Model {
         self.encode_with(points, options, &Control::default())
     }
 
-    /// [`Model::encode`] under the caller's control.
+    /// [`Model::encode`] with progress, cancellation and limits.
     ///
     /// # Errors
-    /// Those of [`Model::encode`]; [`Error::Cancelled`] and [`Error::DeadlineExceeded`].
+    /// The errors of [`Model::encode`]; [`Error::Cancelled`], [`Error::DeadlineExceeded`] and [`Error::LimitExceeded`].
     pub fn encode_with(&self, points: &[Point], options: &EncodeOptions, control: &Control) -> Result<Field> {
         Field::new(self.network.clone(), points, options, control)
     }
 
-    /// Keypoints of a cloud in one call: [`Model::encode`], then [`Field::detect`]; or in windows, if the options say so.
+    /// Keypoints of a cloud `(N, 3)` in one call: [`Model::encode`], then [`Field::detect`]. With
+    /// [`Options::window_radius`] the cloud is detected in windows.
     ///
     /// ```
     /// use snake_core::{Builtin, Model, Options};
@@ -150,20 +151,21 @@ impl Model {
     /// ```
     ///
     /// # Errors
-    /// Those of [`Model::encode`] and [`Field::detect`].
+    /// The errors of [`Model::encode`] and [`Field::detect`].
     pub fn detect(&self, points: &[Point], options: &Options) -> Result<Detection> {
         self.detect_with(points, options, &Control::default())
     }
 
-    /// [`Model::detect`] under the caller's control.
+    /// [`Model::detect`] with progress, cancellation and limits.
     ///
     /// # Errors
-    /// Those of [`Model::detect`]; [`Error::Cancelled`] and [`Error::DeadlineExceeded`].
+    /// The errors of [`Model::detect`]; [`Error::Cancelled`], [`Error::DeadlineExceeded`] and [`Error::LimitExceeded`].
     pub fn detect_with(&self, points: &[Point], options: &Options, control: &Control) -> Result<Detection> {
         options.check(self.config())?;
         if let Some(radius) = options.window_radius {
             return detect_in_windows(&self.network, points, radius, options, control);
         }
+        control.get_limits().check_evaluations(&options.detect.evaluations(options.encode.rotations))?;
         let start = Instant::now();
         let field = self.encode_with(points, &options.encode, control)?;
         let encode = start.elapsed().as_secs_f64();
@@ -183,7 +185,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn every_embedded_model_is_read_and_recommends_what_it_was_trained_for() {
+    fn every_embedded_model_loads_with_its_recommended_options() {
         let [compact, standard, rooms] = Model::NAMES.map(|name| Model::named(name).unwrap());
         assert_eq!(compact.metadata(), standard.metadata());
         assert_eq!(*standard.recommended(), Preset::Standard.options());

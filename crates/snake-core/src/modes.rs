@@ -1,4 +1,4 @@
-//! Mode seeking: keypoints move to the places where salient candidates gather.
+//! Mode seeking: keypoints move to where salient candidates are densest.
 
 use rayon::prelude::*;
 
@@ -13,16 +13,16 @@ const STEPS: usize = 3;
 /// Weights are this power of the saliency: a candidate a tenth less salient weighs half as much.
 const POWER: i32 = 8;
 
-/// As many candidates are moved for each keypoint that is wanted: several of them end at the same mode. With few keypoints
-/// wanted as many as for 64, for the most salient candidates lie close together.
+/// Number of candidates that are moved per keypoint, because several of them end at the same mode. For fewer than 64
+/// keypoints the number is that of 64, because the most salient candidates lie close together.
 const STARTS: usize = 11;
 
-/// Candidates that are farther apart than half of `radius`, the most salient first, each moved to a mode: by mean
-/// shift (Comaniciu and Meer 2002), three times to the mean of the candidates within `radius`, weighted by the eighth power
-/// of their saliency. Returns the indices of the candidates and their new positions.
+/// Moves the most salient candidates, at least half of `radius` apart, to modes by mean shift (Comaniciu and Meer 2002):
+/// three times to the mean of the candidates within `radius`, weighted by the eighth power of their saliency. Returns the
+/// indices of these candidates and their new positions.
 ///
-/// The position of one most salient query is off by as much as its field errs; the mean over its surroundings is not.
-/// Modes may fall onto each other, so they are suppressed afterwards.
+/// A mean over a neighbourhood is more precise than the position of a single query. Modes can coincide, so they are
+/// suppressed afterwards.
 ///
 /// # Errors
 /// [`crate::Error::Input`] when a position is not finite.
@@ -45,7 +45,7 @@ pub(crate) fn seek_modes(
     Ok((starts, modes))
 }
 
-/// The mean of the candidates within `radius` of a place; the place itself if there is none.
+/// The mean of the candidates within `radius` of a position; the position itself if there is none.
 fn weighted_mean(tree: &KdTree<f32>, positions: &[Point], weights: &[f32], at: Point, radius: f32) -> Point {
     let mut near = Vec::new();
     tree.within(&at, radius * radius, |index, _| near.push(index));
@@ -63,7 +63,7 @@ fn weighted_mean(tree: &KdTree<f32>, positions: &[Point], weights: &[f32], at: P
 mod tests {
     use super::*;
 
-    /// Every candidate a start of its own and every sum over all of them.
+    /// The mean shift with sums over all candidates.
     fn plain(positions: &[Point], scores: &[f32], at: Point, radius: f32) -> Point {
         (0..3).fold(at, |at, _| {
             let weight = |p: &Point, s: f32| {
@@ -97,7 +97,7 @@ mod tests {
     }
 
     #[test]
-    fn a_bump_is_found_between_the_grid_points_that_it_was_asked_at() {
+    fn a_bump_is_found_between_grid_points() {
         let center = [0.031, -0.012, 0.007];
         let grid = |i: u32| (i as f32 - 8.0) * 0.03;
         let positions: Vec<Point> = (0..4096).map(|i| [grid(i % 16), grid(i / 16 % 16), grid(i / 256)]).collect();
@@ -108,7 +108,7 @@ mod tests {
     }
 
     #[test]
-    fn none_and_one_candidate_and_scores_of_zero() {
+    fn modes_of_no_candidates_one_candidate_and_scores_of_zero() {
         assert_eq!(seek_modes(&[], &[], 0.1, 9).unwrap(), (vec![], vec![]));
         assert_eq!(seek_modes(&[[1.0, 2.0, 3.0]], &[0.5], 0.1, 9).unwrap(), (vec![0], vec![[1.0, 2.0, 3.0]]));
         assert_eq!(seek_modes(&[[1.0, 2.0, 3.0]], &[0.0], 0.1, 9).unwrap(), (vec![0], vec![[1.0, 2.0, 3.0]]));

@@ -34,9 +34,9 @@ impl Neighbors {
         Ok(Self { points, tree: KdTree::new(&rows)? })
     }
 
-    /// Refuses a radius for which the search of all points' neighbours would take hours, as in a cloud that is almost
-    /// only one point repeated.
-    pub fn check_crowding(&self, name: &'static str, radius: f64) -> Result<()> {
+    /// Refuses a radius with so many neighbours that a search would take hours, as for a cloud that consists almost only
+    /// of one repeated point.
+    pub fn check_density(&self, name: &'static str, radius: f64) -> Result<()> {
         // All points of a cell are closer to each other than the radius.
         let cell = |point: &Vector| point.map(|v| ((v * 2.0 / radius).floor() + 0.0).to_bits());
         let mut cells: Vec<[u64; 3]> = self.points.iter().map(|point| cell(point).into()).collect();
@@ -47,7 +47,7 @@ impl Neighbors {
         }
         let (count, average) = (self.points.len(), pairs / self.points.len() as f64);
         let reason = format!(
-            "the {count} points have more than {average:.0} neighbours each, on average, within {name} = {radius:.3e}; thin the cloud or choose a smaller radius"
+            "the {count} points have more than {average:.0} neighbours each, on average, within {name} = {radius:.3e}; downsample the cloud or choose a smaller radius"
         );
         Err(Error::Input { what: "points", reason })
     }
@@ -158,16 +158,16 @@ mod tests {
     }
 
     #[test]
-    fn a_radius_that_holds_too_many_of_many_points_is_refused() {
+    fn a_radius_with_too_many_neighbours_is_refused() {
         let cloud = |repeated| [vec![Vector::new(0.5, -0.5, 1e-3); repeated], lattice()].concat();
-        Neighbors::new(cloud(100_001)).unwrap().check_crowding("radius", 0.5).unwrap_err();
-        Neighbors::new(cloud(99_990)).unwrap().check_crowding("radius", 0.5).unwrap();
+        Neighbors::new(cloud(100_001)).unwrap().check_density("radius", 0.5).unwrap_err();
+        Neighbors::new(cloud(99_990)).unwrap().check_density("radius", 0.5).unwrap();
         let spread = (0..200_000).map(|i| Vector::new(f64::from(i), 0.0, 0.0)).collect();
-        Neighbors::new(spread).unwrap().check_crowding("radius", 50.0).unwrap();
+        Neighbors::new(spread).unwrap().check_density("radius", 50.0).unwrap();
     }
 
     #[test]
-    fn one_point_repeated_can_be_asked() {
+    fn a_repeated_point_can_be_searched() {
         let neighbors = Neighbors::new(vec![Vector::zeros(); 1000]).unwrap();
         assert_eq!(neighbors.within(&Vector::zeros(), 1.0).len(), 1000);
         assert_eq!(neighbors.nearest(&Vector::zeros(), NonZeroUsize::MIN).len(), 1);

@@ -1,4 +1,4 @@
-//! A network's layers with what its weight file says of it: what models and fields share.
+//! A network: configuration, layers and metadata. Models and fields share it.
 
 use std::collections::BTreeMap;
 
@@ -22,7 +22,7 @@ pub(crate) struct Network {
 }
 
 impl Network {
-    /// A network from the bytes of a weight file, all of whose tensors it must use.
+    /// Loads a network from the bytes of a weight file. A tensor that the network does not use is an error.
     pub(crate) fn from_bytes(bytes: &[u8]) -> Result<Self> {
         let file = Weights::open(bytes)?;
         let config = ModelConfig::from_weights(&file)?;

@@ -1,4 +1,4 @@
-//! All options of encoding, detection and meshes, with their ranges.
+//! Options of encoding, detection and meshes, with their ranges.
 
 use std::borrow::Cow;
 
@@ -10,21 +10,21 @@ use crate::length::Length;
 use crate::points::{NormalizationMethod, Point};
 use crate::{Error, Result, budget, setters};
 
-/// How a cloud becomes a field.
+/// Options of [`Model::encode`](crate::Model::encode).
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 #[non_exhaustive]
 pub struct EncodeOptions {
-    /// How the cloud is brought into the network's frame; its statistics are those of all points.
+    /// How the cloud is mapped into the network's frame, from the statistics of all its points.
     pub normalization: NormalizationMethod,
-    /// Encode at most this many finite points, drawn at random without replacement; `None`: all of them.
+    /// Maximum number of finite points to encode, drawn at random without replacement. `None`: all of them.
     pub max_points: Option<usize>,
-    /// Seed of that draw.
+    /// Seed of the draw.
     pub seed: u64,
-    /// Encode this many copies of the cloud, each turned another way, and average their fields (as log-odds). The network
-    /// is only roughly equivariant, and its errors in the copies are nearly independent: keypoints repeat far better, at
-    /// as many times the cost. 1 to 64; above 1 only with [`NormalizationMethod::UnitSphere`], since a turned cube leaves
-    /// the volume.
+    /// Number of rotated copies of the cloud to encode, 1 to 64; their fields are averaged as log-odds. The network is
+    /// only roughly equivariant, and its errors in the copies are nearly independent. Keypoints therefore repeat far
+    /// better, and the cost grows with the number of copies. Above 1 only with [`NormalizationMethod::UnitSphere`],
+    /// because a rotated cube leaves the volume.
     pub rotations: usize,
 }
 
@@ -42,7 +42,7 @@ impl Default for EncodeOptions {
 }
 
 impl EncodeOptions {
-    /// Also whether a network's volumes leave room for so many copies.
+    /// Checks the ranges, and the memory of the feature volumes of a network.
     pub(crate) fn check(&self, config: &ModelConfig) -> Result<()> {
         let unit_sphere = self.normalization == NormalizationMethod::UnitSphere;
         if !(1..=64).contains(&self.rotations) || (self.rotations > 1 && !unit_sphere) {
@@ -69,27 +69,27 @@ impl EncodeOptions {
     }
 }
 
-/// How queries climb.
+/// The method that moves queries up the saliency field.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum RefineMethod {
-    /// Adam on one minus the mean saliency of all the cloud's queries: what the released code does. Its ε makes steps
-    /// on nearly flat ground depend a little on the number of queries.
+    /// Adam on one minus the mean saliency of all queries, as in the released code. Because of its ε, steps where the
+    /// saliency is nearly constant depend slightly on the number of queries.
     #[default]
     Adam,
-    /// Algorithm 1 as printed, with each query's own gradient (that of the mean would not move anything).
+    /// Algorithm 1 as printed, with each query's own gradient; the gradient of the mean would be far too small.
     GradientDescent,
 }
 
-/// Which position and score a refined query gets. A score is the saliency where the occupancy is above the surface
+/// The position and score of a refined query. A score is the saliency where the occupancy is above the surface
 /// threshold, else 0.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Selection {
-    /// The best score on the way, the position after the last step counted too, and the position that had it.
+    /// The best score of the trajectory, from the start to the position after the last step, and its position.
     #[default]
     BestPosition,
-    /// What the released code returns: the position after the last step, with the best score measured before any step.
+    /// As in the released code: the position after the last step, with the best score before each of the steps.
     ReferenceFinalPosition,
 }
 
@@ -98,36 +98,35 @@ pub enum Selection {
 #[serde(default, deny_unknown_fields)]
 #[non_exhaustive]
 pub struct DetectOptions {
-    /// Queries along each axis of the starting grid, which spans the network's cube ±0.5; 1 to 256, so that its cube times
+    /// Queries along each axis of the query grid over the network's cube ±0.5: 1 to 256. The number of queries times
     /// `refine_steps + 1` times [`EncodeOptions::rotations`] is at most 2^28.
     pub query_resolution: usize,
-    /// Queries more than this many voxels of the volume, along any axis, from every voxel with input points are dropped
-    /// unasked: far from the points there is hardly ever a surface, and there are many such queries. 0: all are asked.
+    /// Maximum distance of a query from a voxel with input points, in voxels along each axis. Farther queries are dropped
+    /// without evaluation: there are many of them, and hardly ever a surface. 0: all queries are evaluated.
     pub query_band: usize,
-    /// Queries whose occupancy is not above this are dropped before refinement (1 − thr_o).
+    /// Queries are refined if their occupancy is above this (1 − thr_o).
     pub occupancy_threshold: f32,
     /// Refinement steps (J).
     pub refine_steps: usize,
     /// Step size (λ), in network units.
     pub refine_step_size: f32,
-    /// How queries climb.
+    /// The method that moves queries up the saliency field.
     pub refine_method: RefineMethod,
-    /// Which position and score they get.
+    /// The position and score of a refined query.
     pub selection: Selection,
-    /// A position scores 0 unless its occupancy is above this; the released code's 0.8.
+    /// A position lies on the surface if its occupancy is above this. The default is the released code's.
     pub surface_threshold: f32,
     /// Keypoints have a score above this (thr_s).
     pub saliency_threshold: f32,
-    /// Before suppression, move keypoints to the weighted mean of the candidates within this radius: three steps of mean
-    /// shift. That is more precise than the best single query, which the errors of the field move. `None`: off, as in the
-    /// paper.
+    /// Radius of mode seeking: before suppression, three steps of mean shift move keypoints to the weighted mean of the
+    /// candidates within this radius, which is more precise than the best single query. `None`: off, as in the paper.
     pub mode_radius: Option<Length>,
-    /// Keypoints are farther apart than this; `None` turns suppression off. In JSON 0 is also `None`.
+    /// Minimum distance of keypoints. `None`: no suppression. In JSON 0 is also `None`.
     #[serde(deserialize_with = "none_if_zero")]
     pub nms_radius: Option<Length>,
-    /// At most this many keypoints, the best.
+    /// Maximum number of keypoints; the best are kept.
     pub max_keypoints: usize,
-    /// Move each keypoint to its nearest input point. Two may then fall on the same point, as in the paper.
+    /// Move each keypoint to its nearest input point. Several keypoints can then coincide, as in the paper.
     pub snap: bool,
 }
 
@@ -168,7 +167,7 @@ impl Default for DetectOptions {
 }
 
 impl DetectOptions {
-    /// Also whether there are too many queries and steps for fields of so many copies.
+    /// Checks the ranges, and the number of evaluations of a field with these rotations.
     pub(crate) fn check(&self, rotations: usize) -> Result<()> {
         let within = |name, value: f32, range: std::ops::RangeInclusive<f32>, allowed| {
             if range.contains(&value) { Ok(()) } else { Err(Error::Option { name, value: value.to_string(), allowed }) }
@@ -192,6 +191,12 @@ impl DetectOptions {
             }
         }
         budget::check_queries(self.query_resolution, self.refine_steps, rotations)
+    }
+
+    /// The factors of the number of evaluations of the decoders, at most, for a field of so many rotations.
+    pub(crate) fn evaluations(&self, rotations: usize) -> [usize; 5] {
+        let Self { query_resolution: queries, refine_steps, .. } = *self;
+        [queries, queries, queries, refine_steps.saturating_add(1), rotations]
     }
 
     /// The radii of suppression and of mode seeking in cloud units.
@@ -226,13 +231,13 @@ fn none_if_zero<'de, D: serde::Deserializer<'de>>(deserializer: D) -> std::resul
 #[serde(from = "OptionsFile")]
 #[non_exhaustive]
 pub struct Options {
-    /// How the cloud is encoded.
+    /// Options of encoding.
     pub encode: EncodeOptions,
-    /// How keypoints are found.
+    /// Options of detection.
     pub detect: DetectOptions,
-    /// The radius of the balls that cover the cloud, each of which is encoded by itself at the scale of its radius, so
-    /// that what is found at a place depends on its surroundings alone; the normalisation is not used. `None`: the whole
-    /// cloud is encoded at once, in which details of large clouds are lost.
+    /// Radius of the windows, overlapping balls that cover the cloud and are encoded one by one at the scale of the
+    /// radius. Keypoints then depend only on their surroundings, and the normalisation is not used. `None`: the whole
+    /// cloud is encoded at once, which loses details of large clouds.
     pub window_radius: Option<Length>,
 }
 
@@ -242,7 +247,7 @@ setters!(Options {
     window_radius: Option<Length> => with_window_radius,
 });
 
-/// [`Options`] as files hold them; those of 2025 have the radius in a group of its own.
+/// [`Options`] in files. Files of 2025 have the window radius in a group of its own.
 #[derive(Default, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 struct OptionsFile {
@@ -266,14 +271,14 @@ impl From<OptionsFile> for Options {
 }
 
 impl Options {
-    /// Refuses what is out of its range, and what would ask for too much of the machine with that network.
+    /// Refuses options out of their ranges, and options that need too much memory or time with this network.
     pub(crate) fn check(&self, config: &ModelConfig) -> Result<()> {
-        // A multiple has the range of a length; what it multiplies is known later.
+        // A multiple has the range of a length, because the resolution is not known yet.
         if let Some(length) = self.window_radius {
             check_radius(length.number(), || length.to_string())?;
         }
         let normalization = match self.window_radius {
-            // A ball can be turned as the sphere can.
+            // A ball can be rotated like the unit sphere.
             Some(_) => NormalizationMethod::UnitSphere,
             None => self.encode.normalization,
         };
@@ -296,8 +301,8 @@ pub enum Preset {
     Redwood,
     /// The paper's settings for 3DMatch.
     ThreeDMatch,
-    /// For [`Builtin::Compact`](crate::Builtin::Compact): four turned copies, whose keypoints repeat better and take
-    /// four times as long.
+    /// For [`Builtin::Compact`](crate::Builtin::Compact): four rotated copies. Keypoints repeat better, and detection
+    /// takes four times as long.
     Standard,
 }
 
@@ -306,7 +311,7 @@ impl Preset {
     pub const ALL: [Self; 6] =
         [Self::ModelNet40, Self::KeypointNet, Self::Smpl, Self::Redwood, Self::ThreeDMatch, Self::Standard];
 
-    /// Its name, as [`Preset::named`] takes it.
+    /// Its name for [`Preset::named`].
     pub fn name(self) -> &'static str {
         match self {
             Self::ModelNet40 => "modelnet40",
@@ -329,7 +334,7 @@ impl Preset {
         })
     }
 
-    /// Its options: those of the paper's appendix B, and of the released code where the paper is silent.
+    /// Its options, from appendix B of the paper, or from the released code if the paper does not give them.
     pub fn options(self) -> Options {
         let common = DetectOptions::default();
         let radius = |units| Some(Length::Units(units));
@@ -344,7 +349,7 @@ impl Preset {
             Self::ModelNet40 => common,
             Self::KeypointNet => DetectOptions { nms_radius: radius(0.1), ..common },
             Self::Smpl => DetectOptions { nms_radius: radius(0.1), snap: true, ..common },
-            // The released configuration's step; the paper's 1e-3 leads to other keypoints, of which none is the same.
+            // The step size of the released configuration. That of the paper, 1e-3, gives different keypoints.
             Self::Redwood => DetectOptions {
                 query_resolution: 100,
                 refine_step_size: 1e-4,
@@ -374,7 +379,7 @@ impl Preset {
     }
 }
 
-/// As of the extents of clouds: squared distances must neither vanish nor overflow in f32.
+/// Checks a window radius: as for the extents of clouds, squared distances must neither vanish nor overflow in f32.
 pub(crate) fn check_radius(radius: f64, shown: impl FnOnce() -> String) -> Result<()> {
     match (1e-15..=1e15).contains(&radius) {
         true => Ok(()),
@@ -390,12 +395,12 @@ pub(crate) fn check_radius(radius: f64, shown: impl FnOnce() -> String) -> Resul
 #[serde(default, deny_unknown_fields)]
 #[non_exhaustive]
 pub struct MeshOptions {
-    /// Samples of the occupancy along each axis of the feature volume's box, ends included: 8 to 512.
+    /// Samples of the occupancy along each axis of the feature volume, ends included: 8 to 512.
     pub resolution: usize,
-    /// The surface is where the occupancy has this value: 0.001 to 0.999; the default is the released code's.
+    /// Occupancy at the surface: 0.001 to 0.999. The default is the released code's.
     pub level: f32,
-    /// Keep only what can be reached from outside. A network of SNAKE sees surfaces as thin shells, with a second surface
-    /// within, which this removes unless the shell has a hole.
+    /// Keep only surfaces that can be reached from outside. SNAKE reconstructs thin shells with an outer and an inner
+    /// surface; this removes the inner one unless the shell has a hole.
     pub outer: bool,
 }
 
@@ -412,7 +417,7 @@ impl Default for MeshOptions {
 }
 
 impl MeshOptions {
-    /// Refuses what [`Field::mesh`](crate::Field::mesh) would refuse, before any work is done.
+    /// Refuses options that [`Field::mesh`](crate::Field::mesh) would refuse, before any work is done.
     ///
     /// # Errors
     /// [`Error::Option`] when an option is out of its range.

@@ -61,8 +61,7 @@ impl Normalization {
             .fold(0.0, f64::max);
         let (center, scale) = (mean.map(|v| v as f32), (2.0 * extent) as f32);
         if extent == 0.0 {
-            let reason =
-                format!("all points ({}) are at one place; a cloud needs at least two different ones", points.len());
+            let reason = format!("all {} points are equal; a cloud needs at least two different points", points.len());
             return Err(Error::Input { what: "points", reason });
         }
         if !(1e-15..=1e15).contains(&extent) {
@@ -83,7 +82,7 @@ impl Normalization {
 }
 
 fn outside(extent: f64) -> Error {
-    let reason = format!("extent {extent:.1e}, allowed is 1e-15 to 1e15; choose another unit or remove outliers");
+    let reason = format!("extent {extent:.1e}, allowed is 1e-15 to 1e15; use another unit or remove outliers");
     Error::Input { what: "points", reason }
 }
 

@@ -1,13 +1,13 @@
-//! How far a long call is.
+//! Progress of long calls.
 
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::{Duration, Instant};
 
-/// How far a long call is, for another thread to read while it runs.
+/// Progress of a long call, which another thread can read while the call runs.
 ///
-/// A call that is given one ([`Control::progress`](crate::Control::progress)) counts its stages there. Results do not
-/// depend on it. Of several calls that share one, it shows the stage that began last.
+/// A call reports its stages to it ([`Control::progress`](crate::Control::progress)). Results do not depend on it. If
+/// several calls share one, it shows the stage that began last.
 ///
 /// ```
 /// use snake_core::{Builtin, Control, Model, Progress};
@@ -32,11 +32,11 @@ pub struct Progress(Arc<Mutex<Option<Arc<Count>>>>);
 /// One stage of a long call.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Stage {
-    /// What is being done, in a word or two.
+    /// The name of the stage, in one to three words.
     pub name: &'static str,
-    /// How much of it is done: points, queries or other pieces that take about equally long.
+    /// Completed units of work: points, queries or others of similar duration.
     pub done: u64,
-    /// Of how much, at most; 0 if that is not known.
+    /// Maximum number of units of work; 0 if unknown.
     pub total: u64,
     /// Time since the stage began.
     pub elapsed: Duration,
@@ -59,13 +59,13 @@ impl Progress {
 }
 
 impl Stage {
-    /// The time that the rest of this stage takes if it goes on as it did; `None` as long as nothing says so.
+    /// The estimated time to the end of this stage; `None` before the first completed unit of work.
     pub fn remaining(&self) -> Option<Duration> {
         (self.done > 0).then(|| self.elapsed.mul_f64((self.total - self.done) as f64 / self.done as f64))
     }
 }
 
-/// How much of a stage is done.
+/// The counters of one stage.
 #[derive(Debug)]
 pub(crate) struct Count {
     name: &'static str,
@@ -136,7 +136,7 @@ mod tests {
     }
 
     #[test]
-    fn another_thread_sees_it_grow() {
+    fn another_thread_sees_progress_grow() {
         let (points, _) = cylinder();
         let progress = Progress::default();
         let (model, control) = (Model::builtin(Builtin::Compact), Control::new().progress(&progress));
@@ -158,7 +158,7 @@ mod tests {
     }
 
     #[test]
-    fn the_rest_takes_as_long_as_what_is_done() {
+    fn the_remaining_time_is_extrapolated() {
         let stage = |done, total| Stage { name: "", done, total, elapsed: Duration::from_secs(10) };
         assert_eq!(stage(25, 100).remaining(), Some(Duration::from_secs(30)));
         assert_eq!(stage(100, 100).remaining(), Some(Duration::ZERO));

@@ -1,4 +1,4 @@
-//! The starting queries: a regular grid over the network's cube, of which the occupied part is kept.
+//! The starting queries: the occupied part of a regular grid over the network's cube.
 
 use rayon::prelude::*;
 
@@ -9,16 +9,16 @@ use crate::nn::TILE;
 use crate::options::DetectOptions;
 use crate::points::Point;
 
-/// The starting queries of a detection, in the network's frame, plane by plane: there can be more than memory holds.
+/// The query grid of a detection in the network's frame. It is generated plane by plane to save memory.
 pub(crate) struct QueryGrid {
-    /// Along each axis the coordinates of the queries, each with what it adds to the index of the voxel.
+    /// The coordinates of the queries along each axis, each with its part of the flat voxel index.
     axes: [Vec<(f32, usize)>; 3],
-    /// For each voxel whether its queries are asked; `None` if all are.
+    /// Whether the queries of each voxel are evaluated; `None`: all are.
     band: Option<Vec<bool>>,
 }
 
 impl QueryGrid {
-    /// The grid over the cube ±0.5, in z over the volume's bounds.
+    /// The grid over the cube ±0.5, or over the volume's bounds along z.
     pub(crate) fn new(field: &Field, options: &DetectOptions) -> Self {
         let resolution = options.query_resolution;
         let frame = field.volume().frame();
@@ -50,8 +50,8 @@ impl QueryGrid {
     }
 }
 
-/// Coordinate `i` of `resolution` from `low` to `high`. It is counted from the nearer end, as torch.linspace does, so that
-/// the grid is symmetric to the last bit.
+/// Coordinate `i` of `resolution` coordinates from `low` to `high`. It is computed from the nearer end, as in
+/// torch.linspace, so the grid is exactly symmetric.
 fn coordinate(low: f32, high: f32, resolution: usize, i: usize) -> f32 {
     let step = (high - low) / resolution.saturating_sub(1).max(1) as f32;
     if i < resolution / 2 || resolution == 1 {
@@ -86,7 +86,7 @@ pub(crate) fn above_occupancy(
     Ok(planes.concat())
 }
 
-/// For each voxel of the volume, whether a voxel with input points is at most `reach` away along every axis.
+/// Whether each voxel has a voxel with input points within `reach` voxels along every axis.
 fn voxels_near_points(field: &Field, reach: usize) -> Vec<bool> {
     let frame = field.volume().frame();
     let mut near = vec![false; frame.resolution.iter().product()];

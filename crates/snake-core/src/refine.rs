@@ -14,14 +14,14 @@ use crate::points::Point;
 pub(crate) struct Refined {
     /// In the network's frame.
     pub(crate) position: Point,
-    /// Saliency, or 0 where that is not above the saliency threshold or the occupancy not above the surface threshold.
+    /// Saliency. It is 0 unless saliency and occupancy are above their thresholds.
     pub(crate) score: f32,
 }
 
 /// Moves each query by `refine_steps` steps and selects a position and a score for it.
 ///
-/// Queries do not influence each other except that Adam's gradient is that of the *mean* saliency, one over their
-/// number times each query's own; so each tile makes all its steps on one thread.
+/// Queries are independent, except that Adam's gradient is that of the *mean* saliency: each query's own gradient divided
+/// by their number. A tile therefore makes all its steps on one thread.
 pub(crate) fn refine(
     field: &Field,
     queries: &[Point],
@@ -34,8 +34,8 @@ pub(crate) fn refine(
     Ok(tiles.concat())
 }
 
-/// Where the queries of a tile were at one time, and their saliency there.
-struct Stop {
+/// Positions of a tile's queries after some steps, with their saliency.
+struct Step {
     positions: Vec<Point>,
     saliency: Vec<f32>,
 }
@@ -48,12 +48,12 @@ fn refine_tile(
     counter: &Counter,
 ) -> Result<Vec<Refined>> {
     let mut positions = queries.to_vec();
-    let mut way = Vec::with_capacity(options.refine_steps + 1);
+    let mut trajectory = Vec::with_capacity(options.refine_steps + 1);
     let mut adam = Adam::new(queries.len(), options.refine_step_size);
     for _ in 0..options.refine_steps {
         counter.check()?;
         let (saliency, gradient) = field.tile_values_and_gradients(Quantity::Saliency, &positions);
-        way.push(Stop { positions: positions.clone(), saliency });
+        trajectory.push(Step { positions: positions.clone(), saliency });
         match options.refine_method {
             RefineMethod::Adam => adam.step(&mut positions, &gradient, -1.0 / num_queries as f32),
             RefineMethod::GradientDescent => {
@@ -67,45 +67,45 @@ fn refine_tile(
     counter.check()?;
     let selected = match options.selection {
         Selection::ReferenceFinalPosition if options.refine_steps > 0 => {
-            let mut best = best_on_surface(field, &way, options);
+            let mut best = best_on_surface(field, &trajectory, options);
             best.iter_mut().zip(positions).for_each(|(best, position)| best.position = position);
             best
         }
         _ => {
             let saliency = field.tile_values(Quantity::Saliency, &positions);
-            way.push(Stop { positions, saliency });
-            best_on_surface(field, &way, options)
+            trajectory.push(Step { positions, saliency });
+            best_on_surface(field, &trajectory, options)
         }
     };
     counter.add(queries.len());
     Ok(selected)
 }
 
-/// For each query of a tile the stop of its way with the highest saliency among those on the surface, the first of them
-/// if there are several.
+/// For each query of a tile, the most salient position of its trajectory that lies on the surface; the first of several.
 ///
-/// The stops are asked for their occupancy from the most salient one on, until one lies on the surface or the saliency
-/// is too low for a keypoint: the same result as asking all of them, for most queries without any.
-fn best_on_surface(field: &Field, way: &[Stop], options: &DetectOptions) -> Vec<Refined> {
-    let mut best: Vec<Refined> = way[0].positions.iter().map(|&position| Refined { position, score: 0.0 }).collect();
-    // The queries without a result, each with its stops by falling saliency.
-    let mut open: Vec<(usize, Vec<&Stop>)> = (0..best.len())
+/// Occupancy is evaluated by falling saliency, until a position lies on the surface or its saliency is too low for a
+/// keypoint. The result is the same as with the occupancy of all positions, and most queries need none.
+fn best_on_surface(field: &Field, trajectory: &[Step], options: &DetectOptions) -> Vec<Refined> {
+    let mut best: Vec<Refined> =
+        trajectory[0].positions.iter().map(|&position| Refined { position, score: 0.0 }).collect();
+    // The queries without a result, each with its steps by falling saliency.
+    let mut open: Vec<(usize, Vec<&Step>)> = (0..best.len())
         .map(|query| {
-            let salient = |stop: &&Stop| stop.saliency[query] > options.saliency_threshold;
-            let mut stops: Vec<&Stop> = way.iter().filter(salient).collect();
-            stops.sort_by(|a, b| b.saliency[query].total_cmp(&a.saliency[query]));
-            (query, stops)
+            let salient = |step: &&Step| step.saliency[query] > options.saliency_threshold;
+            let mut steps: Vec<&Step> = trajectory.iter().filter(salient).collect();
+            steps.sort_by(|a, b| b.saliency[query].total_cmp(&a.saliency[query]));
+            (query, steps)
         })
         .collect();
-    for rank in 0..way.len() {
-        open.retain(|(_, stops)| rank < stops.len());
-        let positions: Vec<Point> = open.iter().map(|(query, stops)| stops[rank].positions[*query]).collect();
+    for rank in 0..trajectory.len() {
+        open.retain(|(_, steps)| rank < steps.len());
+        let positions: Vec<Point> = open.iter().map(|(query, steps)| steps[rank].positions[*query]).collect();
         let mut occupancy = field.tile_values(Quantity::Occupancy, &positions).into_iter();
-        open.retain(|(query, stops)| {
+        open.retain(|(query, steps)| {
             let on_surface = occupancy.next().is_some_and(|occupancy| occupancy > options.surface_threshold);
             if on_surface {
-                let stop = stops[rank];
-                best[*query] = Refined { position: stop.positions[*query], score: stop.saliency[*query] };
+                let step = steps[rank];
+                best[*query] = Refined { position: step.positions[*query], score: step.saliency[*query] };
             }
             !on_surface
         });
@@ -148,7 +148,7 @@ impl Adam {
 mod tests {
     use super::*;
 
-    /// Algorithm 1 as printed: every position is asked for its saliency and its occupancy.
+    /// Algorithm 1 as printed: saliency and occupancy of every position.
     fn textbook(field: &Field, queries: &[Point], options: &DetectOptions) -> Vec<Refined> {
         let mut best: Vec<Refined> = queries.iter().map(|&position| Refined { position, score: -1.0 }).collect();
         let mut positions = queries.to_vec();
@@ -171,7 +171,7 @@ mod tests {
     }
 
     #[test]
-    fn asking_only_where_it_decides_gives_the_textbooks_result() {
+    fn refinement_equals_algorithm_1() {
         let (points, field) = crate::detect::tests::cylinder();
         let queries: Vec<Point> = points[..TILE].iter().map(|p| p.map(|v| 0.45 * v)).collect();
         let mut outcomes = [0; 2];

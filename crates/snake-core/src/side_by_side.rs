@@ -1,4 +1,4 @@
-//! Independent pieces of work on all threads, each on one thread.
+//! Independent tasks in parallel, each on one thread.
 
 use std::panic::resume_unwind;
 use std::sync::atomic::{AtomicUsize, Ordering};
@@ -7,40 +7,40 @@ use rayon::{ThreadPool, ThreadPoolBuilder};
 
 use crate::Result;
 
-/// The results of `piece(0)` to `piece(number - 1)`, in order.
+/// The results of `task(0)` to `task(number - 1)`, in order.
 ///
-/// Each piece runs on one thread, and as many at a time as there are threads. That is faster than to share out each piece,
-/// which has steps that only one thread can do. Where there are too few pieces for all threads, they run one after the
-/// other, each on all threads.
+/// Each task runs on one thread, and as many tasks run at a time as there are threads. This is faster than parallel steps
+/// within each task, some of which are serial. With too few tasks for all threads, the tasks run one after the other,
+/// each on all threads.
 ///
 /// # Errors
-/// The error of the first piece that fails; later pieces may then not run.
-pub(crate) fn side_by_side<T: Send>(number: usize, piece: impl Fn(usize) -> Result<T> + Sync) -> Result<Vec<T>> {
+/// The error of the first task that fails; later tasks may then not run.
+pub(crate) fn side_by_side<T: Send>(number: usize, task: impl Fn(usize) -> Result<T> + Sync) -> Result<Vec<T>> {
     let threads = rayon::current_num_threads();
     let alone = || ThreadPoolBuilder::new().num_threads(1).build();
     let pools: Option<Vec<ThreadPool>> = match threads > 1 && number >= 2 * threads {
         true => (0..threads).map(|_| alone().ok()).collect(),
         false => None,
     };
-    let Some(pools) = pools else { return (0..number).map(piece).collect() };
+    let Some(pools) = pools else { return (0..number).map(task).collect() };
     let next = AtomicUsize::new(0);
-    let take_pieces = || {
+    let take_tasks = || {
         let mut results = Vec::new();
         loop {
             let index = next.fetch_add(1, Ordering::Relaxed);
             if index >= number {
                 return results;
             }
-            let result = piece(index);
+            let result = task(index);
             if result.is_err() {
-                // Pieces are begun in order: all before this one are done or being done.
+                // Tasks are begun in order, so all earlier ones are done or running.
                 next.store(number, Ordering::Relaxed);
             }
             results.push((index, result));
         }
     };
     let mut results = std::thread::scope(|scope| {
-        let running: Vec<_> = pools.iter().map(|pool| scope.spawn(|| pool.install(take_pieces))).collect();
+        let running: Vec<_> = pools.iter().map(|pool| scope.spawn(|| pool.install(take_tasks))).collect();
         let results = running.into_iter().flat_map(|thread| thread.join().unwrap_or_else(|panic| resume_unwind(panic)));
         results.collect::<Vec<_>>()
     });
@@ -64,31 +64,31 @@ mod tests {
                 let squares = on_threads(threads, || side_by_side(number, |index| Ok(index * index)));
                 assert_eq!(squares.unwrap(), (0..number).map(|index| index * index).collect::<Vec<_>>());
                 let odd = |index: usize| match index {
-                    7.. if index % 2 == 1 => Err(Error::Input { what: "piece", reason: index.to_string() }),
+                    7.. if index % 2 == 1 => Err(Error::Input { what: "task", reason: index.to_string() }),
                     _ => Ok(index),
                 };
                 let error = on_threads(threads, || side_by_side(number, odd)).err().map(|error| error.to_string());
-                assert_eq!(error, (number > 7).then(|| "piece: 7".into()), "{threads} {number}");
+                assert_eq!(error, (number > 7).then(|| "task: 7".into()), "{threads} {number}");
             }
         }
     }
 
     #[test]
-    fn many_pieces_have_a_thread_each_and_few_have_all() {
+    fn many_tasks_have_one_thread_each_and_few_have_all() {
         let threads = |number| on_threads(4, || side_by_side(number, |_| Ok(rayon::current_num_threads())).unwrap());
         assert_eq!((threads(8), threads(7)), (vec![1; 8], vec![4; 7]));
     }
 
     #[test]
-    fn never_more_pieces_run_than_there_are_threads() {
+    fn at_most_as_many_tasks_run_as_threads() {
         let (running, most) = (AtomicUsize::new(0), AtomicUsize::new(0));
-        let piece = |_| {
+        let task = |_| {
             most.fetch_max(running.fetch_add(1, Ordering::SeqCst) + 1, Ordering::SeqCst);
             std::thread::sleep(std::time::Duration::from_millis(1));
             running.fetch_sub(1, Ordering::SeqCst);
             Ok(())
         };
-        on_threads(3, || side_by_side(60, piece)).unwrap();
+        on_threads(3, || side_by_side(60, task)).unwrap();
         assert_eq!(most.into_inner(), 3);
     }
 }

@@ -1,4 +1,4 @@
-//! A lattice of cells over a large cloud: where its windows are, and which points each of them sees.
+//! A lattice of cells over a large cloud, which gives the centres of its windows and the points in each window.
 
 use std::collections::{BTreeMap, HashSet};
 
@@ -7,18 +7,18 @@ use crate::points::Point;
 /// Side of the cells, in units of a window's radius: every query lies well inside its window.
 const SPACING: f32 = 0.8;
 
-/// Cells around the one of a window's centre that its ball may reach into, along each axis: 1 / 0.8 rounded up.
+/// Number of cells that a window can reach beyond the cell of its centre, along each axis: 1 / 0.8 rounded up.
 const REACH: i128 = 2;
 
 type Cell = [i128; 3];
 
-/// The points of a cloud by cells, four bytes for each, and a window for each cell.
+/// The points of a cloud grouped by cells, in four bytes per point. Each cell has a window.
 pub(crate) struct WindowCells<'a> {
     points: &'a [Point],
     radius: f32,
-    /// The cells with points, ascending.
+    /// The occupied cells, ascending.
     cells: Vec<Cell>,
-    /// Where the members of each cell start, and the end.
+    /// The start of each cell in `members`, and the end.
     starts: Vec<usize>,
     /// Indices of points, cell by cell, ascending within a cell.
     members: Vec<u32>,
@@ -27,7 +27,7 @@ pub(crate) struct WindowCells<'a> {
 }
 
 impl<'a> WindowCells<'a> {
-    /// Finite points, at most [`u32::MAX`], for windows of `radius`.
+    /// Groups finite points, at most [`u32::MAX`], for windows of `radius`.
     pub(crate) fn new(points: &'a [Point], radius: f32) -> Self {
         let mut sums: BTreeMap<Cell, ([f64; 3], usize)> = BTreeMap::new();
         for point in points {
@@ -60,7 +60,7 @@ impl<'a> WindowCells<'a> {
         let mut inside: Vec<u32> = Vec::new();
         for x in x - REACH..=x + REACH {
             for y in y - REACH..=y + REACH {
-                // The cells of a column are next to each other.
+                // The cells of a column are contiguous.
                 let [first, end] = [z - REACH, z + REACH + 1].map(|z| self.cells.partition_point(|c| *c < [x, y, z]));
                 let members = &self.members[self.starts[first]..self.starts[end]];
                 inside.extend(members.iter().filter(|&&index| self.is_inside(&center, index)));
@@ -100,7 +100,7 @@ mod tests {
     }
 
     #[test]
-    fn windows_see_what_a_look_at_every_point_finds() {
+    fn the_points_of_a_window_are_those_within_its_radius() {
         for (offset, radius) in [(0.0, 0.3), (-7.3, 0.05), (1e5, 0.4), (0.0, 100.0), (2.0, 1e-9)] {
             let points = points(offset);
             let cells = WindowCells::new(&points, radius);

@@ -18,13 +18,13 @@ use crate::side_by_side::side_by_side;
 use crate::window_cells::{WindowCells, has_more_windows};
 use crate::{Error, Result};
 
-/// Every cloud may have so many windows, however few its points.
+/// Number of windows that every cloud may have, even with few points.
 const FEW_WINDOWS: usize = 64;
 
-/// Detects keypoints in windows of `radius`: each window keeps the queries closest to its own centre, and the best of all
-/// windows together are suppressed as in [`Field::detect`].
+/// Detects keypoints in windows of `radius`. Each window keeps the queries closest to its own centre. The candidates of
+/// all windows are suppressed together, as in [`Field::detect`].
 ///
-/// Windows are encoded side by side: there are never more volumes than threads.
+/// Windows are encoded in parallel, each on one thread, so there are at most as many volumes as threads.
 pub(crate) fn detect_in_windows(
     network: &Arc<Network>,
     points: &[Point],
@@ -33,6 +33,9 @@ pub(crate) fn detect_in_windows(
     control: &Control,
 ) -> Result<Detection> {
     let Options { encode, detect: options, .. } = options;
+    let limits = control.get_limits();
+    limits.check_points(points.len())?;
+    limits.check_volumes(&network.config, encode.rotations)?;
     let finite = FinitePoints::of("points", points)?;
     let radius = radius.in_units("window_radius", &finite.points)?;
     check_radius(radius, || format!("{radius:e}"))?;
@@ -42,24 +45,26 @@ pub(crate) fn detect_in_windows(
     check_number_of_points(encoded.len())?;
     check_number_of_windows(&encoded, radius)?;
     let cells = WindowCells::new(&encoded, radius);
+    let of_one_window = options.evaluations(encode.rotations);
+    limits.check_evaluations(&[&of_one_window[..], &[cells.centers.len()]].concat())?;
     let nearest_center = KdTree::new(&cells.centers)?;
     let snap = options.snap.then(|| KdTree::new(&finite.points)).transpose()?;
     let counter = control.begin("windows", cells.centers.len());
     let of_window = control.without_progress();
-    let look = |window: usize| -> Result<(Candidates, Vec<f32>)> {
+    let detect_in = |window: usize| -> Result<(Candidates, Vec<f32>)> {
         let start = Instant::now();
-        let seen = cells.points_of(window);
-        // Where coordinates are coarser than the radius, a rounded centre may see no point.
-        if seen.is_empty() {
+        let inside = cells.points_of(window);
+        // A rounded centre may have no point within the radius if coordinates are coarser than the radius.
+        if inside.is_empty() {
             return Ok(Default::default());
         }
         let normalization = Normalization { center: cells.centers[window], scale: 2.0 * radius };
-        let field = Field::normalized(network.clone(), seen, normalization, encode.rotations, &of_window)?;
+        let field = Field::normalized(network.clone(), inside, normalization, encode.rotations, &of_window)?;
         let seconds = start.elapsed().as_secs_f64();
         let owns = |position: &Point| nearest_center.nearest(position, NonZeroUsize::MIN)[0].0 == window;
         let mut found = Candidates::of(&field, options, owns, &of_window)?;
         found.timing.encode = seconds;
-        // Only this window's field knows the occupancy where its keypoints will be.
+        // The occupancy at a keypoint is that of the window that keeps it.
         let occupancy = match &snap {
             Some(tree) => {
                 let nearest = |position: &Point| finite.points[tree.nearest(position, NonZeroUsize::MIN)[0].0];
@@ -72,7 +77,7 @@ pub(crate) fn detect_in_windows(
     };
     let start = Instant::now();
     let (mut candidates, mut occupancy) = (Candidates::default(), Vec::new());
-    for (of_window, occupancy_of_window) in side_by_side(cells.centers.len(), look)? {
+    for (of_window, occupancy_of_window) in side_by_side(cells.centers.len(), detect_in)? {
         candidates.append(of_window);
         occupancy.extend(occupancy_of_window);
     }
@@ -85,8 +90,8 @@ pub(crate) fn detect_in_windows(
     Ok(detection)
 }
 
-/// Refuses more than one window for two points: each is encoded by itself, which takes hours for a large cloud and
-/// shows each window next to nothing. Refuses also extents whose squares vanish or overflow.
+/// Refuses more windows than half the points: they would take hours for a large cloud, with almost no points each. Also
+/// refuses extents whose squares vanish or overflow.
 fn check_number_of_windows(points: &[Point], radius: f32) -> Result<()> {
     let extent = Normalization::of(points, NormalizationMethod::UnitSphere)?.scale;
     let most = FEW_WINDOWS.max(points.len() / 2);
@@ -95,21 +100,21 @@ fn check_number_of_windows(points: &[Point], radius: f32) -> Result<()> {
     }
     let suggested = larger_radius(points, radius, extent);
     let reason = format!(
-        "radius {radius} gives more than {most} windows for {} points, which is too many; {suggested} would suit them \
+        "radius {radius} gives more than {most} windows for {} points, which is too many; {suggested} would be suitable \
          (--window-radius)",
         points.len()
     );
     Err(Error::Input { what: "window_radius", reason })
 }
 
-/// A radius, with one digit, of windows with 16 points each on average, or of a single one.
+/// The radius, to one digit, of windows with 16 points on average, or of a single window.
 fn larger_radius(points: &[Point], radius: f32, extent: f32) -> f64 {
     let mut suggested = extent;
     while suggested / 2.0 > radius && !has_more_windows(points, suggested / 2.0, points.len() / 16) {
         suggested /= 2.0;
     }
     let digit = 10_f64.powf(f64::from(suggested).log10().floor());
-    // Through text: a product with a power of ten has more digits.
+    // The conversion goes through text, because a product with a power of ten has more digits.
     let rounded = (f64::from(suggested) / digit).ceil() * digit;
     format!("{rounded:.0e}").parse().unwrap_or(rounded)
 }
@@ -141,7 +146,7 @@ mod tests {
     }
 
     #[test]
-    fn one_window_that_holds_the_cloud_is_its_field() {
+    fn one_window_around_the_cloud_equals_its_field() {
         let points: Vec<Point> = plate().into_iter().skip(9600).take(800).collect();
         let model = Model::builtin(Builtin::Compact);
         for snap in [false, true] {
@@ -188,7 +193,7 @@ mod tests {
     }
 
     #[test]
-    fn more_windows_than_half_the_points_are_refused_with_a_radius_that_suits_them() {
+    fn more_windows_than_half_the_points_are_refused_with_a_suitable_radius() {
         let model = Model::builtin(Builtin::Compact);
         let points = plate();
         for radius in [1e-15, 1e-9, 0.03] {
@@ -200,9 +205,9 @@ mod tests {
         }
     }
 
-    /// What the whole cloud's windows find at a place, a cloud that ends a window further on finds too.
+    /// A cloud that ends one window farther has the same keypoints.
     #[test]
-    fn what_is_found_depends_on_the_surroundings_alone() {
+    fn keypoints_depend_only_on_their_surroundings() {
         let model = Model::builtin(Builtin::Compact);
         let points = plate();
         // Cells of 0.8 along x: windows with centers below 2.4 see nothing beyond 3.4.

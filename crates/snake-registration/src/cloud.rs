@@ -42,7 +42,7 @@ pub fn estimate_normals(points: &[Point], radius: f64) -> Result<Vec<Point>> {
     check_points("points", points)?;
     check_radius("radius", radius)?;
     let cloud = Neighbors::new(points.iter().copied().map(vector).collect())?;
-    cloud.check_crowding("radius", radius)?;
+    cloud.check_density("radius", radius)?;
     Ok(normals(&cloud, radius, &Control::default())?
         .into_iter()
         .map(|normal| normal.map(|v| v as f32).into())

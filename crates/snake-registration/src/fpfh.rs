@@ -38,7 +38,7 @@ pub fn fpfh(points: &[Point], normals: &[Point], radius: f64) -> Result<Vec<f32>
     }
     check_radius("radius", radius)?;
     let cloud = Neighbors::new(points.iter().copied().map(vector).collect())?;
-    cloud.check_crowding("radius", radius)?;
+    cloud.check_density("radius", radius)?;
     let normals: Vec<Vector> = normals.iter().copied().map(vector).collect();
     descriptors(&cloud, &normals, radius, &Control::default())
 }

@@ -97,8 +97,8 @@ impl Scan {
         let [voxel_size, normal_radius, feature_radius] = lengths;
         // This refuses extents that no model accepts, even where no model runs.
         Normalization::of(points, NORMALIZATION)?;
-        voxels.check_crowding("normal_radius", normal_radius)?;
-        voxels.check_crowding("feature_radius", feature_radius)?;
+        voxels.check_density("normal_radius", normal_radius)?;
+        voxels.check_density("feature_radius", feature_radius)?;
         let normals = normals(&voxels, normal_radius, control)?;
         Ok(Self {
             voxels,

@@ -88,8 +88,11 @@ impl Encoder {
         let slots = self.pointnet.voxel_sums(groups, point, scatter::slots_width(channels), spread, counter)?;
         let mut values = self.unet.pool.take(size.iter().product::<usize>() * channels);
         values.par_chunks_mut(size[1] * size[2] * channels).for_each(|plane| plane.fill(0.0));
+        counter.check()?;
         let touched = scatter::gather(&self.frame, groups, &slots, &mut values);
+        counter.check()?;
         let sums = channel_sums(&values, channels);
+        counter.check()?;
         Ok(Tensor { size, channels, values, sums, constant: Some(ConstantRegion::around(size, touched.into_iter())) })
     }
 }

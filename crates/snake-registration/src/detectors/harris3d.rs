@@ -56,7 +56,7 @@ fn find(points: &[Point], options: &Harris3dOptions) -> Result<Vec<Response>> {
     }
     let cloud = index_cloud(points)?;
     let radius = options.radius.resolve("radius", || cloud.resolution())?;
-    cloud.check_crowding("radius", radius)?;
+    cloud.check_density("radius", radius)?;
     let neighbors = |point: &Vector| cloud.within(point, radius);
     let normals: Vec<Option<Vector>> = cloud.points.par_iter().map(|point| cloud.normal(&neighbors(point))).collect();
     let response = |point| {

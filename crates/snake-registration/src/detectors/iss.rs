@@ -85,8 +85,8 @@ fn find(points: &[Point], options: &IssOptions) -> Result<Vec<Response>> {
     let cloud = index_cloud(points)?;
     let salient_radius = options.salient_radius.resolve("salient_radius", || cloud.resolution())?;
     let non_max_radius = options.non_max_radius.resolve("non_max_radius", || cloud.resolution())?;
-    cloud.check_crowding("salient_radius", salient_radius)?;
-    cloud.check_crowding("non_max_radius", non_max_radius)?;
+    cloud.check_density("salient_radius", salient_radius)?;
+    cloud.check_density("non_max_radius", non_max_radius)?;
     let saliency = |point| {
         let neighbors = cloud.within(point, salient_radius);
         if neighbors.len() < options.min_neighbors {

@@ -114,7 +114,7 @@ fn find(points: &[Point], options: &Sift3dOptions) -> Result<Vec<Response>> {
 fn values(cloud: &Neighbors, field: SiftField) -> Result<Vec<f64>> {
     let SiftField::Curvature(radius) = field else { return Ok(cloud.points.iter().map(|p| p.y).collect()) };
     let radius = radius.resolve("curvature_radius", || cloud.resolution())?;
-    cloud.check_crowding("curvature_radius", radius)?;
+    cloud.check_density("curvature_radius", radius)?;
     let variation = |point| {
         let (eigenvalues, _) = eigen(cloud.covariance(&cloud.within(point, radius)));
         let sum: f64 = eigenvalues.iter().sum();
