@@ -38,7 +38,7 @@ test: module  ## all tests: Rust, Python module, training, parity with PyTorch
 	cargo test --release
 	OMP_NUM_THREADS=1 $(PYTHON) -m pytest -q -rs tests training/tests
 
-check: module $(VENV)/check-ready  ## formatting, lints, type stubs, documentation, packages
+check: module $(VENV)/check-ready wheel-test  ## formatting, lints, type stubs, documentation, packages, the wheel
 	cargo fmt --check
 	cargo clippy --release --workspace --all-targets
 	RUSTDOCFLAGS="-D warnings" cargo doc --release --workspace --no-deps
@@ -59,6 +59,16 @@ results:  ## docs/results.md: make results OBJECTS=FOLDER SCENES="FOLDER .." (or
 
 wheel: $(VENV)/ready  ## a wheel of the Python module in target/wheels
 	$(VENV)/bin/maturin build --release --manifest-path python/Cargo.toml
+
+# PATH has no cargo, and pip may take only wheels: nothing can be compiled.
+WITHOUT_RUST := env PATH=$(CURDIR)/target/wheel-test/bin:/usr/bin:/bin
+.PHONY: wheel-test
+wheel-test: wheel  # installs the wheel in a new environment without Rust, and detects keypoints there
+	rm -rf target/wheel-test && $(PYTHON) -m venv target/wheel-test
+	$(WITHOUT_RUST) python -m pip install --quiet --only-binary :all: \
+		"$$(ls -t target/wheels/snake_rs-*-cp310-abi3-*.whl | head -n 1)"
+	cd target && $(WITHOUT_RUST) python -c "import numpy, snake_rs; \
+		print(snake_rs.detect(numpy.random.default_rng(0).normal(size=(2000, 3))))"
 
 fuzz: SECONDS ?= 600
 fuzz:  ## search for bytes that break a reader, ten minutes for each: make fuzz SECONDS=60; needs cargo install cargo-fuzz
