@@ -59,7 +59,7 @@ impl InputArguments {
             let (name, vertices) = (path.display(), cloud.points.len());
             WARNED.call_once(|| {
                 terminal::warn(&format!(
-                    "{name} is a mesh of {unsampled_faces} faces: its {vertices} vertices are taken; \
+                    "{name} is a mesh of {unsampled_faces} faces: its {vertices} vertices are used; \
                      --sample N draws N points from the surface"
                 ));
             });
@@ -74,7 +74,7 @@ impl InputArguments {
             let mut bytes = Vec::new();
             std::io::stdin().lock().read_to_end(&mut bytes).context("cannot read the standard input")?;
             let Some(format) = self.input_format.or_else(|| PointFormat::from_content(&bytes)) else {
-                bail!("standard input: nothing in it says what format it is; give --input-format");
+                bail!("standard input: its content shows no known format; give --input-format");
             };
             return io::parse_contents(&bytes, format, &options).context("standard input");
         }
@@ -96,8 +96,8 @@ pub fn output_origin(path: &Path, adds_origin: bool, origin: [f64; 3]) -> [f64; 
     }
     let [x, y, z] = origin;
     terminal::warn(&format!(
-        "{}: its format has no room for coordinates that far from zero: they are relative to the origin {x} {y} {z}, \
-         which is to be added; other formats hold them whole",
+        "{}: the coordinates are relative to the origin {x} {y} {z}, because this format holds about seven digits; add the \
+         origin to them, or write another format",
         path.display()
     ));
     origin
@@ -106,7 +106,7 @@ pub fn output_origin(path: &Path, adds_origin: bool, origin: [f64; 3]) -> [f64; 
 /// Refuses to read the standard input twice.
 pub fn check_inputs<'a>(inputs: impl IntoIterator<Item = &'a PathBuf>) -> Result<()> {
     if inputs.into_iter().filter(|input| **input == Path::new(DASH)).count() > 1 {
-        bail!("the standard input can be only one of the inputs");
+        bail!("the standard input `-` can be given only once");
     }
     Ok(())
 }
@@ -134,11 +134,11 @@ fn matching(input: &Path) -> Result<Vec<PathBuf>> {
     let Some(pattern) = input.to_str().filter(|text| text.contains(['*', '?', '[']) && !input.exists()) else {
         return Ok(vec![input.into()]);
     };
-    let paths = glob::glob(pattern).with_context(|| format!("{pattern}: not a pattern of file names"))?;
+    let paths = glob::glob(pattern).with_context(|| format!("{pattern}: not a valid pattern"))?;
     let paths: Result<Vec<PathBuf>, _> = paths.collect();
     let paths = paths.with_context(|| format!("{pattern}: cannot list"))?;
     if paths.is_empty() {
-        bail!("{pattern}: no file has such a name");
+        bail!("{pattern}: no file matches this pattern");
     }
     Ok(paths)
 }
@@ -185,7 +185,7 @@ mod tests {
         // A file name may have brackets, and a missing file is left to the reader.
         assert_eq!(files(&["odd[1].ply", "none.ply"]).unwrap(), ["odd[1].ply", "none.ply"]);
         let refused = |pattern| files(&[pattern]).unwrap_err().to_string();
-        assert!(refused("*.xyz").ends_with("no file has such a name"));
-        assert!(refused("[").contains("not a pattern"));
+        assert!(refused("*.xyz").ends_with("no file matches this pattern"));
+        assert!(refused("[").contains("not a valid pattern"));
     }
 }

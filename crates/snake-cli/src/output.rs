@@ -22,7 +22,7 @@ impl InputFiles {
     /// Returns an error if the output is one of these files.
     pub fn refuse_as_output(&self, output: &Path) -> Result<()> {
         if output != Path::new(DASH) && identity(output).is_some_and(|output| self.0.contains(&output)) {
-            bail!("{}: is an input, which would be lost; give another name to write to", output.display());
+            bail!("{}: is an input, which this output would overwrite; give another name", output.display());
         }
         Ok(())
     }
@@ -87,7 +87,7 @@ pub fn in_folder(folder: &Path, inputs: &[PathBuf], extension: &str, number: boo
             None => Ok(path(&stem)),
             Some(_) if number => Ok(path(&numbered(&stem))),
             Some(other) => bail!(
-                "{} and {}: both results would be {}; give --number-results, or run them into different directories",
+                "{} and {} would both write {}; give --number-results or different output directories",
                 input.display(),
                 other.display(),
                 path(&stem).display()

@@ -43,7 +43,10 @@ impl ComputeArguments {
         let wanted = std::env::var("SNAKE_SIMD").unwrap_or_default();
         if !wanted.is_empty() && wanted != simd {
             let names: Vec<&str> = SimdLevel::available().into_iter().map(SimdLevel::name).collect();
-            terminal::warn(&format!("SNAKE_SIMD is {wanted}, not {}; {simd} is used", names.join(" or ")));
+            terminal::warn(&format!(
+                "SNAKE_SIMD is {wanted}: allowed is {}; {simd} is used instead",
+                names.join(" or ")
+            ));
         }
         terminal::detail("threads", || format!("{}, SIMD {simd}", rayon::current_num_threads()));
         Ok(())

@@ -106,7 +106,7 @@ fn outputs(arguments: &DetectArguments, inputs: &[PathBuf]) -> Result<Vec<Result
         return Ok(vec![Ok(Some(output.clone()))]);
     }
     if output == Path::new(DASH) {
-        bail!("the standard output takes the keypoints of one input; give a directory for several");
+        bail!("the standard output can hold the keypoints of one input only; for several inputs give a directory");
     }
     let extension = arguments.format.unwrap_or(KeypointFormat::Ply).extension();
     std::fs::create_dir_all(output).with_context(|| format!("cannot make the directory {}", output.display()))?;
@@ -218,7 +218,7 @@ fn table(
         write!(first, " ({} encoded)", detection.num_encoded)?;
     }
     if counts.windows > 1 {
-        write!(first, " through {} windows", counts.windows)?;
+        write!(first, " with {} windows", counts.windows)?;
     }
     report.line(format!("{first} in {total:.3} s"));
     let (queries, occupied, above) = (counts.queries, counts.occupied, counts.above_threshold);

@@ -35,20 +35,20 @@ impl<Row: Serialize + DeserializeOwned> Record<Row> {
         let path = output.join(format!("{metric}.jsonl"));
         let header = format!("{}\n", json!({ "settings": settings }));
         if path.exists() && !path.is_file() {
-            bail!("{} is no file; give another --output", path.display());
+            bail!("{} is not a file; give another --output", path.display());
         }
         let text = if path.exists() { std::fs::read_to_string(&path) } else { Ok(String::new()) };
         let text = text.with_context(|| format!("cannot read {}", path.display()))?;
         // An interrupted run may leave an incomplete last line.
         let whole = &text[..text.rfind('\n').map_or(0, |end| end + 1)];
         if !whole.is_empty() && !whole.starts_with(&header) {
-            bail!("{} is of a run with other settings; delete it or give another --output", path.display());
+            bail!("{} was written with other settings; delete it or give another --output", path.display());
         }
         let lines = whole.get(header.len()..).unwrap_or_default().lines();
         let pairs: Result<Vec<Pair<Row>>, _> = lines.map(serde_json::from_str).collect();
         let pairs = pairs.with_context(|| format!("{} is damaged; delete it", path.display()))?;
         if pairs.len() > num_tasks {
-            bail!("{} has more pairs than the data; delete it or give another --output", path.display());
+            bail!("{} has more pairs than the data set; delete it or give another --output", path.display());
         }
         let mut record = Self { file: None, pairs };
         let open = || -> std::io::Result<File> {
@@ -117,7 +117,7 @@ mod tests {
         let pairs = record.pairs().to_vec();
         drop(record);
         assert_eq!(open(&settings, 3).unwrap().pairs(), pairs);
-        assert!(open(&other, 3).err().unwrap().to_string().contains("other settings"));
+        assert!(open(&other, 3).err().unwrap().to_string().contains("with other settings"));
         assert!(open(&settings, 1).err().unwrap().to_string().contains("more pairs"));
         // A file that is cut anywhere keeps its complete lines and can be continued.
         let path = folder.path().join("metric.jsonl");

@@ -71,6 +71,6 @@ fn slice(text: &str) -> Result<Slice, String> {
     match text.parse() {
         _ if text == "middle" => Ok(Slice::Middle),
         Ok(position) if f64::is_finite(position) => Ok(Slice::At(position)),
-        _ => Err("needed is a number, or `middle`".into()),
+        _ => Err("expected a number or `middle`".into()),
     }
 }

@@ -23,7 +23,7 @@ pub fn run(arguments: &FieldArguments) -> Result<()> {
     let one_quantity = match (extension.as_str(), &quantity[..]) {
         ("png", _) => None,
         ("npy", &[quantity]) => Some(quantity),
-        ("npy", _) => bail!("{}: a volume has one --quantity", output.display()),
+        ("npy", _) => bail!("{}: a volume holds exactly one --quantity", output.display()),
         _ => bail!("{}: unknown extension; files that can be written: .png, .npy", output.display()),
     };
     let progress = Progress::default();
@@ -140,7 +140,12 @@ fn position(slice: Slice, axis: usize, [low, high]: [f64; 2]) -> Result<f64> {
         Slice::Middle => Ok(f64::midpoint(low, high)),
         Slice::At(position) if (low..=high).contains(&position) => Ok(position),
         Slice::At(position) => {
-            bail!("--slice {position}: the field reaches from {} to {} along {}", short(low), short(high), NAMES[axis])
+            bail!(
+                "--slice is {position}: the field extends from {} to {} along {}",
+                short(low),
+                short(high),
+                NAMES[axis]
+            )
         }
     }
 }

@@ -36,7 +36,7 @@ pub fn run(arguments: &ViewArguments) -> Result<()> {
         bail!("{}: unknown extension; files that can be written: .html", output.display());
     }
     if second.is_none() && (epsilon.is_some() || transform.is_some()) {
-        bail!("--epsilon and --transform are for two clouds");
+        bail!("--epsilon and --transform need two clouds");
     }
     check_inputs([input].into_iter().chain(second))?;
     let inputs = [input].into_iter().chain(second).chain(transform).chain(&arguments.compute.model);

@@ -170,7 +170,7 @@ fn detection_in_windows_reports_their_number() {
     assert_eq!(report["keypoints"].as_array().unwrap().len() as u64, report["counts"]["keypoints"]);
     assert!(report["counts"]["keypoints"].as_u64().unwrap() > 10);
     let table = String::from_utf8(snake(&options).stdout).unwrap();
-    assert!(table.contains(&format!("from 4096 points through {windows} windows in ")), "{table}");
+    assert!(table.contains(&format!("from 4096 points with {windows} windows in ")), "{table}");
     for wrong in ["0", "1e-60", "1e60", "0r"] {
         let refused = snake(&["detect", &sample(), "--window-radius", wrong]);
         assert_eq!(refused.status.code(), Some(2));

@@ -112,7 +112,7 @@ fn an_interrupted_evaluation_continues() {
     let refused = |extra: &[&str]| {
         let folder = results.path().join("whole").display().to_string();
         let output = eval_scenes(data.path(), &[&detectors, &["-o", &folder], extra].concat());
-        assert!(stderr(&output).contains("is of a run with other settings"), "{extra:?}: {}", stderr(&output));
+        assert!(stderr(&output).contains("was written with other settings"), "{extra:?}: {}", stderr(&output));
     };
     for extra in [["--seed", "1"], ["--limit", "2"], ["--descriptors", "fpfh"]] {
         refused(&extra);
@@ -183,7 +183,7 @@ fn invalid_options_and_scenes_are_refused() {
     let (log, info) = (std::fs::read_to_string(truth.join("gt.log")).unwrap(), truth.join("gt.info"));
     let whole = std::fs::read_to_string(&info).unwrap();
     std::fs::write(&info, whole.lines().take(7).collect::<Vec<_>>().join("\n")).unwrap();
-    refused(data.path(), &[], "nothing on the pair 1 3 of gt.log");
+    refused(data.path(), &[], "no entry for the pair 1 3 of gt.log");
     std::fs::write(&info, whole.lines().take(9).collect::<Vec<_>>().join("\n")).unwrap();
     refused(data.path(), &[], "gt.info: ends within an entry");
     std::fs::remove_file(&info).unwrap();

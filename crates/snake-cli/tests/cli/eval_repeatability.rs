@@ -73,7 +73,7 @@ fn an_interrupted_evaluation_continues() {
 
     let refused = eval(data.path(), &["--seed", "1", "-o", &results.path().join("whole").display().to_string()]);
     assert_eq!(refused.status.code(), Some(2));
-    assert!(stderr(&refused).contains("is of a run with other settings"), "{}", stderr(&refused));
+    assert!(stderr(&refused).contains("was written with other settings"), "{}", stderr(&refused));
 }
 
 #[test]
@@ -142,7 +142,7 @@ fn two_clouds_and_a_transform_are_a_pair() {
     }
     assert!(stderr(&run("nowhere.json")).contains("nowhere.json: "));
     let one = snake(&["eval", "repeatability", &source, "--transform", &path("t.json")]);
-    assert!(stderr(&one).contains("--transform is for two clouds"), "{}", stderr(&one));
+    assert!(stderr(&one).contains("--transform needs two clouds"), "{}", stderr(&one));
 }
 
 /// The points of the sample in a frame of their own: turned by a quarter about z, moved by (3, 0, -1), with the 3x4
@@ -206,8 +206,11 @@ fn invalid_options_and_data_sets_are_refused() {
     let data = corpus(1, 100);
     for (extra, message) in [
         (&["--methods", "iss,orb"][..], "allowed is iss, harris3d, sift3d, fps or random"),
-        (&["--epsilon", "0.1,0.2", "--table-epsilon", "0.3"], "--table-epsilon 0.3 is none of --epsilon"),
-        (&["--noise", "nan"], "--noise NaN: must be 0 or more"),
+        (
+            &["--epsilon", "0.1,0.2", "--table-epsilon", "0.3"],
+            "--table-epsilon is 0.3: allowed are the values of --epsilon",
+        ),
+        (&["--noise", "nan"], "--noise is NaN: allowed is 0 or more"),
         (&["--downsample", "0"], "must be 1 or more"),
         (&["--limit", "0"], "--limit must be 1 or more"),
         (&["--count", "0"], "--count must be 1 or more"),

@@ -151,12 +151,12 @@ fn body_models_are_posed_and_sampled() {
     let fps = equal.lines().find(|line| line.starts_with("fps")).unwrap();
     assert!(equal.contains("mIoU over 2 pairs") && fps.contains("1.000 ±0.000"), "{equal}");
     write_npy(&folder.path().join("beta_test_100.npy"), &[2, 2, 9], &[0.2; 36]);
-    assert!(stderr(&run(folder.path(), &[])).contains("needed are 10 numbers"));
+    assert!(stderr(&run(folder.path(), &[])).contains("expected 10 numbers"));
 
     for (pickle, message) in [
-        (&b"cos\nsystem\n(S'false'\ntR."[..], "model.pkl: byte 0: `os.system` is none of the classes of body models"),
-        (b"}.", "model.pkl: no body model: it has no `v_template`"),
-        (b"\x80\x02}U\nv_templateK\x01s.", "`v_template` is no array"),
+        (&b"cos\nsystem\n(S'false'\ntR."[..], "model.pkl: byte 0: `os.system` is not a class of body models"),
+        (b"}.", "model.pkl: not a body model: `v_template` is missing"),
+        (b"\x80\x02}U\nv_templateK\x01s.", "`v_template` is not an array"),
         (b"\x80\x02}q\x00", "cut short"),
     ] {
         std::fs::write(folder.path().join("model.pkl"), pickle).unwrap();

@@ -89,7 +89,7 @@ impl Scenes {
             let not_rigid = |reason| Error::layout(&truth.join("gt.log"), format!("pair {target} {source}: {reason}"));
             let t_target_source = RigidTransform::from_matrix(rows).map_err(not_rigid)?;
             let Some((_, information)) = information.iter().find(|(same, _)| *same == fragments) else {
-                let reason = format!("nothing on the pair {target} {source} of gt.log");
+                let reason = format!("no entry for the pair {target} {source} of gt.log");
                 return Err(Error::layout(&truth.join("gt.info"), reason));
             };
             let mut cloud = |i| Ok::<_, Error>(self.cloud(find_cloud(&folder.join(format!("cloud_bin_{i}")))?));
@@ -151,7 +151,7 @@ fn entries<const N: usize>(path: &Path) -> Result<Vec<Entry<N>>> {
             return Err(Error::layout(path, "ends within an entry"));
         }
         let number = entries.len();
-        let wrong = |word: &str| Error::layout(path, format!("entry {number}: `{word:.20}` is wrong"));
+        let wrong = |word: &str| Error::layout(path, format!("entry {number}: `{word:.20}` is not a valid number"));
         let mut fragments = [0; 2];
         for (fragment, word) in fragments.iter_mut().zip(entry) {
             *fragment = word.parse().map_err(|_| wrong(word))?;
@@ -208,8 +208,8 @@ mod tests {
         assert!(read("").unwrap().is_empty());
         for (text, message) in [
             ("0 2 9\n 0.5\n1 3 9", "ends within an entry"),
-            ("0 2 9 0.5 -1 3 9 1", "entry 1: `-1` is wrong"),
-            ("0 2 9 x", "entry 0: `x` is wrong"),
+            ("0 2 9 0.5 -1 3 9 1", "entry 1: `-1` is not a valid number"),
+            ("0 2 9 x", "entry 0: `x` is not a valid number"),
         ] {
             assert!(read(text).unwrap_err().to_string().ends_with(message), "{text}");
         }

@@ -71,7 +71,7 @@ impl BodyModel {
         let found = [&template, &shape, &pose, &weights, &regressor, &tree, &faces];
         for ((name, array), expected) in NAMES.iter().zip(found).zip(&expected) {
             if &array.shape != expected {
-                return Err(format!("`{name}` has the shape {:?}, expected is {expected:?}", array.shape));
+                return Err(format!("`{name}` has the shape {:?}, expected {expected:?}", array.shape));
             }
             // The root has no parent, so its number is arbitrary.
             if *name != "kintree_table" && !array.items.iter().all(|item| item.is_finite()) {
@@ -82,7 +82,7 @@ impl BodyModel {
             let index = number as usize;
             (index as f64 == number && index < num_vertices)
                 .then_some(index)
-                .ok_or("`f` names vertices that are not there")
+                .ok_or("`f` has vertex indices out of range")
         };
         let face = |face: &[f64; 3]| Ok([vertex(face[0])?, vertex(face[1])?, vertex(face[2])?]);
         Ok(Self {
@@ -163,7 +163,7 @@ impl BodyModel {
 fn pickled(bytes: &[u8]) -> std::result::Result<Vec<Array>, String> {
     let pickle = Pickle::parse(bytes)?;
     let array = |name: &str| {
-        let node = pickle.get(pickle.root(), name).ok_or_else(|| format!("no body model: it has no `{name}`"))?;
+        let node = pickle.get(pickle.root(), name).ok_or_else(|| format!("not a body model: `{name}` is missing"))?;
         pickled_arrays::array(&pickle, node).map_err(|reason| format!("`{name}` {reason}"))
     };
     NAMES.iter().map(|name| array(name)).collect()
@@ -291,10 +291,10 @@ mod tests {
             let reason = BodyModel::new(arrays).err().unwrap();
             assert!(reason.contains(message), "{reason}");
         };
-        refused(&|arrays| arrays[2].shape = vec![3, 9, 3], "`posedirs` has the shape [3, 9, 3], expected is [3, 3, 9]");
+        refused(&|arrays| arrays[2].shape = vec![3, 9, 3], "`posedirs` has the shape [3, 9, 3], expected [3, 3, 9]");
         refused(&|arrays| arrays[0].items[4] = f64::NAN, "`v_template` has numbers that are not finite");
-        refused(&|arrays| arrays[6].items[1] = 3.0, "`f` names vertices that are not there");
-        refused(&|arrays| arrays[6].items[1] = -1.0, "`f` names vertices that are not there");
+        refused(&|arrays| arrays[6].items[1] = 3.0, "`f` has vertex indices out of range");
+        refused(&|arrays| arrays[6].items[1] = -1.0, "`f` has vertex indices out of range");
         refused(&|arrays| arrays[5].items[1] = 8.0, "joint 1 has no parent before it");
         refused(&|arrays| arrays[5] = array(&[2, 0], &[]), "no vertices, joints or faces");
         refused(&|arrays| arrays[4].shape.reverse(), "`J_regressor`");

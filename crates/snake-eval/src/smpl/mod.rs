@@ -128,7 +128,7 @@ fn parameters(model: &BodyModel, poses: &PathBuf, betas: &PathBuf) -> Result<[Ar
         let of_pairs = array.shape.starts_with(&[pairs, 2]) && array.items.len() == pairs * 2 * count;
         if pairs == 0 || !of_pairs || !array.items.iter().all(|item| item.is_finite()) {
             let shape = &array.shape;
-            let reason = format!("shape {shape:?}; needed are {count} numbers for each of two bodies of each pair");
+            let reason = format!("shape {shape:?}; expected {count} numbers for each of two bodies of each pair");
             return Err(Error::layout(path, reason));
         }
     }

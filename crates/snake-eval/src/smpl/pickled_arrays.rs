@@ -17,7 +17,7 @@ pub fn array(pickle: &Pickle, node: &Node) -> Result<Array, String> {
 }
 
 fn nested(pickle: &Pickle, node: &Node, depth: usize) -> Result<Array, String> {
-    let Node::Object { class, arguments, state } = *node else { return Err("is no array".into()) };
+    let Node::Object { class, arguments, state } = *node else { return Err("is not an array".into()) };
     if depth == MAX_DEPTH {
         return Err(format!("holds arrays more than {MAX_DEPTH} deep"));
     }
@@ -42,7 +42,7 @@ fn nested(pickle: &Pickle, node: &Node, depth: usize) -> Result<Array, String> {
             dense(&part("data")?, &part("indices")?, &part("indptr")?, &lengths(pickle, shape)?)
         }
         _ if class.ends_with("multiarray._reconstruct") => plain(pickle, state),
-        _ => Err(format!("is a {class}, which is no array")),
+        _ => Err(format!("is a {class}, not an array")),
     }
 }
 
@@ -85,11 +85,11 @@ fn bytes<'a>(pickle: &'a Pickle, node: &'a Node) -> Result<Cow<'a, [u8]>, String
         Node::Object { class, arguments, .. } if pickle.name(*class) == "_codecs.encode" => {
             let text = pickle.items(pickle.node(*arguments)).next();
             let text = text.and_then(|node| if let Node::Bytes(text) = node { Some(text) } else { None });
-            let text = text.and_then(|text| std::str::from_utf8(text).ok()).ok_or("has bytes that are no text")?;
+            let text = text.and_then(|text| std::str::from_utf8(text).ok()).ok_or("has bytes that are not text")?;
             let latin_1 = text.chars().map(|char| u8::try_from(char).ok()).collect::<Option<Vec<u8>>>();
-            Ok(Cow::Owned(latin_1.ok_or("has bytes that are no Latin-1")?))
+            Ok(Cow::Owned(latin_1.ok_or("has bytes that are not Latin-1 text")?))
         }
-        _ => Err("has no bytes".into()),
+        _ => Err("is not made of bytes".into()),
     }
 }
 
@@ -97,14 +97,14 @@ fn bytes<'a>(pickle: &'a Pickle, node: &'a Node) -> Result<Cow<'a, [u8]>, String
 fn lengths(pickle: &Pickle, shape: &Node) -> Result<Vec<usize>, String> {
     let length = |node: &Node| if let Node::Int(length) = node { usize::try_from(*length).ok() } else { None };
     let lengths: Option<Vec<usize>> = pickle.items(shape).map(length).collect();
-    lengths.ok_or_else(|| "has a shape that is none".into())
+    lengths.ok_or_else(|| "has an invalid shape".into())
 }
 
 /// The items of an array at the given indices, in another shape.
 fn select(array: &Array, indices: &Array, shape: Vec<usize>) -> Result<Array, String> {
     let item = |number: &f64| index(*number, array.items.len()).map(|index| array.items[index]);
     let items = indices.items.iter().map(item).collect::<Option<Vec<f64>>>();
-    let items = items.ok_or("selects items that are not there")?;
+    let items = items.ok_or("selects items out of range")?;
     if shape.iter().try_fold(1_usize, |product, &length| product.checked_mul(length)) != Some(items.len()) {
         return Err("selects more or fewer items than its shape has".into());
     }
@@ -116,7 +116,7 @@ fn dense(data: &Array, rows: &Array, starts: &Array, shape: &[usize]) -> Result<
     let &[num_rows, num_columns] = shape else { return Err("is a sparse matrix without two axes".into()) };
     let length = num_rows.checked_mul(num_columns).filter(|length| *length <= MAX_ITEMS);
     let length = length.ok_or_else(|| format!("is a sparse matrix of {num_rows} by {num_columns}"))?;
-    let damaged = || "is a sparse matrix whose entries do not fit it".to_owned();
+    let damaged = || "is a sparse matrix with entries out of range".to_owned();
     if starts.items.len() != num_columns + 1 || rows.items.len() != data.items.len() {
         return Err(damaged());
     }

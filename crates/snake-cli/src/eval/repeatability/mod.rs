@@ -63,7 +63,7 @@ fn open(arguments: &RepeatabilityArguments) -> Result<ViewPairs> {
 
 fn open_pair(inputs: &[PathBuf], transform: &Path) -> Result<ViewPairs> {
     let [source, target] = inputs else {
-        bail!("--transform is for two clouds, SOURCE and TARGET; for more give a folder with pairs.json");
+        bail!("--transform needs two clouds, SOURCE and TARGET; for several pairs give a folder with pairs.json");
     };
     let t_target_source = io::read_transform(transform).context("--transform")?;
     Ok(ViewPairs::from_pair(source, target, t_target_source))
@@ -110,10 +110,10 @@ impl Plan {
             None => epsilon[0],
         };
         if !epsilon.contains(&table_epsilon) {
-            bail!("--table-epsilon {table_epsilon} is none of --epsilon");
+            bail!("--table-epsilon is {table_epsilon}: allowed are the values of --epsilon");
         }
         if let Some(bad) = noise.iter().find(|sigma| !(0.0..=1e30).contains(*sigma)) {
-            bail!("--noise {bad}: must be 0 or more");
+            bail!("--noise is {bad}: allowed is 0 or more");
         }
         if arguments.downsample.contains(&0) || num_points == 0 {
             bail!("--downsample and --num-points must be 1 or more");

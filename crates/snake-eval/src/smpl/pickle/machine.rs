@@ -76,7 +76,7 @@ impl<'a> Machine<'a> {
                 self.collection(opcode)?;
             }
             b'c' | b'\x93' | b'R' | b'\x81' | b'b' => self.object(opcode)?,
-            _ => return Err(format!("opcode 0x{opcode:02x} is not one that body models need")),
+            _ => return Err(format!("opcode 0x{opcode:02x} is not supported")),
         }
         Ok(None)
     }
@@ -84,7 +84,7 @@ impl<'a> Machine<'a> {
     fn protocol(&mut self) -> Step<()> {
         match self.scanner.take(1)?[0] {
             0..=5 => Ok(()),
-            newer => Err(format!("protocol {newer}; up to 5 can be read")),
+            newer => Err(format!("protocol {newer} is not supported; supported are 0 to 5")),
         }
     }
 
@@ -97,7 +97,7 @@ impl<'a> Machine<'a> {
             _ => self.memo.len() as u64,
         };
         if matches!(opcode, b'g' | b'h' | b'j') {
-            let known = *self.memo.get(&key).ok_or_else(|| format!("nothing is kept as number {key}"))?;
+            let known = *self.memo.get(&key).ok_or_else(|| format!("the memo has no entry {key}"))?;
             return self.push(known);
         }
         let top = *self.stack.last().ok_or(EMPTY)?;
@@ -134,7 +134,7 @@ impl<'a> Machine<'a> {
                 let items = if opcode == b'a' { vec![self.pop()?] } else { self.pop_mark()? };
                 match self.top()? {
                     Node::List(list) => list.extend(items),
-                    _ => return Err("something is appended to what is no list".into()),
+                    _ => return Err("only a list can be extended".into()),
                 }
                 Ok(())
             }
@@ -143,7 +143,7 @@ impl<'a> Machine<'a> {
                 let items = if opcode == b's' { vec![(items[1], items[0])] } else { pairs(&items)? };
                 match self.top()? {
                     Node::Dict(dict) => dict.extend(items),
-                    _ => return Err("an item is set in what is no dictionary".into()),
+                    _ => return Err("only a dictionary can have items set".into()),
                 }
                 Ok(())
             }
@@ -169,14 +169,14 @@ impl<'a> Machine<'a> {
                 let state = self.pop()?;
                 match self.top()? {
                     Node::Object { state: of_object, .. } => *of_object = Some(state),
-                    _ => return Err("a state is given to what is no object".into()),
+                    _ => return Err("only an object can have a state".into()),
                 }
                 Ok(())
             }
             _ => {
                 let (arguments, class) = (self.pop()?, self.pop()?);
                 let (Node::Global(name), Node::Tuple(items)) = (&self.nodes[class], &self.nodes[arguments]) else {
-                    return Err("only known classes and functions can be called".into());
+                    return Err("only known classes and functions can make objects".into());
                 };
                 // Protocols 0 and 1 make objects with a function of the arguments (class, object, None).
                 let class = match name.ends_with("._reconstructor") {
@@ -191,7 +191,7 @@ impl<'a> Machine<'a> {
     fn global(&mut self, module: &[u8], name: &[u8]) -> Step<()> {
         let [module, name] = [module, name].map(String::from_utf8_lossy);
         if !is_known(&module, &name) {
-            return Err(format!("`{module:.80}.{name:.80}` is none of the classes of body models"));
+            return Err(format!("`{module:.80}.{name:.80}` is not a class of body models"));
         }
         self.add(Node::Global(format!("{module:.80}.{name:.80}")))
     }

@@ -93,7 +93,7 @@ impl<'a> Scanner<'a> {
 
 fn parsed<T: std::str::FromStr>(text: &[u8], what: &str) -> Step<T> {
     let text = String::from_utf8_lossy(text);
-    text.parse().map_err(|_| format!("`{text:.20}` is no {what}"))
+    text.parse().map_err(|_| format!("`{text:.20}` is not a {what}"))
 }
 
 /// A number in two's complement.

@@ -76,7 +76,7 @@ fn hostile_pickles_are_refused() {
         let reason = Pickle::parse(text).unwrap_err();
         assert!(reason.contains(message), "{reason}");
     };
-    refused(b"cos\nsystem\n(S'true'\ntR.", "byte 0: `os.system` is none of the classes");
+    refused(b"cos\nsystem\n(S'true'\ntR.", "byte 0: `os.system` is not a class");
     refused(b"\x80\x04\x8c\x08builtins\x8c\x04eval\x93.", "`builtins.eval`");
     refused(b"cnumpy\nload\n.", "`numpy.load`");
     // chumpyx is not a module of chumpy.
@@ -85,11 +85,11 @@ fn hostile_pickles_are_refused() {
     refused(b"(i__main__\nA\n.", "opcode 0x69");
     refused(b"P1\n.", "opcode 0x50");
     refused(b"\x80\x09.", "protocol 9");
-    refused(b"h\x07.", "nothing is kept as number 7");
+    refused(b"h\x07.", "no entry 7");
     refused(b"K\x01a.", "a value is missing");
-    refused(b"K\x01K\x02a.", "no list");
+    refused(b"K\x01K\x02a.", "only a list");
     refused(b"}(K\x01u.", "a key without a value");
-    refused(b"}K\x01b.", "no object");
+    refused(b"}K\x01b.", "only an object");
     // Opcodes cannot take values from below the mark.
     refused(b"K\x01(0.", "a value is missing");
     refused(b"K\x01K\x02(\x86.", "a value is missing");
