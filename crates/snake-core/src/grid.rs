@@ -19,8 +19,7 @@ pub struct Grid {
 impl Grid {
     /// The coordinate of an index along an axis: `low + index * (high - low) / (resolution - 1)`.
     pub fn coordinate(&self, axis: usize, index: usize) -> f32 {
-        let share = index as f32 / (self.resolution - 1) as f32;
-        self.low[axis] * (1.0 - share) + self.high[axis] * share
+        coordinate(self.low[axis], self.high[axis], self.resolution, index)
     }
 
     /// The two axes of a plane perpendicular to `axis` (0 to 2), ascending.
@@ -49,6 +48,12 @@ impl Grid {
         }
         queries
     }
+}
+
+/// Coordinate `index` of `resolution` evenly spaced coordinates from `low` to `high`, both ends included.
+pub(crate) fn coordinate(low: f32, high: f32, resolution: usize, index: usize) -> f32 {
+    let share = index as f32 / (resolution - 1) as f32;
+    low * (1.0 - share) + high * share
 }
 
 impl Field {

@@ -74,7 +74,7 @@ fn check(name: &'static str, given: Length, length: f64) -> Result<f64> {
     if (1e-150..1e150).contains(&length) {
         return Ok(length);
     }
-    let allowed = "a positive length in cloud units, or a positive multiple of the cloud's resolution such as `6r`, if that is not 0";
+    let allowed = "a positive length in cloud units, or a positive multiple of the cloud's resolution such as `6r`; that resolution must not be 0";
     Err(Error::Option { name, value: given.to_string(), allowed })
 }
 

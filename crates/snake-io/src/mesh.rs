@@ -1,11 +1,17 @@
 //! Writes triangle meshes as PLY, OBJ and STL.
 
 use std::io::{self, Write};
+use std::path::Path;
 
+use super::format::{extension, unknown_extension};
 use super::table::Kind;
 use super::write::axes;
+use super::{Error, Result, write_atomically};
 use snake_core::Mesh;
 use snake_core::add_origin;
+
+/// The extensions that [`write_mesh`] accepts.
+pub const MESH_EXTENSIONS: &[&str] = &["ply", "obj", "stl"];
 
 /// Writes binary little-endian PLY: vertices `x y z` (eight bytes each with an origin) and `float nx ny nz`, and faces
 /// as lists of three `int`.
@@ -63,6 +69,38 @@ pub(super) fn write_stl(out: &mut dyn Write, mesh: &Mesh, _origin: [f64; 3]) -> 
 
 fn write_floats(out: &mut dyn Write, values: &[f32; 3]) -> io::Result<()> {
     values.iter().try_for_each(|value| out.write_all(&value.to_le_bytes()))
+}
+
+type MeshWriter = fn(&mut dyn Write, &Mesh, [f64; 3]) -> io::Result<()>;
+
+/// Writes a mesh and adds the origin to its vertices if [`adds_origin`](crate::adds_origin).
+///
+/// `ply` and `obj` hold vertices, normals and triangles; `stl` holds triangles alone. The file is written whole or not
+/// at all, as by [`write_keypoints`](crate::write_keypoints).
+///
+/// # Errors
+/// [`Error::Format`] when the extension is not among [`MESH_EXTENSIONS`]; [`Error::Io`] when the file cannot be
+/// written.
+pub fn write_mesh(path: &Path, mesh: &Mesh, origin: [f64; 3]) -> Result<()> {
+    let write = mesh_writer(path)?;
+    write_atomically(path, |file| write(file, mesh, origin)).map_err(|source| Error::Io { path: path.into(), source })
+}
+
+/// Refuses a path whose extension [`write_mesh`] would refuse, so that a caller can check it before any work is done.
+///
+/// # Errors
+/// [`Error::Format`] when the extension is not among [`MESH_EXTENSIONS`].
+pub fn check_mesh_path(path: &Path) -> Result<()> {
+    mesh_writer(path).map(drop)
+}
+
+fn mesh_writer(path: &Path) -> Result<MeshWriter> {
+    Ok(match extension(path).as_str() {
+        "ply" => write_ply,
+        "obj" => write_obj,
+        "stl" => write_stl,
+        _ => return Err(unknown_extension(path, "written", MESH_EXTENSIONS)),
+    })
 }
 
 #[cfg(test)]

@@ -21,7 +21,7 @@ pub(super) fn positions<'a>(
 ) -> Result<impl Iterator<Item = Position> + Clone + use<'a>, String> {
     let (array, data) = open(bytes)?;
     if array.clouds.is_some() {
-        return Err("an array of shape (S, N, C) is several clouds; needed is (N, 3) or more columns".into());
+        return Err("an array of shape (S, N, C) is several clouds; expected (N, 3) or more columns".into());
     }
     let indices = columns.map_or(Ok([0, 1, 2]), Columns::of_array)?;
     if let Some(missing) = indices.iter().find(|&&index| index >= array.columns) {
@@ -45,7 +45,7 @@ pub(super) fn is_cloud(bytes: &[u8]) -> bool {
 /// Reads clouds from an array `(S, N, C)`, `C >= 3`, in C order.
 pub(super) fn read_clouds(bytes: &[u8]) -> Result<Vec<Vec<Point>>, String> {
     let (array, data) = open(bytes)?;
-    let clouds = array.clouds.filter(|_| !array.fortran_order).ok_or("needed is (S, N, 3) in C order")?;
+    let clouds = array.clouds.filter(|_| !array.fortran_order).ok_or("expected (S, N, 3) in C order")?;
     // Without points there are no items whose bytes would limit the number of clouds.
     if array.rows == 0 {
         return Err("clouds without points".into());
@@ -59,7 +59,7 @@ pub(super) fn read_clouds(bytes: &[u8]) -> Result<Vec<Vec<Point>>, String> {
 pub(super) fn read_transforms(bytes: &[u8]) -> Result<Vec<RigidTransform>, String> {
     let (array, data) = open(bytes)?;
     let plain = matches!((array.rows, array.columns), (3 | 4, 4)) && !array.fortran_order;
-    let transforms = array.clouds.filter(|_| plain).ok_or("needed is (S, 3, 4) or (S, 4, 4) in C order")?;
+    let transforms = array.clouds.filter(|_| plain).ok_or("expected (S, 3, 4) or (S, 4, 4) in C order")?;
     let row = |data: &[u8], row: usize| match row < array.rows {
         true => std::array::from_fn(|column| array.item(data, row, column)),
         false => [0.0, 0.0, 0.0, 1.0],
@@ -166,7 +166,7 @@ impl ArrayHeader {
         let dtype = Dtype::parse(&descr)
             .ok_or_else(|| format!("items of type `{}`; floats and integers can be read", excerpt(&descr, 20)))?;
         let (clouds, rows, columns) = parse_shape(&shape)
-            .ok_or_else(|| format!("shape ({}); needed is (N, 3) or more columns", excerpt(&shape, 40)))?;
+            .ok_or_else(|| format!("shape ({}); expected (N, 3) or more columns", excerpt(&shape, 40)))?;
         Ok(Self { dtype, fortran_order, clouds, rows, columns })
     }
 

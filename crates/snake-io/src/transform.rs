@@ -1,8 +1,16 @@
-//! Reads one rigid transform in the formats of a registration.
+//! Reads rigid transforms, and writes registrations.
 
-use serde::Deserialize;
+use std::io::Write;
+use std::path::Path;
 
+use serde::{Deserialize, Serialize};
+
+use super::format::{extension, unknown_extension};
+use super::{Error, Result, npy, text, write_atomically};
 use snake_core::RigidTransform;
+
+/// The extensions that [`write_registration`] accepts.
+pub const REGISTRATION_EXTENSIONS: &[&str] = &["json", "txt"];
 
 #[derive(Deserialize)]
 #[serde(untagged)]
@@ -12,7 +20,7 @@ enum Written {
 }
 
 /// Reads the four rows of the matrix, alone or under the key `t_target_source` of an object.
-pub(super) fn read_json(bytes: &[u8]) -> Result<RigidTransform, String> {
+pub(super) fn read_json(bytes: &[u8]) -> std::result::Result<RigidTransform, String> {
     match serde_json::from_slice(bytes) {
         Ok(Written::Registration { t_target_source: rows } | Written::Rows(rows)) => checked(rows),
         Err(_) => Err("expected {\"t_target_source\": [[..4], ..4]}, or the rows alone".into()),
@@ -20,7 +28,7 @@ pub(super) fn read_json(bytes: &[u8]) -> Result<RigidTransform, String> {
 }
 
 /// Reads four rows of four numbers.
-pub(super) fn read_text(bytes: &[u8]) -> Result<RigidTransform, String> {
+pub(super) fn read_text(bytes: &[u8]) -> std::result::Result<RigidTransform, String> {
     let numbers = |row: &str| -> Option<[f64; 4]> {
         let numbers: Option<Vec<f64>> = row.split_whitespace().map(|number| number.parse().ok()).collect();
         numbers?.try_into().ok()
@@ -31,8 +39,65 @@ pub(super) fn read_text(bytes: &[u8]) -> Result<RigidTransform, String> {
 }
 
 /// The transform of these rows.
-pub(super) fn checked(rows: [[f64; 4]; 4]) -> Result<RigidTransform, String> {
+pub(super) fn checked(rows: [[f64; 4]; 4]) -> std::result::Result<RigidTransform, String> {
     RigidTransform::from_matrix(rows).map_err(|error| error.to_string())
+}
+
+/// Reads rigid transforms from an `.npy` array `(S, 3, 4)` or `(S, 4, 4)` of floats or integers. A missing fourth row
+/// is 0 0 0 1.
+///
+/// # Errors
+/// [`Error::Io`] when the file cannot be read; [`Error::Format`] when it does not hold such an array.
+pub fn read_transforms(path: &Path) -> Result<Vec<RigidTransform>> {
+    let bytes = std::fs::read(path).map_err(|source| Error::Io { path: path.into(), source })?;
+    npy::read_transforms(&bytes).map_err(|reason| Error::Format { path: path.into(), reason })
+}
+
+/// Reads a rigid transform.
+///
+/// A `json` file holds an object with the key `t_target_source`, as [`write_registration`] writes it, or the four rows
+/// alone. A `txt` file holds four rows of four numbers.
+///
+/// # Errors
+/// [`Error::Io`] when the file cannot be read; [`Error::Format`] when the extension is not among
+/// [`REGISTRATION_EXTENSIONS`] or the content is not a rigid transform.
+pub fn read_transform(path: &Path) -> Result<RigidTransform> {
+    let read = match extension(path).as_str() {
+        "json" => read_json,
+        "txt" => read_text,
+        _ => return Err(unknown_extension(path, "read", REGISTRATION_EXTENSIONS)),
+    };
+    let bytes = std::fs::read(path).map_err(|source| Error::Io { path: path.into(), source })?;
+    read(&bytes).map_err(|reason| Error::Format { path: path.into(), reason })
+}
+
+/// Writes a registration. A `json` file holds the record, an object that should have the key `t_target_source`. A `txt`
+/// file holds the four rows of the matrix.
+///
+/// # Errors
+/// As [`write_keypoints`](crate::write_keypoints).
+pub fn write_registration(path: &Path, t_target_source: &RigidTransform, record: &impl Serialize) -> Result<()> {
+    check_registration_path(path)?;
+    let is_json = extension(path) == "json";
+    let write = |file: &mut dyn Write| match is_json {
+        true => {
+            serde_json::to_writer(&mut *file, record)?;
+            writeln!(file)
+        }
+        false => text::write_rows(file, t_target_source),
+    };
+    write_atomically(path, write).map_err(|source| Error::Io { path: path.into(), source })
+}
+
+/// Refuses a path whose extension [`write_registration`] would refuse, so that a caller can check it before any work.
+///
+/// # Errors
+/// [`Error::Format`] when the extension is not among [`REGISTRATION_EXTENSIONS`].
+pub fn check_registration_path(path: &Path) -> Result<()> {
+    match REGISTRATION_EXTENSIONS.contains(&extension(path).as_str()) {
+        true => Ok(()),
+        false => Err(unknown_extension(path, "written", REGISTRATION_EXTENSIONS)),
+    }
 }
 
 #[cfg(test)]

@@ -1,11 +1,13 @@
 //! Converts keypoints and clouds to the columns of a file.
 
 use std::io::{self, Write};
+use std::path::Path;
 
-use super::format::{CloudFormat, KeypointFormat};
+use super::format::{CloudFormat, KeypointFormat, extension};
 use super::json;
 use super::keypoint_source::KeypointSource;
 use super::table::{Kind, Table};
+use super::{Error, Result, write_atomically};
 use snake_core::Keypoint;
 use snake_core::Point;
 use snake_core::add_origin;
@@ -97,6 +99,37 @@ fn color(saliency: f32) -> [u8; 3] {
     let mixed =
         |channel: usize| f32::from(COLORS[low][channel]) * (1.0 - share) + f32::from(COLORS[low + 1][channel]) * share;
     std::array::from_fn(|channel| mixed(channel).round() as u8)
+}
+
+/// Writes keypoints; the extension selects the format.
+///
+/// The file appears under its name once it is complete and replaces an earlier file of that name. Links and special
+/// files are treated as by [`write_atomically`].
+///
+/// # Errors
+/// [`Error::Format`] when the extension is not among [`KEYPOINT_EXTENSIONS`](crate::KEYPOINT_EXTENSIONS); [`Error::Io`] when the file cannot be
+/// written.
+pub fn write_keypoints(path: &Path, keypoints: &[Keypoint], source: &KeypointSource) -> Result<()> {
+    let format = KeypointFormat::from_path(path)?;
+    write_atomically(path, |file| format.write(file, keypoints, source))
+        .map_err(|source| Error::Io { path: path.into(), source })
+}
+
+/// Whether the writers add the origin to the coordinates in this file; otherwise these stay relative to the origin.
+pub fn adds_origin(path: &Path) -> bool {
+    !matches!(extension(path).as_str(), "pcd" | "stl")
+}
+
+/// Writes points `(N, 3)` and adds the origin if [`adds_origin`]. The file is written whole or not at all, as by
+/// [`write_keypoints`].
+///
+/// # Errors
+/// [`Error::Format`] when the extension is not among [`CLOUD_EXTENSIONS`](crate::CLOUD_EXTENSIONS); [`Error::Io`] when the file cannot be
+/// written.
+pub fn write_points(path: &Path, points: &[Point], origin: [f64; 3]) -> Result<()> {
+    let format = CloudFormat::from_path(path)?;
+    write_atomically(path, |file| format.write(file, points, origin))
+        .map_err(|source| Error::Io { path: path.into(), source })
 }
 
 #[cfg(test)]

@@ -198,7 +198,7 @@ fn layouts_of_usip_are_read_as_pairs() {
     std::fs::write(redwood.join("redwood_pair.txt"), "office1 4 6\n").unwrap();
     refused("6.npy: no such cloud");
     write_npy(&redwood.join("transform.npy"), &[3, 4], &back);
-    refused("needed is (S, 3, 4)");
+    refused("expected (S, 3, 4)");
 }
 
 #[test]

@@ -75,7 +75,7 @@ impl Encoder {
         Tensor { size, channels, values, sums: channel_sums(means, channels), constant }
     }
 
-    /// The features of the points, spread over the voxels about them ([`Scatter::Soft`]); voxels without mass are zero.
+    /// Scatters the features of the points to their eight nearest voxels ([`Scatter::Soft`]); voxels without mass are zero.
     fn scatter_soft(
         &self,
         groups: &VoxelGroups,
@@ -89,8 +89,7 @@ impl Encoder {
         let mut values = self.unet.pool.take(size.iter().product::<usize>() * channels);
         values.par_chunks_mut(size[1] * size[2] * channels).for_each(|plane| plane.fill(0.0));
         counter.check()?;
-        let touched = scatter::gather(&self.frame, groups, &slots, &mut values);
-        counter.check()?;
+        let touched = scatter::gather(&self.frame, groups, &slots, &mut values, counter)?;
         let sums = channel_sums(&values, channels);
         counter.check()?;
         Ok(Tensor { size, channels, values, sums, constant: Some(ConstantRegion::around(size, touched.into_iter())) })

@@ -1,29 +1,31 @@
-//! Soft scattering: each point's feature is spread over the eight voxels about it.
+//! Soft scattering: each point's feature is added to the eight nearest voxels.
 //!
-//! A feature goes to each voxel with the trilinear weight w that a query at the point reads the voxel with. A voxel of
-//! mass m = Σ w holds Σ w · feature / max(m, typical mass), where the typical mass is the mean over the cloud's voxels
-//! with mass: a weighted mean where points are many, and less where they only touch the voxel's border. So the volume
-//! changes smoothly as the cloud moves through the voxels.
+//! The weights w are those of trilinear interpolation at the point. A voxel of mass m = Σ w holds
+//! Σ w · feature / max(m, typical mass), where the typical mass is the mean over the cloud's voxels with mass. This is a
+//! weighted mean where points are many, and less where they only touch the voxel's border. The volume therefore changes
+//! smoothly as the cloud moves through the voxels.
 //!
-//! The points that fall into one voxel spread over it and its neighbours: 27 slots of feature and mass. Slots are summed
-//! over a voxel's points first, and then each voxel adds up the slots of its neighbours that reach it. Memory does not grow
-//! with the number of points, and the bits do not depend on the number of threads.
+//! The points of one voxel contribute to it and its neighbours: 27 slots of feature and mass. Slots are first summed over
+//! a voxel's points. Then each voxel adds the slots of its neighbours that reach it. Memory does not grow with the number
+//! of points, and the bits do not depend on the number of threads.
 
 use rayon::prelude::*;
 
 use super::voxel_groups::VoxelGroups;
+use crate::Result;
+use crate::control::Counter;
 use crate::points::Point;
 use crate::volume::VolumeFrame;
 
-/// The voxels that the points of one voxel spread over: itself and its neighbours, x fastest.
+/// Number of voxels that the points of one voxel contribute to: itself and its neighbours, x fastest.
 const SLOTS: usize = 27;
 
-/// Values of a voxel's slots, each of `channels` feature sums and a mass.
+/// Number of values of a voxel's slots, each of `channels` feature sums and a mass.
 pub(super) fn slots_width(channels: usize) -> usize {
     SLOTS * (channels + 1)
 }
 
-/// Adds the feature of a point to the slots of the voxel that it falls into.
+/// Adds the feature of a point to the slots of its voxel.
 pub(super) fn spread(frame: &VolumeFrame, point: Point, feature: &[f32], slots: &mut [f32]) {
     let corners = frame.corners(point);
     let own = coordinates(frame, frame.voxel(point));
@@ -36,9 +38,15 @@ pub(super) fn spread(frame: &VolumeFrame, point: Point, feature: &[f32], slots: 
     }
 }
 
-/// The volume `[z][y][x][channel]` of the slots `(voxels, slots_width)` of the occupied voxels, into zeroed values; returns
-/// the voxels with mass, ascending.
-pub(super) fn gather(frame: &VolumeFrame, groups: &VoxelGroups, slots: &[f32], values: &mut [f32]) -> Vec<usize> {
+/// Writes the volume `[z][y][x][channel]` of the slots `(voxels, slots_width)` of the occupied voxels into zeroed values.
+/// Returns the voxels with mass, ascending.
+pub(super) fn gather(
+    frame: &VolumeFrame,
+    groups: &VoxelGroups,
+    slots: &[f32],
+    values: &mut [f32],
+    counter: &Counter,
+) -> Result<Vec<usize>> {
     let num_voxels: usize = frame.resolution.iter().product();
     let channels = values.len() / num_voxels;
     let mut row_of_voxel = vec![u32::MAX; num_voxels];
@@ -58,24 +66,33 @@ pub(super) fn gather(frame: &VolumeFrame, groups: &VoxelGroups, slots: &[f32], v
             (row != u32::MAX).then(|| &slots[(row as usize * SLOTS + slot) * (channels + 1)..][..channels + 1])
         })
     };
-    let masses: Vec<f32> =
-        (0..num_voxels).into_par_iter().map(|voxel| reaching(voxel).map(|slot| slot[channels]).sum()).collect();
+    let plane = num_voxels / frame.resolution[2];
+    let mut masses = vec![0.0; num_voxels];
+    masses.par_chunks_mut(plane).enumerate().try_for_each(|(z, masses)| {
+        let mass = |voxel: usize| reaching(voxel).map(|slot| slot[channels]).sum();
+        masses.iter_mut().enumerate().for_each(|(i, of_voxel)| *of_voxel = mass(z * plane + i));
+        counter.check()
+    })?;
     let touched: Vec<usize> = (0..num_voxels).filter(|&voxel| masses[voxel] > 0.0).collect();
     let total: f64 = touched.iter().map(|&voxel| f64::from(masses[voxel])).sum();
     let typical = (total / touched.len().max(1) as f64) as f32;
-    values.par_chunks_mut(channels).enumerate().filter(|(voxel, _)| masses[*voxel] > 0.0).for_each(
-        |(voxel, values)| {
-            for slot in reaching(voxel) {
-                values.iter_mut().zip(slot).for_each(|(value, sum)| *value += sum);
+    values.par_chunks_mut(plane * channels).enumerate().try_for_each(|(z, values)| {
+        for (i, values) in values.chunks_exact_mut(channels).enumerate() {
+            let voxel = z * plane + i;
+            if masses[voxel] > 0.0 {
+                for slot in reaching(voxel) {
+                    values.iter_mut().zip(slot).for_each(|(value, sum)| *value += sum);
+                }
+                let divisor = masses[voxel].max(typical);
+                values.iter_mut().for_each(|value| *value /= divisor);
             }
-            let divisor = masses[voxel].max(typical);
-            values.iter_mut().for_each(|value| *value /= divisor);
-        },
-    );
-    touched
+        }
+        counter.check()
+    })?;
+    Ok(touched)
 }
 
-/// A voxel's place along x, y and z.
+/// A voxel's index along x, y and z.
 fn coordinates(frame: &VolumeFrame, voxel: usize) -> [usize; 3] {
     let [width, height, _] = frame.resolution;
     [voxel % width, voxel / width % height, voxel / (width * height)]
@@ -87,7 +104,7 @@ mod tests {
 
     const FRAME: VolumeFrame = VolumeFrame { resolution: [5, 4, 3], padding: 0.125, z_bounds: [-0.5, 0.5] };
 
-    /// The formula as it is written: one pass over points and corners.
+    /// The formula in one pass over points and corners.
     fn plain(points: &[Point], features: &[f32], channels: usize) -> Vec<f32> {
         let (mut mass, mut sum) = (vec![0.0; 60], vec![0.0; 60 * channels]);
         for (point, feature) in points.iter().zip(features.chunks(channels)) {
@@ -115,7 +132,7 @@ mod tests {
             }
         }
         let mut values = vec![0.0; 60 * channels];
-        let touched = gather(&FRAME, &groups, &slots, &mut values);
+        let touched = gather(&FRAME, &groups, &slots, &mut values, &Counter::default()).unwrap();
         (values, touched)
     }
 

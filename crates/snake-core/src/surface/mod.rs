@@ -13,6 +13,7 @@ use serde::{Deserialize, Serialize};
 use crate::Result;
 use crate::control::Control;
 use crate::field::{Field, Quantity, log_odds};
+use crate::grid::coordinate;
 use crate::nn::TILE;
 use crate::options::MeshOptions;
 use crate::points::Point;
@@ -115,10 +116,11 @@ struct Grid<'a> {
 
 impl<'a> Grid<'a> {
     fn new(field: &'a Field, resolution: usize) -> Self {
-        let coordinates = field.volume().frame().bounds().map(|[low, high]| {
-            let share = |i| i as f32 / (resolution - 1) as f32;
-            (0..resolution).map(|i| low * (1.0 - share(i)) + high * share(i)).collect()
-        });
+        let coordinates = field
+            .volume()
+            .frame()
+            .bounds()
+            .map(|[low, high]| (0..resolution).map(|index| coordinate(low, high, resolution, index)).collect());
         Self { field, coordinates }
     }
 
@@ -151,8 +153,10 @@ impl<'a> Grid<'a> {
         let samples = Samples::near_surface(options.resolution, log_odds(options.level), value, likely, control)?;
         control.begin("triangles", 0).check()?;
         let mut surface = Surface::of(&samples);
+        control.check()?;
         if options.outer {
             surface.retain_outer(&samples);
+            control.check()?;
         }
         let vertices: Vec<Point> =
             surface.crossings.par_iter().map(|crossing| self.vertex(&samples, crossing)).collect();

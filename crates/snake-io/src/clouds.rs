@@ -1,0 +1,129 @@
+//! Reads point clouds from files and from bytes.
+
+use std::path::Path;
+
+use snake_core::{Cloud, Point};
+
+use crate::columns::Columns;
+use crate::format::PointFormat;
+#[cfg(feature = "laz")]
+use crate::las;
+#[cfg(feature = "npz")]
+use crate::npz;
+use crate::shape::Shape;
+use crate::{Error, Result, npy, obj, off, pcd, ply, stl, text};
+
+/// Options of [`read_cloud`].
+#[derive(Debug, Clone, PartialEq, Eq, Default)]
+pub struct ReadOptions {
+    /// The number of points to sample on the surface of a mesh, uniformly by area; `None` reads its vertices.
+    pub sample: Option<usize>,
+    /// Seed of the samples.
+    pub seed: u64,
+    /// The columns of text and NumPy arrays that hold x, y and z. `None` uses the columns that a header names, and the
+    /// first three columns without a header.
+    pub columns: Option<Columns>,
+}
+
+/// The content of a file.
+#[derive(Debug, Clone, PartialEq, Default)]
+pub struct Contents {
+    /// The points.
+    pub cloud: Cloud,
+    /// The number of faces that were ignored because the vertices were read and not samples of the surface.
+    pub unsampled_faces: usize,
+}
+
+/// Reads the points `(N, 3)` of a file; the extension selects the format.
+///
+/// The points keep the file's order, units and frame. A file without points gives an empty vector. Coordinates that are
+/// not finite are kept. Coordinates far from zero lose digits, which [`read_cloud`] keeps.
+///
+/// # Errors
+/// As [`read_cloud`].
+pub fn read_points(path: &Path) -> Result<Vec<Point>> {
+    read_cloud(path, &ReadOptions::default()).map(Cloud::into_points)
+}
+
+/// Reads a point cloud with its origin; the extension selects the format.
+///
+/// # Errors
+/// [`Error::Io`] when the file cannot be read; [`Error::Format`] when the extension is not among [`POINT_EXTENSIONS`](crate::POINT_EXTENSIONS),
+/// the content does not follow the format, the columns of x, y and z are unknown, or samples are asked for and there is
+/// no surface.
+pub fn read_cloud(path: &Path, options: &ReadOptions) -> Result<Cloud> {
+    read_contents(path, options).map(|contents| contents.cloud)
+}
+
+/// [`read_cloud`] with the number of ignored faces.
+///
+/// # Errors
+/// As [`read_cloud`].
+pub fn read_contents(path: &Path, options: &ReadOptions) -> Result<Contents> {
+    let format = PointFormat::from_path(path)?;
+    let bytes = std::fs::read(path).map_err(|source| Error::Io { path: path.into(), source })?;
+    parse(&bytes, format, options).map_err(|reason| Error::Format { path: path.into(), reason })
+}
+
+/// Reads a point cloud from the bytes of a file.
+///
+/// # Errors
+/// [`Error::Input`] when the content does not follow the format, or samples are asked for and there is no surface.
+pub fn parse_cloud(bytes: &[u8], format: PointFormat, options: &ReadOptions) -> Result<Cloud> {
+    parse_contents(bytes, format, options).map(|contents| contents.cloud)
+}
+
+/// [`parse_cloud`] with the number of ignored faces.
+///
+/// # Errors
+/// As [`parse_cloud`].
+pub fn parse_contents(bytes: &[u8], format: PointFormat, options: &ReadOptions) -> Result<Contents> {
+    parse(bytes, format, options).map_err(|reason| Error::Input { what: format.name(), reason })
+}
+
+fn parse(bytes: &[u8], format: PointFormat, options: &ReadOptions) -> std::result::Result<Contents, String> {
+    if let (PointFormat::Npy, None) = (format, options.sample) {
+        let cloud = Cloud::from_positions(npy::positions(bytes, options.columns.as_ref())?);
+        return Ok(Contents { cloud, unsampled_faces: 0 });
+    }
+    let shape = read_shape(bytes, format, options)?;
+    Ok(match options.sample {
+        Some(number) => Contents { cloud: shape.sample(number, options.seed)?.into_cloud(), unsampled_faces: 0 },
+        None => Contents { unsampled_faces: shape.num_faces(), cloud: shape.into_cloud() },
+    })
+}
+
+fn read_shape(bytes: &[u8], format: PointFormat, options: &ReadOptions) -> std::result::Result<Shape, String> {
+    let columns = options.columns.as_ref();
+    match format {
+        PointFormat::Text => text::read(bytes, columns),
+        PointFormat::Pts => text::read_counted(bytes, columns),
+        PointFormat::Npy => npy::read(bytes, columns),
+        #[cfg(feature = "npz")]
+        PointFormat::Npz => npz::read(bytes, columns),
+        #[cfg(not(feature = "npz"))]
+        PointFormat::Npz => Err("this build cannot read .npz: it lacks the feature `npz` of snake-io".into()),
+        _ if columns.is_some() => {
+            Err("columns can be chosen in text and in arrays of NumPy; this format names its coordinates".into())
+        }
+        // Faces are read only for samples: most readers of a cloud do not need them, and some files have broken faces.
+        PointFormat::Ply => ply::read(bytes, options.sample.is_some()),
+        PointFormat::Pcd => pcd::read(bytes),
+        PointFormat::Obj => obj::read(bytes),
+        PointFormat::Off => off::read(bytes),
+        PointFormat::Stl => stl::read(bytes),
+        #[cfg(feature = "laz")]
+        PointFormat::Las => las::read(bytes),
+        #[cfg(not(feature = "laz"))]
+        PointFormat::Las => Err("this build cannot read .las and .laz: it lacks the feature `laz` of snake-io".into()),
+    }
+}
+
+/// Reads clouds with equal numbers of points from an `.npy` array `(S, N, C)`, `C >= 3`, of floats or integers.
+///
+/// # Errors
+/// [`Error::Io`] when the file cannot be read; [`Error::Format`] when it does not hold such an array.
+pub fn read_clouds(path: &Path) -> Result<Vec<Vec<Point>>> {
+    let bytes = std::fs::read(path).map_err(|source| Error::Io { path: path.into(), source })?;
+    npy::read_clouds(&bytes).map_err(|reason| Error::Format { path: path.into(), reason })
+}

@@ -1,0 +1,171 @@
+//! Tests across the formats.
+
+use std::path::{Path, PathBuf};
+
+use snake_core::{Keypoint, Point, RigidTransform};
+
+use super::shape::Shape;
+use super::*;
+
+pub(crate) const KEYPOINTS: [Keypoint; 2] = [
+    Keypoint { position: [0.1, -2.5, 3e-7], saliency: 0.75, occupancy: 0.5, nearest_index: 7 },
+    Keypoint { position: [4.0, 5.0, 1.0e7], saliency: 0.3, occupancy: 1.0, nearest_index: 16_777_217 },
+];
+
+/// The four points that every file in `good` holds.
+const CLOUD: [Point; 4] = [[0.0, 0.0, 0.0], [1.0, -2.0, 0.5], [-0.25, 3.0, 100.0], [0.125, 1e-3, -7.0]];
+
+/// The points of a shape as `read_points` returns them.
+pub(crate) fn points(shape: std::result::Result<Shape, String>) -> std::result::Result<Vec<Point>, String> {
+    Ok(shape?.into_cloud().into_points())
+}
+
+fn good_files() -> Vec<PathBuf> {
+    let folder = Path::new(concat!(env!("CARGO_MANIFEST_DIR"), "/../../tests/data/io/good"));
+    let mut paths: Vec<_> = std::fs::read_dir(folder).unwrap().map(|entry| entry.unwrap().path()).collect();
+    paths.sort();
+    paths
+}
+
+#[test]
+fn good_files_hold_the_cloud() {
+    let paths = good_files();
+    for extension in POINT_EXTENSIONS {
+        assert!(paths.iter().any(|path| super::format::extension(path) == *extension), "no sample of .{extension}");
+    }
+    for path in paths {
+        assert_eq!(read_points(&path).unwrap(), CLOUD, "{}", path.display());
+    }
+}
+
+#[test]
+fn meshes_can_be_sampled_and_contents_are_recognised() {
+    for path in good_files() {
+        let (format, bytes) = (PointFormat::from_path(&path).unwrap(), std::fs::read(&path).unwrap());
+        let options = ReadOptions { sample: Some(50), seed: 1, columns: None };
+        // This is the only one of the PLY files that has faces.
+        let is_mesh = matches!(format, PointFormat::Obj | PointFormat::Off | PointFormat::Stl)
+            || path.file_name().unwrap() == "ascii.ply";
+        match parse_cloud(&bytes, format, &options) {
+            Ok(cloud) => assert!(is_mesh && cloud.points.len() == 50, "{}", path.display()),
+            Err(error) => assert!(!is_mesh && error.to_string().contains("no faces"), "{error}"),
+        }
+        let contents = parse_contents(&bytes, format, &ReadOptions::default()).unwrap();
+        assert_eq!(contents.unsampled_faces > 0, is_mesh, "{}", path.display());
+        let has_signature = !matches!(format, PointFormat::Text | PointFormat::Pts | PointFormat::Obj)
+            && path.file_name().unwrap() != "binary.stl";
+        // PCD and OFF files can begin with comments; these files have none.
+        assert_eq!(PointFormat::from_content(&bytes), has_signature.then_some(format), "{}", path.display());
+    }
+}
+
+#[test]
+fn keypoints_read_back_as_points() {
+    let folder = tempfile::tempdir().unwrap();
+    for name in ["a.ply", "b.NPY", "c.csv", "d.pcd"] {
+        let path = folder.path().join(name);
+        for keypoints in [&KEYPOINTS[..], &[]] {
+            write_keypoints(&path, keypoints, &KeypointSource::default()).unwrap();
+            let positions: Vec<_> = keypoints.iter().map(|keypoint| keypoint.position).collect();
+            assert_eq!(read_points(&path).unwrap(), positions, "{name}");
+        }
+    }
+    assert_eq!(std::fs::read_dir(folder.path()).unwrap().count(), 4, "temporary files remain");
+}
+
+#[test]
+fn clouds_far_away_read_back_to_the_last_digit() {
+    let folder = tempfile::tempdir().unwrap();
+    let cloud = Cloud { points: CLOUD.to_vec(), origin: [524_288.0, 5_400_000.0, 128.0] };
+    for extension in CLOUD_EXTENSIONS {
+        let path = folder.path().join("a").with_extension(extension);
+        write_points(&path, &cloud.points, cloud.origin).unwrap();
+        let read = read_cloud(&path, &ReadOptions::default()).unwrap();
+        for (point, expected) in read.points.iter().zip(CLOUD) {
+            for axis in 0..3 {
+                let (found, expected) =
+                    (f64::from(point[axis]) + read.origin[axis], f64::from(expected[axis]) + cloud.origin[axis]);
+                assert!((found - expected).abs() < 1e-5, "{extension}: {found} {expected}");
+            }
+        }
+        assert!(read.origin[1] > 5e6 && read.points.len() == 4);
+        write_points(&path, &CLOUD, [0.0; 3]).unwrap();
+        assert_eq!(
+            read_cloud(&path, &ReadOptions::default()).unwrap(),
+            Cloud { points: CLOUD.to_vec(), origin: [0.0; 3] }
+        );
+    }
+}
+
+#[test]
+fn clouds_and_registrations_read_back() {
+    let folder = tempfile::tempdir().unwrap();
+    let (cloud, json, text) = (folder.path().join("a.ply"), folder.path().join("b.json"), folder.path().join("c.TXT"));
+    write_points(&cloud, &CLOUD, [0.0; 3]).unwrap();
+    assert_eq!(read_points(&cloud).unwrap(), CLOUD);
+    let rows = [[0.6, -0.8, 1e-17, 3.5], [0.8, 0.6, 0.0, 1e7], [0.0, 0.0, 1.0, 0.25], [0.0, 0.0, 0.0, 1.0]];
+    let t_target_source = RigidTransform::from_matrix(rows).unwrap();
+    let record = serde_json::json!({ "t_target_source": t_target_source, "num_inliers": 3, "rmse": 0.1 });
+    write_registration(&json, &t_target_source, &record).unwrap();
+    let value: serde_json::Value = serde_json::from_slice(&std::fs::read(&json).unwrap()).unwrap();
+    assert_eq!(value, record);
+    write_registration(&text, &t_target_source, &record).unwrap();
+    assert_eq!(read_transform(&text).unwrap(), t_target_source);
+    assert_eq!(std::fs::read_dir(folder.path()).unwrap().count(), 3, "temporary files remain");
+}
+
+#[test]
+fn a_failed_write_leaves_the_old_file_alone() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("a.ply");
+    write_keypoints(&path, &KEYPOINTS, &KeypointSource::default()).unwrap();
+    let before = std::fs::read(&path).unwrap();
+    let beyond_int = Keypoint { nearest_index: usize::MAX, ..KEYPOINTS[0] };
+    assert!(
+        matches!(write_keypoints(&path, &[beyond_int], &KeypointSource::default()), Err(Error::Io { path: p, .. }) if p == path)
+    );
+    assert_eq!(std::fs::read(&path).unwrap(), before);
+    assert_eq!(std::fs::read_dir(folder.path()).unwrap().count(), 1, "temporary files remain");
+}
+
+#[cfg(unix)]
+#[test]
+fn written_files_have_ordinary_permissions() {
+    use std::os::unix::fs::PermissionsExt;
+    let folder = tempfile::tempdir().unwrap();
+    let (ours, ordinary) = (folder.path().join("a.csv"), folder.path().join("b"));
+    write_keypoints(&ours, &KEYPOINTS, &KeypointSource::default()).unwrap();
+    std::fs::write(&ordinary, "").unwrap();
+    let mode = |path: &Path| std::fs::metadata(path).unwrap().permissions().mode();
+    assert_eq!(mode(&ours), mode(&ordinary));
+}
+
+#[test]
+fn columns_are_chosen_only_where_there_are_columns() {
+    let options = ReadOptions { columns: Some("2,1,3".parse().unwrap()), ..Default::default() };
+    for path in good_files() {
+        let format = PointFormat::from_path(&path).unwrap();
+        let has_columns = matches!(format, PointFormat::Text | PointFormat::Pts | PointFormat::Npy | PointFormat::Npz);
+        match read_cloud(&path, &options) {
+            Ok(cloud) => assert!(has_columns && cloud.points.len() == 4, "{}", path.display()),
+            Err(error) => assert!(!has_columns && error.to_string().contains("columns can be chosen"), "{error}"),
+        }
+    }
+}
+
+#[test]
+fn unknown_extensions_are_refused_with_the_list() {
+    for name in ["a.doc", "a", "", ".ply"] {
+        let error = read_points(Path::new(name)).unwrap_err().to_string();
+        assert!(error.contains(".ply, .pcd"), "{error}");
+        assert!(KeypointFormat::from_path(Path::new(name)).unwrap_err().to_string().contains(".json"));
+        assert!(check_registration_path(Path::new(name)).unwrap_err().to_string().contains(".txt"));
+        assert!(check_mesh_path(Path::new(name)).unwrap_err().to_string().contains(".ply, .obj, .stl"));
+        assert!(CloudFormat::from_path(Path::new(name)).unwrap_err().to_string().contains(".ply"));
+    }
+    for extension in KEYPOINT_EXTENSIONS {
+        let format = KeypointFormat::from_path(&Path::new("a").with_extension(extension)).unwrap();
+        assert_eq!(format.extension(), *extension);
+    }
+    assert!(matches!(read_points(Path::new("/nowhere/a.PLY")), Err(Error::Io { .. })));
+}
