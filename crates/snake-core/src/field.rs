@@ -47,6 +47,7 @@ impl View {
         let views = rotations::super_fibonacci(rotations).into_iter().map(|rotation| {
             let point = |index: usize| rotate(&rotation, normalization.to_network(points[index]));
             let volume = encoder.encode(points.len(), point, &counter)?;
+            counter.check()?;
             match volume.values.par_iter().all(|value| value.is_finite()) {
                 true => Ok(Self { rotation, volume }),
                 false => {
