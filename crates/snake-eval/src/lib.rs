@@ -6,7 +6,8 @@
 //! - `datasets` finds the clouds and the ground truth of a data set in its layout on disk. `smpl` reads and poses body
 //!   models. `views` draws the disturbed views of repeatability. They need the feature `datasets`, which is on by
 //!   default.
-//! - [`tables`] turns figures into tables and curves, with the figures of the SNAKE paper beside them.
+//! - [`tables`] turns figures into tables and curves, with the figures of the SNAKE paper beside them. `reports` (feature
+//!   `datasets`) summarises the figures of many pairs.
 //!
 //! ```text
 //! keypoints of two views + t_1_2 ─────────→ relative_repeatability
@@ -39,6 +40,8 @@ pub mod datasets;
 mod error;
 mod registration;
 mod repeatability;
+#[cfg(feature = "datasets")]
+pub mod reports;
 mod semantic;
 #[cfg(feature = "datasets")]
 pub mod smpl;

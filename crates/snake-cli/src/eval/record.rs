@@ -5,19 +5,13 @@ use std::io::{Seek, Write};
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result, bail};
+use serde::Serialize;
 use serde::de::DeserializeOwned;
-use serde::{Deserialize, Serialize};
 use serde_json::{Value, json};
+use snake_eval::reports::Pair;
 
 use super::schedule::Task;
 use crate::terminal;
-
-/// The figures of one pair, or of one shape.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-pub struct Pair<Row> {
-    pub name: String,
-    pub rows: Vec<Row>,
-}
 
 /// The figures of the finished pairs, in order. With an output directory they are kept in `METRIC.jsonl`, whose first
 /// line has the settings.

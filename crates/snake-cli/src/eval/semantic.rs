@@ -1,16 +1,14 @@
 //! `snake-cli eval semantic`.
 
-mod report;
-
 use anyhow::Result;
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
-use serde::{Deserialize, Serialize};
 use serde_json::{Value, json};
 use snake_core::{Length, Point};
 use snake_eval::datasets::SemanticData;
+use snake_eval::reports::semantic::{Report, Row};
 use snake_eval::tables::paper;
-use snake_eval::{MatchCounts, SmplProtocol, Unreachable, semantic_counts, smpl_pair_counts};
+use snake_eval::{SmplProtocol, Unreachable, semantic_counts, smpl_pair_counts};
 
 use super::args::SemanticArguments;
 use super::files;
@@ -18,7 +16,6 @@ use super::methods::Method;
 use super::record::Record;
 use super::schedule::{Schedule, Task};
 use crate::terminal;
-use report::Report;
 
 /// The suppression radius of the paper's figures.
 const SPACING: Length = Length::Units(0.1);
@@ -42,20 +39,9 @@ pub fn run(arguments: &SemanticArguments) -> Result<()> {
     let runs = schedule.by_seed(record.pairs());
     let report = Report::new(&arguments.threshold, &settings, &runs, &classes, paper)?;
     if let Some(output) = &common.run.output {
-        report.write(output)?;
+        files::write(output, "semantic", &report.files())?;
     }
     terminal::print_report(&report.text_lines().into_iter().collect())
-}
-
-/// The matches of one method on one shape or pair of bodies.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-struct Row {
-    method: String,
-    /// Number of keypoints; for a pair of bodies, on the first one.
-    keypoints: usize,
-    /// Counts for each threshold, by the strict rule and by the rule of the paper's released code.
-    strict: Vec<MatchCounts>,
-    paper: Vec<MatchCounts>,
 }
 
 /// All settings that the figures depend on, without the content of the data.

@@ -1,19 +1,57 @@
 //! Tables of registration, as means over the scenes.
 
-use std::path::Path;
-
-use anyhow::Result;
-use serde::Serialize;
+use serde::{Deserialize, Serialize};
 use serde_json::{Value, json};
-use snake_eval::datasets::ScenePair;
-use snake_eval::tables::paper::{PaperRegistration, PaperTable};
-use snake_eval::tables::{self, Statistic, Table, mean};
-use snake_eval::{RegistrationOutcome, feature_matching_recall, registration_recall};
+use snake_core::Result;
 use snake_registration::{Descriptor, KeypointDetector};
 
-use super::super::files;
-use super::super::record::Pair;
-use super::{INLIER_RATIO, Plan, RMSE, Row};
+use super::Pair;
+use crate::datasets::ScenePair;
+use crate::tables::paper::{PaperRegistration, PaperTable};
+use crate::tables::{self, Statistic, Table, mean};
+use crate::{RegistrationOutcome, feature_matching_recall, registration_recall};
+
+/// A pair counts for feature matching recall above this inlier ratio, as in the 3DMatch benchmark.
+pub const INLIER_RATIO: f64 = 0.05;
+/// A pair counts as registered up to this RMSE in metres, as in the 3DMatch benchmark.
+pub const RMSE: f64 = 0.2;
+
+/// The figures of one detector, descriptor and number of keypoints on one pair.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Row {
+    /// Number of keypoints, the mean of both clouds.
+    pub found: f64,
+    /// Number of correspondences.
+    pub correspondences: usize,
+    /// Inlier ratio of the correspondences.
+    pub inlier_ratio: f64,
+    /// In square metres; `None` if no transform was found.
+    pub squared_error: Option<f64>,
+}
+
+/// The combinations that are compared.
+#[derive(Debug, Clone, Copy)]
+pub struct Cases<'a> {
+    /// The detectors.
+    pub detectors: &'a [KeypointDetector],
+    /// The descriptors, for each detector.
+    pub descriptors: &'a [Descriptor],
+    /// The numbers of keypoints, for each descriptor. There is at least one.
+    pub keypoints: &'a [usize],
+}
+
+impl Cases<'_> {
+    /// The detector, descriptor and number of keypoints of each row of a pair.
+    fn all(&self) -> Vec<(KeypointDetector, Descriptor, usize)> {
+        let mut cases = Vec::new();
+        for &detector in self.detectors {
+            for &descriptor in self.descriptors {
+                cases.extend(self.keypoints.iter().map(|&keypoints| (detector, descriptor, keypoints)));
+            }
+        }
+        cases
+    }
+}
 
 /// The figures of every case: a detector, a descriptor and a number of keypoints.
 pub struct Report<'a> {
@@ -106,9 +144,15 @@ impl Deviations {
 
 impl<'a> Report<'a> {
     /// Summarises the rows of all pairs, seed by seed. There is at least one pair. The tables also show the paper's
-    /// rows.
+    /// rows, and the JSON has the settings.
+    ///
+    /// # Errors
+    /// [`Error::Input`](snake_core::Error::Input) when a scene has no pairs.
+    ///
+    /// # Panics
+    /// When a pair does not have a row for each of the cases.
     pub fn new(
-        plan: &'a Plan,
+        cases: &Cases<'a>,
         settings: &'a Value,
         pairs: &[&'a ScenePair],
         runs: &[&[Pair<Row>]],
@@ -139,9 +183,9 @@ impl<'a> Report<'a> {
                 deviation: Deviations::new(&means, &of_seeds[0]),
             })
         };
-        let summaries = plan.cases().into_iter().enumerate().map(summary).collect::<Result<_>>()?;
+        let summaries = cases.all().into_iter().enumerate().map(summary).collect::<Result<_>>()?;
         let (num_pairs, num_seeds) = (pairs.len(), runs.len());
-        Ok(Self { settings, keypoints: plan.keypoints, scenes, num_pairs, num_seeds, summaries, paper })
+        Ok(Self { settings, keypoints: cases.keypoints, scenes, num_pairs, num_seeds, summaries, paper })
     }
 
     /// The tables as lines of plain text.
@@ -149,10 +193,9 @@ impl<'a> Report<'a> {
         tables::text_lines(&self.tables())
     }
 
-    /// Writes `registration.csv`, `.json` and `.md`.
-    pub fn write(&self, output: &Path) -> Result<()> {
-        let markdown = tables::markdown(&self.tables());
-        files::write(output, "registration", &[("csv", self.csv()), ("json", self.json()?), ("md", markdown)])
+    /// The report as files: extensions and contents.
+    pub fn files(&self) -> [(&'static str, String); 3] {
+        [("csv", self.csv()), ("json", self.json()), ("md", tables::markdown(&self.tables()))]
     }
 
     /// One table for each figure, with a row for each detector and descriptor and a column for each number of keypoints.
@@ -227,24 +270,24 @@ impl<'a> Report<'a> {
         text
     }
 
-    fn json(&self) -> Result<String> {
+    fn json(&self) -> String {
         let row = |summary: &Summary| {
             let Summary { detector, descriptor, keypoints, scenes, mean, deviation } = summary;
             json!({"detector": detector, "descriptor": descriptor, "keypoints": keypoints, "mean": mean, "deviation": deviation, "scenes": scenes})
         };
         let rows: Vec<Value> = self.summaries.iter().map(row).collect();
         let all = json!({"settings": self.settings, "pairs": self.num_pairs, "scenes": self.scenes, "rows": rows});
-        Ok(serde_json::to_string_pretty(&all)? + "\n")
+        format!("{all:#}\n")
     }
 }
 
 #[cfg(test)]
 mod tests {
-    use snake_core::{Builtin, Model, RigidTransform};
-    use snake_eval::tables::paper::THREE_D_MATCH;
+    use snake_core::RigidTransform;
+
+    use crate::tables::paper::THREE_D_MATCH;
 
     use super::*;
-    use crate::inputs::ColumnArguments;
 
     fn pair(scene: &str, fragments: [usize; 2]) -> ScenePair {
         let t_target_source = RigidTransform::identity();
@@ -258,15 +301,13 @@ mod tests {
 
     #[test]
     fn figures_are_means_over_the_scenes_by_hand() {
-        let model = Model::builtin(Builtin::Compact);
         let (detectors, descriptors) = ([KeypointDetector::Iss], [Descriptor::Fpfh]);
-        let (keypoints, columns) = (&[100], &ColumnArguments::default());
-        let plan = Plan { model: &model, detectors: &detectors, descriptors: &descriptors, keypoints, columns };
+        let cases = Cases { detectors: &detectors, descriptors: &descriptors, keypoints: &[100] };
         // Scene a has three pairs, one of them consecutive and one without a transform; b only a consecutive one.
         let pairs = [pair("a", [0, 1]), pair("a", [0, 2]), pair("a", [0, 3]), pair("b", [4, 5])];
         let rows = [row(0.5, None), row(0.04, Some(0.03)), row(0.06, None), row(0.0, Some(0.0))];
         let settings = json!({"seed": 0});
-        let report = Report::new(&plan, &settings, &pairs.each_ref(), &[&rows], Some(&THREE_D_MATCH)).unwrap();
+        let report = Report::new(&cases, &settings, &pairs.each_ref(), &[&rows], Some(&THREE_D_MATCH)).unwrap();
         let csv = report.csv();
         let lines: Vec<&str> = csv.lines().skip(1).collect();
         let a = format!("iss,fpfh,100,\"a\",{},{},0.5,50,10", 2.0 / 3.0, (0.5 + 0.04 + 0.06) / 3.0);
@@ -289,7 +330,7 @@ mod tests {
         {
             assert!(markdown.contains(part), "{markdown}");
         }
-        let json: Value = serde_json::from_str(&report.json().unwrap()).unwrap();
+        let json: Value = serde_json::from_str(&report.json()).unwrap();
         assert_eq!(json["rows"][0]["scenes"][1]["registration_recall"], Value::Null);
     }
 }

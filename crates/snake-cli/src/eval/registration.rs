@@ -1,19 +1,17 @@
 //! `snake-cli eval registration`: the 3DMatch benchmark for every detector and descriptor.
 
-mod report;
-
 use std::collections::HashMap;
 use std::collections::hash_map::Entry;
 use std::path::PathBuf;
 
 use anyhow::{Context, Result, bail};
-use serde::{Deserialize, Serialize};
 use serde_json::{Value, json};
 use snake_core::{Cloud, Model, Point};
 use snake_eval::datasets::{ScenePair, Scenes};
+use snake_eval::reports::registration::{Cases, INLIER_RATIO, RMSE, Report, Row};
 use snake_eval::tables::paper::THREE_D_MATCH;
 use snake_eval::{information_matrix, inlier_ratio, overlap, squared_registration_error};
-use snake_registration::{Descriptor, KeypointDetector, RansacOptions, Scan, mutual_nearest, ransac};
+use snake_registration::{RansacOptions, Scan, mutual_nearest, ransac};
 
 use super::args::RegistrationArguments;
 use super::files;
@@ -21,21 +19,16 @@ use super::record::Record;
 use super::schedule::{Schedule, Task};
 use crate::inputs::ColumnArguments;
 use crate::terminal;
-use report::Report;
 
 // Settings that the benchmark fixes; lengths are in metres.
 /// Size of the voxels to which clouds are downsampled.
 const VOXEL_SIZE: f64 = 0.03;
 /// A correspondence is an inlier up to this distance under the true transform.
 const INLIER_DISTANCE: f64 = 0.1;
-/// A pair counts for feature matching recall above this inlier ratio.
-const INLIER_RATIO: f64 = 0.05;
 /// A correspondence is an inlier of RANSAC below this distance.
 const RANSAC_DISTANCE: f64 = 0.05;
 /// The most samples of RANSAC.
 const RANSAC_SAMPLES: usize = 50_000;
-/// A pair counts as registered up to this RMSE.
-const RMSE: f64 = 0.2;
 /// Without a gt.info, points nearer than this overlap.
 const OVERLAP_DISTANCE: f64 = 0.05;
 
@@ -58,9 +51,9 @@ pub fn run(arguments: &RegistrationArguments) -> Result<()> {
     record.fill(schedule.tasks(), |pair| scenes.name(pair), rows)?;
     let pairs: Vec<&ScenePair> = schedule.chosen().iter().map(|&pair| &scenes.pairs[pair]).collect();
     let paper = arguments.run.paper.then_some(&THREE_D_MATCH);
-    let report = Report::new(&plan, &settings, &pairs, &schedule.by_seed(record.pairs()), paper)?;
+    let report = Report::new(&plan.cases, &settings, &pairs, &schedule.by_seed(record.pairs()), paper)?;
     if let Some(output) = output {
-        report.write(output)?;
+        files::write(output, "registration", &report.files())?;
     }
     terminal::print_report(&report.text_lines().into_iter().collect())
 }
@@ -68,21 +61,8 @@ pub fn run(arguments: &RegistrationArguments) -> Result<()> {
 /// The detectors, descriptors and numbers of keypoints to evaluate.
 struct Plan<'a> {
     model: &'a Model,
-    detectors: &'a [KeypointDetector],
-    descriptors: &'a [Descriptor],
-    keypoints: &'a [usize],
+    cases: Cases<'a>,
     columns: &'a ColumnArguments,
-}
-
-/// The figures of one detector, descriptor and number of keypoints on one pair.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-struct Row {
-    /// Number of keypoints, the mean of both clouds.
-    found: f64,
-    correspondences: usize,
-    inlier_ratio: f64,
-    /// In square metres; `None` if no transform was found.
-    squared_error: Option<f64>,
 }
 
 impl<'a> Plan<'a> {
@@ -91,7 +71,8 @@ impl<'a> Plan<'a> {
         if keypoints.contains(&0) {
             bail!("--keypoints must be 1 or more");
         }
-        Ok(Self { model, detectors, descriptors, keypoints, columns: &arguments.run.columns })
+        let cases = Cases { detectors, descriptors, keypoints };
+        Ok(Self { model, cases, columns: &arguments.run.columns })
     }
 
     /// All settings that the figures depend on, without the content of the data.
@@ -101,9 +82,9 @@ impl<'a> Plan<'a> {
             "data": arguments.data,
             "columns": arguments.run.columns.columns,
             "limit": arguments.run.limit,
-            "detectors": self.detectors,
-            "descriptors": self.descriptors,
-            "keypoints": self.keypoints,
+            "detectors": self.cases.detectors,
+            "descriptors": self.cases.descriptors,
+            "keypoints": self.cases.keypoints,
             "model": self.model.metadata(),
             "voxel_size": VOXEL_SIZE,
             "inlier_distance": INLIER_DISTANCE,
@@ -115,28 +96,17 @@ impl<'a> Plan<'a> {
         })
     }
 
-    /// The detector, descriptor and number of keypoints of each row of a pair.
-    fn cases(&self) -> Vec<(KeypointDetector, Descriptor, usize)> {
-        let mut cases = Vec::new();
-        for &detector in self.detectors {
-            for &descriptor in self.descriptors {
-                cases.extend(self.keypoints.iter().map(|&keypoints| (detector, descriptor, keypoints)));
-            }
-        }
-        cases
-    }
-
     /// Reads a cloud and computes the keypoints of each detector with their descriptors.
     fn cloud(&self, files: &[PathBuf], index: usize, seed: u64) -> Result<DescribedCloud> {
         let Cloud { points, origin } = self.columns.read(&files[index])?;
         let scan = Scan::new(&points, self.model, VOXEL_SIZE)?;
-        let most = self.keypoints.iter().copied().max().unwrap_or_default();
+        let most = self.cases.keypoints.iter().copied().max().unwrap_or_default();
         // The random keypoints of two clouds must be independent.
         let seed = seed.wrapping_add(index as u64);
         let mut features = Vec::new();
-        for &detector in self.detectors {
+        for &detector in self.cases.detectors {
             let keypoints = scan.keypoints(detector, most, seed)?;
-            for &descriptor in self.descriptors {
+            for &descriptor in self.cases.descriptors {
                 let (keypoints, dimension) = (keypoints.clone(), scan.dimension(descriptor));
                 let descriptors = scan.descriptors(&keypoints, descriptor)?;
                 features.push(Features { keypoints, descriptors, dimension });
@@ -157,7 +127,7 @@ impl<'a> Plan<'a> {
         };
         let mut rows = Vec::new();
         for (source, target) in source.features.iter().zip(&target.features) {
-            for &count in self.keypoints {
+            for &count in self.cases.keypoints {
                 let [(source_points, source_rows), (target_points, target_rows)] =
                     [source.best(count), target.best(count)];
                 let matches = mutual_nearest(source_rows, target_rows, source.dimension)?;

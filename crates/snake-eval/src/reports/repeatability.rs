@@ -1,17 +1,40 @@
 //! Reports of repeatability: tables, curves, CSV and JSON.
 
-use std::path::Path;
-
-use anyhow::Result;
+use serde::{Deserialize, Serialize};
 use serde_json::{Value, json};
-use snake_eval::tables::paper::{PaperRepeatability, PaperTable};
-use snake_eval::tables::plot::{self, Line, Panel};
-use snake_eval::tables::{self, Statistic, Table, mean};
-use snake_eval::views::Condition;
 
-use super::super::files;
-use super::super::record::Pair;
-use super::{Plan, Row};
+use super::Pair;
+use crate::tables::paper::{PaperRepeatability, PaperTable};
+use crate::tables::plot::{self, Line, Panel};
+use crate::tables::{self, Statistic, Table, mean};
+use crate::views::Condition;
+
+/// The figures of one method under one condition on one pair.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Row {
+    /// The name of the method.
+    pub method: String,
+    /// The disturbance of the views.
+    #[serde(flatten)]
+    pub condition: Condition,
+    /// Number of keypoints in view 1.
+    pub keypoints: usize,
+    /// Mean distance from the points of view 1 to their nearest keypoint; `None` without keypoints.
+    pub coverage: Option<f64>,
+    /// Relative repeatability for each epsilon.
+    pub repeatability: Vec<f64>,
+}
+
+/// The thresholds and conditions of an evaluation.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Sweeps {
+    /// The distances below which a keypoint counts as repeated, in units of the views.
+    pub epsilon: Vec<f64>,
+    /// The epsilon at which the conditions are tabulated, one of `epsilon`.
+    pub table_epsilon: f64,
+    /// The conditions, clean views first.
+    pub conditions: Vec<Condition>,
+}
 
 /// A sweep over one disturbance: its conditions, the column value of each condition, and the paper's table.
 struct Sweep {
@@ -27,7 +50,7 @@ const NOISE: Sweep = Sweep { belongs: |c| c.downsample == 1, column_value: |c| c
 
 /// The figures of every method and condition, as means over all pairs.
 pub struct Report<'a> {
-    plan: &'a Plan,
+    sweeps: &'a Sweeps,
     settings: &'a Value,
     summaries: Vec<Summary>,
     num_pairs: usize,
@@ -69,9 +92,12 @@ impl Summary {
 
 impl<'a> Report<'a> {
     /// Summarises the pairs of each seed. All pairs have rows for the same methods and conditions. The tables also show
-    /// the paper's rows.
+    /// the paper's rows, and the JSON has the settings.
+    ///
+    /// # Panics
+    /// When there are no pairs, or when two pairs have rows for different methods or conditions.
     pub fn new(
-        plan: &'a Plan,
+        sweeps: &'a Sweeps,
         settings: &'a Value,
         runs: &[&[Pair<Row>]],
         paper: Option<&'a PaperRepeatability>,
@@ -81,7 +107,7 @@ impl<'a> Report<'a> {
             runs.iter().map(|pairs| pairs.iter().map(|pair| &pair.rows[i]).collect()).collect()
         };
         let summaries = (0..num_rows).map(|i| Summary::new(&rows_of(i))).collect();
-        Self { plan, settings, summaries, num_pairs: runs[0].len(), num_seeds: runs.len(), paper }
+        Self { sweeps, settings, summaries, num_pairs: runs[0].len(), num_seeds: runs.len(), paper }
     }
 
     /// The tables as lines of plain text.
@@ -89,12 +115,11 @@ impl<'a> Report<'a> {
         tables::text_lines(&self.tables())
     }
 
-    /// Writes `repeatability.csv`, `.json`, `.md` and `.svg`.
-    pub fn write(&self, output: &Path) -> Result<()> {
+    /// The report as files: extensions and contents.
+    pub fn files(&self) -> [(&'static str, String); 4] {
         let markdown = tables::markdown(&self.tables());
         let svg = plot::svg("relative repeatability", &self.panels());
-        let texts = [("csv", self.csv()), ("json", self.json()?), ("md", markdown), ("svg", svg)];
-        files::write(output, "repeatability", &texts)
+        [("csv", self.csv()), ("json", self.json()), ("md", markdown), ("svg", svg)]
     }
 
     /// The paper's three tables: over epsilon, over down-sampling and over noise.
@@ -106,7 +131,7 @@ impl<'a> Report<'a> {
 
     /// The tables as curves, with a logarithmic axis for down-sampling.
     fn panels(&self) -> Vec<Panel> {
-        let Plan { epsilon, table_epsilon, conditions, .. } = self.plan;
+        let Sweeps { epsilon, table_epsilon, conditions } = self.sweeps;
         let ours = |s: &Summary| Line::new(&s.method, s.repeatability.iter().map(|share| Some(share.mean)).collect());
         let theirs = self.paper.into_iter().flat_map(|paper| Line::of_paper(&paper.epsilon, epsilon));
         let over_epsilon = Panel {
@@ -130,7 +155,7 @@ impl<'a> Report<'a> {
     fn lines(&self, swept: &[Condition], sweep: &Sweep) -> Vec<Line> {
         let share = |c: &Condition, i| self.under(*c).nth(i).map(|s| s.repeatability[self.table_column()].mean);
         let line = |i, first: &Summary| Line::new(&first.method, swept.iter().map(|c| share(c, i)).collect());
-        let ours = self.under(self.plan.conditions[0]).enumerate().map(|(i, first)| line(i, first));
+        let ours = self.under(self.sweeps.conditions[0]).enumerate().map(|(i, first)| line(i, first));
         let theirs = self.paper_sweep(swept, sweep);
         ours.chain(theirs.into_iter().flat_map(|(table, column_values)| Line::of_paper(table, &column_values)))
             .collect()
@@ -138,25 +163,25 @@ impl<'a> Report<'a> {
 
     /// The conditions of a sweep; `None` if there is only one.
     fn swept(&self, sweep: &Sweep) -> Option<Vec<Condition>> {
-        let swept: Vec<Condition> = self.plan.conditions.iter().copied().filter(sweep.belongs).collect();
+        let swept: Vec<Condition> = self.sweeps.conditions.iter().copied().filter(sweep.belongs).collect();
         (swept.len() > 1).then_some(swept)
     }
 
     /// The paper's table of a sweep with the requested column values; `None` if its epsilon differs from ours.
     fn paper_sweep(&self, swept: &[Condition], sweep: &Sweep) -> Option<(&'a PaperTable, Vec<f64>)> {
-        let paper = self.paper.filter(|paper| paper.table_epsilon == self.plan.table_epsilon)?;
+        let paper = self.paper.filter(|paper| paper.table_epsilon == self.sweeps.table_epsilon)?;
         Some(((sweep.paper)(paper), swept.iter().map(sweep.column_value).collect()))
     }
 
     /// The index of the tables' epsilon.
     fn table_column(&self) -> usize {
-        self.plan.epsilon.iter().position(|epsilon| *epsilon == self.plan.table_epsilon).unwrap_or(0)
+        self.sweeps.epsilon.iter().position(|epsilon| *epsilon == self.sweeps.table_epsilon).unwrap_or(0)
     }
 
     /// The table of the clean views over epsilon, with a row for each method.
     fn over_epsilon(&self) -> Table {
         let mut head = vec!["method".to_owned()];
-        head.extend(self.plan.epsilon.iter().map(|epsilon| format!("ε {epsilon}")));
+        head.extend(self.sweeps.epsilon.iter().map(|epsilon| format!("ε {epsilon}")));
         head.extend(["keypoints".into(), "coverage".into()]);
         let row = |s: &Summary| {
             let mut row = vec![s.method.clone()];
@@ -167,9 +192,9 @@ impl<'a> Report<'a> {
         };
         let over = tables::deviation_name(self.num_seeds, "pairs");
         let title = format!("Relative repeatability, mean over {} pairs ± {over}", self.num_pairs);
-        let theirs = self.paper.into_iter().flat_map(|paper| paper.epsilon.rows(&self.plan.epsilon));
+        let theirs = self.paper.into_iter().flat_map(|paper| paper.epsilon.rows(&self.sweeps.epsilon));
         let theirs = theirs.map(|row| [row, vec!["-".into(), "-".into()]].concat());
-        let rows = self.under(self.plan.conditions[0]).map(row).chain(theirs).collect();
+        let rows = self.under(self.sweeps.conditions[0]).map(row).chain(theirs).collect();
         Table { title, head, rows }
     }
 
@@ -177,14 +202,15 @@ impl<'a> Report<'a> {
     fn over(&self, what: &str, sweep: &Sweep, name: fn(&Condition) -> String) -> Option<Table> {
         let swept = self.swept(sweep)?;
         let head = std::iter::once("method".to_owned()).chain(swept.iter().map(name)).collect();
-        let mut rows: Vec<Vec<String>> = self.under(self.plan.conditions[0]).map(|s| vec![s.method.clone()]).collect();
+        let mut rows: Vec<Vec<String>> =
+            self.under(self.sweeps.conditions[0]).map(|s| vec![s.method.clone()]).collect();
         for condition in &swept {
             let cells = self.under(*condition).map(|s| s.repeatability[self.table_column()].cell());
             rows.iter_mut().zip(cells).for_each(|(row, cell)| row.push(cell));
         }
         let theirs = self.paper_sweep(&swept, sweep);
         rows.extend(theirs.into_iter().flat_map(|(table, column_values)| table.rows(&column_values)));
-        Some(Table { title: format!("At ε {}, over {what}", self.plan.table_epsilon), head, rows })
+        Some(Table { title: format!("At ε {}, over {what}", self.sweeps.table_epsilon), head, rows })
     }
 
     /// The summaries of all methods under one condition, in their order.
@@ -197,7 +223,7 @@ impl<'a> Report<'a> {
         let mut text =
             String::from("method,downsample,noise,epsilon,repeatability,deviation,keypoints,coverage,pairs\n");
         for s in &self.summaries {
-            for (epsilon, share) in self.plan.epsilon.iter().zip(&s.repeatability) {
+            for (epsilon, share) in self.sweeps.epsilon.iter().zip(&s.repeatability) {
                 let Condition { downsample, noise } = s.condition;
                 let coverage = s.coverage.map(|coverage| coverage.to_string()).unwrap_or_default();
                 let (method, keypoints, pairs) = (&s.method, s.keypoints, self.num_pairs);
@@ -208,7 +234,7 @@ impl<'a> Report<'a> {
         text
     }
 
-    fn json(&self) -> Result<String> {
+    fn json(&self) -> String {
         let row = |s: &Summary| {
             json!({
                 "method": s.method,
@@ -222,14 +248,14 @@ impl<'a> Report<'a> {
         };
         let rows: Vec<Value> = self.summaries.iter().map(row).collect();
         let all = json!({"settings": self.settings, "pairs": self.num_pairs, "rows": rows});
-        Ok(serde_json::to_string_pretty(&all)? + "\n")
+        format!("{all:#}\n")
     }
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
-    use snake_eval::tables::paper::MODELNET40;
+    use crate::tables::paper::MODELNET40;
 
     const CLEAN: Condition = Condition { downsample: 1, noise: 0.0 };
     const BLURRED: Condition = Condition { downsample: 1, noise: 0.1 };
@@ -242,13 +268,13 @@ mod tests {
     #[test]
     fn tables_by_hand() {
         let conditions = vec![CLEAN, BLURRED];
-        let plan = Plan { epsilon: vec![0.1, 0.2], table_epsilon: 0.2, conditions, num_points: 1 };
+        let sweeps = Sweeps { epsilon: vec![0.1, 0.2], table_epsilon: 0.2, conditions };
         let pairs = [
             Pair { name: "a".into(), rows: vec![row(CLEAN, 4, [0.5, 1.0]), row(BLURRED, 0, [0.0, 0.0])] },
             Pair { name: "b".into(), rows: vec![row(CLEAN, 8, [0.25, 1.0]), row(BLURRED, 2, [0.0, 0.5])] },
         ];
         let settings = json!({"seed": 0});
-        let report = Report::new(&plan, &settings, &[&pairs], None);
+        let report = Report::new(&sweeps, &settings, &[&pairs], None);
         let markdown = "Relative repeatability, mean over 2 pairs ± standard deviation over pairs:
 
 | method | ε 0.1 | ε 0.2 | keypoints | coverage |
@@ -265,7 +291,7 @@ At ε 0.2, over noise:
         let csv = report.csv();
         assert_eq!(csv.lines().nth(1).unwrap(), "iss,1,0,0.1,0.375,0.1767766952966369,6,0.25,2");
         assert_eq!(csv.lines().count(), 5);
-        let json: Value = serde_json::from_str(&report.json().unwrap()).unwrap();
+        let json: Value = serde_json::from_str(&report.json()).unwrap();
         assert_eq!(json["rows"][1]["repeatability"], json!([0.0, 0.25]));
         assert_eq!((json["rows"].as_array().unwrap().len(), &json["settings"]), (2, &settings));
         assert!(report.text_lines().join("\n").contains("iss             0.375 ±0.177"));
@@ -286,8 +312,8 @@ At ε 0.2, over noise:
         let settings = json!({});
         let markdown = |table_epsilon| {
             let (epsilon, conditions) = (vec![0.04, 0.3], vec![CLEAN, blurred]);
-            let plan = Plan { epsilon, table_epsilon, conditions, num_points: 1 };
-            tables::markdown(&Report::new(&plan, &settings, &[&pairs], Some(&MODELNET40)).tables())
+            let sweeps = Sweeps { epsilon, table_epsilon, conditions };
+            tables::markdown(&Report::new(&sweeps, &settings, &[&pairs], Some(&MODELNET40)).tables())
         };
         let usual = markdown(0.04);
         for row in [
@@ -303,11 +329,11 @@ At ε 0.2, over noise:
 
     #[test]
     fn seeds_by_hand() {
-        let plan = Plan { epsilon: vec![0.1, 0.2], table_epsilon: 0.2, conditions: vec![CLEAN], num_points: 1 };
+        let sweeps = Sweeps { epsilon: vec![0.1, 0.2], table_epsilon: 0.2, conditions: vec![CLEAN] };
         let pair = |shares| Pair { name: "a".into(), rows: vec![row(CLEAN, 4, shares)] };
         let runs = [[pair([0.25, 0.5]), pair([0.5, 0.5])], [pair([0.5, 0.75]), pair([0.75, 0.75])]];
         let settings = json!({});
-        let report = Report::new(&plan, &settings, &runs.each_ref().map(|run| &run[..]), None);
+        let report = Report::new(&sweeps, &settings, &runs.each_ref().map(|run| &run[..]), None);
         let markdown = tables::markdown(&report.tables());
         assert!(markdown.starts_with("Relative repeatability, mean over 2 pairs ± standard deviation over 2 seeds:"));
         // Means of 0.375 and 0.625, 0.5 and 0.75.

@@ -1,17 +1,27 @@
 //! Reports of semantic consistency: tables, curves, CSV and JSON.
 
-use std::path::Path;
-
-use anyhow::Result;
+use serde::{Deserialize, Serialize};
 use serde_json::{Value, json};
-use snake_eval::tables::paper::PaperTable;
-use snake_eval::tables::plot::{self, Line, Panel};
-use snake_eval::tables::{self, Statistic, Table, mean};
-use snake_eval::{MatchCounts, SmplProtocol, smpl_iou};
+use snake_core::Result;
 
-use super::super::files;
-use super::super::record::Pair;
-use super::Row;
+use super::Pair;
+use crate::tables::paper::PaperTable;
+use crate::tables::plot::{self, Line, Panel};
+use crate::tables::{self, Statistic, Table, mean};
+use crate::{MatchCounts, SmplProtocol, smpl_iou};
+
+/// The matches of one method on one shape or pair of bodies.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Row {
+    /// The name of the method.
+    pub method: String,
+    /// Number of keypoints; for a pair of bodies, on the first one.
+    pub keypoints: usize,
+    /// Counts for each threshold, by the strict rule.
+    pub strict: Vec<MatchCounts>,
+    /// Counts for each threshold, by the rule of the paper's released code.
+    pub paper: Vec<MatchCounts>,
+}
 
 /// The figures of all methods.
 pub struct Report<'a> {
@@ -65,7 +75,13 @@ impl Figure {
 
 impl<'a> Report<'a> {
     /// Summarises the shapes with their classes, or the pairs of bodies without classes, seed by seed. The tables also
-    /// show the paper's rows.
+    /// show the paper's rows, and the JSON has the settings.
+    ///
+    /// # Errors
+    /// [`Error::Input`](snake_core::Error::Input) when a row has no counts.
+    ///
+    /// # Panics
+    /// When there are no shapes, or when two shapes have rows for different methods or thresholds.
     pub fn new(
         threshold: &'a [f64],
         settings: &'a Value,
@@ -100,12 +116,10 @@ impl<'a> Report<'a> {
         tables::text_lines(&self.tables())
     }
 
-    /// Writes `semantic.csv`, `.json`, `.md` and `.svg`.
-    pub fn write(&self, output: &Path) -> Result<()> {
-        let markdown = tables::markdown(&self.tables());
-        let texts =
-            [("csv", self.csv()), ("json", self.json()?), ("md", markdown), ("svg", plot::svg("mIoU", &self.panels()))];
-        files::write(output, "semantic", &texts)
+    /// The report as files: extensions and contents.
+    pub fn files(&self) -> [(&'static str, String); 4] {
+        let (markdown, svg) = (tables::markdown(&self.tables()), plot::svg("mIoU", &self.panels()));
+        [("csv", self.csv()), ("json", self.json()), ("md", markdown), ("svg", svg)]
     }
 
     /// The means over classes or pairs.
@@ -169,7 +183,7 @@ impl<'a> Report<'a> {
         text
     }
 
-    fn json(&self) -> Result<String> {
+    fn json(&self) -> String {
         let row = |Figure { method, class, keypoints, strict, paper }: &Figure| {
             let means = |all: &[Statistic]| all.iter().map(|iou| iou.mean).collect::<Vec<_>>();
             let deviations = |all: &[Statistic]| all.iter().map(|iou| iou.deviation).collect::<Vec<_>>();
@@ -185,7 +199,7 @@ impl<'a> Report<'a> {
         };
         let rows: Vec<Value> = self.figures.iter().map(row).collect();
         let all = json!({"settings": self.settings, "shapes": self.num_shapes, "rows": rows});
-        Ok(serde_json::to_string_pretty(&all)? + "\n")
+        format!("{all:#}\n")
     }
 }
 
@@ -198,13 +212,13 @@ fn class_iou(counts: &[MatchCounts], _is_paper: bool) -> Result<f64> {
 
 /// The IoU of pairs of bodies. The counts already include the random keypoints of the paper's rule.
 fn pairs_iou(counts: &[MatchCounts], is_paper: bool) -> Result<f64> {
-    Ok(smpl_iou(counts, if is_paper { SmplProtocol::PaperCompatible { seed: 0 } } else { SmplProtocol::Strict })?)
+    smpl_iou(counts, if is_paper { SmplProtocol::PaperCompatible { seed: 0 } } else { SmplProtocol::Strict })
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
-    use snake_eval::tables::paper::KEYPOINTNET;
+    use crate::tables::paper::KEYPOINTNET;
 
     fn shape(keypoints: usize, strict: [usize; 3], paper: [usize; 3]) -> Pair<Row> {
         let counts = |[ground_truth, false_positives, false_negatives]: [usize; 3]| {

@@ -1,13 +1,11 @@
 //! `snake-cli eval repeatability`.
 
-mod report;
-
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result, bail};
-use serde::{Deserialize, Serialize};
 use serde_json::{Value, json};
 use snake_eval::datasets::{Scale, ViewPairs};
+use snake_eval::reports::repeatability::{Report, Row, Sweeps};
 use snake_eval::tables::paper;
 use snake_eval::views::{Condition, Views};
 use snake_eval::{mean_distance_to_keypoints, relative_repeatability};
@@ -20,7 +18,6 @@ use super::record::Record;
 use super::schedule::{Schedule, Task};
 use crate::inputs::{ColumnArguments, expand};
 use crate::terminal;
-use report::Report;
 
 /// Evaluates every pair that is not yet recorded, then reports.
 pub fn run(arguments: &RepeatabilityArguments) -> Result<()> {
@@ -40,9 +37,9 @@ pub fn run(arguments: &RepeatabilityArguments) -> Result<()> {
         Scale::Room => Some(&paper::REDWOOD),
         Scale::Object => Some(&paper::MODELNET40),
     };
-    let report = Report::new(&plan, &settings, &schedule.by_seed(record.pairs()), paper);
+    let report = Report::new(&plan.sweeps, &settings, &schedule.by_seed(record.pairs()), paper);
     if let Some(output) = &common.run.output {
-        report.write(output)?;
+        files::write(output, "repeatability", &report.files())?;
     }
     terminal::print_report(&report.text_lines().into_iter().collect())
 }
@@ -69,25 +66,9 @@ fn open_pair(inputs: &[PathBuf], transform: &Path) -> Result<ViewPairs> {
     Ok(ViewPairs::from_pair(source, target, t_target_source))
 }
 
-/// The figures of one method under one condition on one pair.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-struct Row {
-    method: String,
-    #[serde(flatten)]
-    condition: Condition,
-    /// Number of keypoints in view 1.
-    keypoints: usize,
-    /// Mean distance from the points of view 1 to their nearest keypoint; `None` without keypoints.
-    coverage: Option<f64>,
-    /// Relative repeatability for each epsilon.
-    repeatability: Vec<f64>,
-}
-
 /// The thresholds, conditions and number of points to evaluate.
 struct Plan {
-    epsilon: Vec<f64>,
-    table_epsilon: f64,
-    conditions: Vec<Condition>,
+    sweeps: Sweeps,
     num_points: usize,
 }
 
@@ -129,7 +110,7 @@ impl Plan {
                 distinct.push(condition);
             }
         }
-        Ok(Self { epsilon, table_epsilon, conditions: distinct, num_points })
+        Ok(Self { sweeps: Sweeps { epsilon, table_epsilon, conditions: distinct }, num_points })
     }
 
     /// All settings that the figures depend on, without the content of the data.
@@ -141,8 +122,8 @@ impl Plan {
             "transform": arguments.transform,
             "keypoints": Method::all_settings(&arguments.common, methods),
             "num_points": self.num_points,
-            "epsilon": self.epsilon,
-            "conditions": self.conditions,
+            "epsilon": self.sweeps.epsilon,
+            "conditions": self.sweeps.conditions,
         })
     }
 
@@ -156,11 +137,11 @@ impl Plan {
     ) -> Result<Vec<Row>> {
         let clouds = data.clouds(index, &columns.options())?;
         let mut rows = Vec::new();
-        for condition in &self.conditions {
+        for condition in &self.sweeps.conditions {
             let Views { view_1, view_2, t_1_2, seeds } = clouds.views(*condition, self.num_points, seed, index)?;
             for method in methods {
                 let (first, second) = (method.keypoints(&view_1, seeds[0])?, method.keypoints(&view_2, seeds[1])?);
-                let repeatability = relative_repeatability(&first, &second, &t_1_2, &self.epsilon)?;
+                let repeatability = relative_repeatability(&first, &second, &t_1_2, &self.sweeps.epsilon)?;
                 let coverage = if first.is_empty() { None } else { Some(mean_distance_to_keypoints(&view_1, &first)?) };
                 let keypoints = first.len();
                 rows.push(Row {
