@@ -42,12 +42,18 @@ def test_register_finds_the_transform(cloud, found):
     assert 3 <= found.num_inliers <= found.num_correspondences
     assert 0 < found.rmse < 0.1 and found.seconds > 0
     assert 0 < found.fitness <= 1 and 0 < found.fitness_rmse < found.inlier_distance
-    assert f"{found.num_inliers} of {found.num_correspondences}" in repr(found)
+    assert f"{found.num_inliers} of {found.num_correspondences}" in repr(found) and "reliable" in repr(found)
 
 
 def test_results_can_be_pickled(found):
     copy = pickle.loads(pickle.dumps(found))
     names = (
+        "confidence",
+        "is_reliable",
+        "free_space_violation",
+        "weakest_constraint",
+        "viewpoints",
+        "notes",
         "num_inliers",
         "num_correspondences",
         "rmse",
@@ -58,7 +64,8 @@ def test_results_can_be_pickled(found):
         "seconds",
     )
     assert all(getattr(copy, name) == getattr(found, name) for name in names)
-    assert np.array_equal(copy.t_target_source, found.t_target_source)
+    for name in ("t_target_source", "information", "hypotheses"):
+        assert np.array_equal(getattr(copy, name), getattr(found, name))
 
 
 def test_model_and_options_reach_the_core(cloud, found):
@@ -70,6 +77,17 @@ def test_model_and_options_reach_the_core(cloud, found):
         assert not np.array_equal(other.t_target_source, found.t_target_source), options
 
 
+def test_guess_axis_and_viewpoints(cloud, found):
+    truth = transform()
+    guessed = snake_rs.register(cloud[:2048], moved(truth, cloud[2048:]), initial=truth, hypotheses=3)
+    assert np.abs(moved(guessed.t_target_source, cloud) - moved(truth, cloud)).max() < 0.05
+    assert np.array_equal(guessed.hypotheses[0], guessed.t_target_source) and guessed.information.shape == (6, 6)
+    shifted = cloud[2048:] + np.float32([1, 2, 3])
+    upright = snake_rs.register(cloud[:2048], shifted, gravity="z", source_viewpoint=(0, 0, 9), target_viewpoint=[1, 2, 12])
+    assert upright.viewpoints == ("given", "given")
+    assert np.allclose(upright.t_target_source[2, :3], [0, 0, 1]) and 0 <= upright.confidence <= 1
+
+
 @pytest.mark.parametrize(
     "options, message",
     [
@@ -79,7 +97,10 @@ def test_model_and_options_reach_the_core(cloud, found):
         ({"voxel_size": -1.0}, "voxel_size"),
         ({"max_keypoints": 2}, "3 or more"),
         ({"seed": -1}, "whole number"),
-        ({"confidence": 1}, "confidence"),
+        ({"max_matches": 2}, "3 to 20000"),
+        ({"gravity": "w"}, "gravity"),
+        ({"initial": np.zeros((4, 4))}, "initial"),
+        ({"source_viewpoint": [0, 1]}, "source_viewpoint"),
     ],
 )
 def test_options_outside_their_range_are_named(cloud, options, message):

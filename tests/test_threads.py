@@ -194,7 +194,7 @@ CALLS = {
     "encode": "model.encode(many, rotations=64)",
     "detect of a field": "field.detect(query_resolution=128, refine_steps=100, occupancy_threshold=0.01)",
     "mesh": "field.mesh(resolution=512)",
-    "register": "snake_rs.register(many, many + 1, max_iterations=10**8, confidence=0.999999)",
+    "register": "snake_rs.register(many, many + 1, voxel_size=1e-4, max_keypoints=10**6)",
 }
 
 

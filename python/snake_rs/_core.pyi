@@ -92,16 +92,20 @@ class _Options(_EncodeOptions, _DetectOptions, total=False):
 
 @type_check_only
 class _RegisterOptions(TypedDict, total=False):
-    detector: Literal["snake", "iss", "harris3d", "sift3d", "fps", "random"]
+    detector: Literal["voxels", "snake", "iss", "harris3d", "sift3d", "fps", "random"]
     descriptor: Literal["fpfh", "field"]
     max_keypoints: int
+    max_matches: int
     voxel_size: float | str | None
     normal_radius: float | str | None
     feature_radius: float | str | None
     inlier_distance: float | str | None
-    edge_length_ratio: float
-    max_iterations: int
-    confidence: float
+    use_viewpoints: bool
+    source_viewpoint: ArrayLike | None
+    target_viewpoint: ArrayLike | None
+    gravity: Literal["x", "y", "z"] | None
+    initial: ArrayLike | None
+    hypotheses: int
     seed: int
     refine_steps: int
 
@@ -287,17 +291,29 @@ class Registration:
     def __new__(
         cls,
         t_target_source: NDArray[np.float64],
+        confidence: float,
+        is_reliable: bool,
         num_inliers: int,
         num_correspondences: int,
         rmse: float,
         inlier_distance: float,
         fitness: float,
         fitness_rmse: float,
+        free_space_violation: float,
+        weakest_constraint: float,
+        information: NDArray[np.float64],
+        hypotheses: list[NDArray[np.float64]],
+        viewpoints: tuple[str, str],
+        notes: list[str],
         num_skipped: tuple[int, int],
         seconds: float,
     ) -> Self: ...
     @property
     def t_target_source(self) -> NDArray[np.float64]: ...
+    @property
+    def confidence(self) -> float: ...
+    @property
+    def is_reliable(self) -> bool: ...
     @property
     def num_inliers(self) -> int: ...
     @property
@@ -310,6 +326,18 @@ class Registration:
     def fitness(self) -> float: ...
     @property
     def fitness_rmse(self) -> float: ...
+    @property
+    def free_space_violation(self) -> float: ...
+    @property
+    def weakest_constraint(self) -> float: ...
+    @property
+    def information(self) -> NDArray[np.float64]: ...
+    @property
+    def hypotheses(self) -> list[NDArray[np.float64]]: ...
+    @property
+    def viewpoints(self) -> tuple[str, str]: ...
+    @property
+    def notes(self) -> list[str]: ...
     @property
     def num_skipped(self) -> tuple[int, int]: ...
     @property

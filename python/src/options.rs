@@ -115,7 +115,7 @@ fn in_words(error: &serde_json::Error) -> String {
     found.unwrap_or(text)
 }
 
-/// Converts None, bool, str and finite numbers, including numpy's, to JSON. Any other value gives `None`.
+/// Converts None, bool, str and finite numbers, including numpy's, and sequences of them to JSON. Any other value gives `None`.
 fn json(value: &Bound<PyAny>) -> Option<Value> {
     if value.is_none() {
         Some(Value::Null)
@@ -127,7 +127,10 @@ fn json(value: &Bound<PyAny>) -> Option<Value> {
         Some(integer.into())
     } else if let Ok(integer) = value.extract::<i64>() {
         Some(integer.into())
+    } else if let Ok(number) = value.extract() {
+        Number::from_f64(number).map(Value::Number)
     } else {
-        Number::from_f64(value.extract().ok()?).map(Value::Number)
+        // Positions and matrices are sequences or arrays.
+        value.try_iter().ok()?.map(|item| json(&item.ok()?)).collect()
     }
 }

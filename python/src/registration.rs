@@ -3,30 +3,45 @@
 use numpy::{PyArray1, PyArray2, PyArrayMethods};
 use pyo3::prelude::*;
 use pyo3::types::{PyDict, PyTuple};
-use snake_core::Cloud;
+use snake_core::{Cloud, RigidTransform};
 use snake_registration as core;
 
 use crate::model::{self, Model};
 use crate::{arrays, options, threads};
 
-/// A rigid transform between two clouds, with figures of its quality. It can be pickled.
+/// A rigid transform between two clouds, with a verdict and figures of its quality. It can be pickled.
 #[pyclass(frozen, get_all, module = "snake_rs")]
 pub struct Registration {
     /// Maps source points into the target's frame, (4, 4) float64: `p_target = R p_source + t`.
     t_target_source: Py<PyArray2<f64>>,
-    /// Number of correspondences that are inliers of RANSAC's transform, from which ICP starts.
+    /// How likely the transform is right, in [0, 1].
+    confidence: f64,
+    /// Whether the transform can be relied on: `confidence` is at least 0.5.
+    is_reliable: bool,
+    /// Number of matches that the transform brings within `inlier_distance` before ICP.
     num_inliers: usize,
-    /// Number of correspondences: keypoints that are mutual nearest neighbours in descriptor space.
+    /// Number of matches of keypoints.
     num_correspondences: usize,
-    /// Root mean square distance of the inliers under RANSAC's transform, in cloud units. It measures how far apart two
-    /// keypoints of the same place are, not the accuracy of `t_target_source`.
+    /// Root mean square distance of the inliers before ICP, in cloud units.
     rmse: f64,
-    /// Distance up to which a correspondence is an inlier, in cloud units.
+    /// Distance up to which a match is an inlier, in cloud units.
     inlier_distance: f64,
     /// Share of the source's voxels within `inlier_distance` of the target's under `t_target_source`, in [0, 1].
     fitness: f64,
     /// Root mean square distance of these voxels to the target's, in cloud units.
     fitness_rmse: f64,
+    /// Share of the voxels of both clouds that lie where the other cloud's sensor saw through, in [0, 1].
+    free_space_violation: f64,
+    /// How well the overlap fixes the direction of motion that it fixes least: 0 if the source can slide or turn.
+    weakest_constraint: f64,
+    /// Information matrix (6, 6) float64 of a small rotation (radians), then translation, in the target's frame.
+    information: Py<PyArray2<f64>>,
+    /// The best distinct transforms (4, 4), best first: `hypotheses` of them at most.
+    hypotheses: Vec<Py<PyArray2<f64>>>,
+    /// Which viewpoints were used for source and target: "given", "origin" or "none".
+    viewpoints: (String, String),
+    /// What may be wrong with the clouds.
+    notes: Vec<String>,
     /// Numbers of points of source and target that were skipped because they are not finite.
     num_skipped: (usize, usize),
     /// Seconds that the registration took.
@@ -39,49 +54,73 @@ impl Registration {
     #[expect(clippy::too_many_arguments, reason = "a pickle holds them all")]
     fn new(
         t_target_source: Py<PyArray2<f64>>,
+        confidence: f64,
+        is_reliable: bool,
         num_inliers: usize,
         num_correspondences: usize,
         rmse: f64,
         inlier_distance: f64,
         fitness: f64,
         fitness_rmse: f64,
+        free_space_violation: f64,
+        weakest_constraint: f64,
+        information: Py<PyArray2<f64>>,
+        hypotheses: Vec<Py<PyArray2<f64>>>,
+        viewpoints: (String, String),
+        notes: Vec<String>,
         num_skipped: (usize, usize),
         seconds: f64,
     ) -> Self {
         Self {
             t_target_source,
+            confidence,
+            is_reliable,
             num_inliers,
             num_correspondences,
             rmse,
             inlier_distance,
             fitness,
             fitness_rmse,
+            free_space_violation,
+            weakest_constraint,
+            information,
+            hypotheses,
+            viewpoints,
+            notes,
             num_skipped,
             seconds,
         }
     }
 
-    fn __getnewargs__<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyTuple>> {
-        let Self { t_target_source, num_inliers, num_correspondences, rmse, num_skipped, seconds, .. } = self;
-        let Self { inlier_distance, fitness, fitness_rmse, .. } = self;
-        (
-            t_target_source,
-            num_inliers,
-            num_correspondences,
-            rmse,
-            inlier_distance,
-            fitness,
-            fitness_rmse,
-            *num_skipped,
-            seconds,
-        )
-            .into_pyobject(py)
+    fn __getnewargs__<'py>(this: &Bound<'py, Self>) -> PyResult<Bound<'py, PyTuple>> {
+        let names = [
+            "t_target_source",
+            "confidence",
+            "is_reliable",
+            "num_inliers",
+            "num_correspondences",
+            "rmse",
+            "inlier_distance",
+            "fitness",
+            "fitness_rmse",
+            "free_space_violation",
+            "weakest_constraint",
+            "information",
+            "hypotheses",
+            "viewpoints",
+            "notes",
+            "num_skipped",
+            "seconds",
+        ];
+        let values: PyResult<Vec<_>> = names.iter().map(|name| this.getattr(*name)).collect();
+        PyTuple::new(this.py(), values?)
     }
 
     fn __repr__(&self) -> String {
-        let Self { num_inliers, num_correspondences, rmse, fitness, fitness_rmse, seconds, .. } = self;
+        let Self { confidence, num_inliers, num_correspondences, fitness, fitness_rmse, seconds, .. } = self;
+        let verdict = if self.is_reliable { "reliable" } else { "not reliable" };
         format!(
-            "Registration(RANSAC: {num_inliers} of {num_correspondences} correspondences, rmse {rmse:.5}; \
+            "Registration({verdict}, confidence {confidence:.2}; {num_inliers} of {num_correspondences} matches; \
              fitness {fitness:.3}, rmse {fitness_rmse:.5}; {seconds:.3} s)"
         )
     }
@@ -90,14 +129,19 @@ impl Registration {
 /// Finds the rigid transform that aligns one cloud to another, without an initial pose.
 ///
 /// `source` (N, 3) and `target` (M, 3) have the same forms as in `detect` and the same units. They may overlap only
-/// partly. Points that are not finite are skipped. The keypoints of `model` (default: the built-in one) are matched by
-/// their descriptors, RANSAC finds the transform with the most inliers, and point-to-plane ICP refines it.
+/// partly. Points that are not finite are skipped. Descriptors of the downsampled clouds are matched, transforms on
+/// which many matches agree are compared on the clouds, and point-to-plane ICP refines the best. `confidence` and
+/// `is_reliable` say whether to trust it. `model` (default: the built-in one) runs only for the detector "snake" and the
+/// descriptor "field".
 ///
-/// Options: `detector` ("snake", the model's keypoints, or "iss", "harris3d", "sift3d", "fps" or "random" on the
-/// downsampled clouds), `descriptor` ("fpfh", which is invariant to rotation, or "field", for clouds of about the same
-/// orientation), `max_keypoints`, `voxel_size`, `normal_radius`, `feature_radius` and `inlier_distance` (lengths in
-/// cloud units, or text such as "3r" in multiples of the coarser cloud's mean distance between nearest points; None:
-/// derived from the clouds), `edge_length_ratio`, `max_iterations`, `confidence`, `seed`, `refine_steps` (0: no ICP).
+/// Options: `detector` ("voxels", all points of the downsampled clouds, "snake", the model's keypoints, or "iss",
+/// "harris3d", "sift3d", "fps" or "random" on the downsampled clouds), `descriptor` ("fpfh", which is invariant to
+/// rotation, or "field", for clouds of about the same orientation), `max_keypoints`, `max_matches`, `voxel_size`,
+/// `normal_radius`, `feature_radius` and `inlier_distance` (lengths in cloud units, or text such as "3r" in multiples of
+/// the coarser cloud's mean distance between nearest points; None: derived from the clouds), `use_viewpoints`,
+/// `source_viewpoint` and `target_viewpoint` (the sensors' positions (3,); None: the origin, if most of the cloud is
+/// visible from there), `gravity` ("x", "y" or "z", the axis that points up in both), `initial` (a guess (4, 4) of
+/// `t_target_source`), `hypotheses`, `seed`, `refine_steps` (0: no ICP).
 /// Raises ValueError for invalid arrays or values and when no transform fits, TypeError for an unknown option.
 #[pyfunction]
 #[pyo3(signature = (source, target, model=None, **options))]
@@ -109,25 +153,37 @@ pub fn register(
     options: Option<&Bound<'_, PyDict>>,
 ) -> PyResult<Registration> {
     let model = model::given_or_builtin(py, model)?;
-    let options = options::of("register", options)?;
+    let mut options: core::RegisterOptions = options::of("register", options)?;
     let ((source, _), (target, _)) = (arrays::cloud("source", source)?, arrays::cloud("target", target)?);
+    options.place(source.origin, target.origin);
     let (from, to) = (&source.points, &target.points);
     let near = threads::run_with_signals(py, |control| core::register_with(from, to, &model, &options, control))?;
     let found = near.between_origins(source.origin, target.origin);
-    let matrix = PyArray1::from_vec(py, found.t_target_source.to_matrix().as_flattened().to_vec()).reshape([4, 4])?;
-    let core::Registration { num_inliers, num_correspondences, rmse, num_skipped, seconds, .. } = found;
-    let core::Registration { inlier_distance, fitness, fitness_rmse, .. } = found;
+    let transform = |transform: RigidTransform| matrix(py, transform.to_matrix());
+    let hypotheses = found.hypotheses.iter().map(|hypothesis| transform(hypothesis.t_target_source));
     Ok(Registration {
-        t_target_source: matrix.unbind(),
-        num_inliers,
-        num_correspondences,
-        rmse,
-        inlier_distance,
-        fitness,
-        fitness_rmse,
-        num_skipped: num_skipped.into(),
-        seconds,
+        t_target_source: transform(found.t_target_source)?,
+        confidence: found.confidence,
+        is_reliable: found.is_reliable,
+        num_inliers: found.num_inliers,
+        num_correspondences: found.num_correspondences,
+        rmse: found.rmse,
+        inlier_distance: found.inlier_distance,
+        fitness: found.fitness,
+        fitness_rmse: found.fitness_rmse,
+        free_space_violation: found.free_space_violation,
+        weakest_constraint: found.weakest_constraint,
+        information: matrix(py, found.information)?,
+        hypotheses: hypotheses.collect::<PyResult<_>>()?,
+        viewpoints: found.viewpoints.map(|used| used.name().to_string()).into(),
+        notes: found.notes,
+        num_skipped: found.num_skipped.into(),
+        seconds: found.seconds,
     })
+}
+
+fn matrix<const N: usize>(py: Python<'_>, rows: [[f64; N]; N]) -> PyResult<Py<PyArray2<f64>>> {
+    Ok(PyArray1::from_vec(py, rows.as_flattened().to_vec()).reshape([N, N])?.unbind())
 }
 
 /// Unit normals (N, 3) float32 of a cloud (N, 3). A normal is the direction of the least variance of the points nearer

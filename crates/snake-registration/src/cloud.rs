@@ -43,7 +43,7 @@ pub fn estimate_normals(points: &[Point], radius: f64) -> Result<Vec<Point>> {
     check_radius("radius", radius)?;
     let cloud = Neighbors::new(points.iter().copied().map(vector).collect())?;
     cloud.check_density("radius", radius)?;
-    Ok(normals(&cloud, radius, &Control::default())?
+    Ok(normals(&cloud, radius, Orientation::Mean, &Control::default())?
         .into_iter()
         .map(|normal| normal.map(|v| v as f32).into())
         .collect())
@@ -57,15 +57,36 @@ pub(super) fn check_radius(name: &'static str, radius: f64) -> Result<()> {
     Err(Error::Option { name, value: radius.to_string(), allowed: "above 0 (cloud units)" })
 }
 
+/// The signs of normals.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(super) enum Orientation {
+    /// Normals point to the side of the cloud's mean.
+    Mean,
+    /// Normals point to the side of the sensor.
+    Viewpoint(Vector),
+    /// Normals have no sign.
+    Unsigned,
+}
+
 /// [`estimate_normals`] of an indexed cloud.
-pub(super) fn normals(cloud: &Neighbors, radius: f64, control: &Control) -> Result<Vec<Vector>> {
+pub(super) fn normals(
+    cloud: &Neighbors,
+    radius: f64,
+    orientation: Orientation,
+    control: &Control,
+) -> Result<Vec<Vector>> {
     let counter = control.begin("normals", cloud.points.len());
-    let center = cloud.points.iter().sum::<Vector>() / cloud.points.len() as f64;
+    let front = match orientation {
+        Orientation::Mean => Some(cloud.points.iter().sum::<Vector>() / cloud.points.len() as f64),
+        Orientation::Viewpoint(viewpoint) => Some(viewpoint),
+        Orientation::Unsigned => None,
+    };
     let normal = |point: &Vector| {
         counter.check()?;
         counter.add(1);
         let Some(normal) = cloud.normal(&cloud.within(point, radius)) else { return Ok(Vector::zeros()) };
-        Ok(if normal.dot(&(center - point)) < 0.0 { -normal } else { normal })
+        let is_behind = front.is_some_and(|front| normal.dot(&(front - point)) < 0.0);
+        Ok(if is_behind { -normal } else { normal })
     };
     cloud.points.par_iter().map(normal).collect()
 }

@@ -1,12 +1,12 @@
 //! Point-to-plane ICP.
 
-use nalgebra::{IsometryMatrix3, Matrix6, Rotation3, Translation3, Vector6};
+use nalgebra::{IsometryMatrix3, Matrix3, Matrix6, Rotation3, Translation3, Vector6};
 use rayon::prelude::*;
 
 use super::rigid::moved;
-use snake_core::Control;
-use snake_core::Result;
-use snake_core::space::{Neighbors, Vector};
+use super::surface::Surface;
+use snake_core::space::Vector;
+use snake_core::{Counter, Result};
 
 /// The iteration ends when the translation is below this share of the pair distance and the rotation below this angle
 /// in radians.
@@ -17,77 +17,127 @@ const OPEN_DIRECTION: f64 = 1e-3;
 /// Refines a rough transform by point-to-plane ICP (Chen and Medioni 1991, linearised).
 ///
 /// Each source point is paired with its nearest target point and moved towards that point's tangent plane. Pairs
-/// farther apart than `max_distance` are ignored. Directions that the geometry does not constrain, as with a single
-/// plane, are not changed.
+/// farther apart than the target's grid finds are ignored. Directions that the geometry does not constrain, as with a
+/// single plane, are not changed. With `gravity`, the rotation is about this axis only.
 pub(super) fn icp(
     source: &[Vector],
-    target: &Neighbors,
-    target_normals: &[Vector],
+    target: &Surface,
     rough: IsometryMatrix3<f64>,
-    max_distance: f64,
+    gravity: Option<Vector>,
     max_iterations: usize,
-    control: &Control,
+    counter: &Counter,
 ) -> Result<IsometryMatrix3<f64>> {
     let mut transform = rough;
-    let counter = control.begin("ICP", max_iterations);
     for _ in 0..max_iterations {
         counter.check()?;
-        counter.add(1);
-        let pair = |point: &Vector| {
-            let point = moved(&transform, point);
-            let (index, distance) = target.nearest(&point, std::num::NonZeroUsize::MIN)[0];
-            (distance < max_distance).then_some((point, index))
-        };
-        let pairs: Vec<_> = source.par_iter().filter_map(pair).collect();
-        let Some(step) = plane_step(&pairs, target, target_normals) else { break };
+        let pairs = pairs(source, target, &transform);
+        let Some(step) = plane_step(&pairs, target, gravity) else { break };
         transform = step * transform;
-        if step.translation.vector.norm() < TOLERANCE * max_distance && step.rotation.angle() < TOLERANCE {
+        let distance = target.grid.distance();
+        if step.translation.vector.norm() < TOLERANCE * distance && step.rotation.angle() < TOLERANCE {
             break;
         }
     }
     Ok(transform)
 }
 
-/// The quality of a transform, as in Open3D's `evaluate_registration`: the share of source points closer than
-/// `max_distance` to the target, and the root mean square distance of these points; 0 without any.
-pub(super) fn fitness(
-    source: &[Vector],
-    target: &Neighbors,
-    transform: &IsometryMatrix3<f64>,
-    max_distance: f64,
-) -> (f64, f64) {
-    let distance = |point: &Vector| target.nearest(&moved(transform, point), std::num::NonZeroUsize::MIN)[0].1;
-    let distances: Vec<f64> = source.par_iter().map(distance).filter(|distance| *distance < max_distance).collect();
-    let count = distances.len() as f64;
-    let sum: f64 = distances.iter().map(|distance| distance.powi(2)).sum();
-    (count / source.len().max(1) as f64, (sum / count.max(1.0)).sqrt())
+/// Pairs of a source point in the target frame and the index of the nearest target point.
+fn pairs(source: &[Vector], target: &Surface, transform: &IsometryMatrix3<f64>) -> Vec<(Vector, usize)> {
+    let pair = |point: &Vector| {
+        let point = moved(transform, point);
+        target.grid.nearest(&point).map(|(index, _)| (point, index))
+    };
+    source.par_iter().filter_map(pair).collect()
 }
 
-/// The least-squares step of pairs (source point in the target frame, index of its partner); `None` for no pairs or a
-/// single point.
-fn plane_step(pairs: &[(Vector, usize)], target: &Neighbors, normals: &[Vector]) -> Option<IsometryMatrix3<f64>> {
-    let count = pairs.len() as f64;
-    let center = pairs.iter().map(|(point, _)| point).sum::<Vector>() / count;
-    let extent = (pairs.iter().map(|(point, _)| (point - center).norm_squared()).sum::<f64>() / count).sqrt();
-    if pairs.is_empty() || extent == 0.0 {
-        return None;
+/// What the pairs of a transform say about it.
+pub(super) struct Constraint {
+    /// The information matrix of a small rotation and then translation in the target frame.
+    pub(super) information: Matrix6<f64>,
+    /// The number of directions that the pairs leave open.
+    pub(super) open_directions: usize,
+    /// The mean squared cosine to the normals in the direction that the pairs constrain least; 0 if it is open.
+    pub(super) weakest: f64,
+}
+
+impl Constraint {
+    pub(super) fn new(source: &[Vector], target: &Surface, transform: &IsometryMatrix3<f64>) -> Self {
+        let pairs = pairs(source, target, transform);
+        let row = |(point, index): &(Vector, usize)| twist(point, &target.normals[*index]);
+        let information = pairs.iter().map(row).fold(Matrix6::zeros(), |sum, row| sum + row * row.transpose());
+        let Some(normal) = Normal::new(&pairs, target) else {
+            return Self { information, open_directions: 6, weakest: 0.0 };
+        };
+        let eigenvalues = normal.information.symmetric_eigenvalues() / normal.count;
+        let open_directions = eigenvalues.iter().filter(|value| **value <= OPEN_DIRECTION).count();
+        Self { information, open_directions, weakest: eigenvalues.min().max(0.0) }
     }
-    let (mut information, mut residuals) = (Matrix6::zeros(), Vector6::zeros());
-    for (point, index) in pairs {
-        let normal = &normals[*index];
-        // Rotations are scaled to lengths, so that their eigenvalues are comparable with those of translations.
-        let lever = (point - center).cross(normal) / extent;
-        let row = Vector6::new(lever.x, lever.y, lever.z, normal.x, normal.y, normal.z);
-        information += row * row.transpose();
-        residuals += row * normal.dot(&(target.points[*index] - point));
+}
+
+/// The gradient of a point's distance to a plane by a rotation about the origin and a translation.
+fn twist(point: &Vector, normal: &Vector) -> Vector6<f64> {
+    let lever = point.cross(normal);
+    Vector6::new(lever.x, lever.y, lever.z, normal.x, normal.y, normal.z)
+}
+
+/// The normal equations of pairs, about their mean. Rotations are scaled to lengths by the pairs' extent, so that their
+/// eigenvalues are comparable with those of translations.
+struct Normal {
+    information: Matrix6<f64>,
+    residuals: Vector6<f64>,
+    count: f64,
+    center: Vector,
+    extent: f64,
+}
+
+impl Normal {
+    /// `None` for no pairs or a single point.
+    fn new(pairs: &[(Vector, usize)], target: &Surface) -> Option<Self> {
+        let count = pairs.len() as f64;
+        let center = pairs.iter().map(|(point, _)| point).sum::<Vector>() / count;
+        let extent = (pairs.iter().map(|(point, _)| (point - center).norm_squared()).sum::<f64>() / count).sqrt();
+        if pairs.is_empty() || extent == 0.0 {
+            return None;
+        }
+        let (mut information, mut residuals) = (Matrix6::zeros(), Vector6::zeros());
+        for (point, index) in pairs {
+            let normal = &target.normals[*index];
+            let row = twist(&((point - center) / extent), normal);
+            information += row * row.transpose();
+            residuals += row * normal.dot(&(target.points[*index] - point));
+        }
+        Some(Self { information, residuals, count, center, extent })
     }
-    let eigen = information.symmetric_eigen();
-    let constrained = |value: &f64| *value > OPEN_DIRECTION * count;
-    let step = eigen.eigenvectors.column_iter().zip(eigen.eigenvalues.iter()).filter(|(_, value)| constrained(value));
-    let step: Vector6<f64> = step.map(|(direction, value)| direction * (direction.dot(&residuals) / value)).sum();
-    let rotation = Rotation3::new(step.fixed_rows::<3>(0) / extent);
-    let translation = center - rotation * center + step.fixed_rows::<3>(3);
-    Some(IsometryMatrix3::from_parts(Translation3::from(translation), rotation))
+
+    /// Removes rotations about other axes.
+    fn about(mut self, axis: &Vector) -> Self {
+        let mut allowed = Matrix6::identity();
+        allowed.fixed_view_mut::<3, 3>(0, 0).copy_from(&Matrix3::from(axis * axis.transpose()));
+        self.information = allowed * self.information * allowed;
+        self.residuals = allowed * self.residuals;
+        self
+    }
+
+    /// The least-squares step; directions that are not constrained stay.
+    fn step(&self) -> IsometryMatrix3<f64> {
+        let eigen = self.information.symmetric_eigen();
+        let constrained = |value: &f64| *value > OPEN_DIRECTION * self.count;
+        let directions = eigen.eigenvectors.column_iter().zip(eigen.eigenvalues.iter());
+        let steps = directions.filter(|(_, value)| constrained(value));
+        let step: Vector6<f64> =
+            steps.map(|(direction, value)| direction * (direction.dot(&self.residuals) / value)).sum();
+        let rotation = Rotation3::new(step.fixed_rows::<3>(0) / self.extent);
+        let translation = self.center - rotation * self.center + step.fixed_rows::<3>(3);
+        IsometryMatrix3::from_parts(Translation3::from(translation), rotation)
+    }
+}
+
+fn plane_step(pairs: &[(Vector, usize)], target: &Surface, gravity: Option<Vector>) -> Option<IsometryMatrix3<f64>> {
+    let normal = Normal::new(pairs, target)?;
+    Some(match gravity {
+        Some(axis) => normal.about(&axis).step(),
+        None => normal.step(),
+    })
 }
 
 #[cfg(test)]
@@ -95,10 +145,11 @@ mod tests {
     use rand::SeedableRng;
     use rand_chacha::ChaCha8Rng;
 
-    use super::super::cloud::normals;
+    use super::super::cloud::{Orientation, normals};
     use super::super::rigid::tests::random_points;
     use super::*;
-    use snake_core::space::vector;
+    use snake_core::Control;
+    use snake_core::space::{Neighbors, vector};
 
     /// Random points on `sides` faces of the cube ±1.
     fn faces(sides: usize, seed: u64) -> Vec<Vector> {
@@ -112,9 +163,19 @@ mod tests {
     }
 
     fn refined(source: &[Vector], target: Vec<Vector>, rough: IsometryMatrix3<f64>) -> IsometryMatrix3<f64> {
+        refined_about(None, source, target, rough)
+    }
+
+    fn refined_about(
+        gravity: Option<Vector>,
+        source: &[Vector],
+        target: Vec<Vector>,
+        rough: IsometryMatrix3<f64>,
+    ) -> IsometryMatrix3<f64> {
         let target = Neighbors::new(target).unwrap();
-        let normals = normals(&target, 0.2, &Control::default()).unwrap();
-        icp(source, &target, &normals, rough, 0.3, 30, &Control::default()).unwrap()
+        let normals = normals(&target, 0.2, Orientation::Mean, &Control::default()).unwrap();
+        let target = Surface::new(&target.points, &normals, None, 0.3);
+        icp(source, &target, rough, gravity, 30, &Counter::default()).unwrap()
     }
 
     #[test]
@@ -129,12 +190,43 @@ mod tests {
     }
 
     #[test]
-    fn fitness_counts_what_is_near() {
-        let target = Neighbors::new(vec![Vector::zeros(), Vector::x()]).unwrap();
-        let source = [Vector::zeros(), Vector::x(), 0.3 * Vector::y(), 9.0 * Vector::z()];
-        let of = |transform| fitness(&source, &target, &transform, 1.0);
-        assert_eq!(of(IsometryMatrix3::identity()), (0.75, 0.03_f64.sqrt()));
-        assert_eq!(of(IsometryMatrix3::translation(0.0, 0.0, 99.0)), (0.0, 0.0));
+    fn a_known_axis_is_kept() {
+        let truth = IsometryMatrix3::new(Vector::new(2.0, -1.0, 0.5), Vector::new(0.0, 0.0, 1.1));
+        let error = IsometryMatrix3::new(Vector::new(0.06, -0.05, 0.08), Vector::new(0.0, 0.0, -0.06));
+        let source: Vec<Vector> = faces(3, 1).iter().map(|p| moved(&truth.inverse(), p)).collect();
+        let found = refined_about(Some(Vector::z()), &source, faces(3, 2), error * truth);
+        let left = found * truth.inverse();
+        assert!(left.translation.vector.norm() < 5e-3 && left.rotation.angle() < 5e-3, "{left}");
+        assert!((found.rotation * Vector::z() - Vector::z()).norm() < 1e-9);
+    }
+
+    #[test]
+    fn information_is_about_the_target_frame_and_counts_open_directions() {
+        let points = faces(3, 1);
+        let cloud = Neighbors::new(points.clone()).unwrap();
+        let normals = normals(&cloud, 0.2, Orientation::Mean, &Control::default()).unwrap();
+        let of = |sides: usize| {
+            let keep: Vec<usize> = (0..points.len()).filter(|i| i % 3 < sides).collect();
+            let [p, n] = [&points, &normals].map(|all| keep.iter().map(|&i| all[i]).collect::<Vec<_>>());
+            Constraint::new(&p, &Surface::new(&p, &n, None, 0.3), &IsometryMatrix3::identity())
+        };
+        let found = of(3);
+        assert!(found.open_directions == 0 && found.weakest > OPEN_DIRECTION);
+        let three = found.information;
+        // A third of the normals point along each axis, up to the edges.
+        assert!((3..6).all(|i| (three[(i, i)] - 1000.0).abs() < 100.0), "{three}");
+        // Face z = 1: a rotation about x moves a point by its y.
+        let expected: f64 = points
+            .iter()
+            .enumerate()
+            .map(|(i, p)| match i % 3 {
+                0 => 0.0,
+                1 => p.z.powi(2),
+                _ => p.y.powi(2),
+            })
+            .sum();
+        assert!((three[(0, 0)] / expected - 1.0).abs() < 0.1, "{} {expected}", three[(0, 0)]);
+        assert!(of(1).open_directions == 3 && of(1).weakest < OPEN_DIRECTION);
     }
 
     #[test]

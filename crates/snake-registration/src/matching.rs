@@ -1,7 +1,8 @@
-//! Correspondences: mutual nearest neighbours in descriptor space.
+//! Correspondences: nearest neighbours in descriptor space.
 
 use rayon::prelude::*;
 
+use super::nearest::nearest_both;
 use snake_core::{Control, Counter};
 use snake_core::{Error, Result};
 
@@ -14,6 +15,44 @@ use snake_core::{Error, Result};
 /// [`Error::Input`] when an array's length is not a multiple of `dimension` or it has a number that is not finite.
 pub fn mutual_nearest(source: &[f32], target: &[f32], dimension: usize) -> Result<Vec<[usize; 2]>> {
     matches(source, target, dimension, &Control::default())
+}
+
+/// The square roots of histograms `(N, dimension)` of sum 1, flat. Their Euclidean distance is the Hellinger distance of
+/// the histograms, which small bins count in as well as large ones (RootSIFT, Arandjelović and Zisserman 2012).
+pub(super) fn hellinger(histograms: &mut [f32], dimension: usize) {
+    for row in histograms.chunks_exact_mut(dimension) {
+        let sum: f32 = row.iter().sum();
+        if sum > 0.0 {
+            row.iter_mut().for_each(|v| *v = (*v / sum).sqrt());
+        }
+    }
+}
+
+/// At most `count` pairs `[source row, target row]` of rows `(N, dimension)` and their nearest rows in the other array.
+///
+/// Mutual nearest rows come first, then the others, each by rising ratio of the distances to the nearest and the second
+/// nearest row: a match is distinctive if the second nearest row is much farther.
+pub(super) fn ranked_matches(
+    source: &[f32],
+    target: &[f32],
+    dimension: usize,
+    count: usize,
+    control: &Control,
+) -> Result<Vec<[usize; 2]>> {
+    let counter = control.begin("matching", source.len() / dimension);
+    let [forth, back] = nearest_both(source, target, dimension, &counter)?;
+    let of_source = forth.iter().enumerate().map(|(row, nearest)| {
+        let other = &back[nearest.row];
+        let is_mutual = other.row == row;
+        let ratio = if is_mutual { nearest.ratio().max(other.ratio()) } else { nearest.ratio() };
+        (!is_mutual, ratio, [row, nearest.row])
+    });
+    let of_target = back.iter().enumerate().filter(|(row, nearest)| forth[nearest.row].row != *row);
+    let of_target = of_target.map(|(row, nearest)| (true, nearest.ratio(), [nearest.row, row]));
+    let mut ranked: Vec<(bool, f32, [usize; 2])> = of_source.chain(of_target).collect();
+    ranked.sort_by(|a, b| a.0.cmp(&b.0).then(a.1.total_cmp(&b.1)).then(a.2.cmp(&b.2)));
+    ranked.truncate(count);
+    Ok(ranked.into_iter().map(|(.., pair)| pair).collect())
 }
 
 /// [`mutual_nearest`] with progress and cancellation.
@@ -64,6 +103,23 @@ mod tests {
         assert_eq!((stage.done, stage.total), (7, 7));
         let same = [1.0; 12];
         assert_eq!(mutual_nearest(&same, &same, 2).unwrap(), [[0, 0]]);
+    }
+
+    #[test]
+    fn mutual_pairs_come_first_each_by_ratio() {
+        let (source, target) = ([0.0, 10.0, 4.0, 5.5], [9.0, 1.0, 5.0, 30.0]);
+        let ranked = |count| ranked_matches(&source, &target, 1, count, &Control::default()).unwrap();
+        // Ratios: 0→1 1/5; 5.5→5 0.5/3.5; 10→9 1/5. Then 4→5 1/3 and 30→10 20/24.5.
+        let all = ranked(9);
+        let mut mutual = all[..3].to_vec();
+        mutual.sort_unstable();
+        assert_eq!(mutual, mutual_nearest(&source, &target, 1).unwrap());
+        assert_eq!(all[3..], [[2, 2], [1, 3]]);
+        assert_eq!(ranked(2), all[..2]);
+        assert!(ranked_matches(&[], &target, 1, 9, &Control::default()).unwrap().is_empty());
+        let mut histograms = [1.0, 3.0, 0.0, 0.0];
+        hellinger(&mut histograms, 2);
+        assert_eq!(histograms, [0.5, 0.75_f32.sqrt(), 0.0, 0.0]);
     }
 
     #[test]

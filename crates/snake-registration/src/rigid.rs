@@ -1,6 +1,8 @@
 //! Rigid transforms: the least-squares fit, and the transform of points.
 
-use nalgebra::{IsometryMatrix3, Matrix3, Matrix4, Quaternion, SymmetricEigen, Translation3, UnitQuaternion};
+use nalgebra::{
+    IsometryMatrix3, Matrix3, Matrix4, Quaternion, Rotation3, SymmetricEigen, Translation3, UnitQuaternion,
+};
 
 use snake_core::space::check_points;
 use snake_core::space::{Vector, vector};
@@ -73,6 +75,24 @@ pub(super) fn best_fit(pairs: impl Iterator<Item = (Vector, Vector)> + Clone) ->
     }
     let q = eigenvectors.column(largest);
     let rotation = UnitQuaternion::new_normalize(Quaternion::new(q[0], q[1], q[2], q[3])).to_rotation_matrix();
+    let translation = target_mean - rotation * source_mean;
+    Some(IsometryMatrix3::from_parts(Translation3::from(translation), rotation))
+}
+
+/// The least-squares transform of pairs (source, target) whose rotation is about a unit axis; `None` if the points do not
+/// determine its angle.
+pub(super) fn best_fit_about(axis: &Vector, pairs: &[(Vector, Vector)]) -> Option<IsometryMatrix3<f64>> {
+    let count = pairs.len() as f64;
+    let [source_mean, target_mean] =
+        pairs.iter().fold([Vector::zeros(); 2], |[a, b], (s, t)| [a + s, b + t]).map(|sum| sum / count);
+    let (sine, cosine) = pairs.iter().fold((0.0, 0.0), |(sine, cosine), (s, t)| {
+        let (s, t) = (s - source_mean, t - target_mean);
+        (sine + axis.dot(&s.cross(&t)), cosine + s.dot(&t) - axis.dot(&s) * axis.dot(&t))
+    });
+    if pairs.len() < 2 || (sine, cosine) == (0.0, 0.0) {
+        return None;
+    }
+    let rotation = Rotation3::from_scaled_axis(axis * f64::atan2(sine, cosine));
     let translation = target_mean - rotation * source_mean;
     Some(IsometryMatrix3::from_parts(Translation3::from(translation), rotation))
 }

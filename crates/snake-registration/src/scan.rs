@@ -3,10 +3,13 @@
 use std::num::NonZeroUsize;
 use std::sync::OnceLock;
 
+use rand::SeedableRng;
+use rand_chacha::ChaCha8Rng;
 use serde::{Deserialize, Serialize};
 
-use super::cloud::{check_radius, normals, voxel_means};
-use super::fpfh::{self, FPFH_DIMENSION};
+use super::cloud::{Orientation, check_radius, normals, voxel_means};
+use super::fast_fpfh;
+use super::fpfh::FPFH_DIMENSION;
 use crate::detectors::{Detector, Harris3dOptions, IssOptions, Protocol, Sift3dOptions};
 use snake_core::Control;
 use snake_core::Field;
@@ -22,8 +25,10 @@ use snake_core::{Normalization, NormalizationMethod, Point};
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum KeypointDetector {
-    /// The most salient points of the field, at least a voxel apart.
+    /// Every point of the reduced cloud.
     #[default]
+    Voxels,
+    /// The most salient points of the field, at least a voxel apart.
     Snake,
     /// Intrinsic shape signatures.
     Iss,
@@ -56,6 +61,7 @@ pub struct Scan {
     pub(super) normals: Vec<Vector>,
     voxel_size: f64,
     feature_radius: f64,
+    orientation: Orientation,
     /// The finite points.
     points: Vec<Point>,
     model: Model,
@@ -83,7 +89,7 @@ impl Scan {
         check_radius("voxel_size", voxel_size)?;
         let points = FinitePoints::of("points", points)?.points;
         let voxels = reduce(&points, voxel_size, control)?;
-        Self::of(&points, voxels, model, [voxel_size, 2.0 * voxel_size, 7.0 * voxel_size], control)
+        Self::of(&points, voxels, model, [voxel_size, 2.0 * voxel_size, 7.0 * voxel_size], Orientation::Mean, control)
     }
 
     /// [`Scan::new`] of finite points and their voxels; `lengths` are voxel size, radius of normals and radius of FPFH.
@@ -92,6 +98,7 @@ impl Scan {
         voxels: Neighbors,
         model: &Model,
         lengths: [f64; 3],
+        orientation: Orientation,
         control: &Control,
     ) -> Result<Self> {
         let [voxel_size, normal_radius, feature_radius] = lengths;
@@ -99,12 +106,13 @@ impl Scan {
         Normalization::of(points, NORMALIZATION)?;
         voxels.check_density("normal_radius", normal_radius)?;
         voxels.check_density("feature_radius", feature_radius)?;
-        let normals = normals(&voxels, normal_radius, control)?;
+        let normals = normals(&voxels, normal_radius, orientation, control)?;
         Ok(Self {
             voxels,
             normals,
             voxel_size,
             feature_radius,
+            orientation,
             points: points.to_vec(),
             model: model.clone(),
             field: OnceLock::new(),
@@ -138,6 +146,9 @@ impl Scan {
         // More keypoints than points add no information, and matching takes time in the square of their number.
         let count = count.min(self.points.len());
         let classical = match detector {
+            KeypointDetector::Voxels => {
+                return Ok(self.voxel_sample(count, seed).map(|i| self.voxel_mean(i)).collect());
+            }
             KeypointDetector::Snake => return self.salient_points(count, control),
             KeypointDetector::Iss => Detector::Iss(IssOptions::default()),
             KeypointDetector::Harris3d => Detector::Harris3d(Harris3dOptions::default()),
@@ -151,8 +162,42 @@ impl Scan {
         Ok(found.into_iter().map(|response| voxels[response.index]).collect())
     }
 
+    fn voxel_mean(&self, index: usize) -> Point {
+        self.voxels.points[index].map(|v| v as f32).into()
+    }
+
     fn voxel_means(&self) -> Vec<Point> {
-        self.voxels.points.iter().map(|point| point.map(|v| v as f32).into()).collect()
+        (0..self.voxels.points.len()).map(|index| self.voxel_mean(index)).collect()
+    }
+
+    /// Indices of all voxels, or of `count` random ones, ascending.
+    fn voxel_sample(&self, count: usize, seed: u64) -> impl Iterator<Item = usize> + use<> {
+        let total = self.voxels.points.len();
+        let mut sample: Vec<usize> = match count < total {
+            true => rand::seq::index::sample(&mut ChaCha8Rng::seed_from_u64(seed), total, count).into_vec(),
+            false => (0..total).collect(),
+        };
+        sample.sort_unstable();
+        sample.into_iter()
+    }
+
+    /// Keypoints as by [`Scan::keypoints_with`], each with the index of the nearest voxel.
+    pub(super) fn anchored_keypoints(
+        &self,
+        detector: KeypointDetector,
+        count: usize,
+        seed: u64,
+        control: &Control,
+    ) -> Result<Vec<(Point, usize)>> {
+        if detector == KeypointDetector::Voxels {
+            return Ok(self.voxel_sample(count, seed).map(|index| (self.voxel_mean(index), index)).collect());
+        }
+        let keypoints = self.keypoints_with(detector, count, seed, control)?;
+        Ok(keypoints.into_iter().map(|point| (point, self.nearest_voxel(point))).collect())
+    }
+
+    fn nearest_voxel(&self, point: Point) -> usize {
+        self.voxels.nearest(&vector(point), NonZeroUsize::MIN)[0].0
     }
 
     /// The field of the whole cloud, encoded at the first call.
@@ -221,15 +266,22 @@ impl Scan {
         if !points.is_empty() {
             check_points("points", points)?;
         }
-        let of_voxels = match self.fpfh.get() {
-            Some(of_voxels) => of_voxels,
+        let voxels: Vec<usize> = points.iter().map(|&point| self.nearest_voxel(point)).collect();
+        self.fpfh_of(&voxels, control)
+    }
+
+    /// FPFH of voxels.
+    pub(super) fn fpfh_of(&self, voxels: &[usize], control: &Control) -> Result<Vec<f32>> {
+        let all = match self.fpfh.get() {
+            Some(all) => all,
             None => {
-                let made = fpfh::descriptors(&self.voxels, &self.normals, self.feature_radius, control)?;
+                let signed = self.orientation != Orientation::Unsigned;
+                let (points, normals) = (&self.voxels.points, &self.normals);
+                let made = fast_fpfh::descriptors(points, normals, signed, self.feature_radius, control)?;
                 self.fpfh.get_or_init(|| made)
             }
         };
-        let nearest = |&point: &Point| self.voxels.nearest(&vector(point), NonZeroUsize::MIN)[0].0;
-        let rows = points.iter().map(|point| &of_voxels[nearest(point) * FPFH_DIMENSION..][..FPFH_DIMENSION]);
+        let rows = voxels.iter().map(|voxel| &all[voxel * FPFH_DIMENSION..][..FPFH_DIMENSION]);
         Ok(rows.flatten().copied().collect())
     }
 }
@@ -247,7 +299,7 @@ pub(super) fn reduce(points: &[Point], voxel_size: f64, control: &Control) -> Re
 #[cfg(test)]
 mod tests {
     use super::*;
-    use KeypointDetector::{Fps, Harris3d, Iss, Random, Sift3d, Snake};
+    use KeypointDetector::{Fps, Harris3d, Iss, Random, Sift3d, Snake, Voxels};
     use snake_core::Builtin;
 
     fn sample() -> Vec<Point> {
@@ -258,12 +310,13 @@ mod tests {
     fn every_detector_has_keypoints_of_its_own_on_the_cloud_best_first() {
         let scan = Scan::new(&sample(), &Model::builtin(Builtin::Compact), 0.02).unwrap();
         let mut earlier: Vec<Vec<Point>> = Vec::new();
-        for detector in [Snake, Iss, Harris3d, Sift3d, Fps, Random] {
+        for detector in [Voxels, Snake, Iss, Harris3d, Sift3d, Fps, Random] {
             let keypoints = |count, seed| scan.keypoints(detector, count, seed).unwrap();
             let found = keypoints(100, 0);
             assert!((5..=100).contains(&found.len()), "{detector:?}: {}", found.len());
-            assert_eq!(keypoints(5, 0), found[..5], "{detector:?}");
-            assert_eq!(keypoints(100, 1) == found, detector != Random, "{detector:?}");
+            let drawn = [Voxels, Random].contains(&detector);
+            assert!(detector == Voxels || keypoints(5, 0) == found[..5], "{detector:?}");
+            assert_eq!(keypoints(100, 1) == found, !drawn, "{detector:?}");
             assert!(found.iter().all(|&point| scan.voxels.distance(&vector(point)) < 0.1), "{detector:?}");
             assert!(!earlier.contains(&found), "{detector:?}");
             earlier.push(found);

@@ -4,7 +4,7 @@ use std::path::PathBuf;
 
 use clap::Args;
 use snake_core::Length;
-use snake_registration::{Descriptor, KeypointDetector, RegisterOptions};
+use snake_registration::{Axis, Descriptor, KeypointDetector, RegisterOptions};
 
 use crate::inputs::InputArguments;
 use crate::setup::{ComputeArguments, named, override_with};
@@ -21,6 +21,12 @@ pub struct RegisterArguments {
     /// Write the source's points in the target's frame to this file (.ply, .pcd, .npy, .xyz or .csv).
     #[arg(long)]
     pub aligned: Option<PathBuf>,
+    /// Start from the transform in this file, as written by `register -o`, and search for no other.
+    #[arg(long, value_name = "FILE")]
+    pub initial: Option<PathBuf>,
+    /// Exit with code 1 if the transform is not reliable. Files are written all the same.
+    #[arg(long)]
+    pub require_reliable: bool,
     #[command(flatten)]
     pub input: InputArguments,
     /// Print one JSON object on one line instead of text.
@@ -38,17 +44,20 @@ pub struct RegisterArguments {
     next_help_heading = "Registration options (LENGTH: in the clouds' units, or multiples of their resolution: 3r)"
 )]
 pub struct RegisterFlags {
-    /// Keypoint detector: snake (the model), or iss, harris3d, sift3d, fps or random on the downsampled clouds
-    /// [default: snake].
+    /// Keypoint detector: voxels (all points of the downsampled clouds), snake (the model), or iss, harris3d, sift3d, fps
+    /// or random on the downsampled clouds [default: voxels].
     #[arg(long, value_parser = named::<KeypointDetector>)]
     detector: Option<KeypointDetector>,
     /// Descriptor of the keypoints: fpfh is invariant to rotation; field, the network's features, is for clouds of
     /// about the same orientation [default: fpfh].
     #[arg(long, value_parser = named::<Descriptor>)]
     descriptor: Option<Descriptor>,
-    /// Use at most this many keypoints of each cloud, the best ones [default: 2500].
+    /// Use at most this many keypoints of each cloud, the best ones; of voxels a random part [default: 8000].
     #[arg(long)]
     max_keypoints: Option<usize>,
+    /// Use at most this many matches, the most distinctive ones [default: 2000].
+    #[arg(long)]
+    max_matches: Option<usize>,
     /// Size of the voxels to which both clouds are downsampled for normals, FPFH, ICP and the classical detectors. It
     /// is also the least distance between the keypoints of snake [default: 1/80 of the diameter of the smaller cloud].
     #[arg(long, value_name = "LENGTH")]
@@ -57,23 +66,29 @@ pub struct RegisterFlags {
     /// between neighbouring downsampled points if that is greater].
     #[arg(long, value_name = "LENGTH")]
     normal_radius: Option<Length>,
-    /// Radius of the neighbourhood for FPFH [default: 7 such units].
+    /// Radius of the neighbourhood for FPFH [default: 5 such units].
     #[arg(long, value_name = "LENGTH")]
     feature_radius: Option<Length>,
     /// Distance up to which a match is an inlier of a transform [default: 1.5 such units].
     #[arg(long, value_name = "LENGTH")]
     inlier_distance: Option<Length>,
-    /// Reject a RANSAC sample if the ratio of the shorter to the longer of two matched edges is below this, 0 to 1
-    /// [default: 0.9].
+    /// Do not orient normals to the sensor and do not assume free space in front of it.
     #[arg(long)]
-    edge_length_ratio: Option<f64>,
-    /// Maximum number of RANSAC samples [default: 100000].
-    #[arg(long)]
-    max_iterations: Option<usize>,
-    /// Stop sampling when one of the samples is correct with this probability [default: 0.999].
-    #[arg(long)]
-    confidence: Option<f64>,
-    /// Seed of the RANSAC samples and of random keypoints [default: 0].
+    no_viewpoints: bool,
+    /// Position of the sensor in the source's frame [default: the frame's origin, if most of the cloud is visible from
+    /// there].
+    #[arg(long, value_name = "X,Y,Z", value_parser = position, allow_hyphen_values = true)]
+    source_viewpoint: Option<[f64; 3]>,
+    /// Position of the sensor in the target's frame [default: likewise].
+    #[arg(long, value_name = "X,Y,Z", value_parser = position, allow_hyphen_values = true)]
+    target_viewpoint: Option<[f64; 3]>,
+    /// The axis that points up in both clouds, x, y or z: the transform is a rotation about it and a translation.
+    #[arg(long, value_name = "AXIS", value_parser = named::<Axis>)]
+    gravity: Option<Axis>,
+    /// Return this many transforms, best first [default: 1].
+    #[arg(long, value_name = "N")]
+    hypotheses: Option<usize>,
+    /// Seed of random keypoints [default: 0].
     #[arg(long)]
     seed: Option<u64>,
     /// Number of point-to-plane ICP steps; 0 turns ICP off [default: 30].
@@ -92,11 +107,20 @@ impl RegisterFlags {
         override_with(&mut options.normal_radius, self.normal_radius.map(Some));
         override_with(&mut options.feature_radius, self.feature_radius.map(Some));
         override_with(&mut options.inlier_distance, self.inlier_distance.map(Some));
-        override_with(&mut options.edge_length_ratio, self.edge_length_ratio);
-        override_with(&mut options.max_iterations, self.max_iterations);
-        override_with(&mut options.confidence, self.confidence);
+        override_with(&mut options.max_matches, self.max_matches);
+        options.use_viewpoints &= !self.no_viewpoints;
+        override_with(&mut options.source_viewpoint, self.source_viewpoint.map(Some));
+        override_with(&mut options.target_viewpoint, self.target_viewpoint.map(Some));
+        override_with(&mut options.gravity, self.gravity.map(Some));
+        override_with(&mut options.hypotheses, self.hypotheses);
         override_with(&mut options.seed, self.seed);
         override_with(&mut options.refine_steps, self.refine_steps);
         options
     }
+}
+
+fn position(text: &str) -> Result<[f64; 3], String> {
+    let numbers: Result<Vec<f64>, _> = text.split(',').map(|number| number.trim().parse()).collect();
+    let numbers = numbers.ok().and_then(|numbers| numbers.try_into().ok());
+    numbers.ok_or_else(|| "needed are three numbers: x,y,z".into())
 }

@@ -4,11 +4,11 @@ pub mod args;
 
 use std::path::Path;
 
-use anyhow::{Context, Result};
+use anyhow::{Context, Result, bail};
 use serde_json::json;
-use snake_core::{Control, Progress};
+use snake_core::{Control, Progress, RigidTransform};
 use snake_io::{self as io, CloudFormat};
-use snake_registration::{Registration, register_with, transform_points};
+use snake_registration::{Registration, ViewpointUsed, register_with, transform_points};
 
 use crate::inputs::{check_inputs, output_origin};
 use crate::output::InputFiles;
@@ -22,57 +22,80 @@ pub fn run(arguments: &RegisterArguments) -> Result<()> {
     output.as_deref().map_or(Ok(()), io::check_registration_path)?;
     aligned.as_deref().map(CloudFormat::from_path).transpose()?;
     check_inputs([source, target])?;
-    let inputs = InputFiles::new([source, target].into_iter().chain(&arguments.compute.model));
+    let inputs =
+        InputFiles::new([source, target].into_iter().chain(&arguments.compute.model).chain(&arguments.initial));
     output.iter().chain(aligned).try_for_each(|path| inputs.refuse_as_output(path))?;
     let progress = Progress::default();
     let model = arguments.compute.load_model()?;
     let control = Control::new().progress(&progress);
-    let options = arguments.options.resolve();
+    let mut options = arguments.options.resolve();
     terminal::detail("options", || serde_json::to_string(&options).unwrap_or_default());
     let bar = terminal::stages(&progress)?;
     bar.set_message(format!("{} to {}", source.display(), target.display()));
     let read = |path| arguments.input.read(path, options.seed);
     let (source_cloud, target_cloud) = (read(source)?, read(target)?);
     terminal::detail("points", || format!("{} and {}", source_cloud.points.len(), target_cloud.points.len()));
+    options.initial = arguments.initial.as_deref().map(io::read_transform).transpose()?;
+    options.place(source_cloud.origin, target_cloud.origin);
     let near = register_with(&source_cloud.points, &target_cloud.points, &model, &options, &control)
         .with_context(|| format!("cannot register {} to {}", source.display(), target.display()))?;
     bar.finish();
+    let t_near = near.t_target_source;
     let found = near.between_origins(source_cloud.origin, target_cloud.origin);
     if let Some(path) = output {
         io::write_registration(path, &found.t_target_source, &found)?;
     }
     let mut aligned_origin = [0.0; 3];
     if let Some(path) = aligned {
-        let moved = transform_points(&near.t_target_source, &source_cloud.points);
+        let moved = transform_points(&t_near, &source_cloud.points);
         io::write_points(path, &moved, target_cloud.origin)?;
         aligned_origin = output_origin(path, io::adds_origin(path), target_cloud.origin);
     }
+    let reliable = || match arguments.require_reliable && !found.is_reliable {
+        true => bail!("the transform is not reliable: its confidence is {:.2}", found.confidence),
+        false => Ok(()),
+    };
     let written: Vec<&Path> = output.iter().chain(aligned).map(AsRef::as_ref).collect();
     if arguments.json {
-        let mut object = serde_json::to_value(found)?;
+        let mut object = serde_json::to_value(&found)?;
         if aligned_origin != [0.0; 3] {
             object["aligned_origin"] = json!(aligned_origin);
         }
-        return terminal::print_json(&object);
+        terminal::print_json(&object)?;
+        return reliable();
     }
-    terminal::print_report(&report(&found, &written))
+    terminal::print_report(&report(&found, &written))?;
+    reliable()
 }
 
 fn report(found: &Registration, written: &[&Path]) -> Report {
     let Registration { t_target_source, num_inliers, num_correspondences, rmse, num_skipped, .. } = found;
     let Registration { inlier_distance: near, fitness, fitness_rmse, seconds, .. } = found;
     let mut report = Report::default();
-    report.line("t_target_source:");
-    for [a, b, c, d] in t_target_source.to_matrix() {
-        report.line(format!("{a:>12.6} {b:>12.6} {c:>12.6} {d:>14.6}"));
+    let verdict = if found.is_reliable { "reliable" } else { "not reliable" };
+    report.line(format!("{verdict}: confidence {:.2}", found.confidence));
+    for note in &found.notes {
+        report.line(note);
     }
-    report.line(format!(
-        "RANSAC: {num_inliers} of {num_correspondences} correspondences of keypoints within {near:.5}, RMSE {rmse:.5}"
-    ));
+    report.line("t_target_source:");
+    matrix(&mut report, t_target_source);
+    report.line(format!("matches: {num_inliers} of {num_correspondences} within {near:.5} before ICP, RMSE {rmse:.5}"));
     report.line(format!(
         "result: {:.1} % of the source's voxels within {near:.5} of the target's, RMSE {fitness_rmse:.5}",
         100.0 * fitness
     ));
+    report.line(match found.viewpoints {
+        [ViewpointUsed::None, _] => "viewpoints: unknown".into(),
+        [source, target] => {
+            let name = |used| if used == ViewpointUsed::Given { "given" } else { "the origin" };
+            let violation = 100.0 * found.free_space_violation;
+            format!("viewpoints: {} and {}; {violation:.1} % of the voxels in free space", name(source), name(target))
+        }
+    });
+    for (rank, other) in found.hypotheses.iter().enumerate().skip(1) {
+        report.line(format!("{}. {} matches, score {:.3}:", rank + 1, other.num_inliers, other.score));
+        matrix(&mut report, &other.t_target_source);
+    }
     report.line(format!("{seconds:.3} s"));
     let [of_source, of_target] = num_skipped;
     if of_source + of_target > 0 {
@@ -84,4 +107,10 @@ fn report(found: &Registration, written: &[&Path]) -> Report {
         report.line(format!("written to {}", path.display()));
     }
     report
+}
+
+fn matrix(report: &mut Report, transform: &RigidTransform) {
+    for [a, b, c, d] in transform.to_matrix() {
+        report.line(format!("{a:>12.6} {b:>12.6} {c:>12.6} {d:>14.6}"));
+    }
 }

@@ -148,7 +148,7 @@ impl Pair {
             format!("{} of {} keypoints repeat within {:.4}", self.repeated(), self.partners.len(), self.epsilon);
         match &self.registration {
             Some(Registration { num_inliers, num_correspondences, .. }) => {
-                format!("{repeated}; {num_inliers} of {num_correspondences} correspondences are inliers of RANSAC")
+                format!("{repeated}; {num_inliers} of {num_correspondences} matches agree")
             }
             None => repeated,
         }
@@ -160,7 +160,7 @@ impl Pair {
             links.filter_map(|(first, partner)| partner.map(|(second, distance)| json!([first, second, distance])));
         json!({
             "t_first_second": self.t_first_second,
-            "registration": self.registration.map(|found| [found.num_inliers, found.num_correspondences]),
+            "registration": self.registration.as_ref().map(|found| [found.num_inliers, found.num_correspondences]),
             "epsilon": self.epsilon,
             "links": links.collect::<Vec<_>>(),
         })

@@ -25,10 +25,10 @@ fn register_prints_and_writes_the_transform() {
     assert!(output.status.success(), "{}", stderr(&output));
     let report = &json_lines(&output)[0];
     let keys: Vec<&String> = report.as_object().unwrap().keys().collect();
-    let of_ransac = ["inlier_distance", "num_correspondences", "num_inliers"];
-    let expected =
-        [&["fitness", "fitness_rmse"], &of_ransac[..], &["num_skipped", "rmse", "seconds", "t_target_source"]];
-    assert_eq!(keys, expected.concat());
+    let verdict = ["confidence", "fitness", "fitness_rmse", "free_space_violation", "hypotheses", "information"];
+    let figures = ["inlier_distance", "is_reliable", "notes", "num_correspondences", "num_inliers", "num_skipped"];
+    let others = ["rmse", "seconds", "t_target_source", "viewpoints", "weakest_constraint"];
+    assert_eq!(keys, [&verdict[..], &figures, &others].concat());
     let number = |key: &str| report[key].as_f64().unwrap();
     assert!(number("fitness") > 0.95 && number("fitness_rmse") < 0.03 && number("inlier_distance") > 0.02, "{report}");
     let (inliers, all) = (report["num_inliers"].as_u64().unwrap(), report["num_correspondences"].as_u64().unwrap());
@@ -59,9 +59,45 @@ fn register_prints_and_writes_the_transform() {
     let report: Value = serde_json::from_slice(&std::fs::read(&json).unwrap()).unwrap();
     assert!(printed.contains("t_target_source") && printed.contains(&json), "{printed}");
     // What each number is of.
-    let inliers = format!("RANSAC: {} of {} correspondences", report["num_inliers"], report["num_correspondences"]);
+    let inliers = format!("matches: {} of {} within", report["num_inliers"], report["num_correspondences"]);
     assert!(printed.contains(&inliers) && printed.contains("% of the source's voxels within"), "{printed}");
-    assert!(report["num_correspondences"].as_u64().unwrap() < all.min(400));
+    assert!(report["num_correspondences"].as_u64().unwrap() < all.min(801));
+}
+
+#[test]
+fn register_takes_a_guess_an_axis_and_a_verdict() {
+    let folder = tempfile::tempdir().unwrap();
+    let turned = rotated_sample(folder.path());
+    let path = |name: &str| folder.path().join(name).display().to_string();
+    let run = |extra: &[&str]| snake(&[&["register", &sample(), &turned, "--json"], extra].concat());
+    let report = |extra: &[&str]| {
+        let output = run(extra);
+        assert!(output.status.success(), "{}", stderr(&output));
+        json_lines(&output).remove(0)
+    };
+    let free = report(&["-o", &path("t.json"), "--hypotheses", "3"]);
+    assert!((1..=3).contains(&free["hypotheses"].as_array().unwrap().len()));
+    let number = |value: &Value, row: usize, column: usize| value["t_target_source"][row][column].as_f64().unwrap();
+    for extra in [&["--initial", &path("t.json")][..], &["--gravity", "z"], &["--no-viewpoints"]] {
+        let found = report(extra);
+        assert!(
+            (0..12).all(|i| (number(&found, i / 4, i % 4) - number(&free, i / 4, i % 4)).abs() < 0.05),
+            "{extra:?}"
+        );
+    }
+    assert_eq!(number(&report(&["--gravity", "z"]), 2, 2), 1.0);
+    // A wrong guess is kept, and not reliable.
+    std::fs::write(path("wrong.txt"), "1 0 0 50\n0 1 0 50\n0 0 1 50\n0 0 0 1").unwrap();
+    let wrong = report(&["--initial", &path("wrong.txt")]);
+    assert!(wrong["is_reliable"] == false && number(&wrong, 0, 3) == 50.0, "{wrong}");
+    let refused = run(&["--initial", &path("wrong.txt"), "--require-reliable"]);
+    assert!(refused.status.code() == Some(1) && stderr(&refused).contains("not reliable"), "{}", stderr(&refused));
+    assert_eq!(json_lines(&refused).len(), 1);
+    let given = report(&["--source-viewpoint", "-9,0,0", "--target-viewpoint", "0,-9,0"]);
+    assert_eq!(given["viewpoints"], serde_json::json!(["given", "given"]));
+    for (extra, message) in [(["--gravity", "w"], "gravity"), (["--source-viewpoint", "1,2"], "three numbers")] {
+        assert!(stderr(&run(&extra)).contains(message));
+    }
 }
 
 #[test]

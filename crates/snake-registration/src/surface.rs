@@ -1,0 +1,98 @@
+//! How well two surfaces fit under a transform.
+
+use nalgebra::IsometryMatrix3;
+use rayon::prelude::*;
+
+use super::depth_image::{DepthImage, Sight};
+use super::near_grid::NearGrid;
+use super::rigid::moved;
+use snake_core::space::Vector;
+
+/// The cosine from which on two normals agree.
+pub(super) const AGREEING_COSINE: f64 = 0.7;
+/// Tolerance of distances from the viewpoint, in inlier distances.
+const DEPTH_MARGIN: f64 = 1.5;
+
+/// The voxels of a cloud with what verification needs of them.
+pub(super) struct Surface<'a> {
+    pub(super) points: &'a [Vector],
+    pub(super) normals: &'a [Vector],
+    /// Finds voxels within the inlier distance.
+    pub(super) grid: NearGrid,
+    /// What the sensor saw; `None` if normals have no sign.
+    image: Option<DepthImage>,
+}
+
+/// How well a source fits a target under a transform.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(super) struct Agreement {
+    /// Share of the source's points on the target with agreeing normals.
+    pub(super) overlap: f64,
+    /// Share of the points of both that lie in space that the other's sensor saw to be free.
+    pub(super) violation: f64,
+}
+
+impl Agreement {
+    /// What ranks transforms. Planes overlap under many wrong transforms, so that the matches that agree count too.
+    pub(super) fn score(&self, num_inliers: usize) -> f64 {
+        self.overlap - PER_VIOLATION * self.violation + PER_INLIER * num_inliers as f64
+    }
+}
+
+/// Weights of the score beside the overlap, chosen on pairs of indoor scans.
+const PER_VIOLATION: f64 = 2.0;
+const PER_INLIER: f64 = 0.005;
+
+impl<'a> Surface<'a> {
+    pub(super) fn new(
+        points: &'a [Vector],
+        normals: &'a [Vector],
+        viewpoint: Option<Vector>,
+        inlier_distance: f64,
+    ) -> Self {
+        let image = viewpoint.map(|viewpoint| DepthImage::new(points, viewpoint, DEPTH_MARGIN * inlier_distance));
+        Self { points, normals, grid: NearGrid::new(points, inlier_distance), image }
+    }
+
+    /// Whether two normals agree; normals without a sign may be opposite.
+    fn agree(&self, a: &Vector, b: &Vector) -> bool {
+        let cosine = a.dot(b);
+        (if self.image.is_some() { cosine } else { cosine.abs() }) > AGREEING_COSINE
+    }
+
+    /// Compares every `step`-th point of the source, and as many of the target, with the other surface.
+    pub(super) fn agreement(source: &Self, target: &Self, transform: &IsometryMatrix3<f64>, step: usize) -> Agreement {
+        let on_target = |index: &usize| {
+            let normal = transform.rotation * source.normals[*index];
+            let nearest = target.grid.nearest(&moved(transform, &source.points[*index]));
+            nearest.is_some_and(|(other, _)| target.agree(&normal, &target.normals[other]))
+        };
+        let indices = |surface: &Self, step| (0..surface.points.len()).into_par_iter().step_by(step);
+        let of_source = source.points.len().div_ceil(step);
+        let overlapping = indices(source, step).filter(on_target).count();
+        let step_of_target = target.points.len().div_ceil(of_source);
+        let of_target = target.points.len().div_ceil(step_of_target);
+        let inverse = transform.inverse();
+        let violating = indices(source, step).filter(|&i| target.saw_through(&moved(transform, &source.points[i])));
+        let seen_through =
+            indices(target, step_of_target).filter(|&i| source.saw_through(&moved(&inverse, &target.points[i])));
+        Agreement {
+            overlap: overlapping as f64 / of_source as f64,
+            violation: (violating.count() + seen_through.count()) as f64 / (of_source + of_target) as f64,
+        }
+    }
+
+    fn saw_through(&self, point: &Vector) -> bool {
+        self.image.as_ref().is_some_and(|image| image.sight(point) == Sight::Free)
+    }
+}
+
+/// The quality of a transform, as in Open3D's `evaluate_registration`: the share of source points closer than the
+/// grid's distance to the target, and the root mean square distance of these points; 0 without any.
+pub(super) fn fitness(source: &[Vector], target: &NearGrid, transform: &IsometryMatrix3<f64>) -> (f64, f64) {
+    let squared = |point: &Vector| target.nearest(&moved(transform, point)).map(|(_, squared)| squared);
+    let squared: Vec<f64> = source.par_iter().filter_map(squared).collect();
+    let count = squared.len() as f64;
+    let sum = squared.iter().fold(0.0, |sum, squared| sum + squared);
+    (count / source.len().max(1) as f64, (sum / count.max(1.0)).sqrt())
+}
