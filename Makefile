@@ -3,11 +3,11 @@ VENV := .venv
 PYTHON := $(VENV)/bin/python
 export VIRTUAL_ENV := $(CURDIR)/$(VENV)
 
-.PHONY: help test check golden bench wheel results fuzz
+.PHONY: help test check golden bench bench-registration wheel results fuzz
 .DEFAULT_GOAL := help
 
 help:  ## this list
-	@grep -hE '^[a-z]+:.*##' $(MAKEFILE_LIST) | sed 's/:.*##/\t/'
+	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed 's/:.*##/\t/'
 
 # uv knows where PyTorch is without CUDA, which PyPI does not have for Linux. Where uv cannot reach that, pip installs the
 # build with CUDA, 4.5 GB more.
@@ -53,6 +53,10 @@ golden: $(VENV)/ready  ## check the golden files against the PyTorch network
 bench: module $(VENV)/bench-ready  ## speed beside PyTorch, ONNX Runtime, OpenVINO and Open3D
 	cargo build --release
 	$(PYTHON) -m snake_training.benchmark
+
+bench-registration: module  ## registration beside Open3D and KISS-Matcher: make bench-registration SCENES=FOLDER
+	$(PYTHON) -m pip install --quiet -e "training[registration]"
+	$(PYTHON) tests/bench/registration.py $(SCENES)
 
 results:  ## docs/results.md: make results OBJECTS=FOLDER SCENES="FOLDER .." (or one of them); an hour, resumable
 	python3 docs/results.py $(if $(OBJECTS),--objects $(OBJECTS)) $(if $(SCENES),--scenes $(SCENES))

@@ -83,7 +83,9 @@ def test_guess_axis_and_viewpoints(cloud, found):
     assert np.abs(moved(guessed.t_target_source, cloud) - moved(truth, cloud)).max() < 0.05
     assert np.array_equal(guessed.hypotheses[0], guessed.t_target_source) and guessed.information.shape == (6, 6)
     shifted = cloud[2048:] + np.float32([1, 2, 3])
-    upright = snake_rs.register(cloud[:2048], shifted, gravity="z", source_viewpoint=(0, 0, 9), target_viewpoint=[1, 2, 12])
+    upright = snake_rs.register(
+        cloud[:2048], shifted, gravity="z", source_viewpoint=(0, 0, 9), target_viewpoint=[1, 2, 12]
+    )
     assert upright.viewpoints == ("given", "given")
     assert np.allclose(upright.t_target_source[2, :3], [0, 0, 1]) and 0 <= upright.confidence <= 1
 

@@ -75,9 +75,7 @@ def not_overlapping(scenes: Path, split: str, count: int, seed: int = 0) -> list
         source, target = candidates[index]
         distances = trees[target].query(clouds[source], distance_upper_bound=0.1)[0]
         if np.mean(np.isfinite(distances)) < 0.01:
-            found.append(
-                Pair(f"{source}!{target}", folder / f"{source}.npy", folder / f"{target}.npy", None, 0.0)
-            )
+            found.append(Pair(f"{source}!{target}", folder / f"{source}.npy", folder / f"{target}.npy", None, 0.0))
         if len(found) == count:
             break
     return found

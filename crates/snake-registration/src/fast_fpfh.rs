@@ -157,7 +157,8 @@ mod tests {
 
     #[test]
     fn angles_are_exact_enough_in_every_quadrant() {
-        for i in 0..1000 {
+        // At -π the sign of a rounding error decides.
+        for i in 1..1000 {
             let angle = (i as f32 / 1000.0 - 0.5) * 2.0 * PI;
             assert!((atan2(3.0 * angle.sin(), 3.0 * angle.cos()) - angle).abs() < 2e-3, "{angle}");
         }

@@ -225,7 +225,8 @@ mod tests {
                 _ => p.y.powi(2),
             })
             .sum();
-        assert!((three[(0, 0)] / expected - 1.0).abs() < 0.1, "{} {expected}", three[(0, 0)]);
+        // Near the edges, normals are between those of the faces.
+        assert!((three[(0, 0)] / expected - 1.0).abs() < 0.3, "{} {expected}", three[(0, 0)]);
         assert!(of(1).open_directions == 3 && of(1).weakest < OPEN_DIRECTION);
     }
 

@@ -1,14 +1,15 @@
 //! Rigid registration: finds the rotation and translation that map one point cloud onto another, without an initial
-//! guess. It matches keypoints by descriptors, estimates a transform with RANSAC and refines it with ICP. Keypoints and
-//! descriptors come from a SNAKE model or from classical methods ([`detectors`], [`fpfh`]).
+//! guess, and says whether they can be relied on. Descriptors of two clouds are matched, transforms on which many matches
+//! agree are compared on the clouds, and ICP refines the best. Descriptors are FPFH or of a SNAKE model; keypoints are all
+//! voxels, or those of a model or of classical methods ([`detectors`]).
 //!
 //! ```text
-//! cloud → keypoints ─────────────────────┐
-//!   └──→ voxels → normals → descriptors ─┴→ mutual nearest → RANSAC → ICP on the voxels → t_target_source
+//! cloud → voxels → normals → descriptors → matches → graph of compatible matches → transforms
+//!       → overlap, free space and agreeing matches choose → ICP on the voxels → t_target_source, confidence
 //! ```
 //!
-//! [`register`] runs all steps. A [`Scan`] computes keypoints and descriptors of one cloud. [`fpfh`],
-//! [`mutual_nearest`], [`ransac`] and [`kabsch`] are the single steps:
+//! [`register()`] runs all steps. A [`Scan`] computes keypoints and descriptors of one cloud. [`fpfh()`],
+//! [`mutual_nearest`], [`ransac()`] and [`kabsch`] are plain parts for own pipelines:
 //!
 //! ```
 //! use snake_core::RigidTransform;
