@@ -53,18 +53,28 @@ impl ColumnArguments {
 impl InputArguments {
     /// Reads a cloud. The seed is used by --sample. Warns once if the vertices of a mesh stand in for its surface.
     pub fn read(&self, path: &Path, seed: u64) -> Result<Cloud> {
-        let Contents { cloud, unsampled_faces, .. } = self.contents(path, seed)?;
-        if unsampled_faces > 0 {
-            static WARNED: Once = Once::new();
-            let (name, vertices) = (path.display(), cloud.points.len());
-            WARNED.call_once(|| {
-                terminal::warn(&format!(
-                    "{name} is a mesh of {unsampled_faces} faces: its {vertices} vertices are used; \
-                     --sample N draws N points from the surface"
-                ));
-            });
+        self.read_contents(path, seed).map(|contents| contents.cloud)
+    }
+
+    /// [`InputArguments::read`] with what else the file says.
+    pub fn read_contents(&self, path: &Path, seed: u64) -> Result<Contents> {
+        let contents = self.contents(path, seed)?;
+        let Contents { cloud, unsampled_faces, .. } = &contents;
+        if *unsampled_faces > 0 {
+            Self::warn_of_faces(path, *unsampled_faces, cloud.points.len());
         }
-        Ok(cloud)
+        Ok(contents)
+    }
+
+    fn warn_of_faces(path: &Path, unsampled_faces: usize, vertices: usize) {
+        static WARNED: Once = Once::new();
+        let name = path.display();
+        WARNED.call_once(|| {
+            terminal::warn(&format!(
+                "{name} is a mesh of {unsampled_faces} faces: its {vertices} vertices are used; \
+                 --sample N draws N points from the surface"
+            ));
+        });
     }
 
     fn contents(&self, path: &Path, seed: u64) -> Result<Contents> {

@@ -32,6 +32,9 @@ pub struct Contents {
     pub cloud: Cloud,
     /// The number of faces that were ignored because the vertices were read and not samples of the surface.
     pub unsampled_faces: usize,
+    /// Where the sensor was, in the file's frame: the `VIEWPOINT` of a PCD file, unless it is zero, which writers put
+    /// there when they do not know it.
+    pub viewpoint: Option<[f64; 3]>,
 }
 
 /// Reads the points `(N, 3)` of a file; the extension selects the format.
@@ -84,12 +87,15 @@ pub fn parse_contents(bytes: &[u8], format: PointFormat, options: &ReadOptions) 
 fn parse(bytes: &[u8], format: PointFormat, options: &ReadOptions) -> std::result::Result<Contents, String> {
     if let (PointFormat::Npy, None) = (format, options.sample) {
         let cloud = Cloud::from_positions(npy::positions(bytes, options.columns.as_ref())?);
-        return Ok(Contents { cloud, unsampled_faces: 0 });
+        return Ok(Contents { cloud, ..Contents::default() });
     }
     let shape = read_shape(bytes, format, options)?;
+    let viewpoint = if format == PointFormat::Pcd { pcd::viewpoint(bytes) } else { None };
     Ok(match options.sample {
-        Some(number) => Contents { cloud: shape.sample(number, options.seed)?.into_cloud(), unsampled_faces: 0 },
-        None => Contents { unsampled_faces: shape.num_faces(), cloud: shape.into_cloud() },
+        Some(number) => {
+            Contents { cloud: shape.sample(number, options.seed)?.into_cloud(), viewpoint, ..Contents::default() }
+        }
+        None => Contents { unsampled_faces: shape.num_faces(), cloud: shape.into_cloud(), viewpoint },
     })
 }
 

@@ -23,6 +23,16 @@ fn parse_origin(comment: &[u8]) -> Option<[f64; 3]> {
     origin.try_into().ok()
 }
 
+/// The position of the sensor in a header, if it is not zero. The orientation after it is not read.
+pub(super) fn viewpoint(bytes: &[u8]) -> Option<[f64; 3]> {
+    let lines = bytes.split(|&byte| byte == b'\n').take_while(|line| !line.starts_with(b"DATA"));
+    let line = lines.filter_map(|line| str::from_utf8(line).ok()).find(|line| line.starts_with("VIEWPOINT"))?;
+    let numbers =
+        line.split_whitespace().skip(1).take(3).map(|number| number.parse().ok().filter(|v: &f64| v.is_finite()));
+    let position: [f64; 3] = numbers.collect::<Option<Vec<f64>>>()?.try_into().ok()?;
+    (position != [0.0; 3]).then_some(position)
+}
+
 /// Reads the fields x, y, z of any scalar type, and adds the origin that a file of this crate states. `nan`, which
 /// marks missing points in organised clouds, is kept.
 pub(super) fn read(bytes: &[u8]) -> Result<Shape, String> {
@@ -273,6 +283,18 @@ mod tests {
                 read(&file[..length]).unwrap_err();
             }
         }
+    }
+
+    #[test]
+    fn viewpoints_are_read_unless_they_are_zero() {
+        let of = |line: &str| {
+            super::viewpoint(format!("VERSION .7\n{line}\nPOINTS 1\nDATA ascii\nVIEWPOINT 9 9 9\n").as_bytes())
+        };
+        assert_eq!(of("VIEWPOINT 1 -2.5 3 1 0 0 0\r"), Some([1.0, -2.5, 3.0]));
+        for line in ["VIEWPOINT 0 0 0 1 0 0 0", "VIEWPOINT 1 2", "VIEWPOINT 1 nan 0", "VIEWPOINT", ""] {
+            assert_eq!(of(line), None, "{line}");
+        }
+        assert_eq!(super::viewpoint(b"\xff\n"), None);
     }
 
     #[test]

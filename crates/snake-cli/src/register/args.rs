@@ -75,8 +75,8 @@ pub struct RegisterFlags {
     /// Do not orient normals to the sensor and do not assume free space in front of it.
     #[arg(long)]
     no_viewpoints: bool,
-    /// Position of the sensor in the source's frame [default: the frame's origin, if most of the cloud is visible from
-    /// there].
+    /// Position of the sensor in the source's frame [default: VIEWPOINT of a PCD file unless it is zero, else the
+    /// frame's origin, if most of the cloud is visible from there].
     #[arg(long, value_name = "X,Y,Z", value_parser = position, allow_hyphen_values = true)]
     source_viewpoint: Option<[f64; 3]>,
     /// Position of the sensor in the target's frame [default: likewise].

@@ -32,8 +32,11 @@ pub fn run(arguments: &RegisterArguments) -> Result<()> {
     terminal::detail("options", || serde_json::to_string(&options).unwrap_or_default());
     let bar = terminal::stages(&progress)?;
     bar.set_message(format!("{} to {}", source.display(), target.display()));
-    let read = |path| arguments.input.read(path, options.seed);
-    let (source_cloud, target_cloud) = (read(source)?, read(target)?);
+    let read = |path| arguments.input.read_contents(path, options.seed);
+    let (source_contents, target_contents) = (read(source)?, read(target)?);
+    options.source_viewpoint = options.source_viewpoint.or(source_contents.viewpoint);
+    options.target_viewpoint = options.target_viewpoint.or(target_contents.viewpoint);
+    let (source_cloud, target_cloud) = (source_contents.cloud, target_contents.cloud);
     terminal::detail("points", || format!("{} and {}", source_cloud.points.len(), target_cloud.points.len()));
     options.initial = arguments.initial.as_deref().map(io::read_transform).transpose()?;
     options.place(source_cloud.origin, target_cloud.origin);
