@@ -46,7 +46,7 @@ fn run(command: &Command) -> Result<ExitCode> {
         Command::Eval(command) => eval::run(command)?,
         Command::Field(arguments) => field::run(arguments)?,
         Command::Reconstruct(arguments) => reconstruct::run(arguments)?,
-        Command::Register(arguments) => register::run(arguments)?,
+        Command::Register(arguments) => return register::run(arguments),
         Command::View(arguments) => view::run(arguments)?,
         Command::Model { file } => model::run(file.as_deref())?,
         Command::Completions { shell } => complete(*shell)?,

@@ -3,8 +3,9 @@
 pub mod args;
 
 use std::path::Path;
+use std::process::ExitCode;
 
-use anyhow::{Context, Result, bail};
+use anyhow::{Context, Result};
 use serde_json::json;
 use snake_core::{Control, Progress, RigidTransform};
 use snake_io::{self as io, CloudFormat};
@@ -16,7 +17,7 @@ use crate::terminal::{self, Report};
 use args::RegisterArguments;
 
 /// Finds the transform, writes the output files and prints the result.
-pub fn run(arguments: &RegisterArguments) -> Result<()> {
+pub fn run(arguments: &RegisterArguments) -> Result<ExitCode> {
     arguments.compute.start_threads()?;
     let RegisterArguments { source, target, output, aligned, .. } = arguments;
     output.as_deref().map_or(Ok(()), io::check_registration_path)?;
@@ -54,10 +55,6 @@ pub fn run(arguments: &RegisterArguments) -> Result<()> {
         io::write_points(path, &moved, target_cloud.origin)?;
         aligned_origin = output_origin(path, io::adds_origin(path), target_cloud.origin);
     }
-    let reliable = || match arguments.require_reliable && !found.is_reliable {
-        true => bail!("the transform is not reliable: its confidence is {:.2}", found.confidence),
-        false => Ok(()),
-    };
     let written: Vec<&Path> = output.iter().chain(aligned).map(AsRef::as_ref).collect();
     if arguments.json {
         let mut object = serde_json::to_value(&found)?;
@@ -65,10 +62,14 @@ pub fn run(arguments: &RegisterArguments) -> Result<()> {
             object["aligned_origin"] = json!(aligned_origin);
         }
         terminal::print_json(&object)?;
-        return reliable();
+    } else {
+        terminal::print_report(&report(&found, &written))?;
     }
-    terminal::print_report(&report(&found, &written))?;
-    reliable()
+    if arguments.require_reliable && !found.is_reliable {
+        terminal::warn(&format!("the transform is not reliable: its confidence is {:.2}", found.confidence));
+        return Ok(ExitCode::FAILURE);
+    }
+    Ok(ExitCode::SUCCESS)
 }
 
 fn report(found: &Registration, written: &[&Path]) -> Report {
