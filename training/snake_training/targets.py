@@ -75,32 +75,33 @@ def averaged_fields(teacher, points, queries, rotations):
 
 
 @torch.no_grad()
-def surface_variation(surface, queries, radius=0.15):
-    """What targets without a teacher are made from, both (Q,): how much the surface (M, 3) bends about each query (Q, 3), as a
+def surface_variation(surface, queries, radii=(0.125, 0.19, 0.28)):
+    """What targets of places are made from, both (Q,): how strongly the surface (M, 3) bends about each query (Q, 3), as a
     logarithm, and how near the surface is, from 0 to 1.
 
-    With the eigenvalues of the covariance of what lies nearer than `radius`, weighted by 1 - (d / radius)^2: the least,
-    which is the response of ISS (Zhong 2009), times the least's share of their sum, which is the surface variation of
-    Pauly et al. (2002). The surface is clean and whole, the views that a student is shown are not: it learns to see
-    through noise and gaps (SuperPoint, DeTone et al. 2018, begins with the corners of synthetic shapes for the same
-    reason).
+    The response of one radius uses the eigenvalues of the covariance of the surface within it, weighted by 1 - (d / radius)^2:
+    the least, which is the response of ISS (Zhong 2009), times the least's share of their sum, which is the surface
+    variation of Pauly et al. (2002). The logarithms of three radii are averaged: their mean repeats better than any one.
+    The surface is clean and whole, the views that a student is shown are not: it learns to see through noise and gaps
+    (SuperPoint, DeTone et al. 2018, begins with the corners of synthetic shapes for the same reason).
     """
     surface, queries = torch.from_numpy(surface), torch.from_numpy(queries)
     outer = (surface[:, :, None] * surface[:, None, :]).flatten(1)
     powers = torch.cat([torch.ones(len(surface), 1), surface, outer], dim=1)
-    moments, apart = [], []
+    responses, apart = [], []
     for some in queries.split(256):  # what fits a cache
         distance = torch.cdist(some, surface)
-        moments.append((1 - (distance / radius).square()).clamp(min=0) @ powers)
+        weights = torch.stack([(1 - (distance / radius).square()).clamp(min=0) for radius in radii])
+        weight, first, second = (weights @ powers).double().split([1, 3, 9], dim=2)
+        weight = weight.clamp(min=1e-9)
+        mean = first / weight
+        covariance = (second / weight).unflatten(2, (3, 3)) - mean[..., :, None] * mean[..., None, :]
+        values = torch.linalg.eigvalsh(covariance).clamp(min=0)
+        response = values[..., 0].square() / values.sum(dim=2).clamp(min=1e-12)
+        responses.append((response + 1e-9).log().mean(dim=0))
         apart.append(distance.amin(dim=1))
-    weight, first, second = torch.cat(moments).double().split([1, 3, 9], dim=1)
-    weight = weight.clamp(min=1e-9)
-    mean = first / weight
-    covariance = (second / weight).unflatten(1, (3, 3)) - mean[:, :, None] * mean[:, None, :]
-    values = torch.linalg.eigvalsh(covariance).clamp(min=0)
-    response = values[:, 0].square() / values.sum(dim=1).clamp(min=1e-12)
     beyond = (torch.cat(apart) - 0.01).clamp(min=0) / 0.02
-    return (response + 1e-9).log().float().numpy(), (-0.5 * beyond.square()).exp().numpy()
+    return torch.cat(responses).float().numpy(), (-0.5 * beyond.square()).exp().numpy()
 
 
 @torch.no_grad()
