@@ -84,10 +84,13 @@ def test_a_surface_bends_most_at_corners():
 def test_surface_variation_is_that_of_the_weighted_covariance():
     rng = np.random.default_rng(1)
     surface = rng.uniform(-0.3, 0.3, (300, 3)).astype(np.float32)
-    for query, response in zip(surface, surface_variation(surface, surface[:20], 0.2)[0]):
+    for query, response in zip(surface, surface_variation(surface, surface[:20], (0.2,))[0]):
         weight = np.maximum(1 - ((surface - query) ** 2).sum(axis=1) / 0.2**2, 0)
         values = np.linalg.eigvalsh(np.cov(surface.T, aweights=weight, ddof=0))
         assert np.isclose(response, np.log(values[0] ** 2 / values.sum()), atol=1e-3)
+
+    each = [surface_variation(surface, surface[:20], (radius,))[0] for radius in (0.1, 0.2)]
+    assert np.allclose(surface_variation(surface, surface[:20], (0.1, 0.2))[0], np.mean(each, axis=0), atol=1e-4)
 
 
 def test_corners_and_tips_stand_out_from_their_own_surroundings():
