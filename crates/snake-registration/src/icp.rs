@@ -203,12 +203,11 @@ mod tests {
     #[test]
     fn information_is_about_the_target_frame_and_counts_open_directions() {
         let points = faces(3, 1);
-        let cloud = Neighbors::new(points.clone()).unwrap();
-        let normals = normals(&cloud, 0.2, Orientation::Mean, &Control::default()).unwrap();
         let of = |sides: usize| {
-            let keep: Vec<usize> = (0..points.len()).filter(|i| i % 3 < sides).collect();
-            let [p, n] = [&points, &normals].map(|all| keep.iter().map(|&i| all[i]).collect::<Vec<_>>());
-            Constraint::new(&p, &Surface::new(&p, &n, None, 0.3), &IsometryMatrix3::identity())
+            let kept: Vec<Vector> = points.iter().enumerate().filter(|(i, _)| i % 3 < sides).map(|(_, p)| *p).collect();
+            let cloud = Neighbors::new(kept.clone()).unwrap();
+            let normals = normals(&cloud, 0.2, Orientation::Mean, &Control::default()).unwrap();
+            Constraint::new(&kept, &Surface::new(&kept, &normals, None, 0.3), &IsometryMatrix3::identity())
         };
         let found = of(3);
         assert!(found.open_directions == 0 && found.weakest > OPEN_DIRECTION);

@@ -190,9 +190,8 @@ impl Clouds {
 
     /// Matches of keypoints, the most distinctive first.
     fn matches(&self, options: &RegisterOptions, control: &Control) -> Result<Vec<Match>> {
-        let describe = |scan: &Scan, seed| -> Result<(Vec<(Point, usize)>, Vec<f32>)> {
-            let keypoints = scan.anchored_keypoints(options.detector, options.max_keypoints, seed, control)?;
-            let descriptors = match options.descriptor {
+        let describe = |scan: &Scan, keypoints: &[(Point, usize)]| -> Result<Vec<f32>> {
+            Ok(match options.descriptor {
                 Descriptor::Fpfh => {
                     let voxels: Vec<usize> = keypoints.iter().map(|&(_, voxel)| voxel).collect();
                     let mut histograms = scan.fpfh_of(&voxels, control)?;
@@ -203,13 +202,16 @@ impl Clouds {
                     let points: Vec<Point> = keypoints.iter().map(|&(point, _)| point).collect();
                     scan.descriptors_with(&points, Descriptor::Field, control)?
                 }
-            };
-            Ok((keypoints, descriptors))
+            })
         };
         // The clouds get different random keypoints. With one seed, equal clouds would have a partner for every keypoint.
         let [source, target] = &self.scans;
-        let (source_keypoints, source_descriptors) = describe(source, options.seed)?;
-        let (target_keypoints, target_descriptors) = describe(target, options.seed.wrapping_add(1))?;
+        let keypoints =
+            |scan: &Scan, seed| scan.anchored_keypoints(options.detector, options.max_keypoints, seed, control);
+        let source_keypoints = keypoints(source, options.seed)?;
+        let target_keypoints = keypoints(target, options.seed.wrapping_add(1))?;
+        let source_descriptors = describe(source, &source_keypoints)?;
+        let target_descriptors = describe(target, &target_keypoints)?;
         let dimension = source.dimension(options.descriptor);
         let count = options.max_matches;
         let ranked = ranked_matches(&source_descriptors, &target_descriptors, dimension, count, control)?;

@@ -38,7 +38,7 @@ fn each_mistake_gets_one_line_with_advice() {
         (&["detect", &sample(), "--refine-method", "newton"], "gradient-descent"),
         (&["detect", &sample(), "--query-resolution", "0"], "1 to 256"),
         (&["detect", &sample(), "--query-resolution", "1024"], "1 to 256"),
-        (&["detect", &sample(), "--refine-steps", "10000"], "(refine_steps + 1) × rotations up to"),
+        (&["detect", &sample(), "--refine-steps", "10000"], "(refine_steps + 1) × rotations of at most"),
         (
             &["detect", &sample(), "--refine-steps", "100", "--rotations", "64"],
             "64, with 100 refine_steps and 64 rotations",
