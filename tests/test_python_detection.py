@@ -105,7 +105,7 @@ def test_radii_can_be_multiples_of_the_resolution(field, points):
             "option `preset` is kitti: allowed is modelnet40, keypointnet, smpl, redwood, 3dmatch or standard",
         ),
         ({"nms_radius": -1}, r"option `nms_radius` is -1: allowed is 0 or more \(cloud units, "),
-        ({"nms_radius": float("nan")}, "option `nms_radius` is nan: expected a finite number"),
+        ({"nms_radius": float("nan")}, "option `nms_radius` is nan: expected finite numbers"),
         ({"nms_radius": "wide"}, "option `nms_radius` is wide: .*such as `6r`"),
         ({"saliency_threshold": 1.5}, "option `saliency_threshold` is 1.5: allowed is 0 to 1"),
         ({"query_resolution": 0}, "option `query_resolution` is 0: allowed is 1 to 256"),
@@ -116,7 +116,7 @@ def test_radii_can_be_multiples_of_the_resolution(field, points):
         ({"refine_steps": 2.5}, "option `refine_steps` is 2.5: .*expected a whole number, 0 or more"),
         ({"max_keypoints": None}, "option `max_keypoints` is None: .*expected a whole number, 0 or more"),
         ({"snap": 1}, "option `snap` is 1: .*expected a boolean"),
-        ({"snap": [True]}, r"option `snap` is \[True\]: expected a finite number, a string or a bool"),
+        ({"snap": [True]}, r"option `snap` is \[True\]: .*expected a boolean"),
     ],
 )
 def test_invalid_detection_options_are_refused(model, field, points, options, message):
@@ -131,7 +131,7 @@ def test_invalid_detection_options_are_refused(model, field, points, options, me
     [
         ({"normalization": "sphere"}, "option `normalization` is sphere: .*`unit-sphere`, `unit-cube`, `none`"),
         ({"max_points": 0}, "option `max_points` is 0: allowed is 1 or more"),
-        ({"max_points": float("nan")}, "option `max_points` is nan: expected a finite number"),
+        ({"max_points": float("nan")}, "option `max_points` is nan: expected finite numbers"),
         ({"seed": -1}, "option `seed` is -1: .*expected a whole number, 0 or more"),
     ],
 )

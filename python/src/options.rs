@@ -76,7 +76,7 @@ fn unexpected<'a>(function: &str, name: &str, known: impl Iterator<Item = &'a st
 /// Sets one option and returns all options. Options are set one at a time, so that an error can name the option.
 fn set<T: DeserializeOwned>(tree: &mut Value, pointer: &str, name: &str, value: &Bound<PyAny>) -> PyResult<T> {
     let refused = |reason: String| PyValueError::new_err(format!("option `{name}` is {value}: {reason}"));
-    let given = json(value).ok_or_else(|| refused("expected a finite number, a string or a bool".into()))?;
+    let given = json(value, 2).ok_or_else(|| refused("expected finite numbers, a string or a bool".into()))?;
     if let Some(slot) = tree.pointer_mut(pointer) {
         *slot = given;
     }
@@ -115,8 +115,12 @@ fn in_words(error: &serde_json::Error) -> String {
     found.unwrap_or(text)
 }
 
-/// Converts None, bool, str and finite numbers, including numpy's, and sequences of them to JSON. Any other value gives `None`.
-fn json(value: &Bound<PyAny>) -> Option<Value> {
+/// The number of items that a sequence can have: a matrix has four rows of four.
+const MAX_ITEMS: usize = 16;
+
+/// Converts None, bool, str and finite numbers, including numpy's, to JSON, and sequences of them that are nested at most
+/// `depth` times. Any other value gives `None`.
+fn json(value: &Bound<PyAny>, depth: usize) -> Option<Value> {
     if value.is_none() {
         Some(Value::Null)
     } else if let Ok(text) = value.cast::<PyString>() {
@@ -129,8 +133,9 @@ fn json(value: &Bound<PyAny>) -> Option<Value> {
         Some(integer.into())
     } else if let Ok(number) = value.extract() {
         Number::from_f64(number).map(Value::Number)
+    } else if depth > 0 && value.len().ok()? <= MAX_ITEMS {
+        value.try_iter().ok()?.map(|item| json(&item.ok()?, depth - 1)).collect()
     } else {
-        // Positions and matrices are sequences or arrays.
-        value.try_iter().ok()?.map(|item| json(&item.ok()?)).collect()
+        None
     }
 }

@@ -61,7 +61,8 @@ impl Normalization {
             .fold(0.0, f64::max);
         let (center, scale) = (mean.map(|v| v as f32), (2.0 * extent) as f32);
         if extent == 0.0 {
-            let reason = format!("all {} points are equal; a cloud needs at least two different points", points.len());
+            let reason =
+                format!("all points ({}) are equal; a cloud needs at least two different points", points.len());
             return Err(Error::Input { what: "points", reason });
         }
         if !(1e-15..=1e15).contains(&extent) {
