@@ -38,10 +38,13 @@ test: module  ## all tests: Rust, Python module, training, parity with PyTorch
 	cargo test --release
 	OMP_NUM_THREADS=1 $(PYTHON) -m pytest -q -rs tests training/tests
 
+# Cargo unpacks the crates that it verifies here, once a version: those of an earlier run would be verified again.
+PACKAGES := $(wildcard $(or $(CARGO_HOME),$(HOME)/.cargo)/registry/src/-*/snake-*)
 check: module $(VENV)/check-ready wheel-test  ## formatting, lints, type stubs, documentation, packages, the wheel
 	cargo fmt --check
 	cargo clippy --release --workspace --all-targets
 	RUSTDOCFLAGS="-D warnings" cargo doc --release --workspace --no-deps
+	rm -rf $(PACKAGES)
 	CARGO_PROFILE_DEV_OPT_LEVEL=0 cargo package --workspace --exclude snake-rs-python --allow-dirty
 	$(VENV)/bin/ruff check training python tests docs
 	$(VENV)/bin/ruff format --check training python tests docs
