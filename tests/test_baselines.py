@@ -83,6 +83,7 @@ DETECTORS = {
     "iss": baselines.iss,
     "harris3d": baselines.harris3d,
     "sift3d": baselines.sift3d,
+    "surface_variation": baselines.surface_variation,
     "farthest_points": baselines.farthest_points,
     "random_points": baselines.random_points,
 }
@@ -114,6 +115,23 @@ def test_scores_are_what_they_say():
     assert sorted(every) == list(range(1000)) and 0 <= response.min() and response.max() <= 1 / 27
 
 
+def test_surface_variation_is_that_of_numpy():
+    points = box(1)
+    index, score = baselines.surface_variation(points, radius=0.5, non_max_radius=0.3)
+    distance = np.linalg.norm(points[:, None].astype(np.float64) - points, axis=2)
+
+    def variation(near):
+        values = np.linalg.eigvalsh(np.cov(points[near].astype(np.float64).T))
+        return values[0] / values.sum()
+
+    expected = np.array([variation(row < 0.5) for row in distance])
+    maxima = [i for i, row in enumerate(distance) if expected[i] >= expected[row < 0.3].max() - 1e-12]
+    assert sorted(index) == maxima and score == pytest.approx(expected[index])
+    radius = np.linalg.norm(points - points.mean(axis=0), axis=1).max()
+    relative = baselines.surface_variation(points)
+    assert np.array_equal(relative[0], baselines.surface_variation(points, radius=0.3 * float(radius))[0])
+
+
 def test_lengths_are_units_or_multiples_of_the_resolution():
     points = box(2)
     distance = np.linalg.norm(points[:, None].astype(np.float64) - points, axis=2)
@@ -124,6 +142,7 @@ def test_lengths_are_units_or_multiples_of_the_resolution():
         ("iss", "non_max_radius"),
         ("harris3d", "radius"),
         ("sift3d", "min_scale"),
+        ("surface_variation", "radius"),
     ):
         relative = DETECTORS[detector](points, **{name: "5r"})
         absolute = DETECTORS[detector](points, **{name: 5 * resolution})
@@ -141,6 +160,7 @@ def test_every_option_does_something():
             non_max_radius="6r", gamma_21=0.5, gamma_32=0.2, min_neighbors=30, covariance="about-point", count=3
         ),
         "harris3d": dict(threshold=0.01, non_max=False, count=3),
+        "surface_variation": dict(radius="20%", non_max_radius="6r", count=3),
         "sift3d": dict(octaves=1, scales_per_octave=3, min_contrast=0.01, field="y", curvature_radius="4r", count=3),
     }
     for name, options in changes.items():

@@ -39,6 +39,7 @@ __all__ = [
     "smpl_iou",
     "smpl_pair_counts",
     "squared_registration_error",
+    "surface_variation",
     "symmetric_repeatability",
 ]
 
@@ -248,6 +249,15 @@ def sift3d(
     min_contrast: float = 0.0,
     field: Literal["curvature", "y"] = "curvature",
     curvature_radius: float | str = "6r",
+    count: int | None = None,
+    protocol: Literal["ranked", "paper"] = "ranked",
+    seed: int = 0,
+) -> tuple[NDArray[np.int64], NDArray[np.float64]]: ...
+def surface_variation(
+    points: _Points,
+    *,
+    radius: float | str = "30%",
+    non_max_radius: float | str = "4r",
     count: int | None = None,
     protocol: Literal["ranked", "paper"] = "ranked",
     seed: int = 0,

@@ -4,6 +4,6 @@ index, score = snake_rs.baselines.iss(points, count=64)      # points (N, 3) -> 
 keypoints = points[index]
 """
 
-from ._core import farthest_points, harris3d, iss, random_points, sift3d
+from ._core import farthest_points, harris3d, iss, random_points, sift3d, surface_variation
 
-__all__ = ["farthest_points", "harris3d", "iss", "random_points", "sift3d"]
+__all__ = ["farthest_points", "harris3d", "iss", "random_points", "sift3d", "surface_variation"]

@@ -6,6 +6,7 @@ use pyo3::prelude::*;
 use snake_core::{Cloud, Length};
 use snake_registration::detectors::{
     Covariance, Detector, Harris3dOptions, IssOptions, Protocol, Response, Sift3dOptions, SiftField,
+    SurfaceVariationOptions,
 };
 
 use crate::arrays::{self, named};
@@ -152,6 +153,31 @@ pub fn sift3d<'py>(
         .with_min_contrast(min_contrast)
         .with_field(named("field", field, known)?);
     keypoints(points, Detector::Sift3d(options), count, protocol, seed)
+}
+
+/// Surface variation (Pauly et al. 2002): indices (K,) int64 into `points` (N, 3) and scores (K,) float64, best first.
+///
+/// The score is the smallest eigenvalue of the covariance of the points nearer than `radius`, divided by the sum of the
+/// three, 0 to 1/3. A keypoint has the largest score of all points nearer than `non_max_radius`. A length may also be text
+/// such as "30%", per cent of the largest distance from the mean. Other lengths, `count`, `protocol`, `seed` and errors
+/// are as in `iss`.
+#[pyfunction]
+#[pyo3(signature = (
+    points, *, radius=LengthLike::Text("30%".into()), non_max_radius=LengthLike::Text("4r".into()), count=None,
+    protocol="ranked", seed=0
+))]
+#[pyo3(text_signature = "(points, *, radius='30%', non_max_radius='4r', count=None, protocol='ranked', seed=0)")]
+pub fn surface_variation<'py>(
+    points: &Bound<'py, PyAny>,
+    radius: LengthLike,
+    non_max_radius: LengthLike,
+    count: Option<usize>,
+    protocol: &str,
+    seed: u64,
+) -> PyResult<Found<'py>> {
+    let options =
+        SurfaceVariationOptions::default().with_radius(radius.length()?).with_non_max_radius(non_max_radius.length()?);
+    keypoints(points, Detector::SurfaceVariation(options), count, protocol, seed)
 }
 
 /// Farthest-point sampling: indices (K,) int64 into `points` (N, 3) and scores (K,) float64, best first.

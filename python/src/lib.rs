@@ -59,7 +59,7 @@ fn detect(
 #[pymodule]
 mod _core {
     #[pymodule_export]
-    use super::baselines::{farthest_points, harris3d, iss, random_points, sift3d};
+    use super::baselines::{farthest_points, harris3d, iss, random_points, sift3d, surface_variation};
     #[pymodule_export]
     use super::metrics::{
         feature_matching_recall, geodesic_distances, information_matrix, inlier_ratio, iou, mean_distance_to_keypoints,

@@ -65,6 +65,11 @@ impl MatchCounts {
         (self.ground_truth - self.false_negatives) as f64 / (self.ground_truth + self.false_positives).max(1) as f64
     }
 
+    /// Share of the ground-truth keypoints that match a detected keypoint, `(NP - FN) / NP`; 0 without ground truth.
+    pub fn recall(&self) -> f64 {
+        (self.ground_truth - self.false_negatives) as f64 / self.ground_truth.max(1) as f64
+    }
+
     /// The counts at one threshold, from the distance of each keypoint to the nearest keypoint of the other kind.
     fn new(found: &[f64], ground_truth: &[f64], threshold: f64) -> Self {
         let beyond = |distances: &[f64]| distances.iter().filter(|d| **d > threshold).count();
@@ -333,6 +338,7 @@ mod tests {
         let strict = call(Unreachable::Strict);
         assert_eq!(strict, [counts(2, 3, 1), counts(2, 3, 1), counts(2, 1, 0)]);
         assert_eq!(strict[2].iou(), 2.0 / 3.0);
+        assert_eq!([strict[1].recall(), strict[2].recall()], [0.5, 1.0]);
         // The point of the other component matches every keypoint.
         assert_eq!(call(Unreachable::PaperCompatible), [counts(2, 2, 0), counts(2, 2, 0), counts(2, 0, 0)]);
     }
@@ -345,7 +351,7 @@ mod tests {
                 |truth: &[usize], found: &[Point]| semantic_counts(&points, truth, found, &[9.0], unreachable).unwrap();
             assert_eq!(call(&[1, 2], &[]), [counts(2, 0, 2)]);
             assert_eq!(call(&[], &points[..3]), [counts(0, 3, 0)]);
-            assert_eq!(call(&[], &[])[0].iou(), 0.0);
+            assert_eq!((call(&[], &[])[0].iou(), call(&[], &[])[0].recall()), (0.0, 0.0));
         }
     }
 

@@ -84,13 +84,18 @@ fn methods() -> impl Iterator<Item = &'static str> {
     std::iter::once("snake").chain(Detector::NAMES)
 }
 
+/// Those of them that registration has.
+fn registration_detectors() -> impl Iterator<Item = &'static str> {
+    methods().filter(|name| named::<KeypointDetector>(name).is_ok())
+}
+
 #[derive(Args)]
 pub struct RegistrationArguments {
     /// The data set.
     pub data: PathBuf,
     /// Detectors to evaluate; all of them by default.
     #[arg(long, value_delimiter = ',', value_parser = named::<KeypointDetector>,
-        default_values = methods())]
+        default_values = registration_detectors())]
     pub detectors: Vec<KeypointDetector>,
     /// Descriptors to evaluate: field, fpfh or both.
     #[arg(long, value_delimiter = ',', value_parser = named::<Descriptor>, default_value = "field,fpfh")]

@@ -205,7 +205,7 @@ fn layouts_of_usip_are_read_as_pairs() {
 fn invalid_options_and_data_sets_are_refused() {
     let data = corpus(1, 100);
     for (extra, message) in [
-        (&["--methods", "iss,orb"][..], "allowed is iss, harris3d, sift3d, fps or random"),
+        (&["--methods", "iss,orb"][..], "allowed is iss, harris3d, sift3d, surface-variation, fps or random"),
         (
             &["--epsilon", "0.1,0.2", "--table-epsilon", "0.3"],
             "--table-epsilon is 0.3: allowed are the values of --epsilon",

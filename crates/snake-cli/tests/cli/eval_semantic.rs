@@ -63,7 +63,15 @@ fn keypoints_are_compared_with_annotations() {
     for (row, (class, iou)) in figures.iter().zip(expected) {
         assert_eq!((&row["class"], &row["paper"]), (&class, &serde_json::json!(iou)), "{row}");
         assert_eq!((&row["method"], &row["keypoints"]), (&"fps".into(), &5.0.into()));
+        // At a threshold of 0 all five places of a chair are found, and the one of the table is not.
+        let expected = match row["class"].as_str() {
+            Some("chair") => [1.0, 1.0],
+            Some(_) => [0.0, 1.0],
+            None => [0.5, 1.0],
+        };
+        assert_eq!(row["recall"], serde_json::json!(expected), "{row}");
     }
+    assert!(text.contains("Share of annotated keypoints found over 3 shapes of 2 classes"), "{text}");
     assert!(text.contains("mIoU over 3 shapes of 2 classes") && text.contains("snake (paper)"), "{text}");
 
     // All methods, whole and interrupted; the keypoints of each are farther apart than the radius.

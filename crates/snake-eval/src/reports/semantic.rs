@@ -34,7 +34,7 @@ pub struct Report<'a> {
     paper: Option<&'a PaperTable>,
 }
 
-/// The IoU of one method: of a class, or the mean over the classes or over the pairs of bodies.
+/// The figures of one method: of a class, or their means over the classes or over the pairs of bodies.
 struct Figure {
     method: String,
     class: Option<String>,
@@ -42,10 +42,19 @@ struct Figure {
     /// IoU for each threshold, by the strict rule and by the paper's.
     strict: Vec<Statistic>,
     paper: Vec<Statistic>,
+    /// Recall for each threshold, by the strict rule.
+    recall: Vec<Statistic>,
 }
 
 /// Computes the IoU of shapes or of pairs of bodies. The flag selects the paper's rule instead of the strict one.
 type Iou = fn(&[MatchCounts], bool) -> Result<f64>;
+
+/// The value of one cell of a method's figure.
+#[derive(Clone, Copy, PartialEq)]
+enum Cell {
+    Iou { is_paper: bool },
+    Recall,
+}
 
 /// The rows of one method, class by class.
 type Classes<'a> = Vec<Vec<&'a Row>>;
@@ -53,22 +62,28 @@ type Classes<'a> = Vec<Vec<&'a Row>>;
 impl Figure {
     /// The statistic over the seeds of the mean over the classes.
     fn new(runs: &[Classes], class: Option<&str>, iou: Iou) -> Result<Self> {
-        let at = |threshold: usize, is_paper: bool| {
+        let at = |threshold: usize, cell: Cell| {
+            let is_paper = cell == Cell::Iou { is_paper: true };
             let counts = |row: &&Row| if is_paper { row.paper[threshold] } else { row.strict[threshold] };
-            let of_class = |rows: &Vec<&Row>| iou(&rows.iter().map(counts).collect::<Vec<_>>(), is_paper);
+            let of_part = |counts: MatchCounts| if cell == Cell::Recall { counts.recall() } else { counts.iou() };
+            let of_class = |rows: &Vec<&Row>| {
+                let counts: Vec<MatchCounts> = rows.iter().map(counts).collect();
+                if cell == Cell::Recall { Ok(sum(&counts).recall()) } else { iou(&counts, is_paper) }
+            };
             let of_run = |classes: &Classes| Ok(mean(&classes.iter().map(of_class).collect::<Result<Vec<_>>>()?));
-            let parts: Vec<f64> = runs[0].iter().flatten().map(|row| counts(row).iou()).collect();
+            let parts: Vec<f64> = runs[0].iter().flatten().map(|row| of_part(counts(row))).collect();
             Ok(Statistic::over_seeds(&runs.iter().map(of_run).collect::<Result<Vec<_>>>()?, &parts))
         };
         let first = runs[0][0][0];
-        let all = |is_paper| (0..first.strict.len()).map(|threshold| at(threshold, is_paper)).collect::<Result<_>>();
+        let all = |cell| (0..first.strict.len()).map(|threshold| at(threshold, cell)).collect::<Result<_>>();
         let keypoints = |rows: &Vec<&Row>| mean(&rows.iter().map(|row| row.keypoints as f64).collect::<Vec<_>>());
         Ok(Self {
             method: first.method.clone(),
             class: class.map(str::to_owned),
             keypoints: mean(&runs.iter().flatten().map(keypoints).collect::<Vec<_>>()),
-            strict: all(false)?,
-            paper: all(true)?,
+            strict: all(Cell::Iou { is_paper: false })?,
+            paper: all(Cell::Iou { is_paper: true })?,
+            recall: all(Cell::Recall)?,
         })
     }
 }
@@ -127,12 +142,12 @@ impl<'a> Report<'a> {
         self.figures.iter().filter(|figure| figure.class.is_none())
     }
 
-    /// One table for each rule.
+    /// One table for the IoU by each rule and one for the recall.
     fn tables(&self) -> Vec<Table> {
         let head = ["method".to_owned()].into_iter();
         let head: Vec<String> =
             head.chain(self.threshold.iter().map(f64::to_string)).chain(["keypoints".into()]).collect();
-        let table = |rule: &str, of: fn(&Figure) -> &[Statistic], paper: Option<&PaperTable>| {
+        let table = |what: &str, rule: &str, of: fn(&Figure) -> &[Statistic], paper: Option<&PaperTable>| {
             let row = |figure: &Figure| {
                 let mut row = vec![figure.method.clone()];
                 row.extend(of(figure).iter().map(Statistic::cell));
@@ -146,12 +161,13 @@ impl<'a> Report<'a> {
             let deviation = tables::deviation_name(self.num_seeds, parts);
             let theirs = paper.into_iter().flat_map(|paper| paper.rows(self.threshold));
             let rows = self.means().map(row).chain(theirs.map(|row| [row, vec!["-".into()]].concat())).collect();
-            let title = format!("mIoU over {over} at each threshold ± {deviation}, {rule}");
+            let title = format!("{what} over {over} at each threshold ± {deviation}, {rule}");
             Table { title, head: head.clone(), rows }
         };
         vec![
-            table("strict", |figure| &figure.strict, None),
-            table("as the paper's released code counts", |figure| &figure.paper, self.paper),
+            table("mIoU", "strict", |figure| &figure.strict, None),
+            table("mIoU", "as the paper's released code counts", |figure| &figure.paper, self.paper),
+            table("Share of annotated keypoints found", "strict", |figure| &figure.recall, None),
         ]
     }
 
@@ -172,19 +188,21 @@ impl<'a> Report<'a> {
 
     /// The CSV file: a line for each method, class and threshold. The class of the mean over all classes is empty.
     fn csv(&self) -> String {
-        let mut text = String::from("method,class,threshold,strict,strict_deviation,paper,paper_deviation,keypoints\n");
-        for Figure { method, class, keypoints, strict, paper } in &self.figures {
-            for ((threshold, strict), paper) in self.threshold.iter().zip(strict).zip(paper) {
+        let mut text = String::from(
+            "method,class,threshold,strict,strict_deviation,paper,paper_deviation,recall,recall_deviation,keypoints\n",
+        );
+        for Figure { method, class, keypoints, strict, paper, recall } in &self.figures {
+            for (((threshold, strict), paper), recall) in self.threshold.iter().zip(strict).zip(paper).zip(recall) {
                 let class = class.as_deref().unwrap_or_default();
-                let (strict, paper) = (strict.csv(), paper.csv());
-                text += &format!("{method},{class},{threshold},{strict},{paper},{keypoints}\n");
+                let (strict, paper, recall) = (strict.csv(), paper.csv(), recall.csv());
+                text += &format!("{method},{class},{threshold},{strict},{paper},{recall},{keypoints}\n");
             }
         }
         text
     }
 
     fn json(&self) -> String {
-        let row = |Figure { method, class, keypoints, strict, paper }: &Figure| {
+        let row = |Figure { method, class, keypoints, strict, paper, recall }: &Figure| {
             let means = |all: &[Statistic]| all.iter().map(|iou| iou.mean).collect::<Vec<_>>();
             let deviations = |all: &[Statistic]| all.iter().map(|iou| iou.deviation).collect::<Vec<_>>();
             json!({
@@ -195,6 +213,8 @@ impl<'a> Report<'a> {
                 "strict_deviation": deviations(strict),
                 "paper": means(paper),
                 "paper_deviation": deviations(paper),
+                "recall": means(recall),
+                "recall_deviation": deviations(recall),
             })
         };
         let rows: Vec<Value> = self.figures.iter().map(row).collect();
@@ -205,9 +225,13 @@ impl<'a> Report<'a> {
 
 /// The IoU of a class: of the summed counts of its shapes, by either rule.
 fn class_iou(counts: &[MatchCounts], _is_paper: bool) -> Result<f64> {
+    Ok(sum(counts).iou())
+}
+
+fn sum(counts: &[MatchCounts]) -> MatchCounts {
     let mut sum = MatchCounts::default();
     counts.iter().for_each(|&one| sum += one);
-    Ok(sum.iou())
+    sum
 }
 
 /// The IoU of pairs of bodies. The counts already include the random keypoints of the paper's rule.
@@ -251,8 +275,16 @@ mIoU over 3 shapes of 2 classes at each threshold ± standard deviation over sha
 | snake (paper) | 0.412 | - |
 ";
         assert!(markdown.starts_with(expected), "{markdown}");
+        // The chair has a recall of 4 / 8, the airplane of 1 / 2; the single shapes have 1, 0 and 1 / 2.
+        let recall = "Share of annotated keypoints found over 3 shapes of 2 classes at each threshold ± standard deviation over shapes, strict:
+
+| method | 0.1 | keypoints |
+|---|---|---|
+| iss | 0.500 ±0.500 | 3.0 |
+";
+        assert!(markdown.contains(recall), "{markdown}");
         let csv = report.csv();
-        assert_eq!(csv.lines().nth(2).unwrap(), "iss,airplane,0.1,0.25,,0.5,,1");
+        assert_eq!(csv.lines().nth(2).unwrap(), "iss,airplane,0.1,0.25,,0.5,,0.5,,1");
         assert_eq!(csv.lines().count(), 4);
         let panels = report.panels();
         assert_eq!((panels[0].lines.len(), panels[1].lines.len()), (1, 8));

@@ -1,4 +1,5 @@
-//! Classical detectors for comparison: ISS, Harris 3D, SIFT 3D, farthest-point sampling and random points.
+//! Classical detectors for comparison: ISS, Harris 3D, SIFT 3D, surface variation, farthest-point sampling and random
+//! points.
 //!
 //! Each returns indices of input points with a score, by falling score and, for equal scores, by rising index. Results
 //! are the same for any number of threads. A [`Detector`] is one of them with its options, and [`Detector::keypoints`]
@@ -9,6 +10,7 @@ mod harris3d;
 mod iss;
 mod random;
 mod sift3d;
+mod surface_variation;
 
 use rand::SeedableRng;
 use rayon::prelude::*;
@@ -24,6 +26,7 @@ pub use harris3d::{Harris3dOptions, harris3d};
 pub use iss::{Covariance, IssOptions, iss};
 pub use random::random_points;
 pub use sift3d::{Sift3dOptions, SiftField, sift3d};
+pub use surface_variation::{SurfaceVariationOptions, surface_variation};
 
 /// A point of the cloud with its score.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
@@ -57,6 +60,9 @@ pub enum Detector {
     Harris3d(Harris3dOptions),
     /// Extrema of the differences of Gaussians of a field on the points.
     Sift3d(Sift3dOptions),
+    /// Maxima of the surface variation.
+    #[serde(rename = "surface-variation")]
+    SurfaceVariation(SurfaceVariationOptions),
     /// Farthest-point sampling.
     FarthestPoint,
     /// Random points.
@@ -65,7 +71,7 @@ pub enum Detector {
 
 impl Detector {
     /// The names that [`Detector::named`] accepts.
-    pub const NAMES: [&'static str; 5] = ["iss", "harris3d", "sift3d", "fps", "random"];
+    pub const NAMES: [&'static str; 6] = ["iss", "harris3d", "sift3d", "surface-variation", "fps", "random"];
 
     /// A detector with its default options. For [`Protocol::Paper`], Harris 3D has no suppression and SIFT 3D uses the
     /// y coordinate, as in the wrapper behind the paper's tables.
@@ -80,10 +86,11 @@ impl Detector {
             ("harris3d", Protocol::Paper) => Self::Harris3d(Harris3dOptions { non_max: false, ..harris }),
             ("sift3d", Protocol::Ranked) => Self::Sift3d(sift),
             ("sift3d", Protocol::Paper) => Self::Sift3d(Sift3dOptions { field: SiftField::Y, ..sift }),
+            ("surface-variation", _) => Self::SurfaceVariation(SurfaceVariationOptions::default()),
             ("fps", _) => Self::FarthestPoint,
             ("random", _) => Self::Random,
             _ => {
-                let allowed = "iss, harris3d, sift3d, fps or random";
+                let allowed = "iss, harris3d, sift3d, surface-variation, fps or random";
                 return Err(Error::Option { name: "detector", value: name.into(), allowed });
             }
         })
@@ -112,6 +119,7 @@ impl Detector {
                 Self::Iss(options) => iss(points, options)?,
                 Self::Harris3d(options) => harris3d(points, options)?,
                 Self::Sift3d(options) => sift3d(points, options)?,
+                Self::SurfaceVariation(options) => surface_variation(points, options)?,
                 Self::FarthestPoint => return farthest_points(points, count),
                 Self::Random => return random_points(points, count, seed),
             };

@@ -1,0 +1,119 @@
+//! Surface variation (Pauly, Gross and Kobbelt 2002): how far a neighbourhood is from flat.
+
+use rayon::prelude::*;
+use serde::{Deserialize, Serialize};
+
+use super::{Response, among_finite, index_cloud, local_maxima};
+use snake_core::Length;
+use snake_core::Point;
+use snake_core::space::eigen;
+use snake_core::{Result, setters};
+
+/// Options of [`surface_variation`].
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+#[non_exhaustive]
+pub struct SurfaceVariationOptions {
+    /// Radius of the neighbourhood for the eigenvalues.
+    pub radius: Length,
+    /// Radius of non-maximum suppression: a keypoint's surface variation is the largest within this radius.
+    pub non_max_radius: Length,
+}
+
+setters!(SurfaceVariationOptions {
+    radius: Length => with_radius,
+    non_max_radius: Length => with_non_max_radius,
+});
+
+impl Default for SurfaceVariationOptions {
+    fn default() -> Self {
+        Self { radius: Length::Percent(30.0), non_max_radius: Length::Resolutions(4.0) }
+    }
+}
+
+/// Keypoints of the largest surface variation, by falling score.
+///
+/// The score is the smallest eigenvalue of the covariance of the points nearer than `radius`, divided by the sum of the
+/// three: 0 on a plane, at most 1/3. An exactly flat neighbourhood has no keypoint.
+///
+/// # Errors
+/// [`Error::Input`](snake_core::Error::Input) when the cloud has no finite points or is one point repeated;
+/// [`Error::Option`](snake_core::Error::Option) when an option is outside its range.
+pub fn surface_variation(points: &[Point], options: &SurfaceVariationOptions) -> Result<Vec<Response>> {
+    among_finite(points, |points| find(points, options))
+}
+
+/// [`surface_variation`] of finite points.
+fn find(points: &[Point], options: &SurfaceVariationOptions) -> Result<Vec<Response>> {
+    let cloud = index_cloud(points)?;
+    let radius = options.radius.in_units("radius", points)?;
+    let non_max_radius = options.non_max_radius.in_units("non_max_radius", points)?;
+    cloud.check_density("radius", radius)?;
+    cloud.check_density("non_max_radius", non_max_radius)?;
+    let variation = |point| {
+        let ([third, second, first], _) = eigen(cloud.covariance(&cloud.within(point, radius)));
+        // A neighbourhood that is flat up to rounding has no variation.
+        if third > first * f64::EPSILON * 8.0 { third / (first + second + third) } else { 0.0 }
+    };
+    let variations: Vec<f64> = cloud.points.par_iter().map(variation).collect();
+    Ok(local_maxima(&cloud, &variations, non_max_radius, 0, |variation| variation > 0.0))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::tests::{corner, cube};
+    use super::*;
+    use nalgebra::Matrix3;
+    use snake_core::space::{Vector, vector};
+
+    #[test]
+    fn the_corners_of_a_cube_are_the_strongest() {
+        let options = SurfaceVariationOptions::default().with_non_max_radius(Length::Units(0.3));
+        let points = cube(11);
+        let found = surface_variation(&points, &options).unwrap();
+        let mut corners: Vec<_> = found[..8].iter().filter_map(|response| corner(points[response.index])).collect();
+        corners.sort_unstable();
+        assert_eq!(corners, [0, 1, 2, 3, 4, 5, 6, 7]);
+    }
+
+    #[test]
+    fn every_maximum_has_the_variation_of_the_definition() {
+        let points = cube(7);
+        let radius = 0.36;
+        let variation = |a: Point| {
+            let near: Vec<Vector> =
+                points.iter().map(|&b| vector(b)).filter(|b| (vector(a) - b).norm() < radius).collect();
+            let mean = near.iter().sum::<Vector>() / near.len() as f64;
+            let covariance: Matrix3<f64> = near.iter().map(|b| (b - mean) * (b - mean).transpose()).sum();
+            let values = covariance.symmetric_eigenvalues();
+            values.min() / values.sum()
+        };
+        let options = SurfaceVariationOptions::default()
+            .with_radius(Length::Units(radius))
+            .with_non_max_radius(Length::Units(0.2));
+        let found = surface_variation(&points, &options).unwrap();
+        for response in &found {
+            assert!((response.score - variation(points[response.index])).abs() < 1e-9, "{}", response.score);
+        }
+        let highest = points.iter().map(|&point| variation(point)).fold(0.0, f64::max);
+        assert!((found[0].score - highest).abs() < 1e-9);
+    }
+
+    #[test]
+    fn radii_may_be_per_cent_of_the_clouds() {
+        // The farthest corner of the unit cube is half its diagonal from the mean.
+        let points = cube(9);
+        let radius = Length::Units(0.3 * 0.75_f64.sqrt());
+        let options = SurfaceVariationOptions::default();
+        let scores = |options| surface_variation(&points, &options).unwrap();
+        assert_eq!(scores(options), scores(options.with_radius(radius)));
+        assert!(surface_variation(&points, &options.with_radius(Length::Percent(0.0))).is_err());
+    }
+
+    #[test]
+    fn flat_clouds_have_no_keypoints() {
+        let plane = |i: u32| [(i % 30) as f32 * 0.1, (i / 30) as f32 * 0.13, 7.7];
+        let points: Vec<Point> = (0..900).map(plane).collect();
+        assert_eq!(surface_variation(&points, &SurfaceVariationOptions::default()).unwrap(), []);
+    }
+}
