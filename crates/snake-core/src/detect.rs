@@ -13,6 +13,7 @@ use crate::options::{DetectOptions, Radii};
 use crate::points::{FinitePoints, Normalization, Point};
 use crate::query_grid::{QueryGrid, above_occupancy};
 use crate::refine::{Refined, refine};
+use crate::span::span;
 
 /// One keypoint, in the frame and units of the input cloud.
 ///
@@ -54,7 +55,7 @@ impl From<KeypointRecord> for Keypoint {
 }
 
 /// The result of a detection: keypoints, counts and run times.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
 #[non_exhaustive]
 pub struct Detection {
     /// The keypoints, by falling saliency.
@@ -234,6 +235,7 @@ pub(crate) fn finish(
     options: &DetectOptions,
     occupancy: impl FnOnce(&[usize], &[Point]) -> Result<Vec<f32>>,
 ) -> Result<Detection> {
+    span!("suppress");
     let start = Instant::now();
     let Candidates { positions, scores, mut counts, mut timing } = candidates;
     let (kept, mut positions) = match radii.mode {

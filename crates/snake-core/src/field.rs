@@ -12,8 +12,10 @@ use crate::nn::TILE;
 use crate::options::{EncodeOptions, Options};
 use crate::points::{FinitePoints, Normalization, Point, check_points};
 use crate::rotations::{self, Rotation, rotate, rotate_inverse};
+use crate::span::span;
 use crate::volume::{Volume, VolumeFrame};
 use crate::{Error, Result, weights};
+use snake_kernels::Scratch;
 
 /// Occupancy and saliency of one cloud at any point of space. Queries and gradients are in the cloud's frame and units.
 #[derive(Debug, Clone)]
@@ -86,9 +88,20 @@ impl Field {
     ) -> Result<Self> {
         options.check(&network.config)?;
         control.get_limits().check_points(points.len())?;
-        control.get_limits().check_volumes(&network.config, options.rotations)?;
-        let num_given = points.len();
         let finite = FinitePoints::of("points", points)?;
+        Self::of_finite(network, finite, points.len(), options, control)
+    }
+
+    /// The field of the finite points of a cloud of `num_given` points.
+    pub(crate) fn of_finite(
+        network: Arc<Network>,
+        finite: FinitePoints<'_>,
+        num_given: usize,
+        options: &EncodeOptions,
+        control: &Control,
+    ) -> Result<Self> {
+        span!("encode");
+        control.get_limits().check_volumes(&network.config, options.rotations)?;
         let points = &finite.points;
         let normalization = Normalization::of(points, options.normalization)?;
         let encoded = options.sample(points);
@@ -118,6 +131,11 @@ impl Field {
             points: FinitePoints::of("points", &points)?.into_owned(),
             network,
         })
+    }
+
+    /// The memory of the points and of their indices.
+    pub(crate) fn into_buffers(self) -> (Vec<Point>, Vec<usize>) {
+        self.points.into_buffers()
     }
 
     /// The normalisation in use: `network = (cloud - center) / scale`.
@@ -212,11 +230,11 @@ impl Field {
         let queries = self.to_network(queries)?;
         let mut features = vec![0.0; queries.len() * channels];
         features.par_chunks_mut(TILE * channels).zip(queries.par_chunks(TILE)).for_each(|(features, queries)| {
-            let mut of_view = vec![0.0; features.len()];
+            let mut of_view = Scratch::zeros(features.len());
             for View { rotation, volume } in &self.views {
-                let rotated: Vec<Point> = queries.iter().map(|&query| rotate(rotation, query)).collect();
+                let rotated = rotated(rotation, queries);
                 volume.interpolate(&volume.frame, &rotated, &mut of_view);
-                features.iter_mut().zip(&of_view).for_each(|(sum, f)| *sum += f);
+                features.iter_mut().zip(of_view.iter()).for_each(|(sum, f)| *sum += f);
             }
             for feature in features.chunks_exact_mut(channels) {
                 let norm = feature.iter().map(|f| f * f).sum::<f32>().sqrt().max(f32::MIN_POSITIVE);
@@ -228,18 +246,23 @@ impl Field {
 
     fn values(&self, quantity: Quantity, queries: &[Point]) -> Result<Vec<f32>> {
         let queries = self.to_network(queries)?;
-        let values = queries.par_chunks(TILE).flat_map_iter(|tile| self.tile_values(quantity, tile));
-        Ok(values.collect())
+        let mut values = vec![0.0; queries.len()];
+        let tiles = values.par_chunks_mut(TILE).zip(queries.par_chunks(TILE));
+        tiles.for_each(|(values, tile)| values.copy_from_slice(&self.tile_values(quantity, tile)));
+        Ok(values)
     }
 
     fn values_and_gradients(&self, quantity: Quantity, queries: &[Point]) -> Result<(Vec<f32>, Vec<Point>)> {
         let per_cloud_unit = self.normalization.scale.recip();
         let queries = self.to_network(queries)?;
-        let pairs = queries.par_chunks(TILE).flat_map_iter(|tile| {
-            let (values, gradients) = self.tile_values_and_gradients(quantity, tile);
-            values.into_iter().zip(gradients.into_iter().map(|g| g.map(|v| v * per_cloud_unit)))
+        let (mut values, mut gradients) = (vec![0.0; queries.len()], vec![[0.0; 3]; queries.len()]);
+        let tiles = values.par_chunks_mut(TILE).zip(gradients.par_chunks_mut(TILE)).zip(queries.par_chunks(TILE));
+        tiles.for_each(|((values, gradients), tile)| {
+            let of_tile = self.tile_values_and_gradients(quantity, tile);
+            values.copy_from_slice(&of_tile.0);
+            gradients.iter_mut().zip(of_tile.1.iter()).for_each(|(to, g)| *to = g.map(|v| v * per_cloud_unit));
         });
-        Ok(pairs.unzip())
+        Ok((values, gradients))
     }
 
     fn to_network(&self, queries: &[Point]) -> Result<Vec<Point>> {
@@ -261,31 +284,34 @@ impl Field {
     }
 
     /// One tile of queries in the network's frame, on the calling thread.
-    pub(crate) fn tile_values(&self, quantity: Quantity, queries: &[Point]) -> Vec<f32> {
+    pub(crate) fn tile_values(&self, quantity: Quantity, queries: &[Point]) -> Scratch<f32> {
         if let [view] = &self.views[..] {
             return self.view_values(view, quantity, queries);
         }
-        let mut sums = vec![0.0; queries.len()];
+        let mut sums = Scratch::zeros(queries.len());
         for view in &self.views {
-            let rotated: Vec<Point> = queries.iter().map(|&query| rotate(&view.rotation, query)).collect();
-            let values = self.view_values(view, quantity, &rotated);
-            sums.iter_mut().zip(values).for_each(|(sum, value)| *sum += log_odds(value));
+            let values = self.view_values(view, quantity, &rotated(&view.rotation, queries));
+            sums.iter_mut().zip(values.iter()).for_each(|(sum, &value)| *sum += log_odds(value));
         }
-        sums.iter().map(|sum| probability(sum / self.views.len() as f32)).collect()
+        sums.iter_mut().for_each(|sum| *sum = probability(*sum / self.views.len() as f32));
+        sums
     }
 
     /// [`Field::tile_values`] with gradients, per network unit.
-    pub(crate) fn tile_values_and_gradients(&self, quantity: Quantity, queries: &[Point]) -> (Vec<f32>, Vec<Point>) {
+    pub(crate) fn tile_values_and_gradients(
+        &self,
+        quantity: Quantity,
+        queries: &[Point],
+    ) -> (Scratch<f32>, Scratch<Point>) {
         if let [view] = &self.views[..] {
             return self.view_values_and_gradients(view, quantity, queries);
         }
-        let mut sums = vec![0.0; queries.len()];
-        let mut gradients = vec![[0.0; 3]; queries.len()];
+        let mut sums = Scratch::zeros(queries.len());
+        let mut gradients = Scratch::<Point>::zeros(queries.len());
         for view in &self.views {
-            let rotated: Vec<Point> = queries.iter().map(|&query| rotate(&view.rotation, query)).collect();
-            let of_view = self.view_values_and_gradients(view, quantity, &rotated);
-            let of_view = of_view.0.into_iter().zip(of_view.1);
-            for ((sum, gradient), (value, of_value)) in sums.iter_mut().zip(&mut gradients).zip(of_view) {
+            let of_view = self.view_values_and_gradients(view, quantity, &rotated(&view.rotation, queries));
+            let of_view = of_view.0.iter().zip(of_view.1.iter());
+            for ((sum, gradient), (&value, &of_value)) in sums.iter_mut().zip(gradients.iter_mut()).zip(of_view) {
                 let value = value.clamp(LEAST, 1.0 - LEAST);
                 let of_log_odds = rotate_inverse(&view.rotation, of_value).map(|v| v / (value * (1.0 - value)));
                 *sum += log_odds(value);
@@ -293,26 +319,32 @@ impl Field {
             }
         }
         let views = self.views.len() as f32;
-        let values: Vec<f32> = sums.iter().map(|sum| probability(sum / views)).collect();
-        for (gradient, value) in gradients.iter_mut().zip(&values) {
+        for (gradient, sum) in gradients.iter_mut().zip(sums.iter_mut()) {
+            let value = probability(*sum / views);
             *gradient = gradient.map(|v| v * value * (1.0 - value) / views);
+            *sum = value;
         }
-        (values, gradients)
+        (sums, gradients)
     }
 
     /// Values of one view at rotated queries.
-    fn view_values(&self, view: &View, quantity: Quantity, queries: &[Point]) -> Vec<f32> {
+    fn view_values(&self, view: &View, quantity: Quantity, queries: &[Point]) -> Scratch<f32> {
         let (decoder, frame) = self.decoder(quantity);
-        let mut features = vec![0.0; queries.len() * view.volume.channels];
+        let mut features = Scratch::zeros(queries.len() * view.volume.channels);
         view.volume.interpolate(&frame, queries, &mut features);
         decoder.values(queries, &features)
     }
 
     /// [`Field::view_values`] with gradients in the rotated frame: the decoder's derivative with respect to the query, plus
     /// the derivative through the interpolated feature.
-    fn view_values_and_gradients(&self, view: &View, quantity: Quantity, queries: &[Point]) -> (Vec<f32>, Vec<Point>) {
+    fn view_values_and_gradients(
+        &self,
+        view: &View,
+        quantity: Quantity,
+        queries: &[Point],
+    ) -> (Scratch<f32>, Scratch<Point>) {
         let (decoder, frame) = self.decoder(quantity);
-        let mut features = vec![0.0; queries.len() * view.volume.channels];
+        let mut features = Scratch::zeros(queries.len() * view.volume.channels);
         let corners = view.volume.interpolate(&frame, queries, &mut features);
         let decoded = decoder.values_and_gradients(queries, &features);
         let mut gradients = view.volume.interpolate_backward(&corners, &decoded.in_feature);
@@ -341,6 +373,11 @@ const LEAST: f32 = 1e-6;
 pub(crate) fn log_odds(probability: f32) -> f32 {
     let probability = probability.clamp(LEAST, 1.0 - LEAST);
     (probability / (1.0 - probability)).ln()
+}
+
+/// Queries of one tile in the frame of a rotated copy.
+fn rotated(rotation: &Rotation, queries: &[Point]) -> Scratch<Point> {
+    Scratch::collect(queries.len(), queries.iter().map(|&query| rotate(rotation, query)))
 }
 
 fn probability(log_odds: f32) -> f32 {

@@ -61,12 +61,12 @@ impl<T: RealField + Copy + Into<f64>> KdTree<T> {
         let Some(tree) = &self.tree else { return };
         let radius = self.reach(query, most.into().sqrt());
         let rotated = rotate(&self.rotation, query);
-        for entry in tree.query(&rotated).within::<SquaredEuclidean<f64>>(radius * radius).unsorted().execute() {
+        tree.query(&rotated).within::<SquaredEuclidean<f64>>(radius * radius).unsorted().visit(|entry| {
             let distance = squared_distance(query, &self.distinct[entry.item as usize]);
             if distance <= most {
                 self.equal(entry.item as usize).for_each(|index| found(index, distance));
             }
-        }
+        });
     }
 
     /// The nearest `number` points as indices and squared distances, nearest first; ties are ordered by index.

@@ -14,12 +14,15 @@
 
 #![forbid(unsafe_code)]
 
+#[cfg(feature = "arrow")]
+mod arrow;
 mod budget;
 mod cloud;
 mod config;
 mod control;
 mod decoder;
 mod detect;
+mod detector;
 mod encoder;
 mod error;
 mod excerpt;
@@ -37,25 +40,32 @@ mod network;
 mod nms;
 mod nn;
 mod options;
+mod point_cloud2;
+mod point_source;
 mod points;
 mod progress;
 mod query_grid;
+mod realtime;
 mod refine;
 mod rigid_transform;
 mod rotations;
 mod setters;
 mod side_by_side;
 pub mod space;
+mod span;
 mod surface;
 mod volume;
 mod weights;
 mod window_cells;
 mod windows;
 
+#[cfg(feature = "arrow")]
+pub use arrow::ArrowPoints;
 pub use cloud::{Cloud, add_origin, subtract_origin};
 pub use config::{ModelConfig, Scatter};
 pub use control::{CancelFlag, Control, Counter};
 pub use detect::{Counts, Detection, Keypoint, Timing};
+pub use detector::Detector;
 pub use error::{Error, Result};
 #[doc(hidden)]
 pub use excerpt::excerpt;
@@ -67,6 +77,8 @@ pub use limits::Limits;
 pub use model::Builtin;
 pub use model::Model;
 pub use options::{DetectOptions, EncodeOptions, MeshOptions, Options, Preset, RefineMethod, Selection};
+pub use point_cloud2::{PointCloud2Layout, PointCloud2View, PointField};
+pub use point_source::{PointSource, SeparateAxes};
 pub use points::{Normalization, NormalizationMethod, Point};
 pub use progress::{Progress, Stage};
 pub use rigid_transform::RigidTransform;

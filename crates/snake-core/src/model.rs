@@ -174,8 +174,7 @@ impl Model {
         Ok(detection)
     }
 
-    #[cfg(test)]
-    pub(crate) fn network(&self) -> &Network {
+    pub(crate) fn network(&self) -> &Arc<Network> {
         &self.network
     }
 }

@@ -38,20 +38,28 @@ pub(crate) fn seek_modes(
     let tree = KdTree::new(positions)?;
     let starts = suppress_in(&tree, positions, scores, radius / 2.0, STARTS.saturating_mul(max_keypoints.max(64)));
     let weights: Vec<f32> = scores.iter().map(|score| score.powi(POWER)).collect();
-    let mode = |&start: &usize| {
-        (0..STEPS).fold(positions[start], |at, _| weighted_mean(&tree, positions, &weights, at, radius))
+    let mode = |near: &mut Vec<usize>, &start: &usize| {
+        (0..STEPS).fold(positions[start], |at, _| weighted_mean(&tree, positions, &weights, at, radius, near))
     };
-    let modes = starts.par_iter().map(mode).collect();
+    let modes = starts.par_iter().map_init(Vec::new, mode).collect();
     Ok((starts, modes))
 }
 
-/// The mean of the candidates within `radius` of a position; the position itself if there is none.
-fn weighted_mean(tree: &KdTree<f32>, positions: &[Point], weights: &[f32], at: Point, radius: f32) -> Point {
-    let mut near = Vec::new();
+/// The mean of the candidates within `radius` of a position; the position itself if there is none. `near` is memory for
+/// their indices.
+fn weighted_mean(
+    tree: &KdTree<f32>,
+    positions: &[Point],
+    weights: &[f32],
+    at: Point,
+    radius: f32,
+    near: &mut Vec<usize>,
+) -> Point {
+    near.clear();
     tree.within(&at, radius * radius, |index, _| near.push(index));
     near.sort_unstable(); // the order of the sum decides its last bits
     let (mut total, mut sum) = (0.0_f64, [0.0_f64; 3]);
-    for index in near {
+    for &index in &*near {
         let weight = f64::from(weights[index]);
         total += weight;
         sum.iter_mut().zip(positions[index]).for_each(|(sum, value)| *sum += weight * f64::from(value));

@@ -4,9 +4,9 @@ use rayon::prelude::*;
 
 use crate::Result;
 use crate::weights::Scope;
-use snake_kernels::{Buffer, BufferPool};
 use snake_kernels::{
-    ConstantRegion, Conv3d, Epilogue, GroupNorm, PackedConv3d, PackedLinear, SimdLevel, Source, channel_sums,
+    Buffer, BufferPool, ConstantRegion, Conv3d, Epilogue, GroupNorm, PackedConv3d, PackedLinear, Scratch, SimdLevel,
+    Source, channel_sums,
 };
 
 /// Rows per task: their features fit the first-level cache.
@@ -74,9 +74,10 @@ impl ResnetBlockFc {
 
     /// The block's output for rows of input.
     pub(crate) fn forward(&self, input: &[f32], output: &mut [f32]) {
-        let rectified: Vec<f32> = input.iter().map(|v| v.max(0.0)).collect();
+        let mut rectified = Scratch::zeros(input.len());
+        snake_kernels::relu(SimdLevel::current(), input, &mut rectified);
         let rows = output.len() / self.fc_1.outputs();
-        let mut hidden = vec![0.0; rows * self.fc_0.outputs()];
+        let mut hidden = Scratch::zeros(rows * self.fc_0.outputs());
         self.fc_0.forward(&rectified, &mut hidden, Epilogue::Relu);
         match &self.shortcut {
             Some(shortcut) => shortcut.forward(input, output, Epilogue::Store),

@@ -4,6 +4,7 @@ use std::borrow::Cow;
 
 use serde::{Deserialize, Serialize};
 
+use crate::point_source::PointSource;
 use crate::{Error, Result};
 
 /// One point, `[x, y, z]`.
@@ -103,17 +104,39 @@ impl<'a> FinitePoints<'a> {
     /// [`Error::Input`] when there are no finite points.
     pub fn of(what: &'static str, points: &'a [Point]) -> Result<Self> {
         if points.is_empty() {
-            return Err(Error::Input { what, reason: "no points".into() });
+            return Err(none_finite(what, 0));
         }
         if points.iter().all(is_finite) {
             return Ok(Self { points: points.into(), indices: None });
         }
         let indices: Vec<usize> = (0..points.len()).filter(|&index| is_finite(&points[index])).collect();
         if indices.is_empty() {
-            return Err(Error::Input { what, reason: format!("none of the {} points is finite", points.len()) });
+            return Err(none_finite(what, points.len()));
         }
         let kept: Vec<Point> = indices.iter().map(|&index| points[index]).collect();
         Ok(Self { points: kept.into(), indices: Some(indices) })
+    }
+
+    /// The finite points of a source, copied into the memory of two vectors.
+    pub(crate) fn of_source(
+        what: &'static str,
+        source: &(impl PointSource + ?Sized),
+        (mut points, mut indices): (Vec<Point>, Vec<usize>),
+    ) -> Result<FinitePoints<'static>> {
+        points.clear();
+        indices.clear();
+        for index in 0..source.num_points() {
+            let point = source.point(index);
+            if is_finite(&point) {
+                points.push(point);
+                indices.push(index);
+            }
+        }
+        if points.is_empty() {
+            return Err(none_finite(what, source.num_points()));
+        }
+        let all = points.len() == source.num_points();
+        Ok(FinitePoints { points: points.into(), indices: (!all).then_some(indices) })
     }
 
     /// The index of a finite point in the whole cloud.
@@ -125,6 +148,20 @@ impl<'a> FinitePoints<'a> {
     pub fn into_owned(self) -> FinitePoints<'static> {
         FinitePoints { points: self.points.into_owned().into(), indices: self.indices }
     }
+
+    /// The memory of the points and of their indices.
+    pub(crate) fn into_buffers(self) -> (Vec<Point>, Vec<usize>) {
+        (self.points.into_owned(), self.indices.unwrap_or_default())
+    }
+}
+
+/// The error for a cloud without finite points.
+fn none_finite(what: &'static str, number: usize) -> Error {
+    let reason = match number {
+        0 => "no points".into(),
+        _ => format!("none of the {number} points is finite"),
+    };
+    Error::Input { what, reason }
 }
 
 fn is_finite(point: &Point) -> bool {

@@ -8,6 +8,7 @@ use crate::field::{Field, Quantity};
 use crate::nn::TILE;
 use crate::options::DetectOptions;
 use crate::points::Point;
+use crate::span::span;
 
 /// The query grid of a detection in the network's frame. It is generated plane by plane to save memory.
 pub(crate) struct QueryGrid {
@@ -68,6 +69,7 @@ pub(crate) fn above_occupancy(
     threshold: f32,
     control: &Control,
 ) -> Result<Vec<Point>> {
+    span!("occupancy");
     let resolution = queries.resolution();
     let counter = control.begin("occupancy", resolution.pow(3));
     let occupied_of_plane = |x: usize| -> Result<Vec<Point>> {
@@ -77,7 +79,8 @@ pub(crate) fn above_occupancy(
         for tile in plane.chunks(TILE) {
             counter.check()?;
             let occupancy = field.tile_values(Quantity::Occupancy, tile);
-            occupied.extend(tile.iter().zip(occupancy).filter(|(_, o)| *o > threshold).map(|(query, _)| *query));
+            occupied
+                .extend(tile.iter().zip(occupancy.iter()).filter(|(_, o)| **o > threshold).map(|(query, _)| *query));
             counter.add(tile.len());
         }
         Ok(occupied)

@@ -8,9 +8,11 @@ use crate::field::{Field, Quantity};
 use crate::nn::TILE;
 use crate::options::{DetectOptions, RefineMethod, Selection};
 use crate::points::Point;
+use crate::span::span;
+use snake_kernels::Scratch;
 
 /// A refined query.
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub(crate) struct Refined {
     /// In the network's frame.
     pub(crate) position: Point,
@@ -28,16 +30,18 @@ pub(crate) fn refine(
     options: &DetectOptions,
     control: &Control,
 ) -> Result<Vec<Refined>> {
+    span!("refine");
     let counter = control.begin("refinement", queries.len() * (options.refine_steps + 1));
-    let refined = |tile| refine_tile(field, tile, queries.len(), options, &counter);
-    let tiles: Vec<Vec<Refined>> = queries.par_chunks(TILE).map(refined).collect::<Result<_>>()?;
-    Ok(tiles.concat())
+    let mut refined = vec![Refined::default(); queries.len()];
+    let tiles = refined.par_chunks_mut(TILE).zip(queries.par_chunks(TILE));
+    tiles.try_for_each(|(refined, tile)| refine_tile(field, tile, queries.len(), options, &counter, refined))?;
+    Ok(refined)
 }
 
 /// Positions of a tile's queries after some steps, with their saliency.
 struct Step {
-    positions: Vec<Point>,
-    saliency: Vec<f32>,
+    positions: Scratch<Point>,
+    saliency: Scratch<f32>,
 }
 
 fn refine_tile(
@@ -46,14 +50,15 @@ fn refine_tile(
     num_queries: usize,
     options: &DetectOptions,
     counter: &Counter,
-) -> Result<Vec<Refined>> {
-    let mut positions = queries.to_vec();
+    refined: &mut [Refined],
+) -> Result<()> {
+    let mut positions = Scratch::copy_of(queries);
     let mut trajectory = Vec::with_capacity(options.refine_steps + 1);
     let mut adam = Adam::new(queries.len(), options.refine_step_size);
     for _ in 0..options.refine_steps {
         counter.check()?;
         let (saliency, gradient) = field.tile_values_and_gradients(Quantity::Saliency, &positions);
-        trajectory.push(Step { positions: positions.clone(), saliency });
+        trajectory.push(Step { positions: Scratch::copy_of(&positions), saliency });
         match options.refine_method {
             RefineMethod::Adam => adam.step(&mut positions, &gradient, -1.0 / num_queries as f32),
             RefineMethod::GradientDescent => {
@@ -65,65 +70,63 @@ fn refine_tile(
         counter.add(queries.len());
     }
     counter.check()?;
-    let selected = match options.selection {
+    match options.selection {
         Selection::ReferenceFinalPosition if options.refine_steps > 0 => {
-            let mut best = best_on_surface(field, &trajectory, options);
-            best.iter_mut().zip(positions).for_each(|(best, position)| best.position = position);
-            best
+            best_on_surface(field, &trajectory, options, refined);
+            refined.iter_mut().zip(positions.iter()).for_each(|(best, &position)| best.position = position);
         }
         _ => {
             let saliency = field.tile_values(Quantity::Saliency, &positions);
             trajectory.push(Step { positions, saliency });
-            best_on_surface(field, &trajectory, options)
+            best_on_surface(field, &trajectory, options, refined);
         }
-    };
+    }
     counter.add(queries.len());
-    Ok(selected)
+    Ok(())
 }
 
 /// For each query of a tile, the most salient position of its trajectory that lies on the surface; the first of several.
 ///
 /// Occupancy is evaluated by falling saliency, until a position lies on the surface or its saliency is too low for a
 /// keypoint. The result is the same as with the occupancy of all positions, and most queries need none.
-fn best_on_surface(field: &Field, trajectory: &[Step], options: &DetectOptions) -> Vec<Refined> {
-    let mut best: Vec<Refined> =
-        trajectory[0].positions.iter().map(|&position| Refined { position, score: 0.0 }).collect();
-    // The queries without a result, each with its steps by falling saliency.
-    let mut open: Vec<(usize, Vec<&Step>)> = (0..best.len())
-        .map(|query| {
-            let salient = |step: &&Step| step.saliency[query] > options.saliency_threshold;
-            let mut steps: Vec<&Step> = trajectory.iter().filter(salient).collect();
-            steps.sort_by(|a, b| b.saliency[query].total_cmp(&a.saliency[query]));
-            (query, steps)
-        })
-        .collect();
-    for rank in 0..trajectory.len() {
-        open.retain(|(_, steps)| rank < steps.len());
-        let positions: Vec<Point> = open.iter().map(|(query, steps)| steps[rank].positions[*query]).collect();
-        let mut occupancy = field.tile_values(Quantity::Occupancy, &positions).into_iter();
-        open.retain(|(query, steps)| {
-            let on_surface = occupancy.next().is_some_and(|occupancy| occupancy > options.surface_threshold);
-            if on_surface {
-                let step = steps[rank];
-                best[*query] = Refined { position: step.positions[*query], score: step.saliency[*query] };
-            }
-            !on_surface
-        });
+fn best_on_surface(field: &Field, trajectory: &[Step], options: &DetectOptions, best: &mut [Refined]) {
+    let num_steps = trajectory.len();
+    // For each query the number of its salient steps, and these steps by falling saliency.
+    let mut counts = Scratch::zeros(best.len());
+    let mut ranked = Scratch::zeros(best.len() * num_steps);
+    for (query, (best, ranked)) in best.iter_mut().zip(ranked.chunks_exact_mut(num_steps)).enumerate() {
+        *best = Refined { position: trajectory[0].positions[query], score: 0.0 };
+        let saliency = |step: usize| trajectory[step].saliency[query];
+        let salient = (0..num_steps).filter(|&step| saliency(step) > options.saliency_threshold);
+        counts[query] = ranked.iter_mut().zip(salient).map(|(rank, step)| *rank = step).count();
+        ranked[..counts[query]].sort_unstable_by(|&a, &b| saliency(b).total_cmp(&saliency(a)).then(a.cmp(&b)));
     }
-    best
+    for rank in 0..num_steps {
+        let is_open = |query: &usize| counts[*query] > rank;
+        let open = Scratch::collect(best.len(), (0..best.len()).filter(is_open));
+        let step = |query: usize| &trajectory[ranked[query * num_steps + rank]];
+        let positions = Scratch::collect(open.len(), open.iter().map(|&query| step(query).positions[query]));
+        let occupancy = field.tile_values(Quantity::Occupancy, &positions);
+        for (&query, &occupancy) in open.iter().zip(occupancy.iter()) {
+            if occupancy > options.surface_threshold {
+                best[query] = Refined { position: step(query).positions[query], score: step(query).saliency[query] };
+                counts[query] = 0;
+            }
+        }
+    }
 }
 
 /// Adam (β 0.9 and 0.999, ε 1e-8) on a tile of points, in the order of operations of the reference.
 struct Adam {
     step_size: f32,
     steps: i32,
-    mean: Vec<f32>,
-    variance: Vec<f32>,
+    mean: Scratch<f32>,
+    variance: Scratch<f32>,
 }
 
 impl Adam {
     fn new(num_points: usize, step_size: f32) -> Self {
-        Self { step_size, steps: 0, mean: vec![0.0; 3 * num_points], variance: vec![0.0; 3 * num_points] }
+        Self { step_size, steps: 0, mean: Scratch::zeros(3 * num_points), variance: Scratch::zeros(3 * num_points) }
     }
 
     /// One step down the gradient times `factor`.
@@ -132,7 +135,7 @@ impl Adam {
         let (correct_mean, correct_variance) = (1.0 - 0.9_f64.powi(self.steps), 1.0 - 0.999_f64.powi(self.steps));
         let step = (f64::from(self.step_size) / correct_mean) as f32;
         let root = correct_variance.sqrt() as f32;
-        let moments = self.mean.iter_mut().zip(&mut self.variance);
+        let moments = self.mean.iter_mut().zip(self.variance.iter_mut());
         for ((value, gradient), (mean, variance)) in
             points.as_flattened_mut().iter_mut().zip(gradient.as_flattened()).zip(moments)
         {

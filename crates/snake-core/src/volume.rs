@@ -1,8 +1,7 @@
 //! The feature volume and its frame. Axis order, padding and clamping are defined only in this file.
 
 use crate::points::Point;
-use snake_kernels::Buffer;
-use snake_kernels::{Corners, SimdLevel, interpolate, interpolate_backward};
+use snake_kernels::{Buffer, Corners, Scratch, SimdLevel, interpolate, interpolate_backward};
 
 /// The positions of a volume's voxels in the network's frame (ConvONet's normalisation of coordinates).
 ///
@@ -110,16 +109,16 @@ impl Volume {
     }
 
     /// Writes trilinear features `(queries, channels)` and returns the corners that were read.
-    pub(crate) fn interpolate(&self, frame: &VolumeFrame, queries: &[Point], features: &mut [f32]) -> Vec<Corners> {
-        let corners: Vec<Corners> = queries.iter().map(|&query| frame.corners(query)).collect();
+    pub(crate) fn interpolate(&self, frame: &VolumeFrame, queries: &[Point], features: &mut [f32]) -> Scratch<Corners> {
+        let corners = Scratch::collect(queries.len(), queries.iter().map(|&query| frame.corners(query)));
         interpolate(SimdLevel::current(), &self.values, self.channels, &corners, features);
         corners
     }
 
     /// Derivatives `(queries, 3)` per voxel along x, y, z, from the gradient with respect to the features
     /// `(queries, channels)`, at the corners from [`Volume::interpolate`].
-    pub(crate) fn interpolate_backward(&self, corners: &[Corners], in_feature: &[f32]) -> Vec<Point> {
-        let mut gradients = vec![[0.0; 3]; corners.len()];
+    pub(crate) fn interpolate_backward(&self, corners: &[Corners], in_feature: &[f32]) -> Scratch<Point> {
+        let mut gradients = Scratch::zeros(corners.len());
         let level = SimdLevel::current();
         interpolate_backward(level, &self.values, self.channels, corners, in_feature, &mut gradients);
         gradients

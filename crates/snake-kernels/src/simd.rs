@@ -20,8 +20,11 @@ pub struct SimdLevel(pub(crate) Instructions);
 /// The instructions that kernels are compiled for.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) enum Instructions {
-    /// The baseline of the architecture: SSE2 on x86-64, NEON on aarch64.
+    /// Plain loops: SSE2 on x86-64, and whatever the compiler makes of them on others.
     Portable,
+    /// NEON, which every aarch64 processor has.
+    #[cfg(target_arch = "aarch64")]
+    Neon,
     /// AVX2 with fused multiply-add.
     #[cfg(target_arch = "x86_64")]
     Avx2,
@@ -35,6 +38,8 @@ impl SimdLevel {
     pub fn available() -> Vec<Self> {
         #[allow(unused_mut)]
         let mut levels = vec![Self(Instructions::Portable)];
+        #[cfg(target_arch = "aarch64")]
+        levels.push(Self(Instructions::Neon));
         #[cfg(target_arch = "x86_64")]
         {
             if is_x86_feature_detected!("avx2") && is_x86_feature_detected!("fma") {
@@ -47,11 +52,10 @@ impl SimdLevel {
         levels
     }
 
-    /// The level in use, chosen at the first call: the level that the environment variable `SNAKE_SIMD` names
-    /// (`portable`, `avx2`, `avx512`) if this processor has it, else the fastest.
+    /// The level in use. The first call chooses it, unless [`SimdLevel::make_current`] did: the level that the environment
+    /// variable `SNAKE_SIMD` names (`portable`, `avx2`, `avx512`, `neon`) if this processor has it, else the fastest.
     pub fn current() -> Self {
-        static LEVEL: OnceLock<SimdLevel> = OnceLock::new();
-        *LEVEL.get_or_init(|| {
+        *CURRENT.get_or_init(|| {
             let wanted = std::env::var("SNAKE_SIMD").unwrap_or_default();
             let levels = Self::available();
             let named = levels.iter().find(|level| level.name() == wanted);
@@ -59,10 +63,23 @@ impl SimdLevel {
         })
     }
 
+    /// Chooses this level for the program. All calls of a program use one level, so that they give the same bits.
+    ///
+    /// # Errors
+    /// The level in use, when another level is in use already: call this before anything else.
+    pub fn make_current(self) -> Result<(), Self> {
+        match *CURRENT.get_or_init(|| self) {
+            level if level == self => Ok(()),
+            level => Err(level),
+        }
+    }
+
     /// The name of the level, as in `SNAKE_SIMD`.
     pub fn name(self) -> &'static str {
         match self.0 {
             Instructions::Portable => "portable",
+            #[cfg(target_arch = "aarch64")]
+            Instructions::Neon => "neon",
             #[cfg(target_arch = "x86_64")]
             Instructions::Avx2 => "avx2",
             #[cfg(target_arch = "x86_64")]
@@ -70,6 +87,9 @@ impl SimdLevel {
         }
     }
 }
+
+/// The level in use.
+static CURRENT: OnceLock<SimdLevel> = OnceLock::new();
 
 /// LANES numbers in the registers of a level.
 pub(crate) trait Lanes: Copy {
@@ -285,6 +305,66 @@ x86_lanes!(
     mask_positive_512
 );
 
+/// Defines the operations of [`NeonLanes`] that combine registers one by one.
+#[cfg(target_arch = "aarch64")]
+macro_rules! neon_operations {
+    ($(fn $name:ident($($other:ident),*) = $operation:expr;)*) => {
+        $(
+            #[inline(always)]
+            fn $name(self, $($other: Self),*) -> Self {
+                let mut result = self;
+                for i in 0..4 {
+                    // SAFETY: every aarch64 processor that this is compiled for has NEON.
+                    result.0[i] = unsafe { $operation(self.0[i], $($other.0[i]),*) };
+                }
+                result
+            }
+        )*
+    };
+}
+
+/// NEON: four registers of four numbers.
+#[cfg(target_arch = "aarch64")]
+#[derive(Clone, Copy)]
+pub(crate) struct NeonLanes([std::arch::aarch64::float32x4_t; 4]);
+
+#[cfg(target_arch = "aarch64")]
+impl Lanes for NeonLanes {
+    const FUSED: bool = true;
+    const ROWS: usize = 4;
+
+    #[inline(always)]
+    fn load(values: &[f32; LANES]) -> Self {
+        // SAFETY: four numbers from each multiple of four are within the array of LANES.
+        Self(std::array::from_fn(|i| unsafe { std::arch::aarch64::vld1q_f32(values.as_ptr().add(4 * i)) }))
+    }
+
+    #[inline(always)]
+    fn splat(value: f32) -> Self {
+        // SAFETY: every aarch64 processor that this is compiled for has NEON.
+        Self([unsafe { std::arch::aarch64::vdupq_n_f32(value) }; 4])
+    }
+
+    neon_operations! {
+        fn multiply_add(factor, addend) = |a, b, c| std::arch::aarch64::vfmaq_f32(c, a, b);
+        fn add(other) = std::arch::aarch64::vaddq_f32;
+        fn sub(other) = std::arch::aarch64::vsubq_f32;
+        fn max(other) = |a, b| std::arch::aarch64::vbslq_f32(std::arch::aarch64::vcgtq_f32(a, b), a, b);
+        fn mask_positive(condition) = |a, b| {
+            let zero = std::arch::aarch64::vdupq_n_f32(0.0);
+            std::arch::aarch64::vbslq_f32(std::arch::aarch64::vcgtq_f32(b, zero), a, zero)
+        };
+    }
+
+    #[inline(always)]
+    fn store(self, values: &mut [f32; LANES]) {
+        for (i, register) in self.0.into_iter().enumerate() {
+            // SAFETY: four numbers from each multiple of four are within the array of LANES.
+            unsafe { std::arch::aarch64::vst1q_f32(values.as_mut_ptr().add(4 * i), register) }
+        }
+    }
+}
+
 /// Compiles `$body::<L, ROWS>(args)` for the [`Lanes`] of each level, and defines `$name(level, args)`, which calls the
 /// version of the level.
 macro_rules! simd_levels {
@@ -308,6 +388,8 @@ macro_rules! simd_levels {
                 Instructions::Avx2 => unsafe { avx2($($argument),*) },
                 #[cfg(target_arch = "x86_64")]
                 Instructions::Avx512 => unsafe { avx512($($argument),*) },
+                #[cfg(target_arch = "aarch64")]
+                Instructions::Neon => $body::<NeonLanes, { NeonLanes::ROWS }>($($argument),*),
                 Instructions::Portable => $body::<PortableLanes, { PortableLanes::ROWS }>($($argument),*),
             }
         }
@@ -324,7 +406,7 @@ pub(crate) fn accumulate_tile<L: Lanes, const ROWS: usize>(
     weights: &[[f32; LANES]],
 ) -> [L; ROWS] {
     assert!(input.len() >= (ROWS - 1) * stride + weights.len(), "rows end within the input");
-    for (k, weight) in weights.iter().enumerate() {
+    let mut add = |k: usize, weight: &[f32; LANES]| {
         let weight = L::load(weight);
         for (r, sum) in sums.iter_mut().enumerate() {
             // SAFETY: r < ROWS and k < weights.len(), so the index is below the length asserted above. A check of each
@@ -332,6 +414,16 @@ pub(crate) fn accumulate_tile<L: Lanes, const ROWS: usize>(
             let value = unsafe { *input.get_unchecked(r * stride + k) };
             *sum = L::splat(value).multiply_add(weight, *sum);
         }
+    };
+    // Four at a time, so that the addresses of the rows are computed once for them.
+    let (fours, rest) = weights.as_chunks::<4>();
+    for (number, four) in fours.iter().enumerate() {
+        for (k, weight) in four.iter().enumerate() {
+            add(4 * number + k, weight);
+        }
+    }
+    for (k, weight) in rest.iter().enumerate() {
+        add(4 * fours.len() + k, weight);
     }
     sums
 }

@@ -3,7 +3,7 @@
 use crate::simd::{LANES, Lanes, load, simd_levels, store};
 
 /// The eight voxels around a query, and the position of the query between them.
-#[derive(Debug, Clone, Copy)]
+#[derive(Debug, Clone, Copy, Default)]
 pub struct Corners {
     /// Flat voxel indices. Bit 0 of a corner's number is x, bit 1 is y, bit 2 is z.
     pub voxels: [u32; 8],

@@ -16,6 +16,7 @@ use crate::config::{ModelConfig, Scatter};
 use crate::control::Counter;
 use crate::nn::Tensor;
 use crate::points::Point;
+use crate::span::span;
 use crate::volume::{Volume, VolumeFrame};
 use crate::weights::Scope;
 use snake_kernels::{ConstantRegion, channel_sums};
@@ -52,15 +53,26 @@ impl Encoder {
         point: impl Fn(usize) -> Point + Sync,
         counter: &Counter,
     ) -> Result<Volume> {
+        let volume = self.point_volume(num_points, point, counter)?;
+        span!("unet");
+        Ok(Volume { frame: self.frame, channels: volume.channels, values: self.unet.forward(volume, counter)? })
+    }
+
+    /// The input of the U-Net: the scattered features of the points.
+    fn point_volume(
+        &self,
+        num_points: usize,
+        point: impl Fn(usize) -> Point + Sync,
+        counter: &Counter,
+    ) -> Result<Tensor> {
+        span!("pointnet");
         let groups = VoxelGroups::new(num_points, &point, &self.frame);
         counter.add(num_points);
         counter.check()?;
-        let volume = match self.scatter {
-            Scatter::Hard => self.scatter(&self.pointnet.voxel_means(&groups, &point, counter)?, &groups),
-            Scatter::Soft => self.scatter_soft(&groups, &point, counter)?,
-        };
-        drop(groups);
-        Ok(Volume { frame: self.frame, channels: volume.channels, values: self.unet.forward(volume, counter)? })
+        match self.scatter {
+            Scatter::Hard => Ok(self.scatter(&self.pointnet.voxel_means(&groups, &point, counter)?, &groups)),
+            Scatter::Soft => self.scatter_soft(&groups, &point, counter),
+        }
     }
 
     /// Scatters the mean features to the occupied voxels; voxels without points are zero.

@@ -12,7 +12,7 @@ use crate::control::Counter;
 use crate::nn::{Linear, ResnetBlockFc, TILE};
 use crate::points::Point;
 use crate::weights::Scope;
-use snake_kernels::Epilogue;
+use snake_kernels::{Epilogue, Scratch, SimdLevel, max_rows};
 
 /// Points of the voxels in one task: their features fit the second-level cache.
 const CHUNK: usize = 2048;
@@ -90,14 +90,16 @@ impl PointNet {
         }
         chunks.into_par_iter().try_for_each(|(voxels, sums)| {
             counter.check()?;
-            let points: Vec<Point> = groups.members(voxels.clone()).map(&point).collect();
-            let sizes: Vec<usize> = voxels.map(|voxel| groups.num_points(voxel..voxel + 1)).collect();
+            let points =
+                Scratch::collect(groups.num_points(voxels.clone()), groups.members(voxels.clone()).map(&point));
+            let sizes = voxels.len();
+            let sizes = Scratch::collect(sizes, voxels.map(|voxel| groups.num_points(voxel..voxel + 1)));
             self.chunk_sums(&points, &sizes, sums, &add);
             counter.add(self.work(points.len()));
             Ok(())
         })?;
         for (voxel, sums) in large {
-            let points: Vec<Point> = groups.members(voxel).map(&point).collect();
+            let points: Vec<Point> = groups.par_members(voxel).map(&point).collect();
             self.large_voxel_sums(&points, sums, &add, counter)?;
         }
         Ok(sums)
@@ -112,14 +114,14 @@ impl PointNet {
         add: &impl Fn(Point, &[f32], &mut [f32]),
     ) {
         let width = sums.len() / sizes.len();
-        let voxel_of_row: Vec<usize> =
-            sizes.iter().enumerate().flat_map(|(voxel, &size)| std::iter::repeat_n(voxel, size)).collect();
-        let mut features = vec![0.0; points.len() * self.hidden];
-        let mut maxima = vec![0.0; sizes.len() * self.hidden];
+        let rows = sizes.iter().enumerate().flat_map(|(voxel, &size)| std::iter::repeat_n(voxel, size));
+        let voxel_of_row = Scratch::collect(points.len(), rows);
+        let mut features = Scratch::zeros(points.len() * self.hidden);
+        let mut maxima = Scratch::zeros(sizes.len() * self.hidden);
         for depth in 0..self.blocks.len() {
             if depth > 0 {
                 maxima.fill(f32::NEG_INFINITY);
-                pool(&features, self.hidden, &voxel_of_row, &mut maxima, f32::max);
+                max_rows(SimdLevel::current(), &features, self.hidden, &voxel_of_row, &mut maxima);
             }
             let tiles = features.chunks_mut(TILE * self.hidden).zip(points.chunks(TILE));
             for ((features, points), voxels) in tiles.zip(voxel_of_row.chunks(TILE)) {
@@ -128,7 +130,7 @@ impl PointNet {
         }
         let tiles = features.chunks(TILE * self.hidden).zip(points.chunks(TILE)).zip(voxel_of_row.chunks(TILE));
         for ((features, points), voxels) in tiles {
-            let mut output = vec![0.0; voxels.len() * self.channels()];
+            let mut output = Scratch::zeros(voxels.len() * self.channels());
             self.fc_c.forward(features, &mut output, Epilogue::Store);
             for ((&point, feature), voxel) in points.iter().zip(output.chunks_exact(self.channels())).zip(voxels) {
                 add(point, feature, &mut sums[voxel * width..][..width]);
@@ -152,14 +154,16 @@ impl PointNet {
                 let mut most = vec![f32::NEG_INFINITY; self.hidden];
                 for tile in chunk.chunks(TILE) {
                     let features = self.features_to(depth, tile, &maxima);
-                    pool(&features, self.hidden, &[0; TILE], &mut most, f32::max);
+                    max_rows(SimdLevel::current(), &features, self.hidden, &[0; TILE], &mut most);
                 }
                 counter.add(chunk.len());
                 Ok(most)
             };
             let of_chunks: Vec<Vec<f32>> = points.par_chunks(CHUNK).map(of_chunk).collect::<Result<_>>()?;
             let mut most = vec![f32::NEG_INFINITY; self.hidden];
-            of_chunks.iter().for_each(|of_chunk| pool(of_chunk, self.hidden, &[0], &mut most, f32::max));
+            of_chunks
+                .iter()
+                .for_each(|of_chunk| max_rows(SimdLevel::current(), of_chunk, self.hidden, &[0], &mut most));
             maxima.push(most);
         }
         for points in points.chunks(LARGE) {
@@ -183,8 +187,8 @@ impl PointNet {
 
     /// The features `(points, hidden)` after block `depth` for a tile of points in one voxel; `maxima` are the maxima
     /// over that voxel after each earlier block.
-    fn features_to(&self, depth: usize, points: &[Point], maxima: &[Vec<f32>]) -> Vec<f32> {
-        let mut features = vec![0.0; points.len() * self.hidden];
+    fn features_to(&self, depth: usize, points: &[Point], maxima: &[Vec<f32>]) -> Scratch<f32> {
+        let mut features = Scratch::zeros(points.len() * self.hidden);
         self.block(0, points, |_| &[], &mut features);
         for depth in 1..=depth {
             self.block(depth, points, |_| &maxima[depth - 1], &mut features);
@@ -195,7 +199,7 @@ impl PointNet {
     /// Runs one block on a tile of points and replaces their features by its output. `maxima(row)` begins with the
     /// maximum over the voxel of that row; the first block does not read it.
     fn block<'a>(&self, depth: usize, points: &[Point], maxima: impl Fn(usize) -> &'a [f32], features: &mut [f32]) {
-        let mut input = vec![0.0; points.len() * 2 * self.hidden];
+        let mut input = Scratch::zeros(points.len() * 2 * self.hidden);
         if depth == 0 {
             self.fc_pos.forward(points.as_flattened(), &mut input, Epilogue::Store);
         } else {
@@ -209,15 +213,6 @@ impl PointNet {
     }
 }
 
-/// Combines each row of `features` with the row `target` of `pooled`, in order.
-fn pool(features: &[f32], width: usize, target: &[usize], pooled: &mut [f32], combine: impl Fn(f32, f32) -> f32) {
-    for (feature, &target) in features.chunks_exact(width).zip(target) {
-        for (pooled, &value) in pooled[target * width..].iter_mut().zip(feature) {
-            *pooled = combine(*pooled, value);
-        }
-    }
-}
-
 #[cfg(test)]
 mod tests {
     use rand::{RngExt, SeedableRng};
@@ -226,6 +221,15 @@ mod tests {
     use super::*;
     use crate::volume::VolumeFrame;
     use crate::{Builtin, Model};
+
+    /// Combines each row of `features` with the row `target` of `pooled`, in order.
+    fn pool(features: &[f32], width: usize, target: &[usize], pooled: &mut [f32], combine: impl Fn(f32, f32) -> f32) {
+        for (feature, &target) in features.chunks_exact(width).zip(target) {
+            for (pooled, &value) in pooled[target * width..].iter_mut().zip(feature) {
+                *pooled = combine(*pooled, value);
+            }
+        }
+    }
 
     impl PointNet {
         /// The reference implementation: features `(points, c_dim)` of all points, and the mean over each occupied

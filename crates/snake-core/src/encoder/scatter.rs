@@ -16,6 +16,7 @@ use crate::Result;
 use crate::control::Counter;
 use crate::points::Point;
 use crate::volume::VolumeFrame;
+use snake_kernels::{SimdLevel, add_weighted};
 
 /// Number of voxels that the points of one voxel contribute to: itself and its neighbours, x fastest.
 const SLOTS: usize = 27;
@@ -29,13 +30,12 @@ pub(super) fn slots_width(channels: usize) -> usize {
 pub(super) fn spread(frame: &VolumeFrame, point: Point, feature: &[f32], slots: &mut [f32]) {
     let corners = frame.corners(point);
     let own = coordinates(frame, frame.voxel(point));
-    for (&voxel, weight) in corners.voxels.iter().zip(corners.weights()) {
+    let slot_of = |voxel: u32| {
         let other = coordinates(frame, voxel as usize);
         let [x, y, z]: [usize; 3] = std::array::from_fn(|axis| other[axis] + 1 - own[axis]);
-        let slot = &mut slots[(x + 3 * (y + 3 * z)) * (feature.len() + 1)..][..feature.len() + 1];
-        slot.iter_mut().zip(feature).for_each(|(sum, value)| *sum += weight * value);
-        slot[feature.len()] += weight;
-    }
+        x + 3 * (y + 3 * z)
+    };
+    add_weighted(SimdLevel::current(), feature, &corners.weights(), &corners.voxels.map(slot_of), slots);
 }
 
 /// Writes the volume `[z][y][x][channel]` of the slots `(voxels, slots_width)` of the occupied voxels into zeroed values.

@@ -56,12 +56,24 @@ impl VoxelGroups {
     }
 
     /// The indices of the points of a range of occupied voxels: voxel by voxel, ascending within a voxel.
-    pub(crate) fn members(&self, voxels: Range<usize>) -> impl IndexedParallelIterator<Item = usize> {
-        let members = &self.members[self.starts[voxels.start] as usize..self.starts[voxels.end] as usize];
-        members.par_iter().map(|&member| (member & u64::from(u32::MAX)) as usize)
+    pub(crate) fn members(&self, voxels: Range<usize>) -> impl Iterator<Item = usize> {
+        self.of_voxels(voxels).iter().map(index)
+    }
+
+    /// [`VoxelGroups::members`] for several threads.
+    pub(crate) fn par_members(&self, voxels: Range<usize>) -> impl IndexedParallelIterator<Item = usize> {
+        self.of_voxels(voxels).par_iter().map(index)
+    }
+
+    fn of_voxels(&self, voxels: Range<usize>) -> &[u64] {
+        &self.members[self.starts[voxels.start] as usize..self.starts[voxels.end] as usize]
     }
 }
 
 fn voxel(member: u64) -> usize {
     (member >> 32) as usize
+}
+
+fn index(member: &u64) -> usize {
+    (member & u64::from(u32::MAX)) as usize
 }

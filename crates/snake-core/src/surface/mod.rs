@@ -148,7 +148,7 @@ impl<'a> Grid<'a> {
             let queries: Vec<Point> = samples.iter().map(|&sample| self.point(sample)).collect();
             let values = self.field.tile_values(Quantity::Occupancy, &queries);
             // A network can overflow: `max` replaces NaN by a number.
-            values.into_iter().map(|value| log_odds(value.max(0.0))).collect()
+            values.iter().map(|value| log_odds(value.max(0.0))).collect()
         };
         let samples = Samples::near_surface(options.resolution, log_odds(options.level), value, likely, control)?;
         control.begin("triangles", 0).check()?;
@@ -164,9 +164,9 @@ impl<'a> Grid<'a> {
         let gradients = vertices.par_chunks(TILE).map(|tile| {
             counter.check()?;
             counter.add(tile.len());
-            Ok(self.field.tile_values_and_gradients(Quantity::Occupancy, tile).1)
+            Ok(self.field.tile_values_and_gradients(Quantity::Occupancy, tile).1.to_vec())
         });
-        let gradients = gradients.collect::<Result<Vec<_>>>()?.concat();
+        let gradients = gradients.collect::<Result<Vec<Vec<Point>>>>()?.concat();
         let normalization = self.field.normalization();
         let mut mesh = Mesh {
             vertices: vertices.into_iter().map(|vertex| normalization.to_cloud(vertex)).collect(),

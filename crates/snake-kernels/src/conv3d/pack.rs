@@ -1,7 +1,5 @@
 //! Transformed and packed weights of a 3x3x3 convolution.
 
-use rayon::prelude::*;
-
 use super::{FAR, NEAR};
 use crate::simd::{LANES, pack};
 
@@ -80,14 +78,11 @@ impl PackedConv3d {
         for (source, &(channels, upsampled)) in sources.iter().enumerate() {
             for first in (0..channels).step_by(BLOCK) {
                 let width = BLOCK.min(channels - first);
-                let filters: Vec<Vec<f32>> = (0..outputs * width)
-                    .into_par_iter()
-                    .map(|i| transformed(i / width, before + first + i % width))
-                    .collect();
-                let points: Vec<usize> = points(n, upsampled).collect();
-                let weights = points
-                    .into_par_iter()
-                    .flat_map_iter(|p| pack(outputs, width, |output, k| filters[output * width + k][p]))
+                // On this thread alone: loading a model must not start Rayon's global pool.
+                let filters: Vec<Vec<f32>> =
+                    (0..outputs * width).map(|i| transformed(i / width, before + first + i % width)).collect();
+                let weights = points(n, upsampled)
+                    .flat_map(|p| pack(outputs, width, |output, k| filters[output * width + k][p]))
                     .collect();
                 blocks.push(Block { source, first: [first, before + first], channels: width, weights, upsampled });
             }

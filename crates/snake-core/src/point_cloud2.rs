@@ -1,0 +1,225 @@
+//! Clouds as bytes with named fields, in the layout of the ROS message `sensor_msgs/PointCloud2`.
+
+use crate::point_source::PointSource;
+use crate::points::Point;
+use crate::{Error, Result};
+
+/// One field of a point, as in `sensor_msgs/PointField`.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct PointField<'a> {
+    /// Its name. Only `x`, `y` and `z` are read.
+    pub name: &'a str,
+    /// Offset from the start of the point, in bytes.
+    pub offset: usize,
+    /// Type of its numbers: 7 is float32, 8 is float64.
+    pub datatype: u8,
+    /// Numbers in the field. 0 counts as 1, as old drivers write it.
+    pub count: usize,
+}
+
+/// The arrangement of the points of a [`PointCloud2View`].
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct PointCloud2Layout {
+    /// Number of rows; 1 for a cloud without order.
+    pub height: usize,
+    /// Points in a row.
+    pub width: usize,
+    /// Bytes from one point to the next.
+    pub point_step: usize,
+    /// Bytes from one row to the next; more than `width * point_step` if rows are padded.
+    pub row_step: usize,
+    /// Whether the most significant byte of a number comes first.
+    pub is_bigendian: bool,
+}
+
+/// A cloud of strided bytes, without a copy. Coordinates are float32 or float64 and are read as `f32`; if they are far from
+/// zero, such as UTM, read them as a [`Cloud`](crate::Cloud) instead.
+///
+/// ```
+/// use snake_core::{PointCloud2Layout, PointCloud2View, PointField, PointSource};
+///
+/// let data: Vec<u8> = [1.0_f32, 2.0, 3.0, 0.5].iter().flat_map(|v| v.to_le_bytes()).collect();
+/// let field = |name, offset| PointField { name, offset, datatype: 7, count: 1 };
+/// let fields = [field("x", 0), field("y", 4), field("z", 8), field("intensity", 12)];
+/// let layout = PointCloud2Layout { height: 1, width: 1, point_step: 16, row_step: 16, is_bigendian: false };
+/// let cloud = PointCloud2View::new(layout, &fields, &data)?;
+/// assert_eq!(cloud.to_points(), [[1.0, 2.0, 3.0]]);
+/// # Ok::<(), snake_core::Error>(())
+/// ```
+#[derive(Debug, Clone, Copy)]
+pub struct PointCloud2View<'a> {
+    layout: PointCloud2Layout,
+    /// Offset of x, y and z, and whether they are float64.
+    axes: [(usize, bool); 3],
+    data: &'a [u8],
+}
+
+impl<'a> PointCloud2View<'a> {
+    /// The cloud of a message. Point `row * width + column` is that of its row and column.
+    ///
+    /// # Errors
+    /// [`Error::Input`] when a field is missing, is given twice, is neither float32 nor float64 or reaches beyond
+    /// `point_step`, and when the rows overlap or reach beyond `data`. The text names the field.
+    pub fn new(layout: PointCloud2Layout, fields: &[PointField], data: &'a [u8]) -> Result<Self> {
+        let axis = |name| axis(name, fields, layout.point_step);
+        let axes = [axis("x")?, axis("y")?, axis("z")?];
+        let view = Self { layout, axes, data };
+        view.check_size()?;
+        Ok(view)
+    }
+
+    fn check_size(&self) -> Result<()> {
+        let PointCloud2Layout { height, width, point_step, row_step, .. } = self.layout;
+        let refuse = |what, reason| Err(Error::Input { what, reason });
+        let Some(row) = width.checked_mul(point_step) else {
+            return refuse("width", format!("{width} points of {point_step} bytes"));
+        };
+        if height > 1 && row_step < row {
+            return refuse("row_step", format!("{row_step} bytes, but a row has {row}"));
+        }
+        // The padding of the last row may be missing.
+        let size = height.saturating_sub(1).checked_mul(row_step).and_then(|rows| rows.checked_add(row));
+        match size {
+            _ if height == 0 => Ok(()),
+            Some(size) if size <= self.data.len() => Ok(()),
+            _ => refuse("data", format!("{} bytes, too few for {height} rows of {width} points", self.data.len())),
+        }
+    }
+
+    fn number<const SIZE: usize>(&self, start: usize) -> [u8; SIZE] {
+        let mut bytes: [u8; SIZE] = std::array::from_fn(|i| self.data[start + i]);
+        if self.layout.is_bigendian {
+            bytes.reverse();
+        }
+        bytes
+    }
+}
+
+impl PointSource for PointCloud2View<'_> {
+    fn num_points(&self) -> usize {
+        self.layout.height * self.layout.width
+    }
+
+    fn point(&self, index: usize) -> Point {
+        let PointCloud2Layout { width, point_step, row_step, .. } = self.layout;
+        let start = index / width * row_step + index % width * point_step;
+        self.axes.map(|(offset, is_double)| match is_double {
+            true => f64::from_le_bytes(self.number(start + offset)) as f32,
+            false => f32::from_le_bytes(self.number(start + offset)),
+        })
+    }
+}
+
+/// The offset of a coordinate, and whether it is float64.
+fn axis(name: &'static str, fields: &[PointField], point_step: usize) -> Result<(usize, bool)> {
+    let refuse = |reason| Err(Error::Input { what: name, reason });
+    let mut found = fields.iter().filter(|field| field.name == name);
+    let Some(field) = found.next() else {
+        let names: Vec<&str> = fields.iter().map(|field| field.name).collect();
+        return refuse(format!("the cloud has no such field; its fields are {}", names.join(", ")));
+    };
+    if found.next().is_some() {
+        return refuse("the cloud has two such fields".into());
+    }
+    if field.count > 1 {
+        return refuse(format!("a field of {} numbers, not 1", field.count));
+    }
+    let size = match field.datatype {
+        7 => 4,
+        8 => 8,
+        other => return refuse(format!("type {other} of the field; allowed are 7 (float32) and 8 (float64)")),
+    };
+    match field.offset.checked_add(size) {
+        Some(end) if end <= point_step => Ok((field.offset, size == 8)),
+        _ => refuse(format!("offset {} of the field reaches beyond the point of {point_step} bytes", field.offset)),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn field(name: &'static str, offset: usize, datatype: u8) -> PointField<'static> {
+        PointField { name, offset, datatype, count: 1 }
+    }
+
+    /// Two rows of two points, with padding before, between and after.
+    fn message(is_bigendian: bool, is_double: bool) -> (PointCloud2Layout, [PointField<'static>; 4], Vec<u8>) {
+        let (size, datatype) = if is_double { (8, 8) } else { (4, 7) };
+        let fields = [
+            field("ring", 0, 4),
+            field("z", 2, datatype),
+            field("x", 2 + size, datatype),
+            field("y", 2 + 2 * size, datatype),
+        ];
+        let point_step = 2 + 3 * size + 3;
+        let layout = PointCloud2Layout { height: 2, width: 2, point_step, row_step: 2 * point_step + 5, is_bigendian };
+        let mut data = Vec::new();
+        for row in 0..2 {
+            for column in 0..2 {
+                data.extend([9, 9]);
+                let base = f64::from(10 * row + column);
+                for value in [base + 0.75, base + 0.25, base + 0.5] {
+                    let mut bytes = match is_double {
+                        true => value.to_le_bytes().to_vec(),
+                        false => (value as f32).to_le_bytes().to_vec(),
+                    };
+                    if is_bigendian {
+                        bytes.reverse();
+                    }
+                    data.extend(bytes);
+                }
+                data.extend([9; 3]);
+            }
+            data.extend([9; 5]);
+        }
+        (layout, fields, data)
+    }
+
+    #[test]
+    fn both_byte_orders_and_types_with_padding_are_read() {
+        let expected = [0.0, 1.0, 10.0, 11.0].map(|base| [base + 0.25, base + 0.5, base + 0.75]);
+        for (is_bigendian, is_double) in [(false, false), (true, false), (false, true), (true, true)] {
+            let (layout, fields, mut data) = message(is_bigendian, is_double);
+            data.truncate(data.len() - 5); // the padding of the last row
+            let view = PointCloud2View::new(layout, &fields, &data).unwrap();
+            assert_eq!(view.to_points(), expected, "{is_bigendian} {is_double}");
+            assert!(PointCloud2View::new(layout, &fields, &data[..data.len() - 1]).is_err());
+        }
+    }
+
+    #[test]
+    fn wrong_layouts_are_refused_by_field() {
+        let (layout, fields, data) = message(false, false);
+        let error =
+            |layout, fields: &[PointField]| PointCloud2View::new(layout, fields, &data).unwrap_err().to_string();
+        assert_eq!(error(layout, &fields[..3]), "y: the cloud has no such field; its fields are ring, z, x");
+        let mut changed = fields;
+        changed[2].datatype = 2;
+        assert_eq!(error(layout, &changed), "x: type 2 of the field; allowed are 7 (float32) and 8 (float64)");
+        changed = fields;
+        changed[1].offset = 14;
+        assert_eq!(error(layout, &changed), "z: offset 14 of the field reaches beyond the point of 17 bytes");
+        changed = fields;
+        changed[1].count = 2;
+        assert_eq!(error(layout, &changed), "z: a field of 2 numbers, not 1");
+        assert_eq!(error(layout, &[fields, fields].concat()), "x: the cloud has two such fields");
+        let narrow = PointCloud2Layout { row_step: 33, ..layout };
+        assert_eq!(error(narrow, &fields), "row_step: 33 bytes, but a row has 34");
+        let long = PointCloud2Layout { height: 3, ..layout };
+        assert_eq!(error(long, &fields), "data: 78 bytes, too few for 3 rows of 2 points");
+        for (height, width) in [(usize::MAX, 2), (2, usize::MAX)] {
+            error(PointCloud2Layout { height, width, ..layout }, &fields);
+        }
+    }
+
+    #[test]
+    fn clouds_without_points_have_none() {
+        let (layout, fields, _) = message(false, false);
+        for (height, width) in [(0, 5), (5, 0), (0, 0)] {
+            let layout = PointCloud2Layout { height, width, row_step: 17 * width, ..layout };
+            let (data, view) = (Vec::new(), |data| PointCloud2View::new(layout, &fields, data).map(|v| v.num_points()));
+            assert_eq!(view(&data as &[u8]).unwrap(), 0);
+        }
+    }
+}

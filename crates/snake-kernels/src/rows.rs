@@ -1,0 +1,95 @@
+//! Sums, maxima and ReLUs of rows of features. Each is a plain loop, so all levels give the same bits.
+
+use crate::simd::simd_levels;
+
+simd_levels! {
+    /// Writes the ReLU of each input to the output.
+    pub fn relu(input: &[f32], output: &mut [f32]) = relu_body
+}
+
+#[inline(always)]
+fn relu_body<L, const ROWS: usize>(input: &[f32], output: &mut [f32]) {
+    output.iter_mut().zip(input).for_each(|(output, value)| *output = value.max(0.0));
+}
+
+simd_levels! {
+    /// Replaces the rows of `maxima`, of `width` values each, by the larger of themselves and of the `features` rows that
+    /// belong to them: row i of the features belongs to row `targets[i]`.
+    ///
+    /// # Panics
+    /// If a target is not a row of `maxima`.
+    pub fn max_rows(features: &[f32], width: usize, targets: &[usize], maxima: &mut [f32]) = max_rows_body
+}
+
+#[inline(always)]
+fn max_rows_body<L, const ROWS: usize>(features: &[f32], width: usize, targets: &[usize], maxima: &mut [f32]) {
+    for (feature, &target) in features.chunks_exact(width).zip(targets) {
+        let maxima = &mut maxima[target * width..][..width];
+        maxima.iter_mut().zip(feature).for_each(|(most, value)| *most = most.max(*value));
+    }
+}
+
+simd_levels! {
+    /// Adds to eight rows of `sums`, the rows `targets`, one feature times the weight of each row. A row of `sums` is one
+    /// value longer than the feature: the last one is the sum of the weights.
+    ///
+    /// # Panics
+    /// If a target is not a row of `sums`.
+    pub fn add_weighted(feature: &[f32], weights: &[f32; 8], targets: &[usize; 8], sums: &mut [f32]) = add_weighted_body
+}
+
+#[inline(always)]
+fn add_weighted_body<L, const ROWS: usize>(
+    feature: &[f32],
+    weights: &[f32; 8],
+    targets: &[usize; 8],
+    sums: &mut [f32],
+) {
+    let width = feature.len() + 1;
+    for (&target, weight) in targets.iter().zip(weights) {
+        let row = &mut sums[target * width..][..width];
+        row.iter_mut().zip(feature).for_each(|(sum, value)| *sum += weight * value);
+        row[width - 1] += weight;
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::{SimdLevel, naive};
+
+    #[test]
+    fn every_level_has_the_bits_of_the_plain_loop() {
+        let mut random = naive::Random::new(7);
+        for width in [1, 5, 16, 32, 33] {
+            let features = random.values(6 * width);
+            let targets = [1, 0, 1, 1, 2, 0];
+            let (start, weights) = (random.values(3 * width), std::array::from_fn(|i| i as f32 * 0.1));
+            let (mut maxima, mut sums) = (start.clone(), vec![0.0; 4 * (width + 1)]);
+            for (row, &target) in targets.iter().enumerate() {
+                for i in 0..width {
+                    let most = &mut maxima[target * width + i];
+                    *most = most.max(features[row * width + i]);
+                }
+            }
+            let corners = [3, 1, 1, 0, 2, 2, 0, 3];
+            for (corner, weight) in corners.iter().zip(weights) {
+                for i in 0..width {
+                    sums[corner * (width + 1) + i] += weight * features[i];
+                }
+                sums[corner * (width + 1) + width] += weight;
+            }
+            for level in SimdLevel::available() {
+                let mut found = start.clone();
+                max_rows(level, &features, width, &targets, &mut found);
+                assert_eq!(found, maxima, "{level:?} {width}");
+                let mut found = vec![0.0; sums.len()];
+                add_weighted(level, &features[..width], &weights, &corners, &mut found);
+                assert_eq!(found, sums, "{level:?} {width}");
+                let mut found = vec![f32::NAN; features.len()];
+                relu(level, &features, &mut found);
+                assert_eq!(found, features.iter().map(|v| v.max(0.0)).collect::<Vec<_>>(), "{level:?} {width}");
+            }
+        }
+    }
+}
