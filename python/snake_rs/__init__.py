@@ -2,9 +2,11 @@
 
 import snake_rs
 
-points = snake_rs.read_points("scan.ply")  # (N, 3), or any array, tensor or cloud that numpy can convert
-keypoints = snake_rs.detect(points)        # one call, built-in model
+keypoints = snake_rs.detect("scan.ply")    # one call, built-in model
 keypoints.points, keypoints.saliency       # (K, 3), (K,)
+points = snake_rs.read_points("scan.ply")  # (N, 3), or any array, tensor or cloud that numpy can convert
+keypoints = snake_rs.detect(points, model="rooms")
+keypoints.save("keypoints.ply")
 
 model = snake_rs.Model.load("weights.safetensors")
 field = model.encode(points)               # encode once, query many times
@@ -24,6 +26,7 @@ import numpy.ma  # noqa: F401
 from . import baselines, metrics
 from ._core import (
     Field,
+    Keypoint,
     Keypoints,
     Mesh,
     Model,
@@ -40,6 +43,7 @@ from ._core import (
 
 __all__ = [
     "Field",
+    "Keypoint",
     "Keypoints",
     "Mesh",
     "Model",

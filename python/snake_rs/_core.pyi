@@ -1,8 +1,8 @@
 """Types of the private module `_core`. Check them with `python -m mypy.stubtest snake_rs._core`."""
 
 import os
-from collections.abc import Sequence
-from typing import Any, Literal, Protocol, TypeAlias, TypedDict, final, type_check_only
+from collections.abc import Iterator, Sequence
+from typing import Any, Literal, Protocol, TypeAlias, TypedDict, final, overload, type_check_only
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -10,6 +10,7 @@ from typing_extensions import Self, Unpack
 
 __all__ = [
     "Field",
+    "Keypoint",
     "Keypoints",
     "Mesh",
     "Model",
@@ -55,7 +56,22 @@ class _HasVertices(Protocol):
     @property
     def vertices(self) -> Any: ...
 
-_Points: TypeAlias = ArrayLike | _HasPoints | _HasVertices
+@type_check_only
+class _HasXyz(Protocol):
+    @property
+    def xyz(self) -> Any: ...
+
+@type_check_only
+class _HasPoint(Protocol):
+    @property
+    def point(self) -> Any: ...
+
+_Path: TypeAlias = str | os.PathLike[str]
+_Array: TypeAlias = ArrayLike | _HasPoints | _HasVertices | _HasXyz | _HasPoint
+# An array, a cloud of another library, or the path of a file.
+_Points: TypeAlias = _Array | _Path
+# A model, the name of a built-in model, or the path of a weight file.
+_Model: TypeAlias = Model | _Path
 
 # float32 for clouds of float32 or float16, else float64.
 _Positions: TypeAlias = NDArray[np.float32] | NDArray[np.float64]
@@ -131,9 +147,9 @@ class _Config(TypedDict):
     group_norm_groups: int
     scatter: str
 
-def detect(points: _Points, model: Model | None = None, **options: Unpack[_Options]) -> Keypoints: ...
+def detect(points: _Points, model: _Model | None = None, **options: Unpack[_Options]) -> Keypoints: ...
 def register(
-    source: _Points, target: _Points, model: Model | None = None, **options: Unpack[_RegisterOptions]
+    source: _Points, target: _Points, model: _Model | None = None, **options: Unpack[_RegisterOptions]
 ) -> Registration: ...
 def read_points(
     path: str | os.PathLike[str],
@@ -179,6 +195,17 @@ class Field:
     def mesh(self, **options: Unpack[_MeshOptions]) -> Mesh: ...
 
 @final
+class Keypoint:
+    @property
+    def position(self) -> NDArray[Any]: ...
+    @property
+    def saliency(self) -> float: ...
+    @property
+    def occupancy(self) -> float: ...
+    @property
+    def nearest_index(self) -> int: ...
+
+@final
 class Keypoints:
     def __new__(
         cls,
@@ -205,7 +232,16 @@ class Keypoints:
     @property
     def timing_seconds(self) -> dict[str, float]: ...
     def to_open3d(self) -> Any: ...
+    def to_dict(self) -> dict[str, NDArray[Any]]: ...
+    def save(self, path: _Path) -> None: ...
+    def __array__(self, dtype: Any = None, copy: bool | None = None) -> NDArray[Any]: ...
+    @overload
+    def __getitem__(self, index: int, /) -> Keypoint: ...
+    @overload
+    def __getitem__(self, index: slice | NDArray[Any] | Sequence[int], /) -> Keypoints: ...
+    def __iter__(self) -> Iterator[Keypoint]: ...
     def __len__(self) -> int: ...
+    def _repr_html_(self) -> str: ...
 
 @final
 class Mesh:

@@ -5,7 +5,11 @@ use numpy::{
 };
 use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
+use pyo3::types::PyString;
 use snake_core::{Cloud, Point, add_origin, subtract_origin};
+use snake_io::ReadOptions;
+
+use crate::io;
 
 /// Rows `(N, 3)` of an array. They are `float32` for arrays of `float32` or `float16`, else `float64`, which holds the
 /// coordinates of georeferenced scans.
@@ -117,21 +121,43 @@ pub fn points(what: &str, value: &Bound<PyAny>) -> PyResult<Vec<Point>> {
     given_rows(what, value)?.relative_to([0.0; 3])
 }
 
-/// The rows of an array as a cloud.
+/// The rows of an array, or the points of a file, as a cloud.
 pub fn cloud(what: &str, value: &Bound<PyAny>) -> PyResult<(Cloud, Precision)> {
+    // A text is a path. Other values may convert to one only if they say so, as pathlib's do.
+    if value.is_instance_of::<PyString>() || value.hasattr("__fspath__")? {
+        let contents = io::contents(value.py(), value.extract()?, ReadOptions::default())?;
+        return Ok((contents.cloud, Precision::Double));
+    }
     given_rows(what, value)?.cloud()
 }
 
-/// Converts a value, or its points or vertices, to a numpy array.
+/// Converts a value, or its points or vertices, to a numpy array. The points are the attribute `xyz` (laspy), `positions`
+/// within `point` (tensor clouds of Open3D), `points` or `vertices`.
 fn as_array<'py>(numpy: &Bound<'py, PyModule>, what: &str, value: &Bound<'py, PyAny>) -> PyResult<Bound<'py, PyAny>> {
     if !value.hasattr("__array__")? && !value.hasattr("__dlpack__")? {
-        for part in ["points", "vertices"] {
+        if let Some(point) = value.getattr_opt("point")? {
+            return converted(numpy, what, &point.get_item("positions")?);
+        }
+        for part in ["xyz", "points", "vertices"] {
             if let Some(part) = value.getattr_opt(part)? {
                 return converted(numpy, what, &part);
             }
         }
     }
-    converted(numpy, what, value)
+    let array = converted(numpy, what, value)?;
+    with_columns(numpy, array)
+}
+
+/// An array whose rows have the named fields x, y and z, as `(N, 3)`. Other arrays stay as they are.
+fn with_columns<'py>(numpy: &Bound<'py, PyModule>, array: Bound<'py, PyAny>) -> PyResult<Bound<'py, PyAny>> {
+    let names: Option<Vec<String>> = array.getattr("dtype")?.getattr("names")?.extract()?;
+    const AXES: [&str; 3] = ["x", "y", "z"];
+    if !names.is_some_and(|names| AXES.iter().all(|axis| names.iter().any(|name| name == axis))) {
+        return Ok(array);
+    }
+    let columns: Vec<Bound<PyAny>> =
+        AXES.iter().map(|axis| array.get_item(axis)?.call_method0("ravel")).collect::<PyResult<_>>()?;
+    numpy.call_method1("column_stack", (columns,))
 }
 
 /// Converts a value to a numpy array, without a copy where possible. An exception from the value's own conversion is

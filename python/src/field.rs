@@ -4,12 +4,13 @@ use numpy::ndarray::ArrayView4;
 use numpy::{PyArray, PyArray1, PyArray2, PyArray4};
 use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
-use pyo3::types::PyDict;
+use pyo3::types::{PyDict, PyTuple};
 use snake_core::{self as core, Point};
 
 use crate::arrays::{Positions, Precision};
 use crate::keypoints::Keypoints;
 use crate::mesh::Mesh;
+use crate::model::Model;
 use crate::{arrays, options, threads};
 
 /// Values and gradients of Q queries.
@@ -20,10 +21,14 @@ type ValuesAndGradients<'py> = (Bound<'py, PyArray1<f32>>, Bound<'py, PyArray2<f
 /// Occupancy and saliency of one cloud at any point in space; made by `Model.encode`.
 ///
 /// Queries are (Q, 3), in the same forms as the points of `detect`. Queries and gradients are in the cloud's frame and
-/// units. Use float64 for queries far from zero, so that no digits are lost.
+/// units. Use float64 for queries far from zero, so that no digits are lost. A pickled field holds the cloud and the model,
+/// and encodes the cloud again when it is loaded; its values keep their bits.
 #[pyclass(frozen, module = "snake_rs")]
 pub struct Field {
     core: core::Field,
+    /// The model and the options that encoded the cloud: a field is restored by encoding it again.
+    model: Py<Model>,
+    options: core::EncodeOptions,
     /// Offset to add to all positions of the core's field.
     origin: [f64; 3],
     /// The type of the encoded cloud.
@@ -31,9 +36,25 @@ pub struct Field {
 }
 
 impl Field {
-    /// Wraps the core's field of a cloud from which `origin` was subtracted.
-    pub fn new(core: core::Field, origin: [f64; 3], precision: Precision) -> Self {
-        Self { core, origin, precision }
+    /// Encodes a cloud whose array had the given precision.
+    pub fn new(
+        model: &Bound<Model>,
+        cloud: &core::Cloud,
+        options: core::EncodeOptions,
+        precision: Precision,
+    ) -> PyResult<Self> {
+        let (py, core) = (model.py(), model.get().core());
+        let core = threads::run_with_signals(py, |control| core.encode_with(&cloud.points, &options, control))?;
+        Ok(Self { core, model: model.clone().unbind(), options, origin: cloud.origin, precision })
+    }
+
+    /// The cloud as it was given: points that were skipped are NaN.
+    fn given_points(&self) -> Vec<Point> {
+        let mut given = vec![[f32::NAN; 3]; self.core.points().len() + self.core.num_skipped()];
+        for (index, point) in self.core.points().iter().enumerate() {
+            given[self.core.original_index(index)] = *point;
+        }
+        given
     }
 
     fn queries(&self, queries: &Bound<PyAny>) -> PyResult<Vec<Point>> {
@@ -137,6 +158,30 @@ impl Field {
         let options: core::MeshOptions = options::of("mesh", options)?;
         let mesh = threads::run_with_signals(py, |control| self.core.mesh_with(&options, control))?;
         Mesh::from_core(py, mesh, self.origin, self.precision)
+    }
+
+    /// Restores a pickled field: encodes the points again, which are relative to the origin.
+    #[staticmethod]
+    fn _restore(
+        model: &Bound<Model>,
+        points: &Bound<PyAny>,
+        origin: [f64; 3],
+        is_single: bool,
+        options: &str,
+    ) -> PyResult<Self> {
+        let options = serde_json::from_str(options).map_err(|error| PyValueError::new_err(error.to_string()))?;
+        let precision = if is_single { Precision::Single } else { Precision::Double };
+        Self::new(model, &core::Cloud { points: arrays::points("points", points)?, origin }, options, precision)
+    }
+
+    fn __reduce__<'py>(slf: &Bound<'py, Self>) -> PyResult<(Bound<'py, PyAny>, Bound<'py, PyTuple>)> {
+        let (py, field) = (slf.py(), slf.get());
+        let points = arrays::rows(py, field.given_points().into_flattened(), 3)?;
+        let is_single = field.precision == Precision::Single;
+        let options =
+            serde_json::to_string(&field.options).map_err(|error| PyValueError::new_err(error.to_string()))?;
+        let arguments = (field.model.clone_ref(py), points, field.origin, is_single, options).into_pyobject(py)?;
+        Ok((slf.get_type().getattr("_restore")?, arguments))
     }
 
     fn __repr__(&self) -> String {

@@ -5,14 +5,15 @@ use std::path::PathBuf;
 use numpy::PyArray2;
 use pyo3::prelude::*;
 use snake_core::add_origin;
-use snake_io::{Cloud, Column, Columns, ReadOptions, read_contents};
+use snake_io::{Cloud, Column, Columns, Contents, ReadOptions, read_contents};
 
 use crate::arrays;
 use crate::error::file_error;
 
 /// Reads a point cloud or a mesh: (N, 3) float64, in the file's order, units and frame.
 ///
-/// The extension determines the format: ply, pcd, xyz, txt, csv, pts, npy, npz, las, laz, obj, off or stl. For a mesh,
+/// The extension determines the format: ply, pcd, xyz, txt, csv, pts, asc, npy, npz, las, laz, obj, off or stl; and the
+/// folder, for sweeps of KITTI and nuScenes. For a mesh,
 /// `sample` draws that many points from the surface, uniformly by area, and `seed` determines the draw. Without
 /// `sample`, a mesh gives its vertices and a UserWarning. For text and numpy arrays, `columns` selects x, y and z:
 /// three names in the header, or indices from 0. The default is x, y and z of the header, or without a header the first
@@ -29,14 +30,19 @@ pub fn read_points(
     columns: Option<[ColumnLike; 3]>,
 ) -> PyResult<Bound<'_, PyArray2<f64>>> {
     let columns = columns.map(|columns| Columns(columns.map(Column::from)));
-    let contents = py.detach(|| read_contents(&path, &ReadOptions { sample, seed, columns })).map_err(file_error)?;
-    let Cloud { points, origin } = contents.cloud;
+    let Cloud { points, origin } = contents(py, path, ReadOptions { sample, seed, columns })?.cloud;
+    arrays::rows(py, points.iter().flat_map(|&point| add_origin(point, origin)).collect(), 3)
+}
+
+/// Reads a file. Vertices that stand in for the surface of a mesh give a UserWarning.
+pub fn contents(py: Python<'_>, path: PathBuf, options: ReadOptions) -> PyResult<Contents> {
+    let contents = py.detach(|| read_contents(&path, &options)).map_err(file_error)?;
     if contents.unsampled_faces > 0 {
         let what = format!("{} is a mesh of {} faces", path.display(), contents.unsampled_faces);
-        let advice = format!("its {} vertices are taken; sample=N draws N points from the surface", points.len());
-        py.import("warnings")?.call_method1("warn", (format!("{what}: {advice}"),))?;
+        let (number, advice) = (contents.cloud.points.len(), "sample=N of read_points draws N points from the surface");
+        py.import("warnings")?.call_method1("warn", (format!("{what}: its {number} vertices are taken; {advice}"),))?;
     }
-    arrays::rows(py, points.iter().flat_map(|&point| add_origin(point, origin)).collect(), 3)
+    Ok(contents)
 }
 
 /// A column in Python: an index from 0, or a name.

@@ -20,32 +20,56 @@ use snake_core::Cloud;
 
 use field::Field;
 use io::read_points;
-use keypoints::Keypoints;
+use keypoints::{Keypoint, Keypoints};
 use mesh::Mesh;
 use model::Model;
 use registration::{Registration, estimate_normals, fpfh, register};
 use threads::{get_num_threads, set_num_threads};
 
-/// Detects the keypoints of a cloud in one call: `model.encode(points).detect()`. `model` defaults to the built-in
-/// model.
+/// Detects the keypoints of a cloud in one call: `model.encode(points).detect()`. `model` is a `Model`, the name of a
+/// built-in model ("compact", "standard" or "rooms") or the path of a weight file; it defaults to "compact".
 ///
-/// `points` (N, 3) are real numbers; additional columns are ignored. They can be a numpy array, a torch tensor on the
-/// CPU, an Open3D or trimesh point cloud, or any other value that numpy converts to such an array. They are copied as
-/// float32. Coordinates far from zero are copied relative to an origin, so that georeferenced scans in float64 keep
+/// `points` (N, 3) are real numbers; additional columns are ignored. They can be a numpy array, a structured array with the
+/// fields x, y and z, a torch tensor on the CPU or any other value with DLPack, an Open3D point cloud (also of `open3d.t`), a
+/// trimesh or laspy cloud, or any other value that numpy converts to such an array. The path of a file is read as by
+/// `read_points`. Points are copied as float32. Coordinates far from zero are copied relative to an origin, so that georeferenced scans in float64 keep
 /// their digits. Positions are returned as float32 if the points are float32 or float16, else as float64. Masked points
 /// and points that are not finite are skipped (`Keypoints.num_skipped`), but `nearest_index` counts them.
 ///
 /// `options` are the options of `Model.encode` and `Field.detect`, and `window_radius`. With `window_radius` the cloud
 /// is split into overlapping balls of that radius, and each ball is encoded separately. It is in cloud units, or text
 /// such as "40r" in multiples of the cloud's resolution. None encodes the whole cloud at once, which loses the details
-/// of a room. Options default to the values of `preset`, or else of `model.recommended`. Raises ValueError for an
-/// invalid array or value, and TypeError for an unknown option.
+/// of a room. Options default to the values of `preset`, or else of `model.recommended`. With the built-in model the
+/// defaults are:
+///
+///     normalization="unit-sphere"   how the cloud is mapped into the network's frame: "unit-sphere", "unit-cube", "none"
+///     max_points=None               largest number of points to encode, drawn at random; None: all
+///     seed=0                        seed of that draw
+///     rotations=1                   rotated copies of the cloud to average over, 1 to 64
+///     query_resolution=64           queries along each axis of the query grid, 1 to 256
+///     query_band=1                  largest distance of queries from points, in voxels; 0: all queries
+///     occupancy_threshold=0.5       occupancy above which a query is refined
+///     refine_steps=0                steps of refinement
+///     refine_step_size=0.001        step size, in network units
+///     refine_method="adam"          or "gradient-descent"
+///     selection="best-position"     or "reference-final-position", as in the released code
+///     surface_threshold=0.8         occupancy above which a position lies on the surface
+///     saliency_threshold=0.3        least saliency of a keypoint
+///     mode_radius="8%"              radius in which keypoints move to the mean of the candidates; None: off
+///     nms_radius="10%"              least distance of keypoints: cloud units, "3r" or "10%" of the cloud's radius; 0: off
+///     max_keypoints=64              largest number of keypoints
+///     snap=False                    move each keypoint to its nearest input point
+///     window_radius=None            radius of the windows; None: the whole cloud at once
+///     preset=None                   "modelnet40", "keypointnet", "smpl", "redwood", "3dmatch" or "standard"
+///
+/// Raises ValueError for an invalid array or value, OSError for a file that cannot be read, and TypeError for an unknown
+/// option.
 #[pyfunction]
 #[pyo3(signature = (points, model=None, **options))]
 fn detect(
     py: Python<'_>,
     points: &Bound<'_, PyAny>,
-    model: Option<&Bound<'_, Model>>,
+    model: Option<&Bound<'_, PyAny>>,
     options: Option<&Bound<'_, PyDict>>,
 ) -> PyResult<Keypoints> {
     let model = model::given_or_builtin(py, model)?;
@@ -68,8 +92,8 @@ mod _core {
     };
     #[pymodule_export]
     use super::{
-        Field, Keypoints, Mesh, Model, Registration, detect, estimate_normals, fpfh, get_num_threads, read_points,
-        register, set_num_threads,
+        Field, Keypoint, Keypoints, Mesh, Model, Registration, detect, estimate_normals, fpfh, get_num_threads,
+        read_points, register, set_num_threads,
     };
 
     #[pymodule_export]

@@ -3,6 +3,7 @@
 use std::path::PathBuf;
 use std::sync::{Arc, OnceLock};
 
+use pyo3::exceptions::{PyTypeError, PyValueError};
 use pyo3::prelude::*;
 use pyo3::types::{IntoPyDict, PyBytes, PyDict, PyTuple};
 use snake_core as core;
@@ -48,11 +49,23 @@ pub fn builtin(py: Python<'_>) -> PyResult<core::Model> {
     }
 }
 
-/// The given model, or by default the built-in one.
-pub fn given_or_builtin(py: Python<'_>, model: Option<&Bound<'_, Model>>) -> PyResult<core::Model> {
-    match model {
-        Some(model) => Ok(model.get().core().clone()),
-        None => builtin(py),
+/// The given model, or by default the built-in one. A model is a `Model`, the name of a built-in model, or the path of a
+/// weight file.
+pub fn given_or_builtin(py: Python<'_>, model: Option<&Bound<'_, PyAny>>) -> PyResult<core::Model> {
+    let Some(model) = model else { return builtin(py) };
+    if let Ok(model) = model.cast::<Model>() {
+        return Ok(model.get().core().clone());
+    }
+    let path: PathBuf = model.extract().map_err(|_| {
+        PyTypeError::new_err(format!("model: expected a Model, a name or a path, found {}", model.get_type()))
+    })?;
+    match path.to_str().filter(|name| core::Model::NAMES.contains(name)) {
+        Some(name) => Ok(Model::py_builtin(py, name)?.core),
+        None if path.extension().is_none() && !path.exists() => {
+            let names = core::Model::NAMES.join(", ");
+            Err(PyValueError::new_err(format!("model: no built-in model {}; known are {names}", path.display())))
+        }
+        None => Ok(Model::load(py, path)?.core),
     }
 }
 
@@ -134,12 +147,12 @@ impl Model {
     /// `preset`. Other options default to the values of `preset`, or else of `model.recommended`. Raises ValueError for
     /// an invalid array or value.
     #[pyo3(signature = (points, **options))]
-    fn encode(&self, py: Python<'_>, points: &Bound<PyAny>, options: Option<&Bound<PyDict>>) -> PyResult<Field> {
-        let preset = options::resolve("encode", &options::ENCODE, self.core.recommended(), options)?;
+    fn encode(slf: &Bound<Self>, points: &Bound<PyAny>, options: Option<&Bound<PyDict>>) -> PyResult<Field> {
+        let core = slf.get().core();
+        let preset = options::resolve("encode", &options::ENCODE, core.recommended(), options)?;
         let (cloud, precision) = arrays::cloud("points", points)?;
-        let core::Cloud { points, origin } = cloud.for_normalization(preset.encode.normalization);
-        let field = threads::run_with_signals(py, |control| self.core.encode_with(&points, &preset.encode, control))?;
-        Ok(Field::new(field, origin, precision))
+        let cloud = cloud.for_normalization(preset.encode.normalization);
+        Field::new(slf, &cloud, preset.encode, precision)
     }
 
     fn __reduce__<'py>(slf: &Bound<'py, Self>) -> PyResult<(Bound<'py, PyAny>, Bound<'py, PyTuple>)> {

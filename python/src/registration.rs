@@ -6,7 +6,7 @@ use pyo3::types::{PyDict, PyTuple};
 use snake_core::{Cloud, RigidTransform};
 use snake_registration as core;
 
-use crate::model::{self, Model};
+use crate::model;
 use crate::{arrays, options, threads};
 
 /// A rigid transform between two clouds, with a verdict and figures of its quality. It can be pickled.
@@ -149,7 +149,7 @@ pub fn register(
     py: Python<'_>,
     source: &Bound<'_, PyAny>,
     target: &Bound<'_, PyAny>,
-    model: Option<&Bound<'_, Model>>,
+    model: Option<&Bound<'_, PyAny>>,
     options: Option<&Bound<'_, PyDict>>,
 ) -> PyResult<Registration> {
     let model = model::given_or_builtin(py, model)?;

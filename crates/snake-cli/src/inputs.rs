@@ -16,7 +16,8 @@ pub const DASH: &str = "-";
 /// Options of reading clouds.
 #[derive(Args)]
 pub struct InputArguments {
-    /// Read the inputs in the format of this extension, regardless of their names. The standard input (`-`) needs this
+    /// Read the inputs in the format of this extension, or as sweeps of `kitti` or `nuscenes`, regardless of their names.
+    /// The standard input (`-`) needs this
     /// option for text, obj and binary stl; other formats are recognised by their content [default: each input's own
     /// extension].
     #[arg(long, value_name = "EXTENSION", value_parser = point_format)]
@@ -122,7 +123,7 @@ pub fn check_inputs<'a>(inputs: impl IntoIterator<Item = &'a PathBuf>) -> Result
 }
 
 fn point_format(extension: &str) -> Result<PointFormat> {
-    let known = || format!("known are {}", POINT_EXTENSIONS.join(", "));
+    let known = || format!("known are {}, kitti, nuscenes", POINT_EXTENSIONS.join(", "));
     PointFormat::from_extension(extension.trim_start_matches('.')).with_context(known)
 }
 
@@ -158,9 +159,8 @@ fn clouds_in(folder: &Path) -> Result<Vec<PathBuf>> {
     let mut found = Vec::new();
     for entry in folder.read_dir().with_context(|| format!("cannot list {}", folder.display()))? {
         let path = entry.with_context(|| format!("cannot list {}", folder.display()))?.path();
-        let extension = path.extension().unwrap_or_default().to_string_lossy().to_lowercase();
         let is_result = path.file_stem().is_some_and(|stem| stem.to_string_lossy().ends_with(".keypoints"));
-        if path.is_file() && POINT_EXTENSIONS.contains(&extension.as_str()) && !is_result {
+        if path.is_file() && PointFormat::from_path(&path).is_ok() && !is_result {
             found.push(path);
         }
     }

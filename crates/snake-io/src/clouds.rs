@@ -11,7 +11,7 @@ use crate::las;
 #[cfg(feature = "npz")]
 use crate::npz;
 use crate::shape::Shape;
-use crate::{Error, Result, npy, obj, off, pcd, ply, stl, text};
+use crate::{Error, Result, npy, obj, off, pcd, ply, stl, sweep, text};
 
 /// Options of [`read_cloud`].
 #[derive(Debug, Clone, PartialEq, Eq, Default)]
@@ -118,6 +118,8 @@ fn read_shape(bytes: &[u8], format: PointFormat, options: &ReadOptions) -> std::
         PointFormat::Obj => obj::read(bytes),
         PointFormat::Off => off::read(bytes),
         PointFormat::Stl => stl::read(bytes),
+        PointFormat::Kitti => sweep::read(bytes, 4),
+        PointFormat::Nuscenes => sweep::read(bytes, 5),
         #[cfg(feature = "laz")]
         PointFormat::Las => las::read(bytes),
         #[cfg(not(feature = "laz"))]

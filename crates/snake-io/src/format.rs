@@ -34,27 +34,41 @@ pub enum PointFormat {
     Stl,
     /// ASPRS laser scans, plain (las) or compressed (laz).
     Las,
+    /// A sweep of KITTI: x, y, z and intensity as float32 (bin).
+    Kitti,
+    /// A sweep of nuScenes: x, y, z, intensity and ring as float32 (pcd.bin).
+    Nuscenes,
 }
 
 /// The extensions that [`PointFormat::from_path`] accepts.
-pub const POINT_EXTENSIONS: &[&str] =
-    &["ply", "pcd", "xyz", "txt", "csv", "pts", "npy", "npz", "obj", "off", "stl", "las", "laz"];
+pub const POINT_EXTENSIONS: &[&str] = &[
+    "ply", "pcd", "xyz", "txt", "csv", "pts", "asc", "xyzn", "xyzrgb", "xyzi", "npy", "npz", "obj", "off", "stl",
+    "las", "laz",
+];
 
 impl PointFormat {
-    /// The format of a file by its extension, in upper or lower case.
+    /// The format of a file by its extension, in upper or lower case. A `.bin` file is a sweep of nuScenes if its name ends
+    /// in `.pcd.bin` or a folder of its path is `LIDAR_TOP`, and one of KITTI if a folder is `velodyne` or
+    /// `velodyne_points`.
     ///
     /// # Errors
-    /// [`Error::Format`] when the extension is not among [`POINT_EXTENSIONS`].
+    /// [`Error::Format`] when the extension is not among [`POINT_EXTENSIONS`] and the file is no such sweep.
     pub fn from_path(path: &Path) -> Result<Self> {
-        Self::from_extension(&extension(path)).ok_or_else(|| unknown_extension(path, "read", POINT_EXTENSIONS))
+        if extension(path) == "bin" {
+            return sweep_format(path);
+        }
+        Self::from_extension(&extension(path)).ok_or_else(|| match conversion(&extension(path)) {
+            Some(command) => Error::Format { path: path.into(), reason: format!("this format is not read; {command}") },
+            None => unknown_extension(path, "read", POINT_EXTENSIONS),
+        })
     }
 
-    /// The format of an extension in lower case without a dot.
+    /// The format of an extension in lower case without a dot, or of the name `kitti` or `nuscenes`.
     pub fn from_extension(extension: &str) -> Option<Self> {
         Some(match extension {
             "ply" => Self::Ply,
             "pcd" => Self::Pcd,
-            "xyz" | "txt" | "csv" => Self::Text,
+            "xyz" | "txt" | "csv" | "asc" | "xyzn" | "xyzrgb" | "xyzi" => Self::Text,
             "pts" => Self::Pts,
             "npy" => Self::Npy,
             "npz" => Self::Npz,
@@ -62,6 +76,8 @@ impl PointFormat {
             "off" => Self::Off,
             "stl" => Self::Stl,
             "las" | "laz" => Self::Las,
+            "kitti" => Self::Kitti,
+            "nuscenes" => Self::Nuscenes,
             _ => return None,
         })
     }
@@ -101,6 +117,8 @@ impl PointFormat {
             Self::Off => "OFF",
             Self::Stl => "STL",
             Self::Las => "LAS",
+            Self::Kitti => "KITTI",
+            Self::Nuscenes => "nuScenes",
         }
     }
 }
@@ -192,6 +210,34 @@ impl CloudFormat {
             _ => return Err(unknown_extension(path, "written", CLOUD_EXTENSIONS)),
         })
     }
+}
+
+/// The layout of a `.bin` file by its name and its folders.
+fn sweep_format(path: &Path) -> Result<PointFormat> {
+    let name = path.file_name().unwrap_or_default().to_string_lossy().to_ascii_lowercase();
+    let is_in = |folders: &[&str]| path.iter().any(|part| folders.iter().any(|folder| part == *folder));
+    if name.ends_with(".pcd.bin") || is_in(&["LIDAR_TOP"]) {
+        Ok(PointFormat::Nuscenes)
+    } else if is_in(&["velodyne", "velodyne_points"]) {
+        Ok(PointFormat::Kitti)
+    } else {
+        let reason = "a .bin file does not say how many values a point has; give --input-format kitti (4 values) or \
+                      nuscenes (5 values)";
+        Err(Error::Format { path: path.into(), reason: reason.into() })
+    }
+}
+
+/// A command that converts a file of a format that is not read.
+fn conversion(extension: &str) -> Option<&'static str> {
+    Some(match extension {
+        "bag" => "convert the ROS 1 bag to PCD files: rosrun pcl_ros bag_to_pcd FILE.bag /TOPIC FOLDER",
+        "db3" => "convert the ROS 2 bag to PCD files: ros2 bag play FOLDER, and ros2 run pcl_ros pointcloud_to_pcd",
+        "pcap" => "convert the recording to LAS files: ouster-cli source FILE.pcap save FILE.las",
+        "ptx" | "fls" | "rcp" => "convert it with CloudCompare: CloudCompare -O FILE -C_EXPORT_FMT PLY -SAVE_CLOUDS",
+        "fbx" | "dae" | "3ds" | "blend" => "convert it to a mesh: assimp export FILE FILE.ply",
+        "step" | "stp" | "iges" | "igs" => "convert it to a mesh: freecadcmd, then Mesh.export to FILE.stl",
+        _ => return None,
+    })
 }
 
 pub(super) fn extension(path: &Path) -> String {

@@ -30,7 +30,8 @@
 //! | `npy` | `(N, C)`, `C >= 3`, floats or integers | `(N, 3)` of `<f8` | `(K, 6)` of `<f8`, columns as in csv |
 //! | `npz` | the array `points`, `xyz`, `pc`, `pos` or `arr_0`; else the only array with the shape of a cloud | | |
 //! | `csv` | as `xyz` | `x,y,z` | `x,y,z,saliency,occupancy,nearest_index` |
-//! | `xyz`, `txt`, `pts` | columns of text | only `xyz` | |
+//! | `xyz`, `txt`, `pts`, `asc`, `xyzn`, `xyzrgb`, `xyzi` | columns of text | only `xyz` | |
+//! | `pcd.bin`, and `bin` in folders of KITTI or nuScenes | x, y and z of float32 values, 5 or 4 of them a point | | |
 //! | `obj`, `off`, `stl` | vertices, or points sampled on the surface (also of a `ply` with faces) | | |
 //! | `las`, `laz` | coordinates | | |
 //! | `json` | | | `{"keypoints": [{"x": .., ..}, ..]}` |
@@ -75,6 +76,7 @@ mod pcd;
 mod ply;
 mod shape;
 mod stl;
+mod sweep;
 mod table;
 #[cfg(test)]
 mod tests;

@@ -66,11 +66,12 @@ fn split_header(bytes: &[u8]) -> Result<(String, &[u8]), String> {
         return Err("not a PLY file: it does not begin with `ply`".into());
     }
     let (mut header, mut length) = (String::new(), 0);
-    for (number, line) in bytes[..bytes.len().min(MAX_HEADER_BYTES)].split_inclusive(|&byte| byte == b'\n').enumerate()
-    {
+    let head = &bytes[..bytes.len().min(MAX_HEADER_BYTES)];
+    let any_case = !names_axes(head);
+    for (number, line) in head.split_inclusive(|&byte| byte == b'\n').enumerate() {
         length += line.len();
         let line = String::from_utf8_lossy(line);
-        header += plain_property(&line, number).as_deref().unwrap_or(&line);
+        header += plain_property(&line, number, any_case).as_deref().unwrap_or(&line);
         if line.trim_end() == "end_header" {
             return Ok((header, &bytes[length..]));
         }
@@ -78,11 +79,22 @@ fn split_header(bytes: &[u8]) -> Result<(String, &[u8]), String> {
     Err(format!("no line `end_header` within the first {length} bytes"))
 }
 
-/// Replaces the name of a property with a unique one, unless it names an axis or the corners.
+/// Whether a header names an axis in lower case. If it does, names in upper case are other properties.
+fn names_axes(head: &[u8]) -> bool {
+    let is_axis = |line: &[u8]| {
+        let line = line.trim_ascii_end();
+        line.starts_with(b"property") && AXES.iter().any(|axis| line.ends_with(format!(" {axis}").as_bytes()))
+    };
+    let header = head.split(|&byte| byte == b'\n').take_while(|line| line.trim_ascii_end() != b"end_header");
+    header.into_iter().any(is_axis)
+}
+
+/// Replaces the name of a property with a unique one, unless it names an axis or the corners. With `any_case` the axes may
+/// be in upper case, as some scanners write them.
 ///
 /// Other names are not used, and `ply-rs` accepts only letters and digits: CloudCompare writes
 /// `scalar_Roughness_(0.1)`.
-fn plain_property(line: &str, number: usize) -> Option<String> {
+fn plain_property(line: &str, number: usize, any_case: bool) -> Option<String> {
     let mut words = line.split_whitespace();
     if words.next() != Some("property") {
         return None;
@@ -92,6 +104,10 @@ fn plain_property(line: &str, number: usize) -> Option<String> {
         scalar => scalar.into(),
     };
     let name = words.next()?;
+    let lower = name.to_ascii_lowercase();
+    if any_case && name != lower && AXES.contains(&lower.as_str()) {
+        return Some(format!("property {data_type} {lower}\n"));
+    }
     (!AXES.contains(&name) && !CORNERS.contains(&name)).then(|| format!("property {data_type} ignored_{number}\n"))
 }
 
@@ -315,6 +331,19 @@ mod tests {
                 assert_eq!(read(&ply(encoding, scalar)).unwrap(), POINTS, "{encoding} {scalar}");
             }
         }
+    }
+
+    #[test]
+    fn axes_may_be_in_upper_case_if_none_is_in_lower_case() {
+        let text = |names: [&str; 4]| {
+            let properties: String = names.iter().map(|name| format!("property float {name}\n")).collect();
+            format!("ply\nformat ascii 1.0\nelement vertex 1\n{properties}end_header\n1 2 3 4\n")
+        };
+        let point = |names| read(text(names).as_bytes()).map(|points| points[0]);
+        assert_eq!(point(["X", "Y", "Z", "Intensity"]).unwrap(), [1.0, 2.0, 3.0]);
+        assert_eq!(point(["X", "x", "y", "z"]).unwrap(), [2.0, 3.0, 4.0]);
+        assert!(point(["X", "X", "Y", "Z"]).unwrap_err().contains("same name"));
+        assert!(point(["X", "y", "Z", "z"]).unwrap_err().contains("`x`"));
     }
 
     #[test]
