@@ -61,7 +61,7 @@ def test_max_points_samples_by_seed(model, field, points):
         (np.zeros(3), r"float64 of shape \(3,\)"),
         (np.zeros((1, 10, 3)), r"float64 of shape \(1, 10, 3\)"),
         ([], r"float64 of shape \(0,\)"),
-        ("cloud.npy", r"<U9 of shape \(\)"),
+        (np.array("cloud.npy"), r"<U9 of shape \(\)"),
         (None, r"object of shape \(\)"),
     ],
 )

@@ -8,6 +8,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
     from ._core import Keypoints
 
 WIDTH, HEIGHT, MARGIN = 240, 160, 10
@@ -36,6 +38,6 @@ def html(keypoints: Keypoints) -> str:
     return f"{frame}{title}{''.join(circles)}</svg>{summary}"
 
 
-def _colours(saliency: np.ndarray) -> np.ndarray:
-    share = np.clip(saliency, 0.0, 1.0)[:, None]
-    return np.rint(LOW + (HIGH - LOW) * share).astype(int)
+def _colours(saliency: NDArray[np.float32]) -> NDArray[np.int64]:
+    colours: NDArray[np.float64] = LOW + (HIGH - LOW) * saliency.clip(0.0, 1.0)[:, None]
+    return np.rint(colours).astype(np.int64)

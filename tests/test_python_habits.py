@@ -1,0 +1,147 @@
+"""The module as users of numpy, pandas and notebooks expect it."""
+
+import pickle
+import re
+import types
+import xml.etree.ElementTree as ElementTree
+
+import numpy as np
+import pytest
+import snake_rs
+
+
+def torus(n: int = 4000) -> np.ndarray:
+    u, v = np.arange(n) * 0.1, np.arange(n) * 0.7
+    ring = 1 + 0.3 * np.cos(v)
+    return np.stack([ring * np.cos(u), ring * np.sin(u), 0.3 * np.sin(v)], axis=1)
+
+
+@pytest.fixture(scope="module")
+def keypoints() -> snake_rs.Keypoints:
+    found = snake_rs.detect(torus())
+    assert len(found) > 5
+    return found
+
+
+def same(a: snake_rs.Keypoints, b: snake_rs.Keypoints) -> bool:
+    return np.array_equal(a.points, b.points) and np.array_equal(a.saliency, b.saliency)
+
+
+def test_a_model_is_also_a_name_or_a_path(tmp_path):
+    points = torus()
+    by_name = snake_rs.detect(points, model="standard")
+    assert same(by_name, snake_rs.detect(points, snake_rs.Model.builtin("standard")))
+    with pytest.raises(ValueError, match="no built-in model large; known are compact, standard, rooms"):
+        snake_rs.detect(points, model="large")
+    with pytest.raises(FileNotFoundError):
+        snake_rs.detect(points, model=tmp_path / "none.safetensors")
+    with pytest.raises(TypeError, match="expected a Model, a name or a path"):
+        snake_rs.detect(points, model=3)
+
+
+def test_clouds_in_every_form_give_the_same_keypoints(keypoints, tmp_path):
+    points = torus()
+    np.save(tmp_path / "torus.npy", points)
+    named = np.zeros(len(points), dtype=[("intensity", "f4"), ("z", "f8"), ("y", "f8"), ("x", "f8")])
+    named["x"], named["y"], named["z"] = points.T
+
+    class Tensor:
+        """A tensor that gives DLPack alone."""
+
+        def __dlpack__(self, **options):
+            return points.__dlpack__(**options)
+
+        def __dlpack_device__(self):
+            return points.__dlpack_device__()
+
+    forms = {
+        "path": tmp_path / "torus.npy",
+        "text": str(tmp_path / "torus.npy"),
+        "more columns": np.hstack([points, np.ones((len(points), 2))]),
+        "structured": named,
+        "structured rows": named.reshape(40, 100),
+        "dlpack": Tensor(),
+        "open3d.t": types.SimpleNamespace(point={"positions": Tensor()}),
+        "laspy": types.SimpleNamespace(xyz=points, points="records"),
+        "open3d": types.SimpleNamespace(points=points),
+    }
+    for name, form in forms.items():
+        assert same(snake_rs.detect(form), keypoints), name
+    with pytest.raises(FileNotFoundError):
+        snake_rs.detect("none.ply")
+
+
+def test_keypoints_are_a_sequence(keypoints):
+    first = keypoints[0]
+    assert isinstance(first, snake_rs.Keypoint)
+    assert np.array_equal(first.position, keypoints.points[0]) and first.saliency == keypoints.saliency[0]
+    assert first.nearest_index == keypoints.nearest_index[0] and first.occupancy == keypoints.occupancy[0]
+    assert [k.saliency for k in keypoints] == keypoints.saliency.tolist()
+    assert np.array_equal(keypoints[-1].position, keypoints.points[-1])
+    some = keypoints[1:4]
+    assert isinstance(some, snake_rs.Keypoints) and np.array_equal(some.points, keypoints.points[1:4])
+    salient = keypoints[keypoints.saliency > keypoints.saliency[3]]
+    assert len(salient) == 3 and same(salient, keypoints[[0, 1, 2]])
+    assert same(pickle.loads(pickle.dumps(some)), some) and len(keypoints[:0]) == 0
+    with pytest.raises(IndexError):
+        keypoints[len(keypoints)]
+
+
+def test_keypoints_are_an_array_and_columns(keypoints):
+    points = np.asarray(keypoints)
+    assert points.shape == (len(keypoints), 3) and np.array_equal(points, keypoints.points)
+    assert np.asarray(keypoints, dtype=np.float32).dtype == np.float32
+    assert not np.shares_memory(np.array(keypoints), keypoints.points)
+    columns = keypoints.to_dict()
+    assert list(columns) == ["x", "y", "z", "saliency", "occupancy", "nearest_index"]
+    assert np.array_equal(columns["y"], keypoints.points[:, 1])
+
+
+@pytest.mark.parametrize("extension", ["ply", "pcd", "npy", "csv", "json"])
+def test_keypoints_are_saved(keypoints, extension, tmp_path):
+    path = tmp_path / f"keypoints.{extension}"
+    keypoints.save(path)
+    if extension != "json":
+        assert np.allclose(snake_rs.read_points(path), keypoints.points, atol=1e-6)
+    assert path.stat().st_size > 100
+
+
+def test_keypoints_far_from_zero_are_saved_with_their_digits(tmp_path):
+    far = torus() + [691_000.0, 5_336_000.0, 500.0]
+    found = snake_rs.detect(far)
+    found.save(tmp_path / "far.csv")
+    assert np.abs(snake_rs.read_points(tmp_path / "far.csv") - found.points).max() < 1e-4
+    with pytest.raises(ValueError, match="unknown extension"):
+        found.save(tmp_path / "far.xlsx")
+
+
+def test_a_notebook_shows_a_picture(keypoints):
+    html = keypoints._repr_html_()
+    svg = ElementTree.fromstring(html[: html.index("</svg>") + len("</svg>")])
+    circles = svg.findall("{http://www.w3.org/2000/svg}circle")
+    assert len(circles) == len(keypoints)
+    for circle in circles:
+        assert 0 < float(circle.get("cx")) < 240 and 0 < float(circle.get("cy")) < 160
+    assert "svg" not in keypoints[:0]._repr_html_()
+
+
+@pytest.mark.parametrize("dtype", [np.float32, np.float64])
+def test_fields_are_pickled(dtype):
+    points = torus().astype(dtype)
+    points[5] = np.nan
+    if dtype == np.float64:
+        points += [691_000.0, 5_336_000.0, 500.0]
+    field = snake_rs.Model.builtin().encode(points, max_points=2000, seed=3)
+    again = pickle.loads(pickle.dumps(field))
+    queries = points[10:60]
+    assert np.array_equal(again.saliency(queries), field.saliency(queries))
+    found, expected = again.detect(), field.detect()
+    assert same(found, expected) and found.points.dtype == dtype
+    assert found.num_skipped == 1 and np.array_equal(found.nearest_index, expected.nearest_index)
+
+
+def test_help_lists_every_option_with_its_default():
+    listed = dict(re.findall(r"^    (\w+)=(\S+)  ", snake_rs.detect.__doc__, re.MULTILINE))
+    assert listed.pop("preset") == "None"
+    defaults = snake_rs.Model.builtin().recommended
+    assert {name: eval(value) for name, value in listed.items()} == defaults
