@@ -3,10 +3,11 @@
 import pickle
 import re
 import types
-import xml.etree.ElementTree as ElementTree
+from xml.etree import ElementTree
 
 import numpy as np
 import pytest
+
 import snake_rs
 
 
