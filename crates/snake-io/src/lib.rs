@@ -53,6 +53,7 @@
 #![forbid(unsafe_code)]
 
 mod array;
+mod array_files;
 mod atomic;
 mod clouds;
 mod columns;
@@ -84,9 +85,10 @@ mod text;
 mod transform;
 mod write;
 
+pub use array::Array;
 #[cfg(feature = "npz")]
-pub use array::read_arrays;
-pub use array::{Array, read_array, write_volume};
+pub use array_files::read_arrays;
+pub use array_files::{read_array, write_volume};
 pub use atomic::{hold_writes, write_atomically};
 pub use clouds::{
     Contents, ReadOptions, parse_cloud, parse_contents, read_cloud, read_clouds, read_contents, read_points,

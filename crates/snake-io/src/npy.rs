@@ -6,7 +6,6 @@ use super::array::Array;
 use super::columns::{Columns, Indices};
 use super::dtype::Dtype;
 use super::shape::{Position, Shape};
-use super::transform::checked;
 use snake_core::excerpt;
 use snake_core::{Point, RigidTransform};
 
@@ -67,7 +66,7 @@ pub(super) fn read_transforms(bytes: &[u8]) -> Result<Vec<RigidTransform>, Strin
     let one = |transform| {
         let data = array.data_of(data, transform);
         let rows = std::array::from_fn(|i| row(data, i));
-        checked(rows).map_err(|reason| format!("transform {transform}: {reason}"))
+        RigidTransform::from_matrix(rows).map_err(|reason| format!("transform {transform}: {reason}"))
     };
     (0..transforms).map(one).collect()
 }

@@ -39,7 +39,7 @@ pub(super) fn read_text(bytes: &[u8]) -> std::result::Result<RigidTransform, Str
 }
 
 /// The transform of these rows.
-pub(super) fn checked(rows: [[f64; 4]; 4]) -> std::result::Result<RigidTransform, String> {
+fn checked(rows: [[f64; 4]; 4]) -> std::result::Result<RigidTransform, String> {
     RigidTransform::from_matrix(rows).map_err(|error| error.to_string())
 }
 
