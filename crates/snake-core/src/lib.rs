@@ -82,6 +82,7 @@ pub use point_source::{PointSource, SeparateAxes};
 pub use points::{Normalization, NormalizationMethod, Point};
 pub use progress::{Progress, Stage};
 pub use rigid_transform::RigidTransform;
+pub use side_by_side::side_by_side;
 pub use snake_kernels::SimdLevel;
 pub use surface::Mesh;
 pub use volume::{Volume, VolumeFrame};

@@ -9,13 +9,19 @@ use crate::Result;
 
 /// The results of `task(0)` to `task(number - 1)`, in order.
 ///
+/// ```
+/// let squares = snake_core::side_by_side(100, |index| Ok(index * index))?;
+/// assert_eq!(squares[99], 9801);
+/// # Ok::<(), snake_core::Error>(())
+/// ```
+///
 /// Each task runs on one thread, and as many tasks run at a time as there are threads. This is faster than parallel steps
 /// within each task, some of which are serial. With too few tasks for all threads, the tasks run one after the other,
 /// each on all threads.
 ///
 /// # Errors
 /// The error of the first task that fails; later tasks may then not run.
-pub(crate) fn side_by_side<T: Send>(number: usize, task: impl Fn(usize) -> Result<T> + Sync) -> Result<Vec<T>> {
+pub fn side_by_side<T: Send>(number: usize, task: impl Fn(usize) -> Result<T> + Sync) -> Result<Vec<T>> {
     let threads = rayon::current_num_threads();
     let alone = || ThreadPoolBuilder::new().num_threads(1).build();
     let pools: Option<Vec<ThreadPool>> = match threads > 1 && number >= 2 * threads {

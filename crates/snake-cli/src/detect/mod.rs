@@ -1,28 +1,29 @@
 //! `snake-cli detect`: read, detect, write.
 
 pub mod args;
+mod reports;
 
 use std::collections::BTreeMap;
 use std::fmt::Write;
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
+use std::sync::{Mutex, MutexGuard, PoisonError};
 use std::time::Instant;
 
 use anyhow::{Context, Result, anyhow, bail};
 use serde_json::json;
-use snake_core::{Control, Detection, Model, Options, Progress, add_origin};
+use snake_core::{Control, Detection, Model, Options, Progress, add_origin, side_by_side};
 use snake_io::{self as io, Cloud, KeypointFormat, KeypointSource};
 
 use crate::inputs::{DASH, check_inputs, expand, output_origin};
 use crate::output::{InputFiles, in_folder};
 use crate::terminal::{self, Report};
-use crate::timing::{self, STAGES, Seconds};
+use crate::timing::{STAGES, Seconds};
 use args::DetectArguments;
+use reports::Reports;
 
 /// The most keypoints that the printed table shows.
 const TABLE_ROWS: usize = 10;
-/// The most failed inputs that the last line of a run names.
-const NAMED_FAILURES: usize = 10;
 
 /// Processes every input. A failed input is reported, and the run continues.
 pub fn run(arguments: &DetectArguments) -> Result<ExitCode> {
@@ -37,60 +38,43 @@ pub fn run(arguments: &DetectArguments) -> Result<ExitCode> {
     let inputs = expand(&arguments.inputs)?;
     check_inputs(&inputs)?;
     let outputs = outputs(arguments, &inputs)?;
+    let is_parallel = options.window_radius.is_none() && inputs.iter().all(|input| is_small(input));
     let bar = match &inputs[..] {
         [_] => terminal::stages(&progress)?,
+        several if is_parallel => terminal::progress(several.len())?,
         several => terminal::calls(several.len(), &progress)?,
     };
-    let mut failed = Vec::new();
-    let mut timings = Vec::new();
-    let mut is_reported = true;
-    for (input, output) in inputs.iter().zip(outputs) {
-        if arguments.output.is_none() && terminal::stdout_ended() {
-            break;
-        }
-        bar.set_message(input.display().to_string());
-        // With `-o -` the standard output carries only the keypoints.
-        let print = match &output {
-            Ok(Some(output)) if output == Path::new(DASH) => terminal::print_aside,
-            _ if arguments.json => terminal::print,
-            _ => terminal::print_report,
+    let control = if is_parallel && inputs.len() > 1 { control.without_progress() } else { control };
+    let reports = Mutex::new(Reports::new(arguments, &inputs, bar));
+    let process = |index: usize| -> snake_core::Result<()> {
+        let (input, output): (&PathBuf, &Result<Option<PathBuf>>) = (&inputs[index], &outputs[index]);
+        lock(&reports).bar.set_message(input.display().to_string());
+        let result = match output {
+            Ok(output) => process(&model, &options, arguments, input, output.as_deref(), &control),
+            Err(error) => Err(anyhow!("{error:#}")),
         };
-        match output.and_then(|output| process(&model, &options, arguments, input, output.as_deref(), &control)) {
-            Ok((report, seconds)) => {
-                timings.push(seconds);
-                let printed = bar.suspend(|| {
-                    terminal::detail("seconds", || timing::line(&seconds));
-                    print(&report)
-                });
-                if let Err(error) = printed {
-                    if arguments.output.is_none() {
-                        return Err(error);
-                    }
-                    is_reported = false;
-                    bar.suspend(|| terminal::error(&error));
-                }
-            }
-            Err(error) => {
-                failed.push(input.display().to_string());
-                bar.suspend(|| terminal::error(&error));
-            }
-        }
-        bar.step();
-    }
-    bar.finish();
-    if !failed.is_empty() && inputs.len() > 1 {
-        let more = if failed.len() > NAMED_FAILURES { ", …" } else { "" };
-        let names = failed[..failed.len().min(NAMED_FAILURES)].join(", ");
-        terminal::error(&anyhow!("{} of {} inputs failed: {names}{more}", failed.len(), inputs.len()));
-    }
-    if arguments.timing && !timings.is_empty() {
-        terminal::print_to_stderr(&timing::summary(load_model, &timings));
-    }
-    Ok(ExitCode::from(match failed.len() {
-        0 if is_reported => 0,
-        n if n < inputs.len() => 1,
-        _ => 2,
-    }))
+        let is_needed = lock(&reports).add(index, output.as_ref().ok().and_then(Option::as_deref), result);
+        if is_needed { Ok(()) } else { Err(snake_core::Error::Cancelled) }
+    };
+    // The only error says that no more results are needed.
+    let _ended = match is_parallel {
+        true => side_by_side(inputs.len(), process).map(drop),
+        false => (0..inputs.len()).try_for_each(process),
+    };
+    reports.into_inner().unwrap_or_else(PoisonError::into_inner).finish(load_model)
+}
+
+/// Clouds of files up to this many bytes are processed side by side, one on each thread. Larger clouds are processed one
+/// after another, each on all threads, because together they might not fit into memory.
+const SMALL_FILE: u64 = 32 << 20;
+
+/// Locks the reports. A panic of another thread ends the run anyway.
+fn lock<'a, 'b>(reports: &'a Mutex<Reports<'b>>) -> MutexGuard<'a, Reports<'b>> {
+    reports.lock().unwrap_or_else(PoisonError::into_inner)
+}
+
+fn is_small(input: &Path) -> bool {
+    input.metadata().is_ok_and(|metadata| metadata.is_file() && metadata.len() <= SMALL_FILE)
 }
 
 /// The output file of each input, or `None` if its keypoints are only printed. No output file is an input.

@@ -141,6 +141,37 @@ fn keypoints_are_identical_for_any_number_of_threads() {
     assert_eq!(one, keypoints("7"));
 }
 
+/// More than two files a thread are processed side by side.
+#[test]
+fn many_files_are_reported_in_order_for_any_number_of_threads() {
+    let folder = tempfile::tempdir().unwrap();
+    for number in 0..9 {
+        let name = folder.path().join(format!("{number}.npy"));
+        match number {
+            4 => std::fs::write(name, "not an array").unwrap(),
+            // The first files take the longest.
+            _ => {
+                let number_of_points = 4000 - 400 * number;
+                let coordinate = |i: usize| ((i * i) as f32 * 0.37).sin() / (1 + i % 3) as f32;
+                let values: Vec<f32> = (0..3 * number_of_points).map(coordinate).collect();
+                write_npy(&name, &[number_of_points, 3], &values);
+            }
+        }
+    }
+    let run = |threads: &str| {
+        let output =
+            snake(&["detect", folder.path().to_str().unwrap(), "--json", "--max-keypoints", "9", "--threads", threads]);
+        assert_eq!(output.status.code(), Some(1), "{}", stderr(&output));
+        assert!(stderr(&output).contains("1 of 9 inputs failed"), "{}", stderr(&output));
+        let report = |line: &Value| (line["input"].to_string(), line["keypoints"].to_string());
+        json_lines(&output).iter().map(report).collect::<Vec<_>>()
+    };
+    let one = run("1");
+    assert!(one.len() == 8 && one.is_sorted());
+    assert_eq!(run("3"), one);
+    assert_eq!(run("7"), one);
+}
+
 #[test]
 fn subsampling_is_seeded_and_reported() {
     let report = |seed: &str| {
