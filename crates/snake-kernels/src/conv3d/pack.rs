@@ -1,7 +1,9 @@
 //! Transformed and packed weights of a 3x3x3 convolution.
 
+use rayon::prelude::*;
+
 use super::{FAR, NEAR};
-use crate::simd::{LANES, pack};
+use crate::simd::LANES;
 
 /// Input channels of one matrix product.
 pub(super) const BLOCK: usize = 2 * LANES;
@@ -33,8 +35,21 @@ pub(super) fn points(n: usize, upsampled: bool) -> impl Iterator<Item = usize> {
     (0..n * n * n).filter(move |p| !skip || [p / 16, p / 4 % 4, p % 4].iter().all(|&k| k != 2))
 }
 
+/// One tap of the filters of LANES outputs.
+type Tap = [f64; LANES];
+
+/// Transforms LANES filters along an axis to U; the first N values count.
+fn weights_of_axis(n: usize, [a, b, c]: [Tap; 3]) -> [Tap; 6] {
+    let mut values = [[0.0; LANES]; 6];
+    for lane in 0..LANES {
+        let of_lane = weights_of_filter(n, [a[lane], b[lane], c[lane]]);
+        values.iter_mut().zip(of_lane).for_each(|(values, value)| values[lane] = value);
+    }
+    values
+}
+
 /// Transforms a filter along an axis to U; the first N values count.
-fn weights_of_axis(n: usize, [a, b, c]: [f64; 3]) -> [f64; 6] {
+fn weights_of_filter(n: usize, [a, b, c]: [f64; 3]) -> [f64; 6] {
     if n == 4 {
         return [a, 0.5 * (a + b + c), 0.5 * (a - b + c), c, 0.0, 0.0];
     }
@@ -43,6 +58,23 @@ fn weights_of_axis(n: usize, [a, b, c]: [f64; 3]) -> [f64; 6] {
     let [near, far] = [NEAR * NEAR, FAR * FAR];
     let [of_near, of_far] = [2.0 * near * (near - far), 2.0 * far * (far - near)];
     [a / (near * far), at(NEAR, of_near), at(-NEAR, of_near), at(FAR, of_far), at(-FAR, of_far), c]
+}
+
+/// Transforms LANES filters of 3x3x3 taps in the order z, y, x along all axes, to N³ points `[z][y][x]`.
+fn weights_of_points(n: usize, taps: &[Tap; 27]) -> Vec<[f32; LANES]> {
+    let rows: [[Tap; 6]; 9] = std::array::from_fn(|zy| weights_of_axis(n, std::array::from_fn(|x| taps[zy * 3 + x])));
+    let mut values = vec![[0.0; LANES]; n * n * n];
+    for x in 0..n {
+        let planes: [[Tap; 6]; 3] =
+            std::array::from_fn(|z| weights_of_axis(n, std::array::from_fn(|y| rows[z * 3 + y][x])));
+        for y in 0..n {
+            let column = weights_of_axis(n, planes.map(|plane| plane[y]));
+            for z in 0..n {
+                values[(z * n + y) * n + x] = column[z].map(|value| value as f32);
+            }
+        }
+    }
+    values
 }
 
 impl PackedConv3d {
@@ -55,23 +87,15 @@ impl PackedConv3d {
         let tile = if tile == 2 { 2 } else { 4 };
         let inputs: usize = sources.iter().map(|s| s.0).sum();
         let n = tile + 2;
-        // Transforms the filter of one pair of channels along x, then y, then z.
-        let transformed = |output: usize, input: usize| -> Vec<f32> {
-            let g = &weight[(output * inputs + input) * 27..][..27];
-            let rows: [[f64; 6]; 9] =
-                std::array::from_fn(|zy| weights_of_axis(n, std::array::from_fn(|x| f64::from(g[zy * 3 + x]))));
-            let mut values = vec![0.0; n * n * n];
-            for x in 0..n {
-                let planes: [[f64; 6]; 3] =
-                    std::array::from_fn(|z| weights_of_axis(n, std::array::from_fn(|y| rows[z * 3 + y][x])));
-                for y in 0..n {
-                    let column = weights_of_axis(n, planes.map(|plane| plane[y]));
-                    for z in 0..n {
-                        values[(z * n + y) * n + x] = column[z] as f32;
-                    }
-                }
-            }
-            values
+        let output_blocks = outputs.div_ceil(LANES);
+        // The filters of one input and the LANES outputs of a block; outputs beyond the last have zeros.
+        let taps = |output_block: usize, input: usize| -> [Tap; 27] {
+            std::array::from_fn(|tap| {
+                std::array::from_fn(|lane| match output_block * LANES + lane {
+                    output if output < outputs => f64::from(weight[(output * inputs + input) * 27 + tap]),
+                    _ => 0.0,
+                })
+            })
         };
         let mut blocks = Vec::new();
         let mut before = 0;
@@ -79,11 +103,15 @@ impl PackedConv3d {
             for first in (0..channels).step_by(BLOCK) {
                 let width = BLOCK.min(channels - first);
                 // On this thread alone: loading a model must not start Rayon's global pool.
-                let filters: Vec<Vec<f32>> =
-                    (0..outputs * width).map(|i| transformed(i / width, before + first + i % width)).collect();
-                let weights = points(n, upsampled)
-                    .flat_map(|p| pack(outputs, width, |output, k| filters[output * width + k][p]))
+                let transformed: Vec<Vec<[f32; LANES]>> = (0..output_blocks * width)
+                    .into_par_iter()
+                    .map(|i| weights_of_points(n, &taps(i / width, before + first + i % width)))
                     .collect();
+                let points: Vec<usize> = points(n, upsampled).collect();
+                let mut weights = vec![[0.0; LANES]; points.len() * transformed.len()];
+                weights.par_chunks_mut(transformed.len().max(1)).zip(points).for_each(|(weights, p)| {
+                    weights.iter_mut().zip(&transformed).for_each(|(weight, of_points)| *weight = of_points[p]);
+                });
                 blocks.push(Block { source, first: [first, before + first], channels: width, weights, upsampled });
             }
             before += channels;
