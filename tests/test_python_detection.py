@@ -151,3 +151,10 @@ def test_unknown_options_raise_type_errors(model, field, points):
         model.encode(points, snap=True)
     with pytest.raises(TypeError):
         snake_rs.detect(points, "modelnet40")
+
+
+def test_a_cloud_far_from_the_scale_of_the_model_has_a_warning(model):
+    sweep = np.random.default_rng(1).normal(size=(900, 3))
+    sweep[:30] *= 40
+    with pytest.warns(UserWarning, match="half of the points lie within"):
+        snake_rs.detect(sweep, model, query_resolution=8)

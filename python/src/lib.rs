@@ -16,7 +16,7 @@ mod threads;
 
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
-use snake_core::Cloud;
+use snake_core::{Cloud, scale_hint};
 
 use field::Field;
 use io::read_points;
@@ -62,8 +62,8 @@ use threads::{get_num_threads, set_num_threads};
 ///     window_radius=None            radius of the windows; None: the whole cloud at once
 ///     preset=None                   "modelnet40", "keypointnet", "smpl", "redwood", "3dmatch" or "standard"
 ///
-/// Raises ValueError for an invalid array or value, OSError for a file that cannot be read, and TypeError for an unknown
-/// option.
+/// A UserWarning says if the cloud is far from the scale that model and options are for. Raises ValueError for an
+/// invalid array or value, OSError for a file that cannot be read, and TypeError for an unknown option.
 #[pyfunction]
 #[pyo3(signature = (points, model=None, **options))]
 fn detect(
@@ -77,6 +77,9 @@ fn detect(
     let (cloud, precision) = arrays::cloud("points", points)?;
     let Cloud { points, origin } = cloud.for_normalization(preset.encode.normalization);
     let detection = threads::run_with_signals(py, |control| model.detect_with(&points, &preset, control))?;
+    if let Some(hint) = scale_hint(&points, &preset) {
+        py.import("warnings")?.call_method1("warn", (hint,))?;
+    }
     Keypoints::from_detection(py, detection, origin, precision)
 }
 

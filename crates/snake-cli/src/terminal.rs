@@ -182,6 +182,13 @@ pub fn warn(text: &str) {
     }
 }
 
+/// Prints advice; nothing with `--quiet`.
+pub fn hint(text: &str) {
+    if verbosity() > Verbosity::Quiet {
+        note(text);
+    }
+}
+
 /// Prints a line about `topic` with `--verbose`.
 pub fn detail(topic: &str, text: impl FnOnce() -> String) {
     if verbosity() == Verbosity::Verbose {

@@ -12,7 +12,7 @@ use std::time::Instant;
 
 use anyhow::{Context, Result, anyhow, bail};
 use serde_json::json;
-use snake_core::{Control, Detection, Model, Options, Progress, add_origin, side_by_side};
+use snake_core::{Control, Detection, Model, Options, Progress, add_origin, scale_hint, side_by_side};
 use snake_io::{self as io, Cloud, KeypointFormat, KeypointSource};
 
 use crate::inputs::{DASH, check_inputs, expand, output_origin};
@@ -20,7 +20,7 @@ use crate::output::{InputFiles, in_folder};
 use crate::terminal::{self, Report};
 use crate::timing::{STAGES, Seconds};
 use args::DetectArguments;
-use reports::Reports;
+use reports::{Processed, Reports};
 
 /// The most keypoints that the printed table shows.
 const TABLE_ROWS: usize = 10;
@@ -103,7 +103,7 @@ fn outputs(arguments: &DetectArguments, inputs: &[PathBuf]) -> Result<Vec<Result
     Ok(checked.collect())
 }
 
-/// Processes one input from file to file. Returns its report and the seconds of each stage.
+/// Processes one input from file to file.
 fn process(
     model: &Model,
     options: &Options,
@@ -111,7 +111,7 @@ fn process(
     input: &Path,
     output: Option<&Path>,
     control: &Control,
-) -> Result<(Report, Seconds)> {
+) -> Result<Processed> {
     let start = Instant::now();
     let cloud = arguments.input.read(input, options.encode.seed)?;
     let Cloud { points, origin } = cloud.for_normalization(options.encode.normalization);
@@ -125,12 +125,14 @@ fn process(
     }
     let (timing, total) = (detection.timing, start.elapsed().as_secs_f64());
     let seconds = [read, timing.encode, timing.occupancy, timing.refine, timing.nms, total];
+    let hint = scale_hint(&points, options);
     let report = if arguments.json {
-        json_line(input, output, points.len(), [origin, origin_to_add], &detection, &seconds)?
+        json_line(input, output, points.len(), [origin, origin_to_add], &detection, &seconds, hint.as_deref())?
     } else {
         table(input, output, points.len(), origin, &detection, total)?
     };
-    Ok((report, seconds))
+    let hint = hint.map(|hint| format!("{}: {hint}", input.display()));
+    Ok(Processed { report, seconds, hint })
 }
 
 /// Whether the file format holds the coordinates with the origin added.
@@ -167,6 +169,7 @@ fn json_line(
     origins: [[f64; 3]; 2],
     detection: &Detection,
     seconds: &Seconds,
+    hint: Option<&str>,
 ) -> Result<Report> {
     let [origin, output_origin] = origins;
     Report::json(&json!({
@@ -179,6 +182,7 @@ fn json_line(
         "output_origin": output_origin,
         "normalization": detection.normalization,
         "counts": detection.counts,
+        "notes": hint.into_iter().collect::<Vec<_>>(),
         "timing_seconds": STAGES.into_iter().zip(seconds).collect::<BTreeMap<_, _>>(),
         "keypoints": detection.keypoints.iter().map(|keypoint| io::keypoint_json(keypoint, origin)).collect::<Vec<_>>(),
     }))

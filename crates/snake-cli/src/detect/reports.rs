@@ -17,13 +17,21 @@ const NAMED_FAILURES: usize = 10;
 /// How a report is printed: to the standard output, or elsewhere if that carries the keypoints.
 type Print = fn(&Report) -> Result<()>;
 
+/// What is known of an input that was processed.
+pub struct Processed {
+    pub report: Report,
+    pub seconds: Seconds,
+    /// A hint for the user, with the name of the input.
+    pub hint: Option<String>,
+}
+
 /// The reports of a run.
 pub struct Reports<'a> {
     arguments: &'a DetectArguments,
     inputs: &'a [PathBuf],
     pub bar: Bar,
     /// Results that wait for the results of earlier inputs.
-    waiting: BTreeMap<usize, (Print, Result<(Report, Seconds)>)>,
+    waiting: BTreeMap<usize, (Print, Result<Processed>)>,
     num_reported: usize,
     failed: Vec<String>,
     timings: Vec<Seconds>,
@@ -39,7 +47,7 @@ impl<'a> Reports<'a> {
 
     /// Adds the result of an input and prints all results whose turn it is. Returns whether further results are needed;
     /// they are not if they would only be printed and the standard output accepts no more data.
-    pub fn add(&mut self, index: usize, output: Option<&Path>, result: Result<(Report, Seconds)>) -> bool {
+    pub fn add(&mut self, index: usize, output: Option<&Path>, result: Result<Processed>) -> bool {
         // With `-o -` the standard output carries only the keypoints.
         let print: Print = match output {
             Some(output) if output == Path::new(DASH) => terminal::print_aside,
@@ -55,9 +63,10 @@ impl<'a> Reports<'a> {
         self.arguments.output.is_some() || !(self.unprinted.is_some() || terminal::stdout_ended())
     }
 
-    fn report(&mut self, print: Print, result: Result<(Report, Seconds)>) {
+    fn report(&mut self, print: Print, result: Result<Processed>) {
         let printed = self.bar.suspend(|| match result {
-            Ok((report, seconds)) => {
+            Ok(Processed { report, seconds, hint }) => {
+                hint.iter().for_each(|hint| terminal::hint(hint));
                 terminal::detail("seconds", || timing::line(&seconds));
                 self.timings.push(seconds);
                 print(&report)

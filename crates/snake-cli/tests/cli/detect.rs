@@ -9,6 +9,28 @@ use serde_json::Value;
 use super::{json_lines, sample, snake, stderr, write_npy};
 
 #[test]
+fn a_cloud_far_from_the_scale_of_the_model_has_a_note() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("ball.npy");
+    let point = |i: usize| {
+        let (z, angle) = (i as f32 / 6000.0 - 1.0, i as f32 * 2.4);
+        let flat = (1.0 - z * z).sqrt();
+        [3.0 * flat * angle.cos(), 3.0 * flat * angle.sin(), 3.0 * z]
+    };
+    let points: Vec<[f32; 3]> = (0..12_000).map(point).collect();
+    write_npy(&path, &[12_000, 3], points.as_flattened());
+    let path = path.display().to_string();
+    let run = |extra: &[&str]| snake(&[&["detect", &path, "--json", "--max-points", "2000"], extra].concat());
+    let (plain, quiet, windows) = (run(&[]), run(&["--quiet"]), run(&["--window-radius", "1.5"]));
+    let note = "if it is a room in metres, the model `rooms` sees more of it";
+    assert!(stderr(&plain).contains("note:") && stderr(&plain).contains(note), "{}", stderr(&plain));
+    assert!(json_lines(&plain)[0]["notes"][0].as_str().unwrap().contains(note));
+    assert_eq!((stderr(&quiet).contains(note), stderr(&windows).contains(note)), (false, false));
+    assert_eq!(json_lines(&quiet)[0]["notes"], json_lines(&plain)[0]["notes"]);
+    assert_eq!(json_lines(&windows)[0]["notes"], serde_json::json!([]));
+}
+
+#[test]
 fn detected_keypoints_lie_on_the_cloud() {
     let output = snake(&["detect", &sample(), "--json"]);
     assert!(output.status.success(), "{}", stderr(&output));

@@ -1,0 +1,120 @@
+//! A hint where a cloud is far from the scale that the options are for.
+
+use crate::options::Options;
+use crate::points::{FinitePoints, Normalization, NormalizationMethod, Point};
+
+/// Share of the cloud's radius within which half of the points lie where far points decide the scale. Whole objects and
+/// rooms have 0.25 and more, a sweep of a spinning LiDAR about 0.1.
+const CROWDED: f64 = 0.2;
+/// Number of points and radii, in cloud units, of clouds that may be rooms in metres.
+const ROOM_POINTS: usize = 10_000;
+const ROOM_RADII: std::ops::Range<f64> = 1.3..30.0;
+/// Radii of clouds for windows, in radii of a window.
+const WINDOW_RADII: std::ops::Range<f64> = 1.5..25.0;
+
+/// One sentence for the user if detection with these options suits another scale than the cloud's `(N, 3)`: a room that
+/// is detected as one object, a LiDAR sweep, or a cloud in other units than the windows. `None` if nothing is wrong, or if
+/// the cloud cannot be used at all, which detection says.
+///
+/// ```
+/// use snake_core::{Builtin, Model, scale_hint};
+/// let object: Vec<[f32; 3]> = (0..500).map(|i| { let a = i as f32 * 0.1; [a.cos(), a.sin(), (a * 0.3).sin()] }).collect();
+/// assert_eq!(scale_hint(&object, Model::builtin(Builtin::Compact).recommended()), None);
+/// assert!(scale_hint(&object, Model::builtin(Builtin::Rooms).recommended()).is_some());
+/// ```
+pub fn scale_hint(points: &[Point], options: &Options) -> Option<String> {
+    let points = FinitePoints::of("points", points).ok()?.points;
+    let sphere = Normalization::of(&points, NormalizationMethod::UnitSphere).ok()?;
+    let radius = f64::from(sphere.scale) / 2.0;
+    if let Some(window) = options.window_radius {
+        let window = window.in_units("window_radius", &points).ok()?;
+        return of_windows(radius, window);
+    }
+    if options.encode.normalization == NormalizationMethod::None {
+        return None;
+    }
+    let half = median_distance(&points, sphere.center);
+    if half < CROWDED * radius {
+        return Some(format!(
+            "half of the points lie within {half:.3} of the mean, and the farthest is at {radius:.3}: the network sees \
+             most points in few voxels; crop the cloud, or detect in windows (--window-radius)"
+        ));
+    }
+    let may_be_room = points.len() >= ROOM_POINTS && ROOM_RADII.contains(&radius);
+    may_be_room.then(|| {
+        format!("the cloud has a radius of {radius:.3}: if it is a room in metres, the model `rooms` sees more of it")
+    })
+}
+
+fn of_windows(radius: f64, window: f64) -> Option<String> {
+    let ratio = radius / window;
+    if WINDOW_RADII.contains(&ratio) {
+        return None;
+    }
+    let advice = if ratio < WINDOW_RADII.start {
+        "for one object, the model `compact` needs no windows"
+    } else {
+        "for other units than metres give --window-radius and --nms-radius; no built-in model is for LiDAR sweeps, so \
+         crop one to its surroundings"
+    };
+    Some(format!("the cloud has a radius of {radius:.3}, {ratio:.1} times that of a window ({window:.3}): {advice}"))
+}
+
+/// The median distance of the points from the center.
+fn median_distance(points: &[Point], center: Point) -> f64 {
+    let squared = |p: &Point| (0..3).map(|axis| f64::from(p[axis] - center[axis]).powi(2)).sum::<f64>();
+    let mut distances: Vec<f64> = points.iter().map(squared).collect();
+    let middle = distances.len() / 2;
+    distances.select_nth_unstable_by(middle, f64::total_cmp).1.sqrt()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::{Length, Preset};
+
+    /// Points on a sphere.
+    fn sphere(number: usize, radius: f32) -> Vec<Point> {
+        let point = |i: usize| {
+            let z = 2.0 * (i as f32 + 0.5) / number as f32 - 1.0;
+            let (sin, cos) = (i as f32 * 2.4).sin_cos();
+            let flat = (1.0 - z * z).sqrt();
+            [radius * flat * cos, radius * flat * sin, radius * z]
+        };
+        (0..number).map(point).collect()
+    }
+
+    fn hint(points: &[Point], window: Option<f64>) -> String {
+        let options = Preset::Standard.options().with_window_radius(window.map(Length::Units));
+        scale_hint(points, &options).unwrap_or_default()
+    }
+
+    #[test]
+    fn objects_have_no_hint_and_rooms_have_one() {
+        assert_eq!(hint(&sphere(20_000, 1.0), None), "");
+        assert_eq!(hint(&sphere(2_000, 3.0), None), "");
+        assert_eq!(hint(&sphere(20_000, 300.0), None), "");
+        assert!(hint(&sphere(20_000, 3.0), None).contains("the model `rooms`"));
+        assert_eq!(hint(&sphere(20_000, 3.0), Some(0.8)), "");
+    }
+
+    #[test]
+    fn far_points_and_sweeps_have_a_hint() {
+        let mut sweep = sphere(900, 5.0);
+        sweep.extend(sphere(100, 80.0));
+        assert!(hint(&sweep, None).starts_with("half of the points lie within 5.0"), "{}", hint(&sweep, None));
+        assert!(hint(&sweep, Some(0.8)).contains("no built-in model is for LiDAR sweeps"));
+        assert!(hint(&sphere(900, 3000.0), Some(0.8)).contains("other units than metres"));
+    }
+
+    #[test]
+    fn one_window_is_an_object_and_bad_clouds_have_no_hint() {
+        assert!(hint(&sphere(900, 1.0), Some(0.8)).contains("`compact` needs no windows"));
+        for bad in [vec![], vec![[1.0; 3]; 9], vec![[f32::NAN; 3]]] {
+            assert_eq!((hint(&bad, None), hint(&bad, Some(0.8))), Default::default());
+        }
+        let options = Preset::Standard.options();
+        let unscaled = options.with_encode(options.encode.with_normalization(NormalizationMethod::None));
+        assert_eq!(scale_hint(&sphere(20_000, 3.0), &unscaled), None);
+    }
+}
