@@ -25,6 +25,8 @@ import numpy.ma  # noqa: F401
 
 from . import baselines, metrics
 from ._core import (
+    Alignment,
+    AlignmentEdge,
     Field,
     Keypoint,
     Keypoints,
@@ -32,6 +34,7 @@ from ._core import (
     Model,
     Registration,
     __version__,
+    align,
     detect,
     estimate_normals,
     fpfh,
@@ -42,6 +45,8 @@ from ._core import (
 )
 
 __all__ = [
+    "Alignment",
+    "AlignmentEdge",
     "Field",
     "Keypoint",
     "Keypoints",
@@ -49,6 +54,7 @@ __all__ = [
     "Model",
     "Registration",
     "__version__",
+    "align",
     "baselines",
     "detect",
     "estimate_normals",

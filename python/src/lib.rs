@@ -1,6 +1,7 @@
 //! The private module `snake_rs._core`: snake-core for Python. A thin shell that checks and copies arrays, releases the
 //! GIL and calls the core; it computes nothing.
 
+mod alignment;
 mod arrays;
 mod baselines;
 mod error;
@@ -18,6 +19,7 @@ use pyo3::prelude::*;
 use pyo3::types::PyDict;
 use snake_core::{Cloud, scale_hint};
 
+use alignment::{Alignment, AlignmentEdge, align};
 use field::Field;
 use io::read_points;
 use keypoints::{Keypoint, Keypoints};
@@ -95,8 +97,8 @@ mod _core {
     };
     #[pymodule_export]
     use super::{
-        Field, Keypoint, Keypoints, Mesh, Model, Registration, detect, estimate_normals, fpfh, get_num_threads,
-        read_points, register, set_num_threads,
+        Alignment, AlignmentEdge, Field, Keypoint, Keypoints, Mesh, Model, Registration, align, detect,
+        estimate_normals, fpfh, get_num_threads, read_points, register, set_num_threads,
     };
 
     #[pymodule_export]

@@ -182,7 +182,7 @@ pub fn register(
     })
 }
 
-fn matrix<const N: usize>(py: Python<'_>, rows: [[f64; N]; N]) -> PyResult<Py<PyArray2<f64>>> {
+pub(crate) fn matrix<const N: usize>(py: Python<'_>, rows: [[f64; N]; N]) -> PyResult<Py<PyArray2<f64>>> {
     Ok(PyArray1::from_vec(py, rows.as_flattened().to_vec()).reshape([N, N])?.unbind())
 }
 

@@ -29,6 +29,7 @@
 
 #![forbid(unsafe_code)]
 
+mod align;
 mod cloud;
 mod consistency;
 mod depth_image;
@@ -41,6 +42,8 @@ mod matching;
 mod near_grid;
 mod nearest;
 mod options;
+mod pair;
+mod prepared;
 mod ransac;
 mod register;
 mod result;
@@ -50,6 +53,7 @@ mod surface;
 mod verdict;
 mod viewpoint;
 
+pub use align::{AlignOptions, Alignment, Edge, Pose, align, align_with};
 pub use cloud::estimate_normals;
 pub use fpfh::{FPFH_DIMENSION, fpfh};
 pub use matching::mutual_nearest;

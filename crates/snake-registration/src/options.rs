@@ -1,10 +1,13 @@
 //! Options of registration.
 
+use std::borrow::Cow;
+
 use serde::{Deserialize, Serialize};
 
 use snake_core::space::{Vector, resolution};
 use snake_core::{Error, Length, Point, Result, RigidTransform, setters};
 
+use crate::prepared::upper_median;
 use crate::scan::{Descriptor, KeypointDetector};
 
 /// Options of [`register`](crate::register()).
@@ -156,7 +159,7 @@ impl RegisterOptions {
     }
 
     /// The lengths that are set, in cloud units: voxel size, radius of normals, radius of FPFH, inlier distance.
-    pub(crate) fn lengths(&self, source: &[Point], target: &[Point]) -> Result<[Option<f64>; 4]> {
+    pub(crate) fn lengths(&self, clouds: &[Cow<[Point]>]) -> Result<[Option<f64>; 4]> {
         let given = [
             ("voxel_size", self.voxel_size),
             ("normal_radius", self.normal_radius),
@@ -165,7 +168,10 @@ impl RegisterOptions {
         ];
         let is_multiple = |length: Option<Length>| matches!(length, Some(Length::Resolutions(_)));
         let coarser = match given.iter().any(|(_, length)| is_multiple(*length)) {
-            true => resolution("source", source)?.max(resolution("target", target)?),
+            true => {
+                let resolutions = clouds.iter().map(|points| resolution("points", points));
+                upper_median(&resolutions.collect::<Result<Vec<f64>>>()?)
+            }
             false => 0.0,
         };
         let mut lengths = [None; 4];

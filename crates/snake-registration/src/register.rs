@@ -1,36 +1,13 @@
-//! The steps of registration.
+//! Registration of two clouds.
 
 use std::time::Instant;
 
-use nalgebra::IsometryMatrix3;
-use rayon::prelude::*;
+use snake_core::{Control, Model, Point, Result};
 
-use snake_core::space::{FinitePoints, Vector, vector};
-use snake_core::{Control, Error, Model, Normalization, NormalizationMethod, Point, Result};
-
-use super::consistency::{Criteria, Match, displacement, hypotheses};
-use super::icp::{Constraint, icp};
-use super::matching::{hellinger, ranked_matches};
 use super::options::RegisterOptions;
-use super::result::{Hypothesis, Registration, ViewpointUsed};
-use super::scan::{Descriptor, Scan, reduce};
-use super::surface::{Agreement, Surface, fitness};
-use super::verdict::{Evidence, notes};
-use super::viewpoint::viewpoints;
-use super::{FPFH_DIMENSION, cloud::Orientation};
-
-/// Default number of voxels along the diameter of the smaller cloud.
-const VOXELS_PER_DIAMETER: f64 = 80.0;
-/// Number of transforms that are compared on the voxels.
-const CANDIDATES: usize = 20;
-/// Number of the source's voxels that compare them.
-const COARSE_VOXELS: usize = 700;
-/// ICP steps before the comparison.
-const COARSE_STEPS: usize = 5;
-/// Number of transforms that are refined on all voxels, at least.
-const REFINED: usize = 3;
-/// A guess is first refined with pairs up to this many inlier distances apart.
-const WIDE: f64 = 4.0;
+use super::pair::Pair;
+use super::prepared::PreparedClouds;
+use super::result::Registration;
 
 /// Finds the rigid transform from `source` `(N, 3)` to `target` `(M, 3)` without an initial guess.
 ///
@@ -70,247 +47,11 @@ pub fn register_with(
 ) -> Result<Registration> {
     let start = Instant::now();
     options.check()?;
-    let [all_source, all_target] = [source.len(), target.len()];
-    let (source, target) = (FinitePoints::of("source", source)?.points, FinitePoints::of("target", target)?.points);
-    let clouds = Clouds::new(&source, &target, model, options, control)?;
-    let matches = clouds.matches(options, control)?;
-
-    let guesses = match options.initial {
-        Some(guess) => vec![clouds.refine_widely(guess.isometry(), options, control)?],
-        None => hypotheses(&matches, &clouds.criteria(options), CANDIDATES, control)?,
-    };
-    let found = clouds.best(&guesses, &matches, options, control)?;
-    let Some(best) = found.first() else { return Err(clouds.no_transform(matches.len())) };
-
-    let surfaces = clouds.surfaces();
-    let constraint = Constraint::new(surfaces[0].points, &surfaces[1], &best.refined);
-    let evidence = Evidence {
-        num_inliers: best.num_inliers,
-        agreement: best.agreement,
-        second_score: found.get(1).map_or(0.0, Candidate::score),
-        weakest_constraint: constraint.weakest,
-    };
-    let confidence = evidence.confidence();
-    let (fitness, fitness_rmse) = fitness(surfaces[0].points, &surfaces[1].grid, &best.refined);
-    let hypothesis = |candidate: &Candidate| Hypothesis {
-        t_target_source: candidate.refined.into(),
-        score: candidate.score(),
-        num_inliers: candidate.num_inliers,
-        free_space_violation: candidate.agreement.violation,
-    };
-    Ok(Registration {
-        t_target_source: best.refined.into(),
-        confidence,
-        is_reliable: confidence >= 0.5,
-        num_inliers: best.num_inliers,
-        num_correspondences: matches.len(),
-        rmse: best.rmse,
-        inlier_distance: clouds.inlier_distance,
-        fitness,
-        fitness_rmse,
-        free_space_violation: best.agreement.violation,
-        weakest_constraint: constraint.weakest,
-        information: std::array::from_fn(|row| std::array::from_fn(|column| constraint.information[(row, column)])),
-        hypotheses: found.iter().take(options.hypotheses).map(hypothesis).collect(),
-        viewpoints: clouds.viewpoints_used,
-        notes: notes(&evidence, constraint.open_directions, clouds.diameters),
-        num_skipped: [all_source - source.len(), all_target - target.len()],
-        seconds: start.elapsed().as_secs_f64(),
-    })
-}
-
-/// Source and target, reduced and described.
-struct Clouds {
-    scans: [Scan; 2],
-    viewpoints: Option<[Vector; 2]>,
-    viewpoints_used: [ViewpointUsed; 2],
-    diameters: [f64; 2],
-    inlier_distance: f64,
-}
-
-/// A transform after ICP.
-struct Candidate {
-    refined: IsometryMatrix3<f64>,
-    agreement: Agreement,
-    /// Number of matches that agreed with the transform before ICP, and their root mean square distance.
-    num_inliers: usize,
-    rmse: f64,
-}
-
-impl Candidate {
-    fn score(&self) -> f64 {
-        self.agreement.score(self.num_inliers)
-    }
-}
-
-impl Clouds {
-    fn new(
-        source: &[Point],
-        target: &[Point],
-        model: &Model,
-        options: &RegisterOptions,
-        control: &Control,
-    ) -> Result<Self> {
-        let [voxel_size, normal_radius, feature_radius, inlier_distance] = options.lengths(source, target)?;
-        let diameters = [diameter("source", source)?, diameter("target", target)?];
-        let voxel_size = voxel_size.unwrap_or(diameters[0].min(diameters[1]) / VOXELS_PER_DIAMETER);
-        let voxels = [reduce(source, voxel_size, control)?, reduce(target, voxel_size, control)?];
-        // In a sparse cloud most voxels hold one point, and the voxel size is less than the distance between neighbours.
-        let spacing = voxel_size.max(voxels[0].resolution()).max(voxels[1].resolution());
-        let inlier_distance = inlier_distance.unwrap_or(1.5 * spacing);
-        let (viewpoints, viewpoints_used) = viewpoints(&voxels, options, inlier_distance);
-        let lengths = [voxel_size, normal_radius.unwrap_or(2.0 * spacing), feature_radius.unwrap_or(5.0 * spacing)];
-        let orientation = |cloud: usize| match &viewpoints {
-            Some(viewpoints) => Orientation::Viewpoint(viewpoints[cloud]),
-            None => Orientation::Unsigned,
-        };
-        let [source_voxels, target_voxels] = voxels;
-        let scans = [
-            Scan::of(source, source_voxels, model, lengths, orientation(0), control)?,
-            Scan::of(target, target_voxels, model, lengths, orientation(1), control)?,
-        ];
-        Ok(Self { scans, viewpoints, viewpoints_used, diameters, inlier_distance })
-    }
-
-    fn criteria(&self, options: &RegisterOptions) -> Criteria {
-        let Self { inlier_distance, viewpoints, .. } = *self;
-        Criteria { inlier_distance, signed: viewpoints.is_some(), gravity: options.gravity.map(|axis| axis.unit()) }
-    }
-
-    fn surfaces(&self) -> [Surface<'_>; 2] {
-        self.surfaces_within(self.inlier_distance)
-    }
-
-    fn surfaces_within(&self, distance: f64) -> [Surface<'_>; 2] {
-        [0, 1].map(|cloud| {
-            let Scan { voxels, normals, .. } = &self.scans[cloud];
-            Surface::new(&voxels.points, normals, self.viewpoints.map(|viewpoints| viewpoints[cloud]), distance)
-        })
-    }
-
-    /// Matches of keypoints, the most distinctive first.
-    fn matches(&self, options: &RegisterOptions, control: &Control) -> Result<Vec<Match>> {
-        let describe = |scan: &Scan, keypoints: &[(Point, usize)]| -> Result<Vec<f32>> {
-            Ok(match options.descriptor {
-                Descriptor::Fpfh => {
-                    let voxels: Vec<usize> = keypoints.iter().map(|&(_, voxel)| voxel).collect();
-                    let mut histograms = scan.fpfh_of(&voxels, control)?;
-                    hellinger(&mut histograms, FPFH_DIMENSION);
-                    histograms
-                }
-                Descriptor::Field => {
-                    let points: Vec<Point> = keypoints.iter().map(|&(point, _)| point).collect();
-                    scan.descriptors_with(&points, Descriptor::Field, control)?
-                }
-            })
-        };
-        // The clouds get different random keypoints. With one seed, equal clouds would have a partner for every keypoint.
-        let [source, target] = &self.scans;
-        let keypoints =
-            |scan: &Scan, seed| scan.anchored_keypoints(options.detector, options.max_keypoints, seed, control);
-        let source_keypoints = keypoints(source, options.seed)?;
-        let target_keypoints = keypoints(target, options.seed.wrapping_add(1))?;
-        let source_descriptors = describe(source, &source_keypoints)?;
-        let target_descriptors = describe(target, &target_keypoints)?;
-        let dimension = source.dimension(options.descriptor);
-        let count = options.max_matches;
-        let ranked = ranked_matches(&source_descriptors, &target_descriptors, dimension, count, control)?;
-        let matched = |[s, t]: [usize; 2]| Match {
-            source: vector(source_keypoints[s].0),
-            target: vector(target_keypoints[t].0),
-            source_normal: source.normals[source_keypoints[s].1],
-            target_normal: target.normals[target_keypoints[t].1],
-        };
-        Ok(ranked.into_iter().map(matched).collect())
-    }
-
-    /// The best of the transforms, refined, best first and distinct.
-    fn best(
-        &self,
-        guesses: &[IsometryMatrix3<f64>],
-        matches: &[Match],
-        options: &RegisterOptions,
-        control: &Control,
-    ) -> Result<Vec<Candidate>> {
-        let [source, target] = self.surfaces();
-        let criteria = self.criteria(options);
-        let counter = control.begin("ICP", guesses.len());
-        let step = source.points.len().div_ceil(COARSE_VOXELS);
-        let coarse: Vec<Vector> = source.points.iter().step_by(step).copied().collect();
-        let candidates = guesses.par_iter().map(|rough| {
-            counter.add(1);
-            let steps = COARSE_STEPS.min(options.refine_steps);
-            let refined = icp(&coarse, &target, *rough, criteria.gravity, steps, &counter)?;
-            let agreement = Surface::agreement(&source, &target, &refined, step);
-            let (num_inliers, rmse) = inliers(matches, rough, &criteria);
-            Ok(Candidate { refined, agreement, num_inliers, rmse })
-        });
-        let mut candidates: Vec<Candidate> = candidates.collect::<Result<_>>()?;
-        sort(&mut candidates);
-        candidates.truncate(REFINED.max(options.hypotheses));
-        for candidate in &mut candidates {
-            let (rough, steps) = (candidate.refined, options.refine_steps);
-            candidate.refined = icp(source.points, &target, rough, criteria.gravity, steps, &counter)?;
-            candidate.agreement = Surface::agreement(&source, &target, &candidate.refined, 1);
-        }
-        sort(&mut candidates);
-        let mut distinct: Vec<Candidate> = Vec::new();
-        for candidate in candidates {
-            let apart = |other: &Candidate| displacement(&candidate.refined, &other.refined, &coarse);
-            if distinct.iter().all(|other| apart(other) > 2.0 * self.inlier_distance) {
-                distinct.push(candidate);
-            }
-        }
-        Ok(distinct)
-    }
-
-    /// A guess after ICP with distant pairs.
-    fn refine_widely(
-        &self,
-        guess: &IsometryMatrix3<f64>,
-        options: &RegisterOptions,
-        control: &Control,
-    ) -> Result<IsometryMatrix3<f64>> {
-        let mut transform = *guess;
-        for factor in [WIDE, WIDE.sqrt()] {
-            let [source, target] = self.surfaces_within(factor * self.inlier_distance);
-            let counter = control.begin("ICP", 0);
-            let gravity = options.gravity.map(|axis| axis.unit());
-            transform = icp(source.points, &target, transform, gravity, options.refine_steps, &counter)?;
-        }
-        Ok(transform)
-    }
-
-    fn no_transform(&self, num_matches: usize) -> Error {
-        let [source, target] = self.scans.each_ref().map(|scan| scan.voxels.points.len());
-        let [source_diameter, target_diameter] = self.diameters;
-        let reason = format!(
-            "no three of the {num_matches} correspondences, of {source} and {target} voxels, fit a rigid transform; do \
-             the clouds overlap, and in the same units? their diameters are {source_diameter:.4} and {target_diameter:.4}"
-        );
-        Error::Input { what: "source and target", reason }
-    }
-}
-
-/// Best first; the order decides between equals.
-fn sort(candidates: &mut [Candidate]) {
-    candidates.sort_by(|a, b| b.score().total_cmp(&a.score()));
-}
-
-/// Number and root mean square distance of the matches that agree with a transform.
-fn inliers(matches: &[Match], transform: &IsometryMatrix3<f64>, criteria: &Criteria) -> (usize, f64) {
-    let squared = matches.iter().filter_map(|found| found.squared_residual(transform, criteria));
-    let (count, sum) = squared.fold((0, 0.0), |(count, sum), squared| (count + 1, sum + squared));
-    (count, (sum / count.max(1) as f64).sqrt())
-}
-
-/// Twice the largest distance from the mean.
-fn diameter(what: &'static str, points: &[Point]) -> Result<f64> {
-    let normalization = Normalization::of(points, NormalizationMethod::UnitSphere).map_err(|error| match error {
-        Error::Input { reason, .. } => Error::Input { what, reason },
-        other => other,
-    })?;
-    Ok(normalization.scale.into())
+    let given = [options.source_viewpoint, options.target_viewpoint];
+    let prepared = PreparedClouds::new(&[source, target], &given, &["source", "target"], model, options, control)?;
+    let found =
+        Pair::new(&prepared.clouds[0], &prepared.clouds[1], prepared.inlier_distance).register(options, control)?;
+    Ok(Registration { seconds: start.elapsed().as_secs_f64(), ..found })
 }
 
 #[cfg(test)]
@@ -321,7 +62,7 @@ mod tests {
 
     use super::super::rigid::tests::random_transform;
     use super::super::rigid::transform_points;
-    use super::super::scan::KeypointDetector;
+    use super::super::scan::{Descriptor, KeypointDetector};
     use super::*;
     use snake_core::space::resolution;
     use snake_core::{Builtin, Length, RigidTransform};

@@ -66,7 +66,8 @@ pub struct Scan {
     points: Vec<Point>,
     model: Model,
     field: OnceLock<Field>,
-    fpfh: OnceLock<Vec<f32>>,
+    /// FPFH of all voxels: of normals without a sign, and with one.
+    fpfh: [OnceLock<Vec<f32>>; 2],
 }
 
 impl Scan {
@@ -116,7 +117,7 @@ impl Scan {
             points: points.to_vec(),
             model: model.clone(),
             field: OnceLock::new(),
-            fpfh: OnceLock::new(),
+            fpfh: Default::default(),
         })
     }
 
@@ -267,18 +268,18 @@ impl Scan {
             check_points("points", points)?;
         }
         let voxels: Vec<usize> = points.iter().map(|&point| self.nearest_voxel(point)).collect();
-        self.fpfh_of(&voxels, control)
+        self.fpfh_of(&voxels, self.orientation != Orientation::Unsigned, control)
     }
 
-    /// FPFH of voxels.
-    pub(super) fn fpfh_of(&self, voxels: &[usize], control: &Control) -> Result<Vec<f32>> {
-        let all = match self.fpfh.get() {
+    /// FPFH of voxels, of normals with a sign or without one.
+    pub(super) fn fpfh_of(&self, voxels: &[usize], signed: bool, control: &Control) -> Result<Vec<f32>> {
+        let slot = &self.fpfh[usize::from(signed)];
+        let all = match slot.get() {
             Some(all) => all,
             None => {
-                let signed = self.orientation != Orientation::Unsigned;
                 let (points, normals) = (&self.voxels.points, &self.normals);
                 let made = fast_fpfh::descriptors(points, normals, signed, self.feature_radius, control)?;
-                self.fpfh.get_or_init(|| made)
+                slot.get_or_init(|| made)
             }
         };
         let rows = voxels.iter().map(|voxel| &all[voxel * FPFH_DIMENSION..][..FPFH_DIMENSION]);

@@ -1,0 +1,179 @@
+//! The poses of many clouds: registrations of pairs, checked by loops, in a robust pose graph.
+
+mod candidates;
+mod loops;
+mod parts;
+mod pose_graph;
+mod result;
+
+use std::time::Instant;
+
+use nalgebra::{IsometryMatrix3, Matrix6};
+use rayon::prelude::*;
+
+use snake_core::space::Vector;
+use snake_core::{Control, Error, Model, Point, Result};
+
+use super::pair::Pair;
+use super::prepared::{Prepared, PreparedClouds};
+use super::result::Registration;
+use loops::{Witness, beliefs};
+use parts::{Part, split};
+use pose_graph::Link;
+pub use result::{AlignOptions, Alignment, Edge, Pose};
+
+/// Number of points of a cloud that tell whether a loop is closed.
+const PROBES: usize = 50;
+/// A loop of three transforms is closed if it moves points by less than this many inlier distances.
+const LOOP_DISTANCE: f64 = 3.0;
+/// Transforms with at least this belief take part in the pose graph.
+const LEAST_BELIEF: f64 = 0.5;
+
+/// Finds the poses of clouds `(N, 3)` that overlap in part, without initial guesses.
+///
+/// All clouds have the same units. Pairs with similar descriptors are registered as by [`register`](crate::register()). A
+/// transform counts if it is reliable, or if loops of three transforms prove it. The poses fit these transforms, each
+/// weighed by its information matrix; those that contradict the others lose their weight. Clouds that no chain of
+/// transforms links are in different parts.
+///
+/// ```
+/// use snake_core::{Builtin, Model, RigidTransform};
+/// use snake_registration::{AlignOptions, align, transform_points};
+/// # let whole = snake_io::read_points(concat!(env!("CARGO_MANIFEST_DIR"), "/../../samples/plane.ply").as_ref())?;
+/// let rows = [[0.0, -1.0, 0.0, 3.0], [1.0, 0.0, 0.0, 0.0], [0.0, 0.0, 1.0, 0.0], [0.0, 0.0, 0.0, 1.0]];
+/// let t_second_first = RigidTransform::from_matrix(rows)?;
+/// let first = whole[..2048].to_vec();
+/// let second = transform_points(&t_second_first, &whole[2048..]);
+/// let found = align(&[first, second], &Model::builtin(Builtin::Compact), &AlignOptions::default())?;
+/// let (angle, distance) = found.poses[1].t_part_cloud.angle_and_distance_to(&t_second_first.inverse());
+/// assert!(found.parts == [[0, 1]] && angle < 0.05 && distance < 0.05);
+/// # Ok::<(), Box<dyn std::error::Error>>(())
+/// ```
+///
+/// # Errors
+/// [`Error::Input`] for fewer than 2 or more than 500 clouds, and for a cloud without finite points or without extent;
+/// [`Error::Option`] when an option is outside its range. Clouds that fit no other cloud are no error.
+pub fn align(clouds: &[impl AsRef<[Point]> + Sync], model: &Model, options: &AlignOptions) -> Result<Alignment> {
+    align_with(clouds, model, options, &Control::default())
+}
+
+/// [`align`] with progress and cancellation; a classical detector is not interrupted.
+///
+/// # Errors
+/// The errors of [`align`]; [`Error::Cancelled`] and [`Error::DeadlineExceeded`].
+pub fn align_with(
+    clouds: &[impl AsRef<[Point]> + Sync],
+    model: &Model,
+    options: &AlignOptions,
+    control: &Control,
+) -> Result<Alignment> {
+    let start = Instant::now();
+    let viewpoints = options.checked_viewpoints(clouds.len())?;
+    let inner = control.without_progress();
+    control.begin("clouds", 0).check()?;
+    let points: Vec<&[Point]> = clouds.iter().map(AsRef::as_ref).collect();
+    let prepared = PreparedClouds::new(&points, &viewpoints, &[], model, &options.register, &inner)?;
+    let PreparedClouds { clouds, inlier_distance } = &prepared;
+    describe(clouds, control)?;
+    let pairs = candidates::pairs(clouds, options.max_partners, &inner)?;
+    let found = register_pairs(&prepared, &pairs, options, control)?;
+
+    let probes: Vec<Vec<Vector>> = clouds.iter().map(probes).collect();
+    let witnesses: Vec<Witness> = found.iter().map(|(pair, found)| witness(*pair, found)).collect();
+    let believed = beliefs(&witnesses, &probes, LOOP_DISTANCE * inlier_distance);
+    let counter = control.begin("poses", 0);
+    let candidates: Vec<usize> = (0..found.len()).filter(|&i| believed[i] >= LEAST_BELIEF).collect();
+    let links: Vec<Link> = candidates.iter().map(|&i| link(found[i].0, &found[i].1)).collect();
+    let order: Vec<f64> = candidates.iter().map(|&i| believed[i]).collect();
+    let parts = split(clouds.len(), &links, &order, *inlier_distance, &counter)?;
+
+    let edge = |(at, residual): &(usize, f64)| {
+        let ([source, target], registration) = &found[candidates[*at]];
+        Edge {
+            source: *source,
+            target: *target,
+            t_target_source: registration.t_target_source,
+            confidence: registration.confidence,
+            belief: order[*at],
+            residual: *residual,
+            information: registration.information,
+        }
+    };
+    let mut edges: Vec<Edge> = parts.iter().flat_map(|part| part.links.iter().map(edge)).collect();
+    edges.sort_by_key(|edge| (edge.source, edge.target));
+    let variance = |part: &Part| {
+        let squared = part.links.iter().map(|(at, _)| found[candidates[*at]].1.fitness_rmse.powi(2));
+        squared.sum::<f64>() / part.links.len().max(1) as f64
+    };
+    let mut poses: Vec<Option<Pose>> = vec![None; clouds.len()];
+    for (index, part) in parts.iter().enumerate() {
+        let covariances = part.covariances(&links, variance(part));
+        for ((&cloud, pose), covariance) in part.clouds.iter().zip(&part.poses).zip(covariances) {
+            let covariance = std::array::from_fn(|row| std::array::from_fn(|column| covariance[(row, column)]));
+            poses[cloud] = Some(Pose { part: index, t_part_cloud: (*pose).into(), covariance });
+        }
+    }
+    Ok(Alignment {
+        poses: poses.into_iter().flatten().collect(),
+        parts: parts.into_iter().map(|part| part.clouds).collect(),
+        edges,
+        num_pairs: pairs.len(),
+        num_skipped: clouds.iter().map(|cloud| cloud.num_skipped).collect(),
+        seconds: start.elapsed().as_secs_f64(),
+    })
+}
+
+/// Computes the descriptors of every cloud that its pairs will need.
+fn describe(clouds: &[Prepared], control: &Control) -> Result<()> {
+    let counter = control.begin("descriptors", clouds.len());
+    let inner = control.without_progress();
+    clouds.par_iter().try_for_each(|cloud| {
+        counter.check()?;
+        cloud.descriptors(cloud.viewpoint.is_some(), &inner)?;
+        counter.add(1);
+        Ok(())
+    })
+}
+
+type Found = ([usize; 2], Registration);
+
+/// The registrations of all pairs for which there is a transform.
+fn register_pairs(
+    prepared: &PreparedClouds,
+    pairs: &[[usize; 2]],
+    options: &AlignOptions,
+    control: &Control,
+) -> Result<Vec<Found>> {
+    let counter = control.begin("pairs", pairs.len());
+    let inner = control.without_progress();
+    let register = |&[source, target]: &[usize; 2]| {
+        counter.check()?;
+        let [from, to] = [source, target].map(|cloud| &prepared.clouds[cloud]);
+        let found = Pair::new(from, to, prepared.inlier_distance).register(&options.register, &inner);
+        counter.add(1);
+        match found {
+            Ok(found) => Ok(Some(([source, target], found))),
+            // No three matches agree: these clouds do not fit.
+            Err(Error::Input { .. }) => Ok(None),
+            Err(other) => Err(other),
+        }
+    };
+    let found: Vec<Option<Found>> = pairs.par_iter().map(register).collect::<Result<_>>()?;
+    Ok(found.into_iter().flatten().collect())
+}
+
+fn probes(cloud: &Prepared) -> Vec<Vector> {
+    let points = &cloud.scan.voxels.points;
+    points.iter().step_by(points.len().div_ceil(PROBES).max(1)).copied().collect()
+}
+
+fn witness([source, target]: [usize; 2], found: &Registration) -> Witness {
+    let t_target_source = *found.t_target_source.isometry();
+    Witness { source, target, t_target_source, confidence: found.confidence }
+}
+
+fn link([source, target]: [usize; 2], found: &Registration) -> Link {
+    let information = Matrix6::from_fn(|row, column| found.information[row][column]);
+    let t_target_source: IsometryMatrix3<f64> = *found.t_target_source.isometry();
+    Link { source, target, t_target_source, information }
+}

@@ -1,0 +1,103 @@
+//! The parts of a graph of clouds, each with the poses that fit its links.
+
+use std::collections::HashMap;
+
+use nalgebra::{IsometryMatrix3, Matrix6};
+
+use snake_core::{Counter, Result};
+
+use super::pose_graph::{Link, covariances, optimize};
+
+/// Clouds that links connect.
+pub(super) struct Part {
+    /// Indices of the clouds, in rising order.
+    pub(super) clouds: Vec<usize>,
+    /// Their poses in the frame of the first.
+    pub(super) poses: Vec<IsometryMatrix3<f64>>,
+    /// Indices of the links that the poses follow, each with its error in cloud units.
+    pub(super) links: Vec<(usize, f64)>,
+}
+
+/// The parts of `count` clouds, those with the most clouds first. Links that contradict the others by more than
+/// `threshold` (cloud units) are dropped. Poses start from the links with the greatest `beliefs`.
+pub(super) fn split(
+    count: usize,
+    links: &[Link],
+    beliefs: &[f64],
+    threshold: f64,
+    counter: &Counter,
+) -> Result<Vec<Part>> {
+    let mut kept: Vec<usize> = (0..links.len()).collect();
+    kept.sort_by(|&a, &b| beliefs[b].total_cmp(&beliefs[a]).then(a.cmp(&b)));
+    loop {
+        let parts = connected(count, links, &kept);
+        let parts = parts.into_iter().map(|part| part.optimized(links, threshold, counter));
+        let mut parts: Vec<Part> = parts.collect::<Result<_>>()?;
+        let errors: HashMap<usize, f64> = parts.iter().flat_map(|part| part.links.iter().copied()).collect();
+        if errors.values().all(|error| *error <= threshold) {
+            parts.sort_by_key(|part| (usize::MAX - part.clouds.len(), part.clouds[0]));
+            return Ok(parts);
+        }
+        kept.retain(|link| errors[link] <= threshold);
+    }
+}
+
+/// The parts with the poses of their spanning trees, which take the first of `order` that connect.
+fn connected(count: usize, links: &[Link], order: &[usize]) -> Vec<Part> {
+    let mut part_of: Vec<usize> = (0..count).collect();
+    let mut poses = vec![IsometryMatrix3::identity(); count];
+    for link in order.iter().map(|&index| &links[index]) {
+        let (from, to) = (part_of[link.source], part_of[link.target]);
+        if from == to {
+            continue;
+        }
+        // The source's part moves into the target's frame.
+        let motion = poses[link.target] * link.t_target_source * poses[link.source].inverse();
+        for cloud in (0..count).filter(|&cloud| part_of[cloud] == from).collect::<Vec<_>>() {
+            poses[cloud] = motion * poses[cloud];
+            part_of[cloud] = to;
+        }
+    }
+    let mut parts: Vec<Vec<usize>> = vec![Vec::new(); count];
+    part_of.iter().enumerate().for_each(|(cloud, part)| parts[*part].push(cloud));
+    let part = |clouds: Vec<usize>| {
+        let to_first = poses[clouds[0]].inverse();
+        let poses = clouds.iter().map(|&cloud| to_first * poses[cloud]).collect();
+        let mut own: Vec<usize> =
+            order.iter().copied().filter(|&l| part_of[links[l].source] == part_of[clouds[0]]).collect();
+        own.sort_unstable();
+        Part { clouds, poses, links: own.into_iter().map(|link| (link, 0.0)).collect() }
+    };
+    parts.into_iter().filter(|clouds| !clouds.is_empty()).map(part).collect()
+}
+
+impl Part {
+    fn optimized(mut self, links: &[Link], threshold: f64, counter: &Counter) -> Result<Self> {
+        let own = self.own_links(links);
+        if !own.is_empty() {
+            optimize(&mut self.poses, &own, threshold, counter)?;
+        }
+        for ((_, error), link) in self.links.iter_mut().zip(&own) {
+            *error = link.squared_error(&self.poses).sqrt();
+        }
+        Ok(self)
+    }
+
+    /// The covariance of each pose; see [`covariances`].
+    pub(super) fn covariances(&self, links: &[Link], variance: f64) -> Vec<Matrix6<f64>> {
+        if self.clouds.len() == 1 {
+            return vec![Matrix6::zeros()];
+        }
+        covariances(&self.poses, &self.own_links(links), variance)
+    }
+
+    /// The links with the clouds numbered within the part.
+    fn own_links(&self, links: &[Link]) -> Vec<Link> {
+        let within: HashMap<usize, usize> = self.clouds.iter().enumerate().map(|(at, &cloud)| (cloud, at)).collect();
+        let own = self.links.iter().map(|&(index, _)| {
+            let link = &links[index];
+            Link { source: within[&link.source], target: within[&link.target], ..link.clone() }
+        });
+        own.collect()
+    }
+}

@@ -1,0 +1,231 @@
+//! The registration of two prepared clouds.
+
+use std::time::Instant;
+
+use nalgebra::IsometryMatrix3;
+use rayon::prelude::*;
+
+use snake_core::space::{Vector, vector};
+use snake_core::{Control, Error, Result};
+
+use super::consistency::{Criteria, Match, displacement, hypotheses};
+use super::icp::{Constraint, icp};
+use super::matching::ranked_matches;
+use super::options::RegisterOptions;
+use super::prepared::Prepared;
+use super::result::{Hypothesis, Registration, ViewpointUsed};
+use super::scan::Scan;
+use super::surface::{Agreement, Surface, fitness};
+use super::verdict::{Evidence, notes};
+
+/// Number of transforms that are compared on the voxels.
+const CANDIDATES: usize = 20;
+/// Number of the source's voxels that compare them.
+const COARSE_VOXELS: usize = 700;
+/// ICP steps before the comparison.
+const COARSE_STEPS: usize = 5;
+/// Number of transforms that are refined on all voxels, at least.
+const REFINED: usize = 3;
+/// A guess is first refined with pairs up to this many inlier distances apart.
+const WIDE: f64 = 4.0;
+
+/// Two prepared clouds.
+pub(super) struct Pair<'a> {
+    /// Source and target.
+    clouds: [&'a Prepared; 2],
+    /// Whether the normals of both have a sign.
+    signed: bool,
+    inlier_distance: f64,
+}
+
+/// A transform after ICP.
+struct Candidate {
+    refined: IsometryMatrix3<f64>,
+    agreement: Agreement,
+    /// Number of matches that agreed with the transform before ICP, and their root mean square distance.
+    num_inliers: usize,
+    rmse: f64,
+}
+
+impl Candidate {
+    fn score(&self) -> f64 {
+        self.agreement.score(self.num_inliers)
+    }
+}
+
+impl<'a> Pair<'a> {
+    pub(super) fn new(source: &'a Prepared, target: &'a Prepared, inlier_distance: f64) -> Self {
+        let signed = source.viewpoint.is_some() && target.viewpoint.is_some();
+        Self { clouds: [source, target], signed, inlier_distance }
+    }
+
+    /// The best transform with figures of its quality, once its clouds are prepared.
+    pub(super) fn register(&self, options: &RegisterOptions, control: &Control) -> Result<Registration> {
+        let start = Instant::now();
+        let matches = self.matches(options, control)?;
+
+        let guesses = match options.initial {
+            Some(guess) => vec![self.refine_widely(guess.isometry(), options, control)?],
+            None => hypotheses(&matches, &self.criteria(options), CANDIDATES, control)?,
+        };
+        let found = self.best(&guesses, &matches, options, control)?;
+        let Some(best) = found.first() else { return Err(self.no_transform(matches.len())) };
+
+        let surfaces = self.surfaces();
+        let constraint = Constraint::new(surfaces[0].points, &surfaces[1], &best.refined);
+        let evidence = Evidence {
+            num_inliers: best.num_inliers,
+            agreement: best.agreement,
+            second_score: found.get(1).map_or(0.0, Candidate::score),
+            weakest_constraint: constraint.weakest,
+        };
+        let confidence = evidence.confidence();
+        let (fitness, fitness_rmse) = fitness(surfaces[0].points, &surfaces[1].grid, &best.refined);
+        let hypothesis = |candidate: &Candidate| Hypothesis {
+            t_target_source: candidate.refined.into(),
+            score: candidate.score(),
+            num_inliers: candidate.num_inliers,
+            free_space_violation: candidate.agreement.violation,
+        };
+        Ok(Registration {
+            t_target_source: best.refined.into(),
+            confidence,
+            is_reliable: confidence >= 0.5,
+            num_inliers: best.num_inliers,
+            num_correspondences: matches.len(),
+            rmse: best.rmse,
+            inlier_distance: self.inlier_distance,
+            fitness,
+            fitness_rmse,
+            free_space_violation: best.agreement.violation,
+            weakest_constraint: constraint.weakest,
+            information: std::array::from_fn(|row| std::array::from_fn(|column| constraint.information[(row, column)])),
+            hypotheses: found.iter().take(options.hypotheses).map(hypothesis).collect(),
+            viewpoints: self.viewpoints_used(),
+            notes: notes(&evidence, constraint.open_directions, self.diameters()),
+            num_skipped: self.clouds.map(|cloud| cloud.num_skipped),
+            seconds: start.elapsed().as_secs_f64(),
+        })
+    }
+
+    fn criteria(&self, options: &RegisterOptions) -> Criteria {
+        let Self { inlier_distance, signed, .. } = *self;
+        Criteria { inlier_distance, signed, gravity: options.gravity.map(|axis| axis.unit()) }
+    }
+
+    fn diameters(&self) -> [f64; 2] {
+        self.clouds.map(|cloud| cloud.diameter)
+    }
+
+    fn viewpoints_used(&self) -> [ViewpointUsed; 2] {
+        let used = |cloud: &Prepared| cloud.viewpoint.filter(|_| self.signed).map(|(_, used)| used);
+        self.clouds.map(|cloud| used(cloud).unwrap_or(ViewpointUsed::None))
+    }
+
+    fn surfaces(&self) -> [Surface<'a>; 2] {
+        self.surfaces_within(self.inlier_distance)
+    }
+
+    fn surfaces_within(&self, distance: f64) -> [Surface<'a>; 2] {
+        self.clouds.map(|Prepared { scan: Scan { voxels, normals, .. }, viewpoint, .. }| {
+            let viewpoint = viewpoint.filter(|_| self.signed).map(|(viewpoint, _)| viewpoint);
+            Surface::new(&voxels.points, normals, viewpoint, distance)
+        })
+    }
+
+    /// Matches of keypoints, the most distinctive first.
+    fn matches(&self, options: &RegisterOptions, control: &Control) -> Result<Vec<Match>> {
+        let [source, target] = self.clouds;
+        let descriptors = [source, target].map(|cloud| cloud.descriptors(self.signed, control));
+        let [source_descriptors, target_descriptors] = descriptors;
+        let dimension = source.dimension();
+        let count = options.max_matches;
+        let ranked = ranked_matches(source_descriptors?, target_descriptors?, dimension, count, control)?;
+        let matched = |[s, t]: [usize; 2]| Match {
+            source: vector(source.keypoints[s].0),
+            target: vector(target.keypoints[t].0),
+            source_normal: source.scan.normals[source.keypoints[s].1],
+            target_normal: target.scan.normals[target.keypoints[t].1],
+        };
+        Ok(ranked.into_iter().map(matched).collect())
+    }
+
+    /// The best of the transforms, refined, best first and distinct.
+    fn best(
+        &self,
+        guesses: &[IsometryMatrix3<f64>],
+        matches: &[Match],
+        options: &RegisterOptions,
+        control: &Control,
+    ) -> Result<Vec<Candidate>> {
+        let [source, target] = self.surfaces();
+        let criteria = self.criteria(options);
+        let counter = control.begin("ICP", guesses.len());
+        let step = source.points.len().div_ceil(COARSE_VOXELS);
+        let coarse: Vec<Vector> = source.points.iter().step_by(step).copied().collect();
+        let candidates = guesses.par_iter().map(|rough| {
+            counter.add(1);
+            let steps = COARSE_STEPS.min(options.refine_steps);
+            let refined = icp(&coarse, &target, *rough, criteria.gravity, steps, &counter)?;
+            let agreement = Surface::agreement(&source, &target, &refined, step);
+            let (num_inliers, rmse) = inliers(matches, rough, &criteria);
+            Ok(Candidate { refined, agreement, num_inliers, rmse })
+        });
+        let mut candidates: Vec<Candidate> = candidates.collect::<Result<_>>()?;
+        sort(&mut candidates);
+        candidates.truncate(REFINED.max(options.hypotheses));
+        for candidate in &mut candidates {
+            let (rough, steps) = (candidate.refined, options.refine_steps);
+            candidate.refined = icp(source.points, &target, rough, criteria.gravity, steps, &counter)?;
+            candidate.agreement = Surface::agreement(&source, &target, &candidate.refined, 1);
+        }
+        sort(&mut candidates);
+        let mut distinct: Vec<Candidate> = Vec::new();
+        for candidate in candidates {
+            let apart = |other: &Candidate| displacement(&candidate.refined, &other.refined, &coarse);
+            if distinct.iter().all(|other| apart(other) > 2.0 * self.inlier_distance) {
+                distinct.push(candidate);
+            }
+        }
+        Ok(distinct)
+    }
+
+    /// A guess after ICP with distant pairs.
+    fn refine_widely(
+        &self,
+        guess: &IsometryMatrix3<f64>,
+        options: &RegisterOptions,
+        control: &Control,
+    ) -> Result<IsometryMatrix3<f64>> {
+        let mut transform = *guess;
+        for factor in [WIDE, WIDE.sqrt()] {
+            let [source, target] = self.surfaces_within(factor * self.inlier_distance);
+            let counter = control.begin("ICP", 0);
+            let gravity = options.gravity.map(|axis| axis.unit());
+            transform = icp(source.points, &target, transform, gravity, options.refine_steps, &counter)?;
+        }
+        Ok(transform)
+    }
+
+    fn no_transform(&self, num_matches: usize) -> Error {
+        let [source, target] = self.clouds.map(|cloud| cloud.scan.voxels.points.len());
+        let [source_diameter, target_diameter] = self.diameters();
+        let reason = format!(
+            "no three of the {num_matches} correspondences, of {source} and {target} voxels, fit a rigid transform; do \
+             the clouds overlap, and in the same units? their diameters are {source_diameter:.4} and {target_diameter:.4}"
+        );
+        Error::Input { what: "source and target", reason }
+    }
+}
+
+/// Best first; the order decides between equals.
+fn sort(candidates: &mut [Candidate]) {
+    candidates.sort_by(|a, b| b.score().total_cmp(&a.score()));
+}
+
+/// Number and root mean square distance of the matches that agree with a transform.
+fn inliers(matches: &[Match], transform: &IsometryMatrix3<f64>, criteria: &Criteria) -> (usize, f64) {
+    let squared = matches.iter().filter_map(|found| found.squared_residual(transform, criteria));
+    let (count, sum) = squared.fold((0, 0.0), |(count, sum), squared| (count + 1, sum + squared));
+    (count, (sum / count.max(1) as f64).sqrt())
+}

@@ -1,0 +1,149 @@
+//! Clouds that are reduced and described once for all pairs they are part of.
+
+use std::borrow::Cow;
+use std::sync::OnceLock;
+
+use rayon::prelude::*;
+
+use snake_core::space::{FinitePoints, Neighbors, Vector};
+use snake_core::{Control, Error, Model, Normalization, NormalizationMethod, Point, Result};
+
+use super::FPFH_DIMENSION;
+use super::cloud::Orientation;
+use super::matching::hellinger;
+use super::options::RegisterOptions;
+use super::result::ViewpointUsed;
+use super::scan::{Descriptor, Scan, reduce};
+use super::viewpoint::viewpoint;
+
+/// Default number of voxels along the diameter of a cloud.
+const VOXELS_PER_DIAMETER: f64 = 80.0;
+
+/// Clouds with the same voxel size and radii.
+pub(super) struct PreparedClouds {
+    pub(super) clouds: Vec<Prepared>,
+    pub(super) inlier_distance: f64,
+}
+
+/// A cloud with what every pair needs of it.
+pub(super) struct Prepared {
+    pub(super) scan: Scan,
+    pub(super) diameter: f64,
+    pub(super) num_skipped: usize,
+    /// The sensor's position, if it is known.
+    pub(super) viewpoint: Option<(Vector, ViewpointUsed)>,
+    /// Keypoints, each with the index of the nearest voxel.
+    pub(super) keypoints: Vec<(Point, usize)>,
+    descriptor: Descriptor,
+    /// Descriptors of the keypoints, `(K, dimension)`: of normals without a sign, and with one.
+    descriptors: [OnceLock<Vec<f32>>; 2],
+}
+
+impl PreparedClouds {
+    /// Prepares clouds; `given` are the viewpoints that are known. An error names a cloud by `names`, or else by its
+    /// index.
+    pub(super) fn new(
+        clouds: &[&[Point]],
+        given: &[Option<[f64; 3]>],
+        names: &[&'static str],
+        model: &Model,
+        options: &RegisterOptions,
+        control: &Control,
+    ) -> Result<Self> {
+        let named = |index: usize| move |error| named(error, index, names);
+        let finite = |(index, points)| Ok(FinitePoints::of("points", points).map_err(named(index))?.points);
+        let points: Vec<Cow<[Point]>> = clouds.iter().copied().enumerate().map(finite).collect::<Result<_>>()?;
+        let [voxel_size, normal_radius, feature_radius, inlier_distance] = options.lengths(&points)?;
+        let each = || points.par_iter().enumerate();
+        let diameters = each().map(|(index, points)| diameter(points).map_err(named(index)));
+        let diameters: Vec<f64> = diameters.collect::<Result<_>>()?;
+        let voxel_size = voxel_size.unwrap_or(lower_median(&diameters) / VOXELS_PER_DIAMETER);
+        let voxels = each().map(|(index, points)| reduce(points, voxel_size, control).map_err(named(index)));
+        let voxels: Vec<Neighbors> = voxels.collect::<Result<_>>()?;
+        // In a sparse cloud most voxels hold one point, and the voxel size is less than the distance between neighbours.
+        let resolutions: Vec<f64> = voxels.par_iter().map(Neighbors::resolution).collect();
+        let spacing = voxel_size.max(upper_median(&resolutions));
+        let inlier_distance = inlier_distance.unwrap_or(1.5 * spacing);
+        let lengths = [voxel_size, normal_radius.unwrap_or(2.0 * spacing), feature_radius.unwrap_or(5.0 * spacing)];
+        let prepare = |(index, voxels): (usize, Neighbors)| {
+            let (points, original) = (&points[index], clouds[index].len());
+            let viewpoint = viewpoint(&voxels.points, given[index], options, inlier_distance);
+            let orientation = viewpoint.map_or(Orientation::Unsigned, |(at, _)| Orientation::Viewpoint(at));
+            let scan = Scan::of(points, voxels, model, lengths, orientation, control).map_err(named(index))?;
+            // The clouds get different random keypoints. With one seed, equal clouds would have a partner for every keypoint.
+            let seed = options.seed.wrapping_add(index as u64);
+            let keypoints = scan.anchored_keypoints(options.detector, options.max_keypoints, seed, control)?;
+            Ok(Prepared {
+                scan,
+                diameter: diameters[index],
+                num_skipped: original - points.len(),
+                viewpoint,
+                keypoints,
+                descriptor: options.descriptor,
+                descriptors: Default::default(),
+            })
+        };
+        let clouds = voxels.into_par_iter().enumerate().map(prepare).collect::<Result<_>>()?;
+        Ok(Self { clouds, inlier_distance })
+    }
+}
+
+impl Prepared {
+    /// Length of a descriptor.
+    pub(super) fn dimension(&self) -> usize {
+        self.scan.dimension(self.descriptor)
+    }
+
+    /// Descriptors of the keypoints; FPFH as the square roots of histograms. Field descriptors need no normals.
+    pub(super) fn descriptors(&self, signed: bool, control: &Control) -> Result<&[f32]> {
+        let slot = &self.descriptors[usize::from(signed)];
+        if let Some(made) = slot.get() {
+            return Ok(made);
+        }
+        let made = match self.descriptor {
+            Descriptor::Fpfh => {
+                let voxels: Vec<usize> = self.keypoints.iter().map(|&(_, voxel)| voxel).collect();
+                let mut histograms = self.scan.fpfh_of(&voxels, signed, control)?;
+                hellinger(&mut histograms, FPFH_DIMENSION);
+                histograms
+            }
+            Descriptor::Field => {
+                let points: Vec<Point> = self.keypoints.iter().map(|&(point, _)| point).collect();
+                self.scan.descriptors_with(&points, Descriptor::Field, control)?
+            }
+        };
+        Ok(slot.get_or_init(|| made))
+    }
+}
+
+/// Twice the largest distance from the mean.
+fn diameter(points: &[Point]) -> Result<f64> {
+    Ok(Normalization::of(points, NormalizationMethod::UnitSphere)?.scale.into())
+}
+
+/// The median of numbers, at least one; of an even count the lower of the middle two. Of two clouds the smaller counts.
+fn lower_median(values: &[f64]) -> f64 {
+    sorted(values)[(values.len() - 1) / 2]
+}
+
+/// [`lower_median`], but of an even count the upper of the middle two. Of two clouds the coarser counts.
+pub(super) fn upper_median(values: &[f64]) -> f64 {
+    sorted(values)[values.len() / 2]
+}
+
+fn sorted(values: &[f64]) -> Vec<f64> {
+    let mut sorted = values.to_vec();
+    sorted.sort_by(f64::total_cmp);
+    sorted
+}
+
+/// An error in a cloud says which cloud.
+fn named(error: Error, index: usize, names: &[&'static str]) -> Error {
+    match (error, names.get(index)) {
+        (Error::Input { reason, .. }, Some(name)) => Error::Input { what: name, reason },
+        (Error::Input { reason, .. }, None) => {
+            Error::Input { what: "clouds", reason: format!("cloud {index} (from 0): {reason}") }
+        }
+        (other, _) => other,
+    }
+}

@@ -1,0 +1,114 @@
+//! `snake_rs.align`.
+
+use numpy::PyArray2;
+use pyo3::prelude::*;
+use pyo3::types::PyDict;
+use snake_registration as core;
+
+use crate::model::{self, Model};
+use crate::registration::matrix;
+use crate::{arrays, options, threads};
+
+/// The poses of many clouds.
+#[pyclass(frozen, get_all, module = "snake_rs")]
+pub struct Alignment {
+    /// The pose (4, 4) float64 of each cloud: `p_part = R p_cloud + t`. A part has the frame of its first cloud.
+    poses: Vec<Py<PyArray2<f64>>>,
+    /// The clouds that are linked to each other, as indices; the part with the most clouds comes first. Poses of different
+    /// parts cannot be compared.
+    parts: Vec<Vec<usize>>,
+    /// The covariance (6, 6) float64 of each pose: of a small rotation (radians), then a small translation of the cloud in
+    /// its own frame. Zeros for the first cloud of a part.
+    covariances: Vec<Py<PyArray2<f64>>>,
+    /// The registrations of pairs that the poses follow.
+    edges: Vec<Py<AlignmentEdge>>,
+    /// Number of pairs that were registered.
+    num_pairs: usize,
+    /// Number of points of each cloud that were skipped because they are not finite.
+    num_skipped: Vec<usize>,
+    /// Seconds that the alignment took.
+    seconds: f64,
+}
+
+/// A registration of two clouds of an alignment.
+#[pyclass(frozen, get_all, module = "snake_rs")]
+pub struct AlignmentEdge {
+    /// Index of the source.
+    source: usize,
+    /// Index of the target.
+    target: usize,
+    /// The transform (4, 4) float64 of the pair alone: `p_target = R p_source + t`.
+    t_target_source: Py<PyArray2<f64>>,
+    /// How likely the transform is right by its own evidence, in [0, 1].
+    confidence: f64,
+    /// How likely it is right by its own evidence and the loops of three transforms that it closes, in [0, 1].
+    belief: f64,
+    /// Root mean square distance between tangent planes of the pair and of the poses, in cloud units.
+    residual: f64,
+    /// Information matrix (6, 6) float64, as that of `Registration`.
+    information: Py<PyArray2<f64>>,
+}
+
+#[pymethods]
+impl Alignment {
+    fn __repr__(&self) -> String {
+        let Self { poses, parts, edges, num_pairs, seconds, .. } = self;
+        let sizes: Vec<String> = parts.iter().map(|part| part.len().to_string()).collect();
+        format!(
+            "Alignment({} clouds in parts of {}; {} edges of {num_pairs} pairs; {seconds:.1} s)",
+            poses.len(),
+            sizes.join(" + "),
+            edges.len()
+        )
+    }
+}
+
+/// Finds the poses of many clouds that overlap in part, without initial poses.
+///
+/// `clouds` is a sequence of 2 to 500 clouds (N, 3) in the forms of `detect` and in the same units. Pairs with similar
+/// descriptors are registered as by `register`. A transform counts if it is reliable or if loops of three transforms prove
+/// it. The poses fit these transforms, and transforms that contradict the others lose their weight.
+///
+/// Each cloud is registered to about `max_partners` others. `viewpoints` has the sensor's position (3,) in the frame of
+/// each cloud, or None where it is not known. `options` are those of `register`, but `source_viewpoint`,
+/// `target_viewpoint`, `initial` and `hypotheses`.
+/// Raises ValueError for invalid arrays or values, TypeError for an unknown option.
+#[pyfunction]
+#[pyo3(signature = (clouds, model=None, *, max_partners=20, viewpoints=None, **options))]
+pub fn align(
+    py: Python<'_>,
+    clouds: Vec<Bound<'_, PyAny>>,
+    model: Option<&Bound<'_, Model>>,
+    max_partners: usize,
+    viewpoints: Option<Vec<Option<[f64; 3]>>>,
+    options: Option<&Bound<'_, PyDict>>,
+) -> PyResult<Alignment> {
+    let model = model::given_or_builtin(py, model)?;
+    let register: core::RegisterOptions = options::of("align", options)?;
+    let mut options = core::AlignOptions::default()
+        .with_register(register)
+        .with_max_partners(max_partners)
+        .with_viewpoints(viewpoints.unwrap_or_default());
+    let read = clouds.iter().map(|cloud| Ok(arrays::cloud("clouds", cloud)?.0));
+    let clouds: Vec<snake_core::Cloud> = read.collect::<PyResult<_>>()?;
+    let origins: Vec<[f64; 3]> = clouds.iter().map(|cloud| cloud.origin).collect();
+    options.place(&origins);
+    let points: Vec<_> = clouds.into_iter().map(|cloud| cloud.points).collect();
+    let near = threads::run_with_signals(py, |control| core::align_with(&points, &model, &options, control))?;
+    let found = near.between_origins(&origins);
+    let edge = |edge: &core::Edge| {
+        let t_target_source = matrix(py, edge.t_target_source.to_matrix())?;
+        let information = matrix(py, edge.information)?;
+        let core::Edge { source, target, confidence, belief, residual, .. } = *edge;
+        Py::new(py, AlignmentEdge { source, target, t_target_source, confidence, belief, residual, information })
+    };
+    Ok(Alignment {
+        poses: found.poses.iter().map(|pose| matrix(py, pose.t_part_cloud.to_matrix())).collect::<PyResult<_>>()?,
+        parts: found.parts,
+        covariances: found.poses.iter().map(|pose| matrix(py, pose.covariance)).collect::<PyResult<_>>()?,
+        edges: found.edges.iter().map(edge).collect::<PyResult<_>>()?,
+        num_pairs: found.num_pairs,
+        num_skipped: found.num_skipped,
+        seconds: found.seconds,
+    })
+}
