@@ -5,6 +5,7 @@ use std::path::PathBuf;
 use clap::{Parser, Subcommand};
 use clap_complete::Shell;
 
+use crate::align::args::AlignArguments;
 use crate::detect::args::DetectArguments;
 use crate::eval::args::Eval;
 use crate::field::args::FieldArguments;
@@ -26,6 +27,7 @@ use crate::view::args::ViewArguments;
   snake-cli detect scan.ply                     print the keypoints of a cloud
   snake-cli detect 'scans/*.pcd' -o keypoints/  write the keypoints of many clouds to files
   snake-cli register scan2.ply scan1.ply        find the transform from one cloud to another
+  snake-cli align scans/ --merged map.ply       find the poses of many clouds and merge them
   snake-cli view scan.ply -o report.html        write a web page that shows the cloud and its keypoints
   snake-cli detect --help                       show every option, with examples
 
@@ -60,6 +62,18 @@ impl Arguments {
 
 #[derive(Subcommand)]
 pub enum Command {
+    /// Find the poses of many clouds that overlap in part, and merge them.
+    ///
+    /// Pairs of clouds with similar descriptors are registered as by `register`. Transforms that are reliable, or that loops
+    /// of three prove, become the edges of a pose graph. Clouds that no edges connect are reported as different parts, each
+    /// with a frame of its own. `t_part_cloud` maps a point of a cloud into the frame of the first cloud of its part.
+    ///
+    /// Exit code: 0, or 1 if there are several parts and --require-connected is given, or 2 after an error.
+    #[command(after_help = "Examples:
+  snake-cli align scans/
+  snake-cli align scans/ -o poses.json --merged map.ply
+  snake-cli align 'scans/*.pcd' --gravity z --json | jq '.poses[1].t_part_cloud'")]
+    Align(Box<AlignArguments>),
     /// Find the keypoints of point clouds.
     ///
     /// Exit code: 0 if every input was processed, 1 if some failed, 2 if all failed or the command could not start.
@@ -100,15 +114,15 @@ pub enum Command {
     Reconstruct(Box<ReconstructArguments>),
     /// Find the rigid transform that brings one cloud onto another.
     ///
-    /// The command matches the keypoints of both clouds by their descriptors. RANSAC finds the transform that agrees
-    /// with most matches, and ICP refines it on the clouds. The poses may be arbitrary, but both clouds must have the
-    /// same units. `t_target_source` maps a point of the source into the target's frame: p_target = R p_source + t.
+    /// The command matches descriptors of both clouds. Transforms on which many matches agree are compared on the clouds,
+    /// and ICP refines the best. The poses may be arbitrary, but both clouds must have the same units. `t_target_source`
+    /// maps a point of the source into the target's frame: p_target = R p_source + t.
     ///
-    /// Check the result before you trust it. The inliers of RANSAC are the correspondences that agree with its
-    /// transform, and their RMSE is the typical distance between two keypoints of the same place. The result after ICP
-    /// has two figures of its own: the share of the source's voxels near a voxel of the target, and their RMSE.
+    /// The first line says whether the transform is reliable, and with what confidence (0 to 1). The inliers are the matches
+    /// that agree with the transform before ICP. The result after ICP has two figures of its own: the share of the source's
+    /// voxels near a voxel of the target, and their RMSE.
     ///
-    /// Exit code: 0 if a transform was found, 2 otherwise.
+    /// Exit code: 0 if a transform was found, 1 if it is not reliable and --require-reliable is given, 2 otherwise.
     #[command(after_help = "Examples:
   snake-cli register scan2.ply scan1.ply
   snake-cli register scan2.ply scan1.ply -o t_1_2.txt --aligned scan2_in_1.ply

@@ -1,6 +1,7 @@
 //! `snake-cli`: keypoints from point-cloud files.
 #![forbid(unsafe_code)]
 
+mod align;
 mod args;
 mod detect;
 mod eval;
@@ -42,6 +43,7 @@ fn main() -> ExitCode {
 fn run(command: &Command) -> Result<ExitCode> {
     interrupt::end_between_files()?;
     match command {
+        Command::Align(arguments) => return align::run(arguments),
         Command::Detect(arguments) => return detect::run(arguments),
         Command::Eval(command) => eval::run(command)?,
         Command::Field(arguments) => field::run(arguments)?,

@@ -5,6 +5,8 @@ mod loops;
 mod parts;
 mod pose_graph;
 mod result;
+#[cfg(test)]
+mod tests;
 
 use std::time::Instant;
 

@@ -82,6 +82,9 @@ impl AlignOptions {
         if self.register.source_viewpoint.is_some() || self.register.target_viewpoint.is_some() {
             return refused("source_viewpoint, target_viewpoint", "a position".into(), "none: `viewpoints` has them");
         }
+        if self.register.hypotheses != 1 {
+            return refused("hypotheses", self.register.hypotheses.to_string(), "1: a pair has its best transform");
+        }
         if ![0, count].contains(&self.viewpoints.len()) {
             return refused("viewpoints", format!("{} of them", self.viewpoints.len()), "one for each cloud, or none");
         }

@@ -1,0 +1,49 @@
+//! The command line of `snake-cli align`.
+
+use std::path::PathBuf;
+
+use clap::Args;
+use snake_registration::AlignOptions;
+
+use crate::inputs::InputArguments;
+use crate::register::args::RegisterFlags;
+use crate::setup::{ComputeArguments, override_with};
+
+#[derive(Args)]
+pub struct AlignArguments {
+    /// The clouds, in the same units: files, folders or quoted patterns ('scans/*.pcd'). Those of a folder or a pattern are
+    /// sorted by name.
+    #[arg(required = true)]
+    pub inputs: Vec<PathBuf>,
+    /// Write the poses to this file (.json, with the same content as --json).
+    #[arg(short, long)]
+    pub output: Option<PathBuf>,
+    /// Write the points of all clouds of the largest part, in its frame, to this file (.ply, .pcd, .npy, .xyz or .csv).
+    #[arg(long, value_name = "FILE")]
+    pub merged: Option<PathBuf>,
+    /// Exit with code 1 if the clouds are in more than one part. Files are written all the same.
+    #[arg(long)]
+    pub require_connected: bool,
+    /// Register each cloud to about this many others: those with the most similar descriptors, and its neighbours in the
+    /// order of the inputs [default: 20].
+    #[arg(long, value_name = "N")]
+    max_partners: Option<usize>,
+    #[command(flatten)]
+    pub input: InputArguments,
+    /// Print one JSON object on one line instead of text.
+    #[arg(long)]
+    pub json: bool,
+    #[command(flatten)]
+    pub compute: ComputeArguments,
+    #[command(flatten)]
+    register: RegisterFlags,
+}
+
+impl AlignArguments {
+    /// The defaults, overridden by the command line.
+    pub fn options(&self) -> AlignOptions {
+        let mut options = AlignOptions::default().with_register(self.register.resolve());
+        override_with(&mut options.max_partners, self.max_partners);
+        options
+    }
+}

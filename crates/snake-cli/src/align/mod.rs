@@ -1,0 +1,115 @@
+//! `snake-cli align`: read, align, write.
+
+pub mod args;
+
+use std::io::Write;
+use std::path::{Path, PathBuf};
+use std::process::ExitCode;
+
+use anyhow::{Context, Result, bail};
+use serde_json::{Value, json};
+use snake_core::{Control, Point, Progress};
+use snake_io::{self as io, Cloud, CloudFormat};
+use snake_registration::{Alignment, align_with, transform_points};
+
+use crate::inputs::{check_inputs, expand, output_origin};
+use crate::output::InputFiles;
+use crate::terminal::{self, Report};
+use args::AlignArguments;
+
+/// Finds the poses, writes the output files and prints the result.
+pub fn run(arguments: &AlignArguments) -> Result<ExitCode> {
+    arguments.compute.start_threads()?;
+    let AlignArguments { output, merged, .. } = arguments;
+    if let Some(path) = output.as_ref().filter(|path| path.extension().is_none_or(|extension| extension != "json")) {
+        bail!("{}: poses are written as .json", path.display());
+    }
+    merged.as_deref().map(CloudFormat::from_path).transpose()?;
+    let inputs = expand(&arguments.inputs)?;
+    check_inputs(&inputs)?;
+    let files = InputFiles::new(inputs.iter().chain(&arguments.compute.model));
+    output.iter().chain(merged).try_for_each(|path| files.refuse_as_output(path))?;
+    let mut options = arguments.options();
+    let model = arguments.compute.load_model()?;
+    terminal::detail("options", || serde_json::to_string(&options).unwrap_or_default());
+    let progress = Progress::default();
+    let bar = terminal::stages(&progress)?;
+    bar.set_message(format!("{} clouds", inputs.len()));
+    let read = |path: &PathBuf| arguments.input.read_contents(path, options.register.seed);
+    let contents = inputs.iter().map(read).collect::<Result<Vec<_>>>()?;
+    options.viewpoints = contents.iter().map(|contents| contents.viewpoint).collect();
+    let clouds: Vec<Cloud> = contents.into_iter().map(|contents| contents.cloud).collect();
+    let origins: Vec<[f64; 3]> = clouds.iter().map(|cloud| cloud.origin).collect();
+    options.place(&origins);
+    let points: Vec<&[Point]> = clouds.iter().map(|cloud| &cloud.points[..]).collect();
+    let control = Control::new().progress(&progress);
+    let near = align_with(&points, &model, &options, &control).context("cannot align the clouds")?;
+    bar.finish();
+
+    let mut merged_origin = [0.0; 3];
+    if let Some(path) = merged {
+        let first = near.parts[0][0];
+        io::write_points(path, &merge(&near, &points), origins[first])?;
+        merged_origin = output_origin(path, io::adds_origin(path), origins[first]);
+    }
+    let found = near.between_origins(&origins);
+    let object = object(&found, &inputs, merged_origin)?;
+    if let Some(path) = output {
+        let write = |file: &mut dyn Write| writeln!(file, "{object}");
+        io::write_atomically(path, write).with_context(|| format!("cannot write {}", path.display()))?;
+    }
+    if arguments.json {
+        terminal::print_json(&object)?;
+    } else {
+        let written: Vec<&Path> = output.iter().chain(merged).map(AsRef::as_ref).collect();
+        terminal::print_report(&report(&found, &inputs, &written))?;
+    }
+    if arguments.require_connected && found.parts.len() > 1 {
+        terminal::warn(&format!("the clouds are in {} parts, which nothing reliable connects", found.parts.len()));
+        return Ok(ExitCode::FAILURE);
+    }
+    Ok(ExitCode::SUCCESS)
+}
+
+/// The points of the largest part in its frame.
+fn merge(found: &Alignment, clouds: &[&[Point]]) -> Vec<Point> {
+    let moved = |&cloud: &usize| transform_points(&found.poses[cloud].t_part_cloud, clouds[cloud]);
+    found.parts[0].iter().flat_map(moved).collect()
+}
+
+/// The alignment with the names of the clouds.
+fn object(found: &Alignment, inputs: &[PathBuf], merged_origin: [f64; 3]) -> Result<Value> {
+    let mut object = serde_json::to_value(found)?;
+    object["clouds"] = inputs.iter().map(|input| input.display().to_string()).collect();
+    if merged_origin != [0.0; 3] {
+        object["merged_origin"] = json!(merged_origin);
+    }
+    Ok(object)
+}
+
+fn report(found: &Alignment, inputs: &[PathBuf], written: &[&Path]) -> Report {
+    let Alignment { parts, edges, poses, num_pairs, num_skipped, seconds, .. } = found;
+    let mut report = Report::default();
+    let connected = if parts.len() == 1 { "one part".into() } else { format!("{} parts", parts.len()) };
+    report.line(format!("{} clouds in {connected}, by {} of {num_pairs} pairs", inputs.len(), edges.len()));
+    for (number, part) in parts.iter().enumerate() {
+        report.heading(format!("part {number}: {} clouds, in the frame of {}", part.len(), inputs[part[0]].display()));
+        for &cloud in part {
+            let links = edges.iter().filter(|edge| edge.source == cloud || edge.target == cloud).count();
+            let pose = &poses[cloud];
+            let variance: f64 = (3..6).map(|axis| pose.covariance[axis][axis]).sum();
+            let [[.., x], [.., y], [.., z], _] = pose.t_part_cloud.to_matrix();
+            let name = inputs[cloud].display();
+            report.line(format!("{x:>12.4} {y:>12.4} {z:>12.4}  ± {:<8.4} {links:>3} edges  {name}", variance.sqrt()));
+        }
+    }
+    report.line(format!("{seconds:.3} s"));
+    let skipped: usize = num_skipped.iter().sum();
+    if skipped > 0 {
+        report.line(format!("skipped {skipped} points, which are not finite"));
+    }
+    for path in written {
+        report.line(format!("written to {}", path.display()));
+    }
+    report
+}
