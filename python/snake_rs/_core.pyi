@@ -9,6 +9,8 @@ from numpy.typing import ArrayLike, NDArray
 from typing_extensions import Self, Unpack
 
 __all__ = [
+    "Alignment",
+    "AlignmentEdge",
     "Field",
     "Keypoint",
     "Keypoints",
@@ -16,6 +18,7 @@ __all__ = [
     "Model",
     "Registration",
     "__version__",
+    "align",
     "detect",
     "estimate_normals",
     "farthest_points",
@@ -151,6 +154,14 @@ def detect(points: _Points, model: _Model | None = None, **options: Unpack[_Opti
 def register(
     source: _Points, target: _Points, model: _Model | None = None, **options: Unpack[_RegisterOptions]
 ) -> Registration: ...
+def align(
+    clouds: Sequence[_Points],
+    model: Model | None = None,
+    *,
+    max_partners: int = 20,
+    viewpoints: Sequence[Sequence[float] | None] | None = None,
+    **options: Unpack[_RegisterOptions],
+) -> Alignment: ...
 def read_points(
     path: str | os.PathLike[str],
     sample: int | None = None,
@@ -333,6 +344,40 @@ def information_matrix(points: _Points) -> NDArray[np.float64]: ...
 def registration_recall(fragments: ArrayLike, squared_errors: ArrayLike, threshold: float = 0.2) -> float: ...
 
 @final
+class Alignment:
+    @property
+    def poses(self) -> list[NDArray[np.float64]]: ...
+    @property
+    def parts(self) -> list[list[int]]: ...
+    @property
+    def covariances(self) -> list[NDArray[np.float64]]: ...
+    @property
+    def edges(self) -> list[AlignmentEdge]: ...
+    @property
+    def num_pairs(self) -> int: ...
+    @property
+    def num_skipped(self) -> list[int]: ...
+    @property
+    def seconds(self) -> float: ...
+
+@final
+class AlignmentEdge:
+    @property
+    def source(self) -> int: ...
+    @property
+    def target(self) -> int: ...
+    @property
+    def t_target_source(self) -> NDArray[np.float64]: ...
+    @property
+    def confidence(self) -> float: ...
+    @property
+    def belief(self) -> float: ...
+    @property
+    def residual(self) -> float: ...
+    @property
+    def information(self) -> NDArray[np.float64]: ...
+
+@final
 class Registration:
     def __new__(
         cls,
@@ -340,6 +385,8 @@ class Registration:
         confidence: float,
         is_reliable: bool,
         num_inliers: int,
+        num_agreeing: int,
+        num_rival_agreeing: int,
         num_correspondences: int,
         rmse: float,
         inlier_distance: float,
@@ -347,6 +394,7 @@ class Registration:
         fitness_rmse: float,
         free_space_violation: float,
         weakest_constraint: float,
+        slide_margin: float,
         information: NDArray[np.float64],
         hypotheses: list[NDArray[np.float64]],
         viewpoints: tuple[str, str],
@@ -363,6 +411,10 @@ class Registration:
     @property
     def num_inliers(self) -> int: ...
     @property
+    def num_agreeing(self) -> int: ...
+    @property
+    def num_rival_agreeing(self) -> int: ...
+    @property
     def num_correspondences(self) -> int: ...
     @property
     def rmse(self) -> float: ...
@@ -376,6 +428,8 @@ class Registration:
     def free_space_violation(self) -> float: ...
     @property
     def weakest_constraint(self) -> float: ...
+    @property
+    def slide_margin(self) -> float: ...
     @property
     def information(self) -> NDArray[np.float64]: ...
     @property

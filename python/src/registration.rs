@@ -20,6 +20,10 @@ pub struct Registration {
     is_reliable: bool,
     /// Number of matches that the transform brings within `inlier_distance` before ICP.
     num_inliers: usize,
+    /// Number of matches that agree with the refined transform.
+    num_agreeing: usize,
+    /// The same for the best other transform; 0 without one.
+    num_rival_agreeing: usize,
     /// Number of matches of keypoints.
     num_correspondences: usize,
     /// Root mean square distance of the inliers before ICP, in cloud units.
@@ -34,6 +38,8 @@ pub struct Registration {
     free_space_violation: f64,
     /// How well the overlap fixes the direction of motion that it fixes least: 0 if the source can slide or turn.
     weakest_constraint: f64,
+    /// By how much the overlap exceeds that of slides along the direction that is fixed least; below 0 if one fits better.
+    slide_margin: f64,
     /// Information matrix (6, 6) float64 of a small rotation (radians), then translation, in the target's frame.
     information: Py<PyArray2<f64>>,
     /// The best distinct transforms (4, 4), best first: `hypotheses` of them at most.
@@ -57,6 +63,8 @@ impl Registration {
         confidence: f64,
         is_reliable: bool,
         num_inliers: usize,
+        num_agreeing: usize,
+        num_rival_agreeing: usize,
         num_correspondences: usize,
         rmse: f64,
         inlier_distance: f64,
@@ -64,6 +72,7 @@ impl Registration {
         fitness_rmse: f64,
         free_space_violation: f64,
         weakest_constraint: f64,
+        slide_margin: f64,
         information: Py<PyArray2<f64>>,
         hypotheses: Vec<Py<PyArray2<f64>>>,
         viewpoints: (String, String),
@@ -76,6 +85,8 @@ impl Registration {
             confidence,
             is_reliable,
             num_inliers,
+            num_agreeing,
+            num_rival_agreeing,
             num_correspondences,
             rmse,
             inlier_distance,
@@ -83,6 +94,7 @@ impl Registration {
             fitness_rmse,
             free_space_violation,
             weakest_constraint,
+            slide_margin,
             information,
             hypotheses,
             viewpoints,
@@ -98,6 +110,8 @@ impl Registration {
             "confidence",
             "is_reliable",
             "num_inliers",
+            "num_agreeing",
+            "num_rival_agreeing",
             "num_correspondences",
             "rmse",
             "inlier_distance",
@@ -105,6 +119,7 @@ impl Registration {
             "fitness_rmse",
             "free_space_violation",
             "weakest_constraint",
+            "slide_margin",
             "information",
             "hypotheses",
             "viewpoints",
@@ -166,6 +181,8 @@ pub fn register(
         confidence: found.confidence,
         is_reliable: found.is_reliable,
         num_inliers: found.num_inliers,
+        num_agreeing: found.num_agreeing,
+        num_rival_agreeing: found.num_rival_agreeing,
         num_correspondences: found.num_correspondences,
         rmse: found.rmse,
         inlier_distance: found.inlier_distance,
@@ -173,6 +190,7 @@ pub fn register(
         fitness_rmse: found.fitness_rmse,
         free_space_violation: found.free_space_violation,
         weakest_constraint: found.weakest_constraint,
+        slide_margin: found.slide_margin,
         information: matrix(py, found.information)?,
         hypotheses: hypotheses.collect::<PyResult<_>>()?,
         viewpoints: found.viewpoints.map(|used| used.name().to_string()).into(),

@@ -49,6 +49,7 @@ mod register;
 mod result;
 mod rigid;
 mod scan;
+mod slide;
 mod surface;
 mod verdict;
 mod viewpoint;

@@ -15,17 +15,18 @@ use super::options::RegisterOptions;
 use super::prepared::Prepared;
 use super::result::{Hypothesis, Registration, ViewpointUsed};
 use super::scan::Scan;
-use super::surface::{Agreement, Surface, fitness};
+use super::slide::slide_margin;
+use super::surface::{Agreement, Surface, coarse_step, fitness};
 use super::verdict::{Evidence, notes};
 
 /// Number of transforms that are compared on the voxels.
 const CANDIDATES: usize = 20;
-/// Number of the source's voxels that compare them.
-const COARSE_VOXELS: usize = 700;
 /// ICP steps before the comparison.
 const COARSE_STEPS: usize = 5;
 /// Number of transforms that are refined on all voxels, at least.
 const REFINED: usize = 3;
+/// A transform with more than this share of the best score fits about as well.
+const RIVAL: f64 = 0.9;
 /// A guess is first refined with pairs up to this many inlier distances apart.
 const WIDE: f64 = 4.0;
 
@@ -73,11 +74,16 @@ impl<'a> Pair<'a> {
 
         let surfaces = self.surfaces();
         let constraint = Constraint::new(surfaces[0].points, &surfaces[1], &best.refined);
+        let criteria = self.criteria(options);
+        let rivals = &found[1..found.len().min(REFINED)];
+        let agreeing = |candidate: &Candidate| inliers(&matches, &candidate.refined, &criteria).0;
         let evidence = Evidence {
-            num_inliers: best.num_inliers,
             agreement: best.agreement,
-            second_score: found.get(1).map_or(0.0, Candidate::score),
-            weakest_constraint: constraint.weakest,
+            num_agreeing: agreeing(best),
+            num_rival_agreeing: rivals.iter().map(agreeing).max().unwrap_or(0),
+            slide_margin: slide_margin(&surfaces, &best.refined, &best.agreement, &constraint, self.inlier_distance),
+            open_directions: constraint.open_directions,
+            has_rival: rivals.iter().any(|rival| rival.score() > RIVAL * best.score()),
         };
         let confidence = evidence.confidence();
         let (fitness, fitness_rmse) = fitness(surfaces[0].points, &surfaces[1].grid, &best.refined);
@@ -92,17 +98,20 @@ impl<'a> Pair<'a> {
             confidence,
             is_reliable: confidence >= 0.5,
             num_inliers: best.num_inliers,
+            num_agreeing: evidence.num_agreeing,
+            num_rival_agreeing: evidence.num_rival_agreeing,
             num_correspondences: matches.len(),
             rmse: best.rmse,
             inlier_distance: self.inlier_distance,
             fitness,
             fitness_rmse,
             free_space_violation: best.agreement.violation,
+            slide_margin: evidence.slide_margin,
             weakest_constraint: constraint.weakest,
             information: std::array::from_fn(|row| std::array::from_fn(|column| constraint.information[(row, column)])),
             hypotheses: found.iter().take(options.hypotheses).map(hypothesis).collect(),
             viewpoints: self.viewpoints_used(),
-            notes: notes(&evidence, constraint.open_directions, self.diameters()),
+            notes: notes(&evidence, self.diameters()),
             num_skipped: self.clouds.map(|cloud| cloud.num_skipped),
             seconds: start.elapsed().as_secs_f64(),
         })
@@ -161,7 +170,7 @@ impl<'a> Pair<'a> {
         let [source, target] = self.surfaces();
         let criteria = self.criteria(options);
         let counter = control.begin("ICP", guesses.len());
-        let step = source.points.len().div_ceil(COARSE_VOXELS);
+        let step = coarse_step(source.points.len());
         let coarse: Vec<Vector> = source.points.iter().step_by(step).copied().collect();
         let candidates = guesses.par_iter().map(|rough| {
             counter.add(1);

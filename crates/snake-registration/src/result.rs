@@ -16,6 +16,10 @@ pub struct Registration {
     pub is_reliable: bool,
     /// Number of matches that the transform brings closer than `inlier_distance`, with normals that agree, before ICP.
     pub num_inliers: usize,
+    /// Number of matches that agree with the refined transform.
+    pub num_agreeing: usize,
+    /// The same for the best other transform, at least two inlier distances away; 0 without one.
+    pub num_rival_agreeing: usize,
     /// Number of matches of keypoints.
     pub num_correspondences: usize,
     /// Root mean square distance of the inliers before ICP, in cloud units; 0 without inliers.
@@ -34,6 +38,9 @@ pub struct Registration {
     /// How well the overlap fixes the direction of motion that it fixes least: 0 if the source can slide or turn on the
     /// target, about 0.1 if surfaces face all ways.
     pub weakest_constraint: f64,
+    /// By how much the overlap (a share, 0 to 1, less twice the violated free space) exceeds that of slides of the source
+    /// by 2 to 12 inlier distances along the direction that is fixed least; below 0 if a slide fits better.
+    pub slide_margin: f64,
     /// The information matrix (inverse covariance up to the noise) of the transform, for a pose graph: of a small
     /// rotation (radians) and then a small translation (cloud units) of the source in the target frame. It is the sum of
     /// `J Jᵀ` over the source's voxels on the target, where J is the gradient of the distance to the tangent plane.

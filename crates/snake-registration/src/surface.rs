@@ -35,13 +35,26 @@ pub(super) struct Agreement {
 impl Agreement {
     /// What ranks transforms. Planes overlap under many wrong transforms, so that the matches that agree count too.
     pub(super) fn score(&self, num_inliers: usize) -> f64 {
-        self.overlap - PER_VIOLATION * self.violation + PER_INLIER * num_inliers as f64
+        self.fit() + PER_INLIER * num_inliers as f64
+    }
+
+    /// The overlap less the violated free space.
+    pub(super) fn fit(&self) -> f64 {
+        self.overlap - PER_VIOLATION * self.violation
     }
 }
 
 /// Weights of the score beside the overlap, chosen on pairs of indoor scans.
 const PER_VIOLATION: f64 = 2.0;
 const PER_INLIER: f64 = 0.005;
+
+/// Number of the source's voxels that compare transforms coarsely.
+const COARSE_VOXELS: usize = 700;
+
+/// Every so many voxels take part in a coarse comparison.
+pub(super) fn coarse_step(voxels: usize) -> usize {
+    voxels.div_ceil(COARSE_VOXELS)
+}
 
 impl<'a> Surface<'a> {
     pub(super) fn new(

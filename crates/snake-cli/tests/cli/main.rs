@@ -1,5 +1,6 @@
 //! The command line as a person uses it, a file for each command and topic. One test binary links once.
 
+mod align;
 mod detect;
 mod eval_registration;
 mod eval_repeatability;

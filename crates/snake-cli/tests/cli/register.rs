@@ -26,9 +26,10 @@ fn register_prints_and_writes_the_transform() {
     let report = &json_lines(&output)[0];
     let keys: Vec<&String> = report.as_object().unwrap().keys().collect();
     let verdict = ["confidence", "fitness", "fitness_rmse", "free_space_violation", "hypotheses", "information"];
-    let figures = ["inlier_distance", "is_reliable", "notes", "num_correspondences", "num_inliers", "num_skipped"];
-    let others = ["rmse", "seconds", "t_target_source", "viewpoints", "weakest_constraint"];
-    assert_eq!(keys, [&verdict[..], &figures, &others].concat());
+    let figures = ["inlier_distance", "is_reliable", "notes", "num_agreeing", "num_correspondences", "num_inliers"];
+    let more = ["num_rival_agreeing", "num_skipped", "rmse", "seconds", "slide_margin"];
+    let others = ["t_target_source", "viewpoints", "weakest_constraint"];
+    assert_eq!(keys, [&verdict[..], &figures, &more, &others].concat());
     let number = |key: &str| report[key].as_f64().unwrap();
     assert!(number("fitness") > 0.95 && number("fitness_rmse") < 0.03 && number("inlier_distance") > 0.02, "{report}");
     let (inliers, all) = (report["num_inliers"].as_u64().unwrap(), report["num_correspondences"].as_u64().unwrap());

@@ -62,7 +62,8 @@ fn connected(count: usize, links: &[Link], order: &[usize]) -> Vec<Part> {
     part_of.iter().enumerate().for_each(|(cloud, part)| parts[*part].push(cloud));
     let part = |clouds: Vec<usize>| {
         let to_first = poses[clouds[0]].inverse();
-        let poses = clouds.iter().map(|&cloud| to_first * poses[cloud]).collect();
+        let mut poses: Vec<_> = clouds.iter().map(|&cloud| to_first * poses[cloud]).collect();
+        poses[0] = IsometryMatrix3::identity();
         let mut own: Vec<usize> =
             order.iter().copied().filter(|&l| part_of[links[l].source] == part_of[clouds[0]]).collect();
         own.sort_unstable();

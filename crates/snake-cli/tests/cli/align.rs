@@ -1,0 +1,78 @@
+//! `snake-cli align`.
+
+use std::path::Path;
+
+use serde_json::Value;
+
+use super::{json_lines, sample, snake, stderr};
+
+/// Two samplings of the sample, the second turned by a quarter about z and moved by (3, 0, -1), and a cube, as files in
+/// `folder/scans`.
+fn scans(folder: &Path) -> String {
+    let points = snake_io::read_points(Path::new(&sample())).unwrap();
+    let first: Vec<_> = points.iter().step_by(2).copied().collect();
+    let second: Vec<_> = points.iter().skip(1).step_by(2).map(|p| [3.0 - p[1], p[0], p[2] - 1.0]).collect();
+    let on_cube = |i: usize| {
+        let (a, b) = ((i % 40) as f32 / 40.0, (i / 40 % 40) as f32 / 40.0);
+        [[a, b, 0.0], [a, 1.0, b], [0.0, a, b]][i % 3]
+    };
+    let cube: Vec<_> = (0..1600).map(on_cube).collect();
+    let scans = folder.join("scans");
+    std::fs::create_dir(&scans).unwrap();
+    for (name, points) in [("a.ply", &first), ("b.npy", &second), ("c.pcd", &cube)] {
+        snake_io::write_points(&scans.join(name), points, [0.0; 3]).unwrap();
+    }
+    scans.display().to_string()
+}
+
+#[test]
+fn align_writes_poses_and_the_merged_cloud() {
+    let folder = tempfile::tempdir().unwrap();
+    let scans = scans(folder.path());
+    let file = |name: &str| folder.path().join(name).display().to_string();
+    let (poses, merged) = (file("poses.json"), file("map.ply"));
+    let output = snake(&["align", &scans, "-o", &poses, "--merged", &merged, "--json"]);
+    assert!(output.status.success(), "{}", stderr(&output));
+    let report = &json_lines(&output)[0];
+    assert_eq!(*report, serde_json::from_slice::<Value>(&std::fs::read(&poses).unwrap()).unwrap());
+    assert_eq!(report["parts"], serde_json::json!([[0, 1], [2]]));
+    assert!(report["clouds"][1].as_str().unwrap().ends_with("b.npy"));
+    let expected = [[0.0, 1.0, 0.0, 0.0], [-1.0, 0.0, 0.0, 3.0], [0.0, 0.0, 1.0, 1.0], [0.0, 0.0, 0.0, 1.0]];
+    for (row, expected) in expected.iter().enumerate() {
+        for (column, expected) in expected.iter().enumerate() {
+            let found = report["poses"][1]["t_part_cloud"][row][column].as_f64().unwrap();
+            assert!((found - expected).abs() < 0.03, "{report}");
+        }
+    }
+    // The two samplings lie on each other again.
+    let points = snake_io::read_points(Path::new(&sample())).unwrap();
+    let map = snake_io::read_points(Path::new(&merged)).unwrap();
+    assert_eq!(map.len(), points.len());
+    for (p, q) in points.iter().skip(1).step_by(2).zip(&map[points.len() / 2..]) {
+        assert!((0..3).all(|axis| (p[axis] - q[axis]).abs() < 0.05), "{p:?} {q:?}");
+    }
+    let text = snake(&["align", &scans, "--require-connected"]);
+    let printed = String::from_utf8_lossy(&text.stdout).into_owned();
+    assert!(text.status.code() == Some(1) && stderr(&text).contains("2 parts"), "{}", stderr(&text));
+    assert!(printed.contains("3 clouds in 2 parts") && printed.contains("a.ply"), "{printed}");
+}
+
+#[test]
+fn align_refuses_bad_arguments_before_any_work() {
+    let folder = tempfile::tempdir().unwrap();
+    let scans = scans(folder.path());
+    let poses = folder.path().join("poses.json").display().to_string();
+    let first = folder.path().join("scans/a.ply").display().to_string();
+    for (arguments, message) in [
+        (vec![&scans[..], "-o", "poses.txt"], ".json"),
+        (vec![&scans, "--merged", "map.las"], "las"),
+        (vec![&first, "-o", &poses], "2 to 500"),
+        (vec![&scans, "--merged", &first], "overwrite"),
+        (vec![&scans, "-o", &poses, "--source-viewpoint", "0,0,0"], "viewpoint"),
+        (vec![&scans, "-o", &poses, "--max-partners", "0"], "max_partners"),
+    ] {
+        let output = snake(&[&["align"], &arguments[..]].concat());
+        assert!(output.status.code() == Some(2) && stderr(&output).contains(message), "{}", stderr(&output));
+        assert!(!Path::new(&poses).exists());
+    }
+}

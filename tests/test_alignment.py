@@ -1,0 +1,68 @@
+"""snake_rs.align (`pytest tests/test_alignment.py`)."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import snake_rs
+
+ROOT = Path(__file__).parents[1]
+
+
+def rigid(seed):
+    rng = np.random.default_rng(seed)
+    q, _ = np.linalg.qr(rng.normal(size=(3, 3)))
+    t = np.eye(4)
+    t[:3, :3], t[:3, 3] = q * np.sign(np.linalg.det(q)), rng.normal(size=3)
+    return t
+
+
+@pytest.fixture(scope="module")
+def scans():
+    """Two samplings of the sample with their poses, and a sphere, which fits none of them."""
+    data = (ROOT / "samples" / "plane.ply").read_bytes()
+    cloud = np.frombuffer(data.split(b"end_header\n", 1)[1], dtype="<f4").reshape(-1, 3)
+    sphere = np.random.default_rng(1).normal(size=(1500, 3))
+    sphere /= np.linalg.norm(sphere, axis=1, keepdims=True)
+    poses = [rigid(2), rigid(3)]
+    clouds = [cloud[start::2] @ pose[:3, :3].T + pose[:3, 3] for start, pose in enumerate(poses)]
+    return [clouds[0], sphere, clouds[1]], poses
+
+
+def test_poses_and_parts(scans):
+    clouds, poses = scans
+    found = snake_rs.align(clouds)
+    assert found.parts == [[0, 2], [1]] and found.num_pairs == 3
+    np.testing.assert_array_equal(found.poses[0], np.eye(4))
+    np.testing.assert_allclose(found.poses[2], poses[0] @ np.linalg.inv(poses[1]), atol=0.05)
+    (edge,) = found.edges
+    assert (edge.source, edge.target) == (2, 0) and edge.belief >= edge.confidence >= 0.5
+    assert edge.information.shape == (6, 6) and edge.residual < 1e-6
+    assert np.all(np.linalg.eigvalsh(found.covariances[2]) > 0) and not found.covariances[0].any()
+    assert repr(found).startswith("Alignment(3 clouds in parts of 2 + 1; 1 edges of 3 pairs")
+
+
+def test_far_coordinates_keep_their_digits(scans):
+    clouds, poses = scans
+    far = [cloud.astype(np.float64) + [6e5, 5e6, 100.0] for cloud in (clouds[0], clouds[2])]
+    found = snake_rs.align(far)
+    moved = far[1] @ found.poses[1][:3, :3].T + found.poses[1][:3, 3]
+    truth = clouds[2] @ (poses[0] @ np.linalg.inv(poses[1]))[:3, :3].T
+    truth += (poses[0] @ np.linalg.inv(poses[1]))[:3, 3] + [6e5, 5e6, 100.0]
+    assert np.abs(moved - truth).max() < 0.05
+
+
+def test_bad_arguments_are_refused(scans):
+    clouds, _ = scans
+    with pytest.raises(ValueError, match="2 to 500"):
+        snake_rs.align(clouds[:1])
+    with pytest.raises(ValueError, match="cloud 1"):
+        snake_rs.align([clouds[0], np.zeros((5, 3))])
+    with pytest.raises(ValueError, match="viewpoints"):
+        snake_rs.align(clouds, viewpoints=[None])
+    with pytest.raises(ValueError, match="hypotheses"):
+        snake_rs.align(clouds, hypotheses=3)
+    with pytest.raises(TypeError, match="sharpness"):
+        snake_rs.align(clouds, sharpness=3)
+    assert snake_rs.align(clouds, max_partners=1, viewpoints=[(9, 9, 9), None, (9, 0, 0)], seed=3).num_pairs >= 2
