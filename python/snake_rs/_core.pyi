@@ -156,7 +156,7 @@ def register(
 ) -> Registration: ...
 def align(
     clouds: Sequence[_Points],
-    model: Model | None = None,
+    model: _Model | None = None,
     *,
     max_partners: int = 20,
     viewpoints: Sequence[Sequence[float] | None] | None = None,

@@ -5,7 +5,7 @@ use pyo3::prelude::*;
 use pyo3::types::PyDict;
 use snake_registration as core;
 
-use crate::model::{self, Model};
+use crate::model;
 use crate::registration::matrix;
 use crate::{arrays, options, threads};
 
@@ -78,7 +78,7 @@ impl Alignment {
 pub fn align(
     py: Python<'_>,
     clouds: Vec<Bound<'_, PyAny>>,
-    model: Option<&Bound<'_, Model>>,
+    model: Option<&Bound<'_, PyAny>>,
     max_partners: usize,
     viewpoints: Option<Vec<Option<[f64; 3]>>>,
     options: Option<&Bound<'_, PyDict>>,
