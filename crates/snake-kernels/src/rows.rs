@@ -1,5 +1,8 @@
 //! Sums, maxima and ReLUs of rows of features. Each is a plain loop, so all levels give the same bits.
 
+// `simd_levels` gives every body its lanes, which plain loops do not name.
+#![expect(clippy::extra_unused_type_parameters)]
+
 use crate::simd::simd_levels;
 
 simd_levels! {

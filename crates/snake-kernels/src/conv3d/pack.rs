@@ -1,7 +1,5 @@
 //! Transformed and packed weights of a 3x3x3 convolution.
 
-use rayon::prelude::*;
-
 use super::{FAR, NEAR};
 use crate::simd::LANES;
 
@@ -103,15 +101,12 @@ impl PackedConv3d {
             for first in (0..channels).step_by(BLOCK) {
                 let width = BLOCK.min(channels - first);
                 // On this thread alone: loading a model must not start Rayon's global pool.
+                // On this thread alone: loading a model must not start Rayon's global pool.
                 let transformed: Vec<Vec<[f32; LANES]>> = (0..output_blocks * width)
-                    .into_par_iter()
                     .map(|i| weights_of_points(n, &taps(i / width, before + first + i % width)))
                     .collect();
-                let points: Vec<usize> = points(n, upsampled).collect();
-                let mut weights = vec![[0.0; LANES]; points.len() * transformed.len()];
-                weights.par_chunks_mut(transformed.len().max(1)).zip(points).for_each(|(weights, p)| {
-                    weights.iter_mut().zip(&transformed).for_each(|(weight, of_points)| *weight = of_points[p]);
-                });
+                let weights =
+                    points(n, upsampled).flat_map(|p| transformed.iter().map(move |of_points| of_points[p])).collect();
                 blocks.push(Block { source, first: [first, before + first], channels: width, weights, upsampled });
             }
             before += channels;
