@@ -178,6 +178,45 @@ def sharpen(target, queries, radius=0.15):
     return sharp.numpy()
 
 
+def seek_modes(log_odds, occupancy, queries, radius=0.04, starts=704, spacing=0.05, limit=64):
+    """Keypoints (K, 3) of an averaged field at queries (Q, 3), best first, by the mean shift of snake-rs.
+
+    Queries on the surface are weighted by the eighth power of their saliency. The best `starts` move three times to the
+    weighted mean within `radius`; the modes that are nearer than `spacing` to a better one are dropped.
+    """
+    on_surface = occupancy > 0.8
+    if not on_surface.any():
+        raise ValueError("the network sees no surface in a shape: train it first")
+    at, saliency = (torch.from_numpy(a[on_surface]).double() for a in (queries, 1 / (1 + np.exp(-log_odds))))
+    weights = (saliency / saliency.amax()) ** 8
+    modes = at[saliency.argsort(descending=True)[:starts]]
+    for _ in range(3):
+        near = (torch.cdist(modes, at) <= radius) * weights
+        total = near.sum(dim=1, keepdim=True)
+        modes = torch.where(total > 0, near @ at / total.clamp(min=1e-30), modes)
+    distance, nearest = torch.cdist(modes, at).topk(min(4, len(at)), largest=False)
+    near = (-((distance / 0.015) ** 2)).exp() + 1e-9
+    score = (near * saliency[nearest]).sum(dim=1) / near.sum(dim=1)
+    kept = []
+    for mode in modes[score.argsort(descending=True)]:
+        if len(kept) < limit and all((mode - other).norm() >= spacing for other in kept):
+            kept.append(mode)
+    return torch.stack(kept)
+
+
+@torch.no_grad()
+def keypoint_targets(log_odds, occupancy, queries, width=0.03):
+    """Targets (Q,) of one shape's queries (Q, 3): the averaged log-odds with a bump at each of its keypoints.
+
+    The field of a student is as smooth as its targets, and the smallest error moves a wide peak far. The keypoints of the
+    mean over rotations repeat best, so the bumps, about as wide as a voxel of 32, mark what the student is to find.
+    """
+    keypoints = seek_modes(log_odds, occupancy, queries)
+    nearest = torch.cdist(torch.from_numpy(queries).double(), keypoints).amin(dim=1).numpy()
+    bumps = 2 * np.exp(-0.5 * (nearest / width) ** 2)
+    return np.maximum(log_odds + np.log((occupancy + 0.02) / 1.02) - 0.7 + bumps, -3)
+
+
 class Targets:
     """Files of `write_targets`, of as many points and queries a shape.
 
@@ -213,7 +252,7 @@ def write_targets(path, teacher, shapes, rotations=8, queries=4096, points=4096,
 
     A shape is a cloud (M, 3), or a `Place` whose number of views divides `points`. Without a teacher, and of places
     always, the targets are the `surface_variation`, or if `local` is "contrast" or "peaks" the `local_contrast`, for peaks
-    with `sharpen`. Its ranks are those within a cloud, which is as it is seen; places
+    with `sharpen`. With `local` "keypoints" they are the `keypoint_targets` of the teacher. Its ranks are those within a cloud, which is as it is seen; places
     are parts of larger scenes and are ranked together, as a teacher's values are.
     """
     stored = {
@@ -241,7 +280,12 @@ def write_targets(path, teacher, shapes, rotations=8, queries=4096, points=4096,
                 alone.append(row)
         stored["points"][row], stored["queries"][row] = ((a / QUANTUM).round() for a in (cloud, at))
     target = np.empty(log_odds.shape, np.float16)
-    together = np.setdiff1d(np.arange(len(shapes)), alone)
+    if local == "keypoints":
+        for row, at in enumerate(stored["queries"]):
+            target[row] = keypoint_targets(log_odds[row], occupancy[row], at.astype(np.float32) * QUANTUM)
+        alone, together = [], []
+    else:
+        together = np.setdiff1d(np.arange(len(shapes)), alone)
     for rows in [*alone, together] if len(together) else alone:
         target[rows] = rank_targets(log_odds[rows], occupancy[rows])
     for row in range(len(shapes)) if local == "peaks" else ():
@@ -276,9 +320,9 @@ def main(argv=None):
     )
     parser.add_argument(
         "--local",
-        choices=("contrast", "peaks"),
+        choices=("contrast", "peaks", "keypoints"),
         help="instead of a teacher: how much the surface stands out from its neighbourhood, ranked over the whole shape; "
-        "peaks: ranked in each neighbourhood too",
+        "peaks: ranked in each neighbourhood too; keypoints: the teacher's saliency with a bump at each of its keypoints",
     )
     parser.add_argument("--rotations", type=int, default=8, help="rotated copies averaged")
     parser.add_argument("--queries", type=int, default=4096, help="queries a shape")
@@ -310,7 +354,9 @@ def main(argv=None):
         settings = {name: json.dumps(getattr(arguments, name)) for name in ("weights", "rotations", "seed")}
         if arguments.places and arguments.weights:
             parser.error("--places makes its targets without a teacher; leave out the WEIGHTS")
-        if arguments.local and (arguments.weights or arguments.places):
+        if arguments.local == "keypoints" and not arguments.weights:
+            parser.error("--local keypoints are those of a teacher; give WEIGHTS")
+        if arguments.local and (arguments.weights and arguments.local != "keypoints" or arguments.places):
             parser.error("--local makes its targets of whole shapes without a teacher; leave out WEIGHTS and --places")
         teachers = {
             "snake-rs": snake_rs_teacher,

@@ -128,6 +128,36 @@ def test_every_place_gets_a_sharp_peak_whatever_its_height():
     assert sharpen(np.full(10, -3, np.float32), queries[:10]).max() == -3
 
 
+def test_keypoints_of_the_mean_get_a_bump_on_the_surface_alone():
+    rng = np.random.default_rng(3)
+    plane = rng.uniform(-0.5, 0.5, (4096, 3)).astype(np.float32) * (1, 1, 0)
+    queries = plane.astype(np.float32)
+    places = np.array([[0.2, 0.1, 0], [-0.3, -0.2, 0]])
+    distance = np.linalg.norm(queries[:, None] - places, axis=2).min(axis=1)
+    log_odds = (1 - distance / 0.2).astype(np.float32)
+    occupancy = np.ones(4096, np.float32)
+    found = module.seek_modes(log_odds, occupancy, queries).numpy()[:2]
+    assert np.linalg.norm(found[:, None] - places, axis=2).min(axis=0).max() < 0.02  # queries are 0.016 apart
+    target = module.keypoint_targets(log_odds, occupancy, queries)
+    peaks = np.linalg.norm(queries[:, None] - found, axis=2).argmin(axis=0)
+    assert target[peaks] == pytest.approx(log_odds[peaks] - 0.7 + 2, abs=0.1)
+    occupancy[peaks] = 0.1
+    assert (module.keypoint_targets(log_odds, occupancy, queries)[peaks] < target[peaks] - 1.5).all()
+    with pytest.raises(ValueError, match="no surface"):
+        module.keypoint_targets(log_odds, 0 * occupancy, queries)
+
+
+def test_targets_may_be_the_keypoints_of_a_teacher(tmp_path, network):
+    shape = sample_surface(box((1, 2, 3)), 500, np.random.default_rng(1)).astype(np.float32)
+
+    def teacher(points, queries):
+        return queries[..., 0], np.ones(queries.shape[:2], np.float32)
+
+    module.write_targets(tmp_path / "t", teacher, [shape], 1, 600, 300, local="keypoints")
+    (points, queries, target) = module.Targets(tmp_path / "t").sample(np.random.default_rng(1))
+    assert points.shape == (1, 300, 3) and queries.shape == (600, 3) and target.max() > 0.5
+
+
 def test_clouds_without_a_teacher_are_ranked_by_themselves(tmp_path):
     shapes = Procedural(3, points=400)
     write_targets(tmp_path / "all", None, shapes, queries=256, points=256)
