@@ -35,7 +35,9 @@ def draw(axes, points, found, turn):
     """A cloud (N, 3), shaded by depth, with keypoints (K, 3)."""
     points, found = points @ turn.T, found @ turn.T
     order = np.argsort(points[:, 2])
-    axes.scatter(*points[order, :2].T, c=points[order, 2], cmap="Greys", s=1.2, vmin=2 * points[:, 2].min(), linewidths=0)
+    axes.scatter(
+        *points[order, :2].T, c=points[order, 2], cmap="Greys", s=1.2, vmin=2 * points[:, 2].min(), linewidths=0
+    )
     near = (found[:, 2] - points[:, 2].min()) / np.ptp(points[:, 2])
     axes.scatter(*found[:, :2].T, s=12 + 28 * near, c="#e5484d", edgecolors="black", linewidths=0.6)
     axes.set_aspect("equal")

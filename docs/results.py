@@ -182,7 +182,7 @@ Real clouds with known transforms, in metres.
 
 ### The model for rooms
 
-`--model rooms`, which has seen no real room, through windows of 0.8 m as it recommends; 10240 points of each cloud, 64
+`--model rooms`, which has seen no real room, in windows of 0.8 m as it recommends; 10240 points of each cloud, 64
 keypoints, {rooms_report["pairs"]} evenly spaced pairs of the first folder; ε in metres.
 
 {rooms_tables}
