@@ -18,7 +18,7 @@ const WINDOW_RADII: std::ops::Range<f64> = 1.5..25.0;
 ///
 /// ```
 /// use snake_core::{Builtin, Model, scale_hint};
-/// let object: Vec<[f32; 3]> = (0..500).map(|i| { let a = i as f32 * 0.1; [a.cos(), a.sin(), (a * 0.3).sin()] }).collect();
+/// let object: Vec<[f32; 3]> = (0..500).map(|i| { let a = i as f32 * 0.1; [a.cos(), a.sin(), (a * 0.3).sin()].map(|v| 0.2 * v) }).collect();
 /// assert_eq!(scale_hint(&object, Model::builtin(Builtin::Compact).recommended()), None);
 /// assert!(scale_hint(&object, Model::builtin(Builtin::Rooms).recommended()).is_some());
 /// ```
