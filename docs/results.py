@@ -205,7 +205,7 @@ metres. {report["pairs"]} evenly spaced pairs of the first folder. The paper's f
 By the rules of the 3DMatch benchmark, clouds reduced to voxels of 3 cm: correspondences are mutual nearest neighbours, right
 within 0.1 m; a pair matches with more than 0.05 of them right; RANSAC (0.05 m, edges 0.9, 50 000 samples, no ICP) registers
 it with an RMSE of at most 0.2 m over the overlap. A detector that finds fewer keypoints than a column asks for has its
-figures of all that it finds there. `snake-cli register` does better on pairs that overlap well (README), with larger voxels
+figures of all that it finds there. `snake-cli register` does better on pairs that overlap well ([registration.md](registration.md)), with larger voxels
 and radii, and ICP. The paper's figures are for all eight scenes of 3DMatch, with the learned descriptor D3Feat.
 
 {registration(*registrations[0])}{more}"""

@@ -5,31 +5,22 @@ mod loops;
 mod parts;
 mod pose_graph;
 mod result;
+mod solved;
 #[cfg(test)]
 mod tests;
 
 use std::time::Instant;
 
-use nalgebra::{IsometryMatrix3, Matrix6};
 use rayon::prelude::*;
 
-use snake_core::space::Vector;
-use snake_core::{Control, Error, Model, Point, Result};
+use snake_core::{Control, Error, Model, Point, Result, RigidTransform};
 
 use super::pair::Pair;
 use super::prepared::{Prepared, PreparedClouds};
 use super::result::Registration;
-use loops::{Witness, beliefs};
-use parts::{Part, split};
-use pose_graph::Link;
+use parts::Part;
 pub use result::{AlignOptions, Alignment, Edge, Pose};
-
-/// Number of points of a cloud that tell whether a loop is closed.
-const PROBES: usize = 50;
-/// A loop of three transforms is closed if it moves points by less than this many inlier distances.
-const LOOP_DISTANCE: f64 = 3.0;
-/// Transforms with at least this belief take part in the pose graph.
-const LEAST_BELIEF: f64 = 0.5;
+use solved::{Solved, solve};
 
 /// Finds the poses of clouds `(N, 3)` that overlap in part, without initial guesses.
 ///
@@ -78,25 +69,25 @@ pub fn align_with(
     let PreparedClouds { clouds, inlier_distance } = &prepared;
     describe(clouds, control)?;
     let pairs = candidates::pairs(clouds, options.max_partners, &inner)?;
-    let found = register_pairs(&prepared, &pairs, options, control)?;
-
-    let probes: Vec<Vec<Vector>> = clouds.iter().map(probes).collect();
-    let witnesses: Vec<Witness> = found.iter().map(|(pair, found)| witness(*pair, found)).collect();
-    let believed = beliefs(&witnesses, &probes, LOOP_DISTANCE * inlier_distance);
-    let counter = control.begin("poses", 0);
-    let candidates: Vec<usize> = (0..found.len()).filter(|&i| believed[i] >= LEAST_BELIEF).collect();
-    let links: Vec<Link> = candidates.iter().map(|&i| link(found[i].0, &found[i].1)).collect();
-    let order: Vec<f64> = candidates.iter().map(|&i| believed[i]).collect();
-    let parts = split(clouds.len(), &links, &order, *inlier_distance, &counter)?;
+    let free: Vec<Trial> = pairs.into_iter().map(|pair| (pair, None)).collect();
+    let found = register_pairs(&prepared, &free, options, control)?;
+    let first = solve(clouds, found, *inlier_distance, control)?;
+    // The poses say which other clouds overlap, and where.
+    let guided = first.guesses(clouds, *inlier_distance);
+    let more = register_pairs(&prepared, &guided, options, control)?;
+    let Solved { found, kept, believed, links, parts } = match more.iter().any(|(_, found)| found.is_reliable) {
+        true => solve(clouds, first.with_reliable(more), *inlier_distance, control)?,
+        false => first,
+    };
 
     let edge = |(at, residual): &(usize, f64)| {
-        let ([source, target], registration) = &found[candidates[*at]];
+        let ([source, target], registration) = &found[kept[*at]];
         Edge {
             source: *source,
             target: *target,
             t_target_source: registration.t_target_source,
             confidence: registration.confidence,
-            belief: order[*at],
+            belief: believed[*at],
             residual: *residual,
             information: registration.information,
         }
@@ -104,7 +95,7 @@ pub fn align_with(
     let mut edges: Vec<Edge> = parts.iter().flat_map(|part| part.links.iter().map(edge)).collect();
     edges.sort_by_key(|edge| (edge.source, edge.target));
     let variance = |part: &Part| {
-        let squared = part.links.iter().map(|(at, _)| found[candidates[*at]].1.fitness_rmse.powi(2));
+        let squared = part.links.iter().map(|(at, _)| found[kept[*at]].1.fitness_rmse.powi(2));
         squared.sum::<f64>() / part.links.len().max(1) as f64
     };
     let mut poses: Vec<Option<Pose>> = vec![None; clouds.len()];
@@ -119,7 +110,7 @@ pub fn align_with(
         poses: poses.into_iter().flatten().collect(),
         parts: parts.into_iter().map(|part| part.clouds).collect(),
         edges,
-        num_pairs: pairs.len(),
+        num_pairs: free.len() + guided.len(),
         num_skipped: clouds.iter().map(|cloud| cloud.num_skipped).collect(),
         seconds: start.elapsed().as_secs_f64(),
     })
@@ -137,21 +128,24 @@ fn describe(clouds: &[Prepared], control: &Control) -> Result<()> {
     })
 }
 
+/// Source and target with the transform to start from, if there is one.
+type Trial = ([usize; 2], Option<RigidTransform>);
 type Found = ([usize; 2], Registration);
 
 /// The registrations of all pairs for which there is a transform.
 fn register_pairs(
     prepared: &PreparedClouds,
-    pairs: &[[usize; 2]],
+    pairs: &[Trial],
     options: &AlignOptions,
     control: &Control,
 ) -> Result<Vec<Found>> {
     let counter = control.begin("pairs", pairs.len());
     let inner = control.without_progress();
-    let register = |&[source, target]: &[usize; 2]| {
+    let register = |&([source, target], guess): &Trial| {
         counter.check()?;
         let [from, to] = [source, target].map(|cloud| &prepared.clouds[cloud]);
-        let found = Pair::new(from, to, prepared.inlier_distance).register(&options.register, &inner);
+        let options = options.register.with_initial(guess);
+        let found = Pair::new(from, to, prepared.inlier_distance).register(&options, &inner);
         counter.add(1);
         match found {
             Ok(found) => Ok(Some(([source, target], found))),
@@ -162,20 +156,4 @@ fn register_pairs(
     };
     let found: Vec<Option<Found>> = pairs.par_iter().map(register).collect::<Result<_>>()?;
     Ok(found.into_iter().flatten().collect())
-}
-
-fn probes(cloud: &Prepared) -> Vec<Vector> {
-    let points = &cloud.scan.voxels.points;
-    points.iter().step_by(points.len().div_ceil(PROBES).max(1)).copied().collect()
-}
-
-fn witness([source, target]: [usize; 2], found: &Registration) -> Witness {
-    let t_target_source = *found.t_target_source.isometry();
-    Witness { source, target, t_target_source, confidence: found.confidence }
-}
-
-fn link([source, target]: [usize; 2], found: &Registration) -> Link {
-    let information = Matrix6::from_fn(|row, column| found.information[row][column]);
-    let t_target_source: IsometryMatrix3<f64> = *found.t_target_source.isometry();
-    Link { source, target, t_target_source, information }
 }

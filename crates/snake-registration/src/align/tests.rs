@@ -7,7 +7,8 @@ use super::super::rigid::tests::{random_points, random_transform};
 use super::super::rigid::transform_points;
 use super::*;
 use crate::RegisterOptions;
-use snake_core::{Builtin, CancelFlag, RigidTransform};
+use snake_core::space::Vector;
+use snake_core::{Builtin, CancelFlag};
 
 /// Three samplings of the sample, each moved; a closed surface that fits none of them is cloud 1.
 fn clouds() -> (Vec<Vec<Point>>, Vec<RigidTransform>) {
