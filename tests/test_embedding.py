@@ -30,6 +30,15 @@ PRINTED = {
 }
 
 
+def test_the_clouds_of_a_recording_have_keypoints(tmp_path):
+    command = next(line for line in PAGE.splitlines() if "mcap_replay" in line and line.startswith("cargo"))
+    words = command.replace("keypoints.mcap", str(tmp_path / "keypoints.mcap")).split()
+    done = subprocess.run(words, cwd=ROOT, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    assert "2 of 2 clouds have keypoints" in done.stdout
+    assert b"/keypoints" in (tmp_path / "keypoints.mcap").read_bytes()
+
+
 def test_every_example_of_the_core_is_on_the_page():
     names = {path.stem for path in EXAMPLES if path.parts[-3] == "snake-core"}
     assert names <= {command.split()[-1] for command in COMMANDS}

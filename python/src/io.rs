@@ -12,7 +12,7 @@ use crate::error::file_error;
 
 /// Reads a point cloud or a mesh: (N, 3) float64, in the file's order, units and frame.
 ///
-/// The extension determines the format: ply, pcd, xyz, txt, csv, pts, asc, npy, npz, las, laz, obj, off or stl; and the
+/// The extension determines the format: ply, pcd, xyz, txt, csv, pts, asc, npy, npz, las, laz, e57, obj, off, stl, gltf or glb; and the
 /// folder, for sweeps of KITTI and nuScenes. For a mesh,
 /// `sample` draws that many points from the surface, uniformly by area, and `seed` determines the draw. Without
 /// `sample`, a mesh gives its vertices and a UserWarning. For text and numpy arrays, `columns` selects x, y and z:

@@ -7,6 +7,7 @@ use rayon::prelude::*;
 use crate::Result;
 use crate::kd_tree::KdTree;
 use crate::points::Point;
+use snake_kernels::SimdLevel;
 
 /// Greedy non-maximum suppression: indices of the kept points, best first, each farther than `radius` from all earlier
 /// ones.
@@ -91,20 +92,8 @@ pub fn nearest_points(points: &[Point], queries: &[Point]) -> Result<Vec<usize>>
 const TREE_POINTS: usize = 1 << 16;
 
 fn nearest_of_all(points: &[Point], query: Point) -> usize {
-    const RUN: usize = 64;
-    let (mut best, mut least) = (0, f32::INFINITY);
-    for (run, points) in points.chunks(RUN).enumerate() {
-        let mut distances = [f32::INFINITY; RUN];
-        for (distance, point) in distances.iter_mut().zip(points) {
-            let [x, y, z] = [point[0] - query[0], point[1] - query[1], point[2] - query[2]];
-            *distance = x * x + y * y + z * z;
-        }
-        let least_of_run = distances.iter().fold(f32::INFINITY, |least, &d| if d < least { d } else { least });
-        if least_of_run < least {
-            least = least_of_run;
-            best = run * RUN + distances.iter().position(|&d| d == least).unwrap_or(0);
-        }
-    }
+    let mut best = 0;
+    snake_kernels::nearest_row(SimdLevel::current(), points, query, &mut best);
     best
 }
 

@@ -5,7 +5,11 @@ use std::path::Path;
 use snake_core::{Cloud, Point};
 
 use crate::columns::Columns;
+#[cfg(feature = "e57")]
+use crate::e57;
 use crate::format::PointFormat;
+#[cfg(feature = "gltf")]
+use crate::gltf;
 #[cfg(feature = "laz")]
 use crate::las;
 #[cfg(feature = "npz")]
@@ -118,6 +122,16 @@ fn read_shape(bytes: &[u8], format: PointFormat, options: &ReadOptions) -> std::
         PointFormat::Obj => obj::read(bytes),
         PointFormat::Off => off::read(bytes),
         PointFormat::Stl => stl::read(bytes),
+        #[cfg(feature = "e57")]
+        PointFormat::E57 => e57::read(bytes),
+        #[cfg(not(feature = "e57"))]
+        PointFormat::E57 => Err("this build cannot read .e57: it lacks the feature `e57` of snake-io".into()),
+        #[cfg(feature = "gltf")]
+        PointFormat::Gltf => gltf::read(bytes),
+        #[cfg(not(feature = "gltf"))]
+        PointFormat::Gltf => {
+            Err("this build cannot read .gltf and .glb: it lacks the feature `gltf` of snake-io".into())
+        }
         PointFormat::Kitti => sweep::read(bytes, 4),
         PointFormat::Nuscenes => sweep::read(bytes, 5),
         #[cfg(feature = "laz")]

@@ -34,6 +34,10 @@ pub enum PointFormat {
     Stl,
     /// ASPRS laser scans, plain (las) or compressed (laz).
     Las,
+    /// Laser scans of E57.
+    E57,
+    /// glTF scenes, as JSON (gltf) or binary (glb).
+    Gltf,
     /// A sweep of KITTI: x, y, z and intensity as float32 (bin).
     Kitti,
     /// A sweep of nuScenes: x, y, z, intensity and ring as float32 (pcd.bin).
@@ -43,7 +47,7 @@ pub enum PointFormat {
 /// The extensions that [`PointFormat::from_path`] accepts.
 pub const POINT_EXTENSIONS: &[&str] = &[
     "ply", "pcd", "xyz", "txt", "csv", "pts", "asc", "xyzn", "xyzrgb", "xyzi", "npy", "npz", "obj", "off", "stl",
-    "las", "laz",
+    "las", "laz", "e57", "gltf", "glb",
 ];
 
 impl PointFormat {
@@ -76,6 +80,8 @@ impl PointFormat {
             "off" => Self::Off,
             "stl" => Self::Stl,
             "las" | "laz" => Self::Las,
+            "e57" => Self::E57,
+            "gltf" | "glb" => Self::Gltf,
             "kitti" => Self::Kitti,
             "nuscenes" => Self::Nuscenes,
             _ => return None,
@@ -99,6 +105,10 @@ impl PointFormat {
             Some(Self::Stl)
         } else if starts(&[b"LASF"]) {
             Some(Self::Las)
+        } else if starts(&[b"ASTM-E57"]) {
+            Some(Self::E57)
+        } else if starts(&[b"glTF"]) {
+            Some(Self::Gltf)
         } else {
             None
         }
@@ -117,6 +127,8 @@ impl PointFormat {
             Self::Off => "OFF",
             Self::Stl => "STL",
             Self::Las => "LAS",
+            Self::E57 => "E57",
+            Self::Gltf => "glTF",
             Self::Kitti => "KITTI",
             Self::Nuscenes => "nuScenes",
         }
@@ -232,6 +244,7 @@ fn conversion(extension: &str) -> Option<&'static str> {
     Some(match extension {
         "bag" => "convert the ROS 1 bag to PCD files: rosrun pcl_ros bag_to_pcd FILE.bag /TOPIC FOLDER",
         "db3" => "convert the ROS 2 bag to PCD files: ros2 bag play FOLDER, and ros2 run pcl_ros pointcloud_to_pcd",
+        "mcap" => "detect the clouds of its messages one by one: the example mcap_replay of snake-io",
         "pcap" => "convert the recording to LAS files: ouster-cli source FILE.pcap save FILE.las",
         "ptx" | "fls" | "rcp" => "convert it with CloudCompare: CloudCompare -O FILE -C_EXPORT_FMT PLY -SAVE_CLOUDS",
         "fbx" | "dae" | "3ds" | "blend" => "convert it to a mesh: assimp export FILE FILE.ply",

@@ -33,7 +33,8 @@
 //! | `xyz`, `txt`, `pts`, `asc`, `xyzn`, `xyzrgb`, `xyzi` | columns of text | only `xyz` | |
 //! | `pcd.bin`, and `bin` in folders of KITTI or nuScenes | x, y and z of float32 values, 5 or 4 of them a point | | |
 //! | `obj`, `off`, `stl` | vertices, or points sampled on the surface (also of a `ply` with faces) | | |
-//! | `las`, `laz` | coordinates | | |
+//! | `gltf`, `glb` | vertices of all meshes in the scene's frame, or points sampled on them | | |
+//! | `las`, `laz`, `e57` | coordinates | | |
 //! | `json` | | | `{"keypoints": [{"x": .., ..}, ..]}` |
 //! | `keypointnet.json` | | | annotations in the format of KeypointNet |
 //!
@@ -58,8 +59,12 @@ mod atomic;
 mod clouds;
 mod columns;
 mod dtype;
+#[cfg(feature = "e57")]
+mod e57;
 mod error;
 mod format;
+#[cfg(feature = "gltf")]
+mod gltf;
 #[cfg(feature = "laz")]
 mod gps_time;
 mod json;
@@ -67,6 +72,8 @@ mod keypoint_source;
 #[cfg(feature = "laz")]
 mod las;
 mod lzf;
+#[cfg(feature = "mcap")]
+mod mcap;
 mod mesh;
 mod npy;
 #[cfg(feature = "npz")]
@@ -98,6 +105,8 @@ pub use error::{Error, Result};
 pub use format::{CLOUD_EXTENSIONS, CloudFormat, KEYPOINT_EXTENSIONS, KeypointFormat, POINT_EXTENSIONS, PointFormat};
 pub use json::keypoint_json;
 pub use keypoint_source::KeypointSource;
+#[cfg(feature = "mcap")]
+pub use mcap::{RecordedCloud, read_recording};
 pub use mesh::{MESH_EXTENSIONS, check_mesh_path, write_mesh};
 pub use snake_core::Cloud;
 pub use transform::{
@@ -107,5 +116,5 @@ pub use write::{adds_origin, write_keypoints, write_points};
 
 /// The limit of the unpacked size, in sizes of the packed file. No scan exceeds it; a file made to exceed it would take
 /// all memory.
-#[cfg(any(feature = "laz", feature = "npz"))]
+#[cfg(any(feature = "e57", feature = "laz", feature = "npz"))]
 const MAX_EXPANSION: usize = 50;

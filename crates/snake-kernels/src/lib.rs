@@ -6,7 +6,7 @@
 //! | [`linear()`] | rows of features `(rows, width)` |
 //! | [`conv3d()`] | volumes `[z][y][x][channel]`; [`GroupNorm`] applied as it reads, ReLU as it writes |
 //! | [`ConstantRegion`] | tiles of a volume that repeat each other, which [`conv3d()`] copies |
-//! | [`relu`], [`max_rows`], [`add_weighted`] | rows of features |
+//! | [`relu`], [`max_rows`], [`add_weighted`], [`nearest_row`] | rows of features |
 //! | [`interpolate`], [`interpolate_backward`] | trilinear features of queries, and their gradient |
 //!
 //! Every kernel is written once, as plain loops over the lanes of a register, and compiled once for each [`SimdLevel`].
@@ -43,7 +43,7 @@ pub use constant_region::ConstantRegion;
 pub use conv3d::{Conv3d, PackedConv3d, Source, conv3d};
 pub use group_norm::{GroupNorm, channel_sums};
 pub use linear::{Epilogue, PackedLinear, linear};
-pub use rows::{add_weighted, max_rows, relu};
+pub use rows::{add_weighted, max_rows, nearest_row, relu};
 pub use scratch::{Element, Scratch};
 pub use simd::SimdLevel;
 pub use trilinear::{Corners, interpolate, interpolate_backward};

@@ -56,6 +56,30 @@ fn add_weighted_body<L, const ROWS: usize>(
     }
 }
 
+simd_levels! {
+    /// Writes the index of the point nearest to a query to `best`: the first of several, and 0 if there are none.
+    pub fn nearest_row(points: &[[f32; 3]], query: [f32; 3], best: &mut usize) = nearest_row_body
+}
+
+#[inline(always)]
+fn nearest_row_body<L, const ROWS: usize>(points: &[[f32; 3]], query: [f32; 3], best: &mut usize) {
+    const RUN: usize = 64;
+    let mut least = f32::INFINITY;
+    *best = 0;
+    for (run, points) in points.chunks(RUN).enumerate() {
+        let mut distances = [f32::INFINITY; RUN];
+        for (distance, point) in distances.iter_mut().zip(points) {
+            let [x, y, z] = [point[0] - query[0], point[1] - query[1], point[2] - query[2]];
+            *distance = x * x + y * y + z * z;
+        }
+        let least_of_run = distances.iter().fold(f32::INFINITY, |least, &d| if d < least { d } else { least });
+        if least_of_run < least {
+            least = least_of_run;
+            *best = run * RUN + distances.iter().position(|&d| d == least).unwrap_or(0);
+        }
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -93,6 +117,23 @@ mod tests {
                 relu(level, &features, &mut found);
                 assert_eq!(found, features.iter().map(|v| v.max(0.0)).collect::<Vec<_>>(), "{level:?} {width}");
             }
+        }
+    }
+
+    #[test]
+    fn every_level_finds_the_first_of_the_nearest() {
+        let points: Vec<[f32; 3]> = (0_u16..200).map(|i| [i % 5, i % 7, i % 3].map(f32::from)).collect();
+        for level in SimdLevel::available() {
+            let nearest = |points: &[[f32; 3]], query| {
+                let mut best = usize::MAX;
+                nearest_row(level, points, query, &mut best);
+                best
+            };
+            for (index, point) in points.iter().enumerate() {
+                let first = points.iter().position(|other| other == point).unwrap();
+                assert_eq!(nearest(&points, *point), first, "{level:?} {index}");
+            }
+            assert_eq!([nearest(&points[..1], [9.0; 3]), nearest(&[], [0.0; 3])], [0, 0]);
         }
     }
 }

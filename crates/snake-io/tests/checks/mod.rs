@@ -27,7 +27,8 @@ pub fn read_cloud(bytes: &[u8], format: PointFormat) {
             assert!(points.len() <= most);
         }
     }
-    let is_mesh = matches!(format, PointFormat::Ply | PointFormat::Obj | PointFormat::Off | PointFormat::Stl);
+    let is_mesh =
+        matches!(format, PointFormat::Ply | PointFormat::Obj | PointFormat::Off | PointFormat::Stl | PointFormat::Gltf);
     if let Some(Ok(Cloud { points, .. })) = is_mesh.then(|| read(Some(5), None)) {
         assert_eq!(points.len(), 5);
     }
@@ -52,7 +53,9 @@ pub fn load_model(bytes: &[u8]) {
 fn expansion(format: PointFormat) -> usize {
     match format {
         // Packed bytes stand for up to 50 (zip, LAZ) or 88 (LZF).
-        PointFormat::Npz | PointFormat::Las | PointFormat::Pcd => 2000,
+        PointFormat::Npz | PointFormat::Las | PointFormat::Pcd | PointFormat::E57 => 2000,
+        // The JSON of a scene takes some hundreds of bytes for an entry of a few.
+        PointFormat::Gltf => 1000,
         _ => 64,
     }
 }

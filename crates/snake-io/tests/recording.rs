@@ -1,0 +1,90 @@
+//! Recordings in MCAP files.
+
+use std::collections::BTreeMap;
+use std::path::Path;
+
+use mcap::records::MessageHeader;
+use snake_io::read_recording;
+
+const SCHEMA: &str = "sensor_msgs/msg/PointCloud2";
+
+/// A message with the points `(1, 2, 3)` and `(4, 5, NaN)`, each with a ring before it.
+fn message() -> Vec<u8> {
+    let mut data = Vec::new();
+    let number = |data: &mut Vec<u8>, value: u32| {
+        data.resize(data.len().next_multiple_of(4), 0);
+        data.extend(value.to_le_bytes());
+    };
+    let text = |data: &mut Vec<u8>, text: &str| {
+        number(data, text.len() as u32 + 1);
+        data.extend(text.bytes().chain([0]));
+    };
+    number(&mut data, 1);
+    number(&mut data, 500);
+    text(&mut data, "lidar");
+    number(&mut data, 1);
+    number(&mut data, 2);
+    number(&mut data, 4);
+    for (name, offset, datatype) in [("ring", 0, 4), ("x", 4, 7), ("y", 8, 7), ("z", 12, 7)] {
+        text(&mut data, name);
+        number(&mut data, offset);
+        data.push(datatype);
+        number(&mut data, 1);
+    }
+    data.push(0);
+    number(&mut data, 16);
+    number(&mut data, 32);
+    number(&mut data, 32);
+    for point in [[0.0, 1.0, 2.0, 3.0], [0.0, 4.0, 5.0, f32::NAN]] {
+        data.extend(point.iter().flat_map(|value: &f32| value.to_le_bytes()));
+    }
+    data.push(1);
+    [vec![0, 1, 0, 0], data].concat()
+}
+
+/// Writes a recording with messages of these topics and schemas.
+fn record(path: &Path, messages: &[(&str, &str, Vec<u8>)]) {
+    let mut writer = mcap::Writer::new(std::fs::File::create(path).unwrap()).unwrap();
+    for (time, (topic, schema, data)) in (100..).zip(messages) {
+        let schema_id = writer.add_schema(schema, "ros2msg", b"").unwrap();
+        let channel_id = writer.add_channel(schema_id, topic, "cdr", &BTreeMap::new()).unwrap();
+        let header = MessageHeader { channel_id, sequence: 0, log_time: time, publish_time: time };
+        writer.write_to_known_channel(&header, data).unwrap();
+    }
+    writer.finish().unwrap();
+}
+
+#[test]
+fn the_clouds_of_a_topic_are_read_in_order() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("drive.mcap");
+    record(
+        &path,
+        &[("/points", SCHEMA, message()), ("/pose", "geometry_msgs/msg/Pose", vec![]), ("/points", SCHEMA, message())],
+    );
+    for topic in [None, Some("/points")] {
+        let mut found = Vec::new();
+        let number = read_recording(&path, topic, |cloud| Ok(found.push(cloud))).unwrap();
+        assert_eq!((number, found.len(), found[1].log_time, found[0].frame_id.as_str()), (2, 2, 102, "lidar"));
+        let points = &found[0].cloud.points;
+        assert!(points[0] == [1.0, 2.0, 3.0] && points[1][1] == 5.0 && points[1][2].is_nan());
+    }
+}
+
+#[test]
+fn other_topics_and_damaged_messages_are_refused_by_name() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("drive.mcap");
+    let error = |topic| read_recording(&path, topic, |_| Ok(())).unwrap_err().to_string();
+    record(&path, &[("/a", SCHEMA, message()), ("/b", SCHEMA, message()), ("/pose", "geometry_msgs/msg/Pose", vec![])]);
+    assert!(error(None).contains("/a, /b"));
+    assert!(error(Some("/c")).contains("topics with point clouds: /a, /b"));
+    assert!(error(Some("/pose")).contains("geometry_msgs/msg/Pose"));
+    for length in 0..message().len() - 1 {
+        record(&path, &[("/a", SCHEMA, message()[..length].to_vec())]);
+        let text = error(None);
+        assert!(text.contains("message 0 of /a") || length == 0, "{length}: {text}");
+    }
+    std::fs::write(&path, b"no recording").unwrap();
+    assert!(error(None).contains("drive.mcap"));
+}
