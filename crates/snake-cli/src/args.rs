@@ -35,8 +35,14 @@ Environment:
   SNAKE_MODEL    default of --model: a weight file or the name of a model
   SNAKE_MODELS   folder in which named models are looked up
   SNAKE_THREADS  default of --threads: the number of threads
-  SNAKE_SIMD     portable, avx2 or avx512; default: the best level of the processor
-  NO_COLOR       turns colours off; colours are only used on a terminal"
+  SNAKE_SIMD     portable, avx2, avx512 or neon; default: the best level of the processor
+  SNAKE_CONFIG   configuration file; default: snake.toml in the working folder, if there is one
+  NO_COLOR       turns colours off; colours are only used on a terminal
+
+Configuration (snake.toml): model = \"NAME or FILE\", threads = N, [options] for every model, and
+[models.NAME] or [models.'FILE'] for one. Options have the names that `snake-cli model` prints. The
+command line comes first, then the environment, then the configuration, then what the model recommends;
+with --preset the options of the configuration do not apply."
 )]
 pub struct Arguments {
     #[command(subcommand)]
@@ -149,6 +155,10 @@ pub enum Command {
         #[arg(env = "SNAKE_MODEL", hide_env_values = true)]
         file: Option<PathBuf>,
     },
+    /// Print the JSON schema of a line of `detect --json`.
+    #[command(after_help = "Examples:
+  snake-cli schema > detect.schema.json")]
+    Schema,
     /// Print the script with which a shell completes the options of snake-cli.
     #[command(after_help = "Examples:
   snake-cli completions bash > ~/.local/share/bash-completion/completions/snake-cli

@@ -3,6 +3,7 @@
 
 mod align;
 mod args;
+mod config;
 mod detect;
 mod eval;
 mod field;
@@ -51,6 +52,7 @@ fn run(command: &Command) -> Result<ExitCode> {
         Command::Register(arguments) => return register::run(arguments),
         Command::View(arguments) => view::run(arguments)?,
         Command::Model { file } => model::run(file.as_deref())?,
+        Command::Schema => terminal::print_bytes(include_bytes!("schema.json"))?,
         Command::Completions { shell } => complete(*shell)?,
     }
     Ok(ExitCode::SUCCESS)

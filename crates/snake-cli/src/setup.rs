@@ -1,6 +1,7 @@
 //! Options that several sub-commands share: the model, the threads and the encoding.
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
+use std::sync::OnceLock;
 use std::time::Instant;
 
 use anyhow::{Result, bail};
@@ -8,11 +9,13 @@ use clap::Args;
 use serde::de::DeserializeOwned;
 use snake_core::{Length, Model, NormalizationMethod, Options, Preset, SimdLevel};
 
-use crate::model;
-use crate::terminal;
+use crate::{config, model, terminal};
 
 /// The most threads on a machine with fewer processors: more threads would only wait for each other.
 const MAX_THREADS: usize = 256;
+
+/// The options of the loaded model as the configuration file changes them.
+static CONFIGURED: OnceLock<Options> = OnceLock::new();
 
 /// Options of every sub-command that runs the network.
 #[derive(Args)]
@@ -32,9 +35,13 @@ pub struct ComputeArguments {
 impl ComputeArguments {
     /// Starts the threads. Call it before any computation.
     pub fn start_threads(&self) -> Result<()> {
-        if let Some(threads) = self.threads {
+        let threads = match self.threads {
+            None => config::get()?.threads,
+            given => given,
+        };
+        if let Some(threads) = threads {
             let most = std::thread::available_parallelism().map_or(1, usize::from).max(MAX_THREADS);
-            if usize::from(threads) > most {
+            if threads == 0 || usize::from(threads) > most {
                 bail!("--threads is {threads}: allowed is 1 to {most}");
             }
             rayon::ThreadPoolBuilder::new().num_threads(threads.into()).build_global()?;
@@ -55,9 +62,16 @@ impl ComputeArguments {
     /// Loads the model of `--model`, by default the built-in one.
     pub fn load_model(&self) -> Result<Model> {
         let start = Instant::now();
-        let model = model::load(self.model.as_deref())?;
+        let path = match &self.model {
+            None => config::get()?.model.as_deref(),
+            given => given.as_deref(),
+        };
+        let model = model::load(path)?;
+        // The first model that is loaded is the one of the run.
+        let configured = config::get()?.options_of(path.unwrap_or(Path::new("compact")), model.recommended())?;
+        let _ = CONFIGURED.set(configured);
         terminal::detail("model", || {
-            let (name, parameters) = (model::name(self.model.as_deref()), model.num_parameters());
+            let (name, parameters) = (model::name(path), model.num_parameters());
             format!("{name}, {parameters} parameters, {:.3} s", start.elapsed().as_secs_f64())
         });
         Ok(model)
@@ -66,7 +80,7 @@ impl ComputeArguments {
 
 /// Options of the encoding. Each one defaults to the value of the preset, or else to the model's recommended value.
 #[derive(Args)]
-#[command(next_help_heading = "Encoding options (default: the value that the model recommends)")]
+#[command(next_help_heading = "Encoding options (the model recommends the values; those of compact are shown)")]
 pub struct EncodeFlags {
     /// Start from a named set of options: the paper's settings for a data set (modelnet40, keypointnet, smpl, redwood
     /// or 3dmatch), or the options of the model standard [default: the model's own].
@@ -74,17 +88,18 @@ pub struct EncodeFlags {
     preset: Option<String>,
     /// How the cloud is scaled into the network's cube ±0.5. unit-sphere: the mean moves to the origin, the farthest
     /// point to the sphere of radius 0.5. unit-cube: the mean moves to the origin, the largest coordinate to ±0.5.
-    /// none: the cloud already lies in the cube.
+    /// none: the cloud already lies in the cube [default: unit-sphere].
     #[arg(long, value_parser = named::<NormalizationMethod>)]
     normalization: Option<NormalizationMethod>,
-    /// Encode at most this many points, drawn at random. The report gives the number of encoded points.
+    /// Encode at most this many points, drawn at random. The report gives the number of encoded points
+    /// [default: all points].
     #[arg(long)]
     max_points: Option<usize>,
-    /// Seed of the random draws of --max-points and --sample.
+    /// Seed of the random draws of --max-points and --sample [default: 0].
     #[arg(long)]
     seed: Option<u64>,
     /// Average the field over this many rotated copies of the cloud. Keypoints repeat far better, and the time grows in
-    /// proportion.
+    /// proportion [default: 1].
     #[arg(long)]
     rotations: Option<usize>,
 }
@@ -94,7 +109,7 @@ impl EncodeFlags {
     pub fn resolve(&self, model: &Model) -> Result<Options> {
         let mut preset = match &self.preset {
             Some(name) => Preset::named(name)?.options(),
-            None => *model.recommended(),
+            None => CONFIGURED.get().copied().unwrap_or(*model.recommended()),
         };
         override_with(&mut preset.encode.normalization, self.normalization);
         override_with(&mut preset.encode.max_points, self.max_points.map(Some));

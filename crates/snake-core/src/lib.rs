@@ -55,6 +55,7 @@ mod side_by_side;
 pub mod space;
 mod span;
 mod surface;
+mod tracker;
 mod volume;
 mod weights;
 mod window_cells;
@@ -87,6 +88,7 @@ pub use scale_hint::scale_hint;
 pub use side_by_side::side_by_side;
 pub use snake_kernels::SimdLevel;
 pub use surface::Mesh;
+pub use tracker::{Tracker, TrackerOptions};
 pub use volume::{Volume, VolumeFrame};
 
 /// The README's example runs as a test.

@@ -46,56 +46,57 @@ pub struct DetectArguments {
 
 /// Options of detection. Each one defaults to the value of the preset, or else to the model's recommended value.
 #[derive(Args)]
-#[command(next_help_heading = "Detection options (default: the value that the model recommends)")]
+#[command(next_help_heading = "Detection options (the model recommends the values; those of compact are shown)")]
 pub struct DetectFlags {
     #[command(flatten)]
     encode: EncodeFlags,
     /// Split the cloud into overlapping balls of this radius and encode each one separately. Use windows for rooms and
     /// larger scenes, whose details are lost when the whole cloud is encoded at once. The radius is in cloud units, or
-    /// in multiples of the cloud's resolution (`40r`). --normalization is ignored with windows.
+    /// in multiples of the cloud's resolution (`40r`). --normalization is ignored with windows [default: no windows].
     #[arg(long, value_name = "LENGTH")]
     window_radius: Option<Length>,
-    /// Number of queries along each axis of the initial grid.
+    /// Number of queries along each axis of the initial grid [default: 64].
     #[arg(long)]
     query_resolution: Option<usize>,
     /// Evaluate only queries that are at most this many voxels, along each axis, from a voxel with points; 0 evaluates
-    /// all queries. A small band is faster and rarely changes the result.
+    /// all queries. A small band is faster and rarely changes the result [default: 1].
     #[arg(long)]
     query_band: Option<usize>,
-    /// Number of refinement steps (J in the paper).
+    /// Number of refinement steps (J in the paper) [default: 0].
     #[arg(long)]
     refine_steps: Option<usize>,
-    /// Step size of the refinement, in network units (the cube ±0.5).
+    /// Step size of the refinement, in network units (the cube ±0.5) [default: 0.001].
     #[arg(long)]
     refine_step_size: Option<f32>,
-    /// Optimiser of the refinement: adam or gradient-descent.
+    /// Optimiser of the refinement: adam or gradient-descent [default: adam].
     #[arg(long, value_parser = named::<RefineMethod>)]
     refine_method: Option<RefineMethod>,
-    /// Position that a refined query keeps: best-position, or reference-final-position as in the paper's released code.
+    /// Position that a refined query keeps: best-position, or reference-final-position as in the paper's released code
+    /// [default: best-position].
     #[arg(long, value_parser = named::<Selection>)]
     selection: Option<Selection>,
-    /// Refine only queries whose occupancy, a probability, is above this threshold.
+    /// Refine only queries whose occupancy, a probability, is above this threshold [default: 0.5].
     #[arg(long)]
     occupancy_threshold: Option<f32>,
-    /// Keep only refined positions whose occupancy, a probability, is above this threshold.
+    /// Keep only refined positions whose occupancy, a probability, is above this threshold [default: 0.8].
     #[arg(long)]
     surface_threshold: Option<f32>,
-    /// Keep only keypoints whose saliency, 0 to 1, is above this threshold.
+    /// Keep only keypoints whose saliency, 0 to 1, is above this threshold [default: 0.3].
     #[arg(long)]
     saliency_threshold: Option<f32>,
     /// Before suppression, move keypoints to the weighted mean of the candidates within this radius. A length as of
-    /// --nms-radius.
+    /// --nms-radius [default: 8%].
     #[arg(long, value_name = "LENGTH")]
     mode_radius: Option<Length>,
     /// Radius of non-maximum suppression: keypoints are farther apart than this. The radius is in cloud units, in
     /// multiples of the cloud's resolution, the mean distance between nearest points (`3r`), or in per cent of the
-    /// cloud's radius (`10%`); 0 turns suppression off.
+    /// cloud's radius (`10%`); 0 turns suppression off [default: 10%].
     #[arg(long, value_name = "LENGTH")]
     nms_radius: Option<Length>,
-    /// Keep at most this many keypoints, those with the highest saliency.
+    /// Keep at most this many keypoints, those with the highest saliency [default: 64].
     #[arg(long)]
     max_keypoints: Option<usize>,
-    /// Move each keypoint to its nearest input point.
+    /// Move each keypoint to its nearest input point [default: no].
     #[arg(long)]
     snap: bool,
 }

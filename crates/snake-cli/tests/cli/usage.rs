@@ -11,7 +11,9 @@ use super::{root, sample, stderr};
 /// snake-cli with an environment of its own.
 fn command(arguments: &[&str], environment: &[(&str, &str)]) -> Command {
     let mut command = Command::cargo_bin("snake-cli").unwrap();
-    for name in ["SNAKE_MODEL", "SNAKE_MODELS", "SNAKE_THREADS", "SNAKE_SIMD", "NO_COLOR", "CLICOLOR_FORCE"] {
+    for name in
+        ["SNAKE_MODEL", "SNAKE_MODELS", "SNAKE_THREADS", "SNAKE_SIMD", "SNAKE_CONFIG", "NO_COLOR", "CLICOLOR_FORCE"]
+    {
         command.env_remove(name);
     }
     command.args(arguments).envs(environment.iter().copied());
@@ -303,4 +305,74 @@ fn an_interrupt_leaves_only_complete_files() {
         assert!(path.display().to_string().ends_with(".keypoints.ply"), "{}", path.display());
         assert!(!snake_io::read_points(&path).unwrap().is_empty(), "{}", path.display());
     }
+}
+
+#[test]
+fn the_help_shows_the_default_of_every_option() {
+    let help = stdout(&snake(&["detect", "--help"]));
+    let recommended = serde_json::to_value(snake_core::Model::named("compact").unwrap().recommended()).unwrap();
+    let parts = [&recommended["encode"], &recommended["detect"]].map(|part| part.as_object().unwrap().clone());
+    let options = parts.into_iter().flatten().chain([("window_radius".into(), recommended["window_radius"].clone())]);
+    for (name, value) in options {
+        let shown = match (name.as_str(), value) {
+            ("max_points", Value::Null) => "all points".into(),
+            ("window_radius", Value::Null) => "no windows".into(),
+            ("snap", Value::Bool(false)) => "no".into(),
+            // 0.3 in float32 has more digits as a JSON value.
+            (_, Value::Number(number)) => (number.as_f64().unwrap() as f32).to_string(),
+            (_, Value::String(text)) => text,
+            (name, value) => panic!("{name} {value}"),
+        };
+        let flag = format!("--{}", name.replace('_', "-"));
+        let entry = help.split("\n      --").find(|entry| entry.split_whitespace().next() == Some(&flag[2..]));
+        let text = entry.expect(&flag);
+        let text = text.split_whitespace().collect::<Vec<_>>().join(" ");
+        assert!(text.contains(&format!("[default: {shown}]")), "{flag} {shown}: {text}");
+    }
+}
+
+#[test]
+fn the_schema_has_the_keys_of_the_report() {
+    let schema: Value = serde_json::from_str(&stdout(&snake(&["schema"]))).unwrap();
+    let report: Value = serde_json::from_str(&stdout(&snake(&["detect", &sample(), "--json"]))).unwrap();
+    let keys = |value: &Value| -> Vec<String> { value.as_object().unwrap().keys().cloned().collect() };
+    let [counts, times] = ["counts", "timing_seconds"].map(|part| &schema["properties"][part]["properties"]);
+    let normalization = &schema["properties"]["normalization"]["anyOf"][1]["properties"];
+    let keypoint = &schema["properties"]["keypoints"]["items"]["properties"];
+    for (described, found) in [
+        (&schema["properties"], &report),
+        (counts, &report["counts"]),
+        (times, &report["timing_seconds"]),
+        (normalization, &report["normalization"]),
+        (keypoint, &report["keypoints"][0]),
+    ] {
+        assert_eq!(keys(described), keys(found));
+    }
+}
+
+#[test]
+fn a_configuration_file_comes_after_the_command_line_and_the_environment() {
+    let folder = tempfile::tempdir().unwrap();
+    let config = folder.path().join("snake.toml");
+    let number = |arguments: &[&str], environment: &[(&str, &str)]| {
+        let sample = sample();
+        let mut command = command(&[&["detect", &sample, "--json"], arguments].concat(), environment);
+        keypoints(&command.current_dir(folder.path()).output().unwrap()).as_array().unwrap().len()
+    };
+    let many = number(&["--nms-radius", "0"], &[]);
+    std::fs::write(&config, "[options]\nmax_keypoints = 5\nnms_radius = 0.0\n[models.standard]\nmax_keypoints = 3\n")
+        .unwrap();
+    assert!(many > 5);
+    assert_eq!(number(&[], &[]), 5);
+    assert_eq!(number(&["--max-keypoints", "2"], &[]), 2);
+    assert_eq!(number(&["--model", "standard"], &[]), 3);
+    assert_eq!(number(&[], &[("SNAKE_MODEL", "standard")]), 3);
+    let other = folder.path().join("other.toml").display().to_string();
+    std::fs::write(&other, "[options]\nmax_keypoints = 4\n").unwrap();
+    assert_eq!(number(&[], &[("SNAKE_CONFIG", &other)]), 4);
+    std::fs::write(&config, "[options]\nradius = 5\n").unwrap();
+    let sample = sample();
+    let refused = command(&["detect", &sample], &[]).current_dir(folder.path()).output().unwrap();
+    assert_eq!(refused.status.code(), Some(2));
+    assert!(stderr(&refused).contains("snake.toml") && stderr(&refused).contains("radius"), "{}", stderr(&refused));
 }

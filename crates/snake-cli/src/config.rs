@@ -1,0 +1,115 @@
+//! The configuration file `snake.toml`.
+
+use std::collections::BTreeMap;
+use std::path::{Path, PathBuf};
+use std::sync::OnceLock;
+
+use anyhow::{Context, Result, bail};
+use serde::Deserialize;
+use serde_json::{Map, Value};
+use snake_core::Options;
+
+/// The values of a configuration file. Options have the names that `snake-cli model` prints.
+#[derive(Debug, Default, Clone, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct Config {
+    /// Default of --model.
+    pub model: Option<PathBuf>,
+    /// Default of --threads.
+    pub threads: Option<u16>,
+    /// Options for every model.
+    options: Map<String, Value>,
+    /// Options for the models of these names or paths.
+    models: BTreeMap<String, Map<String, Value>>,
+}
+
+/// The configuration of this run: the file that SNAKE_CONFIG names, or else `snake.toml` in the working folder if there is
+/// one.
+pub fn get() -> Result<&'static Config> {
+    static CONFIG: OnceLock<Config> = OnceLock::new();
+    if let Some(config) = CONFIG.get() {
+        return Ok(config);
+    }
+    let named = std::env::var_os("SNAKE_CONFIG").filter(|name| !name.is_empty()).map(PathBuf::from);
+    let config = match named {
+        Some(path) => Config::read(&path)?,
+        None if Path::new("snake.toml").is_file() => Config::read(Path::new("snake.toml"))?,
+        None => Config::default(),
+    };
+    Ok(CONFIG.get_or_init(|| config))
+}
+
+impl Config {
+    fn read(path: &Path) -> Result<Self> {
+        let text = std::fs::read_to_string(path).with_context(|| format!("cannot read {}", path.display()))?;
+        Self::parse(&text).with_context(|| path.display().to_string())
+    }
+
+    fn parse(text: &str) -> Result<Self> {
+        let config: Self = toml::from_str(text)?;
+        // Wrong names and values are errors even for models that this run does not use.
+        for options in std::iter::once(&config.options).chain(config.models.values()) {
+            with_values(&Options::default(), options)?;
+        }
+        Ok(config)
+    }
+
+    /// The options of a model, overridden by those for every model and then by those for this one.
+    pub fn options_of(&self, model: &Path, recommended: &Options) -> Result<Options> {
+        let of_all = with_values(recommended, &self.options)?;
+        match model.to_str().and_then(|name| self.models.get(name)) {
+            Some(of_model) => with_values(&of_all, of_model),
+            None => Ok(of_all),
+        }
+    }
+}
+
+/// Options with some of them replaced by name.
+fn with_values(options: &Options, values: &Map<String, Value>) -> Result<Options> {
+    let mut tree = serde_json::to_value(options)?;
+    let mut options = *options;
+    for (name, value) in values {
+        let places = ["/encode/", "/detect/", "/"].map(|part| format!("{part}{name}"));
+        let is_option = |place: &&String| tree.pointer(place).is_some_and(|value| !value.is_object());
+        let Some(place) = places.iter().find(is_option) else {
+            bail!("unknown option `{name}`; `snake-cli model` prints the names of all options");
+        };
+        if let Some(slot) = tree.pointer_mut(place) {
+            *slot = value.clone();
+        }
+        options = serde_json::from_value(tree.clone()).with_context(|| format!("option `{name}` is {value}"))?;
+    }
+    Ok(options)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn options_of_a_model_come_after_those_of_all() {
+        let text = "model = 'rooms'\nthreads = 2\n[options]\nmax_keypoints = 9\nnms_radius = '3r'\nwindow_radius = 2.0\n\
+                    [models.rooms]\nmax_keypoints = 7\nrotations = 4\n[models.'my/weights.safetensors']\nsnap = true\n";
+        let config = Config::parse(text).unwrap();
+        let options = |model: &str| config.options_of(Path::new(model), &Options::default()).unwrap();
+        let found = options("rooms");
+        assert_eq!((found.detect.max_keypoints, found.encode.rotations), (7, 4));
+        assert_eq!(found.detect.nms_radius.unwrap().to_string(), "3r");
+        assert_eq!(found.window_radius.unwrap().to_string(), "2");
+        assert_eq!((options("compact").detect.max_keypoints, options("compact").detect.snap), (9, false));
+        assert!(options("my/weights.safetensors").detect.snap);
+    }
+
+    #[test]
+    fn wrong_names_and_values_are_refused_by_name() {
+        for (text, expected) in [
+            ("[options]\nradius = 1", "unknown option `radius`"),
+            ("[models.rooms]\nmax_keypoints = 'many'", "max_keypoints"),
+            ("modle = 'rooms'", "modle"),
+            ("threads = [", "expected"),
+        ] {
+            let error = format!("{:#}", Config::parse(text).unwrap_err());
+            assert!(error.contains(expected), "{text}: {error}");
+        }
+    }
+}
