@@ -54,7 +54,9 @@ impl AlignOptions {
     /// Converts the viewpoints to points relative to their clouds' origins (see [`Cloud`](snake_core::Cloud)). If a cloud
     /// without a viewpoint has an origin other than zero, no cloud's frame is taken to start at its sensor.
     pub fn place(&mut self, origins: &[[f64; 3]]) {
-        self.viewpoints.resize(origins.len(), None);
+        if self.viewpoints.is_empty() {
+            self.viewpoints = vec![None; origins.len()];
+        }
         for (viewpoint, origin) in self.viewpoints.iter_mut().zip(origins) {
             match viewpoint {
                 Some(viewpoint) => viewpoint.iter_mut().zip(origin).for_each(|(v, origin)| *v -= origin),
