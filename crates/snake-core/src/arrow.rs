@@ -43,7 +43,7 @@ impl PointSource for ArrowPoints<'_> {
         if self.list.is_null(index) {
             return [f32::NAN; 3];
         }
-        let start = self.list.value_offset_at(index) as usize;
+        let start = self.list.value_offset_at(index);
         std::array::from_fn(|axis| match self.values.is_null(start + axis) {
             true => f32::NAN,
             false => self.values.value(start + axis),

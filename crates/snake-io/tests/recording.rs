@@ -64,7 +64,11 @@ fn the_clouds_of_a_topic_are_read_in_order() {
     );
     for topic in [None, Some("/points")] {
         let mut found = Vec::new();
-        let number = read_recording(&path, topic, |cloud| Ok(found.push(cloud))).unwrap();
+        let keep = |cloud| {
+            found.push(cloud);
+            Ok(())
+        };
+        let number = read_recording(&path, topic, keep).unwrap();
         assert_eq!((number, found.len(), found[1].log_time, found[0].frame_id.as_str()), (2, 2, 102, "lidar"));
         let points = &found[0].cloud.points;
         assert!(points[0] == [1.0, 2.0, 3.0] && points[1][1] == 5.0 && points[1][2].is_nan());
