@@ -9,7 +9,7 @@ fn torus() -> FixedSizeListArray {
     let point = |i: u16| {
         let (u, v) = (f32::from(i) * 0.1, f32::from(i) * 0.7);
         let ring = 1.0 + 0.3 * v.cos();
-        (i % 10 > 0).then_some([ring * u.cos(), ring * u.sin(), 0.3 * v.sin()].map(Some))
+        (!i.is_multiple_of(10)).then_some([ring * u.cos(), ring * u.sin(), 0.3 * v.sin()].map(Some))
     };
     FixedSizeListArray::from_iter_primitive::<Float32Type, _, _>((0..4000).map(point), 3)
 }
