@@ -83,7 +83,7 @@ def open3d_multiway(clouds: list[np.ndarray]) -> tuple[list[np.ndarray], list[li
 
 def common_motion(poses: list[np.ndarray], truth: list[np.ndarray], clouds: list[np.ndarray]) -> np.ndarray:
     """The least-squares motion of the found frame onto the published one, by the points of all clouds."""
-    move = lambda pose, points: points[::50] @ pose[:3, :3].T + pose[:3, 3]  # noqa: E731
+    move = lambda pose, points: points[::50] @ pose[:3, :3].T + pose[:3, 3]
     found = np.concatenate([move(pose, points) for pose, points in zip(poses, clouds)])
     wanted = np.concatenate([move(pose, points) for pose, points in zip(truth, clouds)])
     u, _, v = np.linalg.svd((found - found.mean(0)).T @ (wanted - wanted.mean(0)))
