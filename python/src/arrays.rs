@@ -9,7 +9,7 @@ use pyo3::types::PyString;
 use snake_core::{Cloud, Point, add_origin, subtract_origin};
 use snake_io::ReadOptions;
 
-use crate::io;
+use crate::files;
 
 /// Rows `(N, 3)` of an array. They are `float32` for arrays of `float32` or `float16`, else `float64`, which holds the
 /// coordinates of georeferenced scans.
@@ -125,7 +125,7 @@ pub fn points(what: &str, value: &Bound<PyAny>) -> PyResult<Vec<Point>> {
 pub fn cloud(what: &str, value: &Bound<PyAny>) -> PyResult<(Cloud, Precision)> {
     // A text is a path. Other values may convert to one only if they say so, as pathlib's do.
     if value.is_instance_of::<PyString>() || value.hasattr("__fspath__")? {
-        let contents = io::contents(value.py(), value.extract()?, ReadOptions::default())?;
+        let contents = files::contents(value.py(), value.extract()?, ReadOptions::default())?;
         return Ok((contents.cloud, Precision::Double));
     }
     given_rows(what, value)?.cloud()

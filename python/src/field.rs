@@ -10,7 +10,6 @@ use snake_core::{self as core, Point};
 use crate::arrays::{Positions, Precision};
 use crate::keypoints::Keypoints;
 use crate::mesh::Mesh;
-use crate::model::Model;
 use crate::{arrays, options, threads};
 
 /// Values and gradients of Q queries.
@@ -27,7 +26,7 @@ type ValuesAndGradients<'py> = (Bound<'py, PyArray1<f32>>, Bound<'py, PyArray2<f
 pub struct Field {
     core: core::Field,
     /// The model and the options that encoded the cloud: a field is restored by encoding it again.
-    model: Py<Model>,
+    model: Py<PyAny>,
     options: core::EncodeOptions,
     /// Offset to add to all positions of the core's field.
     origin: [f64; 3],
@@ -36,15 +35,16 @@ pub struct Field {
 }
 
 impl Field {
-    /// Encodes a cloud whose array had the given precision.
+    /// Encodes a cloud whose array had the given precision. `model` is the Python object of the core's model.
     pub fn new(
-        model: &Bound<Model>,
+        model: &Bound<PyAny>,
+        core: &core::Model,
         cloud: &core::Cloud,
         options: core::EncodeOptions,
         precision: Precision,
     ) -> PyResult<Self> {
-        let (py, core) = (model.py(), model.get().core());
-        let core = threads::run_with_signals(py, |control| core.encode_with(&cloud.points, &options, control))?;
+        let encode = |control: &core::Control| core.encode_with(&cloud.points, &options, control);
+        let core = threads::run_with_signals(model.py(), encode)?;
         Ok(Self { core, model: model.clone().unbind(), options, origin: cloud.origin, precision })
     }
 
@@ -160,28 +160,14 @@ impl Field {
         Mesh::from_core(py, mesh, self.origin, self.precision)
     }
 
-    /// Restores a pickled field: encodes the points again, which are relative to the origin.
-    #[staticmethod]
-    fn _restore(
-        model: &Bound<Model>,
-        points: &Bound<PyAny>,
-        origin: [f64; 3],
-        is_single: bool,
-        options: &str,
-    ) -> PyResult<Self> {
-        let options = serde_json::from_str(options).map_err(|error| PyValueError::new_err(error.to_string()))?;
-        let precision = if is_single { Precision::Single } else { Precision::Double };
-        Self::new(model, &core::Cloud { points: arrays::points("points", points)?, origin }, options, precision)
-    }
-
     fn __reduce__<'py>(slf: &Bound<'py, Self>) -> PyResult<(Bound<'py, PyAny>, Bound<'py, PyTuple>)> {
         let (py, field) = (slf.py(), slf.get());
         let points = arrays::rows(py, field.given_points().into_flattened(), 3)?;
         let is_single = field.precision == Precision::Single;
         let options =
             serde_json::to_string(&field.options).map_err(|error| PyValueError::new_err(error.to_string()))?;
-        let arguments = (field.model.clone_ref(py), points, field.origin, is_single, options).into_pyobject(py)?;
-        Ok((slf.get_type().getattr("_restore")?, arguments))
+        let arguments = (points, field.origin, is_single, options).into_pyobject(py)?;
+        Ok((field.model.bind(py).getattr("_restore_field")?, arguments))
     }
 
     fn __repr__(&self) -> String {

@@ -5,10 +5,10 @@ use std::path::PathBuf;
 use numpy::PyArray2;
 use pyo3::prelude::*;
 use snake_core::add_origin;
-use snake_io::{Cloud, Column, Columns, Contents, ReadOptions, read_contents};
+use snake_io::{Cloud, Column, Columns, ReadOptions};
 
 use crate::arrays;
-use crate::error::file_error;
+use crate::files::contents;
 
 /// Reads a point cloud or a mesh: (N, 3) float64, in the file's order, units and frame.
 ///
@@ -32,17 +32,6 @@ pub fn read_points(
     let columns = columns.map(|columns| Columns(columns.map(Column::from)));
     let Cloud { points, origin } = contents(py, path, ReadOptions { sample, seed, columns })?.cloud;
     arrays::rows(py, points.iter().flat_map(|&point| add_origin(point, origin)).collect(), 3)
-}
-
-/// Reads a file. Vertices that stand in for the surface of a mesh give a UserWarning.
-pub fn contents(py: Python<'_>, path: PathBuf, options: ReadOptions) -> PyResult<Contents> {
-    let contents = py.detach(|| read_contents(&path, &options)).map_err(file_error)?;
-    if contents.unsampled_faces > 0 {
-        let what = format!("{} is a mesh of {} faces", path.display(), contents.unsampled_faces);
-        let (number, advice) = (contents.cloud.points.len(), "sample=N of read_points draws N points from the surface");
-        py.import("warnings")?.call_method1("warn", (format!("{what}: its {number} vertices are taken; {advice}"),))?;
-    }
-    Ok(contents)
 }
 
 /// A column in Python: an index from 0, or a name.

@@ -6,6 +6,7 @@ mod arrays;
 mod baselines;
 mod error;
 mod field;
+mod files;
 mod io;
 mod keypoints;
 mod mesh;

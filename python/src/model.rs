@@ -8,6 +8,7 @@ use pyo3::prelude::*;
 use pyo3::types::{IntoPyDict, PyBytes, PyDict, PyTuple};
 use snake_core as core;
 
+use crate::arrays::Precision;
 use crate::error::py_error;
 use crate::field::Field;
 use crate::{arrays, options, threads};
@@ -152,7 +153,21 @@ impl Model {
         let preset = options::resolve("encode", &options::ENCODE, core.recommended(), options)?;
         let (cloud, precision) = arrays::cloud("points", points)?;
         let cloud = cloud.for_normalization(preset.encode.normalization);
-        Field::new(slf, &cloud, preset.encode, precision)
+        Field::new(slf, core, &cloud, preset.encode, precision)
+    }
+
+    /// Restores a pickled field: encodes its points again, which are relative to the origin.
+    fn _restore_field(
+        slf: &Bound<Self>,
+        points: &Bound<PyAny>,
+        origin: [f64; 3],
+        is_single: bool,
+        options: &str,
+    ) -> PyResult<Field> {
+        let options = serde_json::from_str(options).map_err(|error| PyValueError::new_err(error.to_string()))?;
+        let precision = if is_single { Precision::Single } else { Precision::Double };
+        let cloud = core::Cloud { points: arrays::points("points", points)?, origin };
+        Field::new(slf, slf.get().core(), &cloud, options, precision)
     }
 
     fn __reduce__<'py>(slf: &Bound<'py, Self>) -> PyResult<(Bound<'py, PyAny>, Bound<'py, PyTuple>)> {

@@ -85,7 +85,8 @@ impl Detector {
         control.get_limits().check_evaluations(&detect.evaluations(encode.rotations))?;
         let start = Instant::now();
         let buffers = (std::mem::take(&mut self.points), std::mem::take(&mut self.indices));
-        let finite = FinitePoints::of_source("points", source, buffers)?;
+        let finite =
+            FinitePoints::copied("points", (0..source.num_points()).map(|index| source.point(index)), buffers)?;
         let field = Field::of_finite(self.model.network().clone(), finite, source.num_points(), encode, control)?;
         let seconds = start.elapsed().as_secs_f64();
         *detection = field.detect_with(detect, control)?;

@@ -4,7 +4,6 @@ use std::borrow::Cow;
 
 use serde::{Deserialize, Serialize};
 
-use crate::point_source::PointSource;
 use crate::{Error, Result};
 
 /// One point, `[x, y, z]`.
@@ -118,24 +117,24 @@ impl<'a> FinitePoints<'a> {
     }
 
     /// The finite points of a source, copied into the memory of two vectors.
-    pub(crate) fn of_source(
+    pub(crate) fn copied(
         what: &'static str,
-        source: &(impl PointSource + ?Sized),
+        cloud: impl ExactSizeIterator<Item = Point>,
         (mut points, mut indices): (Vec<Point>, Vec<usize>),
     ) -> Result<FinitePoints<'static>> {
         points.clear();
         indices.clear();
-        for index in 0..source.num_points() {
-            let point = source.point(index);
+        let num_points = cloud.len();
+        for (index, point) in cloud.enumerate() {
             if is_finite(&point) {
                 points.push(point);
                 indices.push(index);
             }
         }
         if points.is_empty() {
-            return Err(none_finite(what, source.num_points()));
+            return Err(none_finite(what, num_points));
         }
-        let all = points.len() == source.num_points();
+        let all = points.len() == num_points;
         Ok(FinitePoints { points: points.into(), indices: (!all).then_some(indices) })
     }
 

@@ -8,9 +8,8 @@
 use nalgebra::IsometryMatrix3;
 use rayon::prelude::*;
 
-use super::match_graph::Graph;
+use super::match_graph::{Criteria, Graph, Match};
 use super::rigid::{best_fit, best_fit_about, moved};
-use super::surface::AGREEING_COSINE;
 use snake_core::space::Vector;
 use snake_core::{Control, Result};
 
@@ -22,25 +21,6 @@ const GROUP: usize = 20;
 const MAX_REFITS: usize = 5;
 /// Number of points that tell whether two transforms differ.
 const PROBES: usize = 50;
-
-/// A match: a point and unit normal of the source with those of its partner in the target.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub(super) struct Match {
-    pub(super) source: Vector,
-    pub(super) target: Vector,
-    pub(super) source_normal: Vector,
-    pub(super) target_normal: Vector,
-}
-
-/// What makes matches agree.
-#[derive(Debug, Clone, Copy)]
-pub(super) struct Criteria {
-    pub(super) inlier_distance: f64,
-    /// Whether the signs of normals are known.
-    pub(super) signed: bool,
-    /// The axis of the rotation, if it is known.
-    pub(super) gravity: Option<Vector>,
-}
 
 /// A transform with the support of the matches.
 #[derive(Debug, Clone, Copy)]
@@ -87,18 +67,6 @@ fn of_group(group: &[usize], matches: &[Match], criteria: &Criteria) -> Option<S
         (best, inliers) = (found, of_found);
     }
     Some(best)
-}
-
-impl Match {
-    /// The squared distance under a transform if the match agrees with it.
-    pub(super) fn squared_residual(&self, transform: &IsometryMatrix3<f64>, criteria: &Criteria) -> Option<f64> {
-        let squared = (moved(transform, &self.source) - self.target).norm_squared();
-        if squared >= criteria.inlier_distance.powi(2) {
-            return None;
-        }
-        let cosine = (transform.rotation * self.source_normal).dot(&self.target_normal);
-        ((if criteria.signed { cosine } else { cosine.abs() }) > AGREEING_COSINE).then_some(squared)
-    }
 }
 
 impl Supported {

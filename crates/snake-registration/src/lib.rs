@@ -39,6 +39,7 @@ mod fpfh;
 mod icp;
 mod match_graph;
 mod matching;
+mod medians;
 mod near_grid;
 mod nearest;
 mod options;

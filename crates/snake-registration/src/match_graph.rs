@@ -2,15 +2,49 @@
 
 use std::cmp::Reverse;
 
+use nalgebra::IsometryMatrix3;
 use rayon::prelude::*;
 
-use super::consistency::{Criteria, Match};
+use super::rigid::moved;
+use super::surface::AGREEING_COSINE;
+use snake_core::space::Vector;
 use snake_core::{Counter, Result};
 
 /// The difference of cosines between normals from which on two matches are incompatible.
 const COSINE_TOLERANCE: f32 = 0.3;
 /// Points closer than this many inlier distances agree on any transform.
 const LEAST_EDGE: f32 = 2.0;
+
+/// A match: a point and unit normal of the source with those of its partner in the target.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(super) struct Match {
+    pub(super) source: Vector,
+    pub(super) target: Vector,
+    pub(super) source_normal: Vector,
+    pub(super) target_normal: Vector,
+}
+
+/// What makes matches agree.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Criteria {
+    pub(super) inlier_distance: f64,
+    /// Whether the signs of normals are known.
+    pub(super) signed: bool,
+    /// The axis of the rotation, if it is known.
+    pub(super) gravity: Option<Vector>,
+}
+
+impl Match {
+    /// The squared distance under a transform if the match agrees with it.
+    pub(super) fn squared_residual(&self, transform: &IsometryMatrix3<f64>, criteria: &Criteria) -> Option<f64> {
+        let squared = (moved(transform, &self.source) - self.target).norm_squared();
+        if squared >= criteria.inlier_distance.powi(2) {
+            return None;
+        }
+        let cosine = (transform.rotation * self.source_normal).dot(&self.target_normal);
+        ((if criteria.signed { cosine } else { cosine.abs() }) > AGREEING_COSINE).then_some(squared)
+    }
+}
 
 /// The adjacency of the graph, a row of bits for each match.
 pub(super) struct Graph {

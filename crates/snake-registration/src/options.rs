@@ -7,7 +7,7 @@ use serde::{Deserialize, Serialize};
 use snake_core::space::{Vector, resolution};
 use snake_core::{Error, Length, Point, Result, RigidTransform, setters};
 
-use crate::prepared::upper_median;
+use crate::medians::upper_median;
 use crate::scan::{Descriptor, KeypointDetector};
 
 /// Options of [`register`](crate::register()).

@@ -8,8 +8,9 @@ use rayon::prelude::*;
 use snake_core::space::{Vector, vector};
 use snake_core::{Control, Error, Result};
 
-use super::consistency::{Criteria, Match, displacement, hypotheses};
+use super::consistency::{displacement, hypotheses};
 use super::icp::{Constraint, icp};
+use super::match_graph::{Criteria, Match};
 use super::matching::ranked_matches;
 use super::options::RegisterOptions;
 use super::prepared::Prepared;

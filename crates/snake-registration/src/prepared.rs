@@ -11,6 +11,7 @@ use snake_core::{Control, Error, Model, Normalization, NormalizationMethod, Poin
 use super::FPFH_DIMENSION;
 use super::cloud::Orientation;
 use super::matching::hellinger;
+use super::medians::{lower_median, upper_median};
 use super::options::RegisterOptions;
 use super::result::ViewpointUsed;
 use super::scan::{Descriptor, Scan, reduce};
@@ -119,22 +120,6 @@ impl Prepared {
 /// Twice the largest distance from the mean.
 fn diameter(points: &[Point]) -> Result<f64> {
     Ok(Normalization::of(points, NormalizationMethod::UnitSphere)?.scale.into())
-}
-
-/// The median of numbers, at least one; of an even count the lower of the middle two. Of two clouds the smaller counts.
-fn lower_median(values: &[f64]) -> f64 {
-    sorted(values)[(values.len() - 1) / 2]
-}
-
-/// [`lower_median`], but of an even count the upper of the middle two. Of two clouds the coarser counts.
-pub(super) fn upper_median(values: &[f64]) -> f64 {
-    sorted(values)[values.len() / 2]
-}
-
-fn sorted(values: &[f64]) -> Vec<f64> {
-    let mut sorted = values.to_vec();
-    sorted.sort_by(f64::total_cmp);
-    sorted
 }
 
 /// An error in a cloud says which cloud.
