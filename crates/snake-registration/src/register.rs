@@ -28,8 +28,8 @@ use super::result::Registration;
 /// ```
 ///
 /// # Errors
-/// [`Error::Input`] for a cloud without finite points or without extent, and when no three matches fit a rigid
-/// transform; [`Error::Option`] when an option is outside its range.
+/// [`Error::Input`](snake_core::Error::Input) for a cloud without finite points or without extent, and when no three
+/// matches fit a rigid transform; [`Error::Option`](snake_core::Error::Option) when an option is outside its range.
 pub fn register(source: &[Point], target: &[Point], model: &Model, options: &RegisterOptions) -> Result<Registration> {
     register_with(source, target, model, options, &Control::default())
 }
@@ -37,7 +37,8 @@ pub fn register(source: &[Point], target: &[Point], model: &Model, options: &Reg
 /// [`register`] with progress and cancellation; a classical detector is not interrupted.
 ///
 /// # Errors
-/// The errors of [`register`]; [`Error::Cancelled`] and [`Error::DeadlineExceeded`].
+/// The errors of [`register`]; [`Error::Cancelled`](snake_core::Error::Cancelled) and
+/// [`Error::DeadlineExceeded`](snake_core::Error::DeadlineExceeded).
 pub fn register_with(
     source: &[Point],
     target: &[Point],
