@@ -14,7 +14,7 @@ use crate::{Error, Result};
 
 /// An index of points for neighbour queries. All distances are squared.
 pub struct KdTree<T> {
-    /// The tree of the rotated distinct points; `None` if there are none.
+    /// The tree of the distinct points, rotated. `None` for a cloud without points.
     tree: Option<ImmutableKdTree<f64, 3>>,
     rotation: Rotation3<f64>,
     distinct: Vec<[T; 3]>,

@@ -92,7 +92,7 @@ fn outside(extent: f64) -> Error {
 pub struct FinitePoints<'a> {
     /// The finite points, in the order they were given.
     pub points: Cow<'a, [Point]>,
-    /// The index of each in the whole cloud; `None` if no point was skipped.
+    /// Index of each finite point in the whole cloud. `None` if no point was skipped.
     indices: Option<Vec<usize>>,
 }
 

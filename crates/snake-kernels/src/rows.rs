@@ -57,7 +57,8 @@ fn add_weighted_body<L, const ROWS: usize>(
 }
 
 simd_levels! {
-    /// Writes the index of the point nearest to a query to `best`: the first of several, and 0 if there are none.
+    /// Finds the point that is nearest to a query and writes its index to `best`. The lowest index wins ties; without points
+    /// the index is 0.
     pub fn nearest_row(points: &[[f32; 3]], query: [f32; 3], best: &mut usize) = nearest_row_body
 }
 

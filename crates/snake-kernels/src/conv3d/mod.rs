@@ -74,7 +74,7 @@ pub struct Conv3d<'a> {
 struct Task<'a> {
     plane: usize,
     row: usize,
-    /// The task's part of each of the M planes of voxels.
+    /// M planes of voxels; each slice holds the rows of this task.
     planes: Vec<&'a mut [f32]>,
 }
 
