@@ -88,6 +88,8 @@ fn detect(
 
 #[pymodule]
 mod _core {
+    use pyo3::prelude::*;
+
     #[pymodule_export]
     use super::baselines::{farthest_points, harris3d, iss, random_points, sift3d, surface_variation};
     #[pymodule_export]
@@ -101,6 +103,17 @@ mod _core {
         Alignment, AlignmentEdge, Field, Keypoint, Keypoints, Mesh, Model, Registration, align, detect,
         estimate_normals, fpfh, get_num_threads, read_points, register, set_num_threads,
     };
+
+    /// Fills what pyo3 and numpy fill at their first use. While that happens they release the GIL, and a child forked
+    /// meanwhile would wait forever.
+    #[pymodule_init]
+    fn init(module: &Bound<'_, PyModule>) -> PyResult<()> {
+        let points = super::arrays::rows(module.py(), vec![0_f64; 3], 3)?;
+        super::arrays::cloud("points", points.as_any())?;
+        // An array is tried as every type that an option can have.
+        super::options::json(points.as_any(), 0);
+        Ok(())
+    }
 
     #[pymodule_export]
     #[expect(non_upper_case_globals, reason = "Python's name for it")]

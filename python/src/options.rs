@@ -120,7 +120,7 @@ const MAX_ITEMS: usize = 16;
 
 /// Converts None, bool, str and finite numbers, including numpy's, to JSON, and sequences of them that are nested at most
 /// `depth` times. Any other value gives `None`.
-fn json(value: &Bound<PyAny>, depth: usize) -> Option<Value> {
+pub fn json(value: &Bound<PyAny>, depth: usize) -> Option<Value> {
     if value.is_none() {
         Some(Value::Null)
     } else if let Ok(text) = value.cast::<PyString>() {
