@@ -36,7 +36,8 @@ class TrainConfig:
     )
     fresh_saliency: bool = setting(False, "with init: start the saliency decoder anew")
     revive: bool = setting(
-        False, "with init: start the point encoder anew, from the same mean features: for weights whose encoder is dead"
+        False,
+        "with init: draw dead layers anew: a point encoder whose features do not vary, and dead units of residual blocks",
     )
     seed: int = setting(1, "seed of initial weights and samples; sample i is the same whatever the number of processes")
     device: str = setting("auto", "auto, cpu or cuda", choices=("auto", "cpu", "cuda"))

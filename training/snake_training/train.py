@@ -22,7 +22,7 @@ from .device import choose_device
 from .evaluate import DetectOptions, candidates, repeatability, suppress
 from .export import build_network, load_network, replacing
 from .losses import distillation_losses, snake_losses
-from .model import Decoder, PointEncoder, SnakeNetwork, voxel_index
+from .model import Decoder, PointEncoder, ResnetBlockFC, SnakeNetwork, voxel_index
 from .targets import Targets
 
 DESCRIPTION = """Train a SNAKE keypoint field without labels. Running the same command again resumes the run from its last
@@ -109,7 +109,11 @@ def starting_network(config):
     if config.fresh_saliency:
         network.decoder_keypoint = Decoder(config.network)
     if config.revive:
-        network.encoder = revived(network.encoder)
+        if network_health(network, torch.rand(1, 4096, 3) - 0.5)["feature_deviation"] < 1e-3:
+            network.encoder = revived(network.encoder)
+        for module in network.modules():
+            if isinstance(module, ResnetBlockFC):
+                revive_units(module)
     return network
 
 
@@ -127,29 +131,43 @@ def revived(encoder):
 
 
 @torch.no_grad()
-def encoder_health(encoder, points):
-    """How alive the point encoder is, by name, for points (B, N, 3).
+def revive_units(block):
+    """Draws the dead hidden units of a residual block anew, so that they can learn; the block computes what it did before.
 
-    dead_share: layers of which more than nine tenths of the weights are below 1e-6; feature_deviation: standard deviation of the
-    features over points, relative to their root mean square. A dead encoder has features that do not vary.
+    A unit is dead if its largest incoming weight times its largest outgoing weight is below 1e-3.
     """
-    weights = [p for name, p in encoder.named_parameters() if p.dim() == 2 and not name.startswith("unet3d")]
-    dead = [bool((weight.abs() < 1e-6).float().mean() > 0.9) for weight in weights]
+    dead = block.fc_0.weight.abs().amax(dim=1) * block.fc_1.weight.abs().amax(dim=0) < 1e-3
+    fresh = ResnetBlockFC(block.fc_0.in_features, block.fc_1.out_features)
+    block.fc_0.weight[dead] = fresh.fc_0.weight[dead]
+    block.fc_0.bias[dead] = fresh.fc_0.bias[dead]
+    block.fc_1.weight[:, dead] = 0
+
+
+@torch.no_grad()
+def network_health(network, points):
+    """How alive the network is, by name, for points (B, N, 3).
+
+    dead_share: share of the layers in which most weights are below 1e-6; feature_deviation: standard deviation of the
+    point features over points, relative to their root mean square. A dead encoder has features that do not vary.
+    """
+    weights = [parameter for parameter in network.parameters() if parameter.dim() >= 2]
+    dead = [bool((weight.abs() < 1e-6).float().mean() > 0.5) for weight in weights]
+    encoder = network.encoder
     features = encoder.point_features(points, voxel_index(points, encoder.config)).flatten(0, 1)
     spread = features.var(dim=0).mean().sqrt() / features.square().mean().sqrt().clamp(min=1e-12)
     return {"dead_share": float(np.mean(dead)), "feature_deviation": float(spread)}
 
 
 def make_optimizer(network, config):
-    """AdamW, without decay on the layers before the volume.
+    """AdamW, with decay on the U-Net alone.
 
-    The L2 penalty inside Adam is divided by the gradient's own scale: where gradients are small it alone decides, and it
-    set every point encoder trained with it to zero.
+    The L2 penalty inside Adam is divided by the gradient's own scale: where gradients are small it alone decides. It set
+    every point encoder trained with it to zero, and most of the occupancy decoders.
     """
-    point_encoder = [p for name, p in network.encoder.named_parameters() if not name.startswith("unet3d")]
-    kept = {id(p) for p in point_encoder}
-    others = [p for p in network.parameters() if id(p) not in kept]
-    groups = [{"params": others}, {"params": point_encoder, "weight_decay": 0.0}]
+    unet = list(network.encoder.unet3d.parameters())
+    decayed = {id(p) for p in unet}
+    others = [p for p in network.parameters() if id(p) not in decayed]
+    groups = [{"params": unet}, {"params": others, "weight_decay": 0.0}]
     return torch.optim.AdamW(groups, lr=config.learning_rate, weight_decay=config.weight_decay)
 
 
@@ -252,7 +270,7 @@ def run_steps(config):
                 write_scalars(log, "train", running, step)
             if step % config.validate_every == 0 or finished:
                 values = validate(average, config, held_out, device)
-                values |= encoder_health(average.encoder, batch["points"].flatten(0, 1))
+                values |= network_health(average, batch["points"].flatten(0, 1))
                 write_scalars(log, "validation", values, step)
                 tqdm.write(f"step {step}: " + " ".join(f"{k}={v:.3f}" for k, v in values.items()))
                 score = values["repeatability_nms_0.01"] + values["repeatability_nms_0.05"]

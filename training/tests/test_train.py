@@ -381,10 +381,10 @@ def test_a_run_on_the_gpu(tiny):
 def test_a_short_run_keeps_the_encoder_alive(tiny):
     config = tiny(steps=80, learning_rate=1e-2, weight_decay=0.05, clip_norm=1.0)
     torch.manual_seed(config.seed)
-    start = training.encoder_health(SnakeNetwork(config.network).encoder, torch.rand(2, 64, 3) - 0.5)
+    start = training.network_health(SnakeNetwork(config.network), torch.rand(2, 64, 3) - 0.5)
     train(config)
     network = load_network(config.run_dir)
-    end = training.encoder_health(network.encoder, torch.rand(2, 64, 3) - 0.5)
+    end = training.network_health(network, torch.rand(2, 64, 3) - 0.5)
     assert start["dead_share"] < 0.5  # the last layers of the blocks start at zero
     assert end["dead_share"] == 0 and end["feature_deviation"] > 0.005  # 0 with the L2 penalty inside Adam
 
@@ -397,21 +397,23 @@ def test_weights_without_gradient_are_not_decayed(network, tiny):
     for _ in range(50):
         optimizer.step()
     for name, parameter in network.named_parameters():
-        if name.startswith("encoder.") and not name.startswith("encoder.unet3d."):
+        if not name.startswith("encoder.unet3d."):
             assert torch.equal(parameter, before[name]), name
 
 
 def test_health_tells_a_dead_encoder_from_a_living_one(network):
     points = torch.rand(2, 64, 3) - 0.5
-    alive = training.encoder_health(network.encoder, points)
+    alive = training.network_health(network, points)
     assert alive["dead_share"] == 0 and alive["feature_deviation"] > 0.02
     network.encoder.fc_pos.weight.data.zero_()
     network.encoder.fc_pos.bias.data.zero_()
     for block in network.encoder.blocks:
         for parameter in block.parameters():
             parameter.data.zero_()
-    dead = training.encoder_health(network.encoder, points)
-    assert dead["dead_share"] > 0.9 and dead["feature_deviation"] < 1e-6
+    dead = training.network_health(network, points)
+    layers = sum(p.dim() >= 2 for p in network.parameters())
+    zeroed = sum(p.dim() >= 2 for p in network.encoder.blocks.parameters()) + 1
+    assert dead["dead_share"] == zeroed / layers and dead["feature_deviation"] < 1e-6
 
 
 def test_a_revived_encoder_starts_from_the_mean_of_the_dead_one(network):
@@ -420,7 +422,24 @@ def test_a_revived_encoder_starts_from_the_mean_of_the_dead_one(network):
     points = torch.rand(1, 64, 3) - 0.5
     fresh = training.revived(network.encoder)
     assert fresh.unet3d is network.encoder.unet3d
-    assert training.encoder_health(fresh, points)["feature_deviation"] > 0.01
+    old = network.encoder
+    network.encoder = fresh
+    assert training.network_health(network, points)["feature_deviation"] > 0.01
     voxels = voxel_index(points, network.config)
-    old, new = (e.point_features(points, voxels).detach().mean(dim=1) for e in (network.encoder, fresh))
-    assert torch.allclose(old, new, atol=0.3)
+    before, after = (e.point_features(points, voxels).detach().mean(dim=1) for e in (old, fresh))
+    assert torch.allclose(before, after, atol=0.3)
+
+
+def test_revived_units_change_nothing_until_they_learn(network):
+    block = network.decoder_occup.blocks[0]
+    with torch.no_grad():
+        block.fc_0.weight[:-1] = 0
+        block.fc_1.weight[:, :-1] = 0
+        block.fc_1.weight[:, -1] = 1
+    x, last = torch.randn(8, block.fc_0.in_features), block.fc_0.weight[-1].clone()
+    expected = block(x)
+    training.revive_units(block)
+    assert torch.equal(block(x), expected)
+    assert torch.equal(block.fc_0.weight[-1], last) and (block.fc_0.weight.abs().amax(dim=1) > 0.01).all()
+    block(x).square().sum().backward()
+    assert (block.fc_1.weight.grad.abs().amax(dim=0) > 0).sum() > 1
