@@ -9,11 +9,11 @@ import pytest
 
 ROOT = Path(__file__).parents[1]
 PAGE = (ROOT / "docs" / "embedding.md").read_text()
-EXAMPLES = {path: path.read_text() for path in ROOT.glob("crates/*/examples/*.rs")}
+EXAMPLES = {path: path.read_text() for path in ROOT.glob("crates/*/examples/**/*.[rc]*") if path.is_file()}
 
 
-def test_every_block_of_rust_is_a_part_of_an_example():
-    blocks = re.findall(r"```rust\n(.*?)```", PAGE, re.DOTALL)
+def test_every_block_of_code_is_a_part_of_an_example():
+    blocks = re.findall(r"```(?:rust|cpp)\n(.*?)```", PAGE, re.DOTALL)
     assert len(blocks) >= 6
     for block in blocks:
         body = textwrap.indent(block, "    ")  # the blocks are parts of main

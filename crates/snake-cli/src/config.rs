@@ -4,7 +4,7 @@ use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 use std::sync::OnceLock;
 
-use anyhow::{Context, Result, bail};
+use anyhow::{Context, Result};
 use serde::Deserialize;
 use serde_json::{Map, Value};
 use snake_core::Options;
@@ -49,37 +49,19 @@ impl Config {
         let config: Self = toml::from_str(text)?;
         // Wrong names and values are errors even for models that this run does not use.
         for options in std::iter::once(&config.options).chain(config.models.values()) {
-            with_values(&Options::default(), options)?;
+            Options::default().with_values(options)?;
         }
         Ok(config)
     }
 
     /// The options of a model, overridden by those for every model and then by those for this one.
     pub fn options_of(&self, model: &Path, recommended: &Options) -> Result<Options> {
-        let of_all = with_values(recommended, &self.options)?;
+        let of_all = recommended.with_values(&self.options)?;
         match model.to_str().and_then(|name| self.models.get(name)) {
-            Some(of_model) => with_values(&of_all, of_model),
+            Some(of_model) => Ok(of_all.with_values(of_model)?),
             None => Ok(of_all),
         }
     }
-}
-
-/// Options with some of them replaced by name.
-fn with_values(options: &Options, values: &Map<String, Value>) -> Result<Options> {
-    let mut tree = serde_json::to_value(options)?;
-    let mut options = *options;
-    for (name, value) in values {
-        let places = ["/encode/", "/detect/", "/"].map(|part| format!("{part}{name}"));
-        let is_option = |place: &&String| tree.pointer(place).is_some_and(|value| !value.is_object());
-        let Some(place) = places.iter().find(is_option) else {
-            bail!("unknown option `{name}`; `snake-cli model` prints the names of all options");
-        };
-        if let Some(slot) = tree.pointer_mut(place) {
-            *slot = value.clone();
-        }
-        options = serde_json::from_value(tree.clone()).with_context(|| format!("option `{name}` is {value}"))?;
-    }
-    Ok(options)
 }
 
 #[cfg(test)]

@@ -35,6 +35,7 @@ mod length;
 mod limits;
 mod model;
 mod modes;
+mod named_options;
 mod neighbors;
 mod network;
 mod nms;

@@ -13,7 +13,7 @@
 //! The tests compare each of them with a textbook version in float64. Work is parallel over outputs, never over a sum, so
 //! results have the same bits for any number of threads.
 //!
-//! This is the only crate of the workspace with `unsafe` code. A [`SimdLevel`] comes from detection alone, so no safe call
+//! Only this crate and `snake-capi` have `unsafe` code. A [`SimdLevel`] comes from detection alone, so no safe call
 //! runs an instruction that the processor lacks.
 //!
 //! ```

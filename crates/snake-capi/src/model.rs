@@ -1,0 +1,103 @@
+//! Models.
+
+use std::ffi::c_char;
+
+use snake_core::Model;
+
+use crate::arguments::{check_output, text, values};
+use crate::status::{Failure, Result, SnakeStatus, guarded};
+
+/// A network with its weights. Several threads may use one at the same time.
+pub struct SnakeModel {
+    pub(crate) model: Model,
+}
+
+/// Puts a model on the heap, or a null pointer if there is none.
+///
+/// # Safety
+/// `place` is null or valid for a write.
+unsafe fn store(place: *mut *mut SnakeModel, load: impl FnOnce() -> Result<Model>) -> SnakeStatus {
+    guarded(|| {
+        check_output("model", place)?;
+        // SAFETY: the place is neither null nor misaligned; the caller vouches for the rest.
+        unsafe { place.write(std::ptr::null_mut()) };
+        let model = Box::new(SnakeModel { model: load()? });
+        // SAFETY: as above.
+        unsafe { place.write(Box::into_raw(model)) };
+        Ok(())
+    })
+}
+
+/// A built-in model: "compact" or "standard" for objects, "rooms" for rooms in metres. `*model` is null after an error.
+///
+/// # Safety
+/// `name` is null or a text that ends with a zero; `model` is null or valid for a write.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn snake_model_named(name: *const c_char, model: *mut *mut SnakeModel) -> SnakeStatus {
+    // SAFETY: the caller vouches for both.
+    unsafe { store(model, || Ok(Model::named(text("name", name)?)?)) }
+}
+
+/// Reads a weight file (safetensors). `*model` is null after an error.
+///
+/// # Safety
+/// `path` is null or a text in UTF-8 that ends with a zero; `model` is null or valid for a write.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn snake_model_load(path: *const c_char, model: *mut *mut SnakeModel) -> SnakeStatus {
+    // SAFETY: the caller vouches for both.
+    unsafe { store(model, || Ok(Model::load(text("path", path)?)?)) }
+}
+
+/// A model from the bytes of a weight file. `*model` is null after an error.
+///
+/// # Safety
+/// `bytes` is null or valid for `length` bytes; `model` is null or valid for a write.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn snake_model_from_bytes(
+    bytes: *const u8,
+    length: usize,
+    model: *mut *mut SnakeModel,
+) -> SnakeStatus {
+    // SAFETY: the caller vouches for both.
+    unsafe { store(model, || Ok(Model::from_bytes(values("bytes", bytes, length)?)?)) }
+}
+
+/// Frees a model; null is allowed.
+///
+/// # Safety
+/// `model` is null or a model of this library that is not freed yet.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn snake_model_free(model: *mut SnakeModel) {
+    // SAFETY: the caller vouches for the model.
+    unsafe { free(model) }
+}
+
+/// Frees what [`Box::into_raw`] gave; null is allowed.
+///
+/// # Safety
+/// `pointer` is null or from [`Box::into_raw`], and not freed yet.
+pub(crate) unsafe fn free<T>(pointer: *mut T) {
+    guarded(|| {
+        if !pointer.is_null() {
+            // SAFETY: the caller vouches for the pointer.
+            drop(unsafe { Box::from_raw(pointer) });
+        }
+        Ok(())
+    });
+}
+
+/// Sets the number of threads of all calls; 0: one for each core. It must be called before the first other call that
+/// computes, and once. The environment variable `RAYON_NUM_THREADS` does the same.
+#[unsafe(no_mangle)]
+pub extern "C" fn snake_set_num_threads(num_threads: usize) -> SnakeStatus {
+    guarded(|| {
+        let pool = rayon::ThreadPoolBuilder::new().num_threads(num_threads).build_global();
+        pool.map_err(|error| Failure::new(SnakeStatus::Argument, format!("num_threads: {error}")))
+    })
+}
+
+/// The version of the library, such as "0.1.0".
+#[unsafe(no_mangle)]
+pub extern "C" fn snake_version() -> *const c_char {
+    concat!(env!("CARGO_PKG_VERSION"), "\0").as_ptr().cast()
+}

@@ -1,0 +1,79 @@
+//! Registration of two clouds.
+
+use std::ffi::c_char;
+
+use serde_json::Value;
+use snake_registration::{RegisterOptions, Registration, register};
+
+use crate::arguments::{SnakeCloud, check_output, input, options as parse_options};
+use crate::model::SnakeModel;
+use crate::status::{Failure, SnakeStatus, guarded};
+
+/// The rigid transform between two clouds.
+#[repr(C)]
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct SnakeRegistration {
+    /// The 4x4 matrix, row by row. It maps a point of the source to the target: `p_target = R p_source + t`.
+    pub t_target_source: [f64; 16],
+    /// How likely the transform is right, 0 to 1.
+    pub confidence: f64,
+    /// Whether the transform can be relied on: `confidence` is at least 0.5.
+    pub is_reliable: bool,
+    /// Number of matches.
+    pub num_correspondences: usize,
+    /// Number of matches on which the transform was built.
+    pub num_inliers: usize,
+    /// Share of the source on the target, 0 to 1.
+    pub fitness: f64,
+    /// Root mean square distance of that part, in cloud units.
+    pub fitness_rmse: f64,
+}
+
+impl From<&Registration> for SnakeRegistration {
+    fn from(found: &Registration) -> Self {
+        let mut t_target_source = [0.0; 16];
+        t_target_source.copy_from_slice(found.t_target_source.to_matrix().as_flattened());
+        Self {
+            t_target_source,
+            confidence: found.confidence,
+            is_reliable: found.is_reliable,
+            num_correspondences: found.num_correspondences,
+            num_inliers: found.num_inliers,
+            fitness: found.fitness,
+            fitness_rmse: found.fitness_rmse,
+        }
+    }
+}
+
+/// Finds the rigid transform from `source` to `target`, clouds of the same unit that may overlap in part, without an
+/// initial guess. `model` runs only if the options ask for its keypoints or descriptors.
+///
+/// `options` is null for the defaults, or a JSON object such as `{"gravity": "z", "hypotheses": 5}`. After an error
+/// `*registration` is unchanged.
+///
+/// # Safety
+/// `model` is null or a model that is not freed yet; the clouds have as many points as they say; `options` is null or a
+/// text that ends with a zero; `registration` is null or valid for a write.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn snake_register(
+    model: *const SnakeModel,
+    source: SnakeCloud,
+    target: SnakeCloud,
+    options: *const c_char,
+    registration: *mut SnakeRegistration,
+) -> SnakeStatus {
+    guarded(|| {
+        check_output("registration", registration)?;
+        // SAFETY: the caller vouches for the model and the clouds.
+        let (model, source, target) =
+            unsafe { (input("model", model)?, source.read("source")?, target.read("target")?) };
+        // SAFETY: the caller vouches for the text.
+        let values = unsafe { parse_options(options) }?;
+        let options: RegisterOptions = serde_json::from_value(Value::Object(values))
+            .map_err(|error| Failure::new(SnakeStatus::Input, format!("options: {error}")))?;
+        let found = SnakeRegistration::from(&register(&source, &target, &model.model, &options)?);
+        // SAFETY: the place is neither null nor misaligned; the caller vouches for the rest.
+        unsafe { registration.write(found) };
+        Ok(())
+    })
+}

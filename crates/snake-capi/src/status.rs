@@ -1,0 +1,99 @@
+//! Errors as codes, with a text for each thread.
+
+use std::any::Any;
+use std::cell::RefCell;
+use std::ffi::{CString, c_char};
+use std::panic::{AssertUnwindSafe, catch_unwind};
+
+use snake_core::Error;
+
+/// What a function returns. `snake_last_error` has the reason as text.
+#[repr(C)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum SnakeStatus {
+    /// The result is complete.
+    Ok = 0,
+    /// A pointer is null or misaligned, a text is not UTF-8, or a length is impossible.
+    Argument = 1,
+    /// A cloud that cannot be used: without finite points, or without extent; or text of options that is not JSON.
+    Input = 2,
+    /// An option is outside its range.
+    Option = 3,
+    /// A weight file does not hold the network that it names.
+    Weights = 4,
+    /// A file cannot be read.
+    Io = 5,
+    /// An error within the library, which is a defect of it.
+    Internal = 6,
+}
+
+/// Why a call failed.
+pub(crate) struct Failure {
+    status: SnakeStatus,
+    text: String,
+}
+
+impl Failure {
+    pub(crate) fn new(status: SnakeStatus, text: impl Into<String>) -> Self {
+        Self { status, text: text.into() }
+    }
+
+    fn of_panic(panic: &(dyn Any + Send)) -> Self {
+        let reason = panic.downcast_ref::<String>().map(String::as_str).or(panic.downcast_ref::<&str>().copied());
+        Self::new(SnakeStatus::Internal, format!("panic: {}", reason.unwrap_or("without a text")))
+    }
+}
+
+impl From<Error> for Failure {
+    fn from(error: Error) -> Self {
+        let status = match error {
+            Error::Input { .. } => SnakeStatus::Input,
+            Error::Option { .. } => SnakeStatus::Option,
+            Error::Weights { .. } => SnakeStatus::Weights,
+            Error::Io { .. } => SnakeStatus::Io,
+            _ => SnakeStatus::Internal,
+        };
+        Self::new(status, error.to_string())
+    }
+}
+
+pub(crate) type Result<T> = std::result::Result<T, Failure>;
+
+thread_local! {
+    static LAST_ERROR: RefCell<CString> = RefCell::default();
+}
+
+/// Runs the body of a function. It keeps the text of an error, and makes a panic an error: one must not pass into C.
+pub(crate) fn guarded(body: impl FnOnce() -> Result<()>) -> SnakeStatus {
+    let failure = match catch_unwind(AssertUnwindSafe(body)) {
+        Ok(Ok(())) => return SnakeStatus::Ok,
+        Ok(Err(failure)) => failure,
+        Err(panic) => Failure::of_panic(&*panic),
+    };
+    let text = CString::new(failure.text.replace('\0', "\u{fffd}")).unwrap_or_default();
+    // A thread that is ending has no text any more; the status remains.
+    let _ = LAST_ERROR.try_with(|last| last.replace(text));
+    failure.status
+}
+
+/// The reason of the last error of this thread, or an empty text. It is UTF-8 and valid until the next function of this
+/// library that this thread calls.
+#[unsafe(no_mangle)]
+pub extern "C" fn snake_last_error() -> *const c_char {
+    LAST_ERROR.try_with(|last| last.borrow().as_ptr()).unwrap_or(c"".as_ptr())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_panic_is_an_error_with_its_text() {
+        let numbers = [1, 2];
+        let status = guarded(|| Err(Failure::new(SnakeStatus::Io, numbers[numbers.len()].to_string())));
+        assert_eq!(status, SnakeStatus::Internal);
+        // SAFETY: the text is that of this thread.
+        let text = unsafe { std::ffi::CStr::from_ptr(snake_last_error()) };
+        assert!(text.to_str().unwrap().starts_with("panic: index out of bounds"), "{text:?}");
+    }
+}
