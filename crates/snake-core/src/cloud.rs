@@ -1,5 +1,7 @@
 //! Clouds far from zero: points in `f32` relative to an origin in `f64`.
 
+use serde::{Deserialize, Serialize};
+
 use crate::points::{NormalizationMethod, Point};
 
 /// A point cloud with its origin, in the file's order and units.
@@ -60,24 +62,52 @@ pub fn subtract_origin(position: [f64; 3], origin: [f64; 3]) -> Point {
 /// about 20 bits for the position within the cloud.
 const FAR: f64 = 16.0;
 
-/// Zero, or for positions far from zero their centre, rounded to a power of two so that the subtraction is exact.
-fn origin(positions: impl Iterator<Item = [f64; 3]>) -> [f64; 3] {
-    let (mut low, mut high) = ([f64::INFINITY; 3], [f64::NEG_INFINITY; 3]);
-    for position in positions.filter(|position| position.iter().all(|v| v.is_finite())) {
-        for axis in 0..3 {
-            low[axis] = low[axis].min(position[axis]);
-            high[axis] = high[axis].max(position[axis]);
+/// The bounds of finite positions in `f64`, found one position at a time.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+pub struct Bounds {
+    /// The lowest coordinates; infinite without positions.
+    pub low: [f64; 3],
+    /// The highest coordinates; infinite without positions.
+    pub high: [f64; 3],
+}
+
+impl Default for Bounds {
+    fn default() -> Self {
+        Self { low: [f64::INFINITY; 3], high: [f64::NEG_INFINITY; 3] }
+    }
+}
+
+impl Bounds {
+    /// Adds a position. One that is not finite is ignored.
+    pub fn add(&mut self, position: [f64; 3]) {
+        if position.iter().all(|v| v.is_finite()) {
+            for axis in 0..3 {
+                self.low[axis] = self.low[axis].min(position[axis]);
+                self.high[axis] = self.high[axis].max(position[axis]);
+            }
         }
     }
-    let size = (0..3).map(|axis| high[axis] - low[axis]).fold(0.0, f64::max);
-    let farthest = low.into_iter().chain(high).map(f64::abs).fold(0.0, f64::max);
-    // A single position, no points and coordinates that overflow get no origin.
-    if !(size > 0.0 && farthest > FAR * size && farthest.is_finite()) {
-        return [0.0; 3];
+
+    /// The origin of a cloud with these bounds: zero, or for positions far from zero their centre, rounded to a power of
+    /// two so that the subtraction is exact.
+    pub fn origin(&self) -> [f64; 3] {
+        let Self { low, high } = *self;
+        let size = (0..3).map(|axis| high[axis] - low[axis]).fold(0.0, f64::max);
+        let farthest = low.into_iter().chain(high).map(f64::abs).fold(0.0, f64::max);
+        // A single position, no points and coordinates that overflow get no origin.
+        if !(size > 0.0 && farthest > FAR * size && farthest.is_finite()) {
+            return [0.0; 3];
+        }
+        // No finer than the digits of the farthest coordinate, else the quotient can overflow, as the sum of the two can.
+        let step = size.log2().floor().exp2().max((farthest.log2().floor() - 52.0).exp2());
+        std::array::from_fn(|axis| ((low[axis] / 2.0 + high[axis] / 2.0) / step).round() * step)
     }
-    // No finer than the digits of the farthest coordinate, else the quotient can overflow, as the sum of the two can.
-    let step = size.log2().floor().exp2().max((farthest.log2().floor() - 52.0).exp2());
-    std::array::from_fn(|axis| ((low[axis] / 2.0 + high[axis] / 2.0) / step).round() * step)
+}
+
+fn origin(positions: impl Iterator<Item = [f64; 3]>) -> [f64; 3] {
+    let mut bounds = Bounds::default();
+    positions.for_each(|position| bounds.add(position));
+    bounds.origin()
 }
 
 #[cfg(test)]

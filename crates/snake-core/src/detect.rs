@@ -90,7 +90,8 @@ pub struct Counts {
 }
 
 impl Counts {
-    fn add(&mut self, other: &Self) {
+    /// Adds the counts of another window or tile.
+    pub fn add(&mut self, other: &Self) {
         self.windows += other.windows;
         self.queries += other.queries;
         self.occupied += other.occupied;

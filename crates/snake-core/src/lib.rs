@@ -56,6 +56,7 @@ mod side_by_side;
 pub mod space;
 mod span;
 mod surface;
+mod tiles;
 mod tracker;
 mod volume;
 mod weights;
@@ -64,7 +65,7 @@ mod windows;
 
 #[cfg(feature = "arrow")]
 pub use arrow::ArrowPoints;
-pub use cloud::{Cloud, add_origin, subtract_origin};
+pub use cloud::{Bounds, Cloud, add_origin, subtract_origin};
 pub use config::{ModelConfig, Scatter};
 pub use control::{CancelFlag, Control, Counter};
 pub use detect::{Counts, Detection, Keypoint, Timing};
@@ -79,6 +80,7 @@ pub use limits::Limits;
 #[cfg(feature = "builtin-models")]
 pub use model::Builtin;
 pub use model::Model;
+pub use nms::Fate;
 pub use options::{DetectOptions, EncodeOptions, MeshOptions, Options, Preset, RefineMethod, Selection};
 pub use point_cloud2::{PointCloud2Layout, PointCloud2View, PointField};
 pub use point_source::{PointSource, SeparateAxes};
@@ -89,6 +91,7 @@ pub use scale_hint::scale_hint;
 pub use side_by_side::side_by_side;
 pub use snake_kernels::SimdLevel;
 pub use surface::Mesh;
+pub use tiles::{Candidate, TileCandidates, TileDetector, TileSettings, by_rank};
 pub use tracker::{Tracker, TrackerOptions};
 pub use volume::{Volume, VolumeFrame};
 

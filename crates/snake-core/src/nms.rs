@@ -69,6 +69,46 @@ fn keep_in_order(tree: &KdTree<f32>, points: &[Point], order: Vec<usize>, radius
     kept
 }
 
+/// What greedy suppression does with a candidate.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Fate {
+    /// It is a keypoint.
+    Kept,
+    /// A kept candidate of higher rank lies within the radius.
+    Suppressed,
+    /// It depends on candidates that are not known.
+    Unknown,
+}
+
+/// Greedy non-maximum suppression of a part of a cloud: the fate of each of the ranked points `(N, 3)`, best first, in the
+/// suppression of the whole cloud.
+///
+/// `sees_all` says whether the points include all points of the whole cloud within the radius of a point. A fate is known
+/// if it follows from such points alone.
+pub(crate) fn suppress_seen(points: &[Point], radius: f32, sees_all: impl Fn(usize) -> bool) -> Result<Vec<Fate>> {
+    if radius <= 0.0 {
+        return Ok(vec![Fate::Kept; points.len()]);
+    }
+    let tree = KdTree::new(points)?;
+    let mut fates = vec![None; points.len()];
+    // Points within the radius of a point of higher rank and unknown fate.
+    let mut is_open = vec![false; points.len()];
+    for index in 0..points.len() {
+        if fates[index].is_some() {
+            continue;
+        }
+        let is_known = !is_open[index] && sees_all(index);
+        fates[index] = Some(if is_known { Fate::Kept } else { Fate::Unknown });
+        tree.within(&points[index], radius * radius, |other, _| {
+            if other > index && is_known {
+                fates[other] = Some(Fate::Suppressed);
+            }
+            is_open[other] = true;
+        });
+    }
+    Ok(fates.into_iter().map(|fate| fate.unwrap_or(Fate::Unknown)).collect())
+}
+
 /// Index of the nearest point `(N, 3)` for each query `(M, 3)`; the lowest index among equally near points.
 pub fn nearest_points(points: &[Point], queries: &[Point]) -> Result<Vec<usize>> {
     // For a few hundred queries a linear search is faster than building a tree.
@@ -132,6 +172,25 @@ mod tests {
         assert_eq!(suppress_ranked(&points, 0.5, 3).unwrap(), [0, 2, 3]);
         assert_eq!(suppress_ranked(&points, 0.0, 5).unwrap(), [0, 1, 2, 3, 4]);
         assert_eq!(suppress_ranked(&[], 0.5, 5).unwrap(), [] as [usize; 0]);
+    }
+
+    #[test]
+    fn fates_of_a_part_are_those_of_the_whole() {
+        let at = |i: u32, factor: u32| (i * factor % 997) as f32 / 100.0;
+        let points: Vec<Point> = (0..900).map(|i| [at(i, 131), at(i, 577), 0.0]).collect();
+        let kept = suppress_ranked(&points, 0.4, 900).unwrap();
+        let all = suppress_seen(&points, 0.4, |_| true).unwrap();
+        assert!(all.iter().enumerate().all(|(i, fate)| (*fate == Fate::Kept) == kept.contains(&i)));
+        assert!(!all.contains(&Fate::Unknown));
+        for high in [5.0, 8.0] {
+            let part: Vec<usize> = (0..900).filter(|&i| points[i][0] < high).collect();
+            let positions: Vec<Point> = part.iter().map(|&i| points[i]).collect();
+            let fates = suppress_seen(&positions, 0.4, |rank| positions[rank][0] + 0.4001 < high).unwrap();
+            let known = part.iter().zip(&fates).filter(|(_, fate)| **fate != Fate::Unknown);
+            assert!(known.clone().all(|(&i, fate)| *fate == all[i]));
+            // The fates at the border are not all known.
+            assert!((part.len() / 10..part.len()).contains(&known.count()));
+        }
     }
 
     #[test]

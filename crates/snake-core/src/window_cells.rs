@@ -5,12 +5,13 @@ use std::collections::{BTreeMap, HashSet};
 use crate::points::Point;
 
 /// Side of the cells, in units of a window's radius: every query lies well inside its window.
-const SPACING: f32 = 0.8;
+pub(crate) const SPACING: f32 = 0.8;
 
 /// Number of cells that a window can reach beyond the cell of its centre, along each axis: 1 / 0.8 rounded up.
-const REACH: i128 = 2;
+pub(crate) const REACH: i128 = 2;
 
-type Cell = [i128; 3];
+/// A cell of the lattice, by its number along x, y and z.
+pub(crate) type Cell = [i128; 3];
 
 /// The points of a cloud grouped by cells, in four bytes per point. Each cell has a window.
 pub(crate) struct WindowCells<'a> {
@@ -70,6 +71,11 @@ impl<'a> WindowCells<'a> {
         inside.into_iter().map(|index| self.points[index as usize]).collect()
     }
 
+    /// The cell of a window.
+    pub(crate) fn cell_of(&self, window: usize) -> Cell {
+        self.cells[window]
+    }
+
     fn is_inside(&self, center: &Point, index: u32) -> bool {
         let [x, y, z]: Point = std::array::from_fn(|axis| center[axis] - self.points[index as usize][axis]);
         x * x + y * y + z * z <= self.radius * self.radius
@@ -82,7 +88,8 @@ pub(crate) fn has_more_windows(points: &[Point], radius: f32, most: usize) -> bo
     points.iter().any(|point| cells.insert(cell(point, radius)) && cells.len() > most)
 }
 
-fn cell(point: &Point, radius: f32) -> Cell {
+/// The cell of a point.
+pub(crate) fn cell(point: &Point, radius: f32) -> Cell {
     let side = f64::from(SPACING * radius);
     point.map(|v| (f64::from(v) / side).floor() as i128)
 }

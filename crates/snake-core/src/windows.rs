@@ -19,7 +19,7 @@ use crate::window_cells::{WindowCells, has_more_windows};
 use crate::{Error, Result};
 
 /// Number of windows that every cloud may have, even with few points.
-const FEW_WINDOWS: usize = 64;
+pub(crate) const FEW_WINDOWS: usize = 64;
 
 /// Detects keypoints in windows of `radius`. Each window keeps the queries closest to its own centre. The candidates of
 /// all windows are suppressed together, as in [`Field::detect`].
@@ -32,62 +32,93 @@ pub(crate) fn detect_in_windows(
     options: &Options,
     control: &Control,
 ) -> Result<Detection> {
-    let Options { encode, detect: options, .. } = options;
     let limits = control.get_limits();
     limits.check_points(points.len())?;
-    limits.check_volumes(&network.config, encode.rotations)?;
+    limits.check_volumes(&network.config, options.encode.rotations)?;
     let finite = FinitePoints::of("points", points)?;
     let radius = radius.in_units("window_radius", &finite.points)?;
     check_radius(radius, || format!("{radius:e}"))?;
     let radius = radius as f32;
-    let radii = options.radii(&finite.points)?;
-    let encoded = encode.sample(&finite.points);
+    let radii = options.detect.radii(&finite.points)?;
+    let encoded = options.encode.sample(&finite.points);
     check_number_of_points(encoded.len())?;
     check_number_of_windows(&encoded, radius)?;
-    let cells = WindowCells::new(&encoded, radius);
-    let of_one_window = options.evaluations(encode.rotations);
-    limits.check_evaluations(&[&of_one_window[..], &[cells.centers.len()]].concat())?;
-    let nearest_center = KdTree::new(&cells.centers)?;
-    let snap = options.snap.then(|| KdTree::new(&finite.points)).transpose()?;
-    let counter = control.begin("windows", cells.centers.len());
+    let windows = Windows::new(network, &encoded, &finite.points, radius, options)?;
+    let of_one_window = options.detect.evaluations(options.encode.rotations);
+    limits.check_evaluations(&[&of_one_window[..], &[windows.cells.centers.len()]].concat())?;
+    let counter = control.begin("windows", windows.cells.centers.len());
     let of_window = control.without_progress();
-    let detect_in = |window: usize| -> Result<(Candidates, Vec<f32>)> {
-        let start = Instant::now();
-        let inside = cells.points_of(window);
-        // A rounded centre may have no point within the radius if coordinates are coarser than the radius.
-        if inside.is_empty() {
-            return Ok(Default::default());
-        }
-        let normalization = Normalization { center: cells.centers[window], scale: 2.0 * radius };
-        let field = Field::normalized(network.clone(), inside, normalization, encode.rotations, &of_window)?;
-        let seconds = start.elapsed().as_secs_f64();
-        let owns = |position: &Point| nearest_center.nearest(position, NonZeroUsize::MIN)[0].0 == window;
-        let mut found = Candidates::of(&field, options, owns, &of_window)?;
-        found.timing.encode = seconds;
-        // The occupancy at a keypoint is that of the window that keeps it.
-        let occupancy = match &snap {
-            Some(tree) => {
-                let nearest = |position: &Point| finite.points[tree.nearest(position, NonZeroUsize::MIN)[0].0];
-                field.occupancy(&found.positions.par_iter().map(nearest).collect::<Vec<_>>())?
-            }
-            None => field.occupancy(&found.positions)?,
-        };
+    let detect_in = |window: usize| {
+        let found = windows.detect(window, &of_window)?;
         counter.add(1);
-        Ok((found, occupancy))
+        Ok(found)
     };
     let start = Instant::now();
     let (mut candidates, mut occupancy) = (Candidates::default(), Vec::new());
-    for (of_window, occupancy_of_window) in side_by_side(cells.centers.len(), detect_in)? {
+    for (of_window, occupancy_of_window) in side_by_side(windows.cells.centers.len(), detect_in)? {
         candidates.append(of_window);
         occupancy.extend(occupancy_of_window);
     }
     candidates.timing.scale_to(start.elapsed().as_secs_f64());
     control.begin("suppression", 0).check()?;
     let of_kept = |kept: &[usize], _: &[Point]| Ok(kept.iter().map(|&index| occupancy[index]).collect());
-    let mut detection = finish(candidates, &finite, radii, options, of_kept)?;
+    let mut detection = finish(candidates, &finite, radii, &options.detect, of_kept)?;
     detection.num_skipped = points.len() - finite.points.len();
     detection.num_encoded = encoded.len();
     Ok(detection)
+}
+
+/// The windows of a cloud, which are detected one by one.
+pub(crate) struct Windows<'a> {
+    network: &'a Arc<Network>,
+    options: &'a Options,
+    radius: f32,
+    pub(crate) cells: WindowCells<'a>,
+    nearest_center: KdTree<f32>,
+    /// The points to which keypoints are moved, if they are.
+    snap: Option<(KdTree<f32>, &'a [Point])>,
+}
+
+impl<'a> Windows<'a> {
+    /// The windows of the encoded points. `points` are those to which keypoints are moved.
+    pub(crate) fn new(
+        network: &'a Arc<Network>,
+        encoded: &'a [Point],
+        points: &'a [Point],
+        radius: f32,
+        options: &'a Options,
+    ) -> Result<Self> {
+        let cells = WindowCells::new(encoded, radius);
+        let nearest_center = KdTree::new(&cells.centers)?;
+        let snap = options.detect.snap.then(|| Ok::<_, Error>((KdTree::new(points)?, points))).transpose()?;
+        Ok(Self { network, options, radius, cells, nearest_center, snap })
+    }
+
+    /// The candidates of one window with their occupancy.
+    pub(crate) fn detect(&self, window: usize, control: &Control) -> Result<(Candidates, Vec<f32>)> {
+        let start = Instant::now();
+        let inside = self.cells.points_of(window);
+        // A rounded centre may have no point within the radius if coordinates are coarser than the radius.
+        if inside.is_empty() {
+            return Ok(Default::default());
+        }
+        let normalization = Normalization { center: self.cells.centers[window], scale: 2.0 * self.radius };
+        let field =
+            Field::normalized(self.network.clone(), inside, normalization, self.options.encode.rotations, control)?;
+        let seconds = start.elapsed().as_secs_f64();
+        let owns = |position: &Point| self.nearest_center.nearest(position, NonZeroUsize::MIN)[0].0 == window;
+        let mut found = Candidates::of(&field, &self.options.detect, owns, control)?;
+        found.timing.encode = seconds;
+        // The occupancy at a keypoint is that of the window that keeps it.
+        let occupancy = match &self.snap {
+            Some((tree, points)) => {
+                let nearest = |position: &Point| points[tree.nearest(position, NonZeroUsize::MIN)[0].0];
+                field.occupancy(&found.positions.par_iter().map(nearest).collect::<Vec<_>>())?
+            }
+            None => field.occupancy(&found.positions)?,
+        };
+        Ok((found, occupancy))
+    }
 }
 
 /// Refuses more windows than half the points: they would take hours for a large cloud, with almost no points each. Also

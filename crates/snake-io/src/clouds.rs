@@ -5,6 +5,7 @@ use std::path::Path;
 use snake_core::{Cloud, Point};
 
 use crate::columns::Columns;
+use crate::crs::Crs;
 #[cfg(feature = "e57")]
 use crate::e57;
 use crate::format::PointFormat;
@@ -70,6 +71,30 @@ pub fn read_contents(path: &Path, options: &ReadOptions) -> Result<Contents> {
     let format = PointFormat::from_path(path)?;
     let bytes = std::fs::read(path).map_err(|source| Error::Io { path: path.into(), source })?;
     parse(&bytes, format, options).map_err(|reason| Error::Format { path: path.into(), reason })
+}
+
+/// Calls `found` with each position of a file, in the file's order and units. Returns its coordinate reference system.
+///
+/// The memory for LAS and LAZ files does not grow with the number of points. Other formats are read whole.
+///
+/// # Errors
+/// As [`read_cloud`]. Positions before a damaged part are then found nevertheless.
+pub fn for_each_position(path: &Path, options: &ReadOptions, found: &mut dyn FnMut([f64; 3])) -> Result<Option<Crs>> {
+    let format = PointFormat::from_path(path)?;
+    let io_error = |source| Error::Io { path: path.into(), source };
+    let format_error = |reason| Error::Format { path: path.into(), reason };
+    #[cfg(feature = "laz")]
+    if (format, &options.columns, options.sample) == (PointFormat::Las, &None, None) {
+        let file = std::io::BufReader::with_capacity(1 << 20, std::fs::File::open(path).map_err(io_error)?);
+        return las::for_each_position(file, found).map_err(format_error);
+    }
+    let bytes = std::fs::read(path).map_err(io_error)?;
+    let shape = read_shape(&bytes, format, options).map_err(format_error)?;
+    match options.sample {
+        Some(number) => shape.sample(number, options.seed).map_err(format_error)?.points.into_iter().for_each(found),
+        None => shape.points.into_iter().for_each(found),
+    }
+    Ok(None)
 }
 
 /// Reads a point cloud from the bytes of a file.

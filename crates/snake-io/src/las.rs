@@ -3,22 +3,50 @@
 //! The decoder trusts the file and allocates any size that it claims. This module therefore finds the chunks, checks
 //! their sizes, and gives the decoder one chunk at a time.
 
-use std::io::Cursor;
+use std::io::{BufRead, Cursor, ErrorKind, Read, Seek, SeekFrom};
 
 use laz::laszip::CompressorType;
 use laz::record::{LayeredPointRecordDecompressor, RecordDecompressor, SequentialPointRecordDecompressor};
 use laz::{DecompressionSelection, LazItem, LazItemType, LazVlr};
 
 use super::MAX_EXPANSION;
+use super::crs::Crs;
 use super::gps_time::GpsTimes;
 use super::shape::{Position, Shape};
 
+/// The size of the public header block of LAS 1.4, the longest.
+const HEADER_SIZE: u64 = 375;
+
 /// Reads the coordinates: integers times a scale plus an offset. All other fields of a point are ignored.
 pub(super) fn read(bytes: &[u8]) -> Result<Shape, String> {
-    let header = Header::parse(bytes)?;
-    let data = bytes.get(header.data_offset..).ok_or("cut short before the points")?;
-    let points = if header.is_compressed { header.compressed(bytes, data)? } else { header.plain(data)? };
+    let mut points: Vec<Position> = Vec::new();
+    for_each_position(Cursor::new(bytes), &mut |position| points.push(position))?;
     Ok(points.into())
+}
+
+/// Calls `found` with each position of a file, in memory that does not grow with their number. Returns the coordinate
+/// reference system.
+pub(super) fn for_each_position(
+    mut source: impl BufRead + Seek,
+    found: &mut dyn FnMut(Position),
+) -> Result<Option<Crs>, String> {
+    let length = source.seek(SeekFrom::End(0)).map_err(|e| e.to_string())?;
+    let header = Header::parse(&start(&mut source, HEADER_SIZE)?)?;
+    let data_offset = header.data_offset as u64;
+    let data_length = length.checked_sub(data_offset).ok_or("cut short before the points")? as usize;
+    let head = start(&mut source, data_offset)?;
+    match header.is_compressed {
+        true => header.compressed(&head, data_length, &mut source, found)?,
+        false => header.plain(data_length, &mut source, found)?,
+    }
+    Ok(header.crs(&head))
+}
+
+/// The first bytes of a file, at most `number`. The next byte that is read follows them.
+fn start(source: &mut (impl Read + Seek), number: u64) -> Result<Vec<u8>, String> {
+    let mut bytes = Vec::new();
+    let read = source.rewind().and_then(|()| source.take(number).read_to_end(&mut bytes));
+    read.map(|_| bytes).map_err(|e| e.to_string())
 }
 
 struct Header {
@@ -71,13 +99,18 @@ impl Header {
         Ok(header)
     }
 
-    fn plain(&self, data: &[u8]) -> Result<Vec<Position>, String> {
+    fn plain(&self, data_length: usize, source: &mut impl Read, found: &mut dyn FnMut(Position)) -> Result<(), String> {
         let Self { num_points, record_length, .. } = self;
         // This check comes before any allocation, because a header can claim any number.
-        if *num_points > data.len() / record_length {
-            return Err(format!("{num_points} points of {record_length} bytes each, but {} bytes follow", data.len()));
+        if *num_points > data_length / record_length {
+            return Err(format!("{num_points} points of {record_length} bytes each, but {data_length} bytes follow"));
         }
-        Ok(data.chunks_exact(*record_length).take(*num_points).map(|record| self.position(record)).collect())
+        let mut record = vec![0; *record_length];
+        for num_read in 0..*num_points {
+            source.read_exact(&mut record).map_err(|e| self.cut_short(num_read, &e))?;
+            found(self.position(&record));
+        }
+        Ok(())
     }
 
     /// The position in a point record. LAS records and decoded LAZ records begin with the coordinates.
@@ -86,12 +119,18 @@ impl Header {
         std::array::from_fn(|axis| f64::from(i32::from_le_bytes(axes[axis])) * self.scale[axis] + self.offset[axis])
     }
 
-    fn compressed(&self, bytes: &[u8], data: &[u8]) -> Result<Vec<Position>, String> {
+    fn compressed(
+        &self,
+        head: &[u8],
+        data_length: usize,
+        source: &mut (impl BufRead + Seek),
+        found: &mut dyn FnMut(Position),
+    ) -> Result<(), String> {
         let Self { num_points, record_length, .. } = self;
-        if num_points.checked_mul(*record_length).is_none_or(|size| size / MAX_EXPANSION > data.len()) {
-            return Err(format!("{num_points} points of {record_length} bytes each in {} bytes", data.len()));
+        if num_points.checked_mul(*record_length).is_none_or(|size| size / MAX_EXPANSION > data_length) {
+            return Err(format!("{num_points} points of {record_length} bytes each in {data_length} bytes"));
         }
-        let record = self.laszip_record(bytes).ok_or("no record says how the points are compressed")?;
+        let record = self.laszip_record(head).ok_or("no record says how the points are compressed")?;
         let vlr = LazVlr::from_buffer(record).map_err(|e| format!("compression: {e}"))?;
         let items = vlr.items();
         check_items(items, *record_length)?;
@@ -99,93 +138,150 @@ impl Header {
         compressor.copy_from_slice(&record[..2]);
         let layered = items[0].version() >= 3;
         // Chunked data begins with eight bytes: the offset of the chunk table.
-        let chunks = data.get(8..).ok_or("cut short before the points");
+        let mut to_chunks = || match data_length >= 8 {
+            true => source.seek_relative(8).map_err(|e| e.to_string()),
+            false => Err("cut short before the points".into()),
+        };
         match (u16::from_le_bytes(compressor), layered) {
-            (kind, false) if kind == CompressorType::PointWise as u16 => self.sequential(items, data, usize::MAX),
+            (kind, false) if kind == CompressorType::PointWise as u16 => {
+                self.sequential(items, usize::MAX, source, found)
+            }
             (kind, false) if kind == CompressorType::PointWiseChunked as u16 => {
                 if vlr.uses_variable_size_chunks() {
                     return Err("chunks of different numbers of points cannot be read".into());
                 }
-                self.sequential(items, chunks?, vlr.chunk_size() as usize)
+                to_chunks()?;
+                self.sequential(items, vlr.chunk_size() as usize, source, found)
             }
-            (kind, true) if kind == CompressorType::LayeredChunked as u16 => self.layered(items, chunks?),
+            (kind, true) if kind == CompressorType::LayeredChunked as u16 => {
+                to_chunks()?;
+                self.layered(items, data_length - 8, source, found)
+            }
             (kind, _) => Err(format!("compression of kind {kind} cannot be read")),
         }
     }
 
-    /// The variable length record of LASzip.
-    fn laszip_record<'a>(&self, bytes: &'a [u8]) -> Option<&'a [u8]> {
-        let mut rest = bytes.get(self.records_offset..)?;
-        for _ in 0..self.num_records {
+    /// The variable length records between header and points: user, number and content.
+    fn records<'a>(&self, head: &'a [u8]) -> impl Iterator<Item = (&'a [u8], u16, &'a [u8])> {
+        let mut rest = head.get(self.records_offset..).unwrap_or_default();
+        (0..self.num_records).map_while(move |_| {
             let (head, tail) = rest.split_at_checked(54)?;
             let (record, tail) = tail.split_at_checked(u16::from_le_bytes(field(head, 20)?).into())?;
-            let is_laszip = head[2..].starts_with(LazVlr::USER_ID.as_bytes())
-                && u16::from_le_bytes(field(head, 18)?) == LazVlr::RECORD_ID;
-            if is_laszip {
-                return (record.len() >= 2).then_some(record);
-            }
             rest = tail;
-        }
-        None
+            Some((&head[2..18], u16::from_le_bytes(field(head, 18)?), record))
+        })
+    }
+
+    /// The variable length record of LASzip.
+    fn laszip_record<'a>(&self, head: &'a [u8]) -> Option<&'a [u8]> {
+        let is_laszip =
+            |user: &[u8], number| user.starts_with(LazVlr::USER_ID.as_bytes()) && number == LazVlr::RECORD_ID;
+        let mut found = self.records(head).filter(|(user, number, _)| is_laszip(user, *number));
+        found.next().map(|(.., record)| record).filter(|record| record.len() >= 2)
+    }
+
+    /// The coordinate reference system, as text or as the keys of GeoTIFF.
+    fn crs(&self, head: &[u8]) -> Option<Crs> {
+        let of_number = |wanted: u16| {
+            let mut found = self.records(head).filter(|(user, ..)| user.starts_with(b"LASF_Projection"));
+            found.find(|(_, number, _)| *number == wanted).map(|(.., record)| record)
+        };
+        let text = of_number(2112).map(|record| Crs::from_wkt(&String::from_utf8_lossy(record)));
+        text.or_else(|| of_number(34735).and_then(Crs::from_geo_keys))
     }
 
     /// Decodes points one after another, with a new decoder every `chunk_size` points.
-    fn sequential(&self, items: &Vec<LazItem>, data: &[u8], chunk_size: usize) -> Result<Vec<Position>, String> {
-        let mut source = Cursor::new(data);
-        let (mut points, mut record) = (Vec::new(), vec![0; self.record_length]);
-        while points.len() < self.num_points {
-            if is_beyond_interval(data.get(source.position() as usize + self.record_length..)) {
-                return Err(self.cut_short(points.len()));
+    fn sequential(
+        &self,
+        items: &Vec<LazItem>,
+        chunk_size: usize,
+        source: &mut (impl BufRead + Seek),
+        found: &mut dyn FnMut(Position),
+    ) -> Result<(), String> {
+        let (mut num_read, mut record) = (0, vec![0; self.record_length]);
+        while num_read < self.num_points {
+            if self.begins_beyond_interval(source).map_err(|e| self.cut_short(num_read, &e))? {
+                return Err(self.damaged(num_read));
             }
-            let mut decoder = SequentialPointRecordDecompressor::new(&mut source);
+            let mut decoder = SequentialPointRecordDecompressor::new(&mut *source);
             for item in items {
                 match (item.item_type(), item.version()) {
                     (LazItemType::GpsTime, 2) => decoder.add_field_decompressor(GpsTimes::default()),
                     _ => decoder.set_fields_from(&vec![*item]).map_err(|e| format!("compression: {e}"))?,
                 }
             }
-            for _ in 0..chunk_size.min(self.num_points - points.len()) {
-                decoder.decompress_next(&mut record).map_err(|_| self.cut_short(points.len()))?;
-                points.push(self.position(&record));
+            for _ in 0..chunk_size.min(self.num_points - num_read) {
+                decoder.decompress_next(&mut record).map_err(|e| self.cut_short(num_read, &e))?;
+                found(self.position(&record));
+                num_read += 1;
             }
         }
-        Ok(points)
+        Ok(())
+    }
+
+    /// Whether the compressed data after a chunk's first point is damaged, see [`is_beyond_interval`].
+    fn begins_beyond_interval(&self, source: &mut (impl BufRead + Seek)) -> std::io::Result<bool> {
+        let (skipped, mut first) = (self.record_length as i64, Vec::new());
+        source.seek_relative(skipped)?;
+        source.take(4).read_to_end(&mut first)?;
+        source.seek_relative(-skipped - first.len() as i64)?;
+        Ok(is_beyond_interval(Some(&first)))
     }
 
     /// Decodes chunks; each holds an uncompressed first point, the number of points, the sizes of the layers, and the
-    /// layers.
-    fn layered(&self, items: &Vec<LazItem>, mut data: &[u8]) -> Result<Vec<Position>, String> {
+    /// layers. `length` is the number of bytes that follow.
+    fn layered(
+        &self,
+        items: &Vec<LazItem>,
+        mut length: usize,
+        source: &mut impl Read,
+        found: &mut dyn FnMut(Position),
+    ) -> Result<(), String> {
         let num_layers: usize = items.iter().map(num_layers).sum();
         let sizes_at = self.record_length + 4;
-        let (mut points, mut record) = (Vec::new(), vec![0; self.record_length]);
-        while points.len() < self.num_points {
-            let cut_short = || self.cut_short(points.len());
-            let count: [u8; 4] = field(data, self.record_length).ok_or_else(cut_short)?;
-            let sizes = data.get(sizes_at..sizes_at + 4 * num_layers).ok_or_else(cut_short)?;
-            let mut end = sizes_at + 4 * num_layers;
-            let mut is_damaged = false;
-            for size in sizes.as_chunks().0 {
-                is_damaged |= is_beyond_interval(data.get(end..));
-                end = end.saturating_add(u32::from_le_bytes(*size) as usize);
-            }
-            let (chunk, rest) = data.split_at_checked(end).ok_or_else(cut_short)?;
-            let count = (u32::from_le_bytes(count) as usize).min(self.num_points - points.len());
+        let (mut num_read, mut record) = (0, vec![0; self.record_length]);
+        while num_read < self.num_points {
+            let mut chunk = vec![0; sizes_at + 4 * num_layers];
+            source.read_exact(&mut chunk).map_err(|e| self.cut_short(num_read, &e))?;
+            let sizes = chunk[sizes_at..].as_chunks().0.iter().map(|size| u32::from_le_bytes(*size) as usize);
+            let ends: Vec<usize> = sizes
+                .scan(chunk.len(), |end, size| {
+                    *end = end.saturating_add(size);
+                    Some(*end)
+                })
+                .collect();
+            let (head, end) = (chunk.len(), ends.last().copied().unwrap_or(chunk.len()));
+            length = length.checked_sub(end).ok_or_else(|| self.damaged(num_read))?;
+            let count: [u8; 4] = field(&chunk, self.record_length).unwrap_or_default();
+            chunk.resize(end, 0);
+            source.read_exact(&mut chunk[head..]).map_err(|e| self.cut_short(num_read, &e))?;
+            let is_damaged = [head].iter().chain(&ends).any(|&begin| is_beyond_interval(chunk.get(begin..)));
+            let count = (u32::from_le_bytes(count) as usize).min(self.num_points - num_read);
             if count == 0 || is_damaged {
-                return Err(cut_short());
+                return Err(self.damaged(num_read));
             }
-            let mut decoder = LayeredPointRecordDecompressor::new(Cursor::new(chunk));
+            let mut decoder = LayeredPointRecordDecompressor::new(Cursor::new(&chunk[..]));
             decoder.set_fields_from(items).map_err(|e| format!("compression: {e}"))?;
             decoder.set_selection(DecompressionSelection::xy_returns_channel().decompress_z());
             for _ in 0..count {
-                decoder.decompress_next(&mut record).map_err(|_| self.cut_short(points.len()))?;
-                points.push(self.position(&record));
+                decoder.decompress_next(&mut record).map_err(|e| self.cut_short(num_read, &e))?;
+                found(self.position(&record));
+                num_read += 1;
             }
-            data = rest;
         }
-        Ok(points)
+        Ok(())
     }
 
-    fn cut_short(&self, num_read: usize) -> String {
+    /// The error for a point that cannot be read.
+    fn cut_short(&self, num_read: usize, error: &std::io::Error) -> String {
+        match error.kind() {
+            // The decoder returns other kinds for damaged data.
+            ErrorKind::UnexpectedEof | ErrorKind::Other | ErrorKind::InvalidData => self.damaged(num_read),
+            _ => format!("{error}, after {num_read} points"),
+        }
+    }
+
+    fn damaged(&self, num_read: usize) -> String {
         format!("damaged or cut short: {num_read} of {} points could be read", self.num_points)
     }
 }

@@ -58,6 +58,7 @@ mod array_files;
 mod atomic;
 mod clouds;
 mod columns;
+mod crs;
 mod dtype;
 #[cfg(feature = "e57")]
 mod e57;
@@ -98,9 +99,11 @@ pub use array_files::read_arrays;
 pub use array_files::{read_array, write_volume};
 pub use atomic::{hold_writes, write_atomically};
 pub use clouds::{
-    Contents, ReadOptions, parse_cloud, parse_contents, read_cloud, read_clouds, read_contents, read_points,
+    Contents, ReadOptions, for_each_position, parse_cloud, parse_contents, read_cloud, read_clouds, read_contents,
+    read_points,
 };
 pub use columns::{Column, Columns};
+pub use crs::Crs;
 pub use error::{Error, Result};
 pub use format::{CLOUD_EXTENSIONS, CloudFormat, KEYPOINT_EXTENSIONS, KeypointFormat, POINT_EXTENSIONS, PointFormat};
 pub use json::keypoint_json;
