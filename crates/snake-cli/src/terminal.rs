@@ -297,6 +297,11 @@ impl Bar {
         self.0.inc(1);
     }
 
+    /// Counts several steps.
+    pub fn advance(&self, steps: u64) {
+        self.0.inc(steps);
+    }
+
     /// Hides the bar while something else is printed.
     pub fn suspend<T>(&self, print: impl FnOnce() -> T) -> T {
         self.0.suspend(print)

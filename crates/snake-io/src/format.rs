@@ -152,10 +152,22 @@ pub enum KeypointFormat {
     Json,
     /// KeypointNet annotations: a list with one shape and its keypoints.
     KeypointNet,
+    /// Parquet with the metadata of GeoParquet; with the feature `parquet`.
+    #[cfg(feature = "parquet")]
+    Parquet,
 }
 
 /// The extensions that [`KeypointFormat::from_path`] accepts.
-pub const KEYPOINT_EXTENSIONS: &[&str] = &["ply", "pcd", "npy", "csv", "keypointnet.json", "json"];
+pub const KEYPOINT_EXTENSIONS: &[&str] = &[
+    "ply",
+    "pcd",
+    "npy",
+    "csv",
+    "keypointnet.json",
+    "json",
+    #[cfg(feature = "parquet")]
+    "parquet",
+];
 
 impl KeypointFormat {
     /// The format of a file by its extension, in upper or lower case.
@@ -171,6 +183,8 @@ impl KeypointFormat {
             "csv" => Self::Csv,
             "json" if name.ends_with(".keypointnet.json") => Self::KeypointNet,
             "json" => Self::Json,
+            #[cfg(feature = "parquet")]
+            "parquet" => Self::Parquet,
             _ => return Err(unknown_extension(path, "written", KEYPOINT_EXTENSIONS)),
         })
     }
@@ -184,6 +198,8 @@ impl KeypointFormat {
             Self::Csv => "csv",
             Self::Json => "json",
             Self::KeypointNet => "keypointnet.json",
+            #[cfg(feature = "parquet")]
+            Self::Parquet => "parquet",
         }
     }
 }

@@ -2,6 +2,8 @@
 
 use std::path::Path;
 
+use crate::crs::Crs;
+
 /// The description of a keypoint file's cloud.
 #[derive(Debug, Clone, PartialEq, Default)]
 pub struct KeypointSource {
@@ -11,12 +13,21 @@ pub struct KeypointSource {
     pub class_id: String,
     /// Name of the shape, for KeypointNet annotations.
     pub model_id: String,
+    /// The coordinate reference system, which Parquet files state.
+    pub crs: Option<Crs>,
+    /// The tile of each keypoint, a column of Parquet files; empty without tiles.
+    pub tiles: Vec<[i32; 2]>,
 }
 
 impl KeypointSource {
     /// Takes class and name from the path of the cloud's file, which is `CLASS_ID/MODEL_ID.pcd` in KeypointNet.
     pub fn new(path: &Path, origin: [f64; 3]) -> Self {
         let text = |part: Option<&std::ffi::OsStr>| part.unwrap_or_default().to_string_lossy().into_owned();
-        Self { origin, class_id: text(path.parent().and_then(Path::file_name)), model_id: text(path.file_stem()) }
+        Self {
+            origin,
+            class_id: text(path.parent().and_then(Path::file_name)),
+            model_id: text(path.file_stem()),
+            ..Self::default()
+        }
     }
 }

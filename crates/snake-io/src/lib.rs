@@ -36,6 +36,7 @@
 //! | `gltf`, `glb` | vertices of all meshes in the scene's frame, or points sampled on them | | |
 //! | `las`, `laz`, `e57` | coordinates | | |
 //! | `json` | | | `{"keypoints": [{"x": .., ..}, ..]}` |
+//! | `parquet` (feature `parquet`) | | | columns as in csv and a geometry, GeoParquet 1.1 |
 //! | `keypointnet.json` | | | annotations in the format of KeypointNet |
 //!
 //! Meshes are written as binary `ply`, as binary `stl` or as `obj`. Registrations are written as `json`, or as `txt`
@@ -81,6 +82,8 @@ mod npy;
 mod npz;
 mod obj;
 mod off;
+#[cfg(feature = "parquet")]
+mod parquet;
 mod pcd;
 mod ply;
 mod shape;

@@ -35,6 +35,9 @@ fn good_files_hold_the_cloud() {
     }
     for path in paths {
         assert_eq!(read_points(&path).unwrap(), CLOUD, "{}", path.display());
+        let mut positions = Vec::new();
+        for_each_position(&path, &ReadOptions::default(), &mut |position| positions.push(position)).unwrap();
+        assert_eq!(positions.iter().map(|p| p.map(|v| v as f32)).collect::<Vec<_>>(), CLOUD, "{}", path.display());
     }
 }
 

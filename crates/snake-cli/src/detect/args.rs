@@ -16,7 +16,7 @@ pub struct DetectArguments {
     /// directories of such files, or quoted patterns: 'scans/**/*.ply'; `-` is the standard input.
     #[arg(required = true)]
     pub inputs: Vec<PathBuf>,
-    /// Write the keypoints to this file (.ply, .pcd, .npy, .csv, .json or .keypointnet.json). For several inputs, write
+    /// Write the keypoints to this file (.ply, .pcd, .npy, .csv, .json, .parquet or .keypointnet.json). For several inputs, write
     /// them to this directory as NAME.keypoints.EXT. `-` is the standard output; the report then goes to the standard
     /// error.
     #[arg(short, long)]
@@ -25,7 +25,7 @@ pub struct DetectArguments {
     /// NAME.2.keypoints.EXT. Without this option these inputs fail.
     #[arg(long, requires = "output")]
     pub number_results: bool,
-    /// Format of the keypoints: ply, pcd, npy, csv, json or keypointnet (annotations as in KeypointNet) [default: by
+    /// Format of the keypoints: ply, pcd, npy, csv, json, parquet (GeoParquet) or keypointnet (annotations as in KeypointNet) [default: by
     /// the extension of the output, else ply].
     #[arg(long, value_parser = named::<KeypointFormat>)]
     pub format: Option<KeypointFormat>,
@@ -39,9 +39,27 @@ pub struct DetectArguments {
     #[arg(long)]
     pub timing: bool,
     #[command(flatten)]
+    pub tiles: TileArguments,
+    #[command(flatten)]
     pub compute: ComputeArguments,
     #[command(flatten)]
     pub options: DetectFlags,
+}
+
+/// Detection in tiles.
+#[derive(Args)]
+#[command(next_help_heading = "Clouds that do not fit into memory")]
+pub struct TileArguments {
+    /// Detect in tiles of about this side in cloud units, such as 50 for a city in metres. All inputs make up one cloud,
+    /// and the keypoints are those of the whole cloud. It needs windows, and lengths in cloud units. All keypoints are kept
+    /// unless --max-keypoints is given.
+    #[arg(long, value_name = "SIDE", requires = "output", conflicts_with_all = ["json", "timing", "number_results"])]
+    pub tile: Option<f64>,
+    /// Folder for the points and candidates of the tiles, 20 bytes a point. An interrupted run continues where it was when
+    /// it is given again. The folder stays if it is named here, and is removed after a complete run otherwise
+    /// [default: OUTPUT.tiles].
+    #[arg(long, value_name = "FOLDER", requires = "tile")]
+    pub tile_folder: Option<PathBuf>,
 }
 
 /// Options of detection. Each one defaults to the value of the preset, or else to the model's recommended value.
@@ -102,6 +120,11 @@ pub struct DetectFlags {
 }
 
 impl DetectFlags {
+    /// The number of --max-keypoints, if it is given.
+    pub fn max_keypoints(&self) -> Option<usize> {
+        self.max_keypoints
+    }
+
     /// The options of a run: the options of the preset or the model, overridden by the command line.
     pub fn resolve(&self, model: &Model) -> Result<Options> {
         let mut preset = self.encode.resolve(model)?;

@@ -2,6 +2,7 @@
 
 pub mod args;
 mod reports;
+mod tiled;
 
 use std::collections::BTreeMap;
 use std::fmt::Write;
@@ -37,6 +38,9 @@ pub fn run(arguments: &DetectArguments) -> Result<ExitCode> {
     terminal::detail("options", || serde_json::to_string(&options).unwrap_or_default());
     let inputs = expand(&arguments.inputs)?;
     check_inputs(&inputs)?;
+    if let (Some(side), Some(output)) = (arguments.tiles.tile, &arguments.output) {
+        return tiled::run(arguments, &model, options, &inputs, side, output);
+    }
     let outputs = outputs(arguments, &inputs)?;
     let is_parallel = options.window_radius.is_none() && inputs.iter().all(|input| is_small(input));
     let bar = match &inputs[..] {

@@ -14,6 +14,7 @@ mod outputs;
 mod printing;
 mod reconstruct;
 mod register;
+mod tiles;
 mod usage;
 
 use std::path::{Path, PathBuf};

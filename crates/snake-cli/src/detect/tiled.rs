@@ -1,0 +1,151 @@
+//! `snake-cli detect --tile`: clouds that do not fit into memory.
+
+use std::io::ErrorKind;
+use std::path::{Path, PathBuf};
+use std::process::ExitCode;
+use std::time::Instant;
+
+use anyhow::{Context, Result, anyhow, bail};
+use snake_core::{Control, Detection, Model, Options, Progress, TileDetector};
+use snake_io::{KeypointFormat, KeypointSource, ReadOptions};
+use snake_tiles::{Error, Tile, TiledRun};
+
+use super::args::DetectArguments;
+use crate::inputs::{DASH, output_origin};
+use crate::output::InputFiles;
+use crate::terminal::{self, Bar, Report};
+
+/// Detects the keypoints of one large cloud. Files and tiles that cannot be read are reported, and the run continues.
+pub fn run(
+    arguments: &DetectArguments,
+    model: &Model,
+    mut options: Options,
+    inputs: &[PathBuf],
+    side: f64,
+    output: &Path,
+) -> Result<ExitCode> {
+    let start = Instant::now();
+    check(arguments, inputs, output)?;
+    options.detect.max_keypoints = arguments.options.max_keypoints().unwrap_or(usize::MAX);
+    let detector = TileDetector::new(model, &options)?;
+    let read = ReadOptions {
+        sample: arguments.input.sample.map(|number| number as usize),
+        seed: options.encode.seed,
+        columns: arguments.input.columns.columns.clone(),
+    };
+    let folder = arguments.tiles.tile_folder.clone().unwrap_or_else(|| with_suffix(output, ".tiles"));
+    let bar = terminal::progress(1)?;
+    bar.set_message("reading the points");
+    let run = TiledRun::prepare(detector, inputs, &read, side, &folder).with_context(|| resumable(&folder))?;
+    bar.finish();
+    for failure in run.failures() {
+        terminal::error(&anyhow!("{}", failure.reason));
+    }
+    let num_failed = detect(&run, &folder)?;
+    let progress = Progress::default();
+    let bar = terminal::stages(&progress)?;
+    bar.set_message(output.display().to_string());
+    let found = run.finish(&Control::new().progress(&progress))?;
+    bar.finish();
+    let mut detection = Detection::default();
+    detection.keypoints = found.keypoints.iter().map(|keypoint| keypoint.keypoint).collect();
+    let source = KeypointSource {
+        crs: run.crs().cloned(),
+        tiles: found.keypoints.iter().map(|keypoint| keypoint.tile).collect(),
+        ..KeypointSource::new(&inputs[0], run.origin())
+    };
+    super::write(output, arguments.format, &detection, &source)?;
+    output_origin(output, super::adds_origin(output, arguments.format), run.origin());
+    let ((num_points, num_skipped), counts) = (run.num_points(), found.counts);
+    let mut report = Report::default();
+    report.line(format!(
+        "{} keypoints from {num_points} points ({num_skipped} not finite) with {} windows in {} tiles in {:.1} s",
+        counts.keypoints,
+        counts.windows,
+        run.tiles().len(),
+        start.elapsed().as_secs_f64()
+    ));
+    report.line(format!(
+        "{} queries, {} occupied, {} above the saliency threshold",
+        counts.queries, counts.occupied, counts.above_threshold
+    ));
+    report.line(format!("written to {}", output.display()));
+    terminal::print_report(&report)?;
+    if num_failed > 0 || !run.failures().is_empty() {
+        return Ok(ExitCode::from(1));
+    }
+    if arguments.tiles.tile_folder.is_none() {
+        std::fs::remove_dir_all(&folder).with_context(|| format!("cannot remove {}", folder.display()))?;
+    }
+    Ok(ExitCode::SUCCESS)
+}
+
+/// Refuses arguments that do not go with tiles.
+fn check(arguments: &DetectArguments, inputs: &[PathBuf], output: &Path) -> Result<()> {
+    if inputs.iter().any(|input| input == Path::new(DASH)) || output == Path::new(DASH) {
+        bail!("--tile reads its inputs twice and needs files; the standard input and output cannot be used");
+    }
+    if arguments.input.input_format.is_some() {
+        bail!("--input-format cannot be used with --tile; rename the inputs");
+    }
+    if output.is_dir() {
+        bail!("{}: is a directory; --tile writes one file", output.display());
+    }
+    if arguments.format.is_none() {
+        KeypointFormat::from_path(output)?;
+    }
+    InputFiles::new(inputs.iter().chain(&arguments.compute.model)).refuse_as_output(output)
+}
+
+/// Detects all tiles that are not done. Returns the number of tiles that failed.
+fn detect(run: &TiledRun, folder: &Path) -> Result<usize> {
+    let windows = |tiles: &mut dyn Iterator<Item = &Tile>| tiles.map(|tile| tile.num_windows).sum::<u64>();
+    let bar = terminal::progress(windows(&mut run.tiles().iter()) as usize)?;
+    bar.begin_at(windows(&mut run.tiles().iter().filter(|tile| run.is_detected(tile))) as usize);
+    let open: Vec<&Tile> = run.tiles().iter().filter(|tile| !run.is_detected(tile)).collect();
+    let mut num_failed = 0;
+    for (number, tile) in open.iter().enumerate() {
+        bar.set_message(format!(
+            "windows, tile {} of {}",
+            run.tiles().len() - open.len() + number + 1,
+            run.tiles().len()
+        ));
+        match run.detect(tile, &Control::default()) {
+            Ok(()) => (),
+            Err(error) if is_full(&error) => return Err(error).with_context(|| resumable(folder)),
+            Err(error) => {
+                num_failed += 1;
+                report(&bar, run, tile, error);
+            }
+        }
+        bar.advance(tile.num_windows);
+    }
+    bar.finish();
+    match num_failed {
+        number if number == run.tiles().len() => bail!("all {number} tiles failed"),
+        number => Ok(number),
+    }
+}
+
+fn report(bar: &Bar, run: &TiledRun, tile: &Tile, error: Error) {
+    let [[west, south], [east, north]] = run.bounds(tile);
+    let error = anyhow::Error::from(error)
+        .context(format!("the tile from x {west:.2}, y {south:.2} to x {east:.2}, y {north:.2} is left out"));
+    bar.suspend(|| terminal::error(&error));
+}
+
+/// Whether the disk has no room for further tiles.
+fn is_full(error: &Error) -> bool {
+    let full = [ErrorKind::StorageFull, ErrorKind::QuotaExceeded];
+    matches!(error, Error::File { source, .. } if full.contains(&source.kind()))
+}
+
+fn resumable(folder: &Path) -> String {
+    format!("the tiles in {} stay: the same command continues", folder.display())
+}
+
+fn with_suffix(path: &Path, suffix: &str) -> PathBuf {
+    let mut name = path.as_os_str().to_owned();
+    name.push(suffix);
+    name.into()
+}

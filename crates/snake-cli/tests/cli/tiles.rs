@@ -1,0 +1,69 @@
+//! `detect --tile`: one large cloud in tiles.
+
+use std::fs;
+
+use crate::{snake, stderr};
+
+/// A floor of 12 by 9 m with a wall, far from zero.
+fn scan() -> String {
+    let floor = (0..2700).map(|i| [f64::from(i % 60) * 0.2, f64::from(i / 60) * 0.2, 0.0]);
+    let wall = (0..900).map(|i| [6.0, f64::from(i % 45) * 0.2, f64::from(i / 45) * 0.15]);
+    floor.chain(wall).map(|[x, y, z]| format!("{} {} {z}\n", x + 691_000.25, y + 5_336_000.5)).collect()
+}
+
+#[test]
+fn tiles_write_the_keypoints_of_the_whole_cloud() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = |name: &str| folder.path().join(name).display().to_string();
+    let (input, whole, tiled) = (path("scan.xyz"), path("whole.csv"), path("tiled.csv"));
+    fs::write(&input, scan()).unwrap();
+    let options = ["--model", "rooms", "--window-radius", "2", "--query-resolution", "16", "--max-keypoints", "5000"];
+    let run = |arguments: &[&str]| {
+        let output = snake(&[&["detect", &input][..], arguments, &options].concat());
+        (output.status.code(), stderr(&output))
+    };
+    assert_eq!(run(&["-o", &whole]).0, Some(0));
+    assert_eq!(run(&["-o", &tiled, "--tile", "4"]), (Some(0), String::new()));
+    let text = fs::read_to_string(&whole).unwrap();
+    assert!(text.lines().count() > 20 && fs::read_to_string(&tiled).unwrap() == text);
+    assert!(!folder.path().join("tiled.csv.tiles").exists());
+
+    // A damaged tile is named by its bounds, and the old result stays. Once it is whole, the run continues.
+    let (kept, parquet) = (path("kept"), path("keypoints.parquet"));
+    let in_folder = ["-o", &parquet, "--tile", "4", "--tile-folder", &kept];
+    assert_eq!(run(&in_folder).0, Some(0));
+    let complete = fs::read(&parquet).unwrap();
+    assert!(complete.starts_with(b"PAR1"));
+    let one = fs::read_dir(format!("{kept}/candidates")).unwrap().next().unwrap().unwrap().path();
+    let points = format!("{kept}/points/{}.bin", one.file_stem().unwrap().display());
+    let bytes = fs::read(&points).unwrap();
+    fs::remove_file(&one).unwrap();
+    fs::write(&points, &bytes[1..]).unwrap();
+    let (code, error) = run(&in_folder);
+    assert!(code == Some(2) && error.contains("the tile from x 691"), "{error}");
+    assert!(fs::read(&parquet).unwrap() == complete);
+    fs::write(&points, bytes).unwrap();
+    assert_eq!(run(&in_folder).0, Some(0));
+    assert!(fs::read(&parquet).unwrap() == complete);
+}
+
+#[test]
+fn tiles_need_lengths_in_cloud_units_and_files() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = |name: &str| folder.path().join(name).display().to_string();
+    let (input, output) = (path("scan.xyz"), path("k.csv"));
+    fs::write(&input, scan()).unwrap();
+    for (arguments, expected) in [
+        (&["--model", "compact"][..], "window_radius"),
+        (&["--model", "rooms", "--nms-radius", "3r"], "nms_radius"),
+        (&["--model", "rooms", "--max-points", "100"], "max_points"),
+        (&["--model", "rooms", "--snap"], "snap"),
+        (&["--model", "rooms", "--json"], "--json"),
+    ] {
+        let refused = snake(&[&["detect", &input, "-o", &output, "--tile", "4"][..], arguments].concat());
+        assert_eq!(refused.status.code(), Some(2));
+        assert!(stderr(&refused).contains(expected), "{}", stderr(&refused));
+    }
+    let refused = snake(&["detect", "-", "-o", &output, "--tile", "4", "--model", "rooms"]);
+    assert!(stderr(&refused).contains("standard input"), "{}", stderr(&refused));
+}

@@ -1,0 +1,86 @@
+//! The candidates of a tile on disk, as safetensors: `position` `(N, 3)`, `saliency`, `occupancy` and `cell` `(N, 3)`. The
+//! metadata has the bounds of the positions along x and y, and the counts.
+
+use std::path::{Path, PathBuf};
+
+use safetensors::tensor::{Dtype, SafeTensors, TensorView};
+use serde::{Deserialize, Serialize};
+use snake_core::{Candidate, Counts, Point, TileCandidates};
+
+use crate::{Error, Result};
+
+/// What is known of a tile's candidates without them.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+pub(crate) struct Summary {
+    /// The lowest and the highest x and y; `None` without candidates.
+    pub(crate) bounds: Option<[[f32; 2]; 2]>,
+    pub(crate) counts: Counts,
+}
+
+pub(crate) fn path(folder: &Path, [x, y]: [i32; 2]) -> PathBuf {
+    folder.join("candidates").join(format!("{x}_{y}.safetensors"))
+}
+
+/// Writes the candidates of the tile at a place.
+pub(crate) fn write(folder: &Path, place: [i32; 2], found: &TileCandidates) -> Result<()> {
+    let path = path(folder, place);
+    let candidates = &found.candidates;
+    let widened = |bounds: Option<[[f32; 2]; 2]>, candidate: &Candidate| {
+        let [x, y, _] = candidate.position;
+        let [low, high] = bounds.unwrap_or([[x, y]; 2]);
+        Some([[low[0].min(x), low[1].min(y)], [high[0].max(x), high[1].max(y)]])
+    };
+    let bounds = candidates.iter().fold(None, widened);
+    let summary = Summary { bounds, counts: found.counts };
+    let positions: Vec<u8> = candidates.iter().flat_map(|c| bytemuck::cast::<_, [u8; 12]>(c.position)).collect();
+    let cells: Vec<u8> = candidates.iter().flat_map(|c| bytemuck::cast::<_, [u8; 12]>(c.cell)).collect();
+    let of = |value: fn(&Candidate) -> f32| -> Vec<u8> {
+        candidates.iter().flat_map(|candidate| value(candidate).to_ne_bytes()).collect()
+    };
+    let (saliency, occupancy) = (of(|c| c.saliency), of(|c| c.occupancy));
+    let number = candidates.len();
+    let tensors = [
+        ("position", Dtype::F32, vec![number, 3], &positions),
+        ("saliency", Dtype::F32, vec![number], &saliency),
+        ("occupancy", Dtype::F32, vec![number], &occupancy),
+        ("cell", Dtype::I32, vec![number, 3], &cells),
+    ]
+    .map(|(name, dtype, shape, bytes)| TensorView::new(dtype, shape, bytes).map(|view| (name, view)));
+    let fill = |file: &mut dyn std::io::Write| {
+        let tensors = tensors.into_iter().collect::<std::result::Result<Vec<_>, _>>().map_err(std::io::Error::other)?;
+        let metadata = [("summary".to_owned(), serde_json::to_string(&summary)?)].into_iter().collect();
+        file.write_all(&safetensors::serialize(tensors, Some(metadata)).map_err(std::io::Error::other)?)
+    };
+    snake_io::write_atomically(&path, fill).map_err(Error::file(&path))
+}
+
+/// Reads the summary of the tile at a place.
+pub(crate) fn read_summary(folder: &Path, place: [i32; 2]) -> Result<Summary> {
+    let path = path(folder, place);
+    let bytes = std::fs::read(&path).map_err(Error::file(&path))?;
+    let summary = || {
+        let (_, header) = SafeTensors::read_metadata(&bytes).map_err(|e| e.to_string())?;
+        let metadata = header.metadata().as_ref().and_then(|metadata| metadata.get("summary"));
+        serde_json::from_str(metadata.ok_or("no summary")?).map_err(|e| e.to_string())
+    };
+    summary().map_err(|reason| Error::Damaged { path: path.clone(), reason })
+}
+
+/// Reads the candidates of the tile at a place.
+pub(crate) fn read(folder: &Path, place: [i32; 2]) -> Result<Vec<Candidate>> {
+    let path = path(folder, place);
+    let bytes = std::fs::read(&path).map_err(Error::file(&path))?;
+    parse(&bytes).map_err(|reason| Error::Damaged { path, reason })
+}
+
+fn parse(bytes: &[u8]) -> std::result::Result<Vec<Candidate>, String> {
+    let file = SafeTensors::deserialize(bytes).map_err(|e| e.to_string())?;
+    let data = |name| file.tensor(name).map(|tensor| tensor.data()).map_err(|e| e.to_string());
+    let positions: Vec<Point> = bytemuck::pod_collect_to_vec(data("position")?);
+    let cells: Vec<[i32; 3]> = bytemuck::pod_collect_to_vec(data("cell")?);
+    let saliency: Vec<f32> = bytemuck::pod_collect_to_vec(data("saliency")?);
+    let occupancy: Vec<f32> = bytemuck::pod_collect_to_vec(data("occupancy")?);
+    let values = positions.into_iter().zip(cells).zip(saliency.into_iter().zip(occupancy));
+    let candidate = |((position, cell), (saliency, occupancy))| Candidate { position, saliency, occupancy, cell };
+    Ok(values.map(candidate).collect())
+}

@@ -1,0 +1,118 @@
+//! From the candidates of all tiles to keypoints.
+
+use rayon::prelude::*;
+use snake_core::{Candidate, Control, Counts, Fate, Keypoint, by_rank};
+
+use crate::candidates::{self, Summary};
+use crate::plan::Tile;
+use crate::run::TiledRun;
+use crate::{Error, Result};
+
+/// A keypoint of a tile.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct TiledKeypoint {
+    /// The keypoint relative to [`TiledRun::origin`]. Its `nearest_index` counts the points of all files.
+    pub keypoint: Keypoint,
+    /// The place of the tile whose window found it.
+    pub tile: [i32; 2],
+}
+
+/// The result of a run in tiles.
+#[derive(Debug, Clone, PartialEq, Default)]
+pub struct TiledDetection {
+    /// The keypoints, by falling saliency.
+    pub keypoints: Vec<TiledKeypoint>,
+    /// Number of queries after each step.
+    pub counts: Counts,
+    /// Tiles without candidates on disk. Keypoints there are missing, and those close by may differ.
+    pub missing: Vec<Tile>,
+}
+
+/// A rectangle along x and y, as its lowest and highest corner.
+type Rectangle = [[f64; 2]; 2];
+
+impl TiledRun {
+    /// The keypoints of all tiles that are detected: the bits of [`snake_core::Model::detect`] if all are.
+    ///
+    /// # Errors
+    /// [`Error::File`] and [`Error::Damaged`] for the files of the folder; [`snake_core::Error::Cancelled`] and the like.
+    pub fn finish(&self, control: &Control) -> Result<TiledDetection> {
+        let mut detection = TiledDetection::default();
+        let (detected, missing): (Vec<&Tile>, Vec<&Tile>) =
+            self.tiles().iter().partition(|tile| self.is_detected(tile));
+        detection.missing = missing.into_iter().copied().collect();
+        let mut summaries: Vec<([i32; 2], Summary)> = Vec::with_capacity(detected.len());
+        for tile in detected {
+            let summary = candidates::read_summary(&self.folder, tile.place)?;
+            detection.counts.add(&summary.counts);
+            summaries.push((tile.place, summary));
+        }
+        let counter = control.begin("suppression", summaries.len());
+        let of_tile = |index: usize| {
+            counter.check()?;
+            let kept = self.suppress(index, &summaries)?;
+            counter.add(1);
+            Ok(kept.into_iter().map(|candidate| (candidate, summaries[index].0)).collect())
+        };
+        let of_tiles: Vec<Vec<(Candidate, [i32; 2])>> =
+            (0..summaries.len()).into_par_iter().map(of_tile).collect::<Result<_>>()?;
+        let mut kept = of_tiles.concat();
+        kept.sort_by(|(a, _), (b, _)| by_rank(a, b));
+        kept.truncate(self.detector.options().detect.max_keypoints);
+        let nearest =
+            self.nearest(&kept.iter().map(|(candidate, _)| candidate.position).collect::<Vec<_>>(), control)?;
+        detection.counts.keypoints = kept.len();
+        let keypoint = |((candidate, tile), nearest): ((Candidate, [i32; 2]), u64)| {
+            let Candidate { position, saliency, occupancy, .. } = candidate;
+            TiledKeypoint {
+                keypoint: Keypoint { position, saliency, occupancy, nearest_index: nearest as usize },
+                tile,
+            }
+        };
+        detection.keypoints = kept.into_iter().zip(nearest).map(keypoint).collect();
+        Ok(detection)
+    }
+
+    /// The candidates of a tile that suppression keeps. A candidate's fate can depend on a chain of others, so the tile
+    /// reads more of its neighbours until all fates are known.
+    fn suppress(&self, index: usize, summaries: &[([i32; 2], Summary)]) -> Result<Vec<Candidate>> {
+        let (place, Summary { bounds: Some(bounds), .. }) = summaries[index] else { return Ok(Vec::new()) };
+        let own = candidates::read(&self.folder, place)?;
+        let reach = self.detector.suppression_reach();
+        let mut margin = 4.0 * reach;
+        loop {
+            let [low, high] = bounds.map(|corner| corner.map(f64::from));
+            let seen = [low.map(|v| v - margin), high.map(|v| v + margin)];
+            let (mut near, mut sees_whole_tiles) = (own.clone(), true);
+            for (other, (place, summary)) in summaries.iter().enumerate() {
+                let Some(bounds) = summary.bounds.filter(|_| other != index) else { continue };
+                let bounds = bounds.map(|corner| corner.map(f64::from));
+                let is_whole = contains(&seen, bounds[0]) && contains(&seen, bounds[1]);
+                sees_whole_tiles &= is_whole;
+                if is_whole || (0..2).all(|axis| bounds[0][axis] <= seen[1][axis] && seen[0][axis] <= bounds[1][axis]) {
+                    let candidates = candidates::read(&self.folder, *place)?.into_iter();
+                    near.extend(candidates.filter(|candidate| contains(&seen, in_plane(candidate))));
+                }
+            }
+            let inner = [seen[0].map(|v| v + reach), seen[1].map(|v| v - reach)];
+            let fates = self.detector.fates(&near, |c| sees_whole_tiles || contains(&inner, in_plane(c)))?;
+            if !fates[..own.len()].contains(&Fate::Unknown) {
+                let kept = own.into_iter().zip(fates).filter(|(_, fate)| *fate == Fate::Kept);
+                return Ok(kept.map(|(candidate, _)| candidate).collect());
+            }
+            if sees_whole_tiles {
+                let reason = "suppression did not end; this is an error of snake-rs".into();
+                return Err(Error::Refused { what: "candidates", reason });
+            }
+            margin *= 2.0;
+        }
+    }
+}
+
+fn in_plane(candidate: &Candidate) -> [f64; 2] {
+    [candidate.position[0].into(), candidate.position[1].into()]
+}
+
+fn contains([low, high]: &Rectangle, at: [f64; 2]) -> bool {
+    (0..2).all(|axis| low[axis] <= at[axis] && at[axis] <= high[axis])
+}

@@ -1,0 +1,207 @@
+//! A run in tiles: from files to keypoints.
+
+use std::collections::HashSet;
+use std::ops::Range;
+use std::path::{Path, PathBuf};
+
+use snake_core::{Bounds, Control, Point, TileDetector, subtract_origin};
+use snake_io::{Crs, ReadOptions};
+
+use crate::plan::{Failure, Plan, Source, Tile, place};
+use crate::points::{PointWriter, for_each_point};
+use crate::{Error, Result, candidates};
+
+/// A run whose points are on disk.
+#[derive(Debug)]
+pub struct TiledRun {
+    pub(crate) detector: TileDetector,
+    pub(crate) plan: Plan,
+    pub(crate) folder: PathBuf,
+}
+
+impl TiledRun {
+    /// Writes the points of the files to tiles of about `side` cloud units in `folder`, or continues the run that is there.
+    /// The files make up one cloud, in their order. The folder is cleared if it has a run of other files or options.
+    ///
+    /// Files that cannot be read are left out, see [`TiledRun::failures`].
+    ///
+    /// # Errors
+    /// [`Error::Refused`] for a side that is not positive or makes tiles without number, for coordinates in degrees, and
+    /// for files of different coordinate reference systems; [`Error::Input`] when no file can be read; [`Error::File`]
+    /// when the folder cannot be written; [`Error::Core`] when the radius does not suit the cloud.
+    pub fn prepare(
+        detector: TileDetector,
+        files: &[PathBuf],
+        read: &ReadOptions,
+        side: f64,
+        folder: &Path,
+    ) -> Result<Self> {
+        let columns = (side / detector.cell_side()).round().max(1.0);
+        if !(side > 0.0 && columns < f64::from(1 << 20)) {
+            let reason = format!("a side of {side}; allowed is about {} to 1000000 times that", detector.cell_side());
+            return Err(Error::Refused { what: "tile", reason });
+        }
+        let columns = columns as i32;
+        let source = Source::new(files, read, columns, detector.settings())?;
+        let folder = folder.to_owned();
+        if let Some(plan) = Plan::read(&folder, &source) {
+            return Ok(Self { detector, plan, folder });
+        }
+        Plan::clear(&folder)?;
+        let Extent { bounds, crs, failures } = extent(files, read)?;
+        let origin = bounds.origin();
+        let (num_points, num_skipped) = (0, 0);
+        let mut plan = Plan { source, origin, crs, num_points, num_skipped, failures, tiles: Vec::new() };
+        let mut writer = PointWriter::new(&folder);
+        for file in files.iter().filter(|file| plan.failures.iter().all(|failure| failure.path != **file)) {
+            let mut outcome = Ok(());
+            snake_io::for_each_position(file, read, &mut |position| {
+                let index = plan.num_points;
+                plan.num_points += 1;
+                if outcome.is_ok() && position.iter().all(|v| v.is_finite()) {
+                    let point = subtract_origin(position, origin);
+                    outcome = detector
+                        .cell(&point)
+                        .map_err(Error::from)
+                        .and_then(|[x, y, _]| writer.add(place(columns, [x, y]), point, index));
+                } else {
+                    plan.num_skipped += 1;
+                }
+            })?;
+            outcome?;
+        }
+        let tile = |(place, num_points)| Tile { place, num_points, num_windows: 0 };
+        plan.tiles = writer.finish()?.into_iter().map(tile).collect();
+        plan.tiles.sort_unstable_by_key(|tile| tile.place);
+        for tile in &mut plan.tiles {
+            let mut cells = HashSet::new();
+            for_each_point(&folder, tile, |point, _| cells.extend(detector.cell(&point)))?;
+            tile.num_windows = cells.len() as u64;
+        }
+        let sum = |of: fn(&Tile) -> u64| plan.tiles.iter().map(of).sum::<u64>() as usize;
+        detector.check_windows(sum(|tile| tile.num_windows), sum(|tile| tile.num_points))?;
+        plan.write(&folder)?;
+        Ok(Self { detector, plan, folder })
+    }
+
+    /// The tiles that have points.
+    pub fn tiles(&self) -> &[Tile] {
+        &self.plan.tiles
+    }
+
+    /// The input files that were left out because they could not be read.
+    pub fn failures(&self) -> &[Failure] {
+        &self.plan.failures
+    }
+
+    /// Number of points of all files, and how many of them were skipped because they are not finite.
+    pub fn num_points(&self) -> (u64, u64) {
+        (self.plan.num_points, self.plan.num_skipped)
+    }
+
+    /// Added to all keypoints, see [`snake_core::Cloud::origin`].
+    pub fn origin(&self) -> [f64; 3] {
+        self.plan.origin
+    }
+
+    /// The coordinate reference system of the files.
+    pub fn crs(&self) -> Option<&Crs> {
+        self.plan.crs.as_ref()
+    }
+
+    /// The lowest and the highest x and y of a tile, in the units of the files.
+    pub fn bounds(&self, tile: &Tile) -> [[f64; 2]; 2] {
+        let columns = self.plan.columns(tile.place);
+        let at = |axis: usize, column: i32| f64::from(column) * self.detector.cell_side() + self.plan.origin[axis];
+        [[at(0, columns[0].start), at(1, columns[1].start)], [at(0, columns[0].end), at(1, columns[1].end)]]
+    }
+
+    /// Whether the candidates of a tile are on disk.
+    pub fn is_detected(&self, tile: &Tile) -> bool {
+        candidates::path(&self.folder, tile.place).is_file()
+    }
+
+    /// Finds the candidates of a tile and writes them to the folder, unless they are there.
+    ///
+    /// # Errors
+    /// [`Error::File`] and [`Error::Damaged`] for the files of the folder; [`Error::Core`] as of
+    /// [`snake_core::Model::detect_with`].
+    pub fn detect(&self, tile: &Tile, control: &Control) -> Result<()> {
+        if self.is_detected(tile) {
+            return Ok(());
+        }
+        let columns = self.plan.columns(tile.place);
+        let (points, _) = self.points(&widen(&columns, self.detector.halo()))?;
+        let found = self.detector.detect(&points, &columns, control)?;
+        candidates::write(&self.folder, tile.place, &found)
+    }
+
+    /// The points in columns, in the order of the cloud, and their indices.
+    pub(crate) fn points(&self, columns: &[Range<i32>; 2]) -> Result<(Vec<Point>, Vec<u64>)> {
+        let mut found = Vec::new();
+        for tile in self.plan.tiles_in(columns) {
+            for_each_point(&self.folder, tile, |point, index| {
+                let is_inside = |[x, y, _]: [i32; 3]| columns[0].contains(&x) && columns[1].contains(&y);
+                if self.detector.cell(&point).is_ok_and(is_inside) {
+                    found.push((index, point));
+                }
+            })?;
+        }
+        found.sort_unstable_by_key(|(index, _)| *index);
+        Ok(found.into_iter().map(|(index, point)| (point, index)).unzip())
+    }
+}
+
+/// Columns with some more on all sides.
+pub(crate) fn widen(columns: &[Range<i32>; 2], by: i32) -> [Range<i32>; 2] {
+    columns.clone().map(|range| range.start.saturating_sub(by)..range.end.saturating_add(by))
+}
+
+/// What the first pass over the files finds.
+struct Extent {
+    bounds: Bounds,
+    crs: Option<Crs>,
+    failures: Vec<Failure>,
+}
+
+fn extent(files: &[PathBuf], read: &ReadOptions) -> Result<Extent> {
+    let mut extent = Extent { bounds: Bounds::default(), crs: None, failures: Vec::new() };
+    let mut known: Option<(&PathBuf, Crs)> = None;
+    for file in files {
+        let mut bounds = extent.bounds;
+        let crs = match snake_io::for_each_position(file, read, &mut |position| bounds.add(position)) {
+            Ok(crs) => crs,
+            Err(error) if files.len() == 1 => return Err(error.into()),
+            Err(error) => {
+                extent.failures.push(Failure { path: file.clone(), reason: error.to_string() });
+                continue;
+            }
+        };
+        extent.bounds = bounds;
+        let Some(crs) = crs else { continue };
+        if crs.is_geographic {
+            let reason = format!(
+                "{}: longitude and latitude in degrees are no lengths; project it to metres first, for example with \
+                 `pdal translate in.laz out.laz reprojection --filters.reprojection.out_srs=EPSG:32632`",
+                file.display()
+            );
+            return Err(Error::Refused { what: "coordinate reference system", reason });
+        }
+        match &known {
+            Some((first, other)) if *other != crs => {
+                let reason = format!("{} and {} have different ones", first.display(), file.display());
+                return Err(Error::Refused { what: "coordinate reference system", reason });
+            }
+            _ => known = Some((file, crs)),
+        }
+    }
+    if extent.failures.len() == files.len() {
+        let reason = extent.failures.first().map_or("no files".into(), |failure| failure.reason.clone());
+        return Err(Error::Refused { what: "inputs", reason: format!("none can be read: {reason}") });
+    }
+    if (0..3).all(|axis| extent.bounds.low[axis] >= extent.bounds.high[axis]) {
+        return Err(Error::Refused { what: "inputs", reason: "a cloud needs at least two different points".into() });
+    }
+    extent.crs = known.map(|(_, crs)| crs);
+    Ok(extent)
+}
