@@ -36,10 +36,10 @@ impl QueryGrid {
         self.axes[0].len()
     }
 
-    /// The queries of one plane across x, z fastest.
-    fn plane(&self, x: usize) -> Vec<Point> {
+    /// Replaces `queries` by those of one plane across x, z fastest.
+    fn plane_into(&self, x: usize, queries: &mut Vec<Point>) {
         let (x, voxel_x) = self.axes[0][x];
-        let mut queries = Vec::new();
+        queries.clear();
         for &(y, voxel_y) in &self.axes[1] {
             for &(z, voxel_z) in &self.axes[2] {
                 if self.band.as_ref().is_none_or(|band| band[voxel_x + voxel_y + voxel_z]) {
@@ -47,7 +47,6 @@ impl QueryGrid {
                 }
             }
         }
-        queries
     }
 }
 
@@ -72,20 +71,24 @@ pub(crate) fn above_occupancy(
     span!("occupancy");
     let resolution = queries.resolution();
     let counter = control.begin("occupancy", resolution.pow(3));
-    let occupied_of_plane = |x: usize| -> Result<Vec<Point>> {
-        let plane = queries.plane(x);
+    // The memory of one plane is used again for the next.
+    let memory = || (Vec::with_capacity(resolution * resolution), Vec::with_capacity(resolution * resolution));
+    let occupied_of_plane = |(plane, occupancy): &mut (Vec<Point>, Vec<f32>), x: usize| -> Result<Vec<Point>> {
+        queries.plane_into(x, plane);
         counter.add(resolution * resolution - plane.len());
-        let mut occupied = Vec::new();
+        occupancy.clear();
         for tile in plane.chunks(TILE) {
             counter.check()?;
-            let occupancy = field.tile_values(Quantity::Occupancy, tile);
-            occupied
-                .extend(tile.iter().zip(occupancy.iter()).filter(|(_, o)| **o > threshold).map(|(query, _)| *query));
+            occupancy.extend_from_slice(&field.tile_values(Quantity::Occupancy, tile));
             counter.add(tile.len());
         }
+        let mut occupied = Vec::with_capacity(occupancy.iter().filter(|value| **value > threshold).count());
+        let pairs = plane.iter().zip(occupancy.iter());
+        occupied.extend(pairs.filter(|(_, value)| **value > threshold).map(|(query, _)| *query));
         Ok(occupied)
     };
-    let planes: Vec<Vec<Point>> = (0..resolution).into_par_iter().map(occupied_of_plane).collect::<Result<_>>()?;
+    let planes = (0..resolution).into_par_iter().map_init(memory, occupied_of_plane);
+    let planes: Vec<Vec<Point>> = planes.collect::<Result<_>>()?;
     Ok(planes.concat())
 }
 

@@ -6,27 +6,23 @@ use rayon::prelude::*;
 /// summed in parallel and added in order, so the bits do not depend on the number of threads.
 pub fn channel_sums(volume: &[f32], channels: usize) -> Vec<[f64; 2]> {
     const RUN: usize = 4096;
-    let partial: Vec<Vec<[f64; 2]>> = volume
-        .par_chunks(RUN * channels)
-        .map(|run| {
-            let mut sums = vec![[0.0; 2]; channels];
-            for voxel in run.chunks_exact(channels) {
-                for (sum, &value) in sums.iter_mut().zip(voxel) {
-                    let value = f64::from(value);
-                    sum[0] += value;
-                    sum[1] += value * value;
-                }
+    let mut partial = vec![[0.0; 2]; volume.len().div_ceil(RUN * channels) * channels];
+    volume.par_chunks(RUN * channels).zip(partial.par_chunks_mut(channels)).for_each(|(run, sums)| {
+        for voxel in run.chunks_exact(channels) {
+            for (sum, &value) in sums.iter_mut().zip(voxel) {
+                let value = f64::from(value);
+                sum[0] += value;
+                sum[1] += value * value;
             }
-            sums
-        })
-        .collect();
+        }
+    });
     add_in_order(&partial, channels)
 }
 
-/// Adds the sums of several runs, first to last.
-pub(crate) fn add_in_order(partial: &[Vec<[f64; 2]>], channels: usize) -> Vec<[f64; 2]> {
+/// Adds the sums of several runs, `(runs, channels)`, first to last.
+pub(crate) fn add_in_order(partial: &[[f64; 2]], channels: usize) -> Vec<[f64; 2]> {
     let mut total = vec![[0.0; 2]; channels];
-    for sums in partial {
+    for sums in partial.chunks_exact(channels) {
         for (total, sum) in total.iter_mut().zip(sums) {
             total[0] += sum[0];
             total[1] += sum[1];

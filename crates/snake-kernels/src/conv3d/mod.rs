@@ -35,7 +35,7 @@ use crate::simd::{LANES, Lanes, simd_levels};
 pub use self::pack::PackedConv3d;
 use self::pack::{BLOCK, points};
 use self::products::multiply;
-use self::transform::{transform_inputs, transform_outputs};
+use self::transform::{MAX_TILE, transform_inputs, transform_outputs};
 
 /// For M = 4 the points beside 0 and infinity are plus and minus these.
 const NEAR: f64 = 11.0 / 16.0;
@@ -74,15 +74,17 @@ pub struct Conv3d<'a> {
 struct Task<'a> {
     plane: usize,
     row: usize,
-    /// M planes of voxels; each slice holds the rows of this task.
-    planes: Vec<&'a mut [f32]>,
+    /// M planes of voxels; those beyond the end of the volume are empty. Each slice holds the rows of this task.
+    planes: [&'a mut [f32]; MAX_TILE],
 }
 
-/// Transformed inputs and products of a task.
+/// Tiles, transformed inputs and products of a task.
 #[derive(Default)]
 struct Scratch {
     inputs: Vec<f32>,
     products: Vec<f32>,
+    /// The rows and places of the tiles to compute.
+    tiles: Vec<[usize; 2]>,
 }
 
 /// The first `length` values of a scratch buffer, which grows where it is shorter. Old contents stay.
@@ -120,19 +122,16 @@ pub fn conv3d(level: SimdLevel, conv: &Conv3d, stop: &(dyn Fn() -> bool + Sync),
     for (z, planes) in output.chunks_mut(layer.tile * plane).enumerate() {
         let mut planes: Vec<_> = planes.chunks_mut(plane).map(|plane| plane.chunks_mut(share)).collect();
         for row in (0..tile_rows).step_by(rows) {
-            tasks.push(Task { plane: z, row, planes: planes.iter_mut().filter_map(Iterator::next).collect() });
+            let planes = std::array::from_fn(|i| planes.get_mut(i).and_then(Iterator::next).unwrap_or_default());
+            tasks.push(Task { plane: z, row, planes });
         }
     }
-    let partial: Vec<Vec<[f64; 2]>> = tasks
-        .into_par_iter()
-        .map(|task| {
-            let mut sums = vec![[0.0; 2]; layer.outputs];
-            if !stop() {
-                SCRATCH.with_borrow_mut(|scratch| conv3d_task(level, conv, scratch, task, &mut sums));
-            }
-            sums
-        })
-        .collect();
+    let mut partial = vec![[0.0; 2]; tasks.len() * layer.outputs];
+    tasks.into_par_iter().zip(partial.par_chunks_mut(layer.outputs)).for_each(|(task, sums)| {
+        if !stop() {
+            SCRATCH.with_borrow_mut(|scratch| conv3d_task(level, conv, scratch, task, sums));
+        }
+    });
     let mut sums = add_in_order(&partial, layer.outputs);
     if !originals.is_empty() {
         copy_constant_tiles(originals, layer.tile, size, layer.outputs, output, &mut sums);
@@ -172,7 +171,8 @@ fn conv3d_tiles<L: Lanes, const ROWS: usize, const N: usize>(
     let &Conv3d { layer, size, originals, .. } = conv;
     let [tile_rows, tiles_along] = [size[1].div_ceil(N - 2), size[2].div_ceil(N - 2)];
     let rows = (task.planes[0].len() / (size[2] * layer.outputs)).div_ceil(N - 2);
-    let mut tiles = Vec::with_capacity(rows * tiles_along);
+    let Scratch { inputs, products, tiles } = scratch;
+    tiles.clear();
     for row in task.row..task.row + rows {
         for x in 0..tiles_along {
             let tile = (task.plane * tile_rows + row) * tiles_along + x;
@@ -187,8 +187,8 @@ fn conv3d_tiles<L: Lanes, const ROWS: usize, const N: usize>(
         // One cache line more than a power of two keeps the points out of the same cache sets.
         let input_pitch = padded_tiles * BLOCK + LANES;
         let product_pitch = padded_tiles * LANES + LANES;
-        let inputs = first_values(&mut scratch.inputs, N * N * N * input_pitch);
-        let products = first_values(&mut scratch.products, N * N * N * output_blocks * product_pitch);
+        let inputs = first_values(inputs, N * N * N * input_pitch);
+        let products = first_values(products, N * N * N * output_blocks * product_pitch);
         for (number, block) in layer.blocks.iter().enumerate() {
             for half in 0..block.channels.div_ceil(LANES) {
                 transform_inputs::<L, N>(

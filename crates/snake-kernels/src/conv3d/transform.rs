@@ -8,7 +8,7 @@ use super::{Conv3d, FAR, NEAR, Task};
 use crate::simd::{LANES, Lanes, load, store};
 
 /// The largest M.
-const MAX_TILE: usize = 4;
+pub(super) const MAX_TILE: usize = 4;
 
 /// Transforms LANES input channels of the tiles `[row, x]` of one plane of tiles to V. `to` holds `pitch` values for each
 /// point, BLOCK for each tile.
