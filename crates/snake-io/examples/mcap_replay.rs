@@ -35,7 +35,7 @@ fn main() -> Result<(), Box<dyn Error>> {
             }
             Err(error) => eprintln!("cloud at {log_time} ns: {error}"),
         }
-        Ok(())
+        Ok::<_, snake_io::Error>(())
     })?;
     for (sequence, (log_time, message)) in (0..).zip(&messages) {
         let header = MessageHeader { channel_id, sequence, log_time: *log_time, publish_time: *log_time };

@@ -258,9 +258,12 @@ fn sweep_format(path: &Path) -> Result<PointFormat> {
 /// A command that converts a file of a format that is not read.
 fn conversion(extension: &str) -> Option<&'static str> {
     Some(match extension {
-        "bag" => "convert the ROS 1 bag to PCD files: rosrun pcl_ros bag_to_pcd FILE.bag /TOPIC FOLDER",
-        "db3" => "convert the ROS 2 bag to PCD files: ros2 bag play FOLDER, and ros2 run pcl_ros pointcloud_to_pcd",
-        "mcap" => "detect the clouds of its messages one by one: the example mcap_replay of snake-io",
+        "bag" => "convert the ROS 1 bag: mcap convert FILE.bag FILE.mcap",
+        "db3" => {
+            "convert the ROS 2 bag: mcap convert FILE.db3 FILE.mcap, or ros2 bag convert -i FOLDER -o OPTIONS.yaml with \
+             output_bags: [{uri: drive, storage_id: mcap, all: true}]"
+        }
+        "mcap" => "snake-cli detect FILE.mcap --topic /TOPIC detects the clouds of its messages",
         "pcap" => "convert the recording to LAS files: ouster-cli source FILE.pcap save FILE.las",
         "ptx" | "fls" | "rcp" => "convert it with CloudCompare: CloudCompare -O FILE -C_EXPORT_FMT PLY -SAVE_CLOUDS",
         "fbx" | "dae" | "3ds" | "blend" => "convert it to a mesh: assimp export FILE FILE.ply",

@@ -1,13 +1,14 @@
-//! Reads the point clouds of recordings in MCAP files: messages `sensor_msgs/msg/PointCloud2` of ROS 2.
+//! Reads the point clouds of recordings in MCAP files: messages `sensor_msgs/msg/PointCloud2` of ROS 2 and
+//! `sensor_msgs/PointCloud2` of ROS 1.
 
 use std::path::Path;
 
 use snake_core::{Cloud, PointCloud2Layout, PointCloud2View, PointField, PointSource};
 
-use crate::{Error, Result};
+use crate::Error;
 
-/// The schema of the messages that are read.
-const SCHEMA: &str = "sensor_msgs/msg/PointCloud2";
+/// The schemas of the messages that are read: of ROS 2 and of ROS 1.
+const SCHEMAS: [&str; 2] = ["sensor_msgs/msg/PointCloud2", "sensor_msgs/PointCloud2"];
 
 /// A cloud of a recording.
 #[derive(Debug, Clone, PartialEq)]
@@ -26,67 +27,69 @@ pub struct RecordedCloud {
 /// # Errors
 /// [`Error::Io`] when the file cannot be read; [`Error::Format`] when it is no MCAP file, the topic has no point clouds or
 /// several topics have some, or a message is damaged. The errors of `use_cloud` end the reading.
-pub fn read_recording(
+pub fn read_recording<E: From<Error>>(
     path: &Path,
     topic: Option<&str>,
-    mut use_cloud: impl FnMut(RecordedCloud) -> Result<()>,
-) -> Result<usize> {
+    mut use_cloud: impl FnMut(RecordedCloud) -> std::result::Result<(), E>,
+) -> std::result::Result<usize, E> {
     let refuse = |reason: String| Error::Format { path: path.into(), reason };
     let bytes = std::fs::read(path).map_err(|source| Error::Io { path: path.into(), source })?;
-    let topic = match topic {
-        Some(topic) => topic.to_owned(),
-        None => only_topic(&bytes).map_err(refuse)?,
-    };
+    let topic = chosen_topic(&bytes, topic).map_err(refuse)?;
     let mut number = 0;
     for message in ::mcap::MessageStream::new(&bytes).map_err(|error| refuse(error.to_string()))? {
         let message = message.map_err(|error| refuse(error.to_string()))?;
         if message.channel.topic != topic {
             continue;
         }
-        let schema = message.channel.schema.as_ref().map_or("", |schema| schema.name.as_str());
-        if schema != SCHEMA {
-            return Err(refuse(format!("topic {topic} has messages {schema}; {SCHEMA} is read")));
-        }
-        let (frame_id, cloud) =
-            decode(&message.data).map_err(|reason| refuse(format!("message {number} of {topic}: {reason}")))?;
+        let decoded = MessageReader::new(&message.channel.message_encoding, &message.data).and_then(decode);
+        let (frame_id, cloud) = decoded.map_err(|reason| refuse(format!("message {number} of {topic}: {reason}")))?;
         use_cloud(RecordedCloud { log_time: message.log_time, frame_id, cloud })?;
         number += 1;
     }
-    match number {
-        0 => Err(refuse(format!("no messages of the topic {topic}; topics with point clouds: {}", listed(&bytes)))),
-        _ => Ok(number),
-    }
+    Ok(number)
 }
 
-/// The topics with point clouds.
-fn topics(bytes: &[u8]) -> Vec<String> {
+/// The topics and the schemas of their messages, in the order of the file. A damaged end is left to the reader.
+fn topics(bytes: &[u8]) -> std::result::Result<Vec<(String, String)>, String> {
     let mut topics = Vec::new();
-    for message in ::mcap::MessageStream::new(bytes).into_iter().flatten().flatten() {
-        let is_cloud = message.channel.schema.as_ref().is_some_and(|schema| schema.name == SCHEMA);
-        if is_cloud && !topics.contains(&message.channel.topic) {
-            topics.push(message.channel.topic.clone());
+    for message in ::mcap::MessageStream::new(bytes).map_err(|error| error.to_string())? {
+        let Ok(message) = message else { break };
+        let schema = message.channel.schema.as_ref().map_or("without a schema", |schema| &schema.name);
+        if topics.iter().all(|(topic, _)| *topic != message.channel.topic) {
+            topics.push((message.channel.topic.clone(), schema.to_owned()));
         }
     }
-    topics
+    Ok(topics)
 }
 
-fn listed(bytes: &[u8]) -> String {
-    let topics = topics(bytes);
-    if topics.is_empty() { "none".into() } else { topics.join(", ") }
-}
-
-fn only_topic(bytes: &[u8]) -> std::result::Result<String, String> {
-    ::mcap::MessageStream::new(bytes).map_err(|error| error.to_string())?;
-    match &topics(bytes)[..] {
-        [topic] => Ok(topic.clone()),
-        [] => Err(format!("no messages {SCHEMA}")),
-        several => Err(format!("several topics with point clouds: {}; choose one", several.join(", "))),
+/// The given topic, or the only one with point clouds.
+fn chosen_topic(bytes: &[u8], given: Option<&str>) -> std::result::Result<String, String> {
+    let topics = topics(bytes)?;
+    let is_cloud = |schema: &str| SCHEMAS.contains(&schema);
+    let clouds: Vec<&str> =
+        topics.iter().filter(|(_, schema)| is_cloud(schema)).map(|(topic, _)| topic.as_str()).collect();
+    let listed = || match &clouds[..] {
+        [] if topics.is_empty() => "the file has no messages".to_owned(),
+        [] => {
+            let all: Vec<String> = topics.iter().map(|(topic, schema)| format!("{topic} ({schema})")).collect();
+            format!("no topic has point clouds; topics: {}", all.join(", "))
+        }
+        clouds => format!("topics with point clouds: {}", clouds.join(", ")),
+    };
+    match (given, &clouds[..]) {
+        (Some(given), _) => match topics.iter().find(|(topic, _)| topic == given) {
+            Some((_, schema)) if is_cloud(schema) => Ok(given.to_owned()),
+            Some((_, schema)) => Err(format!("topic {given} has messages {schema}, not point clouds; {}", listed())),
+            None => Err(format!("no messages of the topic {given}; {}", listed())),
+        },
+        (None, [topic]) => Ok((*topic).to_owned()),
+        (None, []) => Err(listed()),
+        (None, _) => Err(format!("which topic? {}", listed())),
     }
 }
 
 /// Decodes a message: its frame and its points.
-fn decode(data: &[u8]) -> std::result::Result<(String, Cloud), String> {
-    let mut reader = Cdr::new(data)?;
+fn decode(mut reader: MessageReader) -> std::result::Result<(String, Cloud), String> {
     reader.skip_time()?;
     let frame_id = reader.text()?;
     let [height, width] = [reader.number()?, reader.number()?];
@@ -104,24 +107,31 @@ fn decode(data: &[u8]) -> std::result::Result<(String, Cloud), String> {
         .collect();
     let view = PointCloud2View::new(layout, &fields, reader.bytes(length)?).map_err(|error| error.to_string())?;
     // Points of no bytes could be any number.
-    if view.num_points() > data.len() {
-        return Err(format!("{} points in {} bytes", view.num_points(), data.len()));
+    if view.num_points() > length {
+        return Err(format!("{} points in {length} bytes", view.num_points()));
     }
     Ok((frame_id, Cloud { points: view.to_points(), origin: [0.0; 3] }))
 }
 
-/// A reader of CDR, the encoding of ROS 2 messages: numbers are aligned to their size, from the end of the header.
-struct Cdr<'a> {
+/// A reader of messages in CDR, the encoding of ROS 2, in which numbers are aligned to their size from the end of the header,
+/// or in the encoding of ROS 1, which has no alignment.
+struct MessageReader<'a> {
     data: &'a [u8],
     place: usize,
     is_little_endian: bool,
+    is_aligned: bool,
 }
 
-impl<'a> Cdr<'a> {
-    fn new(data: &'a [u8]) -> std::result::Result<Self, String> {
-        match data {
-            [0, kind @ (0 | 1), _, _, data @ ..] => Ok(Self { data, place: 0, is_little_endian: *kind == 1 }),
-            _ => Err("not encoded as CDR".into()),
+impl<'a> MessageReader<'a> {
+    /// At the time in the header of a message.
+    fn new(encoding: &str, data: &'a [u8]) -> std::result::Result<Self, String> {
+        match (encoding, data) {
+            // The number of the message comes before its time.
+            ("ros1", [_, _, _, _, data @ ..]) => Ok(Self { data, place: 0, is_little_endian: true, is_aligned: false }),
+            ("cdr", [0, kind @ (0 | 1), _, _, data @ ..]) => {
+                Ok(Self { data, place: 0, is_little_endian: *kind == 1, is_aligned: true })
+            }
+            _ => Err(format!("{} bytes that are not encoded as `cdr` or `ros1`, but as `{encoding}`", data.len())),
         }
     }
 
@@ -137,13 +147,15 @@ impl<'a> Cdr<'a> {
     }
 
     fn number(&mut self) -> std::result::Result<usize, String> {
-        self.place = self.place.next_multiple_of(4);
+        if self.is_aligned {
+            self.place = self.place.next_multiple_of(4);
+        }
         let mut bytes = [0; 4];
         bytes.copy_from_slice(self.bytes(4)?);
         Ok(if self.is_little_endian { u32::from_le_bytes(bytes) } else { u32::from_be_bytes(bytes) } as usize)
     }
 
-    /// A text with its length before it and a zero after it.
+    /// A text with its length before it, in ROS 2 with a zero at its end.
     fn text(&mut self) -> std::result::Result<String, String> {
         let length = self.number()?;
         let bytes = self.bytes(length)?;

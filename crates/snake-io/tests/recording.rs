@@ -4,21 +4,31 @@ use std::collections::BTreeMap;
 use std::path::Path;
 
 use mcap::records::MessageHeader;
-use snake_io::read_recording;
+use snake_io::{Error, RecordedCloud, read_recording};
 
 const SCHEMA: &str = "sensor_msgs/msg/PointCloud2";
 
-/// A message with the points `(1, 2, 3)` and `(4, 5, NaN)`, each with a ring before it.
+/// A message of ROS 2 with the points `(1, 2, 3)` and `(4, 5, NaN)`, each with a ring before it.
 fn message() -> Vec<u8> {
+    [vec![0, 1, 0, 0], encoded(true)].concat()
+}
+
+/// The same without the header of CDR, or in the encoding of ROS 1.
+fn encoded(is_ros2: bool) -> Vec<u8> {
     let mut data = Vec::new();
     let number = |data: &mut Vec<u8>, value: u32| {
-        data.resize(data.len().next_multiple_of(4), 0);
+        if is_ros2 {
+            data.resize(data.len().next_multiple_of(4), 0);
+        }
         data.extend(value.to_le_bytes());
     };
     let text = |data: &mut Vec<u8>, text: &str| {
-        number(data, text.len() as u32 + 1);
-        data.extend(text.bytes().chain([0]));
+        number(data, text.len() as u32 + u32::from(is_ros2));
+        data.extend(text.bytes().chain(is_ros2.then_some(0)));
     };
+    if !is_ros2 {
+        number(&mut data, 77);
+    }
     number(&mut data, 1);
     number(&mut data, 500);
     text(&mut data, "lidar");
@@ -39,7 +49,7 @@ fn message() -> Vec<u8> {
         data.extend(point.iter().flat_map(|value: &f32| value.to_le_bytes()));
     }
     data.push(1);
-    [vec![0, 1, 0, 0], data].concat()
+    data
 }
 
 /// Writes a recording with messages of these topics and schemas.
@@ -47,7 +57,8 @@ fn record(path: &Path, messages: &[(&str, &str, Vec<u8>)]) {
     let mut writer = mcap::Writer::new(std::fs::File::create(path).unwrap()).unwrap();
     for (time, (topic, schema, data)) in (100..).zip(messages) {
         let schema_id = writer.add_schema(schema, "ros2msg", b"").unwrap();
-        let channel_id = writer.add_channel(schema_id, topic, "cdr", &BTreeMap::new()).unwrap();
+        let encoding = if schema.contains("/msg/") { "cdr" } else { "ros1" };
+        let channel_id = writer.add_channel(schema_id, topic, encoding, &BTreeMap::new()).unwrap();
         let header = MessageHeader { channel_id, sequence: 0, log_time: time, publish_time: time };
         writer.write_to_known_channel(&header, data).unwrap();
     }
@@ -66,7 +77,7 @@ fn the_clouds_of_a_topic_are_read_in_order() {
         let mut found = Vec::new();
         let keep = |cloud| {
             found.push(cloud);
-            Ok(())
+            Ok::<_, Error>(())
         };
         let number = read_recording(&path, topic, keep).unwrap();
         assert_eq!((number, found.len(), found[1].log_time, found[0].frame_id.as_str()), (2, 2, 102, "lidar"));
@@ -79,7 +90,7 @@ fn the_clouds_of_a_topic_are_read_in_order() {
 fn other_topics_and_damaged_messages_are_refused_by_name() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("drive.mcap");
-    let error = |topic| read_recording(&path, topic, |_| Ok(())).unwrap_err().to_string();
+    let error = |topic| read_recording(&path, topic, |_| Ok::<_, Error>(())).unwrap_err().to_string();
     record(&path, &[("/a", SCHEMA, message()), ("/b", SCHEMA, message()), ("/pose", "geometry_msgs/msg/Pose", vec![])]);
     assert!(error(None).contains("/a, /b"));
     assert!(error(Some("/c")).contains("topics with point clouds: /a, /b"));
@@ -91,4 +102,35 @@ fn other_topics_and_damaged_messages_are_refused_by_name() {
     }
     std::fs::write(&path, b"no recording").unwrap();
     assert!(error(None).contains("drive.mcap"));
+}
+
+#[test]
+fn recordings_of_ros_1_are_read() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("drive.mcap");
+    record(&path, &[("/velodyne", "sensor_msgs/PointCloud2", encoded(false))]);
+    let mut found = Vec::new();
+    let keep = |RecordedCloud { frame_id, cloud, .. }| {
+        found.push((frame_id, cloud.points));
+        Ok::<_, Error>(())
+    };
+    assert_eq!(read_recording(&path, None, keep).unwrap(), 1);
+    assert_eq!((found[0].0.as_str(), found[0].1[0]), ("lidar", [1.0, 2.0, 3.0]));
+    for length in 0..encoded(false).len() - 1 {
+        record(&path, &[("/velodyne", "sensor_msgs/PointCloud2", encoded(false)[..length].to_vec())]);
+        let text = read_recording(&path, None, |_| Ok::<_, Error>(())).unwrap_err().to_string();
+        assert!(text.contains("message 0 of /velodyne"), "{length}: {text}");
+    }
+}
+
+#[test]
+fn a_recording_without_clouds_names_its_topics() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("drive.mcap");
+    let error = |topic| read_recording(&path, topic, |_| Ok::<_, Error>(())).unwrap_err().to_string();
+    record(&path, &[("/pose", "geometry_msgs/msg/Pose", vec![]), ("/imu", "sensor_msgs/msg/Imu", vec![])]);
+    let expected = "no topic has point clouds; topics: /pose (geometry_msgs/msg/Pose), /imu (sensor_msgs/msg/Imu)";
+    assert!(error(None).ends_with(expected) && error(Some("/points")).ends_with(expected), "{}", error(None));
+    record(&path, &[]);
+    assert!(error(None).ends_with("the file has no messages"));
 }

@@ -13,11 +13,12 @@ use crate::setup::{ComputeArguments, EncodeFlags, named, none_if_zero, override_
 #[derive(Args)]
 pub struct DetectArguments {
     /// Point clouds (.ply, .pcd, .xyz, .txt, .csv, .pts, .npy, .npz, .las, .laz), meshes (.ply, .obj, .off, .stl),
-    /// directories of such files, or quoted patterns: 'scans/**/*.ply'; `-` is the standard input.
+    /// directories of such files, or quoted patterns: 'scans/**/*.ply'; `-` is the standard input. Or one recording of
+    /// ROS (.mcap), all clouds of which are processed.
     #[arg(required = true)]
     pub inputs: Vec<PathBuf>,
     /// Write the keypoints to this file (.ply, .pcd, .npy, .csv, .json, .parquet or .keypointnet.json). For several inputs, write
-    /// them to this directory as NAME.keypoints.EXT. `-` is the standard output; the report then goes to the standard
+    /// them to this directory as NAME.keypoints.EXT, for a recording as NAME.000000.keypoints.EXT. `-` is the standard output; the report then goes to the standard
     /// error.
     #[arg(short, long)]
     pub output: Option<PathBuf>,
@@ -29,6 +30,9 @@ pub struct DetectArguments {
     /// the extension of the output, else ply].
     #[arg(long, value_parser = named::<KeypointFormat>)]
     pub format: Option<KeypointFormat>,
+    /// The topic of a recording (.mcap) with the point clouds [default: the only topic with point clouds].
+    #[arg(long)]
+    pub topic: Option<String>,
     #[command(flatten)]
     pub input: InputArguments,
     /// Print one JSON object per input, on one line, instead of a table.

@@ -1,6 +1,7 @@
 //! `snake-cli detect`: read, detect, write.
 
 pub mod args;
+mod recording;
 mod reports;
 mod tiled;
 
@@ -12,7 +13,7 @@ use std::sync::{Mutex, MutexGuard, PoisonError};
 use std::time::Instant;
 
 use anyhow::{Context, Result, anyhow, bail};
-use serde_json::json;
+use serde_json::{Value, json};
 use snake_core::{Control, Detection, Model, Options, Progress, add_origin, scale_hint, side_by_side};
 use snake_io::{self as io, Cloud, KeypointFormat, KeypointSource};
 
@@ -38,6 +39,10 @@ pub fn run(arguments: &DetectArguments) -> Result<ExitCode> {
     terminal::detail("options", || serde_json::to_string(&options).unwrap_or_default());
     let inputs = expand(&arguments.inputs)?;
     check_inputs(&inputs)?;
+    let job = Job { model: &model, options: &options, arguments, control: &control };
+    if recording::is_given(arguments, &inputs)? {
+        return recording::run(&job, &inputs[0], terminal::stages(&progress)?, load_model);
+    }
     if let (Some(side), Some(output)) = (arguments.tiles.tile, &arguments.output) {
         return tiled::run(arguments, &model, options, &inputs, side, output);
     }
@@ -48,16 +53,18 @@ pub fn run(arguments: &DetectArguments) -> Result<ExitCode> {
         several if is_parallel => terminal::progress(several.len())?,
         several => terminal::calls(several.len(), &progress)?,
     };
-    let control = if is_parallel && inputs.len() > 1 { control.without_progress() } else { control };
-    let reports = Mutex::new(Reports::new(arguments, &inputs, bar));
+    let silent = control.clone().without_progress();
+    let job = if is_parallel && inputs.len() > 1 { Job { control: &silent, ..job } } else { job };
+    let reports = Mutex::new(Reports::new(arguments, bar));
     let process = |index: usize| -> snake_core::Result<()> {
         let (input, output): (&PathBuf, &Result<Option<PathBuf>>) = (&inputs[index], &outputs[index]);
-        lock(&reports).bar.set_message(input.display().to_string());
+        let name = input.display().to_string();
+        lock(&reports).bar.set_message(&name);
         let result = match output {
-            Ok(output) => process(&model, &options, arguments, input, output.as_deref(), &control),
+            Ok(output) => job.process_file(input, &name, output.as_deref()),
             Err(error) => Err(anyhow!("{error:#}")),
         };
-        let is_needed = lock(&reports).add(index, output.as_ref().ok().and_then(Option::as_deref), result);
+        let is_needed = lock(&reports).add(index, name, output.as_ref().ok().and_then(Option::as_deref), result);
         if is_needed { Ok(()) } else { Err(snake_core::Error::Cancelled) }
     };
     // The only error says that no more results are needed.
@@ -107,36 +114,65 @@ fn outputs(arguments: &DetectArguments, inputs: &[PathBuf]) -> Result<Vec<Result
     Ok(checked.collect())
 }
 
-/// Processes one input from file to file.
-fn process(
-    model: &Model,
-    options: &Options,
-    arguments: &DetectArguments,
-    input: &Path,
-    output: Option<&Path>,
-    control: &Control,
-) -> Result<Processed> {
-    let start = Instant::now();
-    let cloud = arguments.input.read(input, options.encode.seed)?;
-    let Cloud { points, origin } = cloud.for_normalization(options.encode.normalization);
-    let read = start.elapsed().as_secs_f64();
-    let detection = model.detect_with(&points, options, control).with_context(|| input.display().to_string())?;
-    let mut origin_to_add = [0.0; 3];
-    if let Some(output) = output {
-        let source = KeypointSource::new(input, origin);
-        write(output, arguments.format, &detection, &source)?;
-        origin_to_add = output_origin(output, adds_origin(output, arguments.format), origin);
+/// What all clouds of a run share.
+#[derive(Clone, Copy)]
+struct Job<'a> {
+    model: &'a Model,
+    options: &'a Options,
+    arguments: &'a DetectArguments,
+    control: &'a Control,
+}
+
+/// A cloud with where it comes from and where its keypoints go.
+struct Item<'a> {
+    input: &'a Path,
+    /// The name in messages.
+    name: &'a str,
+    output: Option<&'a Path>,
+    /// What a recording says of the cloud.
+    recorded: Option<Value>,
+    cloud: Cloud,
+    /// When reading began.
+    start: Instant,
+}
+
+impl Job<'_> {
+    /// Processes one input from file to file.
+    fn process_file(&self, input: &Path, name: &str, output: Option<&Path>) -> Result<Processed> {
+        let start = Instant::now();
+        let cloud = self.arguments.input.read(input, self.options.encode.seed)?;
+        self.process(Item { input, name, output, recorded: None, cloud, start })
     }
-    let (timing, total) = (detection.timing, start.elapsed().as_secs_f64());
-    let seconds = [read, timing.encode, timing.occupancy, timing.refine, timing.nms, total];
-    let hint = scale_hint(&points, options);
-    let report = if arguments.json {
-        json_line(input, output, points.len(), [origin, origin_to_add], &detection, &seconds, hint.as_deref())?
-    } else {
-        table(input, output, points.len(), origin, &detection, total)?
-    };
-    let hint = hint.map(|hint| format!("{}: {hint}", input.display()));
-    Ok(Processed { report, seconds, hint })
+
+    /// Detects the keypoints of a cloud and writes them.
+    fn process(&self, item: Item) -> Result<Processed> {
+        let Item { input, name, output, recorded, cloud, start } = item;
+        let Self { model, options, arguments, control } = *self;
+        let Cloud { points, origin } = cloud.for_normalization(options.encode.normalization);
+        let read = start.elapsed().as_secs_f64();
+        let detection = model.detect_with(&points, options, control).with_context(|| name.to_owned())?;
+        let mut origin_to_add = [0.0; 3];
+        if let Some(output) = output {
+            let source = KeypointSource::new(input, origin);
+            write(output, arguments.format, &detection, &source)?;
+            origin_to_add = output_origin(output, adds_origin(output, arguments.format), origin);
+        }
+        let (timing, total) = (detection.timing, start.elapsed().as_secs_f64());
+        let seconds = [read, timing.encode, timing.occupancy, timing.refine, timing.nms, total];
+        let hint = scale_hint(&points, options);
+        let report = if arguments.json {
+            let origins = [origin, origin_to_add];
+            let mut line = json_line(input, output, points.len(), origins, &detection, &seconds, hint.as_deref());
+            if let (Some(line), Some(recorded)) = (line.as_object_mut(), recorded) {
+                line.insert("recorded".into(), recorded);
+            }
+            Report::json(&line)?
+        } else {
+            table(name, output, points.len(), origin, &detection, total)?
+        };
+        let hint = hint.map(|hint| format!("{name}: {hint}"));
+        Ok(Processed { report, seconds, hint })
+    }
 }
 
 /// Whether the file format holds the coordinates with the origin added.
@@ -174,9 +210,9 @@ fn json_line(
     detection: &Detection,
     seconds: &Seconds,
     hint: Option<&str>,
-) -> Result<Report> {
+) -> Value {
     let [origin, output_origin] = origins;
-    Report::json(&json!({
+    json!({
         "input": input.display().to_string(),
         "output": output.map(|output| output.display().to_string()),
         "num_points": num_points,
@@ -189,11 +225,11 @@ fn json_line(
         "notes": hint.into_iter().collect::<Vec<_>>(),
         "timing_seconds": STAGES.into_iter().zip(seconds).collect::<BTreeMap<_, _>>(),
         "keypoints": detection.keypoints.iter().map(|keypoint| io::keypoint_json(keypoint, origin)).collect::<Vec<_>>(),
-    }))
+    })
 }
 
 fn table(
-    input: &Path,
+    name: &str,
     output: Option<&Path>,
     num_points: usize,
     origin: [f64; 3],
@@ -202,7 +238,7 @@ fn table(
 ) -> Result<Report> {
     let (counts, keypoints) = (detection.counts, &detection.keypoints);
     let mut report = Report::default();
-    let mut first = format!("{}: {} keypoints from {num_points} points", input.display(), keypoints.len());
+    let mut first = format!("{name}: {} keypoints from {num_points} points", keypoints.len());
     if detection.num_skipped > 0 {
         write!(first, " ({} not finite, skipped)", detection.num_skipped)?;
     }

@@ -1,7 +1,7 @@
 //! The reports of all inputs, printed in the order of the inputs.
 
 use std::collections::BTreeMap;
-use std::path::{Path, PathBuf};
+use std::path::Path;
 use std::process::ExitCode;
 
 use anyhow::{Error, Result, anyhow};
@@ -25,13 +25,15 @@ pub struct Processed {
     pub hint: Option<String>,
 }
 
+/// A result with the name of its input.
+type Named = (Print, String, Result<Processed>);
+
 /// The reports of a run.
 pub struct Reports<'a> {
     arguments: &'a DetectArguments,
-    inputs: &'a [PathBuf],
     pub bar: Bar,
     /// Results that wait for the results of earlier inputs.
-    waiting: BTreeMap<usize, (Print, Result<Processed>)>,
+    waiting: BTreeMap<usize, Named>,
     num_reported: usize,
     failed: Vec<String>,
     timings: Vec<Seconds>,
@@ -40,30 +42,30 @@ pub struct Reports<'a> {
 }
 
 impl<'a> Reports<'a> {
-    pub fn new(arguments: &'a DetectArguments, inputs: &'a [PathBuf], bar: Bar) -> Self {
+    pub fn new(arguments: &'a DetectArguments, bar: Bar) -> Self {
         let (waiting, failed, timings) = Default::default();
-        Self { arguments, inputs, bar, waiting, num_reported: 0, failed, timings, unprinted: None }
+        Self { arguments, bar, waiting, num_reported: 0, failed, timings, unprinted: None }
     }
 
     /// Adds the result of an input and prints all results whose turn it is. Returns whether further results are needed;
     /// they are not if they would only be printed and the standard output accepts no more data.
-    pub fn add(&mut self, index: usize, output: Option<&Path>, result: Result<Processed>) -> bool {
+    pub fn add(&mut self, index: usize, input: String, output: Option<&Path>, result: Result<Processed>) -> bool {
         // With `-o -` the standard output carries only the keypoints.
         let print: Print = match output {
             Some(output) if output == Path::new(DASH) => terminal::print_aside,
             _ if self.arguments.json => terminal::print,
             _ => terminal::print_report,
         };
-        self.waiting.insert(index, (print, result));
-        while let Some((print, result)) = self.waiting.remove(&self.num_reported) {
-            self.report(print, result);
+        self.waiting.insert(index, (print, input, result));
+        while let Some(named) = self.waiting.remove(&self.num_reported) {
+            self.report(named);
             self.num_reported += 1;
             self.bar.step();
         }
         self.arguments.output.is_some() || !(self.unprinted.is_some() || terminal::stdout_ended())
     }
 
-    fn report(&mut self, print: Print, result: Result<Processed>) {
+    fn report(&mut self, (print, input, result): Named) {
         let printed = self.bar.suspend(|| match result {
             Ok(Processed { report, seconds, hint }) => {
                 hint.iter().for_each(|hint| terminal::hint(hint));
@@ -72,7 +74,7 @@ impl<'a> Reports<'a> {
                 print(&report)
             }
             Err(error) => {
-                self.failed.push(self.inputs[self.num_reported].display().to_string());
+                self.failed.push(input);
                 terminal::error(&error);
                 Ok(())
             }
@@ -87,23 +89,23 @@ impl<'a> Reports<'a> {
 
     /// Prints the failures and the times of the run.
     pub fn finish(self, load_model: f64) -> Result<ExitCode> {
-        let Self { arguments, inputs, failed, timings, unprinted, .. } = self;
+        let Self { arguments, num_reported, failed, timings, unprinted, .. } = self;
         self.bar.finish();
         let is_reported = unprinted.is_none();
         if let (Some(error), None) = (unprinted, &arguments.output) {
             return Err(error);
         }
-        if !failed.is_empty() && inputs.len() > 1 {
+        if !failed.is_empty() && num_reported > 1 {
             let more = if failed.len() > NAMED_FAILURES { ", …" } else { "" };
             let names = failed[..failed.len().min(NAMED_FAILURES)].join(", ");
-            terminal::error(&anyhow!("{} of {} inputs failed: {names}{more}", failed.len(), inputs.len()));
+            terminal::error(&anyhow!("{} of {} inputs failed: {names}{more}", failed.len(), num_reported));
         }
         if arguments.timing && !timings.is_empty() {
             terminal::print_to_stderr(&timing::summary(load_model, &timings));
         }
         Ok(ExitCode::from(match failed.len() {
             0 if is_reported => 0,
-            n if n < inputs.len() => 1,
+            n if n < num_reported => 1,
             _ => 2,
         }))
     }

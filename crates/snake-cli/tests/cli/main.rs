@@ -13,6 +13,7 @@ mod origins_and_columns;
 mod outputs;
 mod printing;
 mod reconstruct;
+mod recording;
 mod register;
 mod tiles;
 mod usage;

@@ -6,7 +6,7 @@ use std::process::{Command, Output};
 use assert_cmd::cargo::CommandCargoExt;
 use serde_json::Value;
 
-use super::{root, sample, stderr};
+use super::{json_lines, root, sample, stderr};
 
 /// snake-cli with an environment of its own.
 fn command(arguments: &[&str], environment: &[(&str, &str)]) -> Command {
@@ -334,13 +334,15 @@ fn the_help_shows_the_default_of_every_option() {
 #[test]
 fn the_schema_has_the_keys_of_the_report() {
     let schema: Value = serde_json::from_str(&stdout(&snake(&["schema"]))).unwrap();
-    let report: Value = serde_json::from_str(&stdout(&snake(&["detect", &sample(), "--json"]))).unwrap();
+    let drive = root().join("tests/data/io/drive.mcap").display().to_string();
+    let report = &json_lines(&snake(&["detect", &drive, "--json"]))[0];
     let keys = |value: &Value| -> Vec<String> { value.as_object().unwrap().keys().cloned().collect() };
     let [counts, times] = ["counts", "timing_seconds"].map(|part| &schema["properties"][part]["properties"]);
     let normalization = &schema["properties"]["normalization"]["anyOf"][1]["properties"];
     let keypoint = &schema["properties"]["keypoints"]["items"]["properties"];
     for (described, found) in [
-        (&schema["properties"], &report),
+        (&schema["properties"], report),
+        (&schema["properties"]["recorded"]["properties"], &report["recorded"]),
         (counts, &report["counts"]),
         (times, &report["timing_seconds"]),
         (normalization, &report["normalization"]),
@@ -348,6 +350,9 @@ fn the_schema_has_the_keys_of_the_report() {
     ] {
         assert_eq!(keys(described), keys(found));
     }
+    let of_file = &json_lines(&snake(&["detect", &sample(), "--json"]))[0];
+    assert!(schema["required"].as_array().unwrap().iter().all(|key| of_file.get(key.as_str().unwrap()).is_some()));
+    assert!(of_file.get("recorded").is_none());
 }
 
 #[test]

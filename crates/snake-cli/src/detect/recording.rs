@@ -1,0 +1,76 @@
+//! Detection in the clouds of a recording, one after another.
+
+use std::path::{Path, PathBuf};
+use std::process::ExitCode;
+use std::time::Instant;
+
+use anyhow::{Context, Result, bail};
+use serde_json::json;
+use snake_io::{KeypointFormat, RecordedCloud, read_recording};
+
+use super::args::DetectArguments;
+use super::reports::Reports;
+use super::{Item, Job};
+use crate::inputs::DASH;
+use crate::output::InputFiles;
+use crate::terminal::Bar;
+
+/// Whether the input is a recording. Refuses a recording beside other inputs, and a topic without one.
+pub fn is_given(arguments: &DetectArguments, inputs: &[PathBuf]) -> Result<bool> {
+    let reading = &arguments.input;
+    let is_recording = |input: &PathBuf| {
+        let is_mcap = input.extension().is_some_and(|extension| extension.eq_ignore_ascii_case("mcap"));
+        is_mcap && reading.input_format.is_none()
+    };
+    match inputs {
+        [input] if is_recording(input) => match (reading.sample, &reading.columns.columns, arguments.tiles.tile) {
+            (None, None, None) => Ok(true),
+            _ => bail!("--sample, --columns and --tile are for files of one cloud, not for a recording"),
+        },
+        _ if inputs.iter().any(is_recording) => bail!("a recording has to be the only input"),
+        _ if arguments.topic.is_some() => bail!("--topic is for a recording (.mcap)"),
+        _ => Ok(false),
+    }
+}
+
+/// Processes every cloud. A cloud that fails is reported, and the run continues.
+pub fn run(job: &Job, input: &Path, bar: Bar, load_model: f64) -> Result<ExitCode> {
+    let arguments = job.arguments;
+    if let Some(folder) = &arguments.output {
+        prepare(folder, input, arguments)?;
+    }
+    let extension = arguments.format.unwrap_or(KeypointFormat::Ply).extension();
+    let stem = input.file_stem().unwrap_or_default().to_string_lossy();
+    let mut reports = Reports::new(arguments, bar);
+    let (mut index, mut start) = (0, Instant::now());
+    let use_cloud = |RecordedCloud { log_time, frame_id, cloud }: RecordedCloud| {
+        let name = format!("{}, cloud {index}", input.display());
+        reports.bar.set_message(&name);
+        let output = arguments.output.as_ref();
+        let output = output.map(|folder| folder.join(format!("{stem}.{index:06}.keypoints.{extension}")));
+        let recorded = Some(json!({ "index": index, "log_time": log_time, "frame_id": frame_id }));
+        let item = Item { input, name: &name, output: output.as_deref(), recorded, cloud, start };
+        let result = job.process(item);
+        let is_needed = reports.add(index, name, output.as_deref(), result);
+        (index, start) = (index + 1, Instant::now());
+        if is_needed { Ok(()) } else { Err(snake_core::Error::Cancelled.into()) }
+    };
+    match read_recording::<anyhow::Error>(input, arguments.topic.as_deref(), use_cloud) {
+        // The only error of the core says that no more results are needed.
+        Err(error) if !error.is::<snake_core::Error>() => {
+            reports.bar.finish();
+            Err(error)
+        }
+        _ => reports.finish(load_model),
+    }
+}
+
+/// Makes the folder of the results. A recording has many clouds, so a file cannot hold them.
+fn prepare(folder: &Path, input: &Path, arguments: &DetectArguments) -> Result<()> {
+    let is_file_name = arguments.format.is_none() && KeypointFormat::from_path(folder).is_ok() && !folder.is_dir();
+    if folder == Path::new(DASH) || is_file_name {
+        bail!("{}: a recording has many clouds; give a directory for their keypoints", folder.display());
+    }
+    InputFiles::new([input].into_iter().chain(arguments.compute.model.as_deref())).refuse_as_output(folder)?;
+    std::fs::create_dir_all(folder).with_context(|| format!("cannot make the directory {}", folder.display()))
+}

@@ -1,0 +1,56 @@
+//! `snake-cli detect` with a recording.
+
+use super::*;
+
+fn drive() -> String {
+    root().join("tests/data/io/drive.mcap").display().to_string()
+}
+
+#[test]
+fn every_cloud_of_a_recording_has_a_report_and_a_file() {
+    let folder = tempfile::tempdir().unwrap();
+    let output = folder.path().join("results");
+    let done = snake(&["detect", &drive(), "--topic", "/points", "--json", "-o", &output.display().to_string()]);
+    assert!(done.status.success(), "{}", stderr(&done));
+    let lines = json_lines(&done);
+    assert_eq!(lines.len(), 2);
+    for (index, line) in lines.iter().enumerate() {
+        let file = output.join(format!("drive.{index:06}.keypoints.ply"));
+        assert_eq!(line["output"], file.display().to_string());
+        assert_eq!((&line["recorded"]["index"], line["input"].as_str()), (&index.into(), Some(drive().as_str())));
+        assert!(line["recorded"]["frame_id"].is_string() && line["recorded"]["log_time"].is_u64());
+        assert_eq!(snake_io::read_points(&file).unwrap().len(), line["keypoints"].as_array().unwrap().len());
+        assert!(!line["keypoints"].as_array().unwrap().is_empty());
+    }
+    let text = String::from_utf8(snake(&["detect", &drive()]).stdout).unwrap();
+    assert!(text.contains("drive.mcap, cloud 0: ") && text.contains("drive.mcap, cloud 1: "), "{text}");
+}
+
+#[test]
+fn mistakes_with_recordings_are_named() {
+    let (drive, sample) = (drive(), sample());
+    let folder = tempfile::tempdir().unwrap();
+    let file = folder.path().join("keypoints.ply").display().to_string();
+    let page = folder.path().join("page.html").display().to_string();
+    let renamed = |extension: &str| folder.path().join(format!("old.{extension}")).display().to_string();
+    for (arguments, expected) in [
+        (
+            &["detect", &drive, "--topic", "/other"][..],
+            "no messages of the topic /other; topics with point clouds: /points",
+        ),
+        (&["detect", &drive, &sample], "a recording has to be the only input"),
+        (&["detect", &sample, "--topic", "/points"], "--topic is for a recording"),
+        (&["detect", &drive, "-o", &file], "give a directory"),
+        (&["detect", &drive, "-o", "-"], "give a directory"),
+        (&["detect", &drive, "-o", &drive], "is an input"),
+        (&["detect", &drive, "--sample", "9"], "not for a recording"),
+        (&["view", &drive, "-o", &page], "snake-cli detect FILE.mcap --topic /TOPIC"),
+        (&["detect", "none.mcap"], "none.mcap"),
+        (&["detect", &renamed("bag")], "mcap convert FILE.bag FILE.mcap"),
+        (&["detect", &renamed("db3")], "ros2 bag convert"),
+    ] {
+        let done = snake(arguments);
+        assert!(!done.status.success() && stderr(&done).contains(expected), "{arguments:?}: {}", stderr(&done));
+    }
+    assert!(folder.path().read_dir().unwrap().next().is_none());
+}
