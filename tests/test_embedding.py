@@ -1,5 +1,6 @@
 """The blocks of docs/embedding.md are parts of examples, and its commands run."""
 
+import os
 import re
 import subprocess
 import textwrap
@@ -20,34 +21,57 @@ def test_every_block_of_code_is_a_part_of_an_example():
         assert any(body in example for example in EXAMPLES.values()), block
 
 
-COMMANDS = re.findall(r"^cargo run --release -p \S+(?: --features \S+)? --example \S+$", PAGE, re.MULTILINE)
+COMMANDS = re.findall(r"^cargo run --release -p \S+(?: --features \S+)? --example \S+(?: -- .*)?$", PAGE, re.MULTILINE)
 # What an example prints, where it shows that the example did its work.
 PRINTED = {
     "geometry": "the same with nalgebra: true",
     "pointcloud2": "400 points skipped",
     "arrow_cloud": "keypoints of 3600 points",
     "realtime_loop": "p99",
+    "tracks": "ISS and nearest neighbours",
+    "mcap_replay": "2 of 2 clouds have keypoints",
 }
 
 
-def test_the_clouds_of_a_recording_have_keypoints(tmp_path):
-    command = next(line for line in PAGE.splitlines() if "mcap_replay" in line and line.startswith("cargo"))
-    words = command.replace("keypoints.mcap", str(tmp_path / "keypoints.mcap")).split()
-    done = subprocess.run(words, cwd=ROOT, capture_output=True, text=True, check=False)
-    assert done.returncode == 0, done.stderr
-    assert "2 of 2 clouds have keypoints" in done.stdout
-    assert b"/keypoints" in (tmp_path / "keypoints.mcap").read_bytes()
+def name_of(command):
+    return re.search(r"--example (\S+)", command)[1]
+
+
+@pytest.fixture(scope="module")
+def examples():
+    """The folder of the compiled examples. `make test` has compiled them with the same features, so this takes no time."""
+    command = ["cargo", "build", "--release", "--examples", "--features", "snake-core/arrow"]
+    subprocess.run(command, cwd=ROOT, check=True)
+    return Path(os.environ.get("CARGO_TARGET_DIR", ROOT / "target")) / "release" / "examples"
 
 
 def test_every_example_of_the_core_is_on_the_page():
     names = {path.stem for path in EXAMPLES if path.parts[-3] == "snake-core"}
-    assert names <= {command.split()[-1] for command in COMMANDS}
+    assert names <= {name_of(command) for command in COMMANDS}
 
 
 @pytest.mark.parametrize("command", COMMANDS)
-def test_every_command_runs(command):
-    name = command.split()[-1]
-    arguments = ["--", "5", "20000"] if name == "realtime_loop" else []
-    done = subprocess.run([*command.split(), *arguments], cwd=ROOT, capture_output=True, text=True, check=False)
+def test_every_command_names_the_crate_and_the_features_of_its_example(command):
+    crate, features, name = re.search(r"-p (\S+)(?: --features (\S+))? --example (\S+)", command).groups()
+    assert (ROOT / "crates" / crate / "examples" / f"{name}.rs").is_file()
+    manifest = (ROOT / "crates" / crate / "Cargo.toml").read_text()
+    required = re.search(rf'name = "{name}"\nrequired-features = \["(.*)"\]', manifest)
+    assert (required and required[1]) == features
+
+
+@pytest.mark.parametrize("command", COMMANDS)
+def test_every_example_runs(command, examples, tmp_path):
+    name = name_of(command)
+    arguments = {
+        "realtime_loop": ["5", "20000"],
+        "mcap_replay": ["tests/data/io/drive.mcap", str(tmp_path / "keypoints.mcap")],
+    }
+    command = [examples / name, *arguments.get(name, [])]
+    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
     assert PRINTED.get(name, "") in done.stdout
+    if name == "mcap_replay":
+        assert b"/keypoints" in (tmp_path / "keypoints.mcap").read_bytes()
+    if name == "tracks":
+        of_tracker, of_iss = map(int, re.findall(r"\((\d+) %\)", done.stdout))
+        assert of_tracker > 50 and of_tracker > of_iss

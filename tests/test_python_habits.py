@@ -1,8 +1,10 @@
 """The module as users of numpy, pandas and notebooks expect it."""
 
+import json
 import pickle
 import re
 import types
+from pathlib import Path
 from xml.etree import ElementTree
 
 import numpy as np
@@ -146,3 +148,23 @@ def test_help_lists_every_option_with_its_default():
     assert listed.pop("preset") == "None"
     defaults = snake_rs.Model.builtin().recommended
     assert {name: eval(value) for name, value in listed.items()} == defaults
+
+
+def test_a_view_opens_in_the_browser_and_is_embedded_in_a_notebook(points, monkeypatch, tmp_path):
+    opened = []
+    monkeypatch.setattr("webbrowser.open", opened.append)
+    monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
+    view = snake_rs.view(points, name='my <"cloud">', max_keypoints=3)
+    (address,) = opened
+    page = Path(address.removeprefix("file://")).read_text()
+    assert page == view.html and page.startswith("<!doctype html>") and "<\"cloud\">" not in page
+    data = json.loads(re.search(r'<script type="application/json" id="data">(.*?)</script>', page)[1])
+    expected = snake_rs.detect(points, max_keypoints=3)
+    found = [[keypoint[axis] for axis in "xyz"] for keypoint in data["clouds"][0]["keypoints"]]
+    assert np.allclose(found, expected.points, atol=1e-6) and data["model"] == "compact"
+    view.save(tmp_path / "view.html")
+    assert (tmp_path / "view.html").read_text() == page
+    embedded = ElementTree.fromstring(view._repr_html_())
+    assert embedded.tag == "iframe" and embedded.get("srcdoc") == page
+    with pytest.raises(TypeError, match="view"):
+        snake_rs.view(points, radius=1)

@@ -1,9 +1,12 @@
-"""The tutorial runs, and what it says is so."""
+"""The tutorial and the notebook run, and what they say is so."""
 
 import re
 import runpy
 from pathlib import Path
 
+import pytest
+
+NOTEBOOK = Path(__file__).parents[1] / "docs" / "tutorial.ipynb"
 TUTORIAL = Path(__file__).parents[1] / "docs" / "tutorial.py"
 
 
@@ -15,3 +18,17 @@ def test_tutorial(capsys):
     on_surface, far_away = map(float, re.search(r"occupancy (\S+) on the points, (\S+) off", text).groups())
     assert on_surface > 0.8 and far_away < 0.5
     assert float(re.search(r"motion by (\S+) at most", text).group(1)) < 0.05
+
+
+def test_notebook():
+    nbformat, nbclient = pytest.importorskip("nbformat"), pytest.importorskip("nbclient")
+    notebook = nbformat.read(NOTEBOOK, as_version=4)
+    assert all(not cell.get("outputs") for cell in notebook.cells), "clear the outputs before a commit"
+    nbclient.NotebookClient(notebook, timeout=60, resources={"metadata": {"path": NOTEBOOK.parent}}).execute()
+    results = [output.data for cell in notebook.cells for output in cell.get("outputs", []) if "data" in output]
+    keypoints, page, occupancies, registration = results
+    assert "<svg" in keypoints["text/html"]
+    assert page["text/html"].startswith("<iframe srcdoc=") and "plane: keypoints" in page["text/html"]
+    on_surface, far_away = map(float, re.findall(r"\d\.\d+", occupancies["text/plain"])[-2:])
+    assert on_surface > 0.8 and far_away < 0.5
+    assert float(re.findall(r"\d\.\d+(?:e-\d+)?", registration["text/plain"])[-1]) < 0.05

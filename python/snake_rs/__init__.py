@@ -7,6 +7,7 @@ keypoints.points, keypoints.saliency       # (K, 3), (K,)
 points = snake_rs.read_points("scan.ply")  # (N, 3), or any array, tensor or cloud that numpy can convert
 keypoints = snake_rs.detect(points, model="rooms")
 keypoints.save("keypoints.ply")
+snake_rs.view(points)                      # the cloud with its keypoints, in the browser or in the notebook
 
 model = snake_rs.Model.load("weights.safetensors")
 field = model.encode(points)               # encode once, query many times
@@ -43,6 +44,7 @@ from ._core import (
     register,
     set_num_threads,
 )
+from ._view import View, view
 
 __all__ = [
     "Alignment",
@@ -53,6 +55,7 @@ __all__ = [
     "Mesh",
     "Model",
     "Registration",
+    "View",
     "__version__",
     "align",
     "baselines",
@@ -64,4 +67,5 @@ __all__ = [
     "read_points",
     "register",
     "set_num_threads",
+    "view",
 ]

@@ -32,6 +32,7 @@ __all__ = [
     "iou",
     "iss",
     "mean_distance_to_keypoints",
+    "page",
     "random_points",
     "read_points",
     "register",
@@ -162,6 +163,9 @@ def align(
     viewpoints: Sequence[Sequence[float] | None] | None = None,
     **options: Unpack[_RegisterOptions],
 ) -> Alignment: ...
+def page(
+    points: _Points, model: _Model | None = None, name: str = "cloud", **options: Unpack[_Options]
+) -> str: ...
 def read_points(
     path: str | os.PathLike[str],
     sample: int | None = None,

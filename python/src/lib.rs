@@ -13,6 +13,7 @@ mod mesh;
 mod metrics;
 mod model;
 mod options;
+mod page;
 mod registration;
 mod threads;
 
@@ -98,6 +99,8 @@ mod _core {
         registration_recall, relative_repeatability, semantic_counts, smpl_iou, smpl_pair_counts,
         squared_registration_error, symmetric_repeatability,
     };
+    #[pymodule_export]
+    use super::page::page;
     #[pymodule_export]
     use super::{
         Alignment, AlignmentEdge, Field, Keypoint, Keypoints, Mesh, Model, Registration, align, detect,

@@ -178,7 +178,6 @@ fn moved(position: Point, motion: Option<&RigidTransform>) -> Point {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::{Builtin, Model};
 
     fn keypoint(x: f32) -> Keypoint {
         Keypoint { position: [x, 0.0, 0.0], saliency: 1.0, occupancy: 1.0, nearest_index: 0 }
@@ -229,40 +228,5 @@ mod tests {
         assert!(tracker.update(&[keypoint(f32::NAN)], &[1.0], None).is_err());
         tracker.update(&[keypoint(0.0)], &[1.0, 0.0], None).unwrap();
         assert!(tracker.update(&[keypoint(0.0)], &[1.0, 0.0, 0.0], None).is_err());
-    }
-
-    /// A room with boxes, seen from a sensor that moves along x.
-    fn view(frame: u16) -> Vec<Point> {
-        let at = f32::from(frame) * 0.1;
-        let point = |i: usize| {
-            let [u, v, w] = [0.754_877_7, 0.569_840_3, 0.438_579]
-                .map(|step: f64| ((i + 977 * usize::from(frame)) as f64 * step).fract() as f32);
-            let [x, y, z] = match i % 5 {
-                0 => [6.0 * u, 6.0 * v, 0.0],
-                1 => [6.0 * u, 0.0, 2.5 * v],
-                2 => [0.0, 6.0 * u, 2.5 * v],
-                3 if w < 0.5 => [1.0 + 1.5 * u, 4.0 * w + 2.0, 1.0],
-                3 => [1.0 + 1.5 * u, 2.0, v],
-                _ => [4.0, 3.0 + u, 1.8 * v],
-            };
-            [x - at, y, z]
-        };
-        (0..6000).map(point).collect()
-    }
-
-    #[test]
-    fn most_ids_of_a_drive_are_kept_over_ten_frames() {
-        let model = Model::builtin(Builtin::Compact);
-        let mut tracker = Tracker::new(TrackerOptions::default().with_max_distance(0.4)).unwrap();
-        let mut frames: Vec<Vec<u64>> = Vec::new();
-        for frame in 0..11 {
-            let field = model.encode(&view(frame), &model.recommended().encode).unwrap();
-            let keypoints = field.detect(&model.recommended().detect).unwrap().keypoints;
-            let positions: Vec<Point> = keypoints.iter().map(|keypoint| keypoint.position).collect();
-            frames.push(tracker.update(&keypoints, &field.descriptors(&positions).unwrap(), None).unwrap());
-        }
-        let kept = frames[0].iter().filter(|id| frames[10].contains(id)).count();
-        println!("{kept} of {} ids are kept over 10 frames", frames[0].len());
-        assert!(frames[0].len() > 10 && 2 * kept > frames[0].len(), "{kept} of {}", frames[0].len());
     }
 }

@@ -1,6 +1,5 @@
-//! Pictures and web pages.
+//! Pictures.
 
 pub mod canvas;
 pub mod colormap;
 pub mod figure;
-pub mod page;

@@ -2,30 +2,17 @@
 
 pub mod args;
 
-use std::path::Path;
-
 use anyhow::{Context, Result, bail};
-use snake_core::{
-    Cloud, Control, Field, Length, Mesh, MeshOptions, Model, Normalization, NormalizationMethod, Options, Point,
-    Progress, RigidTransform,
-};
-use snake_eval::repeated_keypoints;
+use snake_core::{Control, Length, Model, Normalization, NormalizationMethod, Progress, RigidTransform};
 use snake_io as io;
 use snake_registration::{RegisterOptions, register_with};
+use snake_view::{Page, Pair, ShownCloud};
 
 use crate::inputs::check_inputs;
 use crate::model;
 use crate::output::InputFiles;
-use crate::render::page::{Page, Pair, ShownCloud};
 use crate::terminal::{self, Report};
 use args::ViewArguments;
-
-/// The most points of a cloud on the page. Larger clouds are subsampled to keep the file small.
-const MAX_SHOWN: usize = 400_000;
-/// Numbers of samples of the surface along each axis, tried in this order until the mesh has few enough triangles.
-const SURFACE_RESOLUTIONS: [usize; 4] = [96, 64, 48, 32];
-/// The most triangles of a surface on the page.
-const MAX_TRIANGLES: usize = 100_000;
 
 /// Writes the page and prints a summary.
 pub fn run(arguments: &ViewArguments) -> Result<()> {
@@ -53,7 +40,9 @@ pub fn run(arguments: &ViewArguments) -> Result<()> {
         bar.set_message(input.display().to_string());
         let cloud = arguments.reading.read(input, options.encode.seed)?;
         let cloud = cloud.for_normalization(options.encode.normalization);
-        clouds.push(shown(&model, &options, input, &cloud, &control)?);
+        let name = input.display().to_string();
+        let shown = ShownCloud::detect(&model, &options, name.clone(), &cloud, &control);
+        clouds.push(shown.context(name)?);
     }
     bar.set_message("registration");
     let pair = match &clouds[..] {
@@ -63,40 +52,13 @@ pub fn run(arguments: &ViewArguments) -> Result<()> {
     bar.finish();
     let mut report: Report = clouds.iter().map(ShownCloud::summary).chain(pair.as_ref().map(Pair::summary)).collect();
     let model_name = model::name(arguments.compute.model.as_deref());
-    let page = Page { clouds, pair, options, model_name, colormap: arguments.colormap };
+    let colors = std::array::from_fn(|i| arguments.colormap.color(i as f32 / 255.0));
+    let page = Page { clouds, pair, options, model_name, colors };
     let html = page.html()?;
     io::write_atomically(output, |file| file.write_all(html.as_bytes()))
         .with_context(|| format!("cannot write {}", output.display()))?;
     report.line(format!("written to {}", output.display()));
     terminal::print_report(&report)
-}
-
-/// Encodes one cloud and computes everything that the page shows of it.
-fn shown(model: &Model, options: &Options, input: &Path, cloud: &Cloud, control: &Control) -> Result<ShownCloud> {
-    let points = &cloud.points;
-    let field = model.encode_with(points, &options.encode, control).with_context(|| input.display().to_string())?;
-    let detection = match options.window_radius {
-        Some(_) => model.detect_with(points, options, control)?,
-        None => field.detect_with(&options.detect, control)?,
-    };
-    let points = field.points();
-    let shown: Vec<Point> = points.iter().step_by(points.len().div_ceil(MAX_SHOWN)).copied().collect();
-    let surface = surface(&field, control)?;
-    let saliency = [field.saliency(&shown)?, field.saliency(&surface.vertices)?];
-    let (name, origin) = (input.display().to_string(), cloud.origin);
-    Ok(ShownCloud { name, origin, field, shown, surface, saliency, detection })
-}
-
-/// The outer surface, at the finest resolution with at most [`MAX_TRIANGLES`] triangles.
-fn surface(field: &Field, control: &Control) -> Result<Mesh> {
-    let mut mesh = Mesh::default();
-    for resolution in SURFACE_RESOLUTIONS {
-        mesh = field.mesh_with(&MeshOptions::default().with_resolution(resolution).with_outer(true), control)?;
-        if mesh.triangles.len() <= MAX_TRIANGLES {
-            break;
-        }
-    }
-    Ok(mesh)
 }
 
 /// Aligns the second cloud to the first and finds the keypoints that repeat.
@@ -122,8 +84,5 @@ fn pair(
             (found.t_target_source, Some(found))
         }
     };
-    let [of_first, of_second] = [first, second].map(ShownCloud::keypoint_positions);
-    let partners = repeated_keypoints(&of_first, &of_second, &near, epsilon)?;
-    let t_first_second = near.add_origins(second.origin, first.origin);
-    Ok(Pair { t_first_second, registration, epsilon, partners })
+    Ok(Pair::new(first, second, &near, registration, epsilon)?)
 }

@@ -1,0 +1,27 @@
+//! The page that shows a cloud with its keypoints, surface and saliency in a browser, or two clouds with the keypoints that
+//! repeat. It is one file, and needs no server.
+//!
+//! ```
+//! use snake_core::{Builtin, Cloud, Control, Model};
+//! use snake_view::{Page, ShownCloud, viridis};
+//! # let path = concat!(env!("CARGO_MANIFEST_DIR"), "/../../samples/plane.ply");
+//! # let points = snake_io::read_points(path.as_ref())?[..1000].to_vec();
+//! let model = Model::builtin(Builtin::Compact);
+//! let options = *model.recommended();
+//! let cloud = Cloud { points, origin: [0.0; 3] };
+//! let shown = ShownCloud::detect(&model, &options, "plane".into(), &cloud, &Control::default())?;
+//! let page = Page { clouds: vec![shown], pair: None, options, model_name: "compact".into(), colors: viridis() };
+//! assert!(page.html()?.starts_with("<!doctype html>"));
+//! # Ok::<(), Box<dyn std::error::Error>>(())
+//! ```
+
+#![forbid(unsafe_code)]
+
+mod page;
+mod pair;
+mod shown_cloud;
+mod vertices;
+
+pub use page::{Page, viridis};
+pub use pair::Pair;
+pub use shown_cloud::ShownCloud;

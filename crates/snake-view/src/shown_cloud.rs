@@ -1,0 +1,118 @@
+//! A cloud on the page.
+
+use base64::Engine;
+use base64::engine::general_purpose::STANDARD;
+use serde_json::{Value, json};
+use snake_core::{
+    Cloud, Control, Detection, Field, Mesh, MeshOptions, Model, Normalization, Options, Point, Result, add_origin,
+};
+use snake_io as io;
+
+use crate::vertices::Vertices;
+
+/// The most points of a cloud on the page. Larger clouds are subsampled to keep the file small.
+const MAX_SHOWN: usize = 400_000;
+/// Numbers of samples of the surface along each axis, tried in this order until the mesh has few enough triangles.
+const SURFACE_RESOLUTIONS: [usize; 4] = [96, 64, 48, 32];
+/// The most triangles of a surface on the page.
+const MAX_TRIANGLES: usize = 100_000;
+
+/// A cloud with its field, surface and keypoints.
+pub struct ShownCloud {
+    /// The name on the page.
+    pub name: String,
+    /// Offset to add to all positions of the cloud.
+    pub origin: [f64; 3],
+    /// The field of all its points.
+    pub field: Field,
+    /// The points that the page shows.
+    pub shown: Vec<Point>,
+    /// The outer surface.
+    pub surface: Mesh,
+    /// Saliency of the shown points and of the surface's vertices.
+    pub saliency: [Vec<f32>; 2],
+    /// Its keypoints.
+    pub detection: Detection,
+}
+
+impl ShownCloud {
+    /// Encodes a cloud, detects its keypoints and computes everything that the page shows of it.
+    ///
+    /// # Errors
+    /// The errors of [`Model::encode`] and [`Model::detect`](Model::detect).
+    pub fn detect(model: &Model, options: &Options, name: String, cloud: &Cloud, control: &Control) -> Result<Self> {
+        let field = model.encode_with(&cloud.points, &options.encode, control)?;
+        let detection = match options.window_radius {
+            Some(_) => model.detect_with(&cloud.points, options, control)?,
+            None => field.detect_with(&options.detect, control)?,
+        };
+        let points = field.points();
+        let shown: Vec<Point> = points.iter().step_by(points.len().div_ceil(MAX_SHOWN)).copied().collect();
+        let surface = surface(&field, control)?;
+        let saliency = [field.saliency(&shown)?, field.saliency(&surface.vertices)?];
+        Ok(Self { name, origin: cloud.origin, field, shown, surface, saliency, detection })
+    }
+
+    /// The positions of the keypoints, relative to the origin.
+    pub fn keypoint_positions(&self) -> Vec<Point> {
+        self.detection.keypoints.iter().map(|keypoint| keypoint.position).collect()
+    }
+
+    /// A line for the printed report.
+    pub fn summary(&self) -> String {
+        let (keypoints, points) = (self.detection.keypoints.len(), self.field.points().len());
+        let mut text = format!("{}: {keypoints} keypoints from {points} points", self.name);
+        if self.field.num_skipped() > 0 {
+            text += &format!(" ({} skipped, which are not finite)", self.field.num_skipped());
+        }
+        if self.shown.len() < points {
+            text += &format!(" ({} shown)", self.shown.len());
+        }
+        text
+    }
+
+    pub(crate) fn data(&self) -> Value {
+        let keypoints = self.detection.keypoints.iter().map(|keypoint| io::keypoint_json(keypoint, self.origin));
+        let keypoints: Vec<Value> = keypoints.collect();
+        let Normalization { center, scale } = self.field.normalization();
+        json!({
+            "name": self.name,
+            "points": Vertices::of(&self.shown, self.origin, &self.saliency[0]),
+            "surface": self.surface_data(),
+            "keypoints": keypoints,
+            "num_points": self.field.points().len(),
+            "num_skipped": self.field.num_skipped(),
+            "num_encoded": self.field.num_encoded(),
+            "counts": self.detection.counts,
+            "normalization": { "center": add_origin(center, self.origin), "scale": scale },
+        })
+    }
+
+    /// The surface, if there is one. Normals are four signed bytes, x y z and padding, each 127 times its value.
+    /// Triangles are indices of 32 bits. Both are base64.
+    fn surface_data(&self) -> Option<Value> {
+        let Mesh { vertices, normals, triangles } = &self.surface;
+        let normals = normals.iter().flat_map(|[x, y, z]| [*x, *y, *z, 0.0].map(|v| (v * 127.0).round() as i8 as u8));
+        let indices = triangles.as_flattened().iter().flat_map(|index| index.to_le_bytes());
+        (!triangles.is_empty()).then(|| {
+            json!({
+                "count": triangles.len(),
+                "vertices": Vertices::of(vertices, self.origin, &self.saliency[1]),
+                "normals": STANDARD.encode(normals.collect::<Vec<u8>>()),
+                "triangles": STANDARD.encode(indices.collect::<Vec<u8>>()),
+            })
+        })
+    }
+}
+
+/// The outer surface, at the finest resolution with at most [`MAX_TRIANGLES`] triangles.
+fn surface(field: &Field, control: &Control) -> Result<Mesh> {
+    let mut mesh = Mesh::default();
+    for resolution in SURFACE_RESOLUTIONS {
+        mesh = field.mesh_with(&MeshOptions::default().with_resolution(resolution).with_outer(true), control)?;
+        if mesh.triangles.len() <= MAX_TRIANGLES {
+            break;
+        }
+    }
+    Ok(mesh)
+}
