@@ -34,10 +34,8 @@ $(VENV)/bench-ready: $(VENV)/ready
 module: $(VENV)/ready
 	$(VENV)/bin/maturin develop --release --quiet --manifest-path python/Cargo.toml
 
-# With the features of all examples, so that tests/test_embedding.py finds the examples compiled.
-EXAMPLE_FEATURES := snake-core/arrow
 test: module  ## all tests: Rust, Python module, training, parity with PyTorch
-	cargo test --release --features $(EXAMPLE_FEATURES)
+	cargo test --release
 	OMP_NUM_THREADS=1 $(PYTHON) -m pytest -q -rs tests training/tests
 
 # Cargo unpacks the crates that it verifies here, once a version: those of an earlier run would be verified again.
