@@ -157,7 +157,7 @@ def test_a_view_opens_in_the_browser_and_is_embedded_in_a_notebook(points, monke
     view = snake_rs.view(points, name='my <"cloud">', max_keypoints=3)
     (address,) = opened
     page = Path(address.removeprefix("file://")).read_text()
-    assert page == view.html and page.startswith("<!doctype html>") and "<\"cloud\">" not in page
+    assert page == view.html and page.startswith("<!doctype html>") and '<"cloud">' not in page
     data = json.loads(re.search(r'<script type="application/json" id="data">(.*?)</script>', page)[1])
     expected = snake_rs.detect(points, max_keypoints=3)
     found = [[keypoint[axis] for axis in "xyz"] for keypoint in data["clouds"][0]["keypoints"]]

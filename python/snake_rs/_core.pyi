@@ -163,9 +163,7 @@ def align(
     viewpoints: Sequence[Sequence[float] | None] | None = None,
     **options: Unpack[_RegisterOptions],
 ) -> Alignment: ...
-def page(
-    points: _Points, model: _Model | None = None, name: str = "cloud", **options: Unpack[_Options]
-) -> str: ...
+def page(points: _Points, model: _Model | None = None, name: str = "cloud", **options: Unpack[_Options]) -> str: ...
 def read_points(
     path: str | os.PathLike[str],
     sample: int | None = None,

@@ -36,7 +36,9 @@ class View:
 
     def open(self) -> Path:
         """Opens the page in the browser, from a temporary file that stays, and returns the path of that file."""
-        with tempfile.NamedTemporaryFile("w", suffix=".html", prefix="snake_rs-", delete=False, encoding="utf-8") as file:
+        with tempfile.NamedTemporaryFile(
+            "w", suffix=".html", prefix="snake_rs-", delete=False, encoding="utf-8"
+        ) as file:
             file.write(self.html)
         webbrowser.open(Path(file.name).as_uri())
         return Path(file.name)
