@@ -39,9 +39,8 @@ def name_of(command):
 
 @pytest.fixture(scope="module")
 def examples():
-    """The folder of the compiled examples. `make test` has compiled them with the same features, so this takes no time."""
-    command = ["cargo", "build", "--release", "--examples", "--features", "snake-core/arrow"]
-    subprocess.run(command, cwd=ROOT, check=True)
+    """The folder of the compiled examples. `cargo test` has compiled them, so this takes no time after it."""
+    subprocess.run(["cargo", "build", "--release", "--examples"], cwd=ROOT, check=True)
     return Path(os.environ.get("CARGO_TARGET_DIR", ROOT / "target")) / "release" / "examples"
 
 
@@ -66,12 +65,16 @@ def test_every_example_runs(command, examples, tmp_path):
         "realtime_loop": ["5", "20000"],
         "mcap_replay": ["tests/data/io/drive.mcap", str(tmp_path / "keypoints.mcap")],
     }
-    command = [examples / name, *arguments.get(name, [])]
-    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False)
+    # The command line has the feature mcap, so that its example is compiled with the others.
+    if "--features arrow" in command:
+        run = command.split()
+    else:
+        run = [examples / name, *arguments.get(name, [])]
+    done = subprocess.run(run, cwd=ROOT, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
     assert PRINTED.get(name, "") in done.stdout
     if name == "mcap_replay":
         assert b"/keypoints" in (tmp_path / "keypoints.mcap").read_bytes()
     if name == "tracks":
         of_tracker, of_iss = map(int, re.findall(r"\((\d+) %\)", done.stdout))
-        assert of_tracker > 50 and of_tracker > of_iss
+        assert of_tracker > 35 and of_tracker > 2 * of_iss
