@@ -50,6 +50,7 @@ def test_results_can_be_pickled(found):
     names = (
         "confidence",
         "is_reliable",
+        "is_ambiguous",
         "free_space_violation",
         "weakest_constraint",
         "viewpoints",

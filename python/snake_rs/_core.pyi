@@ -386,6 +386,7 @@ class Registration:
         t_target_source: NDArray[np.float64],
         confidence: float,
         is_reliable: bool,
+        is_ambiguous: bool,
         num_inliers: int,
         num_agreeing: int,
         num_rival_agreeing: int,
@@ -410,6 +411,8 @@ class Registration:
     def confidence(self) -> float: ...
     @property
     def is_reliable(self) -> bool: ...
+    @property
+    def is_ambiguous(self) -> bool: ...
     @property
     def num_inliers(self) -> int: ...
     @property

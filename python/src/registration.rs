@@ -18,6 +18,8 @@ pub struct Registration {
     confidence: f64,
     /// Whether the transform can be relied on: `confidence` is at least 0.5.
     is_reliable: bool,
+    /// Whether the clouds leave more than one answer; `notes` say why. An ambiguous transform is not reliable.
+    is_ambiguous: bool,
     /// Number of matches that the transform brings within `inlier_distance` before ICP.
     num_inliers: usize,
     /// Number of matches that agree with the refined transform.
@@ -62,6 +64,7 @@ impl Registration {
         t_target_source: Py<PyArray2<f64>>,
         confidence: f64,
         is_reliable: bool,
+        is_ambiguous: bool,
         num_inliers: usize,
         num_agreeing: usize,
         num_rival_agreeing: usize,
@@ -84,6 +87,7 @@ impl Registration {
             t_target_source,
             confidence,
             is_reliable,
+            is_ambiguous,
             num_inliers,
             num_agreeing,
             num_rival_agreeing,
@@ -109,6 +113,7 @@ impl Registration {
             "t_target_source",
             "confidence",
             "is_reliable",
+            "is_ambiguous",
             "num_inliers",
             "num_agreeing",
             "num_rival_agreeing",
@@ -133,7 +138,11 @@ impl Registration {
 
     fn __repr__(&self) -> String {
         let Self { confidence, num_inliers, num_correspondences, fitness, fitness_rmse, seconds, .. } = self;
-        let verdict = if self.is_reliable { "reliable" } else { "not reliable" };
+        let verdict = match (self.is_reliable, self.is_ambiguous) {
+            (true, _) => "reliable",
+            (false, true) => "ambiguous",
+            (false, false) => "not reliable",
+        };
         format!(
             "Registration({verdict}, confidence {confidence:.2}; {num_inliers} of {num_correspondences} matches; \
              fitness {fitness:.3}, rmse {fitness_rmse:.5}; {seconds:.3} s)"
@@ -180,6 +189,7 @@ pub fn register(
         t_target_source: transform(found.t_target_source)?,
         confidence: found.confidence,
         is_reliable: found.is_reliable,
+        is_ambiguous: found.is_ambiguous,
         num_inliers: found.num_inliers,
         num_agreeing: found.num_agreeing,
         num_rival_agreeing: found.num_rival_agreeing,

@@ -1,6 +1,6 @@
 //! Point-to-plane ICP.
 
-use nalgebra::{IsometryMatrix3, Matrix3, Matrix6, Rotation3, Translation3, Vector6};
+use nalgebra::{IsometryMatrix3, Matrix3, Matrix6, Matrix6xX, Rotation3, Translation3, Vector6};
 use rayon::prelude::*;
 
 use super::rigid::moved;
@@ -54,8 +54,8 @@ fn pairs(source: &[Vector], target: &Surface, transform: &IsometryMatrix3<f64>) 
 pub(super) struct Constraint {
     /// The information matrix of a small rotation and then translation in the target frame.
     pub(super) information: Matrix6<f64>,
-    /// The number of directions that the pairs leave open.
-    pub(super) open_directions: usize,
+    /// The directions that the pairs leave open, as orthonormal columns; see [`names`](super::open_motions::names).
+    pub(super) open: Matrix6xX<f64>,
     /// The mean squared cosine to the normals in the direction that the pairs constrain least; 0 if it is open.
     pub(super) weakest: f64,
 }
@@ -66,11 +66,13 @@ impl Constraint {
         let row = |(point, index): &(Vector, usize)| twist(point, &target.normals[*index]);
         let information = pairs.iter().map(row).fold(Matrix6::zeros(), |sum, row| sum + row * row.transpose());
         let Some(normal) = Normal::new(&pairs, target) else {
-            return Self { information, open_directions: 6, weakest: 0.0 };
+            return Self { information, open: Matrix6xX::identity(6), weakest: 0.0 };
         };
-        let eigenvalues = normal.information.symmetric_eigenvalues() / normal.count;
-        let open_directions = eigenvalues.iter().filter(|value| **value <= OPEN_DIRECTION).count();
-        Self { information, open_directions, weakest: eigenvalues.min().max(0.0) }
+        let eigen = (normal.information / normal.count).symmetric_eigen();
+        let is_open = |index: &usize| eigen.eigenvalues[*index] <= OPEN_DIRECTION;
+        let columns: Vec<_> = (0..6).filter(is_open).map(|index| eigen.eigenvectors.column(index)).collect();
+        let open = Matrix6xX::from_fn(columns.len(), |row, column| columns[column][row]);
+        Self { information, open, weakest: eigen.eigenvalues.min().max(0.0) }
     }
 }
 
@@ -210,7 +212,7 @@ mod tests {
             Constraint::new(&kept, &Surface::new(&kept, &normals, None, 0.3), &IsometryMatrix3::identity())
         };
         let found = of(3);
-        assert!(found.open_directions == 0 && found.weakest > OPEN_DIRECTION);
+        assert!(found.open.ncols() == 0 && found.weakest > OPEN_DIRECTION);
         let three = found.information;
         // A third of the normals point along each axis, up to the edges.
         assert!((3..6).all(|i| (three[(i, i)] - 1000.0).abs() < 100.0), "{three}");
@@ -226,7 +228,7 @@ mod tests {
             .sum();
         // Near the edges, normals are between those of the faces.
         assert!((three[(0, 0)] / expected - 1.0).abs() < 0.3, "{} {expected}", three[(0, 0)]);
-        assert!(of(1).open_directions == 3 && of(1).weakest < OPEN_DIRECTION);
+        assert!(of(1).open.ncols() == 3 && of(1).weakest < OPEN_DIRECTION);
     }
 
     #[test]

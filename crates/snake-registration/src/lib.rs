@@ -42,6 +42,7 @@ mod matching;
 mod medians;
 mod near_grid;
 mod nearest;
+mod open_motions;
 mod options;
 mod pair;
 mod prepared;

@@ -12,13 +12,14 @@ use super::consistency::{displacement, hypotheses};
 use super::icp::{Constraint, icp};
 use super::match_graph::{Criteria, Match};
 use super::matching::ranked_matches;
+use super::open_motions;
 use super::options::RegisterOptions;
 use super::prepared::Prepared;
 use super::result::{Hypothesis, Registration, ViewpointUsed};
 use super::scan::Scan;
 use super::slide::slide_margin;
 use super::surface::{Agreement, Surface, coarse_step, fitness};
-use super::verdict::{Evidence, notes};
+use super::verdict::{Evidence, is_rival, notes, units_note};
 
 /// Number of transforms that are compared on the voxels.
 const CANDIDATES: usize = 20;
@@ -26,8 +27,6 @@ const CANDIDATES: usize = 20;
 const COARSE_STEPS: usize = 5;
 /// Number of transforms that are refined on all voxels, at least.
 const REFINED: usize = 3;
-/// A transform with more than this share of the best score fits about as well.
-const RIVAL: f64 = 0.9;
 /// A guess is first refined with pairs up to this many inlier distances apart.
 const WIDE: f64 = 4.0;
 
@@ -78,13 +77,17 @@ impl<'a> Pair<'a> {
         let criteria = self.criteria(options);
         let rivals = &found[1..found.len().min(REFINED)];
         let agreeing = |candidate: &Candidate| inliers(&matches, &candidate.refined, &criteria).0;
+        let num_agreeing = agreeing(best);
+        let of_rivals: Vec<usize> = rivals.iter().map(agreeing).collect();
+        let mut counted = rivals.iter().zip(&of_rivals);
         let evidence = Evidence {
             agreement: best.agreement,
-            num_agreeing: agreeing(best),
-            num_rival_agreeing: rivals.iter().map(agreeing).max().unwrap_or(0),
+            num_agreeing,
+            num_rival_agreeing: of_rivals.iter().copied().max().unwrap_or(0),
             slide_margin: slide_margin(&surfaces, &best.refined, &best.agreement, &constraint, self.inlier_distance),
-            open_directions: constraint.open_directions,
-            has_rival: rivals.iter().any(|rival| rival.score() > RIVAL * best.score()),
+            open_directions: (constraint.open.ncols(), open_motions::names(&constraint.open)),
+            has_rival: counted
+                .any(|(rival, count)| is_rival((&rival.agreement, *count), (&best.agreement, num_agreeing))),
         };
         let confidence = evidence.confidence();
         let (fitness, fitness_rmse) = fitness(surfaces[0].points, &surfaces[1].grid, &best.refined);
@@ -98,6 +101,7 @@ impl<'a> Pair<'a> {
             t_target_source: best.refined.into(),
             confidence,
             is_reliable: confidence >= 0.5,
+            is_ambiguous: evidence.is_ambiguous(),
             num_inliers: best.num_inliers,
             num_agreeing: evidence.num_agreeing,
             num_rival_agreeing: evidence.num_rival_agreeing,
@@ -217,13 +221,26 @@ impl<'a> Pair<'a> {
         Ok(transform)
     }
 
+    /// Notes on clouds that can move along their own surface.
+    fn open_alone(&self) -> Vec<String> {
+        let note = |(surface, name): (Surface, &str)| {
+            let open = Constraint::new(surface.points, &surface, &IsometryMatrix3::identity()).open;
+            let names = open_motions::names(&open);
+            (open.ncols() > 0).then(|| format!("the {name} can move along its own surface ({names})"))
+        };
+        self.surfaces().into_iter().zip(["source", "target"]).filter_map(note).collect()
+    }
+
     fn no_transform(&self, num_matches: usize) -> Error {
         let [source, target] = self.clouds.map(|cloud| cloud.scan.voxels.points.len());
         let [source_diameter, target_diameter] = self.diameters();
-        let reason = format!(
+        let mut reason = format!(
             "no three of the {num_matches} correspondences, of {source} and {target} voxels, fit a rigid transform; do \
              the clouds overlap, and in the same units? their diameters are {source_diameter:.4} and {target_diameter:.4}"
         );
+        for note in self.open_alone().into_iter().chain(units_note(self.diameters())) {
+            reason += &format!("; {note}");
+        }
         Error::Input { what: "source and target", reason }
     }
 }

@@ -14,6 +14,10 @@ pub struct Registration {
     pub confidence: f64,
     /// Whether the transform can be relied on: `confidence` is at least 0.5.
     pub is_reliable: bool,
+    /// Whether the clouds leave more than one answer: the overlap leaves directions of motion open, as a plane, a cylinder or
+    /// a sphere does, or another transform fits about as well, as on periodic structures. Then it is not reliable, and
+    /// `notes` say why.
+    pub is_ambiguous: bool,
     /// Number of matches that the transform brings closer than `inlier_distance`, with normals that agree, before ICP.
     pub num_inliers: usize,
     /// Number of matches that agree with the refined transform.

@@ -3,7 +3,7 @@
 use super::surface::Agreement;
 
 /// What is known of the best transform.
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, PartialEq)]
 pub(super) struct Evidence {
     pub(super) agreement: Agreement,
     /// See [`Registration::num_agreeing`](crate::Registration::num_agreeing).
@@ -12,10 +12,21 @@ pub(super) struct Evidence {
     pub(super) num_rival_agreeing: usize,
     /// See [`Registration::slide_margin`](crate::Registration::slide_margin).
     pub(super) slide_margin: f64,
-    /// Number of directions of motion that the overlap leaves open.
-    pub(super) open_directions: usize,
-    /// Whether another transform fits the surfaces about as well.
+    /// Number of directions of motion that the overlap leaves open, and their names.
+    pub(super) open_directions: (usize, String),
+    /// Whether another transform fits the surfaces and the matches about as well.
     pub(super) has_rival: bool,
+}
+
+/// Another transform fits about as well if it has more than this share of the best fit of the surfaces,
+const RIVAL_FIT: f64 = 0.9;
+/// and this share of the matches that agree, each count raised by one.
+const RIVAL_AGREEING: f64 = 0.4;
+
+/// Whether a transform fits about as well as the best; each comes with the number of matches that agree.
+pub(super) fn is_rival(other: (&Agreement, usize), best: (&Agreement, usize)) -> bool {
+    let matched = (1 + other.1) as f64 >= RIVAL_AGREEING * (1 + best.1) as f64;
+    matched && other.0.fit() > RIVAL_FIT * best.0.fit()
 }
 
 /// The weights of a logistic regression on 600 pairs of the training scenes, of which 279 have a right transform
@@ -27,9 +38,15 @@ const PER_SLIDE_MARGIN: f64 = 50.0;
 const PER_VIOLATION: f64 = -145.0;
 
 impl Evidence {
-    /// From 0 to 1; 0.5 and more is reliable. Where the overlap leaves a direction open, no transform is.
+    /// Whether other transforms fit as well or about as well.
+    pub(super) fn is_ambiguous(&self) -> bool {
+        self.open_directions.0 > 0 || self.has_rival
+    }
+
+    /// From 0 to 1; 0.5 and more is reliable. It is 0 where the overlap leaves a direction open. Another transform that
+    /// fits about as well halves it, and keeps it below 0.5.
     pub(super) fn confidence(&self) -> f64 {
-        if self.open_directions > 0 {
+        if self.open_directions.0 > 0 {
             return 0.0;
         }
         let [agreeing, rival] = [self.num_agreeing, self.num_rival_agreeing].map(|count| (1.0 + count as f64).ln());
@@ -38,31 +55,39 @@ impl Evidence {
             + PER_LOG_RATIO * (agreeing - rival)
             + PER_SLIDE_MARGIN * self.slide_margin
             + PER_VIOLATION * self.agreement.violation;
-        1.0 / (1.0 + (-sum).exp())
+        let of_one = 1.0 / (1.0 + (-sum).exp());
+        if self.has_rival { (of_one / 2.0).min(MOST_AMBIGUOUS) } else { of_one }
     }
 }
 
+/// The greatest confidence beside another transform that fits about as well.
+const MOST_AMBIGUOUS: f64 = 0.49;
+
 /// What may be wrong with the clouds or the transform, in sentences.
 pub(super) fn notes(evidence: &Evidence, diameters: [f64; 2]) -> Vec<String> {
-    let (mut notes, open_directions) = (Vec::new(), evidence.open_directions);
-    if open_directions > 0 {
+    let (mut notes, (count, names)) = (Vec::new(), &evidence.open_directions);
+    if *count > 0 {
         notes.push(format!(
-            "ambiguous: the overlap lies on a surface such as a plane or a sphere, which leaves {open_directions} of 6 \
-             directions of motion open"
+            "ambiguous: the overlap lies on a surface such as a plane, a cylinder or a sphere, which leaves {count} of 6 \
+             directions of motion open: {names}"
         ));
     }
     if evidence.has_rival {
         notes.push("ambiguous: another transform fits about as well".into());
     }
-    let ratio = diameters[0].max(diameters[1]) / diameters[0].min(diameters[1]);
-    if ratio > UNIT_RATIO {
-        notes.push(format!("one cloud is {ratio:.0} times as large as the other; are the units the same?"));
-    }
+    notes.extend(units_note(diameters));
     notes
 }
 
+/// A question about the units, if the clouds' sizes differ much.
+pub(super) fn units_note(diameters: [f64; 2]) -> Option<String> {
+    let ratio = diameters[0].max(diameters[1]) / diameters[0].min(diameters[1]);
+    (ratio > UNIT_RATIO)
+        .then(|| format!("one cloud is {ratio:.0} times as large as the other; are the units the same?"))
+}
+
 /// Clouds whose sizes differ by more are probably in different units.
-const UNIT_RATIO: f64 = 100.0;
+const UNIT_RATIO: f64 = 30.0;
 
 #[cfg(test)]
 mod tests {
@@ -73,7 +98,7 @@ mod tests {
         num_agreeing: 100,
         num_rival_agreeing: 10,
         slide_margin: 0.1,
-        open_directions: 0,
+        open_directions: (0, String::new()),
         has_rival: false,
     };
 
@@ -84,7 +109,8 @@ mod tests {
             Evidence { num_agreeing: 3, ..EVIDENCE },
             Evidence { agreement: Agreement { violation: 0.2, ..EVIDENCE.agreement }, ..EVIDENCE },
             Evidence { slide_margin: -0.1, ..EVIDENCE },
-            Evidence { open_directions: 1, ..EVIDENCE },
+            Evidence { open_directions: (1, "any".into()), ..EVIDENCE },
+            Evidence { has_rival: true, slide_margin: 9.0, ..EVIDENCE },
         ] {
             assert!(worse.confidence() < 0.5, "{worse:?}: {}", worse.confidence());
         }
@@ -92,9 +118,17 @@ mod tests {
     }
 
     #[test]
+    fn rivals_fit_the_surfaces_and_the_matches() {
+        let fit = |overlap: f64| Agreement { overlap, violation: 0.0 };
+        assert!(is_rival((&fit(0.58), 60), (&fit(0.6), 100)));
+        assert!(!is_rival((&fit(0.5), 60), (&fit(0.6), 100)));
+        assert!(!is_rival((&fit(0.6), 20), (&fit(0.6), 100)));
+    }
+
+    #[test]
     fn notes_name_open_directions_rivals_and_units() {
         assert!(notes(&EVIDENCE, [4.0, 3.0]).is_empty());
-        assert!(notes(&Evidence { open_directions: 3, ..EVIDENCE }, [4.0, 3.0])[0].contains("3 of 6"));
+        assert!(notes(&Evidence { open_directions: (3, "any".into()), ..EVIDENCE }, [4.0, 3.0])[0].contains("3 of 6"));
         assert!(notes(&Evidence { has_rival: true, ..EVIDENCE }, [4.0, 3.0])[0].contains("another transform"));
         assert!(notes(&EVIDENCE, [4000.0, 4.0])[0].contains("1000 times"));
     }

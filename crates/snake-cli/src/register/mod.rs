@@ -76,7 +76,11 @@ fn report(found: &Registration, written: &[&Path]) -> Report {
     let Registration { t_target_source, num_inliers, num_correspondences, rmse, num_skipped, .. } = found;
     let Registration { inlier_distance: near, fitness, fitness_rmse, seconds, .. } = found;
     let mut report = Report::default();
-    let verdict = if found.is_reliable { "reliable" } else { "not reliable" };
+    let verdict = match (found.is_reliable, found.is_ambiguous) {
+        (true, _) => "reliable",
+        (false, true) => "ambiguous",
+        (false, false) => "not reliable",
+    };
     report.line(format!("{verdict}: confidence {:.2}", found.confidence));
     for note in &found.notes {
         report.line(note);

@@ -26,7 +26,15 @@ fn register_prints_and_writes_the_transform() {
     let report = &json_lines(&output)[0];
     let keys: Vec<&String> = report.as_object().unwrap().keys().collect();
     let verdict = ["confidence", "fitness", "fitness_rmse", "free_space_violation", "hypotheses", "information"];
-    let figures = ["inlier_distance", "is_reliable", "notes", "num_agreeing", "num_correspondences", "num_inliers"];
+    let figures = [
+        "inlier_distance",
+        "is_ambiguous",
+        "is_reliable",
+        "notes",
+        "num_agreeing",
+        "num_correspondences",
+        "num_inliers",
+    ];
     let more = ["num_rival_agreeing", "num_skipped", "rmse", "seconds", "slide_margin"];
     let others = ["t_target_source", "viewpoints", "weakest_constraint"];
     assert_eq!(keys, [&verdict[..], &figures, &more, &others].concat());
@@ -99,6 +107,31 @@ fn register_takes_a_guess_an_axis_and_a_verdict() {
     for (extra, message) in [(["--gravity", "w"], "gravity"), (["--source-viewpoint", "1,2"], "three numbers")] {
         assert!(stderr(&run(&extra)).contains(message));
     }
+}
+
+#[test]
+fn clouds_without_one_answer_exit_with_1_if_a_reliable_one_is_required() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = |name: &str| folder.path().join(name).display().to_string();
+    // Points of a ball and of a cylinder by the golden ratio.
+    let turn = |i: u16| (f32::from(i) * 2.399_963).sin_cos();
+    let ball = |i: u16| {
+        let z = f32::from(i) / 1500.0 - 1.0;
+        let radius = (1.0 - z * z).max(0.0).sqrt();
+        [radius * turn(i).0, radius * turn(i).1, z]
+    };
+    let cylinder = |i: u16| [turn(i).0, turn(i).1, f32::from(i) / 500.0];
+    let write = |name: &str, points: Vec<[f32; 3]>| snake_io::write_points(name.as_ref(), &points, [0.0; 3]).unwrap();
+    write(&path("ball.ply"), (0..3000).map(ball).collect());
+    write(&path("cylinder.ply"), (0..3000).map(cylinder).collect());
+    let apart = snake(&["register", &sample(), &path("ball.ply"), "--require-reliable", "--json"]);
+    assert!(apart.status.code() == Some(1), "{}", stderr(&apart));
+    let confidence = json_lines(&apart).first().map(|found| found["confidence"].as_f64().unwrap());
+    assert!(confidence.is_none_or(|confidence| confidence < 0.1), "{confidence:?}");
+    let round = snake(&["register", &path("cylinder.ply"), &path("cylinder.ply"), "--require-reliable"]);
+    let printed = String::from_utf8_lossy(&round.stdout).into_owned();
+    assert!(round.status.code() == Some(1) && printed.starts_with("ambiguous: confidence 0"), "{printed}");
+    assert!(printed.contains("translation along (0.00, 0.00, 1.00)"), "{printed}");
 }
 
 #[test]

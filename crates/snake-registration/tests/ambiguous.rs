@@ -1,0 +1,139 @@
+//! Clouds without a unique answer: planes, spheres, cylinders, mirror images, periodic structures, different units.
+
+use std::f32::consts::TAU;
+
+use rand::{RngExt, SeedableRng};
+use rand_chacha::ChaCha8Rng;
+use snake_core::{Builtin, Model, Point, Result};
+use snake_registration::{RegisterOptions, Registration, register};
+
+/// A surface that is sampled at random.
+type Sampler = fn(&mut ChaCha8Rng) -> Point;
+
+fn plane(rng: &mut ChaCha8Rng) -> Point {
+    [rng.random_range(-2.0..2.0), rng.random_range(-2.0..2.0), 0.0]
+}
+
+fn sphere(rng: &mut ChaCha8Rng) -> Point {
+    let (z, angle): (f32, f32) = (rng.random_range(-1.0..1.0), rng.random_range(0.0..TAU));
+    let radius = (1.0 - z * z).sqrt();
+    [radius * angle.cos(), radius * angle.sin(), z]
+}
+
+fn cylinder(rng: &mut ChaCha8Rng) -> Point {
+    let angle: f32 = rng.random_range(0.0..TAU);
+    [angle.cos(), angle.sin(), rng.random_range(-3.0..3.0)]
+}
+
+/// A point of the surface of a box from 0 to `size`.
+fn of_box(rng: &mut ChaCha8Rng, size: Point) -> Point {
+    let mut point: Point = size.map(|side| rng.random_range(0.0..side));
+    let areas = [size[1] * size[2], size[0] * size[2], size[0] * size[1]];
+    let at = rng.random_range(0.0..areas.iter().sum::<f32>());
+    let axis = usize::from(at > areas[0]) + usize::from(at > areas[0] + areas[1]);
+    point[axis] = if rng.random_bool(0.5) { 0.0 } else { size[axis] };
+    point
+}
+
+fn cube(rng: &mut ChaCha8Rng) -> Point {
+    of_box(rng, [2.0; 3])
+}
+
+/// Eight equal pillars in a row on a floor.
+fn pillars(rng: &mut ChaCha8Rng) -> Point {
+    let pillar = rng.random_range(0..8) as f32;
+    match rng.random_range(0..3) {
+        0 => [rng.random_range(0.0..8.0), rng.random_range(-1.0..1.0), 0.0],
+        _ => {
+            let [x, y, z] = of_box(rng, [0.4, 0.4, 1.0]);
+            [x + pillar + 0.3, y - 0.2, z]
+        }
+    }
+}
+
+/// A room with three boxes of different sizes.
+fn room(rng: &mut ChaCha8Rng) -> Point {
+    let (low, size) = match rng.random_range(0..8) {
+        0..4 => ([-2.0, -2.0, 0.0], [4.0, 4.0, 2.5]),
+        4..6 => ([-1.0, -1.5, 0.0], [1.0, 1.0, 0.8]),
+        6 => ([0.7, 0.5, 0.0], [0.5, 1.2, 1.2]),
+        _ => ([-1.8, 1.0, 0.0], [0.6, 0.8, 0.5]),
+    };
+    let point = of_box(rng, size);
+    [0, 1, 2].map(|axis| point[axis] + low[axis])
+}
+
+fn sample(of: Sampler, seed: u64, noise: f32) -> Vec<Point> {
+    let mut rng = ChaCha8Rng::seed_from_u64(seed);
+    let noisy =
+        |rng: &mut ChaCha8Rng| of(rng).map(|v| if noise > 0.0 { v + rng.random_range(-noise..noise) } else { v });
+    (0..8000).map(|_| noisy(&mut rng)).collect()
+}
+
+fn run(source: &[Point], target: &[Point]) -> Result<Registration> {
+    register(source, target, &Model::builtin(Builtin::Compact), &RegisterOptions::default())
+}
+
+/// Two samples of a surface. The target is turned by 1 about x.
+fn two_samples(of: Sampler, noise: f32) -> Result<Registration> {
+    let (sin, cos) = 1.0_f32.sin_cos();
+    let turned = sample(of, 2, noise).into_iter().map(|[x, y, z]| [x, cos * y - sin * z, sin * y + cos * z]);
+    run(&sample(of, 1, noise), &turned.collect::<Vec<_>>())
+}
+
+#[test]
+fn open_directions_are_named() {
+    // The axes are in the target's frame. Edges of a plane may give no matches at all.
+    for (name, of, names) in [
+        ("plane", plane as Sampler, "(0.00, -0.84, 0.54)"),
+        ("sphere", sphere, "any rotation"),
+        ("cylinder", cylinder, "translation along (0.00, -0.84, 0.54), rotation about (0.00, -0.84, 0.54)"),
+    ] {
+        // The largest component of a named axis is positive.
+        let names = names.replace("-0.84, 0.54", "0.84, -0.54");
+        match two_samples(of, 0.0) {
+            Ok(found) => {
+                assert!(found.is_ambiguous && !found.is_reliable && found.confidence == 0.0, "{name}: {found:?}");
+                assert!(found.notes[0].contains(&names), "{name}: {:?}", found.notes);
+            }
+            Err(error) => assert!(error.to_string().contains("can move along its own surface"), "{name}: {error}"),
+        }
+    }
+}
+
+#[test]
+fn symmetric_and_periodic_clouds_are_ambiguous() {
+    for (name, of, noise) in [
+        ("cube", cube as Sampler, 0.0),
+        ("pillars", pillars, 0.0),
+        ("noisy pillars", pillars, 0.01),
+        ("noisy sphere", sphere, 0.01),
+        ("noisy cylinder", cylinder, 0.01),
+    ] {
+        let found = two_samples(of, noise).unwrap();
+        assert!(found.is_ambiguous && !found.is_reliable && found.confidence < 0.5, "{name}: {found:?}");
+        assert!(found.notes.iter().any(|note| note.starts_with("ambiguous")), "{name}: {:?}", found.notes);
+    }
+}
+
+#[test]
+fn a_mirror_image_has_no_reliable_transform_and_the_room_itself_has_one() {
+    let (source, target) = (sample(room, 1, 0.0), sample(room, 2, 0.0));
+    let found = run(&source, &target).unwrap();
+    assert!(found.is_reliable && !found.is_ambiguous && found.notes.is_empty(), "{found:?}");
+    let mirrored: Vec<Point> = target.iter().map(|[x, y, z]| [-x, *y, *z]).collect();
+    let found = run(&source, &mirrored).unwrap();
+    assert!(!found.is_reliable && found.confidence < 0.2, "{found:?}");
+}
+
+#[test]
+fn millimetres_beside_metres_are_asked_about() {
+    let (source, target) = (sample(room, 1, 0.0), sample(room, 2, 0.0));
+    let millimetres: Vec<Point> = source.iter().map(|point| point.map(|v| 1000.0 * v)).collect();
+    for (from, to) in [(&millimetres, &target), (&target, &millimetres)] {
+        match run(from, to) {
+            Ok(found) => assert!(found.notes.iter().any(|note| note.contains("units")), "{found:?}"),
+            Err(error) => assert!(error.to_string().contains("1000 times as large"), "{error}"),
+        }
+    }
+}
