@@ -7,9 +7,12 @@ use snake_core::space::Vector;
 /// A motion with a rotation part below this is a translation.
 const NO_ROTATION: f64 = 0.1;
 
-/// The motions in words, such as "translation along (1.00, 0.00, 0.00), any rotation". The columns are orthonormal: a
+/// The motions in words, or no words without any, such as "translation along (1.00, 0.00, 0.00), any rotation". The columns are orthonormal: a
 /// rotation about the overlap's middle, scaled to lengths by its extent, and then a translation.
 pub(super) fn names(open: &Matrix6xX<f64>) -> String {
+    if open.ncols() == 0 {
+        return String::new();
+    }
     let rotations: Matrix3xX<f64> = open.fixed_rows::<3>(0).into_owned();
     let combinations = (rotations.transpose() * &rotations).symmetric_eigen();
     let (mut turns, mut slides) = (Vec::new(), Vec::new());
@@ -76,6 +79,7 @@ mod tests {
         assert_eq!(of(&cylinder), "translation along (0.00, 0.00, 1.00), rotation about (0.00, 0.00, 1.00)");
         let sphere: Vec<_> = directions.iter().enumerate().map(|(i, p)| (p + height(i)).normalize()).collect();
         assert_eq!(of(&sphere.iter().map(|p| (*p, *p)).collect::<Vec<_>>()), "any rotation");
+        assert_eq!(names(&Matrix6xX::zeros(0)), "");
         let corridor: Vec<_> =
             directions.iter().flat_map(|p| [(*p, Vector::z()), (p + height(2), Vector::y())]).collect();
         assert_eq!(of(&corridor), "translation along (1.00, 0.00, 0.00)");

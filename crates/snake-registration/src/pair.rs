@@ -238,7 +238,9 @@ impl<'a> Pair<'a> {
             "no three of the {num_matches} correspondences, of {source} and {target} voxels, fit a rigid transform; do \
              the clouds overlap, and in the same units? their diameters are {source_diameter:.4} and {target_diameter:.4}"
         );
-        for note in self.open_alone().into_iter().chain(units_note(self.diameters())) {
+        // The voxels of clouds in different units are too large for normals.
+        let notes = units_note(self.diameters()).map_or_else(|| self.open_alone(), |note| vec![note]);
+        for note in notes {
             reason += &format!("; {note}");
         }
         Error::Input { what: "source and target", reason }
