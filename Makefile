@@ -57,9 +57,9 @@ bench: module $(VENV)/bench-ready  ## speed beside PyTorch, ONNX Runtime, OpenVI
 	cargo build --release
 	$(PYTHON) -m snake_training.benchmark
 
-bench-registration: module  ## registration beside Open3D and KISS-Matcher: make bench-registration SCENES=FOLDER [OBJECTS=FOLDER]
+bench-registration: module  ## registration beside Open3D and KISS-Matcher: make bench-registration SCENES=FOLDER
 	$(PYTHON) -m pip install --quiet -e "training[registration]"
-	$(PYTHON) tests/bench/registration.py $(SCENES) $(if $(OBJECTS),--objects $(OBJECTS))
+	$(PYTHON) tests/bench/registration.py $(SCENES)
 
 results:  ## docs/results.md: make results OBJECTS=FOLDER SCENES="FOLDER .." (or one of them); an hour, resumable
 	python3 docs/results.py $(if $(OBJECTS),--objects $(OBJECTS)) $(if $(SCENES),--scenes $(SCENES))
