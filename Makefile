@@ -61,8 +61,8 @@ bench-registration: module  ## registration beside Open3D and KISS-Matcher: make
 	$(PYTHON) -m pip install --quiet -e "training[registration]"
 	$(PYTHON) tests/bench/registration.py $(SCENES)
 
-results:  ## docs/results.md: make results OBJECTS=FOLDER SCENES="FOLDER .." (or one of them); an hour, resumable
-	python3 docs/results.py $(if $(OBJECTS),--objects $(OBJECTS)) $(if $(SCENES),--scenes $(SCENES))
+results:  ## docs/results.md: make results OBJECTS=FOLDER LANDMARKS=FOLDER SCENES="FOLDER .." (or one of them); resumable
+	python3 docs/results.py $(if $(OBJECTS),--objects $(OBJECTS)) $(if $(LANDMARKS),--landmarks $(LANDMARKS)) $(if $(SCENES),--scenes $(SCENES))
 
 wheel: $(VENV)/ready  ## a wheel of the Python module in target/wheels
 	$(VENV)/bin/maturin build --release --manifest-path python/Cargo.toml

@@ -15,7 +15,7 @@ const POWER: i32 = 8;
 
 /// Number of candidates that are moved per keypoint, because several of them end at the same mode. For fewer than 64
 /// keypoints the number is that of 64, because the most salient candidates lie close together.
-const STARTS: usize = 13;
+const STARTS: usize = 16;
 
 /// Moves the most salient candidates, at least half of `radius` apart, to modes by mean shift (Comaniciu and Meer 2002):
 /// three times to the mean of the candidates within `radius`, weighted by the eighth power of their saliency. Returns the
