@@ -5,7 +5,7 @@
 //! The candidates of all tiles are suppressed by [`suppress_seen`], which says where a tile must know more of its
 //! neighbours.
 
-use std::collections::HashSet;
+use std::collections::{BTreeMap, HashSet};
 use std::ops::Range;
 use std::sync::Arc;
 
@@ -24,6 +24,9 @@ use crate::side_by_side::side_by_side;
 use crate::window_cells::{Cell, REACH, SPACING, cell};
 use crate::windows::{FEW_WINDOWS, Windows};
 use crate::{Error, Result};
+
+/// Columns along the side of a block. A tile is detected in blocks, so that few candidates wait in memory for suppression.
+const BLOCK: i32 = 16;
 
 /// A model with options for the tiles of a cloud. All points are relative to the origin of the whole cloud.
 #[derive(Debug, Clone)]
@@ -187,43 +190,62 @@ impl TileDetector {
         check_points("points", points)?;
         check_number_of_points(points.len())?;
         let windows = Windows::new(&self.network, points, points, self.radius, &self.options)?;
-        let own: Vec<(usize, [i32; 3])> = (0..windows.cells.centers.len())
-            .filter_map(|window| Some((window, narrow(windows.cells.cell_of(window))?)))
-            .filter(|(_, [x, y, _])| tile[0].contains(x) && tile[1].contains(y))
-            .collect();
-        let counter = control.begin("windows", own.len());
+        // By the place of the block along x and y.
+        let mut blocks: BTreeMap<[i32; 2], Vec<(usize, [i32; 3])>> = BTreeMap::new();
+        let mut number = 0;
+        for window in 0..windows.cells.centers.len() {
+            let Some(cell) = narrow(windows.cells.cell_of(window)) else { continue };
+            if (0..2).all(|axis| tile[axis].contains(&cell[axis])) {
+                let place = [0, 1].map(|axis| (cell[axis] - tile[axis].start) / BLOCK);
+                blocks.entry(place).or_default().push((window, cell));
+                number += 1;
+            }
+        }
+        let counter = control.begin("windows", number);
         let of_window = control.without_progress();
-        let found = side_by_side(own.len(), |index| {
-            let found = windows.detect(own[index].0, &of_window)?;
-            counter.add(1);
-            Ok(found)
-        })?;
         let mut of_tile = TileCandidates::default();
-        for ((_, cell), (Candidates { positions, scores, counts, .. }, occupancy)) in own.iter().zip(found) {
-            of_tile.counts.add(&counts);
-            let all = positions.into_iter().zip(scores).zip(occupancy);
-            of_tile.candidates.extend(all.map(|((position, saliency), occupancy)| Candidate {
-                position,
-                saliency,
-                occupancy,
-                cell: *cell,
-            }));
+        for (place, own) in blocks {
+            let found = side_by_side(own.len(), |index| {
+                let found = windows.detect(own[index].0, &of_window)?;
+                counter.add(1);
+                Ok(found)
+            })?;
+            let mut of_block = Vec::new();
+            for ((_, cell), (Candidates { positions, scores, counts, .. }, occupancy)) in own.iter().zip(found) {
+                of_tile.counts.add(&counts);
+                let all = positions.into_iter().zip(scores).zip(occupancy);
+                of_block.extend(all.map(|((position, saliency), occupancy)| Candidate {
+                    position,
+                    saliency,
+                    occupancy,
+                    cell: *cell,
+                }));
+            }
+            let block = [0, 1].map(|axis: usize| {
+                let start = tile[axis].start + place[axis] * BLOCK;
+                start..tile[axis].end.min(start + BLOCK)
+            });
+            self.drop_suppressed(&mut of_block, &block)?;
+            of_tile.candidates.extend(of_block);
         }
-        if self.options.detect.refine_steps == 0 && self.nms_radius > 0.0 {
-            self.drop_suppressed(&mut of_tile.candidates, tile)?;
-        }
+        of_tile.candidates.sort_by_key(|candidate| candidate.cell);
+        self.drop_suppressed(&mut of_tile.candidates, tile)?;
         Ok(of_tile)
     }
 
-    /// Drops candidates that no other tile can save. Without refinement the candidates of another tile lie at most the
-    /// radius of a window inside this one.
-    fn drop_suppressed(&self, candidates: &mut Vec<Candidate>, tile: &[Range<i32>; 2]) -> Result<()> {
+    /// Drops the candidates of some columns that no candidate of other columns can save. Without refinement the candidates
+    /// of other columns lie at most the radius of a window inside these.
+    fn drop_suppressed(&self, candidates: &mut Vec<Candidate>, columns: &[Range<i32>; 2]) -> Result<()> {
+        if self.options.detect.refine_steps > 0 || self.nms_radius <= 0.0 {
+            return Ok(());
+        }
         let reach = 1.01 * f64::from(self.radius) + self.suppression_reach();
         let is_inside = |candidate: &Candidate| {
             (0..2).all(|axis| {
                 let at = f64::from(candidate.position[axis]);
                 let reach = reach + 1e-6 * at.abs();
-                let [low, high] = [tile[axis].start, tile[axis].end].map(|cell| f64::from(cell) * self.cell_side());
+                let [low, high] =
+                    [columns[axis].start, columns[axis].end].map(|cell| f64::from(cell) * self.cell_side());
                 at - reach > low && at + reach < high
             })
         };
@@ -336,7 +358,7 @@ mod tests {
     fn tiles_of_any_size_give_the_bits_of_the_whole_cloud() {
         let model = Model::builtin(Builtin::Compact);
         let points = place();
-        for (refine_steps, tilings) in [(0, &[(2, 0), (3, 1), (5, -2), (64, 0)][..]), (2, &[(3, 0)])] {
+        for (refine_steps, tilings) in [(0, &[(2, 0), (3, 1), (5, -2), (64, -29)][..]), (2, &[(3, 0)])] {
             let options = options(refine_steps);
             let whole = model.detect(&points, &options).unwrap();
             assert!(whole.keypoints.len() > 50, "{}", whole.keypoints.len());
@@ -346,7 +368,7 @@ mod tests {
                 let (kept, num_candidates) = by_tiles(&detector, &points, side, offset, detector.halo());
                 assert!(is_equal(&kept, &whole.keypoints), "{side} {offset}");
                 let are_dropped = num_candidates < whole.counts.above_threshold;
-                assert!(are_dropped || side < 64, "large tiles drop what is suppressed for certain");
+                assert!(are_dropped || side < 64, "a tile of several blocks drops what is suppressed for certain");
                 assert!(!are_dropped || refine_steps == 0, "refinement may move candidates far");
             }
         }

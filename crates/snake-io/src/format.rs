@@ -152,6 +152,9 @@ pub enum KeypointFormat {
     Json,
     /// KeypointNet annotations: a list with one shape and its keypoints.
     KeypointNet,
+    /// LAZ with saliency, occupancy and nearest index as extra dimensions; with the feature `laz`.
+    #[cfg(feature = "laz")]
+    Laz,
     /// Parquet with the metadata of GeoParquet; with the feature `parquet`.
     #[cfg(feature = "parquet")]
     Parquet,
@@ -165,6 +168,8 @@ pub const KEYPOINT_EXTENSIONS: &[&str] = &[
     "csv",
     "keypointnet.json",
     "json",
+    #[cfg(feature = "laz")]
+    "laz",
     #[cfg(feature = "parquet")]
     "parquet",
 ];
@@ -183,6 +188,8 @@ impl KeypointFormat {
             "csv" => Self::Csv,
             "json" if name.ends_with(".keypointnet.json") => Self::KeypointNet,
             "json" => Self::Json,
+            #[cfg(feature = "laz")]
+            "laz" => Self::Laz,
             #[cfg(feature = "parquet")]
             "parquet" => Self::Parquet,
             _ => return Err(unknown_extension(path, "written", KEYPOINT_EXTENSIONS)),
@@ -198,6 +205,8 @@ impl KeypointFormat {
             Self::Csv => "csv",
             Self::Json => "json",
             Self::KeypointNet => "keypointnet.json",
+            #[cfg(feature = "laz")]
+            Self::Laz => "laz",
             #[cfg(feature = "parquet")]
             Self::Parquet => "parquet",
         }

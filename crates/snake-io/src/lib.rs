@@ -34,7 +34,7 @@
 //! | `pcd.bin`, and `bin` in folders of KITTI or nuScenes | x, y and z of float32 values, 5 or 4 of them a point | | |
 //! | `obj`, `off`, `stl` | vertices, or points sampled on the surface (also of a `ply` with faces) | | |
 //! | `gltf`, `glb` | vertices of all meshes in the scene's frame, or points sampled on them | | |
-//! | `las`, `laz`, `e57` | coordinates | | |
+//! | `las`, `laz`, `e57` | coordinates | | only `laz`, with extra dimensions |
 //! | `json` | | | `{"keypoints": [{"x": .., ..}, ..]}` |
 //! | `parquet` (feature `parquet`) | | | columns as in csv and a geometry, GeoParquet 1.1 |
 //! | `keypointnet.json` | | | annotations in the format of KeypointNet |
@@ -73,6 +73,8 @@ mod json;
 mod keypoint_source;
 #[cfg(feature = "laz")]
 mod las;
+#[cfg(feature = "laz")]
+mod las_keypoints;
 mod lzf;
 #[cfg(feature = "mcap")]
 mod mcap;

@@ -58,6 +58,8 @@ impl KeypointFormat {
             }
             Self::Json => json::write(out, keypoints, source.origin),
             Self::KeypointNet => json::write_keypointnet(out, keypoints, source),
+            #[cfg(feature = "laz")]
+            Self::Laz => super::las_keypoints::write(out, keypoints, source),
             #[cfg(feature = "parquet")]
             Self::Parquet => super::parquet::write(out, keypoints, source),
         }

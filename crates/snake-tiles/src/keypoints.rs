@@ -1,6 +1,5 @@
 //! From the candidates of all tiles to keypoints.
 
-use rayon::prelude::*;
 use snake_core::{Candidate, Control, Counts, Fate, Keypoint, by_rank};
 
 use crate::candidates::{self, Summary};
@@ -48,15 +47,13 @@ impl TiledRun {
             summaries.push((tile.place, summary));
         }
         let counter = control.begin("suppression", summaries.len());
-        let of_tile = |index: usize| {
+        let mut kept = Vec::new();
+        // One tile after another, so that the candidates of one wait in memory at a time.
+        for (index, (place, _)) in summaries.iter().enumerate() {
             counter.check()?;
-            let kept = self.suppress(index, &summaries)?;
+            kept.extend(self.suppress(index, &summaries)?.into_iter().map(|candidate| (candidate, *place)));
             counter.add(1);
-            Ok(kept.into_iter().map(|candidate| (candidate, summaries[index].0)).collect())
-        };
-        let of_tiles: Vec<Vec<(Candidate, [i32; 2])>> =
-            (0..summaries.len()).into_par_iter().map(of_tile).collect::<Result<_>>()?;
-        let mut kept = of_tiles.concat();
+        }
         kept.sort_by(|(a, _), (b, _)| by_rank(a, b));
         kept.truncate(self.detector.options().detect.max_keypoints);
         let nearest =

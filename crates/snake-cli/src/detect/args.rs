@@ -17,16 +17,16 @@ pub struct DetectArguments {
     /// ROS (.mcap), all clouds of which are processed.
     #[arg(required = true)]
     pub inputs: Vec<PathBuf>,
-    /// Write the keypoints to this file (.ply, .pcd, .npy, .csv, .json, .parquet or .keypointnet.json). For several inputs, write
-    /// them to this directory as NAME.keypoints.EXT, for a recording as NAME.000000.keypoints.EXT. `-` is the standard output; the report then goes to the standard
-    /// error.
+    /// Write the keypoints to this file (.ply, .pcd, .npy, .csv, .json, .laz, .parquet or .keypointnet.json). For several
+    /// inputs, write them to this directory as NAME.keypoints.EXT, for a recording as NAME.000000.keypoints.EXT. `-` is the
+    /// standard output; the report then goes to the standard error.
     #[arg(short, long)]
     pub output: Option<PathBuf>,
     /// Number the results of inputs with the same name, such as a.las and a.laz: NAME.keypoints.EXT,
     /// NAME.2.keypoints.EXT. Without this option these inputs fail.
     #[arg(long, requires = "output")]
     pub number_results: bool,
-    /// Format of the keypoints: ply, pcd, npy, csv, json, parquet (GeoParquet) or keypointnet (annotations as in KeypointNet) [default: by
+    /// Format of the keypoints: ply, pcd, npy, csv, json, laz, parquet (GeoParquet) or keypointnet (annotations as in KeypointNet) [default: by
     /// the extension of the output, else ply].
     #[arg(long, value_parser = named::<KeypointFormat>)]
     pub format: Option<KeypointFormat>,
