@@ -81,9 +81,9 @@ impl Bounds {
     /// Adds a position. One that is not finite is ignored.
     pub fn add(&mut self, position: [f64; 3]) {
         if position.iter().all(|v| v.is_finite()) {
-            for axis in 0..3 {
-                self.low[axis] = self.low[axis].min(position[axis]);
-                self.high[axis] = self.high[axis].max(position[axis]);
+            for (axis, value) in position.into_iter().enumerate() {
+                self.low[axis] = self.low[axis].min(value);
+                self.high[axis] = self.high[axis].max(value);
             }
         }
     }
