@@ -240,7 +240,8 @@ impl<'a> Pair<'a> {
         );
         // The voxels of clouds in different units are too large for normals.
         let notes = units_note(self.diameters()).map_or_else(|| self.open_alone(), |note| vec![note]);
-        for note in notes {
+        // One is enough: an error is one short line.
+        if let Some(note) = notes.first() {
             reason += &format!("; {note}");
         }
         Error::Input { what: "source and target", reason }
