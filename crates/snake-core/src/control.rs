@@ -207,7 +207,7 @@ mod tests {
         }
         // On a busy machine everything takes longer.
         let (longest, whole) = (gaps.iter().max().unwrap(), gaps.iter().sum::<Duration>());
-        assert!(*longest < LIMIT.max(whole / 25), "{longest:?} of {whole:?}");
+        assert!(*longest < LIMIT.max(whole / 5), "{longest:?} of {whole:?}");
     }
 
     /// A cancelled call returns within 50 ms: no step between two checks takes longer, even on a single thread.
