@@ -13,10 +13,13 @@ import pytest
 
 import snake_rs
 
+# A job in the background starts with SIGINT ignored, and its Python does not raise KeyboardInterrupt.
 SETUP = """
-import os, sys, time
+import os, signal, sys, time
 import numpy as np
 import snake_rs
+
+signal.signal(signal.SIGINT, signal.default_int_handler)
 
 points = np.random.default_rng(5).normal(size=(2000, 3))
 options = dict(query_resolution=16, refine_steps=2)
@@ -177,7 +180,7 @@ def test_numbers_of_threads_that_make_no_sense_are_refused(number):
 # Ctrl-C
 
 INTERRUPTED = """
-import signal, threading
+import threading
 
 many = np.random.default_rng(6).normal(size=(20_000, 3))
 many /= np.linalg.norm(many, axis=1, keepdims=True)

@@ -235,16 +235,19 @@ fn a_long_call_shows_the_remaining_time() {
     let output = folder.path().join("page.html").display().to_string();
     for command in [format!("detect '{cloud}'"), format!("view '{cloud}' -o '{output}'")] {
         let options = "--rotations 8 --refine-steps 120 --query-band 0 --occupancy-threshold 0";
-        let command = format!("'{program}' {command} {options}");
+        let command = format!("exec '{program}' {command} {options}");
         let mut script = Command::new("script");
         script.args(["-qefc", &command, "/dev/null"]).stdin(Stdio::null());
         let mut child = Running(script.stdout(Stdio::piped()).spawn().unwrap());
+        let pid = child.0.id().to_string();
         let (mut shown, mut bytes) = (String::new(), [0; 4096]);
         while !shown.contains("refinement (ETA ") {
             let length = child.0.stdout.as_mut().unwrap().read(&mut bytes).unwrap();
             assert!(length > 0, "{command}: ended by itself: {shown}");
             shown += &String::from_utf8_lossy(&bytes[..length]);
         }
+        // Without its terminal the call would continue where hang-ups are ignored, as under `nohup`.
+        Command::new("pkill").args(["-KILL", "-P", &pid]).status().ok();
     }
 }
 
