@@ -18,7 +18,9 @@ mesh = field.mesh(outer=True)              # vertices, normals (V, 3), triangles
 found = snake_rs.register(source, target)  # rigid registration of two clouds
 found.t_target_source, found.num_inliers   # (4, 4): p_target = R p_source + t
 
-Classical detectors are in snake_rs.baselines, metrics in snake_rs.metrics.
+tiles = snake_rs.tiles("city.laz", tile=50, folder="city.tiles", model="rooms")  # clouds that do not fit into memory
+
+Classical detectors are in snake_rs.baselines, metrics in snake_rs.metrics, classes for clusters in snake_rs.ray.
 """
 
 # NumPy imports this lazily: a child forked while another thread imports it would wait for the import lock forever.
@@ -28,12 +30,14 @@ from . import baselines, metrics
 from ._core import (
     Alignment,
     AlignmentEdge,
+    DetectedTiles,
     Field,
     Keypoint,
     Keypoints,
     Mesh,
     Model,
     Registration,
+    Tiles,
     __version__,
     align,
     detect,
@@ -43,18 +47,21 @@ from ._core import (
     read_points,
     register,
     set_num_threads,
+    tiles,
 )
 from ._view import View, view
 
 __all__ = [
     "Alignment",
     "AlignmentEdge",
+    "DetectedTiles",
     "Field",
     "Keypoint",
     "Keypoints",
     "Mesh",
     "Model",
     "Registration",
+    "Tiles",
     "View",
     "__version__",
     "align",
@@ -67,5 +74,6 @@ __all__ = [
     "read_points",
     "register",
     "set_num_threads",
+    "tiles",
     "view",
 ]

@@ -2,6 +2,7 @@
 
 import os
 from collections.abc import Iterator, Sequence
+from pathlib import Path
 from typing import Any, Literal, Protocol, TypeAlias, TypedDict, final, overload, type_check_only
 
 import numpy as np
@@ -11,12 +12,14 @@ from typing_extensions import Self, Unpack
 __all__ = [
     "Alignment",
     "AlignmentEdge",
+    "DetectedTiles",
     "Field",
     "Keypoint",
     "Keypoints",
     "Mesh",
     "Model",
     "Registration",
+    "Tiles",
     "__version__",
     "align",
     "detect",
@@ -46,6 +49,7 @@ __all__ = [
     "squared_registration_error",
     "surface_variation",
     "symmetric_repeatability",
+    "tiles",
 ]
 
 __version__: str
@@ -174,6 +178,47 @@ def estimate_normals(points: _Points, radius: float) -> NDArray[np.float32]: ...
 def set_num_threads(num_threads: int) -> None: ...
 def get_num_threads() -> int: ...
 def fpfh(points: _Points, normals: _Points, radius: float) -> NDArray[np.float32]: ...
+def tiles(
+    paths: _Path | Sequence[_Path],
+    tile: float,
+    folder: _Path,
+    model: _Model | None = None,
+    **options: Unpack[_Options],
+) -> Tiles: ...
+
+@type_check_only
+class _TileRow(TypedDict):
+    tile: int
+    folder: str
+    west: float
+    south: float
+    east: float
+    north: float
+    num_points: int
+    num_windows: int
+
+@final
+class Tiles:
+    def rows(self) -> list[_TileRow]: ...
+    @property
+    def folder(self) -> Path: ...
+    @property
+    def failures(self) -> dict[Path, str]: ...
+    @property
+    def max_keypoints(self) -> int | None: ...
+    def detect(self, tile: int) -> None: ...
+    def is_detected(self, tile: int) -> bool: ...
+    def detected(self) -> DetectedTiles: ...
+    def finish(self) -> Keypoints: ...
+    def __len__(self) -> int: ...
+
+@final
+class DetectedTiles:
+    @property
+    def missing(self) -> list[int]: ...
+    @property
+    def counts(self) -> dict[str, int]: ...
+    def keypoints(self, tile: int) -> dict[str, NDArray[Any]]: ...
 
 @final
 class Model:

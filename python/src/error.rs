@@ -23,6 +23,16 @@ pub fn file_error(error: snake_io::Error) -> PyErr {
     }
 }
 
+/// The exception for an error of a run in tiles, by the same rule.
+pub fn tiles_error(error: snake_tiles::Error) -> PyErr {
+    match error {
+        snake_tiles::Error::Core(error) => py_error(error),
+        snake_tiles::Error::Input(error) => file_error(error),
+        snake_tiles::Error::File { path, source } => os_error(path, &source),
+        other => PyValueError::new_err(other.to_string()),
+    }
+}
+
 fn os_error(path: PathBuf, source: &std::io::Error) -> PyErr {
     let text = source.to_string();
     let reason = text.split(" (os error").next().unwrap_or_default().to_owned();

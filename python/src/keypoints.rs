@@ -6,7 +6,7 @@ use numpy::{PyArray1, PyArrayMethods};
 use pyo3::exceptions::{PyImportError, PyValueError};
 use pyo3::prelude::*;
 use pyo3::types::{IntoPyDict, PyDict, PyIterator, PyList, PySlice, PyTuple};
-use snake_core::{self as core, Detection, Point};
+use snake_core::{self as core, Counts, Detection, Point};
 use snake_io::{KeypointSource, write_keypoints};
 
 use crate::arrays::{self, Positions, Precision};
@@ -65,13 +65,6 @@ impl Keypoints {
         precision: Precision,
     ) -> PyResult<Self> {
         let Detection { keypoints, num_skipped, counts, timing, .. } = detection;
-        let counts = [
-            ("windows", counts.windows),
-            ("queries", counts.queries),
-            ("occupied", counts.occupied),
-            ("above_threshold", counts.above_threshold),
-            ("keypoints", counts.keypoints),
-        ];
         let timing = [
             ("encode", timing.encode),
             ("occupancy", timing.occupancy),
@@ -85,10 +78,22 @@ impl Keypoints {
             occupancy: arrays::values(py, keypoints.iter().map(|k| k.occupancy).collect()).unbind(),
             nearest_index: arrays::values(py, keypoints.iter().map(|k| k.nearest_index as i64).collect()).unbind(),
             num_skipped,
-            counts: counts.into_py_dict(py)?.unbind(),
+            counts: counts_dict(py, &counts)?.unbind(),
             timing_seconds: timing.into_py_dict(py)?.unbind(),
         })
     }
+}
+
+/// The counts by name.
+pub fn counts_dict<'py>(py: Python<'py>, counts: &Counts) -> PyResult<Bound<'py, PyDict>> {
+    let counts = [
+        ("windows", counts.windows),
+        ("queries", counts.queries),
+        ("occupied", counts.occupied),
+        ("above_threshold", counts.above_threshold),
+        ("keypoints", counts.keypoints),
+    ];
+    counts.into_py_dict(py)
 }
 
 #[pymethods]

@@ -16,6 +16,7 @@ mod options;
 mod page;
 mod registration;
 mod threads;
+mod tiles;
 
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
@@ -29,6 +30,7 @@ use mesh::Mesh;
 use model::Model;
 use registration::{Registration, estimate_normals, fpfh, register};
 use threads::{get_num_threads, set_num_threads};
+use tiles::{DetectedTiles, Tiles, tiles};
 
 /// Detects the keypoints of a cloud in one call: `model.encode(points).detect()`. `model` is a `Model`, the name of a
 /// built-in model ("compact", "standard" or "rooms") or the path of a weight file; it defaults to "compact".
@@ -103,8 +105,8 @@ mod _core {
     use super::page::page;
     #[pymodule_export]
     use super::{
-        Alignment, AlignmentEdge, Field, Keypoint, Keypoints, Mesh, Model, Registration, align, detect,
-        estimate_normals, fpfh, get_num_threads, read_points, register, set_num_threads,
+        Alignment, AlignmentEdge, DetectedTiles, Field, Keypoint, Keypoints, Mesh, Model, Registration, Tiles, align,
+        detect, estimate_normals, fpfh, get_num_threads, read_points, register, set_num_threads, tiles,
     };
 
     /// Fills what pyo3 and numpy fill at their first use. While that happens they release the GIL, and a child forked

@@ -50,24 +50,32 @@ pub fn builtin(py: Python<'_>) -> PyResult<core::Model> {
     }
 }
 
-/// The given model, or by default the built-in one. A model is a `Model`, the name of a built-in model, or the path of a
-/// weight file.
+/// The given model, or by default the built-in one.
 pub fn given_or_builtin(py: Python<'_>, model: Option<&Bound<'_, PyAny>>) -> PyResult<core::Model> {
-    let Some(model) = model else { return builtin(py) };
+    match model {
+        Some(model) => Ok(given(py, model)?.get().core().clone()),
+        None => builtin(py),
+    }
+}
+
+/// The given model: a `Model`, the name of a built-in model, or the path of a weight file.
+pub fn given<'py>(py: Python<'py>, model: &Bound<'py, PyAny>) -> PyResult<Bound<'py, Model>> {
     if let Ok(model) = model.cast::<Model>() {
-        return Ok(model.get().core().clone());
+        return Ok(model.clone());
     }
     let path: PathBuf = model.extract().map_err(|_| {
         PyTypeError::new_err(format!("model: expected a Model, a name or a path, found {}", model.get_type()))
     })?;
-    match path.to_str().filter(|name| core::Model::NAMES.contains(name)) {
-        Some(name) => Ok(Model::py_builtin(py, name)?.core),
+    let model = match path.to_str().filter(|name| core::Model::NAMES.contains(name)) {
+        Some(name) => Model::py_builtin(py, name)?,
         None if path.extension().is_none() && !path.exists() => {
             let names = core::Model::NAMES.join(", ");
-            Err(PyValueError::new_err(format!("model: no built-in model {}; known are {names}", path.display())))
+            let reason = format!("model: no built-in model {}; known are {names}", path.display());
+            return Err(PyValueError::new_err(reason));
         }
-        None => Ok(Model::load(py, path)?.core),
-    }
+        None => Model::load(py, path)?,
+    };
+    Bound::new(py, model)
 }
 
 #[pymethods]
@@ -77,7 +85,7 @@ impl Model {
     /// for any other name.
     #[staticmethod]
     #[pyo3(name = "builtin", signature = (name="compact"))]
-    fn py_builtin(py: Python<'_>, name: &str) -> PyResult<Self> {
+    pub fn py_builtin(py: Python<'_>, name: &str) -> PyResult<Self> {
         let core = if name == "compact" { builtin(py)? } else { threads::run(py, || core::Model::named(name))? };
         Ok(Self { core, origin: Origin::Builtin(name.into()) })
     }

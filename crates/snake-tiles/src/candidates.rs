@@ -1,10 +1,13 @@
 //! The candidates of a tile on disk, as safetensors: `position` `(N, 3)`, `saliency`, `occupancy` and `cell` `(N, 3)`. The
 //! metadata has the bounds of the positions along x and y, and the counts.
 
+use std::fs::File;
+use std::io::Read;
 use std::path::{Path, PathBuf};
 
 use safetensors::tensor::{Dtype, SafeTensors, TensorView};
 use serde::{Deserialize, Serialize};
+use serde_json::Value;
 use snake_core::{Candidate, Counts, Point, TileCandidates};
 
 use crate::{Error, Result};
@@ -54,14 +57,22 @@ pub(crate) fn write(folder: &Path, place: [i32; 2], found: &TileCandidates) -> R
     snake_io::write_atomically(&path, fill).map_err(Error::file(&path))
 }
 
-/// Reads the summary of the tile at a place.
+/// Bytes that the header of a file may have.
+const MAX_HEADER: u64 = 1 << 20;
+
+/// Reads the summary of the tile at a place, without its candidates.
 pub(crate) fn read_summary(folder: &Path, place: [i32; 2]) -> Result<Summary> {
     let path = path(folder, place);
-    let bytes = std::fs::read(&path).map_err(Error::file(&path))?;
-    let summary = || {
-        let (_, header) = SafeTensors::read_metadata(&bytes).map_err(|e| e.to_string())?;
-        let metadata = header.metadata().as_ref().and_then(|metadata| metadata.get("summary"));
-        serde_json::from_str(metadata.ok_or("no summary")?).map_err(|e| e.to_string())
+    let mut file = File::open(&path).map_err(Error::file(&path))?;
+    let mut summary = || {
+        let mut length = [0; 8];
+        file.read_exact(&mut length).map_err(|e| e.to_string())?;
+        let mut header = Vec::new();
+        let length = u64::from_le_bytes(length).min(MAX_HEADER);
+        (&mut file).take(length).read_to_end(&mut header).map_err(|e| e.to_string())?;
+        let header: Value = serde_json::from_slice(&header).map_err(|e| e.to_string())?;
+        let summary = header["__metadata__"]["summary"].as_str().ok_or("no summary")?;
+        serde_json::from_str(summary).map_err(|e| e.to_string())
     };
     summary().map_err(|reason| Error::Damaged { path: path.clone(), reason })
 }

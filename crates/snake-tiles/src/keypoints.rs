@@ -1,6 +1,8 @@
 //! From the candidates of all tiles to keypoints.
 
-use snake_core::{Candidate, Control, Counts, Fate, Keypoint, by_rank};
+use std::collections::HashMap;
+
+use snake_core::{Candidate, Control, Counts, Fate, Keypoint, Point, by_rank};
 
 use crate::candidates::{self, Summary};
 use crate::plan::Tile;
@@ -14,6 +16,21 @@ pub struct TiledKeypoint {
     pub keypoint: Keypoint,
     /// The place of the tile whose window found it.
     pub tile: [i32; 2],
+    /// The cell of that window. Keypoints of equal saliency are ranked by it, and by their order in their tile.
+    pub cell: [i32; 3],
+}
+
+/// What is known of the tiles of a run after their detection.
+#[derive(Debug, Clone)]
+pub struct Detected {
+    /// The detected tiles, by place.
+    summaries: Vec<([i32; 2], Summary)>,
+    /// Number of points of the tiles whose points can be read.
+    pub(crate) readable: HashMap<[i32; 2], u64>,
+    /// Number of queries after each step, without keypoints.
+    pub counts: Counts,
+    /// Tiles without candidates or points on disk. Keypoints there are missing, and those close by may differ.
+    pub missing: Vec<Tile>,
 }
 
 /// The result of a run in tiles.
@@ -23,7 +40,7 @@ pub struct TiledDetection {
     pub keypoints: Vec<TiledKeypoint>,
     /// Number of queries after each step.
     pub counts: Counts,
-    /// Tiles without candidates on disk. Keypoints there are missing, and those close by may differ.
+    /// The missing tiles, see [`Detected::missing`].
     pub missing: Vec<Tile>,
 }
 
@@ -36,38 +53,75 @@ impl TiledRun {
     /// # Errors
     /// [`Error::File`] and [`Error::Damaged`] for the files of the folder; [`snake_core::Error::Cancelled`] and the like.
     pub fn finish(&self, control: &Control) -> Result<TiledDetection> {
-        let mut detection = TiledDetection::default();
-        let (detected, missing): (Vec<&Tile>, Vec<&Tile>) =
-            self.tiles().iter().partition(|tile| self.is_detected(tile));
-        detection.missing = missing.into_iter().copied().collect();
-        let mut summaries: Vec<([i32; 2], Summary)> = Vec::with_capacity(detected.len());
-        for tile in detected {
-            let summary = candidates::read_summary(&self.folder, tile.place)?;
-            detection.counts.add(&summary.counts);
-            summaries.push((tile.place, summary));
-        }
-        let counter = control.begin("suppression", summaries.len());
+        let detected = self.detected()?;
+        let counter = control.begin("suppression", detected.summaries.len());
         let mut kept = Vec::new();
         // One tile after another, so that the candidates of one wait in memory at a time.
-        for (index, (place, _)) in summaries.iter().enumerate() {
+        for (index, (place, _)) in detected.summaries.iter().enumerate() {
             counter.check()?;
-            kept.extend(self.suppress(index, &summaries)?.into_iter().map(|candidate| (candidate, *place)));
+            kept.extend(self.suppress(index, &detected.summaries)?.into_iter().map(|candidate| (candidate, *place)));
             counter.add(1);
         }
         kept.sort_by(|(a, _), (b, _)| by_rank(a, b));
         kept.truncate(self.detector.options().detect.max_keypoints);
-        let nearest =
-            self.nearest(&kept.iter().map(|(candidate, _)| candidate.position).collect::<Vec<_>>(), control)?;
-        detection.counts.keypoints = kept.len();
-        let keypoint = |((candidate, tile), nearest): ((Candidate, [i32; 2]), u64)| {
-            let Candidate { position, saliency, occupancy, .. } = candidate;
-            TiledKeypoint {
-                keypoint: Keypoint { position, saliency, occupancy, nearest_index: nearest as usize },
-                tile,
+        let keypoints = self.with_nearest(kept, &detected, control)?;
+        let mut counts = detected.counts;
+        counts.keypoints = keypoints.len();
+        Ok(TiledDetection { keypoints, counts, missing: detected.missing })
+    }
+
+    /// Looks at the tiles in the folder, once all of them are detected.
+    ///
+    /// # Errors
+    /// [`Error::File`] and [`Error::Damaged`] for the files of the folder.
+    pub fn detected(&self) -> Result<Detected> {
+        let (mut summaries, mut readable) = (Vec::new(), HashMap::new());
+        let (mut counts, mut missing) = (Counts::default(), Vec::new());
+        for tile in self.tiles() {
+            if self.has_points(tile) {
+                readable.insert(tile.place, tile.num_points);
             }
+            if !self.is_detected(tile) {
+                missing.push(*tile);
+                continue;
+            }
+            let summary = candidates::read_summary(&self.folder, tile.place)?;
+            counts.add(&summary.counts);
+            summaries.push((tile.place, summary));
+        }
+        Ok(Detected { summaries, readable, counts, missing })
+    }
+
+    /// The keypoints of one tile. Those of all tiles, sorted by falling saliency, then by cell and by their order here, are
+    /// those of [`TiledRun::finish`], which also limits their number.
+    ///
+    /// # Errors
+    /// As [`TiledRun::finish`].
+    pub fn keypoints(&self, tile: &Tile, detected: &Detected, control: &Control) -> Result<Vec<TiledKeypoint>> {
+        match detected.summaries.binary_search_by_key(&tile.place, |(place, _)| *place) {
+            Ok(index) => {
+                let kept = self.suppress(index, &detected.summaries)?.into_iter();
+                self.with_nearest(kept.map(|candidate| (candidate, tile.place)).collect(), detected, control)
+            }
+            Err(_) => Ok(Vec::new()),
+        }
+    }
+
+    /// Keypoints from candidates and the places of their tiles.
+    fn with_nearest(
+        &self,
+        kept: Vec<(Candidate, [i32; 2])>,
+        detected: &Detected,
+        control: &Control,
+    ) -> Result<Vec<TiledKeypoint>> {
+        let positions: Vec<Point> = kept.iter().map(|(candidate, _)| candidate.position).collect();
+        let nearest = self.nearest(&positions, &detected.readable, control)?;
+        let keypoint = |((candidate, tile), nearest): ((Candidate, [i32; 2]), u64)| {
+            let Candidate { position, saliency, occupancy, cell } = candidate;
+            let keypoint = Keypoint { position, saliency, occupancy, nearest_index: nearest as usize };
+            TiledKeypoint { keypoint, tile, cell }
         };
-        detection.keypoints = kept.into_iter().zip(nearest).map(keypoint).collect();
-        Ok(detection)
+        Ok(kept.into_iter().zip(nearest).map(keypoint).collect())
     }
 
     /// The candidates of a tile that suppression keeps. A candidate's fate can depend on a chain of others, so the tile

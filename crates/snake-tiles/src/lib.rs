@@ -42,6 +42,6 @@ mod points;
 mod run;
 
 pub use error::{Error, Result};
-pub use keypoints::{TiledDetection, TiledKeypoint};
+pub use keypoints::{Detected, TiledDetection, TiledKeypoint};
 pub use plan::{Failure, Tile};
 pub use run::TiledRun;

@@ -88,6 +88,18 @@ impl Plan {
         (plan.source == *source).then_some(plan)
     }
 
+    /// The plan in a folder, whatever its inputs were. It must have the settings.
+    pub(crate) fn of_settings(folder: &Path, settings: &TileSettings) -> Result<Self> {
+        let path = Self::path(folder);
+        let bytes = std::fs::read(&path).map_err(Error::file(&path))?;
+        let damaged = |reason| Error::Damaged { path: path.clone(), reason };
+        let plan: Self = serde_json::from_slice(&bytes).map_err(|error| damaged(error.to_string()))?;
+        if plan.source.settings != *settings || plan.source.version != env!("CARGO_PKG_VERSION") {
+            return Err(damaged("is of another model, other options or another version".into()));
+        }
+        Ok(plan)
+    }
+
     pub(crate) fn write(&self, folder: &Path) -> Result<()> {
         let path = Self::path(folder);
         let written = snake_io::write_atomically(&path, |file| Ok(serde_json::to_writer(file, self)?));

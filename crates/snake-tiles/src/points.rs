@@ -63,8 +63,11 @@ impl<'a> PointWriter<'a> {
     }
 }
 
-/// Calls `found` with each point of a tile and its index.
-pub(crate) fn for_each_point(folder: &Path, tile: &Tile, mut found: impl FnMut(Point, u64)) -> Result<()> {
+/// Opens the points of a tile.
+///
+/// # Errors
+/// [`Error::File`], and [`Error::Damaged`] for another length than that of the tile's points.
+pub(crate) fn open(folder: &Path, tile: &Tile) -> Result<File> {
     let path = path(folder, tile.place);
     let file = File::open(&path).map_err(Error::file(&path))?;
     let length = file.metadata().map_err(Error::file(&path))?.len();
@@ -72,7 +75,13 @@ pub(crate) fn for_each_point(folder: &Path, tile: &Tile, mut found: impl FnMut(P
         let reason = format!("has {length} bytes, not those of {} points", tile.num_points);
         return Err(Error::Damaged { path, reason });
     }
-    let mut file = BufReader::with_capacity(1 << 20, file);
+    Ok(file)
+}
+
+/// Calls `found` with each point of a tile and its index.
+pub(crate) fn for_each_point(folder: &Path, tile: &Tile, mut found: impl FnMut(Point, u64)) -> Result<()> {
+    let path = path(folder, tile.place);
+    let mut file = BufReader::with_capacity(1 << 20, open(folder, tile)?);
     let mut record = [0; RECORD];
     for _ in 0..tile.num_points {
         file.read_exact(&mut record).map_err(Error::file(&path))?;

@@ -4,11 +4,11 @@ use std::collections::HashSet;
 use std::ops::Range;
 use std::path::{Path, PathBuf};
 
-use snake_core::{Bounds, Control, Point, TileDetector, subtract_origin};
+use snake_core::{Bounds, Control, Options, Point, TileDetector, subtract_origin};
 use snake_io::{Crs, ReadOptions};
 
 use crate::plan::{Failure, Plan, Source, Tile, place};
-use crate::points::{PointWriter, for_each_point};
+use crate::points::{self, PointWriter, for_each_point};
 use crate::{Error, Result, candidates};
 
 /// A run whose points are on disk.
@@ -84,6 +84,26 @@ impl TiledRun {
         Ok(Self { detector, plan, folder })
     }
 
+    /// Opens the run that [`TiledRun::prepare`] made in a folder, for another process or machine that sees the folder. The
+    /// files of the cloud are not needed.
+    ///
+    /// # Errors
+    /// [`Error::File`] without such a run; [`Error::Damaged`] for another model, other options or another version.
+    pub fn open(detector: TileDetector, folder: &Path) -> Result<Self> {
+        let plan = Plan::of_settings(folder, &detector.settings())?;
+        Ok(Self { detector, plan, folder: folder.to_owned() })
+    }
+
+    /// The folder with the points and the candidates.
+    pub fn folder(&self) -> &Path {
+        &self.folder
+    }
+
+    /// The options.
+    pub fn options(&self) -> &Options {
+        self.detector.options()
+    }
+
     /// The tiles that have points.
     pub fn tiles(&self) -> &[Tile] {
         &self.plan.tiles
@@ -116,9 +136,14 @@ impl TiledRun {
         [[at(0, columns[0].start), at(1, columns[1].start)], [at(0, columns[0].end), at(1, columns[1].end)]]
     }
 
-    /// Whether the candidates of a tile are on disk.
+    /// Whether the candidates and the points of a tile are on disk.
     pub fn is_detected(&self, tile: &Tile) -> bool {
-        candidates::path(&self.folder, tile.place).is_file()
+        candidates::path(&self.folder, tile.place).is_file() && self.has_points(tile)
+    }
+
+    /// Whether the points of a tile can be read.
+    pub(crate) fn has_points(&self, tile: &Tile) -> bool {
+        points::open(&self.folder, tile).is_ok()
     }
 
     /// Finds the candidates of a tile and writes them to the folder, unless they are there.
@@ -131,15 +156,19 @@ impl TiledRun {
             return Ok(());
         }
         let columns = self.plan.columns(tile.place);
-        let (points, _) = self.points(&widen(&columns, self.detector.halo()))?;
+        let (points, _) = self.points(&widen(&columns, self.detector.halo()), |_| true)?;
         let found = self.detector.detect(&points, &columns, control)?;
         candidates::write(&self.folder, tile.place, &found)
     }
 
-    /// The points in columns, in the order of the cloud, and their indices.
-    pub(crate) fn points(&self, columns: &[Range<i32>; 2]) -> Result<(Vec<Point>, Vec<u64>)> {
+    /// The points in columns of the tiles that are asked for, in the order of the cloud, and their indices.
+    pub(crate) fn points(
+        &self,
+        columns: &[Range<i32>; 2],
+        is_asked: impl Fn(&Tile) -> bool,
+    ) -> Result<(Vec<Point>, Vec<u64>)> {
         let mut found = Vec::new();
-        for tile in self.plan.tiles_in(columns) {
+        for tile in self.plan.tiles_in(columns).filter(|tile| is_asked(tile)) {
             for_each_point(&self.folder, tile, |point, index| {
                 let is_inside = |[x, y, _]: [i32; 3]| columns[0].contains(&x) && columns[1].contains(&y);
                 if self.detector.cell(&point).is_ok_and(is_inside) {

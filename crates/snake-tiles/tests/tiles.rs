@@ -60,6 +60,22 @@ fn five_tilings_an_interrupted_run_and_split_files_give_the_bits_of_the_whole_cl
         assert_equal(&finish(&run), &whole, &format!("tiles of {side}"));
     }
 
+    // Other processes open the run by its folder. The keypoints of its tiles, sorted, are those of the cloud.
+    let run = prepare(std::slice::from_ref(&scan), &options(), 9.0, &path("shared")).unwrap();
+    run.tiles().iter().for_each(|tile| run.detect(tile, &Control::default()).unwrap());
+    let open = |options| {
+        TiledRun::open(TileDetector::new(&Model::builtin(Builtin::Rooms), &options).unwrap(), &path("shared"))
+    };
+    let opened = open(options()).unwrap();
+    let detected = opened.detected().unwrap();
+    let of_tile = |tile| opened.keypoints(tile, &detected, &Control::default()).unwrap();
+    let mut keypoints: Vec<_> = opened.tiles().iter().flat_map(of_tile).collect();
+    keypoints.sort_by(|a, b| b.keypoint.saliency.total_cmp(&a.keypoint.saliency).then(a.cell.cmp(&b.cell)));
+    assert_eq!(keypoints, run.finish(&Control::default()).unwrap().keypoints);
+    assert!(keypoints.iter().map(|k| &k.keypoint).eq(&whole.keypoints));
+    let other = options().with_window_radius(Some(4.5.into()));
+    assert!(open(other).unwrap_err().to_string().contains("other options"));
+
     // A run that ends after some tiles goes on without the input, and repeats none of them.
     let begin = || prepare(std::slice::from_ref(&scan), &options(), 6.0, &path("interrupted")).unwrap();
     let first = begin();

@@ -28,7 +28,7 @@ fn tiles_write_the_keypoints_of_the_whole_cloud() {
     assert!(text.lines().count() > 20 && fs::read_to_string(&tiled).unwrap() == text);
     assert!(!folder.path().join("tiled.csv.tiles").exists());
 
-    // A damaged tile is named by its bounds, and the old result stays. Once it is whole, the run continues.
+    // A damaged tile is named by its bounds and left out. Once it is whole, the run continues.
     let (kept, parquet) = (path("kept"), path("keypoints.parquet"));
     let in_folder = ["-o", &parquet, "--tile", "4", "--tile-folder", &kept];
     assert_eq!(run(&in_folder).0, Some(0));
@@ -37,14 +37,34 @@ fn tiles_write_the_keypoints_of_the_whole_cloud() {
     let one = fs::read_dir(format!("{kept}/candidates")).unwrap().next().unwrap().unwrap().path();
     let points = format!("{kept}/points/{}.bin", one.file_stem().unwrap().display());
     let bytes = fs::read(&points).unwrap();
-    fs::remove_file(&one).unwrap();
-    fs::write(&points, &bytes[1..]).unwrap();
-    let (code, error) = run(&in_folder);
-    assert!(code == Some(2) && error.contains("the tile from x 691"), "{error}");
-    assert!(fs::read(&parquet).unwrap() == complete);
-    fs::write(&points, bytes).unwrap();
-    assert_eq!(run(&in_folder).0, Some(0));
-    assert!(fs::read(&parquet).unwrap() == complete);
+    let candidates = fs::read(&one).unwrap();
+    for has_candidates in [true, false] {
+        if !has_candidates {
+            fs::remove_file(&one).unwrap();
+        }
+        fs::write(&points, &bytes[1..]).unwrap();
+        let (code, error) = run(&in_folder);
+        assert!(code == Some(1) && error.contains("the tile from x 691"), "{error}");
+        assert!(fs::read(&parquet).unwrap() != complete);
+        fs::write(&points, &bytes).unwrap();
+        assert_eq!(run(&in_folder).0, Some(0));
+        assert!(fs::read(&parquet).unwrap() == complete);
+    }
+    assert!(fs::read(&one).unwrap() == candidates);
+
+    // With a full disk the old result stays, and the run continues once there is room.
+    #[cfg(target_os = "linux")]
+    {
+        fs::remove_file(&one).unwrap();
+        std::os::unix::fs::symlink("/dev/full", &one).unwrap();
+        let (code, error) = run(&in_folder);
+        assert!(code == Some(2) && error.contains("No space left") && error.contains("the same command"), "{error}");
+        assert!(fs::read(&parquet).unwrap() == complete);
+        fs::remove_file(&one).unwrap();
+        fs::remove_file(&parquet).unwrap();
+        assert_eq!(run(&in_folder).0, Some(0));
+        assert!(fs::read(&parquet).unwrap() == complete && fs::read(&one).unwrap() == candidates);
+    }
 }
 
 #[test]
@@ -58,6 +78,7 @@ fn tiles_need_lengths_in_cloud_units_and_files() {
         (&["--model", "rooms", "--nms-radius", "3r"], "nms_radius"),
         (&["--model", "rooms", "--max-points", "100"], "max_points"),
         (&["--model", "rooms", "--snap"], "snap"),
+        (&["--model", "rooms", "--mode-radius", "0.1"], "mode_radius"),
         (&["--model", "rooms", "--json"], "--json"),
     ] {
         let refused = snake(&[&["detect", &input, "-o", &output, "--tile", "4"][..], arguments].concat());
@@ -66,4 +87,14 @@ fn tiles_need_lengths_in_cloud_units_and_files() {
     }
     let refused = snake(&["detect", "-", "-o", &output, "--tile", "4", "--model", "rooms"]);
     assert!(stderr(&refused).contains("standard input"), "{}", stderr(&refused));
+    let drive = path("drive.mcap");
+    fs::write(&drive, "no recording").unwrap();
+    for inputs in [&[&drive][..], &[&drive, &input]] {
+        let inputs = inputs.iter().map(|input| input.as_str());
+        let arguments: Vec<&str> = ["detect"].into_iter().chain(inputs).chain(["-o", &output, "--tile", "4"]).collect();
+        let refused = snake(&arguments);
+        assert_eq!(refused.status.code(), Some(2));
+        assert!(stderr(&refused).contains("recording"), "{}", stderr(&refused));
+    }
+    assert!(!std::path::Path::new(&output).exists());
 }

@@ -1,0 +1,177 @@
+"""Clouds in tiles from Python, on one machine and on a local Ray cluster, have the keypoints of the whole cloud."""
+
+import json
+import os
+import pickle
+import signal
+
+import numpy as np
+import pytest
+
+import snake_rs
+
+OPTIONS = {
+    "window_radius": 4.0,
+    "query_resolution": 14,
+    "refine_steps": 0,
+    "saliency_threshold": 0.01,
+    "nms_radius": 0.5,
+}
+WHOLE = {**OPTIONS, "max_keypoints": 100_000}
+
+
+@pytest.fixture(scope="module")
+def city(tmp_path_factory):
+    """A street with houses, far from zero, as an .xyz file."""
+    rng = np.random.default_rng(0)
+    ground = np.column_stack([rng.uniform(0, 40, (2500, 1)), rng.uniform(0, 16, (2500, 1)), np.zeros((2500, 1))])
+    along, height = rng.uniform(0, 40, 2500), rng.uniform(0, 6, 2500)
+    facade = np.column_stack([along, 5 + 0.3 * ((along // 3) % 2), height])
+    path = tmp_path_factory.mktemp("city") / "city.xyz"
+    np.savetxt(path, np.concatenate([ground, facade]) + [691_000.0, 5_336_000.0, 512.0], fmt="%.3f")
+    return path
+
+
+@pytest.fixture(scope="module")
+def whole(city):
+    keypoints = snake_rs.detect(city, model="rooms", **WHOLE)
+    assert len(keypoints) > 50
+    return keypoints
+
+
+def assert_equal(found, whole):
+    """The bits of all columns."""
+    for name, column in whole.to_dict().items():
+        assert np.array_equal(np.asarray(found[name]), column), name
+
+
+def test_tiles_and_their_pickles_give_the_keypoints_of_the_whole_cloud(city, whole, tmp_path):
+    tiles = snake_rs.tiles(city, tile=9, folder=tmp_path / "tiles", model="rooms", **OPTIONS)
+    assert len(tiles) > 4 and not tiles.failures and tiles.max_keypoints is None
+    copy = pickle.loads(pickle.dumps(tiles))
+    for row in copy.rows():
+        assert row["west"] < row["east"] and row["num_points"] > 0 and row["num_windows"] > 0
+        copy.detect(row["tile"])
+        assert tiles.is_detected(row["tile"])
+    assert sum(row["num_points"] for row in tiles.rows()) == 5000
+    keypoints = tiles.finish()
+    assert_equal(keypoints.to_dict(), whole)
+    assert keypoints.counts == whole.counts
+
+
+def test_limits_lists_of_paths_and_missing_tiles(city, whole, tmp_path):
+    broken = tmp_path / "broken.laz"
+    broken.write_text("no scan")
+    tiles = snake_rs.tiles(
+        [city, broken], tile=20, folder=tmp_path / "tiles", model="rooms", **OPTIONS, max_keypoints=9
+    )
+    assert list(tiles.failures) == [broken]
+    with pytest.warns(UserWarning, match="tiles are missing"):
+        assert len(tiles.finish()) == 0
+    assert tiles.detected().missing == list(range(len(tiles)))
+    for tile in range(len(tiles)):
+        tiles.detect(tile)
+    assert tiles.detected().missing == []
+    assert_equal(tiles.finish().to_dict(), whole[:9])
+    with pytest.raises(IndexError):
+        tiles.detect(len(tiles))
+
+
+@pytest.mark.parametrize(
+    ("wrong", "error", "words"),
+    [
+        ({"tile": 0}, ValueError, "tile"),
+        ({"model": "compact"}, ValueError, "window_radius"),
+        ({"snap": True}, ValueError, "snap"),
+        ({"mode_radius": 0.1}, ValueError, "mode_radius"),
+        ({"paths": "missing.laz"}, FileNotFoundError, "missing.laz"),
+        ({"colour": 1}, TypeError, "colour"),
+    ],
+)
+def test_mistakes_are_errors(city, tmp_path, wrong, error, words):
+    given = {"paths": city, "tile": 9, "folder": tmp_path / "tiles", "model": "rooms", **wrong}
+    with pytest.raises(error, match=words):
+        snake_rs.tiles(**given)
+
+
+@pytest.fixture(scope="module")
+def cluster():
+    """A local Ray cluster of two CPUs."""
+    ray = pytest.importorskip("ray", reason="Ray is not installed: pip install 'ray[data]'")
+    pytest.importorskip("snake_rs.ray", reason="Ray Data is not installed: pip install 'ray[data]'")
+    ray.init(num_cpus=2, include_dashboard=False, log_to_driver=False, object_store_memory=200 << 20)
+    ray.data.DataContext.get_current().enable_progress_bars = False
+    yield ray
+    ray.shutdown()
+
+
+def test_a_cluster_detects_small_clouds_as_one_machine(cluster, tmp_path):
+    from snake_rs.ray import DetectClouds
+
+    def cloud(seed):
+        rng = np.random.default_rng(seed)
+        return (rng.normal(size=(300, 3)) * [1, 2, 0.3]).astype(np.float32)
+
+    options = {"query_resolution": 8, "saliency_threshold": 0.0}
+    rows = [{"name": seed, "points": cloud(seed).ravel()} for seed in range(200)]
+    clouds = cluster.data.from_items([*rows, {"name": 200, "points": np.zeros(4, np.float32)}])
+    steps = {"batch_format": "pyarrow", "concurrency": 2, "num_cpus": 1, "batch_size": 16}
+    found = clouds.map_batches(DetectClouds, fn_constructor_kwargs={"model": "compact", **options}, **steps).take_all()
+    assert sorted(row["name"] for row in found) == list(range(201))
+    for row in found:
+        if row["name"] == 200:
+            assert "points" in row["error"] and row["keypoints"] is None
+            continue
+        here = snake_rs.detect(cloud(row["name"]), **options)
+        assert row["error"] is None and len(here) > 0
+        for name, column in here.to_dict().items():
+            assert np.array_equal(np.array([k[name] for k in row["keypoints"]], column.dtype), column)
+
+    path = tmp_path / "cloud.npy"
+    np.save(path, cloud(0))
+    paths = cluster.data.from_items([{"path": str(path)}, {"path": str(tmp_path / "missing.npy")}])
+    found = paths.map_batches(DetectClouds, fn_constructor_kwargs=options, **steps).take_all()
+    by_path = {os.path.basename(row["path"]): row for row in found}
+    assert len(by_path["cloud.npy"]["keypoints"]) == len(snake_rs.detect(path, **options))
+    assert "FileNotFoundError" in by_path["missing.npy"]["error"]
+
+
+def test_a_cluster_has_the_bits_of_one_machine_though_a_worker_is_killed(cluster, city, whole, tmp_path, monkeypatch):
+    from snake_rs import ray as module
+
+    folder, mark = tmp_path / "tiles", tmp_path / "killed"
+
+    def times():
+        return {path.name: path.stat().st_mtime_ns for path in (folder / "candidates").glob("*.safetensors")}
+
+    class KilledOnce(module.DetectTiles):
+        """Its process dies once, when three tiles are done."""
+
+        def __call__(self, batch):
+            done = times()
+            if len(done) >= 3 and not mark.exists():
+                mark.write_text(json.dumps(done))
+                os.kill(os.getpid(), signal.SIGKILL)
+            return super().__call__(batch)
+
+    monkeypatch.setattr(module, "DetectTiles", KilledOnce)
+    tiles = snake_rs.tiles(city, tile=5, folder=folder, model="rooms", **OPTIONS)
+    table = module.keypoints_of_tiles(tiles, concurrency=2)
+    assert_equal({name: table[name].to_numpy() for name in table.column_names}, whole)
+    # No tile is lost, and none that was done when the worker died is detected again.
+    first = times()
+    assert len(first) == len(tiles) > 6
+    assert all(first[name] == time for name, time in json.loads(mark.read_text()).items())
+    monkeypatch.undo()
+    assert module.keypoints_of_tiles(pickle.loads(pickle.dumps(tiles))).equals(table)
+    assert times() == first
+
+
+def test_a_cluster_names_tiles_that_fail(cluster, city, tmp_path):
+    from snake_rs.ray import keypoints_of_tiles
+
+    tiles = snake_rs.tiles(city, tile=40, folder=tmp_path / "tiles", model="rooms", **OPTIONS)
+    for path in (tmp_path / "tiles" / "points").iterdir():
+        path.write_bytes(b"damaged")
+    with pytest.warns(UserWarning, match="the tile from x 69.*7 bytes"):
+        assert keypoints_of_tiles(tiles).num_rows == 0
