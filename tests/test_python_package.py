@@ -1,6 +1,7 @@
 """The package: stub and documentation."""
 
 import ast
+import importlib.util
 import subprocess
 import sys
 from pathlib import Path
@@ -22,7 +23,9 @@ def test_the_stub_lists_every_option(model):
 
 def test_the_stub_matches_the_module():
     pytest.importorskip("mypy.stubtest")
-    result = subprocess.run([sys.executable, "-m", "mypy.stubtest", "snake_rs"], capture_output=True, text=True)
+    # Without Ray this module cannot be imported.
+    modules = ["snake_rs"] if importlib.util.find_spec("ray") else ["snake_rs._core", "snake_rs.metrics"]
+    result = subprocess.run([sys.executable, "-m", "mypy.stubtest", *modules], capture_output=True, text=True)
     assert result.returncode == 0, result.stdout + result.stderr
 
 

@@ -99,6 +99,7 @@ def cluster():
     """A local Ray cluster of two CPUs."""
     ray = pytest.importorskip("ray", reason="Ray is not installed: pip install 'ray[data]'")
     pytest.importorskip("snake_rs.ray", reason="Ray Data is not installed: pip install 'ray[data]'")
+    os.environ["RAY_USAGE_STATS_ENABLED"] = "0"
     ray.init(num_cpus=2, include_dashboard=False, log_to_driver=False, object_store_memory=200 << 20)
     ray.data.DataContext.get_current().enable_progress_bars = False
     yield ray
@@ -109,10 +110,13 @@ def test_a_cluster_detects_small_clouds_as_one_machine(cluster, tmp_path):
     from snake_rs.ray import DetectClouds
 
     def cloud(seed):
+        """The surface of a box."""
         rng = np.random.default_rng(seed)
-        return (rng.normal(size=(300, 3)) * [1, 2, 0.3]).astype(np.float32)
+        points = rng.uniform(-1, 1, (600, 3))
+        points[np.arange(600), rng.integers(0, 3, 600)] = rng.choice([-1, 1], 600)
+        return (points * [1, 2, 0.3 + rng.uniform()]).astype(np.float32)
 
-    options = {"query_resolution": 8, "saliency_threshold": 0.0}
+    options = {"query_resolution": 24, "saliency_threshold": 0.1}
     rows = [{"name": seed, "points": cloud(seed).ravel()} for seed in range(200)]
     clouds = cluster.data.from_items([*rows, {"name": 200, "points": np.zeros(4, np.float32)}])
     steps = {"batch_format": "pyarrow", "concurrency": 2, "num_cpus": 1, "batch_size": 16}

@@ -24,11 +24,11 @@ from typing import Any
 import numpy as np
 
 try:
-    import pyarrow as pa
-    import ray
-    import ray.data
-except ImportError as error:
-    raise ImportError('snake_rs.ray needs Ray Data: pip install "snake-rs[ray]"') from error
+    import pyarrow as pa  # type: ignore[import-not-found, import-untyped, unused-ignore]
+    import ray  # type: ignore[import-not-found, unused-ignore]
+    import ray.data  # type: ignore[import-not-found, unused-ignore]
+except ImportError as _error:
+    raise ImportError('snake_rs.ray needs Ray Data: pip install "snake-rs[ray]"') from _error
 
 from ._core import Model, Tiles, detect, set_num_threads
 
@@ -83,7 +83,8 @@ class DetectClouds:
         is_path = "path" in batch.column_names
         if not is_path and "points" not in batch.column_names:
             raise ValueError(f"a batch needs the column path or points; it has {', '.join(batch.column_names)}")
-        found, errors = [], []
+        found: list[list[dict[str, Any]] | None] = []
+        errors: list[str | None] = []
         for value in batch["path" if is_path else "points"]:
             try:
                 points = value.as_py() if is_path else _points(value)
@@ -121,7 +122,7 @@ class DetectTiles:
         self.tiles = tiles
 
     def __call__(self, batch: pa.Table) -> pa.Table:
-        errors = []
+        errors: list[str | None] = []
         for tile in batch["tile"].to_pylist():
             try:
                 self.tiles.detect(tile)

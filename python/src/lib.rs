@@ -16,7 +16,7 @@ mod options;
 mod page;
 mod registration;
 mod threads;
-mod tiles;
+mod tiled;
 
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
@@ -30,7 +30,7 @@ use mesh::Mesh;
 use model::Model;
 use registration::{Registration, estimate_normals, fpfh, register};
 use threads::{get_num_threads, set_num_threads};
-use tiles::{DetectedTiles, Tiles, tiles};
+use tiled::{DetectedTiles, Tiles, tiles};
 
 /// Detects the keypoints of a cloud in one call: `model.encode(points).detect()`. `model` is a `Model`, the name of a
 /// built-in model ("compact", "standard" or "rooms") or the path of a weight file; it defaults to "compact".
