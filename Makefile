@@ -57,9 +57,12 @@ bench: module $(VENV)/bench-ready  ## speed beside PyTorch, ONNX Runtime, OpenVI
 	cargo build --release
 	$(PYTHON) -m snake_training.benchmark
 
-bench-registration: module  ## registration beside Open3D and KISS-Matcher: make bench-registration SCENES=FOLDER
+$(VENV)/registration-ready: $(VENV)/ready
 	$(PYTHON) -m pip install --quiet -e "training[registration]"
-	$(PYTHON) tests/bench/registration.py $(SCENES)
+	touch $@
+
+bench-registration: module $(VENV)/registration-ready  ## registration beside Open3D and KISS-Matcher: make bench-registration SCENES=FOLDER OBJECTS=FOLDER; resumable, hours, PARTS="speed verdict" for a part
+	$(PYTHON) tests/bench/registration.py $(if $(SCENES),--scenes $(SCENES)) $(if $(OBJECTS),--objects $(OBJECTS)) $(if $(PARTS),--parts $(PARTS))
 
 results:  ## docs/results.md: make results OBJECTS=FOLDER LANDMARKS=FOLDER SCENES="FOLDER .." (or one of them); resumable
 	python3 docs/results.py $(if $(OBJECTS),--objects $(OBJECTS)) $(if $(LANDMARKS),--landmarks $(LANDMARKS)) $(if $(SCENES),--scenes $(SCENES))

@@ -1,18 +1,22 @@
 """Alignment of all fragments of a scene beside Open3D's multiway registration.
 
-    python tests/bench/alignment.py FOLDER [--scene PREFIX]
+    python tests/bench/alignment.py FOLDER [--scene PREFIX] [--methods snake-rs] [--published-pairs]
 
 Prints how many fragments are within 15 degrees and 0.3 m of the published poses after one common motion, and how well the
 fragments of the published pairs fit by either poses.
 """
 
 import argparse
+import itertools
 import time
 from pathlib import Path
 
 import numpy as np
 import scene_pairs
 from scipy.spatial import cKDTree
+from tqdm import tqdm
+
+METHODS = OURS, OPEN3D = ["snake-rs", "open3d-multiway"]
 
 
 def ours(clouds: list[np.ndarray]) -> tuple[list[np.ndarray], list[list[int]]]:
@@ -22,12 +26,15 @@ def ours(clouds: list[np.ndarray]) -> tuple[list[np.ndarray], list[list[int]]]:
     return found.poses, found.parts
 
 
-def open3d_multiway(clouds: list[np.ndarray]) -> tuple[list[np.ndarray], list[list[int]]]:
-    """Open3D's pipeline for fragments: neighbours by the order, other pairs by FPFH with RANSAC, then its pose graph."""
+def open3d_multiway(
+    clouds: list[np.ndarray], size: float, pairs: set[tuple[int, int]]
+) -> tuple[list[np.ndarray], list[list[int]]]:
+    """Open3D's pipeline for fragments: neighbours by the order and the given pairs by FPFH with RANSAC on voxels of a size in
+    metres, then its pose graph."""
     import open3d as o3d
     import registration_peers as peers
 
-    registration, size = o3d.pipelines.registration, 0.05
+    registration = o3d.pipelines.registration
     downs = [peers.with_normals(points, size, to_origin=True) for points in clouds]
     features = [peers.fpfh(down, size) for down in downs]
     distance = 1.5 * size
@@ -38,42 +45,42 @@ def open3d_multiway(clouds: list[np.ndarray]) -> tuple[list[np.ndarray], list[li
     graph = registration.PoseGraph()
     pose = np.eye(4)
     graph.nodes.append(registration.PoseGraphNode(pose))
-    for source in range(len(clouds)):
-        for target in range(source + 1, len(clouds)):
-            is_next = target == source + 1
-            o3d.utility.random.seed(0)
-            rough = registration.registration_ransac_based_on_feature_matching(
-                downs[source],
-                downs[target],
-                features[source],
-                features[target],
-                True,
-                distance,
-                registration.TransformationEstimationPointToPoint(False),
-                3,
-                checkers,
-                registration.RANSACConvergenceCriteria(100000, 0.999),
-            )
-            found = registration.registration_icp(
-                downs[source],
-                downs[target],
-                distance,
-                rough.transformation,
-                registration.TransformationEstimationPointToPlane(),
-            )
-            information = registration.get_information_matrix_from_point_clouds(
-                downs[source], downs[target], distance, found.transformation
-            )
-            # As in Open3D's reconstruction system, a loop closure has 30 % of the smaller cloud as inliers.
-            least = 0.3 * min(len(downs[source].points), len(downs[target].points))
-            if is_next:
-                pose = found.transformation @ pose
-                graph.nodes.append(registration.PoseGraphNode(np.linalg.inv(pose)))
-            elif information[5, 5] < least:
-                continue
-            graph.edges.append(
-                registration.PoseGraphEdge(source, target, found.transformation, information, uncertain=not is_next)
-            )
+    following = {(source, source + 1) for source in range(len(clouds) - 1)}
+    for source, target in tqdm(sorted(following | pairs), "Open3D"):
+        is_next = target == source + 1
+        o3d.utility.random.seed(0)
+        rough = registration.registration_ransac_based_on_feature_matching(
+            downs[source],
+            downs[target],
+            features[source],
+            features[target],
+            True,
+            distance,
+            registration.TransformationEstimationPointToPoint(False),
+            3,
+            checkers,
+            registration.RANSACConvergenceCriteria(100000, 0.999),
+        )
+        found = registration.registration_icp(
+            downs[source],
+            downs[target],
+            distance,
+            rough.transformation,
+            registration.TransformationEstimationPointToPlane(),
+        )
+        information = registration.get_information_matrix_from_point_clouds(
+            downs[source], downs[target], distance, found.transformation
+        )
+        # As in Open3D's reconstruction system, a loop closure has 30 % of the smaller cloud as inliers.
+        least = 0.3 * min(len(downs[source].points), len(downs[target].points))
+        if is_next:
+            pose = found.transformation @ pose
+            graph.nodes.append(registration.PoseGraphNode(np.linalg.inv(pose)))
+        elif information[5, 5] < least:
+            continue
+        graph.edges.append(
+            registration.PoseGraphEdge(source, target, found.transformation, information, uncertain=not is_next)
+        )
     registration.global_optimization(
         graph,
         registration.GlobalOptimizationLevenbergMarquardt(),
@@ -134,7 +141,11 @@ def main() -> None:
     parser.add_argument("scenes", type=Path)
     parser.add_argument("--split", default="val")
     parser.add_argument("--scene", default="sun3d", help="prefix of the fragments [default: sun3d]")
-    parser.add_argument("--ours-only", action="store_true")
+    parser.add_argument("--methods", nargs="+", choices=METHODS, default=METHODS)
+    parser.add_argument("--voxel-size", type=float, default=0.05, help="Open3D's, in metres [default: 0.05]")
+    parser.add_argument(
+        "--published-pairs", action="store_true", help="Open3D tries neighbours and pairs that overlap, not all"
+    )
     arguments = parser.parse_args()
     published = scene_pairs.overlapping(arguments.scenes, arguments.split)
     known = scene_pairs.poses(published)
@@ -143,9 +154,12 @@ def main() -> None:
     truth = [known[name][1] for name in names]
     ends = {(pair.source.stem, pair.target.stem) for pair in published}
     overlapping = sorted((names.index(a), names.index(b)) for a, b in ends if a in names and b in names)
-    for name, method in [("snake-rs", ours)] + [("Open3D multiway", open3d_multiway)] * (not arguments.ours_only):
+    pairs = {(min(pair), max(pair)) for pair in overlapping}
+    if not arguments.published_pairs:
+        pairs = set(itertools.combinations(range(len(clouds)), 2))
+    for name in arguments.methods:
         start, cpu = time.perf_counter(), time.process_time()
-        poses, parts = method(clouds)
+        poses, parts = ours(clouds) if name == OURS else open3d_multiway(clouds, arguments.voxel_size, pairs)
         seconds, processor = time.perf_counter() - start, time.process_time() - cpu
         largest = parts[0]
         of_part = lambda values: [values[i] for i in largest]

@@ -7,7 +7,6 @@ import numpy as np
 import open3d as o3d
 
 registration = o3d.pipelines.registration
-VOXEL_SIZES = (0.03, 0.05, 0.08)
 ICP_VOXEL_SIZE = 0.05
 ICP_STEPS = 30
 
@@ -92,9 +91,3 @@ def run(method: str, source: np.ndarray, target: np.ndarray) -> dict:
     seconds = time.perf_counter() - start
     score = fitness if score is None else score
     return {"rough": rough.tolist(), "refined": refined.tolist(), "score": score, "seconds": seconds}
-
-
-METHODS = [f"{name}/{size}" for size in VOXEL_SIZES for name in ("kiss", "ransac", "fgr")] + [
-    "ransac/0.05/oriented",
-    "fgr/0.05/oriented",
-]

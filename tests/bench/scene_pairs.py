@@ -20,6 +20,10 @@ class Pair(NamedTuple):
     t_target_source: np.ndarray | None
     overlap: float
 
+    def clouds(self) -> tuple[np.ndarray, np.ndarray]:
+        """The points (N, 3) of source and target."""
+        return np.load(self.source), np.load(self.target)
+
 
 def overlapping(scenes: Path, split: str) -> list[Pair]:
     """All published pairs of a split."""
