@@ -1,10 +1,9 @@
 //! Keypoint detection (SNAKE Algorithm 1).
 
-use std::time::Instant;
-
 use serde::{Deserialize, Serialize};
 
 use crate::Result;
+use crate::clock::Instant;
 use crate::control::Control;
 use crate::field::Field;
 use crate::modes::seek_modes;

@@ -1,8 +1,7 @@
 //! Detection in clouds that come one after another.
 
-use std::time::Instant;
-
 use crate::Result;
+use crate::clock::Instant;
 use crate::control::Control;
 use crate::detect::Detection;
 use crate::field::Field;

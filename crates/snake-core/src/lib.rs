@@ -17,6 +17,7 @@
 #[cfg(feature = "arrow")]
 mod arrow;
 mod budget;
+mod clock;
 mod cloud;
 mod config;
 mod control;

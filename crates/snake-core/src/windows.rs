@@ -2,10 +2,10 @@
 
 use std::num::NonZeroUsize;
 use std::sync::Arc;
-use std::time::Instant;
 
 use rayon::prelude::*;
 
+use crate::clock::Instant;
 use crate::control::Control;
 use crate::detect::{Candidates, Detection, finish};
 use crate::field::{Field, check_number_of_points};
