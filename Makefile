@@ -34,8 +34,10 @@ $(VENV)/bench-ready: $(VENV)/ready
 module: $(VENV)/ready
 	$(VENV)/bin/maturin develop --release --quiet --manifest-path python/Cargo.toml
 
+# The features of all examples: tests/test_embedding.py runs what is compiled here.
+EXAMPLE_FEATURES := snake-core/arrow
 test: module  ## all tests: Rust, Python module, training, parity with PyTorch
-	cargo test --release
+	cargo test --release --features $(EXAMPLE_FEATURES)
 	OMP_NUM_THREADS=1 $(PYTHON) -m pytest -q -rs tests training/tests
 
 # Cargo unpacks the crates that it verifies here, once a version: those of an earlier run would be verified again.

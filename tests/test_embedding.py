@@ -40,7 +40,8 @@ def name_of(command):
 @pytest.fixture(scope="module")
 def examples():
     """The folder of the compiled examples. `cargo test` has compiled them, so this takes no time after it."""
-    subprocess.run(["cargo", "build", "--release", "--examples"], cwd=ROOT, check=True)
+    features = re.search(r"^EXAMPLE_FEATURES := (\S+)$", (ROOT / "Makefile").read_text(), re.MULTILINE)[1]
+    subprocess.run(["cargo", "build", "--release", "--examples", "--features", features], cwd=ROOT, check=True)
     return Path(os.environ.get("CARGO_TARGET_DIR", ROOT / "target")) / "release" / "examples"
 
 
@@ -66,10 +67,7 @@ def test_every_example_runs(command, examples, tmp_path):
         "mcap_replay": ["tests/data/io/drive.mcap", str(tmp_path / "keypoints.mcap")],
     }
     # The command line has the feature mcap, so that its example is compiled with the others.
-    if "--features arrow" in command:
-        run = command.split()
-    else:
-        run = [examples / name, *arguments.get(name, [])]
+    run = [examples / name, *arguments.get(name, [])]
     done = subprocess.run(run, cwd=ROOT, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
     assert PRINTED.get(name, "") in done.stdout
