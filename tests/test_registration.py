@@ -80,6 +80,13 @@ def test_model_and_options_reach_the_core(cloud, found):
         assert not is_same, options
 
 
+def test_few_keypoints_are_spread(cloud):
+    truth = transform()
+    few = snake_rs.register(cloud[:2048], moved(truth, cloud[2048:]), num_keypoints=250)
+    assert np.abs(moved(few.t_target_source, cloud) - moved(truth, cloud)).max() < 0.05
+    assert few.num_correspondences <= 500 and few.is_reliable
+
+
 def test_endless_and_nested_values_are_refused(cloud):
     nested = []
     nested.append(nested)
@@ -111,6 +118,7 @@ def test_guess_axis_and_viewpoints(cloud, found):
         ({"max_keypoints": 2}, "3 or more"),
         ({"seed": -1}, "whole number"),
         ({"max_matches": 2}, "3 to 20000"),
+        ({"num_keypoints": 2}, "3 or more"),
         ({"gravity": "w"}, "gravity"),
         ({"initial": np.zeros((4, 4))}, "initial"),
         ({"source_viewpoint": [0, 1]}, "source_viewpoint"),

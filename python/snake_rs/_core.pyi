@@ -120,6 +120,7 @@ class _RegisterOptions(TypedDict, total=False):
     detector: Literal["voxels", "snake", "iss", "harris3d", "sift3d", "fps", "random"]
     descriptor: Literal["fpfh", "field"]
     max_keypoints: int
+    num_keypoints: int | None
     max_matches: int
     voxel_size: float | str | None
     normal_radius: float | str | None

@@ -160,7 +160,8 @@ impl Registration {
 ///
 /// Options: `detector` ("voxels", all points of the downsampled clouds, "snake", the model's keypoints, or "iss",
 /// "harris3d", "sift3d", "fps" or "random" on the downsampled clouds), `descriptor` ("fpfh", which is invariant to
-/// rotation, or "field", for clouds of about the same orientation), `max_keypoints`, `max_matches`, `voxel_size`,
+/// rotation, or "field", for clouds of about the same orientation), `max_keypoints`, `num_keypoints` (exactly this many, spread evenly, for links of
+/// low bandwidth; None: `max_keypoints` counts), `max_matches`, `voxel_size`,
 /// `normal_radius`, `feature_radius` and `inlier_distance` (lengths in cloud units, or text such as "3r" in multiples of
 /// the coarser cloud's mean distance between nearest points; None: derived from the clouds), `use_viewpoints`,
 /// `source_viewpoint` and `target_viewpoint` (the sensors' positions (3,); None: the origin, if most of the cloud is

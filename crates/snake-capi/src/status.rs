@@ -47,7 +47,7 @@ impl Failure {
 impl From<Error> for Failure {
     fn from(error: Error) -> Self {
         let status = match error {
-            Error::Input { .. } => SnakeStatus::Input,
+            Error::Input { .. } | Error::NoTransform { .. } => SnakeStatus::Input,
             Error::Option { .. } => SnakeStatus::Option,
             Error::Weights { .. } => SnakeStatus::Weights,
             Error::Io { .. } => SnakeStatus::Io,

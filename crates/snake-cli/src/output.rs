@@ -5,7 +5,7 @@ use std::fs::Metadata;
 use std::io;
 use std::path::{Path, PathBuf};
 
-use anyhow::{Result, bail};
+use anyhow::{Context, Result, bail};
 
 use crate::inputs::DASH;
 
@@ -26,6 +26,21 @@ impl InputFiles {
         }
         Ok(())
     }
+}
+
+/// Returns an error if a page cannot be written to a file of this name.
+pub fn check_page_path(path: &Path) -> Result<()> {
+    let extension = path.extension().unwrap_or_default().to_string_lossy().to_ascii_lowercase();
+    if !["html", "htm"].contains(&extension.as_str()) {
+        bail!("{}: unknown extension; files that can be written: .html", path.display());
+    }
+    Ok(())
+}
+
+/// Writes a page.
+pub fn write_page(path: &Path, html: &str) -> Result<()> {
+    snake_io::write_atomically(path, |file| file.write_all(html.as_bytes()))
+        .with_context(|| format!("cannot write {}", path.display()))
 }
 
 /// The identity of a regular file, the same for all of its paths: device and inode on Unix, the canonical path

@@ -32,6 +32,12 @@ pub enum Error {
         /// The reason.
         reason: String,
     },
+    /// No rigid transform fits two clouds: they do not overlap, or are in different units.
+    #[error("source and target: {reason}")]
+    NoTransform {
+        /// What was tried, and what may be wrong.
+        reason: String,
+    },
     /// An option is outside its range.
     #[error("option `{name}` is {value}: allowed is {allowed}")]
     Option {

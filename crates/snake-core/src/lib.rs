@@ -56,6 +56,7 @@ mod setters;
 mod side_by_side;
 pub mod space;
 mod span;
+mod spread;
 mod surface;
 mod tiles;
 mod tracker;

@@ -54,7 +54,13 @@ pub(crate) fn suppress_in(
     keep_in_order(tree, points, by_falling_score(scores), radius, limit)
 }
 
-fn keep_in_order(tree: &KdTree<f32>, points: &[Point], order: Vec<usize>, radius: f32, limit: usize) -> Vec<usize> {
+pub(crate) fn keep_in_order(
+    tree: &KdTree<f32>,
+    points: &[Point],
+    order: Vec<usize>,
+    radius: f32,
+    limit: usize,
+) -> Vec<usize> {
     let mut alive = vec![true; points.len()];
     let mut kept = Vec::new();
     for index in order {

@@ -5,3 +5,4 @@ pub use crate::length::resolution;
 pub use crate::neighbors::{Neighbors, Vector, eigen, vector};
 pub use crate::nms::{nearest_points, suppress_ranked};
 pub use crate::points::{FinitePoints, check_points};
+pub use crate::spread::suppress_to_count;

@@ -23,6 +23,10 @@ pub struct RegisterOptions {
     pub descriptor: Descriptor,
     /// Maximum number of keypoints per cloud; the best are kept. Of too many voxels it keeps a random part.
     pub max_keypoints: usize,
+    /// Exactly this many keypoints per cloud, or all if there are fewer, for links of low bandwidth: they are ranked by the
+    /// detector and spread over the cloud by [`suppress_to_count`](snake_core::space::suppress_to_count), where the best
+    /// ones alone would cluster. It takes the place of `max_keypoints`.
+    pub num_keypoints: Option<usize>,
     /// Maximum number of matches; the most distinctive are kept.
     pub max_matches: usize,
     /// Side of the voxels for normals, FPFH and refinement. `None`: 1/80 of the smaller cloud's diameter, which is
@@ -60,6 +64,7 @@ setters!(RegisterOptions {
     detector: KeypointDetector => with_detector,
     descriptor: Descriptor => with_descriptor,
     max_keypoints: usize => with_max_keypoints,
+    num_keypoints: Option<usize> => with_num_keypoints,
     max_matches: usize => with_max_matches,
     voxel_size: Option<Length> => with_voxel_size,
     normal_radius: Option<Length> => with_normal_radius,
@@ -81,6 +86,7 @@ impl Default for RegisterOptions {
             detector: KeypointDetector::default(),
             descriptor: Descriptor::default(),
             max_keypoints: 8000,
+            num_keypoints: None,
             max_matches: 2000,
             voxel_size: None,
             normal_radius: None,
@@ -141,6 +147,9 @@ impl RegisterOptions {
         let number = |name, value: usize, allowed| Err(Error::Option { name, value: value.to_string(), allowed });
         if self.max_keypoints < 3 {
             return number("max_keypoints", self.max_keypoints, "3 or more");
+        }
+        if let Some(count @ ..3) = self.num_keypoints {
+            return number("num_keypoints", count, "3 or more");
         }
         if !(3..=MOST_MATCHES).contains(&self.max_matches) {
             return number("max_matches", self.max_matches, "3 to 20000");

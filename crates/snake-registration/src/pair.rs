@@ -115,6 +115,11 @@ impl<'a> Pair<'a> {
             weakest_constraint: constraint.weakest,
             information: std::array::from_fn(|row| std::array::from_fn(|column| constraint.information[(row, column)])),
             hypotheses: found.iter().take(options.hypotheses).map(hypothesis).collect(),
+            matches: matches
+                .iter()
+                .filter(|found| found.squared_residual(&best.refined, &criteria).is_some())
+                .map(|found| [found.source, found.target].map(|end| end.map(|v| v as f32).into()))
+                .collect(),
             viewpoints: self.viewpoints_used(),
             notes: notes(&evidence, self.diameters()),
             num_skipped: self.clouds.map(|cloud| cloud.num_skipped),
@@ -187,6 +192,8 @@ impl<'a> Pair<'a> {
         });
         let mut candidates: Vec<Candidate> = candidates.collect::<Result<_>>()?;
         sort(&mut candidates);
+        // Otherwise the best few may all be one transform, and a rival is not seen.
+        let mut candidates = self.distinct(candidates, &coarse);
         candidates.truncate(REFINED.max(options.hypotheses));
         for candidate in &mut candidates {
             let (rough, steps) = (candidate.refined, options.refine_steps);
@@ -194,14 +201,19 @@ impl<'a> Pair<'a> {
             candidate.agreement = Surface::agreement(&source, &target, &candidate.refined, 1);
         }
         sort(&mut candidates);
+        Ok(self.distinct(candidates, &coarse))
+    }
+
+    /// The candidates without those that move the points to about the same places as a better one.
+    fn distinct(&self, candidates: Vec<Candidate>, points: &[Vector]) -> Vec<Candidate> {
         let mut distinct: Vec<Candidate> = Vec::new();
         for candidate in candidates {
-            let apart = |other: &Candidate| displacement(&candidate.refined, &other.refined, &coarse);
+            let apart = |other: &Candidate| displacement(&candidate.refined, &other.refined, points);
             if distinct.iter().all(|other| apart(other) > 2.0 * self.inlier_distance) {
                 distinct.push(candidate);
             }
         }
-        Ok(distinct)
+        distinct
     }
 
     /// A guess after ICP with distant pairs.
@@ -244,7 +256,7 @@ impl<'a> Pair<'a> {
         if let Some(note) = notes.first() {
             reason += &format!("; {note}");
         }
-        Error::Input { what: "source and target", reason }
+        Error::NoTransform { reason }
     }
 }
 

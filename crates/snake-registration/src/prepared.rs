@@ -73,7 +73,7 @@ impl PreparedClouds {
             let scan = Scan::of(points, voxels, model, lengths, orientation, control).map_err(named(index))?;
             // The clouds get different random keypoints. With one seed, equal clouds would have a partner for every keypoint.
             let seed = options.seed.wrapping_add(index as u64);
-            let keypoints = scan.anchored_keypoints(options.detector, options.max_keypoints, seed, control)?;
+            let keypoints = scan.anchored_keypoints(options, seed, control)?;
             Ok(Prepared {
                 scan,
                 diameter: diameters[index],

@@ -28,8 +28,9 @@ use super::result::Registration;
 /// ```
 ///
 /// # Errors
-/// [`Error::Input`](snake_core::Error::Input) for a cloud without finite points or without extent, and when no three
-/// matches fit a rigid transform; [`Error::Option`](snake_core::Error::Option) when an option is outside its range.
+/// [`Error::Input`](snake_core::Error::Input) for a cloud without finite points or without extent;
+/// [`Error::NoTransform`](snake_core::Error::NoTransform) when no three matches fit a rigid transform;
+/// [`Error::Option`](snake_core::Error::Option) when an option is outside its range.
 pub fn register(source: &[Point], target: &[Point], model: &Model, options: &RegisterOptions) -> Result<Registration> {
     register_with(source, target, model, options, &Control::default())
 }
@@ -154,6 +155,25 @@ mod tests {
     }
 
     #[test]
+    fn few_spread_keypoints_register_and_their_matches_agree() {
+        let points = sample();
+        let truth = RigidTransform::from(random_transform(&mut ChaCha8Rng::seed_from_u64(3)));
+        let (source, target) = (&points[..2048], transform_points(&truth, &points[2048..]));
+        for detector in [KeypointDetector::Voxels, KeypointDetector::Snake] {
+            let few = RegisterOptions { detector, num_keypoints: Some(250), ..options() };
+            let found = run(source, &target, &few).unwrap();
+            assert!(difference(source, &found.t_target_source, &truth) < 0.05, "{detector:?}: {found:?}");
+            assert!(found.num_correspondences <= 500, "{found:?}");
+            assert_eq!(found.matches.len(), found.num_agreeing);
+            for [from, to] in &found.matches {
+                let moved = transform_points(&found.t_target_source, &[*from])[0];
+                let squared: f32 = (0..3).map(|axis| (moved[axis] - to[axis]).powi(2)).sum();
+                assert!(f64::from(squared.sqrt()) < 1.001 * found.inlier_distance);
+            }
+        }
+    }
+
+    #[test]
     fn threads_do_not_matter() {
         let points = sample();
         let run = |threads| {
@@ -228,6 +248,7 @@ mod tests {
             (RegisterOptions { normal_radius: Some(Length::Resolutions(-1.0)), ..options() }, "normal_radius"),
             (RegisterOptions { feature_radius: Some(Length::Units(f64::NAN)), ..options() }, "feature_radius"),
             (RegisterOptions { inlier_distance: Some(Length::Units(f64::INFINITY)), ..options() }, "inlier_distance"),
+            (RegisterOptions { num_keypoints: Some(2), ..options() }, "num_keypoints"),
             (RegisterOptions { max_matches: 2, ..options() }, "max_matches"),
             (RegisterOptions { hypotheses: 0, ..options() }, "hypotheses"),
             (RegisterOptions { source_viewpoint: Some([f64::NAN; 3]), ..options() }, "source_viewpoint"),

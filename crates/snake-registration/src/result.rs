@@ -2,7 +2,7 @@
 
 use serde::{Deserialize, Serialize};
 
-use snake_core::RigidTransform;
+use snake_core::{Point, RigidTransform};
 
 /// The result of [`register`](crate::register()).
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -51,6 +51,10 @@ pub struct Registration {
     pub information: [[f64; 6]; 6],
     /// The best distinct transforms, best first, at most as many as asked for. The first is `t_target_source`.
     pub hypotheses: Vec<Hypothesis>,
+    /// The matches that agree with the refined transform (`num_agreeing`), as source and target points in cloud units,
+    /// relative to the clouds' origins. They are not part of files.
+    #[serde(skip)]
+    pub matches: Vec<[Point; 2]>,
     /// Which viewpoints were used for source and target.
     pub viewpoints: [ViewpointUsed; 2],
     /// What may be wrong with the clouds.

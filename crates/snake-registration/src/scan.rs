@@ -10,13 +10,14 @@ use serde::{Deserialize, Serialize};
 use super::cloud::{Orientation, check_radius, normals, voxel_means};
 use super::fast_fpfh;
 use super::fpfh::FPFH_DIMENSION;
+use super::options::RegisterOptions;
 use crate::detectors::{Detector, Harris3dOptions, IssOptions, Protocol, Sift3dOptions};
 use snake_core::Control;
 use snake_core::Field;
 use snake_core::Length;
 use snake_core::Model;
 use snake_core::Result;
-use snake_core::space::{FinitePoints, check_points};
+use snake_core::space::{FinitePoints, check_points, suppress_to_count};
 use snake_core::space::{Neighbors, Vector, vector};
 use snake_core::{Normalization, NormalizationMethod, Point};
 
@@ -163,6 +164,30 @@ impl Scan {
         Ok(found.into_iter().map(|response| voxels[response.index]).collect())
     }
 
+    /// `count` keypoints `(K, 3)` in the cloud's frame, best first, that are spread over the cloud (see
+    /// [`suppress_to_count`]); fewer if the detector finds fewer. Voxels have no rank: they are drawn by the seed.
+    ///
+    /// # Errors
+    /// The errors of [`Scan::keypoints_with`].
+    pub fn spread_keypoints_with(
+        &self,
+        detector: KeypointDetector,
+        count: usize,
+        seed: u64,
+        control: &Control,
+    ) -> Result<Vec<Point>> {
+        let ranked = match detector {
+            // These are spread by themselves.
+            KeypointDetector::Fps => return self.keypoints_with(detector, count, seed, control),
+            KeypointDetector::Voxels => {
+                self.keypoints_with(KeypointDetector::Random, self.voxels.points.len(), seed, control)?
+            }
+            _ => self.keypoints_with(detector, self.voxels.points.len(), seed, control)?,
+        };
+        let (kept, _) = suppress_to_count(&ranked, count)?;
+        Ok(kept.into_iter().map(|index| ranked[index]).collect())
+    }
+
     fn voxel_mean(&self, index: usize) -> Point {
         self.voxels.points[index].map(|v| v as f32).into()
     }
@@ -182,18 +207,22 @@ impl Scan {
         sample.into_iter()
     }
 
-    /// Keypoints as by [`Scan::keypoints_with`], each with the index of the nearest voxel.
+    /// The keypoints that the options ask for, each with the index of the nearest voxel.
     pub(super) fn anchored_keypoints(
         &self,
-        detector: KeypointDetector,
-        count: usize,
+        options: &RegisterOptions,
         seed: u64,
         control: &Control,
     ) -> Result<Vec<(Point, usize)>> {
-        if detector == KeypointDetector::Voxels {
-            return Ok(self.voxel_sample(count, seed).map(|index| (self.voxel_mean(index), index)).collect());
-        }
-        let keypoints = self.keypoints_with(detector, count, seed, control)?;
+        let RegisterOptions { detector, max_keypoints, .. } = *options;
+        let keypoints = match options.num_keypoints {
+            Some(count) => self.spread_keypoints_with(detector, count, seed, control)?,
+            None if detector == KeypointDetector::Voxels => {
+                let sample = self.voxel_sample(max_keypoints, seed);
+                return Ok(sample.map(|index| (self.voxel_mean(index), index)).collect());
+            }
+            None => self.keypoints_with(detector, max_keypoints, seed, control)?,
+        };
         Ok(keypoints.into_iter().map(|point| (point, self.nearest_voxel(point))).collect())
     }
 
@@ -327,6 +356,27 @@ mod tests {
         assert_eq!(scan_of_sparse.keypoints(Snake, 100_000, 0).unwrap().len(), sparse.len());
         let error = scan.keypoints(Iss, 0, 0).unwrap_err().to_string();
         assert!(error.contains("count"), "{error}");
+    }
+
+    #[test]
+    fn spread_keypoints_have_the_wanted_number_and_cover_the_cloud() {
+        let scan = Scan::new(&sample(), &Model::builtin(Builtin::Compact), 0.02).unwrap();
+        let uncovered = |keypoints: &[Point]| {
+            let tree = Neighbors::new(keypoints.iter().map(|&point| vector(point)).collect()).unwrap();
+            scan.voxels.points.iter().map(|voxel| tree.distance(voxel)).sum::<f64>()
+        };
+        for detector in [Voxels, Snake, Random, Fps] {
+            let spread = |count, seed| scan.spread_keypoints_with(detector, count, seed, &Control::default()).unwrap();
+            let (found, best) = (spread(60, 0), scan.keypoints(detector, 60, 0).unwrap());
+            assert_eq!(found.len(), 60, "{detector:?}");
+            let [spread_out, clustered] = [&found, &best].map(|keypoints| uncovered(keypoints));
+            let most = if detector == Fps { 1.0 } else { 0.9 };
+            assert!(spread_out <= most * clustered, "{detector:?}: {spread_out} {clustered}");
+            assert_eq!(spread(60, 1) == found, ![Voxels, Random].contains(&detector), "{detector:?}");
+        }
+        // ISS finds fewer than are wanted.
+        let all = scan.keypoints(Iss, 5000, 0).unwrap();
+        assert_eq!(scan.spread_keypoints_with(Iss, 5000, 0, &Control::default()).unwrap(), all);
     }
 
     #[test]

@@ -1,5 +1,5 @@
 //! The page that shows a cloud with its keypoints, surface and saliency in a browser, or two clouds with the keypoints that
-//! repeat. It is one file, and needs no server.
+//! repeat, or a registration with its matches ([`RegistrationPage`]). It is one file, and needs no server.
 //!
 //! ```
 //! use snake_core::{Builtin, Cloud, Control, Model};
@@ -19,9 +19,11 @@
 
 mod page;
 mod pair;
+mod registration_page;
 mod shown_cloud;
 mod vertices;
 
 pub use page::{Page, viridis};
 pub use pair::Pair;
+pub use registration_page::RegistrationPage;
 pub use shown_cloud::ShownCloud;

@@ -38,20 +38,7 @@ impl Page {
     /// None is known: all values can be written as JSON.
     pub fn html(&self) -> serde_json::Result<String> {
         let names: Vec<&str> = self.clouds.iter().map(|cloud| cloud.name.as_str()).collect();
-        let title = escaped(&names.join(" + "));
-        // Only "<" could end the script element or begin a comment in it.
-        let data = serde_json::to_string(&self.data())?.replace('<', "\\u003c");
-        let script = SCRIPTS.join("\n");
-        Ok(format!(
-            "<!doctype html>\n<html lang=\"en\">\n<head>\n<meta charset=\"utf-8\">\n\
-             <meta name=\"viewport\" content=\"width=device-width, initial-scale=1\">\n\
-             <meta http-equiv=\"Content-Security-Policy\" content=\"default-src 'none'; \
-             script-src 'unsafe-inline'; style-src 'unsafe-inline'; img-src data:\">\n\
-             <link rel=\"icon\" href=\"data:,\">\n<title>{title}: keypoints</title>\n\
-             <style>\n{STYLE}</style>\n</head>\n<body>\n{BODY}\
-             <script type=\"application/json\" id=\"data\">{data}</script>\n<script>\n{script}</script>\n\
-             </body>\n</html>\n"
-        ))
+        Ok(document(&format!("{}: keypoints", names.join(" + ")), &self.data()))
     }
 
     fn data(&self) -> Value {
@@ -65,6 +52,23 @@ impl Page {
             "version": env!("CARGO_PKG_VERSION"),
         })
     }
+}
+
+/// A page with markup, style and scripts around its data.
+pub(crate) fn document(title: &str, data: &Value) -> String {
+    let (title, script) = (escaped(title), SCRIPTS.join("\n"));
+    // Only "<" could end the script element or begin a comment in it.
+    let data = data.to_string().replace('<', "\\u003c");
+    format!(
+        "<!doctype html>\n<html lang=\"en\">\n<head>\n<meta charset=\"utf-8\">\n\
+         <meta name=\"viewport\" content=\"width=device-width, initial-scale=1\">\n\
+         <meta http-equiv=\"Content-Security-Policy\" content=\"default-src 'none'; \
+         script-src 'unsafe-inline'; style-src 'unsafe-inline'; img-src data:\">\n\
+         <link rel=\"icon\" href=\"data:,\">\n<title>{title}</title>\n\
+         <style>\n{STYLE}</style>\n</head>\n<body>\n{BODY}\
+         <script type=\"application/json\" id=\"data\">{data}</script>\n<script>\n{script}</script>\n\
+         </body>\n</html>\n"
+    )
 }
 
 /// Text with the special characters of HTML escaped.

@@ -47,7 +47,7 @@ impl ShownCloud {
             None => field.detect_with(&options.detect, control)?,
         };
         let points = field.points();
-        let shown: Vec<Point> = points.iter().step_by(points.len().div_ceil(MAX_SHOWN)).copied().collect();
+        let shown = subsample(points);
         let surface = surface(&field, control)?;
         let saliency = [field.saliency(&shown)?, field.saliency(&surface.vertices)?];
         Ok(Self { name, origin: cloud.origin, field, shown, surface, saliency, detection })
@@ -103,6 +103,11 @@ impl ShownCloud {
             })
         })
     }
+}
+
+/// Every n-th point, so that the page has few enough.
+pub(crate) fn subsample(points: &[Point]) -> Vec<Point> {
+    points.iter().step_by(points.len().div_ceil(MAX_SHOWN).max(1)).copied().collect()
 }
 
 /// The outer surface, at the finest resolution with at most [`MAX_TRIANGLES`] triangles.

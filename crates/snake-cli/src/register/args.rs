@@ -21,10 +21,13 @@ pub struct RegisterArguments {
     /// Write the source's points in the target's frame to this file (.ply, .pcd, .npy, .xyz or .csv).
     #[arg(long)]
     pub aligned: Option<PathBuf>,
+    /// Write a page to this file (.html) that shows the source moved onto the target, with the matches that agree as lines.
+    #[arg(long, value_name = "FILE")]
+    pub view: Option<PathBuf>,
     /// Start from the transform in this file, as written by `register -o`, and search for no other.
     #[arg(long, value_name = "FILE")]
     pub initial: Option<PathBuf>,
-    /// Exit with code 1 if the transform is not reliable. Files are written all the same.
+    /// Exit with code 1 if the transform is not reliable or none fits. Files are written if there is a transform.
     #[arg(long)]
     pub require_reliable: bool,
     #[command(flatten)]
@@ -55,6 +58,10 @@ pub struct RegisterFlags {
     /// Use at most this many keypoints of each cloud, the best ones; of voxels a random part [default: 8000].
     #[arg(long)]
     max_keypoints: Option<usize>,
+    /// Use this many keypoints of each cloud, spread evenly over it: the suppression radius follows from the number. For
+    /// links of low bandwidth, such as 250 keypoints of iss.
+    #[arg(long, value_name = "N", conflicts_with = "max_keypoints")]
+    num_keypoints: Option<usize>,
     /// Use at most this many matches, the most distinctive ones [default: 2000].
     #[arg(long)]
     max_matches: Option<usize>,
@@ -103,6 +110,7 @@ impl RegisterFlags {
         override_with(&mut options.detector, self.detector);
         override_with(&mut options.descriptor, self.descriptor);
         override_with(&mut options.max_keypoints, self.max_keypoints);
+        override_with(&mut options.num_keypoints, self.num_keypoints.map(Some));
         override_with(&mut options.voxel_size, self.voxel_size.map(Some));
         override_with(&mut options.normal_radius, self.normal_radius.map(Some));
         override_with(&mut options.feature_radius, self.feature_radius.map(Some));

@@ -7,25 +7,27 @@ use std::process::ExitCode;
 
 use anyhow::{Context, Result};
 use serde_json::json;
-use snake_core::{Control, Progress, RigidTransform};
+use snake_core::{Control, Error, Progress, RigidTransform};
 use snake_io::{self as io, CloudFormat};
 use snake_registration::{Registration, ViewpointUsed, register_with, transform_points};
+use snake_view::RegistrationPage;
 
 use crate::inputs::{check_inputs, output_origin};
-use crate::output::InputFiles;
+use crate::output::{InputFiles, check_page_path, write_page};
 use crate::terminal::{self, Report};
 use args::RegisterArguments;
 
 /// Finds the transform, writes the output files and prints the result.
 pub fn run(arguments: &RegisterArguments) -> Result<ExitCode> {
     arguments.compute.start_threads()?;
-    let RegisterArguments { source, target, output, aligned, .. } = arguments;
+    let RegisterArguments { source, target, output, aligned, view, .. } = arguments;
     output.as_deref().map_or(Ok(()), io::check_registration_path)?;
     aligned.as_deref().map(CloudFormat::from_path).transpose()?;
+    view.as_deref().map_or(Ok(()), check_page_path)?;
     check_inputs([source, target])?;
     let inputs =
         InputFiles::new([source, target].into_iter().chain(&arguments.compute.model).chain(&arguments.initial));
-    output.iter().chain(aligned).try_for_each(|path| inputs.refuse_as_output(path))?;
+    output.iter().chain(aligned).chain(view).try_for_each(|path| inputs.refuse_as_output(path))?;
     let progress = Progress::default();
     let model = arguments.compute.load_model()?;
     let control = Control::new().progress(&progress);
@@ -41,9 +43,17 @@ pub fn run(arguments: &RegisterArguments) -> Result<ExitCode> {
     terminal::detail("points", || format!("{} and {}", source_cloud.points.len(), target_cloud.points.len()));
     options.initial = arguments.initial.as_deref().map(io::read_transform).transpose()?;
     options.place(source_cloud.origin, target_cloud.origin);
-    let near = register_with(&source_cloud.points, &target_cloud.points, &model, &options, &control)
-        .with_context(|| format!("cannot register {} to {}", source.display(), target.display()))?;
+    let tried = register_with(&source_cloud.points, &target_cloud.points, &model, &options, &control);
+    let fits_none = matches!(tried, Err(Error::NoTransform { .. }));
+    let tried = tried.with_context(|| format!("cannot register {} to {}", source.display(), target.display()));
     bar.finish();
+    let near = match tried {
+        Err(error) if fits_none && arguments.require_reliable => {
+            terminal::error(&error);
+            return Ok(ExitCode::FAILURE);
+        }
+        tried => tried?,
+    };
     let t_near = near.t_target_source;
     let found = near.between_origins(source_cloud.origin, target_cloud.origin);
     if let Some(path) = output {
@@ -55,7 +65,12 @@ pub fn run(arguments: &RegisterArguments) -> Result<ExitCode> {
         io::write_points(path, &moved, target_cloud.origin)?;
         aligned_origin = output_origin(path, io::adds_origin(path), target_cloud.origin);
     }
-    let written: Vec<&Path> = output.iter().chain(aligned).map(AsRef::as_ref).collect();
+    if let Some(path) = view {
+        let names = [target, source].map(|path| path.display().to_string());
+        let page = RegistrationPage { names, clouds: [&target_cloud, &source_cloud], registration: &found, options };
+        write_page(path, &page.html()?)?;
+    }
+    let written: Vec<&Path> = output.iter().chain(aligned).chain(view).map(AsRef::as_ref).collect();
     if arguments.json {
         let mut object = serde_json::to_value(&found)?;
         if aligned_origin != [0.0; 3] {

@@ -10,7 +10,7 @@ use snake_view::{Page, Pair, ShownCloud};
 
 use crate::inputs::check_inputs;
 use crate::model;
-use crate::output::InputFiles;
+use crate::output::{InputFiles, check_page_path, write_page};
 use crate::terminal::{self, Report};
 use args::ViewArguments;
 
@@ -18,10 +18,7 @@ use args::ViewArguments;
 pub fn run(arguments: &ViewArguments) -> Result<()> {
     arguments.compute.start_threads()?;
     let ViewArguments { input, second, output, epsilon, transform, .. } = arguments;
-    let extension = output.extension().unwrap_or_default().to_string_lossy().to_ascii_lowercase();
-    if !["html", "htm"].contains(&extension.as_str()) {
-        bail!("{}: unknown extension; files that can be written: .html", output.display());
-    }
+    check_page_path(output)?;
     if second.is_none() && (epsilon.is_some() || transform.is_some()) {
         bail!("--epsilon and --transform need two clouds");
     }
@@ -55,8 +52,7 @@ pub fn run(arguments: &ViewArguments) -> Result<()> {
     let colors = std::array::from_fn(|i| arguments.colormap.color(i as f32 / 255.0));
     let page = Page { clouds, pair, options, model_name, colors };
     let html = page.html()?;
-    io::write_atomically(output, |file| file.write_all(html.as_bytes()))
-        .with_context(|| format!("cannot write {}", output.display()))?;
+    write_page(output, &html)?;
     report.line(format!("written to {}", output.display()));
     terminal::print_report(&report)
 }

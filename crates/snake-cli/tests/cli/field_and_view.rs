@@ -152,6 +152,7 @@ fn invalid_options_are_refused() {
         (&["field", plane, "-o", &png, "--resolution", "1"], "2 to 512"),
         (&["field", plane, "-o", &png, "--axis", "w"], "possible values: x, y, z"),
         (&["view", plane, "-o", "a.pdf"], ".html"),
+        (&["register", plane, plane, "--view", "a.pdf"], ".html"),
         (&["view", plane, plane, plane, "-o", &html], "unexpected argument"),
         (&["view", plane, "-o", &html, "--epsilon", "1"], "two clouds"),
         (&["view", plane, plane, "-o", &html, "--transform", &matrix], "four rows of four numbers"),
@@ -222,6 +223,38 @@ fn keypoints_within_epsilon_are_linked() {
     let given = &page_data(&given)["pair"];
     assert_eq!((&given["t_first_second"], &given["links"]), (&pair["t_first_second"], &pair["links"]));
     assert!(given["registration"].is_null() && pair["registration"].is_array());
+}
+
+#[test]
+fn a_registration_is_shown_with_its_matches() {
+    let folder = tempfile::tempdir().unwrap();
+    let (page, json, second) = (file(&folder, "r.html"), file(&folder, "t.json"), turned(&folder));
+    let printed = succeed(&["register", &sample(), &second, "--view", &page, "-o", &json]);
+    assert!(printed.contains(&page), "{printed}");
+    let found: Value = serde_json::from_slice(&std::fs::read(&json).unwrap()).unwrap();
+    let data = page_data(&page);
+    // The target comes first, and the scene is in its frame.
+    assert_eq!(
+        (data["clouds"][0]["name"].as_str(), data["clouds"][1]["name"].as_str()),
+        (Some(&*second), Some(&*sample()))
+    );
+    assert_eq!(data["pair"]["t_first_second"], found["t_target_source"]);
+    assert_eq!(data["pair"]["verdict"]["confidence"], found["confidence"]);
+    let links = data["pair"]["links"].as_array().unwrap();
+    assert_eq!(links.len() as u64, found["num_agreeing"].as_u64().unwrap());
+    let t: RigidTransform = serde_json::from_value(found["t_target_source"].clone()).unwrap();
+    let end = |cloud: usize, link: &Value| -> Point {
+        let keypoint = &data["clouds"][cloud]["keypoints"][link[cloud].as_u64().unwrap() as usize];
+        ["x", "y", "z"].map(|axis| keypoint[axis].as_f64().unwrap() as f32)
+    };
+    for link in links {
+        let (a, b) = (end(0, link), transform_points(&t, &[end(1, link)])[0]);
+        let distance = (0..3).map(|axis| (a[axis] - b[axis]).powi(2)).sum::<f32>().sqrt();
+        assert!((f64::from(distance) - link[2].as_f64().unwrap()).abs() < 1e-4, "{link}");
+        assert!(f64::from(distance) < 1.001 * found["inlier_distance"].as_f64().unwrap());
+    }
+    let html = std::fs::read_to_string(&page).unwrap();
+    assert!(html.starts_with("<!doctype html>") && html.contains(": registration</title>"));
 }
 
 #[test]

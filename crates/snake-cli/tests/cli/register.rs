@@ -110,6 +110,25 @@ fn register_takes_a_guess_an_axis_and_a_verdict() {
 }
 
 #[test]
+fn few_keypoints_suffice_and_do_not_go_with_the_other_number() {
+    let folder = tempfile::tempdir().unwrap();
+    let turned = rotated_sample(folder.path());
+    let run = |extra: &[&str]| snake(&[&["register", &sample(), &turned, "--json"], extra].concat());
+    let few = run(&["--num-keypoints", "250", "--require-reliable"]);
+    assert!(few.status.success(), "{}", stderr(&few));
+    let few = &json_lines(&few)[0];
+    assert!((few["t_target_source"][0][3].as_f64().unwrap() - 3.0).abs() < 0.05, "{few}");
+    assert!(few["num_correspondences"].as_u64().unwrap() <= 500, "{few}");
+    for (extra, message) in [
+        (&["--num-keypoints", "250", "--max-keypoints", "400"][..], "cannot be used with"),
+        (&["--num-keypoints", "2"], "3 or more"),
+    ] {
+        let refused = run(extra);
+        assert!(refused.status.code() == Some(2) && stderr(&refused).contains(message), "{}", stderr(&refused));
+    }
+}
+
+#[test]
 fn clouds_without_one_answer_exit_with_1_if_a_reliable_one_is_required() {
     let folder = tempfile::tempdir().unwrap();
     let path = |name: &str| folder.path().join(name).display().to_string();
@@ -125,7 +144,11 @@ fn clouds_without_one_answer_exit_with_1_if_a_reliable_one_is_required() {
     write(&path("ball.ply"), (0..3000).map(ball).collect());
     write(&path("cylinder.ply"), (0..3000).map(cylinder).collect());
     let apart = snake(&["register", &sample(), &path("ball.ply"), "--require-reliable", "--json"]);
-    assert!(!apart.status.success() && apart.stdout.is_empty(), "{}", stderr(&apart));
+    assert!(apart.status.code() == Some(1) && apart.stdout.is_empty(), "{}", stderr(&apart));
+    // Without the option it is an error as any other, and files that cannot be read are one with it.
+    assert_eq!(snake(&["register", &sample(), &path("ball.ply")]).status.code(), Some(2));
+    let unread = snake(&["register", &sample(), &path("nowhere.ply"), "--require-reliable"]);
+    assert_eq!(unread.status.code(), Some(2));
     assert!(stderr(&apart).contains("do the clouds overlap"), "{}", stderr(&apart));
     let round = snake(&["register", &path("cylinder.ply"), &path("cylinder.ply"), "--require-reliable"]);
     let printed = String::from_utf8_lossy(&round.stdout).into_owned();

@@ -150,7 +150,7 @@ fn register_pairs(
         match found {
             Ok(found) => Ok(Some(([source, target], found))),
             // No three matches agree: these clouds do not fit.
-            Err(Error::Input { .. }) => Ok(None),
+            Err(Error::NoTransform { .. }) => Ok(None),
             Err(other) => Err(other),
         }
     };

@@ -73,11 +73,13 @@ const number = (value, digits = 4) => (value === null ? "–" : Number(value.toP
 
 function describe(tooltip, { of, rank, saliency, occupancy, x, y, z, nearest_index, link }) {
   const head = element("strong", data.clouds.length > 1 ? `Keypoint ${rank + 1} of ${"AB"[of]}` : `Keypoint ${rank + 1}`);
-  const rows = [["score (saliency)", number(saliency)], ["occupancy", number(occupancy)],
-    ["position", position([x, y, z], data.clouds[of])], ["nearest point", nearest_index]];
+  const at = ["position", position([x, y, z], data.clouds[of])];
+  const rows = isRegistration ? [at] : [["score (saliency)", number(saliency)], ["occupancy", number(occupancy)], at,
+    ["nearest point", nearest_index]];
   if (link) {
     const partner = of === 0 ? link.second : link.first;
-    rows.push([`repeats ${"AB"[partner.of]}`, `${partner.rank + 1}, at ${number(link.distance, 3)}`]);
+    const what = isRegistration ? "matches" : "repeats";
+    rows.push([`${what} ${"AB"[partner.of]}`, `${partner.rank + 1}, at ${number(link.distance, 3)}`]);
   }
   tooltip.replaceChildren(head, list(rows));
 }
@@ -174,39 +176,56 @@ function cloudFacts(cloud, of) {
   if (cloud.num_skipped) rows.push(["skipped, not finite", count(cloud.num_skipped)]);
   if (cloud.num_encoded < cloud.num_points) rows.push(["encoded", count(cloud.num_encoded)]);
   if (points.count < cloud.num_points) rows.push(["shown", count(points.count)]);
-  rows.push(["extent", box], ["center", position(normalization.center, cloud)],
-    ["scale", number(normalization.scale)], ["queries", count(counts.queries)], ["occupied", count(counts.occupied)],
+  rows.push(["extent", box], ["center", position(normalization.center, cloud)], ["scale", number(normalization.scale)]);
+  if (counts) rows.push(["queries", count(counts.queries)], ["occupied", count(counts.occupied)],
     ["above threshold", count(counts.above_threshold)], ["keypoints", count(counts.keypoints)]);
   if (cloud.surface) rows.push(["triangles", count(cloud.surface.count)]);
   const name = data.clouds.length > 1 ? `${"AB"[of]}: ${baseName(cloud.name)}` : baseName(cloud.name);
   return [element("h2", name, { title: cloud.name }), list(rows)];
 }
 
+const matrixText = (rows) => rows.map((row) => row.map((v) => v.toFixed(4).padStart(9)).join("")).join("\n");
+
+/** The verdict of a registration: the first cloud is its target. */
+function registrationFacts({ links: found, verdict, t_first_second }) {
+  const { confidence, is_reliable, is_ambiguous, num_correspondences, inlier_distance, fitness, notes } = verdict;
+  const name = is_reliable ? "reliable" : is_ambiguous ? "ambiguous" : "not reliable";
+  const what = `confidence ${confidence.toFixed(2)}; ${found.length} of ${num_correspondences} matches agree; ` +
+    `${Math.round(100 * fitness)} % of the voxels of B within ${number(inlier_distance, 3)} of A`;
+  return [element("p", [name, element("small", what)], { className: "share" }),
+    ...notes.map((note) => element("p", note)),
+    element("details", [element("summary", "B (source) to A (target)"), element("pre", matrixText(t_first_second))])];
+}
+
 function pairFacts({ links: found, epsilon, registration, t_first_second }) {
   const share = numOfFirst ? `${Math.round(100 * found.length / numOfFirst)} %` : "–";
   const what = `${found.length} of ${numOfFirst} keypoints of A repeat in B within ${number(epsilon, 3)}`;
   const from = registration
-    ? `registration: ${registration[0]} of ${registration[1]} correspondences are inliers of RANSAC` : "as given";
-  const matrix = t_first_second.map((row) => row.map((v) => v.toFixed(4).padStart(9)).join("")).join("\n");
+    ? `registration: ${registration[0]} of ${registration[1]} matches agree` : "as given";
   return [element("p", [share, element("small", what)], { className: "share" }),
-    element("details", [element("summary", `B to A, ${from}`), element("pre", matrix)])];
+    element("details", [element("summary", `B to A, ${from}`), element("pre", matrixText(t_first_second))])];
 }
 
 function panel() {
   const names = data.clouds.map(({ name }) => baseName(name));
   const title = element("span", names.join(" + "), { title: names.join("\n") });
-  byId("title").append(element("small", `Keypoints · snake-rs ${data.version}`), title);
+  byId("title").append(element("small", `${isRegistration ? "Registration" : "Keypoints"} · snake-rs ${data.version}`), title);
   const palette = bytes(data.colors);
-  const stops = [...Array(33).keys()].map((i) => Math.min(255, i * 8)).map((i) => `rgb(${palette.slice(i * 3, i * 3 + 3)})`);
+  const rgb = (index) => `rgb(${palette.slice(index * 3, index * 3 + 3)})`;
+  const stops = [...Array(33).keys()].map((i) => Math.min(255, i * 8)).map(rgb);
   document.querySelector("#legend .bar").style.background = `linear-gradient(90deg, ${stops})`;
   const key = (name, background) => {
     const mark = element("i");
-    mark.style.background = `var(${background})`;
+    mark.style.background = background;
     return element("div", [mark, name], { className: "key" });
   };
   const two = data.clouds.length > 1;
-  byId("legend").append(key(two ? "keypoint that repeats" : "keypoint", "--accent"));
-  if (two) byId("legend").append(key("keypoint of one cloud only", "--lone"));
+  if (isRegistration) {
+    byId("legend").replaceChildren(key("A: target", rgb(0)), key("B: source", rgb(255)), key("match", "var(--accent)"));
+  } else {
+    byId("legend").append(key(two ? "keypoint that repeats" : "keypoint", "var(--accent)"));
+    if (two) byId("legend").append(key("keypoint of one cloud only", "var(--lone)"));
+  }
   const hasSurface = data.clouds.some(({ surface }) => surface);
   const why = hasSurface ? "" : "The field has no surface.";
   byId("controls").append(toggle("Points", shown, "points"), toggle("Keypoints", shown, "keypoints"),
@@ -218,11 +237,12 @@ function panel() {
   const most = Math.max(...data.clouds.map((cloud) => cloud.keypoints.length));
   if (most > 1) byId("controls").append(slider((best) => `Best ${best} of ${most}`, "best", 1, most, 1));
   byId("controls").append(slider("Point size", "point", 1, 10), upButtons());
-  if (data.pair) byId("facts").append(...pairFacts(data.pair));
+  if (data.pair) byId("facts").append(...(isRegistration ? registrationFacts : pairFacts)(data.pair));
   data.clouds.forEach((cloud, of) => byId("facts").append(...cloudFacts(cloud, of)));
-  const options = Object.entries({ model: data.model, ...data.options.encode, ...data.options.detect });
+  const { encode, detect, ...flat } = data.options;
+  const options = Object.entries(isRegistration ? flat : { model: data.model, ...encode, ...detect });
   const values = options.map(([name, value]) => [name.replaceAll("_", " "),
-    typeof value === "number" ? number(value) : value === null ? "all" : String(value)]);
+    typeof value === "number" ? number(value) : value === null ? (isRegistration ? "–" : "all") : String(value)]);
   byId("facts").append(element("details", [element("summary", "Parameters"), list(values)]));
 }
 

@@ -5,6 +5,8 @@
 const data = JSON.parse(document.getElementById("data").textContent);
 const byId = (id) => document.getElementById(id);
 const canvas = byId("scene");
+/** A page of a registration shows the source on the target; its keypoints are the ends of matches. */
+const isRegistration = data.kind === "registration";
 
 // --- Vectors and matrices; a matrix is 16 numbers, row by row, and acts on columns.
 
@@ -61,7 +63,7 @@ const start = { ...view };
 const shown = { clouds: data.clouds.map(() => true), points: true, keypoints: true, surface: false, links: true };
 const size = Math.min(6, Math.max(1.6, 260 / Math.sqrt(data.clouds[0].points.count)));
 // More keypoints than this hide the cloud; the panel has a slider for them.
-const style = { point: size, apart: 1, best: Math.min(500, Math.max(...data.clouds.map((c) => c.keypoints.length))) };
+const style = { point: size, apart: isRegistration ? 0 : 1, best: Math.min(500, Math.max(...data.clouds.map((c) => c.keypoints.length))) };
 let hovered = null;
 
 // --- WebGL.

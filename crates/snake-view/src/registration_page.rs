@@ -1,0 +1,101 @@
+//! The page of a registration: the source moved onto the target, with the matches that agree as lines.
+
+use base64::Engine;
+use base64::engine::general_purpose::STANDARD;
+use serde_json::{Value, json};
+use snake_core::space::FinitePoints;
+use snake_core::{Cloud, Normalization, NormalizationMethod, Point, Result, add_origin};
+use snake_registration::{RegisterOptions, Registration, transform_points};
+
+use crate::page::document;
+use crate::shown_cloud::subsample;
+use crate::vertices::Vertices;
+
+/// Colours of target and source.
+const COLORS: [[u8; 3]; 2] = [[46, 116, 181], [240, 140, 30]];
+
+/// The content of the page. Target and source are in this order: the scene is in the target's frame.
+pub struct RegistrationPage<'a> {
+    /// The names on the page.
+    pub names: [String; 2],
+    /// The clouds.
+    pub clouds: [&'a Cloud; 2],
+    /// The registration of the source to the target; its transforms include the origins.
+    pub registration: &'a Registration,
+    /// The options that it ran with.
+    pub options: RegisterOptions,
+}
+
+impl RegistrationPage<'_> {
+    /// The whole file.
+    ///
+    /// # Errors
+    /// [`Error::Input`](snake_core::Error::Input) for a cloud without finite points or without extent.
+    pub fn html(&self) -> Result<String> {
+        Ok(document(&format!("{}: registration", self.names.join(" + ")), &self.data()?))
+    }
+
+    fn data(&self) -> Result<Value> {
+        let found = self.registration;
+        let ends = |end: usize| found.matches.iter().map(|pair| pair[end]).collect::<Vec<Point>>();
+        let (source, target) = (ends(0), ends(1));
+        let [target_cloud, source_cloud] = self.clouds;
+        let near = found.t_target_source.subtract_origins(source_cloud.origin, target_cloud.origin);
+        let links: Vec<Value> = transform_points(&near, &source)
+            .iter()
+            .zip(&target)
+            .enumerate()
+            .map(|(index, (a, b))| {
+                let squared: f32 = (0..3).map(|axis| (a[axis] - b[axis]).powi(2)).sum();
+                json!([index, index, squared.sqrt()])
+            })
+            .collect();
+        Ok(json!({
+            "kind": "registration",
+            "clouds": [self.cloud(0, &target)?, self.cloud(1, &source)?],
+            "pair": {
+                "t_first_second": found.t_target_source,
+                "links": links,
+                "verdict": {
+                    "confidence": found.confidence,
+                    "is_reliable": found.is_reliable,
+                    "is_ambiguous": found.is_ambiguous,
+                    "num_correspondences": found.num_correspondences,
+                    "inlier_distance": found.inlier_distance,
+                    "fitness": found.fitness,
+                    "notes": found.notes,
+                },
+            },
+            "colors": STANDARD.encode(color_table().as_flattened()),
+            "options": self.options,
+            "version": env!("CARGO_PKG_VERSION"),
+        }))
+    }
+
+    /// A cloud with the ends of the matches as its keypoints. What other pages show as saliency chooses the colour.
+    fn cloud(&self, index: usize, ends: &[Point]) -> Result<Value> {
+        let cloud = self.clouds[index];
+        let finite = FinitePoints::of("points", &cloud.points)?.points;
+        let shown = subsample(&finite);
+        let Normalization { center, scale } = Normalization::of(&finite, NormalizationMethod::UnitSphere)?;
+        let keypoint = |end: &Point| {
+            let [x, y, z] = add_origin(*end, cloud.origin);
+            json!({ "x": x, "y": y, "z": z })
+        };
+        Ok(json!({
+            "name": self.names[index],
+            "points": Vertices::of(&shown, cloud.origin, &vec![index as f32; shown.len()]),
+            "surface": null,
+            "keypoints": ends.iter().map(keypoint).collect::<Vec<_>>(),
+            "num_points": cloud.points.len(),
+            "num_skipped": cloud.points.len() - finite.len(),
+            "num_encoded": cloud.points.len(),
+            "normalization": { "center": add_origin(center, cloud.origin), "scale": scale },
+        }))
+    }
+}
+
+/// Colours for values from 0, the target, to 1, the source.
+fn color_table() -> [[u8; 3]; 256] {
+    std::array::from_fn(|index| COLORS[index / 128])
+}
