@@ -90,7 +90,7 @@ class _Preset(TypedDict, total=False):
 
 @type_check_only
 class _EncodeOptions(_Preset, total=False):
-    normalization: Literal["unit-sphere", "unit-cube", "none"]
+    normalization: Literal["principal-axes", "unit-sphere", "unit-cube", "none"]
     max_points: int | None
     seed: int
     rotations: int
@@ -250,6 +250,8 @@ class Field:
     def volume(self) -> NDArray[np.float32]: ...
     @property
     def normalization(self) -> tuple[_Positions, float]: ...
+    @property
+    def orientation(self) -> NDArray[np.float32]: ...
     def detect(self, **options: Unpack[_DetectOptions]) -> Keypoints: ...
     def mesh(self, **options: Unpack[_MeshOptions]) -> Mesh: ...
 

@@ -130,6 +130,13 @@ impl Field {
         Ok((center, scale))
     }
 
+    /// Rotation (3, 3) of the volume: `volume = R @ network`. It is the identity, save with the normalization
+    /// "principal-axes".
+    #[getter]
+    fn orientation<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyArray2<f32>>> {
+        Ok(PyArray2::from_vec2(py, &self.core.orientation().map(Vec::from))?)
+    }
+
     /// Keypoints of the encoded cloud.
     ///
     /// Options: `query_resolution`, `occupancy_threshold`, `refine_steps`, `refine_step_size`, `refine_method` ("adam"

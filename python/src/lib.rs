@@ -48,7 +48,8 @@ use tiled::{DetectedTiles, Tiles, tiles};
 /// of a room. Options default to the values of `preset`, or else of `model.recommended`. With the built-in model the
 /// defaults are:
 ///
-///     normalization="unit-sphere"   how the cloud is mapped into the network's frame: "unit-sphere", "unit-cube", "none"
+///     normalization="principal-axes"   how the cloud is mapped into the network's frame: "principal-axes", "unit-sphere",
+///                                  "unit-cube", "none"
 ///     max_points=None               largest number of points to encode, drawn at random; None: all
 ///     seed=0                        seed of that draw
 ///     rotations=1                   rotated copies of the cloud to average over, 1 to 64

@@ -150,8 +150,8 @@ impl Model {
     /// Encodes a cloud once; the field can then be queried any number of times.
     ///
     /// `points` is (N, 3), in the same forms as in `detect`; points that are not finite are skipped. Options:
-    /// `normalization` ("unit-sphere", "unit-cube" or "none": the cloud already lies in the cube +-0.5), `max_points`
-    /// (encode at most this many points, drawn at random; None: all points), `seed` of that draw, `rotations` (average
+    /// `normalization` ("unit-sphere"; "principal-axes", the same and encoded in the cloud's principal axes; "unit-cube";
+    /// or "none": the cloud already lies in the cube +-0.5), `max_points` (encode at most this many points, drawn at random; None: all points), `seed` of that draw, `rotations` (average
     /// over this many rotated copies of the cloud: keypoints repeat far better, and the time grows in proportion), and
     /// `preset`. Other options default to the values of `preset`, or else of `model.recommended`. Raises ValueError for
     /// an invalid array or value.

@@ -86,9 +86,10 @@ pub struct EncodeFlags {
     /// or 3dmatch), or the options of the model standard [default: the model's own].
     #[arg(long)]
     preset: Option<String>,
-    /// How the cloud is scaled into the network's cube ±0.5. unit-sphere: the mean moves to the origin, the farthest
-    /// point to the sphere of radius 0.5. unit-cube: the mean moves to the origin, the largest coordinate to ±0.5.
-    /// none: the cloud already lies in the cube [default: unit-sphere].
+    /// How the cloud is mapped into the network's cube ±0.5. unit-sphere: the mean moves to the origin, the farthest
+    /// point to the sphere of radius 0.5. principal-axes: the same, and the cloud is encoded in its principal axes, so
+    /// that keypoints hardly depend on how it is turned. unit-cube: the mean moves to the origin, the largest coordinate
+    /// to ±0.5. none: the cloud already lies in the cube [default: principal-axes].
     #[arg(long, value_parser = named::<NormalizationMethod>)]
     normalization: Option<NormalizationMethod>,
     /// Encode at most this many points, drawn at random. The report gives the number of encoded points

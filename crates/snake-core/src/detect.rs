@@ -272,6 +272,8 @@ pub(crate) fn finish(
 pub(crate) mod tests {
     use super::*;
     use crate::length::Length;
+    use crate::points::NormalizationMethod;
+    use crate::rotations::{rotate, rotate_inverse, super_fibonacci};
     use crate::{Builtin, EncodeOptions, Model};
 
     /// A cylinder's points and its field by the built-in model.
@@ -297,6 +299,36 @@ pub(crate) mod tests {
         let keys: Vec<&String> = value["keypoints"][0].as_object().unwrap().keys().collect();
         assert_eq!(keys, ["nearest_index", "occupancy", "saliency", "x", "y", "z"]);
         assert!(value["timing_seconds"]["encode"].as_f64().unwrap() > 0.0);
+    }
+
+    #[test]
+    fn in_principal_axes_a_turned_cloud_has_turned_keypoints() {
+        let points: Vec<Point> = (0..4000)
+            .map(|i| {
+                let (angle, height) = (i as f32 * 0.7, (i % 97) as f32 / 97.0);
+                let radius = 0.15 + 0.2 * height * height;
+                [radius * angle.cos() + 0.3 * height * height, 0.7 * radius * angle.sin(), 2.0 * height]
+            })
+            .collect();
+        let model = Model::builtin(Builtin::Compact);
+        let shares = [NormalizationMethod::UnitSphere, NormalizationMethod::PrincipalAxes].map(|normalization| {
+            let mut options = *model.recommended();
+            options.encode.normalization = normalization;
+            let found = |points: &[Point]| model.detect(points, &options).unwrap().keypoints;
+            let keypoints = found(&points);
+            let rotation = &super_fibonacci(5)[3];
+            let turned = found(&points.iter().map(|&p| rotate(rotation, p)).collect::<Vec<_>>());
+            let again = |keypoint: &&Keypoint| {
+                let squared = |other: &Keypoint| {
+                    let other = rotate_inverse(rotation, other.position);
+                    (0..3).map(|axis| (keypoint.position[axis] - other[axis]).powi(2)).sum::<f32>()
+                };
+                turned.iter().map(squared).any(|squared| squared < 0.005 * 0.005)
+            };
+            assert!(keypoints.len() > 20);
+            keypoints.iter().filter(again).count() as f32 / keypoints.len() as f32
+        });
+        assert!(shares[0] < 0.6 && shares[1] > 0.9, "{shares:?}");
     }
 
     #[test]

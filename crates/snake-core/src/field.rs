@@ -10,7 +10,7 @@ use crate::decoder::Decoder;
 use crate::network::Network;
 use crate::nn::TILE;
 use crate::options::{EncodeOptions, Options};
-use crate::points::{FinitePoints, Normalization, Point, check_points};
+use crate::points::{FinitePoints, Normalization, NormalizationMethod, Point, check_points};
 use crate::rotations::{self, Rotation, rotate, rotate_inverse};
 use crate::span::span;
 use crate::volume::{Volume, VolumeFrame};
@@ -40,6 +40,7 @@ impl View {
         network: &Network,
         points: &[Point],
         normalization: Normalization,
+        orientation: &Rotation,
         rotations: usize,
         control: &Control,
     ) -> Result<Vec<Self>> {
@@ -47,6 +48,7 @@ impl View {
         let encoder = &network.encoder;
         let counter = control.begin("encoding", rotations * encoder.work(points.len()));
         let views = rotations::super_fibonacci(rotations).into_iter().map(|rotation| {
+            let rotation = rotations::compose(&rotation, orientation);
             let point = |index: usize| rotate(&rotation, normalization.to_network(points[index]));
             let volume = encoder.encode(points.len(), point, &counter)?;
             counter.check()?;
@@ -104,9 +106,13 @@ impl Field {
         control.get_limits().check_volumes(&network.config, options.rotations)?;
         let points = &finite.points;
         let normalization = Normalization::of(points, options.normalization)?;
+        let orientation = match options.normalization {
+            NormalizationMethod::PrincipalAxes => rotations::principal_axes(points, normalization.center),
+            _ => rotations::IDENTITY,
+        };
         let encoded = options.sample(points);
         Ok(Self {
-            views: View::all(&network, &encoded, normalization, options.rotations, control)?,
+            views: View::all(&network, &encoded, normalization, &orientation, options.rotations, control)?,
             normalization,
             num_skipped: num_given - points.len(),
             num_encoded: encoded.len(),
@@ -115,7 +121,7 @@ impl Field {
         })
     }
 
-    /// The field of a cloud of finite points with a given normalisation.
+    /// The field of a cloud of finite points as it lies, with a given normalisation.
     pub(crate) fn normalized(
         network: Arc<Network>,
         points: Vec<Point>,
@@ -124,7 +130,7 @@ impl Field {
         control: &Control,
     ) -> Result<Self> {
         Ok(Self {
-            views: View::all(&network, &points, normalization, rotations, control)?,
+            views: View::all(&network, &points, normalization, &rotations::IDENTITY, rotations, control)?,
             normalization,
             num_skipped: 0,
             num_encoded: points.len(),
@@ -173,7 +179,13 @@ impl Field {
         self.views.len()
     }
 
-    /// The feature volume of the cloud without rotation. Each further rotation has a volume of its own.
+    /// The rotation of [`Field::volume`], row by row: `volume = R network`. It is the identity, save with
+    /// [`NormalizationMethod::PrincipalAxes`].
+    pub fn orientation(&self) -> &[Point; 3] {
+        &self.views[0].rotation
+    }
+
+    /// The feature volume of the cloud in its [`Field::orientation`]. Each further rotation has a volume of its own.
     pub fn volume(&self) -> &Volume {
         &self.views[0].volume
     }
@@ -290,7 +302,7 @@ impl Field {
         }
         let mut sums = Scratch::zeros(queries.len());
         for view in &self.views {
-            let values = self.view_values(view, quantity, &rotated(&view.rotation, queries));
+            let values = self.view_values(view, quantity, queries);
             sums.iter_mut().zip(values.iter()).for_each(|(sum, &value)| *sum += log_odds(value));
         }
         sums.iter_mut().for_each(|sum| *sum = probability(*sum / self.views.len() as f32));
@@ -309,11 +321,11 @@ impl Field {
         let mut sums = Scratch::zeros(queries.len());
         let mut gradients = Scratch::<Point>::zeros(queries.len());
         for view in &self.views {
-            let of_view = self.view_values_and_gradients(view, quantity, &rotated(&view.rotation, queries));
+            let of_view = self.view_values_and_gradients(view, quantity, queries);
             let of_view = of_view.0.iter().zip(of_view.1.iter());
             for ((sum, gradient), (&value, &of_value)) in sums.iter_mut().zip(gradients.iter_mut()).zip(of_view) {
                 let value = value.clamp(LEAST, 1.0 - LEAST);
-                let of_log_odds = rotate_inverse(&view.rotation, of_value).map(|v| v / (value * (1.0 - value)));
+                let of_log_odds = of_value.map(|v| v / (value * (1.0 - value)));
                 *sum += log_odds(value);
                 *gradient = std::array::from_fn(|axis| gradient[axis] + of_log_odds[axis]);
             }
@@ -327,16 +339,17 @@ impl Field {
         (sums, gradients)
     }
 
-    /// Values of one view at rotated queries.
+    /// Values of one view.
     fn view_values(&self, view: &View, quantity: Quantity, queries: &[Point]) -> Scratch<f32> {
         let (decoder, frame) = self.decoder(quantity);
+        let queries = &rotated(&view.rotation, queries);
         let mut features = Scratch::zeros(queries.len() * view.volume.channels);
         view.volume.interpolate(&frame, queries, &mut features);
         decoder.values(queries, &features)
     }
 
-    /// [`Field::view_values`] with gradients in the rotated frame: the decoder's derivative with respect to the query, plus
-    /// the derivative through the interpolated feature.
+    /// [`Field::view_values`] with gradients: the decoder's derivative with respect to the query, plus the derivative
+    /// through the interpolated feature.
     fn view_values_and_gradients(
         &self,
         view: &View,
@@ -344,14 +357,16 @@ impl Field {
         queries: &[Point],
     ) -> (Scratch<f32>, Scratch<Point>) {
         let (decoder, frame) = self.decoder(quantity);
+        let queries = &rotated(&view.rotation, queries);
         let mut features = Scratch::zeros(queries.len() * view.volume.channels);
         let corners = view.volume.interpolate(&frame, queries, &mut features);
         let decoded = decoder.values_and_gradients(queries, &features);
         let mut gradients = view.volume.interpolate_backward(&corners, &decoded.in_feature);
         let (in_query, _) = decoded.in_query.as_chunks::<3>();
-        for ((gradient, &query), in_query) in gradients.iter_mut().zip(queries).zip(in_query) {
+        for ((gradient, &query), in_query) in gradients.iter_mut().zip(queries.iter()).zip(in_query) {
             let voxels_per_unit = frame.voxels_per_unit(query);
-            *gradient = std::array::from_fn(|axis| in_query[axis] + gradient[axis] * voxels_per_unit[axis]);
+            let turned = std::array::from_fn(|axis| in_query[axis] + gradient[axis] * voxels_per_unit[axis]);
+            *gradient = rotate_inverse(&view.rotation, turned);
         }
         (decoded.values, gradients)
     }
@@ -375,7 +390,7 @@ pub(crate) fn log_odds(probability: f32) -> f32 {
     (probability / (1.0 - probability)).ln()
 }
 
-/// Queries of one tile in the frame of a rotated copy.
+/// Queries of one tile in the orientation of a view.
 fn rotated(rotation: &Rotation, queries: &[Point]) -> Scratch<Point> {
     Scratch::collect(queries.len(), queries.iter().map(|&query| rotate(rotation, query)))
 }
@@ -387,7 +402,6 @@ fn probability(log_odds: f32) -> f32 {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::points::NormalizationMethod;
     use crate::{Builtin, Model};
 
     #[test]
@@ -430,6 +444,31 @@ mod tests {
         errors.sort_by(f32::total_cmp);
         let longest = gradients.as_flattened().iter().fold(0.0, |m: f32, v| m.max(v.abs()));
         assert!(errors[errors.len() / 2] < 0.01 * longest && longest > 0.1, "{errors:?} {longest}");
+    }
+
+    #[test]
+    fn a_field_in_principal_axes_is_that_of_the_turned_cloud() {
+        let points: Vec<Point> = (0..3000)
+            .map(|i| {
+                let angle = i as f32 * 0.1;
+                [0.5 * angle.cos(), angle.sin(), (i % 40) as f32 * 0.09]
+            })
+            .collect();
+        let encode = |points: &[Point], normalization| {
+            let options = EncodeOptions { normalization, ..Default::default() };
+            Model::builtin(Builtin::Compact).encode(points, &options).unwrap()
+        };
+        let field = encode(&points, NormalizationMethod::PrincipalAxes);
+        let turn = |point: &Point| rotate(field.orientation(), *point);
+        let turned = encode(&points.iter().map(turn).collect::<Vec<_>>(), NormalizationMethod::UnitSphere);
+        assert_eq!((turned.orientation(), field.orientation() == turned.orientation()), (&rotations::IDENTITY, false));
+        let (values, gradients) = field.saliency_and_gradient(&points[..99]).unwrap();
+        let expected = turned.saliency_and_gradient(&points[..99].iter().map(turn).collect::<Vec<_>>()).unwrap();
+        for ((value, gradient), (same, turned)) in values.iter().zip(gradients).zip(expected.0.iter().zip(expected.1)) {
+            let back = rotate_inverse(field.orientation(), turned);
+            assert!((value - same).abs() < 1e-4, "{value} {same}");
+            assert!(gradient.iter().zip(back).all(|(a, b)| (a - b).abs() < 1e-2), "{gradient:?} {back:?}");
+        }
     }
 
     #[test]

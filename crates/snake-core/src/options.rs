@@ -23,8 +23,8 @@ pub struct EncodeOptions {
     pub seed: u64,
     /// Number of rotated copies of the cloud to encode, 1 to 64; their fields are averaged as log-odds. The network is
     /// only roughly equivariant, and its errors in the copies are nearly independent. Keypoints therefore repeat far
-    /// better, and the cost grows with the number of copies. Above 1 only with [`NormalizationMethod::UnitSphere`],
-    /// because a rotated cube leaves the volume.
+    /// better, and the cost grows with the number of copies. Above 1 only with [`NormalizationMethod::UnitSphere`] or
+    /// [`NormalizationMethod::PrincipalAxes`], because a rotated cube leaves the volume.
     pub rotations: usize,
 }
 
@@ -44,9 +44,9 @@ impl Default for EncodeOptions {
 impl EncodeOptions {
     /// Checks the ranges, and the memory of the feature volumes of a network.
     pub(crate) fn check(&self, config: &ModelConfig) -> Result<()> {
-        let unit_sphere = self.normalization == NormalizationMethod::UnitSphere;
-        if !(1..=64).contains(&self.rotations) || (self.rotations > 1 && !unit_sphere) {
-            let allowed = "1 to 64, above 1 only with unit-sphere normalization or in windows";
+        let inside = self.rotations == 1 || self.normalization.allows_rotations();
+        if !(1..=64).contains(&self.rotations) || !inside {
+            let allowed = "1 to 64, above 1 only with unit-sphere or principal-axes normalization or in windows";
             return Err(Error::Option { name: "rotations", value: self.rotations.to_string(), allowed });
         }
         if self.max_points == Some(0) {
@@ -343,7 +343,7 @@ impl Preset {
             Self::KeypointNet | Self::Smpl => (NormalizationMethod::UnitCube, Some(2048)),
             Self::Redwood => (NormalizationMethod::UnitCube, Some(10_240)),
             Self::ThreeDMatch => (NormalizationMethod::UnitCube, None),
-            Self::Standard => (NormalizationMethod::UnitSphere, None),
+            Self::Standard => (NormalizationMethod::PrincipalAxes, None),
         };
         let detect = match self {
             Self::ModelNet40 => common,

@@ -16,10 +16,21 @@ pub enum NormalizationMethod {
     /// Subtract the mean, divide by twice the largest distance from it: the cloud touches the sphere of radius 0.5.
     #[default]
     UnitSphere,
+    /// As [`NormalizationMethod::UnitSphere`], and encoded in the cloud's principal axes, so that the field and its
+    /// keypoints hardly depend on how the cloud is turned. Each axis points to the side of positive skewness. Windows are
+    /// encoded as the cloud lies.
+    PrincipalAxes,
     /// Subtract the mean, divide by twice the largest absolute coordinate: the cloud touches the cube ±0.5.
     UnitCube,
     /// The cloud is already in the network's frame.
     None,
+}
+
+impl NormalizationMethod {
+    /// Whether the cloud stays within the volume however it is turned.
+    pub(crate) fn allows_rotations(self) -> bool {
+        matches!(self, Self::UnitSphere | Self::PrincipalAxes)
+    }
 }
 
 /// The map between cloud units and the network's frame: `network = (cloud - center) / scale`.

@@ -8,14 +8,16 @@ use crate::field::{Field, Quantity};
 use crate::nn::TILE;
 use crate::options::DetectOptions;
 use crate::points::Point;
+use crate::rotations::{Rotation, rotate, rotate_inverse};
 use crate::span::span;
 
-/// The query grid of a detection in the network's frame. It is generated plane by plane to save memory.
+/// The query grid of a detection, in the orientation of the field's volume. It is generated plane by plane to save memory.
 pub(crate) struct QueryGrid {
     /// The coordinates of the queries along each axis, each with its part of the flat voxel index.
     axes: [Vec<(f32, usize)>; 3],
     /// Whether the queries of each voxel are evaluated; `None`: all are.
     band: Option<Vec<bool>>,
+    orientation: Rotation,
 }
 
 impl QueryGrid {
@@ -29,21 +31,22 @@ impl QueryGrid {
             let coordinates = (0..resolution).map(|i| coordinate(low, high, resolution, i));
             coordinates.map(|coordinate| (coordinate, frame.voxel_along(axis, coordinate))).collect()
         });
-        Self { axes, band: (options.query_band > 0).then(|| voxels_near_points(field, options.query_band)) }
+        let band = (options.query_band > 0).then(|| voxels_near_points(field, options.query_band));
+        Self { axes, band, orientation: *field.orientation() }
     }
 
     fn resolution(&self) -> usize {
         self.axes[0].len()
     }
 
-    /// Replaces `queries` by those of one plane across x, z fastest.
+    /// Replaces `queries` by those of one plane of the grid across x, z fastest, in the network's frame.
     fn plane_into(&self, x: usize, queries: &mut Vec<Point>) {
         let (x, voxel_x) = self.axes[0][x];
         queries.clear();
         for &(y, voxel_y) in &self.axes[1] {
             for &(z, voxel_z) in &self.axes[2] {
                 if self.band.as_ref().is_none_or(|band| band[voxel_x + voxel_y + voxel_z]) {
-                    queries.push([x, y, z]);
+                    queries.push(rotate_inverse(&self.orientation, [x, y, z]));
                 }
             }
         }
@@ -97,7 +100,7 @@ fn voxels_near_points(field: &Field, reach: usize) -> Vec<bool> {
     let frame = field.volume().frame();
     let mut near = vec![false; frame.resolution.iter().product()];
     for &point in field.points() {
-        near[frame.voxel(field.normalization().to_network(point))] = true;
+        near[frame.voxel(rotate(field.orientation(), field.normalization().to_network(point)))] = true;
     }
     let mut stride = 1;
     for length in frame.resolution {
