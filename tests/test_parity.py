@@ -16,7 +16,7 @@ pytest.importorskip("snake_training")
 
 from safetensors.torch import load_file, save
 
-from snake_training.augment import normalize
+from snake_training.augment import normalize, principal_axes
 from snake_training.evaluate import DetectOptions, candidates, detect
 from snake_training.export import load_network, write_weights
 from snake_training.model import NetworkConfig, SnakeNetwork
@@ -204,6 +204,23 @@ def test_clouds_of_any_place_and_size(pair, method):
     found, expected = field.detect(**options), unit.detect(**options)
     assert len(found) > 50 and np.array_equal(found.saliency, expected.saliency)
     assert np.allclose(found.points, expected.points * np.float32(scale) + center, atol=1e-6 * scale)
+
+
+def test_principal_axes(pair):
+    """A field in principal axes is PyTorch's of the cloud that was turned before."""
+    network, model, points = pair
+    cloud = points * np.float32([9, 5, 7]) + np.float32([3, -4, 1])
+    field = model.encode(cloud, normalization="principal-axes")
+    turn = field.orientation
+    assert np.allclose(turn, principal_axes(cloud), atol=1e-4)
+    center, scale = field.normalization
+    turned = ((cloud - center) / np.float32(scale)) @ turn.T
+    queries = random_queries(6, 200)
+    _, _, as_turned = both_fields((network, model, turned))
+    of_queries = field.saliency_and_gradient((queries @ turn) * np.float32(scale) + center)
+    values, gradients = as_turned.saliency_and_gradient(queries)
+    assert np.abs(of_queries[0] - values).max() < 1e-2 and np.median(np.abs(of_queries[0] - values)) < 1e-4
+    assert np.median(np.abs(of_queries[1] @ turn.T * np.float32(scale) - gradients)) < 1e-3
 
 
 def nearest(a, b):

@@ -42,6 +42,19 @@ def test_normalization(model, points):
     assert center.tolist() == [0, 0, 0] and scale == 1.0
 
 
+def test_principal_axes(model, points):
+    field = model.encode(points, normalization="principal-axes")
+    center, scale = field.normalization
+    turned = (points - center) @ field.orientation.T
+    covariance = turned.T @ turned / len(points)
+    assert np.abs(covariance - np.diag(np.diag(covariance))).max() < 1e-4 * covariance.max()
+    assert np.all(np.diff(np.diag(covariance)) < 0) and np.linalg.det(field.orientation) == pytest.approx(1, abs=1e-5)
+    as_given = model.encode(points, normalization="unit-sphere")
+    assert np.array_equal(as_given.orientation, np.eye(3)) and as_given.normalization[1] == scale
+    again = pickle.loads(pickle.dumps(field))
+    assert np.array_equal(again.volume, field.volume) and np.array_equal(again.orientation, field.orientation)
+
+
 def test_max_points_samples_by_seed(model, field, points):
     volumes = [model.encode(points, max_points=200, seed=seed).volume for seed in (0, 0, 1)]
     assert np.array_equal(volumes[0], volumes[1]) and not np.array_equal(volumes[0], volumes[2])
