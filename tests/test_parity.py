@@ -16,7 +16,7 @@ pytest.importorskip("snake_training")
 
 from safetensors.torch import load_file, save
 
-from snake_training.augment import normalize, principal_axes
+from snake_training.augment import normalize
 from snake_training.evaluate import DetectOptions, candidates, detect
 from snake_training.export import load_network, write_weights
 from snake_training.model import NetworkConfig, SnakeNetwork
@@ -204,6 +204,21 @@ def test_clouds_of_any_place_and_size(pair, method):
     found, expected = field.detect(**options), unit.detect(**options)
     assert len(found) > 50 and np.array_equal(found.saliency, expected.saliency)
     assert np.allclose(found.points, expected.points * np.float32(scale) + center, atol=1e-6 * scale)
+
+
+def principal_axes(points):
+    """The rotation (3, 3) that turns points (N, 3) into their principal axes, the longest along x; p' = R p.
+
+    Each axis points to the side of positive skewness. Where that gives a reflection, the axis of least skewness is turned.
+    """
+    offset = points - points.mean(axis=0, dtype=np.float64)
+    axes = np.linalg.eigh(offset.T @ offset)[1][:, ::-1].T
+    along = offset @ axes.T
+    skewness = (along**3).sum(axis=0) / (along**2).sum(axis=0).clip(1e-300) ** 1.5
+    axes = axes * np.where(skewness < 0, -1, 1)[:, None]
+    if np.linalg.det(axes) < 0:
+        axes[np.abs(skewness).argmin()] *= -1
+    return axes.astype(np.float32)
 
 
 def test_principal_axes(pair):

@@ -44,21 +44,6 @@ def random_rotation(rng, kind="so3"):
     return ((w * w - vector @ vector) * np.eye(3) + 2 * np.outer(vector, vector) + 2 * w * cross).astype(np.float32)
 
 
-def principal_axes(points):
-    """The rotation (3, 3) that turns points (N, 3) into their principal axes, the longest along x; p' = R p.
-
-    Each axis points to the side of positive skewness. Where that gives a reflection, the axis of least skewness is turned.
-    """
-    offset = points - points.mean(axis=0, dtype=np.float64)
-    axes = np.linalg.eigh(offset.T @ offset)[1][:, ::-1].T
-    along = offset @ axes.T
-    skewness = (along**3).sum(axis=0) / (along**2).sum(axis=0).clip(1e-300) ** 1.5
-    axes = axes * np.where(skewness < 0, -1, 1)[:, None]
-    if np.linalg.det(axes) < 0:
-        axes[np.abs(skewness).argmin()] *= -1
-    return axes.astype(np.float32)
-
-
 def choose(rng, points, number):
     """`number` random points: without replacement where there are enough, all of them and repeats where not."""
     if len(points) >= number:
@@ -159,8 +144,7 @@ def distillation_views(shape, config, rng):
     """One sample from `Targets.sample`: two views, each rotated at random, a share of them thinned and noisy.
 
     Of a shape with several views two are taken, each cut out as a `window`. A view of one whole object is normalised as
-    it is seen, noise and all, as in detection; of a share of these samples one view sees one side, and a share of these
-    views is turned into its principal axes.
+    it is seen, noise and all, as in detection; of a share of these samples one view sees one side.
     Returns a dict: points (2, N, 3); occupancy_queries (2, 2 K, 3), the first K on the surface that is seen; queries
     (2, Q, 3), the same physical places in both views, near what both see, half of them among the fifth of highest
     target; target (Q,).
@@ -198,9 +182,6 @@ def distillation_views(shape, config, rng):
             center, scale = frame
             seen = (seen - center) / scale
         else:
-            if rng.random() < config.oriented_share:
-                turn = principal_axes(seen)
-                rotation, shown, seen = turn @ rotation, shown @ turn.T, seen @ turn.T
             seen, center, scale = normalize(seen, config.normalization, rng)
         uniform = rng.uniform(-BOUND, BOUND, (config.num_occupancy, 3))
         on_surface = (choose(rng, shown, config.num_occupancy) - center) / scale

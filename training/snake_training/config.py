@@ -84,7 +84,6 @@ class TrainConfig:
     num_targets: int = setting(1024, "with targets: queries of the saliency a sample")
     degraded_share: float = setting(0.4, "with targets: share of views thinned and noisy")
     partial_share: float = setting(0.0, "with targets: share of samples of which one view sees one side only")
-    oriented_share: float = setting(0.0, "with targets: share of views of whole objects turned into their principal axes")
     max_noise: float = setting(0.02, "with targets: their noise's standard deviation is uniform up to this")
 
     weight_occupancy: float = setting(1.0, "weight of the occupancy loss; 0 switches a loss off")

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 import trimesh
 
-from snake_training.augment import BOUND, choose, normalize, principal_axes, random_rotation, two_views, within_bounds
+from snake_training.augment import BOUND, choose, normalize, random_rotation, two_views, within_bounds
 from snake_training.data import Corpus, Folder, Mixture, Procedural, open_shapes
 from snake_training.data.procedural import RECIPES, box, cone, sample_surface, tube
 from snake_training.train import make_batch
@@ -33,17 +33,6 @@ def test_normalize_is_about_the_mean_and_touches_the_bound(method):
     assert size.max() == pytest.approx(0.5, abs=1e-6)
     assert np.abs(unit.mean(axis=0)).max() < 1e-6
     assert np.allclose(unit * scale + center, points, atol=1e-5)
-
-
-def test_principal_axes_turn_with_the_cloud():
-    points = cloud()
-    axes = principal_axes(points)
-    assert np.allclose(axes @ axes.T, np.eye(3), atol=1e-6) and np.linalg.det(axes) == pytest.approx(1, abs=1e-5)
-    covariance = np.cov((points @ axes.T).T)
-    assert np.abs(covariance - np.diag(np.diag(covariance))).max() < 1e-4 and np.all(np.diff(np.diag(covariance)) < 0)
-    for seed in range(5):
-        rotation = random_rotation(rng(seed))
-        assert np.allclose(principal_axes(points @ rotation.T) @ rotation, axes, atol=1e-4)
 
 
 def test_mixed_extents_lie_between_cube_and_sphere():

@@ -229,19 +229,6 @@ def test_windows_of_a_place_show_the_same_places(tmp_path):
         assert np.allclose(one * (other.sum() / one.sum()), other, atol=1e-4)
 
 
-def test_oriented_views_lie_in_their_principal_axes(file):
-    settings = {"degraded_share": 0.0, "num_targets": 40, "num_points": 512}
-    shape = Targets(file).sample(np.random.default_rng(3))
-    for oriented, most in ((1.0, 0.05), (0.0, 1.0)):
-        config = TrainConfig(**TINY | settings | {"oriented_share": oriented})
-        sample = distillation_views(shape, config, np.random.default_rng(4))
-        across = [np.corrcoef(view.T)[np.triu_indices(3, 1)] for view in sample["points"]]
-        largest = np.abs(across).max()
-        assert largest < most and (oriented or largest > 0.05), across
-        apart = [np.linalg.norm(view[:, None] - view[None], axis=2) for view in sample["queries"]]
-        assert np.allclose(*apart, atol=1e-5)
-
-
 def test_a_window_is_a_ball_within_the_volume():
     points = np.random.default_rng(0).uniform(-BOUND, BOUND, (2000, 3))
     for seed in range(20):

@@ -6,7 +6,7 @@ use crate::detect::Detection;
 use crate::detector::Detector;
 use crate::model::Model;
 use crate::options::Options;
-use crate::points::Point;
+use crate::points::{NormalizationMethod, Point};
 use crate::{Error, Result};
 
 /// Query resolutions from fine to coarse.
@@ -25,7 +25,8 @@ const SHARE: f64 = 0.5;
 impl Model {
     /// [`Model::recommended`] with as many points and queries as a detection may have to end within `target` on this
     /// machine: [`EncodeOptions::max_points`](crate::EncodeOptions::max_points) and
-    /// [`DetectOptions::query_resolution`](crate::DetectOptions::query_resolution).
+    /// [`DetectOptions::query_resolution`](crate::DetectOptions::query_resolution). Clouds are encoded as they lie, not in
+    /// their principal axes: consecutive frames of a sensor lie alike, while their principal axes may change places.
     ///
     /// Detections of a made cloud of `num_points` points are measured, on the current Rayon pool, so call this in the pool
     /// that will detect, once. The options then fix the results: the same options give the same keypoints on any machine.
@@ -65,7 +66,11 @@ impl Model {
 
     fn budget(&self, query_resolution: usize, max_points: usize) -> Options {
         let Options { encode, detect, .. } = *self.recommended();
-        let encode = encode.with_max_points(Some(max_points));
+        let normalization = match encode.normalization {
+            NormalizationMethod::PrincipalAxes => NormalizationMethod::UnitSphere,
+            as_it_lies => as_it_lies,
+        };
+        let encode = encode.with_max_points(Some(max_points)).with_normalization(normalization);
         Options::default().with_encode(encode).with_detect(detect.with_query_resolution(query_resolution))
     }
 
@@ -133,6 +138,7 @@ mod tests {
             let options = model.realtime_options(Duration::from_millis(milliseconds), cloud.len()).unwrap();
             let found = model.detect(&cloud, &options).unwrap();
             assert!(found.num_encoded <= options.encode.max_points.unwrap());
+            assert_eq!(options.encode.normalization, NormalizationMethod::UnitSphere);
             let read: Options = serde_json::from_str(&serde_json::to_string(&options).unwrap()).unwrap();
             let one_thread = rayon::ThreadPoolBuilder::new().num_threads(1).build().unwrap();
             let again = one_thread.install(|| model.detect(&cloud, &read)).unwrap();

@@ -1,7 +1,7 @@
 //! Keypoints of a drive through a room as tracks, beside the nearest neighbours of ISS keypoints from frame to frame:
 //! `cargo run --release -p snake-registration --example tracks`.
 
-use snake_core::{Builtin, Model, Point, Result, Tracker, TrackerOptions};
+use snake_core::{Builtin, Model, NormalizationMethod, Point, Result, Tracker, TrackerOptions};
 use snake_registration::detectors::{IssOptions, iss};
 
 const NUM_FRAMES: u16 = 11;
@@ -15,10 +15,12 @@ type Tracked = (u64, Point);
 
 fn main() -> Result<()> {
     let model = Model::builtin(Builtin::Compact);
+    // Frames lie alike, so they are encoded as they lie: principal axes may change places from frame to frame.
+    let encode = model.recommended().encode.with_normalization(NormalizationMethod::UnitSphere);
     let mut tracker = Tracker::new(TrackerOptions::default().with_max_distance(f64::from(MAX_DISTANCE)))?;
     let mut frames: Vec<Vec<Tracked>> = Vec::new();
     for frame in 0..NUM_FRAMES {
-        let field = model.encode(&view(frame), &model.recommended().encode)?;
+        let field = model.encode(&view(frame), &encode)?;
         let keypoints = field.detect(&model.recommended().detect)?.keypoints;
         let positions: Vec<Point> = keypoints.iter().map(|keypoint| keypoint.position).collect();
         // The motion is not given: it is less than the maximum distance.
