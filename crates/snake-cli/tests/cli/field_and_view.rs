@@ -4,7 +4,7 @@ use std::path::{Path, PathBuf};
 use std::process::Command;
 
 use serde_json::Value;
-use snake_core::{Builtin, EncodeOptions, Field, Model, Point, RigidTransform};
+use snake_core::{Builtin, Field, Model, Point, RigidTransform};
 use snake_io as io;
 use snake_registration::transform_points;
 use tempfile::TempDir;
@@ -25,7 +25,8 @@ fn file(folder: &TempDir, name: &str) -> String {
 
 fn sample_field() -> Field {
     let points = io::read_points(Path::new(&sample())).unwrap();
-    Model::builtin(Builtin::Compact).encode(&points, &EncodeOptions::default()).unwrap()
+    let model = Model::builtin(Builtin::Compact);
+    model.encode(&points, &model.recommended().encode).unwrap()
 }
 
 /// Width, height and the red channel of a PNG.
