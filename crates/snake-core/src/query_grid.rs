@@ -91,8 +91,9 @@ pub(crate) fn above_occupancy(
         Ok(occupied)
     };
     let planes = (0..resolution).into_par_iter().map_init(memory, occupied_of_plane);
-    let planes: Vec<Vec<Point>> = planes.collect::<Result<_>>()?;
-    Ok(planes.concat())
+    // Rayon collects results, whose number it knows, with fewer allocations than a result of planes.
+    let planes: Vec<Result<Vec<Point>>> = planes.collect();
+    Ok(planes.into_iter().collect::<Result<Vec<_>>>()?.concat())
 }
 
 /// Whether each voxel has a voxel with input points within `reach` voxels along every axis.

@@ -38,10 +38,28 @@ pub(crate) fn refine(
     Ok(refined)
 }
 
-/// Positions of a tile's queries after some steps, with their saliency.
-struct Step {
+/// Positions of a tile's queries after each number of steps, with their saliency.
+struct Trajectory {
+    /// Number of queries of the tile.
+    num_queries: usize,
+    /// Step by step, so that query q after s steps stands at `s * num_queries + q`.
     positions: Scratch<Point>,
     saliency: Scratch<f32>,
+}
+
+impl Trajectory {
+    /// Steps that have memory from the start.
+    const FEW: usize = 64;
+
+    fn new(num_queries: usize, num_steps: usize) -> Self {
+        let length = num_queries * num_steps.min(Self::FEW);
+        Self { num_queries, positions: Scratch::empty(length), saliency: Scratch::empty(length) }
+    }
+
+    fn push(&mut self, positions: &[Point], saliency: &[f32]) {
+        self.positions.extend_from_slice(positions);
+        self.saliency.extend_from_slice(saliency);
+    }
 }
 
 fn refine_tile(
@@ -53,12 +71,12 @@ fn refine_tile(
     refined: &mut [Refined],
 ) -> Result<()> {
     let mut positions = Scratch::copy_of(queries);
-    let mut trajectory = Vec::with_capacity(options.refine_steps + 1);
+    let mut trajectory = Trajectory::new(queries.len(), options.refine_steps + 1);
     let mut adam = Adam::new(queries.len(), options.refine_step_size);
     for _ in 0..options.refine_steps {
         counter.check()?;
         let (saliency, gradient) = field.tile_values_and_gradients(Quantity::Saliency, &positions);
-        trajectory.push(Step { positions: Scratch::copy_of(&positions), saliency });
+        trajectory.push(&positions, &saliency);
         match options.refine_method {
             RefineMethod::Adam => adam.step(&mut positions, &gradient, -1.0 / num_queries as f32),
             RefineMethod::GradientDescent => {
@@ -76,8 +94,7 @@ fn refine_tile(
             refined.iter_mut().zip(positions.iter()).for_each(|(best, &position)| best.position = position);
         }
         _ => {
-            let saliency = field.tile_values(Quantity::Saliency, &positions);
-            trajectory.push(Step { positions, saliency });
+            trajectory.push(&positions, &field.tile_values(Quantity::Saliency, &positions));
             best_on_surface(field, &trajectory, options, refined);
         }
     }
@@ -89,14 +106,15 @@ fn refine_tile(
 ///
 /// Occupancy is evaluated by falling saliency, until a position lies on the surface or its saliency is too low for a
 /// keypoint. The result is the same as with the occupancy of all positions, and most queries need none.
-fn best_on_surface(field: &Field, trajectory: &[Step], options: &DetectOptions, best: &mut [Refined]) {
-    let num_steps = trajectory.len();
+fn best_on_surface(field: &Field, trajectory: &Trajectory, options: &DetectOptions, best: &mut [Refined]) {
+    let &Trajectory { num_queries, ref positions, ref saliency } = trajectory;
+    let num_steps = positions.len() / num_queries;
     // For each query the number of its salient steps, and these steps by falling saliency.
     let mut counts = Scratch::zeros(best.len());
     let mut ranked = Scratch::zeros(best.len() * num_steps);
     for (query, (best, ranked)) in best.iter_mut().zip(ranked.chunks_exact_mut(num_steps)).enumerate() {
-        *best = Refined { position: trajectory[0].positions[query], score: 0.0 };
-        let saliency = |step: usize| trajectory[step].saliency[query];
+        *best = Refined { position: positions[query], score: 0.0 };
+        let saliency = |step: usize| saliency[step * num_queries + query];
         let salient = (0..num_steps).filter(|&step| saliency(step) > options.saliency_threshold);
         counts[query] = ranked.iter_mut().zip(salient).map(|(rank, step)| *rank = step).count();
         ranked[..counts[query]].sort_unstable_by(|&a, &b| saliency(b).total_cmp(&saliency(a)).then(a.cmp(&b)));
@@ -104,12 +122,12 @@ fn best_on_surface(field: &Field, trajectory: &[Step], options: &DetectOptions, 
     for rank in 0..num_steps {
         let is_open = |query: &usize| counts[*query] > rank;
         let open = Scratch::collect(best.len(), (0..best.len()).filter(is_open));
-        let step = |query: usize| &trajectory[ranked[query * num_steps + rank]];
-        let positions = Scratch::collect(open.len(), open.iter().map(|&query| step(query).positions[query]));
-        let occupancy = field.tile_values(Quantity::Occupancy, &positions);
+        let place = |query: usize| ranked[query * num_steps + rank] * num_queries + query;
+        let of_open = Scratch::collect(open.len(), open.iter().map(|&query| positions[place(query)]));
+        let occupancy = field.tile_values(Quantity::Occupancy, &of_open);
         for (&query, &occupancy) in open.iter().zip(occupancy.iter()) {
             if occupancy > options.surface_threshold {
-                best[query] = Refined { position: step(query).positions[query], score: step(query).saliency[query] };
+                best[query] = Refined { position: positions[place(query)], score: saliency[place(query)] };
                 counts[query] = 0;
             }
         }

@@ -7,9 +7,11 @@
 //! neighbours are constant, and adds one to the reach. Constant tiles of one kind have equal outputs: one of them is
 //! computed, and the others are copies of it, equal to the last bit.
 
-use std::collections::{BTreeMap, HashMap};
+use std::collections::HashMap;
 
 use rayon::prelude::*;
+
+use crate::Scratch;
 
 /// The constant voxels of a volume.
 #[derive(Debug, Clone)]
@@ -101,40 +103,46 @@ pub(crate) fn copy_constant_tiles(
 ) {
     let [_, height, width] = size;
     let tiles = size.map(|n| n.div_ceil(tile));
-    let mut copies = BTreeMap::new();
+    // For each tile the number of its copies.
+    let mut counts: Scratch<u32> = Scratch::zeros(originals.len());
     for (number, &original) in originals.iter().enumerate() {
         if let Some(original) = original.filter(|&original| original as usize != number) {
-            *copies.entry(original).or_insert(0) += 1;
+            counts[original as usize] += 1;
         }
     }
-    // The voxels of each original; voxels beyond the border are zero and add nothing.
-    let voxels_of = |original: u32| {
-        let corner = split(original as usize, tiles).map(|i| i * tile);
-        let mut values = vec![0.0; tile.pow(3) * channels];
+    // For each tile with copies its place among them.
+    let mut places: Scratch<u32> = Scratch::zeros(originals.len());
+    let mut num_copied = 0;
+    for (place, _) in places.iter_mut().zip(counts.iter()).filter(|(_, count)| **count > 0) {
+        *place = num_copied;
+        num_copied += 1;
+    }
+    // The voxels of each tile with copies; voxels beyond the border are zero and add nothing.
+    let length = tile.pow(3) * channels;
+    let mut values = Scratch::zeros(num_copied as usize * length);
+    let copied = counts.iter().enumerate().filter(|(_, count)| **count > 0);
+    for ((original, &count), values) in copied.zip(values.chunks_exact_mut(length)) {
+        let corner = split(original, tiles).map(|i| i * tile);
         for (number, voxel) in values.chunks_exact_mut(channels).enumerate() {
             let within = split(number, [tile; 3]);
             let [z, y, x]: [usize; 3] = std::array::from_fn(|axis| corner[axis] + within[axis]);
             if z < size[0] && y < height && x < width {
                 voxel.copy_from_slice(&output[((z * height + y) * width + x) * channels..][..channels]);
             }
-        }
-        values
-    };
-    let values: HashMap<u32, Vec<f32>> = copies.keys().map(|&original| (original, voxels_of(original))).collect();
-    for (original, count) in copies {
-        for voxel in values[&original].chunks_exact(channels) {
-            for (sum, &value) in sums.iter_mut().zip(voxel) {
+            for (sum, &value) in sums.iter_mut().zip(voxel.iter()) {
                 sum[0] += f64::from(value) * f64::from(count);
                 sum[1] += f64::from(value).powi(2) * f64::from(count);
             }
         }
     }
+    let (places, values) = (&places[..], &values[..]);
     output.par_chunks_mut(width * channels).enumerate().for_each(|(line, output)| {
         let (z, y) = (line / height, line % height);
         let first = (z / tile * tiles[1] + y / tile) * tiles[2];
         for ((number, original), to) in (first..).zip(&originals[first..]).zip(output.chunks_mut(tile * channels)) {
             if let Some(original) = original.filter(|&original| original as usize != number) {
-                let from = &values[&original][(z % tile * tile + y % tile) * tile * channels..];
+                let values = &values[places[original as usize] as usize * length..];
+                let from = &values[(z % tile * tile + y % tile) * tile * channels..];
                 to.copy_from_slice(&from[..to.len()]);
             }
         }

@@ -29,7 +29,7 @@ macro_rules! elements {
         })*
     };
 }
-elements!(f32, usize, [f32; 3], Corners);
+elements!(f32, u32, usize, [f32; 3], [f64; 2], Corners);
 
 /// Values of a few tiles of queries or points. Dropping them leaves their memory to the thread.
 #[derive(Debug, Default)]
@@ -60,8 +60,13 @@ impl<T: Element> Scratch<T> {
         scratch
     }
 
+    /// Appends values.
+    pub fn extend_from_slice(&mut self, values: &[T]) {
+        self.0.extend_from_slice(values);
+    }
+
     /// A buffer without values that has space for `length` of them: the smallest unused buffer that is large enough.
-    fn empty(length: usize) -> Self {
+    pub fn empty(length: usize) -> Self {
         let fitting = |unused: &Unused<T>| {
             let mut unused = unused.borrow_mut();
             let fits = unused.iter().enumerate().filter(|(_, values)| values.capacity() >= length);

@@ -27,10 +27,10 @@ use std::cell::RefCell;
 
 use rayon::prelude::*;
 
-use crate::SimdLevel;
 use crate::constant_region::copy_constant_tiles;
 use crate::group_norm::add_in_order;
 use crate::simd::{LANES, Lanes, simd_levels};
+use crate::{Scratch, SimdLevel};
 
 pub use self::pack::PackedConv3d;
 use self::pack::{BLOCK, points};
@@ -80,7 +80,7 @@ struct Task<'a> {
 
 /// Tiles, transformed inputs and products of a task.
 #[derive(Default)]
-struct Scratch {
+struct Buffers {
     inputs: Vec<f32>,
     products: Vec<f32>,
     /// The rows and places of the tiles to compute.
@@ -97,7 +97,7 @@ fn first_values(values: &mut Vec<f32>, length: usize) -> &mut [f32] {
 
 thread_local! {
     /// Kept between tasks: fresh memory costs more than the arithmetic on it.
-    static SCRATCH: RefCell<Scratch> = RefCell::default();
+    static SCRATCH: RefCell<Buffers> = RefCell::default();
 }
 
 /// Normalises the sources (`value * scale + shift`), pads them with zeros, convolves and applies the ReLU. `output` is
@@ -118,15 +118,16 @@ pub fn conv3d(level: SimdLevel, conv: &Conv3d, stop: &(dyn Fn() -> bool + Sync),
     let rows_factor = if originals.is_empty() { 1 } else { 4 };
     let rows = (rows_factor * batch / width.div_ceil(layer.tile)).clamp(1, tile_rows);
     let share = layer.tile * rows * width * layer.outputs;
-    let mut tasks = Vec::new();
+    let mut tasks = Vec::with_capacity(size[0].div_ceil(layer.tile) * tile_rows.div_ceil(rows));
     for (z, planes) in output.chunks_mut(layer.tile * plane).enumerate() {
-        let mut planes: Vec<_> = planes.chunks_mut(plane).map(|plane| plane.chunks_mut(share)).collect();
+        let mut planes = planes.chunks_mut(plane);
+        let mut planes: [_; MAX_TILE] = std::array::from_fn(|_| planes.next().map(|plane| plane.chunks_mut(share)));
         for row in (0..tile_rows).step_by(rows) {
-            let planes = std::array::from_fn(|i| planes.get_mut(i).and_then(Iterator::next).unwrap_or_default());
+            let planes = planes.each_mut().map(|plane| plane.as_mut().and_then(Iterator::next).unwrap_or_default());
             tasks.push(Task { plane: z, row, planes });
         }
     }
-    let mut partial = vec![[0.0; 2]; tasks.len() * layer.outputs];
+    let mut partial: Scratch<[f64; 2]> = Scratch::zeros(tasks.len() * layer.outputs);
     tasks.into_par_iter().zip(partial.par_chunks_mut(layer.outputs)).for_each(|(task, sums)| {
         if !stop() {
             SCRATCH.with_borrow_mut(|scratch| conv3d_task(level, conv, scratch, task, sums));
@@ -144,13 +145,13 @@ const BATCH_2: usize = 32;
 const BATCH_4: usize = 16;
 
 simd_levels! {
-    fn conv3d_task(conv: &Conv3d, scratch: &mut Scratch, task: Task, sums: &mut [[f64; 2]]) = conv3d_task_body
+    fn conv3d_task(conv: &Conv3d, scratch: &mut Buffers, task: Task, sums: &mut [[f64; 2]]) = conv3d_task_body
 }
 
 #[inline(always)]
 fn conv3d_task_body<L: Lanes, const ROWS: usize>(
     conv: &Conv3d,
-    scratch: &mut Scratch,
+    scratch: &mut Buffers,
     task: Task,
     sums: &mut [[f64; 2]],
 ) {
@@ -163,7 +164,7 @@ fn conv3d_task_body<L: Lanes, const ROWS: usize>(
 #[inline(always)]
 fn conv3d_tiles<L: Lanes, const ROWS: usize, const N: usize>(
     conv: &Conv3d,
-    scratch: &mut Scratch,
+    scratch: &mut Buffers,
     mut task: Task,
     sums: &mut [[f64; 2]],
     batch: usize,
@@ -171,7 +172,7 @@ fn conv3d_tiles<L: Lanes, const ROWS: usize, const N: usize>(
     let &Conv3d { layer, size, originals, .. } = conv;
     let [tile_rows, tiles_along] = [size[1].div_ceil(N - 2), size[2].div_ceil(N - 2)];
     let rows = (task.planes[0].len() / (size[2] * layer.outputs)).div_ceil(N - 2);
-    let Scratch { inputs, products, tiles } = scratch;
+    let Buffers { inputs, products, tiles } = scratch;
     tiles.clear();
     for row in task.row..task.row + rows {
         for x in 0..tiles_along {
