@@ -66,8 +66,8 @@ $(VENV)/registration-ready: $(VENV)/ready
 bench-registration: module $(VENV)/registration-ready  ## registration beside Open3D and KISS-Matcher: make bench-registration SCENES=FOLDER OBJECTS=FOLDER; resumable, hours, PARTS="speed verdict" for a part
 	$(PYTHON) tests/bench/registration.py $(if $(SCENES),--scenes $(SCENES)) $(if $(OBJECTS),--objects $(OBJECTS)) $(if $(PARTS),--parts $(PARTS))
 
-results:  ## docs/results.md: make results OBJECTS=FOLDER LANDMARKS=FOLDER SCENES="FOLDER .." (or one of them); resumable
-	python3 docs/results.py $(if $(OBJECTS),--objects $(OBJECTS)) $(if $(LANDMARKS),--landmarks $(LANDMARKS)) $(if $(SCENES),--scenes $(SCENES))
+results:  ## docs/results.md: make results OBJECTS=FOLDER LANDMARKS=FOLDER SCENES="FOLDER .." (or one of them), LIMIT=NUMBER of objects; resumable
+	python3 docs/results.py $(if $(OBJECTS),--objects $(OBJECTS)) $(if $(LANDMARKS),--landmarks $(LANDMARKS)) $(if $(SCENES),--scenes $(SCENES)) $(if $(LIMIT),--limit $(LIMIT))
 
 wheel: $(VENV)/ready  ## a wheel of the Python module in target/wheels
 	$(VENV)/bin/maturin build --release --manifest-path python/Cargo.toml

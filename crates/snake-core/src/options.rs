@@ -119,7 +119,8 @@ pub struct DetectOptions {
     /// Keypoints have a score above this (thr_s).
     pub saliency_threshold: f32,
     /// Radius of mode seeking: before suppression, three steps of mean shift move keypoints to the weighted mean of the
-    /// candidates within this radius, which is more precise than the best single query. `None`: off, as in the paper.
+    /// candidates within this radius, which is more precise than the best single query. `None` or 0: off, as in the paper.
+    #[serde(deserialize_with = "none_if_zero")]
     pub mode_radius: Option<Length>,
     /// Minimum distance of keypoints. `None`: no suppression. In JSON 0 is also `None`.
     #[serde(deserialize_with = "none_if_zero")]
@@ -179,14 +180,11 @@ impl DetectOptions {
         within("occupancy_threshold", self.occupancy_threshold, 0.0..=1.0, "0 to 1")?;
         within("surface_threshold", self.surface_threshold, 0.0..=1.0, "0 to 1")?;
         within("saliency_threshold", self.saliency_threshold, 0.0..=1.0, "0 to 1")?;
-        for (name, length, allowed) in [
-            ("nms_radius", self.nms_radius, "0 or more (cloud units, or as in `3r` resolutions)"),
-            ("mode_radius", self.mode_radius, "above 0 (cloud units, or as in `3r` resolutions)"),
-        ] {
+        for (name, length) in [("nms_radius", self.nms_radius), ("mode_radius", self.mode_radius)] {
             let Some(length) = length else { continue };
-            let above_zero = name == "mode_radius";
             let value = length.number();
-            if !(value >= 0.0 && value as f32 <= f32::MAX && !(above_zero && value as f32 == 0.0)) {
+            if !(value >= 0.0 && value as f32 <= f32::MAX) {
+                let allowed = "0 or more (cloud units, or as in `3r` resolutions)";
                 return Err(Error::Option { name, value: length.to_string(), allowed });
             }
         }
@@ -207,7 +205,11 @@ impl DetectOptions {
         };
         Ok(Radii {
             nms: self.nms_radius.map_or(Ok(0.0), |length| units("nms_radius", length))?,
-            mode: self.mode_radius.map(|length| units("mode_radius", length)).transpose()?,
+            mode: self
+                .mode_radius
+                .map(|length| units("mode_radius", length))
+                .transpose()?
+                .filter(|radius| *radius > 0.0),
         })
     }
 }
@@ -447,14 +449,16 @@ mod tests {
     }
 
     #[test]
-    fn a_mode_radius_is_above_zero() {
+    fn a_mode_radius_is_a_length_and_0_is_off() {
         let with = |mode_radius| DetectOptions { mode_radius, ..Default::default() }.check(1);
         for right in [None, Some(Length::Units(0.06)), Some(Length::Resolutions(2.0)), Some(Length::Percent(8.0))] {
             assert!(with(right).is_ok(), "{right:?}");
         }
-        for wrong in [0.0, -1.0, f64::NAN, 1e60] {
+        for wrong in [-1.0, f64::NAN, 1e60] {
             assert!(with(Some(Length::Units(wrong))).unwrap_err().to_string().contains("mode_radius"), "{wrong}");
         }
+        let off = DetectOptions { mode_radius: Some(Length::Units(0.0)), ..Default::default() };
+        assert!(off.check(1).is_ok() && off.radii(&[]).unwrap().mode.is_none());
     }
 
     #[test]
@@ -462,6 +466,7 @@ mod tests {
         let read = |json: &str| serde_json::from_str::<Options>(json).unwrap();
         for off in ["0", "0.0", "null"] {
             assert_eq!(read(&format!("{{\"detect\":{{\"nms_radius\":{off}}}}}")).detect.nms_radius, None, "{off}");
+            assert_eq!(read(&format!("{{\"detect\":{{\"mode_radius\":{off}}}}}")).detect.mode_radius, None, "{off}");
         }
         assert_eq!(read(r#"{"detect":{"nms_radius":"3r"}}"#).detect.nms_radius, Some(Length::Resolutions(3.0)));
         let old = read(r#"{"detect":{"refine_steps":0},"windows":{"window_radius":0.8}}"#);

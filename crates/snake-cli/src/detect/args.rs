@@ -107,7 +107,7 @@ pub struct DetectFlags {
     #[arg(long)]
     saliency_threshold: Option<f32>,
     /// Before suppression, move keypoints to the weighted mean of the candidates within this radius. A length as of
-    /// --nms-radius [default: 8%].
+    /// --nms-radius; 0 turns it off [default: 8%].
     #[arg(long, value_name = "LENGTH")]
     mode_radius: Option<Length>,
     /// Radius of non-maximum suppression: keypoints are farther apart than this. The radius is in cloud units, in
@@ -143,7 +143,7 @@ impl DetectFlags {
         override_with(&mut detect.occupancy_threshold, self.occupancy_threshold);
         override_with(&mut detect.surface_threshold, self.surface_threshold);
         override_with(&mut detect.saliency_threshold, self.saliency_threshold);
-        override_with(&mut detect.mode_radius, self.mode_radius.map(Some));
+        override_with(&mut detect.mode_radius, self.mode_radius.map(none_if_zero));
         override_with(&mut detect.nms_radius, self.nms_radius.map(none_if_zero));
         override_with(&mut detect.max_keypoints, self.max_keypoints);
         override_with(&mut detect.snap, self.snap.then_some(true));
