@@ -47,7 +47,7 @@ check: module $(VENV)/check-ready wheel-test  ## formatting, lints, type stubs, 
 	cargo clippy --release --workspace --all-targets
 	RUSTDOCFLAGS="-D warnings" cargo doc --release --workspace --no-deps
 	rm -rf $(PACKAGES)
-	CARGO_PROFILE_DEV_OPT_LEVEL=0 cargo package --workspace --exclude snake-rs-python --allow-dirty
+	CARGO_PROFILE_DEV_OPT_LEVEL=0 CARGO_PROFILE_DEV_DEBUG=0 cargo package --workspace --exclude snake-rs-python --allow-dirty
 	$(VENV)/bin/ruff check training python tests docs
 	$(VENV)/bin/ruff format --check training python tests docs
 	$(PYTHON) -m mypy.stubtest snake_rs._core

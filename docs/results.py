@@ -39,9 +39,9 @@ folder of objects, SCENES one or more folders of clouds with their `pairs.json` 
 there are), LANDMARKS one of shapes that know their corners. Rows marked as the paper's are its own figures for its own data;
 they stand beside ours for orientation.
 
-The page in the repository is of the validation split of the corpus (`LIMIT=58`, every third object), which was not trained on, and of fragments of the
-3DMatch benchmark with those of its pairs that overlap by at least a tenth and fit within 2 cm under the published
-transforms, as about a fifth do not: its figures do not compare with published ones.
+The page in the repository is of the validation split of the corpus (`LIMIT=58`, every third object), which was not trained on,
+and of fragments of the 3DMatch benchmark with those of its pairs that overlap by at least a tenth and fit within 2 cm under
+the published transforms, as about a fifth do not: its figures do not compare with published ones.
 """
 
 
