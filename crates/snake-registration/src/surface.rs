@@ -95,6 +95,17 @@ impl<'a> Surface<'a> {
         }
     }
 
+    /// Of the source's points on the target with parallel normals, the share whose normals are opposite; 0 without any.
+    pub(super) fn opposed(source: &Self, target: &Self, transform: &IsometryMatrix3<f64>) -> f64 {
+        let cosine = |index: usize| {
+            let (other, _) = target.grid.nearest(&moved(transform, &source.points[index]))?;
+            Some((transform.rotation * source.normals[index]).dot(&target.normals[other]))
+        };
+        let cosines = (0..source.points.len()).into_par_iter().filter_map(cosine);
+        let parallel: Vec<f64> = cosines.filter(|cosine| cosine.abs() > AGREEING_COSINE).collect();
+        parallel.iter().filter(|cosine| **cosine < 0.0).count() as f64 / parallel.len().max(1) as f64
+    }
+
     fn saw_through(&self, point: &Vector) -> bool {
         self.image.as_ref().is_some_and(|image| image.sight(point) == Sight::Free)
     }

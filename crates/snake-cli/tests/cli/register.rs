@@ -110,6 +110,25 @@ fn register_takes_a_guess_an_axis_and_a_verdict() {
 }
 
 #[test]
+fn normals_that_contradict_the_origin_as_viewpoint_lose_their_signs() {
+    let folder = tempfile::tempdir().unwrap();
+    let turned = rotated_sample(folder.path());
+    let half = folder.path().join("half.ply").display().to_string();
+    let points: Vec<_> = snake_io::read_points(Path::new(&sample())).unwrap().into_iter().skip(1).step_by(2).collect();
+    snake_io::write_points(Path::new(&half), &points, [0.0; 3]).unwrap();
+    let report =
+        |more: &[&str]| json_lines(&snake(&[&["register", &half, &turned, "--json"], more].concat()))[0].clone();
+    // Most of the aeroplane is visible from its centre, but no sensor was there.
+    let (guessed, unsigned) = (report(&[]), report(&["--no-viewpoints"]));
+    assert_eq!(guessed["viewpoints"], serde_json::json!(["none", "none"]));
+    assert_eq!(guessed["t_target_source"], unsigned["t_target_source"]);
+    assert!(guessed["is_reliable"] == true, "{guessed}");
+    let given = report(&["--source-viewpoint", "0,0,0", "--target-viewpoint", "0,0,0"]);
+    assert_eq!(given["viewpoints"], serde_json::json!(["given", "given"]));
+    assert_ne!(given["num_agreeing"], guessed["num_agreeing"]);
+}
+
+#[test]
 fn few_keypoints_suffice_and_do_not_go_with_the_other_number() {
     let folder = tempfile::tempdir().unwrap();
     let turned = rotated_sample(folder.path());
