@@ -181,17 +181,17 @@ def sharpen(target, queries, radius=0.15):
 def seek_modes(log_odds, occupancy, queries, radius=0.04, starts=704, spacing=0.05, limit=64):
     """Keypoints (K, 3) of an averaged field at queries (Q, 3), best first, by the mean shift of snake-rs.
 
-    Queries on the surface are weighted by the eighth power of their saliency. The best `starts` move three times to the
-    weighted mean within `radius`; the modes that are nearer than `spacing` to a better one are dropped.
+    The best `starts` move three times to the mean within `radius`, weighted by a power of the saliency. The radius falls and
+    the power rises, so that modes come near to the peaks; those nearer than `spacing` to a better one are dropped.
     """
     on_surface = occupancy > 0.8
     if not on_surface.any():
         raise ValueError("the network sees no surface in a shape: train it first")
     at, saliency = (torch.from_numpy(a[on_surface]).double() for a in (queries, 1 / (1 + np.exp(-log_odds))))
-    weights = (saliency / saliency.amax()) ** 8
+    relative = saliency / saliency.amax()
     modes = at[saliency.argsort(descending=True)[:starts]]
-    for _ in range(3):
-        near = (torch.cdist(modes, at) <= radius) * weights
+    for share, power in ((1, 8), (0.85, 12), (0.7, 16)):
+        near = (torch.cdist(modes, at) <= share * radius) * relative**power
         total = near.sum(dim=1, keepdim=True)
         modes = torch.where(total > 0, near @ at / total.clamp(min=1e-30), modes)
     distance, nearest = torch.cdist(modes, at).topk(min(4, len(at)), largest=False)

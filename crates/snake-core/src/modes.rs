@@ -7,19 +7,18 @@ use crate::kd_tree::KdTree;
 use crate::nms::suppress_in;
 use crate::points::Point;
 
-/// Steps of the mean shift.
-const STEPS: usize = 3;
-
-/// Weights are this power of the saliency: a candidate a tenth less salient weighs half as much.
-const POWER: i32 = 8;
+/// The steps of the mean shift: the share of the radius within which candidates count, and the power of their saliency that
+/// weighs them. With a power of 8, a candidate a tenth less salient weighs half as much. A mean over a wide neighbourhood lies
+/// inside of a corner; later steps come nearer to the peak.
+const STEPS: [(f32, i32); 3] = [(1.0, 8), (0.85, 12), (0.7, 16)];
 
 /// Number of candidates that are moved per keypoint, because several of them end at the same mode. For fewer than 64
 /// keypoints the number is that of 64, because the most salient candidates lie close together.
 const STARTS: usize = 16;
 
 /// Moves the most salient candidates, at least half of `radius` apart, to modes by mean shift (Comaniciu and Meer 2002):
-/// three times to the mean of the candidates within `radius`, weighted by the eighth power of their saliency. Returns the
-/// indices of these candidates and their new positions.
+/// three times to the mean of the candidates within `radius`, weighted by a power of their saliency. From step to step the
+/// radius falls and the power rises. Returns the indices of these candidates and their new positions.
 ///
 /// A mean over a neighbourhood is more precise than the position of a single query. Modes can coincide, so they are
 /// suppressed afterwards.
@@ -37,9 +36,12 @@ pub(crate) fn seek_modes(
     }
     let tree = KdTree::new(positions)?;
     let starts = suppress_in(&tree, positions, scores, radius / 2.0, STARTS.saturating_mul(max_keypoints.max(64)));
-    let weights: Vec<f32> = scores.iter().map(|score| score.powi(POWER)).collect();
+    let weights = STEPS.map(|(_, power)| scores.iter().map(|score| score.powi(power)).collect::<Vec<f32>>());
     let mode = |near: &mut Vec<usize>, &start: &usize| {
-        (0..STEPS).fold(positions[start], |at, _| weighted_mean(&tree, positions, &weights, at, radius, near))
+        let step = |at, ((share, _), weights): (_, &Vec<f32>)| {
+            weighted_mean(&tree, positions, weights, at, share * radius, near)
+        };
+        STEPS.into_iter().zip(&weights).fold(positions[start], step)
     };
     let modes = starts.par_iter().map_init(Vec::new, mode).collect();
     Ok((starts, modes))
@@ -73,10 +75,10 @@ mod tests {
 
     /// The mean shift with sums over all candidates.
     fn plain(positions: &[Point], scores: &[f32], at: Point, radius: f32) -> Point {
-        (0..3).fold(at, |at, _| {
+        [(1.0, 8), (0.85, 12), (0.7, 16)].into_iter().fold(at, |at, (share, power)| {
             let weight = |p: &Point, s: f32| {
                 let squared: f32 = (0..3).map(|axis| (p[axis] - at[axis]).powi(2)).sum();
-                if squared <= radius * radius { f64::from(s).powi(8) } else { 0.0 }
+                if squared <= (share * radius).powi(2) { f64::from(s).powi(power) } else { 0.0 }
             };
             let weights: Vec<f64> = positions.iter().zip(scores).map(|(p, &s)| weight(p, s)).collect();
             let total: f64 = weights.iter().sum();

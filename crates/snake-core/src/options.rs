@@ -119,7 +119,8 @@ pub struct DetectOptions {
     /// Keypoints have a score above this (thr_s).
     pub saliency_threshold: f32,
     /// Radius of mode seeking: before suppression, three steps of mean shift move keypoints to the weighted mean of the
-    /// candidates within this radius, which is more precise than the best single query. `None` or 0: off, as in the paper.
+    /// candidates within this radius, then 0.85 and 0.7 of it, which is more precise than the best single query. `None` or 0:
+    /// off, as in the paper.
     #[serde(deserialize_with = "none_if_zero")]
     pub mode_radius: Option<Length>,
     /// Minimum distance of keypoints. `None`: no suppression. In JSON 0 is also `None`.

