@@ -136,11 +136,69 @@ def test_a_cluster_detects_small_clouds_as_one_machine(cluster, tmp_path):
 
     path = tmp_path / "cloud.npy"
     np.save(path, cloud(0))
-    paths = cluster.data.from_items([{"path": str(path)}, {"path": str(tmp_path / "missing.npy")}])
-    found = paths.map_batches(DetectClouds, fn_constructor_kwargs=options, **steps).take_all()
-    by_path = {os.path.basename(row["path"]): row for row in found}
-    assert len(by_path["cloud.npy"]["keypoints"]) == len(snake_rs.detect(path, **options))
-    assert "FileNotFoundError" in by_path["missing.npy"]["error"]
+    missing = tmp_path / "missing.npy"
+    paths = [str(path), path.as_uri(), str(missing), missing.as_uri()]
+    rows = cluster.data.from_items([{"path": path} for path in paths])
+    found = rows.map_batches(DetectClouds, fn_constructor_kwargs=options, **steps).take_all()
+    by_path = {row["path"]: row for row in found}
+    for there in paths[:2]:
+        assert len(by_path[there]["keypoints"]) == len(snake_rs.detect(path, **options))
+    for away in paths[2:]:
+        assert "FileNotFoundError" in by_path[away]["error"]
+
+
+def test_a_cluster_registers_pairs_as_one_machine(cluster, tmp_path):
+    from snake_rs.ray import RegisterPairs
+
+    rng = np.random.default_rng(0)
+    points = rng.uniform(-1, 1, (4000, 3)) * [1, 0.7, 0.4]
+    points[:, 2] += 0.3 * np.sin(3 * points[:, 0]) * (points[:, 1] > 0)
+    points[np.arange(4000), rng.integers(0, 3, 4000)] *= 0.05
+    source, target, missing = (tmp_path / f"{name}.npy" for name in ("source", "target", "missing"))
+    np.save(source, points[::2])
+    np.save(target, points[1::2] + [3, 0, 1])
+    rows = [{"source": source.as_uri(), "target": str(target)}, {"source": str(missing), "target": str(target)}]
+    steps = {"batch_format": "pyarrow", "concurrency": 1, "num_cpus": 1}
+    found = (
+        cluster.data.from_items(rows).map_batches(RegisterPairs, fn_constructor_kwargs={"seed": 3}, **steps).take_all()
+    )
+    good, bad = sorted(found, key=lambda row: row["error"] is not None)
+    here = snake_rs.register(source, target, seed=3)
+    assert np.array_equal(np.reshape(good["t_target_source"], (4, 4)), here.t_target_source)
+    assert (good["confidence"], good["is_reliable"]) == (here.confidence, here.is_reliable)
+    assert "FileNotFoundError" in bad["error"] and bad["t_target_source"] is None and bad["is_reliable"] is None
+
+
+def test_clouds_lie_in_object_storage(cluster, tmp_path):
+    server = pytest.importorskip("moto.server", reason="S3 is not tested: pip install s3fs 'moto[server]'")
+    s3fs = pytest.importorskip("s3fs", reason="S3 is not tested: pip install s3fs 'moto[server]'")
+    from snake_rs.ray import DetectClouds
+
+    points = np.random.default_rng(0).uniform(-1, 1, (600, 3)).astype(np.float32)
+    np.save(tmp_path / "cloud.npy", points)
+    running = server.ThreadedMotoServer(port=0)
+    running.start()
+    try:
+        host, port = running.get_host_and_port()
+        storage = {"key": "any", "secret": "any", "endpoint_url": f"http://{host}:{port}"}
+        files = s3fs.S3FileSystem(**storage)
+        files.mkdir("clouds")
+        files.put_file(str(tmp_path / "cloud.npy"), "clouds/cloud.npy")
+        rows = cluster.data.from_items([{"path": f"s3://clouds/{name}.npy"} for name in ("cloud", "missing")])
+        options = {"query_resolution": 24, "saliency_threshold": 0.1}
+        found = rows.map_batches(
+            DetectClouds,
+            fn_constructor_kwargs={"storage_options": storage, **options},
+            batch_format="pyarrow",
+            concurrency=1,
+            num_cpus=1,
+        ).take_all()
+    finally:
+        running.stop()
+    by_path = {row["path"]: row for row in found}
+    here = snake_rs.detect(points, **options)
+    assert len(here) > 0 and len(by_path["s3://clouds/cloud.npy"]["keypoints"]) == len(here)
+    assert "FileNotFoundError" in by_path["s3://clouds/missing.npy"]["error"]
 
 
 def test_a_cluster_has_the_bits_of_one_machine_though_a_worker_is_killed(cluster, city, whole, tmp_path, monkeypatch):

@@ -1,4 +1,4 @@
-"""Detection on a cluster, with Ray Data: pip install "snake-rs[ray]".
+"""Detection and registration on a cluster, with Ray Data: pip install "snake-rs[ray]".
 
 Each class is for `ray.data.Dataset.map_batches`. It loads its model once an actor and uses as many threads as the actor has
 CPUs.
@@ -17,22 +17,27 @@ keypoints = keypoints_of_tiles(tiles, concurrency=4, num_cpus=2)  # a pyarrow.Ta
 
 from __future__ import annotations
 
+import contextlib
 import errno
+import posixpath
+import tempfile
 import warnings
+from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
 
 try:
+    import fsspec  # type: ignore[import-not-found, import-untyped, unused-ignore]
     import pyarrow as pa  # type: ignore[import-not-found, import-untyped, unused-ignore]
     import ray  # type: ignore[import-not-found, unused-ignore]
     import ray.data  # type: ignore[import-not-found, unused-ignore]
 except ImportError as _error:
     raise ImportError('snake_rs.ray needs Ray Data: pip install "snake-rs[ray]"') from _error
 
-from ._core import Model, Tiles, detect, set_num_threads
+from ._core import Model, Tiles, detect, register, set_num_threads
 
-__all__ = ["DetectClouds", "DetectTiles", "TileKeypoints", "keypoints_of_tiles"]
+__all__ = ["DetectClouds", "DetectTiles", "RegisterPairs", "TileKeypoints", "keypoints_of_tiles"]
 
 # Errors that every further file would have too.
 _FULL = (errno.ENOSPC, errno.EDQUOT)
@@ -47,6 +52,13 @@ _KEYPOINT = pa.struct(
         ("nearest_index", pa.int64()),
     ]
 )
+# What `RegisterPairs` adds.
+_TRANSFORM = [
+    pa.field("t_target_source", pa.list_(pa.float64(), 16)),
+    pa.field("confidence", pa.float64()),
+    pa.field("is_reliable", pa.bool_()),
+    pa.field("error", pa.string()),
+]
 _RANK = ["cell_x", "cell_y", "cell_z", "rank"]
 
 
@@ -65,18 +77,20 @@ def _reason(error: Exception) -> str:
 
 class DetectClouds:
     """Detects the keypoints of each row of a batch, a `pyarrow.Table`: of the file in the column `path`, or of the cloud in
-    the column `points`, flat `x, y, z, x, ..` or lists of three.
+    the column `points`, flat `x, y, z, x, ..` or lists of three. A path may be a URL that fsspec opens, such as
+    `s3://bucket/cloud.ply` once s3fs is installed; `storage_options` are those of its file system.
 
     Adds the column `keypoints`, a list of structs with `x`, `y`, `z`, `saliency`, `occupancy` and `nearest_index`, by
     falling saliency, and the column `error`: the reason why a cloud could not be detected, or null. The other columns stay,
     and `points` is dropped. `model` and `options` are those of `snake_rs.detect`.
     """
 
-    def __init__(self, model: Model | str = "compact", **options: Any) -> None:
+    def __init__(
+        self, model: Model | str = "compact", storage_options: dict[str, Any] | None = None, **options: Any
+    ) -> None:
         _use_own_cpus()
-        self.model = Model.builtin(model) if model in ("compact", "standard", "rooms") else model
-        if isinstance(self.model, str):
-            self.model = Model.load(self.model)
+        self.model = _loaded(model)
+        self.storage_options = storage_options or {}
         self.options = options
 
     def __call__(self, batch: pa.Table) -> pa.Table:
@@ -87,8 +101,13 @@ class DetectClouds:
         errors: list[str | None] = []
         for value in batch["path" if is_path else "points"]:
             try:
-                points = value.as_py() if is_path else _points(value)
-                found.append(_structs(detect(points, self.model, **self.options).to_dict()))
+                cloud: contextlib.AbstractContextManager[Any] = (
+                    _local_file(value.as_py(), self.storage_options)
+                    if is_path
+                    else contextlib.nullcontext(_points(value))
+                )
+                with cloud as points:
+                    found.append(_structs(detect(points, self.model, **self.options).to_dict()))
                 errors.append(None)
             except (OSError, ValueError) as error:
                 found.append(None)
@@ -97,6 +116,60 @@ class DetectClouds:
             batch = batch.drop_columns(["points"])
         batch = batch.append_column("keypoints", pa.array(found, pa.list_(_KEYPOINT)))
         return batch.append_column("error", pa.array(errors, pa.string()))
+
+
+class RegisterPairs:
+    """Registers the files in the columns `source` and `target` of each row of a batch, a `pyarrow.Table`. Paths may be URLs, and
+    `storage_options` are as in `DetectClouds`.
+
+    Adds the columns `t_target_source`, the 16 numbers of the matrix row by row, `confidence`, `is_reliable`, and `error`: the
+    reason why a pair could not be registered, or null. `model` and `options` are those of `snake_rs.register`.
+    """
+
+    def __init__(
+        self, model: Model | str = "compact", storage_options: dict[str, Any] | None = None, **options: Any
+    ) -> None:
+        _use_own_cpus()
+        self.model = _loaded(model)
+        self.storage_options = storage_options or {}
+        self.options = options
+
+    def __call__(self, batch: pa.Table) -> pa.Table:
+        rows = [self._row(row["source"], row["target"]) for row in batch.select(["source", "target"]).to_pylist()]
+        for column in _TRANSFORM:
+            batch = batch.append_column(column, pa.array([row.get(column.name) for row in rows], column.type))
+        return batch
+
+    def _row(self, source: str, target: str) -> dict[str, Any]:
+        try:
+            with contextlib.ExitStack() as copies:
+                source, target = (
+                    copies.enter_context(_local_file(path, self.storage_options)) for path in (source, target)
+                )
+                found = register(source, target, self.model, **self.options)
+        except (OSError, ValueError) as error:
+            return {"error": _reason(error)}
+        matrix = found.t_target_source.ravel().tolist()
+        return {"t_target_source": matrix, "confidence": found.confidence, "is_reliable": found.is_reliable}
+
+
+def _loaded(model: Model | str) -> Model:
+    if isinstance(model, Model):
+        return model
+    return Model.builtin(model) if model in ("compact", "standard", "rooms") else Model.load(model)
+
+
+@contextlib.contextmanager
+def _local_file(path: str, storage_options: dict[str, Any]) -> Iterator[str]:
+    """The path of a file of this machine, or of a copy of the file at a URL."""
+    if "://" not in path:
+        yield path
+        return
+    with tempfile.TemporaryDirectory() as folder:
+        files, remote = fsspec.url_to_fs(path, **storage_options)
+        copy = f"{folder}/{posixpath.basename(remote)}"
+        files.get_file(remote, copy)
+        yield copy
 
 
 def _points(value: pa.Scalar) -> np.ndarray:
