@@ -52,6 +52,7 @@ def test_results_can_be_pickled(found):
         "is_reliable",
         "is_ambiguous",
         "free_space_violation",
+        "match_spread",
         "weakest_constraint",
         "viewpoints",
         "notes",

@@ -444,6 +444,7 @@ class Registration:
         fitness: float,
         fitness_rmse: float,
         free_space_violation: float,
+        match_spread: float,
         weakest_constraint: float,
         slide_margin: float,
         information: NDArray[np.float64],
@@ -479,6 +480,8 @@ class Registration:
     def fitness_rmse(self) -> float: ...
     @property
     def free_space_violation(self) -> float: ...
+    @property
+    def match_spread(self) -> float: ...
     @property
     def weakest_constraint(self) -> float: ...
     @property

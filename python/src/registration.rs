@@ -38,6 +38,8 @@ pub struct Registration {
     fitness_rmse: f64,
     /// Share of the voxels of both clouds that lie where the other cloud's sensor saw through, in [0, 1].
     free_space_violation: f64,
+    /// Standard deviation of the matches that agree in the direction in which they are spread least, in cloud units.
+    match_spread: f64,
     /// How well the overlap fixes the direction of motion that it fixes least: 0 if the source can slide or turn.
     weakest_constraint: f64,
     /// By how much the overlap exceeds that of slides along the direction that is fixed least; below 0 if one fits better.
@@ -74,6 +76,7 @@ impl Registration {
         fitness: f64,
         fitness_rmse: f64,
         free_space_violation: f64,
+        match_spread: f64,
         weakest_constraint: f64,
         slide_margin: f64,
         information: Py<PyArray2<f64>>,
@@ -97,6 +100,7 @@ impl Registration {
             fitness,
             fitness_rmse,
             free_space_violation,
+            match_spread,
             weakest_constraint,
             slide_margin,
             information,
@@ -123,6 +127,7 @@ impl Registration {
             "fitness",
             "fitness_rmse",
             "free_space_violation",
+            "match_spread",
             "weakest_constraint",
             "slide_margin",
             "information",
@@ -200,6 +205,7 @@ pub fn register(
         fitness: found.fitness,
         fitness_rmse: found.fitness_rmse,
         free_space_violation: found.free_space_violation,
+        match_spread: found.match_spread,
         weakest_constraint: found.weakest_constraint,
         slide_margin: found.slide_margin,
         information: matrix(py, found.information)?,

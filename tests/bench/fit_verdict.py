@@ -4,7 +4,8 @@
 
 300 pairs that overlap and 300 that do not are registered, which takes minutes; a run that was interrupted continues. Wrong
 transforms within 20 degrees and 0.7 m of the published ones are left out, because the published ones are not exact. Prints
-the weights of a logistic regression.
+the weights of a logistic regression, and what the verdict loses without each column: the mean log loss on the pairs of
+each scene by weights that were fitted on the other scenes.
 """
 
 import argparse
@@ -14,14 +15,16 @@ import numpy as np
 import registration_runs as runs
 import scene_pairs
 
-NAMES = ["bias", "log(1 + agreeing)", "log((1 + agreeing) / (1 + rival))", "slide margin", "free-space violation"]
+NAMES = ["bias", "log(1 + agreeing)", "log((1 + agreeing) / (1 + rival))", "slide margin", "match spread, at most 1"]
+NAMES += ["free-space violation"]
 # The ridge penalty, for columns of unit variance, a row.
 PENALTY = 1e-4
 
 
 def columns(evidence: dict) -> list[float]:
     agreeing, rival = np.log1p([evidence["num_agreeing"], evidence["num_rival_agreeing"]])
-    return [1.0, agreeing, agreeing - rival, evidence["slide_margin"], evidence["free_space_violation"]]
+    spread = min(evidence["match_spread"], 1.0)
+    return [1.0, agreeing, agreeing - rival, evidence["slide_margin"], spread, evidence["free_space_violation"]]
 
 
 def logistic_regression(rows: np.ndarray, labels: np.ndarray) -> np.ndarray:
@@ -34,6 +37,15 @@ def logistic_regression(rows: np.ndarray, labels: np.ndarray) -> np.ndarray:
         hessian = (scaled.T * (probability * (1 - probability))) @ scaled + np.diag(penalty + 1e-9)
         weights -= np.linalg.solve(hessian, scaled.T @ (probability - labels) + penalty * weights)
     return weights / scale
+
+
+def held_out_loss(rows: np.ndarray, labels: np.ndarray, scenes: np.ndarray) -> float:
+    """The mean log loss on each scene by the weights of the others."""
+    sums = np.zeros(len(rows))
+    for scene in np.unique(scenes):
+        own = scenes == scene
+        sums[own] = rows[own] @ logistic_regression(rows[~own], labels[~own])
+    return float(np.logaddexp(0, np.where(labels > 0, -sums, sums)).mean())
 
 
 def is_right(pair: scene_pairs.Pair, transform: np.ndarray) -> bool | None:
@@ -56,17 +68,22 @@ def main() -> None:
     pairs += scene_pairs.not_overlapping(arguments.scenes, "train", arguments.pairs)
     tasks = [runs.Task(pair.name, pair.clouds) for pair in pairs]
     found = runs.results("registration", tasks, [runs.OURS], arguments.cache)
-    rows, labels = [], []
+    rows, labels, scenes = [], [], []
     for pair in pairs:
         row = found[pair.name, runs.OURS]
         label = is_right(pair, np.array(row["refined"]))
         if label is not None and "evidence" in row:
             rows.append(columns(row["evidence"]))
             labels.append(label)
-    weights = logistic_regression(np.array(rows), np.array(labels, float))
-    print(f"{len(rows)} pairs, {sum(labels)} right")
-    for name, weight in zip(NAMES, weights):
-        print(f"{name:>36} {weight:9.2f}")
+            scenes.append(pair.source.stem.rsplit("__", 1)[0])
+    rows, labels, scenes = np.array(rows), np.array(labels, float), np.array(scenes)
+    weights = logistic_regression(rows, labels)
+    print(
+        f"{len(rows)} pairs, {labels.sum():.0f} right; log loss on held-out scenes {held_out_loss(rows, labels, scenes):.3f}"
+    )
+    for index, (name, weight) in enumerate(zip(NAMES, weights)):
+        without = held_out_loss(np.delete(rows, index, axis=1), labels, scenes) if index > 0 else None
+        print(f"{name:>36} {weight:9.2f}" + (f", {without:.3f} without" if without is not None else ""))
 
 
 if __name__ == "__main__":

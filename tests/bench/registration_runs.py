@@ -41,6 +41,7 @@ def run_ours(source: np.ndarray, target: np.ndarray) -> dict:
     seconds = time.perf_counter() - start
     names = ("num_agreeing", "num_rival_agreeing", "slide_margin", "free_space_violation", "is_ambiguous", "fitness")
     evidence = {name: getattr(found, name) for name in names}
+    evidence["match_spread"] = found.match_spread / found.inlier_distance
     transform = found.t_target_source.tolist()
     return {"refined": transform, "score": found.confidence, "seconds": seconds, "evidence": evidence}
 

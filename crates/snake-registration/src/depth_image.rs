@@ -4,16 +4,29 @@ use std::collections::HashMap;
 
 use snake_core::space::Vector;
 
-/// Width of a pixel in radians, for a viewpoint within the cloud.
-const PIXEL: f64 = 0.05;
-/// Tangent of the greatest angle between a surface's normal and the line of sight. Within a pixel, a surface's distance
-/// varies by up to this share of the pixel's width.
-const SLANT: f64 = 4.0;
+/// How a depth image is made.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Sharpness {
+    /// Width of a pixel in radians, for a viewpoint within the cloud.
+    pixel: f64,
+    /// Tangent of the greatest angle between a surface's normal and the line of sight. Within a pixel, a surface's distance
+    /// varies by up to this share of the pixel's width.
+    slant: f64,
+    /// A point also lowers the depth of pixels that are up to so many away.
+    reach: i32,
+}
+
+/// Quick to make, tolerant of a sensor that moved: to compare transforms.
+pub(super) const COARSE: Sharpness = Sharpness { pixel: 0.05, slant: 4.0, reach: 0 };
+/// Sees smaller violations. At an edge a pixel has the depth of the nearer surface, so that a small error of the sensor's
+/// position does not count: to judge one transform.
+pub(super) const FINE: Sharpness = Sharpness { pixel: 0.03, slant: 2.0, reach: 1 };
 
 /// The least distance from a viewpoint to a cloud in each direction.
 pub(super) struct DepthImage {
-    viewpoint: Vector,
+    pub(super) viewpoint: Vector,
     pixel: f64,
+    slant: f64,
     margin: f64,
     depths: HashMap<[i32; 2], f64>,
 }
@@ -33,23 +46,29 @@ pub(super) enum Sight {
 
 impl DepthImage {
     /// Distances are compared with a tolerance of `margin` (cloud units) and the slant of a surface within a pixel.
-    pub(super) fn new(points: &[Vector], viewpoint: Vector, margin: f64) -> Self {
+    pub(super) fn new(points: &[Vector], viewpoint: Vector, margin: f64, sharpness: Sharpness) -> Self {
         let center = points.iter().sum::<Vector>() / points.len().max(1) as f64;
         let radius = points.iter().map(|point| (point - center).norm()).fold(0.0, f64::max);
         // From afar the cloud is small, and so are its pixels.
-        let pixel = PIXEL * (radius / (center - viewpoint).norm()).clamp(1e-6, 1.0);
-        let mut image = Self { viewpoint, pixel, margin, depths: HashMap::new() };
+        let Sharpness { pixel, slant, reach } = sharpness;
+        let pixel = pixel * (radius / (center - viewpoint).norm()).clamp(1e-6, 1.0);
+        let mut image = Self { viewpoint, pixel, slant, margin, depths: HashMap::new() };
         for point in points {
-            let (pixel, depth) = image.project(point);
-            image.depths.entry(pixel).and_modify(|least| *least = least.min(depth)).or_insert(depth);
+            let (row, azimuth, depth) = image.direction(point);
+            for row in row - reach..=row + reach {
+                let column = image.column(row, azimuth);
+                for column in column - reach..=column + reach {
+                    image.depths.entry([row, column]).and_modify(|least| *least = least.min(depth)).or_insert(depth);
+                }
+            }
         }
         image
     }
 
     pub(super) fn sight(&self, point: &Vector) -> Sight {
-        let (pixel, depth) = self.project(point);
-        let Some(&first) = self.depths.get(&pixel) else { return Sight::Unknown };
-        let tolerance = |depth: f64| self.margin + SLANT * self.pixel * depth;
+        let (row, azimuth, depth) = self.direction(point);
+        let Some(&first) = self.depths.get(&[row, self.column(row, azimuth)]) else { return Sight::Unknown };
+        let tolerance = |depth: f64| self.margin + self.slant * self.pixel * depth;
         if depth > first + tolerance(first) {
             Sight::Hidden
         } else if depth < first - tolerance(depth) {
@@ -65,15 +84,38 @@ impl DepthImage {
         visible as f64 / points.len().max(1) as f64
     }
 
-    /// The pixel of a point (elevation and azimuth) and its distance.
-    fn project(&self, point: &Vector) -> ([i32; 2], f64) {
+    /// The row of a point's pixel (elevation), its azimuth and its distance.
+    fn direction(&self, point: &Vector) -> (i32, f64, f64) {
         let offset = point - self.viewpoint;
         let depth = offset.norm();
         let elevation = (offset.z / depth.max(f64::MIN_POSITIVE)).asin();
-        let azimuth = offset.y.atan2(offset.x);
-        let row = (elevation / self.pixel).floor();
-        // Rows near the poles have fewer pixels, so that all have about the same area.
-        let column = (azimuth * ((row + 0.5) * self.pixel).cos().abs() / self.pixel).floor();
-        ([row as i32, column as i32], depth)
+        ((elevation / self.pixel).floor() as i32, offset.y.atan2(offset.x), depth)
+    }
+
+    /// The column of an azimuth. Rows near the poles have fewer pixels, so that all have about the same area.
+    fn column(&self, row: i32, azimuth: f64) -> i32 {
+        (azimuth * ((f64::from(row) + 0.5) * self.pixel).cos().abs() / self.pixel).floor() as i32
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// A wall at x = 3 that ends at y = 0, before a wall at x = 5, seen from the origin.
+    fn walls() -> Vec<Vector> {
+        let grid = (-60..60).flat_map(|y| (-60..60).map(move |z| (0.05 * f64::from(y), 0.05 * f64::from(z))));
+        grid.map(|(y, z)| Vector::new(if y < 0.0 { 3.0 } else { 5.0 }, y, z)).collect()
+    }
+
+    #[test]
+    fn a_fine_image_sees_smaller_violations_but_none_at_edges() {
+        let [coarse, fine] = [COARSE, FINE].map(|sharpness| DepthImage::new(&walls(), Vector::zeros(), 0.1, sharpness));
+        let far = Vector::new(4.5, 1.0, 0.0);
+        assert_eq!([coarse.sight(&far), fine.sight(&far)], [Sight::Surface, Sight::Free]);
+        // Behind the front wall's edge, but for a pixel.
+        let edge = Vector::new(3.5, 0.03, 0.02);
+        assert_eq!([coarse.sight(&edge), fine.sight(&edge)], [Sight::Free, Sight::Hidden]);
+        assert!(walls().iter().all(|point| fine.sight(point) != Sight::Free));
     }
 }

@@ -19,7 +19,7 @@ use super::result::{Hypothesis, Registration, ViewpointUsed};
 use super::scan::Scan;
 use super::slide::slide_margin;
 use super::surface::{Agreement, Surface, coarse_step, fitness};
-use super::verdict::{Evidence, is_rival, notes, units_note};
+use super::verdict::{Evidence, is_rival, least_spread, notes, units_note};
 
 /// Number of transforms that are compared on the voxels.
 const CANDIDATES: usize = 20;
@@ -107,11 +107,15 @@ impl<'a> Pair<'a> {
         let criteria = self.criteria(options);
         let rivals = &found[1..found.len().min(REFINED)];
         let agreeing = |candidate: &Candidate| inliers(matches, &candidate.refined, &criteria).0;
-        let num_agreeing = agreeing(best);
+        let agreed: Vec<&Match> =
+            matches.iter().filter(|found| found.squared_residual(&best.refined, &criteria).is_some()).collect();
+        let match_spread = least_spread(&agreed.iter().map(|found| found.target).collect::<Vec<_>>());
+        let num_agreeing = agreed.len();
         let of_rivals: Vec<usize> = rivals.iter().map(agreeing).collect();
         let mut counted = rivals.iter().zip(&of_rivals);
         let evidence = Evidence {
-            agreement: best.agreement,
+            violation: Surface::fine_violation(&surfaces, &best.refined),
+            match_spread: match_spread / self.inlier_distance,
             num_agreeing,
             num_rival_agreeing: of_rivals.iter().copied().max().unwrap_or(0),
             slide_margin: slide_margin(&surfaces, &best.refined, &best.agreement, &constraint, self.inlier_distance),
@@ -140,14 +144,14 @@ impl<'a> Pair<'a> {
             inlier_distance: self.inlier_distance,
             fitness,
             fitness_rmse,
-            free_space_violation: best.agreement.violation,
+            free_space_violation: evidence.violation,
+            match_spread,
             slide_margin: evidence.slide_margin,
             weakest_constraint: constraint.weakest,
             information: std::array::from_fn(|row| std::array::from_fn(|column| constraint.information[(row, column)])),
             hypotheses: found.iter().take(options.hypotheses).map(hypothesis).collect(),
-            matches: matches
+            matches: agreed
                 .iter()
-                .filter(|found| found.squared_residual(&best.refined, &criteria).is_some())
                 .map(|found| [found.source, found.target].map(|end| end.map(|v| v as f32).into()))
                 .collect(),
             viewpoints: self.viewpoints_used(),

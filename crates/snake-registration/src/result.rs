@@ -39,6 +39,9 @@ pub struct Registration {
     /// Share of the voxels of both clouds, 0 to 1, that lie where the other cloud's sensor saw through to a farther
     /// surface; 0 if the viewpoints are not known.
     pub free_space_violation: f64,
+    /// How far the matches that agree are spread in the direction in which they are spread least, as a standard deviation
+    /// in cloud units. Matches on one plane, with a spread near 0, do not fix a transform.
+    pub match_spread: f64,
     /// How well the overlap fixes the direction of motion that it fixes least: 0 if the source can slide or turn on the
     /// target, about 0.1 if surfaces face all ways.
     pub weakest_constraint: f64,
@@ -76,7 +79,7 @@ pub struct Hypothesis {
     pub score: f64,
     /// See [`Registration::num_inliers`].
     pub num_inliers: usize,
-    /// See [`Registration::free_space_violation`].
+    /// As [`Registration::free_space_violation`], from depth images that are quicker to make and less sharp.
     pub free_space_violation: f64,
 }
 

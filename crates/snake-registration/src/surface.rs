@@ -3,7 +3,7 @@
 use nalgebra::IsometryMatrix3;
 use rayon::prelude::*;
 
-use super::depth_image::{DepthImage, Sight};
+use super::depth_image::{COARSE, DepthImage, FINE, Sight};
 use super::near_grid::NearGrid;
 use super::rigid::moved;
 use snake_core::space::Vector;
@@ -63,7 +63,8 @@ impl<'a> Surface<'a> {
         viewpoint: Option<Vector>,
         inlier_distance: f64,
     ) -> Self {
-        let image = viewpoint.map(|viewpoint| DepthImage::new(points, viewpoint, DEPTH_MARGIN * inlier_distance));
+        let margin = DEPTH_MARGIN * inlier_distance;
+        let image = viewpoint.map(|viewpoint| DepthImage::new(points, viewpoint, margin, COARSE));
         Self { points, normals, grid: NearGrid::new(points, inlier_distance), image }
     }
 
@@ -104,6 +105,18 @@ impl<'a> Surface<'a> {
         let cosines = (0..source.points.len()).into_par_iter().filter_map(cosine);
         let parallel: Vec<f64> = cosines.filter(|cosine| cosine.abs() > AGREEING_COSINE).collect();
         parallel.iter().filter(|cosine| **cosine < 0.0).count() as f64 / parallel.len().max(1) as f64
+    }
+
+    /// The share of the points of both that lie in space that a fine depth image of the other shows to be free; 0 if the
+    /// viewpoints are not known.
+    pub(super) fn fine_violation([source, target]: &[Self; 2], transform: &IsometryMatrix3<f64>) -> f64 {
+        let free = |points: &Self, seen: &Self, transform: &IsometryMatrix3<f64>| {
+            let Some(coarse) = &seen.image else { return 0 };
+            let image = DepthImage::new(seen.points, coarse.viewpoint, seen.grid.distance(), FINE);
+            points.points.par_iter().filter(|point| image.sight(&moved(transform, point)) == Sight::Free).count()
+        };
+        let count = free(source, target, transform) + free(target, source, &transform.inverse());
+        count as f64 / (source.points.len() + target.points.len()) as f64
     }
 
     fn saw_through(&self, point: &Vector) -> bool {

@@ -1,11 +1,17 @@
 //! Whether a transform can be relied on.
 
+use nalgebra::Matrix3;
+
 use super::surface::Agreement;
+use snake_core::space::Vector;
 
 /// What is known of the best transform.
 #[derive(Debug, Clone, PartialEq)]
 pub(super) struct Evidence {
-    pub(super) agreement: Agreement,
+    /// See [`Registration::free_space_violation`](crate::Registration::free_space_violation).
+    pub(super) violation: f64,
+    /// [`Registration::match_spread`](crate::Registration::match_spread) in inlier distances.
+    pub(super) match_spread: f64,
     /// See [`Registration::num_agreeing`](crate::Registration::num_agreeing).
     pub(super) num_agreeing: usize,
     /// See [`Registration::num_rival_agreeing`](crate::Registration::num_rival_agreeing).
@@ -29,13 +35,15 @@ pub(super) fn is_rival(other: (&Agreement, usize), best: (&Agreement, usize)) ->
     matched && other.0.fit() > RIVAL_FIT * best.0.fit()
 }
 
-/// The weights of a logistic regression on 600 pairs of the training scenes, of which 279 have a right transform
+/// The weights of a logistic regression on 595 pairs of the training scenes, of which 279 have a right transform
 /// (`tests/bench/fit_verdict.py`). The bias is 2.2 below the fitted one: a confidence of 0.5 is a probability of about 0.9.
-const BIAS: f64 = -9.3;
-const PER_LOG_AGREEING: f64 = 2.1;
-const PER_LOG_RATIO: f64 = 0.65;
-const PER_SLIDE_MARGIN: f64 = 50.0;
-const PER_VIOLATION: f64 = -145.0;
+const BIAS: f64 = -9.1;
+const PER_LOG_AGREEING: f64 = 1.83;
+const PER_LOG_RATIO: f64 = 0.08;
+const PER_SLIDE_MARGIN: f64 = 49.0;
+/// Matches on one plane or line say little, however many agree. More than an inlier distance of spread says no more.
+const PER_MATCH_SPREAD: f64 = 3.6;
+const PER_VIOLATION: f64 = -121.0;
 
 impl Evidence {
     /// Whether other transforms fit as well or about as well.
@@ -54,10 +62,19 @@ impl Evidence {
             + PER_LOG_AGREEING * agreeing
             + PER_LOG_RATIO * (agreeing - rival)
             + PER_SLIDE_MARGIN * self.slide_margin
-            + PER_VIOLATION * self.agreement.violation;
+            + PER_MATCH_SPREAD * self.match_spread.min(1.0)
+            + PER_VIOLATION * self.violation;
         let of_one = 1.0 / (1.0 + (-sum).exp());
         if self.has_rival { (of_one / 2.0).min(MOST_AMBIGUOUS) } else { of_one }
     }
+}
+
+/// The standard deviation of points in the direction in which they vary least; 0 for less than two.
+pub(super) fn least_spread(points: &[Vector]) -> f64 {
+    let count = points.len().max(1) as f64;
+    let mean = points.iter().sum::<Vector>() / count;
+    let scatter: Matrix3<f64> = points.iter().map(|point| (point - mean) * (point - mean).transpose()).sum();
+    (scatter / count).symmetric_eigenvalues().min().max(0.0).sqrt()
 }
 
 /// The greatest confidence beside another transform that fits about as well.
@@ -94,7 +111,8 @@ mod tests {
     use super::*;
 
     const EVIDENCE: Evidence = Evidence {
-        agreement: Agreement { overlap: 0.6, violation: 0.002 },
+        violation: 0.002,
+        match_spread: 2.0,
         num_agreeing: 100,
         num_rival_agreeing: 10,
         slide_margin: 0.1,
@@ -106,8 +124,8 @@ mod tests {
     fn matches_free_space_and_slides_make_a_transform_reliable() {
         assert!(EVIDENCE.confidence() > 0.9, "{}", EVIDENCE.confidence());
         for worse in [
-            Evidence { num_agreeing: 3, ..EVIDENCE },
-            Evidence { agreement: Agreement { violation: 0.2, ..EVIDENCE.agreement }, ..EVIDENCE },
+            Evidence { num_agreeing: 3, match_spread: 0.0, ..EVIDENCE },
+            Evidence { violation: 0.2, ..EVIDENCE },
             Evidence { slide_margin: -0.1, ..EVIDENCE },
             Evidence { open_directions: (1, "any".into()), ..EVIDENCE },
             Evidence { has_rival: true, slide_margin: 9.0, ..EVIDENCE },
@@ -115,6 +133,15 @@ mod tests {
             assert!(worse.confidence() < 0.5, "{worse:?}: {}", worse.confidence());
         }
         assert!(Evidence { num_rival_agreeing: 99, ..EVIDENCE }.confidence() < EVIDENCE.confidence());
+        assert!(Evidence { match_spread: 0.0, ..EVIDENCE }.confidence() < EVIDENCE.confidence());
+    }
+
+    #[test]
+    fn points_on_a_plane_have_no_spread_across_it() {
+        let plane: Vec<Vector> = (0..60).map(|i| Vector::new(f64::from(i % 9), f64::from(i / 9), 2.0)).collect();
+        assert!(least_spread(&plane) < 1e-9 && least_spread(&plane[..1]) == 0.0 && least_spread(&[]) == 0.0);
+        let two: Vec<Vector> = plane.iter().flat_map(|p| [*p, p + Vector::z()]).collect();
+        assert!((least_spread(&two) - 0.5).abs() < 1e-9);
     }
 
     #[test]

@@ -1,6 +1,6 @@
 //! Where the sensor was.
 
-use super::depth_image::DepthImage;
+use super::depth_image::{COARSE, DepthImage};
 use super::options::RegisterOptions;
 use super::result::ViewpointUsed;
 use snake_core::space::Vector;
@@ -22,6 +22,6 @@ pub(super) fn viewpoint(
     if let Some(given) = given {
         return Some((given.into(), ViewpointUsed::Given));
     }
-    let image = DepthImage::new(voxels, Vector::zeros(), margin);
+    let image = DepthImage::new(voxels, Vector::zeros(), margin, COARSE);
     (image.visible_share(voxels) >= LEAST_VISIBLE).then_some((Vector::zeros(), ViewpointUsed::Origin))
 }

@@ -30,6 +30,7 @@ fn register_prints_and_writes_the_transform() {
         "inlier_distance",
         "is_ambiguous",
         "is_reliable",
+        "match_spread",
         "notes",
         "num_agreeing",
         "num_correspondences",
