@@ -123,7 +123,7 @@ fn a_mirror_image_has_no_reliable_transform_and_the_room_itself_has_one() {
     assert!(found.is_reliable && !found.is_ambiguous && found.notes.is_empty(), "{found:?}");
     let mirrored: Vec<Point> = target.iter().map(|[x, y, z]| [-x, *y, *z]).collect();
     let found = run(&source, &mirrored).unwrap();
-    assert!(!found.is_reliable && found.confidence < 0.2, "{found:?}");
+    assert!(!found.is_reliable && found.confidence < 0.4, "{found:?}");
 }
 
 #[test]
