@@ -77,7 +77,7 @@ impl Decoder {
         let stage = |i| {
             Ok(Stage {
                 fc_c: Linear::load(&scope.at(&format!("fc_c.{i}")), config.c_dim, width)?,
-                block: ResnetBlockFc::load(&scope.at(&format!("blocks.{i}")), width, width)?,
+                block: ResnetBlockFc::load(&scope.at(&format!("blocks.{i}")), width)?,
             })
         };
         Ok(Self {

@@ -5,8 +5,8 @@ use rayon::prelude::*;
 use crate::Result;
 use crate::weights::Scope;
 use snake_kernels::{
-    Buffer, BufferPool, ConstantRegion, Conv3d, Epilogue, GroupNorm, PackedConv3d, PackedLinear, Scratch, SimdLevel,
-    Source, channel_sums,
+    Buffer, BufferPool, ConstantRegion, Conv3d, Epilogue, GroupNorm, PackedConv3d, PackedLinear, SimdLevel, Source,
+    channel_sums,
 };
 
 /// Rows per task: their features fit the first-level cache.
@@ -24,10 +24,6 @@ impl Linear {
     pub(crate) fn load(scope: &Scope, inputs: usize, outputs: usize) -> Result<Self> {
         let bias = scope.tensor("bias", &[outputs])?;
         Ok(Self::new(inputs, outputs, &scope.tensor("weight", &[outputs, inputs])?, &bias))
-    }
-
-    fn load_without_bias(scope: &Scope, inputs: usize, outputs: usize) -> Result<Self> {
-        Ok(Self::new(inputs, outputs, &scope.tensor("weight", &[outputs, inputs])?, &[]))
     }
 
     pub(crate) fn new(inputs: usize, outputs: usize, weight: &[f32], bias: &[f32]) -> Self {
@@ -53,37 +49,19 @@ impl Linear {
     }
 }
 
-/// Pre-activation residual block: `shortcut(x) + fc_1(relu(fc_0(relu(x))))`.
+/// Pre-activation residual block: `x + fc_1(relu(fc_0(relu(x))))`.
 #[derive(Debug)]
 pub(crate) struct ResnetBlockFc {
     pub(crate) fc_0: Linear,
     pub(crate) fc_1: Linear,
-    shortcut: Option<Linear>,
 }
 
 impl ResnetBlockFc {
-    pub(crate) fn load(scope: &Scope, inputs: usize, outputs: usize) -> Result<Self> {
-        let hidden = inputs.min(outputs);
-        let shortcut = (inputs != outputs).then(|| Linear::load_without_bias(&scope.at("shortcut"), inputs, outputs));
+    pub(crate) fn load(scope: &Scope, width: usize) -> Result<Self> {
         Ok(Self {
-            fc_0: Linear::load(&scope.at("fc_0"), inputs, hidden)?,
-            fc_1: Linear::load(&scope.at("fc_1"), hidden, outputs)?,
-            shortcut: shortcut.transpose()?,
+            fc_0: Linear::load(&scope.at("fc_0"), width, width)?,
+            fc_1: Linear::load(&scope.at("fc_1"), width, width)?,
         })
-    }
-
-    /// The block's output for rows of input.
-    pub(crate) fn forward(&self, input: &[f32], output: &mut [f32]) {
-        let mut rectified = Scratch::zeros(input.len());
-        snake_kernels::relu(SimdLevel::current(), input, &mut rectified);
-        let rows = output.len() / self.fc_1.outputs();
-        let mut hidden = Scratch::zeros(rows * self.fc_0.outputs());
-        self.fc_0.forward(&rectified, &mut hidden, Epilogue::Relu);
-        match &self.shortcut {
-            Some(shortcut) => shortcut.forward(input, output, Epilogue::Store),
-            None => output.copy_from_slice(input),
-        }
-        self.fc_1.forward(&hidden, output, Epilogue::Add);
     }
 }
 

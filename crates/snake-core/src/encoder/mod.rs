@@ -2,6 +2,7 @@
 //! ConvONet).
 
 mod pointnet;
+mod pointnet_blocks;
 mod scatter;
 mod unet;
 mod voxel_groups;

@@ -5,11 +5,12 @@
 
 use rayon::prelude::*;
 
+use super::pointnet_blocks::{FirstBlock, PooledBlock, VoxelTerms};
 use super::voxel_groups::VoxelGroups;
 use crate::Result;
 use crate::config::ModelConfig;
 use crate::control::Counter;
-use crate::nn::{Linear, ResnetBlockFc, TILE};
+use crate::nn::{Linear, TILE};
 use crate::points::Point;
 use crate::weights::Scope;
 use snake_kernels::{Epilogue, Scratch, SimdLevel, max_rows};
@@ -24,26 +25,27 @@ const LARGE: usize = 16 * CHUNK;
 #[derive(Debug)]
 pub(crate) struct PointNet {
     hidden: usize,
-    fc_pos: Linear,
-    blocks: Vec<ResnetBlockFc>,
+    first: FirstBlock,
+    /// The other blocks.
+    blocks: Vec<PooledBlock>,
     fc_c: Linear,
 }
 
 impl PointNet {
     pub(crate) fn load(scope: &Scope, config: &ModelConfig) -> Result<Self> {
         let hidden = config.hidden_dim;
-        let block = |i| ResnetBlockFc::load(&scope.at(&format!("blocks.{i}")), 2 * hidden, hidden);
+        let block = |i| PooledBlock::load(&scope.at(&format!("blocks.{i}")), hidden);
         Ok(Self {
             hidden,
-            fc_pos: Linear::load(&scope.at("fc_pos"), 3, 2 * hidden)?,
-            blocks: (0..config.resnet_blocks).map(block).collect::<Result<_>>()?,
+            first: FirstBlock::load(scope, hidden)?,
+            blocks: (1..config.resnet_blocks).map(block).collect::<Result<_>>()?,
             fc_c: Linear::load(&scope.at("fc_c"), hidden, config.c_dim)?,
         })
     }
 
     /// The progress units of [`PointNet::voxel_means`]: each point in each block and in the last layer.
     pub(crate) fn work(&self, num_points: usize) -> usize {
-        num_points * (self.blocks.len() + 1)
+        num_points * (self.blocks.len() + 2)
     }
 
     /// Number of channels of a feature.
@@ -118,15 +120,14 @@ impl PointNet {
         let voxel_of_row = Scratch::collect(points.len(), rows);
         let mut features = Scratch::zeros(points.len() * self.hidden);
         let mut maxima = Scratch::zeros(sizes.len() * self.hidden);
-        for depth in 0..self.blocks.len() {
-            if depth > 0 {
-                maxima.fill(f32::NEG_INFINITY);
-                max_rows(SimdLevel::current(), &features, self.hidden, &voxel_of_row, &mut maxima);
-            }
-            let tiles = features.chunks_mut(TILE * self.hidden).zip(points.chunks(TILE));
-            for ((features, points), voxels) in tiles.zip(voxel_of_row.chunks(TILE)) {
-                self.block(depth, points, |row| &maxima[voxels[row] * self.hidden..], features);
-            }
+        let tiles = features.chunks_mut(TILE * self.hidden).zip(points.chunks(TILE));
+        tiles.for_each(|(features, points)| self.first.forward(points, features));
+        for block in &self.blocks {
+            maxima.fill(f32::NEG_INFINITY);
+            max_rows(SimdLevel::current(), &features, self.hidden, &voxel_of_row, &mut maxima);
+            let terms = block.voxel_terms(&maxima);
+            let tiles = features.chunks_mut(TILE * self.hidden).zip(voxel_of_row.chunks(TILE));
+            tiles.for_each(|(features, voxels)| block.forward(&terms, voxels, features));
         }
         let tiles = features.chunks(TILE * self.hidden).zip(points.chunks(TILE)).zip(voxel_of_row.chunks(TILE));
         for ((features, points), voxels) in tiles {
@@ -147,13 +148,13 @@ impl PointNet {
         add: &impl Fn(Point, &[f32], &mut [f32]),
         counter: &Counter,
     ) -> Result<()> {
-        let mut maxima: Vec<Vec<f32>> = Vec::new();
-        for depth in 0..self.blocks.len() - 1 {
+        let mut terms = Vec::with_capacity(self.blocks.len());
+        for block in &self.blocks {
             let of_chunk = |chunk: &[Point]| {
                 counter.check()?;
                 let mut most = vec![f32::NEG_INFINITY; self.hidden];
                 for tile in chunk.chunks(TILE) {
-                    let features = self.features_to(depth, tile, &maxima);
+                    let features = self.features_after(&terms, tile);
                     max_rows(SimdLevel::current(), &features, self.hidden, &[0; TILE], &mut most);
                 }
                 counter.add(chunk.len());
@@ -164,17 +165,13 @@ impl PointNet {
             of_chunks
                 .iter()
                 .for_each(|of_chunk| max_rows(SimdLevel::current(), of_chunk, self.hidden, &[0], &mut most));
-            maxima.push(most);
+            terms.push(block.voxel_terms(&most));
         }
         for points in points.chunks(LARGE) {
             counter.check()?;
             let outputs = points.par_chunks(TILE).map(|tile| {
                 let mut output = vec![0.0; tile.len() * self.channels()];
-                self.fc_c.forward(
-                    &self.features_to(self.blocks.len() - 1, tile, &maxima),
-                    &mut output,
-                    Epilogue::Store,
-                );
+                self.fc_c.forward(&self.features_after(&terms, tile), &mut output, Epilogue::Store);
                 output
             });
             let outputs: Vec<Vec<f32>> = outputs.collect();
@@ -185,31 +182,15 @@ impl PointNet {
         Ok(())
     }
 
-    /// The features `(points, hidden)` after block `depth` for a tile of points in one voxel; `maxima` are the maxima
-    /// over that voxel after each earlier block.
-    fn features_to(&self, depth: usize, points: &[Point], maxima: &[Vec<f32>]) -> Scratch<f32> {
+    /// The features `(points, hidden)` of a tile of points in one voxel, after the first block and one block for each of
+    /// the terms of that voxel.
+    fn features_after(&self, terms: &[VoxelTerms], points: &[Point]) -> Scratch<f32> {
         let mut features = Scratch::zeros(points.len() * self.hidden);
-        self.block(0, points, |_| &[], &mut features);
-        for depth in 1..=depth {
-            self.block(depth, points, |_| &maxima[depth - 1], &mut features);
+        self.first.forward(points, &mut features);
+        for (block, terms) in self.blocks.iter().zip(terms) {
+            block.forward(terms, &[0; TILE][..points.len()], &mut features);
         }
         features
-    }
-
-    /// Runs one block on a tile of points and replaces their features by its output. `maxima(row)` begins with the
-    /// maximum over the voxel of that row; the first block does not read it.
-    fn block<'a>(&self, depth: usize, points: &[Point], maxima: impl Fn(usize) -> &'a [f32], features: &mut [f32]) {
-        let mut input = Scratch::zeros(points.len() * 2 * self.hidden);
-        if depth == 0 {
-            self.fc_pos.forward(points.as_flattened(), &mut input, Epilogue::Store);
-        } else {
-            let rows = input.chunks_exact_mut(2 * self.hidden).zip(features.chunks_exact(self.hidden));
-            for (row, (input, feature)) in rows.enumerate() {
-                input[..self.hidden].copy_from_slice(feature);
-                input[self.hidden..].copy_from_slice(&maxima(row)[..self.hidden]);
-            }
-        }
-        self.blocks[depth].forward(&input, features);
     }
 }
 
@@ -241,10 +222,11 @@ mod tests {
             occupied.dedup();
             voxels.iter_mut().for_each(|voxel| *voxel = occupied.partition_point(|other| other < voxel));
             let mut features = vec![0.0; points.len() * self.hidden];
-            for depth in 0..self.blocks.len() {
+            self.first.forward(points, &mut features);
+            for block in &self.blocks {
                 let mut maxima = vec![f32::NEG_INFINITY; occupied.len() * self.hidden];
                 pool(&features, self.hidden, &voxels, &mut maxima, f32::max);
-                self.block(depth, points, |row| &maxima[voxels[row] * self.hidden..], &mut features);
+                block.forward(&block.voxel_terms(&maxima), &voxels, &mut features);
             }
             let mut output = vec![0.0; points.len() * self.channels()];
             self.fc_c.forward(&features, &mut output, Epilogue::Store);

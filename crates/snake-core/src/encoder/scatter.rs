@@ -16,7 +16,7 @@ use crate::Result;
 use crate::control::Counter;
 use crate::points::Point;
 use crate::volume::VolumeFrame;
-use snake_kernels::{SimdLevel, add_weighted};
+use snake_kernels::{Scratch, SimdLevel, add_weighted};
 
 /// Number of voxels that the points of one voxel contribute to: itself and its neighbours, x fastest.
 const SLOTS: usize = 27;
@@ -49,25 +49,28 @@ pub(super) fn gather(
 ) -> Result<Vec<usize>> {
     let num_voxels: usize = frame.resolution.iter().product();
     let channels = values.len() / num_voxels;
-    let mut row_of_voxel = vec![u32::MAX; num_voxels];
-    (0..).zip(groups.voxels()).for_each(|(row, voxel)| row_of_voxel[voxel] = row);
+    // One more than the row of each occupied voxel, in a volume with a border of one empty voxel on each side.
+    let [width, height, depth] = frame.resolution;
+    let (pitch, plane_pitch) = (width + 2, (width + 2) * (height + 2));
+    let mut rows: Scratch<u32> = Scratch::zeros(plane_pitch * (depth + 2));
+    let corner = |voxel: usize| {
+        let [x, y, z] = coordinates(frame, voxel);
+        x + pitch * y + plane_pitch * z
+    };
+    (1..).zip(groups.voxels()).for_each(|(row, voxel)| rows[corner(voxel) + 1 + pitch + plane_pitch] = row);
+    // From the corner of a voxel's neighbourhood to the voxel whose points reach it by each slot.
+    let steps: [usize; SLOTS] =
+        std::array::from_fn(|slot| (2 - slot % 3) + pitch * (2 - slot / 3 % 3) + plane_pitch * (2 - slot / 9));
     // The slots that reach a voxel, in a fixed order.
     let reaching = |voxel: usize| {
-        let (at, row_of_voxel) = (coordinates(frame, voxel), &row_of_voxel);
-        (0..SLOTS).filter_map(move |slot| {
-            let step = [slot % 3, slot / 3 % 3, slot / 9];
-            let [x, y, z]: [usize; 3] = std::array::from_fn(|axis| (at[axis] + 1).wrapping_sub(step[axis]));
-            let [width, height, depth] = frame.resolution;
-            let row = if x < width && y < height && z < depth {
-                row_of_voxel[x + width * (y + height * z)]
-            } else {
-                u32::MAX
-            };
-            (row != u32::MAX).then(|| &slots[(row as usize * SLOTS + slot) * (channels + 1)..][..channels + 1])
+        let neighbors = &rows[corner(voxel)..];
+        steps.iter().enumerate().filter(|&(_, &step)| neighbors[step] > 0).map(|(slot, &step)| {
+            let row = neighbors[step] as usize - 1;
+            &slots[(row * SLOTS + slot) * (channels + 1)..][..channels + 1]
         })
     };
-    let plane = num_voxels / frame.resolution[2];
-    let mut masses = vec![0.0; num_voxels];
+    let plane = num_voxels / depth;
+    let mut masses: Scratch<f32> = Scratch::zeros(num_voxels);
     masses.par_chunks_mut(plane).enumerate().try_for_each(|(z, masses)| {
         let mass = |voxel: usize| reaching(voxel).map(|slot| slot[channels]).sum();
         masses.iter_mut().enumerate().for_each(|(i, of_voxel)| *of_voxel = mass(z * plane + i));

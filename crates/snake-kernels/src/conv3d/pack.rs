@@ -101,12 +101,14 @@ impl PackedConv3d {
             for first in (0..channels).step_by(BLOCK) {
                 let width = BLOCK.min(channels - first);
                 // On this thread alone: loading a model must not start Rayon's global pool.
-                // On this thread alone: loading a model must not start Rayon's global pool.
-                let transformed: Vec<Vec<[f32; LANES]>> = (0..output_blocks * width)
-                    .map(|i| weights_of_points(n, &taps(i / width, before + first + i % width)))
-                    .collect();
-                let weights =
-                    points(n, upsampled).flat_map(|p| transformed.iter().map(move |of_points| of_points[p])).collect();
+                let filters = output_blocks * width;
+                let mut weights = vec![[0.0; LANES]; points(n, upsampled).count() * filters];
+                for filter in 0..filters {
+                    let of_points = weights_of_points(n, &taps(filter / width, before + first + filter % width));
+                    for (k, p) in points(n, upsampled).enumerate() {
+                        weights[k * filters + filter] = of_points[p];
+                    }
+                }
                 blocks.push(Block { source, first: [first, before + first], channels: width, weights, upsampled });
             }
             before += channels;
