@@ -30,7 +30,8 @@ pub fn read_points(
     columns: Option<[ColumnLike; 3]>,
 ) -> PyResult<Bound<'_, PyArray2<f64>>> {
     let columns = columns.map(|columns| Columns(columns.map(Column::from)));
-    let Cloud { points, origin } = contents(py, path, ReadOptions { sample, seed, columns })?.cloud;
+    let Cloud { points, origin } =
+        contents(py, path, ReadOptions::default().with_sample(sample).with_seed(seed).with_columns(columns))?.cloud;
     arrays::rows(py, points.iter().flat_map(|&point| add_origin(point, origin)).collect(), 3)
 }
 

@@ -48,7 +48,7 @@ pub fn tiles(
         Paths::One(path) => vec![path],
         Paths::Several(paths) => paths,
     };
-    let read = ReadOptions { seed: resolved.encode.seed, ..ReadOptions::default() };
+    let read = ReadOptions::default().with_seed(resolved.encode.seed);
     let prepare = |detector: TileDetector, _: &Control| TiledRun::prepare(detector, &paths, &read, tile, &folder);
     Tiles::new(py, model, &resolved, prepare)
 }

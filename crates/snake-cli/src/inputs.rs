@@ -47,7 +47,7 @@ impl ColumnArguments {
 
     /// The options that read the clouds of a data set.
     pub fn options(&self) -> ReadOptions {
-        ReadOptions { columns: self.columns.clone(), ..ReadOptions::default() }
+        ReadOptions::default().with_columns(self.columns.clone())
     }
 }
 
@@ -79,8 +79,8 @@ impl InputArguments {
     }
 
     fn contents(&self, path: &Path, seed: u64) -> Result<Contents> {
-        let columns = self.columns.columns.clone();
-        let options = ReadOptions { sample: self.sample.map(|number| number as usize), seed, columns };
+        let sample = self.sample.map(|number| number as usize);
+        let options = self.columns.options().with_sample(sample).with_seed(seed);
         if path == Path::new(DASH) {
             let mut bytes = Vec::new();
             std::io::stdin().lock().read_to_end(&mut bytes).context("cannot read the standard input")?;

@@ -20,6 +20,7 @@ use crate::{Error, Result, npy, obj, off, pcd, ply, stl, sweep, text};
 
 /// Options of [`read_cloud`].
 #[derive(Debug, Clone, PartialEq, Eq, Default)]
+#[non_exhaustive]
 pub struct ReadOptions {
     /// The number of points to sample on the surface of a mesh, uniformly by area; `None` reads its vertices.
     pub sample: Option<usize>,
@@ -28,6 +29,29 @@ pub struct ReadOptions {
     /// The columns of text and NumPy arrays that hold x, y and z. `None` uses the columns that a header names, and the
     /// first three columns without a header.
     pub columns: Option<Columns>,
+}
+
+impl ReadOptions {
+    /// Sets [`ReadOptions::sample`].
+    #[must_use]
+    pub fn with_sample(mut self, sample: Option<usize>) -> Self {
+        self.sample = sample;
+        self
+    }
+
+    /// Sets [`ReadOptions::seed`].
+    #[must_use]
+    pub fn with_seed(mut self, seed: u64) -> Self {
+        self.seed = seed;
+        self
+    }
+
+    /// Sets [`ReadOptions::columns`].
+    #[must_use]
+    pub fn with_columns(mut self, columns: Option<Columns>) -> Self {
+        self.columns = columns;
+        self
+    }
 }
 
 /// The content of a file.

@@ -30,7 +30,9 @@ fn stages_are_counted_to_their_ends_and_change_no_result() {
     let found = register(&points[..2048], &points[2048..], &model, &options).unwrap();
     let watched = register_with(&points[..2048], &points[2048..], &model, &options, &control).unwrap();
     let text = serde_json::to_string(&found).unwrap();
-    assert_eq!(serde_json::from_str::<Registration>(&text).unwrap(), found);
+    let mut written = found.clone();
+    written.matches.clear(); // they are not in files
+    assert_eq!(serde_json::from_str::<Registration>(&text).unwrap(), written);
     let same_seconds = |mut found: Registration| {
         found.seconds = 0.0;
         found

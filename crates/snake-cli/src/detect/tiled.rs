@@ -7,7 +7,7 @@ use std::time::Instant;
 
 use anyhow::{Context, Result, anyhow, bail};
 use snake_core::{Control, Detection, Model, Options, Progress, TileDetector};
-use snake_io::{KeypointFormat, KeypointSource, ReadOptions};
+use snake_io::{KeypointFormat, KeypointSource};
 use snake_tiles::{Error, Tile, TiledRun};
 
 use super::args::DetectArguments;
@@ -28,11 +28,8 @@ pub fn run(
     check(arguments, inputs, output)?;
     options.detect.max_keypoints = arguments.options.max_keypoints().unwrap_or(usize::MAX);
     let detector = TileDetector::new(model, &options)?;
-    let read = ReadOptions {
-        sample: arguments.input.sample.map(|number| number as usize),
-        seed: options.encode.seed,
-        columns: arguments.input.columns.columns.clone(),
-    };
+    let sample = arguments.input.sample.map(|number| number as usize);
+    let read = arguments.input.columns.options().with_sample(sample).with_seed(options.encode.seed);
     let folder = arguments.tiles.tile_folder.clone().unwrap_or_else(|| with_suffix(output, ".tiles"));
     let bar = terminal::progress(1)?;
     bar.set_message("reading the points");
