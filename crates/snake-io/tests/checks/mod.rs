@@ -17,7 +17,9 @@ pub fn read_cloud(bytes: &[u8], format: PointFormat) {
     let most = expansion(format) * bytes.len();
     let read = |sample, columns: Option<&str>| {
         let columns = columns.map(|columns| columns.parse().expect("names of columns"));
-        in_proportion(most, || parse_cloud(bytes, format, &ReadOptions { sample, columns, ..Default::default() }))
+        in_proportion(most, || {
+            parse_cloud(bytes, format, &ReadOptions::default().with_sample(sample).with_columns(columns))
+        })
     };
     if let Ok(Cloud { points, origin }) = read(None, None) {
         assert!(points.len() <= most && origin.iter().all(|v| v.is_finite()));
