@@ -129,7 +129,10 @@ def test_invalid_detection_options_are_refused(model, field, points, options, me
 @pytest.mark.parametrize(
     "options, message",
     [
-        ({"normalization": "sphere"}, "option `normalization` is sphere: .*`unit-sphere`, `unit-cube`, `none`"),
+        (
+            {"normalization": "sphere"},
+            "option `normalization` is sphere: .*`unit-sphere`, `principal-axes`, `unit-cube`, `none`",
+        ),
         ({"max_points": 0}, "option `max_points` is 0: allowed is 1 or more"),
         ({"max_points": float("nan")}, "option `max_points` is nan: expected finite numbers"),
         ({"seed": -1}, "option `seed` is -1: .*expected a whole number, 0 or more"),

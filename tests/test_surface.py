@@ -63,10 +63,10 @@ def test_it_agrees_with_scikit_image(field, method, resolution, level):
 
 
 def test_the_outer_surface_is_one_of_two():
-    # At the default level of 0.4 the wall has pinholes, through which the inside is outside; so many points have none at 0.1.
+    # At the default level of 0.4 the wall has pinholes, through which the inside is outside; so many points have none at 0.02.
     direction = np.random.default_rng(5).normal(size=(16000, 3))
     field = snake_rs.Model.builtin().encode(direction / np.linalg.norm(direction, axis=1, keepdims=True))
-    both, outer = field.mesh(resolution=64, level=0.1), field.mesh(resolution=64, level=0.1, outer=True)
+    both, outer = field.mesh(resolution=64, level=0.02), field.mesh(resolution=64, level=0.02, outer=True)
     assert 0.4 < len(outer.triangles) / len(both.triangles) < 0.7
     inside = np.linalg.norm(both.vertices, axis=1).min()
     assert np.linalg.norm(outer.vertices, axis=1).min() > inside + 0.02
