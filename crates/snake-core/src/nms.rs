@@ -1,5 +1,6 @@
 //! Non-maximum suppression by radius, and nearest input points.
 
+use std::collections::HashSet;
 use std::num::NonZeroUsize;
 
 use rayon::prelude::*;
@@ -97,20 +98,27 @@ pub(crate) fn suppress_seen(points: &[Point], radius: f32, sees_all: impl Fn(usi
     }
     let tree = KdTree::new(points)?;
     let mut fates = vec![None; points.len()];
-    // Points within the radius of a point of higher rank and unknown fate.
-    let mut is_open = vec![false; points.len()];
+    // All points of a cell are within the radius of each other, so one of unknown fate leaves those of lower rank unknown.
+    // Candidates are dense: without cells each of them would look at thousands of others.
+    let cell = |point: Point| point.map(|value| (f64::from(value) / (0.57 * f64::from(radius))).floor() as i64);
+    let mut unknown_cells = HashSet::new();
+    let mut near = Vec::new();
     for index in 0..points.len() {
         if fates[index].is_some() {
             continue;
         }
-        let is_known = !is_open[index] && sees_all(index);
-        fates[index] = Some(if is_known { Fate::Kept } else { Fate::Unknown });
-        tree.within(&points[index], radius * radius, |other, _| {
-            if other > index && is_known {
-                fates[other] = Some(Fate::Suppressed);
-            }
-            is_open[other] = true;
-        });
+        near.clear();
+        let is_known = sees_all(index) && !unknown_cells.contains(&cell(points[index])) && {
+            tree.within(&points[index], radius * radius, |other, _| near.push(other));
+            near.iter().all(|&other| fates[other] != Some(Fate::Unknown))
+        };
+        if is_known {
+            near.iter().filter(|&&other| other > index).for_each(|&other| fates[other] = Some(Fate::Suppressed));
+            fates[index] = Some(Fate::Kept);
+        } else {
+            fates[index] = Some(Fate::Unknown);
+            unknown_cells.insert(cell(points[index]));
+        }
     }
     Ok(fates.into_iter().map(|fate| fate.unwrap_or(Fate::Unknown)).collect())
 }
@@ -197,6 +205,30 @@ mod tests {
             // The fates at the border are not all known.
             assert!((part.len() / 10..part.len()).contains(&known.count()));
         }
+    }
+
+    #[test]
+    fn fates_of_crowded_points_equal_the_quadratic_loop() {
+        let at = |i: u32, factor: u32| (i.wrapping_mul(factor) >> 8) as f32 / (1 << 24) as f32;
+        let points: Vec<Point> = (0..1500).map(|i| [2_654_435_761, 0x9e37_79b1, 40_503].map(|f| at(i, f))).collect();
+        let radius = 0.3_f32;
+        let sees_all = |index: usize| points[index][0] > 0.1;
+        let mut expected: Vec<Fate> = Vec::new();
+        for index in 0..points.len() {
+            let is_near = |&other: &usize| squared_distance(points[other], points[index]) <= radius * radius;
+            let near: Vec<Fate> = (0..index).filter(is_near).map(|other| expected[other]).collect();
+            expected.push(if near.contains(&Fate::Kept) {
+                Fate::Suppressed
+            } else if sees_all(index) && !near.contains(&Fate::Unknown) {
+                Fate::Kept
+            } else {
+                Fate::Unknown
+            });
+        }
+        for fate in [Fate::Kept, Fate::Suppressed, Fate::Unknown] {
+            assert!(expected.contains(&fate));
+        }
+        assert_eq!(suppress_seen(&points, radius, sees_all).unwrap(), expected);
     }
 
     #[test]
