@@ -5,14 +5,15 @@ use serde::{Deserialize, Serialize};
 use crate::Result;
 use crate::clock::Instant;
 use crate::control::Control;
-use crate::field::Field;
+use crate::field::{Field, Quantity};
 use crate::modes::seek_modes;
-use crate::nms::{nearest_points, suppress};
+use crate::nms::{nearest_points_into, suppress};
 use crate::options::{DetectOptions, Radii};
 use crate::points::{FinitePoints, Normalization, Point};
 use crate::query_grid::{QueryGrid, above_occupancy};
 use crate::refine::{Refined, refine};
 use crate::span::span;
+use snake_kernels::{Element, Scratch};
 
 /// One keypoint, in the frame and units of the input cloud.
 ///
@@ -155,13 +156,27 @@ impl Field {
     /// The errors of [`Field::detect`]; [`Error::Cancelled`](crate::Error::Cancelled),
     /// [`Error::DeadlineExceeded`](crate::Error::DeadlineExceeded) and [`Error::LimitExceeded`](crate::Error::LimitExceeded).
     pub fn detect_with(&self, options: &DetectOptions, control: &Control) -> Result<Detection> {
+        self.detect_in(options, Vec::new(), control)
+    }
+
+    /// [`Field::detect_with`] with memory for the keypoints.
+    pub(crate) fn detect_in(
+        &self,
+        options: &DetectOptions,
+        memory: Vec<Keypoint>,
+        control: &Control,
+    ) -> Result<Detection> {
         options.check(self.num_rotations())?;
         control.get_limits().check_evaluations(&options.evaluations(self.num_rotations()))?;
         let radii = options.radii(self.points())?;
         let candidates = Candidates::of(self, options, |_| true, control)?;
         control.begin("suppression", 0).check()?;
-        let occupancy = |_: &[usize], positions: &[Point]| self.occupancy(positions);
-        let mut detection = finish(candidates, self.finite_points(), radii, options, occupancy)?;
+        let occupancy = |_: &[usize], positions: &[Point]| {
+            let mut occupancy = Scratch::zeros(positions.len());
+            self.values_into(Quantity::Occupancy, positions, &mut occupancy)?;
+            Ok(occupancy)
+        };
+        let mut detection = finish(candidates, self.finite_points(), radii, options, occupancy, memory)?;
         detection.num_skipped = self.num_skipped();
         detection.num_encoded = self.num_encoded();
         detection.normalization = Some(self.normalization());
@@ -173,8 +188,8 @@ impl Field {
 #[derive(Default)]
 pub(crate) struct Candidates {
     /// In the cloud's frame and units.
-    pub(crate) positions: Vec<Point>,
-    pub(crate) scores: Vec<f32>,
+    pub(crate) positions: Scratch<Point>,
+    pub(crate) scores: Scratch<f32>,
     pub(crate) counts: Counts,
     pub(crate) timing: Timing,
 }
@@ -206,10 +221,15 @@ impl Candidates {
         Ok(candidates)
     }
 
+    /// The same in no more memory than they need: the candidates of all windows are kept.
+    pub(crate) fn compact(self) -> Self {
+        Self { positions: self.positions.compact(), scores: self.scores.compact(), ..self }
+    }
+
     /// Adds the candidates of another window.
     pub(crate) fn append(&mut self, other: Self) {
-        self.positions.extend(other.positions);
-        self.scores.extend(other.scores);
+        self.positions.extend_from_slice(&other.positions);
+        self.scores.extend_from_slice(&other.scores);
         self.counts.add(&other.counts);
         self.timing.add(&other.timing);
     }
@@ -218,22 +238,28 @@ impl Candidates {
 /// The refined queries whose score is above the saliency threshold, in the cloud's frame. Queries whose coordinates
 /// overflow, as with very large steps, are dropped.
 fn above_saliency(field: &Field, refined: &[Refined], threshold: f32) -> Candidates {
-    let in_cloud = refined.iter().map(|query| (field.normalization().to_cloud(query.position), query.score));
-    let kept = in_cloud.filter(|(position, score)| *score > threshold && position.iter().all(|v| v.is_finite()));
-    let (positions, scores) = kept.unzip();
-    Candidates { positions, scores, ..Default::default() }
+    let in_cloud = refined
+        .iter()
+        .map(|query| Refined { position: field.normalization().to_cloud(query.position), score: query.score });
+    let kept = in_cloud.filter(|query| query.score > threshold && query.position.iter().all(|v| v.is_finite()));
+    Candidates {
+        positions: Scratch::collect(refined.len(), kept.clone().map(|query| query.position)),
+        scores: Scratch::collect(refined.len(), kept.map(|query| query.score)),
+        ..Default::default()
+    }
 }
 
 /// The last steps of every detection: suppression, nearest input points, snapping and occupancy.
 ///
-/// `occupancy` returns the occupancy of the kept candidates, given their indices and their final positions. The caller
-/// fills in the numbers of points and the normalisation.
+/// `occupancy` returns the occupancy of the kept candidates, given their indices and their final positions. The keypoints
+/// replace the content of `memory`. The caller fills in the numbers of points and the normalisation.
 pub(crate) fn finish(
     candidates: Candidates,
     points: &FinitePoints,
     radii: Radii,
     options: &DetectOptions,
-    occupancy: impl FnOnce(&[usize], &[Point]) -> Result<Vec<f32>>,
+    occupancy: impl FnOnce(&[usize], &[Point]) -> Result<Scratch<f32>>,
+    memory: Vec<Keypoint>,
 ) -> Result<Detection> {
     span!("suppress");
     let start = Instant::now();
@@ -241,19 +267,19 @@ pub(crate) fn finish(
     let (kept, mut positions) = match radii.mode {
         None => {
             let kept = suppress(&positions, &scores, radii.nms, options.max_keypoints)?;
-            let positions: Vec<Point> = kept.iter().map(|&index| positions[index]).collect();
+            let positions = selected(&positions, &kept);
             (kept, positions)
         }
         Some(radius) => {
             let (starts, modes) = seek_modes(&positions, &scores, radius, options.max_keypoints)?;
-            let of_starts: Vec<f32> = starts.iter().map(|&start| scores[start]).collect();
-            let kept = suppress(&modes, &of_starts, radii.nms, options.max_keypoints)?;
-            kept.iter().map(|&mode| (starts[mode], modes[mode])).unzip()
+            let kept = suppress(&modes, &selected(&scores, &starts), radii.nms, options.max_keypoints)?;
+            (selected(&starts, &kept), selected(&modes, &kept))
         }
     };
-    let nearest = nearest_points(&points.points, &positions)?;
+    let mut nearest = Scratch::zeros(positions.len());
+    nearest_points_into(&points.points, &positions, &mut nearest)?;
     if options.snap {
-        positions = nearest.iter().map(|&index| points.points[index]).collect();
+        positions = selected(&points.points, &nearest);
     }
     let occupancy = occupancy(&kept, &positions)?;
     let keypoint = |(rank, &candidate): (usize, &usize)| Keypoint {
@@ -262,10 +288,18 @@ pub(crate) fn finish(
         occupancy: occupancy[rank],
         nearest_index: points.original_index(nearest[rank]),
     };
-    let keypoints: Vec<Keypoint> = kept.iter().enumerate().map(keypoint).collect();
+    let mut keypoints = memory;
+    keypoints.clear();
+    keypoints.reserve(kept.len().next_power_of_two());
+    keypoints.extend(kept.iter().enumerate().map(keypoint));
     counts.keypoints = keypoints.len();
     timing.nms = start.elapsed().as_secs_f64();
     Ok(Detection { keypoints, num_skipped: 0, num_encoded: 0, normalization: None, counts, timing })
+}
+
+/// The values at these indices.
+fn selected<T: Element>(values: &[T], indices: &[usize]) -> Scratch<T> {
+    Scratch::collect(indices.len(), indices.iter().map(|&index| values[index]))
 }
 
 #[cfg(test)]
@@ -316,7 +350,7 @@ pub(crate) mod tests {
             options.encode.normalization = normalization;
             let found = |points: &[Point]| model.detect(points, &options).unwrap().keypoints;
             let keypoints = found(&points);
-            let rotation = &super_fibonacci(5)[3];
+            let rotation = &super_fibonacci(5).nth(3).unwrap();
             let turned = found(&points.iter().map(|&p| rotate(rotation, p)).collect::<Vec<_>>());
             let again = |keypoint: &&Keypoint| {
                 let squared = |other: &Keypoint| {

@@ -3,12 +3,12 @@
 use crate::Result;
 use crate::clock::Instant;
 use crate::control::Control;
-use crate::detect::Detection;
-use crate::field::Field;
+use crate::detect::{Detection, Keypoint};
+use crate::field::{Field, FieldMemory};
 use crate::model::Model;
 use crate::options::Options;
 use crate::point_source::PointSource;
-use crate::points::{FinitePoints, Point};
+use crate::points::Point;
 use crate::windows::detect_in_windows;
 
 /// A model with its options, for clouds that come one after another, such as the sweeps of a laser scanner. Memory of one
@@ -31,8 +31,9 @@ use crate::windows::detect_in_windows;
 pub struct Detector {
     model: Model,
     options: Options,
-    points: Vec<Point>,
-    indices: Vec<usize>,
+    memory: FieldMemory,
+    /// Memory for the keypoints of the next cloud.
+    keypoints: Vec<Keypoint>,
 }
 
 impl Detector {
@@ -42,7 +43,7 @@ impl Detector {
     /// [`Error::Option`](crate::Error::Option) when an option is out of its range.
     pub fn new(model: Model, options: Options) -> Result<Self> {
         options.check(model.config())?;
-        Ok(Self { model, options, points: Vec::new(), indices: Vec::new() })
+        Ok(Self { model, options, memory: FieldMemory::default(), keypoints: Vec::new() })
     }
 
     /// The model.
@@ -74,23 +75,19 @@ impl Detector {
         control: &Control,
     ) -> Result<()> {
         if let Some(radius) = self.options.window_radius {
-            self.points.clear();
-            self.points.extend((0..source.num_points()).map(|index| source.point(index)));
-            *detection = detect_in_windows(self.model.network(), &self.points, radius, &self.options, control)?;
+            let points: Vec<Point> = (0..source.num_points()).map(|index| source.point(index)).collect();
+            *detection = detect_in_windows(self.model.network(), &points, radius, &self.options, control)?;
             return Ok(());
         }
         let Options { encode, detect, .. } = &self.options;
-        control.get_limits().check_points(source.num_points())?;
         control.get_limits().check_evaluations(&detect.evaluations(encode.rotations))?;
         let start = Instant::now();
-        let buffers = (std::mem::take(&mut self.points), std::mem::take(&mut self.indices));
-        let finite =
-            FinitePoints::copied("points", (0..source.num_points()).map(|index| source.point(index)), buffers)?;
-        let field = Field::of_finite(self.model.network().clone(), finite, source.num_points(), encode, control)?;
+        let field = Field::of_source(self.model.network().clone(), source, encode, &mut self.memory, control)?;
         let seconds = start.elapsed().as_secs_f64();
-        *detection = field.detect_with(detect, control)?;
+        let found = field.detect_in(detect, std::mem::take(&mut self.keypoints), control)?;
+        self.keypoints = std::mem::replace(detection, found).keypoints;
         detection.timing.encode = seconds;
-        (self.points, self.indices) = field.into_buffers();
+        field.leave_to(&mut self.memory);
         Ok(())
     }
 }

@@ -7,9 +7,11 @@ use rayon::prelude::*;
 use crate::config::ModelConfig;
 use crate::control::Control;
 use crate::decoder::Decoder;
+use crate::encoder::EncoderMemory;
 use crate::network::Network;
 use crate::nn::TILE;
 use crate::options::{EncodeOptions, Options};
+use crate::point_source::PointSource;
 use crate::points::{FinitePoints, Normalization, NormalizationMethod, Point, check_points};
 use crate::rotations::{self, Rotation, rotate, rotate_inverse};
 use crate::span::span;
@@ -42,25 +44,35 @@ impl View {
         normalization: Normalization,
         orientation: &Rotation,
         rotations: usize,
+        memory: &mut FieldMemory,
         control: &Control,
     ) -> Result<Vec<Self>> {
         check_number_of_points(points.len())?;
         let encoder = &network.encoder;
         let counter = control.begin("encoding", rotations * encoder.work(points.len()));
-        let views = rotations::super_fibonacci(rotations).into_iter().map(|rotation| {
+        let mut views = std::mem::take(&mut memory.views);
+        for rotation in rotations::super_fibonacci(rotations) {
             let rotation = rotations::compose(&rotation, orientation);
             let point = |index: usize| rotate(&rotation, normalization.to_network(points[index]));
-            let volume = encoder.encode(points.len(), point, &counter)?;
+            let volume = encoder.encode(points.len(), point, &mut memory.encoder, &counter)?;
             counter.check()?;
-            match volume.values.par_iter().all(|value| value.is_finite()) {
-                true => Ok(Self { rotation, volume }),
-                false => {
-                    Err(weights::error("encoder", "finite features", "weights so large that they overflow".into()))
-                }
+            if !volume.values.par_iter().all(|value| value.is_finite()) {
+                let found = "weights so large that they overflow".into();
+                return Err(weights::error("encoder", "finite features", found));
             }
-        });
-        views.collect()
+            views.push(Self { rotation, volume });
+        }
+        Ok(views)
     }
+}
+
+/// The memory of a field, which the next field uses again.
+#[derive(Debug, Clone, Default)]
+pub(crate) struct FieldMemory {
+    points: Vec<Point>,
+    indices: Vec<usize>,
+    views: Vec<View>,
+    encoder: EncoderMemory,
 }
 
 /// Refuses more points than 32-bit indices can count.
@@ -91,15 +103,31 @@ impl Field {
         options.check(&network.config)?;
         control.get_limits().check_points(points.len())?;
         let finite = FinitePoints::of("points", points)?;
-        Self::of_finite(network, finite, points.len(), options, control)
+        Self::of_finite(network, finite, points.len(), options, &mut FieldMemory::default(), control)
+    }
+
+    /// The field of a cloud in the memory of an earlier field. The options are valid for the network.
+    pub(crate) fn of_source(
+        network: Arc<Network>,
+        source: &(impl PointSource + ?Sized),
+        options: &EncodeOptions,
+        memory: &mut FieldMemory,
+        control: &Control,
+    ) -> Result<Self> {
+        let number = source.num_points();
+        control.get_limits().check_points(number)?;
+        let buffers = (std::mem::take(&mut memory.points), std::mem::take(&mut memory.indices));
+        let finite = FinitePoints::copied("points", (0..number).map(|index| source.point(index)), buffers)?;
+        Self::of_finite(network, finite, number, options, memory, control)
     }
 
     /// The field of the finite points of a cloud of `num_given` points.
-    pub(crate) fn of_finite(
+    fn of_finite(
         network: Arc<Network>,
         finite: FinitePoints<'_>,
         num_given: usize,
         options: &EncodeOptions,
+        memory: &mut FieldMemory,
         control: &Control,
     ) -> Result<Self> {
         span!("encode");
@@ -112,7 +140,7 @@ impl Field {
         };
         let encoded = options.sample(points);
         Ok(Self {
-            views: View::all(&network, &encoded, normalization, &orientation, options.rotations, control)?,
+            views: View::all(&network, &encoded, normalization, &orientation, options.rotations, memory, control)?,
             normalization,
             num_skipped: num_given - points.len(),
             num_encoded: encoded.len(),
@@ -129,8 +157,9 @@ impl Field {
         rotations: usize,
         control: &Control,
     ) -> Result<Self> {
+        let memory = &mut FieldMemory::default();
         Ok(Self {
-            views: View::all(&network, &points, normalization, &rotations::IDENTITY, rotations, control)?,
+            views: View::all(&network, &points, normalization, &rotations::IDENTITY, rotations, memory, control)?,
             normalization,
             num_skipped: 0,
             num_encoded: points.len(),
@@ -139,9 +168,12 @@ impl Field {
         })
     }
 
-    /// The memory of the points and of their indices.
-    pub(crate) fn into_buffers(self) -> (Vec<Point>, Vec<usize>) {
-        self.points.into_buffers()
+    /// Leaves its memory to the next field.
+    pub(crate) fn leave_to(self, memory: &mut FieldMemory) {
+        let Self { mut views, points, .. } = self;
+        views.clear();
+        memory.views = views;
+        (memory.points, memory.indices) = points.into_buffers();
     }
 
     /// The normalisation in use: `network = (cloud - center) / scale`.
@@ -257,11 +289,17 @@ impl Field {
     }
 
     fn values(&self, quantity: Quantity, queries: &[Point]) -> Result<Vec<f32>> {
-        let queries = self.to_network(queries)?;
         let mut values = vec![0.0; queries.len()];
+        self.values_into(quantity, queries, &mut values)?;
+        Ok(values)
+    }
+
+    /// Writes the values of queries in the cloud's frame.
+    pub(crate) fn values_into(&self, quantity: Quantity, queries: &[Point], values: &mut [f32]) -> Result<()> {
+        let queries = self.to_network(queries)?;
         let tiles = values.par_chunks_mut(TILE).zip(queries.par_chunks(TILE));
         tiles.for_each(|(values, tile)| values.copy_from_slice(&self.tile_values(quantity, tile)));
-        Ok(values)
+        Ok(())
     }
 
     fn values_and_gradients(&self, quantity: Quantity, queries: &[Point]) -> Result<(Vec<f32>, Vec<Point>)> {
@@ -277,11 +315,11 @@ impl Field {
         Ok((values, gradients))
     }
 
-    fn to_network(&self, queries: &[Point]) -> Result<Vec<Point>> {
+    fn to_network(&self, queries: &[Point]) -> Result<Scratch<Point>> {
         if !queries.is_empty() {
             check_points("queries", queries)?;
         }
-        Ok(queries.iter().map(|&query| self.normalization.to_network(query)).collect())
+        Ok(Scratch::collect(queries.len(), queries.iter().map(|&query| self.normalization.to_network(query))))
     }
 
     fn decoder(&self, quantity: Quantity) -> (&Decoder, VolumeFrame) {

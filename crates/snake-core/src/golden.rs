@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 use safetensors::SafeTensors;
 
 use crate::control::{Control, Counter};
-use crate::encoder::VoxelGroups;
+use crate::encoder::{EncoderMemory, VoxelGroups};
 use crate::options::{DetectOptions, RefineMethod, Selection};
 use crate::query_grid::tests::occupied_queries;
 use crate::refine::refine;
@@ -92,8 +92,10 @@ fn encoder_stages() {
         let [features, means] = encoder.pointnet.plain(&points, &frame);
         case.assert_close("point_features", &features, 1e-5);
 
-        let groups = VoxelGroups::new(points.len(), |index| points[index], &frame);
-        assert_eq!(encoder.pointnet.voxel_means(&groups, |index| points[index], &Counter::default()).unwrap(), means);
+        let (mut groups, mut found) = (VoxelGroups::default(), Vec::new());
+        groups.fill(points.len(), |index| points[index], &frame);
+        encoder.pointnet.voxel_means(&groups, |index| points[index], &mut found, &Counter::default()).unwrap();
+        assert_eq!(found, means);
         let scattered = encoder.scatter(&means, &groups).values;
         let ([_, height, width], channels) = (frame.size(), features.len() / points.len());
         let mut expected = vec![0.0; scattered.len()];
@@ -104,7 +106,8 @@ fn encoder_stages() {
         }
         assert!(scattered.iter().zip(&expected).all(|(f, e)| (f - e).abs() < 1e-5), "{}: scatter", case.name);
 
-        let volume = encoder.encode(points.len(), |index| points[index], &Counter::default()).unwrap();
+        let memory = &mut EncoderMemory::default();
+        let volume = encoder.encode(points.len(), |index| points[index], memory, &Counter::default()).unwrap();
         let row = |voxel: usize| volume.values[voxel * volume.channels..][..volume.channels].to_vec();
         let sampled: Vec<f32> = case.indices("volume_sample_index").into_iter().flat_map(row).collect();
         // Eight to fourteen layers of float32 sums in another order.
@@ -186,7 +189,8 @@ fn the_best_position_scores_no_less_than_any_step() {
         let options = DetectOptions { saliency_threshold: 0.0, ..Default::default() };
         let reference = DetectOptions { selection: Selection::ReferenceFinalPosition, ..options };
         let best = refine(&field, &start, &options, &Control::default()).unwrap();
-        for (best, reference) in best.iter().zip(refine(&field, &start, &reference, &Control::default()).unwrap()) {
+        let reference = refine(&field, &start, &reference, &Control::default()).unwrap();
+        for (best, reference) in best.iter().zip(reference.iter()) {
             assert!(best.score >= reference.score, "{}", case.name);
         }
         // Its score is the field's value at its position, which the reference's is not.

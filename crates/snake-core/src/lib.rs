@@ -47,6 +47,7 @@ mod point_source;
 mod points;
 mod progress;
 mod query_grid;
+mod radius_cells;
 mod realtime;
 mod refine;
 mod rigid_transform;

@@ -3,9 +3,10 @@
 use rayon::prelude::*;
 
 use crate::Result;
-use crate::kd_tree::KdTree;
-use crate::nms::suppress_in;
+use crate::nms::{by_falling_score, keep_in_order};
 use crate::points::Point;
+use crate::radius_cells::RadiusCells;
+use snake_kernels::Scratch;
 
 /// The steps of the mean shift: the share of the radius within which candidates count, and the power of their saliency that
 /// weighs them. With a power of 8, a candidate a tenth less salient weighs half as much. A mean over a wide neighbourhood lies
@@ -30,41 +31,30 @@ pub(crate) fn seek_modes(
     scores: &[f32],
     radius: f32,
     max_keypoints: usize,
-) -> Result<(Vec<usize>, Vec<Point>)> {
-    if positions.is_empty() {
-        return Ok((Vec::new(), Vec::new()));
-    }
-    let tree = KdTree::new(positions)?;
-    let starts = suppress_in(&tree, positions, scores, radius / 2.0, STARTS.saturating_mul(max_keypoints.max(64)));
-    let weights = STEPS.map(|(_, power)| scores.iter().map(|score| score.powi(power)).collect::<Vec<f32>>());
-    let mode = |near: &mut Vec<usize>, &start: &usize| {
-        let step = |at, ((share, _), weights): (_, &Vec<f32>)| {
-            weighted_mean(&tree, positions, weights, at, share * radius, near)
-        };
-        STEPS.into_iter().zip(&weights).fold(positions[start], step)
-    };
-    let modes = starts.par_iter().map_init(Vec::new, mode).collect();
+) -> Result<(Scratch<usize>, Scratch<Point>)> {
+    let cells = RadiusCells::new(positions, radius)?;
+    let most = STARTS.saturating_mul(max_keypoints.max(64));
+    let starts = keep_in_order(&cells, &by_falling_score(scores), radius / 2.0, most);
+    let weights = STEPS.map(|(_, power)| Scratch::collect(scores.len(), scores.iter().map(|score| score.powi(power))));
+    let mut modes = Scratch::collect(starts.len(), starts.iter().map(|&start| positions[start]));
+    modes.par_iter_mut().for_each(|mode| {
+        for ((share, _), weights) in STEPS.iter().zip(&weights) {
+            *mode = weighted_mean(&cells, weights, *mode, share * radius);
+        }
+    });
     Ok((starts, modes))
 }
 
-/// The mean of the candidates within `radius` of a position; the position itself if there is none. `near` is memory for
-/// their indices.
-fn weighted_mean(
-    tree: &KdTree<f32>,
-    positions: &[Point],
-    weights: &[f32],
-    at: Point,
-    radius: f32,
-    near: &mut Vec<usize>,
-) -> Point {
-    near.clear();
-    tree.within(&at, radius * radius, |index, _| near.push(index));
+/// The mean of the candidates within `radius` of a position; the position itself if there is none.
+fn weighted_mean(cells: &RadiusCells, weights: &[f32], at: Point, radius: f32) -> Point {
+    let mut near = Scratch::empty(256);
+    cells.within(&at, radius, |index| near.extend_from_slice(&[index]));
     near.sort_unstable(); // the order of the sum decides its last bits
     let (mut total, mut sum) = (0.0_f64, [0.0_f64; 3]);
-    for &index in &*near {
+    for &index in &near[..] {
         let weight = f64::from(weights[index]);
         total += weight;
-        sum.iter_mut().zip(positions[index]).for_each(|(sum, value)| *sum += weight * f64::from(value));
+        sum.iter_mut().zip(cells.points()[index]).for_each(|(sum, value)| *sum += weight * f64::from(value));
     }
     if total > 0.0 { sum.map(|value| (value / total) as f32) } else { at }
 }
@@ -100,7 +90,7 @@ mod tests {
         let (positions, scores) = candidates();
         let (starts, modes) = seek_modes(&positions, &scores, 0.3, 100).unwrap();
         assert!(starts.len() > 10 && starts.is_sorted_by(|&a, &b| scores[a] >= scores[b]));
-        for (&start, mode) in starts.iter().zip(&modes) {
+        for (&start, mode) in starts.iter().zip(modes.iter()) {
             let expected = plain(&positions, &scores, positions[start], 0.3);
             assert!((0..3).all(|axis| (mode[axis] - expected[axis]).abs() < 1e-5), "{mode:?} {expected:?}");
         }
@@ -119,8 +109,12 @@ mod tests {
 
     #[test]
     fn modes_of_no_candidates_one_candidate_and_scores_of_zero() {
-        assert_eq!(seek_modes(&[], &[], 0.1, 9).unwrap(), (vec![], vec![]));
-        assert_eq!(seek_modes(&[[1.0, 2.0, 3.0]], &[0.5], 0.1, 9).unwrap(), (vec![0], vec![[1.0, 2.0, 3.0]]));
-        assert_eq!(seek_modes(&[[1.0, 2.0, 3.0]], &[0.0], 0.1, 9).unwrap(), (vec![0], vec![[1.0, 2.0, 3.0]]));
+        let modes = |positions: &[Point], scores: &[f32]| {
+            let (starts, modes) = seek_modes(positions, scores, 0.1, 9).unwrap();
+            (starts.to_vec(), modes.to_vec())
+        };
+        assert_eq!(modes(&[], &[]), (vec![], vec![]));
+        assert_eq!(modes(&[[1.0, 2.0, 3.0]], &[0.5]), (vec![0], vec![[1.0, 2.0, 3.0]]));
+        assert_eq!(modes(&[[1.0, 2.0, 3.0]], &[0.0]), (vec![0], vec![[1.0, 2.0, 3.0]]));
     }
 }

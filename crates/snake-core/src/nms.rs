@@ -8,15 +8,20 @@ use rayon::prelude::*;
 use crate::Result;
 use crate::kd_tree::KdTree;
 use crate::points::Point;
-use snake_kernels::SimdLevel;
+use crate::radius_cells::RadiusCells;
+use snake_kernels::{Scratch, SimdLevel};
 
 /// Greedy non-maximum suppression: indices of the kept points, best first, each farther than `radius` from all earlier
 /// ones.
 ///
 /// Points are processed by falling score and, for equal scores, by rising index. At most `limit` are kept.
 /// A radius of 0 suppresses only by `limit`.
-pub(crate) fn suppress(points: &[Point], scores: &[f32], radius: f32, limit: usize) -> Result<Vec<usize>> {
-    suppress_in_order(points, by_falling_score(scores), radius, limit)
+pub(crate) fn suppress(points: &[Point], scores: &[f32], radius: f32, limit: usize) -> Result<Scratch<usize>> {
+    let order = by_falling_score(scores);
+    if radius <= 0.0 || points.is_empty() {
+        return Ok(Scratch::copy_of(&order[..limit.min(order.len())]));
+    }
+    Ok(keep_in_order(&RadiusCells::new(points, radius)?, &order, radius, limit))
 }
 
 /// Greedy non-maximum suppression of points `(N, 3)` that are ranked, best first: indices of the kept points, in the
@@ -27,50 +32,31 @@ pub(crate) fn suppress(points: &[Point], scores: &[f32], radius: f32, limit: usi
 /// # Errors
 /// [`Error::Input`](crate::Error::Input) for more points than [`u32::MAX`]. The points must be finite.
 pub fn suppress_ranked(points: &[Point], radius: f32, limit: usize) -> Result<Vec<usize>> {
-    suppress_in_order(points, (0..points.len()).collect(), radius, limit)
-}
-
-fn suppress_in_order(points: &[Point], mut order: Vec<usize>, radius: f32, limit: usize) -> Result<Vec<usize>> {
     if radius <= 0.0 || points.is_empty() {
-        order.truncate(limit);
-        return Ok(order);
+        return Ok((0..points.len().min(limit)).collect());
     }
-    Ok(keep_in_order(&KdTree::new(points)?, points, order, radius, limit))
+    let order = Scratch::collect(points.len(), 0..points.len());
+    Ok(keep_in_order(&RadiusCells::new(points, radius)?, &order, radius, limit).to_vec())
 }
 
-fn by_falling_score(scores: &[f32]) -> Vec<usize> {
-    let mut order: Vec<usize> = (0..scores.len()).collect();
-    order.sort_by(|&a, &b| scores[b].total_cmp(&scores[a]).then(a.cmp(&b)));
+/// Indices by falling score and, for equal scores, rising.
+pub(crate) fn by_falling_score(scores: &[f32]) -> Scratch<usize> {
+    let mut order = Scratch::collect(scores.len(), 0..scores.len());
+    order.sort_unstable_by(|&a, &b| scores[b].total_cmp(&scores[a]).then(a.cmp(&b)));
     order
 }
 
-/// [`suppress`] of points that a tree holds already, by a radius above 0.
-pub(crate) fn suppress_in(
-    tree: &KdTree<f32>,
-    points: &[Point],
-    scores: &[f32],
-    radius: f32,
-    limit: usize,
-) -> Vec<usize> {
-    keep_in_order(tree, points, by_falling_score(scores), radius, limit)
-}
-
-pub(crate) fn keep_in_order(
-    tree: &KdTree<f32>,
-    points: &[Point],
-    order: Vec<usize>,
-    radius: f32,
-    limit: usize,
-) -> Vec<usize> {
-    let mut alive = vec![true; points.len()];
-    let mut kept = Vec::new();
-    for index in order {
+/// The points of `order` that suppression keeps, by a radius of at most that of the cells.
+pub(crate) fn keep_in_order(cells: &RadiusCells, order: &[usize], radius: f32, limit: usize) -> Scratch<usize> {
+    let mut suppressed: Scratch<bool> = Scratch::zeros(order.len());
+    let mut kept = Scratch::empty(limit.min(order.len()));
+    for &index in order {
         if kept.len() == limit {
             break;
         }
-        if alive[index] {
-            kept.push(index);
-            tree.within(&points[index], radius * radius, |other, _| alive[other] = false);
+        if !suppressed[index] {
+            kept.extend_from_slice(&[index]);
+            cells.within(&cells.points()[index], radius, |other| suppressed[other] = true);
         }
     }
     kept
@@ -125,9 +111,17 @@ pub(crate) fn suppress_seen(points: &[Point], radius: f32, sees_all: impl Fn(usi
 
 /// Index of the nearest point `(N, 3)` for each query `(M, 3)`; the lowest index among equally near points.
 pub fn nearest_points(points: &[Point], queries: &[Point]) -> Result<Vec<usize>> {
+    let mut nearest = vec![0; queries.len()];
+    nearest_points_into(points, queries, &mut nearest)?;
+    Ok(nearest)
+}
+
+/// [`nearest_points`] with memory for the indices.
+pub(crate) fn nearest_points_into(points: &[Point], queries: &[Point], indices: &mut [usize]) -> Result<()> {
     // For a few hundred queries a linear search is faster than building a tree.
     if queries.len() < 256 {
-        return Ok(queries.par_iter().map(|&query| nearest_of_all(points, query)).collect());
+        indices.par_iter_mut().zip(queries).for_each(|(index, &query)| *index = nearest_of_all(points, query));
+        return Ok(());
     }
     let mut nearest = vec![(f32::INFINITY, 0); queries.len()];
     for (number, points) in points.chunks(TREE_POINTS).enumerate() {
@@ -139,7 +133,8 @@ pub fn nearest_points(points: &[Point], queries: &[Point]) -> Result<Vec<usize>>
             }
         });
     }
-    Ok(nearest.into_iter().map(|(_, index)| index).collect())
+    indices.iter_mut().zip(nearest).for_each(|(index, (_, nearest))| *index = nearest);
+    Ok(())
 }
 
 /// Points per tree. A tree takes about 100 bytes per point, so large clouds are searched with several, one at a time.
@@ -175,7 +170,7 @@ mod tests {
                     expected.push(i);
                 }
             }
-            assert_eq!(suppress(&points, &scores, radius, limit).unwrap(), expected, "radius {radius}");
+            assert_eq!(suppress(&points, &scores, radius, limit).unwrap()[..], expected, "radius {radius}");
         }
     }
 

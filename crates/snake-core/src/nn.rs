@@ -5,8 +5,8 @@ use rayon::prelude::*;
 use crate::Result;
 use crate::weights::Scope;
 use snake_kernels::{
-    Buffer, BufferPool, ConstantRegion, Conv3d, Epilogue, GroupNorm, PackedConv3d, PackedLinear, SimdLevel, Source,
-    channel_sums,
+    Buffer, BufferPool, ConstantRegion, Conv3d, Epilogue, GroupNorm, PackedConv3d, PackedLinear, Scratch, SimdLevel,
+    Source, channel_sums,
 };
 
 /// Rows per task: their features fit the first-level cache.
@@ -73,7 +73,7 @@ pub(crate) struct Tensor {
     pub(crate) channels: usize,
     pub(crate) values: Buffer,
     /// Sum and sum of squares of each channel.
-    pub(crate) sums: Vec<[f64; 2]>,
+    pub(crate) sums: Scratch<[f64; 2]>,
     /// The region of voxels with constant values.
     pub(crate) constant: Option<ConstantRegion>,
 }
@@ -179,34 +179,38 @@ impl SingleConv {
 
     /// The first input has the output's size, a second input half of it. Once `stop` returns true the rest is skipped,
     /// and the output must not be used.
-    pub(crate) fn forward(&self, inputs: &[&Tensor], pool: &BufferPool, stop: &(dyn Fn() -> bool + Sync)) -> Tensor {
+    pub(crate) fn forward<const N: usize>(
+        &self,
+        inputs: [&Tensor; N],
+        pool: &BufferPool,
+        stop: &(dyn Fn() -> bool + Sync),
+    ) -> Tensor {
         let size = inputs[0].size;
         let voxels = inputs[0].voxels();
         // Upsampling repeats each value eight times.
-        let sums: Vec<[f64; 2]> = inputs
-            .iter()
-            .flat_map(|input| {
-                let repeats = (voxels / input.voxels()) as f64;
-                input.sums.iter().map(move |sum| sum.map(|s| s * repeats))
-            })
-            .collect();
+        let sums = inputs.iter().flat_map(|input| {
+            let repeats = (voxels / input.voxels()) as f64;
+            input.sums.iter().map(move |sum| sum.map(|s| s * repeats))
+        });
+        let sums = Scratch::collect(self.norm.weight.len(), sums);
         let norm = self.norm.scale_and_shift(&sums, voxels);
-        let sources: Vec<Source> = inputs
-            .iter()
-            .map(|input| Source { values: &input.values, channels: input.channels, upsampled: input.size != size })
-            .collect();
-        let constant = match inputs {
+        let sources = inputs.map(|input| Source {
+            values: &input.values,
+            channels: input.channels,
+            upsampled: input.size != size,
+        });
+        let constant = match &inputs[..] {
             [input] => input.constant.as_ref().map(ConstantRegion::convolved),
             _ => None,
         };
-        let originals = constant.as_ref().map(|constant| constant.originals(self.conv.tile())).unwrap_or_default();
+        let originals = constant.as_ref().map(|constant| constant.originals(self.conv.tile()));
         let conv = Conv3d {
             layer: &self.conv,
             size,
             sources: &sources,
             scale: &norm[0],
             shift: &norm[1],
-            originals: &originals,
+            originals: originals.as_deref().unwrap_or_default(),
         };
         let mut values = pool.take(voxels * self.conv.outputs());
         let sums = snake_kernels::conv3d(SimdLevel::current(), &conv, stop, &mut values);

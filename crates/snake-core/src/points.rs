@@ -103,8 +103,8 @@ fn outside(extent: f64) -> Error {
 pub struct FinitePoints<'a> {
     /// The finite points, in the order they were given.
     pub points: Cow<'a, [Point]>,
-    /// Index of each finite point in the whole cloud. `None` if no point was skipped.
-    indices: Option<Vec<usize>>,
+    /// Index of each finite point in the whole cloud. Empty if no point was skipped.
+    indices: Vec<usize>,
 }
 
 impl<'a> FinitePoints<'a> {
@@ -117,41 +117,40 @@ impl<'a> FinitePoints<'a> {
             return Err(none_finite(what, 0));
         }
         if points.iter().all(is_finite) {
-            return Ok(Self { points: points.into(), indices: None });
+            return Ok(Self { points: points.into(), indices: Vec::new() });
         }
         let indices: Vec<usize> = (0..points.len()).filter(|&index| is_finite(&points[index])).collect();
         if indices.is_empty() {
             return Err(none_finite(what, points.len()));
         }
         let kept: Vec<Point> = indices.iter().map(|&index| points[index]).collect();
-        Ok(Self { points: kept.into(), indices: Some(indices) })
+        Ok(Self { points: kept.into(), indices })
     }
 
     /// The finite points of a source, copied into the memory of two vectors.
     pub(crate) fn copied(
         what: &'static str,
-        cloud: impl ExactSizeIterator<Item = Point>,
+        cloud: impl ExactSizeIterator<Item = Point> + Clone,
         (mut points, mut indices): (Vec<Point>, Vec<usize>),
     ) -> Result<FinitePoints<'static>> {
         points.clear();
         indices.clear();
         let num_points = cloud.len();
-        for (index, point) in cloud.enumerate() {
-            if is_finite(&point) {
-                points.push(point);
-                indices.push(index);
-            }
-        }
+        points.reserve(num_points);
+        points.extend(cloud.clone().filter(is_finite));
         if points.is_empty() {
             return Err(none_finite(what, num_points));
         }
-        let all = points.len() == num_points;
-        Ok(FinitePoints { points: points.into(), indices: (!all).then_some(indices) })
+        if points.len() < num_points {
+            indices.reserve(points.len());
+            indices.extend(cloud.enumerate().filter(|(_, point)| is_finite(point)).map(|(index, _)| index));
+        }
+        Ok(FinitePoints { points: points.into(), indices })
     }
 
     /// The index of a finite point in the whole cloud.
     pub fn original_index(&self, index: usize) -> usize {
-        self.indices.as_ref().map_or(index, |indices| indices[index])
+        if self.indices.is_empty() { index } else { self.indices[index] }
     }
 
     /// The same points, copied if they are borrowed.
@@ -161,7 +160,7 @@ impl<'a> FinitePoints<'a> {
 
     /// The memory of the points and of their indices.
     pub(crate) fn into_buffers(self) -> (Vec<Point>, Vec<usize>) {
-        (self.points.into_owned(), self.indices.unwrap_or_default())
+        (self.points.into_owned(), self.indices)
     }
 }
 

@@ -10,13 +10,15 @@ use crate::options::DetectOptions;
 use crate::points::Point;
 use crate::rotations::{Rotation, rotate, rotate_inverse};
 use crate::span::span;
+use snake_kernels::Scratch;
 
-/// The query grid of a detection, in the orientation of the field's volume. It is generated plane by plane to save memory.
+/// The query grid of a detection, in the orientation of the field's volume. A few planes at a time are
+/// generated, to save memory.
 pub(crate) struct QueryGrid {
     /// The coordinates of the queries along each axis, each with its part of the flat voxel index.
-    axes: [Vec<(f32, usize)>; 3],
+    axes: [Scratch<(f32, usize)>; 3],
     /// Whether the queries of each voxel are evaluated; `None`: all are.
-    band: Option<Vec<bool>>,
+    band: Option<Scratch<bool>>,
     orientation: Rotation,
 }
 
@@ -29,7 +31,8 @@ impl QueryGrid {
         let axes = std::array::from_fn(|axis| {
             let [low, high] = if axis < 2 { [-0.5, 0.5] } else { [z_min, z_max] };
             let coordinates = (0..resolution).map(|i| coordinate(low, high, resolution, i));
-            coordinates.map(|coordinate| (coordinate, frame.voxel_along(axis, coordinate))).collect()
+            let voxels = coordinates.map(|coordinate| (coordinate, frame.voxel_along(axis, coordinate)));
+            Scratch::collect(resolution, voxels)
         });
         let band = (options.query_band > 0).then(|| voxels_near_points(field, options.query_band));
         Self { axes, band, orientation: *field.orientation() }
@@ -39,16 +42,13 @@ impl QueryGrid {
         self.axes[0].len()
     }
 
-    /// Replaces `queries` by those of one plane of the grid across x, z fastest, in the network's frame.
-    fn plane_into(&self, x: usize, queries: &mut Vec<Point>) {
+    /// Appends the queries of one plane of the grid across x, z fastest, in the network's frame.
+    fn append_plane(&self, x: usize, queries: &mut Scratch<Point>) {
         let (x, voxel_x) = self.axes[0][x];
-        queries.clear();
-        for &(y, voxel_y) in &self.axes[1] {
-            for &(z, voxel_z) in &self.axes[2] {
-                if self.band.as_ref().is_none_or(|band| band[voxel_x + voxel_y + voxel_z]) {
-                    queries.push(rotate_inverse(&self.orientation, [x, y, z]));
-                }
-            }
+        for &(y, voxel_y) in &self.axes[1][..] {
+            let is_near = |voxel_z: usize| self.band.as_ref().is_none_or(|band| band[voxel_x + voxel_y + voxel_z]);
+            let near = self.axes[2].iter().filter(|(_, voxel_z)| is_near(*voxel_z));
+            queries.extend(near.map(|&(z, _)| rotate_inverse(&self.orientation, [x, y, z])));
         }
     }
 }
@@ -64,48 +64,53 @@ fn coordinate(low: f32, high: f32, resolution: usize, i: usize) -> f32 {
     }
 }
 
+/// Queries that are evaluated at a time, at least: enough for many threads.
+const BATCH: usize = 16_384;
+
 /// The queries whose occupancy is above the threshold, in the network's frame, x slowest and z fastest.
 pub(crate) fn above_occupancy(
     field: &Field,
     queries: &QueryGrid,
     threshold: f32,
     control: &Control,
-) -> Result<Vec<Point>> {
+) -> Result<Scratch<Point>> {
     span!("occupancy");
     let resolution = queries.resolution();
     let counter = control.begin("occupancy", resolution.pow(3));
-    // The memory of one plane is used again for the next.
-    let memory = || (Vec::with_capacity(resolution * resolution), Vec::with_capacity(resolution * resolution));
-    let occupied_of_plane = |(plane, occupancy): &mut (Vec<Point>, Vec<f32>), x: usize| -> Result<Vec<Point>> {
-        queries.plane_into(x, plane);
-        counter.add(resolution * resolution - plane.len());
-        occupancy.clear();
-        for tile in plane.chunks(TILE) {
-            counter.check()?;
-            occupancy.extend_from_slice(&field.tile_values(Quantity::Occupancy, tile));
-            counter.add(tile.len());
+    let mut occupied = Scratch::empty(BATCH);
+    let mut batch = Scratch::empty(BATCH + resolution * resolution);
+    let mut first = 0;
+    for x in 0..resolution {
+        queries.append_plane(x, &mut batch);
+        if batch.len() < BATCH && x + 1 < resolution {
+            continue;
         }
-        let mut occupied = Vec::with_capacity(occupancy.iter().filter(|value| **value > threshold).count());
-        let pairs = plane.iter().zip(occupancy.iter());
+        counter.add((x + 1 - first) * resolution * resolution - batch.len());
+        let mut occupancy = Scratch::zeros(batch.len());
+        occupancy.par_chunks_mut(TILE).zip(batch.par_chunks(TILE)).try_for_each(|(occupancy, tile)| {
+            counter.check()?;
+            occupancy.copy_from_slice(&field.tile_values(Quantity::Occupancy, tile));
+            counter.add(tile.len());
+            Ok(())
+        })?;
+        let pairs = batch.iter().zip(occupancy.iter());
         occupied.extend(pairs.filter(|(_, value)| **value > threshold).map(|(query, _)| *query));
-        Ok(occupied)
-    };
-    let planes = (0..resolution).into_par_iter().map_init(memory, occupied_of_plane);
-    // Rayon collects results, whose number it knows, with fewer allocations than a result of planes.
-    let planes: Vec<Result<Vec<Point>>> = planes.collect();
-    Ok(planes.into_iter().collect::<Result<Vec<_>>>()?.concat())
+        batch.clear();
+        first = x + 1;
+    }
+    Ok(occupied)
 }
 
 /// Whether each voxel has a voxel with input points within `reach` voxels along every axis.
-fn voxels_near_points(field: &Field, reach: usize) -> Vec<bool> {
+fn voxels_near_points(field: &Field, reach: usize) -> Scratch<bool> {
     let frame = field.volume().frame();
-    let mut near = vec![false; frame.resolution.iter().product()];
+    let mut near = Scratch::zeros(frame.resolution.iter().product());
     for &point in field.points() {
         near[frame.voxel(rotate(field.orientation(), field.normalization().to_network(point)))] = true;
     }
-    let mut stride = 1;
+    let (mut before, mut stride) = (near.clone(), 1);
     for length in frame.resolution {
-        let before = near.clone();
+        before.copy_from_slice(&near);
         for (voxel, near) in near.iter_mut().enumerate() {
             let place = voxel / stride % length;
             let line = voxel - place * stride;
@@ -123,7 +128,7 @@ pub(crate) mod tests {
 
     pub(crate) fn occupied_queries(field: &Field, options: &DetectOptions) -> Vec<Point> {
         let queries = QueryGrid::new(field, options);
-        above_occupancy(field, &queries, options.occupancy_threshold, &Control::default()).unwrap()
+        above_occupancy(field, &queries, options.occupancy_threshold, &Control::default()).unwrap().to_vec()
     }
 
     #[test]

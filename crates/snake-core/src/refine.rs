@@ -9,7 +9,7 @@ use crate::nn::TILE;
 use crate::options::{DetectOptions, RefineMethod, Selection};
 use crate::points::Point;
 use crate::span::span;
-use snake_kernels::Scratch;
+use snake_kernels::{Scratch, scratch_elements};
 
 /// A refined query.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
@@ -20,6 +20,8 @@ pub(crate) struct Refined {
     pub(crate) score: f32,
 }
 
+scratch_elements!(Refined);
+
 /// Moves each query by `refine_steps` steps and selects a position and a score for it.
 ///
 /// Queries are independent, except that Adam's gradient is that of the *mean* saliency: each query's own gradient divided
@@ -29,10 +31,10 @@ pub(crate) fn refine(
     queries: &[Point],
     options: &DetectOptions,
     control: &Control,
-) -> Result<Vec<Refined>> {
+) -> Result<Scratch<Refined>> {
     span!("refine");
     let counter = control.begin("refinement", queries.len() * (options.refine_steps + 1));
-    let mut refined = vec![Refined::default(); queries.len()];
+    let mut refined = Scratch::<Refined>::zeros(queries.len());
     let tiles = refined.par_chunks_mut(TILE).zip(queries.par_chunks(TILE));
     tiles.try_for_each(|(refined, tile)| refine_tile(field, tile, queries.len(), options, &counter, refined))?;
     Ok(refined)
@@ -200,7 +202,7 @@ mod tests {
             let options =
                 DetectOptions { refine_steps, saliency_threshold, refine_step_size: 0.01, ..Default::default() };
             let found = refine(&field, &queries, &options, &Control::default()).unwrap();
-            assert_eq!(found, textbook(&field, &queries, &options), "{refine_steps} {saliency_threshold}");
+            assert_eq!(found[..], textbook(&field, &queries, &options), "{refine_steps} {saliency_threshold}");
             found.iter().for_each(|refined| outcomes[usize::from(refined.score > 0.0)] += 1);
         }
         assert!(outcomes.iter().all(|&number| number > 10), "{outcomes:?}");

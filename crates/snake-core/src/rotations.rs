@@ -11,8 +11,8 @@ pub(crate) const IDENTITY: Rotation = [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0
 
 /// `number` evenly distributed rotations: super-Fibonacci spirals (Alexa, CVPR 2022), rotated so that the first is the
 /// identity.
-pub(crate) fn super_fibonacci(number: usize) -> Vec<Rotation> {
-    let quaternion = |i: usize| {
+pub(crate) fn super_fibonacci(number: usize) -> impl Iterator<Item = Rotation> {
+    let quaternion = move |i: usize| {
         let place = i as f64 + 0.5;
         let share = place / number as f64;
         let [a, b] = [std::f64::consts::SQRT_2, 1.533_751_168_755_204_3].map(|c| std::f64::consts::TAU * place / c);
@@ -25,12 +25,12 @@ pub(crate) fn super_fibonacci(number: usize) -> Vec<Rotation> {
         ))
     };
     let back = quaternion(0).inverse();
-    let matrix = |i: usize| {
+    let matrix = move |i: usize| {
         let rotation = (quaternion(i) * back).to_rotation_matrix();
         std::array::from_fn(|row| std::array::from_fn(|column| rotation[(row, column)] as f32))
     };
     // The identity is exact, without rounding.
-    std::iter::once(IDENTITY).chain((1..number).map(matrix)).collect()
+    std::iter::once(IDENTITY).chain((1..number).map(matrix))
 }
 
 /// The rotation of a cloud about `center` into its principal axes, the longest along x.
@@ -106,9 +106,9 @@ mod tests {
         assert!(moment(2).is_sorted_by(|a, b| a > b), "{:?}", moment(2));
         let positive = moment(3).iter().filter(|sum| **sum > 0.0).count();
         assert!(positive >= 2, "{:?}", moment(3));
-        for rotation in &super_fibonacci(9)[1..] {
-            let (turned_axes, turned_along) = turned(rotation);
-            let product = compose(&turned_axes, rotation);
+        for rotation in super_fibonacci(9).skip(1) {
+            let (turned_axes, turned_along) = turned(&rotation);
+            let product = compose(&turned_axes, &rotation);
             assert!(axes.as_flattened().iter().zip(product.as_flattened()).all(|(a, b)| (a - b).abs() < 1e-3));
             for (a, b) in along.iter().zip(&turned_along) {
                 assert!(a.iter().zip(b).all(|(a, b)| (a - b).abs() < 1e-2), "{a:?} {b:?}");
@@ -132,7 +132,7 @@ mod tests {
     #[test]
     fn rotations_are_rotations_and_far_apart() {
         for number in [1, 2, 8, 32] {
-            let rotations = super_fibonacci(number);
+            let rotations: Vec<Rotation> = super_fibonacci(number).collect();
             assert_eq!(rotations.len(), number);
             for (i, a) in rotations.iter().enumerate() {
                 let point = [0.3, -0.5, 0.7];

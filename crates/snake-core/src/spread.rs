@@ -1,8 +1,7 @@
 //! Keypoints that are spread evenly: the suppression radius that leaves the wanted number.
 
 use crate::Result;
-use crate::kd_tree::KdTree;
-use crate::nms::keep_in_order;
+use crate::nms::suppress_ranked;
 use crate::points::Point;
 
 /// The radius is found up to this share of itself,
@@ -36,10 +35,9 @@ pub fn suppress_to_count(points: &[Point], count: usize) -> Result<(Vec<usize>, 
     if points.len() <= count {
         return Ok((order(), 0.0));
     }
-    let tree = KdTree::new(points)?;
     let most = count + (SURPLUS * count as f64) as usize;
     // One more than `most` tells that the radius is too small.
-    let kept_by = |radius: f64| keep_in_order(&tree, points, order(), radius as f32, most + 1);
+    let kept_by = |radius: f64| suppress_ranked(points, radius as f32, most + 1);
     let mut kept = (order(), 0.0);
     let (mut low, mut high) = (0.0, diagonal(points));
     while high - low > PRECISION * high && kept.0.len() > most {
@@ -48,7 +46,7 @@ pub fn suppress_to_count(points: &[Point], count: usize) -> Result<(Vec<usize>, 
         if middle as f32 <= 0.0 {
             break;
         }
-        let found = kept_by(middle);
+        let found = kept_by(middle)?;
         if found.len() < count {
             high = middle;
         } else {
@@ -112,7 +110,7 @@ mod tests {
     fn the_radius_is_the_largest_that_leaves_the_number() {
         let points = clustered();
         let (kept, radius) = suppress_to_count(&points, 60).unwrap();
-        let left = |radius: f32| crate::nms::suppress_ranked(&points, radius, 900).unwrap();
+        let left = |radius: f32| suppress_ranked(&points, radius, 900).unwrap();
         assert!((60..=63).contains(&left(radius).len()) && left(radius)[..60] == kept);
         assert!(left(1.1 * radius).len() < 60);
     }

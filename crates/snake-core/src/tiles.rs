@@ -213,8 +213,8 @@ impl TileDetector {
             let mut of_block = Vec::new();
             for ((_, cell), (Candidates { positions, scores, counts, .. }, occupancy)) in own.iter().zip(found) {
                 of_tile.counts.add(&counts);
-                let all = positions.into_iter().zip(scores).zip(occupancy);
-                of_block.extend(all.map(|((position, saliency), occupancy)| Candidate {
+                let all = positions.iter().zip(scores.iter()).zip(occupancy);
+                of_block.extend(all.map(|((&position, &saliency), occupancy)| Candidate {
                     position,
                     saliency,
                     occupancy,

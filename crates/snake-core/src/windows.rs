@@ -17,6 +17,7 @@ use crate::points::{FinitePoints, Normalization, NormalizationMethod, Point};
 use crate::side_by_side::side_by_side;
 use crate::window_cells::{WindowCells, has_more_windows};
 use crate::{Error, Result};
+use snake_kernels::Scratch;
 
 /// Number of windows that every cloud may have, even with few points.
 pub(crate) const FEW_WINDOWS: usize = 64;
@@ -61,8 +62,9 @@ pub(crate) fn detect_in_windows(
     }
     candidates.timing.scale_to(start.elapsed().as_secs_f64());
     control.begin("suppression", 0).check()?;
-    let of_kept = |kept: &[usize], _: &[Point]| Ok(kept.iter().map(|&index| occupancy[index]).collect());
-    let mut detection = finish(candidates, &finite, radii, &options.detect, of_kept)?;
+    let of_kept =
+        |kept: &[usize], _: &[Point]| Ok(Scratch::collect(kept.len(), kept.iter().map(|&index| occupancy[index])));
+    let mut detection = finish(candidates, &finite, radii, &options.detect, of_kept, Vec::new())?;
     detection.num_skipped = points.len() - finite.points.len();
     detection.num_encoded = encoded.len();
     Ok(detection)
@@ -107,7 +109,7 @@ impl<'a> Windows<'a> {
             Field::normalized(self.network.clone(), inside, normalization, self.options.encode.rotations, control)?;
         let seconds = start.elapsed().as_secs_f64();
         let owns = |position: &Point| self.nearest_center.nearest(position, NonZeroUsize::MIN)[0].0 == window;
-        let mut found = Candidates::of(&field, &self.options.detect, owns, control)?;
+        let mut found = Candidates::of(&field, &self.options.detect, owns, control)?.compact();
         found.timing.encode = seconds;
         // The occupancy at a keypoint is that of the window that keeps it.
         let occupancy = match &self.snap {

@@ -7,8 +7,6 @@
 //! neighbours are constant, and adds one to the reach. Constant tiles of one kind have equal outputs: one of them is
 //! computed, and the others are copies of it, equal to the last bit.
 
-use std::collections::HashMap;
-
 use rayon::prelude::*;
 
 use crate::Scratch;
@@ -19,7 +17,7 @@ pub struct ConstantRegion {
     /// Voxels along z, y, x.
     size: [usize; 3],
     /// Whether each voxel is constant, `[z][y][x]`.
-    constant: Vec<bool>,
+    constant: Scratch<bool>,
     /// Voxels from a border up to which values may differ.
     reach: usize,
 }
@@ -30,7 +28,8 @@ impl ConstantRegion {
     /// # Panics
     /// If a voxel lies outside the volume.
     pub fn around(size: [usize; 3], voxels: impl Iterator<Item = usize>) -> Self {
-        let mut constant = vec![true; size.iter().product()];
+        let mut constant = Scratch::zeros(size.iter().product());
+        constant.fill(true);
         voxels.for_each(|voxel| constant[voxel] = false);
         Self { size, constant, reach: 0 }
     }
@@ -38,10 +37,10 @@ impl ConstantRegion {
     /// The constant region after a 3x3x3 convolution.
     pub fn convolved(&self) -> Self {
         let [_, height, width] = self.size;
-        let mut constant = self.constant.clone();
+        let (mut constant, mut before) = (self.constant.clone(), self.constant.clone());
         // Axis by axis, a voxel stays constant if both neighbours are constant.
         for (stride, length) in [(1, width), (width, height), (height * width, self.size[0])] {
-            let before = constant.clone();
+            before.copy_from_slice(&constant);
             for (block, before) in constant.chunks_mut(stride * length).zip(before.chunks(stride * length)) {
                 block.iter_mut().zip(&before[stride..]).for_each(|(constant, &next)| *constant &= next);
                 block[stride..].iter_mut().zip(before).for_each(|(constant, &last)| *constant &= last);
@@ -57,26 +56,28 @@ impl ConstantRegion {
             let corner = split(voxel, size).map(|i| 2 * i);
             all_of(self.size, corner, 2, |voxel| self.constant[voxel])
         });
-        Self { size, constant: constant.collect(), reach: self.reach.div_ceil(2) }
+        Self { size, constant: Scratch::collect(constant.len(), constant), reach: self.reach.div_ceil(2) }
     }
 
     /// For each constant tile, of `tile` voxels along each axis, the first tile of its kind, which may be itself; `None`
     /// for the other tiles.
-    pub fn originals(&self, tile: usize) -> Vec<Option<u32>> {
+    pub fn originals(&self, tile: usize) -> Scratch<Option<u32>> {
         let tiles = self.size.map(|n| n.div_ceil(tile));
-        // All tiles beyond the reach of the borders are of one kind.
+        // All tiles beyond the reach of the borders are of one kind, that of the first of them.
         let kind = |axis: usize, i: usize| {
             let inside = i * tile >= self.reach && (i + 1) * tile + self.reach <= self.size[axis];
-            if inside { usize::MAX } else { i }
+            if inside { self.reach.div_ceil(tile) } else { i }
         };
-        let mut first = HashMap::new();
+        // For each kind, by the place of its first tile, the first constant tile.
+        let mut first: Scratch<Option<u32>> = Scratch::zeros(tiles.iter().product());
         let original = |number: usize| {
             let place = split(number, tiles);
-            let kinds: [usize; 3] = std::array::from_fn(|axis| kind(axis, place[axis]));
+            let [z, y, x]: [usize; 3] = std::array::from_fn(|axis| kind(axis, place[axis]));
             all_of(self.size, place.map(|i| i * tile), tile, |voxel| self.constant[voxel])
-                .then(|| *first.entry(kinds).or_insert(number as u32))
+                .then(|| *first[(z * tiles[1] + y) * tiles[2] + x].get_or_insert(number as u32))
         };
-        (0..tiles.iter().product()).map(original).collect()
+        let numbers = 0..tiles.iter().product();
+        Scratch::collect(numbers.len(), numbers.map(original))
     }
 }
 
@@ -156,18 +157,18 @@ mod tests {
     #[test]
     fn tiles_are_constant_where_no_point_is_near() {
         let constant = ConstantRegion::around([2, 2, 12], [3].into_iter());
-        assert_eq!(constant.originals(2), [Some(0), None, Some(0), Some(0), Some(0), Some(0)]);
+        assert_eq!(constant.originals(2)[..], [Some(0), None, Some(0), Some(0), Some(0), Some(0)]);
         let next = constant.convolved();
-        assert_eq!(next.originals(2), [Some(0), None, None, Some(3), Some(3), Some(5)]);
-        assert_eq!(next.originals(4), [None, None, Some(2)]);
-        assert_eq!(next.convolved().originals(2), [None, None, None, Some(3), Some(3), Some(5)]);
-        assert_eq!(next.pooled().originals(1), [Some(0), None, None, Some(3), Some(3), Some(5)]);
+        assert_eq!(next.originals(2)[..], [Some(0), None, None, Some(3), Some(3), Some(5)]);
+        assert_eq!(next.originals(4)[..], [None, None, Some(2)]);
+        assert_eq!(next.convolved().originals(2)[..], [None, None, None, Some(3), Some(3), Some(5)]);
+        assert_eq!(next.pooled().originals(1)[..], [Some(0), None, None, Some(3), Some(3), Some(5)]);
     }
 
     #[test]
     fn tiles_inside_are_of_one_kind_and_each_border_is_another() {
         let kinds = |constant: &ConstantRegion| {
-            constant.originals(2).into_iter().collect::<std::collections::HashSet<_>>().len()
+            constant.originals(2).iter().copied().collect::<std::collections::HashSet<_>>().len()
         };
         let constant = ConstantRegion::around([10, 10, 10], std::iter::empty()).convolved();
         assert_eq!(constant.originals(2)[2 * 25 + 2 * 5 + 2], Some(25 + 5 + 1));

@@ -31,6 +31,14 @@ pub(crate) struct Encoder {
     unet: UNet3d,
 }
 
+/// The memory for the points of a cloud, which the next cloud uses again.
+#[derive(Debug, Clone, Default)]
+pub(crate) struct EncoderMemory {
+    groups: VoxelGroups,
+    /// Sums over the points of each voxel.
+    sums: Vec<f32>,
+}
+
 impl Encoder {
     pub(crate) fn load(scope: &Scope, config: &ModelConfig) -> Result<Self> {
         Ok(Self {
@@ -52,9 +60,10 @@ impl Encoder {
         &self,
         num_points: usize,
         point: impl Fn(usize) -> Point + Sync,
+        memory: &mut EncoderMemory,
         counter: &Counter,
     ) -> Result<Volume> {
-        let volume = self.point_volume(num_points, point, counter)?;
+        let volume = self.point_volume(num_points, point, memory, counter)?;
         span!("unet");
         Ok(Volume { frame: self.frame, channels: volume.channels, values: self.unet.forward(volume, counter)? })
     }
@@ -64,15 +73,19 @@ impl Encoder {
         &self,
         num_points: usize,
         point: impl Fn(usize) -> Point + Sync,
+        memory: &mut EncoderMemory,
         counter: &Counter,
     ) -> Result<Tensor> {
         span!("pointnet");
-        let groups = VoxelGroups::new(num_points, &point, &self.frame);
+        memory.groups.fill(num_points, &point, &self.frame);
         counter.add(num_points);
         counter.check()?;
         match self.scatter {
-            Scatter::Hard => Ok(self.scatter(&self.pointnet.voxel_means(&groups, &point, counter)?, &groups)),
-            Scatter::Soft => self.scatter_soft(&groups, &point, counter),
+            Scatter::Hard => {
+                self.pointnet.voxel_means(&memory.groups, &point, &mut memory.sums, counter)?;
+                Ok(self.scatter(&memory.sums, &memory.groups))
+            }
+            Scatter::Soft => self.scatter_soft(memory, &point, counter),
         }
     }
 
@@ -91,20 +104,26 @@ impl Encoder {
     /// Scatters the features of the points to their eight nearest voxels ([`Scatter::Soft`]); voxels without mass are zero.
     fn scatter_soft(
         &self,
-        groups: &VoxelGroups,
+        EncoderMemory { groups, sums: slots }: &mut EncoderMemory,
         point: impl Fn(usize) -> Point + Sync,
         counter: &Counter,
     ) -> Result<Tensor> {
         let (size, channels) = (self.frame.size(), self.pointnet.channels());
         let spread =
             |point: Point, feature: &[f32], slots: &mut [f32]| scatter::spread(&self.frame, point, feature, slots);
-        let slots = self.pointnet.voxel_sums(groups, point, scatter::slots_width(channels), spread, counter)?;
+        self.pointnet.voxel_sums(groups, point, scatter::slots_width(channels), spread, slots, counter)?;
         let mut values = self.unet.pool.take(size.iter().product::<usize>() * channels);
         values.par_chunks_mut(size[1] * size[2] * channels).for_each(|plane| plane.fill(0.0));
         counter.check()?;
-        let touched = scatter::gather(&self.frame, groups, &slots, &mut values, counter)?;
+        let touched = scatter::gather(&self.frame, groups, slots, &mut values, counter)?;
         let sums = channel_sums(&values, channels);
         counter.check()?;
-        Ok(Tensor { size, channels, values, sums, constant: Some(ConstantRegion::around(size, touched.into_iter())) })
+        Ok(Tensor {
+            size,
+            channels,
+            values,
+            sums,
+            constant: Some(ConstantRegion::around(size, touched.iter().copied())),
+        })
     }
 }

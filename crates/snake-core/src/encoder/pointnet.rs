@@ -3,6 +3,8 @@
 //! Voxels are independent of each other. The network therefore processes a few voxels at a time through all blocks and
 //! stores only their mean features, so memory does not grow with the number of points.
 
+use std::ops::Range;
+
 use rayon::prelude::*;
 
 use super::pointnet_blocks::{FirstBlock, PooledBlock, VoxelTerms};
@@ -53,58 +55,51 @@ impl PointNet {
         self.fc_c.outputs()
     }
 
-    /// Mean feature of each occupied voxel, `(voxels, c_dim)`; `point` returns the grouped points in the network's
-    /// frame.
+    /// Replaces `means` by the mean feature of each occupied voxel, `(voxels, c_dim)`; `point` returns the grouped points in
+    /// the network's frame.
     pub(crate) fn voxel_means(
         &self,
         groups: &VoxelGroups,
         point: impl Fn(usize) -> Point + Sync,
+        means: &mut Vec<f32>,
         counter: &Counter,
-    ) -> Result<Vec<f32>> {
+    ) -> Result<()> {
         let add = |_: Point, feature: &[f32], sums: &mut [f32]| {
             sums.iter_mut().zip(feature).for_each(|(sum, value)| *sum += value);
         };
-        let mut means = self.voxel_sums(groups, point, self.channels(), add, counter)?;
+        self.voxel_sums(groups, point, self.channels(), add, means, counter)?;
         for (voxel, mean) in means.chunks_exact_mut(self.channels()).enumerate() {
             let size = groups.num_points(voxel..voxel + 1);
             mean.iter_mut().for_each(|sum| *sum /= size as f32);
         }
-        Ok(means)
+        Ok(())
     }
 
-    /// Sums over the points of each occupied voxel, `(voxels, width)`. `add` adds one point with its feature `(c_dim)` to
-    /// the sums of its voxel; the points come in the order of the cloud.
+    /// Replaces `sums` by the sums over the points of each occupied voxel, `(voxels, width)`. `add` adds one point with its
+    /// feature `(c_dim)` to the sums of its voxel; the points come in the order of the cloud.
     pub(super) fn voxel_sums(
         &self,
         groups: &VoxelGroups,
         point: impl Fn(usize) -> Point + Sync,
         width: usize,
         add: impl Fn(Point, &[f32], &mut [f32]) + Sync,
+        sums: &mut Vec<f32>,
         counter: &Counter,
-    ) -> Result<Vec<f32>> {
-        let mut sums = vec![0.0; groups.num_voxels() * width];
-        let (mut chunks, mut large) = (Vec::new(), Vec::new());
-        let mut rest = &mut sums[..];
-        for voxels in groups.chunks(CHUNK) {
-            let sums = rest.split_off_mut(..voxels.len() * width).unwrap_or_default();
-            let kind = if groups.num_points(voxels.clone()) <= LARGE { &mut chunks } else { &mut large };
-            kind.push((voxels, sums));
-        }
-        chunks.into_par_iter().try_for_each(|(voxels, sums)| {
+    ) -> Result<()> {
+        sums.clear();
+        sums.resize(groups.num_voxels() * width, 0.0);
+        in_parts(groups, 0..groups.num_voxels(), sums, &|voxels, sums| {
             counter.check()?;
-            let points =
-                Scratch::collect(groups.num_points(voxels.clone()), groups.members(voxels.clone()).map(&point));
-            let sizes = voxels.len();
-            let sizes = Scratch::collect(sizes, voxels.map(|voxel| groups.num_points(voxel..voxel + 1)));
+            let num_points = groups.num_points(voxels.clone());
+            let points = Scratch::collect(num_points, groups.members(voxels.clone()).map(&point));
+            if num_points > LARGE {
+                return self.large_voxel_sums(&points, sums, &add, counter);
+            }
+            let sizes = Scratch::collect(voxels.len(), voxels.map(|voxel| groups.num_points(voxel..voxel + 1)));
             self.chunk_sums(&points, &sizes, sums, &add);
-            counter.add(self.work(points.len()));
+            counter.add(self.work(num_points));
             Ok(())
-        })?;
-        for (voxel, sums) in large {
-            let points: Vec<Point> = groups.par_members(voxel).map(&point).collect();
-            self.large_voxel_sums(&points, sums, &add, counter)?;
-        }
-        Ok(sums)
+        })
     }
 
     /// Computes the sums of voxels whose points are consecutive, with `sizes` points each.
@@ -194,6 +189,24 @@ impl PointNet {
     }
 }
 
+/// Runs a task on ranges of voxels with their rows of `sums`: on at most [`CHUNK`] points, or on a single voxel.
+fn in_parts(
+    groups: &VoxelGroups,
+    voxels: Range<usize>,
+    sums: &mut [f32],
+    task: &(impl Fn(Range<usize>, &mut [f32]) -> Result<()> + Sync),
+) -> Result<()> {
+    if voxels.len() == 1 || groups.num_points(voxels.clone()) <= CHUNK {
+        return task(voxels, sums);
+    }
+    let width = sums.len() / voxels.len();
+    let [first, rest] = groups.halves(voxels);
+    let (sums_of_first, sums_of_rest) = sums.split_at_mut(first.len() * width);
+    let (first, rest) =
+        rayon::join(|| in_parts(groups, first, sums_of_first, task), || in_parts(groups, rest, sums_of_rest, task));
+    first.and(rest)
+}
+
 #[cfg(test)]
 mod tests {
     use rand::{RngExt, SeedableRng};
@@ -251,8 +264,9 @@ mod tests {
         {
             let mut point = |size: f32| std::array::from_fn(|_| size * (random.random::<f32>() - 0.5));
             let points: Vec<Point> = (0..crowd + others).map(|i| point(if i < crowd { 0.02 } else { 1.0 })).collect();
-            let groups = VoxelGroups::new(points.len(), |index| points[index], &frame);
-            let means = net.voxel_means(&groups, |index| points[index], &Counter::default()).unwrap();
+            let (mut groups, mut means) = (VoxelGroups::default(), vec![f32::NAN; 3]);
+            groups.fill(points.len(), |index| points[index], &frame);
+            net.voxel_means(&groups, |index| points[index], &mut means, &Counter::default()).unwrap();
             assert_eq!(means, net.plain(&points, &frame)[1], "{crowd} and {others}");
         }
     }

@@ -46,7 +46,7 @@ pub(super) fn gather(
     slots: &[f32],
     values: &mut [f32],
     counter: &Counter,
-) -> Result<Vec<usize>> {
+) -> Result<Scratch<usize>> {
     let num_voxels: usize = frame.resolution.iter().product();
     let channels = values.len() / num_voxels;
     // One more than the row of each occupied voxel, in a volume with a border of one empty voxel on each side.
@@ -76,7 +76,7 @@ pub(super) fn gather(
         masses.iter_mut().enumerate().for_each(|(i, of_voxel)| *of_voxel = mass(z * plane + i));
         counter.check()
     })?;
-    let touched: Vec<usize> = (0..num_voxels).filter(|&voxel| masses[voxel] > 0.0).collect();
+    let touched = Scratch::collect(num_voxels, (0..num_voxels).filter(|&voxel| masses[voxel] > 0.0));
     let total: f64 = touched.iter().map(|&voxel| f64::from(masses[voxel])).sum();
     let typical = (total / touched.len().max(1) as f64) as f32;
     values.par_chunks_mut(plane * channels).enumerate().try_for_each(|(z, values)| {
@@ -127,7 +127,8 @@ mod tests {
 
     /// The volume by slots, and the voxels with mass.
     fn soft(points: &[Point], features: &[f32], channels: usize) -> (Vec<f32>, Vec<usize>) {
-        let groups = VoxelGroups::new(points.len(), |index| points[index], &FRAME);
+        let mut groups = VoxelGroups::default();
+        groups.fill(points.len(), |index| points[index], &FRAME);
         let mut slots = vec![0.0; groups.num_voxels() * slots_width(channels)];
         for (row, slots) in slots.chunks_mut(slots_width(channels)).enumerate() {
             for index in groups.members(row..row + 1).collect::<Vec<_>>() {
@@ -136,7 +137,7 @@ mod tests {
         }
         let mut values = vec![0.0; 60 * channels];
         let touched = gather(&FRAME, &groups, &slots, &mut values, &Counter::default()).unwrap();
-        (values, touched)
+        (values, touched.to_vec())
     }
 
     #[test]

@@ -69,30 +69,42 @@ impl UNet3d {
 
     /// Maps a volume `(D, H, W, c_dim)` to a volume of the same shape.
     pub(crate) fn forward(&self, volume: Tensor, counter: &Counter) -> Result<Buffer> {
+        let made = self.level(&self.top, &self.deeper, &self.decoders, volume, counter)?;
+        Ok(made.pointwise(&self.final_conv, &self.pool))
+    }
+
+    /// One level of the U-Net and all coarser ones. The decoders come from the coarsest to this level's.
+    fn level(
+        &self,
+        encoder: &DoubleConv,
+        deeper: &[DoubleConv],
+        decoders: &[DoubleConv],
+        input: Tensor,
+        counter: &Counter,
+    ) -> Result<Tensor> {
+        let skip = self.convolve(encoder, [input], counter)?;
+        let ([encoder, deeper @ ..], [decoders @ .., decoder]) = (deeper, decoders) else { return Ok(skip) };
+        let coarse = self.level(encoder, deeper, decoders, skip.max_pool(&self.pool), counter)?;
+        if skip.size == coarse.size.map(|n| 2 * n) {
+            self.convolve(decoder, [skip, coarse], counter)
+        } else {
+            self.convolve(decoder, [skip.concat_upsampled(&coarse, &self.pool)], counter)
+        }
+    }
+
+    fn convolve<const N: usize>(
+        &self,
+        [first, second]: &DoubleConv,
+        inputs: [Tensor; N],
+        counter: &Counter,
+    ) -> Result<Tensor> {
         let stop = || counter.is_stopped();
-        let run = |[first, second]: &DoubleConv, inputs: Vec<Tensor>| -> Result<Tensor> {
-            let middle = first.forward(&inputs.iter().collect::<Vec<_>>(), &self.pool, &stop);
-            drop(inputs);
-            counter.check()?;
-            let made = second.forward(&[&middle], &self.pool, &stop);
-            counter.check()?;
-            counter.add(made.voxels());
-            Ok(made)
-        };
-        let mut skips = Vec::with_capacity(self.decoders.len());
-        let mut current = run(&self.top, vec![volume])?;
-        for encoder in &self.deeper {
-            let pooled = current.max_pool(&self.pool);
-            skips.push(current);
-            current = run(encoder, vec![pooled])?;
-        }
-        for (decoder, skip) in self.decoders.iter().zip(skips.into_iter().rev()) {
-            current = if skip.size == current.size.map(|n| 2 * n) {
-                run(decoder, vec![skip, current])?
-            } else {
-                run(decoder, vec![skip.concat_upsampled(&current, &self.pool)])?
-            };
-        }
-        Ok(current.pointwise(&self.final_conv, &self.pool))
+        let middle = first.forward(inputs.each_ref(), &self.pool, &stop);
+        drop(inputs);
+        counter.check()?;
+        let made = second.forward([&middle], &self.pool, &stop);
+        counter.check()?;
+        counter.add(made.voxels());
+        Ok(made)
     }
 }

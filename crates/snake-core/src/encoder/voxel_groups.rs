@@ -8,7 +8,7 @@ use crate::points::Point;
 use crate::volume::VolumeFrame;
 
 /// The points of a cloud, grouped by the voxel that contains them, in eight bytes per point.
-#[derive(Debug)]
+#[derive(Debug, Clone, Default)]
 pub(crate) struct VoxelGroups {
     /// The voxel in the upper 32 bits and the point's index in the lower 32 bits, ascending.
     members: Vec<u64>,
@@ -17,15 +17,18 @@ pub(crate) struct VoxelGroups {
 }
 
 impl VoxelGroups {
-    /// Groups `num_points` points, at most [`u32::MAX`], given by `point` in the network's frame.
-    pub(crate) fn new(num_points: usize, point: impl Fn(usize) -> Point + Sync, frame: &VolumeFrame) -> Self {
+    /// Groups `num_points` points, at most [`u32::MAX`], given by `point` in the network's frame, instead of those that
+    /// were grouped before.
+    pub(crate) fn fill(&mut self, num_points: usize, point: impl Fn(usize) -> Point + Sync, frame: &VolumeFrame) {
+        let Self { members, starts } = self;
         let member = |index: usize| (frame.voxel(point(index)) as u64) << 32 | index as u64;
-        let mut members: Vec<u64> = (0..num_points).into_par_iter().map(member).collect();
+        (0..num_points).into_par_iter().map(member).collect_into_vec(members);
         members.par_sort_unstable();
         let is_first = |&place: &usize| place == 0 || voxel(members[place - 1]) != voxel(members[place]);
-        let mut starts: Vec<u32> = (0..num_points).filter(is_first).map(|place| place as u32).collect();
+        starts.clear();
+        starts.reserve(num_points.min(frame.resolution.iter().product()) + 1);
+        starts.extend((0..num_points).filter(is_first).map(|place| place as u32));
         starts.push(num_points as u32);
-        Self { members, starts }
     }
 
     /// The number of occupied voxels.
@@ -38,16 +41,12 @@ impl VoxelGroups {
         self.starts[..self.num_voxels()].iter().map(|&start| voxel(self.members[start as usize]))
     }
 
-    /// Splits the occupied voxels into ranges with at most `num_points` points, or with a single voxel that has more.
-    pub(crate) fn chunks(&self, num_points: usize) -> Vec<Range<usize>> {
-        let mut chunks: Vec<Range<usize>> = Vec::new();
-        for voxel in 0..self.num_voxels() {
-            match chunks.last_mut() {
-                Some(chunk) if self.num_points(chunk.start..voxel + 1) <= num_points => chunk.end = voxel + 1,
-                _ => chunks.push(voxel..voxel + 1),
-            }
-        }
-        chunks
+    /// Divides a range of at least two occupied voxels into two, each with about half of the points.
+    pub(crate) fn halves(&self, voxels: Range<usize>) -> [Range<usize>; 2] {
+        let half = u32::midpoint(self.starts[voxels.start], self.starts[voxels.end]);
+        let inner = &self.starts[voxels.start + 1..voxels.end - 1];
+        let middle = voxels.start + 1 + inner.partition_point(|start| *start < half);
+        [voxels.start..middle, middle..voxels.end]
     }
 
     /// The number of points in a range of occupied voxels.
@@ -57,16 +56,8 @@ impl VoxelGroups {
 
     /// The indices of the points of a range of occupied voxels: voxel by voxel, ascending within a voxel.
     pub(crate) fn members(&self, voxels: Range<usize>) -> impl Iterator<Item = usize> {
-        self.of_voxels(voxels).iter().map(index)
-    }
-
-    /// [`VoxelGroups::members`] for several threads.
-    pub(crate) fn par_members(&self, voxels: Range<usize>) -> impl IndexedParallelIterator<Item = usize> {
-        self.of_voxels(voxels).par_iter().map(index)
-    }
-
-    fn of_voxels(&self, voxels: Range<usize>) -> &[u64] {
-        &self.members[self.starts[voxels.start] as usize..self.starts[voxels.end] as usize]
+        let [start, end] = [voxels.start, voxels.end].map(|voxel| self.starts[voxel] as usize);
+        self.members[start..end].iter().map(index)
     }
 }
 

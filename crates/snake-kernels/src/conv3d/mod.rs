@@ -78,6 +78,19 @@ struct Task<'a> {
     planes: [&'a mut [f32]; MAX_TILE],
 }
 
+impl Task<'_> {
+    /// Divides a task after so many rows, which have `share` values in each plane of voxels.
+    fn split(self, rows: usize, share: usize) -> [Self; 2] {
+        let mut rest: [&mut [f32]; MAX_TILE] = Default::default();
+        let mut first = self.planes;
+        for (first, rest) in first.iter_mut().zip(&mut rest) {
+            let whole = std::mem::take(first);
+            (*first, *rest) = whole.split_at_mut(share.min(whole.len()));
+        }
+        [Self { planes: first, ..self }, Self { plane: self.plane, row: self.row + rows, planes: rest }]
+    }
+}
+
 /// Tiles, transformed inputs and products of a task.
 #[derive(Default)]
 struct Buffers {
@@ -108,7 +121,12 @@ thread_local! {
 ///
 /// # Panics
 /// If a slice is shorter than the sizes say.
-pub fn conv3d(level: SimdLevel, conv: &Conv3d, stop: &(dyn Fn() -> bool + Sync), output: &mut [f32]) -> Vec<[f64; 2]> {
+pub fn conv3d(
+    level: SimdLevel,
+    conv: &Conv3d,
+    stop: &(dyn Fn() -> bool + Sync),
+    output: &mut [f32],
+) -> Scratch<[f64; 2]> {
     let &Conv3d { layer, size, originals, .. } = conv;
     let [_, height, width] = size;
     let plane = height * width * layer.outputs;
@@ -118,26 +136,42 @@ pub fn conv3d(level: SimdLevel, conv: &Conv3d, stop: &(dyn Fn() -> bool + Sync),
     let rows_factor = if originals.is_empty() { 1 } else { 4 };
     let rows = (rows_factor * batch / width.div_ceil(layer.tile)).clamp(1, tile_rows);
     let share = layer.tile * rows * width * layer.outputs;
-    let mut tasks = Vec::with_capacity(size[0].div_ceil(layer.tile) * tile_rows.div_ceil(rows));
-    for (z, planes) in output.chunks_mut(layer.tile * plane).enumerate() {
-        let mut planes = planes.chunks_mut(plane);
-        let mut planes: [_; MAX_TILE] = std::array::from_fn(|_| planes.next().map(|plane| plane.chunks_mut(share)));
-        for row in (0..tile_rows).step_by(rows) {
-            let planes = planes.each_mut().map(|plane| plane.as_mut().and_then(Iterator::next).unwrap_or_default());
-            tasks.push(Task { plane: z, row, planes });
-        }
-    }
-    let mut partial: Scratch<[f64; 2]> = Scratch::zeros(tasks.len() * layer.outputs);
-    tasks.into_par_iter().zip(partial.par_chunks_mut(layer.outputs)).for_each(|(task, sums)| {
+    let tasks_of_plane = tile_rows.div_ceil(rows);
+    let mut partial: Scratch<[f64; 2]> = Scratch::zeros(size[0].div_ceil(layer.tile) * tasks_of_plane * layer.outputs);
+    let run = |task: Task, sums: &mut [[f64; 2]]| {
         if !stop() {
             SCRATCH.with_borrow_mut(|scratch| conv3d_task(level, conv, scratch, task, sums));
         }
+    };
+    let sums_of_plane = partial.par_chunks_mut(tasks_of_plane * layer.outputs);
+    output.par_chunks_mut(layer.tile * plane).zip(sums_of_plane).enumerate().for_each(|(z, (planes, sums))| {
+        let mut planes = planes.chunks_mut(plane);
+        let planes = std::array::from_fn(|_| planes.next().unwrap_or_default());
+        divide(Task { plane: z, row: 0, planes }, sums, layer.outputs, [rows, share], &run);
     });
     let mut sums = add_in_order(&partial, layer.outputs);
     if !originals.is_empty() {
         copy_constant_tiles(originals, layer.tile, size, layer.outputs, output, &mut sums);
     }
     sums
+}
+
+/// Runs a task in parts of `rows` rows of tiles, which have `share` values in each plane of voxels and `outputs` sums.
+fn divide(
+    task: Task,
+    sums: &mut [[f64; 2]],
+    outputs: usize,
+    [rows, share]: [usize; 2],
+    run: &(impl Fn(Task, &mut [[f64; 2]]) + Sync),
+) {
+    let half = sums.len() / outputs / 2;
+    if half == 0 {
+        return run(task, sums);
+    }
+    let [first, rest] = task.split(half * rows, half * share);
+    let (sums_of_first, sums_of_rest) = sums.split_at_mut(half * outputs);
+    let part = [rows, share];
+    rayon::join(|| divide(first, sums_of_first, outputs, part, run), || divide(rest, sums_of_rest, outputs, part, run));
 }
 
 /// Tiles that are multiplied together, for M = 2 and M = 4: their transforms stay in the second-level cache.
