@@ -3,11 +3,11 @@ VENV := .venv
 PYTHON := $(VENV)/bin/python
 export VIRTUAL_ENV := $(CURDIR)/$(VENV)
 
-.PHONY: help test check golden bench bench-registration wheel results fuzz
+.PHONY: help test test-aarch64 check golden bench bench-registration wheel results fuzz
 .DEFAULT_GOAL := help
 
 help:  ## this list
-	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed 's/:.*##/\t/'
+	@grep -hE '^[a-z0-9-]+:.*##' $(MAKEFILE_LIST) | sed 's/:.*##/\t/'
 
 # uv knows where PyTorch is without CUDA, which PyPI does not have for Linux. Where uv cannot reach that, pip installs the
 # build with CUDA, 4.5 GB more.
@@ -39,6 +39,18 @@ EXAMPLE_FEATURES := snake-core/arrow
 test: module  ## all tests: Rust, Python module, training, parity with PyTorch
 	cargo test --release --features $(EXAMPLE_FEATURES)
 	OMP_NUM_THREADS=1 $(PYTHON) -m pytest -q -rs tests training/tests
+
+ARM := aarch64-unknown-linux-gnu
+ARM_CARGO := CARGO_TARGET_AARCH64_UNKNOWN_LINUX_GNU_LINKER=aarch64-linux-gnu-gcc \
+	CARGO_TARGET_AARCH64_UNKNOWN_LINUX_GNU_RUNNER="qemu-aarch64 -L /usr/aarch64-linux-gnu" cargo test --release --target $(ARM)
+# The tests of the field that take seconds: whole detections take minutes under emulation.
+ARM_TESTS := golden:: decoder:: encoder:: volume:: radius_cells:: nms:: modes:: rotations::
+test-aarch64:  ## the kernels and the field under emulation, with NEON; needs qemu-user, gcc-aarch64-linux-gnu and the Rust target
+	@command -v qemu-aarch64 >/dev/null || { echo "qemu-aarch64 is missing: apt-get install qemu-user"; exit 1; }
+	@command -v aarch64-linux-gnu-gcc >/dev/null || { echo "the linker is missing: apt-get install gcc-aarch64-linux-gnu"; exit 1; }
+	@test -d "$$(rustc --print target-libdir --target $(ARM))" || { echo "rustup target add $(ARM)"; exit 1; }
+	$(ARM_CARGO) -p snake-kernels --lib --tests
+	$(ARM_CARGO) -p snake-core --lib -- $(ARM_TESTS)
 
 # Cargo unpacks the crates that it verifies here, once a version: those of an earlier run would be verified again.
 PACKAGES := $(wildcard $(or $(CARGO_HOME),$(HOME)/.cargo)/registry/src/-*/snake-*)

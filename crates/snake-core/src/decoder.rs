@@ -98,13 +98,13 @@ impl Decoder {
     /// Probabilities and gradients; the backward pass is hand-written.
     pub(crate) fn values_and_gradients(&self, queries: &[Point], features: &[f32]) -> ValuesAndGradients {
         let (mut values, trace) = self.logits(queries, features, true);
-        let mut slopes = Scratch::zeros(values.len());
+        let mut slopes = Scratch::arbitrary(values.len());
         for (value, slope) in values.iter_mut().zip(slopes.iter_mut()) {
             (*value, *slope) = self.head.apply(*value);
         }
 
         let size = trace.last.len();
-        let (mut gradient, mut in_hidden) = (Scratch::zeros(size), Scratch::zeros(size));
+        let (mut gradient, mut in_hidden) = (Scratch::arbitrary(size), Scratch::arbitrary(size));
         let mut in_feature = Scratch::zeros(features.len());
         self.fc_out.backward(&slopes, &mut gradient, Epilogue::Mask(&trace.last));
         for (stage, relus) in self.stages.iter().zip(trace.relus.chunks_exact(2 * size)).rev() {
@@ -113,15 +113,15 @@ impl Decoder {
             stage.block.fc_0.backward(&in_hidden, &mut gradient, Epilogue::AddMasked(input));
             stage.fc_c.backward(&gradient, &mut in_feature, Epilogue::Add);
         }
-        let mut in_query = Scratch::zeros(queries.len() * 3);
+        let mut in_query = Scratch::arbitrary(queries.len() * 3);
         self.fc_p.backward(&gradient, &mut in_query, Epilogue::Store);
         ValuesAndGradients { values, in_query, in_feature }
     }
 
     fn logits(&self, queries: &[Point], features: &[f32], traced: bool) -> (Scratch<f32>, Trace) {
         let size = queries.len() * self.fc_p.outputs();
-        let mut state = Scratch::zeros(size);
-        let mut relus = Scratch::zeros(2 * size * if traced { self.stages.len() } else { 1 });
+        let mut state = Scratch::arbitrary(size);
+        let mut relus = Scratch::arbitrary(2 * size * if traced { self.stages.len() } else { 1 });
         self.fc_p.forward(queries.as_flattened(), &mut state, Epilogue::Store);
         for (number, stage) in self.stages.iter().enumerate() {
             let relus = &mut relus[if traced { 2 * size * number } else { 0 }..][..2 * size];
@@ -131,7 +131,7 @@ impl Decoder {
             stage.block.fc_1.forward(hidden, &mut state, Epilogue::Add);
         }
         state.iter_mut().for_each(|v| *v = v.max(0.0));
-        let mut logits = Scratch::zeros(queries.len());
+        let mut logits = Scratch::arbitrary(queries.len());
         self.fc_out.forward(&state, &mut logits, Epilogue::Store);
         (logits, Trace { relus, last: state })
     }

@@ -381,7 +381,7 @@ impl Field {
     fn view_values(&self, view: &View, quantity: Quantity, queries: &[Point]) -> Scratch<f32> {
         let (decoder, frame) = self.decoder(quantity);
         let queries = &rotated(&view.rotation, queries);
-        let mut features = Scratch::zeros(queries.len() * view.volume.channels);
+        let mut features = Scratch::arbitrary(queries.len() * view.volume.channels);
         view.volume.interpolate(&frame, queries, &mut features);
         decoder.values(queries, &features)
     }
@@ -396,7 +396,7 @@ impl Field {
     ) -> (Scratch<f32>, Scratch<Point>) {
         let (decoder, frame) = self.decoder(quantity);
         let queries = &rotated(&view.rotation, queries);
-        let mut features = Scratch::zeros(queries.len() * view.volume.channels);
+        let mut features = Scratch::arbitrary(queries.len() * view.volume.channels);
         let corners = view.volume.interpolate(&frame, queries, &mut features);
         let decoded = decoder.values_and_gradients(queries, &features);
         let mut gradients = view.volume.interpolate_backward(&corners, &decoded.in_feature);

@@ -52,21 +52,31 @@ impl VolumeFrame {
 
     /// One coordinate's part of the flat index of the voxel.
     pub(crate) fn voxel_along(&self, axis: usize, coordinate: f32) -> usize {
-        let place = (self.unit(axis, coordinate) * self.resolution[axis] as f32) as usize;
-        place * self.resolution[..axis].iter().product::<usize>()
+        self.place_along(axis, coordinate) * self.resolution[..axis].iter().product::<usize>()
+    }
+
+    /// The index along an axis of the voxel that contains a coordinate.
+    pub(crate) fn place_along(&self, axis: usize, coordinate: f32) -> usize {
+        (self.unit(axis, coordinate) * self.resolution[axis] as f32) as usize
+    }
+
+    /// The index along an axis of the lower of the two voxels around a coordinate, and the position from it to the upper.
+    pub(crate) fn cell_along(&self, axis: usize, coordinate: f32) -> (usize, f32) {
+        let last = self.resolution[axis] - 1;
+        let place = self.unit(axis, coordinate) * last as f32;
+        let low = (place as usize).min(last - 1);
+        (low, place - low as f32)
     }
 
     /// The eight voxels around a query. The centres of the first and last voxels lie on the volume's faces ("align
     /// corners").
     pub(crate) fn corners(&self, query: Point) -> Corners {
-        let last = self.resolution.map(|r| r - 1);
-        let place: [f32; 3] = std::array::from_fn(|axis| self.unit(axis, query[axis]) * last[axis] as f32);
-        let low: [usize; 3] = std::array::from_fn(|axis| (place[axis] as usize).min(last[axis] - 1));
+        let cell: [(usize, f32); 3] = std::array::from_fn(|axis| self.cell_along(axis, query[axis]));
         let stride = [1, self.resolution[0], self.resolution[0] * self.resolution[1]];
         let voxels = std::array::from_fn(|corner| {
-            (0..3).map(|axis| (low[axis] + (corner >> axis & 1)) * stride[axis]).sum::<usize>() as u32
+            (0..3).map(|axis| (cell[axis].0 + (corner >> axis & 1)) * stride[axis]).sum::<usize>() as u32
         });
-        Corners { voxels, fraction: std::array::from_fn(|axis| place[axis] - low[axis] as f32) }
+        Corners { voxels, fraction: cell.map(|(_, fraction)| fraction) }
     }
 
     /// Voxels per network unit along each axis at a query. The factor converts a derivative per voxel to one per unit;

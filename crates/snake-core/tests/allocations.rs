@@ -85,7 +85,7 @@ fn frames_use_the_memory_of_earlier_frames() {
     assert!(used[3..].iter().all(|used| used[0] <= 40) && used[3..].contains(&[0; 2]), "{used:?}");
 
     let bytes = |num_points| of_frames(num_points, 1).iter().map(|used| used[1]).sum::<usize>();
-    let of_point = (bytes(200_000) - bytes(50_000)) as f64 / (1.1 * 150_000.0);
+    let of_point = (bytes(100_000) - bytes(30_000)) as f64 / (1.1 * 70_000.0);
     println!("{of_point:.1} bytes a point");
     assert!(of_point < 60.0);
 }

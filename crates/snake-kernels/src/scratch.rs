@@ -48,6 +48,13 @@ impl<T: Element> Scratch<T> {
         scratch
     }
 
+    /// A buffer of `length` arbitrary values, for a function that writes all of them.
+    pub fn arbitrary(length: usize) -> Self {
+        let mut scratch = Self::unused(length);
+        scratch.0.resize(length, T::default());
+        scratch
+    }
+
     /// A copy of values.
     pub fn copy_of(values: &[T]) -> Self {
         Self::collect(values.len(), values.iter().copied())
@@ -85,9 +92,16 @@ impl<T: Element> Scratch<T> {
         self.0.extend_from_slice(values);
     }
 
-    /// A buffer without values that has space for `length` of them: the smallest unused buffer that is large enough, or else
-    /// the largest, which grows. A thread so has no more buffers than it uses at a time.
+    /// A buffer without values that has space for `length` of them.
     pub fn empty(length: usize) -> Self {
+        let mut scratch = Self::unused(length);
+        scratch.0.clear();
+        scratch
+    }
+
+    /// A buffer with its old values that has space for `length`: the smallest unused one that is large enough, or else the
+    /// largest, which grows. A thread so has no more buffers than it uses at a time.
+    fn unused(length: usize) -> Self {
         let best = |unused: &RefCell<Vec<Vec<T>>>| {
             let mut unused = unused.borrow_mut();
             let rank = |values: &Vec<T>| match values.capacity() {
@@ -98,8 +112,8 @@ impl<T: Element> Scratch<T> {
             Some(unused.swap_remove(place))
         };
         let mut values = T::with_unused(best).flatten().unwrap_or_default();
-        values.clear();
         if values.capacity() < length {
+            values.clear();
             values.reserve_exact(Self::capacity_for(length));
         }
         Self(values)

@@ -113,8 +113,8 @@ impl PointNet {
         let width = sums.len() / sizes.len();
         let rows = sizes.iter().enumerate().flat_map(|(voxel, &size)| std::iter::repeat_n(voxel, size));
         let voxel_of_row = Scratch::collect(points.len(), rows);
-        let mut features = Scratch::zeros(points.len() * self.hidden);
-        let mut maxima = Scratch::zeros(sizes.len() * self.hidden);
+        let mut features = Scratch::arbitrary(points.len() * self.hidden);
+        let mut maxima = Scratch::arbitrary(sizes.len() * self.hidden);
         let tiles = features.chunks_mut(TILE * self.hidden).zip(points.chunks(TILE));
         tiles.for_each(|(features, points)| self.first.forward(points, features));
         for block in &self.blocks {
@@ -126,7 +126,7 @@ impl PointNet {
         }
         let tiles = features.chunks(TILE * self.hidden).zip(points.chunks(TILE)).zip(voxel_of_row.chunks(TILE));
         for ((features, points), voxels) in tiles {
-            let mut output = Scratch::zeros(voxels.len() * self.channels());
+            let mut output = Scratch::arbitrary(voxels.len() * self.channels());
             self.fc_c.forward(features, &mut output, Epilogue::Store);
             for ((&point, feature), voxel) in points.iter().zip(output.chunks_exact(self.channels())).zip(voxels) {
                 add(point, feature, &mut sums[voxel * width..][..width]);
@@ -180,7 +180,7 @@ impl PointNet {
     /// The features `(points, hidden)` of a tile of points in one voxel, after the first block and one block for each of
     /// the terms of that voxel.
     fn features_after(&self, terms: &[VoxelTerms], points: &[Point]) -> Scratch<f32> {
-        let mut features = Scratch::zeros(points.len() * self.hidden);
+        let mut features = Scratch::arbitrary(points.len() * self.hidden);
         self.first.forward(points, &mut features);
         for (block, terms) in self.blocks.iter().zip(terms) {
             block.forward(terms, &[0; TILE][..points.len()], &mut features);

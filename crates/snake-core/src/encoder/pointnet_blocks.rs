@@ -43,9 +43,9 @@ impl FirstBlock {
 
     /// The features `(points, hidden)` of points.
     pub(super) fn forward(&self, points: &[Point], features: &mut [f32]) {
-        let mut input = Scratch::zeros(2 * features.len());
+        let mut input = Scratch::arbitrary(2 * features.len());
         self.fc_pos.forward(points.as_flattened(), &mut input, Epilogue::Relu);
-        let mut hidden = Scratch::zeros(features.len());
+        let mut hidden = Scratch::arbitrary(features.len());
         self.fc_0.forward(&input, &mut hidden, Epilogue::Relu);
         self.shortcut.forward(points.as_flattened(), features, Epilogue::Store);
         self.fc_1.forward(&hidden, features, Epilogue::Add);
@@ -101,9 +101,10 @@ impl PooledBlock {
 
     /// The terms of voxels from their maxima `(voxels, hidden)`.
     pub(super) fn voxel_terms(&self, maxima: &[f32]) -> VoxelTerms {
-        let mut input = Scratch::zeros(maxima.len());
+        let mut input = Scratch::arbitrary(maxima.len());
         relu(SimdLevel::current(), maxima, &mut input);
-        let mut terms = VoxelTerms { fc_0: Scratch::zeros(maxima.len()), shortcut: Scratch::zeros(maxima.len()) };
+        let mut terms =
+            VoxelTerms { fc_0: Scratch::arbitrary(maxima.len()), shortcut: Scratch::arbitrary(maxima.len()) };
         self.fc_0.of_voxel.forward(&input, &mut terms.fc_0, Epilogue::Store);
         self.shortcut.of_voxel.forward(maxima, &mut terms.shortcut, Epilogue::Store);
         terms
@@ -117,7 +118,7 @@ impl PooledBlock {
             rows
         };
         let (mut hidden, mut output) = (of_points(&terms.fc_0), of_points(&terms.shortcut));
-        let (mut input, mut rectified) = (Scratch::zeros(features.len()), Scratch::zeros(features.len()));
+        let (mut input, mut rectified) = (Scratch::arbitrary(features.len()), Scratch::arbitrary(features.len()));
         relu(SimdLevel::current(), features, &mut input);
         self.fc_0.of_point.forward(&input, &mut hidden, Epilogue::AddAndRelu(&mut rectified));
         self.shortcut.of_point.forward(features, &mut output, Epilogue::Add);

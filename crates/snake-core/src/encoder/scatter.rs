@@ -16,10 +16,13 @@ use crate::Result;
 use crate::control::Counter;
 use crate::points::Point;
 use crate::volume::VolumeFrame;
-use snake_kernels::{Scratch, SimdLevel, add_weighted};
+use snake_kernels::{Corners, Scratch, SimdLevel, add_weighted};
 
 /// Number of voxels that the points of one voxel contribute to: itself and its neighbours, x fastest.
 const SLOTS: usize = 27;
+
+/// The slots of a query's corners from the first on, in the order of [`Corners`].
+const CORNER_SLOTS: [usize; 8] = [0, 1, 3, 4, 9, 10, 12, 13];
 
 /// Number of values of a voxel's slots, each of `channels` feature sums and a mass.
 pub(super) fn slots_width(channels: usize) -> usize {
@@ -28,14 +31,15 @@ pub(super) fn slots_width(channels: usize) -> usize {
 
 /// Adds the feature of a point to the slots of its voxel.
 pub(super) fn spread(frame: &VolumeFrame, point: Point, feature: &[f32], slots: &mut [f32]) {
-    let corners = frame.corners(point);
-    let own = coordinates(frame, frame.voxel(point));
-    let slot_of = |voxel: u32| {
-        let other = coordinates(frame, voxel as usize);
-        let [x, y, z]: [usize; 3] = std::array::from_fn(|axis| other[axis] + 1 - own[axis]);
-        x + 3 * (y + 3 * z)
-    };
-    add_weighted(SimdLevel::current(), feature, &corners.weights(), &corners.voxels.map(slot_of), slots);
+    let mut first = 0;
+    let mut fraction = [0.0; 3];
+    for (axis, stride) in [1, 3, 9].into_iter().enumerate() {
+        let (low, from_low) = frame.cell_along(axis, point[axis]);
+        first += (low + 1 - frame.place_along(axis, point[axis])) * stride;
+        fraction[axis] = from_low;
+    }
+    let weights = Corners { fraction, ..Corners::default() }.weights();
+    add_weighted(SimdLevel::current(), feature, &weights, &CORNER_SLOTS.map(|slot| first + slot), slots);
 }
 
 /// Writes the volume `[z][y][x][channel]` of the slots `(voxels, slots_width)` of the occupied voxels into zeroed values.

@@ -6,12 +6,17 @@ use rayon::prelude::*;
 
 use crate::points::Point;
 use crate::volume::VolumeFrame;
+use snake_kernels::Scratch;
 
 /// The points of a cloud, grouped by the voxel that contains them, in eight bytes per point.
 #[derive(Debug, Clone, Default)]
 pub(crate) struct VoxelGroups {
-    /// The voxel in the upper 32 bits and the point's index in the lower 32 bits, ascending.
-    members: Vec<u64>,
+    /// The flat index of each point's voxel.
+    voxel_of_point: Vec<u32>,
+    /// The indices of the points: voxel by voxel, ascending within a voxel.
+    members: Vec<u32>,
+    /// The flat indices of the occupied voxels, ascending.
+    voxels: Vec<u32>,
     /// The start of each occupied voxel in `members`, and the end.
     starts: Vec<u32>,
 }
@@ -20,25 +25,40 @@ impl VoxelGroups {
     /// Groups `num_points` points, at most [`u32::MAX`], given by `point` in the network's frame, instead of those that
     /// were grouped before.
     pub(crate) fn fill(&mut self, num_points: usize, point: impl Fn(usize) -> Point + Sync, frame: &VolumeFrame) {
-        let Self { members, starts } = self;
-        let member = |index: usize| (frame.voxel(point(index)) as u64) << 32 | index as u64;
-        (0..num_points).into_par_iter().map(member).collect_into_vec(members);
-        members.par_sort_unstable();
-        let is_first = |&place: &usize| place == 0 || voxel(members[place - 1]) != voxel(members[place]);
+        let Self { voxel_of_point, members, voxels, starts } = self;
+        let voxel = |index: usize| frame.voxel(point(index)) as u32;
+        (0..num_points).into_par_iter().map(voxel).collect_into_vec(voxel_of_point);
+        // A counting sort. The place of the next point of each voxel, at first their number.
+        let mut next: Scratch<u32> = Scratch::zeros(frame.resolution.iter().product());
+        voxel_of_point.iter().for_each(|voxel| next[*voxel as usize] += 1);
+        voxels.clear();
         starts.clear();
-        starts.reserve(num_points.min(frame.resolution.iter().product()) + 1);
-        starts.extend((0..num_points).filter(is_first).map(|place| place as u32));
-        starts.push(num_points as u32);
+        let most = num_points.min(next.len());
+        voxels.reserve(most);
+        starts.reserve(most + 1);
+        let mut end = 0;
+        for (voxel, next) in (0..).zip(next.iter_mut()).filter(|(_, number)| **number > 0) {
+            voxels.push(voxel);
+            starts.push(end);
+            (*next, end) = (end, end + *next);
+        }
+        starts.push(end);
+        members.resize(num_points, 0);
+        for (index, voxel) in (0..).zip(voxel_of_point.iter()) {
+            let next = &mut next[*voxel as usize];
+            members[*next as usize] = index;
+            *next += 1;
+        }
     }
 
     /// The number of occupied voxels.
     pub(crate) fn num_voxels(&self) -> usize {
-        self.starts.len() - 1
+        self.voxels.len()
     }
 
     /// The flat indices of the occupied voxels, ascending.
     pub(crate) fn voxels(&self) -> impl Iterator<Item = usize> {
-        self.starts[..self.num_voxels()].iter().map(|&start| voxel(self.members[start as usize]))
+        self.voxels.iter().map(|&voxel| voxel as usize)
     }
 
     /// Divides a range of at least two occupied voxels into two, each with about half of the points.
@@ -57,14 +77,6 @@ impl VoxelGroups {
     /// The indices of the points of a range of occupied voxels: voxel by voxel, ascending within a voxel.
     pub(crate) fn members(&self, voxels: Range<usize>) -> impl Iterator<Item = usize> {
         let [start, end] = [voxels.start, voxels.end].map(|voxel| self.starts[voxel] as usize);
-        self.members[start..end].iter().map(index)
+        self.members[start..end].iter().map(|&index| index as usize)
     }
-}
-
-fn voxel(member: u64) -> usize {
-    (member >> 32) as usize
-}
-
-fn index(member: &u64) -> usize {
-    (member & u64::from(u32::MAX)) as usize
 }
