@@ -15,7 +15,7 @@ use super::gps_time::GpsTimes;
 use super::shape::{Position, Shape};
 
 /// The size of the public header block of LAS 1.4, the longest.
-const HEADER_SIZE: u64 = 375;
+pub(super) const HEADER_SIZE: u64 = 375;
 
 /// Reads the coordinates: integers times a scale plus an offset. All other fields of a point are ignored.
 pub(super) fn read(bytes: &[u8]) -> Result<Shape, String> {
@@ -49,22 +49,23 @@ fn start(source: &mut (impl Read + Seek), number: u64) -> Result<Vec<u8>, String
     read.map(|_| bytes).map_err(|e| e.to_string())
 }
 
-struct Header {
-    num_points: usize,
+#[derive(Debug)]
+pub(super) struct Header {
+    pub(super) num_points: usize,
     /// Bytes per point.
-    record_length: usize,
-    is_compressed: bool,
-    data_offset: usize,
+    pub(super) record_length: usize,
+    pub(super) is_compressed: bool,
+    pub(super) data_offset: usize,
     /// The offset of the variable length records, and their number.
     records_offset: usize,
     num_records: u32,
-    scale: [f64; 3],
+    pub(super) scale: [f64; 3],
     offset: [f64; 3],
 }
 
 impl Header {
     /// Parses the public header block of LAS 1.0 to 1.4.
-    fn parse(bytes: &[u8]) -> Result<Self, String> {
+    pub(super) fn parse(bytes: &[u8]) -> Result<Self, String> {
         if !bytes.starts_with(b"LASF") {
             return Err("not a LAS file: it does not begin with `LASF`".into());
         }
@@ -162,7 +163,7 @@ impl Header {
     }
 
     /// The variable length records between header and points: user, number and content.
-    fn records<'a>(&self, head: &'a [u8]) -> impl Iterator<Item = (&'a [u8], u16, &'a [u8])> {
+    pub(super) fn records<'a>(&self, head: &'a [u8]) -> impl Iterator<Item = (&'a [u8], u16, &'a [u8])> {
         let mut rest = head.get(self.records_offset..).unwrap_or_default();
         (0..self.num_records).map_while(move |_| {
             let (head, tail) = rest.split_at_checked(54)?;
@@ -173,7 +174,7 @@ impl Header {
     }
 
     /// The variable length record of LASzip.
-    fn laszip_record<'a>(&self, head: &'a [u8]) -> Option<&'a [u8]> {
+    pub(super) fn laszip_record<'a>(&self, head: &'a [u8]) -> Option<&'a [u8]> {
         let is_laszip =
             |user: &[u8], number| user.starts_with(LazVlr::USER_ID.as_bytes()) && number == LazVlr::RECORD_ID;
         let mut found = self.records(head).filter(|(user, number, _)| is_laszip(user, *number));
@@ -181,7 +182,7 @@ impl Header {
     }
 
     /// The coordinate reference system, as text or as the keys of GeoTIFF.
-    fn crs(&self, head: &[u8]) -> Option<Crs> {
+    pub(super) fn crs(&self, head: &[u8]) -> Option<Crs> {
         let of_number = |wanted: u16| {
             let mut found = self.records(head).filter(|(user, ..)| user.starts_with(b"LASF_Projection"));
             found.find(|(_, number, _)| *number == wanted).map(|(.., record)| record)
@@ -237,39 +238,57 @@ impl Header {
         source: &mut impl Read,
         found: &mut dyn FnMut(Position),
     ) -> Result<(), String> {
-        let num_layers: usize = items.iter().map(num_layers).sum();
-        let sizes_at = self.record_length + 4;
-        let (mut num_read, mut record) = (0, vec![0; self.record_length]);
+        let mut num_read = 0;
         while num_read < self.num_points {
-            let mut chunk = vec![0; sizes_at + 4 * num_layers];
-            source.read_exact(&mut chunk).map_err(|e| self.cut_short(num_read, &e))?;
-            let sizes = chunk[sizes_at..].as_chunks().0.iter().map(|size| u32::from_le_bytes(*size) as usize);
-            let ends: Vec<usize> = sizes
-                .scan(chunk.len(), |end, size| {
-                    *end = end.saturating_add(size);
-                    Some(*end)
-                })
-                .collect();
-            let (head, end) = (chunk.len(), ends.last().copied().unwrap_or(chunk.len()));
-            length = length.checked_sub(end).ok_or_else(|| self.damaged(num_read))?;
-            let count: [u8; 4] = field(&chunk, self.record_length).unwrap_or_default();
-            chunk.resize(end, 0);
-            source.read_exact(&mut chunk[head..]).map_err(|e| self.cut_short(num_read, &e))?;
-            let is_damaged = [head].iter().chain(&ends).any(|&begin| is_beyond_interval(chunk.get(begin..)));
-            let count = (u32::from_le_bytes(count) as usize).min(self.num_points - num_read);
-            if count == 0 || is_damaged {
-                return Err(self.damaged(num_read));
-            }
-            let mut decoder = LayeredPointRecordDecompressor::new(Cursor::new(&chunk[..]));
-            decoder.set_fields_from(items).map_err(|e| format!("compression: {e}"))?;
-            decoder.set_selection(DecompressionSelection::xy_returns_channel().decompress_z());
-            for _ in 0..count {
-                decoder.decompress_next(&mut record).map_err(|e| self.cut_short(num_read, &e))?;
-                found(self.position(&record));
-                num_read += 1;
-            }
+            let (count, size) = self.chunk(items, num_read, length, source, found)?;
+            num_read += count;
+            length -= size;
         }
         Ok(())
+    }
+
+    /// Decodes one chunk of layers, of at most `length` bytes and the points that are left after `num_read`. Returns the
+    /// number of its points and its size in bytes.
+    pub(super) fn chunk(
+        &self,
+        items: &Vec<LazItem>,
+        num_read: usize,
+        length: usize,
+        source: &mut impl Read,
+        found: &mut dyn FnMut(Position),
+    ) -> Result<(usize, usize), String> {
+        let num_layers: usize = items.iter().map(num_layers).sum();
+        let sizes_at = self.record_length + 4;
+        let mut record = vec![0; self.record_length];
+        let mut chunk = vec![0; sizes_at + 4 * num_layers];
+        source.read_exact(&mut chunk).map_err(|e| self.cut_short(num_read, &e))?;
+        let sizes = chunk[sizes_at..].as_chunks().0.iter().map(|size| u32::from_le_bytes(*size) as usize);
+        let ends: Vec<usize> = sizes
+            .scan(chunk.len(), |end, size| {
+                *end = end.saturating_add(size);
+                Some(*end)
+            })
+            .collect();
+        let (head, end) = (chunk.len(), ends.last().copied().unwrap_or(chunk.len()));
+        if end > length {
+            return Err(self.damaged(num_read));
+        }
+        let count: [u8; 4] = field(&chunk, self.record_length).unwrap_or_default();
+        chunk.resize(end, 0);
+        source.read_exact(&mut chunk[head..]).map_err(|e| self.cut_short(num_read, &e))?;
+        let is_damaged = [head].iter().chain(&ends).any(|&begin| is_beyond_interval(chunk.get(begin..)));
+        let count = (u32::from_le_bytes(count) as usize).min(self.num_points - num_read);
+        if count == 0 || is_damaged {
+            return Err(self.damaged(num_read));
+        }
+        let mut decoder = LayeredPointRecordDecompressor::new(Cursor::new(&chunk[..]));
+        decoder.set_fields_from(items).map_err(|e| format!("compression: {e}"))?;
+        decoder.set_selection(DecompressionSelection::xy_returns_channel().decompress_z());
+        for index in 0..count {
+            decoder.decompress_next(&mut record).map_err(|e| self.cut_short(num_read + index, &e))?;
+            found(self.position(&record));
+        }
+        Ok((count, end))
     }
 
     /// The error for a point that cannot be read.
@@ -281,13 +300,13 @@ impl Header {
         }
     }
 
-    fn damaged(&self, num_read: usize) -> String {
+    pub(super) fn damaged(&self, num_read: usize) -> String {
         format!("damaged or cut short: {num_read} of {} points could be read", self.num_points)
     }
 }
 
 /// `N` bytes at an offset.
-fn field<const N: usize>(bytes: &[u8], at: usize) -> Option<[u8; N]> {
+pub(super) fn field<const N: usize>(bytes: &[u8], at: usize) -> Option<[u8; N]> {
     bytes.get(at..)?.first_chunk().copied()
 }
 
@@ -298,7 +317,7 @@ fn is_beyond_interval(data: Option<&[u8]>) -> bool {
 }
 
 /// Refuses a part of a point whose size differs from its type's size, and parts that do not add up to the point's size.
-fn check_items(items: &[LazItem], record_length: usize) -> Result<(), String> {
+pub(super) fn check_items(items: &[LazItem], record_length: usize) -> Result<(), String> {
     let is_known = |item: &LazItem| {
         let size = match item.item_type() {
             LazItemType::Point10 => 20,

@@ -59,6 +59,8 @@ mod array_files;
 mod atomic;
 mod clouds;
 mod columns;
+#[cfg(feature = "laz")]
+mod copc;
 mod crs;
 mod dtype;
 #[cfg(feature = "e57")]
@@ -108,6 +110,8 @@ pub use clouds::{
     read_points,
 };
 pub use columns::{Column, Columns};
+#[cfg(feature = "laz")]
+pub use copc::{Copc, LocalFile, Ranges};
 pub use crs::Crs;
 pub use error::{Error, Result};
 pub use format::{CLOUD_EXTENSIONS, CloudFormat, KEYPOINT_EXTENSIONS, KeypointFormat, POINT_EXTENSIONS, PointFormat};

@@ -1,5 +1,5 @@
 //! Writes a made city as LAS: `city FILE.las LOTS POINTS_PER_LOT`, for example 25 by 25 lots of 80 000 points, which are 50
-//! million points on a quarter of a square kilometre.
+//! million points on a quarter of a square kilometre. `FILE.copc.laz` is a COPC file, of at most 6 by 6 lots.
 
 #[path = "../tests/city/mod.rs"]
 mod city;
@@ -11,5 +11,9 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     let arguments: Vec<String> = std::env::args().skip(1).collect();
     let [path, lots, points] = &arguments[..] else { return Err("usage: city FILE.las LOTS POINTS_PER_LOT".into()) };
     let mut file = BufWriter::new(File::create(path)?);
-    Ok(city::write_las(&mut file, city::city(lots.parse()?, points.parse()?))?)
+    let points = city::city(lots.parse()?, points.parse()?);
+    match path.ends_with(".copc.laz") {
+        true => Ok(city::copc::write_copc(&mut file, points, 20_000)?),
+        false => Ok(city::write_las(&mut file, points)?),
+    }
 }

@@ -1,6 +1,7 @@
 //! The candidates of a tile on disk, as safetensors: `position` `(N, 3)`, `saliency`, `occupancy` and `cell` `(N, 3)`. The
 //! metadata has the bounds of the positions along x and y, and the counts.
 
+use std::collections::HashMap;
 use std::fs::File;
 use std::io::Read;
 use std::path::{Path, PathBuf};
@@ -60,7 +61,8 @@ pub(crate) fn write(folder: &Path, place: [i32; 2], found: &TileCandidates) -> R
 /// Bytes that the header of a file may have.
 const MAX_HEADER: u64 = 1 << 20;
 
-/// Reads the summary of the tile at a place, without its candidates.
+/// Reads the summary of the tile at a place, without its candidates. A file of another length than its header says is an
+/// error.
 pub(crate) fn read_summary(folder: &Path, place: [i32; 2]) -> Result<Summary> {
     let path = path(folder, place);
     let mut file = File::open(&path).map_err(Error::file(&path))?;
@@ -70,9 +72,15 @@ pub(crate) fn read_summary(folder: &Path, place: [i32; 2]) -> Result<Summary> {
         let mut header = Vec::new();
         let length = u64::from_le_bytes(length).min(MAX_HEADER);
         (&mut file).take(length).read_to_end(&mut header).map_err(|e| e.to_string())?;
-        let header: Value = serde_json::from_slice(&header).map_err(|e| e.to_string())?;
-        let summary = header["__metadata__"]["summary"].as_str().ok_or("no summary")?;
-        serde_json::from_str(summary).map_err(|e| e.to_string())
+        let header: HashMap<String, Value> = serde_json::from_slice(&header).map_err(|e| e.to_string())?;
+        let ends = header.values().filter_map(|tensor| tensor["data_offsets"][1].as_u64());
+        let end = 8 + length + ends.max().unwrap_or(0);
+        let size = file.metadata().map_err(|e| e.to_string())?.len();
+        if size != end {
+            return Err(format!("has {size} bytes instead of {end}"));
+        }
+        let summary = header.get("__metadata__").and_then(|metadata| metadata["summary"].as_str());
+        serde_json::from_str(summary.ok_or("no summary")?).map_err(|e| e.to_string())
     };
     summary().map_err(|reason| Error::Damaged { path: path.clone(), reason })
 }

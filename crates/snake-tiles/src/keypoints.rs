@@ -1,6 +1,6 @@
 //! From the candidates of all tiles to keypoints.
 
-use std::collections::HashMap;
+use std::collections::HashSet;
 
 use snake_core::{Candidate, Control, Counts, Fate, Keypoint, Point, by_rank};
 
@@ -25,8 +25,8 @@ pub struct TiledKeypoint {
 pub struct Detected {
     /// The detected tiles, by place.
     summaries: Vec<([i32; 2], Summary)>,
-    /// Number of points of the tiles whose points can be read.
-    pub(crate) readable: HashMap<[i32; 2], u64>,
+    /// The places of the tiles whose points can be read.
+    pub(crate) readable: HashSet<[i32; 2]>,
     /// Number of queries after each step, without keypoints.
     pub counts: Counts,
     /// Tiles without candidates or points on disk. Keypoints there are missing, and those close by may differ.
@@ -75,17 +75,16 @@ impl TiledRun {
     /// # Errors
     /// [`Error::File`] and [`Error::Damaged`] for the files of the folder.
     pub fn detected(&self) -> Result<Detected> {
-        let (mut summaries, mut readable) = (Vec::new(), HashMap::new());
+        let (mut summaries, mut readable) = (Vec::new(), HashSet::new());
         let (mut counts, mut missing) = (Counts::default(), Vec::new());
         for tile in self.tiles() {
             if self.has_points(tile) {
-                readable.insert(tile.place, tile.num_points);
+                readable.insert(tile.place);
             }
-            if !self.is_detected(tile) {
+            let Some(summary) = self.summary(tile) else {
                 missing.push(*tile);
                 continue;
-            }
-            let summary = candidates::read_summary(&self.folder, tile.place)?;
+            };
             counts.add(&summary.counts);
             summaries.push((tile.place, summary));
         }

@@ -33,6 +33,7 @@
 
 #![forbid(unsafe_code)]
 
+mod by_bounds;
 mod candidates;
 mod error;
 mod keypoints;

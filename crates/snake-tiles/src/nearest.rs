@@ -1,6 +1,6 @@
 //! The nearest point of each keypoint.
 
-use std::collections::{BTreeMap, HashMap};
+use std::collections::{BTreeMap, HashSet};
 use std::ops::Range;
 
 use snake_core::space::nearest_points;
@@ -11,18 +11,17 @@ use crate::run::{TiledRun, widen};
 
 impl TiledRun {
     /// The index of the nearest point of all files for each position; the lowest index among equally near points. Only
-    /// the points of the `readable` tiles, given with their numbers, are looked at.
+    /// the points of the `readable` tiles are looked at.
     pub(crate) fn nearest(
         &self,
         positions: &[Point],
-        readable: &HashMap<[i32; 2], u64>,
+        readable: &HashSet<[i32; 2]>,
         control: &Control,
     ) -> Result<Vec<u64>> {
         let mut by_place: BTreeMap<[i32; 2], Vec<usize>> = BTreeMap::new();
         for (index, position) in positions.iter().enumerate() {
             by_place.entry(self.plan.place(self.detector.cell(position)?)).or_default().push(index);
         }
-        let num_points = readable.values().sum::<u64>();
         let counter = control.begin("nearest points", by_place.len());
         let mut nearest = vec![0; positions.len()];
         for (place, mut open) in by_place {
@@ -31,8 +30,8 @@ impl TiledRun {
             // A point beyond the columns may be nearer, or none may be in them.
             while !open.is_empty() {
                 let columns = widen(&self.plan.columns(place), margin);
-                let (points, indices) = self.points(&columns, |tile| readable.contains_key(&tile.place))?;
-                let is_whole = points.len() as u64 == num_points;
+                let (points, indices) = self.points(&columns, |tile| readable.contains(&tile.place))?;
+                let is_whole = self.plan.is_inside(&columns);
                 let queries: Vec<Point> = open.iter().map(|&index| positions[index]).collect();
                 let found = if points.is_empty() { Vec::new() } else { nearest_points(&points, &queries)? };
                 let mut is_known = vec![false; open.len()];

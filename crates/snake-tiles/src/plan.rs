@@ -2,11 +2,10 @@
 
 use std::ops::Range;
 use std::path::{Path, PathBuf};
-use std::time::SystemTime;
 
 use serde::{Deserialize, Serialize};
 use snake_core::TileSettings;
-use snake_io::Crs;
+use snake_io::{Copc, Crs, LocalFile, Ranges};
 
 use crate::{Error, Result};
 
@@ -15,12 +14,14 @@ use crate::{Error, Result};
 pub(crate) struct Source {
     /// The version of this crate.
     version: String,
-    /// Each input file with its size and the time of its last change.
-    files: Vec<(PathBuf, u64, Option<SystemTime>)>,
+    /// Each input file with its size and its version, for files on disk the time of the last change.
+    files: Vec<(PathBuf, u64, String)>,
+    /// Whether the points are read from the files by bounds.
+    pub(crate) by_bounds: bool,
     /// How the files are read.
     read: String,
     /// Columns along the side of a tile.
-    columns: i32,
+    pub(crate) columns: i32,
     /// Model and options.
     settings: TileSettings,
 }
@@ -33,13 +34,28 @@ impl Source {
         settings: TileSettings,
     ) -> Result<Self> {
         let file = |path: &PathBuf| {
-            let metadata = path.metadata().map_err(Error::file(path))?;
-            let absolute = path.canonicalize().map_err(Error::file(path))?;
-            Ok((absolute, metadata.len(), metadata.modified().ok()))
+            let read = || identity(&LocalFile::new(path)?);
+            read().map_err(Error::file(path))
         };
         let files = files.iter().map(file).collect::<Result<_>>()?;
-        Ok(Self { version: env!("CARGO_PKG_VERSION").into(), files, read: format!("{read:?}"), columns, settings })
+        let (version, read) = (env!("CARGO_PKG_VERSION").into(), format!("{read:?}"));
+        Ok(Self { version, files, by_bounds: false, read, columns, settings })
     }
+
+    /// The source of a run that reads COPC files by bounds.
+    pub(crate) fn of_copc(files: &[Copc], columns: i32, settings: TileSettings) -> Result<Self> {
+        let (version, files) = (env!("CARGO_PKG_VERSION").into(), identities(files)?);
+        Ok(Self { version, files, by_bounds: true, read: String::new(), columns, settings })
+    }
+}
+
+/// The name, the size and the version of a file.
+fn identity(file: &dyn Ranges) -> std::io::Result<(PathBuf, u64, String)> {
+    Ok((file.path().into(), file.length()?, file.version()?))
+}
+
+fn identities(files: &[Copc]) -> Result<Vec<(PathBuf, u64, String)>> {
+    files.iter().map(|file| identity(file.source()).map_err(Error::file(file.source().path()))).collect()
 }
 
 /// An input file that could not be read.
@@ -56,9 +72,9 @@ pub struct Failure {
 pub struct Tile {
     /// Its place among the tiles, along x and y.
     pub place: [i32; 2],
-    /// Number of its points.
+    /// Number of its points; an estimate when they are read from COPC files.
     pub num_points: u64,
-    /// Number of its windows, which take about equal times.
+    /// Number of its windows, which take about equal times. For COPC files the number of its columns, with or without points.
     pub num_windows: u64,
 }
 
@@ -98,6 +114,19 @@ impl Plan {
             return Err(damaged("is of another model, other options or another version".into()));
         }
         Ok(plan)
+    }
+
+    /// The paths of the input files.
+    pub(crate) fn files(&self) -> impl Iterator<Item = &Path> {
+        self.source.files.iter().map(|(path, ..)| path.as_path())
+    }
+
+    /// Refuses other COPC files than those of the run.
+    pub(crate) fn check_files(&self, folder: &Path, files: &[Copc]) -> Result<()> {
+        if self.source.by_bounds && self.source.files == identities(files)? {
+            return Ok(());
+        }
+        Err(Error::Damaged { path: Self::path(folder), reason: "is of other files, or a file has changed".into() })
     }
 
     pub(crate) fn write(&self, folder: &Path) -> Result<()> {
@@ -141,6 +170,14 @@ impl Plan {
     /// The place of the tile of a cell.
     pub(crate) fn place(&self, [x, y, _]: [i32; 3]) -> [i32; 2] {
         place(self.source.columns, [x, y])
+    }
+
+    /// Whether all tiles lie in a range of columns.
+    pub(crate) fn is_inside(&self, columns: &[Range<i32>; 2]) -> bool {
+        self.tiles.iter().all(|tile| {
+            let own = self.columns(tile.place);
+            (0..2).all(|axis| columns[axis].start <= own[axis].start && own[axis].end <= columns[axis].end)
+        })
     }
 
     /// The tiles that have columns in a range.

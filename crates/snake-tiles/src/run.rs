@@ -3,13 +3,15 @@
 use std::collections::HashSet;
 use std::ops::Range;
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
 
 use snake_core::{Bounds, Control, Options, Point, TileDetector, subtract_origin};
-use snake_io::{Crs, ReadOptions};
+use snake_io::{Copc, Crs, LocalFile, ReadOptions};
 
+use crate::candidates::{self, Summary};
 use crate::plan::{Failure, Plan, Source, Tile, place};
 use crate::points::{self, PointWriter, for_each_point};
-use crate::{Error, Result, candidates};
+use crate::{Error, Result, by_bounds};
 
 /// A run whose points are on disk.
 #[derive(Debug)]
@@ -17,13 +19,16 @@ pub struct TiledRun {
     pub(crate) detector: TileDetector,
     pub(crate) plan: Plan,
     pub(crate) folder: PathBuf,
+    /// The COPC files that have the points; none when the folder has them.
+    pub(crate) copc: Vec<Copc>,
 }
 
 impl TiledRun {
     /// Writes the points of the files to tiles of about `side` cloud units in `folder`, or continues the run that is there.
     /// The files make up one cloud, in their order. The folder is cleared if it has a run of other files or options.
     ///
-    /// Files that cannot be read are left out, see [`TiledRun::failures`].
+    /// COPC files are not copied: if all files are such, this is [`TiledRun::prepare_copc`]. Files that cannot be read are left
+    /// out, see [`TiledRun::failures`].
     ///
     /// # Errors
     /// [`Error::Refused`] for a side that is not positive or makes tiles without number, for coordinates in degrees, and
@@ -36,19 +41,17 @@ impl TiledRun {
         side: f64,
         folder: &Path,
     ) -> Result<Self> {
-        let columns = (side / detector.cell_side()).round().max(1.0);
-        if !(side > 0.0 && columns < f64::from(1 << 20)) {
-            let reason = format!("a side of {side}; allowed is about {} to 1000000 times that", detector.cell_side());
-            return Err(Error::Refused { what: "tile", reason });
+        if let Some(copc) = by_bounds::open_all(files, read) {
+            return Self::prepare_copc(detector, copc, side, folder);
         }
-        let columns = columns as i32;
+        let columns = columns_of(&detector, side)?;
         let source = Source::new(files, read, columns, detector.settings())?;
         let folder = folder.to_owned();
         if let Some(plan) = Plan::read(&folder, &source) {
-            return Ok(Self { detector, plan, folder });
+            return Ok(Self { detector, plan, folder, copc: Vec::new() });
         }
         Plan::clear(&folder)?;
-        let Extent { bounds, crs, failures } = extent(files, read)?;
+        let Extent { bounds, crs, failures, .. } = extent(files, read)?;
         let origin = bounds.origin();
         let (num_points, num_skipped) = (0, 0);
         let mut plan = Plan { source, origin, crs, num_points, num_skipped, failures, tiles: Vec::new() };
@@ -81,17 +84,26 @@ impl TiledRun {
         let sum = |of: fn(&Tile) -> u64| plan.tiles.iter().map(of).sum::<u64>() as usize;
         detector.check_windows(sum(|tile| tile.num_windows), sum(|tile| tile.num_points))?;
         plan.write(&folder)?;
-        Ok(Self { detector, plan, folder })
+        Ok(Self { detector, plan, folder, copc: Vec::new() })
     }
 
     /// Opens the run that [`TiledRun::prepare`] made in a folder, for another process or machine that sees the folder. The
-    /// files of the cloud are not needed.
+    /// files of the cloud are only needed when they are COPC files.
     ///
     /// # Errors
     /// [`Error::File`] without such a run; [`Error::Damaged`] for another model, other options or another version.
     pub fn open(detector: TileDetector, folder: &Path) -> Result<Self> {
         let plan = Plan::of_settings(folder, &detector.settings())?;
-        Ok(Self { detector, plan, folder: folder.to_owned() })
+        if !plan.source.by_bounds {
+            return Ok(Self { detector, plan, folder: folder.to_owned(), copc: Vec::new() });
+        }
+        let open = |path: &Path| {
+            let file = LocalFile::new(path).map_err(Error::file(path))?;
+            let not_copc = || Error::Damaged { path: path.into(), reason: "is no longer a COPC file".into() };
+            Copc::open(Arc::new(file))?.ok_or_else(not_copc)
+        };
+        let files = plan.files().map(open).collect::<Result<_>>()?;
+        Self::open_copc(detector, files, folder)
     }
 
     /// The folder with the points and the candidates.
@@ -131,19 +143,28 @@ impl TiledRun {
 
     /// The lowest and the highest x and y of a tile, in the units of the files.
     pub fn bounds(&self, tile: &Tile) -> [[f64; 2]; 2] {
-        let columns = self.plan.columns(tile.place);
+        self.corners(&self.plan.columns(tile.place))
+    }
+
+    /// The lowest and the highest corner of columns, in the units of the files.
+    pub(crate) fn corners(&self, columns: &[Range<i32>; 2]) -> [[f64; 2]; 2] {
         let at = |axis: usize, column: i32| f64::from(column) * self.detector.cell_side() + self.plan.origin[axis];
         [[at(0, columns[0].start), at(1, columns[1].start)], [at(0, columns[0].end), at(1, columns[1].end)]]
     }
 
-    /// Whether the candidates and the points of a tile are on disk.
+    /// Whether the candidates of a tile are on disk, undamaged, and its points can be read.
     pub fn is_detected(&self, tile: &Tile) -> bool {
-        candidates::path(&self.folder, tile.place).is_file() && self.has_points(tile)
+        self.summary(tile).is_some()
+    }
+
+    /// The summary of a tile that is detected.
+    pub(crate) fn summary(&self, tile: &Tile) -> Option<Summary> {
+        candidates::read_summary(&self.folder, tile.place).ok().filter(|_| self.has_points(tile))
     }
 
     /// Whether the points of a tile can be read.
     pub(crate) fn has_points(&self, tile: &Tile) -> bool {
-        points::open(&self.folder, tile).is_ok()
+        !self.copc.is_empty() || points::open(&self.folder, tile).is_ok()
     }
 
     /// Finds the candidates of a tile and writes them to the folder, unless they are there.
@@ -168,13 +189,18 @@ impl TiledRun {
         is_asked: impl Fn(&Tile) -> bool,
     ) -> Result<(Vec<Point>, Vec<u64>)> {
         let mut found = Vec::new();
-        for tile in self.plan.tiles_in(columns).filter(|tile| is_asked(tile)) {
-            for_each_point(&self.folder, tile, |point, index| {
-                let is_inside = |[x, y, _]: [i32; 3]| columns[0].contains(&x) && columns[1].contains(&y);
-                if self.detector.cell(&point).is_ok_and(is_inside) {
-                    found.push((index, point));
-                }
-            })?;
+        let mut add = |point: Point, index: u64| {
+            let is_inside = |[x, y, _]: [i32; 3]| columns[0].contains(&x) && columns[1].contains(&y);
+            if self.detector.cell(&point).is_ok_and(is_inside) {
+                found.push((index, point));
+            }
+        };
+        if !self.copc.is_empty() {
+            self.for_each_near(columns, &mut add)?;
+        } else {
+            for tile in self.plan.tiles_in(columns).filter(|tile| is_asked(tile)) {
+                for_each_point(&self.folder, tile, &mut add)?;
+            }
         }
         found.sort_unstable_by_key(|(index, _)| *index);
         Ok(found.into_iter().map(|(index, point)| (point, index)).unzip())
@@ -186,16 +212,65 @@ pub(crate) fn widen(columns: &[Range<i32>; 2], by: i32) -> [Range<i32>; 2] {
     columns.clone().map(|range| range.start.saturating_sub(by)..range.end.saturating_add(by))
 }
 
-/// What the first pass over the files finds.
-struct Extent {
-    bounds: Bounds,
-    crs: Option<Crs>,
+/// The number of columns along a side of about `side` cloud units.
+pub(crate) fn columns_of(detector: &TileDetector, side: f64) -> Result<i32> {
+    let columns = (side / detector.cell_side()).round().max(1.0);
+    if !(side > 0.0 && columns < f64::from(1 << 20)) {
+        let reason = format!("a side of {side}; allowed is about {} to 1000000 times that", detector.cell_side());
+        return Err(Error::Refused { what: "tile", reason });
+    }
+    Ok(columns as i32)
+}
+
+/// What is known of the cloud before its tiles.
+#[derive(Default)]
+pub(crate) struct Extent {
+    pub(crate) bounds: Bounds,
+    pub(crate) crs: Option<Crs>,
+    /// The first file that has a coordinate reference system.
+    first: Option<PathBuf>,
     failures: Vec<Failure>,
 }
 
+impl Extent {
+    /// Adds the coordinate reference system of a file.
+    pub(crate) fn add_crs(&mut self, file: &Path, crs: Option<Crs>) -> Result<()> {
+        let Some(crs) = crs else { return Ok(()) };
+        if crs.is_geographic {
+            let reason = format!(
+                "{}: longitude and latitude in degrees are no lengths; project it to metres first, for example with \
+                 `pdal translate in.laz out.laz reprojection --filters.reprojection.out_srs=EPSG:32632`",
+                file.display()
+            );
+            return Err(Error::Refused { what: "coordinate reference system", reason });
+        }
+        match (&self.first, &self.crs) {
+            (Some(first), Some(other)) if *other != crs => {
+                let reason = format!("{} and {} have different ones", first.display(), file.display());
+                Err(Error::Refused { what: "coordinate reference system", reason })
+            }
+            _ => {
+                (self.first, self.crs) = (Some(file.to_owned()), Some(crs));
+                Ok(())
+            }
+        }
+    }
+
+    /// Refuses a cloud without extent.
+    pub(crate) fn checked(self) -> Result<Self> {
+        if (0..3).all(|axis| self.bounds.low[axis] >= self.bounds.high[axis]) {
+            return Err(Error::Refused {
+                what: "inputs",
+                reason: "a cloud needs at least two different points".into(),
+            });
+        }
+        Ok(self)
+    }
+}
+
+/// The first pass over the files.
 fn extent(files: &[PathBuf], read: &ReadOptions) -> Result<Extent> {
-    let mut extent = Extent { bounds: Bounds::default(), crs: None, failures: Vec::new() };
-    let mut known: Option<(&PathBuf, Crs)> = None;
+    let mut extent = Extent::default();
     for file in files {
         let mut bounds = extent.bounds;
         let crs = match snake_io::for_each_position(file, read, &mut |position| bounds.add(position)) {
@@ -207,30 +282,11 @@ fn extent(files: &[PathBuf], read: &ReadOptions) -> Result<Extent> {
             }
         };
         extent.bounds = bounds;
-        let Some(crs) = crs else { continue };
-        if crs.is_geographic {
-            let reason = format!(
-                "{}: longitude and latitude in degrees are no lengths; project it to metres first, for example with \
-                 `pdal translate in.laz out.laz reprojection --filters.reprojection.out_srs=EPSG:32632`",
-                file.display()
-            );
-            return Err(Error::Refused { what: "coordinate reference system", reason });
-        }
-        match &known {
-            Some((first, other)) if *other != crs => {
-                let reason = format!("{} and {} have different ones", first.display(), file.display());
-                return Err(Error::Refused { what: "coordinate reference system", reason });
-            }
-            _ => known = Some((file, crs)),
-        }
+        extent.add_crs(file, crs)?;
     }
     if extent.failures.len() == files.len() {
         let reason = extent.failures.first().map_or("no files".into(), |failure| failure.reason.clone());
         return Err(Error::Refused { what: "inputs", reason: format!("none can be read: {reason}") });
     }
-    if (0..3).all(|axis| extent.bounds.low[axis] >= extent.bounds.high[axis]) {
-        return Err(Error::Refused { what: "inputs", reason: "a cloud needs at least two different points".into() });
-    }
-    extent.crs = known.map(|(_, crs)| crs);
-    Ok(extent)
+    extent.checked()
 }

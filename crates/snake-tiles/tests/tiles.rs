@@ -142,3 +142,125 @@ fn damaged_tiles_and_degrees_are_refused_with_the_reason() {
         );
     }
 }
+
+fn write_copc(path: &Path) -> Vec<u8> {
+    let mut bytes = Vec::new();
+    city::copc::write_copc(&mut bytes, city::city(1, 6000), 300).unwrap();
+    fs::write(path, &bytes).unwrap();
+    bytes
+}
+
+#[test]
+fn tiles_read_by_bounds_from_copc_give_the_bits_of_the_whole_cloud() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = |name: &str| folder.path().join(name);
+    let scan = path("city.copc.laz");
+    write_copc(&scan);
+    let cloud = read_cloud(&scan, &ReadOptions::default()).unwrap();
+    assert_eq!(cloud.points.len(), 6000);
+    let whole = Model::builtin(Builtin::Rooms).detect(&cloud.points, &options()).unwrap();
+    assert!(whole.keypoints.len() > 100, "{}", whole.keypoints.len());
+    for side in [6.5, 1000.0] {
+        let run = prepare(std::slice::from_ref(&scan), &options(), side, &path("tiles")).unwrap();
+        assert_eq!((run.origin(), run.num_points()), (cloud.origin, (6000, 0)));
+        assert_eq!(run.crs().unwrap().epsg, Some(25832));
+        assert_eq!(fs::read_dir(path("tiles/points")).unwrap().count(), 0);
+        let estimated = run.tiles().iter().map(|tile| tile.num_points).sum::<u64>();
+        assert!(estimated.abs_diff(6000) < 50, "{estimated}");
+        assert_equal(&finish(&run), &whole, &format!("tiles of {side}"));
+    }
+
+    // A copy that is sorted into tiles has the same bits: with a file of another format all are copied.
+    let empty = path("empty.xyz");
+    fs::write(&empty, "").unwrap();
+    let run = prepare(&[scan.clone(), empty], &options(), 9.0, &path("sorted")).unwrap();
+    assert!(fs::read_dir(path("sorted/points")).unwrap().count() > 3);
+    assert_equal(&finish(&run), &whole, "sorted");
+
+    // The same run continues, and another process opens it as long as the file stays the same.
+    let begin = || prepare(std::slice::from_ref(&scan), &options(), 9.0, &path("again")).unwrap();
+    let run = begin();
+    run.detect(&run.tiles()[0], &Control::default()).unwrap();
+    assert!(begin().is_detected(&run.tiles()[0]));
+    let open =
+        || TiledRun::open(TileDetector::new(&Model::builtin(Builtin::Rooms), &options()).unwrap(), &path("again"));
+    assert_equal(&finish(&open().unwrap()), &whole, "opened");
+    let mut bytes = fs::read(&scan).unwrap();
+    bytes.push(0);
+    fs::write(&scan, bytes).unwrap();
+    assert!(open().unwrap_err().to_string().contains("changed"));
+}
+
+#[test]
+fn damaged_copc_files_are_errors() {
+    let folder = tempfile::tempdir().unwrap();
+    let (scan, tiles) = (folder.path().join("city.copc.laz"), folder.path().join("tiles"));
+    let bytes = write_copc(&scan);
+    let octree = u64::from_le_bytes(bytes[375 + 54 + 40..][..8].try_into().unwrap()) as usize;
+    let outcome = |at: usize, replacement: &[u8]| -> String {
+        let mut bytes = bytes.clone();
+        bytes[at..at + replacement.len()].copy_from_slice(replacement);
+        fs::write(&scan, bytes).unwrap();
+        let source = std::sync::Arc::new(snake_io::LocalFile::new(&scan).unwrap());
+        let found = snake_io::Copc::open(source).and_then(|file| match file {
+            Some(file) => file.for_each_position_in([[-1e9; 2], [1e9; 2]], &mut |_, _| ()).map(|()| "read"),
+            None => Ok("not COPC"),
+        });
+        found.map_or_else(|error| error.to_string(), Into::into)
+    };
+    assert_eq!(outcome(0, b"LASF"), "read");
+    assert_eq!(outcome(377, b"none"), "not COPC");
+    let chunk = u64::from_le_bytes(bytes[octree + 16..][..8].try_into().unwrap()) as usize;
+    for (at, replacement, expected) in [
+        (375 + 54 + 40, &u64::MAX.to_le_bytes()[..], "the octree is damaged"),
+        (375 + 54 + 24, &f64::NAN.to_le_bytes(), "the octree is damaged"),
+        (octree, &77_i32.to_le_bytes(), "the octree is damaged"),
+        (octree + 28, &(-7_i32).to_le_bytes(), "the octree is damaged"),
+        (octree + 28, &7_i32.to_le_bytes(), "points and the header 6000"),
+        (octree + 24, &(1_i32 << 30).to_le_bytes(), "a chunk begins"),
+        (octree + 24, &40_i32.to_le_bytes(), "damaged or cut short"),
+        (chunk + 30, &[0; 4], "damaged or cut short"),
+        (chunk, &i32::MAX.to_le_bytes(), "outside of its node"),
+        (179, &691_010.0_f64.to_le_bytes(), "outside of its node"),
+        (179, &f64::INFINITY.to_le_bytes(), "not finite"),
+    ] {
+        let found = outcome(at, replacement);
+        assert!(found.contains(expected), "{expected}: {found}");
+    }
+
+    // The first page of the octree leads to itself.
+    let mut page = [0; 16];
+    page[..8].copy_from_slice(&(octree as u64).to_le_bytes());
+    page[8..12].copy_from_slice(&(32_i32).to_le_bytes());
+    page[12..].copy_from_slice(&(-1_i32).to_le_bytes());
+    assert!(outcome(octree + 16, &page).contains("the octree is damaged"));
+
+    // A tile of a damaged chunk is an error; a damaged octree leaves the points of a LAZ file, which are sorted.
+    outcome(chunk + 30, &[0; 4]);
+    let run = prepare(std::slice::from_ref(&scan), &options(), 8.0, &tiles).unwrap();
+    let error = run.detect(&run.tiles()[0], &Control::default()).unwrap_err().to_string();
+    assert!(error.contains("city.copc.laz"), "{error}");
+    outcome(octree, &77_i32.to_le_bytes());
+    let run = prepare(std::slice::from_ref(&scan), &options(), 8.0, &tiles).unwrap();
+    assert!(fs::read_dir(tiles.join("points")).unwrap().count() > 3);
+    assert_eq!(run.num_points().0, 6000);
+}
+
+#[test]
+fn damaged_candidates_are_found_again() {
+    let folder = tempfile::tempdir().unwrap();
+    let (scan, tiles) = (folder.path().join("city.las"), folder.path().join("tiles"));
+    write_city(&scan);
+    let run = prepare(std::slice::from_ref(&scan), &options(), 8.0, &tiles).unwrap();
+    let whole = finish(&run);
+    let path = |tile: &snake_tiles::Tile| {
+        tiles.join("candidates").join(format!("{}_{}.safetensors", tile.place[0], tile.place[1]))
+    };
+    let bytes = fs::read(path(&run.tiles()[1])).unwrap();
+    for damaged in [&b""[..], b"damaged", &bytes[..bytes.len() - 1], &[&bytes[..], b"x"].concat()] {
+        fs::write(path(&run.tiles()[1]), damaged).unwrap();
+        assert!(!run.is_detected(&run.tiles()[1]));
+        assert_eq!(run.finish(&Control::default()).unwrap().missing, run.tiles()[1..2]);
+        assert_eq!(finish(&run), whole);
+    }
+}

@@ -1,5 +1,7 @@
 //! A made city: streets, houses with windows in their façades, and trees, on lots of 20 by 20 m.
 
+pub mod copc;
+
 use std::io::{self, Write};
 
 use rand::{RngExt, SeedableRng};

@@ -1,0 +1,114 @@
+//! Runs that read their points by bounds from COPC files, instead of a copy that is sorted into tiles.
+
+use std::collections::BTreeMap;
+use std::ops::Range;
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+
+use snake_core::{Bounds, Point, TileDetector, subtract_origin};
+use snake_io::{Copc, LocalFile, ReadOptions};
+
+use crate::Result;
+use crate::plan::{Plan, Source, Tile, place};
+use crate::run::{Extent, TiledRun, columns_of, widen};
+
+/// Opens the files if all of them are COPC files whose points are read as they are.
+pub(crate) fn open_all(files: &[PathBuf], read: &ReadOptions) -> Option<Vec<Copc>> {
+    if read.columns.is_some() || read.sample.is_some() {
+        return None;
+    }
+    let open = |path: &PathBuf| Copc::open(Arc::new(LocalFile::new(path).ok()?)).ok()?;
+    files.iter().map(open).collect()
+}
+
+impl TiledRun {
+    /// As [`TiledRun::prepare`], of COPC files that make up one cloud, also behind a server. Only their octrees are read, so
+    /// that [`Tile::num_points`] and [`Tile::num_windows`] are estimates, and a tile may be empty. Each tile reads its points
+    /// from the files by bounds.
+    ///
+    /// # Errors
+    /// As [`TiledRun::prepare`].
+    pub fn prepare_copc(detector: TileDetector, files: Vec<Copc>, side: f64, folder: &Path) -> Result<Self> {
+        let columns = columns_of(&detector, side)?;
+        let source = Source::of_copc(&files, columns, detector.settings())?;
+        let folder = folder.to_owned();
+        if let Some(plan) = Plan::read(&folder, &source) {
+            return Ok(Self { detector, plan, folder, copc: files });
+        }
+        Plan::clear(&folder)?;
+        let mut extent = Extent::default();
+        for file in &files {
+            [file.bounds().low, file.bounds().high].into_iter().for_each(|corner| extent.bounds.add(corner));
+            extent.add_crs(file.source().path(), file.crs().cloned())?;
+        }
+        let Extent { bounds, crs, .. } = extent.checked()?;
+        let num_points = files.iter().map(Copc::num_points).sum();
+        let (origin, failures) = (bounds.origin(), Vec::new());
+        let mut plan = Plan { source, origin, crs, num_points, num_skipped: 0, failures, tiles: Vec::new() };
+        plan.tiles = tiles(&detector, &plan, &files, &bounds)?;
+        plan.write(&folder)?;
+        Ok(Self { detector, plan, folder, copc: files })
+    }
+
+    /// As [`TiledRun::open`], of a run of [`TiledRun::prepare_copc`] whose files are not on a disk that all machines see.
+    ///
+    /// # Errors
+    /// As [`TiledRun::open`], and [`Error::Damaged`] when a file has changed.
+    pub fn open_copc(detector: TileDetector, files: Vec<Copc>, folder: &Path) -> Result<Self> {
+        let plan = Plan::of_settings(folder, &detector.settings())?;
+        plan.check_files(folder, &files)?;
+        Ok(Self { detector, plan, folder: folder.to_owned(), copc: files })
+    }
+
+    /// Calls `found` with all points in a rectangle of columns, and with others, and their indices in the cloud.
+    pub(crate) fn for_each_near(&self, columns: &[Range<i32>; 2], found: &mut dyn FnMut(Point, u64)) -> Result<()> {
+        // The cells are found in the narrower numbers of the points: one more column has those at the border.
+        let [low, high] = self.corners(&widen(columns, 1));
+        let mut first = 0;
+        for file in &self.copc {
+            file.for_each_position_in([low, high], &mut |index, position| {
+                found(subtract_origin(position, self.plan.origin), first + index);
+            })?;
+            first += file.num_points();
+        }
+        Ok(())
+    }
+}
+
+/// The tiles that may have points, by place.
+fn tiles(detector: &TileDetector, plan: &Plan, files: &[Copc], bounds: &Bounds) -> Result<Vec<Tile>> {
+    let cell = |corner| detector.cell(&subtract_origin(corner, plan.origin));
+    let (low, high) = (cell(bounds.low)?, cell(bounds.high)?);
+    let number = |low: [i32; 2], high: [i32; 2]| -> u64 {
+        (0..2).map(|axis| u64::from(high[axis].abs_diff(low[axis])) + 1).fold(1, u64::saturating_mul)
+    };
+    // At least one window a column, if all of the ground has points.
+    let num_columns = number([low[0], low[1]], [high[0], high[1]]);
+    detector.check_windows(num_columns as usize, plan.num_points as usize)?;
+    let mut shares: BTreeMap<[i32; 2], f64> = BTreeMap::new();
+    for (node, num_points) in files.iter().flat_map(Copc::nodes) {
+        let at = |corner: [f64; 3], axis: usize| corner[axis].clamp(bounds.low[axis], bounds.high[axis]);
+        let corner = |of: [f64; 3]| cell(std::array::from_fn(|axis| at(of, axis)));
+        let [low, high] = [corner(node.low)?, corner(node.high)?].map(|[x, y, _]| plan.place([x, y, 0]));
+        let share = num_points as f64 / number(low, high) as f64;
+        // A point may lie two steps of the coordinates outside of its node, in the next tile.
+        for x in low[0] - 1..=high[0] + 1 {
+            for y in low[1] - 1..=high[1] + 1 {
+                let is_inside = (low[0]..=high[0]).contains(&x) && (low[1]..=high[1]).contains(&y);
+                *shares.entry([x, y]).or_default() += if is_inside { share } else { 0.0 };
+            }
+        }
+    }
+    // One column more, for the same reason.
+    let (low, high) = ([low[0] - 1, low[1] - 1], [high[0] + 1, high[1] + 1]);
+    let side = plan.source.columns;
+    let [first, last] = [low, high].map(|columns| place(side, columns));
+    let is_inside = |at: &[i32; 2]| (0..2).all(|axis| (first[axis]..=last[axis]).contains(&at[axis]));
+    let tile = |(place, share): ([i32; 2], f64)| {
+        let own = plan.columns(place);
+        let begin = [0, 1].map(|axis: usize| own[axis].start.max(low[axis]));
+        let end = [0, 1].map(|axis: usize| (own[axis].end - 1).min(high[axis]));
+        Tile { place, num_points: share.round() as u64, num_windows: number(begin, end) }
+    };
+    Ok(shares.into_iter().filter(|(place, _)| is_inside(place)).map(tile).collect())
+}
