@@ -1,5 +1,12 @@
-"""Pairs that are made from other data: parts of objects, and sweeps of a simulated LiDAR in a street."""
+"""Pairs that are made from other data: parts of objects, and sweeps of a simulated LiDAR in a street.
 
+    python tests/bench/made_pairs.py FOLDER --sweeps 8
+
+writes pairs of sweeps in metres with their transforms, for `snake-cli eval repeatability FOLDER`.
+"""
+
+import argparse
+import json
 from pathlib import Path
 from typing import NamedTuple
 
@@ -116,3 +123,30 @@ def sweeps(count: int, seed: int = 0) -> list[MadePair]:
         source, target = ((cloud / SWEEP_UNIT).astype("f4") for cloud in clouds)
         found.append(MadePair(f"sweep {index}", source, target, truth, None))
     return found
+
+
+def write(pairs: list[MadePair], folder: Path) -> None:
+    """Writes pairs of sweeps in metres: a file for each cloud, and `pairs.json`."""
+    folder.mkdir(parents=True, exist_ok=True)
+    rows = []
+    for number, pair in enumerate(pairs):
+        names = f"{number:02}-source.npy", f"{number:02}-target.npy"
+        for name, cloud in zip(names, (pair.source, pair.target), strict=True):
+            np.save(folder / name, SWEEP_UNIT * cloud)
+        transform = pair.t_target_source.copy()
+        transform[:3, 3] *= SWEEP_UNIT
+        rows.append({"source": names[0], "target": names[1], "T": transform.tolist()})
+    (folder / "pairs.json").write_text(json.dumps(rows))
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("folder", type=Path)
+    parser.add_argument("--sweeps", type=int, required=True, help="number of pairs")
+    parser.add_argument("--seed", type=int, default=0)
+    arguments = parser.parse_args()
+    write(sweeps(arguments.sweeps, arguments.seed), arguments.folder)
+
+
+if __name__ == "__main__":
+    main()
