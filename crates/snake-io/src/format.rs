@@ -268,10 +268,8 @@ fn sweep_format(path: &Path) -> Result<PointFormat> {
 fn conversion(extension: &str) -> Option<&'static str> {
     Some(match extension {
         "bag" => "convert the ROS 1 bag: mcap convert FILE.bag FILE.mcap",
-        "db3" => {
-            "convert the ROS 2 bag: mcap convert FILE.db3 FILE.mcap, or ros2 bag convert -i FOLDER -o OPTIONS.yaml with \
-             output_bags: [{uri: drive, storage_id: mcap, all: true}]"
-        }
+        "db3" => "snake-cli detect FILE.db3 --topic /TOPIC detects the clouds of its messages",
+        "zstd" | "zst" => "decompress it: zstd -d FILE",
         "mcap" => "snake-cli detect FILE.mcap --topic /TOPIC detects the clouds of its messages",
         "pcap" => "convert the recording to LAS files: ouster-cli source FILE.pcap save FILE.las",
         "ptx" | "fls" | "rcp" => "convert it with CloudCompare: CloudCompare -O FILE -C_EXPORT_FMT PLY -SAVE_CLOUDS",

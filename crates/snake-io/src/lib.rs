@@ -90,6 +90,10 @@ mod off;
 mod parquet;
 mod pcd;
 mod ply;
+#[cfg(feature = "mcap")]
+mod recording;
+#[cfg(feature = "rosbag2")]
+mod rosbag2;
 mod shape;
 mod stl;
 mod sweep;
@@ -117,9 +121,9 @@ pub use error::{Error, Result};
 pub use format::{CLOUD_EXTENSIONS, CloudFormat, KEYPOINT_EXTENSIONS, KeypointFormat, POINT_EXTENSIONS, PointFormat};
 pub use json::keypoint_json;
 pub use keypoint_source::KeypointSource;
-#[cfg(feature = "mcap")]
-pub use mcap::{RecordedCloud, read_recording};
 pub use mesh::{MESH_EXTENSIONS, check_mesh_path, write_mesh};
+#[cfg(feature = "mcap")]
+pub use recording::{RecordedCloud, read_recording};
 pub use snake_core::Cloud;
 pub use transform::{
     REGISTRATION_EXTENSIONS, check_registration_path, read_transform, read_transforms, write_registration,

@@ -19,8 +19,8 @@ use crate::terminal::Bar;
 pub fn is_given(arguments: &DetectArguments, inputs: &[PathBuf]) -> Result<bool> {
     let reading = &arguments.input;
     let is_recording = |input: &PathBuf| {
-        let is_mcap = input.extension().is_some_and(|extension| extension.eq_ignore_ascii_case("mcap"));
-        is_mcap && reading.input_format.is_none()
+        let is = |name: &str| input.extension().is_some_and(|extension| extension.eq_ignore_ascii_case(name));
+        (is("mcap") || is("db3")) && reading.input_format.is_none()
     };
     match inputs {
         [input] if is_recording(input) => match (reading.sample, &reading.columns.columns, arguments.tiles.tile) {
@@ -28,7 +28,7 @@ pub fn is_given(arguments: &DetectArguments, inputs: &[PathBuf]) -> Result<bool>
             _ => bail!("--sample, --columns and --tile are for files of one cloud, not for a recording"),
         },
         _ if inputs.iter().any(is_recording) => bail!("a recording has to be the only input"),
-        _ if arguments.topic.is_some() => bail!("--topic is for a recording (.mcap)"),
+        _ if arguments.topic.is_some() => bail!("--topic is for a recording (.mcap, .db3)"),
         _ => Ok(false),
     }
 }

@@ -27,6 +27,18 @@ fn every_cloud_of_a_recording_has_a_report_and_a_file() {
 }
 
 #[test]
+fn a_bag_of_ros_2_has_the_keypoints_of_the_same_drive_in_mcap() {
+    let keypoints = |name: &str| {
+        let file = root().join("tests/data/io").join(name).display().to_string();
+        let done = snake(&["detect", &file, "--json"]);
+        assert!(done.status.success(), "{}", stderr(&done));
+        json_lines(&done).iter().map(|line| line["keypoints"].clone()).collect::<Vec<_>>()
+    };
+    let found = keypoints("drive.db3");
+    assert!(found.len() == 2 && found == keypoints("drive.mcap"));
+}
+
+#[test]
 fn mistakes_with_recordings_are_named() {
     let (drive, sample) = (drive(), sample());
     let folder = tempfile::tempdir().unwrap();
@@ -47,7 +59,8 @@ fn mistakes_with_recordings_are_named() {
         (&["view", &drive, "-o", &page], "snake-cli detect FILE.mcap --topic /TOPIC"),
         (&["detect", "none.mcap"], "none.mcap"),
         (&["detect", &renamed("bag")], "mcap convert FILE.bag FILE.mcap"),
-        (&["detect", &renamed("db3")], "ros2 bag convert"),
+        (&["detect", &renamed("db3")], "old.db3: "),
+        (&["view", &renamed("db3"), "-o", &page], "snake-cli detect FILE.db3 --topic /TOPIC"),
     ] {
         let done = snake(arguments);
         assert!(!done.status.success() && stderr(&done).contains(expected), "{arguments:?}: {}", stderr(&done));
