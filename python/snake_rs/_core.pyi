@@ -184,6 +184,7 @@ def tiles(
     tile: float,
     folder: _Path,
     model: _Model | None = None,
+    storage_options: dict[str, Any] | None = None,
     **options: Unpack[_Options],
 ) -> Tiles: ...
 

@@ -15,6 +15,7 @@ mod model;
 mod options;
 mod page;
 mod registration;
+mod remote;
 mod threads;
 mod tiled;
 

@@ -6,7 +6,7 @@ use std::sync::Arc;
 use pyo3::exceptions::{PyIndexError, PyValueError};
 use pyo3::prelude::*;
 use pyo3::types::{IntoPyDict, PyDict, PyTuple};
-use snake_core::{Control, Detection, TileDetector, add_origin};
+use snake_core::{Detection, TileDetector, add_origin};
 use snake_io::ReadOptions;
 use snake_tiles::{Detected, Tile, TiledKeypoint, TiledRun};
 
@@ -14,11 +14,15 @@ use crate::arrays::{self, Precision};
 use crate::error::tiles_error;
 use crate::keypoints::{Keypoints, counts_dict};
 use crate::model::{self, Model};
-use crate::{options, threads};
+use crate::{options, remote, threads};
 
 /// Splits a cloud that does not fit into memory into tiles of about `tile` cloud units along x and y. `paths` is the path of a
 /// file, or a list of paths that make up one cloud. Its points are written to `folder`, 20 bytes each; the folder then gets
 /// the results of the tiles. The same call with a folder that has this run continues it.
+///
+/// COPC files are not copied: each tile reads its part of them. A path may be a URL that fsspec opens, such as
+/// `s3://bucket/city.copc.laz` or `https://..`; `storage_options` are those of its file system. Of COPC files ranges of bytes
+/// are read; files of other formats are copied to the folder once.
 ///
 /// `model` and `options` are those of `detect`. Tiles need a `window_radius`, which "rooms" recommends, and lengths in cloud
 /// units. All keypoints are kept unless `max_keypoints` is given. Files that cannot be read are left out and stand in
@@ -27,13 +31,14 @@ use crate::{options, threads};
 /// Raises ValueError for an invalid value, an option that needs the whole cloud, coordinates in degrees, or files of different
 /// coordinate reference systems; OSError for a file or a folder that cannot be read or written.
 #[pyfunction]
-#[pyo3(signature = (paths, tile, folder, model=None, **options))]
+#[pyo3(signature = (paths, tile, folder, model=None, storage_options=None, **options))]
 pub fn tiles(
     py: Python<'_>,
     paths: Paths,
     tile: f64,
     folder: PathBuf,
     model: Option<&Bound<'_, PyAny>>,
+    storage_options: Option<&Bound<'_, PyDict>>,
     options: Option<&Bound<'_, PyDict>>,
 ) -> PyResult<Tiles> {
     let model = match model {
@@ -49,8 +54,12 @@ pub fn tiles(
         Paths::Several(paths) => paths,
     };
     let read = ReadOptions::default().with_seed(resolved.encode.seed);
-    let prepare = |detector: TileDetector, _: &Control| TiledRun::prepare(detector, &paths, &read, tile, &folder);
-    Tiles::new(py, model, &resolved, prepare)
+    let inputs = remote::Inputs::new(py, paths, &folder, storage_options)?;
+    let remote = inputs.remote(py);
+    Tiles::new(py, model, &resolved, remote, move |detector| match inputs {
+        remote::Inputs::Copc(files, _) => TiledRun::prepare_copc(detector, files, tile, &folder),
+        remote::Inputs::Local(paths) => TiledRun::prepare(detector, &paths, &read, tile, &folder),
+    })
 }
 
 /// A path or several.
@@ -62,12 +71,14 @@ pub enum Paths {
 
 /// The tiles of a cloud, made by `tiles`. They are numbered from 0 to `len(tiles) - 1`.
 ///
-/// It can be pickled, also for other machines that see its folder under the same path. The files of the cloud are not needed
-/// there.
+/// It can be pickled, also for other machines that see its folder under the same path. They read COPC files themselves, other
+/// files of the cloud are not needed there.
 #[pyclass(frozen, module = "snake_rs")]
 pub struct Tiles {
     run: Arc<TiledRun>,
     model: Py<Model>,
+    /// The files that are read by ranges, which the pickle needs.
+    remote: Vec<Py<PyAny>>,
 }
 
 impl Tiles {
@@ -75,14 +86,15 @@ impl Tiles {
         py: Python<'_>,
         model: Bound<'_, Model>,
         options: &snake_core::Options,
-        make: impl FnOnce(TileDetector, &Control) -> snake_tiles::Result<TiledRun> + Send,
+        remote: Vec<Py<PyAny>>,
+        make: impl FnOnce(TileDetector) -> snake_tiles::Result<TiledRun> + Send,
     ) -> PyResult<Self> {
         let core = model.get().core();
-        let run = threads::run_with_signals(py, |control| {
+        let run = threads::run_with_signals(py, |_| {
             let detector = TileDetector::new(core, options)?;
-            Ok(make(detector, control))
+            Ok(make(detector))
         })?;
-        Ok(Self { run: Arc::new(run.map_err(tiles_error)?), model: model.unbind() })
+        Ok(Self { run: Arc::new(run.map_err(tiles_error)?), model: model.unbind(), remote })
     }
 
     fn tile(&self, tile: usize) -> PyResult<&Tile> {
@@ -166,16 +178,27 @@ impl Tiles {
 
     /// Opens the tiles of a folder, for `pickle`.
     #[staticmethod]
-    fn _open(py: Python<'_>, folder: PathBuf, model: &Bound<'_, Model>, options: &str) -> PyResult<Self> {
+    fn _open(
+        py: Python<'_>,
+        folder: PathBuf,
+        model: &Bound<'_, Model>,
+        options: &str,
+        remote: Vec<Py<PyAny>>,
+    ) -> PyResult<Self> {
         let options = serde_json::from_str(options).map_err(|error| PyValueError::new_err(error.to_string()))?;
-        Self::new(py, model.clone(), &options, |detector, _| TiledRun::open(detector, &folder))
+        let files = remote::open_all(py, &remote)?;
+        Self::new(py, model.clone(), &options, remote, move |detector| match files {
+            Some(files) => TiledRun::open_copc(detector, files, &folder),
+            None => TiledRun::open(detector, &folder),
+        })
     }
 
     fn __reduce__<'py>(slf: &Bound<'py, Self>) -> PyResult<(Bound<'py, PyAny>, Bound<'py, PyTuple>)> {
         let (py, tiles) = (slf.py(), slf.get());
         let options =
             serde_json::to_string(tiles.run.options()).map_err(|error| PyValueError::new_err(error.to_string()))?;
-        let arguments = (tiles.folder(), &tiles.model, options).into_pyobject(py)?;
+        let remote: Vec<_> = tiles.remote.iter().map(|file| file.clone_ref(py)).collect();
+        let arguments = (tiles.folder(), &tiles.model, options, remote).into_pyobject(py)?;
         Ok((slf.get_type().getattr("_open")?, arguments))
     }
 

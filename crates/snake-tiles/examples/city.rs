@@ -13,7 +13,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     let mut file = BufWriter::new(File::create(path)?);
     let points = city::city(lots.parse()?, points.parse()?);
     match path.ends_with(".copc.laz") {
-        true => Ok(city::copc::write_copc(&mut file, points, 20_000)?),
+        true => Ok(city::copc::write_copc(&mut file, points, 1000)?),
         false => Ok(city::write_las(&mut file, points)?),
     }
 }

@@ -139,7 +139,8 @@ impl Plan {
     pub(crate) fn clear(folder: &Path) -> Result<()> {
         let error = || Error::file(folder);
         std::fs::create_dir_all(folder).map_err(error())?;
-        let known = ["plan.json", "points", "candidates"];
+        // The folder `inputs` has copies of files behind URLs, which are kept.
+        let known = ["plan.json", "points", "candidates", "inputs"];
         for entry in folder.read_dir().map_err(error())? {
             let entry = entry.map_err(error())?;
             if !known.iter().any(|name| entry.file_name() == *name) {

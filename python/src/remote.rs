@@ -1,0 +1,122 @@
+//! Files behind URLs: COPC files are read by ranges of bytes, others are copied.
+
+use std::io;
+use std::ops::Range;
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+
+use pyo3::exceptions::PyFileNotFoundError;
+use pyo3::prelude::*;
+use pyo3::types::PyDict;
+use snake_io::{Copc, LocalFile, Ranges};
+
+use crate::error::file_error;
+
+/// The files of a cloud.
+pub enum Inputs {
+    /// COPC files, at least one of them behind a URL; and the objects that read those behind URLs, or paths.
+    Copc(Vec<Copc>, Vec<Py<PyAny>>),
+    /// Files on disk.
+    Local(Vec<PathBuf>),
+}
+
+impl Inputs {
+    /// Opens the files behind URLs. If not all files are COPC files, they are copied to the folder.
+    pub fn new(
+        py: Python<'_>,
+        paths: Vec<PathBuf>,
+        folder: &Path,
+        storage_options: Option<&Bound<'_, PyDict>>,
+    ) -> PyResult<Self> {
+        let url = |path: &Path| path.to_str().filter(|text| text.contains("://")).map(str::to_owned);
+        if paths.iter().all(|path| url(path).is_none()) {
+            return Ok(Self::Local(paths));
+        }
+        let class = py.import("snake_rs._remote")?.getattr("RemoteFile")?;
+        let storage_options = storage_options.map_or_else(|| PyDict::new(py), Clone::clone);
+        let file = |path: &PathBuf| match url(path) {
+            Some(url) => class.call1((url, &storage_options)),
+            None => Ok(path.canonicalize()?.into_pyobject(py)?.into_any()),
+        };
+        let files = paths.iter().map(|path| Ok(file(path)?.unbind())).collect::<PyResult<Vec<_>>>()?;
+        if let Some(copc) = open_all(py, &files)? {
+            return Ok(Self::Copc(copc, files));
+        }
+        let copies = folder.join("inputs");
+        let local = |(path, file): (&PathBuf, &Py<PyAny>)| match url(path) {
+            Some(_) => file.bind(py).call_method1("copy_to", (&copies,))?.extract(),
+            None => Ok(path.clone()),
+        };
+        Ok(Self::Local(paths.iter().zip(&files).map(local).collect::<PyResult<_>>()?))
+    }
+
+    /// What the pickle of the tiles needs.
+    pub fn remote(&self, py: Python<'_>) -> Vec<Py<PyAny>> {
+        match self {
+            Self::Copc(_, files) => files.iter().map(|file| file.clone_ref(py)).collect(),
+            Self::Local(_) => Vec::new(),
+        }
+    }
+}
+
+/// Opens files, given by their paths or as `RemoteFile`; `None` when not all are COPC files, or without files.
+pub fn open_all(py: Python<'_>, files: &[Py<PyAny>]) -> PyResult<Option<Vec<Copc>>> {
+    if files.is_empty() {
+        return Ok(None);
+    }
+    let open = |file: &Py<PyAny>| {
+        let source: Arc<dyn Ranges> = match file.extract::<PathBuf>(py) {
+            Ok(path) => Arc::new(LocalFile::new(&path)?),
+            Err(_) => Arc::new(RemoteFile::new(file.bind(py))?),
+        };
+        py.detach(|| Copc::open(source)).map_err(file_error)
+    };
+    files.iter().map(open).collect()
+}
+
+/// A file that Python reads.
+#[derive(Debug)]
+struct RemoteFile {
+    url: PathBuf,
+    length: u64,
+    version: String,
+    object: Py<PyAny>,
+}
+
+impl RemoteFile {
+    fn new(object: &Bound<'_, PyAny>) -> PyResult<Self> {
+        Ok(Self {
+            url: object.getattr("url")?.extract()?,
+            length: object.getattr("length")?.extract()?,
+            version: object.getattr("version")?.extract()?,
+            object: object.clone().unbind(),
+        })
+    }
+}
+
+impl Ranges for RemoteFile {
+    fn path(&self) -> &Path {
+        &self.url
+    }
+
+    fn length(&self) -> io::Result<u64> {
+        Ok(self.length)
+    }
+
+    fn version(&self) -> io::Result<String> {
+        Ok(self.version.clone())
+    }
+
+    fn read(&self, range: Range<u64>) -> io::Result<Vec<u8>> {
+        Python::attach(|py| {
+            let bytes = self.object.bind(py).call_method1("read", (range.start, range.end));
+            bytes.and_then(|bytes| bytes.extract::<Vec<u8>>()).map_err(|error| {
+                let kind = match error.is_instance_of::<PyFileNotFoundError>(py) {
+                    true => io::ErrorKind::NotFound,
+                    false => io::ErrorKind::Other,
+                };
+                io::Error::new(kind, error.to_string())
+            })
+        })
+    }
+}

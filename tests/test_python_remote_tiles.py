@@ -1,0 +1,135 @@
+"""Tiles of clouds behind URLs have the keypoints of the file on disk, and read a part of a COPC file only."""
+
+import contextlib
+import functools
+import http.server
+import pickle
+import threading
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import snake_rs
+
+# 12 000 points on 40 by 40 m: cargo run --release -p snake-tiles --example city -- tests/data/tiles/city.copc.laz 2 3000
+CITY = Path(__file__).parent / "data/tiles/city.copc.laz"
+OPTIONS = {
+    "window_radius": 4.0,
+    "query_resolution": 10,
+    "refine_steps": 0,
+    "saliency_threshold": 0.01,
+    "nms_radius": 0.5,
+}
+
+
+@pytest.fixture(scope="module")
+def whole():
+    keypoints = snake_rs.detect(CITY, model="rooms", **OPTIONS, max_keypoints=100_000)
+    assert len(keypoints) > 50
+    return keypoints
+
+
+def assert_equal(found, whole):
+    for name, column in whole.to_dict().items():
+        assert np.array_equal(found.to_dict()[name], column), name
+
+
+class Handler(http.server.SimpleHTTPRequestHandler):
+    """Serves files by ranges, and counts the bytes."""
+
+    def do_GET(self):
+        path = Path(self.translate_path(self.path))
+        if not path.is_file():
+            self.send_error(404)
+            return
+        content, wanted = path.read_bytes(), self.headers.get("Range")
+        if wanted and self.server.has_ranges:
+            begin, end = wanted.removeprefix("bytes=").split("-")
+            part = content[int(begin) : int(end) + 1]
+            self.send_response(206)
+            self.send_header("Content-Range", f"bytes {begin}-{int(begin) + len(part) - 1}/{len(content)}")
+        else:
+            part = content
+            self.send_response(200)
+        self.send_header("Accept-Ranges", "bytes")
+        self.send_header("Content-Length", str(len(part)))
+        self.end_headers()
+        self.server.served += len(part)
+        with contextlib.suppress(BrokenPipeError, ConnectionResetError):
+            self.wfile.write(part)
+
+    def log_message(self, *_):
+        pass
+
+
+@pytest.fixture
+def server():
+    pytest.importorskip("aiohttp", reason="HTTP is not tested: pip install fsspec aiohttp")
+    pytest.importorskip("fsspec", reason="HTTP is not tested: pip install fsspec aiohttp")
+    handler = functools.partial(Handler, directory=str(CITY.parent))
+    running = http.server.ThreadingHTTPServer(("127.0.0.1", 0), handler)
+    running.served, running.has_ranges = 0, True
+    threading.Thread(target=running.serve_forever, daemon=True).start()
+    yield running
+    running.shutdown()
+    running.server_close()
+
+
+def test_a_tile_reads_a_part_of_a_copc_file_over_http(server, whole, tmp_path):
+    url = f"http://127.0.0.1:{server.server_port}/city.copc.laz"
+    tiles = snake_rs.tiles(url, tile=13, folder=tmp_path / "tiles", model="rooms", **OPTIONS)
+    size = CITY.stat().st_size
+    assert len(tiles) > 4
+    assert server.served < 0.1 * size, "only the octree is read"
+    corner = min(range(len(tiles)), key=lambda tile: tiles.rows()[tile]["west"] + tiles.rows()[tile]["south"])
+    before = server.served
+    tiles.detect(corner)
+    assert 0 < server.served - before < 0.8 * size
+    copy = pickle.loads(pickle.dumps(tiles))
+    for tile in range(len(tiles)):
+        copy.detect(tile)
+    assert_equal(tiles.finish(), whole)
+    again = snake_rs.tiles(url, tile=13, folder=tmp_path / "tiles", model="rooms", **OPTIONS)
+    assert all(again.is_detected(tile) for tile in range(len(again)))
+
+
+def test_mistakes_of_servers_are_errors(server, tmp_path):
+    url = f"http://127.0.0.1:{server.server_port}"
+    options = {"tile": 13, "folder": tmp_path / "tiles", "model": "rooms", **OPTIONS}
+    with pytest.raises(FileNotFoundError):
+        snake_rs.tiles(f"{url}/missing.copc.laz", **options)
+    server.has_ranges = False
+    with pytest.raises((OSError, ValueError), match="bytes were asked for|range"):
+        snake_rs.tiles(f"{url}/city.copc.laz", **options)
+
+
+def test_tiles_lie_in_object_storage(whole, tmp_path):
+    moto = pytest.importorskip("moto.server", reason="S3 is not tested: pip install s3fs 'moto[server]'")
+    s3fs = pytest.importorskip("s3fs", reason="S3 is not tested: pip install s3fs 'moto[server]'")
+    plain = tmp_path / "city.npy"
+    np.save(plain, whole.points)
+    running = moto.ThreadedMotoServer(port=0)
+    running.start()
+    try:
+        host, port = running.get_host_and_port()
+        storage = {"key": "any", "secret": "any", "endpoint_url": f"http://{host}:{port}"}
+        files = s3fs.S3FileSystem(**storage)
+        files.mkdir("clouds")
+        files.put_file(str(CITY), "clouds/city.copc.laz")
+        files.put_file(str(plain), "clouds/city.npy")
+        given = {"folder": tmp_path / "tiles", "model": "rooms", "storage_options": storage, **OPTIONS}
+        tiles = snake_rs.tiles("s3://clouds/city.copc.laz", tile=25, **given)
+        assert not (tmp_path / "tiles/inputs").exists()
+        for tile in range(len(tiles)):
+            pickle.loads(pickle.dumps(tiles)).detect(tile)
+        assert_equal(tiles.finish(), whole)
+
+        # Files of other formats are copied once.
+        given["folder"] = tmp_path / "copied"
+        first = snake_rs.tiles("s3://clouds/city.npy", tile=25, **given)
+        first.detect(0)
+        assert len(list((tmp_path / "copied/inputs").glob("*/city.npy"))) == 1
+        assert snake_rs.tiles("s3://clouds/city.npy", tile=25, **given).is_detected(0)
+    finally:
+        running.stop()
