@@ -1,6 +1,7 @@
 """Detection in Python: keypoints and options."""
 
 import pickle
+import signal
 
 import numpy as np
 import pytest
@@ -161,3 +162,18 @@ def test_a_cloud_far_from_the_scale_of_the_model_has_a_warning(model):
     sweep[:30] *= 40
     with pytest.warns(UserWarning, match="half of the points lie within"):
         snake_rs.detect(sweep, model, query_resolution=8)
+
+
+def test_the_warning_comes_before_a_long_detection():
+    def interrupt(*_):
+        raise TimeoutError
+
+    before = signal.signal(signal.SIGALRM, interrupt)
+    signal.setitimer(signal.ITIMER_REAL, 2)
+    scattered = np.random.default_rng(1).uniform(-40, 40, (20_000, 3))
+    try:
+        with pytest.warns(UserWarning, match="times that of a window"), pytest.raises(TimeoutError):
+            snake_rs.detect(scattered, "rooms")
+    finally:
+        signal.setitimer(signal.ITIMER_REAL, 0)
+        signal.signal(signal.SIGALRM, before)

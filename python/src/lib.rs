@@ -84,10 +84,11 @@ fn detect(
     let preset = options::resolve("detect", &options::ALL, model.recommended(), options)?;
     let (cloud, precision) = arrays::cloud("points", points)?;
     let Cloud { points, origin } = cloud.for_normalization(preset.encode.normalization);
-    let detection = threads::run_with_signals(py, |control| model.detect_with(&points, &preset, control))?;
+    // Before the detection, which may take minutes at the wrong scale.
     if let Some(hint) = scale_hint(&points, &preset) {
         py.import("warnings")?.call_method1("warn", (hint,))?;
     }
+    let detection = threads::run_with_signals(py, |control| model.detect_with(&points, &preset, control))?;
     Keypoints::from_detection(py, detection, origin, precision)
 }
 

@@ -278,6 +278,7 @@ impl Windows {
 }
 
 /// A progress bar.
+#[derive(Clone)]
 pub struct Bar(ProgressBar);
 
 impl Bar {

@@ -19,7 +19,7 @@ use snake_io::{self as io, Cloud, KeypointFormat, KeypointSource};
 
 use crate::inputs::{DASH, check_inputs, expand, output_origin};
 use crate::output::{InputFiles, in_folder};
-use crate::terminal::{self, Report};
+use crate::terminal::{self, Bar, Report};
 use crate::timing::{STAGES, Seconds};
 use args::DetectArguments;
 use reports::{Processed, Reports};
@@ -59,9 +59,10 @@ pub fn run(arguments: &DetectArguments) -> Result<ExitCode> {
     let process = |index: usize| -> snake_core::Result<()> {
         let (input, output): (&PathBuf, &Result<Option<PathBuf>>) = (&inputs[index], &outputs[index]);
         let name = input.display().to_string();
-        lock(&reports).bar.set_message(&name);
+        let bar = lock(&reports).bar.clone();
+        bar.set_message(&name);
         let result = match output {
-            Ok(output) => job.process_file(input, &name, output.as_deref()),
+            Ok(output) => job.process_file(input, &name, output.as_deref(), &bar),
             Err(error) => Err(anyhow!("{error:#}")),
         };
         let is_needed = lock(&reports).add(index, name, output.as_ref().ok().and_then(Option::as_deref), result);
@@ -134,22 +135,29 @@ struct Item<'a> {
     cloud: Cloud,
     /// When reading began.
     start: Instant,
+    /// Where a hint may be printed.
+    bar: &'a Bar,
 }
 
 impl Job<'_> {
     /// Processes one input from file to file.
-    fn process_file(&self, input: &Path, name: &str, output: Option<&Path>) -> Result<Processed> {
+    fn process_file(&self, input: &Path, name: &str, output: Option<&Path>, bar: &Bar) -> Result<Processed> {
         let start = Instant::now();
         let cloud = self.arguments.input.read(input, self.options.encode.seed)?;
-        self.process(Item { input, name, output, recorded: None, cloud, start })
+        self.process(Item { input, name, output, recorded: None, cloud, start, bar })
     }
 
     /// Detects the keypoints of a cloud and writes them.
     fn process(&self, item: Item) -> Result<Processed> {
-        let Item { input, name, output, recorded, cloud, start } = item;
+        let Item { input, name, output, recorded, cloud, start, bar } = item;
         let Self { model, options, arguments, control } = *self;
         let Cloud { points, origin } = cloud.for_normalization(options.encode.normalization);
         let read = start.elapsed().as_secs_f64();
+        // Before the detection, which may take minutes at the wrong scale.
+        let hint = scale_hint(&points, options);
+        if let Some(hint) = &hint {
+            bar.suspend(|| terminal::hint(&format!("{name}: {hint}")));
+        }
         let detection = model.detect_with(&points, options, control).with_context(|| name.to_owned())?;
         let mut origin_to_add = [0.0; 3];
         if let Some(output) = output {
@@ -159,7 +167,6 @@ impl Job<'_> {
         }
         let (timing, total) = (detection.timing, start.elapsed().as_secs_f64());
         let seconds = [read, timing.encode, timing.occupancy, timing.refine, timing.nms, total];
-        let hint = scale_hint(&points, options);
         let report = if arguments.json {
             let origins = [origin, origin_to_add];
             let mut line = json_line(input, output, points.len(), origins, &detection, &seconds, hint.as_deref());
@@ -170,8 +177,7 @@ impl Job<'_> {
         } else {
             table(name, output, points.len(), origin, &detection, total)?
         };
-        let hint = hint.map(|hint| format!("{name}: {hint}"));
-        Ok(Processed { report, seconds, hint })
+        Ok(Processed { report, seconds })
     }
 }
 

@@ -49,7 +49,7 @@ pub fn run(job: &Job, input: &Path, bar: Bar, load_model: f64) -> Result<ExitCod
         let output = arguments.output.as_ref();
         let output = output.map(|folder| folder.join(format!("{stem}.{index:06}.keypoints.{extension}")));
         let recorded = Some(json!({ "index": index, "log_time": log_time, "frame_id": frame_id }));
-        let item = Item { input, name: &name, output: output.as_deref(), recorded, cloud, start };
+        let item = Item { input, name: &name, output: output.as_deref(), recorded, cloud, start, bar: &reports.bar };
         let result = job.process(item);
         let is_needed = reports.add(index, name, output.as_deref(), result);
         (index, start) = (index + 1, Instant::now());

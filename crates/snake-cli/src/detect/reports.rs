@@ -21,8 +21,6 @@ type Print = fn(&Report) -> Result<()>;
 pub struct Processed {
     pub report: Report,
     pub seconds: Seconds,
-    /// A hint for the user, with the name of the input.
-    pub hint: Option<String>,
 }
 
 /// A result with the name of its input.
@@ -67,8 +65,7 @@ impl<'a> Reports<'a> {
 
     fn report(&mut self, (print, input, result): Named) {
         let printed = self.bar.suspend(|| match result {
-            Ok(Processed { report, seconds, hint }) => {
-                hint.iter().for_each(|hint| terminal::hint(hint));
+            Ok(Processed { report, seconds }) => {
                 terminal::detail("seconds", || timing::line(&seconds));
                 self.timings.push(seconds);
                 print(&report)
