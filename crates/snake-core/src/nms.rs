@@ -48,6 +48,16 @@ pub(crate) fn by_falling_score(scores: &[f32]) -> Scratch<usize> {
 
 /// The points of `order` that suppression keeps, by a radius of at most that of the cells.
 pub(crate) fn keep_in_order(cells: &RadiusCells, order: &[usize], radius: f32, limit: usize) -> Scratch<usize> {
+    keep_apart(order, limit, |index, found| cells.within(&cells.points()[index], radius, found))
+}
+
+/// The points of `order` that suppression keeps. `within` calls its second argument with each point within the radius of a
+/// point.
+pub(crate) fn keep_apart(
+    order: &[usize],
+    limit: usize,
+    within: impl Fn(usize, &mut dyn FnMut(usize)),
+) -> Scratch<usize> {
     let mut suppressed: Scratch<bool> = Scratch::zeros(order.len());
     let mut kept = Scratch::empty(limit.min(order.len()));
     for &index in order {
@@ -56,7 +66,7 @@ pub(crate) fn keep_in_order(cells: &RadiusCells, order: &[usize], radius: f32, l
         }
         if !suppressed[index] {
             kept.extend_from_slice(&[index]);
-            cells.within(&cells.points()[index], radius, |other| suppressed[other] = true);
+            within(index, &mut |other| suppressed[other] = true);
         }
     }
     kept

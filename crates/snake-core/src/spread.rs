@@ -1,7 +1,8 @@
 //! Keypoints that are spread evenly: the suppression radius that leaves the wanted number.
 
 use crate::Result;
-use crate::nms::suppress_ranked;
+use crate::kd_tree::KdTree;
+use crate::nms::keep_apart;
 use crate::points::Point;
 
 /// The radius is found up to this share of itself,
@@ -35,9 +36,15 @@ pub fn suppress_to_count(points: &[Point], count: usize) -> Result<(Vec<usize>, 
     if points.len() <= count {
         return Ok((order(), 0.0));
     }
+    let tree = KdTree::new(points)?;
     let most = count + (SURPLUS * count as f64) as usize;
     // One more than `most` tells that the radius is too small.
-    let kept_by = |radius: f64| suppress_ranked(points, radius as f32, most + 1);
+    // A tree serves all radii.
+    let kept_by = |radius: f32| {
+        keep_apart(&order(), most + 1, |index, found| {
+            tree.within(&points[index], radius * radius, |other, _| found(other));
+        })
+    };
     let mut kept = (order(), 0.0);
     let (mut low, mut high) = (0.0, diagonal(points));
     while high - low > PRECISION * high && kept.0.len() > most {
@@ -46,12 +53,12 @@ pub fn suppress_to_count(points: &[Point], count: usize) -> Result<(Vec<usize>, 
         if middle as f32 <= 0.0 {
             break;
         }
-        let found = kept_by(middle)?;
+        let found = kept_by(middle as f32);
         if found.len() < count {
             high = middle;
         } else {
             low = middle;
-            kept = (found, middle as f32);
+            kept = (found.to_vec(), middle as f32);
         }
     }
     kept.0.truncate(count);
@@ -110,7 +117,7 @@ mod tests {
     fn the_radius_is_the_largest_that_leaves_the_number() {
         let points = clustered();
         let (kept, radius) = suppress_to_count(&points, 60).unwrap();
-        let left = |radius: f32| suppress_ranked(&points, radius, 900).unwrap();
+        let left = |radius: f32| crate::nms::suppress_ranked(&points, radius, 900).unwrap();
         assert!((60..=63).contains(&left(radius).len()) && left(radius)[..60] == kept);
         assert!(left(1.1 * radius).len() < 60);
     }
