@@ -53,7 +53,7 @@ impl TiledRun {
     /// As [`TiledRun::open`], of a run of [`TiledRun::prepare_copc`] whose files are not on a disk that all machines see.
     ///
     /// # Errors
-    /// As [`TiledRun::open`], and [`Error::Damaged`] when a file has changed.
+    /// As [`TiledRun::open`], and [`crate::Error::Damaged`] when a file has changed.
     pub fn open_copc(detector: TileDetector, files: Vec<Copc>, folder: &Path) -> Result<Self> {
         let plan = Plan::of_settings(folder, &detector.settings())?;
         plan.check_files(folder, &files)?;
