@@ -4,9 +4,11 @@ import json
 import os
 import pickle
 import signal
+import time
 
 import numpy as np
 import pytest
+from golden_network import EASY, GOLDEN
 
 import snake_rs
 
@@ -145,6 +147,48 @@ def test_a_cluster_detects_small_clouds_as_one_machine(cluster, tmp_path):
         assert len(by_path[there]["keypoints"]) == len(snake_rs.detect(path, **options))
     for away in paths[2:]:
         assert "FileNotFoundError" in by_path[away]["error"]
+
+
+def test_a_cluster_detects_two_thousand_clouds_though_a_worker_is_killed(cluster, tmp_path):
+    from snake_rs.ray import DetectClouds
+
+    log, mark = tmp_path / "log", tmp_path / "killed"
+    log.mkdir()
+
+    class KilledOnce(DetectClouds):
+        """Writes down the batches that are done. Its process dies once, when ten are."""
+
+        def __call__(self, batch):
+            if len(list(log.iterdir())) >= 10 and not mark.exists():
+                mark.touch()
+                os.kill(os.getpid(), signal.SIGKILL)
+            found = super().__call__(batch)
+            (log / f"{batch['number'][0]}-{time.time_ns()}").touch()
+            return found
+
+    rng = np.random.default_rng(0)
+    weights = str(GOLDEN / "tiny" / "weights.safetensors")
+    clouds = [rng.uniform(-1, 1, (80, 3)).astype(np.float32) for _ in range(2000)]
+    rows = [{"number": number, "points": points.ravel()} for number, points in enumerate(clouds)]
+    found = (
+        cluster.data.from_items(rows, override_num_blocks=40)
+        .map_batches(
+            KilledOnce,
+            fn_constructor_args=(weights,),
+            fn_constructor_kwargs=EASY,
+            batch_format="pyarrow",
+            batch_size=50,
+            concurrency=2,
+            num_cpus=1,
+        )
+        .take_all()
+    )
+    assert mark.exists() and len(list(log.iterdir())) == 40
+    assert sorted(row["number"] for row in found) == list(range(2000))
+    assert {row["error"] for row in found} == {None}
+    for row in found[::100]:
+        here = snake_rs.detect(clouds[row["number"]], weights, **EASY)
+        assert [keypoint["saliency"] for keypoint in row["keypoints"]] == here.saliency.tolist()
 
 
 def test_a_cluster_registers_pairs_as_one_machine(cluster, tmp_path):
