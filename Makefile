@@ -52,13 +52,13 @@ test-aarch64:  ## the kernels and the field under emulation, with NEON; needs qe
 	$(ARM_CARGO) -p snake-kernels --lib --tests
 	$(ARM_CARGO) -p snake-core --lib -- $(ARM_TESTS)
 
-# Cargo unpacks the crates that it verifies here, once a version. Those of an earlier run, and its packages, would be verified again.
+# Cargo unpacks and compiles the crates that it verifies once a version: without this, those of an earlier run would be used again.
 PACKAGES := $(wildcard $(or $(CARGO_HOME),$(HOME)/.cargo)/registry/src/-*/snake-*)
 check: module $(VENV)/check-ready wheel-test  ## formatting, lints, type stubs, documentation, packages, the wheel
 	cargo fmt --check
 	cargo clippy --release --workspace --all-targets
 	RUSTDOCFLAGS="-D warnings" cargo doc --release --workspace --no-deps
-	rm -rf $(PACKAGES) target/package
+	rm -rf $(PACKAGES) target/package target/debug/.fingerprint/snake-*
 	CARGO_PROFILE_DEV_OPT_LEVEL=0 CARGO_PROFILE_DEV_DEBUG=0 cargo package --workspace --exclude snake-rs-python --allow-dirty
 	$(VENV)/bin/ruff check training python tests docs
 	$(VENV)/bin/ruff format --check training python tests docs
