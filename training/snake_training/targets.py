@@ -10,6 +10,7 @@ them (SuperPoint, DeTone et al. 2018, averages over homographies for the same re
 import argparse
 import json
 import sys
+from typing import NamedTuple
 
 import numpy as np
 import torch
@@ -247,13 +248,42 @@ class Targets:
         return points.reshape(self.views[row], -1, 3), queries, self.target[row].astype(np.float32)
 
 
-def write_targets(path, teacher, shapes, rotations=8, queries=4096, points=4096, seed=1, metadata=None, local=None):
+class Fields(NamedTuple):
+    """What `write_targets` computes of one shape."""
+
+    points: np.ndarray
+    queries: np.ndarray
+    log_odds: np.ndarray
+    occupancy: np.ndarray
+    views: int
+    is_ranked_alone: bool
+
+
+def fields_of(row, shape, teacher, rotations=8, queries=4096, points=4096, seed=1, local=None):
+    """The `Fields` of one shape; its number, `row`, and the seed determine the draws."""
+    rng = np.random.default_rng([seed, row])
+    if isinstance(shape, Place):
+        cloud = np.concatenate([choose(rng, view, points // len(shape.views)) for view in shape.views])
+        at = sample_queries(shape.surface, queries, rng)
+        return Fields(cloud, at, *surface_variation(choose(rng, shape.surface, points), at), len(shape.views), False)
+    cloud = choose(rng, normalize(shape)[0], points)
+    at = sample_queries(cloud, queries, rng)
+    if teacher:
+        turns = np.stack([random_rotation(rng) for _ in range(rotations)])
+        return Fields(cloud, at, *averaged_fields(teacher, cloud, at, turns), 1, False)
+    return Fields(cloud, at, *(local_contrast if local else surface_variation)(cloud, at), 1, True)
+
+
+def write_targets(
+    path, teacher, shapes, rotations=8, queries=4096, points=4096, seed=1, metadata=None, local=None, fields=None
+):
     """Targets of all shapes, each with its own seed, to a safetensors file (temporary name, then rename).
 
     A shape is a cloud (M, 3), or a `Place` whose number of views divides `points`. Without a teacher, and of places
     always, the targets are the `surface_variation`, or if `local` is "contrast" or "peaks" the `local_contrast`, for peaks
     with `sharpen`. With `local` "keypoints" they are the `keypoint_targets` of the teacher. Its ranks are those within a cloud, which is as it is seen; places
-    are parts of larger scenes and are ranked together, as a teacher's values are.
+    are parts of larger scenes and are ranked together, as a teacher's values are. `fields` has the number and the `Fields`
+    of each shape, in any order, if they are computed elsewhere.
     """
     stored = {
         name: np.empty((len(shapes), size, 3), np.int16) for name, size in (("points", points), ("queries", queries))
@@ -261,24 +291,13 @@ def write_targets(path, teacher, shapes, rotations=8, queries=4096, points=4096,
     views = np.ones(len(shapes), np.uint8)
     log_odds, occupancy = np.empty((2, len(shapes), queries), np.float32)
     alone = []  # rows that are ranked by themselves
-    for row in tqdm(range(len(shapes)), unit="shape", mininterval=2 if sys.stderr.isatty() else 60):
-        rng = np.random.default_rng([seed, row])
-        shape = shapes[row]
-        if isinstance(shape, Place):
-            views[row] = len(shape.views)
-            cloud = np.concatenate([choose(rng, view, points // len(shape.views)) for view in shape.views])
-            at = sample_queries(shape.surface, queries, rng)
-            log_odds[row], occupancy[row] = surface_variation(choose(rng, shape.surface, points), at)
-        else:
-            cloud = choose(rng, normalize(shape)[0], points)
-            at = sample_queries(cloud, queries, rng)
-            if teacher:
-                turns = np.stack([random_rotation(rng) for _ in range(rotations)])
-                log_odds[row], occupancy[row] = averaged_fields(teacher, cloud, at, turns)
-            else:
-                log_odds[row], occupancy[row] = (local_contrast if local else surface_variation)(cloud, at)
-                alone.append(row)
-        stored["points"][row], stored["queries"][row] = ((a / QUANTUM).round() for a in (cloud, at))
+    settings = (teacher, rotations, queries, points, seed, local)
+    fields = fields or ((row, fields_of(row, shapes[row], *settings)) for row in range(len(shapes)))
+    for row, found in tqdm(fields, total=len(shapes), unit="shape", mininterval=2 if sys.stderr.isatty() else 60):
+        log_odds[row], occupancy[row], views[row] = found.log_odds, found.occupancy, found.views
+        alone += [row] if found.is_ranked_alone else []
+        for name, positions in (("points", found.points), ("queries", found.queries)):
+            stored[name][row] = (positions / QUANTUM).round()
     target = np.empty(log_odds.shape, np.float16)
     if local == "keypoints":
         for row, at in enumerate(stored["queries"]):
@@ -296,6 +315,47 @@ def write_targets(path, teacher, shapes, rotations=8, queries=4096, points=4096,
         save_file(stored, temporary, metadata=FORMAT | (metadata or {}))
 
 
+def open_all(arguments):
+    """The shapes and the teacher that the command line names."""
+    clouds = Mixture([open_shapes(folder) for folder in arguments.data], 0.0)
+    copies = [Stretched(clouds, arguments.stretched)] if arguments.stretched else []
+    shapes = Mixture([clouds, *copies, Procedural(arguments.procedural)], 0.0)
+    if arguments.places:
+        shapes = Places(Mixture([clouds] if len(clouds) else [], 0.25), arguments.places, seed=arguments.seed)
+    if not arguments.weights:
+        return shapes, None
+    if arguments.engine == "snake-rs":
+        return shapes, snake_rs_teacher(arguments.weights)
+    return shapes, torch_teacher(load_network(arguments.weights, arguments.device))
+
+
+class FieldsOnCluster:
+    """The `Fields` of the rows of a batch, for `ray.data.Dataset.map_batches`. Each actor opens the shapes and the teacher."""
+
+    def __init__(self, arguments):
+        torch.set_num_threads(1)
+        self.arguments, (self.shapes, self.teacher) = arguments, open_all(arguments)
+
+    def __call__(self, batch):
+        given = self.arguments
+        settings = (self.teacher, given.rotations, given.queries, given.points, given.seed, given.local)
+        found = [fields_of(row, self.shapes[int(row)], *settings) for row in batch["id"].tolist()]
+        return {"id": batch["id"]} | {name: np.stack([getattr(of, name) for of in found]) for name in Fields._fields}
+
+
+def fields_on_cluster(arguments, number):
+    """The number and the `Fields` of each shape, as Ray's actors finish them."""
+    import ray
+    import ray.data
+
+    ray.init(ignore_reinit_error=True, log_to_driver=False)
+    # Not `ray.data.range`, whose tasks would wait for a processor that the actors hold.
+    rows = ray.data.from_items([{"id": row} for row in range(number)], override_num_blocks=-(-number // 8))
+    settings = {"fn_constructor_args": (arguments,), "batch_size": 8, "concurrency": arguments.ray, "num_cpus": 1}
+    for row in rows.map_batches(FieldsOnCluster, **settings).iter_rows():
+        yield int(row.pop("id")), Fields(**row)
+
+
 def main(argv=None):
     """Command line."""
     parser = argparse.ArgumentParser(
@@ -309,7 +369,9 @@ def main(argv=None):
         help="the teacher: a safetensors export, checkpoint or run folder; without it, how much the surface bends",
     )
     parser.add_argument("-o", "--output", required=True, help="file to write, about 57 kB a shape")
-    parser.add_argument("--data", nargs="*", default=[], help="corpus folders or folders of .npy / .ply files")
+    parser.add_argument(
+        "--data", nargs="*", default=[], help="corpus folders, folders of .npy / .ply files, or of WebDataset shards"
+    )
     parser.add_argument("--stretched", type=int, default=0, help="stretched copies added of each shape of the data")
     parser.add_argument("--procedural", type=int, default=500, help="procedural shapes added")
     parser.add_argument(
@@ -332,8 +394,16 @@ def main(argv=None):
         "--engine", choices=("torch", "snake-rs"), default="torch", help="snake-rs: exports only, on a CPU"
     )
     parser.add_argument("--device", default="cpu", help="torch device, for instance cuda")
+    parser.add_argument(
+        "--ray",
+        type=int,
+        default=0,
+        metavar="N",
+        help="on so many processors of a Ray cluster: that of RAY_ADDRESS, else of this machine; all must see the data",
+    )
     arguments = parser.parse_args(argv)
     for name, least in {
+        "ray": 0,
         "stretched": 0,
         "procedural": 0,
         "places": 0,
@@ -343,30 +413,24 @@ def main(argv=None):
     }.items():
         if getattr(arguments, name) < least:
             parser.error(f"--{name} must be {least} or more")
+    if arguments.places and arguments.weights:
+        parser.error("--places makes its targets without a teacher; leave out the WEIGHTS")
+    if arguments.local == "keypoints" and not arguments.weights:
+        parser.error("--local keypoints are those of a teacher; give WEIGHTS")
+    if arguments.local and (arguments.weights and arguments.local != "keypoints" or arguments.places):
+        parser.error("--local makes its targets of whole shapes without a teacher; leave out WEIGHTS and --places")
     try:
-        clouds = Mixture([open_shapes(folder) for folder in arguments.data], 0.0)
-        copies = [Stretched(clouds, arguments.stretched)] if arguments.stretched else []
-        shapes = Mixture([clouds, *copies, Procedural(arguments.procedural)], 0.0)
-        if arguments.places:
-            shapes = Places(Mixture([clouds] if len(clouds) else [], 0.25), arguments.places, seed=arguments.seed)
+        shapes, teacher = open_all(arguments)
         if len(shapes) == 0:
             parser.error("no shapes: give --data, --procedural or --places")
         settings = {name: json.dumps(getattr(arguments, name)) for name in ("weights", "rotations", "seed")}
-        if arguments.places and arguments.weights:
-            parser.error("--places makes its targets without a teacher; leave out the WEIGHTS")
-        if arguments.local == "keypoints" and not arguments.weights:
-            parser.error("--local keypoints are those of a teacher; give WEIGHTS")
-        if arguments.local and (arguments.weights and arguments.local != "keypoints" or arguments.places):
-            parser.error("--local makes its targets of whole shapes without a teacher; leave out WEIGHTS and --places")
-        teachers = {
-            "snake-rs": snake_rs_teacher,
-            "torch": lambda weights: torch_teacher(load_network(weights, arguments.device)),
-        }
-        teacher = teachers[arguments.engine](arguments.weights) if arguments.weights else None
+        fields = fields_on_cluster(arguments, len(shapes)) if arguments.ray else None
         write_targets(
             arguments.output, teacher, shapes, arguments.rotations, arguments.queries, arguments.points,
-            arguments.seed, settings, arguments.local,
+            arguments.seed, settings, arguments.local, fields,
         )  # fmt: skip
+    except ImportError as error:
+        parser.error(f"{error}: --ray needs pip install 'ray[data]', --engine snake-rs the module snake_rs")
     except (OSError, ValueError) as error:
         parser.error(str(error))
 

@@ -5,6 +5,7 @@ import dataclasses
 import numpy as np
 import pytest
 import torch
+from safetensors.numpy import load_file
 
 from conftest import TINY
 from snake_training import targets as module
@@ -353,3 +354,23 @@ def test_a_run_learns_the_targets(file, tiny, tmp_path, network):
     mean = batch["target"].mean()
     constant = torch.nn.functional.smooth_l1_loss(mean.expand_as(batch["target"]), batch["target"]).item()
     assert after < constant
+
+
+def test_a_cluster_computes_the_same_targets(network, tmp_path, monkeypatch):
+    ray = pytest.importorskip("ray", reason="Ray is not installed: pip install 'ray[data]'")
+    pytest.importorskip("ray.data", reason="Ray Data is not installed: pip install 'ray[data]'")
+    monkeypatch.setenv("RAY_USAGE_STATS_ENABLED", "0")
+    try:
+        ray.init(num_cpus=2, include_dashboard=False, log_to_driver=False, object_store_memory=200 << 20)
+    except (ray.exceptions.RayError, OSError, RuntimeError) as error:  # such as a sandbox without shared memory
+        pytest.skip(f"Ray cannot start here: {error}")
+    write_weights(tmp_path / "weights.safetensors", network.config, network.state_dict())
+    given = [str(tmp_path / "weights.safetensors"), "--engine", "snake-rs", "--procedural", "20"]
+    given += ["--rotations", "2", "--queries", "64", "--points", "128"]
+    try:
+        for name, more in (("here", []), ("there", ["--ray", "2"])):
+            module.main([*given, *more, "-o", str(tmp_path / name)])
+    finally:
+        ray.shutdown()
+    here, there = (load_file(tmp_path / name) for name in ("here", "there"))
+    assert here.keys() == there.keys() and all(np.array_equal(here[name], there[name]) for name in here)

@@ -1,6 +1,16 @@
-"""Where training shapes come from: the int16 corpus, folders of clouds, or procedural shapes. None needs labels."""
+"""Where training shapes come from: the int16 corpus, WebDataset shards, folders of clouds, or procedural shapes. None needs labels."""
 
-from .datasets import Corpus, Folder, Mixture, ShapeError, Stretched, open_shapes, write_corpus
+from .datasets import Corpus, Folder, Mixture, ShapeError, Shards, Stretched, open_shapes, write_corpus
 from .procedural import Procedural
 
-__all__ = ["Corpus", "Folder", "Mixture", "Procedural", "ShapeError", "Stretched", "open_shapes", "write_corpus"]
+__all__ = [
+    "Corpus",
+    "Folder",
+    "Mixture",
+    "Procedural",
+    "ShapeError",
+    "Shards",
+    "Stretched",
+    "open_shapes",
+    "write_corpus",
+]

@@ -1,6 +1,8 @@
 """Collections of clouds: `len(shapes)` and `shapes.cloud(rng) -> (M, 3) float32` for training, `shapes[i]` to evaluate."""
 
+import io
 import json
+import tarfile
 from pathlib import Path
 
 import numpy as np
@@ -8,6 +10,9 @@ from tqdm import tqdm
 
 from ..augment import choose, normalize, random_rotation
 from .procedural import Procedural
+
+# What `numpy.load` raises for content that is no array.
+NPY_ERRORS = (OSError, ValueError, EOFError, TypeError, OverflowError)
 
 
 class ShapeError(ValueError):
@@ -58,14 +63,7 @@ class Folder:
 
     def __getitem__(self, row):
         path = self.files[row]
-        points = read_npy(path) if path.suffix.lower() == ".npy" else self.read_ply(path, row)
-        if points.dtype.kind not in "fiu" or points.ndim != 2 or points.shape[1] < 3:
-            raise ShapeError(f"{path}: expected (N, 3) numbers, found {points.dtype} {points.shape}")
-        points = points[:, :3].astype(np.float32)
-        points = points[np.isfinite(points).all(axis=1)]
-        if len(points) < 2 or (points == points[0]).all():
-            raise ShapeError(f"{path}: needs at least two different finite points")
-        return points
+        return finite_points(read_npy(path) if path.suffix.lower() == ".npy" else self.read_ply(path, row), path)
 
     def read_ply(self, path, seed):
         """The vertices of a cloud, or points drawn from a mesh's surface by area."""
@@ -81,6 +79,40 @@ class Folder:
 
     def cloud(self, rng):
         """A random file's cloud."""
+        return self[rng.integers(len(self))]
+
+
+class Shards:
+    """WebDataset shards: the `.npy` members of all `.tar` files of a folder, one shape a member."""
+
+    def __init__(self, folder):
+        self.members = []
+        for path in sorted(Path(folder).glob("*.tar")):
+            try:
+                with tarfile.open(path, "r:") as tar:
+                    files = [member for member in tar if member.isfile() and member.name.lower().endswith(".npy")]
+            except (OSError, tarfile.TarError) as error:
+                raise ShapeError(f"{path}: not a readable shard ({error})") from error
+            self.members += [(path, member.name, member.offset_data, member.size) for member in files]
+        if not self.members:
+            raise ShapeError(f"{folder}: no .npy member in its .tar files")
+
+    def __len__(self):
+        return len(self.members)
+
+    def __getitem__(self, row):
+        path, name, offset, size = self.members[row]
+        with path.open("rb") as file:
+            file.seek(offset)
+            content = file.read(size)
+        try:
+            points = np.load(io.BytesIO(content), allow_pickle=False)
+        except NPY_ERRORS as error:
+            raise ShapeError(f"{path}: {name}: not a readable NPY ({error})") from error
+        return finite_points(points, f"{path}: {name}")
+
+    def cloud(self, rng):
+        """A random member's cloud."""
         return self[rng.integers(len(self))]
 
 
@@ -129,13 +161,26 @@ def read_npy(path):
     """An array, mapped from its file: its header is checked against its length, nothing is unpickled."""
     try:
         return np.load(path, mmap_mode="r", allow_pickle=False)
-    except (OSError, ValueError, EOFError, TypeError, OverflowError) as error:
+    except NPY_ERRORS as error:
         raise ShapeError(f"{path}: not a readable NPY ({error})") from error
 
 
+def finite_points(points, name):
+    """The finite points (N, 3) of an array that may have further columns."""
+    if points.dtype.kind not in "fiu" or points.ndim != 2 or points.shape[1] < 3:
+        raise ShapeError(f"{name}: expected (N, 3) numbers, found {points.dtype} {points.shape}")
+    points = points[:, :3].astype(np.float32)
+    points = points[np.isfinite(points).all(axis=1)]
+    if len(points) < 2 or (points == points[0]).all():
+        raise ShapeError(f"{name}: needs at least two different finite points")
+    return points
+
+
 def open_shapes(folder):
-    """A corpus if the folder holds one, else a folder of clouds."""
-    return Corpus(folder) if (Path(folder) / "points.npy").exists() else Folder(folder)
+    """A corpus or shards if the folder holds them, else a folder of clouds."""
+    if (Path(folder) / "points.npy").exists():
+        return Corpus(folder)
+    return Shards(folder) if any(Path(folder).glob("*.tar")) else Folder(folder)
 
 
 def write_corpus(folder, shapes, points=8192):
