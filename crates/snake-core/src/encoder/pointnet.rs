@@ -91,10 +91,12 @@ impl PointNet {
         in_parts(groups, 0..groups.num_voxels(), sums, &|voxels, sums| {
             counter.check()?;
             let num_points = groups.num_points(voxels.clone());
-            let points = Scratch::collect(num_points, groups.members(voxels.clone()).map(&point));
+            let points = groups.members(voxels.clone()).map(&point);
             if num_points > LARGE {
-                return self.large_voxel_sums(&points, sums, &add, counter);
+                // Scratch memory may be twice as long, and is kept.
+                return self.large_voxel_sums(&points.collect::<Vec<_>>(), sums, &add, counter);
             }
+            let points = Scratch::collect(num_points, points);
             let sizes = Scratch::collect(voxels.len(), voxels.map(|voxel| groups.num_points(voxel..voxel + 1)));
             self.chunk_sums(&points, &sizes, sums, &add);
             counter.add(self.work(num_points));
