@@ -170,10 +170,10 @@ def test_the_warning_comes_before_a_long_detection():
 
     before = signal.signal(signal.SIGALRM, interrupt)
     signal.setitimer(signal.ITIMER_REAL, 2)
-    scattered = np.random.default_rng(1).uniform(-40, 40, (20_000, 3))
+    ground = np.random.default_rng(1).uniform((-18, -18, 0), (18, 18, 0.01), (20_000, 3))
     try:
         with pytest.warns(UserWarning, match="times that of a window"), pytest.raises(TimeoutError):
-            snake_rs.detect(scattered, "rooms")
+            snake_rs.detect(ground, "rooms")
     finally:
         signal.setitimer(signal.ITIMER_REAL, 0)
         signal.signal(signal.SIGALRM, before)
