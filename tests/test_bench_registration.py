@@ -39,7 +39,7 @@ def test_parts_of_objects_have_a_plane_a_pose_and_an_overlap(folder):
     assert len(pairs) == 4 and len({pair.name for pair in pairs}) == 4
     for pair in pairs:
         assert is_rigid(pair.t_target_source) and pair.is_right(pair.t_target_source)
-        # Each part has 30 to 70 % of one half of the 8000 points, and the halves share none.
+        # The 8000 points are halved. Each part has 30 to 70 % of its half.
         assert 1190 <= len(pair.source) <= 2810 and 1190 <= len(pair.target) <= 2810
         source = moved(pair.t_target_source, pair.source)
         distances = cKDTree(source).query(pair.target)[0]

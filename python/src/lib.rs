@@ -118,7 +118,7 @@ mod _core {
     fn init(module: &Bound<'_, PyModule>) -> PyResult<()> {
         let points = super::arrays::rows(module.py(), vec![0_f64; 3], 3)?;
         super::arrays::cloud("points", points.as_any())?;
-        // An array is tried as every type that an option can have.
+        // Reading an option tries every type that it can have, also those of numpy.
         super::options::json(points.as_any(), 0);
         Ok(())
     }

@@ -83,8 +83,8 @@ pub enum Fate {
     Unknown,
 }
 
-/// Greedy non-maximum suppression of a part of a cloud: the fate of each of the ranked points `(N, 3)`, best first, in the
-/// suppression of the whole cloud.
+/// Greedy non-maximum suppression where only a part of a cloud is known. The points `(N, 3)` are ranked, best first. Returns
+/// what the suppression of the whole cloud does with each of them.
 ///
 /// `sees_all` says whether the points include all points of the whole cloud within the radius of a point. A fate is known
 /// if it follows from such points alone.

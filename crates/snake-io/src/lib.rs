@@ -81,6 +81,8 @@ mod lzf;
 #[cfg(feature = "mcap")]
 mod mcap;
 mod mesh;
+#[cfg(feature = "mcap")]
+mod message;
 mod npy;
 #[cfg(feature = "npz")]
 mod npz;

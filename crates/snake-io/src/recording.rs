@@ -8,6 +8,7 @@ use snake_core::{Cloud, PointCloud2Layout, PointCloud2View, PointField, PointSou
 use crate::Error;
 use crate::format::extension;
 use crate::mcap;
+use crate::message::Message;
 #[cfg(feature = "rosbag2")]
 use crate::rosbag2;
 
@@ -23,15 +24,6 @@ pub struct RecordedCloud {
     pub frame_id: String,
     /// The points, as float32, with those that are not finite.
     pub cloud: Cloud,
-}
-
-/// The bytes of a message.
-pub(crate) struct Message<'a> {
-    /// Nanoseconds since 1970.
-    pub(crate) log_time: u64,
-    /// `cdr` or `ros1`.
-    pub(crate) encoding: &'a str,
-    pub(crate) data: &'a [u8],
 }
 
 /// Calls `use_cloud` with each point cloud of a topic, in the order of an MCAP file or by time in a bag of ROS 2 in SQLite

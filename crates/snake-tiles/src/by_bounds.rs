@@ -2,24 +2,14 @@
 
 use std::collections::BTreeMap;
 use std::ops::Range;
-use std::path::{Path, PathBuf};
-use std::sync::Arc;
+use std::path::Path;
 
 use snake_core::{Bounds, Point, TileDetector, subtract_origin};
-use snake_io::{Copc, LocalFile, ReadOptions};
+use snake_io::Copc;
 
 use crate::Result;
 use crate::plan::{Plan, Source, Tile, place};
 use crate::run::{Extent, TiledRun, columns_of, widen};
-
-/// Opens the files if all of them are COPC files whose points are read as they are.
-pub(crate) fn open_all(files: &[PathBuf], read: &ReadOptions) -> Option<Vec<Copc>> {
-    if read.columns.is_some() || read.sample.is_some() {
-        return None;
-    }
-    let open = |path: &PathBuf| Copc::open(Arc::new(LocalFile::new(path).ok()?)).ok()?;
-    files.iter().map(open).collect()
-}
 
 impl TiledRun {
     /// As [`TiledRun::prepare`], of COPC files that make up one cloud, also behind a server. Only their octrees are read, so

@@ -11,7 +11,7 @@ use snake_io::{Copc, Crs, LocalFile, ReadOptions};
 use crate::candidates::{self, Summary};
 use crate::plan::{Failure, Plan, Source, Tile, place};
 use crate::points::{self, PointWriter, for_each_point};
-use crate::{Error, Result, by_bounds};
+use crate::{Error, Result};
 
 /// A run whose points are on disk.
 #[derive(Debug)]
@@ -41,7 +41,7 @@ impl TiledRun {
         side: f64,
         folder: &Path,
     ) -> Result<Self> {
-        if let Some(copc) = by_bounds::open_all(files, read) {
+        if let Some(copc) = open_all(files, read) {
             return Self::prepare_copc(detector, copc, side, folder);
         }
         let columns = columns_of(&detector, side)?;
@@ -289,4 +289,13 @@ fn extent(files: &[PathBuf], read: &ReadOptions) -> Result<Extent> {
         return Err(Error::Refused { what: "inputs", reason: format!("none can be read: {reason}") });
     }
     extent.checked()
+}
+
+/// Opens the files if all of them are COPC files whose points are read as they are.
+fn open_all(files: &[PathBuf], read: &ReadOptions) -> Option<Vec<Copc>> {
+    if read.columns.is_some() || read.sample.is_some() {
+        return None;
+    }
+    let open = |path: &PathBuf| Copc::open(Arc::new(LocalFile::new(path).ok()?)).ok()?;
+    files.iter().map(open).collect()
 }
