@@ -22,7 +22,7 @@ $(VENV)/ready: python/pyproject.toml training/pyproject.toml
 	touch $@
 
 $(VENV)/check-ready: $(VENV)/ready
-	$(PYTHON) -m pip install --quiet ruff
+	$(PYTHON) -m pip install --quiet ruff "pyright[nodejs]"
 	touch $@
 
 $(VENV)/bench-ready: $(VENV)/ready
@@ -63,6 +63,8 @@ check: module $(VENV)/check-ready wheel-test  ## formatting, lints, type stubs, 
 	$(VENV)/bin/ruff check training python tests docs
 	$(VENV)/bin/ruff format --check training python tests docs
 	$(PYTHON) -m mypy.stubtest snake_rs._core
+	$(PYTHON) -m mypy --strict python/snake_rs
+	$(VENV)/bin/pyright --pythonpath $(PYTHON) python/snake_rs
 
 golden: $(VENV)/ready  ## check the golden files against the PyTorch network
 	$(PYTHON) tests/golden/generate.py --check

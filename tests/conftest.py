@@ -1,4 +1,9 @@
-"""Fixtures of the tests of the Python module: a cloud, a golden network, its field and its keypoints."""
+"""Fixtures of the tests of the Python module: a cloud, a golden network, its field and its keypoints; and what tests run."""
+
+import os
+import re
+import subprocess
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -30,3 +35,31 @@ def field(model, points):
 @pytest.fixture(scope="session")
 def keypoints(field):
     return field.detect(**EASY, max_keypoints=10**6, nms_radius=0.3)
+
+
+@pytest.fixture(scope="session")
+def compiled():
+    """The folder of the binaries and examples. `cargo test` has compiled them, so this takes no time after it."""
+    root = Path(__file__).parents[1]
+    features = re.search(r"^EXAMPLE_FEATURES := (\S+)$", (root / "Makefile").read_text(), re.MULTILINE)[1]
+    subprocess.run(
+        ["cargo", "build", "--release", "--bins", "--examples", "--features", features], cwd=root, check=True
+    )
+    return Path(os.environ.get("CARGO_TARGET_DIR", root / "target")) / "release"
+
+
+@pytest.fixture(scope="session")
+def object_storage():
+    """A server of the S3 protocol with the bucket `clouds`: its file system and the `storage_options` of it."""
+    moto = pytest.importorskip("moto.server", reason="S3 is not tested: pip install s3fs 'moto[server]'")
+    s3fs = pytest.importorskip("s3fs", reason="S3 is not tested: pip install s3fs 'moto[server]'")
+    running = moto.ThreadedMotoServer(port=0)
+    running.start()
+    try:
+        host, port = running.get_host_and_port()
+        options = {"key": "any", "secret": "any", "endpoint_url": f"http://{host}:{port}"}
+        files = s3fs.S3FileSystem(**options)
+        files.mkdir("clouds")
+        yield files, options
+    finally:
+        running.stop()

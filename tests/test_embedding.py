@@ -1,6 +1,5 @@
 """The blocks of docs/embedding.md are parts of examples, and its commands run."""
 
-import os
 import re
 import subprocess
 import textwrap
@@ -38,11 +37,8 @@ def name_of(command):
 
 
 @pytest.fixture(scope="module")
-def examples():
-    """The folder of the compiled examples. `cargo test` has compiled them, so this takes no time after it."""
-    features = re.search(r"^EXAMPLE_FEATURES := (\S+)$", (ROOT / "Makefile").read_text(), re.MULTILINE)[1]
-    subprocess.run(["cargo", "build", "--release", "--examples", "--features", features], cwd=ROOT, check=True)
-    return Path(os.environ.get("CARGO_TARGET_DIR", ROOT / "target")) / "release" / "examples"
+def examples(compiled):
+    return compiled / "examples"
 
 
 def test_every_example_of_the_core_is_on_the_page():

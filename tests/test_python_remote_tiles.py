@@ -104,32 +104,30 @@ def test_mistakes_of_servers_are_errors(server, tmp_path):
         snake_rs.tiles(f"{url}/city.copc.laz", **options)
 
 
-def test_tiles_lie_in_object_storage(whole, tmp_path):
-    moto = pytest.importorskip("moto.server", reason="S3 is not tested: pip install s3fs 'moto[server]'")
-    s3fs = pytest.importorskip("s3fs", reason="S3 is not tested: pip install s3fs 'moto[server]'")
+def test_tiles_lie_in_object_storage(whole, object_storage, tmp_path):
+    files, storage = object_storage
     plain = tmp_path / "city.npy"
     np.save(plain, whole.points)
-    running = moto.ThreadedMotoServer(port=0)
-    running.start()
-    try:
-        host, port = running.get_host_and_port()
-        storage = {"key": "any", "secret": "any", "endpoint_url": f"http://{host}:{port}"}
-        files = s3fs.S3FileSystem(**storage)
-        files.mkdir("clouds")
-        files.put_file(str(CITY), "clouds/city.copc.laz")
-        files.put_file(str(plain), "clouds/city.npy")
-        given = {"folder": tmp_path / "tiles", "model": "rooms", "storage_options": storage, **OPTIONS}
-        tiles = snake_rs.tiles("s3://clouds/city.copc.laz", tile=25, **given)
-        assert not (tmp_path / "tiles/inputs").exists()
-        for tile in range(len(tiles)):
-            pickle.loads(pickle.dumps(tiles)).detect(tile)
-        assert_equal(tiles.finish(), whole)
+    files.put_file(str(CITY), "clouds/city.copc.laz")
+    files.put_file(str(plain), "clouds/city.npy")
+    given = {"folder": tmp_path / "tiles", "model": "rooms", "storage_options": storage, **OPTIONS}
+    tiles = snake_rs.tiles("s3://clouds/city.copc.laz", tile=25, **given)
+    assert not (tmp_path / "tiles/inputs").exists()
+    for tile in range(len(tiles)):
+        pickle.loads(pickle.dumps(tiles)).detect(tile)
+    assert_equal(tiles.finish(), whole)
 
-        # Files of other formats are copied once.
-        given["folder"] = tmp_path / "copied"
-        first = snake_rs.tiles("s3://clouds/city.npy", tile=25, **given)
-        first.detect(0)
-        assert len(list((tmp_path / "copied/inputs").glob("*/city.npy"))) == 1
-        assert snake_rs.tiles("s3://clouds/city.npy", tile=25, **given).is_detected(0)
-    finally:
-        running.stop()
+    # A folder, here of one file beside a text.
+    files.put_file(str(CITY), "clouds/city/part.copc.laz")
+    files.pipe_file("clouds/city/notes.md", b"flown in May")
+    folder = snake_rs.tiles("s3://clouds/city/", tile=25, **{**given, "folder": tmp_path / "listed"})
+    assert [row | {"folder": None} for row in folder.rows()] == [row | {"folder": None} for row in tiles.rows()]
+    with pytest.raises(FileNotFoundError, match="clouds/nothing"):
+        snake_rs.tiles("s3://clouds/nothing/", tile=25, **given)
+
+    # Files of other formats are copied once.
+    given["folder"] = tmp_path / "copied"
+    first = snake_rs.tiles("s3://clouds/city.npy", tile=25, **given)
+    first.detect(0)
+    assert len(list((tmp_path / "copied/inputs").glob("*/city.npy"))) == 1
+    assert snake_rs.tiles("s3://clouds/city.npy", tile=25, **given).is_detected(0)

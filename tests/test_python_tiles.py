@@ -5,6 +5,7 @@ import os
 import pickle
 import signal
 import time
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -59,6 +60,21 @@ def test_tiles_and_their_pickles_give_the_keypoints_of_the_whole_cloud(city, who
     keypoints = tiles.finish()
     assert_equal(keypoints.to_dict(), whole)
     assert keypoints.counts == whole.counts
+
+
+def test_a_folder_is_one_cloud(city, whole, tmp_path):
+    (tmp_path / "parts").mkdir()
+    lines = city.read_text().splitlines(keepends=True)
+    for number, start in enumerate((0, 2000)):
+        (tmp_path / f"parts/{number}.xyz").write_text("".join(lines[start : [2000, None][number]]))
+    (tmp_path / "parts/notes.md").write_text("flown in May")
+    tiles = snake_rs.tiles(tmp_path / "parts", tile=9, folder=tmp_path / "tiles", model="rooms", **OPTIONS)
+    for tile in range(len(tiles)):
+        tiles.detect(tile)
+    assert_equal(tiles.finish().to_dict(), whole)
+    (tmp_path / "empty").mkdir()
+    with pytest.raises(FileNotFoundError, match="no clouds"):
+        snake_rs.tiles(tmp_path / "empty", tile=9, folder=tmp_path / "none", model="rooms", **OPTIONS)
 
 
 def test_limits_lists_of_paths_and_missing_tiles(city, whole, tmp_path):
@@ -213,32 +229,22 @@ def test_a_cluster_registers_pairs_as_one_machine(cluster, tmp_path):
     assert "FileNotFoundError" in bad["error"] and bad["t_target_source"] is None and bad["is_reliable"] is None
 
 
-def test_clouds_lie_in_object_storage(cluster, tmp_path):
-    server = pytest.importorskip("moto.server", reason="S3 is not tested: pip install s3fs 'moto[server]'")
-    s3fs = pytest.importorskip("s3fs", reason="S3 is not tested: pip install s3fs 'moto[server]'")
+def test_clouds_lie_in_object_storage(cluster, object_storage, tmp_path):
     from snake_rs.ray import DetectClouds
 
+    files, storage = object_storage
     points = np.random.default_rng(0).uniform(-1, 1, (600, 3)).astype(np.float32)
     np.save(tmp_path / "cloud.npy", points)
-    running = server.ThreadedMotoServer(port=0)
-    running.start()
-    try:
-        host, port = running.get_host_and_port()
-        storage = {"key": "any", "secret": "any", "endpoint_url": f"http://{host}:{port}"}
-        files = s3fs.S3FileSystem(**storage)
-        files.mkdir("clouds")
-        files.put_file(str(tmp_path / "cloud.npy"), "clouds/cloud.npy")
-        rows = cluster.data.from_items([{"path": f"s3://clouds/{name}.npy"} for name in ("cloud", "missing")])
-        options = {"query_resolution": 24, "saliency_threshold": 0.1}
-        found = rows.map_batches(
-            DetectClouds,
-            fn_constructor_kwargs={"storage_options": storage, **options},
-            batch_format="pyarrow",
-            concurrency=1,
-            num_cpus=1,
-        ).take_all()
-    finally:
-        running.stop()
+    files.put_file(str(tmp_path / "cloud.npy"), "clouds/cloud.npy")
+    rows = cluster.data.from_items([{"path": f"s3://clouds/{name}.npy"} for name in ("cloud", "missing")])
+    options = {"query_resolution": 24, "saliency_threshold": 0.1}
+    found = rows.map_batches(
+        DetectClouds,
+        fn_constructor_kwargs={"storage_options": storage, **options},
+        batch_format="pyarrow",
+        concurrency=1,
+        num_cpus=1,
+    ).take_all()
     by_path = {row["path"]: row for row in found}
     here = snake_rs.detect(points, **options)
     assert len(here) > 0 and len(by_path["s3://clouds/cloud.npy"]["keypoints"]) == len(here)
@@ -274,6 +280,17 @@ def test_a_cluster_has_the_bits_of_one_machine_though_a_worker_is_killed(cluster
     monkeypatch.undo()
     assert module.keypoints_of_tiles(pickle.loads(pickle.dumps(tiles))).equals(table)
     assert times() == first
+
+
+def test_a_cluster_reads_copc_files_by_bounds(cluster, tmp_path):
+    from snake_rs.ray import keypoints_of_tiles
+
+    path = Path(__file__).parent / "data/tiles/city.copc.laz"
+    tiles = snake_rs.tiles(path, tile=20, folder=tmp_path / "tiles", model="rooms", **OPTIONS)
+    table = keypoints_of_tiles(tiles)
+    here = snake_rs.detect(path, model="rooms", **WHOLE)
+    assert len(here) > 50
+    assert_equal({name: table[name].to_numpy() for name in table.column_names}, here)
 
 
 def test_a_cluster_names_tiles_that_fail(cluster, city, tmp_path):

@@ -18,6 +18,9 @@ mesh = field.mesh(outer=True)              # vertices, normals (V, 3), triangles
 found = snake_rs.register(source, target)  # rigid registration of two clouds
 found.t_target_source, found.num_inliers   # (4, 4): p_target = R p_source + t
 
+for cloud in snake_rs.read_recording("drive.mcap", topic="/points"):
+    keypoints = snake_rs.detect(cloud)     # each cloud of a recording of ROS, with cloud.log_time and cloud.frame_id
+
 tiles = snake_rs.tiles("city.laz", tile=50, folder="city.tiles", model="rooms")  # clouds that do not fit into memory
 
 Classical detectors are in snake_rs.baselines, metrics in snake_rs.metrics, classes for clusters in snake_rs.ray.
@@ -36,6 +39,8 @@ from ._core import (
     Keypoints,
     Mesh,
     Model,
+    RecordedCloud,
+    Recording,
     Registration,
     Tiles,
     __version__,
@@ -45,6 +50,7 @@ from ._core import (
     fpfh,
     get_num_threads,
     read_points,
+    read_recording,
     register,
     set_num_threads,
     tiles,
@@ -60,6 +66,8 @@ __all__ = [
     "Keypoints",
     "Mesh",
     "Model",
+    "RecordedCloud",
+    "Recording",
     "Registration",
     "Tiles",
     "View",
@@ -72,6 +80,7 @@ __all__ = [
     "get_num_threads",
     "metrics",
     "read_points",
+    "read_recording",
     "register",
     "set_num_threads",
     "tiles",

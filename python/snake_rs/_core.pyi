@@ -18,6 +18,8 @@ __all__ = [
     "Keypoints",
     "Mesh",
     "Model",
+    "RecordedCloud",
+    "Recording",
     "Registration",
     "Tiles",
     "__version__",
@@ -38,6 +40,7 @@ __all__ = [
     "page",
     "random_points",
     "read_points",
+    "read_recording",
     "register",
     "registration_recall",
     "relative_repeatability",
@@ -175,6 +178,7 @@ def read_points(
     seed: int = 0,
     columns: Sequence[int | str] | None = None,
 ) -> NDArray[np.float64]: ...
+def read_recording(path: str | os.PathLike[str], topic: str | None = None) -> Recording: ...
 def estimate_normals(points: _Points, radius: float) -> NDArray[np.float32]: ...
 def set_num_threads(num_threads: int) -> None: ...
 def get_num_threads() -> int: ...
@@ -221,6 +225,22 @@ class DetectedTiles:
     @property
     def counts(self) -> dict[str, int]: ...
     def keypoints(self, tile: int) -> dict[str, NDArray[Any]]: ...
+
+@final
+class Recording:
+    @property
+    def topic(self) -> str: ...
+    def __iter__(self) -> Self: ...
+    def __next__(self) -> RecordedCloud: ...
+
+@final
+class RecordedCloud:
+    @property
+    def log_time(self) -> int: ...
+    @property
+    def frame_id(self) -> str: ...
+    @property
+    def points(self) -> NDArray[np.float32]: ...
 
 @final
 class Model:

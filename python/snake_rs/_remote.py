@@ -9,18 +9,35 @@ from pathlib import Path
 from typing import Any
 
 
+def open_url(url: str, storage_options: dict[str, Any]) -> tuple[Any, str]:
+    """The file system of a URL, and the path in it."""
+    try:
+        import fsspec  # type: ignore[import-not-found, import-untyped, unused-ignore]
+    except ImportError as error:
+        raise ImportError("URLs need fsspec: pip install fsspec, and s3fs for s3:// or aiohttp for https://") from error
+    files, path = fsspec.url_to_fs(url, **storage_options)
+    return files, path
+
+
+def clouds_in(folder: str, extensions: list[str], storage_options: dict[str, Any]) -> list[str]:
+    """The files with these extensions in a folder on disk or behind a URL, sorted by name."""
+    if "://" in folder:
+        files, path = open_url(folder, storage_options)
+        found = [files.unstrip_protocol(name) for name in files.ls(path, detail=False)]
+    else:
+        found = [str(path) for path in Path(folder).iterdir() if path.is_file()]
+    clouds = sorted(name for name in found if name.lower().endswith(tuple(f".{extension}" for extension in extensions)))
+    if not clouds:
+        raise FileNotFoundError(f"{folder}: the folder has no clouds ({', '.join(extensions)})")
+    return clouds
+
+
 class RemoteFile:
     """The file at a URL, which is read by ranges of bytes. It can be pickled."""
 
     def __init__(self, url: str, storage_options: dict[str, Any]) -> None:
-        try:
-            import fsspec  # type: ignore[import-not-found, import-untyped, unused-ignore]
-        except ImportError as error:
-            raise ImportError(
-                "URLs need fsspec: pip install fsspec, and s3fs for s3:// or aiohttp for https://"
-            ) from error
         self.url = url
-        self.files, self.path = fsspec.url_to_fs(url, **storage_options)
+        self.files, self.path = open_url(url, storage_options)
         self.length = self.files.size(self.path)
         if self.length is None:
             raise OSError(f"{url}: the server does not tell the size of the file")

@@ -64,8 +64,8 @@ _RANK = ["cell_x", "cell_y", "cell_z", "rank"]
 
 def _use_own_cpus() -> None:
     """Uses as many threads as this actor has CPUs."""
-    cpus = ray.get_runtime_context().get_assigned_resources().get("CPU", 1)
-    set_num_threads(max(1, int(cpus)))
+    context: Any = ray.get_runtime_context()
+    set_num_threads(max(1, int(context.get_assigned_resources().get("CPU", 1))))
 
 
 def _reason(error: Exception) -> str:
@@ -249,7 +249,8 @@ def keypoints_of_tiles(tiles: Tiles, concurrency: int = 1, num_cpus: float = 1) 
         if row["error"] is not None:
             bounds = "x {west:.2f}, y {south:.2f} to x {east:.2f}, y {north:.2f}".format(**row)
             warnings.warn(f"the tile from {bounds} is left out: {row['error']}", stacklevel=2)
-    parts = ray.get(over_tiles(TileKeypoints, 4).to_arrow_refs())
+    references: Any = over_tiles(TileKeypoints, 4).to_arrow_refs()
+    parts: list[pa.Table] = ray.get(references)
     order = [("saliency", "descending"), *((name, "ascending") for name in _RANK)]
     table = pa.concat_tables(part for part in parts if part.num_rows > 0 or len(parts) == 1).sort_by(order)
     return table.drop_columns(_RANK).slice(0, tiles.max_keypoints)

@@ -14,6 +14,7 @@ mod metrics;
 mod model;
 mod options;
 mod page;
+mod recording;
 mod registration;
 mod remote;
 mod threads;
@@ -29,6 +30,7 @@ use io::read_points;
 use keypoints::{Keypoint, Keypoints};
 use mesh::Mesh;
 use model::Model;
+use recording::{RecordedCloud, Recording, read_recording};
 use registration::{Registration, estimate_normals, fpfh, register};
 use threads::{get_num_threads, set_num_threads};
 use tiled::{DetectedTiles, Tiles, tiles};
@@ -108,8 +110,9 @@ mod _core {
     use super::page::page;
     #[pymodule_export]
     use super::{
-        Alignment, AlignmentEdge, DetectedTiles, Field, Keypoint, Keypoints, Mesh, Model, Registration, Tiles, align,
-        detect, estimate_normals, fpfh, get_num_threads, read_points, register, set_num_threads, tiles,
+        Alignment, AlignmentEdge, DetectedTiles, Field, Keypoint, Keypoints, Mesh, Model, RecordedCloud, Recording,
+        Registration, Tiles, align, detect, estimate_normals, fpfh, get_num_threads, read_points, read_recording,
+        register, set_num_threads, tiles,
     };
 
     /// Fills what pyo3 and numpy fill at their first use. While that happens they release the GIL, and a child forked

@@ -8,7 +8,7 @@ use std::sync::Arc;
 use pyo3::exceptions::PyFileNotFoundError;
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
-use snake_io::{Copc, LocalFile, Ranges};
+use snake_io::{Copc, LocalFile, POINT_EXTENSIONS, Ranges};
 
 use crate::error::file_error;
 
@@ -21,7 +21,7 @@ pub enum Inputs {
 }
 
 impl Inputs {
-    /// Opens the files behind URLs. If not all files are COPC files, they are copied to the folder.
+    /// Lists the folders and opens the files behind URLs. If not all files are COPC files, they are copied to the folder.
     pub fn new(
         py: Python<'_>,
         paths: Vec<PathBuf>,
@@ -29,11 +29,24 @@ impl Inputs {
         storage_options: Option<&Bound<'_, PyDict>>,
     ) -> PyResult<Self> {
         let url = |path: &Path| path.to_str().filter(|text| text.contains("://")).map(str::to_owned);
+        let storage_options = storage_options.map_or_else(|| PyDict::new(py), Clone::clone);
+        let module = py.import("snake_rs._remote")?;
+        let mut expanded = Vec::new();
+        for path in paths {
+            // Of a URL only the end tells a folder: to ask a web server could read a whole file.
+            if path.is_dir() || url(&path).is_some_and(|url| url.ends_with('/')) {
+                let clouds = module
+                    .call_method1("clouds_in", (path.as_os_str(), POINT_EXTENSIONS.to_vec(), &storage_options))?;
+                expanded.extend(clouds.extract::<Vec<PathBuf>>()?);
+            } else {
+                expanded.push(path);
+            }
+        }
+        let paths = expanded;
         if paths.iter().all(|path| url(path).is_none()) {
             return Ok(Self::Local(paths));
         }
-        let class = py.import("snake_rs._remote")?.getattr("RemoteFile")?;
-        let storage_options = storage_options.map_or_else(|| PyDict::new(py), Clone::clone);
+        let class = module.getattr("RemoteFile")?;
         let file = |path: &PathBuf| match url(path) {
             Some(url) => class.call1((url, &storage_options)),
             None => Ok(path.canonicalize()?.into_pyobject(py)?.into_any()),

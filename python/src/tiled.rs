@@ -17,11 +17,11 @@ use crate::model::{self, Model};
 use crate::{options, remote, threads};
 
 /// Splits a cloud that does not fit into memory into tiles of about `tile` cloud units along x and y. `paths` is the path of a
-/// file, or a list of paths that make up one cloud. Its points are written to `folder`, 20 bytes each; the folder then gets
-/// the results of the tiles. The same call with a folder that has this run continues it.
+/// file or of a folder of clouds, or a list of paths, that make up one cloud. Its points are written to `folder`, 20 bytes
+/// each; the folder then gets the results of the tiles. The same call with a folder that has this run continues it.
 ///
 /// COPC files are not copied: each tile reads its part of them. A path may be a URL that fsspec opens, such as
-/// `s3://bucket/city.copc.laz` or `https://..`; `storage_options` are those of its file system. Of COPC files ranges of bytes
+/// `s3://bucket/city.copc.laz` or `https://..`, and `s3://bucket/city/` for a folder; `storage_options` are those of its file system. Of COPC files ranges of bytes
 /// are read; files of other formats are copied to the folder once.
 ///
 /// `model` and `options` are those of `detect`. Tiles need a `window_radius`, which "rooms" recommends, and lengths in cloud

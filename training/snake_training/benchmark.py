@@ -35,6 +35,13 @@ from .peers import open3d_iss, unet_peers
 PACKAGES = ("snake-rs", "torch", "onnxruntime", "openvino", "open3d")
 STAGES = ("encode", "occupancy", "refine", "nms", "total")
 QUERY_BAND = 2  # voxels, of the opt-in mode
+AVX2 = {
+    "SNAKE_SIMD": "avx2",
+    "ONEDNN_MAX_CPU_ISA": "AVX2",
+    "MKL_ENABLE_INSTRUCTIONS": "AVX2",
+    "ATEN_CPU_CAPABILITY": "avx2",
+}
+MAX_QUERY_DIFFERENCE = 0.01  # the share by which the refined queries of two engines may differ
 MAX_DIFFERENCE = 1e-3  # from PyTorch's volume; a float32 peer that is farther off gets no ratio
 PAUSE = 0.05  # seconds before each call, in which the threads of the one before stop spinning
 NOT_INSTALLED = "not installed (pip install snake-training[bench])"
@@ -76,7 +83,7 @@ def seeded_network(config, points, occupied, query_resolution=64, seed=0):
 
 
 def run_torch(network, points, options):
-    """Seconds of each stage of the plain PyTorch detection, the volume computed once."""
+    """Seconds of each stage of the plain PyTorch detection, the volume computed once, and the number of refined queries."""
     start = time.perf_counter()
     unit, center, scale = normalize(points, options.normalization)
     unit = torch.from_numpy(unit)
@@ -93,7 +100,8 @@ def run_torch(network, points, options):
     refined = time.perf_counter()
     select(position * float(scale) + torch.from_numpy(center), score, options)
     end = time.perf_counter()
-    return dict(zip(STAGES, (encoded - start, filtered - encoded, refined - filtered, end - refined, end - start)))
+    seconds = (encoded - start, filtered - encoded, refined - filtered, end - refined, end - start)
+    return dict(zip(STAGES, seconds)) | {"refined": len(queries)}
 
 
 def run_snake_rs(model, points, options=None):
@@ -101,8 +109,9 @@ def run_snake_rs(model, points, options=None):
     import snake_rs  # after the environment: its threads start with the first use
 
     start = time.perf_counter()
-    timing = snake_rs.detect(points, model, **vars(options) if options else {}).timing_seconds
-    return timing | {"total": time.perf_counter() - start}
+    keypoints = snake_rs.detect(points, model, **vars(options) if options else {})
+    total = time.perf_counter() - start
+    return keypoints.timing_seconds | {"total": total, "refined": keypoints.counts["occupied"]}
 
 
 def seconds_of(call):
@@ -117,7 +126,7 @@ def seconds_of(call):
 
 
 def alternate(calls, runs):
-    """{name: call returning {stage: seconds}} to medians over `runs` rounds, after one round that is not counted."""
+    """{name: call returning {column: number}} to medians over `runs` rounds, after one round that is not counted."""
     rounds = {name: [] for name in calls}
     for _ in range(runs + 1):
         for name, call in calls.items():
@@ -171,13 +180,17 @@ def compare_detect(network, model, points, options, runs):
         },
         runs,
     )
-    ratios = {
-        f"PyTorch / snake-rs{mode}": {
-            stage: rows[f"PyTorch{mode}"][stage] / rows[f"snake-rs{mode}"][stage] for stage in STAGES
-        }
-        for mode in ("", f", query_band {QUERY_BAND}")
+    modes = ("", f", query_band {QUERY_BAND}")
+    return rows, {
+        f"PyTorch / snake-rs{mode}": detect_ratio(rows[f"PyTorch{mode}"], rows[f"snake-rs{mode}"]) for mode in modes
     }
-    return rows, ratios
+
+
+def detect_ratio(peer, ours):
+    """The ratio of each stage, or a note where the two refined different numbers of queries."""
+    if abs(peer["refined"] - ours["refined"]) > MAX_QUERY_DIFFERENCE * ours["refined"]:
+        return {"note": f"no ratio: {peer['refined']:.0f} queries refined, by snake-rs {ours['refined']:.0f}"}
+    return {stage: peer[stage] / ours[stage] for stage in STAGES}
 
 
 def compare_compact(model, points, runs):
@@ -296,10 +309,23 @@ def measure(config, num_points, occupied, options, threads, runs):
     return report
 
 
+def measure_levels(*arguments):
+    """Reports of `measure`, each in a process of its own: of all that the processor has, and of AVX2 if it has more."""
+    levels = {"all instructions of the processor": {}}
+    if torch.backends.cpu.get_cpu_capability() == "AVX512":
+        levels["held to AVX2 (ONNX Runtime is not)"] = AVX2
+    reports = {}
+    for level, environment in levels.items():
+        os.environ.update(environment)  # a process has it from its start
+        with ProcessPoolExecutor(1, get_context("spawn")) as pool:
+            reports[level] = pool.submit(measure, *arguments).result()
+    return reports
+
+
 def table(title, rows, digits=4):
     """Aligned text of {row: {column: number or text}}."""
     columns = list(dict.fromkeys(column for row in rows.values() for column in row if column != "note"))
-    formats = {"difference": ".0e", "ratio": ".2f"}
+    formats = {"difference": ".0e", "ratio": ".2f", "refined": ".0f"}
     width = max(map(len, rows))
     lines = [f"\n{title}", " " * width + "".join(f"{column:>11}" for column in columns)]
     for name, row in rows.items():
@@ -324,7 +350,10 @@ def text(report):
             "(snake-rs: normalisation, PointNet and scatter-mean too)",
             report["unet_seconds"],
         ),
-        table("Whole detection: seconds, PyTorch with the volume computed once", report["detect_seconds"]),
+        table(
+            "Whole detection: seconds, PyTorch with the volume computed once, and the number of refined queries",
+            report["detect_seconds"],
+        ),
         table("ratios", report["detect_ratio"], digits=2),
         table("Built-in model, recommended options: seconds", report["compact_seconds"]),
         table("snake-rs by threads, whole detection: seconds", report["thread_seconds"]),
@@ -341,7 +370,7 @@ def text(report):
 
 
 def main(argv=None):
-    """Prints the tables, and writes the same as JSON."""
+    """Prints the tables of each level of instructions, and writes the same as JSON."""
     parser = argparse.ArgumentParser(
         prog="python -m snake_training.benchmark",
         description=__doc__,
@@ -356,12 +385,12 @@ def main(argv=None):
     for name, most in (("threads", 1024), ("runs", 1000), ("num_points", 10**7), ("occupied", 64**3 // 2)):
         if not 1 <= getattr(arguments, name) <= most:
             parser.error(f"--{name.replace('_', '-')} must be 1 to {most}")
-    report = measure(
+    reports = measure_levels(
         NetworkConfig(), arguments.num_points, arguments.occupied, DetectOptions(), arguments.threads, arguments.runs
     )
-    print(text(report))
+    print("\n\n".join(f"## {level}\n\n{text(report)}" for level, report in reports.items()))
     if arguments.json:
-        arguments.json.write_text(json.dumps(report, indent=1) + "\n")
+        arguments.json.write_text(json.dumps(reports, indent=1) + "\n")
 
 
 if __name__ == "__main__":

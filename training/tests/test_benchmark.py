@@ -6,6 +6,7 @@ import sys
 
 import numpy as np
 import pytest
+import torch
 
 from snake_training import benchmark, scaling
 from snake_training.data import Procedural
@@ -29,7 +30,7 @@ def test_every_part_is_measured(report):
     assert report["counts"]["above_threshold"] > 30 and report["counts"]["keypoints"] > 0
     for rows in (report["detect_seconds"], report["thread_seconds"]):
         for name, row in rows.items():
-            assert set(row) == set(benchmark.STAGES) and all(value > 0 for value in row.values()), name
+            assert set(row) == {*benchmark.STAGES, "refined"} and all(value > 0 for value in row.values()), name
     assert len(report["detect_seconds"]) == 4 and report["thread_ratio"] == {}
     ratio, rows = report["detect_ratio"]["PyTorch / snake-rs"], report["detect_seconds"]
     assert ratio["total"] == rows["PyTorch"]["total"] / rows["snake-rs"]["total"]
@@ -104,6 +105,24 @@ def test_a_peer_that_disagrees_gets_no_ratio(monkeypatch):
     rows = benchmark.compare_unet(network, Model(), points, threads=1, runs=1)
     assert "ratio" in rows["PyTorch contiguous"]
     assert "ratio" not in rows["wrong"] and "differs" in rows["wrong"]["note"]
+
+
+def test_engines_that_refine_other_numbers_of_queries_get_no_ratio():
+    ours = dict.fromkeys(benchmark.STAGES, 1.0) | {"refined": 1000}
+    assert benchmark.detect_ratio(ours | {"total": 2.0, "refined": 1009}, ours)["total"] == 2.0
+    ratio = benchmark.detect_ratio(ours | {"refined": 1020}, ours)
+    assert ratio == {"note": "no ratio: 1020 queries refined, by snake-rs 1000"}
+    assert ratio["note"] in benchmark.table("ratios", {"PyTorch / snake-rs": ratio})
+
+
+def test_each_level_of_instructions_has_a_process_of_its_own():
+    capability = torch.backends.cpu.get_cpu_capability()
+    with pytest.MonkeyPatch.context() as environment:
+        for name in benchmark.AVX2:
+            environment.setenv(name, "")
+        reports = benchmark.measure_levels(CONFIG, 512, 300, OPTIONS, 1, 1)
+    assert len(reports) == (2 if capability == "AVX512" else 1)
+    assert all(report["unet_seconds"]["snake-rs (whole encode)"]["difference"] < 1e-4 for report in reports.values())
 
 
 def test_medians_leave_out_the_first_round():

@@ -128,12 +128,12 @@ fn point_format(extension: &str) -> Result<PointFormat> {
 }
 
 /// The files to read: named files, files that match a pattern, and the clouds in directories. The files of a pattern or
-/// a directory are sorted by name.
-pub fn expand(inputs: &[PathBuf]) -> Result<Vec<PathBuf>> {
+/// a directory are sorted by name. A directory that is an input itself, as a bag of ROS 2 is for `detect`, stays what it is.
+pub fn expand(inputs: &[PathBuf], is_input: impl Fn(&Path) -> bool) -> Result<Vec<PathBuf>> {
     let mut files = Vec::new();
     for input in inputs {
         for path in matching(input)? {
-            if path.is_dir() { files.append(&mut clouds_in(&path)?) } else { files.push(path) }
+            if path.is_dir() && !is_input(&path) { files.append(&mut clouds_in(&path)?) } else { files.push(path) }
         }
     }
     Ok(files)
@@ -186,7 +186,7 @@ mod tests {
         let files = |patterns: &[&str]| -> Result<Vec<String>> {
             let inputs: Vec<PathBuf> = patterns.iter().map(|pattern| root.join(pattern)).collect();
             let name = |path: &PathBuf| path.strip_prefix(root).unwrap().display().to_string().replace('\\', "/");
-            Ok(expand(&inputs)?.iter().map(name).collect())
+            Ok(expand(&inputs, |_| false)?.iter().map(name).collect())
         };
         assert_eq!(files(&["deep/d.pcd", "?.ply"]).unwrap(), ["deep/d.pcd", "a.ply", "b.ply"]);
         assert_eq!(files(&["**/[de].*"]).unwrap(), ["deep/d.pcd", "deep/er/e.ply"]);

@@ -12,7 +12,8 @@ use crate::points::Point;
 use crate::windows::detect_in_windows;
 
 /// A model with its options, for clouds that come one after another, such as the sweeps of a laser scanner. Memory of one
-/// cloud is used again for the next.
+/// cloud is used again for the next. On one thread it allocates nothing after the third cloud, unless a cloud is larger than
+/// all before or the options have windows.
 ///
 /// ```
 /// use snake_core::{Builtin, Detection, Detector, Model};

@@ -138,9 +138,10 @@ impl Field {
             NormalizationMethod::PrincipalAxes => rotations::principal_axes(points, normalization.center),
             _ => rotations::IDENTITY,
         };
-        let encoded = options.sample(points);
+        let sample = options.sample(points);
+        let encoded = sample.as_deref().unwrap_or(points);
         Ok(Self {
-            views: View::all(&network, &encoded, normalization, &orientation, options.rotations, memory, control)?,
+            views: View::all(&network, encoded, normalization, &orientation, options.rotations, memory, control)?,
             normalization,
             num_skipped: num_given - points.len(),
             num_encoded: encoded.len(),

@@ -3,10 +3,12 @@
 use std::fmt;
 use std::str::FromStr;
 
+use rayon::prelude::*;
 use serde::de::{self, Deserialize, Deserializer, Visitor};
 use serde::{Serialize, Serializer};
+use snake_kernels::Scratch;
 
-use crate::neighbors::{Neighbors, vector};
+use crate::point_tree::PointTree;
 use crate::points::{FinitePoints, Normalization, NormalizationMethod, Point};
 use crate::{Error, Result};
 
@@ -81,7 +83,16 @@ fn check(name: &'static str, given: Length, length: f64) -> Result<f64> {
 /// The resolution of a cloud `(N, 3)`: the mean distance of its finite points to their nearest other point.
 pub fn resolution(what: &'static str, points: &[Point]) -> Result<f64> {
     let FinitePoints { points, .. } = FinitePoints::of(what, points)?;
-    Ok(Neighbors::new(points.iter().copied().map(vector).collect())?.resolution())
+    if points.len() == 1 {
+        return Ok(0.0);
+    }
+    let tree = PointTree::new(&points)?;
+    let mut distances = Scratch::zeros(points.len());
+    distances.par_iter_mut().enumerate().for_each(|(index, distance)| {
+        let (squared, _): (f64, usize) = tree.nearest(&points[index], Some(index));
+        *distance = squared.sqrt();
+    });
+    Ok(distances.iter().sum::<f64>() / points.len() as f64)
 }
 
 impl From<f64> for Length {
@@ -157,6 +168,7 @@ impl Visitor<'_> for LengthVisitor {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::neighbors::{Neighbors, vector};
 
     #[test]
     fn lengths_are_read_as_they_are_written() {
@@ -179,6 +191,17 @@ mod tests {
             assert!(error.contains("such as `6r`"), "{error}");
         }
         assert!(serde_json::from_str::<Length>("true").is_err());
+    }
+
+    #[test]
+    fn the_resolution_has_the_bits_of_the_neighbours_of_all_points() {
+        let at = |i: u32, factor: u32| (i.wrapping_mul(factor) >> 8) as f32 / (1 << 24) as f32;
+        let cloud =
+            |number: u32| -> Vec<Point> { (0..number).map(|i| [at(i, 2_654_435_761), at(i, 40_503), 0.1]).collect() };
+        for points in [cloud(1), cloud(2), cloud(9000), cloud(50).repeat(3)] {
+            let neighbors = Neighbors::new(points.iter().copied().map(vector).collect()).unwrap();
+            assert_eq!(resolution("points", &points).unwrap(), neighbors.resolution());
+        }
     }
 
     #[test]

@@ -1,12 +1,12 @@
 //! Non-maximum suppression by radius, and nearest input points.
 
 use std::collections::HashSet;
-use std::num::NonZeroUsize;
 
 use rayon::prelude::*;
 
 use crate::Result;
 use crate::kd_tree::KdTree;
+use crate::point_tree::PointTree;
 use crate::points::Point;
 use crate::radius_cells::RadiusCells;
 use snake_kernels::{Scratch, SimdLevel};
@@ -133,21 +133,22 @@ pub(crate) fn nearest_points_into(points: &[Point], queries: &[Point], indices: 
         indices.par_iter_mut().zip(queries).for_each(|(index, &query)| *index = nearest_of_all(points, query));
         return Ok(());
     }
-    let mut nearest = vec![(f32::INFINITY, 0); queries.len()];
+    let none = std::iter::repeat_n((f32::INFINITY, 0), queries.len());
+    let mut nearest = Scratch::collect(queries.len(), none);
     for (number, points) in points.chunks(TREE_POINTS).enumerate() {
-        let tree = KdTree::new(points)?;
+        let tree = PointTree::new(points)?;
         nearest.par_iter_mut().zip(queries).for_each(|(nearest, query)| {
-            let (index, distance) = tree.nearest(query, NonZeroUsize::MIN)[0];
+            let (distance, index) = tree.nearest(query, None);
             if distance < nearest.0 {
                 *nearest = (distance, number * TREE_POINTS + index);
             }
         });
     }
-    indices.iter_mut().zip(nearest).for_each(|(index, (_, nearest))| *index = nearest);
+    indices.iter_mut().zip(nearest.iter()).for_each(|(index, (_, nearest))| *index = *nearest);
     Ok(())
 }
 
-/// Points per tree. A tree takes about 100 bytes per point, so large clouds are searched with several, one at a time.
+/// Points per tree. Large clouds are searched with several, one at a time, which all use the same memory.
 const TREE_POINTS: usize = 1 << 16;
 
 fn nearest_of_all(points: &[Point], query: Point) -> usize {

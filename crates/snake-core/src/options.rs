@@ -1,13 +1,12 @@
 //! Options of encoding, detection and meshes, with their ranges.
 
-use std::borrow::Cow;
-
-use rand::SeedableRng;
 use serde::{Deserialize, Serialize};
+use snake_kernels::Scratch;
 
 use crate::config::ModelConfig;
 use crate::length::Length;
 use crate::points::{NormalizationMethod, Point};
+use crate::sampling::sample;
 use crate::{Error, Result, budget, setters};
 
 /// Options of [`Model::encode`](crate::Model::encode).
@@ -55,17 +54,10 @@ impl EncodeOptions {
         budget::check_rotations(self.rotations, config)
     }
 
-    /// The points that are encoded: all, or at most `max_points` of them.
-    pub(crate) fn sample<'a>(&self, points: &'a [Point]) -> Cow<'a, [Point]> {
-        match self.max_points {
-            Some(most) if most < points.len() => {
-                let mut rng = rand_chacha::ChaCha8Rng::seed_from_u64(self.seed);
-                let mut chosen = rand::seq::index::sample(&mut rng, points.len(), most).into_vec();
-                chosen.sort_unstable();
-                chosen.into_iter().map(|i| points[i]).collect()
-            }
-            _ => points.into(),
-        }
+    /// The points that are encoded if they are not all: `max_points` of them.
+    pub(crate) fn sample(&self, points: &[Point]) -> Option<Scratch<Point>> {
+        let number = self.max_points.filter(|&most| most < points.len())?;
+        Some(sample(points, number, self.seed))
     }
 }
 

@@ -6,19 +6,18 @@ use crate::points::Point;
 use crate::{Error, Result};
 use snake_kernels::Scratch;
 
-/// Cells along an axis, at most; a cloud of greater extent has wider cells.
-const MOST_CELLS: f64 = (1 << 20) as f64;
-
-/// Bits of a cell's number along an axis.
+/// Bits of a cell's number along an axis. Cells so many steps apart have the same number, which costs time and no result.
 const BITS: u64 = 21;
 
-/// Points sorted into cells that are at least as wide as a radius: a query looks at 27 cells.
+/// The largest number of a cell along an axis. After it comes 0.
+const LAST: u64 = (1 << BITS) - 1;
+
+/// Points sorted into cells that are as wide as a radius: a query looks at 27 cells.
 ///
 /// Where the queries themselves are at least a share of the radius apart, as in suppression, each point is looked at a
-/// bounded number of times, for every arrangement of points.
+/// bounded number of times, for every arrangement of points but those that make numbers of cells coincide.
 pub(crate) struct RadiusCells<'a> {
     points: &'a [Point],
-    corner: [f64; 3],
     side: f64,
     /// The cell and the index of each point, ascending.
     members: Scratch<(u64, u32)>,
@@ -32,13 +31,9 @@ impl<'a> RadiusCells<'a> {
     pub(crate) fn new(points: &'a [Point], radius: f32) -> Result<Self> {
         let number = u32::try_from(points.len())
             .map_err(|_| Error::Input { what: "points", reason: format!("{} are too many", points.len()) })?;
-        let along = |axis: usize| points.iter().map(move |point| f64::from(point[axis]));
-        let corner: [f64; 3] = std::array::from_fn(|axis| along(axis).fold(f64::INFINITY, f64::min));
-        let end: [f64; 3] = std::array::from_fn(|axis| along(axis).fold(f64::NEG_INFINITY, f64::max));
-        let extent = (0..3).map(|axis| end[axis] - corner[axis]).fold(0.0, f64::max);
         // Distances in f32 are rounded: a point within the radius is at most this far.
-        let side = (f64::from(radius) * (1.0 + 1e-6)).max(extent / MOST_CELLS);
-        let mut cells = Self { points, corner, side, members: Scratch::default() };
+        let side = f64::from(radius) * (1.0 + 1e-6);
+        let mut cells = Self { points, side, members: Scratch::default() };
         let members = (0..number).map(|index| (key(cells.cell(&points[index as usize])), index));
         cells.members = Scratch::collect(points.len(), members);
         cells.members.par_sort_unstable();
@@ -53,27 +48,36 @@ impl<'a> RadiusCells<'a> {
     /// Calls `found` with the index of each point at most `radius` from a position, in no particular order. The radius is at
     /// most that of the cells.
     pub(crate) fn within(&self, position: &Point, radius: f32, mut found: impl FnMut(usize)) {
-        let [x, y, z] = self.cell(position);
-        for [y, z] in (z - 1..=z + 1).flat_map(|z| (y - 1..=y + 1).map(move |y| [y, z])) {
-            let [first, last] = [x - 1, x + 1].map(|x| key([x, y, z]));
-            let start = self.members.partition_point(|(cell, _)| *cell < first);
-            for &(_, index) in self.members[start..].iter().take_while(|(cell, _)| *cell <= last) {
-                let other = &self.points[index as usize];
-                let [x, y, z]: Point = std::array::from_fn(|axis| position[axis] - other[axis]);
-                if x * x + y * y + z * z <= radius * radius {
-                    found(index as usize);
+        let [[before, x, after], ys, zs] = self.cell(position).map(neighbors);
+        // Neighbours along x follow each other, except at the last number.
+        let one_run = [[before, after]];
+        let three_runs = [[before; 2], [x; 2], [after; 2]];
+        let runs = if before < after { &one_run[..] } else { &three_runs };
+        for [y, z] in zs.into_iter().flat_map(|z| ys.map(|y| [y, z])) {
+            for run in runs {
+                let [first, last] = run.map(|x| key([x, y, z]));
+                let start = self.members.partition_point(|(cell, _)| *cell < first);
+                for &(_, index) in self.members[start..].iter().take_while(|(cell, _)| *cell <= last) {
+                    let other = &self.points[index as usize];
+                    let [x, y, z]: Point = std::array::from_fn(|axis| position[axis] - other[axis]);
+                    if x * x + y * y + z * z <= radius * radius {
+                        found(index as usize);
+                    }
                 }
             }
         }
     }
 
-    /// The cell of a position along x, y and z, at least 1, so that there is one before it.
+    /// The number of a position's cell along x, y and z. Far from zero, where cells are finer than `f32`, equal coordinates have
+    /// the same cell, and others are farther apart than the radius.
     fn cell(&self, position: &Point) -> [u64; 3] {
-        std::array::from_fn(|axis| {
-            let cells = (f64::from(position[axis]) - self.corner[axis]) / self.side;
-            (cells.clamp(-1.0, MOST_CELLS).floor() + 2.0) as u64
-        })
+        position.map(|value| (f64::from(value) / self.side).floor().rem_euclid((LAST + 1) as f64) as u64)
     }
+}
+
+/// The numbers of a cell and its neighbours along an axis.
+fn neighbors(cell: u64) -> [u64; 3] {
+    [cell.wrapping_sub(1) & LAST, cell, (cell + 1) & LAST]
 }
 
 /// One number for a cell. Neighbours along x follow each other.
@@ -96,7 +100,11 @@ mod tests {
         let random: Vec<Point> = (0..300).map(|i| [at(i, 131), at(i, 577), at(i, 883)]).collect();
         let lattice: Vec<Point> = (0..300_u16).map(|i| [i % 5, i / 5 % 5, i % 7].map(|v| 0.1 * f32::from(v))).collect();
         let far = vec![[3e38; 3], [-3e38; 3], [0.0; 3], [1e-40; 3], [0.05, 0.0, 0.0]];
-        for points in [random, lattice, far, vec![[1.0; 3]; 9], vec![]] {
+        // Cells with the same number, and cells on both sides of the last number.
+        let period = 0.3 * (1.0 + 1e-6) * (LAST + 1) as f32;
+        let same: Vec<Point> =
+            (0..60).map(|i| [(i % 3 - 1) as f32 * period + 0.1 * i as f32, 0.05 * i as f32, period]).collect();
+        for points in [random, lattice, far, same, vec![[1.0; 3]; 9], vec![]] {
             for radius in [1e-30, 0.1, 0.3, 5.0, 1e19] {
                 let cells = RadiusCells::new(&points, radius).unwrap();
                 for query in points.iter().chain(&[[0.5; 3], [-9.0, 0.0, 0.0], [3e38, 0.0, -3e38]]) {
@@ -110,5 +118,17 @@ mod tests {
                 }
             }
         }
+    }
+
+    // This test would take a minute and not a second if the far point made the cells wider.
+    #[test]
+    fn a_point_far_away_costs_no_time() {
+        let at = |i: u32, factor: u32| (i.wrapping_mul(factor) >> 8) as f32 / (1 << 24) as f32;
+        let mut points: Vec<Point> = (0..200_000).map(|i| [at(i, 2_654_435_761), at(i, 40_503), 0.0]).collect();
+        points.push([1e7, -1e7, 1e7]);
+        let cells = RadiusCells::new(&points, 0.002).unwrap();
+        let mut number = 0;
+        points.iter().for_each(|point| cells.within(point, 0.002, |_| number += 1));
+        assert!((200_001..2_000_000).contains(&number), "{number}");
     }
 }

@@ -41,10 +41,11 @@ pub(crate) fn detect_in_windows(
     check_radius(radius, || format!("{radius:e}"))?;
     let radius = radius as f32;
     let radii = options.detect.radii(&finite.points)?;
-    let encoded = options.encode.sample(&finite.points);
+    let sample = options.encode.sample(&finite.points);
+    let encoded = sample.as_deref().unwrap_or(&finite.points);
     check_number_of_points(encoded.len())?;
-    check_number_of_windows(&encoded, radius)?;
-    let windows = Windows::new(network, &encoded, &finite.points, radius, options)?;
+    check_number_of_windows(encoded, radius)?;
+    let windows = Windows::new(network, encoded, &finite.points, radius, options)?;
     let of_one_window = options.detect.evaluations(options.encode.rotations);
     limits.check_evaluations(&[&of_one_window[..], &[windows.cells.centers.len()]].concat())?;
     let counter = control.begin("windows", windows.cells.centers.len());

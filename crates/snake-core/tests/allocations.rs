@@ -5,7 +5,7 @@
 use std::alloc::{GlobalAlloc, Layout, System};
 use std::sync::atomic::{AtomicUsize, Ordering::Relaxed};
 
-use snake_core::{Builtin, Detection, Detector, Model, Point};
+use snake_core::{Builtin, Detection, Detector, Length, Model, Options, Point};
 
 /// The allocator of the system, with counts.
 struct Counting;
@@ -45,11 +45,9 @@ fn street(num_points: usize, ahead: f32) -> Vec<Point> {
 
 /// Allocations and bytes of each of twelve frames of about so many points, with a few that are not finite. The first three
 /// frames are a tenth larger than the others: a cloud larger than all before needs more memory.
-fn of_frames(num_points: usize, threads: usize) -> Vec<[usize; 2]> {
+fn of_frames(num_points: usize, threads: usize, options: Options) -> Vec<[usize; 2]> {
     let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
-    let model = Model::builtin(Builtin::Compact);
-    let options = *model.recommended();
-    let mut detector = Detector::new(model, options).unwrap();
+    let mut detector = Detector::new(Model::builtin(Builtin::Compact), options).unwrap();
     let mut detection = Detection::default();
     let frame = |number: usize| {
         let num_points = if number < 3 { num_points + num_points / 10 } else { num_points };
@@ -67,24 +65,48 @@ fn of_frames(num_points: usize, threads: usize) -> Vec<[usize; 2]> {
         }
     });
     assert!(detection.keypoints.len() > 5 && detection.num_skipped == 1);
+    let is_many = options.detect.max_keypoints > 256;
+    assert!(!is_many || detection.keypoints.len() >= 256, "{} keypoints", detection.keypoints.len());
     used
+}
+
+/// Options with `max_points`, with radii in resolutions, and with many keypoints.
+fn variants(recommended: Options) -> [(&'static str, Options); 4] {
+    let [mut sampled, mut in_resolutions, mut many] = [recommended; 3];
+    sampled.encode.max_points = Some(5000);
+    in_resolutions.detect.nms_radius = Some(Length::Resolutions(4.0));
+    in_resolutions.detect.mode_radius = Some(Length::Resolutions(3.0));
+    many.detect.nms_radius = None;
+    many.detect.mode_radius = None;
+    many.detect.saliency_threshold = 0.0;
+    many.detect.max_keypoints = 700;
+    let mut all = many;
+    all.encode.max_points = sampled.encode.max_points;
+    all.detect.nms_radius = Some(Length::Resolutions(0.5));
+    [("max_points", sampled), ("radii in resolutions", in_resolutions), ("many keypoints", many), ("all", all)]
 }
 
 /// One test: the counts are those of the whole program.
 #[test]
 fn frames_use_the_memory_of_earlier_frames() {
     // A frame of the first release made 22 000 allocations of 274 MB.
+    let options = *Model::builtin(Builtin::Compact).recommended();
     for num_points in [8000, 64_000] {
-        let used = of_frames(num_points, 1);
+        let used = of_frames(num_points, 1, options);
         println!("[allocations, bytes] of each frame of {num_points} points on one thread: {used:?}");
         assert_eq!(used[3..], [[0; 2]; 9]);
     }
+    for (name, options) in variants(options) {
+        let used = of_frames(20_000, 1, options);
+        println!("[allocations, bytes] of each frame of 20 000 points with {name}: {used:?}");
+        assert_eq!(used[3..], [[0; 2]; 9], "{name}");
+    }
     // With more threads, chance decides which of them does a part of the work for the first time and needs memory for it.
-    let used = of_frames(8000, 2);
+    let used = of_frames(8000, 2, options);
     println!("[allocations, bytes] of each frame of 8000 points on two threads: {used:?}");
     assert!(used[3..].iter().all(|used| used[0] <= 40) && used[3..].contains(&[0; 2]), "{used:?}");
 
-    let bytes = |num_points| of_frames(num_points, 1).iter().map(|used| used[1]).sum::<usize>();
+    let bytes = |num_points| of_frames(num_points, 1, options).iter().map(|used| used[1]).sum::<usize>();
     let of_point = (bytes(100_000) - bytes(30_000)) as f64 / (1.1 * 70_000.0);
     println!("{of_point:.1} bytes a point");
     assert!(of_point < 60.0);

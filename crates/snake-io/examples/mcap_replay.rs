@@ -25,8 +25,10 @@ fn main() -> Result<(), Box<dyn Error>> {
     let channel_id = writer.add_channel(schema, "/keypoints", "json", &BTreeMap::new())?;
     let mut messages = Vec::new();
     let topic = topic.first().map(String::as_str);
+    let mut number = 0;
     // One cloud after another: a recording may be larger than the memory.
-    let number = read_recording(Path::new(input), topic, |RecordedCloud { log_time, frame_id, cloud }| {
+    for recorded in read_recording(Path::new(input), topic)? {
+        let RecordedCloud { log_time, frame_id, cloud } = recorded?;
         match detector.detect_into(&cloud.points, &mut detection) {
             Ok(()) => {
                 let keypoints = detection.keypoints.iter().map(|keypoint| keypoint_json(keypoint, cloud.origin));
@@ -35,8 +37,8 @@ fn main() -> Result<(), Box<dyn Error>> {
             }
             Err(error) => eprintln!("cloud at {log_time} ns: {error}"),
         }
-        Ok::<_, snake_io::Error>(())
-    })?;
+        number += 1;
+    }
     for (sequence, (log_time, message)) in (0..).zip(&messages) {
         let header = MessageHeader { channel_id, sequence, log_time: *log_time, publish_time: *log_time };
         writer.write_to_known_channel(&header, &serde_json::to_vec(message)?)?;

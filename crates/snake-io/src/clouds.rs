@@ -64,6 +64,8 @@ pub struct Contents {
     /// Where the sensor was, in the file's frame: the `VIEWPOINT` of a PCD file, unless it is zero, which writers put
     /// there when they do not know it.
     pub viewpoint: Option<[f64; 3]>,
+    /// The coordinate reference system, of LAS and LAZ files.
+    pub crs: Option<Crs>,
 }
 
 /// Reads the points `(N, 3)` of a file; the extension selects the format.
@@ -144,12 +146,18 @@ fn parse(bytes: &[u8], format: PointFormat, options: &ReadOptions) -> std::resul
     }
     let shape = read_shape(bytes, format, options)?;
     let viewpoint = if format == PointFormat::Pcd { pcd::viewpoint(bytes) } else { None };
-    Ok(match options.sample {
-        Some(number) => {
-            Contents { cloud: shape.sample(number, options.seed)?.into_cloud(), viewpoint, ..Contents::default() }
+    #[cfg(feature = "laz")]
+    let crs = if format == PointFormat::Las { las::crs(bytes) } else { None };
+    #[cfg(not(feature = "laz"))]
+    let crs = None;
+    let (cloud, unsampled_faces) = match options.sample {
+        Some(number) => (shape.sample(number, options.seed)?.into_cloud(), 0),
+        None => {
+            let num_faces = shape.num_faces();
+            (shape.into_cloud(), num_faces)
         }
-        None => Contents { unsampled_faces: shape.num_faces(), cloud: shape.into_cloud(), viewpoint },
-    })
+    };
+    Ok(Contents { cloud, unsampled_faces, viewpoint, crs })
 }
 
 fn read_shape(bytes: &[u8], format: PointFormat, options: &ReadOptions) -> std::result::Result<Shape, String> {

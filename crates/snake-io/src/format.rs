@@ -268,9 +268,9 @@ fn sweep_format(path: &Path) -> Result<PointFormat> {
 fn conversion(extension: &str) -> Option<&'static str> {
     Some(match extension {
         "bag" => "convert the ROS 1 bag: mcap convert FILE.bag FILE.mcap",
-        "db3" => "snake-cli detect FILE.db3 --topic /TOPIC detects the clouds of its messages",
+        "db3" => "it is a recording: snake-cli detect FILE.db3 --topic /TOPIC, or read_recording in Rust and Python",
         "zstd" | "zst" => "decompress it: zstd -d FILE",
-        "mcap" => "snake-cli detect FILE.mcap --topic /TOPIC detects the clouds of its messages",
+        "mcap" => "it is a recording: snake-cli detect FILE.mcap --topic /TOPIC, or read_recording in Rust and Python",
         "pcap" => "convert the recording to LAS files: ouster-cli source FILE.pcap save FILE.las",
         "ptx" | "fls" | "rcp" => "convert it with CloudCompare: CloudCompare -O FILE -C_EXPORT_FMT PLY -SAVE_CLOUDS",
         "fbx" | "dae" | "3ds" | "blend" => "convert it to a mesh: assimp export FILE FILE.ply",

@@ -42,6 +42,12 @@ pub(super) fn for_each_position(
     Ok(header.crs(&head))
 }
 
+/// The coordinate reference system of a file that [`read`] reads.
+pub(super) fn crs(bytes: &[u8]) -> Option<Crs> {
+    let header = Header::parse(bytes).ok()?;
+    header.crs(bytes.get(..header.data_offset)?)
+}
+
 /// The first bytes of a file, at most `number`. The next byte that is read follows them.
 fn start(source: &mut (impl Read + Seek), number: u64) -> Result<Vec<u8>, String> {
     let mut bytes = Vec::new();

@@ -57,6 +57,8 @@
 mod array;
 mod array_files;
 mod atomic;
+#[cfg(feature = "mcap")]
+mod bag_folder;
 mod clouds;
 mod columns;
 #[cfg(feature = "laz")]
@@ -94,6 +96,8 @@ mod pcd;
 mod ply;
 #[cfg(feature = "mcap")]
 mod recording;
+#[cfg(feature = "mcap")]
+mod ros_message;
 #[cfg(feature = "rosbag2")]
 mod rosbag2;
 mod shape;
@@ -125,7 +129,7 @@ pub use json::keypoint_json;
 pub use keypoint_source::KeypointSource;
 pub use mesh::{MESH_EXTENSIONS, check_mesh_path, write_mesh};
 #[cfg(feature = "mcap")]
-pub use recording::{RecordedCloud, read_recording};
+pub use recording::{RecordedCloud, Recording, is_recording, read_recording};
 pub use snake_core::Cloud;
 pub use transform::{
     REGISTRATION_EXTENSIONS, check_registration_path, read_transform, read_transforms, write_registration,
@@ -134,5 +138,5 @@ pub use write::{adds_origin, write_keypoints, write_points};
 
 /// The limit of the unpacked size, in sizes of the packed file. No scan exceeds it; a file made to exceed it would take
 /// all memory.
-#[cfg(any(feature = "e57", feature = "laz", feature = "npz"))]
+#[cfg(any(feature = "e57", feature = "laz", feature = "mcap", feature = "npz"))]
 const MAX_EXPANSION: usize = 50;

@@ -1,10 +1,15 @@
-//! A message of a recording, as its file holds it.
+//! Messages of a recording, as its files hold them.
 
-/// The bytes of a message.
-pub(crate) struct Message<'a> {
+use crate::Result;
+
+/// A message.
+pub(crate) struct Message {
     /// Nanoseconds since 1970.
     pub(crate) log_time: u64,
     /// `cdr` or `ros1`.
-    pub(crate) encoding: &'a str,
-    pub(crate) data: &'a [u8],
+    pub(crate) encoding: String,
+    pub(crate) data: Vec<u8>,
 }
+
+/// The messages of a topic in a file.
+pub(crate) type Messages = Box<dyn Iterator<Item = Result<Message>> + Send>;

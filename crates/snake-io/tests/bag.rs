@@ -3,20 +3,14 @@
 use std::path::{Path, PathBuf};
 
 use rusqlite::Connection;
-use snake_io::{Error, RecordedCloud, read_recording};
+use snake_io::{Error, RecordedCloud, is_recording, read_recording};
 
 fn data(name: &str) -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).join("../../tests/data/io").join(name)
 }
 
 fn read(path: &Path, topic: Option<&str>) -> Result<Vec<RecordedCloud>, Error> {
-    let mut found = Vec::new();
-    let number = read_recording(path, topic, |cloud| {
-        found.push(cloud);
-        Ok::<_, Error>(())
-    })?;
-    assert_eq!(number, found.len());
-    Ok(found)
+    read_recording(path, topic)?.collect()
 }
 
 /// A copy of the bag, changed by a statement.
@@ -79,4 +73,80 @@ fn damaged_files_give_an_error_or_whole_clouds() {
             assert!(found.len() <= expected.len(), "{place}");
         }
     }
+}
+
+/// A folder of a bag with copies of these files under these names, and a metadata file.
+fn bag_folder(root: &Path, files: &[(&str, &str)], metadata: &str) -> PathBuf {
+    let folder = root.join("drive");
+    std::fs::create_dir_all(&folder).unwrap();
+    for (name, source) in files {
+        std::fs::copy(data(source), folder.join(name)).unwrap();
+    }
+    std::fs::write(folder.join("metadata.yaml"), metadata).unwrap();
+    folder
+}
+
+/// What rosbag2 writes, with these files.
+fn metadata(files: &[&str]) -> String {
+    let files: String = files.iter().map(|file| format!("    - {file}\n")).collect();
+    format!(
+        "rosbag2_bagfile_information:\n  version: 5\n  storage_identifier: sqlite3\n  duration:\n    nanoseconds: 1000000000\n  \
+         topics_with_message_count:\n    - topic_metadata:\n        name: /points\n        type: sensor_msgs/msg/PointCloud2\n        \
+         offered_qos_profiles: \"- history: 3\\n  depth: 0\"\n      message_count: 4\n  compression_format: \"\"\n  \
+         relative_file_paths:\n{files}"
+    )
+}
+
+#[test]
+fn the_folder_of_a_bag_has_the_clouds_of_its_files_in_the_order_of_its_metadata() {
+    let root = tempfile::tempdir().unwrap();
+    let files = [("drive_0.db3", "drive.db3"), ("drive_1.mcap", "drive.mcap"), ("unlisted.db3", "drive.db3")];
+    // Old bags put the name of the folder before the file.
+    let folder = bag_folder(root.path(), &files, &metadata(&["drive/drive_1.mcap", "drive_0.db3"]));
+    assert!(is_recording(&folder) && is_recording(&folder.join("drive_0.db3")) && !is_recording(root.path()));
+    let expected = [read(&data("drive.mcap"), None).unwrap(), read(&data("drive.db3"), None).unwrap()].concat();
+    assert_eq!(expected.len(), 4);
+    assert_eq!(read(&folder, None).unwrap(), expected);
+    assert_eq!(read(&folder, Some("/points")).unwrap(), expected);
+    // The time of the second file shows the order: it is changed to that of no other cloud.
+    std::fs::copy(changed(root.path(), "UPDATE messages SET timestamp = 7"), folder.join("drive_0.db3")).unwrap();
+    let times: Vec<u64> = read(&folder, None).unwrap().into_iter().map(|cloud| cloud.log_time).collect();
+    assert_eq!(times[2..], [7, 7]);
+}
+
+#[test]
+fn damaged_folders_of_bags_are_refused_with_the_reason() {
+    let root = tempfile::tempdir().unwrap();
+    let whole = metadata(&["drive_0.db3"]);
+    let refused = |metadata: &str| {
+        let folder = bag_folder(root.path(), &[("drive_0.db3", "drive.db3")], metadata);
+        let error = read(&folder, None).unwrap_err().to_string();
+        assert!(!error.contains('\n'), "one line: {error}");
+        error
+    };
+    for (metadata, expected) in [
+        ("", "metadata.yaml: no metadata of a bag"),
+        ("a: [", "metadata.yaml: no metadata of a bag"),
+        ("rosbag2_bagfile_information: 3", "metadata.yaml: no metadata of a bag"),
+        ("rosbag2_bagfile_information: {version: 5}", "relative_file_paths"),
+        ("rosbag2_bagfile_information: {relative_file_paths: []}", "metadata.yaml: it lists no files"),
+        (&whole.replace("drive_0.db3", "drive_0.db3.zstd"), "drive_0.db3.zstd: its messages are compressed"),
+        (&whole.replace("drive_0.db3", "../.."), "no file of messages"),
+        (&whole.replace("drive_0.db3", "notes.txt"), "notes.txt: no file of messages"),
+        (&whole.replace("drive_0.db3", "drive_1.db3"), "drive_1.db3: "),
+        (&whole.replace("drive_0.db3", "drive_1.mcap"), "drive_1.mcap: "),
+    ] {
+        let error = refused(metadata);
+        assert!(error.contains(expected), "{metadata}: {error}");
+    }
+    // Names that repeat each other would grow without end.
+    let names = |level: u32| (0..9).map(|_| format!("*l{level}")).collect::<Vec<_>>().join(", ");
+    let bomb: String = (1..12).map(|level| format!("l{level}: &l{level} [{}]\n", names(level - 1))).collect();
+    refused(&format!("l0: &l0 [x]\n{bomb}{whole}"));
+    for length in (0..whole.len() - 2).step_by(7) {
+        refused(&whole[..length]);
+    }
+    let folder = bag_folder(root.path(), &[], &whole);
+    std::fs::remove_file(folder.join("metadata.yaml")).unwrap();
+    assert!(!is_recording(&folder) && read(&folder, None).unwrap_err().to_string().contains("metadata.yaml: "));
 }

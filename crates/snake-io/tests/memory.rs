@@ -72,4 +72,21 @@ fn memory_grows_by_few_bytes_for_each_point() {
     // The file has 24 bytes a point, and the cloud 12.
     let bytes = bytes_per_point(SIZES.map(read));
     assert!(bytes <= 40, "reading: {bytes} bytes a point");
+    #[cfg(feature = "mcap")]
+    recordings_take_the_memory_of_a_few_clouds(folder.path());
+}
+
+/// A recording of a thousand clouds of 12 kB.
+#[cfg(feature = "mcap")]
+fn recordings_take_the_memory_of_a_few_clouds(folder: &std::path::Path) {
+    let small = std::fs::read(concat!(env!("CARGO_MANIFEST_DIR"), "/../../tests/data/io/drive.mcap")).unwrap();
+    let message = mcap::MessageStream::new(&small).unwrap().next().unwrap().unwrap();
+    let path = folder.join("long.mcap");
+    let options = mcap::WriteOptions::new().compression(None);
+    let mut writer = options.create(std::fs::File::create(&path).unwrap()).unwrap();
+    (0..1000).for_each(|_| writer.write(&message).unwrap());
+    writer.finish().unwrap();
+    assert!(path.metadata().unwrap().len() > 12_000_000);
+    let (number, bytes) = peak(|| snake_io::read_recording(&path, None).unwrap().map(Result::unwrap).count());
+    assert!(number == 1000 && bytes < 5_000_000, "{number} clouds, {bytes} bytes");
 }

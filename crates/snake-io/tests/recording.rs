@@ -65,6 +65,10 @@ fn record(path: &Path, messages: &[(&str, &str, Vec<u8>)]) {
     writer.finish().unwrap();
 }
 
+fn read(path: &Path, topic: Option<&str>) -> Result<Vec<RecordedCloud>, Error> {
+    read_recording(path, topic)?.collect()
+}
+
 #[test]
 fn the_clouds_of_a_topic_are_read_in_order() {
     let folder = tempfile::tempdir().unwrap();
@@ -74,13 +78,8 @@ fn the_clouds_of_a_topic_are_read_in_order() {
         &[("/points", SCHEMA, message()), ("/pose", "geometry_msgs/msg/Pose", vec![]), ("/points", SCHEMA, message())],
     );
     for topic in [None, Some("/points")] {
-        let mut found = Vec::new();
-        let keep = |cloud| {
-            found.push(cloud);
-            Ok::<_, Error>(())
-        };
-        let number = read_recording(&path, topic, keep).unwrap();
-        assert_eq!((number, found.len(), found[1].log_time, found[0].frame_id.as_str()), (2, 2, 102, "lidar"));
+        let found = read(&path, topic).unwrap();
+        assert_eq!((found.len(), found[1].log_time, found[0].frame_id.as_str()), (2, 102, "lidar"));
         let points = &found[0].cloud.points;
         assert!(points[0] == [1.0, 2.0, 3.0] && points[1][1] == 5.0 && points[1][2].is_nan());
     }
@@ -90,7 +89,7 @@ fn the_clouds_of_a_topic_are_read_in_order() {
 fn other_topics_and_damaged_messages_are_refused_by_name() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("drive.mcap");
-    let error = |topic| read_recording(&path, topic, |_| Ok::<_, Error>(())).unwrap_err().to_string();
+    let error = |topic| read(&path, topic).unwrap_err().to_string();
     record(&path, &[("/a", SCHEMA, message()), ("/b", SCHEMA, message()), ("/pose", "geometry_msgs/msg/Pose", vec![])]);
     assert!(error(None).contains("/a, /b"));
     assert!(error(Some("/c")).contains("topics with point clouds: /a, /b"));
@@ -109,16 +108,11 @@ fn recordings_of_ros_1_are_read() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("drive.mcap");
     record(&path, &[("/velodyne", "sensor_msgs/PointCloud2", encoded(false))]);
-    let mut found = Vec::new();
-    let keep = |RecordedCloud { frame_id, cloud, .. }| {
-        found.push((frame_id, cloud.points));
-        Ok::<_, Error>(())
-    };
-    assert_eq!(read_recording(&path, None, keep).unwrap(), 1);
-    assert_eq!((found[0].0.as_str(), found[0].1[0]), ("lidar", [1.0, 2.0, 3.0]));
+    let found = read(&path, None).unwrap();
+    assert_eq!((found.len(), found[0].frame_id.as_str(), found[0].cloud.points[0]), (1, "lidar", [1.0, 2.0, 3.0]));
     for length in 0..encoded(false).len() - 1 {
         record(&path, &[("/velodyne", "sensor_msgs/PointCloud2", encoded(false)[..length].to_vec())]);
-        let text = read_recording(&path, None, |_| Ok::<_, Error>(())).unwrap_err().to_string();
+        let text = read(&path, None).unwrap_err().to_string();
         assert!(text.contains("message 0 of /velodyne"), "{length}: {text}");
     }
 }
@@ -127,10 +121,39 @@ fn recordings_of_ros_1_are_read() {
 fn a_recording_without_clouds_names_its_topics() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("drive.mcap");
-    let error = |topic| read_recording(&path, topic, |_| Ok::<_, Error>(())).unwrap_err().to_string();
+    let error = |topic| read(&path, topic).unwrap_err().to_string();
     record(&path, &[("/pose", "geometry_msgs/msg/Pose", vec![]), ("/imu", "sensor_msgs/msg/Imu", vec![])]);
     let expected = "no topic has point clouds; topics: /pose (geometry_msgs/msg/Pose), /imu (sensor_msgs/msg/Imu)";
     assert!(error(None).ends_with(expected) && error(Some("/points")).ends_with(expected), "{}", error(None));
     record(&path, &[]);
     assert!(error(None).ends_with("the file has no messages"));
+}
+
+#[test]
+fn damaged_files_give_an_error_or_whole_clouds() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("drive.mcap");
+    record(&path, &[("/a", SCHEMA, message()), ("/a", SCHEMA, message())]);
+    let whole = std::fs::read(&path).unwrap();
+    for length in (0..whole.len()).step_by(3) {
+        std::fs::write(&path, &whole[..length]).unwrap();
+        assert!(read(&path, None).is_err(), "{length}");
+    }
+    for place in 0..whole.len() {
+        let mut bytes = whole.clone();
+        bytes[place] ^= 0xff;
+        std::fs::write(&path, &bytes).unwrap();
+        if let Ok(found) = read(&path, None) {
+            assert!(found.len() <= 2, "{place}");
+        }
+    }
+    // The lengths of all records, of which the largest number would overflow.
+    for place in 0..whole.len() - 8 {
+        let mut bytes = whole.clone();
+        bytes[place..place + 8].fill(0xff);
+        std::fs::write(&path, &bytes).unwrap();
+        if let Ok(found) = read(&path, None) {
+            assert!(found.len() <= 2, "{place}");
+        }
+    }
 }

@@ -27,7 +27,7 @@ macro_rules! scratch_elements {
         })*
     };
 }
-scratch_elements!(bool, f32, u32, usize, Option<u32>, (f32, usize), (u64, u32), [f32; 3], [f64; 2], Corners);
+scratch_elements!(bool, f32, f64, u32, usize, Option<u32>, (f32, usize), (u64, u32), [f32; 3], [f64; 2], Corners);
 
 /// Values of a few tiles of queries or points, or of a small volume. Dropping them leaves their memory to the thread.
 #[derive(Debug, Default, PartialEq)]

@@ -8,7 +8,6 @@ use snake_core::space::{Vector, resolution};
 use snake_core::{Error, Length, Point, Result, RigidTransform, setters};
 
 use crate::medians::upper_median;
-use crate::scan::{Descriptor, KeypointDetector};
 
 /// Options of [`register`](crate::register()).
 ///
@@ -102,6 +101,40 @@ impl Default for RegisterOptions {
             refine_steps: 30,
         }
     }
+}
+
+/// The keypoint detector: the model, or a classical detector of [`detectors`](crate::detectors) with its default
+/// options. Classical detectors select points of the reduced cloud.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum KeypointDetector {
+    /// Every point of the reduced cloud.
+    #[default]
+    Voxels,
+    /// The most salient points of the field, at least a voxel apart.
+    Snake,
+    /// Intrinsic shape signatures.
+    Iss,
+    /// Harris corners of the normals.
+    Harris3d,
+    /// Extrema of the differences of Gaussians of the curvature.
+    Sift3d,
+    /// Farthest-point sampling.
+    Fps,
+    /// Random points.
+    Random,
+}
+
+/// The descriptor that matches keypoints.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Descriptor {
+    /// FPFH of the reduced cloud at the point nearest to the keypoint; invariant to rotation.
+    #[default]
+    Fpfh,
+    /// The features of the field. Their definition is not invariant to rotation; the built-in model has learnt
+    /// invariance only in part.
+    Field,
 }
 
 /// An axis of a frame.

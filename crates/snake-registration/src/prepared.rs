@@ -12,9 +12,9 @@ use super::FPFH_DIMENSION;
 use super::cloud::Orientation;
 use super::matching::hellinger;
 use super::medians::{lower_median, upper_median};
-use super::options::RegisterOptions;
+use super::options::{Descriptor, RegisterOptions};
 use super::result::ViewpointUsed;
-use super::scan::{Descriptor, Scan, reduce};
+use super::scan::{Scan, reduce};
 use super::viewpoint::viewpoint;
 
 /// Default number of voxels along the diameter of a cloud.

@@ -62,9 +62,9 @@ mod tests {
     use rand::SeedableRng;
     use rand_chacha::ChaCha8Rng;
 
+    use super::super::options::{Descriptor, KeypointDetector};
     use super::super::rigid::tests::random_transform;
     use super::super::rigid::transform_points;
-    use super::super::scan::{Descriptor, KeypointDetector};
     use super::*;
     use snake_core::space::resolution;
     use snake_core::{Builtin, Length, RigidTransform};

@@ -5,12 +5,11 @@ use std::sync::OnceLock;
 
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
-use serde::{Deserialize, Serialize};
 
 use super::cloud::{Orientation, check_radius, normals, voxel_means};
 use super::fast_fpfh;
 use super::fpfh::FPFH_DIMENSION;
-use super::options::RegisterOptions;
+use super::options::{Descriptor, KeypointDetector, RegisterOptions};
 use crate::detectors::{Detector, Harris3dOptions, IssOptions, Protocol, Sift3dOptions};
 use snake_core::Control;
 use snake_core::Field;
@@ -20,40 +19,6 @@ use snake_core::Result;
 use snake_core::space::{FinitePoints, check_points, suppress_to_count};
 use snake_core::space::{Neighbors, Vector, vector};
 use snake_core::{Normalization, NormalizationMethod, Point};
-
-/// The keypoint detector: the model, or a classical detector of [`detectors`](crate::detectors) with its default
-/// options. Classical detectors select points of the reduced cloud.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
-#[serde(rename_all = "lowercase")]
-pub enum KeypointDetector {
-    /// Every point of the reduced cloud.
-    #[default]
-    Voxels,
-    /// The most salient points of the field, at least a voxel apart.
-    Snake,
-    /// Intrinsic shape signatures.
-    Iss,
-    /// Harris corners of the normals.
-    Harris3d,
-    /// Extrema of the differences of Gaussians of the curvature.
-    Sift3d,
-    /// Farthest-point sampling.
-    Fps,
-    /// Random points.
-    Random,
-}
-
-/// The descriptor that matches keypoints.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
-#[serde(rename_all = "kebab-case")]
-pub enum Descriptor {
-    /// FPFH of the reduced cloud at the point nearest to the keypoint; invariant to rotation.
-    #[default]
-    Fpfh,
-    /// The features of the field. Their definition is not invariant to rotation; the built-in model has learnt
-    /// invariance only in part.
-    Field,
-}
 
 /// A cloud with the data for matching. Each part is computed when it is first needed and then kept for all detectors
 /// and descriptors. The model runs only for a detector or descriptor that needs its field.

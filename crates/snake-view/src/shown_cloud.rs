@@ -5,6 +5,7 @@ use base64::engine::general_purpose::STANDARD;
 use serde_json::{Value, json};
 use snake_core::{
     Cloud, Control, Detection, Field, Mesh, MeshOptions, Model, Normalization, Options, Point, Result, add_origin,
+    cluster_hint,
 };
 use snake_io as io;
 
@@ -58,6 +59,11 @@ impl ShownCloud {
         self.detection.keypoints.iter().map(|keypoint| keypoint.position).collect()
     }
 
+    /// A sentence where the keypoints cluster.
+    pub fn hint(&self) -> Option<String> {
+        cluster_hint(self.field.points(), &self.detection.keypoints)
+    }
+
     /// A line for the printed report.
     pub fn summary(&self) -> String {
         let (keypoints, points) = (self.detection.keypoints.len(), self.field.points().len());
@@ -80,6 +86,7 @@ impl ShownCloud {
             "points": Vertices::of(&self.shown, self.origin, &self.saliency[0]),
             "surface": self.surface_data(),
             "keypoints": keypoints,
+            "hint": self.hint(),
             "num_points": self.field.points().len(),
             "num_skipped": self.field.num_skipped(),
             "num_encoded": self.field.num_encoded(),

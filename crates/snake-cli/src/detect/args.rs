@@ -14,7 +14,7 @@ use crate::setup::{ComputeArguments, EncodeFlags, named, none_if_zero, override_
 pub struct DetectArguments {
     /// Point clouds (.ply, .pcd, .xyz, .txt, .csv, .pts, .npy, .npz, .las, .laz), meshes (.ply, .obj, .off, .stl),
     /// directories of such files, or quoted patterns: 'scans/**/*.ply'; `-` is the standard input. Or one recording of
-    /// ROS (.mcap, .db3), all clouds of which are processed.
+    /// ROS (.mcap, .db3, or the folder of a bag), all clouds of which are processed.
     #[arg(required = true)]
     pub inputs: Vec<PathBuf>,
     /// Write the keypoints to this file (.ply, .pcd, .npy, .csv, .json, .laz, .parquet or .keypointnet.json). For several
@@ -30,7 +30,7 @@ pub struct DetectArguments {
     /// the extension of the output, else ply].
     #[arg(long, value_parser = named::<KeypointFormat>)]
     pub format: Option<KeypointFormat>,
-    /// The topic of a recording (.mcap, .db3) with the point clouds [default: the only topic with point clouds].
+    /// The topic of a recording with the point clouds [default: the only topic with point clouds].
     #[arg(long)]
     pub topic: Option<String>,
     #[command(flatten)]

@@ -14,8 +14,8 @@ use std::time::Instant;
 
 use anyhow::{Context, Result, anyhow, bail};
 use serde_json::{Value, json};
-use snake_core::{Control, Detection, Model, Options, Progress, add_origin, scale_hint, side_by_side};
-use snake_io::{self as io, Cloud, KeypointFormat, KeypointSource};
+use snake_core::{Control, Detection, Model, Options, Progress, add_origin, cluster_hint, scale_hint, side_by_side};
+use snake_io::{self as io, Cloud, Contents, KeypointFormat, KeypointSource};
 
 use crate::inputs::{DASH, check_inputs, expand, output_origin};
 use crate::output::{InputFiles, in_folder};
@@ -37,7 +37,7 @@ pub fn run(arguments: &DetectArguments) -> Result<ExitCode> {
     let load_model = loading.elapsed().as_secs_f64();
     let options = arguments.options.resolve(&model)?;
     terminal::detail("options", || serde_json::to_string(&options).unwrap_or_default());
-    let inputs = expand(&arguments.inputs)?;
+    let inputs = expand(&arguments.inputs, io::is_recording)?;
     check_inputs(&inputs)?;
     let job = Job { model: &model, options: &options, arguments, control: &control };
     if recording::is_given(arguments, &inputs)? {
@@ -132,7 +132,7 @@ struct Item<'a> {
     output: Option<&'a Path>,
     /// What a recording says of the cloud.
     recorded: Option<Value>,
-    cloud: Cloud,
+    contents: Contents,
     /// When reading began.
     start: Instant,
     /// Where a hint may be printed.
@@ -143,25 +143,30 @@ impl Job<'_> {
     /// Processes one input from file to file.
     fn process_file(&self, input: &Path, name: &str, output: Option<&Path>, bar: &Bar) -> Result<Processed> {
         let start = Instant::now();
-        let cloud = self.arguments.input.read(input, self.options.encode.seed)?;
-        self.process(Item { input, name, output, recorded: None, cloud, start, bar })
+        let contents = self.arguments.input.read_contents(input, self.options.encode.seed)?;
+        self.process(Item { input, name, output, recorded: None, contents, start, bar })
     }
 
     /// Detects the keypoints of a cloud and writes them.
     fn process(&self, item: Item) -> Result<Processed> {
-        let Item { input, name, output, recorded, cloud, start, bar } = item;
+        let Item { input, name, output, recorded, contents: Contents { cloud, crs, .. }, start, bar } = item;
         let Self { model, options, arguments, control } = *self;
         let Cloud { points, origin } = cloud.for_normalization(options.encode.normalization);
         let read = start.elapsed().as_secs_f64();
         // Before the detection, which may take minutes at the wrong scale.
-        let hint = scale_hint(&points, options);
-        if let Some(hint) = &hint {
-            bar.suspend(|| terminal::hint(&format!("{name}: {hint}")));
-        }
+        let mut hints: Vec<String> = Vec::new();
+        let mut add_hint = |hint: Option<String>| {
+            if let Some(hint) = hint {
+                bar.suspend(|| terminal::hint(&format!("{name}: {hint}")));
+                hints.push(hint);
+            }
+        };
+        add_hint(scale_hint(&points, options));
         let detection = model.detect_with(&points, options, control).with_context(|| name.to_owned())?;
+        add_hint(cluster_hint(&points, &detection.keypoints));
         let mut origin_to_add = [0.0; 3];
         if let Some(output) = output {
-            let source = KeypointSource::new(input, origin);
+            let source = KeypointSource { crs, ..KeypointSource::new(input, origin) };
             write(output, arguments.format, &detection, &source)?;
             origin_to_add = output_origin(output, adds_origin(output, arguments.format), origin);
         }
@@ -169,7 +174,7 @@ impl Job<'_> {
         let seconds = [read, timing.encode, timing.occupancy, timing.refine, timing.nms, total];
         let report = if arguments.json {
             let origins = [origin, origin_to_add];
-            let mut line = json_line(input, output, points.len(), origins, &detection, &seconds, hint.as_deref());
+            let mut line = json_line(input, output, points.len(), origins, &detection, &seconds, &hints);
             if let (Some(line), Some(recorded)) = (line.as_object_mut(), recorded) {
                 line.insert("recorded".into(), recorded);
             }
@@ -215,7 +220,7 @@ fn json_line(
     origins: [[f64; 3]; 2],
     detection: &Detection,
     seconds: &Seconds,
-    hint: Option<&str>,
+    hints: &[String],
 ) -> Value {
     let [origin, output_origin] = origins;
     json!({
@@ -228,7 +233,7 @@ fn json_line(
         "output_origin": output_origin,
         "normalization": detection.normalization,
         "counts": detection.counts,
-        "notes": hint.into_iter().collect::<Vec<_>>(),
+        "notes": hints,
         "timing_seconds": STAGES.into_iter().zip(seconds).collect::<BTreeMap<_, _>>(),
         "keypoints": detection.keypoints.iter().map(|keypoint| io::keypoint_json(keypoint, origin)).collect::<Vec<_>>(),
     })

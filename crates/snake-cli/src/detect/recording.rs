@@ -6,7 +6,7 @@ use std::time::Instant;
 
 use anyhow::{Context, Result, bail};
 use serde_json::json;
-use snake_io::{KeypointFormat, RecordedCloud, read_recording};
+use snake_io::{Contents, KeypointFormat, RecordedCloud, is_recording, read_recording};
 
 use super::args::DetectArguments;
 use super::reports::Reports;
@@ -18,17 +18,14 @@ use crate::terminal::Bar;
 /// Whether the input is a recording. Refuses a recording beside other inputs, and a topic without one.
 pub fn is_given(arguments: &DetectArguments, inputs: &[PathBuf]) -> Result<bool> {
     let reading = &arguments.input;
-    let is_recording = |input: &PathBuf| {
-        let is = |name: &str| input.extension().is_some_and(|extension| extension.eq_ignore_ascii_case(name));
-        (is("mcap") || is("db3")) && reading.input_format.is_none()
-    };
+    let is_recording = |input: &PathBuf| reading.input_format.is_none() && is_recording(input);
     match inputs {
         [input] if is_recording(input) => match (reading.sample, &reading.columns.columns, arguments.tiles.tile) {
             (None, None, None) => Ok(true),
             _ => bail!("--sample, --columns and --tile are for files of one cloud, not for a recording"),
         },
         _ if inputs.iter().any(is_recording) => bail!("a recording has to be the only input"),
-        _ if arguments.topic.is_some() => bail!("--topic is for a recording (.mcap, .db3)"),
+        _ if arguments.topic.is_some() => bail!("--topic is for a recording (.mcap, .db3, or the folder of a bag)"),
         _ => Ok(false),
     }
 }
@@ -40,29 +37,39 @@ pub fn run(job: &Job, input: &Path, bar: Bar, load_model: f64) -> Result<ExitCod
         prepare(folder, input, arguments)?;
     }
     let extension = arguments.format.unwrap_or(KeypointFormat::Ply).extension();
-    let stem = input.file_stem().unwrap_or_default().to_string_lossy();
+    let stem = stem(input);
+    let recording = read_recording(input, arguments.topic.as_deref())?;
     let mut reports = Reports::new(arguments, bar);
-    let (mut index, mut start) = (0, Instant::now());
-    let use_cloud = |RecordedCloud { log_time, frame_id, cloud }: RecordedCloud| {
+    let mut start = Instant::now();
+    for (index, recorded) in recording.enumerate() {
         let name = format!("{}, cloud {index}", input.display());
         reports.bar.set_message(&name);
         let output = arguments.output.as_ref();
         let output = output.map(|folder| folder.join(format!("{stem}.{index:06}.keypoints.{extension}")));
+        let RecordedCloud { log_time, frame_id, cloud } = match recorded {
+            Ok(recorded) => recorded,
+            Err(error) => {
+                reports.bar.finish();
+                return Err(error.into());
+            }
+        };
         let recorded = Some(json!({ "index": index, "log_time": log_time, "frame_id": frame_id }));
-        let item = Item { input, name: &name, output: output.as_deref(), recorded, cloud, start, bar: &reports.bar };
+        let contents = Contents { cloud, ..Contents::default() };
+        let item = Item { input, name: &name, output: output.as_deref(), recorded, contents, start, bar: &reports.bar };
         let result = job.process(item);
-        let is_needed = reports.add(index, name, output.as_deref(), result);
-        (index, start) = (index + 1, Instant::now());
-        if is_needed { Ok(()) } else { Err(snake_core::Error::Cancelled.into()) }
-    };
-    match read_recording::<anyhow::Error>(input, arguments.topic.as_deref(), use_cloud) {
-        // The only error of the core says that no more results are needed.
-        Err(error) if !error.is::<snake_core::Error>() => {
-            reports.bar.finish();
-            Err(error)
+        if !reports.add(index, name, output.as_deref(), result) {
+            break;
         }
-        _ => reports.finish(load_model),
+        start = Instant::now();
     }
+    reports.finish(load_model)
+}
+
+/// The name of the results: that of the file without its extension, or that of the folder.
+fn stem(input: &Path) -> String {
+    let folder = input.is_dir().then(|| input.canonicalize().ok()).flatten();
+    let name = folder.as_ref().map_or_else(|| input.file_stem(), |folder| folder.file_name());
+    name.unwrap_or_default().to_string_lossy().into_owned()
 }
 
 /// Makes the folder of the results. A recording has many clouds, so a file cannot hold them.

@@ -31,6 +31,15 @@ fn a_cloud_far_from_the_scale_of_the_model_has_a_note() {
 }
 
 #[test]
+fn keypoints_that_cluster_have_a_note() {
+    let run = |radius: &str| snake(&["detect", &sample(), "--json", "--max-keypoints", "24", "--nms-radius", radius]);
+    let (crowded, spread) = (run("0.001"), run("10%"));
+    assert!(stderr(&crowded).contains("the keypoints cluster"), "{}", stderr(&crowded));
+    assert!(json_lines(&crowded)[0]["notes"][0].as_str().unwrap().contains("--nms-radius"));
+    assert_eq!(json_lines(&spread)[0]["notes"], serde_json::json!([]));
+}
+
+#[test]
 fn detected_keypoints_lie_on_the_cloud() {
     let output = snake(&["detect", &sample(), "--json"]);
     assert!(output.status.success(), "{}", stderr(&output));

@@ -39,6 +39,31 @@ fn a_bag_of_ros_2_has_the_keypoints_of_the_same_drive_in_mcap() {
 }
 
 #[test]
+fn the_folder_of_a_bag_is_one_recording() {
+    let root_folder = tempfile::tempdir().unwrap();
+    let [bag, output] = ["drive", "results"].map(|name| root_folder.path().join(name));
+    std::fs::create_dir(&bag).unwrap();
+    std::fs::copy(root().join("tests/data/io/drive.db3"), bag.join("drive_0.db3")).unwrap();
+    std::fs::copy(drive(), bag.join("drive_1.mcap")).unwrap();
+    let metadata = "rosbag2_bagfile_information:\n  relative_file_paths: [drive_0.db3, drive_1.mcap]\n";
+    std::fs::write(bag.join("metadata.yaml"), metadata).unwrap();
+    let [bag_text, output_text] = [&bag, &output].map(|path| path.display().to_string());
+    let done = snake(&["detect", &bag_text, "--topic", "/points", "--json", "-o", &output_text]);
+    assert!(done.status.success(), "{}", stderr(&done));
+    let outputs: Vec<_> = json_lines(&done).iter().map(|line| line["output"].as_str().unwrap().to_owned()).collect();
+    let expected = (0..4).map(|index| output.join(format!("drive.{index:06}.keypoints.ply")).display().to_string());
+    assert_eq!(outputs, expected.collect::<Vec<_>>());
+
+    std::fs::write(bag.join("metadata.yaml"), "damaged: [").unwrap();
+    let refused = snake(&["detect", &bag_text]);
+    assert!(!refused.status.success() && stderr(&refused).contains("metadata.yaml: no metadata of a bag"));
+    // Without metadata it is a folder of clouds, which has none.
+    std::fs::remove_file(bag.join("metadata.yaml")).unwrap();
+    let refused = snake(&["detect", &bag_text]);
+    assert!(!refused.status.success() && stderr(&refused).contains("no point clouds in it"));
+}
+
+#[test]
 fn mistakes_with_recordings_are_named() {
     let (drive, sample) = (drive(), sample());
     let folder = tempfile::tempdir().unwrap();

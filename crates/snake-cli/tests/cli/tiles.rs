@@ -67,6 +67,24 @@ fn tiles_write_the_keypoints_of_the_whole_cloud() {
     }
 }
 
+/// The file and its reference system: `tests/data/tiles/city.copc.laz` of the repository, EPSG 25832.
+#[test]
+fn a_copc_file_in_tiles_gives_the_bytes_of_the_whole_with_its_reference_system() {
+    let city = concat!(env!("CARGO_MANIFEST_DIR"), "/../../tests/data/tiles/city.copc.laz");
+    let folder = tempfile::tempdir().unwrap();
+    let path = |name: &str| folder.path().join(name).display().to_string();
+    let (whole, tiled) = (path("whole.laz"), path("tiled.laz"));
+    let options = ["--model", "rooms", "--window-radius", "4", "--query-resolution", "12", "--max-keypoints", "5000"];
+    for (output, tile) in [(&whole, &[][..]), (&tiled, &["--tile", "15"])] {
+        let run = snake(&[&["detect", city, "-o", output][..], tile, &options].concat());
+        assert_eq!(run.status.code(), Some(0), "{}", stderr(&run));
+    }
+    assert!(fs::read(&whole).unwrap() == fs::read(&tiled).unwrap());
+    let mut number = 0;
+    let crs = snake_io::for_each_position(whole.as_ref(), &Default::default(), &mut |_| number += 1).unwrap();
+    assert!(number > 50 && crs.unwrap().epsg == Some(25832));
+}
+
 #[test]
 fn tiles_need_lengths_in_cloud_units_and_files() {
     let folder = tempfile::tempdir().unwrap();

@@ -181,7 +181,8 @@ function cloudFacts(cloud, of) {
     ["above threshold", count(counts.above_threshold)], ["keypoints", count(counts.keypoints)]);
   if (cloud.surface) rows.push(["triangles", count(cloud.surface.count)]);
   const name = data.clouds.length > 1 ? `${"AB"[of]}: ${baseName(cloud.name)}` : baseName(cloud.name);
-  return [element("h2", name, { title: cloud.name }), list(rows)];
+  const hints = cloud.hint ? [element("p", cloud.hint)] : [];
+  return [element("h2", name, { title: cloud.name }), ...hints, list(rows)];
 }
 
 const matrixText = (rows) => rows.map((row) => row.map((v) => v.toFixed(4).padStart(9)).join("")).join("\n");

@@ -1,0 +1,83 @@
+//! Decodes messages `PointCloud2` of ROS 2 and ROS 1.
+
+use snake_core::{Cloud, PointCloud2Layout, PointCloud2View, PointField, PointSource};
+
+/// Decodes a message: its frame and its points.
+pub(crate) fn decode(encoding: &str, data: &[u8]) -> std::result::Result<(String, Cloud), String> {
+    let mut reader = MessageReader::new(encoding, data)?;
+    reader.skip_time()?;
+    let frame_id = reader.text()?;
+    let [height, width] = [reader.number()?, reader.number()?];
+    let num_fields = reader.number()?;
+    let mut fields: Vec<(String, usize, u8, usize)> = Vec::new();
+    for _ in 0..num_fields {
+        fields.push((reader.text()?, reader.number()?, reader.byte()?, reader.number()?));
+    }
+    let is_bigendian = reader.byte()? != 0;
+    let [point_step, row_step, length] = [reader.number()?, reader.number()?, reader.number()?];
+    let layout = PointCloud2Layout { height, width, point_step, row_step, is_bigendian };
+    let fields: Vec<PointField> = fields
+        .iter()
+        .map(|(name, offset, datatype, count)| PointField { name, offset: *offset, datatype: *datatype, count: *count })
+        .collect();
+    let view = PointCloud2View::new(layout, &fields, reader.bytes(length)?).map_err(|error| error.to_string())?;
+    // Points of no bytes could be any number.
+    if view.num_points() > length {
+        return Err(format!("{} points in {length} bytes", view.num_points()));
+    }
+    Ok((frame_id, Cloud { points: view.to_points(), origin: [0.0; 3] }))
+}
+
+/// A reader of messages in CDR, the encoding of ROS 2, in which numbers are aligned to their size from the end of the header,
+/// or in the encoding of ROS 1, which has no alignment.
+struct MessageReader<'a> {
+    data: &'a [u8],
+    place: usize,
+    is_little_endian: bool,
+    is_aligned: bool,
+}
+
+impl<'a> MessageReader<'a> {
+    /// At the time in the header of a message.
+    fn new(encoding: &str, data: &'a [u8]) -> std::result::Result<Self, String> {
+        match (encoding, data) {
+            // The number of the message comes before its time.
+            ("ros1", [_, _, _, _, data @ ..]) => Ok(Self { data, place: 0, is_little_endian: true, is_aligned: false }),
+            ("cdr", [0, kind @ (0 | 1), _, _, data @ ..]) => {
+                Ok(Self { data, place: 0, is_little_endian: *kind == 1, is_aligned: true })
+            }
+            _ => Err(format!("{} bytes that are not encoded as `cdr` or `ros1`, but as `{encoding}`", data.len())),
+        }
+    }
+
+    fn bytes(&mut self, length: usize) -> std::result::Result<&'a [u8], String> {
+        let end = self.place.checked_add(length);
+        let bytes = end.and_then(|end| self.data.get(self.place..end)).ok_or("cut short")?;
+        self.place += length;
+        Ok(bytes)
+    }
+
+    fn byte(&mut self) -> std::result::Result<u8, String> {
+        Ok(self.bytes(1)?[0])
+    }
+
+    fn number(&mut self) -> std::result::Result<usize, String> {
+        if self.is_aligned {
+            self.place = self.place.next_multiple_of(4);
+        }
+        let mut bytes = [0; 4];
+        bytes.copy_from_slice(self.bytes(4)?);
+        Ok(if self.is_little_endian { u32::from_le_bytes(bytes) } else { u32::from_be_bytes(bytes) } as usize)
+    }
+
+    /// A text with its length before it, in ROS 2 with a zero at its end.
+    fn text(&mut self) -> std::result::Result<String, String> {
+        let length = self.number()?;
+        let bytes = self.bytes(length)?;
+        Ok(String::from_utf8_lossy(bytes.strip_suffix(&[0]).unwrap_or(bytes)).into_owned())
+    }
+
+    fn skip_time(&mut self) -> std::result::Result<(), String> {
+        self.bytes(8).map(drop)
+    }
+}

@@ -1,0 +1,66 @@
+"""Other programs read the keypoints of a city: GeoPandas the GeoParquet, LASzip the LAZ."""
+
+import json
+import subprocess
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+CITY = Path(__file__).parent / "data/tiles/city.copc.laz"
+OPTIONS = [
+    "--model",
+    "rooms",
+    "--window-radius",
+    "4",
+    "--query-resolution",
+    "10",
+    "--nms-radius",
+    "0.5",
+    "--max-keypoints",
+    "5000",
+    "--quiet",
+]
+
+
+@pytest.fixture(scope="module")
+def detect(compiled, tmp_path_factory):
+    """Detects the city's keypoints in tiles and writes them to a file of a name."""
+    folder = tmp_path_factory.mktemp("keypoints")
+
+    def run(name):
+        command = [compiled / "snake-cli", "detect", CITY, *OPTIONS, "--tile", "20", "--tile-folder", folder / "tiles"]
+        subprocess.run([*command, "-o", folder / name], check=True)
+        return folder / name
+
+    return run
+
+
+@pytest.fixture(scope="module")
+def found(detect):
+    """The columns of the keypoints."""
+    rows = json.loads(detect("keypoints.json").read_text())["keypoints"]
+    assert len(rows) > 50
+    return {column: np.array([row[column] for row in rows]) for column in rows[0]}
+
+
+def test_geopandas_reads_geoparquet(detect, found):
+    geopandas = pytest.importorskip("geopandas", reason="GeoPandas is not tested: pip install geopandas")
+    table = geopandas.read_parquet(detect("keypoints.parquet"))
+    assert table.crs.to_epsg() == 25832
+    for axis in "xyz":
+        assert np.array_equal(table[axis], found[axis]) and np.array_equal(getattr(table.geometry, axis), found[axis])
+    for name in ("saliency", "occupancy"):
+        assert table[name].dtype == np.float32 and np.array_equal(table[name], found[name].astype(np.float32))
+    assert np.array_equal(table["nearest_index"], found["nearest_index"])
+    assert table["tile"].nunique() > 1
+
+
+def test_laszip_reads_laz(detect, found):
+    laspy = pytest.importorskip("laspy", reason="LASzip is not tested: pip install laspy laszip")
+    pytest.importorskip("laszip", reason="LASzip is not tested: pip install laspy laszip")
+    cloud = laspy.read(detect("keypoints.laz"), laz_backend=laspy.LazBackend.Laszip)
+    assert cloud.header.parse_crs().to_epsg() == 25832
+    assert np.abs(cloud.xyz - np.column_stack([found[axis] for axis in "xyz"])).max() < 1e-6
+    for name in ("saliency", "occupancy", "nearest_index"):
+        assert np.array_equal(cloud[name], found[name].astype(cloud[name].dtype)), name
