@@ -151,6 +151,8 @@ def compare_unet(network, model, points, threads, runs):
             calls[name] = prepare()
         except ImportError:
             missing[name] = {"note": NOT_INSTALLED}
+        except RuntimeError as error:  # OpenVINO has bfloat16 not on every processor
+            missing[name] = {"note": f"cannot run here: {str(error).strip().splitlines()[-1]}"}
     outputs = {name: call() for name, call in calls.items()}
     calls["snake-rs (whole encode)"] = lambda: model.encode(points)
     outputs["snake-rs (whole encode)"] = model.encode(points).volume[None]
@@ -310,16 +312,17 @@ def measure(config, num_points, occupied, options, threads, runs):
 
 
 def measure_levels(*arguments):
-    """Reports of `measure`, each in a process of its own: of all that the processor has, and of AVX2 if it has more."""
+    """Yields (level, report of `measure`), each measured in a process of its own.
+
+    The levels are all instructions that the processor has and, if it has more, AVX2.
+    """
     levels = {"all instructions of the processor": {}}
     if torch.backends.cpu.get_cpu_capability() == "AVX512":
         levels["held to AVX2 (ONNX Runtime is not)"] = AVX2
-    reports = {}
     for level, environment in levels.items():
         os.environ.update(environment)  # a process has it from its start
         with ProcessPoolExecutor(1, get_context("spawn")) as pool:
-            reports[level] = pool.submit(measure, *arguments).result()
-    return reports
+            yield level, pool.submit(measure, *arguments).result()
 
 
 def table(title, rows, digits=4):
@@ -385,12 +388,14 @@ def main(argv=None):
     for name, most in (("threads", 1024), ("runs", 1000), ("num_points", 10**7), ("occupied", 64**3 // 2)):
         if not 1 <= getattr(arguments, name) <= most:
             parser.error(f"--{name.replace('_', '-')} must be 1 to {most}")
-    reports = measure_levels(
+    reports = {}
+    for level, report in measure_levels(
         NetworkConfig(), arguments.num_points, arguments.occupied, DetectOptions(), arguments.threads, arguments.runs
-    )
-    print("\n\n".join(f"## {level}\n\n{text(report)}" for level, report in reports.items()))
-    if arguments.json:
-        arguments.json.write_text(json.dumps(reports, indent=1) + "\n")
+    ):
+        print(f"## {level}\n\n{text(report)}\n", flush=True)
+        reports[level] = report
+        if arguments.json:
+            arguments.json.write_text(json.dumps(reports, indent=1) + "\n")
 
 
 if __name__ == "__main__":

@@ -88,10 +88,13 @@ def test_missing_peers_are_named_not_counted(monkeypatch):
     assert benchmark.NOT_INSTALLED in benchmark.table("title", rows)
 
 
-def test_a_peer_that_disagrees_gets_no_ratio(monkeypatch):
+def test_a_peer_that_disagrees_or_cannot_run_gets_no_ratio(monkeypatch):
+    def broken():
+        raise RuntimeError("compile_model:\nno kernel\n")
+
     def peers(unet, volume, threads):
         right = np.zeros((1, 8, 16, 16, 16), np.float32)
-        return {"PyTorch contiguous": lambda: lambda: right, "wrong": lambda: lambda: right + 0.01}
+        return {"PyTorch contiguous": lambda: lambda: right, "wrong": lambda: lambda: right + 0.01, "broken": broken}
 
     class Model:
         def encode(self, points):
@@ -105,6 +108,7 @@ def test_a_peer_that_disagrees_gets_no_ratio(monkeypatch):
     rows = benchmark.compare_unet(network, Model(), points, threads=1, runs=1)
     assert "ratio" in rows["PyTorch contiguous"]
     assert "ratio" not in rows["wrong"] and "differs" in rows["wrong"]["note"]
+    assert rows["broken"] == {"note": "cannot run here: no kernel"}
 
 
 def test_engines_that_refine_other_numbers_of_queries_get_no_ratio():
@@ -120,7 +124,7 @@ def test_each_level_of_instructions_has_a_process_of_its_own():
     with pytest.MonkeyPatch.context() as environment:
         for name in benchmark.AVX2:
             environment.setenv(name, "")
-        reports = benchmark.measure_levels(CONFIG, 512, 300, OPTIONS, 1, 1)
+        reports = dict(benchmark.measure_levels(CONFIG, 512, 300, OPTIONS, 1, 1))
     assert len(reports) == (2 if capability == "AVX512" else 1)
     assert all(report["unet_seconds"]["snake-rs (whole encode)"]["difference"] < 1e-4 for report in reports.values())
 
