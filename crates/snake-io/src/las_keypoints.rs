@@ -1,4 +1,5 @@
-//! Writes keypoints as LAZ 1.2 of point format 0, with saliency, occupancy and nearest_index as extra dimensions.
+//! Writes keypoints as LAZ 1.4 of point format 0, with saliency, occupancy and nearest_index as extra dimensions, which PDAL
+//! does not look for in earlier versions.
 
 use std::io::{self, Cursor, Write};
 
@@ -7,8 +8,8 @@ use snake_core::{Bounds, Keypoint, add_origin};
 
 use super::keypoint_source::KeypointSource;
 
-/// Bytes of the public header of LAS 1.2.
-const HEADER: u16 = 227;
+/// Bytes of the public header of LAS 1.4.
+const HEADER: u16 = 375;
 
 /// Bytes of the header of a variable length record.
 const RECORD_HEADER: u16 = 54;
@@ -37,7 +38,7 @@ pub(super) fn write(out: &mut dyn Write, keypoints: &[Keypoint], source: &Keypoi
 
     let mut header = b"LASF".to_vec();
     header.resize(24, 0);
-    header.extend([1, 2]);
+    header.extend([1, 4]);
     header.resize(58, 0);
     header.extend(b"snake-rs");
     header.resize(94, 0);
@@ -53,6 +54,10 @@ pub(super) fn write(out: &mut dyn Write, keypoints: &[Keypoint], source: &Keypoi
     header.resize(131, 0);
     header.extend([scale; 3].iter().chain(&low).flat_map(|v| v.to_le_bytes()));
     header.extend((0..3).flat_map(|axis| [high[axis], low[axis]]).flat_map(f64::to_le_bytes));
+    // Neither waveforms nor extended records.
+    header.resize(247, 0);
+    header.extend([u64::from(number); 2].iter().flat_map(|v| v.to_le_bytes()));
+    header.resize(HEADER.into(), 0);
     header.extend(records.concat());
 
     let mut file = Cursor::new(header);

@@ -33,19 +33,22 @@ pub fn is_given(arguments: &DetectArguments, inputs: &[PathBuf]) -> Result<bool>
 /// Processes every cloud. A cloud that fails is reported, and the run continues.
 pub fn run(job: &Job, input: &Path, bar: Bar, load_model: f64) -> Result<ExitCode> {
     let arguments = job.arguments;
-    if let Some(folder) = &arguments.output {
-        prepare(folder, input, arguments)?;
+    let folder = arguments.output.as_deref();
+    if let Some(folder) = folder {
+        check(folder, input, arguments)?;
     }
     let extension = arguments.format.unwrap_or(KeypointFormat::Ply).extension();
     let stem = stem(input);
     let recording = read_recording(input, arguments.topic.as_deref())?;
+    if let Some(folder) = folder {
+        std::fs::create_dir_all(folder).with_context(|| format!("cannot make the directory {}", folder.display()))?;
+    }
     let mut reports = Reports::new(arguments, bar);
     let mut start = Instant::now();
     for (index, recorded) in recording.enumerate() {
         let name = format!("{}, cloud {index}", input.display());
         reports.bar.set_message(&name);
-        let output = arguments.output.as_ref();
-        let output = output.map(|folder| folder.join(format!("{stem}.{index:06}.keypoints.{extension}")));
+        let output = folder.map(|folder| folder.join(format!("{stem}.{index:06}.keypoints.{extension}")));
         let RecordedCloud { log_time, frame_id, cloud } = match recorded {
             Ok(recorded) => recorded,
             Err(error) => {
@@ -72,12 +75,11 @@ fn stem(input: &Path) -> String {
     name.unwrap_or_default().to_string_lossy().into_owned()
 }
 
-/// Makes the folder of the results. A recording has many clouds, so a file cannot hold them.
-fn prepare(folder: &Path, input: &Path, arguments: &DetectArguments) -> Result<()> {
+/// Refuses files for the results, and folders of inputs. A recording has many clouds, so a file cannot hold them.
+fn check(folder: &Path, input: &Path, arguments: &DetectArguments) -> Result<()> {
     let is_file_name = arguments.format.is_none() && KeypointFormat::from_path(folder).is_ok() && !folder.is_dir();
     if folder == Path::new(DASH) || is_file_name {
         bail!("{}: a recording has many clouds; give a directory for their keypoints", folder.display());
     }
-    InputFiles::new([input].into_iter().chain(arguments.compute.model.as_deref())).refuse_as_output(folder)?;
-    std::fs::create_dir_all(folder).with_context(|| format!("cannot make the directory {}", folder.display()))
+    InputFiles::new([input].into_iter().chain(arguments.compute.model.as_deref())).refuse_as_output(folder)
 }

@@ -69,10 +69,11 @@ fn mistakes_with_recordings_are_named() {
     let folder = tempfile::tempdir().unwrap();
     let file = folder.path().join("keypoints.ply").display().to_string();
     let page = folder.path().join("page.html").display().to_string();
+    let results = folder.path().join("results").display().to_string();
     let renamed = |extension: &str| folder.path().join(format!("old.{extension}")).display().to_string();
     for (arguments, expected) in [
         (
-            &["detect", &drive, "--topic", "/other"][..],
+            &["detect", &drive, "--topic", "/other", "-o", &results][..],
             "no messages of the topic /other; topics with point clouds: /points",
         ),
         (&["detect", &drive, &sample], "a recording has to be the only input"),

@@ -1,6 +1,7 @@
-"""Other programs read the keypoints of a city: GeoPandas the GeoParquet, LASzip the LAZ."""
+"""Other programs read the keypoints of a city, GeoPandas the GeoParquet, LASzip and PDAL the LAZ, and copclib writes its COPC."""
 
 import json
+import shutil
 import subprocess
 from pathlib import Path
 
@@ -28,8 +29,9 @@ def detect(compiled, tmp_path_factory):
     """Detects the city's keypoints in tiles and writes them to a file of a name."""
     folder = tmp_path_factory.mktemp("keypoints")
 
-    def run(name):
-        command = [compiled / "snake-cli", "detect", CITY, *OPTIONS, "--tile", "20", "--tile-folder", folder / "tiles"]
+    def run(name, cloud=CITY):
+        command = [compiled / "snake-cli", "detect", cloud, *OPTIONS, "--tile", "20"]
+        command += ["--tile-folder", folder / cloud.parent.name]
         subprocess.run([*command, "-o", folder / name], check=True)
         return folder / name
 
@@ -61,6 +63,33 @@ def test_laszip_reads_laz(detect, found):
     pytest.importorskip("laszip", reason="LASzip is not tested: pip install laspy laszip")
     cloud = laspy.read(detect("keypoints.laz"), laz_backend=laspy.LazBackend.Laszip)
     assert cloud.header.parse_crs().to_epsg() == 25832
+    assert str(cloud.header.version) == "1.4"  # PDAL reads extra dimensions of no other
     assert np.abs(cloud.xyz - np.column_stack([found[axis] for axis in "xyz"])).max() < 1e-6
     for name in ("saliency", "occupancy", "nearest_index"):
         assert np.array_equal(cloud[name], found[name].astype(cloud[name].dtype)), name
+
+
+def test_pdal_reads_laz(detect, found, tmp_path):
+    pdal = shutil.which("pdal")
+    if not pdal:
+        pytest.skip("PDAL is not tested: it is not installed")
+    table = tmp_path / "keypoints.csv"
+    subprocess.run([pdal, "translate", detect("keypoints.laz"), table, "--writers.text.precision=9"], check=True)
+    read = np.genfromtxt(table, delimiter=",", names=True)
+    assert np.abs(np.column_stack([read[axis] - found[axis.lower()] for axis in "XYZ"])).max() < 1e-6
+    for name in ("saliency", "occupancy", "nearest_index"):
+        assert np.allclose(read[name], found[name], rtol=1e-6), name
+
+
+def test_copc_of_copclib_has_the_same_keypoints(detect, found, tmp_path):
+    copclib = pytest.importorskip("copclib", reason="copclib is not tested: pip install copclib")
+    city = copclib.FileReader(str(CITY))
+    copy = tmp_path / "city.copc.laz"
+    writer = copclib.FileWriter(str(copy), city.copc_config)
+    for node in city.GetAllNodes():
+        writer.AddNode(node.key, city.GetPoints(node))
+    writer.Close()
+    assert copy.read_bytes() != CITY.read_bytes()
+    rows = json.loads(detect("of_copclib.json", copy).read_text())["keypoints"]
+    for column in ("x", "y", "z", "saliency", "occupancy"):
+        assert [row[column] for row in rows] == found[column].tolist(), column
