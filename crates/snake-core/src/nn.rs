@@ -142,8 +142,8 @@ impl Tensor {
     }
 }
 
-/// The number of voxels above which 4x4x4 tiles outweigh their larger weights.
-const LARGE: usize = 32 * 32 * 32;
+/// The number of voxels from which on the savings of 4x4x4 tiles outweigh their larger weights.
+const LARGE: usize = 16 * 16 * 16;
 
 /// GroupNorm, 3x3x3 convolution without bias, ReLU ("gcr").
 #[derive(Debug)]

@@ -36,43 +36,52 @@ pub(super) fn points(n: usize, upsampled: bool) -> impl Iterator<Item = usize> {
 /// One tap of the filters of LANES outputs.
 type Tap = [f64; LANES];
 
-/// Transforms LANES filters along an axis to U; the first N values count.
-fn weights_of_axis(n: usize, [a, b, c]: [Tap; 3]) -> [Tap; 6] {
-    let mut values = [[0.0; LANES]; 6];
+/// Transforms LANES filters along an axis to U: N values, `step` apart.
+#[inline(always)]
+fn transform_axis(n: usize, [a, b, c]: [&Tap; 3], values: &mut [Tap], step: usize) {
+    // The filter's polynomial at a point is divided by the distances of this point from the other finite points.
+    const NEAR_2: f64 = NEAR * NEAR;
+    const FAR_2: f64 = FAR * FAR;
+    const OF_ZERO: f64 = 1.0 / (NEAR_2 * FAR_2);
+    const OF_NEAR: f64 = 1.0 / (2.0 * NEAR_2 * (NEAR_2 - FAR_2));
+    const OF_FAR: f64 = 1.0 / (2.0 * FAR_2 * (FAR_2 - NEAR_2));
     for lane in 0..LANES {
-        let of_lane = weights_of_filter(n, [a[lane], b[lane], c[lane]]);
-        values.iter_mut().zip(of_lane).for_each(|(values, value)| values[lane] = value);
+        let [a, b, c] = [a[lane], b[lane], c[lane]];
+        let at_pair =
+            |even: f64, odd: f64, of_distances: f64| [(even + odd) * of_distances, (even - odd) * of_distances];
+        values[0][lane] = a;
+        values[(n - 1) * step][lane] = c;
+        if n == 4 {
+            [values[step][lane], values[2 * step][lane]] = at_pair(a + c, b, 0.5);
+        } else {
+            values[0][lane] *= OF_ZERO;
+            [values[step][lane], values[2 * step][lane]] = at_pair(a + NEAR_2 * c, NEAR * b, OF_NEAR);
+            [values[3 * step][lane], values[4 * step][lane]] = at_pair(a + FAR_2 * c, FAR * b, OF_FAR);
+        }
     }
-    values
 }
 
-/// Transforms a filter along an axis to U; the first N values count.
-fn weights_of_filter(n: usize, [a, b, c]: [f64; 3]) -> [f64; 6] {
-    if n == 4 {
-        return [a, 0.5 * (a + b + c), 0.5 * (a - b + c), c, 0.0, 0.0];
+/// Transforms LANES filters of 3x3x3 taps in the order z, y, x along all axes, to the first N³ points `[z][y][x]`.
+fn transform_filters(n: usize, taps: &[Tap; 27], values: &mut [[f32; LANES]; 216]) {
+    // `[x][z][y]`, `[x][y][z]` and the points along z.
+    let (mut rows, mut planes, mut column) = ([[0.0; LANES]; 54], [[0.0; LANES]; 108], [[0.0; LANES]; 6]);
+    for row in 0..9 {
+        let taps = &taps[3 * row..];
+        transform_axis(n, [&taps[0], &taps[1], &taps[2]], &mut rows[row..], 9);
     }
-    // The filter's polynomial at a point, divided by the distances of this point from the other finite points.
-    let at = |node: f64, distances: f64| (a + node * (b + node * c)) / distances;
-    let [near, far] = [NEAR * NEAR, FAR * FAR];
-    let [of_near, of_far] = [2.0 * near * (near - far), 2.0 * far * (far - near)];
-    [a / (near * far), at(NEAR, of_near), at(-NEAR, of_near), at(FAR, of_far), at(-FAR, of_far), c]
-}
-
-/// Transforms LANES filters of 3x3x3 taps in the order z, y, x along all axes, to N³ points `[z][y][x]`.
-fn weights_of_points(n: usize, taps: &[Tap; 27]) -> Vec<[f32; LANES]> {
-    let rows: [[Tap; 6]; 9] = std::array::from_fn(|zy| weights_of_axis(n, std::array::from_fn(|x| taps[zy * 3 + x])));
-    let mut values = vec![[0.0; LANES]; n * n * n];
     for x in 0..n {
-        let planes: [[Tap; 6]; 3] =
-            std::array::from_fn(|z| weights_of_axis(n, std::array::from_fn(|y| rows[z * 3 + y][x])));
+        for z in 0..3 {
+            let taps = &rows[9 * x + 3 * z..];
+            transform_axis(n, [&taps[0], &taps[1], &taps[2]], &mut planes[18 * x + z..], 3);
+        }
         for y in 0..n {
-            let column = weights_of_axis(n, planes.map(|plane| plane[y]));
+            let taps = &planes[18 * x + 3 * y..];
+            transform_axis(n, [&taps[0], &taps[1], &taps[2]], &mut column, 1);
             for z in 0..n {
                 values[(z * n + y) * n + x] = column[z].map(|value| value as f32);
             }
         }
     }
-    values
 }
 
 impl PackedConv3d {
@@ -103,8 +112,9 @@ impl PackedConv3d {
                 // On this thread alone: loading a model must not start Rayon's global pool.
                 let filters = output_blocks * width;
                 let mut weights = vec![[0.0; LANES]; points(n, upsampled).count() * filters];
+                let mut of_points = [[0.0; LANES]; 216];
                 for filter in 0..filters {
-                    let of_points = weights_of_points(n, &taps(filter / width, before + first + filter % width));
+                    transform_filters(n, &taps(filter / width, before + first + filter % width), &mut of_points);
                     for (k, p) in points(n, upsampled).enumerate() {
                         weights[k * filters + filter] = of_points[p];
                     }
