@@ -35,7 +35,7 @@ use crate::{Scratch, SimdLevel};
 pub use self::pack::PackedConv3d;
 use self::pack::{BLOCK, points};
 use self::products::multiply;
-use self::transform::{MAX_TILE, transform_inputs, transform_outputs};
+use self::transform::{MAX_TILE, Partial, transform_inputs, transform_outputs};
 
 /// For M = 4 the points beside 0 and infinity are plus and minus these.
 const NEAR: f64 = 11.0 / 16.0;
@@ -217,6 +217,7 @@ fn conv3d_tiles<L: Lanes, const ROWS: usize, const N: usize>(
         }
     }
     let output_blocks = layer.outputs.div_ceil(LANES);
+    let mut partial = Partial::new();
     for tiles in tiles.chunks(batch) {
         let padded_tiles = tiles.len().next_multiple_of(ROWS);
         // One cache line more than a power of two keeps the points out of the same cache sets.
@@ -249,8 +250,9 @@ fn conv3d_tiles<L: Lanes, const ROWS: usize, const N: usize>(
         for (tile, &[row, x]) in tiles.iter().enumerate() {
             for out in 0..output_blocks {
                 let products = &products[out * product_pitch + tile * LANES..];
-                let place = [row - task.row, x];
-                transform_outputs::<L, N>(conv, products, output_blocks * product_pitch, place, out, &mut task, sums);
+                let place = [row - task.row, x, out];
+                let pitch = output_blocks * product_pitch;
+                transform_outputs::<L, N>(conv, products, pitch, &mut partial, place, &mut task, sums);
             }
         }
     }

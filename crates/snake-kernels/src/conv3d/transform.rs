@@ -35,6 +35,7 @@ pub(super) fn transform_inputs<L: Lanes, const N: usize>(
     let [height, width] = [size[1] >> shift, size[2] >> shift];
     let zero = L::splat(0.0);
     let mut columns = [[[zero; N]; N]; N];
+    let mut rows = [[zero; N]; N];
     let mut previous = None;
     for (tile, &[row, x]) in tiles.iter().enumerate() {
         // Where each line along x begins; `None` beyond the border.
@@ -64,9 +65,9 @@ pub(super) fn transform_inputs<L: Lanes, const N: usize>(
                 continue;
             }
             let from = ((column - 1) >> shift) * source.channels;
-            let mut rows = [[zero; N]; N];
             for (along_z, lines) in rows.iter_mut().zip(&lines) {
                 for (value, line) in along_z.iter_mut().zip(lines) {
+                    *value = zero;
                     if let Some(line) = line {
                         let values = &values[line + from..];
                         // The first half of the block's channels fetches ahead for both halves.
@@ -102,23 +103,38 @@ pub(super) fn transform_inputs<L: Lanes, const N: usize>(
     }
 }
 
-/// Writes the outputs of the tile at `[row, x]` of the task, for one block of channels and after the ReLU, and adds them
-/// to the sums. The products of the points are `pitch` apart.
+/// Partly transformed outputs of one tile. They are kept from tile to tile, because to clear them takes time.
+pub(super) struct Partial<L, const N: usize> {
+    /// Transformed along x, of one z.
+    rows: [[L; MAX_TILE]; N],
+    /// Transformed along x and y.
+    planes: [[[L; MAX_TILE]; MAX_TILE]; N],
+}
+
+impl<L: Lanes, const N: usize> Partial<L, N> {
+    #[inline(always)]
+    pub(super) fn new() -> Self {
+        let zero = L::splat(0.0);
+        Self { rows: [[zero; MAX_TILE]; N], planes: [[[zero; MAX_TILE]; MAX_TILE]; N] }
+    }
+}
+
+/// Writes the outputs of the tile at `[row, x]` of the task, for the block of channels `out` and after the ReLU, and adds
+/// them to the sums. The products of the points are `pitch` apart.
 #[inline(always)]
 pub(super) fn transform_outputs<L: Lanes, const N: usize>(
     conv: &Conv3d,
     products: &[f32],
     pitch: usize,
-    [row, x]: [usize; 2],
-    out: usize,
+    partial: &mut Partial<L, N>,
+    [row, x, out]: [usize; 3],
     task: &mut Task,
     sums: &mut [[f64; 2]],
 ) {
     let &Conv3d { layer, size, .. } = conv;
     let zero = L::splat(0.0);
-    let mut planes = [[[zero; MAX_TILE]; MAX_TILE]; N];
+    let Partial { rows, planes } = partial;
     for (z, plane) in planes.iter_mut().enumerate() {
-        let mut rows = [[zero; MAX_TILE]; N];
         for (y, along_x) in rows.iter_mut().enumerate() {
             let mut products_of_row = [zero; N];
             for (x, value) in products_of_row.iter_mut().enumerate() {
@@ -128,7 +144,7 @@ pub(super) fn transform_outputs<L: Lanes, const N: usize>(
         }
         for x in 0..N - 2 {
             let mut column = [zero; N];
-            for (value, row) in column.iter_mut().zip(&rows) {
+            for (value, row) in column.iter_mut().zip(&*rows) {
                 *value = row[x];
             }
             for (row, value) in plane.iter_mut().zip(outputs_of_axis(column)) {
@@ -142,7 +158,7 @@ pub(super) fn transform_outputs<L: Lanes, const N: usize>(
     for y in 0..N - 2 {
         for x in 0..(N - 2).min(size[2] - first_x) {
             let mut column = [zero; N];
-            for (value, plane) in column.iter_mut().zip(&planes) {
+            for (value, plane) in column.iter_mut().zip(&*planes) {
                 *value = plane[y][x];
             }
             let place = (((first_y + y) * size[2]) + first_x + x) * layer.outputs + out * LANES;
