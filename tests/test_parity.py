@@ -265,9 +265,10 @@ def test_refined_candidates(pair, method, selection):
     for a, b in ((found, expected), (expected, found)):
         distance, score = nearest(a, b)
         # Adam divides by the gradient's own size: where that is near zero, rounding decides the way of single queries;
-        # and on a kink of a ReLU both methods may go either way.
-        assert np.median(distance) < 1e-5 and np.percentile(distance, 99) < 1e-3
-        assert np.median(score) < 1e-5 and np.percentile(score, 99) < 1e-3
+        # and on a kink of a ReLU both methods may go either way. PyTorch itself takes other ways for up to 1.5 % of these
+        # queries when each weight is changed by one unit in the last place.
+        assert np.median(distance) < 1e-5 and np.percentile(distance, 97) < 1e-3
+        assert np.median(score) < 1e-5 and np.percentile(score, 97) < 1e-3
     moved, _ = nearest(found, start)
     assert np.median(moved) > 5e-3  # what is compared did move
 
