@@ -52,7 +52,7 @@ test-aarch64:  ## the kernels and the field under emulation, with NEON; needs qe
 	$(ARM_CARGO) -p snake-kernels --lib --tests
 	$(ARM_CARGO) -p snake-core --lib -- $(ARM_TESTS)
 
-check: module $(VENV)/check-ready wheel-test packages  ## formatting, lints, type stubs, documentation, packages, the wheel
+check: module $(VENV)/check-ready wheel-test packages sdist  ## formatting, lints, type stubs, documentation, packages, the wheel
 	cargo fmt --check
 	cargo clippy --release --workspace --all-targets
 	RUSTDOCFLAGS="-D warnings" cargo doc --release --workspace --no-deps
@@ -75,6 +75,13 @@ packages:  # the packages of all crates compile without the rest of the reposito
 	} > Cargo.toml
 	cp Cargo.lock target/package
 	cd target/package && CARGO_TARGET_DIR=$(CURDIR)/target cargo check --release --workspace
+
+.PHONY: sdist
+sdist: $(VENV)/ready  # the source distribution of the Python module compiles by itself
+	rm -rf target/sdist
+	$(VENV)/bin/maturin sdist --manifest-path python/Cargo.toml --out target/sdist
+	cd target/sdist && tar -xmzf snake_rs-*.tar.gz
+	CARGO_TARGET_DIR=$(CURDIR)/target cargo check --release --manifest-path target/sdist/snake_rs-*/python/Cargo.toml
 
 golden: $(VENV)/ready  ## check the golden files against the PyTorch network
 	$(PYTHON) tests/golden/generate.py --check
