@@ -312,13 +312,14 @@ fn chromium() -> Option<PathBuf> {
     found
 }
 
-/// Opens a page with a script appended; its elements once that ran. The console must stay empty.
+/// Opens a page with a script appended; its elements once that ran. The console must stay empty. The window is about as
+/// large as a page in a notebook.
 fn open(chromium: &Path, folder: &TempDir, page: &str, script: &str) -> String {
     let (path, profile) = (file(folder, "opened.html"), file(folder, "profile"));
     let text = std::fs::read_to_string(page).unwrap();
     std::fs::write(&path, text.replace("</body>", &format!("<script>{script}</script></body>"))).unwrap();
     let flags = "--headless=new --no-sandbox --use-gl=angle --use-angle=swiftshader --enable-unsafe-swiftshader \
-                 --window-size=1200,800 --virtual-time-budget=5000 --enable-logging=stderr --dump-dom";
+                 --window-size=960,580 --virtual-time-budget=5000 --enable-logging=stderr --dump-dom";
     let output = Command::new(chromium)
         .args(flags.split_whitespace())
         .args([format!("--user-data-dir={profile}"), format!("file://{path}")])
@@ -364,6 +365,36 @@ fn pages_open_in_chromium_without_errors() {
         let (_, tooltip) = seen.split_once("id=\"tooltip\"").unwrap();
         assert!(tooltip[..400].contains("score (saliency)"), "{}", &tooltip[..400]);
         assert!(words.iter().all(|word| seen.contains(word)));
+    }
+}
+
+#[test]
+fn the_panel_fits_and_a_camera_looks_along_z_with_y_down() {
+    const LOOK: &str = r#"
+        document.documentElement.dataset.bottom = Math.ceil(byId("facts").getBoundingClientRect().bottom);
+        document.documentElement.dataset.up = (view.down ? "-" : "+") + "xyz"[view.up];"#;
+    let Some(chromium) = chromium() else { return };
+    let folder = tempfile::tempdir().unwrap();
+    let (cloud, page) = (file(&folder, "cloud.xyz"), file(&folder, "cloud.html"));
+    // The knot is 7 wide and 2.6 high. A standing one is as high as it is wide, and begins at the ground.
+    let knot: Vec<[f64; 3]> =
+        knot(4000).lines().map(|line| [0, 1, 2].map(|i| line.split(' ').nth(i).unwrap().parse().unwrap())).collect();
+    let cases: [(fn([f64; 3]) -> [f64; 3], &str); 5] = [
+        (|[x, y, z]| [x, y, z], "+z"),
+        (|[x, y, z]| [x, z, y], "+y"),
+        (|[x, y, z]| [x, z, y + 6.0], "-y"),
+        (|[x, y, z]| [x, y, 2.0 * z + 8.0], "-y"),
+        (|[x, y, z]| [x / 4.0, y / 4.0, z + 1.3], "+z"),
+    ];
+    for (place, up) in cases {
+        let rows = knot.iter().map(|p| place(*p).map(|v| format!("{v:.4}")).join(" ") + "\n");
+        std::fs::write(&cloud, rows.collect::<String>()).unwrap();
+        succeed(&["view", &cloud, "-o", &page]);
+        let seen = open(&chromium, &folder, &page, LOOK);
+        assert!(seen.contains(&format!("data-up=\"{up}\"")), "{up}: {seen:.300}");
+        // The window's own bars take some of its 580 pixels; a page has them all.
+        assert!(attribute(&seen, "data-bottom").unwrap() <= 580, "{seen:.300}");
+        assert!(seen.contains("Keypoints · compact"), "the page says the model");
     }
 }
 

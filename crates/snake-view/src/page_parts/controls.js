@@ -180,9 +180,11 @@ function cloudFacts(cloud, of) {
   if (counts) rows.push(["queries", count(counts.queries)], ["occupied", count(counts.occupied)],
     ["above threshold", count(counts.above_threshold)], ["keypoints", count(counts.keypoints)]);
   if (cloud.surface) rows.push(["triangles", count(cloud.surface.count)]);
-  const name = data.clouds.length > 1 ? `${"AB"[of]}: ${baseName(cloud.name)}` : baseName(cloud.name);
+  const name = `${"AB"[of]}: ${baseName(cloud.name)}`;
   const hints = cloud.hint ? [element("p", cloud.hint)] : [];
-  return [element("h2", name, { title: cloud.name }), ...hints, list(rows)];
+  // The title is the name of a single cloud.
+  const head = data.clouds.length > 1 ? [element("h2", name, { title: cloud.name })] : [];
+  return [...head, ...hints, list(rows)];
 }
 
 const matrixText = (rows) => rows.map((row) => row.map((v) => v.toFixed(4).padStart(9)).join("")).join("\n");
@@ -210,7 +212,8 @@ function pairFacts({ links: found, epsilon, registration, t_first_second }) {
 function panel() {
   const names = data.clouds.map(({ name }) => baseName(name));
   const title = element("span", names.join(" + "), { title: names.join("\n") });
-  byId("title").append(element("small", `${isRegistration ? "Registration" : "Keypoints"} · snake-rs ${data.version}`), title);
+  const what = isRegistration ? "Registration" : `Keypoints · ${baseName(data.model)}`;
+  byId("title").append(element("small", `${what} · snake-rs ${data.version}`), title);
   const palette = bytes(data.colors);
   const rgb = (index) => `rgb(${palette.slice(index * 3, index * 3 + 3)})`;
   const stops = [...Array(33).keys()].map((i) => Math.min(255, i * 8)).map(rgb);

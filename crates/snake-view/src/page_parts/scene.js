@@ -55,10 +55,22 @@ const links = (data.pair ? data.pair.links : []).map(([first, second, distance])
   return link;
 });
 
-// A cloud that is much flatter along one axis probably has that axis as its up direction.
-const flattest = extent.indexOf(Math.min(...extent));
-const guessedUp = extent[flattest] < 0.6 * Math.min(...extent.filter((_, axis) => axis !== flattest)) ? flattest : 2;
-const view = { yaw: -0.9, pitch: 0.5, zoom: 1, target: [0, 0, 0], up: guessedUp, down: false };
+/** A guess at the axis that points up, and whether it points down instead. */
+function guessUp() {
+  // A camera looks along z from the origin, and its y points down.
+  const middle = low.map((v, axis) => (v + high[axis]) / 2);
+  const ahead = some.filter((p) => {
+    const [x, y, z] = add(middle, p, radius);
+    return z > 0.1 * high[2] && Math.max(Math.abs(x), Math.abs(y)) < 1.2 * z;
+  });
+  if (ahead.length > 0.9 * some.length) return { up: 1, down: true };
+  // A cloud that is much flatter along one axis has the ground across that axis.
+  const flattest = extent.indexOf(Math.min(...extent));
+  const isFlat = extent[flattest] < 0.6 * Math.min(...extent.filter((_, axis) => axis !== flattest));
+  return { up: isFlat ? flattest : 2, down: false };
+}
+
+const view = { yaw: -0.9, pitch: 0.5, zoom: 1, target: [0, 0, 0], ...guessUp() };
 const start = { ...view };
 const shown = { clouds: data.clouds.map(() => true), points: true, keypoints: true, surface: false, links: true };
 const size = Math.min(6, Math.max(1.6, 260 / Math.sqrt(data.clouds[0].points.count)));
