@@ -118,7 +118,8 @@ def test_points_that_are_not_finite_are_skipped(model, points):
 def test_read_points_reads_every_format(tmp_path):
     good = Path(__file__).parent / "data/io/good"
     cloud = np.array([[0, 0, 0], [1, -2, 0.5], [-0.25, 3, 100], [0.125, 0.001, -7]])
-    for name in ("ascii.ply", "compressed.pcd", "stored.npz", "mesh.obj", "binary.stl", "format_6.laz"):
+    names = ("ascii.ply", "upper_case.ply", "compressed.pcd", "stored.npz", "mesh.obj", "binary.stl", "format_6.laz")
+    for name in (*names, "../velodyne/000000.bin"):
         points = snake_rs.read_points(good / name)
         assert points.dtype == np.float64 and np.allclose(points, cloud, atol=1e-6), name
     np.save(tmp_path / "far.npy", cloud + [5e5, 5e6, 0])

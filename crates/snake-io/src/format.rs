@@ -259,7 +259,7 @@ fn sweep_format(path: &Path) -> Result<PointFormat> {
         Ok(PointFormat::Kitti)
     } else {
         let reason = "a .bin file does not say how many values a point has; give --input-format kitti (4 values) or \
-                      nuscenes (5 values)";
+                      nuscenes (5 values), or put it in a folder `velodyne` or `LIDAR_TOP`";
         Err(Error::Format { path: path.into(), reason: reason.into() })
     }
 }

@@ -12,7 +12,7 @@ pub(crate) const KEYPOINTS: [Keypoint; 2] = [
     Keypoint { position: [4.0, 5.0, 1.0e7], saliency: 0.3, occupancy: 1.0, nearest_index: 16_777_217 },
 ];
 
-/// The four points that every file in `good` holds.
+/// The four points that every file in `good` and `velodyne` holds.
 const CLOUD: [Point; 4] = [[0.0, 0.0, 0.0], [1.0, -2.0, 0.5], [-0.25, 3.0, 100.0], [0.125, 1e-3, -7.0]];
 
 /// The points of a shape as `read_points` returns them.
@@ -21,8 +21,9 @@ pub(crate) fn points(shape: std::result::Result<Shape, String>) -> std::result::
 }
 
 fn good_files() -> Vec<PathBuf> {
-    let folder = Path::new(concat!(env!("CARGO_MANIFEST_DIR"), "/../../tests/data/io/good"));
-    let mut paths: Vec<_> = std::fs::read_dir(folder).unwrap().map(|entry| entry.unwrap().path()).collect();
+    let folder = Path::new(concat!(env!("CARGO_MANIFEST_DIR"), "/../../tests/data/io"));
+    let files = |name| folder.join(name).read_dir().unwrap().map(|entry| entry.unwrap().path());
+    let mut paths: Vec<_> = files("good").chain(files("velodyne")).collect();
     paths.sort();
     paths
 }
@@ -56,8 +57,11 @@ fn meshes_can_be_sampled_and_contents_are_recognised() {
         let contents = parse_contents(&bytes, format, &ReadOptions::default()).unwrap();
         assert_eq!(contents.unsampled_faces > 0, is_mesh, "{}", path.display());
         let has_signature = path.extension().unwrap() != "gltf"
-            && !matches!(format, PointFormat::Text | PointFormat::Pts | PointFormat::Obj | PointFormat::Nuscenes)
-            && path.file_name().unwrap() != "binary.stl";
+            && path.file_name().unwrap() != "binary.stl"
+            && !matches!(
+                format,
+                PointFormat::Text | PointFormat::Pts | PointFormat::Obj | PointFormat::Kitti | PointFormat::Nuscenes
+            );
         // PCD and OFF files can begin with comments; these files have none.
         assert_eq!(PointFormat::from_content(&bytes), has_signature.then_some(format), "{}", path.display());
     }

@@ -35,7 +35,7 @@ fn keypoints_that_cluster_have_a_note() {
     let run = |radius: &str| snake(&["detect", &sample(), "--json", "--max-keypoints", "24", "--nms-radius", radius]);
     let (crowded, spread) = (run("0.001"), run("10%"));
     assert!(stderr(&crowded).contains("the keypoints cluster"), "{}", stderr(&crowded));
-    assert!(json_lines(&crowded)[0]["notes"][0].as_str().unwrap().contains("--nms-radius"));
+    assert!(json_lines(&crowded)[0]["notes"][0].as_str().unwrap().contains("`nms_radius`"));
     assert_eq!(json_lines(&spread)[0]["notes"], serde_json::json!([]));
 }
 
@@ -281,6 +281,29 @@ fn stdout_has_only_the_keypoints_in_a_pipe() {
     let text: String = points.iter().map(|[x, y, z]| format!("{x} {y} {z}\n")).collect();
     assert_eq!(run(&["--format", "csv", "--input-format", "xyz"], text.as_bytes()).stdout, csv);
     assert_eq!(run(&[], text.as_bytes()).status.code(), Some(2));
+}
+
+#[test]
+fn sweeps_are_read_by_their_folder_or_by_the_named_format() {
+    let folder = tempfile::tempdir().unwrap();
+    let points = snake_io::read_points(Path::new(&sample())).unwrap();
+    let keypoints = |name: &str, num_values: usize, arguments: &[&str]| {
+        let path = folder.path().join(name);
+        std::fs::create_dir_all(path.parent().unwrap()).unwrap();
+        let point = |p: &[f32; 3]| [&p[..], &vec![0.5; num_values - 3]].concat();
+        let bytes: Vec<u8> = points.iter().flat_map(point).flat_map(f32::to_le_bytes).collect();
+        std::fs::write(&path, bytes).unwrap();
+        let output = snake(&[&["detect", path.to_str().unwrap(), "--json"], arguments].concat());
+        assert!(output.status.success(), "{name}: {}", stderr(&output));
+        json_lines(&output)[0]["keypoints"].clone()
+    };
+    let expected = json_lines(&snake(&["detect", &sample(), "--json"]))[0]["keypoints"].clone();
+    assert_eq!(keypoints("velodyne/000000.bin", 4, &[]), expected);
+    assert_eq!(keypoints("any.bin", 4, &["--input-format", "kitti"]), expected);
+    assert_eq!(keypoints("sweep.pcd.bin", 5, &[]), expected);
+    assert_eq!(keypoints("any.bin", 5, &["--input-format", "nuscenes"]), expected);
+    let refused = snake(&["detect", folder.path().join("any.bin").to_str().unwrap()]);
+    assert!(stderr(&refused).contains("--input-format kitti"), "{}", stderr(&refused));
 }
 
 #[test]
