@@ -165,7 +165,10 @@ fn clouds_in(folder: &Path) -> Result<Vec<PathBuf>> {
         }
     }
     if found.is_empty() {
-        bail!("{}: no point clouds in it (looked for .{})", folder.display(), POINT_EXTENSIONS.join(", ."));
+        let (folder, extensions) = (folder.display(), POINT_EXTENSIONS.join(", ."));
+        bail!(
+            "{folder}: no point clouds in it (looked for .{extensions}); a pattern finds those in its folders: '{folder}/**/*.ply'"
+        );
     }
     found.sort();
     Ok(found)

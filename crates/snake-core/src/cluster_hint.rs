@@ -45,7 +45,7 @@ pub fn cluster_hint(points: &[Point], keypoints: &[Keypoint]) -> Option<String> 
         let times = to_keypoints / to_random;
         format!(
             "the keypoints cluster: a point is on average {to_keypoints:.3} from the nearest, {times:.1} times as far as \
-             from as many random points; a larger --nms-radius spreads them"
+             from as many random points; a larger `nms_radius` spreads them"
         )
     })
 }

@@ -37,7 +37,7 @@ pub fn scale_hint(points: &[Point], options: &Options) -> Option<String> {
     if half < CROWDED * radius {
         return Some(format!(
             "half of the points lie within {half:.3} of the mean, and the farthest is at {radius:.3}: the network sees \
-             most points in few voxels; crop the cloud, or detect in windows (--window-radius)"
+             most points in few voxels; crop the cloud, or detect in windows (`window_radius`)"
         ));
     }
     let may_be_room = points.len() >= ROOM_POINTS && ROOM_RADII.contains(&radius);
@@ -54,7 +54,7 @@ fn of_windows(radius: f64, window: f64) -> Option<String> {
     let advice = if ratio < WINDOW_RADII.start {
         "for one object, the model `compact` needs no windows"
     } else {
-        "for other units than metres give --window-radius and --nms-radius; no built-in model is for LiDAR sweeps, so \
+        "for other units than metres give `window_radius` and `nms_radius`; no built-in model is for LiDAR sweeps, so \
          crop one to its surroundings"
     };
     Some(format!("the cloud has a radius of {radius:.3}, {ratio:.1} times that of a window ({window:.3}): {advice}"))

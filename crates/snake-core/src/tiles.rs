@@ -170,7 +170,7 @@ impl TileDetector {
         }
         let reason = format!(
             "radius {} gives {num_windows} windows for {num_points} points, which is too many; choose a larger radius \
-             (--window-radius)",
+             (`window_radius`)",
             self.radius
         );
         Err(Error::Input { what: "window_radius", reason })

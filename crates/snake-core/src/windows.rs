@@ -135,7 +135,7 @@ fn check_number_of_windows(points: &[Point], radius: f32) -> Result<()> {
     let suggested = larger_radius(points, radius, extent);
     let reason = format!(
         "radius {radius} gives more than {most} windows for {} points, which is too many; {suggested} would be suitable \
-         (--window-radius)",
+         (`window_radius`)",
         points.len()
     );
     Err(Error::Input { what: "window_radius", reason })
@@ -232,7 +232,7 @@ mod tests {
         let points = plate();
         for radius in [1e-15, 1e-9, 0.03] {
             let error = model.detect(&points, &preset(radius)).unwrap_err().to_string();
-            assert!(error.starts_with("window_radius: ") && error.contains("--window-radius"), "{error}");
+            assert!(error.starts_with("window_radius: ") && error.contains("`window_radius`"), "{error}");
             let suggested = error.split("too many; ").last().and_then(|end| end.split(' ').next()).unwrap();
             let windows = WindowCells::new(&points, suggested.parse().unwrap()).centers.len();
             assert!((points.len() / 200..points.len() / 4).contains(&windows), "{error}: {windows}");

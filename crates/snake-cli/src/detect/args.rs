@@ -12,9 +12,10 @@ use crate::setup::{ComputeArguments, EncodeFlags, named, none_if_zero, override_
 
 #[derive(Args)]
 pub struct DetectArguments {
-    /// Point clouds (.ply, .pcd, .xyz, .txt, .csv, .pts, .npy, .npz, .las, .laz), meshes (.ply, .obj, .off, .stl),
-    /// directories of such files, or quoted patterns: 'scans/**/*.ply'; `-` is the standard input. Or one recording of
-    /// ROS (.mcap, .db3, or the folder of a bag), all clouds of which are processed.
+    /// Point clouds (.ply, .pcd, .xyz, .txt, .csv, .pts, .asc, .xyzn, .xyzrgb, .xyzi, .npy, .npz, .las, .laz, .e57, .bin of
+    /// KITTI and nuScenes), meshes (.ply, .obj, .off, .stl, .gltf, .glb), directories of such files, or quoted patterns:
+    /// 'scans/**/*.ply'; `-` is the standard input. Or one recording of ROS (.mcap, .db3, or the folder of a bag), all
+    /// clouds of which are processed.
     #[arg(required = true)]
     pub inputs: Vec<PathBuf>,
     /// Write the keypoints to this file (.ply, .pcd, .npy, .csv, .json, .laz, .parquet or .keypointnet.json). For several
@@ -26,8 +27,8 @@ pub struct DetectArguments {
     /// NAME.2.keypoints.EXT. Without this option these inputs fail.
     #[arg(long, requires = "output")]
     pub number_results: bool,
-    /// Format of the keypoints: ply, pcd, npy, csv, json, laz, parquet (GeoParquet) or keypointnet (annotations as in KeypointNet) [default: by
-    /// the extension of the output, else ply].
+    /// Format of the keypoints: ply, pcd, npy, csv, json, laz, parquet (GeoParquet) or keypointnet (annotations as in
+    /// KeypointNet) [default: by the extension of the output, else ply].
     #[arg(long, value_parser = named::<KeypointFormat>)]
     pub format: Option<KeypointFormat>,
     /// The topic of a recording with the point clouds [default: the only topic with point clouds].

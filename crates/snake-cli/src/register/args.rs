@@ -59,7 +59,7 @@ pub struct RegisterFlags {
     #[arg(long)]
     max_keypoints: Option<usize>,
     /// Use this many keypoints of each cloud, spread evenly over it: the suppression radius follows from the number. For
-    /// links of low bandwidth, such as 250 keypoints of iss.
+    /// links of low bandwidth, such as 250 keypoints of iss [default: as many as --max-keypoints allows].
     #[arg(long, value_name = "N", conflicts_with = "max_keypoints")]
     num_keypoints: Option<usize>,
     /// Use at most this many matches, the most distinctive ones [default: 2000].
@@ -89,7 +89,8 @@ pub struct RegisterFlags {
     /// Position of the sensor in the target's frame [default: likewise].
     #[arg(long, value_name = "X,Y,Z", value_parser = position, allow_hyphen_values = true)]
     target_viewpoint: Option<[f64; 3]>,
-    /// The axis that points up in both clouds, x, y or z: the transform is a rotation about it and a translation.
+    /// The axis that points up in both clouds, x, y or z: the transform is a rotation about it and a translation
+    /// [default: any rotation].
     #[arg(long, value_name = "AXIS", value_parser = named::<Axis>)]
     gravity: Option<Axis>,
     /// Return this many transforms, best first [default: 1].
