@@ -3,7 +3,7 @@ VENV := .venv
 PYTHON := $(VENV)/bin/python
 export VIRTUAL_ENV := $(CURDIR)/$(VENV)
 
-.PHONY: help test test-aarch64 check golden bench bench-registration wheel results fuzz
+.PHONY: help test test-aarch64 test-examples check golden bench bench-registration wheel results fuzz
 .DEFAULT_GOAL := help
 
 help:  ## this list
@@ -34,11 +34,17 @@ $(VENV)/bench-ready: $(VENV)/ready
 module: $(VENV)/ready
 	$(VENV)/bin/maturin develop --release --quiet --manifest-path python/Cargo.toml
 
-# The features of all examples: tests/test_embedding.py runs what is compiled here.
-EXAMPLE_FEATURES := snake-core/arrow
+# What the tests and the examples need beside the default features. tests/test_embedding.py runs what is compiled here.
+FEATURES := snake-core/arrow,snake-core/tracing
 test: module  ## all tests: Rust, Python module, training, parity with PyTorch
-	cargo test --release --features $(EXAMPLE_FEATURES)
+	cargo test --release --features $(FEATURES)
 	OMP_NUM_THREADS=1 $(PYTHON) -m pytest -q -rs tests training/tests
+
+# Each has hundreds of dependencies of its own. The page needs wasm32-unknown-unknown, Node.js and Chromium.
+test-examples:  ## the examples outside the workspace: Copper, Dora, Rerun, Zenoh and the page for a browser; half an hour
+	for name in copper_task dora_node rerun_view zenoh_node; do (cd examples/$$name && cargo test --release) || exit 1; done
+	cd examples/wasm_page && page=$$(python3 build.py) && \
+		node --experimental-websocket test.mjs "$${page%% *}" ../../samples/plane.ply
 
 ARM := aarch64-unknown-linux-gnu
 ARM_CARGO := CARGO_TARGET_AARCH64_UNKNOWN_LINUX_GNU_LINKER=aarch64-linux-gnu-gcc \
@@ -54,7 +60,7 @@ test-aarch64:  ## the kernels and the field under emulation, with NEON; needs qe
 
 check: module $(VENV)/check-ready wheel-test packages sdist  ## formatting, lints, type stubs, documentation, packages, the wheel
 	cargo fmt --check
-	cargo clippy --release --workspace --all-targets
+	cargo clippy --release --workspace --all-targets --features $(FEATURES)
 	RUSTDOCFLAGS="-D warnings" cargo doc --release --workspace --no-deps
 	$(VENV)/bin/ruff check training python tests docs
 	$(VENV)/bin/ruff format --check training python tests docs

@@ -41,7 +41,7 @@ def keypoints(field):
 def compiled():
     """The folder of the binaries and examples. `cargo test` has compiled them, so this takes no time after it."""
     root = Path(__file__).parents[1]
-    features = re.search(r"^EXAMPLE_FEATURES := (\S+)$", (root / "Makefile").read_text(), re.MULTILINE)[1]
+    features = re.search(r"^FEATURES := (\S+)$", (root / "Makefile").read_text(), re.MULTILINE)[1]
     subprocess.run(
         ["cargo", "build", "--release", "--bins", "--examples", "--features", features], cwd=root, check=True
     )
