@@ -40,10 +40,11 @@ use tiled::{DetectedTiles, Tiles, tiles};
 ///
 /// `points` (N, 3) are real numbers; additional columns are ignored. They can be a numpy array, a structured array with the
 /// fields x, y and z, a torch tensor on the CPU or any other value with DLPack, an Open3D point cloud (also of `open3d.t`), a
-/// trimesh or laspy cloud, or any other value that numpy converts to such an array. The path of a file is read as by
-/// `read_points`. Points are copied as float32. Coordinates far from zero are copied relative to an origin, so that georeferenced scans in float64 keep
-/// their digits. Positions are returned as float32 if the points are float32 or float16, else as float64. Masked points
-/// and points that are not finite are skipped (`Keypoints.num_skipped`), but `nearest_index` counts them.
+/// trimesh or laspy cloud, a cloud of `read_recording`, or any other value that numpy converts to such an array. The path of
+/// a file is read as by `read_points`. Points are copied as float32. Coordinates far from zero are copied relative to an
+/// origin, so that georeferenced scans in float64 keep their digits. Positions are returned as float32 if the points are
+/// float32 or float16, else as float64. Masked points and points that are not finite are skipped
+/// (`Keypoints.num_skipped`), but `nearest_index` counts them.
 ///
 /// `options` are the options of `Model.encode` and `Field.detect`, and `window_radius`. With `window_radius` the cloud
 /// is split into overlapping balls of that radius, and each ball is encoded separately. It is in cloud units, or text
