@@ -37,7 +37,9 @@ def box(seed):
 
 def open3d_iss(points):
     """Indices of Open3D's ISS keypoints, ascending."""
-    open3d = pytest.importorskip("open3d", reason="Open3D is not installed: only the stored keypoints are compared")
+    open3d = pytest.importorskip(
+        "open3d", reason="Open3D is not installed: only the stored keypoints are compared", exc_type=ImportError
+    )
     cloud = open3d.geometry.PointCloud(open3d.utility.Vector3dVector(points.astype(np.float64)))
     found = np.asarray(open3d.geometry.keypoint.compute_iss_keypoints(cloud).points)
     return sorted(int((points == point).all(axis=1).argmax()) for point in found)

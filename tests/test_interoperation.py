@@ -100,14 +100,26 @@ def test_the_buffer_protocol_and_dlpack_alone_are_enough(same, points):
 
 
 def test_open3d(same, points):
-    open3d = pytest.importorskip("open3d", reason="Open3D is not installed")
+    # Without libraries of the system its import fails although it is installed.
+    open3d = pytest.importorskip("open3d", reason="Open3D is not installed", exc_type=ImportError)
     vector = open3d.utility.Vector3dVector(points.astype(np.float64))
-    for other in (vector, open3d.geometry.PointCloud(vector), open3d.core.Tensor(points)):
+    tensor = open3d.core.Tensor(points)
+    for other in (vector, open3d.geometry.PointCloud(vector), tensor, open3d.t.geometry.PointCloud(tensor)):
         assert same(other)
     keypoints = snake_rs.detect(open3d.geometry.PointCloud(vector))
     back = keypoints.to_open3d()
     assert isinstance(back, open3d.geometry.PointCloud)
     assert len(keypoints) > 0 and np.array_equal(np.asarray(back.points), keypoints.points)
+
+
+def test_laspy(points):
+    laspy = pytest.importorskip("laspy", reason="laspy is not installed")
+    scan = laspy.create(point_format=3, file_version="1.2")
+    scan.header.scales = [1e-6] * 3
+    scan.x, scan.y, scan.z = points.T
+    assert np.abs(scan.xyz - points).max() < 1e-6
+    found, expected = snake_rs.detect(scan), snake_rs.detect(scan.xyz)
+    assert len(found) > 0 and np.array_equal(found.points, expected.points)
 
 
 def test_without_open3d_the_error_says_what_to_do(field, monkeypatch):

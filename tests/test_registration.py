@@ -149,7 +149,9 @@ def test_bad_arguments_are_refused(cloud):
 
 @pytest.mark.parametrize("seed", range(5))
 def test_normals_and_fpfh_are_those_of_open3d(cloud, seed):
-    o3d = pytest.importorskip("open3d", reason="open3d is not installed; tests/data/fpfh has a stored case")
+    o3d = pytest.importorskip(
+        "open3d", reason="open3d is not installed; tests/data/fpfh has a stored case", exc_type=ImportError
+    )
     points = moved(transform(seed), cloud[seed::2]).astype(np.float32)
     pc = o3d.geometry.PointCloud(o3d.utility.Vector3dVector(points.astype(float)))
     pc.estimate_normals(o3d.geometry.KDTreeSearchParamRadius(0.1))
