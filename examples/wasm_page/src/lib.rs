@@ -47,7 +47,12 @@ pub extern "C" fn output_length() -> usize {
 }
 
 fn page(name: &str, bytes: &[u8]) -> Result<String, Box<dyn std::error::Error>> {
-    let cloud = parse_cloud(bytes, PointFormat::from_path(Path::new(name))?, &ReadOptions::default())?;
+    let format = match PointFormat::from_path(Path::new(name)) {
+        // A browser does not tell the folder, by which sweeps of KITTI are known.
+        Err(_) if name.ends_with(".bin") => PointFormat::Kitti,
+        format => format?,
+    };
+    let cloud = parse_cloud(bytes, format, &ReadOptions::default())?;
     let model = Model::builtin(Builtin::Compact);
     let options = *model.recommended();
     let cloud = cloud.for_normalization(options.encode.normalization);
