@@ -1,6 +1,7 @@
-"""The examples of the README run, or compile, as they stand."""
+"""The examples of the READMEs run, or compile, as they stand."""
 
 import re
+import shutil
 from pathlib import Path
 
 ROOT = Path(__file__).parents[1]
@@ -11,6 +12,20 @@ def test_python_example_runs(capsys):
     (example,) = re.findall(r"```python\n(.*?)```", text, re.DOTALL)
     exec(compile(example, "README.md", "exec"), {})
     assert "Keypoints(" in capsys.readouterr().out
+
+
+def test_example_of_the_python_package_runs(tmp_path, monkeypatch):
+    (example,) = re.findall(r"```python\n(.*?)```", (ROOT / "python" / "README.md").read_text(), re.DOTALL)
+    shutil.copy(ROOT / "samples" / "plane.ply", tmp_path / "scan.ply")
+    shutil.copy(ROOT / "tests" / "data" / "io" / "drive.mcap", tmp_path)
+    opened = []
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr("webbrowser.open", opened.append)
+    monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
+    names = {}
+    exec(compile(example, "README.md", "exec"), names)
+    assert len(opened) == 1 and (tmp_path / "keypoints.csv").stat().st_size > 100
+    assert len(names["keypoints"]) > 0
 
 
 def test_rust_example_is_the_one_that_cargo_compiles():
