@@ -370,6 +370,7 @@ fn pages_open_in_chromium_without_errors() {
 
 #[test]
 fn the_panel_fits_and_a_camera_looks_along_z_with_y_down() {
+    type Place = fn([f64; 3]) -> [f64; 3];
     const LOOK: &str = r#"
         document.documentElement.dataset.bottom = Math.ceil(byId("facts").getBoundingClientRect().bottom);
         document.documentElement.dataset.up = (view.down ? "-" : "+") + "xyz"[view.up];"#;
@@ -379,7 +380,7 @@ fn the_panel_fits_and_a_camera_looks_along_z_with_y_down() {
     // The knot is 7 wide and 2.6 high. A standing one is as high as it is wide, and begins at the ground.
     let knot: Vec<[f64; 3]> =
         knot(4000).lines().map(|line| [0, 1, 2].map(|i| line.split(' ').nth(i).unwrap().parse().unwrap())).collect();
-    let cases: [(fn([f64; 3]) -> [f64; 3], &str); 5] = [
+    let cases: [(Place, &str); 5] = [
         (|[x, y, z]| [x, y, z], "+z"),
         (|[x, y, z]| [x, z, y], "+y"),
         (|[x, y, z]| [x, z, y + 6.0], "-y"),
