@@ -3,7 +3,7 @@ VENV := .venv
 PYTHON := $(VENV)/bin/python
 export VIRTUAL_ENV := $(CURDIR)/$(VENV)
 
-.PHONY: help test test-aarch64 test-examples check golden bench bench-registration wheel results fuzz
+.PHONY: help test test-aarch64 test-examples check golden bench bench-registration wheel manylinux results fuzz
 .DEFAULT_GOAL := help
 
 help:  ## this list
@@ -108,6 +108,11 @@ results:  ## docs/results.md: make results OBJECTS=FOLDER LANDMARKS=FOLDER SCENE
 
 wheel: $(VENV)/ready  ## a wheel of the Python module in target/wheels
 	$(VENV)/bin/maturin build --release --manifest-path python/Cargo.toml
+
+# Without Zig, a wheel needs the C library of the machine that built it, or a newer one.
+manylinux: $(VENV)/ready  ## a wheel for Linux with glibc 2.17 (2014) or newer
+	$(PYTHON) -m pip install --quiet ziglang
+	PATH="$(CURDIR)/$(VENV)/bin:$$PATH" maturin build --release --manifest-path python/Cargo.toml --zig --compatibility manylinux2014
 
 # PATH has no cargo, and pip may take only wheels: nothing can be compiled.
 WITHOUT_RUST := env PATH=$(CURDIR)/target/wheel-test/bin:/usr/bin:/bin
