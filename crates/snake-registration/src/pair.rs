@@ -9,14 +9,13 @@ use snake_core::space::{Vector, vector};
 use snake_core::{Control, Error, Result};
 
 use super::consistency::{displacement, hypotheses};
-use super::icp::{Constraint, icp};
+use super::icp::{Constraint, icp, symmetric_icp};
 use super::match_graph::{Criteria, Match};
 use super::matching::ranked_matches;
 use super::open_motions;
 use super::options::RegisterOptions;
 use super::prepared::Prepared;
 use super::result::{Hypothesis, Registration, ViewpointUsed};
-use super::scan::Scan;
 use super::slide::slide_margin;
 use super::surface::{Agreement, Surface, coarse_step, fitness};
 use super::verdict::{Evidence, is_rival, least_spread, notes, units_note};
@@ -180,10 +179,7 @@ impl<'a> Pair<'a> {
     }
 
     fn surfaces_within(&self, distance: f64) -> [Surface<'a>; 2] {
-        self.clouds.map(|Prepared { scan: Scan { voxels, normals, .. }, viewpoint, .. }| {
-            let viewpoint = viewpoint.filter(|_| self.signed).map(|(viewpoint, _)| viewpoint);
-            Surface::new(&voxels.points, normals, viewpoint, distance)
-        })
+        self.clouds.map(|cloud| cloud.surface(self.signed, distance))
     }
 
     /// Matches of keypoints, the most distinctive first.
@@ -211,7 +207,8 @@ impl<'a> Pair<'a> {
         options: &RegisterOptions,
         control: &Control,
     ) -> Result<Vec<Candidate>> {
-        let [source, target] = self.surfaces();
+        let surfaces = self.surfaces();
+        let [source, target] = &surfaces;
         let criteria = self.criteria(options);
         let counter = control.begin("ICP", guesses.len());
         let step = coarse_step(source.points.len());
@@ -219,8 +216,8 @@ impl<'a> Pair<'a> {
         let candidates = guesses.par_iter().map(|rough| {
             counter.add(1);
             let steps = COARSE_STEPS.min(options.refine_steps);
-            let refined = icp(&coarse, &target, *rough, criteria.gravity, steps, &counter)?;
-            let agreement = Surface::agreement(&source, &target, &refined, step);
+            let refined = icp(&coarse, target, *rough, criteria.gravity, steps, &counter)?;
+            let agreement = Surface::agreement(source, target, &refined, step);
             let (num_inliers, rmse) = inliers(matches, rough, &criteria);
             Ok(Candidate { refined, agreement, num_inliers, rmse })
         });
@@ -231,8 +228,8 @@ impl<'a> Pair<'a> {
         candidates.truncate(REFINED.max(options.hypotheses));
         for candidate in &mut candidates {
             let (rough, steps) = (candidate.refined, options.refine_steps);
-            candidate.refined = icp(source.points, &target, rough, criteria.gravity, steps, &counter)?;
-            candidate.agreement = Surface::agreement(&source, &target, &candidate.refined, 1);
+            candidate.refined = symmetric_icp(&surfaces, rough, criteria.gravity, steps, &counter)?;
+            candidate.agreement = Surface::agreement(source, target, &candidate.refined, 1);
         }
         sort(&mut candidates);
         Ok(self.distinct(candidates, &coarse))

@@ -15,6 +15,7 @@ use super::medians::{lower_median, upper_median};
 use super::options::{Descriptor, RegisterOptions};
 use super::result::ViewpointUsed;
 use super::scan::{Scan, reduce};
+use super::surface::Surface;
 use super::viewpoint::viewpoint;
 
 /// Default number of voxels along the diameter of a cloud.
@@ -93,6 +94,12 @@ impl Prepared {
     /// Length of a descriptor.
     pub(super) fn dimension(&self) -> usize {
         self.scan.dimension(self.descriptor)
+    }
+
+    /// The voxels, for pairs closer than `distance`; `signed` normals point to the sensor.
+    pub(super) fn surface(&self, signed: bool, distance: f64) -> Surface<'_> {
+        let viewpoint = self.viewpoint.filter(|_| signed).map(|(viewpoint, _)| viewpoint);
+        Surface::new(&self.scan.voxels.points, &self.scan.normals, viewpoint, distance)
     }
 
     /// Descriptors of the keypoints; FPFH as the square roots of histograms. Field descriptors need no normals.

@@ -97,6 +97,12 @@ pub(super) fn best_fit_about(axis: &Vector, pairs: &[(Vector, Vector)]) -> Optio
     Some(IsometryMatrix3::from_parts(Translation3::from(translation), rotation))
 }
 
+/// The axis of a rotation times its angle. That of nalgebra is NaN for half of the rotations by almost nothing, because the
+/// arc cosine of a rounded trace is.
+pub(super) fn rotation_vector(rotation: &Rotation3<f64>) -> Vector {
+    UnitQuaternion::from_rotation_matrix(rotation).scaled_axis()
+}
+
 /// A vector under a transform.
 pub(super) fn moved(transform: &IsometryMatrix3<f64>, point: &Vector) -> Vector {
     transform.transform_point(&(*point).into()).coords
@@ -124,6 +130,19 @@ pub(super) mod tests {
 
     fn squared_residual(transform: &IsometryMatrix3<f64>, pairs: &[(Vector, Vector)]) -> f64 {
         pairs.iter().map(|(s, t)| (moved(transform, s) - t).norm_squared()).sum()
+    }
+
+    #[test]
+    fn the_vector_of_a_rotation_by_nothing_is_zero() {
+        let mut rng = ChaCha8Rng::seed_from_u64(11);
+        for size in [0.0, 1e-9, 1e-3, 1.0, 3.1] {
+            for _ in 0..100 {
+                let turn = random_transform(&mut rng).rotation;
+                let expected = size * (turn * Vector::x());
+                let found = rotation_vector(&(turn * Rotation3::new(turn.inverse() * expected) * turn.inverse()));
+                assert!((found - expected).norm() < 1e-7, "{found} {expected}");
+            }
+        }
     }
 
     #[test]

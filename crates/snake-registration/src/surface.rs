@@ -68,10 +68,20 @@ impl<'a> Surface<'a> {
         Self { points, normals, grid: NearGrid::new(points, inlier_distance), image }
     }
 
+    /// Whether normals point to the sensor.
+    pub(super) fn is_signed(&self) -> bool {
+        self.image.is_some()
+    }
+
     /// Whether two normals agree; normals without a sign may be opposite.
     fn agree(&self, a: &Vector, b: &Vector) -> bool {
         let cosine = a.dot(b);
-        (if self.image.is_some() { cosine } else { cosine.abs() }) > AGREEING_COSINE
+        (if self.is_signed() { cosine } else { cosine.abs() }) > AGREEING_COSINE
+    }
+
+    /// The unit vector between two normals that agree.
+    pub(super) fn common_normal(&self, a: &Vector, b: &Vector) -> Option<Vector> {
+        self.agree(a, b).then(|| (if a.dot(b) < 0.0 { b - a } else { a + b }).normalize())
     }
 
     /// Compares every `step`-th point of the source, and as many of the target, with the other surface.

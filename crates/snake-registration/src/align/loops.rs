@@ -17,12 +17,12 @@ pub(super) struct Witness {
     pub(super) confidence: f64,
 }
 
-/// The probability that each transform is right by its own evidence or that of the loops of three that it closes.
+/// The probability that each transform is wrong in spite of its own evidence and the loops of three that it closes.
 ///
 /// Two right transforms and a third that closes their loop prove each other. Wrong transforms close a loop by chance
-/// only: `1 - (1 - own) Π (1 - a b)` over the closed loops, with the own probabilities a and b of the other two.
+/// only: `(1 - own) Π (1 - a b)` over the closed loops, with the own probabilities a and b of the other two.
 /// A loop is closed if it moves the points of `probes[cloud]` by less than `distance` (root mean square).
-pub(super) fn beliefs(witnesses: &[Witness], probes: &[Vec<Vector>], distance: f64) -> Vec<f64> {
+pub(super) fn doubts(witnesses: &[Witness], probes: &[Vec<Vector>], distance: f64) -> Vec<f64> {
     let mut by_cloud: Vec<HashMap<usize, usize>> = vec![HashMap::new(); probes.len()];
     for (index, witness) in witnesses.iter().enumerate() {
         by_cloud[witness.source].insert(witness.target, index);
@@ -33,7 +33,7 @@ pub(super) fn beliefs(witnesses: &[Witness], probes: &[Vec<Vector>], distance: f
         let Witness { source, t_target_source, .. } = &witnesses[index];
         if from == *source { *t_target_source } else { t_target_source.inverse() }
     };
-    let belief = |witness: &Witness| {
+    let doubt = |witness: &Witness| {
         let (source, target) = (witness.source, witness.target);
         let mut thirds: Vec<usize> = by_cloud[source].keys().copied().collect();
         thirds.sort_unstable();
@@ -46,9 +46,9 @@ pub(super) fn beliefs(witnesses: &[Witness], probes: &[Vec<Vector>], distance: f
                 doubt *= 1.0 - witnesses[first].confidence * witnesses[last].confidence;
             }
         }
-        1.0 - doubt
+        doubt
     };
-    witnesses.iter().map(belief).collect()
+    witnesses.iter().map(doubt).collect()
 }
 
 #[cfg(test)]
@@ -60,7 +60,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn closed_loops_raise_a_belief_and_open_ones_leave_it() {
+    fn closed_loops_lower_a_doubt_and_open_ones_leave_it() {
         let mut rng = ChaCha8Rng::seed_from_u64(2);
         let poses: Vec<_> = (0..4).map(|_| random_transform(&mut rng)).collect();
         let witness = |source: usize, target: usize, confidence: f64| Witness {
@@ -71,13 +71,16 @@ mod tests {
         };
         let mut witnesses = vec![witness(0, 1, 0.9), witness(2, 1, 0.8), witness(0, 2, 0.1), witness(3, 0, 0.3)];
         let probes = vec![vec![Vector::x(), Vector::y(), Vector::zeros()]; 4];
-        let found = beliefs(&witnesses, &probes, 0.05);
-        assert!((found[2] - (1.0 - 0.9 * (1.0 - 0.72))).abs() < 1e-12, "{found:?}");
-        assert!(found[0] > 0.9 && found[1] > 0.8);
-        assert_eq!(found[3], 1.0 - (1.0 - 0.3));
+        let found = doubts(&witnesses, &probes, 0.05);
+        assert!((found[2] - 0.9 * (1.0 - 0.72)).abs() < 1e-12, "{found:?}");
+        assert!(found[0] < 0.1 && found[1] < 0.2);
+        assert_eq!(found[3], 1.0 - 0.3);
         // A wrong transform closes no loop.
         witnesses[2].t_target_source.translation.vector.x += 0.2;
-        let found = beliefs(&witnesses, &probes, 0.05);
-        assert!(found.iter().zip(&witnesses).all(|(found, own)| (found - own.confidence).abs() < 1e-12), "{found:?}");
+        let found = doubts(&witnesses, &probes, 0.05);
+        assert!(
+            found.iter().zip(&witnesses).all(|(found, own)| (1.0 - found - own.confidence).abs() < 1e-12),
+            "{found:?}"
+        );
     }
 }

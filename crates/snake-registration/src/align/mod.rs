@@ -4,6 +4,7 @@ mod candidates;
 mod loops;
 mod parts;
 mod pose_graph;
+mod refine;
 mod result;
 mod solved;
 #[cfg(test)]
@@ -71,12 +72,12 @@ pub fn align_with(
     let pairs = candidates::pairs(clouds, options.max_partners, &inner)?;
     let free: Vec<Trial> = pairs.into_iter().map(|pair| (pair, None)).collect();
     let found = register_pairs(&prepared, &free, options, control)?;
-    let first = solve(clouds, found, *inlier_distance, control)?;
+    let first = solve(&prepared, found, options, control)?;
     // The poses say which other clouds overlap, and where.
     let guided = first.guesses(clouds, *inlier_distance);
     let more = register_pairs(&prepared, &guided, options, control)?;
-    let Solved { found, kept, believed, links, parts } = match more.iter().any(|(_, found)| found.is_reliable) {
-        true => solve(clouds, first.with_reliable(more), *inlier_distance, control)?,
+    let Solved { found, kept, doubts, links, parts } = match more.iter().any(|(_, found)| found.is_reliable) {
+        true => solve(&prepared, first.with_reliable(more), options, control)?,
         false => first,
     };
 
@@ -87,7 +88,7 @@ pub fn align_with(
             target: *target,
             t_target_source: registration.t_target_source,
             confidence: registration.confidence,
-            belief: believed[*at],
+            belief: 1.0 - doubts[*at],
             residual: *residual,
             information: registration.information,
         }

@@ -18,27 +18,33 @@ pub(super) struct Part {
     pub(super) links: Vec<(usize, f64)>,
 }
 
+/// Of links that contradict the others, those with more than this share of the greatest error are dropped at once.
+const DROPPED: f64 = 0.5;
+
 /// The parts of `count` clouds, those with the most clouds first. Links that contradict the others by more than
-/// `threshold` (cloud units) are dropped. Poses start from the links with the greatest `beliefs`.
+/// `threshold` (cloud units) are dropped, the worst first: one wrong link can keep a cloud away from where many right ones
+/// put it. Poses start from the links with the least `doubts`.
 pub(super) fn split(
     count: usize,
     links: &[Link],
-    beliefs: &[f64],
+    doubts: &[f64],
     threshold: f64,
     counter: &Counter,
 ) -> Result<Vec<Part>> {
     let mut kept: Vec<usize> = (0..links.len()).collect();
-    kept.sort_by(|&a, &b| beliefs[b].total_cmp(&beliefs[a]).then(a.cmp(&b)));
+    kept.sort_by(|&a, &b| doubts[a].total_cmp(&doubts[b]).then(a.cmp(&b)));
     loop {
         let parts = connected(count, links, &kept);
         let parts = parts.into_iter().map(|part| part.optimized(links, threshold, counter));
         let mut parts: Vec<Part> = parts.collect::<Result<_>>()?;
         let errors: HashMap<usize, f64> = parts.iter().flat_map(|part| part.links.iter().copied()).collect();
-        if errors.values().all(|error| *error <= threshold) {
+        let worst = errors.values().copied().fold(0.0, f64::max);
+        if worst <= threshold {
             parts.sort_by_key(|part| (usize::MAX - part.clouds.len(), part.clouds[0]));
             return Ok(parts);
         }
-        kept.retain(|link| errors[link] <= threshold);
+        let limit = threshold.max(DROPPED * worst);
+        kept.retain(|link| errors[link] <= limit);
     }
 }
 
@@ -78,10 +84,15 @@ impl Part {
         if !own.is_empty() {
             optimize(&mut self.poses, &own, threshold, counter)?;
         }
-        for ((_, error), link) in self.links.iter_mut().zip(&own) {
-            *error = link.squared_error(&self.poses).sqrt();
-        }
+        self.measure_errors(links);
         Ok(self)
+    }
+
+    /// Sets the errors of the part's links by its poses.
+    pub(super) fn measure_errors(&mut self, links: &[Link]) {
+        for (at, link) in self.own_links(links).into_iter().enumerate() {
+            self.links[at].1 = link.squared_error(&self.poses).sqrt();
+        }
     }
 
     /// The covariance of each pose; see [`covariances`].
@@ -100,5 +111,43 @@ impl Part {
             Link { source: within[&link.source], target: within[&link.target], ..link.clone() }
         });
         own.collect()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use rand::SeedableRng;
+    use rand_chacha::ChaCha8Rng;
+
+    use super::super::super::rigid::rotation_vector;
+    use super::super::super::rigid::tests::random_transform;
+    use super::*;
+
+    #[test]
+    fn wrong_links_cost_no_right_ones() {
+        for seed in 0..20 {
+            let mut rng = ChaCha8Rng::seed_from_u64(seed);
+            let truth: Vec<IsometryMatrix3<f64>> = (0..12).map(|_| random_transform(&mut rng)).collect();
+            let mut links = Vec::new();
+            for source in 1..12_usize {
+                for target in source.saturating_sub(3)..source {
+                    let t_target_source = truth[target].inverse() * truth[source];
+                    links.push(Link { source, target, t_target_source, information: Matrix6::identity() });
+                }
+            }
+            let right = links.len();
+            for (source, target) in [(11, 0), (8, 1), (10, 3), (6, 0), (9, 2), (7, 3)] {
+                let t_target_source = random_transform(&mut rng);
+                links.push(Link { source, target, t_target_source, information: Matrix6::identity() });
+            }
+            let doubts: Vec<f64> = (0..links.len()).map(|i| if i < right { 1e-6 } else { 1e-3 }).collect();
+            let parts = split(12, &links, &doubts, 0.05, &Counter::default()).unwrap();
+            let used: Vec<usize> = parts[0].links.iter().map(|(link, _)| *link).collect();
+            assert_eq!(used, (0..right).collect::<Vec<_>>(), "seed {seed}: {} parts", parts.len());
+            for (pose, truth_of) in parts[0].poses.iter().zip(&truth) {
+                let error = truth_of.inverse() * truth[0] * pose;
+                assert!(rotation_vector(&error.rotation).norm() < 1e-6 && error.translation.vector.norm() < 1e-6);
+            }
+        }
     }
 }

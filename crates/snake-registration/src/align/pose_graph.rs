@@ -5,11 +5,15 @@
 
 use nalgebra::{DMatrix, DVector, IsometryMatrix3, Matrix3, Matrix6, Rotation3, Translation3, Vector6};
 
+use super::super::rigid::rotation_vector;
 use snake_core::space::Vector;
 use snake_core::{Counter, Result};
 
 /// Steps with one set of robust weights.
 const STEPS: usize = 8;
+/// The squared error, in squared thresholds, beyond which a link has no weight, and the widest kernel. The poses start from
+/// the links that are believed most: without the limit, some wrong links that agree with each other outvote them.
+const WIDEST: f64 = 100.0;
 /// The factor by which the kernel narrows from one round to the next.
 const NARROWING: f64 = 1.6;
 /// A step below this (radians, and inlier distances) ends the round.
@@ -31,7 +35,7 @@ impl Link {
     /// The error `(rotation vector, translation)` of two poses: it moves the measured transform to that of the poses.
     fn residual(&self, poses: &[IsometryMatrix3<f64>]) -> Vector6<f64> {
         let error = poses[self.target].inverse() * poses[self.source] * self.t_target_source.inverse();
-        let (rotation, translation) = (error.rotation.scaled_axis(), error.translation.vector);
+        let (rotation, translation) = (rotation_vector(&error.rotation), error.translation.vector);
         Vector6::new(rotation.x, rotation.y, rotation.z, translation.x, translation.y, translation.z)
     }
 
@@ -72,12 +76,13 @@ impl Link {
 fn inverse_right_jacobian(rotation: &Vector) -> Matrix3<f64> {
     let (angle, cross) = (rotation.norm(), rotation.cross_matrix());
     let second =
-        if angle < 1e-4 { 1.0 / 12.0 } else { 1.0 / angle.powi(2) - (1.0 + angle.cos()) / (2.0 * angle * angle.sin()) };
+        if angle < 1e-4 { 1.0 / 12.0 } else { 1.0 / angle.powi(2) - 1.0 / (2.0 * angle * (angle / 2.0).tan()) };
     Matrix3::identity() + 0.5 * cross + second * cross * cross
 }
 
 /// Optimises the poses; the first stays. The weights of links whose error exceeds `threshold` (cloud units) fall towards
-/// zero (kernel of Geman and McClure), after rounds with wider kernels (graduated non-convexity, Yang et al. 2020).
+/// zero (kernel of Geman and McClure), after rounds with wider kernels (graduated non-convexity, Yang et al. 2020). Links far
+/// from the poses have no weight unless a round brings them closer.
 pub(super) fn optimize(
     poses: &mut [IsometryMatrix3<f64>],
     links: &[Link],
@@ -86,9 +91,12 @@ pub(super) fn optimize(
 ) -> Result<()> {
     let squared = threshold * threshold;
     let largest = links.iter().map(|link| link.squared_error(poses)).fold(0.0, f64::max);
-    let mut width = (2.0 * largest / squared).max(1.0);
+    let mut width = (2.0 * largest / squared).clamp(1.0, WIDEST);
     loop {
-        let weight = |link: &Link| (width * squared / (link.squared_error(poses) + width * squared)).powi(2);
+        let weight = |link: &Link| match link.squared_error(poses) {
+            error if error > WIDEST * squared => 0.0,
+            error => (width * squared / (error + width * squared)).powi(2),
+        };
         let weights: Vec<f64> = links.iter().map(weight).collect();
         least_squares(poses, links, &weights, threshold, counter)?;
         if width == 1.0 {
@@ -98,7 +106,8 @@ pub(super) fn optimize(
     }
 }
 
-fn least_squares(
+/// Optimises the poses; the first stays, and each link has its weight.
+pub(super) fn least_squares(
     poses: &mut [IsometryMatrix3<f64>],
     links: &[Link],
     weights: &[f64],
