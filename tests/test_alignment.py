@@ -38,7 +38,8 @@ def test_poses_and_parts(scans):
     np.testing.assert_allclose(found.poses[2], poses[0] @ np.linalg.inv(poses[1]), atol=0.05)
     (edge,) = found.edges
     assert (edge.source, edge.target) == (2, 0) and edge.belief >= edge.confidence >= 0.5
-    assert edge.information.shape == (6, 6) and edge.residual < 1e-6
+    # The poses fit the points again after the edge was measured.
+    assert edge.information.shape == (6, 6) and edge.residual < 2e-3
     assert np.all(np.linalg.eigvalsh(found.covariances[2]) > 0) and not found.covariances[0].any()
     assert repr(found).startswith("Alignment(3 clouds in parts of 2 + 1; 1 edges of 3 pairs")
 
