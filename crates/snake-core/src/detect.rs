@@ -6,7 +6,7 @@ use crate::Result;
 use crate::clock::Instant;
 use crate::control::Control;
 use crate::field::{Field, Quantity};
-use crate::modes::seek_modes;
+use crate::modes::{Modes, seek_modes};
 use crate::nms::{nearest_points_into, suppress};
 use crate::options::{DetectOptions, Radii};
 use crate::points::{FinitePoints, Normalization, Point};
@@ -23,7 +23,8 @@ use snake_kernels::{Element, Scratch};
 pub struct Keypoint {
     /// Position in cloud units.
     pub position: Point,
-    /// Saliency in [0, 1]; the score that keypoints are ranked by.
+    /// Saliency in [0, 1]; the score that keypoints are ranked by. With mode seeking it is the mean of the saliency where the
+    /// candidate started and of the highest one where it ended.
     pub saliency: f32,
     /// Occupancy in [0, 1] at the position.
     pub occupancy: f32,
@@ -264,16 +265,16 @@ pub(crate) fn finish(
     span!("suppress");
     let start = Instant::now();
     let Candidates { positions, scores, mut counts, mut timing } = candidates;
-    let (kept, mut positions) = match radii.mode {
+    let (kept, mut positions, scores) = match radii.mode {
         None => {
             let kept = suppress(&positions, &scores, radii.nms, options.max_keypoints)?;
-            let positions = selected(&positions, &kept);
-            (kept, positions)
+            let (positions, scores) = (selected(&positions, &kept), selected(&scores, &kept));
+            (kept, positions, scores)
         }
         Some(radius) => {
-            let (starts, modes) = seek_modes(&positions, &scores, radius, options.max_keypoints)?;
-            let kept = suppress(&modes, &selected(&scores, &starts), radii.nms, options.max_keypoints)?;
-            (selected(&starts, &kept), selected(&modes, &kept))
+            let modes = seek_modes(&positions, &scores, radius, options.max_keypoints)?;
+            let kept = suppress(&modes.positions, &modes.scores, radii.nms, options.max_keypoints)?;
+            (selected(&modes.starts, &kept), selected(&modes.positions, &kept), selected(&modes.scores, &kept))
         }
     };
     let mut nearest = Scratch::zeros(positions.len());
@@ -282,16 +283,16 @@ pub(crate) fn finish(
         positions = selected(&points.points, &nearest);
     }
     let occupancy = occupancy(&kept, &positions)?;
-    let keypoint = |(rank, &candidate): (usize, &usize)| Keypoint {
+    let keypoint = |rank: usize| Keypoint {
         position: positions[rank],
-        saliency: scores[candidate],
+        saliency: scores[rank],
         occupancy: occupancy[rank],
         nearest_index: points.original_index(nearest[rank]),
     };
     let mut keypoints = memory;
     keypoints.clear();
     keypoints.reserve(kept.len().next_power_of_two());
-    keypoints.extend(kept.iter().enumerate().map(keypoint));
+    keypoints.extend((0..kept.len()).map(keypoint));
     counts.keypoints = keypoints.len();
     timing.nms = start.elapsed().as_secs_f64();
     Ok(Detection { keypoints, num_skipped: 0, num_encoded: 0, normalization: None, counts, timing })

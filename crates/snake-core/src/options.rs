@@ -363,7 +363,7 @@ impl Preset {
                 query_band: 1,
                 refine_steps: 0,
                 saliency_threshold: 0.3,
-                mode_radius: Some(Length::Percent(8.0)),
+                mode_radius: Some(Length::Percent(6.0)),
                 nms_radius: Some(Length::Percent(10.0)),
                 ..common
             },

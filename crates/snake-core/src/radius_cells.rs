@@ -45,8 +45,8 @@ impl<'a> RadiusCells<'a> {
         self.points
     }
 
-    /// Calls `found` with the index of each point at most `radius` from a position, in no particular order. The radius is at
-    /// most that of the cells.
+    /// Calls `found` with the index of each point at most `radius` from a position, in an order that depends on the points
+    /// alone. The radius is at most that of the cells.
     pub(crate) fn within(&self, position: &Point, radius: f32, mut found: impl FnMut(usize)) {
         let [[before, x, after], ys, zs] = self.cell(position).map(neighbors);
         // Neighbours along x follow each other, except at the last number.

@@ -108,7 +108,7 @@ pub struct DetectFlags {
     #[arg(long)]
     saliency_threshold: Option<f32>,
     /// Before suppression, move keypoints to the weighted mean of the candidates within this radius. A length as of
-    /// --nms-radius; 0 turns it off [default: 8%].
+    /// --nms-radius; 0 turns it off [default: 6%].
     #[arg(long, value_name = "LENGTH")]
     mode_radius: Option<Length>,
     /// Radius of non-maximum suppression: keypoints are farther apart than this. The radius is in cloud units, in
