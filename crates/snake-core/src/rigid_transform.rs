@@ -3,7 +3,7 @@
 use std::fmt;
 use std::ops::Mul;
 
-use nalgebra::{IsometryMatrix3, Matrix3, Point3, Rotation3, Translation3, Vector3};
+use nalgebra::{IsometryMatrix3, Matrix3, Point3, Rotation3, Translation3, UnitQuaternion, Vector3};
 use serde::{Deserialize, Serialize};
 
 use crate::points::Point;
@@ -87,7 +87,9 @@ impl RigidTransform {
     /// The angle between the two rotations, in radians, and the distance between the two translations.
     pub fn angle_and_distance_to(&self, other: &Self) -> (f64, f64) {
         let distance = (self.0.translation.vector - other.0.translation.vector).norm();
-        (self.0.rotation.angle_to(&other.0.rotation), distance)
+        // Of a rotation by almost nothing, nalgebra's own angle is the arc cosine of more than 1 as often as not.
+        let difference = self.0.rotation.rotation_to(&other.0.rotation);
+        (UnitQuaternion::from_rotation_matrix(&difference).angle(), distance)
     }
 
     /// Converts `t_target_source` between points relative to their origins (see [`Cloud`](crate::Cloud)) to a transform
@@ -224,6 +226,16 @@ mod tests {
         let (angle, distance) = RigidTransform::from_matrix(ROWS).unwrap().angle_and_distance_to(&Default::default());
         assert!((angle - std::f64::consts::FRAC_PI_2).abs() < 1e-12);
         assert_eq!(distance, (3.5_f64.powi(2) + 1e12 + 0.0625).sqrt());
+    }
+
+    #[test]
+    fn the_angle_between_equal_rotations_is_a_number() {
+        for i in 0..200 {
+            let turned = |by: f64| Rotation3::from_euler_angles(0.1 + by, 0.7 * f64::from(i), -0.3 * f64::from(i));
+            let transform = |by| RigidTransform(IsometryMatrix3::from_parts(Translation3::identity(), turned(by)));
+            let (angle, _) = transform(0.0).angle_and_distance_to(&transform(1e-12));
+            assert!(angle < 1e-7, "{i}: {angle}");
+        }
     }
 
     #[test]
