@@ -6,7 +6,7 @@ use crate::Result;
 use crate::clock::Instant;
 use crate::control::Control;
 use crate::field::{Field, Quantity};
-use crate::modes::{Modes, seek_modes};
+use crate::modes::seek_modes;
 use crate::nms::{nearest_points_into, suppress};
 use crate::options::{DetectOptions, Radii};
 use crate::points::{FinitePoints, Normalization, Point};
