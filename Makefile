@@ -36,13 +36,14 @@ module: $(VENV)/ready
 
 # What the tests and the examples need beside the default features. tests/test_embedding.py runs what is compiled here.
 FEATURES := snake-core/arrow,snake-core/tracing
-test: module  ## all tests: Rust, Python module, training, parity with PyTorch
+test: module  ## all tests: Rust, Copper's task, Python module, training, parity with PyTorch
 	cargo test --release --features $(FEATURES)
+	cargo test --release --locked --manifest-path examples/copper_task/Cargo.toml --target-dir target
 	OMP_NUM_THREADS=1 $(PYTHON) -m pytest -q -rs tests training/tests
 
 # Each has hundreds of dependencies of its own. The page needs wasm32-unknown-unknown, Node.js and Chromium.
-test-examples:  ## the examples outside the workspace: Copper, Dora, Rerun, Zenoh and the page for a browser; half an hour
-	for name in copper_task dora_node rerun_view zenoh_node; do (cd examples/$$name && cargo test --release) || exit 1; done
+test-examples:  ## the other examples outside the workspace: Dora, Rerun, Zenoh and the page for a browser; half an hour
+	for name in dora_node rerun_view zenoh_node; do (cd examples/$$name && cargo test --release) || exit 1; done
 	cd examples/wasm_page && page=$$(python3 build.py) && \
 		node --experimental-websocket test.mjs "$${page%% *}" ../../samples/plane.ply
 
