@@ -140,8 +140,19 @@ def window(points, rng):
     return (inside if inside.any() else ~inside), center, 2 * radius
 
 
+def degraded(points, config, rng):
+    """The points (N, 3) thinned, with noise, or both: a third of the views each, so that a student learns each alone."""
+    is_thinned, is_noisy = [(True, False), (False, True), (True, True)][rng.integers(3)]
+    if is_thinned:
+        points = choose(rng, points, max(int(len(points) / config.max_downsampling ** rng.random()), 2))
+    if is_noisy:
+        noise = rng.uniform(0, config.max_noise) * rng.standard_normal(points.shape)
+        points = points + noise.astype(np.float32)
+    return points
+
+
 def distillation_views(shape, config, rng):
-    """One sample from `Targets.sample`: two views, each rotated at random, a share of them thinned and noisy.
+    """One sample from `Targets.sample`: two views, each rotated at random, a share of them `degraded`.
 
     Of a shape with several views two are taken, each cut out as a `window`. A view of one whole object is normalised as
     it is seen, noise and all, as in detection; of a share of these samples one view sees one side.
@@ -175,9 +186,7 @@ def distillation_views(shape, config, rng):
     for rotation, shown, frame in views:
         seen = shown
         if rng.random() < config.degraded_share:
-            kept = max(int(len(seen) / config.max_downsampling ** rng.random()), 2)
-            noise = rng.uniform(0, config.max_noise) * rng.standard_normal((kept, 3))
-            seen = choose(rng, seen, kept) + noise.astype(np.float32)
+            seen = degraded(seen, config, rng)
         if frame:
             center, scale = frame
             seen = (seen - center) / scale

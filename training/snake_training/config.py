@@ -82,7 +82,7 @@ class TrainConfig:
     grid_fraction: float = setting(6.0, "a local grid's side is 1 / this (U)")
 
     num_targets: int = setting(1024, "with targets: queries of the saliency a sample")
-    degraded_share: float = setting(0.4, "with targets: share of views thinned and noisy")
+    degraded_share: float = setting(0.4, "with targets: share of views that are thinned, noisy or both, a third each")
     partial_share: float = setting(0.0, "with targets: share of samples of which one view sees one side only")
     max_noise: float = setting(0.02, "with targets: their noise's standard deviation is uniform up to this")
 
