@@ -12,7 +12,7 @@ from snake_training.train import network_health
 MODELS = Path(__file__).resolve().parents[2] / "crates" / "snake-core" / "models"
 
 
-@pytest.mark.parametrize("name", ["compact"])
+@pytest.mark.parametrize("name", ["compact", "rooms"])
 def test_all_layers_are_alive(name):
     network = load_network(MODELS / f"{name}.safetensors")
     shape = torch.from_numpy(Procedural(1, points=2048)[0])[None]

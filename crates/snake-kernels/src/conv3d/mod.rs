@@ -239,11 +239,12 @@ fn conv3d_tiles<L: Lanes, const ROWS: usize, const N: usize>(
             }
             for (k, p) in points(N, block.upsampled).enumerate() {
                 let inputs = &inputs[p * input_pitch..][..padded_tiles * BLOCK];
-                let weights = &block.weights[k * output_blocks * block.channels..][..output_blocks * block.channels];
                 let products = &mut products[p * output_blocks * product_pitch..][..output_blocks * product_pitch];
-                let weights = weights.chunks_exact(block.channels);
-                for (weights, products) in weights.zip(products.chunks_exact_mut(product_pitch)) {
-                    multiply::<L, ROWS>(inputs, weights, &mut products[..padded_tiles * LANES], number == 0);
+                for (out, products) in products.chunks_exact_mut(product_pitch).enumerate() {
+                    let from = (k * output_blocks + out) * block.channels;
+                    let (weights, rest) = block.weights[from..].split_at(block.channels);
+                    let next = &rest[..rest.len().min(block.channels)];
+                    multiply::<L, ROWS>(inputs, weights, next, &mut products[..padded_tiles * LANES], number == 0);
                 }
             }
         }

@@ -3,17 +3,23 @@
 use super::pack::BLOCK;
 use crate::simd::{LANES, Lanes, accumulate_tile};
 
-/// `products (tiles, LANES) += inputs (tiles, BLOCK) weights (channels, LANES)`; `fresh` starts the sums at zero.
+/// `products (tiles, LANES) += inputs (tiles, BLOCK) weights (channels, LANES)`; `fresh` starts the sums at zero. The weights of
+/// the `next` product are fetched meanwhile: all weights together fill the second-level cache.
 #[inline(always)]
 pub(super) fn multiply<L: Lanes, const ROWS: usize>(
     inputs: &[f32],
     weights: &[[f32; LANES]],
+    next: &[[f32; LANES]],
     products: &mut [f32],
     fresh: bool,
 ) {
     let inputs = inputs.as_chunks::<BLOCK>().0.as_chunks::<ROWS>().0;
     let products = products.as_chunks_mut::<LANES>().0.as_chunks_mut::<ROWS>().0;
+    let mut ahead = next.chunks(next.len().div_ceil(inputs.len()).max(1));
     for (inputs, products) in inputs.iter().zip(products) {
+        for line in ahead.next().unwrap_or_default() {
+            L::prefetch(line.as_ptr());
+        }
         let mut sums = [L::splat(0.0); ROWS];
         if !fresh {
             for r in 0..ROWS {
