@@ -95,4 +95,4 @@ def test_copc_of_copclib_has_the_same_keypoints(detect, found, tmp_path):
         assert [row[column] for row in rows] == found[column].tolist(), column
     # The nodes follow each other in another order, and so do the points whose features are added.
     for column in ("saliency", "occupancy"):
-        assert np.allclose([row[column] for row in rows], found[column], rtol=1e-6, atol=0), column
+        assert np.allclose([row[column] for row in rows], found[column], rtol=0, atol=1e-5), column
