@@ -311,6 +311,16 @@ def test_views_show_the_same_places(file):
     assert (sample["target"] >= np.sort(shape[2])[-len(shape[2]) // 5]).mean() >= 0.5
 
 
+def test_the_share_of_degraded_views_is_that_of_the_settings(file):
+    shape = Targets(file).sample(np.random.default_rng(3))
+    distinct = {}
+    for share in (0.0, 1.0):
+        config = TrainConfig(**TINY | {"degraded_share": share, "max_downsampling": 16.0})
+        samples = [distillation_views(shape, config, np.random.default_rng(seed)) for seed in range(20)]
+        distinct[share] = [len(np.unique(view, axis=0)) for sample in samples for view in sample["points"]]
+    assert min(distinct[0.0]) > 90 and max(distinct[1.0]) > 90 and min(distinct[1.0]) < 16
+
+
 def test_degraded_views_are_thinned_or_noisy_or_both():
     config, cloud = (
         TrainConfig(max_downsampling=16.0, max_noise=0.05),
