@@ -116,14 +116,15 @@ mod _core {
         register, set_num_threads, tiles,
     };
 
-    /// Fills what pyo3 and numpy fill at their first use. While that happens they release the GIL, and a child forked
-    /// meanwhile would wait forever.
+    /// Fills what pyo3, numpy and the kernels fill at their first use. While that happens the GIL is released, and a child
+    /// forked meanwhile would wait forever.
     #[pymodule_init]
     fn init(module: &Bound<'_, PyModule>) -> PyResult<()> {
         let points = super::arrays::rows(module.py(), vec![0_f64; 3], 3)?;
         super::arrays::cloud("points", points.as_any())?;
         // Reading an option tries every type that it can have, also those of numpy.
         super::options::json(points.as_any(), 0);
+        snake_core::SimdLevel::current();
         Ok(())
     }
 

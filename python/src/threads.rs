@@ -39,6 +39,8 @@ fn pool(py: Python<'_>) -> PyResult<Arc<ThreadPool>> {
     }
     let builder = ThreadPoolBuilder::new().num_threads(state.num_threads);
     let pool = Arc::new(builder.build().map_err(|e| PyRuntimeError::new_err(e.to_string()))?);
+    // With the GIL held no child can be forked: each thread fills what it shares with others at its first job.
+    pool.broadcast(|_| ());
     // Dropping the parent's pool would signal threads that do not exist here.
     forget(state.pool.replace((process, pool.clone())));
     Ok(pool)

@@ -1,7 +1,5 @@
 //! The triangles of one cell for each of the 256 cases of occupied corners.
 
-use std::sync::LazyLock;
-
 /// An edge of the cell: its lower corner and its axis. Bits 0, 1, 2 of a corner are its place along x, y, z.
 pub(super) type CubeEdge = (usize, usize);
 
@@ -12,8 +10,9 @@ pub(super) type CubeEdge = (usize, usize);
 /// crossings are connected so that occupied corners are never separated. The neighbouring cell uses the same rule, so
 /// surfaces have no holes and thin shells do not tear. A fan of triangles fills each loop. Its apex is chosen so that
 /// no inner edge lies on a face, where the neighbouring cell could have the same edge.
-pub(super) static TRIANGLES: LazyLock<[Vec<[CubeEdge; 3]>; 256]> =
-    LazyLock::new(|| std::array::from_fn(|case| loops(case).iter().flat_map(|polygon| fan(polygon)).collect()));
+pub(super) fn triangles() -> [Vec<[CubeEdge; 3]>; 256] {
+    std::array::from_fn(|case| loops(case).iter().flat_map(|polygon| fan(polygon)).collect())
+}
 
 /// The four corners of each face, counterclockwise seen from outside the cell.
 fn faces() -> [[usize; 4]; 6] {
@@ -75,7 +74,7 @@ mod tests {
 
     #[test]
     fn every_crossing_is_used_and_inner_edges_keep_off_the_faces() {
-        for (case, triangles) in TRIANGLES.iter().enumerate() {
+        for (case, triangles) in triangles().iter().enumerate() {
             let edges = (0..3).flat_map(|axis| (0..8).map(move |corner| (corner, axis)));
             for (corner, axis) in edges.filter(|(corner, axis)| corner >> axis & 1 == 0) {
                 let crossed = (case >> corner & 1) != (case >> (corner | 1 << axis) & 1);

@@ -2,7 +2,7 @@
 
 use rayon::prelude::*;
 
-use super::cube::TRIANGLES;
+use super::cube;
 use super::samples::{Sample, Samples};
 
 /// A vertex: the point where the surface crosses an edge of the grid.
@@ -27,9 +27,10 @@ impl Surface {
     pub(super) fn of(samples: &Samples) -> Self {
         let known = samples.known();
         let crossings: Vec<Crossing> = known.par_iter().flat_map_iter(|&block| crossings(samples, block)).collect();
+        let of_case = cube::triangles();
         let triangles = known.par_iter().flat_map_iter(|&block| {
             let cells = samples.of_block(block).flat_map(|low| {
-                TRIANGLES[case(samples, low)]
+                of_case[case(samples, low)]
                     .iter()
                     .map(move |triangle| triangle.map(|(corner, axis)| samples.edge(place(low, corner), axis)))
             });
