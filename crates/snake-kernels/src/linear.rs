@@ -84,8 +84,31 @@ fn linear_rows<L: Lanes, const ROWS: usize>(
     epilogue: &mut Epilogue,
 ) {
     let input = &input[row * layer.inputs..];
-    for (block, (weights, bias)) in layer.weights.chunks_exact(layer.inputs).zip(&layer.bias).enumerate() {
-        let sums = accumulate_tile::<L, ROWS>([L::load(bias); ROWS], input, layer.inputs, weights);
+    let mut block = 0;
+    if L::PAIRS {
+        while block + 2 <= layer.bias.len() {
+            linear_blocks::<L, ROWS, 2>(layer, row, block, input, output, epilogue);
+            block += 2;
+        }
+    }
+    for block in block..layer.bias.len() {
+        linear_blocks::<L, ROWS, 1>(layer, row, block, input, output, epilogue);
+    }
+}
+
+#[inline(always)]
+fn linear_blocks<L: Lanes, const ROWS: usize, const BLOCKS: usize>(
+    layer: &PackedLinear,
+    row: usize,
+    block: usize,
+    input: &[f32],
+    output: &mut [f32],
+    epilogue: &mut Epilogue,
+) {
+    let weights = std::array::from_fn(|b| &layer.weights[(block + b) * layer.inputs..][..layer.inputs]);
+    let bias = std::array::from_fn(|b| [L::load(&layer.bias[block + b]); ROWS]);
+    let sums: [_; BLOCKS] = accumulate_tile(bias, input, layer.inputs, weights);
+    for (block, sums) in (block..).zip(sums) {
         let place = row * layer.outputs + block * LANES;
         // Most blocks are full: a constant number of lanes lets the compiler unroll them.
         match layer.outputs - block * LANES {

@@ -97,6 +97,8 @@ pub(crate) trait Lanes: Copy {
     const FUSED: bool;
     /// Rows whose sums fit into the registers, beside a row of weights.
     const ROWS: usize;
+    /// Whether the sums of two blocks of outputs for so many rows fit as well.
+    const PAIRS: bool = false;
     fn load(values: &[f32; LANES]) -> Self;
     fn splat(value: f32) -> Self;
     /// `self * factor + addend`.
@@ -200,6 +202,7 @@ macro_rules! x86_lanes {
         impl Lanes for $name {
             const FUSED: bool = true;
             const ROWS: usize = $rows;
+            const PAIRS: bool = $count == 1;
 
             #[inline(always)]
             fn prefetch(address: *const f32) {
@@ -397,33 +400,38 @@ macro_rules! simd_levels {
 }
 pub(crate) use simd_levels;
 
-/// `sums[r] += input[r * stride ..][.. weights.len()] * weights` for ROWS rows and one block of output channels.
+/// `sums[b][r] += input[r * stride ..][.. weights[b].len()] * weights[b]` for ROWS rows and BLOCKS blocks of output channels, whose
+/// weights are equally long. Each input is read once for all blocks.
 #[inline(always)]
-pub(crate) fn accumulate_tile<L: Lanes, const ROWS: usize>(
-    mut sums: [L; ROWS],
+pub(crate) fn accumulate_tile<L: Lanes, const ROWS: usize, const BLOCKS: usize>(
+    mut sums: [[L; ROWS]; BLOCKS],
     input: &[f32],
     stride: usize,
-    weights: &[[f32; LANES]],
-) -> [L; ROWS] {
-    assert!(input.len() >= (ROWS - 1) * stride + weights.len(), "rows end within the input");
-    let mut add = |k: usize, weight: &[f32; LANES]| {
-        let weight = L::load(weight);
-        for (r, sum) in sums.iter_mut().enumerate() {
-            // SAFETY: r < ROWS and k < weights.len(), so the index is below the length asserted above. A check of each
-            // product would cost a third of the speed.
-            let value = unsafe { *input.get_unchecked(r * stride + k) };
-            *sum = L::splat(value).multiply_add(weight, *sum);
+    weights: [&[[f32; LANES]]; BLOCKS],
+) -> [[L; ROWS]; BLOCKS] {
+    let length = weights[0].len();
+    assert!(input.len() >= (ROWS - 1) * stride + length, "rows end within the input");
+    let mut add = |k: usize, weights: [&[f32; LANES]; BLOCKS]| {
+        let weights = weights.map(L::load);
+        for r in 0..ROWS {
+            // SAFETY: r < ROWS and k < length, so the index is below the length asserted above. A check of each product
+            // would cost a third of the speed.
+            let value = L::splat(unsafe { *input.get_unchecked(r * stride + k) });
+            for (sums, weight) in sums.iter_mut().zip(weights) {
+                sums[r] = value.multiply_add(weight, sums[r]);
+            }
         }
     };
-    // Four at a time, so that the addresses of the rows are computed once for them.
-    let (fours, rest) = weights.as_chunks::<4>();
-    for (number, four) in fours.iter().enumerate() {
-        for (k, weight) in four.iter().enumerate() {
-            add(4 * number + k, weight);
+    // Equal lengths, and four at a time, so that indices are checked and the addresses of the rows computed once for them.
+    let weights = weights.map(|weights| weights[..length].as_chunks::<4>());
+    for number in 0..length / 4 {
+        let fours = weights.map(|(fours, _)| &fours[number]);
+        for k in 0..4 {
+            add(4 * number + k, fours.map(|four| &four[k]));
         }
     }
-    for (k, weight) in rest.iter().enumerate() {
-        add(4 * fours.len() + k, weight);
+    for k in 0..length % 4 {
+        add(length / 4 * 4 + k, weights.map(|(_, rest)| &rest[k]));
     }
     sums
 }

@@ -26,7 +26,7 @@ pub(super) fn multiply<L: Lanes, const ROWS: usize>(
                 sums[r] = L::load(&products[r]);
             }
         }
-        let sums = accumulate_tile::<L, ROWS>(sums, inputs.as_flattened(), BLOCK, weights);
+        let [sums] = accumulate_tile([sums], inputs.as_flattened(), BLOCK, [weights]);
         for r in 0..ROWS {
             sums[r].store(&mut products[r]);
         }
