@@ -3,7 +3,8 @@
     python tests/bench/alignment.py FOLDER [--scene PREFIX] [--methods snake-rs] [--published-pairs]
 
 Prints how many fragments are within 15 degrees and 0.3 m of the published poses after one common motion, and how well the
-fragments of the published pairs fit by either poses.
+fragments of the published pairs fit by either poses. With --check-published, prints instead where the published transforms of
+pairs do not fit the surfaces: ICP that starts at them moves far.
 """
 
 import argparse
@@ -136,6 +137,31 @@ def shares(pairs: list[tuple[int, int]], poses: np.ndarray, clouds: list[np.ndar
     return np.array(found)
 
 
+def check_published(pairs: list[scene_pairs.Pair]) -> None:
+    """Prints how many published transforms ICP moves by more than 3 degrees or 0.1 m, and for these pairs by how much and how far
+    it ends from `snake_rs.register`."""
+    import registration_peers as peers
+
+    import snake_rs
+
+    moved = []
+    for pair in tqdm(pairs, "ICP"):
+        source, target = pair.clouds()
+        transform = pair.t_target_source
+        for _ in range(5):
+            transform, _ = peers.icp(source, target, transform)
+        by = scene_pairs.errors(transform, pair.t_target_source)
+        if by[0] > 3 or by[1] > 0.1:
+            found = snake_rs.register(source, target).t_target_source
+            moved.append((pair, by, scene_pairs.errors(found, transform)))
+    print(f"ICP moves {len(moved)} of {len(pairs)} published transforms by more than 3 degrees or 0.1 m")
+    for pair, (degrees, metres), (ours_degrees, ours_metres) in moved:
+        print(
+            f"{pair.source.stem[-2:]}>{pair.target.stem[-2:]}, overlap {pair.overlap:.2f}: by {degrees:.1f} degrees and "
+            f"{metres:.2f} m; ours is {ours_degrees:.1f} degrees and {ours_metres:.2f} m from where it ends"
+        )
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("scenes", type=Path)
@@ -146,8 +172,12 @@ def main() -> None:
     parser.add_argument(
         "--published-pairs", action="store_true", help="Open3D tries neighbours and pairs that overlap, not all"
     )
+    parser.add_argument("--check-published", action="store_true", help="ICP from the published transforms of pairs")
     arguments = parser.parse_args()
     published = scene_pairs.overlapping(arguments.scenes, arguments.split)
+    if arguments.check_published:
+        distinct = {pair.name: pair for pair in published if pair.name.startswith(arguments.scene)}
+        return check_published(list(distinct.values()))
     known = scene_pairs.poses(published)
     names = sorted(name for name in known if name.startswith(arguments.scene))
     clouds = [np.load(arguments.scenes / arguments.split / f"{name}.npy") for name in names]
