@@ -71,7 +71,7 @@ fn most_of_the_real_pairs_are_recovered() {
     assert!(recall("val, a fourth", &some, &RegisterOptions::default()) >= 0.85);
 }
 
-/// The README's table: `cargo test --release --test registration -- --ignored --nocapture`.
+/// Recall under several options: `cargo test --release --test registration -- --ignored --nocapture`.
 #[test]
 #[ignore = "takes minutes"]
 fn table() {
