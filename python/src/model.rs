@@ -126,6 +126,7 @@ impl Model {
         dict.set_item("z_min", config.frame.z_bounds[0])?;
         dict.set_item("z_max", config.frame.z_bounds[1])?;
         dict.set_item("scatter", config.scatter.name())?;
+        dict.set_item("point_encoder", config.point_encoder.name())?;
         Ok(dict)
     }
 

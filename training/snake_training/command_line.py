@@ -7,7 +7,7 @@ from pathlib import Path
 from .config import PRESETS, TrainConfig, check
 from .export import load_network
 
-NETWORK_SHAPE = "resolution", "unet_levels", "unet_base_channels", "c_dim", "scatter"
+NETWORK_SHAPE = "resolution", "unet_levels", "unet_base_channels", "c_dim", "scatter", "point_encoder"
 
 
 def parse_arguments(argv, description):

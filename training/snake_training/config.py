@@ -52,6 +52,11 @@ class TrainConfig:
         "features to voxels: hard, each to its own (released code), or soft, to its eight by trilinear weights",
         choices=("hard", "soft"),
     )
+    point_encoder: str = setting(
+        "pointnet",
+        "features of points: pointnet, pooled within voxels (released code), or pointnet2, PointNet++",
+        choices=("pointnet", "pointnet2"),
+    )
 
     normalization: str = setting(
         "unit-sphere",
@@ -120,6 +125,7 @@ class TrainConfig:
         return NetworkConfig(
             resolution=(self.resolution,) * 3, unet_levels=self.unet_levels,
             unet_base_channels=self.unet_base_channels, c_dim=self.c_dim, scatter=self.scatter,
+            point_encoder=self.point_encoder,
         )  # fmt: skip
 
 

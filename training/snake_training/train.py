@@ -98,12 +98,25 @@ def save_checkpoint(path, config, step, network, average, optimizer, best):
         torch.save(state, temporary)
 
 
+def of_points(name):
+    """Whether a tensor of this name belongs to the point encoder."""
+    return name.startswith("encoder.") and not name.startswith("encoder.unet3d.")
+
+
 def starting_network(config):
-    """The network of the configuration, with the weights of `init` if there is one, whatever its resolution."""
+    """The network of the configuration, with the weights of `init` if there is one, whatever its resolution.
+
+    If `init` has another point encoder, the layers of that start anew.
+    """
     if not config.init:
         return SnakeNetwork(config.network)
     try:
-        network = build_network(config.network, load_network(config.init).state_dict())
+        start = load_network(config.init)
+        tensors = start.state_dict()
+        if start.config.point_encoder != config.point_encoder:
+            kept = {name: tensor for name, tensor in tensors.items() if not of_points(name)}
+            tensors = {k: t for k, t in SnakeNetwork(config.network).state_dict().items() if of_points(k)} | kept
+        network = build_network(config.network, tensors)
     except ValueError as error:
         raise SystemExit(f"--init {config.init}: {error}") from error
     if config.fresh_saliency:

@@ -25,6 +25,26 @@ impl Scatter {
     }
 }
 
+/// How the encoder computes the features of points.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub enum PointEncoder {
+    /// PointNet with maxima over the points of a voxel, as in the authors' network.
+    #[default]
+    PointNet,
+    /// PointNet++ (Qi et al. 2017): maxima over the points of balls of two sizes.
+    PointNet2,
+}
+
+impl PointEncoder {
+    /// The name in a weight file's metadata: `pointnet` or `pointnet2`.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::PointNet => "pointnet",
+            Self::PointNet2 => "pointnet2",
+        }
+    }
+}
+
 /// The configuration of a network, from the weight file's metadata.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct ModelConfig {
@@ -46,6 +66,8 @@ pub struct ModelConfig {
     pub group_norm_groups: usize,
     /// How features are scattered to voxels; hard if the file does not say.
     pub scatter: Scatter,
+    /// How the features of points are computed; by PointNet if the file does not say.
+    pub point_encoder: PointEncoder,
 }
 
 impl ModelConfig {
@@ -77,6 +99,11 @@ impl ModelConfig {
                 None | Some("hard") => Scatter::Hard,
                 Some("soft") => Scatter::Soft,
                 Some(other) => return Err(weights::error("scatter", "hard or soft", other.into())),
+            },
+            point_encoder: match file.metadata.get("point_encoder").map(String::as_str) {
+                None | Some("pointnet") => PointEncoder::PointNet,
+                Some("pointnet2") => PointEncoder::PointNet2,
+                Some(other) => return Err(weights::error("point_encoder", "pointnet or pointnet2", other.into())),
             },
         };
         let smallest = 2.max(1 << (config.unet_levels - 1));

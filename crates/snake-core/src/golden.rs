@@ -89,12 +89,12 @@ fn encoder_stages() {
     for case in cases() {
         let encoder = &case.model.network().encoder;
         let (points, frame) = (case.points("points"), case.model.config().frame);
-        let [features, means] = encoder.pointnet.plain(&points, &frame);
+        let [features, means] = encoder.points.pointnet().plain(&points, &frame);
         case.assert_close("point_features", &features, 1e-5);
 
         let (mut groups, mut found) = (VoxelGroups::default(), Vec::new());
         groups.fill(points.len(), |index| points[index], &frame);
-        encoder.pointnet.voxel_means(&groups, |index| points[index], &mut found, &Counter::default()).unwrap();
+        encoder.points.voxel_means(&groups, |index| points[index], &mut found, &Counter::default()).unwrap();
         assert_eq!(found, means);
         let scattered = encoder.scatter(&means, &groups).values;
         let ([_, height, width], channels) = (frame.size(), features.len() / points.len());

@@ -73,7 +73,7 @@ mod windows;
 pub use arrow::ArrowPoints;
 pub use cloud::{Bounds, Cloud, add_origin, subtract_origin};
 pub use cluster_hint::cluster_hint;
-pub use config::{ModelConfig, Scatter};
+pub use config::{ModelConfig, PointEncoder, Scatter};
 pub use control::{CancelFlag, Control, Counter};
 pub use detect::{Counts, Detection, Keypoint, Timing};
 pub use detector::Detector;

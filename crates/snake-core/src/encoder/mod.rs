@@ -1,7 +1,9 @@
-//! The encoder, from points to a volume: PointNet with local max-pooling, scatter_mean, 3-D U-Net (SNAKE 3.1,
+//! The encoder, from points to a volume: PointNet with local max-pooling or PointNet++, scattering, 3-D U-Net (SNAKE 3.1,
 //! ConvONet).
 
+mod point_features;
 mod pointnet;
+mod pointnet2;
 mod pointnet_blocks;
 mod scatter;
 mod unet;
@@ -9,7 +11,7 @@ mod voxel_groups;
 
 use rayon::prelude::*;
 
-pub(crate) use self::pointnet::PointNet;
+use self::point_features::PointFeatures;
 use self::unet::UNet3d;
 pub(crate) use self::voxel_groups::VoxelGroups;
 use crate::Result;
@@ -27,7 +29,7 @@ use snake_kernels::{ConstantRegion, channel_sums};
 pub(crate) struct Encoder {
     frame: VolumeFrame,
     scatter: Scatter,
-    pub(crate) pointnet: PointNet,
+    pub(crate) points: PointFeatures,
     unet: UNet3d,
 }
 
@@ -44,15 +46,15 @@ impl Encoder {
         Ok(Self {
             frame: config.frame,
             scatter: config.scatter,
-            pointnet: PointNet::load(scope, config)?,
+            points: PointFeatures::load(scope, config)?,
             unet: UNet3d::load(&scope.at("unet3d"), config)?,
         })
     }
 
-    /// The progress units of [`Encoder::encode`]: each point once for grouping and once per PointNet layer, and the
-    /// voxels of the U-Net. All take similar times.
+    /// The progress units of [`Encoder::encode`]: each point once for grouping and once per layer of the point encoder,
+    /// and the voxels of the U-Net. All take similar times.
     pub(crate) fn work(&self, num_points: usize) -> usize {
-        num_points + self.pointnet.work(num_points) + self.unet.work(self.frame.size())
+        num_points + self.points.work(num_points) + self.unet.work(self.frame.size())
     }
 
     /// Encodes `num_points` points, given by `point` in the network's frame, to the feature volume.
@@ -82,7 +84,7 @@ impl Encoder {
         counter.check()?;
         match self.scatter {
             Scatter::Hard => {
-                self.pointnet.voxel_means(&memory.groups, &point, &mut memory.sums, counter)?;
+                self.points.voxel_means(&memory.groups, &point, &mut memory.sums, counter)?;
                 Ok(self.scatter(&memory.sums, &memory.groups))
             }
             Scatter::Soft => self.scatter_soft(memory, &point, counter),
@@ -91,7 +93,7 @@ impl Encoder {
 
     /// Scatters the mean features to the occupied voxels; voxels without points are zero.
     pub(crate) fn scatter(&self, means: &[f32], groups: &VoxelGroups) -> Tensor {
-        let (size, channels) = (self.frame.size(), self.pointnet.channels());
+        let (size, channels) = (self.frame.size(), self.points.channels());
         let mut values = self.unet.pool.take(size.iter().product::<usize>() * channels);
         values.par_chunks_mut(size[1] * size[2] * channels).for_each(|plane| plane.fill(0.0));
         for (voxel, mean) in groups.voxels().zip(means.chunks_exact(channels)) {
@@ -108,10 +110,10 @@ impl Encoder {
         point: impl Fn(usize) -> Point + Sync,
         counter: &Counter,
     ) -> Result<Tensor> {
-        let (size, channels) = (self.frame.size(), self.pointnet.channels());
+        let (size, channels) = (self.frame.size(), self.points.channels());
         let spread =
             |point: Point, feature: &[f32], slots: &mut [f32]| scatter::spread(&self.frame, point, feature, slots);
-        self.pointnet.voxel_sums(groups, point, scatter::slots_width(channels), spread, slots, counter)?;
+        self.points.voxel_sums(groups, point, scatter::slots_width(channels), spread, slots, counter)?;
         let mut values = self.unet.pool.take(size.iter().product::<usize>() * channels);
         values.par_chunks_mut(size[1] * size[2] * channels).for_each(|plane| plane.fill(0.0));
         counter.check()?;

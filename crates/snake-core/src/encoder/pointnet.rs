@@ -3,8 +3,6 @@
 //! Voxels are independent of each other. The network therefore processes a few voxels at a time through all blocks and
 //! stores only their mean features, so memory does not grow with the number of points.
 
-use std::ops::Range;
-
 use rayon::prelude::*;
 
 use super::pointnet_blocks::{FirstBlock, PooledBlock, VoxelTerms};
@@ -45,50 +43,26 @@ impl PointNet {
         })
     }
 
-    /// The progress units of [`PointNet::voxel_means`]: each point in each block and in the last layer.
-    pub(crate) fn work(&self, num_points: usize) -> usize {
+    /// The progress units of [`PointNet::add_to_voxels`]: each point in each block and in the last layer.
+    pub(super) fn work(&self, num_points: usize) -> usize {
         num_points * (self.blocks.len() + 2)
     }
 
     /// Number of channels of a feature.
-    pub(crate) fn channels(&self) -> usize {
+    pub(super) fn channels(&self) -> usize {
         self.fc_c.outputs()
     }
 
-    /// Replaces `means` by the mean feature of each occupied voxel, `(voxels, c_dim)`; `point` returns the grouped points in
-    /// the network's frame.
-    pub(crate) fn voxel_means(
+    /// Adds the points, given by `point` in the network's frame, to the sums of their voxels.
+    pub(super) fn add_to_voxels(
         &self,
         groups: &VoxelGroups,
         point: impl Fn(usize) -> Point + Sync,
-        means: &mut Vec<f32>,
-        counter: &Counter,
-    ) -> Result<()> {
-        let add = |_: Point, feature: &[f32], sums: &mut [f32]| {
-            sums.iter_mut().zip(feature).for_each(|(sum, value)| *sum += value);
-        };
-        self.voxel_sums(groups, point, self.channels(), add, means, counter)?;
-        for (voxel, mean) in means.chunks_exact_mut(self.channels()).enumerate() {
-            let size = groups.num_points(voxel..voxel + 1);
-            mean.iter_mut().for_each(|sum| *sum /= size as f32);
-        }
-        Ok(())
-    }
-
-    /// Replaces `sums` by the sums over the points of each occupied voxel, `(voxels, width)`. `add` adds one point with its
-    /// feature `(c_dim)` to the sums of its voxel; the points come in the order of the cloud.
-    pub(super) fn voxel_sums(
-        &self,
-        groups: &VoxelGroups,
-        point: impl Fn(usize) -> Point + Sync,
-        width: usize,
         add: impl Fn(Point, &[f32], &mut [f32]) + Sync,
-        sums: &mut Vec<f32>,
+        sums: &mut [f32],
         counter: &Counter,
     ) -> Result<()> {
-        sums.clear();
-        sums.resize(groups.num_voxels() * width, 0.0);
-        in_parts(groups, 0..groups.num_voxels(), sums, &|voxels, sums| {
+        groups.in_parts(CHUNK, sums, &|voxels, sums| {
             counter.check()?;
             let num_points = groups.num_points(voxels.clone());
             let points = groups.members(voxels.clone()).map(&point);
@@ -191,24 +165,6 @@ impl PointNet {
     }
 }
 
-/// Runs a task on ranges of voxels with their rows of `sums`: on at most [`CHUNK`] points, or on a single voxel.
-fn in_parts(
-    groups: &VoxelGroups,
-    voxels: Range<usize>,
-    sums: &mut [f32],
-    task: &(impl Fn(Range<usize>, &mut [f32]) -> Result<()> + Sync),
-) -> Result<()> {
-    if voxels.len() == 1 || groups.num_points(voxels.clone()) <= CHUNK {
-        return task(voxels, sums);
-    }
-    let width = sums.len() / voxels.len();
-    let [first, rest] = groups.halves(voxels);
-    let (sums_of_first, sums_of_rest) = sums.split_at_mut(first.len() * width);
-    let (first, rest) =
-        rayon::join(|| in_parts(groups, first, sums_of_first, task), || in_parts(groups, rest, sums_of_rest, task));
-    first.and(rest)
-}
-
 #[cfg(test)]
 mod tests {
     use rand::{RngExt, SeedableRng};
@@ -258,7 +214,7 @@ mod tests {
     #[test]
     fn voxels_of_any_size_have_the_bits_of_the_textbook() {
         let model = Model::builtin(Builtin::Compact);
-        let (net, frame) = (&model.network().encoder.pointnet, model.config().frame);
+        let (encoder, frame) = (&model.network().encoder.points, model.config().frame);
         let mut random = ChaCha8Rng::seed_from_u64(1);
         // Clusters in a few voxels, as in a scan with an outlier, and points all over the volume.
         for (crowd, others) in
@@ -268,8 +224,8 @@ mod tests {
             let points: Vec<Point> = (0..crowd + others).map(|i| point(if i < crowd { 0.02 } else { 1.0 })).collect();
             let (mut groups, mut means) = (VoxelGroups::default(), vec![f32::NAN; 3]);
             groups.fill(points.len(), |index| points[index], &frame);
-            net.voxel_means(&groups, |index| points[index], &mut means, &Counter::default()).unwrap();
-            assert_eq!(means, net.plain(&points, &frame)[1], "{crowd} and {others}");
+            encoder.voxel_means(&groups, |index| points[index], &mut means, &Counter::default()).unwrap();
+            assert_eq!(means, encoder.pointnet().plain(&points, &frame)[1], "{crowd} and {others}");
         }
     }
 }

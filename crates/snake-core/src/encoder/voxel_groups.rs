@@ -4,6 +4,7 @@ use std::ops::Range;
 
 use rayon::prelude::*;
 
+use crate::Result;
 use crate::points::Point;
 use crate::volume::VolumeFrame;
 use snake_kernels::Scratch;
@@ -61,8 +62,38 @@ impl VoxelGroups {
         self.voxels.iter().map(|&voxel| voxel as usize)
     }
 
+    /// Runs a task on ranges of occupied voxels with their rows of `sums`: on at most `most` points, or on a single voxel.
+    pub(crate) fn in_parts(
+        &self,
+        most: usize,
+        sums: &mut [f32],
+        task: &(impl Fn(Range<usize>, &mut [f32]) -> Result<()> + Sync),
+    ) -> Result<()> {
+        self.in_parts_of(0..self.num_voxels(), most, sums, task)
+    }
+
+    fn in_parts_of(
+        &self,
+        voxels: Range<usize>,
+        most: usize,
+        sums: &mut [f32],
+        task: &(impl Fn(Range<usize>, &mut [f32]) -> Result<()> + Sync),
+    ) -> Result<()> {
+        if voxels.len() == 1 || self.num_points(voxels.clone()) <= most {
+            return task(voxels, sums);
+        }
+        let width = sums.len() / voxels.len();
+        let [first, rest] = self.halves(voxels);
+        let (of_first, of_rest) = sums.split_at_mut(first.len() * width);
+        let (first, rest) = rayon::join(
+            || self.in_parts_of(first, most, of_first, task),
+            || self.in_parts_of(rest, most, of_rest, task),
+        );
+        first.and(rest)
+    }
+
     /// Divides a range of at least two occupied voxels into two, each with about half of the points.
-    pub(crate) fn halves(&self, voxels: Range<usize>) -> [Range<usize>; 2] {
+    fn halves(&self, voxels: Range<usize>) -> [Range<usize>; 2] {
         let half = u32::midpoint(self.starts[voxels.start], self.starts[voxels.end]);
         let inner = &self.starts[voxels.start + 1..voxels.end - 1];
         let middle = voxels.start + 1 + inner.partition_point(|start| *start < half);
