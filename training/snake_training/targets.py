@@ -65,14 +65,34 @@ def snake_rs_teacher(weights):
     return fields
 
 
-def averaged_fields(teacher, points, queries, rotations):
+def averaged_fields(teacher, points, queries, rotations, whole=slice(None)):
     """Mean log-odds of the saliency and mean occupancy, both (Q,), of queries (Q, 3) over rotations (K, 3, 3).
 
-    The points (N, 3) and the queries are in network units and are turned together.
+    The points, (N, 3) or (K, N, 3) for copies that differ, and the queries are in network units and are turned together.
+    The occupancy is that of the copies `whole`.
     """
     turned = rotations.transpose(0, 2, 1)
     log_odds, occupancy = teacher(points @ turned, queries @ turned)
-    return log_odds.mean(axis=0), occupancy.mean(axis=0)
+    return log_odds.mean(axis=0), occupancy[whole].mean(axis=0)
+
+
+WHOLE = slice(None, None, 3)  # which of the `disturbed_copies` are as they are
+
+
+def disturbed_copies(shape, number, points, rng):
+    """Clouds (number, points, 3) of a shape (M, 3) in network units, each of points of its own.
+
+    Of three, one is as it is, one has noise with a standard deviation of 0.01 to 0.035, and one is thinned 4 to 10 times.
+    """
+    copies = []
+    for copy in range(number):
+        cloud = choose(rng, shape, points)
+        if copy % 3 == 1:
+            cloud = cloud + rng.uniform(0.01, 0.035) * rng.standard_normal(cloud.shape)
+        elif copy % 3 == 2:
+            cloud = choose(rng, cloud[: max(int(points / rng.uniform(4, 10)), 1)], points)
+        copies.append(cloud)
+    return np.stack(copies).astype(np.float32)
 
 
 @torch.no_grad()
@@ -179,6 +199,11 @@ def sharpen(target, queries, radius=0.15):
     return sharp.numpy()
 
 
+def mean_targets(log_odds, occupancy):
+    """Target log-odds, same shape: the averaged ones as they are, but lower off the surface, so that peaks lie on it."""
+    return np.maximum(log_odds + np.log((occupancy + 0.02) / 1.02) - 0.7, -3)
+
+
 def seek_modes(log_odds, occupancy, queries, radius=0.04, starts=704, spacing=0.05, limit=64):
     """Keypoints (K, 3) of an averaged field at queries (Q, 3), best first, by the mean shift of snake-rs.
 
@@ -214,8 +239,7 @@ def keypoint_targets(log_odds, occupancy, queries, width=0.03):
     """
     keypoints = seek_modes(log_odds, occupancy, queries)
     nearest = torch.cdist(torch.from_numpy(queries).double(), keypoints).amin(dim=1).numpy()
-    bumps = 2 * np.exp(-0.5 * (nearest / width) ** 2)
-    return np.maximum(log_odds + np.log((occupancy + 0.02) / 1.02) - 0.7 + bumps, -3)
+    return mean_targets(log_odds + 2 * np.exp(-0.5 * (nearest / width) ** 2), occupancy)
 
 
 class Targets:
@@ -259,31 +283,37 @@ class Fields(NamedTuple):
     is_ranked_alone: bool
 
 
-def fields_of(row, shape, teacher, rotations=8, queries=4096, points=4096, seed=1, local=None):
+def fields_of(row, shape, teacher, rotations=8, queries=4096, points=4096, seed=1, local=None, disturbed=False):
     """The `Fields` of one shape; its number, `row`, and the seed determine the draws."""
     rng = np.random.default_rng([seed, row])
     if isinstance(shape, Place):
         cloud = np.concatenate([choose(rng, view, points // len(shape.views)) for view in shape.views])
         at = sample_queries(shape.surface, queries, rng)
         return Fields(cloud, at, *surface_variation(choose(rng, shape.surface, points), at), len(shape.views), False)
-    cloud = choose(rng, normalize(shape)[0], points)
+    shape = normalize(shape)[0]
+    cloud = choose(rng, shape, points)
     at = sample_queries(cloud, queries, rng)
     if teacher:
         turns = np.stack([random_rotation(rng) for _ in range(rotations)])
+        if disturbed:
+            copies = disturbed_copies(shape, rotations, points, rng)
+            return Fields(cloud, at, *averaged_fields(teacher, copies, at, turns, WHOLE), 1, False)
         return Fields(cloud, at, *averaged_fields(teacher, cloud, at, turns), 1, False)
     return Fields(cloud, at, *(local_contrast if local else surface_variation)(cloud, at), 1, True)
 
 
 def write_targets(
-    path, teacher, shapes, rotations=8, queries=4096, points=4096, seed=1, metadata=None, local=None, fields=None
-):
+    path, teacher, shapes, rotations=8, queries=4096, points=4096, seed=1, metadata=None, local=None, disturbed=False,
+    fields=None,
+):  # fmt: skip
     """Targets of all shapes, each with its own seed, to a safetensors file (temporary name, then rename).
 
     A shape is a cloud (M, 3), or a `Place` whose number of views divides `points`. Without a teacher, and of places
     always, the targets are the `surface_variation`, or if `local` is "contrast" or "peaks" the `local_contrast`, for peaks
-    with `sharpen`. With `local` "keypoints" they are the `keypoint_targets` of the teacher. Its ranks are those within a cloud, which is as it is seen; places
-    are parts of larger scenes and are ranked together, as a teacher's values are. `fields` has the number and the `Fields`
-    of each shape, in any order, if they are computed elsewhere.
+    with `sharpen`. With `local` "keypoints" they are the `keypoint_targets` of the teacher, with "mean" its `mean_targets`;
+    `disturbed` averages over `disturbed_copies`. Ranks without a teacher are those within a cloud, which is as it is seen;
+    places are parts of larger scenes and are ranked together, as a teacher's values are. `fields` has the number and the
+    `Fields` of each shape, in any order, if they are computed elsewhere.
     """
     stored = {
         name: np.empty((len(shapes), size, 3), np.int16) for name, size in (("points", points), ("queries", queries))
@@ -291,7 +321,7 @@ def write_targets(
     views = np.ones(len(shapes), np.uint8)
     log_odds, occupancy = np.empty((2, len(shapes), queries), np.float32)
     alone = []  # rows that are ranked by themselves
-    settings = (teacher, rotations, queries, points, seed, local)
+    settings = (teacher, rotations, queries, points, seed, local, disturbed)
     fields = fields or ((row, fields_of(row, shapes[row], *settings)) for row in range(len(shapes)))
     for row, found in tqdm(fields, total=len(shapes), unit="shape", mininterval=2 if sys.stderr.isatty() else 60):
         log_odds[row], occupancy[row], views[row] = found.log_odds, found.occupancy, found.views
@@ -302,6 +332,9 @@ def write_targets(
     if local == "keypoints":
         for row, at in enumerate(stored["queries"]):
             target[row] = keypoint_targets(log_odds[row], occupancy[row], at.astype(np.float32) * QUANTUM)
+        alone, together = [], []
+    elif local == "mean":
+        target[:] = mean_targets(log_odds, occupancy)
         alone, together = [], []
     else:
         together = np.setdiff1d(np.arange(len(shapes)), alone)
@@ -338,7 +371,15 @@ class FieldsOnCluster:
 
     def __call__(self, batch):
         given = self.arguments
-        settings = (self.teacher, given.rotations, given.queries, given.points, given.seed, given.local)
+        settings = (
+            self.teacher,
+            given.rotations,
+            given.queries,
+            given.points,
+            given.seed,
+            given.local,
+            given.disturbed,
+        )
         found = [fields_of(row, self.shapes[int(row)], *settings) for row in batch["id"].tolist()]
         return {"id": batch["id"]} | {name: np.stack([getattr(of, name) for of in found]) for name in Fields._fields}
 
@@ -382,9 +423,14 @@ def main(argv=None):
     )
     parser.add_argument(
         "--local",
-        choices=("contrast", "peaks", "keypoints"),
+        choices=("contrast", "peaks", "keypoints", "mean"),
         help="instead of a teacher: how much the surface stands out from its neighbourhood, ranked over the whole shape; "
-        "peaks: ranked in each neighbourhood too; keypoints: the teacher's saliency with a bump at each of its keypoints",
+        "peaks: ranked in each neighbourhood too; keypoints: the teacher's saliency with a bump at each of its keypoints; mean: the teacher's saliency, not its ranks",
+    )
+    parser.add_argument(
+        "--disturbed",
+        action="store_true",
+        help="of the rotated copies a third has noise and a third is thinned, so that what they hide is averaged out",
     )
     parser.add_argument("--rotations", type=int, default=8, help="rotated copies averaged")
     parser.add_argument("--queries", type=int, default=4096, help="queries a shape")
@@ -415,19 +461,22 @@ def main(argv=None):
             parser.error(f"--{name} must be {least} or more")
     if arguments.places and arguments.weights:
         parser.error("--places makes its targets without a teacher; leave out the WEIGHTS")
-    if arguments.local == "keypoints" and not arguments.weights:
-        parser.error("--local keypoints are those of a teacher; give WEIGHTS")
-    if arguments.local and (arguments.weights and arguments.local != "keypoints" or arguments.places):
+    of_teacher = arguments.local in ("keypoints", "mean")
+    if (of_teacher or arguments.disturbed) and not arguments.weights:
+        parser.error("--local keypoints, --local mean and --disturbed are for a teacher; give WEIGHTS")
+    if arguments.local and (arguments.weights and not of_teacher or arguments.places):
         parser.error("--local makes its targets of whole shapes without a teacher; leave out WEIGHTS and --places")
     try:
         shapes, teacher = open_all(arguments)
         if len(shapes) == 0:
             parser.error("no shapes: give --data, --procedural or --places")
-        settings = {name: json.dumps(getattr(arguments, name)) for name in ("weights", "rotations", "seed")}
+        settings = {
+            name: json.dumps(getattr(arguments, name)) for name in ("weights", "rotations", "seed", "disturbed")
+        }
         fields = fields_on_cluster(arguments, len(shapes)) if arguments.ray else None
         write_targets(
             arguments.output, teacher, shapes, arguments.rotations, arguments.queries, arguments.points,
-            arguments.seed, settings, arguments.local, fields,
+            arguments.seed, settings, arguments.local, arguments.disturbed, fields,
         )  # fmt: skip
     except ImportError as error:
         parser.error(f"{error}: --ray needs pip install 'ray[data]', --engine snake-rs the module snake_rs")

@@ -168,6 +168,40 @@ def test_targets_may_be_the_keypoints_of_a_teacher(tmp_path, network):
     assert points.shape == (1, 300, 3) and queries.shape == (600, 3) and target.max() > 0.5
 
 
+@pytest.mark.parametrize(("log_odds", "expected"), [(1.5, 1.5 + np.log(0.52 / 1.02) - 0.7), (-9, -3)])
+def test_targets_may_be_the_mean_itself(tmp_path, log_odds, expected):
+    shape = sample_surface(box((1, 2, 3)), 500, np.random.default_rng(1)).astype(np.float32)
+
+    def teacher(points, queries):
+        return np.full(queries.shape[:2], log_odds), np.full(queries.shape[:2], 0.5)
+
+    module.write_targets(tmp_path / "t", teacher, [shape], 1, 600, 300, local="mean")
+    assert module.Targets(tmp_path / "t").target == pytest.approx(expected, abs=1e-3)
+
+
+def test_of_three_copies_one_is_whole_one_noisy_and_one_thinned(tmp_path):
+    rng = np.random.default_rng(4)
+    shape = np.append(rng.uniform(-0.5, 0.5, (900, 2)), np.zeros((900, 1)), axis=1).astype(np.float32)
+    copies = module.disturbed_copies(shape, 6, 600, rng)
+    assert copies.shape == (6, 600, 3) and copies.dtype == np.float32
+    height = copies[:, :, 2].std(axis=1)
+    assert (height[[0, 2, 3, 5]] == 0).all() and (0.008 < height[[1, 4]]).all() and (height[[1, 4]] < 0.04).all()
+    distinct = [len(np.unique(copy, axis=0)) for copy in copies]
+    assert distinct[0] == distinct[3] == 600 and all(60 <= distinct[copy] <= 150 for copy in (2, 5))
+
+    def teacher(points, queries):
+        """As log-odds the number of distinct points; whole copies are occupied."""
+        found = [
+            [len(np.unique(cloud.round(4), axis=0)), np.ptp(cloud @ np.linalg.svd(cloud)[2][2])] for cloud in points
+        ]
+        number, thickness = np.array(found).T
+        shape = queries.shape[:2]
+        return np.broadcast_to(number[:, None], shape), np.broadcast_to(thickness[:, None] < 1e-5, shape).astype(float)
+
+    fields = module.fields_of(0, shape, teacher, rotations=3, queries=8, points=600, disturbed=True)
+    assert (fields.occupancy == 1).all() and 420 < fields.log_odds[0] < 450  # (600 + 600 + 60 to 150) / 3
+
+
 def test_clouds_without_a_teacher_are_ranked_by_themselves(tmp_path):
     shapes = Procedural(3, points=400)
     write_targets(tmp_path / "all", None, shapes, queries=256, points=256)
@@ -281,6 +315,7 @@ def test_the_command_writes_targets_and_refuses_what_it_cannot_do(tmp_path, netw
         (["--procedural", "2"], 2),
         (["--procedural", "2", "--local", "peaks"], 2),
         (["--places", "1"], 1),
+        ([str(weights), "--procedural", "1", "--local", "mean", "--disturbed"], 1),
     ):
         module.main([*given, "-o", str(output), *small])
         assert len(Targets(output)) == number
@@ -290,6 +325,8 @@ def test_the_command_writes_targets_and_refuses_what_it_cannot_do(tmp_path, netw
         ([str(weights), "--rotations", "0"], "--rotations must be 1 or more"),
         ([str(weights), "--places", "1"], "leave out the WEIGHTS"),
         ([str(weights), "--local", "peaks"], "leave out WEIGHTS"),
+        (["--procedural", "1", "--local", "mean"], "give WEIGHTS"),
+        (["--procedural", "1", "--disturbed"], "give WEIGHTS"),
     ):
         with pytest.raises(SystemExit):
             module.main(["-o", str(output), *small, *wrong])
@@ -392,7 +429,7 @@ def test_a_cluster_computes_the_same_targets(network, tmp_path, monkeypatch):
         pytest.skip(f"Ray cannot start here: {error}")
     write_weights(tmp_path / "weights.safetensors", network.config, network.state_dict())
     given = [str(tmp_path / "weights.safetensors"), "--engine", "snake-rs", "--procedural", "20"]
-    given += ["--rotations", "2", "--queries", "64", "--points", "128"]
+    given += ["--rotations", "2", "--queries", "64", "--points", "128", "--disturbed"]
     try:
         for name, more in (("here", []), ("there", ["--ray", "2"])):
             module.main([*given, *more, "-o", str(tmp_path / name)])
