@@ -12,15 +12,15 @@ use crate::weights::Scope;
 /// The point encoder of a model.
 #[derive(Debug)]
 pub(crate) enum PointFeatures {
-    PointNet(PointNet),
-    PointNet2(PointNet2),
+    PointNet(Box<PointNet>),
+    PointNet2(Box<PointNet2>),
 }
 
 impl PointFeatures {
     pub(super) fn load(scope: &Scope, config: &ModelConfig) -> Result<Self> {
         Ok(match config.point_encoder {
-            PointEncoder::PointNet => Self::PointNet(PointNet::load(scope, config)?),
-            PointEncoder::PointNet2 => Self::PointNet2(PointNet2::load(scope, config)?),
+            PointEncoder::PointNet => Self::PointNet(Box::new(PointNet::load(scope, config)?)),
+            PointEncoder::PointNet2 => Self::PointNet2(Box::new(PointNet2::load(scope, config)?)),
         })
     }
 

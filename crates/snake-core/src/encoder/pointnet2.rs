@@ -64,7 +64,7 @@ impl TwoLayers {
     }
 }
 
-/// Centres with a feature each.
+/// Positions with a feature each, of width 0 for the points of a cloud.
 struct Centers<'a> {
     positions: &'a [Point],
     width: usize,
@@ -110,6 +110,7 @@ impl PointNet2 {
         counter.add(num_points);
         let fine = self.fine_centers(&points, &positions, counter)?;
         counter.add(num_points);
+        // A voxel with more points than a tile is one thread's.
         groups.in_parts(TILE, sums, &|voxels, sums| {
             let width = sums.len() / voxels.len();
             let rows = voxels
@@ -134,11 +135,11 @@ impl PointNet2 {
 
     /// The fine centres, with features of the fine and the coarse balls.
     fn fine_centers<'a>(&self, points: &[Point], positions: &'a [Point], counter: &Counter) -> Result<Centers<'a>> {
-        let nothing = Centers { positions: points, width: 0, features: Vec::new() };
+        let bare = Centers { positions: points, width: 0, features: Vec::new() };
         let fine = Centers {
             positions,
             width: self.hidden,
-            features: maxima(&self.fine, RADII[0], positions, &nothing, counter)?,
+            features: maxima(&self.fine, RADII[0], positions, &bare, counter)?,
         };
         // The first ones are what sampling the fine centres again would choose.
         let positions = &positions[..positions.len().min(CENTERS[1])];
