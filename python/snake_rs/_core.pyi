@@ -158,6 +158,7 @@ class _Config(TypedDict):
     unet_base_channels: int
     group_norm_groups: int
     scatter: str
+    point_encoder: str
 
 def detect(points: _Points, model: _Model | None = None, **options: Unpack[_Options]) -> Keypoints: ...
 def register(
