@@ -362,7 +362,7 @@ impl Preset {
             Self::Standard => DetectOptions {
                 query_band: 1,
                 refine_steps: 0,
-                saliency_threshold: 0.1,
+                saliency_threshold: 0.07,
                 mode_radius: Some(Length::Percent(6.0)),
                 nms_radius: Some(Length::Percent(10.0)),
                 ..common

@@ -3,14 +3,16 @@
 use base64::Engine;
 use base64::prelude::BASE64_STANDARD;
 use gltf::accessor::{DataType, Dimensions};
-use gltf::{Accessor, Gltf, Node, Primitive, Semantic, buffer, mesh};
+use gltf::json::Root;
+use gltf::{Accessor, Document, Gltf, Node, Primitive, Semantic, buffer, mesh};
 use snake_core::excerpt;
 
 use super::shape::{Position, Shape};
 
 /// Reads the vertices of all meshes of the default scene, in the scene's frame (y points up), and their triangles.
 pub(super) fn read(bytes: &[u8]) -> Result<Shape, String> {
-    let Gltf { document, mut blob } = Gltf::from_slice(bytes).map_err(|error| excerpt(&error.to_string(), 200))?;
+    let Gltf { document, mut blob } = Gltf::from_slice_without_validation(bytes).map_err(refused)?;
+    let document = validated(document.into_json())?;
     let buffers = document.buffers().map(|buffer| match buffer.source() {
         buffer::Source::Bin => blob.take().ok_or_else(|| "a buffer has no data".to_owned()),
         buffer::Source::Uri(uri) => embedded(uri),
@@ -36,6 +38,20 @@ pub(super) fn read(bytes: &[u8]) -> Result<Shape, String> {
     }
     shape.check_triangles()?;
     Ok(shape)
+}
+
+fn refused(error: gltf::Error) -> String {
+    excerpt(&error.to_string(), 200)
+}
+
+/// The document of a file. The crate's own validation looks positions up before it checks that they are there.
+fn validated(root: Root) -> Result<Document, String> {
+    let primitives = root.meshes.iter().flat_map(|mesh| &mesh.primitives);
+    let mut attributes = primitives.flat_map(|primitive| primitive.attributes.values());
+    if attributes.any(|accessor| accessor.value() >= root.accessors.len()) {
+        return Err("a mesh has an accessor that is not there".into());
+    }
+    Document::from_json(root).map_err(refused)
 }
 
 /// Column by column, as in the file.
@@ -139,6 +155,8 @@ mod tests {
         let mesh = r#"[{"mesh": 0}]"#;
         assert!(read(&scene(mesh, r#", "byteOffset": 4"#)).unwrap_err().contains("beyond its data"));
         assert!(read(&scene(r#"[{"children": [1]}, {"children": [0]}]"#, "")).unwrap_err().contains("two parents"));
+        let absent = scene(mesh, "").replace(r#""POSITION": 0"#, r#""POSITION": 1"#);
+        assert!(read(&absent).unwrap_err().contains("not there"));
         let elsewhere = scene(mesh, "").replace("data:application/octet-stream;base64,AACAPwAAAEAAAEBA", "part.bin");
         let error = read(&elsewhere).unwrap_err();
         assert!(error.contains("part.bin") && error.contains("gltf-transform"), "{error}");

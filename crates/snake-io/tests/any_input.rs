@@ -180,6 +180,7 @@ proptest! {
 
     #[test]
     fn written_clouds_read_back(points in points()) {
+        let _alone = checks::alone();
         let folder = tempfile::tempdir().unwrap();
         for extension in io::CLOUD_EXTENSIONS {
             let path = folder.path().join("cloud").with_extension(extension);
@@ -194,9 +195,9 @@ proptest! {
     ) {
         let keypoint = |&position: &Point| Keypoint { position, saliency, occupancy, nearest_index };
         let keypoints: Vec<Keypoint> = points.iter().map(keypoint).collect();
+        let _alone = checks::alone();
         let folder = tempfile::tempdir().unwrap();
-        // LAZ rounds, and the writer of Parquet takes memory while another test measures that of readers: both have tests of
-        // their own.
+        // LAZ rounds, and Parquet is not JSON: both have tests of their own.
         for extension in io::KEYPOINT_EXTENSIONS.iter().filter(|extension| !matches!(**extension, "laz" | "parquet")) {
             let path = folder.path().join(format!("keypoints.{extension}"));
             io::write_keypoints(&path, &keypoints, &KeypointSource::new(&path, [0.0; 3])).unwrap();

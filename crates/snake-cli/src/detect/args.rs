@@ -104,7 +104,7 @@ pub struct DetectFlags {
     /// Keep only refined positions whose occupancy, a probability, is above this threshold [default: 0.8].
     #[arg(long)]
     surface_threshold: Option<f32>,
-    /// Keep only keypoints whose saliency, 0 to 1, is above this threshold [default: 0.1].
+    /// Keep only keypoints whose saliency, 0 to 1, is above this threshold [default: 0.07].
     #[arg(long)]
     saliency_threshold: Option<f32>,
     /// Before suppression, move keypoints to the weighted mean of the candidates within this radius. A length as of

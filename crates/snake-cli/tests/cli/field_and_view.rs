@@ -64,7 +64,8 @@ fn a_volume_holds_the_field_at_the_printed_positions() {
     let expected = sample_field().saliency(&queries).unwrap();
     assert_eq!(values.len(), expected.len());
     assert!(values.iter().zip(&expected).all(|(a, b)| (a - b).abs() < 1e-4));
-    assert!(expected.iter().any(|v| *v > 0.5));
+    // The field is not constant there.
+    assert!(expected.iter().any(|v| *v > 0.25) && expected.iter().any(|v| *v < 0.05));
 }
 
 /// Pixels of the image within a picture of one panel.

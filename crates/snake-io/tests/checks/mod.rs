@@ -3,7 +3,7 @@
 //!
 //! `cargo test` runs the same over the stored corpus and over damaged files (`tests/any_input.rs`).
 
-use std::sync::{Mutex, PoisonError};
+use std::sync::{Mutex, MutexGuard, PoisonError};
 
 use peak_alloc::PeakAlloc;
 use snake_core::{EncodeOptions, Model, NormalizationMethod, Point};
@@ -42,6 +42,7 @@ pub fn load_model(bytes: &[u8]) {
     if model.config().frame.resolution.iter().product::<usize>() > 4096 {
         return;
     }
+    let _alone = alone();
     let points: Vec<Point> = (0..40).map(|i| [i, i * i % 7, i % 5].map(|v| v as f32 * 0.02 - 0.4)).collect();
     let encode = EncodeOptions::default().with_normalization(NormalizationMethod::None);
     let Ok(field) = model.encode(&points, &encode) else { return };
@@ -62,10 +63,15 @@ fn expansion(format: PointFormat) -> usize {
     }
 }
 
+/// No other memory is measured while this is held. Whoever takes much of it holds it.
+pub fn alone() -> MutexGuard<'static, ()> {
+    static ALONE: Mutex<()> = Mutex::new(());
+    ALONE.lock().unwrap_or_else(PoisonError::into_inner)
+}
+
 /// Runs what may take `most` bytes at a time, and some for the tables of a decoder.
 fn in_proportion<T>(most: usize, run: impl FnOnce() -> T) -> T {
-    static ALONE: Mutex<()> = Mutex::new(());
-    let _alone = ALONE.lock().unwrap_or_else(PoisonError::into_inner);
+    let _alone = alone();
     MEMORY.reset_peak_usage();
     let before = MEMORY.current_usage();
     let result = run();
