@@ -28,6 +28,7 @@ mod detector;
 mod encoder;
 mod error;
 mod excerpt;
+mod farthest;
 mod field;
 #[cfg(test)]
 mod golden;

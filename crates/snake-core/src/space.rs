@@ -1,5 +1,6 @@
 //! Neighbour queries and checks of points, for this crate and for crates that build on it.
 
+pub use crate::farthest::farthest_points;
 pub use crate::kd_tree::KdTree;
 pub use crate::length::resolution;
 pub use crate::neighbors::{Neighbors, Vector, eigen, vector};

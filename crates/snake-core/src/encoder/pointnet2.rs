@@ -13,6 +13,7 @@ use super::voxel_groups::VoxelGroups;
 use crate::Result;
 use crate::config::ModelConfig;
 use crate::control::Counter;
+use crate::farthest::farthest_points;
 use crate::nn::{Linear, TILE};
 use crate::points::Point;
 use crate::weights::Scope;
@@ -23,9 +24,6 @@ const CENTERS: [usize; 2] = [512, 128];
 
 /// The radii of the balls, in network units.
 const RADII: [f32; 2] = [0.1, 0.25];
-
-/// Points that one thread compares with a centre.
-const SHARE: usize = 1 << 13;
 
 /// The point encoder before scattering.
 #[derive(Debug)]
@@ -106,7 +104,8 @@ impl PointNet2 {
     ) -> Result<()> {
         let num_points = groups.num_points(0..groups.num_voxels());
         let points: Vec<Point> = (0..num_points).into_par_iter().map(&point).collect();
-        let positions = farthest_points(&points, CENTERS[0], counter)?;
+        let chosen = farthest_points(&points, CENTERS[0], || counter.check())?;
+        let positions: Vec<Point> = chosen.into_iter().map(|(index, _)| points[index]).collect();
         counter.add(num_points);
         let fine = self.fine_centers(&points, &positions, counter)?;
         counter.add(num_points);
@@ -224,37 +223,6 @@ fn maxima(network: &TwoLayers, radius: f32, centers: &[Point], of: &Centers, cou
     };
     let of_centers: Vec<Vec<f32>> = centers.par_iter().map(of_center).collect::<Result<_>>()?;
     Ok(of_centers.concat())
-}
-
-/// At most `number` distinct points, each the farthest from all before it, at least one.
-///
-/// The first is the farthest from the mean, so the choice rotates with the cloud. Of equally far points it is the first.
-fn farthest_points(points: &[Point], number: usize, counter: &Counter) -> Result<Vec<Point>> {
-    let far = points.iter().map(|point| point.map(f64::from));
-    let mean = far.fold([0.0; 3], |sum: [f64; 3], p| std::array::from_fn(|axis| sum[axis] + p[axis]));
-    let mean = mean.map(|sum| sum / points.len() as f64);
-    let mut nearest = vec![f64::INFINITY; points.len()];
-    let squared =
-        |point: &Point, from: [f64; 3]| (0..3).map(|axis| (f64::from(point[axis]) - from[axis]).powi(2)).sum::<f64>();
-    // The farthest of a share of the points, then of all, and the first of equals.
-    let farther = |a: (f64, usize), b: (f64, usize)| if b.0 > a.0 || b.0 == a.0 && b.1 < a.1 { b } else { a };
-    let mut chosen = Vec::new();
-    let first = points.iter().enumerate().map(|(index, point)| (squared(point, mean), index));
-    let mut next = first.reduce(farther).unwrap_or_default();
-    while chosen.len() < number && (next.0 > 0.0 || chosen.is_empty()) && !points.is_empty() {
-        counter.check()?;
-        let center = points[next.1];
-        chosen.push(center);
-        let from = center.map(f64::from);
-        let shares = nearest.par_chunks_mut(SHARE).zip(points.par_chunks(SHARE)).enumerate();
-        let farthest = shares.map(|(share, (nearest, points))| {
-            nearest.iter_mut().zip(points).for_each(|(nearest, point)| *nearest = nearest.min(squared(point, from)));
-            let of_share = nearest.iter().enumerate().map(|(index, &gap)| (gap, share * SHARE + index));
-            of_share.reduce(farther).unwrap_or_default()
-        });
-        next = farthest.reduce(|| (f64::NEG_INFINITY, usize::MAX), farther);
-    }
-    Ok(chosen)
 }
 
 fn squared_distance(a: &Point, b: &Point) -> f32 {

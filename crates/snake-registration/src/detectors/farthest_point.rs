@@ -1,9 +1,7 @@
 //! Farthest-point sampling.
 
-use super::{Response, among_finite, index_cloud};
-use snake_core::Point;
-use snake_core::Result;
-use snake_core::space::Vector;
+use super::{Response, among_finite, check_distinct};
+use snake_core::{Point, Result, space};
 
 /// At most `count` points; each is the farthest from all points before it.
 ///
@@ -20,28 +18,12 @@ pub fn farthest_points(points: &[Point], count: usize) -> Result<Vec<Response>> 
 
 /// [`farthest_points`] of finite points.
 fn find(points: &[Point], count: usize) -> Result<Vec<Response>> {
-    let points = index_cloud(points)?.points;
-    let mean = points.iter().sum::<Vector>() / points.len() as f64;
-    let mut next = farthest(&points.iter().map(|p| (p - mean).norm()).collect::<Vec<_>>());
-    let mut distances = vec![f64::INFINITY; points.len()];
-    let mut chosen: Vec<Response> = Vec::new();
-    while chosen.len() < count && next.score > 0.0 {
-        chosen.push(Response { index: next.index, score: distances[next.index] });
-        let last = points[next.index];
-        distances.iter_mut().zip(&points).for_each(|(d, p)| *d = d.min((p - last).norm()));
-        next = farthest(&distances);
-        if let [first] = &mut chosen[..] {
-            first.score = next.score;
-        }
-    }
-    Ok(chosen)
-}
-
-/// The index of the first largest value.
-fn farthest(distances: &[f64]) -> Response {
-    let start = Response { index: 0, score: f64::NEG_INFINITY };
-    let larger = |best: Response, (index, &score)| if score > best.score { Response { index, score } } else { best };
-    distances.iter().enumerate().fold(start, larger)
+    check_distinct(points)?;
+    // The first point takes its score from the second.
+    let found = space::farthest_points(points, count.max(2), || Ok(()))?;
+    let scores = found.iter().map(|(_, squared)| squared.sqrt()).collect::<Vec<_>>();
+    let response = |(place, &(index, _)): (usize, &(usize, f64))| Response { index, score: scores[place.max(1)] };
+    Ok(found.iter().enumerate().take(count).map(response).collect())
 }
 
 #[cfg(test)]

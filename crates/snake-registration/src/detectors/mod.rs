@@ -154,11 +154,17 @@ fn among_finite(points: &[Point], find: impl FnOnce(&[Point]) -> Result<Vec<Resp
     Ok(found.map(|Response { index, score }| Response { index: finite.original_index(index), score }).collect())
 }
 
+/// Refuses a cloud of one point, however often it is repeated.
+fn check_distinct(points: &[Point]) -> Result<()> {
+    match points.iter().all(|p| *p == points[0]) {
+        true => Err(Error::Input { what: "points", reason: "need at least two different points".into() }),
+        false => Ok(()),
+    }
+}
+
 /// Indexes a cloud of at least two different finite points.
 fn index_cloud(points: &[Point]) -> Result<Neighbors> {
-    if points.iter().all(|p| *p == points[0]) {
-        return Err(Error::Input { what: "points", reason: "need at least two different points".into() });
-    }
+    check_distinct(points)?;
     Neighbors::new(points.iter().map(|&p| vector(p)).collect())
 }
 
