@@ -261,6 +261,8 @@ try {
   if (prepare()) {
     listen();
     reset();
+    // A busy browser without a window may never ask for a frame.
+    draw();
   } else {
     fail("This browser has no WebGL 2, which the picture needs. Update it, or switch hardware acceleration on; the " +
       "figures on this page are complete without it.");
