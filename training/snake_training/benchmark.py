@@ -283,13 +283,13 @@ def version(package):
 
 
 def measure(config, num_points, occupied, options, threads, runs):
-    """The whole report, as it is written to the JSON file."""
+    """The report of one level of instructions."""
     os.environ["RAYON_NUM_THREADS"] = os.environ["OMP_NUM_THREADS"] = str(threads)
     import snake_rs  # after the environment: its threads start with the first use
 
     torch.set_num_threads(threads)
     report = {
-        "machine": machine(), "versions": {package: version(package) for package in PACKAGES},
+        "versions": {package: version(package) for package in PACKAGES},
         "settings": {
             "threads": threads, "runs": runs, "num_points": num_points, "resolution": config.resolution,
             "query_resolution": options.query_resolution, "refine_steps": options.refine_steps,
@@ -312,17 +312,19 @@ def measure(config, num_points, occupied, options, threads, runs):
 
 
 def measure_levels(*arguments):
-    """Yields (level, report of `measure`), each measured in a process of its own.
+    """Yields (level, report as it is written to the JSON file), each measured in a process of its own.
 
-    The levels are all instructions that the processor has and, if it has more, AVX2.
+    The levels are all instructions that the processor has and, if it has more, AVX2. The load is that before the first level,
+    because the second one would see the load of the first.
     """
+    host = machine()
     levels = {"all instructions of the processor": {}}
     if torch.backends.cpu.get_cpu_capability() == "AVX512":
         levels["held to AVX2 (ONNX Runtime is not)"] = AVX2
     for level, environment in levels.items():
         os.environ.update(environment)  # a process has it from its start
         with ProcessPoolExecutor(1, get_context("spawn")) as pool:
-            yield level, pool.submit(measure, *arguments).result()
+            yield level, {"machine": host, **pool.submit(measure, *arguments).result()}
 
 
 def table(title, rows, digits=4):

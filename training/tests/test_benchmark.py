@@ -21,7 +21,8 @@ OPTIONS = DetectOptions(query_resolution=16, refine_steps=2)
 
 @pytest.fixture(scope="module")
 def report():
-    return benchmark.measure(CONFIG, num_points=512, occupied=300, options=OPTIONS, threads=1, runs=1)
+    report = benchmark.measure(CONFIG, num_points=512, occupied=300, options=OPTIONS, threads=1, runs=1)
+    return {"machine": benchmark.machine(), **report}
 
 
 def test_every_part_is_measured(report):
@@ -127,6 +128,7 @@ def test_each_level_of_instructions_has_a_process_of_its_own():
         reports = dict(benchmark.measure_levels(CONFIG, 512, 300, OPTIONS, 1, 1))
     assert len(reports) == (2 if capability == "AVX512" else 1)
     assert all(report["unet_seconds"]["snake-rs (whole encode)"]["difference"] < 1e-4 for report in reports.values())
+    assert len({report["machine"]["load_before"] for report in reports.values()}) == 1, "the first level is no load"
 
 
 def test_medians_leave_out_the_first_round():
