@@ -5,6 +5,7 @@
 //! |---|---|
 //! | [`linear()`] | rows of features `(rows, width)` |
 //! | [`conv3d()`] | volumes `[z][y][x][channel]`; [`GroupNorm`] applied as it reads, ReLU as it writes |
+//! | [`conv3d_blocks()`] | blocks of a sparse volume `[block][z][y][x][channel]` |
 //! | [`ConstantRegion`] | tiles of a volume that repeat each other, which [`conv3d()`] copies |
 //! | [`relu`], [`max_rows`], [`add_weighted`], [`nearest_row`] | rows of features |
 //! | [`interpolate`], [`interpolate_backward`] | trilinear features of queries, and their gradient |
@@ -40,7 +41,9 @@ mod trilinear;
 
 pub use buffer_pool::{Buffer, BufferPool};
 pub use constant_region::ConstantRegion;
-pub use conv3d::{Conv3d, PackedConv3d, Source, conv3d};
+pub use conv3d::{
+    BLOCK_SIDE, BLOCK_VOXELS, BlockConv3d, BlockSource, Conv3d, PackedConv3d, Source, conv3d, conv3d_blocks,
+};
 pub use group_norm::{GroupNorm, channel_sums};
 pub use linear::{Epilogue, PackedLinear, linear};
 pub use rows::{add_weighted, max_rows, nearest_row, relu};

@@ -43,8 +43,13 @@ pub(crate) fn normalized(
     joined.iter().zip(norm).map(|(value, (scale, shift))| value * scale + shift).collect()
 }
 
-/// 3x3x3 convolution with zero padding, then ReLU; weights `(outputs, inputs, 3, 3, 3)`.
+/// [`conv3d`], then ReLU.
 pub(crate) fn conv3d_relu(size: [usize; 3], inputs: usize, outputs: usize, weight: &[f32], volume: &[f32]) -> Vec<f32> {
+    conv3d(size, inputs, outputs, weight, volume).into_iter().map(|value| value.max(0.0)).collect()
+}
+
+/// 3x3x3 convolution with zero padding; weights `(outputs, inputs, 3, 3, 3)`.
+pub(crate) fn conv3d(size: [usize; 3], inputs: usize, outputs: usize, weight: &[f32], volume: &[f32]) -> Vec<f32> {
     let padded = pad(size, inputs, volume);
     let [depth, height, width] = size;
     let mut result = Vec::with_capacity(depth * height * width * outputs);
@@ -61,7 +66,7 @@ pub(crate) fn conv3d_relu(size: [usize; 3], inputs: usize, outputs: usize, weigh
                             sum += f64::from(w) * f64::from(padded[voxel * inputs + input]);
                         }
                     }
-                    result.push(sum.max(0.0) as f32);
+                    result.push(sum as f32);
                 }
             }
         }

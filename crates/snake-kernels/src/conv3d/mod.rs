@@ -17,6 +17,7 @@
 //! A coarser input that is upsampled by two is read in place. With M = 2 it has d1 = d2, so V2 = 0 along every axis and 27
 //! of the 64 points remain.
 
+mod blocks;
 mod pack;
 mod products;
 #[cfg(test)]
@@ -32,8 +33,9 @@ use crate::group_norm::add_in_order;
 use crate::simd::{LANES, Lanes, simd_levels};
 use crate::{Scratch, SimdLevel};
 
+pub use self::blocks::{BLOCK_SIDE, BLOCK_VOXELS, BlockConv3d, BlockSource, conv3d_blocks};
 pub use self::pack::PackedConv3d;
-use self::pack::{BLOCK, points};
+use self::pack::{BLOCK, Block, points};
 use self::products::multiply;
 use self::transform::{MAX_TILE, Partial, transform_inputs, transform_outputs};
 
@@ -219,35 +221,8 @@ fn conv3d_tiles<L: Lanes, const ROWS: usize, const N: usize>(
     let output_blocks = layer.outputs.div_ceil(LANES);
     let mut partial = Partial::new();
     for tiles in tiles.chunks(batch) {
-        let padded_tiles = tiles.len().next_multiple_of(ROWS);
-        // One cache line more than a power of two keeps the points out of the same cache sets.
-        let input_pitch = padded_tiles * BLOCK + LANES;
-        let product_pitch = padded_tiles * LANES + LANES;
-        let inputs = first_values(inputs, N * N * N * input_pitch);
-        let products = first_values(products, N * N * N * output_blocks * product_pitch);
-        for (number, block) in layer.blocks.iter().enumerate() {
-            for half in 0..block.channels.div_ceil(LANES) {
-                transform_inputs::<L, N>(
-                    conv,
-                    block,
-                    half,
-                    task.plane,
-                    tiles,
-                    &mut inputs[half * LANES..],
-                    input_pitch,
-                );
-            }
-            for (k, p) in points(N, block.upsampled).enumerate() {
-                let inputs = &inputs[p * input_pitch..][..padded_tiles * BLOCK];
-                let products = &mut products[p * output_blocks * product_pitch..][..output_blocks * product_pitch];
-                for (out, products) in products.chunks_exact_mut(product_pitch).enumerate() {
-                    let from = (k * output_blocks + out) * block.channels;
-                    let (weights, rest) = block.weights[from..].split_at(block.channels);
-                    let next = &rest[..rest.len().min(block.channels)];
-                    multiply::<L, ROWS>(inputs, weights, next, &mut products[..padded_tiles * LANES], number == 0);
-                }
-            }
-        }
+        let gather = TilesOfPlane { conv, plane: task.plane, tiles };
+        let (products, product_pitch) = multiply_tiles::<L, ROWS, N>(layer, tiles.len(), &gather, inputs, products);
         for (tile, &[row, x]) in tiles.iter().enumerate() {
             for out in 0..output_blocks {
                 let products = &products[out * product_pitch + tile * LANES..];
@@ -257,4 +232,58 @@ fn conv3d_tiles<L: Lanes, const ROWS: usize, const N: usize>(
             }
         }
     }
+}
+
+/// The tiles of a batch, wherever their inputs lie.
+trait Gather {
+    /// Transforms LANES input channels of each tile to V. `to` holds `pitch` values for each point, BLOCK for each tile.
+    fn transform<L: Lanes, const N: usize>(&self, block: &Block, half: usize, to: &mut [f32], pitch: usize);
+}
+
+/// Tiles `[row, x]` of one plane of tiles.
+struct TilesOfPlane<'a> {
+    conv: &'a Conv3d<'a>,
+    plane: usize,
+    tiles: &'a [[usize; 2]],
+}
+
+impl Gather for TilesOfPlane<'_> {
+    #[inline(always)]
+    fn transform<L: Lanes, const N: usize>(&self, block: &Block, half: usize, to: &mut [f32], pitch: usize) {
+        transform_inputs::<L, N>(self.conv, block, half, self.plane, self.tiles, to, pitch);
+    }
+}
+
+/// The products of a batch of tiles at all points, `[point][output block][tile][lane]`, and the distance of two points.
+#[inline(always)]
+fn multiply_tiles<'a, L: Lanes, const ROWS: usize, const N: usize>(
+    layer: &PackedConv3d,
+    num_tiles: usize,
+    gather: &impl Gather,
+    inputs: &mut Vec<f32>,
+    products: &'a mut Vec<f32>,
+) -> (&'a [f32], usize) {
+    let output_blocks = layer.outputs.div_ceil(LANES);
+    let padded_tiles = num_tiles.next_multiple_of(ROWS);
+    // One cache line more than a power of two keeps the points out of the same cache sets.
+    let input_pitch = padded_tiles * BLOCK + LANES;
+    let product_pitch = padded_tiles * LANES + LANES;
+    let inputs = first_values(inputs, N * N * N * input_pitch);
+    let products = first_values(products, N * N * N * output_blocks * product_pitch);
+    for (number, block) in layer.blocks.iter().enumerate() {
+        for half in 0..block.channels.div_ceil(LANES) {
+            gather.transform::<L, N>(block, half, &mut inputs[half * LANES..], input_pitch);
+        }
+        for (k, p) in points(N, block.upsampled).enumerate() {
+            let inputs = &inputs[p * input_pitch..][..padded_tiles * BLOCK];
+            let products = &mut products[p * output_blocks * product_pitch..][..output_blocks * product_pitch];
+            for (out, products) in products.chunks_exact_mut(product_pitch).enumerate() {
+                let from = (k * output_blocks + out) * block.channels;
+                let (weights, rest) = block.weights[from..].split_at(block.channels);
+                let next = &rest[..rest.len().min(block.channels)];
+                multiply::<L, ROWS>(inputs, weights, next, &mut products[..padded_tiles * LANES], number == 0);
+            }
+        }
+    }
+    (products, product_pitch)
 }

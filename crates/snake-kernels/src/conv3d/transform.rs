@@ -89,15 +89,21 @@ pub(super) fn transform_inputs<L: Lanes, const N: usize>(
                 columns[i][z] = inputs_of_axis(along_y);
             }
         }
-        for z in 0..N {
-            for y in 0..N {
-                let mut along_x = [zero; N];
-                for (i, value) in along_x.iter_mut().enumerate() {
-                    *value = columns[i][z][y];
-                }
-                for (i, value) in inputs_of_axis(along_x).into_iter().enumerate() {
-                    store(value, &mut to[((z * N + y) * N + i) * pitch + tile * BLOCK..], LANES);
-                }
+        store_inputs(&columns, &mut to[tile * BLOCK..], pitch);
+    }
+}
+
+/// Transforms columns of inputs, which are transformed along z and y, along x, and stores them `pitch` apart.
+#[inline(always)]
+pub(super) fn store_inputs<L: Lanes, const N: usize>(columns: &[[[L; N]; N]; N], to: &mut [f32], pitch: usize) {
+    for z in 0..N {
+        for y in 0..N {
+            let mut along_x = [L::splat(0.0); N];
+            for (i, value) in along_x.iter_mut().enumerate() {
+                *value = columns[i][z][y];
+            }
+            for (i, value) in inputs_of_axis(along_x).into_iter().enumerate() {
+                store(value, &mut to[((z * N + y) * N + i) * pitch..], LANES);
             }
         }
     }
@@ -108,7 +114,7 @@ pub(super) struct Partial<L, const N: usize> {
     /// Transformed along x, of one z.
     rows: [[L; MAX_TILE]; N],
     /// Transformed along x and y.
-    planes: [[[L; MAX_TILE]; MAX_TILE]; N],
+    pub(super) planes: [[[L; MAX_TILE]; MAX_TILE]; N],
 }
 
 impl<L: Lanes, const N: usize> Partial<L, N> {
@@ -116,6 +122,30 @@ impl<L: Lanes, const N: usize> Partial<L, N> {
     pub(super) fn new() -> Self {
         let zero = L::splat(0.0);
         Self { rows: [[zero; MAX_TILE]; N], planes: [[[zero; MAX_TILE]; MAX_TILE]; N] }
+    }
+
+    /// Transforms the products of a tile, which are `pitch` apart, along x and y.
+    #[inline(always)]
+    pub(super) fn read(&mut self, products: &[f32], pitch: usize) {
+        let zero = L::splat(0.0);
+        for (z, plane) in self.planes.iter_mut().enumerate() {
+            for (y, along_x) in self.rows.iter_mut().enumerate() {
+                let mut products_of_row = [zero; N];
+                for (x, value) in products_of_row.iter_mut().enumerate() {
+                    *value = load(&products[((z * N + y) * N + x) * pitch..], LANES);
+                }
+                *along_x = outputs_of_axis(products_of_row);
+            }
+            for x in 0..N - 2 {
+                let mut column = [zero; N];
+                for (value, row) in column.iter_mut().zip(&self.rows) {
+                    *value = row[x];
+                }
+                for (row, value) in plane.iter_mut().zip(outputs_of_axis(column)) {
+                    row[x] = value;
+                }
+            }
+        }
     }
 }
 
@@ -133,32 +163,14 @@ pub(super) fn transform_outputs<L: Lanes, const N: usize>(
 ) {
     let &Conv3d { layer, size, .. } = conv;
     let zero = L::splat(0.0);
-    let Partial { rows, planes } = partial;
-    for (z, plane) in planes.iter_mut().enumerate() {
-        for (y, along_x) in rows.iter_mut().enumerate() {
-            let mut products_of_row = [zero; N];
-            for (x, value) in products_of_row.iter_mut().enumerate() {
-                *value = load(&products[((z * N + y) * N + x) * pitch..], LANES);
-            }
-            *along_x = outputs_of_axis(products_of_row);
-        }
-        for x in 0..N - 2 {
-            let mut column = [zero; N];
-            for (value, row) in column.iter_mut().zip(&*rows) {
-                *value = row[x];
-            }
-            for (row, value) in plane.iter_mut().zip(outputs_of_axis(column)) {
-                row[x] = value;
-            }
-        }
-    }
+    partial.read(products, pitch);
     let lanes = LANES.min(layer.outputs - out * LANES);
     let (mut sum, mut squares) = (zero, zero);
     let (first_y, first_x) = ((N - 2) * row, (N - 2) * x);
     for y in 0..N - 2 {
         for x in 0..(N - 2).min(size[2] - first_x) {
             let mut column = [zero; N];
-            for (value, plane) in column.iter_mut().zip(&*planes) {
+            for (value, plane) in column.iter_mut().zip(&partial.planes) {
                 *value = plane[y][x];
             }
             let place = (((first_y + y) * size[2]) + first_x + x) * layer.outputs + out * LANES;
@@ -181,7 +193,7 @@ pub(super) fn transform_outputs<L: Lanes, const N: usize>(
 
 /// Transforms N inputs along an axis to V.
 #[inline(always)]
-fn inputs_of_axis<L: Lanes, const N: usize>(d: [L; N]) -> [L; N] {
+pub(super) fn inputs_of_axis<L: Lanes, const N: usize>(d: [L; N]) -> [L; N] {
     let mut v = d;
     if N == 4 {
         v[0] = d[0].sub(d[2]);
@@ -206,7 +218,7 @@ fn inputs_of_axis<L: Lanes, const N: usize>(d: [L; N]) -> [L; N] {
 
 /// Transforms N products along an axis to M outputs.
 #[inline(always)]
-fn outputs_of_axis<L: Lanes, const N: usize>(m: [L; N]) -> [L; MAX_TILE] {
+pub(super) fn outputs_of_axis<L: Lanes, const N: usize>(m: [L; N]) -> [L; MAX_TILE] {
     let zero = L::splat(0.0);
     if N == 4 {
         return [m[0].add(m[1]).add(m[2]), m[1].sub(m[2]).sub(m[3]), zero, zero];
