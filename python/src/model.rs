@@ -110,7 +110,6 @@ impl Model {
     #[getter]
     fn config<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyDict>> {
         let config = self.core.config();
-        let [x, y, z] = config.frame.resolution;
         let dict = [
             ("c_dim", config.c_dim),
             ("hidden_dim", config.hidden_dim),
@@ -121,10 +120,13 @@ impl Model {
             ("group_norm_groups", config.group_norm_groups),
         ]
         .into_py_dict(py)?;
-        dict.set_item("resolution", (x, y, z))?;
-        dict.set_item("padding", config.frame.padding)?;
-        dict.set_item("z_min", config.frame.z_bounds[0])?;
-        dict.set_item("z_max", config.frame.z_bounds[1])?;
+        if let Some(frame) = config.frame() {
+            let [x, y, z] = frame.resolution;
+            dict.set_item("resolution", (x, y, z))?;
+            dict.set_item("padding", frame.padding)?;
+            dict.set_item("z_min", frame.z_bounds[0])?;
+            dict.set_item("z_max", frame.z_bounds[1])?;
+        }
         dict.set_item("scatter", config.scatter.name())?;
         dict.set_item("point_encoder", config.point_encoder.name())?;
         Ok(dict)
@@ -189,7 +191,10 @@ impl Model {
 
     fn __repr__(&self) -> String {
         let config = self.core.config();
-        let [x, y, z] = config.frame.resolution;
-        format!("Model({} parameters, volume {x} x {y} x {z} x {})", self.core.num_parameters(), config.c_dim)
+        let volume = match config.frame().map(|frame| frame.resolution) {
+            Some([x, y, z]) => format!("{x} x {y} x {z}"),
+            None => "of scenes".into(),
+        };
+        format!("Model({} parameters, volume {volume} x {})", self.core.num_parameters(), config.c_dim)
     }
 }

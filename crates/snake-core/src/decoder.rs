@@ -1,5 +1,6 @@
 //! The implicit decoder: a residual MLP on the query with the interpolated feature as input of every block.
 
+use crate::config::VolumeShape;
 use crate::nn::{Linear, ResnetBlockFc};
 use crate::points::Point;
 use crate::weights::Scope;
@@ -82,7 +83,13 @@ impl Decoder {
         };
         Ok(Self {
             head,
-            fc_p: Linear::load(&scope.at("fc_p"), 3, width)?,
+            fc_p: match config.volume {
+                VolumeShape::Cube(_) => Linear::load(&scope.at("fc_p"), 3, width)?,
+                // A scene's decoders do not see where a query lies, so their values do not depend on the origin.
+                VolumeShape::Scene { .. } => {
+                    Linear::new(3, width, &vec![0.0; 3 * width], &scope.at("fc_p").tensor("bias", &[width])?)
+                }
+            },
             stages: (0..config.resnet_blocks).map(stage).collect::<Result<_>>()?,
             fc_out: Linear::load(&scope.at("fc_out"), width, 1)?,
         })

@@ -10,7 +10,7 @@ use crate::modes::seek_modes;
 use crate::nms::{nearest_points_into, suppress};
 use crate::options::{DetectOptions, Radii};
 use crate::points::{FinitePoints, Normalization, Point};
-use crate::query_grid::{QueryGrid, above_occupancy};
+use crate::query_grid::{QueryGrid, above_occupancy, above_occupancy_of, scene_queries};
 use crate::refine::{Refined, refine};
 use crate::span::span;
 use snake_kernels::{Element, Scratch};
@@ -169,7 +169,7 @@ impl Field {
     ) -> Result<Detection> {
         options.check(self.num_rotations())?;
         control.get_limits().check_evaluations(&options.evaluations(self.num_rotations()))?;
-        let radii = options.radii(self.points())?;
+        let radii = options.radii(self.points(), self.voxel_size())?;
         let candidates = Candidates::of(self, options, |_| true, control)?;
         control.begin("suppression", 0).check()?;
         let occupancy = |_: &[usize], positions: &[Point]| {
@@ -204,8 +204,17 @@ impl Candidates {
         control: &Control,
     ) -> Result<Self> {
         let start = Instant::now();
-        let queries = QueryGrid::new(field, options);
-        let mut occupied = above_occupancy(field, &queries, options.occupancy_threshold, control)?;
+        let threshold = options.occupancy_threshold;
+        let (mut occupied, num_queries) = match field.volume().frame() {
+            Some(frame) => {
+                let queries = QueryGrid::new(field, &frame, options);
+                (above_occupancy(field, &queries, threshold, control)?, options.query_resolution.pow(3))
+            }
+            None => {
+                let queries = scene_queries(field);
+                (above_occupancy_of(field, &queries, threshold, control)?, queries.len())
+            }
+        };
         occupied.retain(|&query| owns(&field.normalization().to_cloud(query)));
         let occupancy_done = Instant::now();
         let refined = refine(field, &occupied, options, control)?;
@@ -214,7 +223,7 @@ impl Candidates {
         candidates.timing.refine = occupancy_done.elapsed().as_secs_f64();
         candidates.counts = Counts {
             windows: 1,
-            queries: options.query_resolution.pow(3),
+            queries: num_queries,
             occupied: occupied.len(),
             above_threshold: candidates.positions.len(),
             keypoints: 0,

@@ -1,5 +1,6 @@
 //! The field of one cloud: encode once, query many times.
 
+use std::borrow::Cow;
 use std::sync::Arc;
 
 use rayon::prelude::*;
@@ -8,14 +9,15 @@ use crate::config::ModelConfig;
 use crate::control::Control;
 use crate::decoder::Decoder;
 use crate::encoder::EncoderMemory;
-use crate::network::Network;
+use crate::network::{Network, NetworkEncoder};
 use crate::nn::TILE;
 use crate::options::{EncodeOptions, Options};
 use crate::point_source::PointSource;
 use crate::points::{FinitePoints, Normalization, NormalizationMethod, Point, check_points};
 use crate::rotations::{self, Rotation, rotate, rotate_inverse};
+use crate::scene::{SceneMemory, voxel_size};
 use crate::span::span;
-use crate::volume::{Volume, VolumeFrame};
+use crate::volume::{Volume, VolumeFrame, VolumeGrid};
 use crate::{Error, Result, weights};
 use snake_kernels::Scratch;
 
@@ -48,7 +50,14 @@ impl View {
         control: &Control,
     ) -> Result<Vec<Self>> {
         check_number_of_points(points.len())?;
-        let encoder = &network.encoder;
+        let encoder = match &network.encoder {
+            NetworkEncoder::Cube(encoder) => encoder,
+            NetworkEncoder::Scene(encoder) => {
+                let in_voxels: Vec<Point> = points.iter().map(|&point| normalization.to_network(point)).collect();
+                let volume = encoder.encode(&in_voxels, &mut memory.scene, control)?;
+                return Ok(vec![Self { rotation: rotations::IDENTITY, volume: finite(volume)? }]);
+            }
+        };
         let counter = control.begin("encoding", rotations * encoder.work(points.len()));
         let mut views = std::mem::take(&mut memory.views);
         for rotation in rotations::super_fibonacci(rotations) {
@@ -56,13 +65,17 @@ impl View {
             let point = |index: usize| rotate(&rotation, normalization.to_network(points[index]));
             let volume = encoder.encode(points.len(), point, &mut memory.encoder, &counter)?;
             counter.check()?;
-            if !volume.values.par_iter().all(|value| value.is_finite()) {
-                let found = "weights so large that they overflow".into();
-                return Err(weights::error("encoder", "finite features", found));
-            }
-            views.push(Self { rotation, volume });
+            views.push(Self { rotation, volume: finite(volume)? });
         }
         Ok(views)
+    }
+}
+
+/// Refuses features that are not finite.
+fn finite(volume: Volume) -> Result<Volume> {
+    match volume.values.par_iter().all(|value| value.is_finite()) {
+        true => Ok(volume),
+        false => Err(weights::error("encoder", "finite features", "weights so large that they overflow".into())),
     }
 }
 
@@ -73,6 +86,7 @@ pub(crate) struct FieldMemory {
     indices: Vec<usize>,
     views: Vec<View>,
     encoder: EncoderMemory,
+    scene: SceneMemory,
 }
 
 /// Refuses more points than 32-bit indices can count.
@@ -133,9 +147,13 @@ impl Field {
         span!("encode");
         control.get_limits().check_volumes(&network.config, options.rotations)?;
         let points = &finite.points;
-        let normalization = Normalization::of(points, options.normalization)?;
+        let is_scene = network.config.frame().is_none();
+        let normalization = match is_scene {
+            true => Normalization { center: [0.0; 3], scale: voxel_size(options.voxel_size, points)? },
+            false => Normalization::of(points, options.normalization)?,
+        };
         let orientation = match options.normalization {
-            NormalizationMethod::PrincipalAxes => rotations::principal_axes(points, normalization.center),
+            NormalizationMethod::PrincipalAxes if !is_scene => rotations::principal_axes(points, normalization.center),
             _ => rotations::IDENTITY,
         };
         let sample = options.sample(points);
@@ -180,6 +198,14 @@ impl Field {
     /// The normalisation in use: `network = (cloud - center) / scale`.
     pub fn normalization(&self) -> Normalization {
         self.normalization
+    }
+
+    /// The size of a voxel of the volume, in cloud units; along x, should the axes differ.
+    pub fn voxel_size(&self) -> f32 {
+        match self.volume().frame() {
+            Some(frame) => frame.voxel_size(self.normalization.scale),
+            None => self.normalization.scale,
+        }
     }
 
     /// The finite points of the cloud in the order they were given.
@@ -278,7 +304,7 @@ impl Field {
             let mut of_view = Scratch::zeros(features.len());
             for View { rotation, volume } in &self.views {
                 let rotated = rotated(rotation, queries);
-                volume.interpolate(&volume.frame, &rotated, &mut of_view);
+                volume.interpolate(&volume.grid, &rotated, &mut of_view);
                 features.iter_mut().zip(of_view.iter()).for_each(|(sum, f)| *sum += f);
             }
             for feature in features.chunks_exact_mut(channels) {
@@ -323,14 +349,17 @@ impl Field {
         Ok(Scratch::collect(queries.len(), queries.iter().map(|&query| self.normalization.to_network(query))))
     }
 
-    fn decoder(&self, quantity: Quantity) -> (&Decoder, VolumeFrame) {
-        let network = &self.network;
-        let frame = self.volume().frame;
-        match quantity {
-            Quantity::Occupancy => (&network.occupancy, frame),
+    /// A decoder, and the voxels of a volume as it sees them.
+    fn decoder<'a>(&'a self, volume: &'a Volume, quantity: Quantity) -> (&'a Decoder, Cow<'a, VolumeGrid>) {
+        match (quantity, &volume.grid) {
+            (Quantity::Occupancy, grid) => (&self.network.occupancy, Cow::Borrowed(grid)),
             // In the released code only the occupancy decoder uses the z bounds; the saliency decoder assumes ±0.5. All
             // published networks have these bounds.
-            Quantity::Saliency => (&network.saliency, VolumeFrame { z_bounds: [-0.5, 0.5], ..frame }),
+            (Quantity::Saliency, VolumeGrid::Cube(frame)) => {
+                let frame = VolumeFrame { z_bounds: [-0.5, 0.5], ..*frame };
+                (&self.network.saliency, Cow::Owned(VolumeGrid::Cube(frame)))
+            }
+            (Quantity::Saliency, grid) => (&self.network.saliency, Cow::Borrowed(grid)),
         }
     }
 
@@ -380,10 +409,10 @@ impl Field {
 
     /// Values of one view.
     fn view_values(&self, view: &View, quantity: Quantity, queries: &[Point]) -> Scratch<f32> {
-        let (decoder, frame) = self.decoder(quantity);
+        let (decoder, grid) = self.decoder(&view.volume, quantity);
         let queries = &rotated(&view.rotation, queries);
         let mut features = Scratch::arbitrary(queries.len() * view.volume.channels);
-        view.volume.interpolate(&frame, queries, &mut features);
+        view.volume.interpolate(&grid, queries, &mut features);
         decoder.values(queries, &features)
     }
 
@@ -395,15 +424,15 @@ impl Field {
         quantity: Quantity,
         queries: &[Point],
     ) -> (Scratch<f32>, Scratch<Point>) {
-        let (decoder, frame) = self.decoder(quantity);
+        let (decoder, grid) = self.decoder(&view.volume, quantity);
         let queries = &rotated(&view.rotation, queries);
         let mut features = Scratch::arbitrary(queries.len() * view.volume.channels);
-        let corners = view.volume.interpolate(&frame, queries, &mut features);
+        let corners = view.volume.interpolate(&grid, queries, &mut features);
         let decoded = decoder.values_and_gradients(queries, &features);
         let mut gradients = view.volume.interpolate_backward(&corners, &decoded.in_feature);
         let (in_query, _) = decoded.in_query.as_chunks::<3>();
         for ((gradient, &query), in_query) in gradients.iter_mut().zip(queries.iter()).zip(in_query) {
-            let voxels_per_unit = frame.voxels_per_unit(query);
+            let voxels_per_unit = grid.voxels_per_unit(query);
             let turned = std::array::from_fn(|axis| in_query[axis] + gradient[axis] * voxels_per_unit[axis]);
             *gradient = rotate_inverse(&view.rotation, turned);
         }

@@ -75,7 +75,7 @@ impl Field {
         if !(2..=512).contains(&resolution) {
             return Err(Error::Option { name: "resolution", value: resolution.to_string(), allowed: "2 to 512" });
         }
-        let bounds = self.volume().frame().bounds();
+        let bounds = self.volume().grid.bounds();
         let corner = |end: usize| self.normalization().to_cloud(bounds.map(|ends| ends[end]));
         Ok(Grid { resolution, low: corner(0), high: corner(1) })
     }
@@ -90,7 +90,7 @@ mod tests {
     fn the_grid_spans_the_volume_in_the_clouds_frame() {
         let (_, field) = cylinder();
         let grid = field.grid(33).unwrap();
-        let (normalization, frame) = (field.normalization(), field.volume().frame());
+        let (normalization, frame) = (field.normalization(), field.volume().frame().unwrap());
         let half = 0.5 * (1.0 + frame.padding);
         for axis in 0..3 {
             for (index, expected) in [(0, -half), (16, 0.0), (32, half)] {

@@ -1,4 +1,4 @@
-//! Lengths in cloud units, in multiples of a cloud's resolution, or in per cent of its radius.
+//! Lengths in cloud units, in multiples of a cloud's resolution, in per cent of its radius, or in voxels.
 
 use std::fmt;
 use std::str::FromStr;
@@ -12,9 +12,10 @@ use crate::point_tree::PointTree;
 use crate::points::{FinitePoints, Normalization, NormalizationMethod, Point};
 use crate::{Error, Result};
 
-/// A length in cloud units, in multiples of the cloud's resolution, or in per cent of its radius. The resolution is the
-/// mean distance of the points to their nearest other point; the radius is the largest distance of a point from their mean.
-/// The text forms are `0.05`, `6r` and `10%`; the JSON form is a number or such a text.
+/// A length in cloud units, in multiples of the cloud's resolution, in per cent of its radius, or in voxels. The resolution
+/// is the mean distance of the points to their nearest other point; the radius is the largest distance of a point from
+/// their mean; the voxels are those of a field's volume ([`Field::voxel_size`](crate::Field::voxel_size)). The text forms are
+/// `0.05`, `6r`, `10%` and `4v`; the JSON form is a number or such a text.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum Length {
     /// In cloud units.
@@ -23,9 +24,11 @@ pub enum Length {
     Resolutions(f64),
     /// In per cent of the cloud's radius.
     Percent(f64),
+    /// In voxels of the field's volume.
+    Voxels(f64),
 }
 
-const FORMS: &str = "a number of cloud units such as `0.05`, a multiple of the cloud's resolution such as `6r`, or per cent of its radius such as `10%`";
+const FORMS: &str = "a number of cloud units such as `0.05`, a multiple of the cloud's resolution such as `6r`, per cent of its radius such as `10%`, or a number of voxels such as `4v`";
 
 impl Length {
     /// The length in the units of a cloud `(N, 3)`; `name` is the name in error messages.
@@ -51,6 +54,10 @@ impl Length {
                 let resolution = resolution("points", points)?;
                 self.resolve(name, || resolution)
             }
+            Self::Voxels(_) => {
+                let allowed = "here a length that needs no volume: cloud units, as in `3r` resolutions or as in `10%`";
+                Err(Error::Option { name, value: self.to_string(), allowed })
+            }
         }
     }
 
@@ -60,13 +67,13 @@ impl Length {
         match self {
             Self::Units(length) => check(name, self, length),
             Self::Resolutions(factor) => check(name, self, factor * resolution()),
-            Self::Percent(_) => check(name, self, f64::NAN),
+            Self::Percent(_) | Self::Voxels(_) => check(name, self, f64::NAN),
         }
     }
 
     /// The number alone, without its unit.
     pub(crate) fn number(self) -> f64 {
-        let (Self::Units(number) | Self::Resolutions(number) | Self::Percent(number)) = self;
+        let (Self::Units(number) | Self::Resolutions(number) | Self::Percent(number) | Self::Voxels(number)) = self;
         number
     }
 }
@@ -107,6 +114,7 @@ impl fmt::Display for Length {
             Self::Units(length) => write!(f, "{length}"),
             Self::Resolutions(factor) => write!(f, "{factor}r"),
             Self::Percent(share) => write!(f, "{share}%"),
+            Self::Voxels(number) => write!(f, "{number}v"),
         }
     }
 }
@@ -115,12 +123,14 @@ impl FromStr for Length {
     type Err = Error;
 
     fn from_str(text: &str) -> Result<Self> {
-        let parsed = match (text.strip_suffix('r'), text.strip_suffix('%')) {
-            (Some(factor), _) => factor.parse().map(Self::Resolutions),
-            (_, Some(share)) => share.parse().map(Self::Percent),
-            _ => text.parse().map(Self::Units),
-        };
-        parsed.map_err(|_| Error::Option { name: "length", value: text.into(), allowed: FORMS })
+        let unit = |suffix, length: fn(f64) -> Self| text.strip_suffix(suffix).map(|number| number.parse().map(length));
+        let with_unit =
+            unit('r', Self::Resolutions).or_else(|| unit('%', Self::Percent)).or_else(|| unit('v', Self::Voxels));
+        with_unit.unwrap_or_else(|| text.parse().map(Self::Units)).map_err(|_| Error::Option {
+            name: "length",
+            value: text.into(),
+            allowed: FORMS,
+        })
     }
 }
 
@@ -128,7 +138,7 @@ impl Serialize for Length {
     fn serialize<S: Serializer>(&self, serializer: S) -> std::result::Result<S::Ok, S::Error> {
         match self {
             Self::Units(length) => serializer.serialize_f64(*length),
-            Self::Resolutions(_) | Self::Percent(_) => serializer.collect_str(self),
+            Self::Resolutions(_) | Self::Percent(_) | Self::Voxels(_) => serializer.collect_str(self),
         }
     }
 }
@@ -177,6 +187,7 @@ mod tests {
             ("6r", "\"6r\"", Length::Resolutions(6.0)),
             ("2.5r", "\"2.5r\"", Length::Resolutions(2.5)),
             ("10%", "\"10%\"", Length::Percent(10.0)),
+            ("4v", "\"4v\"", Length::Voxels(4.0)),
         ] {
             assert_eq!(text.parse::<Length>().unwrap(), length);
             assert_eq!(length.to_string(), text);

@@ -39,7 +39,7 @@ pub enum Builtin {
 /// ```
 /// use snake_core::{Builtin, Model};
 /// let model = Model::builtin(Builtin::Compact);
-/// assert_eq!(model.config().frame.resolution, [32, 32, 32]);
+/// assert_eq!(model.config().frame().map(|frame| frame.resolution), Some([32, 32, 32]));
 /// # Ok::<(), snake_core::Error>(())
 /// ```
 #[derive(Debug, Clone)]

@@ -3,11 +3,35 @@
 use std::collections::BTreeMap;
 
 use crate::Result;
-use crate::config::ModelConfig;
+use crate::config::{ModelConfig, VolumeShape};
 use crate::decoder::Decoder;
 use crate::encoder::Encoder;
 use crate::options::Options;
-use crate::weights::{self, Weights};
+use crate::scene::SceneEncoder;
+use crate::weights::{self, Scope, Weights};
+
+/// The encoder of a network, by the shape of its volume.
+#[derive(Debug)]
+pub(crate) enum NetworkEncoder {
+    Cube(Encoder),
+    Scene(SceneEncoder),
+}
+
+impl NetworkEncoder {
+    fn load(scope: &Scope, config: &ModelConfig) -> Result<Self> {
+        Ok(match config.volume {
+            VolumeShape::Cube(frame) => Self::Cube(Encoder::load(scope, config, frame)?),
+            VolumeShape::Scene { scatter_mass } => Self::Scene(SceneEncoder::load(scope, config, scatter_mass)?),
+        })
+    }
+
+    /// The encoder of a cube, for tests of its stages.
+    #[cfg(test)]
+    pub(crate) fn cube(&self) -> &Encoder {
+        let Self::Cube(encoder) = self else { panic!("this is a scene model") };
+        encoder
+    }
+}
 
 /// Encoder and decoders.
 #[derive(Debug)]
@@ -16,7 +40,7 @@ pub(crate) struct Network {
     pub(crate) metadata: BTreeMap<String, String>,
     pub(crate) recommended: Options,
     pub(crate) num_parameters: usize,
-    pub(crate) encoder: Encoder,
+    pub(crate) encoder: NetworkEncoder,
     pub(crate) occupancy: Decoder,
     pub(crate) saliency: Decoder,
 }
@@ -34,7 +58,7 @@ impl Network {
                     .map_err(|e| weights::error("recommended_options", "options of snake-rs as JSON", e.to_string()))?,
                 None => Options::default(),
             },
-            encoder: Encoder::load(&file.at("encoder"), &config)?,
+            encoder: NetworkEncoder::load(&file.at("encoder"), &config)?,
             occupancy: Decoder::occupancy(&file.at("decoder_occup"), &config)?,
             saliency: Decoder::saliency(&file.at("decoder_keypoint"), &config)?,
             num_parameters: file.num_parameters(),

@@ -25,6 +25,8 @@ pub struct EncodeOptions {
     /// better, and the cost grows with the number of copies. Above 1 only with [`NormalizationMethod::UnitSphere`] or
     /// [`NormalizationMethod::PrincipalAxes`], because a rotated cube leaves the volume.
     pub rotations: usize,
+    /// Size of a voxel, for scene models, which use no normalisation. `None`: it is chosen from the cloud.
+    pub voxel_size: Option<Length>,
 }
 
 setters!(EncodeOptions {
@@ -32,11 +34,18 @@ setters!(EncodeOptions {
     max_points: Option<usize> => with_max_points,
     seed: u64 => with_seed,
     rotations: usize => with_rotations,
+    voxel_size: Option<Length> => with_voxel_size,
 });
 
 impl Default for EncodeOptions {
     fn default() -> Self {
-        Self { normalization: NormalizationMethod::UnitSphere, max_points: None, seed: 0, rotations: 1 }
+        Self {
+            normalization: NormalizationMethod::UnitSphere,
+            max_points: None,
+            seed: 0,
+            rotations: 1,
+            voxel_size: None,
+        }
     }
 }
 
@@ -51,7 +60,21 @@ impl EncodeOptions {
         if self.max_points == Some(0) {
             return Err(Error::Option { name: "max_points", value: "0".into(), allowed: "1 or more" });
         }
-        budget::check_rotations(self.rotations, config)
+        if config.frame().is_none() && self.rotations > 1 {
+            let allowed = "1 for a scene model";
+            return Err(Error::Option { name: "rotations", value: self.rotations.to_string(), allowed });
+        }
+        match self.voxel_size {
+            Some(size) if config.frame().is_some() => {
+                let allowed = "none with this model, whose volume is scaled to the cloud; use a scene model";
+                Err(Error::Option { name: "voxel_size", value: size.to_string(), allowed })
+            }
+            Some(size) if matches!(size, Length::Voxels(_)) => {
+                let allowed = "a length in cloud units, or as in `3r` resolutions";
+                Err(Error::Option { name: "voxel_size", value: size.to_string(), allowed })
+            }
+            _ => budget::check_rotations(self.rotations, config),
+        }
     }
 
     /// The points that are encoded if they are not all: `max_points` of them.
@@ -190,10 +213,11 @@ impl DetectOptions {
         [queries, queries, queries, refine_steps.saturating_add(1), rotations]
     }
 
-    /// The radii of suppression and of mode seeking in cloud units.
-    pub(crate) fn radii(&self, points: &[Point]) -> Result<Radii> {
+    /// The radii of suppression and of mode seeking in cloud units, of a cloud in voxels of this size.
+    pub(crate) fn radii(&self, points: &[Point], voxel_size: f32) -> Result<Radii> {
         let units = |name, length: Length| match length {
             Length::Units(radius) => Ok(radius as f32),
+            Length::Voxels(number) => Ok(number as f32 * voxel_size),
             multiple => multiple.in_units(name, points).map(|radius| radius as f32),
         };
         Ok(Radii {
@@ -270,6 +294,10 @@ impl Options {
     pub(crate) fn check(&self, config: &ModelConfig) -> Result<()> {
         // A multiple has the range of a length, because the resolution is not known yet.
         if let Some(length) = self.window_radius {
+            if config.frame().is_none() {
+                let allowed = "none with a scene model, whose volume follows the cloud";
+                return Err(Error::Option { name: "window_radius", value: length.to_string(), allowed });
+            }
             check_radius(length.number(), || length.to_string())?;
         }
         let normalization = match self.window_radius {
@@ -451,7 +479,7 @@ mod tests {
             assert!(with(Some(Length::Units(wrong))).unwrap_err().to_string().contains("mode_radius"), "{wrong}");
         }
         let off = DetectOptions { mode_radius: Some(Length::Units(0.0)), ..Default::default() };
-        assert!(off.check(1).is_ok() && off.radii(&[]).unwrap().mode.is_none());
+        assert!(off.check(1).is_ok() && off.radii(&[], 1.0).unwrap().mode.is_none());
     }
 
     #[test]

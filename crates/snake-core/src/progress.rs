@@ -117,7 +117,7 @@ mod tests {
         assert_eq!(*watched.volume().values, *field.volume().values);
         let default = DetectOptions { query_resolution: 24, ..Default::default() };
         let occupied = |options: &DetectOptions, control: &Control| {
-            let queries = QueryGrid::new(&field, options);
+            let queries = QueryGrid::new(&field, &field.volume().frame().unwrap(), options);
             above_occupancy(&field, &queries, options.occupancy_threshold, control).unwrap()
         };
         for query_band in [1, 0] {

@@ -3,13 +3,15 @@
 use rayon::prelude::*;
 
 use crate::Result;
-use crate::control::Control;
+use crate::control::{Control, Counter};
+use crate::encoder::VoxelGroups;
 use crate::field::{Field, Quantity};
 use crate::nn::TILE;
 use crate::options::DetectOptions;
 use crate::points::Point;
 use crate::rotations::{Rotation, rotate, rotate_inverse};
 use crate::span::span;
+use crate::volume::VolumeFrame;
 use snake_kernels::Scratch;
 
 /// The query grid of a detection, in the orientation of the field's volume. A few planes at a time are
@@ -24,9 +26,8 @@ pub(crate) struct QueryGrid {
 
 impl QueryGrid {
     /// The grid over the cube ±0.5, or over the volume's bounds along z.
-    pub(crate) fn new(field: &Field, options: &DetectOptions) -> Self {
+    pub(crate) fn new(field: &Field, frame: &VolumeFrame, options: &DetectOptions) -> Self {
         let resolution = options.query_resolution;
-        let frame = field.volume().frame();
         let [z_min, z_max] = frame.z_bounds;
         let axes = std::array::from_fn(|axis| {
             let [low, high] = if axis < 2 { [-0.5, 0.5] } else { [z_min, z_max] };
@@ -34,7 +35,7 @@ impl QueryGrid {
             let voxels = coordinates.map(|coordinate| (coordinate, frame.voxel_along(axis, coordinate)));
             Scratch::collect(resolution, voxels)
         });
-        let band = (options.query_band > 0).then(|| voxels_near_points(field, options.query_band));
+        let band = (options.query_band > 0).then(|| voxels_near_points(field, frame, options.query_band));
         Self { axes, band, orientation: *field.orientation() }
     }
 
@@ -86,24 +87,76 @@ pub(crate) fn above_occupancy(
             continue;
         }
         counter.add((x + 1 - first) * resolution * resolution - batch.len());
-        let mut occupancy = Scratch::zeros(batch.len());
-        occupancy.par_chunks_mut(TILE).zip(batch.par_chunks(TILE)).try_for_each(|(occupancy, tile)| {
-            counter.check()?;
-            occupancy.copy_from_slice(&field.tile_values(Quantity::Occupancy, tile));
-            counter.add(tile.len());
-            Ok(())
-        })?;
-        let pairs = batch.iter().zip(occupancy.iter());
-        occupied.extend(pairs.filter(|(_, value)| **value > threshold).map(|(query, _)| *query));
+        append_occupied(field, &batch, threshold, &counter, &mut occupied)?;
         batch.clear();
         first = x + 1;
     }
     Ok(occupied)
 }
 
+/// Appends the queries whose occupancy is above the threshold.
+fn append_occupied(
+    field: &Field,
+    queries: &[Point],
+    threshold: f32,
+    counter: &Counter,
+    occupied: &mut Scratch<Point>,
+) -> Result<()> {
+    let mut occupancy = Scratch::zeros(queries.len());
+    occupancy.par_chunks_mut(TILE).zip(queries.par_chunks(TILE)).try_for_each(|(occupancy, tile)| {
+        counter.check()?;
+        occupancy.copy_from_slice(&field.tile_values(Quantity::Occupancy, tile));
+        counter.add(tile.len());
+        Ok(())
+    })?;
+    let pairs = queries.iter().zip(occupancy.iter());
+    occupied.extend(pairs.filter(|(_, value)| **value > threshold).map(|(query, _)| *query));
+    Ok(())
+}
+
+/// The queries of a scene: where its cells hold points, in the network's frame.
+pub(crate) fn scene_queries(field: &Field) -> Scratch<Point> {
+    let normalization = field.normalization();
+    let in_voxels: Vec<Point> = field.points().iter().map(|&point| normalization.to_network(point)).collect();
+    let mut groups = VoxelGroups::default();
+    let cells = groups.fill_sparse(&in_voxels);
+    if std::env::var("Q").is_ok_and(|q| q == "nodes") {
+        let mut nodes: Vec<[i32; 3]> = cells
+            .iter()
+            .flat_map(|c| (0..8).map(|n: i32| [c[2] + (n >> 2), c[1] + (n >> 1 & 1), c[0] + (n & 1)]))
+            .collect();
+        nodes.sort_unstable();
+        nodes.dedup();
+        return Scratch::collect(nodes.len(), nodes.iter().map(|n| [n[2] as f32, n[1] as f32, n[0] as f32]));
+    }
+    let mean = |cell: usize| {
+        let number = groups.num_points(cell..cell + 1) as f32;
+        let low = cells[cell].map(|i| i as f32);
+        let mut sum = [0.0; 3];
+        for index in groups.members(cell..cell + 1) {
+            sum = std::array::from_fn(|axis| sum[axis] + (in_voxels[index][axis] - low[axis]));
+        }
+        std::array::from_fn(|axis| low[axis] + sum[axis] / number)
+    };
+    Scratch::collect(cells.len(), (0..cells.len()).map(mean))
+}
+
+/// The queries of a scene whose occupancy is above the threshold.
+pub(crate) fn above_occupancy_of(
+    field: &Field,
+    queries: &[Point],
+    threshold: f32,
+    control: &Control,
+) -> Result<Scratch<Point>> {
+    span!("occupancy");
+    let counter = control.begin("occupancy", queries.len());
+    let mut occupied = Scratch::empty(queries.len());
+    append_occupied(field, queries, threshold, &counter, &mut occupied)?;
+    Ok(occupied)
+}
+
 /// Whether each voxel has a voxel with input points within `reach` voxels along every axis.
-fn voxels_near_points(field: &Field, reach: usize) -> Scratch<bool> {
-    let frame = field.volume().frame();
+fn voxels_near_points(field: &Field, frame: &VolumeFrame, reach: usize) -> Scratch<bool> {
     let mut near = Scratch::zeros(frame.resolution.iter().product());
     for &point in field.points() {
         near[frame.voxel(rotate(field.orientation(), field.normalization().to_network(point)))] = true;
@@ -127,7 +180,7 @@ pub(crate) mod tests {
     use crate::detect::tests::cylinder;
 
     pub(crate) fn occupied_queries(field: &Field, options: &DetectOptions) -> Vec<Point> {
-        let queries = QueryGrid::new(field, options);
+        let queries = QueryGrid::new(field, &field.volume().frame().unwrap(), options);
         above_occupancy(field, &queries, options.occupancy_threshold, &Control::default()).unwrap().to_vec()
     }
 
@@ -135,7 +188,7 @@ pub(crate) mod tests {
     fn the_band_drops_only_queries_far_from_all_points() {
         let (points, field) = cylinder();
         let all = occupied_queries(&field, &DetectOptions::default());
-        let frame = field.volume().frame();
+        let frame = field.volume().frame().unwrap();
         let voxel = |point: Point| {
             let flat = frame.voxel(point);
             [flat % 32, flat / 32 % 32, flat / 1024]

@@ -145,7 +145,8 @@ impl TileDetector {
     /// at most the radius and the query's distance from the window's centre. That is more than the two columns that the
     /// points of a window reach into.
     pub fn halo(&self) -> i32 {
-        let z = self.network.config.frame.z_bounds.iter().fold(0.0, |z: f32, bound| z.max(bound.abs()));
+        let bounds = self.network.config.frame().map_or([0.0; 2], |frame| frame.z_bounds);
+        let z = bounds.iter().fold(0.0, |z: f32, bound| z.max(bound.abs()));
         let distance = (2.0 + 4.0 * f64::from(z).powi(2)).sqrt();
         let columns = ((1.0 + distance) / f64::from(SPACING) + 1e-3).ceil();
         (columns as i32).max(REACH as i32)

@@ -1,7 +1,8 @@
 //! The feature volume and its frame. Axis order, padding and clamping are defined only in this file.
 
 use crate::points::Point;
-use snake_kernels::{Buffer, Corners, Scratch, SimdLevel, interpolate, interpolate_backward};
+use crate::scene::BlockGrid;
+use snake_kernels::{BLOCK_SIDE, Buffer, Corners, Scratch, SimdLevel, interpolate, interpolate_backward};
 
 /// The positions of a volume's voxels in the network's frame (ConvONet's normalisation of coordinates).
 ///
@@ -25,6 +26,11 @@ impl VolumeFrame {
     pub(crate) fn size(&self) -> [usize; 3] {
         let [x, y, z] = self.resolution;
         [z, y, x]
+    }
+
+    /// The size of a voxel along x, of a cloud with so many units in one network unit.
+    pub(crate) fn voxel_size(&self, scale: f32) -> f32 {
+        scale * (1.0 + self.padding) / self.resolution[0] as f32
     }
 
     /// Lower and upper end of the volume along each axis, in the network's frame.
@@ -92,19 +98,57 @@ impl VolumeFrame {
     }
 }
 
+/// The positions of a volume's voxels.
+#[derive(Debug, Clone)]
+pub(crate) enum VolumeGrid {
+    /// All voxels of a cube.
+    Cube(VolumeFrame),
+    /// The voxels of a scene's blocks.
+    Blocks(BlockGrid),
+}
+
+impl VolumeGrid {
+    /// The eight voxels around a query.
+    fn corners(&self, query: Point) -> Corners {
+        match self {
+            Self::Cube(frame) => frame.corners(query),
+            Self::Blocks(blocks) => blocks.corners(query),
+        }
+    }
+
+    /// Voxels per network unit along each axis at a query.
+    pub(crate) fn voxels_per_unit(&self, query: Point) -> Point {
+        match self {
+            Self::Cube(frame) => frame.voxels_per_unit(query),
+            Self::Blocks(_) => [1.0; 3],
+        }
+    }
+
+    /// Lower and upper end of the volume along each axis, in the network's frame.
+    pub(crate) fn bounds(&self) -> [[f32; 2]; 3] {
+        match self {
+            Self::Cube(frame) => frame.bounds(),
+            Self::Blocks(blocks) => blocks.bounds().map(|ends| ends.map(|end| end as f32)),
+        }
+    }
+}
+
 /// The feature volume of one cloud: the output of the encoder and the input of both decoders.
 #[derive(Debug, Clone)]
 pub struct Volume {
-    pub(crate) frame: VolumeFrame,
+    pub(crate) grid: VolumeGrid,
     pub(crate) channels: usize,
-    /// `[z][y][x][channel]`.
+    /// `[z][y][x][channel]`; of a scene `[block][z][y][x][channel]`.
     pub(crate) values: Buffer,
 }
 
 impl Volume {
-    /// The positions of the voxels.
-    pub fn frame(&self) -> VolumeFrame {
-        self.frame
+    /// The positions of the voxels; `None` for a scene, of which only blocks about the points are stored.
+    pub fn frame(&self) -> Option<VolumeFrame> {
+        match self.grid {
+            VolumeGrid::Cube(frame) => Some(frame),
+            VolumeGrid::Blocks(_) => None,
+        }
     }
 
     /// The features, flat, in the order of [`Volume::shape`].
@@ -112,15 +156,21 @@ impl Volume {
         &self.values
     }
 
-    /// The number of features along each dimension: `[z][y][x][channel]`.
+    /// The number of features along each dimension: `[z][y][x][channel]`. Of a scene, z counts the planes of its blocks of
+    /// 4³ voxels one after another; the first block holds the features far from all points.
     pub fn shape(&self) -> [usize; 4] {
-        let [depth, height, width] = self.frame.size();
-        [depth, height, width, self.channels]
+        match &self.grid {
+            VolumeGrid::Cube(frame) => {
+                let [depth, height, width] = frame.size();
+                [depth, height, width, self.channels]
+            }
+            VolumeGrid::Blocks(blocks) => [(blocks.len() + 1) * BLOCK_SIDE, BLOCK_SIDE, BLOCK_SIDE, self.channels],
+        }
     }
 
     /// Writes trilinear features `(queries, channels)` and returns the corners that were read.
-    pub(crate) fn interpolate(&self, frame: &VolumeFrame, queries: &[Point], features: &mut [f32]) -> Scratch<Corners> {
-        let corners = Scratch::collect(queries.len(), queries.iter().map(|&query| frame.corners(query)));
+    pub(crate) fn interpolate(&self, grid: &VolumeGrid, queries: &[Point], features: &mut [f32]) -> Scratch<Corners> {
+        let corners = Scratch::collect(queries.len(), queries.iter().map(|&query| grid.corners(query)));
         interpolate(SimdLevel::current(), &self.values, self.channels, &corners, features);
         corners
     }

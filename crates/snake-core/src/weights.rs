@@ -17,7 +17,7 @@ pub(crate) struct Weights<'data> {
 }
 
 impl<'data> Weights<'data> {
-    /// Reads the header; `format_version` above 1 is refused.
+    /// Reads the header; `format_version` above 2 is refused; 2 is that of scene models.
     pub(crate) fn open(bytes: &'data [u8]) -> Result<Self> {
         let broken = |e| error("file", "a safetensors file", format!("{e}"));
         let (_, header) = SafeTensors::read_metadata(bytes).map_err(broken)?;
@@ -34,8 +34,8 @@ impl<'data> Weights<'data> {
             ));
         }
         match weights.number::<u32>("format_version")? {
-            1 => Ok(weights),
-            newer => Err(error("format_version", "1", format!("{newer}; use a newer snake-rs"))),
+            1 | 2 => Ok(weights),
+            newer => Err(error("format_version", "1 or 2", format!("{newer}; use a newer snake-rs"))),
         }
     }
 

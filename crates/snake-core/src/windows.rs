@@ -40,7 +40,8 @@ pub(crate) fn detect_in_windows(
     let radius = radius.in_units("window_radius", &finite.points)?;
     check_radius(radius, || format!("{radius:e}"))?;
     let radius = radius as f32;
-    let radii = options.detect.radii(&finite.points)?;
+    let voxel_size = network.config.frame().map_or(0.0, |frame| frame.voxel_size(2.0 * radius));
+    let radii = options.detect.radii(&finite.points, voxel_size)?;
     let sample = options.encode.sample(&finite.points);
     let encoded = sample.as_deref().unwrap_or(&finite.points);
     check_number_of_points(encoded.len())?;

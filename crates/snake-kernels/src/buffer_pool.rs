@@ -19,13 +19,21 @@ impl BufferPool {
     /// The pool keeps at most this many unused buffers of one length: one cloud uses no more at a time.
     const KEPT: usize = 4;
 
+    /// The pool keeps at most this many values in unused buffers: 512 MiB. The oldest leave first.
+    const LONGEST: usize = 1 << 27;
+
     /// A buffer of `length` values, whose contents are arbitrary.
     pub fn take(&self, length: usize) -> Buffer {
         let values = self.unused().and_then(|mut unused| {
-            let place = unused.iter().position(|values| values.len() == length)?;
-            Some(unused.swap_remove(place))
+            // The volumes of scenes differ in length: one that is up to twice as long will do.
+            let same = unused.iter().position(|values| values.len() == length);
+            let place =
+                same.or_else(|| unused.iter().position(|values| (length..=2 * length).contains(&values.capacity())))?;
+            Some(unused.remove(place))
         });
-        Buffer { values: values.unwrap_or_else(|| vec![0.0; length]), pool: self.clone() }
+        let mut values = values.unwrap_or_else(|| vec![0.0; length]);
+        values.resize(length, 0.0);
+        Buffer { values, pool: self.clone() }
     }
 
     /// The unused buffers, or none while another thread has them. Nothing waits for them: in a forked child that thread
@@ -45,6 +53,9 @@ impl Drop for Buffer {
             && unused.iter().filter(|values| values.len() == self.values.len()).count() < BufferPool::KEPT
         {
             unused.push(take(&mut self.values));
+            while unused.iter().map(Vec::capacity).sum::<usize>() > BufferPool::LONGEST {
+                unused.remove(0);
+            }
         }
     }
 }
@@ -90,8 +101,9 @@ mod tests {
         let copy = first.clone();
         drop(first);
         assert_eq!(*copy, [1.0, 2.0, 3.0]);
-        assert_eq!(*pool.take(2), [0.0; 2]);
+        assert_eq!(*pool.take(1), [0.0]);
         assert_eq!(*pool.take(3), [1.0, 2.0, 3.0]);
+        assert_eq!(*pool.take(2), [1.0, 2.0]);
         drop((0..10).map(|_| pool.take(5)).collect::<Vec<_>>());
         assert_eq!(pool.0.lock().unwrap().iter().filter(|values| values.len() == 5).count(), BufferPool::KEPT);
     }

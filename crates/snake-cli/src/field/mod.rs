@@ -153,7 +153,10 @@ fn position(slice: Slice, axis: usize, [low, high]: [f64; 2]) -> Result<f64> {
 /// The cloud's points projected along an axis. For a slice, only the points at most one voxel of the network's volume
 /// away.
 fn dots(field: &Field, grid: &Grid, origin: [f64; 3], axis: usize, position: Option<f32>) -> Vec<[f64; 2]> {
-    let voxel = (grid.high[axis] - grid.low[axis]) / field.volume().frame().resolution[axis] as f32;
+    let voxel = match field.volume().frame() {
+        Some(frame) => (grid.high[axis] - grid.low[axis]) / frame.resolution[axis] as f32,
+        None => field.voxel_size(),
+    };
     let is_near = |point: &&[f32; 3]| position.is_none_or(|position| (point[axis] - position).abs() <= voxel);
     let within = Grid::plane_axes(axis);
     let dot = |&point: &[f32; 3]| within.map(|axis| add_origin(point, origin)[axis]);

@@ -11,7 +11,7 @@ mod voxel_groups;
 
 use rayon::prelude::*;
 
-use self::point_features::PointFeatures;
+pub(crate) use self::point_features::PointFeatures;
 use self::unet::UNet3d;
 pub(crate) use self::voxel_groups::VoxelGroups;
 use crate::Result;
@@ -20,7 +20,7 @@ use crate::control::Counter;
 use crate::nn::Tensor;
 use crate::points::Point;
 use crate::span::span;
-use crate::volume::{Volume, VolumeFrame};
+use crate::volume::{Volume, VolumeFrame, VolumeGrid};
 use crate::weights::Scope;
 use snake_kernels::{ConstantRegion, channel_sums};
 
@@ -42,12 +42,12 @@ pub(crate) struct EncoderMemory {
 }
 
 impl Encoder {
-    pub(crate) fn load(scope: &Scope, config: &ModelConfig) -> Result<Self> {
+    pub(crate) fn load(scope: &Scope, config: &ModelConfig, frame: VolumeFrame) -> Result<Self> {
         Ok(Self {
-            frame: config.frame,
+            frame,
             scatter: config.scatter,
             points: PointFeatures::load(scope, config)?,
-            unet: UNet3d::load(&scope.at("unet3d"), config)?,
+            unet: UNet3d::load(&scope.at("unet3d"), config, frame)?,
         })
     }
 
@@ -67,7 +67,8 @@ impl Encoder {
     ) -> Result<Volume> {
         let volume = self.point_volume(num_points, point, memory, counter)?;
         span!("unet");
-        Ok(Volume { frame: self.frame, channels: volume.channels, values: self.unet.forward(volume, counter)? })
+        let grid = VolumeGrid::Cube(self.frame);
+        Ok(Volume { grid, channels: volume.channels, values: self.unet.forward(volume, counter)? })
     }
 
     /// The input of the U-Net: the scattered features of the points.

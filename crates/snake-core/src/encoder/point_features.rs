@@ -17,7 +17,7 @@ pub(crate) enum PointFeatures {
 }
 
 impl PointFeatures {
-    pub(super) fn load(scope: &Scope, config: &ModelConfig) -> Result<Self> {
+    pub(crate) fn load(scope: &Scope, config: &ModelConfig) -> Result<Self> {
         Ok(match config.point_encoder {
             PointEncoder::PointNet => Self::PointNet(Box::new(PointNet::load(scope, config)?)),
             PointEncoder::PointNet2 => Self::PointNet2(Box::new(PointNet2::load(scope, config)?)),
@@ -25,7 +25,7 @@ impl PointFeatures {
     }
 
     /// The progress units of [`PointFeatures::voxel_sums`].
-    pub(super) fn work(&self, num_points: usize) -> usize {
+    pub(crate) fn work(&self, num_points: usize) -> usize {
         match self {
             Self::PointNet(net) => net.work(num_points),
             Self::PointNet2(net) => net.work(num_points),
@@ -33,7 +33,7 @@ impl PointFeatures {
     }
 
     /// Number of channels of a feature.
-    pub(super) fn channels(&self) -> usize {
+    pub(crate) fn channels(&self) -> usize {
         match self {
             Self::PointNet(net) => net.channels(),
             Self::PointNet2(net) => net.channels(),
@@ -69,7 +69,7 @@ impl PointFeatures {
 
     /// Replaces `sums` by the sums over the points of each occupied voxel, `(voxels, width)`. `add` adds one point with its
     /// feature `(c_dim)` to the sums of its voxel; the points come in the order of the cloud.
-    pub(super) fn voxel_sums(
+    pub(crate) fn voxel_sums(
         &self,
         groups: &VoxelGroups,
         point: impl Fn(usize) -> Point + Sync,

@@ -214,7 +214,7 @@ mod tests {
     #[test]
     fn voxels_of_any_size_have_the_bits_of_the_textbook() {
         let model = Model::builtin(Builtin::Compact);
-        let (encoder, frame) = (&model.network().encoder.points, model.config().frame);
+        let (encoder, frame) = (&model.network().encoder.cube().points, model.config().frame().unwrap());
         let mut random = ChaCha8Rng::seed_from_u64(1);
         // Clusters in a few voxels, as in a scan with an outlier, and points all over the volume.
         for (crowd, others) in

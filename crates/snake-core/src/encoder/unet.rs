@@ -4,6 +4,7 @@ use crate::Result;
 use crate::config::ModelConfig;
 use crate::control::Counter;
 use crate::nn::{Linear, SingleConv, Tensor};
+use crate::volume::VolumeFrame;
 use crate::weights::Scope;
 use snake_kernels::{Buffer, BufferPool};
 
@@ -22,10 +23,10 @@ pub(crate) struct UNet3d {
 }
 
 impl UNet3d {
-    pub(crate) fn load(scope: &Scope, config: &ModelConfig) -> Result<Self> {
+    pub(crate) fn load(scope: &Scope, config: &ModelConfig, frame: VolumeFrame) -> Result<Self> {
         let channels: Vec<usize> = (0..config.unet_levels).map(|level| config.unet_base_channels << level).collect();
         let double = |name: String, level: usize, sources: &[(usize, bool)], middle, outputs| -> Result<DoubleConv> {
-            let voxels = config.frame.resolution.iter().map(|n| n >> level).product();
+            let voxels = frame.resolution.iter().map(|n| n >> level).product();
             let conv = |number: u8, sources: &[(usize, bool)], outputs| {
                 let scope = scope.at(&format!("{name}.basic_module.SingleConv{number}"));
                 SingleConv::load(&scope, sources, outputs, config.group_norm_groups, voxels)
@@ -37,7 +38,7 @@ impl UNet3d {
             let outputs = channels[level];
             double(format!("encoders.{level}"), level, &[(inputs, false)], inputs.max(outputs / 2), outputs)
         };
-        let doubles = |level: usize| config.frame.resolution.iter().all(|n| (n >> level).is_multiple_of(2));
+        let doubles = |level: usize| frame.resolution.iter().all(|n| (n >> level).is_multiple_of(2));
         let decoder = |k: usize| {
             let level = config.unet_levels - 2 - k;
             let outputs = channels[level];

@@ -52,6 +52,34 @@ impl VoxelGroups {
         }
     }
 
+    /// Groups points by the cell of a lattice of unit spacing that contains them, instead of those that were grouped before.
+    /// Coordinates are within ±2^20. Returns the lowest node of each occupied cell, by z, then y, then x.
+    pub(crate) fn fill_sparse(&mut self, points: &[Point]) -> Vec<[i32; 3]> {
+        const MIDDLE: i32 = 1 << 20;
+        let key = |point: &Point| {
+            let [x, y, z] = point.map(|v| (v.floor() as i32 + MIDDLE) as u64);
+            (z << 42) | (y << 21) | x
+        };
+        let mut order = Scratch::collect(points.len(), points.iter().map(key).zip(0..));
+        order.par_sort_unstable();
+        self.voxel_of_point.clear();
+        self.voxels.clear();
+        self.starts.clear();
+        self.members.clear();
+        self.members.extend(order.iter().map(|&(_, index)| index));
+        let mut cells = Vec::new();
+        let mut last = None;
+        for (place, &(key, _)) in (0..).zip(order.iter()) {
+            if last.replace(key) != Some(key) {
+                self.voxels.push(self.voxels.len() as u32);
+                self.starts.push(place);
+                cells.push([key, key >> 21, key >> 42].map(|bits| (bits & ((1 << 21) - 1)) as i32 - MIDDLE));
+            }
+        }
+        self.starts.push(points.len() as u32);
+        cells
+    }
+
     /// The number of occupied voxels.
     pub(crate) fn num_voxels(&self) -> usize {
         self.voxels.len()

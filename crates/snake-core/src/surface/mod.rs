@@ -118,7 +118,7 @@ impl<'a> Grid<'a> {
     fn new(field: &'a Field, resolution: usize) -> Self {
         let coordinates = field
             .volume()
-            .frame()
+            .grid
             .bounds()
             .map(|[low, high]| (0..resolution).map(|index| coordinate(low, high, resolution, index)).collect());
         Self { field, coordinates }
