@@ -11,7 +11,7 @@ from safetensors import SafetensorError, safe_open
 from safetensors.torch import load_file, save_file
 
 from .config import from_json
-from .model import NetworkConfig, SnakeNetwork
+from .model import NetworkConfig, SceneConfig, SceneNetwork, SnakeNetwork
 
 
 @contextmanager
@@ -31,7 +31,7 @@ def load_network(path, device="cpu"):
     if path.suffix == ".safetensors":
         try:
             with safe_open(path, "pt") as file:
-                config = NetworkConfig.from_metadata(file.metadata() or {})
+                config = config_of(file.metadata() or {})
             tensors = {name: tensor.float() for name, tensor in load_file(path).items()}
         except (SafetensorError, ValueError) as error:
             raise ValueError(f"{path}: {error}") from error
@@ -40,11 +40,18 @@ def load_network(path, device="cpu"):
     return build_network(config, tensors).to(device).eval()
 
 
+def config_of(metadata):
+    """The NetworkConfig or SceneConfig of a weight file's metadata."""
+    scenes = metadata.get("coordinates") == "voxel"
+    return (SceneConfig if scenes else NetworkConfig).from_metadata(metadata)
+
+
 def build_network(config, tensors):
-    """A network of these tensors; an unknown, missing or misshapen one is a ValueError."""
-    network = SnakeNetwork(config)
+    """A network of a weight file's tensors; an unknown, missing or misshapen one is a ValueError."""
+    scenes = isinstance(config, SceneConfig)
+    network = SceneNetwork(config) if scenes else SnakeNetwork(config)
     try:
-        network.load_state_dict(tensors, strict=True)
+        network.load_folded(tensors) if scenes else network.load_state_dict(tensors, strict=True)
     except RuntimeError as error:
         raise ValueError(f"the tensors do not fit {config}: {error}") from error
     return network

@@ -1,0 +1,395 @@
+"""Crops for training a network of scenes: a ball of a made room or street as two sensors see it, queries near its clean surface,
+and what the network is to say there.
+
+`python -m snake_training.data.crops -o CROPS --number 3000` writes them in files of 50; `Crops(CROPS)` reads them. Stored
+positions are in voxels about the crop's center.
+"""
+
+import argparse
+from pathlib import Path
+
+import numpy as np
+import torch
+import torch.nn.functional as F
+
+from .solids import about_axis, dot
+from .worlds import room, street
+
+POINTS_RADIUS, QUERY_RADIUS = 28.0, 18.0  # voxels: any turned box of 32 lies within the first
+POINTS, QUERIES = 4000, 3000  # of each view at most, and of each crop
+CELL = 0.5  # voxels, of the grid that responses are computed on
+DENSITY = 9  # surface points a square voxel
+QUANTUM = 1 / 1024  # voxels, of stored positions
+EDGE, CORNER = 0.003, 0.06  # responses that count as none and as the strongest
+
+
+class View:
+    """Rays of a sensor at a place that reach a ball: origins, directions (R, 3), and its noise."""
+
+    def __init__(self, origins, directions, noise, quadratic=0.0, furthest=np.inf, nearest=0.3):
+        self.origins, self.directions = origins, directions
+        self.noise, self.quadratic, self.furthest, self.nearest = noise, quadratic, furthest, nearest
+
+
+def reaching(origins, directions, center, radius):
+    """Which rays (R, 3) pass within `radius` of `center`, ahead of their origins."""
+    offset = center - origins
+    along = dot(offset, directions)
+    return (along > 0) & (dot(offset, offset) - along**2 < radius**2)
+
+
+def depth_camera(eye, target, rng):
+    """(directions (R, 3) in the world) of an image of 640 x 480 pixels, every second or third of them; hand-held."""
+    forward = (target - eye) / np.linalg.norm(target - eye)
+    right = np.cross(forward, (0, 0, 1) + rng.normal(size=3) * 0.1)
+    right /= np.linalg.norm(right)
+    step = rng.integers(2, 4)
+    u, v = np.meshgrid(np.arange(0, 640, step) - 319.5, np.arange(0, 480, step) - 239.5)
+    rays = np.stack([u, v], axis=-1).reshape(-1, 2) / 575
+    directions = forward + rays[:, :1] * right + rays[:, 1:] * np.cross(forward, right)
+    return directions / np.linalg.norm(directions, axis=1, keepdims=True)
+
+
+def spinning_lidar(rng, beams=None):
+    """(directions (R, 3) in the sensor's frame) of a LiDAR of 16 to 128 beams."""
+    beams = beams or rng.choice([16, 32, 64, 64, 128])
+    low, high = {16: (-15, 15), 32: (-30.7, 10.7), 64: (-24.8, 2), 128: (-25, 15)}[beams]
+    if rng.random() < 0.3:
+        low, high = -22.5, 22.5
+    azimuths = rng.integers(900, 2400)
+    elevation = np.radians(np.linspace(low, high, beams) + rng.normal(size=beams) * 0.05)
+    e, a = np.meshgrid(elevation, np.linspace(0, 2 * np.pi, azimuths, endpoint=False), indexing="ij")
+    return np.stack([np.cos(e) * np.cos(a), np.cos(e) * np.sin(a), np.sin(e)], axis=-1).reshape(-1, 3)
+
+
+def upright(rng, tilt=0.03):
+    """A rotation about z by any angle, then a small tilt."""
+    return about_axis(0, rng.normal() * tilt) @ about_axis(1, rng.normal() * tilt) @ about_axis(2, rng.uniform(0, 7))
+
+
+def toward_ball(eye, center, radius, number, rng):
+    """Directions (number, 3) uniform over those from `eye` that reach a ball: a dense scan, or part of one."""
+    axis, distance = center - eye, np.linalg.norm(center - eye)
+    least = np.cos(np.arcsin(min(radius / distance, 0.999))) if distance > radius else -1
+    cosine, angle = rng.uniform(least, 1, number), rng.uniform(0, 2 * np.pi, number)
+    one = np.cross(axis, rng.normal(size=3))
+    frame = np.stack([one / np.linalg.norm(one), np.cross(axis, one) / distance / np.linalg.norm(one), axis / distance])
+    sine = np.sqrt(1 - cosine**2)
+    return np.column_stack([sine * np.cos(angle), sine * np.sin(angle), cosine]) @ frame
+
+
+def seen(world, view, center, radius, rng):
+    """Points (M, 3) that a view has within a ball, with noise and gaps, and (M, 3) where they lie without noise, on solids
+    that stand still and have no foliage; the rest is NaN."""
+    chosen = reaching(view.origins, view.directions, center, radius)
+    if chosen.sum() > 30000:
+        chosen[rng.permutation(np.flatnonzero(chosen))[30000:]] = False
+    o, d = view.origins[chosen], view.directions[chosen]
+    eyes = o if len(o) < 3 else o[:: max(len(o) // 4, 1)]
+    if len(o) == 0:
+        return np.empty((2, 0, 3))
+    near = world.toward(eyes, center, radius)
+    if not near.rows:
+        return np.empty((2, 0, 3))
+    t, which, slope = near.cast(o, d)
+    _, _, _, fuzz, moving = near.arrays()
+    keep = (t > view.nearest) & (t < view.furthest) & (rng.random(len(t)) < 0.15 + 2.5 * slope)
+    o, d, t, which = o[keep], d[keep], t[keep], which[keep]
+    error = (view.noise + view.quadratic * t**2) * rng.standard_normal(len(t))
+    into = fuzz[which] * rng.exponential(0.7, len(t))
+    clean = o + d * t[:, None]
+    clean[(fuzz[which] > 0) | moving[which]] = np.nan
+    points = o + d * (t + error + into)[:, None]
+    ball = dot(points - center, points - center) < radius**2
+    return np.stack([points[ball], clean[ball]])
+
+
+def holes(points, eye, rng):
+    """Which points (M, 3) a depth camera's holes leave."""
+    kept = np.ones(len(points), bool)
+    directions = (points - eye) / np.linalg.norm(points - eye, axis=1, keepdims=True)
+    for _ in range(rng.integers(0, 6)):
+        if len(points):
+            kept &= np.linalg.norm(directions - directions[rng.integers(len(points))], axis=1) > rng.uniform(0.01, 0.12)
+    return kept
+
+
+def fused(points, clean, side):
+    """The mean of the points (M, 3) in each cell of a side, and of where they lie without noise."""
+    _, cell, count = np.unique(np.floor(points / side).astype(np.int64), axis=0, return_inverse=True, return_counts=True)
+    mean = np.zeros((2, len(count), 3))
+    for out, values in zip(mean, (points, clean), strict=True):
+        np.add.at(out, cell.ravel(), values)
+    return mean / count[:, None]
+
+
+def room_views(world, size, rng, center, radius):
+    """Two views of a ball in a room: of one depth image, of several that are fused, or of a scanner on a tripod."""
+    views, scanner = [], rng.random() < 0.15
+    eye = standpoint(size, rng)
+    for _ in range(2):
+        if scanner:
+            eye = standpoint(size, rng)
+            rays = toward_ball(eye, center, radius, rng.integers(3000, 15000), rng)
+            view = View(np.broadcast_to(eye, rays.shape), rays, rng.uniform(0.001, 0.006))
+            views.append(seen(world, view, center, radius, rng))
+            continue
+        images, at = [], eye
+        quadratic = rng.uniform(0.0008, 0.004)
+        for _ in range(1 if rng.random() < 0.45 else rng.integers(2, 7)):
+            rays = depth_camera(at, center + rng.normal(size=3) * 0.4, rng)
+            view = View(np.broadcast_to(at, rays.shape), rays, 0.001, quadratic, 4.5, 0.4)
+            points, clean = seen(world, view, center, radius, rng)
+            left = holes(points, at, rng)
+            images.append(np.stack([points[left], clean[left]]))
+            at = at + rng.normal(size=3) * (0.3, 0.3, 0.1)
+        points, clean = np.concatenate(images, axis=1)
+        views.append(fused(points, clean, rng.uniform(0.008, 0.025)) if len(points) else np.stack([points, clean]))
+        eye = eye + rng.normal(size=3) * rng.choice([0.25, 0.8]) * (1, 1, 0.25)
+    return views
+
+
+def standpoint(size, rng):
+    """Where a camera may be in a room of a size."""
+    return np.array([*rng.uniform(-0.4, 0.4, 2) * size[:2], rng.uniform(0.7, min(size[2] - 0.4, 1.9))])
+
+
+def street_views(world, half, rng, center, radius, eye):
+    """Two views of a ball in a street: sweeps of one kind of LiDAR, scans from tripods, or flights over it."""
+    kind = rng.choice(["sweep", "tripod", "air"], p=[0.75, 0.1, 0.15])
+    views, beams = [], rng.choice([16, 32, 64, 64, 64, 128])
+    for number in range(2):
+        moved = world
+        if number:
+            eye = eye + (rng.uniform(-12, 12), rng.normal() * 0.7, rng.normal() * 0.05)
+            moved = drift(world, rng)
+        if kind == "sweep":
+            rays = spinning_lidar(rng, beams) @ upright(rng).T
+            view = View(np.broadcast_to(eye, rays.shape), rays, rng.uniform(0.005, 0.03), 0, 100, 1.5)
+        elif kind == "tripod":
+            rays = toward_ball(eye, center, radius, rng.integers(2000, 12000), rng)
+            view = View(np.broadcast_to(eye, rays.shape), rays, rng.uniform(0.002, 0.01))
+        else:
+            tilt = np.array([rng.normal() * 0.3, rng.normal() * 0.3, -1])
+            rays = tilt + rng.normal(size=(rng.integers(1500, 10000), 3)) * 0.02
+            rays /= np.linalg.norm(rays, axis=1, keepdims=True)
+            below = center + rng.uniform(-1, 1, rays.shape) * radius
+            view = View(below - rays * 60, rays, rng.uniform(0.01, 0.05))
+        views.append(seen(moved, view, center, radius, rng))
+    return views
+
+
+def drift(world, rng):
+    """The same world some time later: what moves has moved along x, all of a thing alike."""
+    shift = rng.uniform(-6, 6)
+    return type(world)(
+        (kind, center + (shift, 0, 0) if moving else center, axes, fuzz, moving)
+        for kind, center, axes, fuzz, moving in world.rows
+    )
+
+
+def smooth(grid, sigma):
+    """Gaussian of `sigma` cells over each channel of (C, X, X, X); a product with a matrix an axis, the fastest here."""
+    at = torch.arange(grid.shape[-1], dtype=torch.float32)
+    kernel = torch.exp(-0.5 * ((at[:, None] - at) / sigma) ** 2) / (np.sqrt(2 * np.pi) * sigma)
+    for _ in range(3):
+        grid = (grid @ kernel).permute(0, 3, 1, 2).contiguous()
+    return grid
+
+
+@torch.no_grad()
+def corner_response(surface, radius, width=0.9, window=1.6):
+    """How much of a corner each cell is: (response, mass), both (X, Y, Z), of a surface (M, 3) in voxels about 0.
+
+    The surface's mass is smoothed with `width` voxels. Where its gradients within `window` voxels point in all three
+    directions there is a corner, the end of a pole or of an edge (Foerstner and Harris in 3-D): the response is the
+    least eigenvalue of their mean outer product, which is zero on planes and along edges. The mass is 1 on a plane.
+    """
+    side = 2 * int(np.ceil(radius / CELL)) + 1
+    at = torch.from_numpy(((surface + radius) / CELL).round().astype(np.int64))
+    at = at[((at >= 0) & (at < side)).all(dim=1)]
+    mass = torch.zeros(side**3).index_add(0, (at[:, 0] * side + at[:, 1]) * side + at[:, 2], torch.ones(len(at)))
+    scale = np.sqrt(2 * np.pi) * width / (DENSITY * CELL**3)  # of a smoothed plane
+    density = smooth(mass.reshape(1, side, side, side), width / CELL)[0] * scale
+    x, y, z = (torch.gradient(density, spacing=CELL, dim=axis)[0] for axis in range(3))
+    xx, yy, zz, xy, xz, yz = smooth(torch.stack([x * x, y * y, z * z, x * y, x * z, y * z]), window / CELL)
+    # The least eigenvalue in closed form (Smith 1961).
+    mean = (xx + yy + zz) / 3
+    a, b, c = xx - mean, yy - mean, zz - mean
+    spread = ((a * a + b * b + c * c + 2 * (xy * xy + xz * xz + yz * yz)) / 6).sqrt().clamp(min=1e-9)
+    half = (a * b * c + 2 * xy * xz * yz - a * yz * yz - b * xz * xz - c * xy * xy) / (2 * spread**3)
+    angle = torch.acos(half.clamp(-1, 1)) / 3 + 2 * np.pi / 3
+    return mean + 2 * spread * torch.cos(angle), density
+
+
+def levels(response):
+    """Responses as levels: 0 for what counts as none, 1 for a strong corner, in between by their logarithm."""
+    return (torch.log(response.clamp(min=1e-9) / EDGE) / np.log(CORNER / EDGE)).clamp(0, 1.3)
+
+
+@torch.no_grad()
+def targets(response, reach=3.0, sharpness=0.15):
+    """Target log-odds (X, Y, Z): a peak at each local maximum of the level, as high as that, wherever else low.
+
+    A cell loses exp(-(M - l) / sharpness), with M the highest level within `reach` voxels and l its own.
+    """
+    level = levels(response)
+    cells = int(round(reach / CELL))
+    highest = level
+    for axis in range(3):
+        highest = F.max_pool1d(highest.movedim(axis, -1), 2 * cells + 1, 1, cells).movedim(-1, axis)
+    return -3 + 4.5 * level * torch.exp((level - highest) / sharpness)
+
+
+def read(grid, queries, radius):
+    """Trilinear values (Q,) of a grid (X, Y, Z) at queries (Q, 3) in voxels about 0."""
+    span = (np.array(grid.shape) - 1) / 2 * CELL
+    at = torch.from_numpy((queries + radius - span) / span).float()[None, None, None]
+    return F.grid_sample(grid[None, None].transpose(2, 4), at, align_corners=True)[0, 0, 0, 0].numpy()
+
+
+def make_crop(rng):
+    """A crop as arrays, or None where the sensors see too little of the chosen place."""
+    indoors = rng.random() < 0.5
+    world, extent = room(rng) if indoors else street(rng)
+    voxel = np.exp(rng.uniform(*np.log((0.03, 0.08) if indoors else (0.15, 0.4))))
+    eye = standpoint(extent, rng) if indoors else np.array([rng.uniform(-30, 30), rng.uniform(-0.6, 0.6) * extent, 1.8])
+    rays = rng.normal(size=(400, 3)) * (1, 1, 0.6 if indoors else 0.15)
+    rays /= np.linalg.norm(rays, axis=1, keepdims=True)
+    reach, which, _ = world.cast(np.broadcast_to(eye, rays.shape), rays)
+    big = np.array([np.linalg.norm(axes, axis=0).max() for _, _, axes, _, _ in world.rows]) > (2 if indoors else 50)
+    usable = np.flatnonzero((reach > 4 * voxel) & (reach < (4 if indoors else 45)) & ~(big[which] & (rng.random(400) < 0.8)))
+    crops = []
+    for row in rng.permutation(usable)[:4]:
+        center = eye + rays[row] * reach[row] + rng.normal(size=3) * 4 * voxel
+        radius = POINTS_RADIUS * voxel
+        views = (room_views(world, extent, rng, center, radius) if indoors
+                 else street_views(world, extent, rng, center, radius, eye))
+        views = [(view - center) / voxel for view in views]
+        near = [int((np.linalg.norm(points, axis=1) < 14).sum()) for points, _ in views]
+        if min(near) < 60:
+            continue
+        crop = crop_of(world, center, voxel, views, rng)
+        if crop:
+            crops.append(crop)
+    return crops
+
+
+def crop_of(world, center, voxel, views, rng):
+    """The stored arrays of a crop: of views (2, 2, M, 3), with and without noise, in voxels about its center."""
+    radius = QUERY_RADIUS + 4
+    still = type(world)(row for row in world.rows if row[3] == 0 and not row[4]).about(center, (radius + 1) * voxel)
+    surface = (still.surface(center, radius * 1.2 * voxel, DENSITY / voxel**2, rng) - center) / voxel
+    if len(surface) < 1000:
+        return None
+    response, density = corner_response(surface, radius)
+    target = targets(response)
+    cells = [occupied(clean[~np.isnan(clean[:, 0])]) for _, clean in views]
+    common = np.intersect1d(*cells)
+    if len(common) < 30:
+        return None
+    inner = surface[np.linalg.norm(surface, axis=1) < QUERY_RADIUS]
+    inner = inner[np.isin(numbers(inner), common)]
+    if len(inner) < 100:
+        return None
+    number = 4 * QUERIES
+    spread = rng.choice([0.3, 0.7, 1.5], (number, 1), p=[0.6, 0.3, 0.1])
+    queries = inner[rng.integers(len(inner), size=number)] + spread * rng.standard_normal((number, 3))
+    values = read(target, queries, radius)
+    order = values.argsort()
+    best = order[-number // 6 :]
+    chosen = np.concatenate([rng.choice(best, QUERIES * 2 // 5, replace=False), rng.choice(number, QUERIES * 3 // 5, replace=False)])
+    shown = [points[rng.permutation(len(points))[:POINTS]] for points, _ in views]
+    solid = [clean[~np.isnan(clean[:, 0])] for _, clean in views]
+    solid = [clean[np.linalg.norm(clean, axis=1) < QUERY_RADIUS] for clean in solid]
+    free = rng.uniform(-QUERY_RADIUS, QUERY_RADIUS, (3000, 3))
+    free = free[(read(density, free, radius) < 0.05) & (np.linalg.norm(free, axis=1) < QUERY_RADIUS)][:800]
+    beside = inner[rng.integers(len(inner), size=3000)] + rng.normal(size=(3000, 3)) * 2
+    beside = beside[read(density, beside, radius) < 0.25][:600]
+    return {
+        "points_0": shown[0], "points_1": shown[1], "queries": queries[chosen], "target": values[chosen].astype(np.float16),
+        "solid_0": solid[0][rng.permutation(len(solid[0]))[:1000]], "solid_1": solid[1][rng.permutation(len(solid[1]))[:1000]],
+        "free": np.concatenate([free, beside]),
+    }  # fmt: skip
+
+
+def numbers(points, side=2.0):
+    """The number of the cell that each point (N, 3), in voxels, lies in."""
+    x, y, z = np.floor(points / side).astype(int).T + 64
+    return (x * 128 + y) * 128 + z
+
+
+def occupied(points, side=2.0):
+    """The numbers of the cells with points or beside them."""
+    step = np.stack(np.meshgrid(*[(-0.5, 0.5)] * 3), axis=-1).reshape(-1, 1, 3)
+    return np.unique(numbers((points + step * side).reshape(-1, 3))) if len(points) else np.empty(0, int)
+
+
+def write_part(path, seed, number=50):
+    """`number` crops of one seed in a file, their arrays end to end; positions as int16."""
+    rng, crops = np.random.default_rng([seed, 0xC409]), []
+    while len(crops) < number:
+        crops += make_crop(rng)
+    stored = {}
+    for name in crops[0]:
+        arrays = [crop[name] for crop in crops[:number]]
+        stored[f"{name}_ends"] = np.cumsum([len(a) for a in arrays])
+        whole = np.concatenate(arrays)
+        stored[name] = whole if name == "target" else (whole / QUANTUM).round().clip(-32767, 32767).astype(np.int16)
+    partial = Path(f"{path}.partial.npz")
+    np.savez(partial, **stored)
+    partial.replace(path)
+
+
+class Crops:
+    """The crops of a folder; `crops[i]` is a dictionary of float32 arrays."""
+
+    def __init__(self, folder):
+        self.folder, self.parts, self.rows = Path(folder), {}, []
+        self.refresh()
+        if not self.rows:
+            raise ValueError(f"{folder}: no crops; python -m snake_training.data.crops -o {folder} writes them")
+
+    def refresh(self):
+        """Takes up files that were written since."""
+        for path in sorted(self.folder.glob("*.npz")):
+            if path.name not in self.parts and ".partial" not in path.name:
+                with np.load(path) as file:
+                    self.parts[path.name] = dict(file)
+                number = len(self.parts[path.name]["target_ends"])
+                self.rows += [(path.name, row) for row in range(number)]
+
+    def __len__(self):
+        return len(self.rows)
+
+    def __getitem__(self, index):
+        name, row = self.rows[index]
+        part, crop = self.parts[name], {}
+        for key in (key for key in part if not key.endswith("_ends")):
+            ends = part[f"{key}_ends"]
+            values = part[key][ends[row - 1] if row else 0 : ends[row]].astype(np.float32)
+            crop[key] = values if key == "target" else values * np.float32(QUANTUM)
+        return crop
+
+
+def main(argv=None):
+    """Command line."""
+    parser = argparse.ArgumentParser(
+        prog="python -m snake_training.data.crops", description="Write crops of made rooms and streets as sensors see them.",
+        formatter_class=argparse.ArgumentDefaultsHelpFormatter,
+    )  # fmt: skip
+    parser.add_argument("-o", "--output", required=True, help="folder; files that are there are kept")
+    parser.add_argument("--number", type=int, default=3000, help="crops, 50 a file")
+    parser.add_argument("--seed", type=int, default=1, help="of the first file; the others follow")
+    arguments = parser.parse_args(argv)
+    torch.set_num_threads(1)
+    folder = Path(arguments.output)
+    folder.mkdir(parents=True, exist_ok=True)
+    for part in range(-(-arguments.number // 50)):
+        path = folder / f"{arguments.seed + part:05d}.npz"
+        if not path.exists():
+            write_part(path, arguments.seed + part)
+
+
+if __name__ == "__main__":
+    main()
