@@ -103,6 +103,10 @@ pub struct EncodeFlags {
     /// proportion [default: 1].
     #[arg(long)]
     rotations: Option<usize>,
+    /// Size of a voxel, for scene models: in cloud units, or in multiples of the cloud's resolution (`2r`). Details smaller
+    /// than a voxel are not seen [default: chosen from the cloud].
+    #[arg(long, value_name = "LENGTH")]
+    voxel_size: Option<Length>,
 }
 
 impl EncodeFlags {
@@ -116,6 +120,7 @@ impl EncodeFlags {
         override_with(&mut preset.encode.max_points, self.max_points.map(Some));
         override_with(&mut preset.encode.seed, self.seed);
         override_with(&mut preset.encode.rotations, self.rotations);
+        override_with(&mut preset.encode.voxel_size, self.voxel_size.map(none_if_zero));
         Ok(preset)
     }
 }

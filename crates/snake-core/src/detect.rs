@@ -10,8 +10,9 @@ use crate::modes::seek_modes;
 use crate::nms::{nearest_points_into, suppress};
 use crate::options::{DetectOptions, Radii};
 use crate::points::{FinitePoints, Normalization, Point};
-use crate::query_grid::{QueryGrid, above_occupancy, above_occupancy_of, scene_queries};
+use crate::query_grid::{QueryGrid, above_occupancy, above_occupancy_of};
 use crate::refine::{Refined, refine};
+use crate::scene::cell_means;
 use crate::span::span;
 use snake_kernels::{Element, Scratch};
 
@@ -211,7 +212,7 @@ impl Candidates {
                 (above_occupancy(field, &queries, threshold, control)?, options.query_resolution.pow(3))
             }
             None => {
-                let queries = scene_queries(field);
+                let queries = cell_means(field);
                 (above_occupancy_of(field, &queries, threshold, control)?, queries.len())
             }
         };

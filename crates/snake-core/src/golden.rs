@@ -87,7 +87,7 @@ fn distance_quantiles(found: &[Point], expected: &[Point], shares: [f32; 2]) -> 
 #[test]
 fn encoder_stages() {
     for case in cases() {
-        let encoder = &case.model.network().encoder;
+        let encoder = case.model.network().encoder.cube();
         let (points, frame) = (case.points("points"), case.model.config().frame().unwrap());
         let [features, means] = encoder.points.pointnet().plain(&points, &frame);
         case.assert_close("point_features", &features, 1e-5);

@@ -4,7 +4,6 @@ use rayon::prelude::*;
 
 use crate::Result;
 use crate::control::{Control, Counter};
-use crate::encoder::VoxelGroups;
 use crate::field::{Field, Quantity};
 use crate::nn::TILE;
 use crate::options::DetectOptions;
@@ -102,6 +101,11 @@ fn append_occupied(
     counter: &Counter,
     occupied: &mut Scratch<Point>,
 ) -> Result<()> {
+    if threshold <= 0.0 {
+        counter.add(queries.len());
+        occupied.extend_from_slice(queries);
+        return counter.check();
+    }
     let mut occupancy = Scratch::zeros(queries.len());
     occupancy.par_chunks_mut(TILE).zip(queries.par_chunks(TILE)).try_for_each(|(occupancy, tile)| {
         counter.check()?;
@@ -114,34 +118,7 @@ fn append_occupied(
     Ok(())
 }
 
-/// The queries of a scene: where its cells hold points, in the network's frame.
-pub(crate) fn scene_queries(field: &Field) -> Scratch<Point> {
-    let normalization = field.normalization();
-    let in_voxels: Vec<Point> = field.points().iter().map(|&point| normalization.to_network(point)).collect();
-    let mut groups = VoxelGroups::default();
-    let cells = groups.fill_sparse(&in_voxels);
-    if std::env::var("Q").is_ok_and(|q| q == "nodes") {
-        let mut nodes: Vec<[i32; 3]> = cells
-            .iter()
-            .flat_map(|c| (0..8).map(|n: i32| [c[2] + (n >> 2), c[1] + (n >> 1 & 1), c[0] + (n & 1)]))
-            .collect();
-        nodes.sort_unstable();
-        nodes.dedup();
-        return Scratch::collect(nodes.len(), nodes.iter().map(|n| [n[2] as f32, n[1] as f32, n[0] as f32]));
-    }
-    let mean = |cell: usize| {
-        let number = groups.num_points(cell..cell + 1) as f32;
-        let low = cells[cell].map(|i| i as f32);
-        let mut sum = [0.0; 3];
-        for index in groups.members(cell..cell + 1) {
-            sum = std::array::from_fn(|axis| sum[axis] + (in_voxels[index][axis] - low[axis]));
-        }
-        std::array::from_fn(|axis| low[axis] + sum[axis] / number)
-    };
-    Scratch::collect(cells.len(), (0..cells.len()).map(mean))
-}
-
-/// The queries of a scene whose occupancy is above the threshold.
+/// The queries of a list, in the network's frame, whose occupancy is above the threshold.
 pub(crate) fn above_occupancy_of(
     field: &Field,
     queries: &[Point],

@@ -126,7 +126,10 @@ fn best_on_surface(field: &Field, trajectory: &Trajectory, options: &DetectOptio
         let open = Scratch::collect(best.len(), (0..best.len()).filter(is_open));
         let place = |query: usize| ranked[query * num_steps + rank] * num_queries + query;
         let of_open = Scratch::collect(open.len(), open.iter().map(|&query| positions[place(query)]));
-        let occupancy = field.tile_values(Quantity::Occupancy, &of_open);
+        let occupancy = match options.surface_threshold > 0.0 {
+            true => field.tile_values(Quantity::Occupancy, &of_open),
+            false => Scratch::collect(of_open.len(), of_open.iter().map(|_| 1.0)),
+        };
         for (&query, &occupancy) in open.iter().zip(occupancy.iter()) {
             if occupancy > options.surface_threshold {
                 best[query] = Refined { position: positions[place(query)], score: saliency[place(query)] };

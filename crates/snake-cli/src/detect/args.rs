@@ -112,8 +112,8 @@ pub struct DetectFlags {
     #[arg(long, value_name = "LENGTH")]
     mode_radius: Option<Length>,
     /// Radius of non-maximum suppression: keypoints are farther apart than this. The radius is in cloud units, in
-    /// multiples of the cloud's resolution, the mean distance between nearest points (`3r`), or in per cent of the
-    /// cloud's radius (`10%`); 0 turns suppression off [default: 10%].
+    /// multiples of the cloud's resolution, the mean distance between nearest points (`3r`), in per cent of the cloud's
+    /// radius (`10%`), or in voxels (`4v`); 0 turns suppression off [default: 10%].
     #[arg(long, value_name = "LENGTH")]
     nms_radius: Option<Length>,
     /// Keep at most this many keypoints, those with the highest saliency [default: 64].

@@ -4,8 +4,8 @@ use snake_kernels::BLOCK_VOXELS;
 
 use super::block_grid::FARTHEST_NODE;
 use super::levels::{Level, levels};
-use super::unet::BlockUnet;
 use super::scatter;
+use super::unet::BlockUnet;
 use crate::config::ModelConfig;
 use crate::control::Control;
 use crate::encoder::{PointFeatures, VoxelGroups};
@@ -41,10 +41,21 @@ impl SceneEncoder {
         })
     }
 
-    /// Encodes points in voxels of the lattice.
+    /// Encodes points, given in voxels.
     pub(crate) fn encode(&self, points: &[Point], memory: &mut SceneMemory, control: &Control) -> Result<Volume> {
+        self.encode_also(points, &[], memory, control)
+    }
+
+    /// [`SceneEncoder::encode`] with blocks also about more cells, which hold no points.
+    pub(super) fn encode_also(
+        &self,
+        points: &[Point],
+        more: &[[i32; 3]],
+        memory: &mut SceneMemory,
+        control: &Control,
+    ) -> Result<Volume> {
         let cells = self.cells(points, &mut memory.groups)?;
-        let levels = levels(self.unet.num_levels(), cells.iter().copied());
+        let levels = levels(self.unet.num_levels(), cells.iter().chain(more).copied());
         let channels = self.points.channels();
         check_blocks(levels[0].grid.len(), channels)?;
         let work = self.points.work(points.len()) + self.unet.work(&levels);

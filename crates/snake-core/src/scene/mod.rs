@@ -7,10 +7,14 @@
 mod block_grid;
 mod encoder;
 mod levels;
+mod queries;
 mod scatter;
+#[cfg(test)]
+mod tests;
 mod unet;
 mod voxel_size;
 
 pub(crate) use self::block_grid::BlockGrid;
 pub(crate) use self::encoder::{SceneEncoder, SceneMemory};
+pub(crate) use self::queries::cell_means;
 pub(crate) use self::voxel_size::voxel_size;
