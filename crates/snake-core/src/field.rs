@@ -11,6 +11,7 @@ use crate::encoder::EncoderMemory;
 use crate::network::Network;
 use crate::nn::TILE;
 use crate::options::{EncodeOptions, Options};
+use crate::outliers::Outliers;
 use crate::point_source::PointSource;
 use crate::points::{FinitePoints, Normalization, NormalizationMethod, Point, check_points};
 use crate::rotations::{self, Rotation, rotate, rotate_inverse};
@@ -133,7 +134,7 @@ impl Field {
         span!("encode");
         control.get_limits().check_volumes(&network.config, options.rotations)?;
         let points = &finite.points;
-        let normalization = Normalization::of(points, options.normalization)?;
+        let normalization = Normalization::of_finite(points, options.normalization)?;
         let orientation = match options.normalization {
             NormalizationMethod::PrincipalAxes => rotations::principal_axes(points, normalization.center),
             _ => rotations::IDENTITY,
@@ -164,7 +165,7 @@ impl Field {
             normalization,
             num_skipped: 0,
             num_encoded: points.len(),
-            points: FinitePoints::of("points", &points)?.into_owned(),
+            points: FinitePoints::all(points.into()),
             network,
         })
     }
@@ -182,7 +183,7 @@ impl Field {
         self.normalization
     }
 
-    /// The finite points of the cloud in the order they were given.
+    /// The points of the cloud that are used, in the order they were given: the finite ones without outliers.
     pub fn points(&self) -> &[Point] {
         &self.points.points
     }
@@ -192,9 +193,14 @@ impl Field {
         &self.points
     }
 
-    /// Number of points of the cloud that were skipped because they are not finite.
+    /// Number of points of the cloud that were skipped because they are not finite, or are outliers.
     pub fn num_skipped(&self) -> usize {
         self.num_skipped
+    }
+
+    /// The points far beyond all others, which were left out, if there are any.
+    pub fn outliers(&self) -> Option<Outliers> {
+        self.points.outliers()
     }
 
     /// The index in the cloud as it was given of one of [`Field::points`].

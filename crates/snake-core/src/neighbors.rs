@@ -78,11 +78,15 @@ impl Neighbors {
         self.nearest(query, NonZeroUsize::MIN)[0].1
     }
 
-    /// Mean distance of the points to their nearest other point; 0 for one point.
+    /// Mean distance of the distinct points to their nearest other point; 0 for one point.
     pub fn resolution(&self) -> f64 {
-        const TWO: NonZeroUsize = NonZeroUsize::MIN.saturating_add(1);
-        let nearest = |point| self.nearest(point, TWO).get(1).map_or(0.0, |&(_, distance)| distance);
-        let nearest: Vec<f64> = self.points.par_iter().map(nearest).collect();
+        // In the given order where no points are equal, which keeps the sum's bits.
+        let are_distinct = self.tree.distinct().len() == self.points.len();
+        let gap = |point: &[f64; 3]| self.tree.nearest_other(point).map_or(0.0, f64::sqrt);
+        let nearest: Vec<f64> = match are_distinct {
+            true => self.points.par_iter().map(|&point| gap(&point.into())).collect(),
+            false => self.tree.distinct().par_iter().map(gap).collect(),
+        };
         nearest.iter().sum::<f64>() / nearest.len() as f64
     }
 
