@@ -168,7 +168,8 @@ mod tests {
 
     #[test]
     fn outliers_do_not_decide_the_origin() {
-        let room = (0..900).map(|i| [500_123.25 + f64::from(i % 30) * 0.1, 5_412_345.75 + f64::from(i / 30) * 0.1, 431.0]);
+        let room =
+            (0..900).map(|i| [500_123.25 + f64::from(i % 30) * 0.1, 5_412_345.75 + f64::from(i / 30) * 0.1, 431.0]);
         let clean = Cloud::from_positions(room.clone());
         assert!(clean.origin[1] > 5e6);
         // Missing returns at zero, and a point beyond the earth.

@@ -230,7 +230,8 @@ mod tests {
         let clean: Vec<Point> = (0..500).map(|i| [at(i, 2_654_435_761), at(i, 40_503), 0.1]).collect();
         let of = |points: &[Point]| resolution("points", points).unwrap();
         let expected = of(&clean);
-        for repeated in [clean.repeat(2), [&clean[..], &clean[..300]].concat(), [&clean[..], &[clean[7]; 900]].concat()] {
+        for repeated in [clean.repeat(2), [&clean[..], &clean[..300]].concat(), [&clean[..], &[clean[7]; 900]].concat()]
+        {
             assert!((of(&repeated) / expected - 1.0).abs() < 1e-12);
         }
         assert_eq!(of(&[&clean[..], &[[1e4, 0.0, 0.0]]].concat()), expected);

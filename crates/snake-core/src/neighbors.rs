@@ -6,7 +6,6 @@ use nalgebra::{Matrix3, SymmetricEigen, Vector3};
 use rayon::prelude::*;
 
 use crate::kd_tree::KdTree;
-use crate::points::Point;
 use crate::{Error, Result};
 
 /// The limit of the number of neighbour pairs; more would take minutes.
@@ -15,9 +14,9 @@ const MAX_PAIRS: f64 = 1e10;
 /// A point or an offset in f64.
 pub type Vector = Vector3<f64>;
 
-/// Converts a point to f64.
-pub fn vector(point: Point) -> Vector {
-    point.map(f64::from).into()
+/// Converts a point of `f32` or `f64` to f64.
+pub fn vector<T: Into<f64>>(point: [T; 3]) -> Vector {
+    point.map(Into::into).into()
 }
 
 /// Points with an index for neighbour queries.

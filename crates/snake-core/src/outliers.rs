@@ -90,7 +90,10 @@ impl fmt::Display for Outliers {
         let digit = 10_f64.powf(times.log10().floor());
         let times = (times / digit).round() * digit;
         match number {
-            1 => write!(f, "1 of {num_points} points is {times} times as far from the middle as the others: an outlier, left out"),
+            1 => write!(
+                f,
+                "1 of {num_points} points is {times} times as far from the middle as the others: an outlier, left out"
+            ),
             _ => write!(
                 f,
                 "{number} of {num_points} points are up to {times} times as far from the middle as the others: outliers, \

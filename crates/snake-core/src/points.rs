@@ -207,8 +207,9 @@ fn is_finite(point: &Point) -> bool {
     point.iter().all(|v| v.is_finite())
 }
 
-/// Refuses an empty array and coordinates that are not finite.
-pub fn check_points(what: &'static str, points: &[Point]) -> Result<()> {
+/// Refuses an empty array of `f32` or `f64`, and coordinates that are not finite.
+pub fn check_points<T: Copy + Into<f64>>(what: &'static str, points: &[[T; 3]]) -> Result<()> {
+    let is_finite = |point: &[T; 3]| point.iter().all(|&v| v.into().is_finite());
     if points.is_empty() {
         return Err(Error::Input { what, reason: "no points".into() });
     }

@@ -156,7 +156,9 @@ mod tests {
         };
         let second = Duration::from_secs(1);
         assert!(error(Builtin::Compact, Duration::ZERO, 100).contains("target"));
-        assert!(error(Builtin::Compact, second, 1).contains("num_points"));
+        for num_points in [1, 100_000_001, usize::MAX] {
+            assert!(error(Builtin::Compact, second, num_points).contains("num_points"));
+        }
         assert!(error(Builtin::Rooms, second, 100).contains("window_radius"));
     }
 }
