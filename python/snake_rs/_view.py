@@ -70,6 +70,7 @@ def view(
     "cloud". With a `second` cloud of the same object or scene the page shows both, and which keypoints repeat: those of
     which one of the other cloud is nearer than `epsilon` (a number of cloud units, or text such as "3r"; None: 0.04 of the
     first cloud's radius). `t_first_second` (4, 4) maps a point of the second cloud to the first; None: `register` finds it.
+    A model may stand in the place of `second`.
 
     Raises ValueError as `detect` does, and where two clouds cannot be registered.
     """

@@ -1,6 +1,6 @@
 //! `snake_rs.Model`.
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::sync::{Arc, OnceLock};
 
 use pyo3::exceptions::{PyTypeError, PyValueError};
@@ -59,6 +59,19 @@ pub fn given_or_builtin(py: Python<'_>, model: Option<&Bound<'_, PyAny>>) -> PyR
     }
 }
 
+/// Whether a value is meant as a model and not as a cloud: a `Model`, the name of one, or the path of a weight file.
+pub fn is_model(value: &Bound<PyAny>) -> bool {
+    value.is_instance_of::<Model>()
+        || value.extract::<PathBuf>().is_ok_and(|path| {
+            let is_name = path.to_str().is_some_and(|name| core::Model::NAMES.contains(&name));
+            is_name || is_weight_file(&path)
+        })
+}
+
+fn is_weight_file(path: &Path) -> bool {
+    path.extension().is_some_and(|extension| extension == "safetensors")
+}
+
 /// The given model: a `Model`, the name of a built-in model, or the path of a weight file.
 pub fn given<'py>(py: Python<'py>, model: &Bound<'py, PyAny>) -> PyResult<Bound<'py, Model>> {
     if let Ok(model) = model.cast::<Model>() {
@@ -74,7 +87,7 @@ pub fn given<'py>(py: Python<'py>, model: &Bound<'py, PyAny>) -> PyResult<Bound<
             let reason = format!("model: no built-in model {}; known are {names}", path.display());
             return Err(PyValueError::new_err(reason));
         }
-        None if !path.extension().is_some_and(|extension| extension == "safetensors") => {
+        None if !is_weight_file(&path) => {
             let reason =
                 format!("model: {} is neither a built-in model nor a weight file (.safetensors)", path.display());
             return Err(PyValueError::new_err(reason));

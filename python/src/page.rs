@@ -24,6 +24,11 @@ pub fn page(
     t_first_second: Option<&Bound<'_, PyAny>>,
     options: Option<&Bound<'_, PyDict>>,
 ) -> PyResult<String> {
+    // `view(points, "rooms")` names a model, `view(a, b)` a cloud.
+    let (second, model) = match second {
+        Some(value) if model.is_none() && model::is_model(value) => (None, second),
+        _ => (second, model),
+    };
     if second.is_none() && (epsilon.is_some() || t_first_second.is_some()) {
         return Err(PyValueError::new_err("`epsilon` and `t_first_second` need two clouds"));
     }
