@@ -115,7 +115,7 @@ def test_columns_are_told_or_chosen(points, tmp_path):
     np.savetxt(path, np.hstack([points[:, :1] * 0, points]), delimiter=",", header="t,lat,lon,alt", comments="")
     with pytest.raises(ValueError, match="--columns x,y,z.* 2 `lat`"):
         snake_rs.read_points(path)
-    for columns in (("lat", "lon", "alt"), [1, 2, 3], (1, "lon", 3)):
+    for columns in (("lat", "lon", "alt"), [2, 3, 4], (2, "lon", 4)):
         assert np.allclose(snake_rs.read_points(path, columns=columns), points, atol=1e-6)
     with pytest.raises(ValueError, match="no column `up`"):
         snake_rs.read_points(path, columns=("lat", "lon", "up"))

@@ -169,3 +169,84 @@ def test_a_view_opens_in_the_browser_and_is_embedded_in_a_notebook(points, monke
     assert html.unescape(embedded[1]) == page
     with pytest.raises(TypeError, match="view"):
         snake_rs.view(points, radius=1)
+
+
+def test_results_are_tensors():
+    torch = pytest.importorskip("torch")
+    found = snake_rs.detect(torus())
+    tensor = torch.as_tensor(found)
+    assert tensor.shape == (len(found), 3) and np.array_equal(tensor.numpy(), found.points)
+
+
+def test_no_limit_is_none_and_one_threshold_is_a_number(keypoints):
+    assert len(snake_rs.detect(torus(), max_keypoints=None, nms_radius=0)) > 64
+    of = snake_rs.metrics.relative_repeatability
+    one = of(keypoints, keypoints, np.eye(4), 0.1)
+    assert one.shape == () and float(one) == 1
+    assert of(keypoints, keypoints, np.eye(4), np.float32(0.1)).shape == ()
+    assert of(keypoints, keypoints, np.eye(4), [0.1]).tolist() == [1]
+
+
+def test_a_list_of_clouds_gives_a_list_of_keypoints(tmp_path):
+    clouds = [torus(2000), torus(3000).astype(np.float32), torus(2500) + [5e5, 5.4e6, 0]]
+    expected = [snake_rs.detect(cloud) for cloud in clouds]
+    for given in (clouds, tuple(clouds)):
+        found = snake_rs.detect(given)
+        assert len(found) == 3 and all(map(same, found, expected))
+        assert [k.points.dtype for k in found] == [np.float64, np.float32, np.float64]
+    np.save(tmp_path / "cloud.npy", clouds[0])
+    paths = snake_rs.detect([tmp_path / "cloud.npy", str(tmp_path / "cloud.npy")])
+    assert len(paths) == 2 and same(paths[0], paths[1])
+    # Rows are one cloud.
+    assert same(snake_rs.detect(clouds[0].tolist()), expected[0])
+    assert same(snake_rs.detect(list(clouds[0])), expected[0])
+    with pytest.raises(ValueError, match=r"\[1\]: .*at least two different points"):
+        snake_rs.detect([clouds[0], np.ones((9, 3))])
+    with pytest.raises(ValueError, match=r"^points\[1\]: expected real numbers"):
+        snake_rs.detect([clouds[0], np.ones((9, 2))])
+
+
+@pytest.mark.parametrize("extension", ["ply", "pcd", "npy", "csv", "json"])
+@pytest.mark.parametrize("origin", [[0, 0, 0], [5e5, 5.4e6, 400]])
+def test_keypoints_load_as_they_were_saved(extension, origin, tmp_path):
+    found, path = snake_rs.detect(torus() + origin), tmp_path / f"keypoints.{extension}"
+    found.save(path)
+    loaded = snake_rs.Keypoints.load(path)
+    assert np.allclose(loaded.points, found.points, atol=2e-7 if origin[0] == 0 else 1e-6)
+    for name in ("saliency", "occupancy", "nearest_index"):
+        assert np.array_equal(getattr(loaded, name), getattr(found, name))
+    with pytest.raises(ValueError, match="cloud of these keypoints is not known"):
+        loaded.descriptors
+    np.savetxt(tmp_path / "cloud.csv", torus(9), delimiter=",", header="x,y,z", comments="")
+    with pytest.raises(ValueError, match="no column `saliency`"):
+        snake_rs.Keypoints.load(tmp_path / "cloud.csv")
+
+
+def test_keypoints_have_descriptors_that_match(keypoints):
+    rows = keypoints.descriptors
+    assert rows.shape == (len(keypoints), 33) and rows.dtype == np.float32
+    assert np.array_equal(keypoints[2:5].descriptors, rows[2:5])
+    assert np.array_equal(pickle.loads(pickle.dumps(keypoints)).descriptors, rows)
+    pairs = snake_rs.match(keypoints, keypoints)
+    assert pairs.dtype == np.int64 and np.array_equal(pairs, np.repeat(np.arange(len(rows)), 2).reshape(-1, 2))
+    field = snake_rs.Model.builtin().encode(torus())
+    assert np.array_equal(field.detect().descriptors, rows)
+
+
+def test_a_page_shows_a_pair_or_takes_a_model():
+    from snake_rs._core import page
+
+    points = torus(2000)
+    turned = points @ np.array([[0, -1, 0], [1, 0, 0], [0, 0, 1]]).T + [1, 2, 3]
+    for t_first_second in (None, np.eye(4)):
+        assert "keypoint that repeats" in page(points, turned, epsilon="3r", t_first_second=t_first_second)
+    assert '"pair":null' in page(points, "standard") and '"pair":null' in page(points, snake_rs.Model.builtin())
+    with pytest.raises(ValueError, match="need two clouds"):
+        page(points, epsilon=0.1)
+    with pytest.raises(ValueError, match="b.ply is neither a built-in model nor a weight file"):
+        snake_rs.detect(points, "b.ply")
+
+
+def test_models_say_their_name(tmp_path):
+    assert repr(snake_rs.Model.builtin("rooms")).startswith("Model(rooms, ")
+    assert repr(pickle.loads(pickle.dumps(snake_rs.Model.builtin("standard")))).startswith("Model(standard, ")

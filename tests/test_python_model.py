@@ -20,7 +20,7 @@ def test_a_model_has_its_configuration_and_metadata(model):
     assert (model.config["scatter"], model.config["point_encoder"]) == ("hard", "pointnet")
     tensors = load_file(GOLDEN / "odd" / "weights.safetensors")
     assert model.num_parameters == sum(tensor.size for tensor in tensors.values())
-    assert repr(model) == f"Model({model.num_parameters} parameters, volume 25 x 25 x 25 x 32)"
+    assert repr(model) == f"Model(weights.safetensors, {model.num_parameters} parameters, volume 25 x 25 x 25 x 32)"
 
 
 def test_builtin_model_is_the_default(points):

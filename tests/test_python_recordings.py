@@ -1,6 +1,8 @@
 """Recordings of ROS in Python."""
 
 import shutil
+import sqlite3
+import struct
 from pathlib import Path
 
 import numpy as np
@@ -32,6 +34,49 @@ def test_the_clouds_of_a_recording_are_read_one_by_one(name):
         )
         assert np.array_equal(snake_rs.detect(cloud).points, snake_rs.detect(drive(frame)).points)
     assert frame == 1 and next(recording, None) is None
+
+
+def message(points):
+    """A PointCloud2 of ROS 2 with float64 coordinates, in CDR."""
+    data = bytearray()
+
+    def put(kind, *values):
+        for value in values:
+            data.extend(b"\0" * (-len(data) % struct.calcsize(kind)) + struct.pack("<" + kind, value))
+
+    def text(value):
+        put("I", len(value) + 1)
+        data.extend(value.encode() + b"\0")
+
+    put("I", 0, 0)
+    text("map")
+    put("I", 1, len(points), 3)
+    for i, name in enumerate("xyz"):
+        text(name)
+        put("I", 8 * i)
+        put("B", 8)
+        put("I", 1)
+    put("B", 0)
+    put("I", 24, 24 * len(points), 24 * len(points))
+    data.extend(points.astype("<f8").tobytes() + b"\1")
+    return b"\0\1\0\0" + bytes(data)
+
+
+def test_georeferenced_clouds_of_float64_keep_their_digits(tmp_path):
+    points = drive(0).astype(float) + [500123.25, 5412345.75, 431.5]
+    bag = sqlite3.connect(tmp_path / "far.db3")
+    bag.execute("create table topics (id integer, name text, type text, serialization_format text)")
+    bag.execute("create table messages (id integer, topic_id integer, timestamp integer, data blob)")
+    bag.execute("insert into topics values (1, '/points', 'sensor_msgs/msg/PointCloud2', 'cdr')")
+    for number, cloud in enumerate((points, np.r_[points, [[0, 0, 0]]])):
+        bag.execute("insert into messages values (?, 1, ?, ?)", (number, number, message(cloud)))
+    bag.commit()
+    bag.close()
+    expected = snake_rs.detect(points).points
+    for cloud in snake_rs.read_recording(tmp_path / "far.db3"):
+        assert cloud.points.dtype == np.float64
+        assert np.abs(cloud.points[:1000] - points).max() < 1e-6
+        assert np.array_equal(snake_rs.detect(cloud).points, expected)
 
 
 def test_the_folder_of_a_bag_has_the_clouds_of_its_files(tmp_path):

@@ -6,6 +6,7 @@ keypoints = snake_rs.detect("scan.ply")    # one call, built-in model
 keypoints.points, keypoints.saliency       # (K, 3), (K,)
 points = snake_rs.read_points("scan.ply")  # (N, 3), or any array, tensor or cloud that numpy can convert
 keypoints = snake_rs.detect(points, model="rooms")
+many = snake_rs.detect([points, "scan.ply"])  # a list of clouds: a list of keypoints, on all cores
 keypoints.save("keypoints.ply")
 snake_rs.view(points)                      # the cloud with its keypoints, in the browser or in the notebook
 
@@ -17,6 +18,7 @@ mesh = field.mesh(outer=True)              # vertices, normals (V, 3), triangles
 
 found = snake_rs.register(source, target)  # rigid registration of two clouds
 found.t_target_source, found.num_inliers   # (4, 4): p_target = R p_source + t
+pairs = snake_rs.match(snake_rs.detect(source), snake_rs.detect(target))  # (M, 2), by keypoints.descriptors
 
 for cloud in snake_rs.read_recording("drive.mcap", topic="/points"):
     keypoints = snake_rs.detect(cloud)     # each cloud of a recording of ROS, with cloud.log_time and cloud.frame_id
@@ -49,6 +51,7 @@ from ._core import (
     estimate_normals,
     fpfh,
     get_num_threads,
+    match,
     read_points,
     read_recording,
     register,
@@ -78,6 +81,7 @@ __all__ = [
     "estimate_normals",
     "fpfh",
     "get_num_threads",
+    "match",
     "metrics",
     "read_points",
     "read_recording",

@@ -36,6 +36,7 @@ __all__ = [
     "inlier_ratio",
     "iou",
     "iss",
+    "match",
     "mean_distance_to_keypoints",
     "page",
     "random_points",
@@ -111,7 +112,7 @@ class _DetectOptions(_Preset, total=False):
     saliency_threshold: float
     mode_radius: float | str | None
     nms_radius: float | str
-    max_keypoints: int
+    max_keypoints: int | None
     snap: bool
 
 @type_check_only
@@ -160,7 +161,15 @@ class _Config(TypedDict):
     scatter: str
     point_encoder: str
 
+@overload
+def detect(  # type: ignore[overload-overlap]
+    points: list[NDArray[Any]] | tuple[NDArray[Any], ...] | list[str] | list[Path] | list[RecordedCloud],
+    model: _Model | None = None,
+    **options: Unpack[_Options],
+) -> list[Keypoints]: ...
+@overload
 def detect(points: _Points, model: _Model | None = None, **options: Unpack[_Options]) -> Keypoints: ...
+def match(a: Keypoints, b: Keypoints) -> NDArray[np.int64]: ...
 def register(
     source: _Points, target: _Points, model: _Model | None = None, **options: Unpack[_RegisterOptions]
 ) -> Registration: ...
@@ -172,7 +181,15 @@ def align(
     viewpoints: Sequence[Sequence[float] | None] | None = None,
     **options: Unpack[_RegisterOptions],
 ) -> Alignment: ...
-def page(points: _Points, model: _Model | None = None, name: str = "cloud", **options: Unpack[_Options]) -> str: ...
+def page(
+    points: _Points,
+    second: _Points | None = None,
+    model: _Model | None = None,
+    name: str | None = None,
+    epsilon: float | str | None = None,
+    t_first_second: ArrayLike | None = None,
+    **options: Unpack[_Options],
+) -> str: ...
 def read_points(
     path: str | os.PathLike[str],
     sample: int | None = None,
@@ -241,7 +258,7 @@ class RecordedCloud:
     @property
     def frame_id(self) -> str: ...
     @property
-    def points(self) -> NDArray[np.float32]: ...
+    def points(self) -> _Positions: ...
 
 @final
 class Model:
@@ -250,7 +267,7 @@ class Model:
     @staticmethod
     def load(path: str | os.PathLike[str]) -> Model: ...
     @staticmethod
-    def from_bytes(data: bytes) -> Model: ...
+    def from_bytes(data: bytes, name: str | None = None) -> Model: ...
     @property
     def config(self) -> _Config: ...
     @property
@@ -299,7 +316,12 @@ class Keypoints:
         num_skipped: int,
         counts: dict[str, int],
         timing_seconds: dict[str, float],
+        descriptors: NDArray[np.float32] | None = None,
     ) -> Self: ...
+    @staticmethod
+    def load(path: _Path) -> Keypoints: ...
+    @property
+    def descriptors(self) -> NDArray[np.float32]: ...
     @property
     def points(self) -> _Positions: ...
     @property
@@ -318,6 +340,8 @@ class Keypoints:
     def to_dict(self) -> dict[str, NDArray[Any]]: ...
     def save(self, path: _Path) -> None: ...
     def __array__(self, dtype: Any = None, copy: bool | None = None) -> NDArray[Any]: ...
+    def __dlpack__(self, **options: Any) -> Any: ...
+    def __dlpack_device__(self) -> tuple[int, int]: ...
     @overload
     def __getitem__(self, index: int, /) -> Keypoint: ...
     @overload

@@ -15,6 +15,8 @@ from ._core import page
 if TYPE_CHECKING:
     from typing_extensions import Unpack
 
+    from numpy.typing import ArrayLike
+
     from ._core import _Model, _Options, _Points
 
 HEIGHT = 600
@@ -51,13 +53,28 @@ class View:
         return f"View({len(self.html) / 1e6:.1f} MB of HTML; open() shows it, save(path) keeps it)"
 
 
-def view(points: _Points, model: _Model | None = None, *, name: str = "cloud", **options: Unpack[_Options]) -> View:
+def view(
+    points: _Points,
+    second: _Points | None = None,
+    model: _Model | None = None,
+    *,
+    name: str | None = None,
+    epsilon: float | str | None = None,
+    t_first_second: ArrayLike | None = None,
+    **options: Unpack[_Options],
+) -> View:
     """Shows a cloud with its keypoints, its surface and its saliency: a notebook embeds the page, and elsewhere it opens in
     the browser. It is the page of `snake-cli view`.
 
-    `points`, `model` and `options` are those of `detect`. `name` is the title on the page.
+    `points`, `model` and `options` are those of `detect`. `name` is the title on the page; None: the path of a file, or
+    "cloud". With a `second` cloud of the same object or scene the page shows both, and which keypoints repeat: those of
+    which one of the other cloud is nearer than `epsilon` (a number of cloud units, or text such as "3r"; None: 0.04 of the
+    first cloud's radius). `t_first_second` (4, 4) maps a point of the second cloud to the first; None: `register` finds it.
+    A model may stand in the place of `second`.
+
+    Raises ValueError as `detect` does, and where two clouds cannot be registered.
     """
-    shown = View(page(points, model, name, **options))
+    shown = View(page(points, second, model, name, epsilon, t_first_second, **options))
     if not _in_notebook():
         shown.open()
     return shown

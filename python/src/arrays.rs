@@ -5,7 +5,7 @@ use numpy::{
 };
 use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
-use pyo3::types::PyString;
+use pyo3::types::{PyList, PyString, PyTuple};
 use snake_core::{Cloud, Point, add_origin, subtract_origin};
 use snake_io::ReadOptions;
 
@@ -44,6 +44,16 @@ impl Rows<'_> {
             Self::Double(rows) => {
                 (Cloud::from_positions(rows.as_slice()?.as_chunks().0.iter().copied()), Precision::Double)
             }
+        })
+    }
+
+    /// Copies the rows.
+    fn positions(&self) -> PyResult<Vec<[f64; 3]>> {
+        Ok(match self {
+            Self::Single(rows) => {
+                rows.as_slice()?.as_chunks().0.iter().map(|point: &[f32; 3]| point.map(f64::from)).collect()
+            }
+            Self::Double(rows) => rows.as_slice()?.as_chunks().0.to_vec(),
         })
     }
 
@@ -116,6 +126,19 @@ pub fn given_rows<'py>(what: &str, value: &Bound<'py, PyAny>) -> PyResult<Rows<'
     })
 }
 
+/// The rows of an array in float64.
+pub fn positions(what: &str, value: &Bound<PyAny>) -> PyResult<Vec<[f64; 3]>> {
+    given_rows(what, value)?.positions()
+}
+
+/// The rows of arrays in one frame, relative to the origin of the first.
+pub fn in_one_frame<const N: usize>(given: [(&str, &Bound<PyAny>); N]) -> PyResult<[Vec<Point>; N]> {
+    let rows = given.iter().map(|(what, value)| given_rows(what, value)).collect::<PyResult<Vec<_>>>()?;
+    let origin = rows.first().map_or(Ok([0.0; 3]), |first| Ok::<_, PyErr>(first.cloud()?.0.origin))?;
+    let points = rows.iter().map(|rows| rows.relative_to(origin)).collect::<PyResult<Vec<_>>>()?;
+    points.try_into().map_err(|_| PyValueError::new_err("too few arrays"))
+}
+
 /// The rows of an array, without an origin subtracted.
 pub fn points(what: &str, value: &Bound<PyAny>) -> PyResult<Vec<Point>> {
     given_rows(what, value)?.relative_to([0.0; 3])
@@ -129,6 +152,20 @@ pub fn cloud(what: &str, value: &Bound<PyAny>) -> PyResult<(Cloud, Precision)> {
         return Ok((contents.cloud, Precision::Double));
     }
     given_rows(what, value)?.cloud()
+}
+
+/// The items of a list or tuple of clouds; `None` for anything else, such as a list of rows.
+pub fn list_of_clouds<'py>(value: &Bound<'py, PyAny>) -> PyResult<Option<Vec<Bound<'py, PyAny>>>> {
+    if !value.is_instance_of::<PyList>() && !value.is_instance_of::<PyTuple>() {
+        return Ok(None);
+    }
+    let items: Vec<Bound<PyAny>> = value.try_iter()?.collect::<PyResult<_>>()?;
+    let Some(first) = items.first() else { return Ok(None) };
+    // A row is a sequence of numbers.
+    let is_sequence = |item: &Bound<PyAny>| item.len().is_ok() && !item.is_instance_of::<PyString>();
+    let is_row = is_sequence(first) && first.get_item(0).is_ok_and(|item| !is_sequence(&item));
+    let is_number = first.extract::<f64>().is_ok();
+    Ok((!is_row && !is_number).then_some(items))
 }
 
 /// Converts a value, or its points or vertices, to a numpy array. The points are the attribute `xyz` (laspy), `positions`

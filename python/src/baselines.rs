@@ -3,6 +3,7 @@
 use numpy::PyArray1;
 use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
+use snake_core::space::FinitePoints;
 use snake_core::{Cloud, Length};
 use snake_registration::detectors::{
     Covariance, Detector, Harris3dOptions, IssOptions, Protocol, Response, Sift3dOptions, SiftField,
@@ -11,7 +12,7 @@ use snake_registration::detectors::{
 
 use crate::arrays::{self, named};
 use crate::error::py_error;
-use crate::threads;
+use crate::{threads, warn};
 
 /// Indices (K,) int64 and scores (K,) float64.
 type Found<'py> = (Bound<'py, PyArray1<i64>>, Bound<'py, PyArray1<f64>>);
@@ -26,7 +27,7 @@ pub enum LengthLike {
 }
 
 impl LengthLike {
-    fn length(self) -> PyResult<Length> {
+    pub fn length(self) -> PyResult<Length> {
         match self {
             Self::Units(length) => Ok(Length::Units(length)),
             Self::Text(text) => text.parse().map_err(py_error),
@@ -46,6 +47,8 @@ fn keypoints<'py>(
         return Err(PyValueError::new_err("option `count` is None: protocol paper needs a number"));
     }
     let (py, (Cloud { points, .. }, _)) = (points.py(), arrays::cloud("points", points)?);
+    let outliers = FinitePoints::of("points", &points).map_err(py_error)?.outliers();
+    warn(py, outliers.map(|outliers| outliers.to_string()))?;
     let count = count.unwrap_or(usize::MAX);
     let found: Vec<Response> = threads::run(py, || detector.keypoints(&points, count, protocol, seed))?;
     let indices = found.iter().map(|response| response.index as i64).collect();

@@ -48,6 +48,11 @@ impl Field {
         Ok(Self { core, model: model.clone().unbind(), options, origin: cloud.origin, precision })
     }
 
+    /// What was left out because it lies far beyond all others.
+    pub fn outliers(&self) -> Option<String> {
+        self.core.outliers().map(|outliers| outliers.to_string())
+    }
+
     /// The cloud as it was given: points that were skipped are NaN.
     fn given_points(&self) -> Vec<Point> {
         let mut given = vec![[f32::NAN; 3]; self.core.points().len() + self.core.num_skipped()];
@@ -151,7 +156,8 @@ impl Field {
     fn detect(&self, py: Python<'_>, options: Option<&Bound<PyDict>>) -> PyResult<Keypoints> {
         let preset = options::resolve("detect", &options::DETECT, self.core.recommended(), options)?;
         let detection = threads::run_with_signals(py, |control| self.core.detect_with(&preset.detect, control))?;
-        Keypoints::from_detection(py, detection, self.origin, self.precision)
+        let cloud = core::Cloud { points: self.core.points().to_vec(), origin: self.origin };
+        Keypoints::from_detection(py, detection, self.origin, self.precision, Some(cloud))
     }
 
     /// The level set of the occupancy at `level`, by marching cubes: a closed mesh in the cloud's frame and units.

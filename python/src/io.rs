@@ -3,6 +3,7 @@
 use std::path::PathBuf;
 
 use numpy::PyArray2;
+use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
 use snake_core::add_origin;
 use snake_io::{Cloud, Column, Columns, ReadOptions};
@@ -16,7 +17,7 @@ use crate::files::contents;
 /// folder, for sweeps of KITTI and nuScenes. For a mesh,
 /// `sample` draws that many points from the surface, uniformly by area, and `seed` determines the draw. Without
 /// `sample`, a mesh gives its vertices and a UserWarning. For text and numpy arrays, `columns` selects x, y and z:
-/// three names in the header, or indices from 0. The default is x, y and z of the header, or without a header the first
+/// three names in the header, or numbers from 1 as for `--columns`. The default is x, y and z of the header, or without a header the first
 /// three columns. Points that are not finite are kept. Coordinates keep about 7 digits relative to the cloud's size.
 /// Raises OSError when the file cannot be read. Raises ValueError when the content does not match the extension, when
 /// the columns are ambiguous, or when there is no surface to sample.
@@ -29,24 +30,25 @@ pub fn read_points(
     seed: u64,
     columns: Option<[ColumnLike; 3]>,
 ) -> PyResult<Bound<'_, PyArray2<f64>>> {
-    let columns = columns.map(|columns| Columns(columns.map(Column::from)));
+    let columns = columns.map(chosen).transpose()?;
     let Cloud { points, origin } =
         contents(py, path, ReadOptions::default().with_sample(sample).with_seed(seed).with_columns(columns))?.cloud;
     arrays::rows(py, points.iter().flat_map(|&point| add_origin(point, origin)).collect(), 3)
 }
 
-/// A column in Python: an index from 0, or a name.
+/// A column in Python: a number from 1, as on the command line, or a name.
 #[derive(FromPyObject)]
 pub enum ColumnLike {
-    Index(usize),
+    Number(usize),
     Name(String),
 }
 
-impl From<ColumnLike> for Column {
-    fn from(column: ColumnLike) -> Self {
-        match column {
-            ColumnLike::Index(index) => Self::Index(index),
-            ColumnLike::Name(name) => Self::Name(name),
-        }
+fn chosen(columns: [ColumnLike; 3]) -> PyResult<Columns> {
+    if columns.iter().any(|column| matches!(column, ColumnLike::Number(0))) {
+        return Err(PyValueError::new_err("columns: columns count from 1; the first three are (1, 2, 3)"));
     }
+    Ok(Columns(columns.map(|column| match column {
+        ColumnLike::Number(number) => Column::Index(number - 1),
+        ColumnLike::Name(name) => Column::Name(name),
+    })))
 }

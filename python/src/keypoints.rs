@@ -1,16 +1,19 @@
 //! `snake_rs.Keypoints`.
 
 use std::path::PathBuf;
+use std::sync::{Arc, OnceLock};
 
-use numpy::{PyArray1, PyArrayMethods};
+use numpy::{PyArray1, PyArray2, PyArrayMethods};
 use pyo3::exceptions::{PyImportError, PyValueError};
 use pyo3::prelude::*;
 use pyo3::types::{IntoPyDict, PyDict, PyIterator, PyList, PySlice, PyTuple};
-use snake_core::{self as core, Counts, Detection, Point};
-use snake_io::{KeypointSource, write_keypoints};
+use snake_core::{self as core, Cloud, Counts, Detection, Point};
+use snake_io::{KeypointSource, read_keypoints, write_keypoints};
+use snake_registration::{FPFH_DIMENSION, describe};
 
 use crate::arrays::{self, Positions, Precision};
 use crate::error::file_error;
+use crate::threads;
 
 /// One keypoint.
 #[pyclass(frozen, get_all, module = "snake_rs")]
@@ -37,23 +40,33 @@ impl Keypoint {
 ///
 /// It is a sequence: `keypoints[0]` is a `Keypoint`, and a slice, a mask or an array of indices gives `Keypoints` again.
 /// `numpy.asarray` gives the positions (K, 3).
-#[pyclass(frozen, get_all, module = "snake_rs")]
+#[pyclass(frozen, module = "snake_rs")]
 pub struct Keypoints {
     /// Positions (K, 3), in the cloud's frame and units: float32 if the cloud was float32 or float16, else float64.
+    #[pyo3(get)]
     points: Positions,
     /// Saliency (K,) float32 in [0, 1]: the score that keypoints are ranked by.
+    #[pyo3(get)]
     saliency: Py<PyArray1<f32>>,
     /// Occupancy (K,) float32 at the positions.
+    #[pyo3(get)]
     occupancy: Py<PyArray1<f32>>,
     /// Index (K,) int64 of the nearest input point, in the input array with its skipped points.
+    #[pyo3(get)]
     nearest_index: Py<PyArray1<i64>>,
-    /// Number of input points that were skipped because they are not finite.
+    /// Number of input points that were skipped because they are not finite, or are outliers.
+    #[pyo3(get)]
     num_skipped: usize,
     /// Number of "windows" that were encoded, and the number of queries after each step: "queries", "occupied",
     /// "above_threshold", "keypoints".
+    #[pyo3(get)]
     counts: Py<PyDict>,
     /// Seconds of each step: "encode" (0 for `Field.detect`), "occupancy", "refine", "nms".
+    #[pyo3(get)]
     timing_seconds: Py<PyDict>,
+    /// The cloud, for descriptors. Keypoints that were pickled or loaded have none.
+    cloud: Option<Arc<Cloud>>,
+    descriptors: OnceLock<Py<PyArray2<f32>>>,
 }
 
 impl Keypoints {
@@ -63,6 +76,7 @@ impl Keypoints {
         detection: Detection,
         origin: [f64; 3],
         precision: Precision,
+        cloud: Option<Cloud>,
     ) -> PyResult<Self> {
         let Detection { keypoints, num_skipped, counts, timing, .. } = detection;
         let timing = [
@@ -80,6 +94,8 @@ impl Keypoints {
             num_skipped,
             counts: counts_dict(py, &counts)?.unbind(),
             timing_seconds: timing.into_py_dict(py)?.unbind(),
+            cloud: cloud.map(Arc::new),
+            descriptors: OnceLock::new(),
         })
     }
 }
@@ -99,6 +115,8 @@ pub fn counts_dict<'py>(py: Python<'py>, counts: &Counts) -> PyResult<Bound<'py,
 #[pymethods]
 impl Keypoints {
     #[new]
+    #[pyo3(signature = (points, saliency, occupancy, nearest_index, num_skipped, counts, timing_seconds, descriptors=None))]
+    #[expect(clippy::too_many_arguments, reason = "the state of a pickle")]
     fn new(
         points: Positions,
         saliency: Py<PyArray1<f32>>,
@@ -107,8 +125,43 @@ impl Keypoints {
         num_skipped: usize,
         counts: Py<PyDict>,
         timing_seconds: Py<PyDict>,
+        descriptors: Option<Py<PyArray2<f32>>>,
     ) -> Self {
-        Self { points, saliency, occupancy, nearest_index, num_skipped, counts, timing_seconds }
+        let descriptors = descriptors.map_or_else(OnceLock::new, OnceLock::from);
+        let cloud = None;
+        Self { points, saliency, occupancy, nearest_index, num_skipped, counts, timing_seconds, cloud, descriptors }
+    }
+
+    /// Reads keypoints from a file that `save` wrote (ply, pcd, npy, csv or json). They have neither counts nor times, and no
+    /// descriptors. Raises OSError when the file cannot be read and ValueError when it does not hold keypoints.
+    #[staticmethod]
+    fn load(py: Python<'_>, path: PathBuf) -> PyResult<Self> {
+        let (keypoints, origin) = py.detach(|| read_keypoints(&path)).map_err(file_error)?;
+        let precision = if origin == [0.0; 3] { Precision::Single } else { Precision::Double };
+        let mut detection = Detection::default();
+        detection.counts.keypoints = keypoints.len();
+        detection.keypoints = keypoints;
+        Self::from_detection(py, detection, origin, precision, None)
+    }
+
+    /// Descriptors (K, 33) float32 of the cloud around each keypoint: the square roots of FPFH histograms, which do not depend
+    /// on how the cloud is turned. `match` compares those of two clouds of about the same size. They are computed when they are
+    /// first asked for, from a copy of the cloud. Raises ValueError for keypoints from a file, from tiles, or that were pickled
+    /// before their descriptors were asked for: their cloud is not known.
+    #[getter]
+    pub fn descriptors(&self, py: Python<'_>) -> PyResult<Py<PyArray2<f32>>> {
+        if let Some(made) = self.descriptors.get() {
+            return Ok(made.clone_ref(py));
+        }
+        let Some(cloud) = &self.cloud else {
+            let reason = "descriptors: the cloud of these keypoints is not known, because they come from a file, from tiles or \
+                          from a pickle; detect them again";
+            return Err(PyValueError::new_err(reason));
+        };
+        let points = arrays::given_rows("points", &self.points.bind(py))?.relative_to(cloud.origin)?;
+        let flat = threads::run_with_signals(py, |control| describe(&cloud.points, &points, control))?;
+        let made = arrays::rows(py, flat, FPFH_DIMENSION)?.unbind();
+        Ok(self.descriptors.get_or_init(|| made).clone_ref(py))
     }
 
     /// The keypoints as an `open3d.geometry.PointCloud`, in the cloud's frame. Raises ImportError without Open3D.
@@ -172,6 +225,16 @@ impl Keypoints {
         }
     }
 
+    /// The positions, for `torch.as_tensor` and other users of DLPack.
+    #[pyo3(signature = (**options))]
+    fn __dlpack__<'py>(&self, py: Python<'py>, options: Option<&Bound<'py, PyDict>>) -> PyResult<Bound<'py, PyAny>> {
+        self.points.bind(py).call_method("__dlpack__", (), options)
+    }
+
+    fn __dlpack_device__<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyAny>> {
+        self.points.bind(py).call_method0("__dlpack_device__")
+    }
+
     fn __getitem__<'py>(&self, py: Python<'py>, index: &Bound<'py, PyAny>) -> PyResult<Bound<'py, PyAny>> {
         let points = self.points.bind(py).get_item(index)?;
         let [saliency, occupancy] = [&self.saliency, &self.occupancy].map(|values| values.bind(py).get_item(index));
@@ -190,6 +253,11 @@ impl Keypoints {
             num_skipped: self.num_skipped,
             counts: self.counts.clone_ref(py),
             timing_seconds: self.timing_seconds.clone_ref(py),
+            cloud: self.cloud.clone(),
+            descriptors: match self.descriptors.get() {
+                Some(all) => OnceLock::from(contiguous(all.bind(py).get_item(index)?)?.extract::<Py<PyArray2<f32>>>()?),
+                None => OnceLock::new(),
+            },
         };
         Ok(Bound::new(py, some)?.into_any())
     }
@@ -205,8 +273,10 @@ impl Keypoints {
     }
 
     fn __getnewargs__<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyTuple>> {
-        let Self { points, saliency, occupancy, nearest_index, num_skipped, counts, timing_seconds } = self;
-        (points, saliency, occupancy, nearest_index, num_skipped, counts, timing_seconds).into_pyobject(py)
+        let Self { points, saliency, occupancy, nearest_index, num_skipped, counts, timing_seconds, .. } = self;
+        let state =
+            (points, saliency, occupancy, nearest_index, num_skipped, counts, timing_seconds, self.descriptors.get());
+        state.into_pyobject(py)
     }
 
     fn __len__(&self, py: Python<'_>) -> PyResult<usize> {

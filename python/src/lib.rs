@@ -20,11 +20,14 @@ mod remote;
 mod threads;
 mod tiled;
 
+use numpy::{PyArray2, PyArrayMethods};
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
-use snake_core::{Cloud, scale_hint};
+use snake_core::{Cloud, Error, Options, scale_hint, side_by_side};
+use snake_registration::{FPFH_DIMENSION, mutual_nearest};
 
 use alignment::{Alignment, AlignmentEdge, align};
+use arrays::Precision;
 use field::Field;
 use io::read_points;
 use keypoints::{Keypoint, Keypoints};
@@ -43,7 +46,7 @@ use tiled::{DetectedTiles, Tiles, tiles};
 /// trimesh or laspy cloud, a cloud of `read_recording`, or any other value that numpy converts to such an array. The path of
 /// a file is read as by `read_points`. Points are copied as float32. Coordinates far from zero are copied relative to an
 /// origin, so that georeferenced scans in float64 keep their digits. Positions are returned as float32 if the points are
-/// float32 or float16, else as float64. Masked points and points that are not finite are skipped
+/// float32 or float16, else as float64. Masked points, points that are not finite and outliers (few points far beyond all others) are skipped
 /// (`Keypoints.num_skipped`), but `nearest_index` counts them.
 ///
 /// `options` are the options of `Model.encode` and `Field.detect`, and `window_radius`. With `window_radius` the cloud
@@ -68,13 +71,16 @@ use tiled::{DetectedTiles, Tiles, tiles};
 ///     saliency_threshold=0.07       least saliency of a keypoint
 ///     mode_radius="6%"              radius in which keypoints move to the mean of the candidates; 0: off
 ///     nms_radius="10%"              least distance of keypoints: cloud units, "3r" or "10%" of the cloud's radius; 0: off
-///     max_keypoints=64              largest number of keypoints
+///     max_keypoints=64              largest number of keypoints; None: no limit
 ///     snap=False                    move each keypoint to its nearest input point
 ///     window_radius=None            radius of the windows; None: the whole cloud at once
 ///     preset=None                   "modelnet40", "keypointnet", "smpl", "redwood", "3dmatch" or "standard"
 ///
-/// A UserWarning says if the cloud is far from the scale that model and options are for. Raises ValueError for an
+/// A UserWarning says if the cloud has outliers, or is far from the scale that model and options are for. Raises ValueError for an
 /// invalid array or value, OSError for a file that cannot be read, and TypeError for an unknown option.
+///
+/// A list or tuple of clouds gives a list of `Keypoints`, in its order. The clouds are detected side by side on all cores; an
+/// error names the cloud by its index.
 #[pyfunction]
 #[pyo3(signature = (points, model=None, **options))]
 fn detect(
@@ -82,17 +88,73 @@ fn detect(
     points: &Bound<'_, PyAny>,
     model: Option<&Bound<'_, PyAny>>,
     options: Option<&Bound<'_, PyDict>>,
-) -> PyResult<Keypoints> {
+) -> PyResult<Py<PyAny>> {
     let model = model::given_or_builtin(py, model)?;
     let preset = options::resolve("detect", &options::ALL, model.recommended(), options)?;
-    let (cloud, precision) = arrays::cloud("points", points)?;
-    let Cloud { points, origin } = cloud.for_normalization(preset.encode.normalization);
-    // Before the detection, which may take minutes at the wrong scale.
-    if let Some(hint) = scale_hint(&points, &preset) {
-        py.import("warnings")?.call_method1("warn", (hint,))?;
+    if let Some(clouds) = arrays::list_of_clouds(points)? {
+        return Ok(detect_all(py, &clouds, &model, &preset)?.into_pyobject(py)?.into_any().unbind());
     }
-    let detection = threads::run_with_signals(py, |control| model.detect_with(&points, &preset, control))?;
-    Keypoints::from_detection(py, detection, origin, precision)
+    let (cloud, precision) = arrays::cloud("points", points)?;
+    let cloud = cloud.for_normalization(preset.encode.normalization);
+    // Before the detection, which may take minutes at the wrong scale.
+    warn(py, scale_hint(&cloud.points, &preset))?;
+    let detection = threads::run_with_signals(py, |control| model.detect_with(&cloud.points, &preset, control))?;
+    let origin = cloud.origin;
+    Ok(Bound::new(py, Keypoints::from_detection(py, detection, origin, precision, Some(cloud))?)?.into_any().unbind())
+}
+
+/// The keypoints of several clouds.
+fn detect_all(
+    py: Python<'_>,
+    given: &[Bound<'_, PyAny>],
+    model: &snake_core::Model,
+    options: &Options,
+) -> PyResult<Vec<Keypoints>> {
+    let mut clouds: Vec<(Cloud, Precision)> = Vec::with_capacity(given.len());
+    for (index, value) in given.iter().enumerate() {
+        let (cloud, precision) = arrays::cloud(&format!("points[{index}]"), value)?;
+        let cloud = cloud.for_normalization(options.encode.normalization);
+        warn(py, scale_hint(&cloud.points, options).map(|hint| format!("points[{index}]: {hint}")))?;
+        clouds.push((cloud, precision));
+    }
+    let detections = threads::run_with_signals(py, |control| {
+        let control = control.without_progress();
+        side_by_side(clouds.len(), |index| {
+            model.detect_with(&clouds[index].0.points, options, &control).map_err(|error| match error {
+                Error::Input { reason, .. } => Error::Input { what: "points", reason: format!("[{index}]: {reason}") },
+                other => other,
+            })
+        })
+    })?;
+    let keypoints = |(detection, (cloud, precision)): (_, (Cloud, _))| {
+        Keypoints::from_detection(py, detection, cloud.origin, precision, Some(cloud))
+    };
+    detections.into_iter().zip(clouds).map(keypoints).collect()
+}
+
+/// Gives a UserWarning, if there is something to say.
+fn warn(py: Python<'_>, text: Option<String>) -> PyResult<()> {
+    match text {
+        Some(text) => py.import("warnings")?.call_method1("warn", (text,)).map(drop),
+        None => Ok(()),
+    }
+}
+
+/// Matches the keypoints of two clouds: (M, 2) int64, rows `[index in a, index in b]` of keypoints each of whose `descriptors`
+/// is the nearest to the other's, by rising index in a. Some are wrong: `register` finds the transform that many agree with.
+/// Raises ValueError as `Keypoints.descriptors` does.
+#[pyfunction(name = "match")]
+fn match_keypoints<'py>(
+    py: Python<'py>,
+    a: &Bound<'py, Keypoints>,
+    b: &Bound<'py, Keypoints>,
+) -> PyResult<Bound<'py, PyArray2<i64>>> {
+    let rows = |keypoints: &Bound<'py, Keypoints>| -> PyResult<Vec<f32>> {
+        Ok(keypoints.get().descriptors(py)?.bind(py).try_readonly()?.as_slice()?.to_vec())
+    };
+    let (of_a, of_b) = (rows(a)?, rows(b)?);
+    let pairs = threads::run(py, || mutual_nearest(&of_a, &of_b, FPFH_DIMENSION))?;
+    arrays::rows(py, pairs.into_flattened().into_iter().map(|index| index as i64).collect(), 2)
 }
 
 #[pymodule]
@@ -112,8 +174,8 @@ mod _core {
     #[pymodule_export]
     use super::{
         Alignment, AlignmentEdge, DetectedTiles, Field, Keypoint, Keypoints, Mesh, Model, RecordedCloud, Recording,
-        Registration, Tiles, align, detect, estimate_normals, fpfh, get_num_threads, read_points, read_recording,
-        register, set_num_threads, tiles,
+        Registration, Tiles, align, detect, estimate_normals, fpfh, get_num_threads, match_keypoints, read_points,
+        read_recording, register, set_num_threads, tiles,
     };
 
     /// Fills what pyo3, numpy and the kernels fill at their first use. While that happens the GIL is released, and a child

@@ -1,22 +1,22 @@
 //! `snake_rs.metrics`.
 
-use numpy::{PyArray1, PyArray2, PyArrayMethods};
+use numpy::{PyArray1, PyArray2, PyArrayDyn, PyArrayMethods};
 use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
-use snake_core::{self, Error, Point, RigidTransform};
+use snake_core::{self, Error, RigidTransform};
 use snake_eval::{self as core, MatchCounts, RegistrationOutcome, SmplProtocol, Unreachable};
 
 use crate::arrays::{self, named};
 use crate::error::py_error;
 use crate::threads;
 
-/// One number for each threshold.
-type Numbers<'py> = Bound<'py, PyArray1<f64>>;
+/// One number for each threshold, in the shape of the thresholds.
+type Numbers<'py> = Bound<'py, PyArrayDyn<f64>>;
 /// Rows of ground truth, false positives and false negatives.
 type Counts<'py> = Bound<'py, PyArray2<i64>>;
 
 /// Computes repeatability from the keypoints of two views, the transform between them, and thresholds.
-type Repeatability = fn(&[Point], &[Point], &RigidTransform, &[f64]) -> snake_core::Result<Vec<f64>>;
+type Repeatability = fn(&[[f64; 3]], &[[f64; 3]], &RigidTransform, &[f64]) -> snake_core::Result<Vec<f64>>;
 
 /// Converts an array-like of numbers to a Rust type.
 fn numbers<T>(what: &str, expected: &str, value: &Bound<PyAny>) -> PyResult<T>
@@ -27,7 +27,7 @@ where
     list.extract().map_err(|_| PyValueError::new_err(format!("{what}: expected {expected}, found {value}")))
 }
 
-fn transform(what: &str, value: &Bound<PyAny>) -> PyResult<RigidTransform> {
+pub fn transform(what: &str, value: &Bound<PyAny>) -> PyResult<RigidTransform> {
     let rows = numbers(what, "a transform of shape (4, 4)", value)?;
     RigidTransform::from_matrix(rows).map_err(|error| match error {
         Error::Input { reason, .. } => PyValueError::new_err(format!("{what}: {reason}")),
@@ -35,8 +35,12 @@ fn transform(what: &str, value: &Bound<PyAny>) -> PyResult<RigidTransform> {
     })
 }
 
+/// Thresholds: numbers of shape (T,), or one number.
 fn thresholds(what: &str, value: &Bound<PyAny>) -> PyResult<Vec<f64>> {
-    numbers(what, "numbers of shape (T,)", value)
+    match value.extract() {
+        Ok(one) => Ok(vec![one]),
+        Err(_) => numbers(what, "a number, or numbers of shape (T,)", value),
+    }
 }
 
 fn indices(what: &str, value: &Bound<PyAny>) -> PyResult<Vec<usize>> {
@@ -49,13 +53,17 @@ fn counts_array(py: Python<'_>, counts: Vec<MatchCounts>) -> PyResult<Counts<'_>
     PyArray1::from_vec(py, flat).reshape([counts.len(), 3])
 }
 
-fn counts_from(rows: Vec<[usize; 3]>) -> Vec<MatchCounts> {
-    let counts = |[ground_truth, false_positives, false_negatives]: [usize; 3]| MatchCounts {
-        ground_truth,
-        false_positives,
-        false_negatives,
+fn counts_from(counts: &Bound<PyAny>) -> PyResult<Vec<MatchCounts>> {
+    let rows: Vec<[u32; 3]> = numbers("counts", "whole numbers, 0 to 2^32 - 1, of shape (T, 3)", counts)?;
+    if let Some([truth, _, missed]) = rows.iter().find(|[truth, _, missed]| missed > truth) {
+        let reason = format!("counts: {missed} false negatives of {truth} keypoints of the ground truth");
+        return Err(PyValueError::new_err(reason));
+    }
+    let counts = |row: [u32; 3]| {
+        let [ground_truth, false_positives, false_negatives] = row.map(|count| count as usize);
+        MatchCounts { ground_truth, false_positives, false_negatives }
     };
-    rows.into_iter().map(counts).collect()
+    Ok(rows.into_iter().map(counts).collect())
 }
 
 /// Converts the arguments of a variant of repeatability and calls it.
@@ -66,14 +74,17 @@ fn repeatability<'py>(
     of: Repeatability,
 ) -> PyResult<Numbers<'py>> {
     let py = t_1_2.py();
-    let (first, second) = (arrays::points("keypoints_1", keypoints[0])?, arrays::points("keypoints_2", keypoints[1])?);
-    let (t_1_2, epsilon) = (transform("t_1_2", t_1_2)?, thresholds("epsilon", epsilon)?);
-    let shares = threads::run(py, || of(&first, &second, &t_1_2, &epsilon))?;
-    Ok(arrays::values(py, shares))
+    let [first, second] = [("keypoints_1", keypoints[0]), ("keypoints_2", keypoints[1])];
+    let (first, second) = (arrays::positions(first.0, first.1)?, arrays::positions(second.0, second.1)?);
+    let (t_1_2, limits) = (transform("t_1_2", t_1_2)?, thresholds("epsilon", epsilon)?);
+    let shares = threads::run(py, || of(&first, &second, &t_1_2, &limits))?;
+    let is_one = epsilon.extract::<f64>().is_ok();
+    let shape = if is_one { vec![] } else { vec![shares.len()] };
+    PyArray1::from_vec(py, shares).reshape(shape)
 }
 
 /// Relative repeatability (SNAKE section 4.2, USIP): (T,) float64, the share of repeated keypoints for each `epsilon`
-/// (T,).
+/// (T,); for one number it is an array without dimensions, which is a number.
 ///
 /// A keypoint of view 1 (K, 3) is repeated if it is nearer than `epsilon` to a keypoint of view 2 (L, 3) that `t_1_2`
 /// (4, 4) maps to view 1. The measure has one direction, is not one-to-one and does not test for overlap. A view
@@ -104,7 +115,7 @@ pub fn symmetric_repeatability<'py>(
 #[pyfunction]
 pub fn mean_distance_to_keypoints(points: &Bound<PyAny>, keypoints: &Bound<PyAny>) -> PyResult<f64> {
     let py = points.py();
-    let (points, keypoints) = (arrays::points("points", points)?, arrays::points("keypoints", keypoints)?);
+    let (points, keypoints) = (arrays::positions("points", points)?, arrays::positions("keypoints", keypoints)?);
     threads::run(py, || core::mean_distance_to_keypoints(&points, &keypoints))
 }
 
@@ -118,7 +129,7 @@ pub fn geodesic_distances<'py>(
     sources: &Bound<'py, PyAny>,
     neighbors: usize,
 ) -> PyResult<Bound<'py, PyArray2<f64>>> {
-    let (py, points, sources) = (points.py(), arrays::points("points", points)?, indices("sources", sources)?);
+    let (py, points, sources) = (points.py(), arrays::positions("points", points)?, indices("sources", sources)?);
     let rows = threads::run(py, || core::geodesic_distances(&points, &sources, neighbors))?;
     PyArray1::from_vec(py, rows.concat()).reshape([sources.len(), points.len()])
 }
@@ -142,7 +153,7 @@ pub fn semantic_counts<'py>(
 ) -> PyResult<Counts<'py>> {
     let known = [("strict", Unreachable::Strict), ("paper", Unreachable::PaperCompatible)];
     let unreachable = named("unreachable", unreachable, known)?;
-    let (py, points, found) = (points.py(), arrays::points("points", points)?, arrays::points("found", found)?);
+    let (py, [points, found]) = (points.py(), arrays::in_one_frame([("points", points), ("found", found)])?);
     let (truth, limits) = (indices("ground_truth", ground_truth)?, self::thresholds("thresholds", thresholds)?);
     let counts = threads::run(py, || core::semantic_counts(&points, &truth, &found, &limits, unreachable))?;
     counts_array(py, counts)
@@ -152,8 +163,8 @@ pub fn semantic_counts<'py>(
 /// Raises ValueError for an invalid array.
 #[pyfunction]
 pub fn iou<'py>(counts: &Bound<'py, PyAny>) -> PyResult<Numbers<'py>> {
-    let rows = counts_from(numbers("counts", "whole numbers, 0 or more, of shape (T, 3)", counts)?);
-    Ok(arrays::values(counts.py(), rows.iter().map(MatchCounts::iou).collect()))
+    let rows = counts_from(counts)?;
+    PyArray1::from_vec(counts.py(), rows.iter().map(MatchCounts::iou).collect()).reshape(vec![rows.len()])
 }
 
 fn smpl_protocol(protocol: &str, seed: u64) -> PyResult<SmplProtocol> {
@@ -179,10 +190,10 @@ pub fn smpl_pair_counts<'py>(
 ) -> PyResult<Counts<'py>> {
     let py = body_1.py();
     let protocol = smpl_protocol(protocol, seed)?;
-    let bodies = (arrays::points("body_1", body_1)?, arrays::points("body_2", body_2)?);
-    let found = (arrays::points("keypoints_1", keypoints_1)?, arrays::points("keypoints_2", keypoints_2)?);
+    let [body_1, found_1] = arrays::in_one_frame([("body_1", body_1), ("keypoints_1", keypoints_1)])?;
+    let [body_2, found_2] = arrays::in_one_frame([("body_2", body_2), ("keypoints_2", keypoints_2)])?;
     let limits = self::thresholds("thresholds", thresholds)?;
-    let work = || core::smpl_pair_counts(&bodies.0, &bodies.1, &found.0, &found.1, &limits, protocol);
+    let work = || core::smpl_pair_counts(&body_1, &body_2, &found_1, &found_2, &limits, protocol);
     counts_array(py, threads::run(py, work)?)
 }
 
@@ -192,7 +203,7 @@ pub fn smpl_pair_counts<'py>(
 #[pyfunction]
 #[pyo3(signature = (counts, protocol="strict"))]
 pub fn smpl_iou(counts: &Bound<PyAny>, protocol: &str) -> PyResult<f64> {
-    let pairs = counts_from(numbers("counts", "whole numbers, 0 or more, of shape (P, 3)", counts)?);
+    let pairs = counts_from(counts)?;
     core::smpl_iou(&pairs, smpl_protocol(protocol, 0)?).map_err(py_error)
 }
 
@@ -207,7 +218,7 @@ pub fn inlier_ratio(
     t_target_source: &Bound<PyAny>,
     threshold: f64,
 ) -> PyResult<f64> {
-    let (source, target) = (arrays::points("source", source)?, arrays::points("target", target)?);
+    let (source, target) = (arrays::positions("source", source)?, arrays::positions("target", target)?);
     core::inlier_ratio(&source, &target, &transform("t_target_source", t_target_source)?, threshold).map_err(py_error)
 }
 
@@ -237,7 +248,7 @@ pub fn squared_registration_error(
 /// partner in the target. Raises ValueError for an invalid array.
 #[pyfunction]
 pub fn information_matrix<'py>(points: &Bound<'py, PyAny>) -> PyResult<Bound<'py, PyArray2<f64>>> {
-    let information = core::information_matrix(&arrays::points("points", points)?).map_err(py_error)?;
+    let information = core::information_matrix(&arrays::positions("points", points)?).map_err(py_error)?;
     PyArray1::from_vec(points.py(), information.concat()).reshape([6, 6])
 }
 

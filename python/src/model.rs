@@ -1,6 +1,6 @@
 //! `snake_rs.Model`.
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::sync::{Arc, OnceLock};
 
 use pyo3::exceptions::{PyTypeError, PyValueError};
@@ -11,7 +11,7 @@ use snake_core as core;
 use crate::arrays::Precision;
 use crate::error::py_error;
 use crate::field::Field;
-use crate::{arrays, options, threads};
+use crate::{arrays, options, threads, warn};
 
 /// A network with its weights, made by `Model.builtin`, `Model.load` or `Model.from_bytes`. It can be pickled.
 #[pyclass(frozen, module = "snake_rs")]
@@ -23,7 +23,8 @@ pub struct Model {
 /// The source from which a model is restored when it is unpickled.
 enum Origin {
     Builtin(String),
-    File(Arc<Vec<u8>>),
+    /// The content of a file, and its name where it is known.
+    File(Arc<Vec<u8>>, Option<String>),
 }
 
 impl Model {
@@ -32,9 +33,9 @@ impl Model {
         &self.core
     }
 
-    fn from_file(py: Python<'_>, file: Vec<u8>) -> PyResult<Self> {
+    fn from_file(py: Python<'_>, file: Vec<u8>, name: Option<String>) -> PyResult<Self> {
         let core = threads::run(py, || core::Model::from_bytes(&file))?;
-        Ok(Self { core, origin: Origin::File(Arc::new(file)) })
+        Ok(Self { core, origin: Origin::File(Arc::new(file), name) })
     }
 }
 
@@ -58,6 +59,19 @@ pub fn given_or_builtin(py: Python<'_>, model: Option<&Bound<'_, PyAny>>) -> PyR
     }
 }
 
+/// Whether a value is meant as a model and not as a cloud: a `Model`, the name of one, or the path of a weight file.
+pub fn is_model(value: &Bound<PyAny>) -> bool {
+    value.is_instance_of::<Model>()
+        || value.extract::<PathBuf>().is_ok_and(|path| {
+            let is_name = path.to_str().is_some_and(|name| core::Model::NAMES.contains(&name));
+            is_name || is_weight_file(&path)
+        })
+}
+
+fn is_weight_file(path: &Path) -> bool {
+    path.extension().is_some_and(|extension| extension == "safetensors")
+}
+
 /// The given model: a `Model`, the name of a built-in model, or the path of a weight file.
 pub fn given<'py>(py: Python<'py>, model: &Bound<'py, PyAny>) -> PyResult<Bound<'py, Model>> {
     if let Ok(model) = model.cast::<Model>() {
@@ -71,6 +85,11 @@ pub fn given<'py>(py: Python<'py>, model: &Bound<'py, PyAny>) -> PyResult<Bound<
         None if path.extension().is_none() && !path.exists() => {
             let names = core::Model::NAMES.join(", ");
             let reason = format!("model: no built-in model {}; known are {names}", path.display());
+            return Err(PyValueError::new_err(reason));
+        }
+        None if !is_weight_file(&path) => {
+            let reason =
+                format!("model: {} is neither a built-in model nor a weight file (.safetensors)", path.display());
             return Err(PyValueError::new_err(reason));
         }
         None => Model::load(py, path)?,
@@ -97,13 +116,16 @@ impl Model {
     #[staticmethod]
     fn load(py: Python<'_>, path: PathBuf) -> PyResult<Self> {
         let read = py.detach(|| std::fs::read(&path));
-        Self::from_file(py, read.map_err(|source| py_error(core::Error::Io { path, source }))?)
+        let name = path.file_name().map(|name| name.to_string_lossy().into_owned());
+        Self::from_file(py, read.map_err(|source| py_error(core::Error::Io { path, source }))?, name)
     }
 
-    /// A model from the bytes of a weight file. Raises ValueError when they do not hold a network.
+    /// A model from the bytes of a weight file; `name` is what its text shows. Raises ValueError when they do not hold a
+    /// network.
     #[staticmethod]
-    fn from_bytes(py: Python<'_>, data: &[u8]) -> PyResult<Self> {
-        Self::from_file(py, data.to_vec())
+    #[pyo3(signature = (data, name=None))]
+    fn from_bytes(py: Python<'_>, data: &[u8], name: Option<String>) -> PyResult<Self> {
+        Self::from_file(py, data.to_vec(), name)
     }
 
     /// The shape of the network, a dict with the names of `snake_training.model.NetworkConfig`.
@@ -152,7 +174,7 @@ impl Model {
 
     /// Encodes a cloud once; the field can then be queried any number of times.
     ///
-    /// `points` is (N, 3), in the same forms as in `detect`; points that are not finite are skipped. Options:
+    /// `points` is (N, 3), in the same forms as in `detect`; points that are not finite or outliers are skipped. Options:
     /// `normalization` ("unit-sphere"; "principal-axes", the same and encoded in the cloud's principal axes; "unit-cube";
     /// or "none": the cloud already lies in the cube +-0.5), `max_points` (encode at most this many points, drawn at random; None: all points), `seed` of that draw, `rotations` (average
     /// over this many rotated copies of the cloud: keypoints repeat far better, and the time grows in proportion), and
@@ -164,7 +186,9 @@ impl Model {
         let preset = options::resolve("encode", &options::ENCODE, core.recommended(), options)?;
         let (cloud, precision) = arrays::cloud("points", points)?;
         let cloud = cloud.for_normalization(preset.encode.normalization);
-        Field::new(slf, core, &cloud, preset.encode, precision)
+        let field = Field::new(slf, core, &cloud, preset.encode, precision)?;
+        warn(slf.py(), field.outliers())?;
+        Ok(field)
     }
 
     /// Restores a pickled field: encodes its points again, which are relative to the origin.
@@ -184,17 +208,23 @@ impl Model {
     fn __reduce__<'py>(slf: &Bound<'py, Self>) -> PyResult<(Bound<'py, PyAny>, Bound<'py, PyTuple>)> {
         let (py, class) = (slf.py(), slf.get_type());
         match &slf.get().origin {
-            Origin::File(file) => Ok((class.getattr("from_bytes")?, PyTuple::new(py, [PyBytes::new(py, file)])?)),
+            Origin::File(file, name) => {
+                Ok((class.getattr("from_bytes")?, (PyBytes::new(py, file), name).into_pyobject(py)?))
+            }
             Origin::Builtin(name) => Ok((class.getattr("builtin")?, PyTuple::new(py, [name])?)),
         }
     }
 
     fn __repr__(&self) -> String {
         let config = self.core.config();
+        let name = match &self.origin {
+            Origin::Builtin(name) | Origin::File(_, Some(name)) => name,
+            Origin::File(_, None) => "without a name",
+        };
         let volume = match config.frame().map(|frame| frame.resolution) {
             Some([x, y, z]) => format!("{x} x {y} x {z}"),
             None => "of scenes".into(),
         };
-        format!("Model({} parameters, volume {volume} x {})", self.core.num_parameters(), config.c_dim)
+        format!("Model({name}, {} parameters, volume {volume} x {})", self.core.num_parameters(), config.c_dim)
     }
 }

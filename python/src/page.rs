@@ -1,32 +1,64 @@
 //! The page of `snake_rs.view`.
 
+use std::path::PathBuf;
+
 use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
-use snake_view::{Page, ShownCloud, viridis};
+use snake_view::{Page, Pair, ShownCloud, viridis};
 
-use crate::{arrays, model, options, threads};
+use crate::baselines::LengthLike;
+use crate::{arrays, metrics, model, options, threads};
 
-/// The page that shows a cloud with its keypoints, as HTML. Arguments are those of `detect`, and the name of the cloud.
+/// The page that shows a cloud, or two, with their keypoints, as HTML. Arguments are those of `view`.
 #[pyfunction]
-#[pyo3(signature = (points, model=None, name="cloud", **options))]
+#[pyo3(signature = (points, second=None, model=None, name=None, epsilon=None, t_first_second=None, **options))]
+#[expect(clippy::too_many_arguments, reason = "keywords in Python")]
 pub fn page(
     py: Python<'_>,
     points: &Bound<'_, PyAny>,
+    second: Option<&Bound<'_, PyAny>>,
     model: Option<&Bound<'_, PyAny>>,
-    name: &str,
+    name: Option<&str>,
+    epsilon: Option<LengthLike>,
+    t_first_second: Option<&Bound<'_, PyAny>>,
     options: Option<&Bound<'_, PyDict>>,
 ) -> PyResult<String> {
+    // `view(points, "rooms")` names a model, `view(a, b)` a cloud.
+    let (second, model) = match second {
+        Some(value) if model.is_none() && model::is_model(value) => (None, second),
+        _ => (second, model),
+    };
+    if second.is_none() && (epsilon.is_some() || t_first_second.is_some()) {
+        return Err(PyValueError::new_err("`epsilon` and `t_first_second` need two clouds"));
+    }
+    let epsilon = epsilon.map(LengthLike::length).transpose()?;
+    let t_first_second = t_first_second.map(|value| metrics::transform("t_first_second", value)).transpose()?;
     let model_name = match model {
         None => "compact".to_owned(),
         Some(model) => model.str()?.to_cow()?.into_owned(),
     };
     let model = model::given_or_builtin(py, model)?;
     let options = options::resolve("view", &options::ALL, model.recommended(), options)?;
-    let (cloud, _) = arrays::cloud("points", points)?;
-    let cloud = cloud.for_normalization(options.encode.normalization);
-    let shown =
-        threads::run_with_signals(py, |control| ShownCloud::detect(&model, &options, name.into(), &cloud, control))?;
-    let page = Page { clouds: vec![shown], pair: None, options, model_name, colors: viridis() };
+    let named = |given: Option<&str>, what: &str, value: &Bound<'_, PyAny>, unnamed: &str| {
+        let (cloud, _) = arrays::cloud(what, value)?;
+        let path: Option<PathBuf> = value.extract().ok();
+        let name = given.map(str::to_owned).or(path.map(|path| path.display().to_string()));
+        let cloud = cloud.for_normalization(options.encode.normalization);
+        PyResult::Ok((name.unwrap_or_else(|| unnamed.into()), cloud))
+    };
+    let unnamed = if second.is_some() { "first" } else { "cloud" };
+    let mut clouds = vec![named(name, "points", points, unnamed)?];
+    clouds.extend(second.map(|second| named(None, "second", second, "second")).transpose()?);
+    let page = threads::run_with_signals(py, |control| {
+        let shown =
+            clouds.iter().map(|(name, cloud)| ShownCloud::detect(&model, &options, name.clone(), cloud, control));
+        let clouds: Vec<ShownCloud> = shown.collect::<snake_core::Result<_>>()?;
+        let pair = match &clouds[..] {
+            [first, second] => Some(Pair::aligned(&model, [first, second], t_first_second, epsilon, control)?),
+            _ => None,
+        };
+        Ok(Page { clouds, pair, options, model_name, colors: viridis() })
+    })?;
     page.html().map_err(|error| PyValueError::new_err(error.to_string()))
 }

@@ -3,10 +3,9 @@
 use std::path::PathBuf;
 use std::sync::{Mutex, PoisonError};
 
-use numpy::{PyArray2, PyUntypedArrayMethods};
 use pyo3::prelude::*;
 
-use crate::arrays;
+use crate::arrays::{Positions, Precision};
 use crate::error::file_error;
 
 /// Reads the point clouds of a recording, one after another: an iterator of `RecordedCloud`.
@@ -59,21 +58,23 @@ pub struct RecordedCloud {
     log_time: u64,
     /// The frame that the message names.
     frame_id: String,
-    /// Points (N, 3) float32, in the order of the message, with those that are not finite.
-    points: Py<PyArray2<f32>>,
+    /// Points (N, 3), in the order of the message, with those that are not finite: float32, or float64 if they are so far from
+    /// zero that float32 would lose digits.
+    points: Positions,
 }
 
 impl RecordedCloud {
     fn new(py: Python<'_>, recorded: snake_io::RecordedCloud) -> PyResult<Self> {
         let snake_io::RecordedCloud { log_time, frame_id, cloud } = recorded;
-        Ok(Self { log_time, frame_id, points: arrays::rows(py, cloud.points.into_flattened(), 3)?.unbind() })
+        let precision = if cloud.origin == [0.0; 3] { Precision::Single } else { Precision::Double };
+        Ok(Self { log_time, frame_id, points: Positions::new(py, &cloud.points, cloud.origin, precision)? })
     }
 }
 
 #[pymethods]
 impl RecordedCloud {
-    fn __repr__(&self, py: Python<'_>) -> String {
-        let num_points = self.points.bind(py).shape()[0];
-        format!("RecordedCloud({num_points} points, log_time {}, frame_id {})", self.log_time, self.frame_id)
+    fn __repr__(&self, py: Python<'_>) -> PyResult<String> {
+        let num_points = self.points.bind(py).len()?;
+        Ok(format!("RecordedCloud({num_points} points, log_time {}, frame_id {})", self.log_time, self.frame_id))
     }
 }

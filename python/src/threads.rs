@@ -4,13 +4,12 @@
 use std::mem::forget;
 use std::sync::mpsc::{RecvTimeoutError, channel};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
-use std::thread::available_parallelism;
 use std::time::Duration;
 
-use pyo3::exceptions::{PyRuntimeError, PyValueError};
+use pyo3::exceptions::PyRuntimeError;
 use pyo3::prelude::*;
 use rayon::{ThreadPool, ThreadPoolBuilder};
-use snake_core::{CancelFlag, Control, Result};
+use snake_core::{CancelFlag, Control, Result, check_num_threads};
 
 use crate::error::py_error;
 
@@ -91,10 +90,7 @@ pub fn run_with_signals<T: Send>(py: Python<'_>, work: impl FnOnce(&Control) -> 
 /// or greater than both 256 and the number of processors.
 #[pyfunction]
 pub fn set_num_threads(py: Python<'_>, num_threads: usize) -> PyResult<()> {
-    let most = available_parallelism().map_or(1, usize::from).max(MAX_THREADS);
-    if !(1..=most).contains(&num_threads) {
-        return Err(PyValueError::new_err(format!("num_threads is {num_threads}: allowed is 1 to {most}")));
-    }
+    check_num_threads(num_threads).map_err(py_error)?;
     let mut state = state(py);
     state.num_threads = num_threads;
     if let Some((process, pool)) = state.pool.take()
@@ -104,9 +100,6 @@ pub fn set_num_threads(py: Python<'_>, num_threads: usize) -> PyResult<()> {
     }
     Ok(())
 }
-
-/// The most threads on a machine with fewer processors: more threads would only wait for each other.
-const MAX_THREADS: usize = 256;
 
 /// The number of threads that all calls of this process share. Raises RuntimeError when the threads cannot be started.
 #[pyfunction]

@@ -173,7 +173,7 @@ impl Tiles {
         detection.keypoints = found.keypoints.iter().map(|keypoint| keypoint.keypoint).collect();
         detection.counts = found.counts;
         detection.num_skipped = self.run.num_points().1 as usize;
-        Keypoints::from_detection(py, detection, self.run.origin(), Precision::Double)
+        Keypoints::from_detection(py, detection, self.run.origin(), Precision::Double, None)
     }
 
     /// Opens the tiles of a folder, for `pickle`.

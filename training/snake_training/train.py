@@ -3,8 +3,11 @@
 import copy
 import math
 import os
+import signal
 import sys
+import threading
 import time
+from contextlib import contextmanager
 from datetime import timedelta
 from pathlib import Path
 
@@ -26,7 +29,7 @@ from .model import Decoder, PointEncoder, ResnetBlockFC, SnakeNetwork, voxel_ind
 from .targets import Targets
 
 DESCRIPTION = """Train a SNAKE keypoint field without labels. Running the same command again resumes the run from its last
-checkpoint. With torchrun, samples are shared out over the processes."""
+checkpoint. Ctrl-C ends the run with a checkpoint after its step. With torchrun, samples are shared out over the processes."""
 
 
 def make_batch(shapes, config, first, number, device, stream=0):
@@ -208,8 +211,33 @@ def train(config):
         raise SystemExit(f"{error}; remove that file and run the same command again to resume") from error
 
 
+@contextmanager
+def interruption():
+    """A flag that Ctrl-C sets, so that a step ends before the run does; a second Ctrl-C ends it at once."""
+    pressed = threading.Event()
+    if threading.current_thread() is not threading.main_thread():
+        yield pressed
+        return
+
+    def press(_number, _frame):
+        pressed.set()
+        signal.signal(signal.SIGINT, previous)
+
+    previous = signal.signal(signal.SIGINT, press)
+    try:
+        yield pressed
+    finally:
+        signal.signal(signal.SIGINT, previous)
+
+
 def run_steps(config):
-    """The training loop."""
+    """The training loop, which Ctrl-C ends with a checkpoint."""
+    with interruption() as pressed:
+        run_until(config, pressed)
+
+
+def run_until(config, pressed):
+    """The training loop, until the event `pressed` is set."""
     rank, world = int(os.environ.get("RANK", "0")), int(os.environ.get("WORLD_SIZE", "1"))
     if config.batch % world:
         raise SystemExit(f"--batch {config.batch} does not divide over {world} processes")
@@ -273,10 +301,12 @@ def run_steps(config):
             dist.all_reduce(values)
         for name, value in zip(measured, (values / world).tolist()):
             running[name] = running.get(name, value) * 0.98 + value * 0.02
-        stop = torch.tensor(config.minutes > 0 and time.monotonic() - started > config.minutes * 60)
-        if world > 1 and config.minutes > 0:
+        spent = config.minutes > 0 and time.monotonic() - started > config.minutes * 60
+        stop = torch.tensor([spent, pressed.is_set()])
+        if world > 1:
             dist.all_reduce(stop := stop.int().to(device), dist.ReduceOp.MAX)
-        finished = bool(stop) or step == config.steps
+        spent, interrupted = stop.bool().tolist()
+        finished = spent or step == config.steps
         if rank == 0:
             if step % 20 == 0 or finished:
                 bar.set_postfix({k[:3]: f"{v:.3f}" for k, v in running.items()}, refresh=False)
@@ -290,10 +320,12 @@ def run_steps(config):
                 if score > best:
                     best = score
                     save_checkpoint(run / "best.pt", config, step, network, average, optimizer, best)
-            if finished or time.monotonic() - saved > config.checkpoint_minutes * 60:
+            if finished or interrupted or time.monotonic() - saved > config.checkpoint_minutes * 60:
                 save_checkpoint(run / "last.pt", config, step, network, average, optimizer, best)
                 saved = time.monotonic()
-        if bool(stop):
+        if interrupted:
+            sys.exit(f"step {step}: stopped; its checkpoint is {run}/last.pt, and the same command resumes from it")
+        if spent:
             break
     bar.close()
     if log:

@@ -24,6 +24,23 @@ def cloud(number=600, seed=3):
     return (rng(seed).normal(size=(number, 3)) * (3, 1, 0.5) + (10, -4, 2)).astype(np.float32)
 
 
+# Clouds of files
+
+
+def test_georeferenced_clouds_keep_their_digits_and_lose_their_outliers(tmp_path):
+    near, far = cloud(4000).astype(np.float64), np.array([500123.25, 5412345.75, 431.5])
+    stored = {"near": near, "far": near + far, "zero": np.r_[near + far, [[0, 0, 0]]], "outlier": np.r_[near, [[1e4, 0, 0]]]}
+    for name, points in stored.items():
+        np.save(tmp_path / f"{name}.npy", points)
+    read = {path.stem: Folder(tmp_path)[row] for row, path in enumerate(Folder(tmp_path).files)}
+    assert np.array_equal(read["near"], near.astype(np.float32))
+    assert np.array_equal(read["outlier"], read["near"])
+    for name in ("far", "zero"):
+        assert len(np.unique(read[name], axis=0)) == 4000
+        shift = read[name] - read["near"]
+        assert np.abs(shift - shift[0]).max() < 1e-5
+
+
 # Normalisation
 
 

@@ -5,6 +5,7 @@ import itertools
 import json
 import math
 import os
+import signal
 import subprocess
 import sys
 from pathlib import Path
@@ -45,6 +46,29 @@ def flat(tree, prefix=""):
 
 
 # Runs
+
+
+def test_ctrl_c_ends_a_run_with_a_checkpoint_from_which_it_resumes(tiny, monkeypatch):
+    config = tiny()
+    make = training.make_batch
+
+    def interrupted(*arguments, **options):
+        os.kill(os.getpid(), signal.SIGINT)
+        return make(*arguments, **options)
+
+    handler = signal.getsignal(signal.SIGINT)
+    monkeypatch.setattr(training, "make_batch", interrupted)
+    with pytest.raises(SystemExit, match="step 1: stopped; .* resumes"):
+        train(config)
+    assert state(config)["step"] == 1 and signal.getsignal(signal.SIGINT) is handler
+    monkeypatch.setattr(training, "make_batch", make)
+    train(config)
+    interrupted_run = state(config)
+    whole = tiny(run_dir=config.run_dir + "-whole")
+    train(whole)
+    assert interrupted_run["step"] == 2
+    for name, tensor in state(whole)["network"].items():
+        assert torch.equal(tensor, interrupted_run["network"][name]), name
 
 
 def test_a_run_writes_its_config_checkpoints_and_logs(tiny):

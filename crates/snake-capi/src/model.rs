@@ -86,13 +86,20 @@ pub(crate) unsafe fn free<T>(pointer: *mut T) {
     });
 }
 
-/// Sets the number of threads of all calls; 0: one for each core. It must be called before the first other call that
-/// computes, and once. The environment variable `RAYON_NUM_THREADS` does the same.
+/// Sets the number of threads of all calls; 0: one for each core. At most 256, or the number of cores. It must be called before
+/// the first other call that computes, and once; a call that is refused does not count. The environment variable
+/// `RAYON_NUM_THREADS` does the same.
 #[unsafe(no_mangle)]
 pub extern "C" fn snake_set_num_threads(num_threads: usize) -> SnakeStatus {
     guarded(|| {
-        let pool = rayon::ThreadPoolBuilder::new().num_threads(num_threads).build_global();
-        pool.map_err(|error| Failure::new(SnakeStatus::Argument, format!("num_threads: {error}")))
+        let refused = |reason: String| Failure::new(SnakeStatus::Argument, reason);
+        if num_threads > 0 {
+            snake_core::check_num_threads(num_threads).map_err(|error| refused(error.to_string()))?;
+        }
+        let builder = || rayon::ThreadPoolBuilder::new().num_threads(num_threads);
+        // Once the threads of all calls could not be started, no later call can start them: others are tried first.
+        let started = builder().build().map(drop).and_then(|()| builder().build_global());
+        started.map_err(|error| refused(format!("num_threads: {error}")))
     })
 }
 

@@ -175,6 +175,12 @@ fn clouds_are_registered() {
 
 #[test]
 fn the_number_of_threads_is_set_once() {
+    for impossible in [3_000_000, usize::MAX] {
+        assert_eq!(snake_set_num_threads(impossible), SnakeStatus::Argument);
+        assert!(last_error().contains("allowed is 1 to "), "{}", last_error());
+        // Later calls still compute.
+        assert!(!detect(compact(), packed(&torus()), None).unwrap().is_empty());
+    }
     snake_set_num_threads(2); // another test may have started the threads
     assert_eq!(snake_set_num_threads(2), SnakeStatus::Argument);
     assert!(last_error().starts_with("num_threads: "), "{}", last_error());

@@ -2,6 +2,7 @@
 
 use serde::{Deserialize, Serialize};
 
+use crate::outliers::Reach;
 use crate::points::{NormalizationMethod, Point};
 
 /// A point cloud with its origin, in the file's order and units.
@@ -10,12 +11,13 @@ pub struct Cloud {
     /// The points `(N, 3)`, relative to the origin. Coordinates may be infinite or not a number.
     pub points: Vec<Point>,
     /// Added to every point and to every result in the points' frame. It is zero unless the coordinates are so far from
-    /// zero (more than 16 times the size of the cloud) that `f32` would lose digits, as in georeferenced scans.
+    /// zero (more than 16 times the size of the cloud) that `f32` would lose digits, as in georeferenced scans. Outliers do
+    /// not count.
     pub origin: [f64; 3],
 }
 
 impl Cloud {
-    /// Converts positions in `f64` to points relative to an origin, which is zero near zero. The iterator is run twice.
+    /// Converts positions in `f64` to points relative to an origin, which is zero near zero. The iterator is run several times.
     ///
     /// ```
     /// use snake_core::{Cloud, add_origin};
@@ -88,6 +90,12 @@ impl Bounds {
         }
     }
 
+    /// Whether all positions within the bounds are held by a cloud's reach.
+    fn are_held_by(&self, reach: &Reach) -> bool {
+        let corner = |bits: usize| std::array::from_fn(|axis| [self.low, self.high][bits >> axis & 1][axis]);
+        (0..8).all(|bits| reach.holds(corner(bits)))
+    }
+
     /// The origin of a cloud with these bounds: zero, or for positions far from zero their centre, rounded to a power of
     /// two so that the subtraction is exact.
     pub fn origin(&self) -> [f64; 3] {
@@ -104,10 +112,19 @@ impl Bounds {
     }
 }
 
-fn origin(positions: impl Iterator<Item = [f64; 3]>) -> [f64; 3] {
-    let mut bounds = Bounds::default();
-    positions.for_each(|position| bounds.add(position));
-    bounds.origin()
+/// The origin of positions, from the bounds of those that are no outliers.
+fn origin(positions: impl Iterator<Item = [f64; 3]> + Clone) -> [f64; 3] {
+    let bounds_of = |holds: &dyn Fn([f64; 3]) -> bool| {
+        let mut bounds = Bounds::default();
+        positions.clone().filter(|&position| holds(position)).for_each(|position| bounds.add(position));
+        bounds
+    };
+    let bounds = bounds_of(&|_| true);
+    let finite = positions.clone().filter(|position| position.iter().all(|v| v.is_finite()));
+    match Reach::of(finite) {
+        Some(reach) if !bounds.are_held_by(&reach) => bounds_of(&|position| reach.holds(position)).origin(),
+        _ => bounds.origin(),
+    }
 }
 
 #[cfg(test)]
@@ -147,6 +164,22 @@ mod tests {
         for points in [vec![], vec![[7.0; 3]; 3], vec![[f64::NAN; 3]], vec![[-1.7e308; 3], [1.7e308; 3]]] {
             assert_eq!(cloud(&points).origin, [0.0; 3], "{points:?}");
         }
+    }
+
+    #[test]
+    fn outliers_do_not_decide_the_origin() {
+        let room =
+            (0..900).map(|i| [500_123.25 + f64::from(i % 30) * 0.1, 5_412_345.75 + f64::from(i / 30) * 0.1, 431.0]);
+        let clean = Cloud::from_positions(room.clone());
+        assert!(clean.origin[1] > 5e6);
+        // Missing returns at zero, and a point beyond the earth.
+        for outlier in [[0.0; 3], [1e30, 0.0, 0.0], [f64::MAX, 0.0, f64::MIN], [f64::NAN, 0.0, 0.0]] {
+            let found = Cloud::from_positions(std::iter::once(outlier).chain(room.clone()));
+            assert_eq!((found.origin, &found.points[1..]), (clean.origin, &clean.points[..]), "{outlier:?}");
+        }
+        let near = (0..900).map(|i| [f64::from(i % 30) * 0.1, f64::from(i / 30) * 0.1, 1.0]);
+        let found = Cloud::from_positions(std::iter::once([5e6, 5e6, 0.0]).chain(near));
+        assert_eq!((found.origin, found.points[31]), ([0.0; 3], [0.0, 0.1, 1.0]));
     }
 
     #[test]

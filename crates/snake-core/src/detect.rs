@@ -62,7 +62,7 @@ impl From<KeypointRecord> for Keypoint {
 pub struct Detection {
     /// The keypoints, by falling saliency.
     pub keypoints: Vec<Keypoint>,
-    /// Number of points of the cloud that were skipped because they are not finite.
+    /// Number of points of the cloud that were skipped because they are not finite, or are outliers.
     pub num_skipped: usize,
     /// Number of points that were encoded.
     pub num_encoded: usize,

@@ -12,6 +12,7 @@ use crate::encoder::EncoderMemory;
 use crate::network::{Network, NetworkEncoder};
 use crate::nn::TILE;
 use crate::options::{EncodeOptions, Options};
+use crate::outliers::Outliers;
 use crate::point_source::PointSource;
 use crate::points::{FinitePoints, Normalization, NormalizationMethod, Point, check_points};
 use crate::rotations::{self, Rotation, rotate, rotate_inverse};
@@ -150,7 +151,7 @@ impl Field {
         let is_scene = network.config.frame().is_none();
         let normalization = match is_scene {
             true => Normalization { center: [0.0; 3], scale: voxel_size(options.voxel_size, points)? },
-            false => Normalization::of(points, options.normalization)?,
+            false => Normalization::of_finite(points, options.normalization)?,
         };
         let orientation = match options.normalization {
             NormalizationMethod::PrincipalAxes if !is_scene => rotations::principal_axes(points, normalization.center),
@@ -182,7 +183,7 @@ impl Field {
             normalization,
             num_skipped: 0,
             num_encoded: points.len(),
-            points: FinitePoints::of("points", &points)?.into_owned(),
+            points: FinitePoints::all(points.into()),
             network,
         })
     }
@@ -208,7 +209,7 @@ impl Field {
         }
     }
 
-    /// The finite points of the cloud in the order they were given.
+    /// The points of the cloud that are used, in the order they were given: the finite ones without outliers.
     pub fn points(&self) -> &[Point] {
         &self.points.points
     }
@@ -218,9 +219,14 @@ impl Field {
         &self.points
     }
 
-    /// Number of points of the cloud that were skipped because they are not finite.
+    /// Number of points of the cloud that were skipped because they are not finite, or are outliers.
     pub fn num_skipped(&self) -> usize {
         self.num_skipped
+    }
+
+    /// The points far beyond all others, which were left out, if there are any.
+    pub fn outliers(&self) -> Option<Outliers> {
+        self.points.outliers()
     }
 
     /// The index in the cloud as it was given of one of [`Field::points`].

@@ -71,21 +71,41 @@ impl<T: RealField + Copy + Into<f64>> KdTree<T> {
 
     /// The nearest `number` points as indices and squared distances, nearest first; ties are ordered by index.
     pub fn nearest(&self, query: &[T; 3], number: NonZeroUsize) -> Vec<(usize, T)> {
-        let Some(tree) = &self.tree else { return Vec::new() };
-        let rotated = rotate(&self.rotation, query);
-        let first = tree.query(&rotated).nearest_n::<SquaredEuclidean<f64>>(number).execute();
-        // Rounding of the rotated points may have put nearer points behind the last of these.
-        let radius = self.reach(query, first.iter().fold(0.0, |most: f64, entry| most.max(entry.distance)).sqrt());
-        let near = tree.query(&rotated).within::<SquaredEuclidean<f64>>(radius * radius).unsorted().execute();
+        let near = self.near(query, number);
         let mut found: Vec<(usize, T)> = Vec::with_capacity(number.get().min(self.indices.len()));
-        for entry in near {
-            let distance = squared_distance(query, &self.distinct[entry.item as usize]);
-            found.extend(self.equal(entry.item as usize).take(number.get()).map(|index| (index, distance)));
+        for (distinct, distance) in near {
+            found.extend(self.equal(distinct).take(number.get()).map(|index| (index, distance)));
         }
         let order = |a: &(usize, T), b: &(usize, T)| a.1.partial_cmp(&b.1).unwrap_or(std::cmp::Ordering::Equal);
         found.sort_unstable_by(|a, b| order(a, b).then(a.0.cmp(&b.0)));
         found.truncate(number.get());
         found
+    }
+
+    /// The distinct points, in ascending order.
+    pub fn distinct(&self) -> &[[T; 3]] {
+        &self.distinct
+    }
+
+    /// The squared distance to the nearest point that is not equal to the query.
+    pub fn nearest_other(&self, query: &[T; 3]) -> Option<T> {
+        const TWO: NonZeroUsize = NonZeroUsize::MIN.saturating_add(1);
+        let others = self.near(query, TWO).into_iter().filter(|&(distinct, _)| self.distinct[distinct] != *query);
+        others.map(|(_, distance)| distance).reduce(|a, b| if b < a { b } else { a })
+    }
+
+    /// At least the nearest `number` distinct points, and their squared distances.
+    fn near(&self, query: &[T; 3], number: NonZeroUsize) -> Vec<(usize, T)> {
+        let Some(tree) = &self.tree else { return Vec::new() };
+        let rotated = rotate(&self.rotation, query);
+        // The search takes memory for as many as it is asked for.
+        let number = number.min(NonZeroUsize::new(self.distinct.len()).unwrap_or(number));
+        let first = tree.query(&rotated).nearest_n::<SquaredEuclidean<f64>>(number).execute();
+        // Rounding of the rotated points may have put nearer points behind the last of these.
+        let radius = self.reach(query, first.iter().fold(0.0, |most: f64, entry| most.max(entry.distance)).sqrt());
+        let near = tree.query(&rotated).within::<SquaredEuclidean<f64>>(radius * radius).unsorted().execute();
+        let distance = |distinct: usize| (distinct, squared_distance(query, &self.distinct[distinct]));
+        near.into_iter().map(|entry| distance(entry.item as usize)).collect()
     }
 
     /// The indices of the points that equal one distinct point.
@@ -138,7 +158,7 @@ mod tests {
                 let mut sorted: Vec<(usize, f64)> =
                     points.iter().map(|point| squared_distance(&query, point)).enumerate().collect();
                 sorted.sort_by(|a, b| a.1.total_cmp(&b.1).then(a.0.cmp(&b.0)));
-                for number in [1, 2, 25, 2000] {
+                for number in [1, 2, 25, 2000, usize::MAX] {
                     let expected = &sorted[..number.min(points.len())];
                     assert_eq!(tree.nearest(&query, NonZeroUsize::new(number).unwrap()), expected);
                 }

@@ -1,5 +1,6 @@
 //! Lengths in cloud units, in multiples of a cloud's resolution, in per cent of its radius, or in voxels.
 
+use std::cmp::Ordering;
 use std::fmt;
 use std::str::FromStr;
 
@@ -13,8 +14,8 @@ use crate::points::{FinitePoints, Normalization, NormalizationMethod, Point};
 use crate::{Error, Result};
 
 /// A length in cloud units, in multiples of the cloud's resolution, in per cent of its radius, or in voxels. The resolution
-/// is the mean distance of the points to their nearest other point; the radius is the largest distance of a point from
-/// their mean; the voxels are those of a field's volume ([`Field::voxel_size`](crate::Field::voxel_size)). The text forms are
+/// is the mean distance of the distinct points to their nearest other point; the radius is the largest distance of a point
+/// from their mean; outliers do not count; the voxels are those of a field's volume ([`Field::voxel_size`](crate::Field::voxel_size)). The text forms are
 /// `0.05`, `6r`, `10%` and `4v`; the JSON form is a number or such a text.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum Length {
@@ -87,19 +88,37 @@ fn check(name: &'static str, given: Length, length: f64) -> Result<f64> {
     Err(Error::Option { name, value: given.to_string(), allowed })
 }
 
-/// The resolution of a cloud `(N, 3)`: the mean distance of its finite points to their nearest other point.
+/// The resolution of a cloud `(N, 3)`: the mean distance of its finite distinct points to their nearest other point, without
+/// outliers; 0 if there is only one.
 pub fn resolution(what: &'static str, points: &[Point]) -> Result<f64> {
     let FinitePoints { points, .. } = FinitePoints::of(what, points)?;
-    if points.len() == 1 {
-        return Ok(0.0);
+    match mean_gap(&points)? {
+        Some(gap) => Ok(gap),
+        None => Ok(mean_gap(&distinct(&points))?.unwrap_or_default()),
     }
-    let tree = PointTree::new(&points)?;
+}
+
+/// The distinct ones of finite points, sorted.
+fn distinct(points: &[Point]) -> Vec<Point> {
+    let mut points = points.to_vec();
+    points.par_sort_unstable_by(|a, b| a.partial_cmp(b).unwrap_or(Ordering::Equal));
+    points.dedup();
+    points
+}
+
+/// The mean distance of points to their nearest other point, or `None` where points are equal or there is only one.
+fn mean_gap(points: &[Point]) -> Result<Option<f64>> {
+    if points.len() < 2 {
+        return Ok(None);
+    }
+    let tree = PointTree::new(points)?;
     let mut distances = Scratch::zeros(points.len());
     distances.par_iter_mut().enumerate().for_each(|(index, distance)| {
         let (squared, _): (f64, usize) = tree.nearest(&points[index], Some(index));
         *distance = squared.sqrt();
     });
-    Ok(distances.iter().sum::<f64>() / points.len() as f64)
+    let are_distinct = distances.iter().all(|distance| *distance > 0.0);
+    Ok(are_distinct.then(|| distances.iter().sum::<f64>() / points.len() as f64))
 }
 
 impl From<f64> for Length {
@@ -213,6 +232,20 @@ mod tests {
             let neighbors = Neighbors::new(points.iter().copied().map(vector).collect()).unwrap();
             assert_eq!(resolution("points", &points).unwrap(), neighbors.resolution());
         }
+    }
+
+    #[test]
+    fn repeated_points_and_outliers_leave_the_resolution_as_it_is() {
+        let at = |i: u32, factor: u32| (i.wrapping_mul(factor) >> 8) as f32 / (1 << 24) as f32;
+        let clean: Vec<Point> = (0..500).map(|i| [at(i, 2_654_435_761), at(i, 40_503), 0.1]).collect();
+        let of = |points: &[Point]| resolution("points", points).unwrap();
+        let expected = of(&clean);
+        for repeated in [clean.repeat(2), [&clean[..], &clean[..300]].concat(), [&clean[..], &[clean[7]; 900]].concat()]
+        {
+            assert!((of(&repeated) / expected - 1.0).abs() < 1e-12);
+        }
+        assert_eq!(of(&[&clean[..], &[[1e4, 0.0, 0.0]]].concat()), expected);
+        assert_eq!(of(&[clean[0]; 40]), 0.0);
     }
 
     #[test]

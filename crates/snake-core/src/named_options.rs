@@ -52,6 +52,13 @@ mod tests {
     use super::*;
 
     #[test]
+    fn no_limit_of_keypoints_is_null() {
+        let values = serde_json::json!({ "max_keypoints": null });
+        let options = Options::default().with_values(values.as_object().unwrap()).unwrap();
+        assert_eq!(options.detect.max_keypoints, usize::MAX);
+    }
+
+    #[test]
     fn wrong_names_and_values_are_refused_by_name() {
         let error = |text: &str| {
             let values = serde_json::from_str(text).unwrap();

@@ -6,7 +6,6 @@ use nalgebra::{Matrix3, SymmetricEigen, Vector3};
 use rayon::prelude::*;
 
 use crate::kd_tree::KdTree;
-use crate::points::Point;
 use crate::{Error, Result};
 
 /// The limit of the number of neighbour pairs; more would take minutes.
@@ -15,9 +14,9 @@ const MAX_PAIRS: f64 = 1e10;
 /// A point or an offset in f64.
 pub type Vector = Vector3<f64>;
 
-/// Converts a point to f64.
-pub fn vector(point: Point) -> Vector {
-    point.map(f64::from).into()
+/// Converts a point of `f32` or `f64` to f64.
+pub fn vector<T: Into<f64>>(point: [T; 3]) -> Vector {
+    point.map(Into::into).into()
 }
 
 /// Points with an index for neighbour queries.
@@ -78,11 +77,15 @@ impl Neighbors {
         self.nearest(query, NonZeroUsize::MIN)[0].1
     }
 
-    /// Mean distance of the points to their nearest other point; 0 for one point.
+    /// Mean distance of the distinct points to their nearest other point; 0 for one point.
     pub fn resolution(&self) -> f64 {
-        const TWO: NonZeroUsize = NonZeroUsize::MIN.saturating_add(1);
-        let nearest = |point| self.nearest(point, TWO).get(1).map_or(0.0, |&(_, distance)| distance);
-        let nearest: Vec<f64> = self.points.par_iter().map(nearest).collect();
+        // In the given order where no points are equal, which keeps the sum's bits.
+        let are_distinct = self.tree.distinct().len() == self.points.len();
+        let gap = |point: &[f64; 3]| self.tree.nearest_other(point).map_or(0.0, f64::sqrt);
+        let nearest: Vec<f64> = match are_distinct {
+            true => self.points.par_iter().map(|&point| gap(&point.into())).collect(),
+            false => self.tree.distinct().par_iter().map(gap).collect(),
+        };
         nearest.iter().sum::<f64>() / nearest.len() as f64
     }
 

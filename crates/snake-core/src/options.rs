@@ -141,7 +141,8 @@ pub struct DetectOptions {
     /// Minimum distance of keypoints. `None`: no suppression. In JSON 0 is also `None`.
     #[serde(deserialize_with = "none_if_zero")]
     pub nms_radius: Option<Length>,
-    /// Maximum number of keypoints; the best are kept.
+    /// Maximum number of keypoints; the best are kept. In JSON null is no limit.
+    #[serde(deserialize_with = "most_if_null")]
     pub max_keypoints: usize,
     /// Move each keypoint to its nearest input point. Several keypoints can then coincide, as in the paper.
     pub snap: bool,
@@ -243,6 +244,11 @@ pub(crate) struct Radii {
 fn none_if_zero<'de, D: serde::Deserializer<'de>>(deserializer: D) -> std::result::Result<Option<Length>, D::Error> {
     let length = Option::<Length>::deserialize(deserializer)?;
     Ok(length.filter(|length| *length != Length::Units(0.0)))
+}
+
+/// A number, or the largest for null.
+fn most_if_null<'de, D: serde::Deserializer<'de>>(deserializer: D) -> std::result::Result<usize, D::Error> {
+    Ok(Option::<usize>::deserialize(deserializer)?.unwrap_or(usize::MAX))
 }
 
 /// All options of [`Model::detect`](crate::Model::detect).

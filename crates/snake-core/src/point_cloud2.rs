@@ -1,5 +1,6 @@
 //! Clouds as bytes with named fields, in the layout of the ROS message `sensor_msgs/PointCloud2`.
 
+use crate::cloud::Cloud;
 use crate::point_source::PointSource;
 use crate::points::Point;
 use crate::{Error, Result};
@@ -32,8 +33,8 @@ pub struct PointCloud2Layout {
     pub is_bigendian: bool,
 }
 
-/// A cloud of strided bytes, without a copy. Coordinates are float32 or float64 and are read as `f32`; if they are far from
-/// zero, such as UTM, read them as a [`Cloud`](crate::Cloud) instead.
+/// A cloud of strided bytes, without a copy. Coordinates are float32 or float64. As a [`PointSource`] they are read as `f32`;
+/// [`PointCloud2View::to_cloud`] keeps the digits of coordinates far from zero, such as UTM.
 ///
 /// ```
 /// use snake_core::{PointCloud2Layout, PointCloud2View, PointField, PointSource};
@@ -86,6 +87,20 @@ impl<'a> PointCloud2View<'a> {
         }
     }
 
+    /// All points `(N, 3)`, relative to an origin if they are far from zero.
+    pub fn to_cloud(&self) -> Cloud {
+        Cloud::from_positions((0..self.num_points()).map(|index| self.position(index)))
+    }
+
+    fn position(&self, index: usize) -> [f64; 3] {
+        let PointCloud2Layout { width, point_step, row_step, .. } = self.layout;
+        let start = index / width * row_step + index % width * point_step;
+        self.axes.map(|(offset, is_double)| match is_double {
+            true => f64::from_le_bytes(self.number(start + offset)),
+            false => f32::from_le_bytes(self.number(start + offset)).into(),
+        })
+    }
+
     fn number<const SIZE: usize>(&self, start: usize) -> [u8; SIZE] {
         let mut bytes: [u8; SIZE] = std::array::from_fn(|i| self.data[start + i]);
         if self.layout.is_bigendian {
@@ -101,12 +116,7 @@ impl PointSource for PointCloud2View<'_> {
     }
 
     fn point(&self, index: usize) -> Point {
-        let PointCloud2Layout { width, point_step, row_step, .. } = self.layout;
-        let start = index / width * row_step + index % width * point_step;
-        self.axes.map(|(offset, is_double)| match is_double {
-            true => f64::from_le_bytes(self.number(start + offset)) as f32,
-            false => f32::from_le_bytes(self.number(start + offset)),
-        })
+        self.position(index).map(|v| v as f32)
     }
 }
 
@@ -186,6 +196,21 @@ mod tests {
             assert_eq!(view.to_points(), expected, "{is_bigendian} {is_double}");
             assert!(PointCloud2View::new(layout, &fields, &data[..data.len() - 1]).is_err());
         }
+    }
+
+    #[test]
+    fn doubles_far_from_zero_keep_their_digits_as_a_cloud() {
+        let positions: Vec<[f64; 3]> =
+            (0..50).map(|i| [500_123.25 + f64::from(i) * 0.01, 5_412_345.75, 431.5]).collect();
+        let data: Vec<u8> = positions.as_flattened().iter().flat_map(|v| v.to_le_bytes()).collect();
+        let fields = [field("x", 0, 8), field("y", 8, 8), field("z", 16, 8)];
+        let layout = PointCloud2Layout { height: 1, width: 50, point_step: 24, row_step: 1200, is_bigendian: false };
+        let cloud = PointCloud2View::new(layout, &fields, &data).unwrap().to_cloud();
+        for (&point, position) in cloud.points.iter().zip(&positions) {
+            let back = crate::add_origin(point, cloud.origin);
+            assert!((0..3).all(|axis| (back[axis] - position[axis]).abs() < 1e-6), "{back:?} {position:?}");
+        }
+        assert!(cloud.origin != [0.0; 3]);
     }
 
     #[test]

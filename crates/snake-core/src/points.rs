@@ -4,6 +4,7 @@ use std::borrow::Cow;
 
 use serde::{Deserialize, Serialize};
 
+use crate::outliers::{Outliers, Reach};
 use crate::{Error, Result};
 
 /// One point, `[x, y, z]`.
@@ -43,13 +44,17 @@ pub struct Normalization {
 }
 
 impl Normalization {
-    /// The normalisation of a cloud `(N, 3)`, from all of its finite points.
+    /// The normalisation of a cloud `(N, 3)`, from its finite points without [`Outliers`].
     ///
     /// # Errors
     /// [`Error::Input`] when the cloud has no finite points, is one point repeated, or has an extent outside 1e-15 to
     /// 1e15: squared distances must neither vanish nor overflow in `f32`.
     pub fn of(points: &[Point], method: NormalizationMethod) -> Result<Self> {
-        let FinitePoints { points, .. } = FinitePoints::of("points", points)?;
+        Self::of_finite(&FinitePoints::of("points", points)?.points, method)
+    }
+
+    /// [`Normalization::of`] for points that are all used, at least one.
+    pub(crate) fn of_finite(points: &[Point], method: NormalizationMethod) -> Result<Self> {
         if method == NormalizationMethod::None {
             let largest = points.as_flattened().iter().fold(0.0, |m: f32, v| m.max(v.abs()));
             return match largest <= 1e15 {
@@ -98,17 +103,19 @@ fn outside(extent: f64) -> Error {
     Error::Input { what: "points", reason }
 }
 
-/// The points of a cloud whose coordinates are all finite. Depth cameras mark missing points by NaN.
+/// The points of a cloud that are used: the finite ones without [`Outliers`]. Depth cameras mark missing points by NaN.
 #[derive(Debug, Clone)]
 pub struct FinitePoints<'a> {
-    /// The finite points, in the order they were given.
+    /// The points that are used, in the order they were given.
     pub points: Cow<'a, [Point]>,
-    /// Index of each finite point in the whole cloud. Empty if no point was skipped.
+    /// Index of each of them in the whole cloud. Empty if no point was skipped.
     indices: Vec<usize>,
+    /// The finite points that were left out.
+    outliers: Option<Outliers>,
 }
 
 impl<'a> FinitePoints<'a> {
-    /// Selects the finite points; a cloud with finite points only is not copied.
+    /// Selects the points that are used; a cloud of which all are is not copied.
     ///
     /// # Errors
     /// [`Error::Input`] when there are no finite points.
@@ -117,17 +124,22 @@ impl<'a> FinitePoints<'a> {
             return Err(none_finite(what, 0));
         }
         if points.iter().all(is_finite) {
-            return Ok(Self { points: points.into(), indices: Vec::new() });
+            return Ok(Self::all(points.into()).without_outliers());
         }
         let indices: Vec<usize> = (0..points.len()).filter(|&index| is_finite(&points[index])).collect();
         if indices.is_empty() {
             return Err(none_finite(what, points.len()));
         }
         let kept: Vec<Point> = indices.iter().map(|&index| points[index]).collect();
-        Ok(Self { points: kept.into(), indices })
+        Ok(Self { points: kept.into(), indices, outliers: None }.without_outliers())
     }
 
-    /// The finite points of a source, copied into the memory of two vectors.
+    /// All points of a part of a cloud, which are finite. A part has no outliers: it need not be a cloud in itself.
+    pub(crate) fn all(points: Cow<'a, [Point]>) -> Self {
+        Self { points, indices: Vec::new(), outliers: None }
+    }
+
+    /// The points of a source that are used, copied into the memory of two vectors.
     pub(crate) fn copied(
         what: &'static str,
         cloud: impl ExactSizeIterator<Item = Point> + Clone,
@@ -145,17 +157,35 @@ impl<'a> FinitePoints<'a> {
             indices.reserve(points.len());
             indices.extend(cloud.enumerate().filter(|(_, point)| is_finite(point)).map(|(index, _)| index));
         }
-        Ok(FinitePoints { points: points.into(), indices })
+        Ok(FinitePoints { points: points.into(), indices, outliers: None }.without_outliers())
     }
 
-    /// The index of a finite point in the whole cloud.
+    fn without_outliers(mut self) -> Self {
+        let Some(reach) = Reach::of(self.points.iter().map(|point| point.map(f64::from))) else { return self };
+        self.outliers = reach.outliers(&self.points);
+        if self.outliers.is_some() {
+            let holds = |index: &usize| reach.holds(self.points[*index].map(f64::from));
+            let kept: Vec<usize> = (0..self.points.len()).filter(holds).collect();
+            let points: Vec<Point> = kept.iter().map(|&index| self.points[index]).collect();
+            self.indices = kept.into_iter().map(|index| self.original_index(index)).collect();
+            self.points = points.into();
+        }
+        self
+    }
+
+    /// The index of a used point in the whole cloud.
     pub fn original_index(&self, index: usize) -> usize {
         if self.indices.is_empty() { index } else { self.indices[index] }
     }
 
+    /// The finite points that were left out, if there are any.
+    pub fn outliers(&self) -> Option<Outliers> {
+        self.outliers
+    }
+
     /// The same points, copied if they are borrowed.
     pub fn into_owned(self) -> FinitePoints<'static> {
-        FinitePoints { points: self.points.into_owned().into(), indices: self.indices }
+        FinitePoints { points: self.points.into_owned().into(), ..self }
     }
 
     /// The memory of the points and of their indices.
@@ -177,8 +207,9 @@ fn is_finite(point: &Point) -> bool {
     point.iter().all(|v| v.is_finite())
 }
 
-/// Refuses an empty array and coordinates that are not finite.
-pub fn check_points(what: &'static str, points: &[Point]) -> Result<()> {
+/// Refuses an empty array of `f32` or `f64`, and coordinates that are not finite.
+pub fn check_points<T: Copy + Into<f64>>(what: &'static str, points: &[[T; 3]]) -> Result<()> {
+    let is_finite = |point: &[T; 3]| point.iter().all(|&v| v.into().is_finite());
     if points.is_empty() {
         return Err(Error::Input { what, reason: "no points".into() });
     }
@@ -227,6 +258,23 @@ mod tests {
             vec![[0.0; 3], [1e-20; 3]],
         ] {
             assert!(Normalization::of(&cloud, NormalizationMethod::UnitSphere).is_err(), "{cloud:?}");
+        }
+    }
+
+    #[test]
+    fn outliers_are_left_out_of_the_frame_and_of_the_indices() {
+        let ring = |i: usize| [(i as f32 * 0.1).cos(), (i as f32 * 0.1).sin(), 0.0];
+        let clean: Vec<Point> = (0..100).map(ring).collect();
+        let mut whole = clean.clone();
+        whole.insert(40, [1e4, 0.0, 0.0]);
+        whole.insert(0, [f32::NAN; 3]);
+        let used = FinitePoints::of("points", &whole).unwrap();
+        assert_eq!((&used.points[..], [0, 39, 40, 99].map(|i| used.original_index(i))), (&clean[..], [1, 40, 42, 101]));
+        assert_eq!(used.outliers().map(|found| (found.number, found.num_points)), Some((1, 101)));
+        let copied = FinitePoints::copied("points", whole.iter().copied(), Default::default()).unwrap();
+        assert_eq!((copied.points, copied.indices), (used.points, used.indices));
+        for method in [NormalizationMethod::UnitSphere, NormalizationMethod::UnitCube] {
+            assert_eq!(Normalization::of(&whole, method).unwrap(), Normalization::of(&clean, method).unwrap());
         }
     }
 

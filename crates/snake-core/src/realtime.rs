@@ -17,6 +17,8 @@ const SAMPLES: [usize; 2] = [2048, 16_384];
 const FEW: usize = 8192;
 /// Numbers of points are rounded down to a multiple of this.
 const STEP: usize = 1024;
+/// The most points of the made cloud, which takes 12 bytes a point.
+const MOST: usize = 100_000_000;
 /// Detections beside the first one that are measured; the median counts.
 const REPEATS: usize = 5;
 /// The part of the target that the budget uses. The rest is for clouds that are harder than the measured one.
@@ -35,14 +37,15 @@ impl Model {
     /// the target, the smallest budget is returned.
     ///
     /// # Errors
-    /// [`Error::Option`] for a target of zero, for fewer than two points, and for models that recommend windows, because the
+    /// [`Error::Option`] for a target of zero, for fewer than two points or more than 10⁸, and for models that recommend windows, because the
     /// number of windows depends on the cloud.
     pub fn realtime_options(&self, target: Duration, num_points: usize) -> Result<Options> {
         if target.is_zero() {
             return Err(Error::Option { name: "target", value: "0".into(), allowed: "above 0 (seconds)" });
         }
-        if num_points < 2 {
-            return Err(Error::Option { name: "num_points", value: num_points.to_string(), allowed: "2 or more" });
+        if !(2..=MOST).contains(&num_points) {
+            let allowed = "2 to 100000000";
+            return Err(Error::Option { name: "num_points", value: num_points.to_string(), allowed });
         }
         if let Some(radius) = self.recommended().window_radius {
             let allowed = "none in real time, because the number of windows depends on the cloud";
@@ -153,7 +156,9 @@ mod tests {
         };
         let second = Duration::from_secs(1);
         assert!(error(Builtin::Compact, Duration::ZERO, 100).contains("target"));
-        assert!(error(Builtin::Compact, second, 1).contains("num_points"));
+        for num_points in [1, 100_000_001, usize::MAX] {
+            assert!(error(Builtin::Compact, second, num_points).contains("num_points"));
+        }
         assert!(error(Builtin::Rooms, second, 100).contains("window_radius"));
     }
 }

@@ -12,9 +12,10 @@ const ROOM_RADII: std::ops::Range<f64> = 1.3..30.0;
 /// Radii of clouds for windows, in radii of a window.
 const WINDOW_RADII: std::ops::Range<f64> = 1.5..25.0;
 
-/// One sentence for the user if detection with these options suits another scale than the cloud's `(N, 3)`: a room that
-/// is detected as one object, a LiDAR sweep, or a cloud in other units than the windows. `None` if nothing is wrong, or if
-/// the cloud cannot be used at all, which detection says.
+/// A text for the user if detection with these options suits another scale than the cloud's `(N, 3)`: a room that
+/// is detected as one object, a LiDAR sweep, or a cloud in other units than the windows. It also names
+/// [`Outliers`](crate::Outliers), which are left out. `None` if nothing is wrong, or if the cloud cannot be used at all, which
+/// detection says.
 ///
 /// ```
 /// use snake_core::{Builtin, Model, scale_hint};
@@ -23,17 +24,23 @@ const WINDOW_RADII: std::ops::Range<f64> = 1.5..25.0;
 /// assert!(scale_hint(&object, Model::builtin(Builtin::Rooms).recommended()).is_some());
 /// ```
 pub fn scale_hint(points: &[Point], options: &Options) -> Option<String> {
-    let points = FinitePoints::of("points", points).ok()?.points;
-    let sphere = Normalization::of(&points, NormalizationMethod::UnitSphere).ok()?;
+    let used = FinitePoints::of("points", points).ok()?;
+    let hints = [used.outliers().map(|outliers| outliers.to_string()), of_scale(&used.points, options)];
+    hints.into_iter().flatten().reduce(|first, second| format!("{first}; {second}"))
+}
+
+/// The hint for the points that are used.
+fn of_scale(points: &[Point], options: &Options) -> Option<String> {
+    let sphere = Normalization::of_finite(points, NormalizationMethod::UnitSphere).ok()?;
     let radius = f64::from(sphere.scale) / 2.0;
     if let Some(window) = options.window_radius {
-        let window = window.in_units("window_radius", &points).ok()?;
+        let window = window.in_units("window_radius", points).ok()?;
         return of_windows(radius, window);
     }
     if options.encode.normalization == NormalizationMethod::None {
         return None;
     }
-    let half = median_distance(&points, sphere.center);
+    let half = median_distance(points, sphere.center);
     if half < CROWDED * radius {
         return Some(format!(
             "half of the points lie within {half:.3} of the mean, and the farthest is at {radius:.3}: the network sees \
@@ -105,6 +112,18 @@ mod tests {
         assert!(hint(&sweep, None).starts_with("half of the points lie within 5.0"), "{}", hint(&sweep, None));
         assert!(hint(&sweep, Some(0.8)).contains("no built-in model is for LiDAR sweeps"));
         assert!(hint(&sphere(900, 3000.0), Some(0.8)).contains("other units than metres"));
+    }
+
+    #[test]
+    fn outliers_are_named_beside_other_hints() {
+        let with_one = |mut points: Vec<Point>| {
+            points.push([1e4, 0.0, 0.0]);
+            points
+        };
+        let object = hint(&with_one(sphere(6000, 1.0)), None);
+        assert!(object.starts_with("1 of 6001 points is 10000 times as far") && !object.contains("; "), "{object}");
+        let room = hint(&with_one(sphere(20_000, 3.0)), None);
+        assert!(room.contains("left out; ") && room.contains("the model `rooms`"), "{room}");
     }
 
     #[test]

@@ -128,7 +128,7 @@ impl<'a> Windows<'a> {
 /// Refuses more windows than half the points: they would take hours for a large cloud, with almost no points each. Also
 /// refuses extents whose squares vanish or overflow.
 fn check_number_of_windows(points: &[Point], radius: f32) -> Result<()> {
-    let extent = Normalization::of(points, NormalizationMethod::UnitSphere)?.scale;
+    let extent = Normalization::of_finite(points, NormalizationMethod::UnitSphere)?.scale;
     let most = FEW_WINDOWS.max(points.len() / 2);
     if !has_more_windows(points, radius, most) {
         return Ok(());

@@ -29,7 +29,7 @@
 //! # Ok::<(), snake_core::Error>(())
 //! ```
 //!
-//! Lengths are in the units of the points, and distances are computed in f64. `t_target_source` maps a source point
+//! Lengths are in the units of the points, and distances are computed in f64. Most metrics also take points in f64. `t_target_source` maps a source point
 //! to the target frame: `p_target = R p_source + t`.
 
 #![forbid(unsafe_code)]
@@ -49,9 +49,9 @@ pub mod tables;
 #[cfg(feature = "datasets")]
 pub mod views;
 
+use snake_core::RigidTransform;
 use snake_core::space::check_points;
 use snake_core::space::{Vector, vector};
-use snake_core::{Point, RigidTransform};
 
 #[cfg(feature = "datasets")]
 pub use error::Error;
@@ -66,8 +66,17 @@ pub use semantic::{
     MatchCounts, SmplProtocol, Unreachable, geodesic_distances, semantic_counts, smpl_iou, smpl_pair_counts,
 };
 
+/// `f32`, or `f64`, which also holds the coordinates of georeferenced points.
+pub trait Coordinate: Copy + Into<f64> + Sync {}
+impl Coordinate for f32 {}
+impl Coordinate for f64 {}
+
 /// Points under a transform; an empty array is accepted.
-fn moved(what: &'static str, points: &[Point], transform: &RigidTransform) -> snake_core::Result<Vec<Vector>> {
+fn moved<T: Coordinate>(
+    what: &'static str,
+    points: &[[T; 3]],
+    transform: &RigidTransform,
+) -> snake_core::Result<Vec<Vector>> {
     if !points.is_empty() {
         check_points(what, points)?;
     }

@@ -4,7 +4,7 @@ use nalgebra::{Matrix3, Matrix3x6, Matrix6, UnitQuaternion, Vector6};
 
 use serde::{Deserialize, Serialize};
 
-use super::moved;
+use super::{Coordinate, moved};
 use snake_core::space::check_points;
 use snake_core::space::{Neighbors, vector};
 use snake_core::{Error, Result};
@@ -17,9 +17,9 @@ use snake_core::{Point, RigidTransform};
 ///
 /// # Errors
 /// [`Error::Input`] when the arrays differ in length or have coordinates that are not finite.
-pub fn inlier_ratio(
-    source: &[Point],
-    target: &[Point],
+pub fn inlier_ratio<T: Coordinate>(
+    source: &[[T; 3]],
+    target: &[[T; 3]],
     t_target_source: &RigidTransform,
     threshold: f64,
 ) -> Result<f64> {
@@ -78,7 +78,7 @@ pub fn squared_registration_error(
 ///
 /// # Errors
 /// [`Error::Input`] without points or for coordinates that are not finite.
-pub fn information_matrix(points: &[Point]) -> Result<[[f64; 6]; 6]> {
+pub fn information_matrix<T: Coordinate>(points: &[[T; 3]]) -> Result<[[f64; 6]; 6]> {
     check_points("points", points)?;
     let mut sum = Matrix6::zeros();
     for &point in points {

@@ -1,10 +1,10 @@
 //! Relative repeatability, and the coverage of a surface by keypoints.
 
-use super::{check_thresholds, moved};
+use super::{Coordinate, check_thresholds, moved};
 use snake_core::Result;
+use snake_core::RigidTransform;
 use snake_core::space::check_points;
 use snake_core::space::{Neighbors, Vector, vector};
-use snake_core::{Point, RigidTransform};
 
 /// Relative repeatability (SNAKE section 4.2, USIP): for each `epsilon`, the share of view 1's keypoints `(K, 3)` that
 /// are closer than `epsilon` to a keypoint of view 2. `t_1_2` maps view 2 to the frame of view 1.
@@ -25,9 +25,9 @@ use snake_core::{Point, RigidTransform};
 /// # Errors
 /// [`Error::Input`](snake_core::Error::Input) for coordinates that are not finite,
 /// [`Error::Option`](snake_core::Error::Option) for a negative epsilon.
-pub fn relative_repeatability(
-    keypoints_1: &[Point],
-    keypoints_2: &[Point],
+pub fn relative_repeatability<T: Coordinate>(
+    keypoints_1: &[[T; 3]],
+    keypoints_2: &[[T; 3]],
     t_1_2: &RigidTransform,
     epsilon: &[f64],
 ) -> Result<Vec<f64>> {
@@ -50,9 +50,9 @@ pub fn relative_repeatability(
 ///
 /// # Errors
 /// The errors of [`relative_repeatability`].
-pub fn repeated_keypoints(
-    keypoints_1: &[Point],
-    keypoints_2: &[Point],
+pub fn repeated_keypoints<T: Coordinate>(
+    keypoints_1: &[[T; 3]],
+    keypoints_2: &[[T; 3]],
     t_1_2: &RigidTransform,
     epsilon: f64,
 ) -> Result<Vec<Option<(usize, f64)>>> {
@@ -74,9 +74,9 @@ pub fn repeated_keypoints(
 ///
 /// # Errors
 /// The errors of [`relative_repeatability`].
-pub fn symmetric_repeatability(
-    keypoints_1: &[Point],
-    keypoints_2: &[Point],
+pub fn symmetric_repeatability<T: Coordinate>(
+    keypoints_1: &[[T; 3]],
+    keypoints_2: &[[T; 3]],
     t_1_2: &RigidTransform,
     epsilon: &[f64],
 ) -> Result<Vec<f64>> {
@@ -91,7 +91,7 @@ pub fn symmetric_repeatability(
 ///
 /// # Errors
 /// [`Error::Input`](snake_core::Error::Input) when there are no points or no keypoints, or a coordinate is not finite.
-pub fn mean_distance_to_keypoints(points: &[Point], keypoints: &[Point]) -> Result<f64> {
+pub fn mean_distance_to_keypoints<T: Coordinate>(points: &[[T; 3]], keypoints: &[[T; 3]]) -> Result<f64> {
     check_points("points", points)?;
     check_points("keypoints", keypoints)?;
     let neighbors = Neighbors::new(keypoints.iter().map(|&p| vector(p)).collect())?;
@@ -99,9 +99,9 @@ pub fn mean_distance_to_keypoints(points: &[Point], keypoints: &[Point]) -> Resu
 }
 
 /// The keypoints of both views in the frame of view 1.
-fn in_view_1(
-    keypoints_1: &[Point],
-    keypoints_2: &[Point],
+fn in_view_1<T: Coordinate>(
+    keypoints_1: &[[T; 3]],
+    keypoints_2: &[[T; 3]],
     t_1_2: &RigidTransform,
     epsilon: &[f64],
 ) -> Result<[Vec<Vector>; 2]> {

@@ -10,7 +10,7 @@ use rand::SeedableRng;
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
-use super::check_thresholds;
+use super::{Coordinate, check_thresholds};
 use snake_core::Point;
 use snake_core::space::check_points;
 use snake_core::space::nearest_points;
@@ -19,6 +19,10 @@ use snake_core::{Error, Result};
 
 /// Number of neighbours of a point in the graph of geodesic distances (SNAKE section 4.1, KeypointNet).
 const GRAPH_NEIGHBORS: usize = 20;
+/// The most edges of that graph, at about 50 bytes an edge.
+const MOST_EDGES: usize = 50_000_000;
+/// The most geodesic distances that are returned, 2 GiB.
+const MOST_DISTANCES: usize = 1 << 28;
 /// Number of keypoints per body in the SMPL protocol.
 const SMPL_KEYPOINTS: usize = 20;
 
@@ -89,11 +93,19 @@ impl AddAssign for MatchCounts {
 /// `neighbors` nearest other points, with Euclidean edge lengths. Infinite where there is no path.
 ///
 /// # Errors
-/// [`Error::Input`] for no points, coordinates that are not finite or a source index out of range,
-/// [`Error::Option`] for `neighbors` 0.
-pub fn geodesic_distances(points: &[Point], sources: &[usize], neighbors: usize) -> Result<Vec<Vec<f64>>> {
+/// [`Error::Input`] for no points, coordinates that are not finite, a source index out of range or more than 2²⁸ distances,
+/// [`Error::Option`] for `neighbors` 0, or so many that all points together have more than 5 · 10⁷.
+pub fn geodesic_distances<T: Coordinate>(
+    points: &[[T; 3]],
+    sources: &[usize],
+    neighbors: usize,
+) -> Result<Vec<Vec<f64>>> {
     check_points("points", points)?;
     check_indices("sources", sources, points.len())?;
+    if sources.len().saturating_mul(points.len()) > MOST_DISTANCES {
+        let reason = format!("{} times {} points are more than 2^28 distances", sources.len(), points.len());
+        return Err(Error::Input { what: "sources", reason });
+    }
     let graph = neighbor_graph(points, neighbors)?;
     Ok(sources.par_iter().map(|&source| shortest_paths(&graph, source)).collect())
 }
@@ -225,9 +237,12 @@ fn snap(what: &'static str, keypoints: &[Point], points: &[Point]) -> Result<Vec
 /// For each point its neighbours in the graph and the lengths of the edges.
 type Graph = Vec<Vec<(usize, f64)>>;
 
-fn neighbor_graph(points: &[Point], neighbors: usize) -> Result<Graph> {
-    let Some(with_itself) = NonZeroUsize::new(neighbors).and_then(|n| n.checked_add(1)) else {
-        return Err(Error::Option { name: "neighbors", value: neighbors.to_string(), allowed: "1 or more" });
+fn neighbor_graph<T: Coordinate>(points: &[[T; 3]], neighbors: usize) -> Result<Graph> {
+    let others = neighbors.min(points.len());
+    let is_small = points.len().saturating_mul(others) <= MOST_EDGES;
+    let Some(with_itself) = NonZeroUsize::new(others).filter(|_| is_small).and_then(|n| n.checked_add(1)) else {
+        let allowed = "1 or more, and at most 50000000 neighbours of all points together";
+        return Err(Error::Option { name: "neighbors", value: neighbors.to_string(), allowed });
     };
     let tree = Neighbors::new(points.iter().map(|&p| vector(p)).collect())?;
     let nearest: Graph = tree.points.par_iter().map(|p| tree.nearest(p, with_itself)).collect();

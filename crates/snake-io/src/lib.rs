@@ -94,6 +94,7 @@ mod off;
 mod parquet;
 mod pcd;
 mod ply;
+mod read_keypoints;
 #[cfg(feature = "mcap")]
 mod recording;
 #[cfg(feature = "mcap")]
@@ -128,6 +129,7 @@ pub use format::{CLOUD_EXTENSIONS, CloudFormat, KEYPOINT_EXTENSIONS, KeypointFor
 pub use json::keypoint_json;
 pub use keypoint_source::KeypointSource;
 pub use mesh::{MESH_EXTENSIONS, check_mesh_path, write_mesh};
+pub use read_keypoints::read_keypoints;
 #[cfg(feature = "mcap")]
 pub use recording::{RecordedCloud, Recording, is_recording, read_recording};
 pub use snake_core::Cloud;

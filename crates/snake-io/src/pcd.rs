@@ -23,6 +23,12 @@ fn parse_origin(comment: &[u8]) -> Option<[f64; 3]> {
     origin.try_into().ok()
 }
 
+/// The origin that a header states; zero without one.
+pub(super) fn origin(bytes: &[u8]) -> [f64; 3] {
+    let lines = bytes.split(|&byte| byte == b'\n').take_while(|line| !line.starts_with(b"DATA"));
+    lines.filter_map(parse_origin).next().unwrap_or_default()
+}
+
 /// The position of the sensor in a header, if it is not zero. The orientation after it is not read.
 pub(super) fn viewpoint(bytes: &[u8]) -> Option<[f64; 3]> {
     let lines = bytes.split(|&byte| byte == b'\n').take_while(|line| !line.starts_with(b"DATA"));

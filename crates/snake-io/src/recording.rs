@@ -23,7 +23,7 @@ pub struct RecordedCloud {
     pub log_time: u64,
     /// The frame that the message names.
     pub frame_id: String,
-    /// The points, as float32, with those that are not finite.
+    /// The points with those that are not finite, relative to an origin if they are far from zero.
     pub cloud: Cloud,
 }
 

@@ -25,7 +25,7 @@ pub(crate) fn decode(encoding: &str, data: &[u8]) -> std::result::Result<(String
     if view.num_points() > length {
         return Err(format!("{} points in {length} bytes", view.num_points()));
     }
-    Ok((frame_id, Cloud { points: view.to_points(), origin: [0.0; 3] }))
+    Ok((frame_id, view.to_cloud()))
 }
 
 /// A reader of messages in CDR, the encoding of ROS 2, in which numbers are aligned to their size from the end of the header,

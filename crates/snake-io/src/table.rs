@@ -21,7 +21,7 @@ pub(super) struct Table<const N: usize, R> {
 }
 
 impl Kind {
-    fn size(self) -> usize {
+    pub(super) fn size(self) -> usize {
         match self {
             Self::Byte => 1,
             Self::Float | Self::Int => 4,
@@ -36,6 +36,23 @@ impl Kind {
             Self::Double => "double",
             Self::Byte => "uchar",
             Self::Int => "int",
+        }
+    }
+
+    pub(super) fn of_ply(name: &str) -> Option<Self> {
+        [Self::Float, Self::Double, Self::Byte, Self::Int].into_iter().find(|kind| kind.in_ply() == name)
+    }
+
+    /// Takes a number from the start of bytes; 0 where they end.
+    pub(super) fn read(self, bytes: &mut &[u8]) -> f64 {
+        let (number, rest) = bytes.split_at_checked(self.size()).unwrap_or_default();
+        *bytes = rest;
+        let word = || number.try_into().unwrap_or_default();
+        match self {
+            Self::Byte => number.first().copied().unwrap_or_default().into(),
+            Self::Float => f32::from_le_bytes(word()).into(),
+            Self::Int => i32::from_le_bytes(word()).into(),
+            Self::Double => f64::from_le_bytes(number.try_into().unwrap_or_default()),
         }
     }
 

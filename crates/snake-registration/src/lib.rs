@@ -33,6 +33,7 @@ mod align;
 mod cloud;
 mod consistency;
 mod depth_image;
+mod describe;
 pub mod detectors;
 mod fast_fpfh;
 mod fpfh;
@@ -58,6 +59,7 @@ mod viewpoint;
 
 pub use align::{AlignOptions, Alignment, Edge, Pose, align, align_with};
 pub use cloud::estimate_normals;
+pub use describe::describe;
 pub use fpfh::{FPFH_DIMENSION, fpfh};
 pub use matching::mutual_nearest;
 pub use options::{Axis, Descriptor, KeypointDetector, RegisterOptions};

@@ -6,7 +6,7 @@ use nalgebra::IsometryMatrix3;
 use rayon::prelude::*;
 
 use snake_core::space::{Vector, vector};
-use snake_core::{Control, Error, Result};
+use snake_core::{Control, Error, Outliers, Result};
 
 use super::consistency::{displacement, hypotheses};
 use super::icp::{Constraint, icp, symmetric_icp};
@@ -154,7 +154,7 @@ impl<'a> Pair<'a> {
                 .map(|found| [found.source, found.target].map(|end| end.map(|v| v as f32).into()))
                 .collect(),
             viewpoints: self.viewpoints_used(),
-            notes: notes(&evidence, self.diameters()),
+            notes: notes(&evidence, self.diameters()).into_iter().chain(self.outliers()).collect(),
             num_skipped: self.clouds.map(|cloud| cloud.num_skipped),
             seconds: start.elapsed().as_secs_f64(),
         }
@@ -163,6 +163,13 @@ impl<'a> Pair<'a> {
     fn criteria(&self, options: &RegisterOptions) -> Criteria {
         let Self { inlier_distance, signed, .. } = *self;
         Criteria { inlier_distance, signed, gravity: options.gravity.map(|axis| axis.unit()) }
+    }
+
+    /// The outliers of the clouds, which were left out.
+    fn outliers(&self) -> impl Iterator<Item = String> + use<> {
+        let [source, target] = self.clouds.map(|cloud| cloud.outliers);
+        let named = |(name, outliers): (&str, Option<Outliers>)| outliers.map(|outliers| format!("{name}: {outliers}"));
+        [("source", source), ("target", target)].into_iter().filter_map(named)
     }
 
     fn diameters(&self) -> [f64; 2] {

@@ -6,7 +6,7 @@ use std::sync::OnceLock;
 use rayon::prelude::*;
 
 use snake_core::space::{FinitePoints, Neighbors, Vector};
-use snake_core::{Control, Error, Model, Normalization, NormalizationMethod, Point, Result};
+use snake_core::{Control, Error, Model, Normalization, NormalizationMethod, Outliers, Point, Result};
 
 use super::FPFH_DIMENSION;
 use super::cloud::Orientation;
@@ -19,7 +19,7 @@ use super::surface::Surface;
 use super::viewpoint::viewpoint;
 
 /// Default number of voxels along the diameter of a cloud.
-const VOXELS_PER_DIAMETER: f64 = 80.0;
+pub(super) const VOXELS_PER_DIAMETER: f64 = 80.0;
 
 /// Clouds with the same voxel size and radii.
 pub(super) struct PreparedClouds {
@@ -32,6 +32,7 @@ pub(super) struct Prepared {
     pub(super) scan: Scan,
     pub(super) diameter: f64,
     pub(super) num_skipped: usize,
+    pub(super) outliers: Option<Outliers>,
     /// The sensor's position, if it is known.
     pub(super) viewpoint: Option<(Vector, ViewpointUsed)>,
     /// Keypoints, each with the index of the nearest voxel.
@@ -53,8 +54,10 @@ impl PreparedClouds {
         control: &Control,
     ) -> Result<Self> {
         let named = |index: usize| move |error| named(error, index, names);
-        let finite = |(index, points)| Ok(FinitePoints::of("points", points).map_err(named(index))?.points);
-        let points: Vec<Cow<[Point]>> = clouds.iter().copied().enumerate().map(finite).collect::<Result<_>>()?;
+        let used = |(index, points)| FinitePoints::of("points", points).map_err(named(index));
+        let used: Vec<FinitePoints> = clouds.iter().copied().enumerate().map(used).collect::<Result<_>>()?;
+        let outliers: Vec<Option<Outliers>> = used.iter().map(FinitePoints::outliers).collect();
+        let points: Vec<Cow<[Point]>> = used.into_iter().map(|used| used.points).collect();
         let [voxel_size, normal_radius, feature_radius, inlier_distance] = options.lengths(&points)?;
         let each = || points.par_iter().enumerate();
         let diameters = each().map(|(index, points)| diameter(points).map_err(named(index)));
@@ -79,6 +82,7 @@ impl PreparedClouds {
                 scan,
                 diameter: diameters[index],
                 num_skipped: original - points.len(),
+                outliers: outliers[index],
                 viewpoint,
                 keypoints,
                 descriptor: options.descriptor,
@@ -125,7 +129,7 @@ impl Prepared {
 }
 
 /// Twice the largest distance from the mean.
-fn diameter(points: &[Point]) -> Result<f64> {
+pub(super) fn diameter(points: &[Point]) -> Result<f64> {
     Ok(Normalization::of(points, NormalizationMethod::UnitSphere)?.scale.into())
 }
 

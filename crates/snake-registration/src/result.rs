@@ -62,7 +62,7 @@ pub struct Registration {
     pub viewpoints: [ViewpointUsed; 2],
     /// What may be wrong with the clouds.
     pub notes: Vec<String>,
-    /// Number of source and target points that were skipped because they are not finite.
+    /// Number of source and target points that were skipped because they are not finite, or are outliers.
     pub num_skipped: [usize; 2],
     /// Run time.
     pub seconds: f64,

@@ -1,9 +1,9 @@
 //! The alignment of the two clouds on a page.
 
 use serde_json::{Value, json};
-use snake_core::{Result, RigidTransform};
+use snake_core::{Control, Length, Model, Normalization, NormalizationMethod, Result, RigidTransform};
 use snake_eval::repeated_keypoints;
-use snake_registration::Registration;
+use snake_registration::{RegisterOptions, Registration, register_with};
 
 use crate::shown_cloud::ShownCloud;
 
@@ -20,7 +20,37 @@ pub struct Pair {
     pub partners: Vec<Option<(usize, f64)>>,
 }
 
+/// The default of `epsilon`, in radii of the first cloud.
+const EPSILON: f64 = 0.04;
+
 impl Pair {
+    /// Aligns the second cloud to the first, by registration if the transform is not given, and finds the keypoints that
+    /// repeat. `t_first_second` includes the origins. The default of `epsilon` is 0.04 of the first cloud's radius.
+    ///
+    /// # Errors
+    /// The errors of [`register_with`] and of [`Pair::new`].
+    pub fn aligned(
+        model: &Model,
+        clouds: [&ShownCloud; 2],
+        t_first_second: Option<RigidTransform>,
+        epsilon: Option<Length>,
+        control: &Control,
+    ) -> Result<Self> {
+        let [first, second] = clouds;
+        let radius = Normalization::of(first.field.points(), NormalizationMethod::UnitSphere)?.scale / 2.0;
+        let epsilon = epsilon.unwrap_or(Length::Units(EPSILON * f64::from(radius)));
+        let epsilon = epsilon.in_units("epsilon", first.field.points())?;
+        let (near, registration) = match t_first_second {
+            Some(transform) => (transform.subtract_origins(second.origin, first.origin), None),
+            None => {
+                let (source, target) = (second.field.points(), first.field.points());
+                let found = register_with(source, target, model, &RegisterOptions::default(), control)?;
+                (found.t_target_source, Some(found))
+            }
+        };
+        Self::new(first, second, &near, registration, epsilon)
+    }
+
     /// Finds the keypoints that repeat within `epsilon`, in cloud units. `near` maps a point of the second cloud to the
     /// first, both relative to their origins.
     ///

@@ -59,9 +59,11 @@ impl ShownCloud {
         self.detection.keypoints.iter().map(|keypoint| keypoint.position).collect()
     }
 
-    /// A sentence where the keypoints cluster.
+    /// A text where the cloud has outliers or the keypoints cluster.
     pub fn hint(&self) -> Option<String> {
-        cluster_hint(self.field.points(), &self.detection.keypoints)
+        let outliers = self.field.outliers().map(|outliers| outliers.to_string());
+        let hints = [outliers, cluster_hint(self.field.points(), &self.detection.keypoints)];
+        hints.into_iter().flatten().reduce(|first, second| format!("{first}; {second}"))
     }
 
     /// A line for the printed report.
@@ -69,7 +71,7 @@ impl ShownCloud {
         let (keypoints, points) = (self.detection.keypoints.len(), self.field.points().len());
         let mut text = format!("{}: {keypoints} keypoints from {points} points", self.name);
         if self.field.num_skipped() > 0 {
-            text += &format!(" ({} skipped, which are not finite)", self.field.num_skipped());
+            text += &format!(" ({} skipped, which are not finite or outliers)", self.field.num_skipped());
         }
         if self.shown.len() < points {
             text += &format!(" ({} shown)", self.shown.len());

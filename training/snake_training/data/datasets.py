@@ -166,14 +166,31 @@ def read_npy(path):
 
 
 def finite_points(points, name):
-    """The finite points (N, 3) of an array that may have further columns."""
+    """The finite points (N, 3) of an array that may have further columns, near zero and without outliers."""
     if points.dtype.kind not in "fiu" or points.ndim != 2 or points.shape[1] < 3:
         raise ShapeError(f"{name}: expected (N, 3) numbers, found {points.dtype} {points.shape}")
-    points = points[:, :3].astype(np.float32)
-    points = points[np.isfinite(points).all(axis=1)]
+    points = points[:, :3].astype(np.float64)
+    points = near_zero(points[np.isfinite(points).all(axis=1)]).astype(np.float32)
     if len(points) < 2 or (points == points[0]).all():
         raise ShapeError(f"{name}: needs at least two different finite points")
     return points
+
+
+def near_zero(points):
+    """Finite points (N, 3) float64 without outliers, and about their middle if float32 would lose digits where they lie.
+
+    Outliers and "far" are those of `snake_core`: more than 5 times as far from the middle as 0.95 of the points, and a
+    middle at more than 16 times the cloud's size.
+    """
+    if len(points) == 0:
+        return points
+    middle = np.median(points, axis=0)
+    distance = np.linalg.norm(points - middle, axis=1)
+    common = np.quantile(distance, 0.95, method="inverted_cdf")
+    if len(points) >= 20 and common > 0:
+        points, distance = points[distance <= 5 * common], distance[distance <= 5 * common]
+    is_far = np.abs(middle).max() > 16 * 2 * distance.max()
+    return points - middle if is_far else points
 
 
 def open_shapes(folder):

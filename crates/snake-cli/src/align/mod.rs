@@ -106,7 +106,7 @@ fn report(found: &Alignment, inputs: &[PathBuf], written: &[&Path]) -> Report {
     report.line(format!("{seconds:.3} s"));
     let skipped: usize = num_skipped.iter().sum();
     if skipped > 0 {
-        report.line(format!("skipped {skipped} points, which are not finite"));
+        report.line(format!("skipped {skipped} points, which are not finite or outliers"));
     }
     for path in written {
         report.line(format!("written to {}", path.display()));

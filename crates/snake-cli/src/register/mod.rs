@@ -123,7 +123,7 @@ fn report(found: &Registration, written: &[&Path]) -> Report {
     let [of_source, of_target] = num_skipped;
     if of_source + of_target > 0 {
         report.line(format!(
-            "skipped {of_source} points of the source and {of_target} of the target, which are not finite"
+            "skipped {of_source} points of the source and {of_target} of the target, which are not finite or outliers"
         ));
     }
     for path in written {

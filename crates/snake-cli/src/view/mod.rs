@@ -3,9 +3,8 @@
 pub mod args;
 
 use anyhow::{Context, Result, bail};
-use snake_core::{Control, Length, Model, Normalization, NormalizationMethod, Progress, RigidTransform};
+use snake_core::{Control, Error, Progress};
 use snake_io as io;
-use snake_registration::{RegisterOptions, register_with};
 use snake_view::{Page, Pair, ShownCloud};
 
 use crate::inputs::check_inputs;
@@ -43,7 +42,10 @@ pub fn run(arguments: &ViewArguments) -> Result<()> {
     }
     bar.set_message("registration");
     let pair = match &clouds[..] {
-        [first, second] => Some(pair(&model, first, second, t_first_second, *epsilon, &control)?),
+        [first, second] => {
+            let pair = Pair::aligned(&model, [first, second], t_first_second, *epsilon, &control);
+            Some(pair.map_err(|error| not_aligned(error, first, second))?)
+        }
         _ => None,
     };
     bar.finish();
@@ -57,28 +59,13 @@ pub fn run(arguments: &ViewArguments) -> Result<()> {
     terminal::print_report(&report)
 }
 
-/// Aligns the second cloud to the first and finds the keypoints that repeat.
-fn pair(
-    model: &Model,
-    first: &ShownCloud,
-    second: &ShownCloud,
-    given: Option<RigidTransform>,
-    epsilon: Option<Length>,
-    control: &Control,
-) -> Result<Pair> {
-    let radius = Normalization::of(first.field.points(), NormalizationMethod::UnitSphere)?.scale / 2.0;
-    let epsilon = epsilon.unwrap_or(Length::Units(0.04 * f64::from(radius)));
-    let epsilon = epsilon.in_units("epsilon", first.field.points())?;
-    let (near, registration) = match given {
-        Some(transform) => (transform.subtract_origins(second.origin, first.origin), None),
-        None => {
-            let (source, target) = (second.field.points(), first.field.points());
-            let found = register_with(source, target, model, &RegisterOptions::default(), control);
-            let found = found.with_context(|| {
-                format!("cannot register {} to {}; --transform FILE gives their poses", second.name, first.name)
-            })?;
-            (found.t_target_source, Some(found))
-        }
-    };
-    Ok(Pair::new(first, second, &near, registration, epsilon)?)
+/// The advice where a registration fails.
+fn not_aligned(error: Error, first: &ShownCloud, second: &ShownCloud) -> anyhow::Error {
+    let is_no_transform = matches!(error, Error::NoTransform { .. });
+    let error = anyhow::Error::from(error);
+    match is_no_transform {
+        true => error
+            .context(format!("cannot register {} to {}; --transform FILE gives their poses", second.name, first.name)),
+        false => error,
+    }
 }

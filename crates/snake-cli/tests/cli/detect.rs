@@ -326,7 +326,7 @@ fn points_that_are_not_finite_are_skipped_and_counted() {
     }
     assert!(
         String::from_utf8_lossy(&snake(&["detect", &path]).stdout)
-            .contains("from 8192 points (4096 not finite, skipped)")
+            .contains("from 8192 points (4096 not finite or outliers, skipped)")
     );
     let output = snake(&["register", &path, &sample(), "--max-keypoints", "300"]);
     assert!(

@@ -316,14 +316,19 @@ fn chromium() -> Option<PathBuf> {
 /// Opens a page with a script appended; its elements once that ran. The console must stay empty. The window is about as
 /// large as a page in a notebook.
 fn open(chromium: &Path, folder: &TempDir, page: &str, script: &str) -> String {
+    open_in(chromium, folder, page, script, "960,580")
+}
+
+/// [`open`] in a window of this size.
+fn open_in(chromium: &Path, folder: &TempDir, page: &str, script: &str, window: &str) -> String {
     let (path, profile) = (file(folder, "opened.html"), file(folder, "profile"));
     let text = std::fs::read_to_string(page).unwrap();
     std::fs::write(&path, text.replace("</body>", &format!("<script>{script}</script></body>"))).unwrap();
     let flags = "--headless=new --no-sandbox --use-gl=angle --use-angle=swiftshader --enable-unsafe-swiftshader \
-                 --window-size=960,580 --virtual-time-budget=5000 --enable-logging=stderr --dump-dom";
+                 --virtual-time-budget=5000 --enable-logging=stderr --dump-dom";
     let output = Command::new(chromium)
         .args(flags.split_whitespace())
-        .args([format!("--user-data-dir={profile}"), format!("file://{path}")])
+        .args([format!("--window-size={window}"), format!("--user-data-dir={profile}"), format!("file://{path}")])
         .output()
         .unwrap();
     let log = String::from_utf8_lossy(&output.stderr);
@@ -350,6 +355,42 @@ setTimeout(() => {
 /// The number after an attribute's name.
 fn attribute(page: &str, name: &str) -> Option<u32> {
     page.split_once(&format!("{name}=\""))?.1.split_once('"')?.0.parse().ok()
+}
+
+#[test]
+fn pages_suit_the_window_and_hide_the_far_side_of_sparse_clouds() {
+    const MEASURE: &str = r#"
+        const inked = () => {
+          draw();
+          const pixels = new Uint8Array(canvas.width * canvas.height * 4);
+          gl.readPixels(0, 0, canvas.width, canvas.height, gl.RGBA, gl.UNSIGNED_BYTE, pixels);
+          const words = new Uint32Array(pixels.buffer);
+          return words.reduce((sum, word) => sum + (word !== words[0]), 0);
+        };
+        shown.keypoints = false;
+        const one = inked();
+        hideFarSide = () => {};
+        const both = inked();
+        const found = { ink: Math.round(100 * one / both), dots: Math.round(100 * dotScale()),
+          bottom: Math.ceil(byId("facts").getBoundingClientRect().bottom) };
+        Object.assign(document.documentElement.dataset, found);"#;
+    let Some(chromium) = chromium() else { return };
+    let folder = tempfile::tempdir().unwrap();
+    let [sparse, one, two] = ["sparse.npy", "one.html", "two.html"].map(|name| file(&folder, name));
+    let points: Vec<_> = snake_io::read_points(sample().as_ref()).unwrap().into_iter().step_by(8).collect();
+    snake_io::write_points(sparse.as_ref(), &points, [0.0; 3]).unwrap();
+    succeed(&["view", &sparse, "-o", &one]);
+    succeed(&["view", &sample(), &turned(&folder), "-o", &two]);
+    let measured = |page: &str, window: &str| {
+        let seen = open_in(&chromium, &folder, page, MEASURE, window);
+        ["data-ink", "data-dots", "data-bottom"].map(|name| attribute(&seen, name).unwrap())
+    };
+    let [ink, _, _] = measured(&one, "1280,800");
+    assert!((10..85).contains(&ink), "{ink} % of the points' pixels are left");
+    let [_, dots, bottom] = measured(&two, "1280,800");
+    assert!(dots == 100 && bottom <= 800, "{dots} {bottom}");
+    let [_, dots, _] = measured(&two, "390,844");
+    assert!(dots < 60, "{dots}");
 }
 
 #[test]

@@ -112,7 +112,7 @@ pub struct Alignment {
     pub edges: Vec<Edge>,
     /// Number of pairs that were registered.
     pub num_pairs: usize,
-    /// Number of points of each cloud that were skipped because they are not finite.
+    /// Number of points of each cloud that were skipped because they are not finite, or are outliers.
     pub num_skipped: Vec<usize>,
     /// Run time.
     pub seconds: f64,

@@ -4,7 +4,7 @@ use nalgebra::Matrix3;
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
-use super::{Response, among_finite, index_cloud, local_maxima};
+use super::{Response, among_distinct, index_cloud, local_maxima};
 use snake_core::Length;
 use snake_core::Point;
 use snake_core::space::Vector;
@@ -45,10 +45,10 @@ impl Default for Harris3dOptions {
 /// [`Error::Input`] when the cloud has no finite points or is one point repeated;
 /// [`Error::Option`] when an option is outside its range.
 pub fn harris3d(points: &[Point], options: &Harris3dOptions) -> Result<Vec<Response>> {
-    among_finite(points, |points| find(points, options))
+    among_distinct(points, |points| find(points, options))
 }
 
-/// [`harris3d`] of finite points.
+/// [`harris3d`] of finite, distinct points.
 fn find(points: &[Point], options: &Harris3dOptions) -> Result<Vec<Response>> {
     if !options.threshold.is_finite() {
         let value = options.threshold.to_string();

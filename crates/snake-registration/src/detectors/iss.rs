@@ -3,7 +3,7 @@
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
-use super::{Response, among_finite, index_cloud, local_maxima};
+use super::{Response, among_distinct, index_cloud, local_maxima};
 use snake_core::Length;
 use snake_core::Point;
 use snake_core::space::eigen;
@@ -72,10 +72,10 @@ impl Default for IssOptions {
 /// [`Error::Input`] when the cloud has no finite points or is one point repeated;
 /// [`Error::Option`] when an option is outside its range.
 pub fn iss(points: &[Point], options: &IssOptions) -> Result<Vec<Response>> {
-    among_finite(points, |points| find(points, options))
+    among_distinct(points, |points| find(points, options))
 }
 
-/// [`iss`] of finite points.
+/// [`iss`] of finite, distinct points.
 fn find(points: &[Point], options: &IssOptions) -> Result<Vec<Response>> {
     for (name, gamma) in [("gamma_21", options.gamma_21), ("gamma_32", options.gamma_32)] {
         if gamma.is_nan() || gamma <= 0.0 {

@@ -3,7 +3,8 @@
 //!
 //! Each returns indices of input points with a score, by falling score and, for equal scores, by rising index. Results
 //! are the same for any number of threads. A [`Detector`] is one of them with its options, and [`Detector::keypoints`]
-//! selects keypoints by a [`Protocol`]. Points that are not finite are skipped; indices refer to the whole cloud.
+//! selects keypoints by a [`Protocol`]. Points that are not finite and [`Outliers`](snake_core::Outliers) are skipped. Of equal
+//! points the first counts, except for random points. Indices refer to the whole cloud.
 
 mod farthest_point;
 mod harris3d;
@@ -11,6 +12,8 @@ mod iss;
 mod random;
 mod sift3d;
 mod surface_variation;
+
+use std::collections::HashSet;
 
 use rand::SeedableRng;
 use rayon::prelude::*;
@@ -152,6 +155,22 @@ fn among_finite(points: &[Point], find: impl FnOnce(&[Point]) -> Result<Vec<Resp
     let finite = FinitePoints::of("points", points)?;
     let found = find(&finite.points)?.into_iter();
     Ok(found.map(|Response { index, score }| Response { index: finite.original_index(index), score }).collect())
+}
+
+/// [`among_finite`], of the first of all equal points: a repeated point weighs as much as any other.
+fn among_distinct(points: &[Point], find: impl FnOnce(&[Point]) -> Result<Vec<Response>>) -> Result<Vec<Response>> {
+    among_finite(points, |points| {
+        let mut seen = HashSet::with_capacity(points.len());
+        // Zero and minus zero are equal.
+        let is_first = |index: &usize| seen.insert(points[*index].map(|v| (v + 0.0).to_bits()));
+        let firsts: Vec<usize> = (0..points.len()).filter(is_first).collect();
+        if firsts.len() == points.len() {
+            return find(points);
+        }
+        let distinct: Vec<Point> = firsts.iter().map(|&index| points[index]).collect();
+        let found = find(&distinct)?.into_iter();
+        Ok(found.map(|Response { index, score }| Response { index: firsts[index], score }).collect())
+    })
 }
 
 /// Refuses a cloud of one point, however often it is repeated.

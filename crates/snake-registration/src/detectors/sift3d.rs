@@ -5,7 +5,7 @@ use std::num::NonZeroUsize;
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
-use super::{Response, among_finite, by_falling_score, index_cloud};
+use super::{Response, among_distinct, by_falling_score, index_cloud};
 use snake_core::Length;
 use snake_core::Point;
 use snake_core::space::{Neighbors, Vector, eigen};
@@ -74,10 +74,10 @@ impl Default for Sift3dOptions {
 /// [`Error::Input`] when the cloud has no finite points or is one point repeated;
 /// [`Error::Option`] when an option is outside its range.
 pub fn sift3d(points: &[Point], options: &Sift3dOptions) -> Result<Vec<Response>> {
-    among_finite(points, |points| find(points, options))
+    among_distinct(points, |points| find(points, options))
 }
 
-/// [`sift3d`] of finite points.
+/// [`sift3d`] of finite, distinct points.
 fn find(points: &[Point], options: &Sift3dOptions) -> Result<Vec<Response>> {
     for (name, value) in [("octaves", options.octaves), ("scales_per_octave", options.scales_per_octave)] {
         if !(1..=64).contains(&value) {

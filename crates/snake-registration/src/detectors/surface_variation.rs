@@ -3,7 +3,7 @@
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
-use super::{Response, among_finite, index_cloud, local_maxima};
+use super::{Response, among_distinct, index_cloud, local_maxima};
 use snake_core::Length;
 use snake_core::Point;
 use snake_core::space::eigen;
@@ -40,10 +40,10 @@ impl Default for SurfaceVariationOptions {
 /// [`Error::Input`](snake_core::Error::Input) when the cloud has no finite points or is one point repeated;
 /// [`Error::Option`](snake_core::Error::Option) when an option is outside its range.
 pub fn surface_variation(points: &[Point], options: &SurfaceVariationOptions) -> Result<Vec<Response>> {
-    among_finite(points, |points| find(points, options))
+    among_distinct(points, |points| find(points, options))
 }
 
-/// [`surface_variation`] of finite points.
+/// [`surface_variation`] of finite, distinct points.
 fn find(points: &[Point], options: &SurfaceVariationOptions) -> Result<Vec<Response>> {
     let cloud = index_cloud(points)?;
     let radius = options.radius.in_units("radius", points)?;

@@ -169,22 +169,31 @@ function upButtons() {
 const baseName = (path) => path.split(/[/\\]/).pop() || path;
 const count = (value) => value.toLocaleString("en").replaceAll(",", " ");
 
-function cloudFacts(cloud, of) {
+/** The figures of a cloud, by name. */
+function figures(cloud) {
   const { counts, normalization, points } = cloud;
   const box = points.high.map((v, axis) => number(v - points.low[axis], 3)).join(" × ");
   const rows = [["points", count(cloud.num_points)]];
-  if (cloud.num_skipped) rows.push(["skipped, not finite", count(cloud.num_skipped)]);
+  if (cloud.num_skipped) rows.push(["skipped", count(cloud.num_skipped)]);
   if (cloud.num_encoded < cloud.num_points) rows.push(["encoded", count(cloud.num_encoded)]);
   if (points.count < cloud.num_points) rows.push(["shown", count(points.count)]);
   rows.push(["extent", box], ["center", position(normalization.center, cloud)], ["scale", number(normalization.scale)]);
   if (counts) rows.push(["queries", count(counts.queries)], ["occupied", count(counts.occupied)],
     ["above threshold", count(counts.above_threshold)], ["keypoints", count(counts.keypoints)]);
   if (cloud.surface) rows.push(["triangles", count(cloud.surface.count)]);
-  const name = `${"AB"[of]}: ${baseName(cloud.name)}`;
-  const hints = cloud.hint ? [element("p", cloud.hint)] : [];
-  // The title is the name of a single cloud.
-  const head = data.clouds.length > 1 ? [element("h2", name, { title: cloud.name })] : [];
-  return [...head, ...hints, list(rows)];
+  return rows;
+}
+
+/** The figures of the clouds, those of two side by side, and their hints. */
+function cloudFacts(clouds) {
+  const isPair = clouds.length > 1;
+  const hints = clouds.flatMap(({ hint }, of) => hint ? [element("p", isPair ? `${"AB"[of]}: ${hint}` : hint)] : []);
+  if (!isPair) return [...hints, list(figures(clouds[0]))];
+  const columns = clouds.map((cloud) => new Map(figures(cloud)));
+  const names = [...new Set(columns.flatMap((column) => [...column.keys()]))];
+  const rows = names.map((name) => element("tr", [element("th", name), ...columns.map((c) => element("td", c.get(name) ?? "0"))]));
+  const head = element("tr", [element("th"), ...clouds.map(({ name }, of) => element("td", "AB"[of], { title: name }))]);
+  return [...hints, element("table", [head, ...rows])];
 }
 
 const matrixText = (rows) => rows.map((row) => row.map((v) => v.toFixed(4).padStart(9)).join("")).join("\n");
@@ -242,7 +251,7 @@ function panel() {
   if (most > 1) byId("controls").append(slider((best) => `Best ${best} of ${most}`, "best", 1, most, 1));
   byId("controls").append(slider("Point size", "point", 1, 10), upButtons());
   if (data.pair) byId("facts").append(...(isRegistration ? registrationFacts : pairFacts)(data.pair));
-  data.clouds.forEach((cloud, of) => byId("facts").append(...cloudFacts(cloud, of)));
+  byId("facts").append(...cloudFacts(data.clouds));
   const { encode, detect, ...flat } = data.options;
   const options = Object.entries(isRegistration ? flat : { model: data.model, ...encode, ...detect });
   const values = options.map(([name, value]) => [name.replaceAll("_", " "),

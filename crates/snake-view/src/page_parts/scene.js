@@ -73,6 +73,8 @@ function guessUp() {
 const view = { yaw: -0.9, pitch: 0.5, zoom: 1, target: [0, 0, 0], ...guessUp() };
 const start = { ...view };
 const shown = { clouds: data.clouds.map(() => true), points: true, keypoints: true, surface: false, links: true };
+// Below this number gaps between points show the far side of a cloud; its surface then hides it.
+const SPARSE = 5000;
 const size = Math.min(6, Math.max(1.6, 260 / Math.sqrt(data.clouds[0].points.count)));
 // More keypoints than this hide the cloud; the panel has a slider for them.
 const style = { point: size, apart: isRegistration ? 0 : 1, best: Math.min(500, Math.max(...data.clouds.map((c) => c.keypoints.length))) };
@@ -102,10 +104,11 @@ void main() {
   result = vec4(faded(color, depth), 1.0);
 }`],
   surface: [`
-uniform mat4 model, camera, projection; uniform mat3 turn; uniform sampler2D colors;
+uniform mat4 model, camera, projection; uniform mat3 turn; uniform sampler2D colors; uniform float back;
 in vec3 position, normal; in float saliency; out vec3 color, facing, place; out float depth;
 void main() {
   vec4 seen = camera * (model * vec4(position, 1.0));
+  seen.z -= back;
   gl_Position = projection * seen;
   depth = -seen.z; place = seen.xyz;
   facing = mat3(camera) * (turn * normal);
@@ -264,6 +267,9 @@ const gap = () => (data.clouds.length > 1 ? 1.08 * style.apart * frame.width : 0
 const aside = (of, { right }) => right.map((v) => v * gap() * (of === 0 ? -1 : 1));
 const moved = (shift) => scaled([1, 1, 1], shift);
 
+/** How large dots are beside those of a cloud that has 480 pixels for itself. */
+const dotScale = () => Math.min(1, canvas.clientWidth / (gap() > 0 ? 2 : 1) / 480);
+
 // --- Drawing.
 
 const color = (name) => {
@@ -300,9 +306,10 @@ function draw() {
   data.clouds.forEach(({ points, surface }, of) => {
     if (!shown.clouds[of]) return;
     const shift = moved(aside(of, seen));
+    if (shown.points && surface && points.count < SPARSE) hideFarSide(of, surface, shift, seen);
     if (shown.points) {
-      // A point in the middle of the first view has the size that the user chose.
-      const pointSize = style.point * ratio * seen.distance / view.zoom;
+      // A point in the middle of the first view has the size that the user chose, where the window has room for it.
+      const pointSize = style.point * dotScale() * ratio * seen.distance / view.zoom;
       use("points", seen, { model: multiply(shift, unpacked(of, points)), point_size: pointSize, background, fog });
       gl.bindVertexArray(buffers.points[of]);
       gl.drawArrays(gl.POINTS, 0, points.count);
@@ -326,6 +333,15 @@ function draw() {
   document.documentElement.dataset.state = "drawn";
 }
 
+/** Draws the depth of a surface alone, a little behind the points that it wraps. */
+function hideFarSide(of, surface, shift, seen) {
+  use("surface", seen, { model: multiply(shift, unpacked(of, surface.vertices)), turn: [1, 0, 0, 0, 1, 0, 0, 0, 1], back: 0.12 });
+  gl.bindVertexArray(buffers.surface[of]);
+  gl.colorMask(false, false, false, false);
+  gl.drawElements(gl.TRIANGLES, surface.count * 3, gl.UNSIGNED_INT, 0);
+  gl.colorMask(true, true, true, true);
+}
+
 const isShown = ({ of, rank }) => shown.keypoints && shown.clouds[of] && rank < style.best;
 
 function drawKeypoints(seen, ratio, viewport) {
@@ -344,7 +360,8 @@ function drawKeypoints(seen, ratio, viewport) {
     stream("lines", ends, [["here", 3], ["there", 3], ["corner", 2]], gl.TRIANGLES);
   }
   const discs = keypoints.filter(isShown);
-  const disc_size = Math.max(6, Math.min(13, 170 / Math.sqrt(discs.length))) * ratio;
+  // Below 6 pixels nothing is left of a disc but its white ring.
+  const disc_size = Math.max(6, Math.min(13, 170 / Math.sqrt(discs.length)) * Math.max(0.6, dotScale())) * ratio;
   const vertices = discs.flatMap((keypoint) => [...place(keypoint), keypoint.link ? 1 : 0]);
   // Keypoints behind points stay faintly visible.
   for (const opacity of [shown.surface ? 0.6 : 0.3, 1]) {

@@ -1,0 +1,179 @@
+"""Outliers, repeated points, coordinates far from zero and numbers far too large (`pytest tests/test_python_robust.py`)."""
+
+import subprocess
+import sys
+import warnings
+
+import numpy as np
+import pytest
+
+import snake_rs
+
+metrics, baselines = snake_rs.metrics, snake_rs.baselines
+UTM = np.array([500123.25, 5412345.75, 431.5])
+OUTLIERS = {
+    "one far away": [[1e4, 0, 0]],
+    "one at 12 radii": [[0, 12, 0]],
+    "several, everywhere": [[30, 0, 0], [0, -500, 7], [1e30, 0, 0], [-9, 9, 9]],
+    "one per cent at a sentinel": [[65.535] * 3] * 50,
+}
+
+
+def bowl(number: int = 5000, seed: int = 0) -> np.ndarray:
+    """An uneven bowl, 1 across."""
+    x, y = np.random.default_rng(seed).uniform(-0.5, 0.5, (2, number))
+    return np.stack([x, y, x**2 + 0.3 * np.sin(6 * y) * x], axis=1)
+
+
+@pytest.fixture(params=OUTLIERS, ids=lambda name: name.replace(" ", "-"))
+def outliers(request) -> np.ndarray:
+    return np.array(OUTLIERS[request.param], float)
+
+
+def mixed(points: np.ndarray, others: np.ndarray) -> np.ndarray:
+    return np.insert(points, np.linspace(0, len(points), len(others)).astype(int), others, axis=0)
+
+
+def test_outliers_are_named_and_change_no_keypoint(outliers):
+    clean, dirty = bowl(), mixed(bowl(), outliers)
+    expected = snake_rs.detect(clean)
+    with pytest.warns(UserWarning, match=f"^{len(outliers)} of {len(dirty)} points .*left out"):
+        found = snake_rs.detect(dirty)
+    assert np.array_equal(found.points, expected.points)
+    assert found.num_skipped == len(outliers)
+    assert np.array_equal(dirty[found.nearest_index], clean[expected.nearest_index])
+
+
+def test_outliers_change_no_field_and_no_mesh(outliers):
+    clean = snake_rs.Model.builtin().encode(bowl())
+    with pytest.warns(UserWarning, match="left out"):
+        dirty = snake_rs.Model.builtin().encode(mixed(bowl(), outliers))
+    assert np.array_equal(dirty.saliency(bowl()), clean.saliency(bowl()))
+    assert np.array_equal(dirty.mesh(resolution=32).vertices, clean.mesh(resolution=32).vertices)
+
+
+@pytest.mark.parametrize("name", ["iss", "harris3d", "sift3d", "surface_variation", "farthest_points", "random_points"])
+def test_outliers_change_no_classical_keypoint(name, outliers):
+    arguments = {"count": 40} if name.endswith("points") else {}
+    detector = getattr(baselines, name)
+    clean, dirty = bowl(1500), mixed(bowl(1500), outliers[:20])
+    with pytest.warns(UserWarning, match="left out"):
+        found = detector(dirty, **arguments)[0]
+    assert np.array_equal(dirty[found], clean[detector(clean, **arguments)[0]])
+
+
+def test_outliers_in_either_cloud_change_no_transform(outliers):
+    source, target = bowl(), bowl(seed=1) + [1, 2, 3]
+    expected = snake_rs.register(source, target)
+    found = snake_rs.register(mixed(source, outliers), target)
+    assert np.array_equal(found.t_target_source, expected.t_target_source)
+    assert any(note.startswith(f"source: {len(outliers)} of") for note in found.notes)
+    both = snake_rs.register(mixed(source, outliers), mixed(target, outliers))
+    assert np.array_equal(both.t_target_source, expected.t_target_source)
+
+
+@pytest.mark.parametrize("name", ["iss", "harris3d", "sift3d", "surface_variation"])
+@pytest.mark.parametrize("repeated", [1, 0.6, 0.01])
+def test_repeated_points_count_once(name, repeated):
+    points = bowl(1500)
+    twice = np.concatenate([points, points[: int(repeated * len(points))]])
+    detector = getattr(baselines, name)
+    assert np.array_equal(detector(twice)[0], detector(points)[0])
+
+
+def test_metrics_are_those_of_points_near_zero():
+    near = bowl(400).astype(np.float32).astype(float)
+    turn = np.array([[0, -1, 0], [1, 0, 0], [0, 0, 1]])
+    other = (near + np.random.default_rng(1).normal(0, 0.02, near.shape)) @ turn.T
+    epsilon = [0.01, 0.02, 0.04]
+
+    def transform(origin_1, origin_2):
+        """Maps view 2 to view 1, which have these origins."""
+        t_1_2 = np.eye(4)
+        t_1_2[:3, :3], t_1_2[:3, 3] = turn.T, origin_1 - turn.T @ origin_2
+        return t_1_2
+
+    zero = np.zeros(3)
+    for measure in (metrics.relative_repeatability, metrics.symmetric_repeatability):
+        expected = measure(near, other, transform(zero, zero), epsilon)
+        for origins in ((UTM, UTM), (UTM, zero), (zero, UTM)):
+            found = measure(near + origins[0], other + origins[1], transform(*origins), epsilon)
+            assert np.allclose(found, expected, atol=3e-3) and 0 < expected[0] < 1
+        # Also of a single keypoint.
+        assert measure(near[:1] + UTM, near[:1] + UTM + 0.003, np.eye(4), 0.006) == 1
+        assert measure(near[:1] + UTM, near[:1] + UTM + 0.2, np.eye(4), 0.1) == 0
+    back = np.linalg.inv
+    ratio = metrics.inlier_ratio(near, other, back(transform(zero, zero)), 0.03)
+    assert metrics.inlier_ratio(near + UTM, other + UTM, back(transform(UTM, UTM)), 0.03) == ratio > 0.2
+    distance = metrics.mean_distance_to_keypoints(near, near[:30])
+    assert metrics.mean_distance_to_keypoints(near + UTM, near[:30] + UTM) == pytest.approx(distance, rel=1e-6)
+    geodesic = metrics.geodesic_distances(near, [0])
+    assert np.allclose(metrics.geodesic_distances(near + UTM, [0]), geodesic, atol=1e-6)
+    truth, found = list(range(0, 400, 25)), near[::40]
+    counts = metrics.semantic_counts(near, truth, found, [0.05, 0.2])
+    assert np.array_equal(metrics.semantic_counts(near + UTM, truth, found + UTM, [0.05, 0.2]), counts)
+    counts = metrics.smpl_pair_counts(near, other, near[::30], other[::31], [0.05, 0.2])
+    far = metrics.smpl_pair_counts(near + UTM, other + UTM, near[::30] + UTM, other[::31] + UTM, [0.05, 0.2])
+    assert np.array_equal(far, counts)
+
+
+def test_a_georeferenced_cloud_with_missing_returns_at_zero_keeps_its_digits():
+    points = bowl() + UTM
+    expected = snake_rs.detect(points).points
+    for missing in (1, 40):
+        with pytest.warns(UserWarning, match=f"^{missing} of {5000 + missing} points"):
+            found = snake_rs.detect(np.concatenate([np.zeros((missing, 3)), points])).points
+        assert np.array_equal(found, expected)
+
+
+def test_large_numbers_are_refused_or_work(tmp_path):
+    """In a process of its own with 6 GB, which an abort would end."""
+    code = """
+import resource
+import numpy as np
+resource.setrlimit(resource.RLIMIT_AS, (6 << 30, 6 << 30))
+import snake_rs
+from snake_rs import baselines, metrics
+snake_rs.set_num_threads(1)
+points = np.random.default_rng(0).random((30000, 3))
+few = points[:300]
+field = snake_rs.Model.builtin().encode(few)
+def calls(n):
+    yield lambda: metrics.geodesic_distances(points, [0], n)
+    yield lambda: metrics.geodesic_distances(points, np.arange(30000), 3)
+    yield lambda: metrics.iou([[n, n, n + 1]])
+    yield lambda: snake_rs.set_num_threads(n)
+    yield lambda: baselines.iss(few, min_neighbors=n)
+    yield lambda: baselines.iss(few, count=n)
+    yield lambda: baselines.sift3d(few, octaves=n)
+    yield lambda: baselines.sift3d(few, scales_per_octave=n)
+    yield lambda: baselines.farthest_points(few, n)
+    yield lambda: baselines.random_points(few, n)
+    for name in ("max_points", "rotations", "query_resolution", "query_band", "refine_steps", "max_keypoints"):
+        yield lambda name=name: snake_rs.detect(few, **{name: n})
+    yield lambda: field.mesh(resolution=n)
+    for name in ("max_keypoints", "num_keypoints", "max_matches", "hypotheses"):
+        yield lambda name=name: snake_rs.register(few, few, **{name: n})
+    yield lambda: snake_rs.align([few, few], max_partners=n)
+for n in (10**7, 10**12, 2**63 - 1, 2**64 - 1):
+    for i, call in enumerate(calls(n)):
+        print(n, i, flush=True)
+        try:
+            call()
+        except (ValueError, OverflowError) as error:
+            assert str(error)
+        assert len(snake_rs.detect(few)) > 0
+print("all")
+"""
+    done = subprocess.run([sys.executable, "-W", "ignore", "-c", code], capture_output=True, text=True, timeout=900)
+    assert done.stdout.endswith("all\n"), (done.stdout[-200:], done.stderr[-2000:])
+
+
+def test_counts_that_cannot_be_are_refused():
+    with pytest.raises(ValueError, match="5 false negatives of 1"):
+        metrics.iou([[1, 0, 5]])
+    with pytest.raises(ValueError, match="2\\^32"):
+        metrics.iou([[2**63, 2**63, 0]])
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        assert metrics.iou([[4, 0, 1]]).tolist() == [0.75]
