@@ -4,32 +4,71 @@
 
 use std::io::Cursor;
 
-use e57::{CartesianCoordinate, E57Reader};
+use e57::{CartesianCoordinate, E57Reader, PointCloud, RecordName, Transform};
 use snake_core::excerpt;
 
 use super::MAX_EXPANSION;
+use super::quaternion::rotation;
 use super::shape::{Position, Shape};
 
 /// Reads the points of all scans in the file's frame: the pose of each scan is applied. Points that a scanner marks as
 /// invalid are not finite.
 pub(super) fn read(bytes: &[u8]) -> Result<Shape, String> {
     check_header(bytes)?;
-    let failed = |error: e57::Error| excerpt(&error.to_string(), 200);
+    let failed = |error: e57::Error| {
+        let advice = "it is damaged or cut short; copy or export it again";
+        format!("{}; {advice}", excerpt(&error.to_string(), 200))
+    };
     let mut reader = E57Reader::new(Cursor::new(bytes)).map_err(failed)?;
     let mut points: Vec<Position> = Vec::new();
     let most = bytes.len().saturating_mul(MAX_EXPANSION) as u64;
-    for scan in reader.pointclouds() {
+    for (number, scan) in (1..).zip(reader.pointclouds()) {
         if scan.records.saturating_add(points.len() as u64) > most {
             return Err(format!("{} points in a file of {} bytes", scan.records, bytes.len()));
         }
-        for point in reader.pointcloud_simple(&scan).map_err(failed)? {
+        check_fields(&scan).map_err(|reason| format!("scan {number}: {reason}"))?;
+        let place = pose(scan.transform.as_ref()).map_err(|reason| format!("the pose of scan {number}: {reason}"))?;
+        let mut scan = reader.pointcloud_simple(&scan).map_err(failed)?;
+        // The crate's own pose also scales, by the square of the quaternion's length.
+        scan.apply_pose(false);
+        for point in scan {
             points.push(match point.map_err(failed)?.cartesian {
-                CartesianCoordinate::Valid { x, y, z } => [x, y, z],
+                CartesianCoordinate::Valid { x, y, z } => place([x, y, z]),
                 _ => [f64::NAN; 3],
             });
         }
     }
     Ok(points.into())
+}
+
+/// Refuses scans without positions.
+fn check_fields(scan: &PointCloud) -> Result<(), String> {
+    use RecordName::{
+        CartesianX, CartesianY, CartesianZ, SphericalAzimuth, SphericalElevation, SphericalRange,
+    };
+    let names: Vec<&RecordName> = scan.prototype.iter().map(|record| &record.name).collect();
+    let has = |needed: [RecordName; 3]| needed.iter().all(|name| names.contains(&name));
+    if has([CartesianX, CartesianY, CartesianZ]) || has([SphericalRange, SphericalAzimuth, SphericalElevation]) {
+        return Ok(());
+    }
+    let fields = excerpt(&format!("{names:?}"), 200);
+    Err(format!("no positions (x, y, z, or range, azimuth, elevation); its fields are {fields}"))
+}
+
+/// The map from a scan's frame into that of the file. A pose may have only a translation or only a rotation.
+fn pose(pose: Option<&Transform>) -> Result<impl Fn(Position) -> Position + use<>, String> {
+    let Transform { rotation: turn, translation } = pose.cloned().unwrap_or_default();
+    let translation = [translation.x, translation.y, translation.z];
+    if !translation.iter().all(|v| v.is_finite()) {
+        return Err(format!("a translation by {translation:?}, which is not finite"));
+    }
+    let rows = rotation([turn.w, turn.x, turn.y, turn.z])?;
+    Ok(move |p: Position| {
+        std::array::from_fn(|axis| {
+            let [a, b, c] = rows[axis];
+            a * p[0] + b * p[1] + c * p[2] + translation[axis]
+        })
+    })
 }
 
 /// Refuses sizes in the header that exceed the file.

@@ -1,129 +1,184 @@
-//! Reads glTF scenes, as JSON (gltf) and as binary files (glb), with the crate `gltf`.
+//! Reads glTF scenes, as JSON (gltf) and as binary files (glb).
 
-use base64::Engine;
-use base64::prelude::BASE64_STANDARD;
-use gltf::accessor::{DataType, Dimensions};
-use gltf::json::Root;
-use gltf::{Accessor, Document, Gltf, Node, Primitive, Semantic, buffer, mesh};
-use snake_core::excerpt;
+mod data;
+mod document;
 
-use super::shape::{Position, Shape};
+use data::Data;
+use document::{Document, Node, Primitive};
+
+use super::MAX_EXPANSION;
+use super::quaternion::rotation;
+use super::shape::{Position, Shape, add_polygon};
 
 /// Reads the vertices of all meshes of the default scene, in the scene's frame (y points up), and their triangles.
 pub(super) fn read(bytes: &[u8]) -> Result<Shape, String> {
-    let Gltf { document, mut blob } = Gltf::from_slice_without_validation(bytes).map_err(refused)?;
-    let document = validated(document.into_json())?;
-    let buffers = document.buffers().map(|buffer| match buffer.source() {
-        buffer::Source::Bin => blob.take().ok_or_else(|| "a buffer has no data".to_owned()),
-        buffer::Source::Uri(uri) => embedded(uri),
-    });
-    let buffers: Vec<Vec<u8>> = buffers.collect::<Result<_, _>>()?;
-    let scene = document.default_scene().or_else(|| document.scenes().next());
-    let mut open: Vec<(Node, [[f64; 4]; 4])> = match scene {
-        Some(scene) => scene.nodes().map(|node| (node, IDENTITY)).collect(),
-        None => document.nodes().filter(|node| node.mesh().is_some()).map(|node| (node, IDENTITY)).collect(),
+    let (document, binary) = Document::parse(bytes)?;
+    let most = bytes.len().saturating_mul(MAX_EXPANSION).max(LEAST_BYTES) / size_of::<Position>();
+    let mut scene = SceneReader {
+        data: Data::new(&document, binary),
+        document: &document,
+        most: most.min(u32::MAX as usize),
+        shape: Shape::default(),
     };
-    let mut visited = vec![false; document.nodes().len()];
-    let mut shape = Shape::default();
-    while let Some((node, parent)) = open.pop() {
+    let mut open: Vec<(usize, Matrix)> = roots(&document)?.into_iter().map(|node| (node, IDENTITY)).collect();
+    let mut visited = vec![false; document.nodes.len()];
+    while let Some((index, parent)) = open.pop() {
+        let node = named(&document.nodes, index, "node")?;
         // The nodes are a tree. A node with two parents could make any number of points, and a circle has no end.
-        if std::mem::replace(&mut visited[node.index()], true) {
-            return Err(format!("node {} has two parents", node.index()));
+        if std::mem::replace(&mut visited[index], true) {
+            return Err(format!("node {index} has two parents"));
         }
-        let transform = product(&parent, &node.transform().matrix().map(|column| column.map(f64::from)));
-        for primitive in node.mesh().iter().flat_map(gltf::Mesh::primitives) {
-            add_primitive(&mut shape, &primitive, &buffers, &transform)?;
-        }
-        open.extend(node.children().map(|child| (child, transform)));
+        let transform = product(&parent, &matrix(node)?);
+        scene.add_mesh(node, &transform)?;
+        open.extend(node.children.iter().map(|&child| (child, transform)));
     }
-    shape.check_triangles()?;
-    Ok(shape)
+    scene.shape.check_triangles()?;
+    Ok(scene.shape)
 }
 
-fn refused(error: gltf::Error) -> String {
-    excerpt(&error.to_string(), 200)
-}
-
-/// The document of a file. The crate's own validation looks positions up before it checks that they are there.
-fn validated(root: Root) -> Result<Document, String> {
-    let primitives = root.meshes.iter().flat_map(|mesh| &mesh.primitives);
-    let mut attributes = primitives.flat_map(|primitive| primitive.attributes.values());
-    if attributes.any(|accessor| accessor.value() >= root.accessors.len()) {
-        return Err("a mesh has an accessor that is not there".into());
-    }
-    Document::from_json(root).map_err(refused)
-}
+/// The bytes of points that any file may make. A small file may have many instances.
+const LEAST_BYTES: usize = 64 << 20;
 
 /// Column by column, as in the file.
-const IDENTITY: [[f64; 4]; 4] =
-    [[1.0, 0.0, 0.0, 0.0], [0.0, 1.0, 0.0, 0.0], [0.0, 0.0, 1.0, 0.0], [0.0, 0.0, 0.0, 1.0]];
+type Matrix = [[f64; 4]; 4];
 
-fn product(a: &[[f64; 4]; 4], b: &[[f64; 4]; 4]) -> [[f64; 4]; 4] {
+const IDENTITY: Matrix = [[1.0, 0.0, 0.0, 0.0], [0.0, 1.0, 0.0, 0.0], [0.0, 0.0, 1.0, 0.0], [0.0, 0.0, 0.0, 1.0]];
+
+fn product(a: &Matrix, b: &Matrix) -> Matrix {
     b.map(|column| std::array::from_fn(|row| (0..4).map(|k| a[k][row] * column[k]).sum()))
 }
 
-/// The bytes of a data URI. Buffers in files of their own are not read.
-fn embedded(uri: &str) -> Result<Vec<u8>, String> {
-    let Some((_, data)) = uri.strip_prefix("data:").and_then(|rest| rest.split_once(";base64,")) else {
-        let name = excerpt(uri, 60);
-        return Err(format!(
-            "its data is in another file, `{name}`; convert it: npx @gltf-transform/cli copy IN.gltf OUT.glb"
-        ));
-    };
-    BASE64_STANDARD.decode(data).map_err(|error| format!("a buffer is not base64: {error}"))
+/// The part with this index.
+fn named<'a, T>(parts: &'a [T], index: usize, what: &str) -> Result<&'a T, String> {
+    parts.get(index).ok_or_else(|| format!("{what} {index} is not there; the file has {}", parts.len()))
 }
 
-fn add_primitive(
-    shape: &mut Shape,
-    primitive: &Primitive,
-    buffers: &[Vec<u8>],
-    transform: &[[f64; 4]; 4],
-) -> Result<(), String> {
-    let Some(positions) = primitive.get(&Semantic::Positions) else { return Ok(()) };
-    if (positions.data_type(), positions.dimensions()) != (DataType::F32, Dimensions::Vec3) {
-        return Err("positions that are not three float32 values (a compressed mesh?) are not read; convert it: npx \
-                    @gltf-transform/cli dequantize IN.glb OUT.glb"
-            .into());
-    }
-    let first = shape.points.len() as u32;
-    for item in items(&positions, buffers)? {
-        let (values, _) = item.as_chunks::<4>();
-        let [x, y, z] = [0, 1, 2].map(|axis| f64::from(f32::from_le_bytes(values[axis])));
-        let [a, b, c, d] = transform;
-        shape.points.push(std::array::from_fn(|row| a[row] * x + b[row] * y + c[row] * z + d[row]) as Position);
-    }
-    if primitive.mode() != mesh::Mode::Triangles {
-        return Ok(());
-    }
-    let corners: Vec<u32> = match primitive.indices() {
-        None => (first..shape.points.len() as u32).collect(),
-        Some(accessor) => {
-            let index = |item: &[u8]| item.iter().rev().fold(0_u32, |index, &byte| index << 8 | u32::from(byte));
-            items(&accessor, buffers)?.map(|item| first.saturating_add(index(item))).collect()
+/// The nodes without a parent in the default scene, or in the whole file if it has no scene.
+fn roots(document: &Document) -> Result<Vec<usize>, String> {
+    match (document.scene, &document.scenes[..]) {
+        (None, []) => {
+            let mut is_child = vec![false; document.nodes.len()];
+            for &child in document.nodes.iter().flat_map(|node| &node.children) {
+                named(&document.nodes, child, "node")?;
+                is_child[child] = true;
+            }
+            Ok((0..is_child.len()).filter(|&node| !is_child[node]).collect())
         }
-    };
-    shape.triangles.extend(corners.as_chunks::<3>().0);
-    Ok(())
+        (scene, scenes) => Ok(named(scenes, scene.unwrap_or(0), "scene")?.nodes.clone()),
+    }
 }
 
-/// The bytes of each item of an accessor. The crate's own readers trust offsets and counts.
-fn items<'a>(accessor: &Accessor, buffers: &'a [Vec<u8>]) -> Result<impl Iterator<Item = &'a [u8]> + use<'a>, String> {
-    if accessor.sparse().is_some() {
-        return Err(
-            "sparse accessors are not read; convert the file: npx @gltf-transform/cli copy IN.glb OUT.glb".into()
-        );
+fn matrix(node: &Node) -> Result<Matrix, String> {
+    if let Some(values) = &node.matrix {
+        return Ok(std::array::from_fn(|column| std::array::from_fn(|row| values[4 * column + row])));
     }
-    let view = accessor.view().ok_or("an accessor has no data; compressed meshes are not read")?;
-    let (size, count) = (accessor.size(), accessor.count());
-    let stride = view.stride().unwrap_or(size);
-    let within = || {
-        let bytes = buffers.get(view.buffer().index())?.get(view.offset()..)?;
-        let bytes = bytes.get(..view.length())?.get(accessor.offset()..)?;
-        let needed = count.checked_sub(1)?.checked_mul(stride)?.checked_add(size)?;
-        (stride >= size && size > 0 && needed <= bytes.len()).then_some(bytes)
-    };
-    let bytes = within().ok_or("an accessor reaches beyond its data")?;
-    Ok((0..count).map(move |index| &bytes[index * stride..][..size]))
+    placed(node.translation.unwrap_or_default(), node.rotation.unwrap_or_default(), node.scale.unwrap_or([1.0; 3]))
+}
+
+/// The matrix of a translation, a rotation `x y z w` and a scale.
+fn placed(translation: [f64; 3], [x, y, z, w]: [f64; 4], scale: [f64; 3]) -> Result<Matrix, String> {
+    let rows = rotation([w, x, y, z])?;
+    let mut matrix = IDENTITY;
+    for row in 0..3 {
+        for column in 0..3 {
+            matrix[column][row] = rows[row][column] * scale[column];
+        }
+        matrix[3][row] = translation[row];
+    }
+    Ok(matrix)
+}
+
+/// The vertices of a scene as they are collected.
+struct SceneReader<'a> {
+    document: &'a Document,
+    data: Data<'a>,
+    /// The most points and the most triangles.
+    most: usize,
+    shape: Shape,
+}
+
+impl SceneReader<'_> {
+    /// Adds the mesh of a node, or its instances.
+    fn add_mesh(&mut self, node: &Node, transform: &Matrix) -> Result<(), String> {
+        let Some(mesh) = node.mesh else { return Ok(()) };
+        let primitives = &named(&self.document.meshes, mesh, "mesh")?.primitives;
+        for instance in self.instances(node)? {
+            let transform = product(transform, &instance);
+            primitives.iter().try_for_each(|primitive| self.add_primitive(primitive, &transform))?;
+        }
+        Ok(())
+    }
+
+    /// The matrix of each instance of a node's mesh.
+    fn instances(&self, node: &Node) -> Result<Vec<Matrix>, String> {
+        let Some(instances) = &node.extensions.instances else { return Ok(vec![IDENTITY]) };
+        let attribute = |name: &str| instances.attributes.get(name).copied();
+        let [places, turns, scales] = ["TRANSLATION", "ROTATION", "SCALE"].map(attribute);
+        let Some(first) = places.or(turns).or(scales) else { return Ok(vec![IDENTITY]) };
+        let count = self.data.count(first)?;
+        // Before memory is taken: an instance has at least one point.
+        if count > self.most {
+            return Err(format!("{count} instances"));
+        }
+        let mut parts = vec![([0.0; 3], [0.0; 4], [1.0; 3]); count];
+        let mut fill = |accessor: Option<usize>, name| match accessor {
+            Some(accessor) if self.data.count(accessor)? != count => Err(format!("{name} of instances: not {count} of them")),
+            _ => Ok(accessor),
+        };
+        if let Some(accessor) = fill(places, "TRANSLATION")? {
+            parts.iter_mut().zip(self.data.vectors(accessor)?).for_each(|(part, value)| part.0 = value);
+        }
+        if let Some(accessor) = fill(turns, "ROTATION")? {
+            parts.iter_mut().zip(self.data.vectors(accessor)?).for_each(|(part, value)| part.1 = value);
+        }
+        if let Some(accessor) = fill(scales, "SCALE")? {
+            parts.iter_mut().zip(self.data.vectors(accessor)?).for_each(|(part, value)| part.2 = value);
+        }
+        parts.into_iter().map(|(place, turn, scale)| placed(place, turn, scale)).collect()
+    }
+
+    fn add_primitive(&mut self, primitive: &Primitive, transform: &Matrix) -> Result<(), String> {
+        let Some(&positions) = primitive.attributes.get("POSITION") else { return Ok(()) };
+        let first = self.shape.points.len();
+        self.check_number(first, self.data.count(positions)?, "points")?;
+        let [a, b, c, d] = transform;
+        let place = |[x, y, z]: [f64; 3]| std::array::from_fn(|row| a[row] * x + b[row] * y + c[row] * z + d[row]);
+        self.shape.points.extend(self.data.vectors(positions)?.map(place));
+        let end = self.shape.points.len();
+        let num_corners = primitive.indices.map_or(Ok(end - first), |accessor| self.data.count(accessor))?;
+        self.check_number(self.shape.triangles.len(), num_corners, "corners")?;
+        // The limit of the points keeps their indices in range.
+        let first = first as u32;
+        let corners: Vec<u32> = match primitive.indices {
+            None => (first..end as u32).collect(),
+            Some(accessor) => self.data.indices(accessor)?.map(|index| first.saturating_add(index)).collect(),
+        };
+        add_triangles(&mut self.shape.triangles, primitive.mode.unwrap_or(4), &corners)
+    }
+
+    /// Refuses more points or corners than the size of the file allows.
+    fn check_number(&self, present: usize, added: usize, what: &str) -> Result<(), String> {
+        match present.checked_add(added) {
+            Some(number) if number <= self.most => Ok(()),
+            _ => Err(format!("more than {} {what}, too many for the size of the file", self.most)),
+        }
+    }
+}
+
+/// Adds the triangles of a primitive. Points and lines have none.
+fn add_triangles(triangles: &mut Vec<[u32; 3]>, mode: u32, corners: &[u32]) -> Result<(), String> {
+    match mode {
+        0..=3 => (),
+        4 => triangles.extend(corners.as_chunks::<3>().0),
+        // Every second triangle of a strip is wound the other way.
+        5 => triangles.extend(corners.windows(3).enumerate().map(|(number, corner)| match number % 2 {
+            0 => [corner[0], corner[1], corner[2]],
+            _ => [corner[0], corner[2], corner[1]],
+        })),
+        6 => add_polygon(triangles, corners),
+        other => return Err(format!("primitives of mode {other}; the modes are 0 to 6")),
+    }
+    Ok(())
 }
 
 #[cfg(test)]

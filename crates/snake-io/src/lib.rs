@@ -94,6 +94,8 @@ mod off;
 mod parquet;
 mod pcd;
 mod ply;
+#[cfg(any(feature = "e57", feature = "gltf"))]
+mod quaternion;
 #[cfg(feature = "mcap")]
 mod recording;
 #[cfg(feature = "mcap")]
@@ -138,5 +140,5 @@ pub use write::{adds_origin, write_keypoints, write_points};
 
 /// The limit of the unpacked size, in sizes of the packed file. No scan exceeds it; a file made to exceed it would take
 /// all memory.
-#[cfg(any(feature = "e57", feature = "laz", feature = "mcap", feature = "npz"))]
+#[cfg(any(feature = "e57", feature = "gltf", feature = "laz", feature = "mcap", feature = "npz"))]
 const MAX_EXPANSION: usize = 50;
