@@ -121,17 +121,17 @@ impl SceneReader<'_> {
             return Err(format!("{count} instances"));
         }
         let mut parts = vec![([0.0; 3], [0.0; 4], [1.0; 3]); count];
-        let mut fill = |accessor: Option<usize>, name| match accessor {
+        let checked = |accessor: Option<usize>, name| match accessor {
             Some(accessor) if self.data.count(accessor)? != count => Err(format!("{name} of instances: not {count} of them")),
             _ => Ok(accessor),
         };
-        if let Some(accessor) = fill(places, "TRANSLATION")? {
+        if let Some(accessor) = checked(places, "TRANSLATION")? {
             parts.iter_mut().zip(self.data.vectors(accessor)?).for_each(|(part, value)| part.0 = value);
         }
-        if let Some(accessor) = fill(turns, "ROTATION")? {
+        if let Some(accessor) = checked(turns, "ROTATION")? {
             parts.iter_mut().zip(self.data.vectors(accessor)?).for_each(|(part, value)| part.1 = value);
         }
-        if let Some(accessor) = fill(scales, "SCALE")? {
+        if let Some(accessor) = checked(scales, "SCALE")? {
             parts.iter_mut().zip(self.data.vectors(accessor)?).for_each(|(part, value)| part.2 = value);
         }
         parts.into_iter().map(|(place, turn, scale)| placed(place, turn, scale)).collect()

@@ -103,12 +103,16 @@ mod ros_message;
 #[cfg(feature = "rosbag2")]
 mod rosbag2;
 mod shape;
+#[cfg(feature = "rosbag2")]
+mod sqlite_file;
 mod stl;
 mod sweep;
 mod table;
 #[cfg(test)]
 mod tests;
 mod text;
+#[cfg(feature = "mcap")]
+mod topics;
 mod transform;
 mod write;
 
