@@ -70,12 +70,9 @@ impl<'a> PointCloud2View<'a> {
         Ok(Self { layout: PointCloud2Layout { row_step, ..layout }, axes, data })
     }
 
-    /// The points, relative to an origin if the coordinates have more digits than float32 and are far from zero.
+    /// All points `(N, 3)`, relative to an origin if they are far from zero.
     pub fn to_cloud(&self) -> Cloud {
-        match self.axes.iter().all(|&(_, datatype)| datatype == 7) {
-            true => Cloud { points: self.to_points(), origin: [0.0; 3] },
-            false => Cloud::from_positions((0..self.num_points()).map(|index| self.position(index))),
-        }
+        Cloud::from_positions((0..self.num_points()).map(|index| self.position(index)))
     }
 
     /// A point with all digits.
@@ -130,9 +127,10 @@ fn row_step(layout: &PointCloud2Layout, length: usize) -> Result<usize> {
         _ if height == 0 || width == 0 => Ok(0),
         Some(size) if size <= length && (height == 1 || row_step >= row) => Ok(row_step),
         _ if height.checked_mul(row) == Some(length) => Ok(row),
-        _ if height > 1 && row_step < row => {
-            refuse("row_step", format!("{row_step} bytes, but a row has {row}, and the data has {length}, not {height} rows"))
-        }
+        _ if height > 1 && row_step < row => refuse(
+            "row_step",
+            format!("{row_step} bytes, but a row has {row}, and the data has {length}, not {height} rows"),
+        ),
         _ => refuse("data", format!("{length} bytes, too few for {height} rows of {width} points")),
     }
 }
@@ -266,7 +264,8 @@ mod tests {
 
     #[test]
     fn coordinates_of_every_type_are_read_with_all_their_digits() {
-        let values = |bytes: &dyn Fn(i8) -> Vec<u8>| [100, 101, 102, 110, 111, 112].into_iter().flat_map(bytes).collect();
+        let values =
+            |bytes: &dyn Fn(i8) -> Vec<u8>| [100, 101, 102, 110, 111, 112].into_iter().flat_map(bytes).collect();
         let all: [(u8, usize, Vec<u8>); 7] = [
             (1, 1, values(&|v| v.to_le_bytes().into())),
             (2, 1, values(&|v| (v as u8).to_le_bytes().into())),

@@ -88,7 +88,10 @@ pub(crate) fn files(folder: &Path) -> Result<Vec<PathBuf>> {
     let refuse = |reason: String| Error::Format { path: path.clone(), reason };
     let metadata: Metadata = serde_saphyr::from_str(&text).map_err(|error| {
         // The error goes on with an excerpt of the file.
-        refuse(format!("no metadata of a bag of ROS 2: {}; write it anew: ros2 bag reindex FOLDER", error.without_snippet()))
+        refuse(format!(
+            "no metadata of a bag of ROS 2: {}; write it anew: ros2 bag reindex FOLDER",
+            error.without_snippet()
+        ))
     })?;
     let listed = metadata.rosbag2_bagfile_information.relative_file_paths;
     if listed.is_empty() {

@@ -43,9 +43,7 @@ pub(super) fn read(bytes: &[u8]) -> Result<Shape, String> {
 
 /// Refuses scans without positions.
 fn check_fields(scan: &PointCloud) -> Result<(), String> {
-    use RecordName::{
-        CartesianX, CartesianY, CartesianZ, SphericalAzimuth, SphericalElevation, SphericalRange,
-    };
+    use RecordName::{CartesianX, CartesianY, CartesianZ, SphericalAzimuth, SphericalElevation, SphericalRange};
     let names: Vec<&RecordName> = scan.prototype.iter().map(|record| &record.name).collect();
     let has = |needed: [RecordName; 3]| needed.iter().all(|name| names.contains(&name));
     if has([CartesianX, CartesianY, CartesianZ]) || has([SphericalRange, SphericalAzimuth, SphericalElevation]) {
@@ -88,6 +86,10 @@ fn check_header(bytes: &[u8]) -> Result<(), String> {
 
 #[cfg(test)]
 mod tests {
+    use e57::{Quaternion, Record, RecordDataType, RecordValue, Translation};
+
+    use super::*;
+
     #[test]
     fn headers_that_ask_for_much_memory_are_refused() {
         let good = std::fs::read(concat!(env!("CARGO_MANIFEST_DIR"), "/../../tests/data/io/good/scan.e57")).unwrap();
@@ -98,5 +100,60 @@ mod tests {
         };
         assert!(with(32).contains("XML") && with(40).contains("1024"));
         assert!(super::read(&good[..20]).map(drop).unwrap_err().contains("header"));
+    }
+
+    /// A file of scans with a pose each and the points 1 2 3 and 4 5 6.
+    fn scans(poses: &[Option<Transform>], names: &[RecordName]) -> Vec<u8> {
+        let mut file = Cursor::new(Vec::new());
+        let mut writer = e57::E57Writer::new(&mut file, "file").unwrap();
+        for pose in poses {
+            let fields = names.iter().map(|name| Record { name: name.clone(), data_type: RecordDataType::F64 });
+            let mut scan = writer.add_pointcloud("scan", fields.collect()).unwrap();
+            scan.set_transform(pose.clone());
+            for first in [1, 4] {
+                let values = (first..).take(names.len()).map(|value| RecordValue::Double(f64::from(value)));
+                scan.add_point(values.collect()).unwrap();
+            }
+            scan.finalize().unwrap();
+        }
+        writer.finalize().unwrap();
+        drop(writer);
+        file.into_inner()
+    }
+
+    fn pose(w: f64, z: f64, x: f64) -> Option<Transform> {
+        let rotation = Quaternion { w, x: 0.0, y: 0.0, z };
+        Some(Transform { rotation, translation: Translation { x, y: 0.0, z: 0.0 } })
+    }
+
+    const XYZ: [RecordName; 3] = [RecordName::CartesianX, RecordName::CartesianY, RecordName::CartesianZ];
+
+    #[test]
+    fn poses_turn_and_move_and_never_scale() {
+        let read = |pose| super::read(&scans(&[None, pose], &XYZ)).unwrap().points;
+        for (w, z) in [(1.0, 1.0), (0.7071, 0.7071), (2.0, 2.0), (-0.1, -0.1), (1e200, 1e200)] {
+            let points = read(pose(w, z, 10.0));
+            assert_eq!(points[..2], [[1.0, 2.0, 3.0], [4.0, 5.0, 6.0]]);
+            for (found, expected) in points[2..].as_flattened().iter().zip([8.0, 1.0, 3.0, 5.0, 4.0, 6.0]) {
+                assert!((found - expected).abs() < 1e-12, "{w} {z}: {points:?}");
+            }
+        }
+        // No rotation, as zeros and by a number that has nothing to turn.
+        for w in [0.0, 1.0, -3.0] {
+            assert_eq!(read(pose(w, 0.0, 10.0))[2..], [[11.0, 2.0, 3.0], [14.0, 5.0, 6.0]]);
+        }
+    }
+
+    #[test]
+    fn poses_that_are_not_finite_and_scans_without_positions_are_refused() {
+        for pose in [pose(f64::NAN, 0.0, 0.0), pose(1.0, f64::INFINITY, 0.0), pose(1.0, 0.0, f64::NAN)] {
+            let error = super::read(&scans(&[None, pose], &XYZ)).map(drop).unwrap_err();
+            assert!(error.contains("scan 2") && error.contains("not finite"), "{error}");
+        }
+        let mut flat = PointCloud::default();
+        let record = |name: &RecordName| Record { name: name.clone(), data_type: RecordDataType::F64 };
+        flat.prototype = XYZ[..2].iter().map(record).collect();
+        let error = super::check_fields(&flat).unwrap_err();
+        assert!(error.contains("no positions") && error.contains("CartesianY"), "{error}");
     }
 }

@@ -21,8 +21,7 @@ pub struct RecordedCloud {
     pub log_time: u64,
     /// The frame that the message names.
     pub frame_id: String,
-    /// The points, with those that are not finite. They have an origin if the message has more digits than float32, and
-    /// they are far from zero.
+    /// The points with those that are not finite, relative to an origin if they are far from zero.
     pub cloud: Cloud,
 }
 

@@ -70,10 +70,12 @@ impl<'a> MessageReader<'a> {
             ("cdr", [0, kind @ (0 | 1), _, _, data @ ..]) => at_start(data, Version::One, *kind == 1, true),
             // The middleware have different numbers for the second version. All its numbers here have at most four bytes,
             // which are aligned as in the first.
-            ("cdr", [0, kind @ (6 | 7 | 16 | 17), _, _, data @ ..]) => at_start(data, Version::Two, kind % 2 == 1, true),
-            ("cdr", [a, b, _, _, ..]) => {
-                Err(format!("encoded as CDR of the kind {a:02x} {b:02x}; plain CDR is read (00 00, 00 01, 00 06, 00 07)"))
+            ("cdr", [0, kind @ (6 | 7 | 16 | 17), _, _, data @ ..]) => {
+                at_start(data, Version::Two, kind % 2 == 1, true)
             }
+            ("cdr", [a, b, _, _, ..]) => Err(format!(
+                "encoded as CDR of the kind {a:02x} {b:02x}; plain CDR is read (00 00, 00 01, 00 06, 00 07)"
+            )),
             ("cdr" | "ros1", _) => Err("cut short".into()),
             _ => Err(format!("{} bytes that are not encoded as `cdr` or `ros1`, but as `{encoding}`", data.len())),
         }

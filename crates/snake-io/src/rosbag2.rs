@@ -39,7 +39,8 @@ impl Bag {
                 bag.set_db_config(feature, false)?;
             }
             // No value is longer than the file and its journal.
-            let journal = std::fs::metadata(crate::sqlite_file::beside(path, "-wal")).map_or(0, |journal| journal.len());
+            let journal =
+                std::fs::metadata(crate::sqlite_file::beside(path, "-wal")).map_or(0, |journal| journal.len());
             let most = i32::try_from(length.saturating_add(journal)).unwrap_or(i32::MAX);
             bag.set_limit(Limit::SQLITE_LIMIT_LENGTH, most.max(4096))?;
             Ok(())

@@ -81,7 +81,8 @@ fn copied(path: &Path, journals: &[PathBuf]) -> Result<(TempDir, PathBuf), Strin
     let copy = || -> io::Result<(TempDir, PathBuf, bool)> {
         let folder = tempfile::tempdir()?;
         let into = |source: &Path| folder.path().join(source.file_name().unwrap_or_default());
-        let state = || -> io::Result<Vec<_>> { files(path, journals).map(|file| Ok(version(&file.metadata()?))).collect() };
+        let state =
+            || -> io::Result<Vec<_>> { files(path, journals).map(|file| Ok(version(&file.metadata()?))).collect() };
         let before = state()?;
         for file in files(path, journals) {
             std::fs::copy(file, into(file))?;

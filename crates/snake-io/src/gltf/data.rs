@@ -45,7 +45,9 @@ impl<'a> Data<'a> {
             5120 | 5121 => 1,
             5122 | 5123 => 2,
             5126 => 4,
-            other => return Err(format!("accessor {index} has numbers of type {other}; expected are 5120 to 5123 or 5126")),
+            other => {
+                return Err(format!("accessor {index} has numbers of type {other}; expected are 5120 to 5123 or 5126"));
+            }
         };
         if accessor.shape != format!("VEC{N}") {
             return Err(format!("accessor {index} has items {}, not VEC{N}", excerpt(&accessor.shape, 20)));
@@ -61,7 +63,9 @@ impl<'a> Data<'a> {
             (5121, "SCALAR") => 1,
             (5123, "SCALAR") => 2,
             (5125, "SCALAR") => 4,
-            (other, shape) => return Err(format!("accessor {index} has {} of type {other}, not indices", excerpt(shape, 20))),
+            (other, shape) => {
+                return Err(format!("accessor {index} has {} of type {other}, not indices", excerpt(shape, 20)));
+            }
         };
         let items = self.items(index, accessor, size)?;
         Ok(items.map(|item| item.iter().rev().fold(0, |index, &byte| index << 8 | u32::from(byte))))

@@ -114,7 +114,18 @@ const READ: [&str; 2] = ["EXT_mesh_gpu_instancing", "KHR_mesh_quantization"];
 
 /// Words in the names of extensions that change what a surface looks like and not where it is.
 const APPEARANCE: [&str; 12] = [
-    "material", "texture", "light", "image", "animation", "metadata", "feature", "outline", "audio", "shader", "xmp", "webgl",
+    "material",
+    "texture",
+    "light",
+    "image",
+    "animation",
+    "metadata",
+    "feature",
+    "outline",
+    "audio",
+    "shader",
+    "xmp",
+    "webgl",
 ];
 
 /// The extensions that compress vertices.
@@ -138,9 +149,11 @@ impl Document {
     fn check_extensions(&self) -> Result<(), String> {
         // It moves every vertex, also where the file does not require it.
         if self.extensions_used.iter().chain(&self.extensions_required).any(|name| name == "CESIUM_RTC") {
-            return Err("its vertices are relative to the centre in its extension CESIUM_RTC, which is not read; give the \
+            return Err(
+                "its vertices are relative to the centre in its extension CESIUM_RTC, which is not read; give the \
                         root node this centre as its `translation`, and remove the extension"
-                .into());
+                    .into(),
+            );
         }
         let is_known = |name: &str| {
             let lower = name.to_lowercase();
@@ -167,9 +180,7 @@ impl Document {
 }
 
 fn compressed(extension: &str) -> String {
-    format!(
-        "its vertices are compressed with {extension}; decompress it: npx @gltf-transform/cli copy IN.glb OUT.glb"
-    )
+    format!("its vertices are compressed with {extension}; decompress it: npx @gltf-transform/cli copy IN.glb OUT.glb")
 }
 
 fn old_version(version: &str) -> String {
