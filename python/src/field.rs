@@ -170,6 +170,9 @@ impl Field {
     fn mesh(&self, py: Python<'_>, options: Option<&Bound<PyDict>>) -> PyResult<Mesh> {
         let options: core::MeshOptions = options::of("mesh", options)?;
         let mesh = threads::run_with_signals(py, |control| self.core.mesh_with(&options, control))?;
+        if let Some(hint) = mesh.shell_hint() {
+            py.import("warnings")?.call_method1("warn", (hint,))?;
+        }
         Mesh::from_core(py, mesh, self.origin, self.precision)
     }
 

@@ -5,7 +5,7 @@ use std::cell::RefCell;
 use std::ffi::{CString, c_char};
 use std::panic::{AssertUnwindSafe, catch_unwind};
 
-use snake_core::Error;
+use snake_core::{Error, printable};
 
 /// What a function returns. `snake_last_error` has the reason as text.
 #[repr(C)]
@@ -70,7 +70,8 @@ pub(crate) fn guarded(body: impl FnOnce() -> Result<()>) -> SnakeStatus {
         Ok(Err(failure)) => failure,
         Err(panic) => Failure::of_panic(&*panic),
     };
-    let text = CString::new(failure.text.replace('\0', "\u{fffd}")).unwrap_or_default();
+    // Without zeros, which would end it, and without characters that control a terminal.
+    let text = CString::new(printable(&failure.text).as_bytes()).unwrap_or_default();
     // A thread that is ending has no text any more; the status remains.
     let _ = LAST_ERROR.try_with(|last| last.replace(text));
     failure.status
@@ -95,5 +96,13 @@ mod tests {
         // SAFETY: the text is that of this thread.
         let text = unsafe { std::ffi::CStr::from_ptr(snake_last_error()) };
         assert!(text.to_str().unwrap().starts_with("panic: index out of bounds"), "{text:?}");
+    }
+
+    #[test]
+    fn texts_have_no_control_characters() {
+        guarded(|| Err(Failure::new(SnakeStatus::Io, "a\u{1b}[2Jb\0c\nd\u{202e}: no such file")));
+        // SAFETY: the text is that of this thread.
+        let text = unsafe { std::ffi::CStr::from_ptr(snake_last_error()) };
+        assert_eq!(text.to_str().unwrap(), "a\\u{1b}[2Jb\\0c\\nd\\u{202e}: no such file");
     }
 }

@@ -6,6 +6,7 @@ use std::sync::Once;
 
 use anyhow::{Context, Result, bail};
 use clap::Args;
+use snake_core::zero_hint;
 use snake_io::{self as io, Cloud, Columns, Contents, POINT_EXTENSIONS, PointFormat, ReadOptions};
 
 use crate::terminal;
@@ -57,8 +58,17 @@ impl InputArguments {
         self.read_contents(path, seed).map(|contents| contents.cloud)
     }
 
-    /// [`InputArguments::read`] with what else the file says.
+    /// [`InputArguments::read`] with what else the file says. A hint of missing returns is printed.
     pub fn read_contents(&self, path: &Path, seed: u64) -> Result<Contents> {
+        let contents = self.read_without_hint(path, seed)?;
+        if let Some(hint) = missing_returns(&contents) {
+            terminal::hint(&format!("{}: {hint}", path.display()));
+        }
+        Ok(contents)
+    }
+
+    /// [`InputArguments::read_contents`] for callers that print [`missing_returns`] themselves.
+    pub fn read_without_hint(&self, path: &Path, seed: u64) -> Result<Contents> {
         let contents = self.contents(path, seed)?;
         let Contents { cloud, unsampled_faces, .. } = &contents;
         if *unsampled_faces > 0 {
@@ -99,6 +109,11 @@ impl InputArguments {
     }
 }
 
+/// A hint for a cloud with missing returns. The vertices of a mesh may share a corner at zero.
+pub fn missing_returns(contents: &Contents) -> Option<String> {
+    if contents.unsampled_faces > 0 { None } else { zero_hint(&contents.cloud) }
+}
+
 /// The offset that a reader has to add to the coordinates of a written file. It is zero if the format holds full
 /// coordinates. A format with four bytes a coordinate needs the origin; the function then prints a warning.
 pub fn output_origin(path: &Path, adds_origin: bool, origin: [f64; 3]) -> [f64; 3] {
@@ -128,12 +143,21 @@ fn point_format(extension: &str) -> Result<PointFormat> {
 }
 
 /// The files to read: named files, files that match a pattern, and the clouds in directories. The files of a pattern or
-/// a directory are sorted by name. A directory that is an input itself, as a bag of ROS 2 is for `detect`, stays what it is.
-pub fn expand(inputs: &[PathBuf], is_input: impl Fn(&Path) -> bool) -> Result<Vec<PathBuf>> {
+/// a directory are sorted by name. With a format they are those of this format. A directory that is an input itself, as a
+/// bag of ROS 2 is for `detect`, stays what it is.
+pub fn expand(
+    inputs: &[PathBuf],
+    format: Option<PointFormat>,
+    is_input: impl Fn(&Path) -> bool,
+) -> Result<Vec<PathBuf>> {
     let mut files = Vec::new();
     for input in inputs {
         for path in matching(input)? {
-            if path.is_dir() && !is_input(&path) { files.append(&mut clouds_in(&path)?) } else { files.push(path) }
+            if path.is_dir() && !is_input(&path) {
+                files.append(&mut clouds_in(&path, format)?)
+            } else {
+                files.push(path)
+            }
         }
     }
     Ok(files)
@@ -154,24 +178,78 @@ fn matching(input: &Path) -> Result<Vec<PathBuf>> {
     Ok(paths)
 }
 
-/// The clouds directly in a directory, except our own results (`NAME.keypoints.EXT`).
-fn clouds_in(folder: &Path) -> Result<Vec<PathBuf>> {
-    let mut found = Vec::new();
+/// The most files of a directory that a text names.
+const NAMED_FILES: usize = 10;
+
+/// The clouds directly in a directory, except our own results (`NAME.keypoints.EXT`). The other files are named.
+fn clouds_in(folder: &Path, format: Option<PointFormat>) -> Result<Vec<PathBuf>> {
+    let (mut found, mut skipped) = (Vec::new(), Vec::new());
     for entry in folder.read_dir().with_context(|| format!("cannot list {}", folder.display()))? {
         let path = entry.with_context(|| format!("cannot list {}", folder.display()))?.path();
         let is_result = path.file_stem().is_some_and(|stem| stem.to_string_lossy().ends_with(".keypoints"));
-        if path.is_file() && PointFormat::from_path(&path).is_ok() && !is_result {
-            found.push(path);
+        if path.is_file() {
+            let list = if is_cloud(&path, format) && !is_result { &mut found } else { &mut skipped };
+            list.push(path);
         }
     }
-    if found.is_empty() {
-        let (folder, extensions) = (folder.display(), POINT_EXTENSIONS.join(", ."));
-        bail!(
-            "{folder}: no point clouds in it (looked for .{extensions}); a pattern finds those in its folders: '{folder}/**/*.ply'"
-        );
-    }
     found.sort();
+    skipped.sort();
+    if found.is_empty() {
+        bail!("{}: {}", folder.display(), without_clouds(folder, format, &skipped));
+    }
+    if !skipped.is_empty() {
+        let (number, all) = (skipped.len(), skipped.len() + found.len());
+        let verb = if number == 1 { "is" } else { "are" };
+        terminal::hint(&format!("{}: {number} of {all} files {verb} not read: {}", folder.display(), listed(&skipped)));
+    }
     Ok(found)
+}
+
+/// Whether a file of a directory is a cloud, or one of the given format. Only its name counts.
+fn is_cloud(path: &Path, format: Option<PointFormat>) -> bool {
+    let Some(format) = format else { return PointFormat::from_path(path).is_ok() };
+    let extension = path.extension().unwrap_or_default().to_string_lossy().to_ascii_lowercase();
+    match PointFormat::from_extension(&extension) {
+        Some(own) => own == format,
+        None => extension == "bin" && extensions(format).is_empty(),
+    }
+}
+
+/// The extensions of a format; none for sweeps, which are `.bin` files.
+fn extensions(format: PointFormat) -> Vec<&'static str> {
+    let is_its = |extension: &&str| PointFormat::from_extension(extension) == Some(format);
+    POINT_EXTENSIONS.iter().copied().filter(is_its).collect()
+}
+
+/// The first names of files.
+fn listed(files: &[PathBuf]) -> String {
+    let names = files.iter().take(NAMED_FILES).filter_map(|file| Some(file.file_name()?.to_string_lossy()));
+    let more = if files.len() > NAMED_FILES { ", …" } else { "" };
+    names.collect::<Vec<_>>().join(", ") + more
+}
+
+/// The error for a directory without clouds: what is in it, and what to type.
+fn without_clouds(folder: &Path, format: Option<PointFormat>, files: &[PathBuf]) -> String {
+    let sought = match format.map(extensions) {
+        None => POINT_EXTENSIONS.join(", ."),
+        Some(sought) if sought.is_empty() => "bin".into(),
+        Some(sought) => sought.join(", ."),
+    };
+    let folder = folder.display();
+    let mut text = format!("no point clouds in it (looked for .{sought})");
+    if !files.is_empty() {
+        text += &format!("; it has {} other files: {}", files.len(), listed(files));
+    }
+    let with = |extensions: &[&str]| {
+        let is_one = |file: &&PathBuf| file.extension().is_some_and(|own| extensions.iter().any(|one| own == *one));
+        files.iter().find(is_one)
+    };
+    match (with(&["mcap", "db3"]), with(&["bin"]), format) {
+        (Some(recording), ..) => text += &format!("; a recording is an input of its own: {}", recording.display()),
+        (_, Some(_), None) => text += "; .bin files need --input-format kitti or nuscenes",
+        _ => text += &format!("; a pattern finds those in its folders: '{folder}/**/*.ply'"),
+    }
+    text
 }
 
 #[cfg(test)]
@@ -189,7 +267,7 @@ mod tests {
         let files = |patterns: &[&str]| -> Result<Vec<String>> {
             let inputs: Vec<PathBuf> = patterns.iter().map(|pattern| root.join(pattern)).collect();
             let name = |path: &PathBuf| path.strip_prefix(root).unwrap().display().to_string().replace('\\', "/");
-            Ok(expand(&inputs, |_| false)?.iter().map(name).collect())
+            Ok(expand(&inputs, None, |_| false)?.iter().map(name).collect())
         };
         assert_eq!(files(&["deep/d.pcd", "?.ply"]).unwrap(), ["deep/d.pcd", "a.ply", "b.ply"]);
         assert_eq!(files(&["**/[de].*"]).unwrap(), ["deep/d.pcd", "deep/er/e.ply"]);
@@ -200,5 +278,44 @@ mod tests {
         let refused = |pattern| files(&[pattern]).unwrap_err().to_string();
         assert!(refused("*.xyz").ends_with("no file matches this pattern"));
         assert!(refused("[").contains("not a valid pattern"));
+    }
+
+    #[test]
+    fn a_directory_with_a_format_has_the_files_of_that_format() {
+        let folder = tempfile::tempdir().unwrap();
+        for name in ["1.bin", "0.BIN", "a.ply", "b.txt", "c.csv", "d.dat"] {
+            std::fs::write(folder.path().join(name), "").unwrap();
+        }
+        let files = |format: &str| -> Result<Vec<String>> {
+            let format = PointFormat::from_extension(format);
+            let found = expand(&[folder.path().to_owned()], format, |_| false)?;
+            Ok(found.iter().map(|path| path.file_name().unwrap().to_string_lossy().into_owned()).collect())
+        };
+        assert_eq!(files("kitti").unwrap(), ["0.BIN", "1.bin"]);
+        assert_eq!(files("nuscenes").unwrap(), ["0.BIN", "1.bin"]);
+        assert_eq!(files("ply").unwrap(), ["a.ply"]);
+        assert_eq!(files("xyz").unwrap(), ["b.txt", "c.csv"]);
+        let error = files("las").unwrap_err().to_string();
+        assert!(
+            error.contains("looked for .las, .laz") && error.contains("6 other files: 0.BIN, 1.bin, a.ply"),
+            "{error}"
+        );
+    }
+
+    #[test]
+    fn a_directory_without_clouds_says_what_it_has_and_what_to_type() {
+        let error = |names: &[&str]| {
+            let folder = tempfile::tempdir().unwrap();
+            names.iter().for_each(|name| std::fs::write(folder.path().join(name), "").unwrap());
+            expand(&[folder.path().to_owned()], None, |_| false).unwrap_err().to_string()
+        };
+        assert!(
+            error(&["0.bin", "1.bin"]).contains("2 other files: 0.bin, 1.bin; .bin files need --input-format kitti")
+        );
+        assert!(error(&["a.mcap", "b.bin"]).contains("a recording is an input of its own: "));
+        assert!(error(&[]).contains("**/*.ply'"));
+        let many: Vec<String> = (0..12).map(|number| format!("{number:02}.md")).collect();
+        let many: Vec<&str> = many.iter().map(String::as_str).collect();
+        assert!(error(&many).contains("12 other files: 00.md, 01.md") && error(&many).contains("09.md, …"));
     }
 }

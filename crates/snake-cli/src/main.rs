@@ -27,7 +27,7 @@ use clap::{CommandFactory, Parser};
 use clap_complete::Shell;
 
 use args::{Arguments, Command};
-use terminal::printable;
+use snake_core::printable;
 
 fn main() -> ExitCode {
     let arguments = match Arguments::try_parse() {

@@ -70,6 +70,10 @@ pub fn run(arguments: &ReconstructArguments) -> Result<()> {
     bar.finish();
     let output_origin = output_origin(output, io::adds_origin(output), origin);
 
+    let hint = mesh.shell_hint();
+    if let Some(hint) = &hint {
+        terminal::hint(&format!("{}: {hint}", input.display()));
+    }
     let (vertices, triangles, area) = (mesh.vertices.len(), mesh.triangles.len(), mesh.area());
     if arguments.json {
         return terminal::print_json(&json!({
@@ -82,6 +86,7 @@ pub fn run(arguments: &ReconstructArguments) -> Result<()> {
             "vertices": vertices,
             "triangles": triangles,
             "area": area,
+            "notes": hint.as_slice(),
             "timing_seconds": { "read": read, "encode": encoded - read, "mesh": meshed - encoded, "total": total },
         }));
     }

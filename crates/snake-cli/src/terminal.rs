@@ -3,7 +3,6 @@
 //! Text for people passes through [`printable`] line by line, so that file names, option values and the environment
 //! cannot control the terminal. A closed standard output or error never stops the work.
 
-use std::borrow::Cow;
 use std::fmt::Display;
 use std::io::{self, Write};
 use std::sync::OnceLock;
@@ -14,7 +13,7 @@ use anyhow::{Context, Result};
 use console::{Term, style};
 use indicatif::{HumanDuration, ProgressBar, ProgressDrawTarget, ProgressStyle};
 use serde::Serialize;
-use snake_core::{Progress, Stage};
+use snake_core::{Progress, Stage, is_harmful, printable};
 
 /// How much is printed.
 #[derive(Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Default)]
@@ -37,21 +36,6 @@ pub fn set_verbosity(verbosity: Verbosity) {
 
 fn verbosity() -> Verbosity {
     VERBOSITY.get().copied().unwrap_or_default()
-}
-
-/// The text on one line. Characters that end the line, control the terminal or change the direction of writing are
-/// escaped, for example as `\n` and `\u{1b}`.
-pub fn printable(text: &str) -> Cow<'_, str> {
-    if !text.contains(is_harmful) {
-        return text.into();
-    }
-    text.chars().map(|c| if is_harmful(c) { c.escape_debug().to_string() } else { c.to_string() }).collect()
-}
-
-/// Control characters, separators of lines and paragraphs, and bidirectional controls.
-fn is_harmful(c: char) -> bool {
-    c.is_control()
-        || matches!(c, '\u{61c}' | '\u{200e}' | '\u{200f}' | '\u{2028}'..='\u{202e}' | '\u{2066}'..='\u{2069}')
 }
 
 /// Lines of printable text.
@@ -346,19 +330,4 @@ fn shown_later(
         });
     }
     Ok(Bar(bar))
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn only_harmful_characters_are_escaped() {
-        for harmless in ["", "a b.ply", "C:\\scans\\é \"x\" 'y'.ply", "扫描 🐍", "فارسی\u{200c}ها"] {
-            assert_eq!(printable(harmless), harmless);
-        }
-        let harmful = "\u{1b}[1m\r\n\t\u{0}\u{7f}\u{85}\u{202e}\u{2066}\u{2028}\u{200f}\u{61c}";
-        let shown = printable(harmful);
-        assert_eq!(shown, "\\u{1b}[1m\\r\\n\\t\\0\\u{7f}\\u{85}\\u{202e}\\u{2066}\\u{2028}\\u{200f}\\u{61c}");
-    }
 }

@@ -49,6 +49,7 @@ mod point_cloud2;
 mod point_source;
 mod point_tree;
 mod points;
+mod printable;
 mod progress;
 mod query_grid;
 mod radius_cells;
@@ -72,6 +73,7 @@ mod volume;
 mod weights;
 mod window_cells;
 mod windows;
+mod zero_hint;
 
 #[cfg(feature = "arrow")]
 pub use arrow::ArrowPoints;
@@ -97,6 +99,8 @@ pub use outliers::Outliers;
 pub use point_cloud2::{PointCloud2Layout, PointCloud2View, PointField};
 pub use point_source::{PointSource, SeparateAxes};
 pub use points::{Normalization, NormalizationMethod, Point};
+#[doc(hidden)]
+pub use printable::{is_harmful, printable};
 pub use progress::{Progress, Stage};
 pub use rigid_transform::RigidTransform;
 pub use scale_hint::scale_hint;
@@ -107,6 +111,7 @@ pub use threads::check_num_threads;
 pub use tiles::{Candidate, TileCandidates, TileDetector, TileSettings, by_rank};
 pub use tracker::{Tracker, TrackerOptions};
 pub use volume::{Volume, VolumeFrame};
+pub use zero_hint::zero_hint;
 
 /// The README's example runs as a test.
 #[cfg(doctest)]

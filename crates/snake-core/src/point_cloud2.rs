@@ -12,7 +12,7 @@ pub struct PointField<'a> {
     pub name: &'a str,
     /// Offset from the start of the point, in bytes.
     pub offset: usize,
-    /// Type of its numbers: 7 is float32, 8 is float64.
+    /// Type of its numbers: 1 to 8 are int8, uint8, int16, uint16, int32, uint32, float32 and float64.
     pub datatype: u8,
     /// Numbers in the field. 0 counts as 1, as old drivers write it.
     pub count: usize,
@@ -27,13 +27,15 @@ pub struct PointCloud2Layout {
     pub width: usize,
     /// Bytes from one point to the next.
     pub point_step: usize,
-    /// Bytes from one row to the next; more than `width * point_step` if rows are padded.
+    /// Bytes from one row to the next; more than `width * point_step` if rows are padded. Many drivers put another number
+    /// here, such as 0 or the size of the whole cloud. If it does not fit and the data has exactly the size of the rows
+    /// without padding, they follow each other.
     pub row_step: usize,
     /// Whether the most significant byte of a number comes first.
     pub is_bigendian: bool,
 }
 
-/// A cloud of strided bytes, without a copy. Coordinates are float32 or float64. As a [`PointSource`] they are read as `f32`;
+/// A cloud of strided bytes, without a copy. Coordinates are of any type. As a [`PointSource`] they are read as `f32`;
 /// [`PointCloud2View::to_cloud`] keeps the digits of coordinates far from zero, such as UTM.
 ///
 /// ```
@@ -50,8 +52,8 @@ pub struct PointCloud2Layout {
 #[derive(Debug, Clone, Copy)]
 pub struct PointCloud2View<'a> {
     layout: PointCloud2Layout,
-    /// Offset of x, y and z, and whether they are float64.
-    axes: [(usize, bool); 3],
+    /// Offset and type of x, y and z.
+    axes: [(usize, u8); 3],
     data: &'a [u8],
 }
 
@@ -59,32 +61,13 @@ impl<'a> PointCloud2View<'a> {
     /// The cloud of a message. Point `row * width + column` is that of its row and column.
     ///
     /// # Errors
-    /// [`Error::Input`] when a field is missing, is given twice, is neither float32 nor float64 or reaches beyond
-    /// `point_step`, and when the rows overlap or reach beyond `data`. The text names the field.
+    /// [`Error::Input`] when a field is missing, is given twice, has an unknown type or reaches beyond `point_step`, and
+    /// when the rows overlap or reach beyond `data`. The text names the field.
     pub fn new(layout: PointCloud2Layout, fields: &[PointField], data: &'a [u8]) -> Result<Self> {
         let axis = |name| axis(name, fields, layout.point_step);
         let axes = [axis("x")?, axis("y")?, axis("z")?];
-        let view = Self { layout, axes, data };
-        view.check_size()?;
-        Ok(view)
-    }
-
-    fn check_size(&self) -> Result<()> {
-        let PointCloud2Layout { height, width, point_step, row_step, .. } = self.layout;
-        let refuse = |what, reason| Err(Error::Input { what, reason });
-        let Some(row) = width.checked_mul(point_step) else {
-            return refuse("width", format!("{width} points of {point_step} bytes"));
-        };
-        if height > 1 && row_step < row {
-            return refuse("row_step", format!("{row_step} bytes, but a row has {row}"));
-        }
-        // The padding of the last row may be missing.
-        let size = height.saturating_sub(1).checked_mul(row_step).and_then(|rows| rows.checked_add(row));
-        match size {
-            _ if height == 0 => Ok(()),
-            Some(size) if size <= self.data.len() => Ok(()),
-            _ => refuse("data", format!("{} bytes, too few for {height} rows of {width} points", self.data.len())),
-        }
+        let row_step = row_step(&layout, data.len())?;
+        Ok(Self { layout: PointCloud2Layout { row_step, ..layout }, axes, data })
     }
 
     /// All points `(N, 3)`, relative to an origin if they are far from zero.
@@ -92,13 +75,24 @@ impl<'a> PointCloud2View<'a> {
         Cloud::from_positions((0..self.num_points()).map(|index| self.position(index)))
     }
 
+    /// A point with all digits.
     fn position(&self, index: usize) -> [f64; 3] {
         let PointCloud2Layout { width, point_step, row_step, .. } = self.layout;
         let start = index / width * row_step + index % width * point_step;
-        self.axes.map(|(offset, is_double)| match is_double {
-            true => f64::from_le_bytes(self.number(start + offset)),
-            false => f32::from_le_bytes(self.number(start + offset)).into(),
-        })
+        self.axes.map(|(offset, datatype)| self.coordinate(start + offset, datatype))
+    }
+
+    fn coordinate(&self, start: usize, datatype: u8) -> f64 {
+        match datatype {
+            1 => f64::from(i8::from_le_bytes(self.number(start))),
+            2 => f64::from(u8::from_le_bytes(self.number(start))),
+            3 => f64::from(i16::from_le_bytes(self.number(start))),
+            4 => f64::from(u16::from_le_bytes(self.number(start))),
+            5 => f64::from(i32::from_le_bytes(self.number(start))),
+            6 => f64::from(u32::from_le_bytes(self.number(start))),
+            7 => f64::from(f32::from_le_bytes(self.number(start))),
+            _ => f64::from_le_bytes(self.number(start)),
+        }
     }
 
     fn number<const SIZE: usize>(&self, start: usize) -> [u8; SIZE] {
@@ -116,12 +110,33 @@ impl PointSource for PointCloud2View<'_> {
     }
 
     fn point(&self, index: usize) -> Point {
-        self.position(index).map(|v| v as f32)
+        self.position(index).map(|value| value as f32)
     }
 }
 
-/// The offset of a coordinate, and whether it is float64.
-fn axis(name: &'static str, fields: &[PointField], point_step: usize) -> Result<(usize, bool)> {
+/// The bytes from one row to the next in data of this length.
+fn row_step(layout: &PointCloud2Layout, length: usize) -> Result<usize> {
+    let PointCloud2Layout { height, width, point_step, row_step, .. } = *layout;
+    let refuse = |what, reason| Err(Error::Input { what, reason });
+    let Some(row) = width.checked_mul(point_step) else {
+        return refuse("width", format!("{width} points of {point_step} bytes"));
+    };
+    // The padding of the last row may be missing.
+    let size = height.saturating_sub(1).checked_mul(row_step).and_then(|rows| rows.checked_add(row));
+    match size {
+        _ if height == 0 || width == 0 => Ok(0),
+        Some(size) if size <= length && (height == 1 || row_step >= row) => Ok(row_step),
+        _ if height.checked_mul(row) == Some(length) => Ok(row),
+        _ if height > 1 && row_step < row => refuse(
+            "row_step",
+            format!("{row_step} bytes, but a row has {row}, and the data has {length}, not {height} rows"),
+        ),
+        _ => refuse("data", format!("{length} bytes, too few for {height} rows of {width} points")),
+    }
+}
+
+/// The offset and the type of a coordinate.
+fn axis(name: &'static str, fields: &[PointField], point_step: usize) -> Result<(usize, u8)> {
     let refuse = |reason| Err(Error::Input { what: name, reason });
     let mut found = fields.iter().filter(|field| field.name == name);
     let Some(field) = found.next() else {
@@ -135,12 +150,14 @@ fn axis(name: &'static str, fields: &[PointField], point_step: usize) -> Result<
         return refuse(format!("a field of {} numbers, not 1", field.count));
     }
     let size = match field.datatype {
-        7 => 4,
+        1 | 2 => 1,
+        3 | 4 => 2,
+        5..=7 => 4,
         8 => 8,
-        other => return refuse(format!("type {other} of the field; allowed are 7 (float32) and 8 (float64)")),
+        other => return refuse(format!("type {other} of the field; types are 1 (int8) to 8 (float64)")),
     };
     match field.offset.checked_add(size) {
-        Some(end) if end <= point_step => Ok((field.offset, size == 8)),
+        Some(end) if end <= point_step => Ok((field.offset, field.datatype)),
         _ => refuse(format!("offset {} of the field reaches beyond the point of {point_step} bytes", field.offset)),
     }
 }
@@ -220,8 +237,8 @@ mod tests {
             |layout, fields: &[PointField]| PointCloud2View::new(layout, fields, &data).unwrap_err().to_string();
         assert_eq!(error(layout, &fields[..3]), "y: the cloud has no such field; its fields are ring, z, x");
         let mut changed = fields;
-        changed[2].datatype = 2;
-        assert_eq!(error(layout, &changed), "x: type 2 of the field; allowed are 7 (float32) and 8 (float64)");
+        changed[2].datatype = 9;
+        assert_eq!(error(layout, &changed), "x: type 9 of the field; types are 1 (int8) to 8 (float64)");
         changed = fields;
         changed[1].offset = 14;
         assert_eq!(error(layout, &changed), "z: offset 14 of the field reaches beyond the point of 17 bytes");
@@ -230,11 +247,57 @@ mod tests {
         assert_eq!(error(layout, &changed), "z: a field of 2 numbers, not 1");
         assert_eq!(error(layout, &[fields, fields].concat()), "x: the cloud has two such fields");
         let narrow = PointCloud2Layout { row_step: 33, ..layout };
-        assert_eq!(error(narrow, &fields), "row_step: 33 bytes, but a row has 34");
+        let expected = "row_step: 33 bytes, but a row has 34, and the data has 78, not 2 rows";
+        assert_eq!(error(narrow, &fields), expected);
         let long = PointCloud2Layout { height: 3, ..layout };
         assert_eq!(error(long, &fields), "data: 78 bytes, too few for 3 rows of 2 points");
         for (height, width) in [(usize::MAX, 2), (2, usize::MAX)] {
             error(PointCloud2Layout { height, width, ..layout }, &fields);
+        }
+    }
+
+    #[test]
+    fn rows_follow_each_other_where_row_step_does_not_fit_and_the_size_of_the_data_does() {
+        let fields = [field("x", 0, 7), field("y", 4, 7), field("z", 8, 7)];
+        let data: Vec<u8> = (0_u8..18).flat_map(|value| f32::from(value).to_le_bytes()).collect();
+        let layout = PointCloud2Layout { height: 3, width: 2, point_step: 12, row_step: 24, is_bigendian: false };
+        let points = |row_step, data: &[u8]| {
+            PointCloud2View::new(PointCloud2Layout { row_step, ..layout }, &fields, data).map(|view| view.to_points())
+        };
+        let expected = points(24, &data).unwrap();
+        assert_eq!(expected[5], [15.0, 16.0, 17.0]);
+        for row_step in [0, 2, 12, 72, usize::MAX] {
+            assert_eq!(points(row_step, &data).unwrap(), expected, "{row_step}");
+            for wrong in [&data[..71], &[&data[..], &[0; 7]].concat()] {
+                assert!(points(row_step, wrong).is_err(), "{row_step}, {} bytes", wrong.len());
+            }
+        }
+        // In one row it does not matter.
+        let one = PointCloud2Layout { height: 1, width: 6, row_step: 0, ..layout };
+        assert_eq!(PointCloud2View::new(one, &fields, &data).unwrap().to_points(), expected);
+    }
+
+    #[test]
+    fn coordinates_of_every_type_are_read_with_all_their_digits() {
+        let values =
+            |bytes: &dyn Fn(i8) -> Vec<u8>| [100, 101, 102, 110, 111, 112].into_iter().flat_map(bytes).collect();
+        let all: [(u8, usize, Vec<u8>); 7] = [
+            (1, 1, values(&|v| v.to_le_bytes().into())),
+            (2, 1, values(&|v| (v as u8).to_le_bytes().into())),
+            (3, 2, values(&|v| i16::from(v).to_le_bytes().into())),
+            (4, 2, values(&|v| (v as u16).to_le_bytes().into())),
+            (5, 4, values(&|v| i32::from(v).to_le_bytes().into())),
+            (6, 4, values(&|v| (v as u32).to_le_bytes().into())),
+            (8, 8, values(&|v| (f64::from(v) + 5e6 + 0.125).to_le_bytes().into())),
+        ];
+        for (datatype, size, data) in all {
+            let fields = [("x", 0), ("y", size), ("z", 2 * size)].map(|(name, offset)| field(name, offset, datatype));
+            let layout =
+                PointCloud2Layout { height: 1, width: 2, point_step: 3 * size, row_step: 0, is_bigendian: false };
+            let Cloud { points, origin } = PointCloud2View::new(layout, &fields, &data).unwrap().to_cloud();
+            let far = if datatype == 8 { 5e6 + 0.125 } else { 0.0 };
+            let found: Vec<_> = points.into_iter().map(|point| crate::add_origin(point, origin)).collect();
+            assert_eq!(found, [[100.0, 101.0, 102.0], [110.0, 111.0, 112.0]].map(|p| p.map(|v| v + far)), "{datatype}");
         }
     }
 

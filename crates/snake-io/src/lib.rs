@@ -94,6 +94,8 @@ mod off;
 mod parquet;
 mod pcd;
 mod ply;
+#[cfg(any(feature = "e57", feature = "gltf"))]
+mod quaternion;
 mod read_keypoints;
 #[cfg(feature = "mcap")]
 mod recording;
@@ -102,12 +104,16 @@ mod ros_message;
 #[cfg(feature = "rosbag2")]
 mod rosbag2;
 mod shape;
+#[cfg(feature = "rosbag2")]
+mod sqlite_file;
 mod stl;
 mod sweep;
 mod table;
 #[cfg(test)]
 mod tests;
 mod text;
+#[cfg(feature = "mcap")]
+mod topics;
 mod transform;
 mod write;
 
@@ -140,5 +146,5 @@ pub use write::{adds_origin, write_keypoints, write_points};
 
 /// The limit of the unpacked size, in sizes of the packed file. No scan exceeds it; a file made to exceed it would take
 /// all memory.
-#[cfg(any(feature = "e57", feature = "laz", feature = "mcap", feature = "npz"))]
+#[cfg(any(feature = "e57", feature = "gltf", feature = "laz", feature = "mcap", feature = "npz"))]
 const MAX_EXPANSION: usize = 50;

@@ -11,10 +11,8 @@ use crate::message::{Message, Messages};
 use crate::ros_message::decode;
 #[cfg(feature = "rosbag2")]
 use crate::rosbag2;
+use crate::topics::chosen;
 use crate::{Error, Result, mcap};
-
-/// The schemas of the messages that are read: of ROS 2 and of ROS 1.
-const SCHEMAS: [&str; 2] = ["sensor_msgs/msg/PointCloud2", "sensor_msgs/PointCloud2"];
 
 /// A cloud of a recording.
 #[derive(Debug, Clone, PartialEq)]
@@ -27,26 +25,27 @@ pub struct RecordedCloud {
     pub cloud: Cloud,
 }
 
-/// The clouds of a recording, an iterator made by [`read_recording`]. It reads one cloud at a time, and ends at the first
-/// error: [`Error::Io`], or [`Error::Format`] for a message that is damaged or compressed.
+/// The clouds of a recording, an iterator made by [`read_recording`]. It reads one cloud at a time, or one chunk of an MCAP
+/// file. An error, [`Error::Io`] or [`Error::Format`], stands for a message, a chunk or the rest of a file that is damaged
+/// or compressed. The clouds after it follow: the iterator has not ended.
 pub struct Recording {
     topic: String,
     /// The files that are still to be read.
     files: std::vec::IntoIter<PathBuf>,
     /// The file that is being read, and its messages.
     open: Option<(PathBuf, Messages)>,
-    /// The number of clouds that have been read.
+    /// The number of messages that have been read.
     number: usize,
 }
 
 /// Whether the path is a recording: a file `.mcap` or `.db3`, or the folder of a bag of ROS 2, which has such files and a
-/// `metadata.yaml`.
+/// `metadata.yaml`. A folder without that has nothing else to read, and the names of its files differ in their numbers.
 pub fn is_recording(path: &Path) -> bool {
     matches!(extension(path).as_str(), "mcap" | "db3") || bag_folder::is_bag(path)
 }
 
 /// Reads the clouds of a topic, one by one. `path` is an MCAP file, a file of a bag of ROS 2 in SQLite (`.db3`), or the folder
-/// of a bag, the files of which are read in the order of its `metadata.yaml`. The clouds of an MCAP file are in its order,
+/// of a bag, the files of which are read in the order of its `metadata.yaml`, or without that of their numbers. The clouds of an MCAP file are in its order,
 /// those of a `.db3` file by time. Without a topic the only one with point clouds is taken.
 ///
 /// ```no_run
@@ -63,14 +62,26 @@ pub fn is_recording(path: &Path) -> bool {
 pub fn read_recording(path: &Path, topic: Option<&str>) -> Result<Recording> {
     let files = if path.is_dir() { bag_folder::files(path)? } else { vec![path.to_path_buf()] };
     let mut topics: Vec<(String, String)> = Vec::new();
+    let mut errors: Vec<Error> = Vec::new();
     for file in &files {
-        for found in topics_of(file)? {
-            if topics.iter().all(|(name, _)| *name != found.0) {
-                topics.push(found);
+        match topics_of(file) {
+            Ok(found) => {
+                for topic in found {
+                    if topics.iter().all(|(name, _)| *name != topic.0) {
+                        topics.push(topic);
+                    }
+                }
             }
+            Err(error) => errors.push(error),
         }
     }
-    let topic = chosen_topic(&topics, topic).map_err(|reason| Error::Format { path: path.into(), reason })?;
+    // A damaged file among good ones is an error when its turn comes.
+    if errors.len() == files.len()
+        && let Some(error) = errors.into_iter().next()
+    {
+        return Err(error);
+    }
+    let topic = chosen(&topics, topic).map_err(|reason| Error::Format { path: path.into(), reason })?;
     Ok(Recording { topic, files: files.into_iter(), open: None, number: 0 })
 }
 
@@ -80,34 +91,16 @@ impl Recording {
         &self.topic
     }
 
+    /// Decodes the next message. It is counted also if it is damaged.
     fn cloud(&mut self, path: &Path, message: Message) -> Result<RecordedCloud> {
         let Message { log_time, encoding, data } = message;
+        let number = self.number;
+        self.number += 1;
         let (frame_id, cloud) = decode(&encoding, &data).map_err(|reason| {
-            let reason = format!("message {} of {}: {reason}", self.number, self.topic);
+            let reason = format!("message {number} of {}: {reason}", self.topic);
             Error::Format { path: path.into(), reason }
         })?;
-        self.number += 1;
         Ok(RecordedCloud { log_time, frame_id, cloud })
-    }
-
-    fn next_cloud(&mut self) -> Result<Option<RecordedCloud>> {
-        loop {
-            let (path, mut messages) = match self.open.take() {
-                Some(open) => open,
-                None => match self.files.next() {
-                    Some(path) => {
-                        let messages = messages_of(&path, &self.topic)?;
-                        (path, messages)
-                    }
-                    None => return Ok(None),
-                },
-            };
-            if let Some(message) = messages.next() {
-                let cloud = self.cloud(&path, message?)?;
-                self.open = Some((path, messages));
-                return Ok(Some(cloud));
-            }
-        }
     }
 }
 
@@ -115,11 +108,23 @@ impl Iterator for Recording {
     type Item = Result<RecordedCloud>;
 
     fn next(&mut self) -> Option<Self::Item> {
-        let cloud = self.next_cloud().transpose();
-        if matches!(cloud, Some(Err(_))) {
-            self.files = Vec::new().into_iter();
+        loop {
+            let (path, mut messages) = match self.open.take() {
+                Some(open) => open,
+                None => {
+                    let path = self.files.next()?;
+                    match messages_of(&path, &self.topic) {
+                        Ok(messages) => (path, messages),
+                        Err(error) => return Some(Err(error)),
+                    }
+                }
+            };
+            if let Some(message) = messages.next() {
+                let cloud = message.and_then(|message| self.cloud(&path, message));
+                self.open = Some((path, messages));
+                return Some(cloud);
+            }
         }
-        cloud
     }
 }
 
@@ -144,29 +149,4 @@ fn messages_of(path: &Path, topic: &str) -> Result<Messages> {
         return rosbag2::Bag::open(path)?.messages(topic);
     }
     mcap::messages(path, topic)
-}
-
-/// The given one of the topics and the schemas of their messages, or the only one with point clouds.
-fn chosen_topic(topics: &[(String, String)], given: Option<&str>) -> std::result::Result<String, String> {
-    let is_cloud = |schema: &str| SCHEMAS.contains(&schema);
-    let clouds: Vec<&str> =
-        topics.iter().filter(|(_, schema)| is_cloud(schema)).map(|(topic, _)| topic.as_str()).collect();
-    let listed = || match &clouds[..] {
-        [] if topics.is_empty() => "the file has no messages".to_owned(),
-        [] => {
-            let all: Vec<String> = topics.iter().map(|(topic, schema)| format!("{topic} ({schema})")).collect();
-            format!("no topic has point clouds; topics: {}", all.join(", "))
-        }
-        clouds => format!("topics with point clouds: {}", clouds.join(", ")),
-    };
-    match (given, &clouds[..]) {
-        (Some(given), _) => match topics.iter().find(|(topic, _)| topic == given) {
-            Some((_, schema)) if is_cloud(schema) => Ok(given.to_owned()),
-            Some((_, schema)) => Err(format!("topic {given} has messages {schema}, not point clouds; {}", listed())),
-            None => Err(format!("no messages of the topic {given}; {}", listed())),
-        },
-        (None, [topic]) => Ok((*topic).to_owned()),
-        (None, []) => Err(listed()),
-        (None, _) => Err(format!("which topic? {}", listed())),
-    }
 }

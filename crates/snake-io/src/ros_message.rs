@@ -4,10 +4,22 @@ use snake_core::{Cloud, PointCloud2Layout, PointCloud2View, PointField, PointSou
 
 /// Decodes a message: its frame and its points.
 pub(crate) fn decode(encoding: &str, data: &[u8]) -> std::result::Result<(String, Cloud), String> {
-    let mut reader = MessageReader::new(encoding, data)?;
+    let reader = MessageReader::new(encoding, data)?;
+    match reader.version {
+        Version::One => cloud(reader, false),
+        // The second version of CDR puts its size before a list of structures. Some writers leave it out.
+        Version::Two => cloud(reader.clone(), true).or_else(|_| cloud(reader, false)),
+    }
+}
+
+/// The frame and the points of a message, with the size of the list of fields before it or not.
+fn cloud(mut reader: MessageReader, has_list_size: bool) -> std::result::Result<(String, Cloud), String> {
     reader.skip_time()?;
     let frame_id = reader.text()?;
     let [height, width] = [reader.number()?, reader.number()?];
+    if has_list_size {
+        reader.number()?;
+    }
     let num_fields = reader.number()?;
     let mut fields: Vec<(String, usize, u8, usize)> = Vec::new();
     for _ in 0..num_fields {
@@ -28,11 +40,20 @@ pub(crate) fn decode(encoding: &str, data: &[u8]) -> std::result::Result<(String
     Ok((frame_id, view.to_cloud()))
 }
 
+/// The versions of CDR; the encoding of ROS 1 counts as the first.
+#[derive(Clone, Copy)]
+enum Version {
+    One,
+    Two,
+}
+
 /// A reader of messages in CDR, the encoding of ROS 2, in which numbers are aligned to their size from the end of the header,
 /// or in the encoding of ROS 1, which has no alignment.
+#[derive(Clone)]
 struct MessageReader<'a> {
     data: &'a [u8],
     place: usize,
+    version: Version,
     is_little_endian: bool,
     is_aligned: bool,
 }
@@ -40,12 +61,22 @@ struct MessageReader<'a> {
 impl<'a> MessageReader<'a> {
     /// At the time in the header of a message.
     fn new(encoding: &str, data: &'a [u8]) -> std::result::Result<Self, String> {
+        let at_start = |data, version, is_little_endian, is_aligned| {
+            Ok(Self { data, place: 0, version, is_little_endian, is_aligned })
+        };
         match (encoding, data) {
             // The number of the message comes before its time.
-            ("ros1", [_, _, _, _, data @ ..]) => Ok(Self { data, place: 0, is_little_endian: true, is_aligned: false }),
-            ("cdr", [0, kind @ (0 | 1), _, _, data @ ..]) => {
-                Ok(Self { data, place: 0, is_little_endian: *kind == 1, is_aligned: true })
+            ("ros1", [_, _, _, _, data @ ..]) => at_start(data, Version::One, true, false),
+            ("cdr", [0, kind @ (0 | 1), _, _, data @ ..]) => at_start(data, Version::One, *kind == 1, true),
+            // The middleware have different numbers for the second version. All its numbers here have at most four bytes,
+            // which are aligned as in the first.
+            ("cdr", [0, kind @ (6 | 7 | 16 | 17), _, _, data @ ..]) => {
+                at_start(data, Version::Two, kind % 2 == 1, true)
             }
+            ("cdr", [a, b, _, _, ..]) => Err(format!(
+                "encoded as CDR of the kind {a:02x} {b:02x}; plain CDR is read (00 00, 00 01, 00 06, 00 07)"
+            )),
+            ("cdr" | "ros1", _) => Err("cut short".into()),
             _ => Err(format!("{} bytes that are not encoded as `cdr` or `ros1`, but as `{encoding}`", data.len())),
         }
     }

@@ -148,5 +148,125 @@ fn damaged_folders_of_bags_are_refused_with_the_reason() {
     }
     let folder = bag_folder(root.path(), &[], &whole);
     std::fs::remove_file(folder.join("metadata.yaml")).unwrap();
-    assert!(!is_recording(&folder) && read(&folder, None).unwrap_err().to_string().contains("metadata.yaml: "));
+    assert_eq!(read(&folder, None).unwrap().len(), 2, "the metadata are missing after a crash");
+}
+
+#[test]
+fn parts_without_metadata_are_read_by_number() {
+    let root = tempfile::tempdir().unwrap();
+    let folder = root.path().join("drive");
+    let with = |files: &[&str]| {
+        let _ = std::fs::remove_dir_all(&folder);
+        std::fs::create_dir(&folder).unwrap();
+        files.iter().for_each(|name| drop(std::fs::copy(data("drive.db3"), folder.join(name)).unwrap()));
+    };
+    let names: Vec<String> = (0..11).map(|number| format!("drive_{number}.db3")).collect();
+    with(&names.iter().map(String::as_str).collect::<Vec<_>>());
+    // The time of the last part shows the order.
+    std::fs::copy(changed(root.path(), "UPDATE messages SET timestamp = 7"), folder.join("drive_10.db3")).unwrap();
+    let times: Vec<u64> = read(&folder, None).unwrap().into_iter().map(|cloud| cloud.log_time).collect();
+    assert!(is_recording(&folder) && times.len() == 22 && times[20..] == [7, 7], "{times:?}");
+    for (files, expected) in [
+        (&["a_0.db3", "b_0.db3"][..], "files of several recordings"),
+        (&["a_0.db3", "a_2.db3"], "a_2.db3 does not follow a_0.db3"),
+        (&["a_0.db3", "a_1.db3.zstd"], "its messages are compressed"),
+        (&["notes.md"], "no files of messages"),
+    ] {
+        with(files);
+        let error = read(&folder, None).unwrap_err().to_string();
+        assert!(error.contains(expected) && !is_recording(&folder), "{files:?}: {error}");
+    }
+    // Beside clouds in files it is a folder of clouds.
+    with(&["a_0.db3", "cloud.ply"]);
+    assert!(!is_recording(&folder));
+}
+
+#[test]
+fn a_damaged_part_costs_no_other() {
+    let root = tempfile::tempdir().unwrap();
+    let folder = bag_folder(
+        root.path(),
+        &[("drive_0.db3", "drive.db3"), ("drive_2.db3", "drive.db3")],
+        &metadata(&["drive_0.db3", "drive_1.db3", "drive_2.db3"]),
+    );
+    std::fs::write(folder.join("drive_1.db3"), "no bag").unwrap();
+    let found: Vec<_> = read_recording(&folder, None).unwrap().map(|cloud| cloud.map_err(|e| e.to_string())).collect();
+    assert!(found.len() == 5 && found.iter().filter(|cloud| cloud.is_ok()).count() == 4, "{found:?}");
+    assert!(found[2].as_ref().unwrap_err().contains("drive_1.db3"), "{found:?}");
+}
+
+#[test]
+fn a_damaged_message_costs_no_other() {
+    let folder = tempfile::tempdir().unwrap();
+    for statement in
+        ["UPDATE messages SET data = x'00010000' WHERE id = 1", "UPDATE messages SET data = 7 WHERE id = 1"]
+    {
+        let path = changed(folder.path(), statement);
+        let found: Vec<_> = read_recording(&path, None).unwrap().collect();
+        assert!(found.len() == 2 && found[0].is_err() && found[1].is_ok(), "{statement}: {found:?}");
+    }
+}
+
+/// The names in a folder.
+fn names(folder: &Path) -> Vec<String> {
+    let mut names: Vec<String> =
+        folder.read_dir().unwrap().map(|entry| entry.unwrap().file_name().into_string().unwrap()).collect();
+    names.sort();
+    names
+}
+
+/// A copy of the bag in WAL mode; with its journal if the writer did not end it.
+fn in_wal_mode(folder: &Path, has_ended: bool) -> PathBuf {
+    let path = folder.join("a b%20c#?.db3");
+    let writing = folder.join("writing.db3");
+    std::fs::copy(data("drive.db3"), &writing).unwrap();
+    let writer = Connection::open(&writing).unwrap();
+    writer.pragma_update(None, "journal_mode", "wal").unwrap();
+    writer.pragma_update(None, "wal_autocheckpoint", 0).unwrap();
+    writer.execute_batch("INSERT INTO messages SELECT id + 10, topic_id, timestamp + 9, data FROM messages").unwrap();
+    if has_ended {
+        drop(writer);
+        std::fs::rename(writing, &path).unwrap();
+    } else {
+        // As after a crash.
+        for end in ["", "-wal"] {
+            std::fs::copy(format!("{}{end}", writing.display()), format!("{}{end}", path.display())).unwrap();
+        }
+        drop(writer);
+        std::fs::remove_file(writing).unwrap();
+    }
+    path
+}
+
+#[test]
+fn bags_in_wal_mode_are_read_and_nothing_is_left_beside_them() {
+    for has_ended in [true, false] {
+        for is_read_only in [false, true] {
+            let folder = tempfile::tempdir().unwrap();
+            let path = in_wal_mode(folder.path(), has_ended);
+            let (before, bytes) = (names(folder.path()), std::fs::read(&path).unwrap());
+            assert_eq!(before.len(), if has_ended { 1 } else { 2 }, "{before:?}");
+            let permit = |is_read_only: bool| {
+                for file in before.iter().map(|name| folder.path().join(name)).chain([folder.path().to_owned()]) {
+                    let mut permissions = file.metadata().unwrap().permissions();
+                    permissions.set_readonly(is_read_only);
+                    #[cfg(unix)]
+                    std::os::unix::fs::PermissionsExt::set_mode(
+                        &mut permissions,
+                        if is_read_only { 0o555 } else { 0o755 },
+                    );
+                    std::fs::set_permissions(file, permissions).unwrap();
+                }
+            };
+            permit(is_read_only);
+            let mut clouds = read_recording(&path, None).unwrap();
+            let first = clouds.next().unwrap();
+            let during = names(folder.path());
+            let number = 1 + clouds.map(Result::unwrap).count();
+            permit(false);
+            assert!(first.is_ok() && number == 4, "{number} clouds");
+            assert_eq!((during, names(folder.path())), (before.clone(), before));
+            assert_eq!(std::fs::read(&path).unwrap(), bytes);
+        }
+    }
 }

@@ -69,6 +69,12 @@ fn read(path: &Path, topic: Option<&str>) -> Result<Vec<RecordedCloud>, Error> {
     read_recording(path, topic)?.collect()
 }
 
+/// The number of clouds of a recording, and the errors between them.
+fn clouds_and_errors(path: &Path) -> (usize, Vec<String>) {
+    let (clouds, errors): (Vec<_>, Vec<_>) = read_recording(path, None).unwrap().partition(Result::is_ok);
+    (clouds.len(), errors.into_iter().map(|error| error.unwrap_err().to_string()).collect())
+}
+
 #[test]
 fn the_clouds_of_a_topic_are_read_in_order() {
     let folder = tempfile::tempdir().unwrap();
@@ -123,7 +129,8 @@ fn a_recording_without_clouds_names_its_topics() {
     let path = folder.path().join("drive.mcap");
     let error = |topic| read(&path, topic).unwrap_err().to_string();
     record(&path, &[("/pose", "geometry_msgs/msg/Pose", vec![]), ("/imu", "sensor_msgs/msg/Imu", vec![])]);
-    let expected = "no topic has point clouds; topics: /pose (geometry_msgs/msg/Pose), /imu (sensor_msgs/msg/Imu)";
+    let expected = "no topic has point clouds (sensor_msgs/PointCloud2); topics: /pose (geometry_msgs/msg/Pose), /imu \
+                    (sensor_msgs/msg/Imu)";
     assert!(error(None).ends_with(expected) && error(Some("/points")).ends_with(expected), "{}", error(None));
     record(&path, &[]);
     assert!(error(None).ends_with("the file has no messages"));
@@ -156,4 +163,132 @@ fn damaged_files_give_an_error_or_whole_clouds() {
             assert!(found.len() <= 2, "{place}");
         }
     }
+}
+
+#[test]
+fn a_damaged_message_costs_no_other() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("drive.mcap");
+    let (good, short) = (("/a", SCHEMA, message()), ("/a", SCHEMA, message()[..90].to_vec()));
+    record(&path, &[short.clone(), good.clone(), short, good.clone(), good]);
+    let (number, errors) = clouds_and_errors(&path);
+    assert_eq!((number, errors.len()), (3, 2), "{errors:?}");
+    assert!(errors[0].contains("message 0 of /a") && errors[1].contains("message 2 of /a"), "{errors:?}");
+}
+
+/// A recording of 20 messages in chunks of about two.
+fn in_chunks(path: &Path, compression: Option<mcap::Compression>) {
+    let options = mcap::WriteOptions::new().compression(compression).chunk_size(Some(300));
+    let mut writer = options.create(std::fs::File::create(path).unwrap()).unwrap();
+    let schema_id = writer.add_schema(SCHEMA, "ros2msg", b"").unwrap();
+    let channel_id = writer.add_channel(schema_id, "/a", "cdr", &BTreeMap::new()).unwrap();
+    for time in 0..20 {
+        let header = MessageHeader { channel_id, sequence: time as u32, log_time: time, publish_time: time };
+        writer.write_to_known_channel(&header, &message()).unwrap();
+    }
+    writer.finish().unwrap();
+}
+
+#[test]
+fn a_cut_file_has_the_clouds_before_the_cut() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("drive.mcap");
+    for compression in [None, Some(mcap::Compression::Lz4), Some(mcap::Compression::Zstd)] {
+        in_chunks(&path, compression);
+        let whole = std::fs::read(&path).unwrap();
+        let mut most = 0;
+        for length in (whole.len() / 4..whole.len()).step_by(37) {
+            std::fs::write(&path, &whole[..length]).unwrap();
+            let (number, errors) = clouds_and_errors(&path);
+            assert!(number >= most && number > 0, "{length}: {number}");
+            assert!(errors.len() == 1 && errors[0].contains("cut short"), "{length}: {errors:?}");
+            assert!(errors[0].contains("mcap recover"));
+            most = number;
+        }
+        assert_eq!(most, 20);
+    }
+}
+
+/// The end of a chunk, counted from 0.
+fn end_of_chunk(bytes: &[u8], number: usize) -> usize {
+    let (mut place, mut chunks) = (8, 0);
+    loop {
+        let length = u64::from_le_bytes(bytes[place + 1..place + 9].try_into().unwrap()) as usize;
+        let end = place + 9 + length;
+        if bytes[place] == 6 {
+            chunks += 1;
+        }
+        if chunks > number {
+            return end;
+        }
+        place = end;
+    }
+}
+
+#[test]
+fn a_damaged_chunk_costs_its_own_messages_only() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("drive.mcap");
+    for compression in [None, Some(mcap::Compression::Lz4), Some(mcap::Compression::Zstd)] {
+        in_chunks(&path, compression);
+        let mut bytes = std::fs::read(&path).unwrap();
+        // In the last coordinates of an uncompressed message, which nothing but the checksum shows.
+        let end = end_of_chunk(&bytes, 3);
+        bytes[end - 12] ^= 0x55;
+        std::fs::write(&path, &bytes).unwrap();
+        let (number, errors) = clouds_and_errors(&path);
+        assert!((16..20).contains(&number) && errors.len() == 1, "{number}: {errors:?}");
+        assert!(errors[0].contains("damaged"), "{errors:?}");
+    }
+}
+
+#[test]
+fn messages_in_the_second_version_of_cdr_and_names_of_dds_are_read() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("drive.mcap");
+    let expected = {
+        record(&path, &[("/a", SCHEMA, message())]);
+        format!("{:?}", read(&path, None).unwrap())
+    };
+    let body = encoded(true);
+    // The list of fields begins after the time, the frame and the size of the cloud.
+    let fields = 8 + 4 + 8 + 8;
+    let with_size = [&body[..fields], &100_u32.to_le_bytes(), &body[fields..]].concat();
+    for kind in [6_u8, 7, 16, 17] {
+        let head = [0, kind | 1, 0, 0];
+        for body in [&body, &with_size] {
+            record(&path, &[("/a", SCHEMA, [&head, &body[..]].concat())]);
+            assert_eq!(format!("{:?}", read(&path, None).unwrap()), expected, "{kind}");
+        }
+    }
+    record(&path, &[("/a", SCHEMA, [&[0, 9, 0, 0], &body[..]].concat())]);
+    assert!(read(&path, None).unwrap_err().to_string().contains("CDR of the kind 00 09"));
+    let mut writer = mcap::Writer::new(std::fs::File::create(&path).unwrap()).unwrap();
+    let schema_id = writer.add_schema("sensor_msgs::msg::dds_::PointCloud2_", "omgidl", b"").unwrap();
+    let channel_id = writer.add_channel(schema_id, "/a", "cdr", &BTreeMap::new()).unwrap();
+    let header = MessageHeader { channel_id, sequence: 0, log_time: 100, publish_time: 100 };
+    writer.write_to_known_channel(&header, &message()).unwrap();
+    writer.finish().unwrap();
+    assert_eq!(format!("{:?}", read(&path, None).unwrap()), expected);
+}
+
+#[test]
+fn topics_that_can_become_clouds_say_how() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("drive.mcap");
+    for (schema, expected) in [
+        ("livox_ros_driver2/msg/CustomMsg", "xfer_format: 0"),
+        ("velodyne_msgs/msg/VelodyneScan", "play the recording to its driver"),
+        ("ouster_sensor_msgs/msg/PacketMsg", "play the recording to its driver"),
+        ("sensor_msgs/msg/LaserScan", "one plane"),
+        ("foxglove.PointCloud", "record sensor_msgs/PointCloud2"),
+        ("sensor_msgs/msg/PointCloud", "point_cloud_converter"),
+        ("sensor_msgs/msg/Image", "depth_image_proc"),
+    ] {
+        record(&path, &[("/pose", "geometry_msgs/msg/Pose", vec![]), ("/a", schema, vec![])]);
+        let error = read(&path, None).unwrap_err().to_string();
+        assert!(error.contains(&format!("/a ({schema})")) && error.contains(expected), "{schema}: {error}");
+    }
+    record(&path, &[("/a", SCHEMA, message()), ("/b", SCHEMA, message())]);
+    assert!(read(&path, None).unwrap_err().to_string().ends_with("give one: --topic /a"));
 }

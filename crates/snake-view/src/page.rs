@@ -3,7 +3,7 @@
 use base64::Engine;
 use base64::engine::general_purpose::STANDARD;
 use serde_json::{Value, json};
-use snake_core::Options;
+use snake_core::{Options, printable};
 
 use crate::pair::Pair;
 use crate::shown_cloud::ShownCloud;
@@ -56,7 +56,7 @@ impl Page {
 
 /// A page with markup, style and scripts around its data.
 pub(crate) fn document(title: &str, data: &Value) -> String {
-    let (title, script) = (escaped(title), SCRIPTS.join("\n"));
+    let (title, script) = (escaped(&printable(title)), SCRIPTS.join("\n"));
     // Only "<" could end the script element or begin a comment in it.
     let data = data.to_string().replace('<', "\\u003c");
     format!(
@@ -79,6 +79,12 @@ fn escaped(text: &str) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn the_title_has_no_control_characters() {
+        let page = document("a\u{1b}]0;b\u{7}\u{202e}<c>", &Value::Null);
+        assert!(page.contains("<title>a\\u{1b}]0;b\\u{7}\\u{202e}&lt;c&gt;</title>"));
+    }
 
     #[test]
     fn text_cannot_become_markup() {

@@ -100,7 +100,7 @@ impl ShownCloud {
     /// The surface, if there is one. Normals are four signed bytes, x y z and padding, each 127 times its value.
     /// Triangles are indices of 32 bits. Both are base64.
     fn surface_data(&self) -> Option<Value> {
-        let Mesh { vertices, normals, triangles } = &self.surface;
+        let Mesh { vertices, normals, triangles, .. } = &self.surface;
         let normals = normals.iter().flat_map(|[x, y, z]| [*x, *y, *z, 0.0].map(|v| (v * 127.0).round() as i8 as u8));
         let indices = triangles.as_flattened().iter().flat_map(|index| index.to_le_bytes());
         (!triangles.is_empty()).then(|| {

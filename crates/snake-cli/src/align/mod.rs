@@ -8,7 +8,7 @@ use std::process::ExitCode;
 
 use anyhow::{Context, Result, bail};
 use serde_json::{Value, json};
-use snake_core::{Control, Point, Progress};
+use snake_core::{Control, Normalization, NormalizationMethod, Point, Progress};
 use snake_io::{self as io, Cloud, CloudFormat};
 use snake_registration::{Alignment, align_with, transform_points};
 
@@ -25,7 +25,7 @@ pub fn run(arguments: &AlignArguments) -> Result<ExitCode> {
         bail!("{}: poses are written as .json", path.display());
     }
     merged.as_deref().map(CloudFormat::from_path).transpose()?;
-    let inputs = expand(&arguments.inputs, |_| false)?;
+    let inputs = expand(&arguments.inputs, arguments.input.input_format, |_| false)?;
     check_inputs(&inputs)?;
     let files = InputFiles::new(inputs.iter().chain(&arguments.compute.model));
     output.iter().chain(merged).try_for_each(|path| files.refuse_as_output(path))?;
@@ -43,6 +43,10 @@ pub fn run(arguments: &AlignArguments) -> Result<ExitCode> {
     options.place(&origins);
     let points: Vec<&[Point]> = clouds.iter().map(|cloud| &cloud.points[..]).collect();
     let control = Control::new().progress(&progress);
+    // The same check as that of the clouds of `align_with`, which knows them by number only.
+    for (input, points) in inputs.iter().zip(&points) {
+        Normalization::of(points, NormalizationMethod::UnitSphere).with_context(|| input.display().to_string())?;
+    }
     let near = align_with(&points, &model, &options, &control).context("cannot align the clouds")?;
     bar.finish();
 

@@ -17,7 +17,7 @@ use serde_json::{Value, json};
 use snake_core::{Control, Detection, Model, Options, Progress, add_origin, cluster_hint, scale_hint, side_by_side};
 use snake_io::{self as io, Cloud, Contents, KeypointFormat, KeypointSource};
 
-use crate::inputs::{DASH, check_inputs, expand, output_origin};
+use crate::inputs::{DASH, check_inputs, expand, missing_returns, output_origin};
 use crate::output::{InputFiles, in_folder};
 use crate::terminal::{self, Bar, Report};
 use crate::timing::{STAGES, Seconds};
@@ -37,7 +37,7 @@ pub fn run(arguments: &DetectArguments) -> Result<ExitCode> {
     let load_model = loading.elapsed().as_secs_f64();
     let options = arguments.options.resolve(&model)?;
     terminal::detail("options", || serde_json::to_string(&options).unwrap_or_default());
-    let inputs = expand(&arguments.inputs, io::is_recording)?;
+    let inputs = expand(&arguments.inputs, arguments.input.input_format, io::is_recording)?;
     check_inputs(&inputs)?;
     let job = Job { model: &model, options: &options, arguments, control: &control };
     if recording::is_given(arguments, &inputs)? {
@@ -55,7 +55,7 @@ pub fn run(arguments: &DetectArguments) -> Result<ExitCode> {
     };
     let silent = control.clone().without_progress();
     let job = if is_parallel && inputs.len() > 1 { Job { control: &silent, ..job } } else { job };
-    let reports = Mutex::new(Reports::new(arguments, bar));
+    let reports = Mutex::new(Reports::new(arguments, bar, inputs.len() > 1));
     let process = |index: usize| -> snake_core::Result<()> {
         let (input, output): (&PathBuf, &Result<Option<PathBuf>>) = (&inputs[index], &outputs[index]);
         let name = input.display().to_string();
@@ -143,13 +143,15 @@ impl Job<'_> {
     /// Processes one input from file to file.
     fn process_file(&self, input: &Path, name: &str, output: Option<&Path>, bar: &Bar) -> Result<Processed> {
         let start = Instant::now();
-        let contents = self.arguments.input.read_contents(input, self.options.encode.seed)?;
+        let contents = self.arguments.input.read_without_hint(input, self.options.encode.seed)?;
         self.process(Item { input, name, output, recorded: None, contents, start, bar })
     }
 
     /// Detects the keypoints of a cloud and writes them.
     fn process(&self, item: Item) -> Result<Processed> {
-        let Item { input, name, output, recorded, contents: Contents { cloud, crs, .. }, start, bar } = item;
+        let Item { input, name, output, recorded, contents, start, bar } = item;
+        let missing_returns = missing_returns(&contents);
+        let Contents { cloud, crs, .. } = contents;
         let Self { model, options, arguments, control } = *self;
         let Cloud { points, origin } = cloud.for_normalization(options.encode.normalization);
         let read = start.elapsed().as_secs_f64();
@@ -161,6 +163,7 @@ impl Job<'_> {
                 hints.push(hint);
             }
         };
+        add_hint(missing_returns);
         add_hint(scale_hint(&points, options));
         let detection = model.detect_with(&points, options, control).with_context(|| name.to_owned())?;
         add_hint(cluster_hint(&points, &detection.keypoints));
@@ -182,7 +185,7 @@ impl Job<'_> {
         } else {
             table(name, output, points.len(), origin, &detection, total)?
         };
-        Ok(Processed { report, seconds })
+        Ok(Processed { report, seconds, num_points: points.len(), num_keypoints: detection.keypoints.len() })
     }
 }
 

@@ -30,7 +30,7 @@ pub fn is_given(arguments: &DetectArguments, inputs: &[PathBuf]) -> Result<bool>
     }
 }
 
-/// Processes every cloud. A cloud that fails is reported, and the run continues.
+/// Processes every cloud. A cloud that fails and a damaged message are reported, and the run continues.
 pub fn run(job: &Job, input: &Path, bar: Bar, load_model: f64) -> Result<ExitCode> {
     let arguments = job.arguments;
     let folder = arguments.output.as_deref();
@@ -43,23 +43,19 @@ pub fn run(job: &Job, input: &Path, bar: Bar, load_model: f64) -> Result<ExitCod
     if let Some(folder) = folder {
         std::fs::create_dir_all(folder).with_context(|| format!("cannot make the directory {}", folder.display()))?;
     }
-    let mut reports = Reports::new(arguments, bar);
+    let mut reports = Reports::new(arguments, bar, true);
     let mut start = Instant::now();
     for (index, recorded) in recording.enumerate() {
         let name = format!("{}, cloud {index}", input.display());
         reports.bar.set_message(&name);
         let output = folder.map(|folder| folder.join(format!("{stem}.{index:06}.keypoints.{extension}")));
-        let RecordedCloud { log_time, frame_id, cloud } = match recorded {
-            Ok(recorded) => recorded,
-            Err(error) => {
-                reports.bar.finish();
-                return Err(error.into());
-            }
+        let process = |RecordedCloud { log_time, frame_id, cloud }| {
+            let recorded = Some(json!({ "index": index, "log_time": log_time, "frame_id": frame_id }));
+            let contents = Contents { cloud, ..Contents::default() };
+            let (output, bar) = (output.as_deref(), &reports.bar);
+            job.process(Item { input, name: &name, output, recorded, contents, start, bar })
         };
-        let recorded = Some(json!({ "index": index, "log_time": log_time, "frame_id": frame_id }));
-        let contents = Contents { cloud, ..Contents::default() };
-        let item = Item { input, name: &name, output: output.as_deref(), recorded, contents, start, bar: &reports.bar };
-        let result = job.process(item);
+        let result = recorded.map_err(Into::into).and_then(process);
         if !reports.add(index, name, output.as_deref(), result) {
             break;
         }

@@ -3,6 +3,7 @@
 use std::collections::BTreeMap;
 use std::path::Path;
 use std::process::ExitCode;
+use std::time::Instant;
 
 use anyhow::{Error, Result, anyhow};
 
@@ -11,8 +12,8 @@ use crate::inputs::DASH;
 use crate::terminal::{self, Bar, Report};
 use crate::timing::{self, Seconds};
 
-/// The most failed inputs that the last line of a run names.
-const NAMED_FAILURES: usize = 10;
+/// The most inputs that a line at the end of a run names.
+const NAMED_INPUTS: usize = 10;
 
 /// How a report is printed: to the standard output, or elsewhere if that carries the keypoints.
 type Print = fn(&Report) -> Result<()>;
@@ -21,6 +22,67 @@ type Print = fn(&Report) -> Result<()>;
 pub struct Processed {
     pub report: Report,
     pub seconds: Seconds,
+    pub num_points: usize,
+    pub num_keypoints: usize,
+}
+
+/// The sum of the results of a run.
+struct Summary {
+    start: Instant,
+    num_clouds: usize,
+    num_points: usize,
+    /// Keypoints of all clouds, and the fewest and most of one.
+    num_keypoints: [usize; 3],
+    /// The clouds without keypoints.
+    empty: Vec<String>,
+}
+
+impl Summary {
+    fn new() -> Self {
+        Self {
+            start: Instant::now(),
+            num_clouds: 0,
+            num_points: 0,
+            num_keypoints: [0, usize::MAX, 0],
+            empty: Vec::new(),
+        }
+    }
+
+    fn add(&mut self, input: String, num_points: usize, num_keypoints: usize) {
+        self.num_clouds += 1;
+        self.num_points += num_points;
+        let [all, fewest, most] = self.num_keypoints;
+        self.num_keypoints = [all + num_keypoints, fewest.min(num_keypoints), most.max(num_keypoints)];
+        if num_keypoints == 0 {
+            self.empty.push(input);
+        }
+    }
+
+    fn report(&self, output: &Path) -> Report {
+        let mut report = Report::default();
+        let Self { num_clouds, num_points, num_keypoints: [all, fewest, most], .. } = self;
+        if *num_clouds == 0 {
+            return report;
+        }
+        let seconds = self.start.elapsed().as_secs_f64();
+        report.line(format!(
+            "{all} keypoints ({fewest} to {most} a cloud) from {num_points} points in {num_clouds} clouds in {seconds:.3} s"
+        ));
+        if !self.empty.is_empty() {
+            let (number, names) = (self.empty.len(), listed(&self.empty));
+            report.line(format!(
+                "{number} without keypoints: {names}: try --saliency-threshold or --occupancy-threshold"
+            ));
+        }
+        report.line(format!("written to {}", output.display()));
+        report
+    }
+}
+
+/// The first names.
+fn listed(names: &[String]) -> String {
+    let more = if names.len() > NAMED_INPUTS { ", …" } else { "" };
+    names[..names.len().min(NAMED_INPUTS)].join(", ") + more
 }
 
 /// A result with the name of its input.
@@ -35,14 +97,18 @@ pub struct Reports<'a> {
     num_reported: usize,
     failed: Vec<String>,
     timings: Vec<Seconds>,
+    /// For several inputs whose keypoints are written to files: their sum instead of their reports.
+    summary: Option<Summary>,
     /// The first error of the standard output.
     unprinted: Option<Error>,
 }
 
 impl<'a> Reports<'a> {
-    pub fn new(arguments: &'a DetectArguments, bar: Bar) -> Self {
+    pub fn new(arguments: &'a DetectArguments, bar: Bar, are_several: bool) -> Self {
         let (waiting, failed, timings) = Default::default();
-        Self { arguments, bar, waiting, num_reported: 0, failed, timings, unprinted: None }
+        let is_summed = are_several && arguments.output.is_some() && !arguments.json;
+        let summary = is_summed.then(Summary::new);
+        Self { arguments, bar, waiting, num_reported: 0, failed, timings, summary, unprinted: None }
     }
 
     /// Adds the result of an input and prints all results whose turn it is. Returns whether further results are needed;
@@ -65,10 +131,14 @@ impl<'a> Reports<'a> {
 
     fn report(&mut self, (print, input, result): Named) {
         let printed = self.bar.suspend(|| match result {
-            Ok(Processed { report, seconds }) => {
+            Ok(Processed { report, seconds, num_points, num_keypoints }) => {
                 terminal::detail("seconds", || timing::line(&seconds));
                 self.timings.push(seconds);
-                print(&report)
+                match &mut self.summary {
+                    Some(summary) => summary.add(input, num_points, num_keypoints),
+                    None => return print(&report),
+                }
+                Ok(())
             }
             Err(error) => {
                 self.failed.push(input);
@@ -86,16 +156,17 @@ impl<'a> Reports<'a> {
 
     /// Prints the failures and the times of the run.
     pub fn finish(self, load_model: f64) -> Result<ExitCode> {
-        let Self { arguments, num_reported, failed, timings, unprinted, .. } = self;
+        let Self { arguments, num_reported, failed, timings, summary, unprinted, .. } = self;
         self.bar.finish();
+        if let (Some(summary), Some(output)) = (summary, &arguments.output) {
+            terminal::print_report(&summary.report(output))?;
+        }
         let is_reported = unprinted.is_none();
         if let (Some(error), None) = (unprinted, &arguments.output) {
             return Err(error);
         }
         if !failed.is_empty() && num_reported > 1 {
-            let more = if failed.len() > NAMED_FAILURES { ", …" } else { "" };
-            let names = failed[..failed.len().min(NAMED_FAILURES)].join(", ");
-            terminal::error(&anyhow!("{} of {} inputs failed: {names}{more}", failed.len(), num_reported));
+            terminal::error(&anyhow!("{} of {} inputs failed: {}", failed.len(), num_reported, listed(&failed)));
         }
         if arguments.timing && !timings.is_empty() {
             terminal::print_to_stderr(&timing::summary(load_model, &timings));

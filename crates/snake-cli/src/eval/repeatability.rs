@@ -55,7 +55,7 @@ fn open(arguments: &RepeatabilityArguments) -> Result<ViewPairs> {
     {
         return Ok(data);
     }
-    Ok(ViewPairs::from_objects(expand(inputs, |_| false)?))
+    Ok(ViewPairs::from_objects(expand(inputs, None, |_| false)?))
 }
 
 fn open_pair(inputs: &[PathBuf], transform: &Path) -> Result<ViewPairs> {

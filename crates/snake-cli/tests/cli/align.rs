@@ -4,7 +4,7 @@ use std::path::Path;
 
 use serde_json::Value;
 
-use super::{json_lines, sample, snake, stderr};
+use super::{json_lines, sample, snake, stderr, write_npy};
 
 /// Two samplings of the sample, the second turned by a quarter about z and moved by (3, 0, -1), and a cube, as files in
 /// `folder/scans`.
@@ -74,5 +74,16 @@ fn align_refuses_bad_arguments_before_any_work() {
         let output = snake(&[&["align"], &arguments[..]].concat());
         assert!(output.status.code() == Some(2) && stderr(&output).contains(message), "{}", stderr(&output));
         assert!(!Path::new(&poses).exists());
+    }
+}
+
+#[test]
+fn a_cloud_that_cannot_be_aligned_is_named_by_its_file() {
+    let folder = tempfile::tempdir().unwrap();
+    let bad = folder.path().join("bad.npy");
+    for points in [&[f32::NAN; 6][..], &[1.0; 6], &[]] {
+        write_npy(&bad, &[points.len() / 3, 3], points);
+        let done = snake(&["align", &sample(), &sample(), &bad.display().to_string()]);
+        assert!(!done.status.success() && stderr(&done).contains("bad.npy: "), "{}", stderr(&done));
     }
 }

@@ -363,3 +363,68 @@ fn meshes_are_sampled_and_keypointnet_is_written() {
     }
     assert!(!shapes[0]["keypoints"].as_array().unwrap().is_empty());
 }
+
+#[test]
+fn missing_returns_have_a_note_with_their_share() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("zeros.npy");
+    let points = snake_io::read_points(Path::new(&sample())).unwrap();
+    let points: Vec<f32> = points.into_iter().flat_map(|[x, y, z]| [x, y, z + 9.0, 0.0, 0.0, 0.0]).collect();
+    write_npy(&path, &[8192, 3], &points);
+    let path = path.display().to_string();
+    let note = "4096 of 8192 points (50 %) are exactly 0 0 0";
+    let found = snake(&["detect", &path, "--json"]);
+    assert!(json_lines(&found)[0]["notes"][0].as_str().unwrap().starts_with(note));
+    assert_eq!(stderr(&found).matches(note).count(), 1, "{}", stderr(&found));
+    let registered = snake(&["register", &path, &sample()]);
+    assert_eq!(stderr(&registered).matches(note).count(), 1, "{}", stderr(&registered));
+    assert!(!stderr(&snake(&["detect", &path, "--quiet"])).contains(note));
+}
+
+#[test]
+fn a_folder_of_sweeps_is_read_in_the_given_format() {
+    let folder = tempfile::tempdir().unwrap();
+    let points = snake_io::read_points(Path::new(&sample())).unwrap();
+    let sweep: Vec<u8> = points.iter().flat_map(|[x, y, z]| [*x, *y, *z, 0.5]).flat_map(f32::to_le_bytes).collect();
+    for name in ["000.bin", "001.bin"] {
+        std::fs::write(folder.path().join(name), &sweep).unwrap();
+    }
+    std::fs::write(folder.path().join("calib.txt"), "P0: 1 2 3").unwrap();
+    let path = folder.path().display().to_string();
+    let found = snake(&["detect", &path, "--input-format", "kitti", "--json"]);
+    assert!(found.status.success() && json_lines(&found).len() == 2, "{}", stderr(&found));
+    assert_eq!(json_lines(&found)[0]["num_points"], 4096);
+    assert!(stderr(&found).contains("1 of 3 files is not read: calib.txt"), "{}", stderr(&found));
+    std::fs::remove_file(folder.path().join("calib.txt")).unwrap();
+    let refused = snake(&["detect", &path]);
+    let expected = "2 other files: 000.bin, 001.bin; .bin files need --input-format kitti";
+    assert!(!refused.status.success() && stderr(&refused).contains(expected), "{}", stderr(&refused));
+}
+
+#[test]
+fn many_clouds_that_are_written_end_with_a_summary() {
+    let folder = tempfile::tempdir().unwrap();
+    let (input, output) = (folder.path().join("in"), folder.path().join("out"));
+    std::fs::create_dir(&input).unwrap();
+    for name in ["a.ply", "b.ply"] {
+        std::fs::copy(sample(), input.join(name)).unwrap();
+    }
+    let output = output.display().to_string();
+    let [input, one] = [&input, &input.join("a.ply")].map(|path| path.display().to_string());
+    let text = |arguments: &[&str]| {
+        let done = snake(arguments);
+        assert!(done.status.success(), "{}", stderr(&done));
+        String::from_utf8(done.stdout).unwrap()
+    };
+    let summary = text(&["detect", &input, "-o", &output]);
+    let lines: Vec<&str> = summary.lines().collect();
+    assert_eq!(lines.len(), 2, "{summary}");
+    assert!(lines[0].contains(" from 8192 points in 2 clouds in ") && lines[0].contains(" a cloud)"), "{summary}");
+    assert_eq!(lines[1], format!("written to {output}"));
+    let empty = text(&["detect", &input, "-o", &output, "--saliency-threshold", "0.999"]);
+    assert!(empty.contains("2 without keypoints: ") && empty.contains("try --saliency-threshold"), "{empty}");
+    // Without files the tables are the result, and one cloud has its own.
+    assert!(
+        text(&["detect", &input]).contains("a.ply: ") && text(&["detect", &one, "-o", &output]).contains("a.ply: ")
+    );
+}

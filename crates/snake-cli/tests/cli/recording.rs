@@ -57,10 +57,26 @@ fn the_folder_of_a_bag_is_one_recording() {
     std::fs::write(bag.join("metadata.yaml"), "damaged: [").unwrap();
     let refused = snake(&["detect", &bag_text]);
     assert!(!refused.status.success() && stderr(&refused).contains("metadata.yaml: no metadata of a bag"));
-    // Without metadata it is a folder of clouds, which has none.
+    // Without metadata, as after a crash, the parts are read by number.
     std::fs::remove_file(bag.join("metadata.yaml")).unwrap();
+    let done = snake(&["detect", &bag_text, "--json"]);
+    assert!(done.status.success() && json_lines(&done).len() == 4, "{}", stderr(&done));
+    std::fs::rename(bag.join("drive_1.mcap"), bag.join("other.mcap")).unwrap();
     let refused = snake(&["detect", &bag_text]);
-    assert!(!refused.status.success() && stderr(&refused).contains("no point clouds in it"));
+    let error = stderr(&refused);
+    assert!(!refused.status.success() && error.contains("no point clouds in it"), "{error}");
+    assert!(error.contains("a recording is an input of its own: ") && error.contains("drive_0.db3"), "{error}");
+}
+
+#[test]
+fn a_cut_recording_gives_its_clouds_and_ends_with_1() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("cut.mcap");
+    let whole = std::fs::read(drive()).unwrap();
+    std::fs::write(&path, &whole[..whole.len() - 20]).unwrap();
+    let done = snake(&["detect", &path.display().to_string(), "--json"]);
+    assert_eq!((done.status.code(), json_lines(&done).len()), (Some(1), 2), "{}", stderr(&done));
+    assert!(stderr(&done).contains("cut short") && stderr(&done).contains("1 of 3 inputs failed"), "{}", stderr(&done));
 }
 
 #[test]

@@ -30,9 +30,28 @@ pub struct Mesh {
     pub normals: Vec<[f32; 3]>,
     /// Indices of vertices `(T, 3)`, counterclockwise seen from outside.
     pub triangles: Vec<[u32; 3]>,
+    /// With [`MeshOptions::outer`] the number of triangles that were removed, those of inner surfaces.
+    #[serde(default)]
+    pub num_removed: Option<usize>,
 }
 
+/// Share of the triangles that the inner side of a closed shell has at least.
+const INNER_SIDE: f64 = 0.1;
+
 impl Mesh {
+    /// One sentence for the user if the outer surfaces were asked for and still have an inner side. Through a hole in a
+    /// shell both sides are one surface, all of which can be reached from outside.
+    pub fn shell_hint(&self) -> Option<String> {
+        let (removed, kept) = (self.num_removed?, self.triangles.len());
+        (kept > 0 && (removed as f64) < INNER_SIDE * kept as f64).then(|| {
+            format!(
+                "`outer` removed {removed} of {} triangles: the shell is open, so that its inner side is a part of the \
+                 surface, or it has no inside; a lower `level` closes holes",
+                removed + kept
+            )
+        })
+    }
+
     /// The area of all triangles, in squared cloud units.
     pub fn area(&self) -> f64 {
         // `sum` would return -0 for no triangles.
@@ -154,10 +173,12 @@ impl<'a> Grid<'a> {
         control.begin("triangles", 0).check()?;
         let mut surface = Surface::of(&samples);
         control.check()?;
+        let num_all = surface.triangles.len();
         if options.outer {
             surface.retain_outer(&samples);
             control.check()?;
         }
+        let num_removed = options.outer.then(|| num_all - surface.triangles.len());
         let vertices: Vec<Point> =
             surface.crossings.par_iter().map(|crossing| self.vertex(&samples, crossing)).collect();
         let counter = control.begin("normals", vertices.len());
@@ -172,6 +193,7 @@ impl<'a> Grid<'a> {
             vertices: vertices.into_iter().map(|vertex| normalization.to_cloud(vertex)).collect(),
             normals: Vec::new(),
             triangles: surface.triangles,
+            num_removed,
         };
         mesh.normals = normals(&mesh, &gradients);
         Ok(mesh)

@@ -36,7 +36,7 @@ fn mesh(samples: &Samples, surface: &Surface) -> Mesh {
         point
     };
     let vertices = surface.crossings.iter().map(vertex).collect();
-    Mesh { vertices, normals: Vec::new(), triangles: surface.triangles.clone() }
+    Mesh { vertices, triangles: surface.triangles.clone(), ..Mesh::default() }
 }
 
 /// By the divergence theorem.
@@ -263,4 +263,25 @@ fn options_out_of_range_are_refused() {
         let options = MeshOptions { resolution, level, outer: false };
         assert!(matches!(field.mesh(&options), Err(Error::Option { .. })), "{options:?}");
     }
+}
+
+#[test]
+fn an_open_shell_says_that_its_inner_side_is_left() {
+    let hint = |value: &(dyn Fn(Sample) -> f32 + Sync)| {
+        let samples = samples(40, true, value);
+        let mut surface = Surface::of(&samples);
+        let num_all = surface.triangles.len();
+        surface.retain_outer(&samples);
+        let num_removed = Some(num_all - surface.triangles.len());
+        Mesh { num_removed, ..mesh(&samples, &surface) }.shell_hint()
+    };
+    let closed = |sample: Sample| shell(sample, [19.5; 3], [12.0, 15.0]);
+    assert_eq!(hint(&closed), None);
+    let text = hint(&|sample| if sample[2] > 28 { -1.0 } else { closed(sample) }).unwrap();
+    assert!(text.starts_with("`outer` removed 0 of ") && text.contains("the shell is open"), "{text}");
+    // A small bubble in the wall is no inner side.
+    let bubble = |sample: Sample| shell(sample, [19.5, 19.5, 6.0], [0.9, 40.0]);
+    let text = hint(&|sample| if sample[2] > 28 { -1.0 } else { closed(sample).min(bubble(sample)) }).unwrap();
+    assert!(text.contains("the shell is open"), "{text}");
+    assert_eq!(Mesh { triangles: vec![[0, 1, 2]], ..Mesh::default() }.shell_hint(), None, "`outer` was not asked for");
 }
