@@ -72,15 +72,15 @@ impl DecimalCommas {
 /// The advice for commas that separate columns and decimals.
 pub(super) const COMMAS: &str = "export them with decimal points, or with semicolons between the columns";
 
-/// What is wrong in a row without three coordinates, and what to do.
+/// What is wrong in a row without three coordinates, and what to do. `names` are those of the header.
 pub(super) fn explain(row: &str, names: &[String], separator: Separator) -> String {
     let fields: Vec<&str> = separator.fields(row).collect();
     let first = fields.first().copied().unwrap_or_default();
     if ["ncols", "nrows", "DSAA"].iter().any(|word| first.eq_ignore_ascii_case(word)) {
         return ": a raster and no cloud; convert it: gdal_translate -of XYZ FILE FILE.xyz".into();
     }
-    if let Some(reason) = commas(row) {
-        return format!(": {reason}");
+    if commas(row).is_some() {
+        return String::new();
     }
     if !names.is_empty() && Header::of(row).is_some_and(|header| header.names == names) {
         return ": the header once more, as in files that were joined; remove this line".into();
@@ -88,31 +88,49 @@ pub(super) fn explain(row: &str, names: &[String], separator: Separator) -> Stri
     if row.trim().parse::<u64>().is_ok() {
         return ": a number of points? Several scans in one file are read as .pts (--input-format pts)".into();
     }
-    let is_number = |field: &&str| number(field).is_some();
-    match (0..fields.len()).find(|&start| fields.len() >= start + 3 && fields[start..start + 3].iter().all(is_number)) {
-        Some(start) if start > 0 => format!(
-            ": column {start} is `{}`; choose the columns of x, y and z, as in --columns {},{},{}",
-            excerpt(fields[start - 1], 20),
-            start + 1,
-            start + 2,
-            start + 3
-        ),
-        _ if fields.len() < 3 => format!(": {} where three are needed", count(fields.len(), "column")),
+    match first_numbers(&fields) {
+        Some(start @ 1..) => {
+            let shown = excerpt(fields[start - 1], 20);
+            format!(": column {start} is `{shown}`; choose the columns of x, y and z, as in {}", choice(start))
+        }
+        _ if fields.len() < names.len().max(3) => {
+            format!(": {} where {} are needed", count(fields.len(), "column"), names.len().max(3))
+        }
         _ => String::new(),
     }
 }
 
+/// The error for words above the first row that are too few to be the names of its columns.
+pub(super) fn no_header(words: &[String], row: &str) -> String {
+    let fields: Vec<&str> = Separator::of(row, b";,|").fields(row).collect();
+    format!(
+        "`{}` above this row does not name its {}; choose those of x, y and z by numbers, as in {}",
+        excerpt(&words.join(" "), 40),
+        count(fields.len(), "column"),
+        choice(first_numbers(&fields).unwrap_or(0))
+    )
+}
+
+/// The place of the first three columns in a row that hold numbers.
+fn first_numbers(fields: &[&str]) -> Option<usize> {
+    fields.windows(3).position(|three| three.iter().all(|field| number(field).is_some()))
+}
+
+/// The option for three columns from this place, counted from 0.
+fn choice(start: usize) -> String {
+    format!("--columns {},{},{}", start + 1, start + 2, start + 3)
+}
+
 /// The advice for numbers with commas or apostrophes in them.
-fn commas(row: &str) -> Option<String> {
+pub(super) fn commas(row: &str) -> Option<String> {
     let separators = [Separator::Char(b';'), Separator::Char(b'\t'), Separator::WhiteSpace, Separator::Char(b',')];
     let has = |separator: &Separator, decimal: bool| {
         let repaired = |field: &str| match decimal {
             true => number(&field.trim_end_matches(',').replacen(',', ".", 1)).is_some(),
             false => field.contains('.') && number(&field.replace([',', '\''], "")).is_some(),
         };
-        let fields = || separator.fields(row).filter(|field| number(field).is_none());
-        fields().any(|field| field.contains([',', '\'']))
-            && separator.fields(row).filter(|field| repaired(field)).count() >= 3
+        let is_unread = |field: &str| number(field).is_none() && field.contains([',', '\'']);
+        separator.fields(row).any(is_unread) && separator.fields(row).filter(|field| repaired(field)).count() >= 3
     };
     if let Some(separator) = separators.iter().find(|separator| has(separator, true)) {
         return Some(match separator {

@@ -2,6 +2,7 @@
 
 use std::borrow::Cow;
 
+use super::doubts::commas;
 use super::number::number;
 use super::shape::Position;
 use snake_core::excerpt;
@@ -126,9 +127,14 @@ pub(super) fn position<'a>(mut words: impl Iterator<Item = &'a str>) -> Option<P
     Some([next()?, next()?, next()?])
 }
 
-/// The error for a line without three coordinates.
+/// The error for a line without three coordinates, with [`advice`].
 pub(super) fn no_position(number: usize, line: &str) -> String {
-    format!("line {number}: no three coordinates in `{}`", excerpt(line, 60))
+    format!("line {number}: no three coordinates in `{}`{}", excerpt(line, 60), advice(line))
+}
+
+/// The advice for a line that cannot be read because of commas in its numbers.
+pub(super) fn advice(line: &str) -> String {
+    commas(line).map(|advice| format!(": {advice}")).unwrap_or_default()
 }
 
 #[cfg(test)]

@@ -1,7 +1,7 @@
 //! Reads PCD, the format of the Point Cloud Library: ascii, binary and binary_compressed.
 
 use super::dtype::Dtype;
-use super::lines::{Lines, text};
+use super::lines::{Lines, advice, text};
 use super::lzf;
 use super::number::number;
 use super::shape::{Position, Shape, check_left_over};
@@ -171,7 +171,13 @@ impl Header {
             match point {
                 [Some(x), Some(y), Some(z)] if columns == self.columns => points.push([x, y, z]),
                 _ if line.trim_matches(['\0', '\x1a']).is_empty() => {}
-                _ => return Err(format!("line {line_number}: `{}` does not fit FIELDS", excerpt(&line, 60))),
+                _ => {
+                    return Err(format!(
+                        "line {line_number}: `{}` does not fit FIELDS{}",
+                        excerpt(&line, 60),
+                        advice(&line)
+                    ));
+                }
             }
         }
         match points.len() == self.num_points {

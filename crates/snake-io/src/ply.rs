@@ -1,6 +1,6 @@
 //! Reads PLY, ascii and binary.
 
-use super::lines::{Lines, text};
+use super::lines::{Lines, advice, text};
 use super::number::number;
 use super::ply_header::{Element, Header, Property, Role};
 use super::shape::{Position, Shape, add_polygon, check_left_over};
@@ -89,7 +89,12 @@ impl<'a> Payload<'a> {
                 };
                 let whole = element.properties.iter().all(|property| values(property).is_some());
                 whole.then_some(()).ok_or_else(|| {
-                    format!("line {line_number}: `{}` does not fit the properties of `{}`", excerpt(&line, 60), name())
+                    format!(
+                        "line {line_number}: `{}` does not fit the properties of `{}`{}",
+                        excerpt(&line, 60),
+                        name(),
+                        advice(&line)
+                    )
                 })
             }
         }

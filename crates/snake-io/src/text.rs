@@ -3,14 +3,14 @@
 use std::io::{self, Write};
 
 use super::columns::{self, Columns, Indices};
-use super::doubts::{self, DecimalCommas, count};
+use super::doubts::{self, COMMAS, DecimalCommas, count};
 use super::header::{Header, is_comment, is_units};
 use super::lines::{Lines, no_position, text};
 use super::number::{cell, number};
 use super::separator::{Separator, without_brackets};
 use super::shape::{Position, Shape};
 use super::transform::matrix;
-use snake_core::RigidTransform;
+use snake_core::{RigidTransform, excerpt};
 
 /// Titles above a header may take this many lines.
 const MAX_TITLE_LINES: usize = 20;
@@ -70,7 +70,7 @@ fn read_rows(bytes: &[u8], columns: Option<&Columns>, in_blocks: bool) -> Result
                 none.insert(above.layout(row).map_err(|reason| format!("line {number}: {reason}"))?)
             }
         };
-        points.push(layout.point(row).map_err(|reason| no_position(number, row) + &reason)?);
+        points.push(layout.point(number, row)?);
         if layout.is_guessed() && layout.separator == Separator::Char(b',') && !decimal_commas.is_excluded() {
             decimal_commas.add(layout.separator.fields(row));
         }
@@ -172,7 +172,10 @@ impl Above<'_> {
         let indices = match self.columns {
             Some(columns) => columns.of_text(names)?,
             None if header.is_none() => [0, 1, 2],
-            None => columns::known(names).ok_or_else(|| columns::cannot_tell(names))?,
+            None => columns::known(names).ok_or_else(|| match names.len() < 3 {
+                true => doubts::no_header(names, row),
+                false => columns::cannot_tell(names),
+            })?,
         };
         let has_tabs = header.as_ref().is_some_and(|header| header.separator == Separator::Char(b'\t'));
         let known: &[u8] = if has_tabs { b"\t" } else { b";,|" };
@@ -212,8 +215,7 @@ impl Layout {
         self.header.is_none() && !self.is_chosen
     }
 
-    /// The point in a row, or the reason that follows the words "no three coordinates".
-    fn point(&mut self, row: &str) -> Result<Position, String> {
+    fn point(&mut self, number: usize, row: &str) -> Result<Position, String> {
         if let Some((point, width)) = self.parse(row)
             && width == self.width
         {
@@ -221,9 +223,16 @@ impl Layout {
         }
         self.separator = Separator::of(row, self.known);
         let parsed = self.parse(row);
-        let (point, width) = parsed.ok_or_else(|| doubts::explain(row, self.names(), self.separator))?;
+        let explain = || no_position(number, row) + &doubts::explain(row, self.names(), self.separator);
+        let (point, width) = parsed.ok_or_else(explain)?;
         if width != self.width && !self.is_chosen {
-            self.check_width(row, width)?;
+            self.check_width(row, width).map_err(|reason| {
+                let shown = excerpt(row, 60);
+                format!(
+                    "line {number}: {reason} in `{shown}`; are these decimal commas, or an index? Choose the columns by \
+                     numbers, as in --columns 1,2,3, or {COMMAS}"
+                )
+            })?;
         }
         Ok(point)
     }
@@ -243,28 +252,18 @@ impl Layout {
 
     /// Refuses a row whose number of columns shows that its columns are not those of the header or of the first row.
     fn check_width(&self, row: &str, width: usize) -> Result<(), String> {
-        let advice = format!(
-            "are these decimal commas, or an index? Choose the columns by numbers, as in --columns 1,2,3, or {}",
-            doubts::COMMAS
-        );
         let Some(header) = &self.header else {
             let numbers = leading_numbers(row, self.separator);
             return match numbers == self.num_numbers {
                 true => Ok(()),
-                false => Err(format!(
-                    " without doubt: {}, {} in the first row; {advice}",
-                    count(numbers, "number"),
-                    self.num_numbers
-                )),
+                false => Err(format!("{}, {} in the first row,", count(numbers, "number"), self.num_numbers)),
             };
         };
         let is_number = |field: &str| number(field).is_some();
         let has_more = self.separator.fields(row).skip(self.width).any(is_number) && !header.is_open;
         let has_less = width < self.width && self.separator == Separator::WhiteSpace;
         match has_more || has_less {
-            true => {
-                Err(format!(" without doubt: {} below {}; {advice}", count(width, "column"), count(self.width, "name")))
-            }
+            true => Err(format!("{} below {}", count(width, "column"), count(self.width, "name"))),
             false => Ok(()),
         }
     }

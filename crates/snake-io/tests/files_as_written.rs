@@ -214,7 +214,7 @@ fn decimal_commas_are_refused() {
             (format!("//X,Y,Z\n{}", commas(rows(",", "\n"))), "decimal commas"),
             (
                 "x,y,z\n1,2,3\n1,2,3,5\n".into(),
-                "line 3: no three coordinates in `1,2,3,5` without doubt: 4 columns below 3 names",
+                "line 3: 4 columns below 3 names in `1,2,3,5`; are these decimal commas",
             ),
             (commas(lines("\"X\",\"Y\",\"Z\"")), twice),
             ("1,087 -0.054 -0.312\n".into(), "decimal commas"),
@@ -245,7 +245,10 @@ fn an_index_or_time_before_the_coordinates_is_refused() {
         "csv",
         [
             (lines("PN,X,Y,Z,edge"), "column 1 is `P0`; choose the columns of x, y and z, as in --columns 2,3,4"),
-            (format!("6\nhead\n{}", lines("C X Y Z")), "--columns x,y,z. The columns are 1 `head`"),
+            (
+                format!("6\nhead\n{}", lines("C X Y Z")),
+                "`head` above this row does not name its 4 columns; choose those of x, y and z by numbers, as in --columns 2,3,4",
+            ),
             (format!("# r g b x y z\n{}", lines("9 9 9 X Y Z 5")), "a comment names 6 columns, the first row has 7"),
             (format!("x y z\n{}", lines("N X Y Z")), "4 columns below 3 names"),
             ("x y z i\n1 2 3 4\n1 2 3\n".into(), "3 columns below 4 names"),
@@ -279,7 +282,7 @@ fn other_contents_are_named() {
                 format!("ply\nformat ascii 1.0\nelement vertex 6\n{PLY_AXES}end_header\n"),
                 "the content is PLY: rename the file, or --input-format ply",
             ),
-            ("1 2\n".into(), "2 columns where three are needed"),
+            ("1 2\n".into(), "2 columns where 3 are needed"),
         ],
     );
     assert_refused("xyz", [(&b"\x1f\x8b\x08\0\0\0"[..], "gunzip FILE")]);
@@ -503,6 +506,20 @@ fn meshes_of_other_systems() {
     assert_refused("stl", [(binary(2, 4, &[]), "promises 2 triangles, 4 follow")]);
 }
 
+#[test]
+fn decimal_commas_are_named_in_every_text_format() {
+    let body = rows(" ", "\n").replace('.', ",");
+    let expected = "decimal commas; write decimal points: sed";
+    assert_refused("obj", [("v ".to_string() + &body, expected)]);
+    assert_refused("off", [(format!("OFF\n6 0\n{body}"), expected)]);
+    assert_refused("pcd", [(format!("FIELDS x y z\nSIZE 4 4 4\nTYPE F F F\nPOINTS 6\nDATA ascii\n{body}"), expected)]);
+    assert_refused(
+        "ply",
+        [(format!("ply\nformat ascii 1.0\nelement vertex 6\n{PLY_AXES}end_header\n{body}"), expected)],
+    );
+    assert_refused("stl", [(format!("solid\nfacet vertex {body}endsolid"), "decimal commas")]);
+}
+
 /// An array with this description and shape.
 fn npy(descr: &str, shape: &str, data: &[u8]) -> Vec<u8> {
     let descr = if descr.starts_with('[') { descr.into() } else { format!("'{descr}'") };
@@ -570,8 +587,13 @@ fn sweeps_with_other_numbers_of_values() {
     }
     assert_refused("nuscenes", [(sweep(4), "--input-format kitti:4")]);
     assert_refused("kitti:4", [(sweep(5)[..20 * 2399].to_vec(), "what fits is --input-format kitti:5")]);
-    let doubles: Vec<u8> =
-        POINTS.as_flattened().iter().cycle().take(4000).flat_map(|v| (f64::from(*v) * 1.1 + 0.01).to_le_bytes()).collect();
+    let doubles: Vec<u8> = POINTS
+        .as_flattened()
+        .iter()
+        .cycle()
+        .take(4000)
+        .flat_map(|v| (f64::from(*v) * 1.1 + 0.01).to_le_bytes())
+        .collect();
     assert_refused("kitti", [(doubles, "no float32 coordinates")]);
     // Every second return is missing.
     let gaps: Vec<u8> = sweep(4).chunks(16).flat_map(|point| [point, &[0; 16]].concat()).collect();
