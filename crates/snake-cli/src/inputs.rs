@@ -17,8 +17,8 @@ pub const DASH: &str = "-";
 /// Options of reading clouds.
 #[derive(Args)]
 pub struct InputArguments {
-    /// Read the inputs in the format of this extension, or as sweeps of `kitti` or `nuscenes`, regardless of their names.
-    /// The standard input (`-`) needs this
+    /// Read the inputs in the format of this extension, or as sweeps of `kitti` (4 float32 values a point), `nuscenes` (5) or
+    /// `kitti:N` (N values), regardless of their names. The standard input (`-`) needs this
     /// option for text, obj and binary stl; other formats are recognised by their content [default: each input's own
     /// extension].
     #[arg(long, value_name = "EXTENSION", value_parser = point_format)]
@@ -138,7 +138,7 @@ pub fn check_inputs<'a>(inputs: impl IntoIterator<Item = &'a PathBuf>) -> Result
 }
 
 fn point_format(extension: &str) -> Result<PointFormat> {
-    let known = || format!("known are {}, kitti, nuscenes", POINT_EXTENSIONS.join(", "));
+    let known = || format!("known are {}, kitti, nuscenes, kitti:N", POINT_EXTENSIONS.join(", "));
     PointFormat::from_extension(extension.trim_start_matches('.')).with_context(known)
 }
 

@@ -18,6 +18,9 @@ use crate::npz;
 use crate::shape::Shape;
 use crate::{Error, Result, npy, obj, off, pcd, ply, stl, sweep, text};
 
+/// The first bytes of a file that gzip compressed.
+const GZIP_MAGIC: &[u8] = b"\x1f\x8b";
+
 /// Options of [`read_cloud`].
 #[derive(Debug, Clone, PartialEq, Eq, Default)]
 #[non_exhaustive]
@@ -139,7 +142,19 @@ pub fn parse_contents(bytes: &[u8], format: PointFormat, options: &ReadOptions) 
     parse(bytes, format, options).map_err(|reason| Error::Input { what: format.name(), reason })
 }
 
+/// [`parse_as`] with a hint if the content has the signature of another format.
 fn parse(bytes: &[u8], format: PointFormat, options: &ReadOptions) -> std::result::Result<Contents, String> {
+    parse_as(bytes, format, options).map_err(|reason| match PointFormat::from_content(bytes) {
+        Some(other) if other != format => {
+            let name = other.name();
+            format!("{reason}; the content is {name}: rename the file, or --input-format {}", name.to_lowercase())
+        }
+        _ if bytes.starts_with(GZIP_MAGIC) => format!("{reason}; the content is compressed: gunzip FILE"),
+        _ => reason,
+    })
+}
+
+fn parse_as(bytes: &[u8], format: PointFormat, options: &ReadOptions) -> std::result::Result<Contents, String> {
     if let (PointFormat::Npy, None) = (format, options.sample) {
         let cloud = Cloud::from_positions(npy::positions(bytes, options.columns.as_ref())?);
         return Ok(Contents { cloud, ..Contents::default() });
@@ -189,8 +204,9 @@ fn read_shape(bytes: &[u8], format: PointFormat, options: &ReadOptions) -> std::
         PointFormat::Gltf => {
             Err("this build cannot read .gltf and .glb: it lacks the feature `gltf` of snake-io".into())
         }
-        PointFormat::Kitti => sweep::read(bytes, 4),
-        PointFormat::Nuscenes => sweep::read(bytes, 5),
+        PointFormat::Kitti => sweep::read_checked(bytes, 4),
+        PointFormat::Nuscenes => sweep::read_checked(bytes, 5),
+        PointFormat::Sweep(values) => sweep::read(bytes, values.into()),
         #[cfg(feature = "laz")]
         PointFormat::Las => las::read(bytes),
         #[cfg(not(feature = "laz"))]

@@ -89,6 +89,16 @@ impl Columns {
         })
     }
 
+    /// Whether the columns are chosen by numbers only.
+    pub(super) fn are_numbers(&self) -> bool {
+        self.0.iter().all(|column| matches!(column, Column::Index(_)))
+    }
+
+    /// Whether columns are chosen by names, and these names are among a header's.
+    pub(super) fn are_named_in(&self, names: &[String]) -> bool {
+        !self.are_numbers() && self.of_text(names).is_ok()
+    }
+
     fn indices(&self, of_name: impl Fn(&str) -> Result<usize, String>) -> Result<Indices, String> {
         let index = |column: &Column| match column {
             Column::Name(name) => of_name(name),
@@ -126,6 +136,15 @@ pub(super) fn is_numbered(names: &[String]) -> bool {
 
 /// The error for unknown columns, with the way to choose them.
 pub(super) fn cannot_tell(names: &[String]) -> String {
+    if names.iter().any(|name| plain(name).starts_with("lat"))
+        && names.iter().any(|name| plain(name).starts_with("lon"))
+    {
+        return format!(
+            "latitude and longitude are degrees and no lengths: project them to metres first, for example with cs2cs of \
+             PROJ, and choose the columns with --columns x,y,z. The columns are {}",
+            listed(names)
+        );
+    }
     format!(
         "the header does not say which columns are x, y and z: choose them by names or numbers, as in --columns x,y,z. \
          The columns are {}",

@@ -42,7 +42,12 @@ pub enum PointFormat {
     Kitti,
     /// A sweep of nuScenes: x, y, z, intensity and ring as float32 (pcd.bin).
     Nuscenes,
+    /// A sweep of points with this number of float32 values, the first three of them x, y and z (bin).
+    Sweep(u8),
 }
+
+/// The most float32 values that a point of a sweep can have.
+const MAX_SWEEP_VALUES: u8 = 64;
 
 /// The extensions that [`PointFormat::from_path`] accepts.
 pub const POINT_EXTENSIONS: &[&str] = &[
@@ -67,7 +72,8 @@ impl PointFormat {
         })
     }
 
-    /// The format of an extension in lower case without a dot, or of the name `kitti` or `nuscenes`.
+    /// The format of an extension in lower case without a dot, or of the name `kitti`, `nuscenes` or `kitti:5`, which are
+    /// sweeps of 4, 5 and the stated number of float32 values a point. The stated number is not checked with the content.
     pub fn from_extension(extension: &str) -> Option<Self> {
         Some(match extension {
             "ply" => Self::Ply,
@@ -84,12 +90,16 @@ impl PointFormat {
             "gltf" | "glb" => Self::Gltf,
             "kitti" => Self::Kitti,
             "nuscenes" => Self::Nuscenes,
-            _ => return None,
+            _ => {
+                let values = extension.strip_prefix("kitti:")?.parse().ok()?;
+                return (3..=MAX_SWEEP_VALUES).contains(&values).then_some(Self::Sweep(values));
+            }
         })
     }
 
     /// The format of a file by its signature. Columns of text, OBJ and binary STL have no signature.
     pub fn from_content(bytes: &[u8]) -> Option<Self> {
+        let bytes = bytes.strip_prefix(b"\xef\xbb\xbf").unwrap_or(bytes);
         let starts = |signatures: &[&[u8]]| signatures.iter().any(|signature| bytes.starts_with(signature));
         if starts(&[b"ply\n", b"ply\r"]) {
             Some(Self::Ply)
@@ -131,6 +141,7 @@ impl PointFormat {
             Self::Gltf => "glTF",
             Self::Kitti => "KITTI",
             Self::Nuscenes => "nuScenes",
+            Self::Sweep(_) => "sweep",
         }
     }
 }
@@ -258,8 +269,8 @@ fn sweep_format(path: &Path) -> Result<PointFormat> {
     } else if is_in(&["velodyne", "velodyne_points"]) {
         Ok(PointFormat::Kitti)
     } else {
-        let reason = "a .bin file does not say how many values a point has; give --input-format kitti (4 values) or \
-                      nuscenes (5 values), or put it in a folder `velodyne` or `LIDAR_TOP`";
+        let reason = "a .bin file does not say how many values a point has; give --input-format kitti (4 values), \
+                      nuscenes (5 values) or for example kitti:6 (6 values), or put it in a folder `velodyne` or `LIDAR_TOP`";
         Err(Error::Format { path: path.into(), reason: reason.into() })
     }
 }

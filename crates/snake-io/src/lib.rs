@@ -64,6 +64,7 @@ mod columns;
 #[cfg(feature = "laz")]
 mod copc;
 mod crs;
+mod doubts;
 mod dtype;
 #[cfg(feature = "e57")]
 mod e57;
@@ -73,12 +74,14 @@ mod format;
 mod gltf;
 #[cfg(feature = "laz")]
 mod gps_time;
+mod header;
 mod json;
 mod keypoint_source;
 #[cfg(feature = "laz")]
 mod las;
 #[cfg(feature = "laz")]
 mod las_keypoints;
+mod lines;
 mod lzf;
 #[cfg(feature = "mcap")]
 mod mcap;
@@ -88,12 +91,14 @@ mod message;
 mod npy;
 #[cfg(feature = "npz")]
 mod npz;
+mod number;
 mod obj;
 mod off;
 #[cfg(feature = "parquet")]
 mod parquet;
 mod pcd;
 mod ply;
+mod ply_header;
 #[cfg(any(feature = "e57", feature = "gltf"))]
 mod quaternion;
 mod read_keypoints;
@@ -103,6 +108,7 @@ mod recording;
 mod ros_message;
 #[cfg(feature = "rosbag2")]
 mod rosbag2;
+mod separator;
 mod shape;
 #[cfg(feature = "rosbag2")]
 mod sqlite_file;

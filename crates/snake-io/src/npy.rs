@@ -5,23 +5,34 @@ use std::io::{self, Write};
 use super::array::Array;
 use super::columns::{Columns, Indices};
 use super::dtype::Dtype;
-use super::shape::{Position, Shape};
+use super::shape::{Position, Shape, check_left_over};
 use snake_core::excerpt;
 use snake_core::{Point, RigidTransform};
 
 pub(super) const MAGIC: &[u8] = b"\x93NUMPY";
 
+/// Three or four rows with more columns than this are coordinates in rows.
+const MAX_COLUMNS: usize = 16;
+
 /// Reads x, y, z from the chosen columns, else from the first three columns, of an array `(N, C)`, `C >= 3`.
 ///
-/// Items may be `f4`, `f8` or integers of any width, in either byte order, in C or Fortran order.
+/// Items may be `f2`, `f4`, `f8` or integers of any width, in either byte order, in C or Fortran order.
 pub(super) fn positions<'a>(
     bytes: &'a [u8],
     columns: Option<&Columns>,
 ) -> Result<impl Iterator<Item = Position> + Clone + use<'a>, String> {
     let (array, data) = open(bytes)?;
-    if array.clouds.is_some() {
-        return Err("an array of shape (S, N, C) is several clouds; expected (N, 3) or more columns".into());
+    if let Some(clouds) = array.clouds {
+        let ArrayHeader { rows, columns, .. } = array;
+        return Err(format!(
+            "shape ({clouds}, {rows}, {columns}) is several clouds, or one with rows and columns of a sensor; save one \
+             cloud: numpy.save(\"cloud.npy\", a[0]), or a.reshape(-1, {columns})"
+        ));
     }
+    if columns.is_none() {
+        array.check_shape(data)?;
+    }
+    check_left_over(&data[array.rows * array.columns * array.dtype.size..], array.rows)?;
     let indices = columns.map_or(Ok([0, 1, 2]), Columns::of_array)?;
     if let Some(missing) = indices.iter().find(|&&index| index >= array.columns) {
         return Err(format!("no column {}; the array has {}", missing.saturating_add(1), array.columns));
@@ -34,11 +45,12 @@ pub(super) fn read(bytes: &[u8], columns: Option<&Columns>) -> Result<Shape, Str
     Ok(positions(bytes, columns)?.collect::<Vec<_>>().into())
 }
 
-/// Whether these first bytes of a file announce an array `(N, C)`, `C >= 3`.
+/// Whether these first bytes of a file announce an array `(N, C)`, `C >= 3`, that is no matrix of a camera or transform.
 #[cfg(feature = "npz")]
 pub(super) fn is_cloud(bytes: &[u8]) -> bool {
     let array = split_header(bytes).and_then(|(header, _)| ArrayHeader::parse(header).ok());
-    array.is_some_and(|array| array.clouds.is_none())
+    let is_matrix = |array: &ArrayHeader| matches!((array.rows, array.columns), (3, 3) | (3 | 4, 4));
+    array.is_some_and(|array| array.clouds.is_none() && !is_matrix(&array))
 }
 
 /// Reads clouds from an array `(S, N, C)`, `C >= 3`, in C order.
@@ -154,7 +166,14 @@ impl Described {
             let fortran_order = value(&header, "fortran_order")?.starts_with("True");
             Some(Self { descr: descr.into(), fortran_order, shape: shape.into() })
         };
-        fields().ok_or_else(|| format!("no plain array is described by the header `{}`", excerpt(&header, 100)))
+        fields().ok_or_else(|| match value(&header, "descr").is_some_and(|descr| descr.starts_with('[')) {
+            true => format!(
+                "a structured array, {}; save its coordinates: numpy.save(\"cloud.npy\", numpy.stack([a[\"x\"], a[\"y\"], \
+                 a[\"z\"]], axis=1))",
+                excerpt(&header, 100)
+            ),
+            false => format!("no plain array is described by the header `{}`", excerpt(&header, 100)),
+        })
     }
 }
 
@@ -162,11 +181,31 @@ impl ArrayHeader {
     /// The layout of an array of clouds, or of one cloud.
     fn parse(header: &[u8]) -> Result<Self, String> {
         let Described { descr, fortran_order, shape } = Described::parse(header)?;
-        let dtype = Dtype::parse(&descr)
-            .ok_or_else(|| format!("items of type `{}`; floats and integers can be read", excerpt(&descr, 20)))?;
+        let dtype = Dtype::parse(&descr).ok_or_else(|| {
+            let descr = excerpt(&descr, 20);
+            format!(
+                "items of type `{descr}`; floats and integers can be read: numpy.save(\"cloud.npy\", a.astype(float))"
+            )
+        })?;
         let (clouds, rows, columns) = parse_shape(&shape)
             .ok_or_else(|| format!("shape ({}); expected (N, 3) or more columns", excerpt(&shape, 40)))?;
         Ok(Self { dtype, fortran_order, clouds, rows, columns })
+    }
+
+    /// Refuses shapes that are not those of a cloud: coordinates in rows, and the matrix of a transform.
+    fn check_shape(&self, data: &[u8]) -> Result<(), String> {
+        let Self { rows, columns, .. } = *self;
+        if matches!(rows, 3 | 4) && columns > MAX_COLUMNS {
+            return Err(format!(
+                "shape ({rows}, {columns}) is {rows} points of {columns} values; if it is {columns} points, save it as \
+                 ({columns}, {rows}): numpy.save(\"cloud.npy\", a.T); --columns 1,2,3 reads it as it is"
+            ));
+        }
+        let last_row = || std::array::from_fn(|column| self.item(data, 3, column));
+        match (rows, columns) == (4, 4) && last_row() == [0.0, 0.0, 0.0, 1.0] {
+            true => Err("the 4 x 4 matrix of a transform and no cloud".into()),
+            false => Ok(()),
+        }
     }
 
     /// The layout of one cloud, after a check that the data holds the whole array.
@@ -269,7 +308,7 @@ mod tests {
         for shape in ["(9,)", "()", "(3, 2)", "(1, 3, 1)", "(-1, 3)", "(99999999999999999999, 3)", "3"] {
             read(&npy(1, "<f4", "False", shape, &[0; 36])).unwrap_err();
         }
-        for descr in ["|O", "<f2", "<c8", "|b1", "<U8", "=f4", "|f4", "", "<f44", "<f4\u{e9}"] {
+        for descr in ["|O", "<f16", "<c8", "|b1", "<U8", "=f4", "|f4", "", "<f44", "<f4\u{e9}"] {
             read(&npy(1, descr, "False", "(1, 3)", &[0; 36])).unwrap_err();
         }
         read(&npy(9, "<f4", "False", "(3, 3)", &[0; 36])).unwrap_err();

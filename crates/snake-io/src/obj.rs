@@ -1,30 +1,24 @@
 //! Wavefront OBJ: vertices and faces.
 
-use super::shape::{Position, Shape, add_polygon};
+use super::lines::{Lines, no_position, position, text, without_comment};
+use super::shape::{Shape, add_polygon};
 use snake_core::excerpt;
 
 /// Reads the lines `v` and `f`; normals, textures, groups, materials, points and lines are ignored. A face may refer to
-/// a vertex that comes after it.
+/// a vertex that comes after it. A line continues after `\` at its end, and `#` begins a comment anywhere.
 pub(super) fn read(bytes: &[u8]) -> Result<Shape, String> {
     let mut shape = Shape::default();
-    let mut corners = Vec::new();
-    for (number, line) in (1..).zip(bytes.split(|&byte| byte == b'\n')) {
-        let Some((key, rest)) = line.trim_ascii().split_at_checked(2) else { continue };
-        let text = || String::from_utf8_lossy(rest);
-        let bad = |what: &str| format!("line {number}: no {what} in `{}`", excerpt(&text(), 60));
-        match key {
-            b"v " | b"v\t" => shape.points.push(position(&text()).ok_or_else(|| bad("three coordinates"))?),
-            b"f " | b"f\t" => {
-                corners.clear();
-                for word in text().split_whitespace() {
-                    let corner = corner(word, shape.points.len());
-                    corners.push(corner.ok_or_else(|| bad("indices of vertices"))?);
-                }
-                add_polygon(&mut shape.triangles, &corners);
-            }
-            _ => {}
+    let mut begun = String::new();
+    for (number, line) in Lines::of_text(bytes)? {
+        let line = text(line);
+        let line = without_comment(&line);
+        match line.strip_suffix('\\') {
+            Some(part) => begun = begun + part + " ",
+            None if begun.is_empty() => add(&mut shape, number, line)?,
+            None => add(&mut shape, number, &(std::mem::take(&mut begun) + line))?,
         }
     }
+    add(&mut shape, 0, &begun)?;
     if shape.points.is_empty() && !bytes.trim_ascii().is_empty() {
         return Err("no vertices: no line begins with `v`".into());
     }
@@ -32,9 +26,21 @@ pub(super) fn read(bytes: &[u8]) -> Result<Shape, String> {
     Ok(shape)
 }
 
-fn position(text: &str) -> Option<Position> {
-    let mut values = text.split_whitespace().map(|word| word.parse().ok());
-    Some([values.next()??, values.next()??, values.next()??])
+fn add(shape: &mut Shape, number: usize, line: &str) -> Result<(), String> {
+    match line.split_once(|c: char| c.is_ascii_whitespace()) {
+        Some(("v", rest)) => {
+            let point = position(rest.split_ascii_whitespace());
+            shape.points.push(point.ok_or_else(|| no_position(number, rest))?);
+        }
+        Some(("f", rest)) => {
+            let corners = rest.split_ascii_whitespace().map(|word| corner(word, shape.points.len()));
+            let corners: Option<Vec<u32>> = corners.collect();
+            let bad = || format!("line {number}: no indices of vertices in `{}`", excerpt(rest, 60));
+            add_polygon(&mut shape.triangles, &corners.ok_or_else(bad)?);
+        }
+        _ => {}
+    }
+    Ok(())
 }
 
 /// The index of a corner `vertex/texture/normal`. The file counts from 1, or backwards from the last vertex so far.

@@ -1,5 +1,6 @@
 //! Object file format (OFF): vertices and faces.
 
+use super::lines::{Lines, no_position, position, text, without_comment};
 use super::shape::{Shape, add_polygon};
 use snake_core::excerpt;
 
@@ -10,17 +11,17 @@ const KEYWORDS: [&str; 6] = ["STOFF", "CNOFF", "STCOFF", "COFF", "NOFF", "OFF"];
 ///
 /// The counts may follow the keyword on the same line, even without a space, as in some files of ModelNet40.
 pub(super) fn read(bytes: &[u8]) -> Result<Shape, String> {
-    let lines = bytes.split(|&byte| byte == b'\n').zip(1_usize..);
-    let mut lines = lines.filter_map(|(line, number)| {
-        let line = line.split(|&byte| byte == b'#').next().unwrap_or_default().trim_ascii();
-        (!line.is_empty()).then(|| (number, String::from_utf8_lossy(line)))
-    });
+    let lines = Lines::of_text(bytes)?.map(|(number, line)| (number, without_comment(&text(line)).to_string()));
+    let mut lines = lines.filter(|(_, line)| !line.is_empty());
     let (number, first) = lines.next().ok_or("not an OFF file: it is empty")?;
-    let keyword = KEYWORDS.iter().find_map(|keyword| first.strip_prefix(keyword));
+    let keyword = KEYWORDS.iter().find_map(|keyword| {
+        let (start, counts) = first.split_at_checked(keyword.len())?;
+        start.eq_ignore_ascii_case(keyword).then_some(counts)
+    });
     let counts = keyword.ok_or_else(|| format!("not an OFF file: it begins with `{}`", excerpt(&first, 40)))?.trim();
     let (number, counts) = match counts.is_empty() {
         true => lines.next().ok_or("cut short: no counts after OFF")?,
-        false => (number, counts.into()),
+        false => (number, counts.to_string()),
     };
     let mut words = counts.split_whitespace().map(|word| word.parse::<u64>().ok());
     let (Some(Some(num_points)), Some(Some(num_faces))) = (words.next(), words.next()) else {
@@ -33,12 +34,7 @@ pub(super) fn read(bytes: &[u8]) -> Result<Shape, String> {
     };
     for index in 0..num_points {
         let (number, line) = next("vertices", index, num_points)?;
-        let mut values = line.split_whitespace().map(|word| word.parse().ok());
-        let mut value = || values.next().flatten();
-        match [value(), value(), value()] {
-            [Some(x), Some(y), Some(z)] => shape.points.push([x, y, z]),
-            _ => return Err(format!("line {number}: no three coordinates in `{}`", excerpt(&line, 60))),
-        }
+        shape.points.push(position(line.split_ascii_whitespace()).ok_or_else(|| no_position(number, &line))?);
     }
     for index in 0..num_faces {
         let (number, line) = next("faces", index, num_faces)?;

@@ -1,8 +1,10 @@
 //! Reads PCD, the format of the Point Cloud Library: ascii, binary and binary_compressed.
 
 use super::dtype::Dtype;
+use super::lines::{Lines, advice, text};
 use super::lzf;
-use super::shape::{Position, Shape};
+use super::number::number;
+use super::shape::{Position, Shape, check_left_over};
 use snake_core::excerpt;
 
 const AXES: [&str; 3] = ["x", "y", "z"];
@@ -31,8 +33,8 @@ pub(super) fn origin(bytes: &[u8]) -> [f64; 3] {
 
 /// The position of the sensor in a header, if it is not zero. The orientation after it is not read.
 pub(super) fn viewpoint(bytes: &[u8]) -> Option<[f64; 3]> {
-    let lines = bytes.split(|&byte| byte == b'\n').take_while(|line| !line.starts_with(b"DATA"));
-    let line = lines.filter_map(|line| str::from_utf8(line).ok()).find(|line| line.starts_with("VIEWPOINT"))?;
+    let lines = Lines::of_header(bytes).take_while(|(_, line)| !line.starts_with(b"DATA"));
+    let line = lines.map(|(_, line)| text(line)).find(|line| line.starts_with("VIEWPOINT"))?;
     let numbers =
         line.split_whitespace().skip(1).take(3).map(|number| number.parse().ok().filter(|v: &f64| v.is_finite()));
     let position: [f64; 3] = numbers.collect::<Option<Vec<f64>>>()?.try_into().ok()?;
@@ -42,11 +44,11 @@ pub(super) fn viewpoint(bytes: &[u8]) -> Option<[f64; 3]> {
 /// Reads the fields x, y, z of any scalar type, and adds the origin that a file of this crate states. `nan`, which
 /// marks missing points in organised clouds, is kept.
 pub(super) fn read(bytes: &[u8]) -> Result<Shape, String> {
-    let (header, data) = Header::parse(bytes)?;
+    let (header, lines) = Header::parse(bytes)?;
     let mut points = match header.encoding {
-        Encoding::Ascii => header.ascii(data),
-        Encoding::Binary => header.binary(data),
-        Encoding::BinaryCompressed => header.compressed(data),
+        Encoding::Ascii => header.ascii(lines),
+        Encoding::Binary => header.binary(lines.rest()),
+        Encoding::BinaryCompressed => header.compressed(lines.rest()),
     }?;
     if let Some(origin) = header.origin {
         points.iter_mut().for_each(|point| *point = std::array::from_fn(|axis| point[axis] + origin[axis]));
@@ -74,26 +76,22 @@ struct Header {
     columns: usize,
     num_points: usize,
     encoding: Encoding,
-    /// The number of lines in the header.
-    lines: usize,
     /// The origin of the points.
     origin: Option<[f64; 3]>,
 }
 
 impl Header {
-    /// Parses the header, up to its line DATA, and returns it with the data.
-    fn parse(bytes: &[u8]) -> Result<(Self, &[u8]), String> {
+    /// Parses the header, up to its line DATA. The rest of the lines is the data.
+    fn parse(bytes: &[u8]) -> Result<(Self, Lines<'_>), String> {
         let (mut fields, mut sizes, mut types, mut counts) = (Vec::new(), Vec::new(), Vec::new(), None);
         let (mut points, mut width, mut height, mut origin) = (None, None, None, None);
-        let mut length = 0;
-        for (lines, line) in (1..).zip(bytes.split_inclusive(|&byte| byte == b'\n')) {
-            length += line.len();
-            // Comments may be in any encoding.
+        let mut lines = Lines::of_header(bytes);
+        while let Some((line_number, line)) = lines.next() {
             if line.starts_with(b"#") {
                 origin = origin.or_else(|| parse_origin(line));
                 continue;
             }
-            let bad = |what: &str| format!("header, line {lines}: {what}");
+            let bad = |what: &str| format!("header, line {line_number}: {what}");
             let line = str::from_utf8(line).map_err(|_| bad("not text; is this a PCD file?"))?.trim();
             let mut words = line.split_whitespace();
             let Some(key) = words.next() else { continue };
@@ -122,7 +120,7 @@ impl Header {
                     let num_points = points.or(area).ok_or("header: neither POINTS nor WIDTH and HEIGHT")?;
                     let counts = counts.unwrap_or_else(|| vec!["1"; fields.len()]);
                     let (axes, size, columns) = axes(&fields, &sizes, &types, &counts)?;
-                    return Ok((Self { axes, size, columns, num_points, encoding, lines, origin }, &bytes[length..]));
+                    return Ok((Self { axes, size, columns, num_points, encoding, origin }, lines));
                 }
                 "VERSION" | "VIEWPOINT" => {}
                 _ => return Err(bad(&format!("`{}` is no entry of a PCD header", excerpt(line, 60)))),
@@ -137,6 +135,7 @@ impl Header {
         if num_points.checked_mul(*size).is_none_or(|needed| needed > data.len()) {
             return Err(format!("{num_points} points of {size} bytes each, but {} bytes follow", data.len()));
         }
+        check_left_over(&data[num_points * size..], *num_points)?;
         let point =
             |point: &[u8]| self.axes.each_ref().map(|axis| axis.dtype.decode(&point[axis.offset..][..axis.dtype.size]));
         Ok(data.chunks_exact(*size).take(*num_points).map(point).collect())
@@ -164,18 +163,27 @@ impl Header {
         Ok((0..*num_points).map(|point| self.axes.each_ref().map(|axis| value(axis, point))).collect())
     }
 
-    fn ascii(&self, data: &[u8]) -> Result<Vec<Position>, String> {
+    fn ascii(&self, lines: Lines) -> Result<Vec<Position>, String> {
         let mut points = Vec::new();
-        for (number, line) in (self.lines + 1..).zip(data.split(|&byte| byte == b'\n')) {
-            let line = str::from_utf8(line).map_err(|_| format!("line {number}: not text"))?.trim();
-            if line.is_empty() {
-                continue;
+        for (line_number, line) in lines {
+            let line = text(line);
+            let (mut point, mut columns) = ([None; 3], 0);
+            for word in line.split_ascii_whitespace() {
+                if let Some(axis) = self.axes.iter().position(|field| field.column == columns) {
+                    point[axis] = number(word);
+                }
+                columns += 1;
             }
-            let values = || line.split_whitespace();
-            let value = |field: &Field| values().nth(field.column).and_then(|value| value.parse().ok());
-            match self.axes.each_ref().map(value) {
-                [Some(x), Some(y), Some(z)] if values().count() == self.columns => points.push([x, y, z]),
-                _ => return Err(format!("line {number}: `{}` does not fit FIELDS", excerpt(line, 60))),
+            match point {
+                [Some(x), Some(y), Some(z)] if columns == self.columns => points.push([x, y, z]),
+                _ if line.trim_matches(['\0', '\x1a']).is_empty() => {}
+                _ => {
+                    return Err(format!(
+                        "line {line_number}: `{}` does not fit FIELDS{}",
+                        excerpt(&line, 60),
+                        advice(&line)
+                    ));
+                }
             }
         }
         match points.len() == self.num_points {
@@ -207,18 +215,16 @@ fn axes(
                 excerpt(size, 20)
             )
         };
-        let dtype = Dtype::parse(&format!("<{}{size}", kind.to_ascii_lowercase()))
-            .or_else(|| Dtype::parse(&format!("|{}{size}", kind.to_ascii_lowercase())));
-        let (dtype, count) = dtype.zip(count.parse::<usize>().ok()).ok_or_else(unusable)?;
-        let end = dtype.size.checked_mul(count).and_then(|bytes| offset.checked_add(bytes)).ok_or_else(unusable)?;
+        let (size, number) = size.parse().ok().zip(count.parse::<usize>().ok()).ok_or_else(unusable)?;
+        let end = usize::checked_mul(size, number).and_then(|bytes| offset.checked_add(bytes)).ok_or_else(unusable)?;
         if let Some(axis) = AXES.iter().position(|axis| *axis == name) {
-            if count != 1 || found[axis].is_some() {
+            if number != 1 || found[axis].is_some() {
                 return Err(format!("header: more than one `{name}`"));
             }
+            let dtype = Dtype::parse(&format!("<{}{size}", kind.to_ascii_lowercase())).ok_or_else(unusable)?;
             found[axis] = Some(Field { dtype, offset, column });
         }
-        // There are never more columns than bytes, so their sum cannot overflow.
-        (offset, column) = (end, column + count);
+        (offset, column) = (end, column.saturating_add(number));
     }
     match found {
         [Some(x), Some(y), Some(z)] => Ok(([x, y, z], offset, column)),

@@ -2,32 +2,50 @@
 
 use std::collections::HashMap;
 
+use super::lines::{Lines, no_position, text};
+use super::number::number;
 use super::shape::{Position, Shape};
-use snake_core::excerpt;
 
 /// Bytes before the triangles of a binary file; the last four are the number of triangles.
 const HEADER_BYTES: usize = 84;
 /// Bytes of a triangle: a normal, three corners, two bytes of attributes.
 const TRIANGLE_BYTES: usize = 50;
+/// Bytes in which the first facet of an ascii file begins.
+const MAX_TITLE_BYTES: usize = 1 << 10;
 
 /// Reads the triangles. Corners at the same position become one point, in the order of their first occurrence.
 ///
 /// A file is binary if its length matches the number of triangles that it states, even if it begins with `solid`, as in
-/// the files of some programs.
+/// the files of some programs. Bytes after the triangles and text after `endsolid` are ignored.
 pub(super) fn read(bytes: &[u8]) -> Result<Shape, String> {
     let promised = bytes.get(HEADER_BYTES - 4..HEADER_BYTES).and_then(|count| count.first_chunk());
     let promised = promised.map(|count| u32::from_le_bytes(*count) as usize);
     let exact = promised.is_some_and(|count| HEADER_BYTES + count * TRIANGLE_BYTES == bytes.len());
     match promised {
-        _ if !exact && bytes.trim_ascii_start().starts_with(b"solid") => ascii(bytes),
+        _ if !exact && is_ascii(bytes) => ascii(bytes),
         Some(count) => binary(&bytes[HEADER_BYTES..], count),
         None => Err("not an STL file: neither `solid` nor a header of 84 bytes".into()),
     }
 }
 
+/// Whether a file begins with `solid` and has one of the other words of the format near its beginning, which the title of
+/// a binary file does not have.
+fn is_ascii(bytes: &[u8]) -> bool {
+    let Some((_, line)) = Lines::of_header(bytes).next() else { return false };
+    let begins = text(line).trim_start().get(..5).is_some_and(|word| word.eq_ignore_ascii_case("solid"));
+    let head = bytes[..bytes.len().min(MAX_TITLE_BYTES)].to_ascii_lowercase();
+    let has = |word: &[u8]| head.windows(word.len()).any(|piece| piece == word);
+    begins && ["facet", "vertex", "endsolid"].iter().any(|word| has(word.as_bytes()))
+}
+
 fn binary(data: &[u8], count: usize) -> Result<Shape, String> {
     if count > data.len() / TRIANGLE_BYTES {
         return Err(format!("{count} triangles of {TRIANGLE_BYTES} bytes each, but {} bytes follow", data.len()));
+    }
+    let rest = data.len() - count * TRIANGLE_BYTES;
+    if rest > 0 && rest.is_multiple_of(TRIANGLE_BYTES) && data[data.len() - rest..].iter().any(|&byte| byte != 0) {
+        let all = data.len() / TRIANGLE_BYTES;
+        return Err(format!("the header promises {count} triangles, {all} follow; export the file again"));
     }
     let mut soup = Soup::default();
     for triangle in data.chunks_exact(TRIANGLE_BYTES).take(count) {
@@ -38,23 +56,36 @@ fn binary(data: &[u8], count: usize) -> Result<Shape, String> {
     Ok(soup.shape)
 }
 
+/// Reads the three numbers after each word `vertex`, wherever lines end. Text after the last `endsolid` is ignored.
 fn ascii(bytes: &[u8]) -> Result<Shape, String> {
-    let mut soup = Soup::default();
-    let mut last = Vec::new();
-    for (number, line) in (1..).zip(bytes.split(|&byte| byte == b'\n')) {
-        let line = String::from_utf8_lossy(line.trim_ascii());
-        let mut words = line.split_whitespace();
-        let Some(key) = words.next() else { continue };
-        if key.eq_ignore_ascii_case("vertex") {
-            let mut value = || words.next().and_then(|word| word.parse().ok());
-            match [value(), value(), value()] {
-                [Some(x), Some(y), Some(z)] => soup.add([x, y, z])?,
-                _ => return Err(format!("line {number}: no three coordinates in `{}`", excerpt(&line, 60))),
+    let (mut soup, mut is_ended) = (Soup::default(), false);
+    let (mut begun, mut last): (Option<Vec<f64>>, _) = (None, (0, &bytes[..0]));
+    for (line_number, line) in Lines::of_text(bytes)? {
+        last = (line_number, line);
+        let line = text(line);
+        // A title may contain any words. It ends with its line or before the first facet.
+        let mut is_title = false;
+        for word in line.split_ascii_whitespace() {
+            let is = |key: &str| word.eq_ignore_ascii_case(key);
+            if let Some(mut values) = begun.take() {
+                values.push(number(word).ok_or_else(|| no_position(line_number, line.trim()))?);
+                match values[..] {
+                    [x, y, z] => soup.add([x, y, z])?,
+                    _ => begun = Some(values),
+                }
+            } else if is("solid") || is("endsolid") {
+                (is_title, is_ended) = (true, is_ended || is("endsolid"));
+            } else if is("facet") {
+                (is_title, is_ended) = (false, false);
+            } else if is("vertex") && !is_title && !is_ended {
+                begun = Some(Vec::with_capacity(3));
             }
         }
-        last = key.to_ascii_lowercase().into_bytes();
     }
-    if last != b"endsolid" {
+    if begun.is_some() {
+        return Err(no_position(last.0, text(last.1).trim()));
+    }
+    if !is_ended {
         return Err("cut short: no line `endsolid` at the end".into());
     }
     match soup.corners.len() {

@@ -6,7 +6,10 @@ use std::path::Path;
 use serde::{Deserialize, Serialize};
 
 use super::format::{extension, unknown_extension};
-use super::{Error, Result, npy, text, write_atomically};
+use super::lines::{Lines, text};
+use super::number::number;
+use super::text::write_rows;
+use super::{Error, Result, npy, write_atomically};
 use snake_core::RigidTransform;
 
 /// The extensions that [`write_registration`] accepts.
@@ -29,13 +32,17 @@ pub(super) fn read_json(bytes: &[u8]) -> std::result::Result<RigidTransform, Str
 
 /// Reads four rows of four numbers.
 pub(super) fn read_text(bytes: &[u8]) -> std::result::Result<RigidTransform, String> {
-    let numbers = |row: &str| -> Option<[f64; 4]> {
-        let numbers: Option<Vec<f64>> = row.split_whitespace().map(|number| number.parse().ok()).collect();
+    checked(matrix(bytes).ok_or("expected four rows of four numbers")?)
+}
+
+/// Four rows of four numbers, if a text consists of them.
+pub(super) fn matrix(bytes: &[u8]) -> Option<[[f64; 4]; 4]> {
+    let row = |(_, line): (usize, &[u8])| -> Option<[f64; 4]> {
+        let numbers: Option<Vec<f64>> = text(line).split_whitespace().map(number).collect();
         numbers?.try_into().ok()
     };
-    let text = String::from_utf8_lossy(bytes);
-    let rows: Option<Vec<_>> = text.lines().filter(|row| !row.trim().is_empty()).map(numbers).collect();
-    checked(rows.and_then(|rows| rows.try_into().ok()).ok_or("expected four rows of four numbers")?)
+    let rows: Option<Vec<_>> = Lines::of_text(bytes).ok()?.take(5).map(row).collect();
+    rows?.try_into().ok()
 }
 
 /// The transform of these rows.
@@ -84,7 +91,7 @@ pub fn write_registration(path: &Path, t_target_source: &RigidTransform, record:
             serde_json::to_writer(&mut *file, record)?;
             writeln!(file)
         }
-        false => text::write_rows(file, t_target_source),
+        false => write_rows(file, t_target_source),
     };
     write_atomically(path, write).map_err(|source| Error::Io { path: path.into(), source })
 }
