@@ -129,6 +129,10 @@ class UNet3D(nn.Module):
         )
         self.final_conv = nn.Conv3d(channels[0], config.c_dim, 1)
 
+    def doubles(self):
+        """The DoubleConvs in the order they compute."""
+        return [level.basic_module for level in [*self.encoders, *self.decoders]]
+
     def forward(self, x):
         skips = []
         for level, encoder in enumerate(self.encoders):
@@ -412,10 +416,6 @@ class SceneUNet(UNet3D):
         for double in self.doubles():
             for name, layer in list(double.named_children()):
                 setattr(double, name, FixedConv(layer.conv.in_channels, layer.conv.out_channels))
-
-    def doubles(self):
-        """The DoubleConvs in the order they compute."""
-        return [level.basic_module for level in [*self.encoders, *self.decoders]]
 
     def forward(self, x, visit=lambda layer, x, far: None):
         """Scattered features (B, C, D, H, W), each side a multiple of the period -> the volume less its value far from

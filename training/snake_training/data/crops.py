@@ -1,7 +1,7 @@
 """Crops for training a network of scenes: a ball of a made room or street as two sensors see it, queries near its clean surface,
 and what the network is to say there.
 
-`python -m snake_training.data.crops -o CROPS --number 3000` writes them in files of 50; `Crops(CROPS)` reads them. Stored
+`python -m snake_training.data.crops -o CROPS --number 3000` writes them in files of 25; `Crops(CROPS)` reads them. Stored
 positions are in voxels about the crop's center.
 """
 
@@ -11,16 +11,17 @@ from pathlib import Path
 import numpy as np
 import torch
 import torch.nn.functional as F
+from scipy.ndimage import distance_transform_edt
 
 from .solids import about_axis, dot
 from .worlds import room, street
 
 POINTS_RADIUS, QUERY_RADIUS = 28.0, 18.0  # voxels: any turned box of 32 lies within the first
-POINTS, QUERIES = 4000, 3000  # of each view at most, and of each crop
+POINTS, QUERIES, RAYS, SURFACE = 4000, 3000, 9000, 12000  # at most: points and rays of a view, queries and surface of a crop
 CELL = 0.5  # voxels, of the grid that responses are computed on
 DENSITY = 9  # surface points a square voxel
 QUANTUM = 1 / 1024  # voxels, of stored positions
-EDGE, CORNER = 0.003, 0.06  # responses that count as none and as the strongest
+EDGE, CORNER = 0.0015, 0.025  # responses that count as none and as a strong corner
 
 
 class View:
@@ -82,8 +83,8 @@ def seen(world, view, center, radius, rng):
     """Points (M, 3) that a view has within a ball, with noise and gaps, and (M, 3) where they lie without noise, on solids
     that stand still and have no foliage; the rest is NaN."""
     chosen = reaching(view.origins, view.directions, center, radius)
-    if chosen.sum() > 30000:
-        chosen[rng.permutation(np.flatnonzero(chosen))[30000:]] = False
+    if chosen.sum() > RAYS:
+        chosen[rng.permutation(np.flatnonzero(chosen))[RAYS:]] = False
     o, d = view.origins[chosen], view.directions[chosen]
     eyes = o if len(o) < 3 else o[:: max(len(o) // 4, 1)]
     if len(o) == 0:
@@ -198,12 +199,13 @@ def smooth(grid, sigma):
 
 
 @torch.no_grad()
-def corner_response(surface, radius, width=0.9, window=1.6):
+def corner_response(surface, radius, width=1.1, window=2.0):
     """How much of a corner each cell is: (response, mass), both (X, Y, Z), of a surface (M, 3) in voxels about 0.
 
     The surface's mass is smoothed with `width` voxels. Where its gradients within `window` voxels point in all three
     directions there is a corner, the end of a pole or of an edge (Foerstner and Harris in 3-D): the response is the
-    least eigenvalue of their mean outer product, which is zero on planes and along edges. The mass is 1 on a plane.
+    least eigenvalue of their mean outer product, which is zero on planes and along edges, times what draws its peaks from
+    a corner's inside onto its surface. The mass is 1 on a plane.
     """
     side = 2 * int(np.ceil(radius / CELL)) + 1
     at = torch.from_numpy(((surface + radius) / CELL).round().astype(np.int64))
@@ -219,26 +221,14 @@ def corner_response(surface, radius, width=0.9, window=1.6):
     spread = ((a * a + b * b + c * c + 2 * (xy * xy + xz * xz + yz * yz)) / 6).sqrt().clamp(min=1e-9)
     half = (a * b * c + 2 * xy * xz * yz - a * yz * yz - b * xz * xz - c * xy * xy) / (2 * spread**3)
     angle = torch.acos(half.clamp(-1, 1)) / 3 + 2 * np.pi / 3
-    return mean + 2 * spread * torch.cos(angle), density
+    away = distance_transform_edt((mass == 0).reshape(density.shape).numpy()) * CELL
+    near = torch.from_numpy(np.exp(-0.5 * (away / 0.8) ** 2).astype(np.float32))
+    return (mean + 2 * spread * torch.cos(angle)) * near, density
 
 
 def levels(response):
     """Responses as levels: 0 for what counts as none, 1 for a strong corner, in between by their logarithm."""
     return (torch.log(response.clamp(min=1e-9) / EDGE) / np.log(CORNER / EDGE)).clamp(0, 1.3)
-
-
-@torch.no_grad()
-def targets(response, reach=3.0, sharpness=0.15):
-    """Target log-odds (X, Y, Z): a peak at each local maximum of the level, as high as that, wherever else low.
-
-    A cell loses exp(-(M - l) / sharpness), with M the highest level within `reach` voxels and l its own.
-    """
-    level = levels(response)
-    cells = int(round(reach / CELL))
-    highest = level
-    for axis in range(3):
-        highest = F.max_pool1d(highest.movedim(axis, -1), 2 * cells + 1, 1, cells).movedim(-1, axis)
-    return -3 + 4.5 * level * torch.exp((level - highest) / sharpness)
 
 
 def read(grid, queries, radius):
@@ -283,7 +273,7 @@ def crop_of(world, center, voxel, views, rng):
     if len(surface) < 1000:
         return None
     response, density = corner_response(surface, radius)
-    target = targets(response)
+    target = levels(response)
     cells = [occupied(clean[~np.isnan(clean[:, 0])]) for _, clean in views]
     common = np.intersect1d(*cells)
     if len(common) < 30:
@@ -307,7 +297,7 @@ def crop_of(world, center, voxel, views, rng):
     beside = inner[rng.integers(len(inner), size=3000)] + rng.normal(size=(3000, 3)) * 2
     beside = beside[read(density, beside, radius) < 0.25][:600]
     return {
-        "points_0": shown[0], "points_1": shown[1], "queries": queries[chosen], "target": values[chosen].astype(np.float16),
+        "surface": surface[rng.permutation(len(surface))[:SURFACE]], "points_0": shown[0], "points_1": shown[1], "queries": queries[chosen], "target": values[chosen].astype(np.float16),
         "solid_0": solid[0][rng.permutation(len(solid[0]))[:1000]], "solid_1": solid[1][rng.permutation(len(solid[1]))[:1000]],
         "free": np.concatenate([free, beside]),
     }  # fmt: skip
@@ -325,7 +315,7 @@ def occupied(points, side=2.0):
     return np.unique(numbers((points + step * side).reshape(-1, 3))) if len(points) else np.empty(0, int)
 
 
-def write_part(path, seed, number=50):
+def write_part(path, seed, number=25):
     """`number` crops of one seed in a file, their arrays end to end; positions as int16."""
     rng, crops = np.random.default_rng([seed, 0xC409]), []
     while len(crops) < number:
@@ -379,13 +369,13 @@ def main(argv=None):
         formatter_class=argparse.ArgumentDefaultsHelpFormatter,
     )  # fmt: skip
     parser.add_argument("-o", "--output", required=True, help="folder; files that are there are kept")
-    parser.add_argument("--number", type=int, default=3000, help="crops, 50 a file")
+    parser.add_argument("--number", type=int, default=3000, help="crops, 25 a file")
     parser.add_argument("--seed", type=int, default=1, help="of the first file; the others follow")
     arguments = parser.parse_args(argv)
     torch.set_num_threads(1)
     folder = Path(arguments.output)
     folder.mkdir(parents=True, exist_ok=True)
-    for part in range(-(-arguments.number // 50)):
+    for part in range(-(-arguments.number // 25)):
         path = folder / f"{arguments.seed + part:05d}.npz"
         if not path.exists():
             write_part(path, arguments.seed + part)

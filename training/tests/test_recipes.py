@@ -1,0 +1,100 @@
+"""Recipes run from end to end, go on where they stopped, and refuse what does not fit."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+
+from snake_training.data.crops import Crops
+from snake_training.export import load_network
+from snake_training.recipes import Recipe, main, result
+from snake_training.scenes import SceneTraining, Target, make_batch, train
+
+RECIPES = Path(__file__).resolve().parents[1] / "recipes"
+
+
+@pytest.fixture(scope="module")
+def run_dir(tmp_path_factory):
+    """The recipe from nothing, run with next to no work."""
+    folder = tmp_path_factory.mktemp("run")
+    Recipe(RECIPES / "scenes-from-nothing.toml", folder, smoke=True).run()
+    return folder
+
+
+def test_a_recipe_ends_with_a_weight_file(run_dir):
+    network = load_network(run_dir / "scenes.safetensors")
+    assert network.config.to_metadata()["coordinates"] == "voxel"
+    assert (run_dir / "scenes.safetensors").stat().st_size < 1_000_000
+
+
+def test_a_mean_of_networks_is_their_mean(run_dir):
+    a, b, mean = (result(run_dir / name).state_dict() for name in ("corners", "learn", "mean"))
+    name = "encoder.unet3d.final_conv.weight"
+    assert torch.allclose(mean[name], 0.2 * a[name] + 0.8 * b[name], atol=1e-6)
+
+
+def test_what_is_done_is_not_done_again(run_dir):
+    before = {path: path.stat().st_mtime_ns for path in run_dir.rglob("*.*")}
+    Recipe(RECIPES / "scenes-from-nothing.toml", run_dir, smoke=True).run()
+    assert before == {path: path.stat().st_mtime_ns for path in run_dir.rglob("*.*")}
+
+
+def test_the_recipe_of_the_released_weights_runs(run_dir, tmp_path):
+    (tmp_path / "crops").symlink_to(run_dir / "crops")
+    main([str(RECIPES / "scenes.toml"), "--run-dir", str(tmp_path), "--smoke"])
+    assert load_network(tmp_path / "scenes.safetensors")
+
+
+def test_training_goes_on_from_its_checkpoint_bit_for_bit(run_dir, tmp_path):
+    crops = Crops(run_dir / "crops")
+    settings = SceneTraining(steps=3, batch=1, side=16, queries=50, occupancy_queries=20, warmup=1)
+
+    def trained(folder, *stops):
+        for steps in stops:  # a shorter run is the same run, stopped: its rates are those of the whole
+            network = result(run_dir / "start").train()
+            train(folder, crops, settings, network, Target(None, crops, settings), log=lambda _: None, stop=steps)
+        return torch.load(folder / "last.pt", weights_only=True)["network"]
+
+    once, twice = trained(tmp_path / "once", 3), trained(tmp_path / "twice", 2, 3)
+    assert all(torch.equal(once[name], twice[name]) for name in once)
+
+
+def test_other_settings_than_those_of_the_results_are_refused(run_dir, tmp_path):
+    text = (RECIPES / "scenes-from-nothing.toml").read_text()
+    (tmp_path / "other.toml").write_text(text.replace("steps = 8000", "steps = 8001"))
+    with pytest.raises(ValueError, match="corners was made with other settings"):
+        Recipe(tmp_path / "other.toml", run_dir, smoke=True).run()
+
+
+@pytest.mark.parametrize(
+    ("line", "word"),
+    [
+        ('name = "a"\nkind = "bake"', "kind 'bake'"),
+        ('name = "a"\nkind = "train"\ninit = "b"\ncrops = "c"', "no stage 'c' before it"),
+        ('name = "a"\nkind = "average"\nof = ["b"]', "no stage 'b' before it"),
+    ],
+)
+def test_a_recipe_that_cannot_run_is_refused(tmp_path, line, word):
+    (tmp_path / "wrong.toml").write_text(f"[[stages]]\n{line}\n")
+    with pytest.raises(ValueError, match=word):
+        Recipe(tmp_path / "wrong.toml", tmp_path)
+
+
+def test_a_misspelt_setting_is_refused(run_dir, tmp_path):
+    text = (RECIPES / "scenes-from-nothing.toml").read_text()
+    (tmp_path / "wrong.toml").write_text(text.replace("warmup = 200", "warmpu = 200"))
+    (tmp_path / "crops").symlink_to(run_dir / "crops")
+    with pytest.raises(ValueError, match="warmpu"):
+        Recipe(tmp_path / "wrong.toml", tmp_path, smoke=True).run()
+
+
+def test_views_and_surface_of_a_crop_are_the_same_places(run_dir):
+    """Queries lie as far from the clean surface in the teacher's box as in the crop, and views near it."""
+    crops = Crops(run_dir / "crops")
+    settings = SceneTraining(batch=1, queries=200, max_noise=0, max_thinning=1)
+    batch = make_batch(crops, settings, 0, 0)
+    points, owner = batch["points"].numpy(), batch["owner"].numpy()
+    assert set(owner) == {0, 1, 2} and points.min() >= 0 and points.max() < settings.side
+    near = [np.linalg.norm(points[owner == box][:, None] - q.numpy(), axis=2).min(axis=0) for box, q in enumerate(batch["queries"])]
+    assert np.median(near[2]) < 1.0 and all(np.median(distance) < 2.5 for distance in near[:2])
