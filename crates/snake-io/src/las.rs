@@ -61,6 +61,8 @@ pub(super) struct Header {
     /// Bytes per point.
     pub(super) record_length: usize,
     pub(super) is_compressed: bool,
+    /// Whether other data follow the points: waveforms, or extended records.
+    has_other_data: bool,
     pub(super) data_offset: usize,
     /// The offset of the variable length records, and their number.
     records_offset: usize,
@@ -80,6 +82,7 @@ impl Header {
             // LAS 1.4 has a wider field for the number of points; the older field may then be 0.
             let wide = if minor >= 4 { u64::from_le_bytes(field(bytes, 247)?) } else { 0 };
             let num_points = if wide > 0 { wide } else { u32::from_le_bytes(field(bytes, 107)?).into() };
+            let begins = |at: usize| Some(u64::from_le_bytes(field(bytes, at)?) > 0);
             let triple = |at: usize| -> Option<[f64; 3]> {
                 let number = |axis: usize| Some(f64::from_le_bytes(field(bytes, at + 8 * axis)?));
                 Some([number(0)?, number(1)?, number(2)?])
@@ -89,6 +92,7 @@ impl Header {
                 record_length: u16::from_le_bytes(field(bytes, 105)?).into(),
                 // The upper bits of the point format mark compression.
                 is_compressed: point_format & 0xc0 != 0,
+                has_other_data: (minor >= 3 && begins(227)?) || (minor >= 4 && begins(235)?),
                 data_offset: u32::from_le_bytes(field(bytes, 96)?) as usize,
                 records_offset: u16::from_le_bytes(field(bytes, 94)?).into(),
                 num_records: u32::from_le_bytes(field(bytes, 100)?),
@@ -103,6 +107,12 @@ impl Header {
         if !header.scale.iter().chain(&header.offset).all(|v| v.is_finite()) {
             return Err("header: a scale or an offset is not finite".into());
         }
+        if let Some(axis) = header.scale.iter().position(|&scale| scale == 0.0) {
+            return Err(format!(
+                "header: the scale of {} is 0, which would put all points in one plane",
+                ["x", "y", "z"][axis]
+            ));
+        }
         Ok(header)
     }
 
@@ -111,6 +121,13 @@ impl Header {
         // This check comes before any allocation, because a header can claim any number.
         if *num_points > data_length / record_length {
             return Err(format!("{num_points} points of {record_length} bytes each, but {data_length} bytes follow"));
+        }
+        // A writer that was interrupted leaves the number that it began with.
+        let (fitting, rest) = (data_length / record_length, data_length % record_length);
+        if *num_points < fitting && rest == 0 && !self.has_other_data {
+            return Err(format!(
+                "the header says {num_points} points, but {fitting} follow; repair it: lasinfo -i FILE -repair_counters"
+            ));
         }
         let mut record = vec![0; *record_length];
         for num_read in 0..*num_points {
@@ -400,6 +417,9 @@ mod tests {
             (with(sample("format_7.las"), 247, &u64::MAX.to_le_bytes()), "18446744073709551615 points"),
             (with(sample("format_2.las"), 105, &[11, 0]), "points of 11 bytes hold no coordinates"),
             (with(sample("format_2.las"), 131, &f64::NAN.to_le_bytes()), "not finite"),
+            (with(sample("format_2.las"), 139, &0_f64.to_le_bytes()), "the scale of y is 0"),
+            (with(sample("format_2.las"), 107, &[0]), "the header says 0 points, but 4 follow; repair it: lasinfo"),
+            (with(sample("format_2.las"), 107, &[3]), "the header says 3 points, but 4 follow"),
             (with(sample("format_2.las"), 96, &many), "cut short before the points"),
             (with(sample("format_3.laz"), 105, &[35, 0]), "do not make up a point"),
             (with(sample("format_3.laz"), 100, &[0; 4]), "no record says how"),
