@@ -68,6 +68,7 @@ check: module $(VENV)/check-ready wheel-test packages sdist  ## formatting, lint
 	$(PYTHON) -m mypy.stubtest snake_rs._core
 	$(PYTHON) -m mypy --strict python/snake_rs
 	$(VENV)/bin/pyright --pythonpath $(PYTHON) python/snake_rs
+	$(PYTHON) python/third_party_licenses.py --check
 
 # Cargo would verify the packages by compiling each of them apart, which takes six times as long. Of files in packages the times
 # are constant: without -m, Cargo would take changed ones for checked.

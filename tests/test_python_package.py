@@ -1,6 +1,7 @@
 """The package: stub and documentation."""
 
 import ast
+import importlib.metadata
 import importlib.util
 import subprocess
 import sys
@@ -43,3 +44,15 @@ def test_everything_public_is_documented():
     assert len(members) > 20
     assert all(thing.__doc__ for thing in (snake_rs, *parts, *functions, *classes, *members))
     assert {c.__module__ for c in classes} == {"snake_rs"}
+
+
+def test_the_package_brings_the_licences_of_what_it_contains():
+    files = importlib.metadata.files("snake-rs")
+    if files is None:
+        pytest.skip("the module is not installed as a package")
+    (path,) = (path for path in files if path.name == "LICENSE-THIRD-PARTY")
+    text = path.read_text()
+    for crate in ("laz", "pyo3", "nalgebra", "zstd-sys", "libsqlite3-sys"):
+        assert f"\n{crate} " in text, crate
+    for words in ("Permission is hereby granted, free of charge", "Redistributions of source code must retain"):
+        assert words in text

@@ -43,6 +43,10 @@ class Handler(http.server.SimpleHTTPRequestHandler):
         if not path.is_file():
             self.send_error(404)
             return
+        if self.server.failures > 0:
+            self.server.failures -= 1
+            self.send_error(503)
+            return
         content, wanted = path.read_bytes(), self.headers.get("Range")
         if wanted and self.server.has_ranges:
             begin, end = wanted.removeprefix("bytes=").split("-")
@@ -69,7 +73,7 @@ def server():
     pytest.importorskip("fsspec", reason="HTTP is not tested: pip install fsspec aiohttp")
     handler = functools.partial(Handler, directory=str(CITY.parent))
     running = http.server.ThreadingHTTPServer(("127.0.0.1", 0), handler)
-    running.served, running.has_ranges = 0, True
+    running.served, running.has_ranges, running.failures = 0, True, 0
     threading.Thread(target=running.serve_forever, daemon=True).start()
     yield running
     running.shutdown()
@@ -92,6 +96,21 @@ def test_a_tile_reads_a_part_of_a_copc_file_over_http(server, whole, tmp_path):
     assert_equal(tiles.finish(), whole)
     again = snake_rs.tiles(url, tile=13, folder=tmp_path / "tiles", model="rooms", **OPTIONS)
     assert all(again.is_detected(tile) for tile in range(len(again)))
+
+
+def test_a_reply_that_may_pass_is_tried_again(server, tmp_path, monkeypatch):
+    from snake_rs import _remote
+
+    monkeypatch.setattr(_remote, "_PAUSES", (0.01, 0.01, 0.01))
+    given = {"tile": 40, "folder": tmp_path / "tiles", "model": "rooms", **OPTIONS}
+    server.failures = 2
+    tiles = snake_rs.tiles(f"http://127.0.0.1:{server.server_port}/city.copc.laz", **given)
+    server.failures = 3
+    tiles.detect(0)
+    assert server.failures == 0
+    server.failures = 100
+    with pytest.raises(OSError, match="503"):
+        snake_rs.tiles(f"http://127.0.0.1:{server.server_port}/city.copc.laz", **given)
 
 
 def test_mistakes_of_servers_are_errors(server, tmp_path):
@@ -129,5 +148,17 @@ def test_tiles_lie_in_object_storage(whole, object_storage, tmp_path):
     given["folder"] = tmp_path / "copied"
     first = snake_rs.tiles("s3://clouds/city.npy", tile=25, **given)
     first.detect(0)
-    assert len(list((tmp_path / "copied/inputs").glob("*/city.npy"))) == 1
+    (copy,) = (tmp_path / "copied/inputs").glob("*/city.npy")
+    time = copy.stat().st_mtime_ns
     assert snake_rs.tiles("s3://clouds/city.npy", tile=25, **given).is_detected(0)
+    assert copy.stat().st_mtime_ns == time
+    # A damaged copy is made anew, and serves the same run.
+    content = copy.read_bytes()
+    copy.write_bytes(content[:-1] + bytes([content[-1] ^ 1]))
+    assert snake_rs.tiles("s3://clouds/city.npy", tile=25, **given).is_detected(0)
+    assert copy.read_bytes() == content
+    # A file that was replaced by one of the same size begins anew.
+    plain.write_bytes(content[:-1] + bytes([content[-1] ^ 1]))
+    files.put_file(str(plain), "clouds/city.npy")
+    files.invalidate_cache()
+    assert not snake_rs.tiles("s3://clouds/city.npy", tile=25, **given).is_detected(0)

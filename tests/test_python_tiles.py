@@ -4,6 +4,8 @@ import json
 import os
 import pickle
 import signal
+import subprocess
+import sys
 import time
 from pathlib import Path
 
@@ -84,8 +86,8 @@ def test_limits_lists_of_paths_and_missing_tiles(city, whole, tmp_path):
         [city, broken], tile=20, folder=tmp_path / "tiles", model="rooms", **OPTIONS, max_keypoints=9
     )
     assert list(tiles.failures) == [broken]
-    with pytest.warns(UserWarning, match="tiles are missing"):
-        assert len(tiles.finish()) == 0
+    with pytest.raises(ValueError, match=f"{len(tiles)} of {len(tiles)} tiles are missing"):
+        tiles.finish()
     assert tiles.detected().missing == list(range(len(tiles)))
     for tile in range(len(tiles)):
         tiles.detect(tile)
@@ -93,6 +95,31 @@ def test_limits_lists_of_paths_and_missing_tiles(city, whole, tmp_path):
     assert_equal(tiles.finish().to_dict(), whole[:9])
     with pytest.raises(IndexError):
         tiles.detect(len(tiles))
+
+
+def test_a_folder_belongs_to_one_run(city, tmp_path):
+    given = {"paths": city, "tile": 20, "model": "rooms", **OPTIONS}
+    for name in ("points", "inputs"):
+        (tmp_path / "mine" / name).mkdir(parents=True)
+        (tmp_path / "mine" / name / "mine.txt").write_text("mine")
+    with pytest.raises(ValueError, match="no run wrote"):
+        snake_rs.tiles(**given, folder=tmp_path / "mine")
+    assert len(list((tmp_path / "mine").glob("*/mine.txt"))) == 2
+
+    first = snake_rs.tiles(**given, folder=tmp_path / "tiles")
+    # A notebook repeats its cells.
+    again = snake_rs.tiles(**given, folder=tmp_path / "tiles")
+    again.detect(0)
+    assert first.is_detected(0)
+    other = f"""
+import snake_rs
+snake_rs.tiles({str(city)!r}, tile=20, folder={str(tmp_path / "tiles")!r}, model="rooms")
+"""
+    run = subprocess.run([sys.executable, "-c", other], capture_output=True, text=True)
+    assert f"OSError: {tmp_path / 'tiles'} is in use by process {os.getpid()} on " in run.stderr
+    del first, again
+    run = subprocess.run([sys.executable, "-c", other], capture_output=True, text=True)
+    assert run.returncode == 0, run.stderr
 
 
 @pytest.mark.parametrize(
@@ -299,5 +326,5 @@ def test_a_cluster_names_tiles_that_fail(cluster, city, tmp_path):
     tiles = snake_rs.tiles(city, tile=40, folder=tmp_path / "tiles", model="rooms", **OPTIONS)
     for path in (tmp_path / "tiles" / "points").iterdir():
         path.write_bytes(b"damaged")
-    with pytest.warns(UserWarning, match="the tile from x 69.*7 bytes"):
-        assert keypoints_of_tiles(tiles).num_rows == 0
+    with pytest.raises(ValueError, match=r"1 of 1 tiles failed: the tile from x 69.*checksum"):
+        keypoints_of_tiles(tiles)

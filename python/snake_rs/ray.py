@@ -21,14 +21,12 @@ import contextlib
 import errno
 import posixpath
 import tempfile
-import warnings
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from typing import Any
 
 import numpy as np
 
 try:
-    import fsspec  # type: ignore[import-not-found, import-untyped, unused-ignore]
     import pyarrow as pa  # type: ignore[import-not-found, import-untyped, unused-ignore]
     import ray  # type: ignore[import-not-found, unused-ignore]
     import ray.data  # type: ignore[import-not-found, unused-ignore]
@@ -36,6 +34,7 @@ except ImportError as _error:
     raise ImportError('snake_rs.ray needs Ray Data: pip install "snake-rs[ray]"') from _error
 
 from ._core import Model, Tiles, detect, register, set_num_threads
+from ._remote import open_url, retried
 
 __all__ = ["DetectClouds", "DetectTiles", "RegisterPairs", "TileKeypoints", "keypoints_of_tiles"]
 
@@ -52,13 +51,14 @@ _KEYPOINT = pa.struct(
         ("nearest_index", pa.int64()),
     ]
 )
-# What `RegisterPairs` adds.
+# What `DetectClouds` and `RegisterPairs` add beside the error.
+_DETECTED = [pa.field("keypoints", pa.list_(_KEYPOINT))]
 _TRANSFORM = [
     pa.field("t_target_source", pa.list_(pa.float64(), 16)),
     pa.field("confidence", pa.float64()),
     pa.field("is_reliable", pa.bool_()),
-    pa.field("error", pa.string()),
 ]
+_ERROR = pa.field("error", pa.string())
 _RANK = ["cell_x", "cell_y", "cell_z", "rank"]
 
 
@@ -75,6 +75,32 @@ def _reason(error: Exception) -> str:
     return f"{type(error).__name__}: {error}"
 
 
+def _with_results(
+    batch: pa.Table, given: list[str], fields: list[pa.Field], of_row: Callable[..., dict[str, Any]]
+) -> pa.Table:
+    """A batch with the results of its rows from their columns `given`, and the column `error`: an error is that of its row alone.
+    A result's column that is there already stays, and is the error of all rows."""
+    taken = [field.name for field in [*fields, _ERROR] if field.name in batch.column_names]
+    results: list[dict[str, Any]] = []
+    for row in batch.select([*given, *(name for name in taken if name == "error")]).to_pylist():
+        try:
+            if taken:
+                known = f", here {row['error']!r}" if "error" in taken else ""
+                raise ValueError(
+                    f"the rows have the column {' and '.join(taken)} already{known}; rename or drop it before"
+                )
+            results.append(of_row(*(row[name] for name in given)))
+        except Exception as error:  # noqa: BLE001 (those of libraries for HTTP and S3 have no common class)
+            results.append({"error": _reason(error)})
+    for field in [*fields, _ERROR]:
+        column = pa.array([result.get(field.name) for result in results], field.type)
+        if field.name not in batch.column_names:
+            batch = batch.append_column(field, column)
+        elif field is _ERROR:
+            batch = batch.set_column(batch.column_names.index(field.name), field, column)
+    return batch
+
+
 class DetectClouds:
     """Detects the keypoints of each row of a batch, a `pyarrow.Table`: of the file in the column `path`, or of the cloud in
     the column `points`, flat `x, y, z, x, ..` or lists of three. A path may be a URL that fsspec opens, such as
@@ -82,7 +108,8 @@ class DetectClouds:
 
     Adds the column `keypoints`, a list of structs with `x`, `y`, `z`, `saliency`, `occupancy` and `nearest_index`, by
     falling saliency, and the column `error`: the reason why a cloud could not be detected, or null. The other columns stay,
-    and `points` is dropped. `model` and `options` are those of `snake_rs.detect`.
+    and `points` is dropped. A server's reply that may pass, such as 503, is tried again. `model` and `options` are those of
+    `snake_rs.detect`; an unknown option raises TypeError.
     """
 
     def __init__(
@@ -92,30 +119,26 @@ class DetectClouds:
         self.model = _loaded(model)
         self.storage_options = storage_options or {}
         self.options = options
+        with contextlib.suppress(ValueError):  # no points: only the names of the options are looked at
+            detect(np.empty((0, 3), np.float32), self.model, **options)
 
     def __call__(self, batch: pa.Table) -> pa.Table:
         is_path = "path" in batch.column_names
         if not is_path and "points" not in batch.column_names:
             raise ValueError(f"a batch needs the column path or points; it has {', '.join(batch.column_names)}")
-        found: list[list[dict[str, Any]] | None] = []
-        errors: list[str | None] = []
-        for value in batch["path" if is_path else "points"]:
-            try:
-                cloud: contextlib.AbstractContextManager[Any] = (
-                    _local_file(value.as_py(), self.storage_options)
-                    if is_path
-                    else contextlib.nullcontext(_points(value))
-                )
-                with cloud as points:
-                    found.append(_structs(detect(points, self.model, **self.options).to_dict()))
-                errors.append(None)
-            except (OSError, ValueError) as error:
-                found.append(None)
-                errors.append(_reason(error))
-        if not is_path:
-            batch = batch.drop_columns(["points"])
-        batch = batch.append_column("keypoints", pa.array(found, pa.list_(_KEYPOINT)))
-        return batch.append_column("error", pa.array(errors, pa.string()))
+        if is_path:
+            return _with_results(batch, ["path"], _DETECTED, self._of_path)
+        return _with_results(batch, ["points"], _DETECTED, self._of_points).drop_columns(["points"])
+
+    def _of_path(self, path: Any) -> dict[str, Any]:
+        with _local_file(path, self.storage_options) as local:
+            return self._found(local)
+
+    def _of_points(self, points: Any) -> dict[str, Any]:
+        return self._found(_points(points))
+
+    def _found(self, cloud: str | np.ndarray) -> dict[str, Any]:
+        return {"keypoints": _structs(detect(cloud, self.model, **self.options).to_dict())}
 
 
 class RegisterPairs:
@@ -123,7 +146,8 @@ class RegisterPairs:
     `storage_options` are as in `DetectClouds`.
 
     Adds the columns `t_target_source`, the 16 numbers of the matrix row by row, `confidence`, `is_reliable`, and `error`: the
-    reason why a pair could not be registered, or null. `model` and `options` are those of `snake_rs.register`.
+    reason why a pair could not be registered, or null. `model` and `options` are those of `snake_rs.register`; an unknown option
+    raises TypeError.
     """
 
     def __init__(
@@ -133,22 +157,21 @@ class RegisterPairs:
         self.model = _loaded(model)
         self.storage_options = storage_options or {}
         self.options = options
+        nothing = np.empty((0, 3), np.float32)
+        with contextlib.suppress(ValueError):  # no points: only the names of the options are looked at
+            register(nothing, nothing, self.model, **options)
 
     def __call__(self, batch: pa.Table) -> pa.Table:
-        rows = [self._row(row["source"], row["target"]) for row in batch.select(["source", "target"]).to_pylist()]
-        for column in _TRANSFORM:
-            batch = batch.append_column(column, pa.array([row.get(column.name) for row in rows], column.type))
-        return batch
+        if missing := [name for name in ("source", "target") if name not in batch.column_names]:
+            raise ValueError(f"a batch needs the column {missing[0]}; it has {', '.join(batch.column_names)}")
+        return _with_results(batch, ["source", "target"], _TRANSFORM, self._of_pair)
 
-    def _row(self, source: str, target: str) -> dict[str, Any]:
-        try:
-            with contextlib.ExitStack() as copies:
-                source, target = (
-                    copies.enter_context(_local_file(path, self.storage_options)) for path in (source, target)
-                )
-                found = register(source, target, self.model, **self.options)
-        except (OSError, ValueError) as error:
-            return {"error": _reason(error)}
+    def _of_pair(self, source: Any, target: Any) -> dict[str, Any]:
+        with contextlib.ExitStack() as copies:
+            source, target = (
+                copies.enter_context(_local_file(path, self.storage_options)) for path in (source, target)
+            )
+            found = register(source, target, self.model, **self.options)
         matrix = found.t_target_source.ravel().tolist()
         return {"t_target_source": matrix, "confidence": found.confidence, "is_reliable": found.is_reliable}
 
@@ -160,21 +183,27 @@ def _loaded(model: Model | str) -> Model:
 
 
 @contextlib.contextmanager
-def _local_file(path: str, storage_options: dict[str, Any]) -> Iterator[str]:
+def _local_file(path: Any, storage_options: dict[str, Any]) -> Iterator[str]:
     """The path of a file of this machine, or of a copy of the file at a URL."""
+    if not isinstance(path, str):
+        raise ValueError("the path is null" if path is None else f"the path is {path!r}, not a text")
     if "://" not in path:
         yield path
         return
     with tempfile.TemporaryDirectory() as folder:
-        files, remote = fsspec.url_to_fs(path, **storage_options)
+        files, remote = open_url(path, storage_options)
         copy = f"{folder}/{posixpath.basename(remote)}"
-        files.get_file(remote, copy)
+        retried(lambda: files.get_file(remote, copy), path)
         yield copy
 
 
-def _points(value: pa.Scalar) -> np.ndarray:
+def _points(value: Any) -> np.ndarray:
     """The points (N, 3) of a row."""
-    points = np.asarray(value.as_py())
+    if value is None:
+        raise ValueError("the points are null")
+    points = np.asarray(value)
+    if points.dtype.kind not in "fiu":
+        raise ValueError("the points hold nulls or other values than numbers")
     return points.reshape(-1, 3) if points.ndim == 1 and points.size % 3 == 0 else points
 
 
@@ -195,25 +224,24 @@ class DetectTiles:
         self.tiles = tiles
 
     def __call__(self, batch: pa.Table) -> pa.Table:
-        errors: list[str | None] = []
-        for tile in batch["tile"].to_pylist():
-            try:
-                self.tiles.detect(tile)
-                errors.append(None)
-            except (OSError, ValueError) as error:
-                errors.append(_reason(error))
-        return batch.append_column("error", pa.array(errors, pa.string()))
+        return _with_results(batch, ["tile"], [], self._detect)
+
+    def _detect(self, tile: Any) -> dict[str, Any]:
+        self.tiles.detect(tile)
+        return {}
 
 
 class TileKeypoints:
     """The keypoints of tiles, once all tiles are detected: the seams between them are solved here. A batch is as of
     `DetectTiles`, and gives a row for each keypoint: the columns of `DetectedTiles.keypoints`, `tile`, and `rank`, the order in
-    the tile.
+    the tile. Raises ValueError when tiles are missing.
     """
 
     def __init__(self, tiles: Tiles) -> None:
         _use_own_cpus()
         self.detected = tiles.detected()
+        if missing := self.detected.missing:
+            raise ValueError(f"{len(missing)} of {len(tiles)} tiles are missing; detect them first: {missing[:9]}")
 
     def __call__(self, batch: pa.Table) -> pa.Table:
         return pa.concat_tables(self._keypoints(tile) for tile in batch["tile"].to_pylist())
@@ -229,9 +257,9 @@ def keypoints_of_tiles(tiles: Tiles, concurrency: int = 1, num_cpus: float = 1) 
     machine. Columns: `x`, `y`, `z` (float64, in the units of the files), `saliency`, `occupancy`, `nearest_index` and `tile`,
     by falling saliency.
 
-    A worker that dies is started again and goes on with the tiles that are not done. A tile that fails is named in a
-    UserWarning with its bounds, and the others are detected. Raises OSError within `ray.exceptions.RayError` when the disk is
-    full; the same call continues.
+    A worker that dies is started again and goes on with the tiles that are not done. A tile that fails is named with its bounds
+    in a ValueError, once the others are detected: the same call tries only the failed ones again. Raises OSError within
+    `ray.exceptions.RayError` when the disk is full; once there is room, the same call continues.
     """
 
     def over_tiles(step: type, batch_size: int) -> ray.data.Dataset:
@@ -245,10 +273,11 @@ def keypoints_of_tiles(tiles: Tiles, concurrency: int = 1, num_cpus: float = 1) 
             num_cpus=num_cpus,
         )
 
-    for row in over_tiles(DetectTiles, 1).take_all():
-        if row["error"] is not None:
-            bounds = "x {west:.2f}, y {south:.2f} to x {east:.2f}, y {north:.2f}".format(**row)
-            warnings.warn(f"the tile from {bounds} is left out: {row['error']}", stacklevel=2)
+    failed = [row for row in over_tiles(DetectTiles, 1).take_all() if row["error"] is not None]
+    if failed:
+        bounds = "the tile from x {west:.2f}, y {south:.2f} to x {east:.2f}, y {north:.2f}: {error}"
+        reasons = "; ".join(bounds.format(**row) for row in failed[:9])
+        raise ValueError(f"{len(failed)} of {len(tiles)} tiles failed: {reasons}")
     references: Any = over_tiles(TileKeypoints, 4).to_arrow_refs()
     parts: list[pa.Table] = ray.get(references)
     order = [("saliency", "descending"), *((name, "ascending") for name in _RANK)]

@@ -11,9 +11,10 @@ use crate::error::file_error;
 pub fn contents(py: Python<'_>, path: PathBuf, options: ReadOptions) -> PyResult<Contents> {
     let contents = py.detach(|| read_contents(&path, &options)).map_err(file_error)?;
     if contents.unsampled_faces > 0 {
-        let what = format!("{} is a mesh of {} faces", path.display(), contents.unsampled_faces);
-        let (number, advice) = (contents.cloud.points.len(), "sample=N of read_points draws N points from the surface");
-        py.import("warnings")?.call_method1("warn", (format!("{what}: its {number} vertices are taken; {advice}"),))?;
+        // The same words for all files, so that Python says them once.
+        let text =
+            "the file is a mesh: its vertices are taken; sample=N of read_points draws N points from its surface";
+        py.import("warnings")?.call_method1("warn", (text,))?;
     }
     Ok(contents)
 }

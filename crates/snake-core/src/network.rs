@@ -40,6 +40,8 @@ pub(crate) struct Network {
     pub(crate) metadata: BTreeMap<String, String>,
     pub(crate) recommended: Options,
     pub(crate) num_parameters: usize,
+    /// The BLAKE3 digest of the weight file.
+    pub(crate) digest: String,
     pub(crate) encoder: NetworkEncoder,
     pub(crate) occupancy: Decoder,
     pub(crate) saliency: Decoder,
@@ -62,6 +64,7 @@ impl Network {
             occupancy: Decoder::occupancy(&file.at("decoder_occup"), &config)?,
             saliency: Decoder::saliency(&file.at("decoder_keypoint"), &config)?,
             num_parameters: file.num_parameters(),
+            digest: blake3::hash(bytes).to_string(),
         };
         network.recommended.check(&config)?;
         file.finish()?;

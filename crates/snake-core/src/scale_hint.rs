@@ -1,5 +1,7 @@
 //! A hint where a cloud is far from the scale that the options are for.
 
+use std::ops::Range;
+
 use crate::options::Options;
 use crate::points::{FinitePoints, Normalization, NormalizationMethod, Point};
 
@@ -8,14 +10,14 @@ use crate::points::{FinitePoints, Normalization, NormalizationMethod, Point};
 const CROWDED: f64 = 0.2;
 /// Number of points and radii, in cloud units, of clouds that may be rooms in metres.
 const ROOM_POINTS: usize = 10_000;
-const ROOM_RADII: std::ops::Range<f64> = 1.3..30.0;
+const ROOM_RADII: Range<f64> = 1.3..30.0;
 /// Radii of clouds for windows, in radii of a window.
-const WINDOW_RADII: std::ops::Range<f64> = 1.5..25.0;
+const WINDOW_RADII: Range<f64> = 1.5..25.0;
 
 /// A text for the user if detection with these options suits another scale than the cloud's `(N, 3)`: a room that
 /// is detected as one object, a LiDAR sweep, or a cloud in other units than the windows. It also names
 /// [`Outliers`](crate::Outliers), which are left out. `None` if nothing is wrong, or if the cloud cannot be used at all, which
-/// detection says.
+/// detection says. Clouds with the same fault have the same text, so that a program can say it once.
 ///
 /// ```
 /// use snake_core::{Builtin, Model, scale_hint};
@@ -43,13 +45,16 @@ fn of_scale(points: &[Point], options: &Options) -> Option<String> {
     let half = median_distance(points, sphere.center);
     if half < CROWDED * radius {
         return Some(format!(
-            "half of the points lie within {half:.3} of the mean, and the farthest is at {radius:.3}: the network sees \
-             most points in few voxels; crop the cloud, or detect in windows (`window_radius`)"
+            "half of the points lie within {CROWDED} times the cloud's radius: the network sees most points in few \
+             voxels; crop the cloud, or detect in windows (`window_radius`)"
         ));
     }
     let may_be_room = points.len() >= ROOM_POINTS && ROOM_RADII.contains(&radius);
     may_be_room.then(|| {
-        format!("the cloud has a radius of {radius:.3}: if it is a room in metres, the model `rooms` sees more of it")
+        let Range { start, end } = ROOM_RADII;
+        format!(
+            "the cloud has a radius of {start} to {end}: if it is a room in metres, the model `rooms` sees more of it"
+        )
     })
 }
 
@@ -58,13 +63,15 @@ fn of_windows(radius: f64, window: f64) -> Option<String> {
     if WINDOW_RADII.contains(&ratio) {
         return None;
     }
-    let advice = if ratio < WINDOW_RADII.start {
-        "for one object, the model `compact` needs no windows"
+    let Range { start, end } = WINDOW_RADII;
+    let (size, advice) = if ratio < start {
+        (format!("less than {start}"), "for one object, the model `compact` needs no windows")
     } else {
-        "for other units than metres give `window_radius` and `nms_radius`; no built-in model is for LiDAR sweeps, so \
-         crop one to its surroundings"
+        let advice = "for other units than metres give `window_radius` and `nms_radius`; no built-in model is for LiDAR \
+                      sweeps, so crop one to its surroundings";
+        (format!("more than {end}"), advice)
     };
-    Some(format!("the cloud has a radius of {radius:.3}, {ratio:.1} times that of a window ({window:.3}): {advice}"))
+    Some(format!("the cloud has a radius of {size} times that of a window ({window}): {advice}"))
 }
 
 /// The median distance of the points from the center.
@@ -109,7 +116,13 @@ mod tests {
     fn far_points_and_sweeps_have_a_hint() {
         let mut sweep = sphere(900, 5.0);
         sweep.extend(sphere(100, 80.0));
-        assert!(hint(&sweep, None).starts_with("half of the points lie within 5.0"), "{}", hint(&sweep, None));
+        assert!(hint(&sweep, None).starts_with("half of the points lie within 0.2"), "{}", hint(&sweep, None));
+        sweep.push([81.0, 0.0, 0.0]);
+        let mut other = sweep.clone();
+        other.push([95.0, 0.0, 0.0]);
+        for window in [None, Some(0.8)] {
+            assert_eq!(hint(&sweep, window), hint(&other, window));
+        }
         assert!(hint(&sweep, Some(0.8)).contains("no built-in model is for LiDAR sweeps"));
         assert!(hint(&sphere(900, 3000.0), Some(0.8)).contains("other units than metres"));
     }

@@ -62,7 +62,7 @@ pub struct TileCandidates {
 /// The fingerprint of everything that decides the candidates of a tile, apart from its points.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct TileSettings {
-    /// The metadata and the number of weights of the model.
+    /// The BLAKE3 digest of the model's weight file.
     pub model: String,
     /// The options.
     pub options: Options,
@@ -108,8 +108,7 @@ impl TileDetector {
 
     /// What decides the candidates of a tile, apart from its points.
     pub fn settings(&self) -> TileSettings {
-        let Network { metadata, num_parameters, .. } = &*self.network;
-        TileSettings { model: format!("{num_parameters} weights, {metadata:?}"), options: self.options }
+        TileSettings { model: self.network.digest.clone(), options: self.options }
     }
 
     /// The options.

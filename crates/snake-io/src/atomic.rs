@@ -14,7 +14,11 @@ pub fn hold_writes() -> RwLockWriteGuard<'static, ()> {
     WRITING.write().unwrap_or_else(PoisonError::into_inner)
 }
 
-/// Writes a file whole or not at all: fills a temporary file in the folder of the target and then renames it.
+/// The name of a temporary file of [`write_atomically`] begins and ends with these. A program that is killed leaves one behind.
+pub const TEMPORARY: [&str; 2] = [".snake-rs.", ".part"];
+
+/// Writes a file whole or not at all, also when the power fails: fills a temporary file in the folder of the target, waits until
+/// it is on the disk, and then renames it.
 ///
 /// A symbolic link is followed: the link stays and its target is written. A device, a FIFO or a socket is written
 /// directly.
@@ -42,10 +46,19 @@ fn replace(target: &Path, fill: impl FnOnce(&mut dyn Write) -> io::Result<()>) -
     let _writing = WRITING.read().unwrap_or_else(PoisonError::into_inner);
     let folder = target.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."));
     // `tempfile_in` would give the file to its owner alone, and would name the temporary file in errors.
-    let temporary = tempfile::Builder::new().make_in(folder, |path| File::create_new(path))?;
+    let [prefix, suffix] = TEMPORARY;
+    let mut builder = tempfile::Builder::new();
+    let temporary = builder.prefix(prefix).suffix(suffix).make_in(folder, |path| File::create_new(path))?;
     write_to(temporary.as_file(), fill)?;
+    temporary.as_file().sync_all()?;
     temporary.persist(target)?;
+    sync_folder(folder);
     Ok(())
+}
+
+/// Waits until the names in a folder are on the disk. Where folders cannot be opened as files, there is nothing to wait for.
+pub fn sync_folder(folder: &Path) {
+    let _not_everywhere = File::open(folder).and_then(|folder| folder.sync_all());
 }
 
 fn write_to(file: &File, fill: impl FnOnce(&mut dyn Write) -> io::Result<()>) -> io::Result<()> {

@@ -127,7 +127,7 @@ pub use array::Array;
 #[cfg(feature = "npz")]
 pub use array_files::read_arrays;
 pub use array_files::{read_array, write_volume};
-pub use atomic::{hold_writes, write_atomically};
+pub use atomic::{TEMPORARY, hold_writes, sync_folder, write_atomically};
 pub use clouds::{
     Contents, ReadOptions, for_each_position, parse_cloud, parse_contents, read_cloud, read_clouds, read_contents,
     read_points,

@@ -8,8 +8,9 @@ use snake_core::{Bounds, Point, TileDetector, subtract_origin};
 use snake_io::Copc;
 
 use crate::Result;
-use crate::plan::{Plan, Source, Tile, place};
-use crate::run::{Extent, TiledRun, columns_of, widen};
+use crate::folder::RunFolder;
+use crate::plan::{Plan, Source, Tile, place, version};
+use crate::run::{Extent, TiledRun, columns_of, is_kept, widen};
 
 impl TiledRun {
     /// As [`TiledRun::prepare`], of COPC files that make up one cloud, also behind a server. Only their octrees are read, so
@@ -20,24 +21,30 @@ impl TiledRun {
     /// As [`TiledRun::prepare`].
     pub fn prepare_copc(detector: TileDetector, files: Vec<Copc>, side: f64, folder: &Path) -> Result<Self> {
         let columns = columns_of(&detector, side)?;
-        let source = Source::of_copc(&files, columns, detector.settings())?;
-        let folder = folder.to_owned();
-        if let Some(plan) = Plan::read(&folder, &source) {
-            return Ok(Self { detector, plan, folder, copc: files });
+        let (_one_at_a_time, folder) = (RunFolder::begin(), RunFolder::claim(folder)?);
+        let versions = files.iter().map(|file| version(file.source())).collect::<Result<_>>()?;
+        let source = Source::of_copc(&files, columns, detector.settings());
+        let id = source.id()?;
+        if let Some(mut plan) = Plan::read(&folder, &source) {
+            folder.mend(plan.names())?;
+            if plan.versions != versions {
+                plan.versions = versions;
+                plan.write(&folder)?;
+            }
+            return Ok(Self { detector, plan, id, folder, copc: files });
         }
-        Plan::clear(&folder)?;
         let mut extent = Extent::default();
         for file in &files {
             [file.bounds().low, file.bounds().high].into_iter().for_each(|corner| extent.bounds.add(corner));
             extent.add_crs(file.source().path(), file.crs().cloned())?;
         }
         let Extent { bounds, crs, .. } = extent.checked()?;
-        let num_points = files.iter().map(Copc::num_points).sum();
-        let (origin, failures) = (bounds.origin(), Vec::new());
-        let mut plan = Plan { source, origin, crs, num_points, num_skipped: 0, failures, tiles: Vec::new() };
+        let mut plan = Plan::new(source, versions, bounds.origin(), crs, Vec::new());
+        plan.num_points = files.iter().map(Copc::num_points).sum();
         plan.tiles = tiles(&detector, &plan, &files, &bounds)?;
+        folder.clear(|name| is_kept(&folder, name, &id))?;
         plan.write(&folder)?;
-        Ok(Self { detector, plan, folder, copc: files })
+        Ok(Self { detector, plan, id, folder, copc: files })
     }
 
     /// As [`TiledRun::open`], of a run of [`TiledRun::prepare_copc`] whose files are not on a disk that all machines see.
@@ -45,9 +52,10 @@ impl TiledRun {
     /// # Errors
     /// As [`TiledRun::open`], and [`crate::Error::Damaged`] when a file has changed.
     pub fn open_copc(detector: TileDetector, files: Vec<Copc>, folder: &Path) -> Result<Self> {
-        let plan = Plan::of_settings(folder, &detector.settings())?;
-        plan.check_files(folder, &files)?;
-        Ok(Self { detector, plan, folder: folder.to_owned(), copc: files })
+        let folder = RunFolder::join(folder)?;
+        let plan = Plan::of_settings(&folder, &detector.settings())?;
+        plan.check_files(&folder, &files)?;
+        Ok(Self { detector, id: plan.source.id()?, plan, folder, copc: files })
     }
 
     /// Calls `found` with all points in a rectangle of columns, and with others, and their indices in the cloud.

@@ -1,6 +1,8 @@
 //! The error type of the crate.
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
+
+use crate::plan::Tile;
 
 /// An error. Its text says what to do about it.
 #[derive(Debug, thiserror::Error)]
@@ -21,12 +23,30 @@ pub enum Error {
         source: std::io::Error,
     },
     /// A file of the run's folder has another content than was written.
-    #[error("{}: {reason}; remove the folder to begin again", path.display())]
+    #[error("{}: {reason}", path.display())]
     Damaged {
         /// The file.
         path: PathBuf,
         /// What is wrong with it.
         reason: String,
+    },
+    /// Another process uses the folder.
+    #[error("{} is in use by {holder}; {advice}", folder.display())]
+    InUse {
+        /// The folder.
+        folder: PathBuf,
+        /// The process and its host.
+        holder: String,
+        /// What to do.
+        advice: String,
+    },
+    /// Tiles have no result, so that their keypoints would be missing.
+    #[error("{} of {total} tiles are missing: {}; detect them first", missing.len(), places(missing))]
+    Missing {
+        /// The tiles.
+        missing: Vec<Tile>,
+        /// Number of all tiles.
+        total: usize,
     },
     /// The cloud or the tiles cannot be used.
     #[error("{what}: {reason}")]
@@ -43,8 +63,35 @@ pub type Result<T> = std::result::Result<T, Error>;
 
 impl Error {
     /// The error of a file of the run's folder.
-    pub(crate) fn file(path: &std::path::Path) -> impl FnOnce(std::io::Error) -> Self {
+    pub(crate) fn file(path: &Path) -> impl FnOnce(std::io::Error) -> Self {
         let path = path.to_owned();
         move |source| Self::File { path, source }
     }
+
+    /// The error of a file whose checksum does not fit.
+    pub(crate) fn damaged(path: &Path) -> Self {
+        let reason = "is damaged: its checksum does not fit; the same run writes it again".into();
+        Self::Damaged { path: path.into(), reason }
+    }
+
+    /// The error of a file in the run's folder that no run wrote.
+    pub(crate) fn not_own(folder: &Path, name: &Path) -> Self {
+        let reason = format!(
+            "{} has `{}`, which no run wrote; move it away, or choose a folder that is new or empty, on the command line with \
+             --tile-folder FOLDER",
+            folder.display(),
+            name.display()
+        );
+        Self::Refused { what: "the folder of the tiles", reason }
+    }
+}
+
+/// The places of some tiles.
+fn places(tiles: &[Tile]) -> String {
+    let place = |tile: &Tile| format!("{}_{}", tile.place[0], tile.place[1]);
+    let mut text = tiles.iter().take(5).map(place).collect::<Vec<_>>().join(", ");
+    if tiles.len() > 5 {
+        text += ", ..";
+    }
+    text
 }

@@ -1,7 +1,5 @@
 //! From the candidates of all tiles to keypoints.
 
-use std::collections::HashSet;
-
 use snake_core::{Candidate, Control, Counts, Fate, Keypoint, Point, by_rank};
 
 use crate::candidates::{self, Summary};
@@ -25,11 +23,9 @@ pub struct TiledKeypoint {
 pub struct Detected {
     /// The detected tiles, by place.
     summaries: Vec<([i32; 2], Summary)>,
-    /// The places of the tiles whose points can be read.
-    pub(crate) readable: HashSet<[i32; 2]>,
     /// Number of queries after each step, without keypoints.
     pub counts: Counts,
-    /// Tiles without candidates or points on disk. Keypoints there are missing, and those close by may differ.
+    /// Tiles without candidates on disk. Keypoints there are missing, and those close by may differ.
     pub missing: Vec<Tile>,
 }
 
@@ -40,20 +36,30 @@ pub struct TiledDetection {
     pub keypoints: Vec<TiledKeypoint>,
     /// Number of queries after each step.
     pub counts: Counts,
-    /// The missing tiles, see [`Detected::missing`].
-    pub missing: Vec<Tile>,
 }
 
 /// A rectangle along x and y, as its lowest and highest corner.
 type Rectangle = [[f64; 2]; 2];
 
 impl TiledRun {
-    /// The keypoints of all tiles that are detected: the bits of [`snake_core::Model::detect`] if all are.
+    /// The keypoints of all tiles: the bits of [`snake_core::Model::detect`].
     ///
     /// # Errors
-    /// [`Error::File`] and [`Error::Damaged`] for the files of the folder; [`snake_core::Error::Cancelled`] and the like.
+    /// [`Error::Missing`] when not all tiles are detected; [`Error::File`] and [`Error::Damaged`] for the files of the
+    /// folder; [`snake_core::Error::Cancelled`] and the like.
     pub fn finish(&self, control: &Control) -> Result<TiledDetection> {
-        let detected = self.detected()?;
+        let detected = self.detected();
+        if !detected.missing.is_empty() {
+            return Err(Error::Missing { missing: detected.missing, total: self.tiles().len() });
+        }
+        self.finish_detected(&detected, control)
+    }
+
+    /// The keypoints of the detected tiles, without those of [`Detected::missing`].
+    ///
+    /// # Errors
+    /// As [`TiledRun::finish`].
+    pub fn finish_detected(&self, detected: &Detected, control: &Control) -> Result<TiledDetection> {
         let counter = control.begin("suppression", detected.summaries.len());
         let mut kept = Vec::new();
         // One tile after another, so that the candidates of one wait in memory at a time.
@@ -64,23 +70,16 @@ impl TiledRun {
         }
         kept.sort_by(|(a, _), (b, _)| by_rank(a, b));
         kept.truncate(self.detector.options().detect.max_keypoints);
-        let keypoints = self.with_nearest(kept, &detected, control)?;
+        let keypoints = self.with_nearest(kept, control)?;
         let mut counts = detected.counts;
         counts.keypoints = keypoints.len();
-        Ok(TiledDetection { keypoints, counts, missing: detected.missing })
+        Ok(TiledDetection { keypoints, counts })
     }
 
-    /// Looks at the tiles in the folder, once all of them are detected.
-    ///
-    /// # Errors
-    /// [`Error::File`] and [`Error::Damaged`] for the files of the folder.
-    pub fn detected(&self) -> Result<Detected> {
-        let (mut summaries, mut readable) = (Vec::new(), HashSet::new());
-        let (mut counts, mut missing) = (Counts::default(), Vec::new());
+    /// Looks at the candidates in the folder, once all tiles are detected.
+    pub fn detected(&self) -> Detected {
+        let (mut summaries, mut counts, mut missing) = (Vec::new(), Counts::default(), Vec::new());
         for tile in self.tiles() {
-            if self.has_points(tile) {
-                readable.insert(tile.place);
-            }
             let Some(summary) = self.summary(tile) else {
                 missing.push(*tile);
                 continue;
@@ -88,7 +87,7 @@ impl TiledRun {
             counts.add(&summary.counts);
             summaries.push((tile.place, summary));
         }
-        Ok(Detected { summaries, readable, counts, missing })
+        Detected { summaries, counts, missing }
     }
 
     /// The keypoints of one tile. Those of all tiles, sorted by falling saliency, then by cell and by their order here, are
@@ -100,21 +99,16 @@ impl TiledRun {
         match detected.summaries.binary_search_by_key(&tile.place, |(place, _)| *place) {
             Ok(index) => {
                 let kept = self.suppress(index, &detected.summaries)?.into_iter();
-                self.with_nearest(kept.map(|candidate| (candidate, tile.place)).collect(), detected, control)
+                self.with_nearest(kept.map(|candidate| (candidate, tile.place)).collect(), control)
             }
             Err(_) => Ok(Vec::new()),
         }
     }
 
     /// Keypoints from candidates and the places of their tiles.
-    fn with_nearest(
-        &self,
-        kept: Vec<(Candidate, [i32; 2])>,
-        detected: &Detected,
-        control: &Control,
-    ) -> Result<Vec<TiledKeypoint>> {
+    fn with_nearest(&self, kept: Vec<(Candidate, [i32; 2])>, control: &Control) -> Result<Vec<TiledKeypoint>> {
         let positions: Vec<Point> = kept.iter().map(|(candidate, _)| candidate.position).collect();
-        let nearest = self.nearest(&positions, &detected.readable, control)?;
+        let nearest = self.nearest(&positions, control)?;
         let keypoint = |((candidate, tile), nearest): ((Candidate, [i32; 2]), u64)| {
             let Candidate { position, saliency, occupancy, cell } = candidate;
             let keypoint = Keypoint { position, saliency, occupancy, nearest_index: nearest as usize };
@@ -126,8 +120,8 @@ impl TiledRun {
     /// The candidates of a tile that suppression keeps. A candidate's fate can depend on a chain of others, so the tile
     /// reads more of its neighbours until all fates are known.
     fn suppress(&self, index: usize, summaries: &[([i32; 2], Summary)]) -> Result<Vec<Candidate>> {
-        let (place, Summary { bounds: Some(bounds), .. }) = summaries[index] else { return Ok(Vec::new()) };
-        let own = candidates::read(&self.folder, place)?;
+        let (place, Summary { bounds: Some(bounds), .. }) = &summaries[index] else { return Ok(Vec::new()) };
+        let own = candidates::read(&self.folder, *place)?;
         let reach = self.detector.suppression_reach();
         let mut margin = 4.0 * reach;
         loop {

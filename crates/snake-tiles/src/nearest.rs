@@ -1,6 +1,6 @@
 //! The nearest point of each keypoint.
 
-use std::collections::{BTreeMap, HashSet};
+use std::collections::BTreeMap;
 use std::ops::Range;
 
 use snake_core::space::nearest_points;
@@ -10,14 +10,8 @@ use crate::Result;
 use crate::run::{TiledRun, widen};
 
 impl TiledRun {
-    /// The index of the nearest point of all files for each position; the lowest index among equally near points. Only
-    /// the points of the `readable` tiles are looked at.
-    pub(crate) fn nearest(
-        &self,
-        positions: &[Point],
-        readable: &HashSet<[i32; 2]>,
-        control: &Control,
-    ) -> Result<Vec<u64>> {
+    /// The index of the nearest point of all files for each position; the lowest index among equally near points.
+    pub(crate) fn nearest(&self, positions: &[Point], control: &Control) -> Result<Vec<u64>> {
         let mut by_place: BTreeMap<[i32; 2], Vec<usize>> = BTreeMap::new();
         for (index, position) in positions.iter().enumerate() {
             by_place.entry(self.plan.place(self.detector.cell(position)?)).or_default().push(index);
@@ -30,7 +24,7 @@ impl TiledRun {
             // A point beyond the columns may be nearer, or none may be in them.
             while !open.is_empty() {
                 let columns = widen(&self.plan.columns(place), margin);
-                let (points, indices) = self.points(&columns, |tile| readable.contains(&tile.place))?;
+                let (points, indices) = self.points(&columns)?;
                 let is_whole = self.plan.is_inside(&columns);
                 let queries: Vec<Point> = open.iter().map(|&index| positions[index]).collect();
                 let found = if points.is_empty() { Vec::new() } else { nearest_points(&points, &queries)? };

@@ -7,15 +7,19 @@ use serde::{Deserialize, Serialize};
 use snake_core::TileSettings;
 use snake_io::{Copc, Crs, LocalFile, Ranges};
 
-use crate::{Error, Result};
+use crate::folder::{RunFolder, digest_of};
+use crate::{Error, Result, candidates, points};
 
-/// Everything that decides the content of a run's folder.
+/// The name of the plan in the folder.
+pub(crate) const PLAN: &str = "plan.json";
+
+/// Everything that decides the candidates of a run.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub(crate) struct Source {
     /// The version of this crate.
     version: String,
-    /// Each input file with its size and its version, for files on disk the time of the last change.
-    files: Vec<(PathBuf, u64, String)>,
+    /// Each input file with the digest of its content; for files behind URLs what the server says of it.
+    files: Vec<(PathBuf, String)>,
     /// Whether the points are read from the files by bounds.
     pub(crate) by_bounds: bool,
     /// How the files are read.
@@ -33,29 +37,48 @@ impl Source {
         columns: i32,
         settings: TileSettings,
     ) -> Result<Self> {
-        let file = |path: &PathBuf| {
-            let read = || identity(&LocalFile::new(path)?);
-            read().map_err(Error::file(path))
-        };
+        let file = |path: &PathBuf| LocalFile::new(path).map_err(Error::file(path)).map(|file| content(&file));
         let files = files.iter().map(file).collect::<Result<_>>()?;
         let (version, read) = (env!("CARGO_PKG_VERSION").into(), format!("{read:?}"));
         Ok(Self { version, files, by_bounds: false, read, columns, settings })
     }
 
     /// The source of a run that reads COPC files by bounds.
-    pub(crate) fn of_copc(files: &[Copc], columns: i32, settings: TileSettings) -> Result<Self> {
-        let (version, files) = (env!("CARGO_PKG_VERSION").into(), identities(files)?);
-        Ok(Self { version, files, by_bounds: true, read: String::new(), columns, settings })
+    pub(crate) fn of_copc(files: &[Copc], columns: i32, settings: TileSettings) -> Self {
+        let files = files.iter().map(|file| content(file.source())).collect();
+        Self {
+            version: env!("CARGO_PKG_VERSION").into(),
+            files,
+            by_bounds: true,
+            read: String::new(),
+            columns,
+            settings,
+        }
+    }
+
+    /// Stands in the candidates, so that those of another run are not taken for those of this one.
+    pub(crate) fn id(&self) -> Result<String> {
+        let text = serde_json::to_vec(self).map_err(|error| Error::file(Path::new(PLAN))(error.into()))?;
+        Ok(blake3::hash(&text).to_string())
     }
 }
 
-/// The name, the size and the version of a file.
-fn identity(file: &dyn Ranges) -> std::io::Result<(PathBuf, u64, String)> {
-    Ok((file.path().into(), file.length()?, file.version()?))
+/// The name and the content of a file. A file that cannot be read is a failure of the run, which its plan names.
+fn content(file: &dyn Ranges) -> (PathBuf, String) {
+    let path = file.path().to_owned();
+    let content = match path.is_file() {
+        true => digest_of(&path),
+        false => file.length().and_then(|length| Ok(format!("{length} bytes, {}", file.version()?))),
+    };
+    (path, content.unwrap_or_else(|error| error.to_string()))
 }
 
-fn identities(files: &[Copc]) -> Result<Vec<(PathBuf, u64, String)>> {
-    files.iter().map(|file| identity(file.source()).map_err(Error::file(file.source().path()))).collect()
+/// The size and the version of a file, for files on disk the time of the last change: quicker to tell than its content.
+pub(crate) type Version = (u64, String);
+
+pub(crate) fn version(file: &dyn Ranges) -> Result<Version> {
+    let version = || Ok((file.length()?, file.version()?));
+    version().map_err(Error::file(file.path()))
 }
 
 /// An input file that could not be read.
@@ -82,6 +105,8 @@ pub struct Tile {
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub(crate) struct Plan {
     pub(crate) source: Source,
+    /// The versions of the input files, in their order.
+    pub(crate) versions: Vec<Version>,
     /// Added to all points, see [`snake_core::Cloud::origin`].
     pub(crate) origin: [f64; 3],
     pub(crate) crs: Option<Crs>,
@@ -91,24 +116,39 @@ pub(crate) struct Plan {
     pub(crate) failures: Vec<Failure>,
     /// By place, ascending.
     pub(crate) tiles: Vec<Tile>,
+    /// The digests of the tiles' points; none when they are read by bounds.
+    pub(crate) digests: Vec<String>,
 }
 
 impl Plan {
-    fn path(folder: &Path) -> PathBuf {
-        folder.join("plan.json")
+    /// A plan before its tiles.
+    pub(crate) fn new(
+        source: Source,
+        versions: Vec<Version>,
+        origin: [f64; 3],
+        crs: Option<Crs>,
+        failures: Vec<Failure>,
+    ) -> Self {
+        let (num_points, num_skipped, tiles, digests) = (0, 0, Vec::new(), Vec::new());
+        Self { source, versions, origin, crs, num_points, num_skipped, failures, tiles, digests }
+    }
+
+    /// Whether the points of all tiles are on disk, undamaged. All of them are read.
+    pub(crate) fn points_fit(&self, folder: &RunFolder) -> bool {
+        let mut tiles = self.tiles.iter().zip(&self.digests);
+        tiles.all(|(tile, digest)| points::for_each_point(folder, tile, digest, |_, _| ()).is_ok())
     }
 
     /// The plan in a folder, if it is complete and from the same source.
-    pub(crate) fn read(folder: &Path, source: &Source) -> Option<Self> {
-        let plan: Self = serde_json::from_slice(&std::fs::read(Self::path(folder)).ok()?).ok()?;
+    pub(crate) fn read(folder: &RunFolder, source: &Source) -> Option<Self> {
+        let plan: Self = serde_json::from_slice(&folder.read(PLAN).ok()?).ok()?;
         (plan.source == *source).then_some(plan)
     }
 
     /// The plan in a folder, whatever its inputs were. It must have the settings.
-    pub(crate) fn of_settings(folder: &Path, settings: &TileSettings) -> Result<Self> {
-        let path = Self::path(folder);
-        let bytes = std::fs::read(&path).map_err(Error::file(&path))?;
-        let damaged = |reason| Error::Damaged { path: path.clone(), reason };
+    pub(crate) fn of_settings(folder: &RunFolder, settings: &TileSettings) -> Result<Self> {
+        let bytes = folder.read(PLAN)?;
+        let damaged = |reason| Error::Damaged { path: folder.path().join(PLAN), reason };
         let plan: Self = serde_json::from_slice(&bytes).map_err(|error| damaged(error.to_string()))?;
         if plan.source.settings != *settings || plan.source.version != env!("CARGO_PKG_VERSION") {
             return Err(damaged("is of another model, other options or another version".into()));
@@ -122,44 +162,37 @@ impl Plan {
     }
 
     /// Refuses other COPC files than those of the run.
-    pub(crate) fn check_files(&self, folder: &Path, files: &[Copc]) -> Result<()> {
-        if self.source.by_bounds && self.source.files == identities(files)? {
+    pub(crate) fn check_files(&self, folder: &RunFolder, files: &[Copc]) -> Result<()> {
+        let versions = files.iter().map(|file| version(file.source())).collect::<Result<Vec<_>>>()?;
+        let paths = files.iter().map(|file| file.source().path());
+        if self.source.by_bounds && self.versions == versions && self.files().eq(paths) {
             return Ok(());
         }
-        Err(Error::Damaged { path: Self::path(folder), reason: "is of other files, or a file has changed".into() })
+        let reason = "is of other files, or a file has changed".into();
+        Err(Error::Damaged { path: folder.path().join(PLAN), reason })
     }
 
-    pub(crate) fn write(&self, folder: &Path) -> Result<()> {
-        let path = Self::path(folder);
-        let written = snake_io::write_atomically(&path, |file| Ok(serde_json::to_writer(file, self)?));
-        written.map_err(Error::file(&path))
+    /// Refuses to go on in a folder that another run has taken over.
+    pub(crate) fn check_folder(&self, folder: &RunFolder) -> Result<()> {
+        match Self::read(folder, &self.source) {
+            Some(_) => Ok(()),
+            None => {
+                let reason = "is no longer that of this run: another run has begun in the folder".into();
+                Err(Error::Damaged { path: folder.path().join(PLAN), reason })
+            }
+        }
     }
 
-    /// Removes the files of earlier runs. A folder with other files is refused.
-    pub(crate) fn clear(folder: &Path) -> Result<()> {
-        let error = || Error::file(folder);
-        std::fs::create_dir_all(folder).map_err(error())?;
-        // The folder `inputs` has copies of files behind URLs, which are kept.
-        let known = ["plan.json", "points", "candidates", "inputs"];
-        for entry in folder.read_dir().map_err(error())? {
-            let entry = entry.map_err(error())?;
-            if !known.iter().any(|name| entry.file_name() == *name) {
-                let reason = format!("has the file {}, which is not of a run", entry.file_name().display());
-                return Err(Error::Refused { what: "the folder of the tiles", reason });
-            }
-        }
-        let path = Self::path(folder);
-        if path.exists() {
-            std::fs::remove_file(&path).map_err(Error::file(&path))?;
-        }
-        for name in ["points", "candidates"] {
-            let path = folder.join(name);
-            if path.exists() {
-                std::fs::remove_dir_all(&path).map_err(Error::file(&path))?;
-            }
-            std::fs::create_dir(&path).map_err(Error::file(&path))?;
-        }
-        Ok(())
+    pub(crate) fn write(&self, folder: &RunFolder) -> Result<()> {
+        folder.list([PLAN.into()].into_iter().chain(self.names()))?;
+        let text = serde_json::to_vec(self).map_err(|error| Error::file(&folder.path().join(PLAN))(error.into()))?;
+        folder.write(PLAN, &text)
+    }
+
+    /// The names of the files of all tiles.
+    pub(crate) fn names(&self) -> impl Iterator<Item = String> {
+        let names = |tile: &Tile| [candidates::name(tile.place), points::name(tile.place)];
+        self.tiles.iter().flat_map(names)
     }
 
     /// The columns of cells of the tile at a place.
@@ -181,12 +214,13 @@ impl Plan {
         })
     }
 
-    /// The tiles that have columns in a range.
-    pub(crate) fn tiles_in(&self, columns: &[Range<i32>; 2]) -> impl Iterator<Item = &Tile> {
+    /// The tiles that have columns in a range, with the digests of their points.
+    pub(crate) fn tiles_in(&self, columns: &[Range<i32>; 2]) -> impl Iterator<Item = (&Tile, &String)> {
         let [x, y] = columns.clone().map(|range| place(self.source.columns, [range.start, range.end - 1]));
         let first = self.tiles.partition_point(|tile| tile.place[0] < x[0]);
         let end = self.tiles.partition_point(|tile| tile.place[0] <= x[1]);
-        self.tiles[first..end].iter().filter(move |tile| (y[0]..=y[1]).contains(&tile.place[1]))
+        let tiles = self.tiles.iter().zip(&self.digests).take(end).skip(first);
+        tiles.filter(move |(tile, _)| (y[0]..=y[1]).contains(&tile.place[1]))
     }
 }
 

@@ -3,13 +3,14 @@
 //! A file holds the points of a tile in the order of the cloud, each as x, y and z in `f32` and its index in the cloud in
 //! `u64`, little-endian.
 
-use std::collections::HashMap;
+use std::collections::BTreeMap;
 use std::fs::File;
-use std::io::{BufReader, Read, Write};
-use std::path::{Path, PathBuf};
+use std::io::{Read, Write};
 
 use snake_core::Point;
+use snake_io::sync_folder;
 
+use crate::folder::RunFolder;
 use crate::plan::Tile;
 use crate::{Error, Result};
 
@@ -19,75 +20,96 @@ const RECORD: usize = 20;
 /// Bytes that wait in memory before they are appended to their files.
 const BUFFERED: usize = 128 << 20;
 
-fn path(folder: &Path, [x, y]: [i32; 2]) -> PathBuf {
-    folder.join("points").join(format!("{x}_{y}.bin"))
+/// Bytes that are read at once: whole points.
+const PART: u64 = 50_000 * RECORD as u64;
+
+/// The name of the file of the tile at a place.
+pub(crate) fn name([x, y]: [i32; 2]) -> String {
+    format!("points/{x}_{y}.bin")
+}
+
+/// The points of a tile so far.
+#[derive(Default)]
+struct Written {
+    buffer: Vec<u8>,
+    number: u64,
+    digest: blake3::Hasher,
 }
 
 /// Sorts points into the files of their tiles.
 pub(crate) struct PointWriter<'a> {
-    folder: &'a Path,
-    buffers: HashMap<[i32; 2], Vec<u8>>,
+    folder: &'a RunFolder,
+    tiles: BTreeMap<[i32; 2], Written>,
     buffered: usize,
-    numbers: HashMap<[i32; 2], u64>,
 }
 
 impl<'a> PointWriter<'a> {
-    pub(crate) fn new(folder: &'a Path) -> Self {
-        Self { folder, buffers: HashMap::new(), buffered: 0, numbers: HashMap::new() }
+    pub(crate) fn new(folder: &'a RunFolder) -> Self {
+        Self { folder, tiles: BTreeMap::new(), buffered: 0 }
     }
 
     /// Adds a point to the tile at a place.
     pub(crate) fn add(&mut self, place: [i32; 2], point: Point, index: u64) -> Result<()> {
-        let buffer = self.buffers.entry(place).or_default();
-        point.iter().for_each(|v| buffer.extend(v.to_le_bytes()));
-        buffer.extend(index.to_le_bytes());
-        *self.numbers.entry(place).or_default() += 1;
+        let tile = self.tiles.entry(place).or_default();
+        point.iter().for_each(|v| tile.buffer.extend(v.to_le_bytes()));
+        tile.buffer.extend(index.to_le_bytes());
+        tile.number += 1;
         self.buffered += RECORD;
         if self.buffered >= BUFFERED { self.flush() } else { Ok(()) }
     }
 
     fn flush(&mut self) -> Result<()> {
-        for (place, buffer) in self.buffers.drain() {
-            let path = path(self.folder, place);
+        self.folder.list(self.tiles.keys().map(|&place| name(place)))?;
+        for (&place, tile) in &mut self.tiles {
+            let path = self.folder.own(&name(place))?;
             let file = File::options().append(true).create(true).open(&path);
-            file.and_then(|mut file| file.write_all(&buffer)).map_err(Error::file(&path))?;
+            file.and_then(|mut file| file.write_all(&tile.buffer)).map_err(Error::file(&path))?;
+            tile.digest.update(&tile.buffer);
+            tile.buffer = Vec::new();
         }
         self.buffered = 0;
         Ok(())
     }
 
-    /// Writes what is left. Returns the number of points of each tile.
-    pub(crate) fn finish(mut self) -> Result<HashMap<[i32; 2], u64>> {
+    /// Writes what is left, and waits until all is on the disk. Returns the number of points of each tile by place, and the
+    /// digest of its file.
+    pub(crate) fn finish(mut self) -> Result<Vec<([i32; 2], u64, String)>> {
         self.flush()?;
-        Ok(self.numbers)
+        for &place in self.tiles.keys() {
+            let path = self.folder.own(&name(place))?;
+            File::open(&path).and_then(|file| file.sync_all()).map_err(Error::file(&path))?;
+        }
+        sync_folder(&self.folder.path().join("points"));
+        let tiles = self.tiles.into_iter();
+        Ok(tiles.map(|(place, tile)| (place, tile.number, tile.digest.finalize().to_string())).collect())
     }
-}
-
-/// Opens the points of a tile.
-///
-/// # Errors
-/// [`Error::File`], and [`Error::Damaged`] for another length than that of the tile's points.
-pub(crate) fn open(folder: &Path, tile: &Tile) -> Result<File> {
-    let path = path(folder, tile.place);
-    let file = File::open(&path).map_err(Error::file(&path))?;
-    let length = file.metadata().map_err(Error::file(&path))?.len();
-    if Some(length) != tile.num_points.checked_mul(RECORD as u64) {
-        let reason = format!("has {length} bytes, not those of {} points", tile.num_points);
-        return Err(Error::Damaged { path, reason });
-    }
-    Ok(file)
 }
 
 /// Calls `found` with each point of a tile and its index.
-pub(crate) fn for_each_point(folder: &Path, tile: &Tile, mut found: impl FnMut(Point, u64)) -> Result<()> {
-    let path = path(folder, tile.place);
-    let mut file = BufReader::with_capacity(1 << 20, open(folder, tile)?);
-    let mut record = [0; RECORD];
-    for _ in 0..tile.num_points {
-        file.read_exact(&mut record).map_err(Error::file(&path))?;
-        let (axes, _) = record.as_chunks::<4>();
-        let [low, high] = [axes[3], axes[4]].map(|half| u64::from(u32::from_le_bytes(half)));
-        found(std::array::from_fn(|axis| f32::from_le_bytes(axes[axis])), high << 32 | low);
+///
+/// # Errors
+/// [`Error::File`], and [`Error::Damaged`] at the end of a file with another content than was written.
+pub(crate) fn for_each_point(
+    folder: &RunFolder,
+    tile: &Tile,
+    digest: &str,
+    mut found: impl FnMut(Point, u64),
+) -> Result<()> {
+    let path = folder.path().join(name(tile.place));
+    let mut file = File::open(&path).map_err(Error::file(&path))?;
+    let (mut hasher, mut part) = (blake3::Hasher::new(), Vec::new());
+    loop {
+        part.clear();
+        (&mut file).take(PART).read_to_end(&mut part).map_err(Error::file(&path))?;
+        if part.is_empty() {
+            break;
+        }
+        hasher.update(&part);
+        for record in part.as_chunks::<RECORD>().0 {
+            let (axes, _) = record.as_chunks::<4>();
+            let [low, high] = [axes[3], axes[4]].map(|half| u64::from(u32::from_le_bytes(half)));
+            found(std::array::from_fn(|axis| f32::from_le_bytes(axes[axis])), high << 32 | low);
+        }
     }
-    Ok(())
+    if hasher.finalize().to_string() == *digest { Ok(()) } else { Err(Error::damaged(&path)) }
 }

@@ -9,8 +9,9 @@ use snake_core::{Bounds, Control, Options, Point, TileDetector, subtract_origin}
 use snake_io::{Copc, Crs, LocalFile, ReadOptions};
 
 use crate::candidates::{self, Summary};
-use crate::plan::{Failure, Plan, Source, Tile, place};
-use crate::points::{self, PointWriter, for_each_point};
+use crate::folder::RunFolder;
+use crate::plan::{Failure, Plan, Source, Tile, Version, place, version};
+use crate::points::{PointWriter, for_each_point};
 use crate::{Error, Result};
 
 /// A run whose points are on disk.
@@ -18,22 +19,28 @@ use crate::{Error, Result};
 pub struct TiledRun {
     pub(crate) detector: TileDetector,
     pub(crate) plan: Plan,
-    pub(crate) folder: PathBuf,
+    /// See [`Source::id`].
+    pub(crate) id: String,
+    pub(crate) folder: RunFolder,
     /// The COPC files that have the points; none when the folder has them.
     pub(crate) copc: Vec<Copc>,
 }
 
 impl TiledRun {
     /// Writes the points of the files to tiles of about `side` cloud units in `folder`, or continues the run that is there.
-    /// The files make up one cloud, in their order. The folder is cleared if it has a run of other files or options.
+    /// The files make up one cloud, in their order.
+    ///
+    /// The folder must be new, empty or that of an earlier run, and belongs to this process until its last run there is
+    /// dropped. Files of other inputs or options are removed from it, and damaged ones are made anew.
     ///
     /// COPC files are not copied: if all files are such, this is [`TiledRun::prepare_copc`]. Files that cannot be read are left
     /// out, see [`TiledRun::failures`].
     ///
     /// # Errors
     /// [`Error::Refused`] for a side that is not positive or makes tiles without number, for coordinates in degrees, and
-    /// for files of different coordinate reference systems; [`Error::Input`] when no file can be read; [`Error::File`]
-    /// when the folder cannot be written; [`Error::Core`] when the radius does not suit the cloud.
+    /// for files of different coordinate reference systems, for a folder with files that no run wrote, and for inputs that
+    /// change while they are read; [`Error::InUse`] when another process has the folder; [`Error::Input`] when no file can
+    /// be read; [`Error::File`] when the folder cannot be written; [`Error::Core`] when the radius does not suit the cloud.
     pub fn prepare(
         detector: TileDetector,
         files: &[PathBuf],
@@ -45,46 +52,27 @@ impl TiledRun {
             return Self::prepare_copc(detector, copc, side, folder);
         }
         let columns = columns_of(&detector, side)?;
+        let (_one_at_a_time, folder) = (RunFolder::begin(), RunFolder::claim(folder)?);
+        let versions = versions(files)?;
         let source = Source::new(files, read, columns, detector.settings())?;
-        let folder = folder.to_owned();
-        if let Some(plan) = Plan::read(&folder, &source) {
-            return Ok(Self { detector, plan, folder, copc: Vec::new() });
+        let id = source.id()?;
+        if let Some(plan) = Plan::read(&folder, &source)
+            && plan.points_fit(&folder)
+        {
+            folder.mend(plan.names())?;
+            return Ok(Self { detector, plan, id, folder, copc: Vec::new() });
         }
-        Plan::clear(&folder)?;
+        // What is wrong with the inputs is said before anything is removed.
         let Extent { bounds, crs, failures, .. } = extent(files, read)?;
-        let origin = bounds.origin();
-        let (num_points, num_skipped) = (0, 0);
-        let mut plan = Plan { source, origin, crs, num_points, num_skipped, failures, tiles: Vec::new() };
-        let mut writer = PointWriter::new(&folder);
-        for file in files.iter().filter(|file| plan.failures.iter().all(|failure| failure.path != **file)) {
-            let mut outcome = Ok(());
-            snake_io::for_each_position(file, read, &mut |position| {
-                let index = plan.num_points;
-                plan.num_points += 1;
-                if outcome.is_ok() && position.iter().all(|v| v.is_finite()) {
-                    let point = subtract_origin(position, origin);
-                    outcome = detector
-                        .cell(&point)
-                        .map_err(Error::from)
-                        .and_then(|[x, y, _]| writer.add(place(columns, [x, y]), point, index));
-                } else {
-                    plan.num_skipped += 1;
-                }
-            })?;
-            outcome?;
+        folder.clear(|name| is_kept(&folder, name, &id))?;
+        let plan = Plan::new(source, versions, bounds.origin(), crs, failures);
+        let plan = sort_points(&detector, plan, files, read, &folder)?;
+        if self::versions(files)? != plan.versions {
+            let reason = "changed while they were read; begin again once they are complete".into();
+            return Err(Error::Refused { what: "inputs", reason });
         }
-        let tile = |(place, num_points)| Tile { place, num_points, num_windows: 0 };
-        plan.tiles = writer.finish()?.into_iter().map(tile).collect();
-        plan.tiles.sort_unstable_by_key(|tile| tile.place);
-        for tile in &mut plan.tiles {
-            let mut cells = HashSet::new();
-            for_each_point(&folder, tile, |point, _| cells.extend(detector.cell(&point)))?;
-            tile.num_windows = cells.len() as u64;
-        }
-        let sum = |of: fn(&Tile) -> u64| plan.tiles.iter().map(of).sum::<u64>() as usize;
-        detector.check_windows(sum(|tile| tile.num_windows), sum(|tile| tile.num_points))?;
         plan.write(&folder)?;
-        Ok(Self { detector, plan, folder, copc: Vec::new() })
+        Ok(Self { detector, plan, id, folder, copc: Vec::new() })
     }
 
     /// Opens the run that [`TiledRun::prepare`] made in a folder, for another process or machine that sees the folder. The
@@ -93,9 +81,10 @@ impl TiledRun {
     /// # Errors
     /// [`Error::File`] without such a run; [`Error::Damaged`] for another model, other options or another version.
     pub fn open(detector: TileDetector, folder: &Path) -> Result<Self> {
-        let plan = Plan::of_settings(folder, &detector.settings())?;
+        let folder = RunFolder::join(folder)?;
+        let plan = Plan::of_settings(&folder, &detector.settings())?;
         if !plan.source.by_bounds {
-            return Ok(Self { detector, plan, folder: folder.to_owned(), copc: Vec::new() });
+            return Ok(Self { detector, id: plan.source.id()?, plan, folder, copc: Vec::new() });
         }
         let open = |path: &Path| {
             let file = LocalFile::new(path).map_err(Error::file(path))?;
@@ -103,12 +92,20 @@ impl TiledRun {
             Copc::open(Arc::new(file))?.ok_or_else(not_copc)
         };
         let files = plan.files().map(open).collect::<Result<_>>()?;
-        Self::open_copc(detector, files, folder)
+        Self::open_copc(detector, files, folder.path())
     }
 
     /// The folder with the points and the candidates.
     pub fn folder(&self) -> &Path {
-        &self.folder
+        self.folder.path()
+    }
+
+    /// Removes the files of the run, and the folder if a run made it. Returns the files that no run wrote, which stay.
+    ///
+    /// # Errors
+    /// [`Error::File`] when a file cannot be removed.
+    pub fn remove(self) -> Result<Vec<PathBuf>> {
+        self.folder.remove_all()
     }
 
     /// The options.
@@ -152,19 +149,14 @@ impl TiledRun {
         [[at(0, columns[0].start), at(1, columns[1].start)], [at(0, columns[0].end), at(1, columns[1].end)]]
     }
 
-    /// Whether the candidates of a tile are on disk, undamaged, and its points can be read.
+    /// Whether the candidates of a tile are on disk, undamaged and of this run. All of the file is read.
     pub fn is_detected(&self, tile: &Tile) -> bool {
         self.summary(tile).is_some()
     }
 
     /// The summary of a tile that is detected.
     pub(crate) fn summary(&self, tile: &Tile) -> Option<Summary> {
-        candidates::read_summary(&self.folder, tile.place).ok().filter(|_| self.has_points(tile))
-    }
-
-    /// Whether the points of a tile can be read.
-    pub(crate) fn has_points(&self, tile: &Tile) -> bool {
-        !self.copc.is_empty() || points::open(&self.folder, tile).is_ok()
+        candidates::read_summary(&self.folder, &candidates::name(tile.place)).ok().filter(|found| found.run == self.id)
     }
 
     /// Finds the candidates of a tile and writes them to the folder, unless they are there.
@@ -177,17 +169,14 @@ impl TiledRun {
             return Ok(());
         }
         let columns = self.plan.columns(tile.place);
-        let (points, _) = self.points(&widen(&columns, self.detector.halo()), |_| true)?;
+        let (points, _) = self.points(&widen(&columns, self.detector.halo()))?;
         let found = self.detector.detect(&points, &columns, control)?;
-        candidates::write(&self.folder, tile.place, &found)
+        self.plan.check_folder(&self.folder)?;
+        candidates::write(&self.folder, &self.id, tile.place, &found)
     }
 
-    /// The points in columns of the tiles that are asked for, in the order of the cloud, and their indices.
-    pub(crate) fn points(
-        &self,
-        columns: &[Range<i32>; 2],
-        is_asked: impl Fn(&Tile) -> bool,
-    ) -> Result<(Vec<Point>, Vec<u64>)> {
+    /// The points in columns, in the order of the cloud, and their indices.
+    pub(crate) fn points(&self, columns: &[Range<i32>; 2]) -> Result<(Vec<Point>, Vec<u64>)> {
         let mut found = Vec::new();
         let mut add = |point: Point, index: u64| {
             let is_inside = |[x, y, _]: [i32; 3]| columns[0].contains(&x) && columns[1].contains(&y);
@@ -198,13 +187,63 @@ impl TiledRun {
         if !self.copc.is_empty() {
             self.for_each_near(columns, &mut add)?;
         } else {
-            for tile in self.plan.tiles_in(columns).filter(|tile| is_asked(tile)) {
-                for_each_point(&self.folder, tile, &mut add)?;
+            for (tile, digest) in self.plan.tiles_in(columns) {
+                for_each_point(&self.folder, tile, digest, &mut add)?;
             }
         }
         found.sort_unstable_by_key(|(index, _)| *index);
         Ok(found.into_iter().map(|(index, point)| (point, index)).unzip())
     }
+}
+
+/// The versions of files on disk.
+fn versions(files: &[PathBuf]) -> Result<Vec<Version>> {
+    files.iter().map(|path| version(&LocalFile::new(path).map_err(Error::file(path))?)).collect()
+}
+
+/// Whether a file of a folder serves the run that begins there: candidates of the same run, and copies of inputs.
+pub(crate) fn is_kept(folder: &RunFolder, name: &str, id: &str) -> bool {
+    let is_of_run = || candidates::read_summary(folder, name).is_ok_and(|found| found.run == id);
+    name.starts_with("inputs/") || (name.starts_with("candidates/") && is_of_run())
+}
+
+/// The second pass over the files: writes the points of each tile.
+fn sort_points(
+    detector: &TileDetector,
+    mut plan: Plan,
+    files: &[PathBuf],
+    read: &ReadOptions,
+    folder: &RunFolder,
+) -> Result<Plan> {
+    let (columns, origin) = (plan.source.columns, plan.origin);
+    let mut writer = PointWriter::new(folder);
+    for file in files.iter().filter(|file| plan.failures.iter().all(|failure| failure.path != **file)) {
+        let mut outcome = Ok(());
+        snake_io::for_each_position(file, read, &mut |position| {
+            let index = plan.num_points;
+            plan.num_points += 1;
+            if outcome.is_ok() && position.iter().all(|v| v.is_finite()) {
+                let point = subtract_origin(position, origin);
+                outcome = detector
+                    .cell(&point)
+                    .map_err(Error::from)
+                    .and_then(|[x, y, _]| writer.add(place(columns, [x, y]), point, index));
+            } else {
+                plan.num_skipped += 1;
+            }
+        })?;
+        outcome?;
+    }
+    for (place, num_points, digest) in writer.finish()? {
+        let (mut tile, mut cells) = (Tile { place, num_points, num_windows: 0 }, HashSet::new());
+        for_each_point(folder, &tile, &digest, |point, _| cells.extend(detector.cell(&point)))?;
+        tile.num_windows = cells.len() as u64;
+        plan.tiles.push(tile);
+        plan.digests.push(digest);
+    }
+    let sum = |of: fn(&Tile) -> u64| plan.tiles.iter().map(of).sum::<u64>() as usize;
+    detector.check_windows(sum(|tile| tile.num_windows), sum(|tile| tile.num_points))?;
+    Ok(plan)
 }
 
 /// Columns with some more on all sides.

@@ -38,7 +38,6 @@ fn finish(run: &TiledRun) -> TiledDetection {
 fn assert_equal(tiled: &TiledDetection, whole: &Detection, what: &str) {
     assert!(tiled.keypoints.iter().map(|k| &k.keypoint).eq(&whole.keypoints), "{what}");
     assert_eq!(tiled.counts, whole.counts, "{what}");
-    assert!(tiled.missing.is_empty());
 }
 
 #[test]
@@ -67,7 +66,7 @@ fn five_tilings_an_interrupted_run_and_split_files_give_the_bits_of_the_whole_cl
         TiledRun::open(TileDetector::new(&Model::builtin(Builtin::Rooms), &options).unwrap(), &path("shared"))
     };
     let opened = open(options()).unwrap();
-    let detected = opened.detected().unwrap();
+    let detected = opened.detected();
     let of_tile = |tile| opened.keypoints(tile, &detected, &Control::default()).unwrap();
     let mut keypoints: Vec<_> = opened.tiles().iter().flat_map(of_tile).collect();
     keypoints.sort_by(|a, b| b.keypoint.saliency.total_cmp(&a.keypoint.saliency).then(a.cell.cmp(&b.cell)));
@@ -81,8 +80,7 @@ fn five_tilings_an_interrupted_run_and_split_files_give_the_bits_of_the_whole_cl
     let first = begin();
     let some = first.tiles().len() / 2;
     first.tiles()[..some].iter().for_each(|tile| first.detect(tile, &Control::default()).unwrap());
-    let partial = first.finish(&Control::default()).unwrap();
-    assert_eq!(partial.missing, first.tiles()[some..]);
+    assert_eq!(first.detected().missing, first.tiles()[some..]);
     let candidates = |path: &Path| fs::read_dir(path.join("candidates")).unwrap().count();
     assert_eq!(candidates(&path("interrupted")), some);
     let again = begin();
@@ -128,7 +126,7 @@ fn damaged_tiles_and_degrees_are_refused_with_the_reason() {
     let file = fs::read_dir(tiles.join("points")).unwrap().next().unwrap().unwrap().path();
     fs::write(&file, [0; 21]).unwrap();
     let errors = run.tiles().iter().filter_map(|tile| run.detect(tile, &Control::default()).err());
-    assert!(errors.map(|error| error.to_string()).next().unwrap().contains("21 bytes"));
+    assert!(errors.map(|error| error.to_string()).next().unwrap().contains("checksum"));
 
     let mut bytes = fs::read(&scan).unwrap();
     // The key 1024: projected is 1, geographic is 2.
@@ -164,7 +162,7 @@ fn tiles_read_by_bounds_from_copc_give_the_bits_of_the_whole_cloud() {
         let run = prepare(std::slice::from_ref(&scan), &options(), side, &path("tiles")).unwrap();
         assert_eq!((run.origin(), run.num_points()), (cloud.origin, (6000, 0)));
         assert_eq!(run.crs().unwrap().epsg, Some(25832));
-        assert_eq!(fs::read_dir(path("tiles/points")).unwrap().count(), 0);
+        assert!(!path("tiles/points").exists());
         let estimated = run.tiles().iter().map(|tile| tile.num_points).sum::<u64>();
         assert!(estimated.abs_diff(6000) < 50, "{estimated}");
         assert_equal(&finish(&run), &whole, &format!("tiles of {side}"));
@@ -260,7 +258,7 @@ fn damaged_candidates_are_found_again() {
     for damaged in [&b""[..], b"damaged", &bytes[..bytes.len() - 1], &[&bytes[..], b"x"].concat()] {
         fs::write(path(&run.tiles()[1]), damaged).unwrap();
         assert!(!run.is_detected(&run.tiles()[1]));
-        assert_eq!(run.finish(&Control::default()).unwrap().missing, run.tiles()[1..2]);
+        assert_eq!(run.detected().missing, run.tiles()[1..2]);
         assert_eq!(finish(&run), whole);
     }
 }

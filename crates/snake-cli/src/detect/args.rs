@@ -60,8 +60,8 @@ pub struct TileArguments {
     /// unless --max-keypoints is given.
     #[arg(long, value_name = "SIDE", requires = "output", conflicts_with_all = ["json", "timing", "number_results"])]
     pub tile: Option<f64>,
-    /// Folder for the points and candidates of the tiles, 20 bytes a point. An interrupted run continues where it was when
-    /// it is given again. The folder stays if it is named here, and is removed after a complete run otherwise
+    /// Folder for the points and candidates of the tiles, 20 bytes a point: a new or an empty one, or that of an earlier run,
+    /// which continues where it was. The folder stays if it is named here, and is removed after a complete run otherwise
     /// [default: OUTPUT.tiles].
     #[arg(long, value_name = "FOLDER", requires = "tile")]
     pub tile_folder: Option<PathBuf>,

@@ -5,7 +5,7 @@ mod recording;
 mod reports;
 mod tiled;
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::fmt::Write;
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
@@ -39,7 +39,7 @@ pub fn run(arguments: &DetectArguments) -> Result<ExitCode> {
     terminal::detail("options", || serde_json::to_string(&options).unwrap_or_default());
     let inputs = expand(&arguments.inputs, arguments.input.input_format, io::is_recording)?;
     check_inputs(&inputs)?;
-    let job = Job { model: &model, options: &options, arguments, control: &control };
+    let job = Job { model: &model, options: &options, arguments, control: &control, hinted: &Mutex::default() };
     if recording::is_given(arguments, &inputs)? {
         return recording::run(&job, &inputs[0], terminal::stages(&progress)?, load_model);
     }
@@ -122,6 +122,8 @@ struct Job<'a> {
     options: &'a Options,
     arguments: &'a DetectArguments,
     control: &'a Control,
+    /// The hints that were printed.
+    hinted: &'a Mutex<BTreeSet<String>>,
 }
 
 /// A cloud with where it comes from and where its keypoints go.
@@ -152,14 +154,18 @@ impl Job<'_> {
         let Item { input, name, output, recorded, contents, start, bar } = item;
         let missing_returns = missing_returns(&contents);
         let Contents { cloud, crs, .. } = contents;
-        let Self { model, options, arguments, control } = *self;
+        let Self { model, options, arguments, control, .. } = *self;
         let Cloud { points, origin } = cloud.for_normalization(options.encode.normalization);
         let read = start.elapsed().as_secs_f64();
         // Before the detection, which may take minutes at the wrong scale.
         let mut hints: Vec<String> = Vec::new();
         let mut add_hint = |hint: Option<String>| {
             if let Some(hint) = hint {
-                bar.suspend(|| terminal::hint(&format!("{name}: {hint}")));
+                // Once a run, with the first cloud, whatever its numbers; `--json` has it for each.
+                let words = hint.replace(|c: char| c.is_ascii_digit() || c == '.', "");
+                if self.hinted.lock().unwrap_or_else(PoisonError::into_inner).insert(words) {
+                    bar.suspend(|| terminal::hint(&format!("{name}: {hint}")));
+                }
                 hints.push(hint);
             }
         };

@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 use std::time::Instant;
 
-use anyhow::{Context, Result, anyhow, bail};
+use anyhow::{Result, anyhow, bail};
 use snake_core::{Control, Detection, Model, Options, Progress, TileDetector};
 use snake_io::{KeypointFormat, KeypointSource};
 use snake_tiles::{Error, Tile, TiledRun};
@@ -33,16 +33,21 @@ pub fn run(
     let folder = arguments.tiles.tile_folder.clone().unwrap_or_else(|| with_suffix(output, ".tiles"));
     let bar = terminal::progress(1)?;
     bar.set_message("reading the points");
-    let run = TiledRun::prepare(detector, inputs, &read, side, &folder).with_context(|| resumable(&folder))?;
+    let run = TiledRun::prepare(detector, inputs, &read, side, &folder).map_err(|error| explained(error, &folder))?;
     bar.finish();
     for failure in run.failures() {
         terminal::error(&anyhow!("{}", failure.reason));
     }
-    let num_failed = detect(&run, &folder)?;
+    let mut failed = detect(&run, &folder)?;
     let progress = Progress::default();
     let bar = terminal::stages(&progress)?;
     bar.set_message(output.display().to_string());
-    let found = run.finish(&Control::new().progress(&progress))?;
+    let detected = run.detected();
+    let found = run.finish_detected(&detected, &Control::new().progress(&progress))?;
+    for tile in detected.missing.iter().filter(|tile| !failed.contains(&tile.place)) {
+        report(&bar, &run, tile, anyhow!("its candidates in {} were lost meanwhile", folder.display()));
+    }
+    failed.extend(detected.missing.iter().map(|tile| tile.place));
     bar.finish();
     let mut detection = Detection::default();
     detection.keypoints = found.keypoints.iter().map(|keypoint| keypoint.keypoint).collect();
@@ -68,11 +73,13 @@ pub fn run(
     ));
     report.line(format!("written to {}", output.display()));
     terminal::print_report(&report)?;
-    if num_failed > 0 || !run.failures().is_empty() {
+    if !failed.is_empty() || !run.failures().is_empty() {
         return Ok(ExitCode::from(1));
     }
-    if arguments.tiles.tile_folder.is_none() {
-        std::fs::remove_dir_all(&folder).with_context(|| format!("cannot remove {}", folder.display()))?;
+    if arguments.tiles.tile_folder.is_none()
+        && let [other, ..] = &run.remove()?[..]
+    {
+        terminal::warn(&format!("{} stays: no run wrote `{}` in it", folder.display(), other.display()));
     }
     Ok(ExitCode::SUCCESS)
 }
@@ -94,13 +101,14 @@ fn check(arguments: &DetectArguments, inputs: &[PathBuf], output: &Path) -> Resu
     InputFiles::new(inputs.iter().chain(&arguments.compute.model)).refuse_as_output(output)
 }
 
-/// Detects all tiles that are not done. Returns the number of tiles that failed.
-fn detect(run: &TiledRun, folder: &Path) -> Result<usize> {
+/// Detects all tiles that are not done. Returns the places of the tiles that failed.
+fn detect(run: &TiledRun, folder: &Path) -> Result<Vec<[i32; 2]>> {
     let windows = |tiles: &mut dyn Iterator<Item = &Tile>| tiles.map(|tile| tile.num_windows).sum::<u64>();
-    let bar = terminal::progress(windows(&mut run.tiles().iter()) as usize)?;
-    bar.begin_at(windows(&mut run.tiles().iter().filter(|tile| run.is_detected(tile))) as usize);
+    let all = windows(&mut run.tiles().iter());
+    let bar = terminal::progress(all as usize)?;
     let open: Vec<&Tile> = run.tiles().iter().filter(|tile| !run.is_detected(tile)).collect();
-    let mut num_failed = 0;
+    bar.begin_at((all - windows(&mut open.iter().copied())) as usize);
+    let mut failed = Vec::new();
     for (number, tile) in open.iter().enumerate() {
         bar.set_message(format!(
             "windows, tile {} of {}",
@@ -109,36 +117,45 @@ fn detect(run: &TiledRun, folder: &Path) -> Result<usize> {
         ));
         match run.detect(tile, &Control::default()) {
             Ok(()) => (),
-            Err(error) if is_full(&error) => return Err(error).with_context(|| resumable(folder)),
+            Err(error) if is_full(&error) => return Err(explained(error, folder)),
             Err(error) => {
-                num_failed += 1;
-                report(&bar, run, tile, error);
+                failed.push(tile.place);
+                report(&bar, run, tile, error.into());
             }
         }
         bar.advance(tile.num_windows);
     }
     bar.finish();
-    match num_failed {
-        number if number == run.tiles().len() => bail!("all {number} tiles failed"),
-        number => Ok(number),
+    if failed.len() == run.tiles().len() {
+        bail!("all {} tiles failed", failed.len());
     }
+    Ok(failed)
 }
 
-fn report(bar: &Bar, run: &TiledRun, tile: &Tile, error: Error) {
+fn report(bar: &Bar, run: &TiledRun, tile: &Tile, error: anyhow::Error) {
     let [[west, south], [east, north]] = run.bounds(tile);
-    let error = anyhow::Error::from(error)
-        .context(format!("the tile from x {west:.2}, y {south:.2} to x {east:.2}, y {north:.2} is left out"));
+    let error =
+        error.context(format!("the tile from x {west:.2}, y {south:.2} to x {east:.2}, y {north:.2} is left out"));
     bar.suspend(|| terminal::error(&error));
 }
 
 /// Whether the disk has no room for further tiles.
 fn is_full(error: &Error) -> bool {
-    let full = [ErrorKind::StorageFull, ErrorKind::QuotaExceeded];
+    let full = [ErrorKind::StorageFull, ErrorKind::QuotaExceeded, ErrorKind::FileTooLarge];
     matches!(error, Error::File { source, .. } if full.contains(&source.kind()))
 }
 
-fn resumable(folder: &Path) -> String {
-    format!("the tiles in {} stay: the same command continues", folder.display())
+/// An error of the run, with advice where a repetition mends it.
+fn explained(error: Error, folder: &Path) -> anyhow::Error {
+    let is_full = is_full(&error);
+    let error = anyhow::Error::from(error);
+    match is_full {
+        true => error.context(format!(
+            "the disk is full; the tiles in {} stay, and once there is room the same command continues",
+            folder.display()
+        )),
+        false => error,
+    }
 }
 
 fn with_suffix(path: &Path, suffix: &str) -> PathBuf {

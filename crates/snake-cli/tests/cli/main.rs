@@ -15,6 +15,7 @@ mod printing;
 mod reconstruct;
 mod recording;
 mod register;
+mod tile_folders;
 mod tiles;
 mod usage;
 

@@ -28,39 +28,50 @@ fn tiles_write_the_keypoints_of_the_whole_cloud() {
     assert!(text.lines().count() > 20 && fs::read_to_string(&tiled).unwrap() == text);
     assert!(!folder.path().join("tiled.csv.tiles").exists());
 
-    // A damaged tile is named by its bounds and left out. Once it is whole, the run continues.
+    // Damaged and lost files of a run are made anew.
     let (kept, parquet) = (path("kept"), path("keypoints.parquet"));
     let in_folder = ["-o", &parquet, "--tile", "4", "--tile-folder", &kept];
     assert_eq!(run(&in_folder).0, Some(0));
     let complete = fs::read(&parquet).unwrap();
     assert!(complete.starts_with(b"PAR1"));
-    let one = fs::read_dir(format!("{kept}/candidates")).unwrap().next().unwrap().unwrap().path();
-    let points = format!("{kept}/points/{}.bin", one.file_stem().unwrap().display());
-    let bytes = fs::read(&points).unwrap();
+    let largest = |name: &str| {
+        let entries = fs::read_dir(format!("{kept}/{name}")).unwrap().map(|entry| entry.unwrap());
+        entries.max_by_key(|entry| entry.metadata().unwrap().len()).unwrap().path()
+    };
+    let one = largest("candidates");
     let candidates = fs::read(&one).unwrap();
-    for has_candidates in [true, false] {
-        if !has_candidates {
-            fs::remove_file(&one).unwrap();
-        }
-        fs::write(&points, &bytes[1..]).unwrap();
-        let (code, error) = run(&in_folder);
-        assert!(code == Some(1) && error.contains("the tile from x 691"), "{error}");
-        assert!(fs::read(&parquet).unwrap() != complete);
-        fs::write(&points, &bytes).unwrap();
+    for file in [largest("points"), one.clone()] {
+        let bytes = fs::read(&file).unwrap();
+        fs::write(&file, &bytes[1..]).unwrap();
         assert_eq!(run(&in_folder).0, Some(0));
-        assert!(fs::read(&parquet).unwrap() == complete);
+        assert!(fs::read(&parquet).unwrap() == complete && fs::read(&file).unwrap() == bytes);
     }
-    assert!(fs::read(&one).unwrap() == candidates);
 
-    // With a full disk the old result stays, and the run continues once there is room.
+    // A tile that fails is named by its bounds and left out. Once it can be written, the run continues.
+    fs::remove_file(&one).unwrap();
+    fs::create_dir(&one).unwrap();
+    let (code, error) = run(&in_folder);
+    assert!(code == Some(1) && error.contains("the tile from x 691") && !error.contains("continues"), "{error}");
+    assert!(fs::read(&parquet).unwrap() != complete);
+    fs::remove_dir(&one).unwrap();
+    assert_eq!(run(&in_folder).0, Some(0));
+    assert!(fs::read(&parquet).unwrap() == complete && fs::read(&one).unwrap() == candidates);
+
+    // With a full disk, here a limit of half the size of a file, the old result stays. Once there is room, the run continues.
     #[cfg(target_os = "linux")]
     {
         fs::remove_file(&one).unwrap();
-        std::os::unix::fs::symlink("/dev/full", &one).unwrap();
-        let (code, error) = run(&in_folder);
-        assert!(code == Some(2) && error.contains("No space left") && error.contains("the same command"), "{error}");
+        let limited = format!("trap '' XFSZ; ulimit -f {}; exec \"$0\" \"$@\"", candidates.len() / 2048);
+        let program = env!("CARGO_BIN_EXE_snake-cli");
+        let output = std::process::Command::new("sh")
+            .args(["-c", &limited, program, "detect", &input])
+            .args(in_folder)
+            .args(options)
+            .output()
+            .unwrap();
+        let error = stderr(&output);
+        assert!(output.status.code() == Some(2) && error.contains("the same command continues"), "{error}");
         assert!(fs::read(&parquet).unwrap() == complete);
-        fs::remove_file(&one).unwrap();
         fs::remove_file(&parquet).unwrap();
         assert_eq!(run(&in_folder).0, Some(0));
         assert!(fs::read(&parquet).unwrap() == complete && fs::read(&one).unwrap() == candidates);
