@@ -26,6 +26,8 @@ pub struct Registration {
     num_agreeing: usize,
     /// The same for the best other transform; 0 without one.
     num_rival_agreeing: usize,
+    /// Number of matches that could agree: an end of each lies on the other cloud under `t_target_source`.
+    num_testable: usize,
     /// Number of matches of keypoints.
     num_correspondences: usize,
     /// Root mean square distance of the inliers before ICP, in cloud units.
@@ -44,6 +46,8 @@ pub struct Registration {
     weakest_constraint: f64,
     /// By how much the overlap exceeds that of slides along the direction that is fixed least; below 0 if one fits better.
     slide_margin: f64,
+    /// Share of the patches that agree where the target looks alike, such as a period farther along equal pillars; 0 if nowhere.
+    repeat_fit: f64,
     /// Information matrix (6, 6) float64 of a small rotation (radians), then translation, in the target's frame.
     information: Py<PyArray2<f64>>,
     /// The best distinct transforms (4, 4), best first: `hypotheses` of them at most.
@@ -52,7 +56,7 @@ pub struct Registration {
     viewpoints: (String, String),
     /// What may be wrong with the clouds.
     notes: Vec<String>,
-    /// Numbers of points of source and target that were skipped because they are not finite.
+    /// Numbers of points of source and target that were skipped because they are not finite or stand for missing returns.
     num_skipped: (usize, usize),
     /// Seconds that the registration took.
     seconds: f64,
@@ -70,6 +74,7 @@ impl Registration {
         num_inliers: usize,
         num_agreeing: usize,
         num_rival_agreeing: usize,
+        num_testable: usize,
         num_correspondences: usize,
         rmse: f64,
         inlier_distance: f64,
@@ -79,6 +84,7 @@ impl Registration {
         match_spread: f64,
         weakest_constraint: f64,
         slide_margin: f64,
+        repeat_fit: f64,
         information: Py<PyArray2<f64>>,
         hypotheses: Vec<Py<PyArray2<f64>>>,
         viewpoints: (String, String),
@@ -94,6 +100,7 @@ impl Registration {
             num_inliers,
             num_agreeing,
             num_rival_agreeing,
+            num_testable,
             num_correspondences,
             rmse,
             inlier_distance,
@@ -103,6 +110,7 @@ impl Registration {
             match_spread,
             weakest_constraint,
             slide_margin,
+            repeat_fit,
             information,
             hypotheses,
             viewpoints,
@@ -121,6 +129,7 @@ impl Registration {
             "num_inliers",
             "num_agreeing",
             "num_rival_agreeing",
+            "num_testable",
             "num_correspondences",
             "rmse",
             "inlier_distance",
@@ -130,6 +139,7 @@ impl Registration {
             "match_spread",
             "weakest_constraint",
             "slide_margin",
+            "repeat_fit",
             "information",
             "hypotheses",
             "viewpoints",
@@ -199,6 +209,7 @@ pub fn register(
         num_inliers: found.num_inliers,
         num_agreeing: found.num_agreeing,
         num_rival_agreeing: found.num_rival_agreeing,
+        num_testable: found.num_testable,
         num_correspondences: found.num_correspondences,
         rmse: found.rmse,
         inlier_distance: found.inlier_distance,
@@ -208,6 +219,7 @@ pub fn register(
         match_spread: found.match_spread,
         weakest_constraint: found.weakest_constraint,
         slide_margin: found.slide_margin,
+        repeat_fit: found.repeat_fit,
         information: matrix(py, found.information)?,
         hypotheses: hypotheses.collect::<PyResult<_>>()?,
         viewpoints: found.viewpoints.map(|used| used.name().to_string()).into(),
