@@ -26,8 +26,6 @@ pub struct Registration {
     num_agreeing: usize,
     /// The same for the best other transform; 0 without one.
     num_rival_agreeing: usize,
-    /// Number of matches that could agree: an end of each lies on the other cloud under `t_target_source`.
-    num_testable: usize,
     /// Number of matches of keypoints.
     num_correspondences: usize,
     /// Root mean square distance of the inliers before ICP, in cloud units.
@@ -74,7 +72,6 @@ impl Registration {
         num_inliers: usize,
         num_agreeing: usize,
         num_rival_agreeing: usize,
-        num_testable: usize,
         num_correspondences: usize,
         rmse: f64,
         inlier_distance: f64,
@@ -100,7 +97,6 @@ impl Registration {
             num_inliers,
             num_agreeing,
             num_rival_agreeing,
-            num_testable,
             num_correspondences,
             rmse,
             inlier_distance,
@@ -129,7 +125,6 @@ impl Registration {
             "num_inliers",
             "num_agreeing",
             "num_rival_agreeing",
-            "num_testable",
             "num_correspondences",
             "rmse",
             "inlier_distance",
@@ -152,7 +147,7 @@ impl Registration {
     }
 
     fn __repr__(&self) -> String {
-        let Self { confidence, num_inliers, num_correspondences, fitness, fitness_rmse, seconds, .. } = self;
+        let Self { confidence, num_inliers, num_correspondences, fitness, seconds, .. } = self;
         let verdict = match (self.is_reliable, self.is_ambiguous) {
             (true, _) => "reliable",
             (false, true) => "ambiguous",
@@ -160,7 +155,7 @@ impl Registration {
         };
         format!(
             "Registration({verdict}, confidence {confidence:.2}; {num_inliers} of {num_correspondences} matches; \
-             fitness {fitness:.3}, rmse {fitness_rmse:.5}; {seconds:.3} s)"
+             fitness {fitness:.3}; {seconds:.3} s)"
         )
     }
 }
@@ -209,7 +204,6 @@ pub fn register(
         num_inliers: found.num_inliers,
         num_agreeing: found.num_agreeing,
         num_rival_agreeing: found.num_rival_agreeing,
-        num_testable: found.num_testable,
         num_correspondences: found.num_correspondences,
         rmse: found.rmse,
         inlier_distance: found.inlier_distance,

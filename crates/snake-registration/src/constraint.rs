@@ -60,3 +60,47 @@ impl Normal {
         if all > 0.0 { against / all } else { 0.0 }
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use rand::SeedableRng;
+    use rand_chacha::ChaCha8Rng;
+
+    use super::super::rigid::tests::random_points;
+    use super::*;
+    use snake_core::space::vector;
+
+    /// Patches on `sides` faces of the cube ±1, whose normals are off by up to `noise`.
+    fn faces(sides: usize, noise: f64) -> Vec<PlanePair> {
+        let mut rng = ChaCha8Rng::seed_from_u64(3);
+        let offsets = random_points(&mut rng, 3000);
+        let points = random_points(&mut rng, 3000).into_iter().zip(offsets).enumerate();
+        let patch = |(i, (mut point, offset)): (usize, ([f32; 3], [f32; 3]))| {
+            point[i % sides] = 1.0;
+            let normal = Vector::ith(i % sides, 1.0) + noise * vector(offset);
+            PlanePair { point: vector(point), normal: normal.normalize(), distance: 0.0 }
+        };
+        points.map(patch).collect()
+    }
+
+    #[test]
+    fn noise_of_normals_constrains_nothing() {
+        for noise in [0.0, 0.1] {
+            let of = |sides| Constraint::new(&faces(sides, noise));
+            assert!(of(3).open.ncols() == 0 && of(3).weakest > 0.03, "{}", of(3).weakest);
+            // Two faces leave a slide open, one leaves two slides and a turn.
+            assert_eq!((of(2).open.ncols(), of(1).open.ncols()), (1, 3), "{noise}");
+        }
+        assert_eq!(Constraint::new(&[]).open.ncols(), 6);
+    }
+
+    #[test]
+    fn information_is_the_sum_over_the_pairs() {
+        let found = information(faces(3, 0.0).iter());
+        assert!((3..6).all(|i| (found[(i, i)] - 1000.0).abs() < 1.0), "{found}");
+        // A rotation about x moves a point of face y = 1 by its z, and one of face z = 1 by its y.
+        let squared = |pair: &PlanePair| pair.point.cross(&pair.normal).x.powi(2);
+        let expected: f64 = faces(3, 0.0).iter().map(squared).sum();
+        assert!((found[(0, 0)] / expected - 1.0).abs() < 1e-9);
+    }
+}

@@ -17,7 +17,6 @@ use super::matching::ranked_matches;
 use super::open_motions;
 use super::options::RegisterOptions;
 use super::prepared::Prepared;
-use super::rigid::moved;
 use super::repeats::repeated_share;
 use super::result::{Hypothesis, Registration, ViewpointUsed};
 use super::slide::slide_margin;
@@ -119,12 +118,6 @@ impl<'a> Pair<'a> {
             matches.iter().filter(|found| found.squared_residual(&best.refined, &criteria).is_some()).collect();
         let match_spread = least_spread(&agreed.iter().map(|found| found.target).collect::<Vec<_>>());
         let num_agreeing = agreed.len();
-        let inverse = best.refined.inverse();
-        let [of_source, of_target] = &surfaces;
-        let is_testable = |found: &&Match| {
-            of_target.grid.nearest(&moved(&best.refined, &found.source)).is_some()
-                || of_source.grid.nearest(&moved(&inverse, &found.target)).is_some()
-        };
         let of_rivals: Vec<usize> = rivals.iter().map(agreeing).collect();
         let mut counted = rivals.iter().zip(&of_rivals);
         let evidence = Evidence {
@@ -155,7 +148,6 @@ impl<'a> Pair<'a> {
             num_inliers: best.num_inliers,
             num_agreeing: evidence.num_agreeing,
             num_rival_agreeing: evidence.num_rival_agreeing,
-            num_testable: matches.iter().filter(is_testable).count(),
             num_correspondences: matches.len(),
             rmse: best.rmse,
             inlier_distance: self.inlier_distance,
@@ -182,7 +174,9 @@ impl<'a> Pair<'a> {
     /// What was left out of the clouds, in words.
     fn sentinel_notes(&self) -> impl Iterator<Item = String> {
         let named = self.clouds.into_iter().zip(["source", "target"]);
-        named.flat_map(|(cloud, name)| cloud.sentinels.iter().map(move |words| format!("{name}: {words}; they are left out")))
+        named.flat_map(|(cloud, name)| {
+            cloud.sentinels.iter().map(move |words| format!("{name}: {words}; they are left out"))
+        })
     }
 
     fn criteria(&self, options: &RegisterOptions) -> Criteria {

@@ -13,9 +13,12 @@ use snake_core::space::Vector;
 /// with all slides along it.
 const TELLING_COSINE: f64 = 0.5;
 /// Number of patches that are compared.
-const PATCHES: usize = 60;
-/// The tolerance across a patch, in inlier distances; slides differ by as much.
+const PATCHES: usize = 40;
+/// If not one of every so many agrees, few of all do.
+const PROBED: usize = 4;
+/// The tolerance across a patch, and the difference between slides, in inlier distances.
 const TOLERANCE: f64 = 0.12;
+const STEP: f64 = 0.2;
 /// The longest slide, in inlier distances.
 const LONGEST: f64 = 20.0;
 /// At least this share of the patches must agree with a slide; the others may have left the view.
@@ -44,8 +47,8 @@ pub(super) fn repeated_share(patches: &[PlanePair], fine: &FineCloud, target: &S
 /// The greatest share for slides in one direction, behind a valley.
 fn along(telling: &[&PlanePair], direction: &Vector, fine: &FineCloud, target: &Surface) -> f64 {
     let distance = target.grid.distance();
-    let step = TOLERANCE * distance;
-    let shares = (1..=(LONGEST / TOLERANCE) as usize).map(|i| share(telling, &(i as f64 * step * direction), fine, target));
+    let step = STEP * distance;
+    let shares = (1..=(LONGEST / STEP) as usize).map(|i| share(telling, &(i as f64 * step * direction), fine, target));
     let (mut lowest, mut best) = (1.0_f64, 0.0_f64);
     for share in shares {
         if lowest < VALLEY * share {
@@ -59,22 +62,28 @@ fn along(telling: &[&PlanePair], direction: &Vector, fine: &FineCloud, target: &
 /// Of the patches, moved by a slide, whose place the target's sensor saw, the share on the target's patches; 0 if few are.
 fn share(telling: &[&PlanePair], slide: &Vector, fine: &FineCloud, target: &Surface) -> f64 {
     let distance = target.grid.distance();
-    let (mut agree, mut contradict) = (0, 0);
-    for PlanePair { point, normal, .. } in telling {
-        let moved = point + slide;
+    let agrees = |PlanePair { point, normal, .. }: &PlanePair| {
         // The side from which the sensor saw a patch must be that from which it sees the other.
         let is_same_side = |other: &Vector| match target.viewpoint() {
             Some(viewpoint) => normal.dot(&(viewpoint - point)) * normal.dot(&(viewpoint - other)) > 0.0,
             None => true,
         };
-        let on = fine.patch_at(&moved, normal, 0.5 * distance, TOLERANCE * distance);
-        if on.is_some_and(|other| is_same_side(&other)) {
+        let on = fine.patch_at(&(point + slide), normal, 0.5 * distance, TOLERANCE * distance);
+        on.is_some_and(|other| is_same_side(&other))
+    };
+    if !telling.iter().step_by(PROBED).any(|patch| agrees(patch)) {
+        return 0.0;
+    }
+    let (mut agree, mut contradict) = (0, 0);
+    for patch in telling {
+        if agrees(patch) {
             agree += 1;
-        } else if target.sees(&moved) {
+        } else if target.sees(&(patch.point + slide)) {
             contradict += 1;
         }
     }
-    if agree as f64 >= LEAST_SHARE * telling.len() as f64 && agree > 2 { f64::from(agree) / f64::from(agree + contradict) } else { 0.0 }
+    let is_seen = f64::from(agree) >= LEAST_SHARE * telling.len() as f64 && agree > 2;
+    if is_seen { f64::from(agree) / f64::from(agree + contradict) } else { 0.0 }
 }
 
 /// Directions in which a surface may repeat itself: those in which the patches constrain a slide, and those in which the

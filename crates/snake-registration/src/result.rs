@@ -24,8 +24,6 @@ pub struct Registration {
     pub num_agreeing: usize,
     /// The same for the best other transform, at least two inlier distances away; 0 without one.
     pub num_rival_agreeing: usize,
-    /// Number of matches that could agree: an end of each lies on the other cloud under the refined transform.
-    pub num_testable: usize,
     /// Number of matches of keypoints.
     pub num_correspondences: usize,
     /// Root mean square distance of the inliers before ICP, in cloud units; 0 without inliers.

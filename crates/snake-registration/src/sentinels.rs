@@ -34,7 +34,8 @@ pub(super) fn without_sentinels<'a>(points: Cow<'a, [Point]>, sensor: [f64; 3]) 
             .or_else(|| one_distance(&kept, &sensor.into(), least))
             .or_else(|| one_depth(&kept, least));
         let Some((is_missing, place)) = found else { break };
-        let left: Vec<Point> = kept.iter().zip(&is_missing).filter(|(_, missing)| !**missing).map(|(p, _)| *p).collect();
+        let left: Vec<Point> =
+            kept.iter().zip(&is_missing).filter(|(_, missing)| !**missing).map(|(p, _)| *p).collect();
         if (left.len() as f64) < LEAST_LEFT * all as f64 {
             break;
         }
@@ -88,7 +89,8 @@ fn one_depth(points: &[Point], least: usize) -> Option<Found> {
         let others = points.iter().zip(&is_missing).filter(|(_, missing)| !**missing);
         let farthest = others.map(|(point, _)| vector(*point).norm()).fold(0.0, f64::max);
         let name = ["x", "y", "z"][axis];
-        (depth.abs() > FAR * farthest).then(|| (is_missing, format!("exactly at {name} = {depth:.6}, far behind the others")))
+        (depth.abs() > FAR * farthest)
+            .then(|| (is_missing, format!("exactly at {name} = {depth:.6}, far behind the others")))
     })
 }
 

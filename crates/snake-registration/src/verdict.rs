@@ -40,7 +40,7 @@ pub(super) fn is_rival(other: (&Agreement, usize), best: (&Agreement, usize)) ->
 }
 
 /// The target looks alike elsewhere if more than this share of the patches agrees there.
-const REPEATED: f64 = 0.6;
+const REPEATED: f64 = 0.5;
 /// A constraint that is weaker than this share is doubtful, however many matches agree.
 const DOUBTFUL_CONSTRAINT: f64 = 1.5e-3;
 /// Fewer matches that agree are never enough, however well the surfaces fit.
@@ -49,15 +49,16 @@ const LEAST_AGREEING: usize = 10;
 const MOST_DOUBTFUL: f64 = 0.49;
 
 /// The weights of a logistic regression (`tests/bench/fit_verdict.py`). Each kind of evidence counts between limits, so that
-/// none outvotes the others.
-const BIAS: f64 = -6.5;
-const PER_LOG_AGREEING: f64 = 1.41;
-const PER_LOG_RATIO: f64 = 1.14;
-const PER_SLIDE_MARGIN: f64 = 13.9;
+/// none outvotes the others. The bias is 1 below the fitted one: a confidence of 0.5 is a probability of about 0.73.
+const BIAS: f64 = -5.65;
+const PER_LOG_AGREEING: f64 = 0.65;
+const PER_LOG_RATIO: f64 = 2.2;
+const PER_SLIDE_MARGIN: f64 = 2.1;
 /// Matches on one plane or line say little, however many agree.
-const PER_MATCH_SPREAD: f64 = 0.42;
-const PER_VIOLATION: f64 = -178.0;
+const PER_MATCH_SPREAD: f64 = 2.7;
+const PER_VIOLATION: f64 = -145.0;
 /// The limits: more says no more.
+const MOST_AGREEING: f64 = 200.0;
 const MOST_LOG_RATIO: f64 = 1.5;
 const MOST_SLIDE_MARGIN: f64 = 0.1;
 const MOST_MATCH_SPREAD: f64 = 1.0;
@@ -84,9 +85,9 @@ impl Evidence {
         }
         let [agreeing, rival] = [self.num_agreeing, self.num_rival_agreeing].map(|count| (1.0 + count as f64).ln());
         let sum = BIAS
-            + PER_LOG_AGREEING * agreeing
+            + PER_LOG_AGREEING * agreeing.min(MOST_AGREEING.ln())
             + PER_LOG_RATIO * (agreeing - rival).clamp(-MOST_LOG_RATIO, MOST_LOG_RATIO)
-            + PER_SLIDE_MARGIN * self.slide_margin.min(MOST_SLIDE_MARGIN)
+            + PER_SLIDE_MARGIN * self.slide_margin.clamp(-MOST_SLIDE_MARGIN, MOST_SLIDE_MARGIN)
             + PER_MATCH_SPREAD * self.match_spread.min(MOST_MATCH_SPREAD)
             + PER_VIOLATION * self.violation;
         let of_one = (self.weakest_constraint / DOUBTFUL_CONSTRAINT).min(1.0) / (1.0 + (-sum).exp());
@@ -119,10 +120,15 @@ pub(super) fn notes(evidence: &Evidence, diameters: [f64; 2]) -> Vec<String> {
         notes.push("ambiguous: another transform fits about as well".into());
     }
     if evidence.is_repeated() {
-        notes.push("ambiguous: the target repeats itself, as a row of equal pillars does, and fits there as well".into());
+        notes.push(
+            "ambiguous: the target repeats itself, as a row of equal pillars does, and fits there as well".into(),
+        );
     }
     if evidence.has_few_matches() {
-        notes.push(format!("only {} matches agree; fewer than {LEAST_AGREEING} are never reliable", evidence.num_agreeing));
+        notes.push(format!(
+            "only {} matches agree; fewer than {LEAST_AGREEING} are never reliable",
+            evidence.num_agreeing
+        ));
     }
     notes.extend(units_note(diameters));
     notes
@@ -163,7 +169,7 @@ mod tests {
             Evidence { num_agreeing: 9999, repeat_fit: 0.95, ..EVIDENCE },
             Evidence { num_rival_agreeing: 120, slide_margin: 0.0, ..EVIDENCE },
             Evidence { violation: 0.2, ..EVIDENCE },
-            Evidence { slide_margin: -0.1, ..EVIDENCE },
+            Evidence { slide_margin: -0.1, num_agreeing: 15, ..EVIDENCE },
             Evidence { open_directions: (1, "any".into()), ..EVIDENCE },
             Evidence { has_rival: true, slide_margin: 9.0, ..EVIDENCE },
         ] {

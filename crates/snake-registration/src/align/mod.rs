@@ -136,12 +136,7 @@ type Trial = ([usize; 2], Option<RigidTransform>);
 type Found = ([usize; 2], Registration);
 
 /// The registrations of all pairs for which there is a transform.
-fn register_pairs(
-    scales: &Scales,
-    pairs: &[Trial],
-    options: &AlignOptions,
-    control: &Control,
-) -> Result<Vec<Found>> {
+fn register_pairs(scales: &Scales, pairs: &[Trial], options: &AlignOptions, control: &Control) -> Result<Vec<Found>> {
     let counter = control.begin("pairs", pairs.len());
     let inner = control.without_progress();
     let register = |&([source, target], guess): &Trial| {

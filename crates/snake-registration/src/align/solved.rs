@@ -43,12 +43,7 @@ pub(super) struct Solved {
 }
 
 /// Believes registrations by their own evidence and by loops, and fits the poses to them.
-pub(super) fn solve(
-    scales: &Scales,
-    found: Vec<Found>,
-    options: &AlignOptions,
-    control: &Control,
-) -> Result<Solved> {
+pub(super) fn solve(scales: &Scales, found: Vec<Found>, options: &AlignOptions, control: &Control) -> Result<Solved> {
     let gravity = options.register.gravity.map(|axis| axis.unit());
     let counter = control.begin("poses", 0);
     let probes: Vec<Vec<Vector>> = (0..scales.len()).map(|cloud| probes(scales.own(cloud))).collect();
