@@ -493,6 +493,7 @@ class Registration:
         match_spread: float,
         weakest_constraint: float,
         slide_margin: float,
+        repeat_fit: float,
         information: NDArray[np.float64],
         hypotheses: list[NDArray[np.float64]],
         viewpoints: tuple[str, str],
@@ -532,6 +533,8 @@ class Registration:
     def weakest_constraint(self) -> float: ...
     @property
     def slide_margin(self) -> float: ...
+    @property
+    def repeat_fit(self) -> float: ...
     @property
     def information(self) -> NDArray[np.float64]: ...
     @property

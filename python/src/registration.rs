@@ -44,6 +44,8 @@ pub struct Registration {
     weakest_constraint: f64,
     /// By how much the overlap exceeds that of slides along the direction that is fixed least; below 0 if one fits better.
     slide_margin: f64,
+    /// Share of the patches that agree where the target looks alike, such as a period farther along equal pillars; 0 if nowhere.
+    repeat_fit: f64,
     /// Information matrix (6, 6) float64 of a small rotation (radians), then translation, in the target's frame.
     information: Py<PyArray2<f64>>,
     /// The best distinct transforms (4, 4), best first: `hypotheses` of them at most.
@@ -52,7 +54,7 @@ pub struct Registration {
     viewpoints: (String, String),
     /// What may be wrong with the clouds.
     notes: Vec<String>,
-    /// Numbers of points of source and target that were skipped because they are not finite.
+    /// Numbers of points of source and target that were skipped because they are not finite or stand for missing returns.
     num_skipped: (usize, usize),
     /// Seconds that the registration took.
     seconds: f64,
@@ -79,6 +81,7 @@ impl Registration {
         match_spread: f64,
         weakest_constraint: f64,
         slide_margin: f64,
+        repeat_fit: f64,
         information: Py<PyArray2<f64>>,
         hypotheses: Vec<Py<PyArray2<f64>>>,
         viewpoints: (String, String),
@@ -103,6 +106,7 @@ impl Registration {
             match_spread,
             weakest_constraint,
             slide_margin,
+            repeat_fit,
             information,
             hypotheses,
             viewpoints,
@@ -130,6 +134,7 @@ impl Registration {
             "match_spread",
             "weakest_constraint",
             "slide_margin",
+            "repeat_fit",
             "information",
             "hypotheses",
             "viewpoints",
@@ -142,7 +147,7 @@ impl Registration {
     }
 
     fn __repr__(&self) -> String {
-        let Self { confidence, num_inliers, num_correspondences, fitness, fitness_rmse, seconds, .. } = self;
+        let Self { confidence, num_inliers, num_correspondences, fitness, seconds, .. } = self;
         let verdict = match (self.is_reliable, self.is_ambiguous) {
             (true, _) => "reliable",
             (false, true) => "ambiguous",
@@ -150,7 +155,7 @@ impl Registration {
         };
         format!(
             "Registration({verdict}, confidence {confidence:.2}; {num_inliers} of {num_correspondences} matches; \
-             fitness {fitness:.3}, rmse {fitness_rmse:.5}; {seconds:.3} s)"
+             fitness {fitness:.3}; {seconds:.3} s)"
         )
     }
 }
@@ -208,6 +213,7 @@ pub fn register(
         match_spread: found.match_spread,
         weakest_constraint: found.weakest_constraint,
         slide_margin: found.slide_margin,
+        repeat_fit: found.repeat_fit,
         information: matrix(py, found.information)?,
         hypotheses: hypotheses.collect::<PyResult<_>>()?,
         viewpoints: found.viewpoints.map(|used| used.name().to_string()).into(),

@@ -1,11 +1,12 @@
-"""Fits the weights of `confidence` (crates/snake-registration/src/verdict.rs) on pairs of the training scenes.
+"""Fits the weights of `confidence` (crates/snake-registration/src/verdict.rs), and prints how it does.
 
-    python tests/bench/fit_verdict.py FOLDER [--pairs 60]
+    python tests/bench/fit_verdict.py SCENES --objects FOLDER [--pairs 150] [--made 15]
+    python tests/bench/fit_verdict.py SCENES --objects FOLDER --split val --seed 9 --blind
 
-300 pairs that overlap and 300 that do not are registered, which takes minutes; a run that was interrupted continues. Wrong
-transforms within 20 degrees and 0.7 m of the published ones are left out, because the published ones are not exact. Prints
-the weights of a logistic regression, and what the verdict loses without each column: the mean log loss on the pairs of
-each scene by weights that were fitted on the other scenes.
+Pairs are of the scenes, half of which do not overlap, and made ones of every kind of verdict_pairs.py; a run that was
+interrupted continues. Wrong transforms within 20 degrees and 0.7 m of the published ones are left out, because the published
+ones are not exact. Rules judge before the weights do: what is ambiguous or has few matches takes no part in the fit. It is a
+logistic regression on columns between limits. `--blind` prints only what the confidence of this build accepts.
 """
 
 import argparse
@@ -14,17 +15,21 @@ from pathlib import Path
 import numpy as np
 import registration_runs as runs
 import scene_pairs
+import verdict_pairs
 
-NAMES = ["bias", "log(1 + agreeing)", "log((1 + agreeing) / (1 + rival))", "slide margin", "match spread, at most 1"]
+NAMES = ["bias", "log(1 + agreeing)", "log((1 + agreeing) / (1 + rival))", "slide margin", "match spread"]
 NAMES += ["free-space violation"]
 # The ridge penalty, for columns of unit variance, a row.
 PENALTY = 1e-4
+# As in verdict.rs.
+LEAST_AGREEING = 10
+LIMITS = [(1, 1), (0, np.log(200)), (-1.5, 1.5), (-0.1, 0.1), (0, 1), (0, 1)]
 
 
-def columns(evidence: dict) -> list[float]:
+def columns(evidence: dict) -> np.ndarray:
     agreeing, rival = np.log1p([evidence["num_agreeing"], evidence["num_rival_agreeing"]])
-    spread = min(evidence["match_spread"], 1.0)
-    return [1.0, agreeing, agreeing - rival, evidence["slide_margin"], spread, evidence["free_space_violation"]]
+    row = [1.0, agreeing, agreeing - rival, evidence["slide_margin"], evidence["match_spread"]]
+    return np.clip([*row, evidence["free_space_violation"]], *np.transpose(LIMITS))
 
 
 def logistic_regression(rows: np.ndarray, labels: np.ndarray) -> np.ndarray:
@@ -39,15 +44,6 @@ def logistic_regression(rows: np.ndarray, labels: np.ndarray) -> np.ndarray:
     return weights / scale
 
 
-def held_out_loss(rows: np.ndarray, labels: np.ndarray, scenes: np.ndarray) -> float:
-    """The mean log loss on each scene by the weights of the others."""
-    sums = np.zeros(len(rows))
-    for scene in np.unique(scenes):
-        own = scenes == scene
-        sums[own] = rows[own] @ logistic_regression(rows[~own], labels[~own])
-    return float(np.logaddexp(0, np.where(labels > 0, -sums, sums)).mean())
-
-
 def is_right(pair: scene_pairs.Pair, transform: np.ndarray) -> bool | None:
     """Whether a transform is right; None if that cannot be said."""
     if pair.t_target_source is None:
@@ -58,32 +54,68 @@ def is_right(pair: scene_pairs.Pair, transform: np.ndarray) -> bool | None:
     return None if degrees < 20 and metres < 0.7 else False
 
 
+def results(arguments: argparse.Namespace) -> list[tuple[str, bool, dict]]:
+    """The kind of each pair, whether its transform is right, and the result."""
+    scenes, split = arguments.scenes, arguments.split
+    overlapping = scene_pairs.subset(scene_pairs.overlapping(scenes, split), arguments.pairs)
+    real = overlapping + scene_pairs.not_overlapping(scenes, split, len(overlapping))
+    tasks = [runs.Task(pair.name, pair.clouds) for pair in real]
+    found = runs.results("scenes", tasks, [runs.OURS], arguments.cache)
+    rows = []
+    for pair in real:
+        row = found[pair.name, runs.OURS]
+        kind = "scenes, no overlap" if pair.t_target_source is None else "scenes"
+        rows.append((kind, is_right(pair, np.array(row["refined"])), row))
+    for make in verdict_pairs.pairs(arguments.made, arguments.seed, arguments.objects, split, arguments.kinds):
+        pair = make()
+        task = runs.Task(f"made {split} {pair.name}", lambda pair=pair: (pair.source, pair.target))
+        row = runs.results(pair.name, [task], [runs.OURS], arguments.cache)[task.name, runs.OURS]
+        rows.append((pair.kind, pair.is_right(np.array(row["refined"])), row))
+    return [row for row in rows if row[1] is not None]
+
+
+def print_fit(rows: list[tuple[str, bool, dict]]) -> None:
+    left = [(right, row["evidence"]) for _, right, row in rows if "evidence" in row]
+    left = [(right, e) for right, e in left if not e["is_ambiguous"] and e["num_agreeing"] >= LEAST_AGREEING]
+    table, labels = np.array([columns(e) for _, e in left]), np.array([right for right, _ in left], float)
+    weights = logistic_regression(table, labels)
+    print(f"\n{len(left)} pairs left by the rules, {labels.sum():.0f} right")
+    for name, weight in zip(NAMES, weights, strict=True):
+        print(f"{name:>36} {weight:9.2f}")
+
+
+def print_curve(rows: list[tuple[str, bool, dict]]) -> None:
+    right = np.array([row["score"] for _, is_right, row in rows if is_right])
+    wrong = np.array([row["score"] for _, is_right, row in rows if not is_right])
+    real = np.array([row["score"] for kind, is_right, row in rows if is_right and kind == "scenes"])
+    print(f"\n| confidence | of {len(real)} right real | of {len(right)} right | of {len(wrong)} wrong or absent |")
+    print("|---|---|---|---|")
+    for level in (0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9, 0.95):
+        shares = [f"{np.mean(scores >= level):.3f}" if len(scores) else "" for scores in (real, right)]
+        print(f"| {level:.2f} | {' | '.join(shares)} | {np.sum(wrong >= level)} |")
+    print("\n| kind | right | reliable of these | wrong | reliable of these |\n|---|---|---|---|---|")
+    for kind in dict.fromkeys(kind for kind, *_ in rows):
+        own = [(is_right, row["score"] >= 0.5) for of, is_right, row in rows if of == kind]
+        counts = [(sum(r == label for r, _ in own), sum(r == label and ok for r, ok in own)) for label in (True, False)]
+        print(f"| {kind} | " + " | ".join(f"{all_} | {reliable}" for all_, reliable in counts) + " |")
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("scenes", type=Path)
-    parser.add_argument("--pairs", type=int, default=300, help="pairs of each kind [default: 300]")
+    parser.add_argument("--objects", type=Path, help="folder of objects; without, kinds with objects are left out")
+    parser.add_argument("--split", default="train", choices=["train", "val"])
+    parser.add_argument("--pairs", type=int, default=150, help="pairs of scenes that overlap, and that do not [default: 150]")
+    parser.add_argument("--made", type=int, default=15, help="made pairs of each kind [default: 15]")
+    parser.add_argument("--kinds", nargs="+", help="these kinds of made pairs only [default: all]")
+    parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--blind", action="store_true", help="no fit")
     parser.add_argument("--cache", type=Path, default=Path("target/bench-registration.jsonl"))
     arguments = parser.parse_args()
-    pairs = scene_pairs.subset(scene_pairs.overlapping(arguments.scenes, "train"), arguments.pairs)
-    pairs += scene_pairs.not_overlapping(arguments.scenes, "train", arguments.pairs)
-    tasks = [runs.Task(pair.name, pair.clouds) for pair in pairs]
-    found = runs.results("registration", tasks, [runs.OURS], arguments.cache)
-    rows, labels, scenes = [], [], []
-    for pair in pairs:
-        row = found[pair.name, runs.OURS]
-        label = is_right(pair, np.array(row["refined"]))
-        if label is not None and "evidence" in row:
-            rows.append(columns(row["evidence"]))
-            labels.append(label)
-            scenes.append(pair.source.stem.rsplit("__", 1)[0])
-    rows, labels, scenes = np.array(rows), np.array(labels, float), np.array(scenes)
-    weights = logistic_regression(rows, labels)
-    print(
-        f"{len(rows)} pairs, {labels.sum():.0f} right; log loss on held-out scenes {held_out_loss(rows, labels, scenes):.3f}"
-    )
-    for index, (name, weight) in enumerate(zip(NAMES, weights)):
-        without = held_out_loss(np.delete(rows, index, axis=1), labels, scenes) if index > 0 else None
-        print(f"{name:>36} {weight:9.2f}" + (f", {without:.3f} without" if without is not None else ""))
+    rows = results(arguments)
+    if not arguments.blind:
+        print_fit(rows)
+    print_curve(rows)
 
 
 if __name__ == "__main__":

@@ -40,6 +40,7 @@ def run_ours(source: np.ndarray, target: np.ndarray) -> dict:
         return {"refined": np.eye(4).tolist(), "score": 0.0, "seconds": time.perf_counter() - start}
     seconds = time.perf_counter() - start
     names = ("num_agreeing", "num_rival_agreeing", "slide_margin", "free_space_violation", "is_ambiguous", "fitness")
+    names += ("weakest_constraint", "repeat_fit")
     evidence = {name: getattr(found, name) for name in names}
     evidence["match_spread"] = found.match_spread / found.inlier_distance
     transform = found.t_target_source.tolist()

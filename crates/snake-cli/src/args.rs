@@ -126,10 +126,12 @@ pub enum Command {
     /// maps a point of the source into the target's frame: p_target = R p_source + t.
     ///
     /// The first line says whether the transform is reliable, and with what confidence (0 to 1). The inliers are the matches
-    /// that agree with the transform before ICP. The result after ICP has two figures of its own: the share of the source's
-    /// voxels near a voxel of the target, and their RMSE.
+    /// that agree with the transform before ICP. The result after ICP has a figure of its own: the share of the source's voxels
+    /// near a voxel of the target.
     ///
-    /// Exit code: 0 if a transform was found, 1 if it is not reliable and --require-reliable is given, 2 otherwise.
+    /// Exit code: 0 if a transform was found, 1 if it is not reliable and --require-reliable is given, 2 otherwise. A
+    /// transform that is not reliable is a result too: a person may look at it, and another program may check it in its own
+    /// way. So the exit code is 0 unless you ask, and a warning says what it is. A robot should ask.
     #[command(after_help = "Examples:
   snake-cli register scan2.ply scan1.ply
   snake-cli register scan2.ply scan1.ply -o t_1_2.txt --aligned scan2_in_1.ply

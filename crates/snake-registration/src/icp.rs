@@ -1,8 +1,9 @@
 //! Point-to-plane ICP.
 
-use nalgebra::{IsometryMatrix3, Matrix3, Matrix6, Matrix6xX, Rotation3, Translation3, Vector6};
+use nalgebra::{IsometryMatrix3, Matrix3, Matrix6, Rotation3, Translation3, Vector6};
 use rayon::prelude::*;
 
+use super::constraint::information;
 use super::rigid::{moved, rotation_vector};
 use super::surface::Surface;
 use snake_core::space::Vector;
@@ -44,7 +45,8 @@ pub(super) fn symmetric_icp(
     iterate(pairs, rough, gravity, (max_iterations, surfaces[1].grid.distance()), counter)
 }
 
-fn iterate(
+/// Steps to the planes of the pairs until they no longer move, or at most so many; tolerances are relative to a distance.
+pub(super) fn iterate(
     pairs: impl Fn(&IsometryMatrix3<f64>) -> Vec<PlanePair>,
     rough: IsometryMatrix3<f64>,
     gravity: Option<Vector>,
@@ -64,15 +66,15 @@ fn iterate(
 }
 
 /// A source point in the target frame that should come to a plane.
-struct PlanePair {
-    point: Vector,
-    normal: Vector,
+pub(super) struct PlanePair {
+    pub(super) point: Vector,
+    pub(super) normal: Vector,
     /// The distance of the plane in front of the point.
-    distance: f64,
+    pub(super) distance: f64,
 }
 
 /// Source points and the tangent planes of the nearest target points.
-fn plane_pairs(source: &[Vector], target: &Surface, transform: &IsometryMatrix3<f64>) -> Vec<PlanePair> {
+pub(super) fn plane_pairs(source: &[Vector], target: &Surface, transform: &IsometryMatrix3<f64>) -> Vec<PlanePair> {
     let pair = |point: &Vector| {
         let point = moved(transform, point);
         let (index, _) = target.grid.nearest(&point)?;
@@ -116,58 +118,28 @@ pub(super) fn remeasure(
     step: usize,
 ) -> Option<(IsometryMatrix3<f64>, Matrix6<f64>)> {
     let pairs = symmetric_pairs(surfaces, transform, step);
-    Some((plane_step(&pairs, gravity)? * transform, information(&pairs)))
-}
-
-fn information(pairs: &[PlanePair]) -> Matrix6<f64> {
-    let rows = pairs.iter().map(|pair| twist(&pair.point, &pair.normal));
-    rows.fold(Matrix6::zeros(), |sum, row| sum + row * row.transpose())
-}
-
-/// What the pairs of a transform say about it.
-pub(super) struct Constraint {
-    /// The information matrix of a small rotation and then translation in the target frame.
-    pub(super) information: Matrix6<f64>,
-    /// The directions that the pairs leave open, as orthonormal columns; see [`names`](super::open_motions::names).
-    pub(super) open: Matrix6xX<f64>,
-    /// The mean squared cosine to the normals in the direction that the pairs constrain least; 0 if it is open.
-    pub(super) weakest: f64,
-}
-
-impl Constraint {
-    pub(super) fn new(source: &[Vector], target: &Surface, transform: &IsometryMatrix3<f64>) -> Self {
-        let pairs = plane_pairs(source, target, transform);
-        let information = information(&pairs);
-        let Some(normal) = Normal::new(&pairs) else {
-            return Self { information, open: Matrix6xX::identity(6), weakest: 0.0 };
-        };
-        let eigen = (normal.information / normal.count).symmetric_eigen();
-        let is_open = |index: &usize| eigen.eigenvalues[*index] <= OPEN_DIRECTION;
-        let columns: Vec<_> = (0..6).filter(is_open).map(|index| eigen.eigenvectors.column(index)).collect();
-        let open = Matrix6xX::from_fn(columns.len(), |row, column| columns[column][row]);
-        Self { information, open, weakest: eigen.eigenvalues.min().max(0.0) }
-    }
+    Some((plane_step(&pairs, gravity)? * transform, information(pairs.iter())))
 }
 
 /// The gradient of a point's distance to a plane by a rotation about the origin and a translation.
-fn twist(point: &Vector, normal: &Vector) -> Vector6<f64> {
+pub(super) fn twist(point: &Vector, normal: &Vector) -> Vector6<f64> {
     let lever = point.cross(normal);
     Vector6::new(lever.x, lever.y, lever.z, normal.x, normal.y, normal.z)
 }
 
 /// The normal equations of pairs, about their mean. Rotations are scaled to lengths by the pairs' extent, so that their
 /// eigenvalues are comparable with those of translations.
-struct Normal {
-    information: Matrix6<f64>,
+pub(super) struct Normal {
+    pub(super) information: Matrix6<f64>,
     residuals: Vector6<f64>,
     count: f64,
-    center: Vector,
-    extent: f64,
+    pub(super) center: Vector,
+    pub(super) extent: f64,
 }
 
 impl Normal {
     /// `None` for no pairs or a single point.
-    fn new(pairs: &[PlanePair]) -> Option<Self> {
+    pub(super) fn new(pairs: &[PlanePair]) -> Option<Self> {
         let count = pairs.len() as f64;
         let center = pairs.iter().map(|pair| pair.point).sum::<Vector>() / count;
         let extent = (pairs.iter().map(|pair| (pair.point - center).norm_squared()).sum::<f64>() / count).sqrt();
@@ -306,35 +278,6 @@ mod tests {
         let left = found * truth.inverse();
         assert!(left.translation.vector.norm() < 5e-3 && left.rotation.angle() < 5e-3, "{left}");
         assert!((found.rotation * Vector::z() - Vector::z()).norm() < 1e-9);
-    }
-
-    #[test]
-    fn information_is_about_the_target_frame_and_counts_open_directions() {
-        let points = faces(3, 1);
-        let of = |sides: usize| {
-            let kept: Vec<Vector> = points.iter().enumerate().filter(|(i, _)| i % 3 < sides).map(|(_, p)| *p).collect();
-            let cloud = Neighbors::new(kept.clone()).unwrap();
-            let normals = normals(&cloud, 0.2, Orientation::Mean, &Control::default()).unwrap();
-            Constraint::new(&kept, &Surface::new(&kept, &normals, None, 0.3), &IsometryMatrix3::identity())
-        };
-        let found = of(3);
-        assert!(found.open.ncols() == 0 && found.weakest > OPEN_DIRECTION);
-        let three = found.information;
-        // A third of the normals point along each axis, up to the edges.
-        assert!((3..6).all(|i| (three[(i, i)] - 1000.0).abs() < 100.0), "{three}");
-        // Face z = 1: a rotation about x moves a point by its y.
-        let expected: f64 = points
-            .iter()
-            .enumerate()
-            .map(|(i, p)| match i % 3 {
-                0 => 0.0,
-                1 => p.z.powi(2),
-                _ => p.y.powi(2),
-            })
-            .sum();
-        // Near the edges, normals are between those of the faces.
-        assert!((three[(0, 0)] / expected - 1.0).abs() < 0.3, "{} {expected}", three[(0, 0)]);
-        assert!(of(1).open.ncols() == 3 && of(1).weakest < OPEN_DIRECTION);
     }
 
     #[test]

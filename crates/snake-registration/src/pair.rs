@@ -9,12 +9,15 @@ use snake_core::space::{Vector, vector};
 use snake_core::{Control, Error, Outliers, Result};
 
 use super::consistency::{displacement, hypotheses};
-use super::icp::{Constraint, icp, symmetric_icp};
+use super::constraint::{Constraint, information};
+use super::fine::{FineCloud, patches, refine_finely};
+use super::icp::{icp, plane_pairs, symmetric_icp};
 use super::match_graph::{Criteria, Match};
 use super::matching::ranked_matches;
 use super::open_motions;
 use super::options::RegisterOptions;
 use super::prepared::Prepared;
+use super::repeats::repeated_share;
 use super::result::{Hypothesis, Registration, ViewpointUsed};
 use super::slide::slide_margin;
 use super::surface::{Agreement, Surface, coarse_step, fitness};
@@ -28,6 +31,8 @@ const COARSE_STEPS: usize = 5;
 const REFINED: usize = 3;
 /// A guess is first refined with pairs up to this many inlier distances apart.
 const WIDE: f64 = 4.0;
+/// Patches of both clouds are one if they are closer than this many inlier distances.
+const PATCH_DISTANCE: f64 = 0.5;
 /// Greatest share of the overlap with opposite normals if the sensors were at the origins. Of scans it is 0.05 and less, of
 /// simulated sweeps 0.14, and of objects around the origin 0.2 to 0.5.
 const MOST_OPPOSED: f64 = 0.15;
@@ -67,11 +72,11 @@ impl<'a> Pair<'a> {
         let start = Instant::now();
         let (matches, found) = self.search(options, control)?;
         if !self.contradicts_guessed_viewpoints(&found[0].refined) {
-            return Ok(self.report(&matches, &found, options, start));
+            return self.report(&matches, &found, options, start);
         }
         let unsigned = Self { signed: false, ..*self };
         let (matches, found) = unsigned.search(options, control)?;
-        Ok(unsigned.report(&matches, &found, options, start))
+        unsigned.report(&matches, &found, options, start)
     }
 
     /// The matches and the transforms, best first; there is at least one.
@@ -82,7 +87,7 @@ impl<'a> Pair<'a> {
             None => hypotheses(&matches, &self.criteria(options), CANDIDATES, control)?,
         };
         let found = self.best(&guesses, &matches, options, control)?;
-        if found.is_empty() { Err(self.no_transform(matches.len())) } else { Ok((matches, found)) }
+        if found.is_empty() { Err(self.no_transform(matches.len())?) } else { Ok((matches, found)) }
     }
 
     /// Whether a sensor was taken to be at the origin of a cloud, and opposite normals on the overlap show that it was not.
@@ -99,10 +104,13 @@ impl<'a> Pair<'a> {
         found: &[Candidate],
         options: &RegisterOptions,
         start: Instant,
-    ) -> Registration {
+    ) -> Result<Registration> {
         let best = &found[0];
         let surfaces = self.surfaces();
-        let constraint = Constraint::new(surfaces[0].points, &surfaces[1], &best.refined);
+        let fine = self.fine()?;
+        let patches = patches(fine, &best.refined, PATCH_DISTANCE * self.inlier_distance);
+        let constraint = Constraint::new(&patches);
+        let information = information(plane_pairs(surfaces[0].points, &surfaces[1], &best.refined).iter());
         let criteria = self.criteria(options);
         let rivals = &found[1..found.len().min(REFINED)];
         let agreeing = |candidate: &Candidate| inliers(matches, &candidate.refined, &criteria).0;
@@ -117,8 +125,10 @@ impl<'a> Pair<'a> {
             match_spread: match_spread / self.inlier_distance,
             num_agreeing,
             num_rival_agreeing: of_rivals.iter().copied().max().unwrap_or(0),
-            slide_margin: slide_margin(&surfaces, &best.refined, &best.agreement, &constraint, self.inlier_distance),
+            slide_margin: slide_margin(&surfaces, &best.refined, &best.agreement, &information, self.inlier_distance),
             open_directions: (constraint.open.ncols(), open_motions::names(&constraint.open)),
+            weakest_constraint: constraint.weakest,
+            repeat_fit: repeated_share(&patches, fine[1], &surfaces[1]),
             has_rival: counted
                 .any(|(rival, count)| is_rival((&rival.agreement, *count), (&best.agreement, num_agreeing))),
         };
@@ -130,7 +140,7 @@ impl<'a> Pair<'a> {
             num_inliers: candidate.num_inliers,
             free_space_violation: candidate.agreement.violation,
         };
-        Registration {
+        Ok(Registration {
             t_target_source: best.refined.into(),
             confidence,
             is_reliable: confidence >= 0.5,
@@ -146,18 +156,27 @@ impl<'a> Pair<'a> {
             free_space_violation: evidence.violation,
             match_spread,
             slide_margin: evidence.slide_margin,
-            weakest_constraint: constraint.weakest,
-            information: std::array::from_fn(|row| std::array::from_fn(|column| constraint.information[(row, column)])),
+            repeat_fit: evidence.repeat_fit,
+            weakest_constraint: evidence.weakest_constraint,
+            information: std::array::from_fn(|row| std::array::from_fn(|column| information[(row, column)])),
             hypotheses: found.iter().take(options.hypotheses).map(hypothesis).collect(),
             matches: agreed
                 .iter()
                 .map(|found| [found.source, found.target].map(|end| end.map(|v| v as f32).into()))
                 .collect(),
             viewpoints: self.viewpoints_used(),
-            notes: notes(&evidence, self.diameters()).into_iter().chain(self.outliers()).collect(),
+            notes: self.sentinel_notes().chain(notes(&evidence, self.diameters())).chain(self.outliers()).collect(),
             num_skipped: self.clouds.map(|cloud| cloud.num_skipped),
             seconds: start.elapsed().as_secs_f64(),
-        }
+        })
+    }
+
+    /// What was left out of the clouds, in words.
+    fn sentinel_notes(&self) -> impl Iterator<Item = String> {
+        let named = self.clouds.into_iter().zip(["source", "target"]);
+        named.flat_map(|(cloud, name)| {
+            cloud.sentinels.iter().map(move |words| format!("{name}: {words}; they are left out"))
+        })
     }
 
     fn criteria(&self, options: &RegisterOptions) -> Criteria {
@@ -239,7 +258,16 @@ impl<'a> Pair<'a> {
             candidate.agreement = Surface::agreement(source, target, &candidate.refined, 1);
         }
         sort(&mut candidates);
-        Ok(self.distinct(candidates, &coarse))
+        let mut found = self.distinct(candidates, &coarse);
+        if let Some(best) = found.first_mut()
+            && options.refine_steps > 0
+        {
+            let refined = refine_finely(self.fine()?, best.refined, criteria.gravity, &counter)?;
+            if displacement(&refined, &best.refined, &coarse) < self.inlier_distance {
+                best.refined = refined;
+            }
+        }
+        Ok(found)
     }
 
     /// The candidates without those that move the points to about the same places as a better one.
@@ -272,16 +300,24 @@ impl<'a> Pair<'a> {
     }
 
     /// Notes on clouds that can move along their own surface.
-    fn open_alone(&self) -> Vec<String> {
-        let note = |(surface, name): (Surface, &str)| {
-            let open = Constraint::new(surface.points, &surface, &IsometryMatrix3::identity()).open;
-            let names = open_motions::names(&open);
-            (open.ncols() > 0).then(|| format!("the {name} can move along its own surface ({names})"))
-        };
-        self.surfaces().into_iter().zip(["source", "target"]).filter_map(note).collect()
+    fn open_alone(&self) -> Result<Vec<String>> {
+        let mut notes = Vec::new();
+        for (fine, name) in self.fine()?.into_iter().zip(["source", "target"]) {
+            let patches = patches([fine, fine], &IsometryMatrix3::identity(), PATCH_DISTANCE * self.inlier_distance);
+            let open = Constraint::new(&patches).open;
+            if open.ncols() > 0 {
+                notes.push(format!("the {name} can move along its own surface ({})", open_motions::names(&open)));
+            }
+        }
+        Ok(notes)
     }
 
-    fn no_transform(&self, num_matches: usize) -> Error {
+    fn fine(&self) -> Result<[&'a FineCloud; 2]> {
+        let [source, target] = self.clouds;
+        Ok([source.fine()?, target.fine()?])
+    }
+
+    fn no_transform(&self, num_matches: usize) -> Result<Error> {
         let [source, target] = self.clouds.map(|cloud| cloud.scan.voxels.points.len());
         let [source_diameter, target_diameter] = self.diameters();
         let mut reason = format!(
@@ -289,12 +325,12 @@ impl<'a> Pair<'a> {
              the clouds overlap, and in the same units? their diameters are {source_diameter:.4} and {target_diameter:.4}"
         );
         // The voxels of clouds in different units are too large for normals.
-        let notes = units_note(self.diameters()).map_or_else(|| self.open_alone(), |note| vec![note]);
+        let notes = units_note(self.diameters()).map_or_else(|| self.open_alone(), |note| Ok(vec![note]))?;
         // One is enough: an error is one short line.
         if let Some(note) = notes.first() {
             reason += &format!("; {note}");
         }
-        Error::NoTransform { reason }
+        Ok(Error::NoTransform { reason })
     }
 }
 

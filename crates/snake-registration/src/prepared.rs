@@ -10,16 +10,21 @@ use snake_core::{Control, Error, Model, Normalization, NormalizationMethod, Outl
 
 use super::FPFH_DIMENSION;
 use super::cloud::Orientation;
+use super::fine::FineCloud;
 use super::matching::hellinger;
 use super::medians::{lower_median, upper_median};
 use super::options::{Descriptor, RegisterOptions};
 use super::result::ViewpointUsed;
 use super::scan::{Scan, reduce};
+use super::sentinels::without_sentinels;
 use super::surface::Surface;
 use super::viewpoint::viewpoint;
 
 /// Default number of voxels along the diameter of a cloud.
 pub(super) const VOXELS_PER_DIAMETER: f64 = 80.0;
+
+/// Voxels are made larger for clouds whose neighbouring voxels are more than this many voxels apart.
+const SPARSEST: f64 = 6.0;
 
 /// Clouds with the same voxel size and radii.
 pub(super) struct PreparedClouds {
@@ -31,8 +36,10 @@ pub(super) struct PreparedClouds {
 pub(super) struct Prepared {
     pub(super) scan: Scan,
     pub(super) diameter: f64,
+    /// Number of points that are not finite or stand for missing returns, and what is said of the latter.
     pub(super) num_skipped: usize,
     pub(super) outliers: Option<Outliers>,
+    pub(super) sentinels: Vec<String>,
     /// The sensor's position, if it is known.
     pub(super) viewpoint: Option<(Vector, ViewpointUsed)>,
     /// Keypoints, each with the index of the nearest voxel.
@@ -40,6 +47,7 @@ pub(super) struct Prepared {
     descriptor: Descriptor,
     /// Descriptors of the keypoints, `(K, dimension)`: of normals without a sign, and with one.
     descriptors: [OnceLock<Vec<f32>>; 2],
+    fine: OnceLock<FineCloud>,
 }
 
 impl PreparedClouds {
@@ -57,17 +65,27 @@ impl PreparedClouds {
         let used = |(index, points)| FinitePoints::of("points", points).map_err(named(index));
         let used: Vec<FinitePoints> = clouds.iter().copied().enumerate().map(used).collect::<Result<_>>()?;
         let outliers: Vec<Option<Outliers>> = used.iter().map(FinitePoints::outliers).collect();
-        let points: Vec<Cow<[Point]>> = used.into_iter().map(|used| used.points).collect();
+        let sensor = |index: usize| given[index].unwrap_or_default();
+        let kept = used.into_par_iter().enumerate().map(|(index, used)| without_sentinels(used.points, sensor(index)));
+        let (points, sentinels): (Vec<Cow<[Point]>>, Vec<Vec<String>>) = kept.unzip();
         let [voxel_size, normal_radius, feature_radius, inlier_distance] = options.lengths(&points)?;
         let each = || points.par_iter().enumerate();
         let diameters = each().map(|(index, points)| diameter(points).map_err(named(index)));
         let diameters: Vec<f64> = diameters.collect::<Result<_>>()?;
-        let voxel_size = voxel_size.unwrap_or(lower_median(&diameters) / VOXELS_PER_DIAMETER);
-        let voxels = each().map(|(index, points)| reduce(points, voxel_size, control).map_err(named(index)));
-        let voxels: Vec<Neighbors> = voxels.collect::<Result<_>>()?;
-        // In a sparse cloud most voxels hold one point, and the voxel size is less than the distance between neighbours.
-        let resolutions: Vec<f64> = voxels.par_iter().map(Neighbors::resolution).collect();
-        let spacing = voxel_size.max(upper_median(&resolutions));
+        let reduced = |voxel_size: f64| {
+            let voxels = each().map(|(index, points)| reduce(points, voxel_size, control).map_err(named(index)));
+            let voxels: Vec<Neighbors> = voxels.collect::<Result<_>>()?;
+            // In a sparse cloud most voxels hold one point, and the voxel size is less than the distance between neighbours.
+            let resolutions: Vec<f64> = voxels.par_iter().map(Neighbors::resolution).collect();
+            Ok((voxels, voxel_size.max(upper_median(&resolutions))))
+        };
+        let mut voxel_size = voxel_size.unwrap_or(lower_median(&diameters) / VOXELS_PER_DIAMETER);
+        let (mut voxels, mut spacing) = reduced(voxel_size)?;
+        // The radii follow from the spacing: in a cloud that is much denser, they would hold thousands of voxels.
+        if spacing > SPARSEST * voxel_size {
+            voxel_size = spacing / 2.0;
+            (voxels, spacing) = reduced(voxel_size)?;
+        }
         let inlier_distance = inlier_distance.unwrap_or(1.5 * spacing);
         let lengths = [voxel_size, normal_radius.unwrap_or(2.0 * spacing), feature_radius.unwrap_or(5.0 * spacing)];
         let prepare = |(index, voxels): (usize, Neighbors)| {
@@ -83,10 +101,12 @@ impl PreparedClouds {
                 diameter: diameters[index],
                 num_skipped: original - points.len(),
                 outliers: outliers[index],
+                sentinels: sentinels[index].clone(),
                 viewpoint,
                 keypoints,
                 descriptor: options.descriptor,
                 descriptors: Default::default(),
+                fine: OnceLock::new(),
             })
         };
         let clouds = voxels.into_par_iter().enumerate().map(prepare).collect::<Result<_>>()?;
@@ -95,6 +115,11 @@ impl PreparedClouds {
 }
 
 impl Prepared {
+    /// The voxel size for a pair of clouds of this size.
+    pub(super) fn default_voxel_size(&self) -> f64 {
+        self.diameter / VOXELS_PER_DIAMETER
+    }
+
     /// Length of a descriptor.
     pub(super) fn dimension(&self) -> usize {
         self.scan.dimension(self.descriptor)
@@ -104,6 +129,16 @@ impl Prepared {
     pub(super) fn surface(&self, signed: bool, distance: f64) -> Surface<'_> {
         let viewpoint = self.viewpoint.filter(|_| signed).map(|(viewpoint, _)| viewpoint);
         Surface::new(&self.scan.voxels.points, &self.scan.normals, viewpoint, distance)
+    }
+
+    /// The points in fine voxels.
+    pub(super) fn fine(&self) -> Result<&FineCloud> {
+        if let Some(made) = self.fine.get() {
+            return Ok(made);
+        }
+        let Scan { points, voxel_size, voxels, .. } = &self.scan;
+        let made = FineCloud::new(points, *voxel_size, voxels.points.len())?;
+        Ok(self.fine.get_or_init(|| made))
     }
 
     /// Descriptors of the keypoints; FPFH as the square roots of histograms. Field descriptors need no normals.

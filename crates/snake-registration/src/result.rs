@@ -42,12 +42,16 @@ pub struct Registration {
     /// How far the matches that agree are spread in the direction in which they are spread least, as a standard deviation
     /// in cloud units. Matches on one plane, with a spread near 0, do not fix a transform.
     pub match_spread: f64,
-    /// How well the overlap fixes the direction of motion that it fixes least: 0 if the source can slide or turn on the
-    /// target, about 0.1 if surfaces face all ways.
+    /// How well planar patches of the overlap fix the direction of motion that they fix least: of their squared motion, the
+    /// share against patches that face it. It is 0 if the source can slide or turn on the target, about 0.1 if surfaces face
+    /// all ways.
     pub weakest_constraint: f64,
     /// By how much the overlap (a share, 0 to 1, less twice the violated free space) exceeds that of slides of the source
     /// by 2 to 12 inlier distances along the direction that is fixed least; below 0 if a slide fits better.
     pub slide_margin: f64,
+    /// Of the patches that tell, the share that agrees where the target looks alike, as one period farther along a row of
+    /// equal pillars; 0 if it looks alike nowhere.
+    pub repeat_fit: f64,
     /// The information matrix (inverse covariance up to the noise) of the transform, for a pose graph: of a small
     /// rotation (radians) and then a small translation (cloud units) of the source in the target frame. It is the sum of
     /// `J Jᵀ` over the source's voxels on the target, where J is the gradient of the distance to the tangent plane.
@@ -62,7 +66,8 @@ pub struct Registration {
     pub viewpoints: [ViewpointUsed; 2],
     /// What may be wrong with the clouds.
     pub notes: Vec<String>,
-    /// Number of source and target points that were skipped because they are not finite, or are outliers.
+    /// Number of source and target points that were skipped because they are not finite, are outliers or stand for missing
+    /// returns.
     pub num_skipped: [usize; 2],
     /// Run time.
     pub seconds: f64,

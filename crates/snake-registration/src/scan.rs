@@ -25,11 +25,11 @@ use snake_core::{Normalization, NormalizationMethod, Point};
 pub struct Scan {
     pub(super) voxels: Neighbors,
     pub(super) normals: Vec<Vector>,
-    voxel_size: f64,
+    pub(super) voxel_size: f64,
     feature_radius: f64,
     orientation: Orientation,
     /// The finite points.
-    points: Vec<Point>,
+    pub(super) points: Vec<Point>,
     model: Model,
     field: OnceLock<Field>,
     /// FPFH of all voxels: of normals without a sign, and with one.

@@ -1,9 +1,8 @@
 //! Whether a transform is better than its neighbours along the direction that the overlap fixes least.
 
-use nalgebra::{IsometryMatrix3, Matrix3, Translation3};
+use nalgebra::{IsometryMatrix3, Matrix3, Matrix6, Translation3};
 use rayon::prelude::*;
 
-use super::icp::Constraint;
 use super::surface::{Agreement, Surface, coarse_step};
 
 /// How far the source slides to either side, in inlier distances.
@@ -16,10 +15,10 @@ pub(super) fn slide_margin(
     [source, target]: &[Surface; 2],
     transform: &IsometryMatrix3<f64>,
     agreement: &Agreement,
-    constraint: &Constraint,
+    information: &Matrix6<f64>,
     inlier_distance: f64,
 ) -> f64 {
-    let translations: Matrix3<f64> = constraint.information.fixed_view::<3, 3>(3, 3).into();
+    let translations: Matrix3<f64> = information.fixed_view::<3, 3>(3, 3).into();
     let eigen = translations.symmetric_eigen();
     let direction = eigen.eigenvectors.column(eigen.eigenvalues.imin()) * inlier_distance;
     let step = coarse_step(source.points.len());
@@ -37,6 +36,8 @@ mod tests {
     use rand_chacha::ChaCha8Rng;
     use snake_core::space::{Vector, vector};
 
+    use super::super::constraint::information;
+    use super::super::icp::plane_pairs;
     use super::super::rigid::tests::random_points;
     use super::*;
 
@@ -57,9 +58,9 @@ mod tests {
         let surfaces = [(); 2].map(|()| Surface::new(&points, &normals, None, 0.1));
         let margin = |offset: f64| {
             let transform = IsometryMatrix3::translation(offset, 0.0, 0.0);
-            let constraint = Constraint::new(&points, &surfaces[1], &transform);
+            let information = information(plane_pairs(&points, &surfaces[1], &transform).iter());
             let agreement = Surface::agreement(&surfaces[0], &surfaces[1], &transform, 1);
-            slide_margin(&surfaces, &transform, &agreement, &constraint, 0.1)
+            slide_margin(&surfaces, &transform, &agreement, &information, 0.1)
         };
         assert!(margin(0.0) > 0.1, "{}", margin(0.0));
         for wrong in [-0.4, 0.3, 0.6] {

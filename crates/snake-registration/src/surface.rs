@@ -86,11 +86,7 @@ impl<'a> Surface<'a> {
 
     /// Compares every `step`-th point of the source, and as many of the target, with the other surface.
     pub(super) fn agreement(source: &Self, target: &Self, transform: &IsometryMatrix3<f64>, step: usize) -> Agreement {
-        let on_target = |index: &usize| {
-            let normal = transform.rotation * source.normals[*index];
-            let nearest = target.grid.nearest(&moved(transform, &source.points[*index]));
-            nearest.is_some_and(|(other, _)| target.agree(&normal, &target.normals[other]))
-        };
+        let on_target = |index: &usize| source.is_on(*index, target, transform);
         let indices = |surface: &Self, step| (0..surface.points.len()).into_par_iter().step_by(step);
         let of_source = source.points.len().div_ceil(step);
         let overlapping = indices(source, step).filter(on_target).count();
@@ -104,6 +100,22 @@ impl<'a> Surface<'a> {
             overlap: overlapping as f64 / of_source as f64,
             violation: (violating.count() + seen_through.count()) as f64 / (of_source + of_target) as f64,
         }
+    }
+
+    /// Whether the transform brings a point to the target, with normals that agree.
+    pub(super) fn is_on(&self, index: usize, target: &Self, transform: &IsometryMatrix3<f64>) -> bool {
+        let normal = transform.rotation * self.normals[index];
+        let nearest = target.grid.nearest(&moved(transform, &self.points[index]));
+        nearest.is_some_and(|(other, _)| target.agree(&normal, &target.normals[other]))
+    }
+
+    pub(super) fn viewpoint(&self) -> Option<Vector> {
+        self.image.as_ref().map(|image| image.viewpoint)
+    }
+
+    /// Whether the sensor would see a surface here; of a cloud without a known sensor, everywhere.
+    pub(super) fn sees(&self, point: &Vector) -> bool {
+        self.image.as_ref().is_none_or(|image| matches!(image.sight(point), Sight::Free | Sight::Surface))
     }
 
     /// Of the source's points on the target with parallel normals, the share whose normals are opposite; 0 without any.

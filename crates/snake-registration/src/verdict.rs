@@ -20,6 +20,10 @@ pub(super) struct Evidence {
     pub(super) slide_margin: f64,
     /// Number of directions of motion that the overlap leaves open, and their names.
     pub(super) open_directions: (usize, String),
+    /// See [`Registration::weakest_constraint`](crate::Registration::weakest_constraint).
+    pub(super) weakest_constraint: f64,
+    /// See [`Registration::repeat_fit`](crate::Registration::repeat_fit).
+    pub(super) repeat_fit: f64,
     /// Whether another transform fits the surfaces and the matches about as well.
     pub(super) has_rival: bool,
 }
@@ -35,37 +39,63 @@ pub(super) fn is_rival(other: (&Agreement, usize), best: (&Agreement, usize)) ->
     matched && other.0.fit() > RIVAL_FIT * best.0.fit()
 }
 
-/// The weights of a logistic regression on 595 pairs of the training scenes, of which 279 have a right transform
-/// (`tests/bench/fit_verdict.py`). The bias is 3 below the fitted one: a confidence of 0.5 is a probability of about 0.95.
-const BIAS: f64 = -9.9;
-const PER_LOG_AGREEING: f64 = 1.83;
-const PER_LOG_RATIO: f64 = 0.08;
-const PER_SLIDE_MARGIN: f64 = 49.0;
-/// Matches on one plane or line say little, however many agree. More than an inlier distance of spread says no more.
-const PER_MATCH_SPREAD: f64 = 3.6;
-const PER_VIOLATION: f64 = -121.0;
+/// The target looks alike elsewhere if more than this share of the patches agrees there.
+const REPEATED: f64 = 0.5;
+/// A constraint that is weaker than this share is doubtful, however many matches agree.
+const DOUBTFUL_CONSTRAINT: f64 = 1.5e-3;
+/// Fewer matches that agree are never enough, however well the surfaces fit.
+const LEAST_AGREEING: usize = 10;
+/// The greatest confidence of a transform that is ambiguous or has few matches.
+const MOST_DOUBTFUL: f64 = 0.49;
+
+/// The weights of a logistic regression (`tests/bench/fit_verdict.py`). Each kind of evidence counts between limits, so that
+/// none outvotes the others. The bias is 1 below the fitted one: a confidence of 0.5 is a probability of about 0.73.
+const BIAS: f64 = -5.65;
+const PER_LOG_AGREEING: f64 = 0.65;
+const PER_LOG_RATIO: f64 = 2.2;
+const PER_SLIDE_MARGIN: f64 = 2.1;
+/// Matches on one plane or line say little, however many agree.
+const PER_MATCH_SPREAD: f64 = 2.7;
+const PER_VIOLATION: f64 = -145.0;
+/// The limits: more says no more.
+const MOST_AGREEING: f64 = 200.0;
+const MOST_LOG_RATIO: f64 = 1.5;
+const MOST_SLIDE_MARGIN: f64 = 0.1;
+const MOST_MATCH_SPREAD: f64 = 1.0;
 
 impl Evidence {
     /// Whether other transforms fit as well or about as well.
     pub(super) fn is_ambiguous(&self) -> bool {
-        self.open_directions.0 > 0 || self.has_rival
+        self.open_directions.0 > 0 || self.has_rival || self.is_repeated()
     }
 
-    /// From 0 to 1; 0.5 and more is reliable. It is 0 where the overlap leaves a direction open. Another transform that
-    /// fits about as well halves it, and keeps it below 0.5.
+    fn is_repeated(&self) -> bool {
+        self.repeat_fit > REPEATED
+    }
+
+    fn has_few_matches(&self) -> bool {
+        self.num_agreeing < LEAST_AGREEING
+    }
+
+    /// From 0 to 1; 0.5 and more is reliable. It is 0 where the overlap leaves a direction open, and falls towards it. Another
+    /// transform that fits about as well halves it, and keeps it below 0.5.
     pub(super) fn confidence(&self) -> f64 {
         if self.open_directions.0 > 0 {
             return 0.0;
         }
         let [agreeing, rival] = [self.num_agreeing, self.num_rival_agreeing].map(|count| (1.0 + count as f64).ln());
         let sum = BIAS
-            + PER_LOG_AGREEING * agreeing
-            + PER_LOG_RATIO * (agreeing - rival)
-            + PER_SLIDE_MARGIN * self.slide_margin
-            + PER_MATCH_SPREAD * self.match_spread.min(1.0)
+            + PER_LOG_AGREEING * agreeing.min(MOST_AGREEING.ln())
+            + PER_LOG_RATIO * (agreeing - rival).clamp(-MOST_LOG_RATIO, MOST_LOG_RATIO)
+            + PER_SLIDE_MARGIN * self.slide_margin.clamp(-MOST_SLIDE_MARGIN, MOST_SLIDE_MARGIN)
+            + PER_MATCH_SPREAD * self.match_spread.min(MOST_MATCH_SPREAD)
             + PER_VIOLATION * self.violation;
-        let of_one = 1.0 / (1.0 + (-sum).exp());
-        if self.has_rival { (of_one / 2.0).min(MOST_AMBIGUOUS) } else { of_one }
+        let of_one = (self.weakest_constraint / DOUBTFUL_CONSTRAINT).min(1.0) / (1.0 + (-sum).exp());
+        match (self.has_rival || self.is_repeated(), self.has_few_matches()) {
+            (true, _) => (of_one / 2.0).min(MOST_DOUBTFUL),
+            (false, true) => of_one.min(MOST_DOUBTFUL),
+            (false, false) => of_one,
+        }
     }
 }
 
@@ -76,9 +106,6 @@ pub(super) fn least_spread(points: &[Vector]) -> f64 {
     let scatter: Matrix3<f64> = points.iter().map(|point| (point - mean) * (point - mean).transpose()).sum();
     (scatter / count).symmetric_eigenvalues().min().max(0.0).sqrt()
 }
-
-/// The greatest confidence beside another transform that fits about as well.
-const MOST_AMBIGUOUS: f64 = 0.49;
 
 /// What may be wrong with the clouds or the transform, in sentences.
 pub(super) fn notes(evidence: &Evidence, diameters: [f64; 2]) -> Vec<String> {
@@ -91,6 +118,17 @@ pub(super) fn notes(evidence: &Evidence, diameters: [f64; 2]) -> Vec<String> {
     }
     if evidence.has_rival {
         notes.push("ambiguous: another transform fits about as well".into());
+    }
+    if evidence.is_repeated() {
+        notes.push(
+            "ambiguous: the target repeats itself, as a row of equal pillars does, and fits there as well".into(),
+        );
+    }
+    if evidence.has_few_matches() {
+        notes.push(format!(
+            "only {} matches agree; fewer than {LEAST_AGREEING} are never reliable",
+            evidence.num_agreeing
+        ));
     }
     notes.extend(units_note(diameters));
     notes
@@ -117,6 +155,8 @@ mod tests {
         num_rival_agreeing: 10,
         slide_margin: 0.1,
         open_directions: (0, String::new()),
+        weakest_constraint: 0.03,
+        repeat_fit: 0.0,
         has_rival: false,
     };
 
@@ -124,9 +164,12 @@ mod tests {
     fn matches_free_space_and_slides_make_a_transform_reliable() {
         assert!(EVIDENCE.confidence() > 0.9, "{}", EVIDENCE.confidence());
         for worse in [
-            Evidence { num_agreeing: 3, match_spread: 0.0, ..EVIDENCE },
+            Evidence { num_agreeing: 9, slide_margin: 9.0, match_spread: 9.0, ..EVIDENCE },
+            Evidence { num_agreeing: 9999, weakest_constraint: 6e-4, ..EVIDENCE },
+            Evidence { num_agreeing: 9999, repeat_fit: 0.95, ..EVIDENCE },
+            Evidence { num_rival_agreeing: 120, slide_margin: 0.0, ..EVIDENCE },
             Evidence { violation: 0.2, ..EVIDENCE },
-            Evidence { slide_margin: -0.1, ..EVIDENCE },
+            Evidence { slide_margin: -0.1, num_agreeing: 15, ..EVIDENCE },
             Evidence { open_directions: (1, "any".into()), ..EVIDENCE },
             Evidence { has_rival: true, slide_margin: 9.0, ..EVIDENCE },
         ] {
@@ -157,6 +200,8 @@ mod tests {
         assert!(notes(&EVIDENCE, [4.0, 3.0]).is_empty());
         assert!(notes(&Evidence { open_directions: (3, "any".into()), ..EVIDENCE }, [4.0, 3.0])[0].contains("3 of 6"));
         assert!(notes(&Evidence { has_rival: true, ..EVIDENCE }, [4.0, 3.0])[0].contains("another transform"));
+        assert!(notes(&Evidence { repeat_fit: 0.95, ..EVIDENCE }, [4.0, 3.0])[0].contains("repeats itself"));
+        assert!(notes(&Evidence { num_agreeing: 9, ..EVIDENCE }, [4.0, 3.0])[0].contains("only 9 matches"));
         assert!(notes(&EVIDENCE, [4000.0, 4.0])[0].contains("1000 times"));
     }
 }

@@ -80,16 +80,16 @@ pub fn run(arguments: &RegisterArguments) -> Result<ExitCode> {
     } else {
         terminal::print_report(&report(&found, &written))?;
     }
-    if arguments.require_reliable && !found.is_reliable {
-        terminal::warn(&format!("the transform is not reliable: its confidence is {:.2}", found.confidence));
-        return Ok(ExitCode::FAILURE);
+    if found.is_reliable {
+        return Ok(ExitCode::SUCCESS);
     }
-    Ok(ExitCode::SUCCESS)
+    terminal::warn(&format!("the transform is not reliable: its confidence is {:.2}", found.confidence));
+    Ok(if arguments.require_reliable { ExitCode::FAILURE } else { ExitCode::SUCCESS })
 }
 
 fn report(found: &Registration, written: &[&Path]) -> Report {
-    let Registration { t_target_source, num_inliers, num_correspondences, rmse, num_skipped, .. } = found;
-    let Registration { inlier_distance: near, fitness, fitness_rmse, seconds, .. } = found;
+    let Registration { t_target_source, num_inliers, num_correspondences, num_skipped, .. } = found;
+    let Registration { inlier_distance: near, fitness, seconds, .. } = found;
     let mut report = Report::default();
     let verdict = match (found.is_reliable, found.is_ambiguous) {
         (true, _) => "reliable",
@@ -102,11 +102,8 @@ fn report(found: &Registration, written: &[&Path]) -> Report {
     }
     report.line("t_target_source:");
     matrix(&mut report, t_target_source);
-    report.line(format!("matches: {num_inliers} of {num_correspondences} within {near:.5} before ICP, RMSE {rmse:.5}"));
-    report.line(format!(
-        "result: {:.1} % of the source's voxels within {near:.5} of the target's, RMSE {fitness_rmse:.5}",
-        100.0 * fitness
-    ));
+    report.line(format!("matches: {num_inliers} of {num_correspondences} within {near:.5} before ICP"));
+    report.line(format!("result: {:.1} % of the source's voxels within {near:.5} of the target's", 100.0 * fitness));
     report.line(match found.viewpoints {
         [ViewpointUsed::None, _] => "viewpoints: unknown".into(),
         [source, target] => {
@@ -123,7 +120,8 @@ fn report(found: &Registration, written: &[&Path]) -> Report {
     let [of_source, of_target] = num_skipped;
     if of_source + of_target > 0 {
         report.line(format!(
-            "skipped {of_source} points of the source and {of_target} of the target, which are not finite or outliers"
+            "skipped {of_source} points of the source and {of_target} of the target, which are not finite, outliers or missing \
+             returns"
         ));
     }
     for path in written {

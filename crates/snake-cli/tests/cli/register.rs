@@ -36,7 +36,7 @@ fn register_prints_and_writes_the_transform() {
         "num_correspondences",
         "num_inliers",
     ];
-    let more = ["num_rival_agreeing", "num_skipped", "rmse", "seconds", "slide_margin"];
+    let more = ["num_rival_agreeing", "num_skipped", "repeat_fit", "rmse", "seconds", "slide_margin"];
     let others = ["t_target_source", "viewpoints", "weakest_constraint"];
     assert_eq!(keys, [&verdict[..], &figures, &more, &others].concat());
     let number = |key: &str| report[key].as_f64().unwrap();
@@ -99,6 +99,7 @@ fn register_takes_a_guess_an_axis_and_a_verdict() {
     // A wrong guess is kept, and not reliable.
     std::fs::write(path("wrong.txt"), "1 0 0 50\n0 1 0 50\n0 0 1 50\n0 0 0 1").unwrap();
     let wrong = report(&["--initial", &path("wrong.txt")]);
+    assert!(stderr(&run(&["--initial", &path("wrong.txt")])).contains("not reliable"));
     assert!(wrong["is_reliable"] == false && number(&wrong, 0, 3) == 50.0, "{wrong}");
     let refused = run(&["--initial", &path("wrong.txt"), "--require-reliable"]);
     assert!(refused.status.code() == Some(1) && stderr(&refused).contains("not reliable"), "{}", stderr(&refused));

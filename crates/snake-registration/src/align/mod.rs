@@ -6,6 +6,7 @@ mod parts;
 mod pose_graph;
 mod refine;
 mod result;
+mod scales;
 mod solved;
 #[cfg(test)]
 mod tests;
@@ -17,10 +18,11 @@ use rayon::prelude::*;
 use snake_core::{Control, Error, Model, Point, Result, RigidTransform};
 
 use super::pair::Pair;
-use super::prepared::{Prepared, PreparedClouds};
+use super::prepared::Prepared;
 use super::result::Registration;
 use parts::Part;
 pub use result::{AlignOptions, Alignment, Edge, Pose};
+use scales::Scales;
 use solved::{Solved, solve};
 
 /// Finds the poses of clouds `(N, 3)` that overlap in part, without initial guesses.
@@ -66,18 +68,18 @@ pub fn align_with(
     let inner = control.without_progress();
     control.begin("clouds", 0).check()?;
     let points: Vec<&[Point]> = clouds.iter().map(AsRef::as_ref).collect();
-    let prepared = PreparedClouds::new(&points, &viewpoints, &[], model, &options.register, &inner)?;
-    let PreparedClouds { clouds, inlier_distance } = &prepared;
+    let scales = Scales::new(&points, &viewpoints, model, &options.register, &inner)?;
+    let clouds = scales.usual();
     describe(clouds, control)?;
     let pairs = candidates::pairs(clouds, options.max_partners, &inner)?;
     let free: Vec<Trial> = pairs.into_iter().map(|pair| (pair, None)).collect();
-    let found = register_pairs(&prepared, &free, options, control)?;
-    let first = solve(&prepared, found, options, control)?;
+    let found = register_pairs(&scales, &free, options, control)?;
+    let first = solve(&scales, found, options, control)?;
     // The poses say which other clouds overlap, and where.
-    let guided = first.guesses(clouds, *inlier_distance);
-    let more = register_pairs(&prepared, &guided, options, control)?;
+    let guided = first.guesses(&scales);
+    let more = register_pairs(&scales, &guided, options, control)?;
     let Solved { found, kept, doubts, links, parts } = match more.iter().any(|(_, found)| found.is_reliable) {
-        true => solve(&prepared, first.with_reliable(more), options, control)?,
+        true => solve(&scales, first.with_reliable(more), options, control)?,
         false => first,
     };
 
@@ -134,19 +136,15 @@ type Trial = ([usize; 2], Option<RigidTransform>);
 type Found = ([usize; 2], Registration);
 
 /// The registrations of all pairs for which there is a transform.
-fn register_pairs(
-    prepared: &PreparedClouds,
-    pairs: &[Trial],
-    options: &AlignOptions,
-    control: &Control,
-) -> Result<Vec<Found>> {
+fn register_pairs(scales: &Scales, pairs: &[Trial], options: &AlignOptions, control: &Control) -> Result<Vec<Found>> {
     let counter = control.begin("pairs", pairs.len());
     let inner = control.without_progress();
     let register = |&([source, target], guess): &Trial| {
         counter.check()?;
-        let [from, to] = [source, target].map(|cloud| &prepared.clouds[cloud]);
+        let scale = scales.common(&[source, target]);
+        let [from, to] = [source, target].map(|cloud| scales.cloud(cloud, scale));
         let options = options.register.with_initial(guess);
-        let found = Pair::new(from, to, prepared.inlier_distance).register(&options, &inner);
+        let found = Pair::new(from, to, scales.inlier_distance(scale)).register(&options, &inner);
         counter.add(1);
         match found {
             Ok(found) => Ok(Some(([source, target], found))),

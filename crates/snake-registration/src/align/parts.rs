@@ -22,28 +22,36 @@ pub(super) struct Part {
 const DROPPED: f64 = 0.5;
 
 /// The parts of `count` clouds, those with the most clouds first. Links that contradict the others by more than
-/// `threshold` (cloud units) are dropped, the worst first: one wrong link can keep a cloud away from where many right ones
+/// the greatest of their part's `thresholds` (cloud units) are dropped, the worst first: one wrong link can keep a cloud away from where many right ones
 /// put it. Poses start from the links with the least `doubts`.
 pub(super) fn split(
     count: usize,
     links: &[Link],
     doubts: &[f64],
-    threshold: f64,
+    thresholds: &[f64],
     counter: &Counter,
 ) -> Result<Vec<Part>> {
+    let threshold = |part: &Part| part.links.iter().map(|(link, _)| thresholds[*link]).fold(0.0, f64::max);
     let mut kept: Vec<usize> = (0..links.len()).collect();
     kept.sort_by(|&a, &b| doubts[a].total_cmp(&doubts[b]).then(a.cmp(&b)));
     loop {
         let parts = connected(count, links, &kept);
-        let parts = parts.into_iter().map(|part| part.optimized(links, threshold, counter));
-        let mut parts: Vec<Part> = parts.collect::<Result<_>>()?;
-        let errors: HashMap<usize, f64> = parts.iter().flat_map(|part| part.links.iter().copied()).collect();
+        let optimized = |part: Part| {
+            let threshold = threshold(&part);
+            part.optimized(links, threshold, counter)
+        };
+        let mut parts: Vec<Part> = parts.into_iter().map(optimized).collect::<Result<_>>()?;
+        let relative = |part: &Part| {
+            let threshold = threshold(part);
+            part.links.iter().map(|(link, error)| (*link, error / threshold)).collect::<Vec<_>>()
+        };
+        let errors: HashMap<usize, f64> = parts.iter().flat_map(relative).collect();
         let worst = errors.values().copied().fold(0.0, f64::max);
-        if worst <= threshold {
+        if worst <= 1.0 {
             parts.sort_by_key(|part| (usize::MAX - part.clouds.len(), part.clouds[0]));
             return Ok(parts);
         }
-        let limit = threshold.max(DROPPED * worst);
+        let limit = f64::max(1.0, DROPPED * worst);
         kept.retain(|link| errors[link] <= limit);
     }
 }
@@ -141,7 +149,7 @@ mod tests {
                 links.push(Link { source, target, t_target_source, information: Matrix6::identity() });
             }
             let doubts: Vec<f64> = (0..links.len()).map(|i| if i < right { 1e-6 } else { 1e-3 }).collect();
-            let parts = split(12, &links, &doubts, 0.05, &Counter::default()).unwrap();
+            let parts = split(12, &links, &doubts, &vec![0.05; links.len()], &Counter::default()).unwrap();
             let used: Vec<usize> = parts[0].links.iter().map(|(link, _)| *link).collect();
             assert_eq!(used, (0..right).collect::<Vec<_>>(), "seed {seed}: {} parts", parts.len());
             for (pose, truth_of) in parts[0].poses.iter().zip(&truth) {

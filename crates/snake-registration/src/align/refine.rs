@@ -16,7 +16,8 @@ const ROUNDS: usize = 30;
 /// The refinement ends when no cloud moves by more than this share of the inlier distance.
 const TOLERANCE: f64 = 0.01;
 
-/// Refines the poses of a part on the points of the pairs of clouds that overlap, given by their places in the part.
+/// Refines the poses of a part on the points of the pairs of clouds that overlap, given by their places in the part, as are
+/// `surfaces`.
 ///
 /// Each round pairs some of the points by the poses, takes one step of ICP for every pair of clouds and fits the poses to these
 /// steps. A transform that was measured from two clouds alone bends to where their own distortions fit best; here each cloud
@@ -33,7 +34,7 @@ pub(super) fn refine(
     for _ in 0..ROUNDS {
         counter.check()?;
         let measure = |&[source, target]: &[usize; 2]| {
-            let of_pair = [source, target].map(|at| &surfaces[clouds[at]]);
+            let of_pair = [source, target].map(|at| &surfaces[at]);
             let step = coarse_step(of_pair.map(|surface| surface.points.len()).into_iter().max()?);
             let by_poses = poses[target].inverse() * poses[source];
             let (t_target_source, information) = remeasure(of_pair, &by_poses, gravity, step)?;
@@ -44,7 +45,7 @@ pub(super) fn refine(
             break;
         }
         let before = poses.clone();
-        let distance = surfaces[clouds[0]].grid.distance();
+        let distance = surfaces[0].grid.distance();
         least_squares(poses, &links, &vec![1.0; links.len()], distance, counter)?;
         let moved = clouds.iter().zip(before.iter().zip(&*poses));
         let moved = moved.map(|(&cloud, (before, after))| displacement(before, after, &probes[cloud]));

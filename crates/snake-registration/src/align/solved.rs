@@ -8,7 +8,7 @@ use rayon::prelude::*;
 use snake_core::space::Vector;
 use snake_core::{Control, Result};
 
-use super::super::prepared::{Prepared, PreparedClouds};
+use super::super::prepared::Prepared;
 use super::super::result::Registration;
 use super::super::rigid::moved;
 use super::super::surface::Surface;
@@ -16,6 +16,7 @@ use super::loops::{Witness, doubts};
 use super::parts::{Part, split};
 use super::pose_graph::Link;
 use super::refine::refine;
+use super::scales::Scales;
 use super::{AlignOptions, Found, Trial};
 
 /// Number of points of a cloud that tell whether a loop is closed, and whether clouds overlap.
@@ -42,27 +43,28 @@ pub(super) struct Solved {
 }
 
 /// Believes registrations by their own evidence and by loops, and fits the poses to them.
-pub(super) fn solve(
-    prepared: &PreparedClouds,
-    found: Vec<Found>,
-    options: &AlignOptions,
-    control: &Control,
-) -> Result<Solved> {
-    let PreparedClouds { clouds, inlier_distance } = prepared;
-    let (inlier_distance, gravity) = (*inlier_distance, options.register.gravity.map(|axis| axis.unit()));
+pub(super) fn solve(scales: &Scales, found: Vec<Found>, options: &AlignOptions, control: &Control) -> Result<Solved> {
+    let gravity = options.register.gravity.map(|axis| axis.unit());
     let counter = control.begin("poses", 0);
-    let probes: Vec<Vec<Vector>> = clouds.iter().map(probes).collect();
-    let witnesses: Vec<Witness> = found.iter().map(|(pair, found)| witness(*pair, found)).collect();
-    let all = doubts(&witnesses, &probes, LOOP_DISTANCE * inlier_distance);
+    let probes: Vec<Vec<Vector>> = (0..scales.len()).map(|cloud| probes(scales.own(cloud))).collect();
+    let distance = |pair: &[usize; 2]| scales.inlier_distance(scales.common(pair));
+    let witnesses: Vec<Witness> =
+        found.iter().map(|(pair, found)| witness(*pair, found, LOOP_DISTANCE * distance(pair))).collect();
+    let all = doubts(&witnesses, &probes);
     let kept: Vec<usize> = (0..found.len()).filter(|&i| all[i] <= MOST_DOUBT).collect();
     let links: Vec<Link> = kept.iter().map(|&i| link(found[i].0, &found[i].1)).collect();
     let doubts: Vec<f64> = kept.iter().map(|&i| all[i]).collect();
-    let mut parts = split(clouds.len(), &links, &doubts, inlier_distance, &counter)?;
+    let thresholds: Vec<f64> = kept.iter().map(|&i| distance(&found[i].0)).collect();
+    let mut parts = split(scales.len(), &links, &doubts, &thresholds, &counter)?;
     if options.register.refine_steps > 0 {
-        let surfaces: Vec<Surface> =
-            clouds.par_iter().map(|cloud| cloud.surface(cloud.viewpoint.is_some(), inlier_distance)).collect();
         for part in &mut parts {
-            let pairs = overlapping(part, clouds, LEAST_COMMON, inlier_distance);
+            let scale = scales.common(&part.clouds);
+            let surface = |&cloud: &usize| {
+                let cloud = scales.cloud(cloud, scale);
+                cloud.surface(cloud.viewpoint.is_some(), scales.inlier_distance(scale))
+            };
+            let surfaces: Vec<Surface> = part.clouds.par_iter().map(surface).collect();
+            let pairs = overlapping(part, scales, LEAST_COMMON);
             refine(part, &pairs, &surfaces, &probes, gravity, &counter)?;
             part.measure_errors(&links);
         }
@@ -72,12 +74,12 @@ pub(super) fn solve(
 
 impl Solved {
     /// The pairs without a link in use whose clouds overlap by the poses, with their transforms.
-    pub(super) fn guesses(&self, clouds: &[Prepared], inlier_distance: f64) -> Vec<Trial> {
+    pub(super) fn guesses(&self, scales: &Scales) -> Vec<Trial> {
         let used = self.parts.iter().flat_map(|part| part.links.iter().map(|(index, _)| &self.links[*index]));
         let linked: HashSet<[usize; 2]> = used.map(|link| [link.source, link.target]).collect();
         let mut guesses: Vec<Trial> = Vec::new();
         for part in &self.parts {
-            for [at, before] in overlapping(part, clouds, LEAST_OVERLAP, inlier_distance) {
+            for [at, before] in overlapping(part, scales, LEAST_OVERLAP) {
                 let pair = [part.clouds[at], part.clouds[before]];
                 if !linked.contains(&pair) {
                     let guess = part.poses[before].inverse() * part.poses[at];
@@ -101,12 +103,14 @@ impl Solved {
 }
 
 /// The pairs `[source, target]` of clouds, by their places in the part, that overlap by its poses.
-fn overlapping(part: &Part, clouds: &[Prepared], least: f64, inlier_distance: f64) -> Vec<[usize; 2]> {
+fn overlapping(part: &Part, scales: &Scales, least: f64) -> Vec<[usize; 2]> {
     let all = (1..part.clouds.len()).flat_map(|at| (0..at).map(move |before| [at, before])).collect::<Vec<_>>();
+    let scale = scales.common(&part.clouds);
+    let inlier_distance = scales.inlier_distance(scale);
     let overlap = |&[at, before]: &[usize; 2]| {
         let transform = part.poses[before].inverse() * part.poses[at];
-        let target = &clouds[part.clouds[before]].scan.voxels;
-        let probes = probes(&clouds[part.clouds[at]]);
+        let target = &scales.cloud(part.clouds[before], scale).scan.voxels;
+        let probes = probes(scales.cloud(part.clouds[at], scale));
         let is_close =
             |probe: &&Vector| target.distance(&moved(&transform, probe)) < OVERLAP_DISTANCE * inlier_distance;
         probes.iter().filter(is_close).count() as f64 >= least * probes.len() as f64
@@ -119,9 +123,9 @@ fn probes(cloud: &Prepared) -> Vec<Vector> {
     points.iter().step_by(points.len().div_ceil(PROBES).max(1)).copied().collect()
 }
 
-fn witness([source, target]: [usize; 2], found: &Registration) -> Witness {
+fn witness([source, target]: [usize; 2], found: &Registration, distance: f64) -> Witness {
     let t_target_source = *found.t_target_source.isometry();
-    Witness { source, target, t_target_source, confidence: found.confidence }
+    Witness { source, target, t_target_source, confidence: found.confidence, distance }
 }
 
 fn link([source, target]: [usize; 2], found: &Registration) -> Link {

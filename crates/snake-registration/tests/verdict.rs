@@ -1,0 +1,260 @@
+//! Answers that a verdict must not call reliable: what slides, turns, repeats itself or is not there, and missing returns.
+//! Clouds are views of made scenes, so that the right answer is known.
+
+use std::f64::consts::TAU;
+use std::time::Instant;
+
+use rand::{RngExt, SeedableRng};
+use rand_chacha::ChaCha8Rng;
+use snake_core::{Builtin, Model, Point};
+use snake_registration::{AlignOptions, RegisterOptions, Registration, align, register};
+
+type Vec3 = [f64; 3];
+
+/// Boxes, and rooms that are seen from inside: low and high corner. Tunnels along x have a radius about y = z = 0.
+#[derive(Default)]
+struct Scene {
+    boxes: Vec<[Vec3; 2]>,
+    rooms: Vec<[Vec3; 2]>,
+    tunnel: Option<f64>,
+}
+
+impl Scene {
+    /// The distance to the first surface.
+    fn range(&self, at: Vec3, ray: Vec3) -> f64 {
+        let crossings = |[low, high]: &[Vec3; 2]| {
+            let (mut near, mut far) = (f64::NEG_INFINITY, f64::INFINITY);
+            for axis in 0..3 {
+                let (a, b) = ((low[axis] - at[axis]) / ray[axis], (high[axis] - at[axis]) / ray[axis]);
+                (near, far) = (near.max(a.min(b)), far.min(a.max(b)));
+            }
+            (near, far)
+        };
+        let of_boxes = self.boxes.iter().map(crossings).filter(|(near, far)| *near > 0.0 && near <= far);
+        let of_rooms = self.rooms.iter().map(crossings).map(|(_, far)| far);
+        let of_tunnel = self.tunnel.map(|radius| {
+            let (a, b) = (ray[1].powi(2) + ray[2].powi(2), ray[1] * at[1] + ray[2] * at[2]);
+            let c = at[1].powi(2) + at[2].powi(2) - radius * radius;
+            ((b * b - a * c).sqrt() - b) / a
+        });
+        of_boxes.map(|(near, _)| near).chain(of_rooms).chain(of_tunnel).fold(f64::INFINITY, f64::min)
+    }
+
+    /// What a sensor at a place sees within `most`, in its frame, whose axes are those of the scene.
+    fn seen(&self, at: Vec3, rays: &[Vec3], most: f64, noise: f64, seed: u64) -> Vec<Point> {
+        let mut rng = ChaCha8Rng::seed_from_u64(seed);
+        let hit = |ray: &Vec3| {
+            let range = self.range(at, *ray) + noise * rng.random_range(-1.7..1.7);
+            (range < most).then(|| ray.map(|v| (v * range) as f32))
+        };
+        rays.iter().filter_map(hit).collect()
+    }
+}
+
+/// A depth camera that looks along x, turned by `yaw` (radians).
+fn camera(yaw: f64) -> Vec<Vec3> {
+    let pixel = |i: i32| {
+        let (y, z) = (f64::from(i % 120 - 60) / 85.0, f64::from(i / 120 - 45) / 85.0);
+        let norm = (1.0 + y * y + z * z).sqrt();
+        [(yaw.cos() - y * yaw.sin()) / norm, (yaw.sin() + y * yaw.cos()) / norm, z / norm]
+    };
+    (0..120 * 90).map(pixel).collect()
+}
+
+/// A LiDAR with 32 beams from `low` to `high` (radians).
+fn lidar(low: f64, high: f64) -> Vec<Vec3> {
+    let ray = |i: i32| {
+        let (elevation, azimuth) = (low + f64::from(i / 720) * (high - low) / 31.0, f64::from(i % 720) * TAU / 720.0);
+        [elevation.cos() * azimuth.cos(), elevation.cos() * azimuth.sin(), elevation.sin()]
+    };
+    (0..32 * 720).map(ray).collect()
+}
+
+fn corridor() -> Scene {
+    Scene { rooms: vec![[[-200.0, -1.2, 0.0], [200.0, 1.2, 2.6]]], ..Default::default() }
+}
+
+fn room() -> Scene {
+    let boxes = [
+        [[0.3, 0.2, 0.0], [1.7, 0.9, 0.75]],
+        [[0.4, 0.3, 0.75], [0.8, 0.7, 1.2]],
+        [[3.0, 3.4, 0.0], [5.4, 4.4, 0.45]],
+        [[3.0, 4.2, 0.45], [5.4, 4.4, 1.0]],
+        [[5.3, 0.1, 0.0], [5.95, 1.3, 1.9]],
+        [[2.4, 1.6, 0.0], [3.3, 2.1, 0.72]],
+        [[2.6, 1.7, 0.72], [2.8, 1.95, 1.0]],
+        [[4.2, 1.9, 0.0], [4.5, 2.2, 0.45]],
+    ];
+    Scene { boxes: boxes.to_vec(), rooms: vec![[[0.0; 3], [6.0, 4.5, 2.6]]], ..Default::default() }
+}
+
+/// Points on an object about 1 across, whose place and turn about z follow from the seed.
+fn object(count: usize, seed: u64) -> Vec<Point> {
+    let parts = [
+        [[-0.3, -0.1, 0.0], [0.3, 0.1, 0.15]],
+        [[0.1, -0.05, 0.15], [0.2, 0.05, 0.6]],
+        [[-0.25, -0.03, 0.5], [0.2, 0.03, 0.56]],
+        [[-0.3, 0.1, 0.0], [-0.2, 0.4, 0.05]],
+    ];
+    let mut rng = ChaCha8Rng::seed_from_u64(seed);
+    let (sin, cos) = (seed as f32).sin_cos();
+    let mut point = || {
+        let [low, high]: [Vec3; 2] = parts[[0, 0, 0, 1, 1, 2, 2, 3][rng.random_range(0..8)]];
+        let mut p: Vec3 = std::array::from_fn(|axis| rng.random_range(low[axis]..high[axis]));
+        let axis = rng.random_range(0..3);
+        p[axis] = if rng.random_bool(0.5) { low[axis] } else { high[axis] };
+        let [x, y, z] = p.map(|v| v as f32);
+        [cos * x - sin * y + 1.0, sin * x + cos * y, z - 0.4]
+    };
+    (0..count).map(|_| point()).collect()
+}
+
+fn run(source: &[Point], target: &[Point]) -> Option<Registration> {
+    register(source, target, &Model::builtin(Builtin::Compact), &RegisterOptions::default()).ok()
+}
+
+#[test]
+fn corridors_and_tunnels_are_open_along_their_axis() {
+    let tunnel = Scene { tunnel: Some(2.0), ..Default::default() };
+    let wide = lidar(-0.7, 0.7);
+    for (name, scene, rays, most, noise) in [
+        ("corridor, camera", corridor(), camera(0.0), 12.0, 0.002),
+        ("corridor, exact camera", corridor(), camera(0.0), 12.0, 0.0),
+        ("corridor, noisy camera", corridor(), camera(0.1), 12.0, 0.01),
+        ("corridor, LiDAR", corridor(), wide.clone(), 20.0, 0.02),
+        ("corridor, narrow LiDAR", corridor(), lidar(-0.26, 0.26), 30.0, 0.02),
+        ("tunnel, camera", Scene { tunnel: Some(2.0), ..Default::default() }, camera(0.0), 12.0, 0.005),
+        ("tunnel, LiDAR", tunnel, wide, 20.0, 0.02),
+    ] {
+        for along in [0.4, 1.0, 2.5] {
+            let height = if scene.tunnel.is_some() { -0.4 } else { 1.4 };
+            let (a, b) = ([0.0, 0.0, height], [along, 0.1, height]);
+            let (source, target) = (scene.seen(a, &rays, most, noise, 1), scene.seen(b, &rays, most, noise, 2));
+            let Some(found) = run(&source, &target) else { continue };
+            assert!(found.confidence == 0.0 && found.is_ambiguous, "{name}, {along}: {found:?}");
+            let note = found.notes.iter().any(|note| note.contains("translation along (1.00,"));
+            assert!(note, "{name}, {along}: {:?}", found.notes);
+        }
+    }
+}
+
+#[test]
+fn a_row_of_pillars_is_not_left_by_one_period() {
+    for period in [1.2, 2.0] {
+        let mut scene = corridor();
+        scene.rooms[0] = [[-200.0, -2.5, 0.0], [200.0, 2.5, 2.6]];
+        for x in -40..40 {
+            let x = period * f64::from(x);
+            scene.boxes.extend([-2.0, 2.0].map(|y| [[x, y - 0.2, 0.0], [x + 0.4, y + 0.2, 2.6]]));
+        }
+        for (rays, most) in [(camera(0.0), 12.0), (lidar(-0.5, 0.5), 20.0)] {
+            let seen = |x: f64, seed| scene.seen([x, 0.0, 1.4], &rays, most, 0.005, seed);
+            let found = run(&seen(0.7, 1), &seen(0.7 + period, 2)).unwrap();
+            assert!(!found.is_reliable && found.is_ambiguous, "{period}: {found:?}");
+        }
+    }
+}
+
+#[test]
+fn few_matches_of_balls_are_never_enough() {
+    let ball = |seed| -> Vec<Point> {
+        let mut rng = ChaCha8Rng::seed_from_u64(seed);
+        let mut point = || {
+            let (z, angle): (f32, f32) = (rng.random_range(-1.0..1.0), rng.random_range(0.0..6.283_185_5));
+            let ring = (1.0 - z * z).sqrt();
+            [ring * angle.cos() + 0.2, ring * angle.sin(), z]
+        };
+        (0..5000).map(|_| point()).collect()
+    };
+    for seed in 0..10 {
+        if let Some(found) = run(&ball(seed), &ball(100 + seed)) {
+            assert!(!found.is_reliable, "{seed}: {found:?}");
+        }
+    }
+}
+
+#[test]
+fn things_that_are_not_there_are_not_found_and_not_joined() {
+    let views: Vec<Vec<Point>> = (0..2)
+        .map(|i| room().seen([1.0 + 0.3 * f64::from(i), 1.2, 1.4], &camera(0.6), 12.0, 0.004, i as u64))
+        .collect();
+    for seed in 0..6 {
+        if let Some(found) = run(&object(4000, seed), &views[seed as usize % 2]) {
+            assert!(!found.is_reliable, "{seed}: {found:?}");
+        }
+    }
+    let ground = [[-150.0, -150.0, -1.0], [150.0, 150.0, 0.0]];
+    let houses = (-6..6).flat_map(|i| {
+        let x = 17.0 * f64::from(i);
+        [[[x, 9.0, 0.0], [x + 12.0, 20.0, 8.0]], [[x + 5.0, -19.0, 0.0], [x + 15.0, -8.0 - 0.3 * f64::from(i), 6.0]]]
+    });
+    let street = Scene { boxes: houses.chain([ground]).collect(), ..Default::default() };
+    let street = street.seen([0.0, 0.5, 1.8], &lidar(-0.43, 0.1), 80.0, 0.02, 5);
+    let clouds = [views[0].clone(), views[1].clone(), object(4000, 1), object(4000, 2), street];
+    let found = align(&clouds, &Model::builtin(Builtin::Compact), &AlignOptions::default()).unwrap();
+    let kind = |cloud: usize| [0, 0, 1, 1, 2][cloud];
+    assert!(found.parts.iter().all(|part| part.iter().all(|&cloud| kind(cloud) == kind(part[0]))), "{found:?}");
+    // Clouds of one kind have the voxels of their size.
+    assert_eq!(found.parts.len(), 3, "{:?}", found.parts);
+}
+
+#[test]
+fn missing_returns_make_no_wrong_answer_reliable() {
+    let (at, b) = ([1.0, 1.2, 1.4], [1.5, 1.0, 1.5]);
+    let truth = [0, 1, 2].map(|axis| at[axis] - b[axis]);
+    for distance in [0.0, 20.0, 30.0, 65.535, 1e4] {
+        let seen = |at: Vec3, seed| {
+            let points = room().seen(at, &camera(0.6), 12.0, 0.003, seed).into_iter().zip(camera(0.6));
+            let lost = |i: usize| (30..80).contains(&(i % 120)) && (20..60).contains(&(i / 120));
+            let points = points.enumerate().map(|(i, (point, ray))| match lost(i) {
+                true => ray.map(|v| (distance * v) as f32),
+                false => point,
+            });
+            points.collect::<Vec<Point>>()
+        };
+        let found = run(&seen(at, 1), &seen(b, 2)).unwrap();
+        let t = found.t_target_source.to_matrix();
+        let error = (0..3).map(|axis| (t[axis][3] - truth[axis]).powi(2)).sum::<f64>().sqrt();
+        assert!(found.is_reliable && error < 0.05, "{distance}: {error} {found:?}");
+        assert!(found.notes[0].contains("2000 of 10800 points") && found.num_skipped == [2000; 2], "{found:?}");
+    }
+}
+
+#[test]
+fn sparse_clouds_take_no_longer_than_others() {
+    let dense = room().seen([2.0, 1.0, 1.4], &lidar(-1.0, 1.0), 12.0, 0.003, 1);
+    let dense: Vec<Point> = (0..8).flat_map(|i| dense.iter().map(move |p| p.map(|v| v + 1e-3 * i as f32))).collect();
+    let start = Instant::now();
+    for count in [2, 30, 100] {
+        let sparse: Vec<Point> = dense.iter().step_by(dense.len() / count).copied().collect();
+        for (source, target) in [(&sparse, &dense), (&dense, &sparse)] {
+            assert!(run(source, target).is_none_or(|found| !found.is_reliable), "{count}");
+        }
+    }
+    // It took minutes each.
+    assert!(start.elapsed().as_secs() < 60, "{:?}", start.elapsed());
+}
+
+#[test]
+fn sweeps_are_refined_on_their_points() {
+    let ground = [[-150.0, -150.0, -1.0], [150.0, 150.0, 0.0]];
+    let houses = (-5..5).flat_map(|i| {
+        let (x, j) = (15.0 * f64::from(i), f64::from(i * i % 7));
+        [
+            [[x, 9.0 + 0.3 * j, 0.0], [x + 9.0 + 0.7 * j, 20.0, 5.0 + j]],
+            [[x - j, -19.0, 0.0], [x + 8.0, -9.0 + 0.2 * j, 6.0]],
+        ]
+    });
+    let cars = (0..8).map(|i| {
+        let x = 11.0 * f64::from(i) - 40.0 + f64::from(i * i % 5);
+        [[x, 4.0, 0.0], [x + 4.2, 5.8, 1.5]]
+    });
+    let scene = Scene { boxes: houses.chain(cars).chain([ground]).collect(), ..Default::default() };
+    let rays = lidar(-0.43, 0.1);
+    let (a, b) = ([0.0, 0.3, 1.8], [5.0, -0.4, 1.9]);
+    let found = run(&scene.seen(a, &rays, 80.0, 0.02, 1), &scene.seen(b, &rays, 80.0, 0.02, 2)).unwrap();
+    let t = found.t_target_source.to_matrix();
+    let moved = (0..3).map(|axis| (t[axis][3] - (a[axis] - b[axis])).powi(2)).sum::<f64>().sqrt();
+    let angle = ((t[0][0] + t[1][1] + t[2][2] - 1.0) / 2.0).clamp(-1.0, 1.0).acos().to_degrees();
+    assert!(found.is_reliable && moved < 0.01 && angle < 0.03, "{moved} m, {angle} degrees: {found:?}");
+}

@@ -1,0 +1,367 @@
+"""Pairs of made clouds on which a verdict can fail: surfaces that slide, shapes that turn, things that are not in the other
+cloud, missing returns at a sentinel distance; and pairs of the same making that overlap.
+
+A pair's kind is in its name. All lengths are metres.
+"""
+
+from collections.abc import Callable
+from functools import cache
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+from made_pairs import rotation
+from scipy.spatial import cKDTree
+
+SENTINELS = (0.0, 20.0, 30.0, 65.535, 1e4)
+
+
+class VerdictPair(NamedTuple):
+    """Two clouds (N, 3). `t_target_source` (4, 4) is None if no transform is right; a right one moves the source's points
+    by less than `limit` (median) from where the true one does, or from any of them if objects may be symmetric."""
+
+    name: str
+    source: np.ndarray
+    target: np.ndarray
+    t_target_source: np.ndarray | None
+    limit: float
+    is_symmetric: bool = False
+
+    @property
+    def kind(self) -> str:
+        return self.name.rsplit(" ", 1)[0]
+
+    def is_right(self, found: np.ndarray) -> bool:
+        if self.t_target_source is None:
+            return False
+        if self.is_symmetric:
+            wanted, there = (self.source @ m[:3, :3].T + m[:3, 3] for m in (self.t_target_source, found))
+            return bool(cKDTree(wanted).query(there)[0].mean() < self.limit)
+        difference = found[:3] - self.t_target_source[:3]
+        moved = self.source @ difference[:, :3].T + difference[:, 3]
+        return bool(np.median(np.linalg.norm(moved, axis=1)) < self.limit)
+
+
+class Scene(NamedTuple):
+    """Boxes and rooms (low corner, high corner), balls (centre, radius), upright columns (x, y, radius, height) and round
+    tunnels along x (y, z, radius)."""
+
+    boxes: np.ndarray = np.zeros((0, 6))
+    rooms: np.ndarray = np.zeros((0, 6))
+    balls: np.ndarray = np.zeros((0, 4))
+    columns: np.ndarray = np.zeros((0, 4))
+    tunnels: np.ndarray = np.zeros((0, 3))
+
+
+def crossings(quadratic: tuple[np.ndarray, np.ndarray, np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
+    """The two solutions of a t² + 2 b t + c = 0, nan without any."""
+    a, b, c = quadratic
+    root = np.sqrt(b * b - a * c)
+    return (-b - root) / a, (-b + root) / a
+
+
+def ranges(scene: Scene, at: np.ndarray, rays: np.ndarray, most: float) -> np.ndarray:
+    """The distance (R,) to the first surface along each ray (R, 3), inf beyond `most`."""
+    nearest = np.full(len(rays), np.inf)
+    with np.errstate(all="ignore"):
+        for boxes, is_hollow in ((scene.boxes, False), (scene.rooms, True)):
+            for box in boxes:
+                low, high = (box[:3] - at) / rays, (box[3:] - at) / rays
+                near, far = np.minimum(low, high).max(axis=1), np.maximum(low, high).min(axis=1)
+                found = far if is_hollow else near
+                nearest = np.where((found > 0) & (near <= far), np.minimum(nearest, found), nearest)
+        for x, y, z, radius in scene.balls:
+            offset = at - [x, y, z]
+            first, _ = crossings((np.ones(len(rays)), rays @ offset, offset @ offset - radius**2))
+            nearest = np.where(first > 0, np.fmin(nearest, first), nearest)
+        for x, y, radius, height in scene.columns:
+            offset = at[:2] - [x, y]
+            flat = rays[:, :2]
+            first, _ = crossings(((flat**2).sum(1), flat @ offset, offset @ offset - radius**2))
+            z = at[2] + first * rays[:, 2]
+            nearest = np.where((first > 0) & (z > 0) & (z < height), np.fmin(nearest, first), nearest)
+        for y, z, radius in scene.tunnels:
+            offset, flat = at[1:] - [y, z], rays[:, 1:]
+            _, last = crossings(((flat**2).sum(1), flat @ offset, offset @ offset - radius**2))
+            nearest = np.where(last > 0, np.fmin(nearest, last), nearest)
+    return np.where(nearest < most, nearest, np.inf)
+
+
+@cache
+def camera(width: int = 128, height: int = 96, degrees: float = 70.0) -> np.ndarray:
+    """The rays (R, 3) of a depth camera that looks along x, z up."""
+    focal = width / 2 / np.tan(np.radians(degrees / 2))
+    y, z = np.meshgrid(np.arange(width) - width / 2 + 0.5, np.arange(height) - height / 2 + 0.5)
+    rays = np.column_stack([np.ones(width * height), -y.ravel() / focal, -z.ravel() / focal])
+    return rays / np.linalg.norm(rays, axis=1)[:, None]
+
+
+@cache
+def lidar(beams: int = 32, columns: int = 720, low: float = -30.0, high: float = 30.0) -> np.ndarray:
+    elevation, azimuth = np.radians(np.linspace(low, high, beams)), np.linspace(0, 2 * np.pi, columns, endpoint=False)
+    e, a = (values.ravel() for values in np.meshgrid(elevation, azimuth))
+    return np.column_stack([np.cos(e) * np.cos(a), np.cos(e) * np.sin(a), np.sin(e)])
+
+
+def pose(at: list[float], yaw: float = 0.0, pitch: float = 0.0) -> np.ndarray:
+    """A sensor at a place, turned left by `yaw` and down by `pitch` (degrees)."""
+    (cy, sy), (cp, sp) = ((np.cos(v), np.sin(v)) for v in np.radians([yaw, pitch]))
+    made = np.eye(4)
+    made[:3, :3] = np.array([[cy, -sy, 0], [sy, cy, 0], [0, 0, 1]]) @ [[cp, 0, sp], [0, 1, 0], [-sp, 0, cp]]
+    made[:3, 3] = at
+    return made
+
+
+def view(
+    scene: Scene, t: np.ndarray, rays: np.ndarray, rng: np.random.Generator, noise: float, most: float
+) -> np.ndarray:
+    """What a sensor sees, in its frame (N, 3)."""
+    found = ranges(scene, t[:3, 3], rays @ t[:3, :3].T, most)
+    seen = np.isfinite(found)
+    return rays[seen] * (found[seen] + noise * rng.normal(size=seen.sum()))[:, None]
+
+
+Made = tuple[np.ndarray, np.ndarray, np.ndarray | None, float]
+
+
+def seen_twice(scene: Scene, poses: list[np.ndarray], rays: np.ndarray, rng: np.random.Generator, noise: float, most: float, limit: float) -> Made:
+    source, target = (view(scene, t, rays, rng, noise, most) for t in poses)
+    return source, target, np.linalg.inv(poses[1]) @ poses[0], limit
+
+
+def passage(rng: np.random.Generator, is_round: bool, is_lidar: bool) -> Made:
+    """A corridor or a round tunnel from two places along it: its surface leaves the way along it open."""
+    height = rng.uniform(2.2, 3.5)
+    if is_round:
+        radius = rng.uniform(1.5, 4.0)
+        scene = Scene(tunnels=np.array([[0.0, radius - 0.5 * rng.random(), radius]]))
+        if rng.random() < 0.5:
+            scene = scene._replace(boxes=np.array([[-300.0, -9, -1, 300, 9, 0]]))
+    else:
+        width = rng.uniform(1.8, 4.0)
+        scene = Scene(rooms=np.array([[-300.0, -width / 2, 0, 300, width / 2, height]]))
+    turn = rng.uniform(-8, 8) * (rng.random() < 0.5)
+    along = rng.uniform(0.2, 3.0)
+    poses = [pose([0, rng.uniform(-0.3, 0.3), 1.3], 0, 0), pose([along, rng.uniform(-0.3, 0.3), 1.3 + rng.uniform(-0.2, 0.2)], turn, 0)]
+    if is_lidar:
+        beams = [lidar(32, 720, -40, 40), lidar(16, 900, -15, 15), lidar(64, 900, -25, 5)][rng.integers(3)]
+        return seen_twice(scene, poses, beams, rng, 0.02, rng.choice([20.0, 40.0]), 0.15)
+    return seen_twice(scene, poses, camera(), rng, rng.choice([0, 0.002, 0.01]), rng.choice([6.0, 12.0]), 0.15)
+
+
+def pillars(rng: np.random.Generator) -> Made:
+    """A row of equal pillars, between walls or in the open, from places one or two periods apart."""
+    period, size, height = rng.uniform(1.0, 2.5), rng.uniform(0.15, 0.5), rng.uniform(2.0, 5.0)
+    at = np.arange(-60, 60) * period
+    rows = (-1.0, 1.0) if rng.random() < 0.5 else (1.0,)
+    side = rng.uniform(1.5, 3.0)
+    floor = [[-500.0, -50, -1, 500, 50, 0]]
+    if rng.random() < 0.5:
+        boxes = [[x - size, y * side - size, 0, x + size, y * side + size, height] for x in at for y in rows]
+        scene = Scene(boxes=np.array(floor + boxes))
+    else:
+        scene = Scene(boxes=np.array(floor), columns=np.array([[x, y * side, size, height] for x in at for y in rows]))
+    if rng.random() < 0.5:
+        scene = scene._replace(rooms=np.array([[-500.0, -side - 1, -0.5, 500, side + 1, height]]))
+    # A view of a single pillar does not show that there are others.
+    start, yaw = rng.uniform(0, period), rng.choice([0.0, 20.0])
+    poses = [pose([start + k * period, 0, 1.4], yaw) for k in (0, rng.integers(1, 3))]
+    if rng.random() < 0.5:
+        return seen_twice(scene, poses, lidar(), rng, 0.02, 25.0, 0.15)
+    return seen_twice(scene, poses, camera(), rng, 0.005, 12.0, 0.15)
+
+
+def shape(rng: np.random.Generator, name: str, count: int) -> np.ndarray:
+    """Points on a shape with more than one pose."""
+    directions = rng.normal(size=(count, 3))
+    if name == "ball":
+        return directions / np.linalg.norm(directions, axis=1)[:, None]
+    if name == "cube":
+        points = rng.uniform(-1, 1, (count, 3))
+        points[np.arange(count), rng.integers(0, 3, count)] = rng.choice([-1, 1], count)
+        return points
+    flat = directions[:, :2] / np.linalg.norm(directions[:, :2], axis=1)[:, None]
+    return np.column_stack([flat, rng.uniform(-3, 3, count)])
+
+
+def moved(points: np.ndarray, rng: np.random.Generator) -> np.ndarray:
+    return points @ rotation(rng).T + rng.uniform(-2, 2, 3)
+
+
+def symmetric(rng: np.random.Generator, name: str) -> Made:
+    count, noise = rng.choice([2000, 5000, 10_000]), rng.choice([0.0, 0.0, 0.01])
+    source, target = (shape(rng, name, count) + noise * rng.normal(size=(count, 3)) for _ in range(2))
+    return source, moved(target, rng), None, 0.0
+
+
+def room(rng: np.random.Generator) -> Scene:
+    """A room with furniture of 6 to 14 boxes, some columns and balls."""
+    length, width, height = rng.uniform([4, 3, 2.3], [8, 6, 3.2])
+    boxes = []
+    for _ in range(rng.integers(6, 15)):
+        size = rng.uniform([0.25, 0.25, 0.3], [2.0, 1.0, 2.0])
+        x, y = rng.uniform([0, 0], [length - size[0], width - size[1]])
+        if rng.random() < 0.6:
+            y = rng.choice([0.0, width - size[1]])
+        boxes.append([x, y, 0, x + size[0], y + size[1], size[2]])
+        if rng.random() < 0.5:
+            low = size * rng.uniform(0.1, 0.4, 3)
+            boxes.append([x + low[0], y + low[1], size[2], x + 0.6 * size[0], y + 0.7 * size[1], size[2] + rng.uniform(0.1, 0.5)])
+    columns = [[*rng.uniform([0.3, 0.3], [length - 0.3, width - 0.3]), rng.uniform(0.05, 0.25), rng.uniform(0.6, 2.3)] for _ in range(2)]
+    balls = [[*rng.uniform([0.3, 0.3, 0.2], [length - 0.3, width - 0.3, 1.6]), rng.uniform(0.1, 0.3)] for _ in range(2)]
+    return Scene(np.array(boxes), np.array([[0, 0, 0, length, width, height]]), np.array(balls), np.array(columns))
+
+
+def free_place(scene: Scene, rng: np.random.Generator, height: float) -> np.ndarray:
+    """A place in a room at least 0.4 m from everything in it."""
+    low, high = scene.rooms[0, :3], scene.rooms[0, 3:]
+    for _ in range(1000):
+        place = np.r_[rng.uniform(low[:2] + 0.4, high[:2] - 0.4), height]
+        blocked = ((place > scene.boxes[:, :3] - 0.4) & (place < scene.boxes[:, 3:] + 0.4)).all(axis=1).any()
+        if not blocked:
+            return place
+    return place
+
+
+def towards(place: np.ndarray, look: np.ndarray) -> np.ndarray:
+    offset = look - place
+    return pose(place, np.degrees(np.arctan2(offset[1], offset[0])), -np.degrees(np.arctan2(offset[2], np.hypot(*offset[:2]))))
+
+
+def room_views(rng: np.random.Generator) -> Made:
+    """Two views of one part of a room, from places up to 1.5 m apart."""
+    scene = room(rng)
+    first = free_place(scene, rng, 1.4)
+    places = [free_place(scene, rng, rng.uniform(1.2, 1.6)) for _ in range(40)]
+    second = next((p for p in places if np.linalg.norm(p - first) < 1.5), first + 0.1)
+    corner = scene.rooms[0, [0, 1, 2]] + [rng.choice([0, 1]), rng.choice([0, 1]), 0.3] * (scene.rooms[0, 3:] - scene.rooms[0, :3])
+    poses = [towards(p, corner + rng.uniform(-0.5, 0.5, 3)) for p in (first, second)]
+    return seen_twice(scene, poses, camera(), rng, rng.choice([0.002, 0.004, 0.01]), 10.0, 0.1)
+
+
+def room_view(rng: np.random.Generator) -> np.ndarray:
+    scene = room(rng)
+    place = free_place(scene, rng, 1.4)
+    return view(scene, towards(place, scene.rooms[0, 3:] * rng.random(3)), camera(), rng, 0.004, 10.0)
+
+
+def street(rng: np.random.Generator) -> Scene:
+    boxes = [[-150.0, -150, -1, 150, 150, 0]]
+    for side in (-1, 1):
+        x = -100.0
+        while x < 100:
+            length, setback, depth, height = rng.uniform([6, 8, 6, 4], [25, 13, 15, 18])
+            y = sorted((side * setback, side * (setback + depth)))
+            boxes.append([x, y[0], 0, x + length, y[1], height])
+            x += length + rng.uniform(0, 8)
+        for at in rng.uniform(-90, 90, 10):
+            y = side * rng.uniform(4, 6.5)
+            boxes.append([at, y - 0.9, 0, at + 4.2, y + 0.9, 1.5])
+    columns = [[x, rng.choice([-7.5, 7.5]), 0.15, 6.0] for x in rng.uniform(-90, 90, 16)]
+    return Scene(boxes=np.array(boxes), columns=np.array(columns))
+
+
+def street_views(rng: np.random.Generator, low: float, high: float) -> Made:
+    scene, distance = street(rng), rng.uniform(low, high)
+    poses = [pose([x, rng.uniform(-2, 2), 1.8], rng.uniform(-180, 180)) for x in (-distance / 2, distance / 2)]
+    made = seen_twice(scene, poses, lidar(40, 720, -25, 5), rng, 0.02, 80.0, 0.6)
+    return made if high < 30 else (made[0], made[1], made[2], 2.0)
+
+
+def street_view(rng: np.random.Generator) -> np.ndarray:
+    return view(street(rng), pose([0, rng.uniform(-2, 2), 1.8], rng.uniform(-180, 180)), lidar(40, 720, -25, 5), rng, 0.02, 80.0)
+
+
+@cache
+def object_points(folder: Path, split: str) -> np.ndarray:
+    return np.load(folder / split / "points.npy", mmap_mode="r")
+
+
+def an_object(rng: np.random.Generator, folder: Path, split: str) -> np.ndarray:
+    """An object of 0.5 to 1.5 m, turned at random."""
+    clouds = object_points(folder, split)
+    points = np.asarray(clouds[rng.integers(len(clouds))][:4096], float) / 32767.0
+    return moved(points * rng.uniform(0.25, 0.75), rng)
+
+
+def object_parts(rng: np.random.Generator, folder: Path, split: str) -> Made:
+    """Two samplings of an object, each without a part."""
+    clouds = object_points(folder, split)
+    points = rng.permutation(np.asarray(clouds[rng.integers(len(clouds))], float) / 32767.0)
+    half, truth = len(points) // 2, np.eye(4)
+    parts = []
+    for sample in (points[:half], points[half:]):
+        height = sample @ rotation(rng)[0]
+        parts.append(sample[height < np.quantile(height, rng.uniform(0.7, 0.95))])
+    truth[:3, :3], truth[:3, 3] = rotation(rng), rng.uniform(-2, 2, 3)
+    return parts[0], parts[1] @ truth[:3, :3].T + truth[:3, 3], truth, 0.06
+
+
+def with_sentinels(made: Made, rng: np.random.Generator) -> Made:
+    """The same rays of both clouds have no return, which their sensor writes as a distance."""
+    source, target, truth, limit = made
+    distance = rng.choice(SENTINELS)
+    is_depth = rng.random() < 0.3
+    width, high = rng.uniform(0.1, 0.5), rng.uniform(0.2, 1.0)
+    azimuth, elevation = rng.uniform(-0.5, 0.5), rng.uniform(-0.3, 0.3)
+
+    def fill(points: np.ndarray) -> np.ndarray:
+        lengths = np.linalg.norm(points, axis=1)
+        along, up = np.arctan2(points[:, 1], points[:, 0]), np.arcsin(points[:, 2] / lengths)
+        lost = (np.abs(along - azimuth) < width) & (np.abs(up - elevation) < high)
+        filled, rays = points.copy(), points[lost] / lengths[lost, None]
+        filled[lost] = distance * (rays / np.abs(rays[:, :1]) if is_depth else rays)
+        return filled.astype("f4")
+
+    return fill(source), fill(target), truth, limit
+
+
+def kinds(objects: Path | None, split: str) -> dict[str, Callable[[np.random.Generator], Made]]:
+    """How each kind is made; kinds with objects need their folder."""
+    def absent(source: Callable, target: Callable) -> Callable[[np.random.Generator], Made]:
+        def make(rng: np.random.Generator) -> Made:
+            clouds = [source(rng), target(rng)]
+            return *(clouds if rng.random() < 0.5 else clouds[::-1]), None, 0.0
+
+        return make
+
+    made = {
+        "corridor, camera": lambda rng: passage(rng, False, False),
+        "corridor, lidar": lambda rng: passage(rng, False, True),
+        "tunnel, camera": lambda rng: passage(rng, True, False),
+        "tunnel, lidar": lambda rng: passage(rng, True, True),
+        "pillars": pillars,
+        "ball": lambda rng: symmetric(rng, "ball"),
+        "cube": lambda rng: symmetric(rng, "cube"),
+        "cylinder": lambda rng: symmetric(rng, "cylinder"),
+        "two rooms": absent(room_view, room_view),
+        "two streets": absent(street_view, street_view),
+        "room and street": absent(room_view, street_view),
+        "far along a street": lambda rng: street_views(rng, 60, 100),
+        "room with sentinels": lambda rng: with_sentinels(room_views(rng), rng),
+        "room": room_views,
+        "street": lambda rng: street_views(rng, 3, 12),
+    }
+    if objects is not None:
+        one = lambda rng: an_object(rng, objects, split)
+        made |= {
+            "object and room": absent(one, room_view),
+            "object and street": absent(one, street_view),
+            "two objects": absent(one, one),
+            "object": lambda rng: object_parts(rng, objects, split),
+        }
+    return made
+
+
+def pairs(count: int, seed: int, objects: Path | None, split: str, only: list[str] | None = None) -> list[Callable[[], VerdictPair]]:
+    """`count` pairs of each kind, made when called."""
+    made = kinds(objects, split)
+
+    def make(name: str, index: int) -> VerdictPair:
+        number = list(made).index(name)
+        source, target, truth, limit = made[name](np.random.default_rng([seed, number, index]))
+        return VerdictPair(f"{name} {seed}/{index}", source.astype("f4"), target.astype("f4"), truth, limit, name == "object")
+
+    return [
+        lambda name=name, index=index: make(name, index) for name in (only or made) for index in range(count)
+    ]
