@@ -98,6 +98,7 @@ class _EncodeOptions(_Preset, total=False):
     max_points: int | None
     seed: int
     rotations: int
+    voxel_size: float | str | None
 
 @type_check_only
 class _DetectOptions(_Preset, total=False):

@@ -23,7 +23,7 @@ mod tiled;
 use numpy::{PyArray2, PyArrayMethods};
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
-use snake_core::{Cloud, Error, Options, scale_hint, side_by_side};
+use snake_core::{Builtin, Cloud, Error, Options, scale_hint, side_by_side};
 use snake_registration::{FPFH_DIMENSION, mutual_nearest};
 
 use alignment::{Alignment, AlignmentEdge, align};
@@ -39,7 +39,8 @@ use threads::{get_num_threads, set_num_threads};
 use tiled::{DetectedTiles, Tiles, tiles};
 
 /// Detects the keypoints of a cloud in one call: `model.encode(points).detect()`. `model` is a `Model`, the name of a
-/// built-in model ("compact", "standard" or "rooms") or the path of a weight file; it defaults to "compact".
+/// built-in model ("compact", "standard", "scenes" or "rooms") or the path of a weight file; it defaults to "compact", and to "scenes" for
+/// a cloud that looks like the sweep of a sensor.
 ///
 /// `points` (N, 3) are real numbers; additional columns are ignored. They can be a numpy array, a structured array with the
 /// fields x, y and z, a torch tensor on the CPU or any other value with DLPack, an Open3D point cloud (also of `open3d.t`), a
@@ -73,6 +74,7 @@ use tiled::{DetectedTiles, Tiles, tiles};
 ///     nms_radius="10%"              least distance of keypoints: cloud units, "3r" or "10%" of the cloud's radius; 0: off
 ///     max_keypoints=64              largest number of keypoints; None: no limit
 ///     snap=False                    move each keypoint to its nearest input point
+///     voxel_size=None               size of a voxel, for "scenes": cloud units or "2r"; None: chosen from the cloud
 ///     window_radius=None            radius of the windows; None: the whole cloud at once
 ///     preset=None                   "modelnet40", "keypointnet", "smpl", "redwood", "3dmatch" or "standard"
 ///
@@ -89,37 +91,64 @@ fn detect(
     model: Option<&Bound<'_, PyAny>>,
     options: Option<&Bound<'_, PyDict>>,
 ) -> PyResult<Py<PyAny>> {
-    let model = model::given_or_builtin(py, model)?;
-    let preset = options::resolve("detect", &options::ALL, model.recommended(), options)?;
+    let choice = Choice::new(py, model, options)?;
     if let Some(clouds) = arrays::list_of_clouds(points)? {
-        return Ok(detect_all(py, &clouds, &model, &preset)?.into_pyobject(py)?.into_any().unbind());
+        return Ok(detect_all(py, &clouds, &choice)?.into_pyobject(py)?.into_any().unbind());
     }
     let (cloud, precision) = arrays::cloud("points", points)?;
-    let cloud = cloud.for_normalization(preset.encode.normalization);
+    let cloud = cloud.for_normalization(choice.given.1.encode.normalization);
+    let (model, preset) = choice.for_cloud(&cloud);
     // Before the detection, which may take minutes at the wrong scale.
-    warn(py, scale_hint(&cloud.points, &preset))?;
-    let detection = threads::run_with_signals(py, |control| model.detect_with(&cloud.points, &preset, control))?;
+    warn(py, scale_hint(&cloud.points, model.config(), preset))?;
+    let detection = threads::run_with_signals(py, |control| model.detect_with(&cloud.points, preset, control))?;
     let origin = cloud.origin;
     Ok(Bound::new(py, Keypoints::from_detection(py, detection, origin, precision, Some(cloud))?)?.into_any().unbind())
 }
 
+/// The model of a call with its options; where none is named, each cloud has the built-in one that suits it.
+struct Choice {
+    given: (snake_core::Model, Options),
+    scenes: Option<(snake_core::Model, Options)>,
+}
+
+impl Choice {
+    fn new(py: Python<'_>, model: Option<&Bound<'_, PyAny>>, options: Option<&Bound<'_, PyDict>>) -> PyResult<Self> {
+        let with_options = |model: snake_core::Model| -> PyResult<_> {
+            let options = options::resolve("detect", &options::ALL, model.recommended(), options)?;
+            Ok((model, options))
+        };
+        let is_named = |name: &&str| {
+            options.is_some_and(|options| options.get_item(name).ok().flatten().is_some_and(|value| !value.is_none()))
+        };
+        let is_chosen =
+            model.is_none() && !["preset", "normalization", "window_radius"].iter().any(|name| is_named(&name));
+        let scenes = is_chosen.then(|| model::builtin(py, Builtin::Scenes).and_then(with_options)).transpose()?;
+        Ok(Self { given: with_options(model::given_or_builtin(py, model)?)?, scenes })
+    }
+
+    fn for_cloud(&self, cloud: &Cloud) -> &(snake_core::Model, Options) {
+        match &self.scenes {
+            Some(scenes) if Builtin::for_cloud(&cloud.points) == Builtin::Scenes => scenes,
+            _ => &self.given,
+        }
+    }
+}
+
 /// The keypoints of several clouds.
-fn detect_all(
-    py: Python<'_>,
-    given: &[Bound<'_, PyAny>],
-    model: &snake_core::Model,
-    options: &Options,
-) -> PyResult<Vec<Keypoints>> {
+fn detect_all(py: Python<'_>, given: &[Bound<'_, PyAny>], choice: &Choice) -> PyResult<Vec<Keypoints>> {
     let mut clouds: Vec<(Cloud, Precision)> = Vec::with_capacity(given.len());
     for (index, value) in given.iter().enumerate() {
         let (cloud, precision) = arrays::cloud(&format!("points[{index}]"), value)?;
-        let cloud = cloud.for_normalization(options.encode.normalization);
-        warn(py, scale_hint(&cloud.points, options).map(|hint| format!("points[{index}]: {hint}")))?;
+        let cloud = cloud.for_normalization(choice.given.1.encode.normalization);
+        let (model, options) = choice.for_cloud(&cloud);
+        let hint = scale_hint(&cloud.points, model.config(), options);
+        warn(py, hint.map(|hint| format!("points[{index}]: {hint}")))?;
         clouds.push((cloud, precision));
     }
     let detections = threads::run_with_signals(py, |control| {
         let control = control.without_progress();
         side_by_side(clouds.len(), |index| {
+            let (model, options) = choice.for_cloud(&clouds[index].0);
             model.detect_with(&clouds[index].0.points, options, &control).map_err(|error| match error {
                 Error::Input { reason, .. } => Error::Input { what: "points", reason: format!("[{index}]: {reason}") },
                 other => other,

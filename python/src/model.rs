@@ -39,14 +39,15 @@ impl Model {
     }
 }
 
-/// The default built-in model, loaded once.
-pub fn builtin(py: Python<'_>) -> PyResult<core::Model> {
-    static MODEL: OnceLock<core::Model> = OnceLock::new();
-    match MODEL.get() {
+/// A built-in model that a call without a model may take, loaded once.
+pub fn builtin(py: Python<'_>, which: core::Builtin) -> PyResult<core::Model> {
+    static MODELS: [OnceLock<core::Model>; 2] = [const { OnceLock::new() }; 2];
+    let place = &MODELS[usize::from(which == core::Builtin::Scenes)];
+    match place.get() {
         Some(model) => Ok(model.clone()),
         None => {
-            let model = threads::run(py, || Ok(core::Model::builtin(core::Builtin::Compact)))?;
-            Ok(MODEL.get_or_init(|| model).clone())
+            let model = threads::run(py, || Ok(core::Model::builtin(which)))?;
+            Ok(place.get_or_init(|| model).clone())
         }
     }
 }
@@ -55,7 +56,7 @@ pub fn builtin(py: Python<'_>) -> PyResult<core::Model> {
 pub fn given_or_builtin(py: Python<'_>, model: Option<&Bound<'_, PyAny>>) -> PyResult<core::Model> {
     match model {
         Some(model) => Ok(given(py, model)?.get().core().clone()),
-        None => builtin(py),
+        None => builtin(py, core::Builtin::Compact),
     }
 }
 
@@ -100,12 +101,16 @@ pub fn given<'py>(py: Python<'py>, model: &Bound<'py, PyAny>) -> PyResult<Bound<
 #[pymethods]
 impl Model {
     /// A model that comes with the package. "compact" is for objects. "standard" is also for objects; it is slower, and
-    /// its keypoints repeat better. "rooms" is for clouds of rooms in metres and recommends windows. Raises ValueError
+    /// its keypoints repeat better. "scenes" is for rooms, sweeps and streets of any unit. "rooms" is for clouds of rooms in metres and recommends windows. Raises ValueError
     /// for any other name.
     #[staticmethod]
     #[pyo3(name = "builtin", signature = (name="compact"))]
     pub fn py_builtin(py: Python<'_>, name: &str) -> PyResult<Self> {
-        let core = if name == "compact" { builtin(py)? } else { threads::run(py, || core::Model::named(name))? };
+        let core = if name == "compact" {
+            builtin(py, core::Builtin::Compact)?
+        } else {
+            threads::run(py, || core::Model::named(name))?
+        };
         Ok(Self { core, origin: Origin::Builtin(name.into()) })
     }
 

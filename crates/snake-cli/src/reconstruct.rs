@@ -52,9 +52,10 @@ pub fn run(arguments: &ReconstructArguments) -> Result<()> {
     override_with(&mut options.level, arguments.level);
     options.check()?;
     let progress = Progress::default();
-    let model = arguments.compute.load_model()?;
+    let loaded = arguments.compute.load_model()?;
+    let model = &loaded.model;
     let control = Control::new().progress(&progress);
-    let encode = arguments.encode.resolve(&model)?.encode;
+    let encode = arguments.encode.resolve(&loaded)?.encode;
     terminal::detail("options", || json!({ "encode": encode, "mesh": options }).to_string());
     let bar = terminal::stages(&progress)?;
     bar.set_message(format!("{} ({} samples along each axis)", input.display(), options.resolution));

@@ -1,7 +1,6 @@
 //! Options that several sub-commands share: the model, the threads and the encoding.
 
 use std::path::{Path, PathBuf};
-use std::sync::OnceLock;
 use std::time::Instant;
 
 use anyhow::{Result, bail};
@@ -14,15 +13,23 @@ use crate::{config, model, terminal};
 /// The most threads on a machine with fewer processors: more threads would only wait for each other.
 const MAX_THREADS: usize = 256;
 
-/// The options of the loaded model as the configuration file changes them.
-static CONFIGURED: OnceLock<Options> = OnceLock::new();
+/// A model with the options that it recommends, as the configuration file changes them.
+pub struct Loaded {
+    pub model: Model,
+    /// The name in reports.
+    pub name: String,
+    pub options: Options,
+    /// Whether the model was not named anywhere.
+    pub is_default: bool,
+}
 
 /// Options of every sub-command that runs the network.
 #[derive(Args)]
 pub struct ComputeArguments {
     /// Weight file (.safetensors), or the name of a model. Built in are compact (for objects), standard (for objects,
-    /// better and slower) and rooms (for rooms in metres). Any other NAME is a file NAME.safetensors in SNAKE_MODELS,
-    /// beside the program or in the user's data folder [default: compact].
+    /// better and slower), scenes (for rooms, LiDAR sweeps and streets) and rooms (for rooms in metres, in windows). Any
+    /// other NAME is a file NAME.safetensors in SNAKE_MODELS, beside the program or in the user's data folder [default:
+    /// compact; detect takes scenes for a cloud that looks like a sweep].
     #[arg(long, value_name = "MODEL", env = "SNAKE_MODEL", hide_env_values = true)]
     pub model: Option<PathBuf>,
     /// Number of threads, at most 256 or the number of processors [default: one for each processor]. The result does
@@ -60,22 +67,30 @@ impl ComputeArguments {
     }
 
     /// Loads the model of `--model`, by default the built-in one.
-    pub fn load_model(&self) -> Result<Model> {
-        let start = Instant::now();
+    pub fn load_model(&self) -> Result<Loaded> {
         let path = match &self.model {
             None => config::get()?.model.as_deref(),
             given => given.as_deref(),
         };
-        let model = model::load(path)?;
-        // The first model that is loaded is the one of the run.
-        let configured = config::get()?.options_of(path.unwrap_or(Path::new("compact")), model.recommended())?;
-        let _ = CONFIGURED.set(configured);
-        terminal::detail("model", || {
-            let (name, parameters) = (model::name(path), model.num_parameters());
-            format!("{name}, {parameters} parameters, {:.3} s", start.elapsed().as_secs_f64())
-        });
-        Ok(model)
+        Ok(Loaded { is_default: path.is_none(), ..load(path)? })
     }
+}
+
+impl Loaded {
+    /// The built-in model for scenes.
+    pub fn scenes() -> Result<Self> {
+        load(Some(Path::new("scenes")))
+    }
+}
+
+fn load(path: Option<&Path>) -> Result<Loaded> {
+    let start = Instant::now();
+    let (model, name) = (model::load(path)?, model::name(path));
+    let options = config::get()?.options_of(path.unwrap_or(Path::new("compact")), model.recommended())?;
+    terminal::detail("model", || {
+        format!("{name}, {} parameters, {:.3} s", model.num_parameters(), start.elapsed().as_secs_f64())
+    });
+    Ok(Loaded { model, name, options, is_default: false })
 }
 
 /// Options of the encoding. Each one defaults to the value of the preset, or else to the model's recommended value.
@@ -110,11 +125,16 @@ pub struct EncodeFlags {
 }
 
 impl EncodeFlags {
+    /// Whether a preset or a normalisation is named, which suit only some models.
+    pub fn names_a_model(&self) -> bool {
+        self.preset.is_some() || self.normalization.is_some()
+    }
+
     /// The options of the preset or the model, with the encoding overridden by the command line.
-    pub fn resolve(&self, model: &Model) -> Result<Options> {
+    pub fn resolve(&self, loaded: &Loaded) -> Result<Options> {
         let mut preset = match &self.preset {
             Some(name) => Preset::named(name)?.options(),
-            None => CONFIGURED.get().copied().unwrap_or(*model.recommended()),
+            None => loaded.options,
         };
         override_with(&mut preset.encode.normalization, self.normalization);
         override_with(&mut preset.encode.max_points, self.max_points.map(Some));

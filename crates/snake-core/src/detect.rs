@@ -68,6 +68,9 @@ pub struct Detection {
     pub num_encoded: usize,
     /// The normalisation of the cloud; `None` with windows, because each window has its own.
     pub normalization: Option<Normalization>,
+    /// The size of a voxel of the volume in cloud units; `None` with windows.
+    #[serde(default)]
+    pub voxel_size: Option<f32>,
     /// Number of queries after each step.
     pub counts: Counts,
     /// Run time of each step; `timing_seconds` in JSON.
@@ -182,6 +185,7 @@ impl Field {
         detection.num_skipped = self.num_skipped();
         detection.num_encoded = self.num_encoded();
         detection.normalization = Some(self.normalization());
+        detection.voxel_size = Some(self.voxel_size());
         Ok(detection)
     }
 }
@@ -305,7 +309,7 @@ pub(crate) fn finish(
     keypoints.extend((0..kept.len()).map(keypoint));
     counts.keypoints = keypoints.len();
     timing.nms = start.elapsed().as_secs_f64();
-    Ok(Detection { keypoints, num_skipped: 0, num_encoded: 0, normalization: None, counts, timing })
+    Ok(Detection { keypoints, num_skipped: 0, num_encoded: 0, normalization: None, voxel_size: None, counts, timing })
 }
 
 /// The values at these indices.

@@ -13,7 +13,8 @@ use crate::network::Network;
 #[cfg(feature = "builtin-models")]
 use crate::options::Preset;
 use crate::options::{EncodeOptions, Options};
-use crate::points::Point;
+use crate::points::{FinitePoints, Point};
+use crate::scene::is_sweep;
 use crate::windows::detect_in_windows;
 use crate::{Error, Result};
 
@@ -21,6 +22,8 @@ use crate::{Error, Result};
 const COMPACT: &[u8] = include_bytes!("../models/compact.safetensors");
 #[cfg(feature = "builtin-models")]
 const ROOMS: &[u8] = include_bytes!("../models/rooms.safetensors");
+#[cfg(feature = "builtin-models")]
+const SCENES: &[u8] = include_bytes!("../models/scenes.safetensors");
 
 /// A model that comes with the crate (see `models/README.md`), with the feature `builtin-models`.
 #[cfg(feature = "builtin-models")]
@@ -32,6 +35,20 @@ pub enum Builtin {
     Compact,
     /// For clouds of rooms in metres. It recommends windows.
     Rooms,
+    /// For rooms, sweeps and streets, of any unit. Its volume follows the cloud.
+    Scenes,
+}
+
+#[cfg(feature = "builtin-models")]
+impl Builtin {
+    /// The model for a cloud `(N, 3)` in any unit: [`Builtin::Scenes`] if it looks like the sweep of a sensor in its midst, else
+    /// [`Builtin::Compact`]. A room looks like a hollow object: name the model of a room.
+    pub fn for_cloud(points: &[Point]) -> Self {
+        match FinitePoints::of("points", points) {
+            Ok(used) if is_sweep(&used.points) => Self::Scenes,
+            _ => Self::Compact,
+        }
+    }
 }
 
 /// A network with its weights; cloning it is cheap.
@@ -50,18 +67,19 @@ pub struct Model {
 #[cfg(feature = "builtin-models")]
 impl Model {
     /// The names that [`Model::named`] knows: the built-in models, and `standard`.
-    pub const NAMES: [&'static str; 3] = ["compact", "standard", "rooms"];
+    pub const NAMES: [&'static str; 4] = ["compact", "standard", "rooms", "scenes"];
 
     /// A model that comes with the crate.
     pub fn builtin(which: Builtin) -> Self {
         let bytes = match which {
             Builtin::Compact => COMPACT,
             Builtin::Rooms => ROOMS,
+            Builtin::Scenes => SCENES,
         };
         Self::from_bytes(bytes).expect("a test reads every embedded file")
     }
 
-    /// A built-in model by its name: `compact`, `rooms`, or `standard`, which is `compact` with the recommended options of
+    /// A built-in model by its name: `compact`, `rooms`, `scenes`, or `standard`, which is `compact` with the recommended options of
     /// [`Preset::Standard`].
     ///
     /// # Errors
@@ -70,12 +88,15 @@ impl Model {
         match name {
             "compact" => Ok(Self::builtin(Builtin::Compact)),
             "rooms" => Ok(Self::builtin(Builtin::Rooms)),
+            "scenes" => Ok(Self::builtin(Builtin::Scenes)),
             "standard" => {
                 let mut network = Network::from_bytes(COMPACT)?;
                 network.recommended = Preset::Standard.options();
                 Ok(Self { network: Arc::new(network) })
             }
-            _ => Err(Error::Option { name: "model", value: name.into(), allowed: "compact, standard or rooms" }),
+            _ => {
+                Err(Error::Option { name: "model", value: name.into(), allowed: "compact, standard, rooms or scenes" })
+            }
         }
     }
 }
@@ -185,10 +206,12 @@ mod tests {
 
     #[test]
     fn every_embedded_model_loads_with_its_recommended_options() {
-        let [compact, standard, rooms] = Model::NAMES.map(|name| Model::named(name).unwrap());
+        let [compact, standard, rooms, scenes] = Model::NAMES.map(|name| Model::named(name).unwrap());
         assert_eq!(compact.metadata(), standard.metadata());
         assert_eq!(*standard.recommended(), Preset::Standard.options());
         assert_eq!((compact.recommended().encode.rotations, standard.recommended().encode.rotations), (1, 4));
+        assert!(scenes.config().frame().is_none() && scenes.recommended().window_radius.is_none());
+        assert_eq!(Model::builtin(Builtin::Scenes).metadata(), scenes.metadata());
         assert!(compact.recommended().window_radius.is_none() && rooms.recommended().window_radius.is_some());
         assert_eq!(Model::builtin(Builtin::default()).metadata(), compact.metadata());
         assert_eq!(Model::builtin(Builtin::Rooms).metadata(), rooms.metadata());

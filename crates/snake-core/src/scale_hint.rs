@@ -2,6 +2,7 @@
 
 use std::ops::Range;
 
+use crate::config::ModelConfig;
 use crate::options::Options;
 use crate::points::{FinitePoints, Normalization, NormalizationMethod, Point};
 
@@ -22,17 +23,20 @@ const WINDOW_RADII: Range<f64> = 1.5..25.0;
 /// ```
 /// use snake_core::{Builtin, Model, scale_hint};
 /// let object: Vec<[f32; 3]> = (0..500).map(|i| { let a = i as f32 * 0.1; [a.cos(), a.sin(), (a * 0.3).sin()].map(|v| 0.2 * v) }).collect();
-/// assert_eq!(scale_hint(&object, Model::builtin(Builtin::Compact).recommended()), None);
-/// assert!(scale_hint(&object, Model::builtin(Builtin::Rooms).recommended()).is_some());
+/// let hint = |model: Model| scale_hint(&object, model.config(), model.recommended());
+/// assert_eq!(hint(Model::builtin(Builtin::Compact)), None);
+/// assert!(hint(Model::builtin(Builtin::Rooms)).is_some());
 /// ```
-pub fn scale_hint(points: &[Point], options: &Options) -> Option<String> {
+pub fn scale_hint(points: &[Point], config: &ModelConfig, options: &Options) -> Option<String> {
     let used = FinitePoints::of("points", points).ok()?;
-    let hints = [used.outliers().map(|outliers| outliers.to_string()), of_scale(&used.points, options)];
+    let hints = [used.outliers().map(|outliers| outliers.to_string()), of_scale(&used.points, config, options)];
     hints.into_iter().flatten().reduce(|first, second| format!("{first}; {second}"))
 }
 
 /// The hint for the points that are used.
-fn of_scale(points: &[Point], options: &Options) -> Option<String> {
+fn of_scale(points: &[Point], config: &ModelConfig, options: &Options) -> Option<String> {
+    // The volume of a scene follows the cloud.
+    config.frame()?;
     let sphere = Normalization::of_finite(points, NormalizationMethod::UnitSphere).ok()?;
     let radius = f64::from(sphere.scale) / 2.0;
     if let Some(window) = options.window_radius {
@@ -46,14 +50,14 @@ fn of_scale(points: &[Point], options: &Options) -> Option<String> {
     if half < CROWDED * radius {
         return Some(format!(
             "half of the points lie within {CROWDED} times the cloud's radius: the network sees most points in few \
-             voxels; crop the cloud, or detect in windows (`window_radius`)"
+             voxels; the model `scenes` sees all of it"
         ));
     }
     let may_be_room = points.len() >= ROOM_POINTS && ROOM_RADII.contains(&radius);
     may_be_room.then(|| {
         let Range { start, end } = ROOM_RADII;
         format!(
-            "the cloud has a radius of {start} to {end}: if it is a room in metres, the model `rooms` sees more of it"
+            "the cloud has a radius of {start} to {end}: if it is a room in metres, the model `scenes` sees more of it"
         )
     })
 }
@@ -67,8 +71,8 @@ fn of_windows(radius: f64, window: f64) -> Option<String> {
     let (size, advice) = if ratio < start {
         (format!("less than {start}"), "for one object, the model `compact` needs no windows")
     } else {
-        let advice = "for other units than metres give `window_radius` and `nms_radius`; no built-in model is for LiDAR \
-                      sweeps, so crop one to its surroundings";
+        let advice = "for other units than metres give `window_radius` and `nms_radius`; the model `scenes` is for \
+                      scenes of any size and unit";
         (format!("more than {end}"), advice)
     };
     Some(format!("the cloud has a radius of {size} times that of a window ({window}): {advice}"))
@@ -85,7 +89,7 @@ fn median_distance(points: &[Point], center: Point) -> f64 {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::{Length, Preset};
+    use crate::{Builtin, Length, Model, Preset};
 
     /// Points on a sphere.
     fn sphere(number: usize, radius: f32) -> Vec<Point> {
@@ -100,7 +104,7 @@ mod tests {
 
     fn hint(points: &[Point], window: Option<f64>) -> String {
         let options = Preset::Standard.options().with_window_radius(window.map(Length::Units));
-        scale_hint(points, &options).unwrap_or_default()
+        scale_hint(points, Model::builtin(Builtin::Compact).config(), &options).unwrap_or_default()
     }
 
     #[test]
@@ -108,7 +112,7 @@ mod tests {
         assert_eq!(hint(&sphere(20_000, 1.0), None), "");
         assert_eq!(hint(&sphere(2_000, 3.0), None), "");
         assert_eq!(hint(&sphere(20_000, 300.0), None), "");
-        assert!(hint(&sphere(20_000, 3.0), None).contains("the model `rooms`"));
+        assert!(hint(&sphere(20_000, 3.0), None).contains("the model `scenes`"));
         assert_eq!(hint(&sphere(20_000, 3.0), Some(0.8)), "");
     }
 
@@ -123,7 +127,7 @@ mod tests {
         for window in [None, Some(0.8)] {
             assert_eq!(hint(&sweep, window), hint(&other, window));
         }
-        assert!(hint(&sweep, Some(0.8)).contains("no built-in model is for LiDAR sweeps"));
+        assert!(hint(&sweep, Some(0.8)).contains("the model `scenes`"));
         assert!(hint(&sphere(900, 3000.0), Some(0.8)).contains("other units than metres"));
     }
 
@@ -136,7 +140,7 @@ mod tests {
         let object = hint(&with_one(sphere(6000, 1.0)), None);
         assert!(object.starts_with("1 of 6001 points is 10000 times as far") && !object.contains("; "), "{object}");
         let room = hint(&with_one(sphere(20_000, 3.0)), None);
-        assert!(room.contains("left out; ") && room.contains("the model `rooms`"), "{room}");
+        assert!(room.contains("left out; ") && room.contains("the model `scenes`"), "{room}");
     }
 
     #[test]
@@ -147,6 +151,8 @@ mod tests {
         }
         let options = Preset::Standard.options();
         let unscaled = options.with_encode(options.encode.with_normalization(NormalizationMethod::None));
-        assert_eq!(scale_hint(&sphere(20_000, 3.0), &unscaled), None);
+        assert_eq!(scale_hint(&sphere(20_000, 3.0), Model::builtin(Builtin::Compact).config(), &unscaled), None);
+        let scenes = Model::builtin(Builtin::Scenes);
+        assert_eq!(scale_hint(&sphere(20_000, 3.0), scenes.config(), scenes.recommended()), None);
     }
 }

@@ -30,7 +30,7 @@ pub fn run(arguments: &AlignArguments) -> Result<ExitCode> {
     let files = InputFiles::new(inputs.iter().chain(&arguments.compute.model));
     output.iter().chain(merged).try_for_each(|path| files.refuse_as_output(path))?;
     let mut options = arguments.options();
-    let model = arguments.compute.load_model()?;
+    let model = arguments.compute.load_model()?.model;
     terminal::detail("options", || serde_json::to_string(&options).unwrap_or_default());
     let progress = Progress::default();
     let bar = terminal::stages(&progress)?;

@@ -4,11 +4,11 @@ use std::path::PathBuf;
 
 use anyhow::Result;
 use clap::Args;
-use snake_core::{Length, Model, Options, RefineMethod, Selection};
+use snake_core::{Length, Options, RefineMethod, Selection};
 use snake_io::KeypointFormat;
 
 use crate::inputs::InputArguments;
-use crate::setup::{ComputeArguments, EncodeFlags, named, none_if_zero, override_with};
+use crate::setup::{ComputeArguments, EncodeFlags, Loaded, named, none_if_zero, override_with};
 
 #[derive(Args)]
 pub struct DetectArguments {
@@ -125,14 +125,19 @@ pub struct DetectFlags {
 }
 
 impl DetectFlags {
+    /// Whether an option is given that suits only models with a cube.
+    pub fn names_a_model(&self) -> bool {
+        self.encode.names_a_model() || self.window_radius.is_some()
+    }
+
     /// The number of --max-keypoints, if it is given.
     pub fn max_keypoints(&self) -> Option<usize> {
         self.max_keypoints
     }
 
     /// The options of a run: the options of the preset or the model, overridden by the command line.
-    pub fn resolve(&self, model: &Model) -> Result<Options> {
-        let mut preset = self.encode.resolve(model)?;
+    pub fn resolve(&self, loaded: &Loaded) -> Result<Options> {
+        let mut preset = self.encode.resolve(loaded)?;
         override_with(&mut preset.window_radius, self.window_radius.map(Some));
         let detect = &mut preset.detect;
         override_with(&mut detect.query_resolution, self.query_resolution);

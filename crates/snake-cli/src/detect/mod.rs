@@ -14,11 +14,12 @@ use std::time::Instant;
 
 use anyhow::{Context, Result, anyhow, bail};
 use serde_json::{Value, json};
-use snake_core::{Control, Detection, Model, Options, Progress, add_origin, cluster_hint, scale_hint, side_by_side};
+use snake_core::{Builtin, Control, Detection, Options, Progress, add_origin, cluster_hint, scale_hint, side_by_side};
 use snake_io::{self as io, Cloud, Contents, KeypointFormat, KeypointSource};
 
 use crate::inputs::{DASH, check_inputs, expand, missing_returns, output_origin};
 use crate::output::{InputFiles, in_folder};
+use crate::setup::Loaded;
 use crate::terminal::{self, Bar, Report};
 use crate::timing::{STAGES, Seconds};
 use args::DetectArguments;
@@ -32,19 +33,29 @@ pub fn run(arguments: &DetectArguments) -> Result<ExitCode> {
     arguments.compute.start_threads()?;
     let loading = Instant::now();
     let progress = Progress::default();
-    let model = arguments.compute.load_model()?;
+    let loaded = arguments.compute.load_model()?;
     let control = Control::new().progress(&progress);
     let load_model = loading.elapsed().as_secs_f64();
-    let options = arguments.options.resolve(&model)?;
+    let options = arguments.options.resolve(&loaded)?;
     terminal::detail("options", || serde_json::to_string(&options).unwrap_or_default());
+    // Where no model is named, each cloud has the one that suits it.
+    let is_chosen = loaded.is_default && !arguments.options.names_a_model();
+    let scenes = is_chosen.then(Loaded::scenes).transpose()?;
+    let of_scenes = scenes.as_ref().map(|scenes| arguments.options.resolve(scenes)).transpose()?;
     let inputs = expand(&arguments.inputs, arguments.input.input_format, io::is_recording)?;
     check_inputs(&inputs)?;
-    let job = Job { model: &model, options: &options, arguments, control: &control, hinted: &Mutex::default() };
+    let job = Job {
+        loaded: (&loaded, &options),
+        scenes: scenes.as_ref().zip(of_scenes.as_ref()),
+        arguments,
+        control: &control,
+        hinted: &Mutex::default(),
+    };
     if recording::is_given(arguments, &inputs)? {
         return recording::run(&job, &inputs[0], terminal::stages(&progress)?, load_model);
     }
     if let (Some(side), Some(output)) = (arguments.tiles.tile, &arguments.output) {
-        return tiled::run(arguments, &model, options, &inputs, side, output);
+        return tiled::run(arguments, &loaded.model, options, &inputs, side, output);
     }
     let outputs = outputs(arguments, &inputs)?;
     let is_parallel = options.window_radius.is_none() && inputs.iter().all(|input| is_small(input));
@@ -118,8 +129,9 @@ fn outputs(arguments: &DetectArguments, inputs: &[PathBuf]) -> Result<Vec<Result
 /// What all clouds of a run share.
 #[derive(Clone, Copy)]
 struct Job<'a> {
-    model: &'a Model,
-    options: &'a Options,
+    loaded: (&'a Loaded, &'a Options),
+    /// The model for scenes, if each cloud has the model that suits it.
+    scenes: Option<(&'a Loaded, &'a Options)>,
     arguments: &'a DetectArguments,
     control: &'a Control,
     /// The hints that were printed.
@@ -145,7 +157,7 @@ impl Job<'_> {
     /// Processes one input from file to file.
     fn process_file(&self, input: &Path, name: &str, output: Option<&Path>, bar: &Bar) -> Result<Processed> {
         let start = Instant::now();
-        let contents = self.arguments.input.read_without_hint(input, self.options.encode.seed)?;
+        let contents = self.arguments.input.read_without_hint(input, self.loaded.1.encode.seed)?;
         self.process(Item { input, name, output, recorded: None, contents, start, bar })
     }
 
@@ -154,8 +166,12 @@ impl Job<'_> {
         let Item { input, name, output, recorded, contents, start, bar } = item;
         let missing_returns = missing_returns(&contents);
         let Contents { cloud, crs, .. } = contents;
-        let Self { model, options, arguments, control, .. } = *self;
-        let Cloud { points, origin } = cloud.for_normalization(options.encode.normalization);
+        let Self { arguments, control, .. } = *self;
+        let Cloud { points, origin } = cloud.for_normalization(self.loaded.1.encode.normalization);
+        let (Loaded { model, name: model_name, .. }, options) = match self.scenes {
+            Some(scenes) if Builtin::for_cloud(&points) == Builtin::Scenes => scenes,
+            _ => self.loaded,
+        };
         let read = start.elapsed().as_secs_f64();
         // Before the detection, which may take minutes at the wrong scale.
         let mut hints: Vec<String> = Vec::new();
@@ -170,7 +186,7 @@ impl Job<'_> {
             }
         };
         add_hint(missing_returns);
-        add_hint(scale_hint(&points, options));
+        add_hint(scale_hint(&points, model.config(), options));
         let detection = model.detect_with(&points, options, control).with_context(|| name.to_owned())?;
         add_hint(cluster_hint(&points, &detection.keypoints));
         let mut origin_to_add = [0.0; 3];
@@ -184,12 +200,17 @@ impl Job<'_> {
         let report = if arguments.json {
             let origins = [origin, origin_to_add];
             let mut line = json_line(input, output, points.len(), origins, &detection, &seconds, &hints);
-            if let (Some(line), Some(recorded)) = (line.as_object_mut(), recorded) {
-                line.insert("recorded".into(), recorded);
+            if let Some(line) = line.as_object_mut() {
+                line.insert("model".into(), model_name.clone().into());
+                line.extend(recorded.map(|recorded| ("recorded".into(), recorded)));
             }
             Report::json(&line)?
         } else {
-            table(name, output, points.len(), origin, &detection, total)?
+            let mut report = table(name, output, points.len(), origin, &detection, total)?;
+            if self.scenes.is_some() {
+                report.line(format!("model: {model_name}, as the cloud looks; --model NAME names another"));
+            }
+            report
         };
         Ok(Processed { report, seconds, num_points: points.len(), num_keypoints: detection.keypoints.len() })
     }
@@ -241,6 +262,7 @@ fn json_line(
         "origin": origin,
         "output_origin": output_origin,
         "normalization": detection.normalization,
+        "voxel_size": detection.voxel_size,
         "counts": detection.counts,
         "notes": hints,
         "timing_seconds": STAGES.into_iter().zip(seconds).collect::<BTreeMap<_, _>>(),

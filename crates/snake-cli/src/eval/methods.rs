@@ -7,7 +7,7 @@ use snake_core::{Length, Model, Options, Point, Preset};
 use snake_registration::detectors::{Detector, Protocol};
 
 use super::args::{EvalArguments, ProtocolName};
-use crate::setup::none_if_zero;
+use crate::setup::{Loaded, none_if_zero};
 
 /// A detector with its options. It maps a cloud to the positions of its best keypoints.
 pub enum Method {
@@ -44,10 +44,10 @@ impl Method {
         arguments: &EvalArguments,
         nms_radius: Option<Length>,
     ) -> Result<Self> {
-        let model = arguments.run.compute.load_model()?;
+        let Loaded { model, options, .. } = arguments.run.compute.load_model()?;
         let mut options = match &arguments.preset {
             Some(name) => Preset::named(name)?.options(),
-            None => *model.recommended(),
+            None => options,
         };
         options.detect.max_keypoints = arguments.count;
         options.encode.rotations = rotations.unwrap_or(options.encode.rotations);

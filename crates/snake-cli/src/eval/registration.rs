@@ -35,7 +35,7 @@ const OVERLAP_DISTANCE: f64 = 0.05;
 /// Evaluates every pair that is not yet recorded, then reports.
 pub fn run(arguments: &RegistrationArguments) -> Result<()> {
     let scenes = Scenes::open(&arguments.data)?;
-    let model = arguments.run.compute.load_model()?;
+    let model = arguments.run.compute.load_model()?.model;
     let plan = Plan::new(arguments, &model)?;
     let schedule = Schedule::new(scenes.pairs.len(), &arguments.run)?;
     files::check(&arguments.run, "registration", scenes.clouds.iter().map(PathBuf::as_path))?;

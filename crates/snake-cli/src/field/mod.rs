@@ -27,9 +27,10 @@ pub fn run(arguments: &FieldArguments) -> Result<()> {
         _ => bail!("{}: unknown extension; files that can be written: .png, .npy", output.display()),
     };
     let progress = Progress::default();
-    let model = arguments.compute.load_model()?;
+    let loaded = arguments.compute.load_model()?;
+    let model = &loaded.model;
     let control = Control::new().progress(&progress);
-    let options = arguments.encode.resolve(&model)?.encode;
+    let options = arguments.encode.resolve(&loaded)?.encode;
     terminal::detail("options", || serde_json::to_string(&options).unwrap_or_default());
     let bar = terminal::stages(&progress)?;
     bar.set_message(input.display().to_string());

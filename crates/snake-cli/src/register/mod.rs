@@ -29,7 +29,7 @@ pub fn run(arguments: &RegisterArguments) -> Result<ExitCode> {
         InputFiles::new([source, target].into_iter().chain(&arguments.compute.model).chain(&arguments.initial));
     output.iter().chain(aligned).chain(view).try_for_each(|path| inputs.refuse_as_output(path))?;
     let progress = Progress::default();
-    let model = arguments.compute.load_model()?;
+    let model = arguments.compute.load_model()?.model;
     let control = Control::new().progress(&progress);
     let mut options = arguments.options.resolve();
     terminal::detail("options", || serde_json::to_string(&options).unwrap_or_default());

@@ -8,8 +8,8 @@ use snake_io as io;
 use snake_view::{Page, Pair, ShownCloud};
 
 use crate::inputs::check_inputs;
-use crate::model;
 use crate::output::{InputFiles, check_page_path, write_page};
+use crate::setup::Loaded;
 use crate::terminal::{self, Report};
 use args::ViewArguments;
 
@@ -26,9 +26,10 @@ pub fn run(arguments: &ViewArguments) -> Result<()> {
     InputFiles::new(inputs).refuse_as_output(output)?;
     let t_first_second = transform.as_deref().map(io::read_transform).transpose()?;
     let progress = Progress::default();
-    let model = arguments.compute.load_model()?;
+    let loaded = arguments.compute.load_model()?;
     let control = Control::new().progress(&progress);
-    let options = arguments.options.resolve(&model)?;
+    let options = arguments.options.resolve(&loaded)?;
+    let Loaded { model, name: model_name, .. } = loaded;
     terminal::detail("options", || serde_json::to_string(&options).unwrap_or_default());
     let bar = terminal::stages(&progress)?;
     let mut clouds: Vec<ShownCloud> = Vec::new();
@@ -50,7 +51,6 @@ pub fn run(arguments: &ViewArguments) -> Result<()> {
     };
     bar.finish();
     let mut report: Report = clouds.iter().map(ShownCloud::summary).chain(pair.as_ref().map(Pair::summary)).collect();
-    let model_name = model::name(arguments.compute.model.as_deref());
     let colors = std::array::from_fn(|i| arguments.colormap.color(i as f32 / 255.0));
     let page = Page { clouds, pair, options, model_name, colors };
     let html = page.html()?;

@@ -9,6 +9,7 @@ mod encoder;
 mod levels;
 mod queries;
 mod scatter;
+mod sweep;
 #[cfg(test)]
 mod tests;
 mod unet;
@@ -17,4 +18,5 @@ mod voxel_size;
 pub(crate) use self::block_grid::BlockGrid;
 pub(crate) use self::encoder::{SceneEncoder, SceneMemory};
 pub(crate) use self::queries::cell_means;
+pub(crate) use self::sweep::is_sweep;
 pub(crate) use self::voxel_size::voxel_size;

@@ -3,8 +3,9 @@
 //! The rule asks how much the cloud shows. It takes the smallest size of the series 1, 1.25, 1.6, 2, 2.5, 3.15, 4, 5, 6.3, 8
 //! (times any power of ten) at which
 //!
-//! - at most nine tenths as many voxels hold points as there are different points: a voxel is then about as large as the
-//!   distance between neighbouring points, and
+//! - at most half as many voxels hold points as there are different points: a voxel is then about twice as large as the
+//!   distance between neighbouring points. Of a sweep, whose points lie far apart where there is something to see, nine
+//!   tenths ([`is_sweep`]); and
 //! - at most [`MOST_VOXELS`] voxels hold points, which bounds the time of a dense cloud.
 //!
 //! Two clouds of one sensor so have the same size more often than by a rule without steps, and a room in millimetres has
@@ -13,6 +14,7 @@
 use rayon::prelude::*;
 use snake_kernels::Scratch;
 
+use super::sweep::is_sweep;
 use crate::length::Length;
 use crate::points::Point;
 use crate::{Error, Result};
@@ -20,8 +22,8 @@ use crate::{Error, Result};
 /// Voxels with points, at most: about as many as a sweep of 120 000 points has at 0.28 m.
 const MOST_VOXELS: usize = 32_000;
 
-/// Voxels with points, at most, for each different point.
-const SHARE: f64 = 0.9;
+/// Voxels with points, at most, for each different point; of a sweep the second.
+const SHARES: [f64; 2] = [0.5, 0.9];
 
 /// Steps of the series in a factor of ten.
 const STEPS: i32 = 10;
@@ -46,7 +48,8 @@ fn chosen(points: &[Point]) -> Result<f64> {
     }
     let largest = step_of(extent);
     let distinct = num_voxels(points, size_of(largest - 6 * STEPS));
-    let most = MOST_VOXELS.min((SHARE * distinct as f64) as usize).max(1);
+    let share = SHARES[usize::from(is_sweep(points))];
+    let most = MOST_VOXELS.min((share * distinct as f64) as usize).max(1);
     // The smallest step that has few enough voxels; one voxel as large as the cloud is always few enough.
     let (mut too_small, mut fits) = (largest - 6 * STEPS, largest + 1);
     while fits - too_small > 1 {
@@ -92,12 +95,12 @@ mod tests {
 
     #[test]
     fn a_voxel_is_as_large_as_the_points_are_apart_and_larger_in_dense_clouds() {
-        // 100 x 100 points 0.02 apart: nine tenths of the voxels at 0.0211.
-        assert_eq!(chosen(&square(100, 0.02)).unwrap(), 0.025);
-        assert_eq!(chosen(&square(100, 20.0)).unwrap(), 25.0);
+        // 100 x 100 points 0.02 apart: half of the voxels at 0.0283.
+        assert_eq!(chosen(&square(100, 0.02)).unwrap(), 0.0315);
+        assert_eq!(chosen(&square(100, 20.0)).unwrap(), 31.5);
         // 600 x 600 points 0.001 apart are 0.36 square units: 32 000 voxels of 0.0034.
         assert_eq!(chosen(&square(600, 0.001)).unwrap(), 0.004);
-        assert_eq!(chosen(&square(100, 0.02).repeat(3)).unwrap(), 0.025);
+        assert_eq!(chosen(&square(100, 0.02).repeat(3)).unwrap(), 0.0315);
     }
 
     #[test]
