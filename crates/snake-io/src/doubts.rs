@@ -103,12 +103,15 @@ pub(super) fn explain(row: &str, names: &[String], separator: Separator) -> Stri
 /// The error for words above the first row that are too few to be the names of its columns.
 pub(super) fn no_header(words: &[String], row: &str) -> String {
     let fields: Vec<&str> = Separator::of(row, b";,|").fields(row).collect();
-    format!(
-        "`{}` above this row does not name its {}; choose those of x, y and z by numbers, as in {}",
-        excerpt(&words.join(" "), 40),
-        count(fields.len(), "column"),
-        choice(first_numbers(&fields).unwrap_or(0))
-    )
+    let shown = excerpt(&words.join(" "), 40);
+    match first_numbers(&fields) {
+        Some(start) => format!(
+            "`{shown}` above this row does not name its {}; choose those of x, y and z by numbers, as in {}",
+            count(fields.len(), "column"),
+            choice(start)
+        ),
+        None => format!("`{shown}` and no three coordinates in `{}` below", excerpt(row, 60)),
+    }
 }
 
 /// The place of the first three columns in a row that hold numbers.
@@ -129,7 +132,7 @@ pub(super) fn commas(row: &str) -> Option<String> {
             true => number(&field.trim_end_matches(',').replacen(',', ".", 1)).is_some(),
             false => field.contains('.') && number(&field.replace([',', '\''], "")).is_some(),
         };
-        let is_unread = |field: &str| number(field).is_none() && field.contains([',', '\'']);
+        let is_unread = |field: &str| number(field).is_none() && field.trim_end_matches(',').contains([',', '\'']);
         separator.fields(row).any(is_unread) && separator.fields(row).filter(|field| repaired(field)).count() >= 3
     };
     if let Some(separator) = separators.iter().find(|separator| has(separator, true)) {

@@ -13,7 +13,7 @@ const LENGTHS: [&str; 14] =
     ["m", "mm", "cm", "dm", "km", "um", "\u{b5}m", "ft", "usft", "in", "meter", "meters", "metre", "metres"];
 
 /// Whether a line is a comment: it starts with `#`, `//`, `%` or `!`, but not with an error of a spreadsheet such as
-/// `#N/A`.
+/// `#N/A`. The line `sep=;` tells Excel the separator.
 pub(super) fn is_comment(line: &[u8]) -> bool {
     let line = line.trim_ascii_start();
     match line.first() {
@@ -22,6 +22,7 @@ pub(super) fn is_comment(line: &[u8]) -> bool {
             !str::from_utf8(cell).is_ok_and(is_spreadsheet_error)
         }
         Some(b'/') => line.starts_with(b"//"),
+        Some(b's') => line.starts_with(b"sep=") && line.len() <= 6,
         first => matches!(first, Some(b'%' | b'!')),
     }
 }

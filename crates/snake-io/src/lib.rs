@@ -31,7 +31,7 @@
 //! | `npz` | the array `points`, `xyz`, `pc`, `pos` or `arr_0`; else the only array with the shape of a cloud | | |
 //! | `csv` | as `xyz` | `x,y,z` | `x,y,z,saliency,occupancy,nearest_index` |
 //! | `xyz`, `txt`, `pts`, `asc`, `xyzn`, `xyzrgb`, `xyzi` | columns of text | only `xyz` | |
-//! | `pcd.bin`, and `bin` in folders of KITTI or nuScenes | x, y and z of float32 values, 5 or 4 of them a point | | |
+//! | `pcd.bin`, and `bin` in folders of KITTI or nuScenes | x, y and z of float32 values, 5 or 4 of them a point; [`PointFormat::Sweep`] has others | | |
 //! | `obj`, `off`, `stl` | vertices, or points sampled on the surface (also of a `ply` with faces) | | |
 //! | `gltf`, `glb` | vertices of all meshes in the scene's frame, or points sampled on them | | |
 //! | `las`, `laz`, `e57` | coordinates | | only `laz`, with extra dimensions |

@@ -59,7 +59,7 @@ mod tests {
             ("inf", f64::INFINITY),
             ("1.#INF", f64::INFINITY),
             ("-1.#INF00", f64::NEG_INFINITY),
-            ("0.1000000014901161193847656", 0.1000000014901161193847656),
+            ("0.1000000014901161193847656", f64::from(0.1_f32)),
         ] {
             assert_eq!(number(word), Some(value), "{word}");
         }

@@ -44,7 +44,8 @@ pub(super) fn read_checked(bytes: &[u8], num_values: usize) -> Result<Shape, Str
     if let Some(stride) = other_stride(&values, num_values) {
         return Err(format!(
             "the content repeats every {stride} values and not every {num_values}: --input-format kitti:{stride} reads \
-             points of {stride} float32 values, kitti:{num_values} reads these {num_values} nevertheless"
+             points of {stride} float32 values (numpy.fromfile(FILE, \"<f4\").reshape(-1, {stride}) in Python), \
+             kitti:{num_values} reads these {num_values} nevertheless"
         ));
     }
     read(bytes, num_values)

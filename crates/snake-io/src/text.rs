@@ -76,6 +76,9 @@ fn read_rows(bytes: &[u8], columns: Option<&Columns>, in_blocks: bool) -> Result
         }
     }
     blocks.check(points.len())?;
+    if let Some(header) = above.header.filter(|header| layout.is_none() && !header.tells(columns)) {
+        return Err(format!("no points below `{}`", excerpt(&header.names.join(" "), 60)));
+    }
     if let Some(layout) = layout.filter(Layout::is_guessed) {
         decimal_commas.check()?;
         if layout.width > 3 {

@@ -164,6 +164,8 @@ fn lines_above_the_points() {
             format!("X,Y,Z,t\n(mm),(mm),(mm),s\n{}", lines("X,Y,Z,1")),
             format!("Survey of 3 May\nX,Y,Z\n{}", rows(",", "\n")),
             format!("Survey of May\n\nStation 7\nX;Y;Z\n{}", rows(";", "\n")),
+            format!("sep=,\n{}", rows(",", "\n")),
+            format!("sep=;\r\nx;y;z\r\n{}", rows(";", "\r\n")),
             format!("# columns: x y z\n{}", rows(" ", "\n")),
             format!("# time x y z\n{}", lines("N X Y Z")),
             format!("# the x y z of points\n{}", rows(" ", "\n")),
@@ -285,7 +287,11 @@ fn other_contents_are_named() {
             ("1 2\n".into(), "2 columns where 3 are needed"),
         ],
     );
-    assert_refused("xyz", [(&b"\x1f\x8b\x08\0\0\0"[..], "gunzip FILE")]);
+    assert_refused("xyz", [(&b"\x1f\x8b\x08\0\0\0"[..], "gunzip FILE"), (b"PK\x03\x04abc", "the content is NPZ")]);
+    assert_refused(
+        "xyz",
+        [("x,y\n1,2\n", "no three coordinates in `1,2` below"), ("[[1, 2, 3], [4, 5, 6]]", "no three coordinates")],
+    );
     assert_eq!(read_with("txt", b"1 0 0 0.5\n0 1 0 2\n0 0 1 3\n0 0 0 1\n", &columns("1,2,3")).unwrap().len(), 4);
 }
 
