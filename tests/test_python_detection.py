@@ -115,7 +115,7 @@ def test_radii_can_be_multiples_of_the_resolution(field, points):
         ({"query_resolution": 256, "refine_steps": 100}, "option `query_resolution` is 256, with 100 refine_steps and"),
         ({"refine_steps": -1}, "option `refine_steps` is -1: .*expected a whole number, 0 or more"),
         ({"refine_steps": 2.5}, "option `refine_steps` is 2.5: .*expected a whole number, 0 or more"),
-        ({"max_keypoints": None}, "option `max_keypoints` is None: .*expected a whole number, 0 or more"),
+        ({"query_resolution": None}, "option `query_resolution` is None: .*expected a whole number, 0 or more"),
         ({"snap": 1}, "option `snap` is 1: .*expected a boolean"),
         ({"snap": [True]}, r"option `snap` is \[True\]: .*expected a boolean"),
     ],
@@ -159,7 +159,7 @@ def test_unknown_options_raise_type_errors(model, field, points):
 
 def test_a_cloud_far_from_the_scale_of_the_model_has_a_warning(model):
     sweep = np.random.default_rng(1).normal(size=(900, 3))
-    sweep[:30] *= 40
+    sweep[:90] *= 40
     with pytest.warns(UserWarning, match="half of the points lie within"):
         snake_rs.detect(sweep, model, query_resolution=8)
 

@@ -172,7 +172,7 @@ print("all")
 def test_counts_that_cannot_be_are_refused():
     with pytest.raises(ValueError, match="5 false negatives of 1"):
         metrics.iou([[1, 0, 5]])
-    with pytest.raises(ValueError, match="2\\^32"):
+    with pytest.raises(ValueError, match="below 2"):
         metrics.iou([[2**63, 2**63, 0]])
     with warnings.catch_warnings():
         warnings.simplefilter("error")

@@ -39,7 +39,7 @@ pub fn transform(what: &str, value: &Bound<PyAny>) -> PyResult<RigidTransform> {
 fn thresholds(what: &str, value: &Bound<PyAny>) -> PyResult<Vec<f64>> {
     match value.extract() {
         Ok(one) => Ok(vec![one]),
-        Err(_) => numbers(what, "a number, or numbers of shape (T,)", value),
+        Err(_) => numbers(what, "numbers of shape (T,), or one number", value),
     }
 }
 
@@ -54,7 +54,7 @@ fn counts_array(py: Python<'_>, counts: Vec<MatchCounts>) -> PyResult<Counts<'_>
 }
 
 fn counts_from(counts: &Bound<PyAny>) -> PyResult<Vec<MatchCounts>> {
-    let rows: Vec<[u32; 3]> = numbers("counts", "whole numbers, 0 to 2^32 - 1, of shape (T, 3)", counts)?;
+    let rows: Vec<[u32; 3]> = numbers("counts", "whole numbers, 0 or more, of shape (T, 3) and below 2^32", counts)?;
     if let Some([truth, _, missed]) = rows.iter().find(|[truth, _, missed]| missed > truth) {
         let reason = format!("counts: {missed} false negatives of {truth} keypoints of the ground truth");
         return Err(PyValueError::new_err(reason));

@@ -63,6 +63,7 @@ pub fn run(arguments: &ReconstructArguments) -> Result<()> {
     let Cloud { points, origin } = arguments.reading.read(input, encode.seed)?.for_normalization(encode.normalization);
     let read = start.elapsed().as_secs_f64();
     let field = model.encode_with(&points, &encode, &control).with_context(|| input.display().to_string())?;
+    bar.suspend(|| terminal::hint_outliers(&input.display().to_string(), &field));
     let encoded = start.elapsed().as_secs_f64();
     let mesh = field.mesh_with(&options, &control)?;
     let meshed = start.elapsed().as_secs_f64();

@@ -13,7 +13,7 @@ use anyhow::{Context, Result};
 use console::{Term, style};
 use indicatif::{HumanDuration, ProgressBar, ProgressDrawTarget, ProgressStyle};
 use serde::Serialize;
-use snake_core::{Progress, Stage, is_harmful, printable};
+use snake_core::{Field, Progress, Stage, is_harmful, printable};
 
 /// How much is printed.
 #[derive(Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Default)]
@@ -170,6 +170,13 @@ pub fn warn(text: &str) {
 pub fn hint(text: &str) {
     if verbosity() > Verbosity::Quiet {
         note(text);
+    }
+}
+
+/// Names the outliers of a cloud, which its field leaves out, if there are any.
+pub fn hint_outliers(name: &str, field: &Field) {
+    if let Some(outliers) = field.outliers() {
+        hint(&format!("{name}: {outliers}"));
     }
 }
 

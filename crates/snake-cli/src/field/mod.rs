@@ -38,6 +38,7 @@ pub fn run(arguments: &FieldArguments) -> Result<()> {
         arguments.reading.read(input, options.seed)?.for_normalization(options.normalization);
     let field = model.encode_with(&points, &options, &control).with_context(|| input.display().to_string())?;
     bar.finish();
+    terminal::hint_outliers(&input.display().to_string(), &field);
     let grid = field.grid(*resolution)?;
     match one_quantity {
         Some(quantity) => write_volume(output, &field, &grid, quantity)?,

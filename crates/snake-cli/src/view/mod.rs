@@ -39,7 +39,9 @@ pub fn run(arguments: &ViewArguments) -> Result<()> {
         let cloud = cloud.for_normalization(options.encode.normalization);
         let name = input.display().to_string();
         let shown = ShownCloud::detect(&model, &options, name.clone(), &cloud, &control);
-        clouds.push(shown.context(name)?);
+        let shown = shown.with_context(|| name.clone())?;
+        bar.suspend(|| terminal::hint_outliers(&name, &shown.field));
+        clouds.push(shown);
     }
     bar.set_message("registration");
     let pair = match &clouds[..] {

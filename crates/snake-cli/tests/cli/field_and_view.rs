@@ -358,6 +358,29 @@ fn attribute(page: &str, name: &str) -> Option<u32> {
 }
 
 #[test]
+fn outliers_are_named_by_every_command_and_change_no_result() {
+    let folder = tempfile::tempdir().unwrap();
+    let cloud = io::read_points(sample().as_ref()).unwrap();
+    let [clean, dirty] = ["clean.npy", "dirty.npy"].map(|name| file(&folder, name));
+    io::write_points(clean.as_ref(), &cloud, [0.0; 3]).unwrap();
+    io::write_points(dirty.as_ref(), &[&cloud[..], &[[1e4, 0.0, 0.0]]].concat(), [0.0; 3]).unwrap();
+    for (command, output) in [("detect", "json"), ("reconstruct", "ply"), ("field", "npy"), ("view", "html")] {
+        let results = [&clean, &dirty].map(|input| {
+            let result = format!("{input}.{output}");
+            let more: &[&str] = if command == "field" { &["--quantity", "saliency"] } else { &[] };
+            let done = snake(&[&[command, input, "-o", &result], more].concat());
+            let said = String::from_utf8_lossy(&done.stderr).into_owned();
+            assert!(done.status.success(), "{command}: {said}");
+            (said, std::fs::read(result).unwrap())
+        });
+        let [(of_clean, expected), (of_dirty, found)] = results;
+        let named = format!("1 of {} points is ", cloud.len() + 1);
+        assert!(of_dirty.contains(&named) && !of_clean.contains("left out"), "{command}: {of_dirty}");
+        assert!(command == "view" || found == expected, "{command}");
+    }
+}
+
+#[test]
 fn pages_suit_the_window_and_hide_the_far_side_of_sparse_clouds() {
     const MEASURE: &str = r#"
         const inked = () => {
@@ -377,8 +400,8 @@ fn pages_suit_the_window_and_hide_the_far_side_of_sparse_clouds() {
     let Some(chromium) = chromium() else { return };
     let folder = tempfile::tempdir().unwrap();
     let [sparse, one, two] = ["sparse.npy", "one.html", "two.html"].map(|name| file(&folder, name));
-    let points: Vec<_> = snake_io::read_points(sample().as_ref()).unwrap().into_iter().step_by(8).collect();
-    snake_io::write_points(sparse.as_ref(), &points, [0.0; 3]).unwrap();
+    let points: Vec<_> = io::read_points(sample().as_ref()).unwrap().into_iter().step_by(8).collect();
+    io::write_points(sparse.as_ref(), &points, [0.0; 3]).unwrap();
     succeed(&["view", &sparse, "-o", &one]);
     succeed(&["view", &sample(), &turned(&folder), "-o", &two]);
     let measured = |page: &str, window: &str| {

@@ -18,7 +18,7 @@ const ROUNDS: usize = 10;
 /// pairs if there are no more.
 pub(super) fn pairs(clouds: &[Prepared], count: usize, control: &Control) -> Result<Vec<[usize; 2]>> {
     let all = (1..clouds.len()).flat_map(|source| (0..source).map(move |target| [source, target]));
-    if clouds.len() <= count + 1 {
+    if clouds.len().saturating_sub(1) <= count {
         return Ok(all.collect());
     }
     let similarities = similarities(clouds, control)?;
