@@ -9,7 +9,7 @@ use snake_core::space::Vector;
 /// better than that, and those of slopes that a voxel does not show are not.
 const LEAST_COSINE: f64 = 0.25;
 /// The share of the squared motion against planar patches up to which a direction is open.
-const OPEN_DIRECTION: f64 = 5e-4;
+const OPEN_DIRECTION: f64 = 5e-5;
 
 /// What planar patches of the overlap say about the motions of the source.
 pub(super) struct Constraint {

@@ -120,6 +120,7 @@ impl<'a> Pair<'a> {
         let num_agreeing = agreed.len();
         let of_rivals: Vec<usize> = rivals.iter().map(agreeing).collect();
         let mut counted = rivals.iter().zip(&of_rivals);
+        let (fitness, fitness_rmse) = fitness(surfaces[0].points, &surfaces[1].grid, &best.refined);
         let evidence = Evidence {
             violation: Surface::fine_violation(&surfaces, &best.refined),
             match_spread: match_spread / self.inlier_distance,
@@ -129,11 +130,11 @@ impl<'a> Pair<'a> {
             open_directions: (constraint.open.ncols(), open_motions::names(&constraint.open)),
             weakest_constraint: constraint.weakest,
             repeat_fit: repeated_share(&patches, fine[1], &surfaces[1]),
+            fitness,
             has_rival: counted
                 .any(|(rival, count)| is_rival((&rival.agreement, *count), (&best.agreement, num_agreeing))),
         };
         let confidence = evidence.confidence();
-        let (fitness, fitness_rmse) = fitness(surfaces[0].points, &surfaces[1].grid, &best.refined);
         let hypothesis = |candidate: &Candidate| Hypothesis {
             t_target_source: candidate.refined.into(),
             score: candidate.score(),

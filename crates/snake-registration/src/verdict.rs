@@ -24,6 +24,8 @@ pub(super) struct Evidence {
     pub(super) weakest_constraint: f64,
     /// See [`Registration::repeat_fit`](crate::Registration::repeat_fit).
     pub(super) repeat_fit: f64,
+    /// See [`Registration::fitness`](crate::Registration::fitness).
+    pub(super) fitness: f64,
     /// Whether another transform fits the surfaces and the matches about as well.
     pub(super) has_rival: bool,
 }
@@ -39,12 +41,16 @@ pub(super) fn is_rival(other: (&Agreement, usize), best: (&Agreement, usize)) ->
     matched && other.0.fit() > RIVAL_FIT * best.0.fit()
 }
 
-/// The target looks alike elsewhere if more than this share of the patches agrees there.
+/// The target looks alike elsewhere if more than this share of the patches agrees there,
 const REPEATED: f64 = 0.5;
+/// and the source may belong there if its fitness is more than this: with less overlap, a place with more would fit better.
+const REPEATED_FITNESS: f64 = 0.8;
 /// A constraint that is weaker than this share is doubtful, however many matches agree.
-const DOUBTFUL_CONSTRAINT: f64 = 1.5e-3;
+const DOUBTFUL_CONSTRAINT: f64 = 2e-4;
 /// Fewer matches that agree are never enough, however well the surfaces fit.
 const LEAST_AGREEING: usize = 10;
+/// Matches on one plane or line do not fix a transform, however many agree. Their least spread is at least this.
+const LEAST_MATCH_SPREAD: f64 = 0.25;
 /// The greatest confidence of a transform that is ambiguous or has few matches.
 const MOST_DOUBTFUL: f64 = 0.49;
 
@@ -54,7 +60,6 @@ const BIAS: f64 = -5.65;
 const PER_LOG_AGREEING: f64 = 0.65;
 const PER_LOG_RATIO: f64 = 2.2;
 const PER_SLIDE_MARGIN: f64 = 2.1;
-/// Matches on one plane or line say little, however many agree.
 const PER_MATCH_SPREAD: f64 = 2.7;
 const PER_VIOLATION: f64 = -145.0;
 /// The limits: more says no more.
@@ -70,11 +75,15 @@ impl Evidence {
     }
 
     fn is_repeated(&self) -> bool {
-        self.repeat_fit > REPEATED
+        self.repeat_fit > REPEATED && self.fitness > REPEATED_FITNESS
     }
 
     fn has_few_matches(&self) -> bool {
         self.num_agreeing < LEAST_AGREEING
+    }
+
+    fn has_flat_matches(&self) -> bool {
+        self.match_spread < LEAST_MATCH_SPREAD
     }
 
     /// From 0 to 1; 0.5 and more is reliable. It is 0 where the overlap leaves a direction open, and falls towards it. Another
@@ -91,7 +100,7 @@ impl Evidence {
             + PER_MATCH_SPREAD * self.match_spread.min(MOST_MATCH_SPREAD)
             + PER_VIOLATION * self.violation;
         let of_one = (self.weakest_constraint / DOUBTFUL_CONSTRAINT).min(1.0) / (1.0 + (-sum).exp());
-        match (self.has_rival || self.is_repeated(), self.has_few_matches()) {
+        match (self.has_rival || self.is_repeated(), self.has_few_matches() || self.has_flat_matches()) {
             (true, _) => (of_one / 2.0).min(MOST_DOUBTFUL),
             (false, true) => of_one.min(MOST_DOUBTFUL),
             (false, false) => of_one,
@@ -130,6 +139,9 @@ pub(super) fn notes(evidence: &Evidence, diameters: [f64; 2]) -> Vec<String> {
             evidence.num_agreeing
         ));
     }
+    if evidence.has_flat_matches() && !evidence.has_few_matches() {
+        notes.push("the matches that agree lie on one plane or line, which does not fix a transform".into());
+    }
     notes.extend(units_note(diameters));
     notes
 }
@@ -157,6 +169,7 @@ mod tests {
         open_directions: (0, String::new()),
         weakest_constraint: 0.03,
         repeat_fit: 0.0,
+        fitness: 0.9,
         has_rival: false,
     };
 
@@ -165,7 +178,7 @@ mod tests {
         assert!(EVIDENCE.confidence() > 0.9, "{}", EVIDENCE.confidence());
         for worse in [
             Evidence { num_agreeing: 9, slide_margin: 9.0, match_spread: 9.0, ..EVIDENCE },
-            Evidence { num_agreeing: 9999, weakest_constraint: 6e-4, ..EVIDENCE },
+            Evidence { num_agreeing: 9999, weakest_constraint: 8e-5, ..EVIDENCE },
             Evidence { num_agreeing: 9999, repeat_fit: 0.95, ..EVIDENCE },
             Evidence { num_rival_agreeing: 120, slide_margin: 0.0, ..EVIDENCE },
             Evidence { violation: 0.2, ..EVIDENCE },
@@ -202,6 +215,7 @@ mod tests {
         assert!(notes(&Evidence { has_rival: true, ..EVIDENCE }, [4.0, 3.0])[0].contains("another transform"));
         assert!(notes(&Evidence { repeat_fit: 0.95, ..EVIDENCE }, [4.0, 3.0])[0].contains("repeats itself"));
         assert!(notes(&Evidence { num_agreeing: 9, ..EVIDENCE }, [4.0, 3.0])[0].contains("only 9 matches"));
+        assert!(notes(&Evidence { match_spread: 0.1, ..EVIDENCE }, [4.0, 3.0])[0].contains("one plane or line"));
         assert!(notes(&EVIDENCE, [4000.0, 4.0])[0].contains("1000 times"));
     }
 }

@@ -176,7 +176,10 @@ fn few_matches_of_balls_are_never_enough() {
 #[test]
 fn things_that_are_not_there_are_not_found_and_not_joined() {
     let views: Vec<Vec<Point>> = (0..2)
-        .map(|i| room().seen([1.0 + 0.3 * f64::from(i), 1.2, 1.4], &camera(0.6), 12.0, 0.004, i as u64))
+        .map(|i| {
+            let at = [1.0 + 0.5 * f64::from(i), 1.2 - 0.2 * f64::from(i), 1.4 + 0.1 * f64::from(i)];
+            room().seen(at, &camera(0.6), 12.0, 0.003, i as u64)
+        })
         .collect();
     for seed in 0..6 {
         if let Some(found) = run(&object(4000, seed), &views[seed as usize % 2]) {
