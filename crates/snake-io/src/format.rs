@@ -282,8 +282,16 @@ fn conversion(extension: &str) -> Option<&'static str> {
         "db3" => "it is a recording: snake-cli detect FILE.db3 --topic /TOPIC, or read_recording in Rust and Python",
         "zstd" | "zst" => "decompress it: zstd -d FILE",
         "mcap" => "it is a recording: snake-cli detect FILE.mcap --topic /TOPIC, or read_recording in Rust and Python",
-        "pcap" => "convert the recording to LAS files: ouster-cli source FILE.pcap save FILE.las",
+        "pcap" | "pcapng" => "convert the recording to LAS files: ouster-cli source FILE.pcap save FILE.las",
         "ptx" | "fls" | "rcp" => "convert it with CloudCompare: CloudCompare -O FILE -C_EXPORT_FMT PLY -SAVE_CLOUDS",
+        "parquet" => {
+            "convert it: python -c \"import pandas; pandas.read_parquet('FILE')[['x', 'y', 'z']].to_csv('FILE.csv', index=False)\""
+        }
+        "arrow" | "feather" => {
+            "convert it: python -c \"import pandas; pandas.read_feather('FILE')[['x', 'y', 'z']].to_csv('FILE.csv', index=False)\""
+        }
+        "drc" => "decode it: draco_decoder -i FILE.drc -o FILE.ply",
+        "vtk" | "vtu" => "convert it: meshio convert FILE FILE.ply",
         "fbx" | "dae" | "3ds" | "blend" => "convert it to a mesh: assimp export FILE FILE.ply",
         "step" | "stp" | "iges" | "igs" => "convert it to a mesh: freecadcmd, then Mesh.export to FILE.stl",
         _ => return None,
