@@ -14,7 +14,7 @@ from safetensors import safe_open
 from safetensors.torch import load_file, save_file
 
 from snake_training.export import load_network, write_weights
-from snake_training.model import SceneConfig, SceneNetwork
+from snake_training.scene_model import SceneConfig, SceneNetwork
 
 FOLDER = Path(__file__).resolve().parent / "scene"
 VOXEL_SIZE, NEAR = 0.1, 3  # metres; nodes listed up to this many voxels from a point
@@ -85,7 +85,9 @@ def check():
     for name, found in compute(network).items():
         expected = stored[name]
         tolerance = 1e-5 if name in ("occupancy", "saliency", "points") else 1e-4
-        right = found.shape == expected.shape and torch.allclose(found.float(), expected.float(), atol=tolerance, rtol=1e-4)
+        right = found.shape == expected.shape and torch.allclose(
+            found.float(), expected.float(), atol=tolerance, rtol=1e-4
+        )
         print(f"  {name:18s} {tuple(expected.shape)!s:12s} {'ok' if right else 'MISMATCH'}")
         wrong += [] if right else [name]
     return wrong

@@ -11,7 +11,8 @@ from safetensors import SafetensorError, safe_open
 from safetensors.torch import load_file, save_file
 
 from .config import from_json
-from .model import NetworkConfig, SceneConfig, SceneNetwork, SnakeNetwork
+from .model import NetworkConfig, SnakeNetwork
+from .scene_model import SceneConfig, SceneNetwork
 
 
 @contextmanager

@@ -5,7 +5,8 @@ A recipe is a TOML file of stages in order. Each has a name, a kind, and the set
 
 crops     number, seed: made crops (`snake_training.data.crops`)
 start     init (a weight file, or "" for new weights), crops, seed: layers with the crops' statistics for constants
-train     init (a stage), teacher (a stage, or ""), crops, and the settings of `snake_training.scenes.SceneTraining`
+train     init (a stage), teacher (a stage, or ""), crops, the settings of `snake_training.scenes.SceneTraining`, and at times
+          stop, a step before the last
 average   of (stages), weights: the weighted mean of their networks
 export    of (a stage), output, metadata: the weight file
 
@@ -16,15 +17,19 @@ import argparse
 import json
 import sys
 import time
-import tomllib
 from dataclasses import fields
 from pathlib import Path
 
 import torch
 
+try:
+    import tomllib
+except ModuleNotFoundError:  # before Python 3.11
+    import tomli as tomllib
+
 from .data.crops import Crops, write_part
 from .export import load_network, replacing, write_weights
-from .model import SceneConfig, SceneNetwork
+from .scene_model import SceneConfig, SceneNetwork
 from .scenes import SceneTraining, Target, started, train
 
 PART = 25  # crops a file
@@ -60,7 +65,9 @@ class Recipe:
         for stage in self.stages:
             name, kind = stage.get("name"), stage.get("kind")
             if not name or name in seen or kind not in self.KINDS:
-                raise ValueError(f"{path}: stage {name!r} of kind {kind!r}: names differ, kinds are {', '.join(self.KINDS)}")
+                raise ValueError(
+                    f"{path}: stage {name!r} of kind {kind!r}: names differ, kinds are {', '.join(self.KINDS)}"
+                )
             for key in ("crops", "teacher", "of") + (("init",) if kind == "train" else ()):
                 for other in [stage[key]] if isinstance(stage.get(key), str) else stage.get(key, []):
                     if other and other not in seen:
@@ -85,7 +92,7 @@ class Recipe:
     def settings(self, stage):
         """The stage's SceneTraining."""
         known = {field.name for field in fields(SceneTraining)}
-        unknown = set(stage) - known - {"name", "kind", "init", "teacher", "crops"}
+        unknown = set(stage) - known - {"name", "kind", "init", "teacher", "crops", "stop"}
         if unknown:
             raise ValueError(f"stage {stage['name']!r}: unknown settings {', '.join(sorted(unknown))}")
         given = {name: value for name, value in stage.items() if name in known}
@@ -110,7 +117,8 @@ class Recipe:
         crops, settings = Crops(self.run_dir / stage["crops"]), self.settings(stage)
         teacher = result(self.run_dir / stage["teacher"]).eval() if stage.get("teacher") else None
         network = result(self.run_dir / stage["init"]).train()
-        save(folder, train(folder, crops, settings, network, Target(teacher, crops, settings), log))
+        target = Target(teacher, crops, settings)
+        save(folder, train(folder, crops, settings, network, target, log, stop=stage.get("stop")))
 
     def average(self, stage, folder, log):
         """The weighted mean of networks."""
@@ -135,7 +143,9 @@ class Recipe:
 def main(argv=None):
     """Command line."""
     parser = argparse.ArgumentParser(
-        prog="python -m snake_training.recipes", description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+        prog="python -m snake_training.recipes",
+        description=__doc__,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     parser.add_argument("recipe", help="the TOML file")
     parser.add_argument("--run-dir", help="folder of the stages' results; default: runs/ and the recipe's name")

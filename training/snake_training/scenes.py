@@ -14,10 +14,10 @@ import torch
 import torch.nn.functional as F
 
 from .augment import random_rotation
-
 from .data.solids import about_axis
 from .export import load_network, replacing
-from .model import NetworkConfig, SceneConfig, SceneNetwork, SnakeNetwork
+from .model import NetworkConfig, SnakeNetwork
+from .scene_model import SceneConfig, SceneNetwork
 from .train import update_average
 
 
@@ -184,7 +184,9 @@ def started(init, crops, settings):
         old = load_network(init)
         if not isinstance(old, SnakeNetwork):
             raise ValueError(f"{init}: a network of scenes already has its constants")
-        shape = {name: getattr(old.config, name) for name in SceneConfig.__dataclass_fields__ if hasattr(old.config, name)}
+        shape = {
+            name: getattr(old.config, name) for name in SceneConfig.__dataclass_fields__ if hasattr(old.config, name)
+        }
     else:
         shape = {}
         old = SnakeNetwork(NetworkConfig(unet_levels=3, unet_base_channels=16))
@@ -260,5 +262,3 @@ def train(folder, crops, settings, network, target, log=print, checkpoint_minute
                 torch.save(state | {"optimizer": optimizer.state_dict()}, temporary)
             saved = time.monotonic()
     return average
-
-

@@ -96,5 +96,8 @@ def test_views_and_surface_of_a_crop_are_the_same_places(run_dir):
     batch = make_batch(crops, settings, 0, 0)
     points, owner = batch["points"].numpy(), batch["owner"].numpy()
     assert set(owner) == {0, 1, 2} and points.min() >= 0 and points.max() < settings.side
-    near = [np.linalg.norm(points[owner == box][:, None] - q.numpy(), axis=2).min(axis=0) for box, q in enumerate(batch["queries"])]
+    near = [
+        np.linalg.norm(points[owner == box][:, None] - q.numpy(), axis=2).min(axis=0)
+        for box, q in enumerate(batch["queries"])
+    ]
     assert np.median(near[2]) < 1.0 and all(np.median(distance) < 2.5 for distance in near[:2])

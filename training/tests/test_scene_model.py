@@ -5,7 +5,8 @@ import torch
 import torch.nn.functional as F
 
 from snake_training.export import load_network, write_weights
-from snake_training.model import NetworkConfig, SceneConfig, SceneNetwork, SnakeNetwork, corner_nodes
+from snake_training.model import NetworkConfig, SnakeNetwork
+from snake_training.scene_model import SceneConfig, SceneNetwork, corner_nodes
 
 CONFIG = SceneConfig(c_dim=8, unet_base_channels=8)
 CORE = 16  # voxels along each side of the box that holds the points

@@ -17,7 +17,12 @@ from .solids import about_axis, dot
 from .worlds import room, street
 
 POINTS_RADIUS, QUERY_RADIUS = 28.0, 18.0  # voxels: any turned box of 32 lies within the first
-POINTS, QUERIES, RAYS, SURFACE = 4000, 3000, 9000, 12000  # at most: points and rays of a view, queries and surface of a crop
+POINTS, QUERIES, RAYS, SURFACE = (
+    4000,
+    3000,
+    9000,
+    12000,
+)  # at most: points and rays of a view, queries and surface of a crop
 CELL = 0.5  # voxels, of the grid that responses are computed on
 DENSITY = 9  # surface points a square voxel
 QUANTUM = 1 / 1024  # voxels, of stored positions
@@ -117,7 +122,9 @@ def holes(points, eye, rng):
 
 def fused(points, clean, side):
     """The mean of the points (M, 3) in each cell of a side, and of where they lie without noise."""
-    _, cell, count = np.unique(np.floor(points / side).astype(np.int64), axis=0, return_inverse=True, return_counts=True)
+    _, cell, count = np.unique(
+        np.floor(points / side).astype(np.int64), axis=0, return_inverse=True, return_counts=True
+    )
     mean = np.zeros((2, len(count), 3))
     for out, values in zip(mean, (points, clean), strict=True):
         np.add.at(out, cell.ravel(), values)
@@ -248,13 +255,18 @@ def make_crop(rng):
     rays /= np.linalg.norm(rays, axis=1, keepdims=True)
     reach, which, _ = world.cast(np.broadcast_to(eye, rays.shape), rays)
     big = np.array([np.linalg.norm(axes, axis=0).max() for _, _, axes, _, _ in world.rows]) > (2 if indoors else 50)
-    usable = np.flatnonzero((reach > 4 * voxel) & (reach < (4 if indoors else 45)) & ~(big[which] & (rng.random(400) < 0.8)))
+    usable = np.flatnonzero(
+        (reach > 4 * voxel) & (reach < (4 if indoors else 45)) & ~(big[which] & (rng.random(400) < 0.8))
+    )
     crops = []
     for row in rng.permutation(usable)[:4]:
         center = eye + rays[row] * reach[row] + rng.normal(size=3) * 4 * voxel
         radius = POINTS_RADIUS * voxel
-        views = (room_views(world, extent, rng, center, radius) if indoors
-                 else street_views(world, extent, rng, center, radius, eye))
+        views = (
+            room_views(world, extent, rng, center, radius)
+            if indoors
+            else street_views(world, extent, rng, center, radius, eye)
+        )
         views = [(view - center) / voxel for view in views]
         near = [int((np.linalg.norm(points, axis=1) < 14).sum()) for points, _ in views]
         if min(near) < 60:
@@ -288,7 +300,9 @@ def crop_of(world, center, voxel, views, rng):
     values = read(target, queries, radius)
     order = values.argsort()
     best = order[-number // 6 :]
-    chosen = np.concatenate([rng.choice(best, QUERIES * 2 // 5, replace=False), rng.choice(number, QUERIES * 3 // 5, replace=False)])
+    chosen = np.concatenate(
+        [rng.choice(best, QUERIES * 2 // 5, replace=False), rng.choice(number, QUERIES * 3 // 5, replace=False)]
+    )
     shown = [points[rng.permutation(len(points))[:POINTS]] for points, _ in views]
     solid = [clean[~np.isnan(clean[:, 0])] for _, clean in views]
     solid = [clean[np.linalg.norm(clean, axis=1) < QUERY_RADIUS] for clean in solid]

@@ -22,7 +22,9 @@ def clutter(rng, size):
             half[:2] = half[:2].mean()
         turn = any_turn(rng) if rng.random() < 0.25 else about_axis(2, rng.uniform(0, np.pi))
         thing.add(rng.choice([CUBE, CUBE, BALL, CYLINDER]), at + (0, 0, half[2] * 0.98), half, turn)
-        at = np.array([*(at[:2] + rng.uniform(-1, 1, 2) * half[:2]), (at[2] + 2 * half[2] * 0.97) * (rng.random() < 0.7)])
+        at = np.array(
+            [*(at[:2] + rng.uniform(-1, 1, 2) * half[:2]), (at[2] + 2 * half[2] * 0.97) * (rng.random() < 0.7)]
+        )
     return thing
 
 
@@ -193,7 +195,11 @@ def pole(rng):
         thing.add(CUBE, (arm, 0, height - 0.2), (arm, 0.05, 0.05))
         thing.add(CUBE, (2 * arm, 0, height - 0.25), (0.3, 0.12, 0.08))
     if rng.random() < 0.4:
-        thing.add(CUBE, (0, thick + 0.02, height - rng.uniform(0.2, 0.6)), (*rng.uniform(0.15, 0.5, 1), 0.02, rng.uniform(0.15, 0.4)))
+        thing.add(
+            CUBE,
+            (0, thick + 0.02, height - rng.uniform(0.2, 0.6)),
+            (*rng.uniform(0.15, 0.5, 1), 0.02, rng.uniform(0.15, 0.4)),
+        )
     if rng.random() < 0.3:
         thing.add(CUBE, (0, 0, 0.3), (0.2, 0.2, 0.5))
     return thing
@@ -235,7 +241,12 @@ def street(rng):
                 front = side * (half + setback + rng.uniform(0, 1.5))
                 world.group(house(rng, length, depth, height), (x + length / 2, front, 0), 0 if side > 0 else np.pi)
             x += length + rng.choice([0, rng.uniform(1, 12)])
-        things = ((car, 14, half - 1.1), (tree, rng.integers(0, 20), half + 1), (pole, 12, half + 0.5), (fence, 6, half + setback - 0.5))
+        things = (
+            (car, 14, half - 1.1),
+            (tree, rng.integers(0, 20), half + 1),
+            (pole, 12, half + 0.5),
+            (fence, 6, half + setback - 0.5),
+        )
         for make, number, y in things:
             for x in rng.uniform(-70, 70, rng.integers(number // 3, number + 1)):
                 at = x, side * (y + rng.normal() * (0.15 if make is car else 0.6)), kerb * (make is not car) - 0.01
