@@ -261,6 +261,26 @@ fn other_weights_and_other_inputs_of_the_same_metadata_begin_anew() {
 }
 
 #[test]
+fn a_copc_file_that_was_replaced_begins_anew() {
+    let (folder, _, tiles) = scan();
+    let scan = folder.path().join("city.copc.laz");
+    let mut bytes = Vec::new();
+    city::copc::write_copc(&mut bytes, city::city(1, 2000), 300).unwrap();
+    fs::write(&scan, &bytes).unwrap();
+    let run = prepare(&scan, &tiles).unwrap();
+    let keypoints = finish(&run);
+    let time = scan.metadata().unwrap().modified().unwrap();
+    assert!(prepare(&scan, &tiles).unwrap().is_detected(&run.tiles()[0]));
+    // The name of the program that wrote the file.
+    bytes[60] ^= 1;
+    fs::write(&scan, &bytes).unwrap();
+    fs::File::options().append(true).open(&scan).unwrap().set_modified(time).unwrap();
+    let again = prepare(&scan, &tiles).unwrap();
+    assert!(!again.is_detected(&run.tiles()[0]));
+    assert_eq!(finish(&again), keypoints);
+}
+
+#[test]
 fn a_run_that_was_killed_at_any_point_of_its_preparation_continues() {
     let (_folder, scan, tiles) = scan();
     let keypoints = finish(&prepare(&scan, &tiles).unwrap());
