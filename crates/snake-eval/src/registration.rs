@@ -153,7 +153,7 @@ mod tests {
         let t_target_source = transform([0.0; 3], [1.0, 0.0, 0.0]);
         assert_eq!(inlier_ratio(&source, &target, &t_target_source, 0.5).unwrap(), 0.5);
         assert_eq!(inlier_ratio(&source, &target, &RigidTransform::identity(), 0.5).unwrap(), 0.0);
-        assert_eq!(inlier_ratio(&[], &[], &RigidTransform::identity(), 0.5).unwrap(), 0.0);
+        assert_eq!(inlier_ratio::<f32>(&[], &[], &RigidTransform::identity(), 0.5).unwrap(), 0.0);
         assert!(inlier_ratio(&source, &target[..3], &RigidTransform::identity(), 0.5).is_err());
     }
 
@@ -230,6 +230,6 @@ mod tests {
     fn pairs_without_information_are_refused() {
         let identity = RigidTransform::identity();
         assert!(squared_registration_error(&identity, &identity, &[[0.0; 6]; 6]).is_err());
-        assert!(information_matrix(&[]).is_err());
+        assert!(information_matrix::<f32>(&[]).is_err());
     }
 }

@@ -124,6 +124,7 @@ fn shares_within(of: &[Vector], to: Vec<Vector>, epsilon: &[f64]) -> Result<Vec<
 #[cfg(test)]
 mod tests {
     use super::*;
+    use snake_core::Point;
 
     const VIEW_1: [Point; 4] = [[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [5.0, 0.0, 0.0], [9.0, 9.0, 9.0]];
     const VIEW_2: [Point; 2] = [[0.25, 0.0, 0.0], [1.0, 0.5, 0.0]];
