@@ -130,8 +130,9 @@ enum SnakeStatus snake_model_from_bytes(const uint8_t *bytes, size_t length, str
 /// `model` is null or a model of this library that is not freed yet.
 void snake_model_free(struct SnakeModel *model);
 
-/// Sets the number of threads of all calls; 0: one for each core. It must be called before the first other call that
-/// computes, and once. The environment variable `RAYON_NUM_THREADS` does the same.
+/// Sets the number of threads of all calls; 0: one for each core. At most 256, or the number of cores. It must be called before
+/// the first other call that computes, and once; a call that is refused does not count. The environment variable
+/// `RAYON_NUM_THREADS` does the same.
 enum SnakeStatus snake_set_num_threads(size_t num_threads);
 
 /// The version of the library, such as "0.1.0".
