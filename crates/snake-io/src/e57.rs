@@ -131,7 +131,7 @@ mod tests {
     #[test]
     fn poses_turn_and_move_and_never_scale() {
         let read = |pose| super::read(&scans(&[None, pose], &XYZ)).unwrap().points;
-        for (w, z) in [(1.0, 1.0), (0.7071, 0.7071), (2.0, 2.0), (-0.1, -0.1), (1e200, 1e200)] {
+        for (w, z) in [(1.0, 1.0), (0.707, 0.707), (2.0, 2.0), (-0.1, -0.1), (1e200, 1e200)] {
             let points = read(pose(w, z, 10.0));
             assert_eq!(points[..2], [[1.0, 2.0, 3.0], [4.0, 5.0, 6.0]]);
             for (found, expected) in points[2..].as_flattened().iter().zip([8.0, 1.0, 3.0, 5.0, 4.0, 6.0]) {

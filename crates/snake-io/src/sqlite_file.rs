@@ -24,7 +24,7 @@ impl Database {
         // SQLite looks for journals beside the file that a link leads to.
         let path = &path.canonicalize().map_err(|error| error.to_string())?;
         let journals: Vec<PathBuf> =
-            ["-wal", "-journal"].map(|end| beside(path, end)).into_iter().filter(has_bytes).collect();
+            ["-wal", "-journal"].map(|end| beside(path, end)).into_iter().filter(|path| has_bytes(path)).collect();
         let shared = OpenFlags::SQLITE_OPEN_NO_MUTEX;
         let (opened, copy) = match &journals[..] {
             [] if is_wal(path) => {
@@ -48,7 +48,7 @@ pub(crate) fn beside(path: &Path, end: &str) -> PathBuf {
     name.into()
 }
 
-fn has_bytes(path: &PathBuf) -> bool {
+fn has_bytes(path: &Path) -> bool {
     path.metadata().is_ok_and(|metadata| metadata.len() > 0)
 }
 

@@ -158,7 +158,9 @@ fn parts_without_metadata_are_read_by_number() {
     let with = |files: &[&str]| {
         let _ = std::fs::remove_dir_all(&folder);
         std::fs::create_dir(&folder).unwrap();
-        files.iter().for_each(|name| drop(std::fs::copy(data("drive.db3"), folder.join(name)).unwrap()));
+        for name in files {
+            std::fs::copy(data("drive.db3"), folder.join(name)).unwrap();
+        }
     };
     let names: Vec<String> = (0..11).map(|number| format!("drive_{number}.db3")).collect();
     with(&names.iter().map(String::as_str).collect::<Vec<_>>());

@@ -156,10 +156,13 @@ impl<'a> Reports<'a> {
 
     /// Prints the failures and the times of the run.
     pub fn finish(self, load_model: f64) -> Result<ExitCode> {
-        let Self { arguments, num_reported, failed, timings, summary, unprinted, .. } = self;
+        let Self { arguments, num_reported, failed, timings, summary, mut unprinted, .. } = self;
         self.bar.finish();
-        if let (Some(summary), Some(output)) = (summary, &arguments.output) {
-            terminal::print_report(&summary.report(output))?;
+        if let (Some(summary), Some(output)) = (summary, &arguments.output)
+            && let Err(error) = terminal::print_report(&summary.report(output))
+        {
+            terminal::error(&error);
+            unprinted.get_or_insert(error);
         }
         let is_reported = unprinted.is_none();
         if let (Some(error), None) = (unprinted, &arguments.output) {
