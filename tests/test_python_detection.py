@@ -164,6 +164,14 @@ def test_a_cloud_far_from_the_scale_of_the_model_has_a_warning(model):
         snake_rs.detect(sweep, model, query_resolution=8)
 
 
+def test_clouds_with_the_same_fault_have_one_warning(model, recwarn):
+    for seed in range(3):
+        sweep = np.random.default_rng(seed).normal(size=(900, 3))
+        sweep[:30] *= 40 + seed
+        snake_rs.detect(sweep, model, query_resolution=8)
+    assert len(recwarn) == 1, "Python says the same words once"
+
+
 def test_the_warning_comes_before_a_long_detection():
     def interrupt(*_):
         raise TimeoutError

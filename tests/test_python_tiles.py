@@ -326,5 +326,5 @@ def test_a_cluster_names_tiles_that_fail(cluster, city, tmp_path):
     tiles = snake_rs.tiles(city, tile=40, folder=tmp_path / "tiles", model="rooms", **OPTIONS)
     for path in (tmp_path / "tiles" / "points").iterdir():
         path.write_bytes(b"damaged")
-    with pytest.raises(ValueError, match=r"1 of 1 tiles failed: the tile from x 69.*checksum"):
+    with pytest.raises(ValueError, match=r"2 of 2 tiles failed: the tile from x 69.*checksum"):
         keypoints_of_tiles(tiles)

@@ -173,7 +173,7 @@ fn damages(bytes: &[u8]) -> Vec<Option<Vec<u8>>> {
         bytes
     };
     let number = bytes.len();
-    let mut found: Vec<_> = (0..12).map(|part| Some(flipped((number - 1) * part / 11))).collect();
+    let mut found: Vec<_> = (0..4).map(|part| Some(flipped((number - 1) * part / 3))).collect();
     let half = number / 2;
     let zeros = [&bytes[..half], &vec![0; number - half][..]].concat();
     found.extend([Some(zeros), Some(vec![0; number]), Some(Vec::new()), Some(bytes[..half].to_vec()), None]);
