@@ -3,7 +3,7 @@ again, and a training stage goes on from its checkpoint, on this machine or on a
 
 A recipe is a TOML file of stages in order. Each has a name, a kind, and the settings of its kind:
 
-crops     number, seed: made crops (`snake_training.data.crops`)
+crops     number, seeds: made crops (`snake_training.data.crops`), as many from each seed and those that follow it
 start     init (a weight file, or "" for new weights), crops, seed: layers with the crops' statistics for constants
 train     init (a stage), teacher (a stage, or ""), crops, the settings of `snake_training.scenes.SceneTraining`, and at times
           stop, a step before the last
@@ -100,11 +100,11 @@ class Recipe:
 
     def crops(self, stage, folder, log):
         """Files of crops; those that are there stay."""
-        each = 4 if self.smoke else PART
-        for part in range(1 if self.smoke else -(-stage["number"] // PART)):
-            path = folder / f"{stage['seed'] + part:05d}.npz"
+        each, files = (4, 1) if self.smoke else (PART, -(-stage["number"] // PART // len(stage["seeds"])))
+        for seed in (first + part for first in stage["seeds"] for part in range(files)):
+            path = folder / f"{seed:05d}.npz"
             if not path.exists():
-                write_part(path, stage["seed"] + part, each)
+                write_part(path, seed, each)
                 log(f"{path}: written")
 
     def start(self, stage, folder, log):
