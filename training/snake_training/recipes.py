@@ -3,7 +3,7 @@ again, and a training stage goes on from its checkpoint, on this machine or on a
 
 A recipe is a TOML file of stages in order. Each has a name, a kind, and the settings of its kind:
 
-crops     number, seed: made crops (`snake_training.data.crops`)
+crops     files: ranges [first seed, number] of files of 25 made crops (`snake_training.data.crops`)
 start     init (a weight file, or "" for new weights), crops, seed: layers with the crops' statistics for constants
 train     init (a stage), teacher (a stage, or ""), crops, the settings of `snake_training.scenes.SceneTraining`, and at times
           stop, a step before the last
@@ -32,7 +32,6 @@ from .export import load_network, replacing, write_weights
 from .scene_model import SceneConfig, SceneNetwork
 from .scenes import SceneTraining, Target, started, train
 
-PART = 25  # crops a file
 SMOKE = dict(steps=2, batch=1, queries=50, occupancy_queries=20, warmup=1)
 
 
@@ -100,11 +99,11 @@ class Recipe:
 
     def crops(self, stage, folder, log):
         """Files of crops; those that are there stay."""
-        each = 4 if self.smoke else PART
-        for part in range(1 if self.smoke else -(-stage["number"] // PART)):
-            path = folder / f"{stage['seed'] + part:05d}.npz"
+        seeds = [first + part for first, number in stage["files"] for part in range(number)]
+        for seed in seeds[:1] if self.smoke else seeds:
+            path = folder / f"{seed:05d}.npz"
             if not path.exists():
-                write_part(path, stage["seed"] + part, each)
+                write_part(path, seed, 4 if self.smoke else 25)
                 log(f"{path}: written")
 
     def start(self, stage, folder, log):
