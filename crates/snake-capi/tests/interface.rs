@@ -10,7 +10,8 @@ use snake_rs::*;
 
 fn torus() -> Vec<[f32; 3]> {
     let point = |i: u16| {
-        let (u, v) = (f32::from(i) * 0.1, f32::from(i) * 0.7);
+        // Two irrational steps spread the points evenly.
+        let [u, v] = [0.754_877_7, 0.569_840_3].map(|step: f32| (f32::from(i) * step).fract() * std::f32::consts::TAU);
         [(1.0 + 0.3 * v.cos()) * u.cos(), (1.0 + 0.3 * v.cos()) * u.sin(), 0.3 * v.sin()]
     };
     (0..2000).map(point).collect()

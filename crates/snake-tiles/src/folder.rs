@@ -44,7 +44,8 @@ impl RunFolder {
     /// [`Error::File`] when it cannot be read or written.
     pub fn claim(folder: &Path) -> Result<Self> {
         for _ in 0..ATTEMPTS {
-            let is_made = !folder.exists();
+            // A run that was killed before it marked the folder may have left its lock.
+            let is_made = !folder.exists() || folder.join(LOCK).is_file();
             std::fs::create_dir_all(folder).map_err(Error::file(folder))?;
             let Ok(path) = folder.canonicalize() else { continue };
             refuse_others(&path)?;

@@ -6,12 +6,13 @@ use serde_json::Value;
 
 use super::{json_lines, sample, snake, stderr, write_npy};
 
-/// Two samplings of the sample, the second turned by a quarter about z and moved by (3, 0, -1), and a cube, as files in
+/// Two samplings of the sample that share half of their points, the second turned by a quarter about z and moved by (3, 0, -1), and a cube, as files in
 /// `folder/scans`.
 fn scans(folder: &Path) -> String {
     let points = snake_io::read_points(Path::new(&sample())).unwrap();
-    let first: Vec<_> = points.iter().step_by(2).copied().collect();
-    let second: Vec<_> = points.iter().skip(1).step_by(2).map(|p| [3.0 - p[1], p[0], p[2] - 1.0]).collect();
+    let without = |rest: usize| points.iter().enumerate().filter(move |(i, _)| i % 3 != rest).map(|(_, point)| *point);
+    let first: Vec<_> = without(0).collect();
+    let second: Vec<_> = without(1).map(|p| [3.0 - p[1], p[0], p[2] - 1.0]).collect();
     let on_cube = |i: usize| {
         let (a, b) = ((i % 40) as f32 / 40.0, (i / 40 % 40) as f32 / 40.0);
         [[a, b, 0.0], [a, 1.0, b], [0.0, a, b]][i % 3]

@@ -22,7 +22,7 @@ fn a_cloud_far_from_the_scale_of_the_model_has_a_note() {
     let path = path.display().to_string();
     let run = |extra: &[&str]| snake(&[&["detect", &path, "--json", "--max-points", "2000"], extra].concat());
     let (plain, quiet, windows) = (run(&[]), run(&["--quiet"]), run(&["--window-radius", "1.5"]));
-    let note = "if it is a room in metres, the model `rooms` sees more of it";
+    let note = "if it is a room in metres, the model `scenes` sees more of it";
     assert!(stderr(&plain).contains("note:") && stderr(&plain).contains(note), "{}", stderr(&plain));
     assert!(json_lines(&plain)[0]["notes"][0].as_str().unwrap().contains(note));
     assert_eq!((stderr(&quiet).contains(note), stderr(&windows).contains(note)), (false, false));

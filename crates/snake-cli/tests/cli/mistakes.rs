@@ -21,7 +21,7 @@ fn each_mistake_gets_one_line_with_advice() {
         (&["detect", &same], "at least two different"),
         (&["detect", &nan], "none of the 2 points is finite"),
         (&["detect", &file("far.xyz", "0 0 0\n1e38 0 0\n")], "allowed is 1e-15 to 1e15"),
-        (&["detect", &sample(), "--sample", "100", "--input-format", "xyz"], "--columns x,y,z"),
+        (&["detect", &sample(), "--sample", "100", "--input-format", "xyz"], "the content is PLY"),
         (&["detect", &same, "--sample", "100"], "no faces"),
         (&["detect", &sample(), "--sample", "0"], "1..=100000000"),
         (&["detect", &sample(), "--input-format", "doc"], "known are ply"),

@@ -320,6 +320,7 @@ fn the_help_shows_the_default_of_every_option() {
         let shown = match (name.as_str(), value) {
             ("max_points", Value::Null) => "all points".into(),
             ("window_radius", Value::Null) => "no windows".into(),
+            ("voxel_size", Value::Null) => "chosen from the cloud".into(),
             ("snap", Value::Bool(false)) => "no".into(),
             // 0.3 in float32 has more digits as a JSON value.
             (_, Value::Number(number)) => (number.as_f64().unwrap() as f32).to_string(),

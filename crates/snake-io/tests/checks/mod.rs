@@ -39,7 +39,7 @@ pub fn read_cloud(bytes: &[u8], format: PointFormat) {
 /// Loads a network, and if it is a small one detects keypoints with it.
 pub fn load_model(bytes: &[u8]) {
     let Ok(model) = in_proportion(64 * bytes.len(), || Model::from_bytes(bytes)) else { return };
-    if model.config().frame.resolution.iter().product::<usize>() > 4096 {
+    if model.config().frame().is_some_and(|frame| frame.resolution.iter().product::<usize>() > 4096) {
         return;
     }
     let _alone = alone();

@@ -335,7 +335,8 @@ function draw() {
 
 /** Draws the depth of a surface alone, a little behind the points that it wraps. */
 function hideFarSide(of, surface, shift, seen) {
-  use("surface", seen, { model: multiply(shift, unpacked(of, surface.vertices)), turn: [1, 0, 0, 0, 1, 0, 0, 0, 1], back: 0.12 });
+  const uncoloured = { turn: [1, 0, 0, 0, 1, 0, 0, 0, 1], background: [0, 0, 0], fog: [0, 0], opacity: 1 };
+  use("surface", seen, { model: multiply(shift, unpacked(of, surface.vertices)), back: 0.12, ...uncoloured });
   gl.bindVertexArray(buffers.surface[of]);
   gl.colorMask(false, false, false, false);
   gl.drawElements(gl.TRIANGLES, surface.count * 3, gl.UNSIGNED_INT, 0);
