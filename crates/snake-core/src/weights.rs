@@ -17,7 +17,7 @@ pub(crate) struct Weights<'data> {
 }
 
 impl<'data> Weights<'data> {
-    /// Reads the header; `format_version` above 2 is refused; 2 is that of scene models.
+    /// Reads the header; another `format_version` than 1, or 2 for scene models, is refused.
     pub(crate) fn open(bytes: &'data [u8]) -> Result<Self> {
         let broken = |e| error("file", "a safetensors file", format!("{e}"));
         let (_, header) = SafeTensors::read_metadata(bytes).map_err(broken)?;
@@ -33,9 +33,14 @@ impl<'data> Weights<'data> {
                 format!("{format:?}; export the network with snake_training.export"),
             ));
         }
+        let is_scene = weights.metadata.get("coordinates").is_some_and(|coordinates| coordinates == "voxel");
         match weights.number::<u32>("format_version")? {
-            1 | 2 => Ok(weights),
-            newer => Err(error("format_version", "1 or 2", format!("{newer}; use a newer snake-rs"))),
+            1 if !is_scene => Ok(weights),
+            2 if is_scene => Ok(weights),
+            other => {
+                let found = format!("{other}; use a newer snake-rs");
+                Err(error("format_version", "1, or 2 with `coordinates` voxel", found))
+            }
         }
     }
 
