@@ -179,10 +179,6 @@ def test_registration_figures_by_hand():
         ),
         (lambda: metrics.relative_repeatability(points(), points(), np.eye(3), [1]), "^t_1_2: expected a transform of"),
         (lambda: metrics.relative_repeatability(points(), points(), 2 * np.eye(4), [1]), "^t_1_2: expected a finite"),
-        (
-            lambda: metrics.symmetric_repeatability(points(), points(), np.eye(4), 1),
-            r"^epsilon: expected numbers of shape",
-        ),
         (lambda: metrics.symmetric_repeatability(points(), points(), np.eye(4), [-1]), "^option `epsilon` is -1"),
         (lambda: metrics.mean_distance_to_keypoints(rows(3), points()), "^keypoints: no points"),
         (lambda: metrics.geodesic_distances(rows(3), [6]), "^sources: index 6 is outside a cloud of 6 points"),

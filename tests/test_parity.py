@@ -346,7 +346,11 @@ NAME = "encoder.blocks.1.fc_0.weight"
         ({NAME: torch.full((4, 8), -torch.inf)}, {}, f"`{NAME}`: expected finite values, found -inf at index 0"),
         ({NAME: torch.ones(4, 8, dtype=torch.int32)}, {}, rf"`{NAME}`: expected float32 or float16 .*, found I32"),
         ({NAME: torch.ones(4, 8, dtype=torch.float64)}, {}, rf"`{NAME}`: expected float32 or float16 .*, found F64"),
-        ({}, {"format_version": "2"}, "`format_version`: expected 1, found 2; use a newer snake-rs"),
+        (
+            {},
+            {"format_version": "2"},
+            "`format_version`: expected 1, or 2 with `coordinates` voxel, found 2; use a newer snake-rs",
+        ),
         ({}, {"format_version": "new"}, '`format_version`: expected a number, found "new"'),
         ({}, {"format": None}, '`format`: expected snake-field, found ""'),
         ({}, {"c_dim": None}, "`c_dim`: expected a metadata value, found none"),

@@ -216,7 +216,7 @@ def test_keypoints_load_as_they_were_saved(extension, origin, tmp_path):
     for name in ("saliency", "occupancy", "nearest_index"):
         assert np.array_equal(getattr(loaded, name), getattr(found, name))
     with pytest.raises(ValueError, match="cloud of these keypoints is not known"):
-        loaded.descriptors
+        _ = loaded.descriptors
     np.savetxt(tmp_path / "cloud.csv", torus(9), delimiter=",", header="x,y,z", comments="")
     with pytest.raises(ValueError, match="no column `saliency`"):
         snake_rs.Keypoints.load(tmp_path / "cloud.csv")

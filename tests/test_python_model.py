@@ -50,7 +50,7 @@ def test_built_in_models_have_names(points):
     assert len(kept) < 1000 and pickle.loads(kept).metadata == rooms.metadata
     assert snake_rs.Model.builtin("compact").metadata == snake_rs.Model.builtin().metadata != rooms.metadata
     assert len(snake_rs.detect(points, rooms)) > 0
-    with pytest.raises(ValueError, match="compact, standard or rooms"):
+    with pytest.raises(ValueError, match="compact, standard, rooms or scenes"):
         snake_rs.Model.builtin("potatoes")
 
 

@@ -93,7 +93,7 @@ def test_the_folder_of_a_bag_has_the_clouds_of_its_files(tmp_path):
 def test_recordings_that_cannot_be_read_are_refused(tmp_path):
     with pytest.raises(FileNotFoundError):
         snake_rs.read_recording(tmp_path / "none.mcap")
-    with pytest.raises(FileNotFoundError, match=r"metadata.yaml"):
+    with pytest.raises(ValueError, match=r"metadata.yaml"):
         snake_rs.read_recording(tmp_path)
     with pytest.raises(ValueError, match="no messages of the topic /other; topics with point clouds: /points"):
         snake_rs.read_recording(DATA / "drive.mcap", topic="/other")

@@ -163,7 +163,7 @@ class _Config(TypedDict):
     point_encoder: str
 
 @overload
-def detect(  # type: ignore[overload-overlap]
+def detect(
     points: list[NDArray[Any]] | tuple[NDArray[Any], ...] | list[str] | list[Path] | list[RecordedCloud],
     model: _Model | None = None,
     **options: Unpack[_Options],

@@ -13,9 +13,8 @@ from typing import TYPE_CHECKING
 from ._core import page
 
 if TYPE_CHECKING:
-    from typing_extensions import Unpack
-
     from numpy.typing import ArrayLike
+    from typing_extensions import Unpack
 
     from ._core import _Model, _Options, _Points
 

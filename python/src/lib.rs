@@ -121,7 +121,7 @@ impl Choice {
             options.is_some_and(|options| options.get_item(name).ok().flatten().is_some_and(|value| !value.is_none()))
         };
         let is_chosen =
-            model.is_none() && !["preset", "normalization", "window_radius"].iter().any(|name| is_named(&name));
+            model.is_none() && !["preset", "normalization", "window_radius"].iter().any(is_named);
         let scenes = is_chosen.then(|| model::builtin(py, Builtin::Scenes).and_then(with_options)).transpose()?;
         Ok(Self { given: with_options(model::given_or_builtin(py, model)?)?, scenes })
     }

@@ -105,7 +105,9 @@ def main() -> None:
     parser.add_argument("scenes", type=Path)
     parser.add_argument("--objects", type=Path, help="folder of objects; without, kinds with objects are left out")
     parser.add_argument("--split", default="train", choices=["train", "val"])
-    parser.add_argument("--pairs", type=int, default=150, help="pairs of scenes that overlap, and that do not [default: 150]")
+    parser.add_argument(
+        "--pairs", type=int, default=150, help="pairs of scenes that overlap, and that do not [default: 150]"
+    )
     parser.add_argument("--made", type=int, default=15, help="made pairs of each kind [default: 15]")
     parser.add_argument("--kinds", nargs="+", help="these kinds of made pairs only [default: all]")
     parser.add_argument("--seed", type=int, default=1)

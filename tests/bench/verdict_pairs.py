@@ -124,7 +124,15 @@ def view(
 Made = tuple[np.ndarray, np.ndarray, np.ndarray | None, float]
 
 
-def seen_twice(scene: Scene, poses: list[np.ndarray], rays: np.ndarray, rng: np.random.Generator, noise: float, most: float, limit: float) -> Made:
+def seen_twice(
+    scene: Scene,
+    poses: list[np.ndarray],
+    rays: np.ndarray,
+    rng: np.random.Generator,
+    noise: float,
+    most: float,
+    limit: float,
+) -> Made:
     source, target = (view(scene, t, rays, rng, noise, most) for t in poses)
     return source, target, np.linalg.inv(poses[1]) @ poses[0], limit
 
@@ -142,7 +150,10 @@ def passage(rng: np.random.Generator, is_round: bool, is_lidar: bool) -> Made:
         scene = Scene(rooms=np.array([[-300.0, -width / 2, 0, 300, width / 2, height]]))
     turn = rng.uniform(-8, 8) * (rng.random() < 0.5)
     along = rng.uniform(0.2, 3.0)
-    poses = [pose([0, rng.uniform(-0.3, 0.3), 1.3], 0, 0), pose([along, rng.uniform(-0.3, 0.3), 1.3 + rng.uniform(-0.2, 0.2)], turn, 0)]
+    poses = [
+        pose([0, rng.uniform(-0.3, 0.3), 1.3], 0, 0),
+        pose([along, rng.uniform(-0.3, 0.3), 1.3 + rng.uniform(-0.2, 0.2)], turn, 0),
+    ]
     if is_lidar:
         beams = [lidar(32, 720, -40, 40), lidar(16, 900, -15, 15), lidar(64, 900, -25, 5)][rng.integers(3)]
         return seen_twice(scene, poses, beams, rng, 0.02, rng.choice([20.0, 40.0]), 0.15)
@@ -206,8 +217,13 @@ def room(rng: np.random.Generator) -> Scene:
         boxes.append([x, y, 0, x + size[0], y + size[1], size[2]])
         if rng.random() < 0.5:
             low = size * rng.uniform(0.1, 0.4, 3)
-            boxes.append([x + low[0], y + low[1], size[2], x + 0.6 * size[0], y + 0.7 * size[1], size[2] + rng.uniform(0.1, 0.5)])
-    columns = [[*rng.uniform([0.3, 0.3], [length - 0.3, width - 0.3]), rng.uniform(0.05, 0.25), rng.uniform(0.6, 2.3)] for _ in range(2)]
+            boxes.append(
+                [x + low[0], y + low[1], size[2], x + 0.6 * size[0], y + 0.7 * size[1], size[2] + rng.uniform(0.1, 0.5)]
+            )
+    columns = [
+        [*rng.uniform([0.3, 0.3], [length - 0.3, width - 0.3]), rng.uniform(0.05, 0.25), rng.uniform(0.6, 2.3)]
+        for _ in range(2)
+    ]
     balls = [[*rng.uniform([0.3, 0.3, 0.2], [length - 0.3, width - 0.3, 1.6]), rng.uniform(0.1, 0.3)] for _ in range(2)]
     return Scene(np.array(boxes), np.array([[0, 0, 0, length, width, height]]), np.array(balls), np.array(columns))
 
@@ -225,7 +241,9 @@ def free_place(scene: Scene, rng: np.random.Generator, height: float) -> np.ndar
 
 def towards(place: np.ndarray, look: np.ndarray) -> np.ndarray:
     offset = look - place
-    return pose(place, np.degrees(np.arctan2(offset[1], offset[0])), -np.degrees(np.arctan2(offset[2], np.hypot(*offset[:2]))))
+    return pose(
+        place, np.degrees(np.arctan2(offset[1], offset[0])), -np.degrees(np.arctan2(offset[2], np.hypot(*offset[:2])))
+    )
 
 
 def room_views(rng: np.random.Generator) -> Made:
@@ -234,7 +252,9 @@ def room_views(rng: np.random.Generator) -> Made:
     first = free_place(scene, rng, 1.4)
     places = [free_place(scene, rng, rng.uniform(1.2, 1.6)) for _ in range(40)]
     second = next((p for p in places if np.linalg.norm(p - first) < 1.5), first + 0.1)
-    corner = scene.rooms[0, [0, 1, 2]] + [rng.choice([0, 1]), rng.choice([0, 1]), 0.3] * (scene.rooms[0, 3:] - scene.rooms[0, :3])
+    corner = scene.rooms[0, [0, 1, 2]] + [rng.choice([0, 1]), rng.choice([0, 1]), 0.3] * (
+        scene.rooms[0, 3:] - scene.rooms[0, :3]
+    )
     poses = [towards(p, corner + rng.uniform(-0.5, 0.5, 3)) for p in (first, second)]
     return seen_twice(scene, poses, camera(), rng, rng.choice([0.002, 0.004, 0.01]), 10.0, 0.1)
 
@@ -269,7 +289,9 @@ def street_views(rng: np.random.Generator, low: float, high: float) -> Made:
 
 
 def street_view(rng: np.random.Generator) -> np.ndarray:
-    return view(street(rng), pose([0, rng.uniform(-2, 2), 1.8], rng.uniform(-180, 180)), lidar(40, 720, -25, 5), rng, 0.02, 80.0)
+    return view(
+        street(rng), pose([0, rng.uniform(-2, 2), 1.8], rng.uniform(-180, 180)), lidar(40, 720, -25, 5), rng, 0.02, 80.0
+    )
 
 
 @cache
@@ -318,6 +340,7 @@ def with_sentinels(made: Made, rng: np.random.Generator) -> Made:
 
 def kinds(objects: Path | None, split: str) -> dict[str, Callable[[np.random.Generator], Made]]:
     """How each kind is made; kinds with objects need their folder."""
+
     def absent(source: Callable, target: Callable) -> Callable[[np.random.Generator], Made]:
         def make(rng: np.random.Generator) -> Made:
             clouds = [source(rng), target(rng)]
@@ -353,15 +376,17 @@ def kinds(objects: Path | None, split: str) -> dict[str, Callable[[np.random.Gen
     return made
 
 
-def pairs(count: int, seed: int, objects: Path | None, split: str, only: list[str] | None = None) -> list[Callable[[], VerdictPair]]:
+def pairs(
+    count: int, seed: int, objects: Path | None, split: str, only: list[str] | None = None
+) -> list[Callable[[], VerdictPair]]:
     """`count` pairs of each kind, made when called."""
     made = kinds(objects, split)
 
     def make(name: str, index: int) -> VerdictPair:
         number = list(made).index(name)
         source, target, truth, limit = made[name](np.random.default_rng([seed, number, index]))
-        return VerdictPair(f"{name} {seed}/{index}", source.astype("f4"), target.astype("f4"), truth, limit, name == "object")
+        return VerdictPair(
+            f"{name} {seed}/{index}", source.astype("f4"), target.astype("f4"), truth, limit, name == "object"
+        )
 
-    return [
-        lambda name=name, index=index: make(name, index) for name in (only or made) for index in range(count)
-    ]
+    return [lambda name=name, index=index: make(name, index) for name in (only or made) for index in range(count)]

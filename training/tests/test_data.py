@@ -29,7 +29,12 @@ def cloud(number=600, seed=3):
 
 def test_georeferenced_clouds_keep_their_digits_and_lose_their_outliers(tmp_path):
     near, far = cloud(4000).astype(np.float64), np.array([500123.25, 5412345.75, 431.5])
-    stored = {"near": near, "far": near + far, "zero": np.r_[near + far, [[0, 0, 0]]], "outlier": np.r_[near, [[1e4, 0, 0]]]}
+    stored = {
+        "near": near,
+        "far": near + far,
+        "zero": np.r_[near + far, [[0, 0, 0]]],
+        "outlier": np.r_[near, [[1e4, 0, 0]]],
+    }
     for name, points in stored.items():
         np.save(tmp_path / f"{name}.npy", points)
     read = {path.stem: Folder(tmp_path)[row] for row, path in enumerate(Folder(tmp_path).files)}

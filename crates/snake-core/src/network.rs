@@ -13,15 +13,17 @@ use crate::weights::{self, Scope, Weights};
 /// The encoder of a network, by the shape of its volume.
 #[derive(Debug)]
 pub(crate) enum NetworkEncoder {
-    Cube(Encoder),
-    Scene(SceneEncoder),
+    Cube(Box<Encoder>),
+    Scene(Box<SceneEncoder>),
 }
 
 impl NetworkEncoder {
     fn load(scope: &Scope, config: &ModelConfig) -> Result<Self> {
         Ok(match config.volume {
-            VolumeShape::Cube(frame) => Self::Cube(Encoder::load(scope, config, frame)?),
-            VolumeShape::Scene { scatter_mass } => Self::Scene(SceneEncoder::load(scope, config, scatter_mass)?),
+            VolumeShape::Cube(frame) => Self::Cube(Box::new(Encoder::load(scope, config, frame)?)),
+            VolumeShape::Scene { scatter_mass } => {
+                Self::Scene(Box::new(SceneEncoder::load(scope, config, scatter_mass)?))
+            }
         })
     }
 
