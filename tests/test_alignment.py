@@ -20,13 +20,14 @@ def rigid(seed):
 
 @pytest.fixture(scope="module")
 def scans():
-    """Two samplings of the sample with their poses, and a sphere, which fits none of them."""
+    """Two samplings of the sample that share half of their points, with their poses, and a sphere, which fits none of them."""
     data = (ROOT / "samples" / "plane.ply").read_bytes()
     cloud = np.frombuffer(data.split(b"end_header\n", 1)[1], dtype="<f4").reshape(-1, 3)
     sphere = np.random.default_rng(1).normal(size=(1500, 3))
     sphere /= np.linalg.norm(sphere, axis=1, keepdims=True)
     poses = [rigid(2), rigid(3)]
-    clouds = [cloud[start::2] @ pose[:3, :3].T + pose[:3, 3] for start, pose in enumerate(poses)]
+    kept = [cloud[np.arange(len(cloud)) % 3 != start] for start in range(2)]
+    clouds = [points @ pose[:3, :3].T + pose[:3, 3] for points, pose in zip(kept, poses, strict=True)]
     return [clouds[0], sphere, clouds[1]], poses
 
 

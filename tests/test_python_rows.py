@@ -11,7 +11,7 @@ import pytest
 
 import snake_rs
 
-fsspec = pytest.importorskip("fsspec", reason="rows are not tested: pip install 'ray[data]'")
+pytest.importorskip("fsspec", reason="rows are not tested: pip install 'ray[data]'")
 pa = pytest.importorskip("pyarrow", reason="rows are not tested: pip install 'ray[data]'")
 module = pytest.importorskip("snake_rs.ray", reason="rows are not tested: pip install 'ray[data]'")
 OPTIONS = {"query_resolution": 16, "saliency_threshold": 0.1}
@@ -74,7 +74,7 @@ def server(cloud):
 def test_each_bad_row_has_its_own_error(server, cloud, tmp_path, monkeypatch):
     # As if s3fs were not installed.
     monkeypatch.setitem(sys.modules, "s3fs", None)
-    monkeypatch.delitem(fsspec.registry._registry, "s3", raising=False)
+    monkeypatch.delitem(sys.modules["fsspec.registry"]._registry, "s3", raising=False)
     np.save(tmp_path / "good.npy", cloud)
     (tmp_path / "bad.npy").write_bytes(b"no array")
     rows = {
