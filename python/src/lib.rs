@@ -120,8 +120,7 @@ impl Choice {
         let is_named = |name: &&str| {
             options.is_some_and(|options| options.get_item(name).ok().flatten().is_some_and(|value| !value.is_none()))
         };
-        let is_chosen =
-            model.is_none() && !["preset", "normalization", "window_radius"].iter().any(is_named);
+        let is_chosen = model.is_none() && !["preset", "normalization", "window_radius"].iter().any(is_named);
         let scenes = is_chosen.then(|| model::builtin(py, Builtin::Scenes).and_then(with_options)).transpose()?;
         Ok(Self { given: with_options(model::given_or_builtin(py, model)?)?, scenes })
     }

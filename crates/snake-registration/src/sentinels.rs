@@ -79,13 +79,15 @@ fn one_distance(points: &[Point], sensor: &Vector, least: usize) -> Option<Found
 
 /// Points at exactly one depth along an axis that are farther than all others.
 fn one_depth(points: &[Point], least: usize) -> Option<Found> {
-    (0..3).find_map(|axis| {
+    // The farthest points along an axis: a wall may have more points at one depth.
+    (0..6).find_map(|end| {
+        let (axis, sign) = (end % 3, if end < 3 { 1.0 } else { -1.0 });
         let depths: Vec<f64> = points.iter().map(|point| f64::from(point[axis])).collect();
-        let (count, depth) = densest(&depths)?;
-        if count < least {
+        let depth = sign * depths.iter().map(|depth| sign * depth).fold(f64::MIN, f64::max);
+        let is_missing = near(&depths, depth);
+        if is_missing.iter().filter(|missing| **missing).count() < least {
             return None;
         }
-        let is_missing = near(&depths, depth);
         let others = points.iter().zip(&is_missing).filter(|(_, missing)| !**missing);
         let farthest = others.map(|(point, _)| vector(*point).norm()).fold(0.0, f64::max);
         let name = ["x", "y", "z"][axis];

@@ -4,8 +4,8 @@
 //! (times any power of ten) at which
 //!
 //! - at most half as many voxels hold points as there are different points: a voxel is then about twice as large as the
-//!   distance between neighbouring points. Of a sweep, whose points lie far apart where there is something to see, nine
-//!   tenths ([`is_sweep`]); and
+//!   distance between neighbouring points. Of a sweep, whose points lie far apart where there is something to see, 95 %
+//!   ([`is_sweep`]); and
 //! - at most [`MOST_VOXELS`] voxels hold points, which bounds the time of a dense cloud.
 //!
 //! Two clouds of one sensor so have the same size more often than by a rule without steps, and a room in millimetres has
@@ -23,7 +23,7 @@ use crate::{Error, Result};
 const MOST_VOXELS: usize = 32_000;
 
 /// Voxels with points, at most, for each different point; of a sweep the second.
-const SHARES: [f64; 2] = [0.5, 0.9];
+const SHARES: [f64; 2] = [0.5, 0.95];
 
 /// Steps of the series in a factor of ten.
 const STEPS: i32 = 10;
