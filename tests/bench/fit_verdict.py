@@ -5,8 +5,8 @@
 
 Pairs are of the scenes, half of which do not overlap, and made ones of every kind of verdict_pairs.py; a run that was
 interrupted continues. Wrong transforms within 20 degrees and 0.7 m of the published ones are left out, because the published
-ones are not exact. Rules judge before the weights do: what is ambiguous or has few matches takes no part in the fit. It is a
-logistic regression on columns between limits. `--blind` prints only what the confidence of this build accepts.
+ones are not exact. What the rules call ambiguous takes no part in the fit, nor do pillars, which only a rule can judge. It is
+a logistic regression on columns between limits. `--blind` prints only what the confidence of this build accepts.
 """
 
 import argparse
@@ -22,7 +22,6 @@ NAMES += ["free-space violation"]
 # The ridge penalty, for columns of unit variance, a row.
 PENALTY = 1e-4
 # As in verdict.rs.
-LEAST_AGREEING = 10
 LIMITS = [(1, 1), (0, np.log(200)), (-1.5, 1.5), (-0.1, 0.1), (0, 1), (0, 1)]
 
 
@@ -58,7 +57,8 @@ def results(arguments: argparse.Namespace) -> list[tuple[str, bool, dict]]:
     """The kind of each pair, whether its transform is right, and the result."""
     scenes, split = arguments.scenes, arguments.split
     overlapping = scene_pairs.subset(scene_pairs.overlapping(scenes, split), arguments.pairs)
-    real = overlapping + scene_pairs.not_overlapping(scenes, split, len(overlapping))
+    apart = scene_pairs.not_overlapping(scenes, split, len(overlapping)) if overlapping else []
+    real = overlapping + apart
     tasks = [runs.Task(pair.name, pair.clouds) for pair in real]
     found = runs.results("scenes", tasks, [runs.OURS], arguments.cache)
     rows = []
@@ -75,8 +75,8 @@ def results(arguments: argparse.Namespace) -> list[tuple[str, bool, dict]]:
 
 
 def print_fit(rows: list[tuple[str, bool, dict]]) -> None:
-    left = [(right, row["evidence"]) for _, right, row in rows if "evidence" in row]
-    left = [(right, e) for right, e in left if not e["is_ambiguous"] and e["num_agreeing"] >= LEAST_AGREEING]
+    left = [(right, row["evidence"]) for kind, right, row in rows if "evidence" in row and kind != "pillars"]
+    left = [(right, evidence) for right, evidence in left if not evidence["is_ambiguous"]]
     table, labels = np.array([columns(e) for _, e in left]), np.array([right for right, _ in left], float)
     weights = logistic_regression(table, labels)
     print(f"\n{len(left)} pairs left by the rules, {labels.sum():.0f} right")

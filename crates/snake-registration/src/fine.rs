@@ -33,13 +33,24 @@ const SAMPLES: usize = 4000;
 const ROUNDS: [(f64, usize); 2] = [(4.0, 8), (2.0, 12)];
 /// Of all pairs, those farther than this many medians are left out.
 const MOST_MEDIANS: f64 = 4.0;
+/// Points can show that surfaces lie apart if fine voxels are smaller than this share of a voxel.
+const MOST_SIDE: f64 = 0.2;
+/// Two patches coincide if the distance between them is less than this times their thickness.
+const COINCIDING: f64 = 2.0;
 /// With fewer pairs the rough transform stays.
 const LEAST_PAIRS: usize = 100;
+
+/// The normal of a planar patch, without a sign, and the standard deviation across it.
+#[derive(Clone, Copy)]
+struct Patch {
+    normal: Vector,
+    thickness: f64,
+}
 
 /// A cloud in fine voxels, with normals that are computed when they are needed.
 pub(super) struct FineCloud {
     cloud: Neighbors,
-    normals: Vec<OnceLock<Option<Vector>>>,
+    patches: Vec<OnceLock<Option<Patch>>>,
     side: f64,
     /// Whether the cloud is much finer than the voxels.
     is_finer: bool,
@@ -51,19 +62,20 @@ impl FineCloud {
         // The number of voxels of a surface follows from the square of their side.
         let side = voxel_size * SIDE.max((count as f64 / MOST_VOXELS).sqrt());
         let means = voxel_means(points, side, &Counter::default())?;
-        let normals = (0..means.len()).map(|_| OnceLock::new()).collect();
+        let patches = (0..means.len()).map(|_| OnceLock::new()).collect();
         let is_finer = means.len() >= LEAST_RATIO * count;
-        Ok(Self { cloud: Neighbors::new(means)?, normals, side, is_finer })
+        Ok(Self { cloud: Neighbors::new(means)?, patches, side, is_finer })
     }
 
-    /// The normal of a planar patch, without a sign.
-    fn normal(&self, index: usize) -> Option<Vector> {
-        *self.normals[index].get_or_init(|| {
+    /// The planar patch around a point.
+    fn patch(&self, index: usize) -> Option<Patch> {
+        *self.patches[index].get_or_init(|| {
             let near = self.cloud.nearest(&self.cloud.points[index], NEIGHBORS);
             let (_, radius) = *near.last()?;
             let near: Vec<usize> = near.into_iter().map(|(index, _)| index).collect();
             let ([across, width, _], normal) = eigen(self.cloud.covariance(&near));
-            (across < MOST_THICKNESS * width && width > LEAST_WIDTH * radius * radius).then_some(normal)
+            (across < MOST_THICKNESS * width && width > LEAST_WIDTH * radius * radius)
+                .then(|| Patch { normal, thickness: across.max(0.0).sqrt() })
         })
     }
 }
@@ -75,7 +87,7 @@ impl FineCloud {
         let (nearest, distance) = *self.cloud.nearest(place, NonZeroUsize::MIN).first()?;
         let point = self.cloud.points[nearest];
         let is_on = distance < most && normal.dot(&(point - place)).abs() < tolerance;
-        (is_on && self.normal(nearest)?.dot(normal).abs() > AGREEING_COSINE).then_some(point)
+        (is_on && self.patch(nearest)?.normal.dot(normal).abs() > AGREEING_COSINE).then_some(point)
     }
 }
 
@@ -92,33 +104,51 @@ pub(super) fn refine_finely(
     let mut transform = rough;
     for (factor, steps) in ROUNDS {
         let distance = factor * clouds[0].side.max(clouds[1].side);
-        let pairs = |transform: &IsometryMatrix3<f64>| without_far(patches(clouds, transform, distance));
+        let pairs = |transform: &IsometryMatrix3<f64>| without_far(overlap(clouds, transform, distance).patches);
         transform = iterate(pairs, transform, gravity, (steps, distance), counter)?;
     }
     Ok(transform)
 }
 
-/// Some points of the source on planar patches, each with the plane between its patch and that of the nearest target point,
-/// closer than `most`.
-pub(super) fn patches(
-    [source, target]: [&FineCloud; 2],
-    transform: &IsometryMatrix3<f64>,
-    most: f64,
-) -> Vec<PlanePair> {
+/// Planar patches that both clouds have.
+pub(super) struct Overlap {
+    /// Points of the source, each with the plane between its patch and that of the nearest target point.
+    pub(super) patches: Vec<PlanePair>,
+    /// The share of the patches that coincide within their thickness.
+    coinciding: f64,
+}
+
+/// Some of the patches of the overlap, closer than `most`.
+pub(super) fn overlap([source, target]: [&FineCloud; 2], transform: &IsometryMatrix3<f64>, most: f64) -> Overlap {
     let pair = |index: usize| {
         let point = moved(transform, &source.cloud.points[index]);
         let (nearest, distance) = *target.cloud.nearest(&point, NonZeroUsize::MIN).first()?;
         if distance > most {
             return None;
         }
-        let (a, b) = (transform.rotation * source.normal(index)?, target.normal(nearest)?);
+        let (of_source, of_target) = (source.patch(index)?, target.patch(nearest)?);
+        let (a, b) = (transform.rotation * of_source.normal, of_target.normal);
         let cosine = a.dot(&b);
         let normal = (if cosine < 0.0 { b - a } else { a + b }).normalize();
         let distance = normal.dot(&(target.cloud.points[nearest] - point));
-        (cosine.abs() > AGREEING_COSINE).then_some(PlanePair { point, normal, distance })
+        let coincides = distance.abs() < COINCIDING * of_source.thickness.hypot(of_target.thickness);
+        (cosine.abs() > AGREEING_COSINE).then_some((PlanePair { point, normal, distance }, coincides))
     };
     let step = source.cloud.points.len().div_ceil(SAMPLES);
-    (0..source.cloud.points.len()).into_par_iter().step_by(step).filter_map(pair).collect()
+    let indices = (0..source.cloud.points.len()).into_par_iter().step_by(step);
+    let (patches, coincide): (Vec<PlanePair>, Vec<bool>) =
+        indices.filter_map(pair).collect::<Vec<_>>().into_iter().unzip();
+    let count = coincide.iter().filter(|coincides| **coincides).count();
+    Overlap { coinciding: count as f64 / patches.len().max(1) as f64, patches }
+}
+
+impl Overlap {
+    /// The share of the patches that coincide, if the points of both clouds are so much finer than the voxels that they can
+    /// show it: coarse voxels hide such errors.
+    pub(super) fn coinciding(&self, clouds: [&FineCloud; 2], voxel_size: f64) -> Option<f64> {
+        let is_fine = |cloud: &&FineCloud| cloud.is_finer && cloud.side < MOST_SIDE * voxel_size;
+        clouds.iter().all(is_fine).then_some(self.coinciding)
+    }
 }
 
 /// The pairs without those whose planes are much farther than most; none of too few.

@@ -10,7 +10,7 @@ use snake_core::{Control, Error, Outliers, Result};
 
 use super::consistency::{displacement, hypotheses};
 use super::constraint::{Constraint, information};
-use super::fine::{FineCloud, patches, refine_finely};
+use super::fine::{FineCloud, overlap, refine_finely};
 use super::icp::{icp, plane_pairs, symmetric_icp};
 use super::match_graph::{Criteria, Match};
 use super::matching::ranked_matches;
@@ -108,8 +108,8 @@ impl<'a> Pair<'a> {
         let best = &found[0];
         let surfaces = self.surfaces();
         let fine = self.fine()?;
-        let patches = patches(fine, &best.refined, PATCH_DISTANCE * self.inlier_distance);
-        let constraint = Constraint::new(&patches);
+        let overlap = overlap(fine, &best.refined, PATCH_DISTANCE * self.inlier_distance);
+        let constraint = Constraint::new(&overlap.patches);
         let information = information(plane_pairs(surfaces[0].points, &surfaces[1], &best.refined).iter());
         let criteria = self.criteria(options);
         let rivals = &found[1..found.len().min(REFINED)];
@@ -129,8 +129,9 @@ impl<'a> Pair<'a> {
             slide_margin: slide_margin(&surfaces, &best.refined, &best.agreement, &information, self.inlier_distance),
             open_directions: (constraint.open.ncols(), open_motions::names(&constraint.open)),
             weakest_constraint: constraint.weakest,
-            repeat_fit: repeated_share(&patches, fine[1], &surfaces[1]),
+            repeat_fit: repeated_share(&overlap.patches, fine[1], &surfaces[1]),
             fitness,
+            coinciding: overlap.coinciding(fine, self.clouds[0].scan.voxel_size),
             has_rival: counted
                 .any(|(rival, count)| is_rival((&rival.agreement, *count), (&best.agreement, num_agreeing))),
         };
@@ -304,8 +305,8 @@ impl<'a> Pair<'a> {
     fn open_alone(&self) -> Result<Vec<String>> {
         let mut notes = Vec::new();
         for (fine, name) in self.fine()?.into_iter().zip(["source", "target"]) {
-            let patches = patches([fine, fine], &IsometryMatrix3::identity(), PATCH_DISTANCE * self.inlier_distance);
-            let open = Constraint::new(&patches).open;
+            let overlap = overlap([fine, fine], &IsometryMatrix3::identity(), PATCH_DISTANCE * self.inlier_distance);
+            let open = Constraint::new(&overlap.patches).open;
             if open.ncols() > 0 {
                 notes.push(format!("the {name} can move along its own surface ({})", open_motions::names(&open)));
             }

@@ -25,8 +25,8 @@ const LONGEST: f64 = 20.0;
 const LEAST_SHARE: f64 = 0.2;
 /// Before a slide that looks alike, one with less than this share of its agreement has been passed.
 const VALLEY: f64 = 0.6;
-/// Directions with a greater cosine are one.
-const SAME_DIRECTION: f64 = 0.97;
+/// Directions with a greater cosine are one: within 4 degrees, a slide by a few pillars ends at a pillar.
+const SAME_DIRECTION: f64 = 0.998;
 
 /// The greatest share of patches that agree under a slide, of those whose place the target's sensor saw; 0 if the target looks
 /// alike nowhere. `patches` are of the overlap, in the target's frame.

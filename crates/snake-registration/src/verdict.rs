@@ -26,6 +26,8 @@ pub(super) struct Evidence {
     pub(super) repeat_fit: f64,
     /// See [`Registration::fitness`](crate::Registration::fitness).
     pub(super) fitness: f64,
+    /// The share of the patches of both clouds that coincide, where the points are fine enough to show it.
+    pub(super) coinciding: Option<f64>,
     /// Whether another transform fits the surfaces and the matches about as well.
     pub(super) has_rival: bool,
 }
@@ -51,17 +53,19 @@ const DOUBTFUL_CONSTRAINT: f64 = 2e-4;
 const LEAST_AGREEING: usize = 10;
 /// Matches on one plane or line do not fix a transform, however many agree. Their least spread is at least this.
 const LEAST_MATCH_SPREAD: f64 = 0.25;
-/// The greatest confidence of a transform that is ambiguous or has few matches.
+/// At least this share of the patches coincides under a right transform: 0.85 and more of sweeps, and 0.75 and less of wrong ones.
+const LEAST_COINCIDING: f64 = 0.8;
+/// The greatest confidence of a transform that is ambiguous, has few matches or leaves the surfaces apart.
 const MOST_DOUBTFUL: f64 = 0.49;
 
 /// The weights of a logistic regression (`tests/bench/fit_verdict.py`). Each kind of evidence counts between limits, so that
-/// none outvotes the others. The bias is 1 below the fitted one: a confidence of 0.5 is a probability of about 0.73.
-const BIAS: f64 = -5.65;
-const PER_LOG_AGREEING: f64 = 0.65;
-const PER_LOG_RATIO: f64 = 2.2;
-const PER_SLIDE_MARGIN: f64 = 2.1;
-const PER_MATCH_SPREAD: f64 = 2.7;
-const PER_VIOLATION: f64 = -145.0;
+/// none outvotes the others. The bias is 3 below the fitted one: a confidence of 0.5 is a probability of about 0.95.
+const BIAS: f64 = -8.26;
+const PER_LOG_AGREEING: f64 = 1.88;
+const PER_LOG_RATIO: f64 = 0.43;
+const PER_SLIDE_MARGIN: f64 = 22.5;
+const PER_MATCH_SPREAD: f64 = 3.0;
+const PER_VIOLATION: f64 = -302.0;
 /// The limits: more says no more.
 const MOST_AGREEING: f64 = 200.0;
 const MOST_LOG_RATIO: f64 = 1.5;
@@ -82,6 +86,10 @@ impl Evidence {
         self.num_agreeing < LEAST_AGREEING
     }
 
+    fn lies_apart(&self) -> bool {
+        self.coinciding.is_some_and(|share| share < LEAST_COINCIDING)
+    }
+
     fn has_flat_matches(&self) -> bool {
         self.match_spread < LEAST_MATCH_SPREAD
     }
@@ -100,7 +108,10 @@ impl Evidence {
             + PER_MATCH_SPREAD * self.match_spread.min(MOST_MATCH_SPREAD)
             + PER_VIOLATION * self.violation;
         let of_one = (self.weakest_constraint / DOUBTFUL_CONSTRAINT).min(1.0) / (1.0 + (-sum).exp());
-        match (self.has_rival || self.is_repeated(), self.has_few_matches() || self.has_flat_matches()) {
+        match (
+            self.has_rival || self.is_repeated(),
+            self.has_few_matches() || self.has_flat_matches() || self.lies_apart(),
+        ) {
             (true, _) => (of_one / 2.0).min(MOST_DOUBTFUL),
             (false, true) => of_one.min(MOST_DOUBTFUL),
             (false, false) => of_one,
@@ -142,6 +153,9 @@ pub(super) fn notes(evidence: &Evidence, diameters: [f64; 2]) -> Vec<String> {
     if evidence.has_flat_matches() && !evidence.has_few_matches() {
         notes.push("the matches that agree lie on one plane or line, which does not fix a transform".into());
     }
+    if evidence.lies_apart() {
+        notes.push("the surfaces lie apart: the points are finer than the distance between them".into());
+    }
     notes.extend(units_note(diameters));
     notes
 }
@@ -170,6 +184,7 @@ mod tests {
         weakest_constraint: 0.03,
         repeat_fit: 0.0,
         fitness: 0.9,
+        coinciding: None,
         has_rival: false,
     };
 
@@ -180,7 +195,8 @@ mod tests {
             Evidence { num_agreeing: 9, slide_margin: 9.0, match_spread: 9.0, ..EVIDENCE },
             Evidence { num_agreeing: 9999, weakest_constraint: 8e-5, ..EVIDENCE },
             Evidence { num_agreeing: 9999, repeat_fit: 0.95, ..EVIDENCE },
-            Evidence { num_rival_agreeing: 120, slide_margin: 0.0, ..EVIDENCE },
+            Evidence { num_agreeing: 9999, coinciding: Some(0.7), ..EVIDENCE },
+            Evidence { num_agreeing: 20, num_rival_agreeing: 40, slide_margin: 0.0, ..EVIDENCE },
             Evidence { violation: 0.2, ..EVIDENCE },
             Evidence { slide_margin: -0.1, num_agreeing: 15, ..EVIDENCE },
             Evidence { open_directions: (1, "any".into()), ..EVIDENCE },
