@@ -66,51 +66,46 @@ fn one_place(points: &[Point], least: usize) -> Option<Found> {
 /// Points at exactly one distance from the sensor that face all ways.
 fn one_distance(points: &[Point], sensor: &Vector, least: usize) -> Option<Found> {
     let distances: Vec<f64> = points.iter().map(|point| (vector(*point) - sensor).norm()).collect();
-    let (count, distance) = densest(&distances)?;
-    let is_missing = near(&distances, distance);
-    if count < least {
-        return None;
-    }
-    let shell: Vec<Vector> =
-        points.iter().zip(&is_missing).filter(|(_, missing)| **missing).map(|(p, _)| vector(*p)).collect();
-    let faces_all_ways = least_spread(&shell) > LEAST_SPREAD * distance;
-    faces_all_ways.then(|| (is_missing, format!("exactly {distance:.6} from the sensor")))
+    frequent(&distances, least).into_iter().find_map(|distance| {
+        let is_missing = near(&distances, distance);
+        let shell: Vec<Vector> =
+            points.iter().zip(&is_missing).filter(|(_, missing)| **missing).map(|(p, _)| vector(*p)).collect();
+        let faces_all_ways = least_spread(&shell) > LEAST_SPREAD * distance;
+        faces_all_ways.then(|| (is_missing, format!("exactly {distance:.6} from the sensor")))
+    })
 }
 
 /// Points at exactly one depth along an axis that are farther than all others.
 fn one_depth(points: &[Point], least: usize) -> Option<Found> {
-    // The farthest points along an axis: a wall may have more points at one depth.
-    (0..6).find_map(|end| {
-        let (axis, sign) = (end % 3, if end < 3 { 1.0 } else { -1.0 });
+    (0..3).find_map(|axis| {
         let depths: Vec<f64> = points.iter().map(|point| f64::from(point[axis])).collect();
-        let depth = sign * depths.iter().map(|depth| sign * depth).fold(f64::MIN, f64::max);
-        let is_missing = near(&depths, depth);
-        if is_missing.iter().filter(|missing| **missing).count() < least {
-            return None;
-        }
-        let others = points.iter().zip(&is_missing).filter(|(_, missing)| !**missing);
-        let farthest = others.map(|(point, _)| vector(*point).norm()).fold(0.0, f64::max);
-        let name = ["x", "y", "z"][axis];
-        (depth.abs() > FAR * farthest)
-            .then(|| (is_missing, format!("exactly at {name} = {depth:.6}, far behind the others")))
+        frequent(&depths, least).into_iter().find_map(|depth| {
+            let is_missing = near(&depths, depth);
+            let others = points.iter().zip(&is_missing).filter(|(_, missing)| !**missing);
+            let farthest = others.map(|(point, _)| vector(*point).norm()).fold(0.0, f64::max);
+            let place = format!("exactly at {} = {depth:.6}, far behind the others", ["x", "y", "z"][axis]);
+            (depth.abs() > FAR * farthest).then_some((is_missing, place))
+        })
     })
 }
 
-/// The greatest number of values within the tolerance of each other, and the middle one of them.
-fn densest(values: &[f64]) -> Option<(usize, f64)> {
+/// The values that at least so many others equal within the tolerance.
+fn frequent(values: &[f64], least: usize) -> Vec<f64> {
     let mut sorted = values.to_vec();
     sorted.sort_by(f64::total_cmp);
-    let (mut first, mut best) = (0, (0, 0));
-    for last in 0..sorted.len() {
-        while sorted[last] - sorted[first] > TOLERANCE * sorted[last].abs() {
+    let (mut found, mut first, mut end) = (Vec::new(), 0, 0);
+    while first < sorted.len() {
+        while end < sorted.len() && sorted[end] - sorted[first] <= TOLERANCE * sorted[first].abs() {
+            end += 1;
+        }
+        if end - first >= least {
+            found.push(sorted[(first + end) / 2]);
+            first = end;
+        } else {
             first += 1;
         }
-        if last - first >= best.0 {
-            best = (last - first + 1, first);
-        }
     }
-    let (count, first) = best;
-    (count > 0).then(|| (count, sorted[first + count / 2]))
+    found
 }
 
 fn near(values: &[f64], value: f64) -> Vec<bool> {
