@@ -89,7 +89,7 @@ def sample_of(crop, settings, rng):
 
 
 def drawn(queries, settings, rng):
-    """`occupancy_queries` of those within the box, some twice if need be; None where there are none."""
+    """Draws `occupancy_queries` of the queries within the box, with repetition; None if the box has none."""
     inside = queries[((queries > 0.5) & (queries < settings.side - 1.5)).all(axis=1)]
     return inside[rng.integers(len(inside), size=settings.occupancy_queries)] if len(inside) else None
 

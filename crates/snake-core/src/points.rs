@@ -108,7 +108,7 @@ fn outside(extent: f64) -> Error {
 pub struct FinitePoints<'a> {
     /// The points that are used, in the order they were given.
     pub points: Cow<'a, [Point]>,
-    /// Index of each of them in the whole cloud. Empty if no point was skipped.
+    /// The indices of these points in the whole cloud. Empty if no point was skipped.
     indices: Vec<usize>,
     /// The finite points that were left out.
     outliers: Option<Outliers>,

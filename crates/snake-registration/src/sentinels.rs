@@ -8,7 +8,7 @@ use snake_core::space::{Vector, vector};
 
 use super::verdict::least_spread;
 
-/// Fewer points than this number and this share of a cloud are none.
+/// Missing returns are at least this number and this share of a cloud's points.
 const LEAST_POINTS: usize = 50;
 const LEAST_SHARE: f64 = 0.01;
 /// Distances and depths are one if they differ by less than this share. No surface is so exactly a sphere around the sensor;
