@@ -104,6 +104,7 @@ pub use printable::{is_harmful, printable};
 pub use progress::{Progress, Stage};
 pub use rigid_transform::RigidTransform;
 pub use scale_hint::scale_hint;
+pub use scene::scene_signs;
 pub use side_by_side::side_by_side;
 pub use snake_kernels::SimdLevel;
 pub use surface::Mesh;
