@@ -14,6 +14,7 @@ mod output;
 mod reconstruct;
 mod register;
 mod render;
+mod set;
 mod setup;
 mod terminal;
 mod timing;
@@ -52,6 +53,7 @@ fn run(command: &Command) -> Result<ExitCode> {
         Command::Register(arguments) => return register::run(arguments),
         Command::View(arguments) => view::run(arguments)?,
         Command::Model { file } => model::run(file.as_deref())?,
+        Command::Options => set::list()?,
         Command::Schema => terminal::print_bytes(include_bytes!("schema.json"))?,
         Command::Completions { shell } => complete(*shell)?,
     }
@@ -66,7 +68,19 @@ fn explain(error: clap::Error) -> ExitCode {
             // The help quotes no arguments, so it is safe to print.
             let _ = error.print();
         }
-        _ => terminal::usage_error(&with_printable_arguments(error).render().to_string()),
+        _ => {
+            let error = with_printable_arguments(error);
+            match error.get(ContextKind::InvalidArg) {
+                Some(ContextValue::String(flag)) if error.kind() == ErrorKind::UnknownArgument => {
+                    let instead = set::instead_of(flag);
+                    terminal::usage_error(&instead.map_or_else(
+                        || error.render().to_string(),
+                        |instead| format!("error: {flag} is the name of an option: {instead}\n"),
+                    ));
+                }
+                _ => terminal::usage_error(&error.render().to_string()),
+            }
+        }
     }
     code
 }

@@ -93,6 +93,7 @@ pub use limits::Limits;
 #[cfg(feature = "builtin-models")]
 pub use model::Builtin;
 pub use model::Model;
+pub use named_options::with_named_values;
 pub use nms::Fate;
 pub use options::{DetectOptions, EncodeOptions, MeshOptions, Options, Preset, RefineMethod, Selection};
 pub use outliers::Outliers;

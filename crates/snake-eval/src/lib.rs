@@ -35,9 +35,11 @@
 #![forbid(unsafe_code)]
 
 #[cfg(feature = "datasets")]
+mod coverage;
 pub mod datasets;
 #[cfg(feature = "datasets")]
 mod error;
+mod external;
 mod registration;
 mod repeatability;
 #[cfg(feature = "datasets")]
@@ -54,7 +56,9 @@ use snake_core::space::check_points;
 use snake_core::space::{Vector, vector};
 
 #[cfg(feature = "datasets")]
+pub use coverage::{RankedKeypoints, radius_of_coverage};
 pub use error::Error;
+pub use external::ExternalKeypoints;
 pub use registration::{
     RegistrationOutcome, feature_matching_recall, information_matrix, inlier_ratio, overlap, registration_recall,
     squared_registration_error,
