@@ -159,6 +159,9 @@ pub enum Command {
         file: Option<PathBuf>,
     },
     /// List the options that --set, `snake.toml` and Python take, with their values.
+    #[command(after_help = "Examples:
+  snake-cli options
+  snake-cli detect scan.ply --set mode_radius=4% --set snap=true")]
     Options,
     /// Print the JSON schema of a line of `detect --json`.
     #[command(after_help = "Examples:
