@@ -2,6 +2,7 @@
 
 use nalgebra::{Matrix6, Matrix6xX, Vector6};
 
+use super::fine::Overlap;
 use super::icp::{Normal, PlanePair, twist};
 use snake_core::space::Vector;
 
@@ -10,6 +11,9 @@ use snake_core::space::Vector;
 const LEAST_COSINE: f64 = 0.25;
 /// The share of the squared motion against planar patches up to which a direction is open.
 const OPEN_DIRECTION: f64 = 5e-5;
+/// Where few points lie on patches, the overlap fixes all motions if slides fit worse by this. They do by up to 0.04 in corridors
+/// and tunnels that noise hides the patches of.
+const FIXED_MARGIN: f64 = 0.07;
 
 /// What planar patches of the overlap say about the motions of the source.
 pub(super) struct Constraint {
@@ -21,6 +25,15 @@ pub(super) struct Constraint {
 }
 
 impl Constraint {
+    /// The constraint of an overlap. Where less than half of it lies on planar patches, as on thin, rough or thinly sampled
+    /// surfaces, slides that fit worse show that the rest fixes what the patches leave open.
+    pub(super) fn of(overlap: &Overlap, slide_margin: f64) -> Self {
+        match overlap.is_planar() || slide_margin < FIXED_MARGIN {
+            true => Self::new(&overlap.patches),
+            false => Self { open: Matrix6xX::zeros(0), weakest: slide_margin },
+        }
+    }
+
     /// `patches` are planar: normals of other points, such as of three neighbours, are against motions that the surface
     /// leaves open.
     pub(super) fn new(patches: &[PlanePair]) -> Self {

@@ -35,6 +35,9 @@ const ROUNDS: [(f64, usize); 2] = [(4.0, 8), (2.0, 12)];
 const MOST_MEDIANS: f64 = 4.0;
 /// Points can show that surfaces lie apart if fine voxels are smaller than this share of a voxel.
 const MOST_SIDE: f64 = 0.2;
+/// Patches tell what the overlap leaves open if they are at least this share of it. They are 0.7 and more of corridors, tunnels
+/// and balls.
+const LEAST_PLANAR: f64 = 0.5;
 /// Two patches coincide if the distance between them is less than this times their thickness.
 const COINCIDING: f64 = 2.0;
 /// With fewer pairs the rough transform stays.
@@ -116,16 +119,18 @@ pub(super) struct Overlap {
     pub(super) patches: Vec<PlanePair>,
     /// The share of the patches that coincide within their thickness.
     coinciding: f64,
+    /// The share of the source's points on the target that lie on patches of both.
+    planar: f64,
 }
 
 /// Some of the patches of the overlap, closer than `most`.
 pub(super) fn overlap([source, target]: [&FineCloud; 2], transform: &IsometryMatrix3<f64>, most: f64) -> Overlap {
-    let pair = |index: usize| {
+    let near = |index: usize| {
         let point = moved(transform, &source.cloud.points[index]);
         let (nearest, distance) = *target.cloud.nearest(&point, NonZeroUsize::MIN).first()?;
-        if distance > most {
-            return None;
-        }
+        (distance <= most).then_some((index, point, nearest))
+    };
+    let pair = |(index, point, nearest): (usize, Vector, usize)| {
         let (of_source, of_target) = (source.patch(index)?, target.patch(nearest)?);
         let (a, b) = (transform.rotation * of_source.normal, of_target.normal);
         let cosine = a.dot(&b);
@@ -136,18 +141,24 @@ pub(super) fn overlap([source, target]: [&FineCloud; 2], transform: &IsometryMat
     };
     let step = source.cloud.points.len().div_ceil(SAMPLES);
     let indices = (0..source.cloud.points.len()).into_par_iter().step_by(step);
-    let (patches, coincide): (Vec<PlanePair>, Vec<bool>) =
-        indices.filter_map(pair).collect::<Vec<_>>().into_iter().unzip();
-    let count = coincide.iter().filter(|coincides| **coincides).count();
-    Overlap { coinciding: count as f64 / patches.len().max(1) as f64, patches }
+    let pairs: Vec<Option<(PlanePair, bool)>> = indices.filter_map(near).map(pair).collect();
+    let count = pairs.len().max(1) as f64;
+    let (patches, coincide): (Vec<PlanePair>, Vec<bool>) = pairs.into_iter().flatten().unzip();
+    let coinciding = coincide.iter().filter(|coincides| **coincides).count() as f64 / patches.len().max(1) as f64;
+    Overlap { coinciding, planar: patches.len() as f64 / count, patches }
 }
 
 impl Overlap {
+    /// Whether most of the overlap lies on planar patches. Otherwise they do not tell what the rest fixes.
+    pub(super) fn is_planar(&self) -> bool {
+        self.planar >= LEAST_PLANAR
+    }
+
     /// The share of the patches that coincide, if the points of both clouds are so much finer than the voxels that they can
     /// show it: coarse voxels hide such errors.
     pub(super) fn coinciding(&self, clouds: [&FineCloud; 2], voxel_size: f64) -> Option<f64> {
         let is_fine = |cloud: &&FineCloud| cloud.is_finer && cloud.side < MOST_SIDE * voxel_size;
-        clouds.iter().all(is_fine).then_some(self.coinciding)
+        (self.patches.len() >= LEAST_PAIRS && clouds.iter().all(is_fine)).then_some(self.coinciding)
     }
 }
 

@@ -109,8 +109,9 @@ impl<'a> Pair<'a> {
         let surfaces = self.surfaces();
         let fine = self.fine()?;
         let overlap = overlap(fine, &best.refined, PATCH_DISTANCE * self.inlier_distance);
-        let constraint = Constraint::new(&overlap.patches);
         let information = information(plane_pairs(surfaces[0].points, &surfaces[1], &best.refined).iter());
+        let slide_margin = slide_margin(&surfaces, &best.refined, &best.agreement, &information, self.inlier_distance);
+        let constraint = Constraint::of(&overlap, slide_margin);
         let criteria = self.criteria(options);
         let rivals = &found[1..found.len().min(REFINED)];
         let agreeing = |candidate: &Candidate| inliers(matches, &candidate.refined, &criteria).0;
@@ -126,7 +127,7 @@ impl<'a> Pair<'a> {
             match_spread: match_spread / self.inlier_distance,
             num_agreeing,
             num_rival_agreeing: of_rivals.iter().copied().max().unwrap_or(0),
-            slide_margin: slide_margin(&surfaces, &best.refined, &best.agreement, &information, self.inlier_distance),
+            slide_margin,
             open_directions: (constraint.open.ncols(), open_motions::names(&constraint.open)),
             weakest_constraint: constraint.weakest,
             repeat_fit: repeated_share(&overlap.patches, fine[1], &surfaces[1]),

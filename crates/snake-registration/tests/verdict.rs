@@ -155,6 +155,54 @@ fn a_row_of_pillars_is_not_left_by_one_period() {
     }
 }
 
+/// Clouds whose 16 nearest points are nowhere a planar patch: a curve wound around a torus with a dent, points in a bulky
+/// volume, wires, and a thin fence.
+fn clouds_without_patches() -> [(&'static str, Vec<Point>); 4] {
+    let torus = |i: i32| {
+        let (u, v) = (0.1 * i as f32, 0.7 * i as f32);
+        let ring = 1.0 + 0.3 * v.cos();
+        let (x, y) = (ring * u.cos(), ring * u.sin());
+        [x, y, 0.3 * v.sin() + (x - 0.4 * y).max(0.5)]
+    };
+    let mut rng = ChaCha8Rng::seed_from_u64(5);
+    let mut random = move |low: f32, high: f32| rng.random_range(low..high);
+    let volume = (0..6000).map(|_| [(); 3].map(|()| random(-1.0, 1.0)));
+    // The height varies over the ground.
+    let volume = volume.map(|[x, y, z]| [x, 0.8 * y, 0.5 * z * (1.2 + (2.0 * x).sin() + y)]).collect();
+    let wire = |i: i32| {
+        let (k, t) = ((i % 9) as f32, (i / 9) as f32 / 400.0);
+        [t * (1.0 + 0.1 * k) - 0.02 * k * k, 0.25 * k + 0.2 * (t * (3.0 + k)).sin(), 0.15 * (k * t).cos() * k]
+    };
+    let bars = (0..5000).map(|i| {
+        let k = (i % 12) as f32;
+        let along = 1.3 * (i / 12) as f32 / 416.0;
+        let noise = [(); 3].map(|()| random(-0.01, 0.01));
+        let bar = if k < 7.0 {
+            [0.3 * k - 0.01 * k * k, along, 0.0]
+        } else {
+            [1.9 * along - 0.2, 0.2 * (k - 6.0).powf(1.1), 0.1]
+        };
+        [0, 1, 2].map(|axis| bar[axis] + noise[axis])
+    });
+    [
+        ("torus", (0..4000).map(torus).collect()),
+        ("volume", volume),
+        ("wires", (0..3600).map(wire).collect()),
+        ("fence", bars.collect()),
+    ]
+}
+
+#[test]
+fn exact_copies_of_clouds_without_planar_patches_are_reliable() {
+    for (name, source) in clouds_without_patches() {
+        let target: Vec<Point> = source.iter().map(|[x, y, z]| [3.0 - y, *x, *z]).collect();
+        let found = run(&source, &target).unwrap();
+        let t = found.t_target_source.to_matrix();
+        let error = (0..3).map(|axis| (t[axis][3] - [3.0, 0.0, 0.0][axis]).abs()).fold(0.0, f64::max);
+        assert!(found.is_reliable && error < 1e-3 && (t[1][0] - 1.0).abs() < 1e-3, "{name}: {found:?}");
+    }
+}
+
 #[test]
 fn few_matches_of_balls_are_never_enough() {
     let ball = |seed| -> Vec<Point> {
