@@ -21,7 +21,7 @@ use super::repeats::repeated_share;
 use super::result::{Hypothesis, Registration, ViewpointUsed};
 use super::slide::slide_margin;
 use super::surface::{Agreement, Surface, coarse_step, fitness};
-use super::verdict::{Evidence, is_rival, least_spread, notes, units_note};
+use super::verdict::{Evidence, REPEATED_FITNESS, is_rival, least_spread, notes, units_note};
 
 /// Number of transforms that are compared on the voxels.
 const CANDIDATES: usize = 20;
@@ -130,7 +130,10 @@ impl<'a> Pair<'a> {
             slide_margin,
             open_directions: (constraint.open.ncols(), open_motions::names(&constraint.open)),
             weakest_constraint: constraint.weakest,
-            repeat_fit: repeated_share(&overlap.patches, fine[1], &surfaces[1]),
+            repeat_fit: match fitness > REPEATED_FITNESS {
+                true => repeated_share(&overlap.patches, fine[1], &surfaces[1]),
+                false => 0.0,
+            },
             fitness,
             coinciding: overlap.coinciding(fine, self.clouds[0].scan.voxel_size),
             has_rival: counted

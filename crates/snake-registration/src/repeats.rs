@@ -12,51 +12,108 @@ use snake_core::space::Vector;
 /// A patch tells whether a slide is right if the cosine between its normal and the slide is at least this: a floor agrees
 /// with all slides along it.
 const TELLING_COSINE: f64 = 0.5;
-/// Number of patches that are compared.
-const PATCHES: usize = 40;
-/// If not one of every so many agrees, few of all do.
+/// Number of patches that are compared, and the least number that tells of a slide.
+const PATCHES: usize = 80;
+const LEAST_TELLING: usize = 8;
+/// If few of one of every so many are near other patches, few of all are.
 const PROBED: usize = 4;
-/// The tolerance across a patch, and the difference between slides, in inlier distances.
+/// In inlier distances: between slides, how near they must be to settle, between patches that agree, and across these.
+const STEP: f64 = 0.5;
+const CAPTURE: f64 = 1.0;
+const NEAR: f64 = 0.5;
 const TOLERANCE: f64 = 0.12;
-const STEP: f64 = 0.2;
-/// The longest slide, in inlier distances.
-const LONGEST: f64 = 20.0;
+/// Number of least-squares steps to settle.
+const SETTLING: usize = 3;
+/// The shortest and the longest slide, in inlier distances.
+const SHORTEST: f64 = 1.0;
+const LONGEST: f64 = 12.0;
 /// At least this share of the patches must agree with a slide; the others may have left the view.
 const LEAST_SHARE: f64 = 0.2;
-/// Before a slide that looks alike, one with less than this share of its agreement has been passed.
+/// Of those that are seen, a share up to this is none.
+const LEAST_FOUND: f64 = 0.3;
+/// At one of these parts of the way to a slide that looks alike, less than this share of its agreement is left.
+const PARTS: [f64; 3] = [0.35, 0.5, 0.65];
 const VALLEY: f64 = 0.6;
-/// Directions with a greater cosine are one: within 4 degrees, a slide by a few pillars ends at a pillar.
-const SAME_DIRECTION: f64 = 0.998;
+/// Patches whose normals have a greater cosine are parallel, to one of so many.
+const PARALLEL: f64 = 0.98;
+const NORMALS: usize = 50;
+/// A normal is across another if so much of it is.
+const LEAST_ACROSS: f64 = 0.5;
 
 /// The greatest share of patches that agree under a slide, of those whose place the target's sensor saw; 0 if the target looks
 /// alike nowhere. `patches` are of the overlap, in the target's frame.
 pub(super) fn repeated_share(patches: &[PlanePair], fine: &FineCloud, target: &Surface) -> f64 {
-    let directions = directions(patches);
-    let along = |direction: &Vector| {
-        let telling: Vec<&PlanePair> =
-            patches.iter().filter(|patch| patch.normal.dot(direction).abs() > TELLING_COSINE).collect();
-        let telling: Vec<&PlanePair> =
-            telling.iter().step_by(telling.len().div_ceil(PATCHES).max(1)).copied().collect();
-        let shares = [1.0, -1.0].map(|sign| along(&telling, &(sign * direction), fine, target));
-        shares[0].max(shares[1])
-    };
-    let shares: Vec<f64> = directions.par_iter().map(along).collect();
-    shares.into_iter().fold(0.0, f64::max)
+    let axes = axes(patches).into_iter().flatten();
+    axes.map(|axis| repeated_across(&axis, patches, fine, target)).fold(0.0, f64::max)
 }
 
-/// The greatest share for slides in one direction, behind a valley.
-fn along(telling: &[&PlanePair], direction: &Vector, fine: &FineCloud, target: &Surface) -> f64 {
+/// The same for slides across an axis, as along a floor.
+fn repeated_across(axis: &Vector, patches: &[PlanePair], fine: &FineCloud, target: &Surface) -> f64 {
+    let across = |patch: &&PlanePair| patch.normal.cross(axis).norm() > TELLING_COSINE;
+    let telling: Vec<&PlanePair> = patches.iter().filter(across).collect();
+    let telling: Vec<&PlanePair> = telling.iter().step_by(telling.len().div_ceil(PATCHES).max(1)).copied().collect();
     let distance = target.grid.distance();
-    let step = STEP * distance;
-    let shares = (1..=(LONGEST / STEP) as usize).map(|i| share(telling, &(i as f64 * step * direction), fine, target));
-    let (mut lowest, mut best) = (1.0_f64, 0.0_f64);
-    for share in shares {
-        if lowest < VALLEY * share {
-            best = best.max(share);
-        }
-        lowest = lowest.min(share);
+    let u = axis.cross(&Vector::ith(axis.iamin(), 1.0)).normalize();
+    let (v, side) = (axis.cross(&u), (LONGEST / STEP) as i32);
+    let slides = (-side..=side).into_par_iter().flat_map_iter(|i| (-side..=side).map(move |j| [i, j]));
+    let slides = slides.map(|[i, j]| STEP * distance * (f64::from(i) * u + f64::from(j) * v));
+    let shares = slides.filter(|slide| slide.norm() < LONGEST * distance).map(|slide| {
+        let told = |patch: &&&PlanePair| patch.normal.dot(&slide).abs() > TELLING_COSINE * slide.norm();
+        let telling: Vec<&PlanePair> = telling.iter().filter(told).copied().collect();
+        let settled = settled(&telling, slide, axis, fine, target)?;
+        let found = share(&telling, &settled, fine, target);
+        let is_worse = |part: f64| share(&telling, &(part * settled), fine, target) < VALLEY * found;
+        let is_apart = settled.norm() > SHORTEST * distance && found > LEAST_FOUND && PARTS.into_iter().any(is_worse);
+        is_apart.then_some(found)
+    });
+    shares.flatten().reduce(|| 0.0, f64::max)
+}
+
+/// The slide near another with which the patches lie on those of the target; `None` where few are near any.
+fn settled(telling: &[&PlanePair], start: Vector, axis: &Vector, fine: &FineCloud, target: &Surface) -> Option<Vector> {
+    let distance = target.grid.distance();
+    let offset = |patch: &PlanePair, slide: &Vector| {
+        let place = patch.point + slide;
+        target.grid.nearest(&place)?;
+        let other = fine.patch_at(&place, &patch.normal, CAPTURE * distance, CAPTURE * distance)?;
+        Some(patch.normal.dot(&(other - place)))
+    };
+    let probes = telling.iter().step_by(PROBED);
+    let least = LEAST_SHARE * probes.len() as f64;
+    if telling.len() < LEAST_TELLING || (probes.filter(|patch| offset(patch, &start).is_some()).count() as f64) < least
+    {
+        return None;
     }
-    best
+    let mut slide = start;
+    for _ in 0..SETTLING {
+        // What the patches do not fix stays.
+        let (mut information, mut residual) = (Matrix3::<f64>::identity() * 1e-3, Vector::zeros());
+        for patch in telling {
+            if let Some(offset) = offset(patch, &slide) {
+                let normal = patch.normal - axis * patch.normal.dot(axis);
+                information += normal * normal.transpose();
+                residual += normal * offset;
+            }
+        }
+        slide += information.cholesky()?.solve(&residual);
+    }
+    ((slide - start).norm() < CAPTURE * distance).then_some(slide)
+}
+
+/// The normal that most patches have, that which most have across it, and the direction across both.
+fn axes(patches: &[PlanePair]) -> [Option<Vector>; 3] {
+    let count = |normal: &Vector| patches.iter().filter(|patch| patch.normal.dot(normal).abs() > PARALLEL).count();
+    let normals = patches.iter().step_by(patches.len().div_ceil(NORMALS).max(1)).map(|patch| patch.normal);
+    let first = normals.clone().max_by_key(count);
+    let across = |first: Vector| {
+        normals
+            .map(move |normal| normal - first * normal.dot(&first))
+            .filter(|n| n.norm() > LEAST_ACROSS)
+            .map(|n| n.normalize())
+            .max_by_key(count)
+    };
+    let second = first.and_then(across);
+    [first, second, first.zip(second).map(|(first, second)| first.cross(&second))]
 }
 
 /// Of the patches, moved by a slide, whose place the target's sensor saw, the share on the target's patches; 0 if few are.
@@ -68,12 +125,9 @@ fn share(telling: &[&PlanePair], slide: &Vector, fine: &FineCloud, target: &Surf
             Some(viewpoint) => normal.dot(&(viewpoint - point)) * normal.dot(&(viewpoint - other)) > 0.0,
             None => true,
         };
-        let on = fine.patch_at(&(point + slide), normal, 0.5 * distance, TOLERANCE * distance);
+        let on = fine.patch_at(&(point + slide), normal, NEAR * distance, TOLERANCE * distance);
         on.is_some_and(|other| is_same_side(&other))
     };
-    if !telling.iter().step_by(PROBED).any(|patch| agrees(patch)) {
-        return 0.0;
-    }
     let (mut agree, mut contradict) = (0, 0);
     for patch in telling {
         if agrees(patch) {
@@ -82,33 +136,6 @@ fn share(telling: &[&PlanePair], slide: &Vector, fine: &FineCloud, target: &Surf
             contradict += 1;
         }
     }
-    let is_seen = f64::from(agree) >= LEAST_SHARE * telling.len() as f64 && agree > 2;
+    let is_seen = f64::from(agree) >= LEAST_SHARE * telling.len() as f64 && agree >= LEAST_TELLING as i32;
     if is_seen { f64::from(agree) / f64::from(agree + contradict) } else { 0.0 }
-}
-
-/// Directions in which a surface may repeat itself: those in which the patches constrain a slide, and those in which the
-/// patches are spread that constrain it, the least constrained first.
-fn directions(patches: &[PlanePair]) -> Vec<Vector> {
-    let information: Matrix3<f64> = patches.iter().map(|patch| patch.normal * patch.normal.transpose()).sum();
-    let eigen = information.symmetric_eigen();
-    let mut order = [0, 1, 2];
-    order.sort_by(|&a, &b| eigen.eigenvalues[a].total_cmp(&eigen.eigenvalues[b]));
-    let mut found: Vec<Vector> = Vec::new();
-    for axis in order.map(|index| Vector::from(eigen.eigenvectors.column(index))) {
-        let points: Vec<Vector> = patches
-            .iter()
-            .filter(|patch| patch.normal.dot(&axis).abs() > TELLING_COSINE)
-            .map(|patch| patch.point)
-            .collect();
-        let mean = points.iter().sum::<Vector>() / points.len().max(1) as f64;
-        let scatter: Matrix3<f64> = points.iter().map(|point| (point - mean) * (point - mean).transpose()).sum();
-        let spread = scatter.symmetric_eigen();
-        let widest = Vector::from(spread.eigenvectors.column(spread.eigenvalues.imax()));
-        for direction in [axis, widest] {
-            if found.iter().all(|other| other.dot(&direction).abs() < SAME_DIRECTION) {
-                found.push(direction);
-            }
-        }
-    }
-    found
 }

@@ -50,7 +50,7 @@ pub struct Registration {
     /// by 2 to 12 inlier distances along the direction that is fixed least; below 0 if a slide fits better.
     pub slide_margin: f64,
     /// Of the patches that tell, the share that agrees where the target looks alike, as one period farther along a row of
-    /// equal pillars; 0 if it looks alike nowhere.
+    /// equal pillars; 0 if it looks alike nowhere or `fitness` is at most 0.8.
     pub repeat_fit: f64,
     /// The information matrix (inverse covariance up to the noise) of the transform, for a pose graph: of a small
     /// rotation (radians) and then a small translation (cloud units) of the source in the target frame. It is the sum of

@@ -46,7 +46,7 @@ pub(super) fn is_rival(other: (&Agreement, usize), best: (&Agreement, usize)) ->
 /// The target looks alike elsewhere if more than this share of the patches agrees there,
 const REPEATED: f64 = 0.5;
 /// and the source may belong there if its fitness is more than this: with less overlap, a place with more would fit better.
-const REPEATED_FITNESS: f64 = 0.8;
+pub(super) const REPEATED_FITNESS: f64 = 0.8;
 /// A constraint that is weaker than this share is doubtful, however many matches agree.
 const DOUBTFUL_CONSTRAINT: f64 = 2e-4;
 /// Fewer matches that agree are never enough, however well the surfaces fit.

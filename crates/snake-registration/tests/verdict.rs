@@ -140,17 +140,21 @@ fn corridors_and_tunnels_are_open_along_their_axis() {
 
 #[test]
 fn a_row_of_pillars_is_not_left_by_one_period() {
-    for period in [1.2, 2.0] {
+    for (period, half, side) in [(1.2, 0.2, 2.0), (2.0, 0.2, 2.0), (2.0, 0.19, 1.7), (1.65, 0.4, 1.6), (2.3, 0.16, 2.2)]
+    {
         let mut scene = corridor();
         scene.rooms[0] = [[-200.0, -2.5, 0.0], [200.0, 2.5, 2.6]];
         for x in -40..40 {
             let x = period * f64::from(x);
-            scene.boxes.extend([-2.0, 2.0].map(|y| [[x, y - 0.2, 0.0], [x + 0.4, y + 0.2, 2.6]]));
+            scene.boxes.extend([-side, side].map(|y| [[x, y - half, 0.0], [x + 2.0 * half, y + half, 2.6]]));
         }
-        for (rays, most) in [(camera(0.0), 12.0), (lidar(-0.5, 0.5), 20.0)] {
+        // A camera may look along the row or across it.
+        for (name, rays, most) in
+            [("ahead", camera(0.0), 12.0), ("aside", camera(0.35), 12.0), ("LiDAR", lidar(-0.5, 0.5), 20.0)]
+        {
             let seen = |x: f64, seed| scene.seen([x, 0.0, 1.4], &rays, most, 0.005, seed);
             let found = run(&seen(0.7, 1), &seen(0.7 + period, 2)).unwrap();
-            assert!(!found.is_reliable && found.is_ambiguous, "{period}: {found:?}");
+            assert!(!found.is_reliable && found.is_ambiguous, "{period} {half}, {name}: {found:?}");
         }
     }
 }
