@@ -26,11 +26,11 @@ const MOST_THICKNESS: f64 = 0.15;
 /// an edge lie on a plane too, but on none of the surface.
 const LEAST_WIDTH: f64 = 0.1;
 /// The cosine from which on two normals agree.
-const AGREEING_COSINE: f64 = 0.9;
+pub(super) const AGREEING_COSINE: f64 = 0.9;
 /// Number of source points that are paired.
-const SAMPLES: usize = 4000;
+const SAMPLES: usize = 2500;
 /// Pairs are closer than this many fine voxels, in two rounds of so many steps at most.
-const ROUNDS: [(f64, usize); 2] = [(4.0, 8), (2.0, 12)];
+const ROUNDS: [(f64, usize); 2] = [(4.0, 4), (2.0, 8)];
 /// Of all pairs, those farther than this many medians are left out.
 const MOST_MEDIANS: f64 = 4.0;
 /// Points can show that surfaces lie apart if fine voxels are smaller than this share of a voxel.

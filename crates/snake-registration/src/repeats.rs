@@ -1,11 +1,14 @@
 //! Slides under which the surface looks alike, as along a row of equal pillars: a source that fits at one place of the row
 //! fits at the others as well.
 
+use std::collections::HashSet;
+
 use nalgebra::Matrix3;
 use rayon::prelude::*;
 
-use super::fine::FineCloud;
+use super::fine::{AGREEING_COSINE, FineCloud};
 use super::icp::PlanePair;
+use super::near_grid::NearGrid;
 use super::surface::Surface;
 use snake_core::space::Vector;
 
@@ -13,20 +16,22 @@ use snake_core::space::Vector;
 /// with all slides along it.
 const TELLING_COSINE: f64 = 0.5;
 /// Number of patches that are compared, and the least number that tells of a slide.
-const PATCHES: usize = 80;
-const LEAST_TELLING: usize = 8;
-/// If few of one of every so many are near other patches, few of all are.
-const PROBED: usize = 4;
-/// In inlier distances: between slides, how near they must be to settle, between patches that agree, and across these.
+const PATCHES: usize = 100;
+const LEAST_TELLING: usize = 7;
+/// In inlier distances: between the starts of slides, between patches of one face, between slides that have settled, and along
+/// and across patches that agree.
 const STEP: f64 = 0.5;
-const CAPTURE: f64 = 1.0;
+const THINNED: f64 = 0.5;
+const SETTLED: f64 = 0.1;
 const NEAR: f64 = 0.5;
 const TOLERANCE: f64 = 0.12;
+/// If few of one of every so many are near other patches, few of all are.
+const PROBED: usize = 4;
 /// Number of least-squares steps to settle.
-const SETTLING: usize = 3;
+const SETTLING: usize = 2;
 /// The shortest and the longest slide, in inlier distances.
 const SHORTEST: f64 = 1.0;
-const LONGEST: f64 = 12.0;
+const LONGEST: f64 = 10.0;
 /// At least this share of the patches must agree with a slide; the others may have left the view.
 const LEAST_SHARE: f64 = 0.2;
 /// Of those that are seen, a share up to this is none.
@@ -49,55 +54,88 @@ pub(super) fn repeated_share(patches: &[PlanePair], fine: &FineCloud, target: &S
 
 /// The same for slides across an axis, as along a floor.
 fn repeated_across(axis: &Vector, patches: &[PlanePair], fine: &FineCloud, target: &Surface) -> f64 {
-    let across = |patch: &&PlanePair| patch.normal.cross(axis).norm() > TELLING_COSINE;
-    let telling: Vec<&PlanePair> = patches.iter().filter(across).collect();
-    let telling: Vec<&PlanePair> = telling.iter().step_by(telling.len().div_ceil(PATCHES).max(1)).copied().collect();
     let distance = target.grid.distance();
+    let facing = Facing::new(axis, patches, distance);
     let u = axis.cross(&Vector::ith(axis.iamin(), 1.0)).normalize();
     let (v, side) = (axis.cross(&u), (LONGEST / STEP) as i32);
-    let slides = (-side..=side).into_par_iter().flat_map_iter(|i| (-side..=side).map(move |j| [i, j]));
-    let slides = slides.map(|[i, j]| STEP * distance * (f64::from(i) * u + f64::from(j) * v));
-    let shares = slides.filter(|slide| slide.norm() < LONGEST * distance).map(|slide| {
-        let told = |patch: &&&PlanePair| patch.normal.dot(&slide).abs() > TELLING_COSINE * slide.norm();
-        let telling: Vec<&PlanePair> = telling.iter().filter(told).copied().collect();
-        let settled = settled(&telling, slide, axis, fine, target)?;
-        let found = share(&telling, &settled, fine, target);
-        let is_worse = |part: f64| share(&telling, &(part * settled), fine, target) < VALLEY * found;
-        let is_apart = settled.norm() > SHORTEST * distance && found > LEAST_FOUND && PARTS.into_iter().any(is_worse);
-        is_apart.then_some(found)
+    let starts = (-side..=side).into_par_iter().flat_map_iter(|i| (-side..=side).map(move |j| [i, j]));
+    let starts = starts.map(|[i, j]| STEP * distance * (f64::from(i) * u + f64::from(j) * v));
+    let starts = starts.filter(|start| start.norm() < LONGEST * distance);
+    let mut slides: Vec<Vector> = starts.filter_map(|start| facing.settled(start, distance)).collect();
+    let mut cells = HashSet::new();
+    slides.retain(|slide| slide.norm() > SHORTEST * distance && cells.insert(cell(slide, SETTLED * distance)));
+    let shares = slides.par_iter().filter_map(|slide| {
+        let telling = facing.telling(slide);
+        let found = share(&telling, slide, fine, target);
+        let is_worse = |part: f64| share(&telling, &(part * slide), fine, target) < VALLEY * found;
+        (found > LEAST_FOUND && PARTS.into_iter().any(is_worse)).then_some(found)
     });
-    shares.flatten().reduce(|| 0.0, f64::max)
+    shares.reduce(|| 0.0, f64::max)
 }
 
-/// The slide near another with which the patches lie on those of the target; `None` where few are near any.
-fn settled(telling: &[&PlanePair], start: Vector, axis: &Vector, fine: &FineCloud, target: &Surface) -> Option<Vector> {
-    let distance = target.grid.distance();
-    let offset = |patch: &PlanePair, slide: &Vector| {
-        let place = patch.point + slide;
-        target.grid.nearest(&place)?;
-        let other = fine.patch_at(&place, &patch.normal, CAPTURE * distance, CAPTURE * distance)?;
-        Some(patch.normal.dot(&(other - place)))
-    };
-    let probes = telling.iter().step_by(PROBED);
-    let least = LEAST_SHARE * probes.len() as f64;
-    if telling.len() < LEAST_TELLING || (probes.filter(|patch| offset(patch, &start).is_some()).count() as f64) < least
-    {
-        return None;
+fn cell(point: &Vector, side: f64) -> [i64; 3] {
+    point.map(|v| (v / side).floor() as i64).into()
+}
+
+/// The patches that face across an axis, about evenly spread.
+struct Facing<'a> {
+    axis: Vector,
+    patches: Vec<&'a PlanePair>,
+    grid: NearGrid,
+}
+
+impl<'a> Facing<'a> {
+    fn new(axis: &Vector, patches: &'a [PlanePair], distance: f64) -> Self {
+        let faces = |patch: &&PlanePair| patch.normal.cross(axis).norm() > TELLING_COSINE;
+        let mut cells = HashSet::new();
+        // Near the sensor there are more.
+        let is_new = |patch: &&PlanePair| cells.insert((cell(&patch.point, THINNED * distance), patch.normal.iamax()));
+        let patches: Vec<&PlanePair> = patches.iter().filter(faces).filter(is_new).collect();
+        let points: Vec<Vector> = patches.iter().map(|patch| patch.point).collect();
+        Self { axis: *axis, patches, grid: NearGrid::new(&points, distance) }
     }
-    let mut slide = start;
-    for _ in 0..SETTLING {
-        // What the patches do not fix stays.
-        let (mut information, mut residual) = (Matrix3::<f64>::identity() * 1e-3, Vector::zeros());
-        for patch in telling {
-            if let Some(offset) = offset(patch, &slide) {
-                let normal = patch.normal - axis * patch.normal.dot(axis);
+
+    /// Some of the patches that tell whether a slide is right.
+    fn telling(&self, slide: &Vector) -> Vec<&'a PlanePair> {
+        let tells = |patch: &&&PlanePair| patch.normal.dot(slide).abs() > TELLING_COSINE * slide.norm();
+        let some = self.patches.iter().step_by(self.patches.len().div_ceil(PATCHES).max(1));
+        some.filter(tells).copied().collect()
+    }
+
+    /// The distance along a patch's normal to the nearest one after a slide, if that is parallel.
+    fn offset(&self, patch: &PlanePair, slide: &Vector) -> Option<f64> {
+        let place = patch.point + slide;
+        let other = self.patches[self.grid.nearest(&place)?.0];
+        let is_parallel = other.normal.dot(&patch.normal).abs() > AGREEING_COSINE;
+        is_parallel.then(|| patch.normal.dot(&(other.point - place)))
+    }
+
+    /// The slide near another with which the patches lie on others; `None` where few are near any.
+    fn settled(&self, start: Vector, distance: f64) -> Option<Vector> {
+        let telling = self.telling(&start);
+        let probes = telling.iter().step_by(PROBED);
+        let least = LEAST_SHARE * probes.len() as f64;
+        if (probes.filter(|patch| self.offset(patch, &start).is_some()).count() as f64) < least {
+            return None;
+        }
+        let mut slide = start;
+        for _ in 0..SETTLING {
+            // What the patches do not fix stays.
+            let (mut information, mut residual, mut count) = (Matrix3::<f64>::identity() * 1e-3, Vector::zeros(), 0);
+            for patch in &telling {
+                let Some(offset) = self.offset(patch, &slide) else { continue };
+                let normal = patch.normal - self.axis * patch.normal.dot(&self.axis);
                 information += normal * normal.transpose();
                 residual += normal * offset;
+                count += 1;
             }
+            if count < LEAST_TELLING || (count as f64) < LEAST_SHARE * telling.len() as f64 {
+                return None;
+            }
+            slide += information.cholesky()?.solve(&residual);
         }
-        slide += information.cholesky()?.solve(&residual);
+        ((slide - start).norm() < distance).then_some(slide)
     }
-    ((slide - start).norm() < CAPTURE * distance).then_some(slide)
 }
 
 /// The normal that most patches have, that which most have across it, and the direction across both.
@@ -128,7 +166,7 @@ fn share(telling: &[&PlanePair], slide: &Vector, fine: &FineCloud, target: &Surf
         let on = fine.patch_at(&(point + slide), normal, NEAR * distance, TOLERANCE * distance);
         on.is_some_and(|other| is_same_side(&other))
     };
-    let (mut agree, mut contradict) = (0, 0);
+    let (mut agree, mut contradict) = (0_usize, 0_usize);
     for patch in telling {
         if agrees(patch) {
             agree += 1;
@@ -136,6 +174,6 @@ fn share(telling: &[&PlanePair], slide: &Vector, fine: &FineCloud, target: &Surf
             contradict += 1;
         }
     }
-    let is_seen = f64::from(agree) >= LEAST_SHARE * telling.len() as f64 && agree >= LEAST_TELLING as i32;
-    if is_seen { f64::from(agree) / f64::from(agree + contradict) } else { 0.0 }
+    let is_seen = agree as f64 >= LEAST_SHARE * telling.len() as f64 && agree >= LEAST_TELLING;
+    if is_seen { agree as f64 / (agree + contradict) as f64 } else { 0.0 }
 }

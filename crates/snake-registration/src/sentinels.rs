@@ -30,9 +30,7 @@ pub(super) fn without_sentinels<'a>(points: Cow<'a, [Point]>, sensor: [f64; 3]) 
     for _ in 0..MOST_KINDS {
         let all = kept.len();
         let least = LEAST_POINTS.max((LEAST_SHARE * all as f64) as usize);
-        let found = one_place(&kept, least)
-            .or_else(|| one_distance(&kept, &sensor.into(), least))
-            .or_else(|| one_depth(&kept, least));
+        let found = one_place_or_distance(&kept, &sensor.into(), least).or_else(|| one_depth(&kept, least));
         let Some((is_missing, place)) = found else { break };
         let left: Vec<Point> =
             kept.iter().zip(&is_missing).filter(|(_, missing)| !**missing).map(|(p, _)| *p).collect();
@@ -49,6 +47,16 @@ pub(super) fn without_sentinels<'a>(points: Cow<'a, [Point]>, sensor: [f64; 3]) 
 
 type Found = (Vec<bool>, String);
 
+/// Points at one place are at one distance, too.
+fn one_place_or_distance(points: &[Point], sensor: &Vector, least: usize) -> Option<Found> {
+    let distances: Vec<f64> = points.iter().map(|point| (vector(*point) - sensor).norm()).collect();
+    let frequent = frequent(&distances, least);
+    if frequent.is_empty() {
+        return None;
+    }
+    one_place(points, least).or_else(|| one_distance(points, &distances, &frequent))
+}
+
 /// Copies of one point, where points are not repeated otherwise.
 fn one_place(points: &[Point], least: usize) -> Option<Found> {
     let key = |point: &Point| point.map(|v| (v + 0.0).to_bits());
@@ -63,11 +71,10 @@ fn one_place(points: &[Point], least: usize) -> Option<Found> {
     Some((points.iter().map(|point| key(point) == *place).collect(), format!("at ({x}, {y}, {z})")))
 }
 
-/// Points at exactly one distance from the sensor that face all ways.
-fn one_distance(points: &[Point], sensor: &Vector, least: usize) -> Option<Found> {
-    let distances: Vec<f64> = points.iter().map(|point| (vector(*point) - sensor).norm()).collect();
-    frequent(&distances, least).into_iter().find_map(|distance| {
-        let is_missing = near(&distances, distance);
+/// Points at exactly one of the frequent distances from the sensor that face all ways.
+fn one_distance(points: &[Point], distances: &[f64], frequent: &[f64]) -> Option<Found> {
+    frequent.iter().find_map(|&distance| {
+        let is_missing = near(distances, distance);
         let shell: Vec<Vector> =
             points.iter().zip(&is_missing).filter(|(_, missing)| **missing).map(|(p, _)| vector(*p)).collect();
         let faces_all_ways = least_spread(&shell) > LEAST_SPREAD * distance;
@@ -75,24 +82,27 @@ fn one_distance(points: &[Point], sensor: &Vector, least: usize) -> Option<Found
     })
 }
 
-/// Points at exactly one depth along an axis that are farther than all others.
+/// Points at exactly one depth along an axis that are farther than all others: the least or the greatest.
 fn one_depth(points: &[Point], least: usize) -> Option<Found> {
-    (0..3).find_map(|axis| {
-        let depths: Vec<f64> = points.iter().map(|point| f64::from(point[axis])).collect();
-        frequent(&depths, least).into_iter().find_map(|depth| {
-            let is_missing = near(&depths, depth);
-            let others = points.iter().zip(&is_missing).filter(|(_, missing)| !**missing);
-            let farthest = others.map(|(point, _)| vector(*point).norm()).fold(0.0, f64::max);
-            let place = format!("exactly at {} = {depth:.6}, far behind the others", ["x", "y", "z"][axis]);
-            (depth.abs() > FAR * farthest).then_some((is_missing, place))
-        })
+    let extremes = (0..3).flat_map(|axis| [f32::min, f32::max].map(|extreme| (axis, extreme)));
+    extremes.into_iter().find_map(|(axis, extreme)| {
+        let depth = f64::from(points.iter().map(|point| point[axis]).reduce(extreme)?);
+        let is_missing: Vec<bool> =
+            points.iter().map(|point| (f64::from(point[axis]) - depth).abs() <= TOLERANCE * depth.abs()).collect();
+        if is_missing.iter().filter(|missing| **missing).count() < least {
+            return None;
+        }
+        let others = points.iter().zip(&is_missing).filter(|(_, missing)| !**missing);
+        let farthest = others.map(|(point, _)| vector(*point).norm()).fold(0.0, f64::max);
+        let place = format!("exactly at {} = {depth:.6}, far behind the others", ["x", "y", "z"][axis]);
+        (depth.abs() > FAR * farthest).then_some((is_missing, place))
     })
 }
 
 /// The values that at least so many others equal within the tolerance.
 fn frequent(values: &[f64], least: usize) -> Vec<f64> {
     let mut sorted = values.to_vec();
-    sorted.sort_by(f64::total_cmp);
+    sorted.sort_unstable_by(f64::total_cmp);
     let (mut found, mut first, mut end) = (Vec::new(), 0, 0);
     while first < sorted.len() {
         while end < sorted.len() && sorted[end] - sorted[first] <= TOLERANCE * sorted[first].abs() {
