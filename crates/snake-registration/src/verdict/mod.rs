@@ -46,7 +46,7 @@ pub(crate) fn is_rival(other: (&Agreement, usize), best: (&Agreement, usize)) ->
 }
 
 /// The target looks alike elsewhere if more than this share of the patches agrees there,
-const REPEATED: f64 = 0.5;
+const REPEATED: f64 = 0.45;
 /// and the source may belong there if its fitness is more than this: with less overlap, a place with more would fit better.
 pub(crate) const REPEATED_FITNESS: f64 = 0.8;
 /// A constraint that is weaker than this share is doubtful, however many matches agree.
@@ -61,8 +61,8 @@ const LEAST_COINCIDING: f64 = 0.8;
 const MOST_DOUBTFUL: f64 = 0.49;
 
 /// The weights of a logistic regression (`tests/bench/fit_verdict.py`). Each kind of evidence counts between limits, so that
-/// none outvotes the others. The bias is 3 below the fitted one: a confidence of 0.5 is a probability of about 0.95.
-const BIAS: f64 = -8.26;
+/// none outvotes the others. The bias is 3.2 below the fitted one: a confidence of 0.5 is a probability of about 0.95.
+const BIAS: f64 = -8.5;
 const PER_LOG_AGREEING: f64 = 1.88;
 const PER_LOG_RATIO: f64 = 0.43;
 const PER_SLIDE_MARGIN: f64 = 22.5;

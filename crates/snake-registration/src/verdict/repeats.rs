@@ -16,7 +16,7 @@ use snake_core::space::Vector;
 /// with all slides along it.
 const TELLING_COSINE: f64 = 0.5;
 /// Number of patches that are compared, and the least number that tells of a slide.
-const PATCHES: usize = 100;
+const PATCHES: usize = 40;
 const LEAST_TELLING: usize = 7;
 /// In inlier distances: between the starts of slides, between patches of one face, between slides that have settled, and along
 /// and across patches that agree.
@@ -98,8 +98,8 @@ impl<'a> Facing<'a> {
     /// Some of the patches that tell whether a slide is right.
     fn telling(&self, slide: &Vector) -> Vec<&'a PlanePair> {
         let tells = |patch: &&&PlanePair| patch.normal.dot(slide).abs() > TELLING_COSINE * slide.norm();
-        let some = self.patches.iter().step_by(self.patches.len().div_ceil(PATCHES).max(1));
-        some.filter(tells).copied().collect()
+        let all: Vec<&PlanePair> = self.patches.iter().filter(tells).copied().collect();
+        all.iter().step_by(all.len().div_ceil(PATCHES).max(1)).copied().collect()
     }
 
     /// The distance along a patch's normal to the nearest one after a slide, if that is parallel.
