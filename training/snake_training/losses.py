@@ -11,6 +11,8 @@ import torch.nn.functional as F
 
 from .augment import BOUND
 
+LOSSES = "occupancy", "repeatability", "surface", "sparsity"
+
 
 def inside_volume(queries):
     """(..., 3) -> (...): within the padded volume."""

@@ -42,7 +42,7 @@ def test_what_is_done_is_not_done_again(run_dir):
 
 def test_the_recipe_of_the_released_weights_runs(tmp_path):
     main([str(RECIPES / "scenes.toml"), "--run-dir", str(tmp_path), "--smoke"])
-    assert load_network(tmp_path / "scenes.safetensors")
+    assert load_network(tmp_path / "scenes/scenes.safetensors")
 
 
 def test_training_goes_on_from_its_checkpoint_bit_for_bit(run_dir, tmp_path):
@@ -70,7 +70,7 @@ def test_other_settings_than_those_of_the_results_are_refused(run_dir, tmp_path)
     ("line", "word"),
     [
         ('name = "a"\nkind = "bake"', "kind 'bake'"),
-        ('name = "a"\nkind = "train"\ninit = "b"\ncrops = "c"', "no stage 'c' before it"),
+        ('name = "a"\nkind = "scenes"\ninit = "b"\ncrops = "c"', "no stage 'c' before it"),
         ('name = "a"\nkind = "average"\nof = ["b"]', "no stage 'b' before it"),
     ],
 )
