@@ -9,6 +9,7 @@ import threading
 import time
 from contextlib import contextmanager
 from datetime import timedelta
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -22,7 +23,7 @@ from .command_line import parse_arguments
 from .config import from_json, to_json
 from .data import Mixture, Procedural, ShapeError, open_all
 from .device import choose_device
-from .evaluate import DetectOptions, candidates, repeatability, suppress
+from .evaluate import DetectOptions, candidates, repeatability, suppress, view_pairs, why_none
 from .export import build_network, load_network, replacing
 from .losses import LOSSES, distillation_losses, snake_losses
 from .model import Decoder, PointEncoder, ResnetBlockFC, SnakeNetwork, voxel_index
@@ -77,7 +78,7 @@ def validate(network, config, shapes, device):
     options = DetectOptions(normalization=normalization, query_resolution=config.validation_resolution)
     with torch.no_grad():
         batches = [make_batch(shapes, config, first, 4, device, stream=1) for first in range(0, 32, 4)]
-        results = [snake_losses(network, batch, config.bf16) for batch in batches]
+        results = [snake_losses(network, batch, config.bf16, ridge=config.sparsity_ridge) for batch in batches]
     values = {name: float(np.mean([losses[name].item() for losses, _ in results])) for name in results[0][0]}
     values["saturated"] = float(np.mean([share.item() for _, share in results]))
 
@@ -88,6 +89,9 @@ def validate(network, config, shapes, device):
 
     for name, (measured, count) in repeatability(detector, shapes, config.validation_objects).items():
         values |= {f"repeatability_{name}": float(measured[0]), f"keypoints_{name}": count}
+    if values["keypoints_nms_0.01"] == 0:
+        cloud, _, _ = next(view_pairs(shapes, 1, 5000, 0))
+        tqdm.write(f"warning: no keypoint in the validation: {why_none(network, cloud, options)}")
     return values
 
 
@@ -275,7 +279,7 @@ def run_until(config, pressed):
         average.load_state_dict(state["ema"])
         optimizer.load_state_dict(state["optimizer"])
         step, best = state["step"], state["best"]
-    losses_of = distillation_losses if config.targets else snake_losses
+    losses_of = distillation_losses if config.targets else partial(snake_losses, ridge=config.sparsity_ridge)
     model = DistributedDataParallel(network) if world > 1 else network
 
     log = None
