@@ -3,7 +3,7 @@ VENV := .venv
 PYTHON := $(VENV)/bin/python
 export VIRTUAL_ENV := $(CURDIR)/$(VENV)
 
-.PHONY: help test test-aarch64 test-examples check golden bench bench-registration wheel manylinux results fuzz
+.PHONY: help test test-aarch64 test-examples check golden bench bench-registration models wheel manylinux results fuzz
 .DEFAULT_GOAL := help
 
 help:  ## this list
@@ -104,6 +104,10 @@ $(VENV)/registration-ready: $(VENV)/ready
 
 bench-registration: module $(VENV)/registration-ready  ## registration beside Open3D and KISS-Matcher: make bench-registration SCENES=FOLDER OBJECTS=FOLDER; resumable, hours, PARTS="speed verdict" for a part
 	$(PYTHON) tests/bench/registration.py $(if $(SCENES),--scenes $(SCENES)) $(if $(OBJECTS),--objects $(OBJECTS)) $(if $(PARTS),--parts $(PARTS))
+
+models: module  ## all weights from their recipes into runs/: make models DATA=FOLDER VAL=FOLDER adds shapes, SMOKE=1 only sees that it runs; days, resumable, each recipe states its time
+	OMP_NUM_THREADS=1 $(PYTHON) -m snake_training.recipes training/recipes/*.toml $(if $(DATA),--data $(DATA)) \
+		$(if $(VAL),--validation-data $(VAL)) $(if $(SMOKE),--smoke --run-dir runs/smoke)
 
 results:  ## docs/results.md: make results OBJECTS=FOLDER LANDMARKS=FOLDER SCENES="FOLDER .." (or one of them), LIMIT=NUMBER of objects; resumable
 	python3 docs/results.py $(if $(OBJECTS),--objects $(OBJECTS)) $(if $(LANDMARKS),--landmarks $(LANDMARKS)) $(if $(SCENES),--scenes $(SCENES)) $(if $(LIMIT),--limit $(LIMIT))

@@ -5,7 +5,7 @@ import dataclasses
 from pathlib import Path
 
 from .config import PRESETS, TrainConfig, check
-from .export import load_network
+from .export import load_network, recommended_options
 
 NETWORK_SHAPE = "resolution", "unet_levels", "unet_base_channels", "c_dim", "scatter", "point_encoder"
 
@@ -34,6 +34,7 @@ def parse_arguments(argv, description):
     if values["init"]:
         of = shape_of(resumed if resumed.exists() else values["init"])
         values |= {name: value for name, value in of.items() if shape[name] is None}
+        values["recommended_options"] = values["recommended_options"] or recommended_options(values["init"])
     del values["preset"]
     return check(TrainConfig(**{k: tuple(v) if isinstance(v, list) else v for k, v in values.items()}))
 

@@ -9,6 +9,10 @@ from dataclasses import replace
 import torch
 import torch.nn.functional as F
 
+# Voxels a side that the lowest level of a U-Net in bfloat16 has. Below, torch 2.15's convolutions on a CPU read memory that nobody
+# wrote: gradients are at times not finite.
+LEAST_SIDE = 4
+
 
 def choose_device(config):
     """The torch device of this process, and the configuration with bfloat16 off where the device is slow in it."""
@@ -22,6 +26,8 @@ def choose_device(config):
     if config.bf16 and not has_fast_bfloat16(device):
         if int(os.environ.get("RANK", "0")) == 0:
             print(f"bfloat16 is slow on this {device.type}: the U-Net runs in float32", file=sys.stderr)
+        config = replace(config, bf16=False)
+    if device.type == "cpu" and config.resolution >> (config.unet_levels - 1) < LEAST_SIDE:
         config = replace(config, bf16=False)
     return device, config
 

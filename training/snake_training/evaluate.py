@@ -144,6 +144,32 @@ def detect(network, points, options=DetectOptions()):
     return select(*refined_queries(network, points, options), options)
 
 
+def why_none(network, points, options=DetectOptions()):
+    """Why a detection on the cloud `points` (N, 3) finds no keypoint, in a sentence; None if it finds some."""
+    if len(candidates(network, points, options)):
+        return None
+    unit = torch.from_numpy(normalize(points, options.normalization)[0]).to(next(network.parameters()).device)
+    queries = query_grid(network.config, options.query_resolution, unit.device)
+    with torch.no_grad():
+        volume = network.encode(unit[None])
+        fields = [network.occupancy_and_saliency(volume, some[None]) for some in queries.split(1 << 15)]
+    occupancy, saliency = (torch.cat([field[0] for field in some]) for some in zip(*fields))
+    if not (occupancy > options.surface_threshold).any():
+        return (
+            f"the occupancy is at most {occupancy.max():.2f}, and nowhere above the surface threshold of "
+            f"{options.surface_threshold}: the network has not learnt the surface yet"
+        )
+    on, rim = saliency[occupancy > options.surface_threshold], occupancy <= options.surface_threshold
+    off = saliency[rim & (occupancy > 0.1)]
+    if len(off) and off.max() > max(on.max(), options.saliency_threshold):
+        return (
+            f"the saliency peaks beside the surface: it reaches {off.max():.2f} where the occupancy is "
+            f"{options.surface_threshold} and less, but only {on.max():.2f} on the surface. Another --saliency-threshold does "
+            "not help; --sparsity-ridge 0.9 keeps the sparsity loss to the surface"
+        )
+    return f"the saliency is at most {on.max():.2f} on the surface, the threshold is {options.saliency_threshold}"
+
+
 def relative_repeatability(keypoints_1, keypoints_2, rotation_1_2, epsilon):
     """Share of view 1's keypoints with one of view 2's, brought to view 1 by the rotation, closer than epsilon."""
     if len(keypoints_1) == 0 or len(keypoints_2) == 0:

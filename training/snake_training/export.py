@@ -3,6 +3,7 @@
 import argparse
 import hashlib
 import json
+import pickle
 from contextlib import contextmanager
 from pathlib import Path
 
@@ -10,7 +11,7 @@ import torch
 from safetensors import SafetensorError, safe_open
 from safetensors.torch import load_file, save_file
 
-from .config import from_json
+from .config import PRESETS, from_json
 from .model import NetworkConfig, SnakeNetwork
 from .scene_model import SceneConfig, SceneNetwork
 
@@ -41,18 +42,43 @@ def load_network(path, device="cpu"):
     return build_network(config, tensors).to(device).eval()
 
 
+def recommended_options(path):
+    """The options that a weight file, checkpoint or run folder recommends, as JSON; empty if it recommends none."""
+    path = Path(path)
+    try:
+        if path.suffix == ".safetensors":
+            with safe_open(path, "pt") as file:
+                return (file.metadata() or {}).get("recommended_options", "")
+        state = torch.load(checkpoint_of(path), map_location="cpu", weights_only=True)
+        return from_json(state["config"]).recommended_options if "ema" in state else ""
+    except (OSError, SafetensorError, ValueError, KeyError, TypeError, pickle.UnpicklingError):
+        return ""
+
+
+def checkpoint_of(path):
+    """The checkpoint of a run folder: its best, else its last; a file is one itself."""
+    path = Path(path)
+    if path.is_dir():
+        return path / "best.pt" if (path / "best.pt").exists() else path / "last.pt"
+    return path
+
+
 def config_of(metadata):
     """The NetworkConfig or SceneConfig of a weight file's metadata."""
     scenes = metadata.get("coordinates") == "voxel"
     return (SceneConfig if scenes else NetworkConfig).from_metadata(metadata)
 
 
+def network_of(config):
+    """A new network of a configuration."""
+    return (SceneNetwork if isinstance(config, SceneConfig) else SnakeNetwork)(config)
+
+
 def build_network(config, tensors):
     """A network of a weight file's tensors; an unknown, missing or misshapen one is a ValueError."""
-    scenes = isinstance(config, SceneConfig)
-    network = SceneNetwork(config) if scenes else SnakeNetwork(config)
+    network = network_of(config)
     try:
-        network.load_folded(tensors) if scenes else network.load_state_dict(tensors, strict=True)
+        network.load_folded(tensors) if hasattr(network, "folded") else network.load_state_dict(tensors, strict=True)
     except RuntimeError as error:
         raise ValueError(f"the tensors do not fit {config}: {error}") from error
     return network
@@ -60,9 +86,7 @@ def build_network(config, tensors):
 
 def read_checkpoint(path, config=None):
     """(NetworkConfig, tensors) of a run folder (its best), a checkpoint of ours, or an official `model_best.pth`."""
-    path = Path(path)
-    if path.is_dir():
-        path = path / "best.pt" if (path / "best.pt").exists() else path / "last.pt"
+    path = checkpoint_of(path)
     try:
         state = torch.load(path, map_location="cpu", weights_only=True)
     except OSError:
@@ -73,6 +97,8 @@ def read_checkpoint(path, config=None):
         raise ValueError(f"{path}: expected a dictionary of tensors, found {type(state).__name__}")
     if "config" in state and "ema" in state:
         return from_json(state["config"]).network, state["ema"]
+    if set(state) == {"config", "network"}:  # a stage of a recipe
+        return config_of(state["config"]), state["network"]
     for key in ("state_dict", "model", "model_state_dict"):
         state = state[key] if isinstance(state.get(key), dict) else state
     others = [str(name) for name, value in state.items() if not isinstance(value, torch.Tensor)]
@@ -81,8 +107,8 @@ def read_checkpoint(path, config=None):
     return config or NetworkConfig(), {name.removeprefix("module."): tensor.float() for name, tensor in state.items()}
 
 
-def config_from_yaml(path):
-    """NetworkConfig of an official experiment's config.yaml, wherever in its tree the keys stand."""
+def read_yaml(path):
+    """An official experiment's config.yaml: its keys by name, wherever in its tree they stand."""
     import yaml  # the only use; training does without it
 
     found = {}
@@ -96,6 +122,12 @@ def config_from_yaml(path):
         walk(yaml.safe_load(Path(path).read_text()))
     except yaml.YAMLError as error:
         raise ValueError(f"{path}: {error}") from error
+    return found
+
+
+def config_from_yaml(path):
+    """NetworkConfig of an official experiment's config.yaml."""
+    found = read_yaml(path)
     resolution = found.get("grid_resolution", found.get("grid_reso", found.get("grid_res", 64)))
     return NetworkConfig(
         resolution=tuple(resolution) if isinstance(resolution, list) else (int(resolution),) * 3,
@@ -103,6 +135,19 @@ def config_from_yaml(path):
         hidden_dim=int(found.get("hidden_dim", 32)), decoder_hidden_dim=int(found.get("hidden_size", 32)),
         unet_levels=int(found.get("num_levels", 4)), unet_base_channels=int(found.get("f_maps", 32)),
     )  # fmt: skip
+
+
+def preset_from_yaml(path):
+    """The preset of an official experiment's config.yaml or config_test.yaml, by its data; None if they are unknown.
+
+    Two networks are trained on KeypointNet: that of the registration tables has local grids of a twelfth.
+    """
+    found = read_yaml(path)
+    data = str(found.get("dataset_name", "")).lower()
+    if data == "keypointnet" and found.get("grid_reso") == 12:
+        return "3dmatch"
+    known = {"match3d": "redwood", "match3d_test": "3dmatch"} | {name: name for name in PRESETS if name != "compact"}
+    return known.get(data)
 
 
 def write_weights(path, config, tensors, dtype=torch.float32, extra=None):
@@ -138,7 +183,10 @@ def main(argv=None):
     official = parser.add_argument_group(
         "official checkpoints", "their configuration is not in the file; these are not used for ours"
     )
-    official.add_argument("--yaml", help="the experiment's config.yaml")
+    official.add_argument("--yaml", help="the experiment's config.yaml, which also chooses the preset")
+    official.add_argument(
+        "--preset", choices=sorted(set(PRESETS) - {"compact"}), help="whose options of detection the file recommends"
+    )
     official.add_argument("--resolution", type=int, help="voxels a side")
     official.add_argument("--unet-levels", type=int)
     official.add_argument("--unet-base-channels", type=int)
@@ -153,6 +201,9 @@ def main(argv=None):
         config = config_from_yaml(arguments.yaml) if arguments.yaml else NetworkConfig()
         config = NetworkConfig(**vars(config) | {k: v for k, v in overrides.items() if v is not None})
         config, tensors = read_checkpoint(arguments.source, config)
+        preset = arguments.preset or (arguments.yaml and preset_from_yaml(arguments.yaml))
+        options = recommended_options(arguments.source) or (preset and PRESETS[preset]["recommended_options"])
+        extra = ({"recommended_options": options} if options else {}) | extra
         write_weights(arguments.output, config, tensors, torch.float16 if arguments.float16 else torch.float32, extra)
     except (OSError, ValueError) as error:
         parser.error(str(error))

@@ -5,11 +5,15 @@ Occupancy and saliency are probabilities; a local grid is a row of H^3 values. `
 volume. Occupancies are detached wherever they weigh a saliency, so that only the occupancy loss shapes the surface.
 """
 
+from functools import partial
+
 import torch
 import torch.distributed as dist
 import torch.nn.functional as F
 
 from .augment import BOUND
+
+LOSSES = "occupancy", "repeatability", "surface", "sparsity"
 
 
 def inside_volume(queries):
@@ -52,20 +56,23 @@ def surface_loss(occupancy, saliency, counted, processes=1):
     return masked_mean((1 - occupancy.detach()) * saliency, counted, processes)
 
 
-def sparsity_loss(occupancy, saliency, inside, processes=1):
+def sparsity_loss(occupancy, saliency, inside, processes=1, ridge=0.0):
     """Eq. 5: one minus (maximum - mean) of the saliency over the occupied points of each local grid (..., G, H^3).
 
-    Counts grids that lie over 80 % inside and are occupied in more than 5 % of their points.
+    Counts grids that lie over 80 % inside and are occupied in more than 5 % of their points. Occupied are points of
+    occupancy 0.5; with `ridge`, only those that also have this share of the highest occupancy of their grid.
     """
-    occupied = occupancy.detach() >= 0.5
+    occupancy = occupancy.detach()
+    occupied = occupancy >= 0.5
     seen = (inside.float().mean(dim=-1) > 0.8) & (occupied.float().mean(dim=-1) > 0.05)
+    occupied &= occupancy >= ridge * occupancy.amax(dim=-1, keepdim=True)
     on_surface = saliency * occupied
     mean = on_surface.sum(dim=-1) / (occupied.sum(dim=-1) + 1e-5)
     peakedness = on_surface.amax(dim=-1) - mean
     return masked_mean(1 - peakedness, seen, processes)
 
 
-def snake_losses(network, batch, autocast, processes=1):
+def snake_losses(network, batch, autocast, processes=1, ridge=0.0):
     """The four losses of a batch of two-view samples, by name, and the share of saturated grid points on the surface.
 
     batch: points (B, 2, N, 3), occupancy_queries (B, 2, 2 K, 3), grids (B, 2, G, H^3, 3), one of equal parts if there
@@ -87,7 +94,9 @@ def snake_losses(network, batch, autocast, processes=1):
         "occupancy": occupancy_loss(occupancy[:, :, :number], target),
         "repeatability": repeatability_loss(*grid_saliency.unbind(1), *inside.unbind(1), processes),
         "surface": mean_of_views(surface_loss, occupancy, saliency, counted, processes=processes),
-        "sparsity": mean_of_views(sparsity_loss, grid_occupancy, grid_saliency, inside, processes=processes),
+        "sparsity": mean_of_views(
+            partial(sparsity_loss, ridge=ridge), grid_occupancy, grid_saliency, inside, processes=processes
+        ),
     }
     on_surface = inside & (grid_occupancy >= 0.5)
     return losses, masked_mean((grid_saliency.detach() > 0.9).float(), on_surface, processes)

@@ -9,6 +9,7 @@ from dataclasses import dataclass, replace
 import torch
 import torch.nn.functional as F
 from torch import nn
+from torch.utils.checkpoint import checkpoint
 
 from .pointnet2 import PointNet2
 
@@ -243,6 +244,9 @@ class Decoder(nn.Module):
         return self.fc_out(F.relu(x)).squeeze(-1)
 
 
+QUERIES_AT_ONCE = 16384  # of a view, in training: the decoders' activations of more are computed again, not kept
+
+
 class SnakeNetwork(nn.Module):
     """Point cloud -> volume -> occupancy and saliency of any query."""
 
@@ -277,7 +281,14 @@ class SnakeNetwork(nn.Module):
         return saliency_head(self.decoder_keypoint(queries, interpolate(volume, queries, self.saliency_config)))
 
     def forward(self, points, queries, autocast=False):
-        return self.occupancy_and_saliency(self.encode(points, autocast), queries)
+        volume = self.encode(points, autocast)
+        if not torch.is_grad_enabled() or queries.shape[1] <= QUERIES_AT_ONCE:
+            return self.occupancy_and_saliency(volume, queries)
+        parts = [
+            checkpoint(self.occupancy_and_saliency, volume, part, use_reentrant=False, preserve_rng_state=False)
+            for part in queries.split(QUERIES_AT_ONCE, dim=1)
+        ]
+        return tuple(torch.cat(field, dim=1) for field in zip(*parts))
 
 
 def saliency_head(logits):

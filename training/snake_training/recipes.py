@@ -1,20 +1,27 @@
-"""Runs a recipe: `python -m snake_training.recipes recipes/scenes.toml --run-dir runs/scenes`. Stages that are done are not done
-again, and a training stage goes on from its checkpoint, on this machine or on another to which the run folder was moved.
+"""Runs recipes: `python -m snake_training.recipes recipes/scenes.toml`. Stages that are done are not done again, and a training
+stage goes on from its checkpoint, on this machine or on another to which the run folder was moved (`--pack`, `--unpack`).
 
 A recipe is a TOML file of stages in order. Each has a name, a kind, and the settings of its kind:
 
+targets   of (a stage, the teacher), the options of `snake_training.targets`
+train     init and targets (stages), the options of `snake_training.train`, for a network of objects
 crops     files: ranges [first seed, number] of files of 25 made crops (`snake_training.data.crops`)
 start     init (a weight file, or "" for new weights), crops, seed: layers with the crops' statistics for constants
-train     init (a stage), teacher (a stage, or ""), crops, the settings of `snake_training.scenes.SceneTraining`, and at times
+scenes    init (a stage), teacher (a stage, or ""), crops, the settings of `snake_training.scenes.SceneTraining`, and at times
           stop, a step before the last
 average   of (stages), weights: the weighted mean of their networks
 export    of (a stage), output, metadata: the weight file
+figures   of (an export), the options of `snake_training.evaluate`: its repeatability on the validation data
 
-A path is relative to the recipe's folder, the output to the run folder. `--smoke` runs every stage with next to no work.
+A path is relative to the recipe's folder, the output to the run folder. Shapes are procedural; `--data` adds some. `--smoke` runs
+every stage with next to no work.
 """
 
 import argparse
+import contextlib
+import io
 import json
+import platform
 import sys
 import time
 from dataclasses import fields
@@ -27,16 +34,26 @@ try:
 except ModuleNotFoundError:  # before Python 3.11
     import tomli as tomllib
 
+from . import evaluate, pieces, targets
+from .command_line import parse_arguments
+from .data import Procedural, write_corpus
 from .data.crops import Crops, write_part
-from .export import load_network, replacing, write_weights
-from .scene_model import SceneConfig, SceneNetwork
-from .scenes import SceneTraining, Target, started, train
+from .export import config_of, load_network, network_of, replacing, write_weights
+from .scenes import SceneTraining, Target, started
+from .scenes import train as train_scenes
+from .train import run_steps
 
 SMOKE = dict(steps=2, batch=1, queries=50, occupancy_queries=20, warmup=1)
+SMOKE_OF_OBJECTS = dict(
+    steps=2, batch=1, resolution=8, num_points=256, num_occupancy=20, num_grids=4, grid_size=3, num_targets=50,
+    validation_objects=1, validation_resolution=8,
+)  # fmt: skip
+SMOKE_OF_TARGETS = dict(procedural=2, rotations=3, queries=200, points=256)
+SMOKE_OF_FIGURES = dict(objects=1, num_points=256, query_resolution=8)
 
 
 def save(folder, network):
-    """The stage's result: the network with its scales, as they are trained."""
+    """The stage's result: the network; of a network of scenes with its scales, as they are trained."""
     with replacing(folder / "network.pt") as temporary:
         torch.save({"config": network.config.to_metadata(), "network": network.state_dict()}, temporary)
 
@@ -44,18 +61,31 @@ def save(folder, network):
 def result(folder):
     """The network of a stage that is done."""
     state = torch.load(folder / "network.pt", map_location="cpu", weights_only=True)
-    network = SceneNetwork(SceneConfig.from_metadata(state["config"]))
+    network = network_of(config_of(state["config"]))
     network.load_state_dict(state["network"])
     return network
+
+
+def command(options):
+    """The command line of a stage's options."""
+    words = []
+    for name, value in options.items():
+        option = name.replace("_", "-")
+        if isinstance(value, bool):
+            words.append(f"--{option}" if value else f"--no-{option}")
+        else:
+            words += [f"--{option}", *map(str, value if isinstance(value, (list, tuple)) else [value])]
+    return words
 
 
 class Recipe:
     """A recipe's stages and the folder of their results."""
 
-    KINDS = ("crops", "start", "train", "average", "export")
+    KINDS = ("targets", "train", "crops", "start", "scenes", "average", "export", "figures")
 
-    def __init__(self, path, run_dir, smoke=False):
+    def __init__(self, path, run_dir, smoke=False, data=(), validation_data=()):
         self.base, self.run_dir, self.smoke = Path(path).parent, Path(run_dir), smoke
+        self.data, self.validation_data = ([str(Path(folder)) for folder in some] for some in (data, validation_data))
         try:
             self.stages = tomllib.loads(Path(path).read_text())["stages"]
         except (tomllib.TOMLDecodeError, KeyError) as error:
@@ -67,7 +97,7 @@ class Recipe:
                 raise ValueError(
                     f"{path}: stage {name!r} of kind {kind!r}: names differ, kinds are {', '.join(self.KINDS)}"
                 )
-            for key in ("crops", "teacher", "of") + (("init",) if kind == "train" else ()):
+            for key in ("crops", "teacher", "of", "targets") + (() if kind == "start" else ("init",)):
                 for other in [stage[key]] if isinstance(stage.get(key), str) else stage.get(key, []):
                     if other and other not in seen:
                         raise ValueError(f"{path}: stage {name!r}: no stage {other!r} before it")
@@ -85,8 +115,35 @@ class Recipe:
             folder.mkdir(parents=True, exist_ok=True)
             began = time.time()
             getattr(self, stage["kind"])(stage, folder, log)
-            done.write_text(json.dumps({"stage": stage, "seconds": round(time.time() - began)}))
-            log(f"{stage['name']}: {time.time() - began:.0f} s")
+            seconds = round(time.time() - began)
+            with replacing(done) as temporary:
+                temporary.write_text(json.dumps({"stage": stage, "seconds": seconds, "processor": processor()}))
+            log(f"{stage['name']}: {seconds} s")
+
+    def options(self, stage, smoke):
+        """A stage's own options, as a command line."""
+        return command(
+            {name: value for name, value in stage.items() if name not in ("name", "kind", "of", "init", "targets")}
+            | (smoke if self.smoke else {})
+        )
+
+    def targets(self, stage, folder, log):
+        """The teacher's saliency, averaged."""
+        teacher = [str(self.run_dir / stage["of"] / "network.pt")] if stage.get("of") else []
+        with replacing(folder / "targets.safetensors") as temporary:
+            paths = [*command({"data": self.data} if self.data else {}), "-o", str(temporary)]
+            targets.main([*teacher, *paths, *self.options(stage, SMOKE_OF_TARGETS)])
+
+    def train(self, stage, folder, log):
+        """A run of training of a network of objects, from its checkpoint if it has one."""
+        added = {"run_dir": folder, "data": self.data, "validation_data": self.validation_data, "device": "cpu"}
+        if stage.get("init"):
+            added["init"] = self.run_dir / stage["init"] / "network.pt"
+        if stage.get("targets"):
+            added["targets"] = [self.run_dir / name / "targets.safetensors" for name in stage["targets"]]
+        config = parse_arguments(self.options(stage, SMOKE_OF_OBJECTS) + command(added), "")
+        run_steps(config)
+        save(folder, load_network(folder / "last.pt"))
 
     def settings(self, stage):
         """The stage's SceneTraining."""
@@ -111,13 +168,13 @@ class Recipe:
         init = stage["init"] and str(self.base / stage["init"])
         save(folder, started(init, Crops(self.run_dir / stage["crops"]), self.settings(stage)))
 
-    def train(self, stage, folder, log):
-        """A run of training, from its checkpoint if it has one."""
+    def scenes(self, stage, folder, log):
+        """A run of training of a network of scenes, from its checkpoint if it has one."""
         crops, settings = Crops(self.run_dir / stage["crops"]), self.settings(stage)
         teacher = result(self.run_dir / stage["teacher"]).eval() if stage.get("teacher") else None
         network = result(self.run_dir / stage["init"]).train()
         target = Target(teacher, crops, settings)
-        save(folder, train(folder, crops, settings, network, target, log, stop=stage.get("stop")))
+        save(folder, train_scenes(folder, crops, settings, network, target, log, stop=stage.get("stop")))
 
     def average(self, stage, folder, log):
         """The weighted mean of networks."""
@@ -134,9 +191,29 @@ class Recipe:
     def export(self, stage, folder, log):
         """The weight file in float16, read back once."""
         network, path = result(self.run_dir / stage["of"]), self.run_dir / stage["output"]
-        write_weights(path, network.config, network.folded(), torch.float16, stage.get("metadata"))
+        tensors = network.folded() if hasattr(network, "folded") else network.state_dict()
+        write_weights(path, network.config, tensors, torch.float16, stage.get("metadata"))
         load_network(path)
         log(f"{path}: {path.stat().st_size} bytes")
+
+    def figures(self, stage, folder, log):
+        """The repeatability of an exported file, printed and kept."""
+        output = next(other["output"] for other in self.stages if other["name"] == stage["of"])
+        data = self.validation_data
+        if not data:
+            write_corpus(folder / "shapes", [Procedural()[row] for row in range(1 if self.smoke else 32)], 8192)
+            data = [str(folder / "shapes")]
+        with contextlib.redirect_stdout(io.StringIO()) as printed:
+            evaluate.main([str(self.run_dir / output), data[0], *self.options(stage, SMOKE_OF_FIGURES)])
+        (folder / "figures.json").write_text(printed.getvalue())
+        log(printed.getvalue().strip())
+
+
+def processor():
+    """The name of this machine's processor, and what PyTorch says of its bfloat16."""
+    capabilities = getattr(torch.cpu, "get_capabilities", dict)()
+    bfloat16 = [name for name in ("amx_bf16", "avx512_bf16") if capabilities.get(name)]
+    return " ".join([str(capabilities.get("cpu_name") or platform.machine()), *bfloat16])
 
 
 def main(argv=None):
@@ -146,13 +223,30 @@ def main(argv=None):
         description=__doc__,
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
-    parser.add_argument("recipe", help="the TOML file")
-    parser.add_argument("--run-dir", help="folder of the stages' results; default: runs/ and the recipe's name")
+    parser.add_argument("recipes", nargs="+", help="TOML files")
+    parser.add_argument(
+        "--run-dir", default="runs", help="its folder NAME holds the stages of NAME.toml; default: runs"
+    )
+    parser.add_argument(
+        "--data", nargs="*", default=[], help="corpus folders or folders of clouds, beside the procedural ones"
+    )
+    parser.add_argument("--validation-data", nargs="*", default=[], help="the same for validation and figures")
     parser.add_argument("--smoke", action="store_true", help="every stage with next to no work, to see that it runs")
+    moving = parser.add_mutually_exclusive_group()
+    moving.add_argument("--pack", metavar="FOLDER", help="only write the run folders there, in pieces below 5 MB")
+    moving.add_argument("--unpack", metavar="FOLDER", help="first restore the run folders from such pieces")
     arguments = parser.parse_args(argv)
     torch.set_num_threads(1)
     try:
-        Recipe(arguments.recipe, arguments.run_dir or f"runs/{Path(arguments.recipe).stem}", arguments.smoke).run()
+        for path in map(Path, arguments.recipes):
+            run_dir = Path(arguments.run_dir) / path.stem
+            recipe = Recipe(path, run_dir, arguments.smoke, arguments.data, arguments.validation_data)
+            if arguments.pack:
+                pieces.pack(run_dir, Path(arguments.pack) / path.stem)
+                continue
+            if arguments.unpack:
+                pieces.unpack(Path(arguments.unpack) / path.stem, run_dir)
+            recipe.run()
     except (OSError, ValueError) as error:
         parser.error(str(error))
 

@@ -9,6 +9,7 @@ import threading
 import time
 from contextlib import contextmanager
 from datetime import timedelta
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -20,11 +21,11 @@ from tqdm import tqdm
 from .augment import distillation_views, two_views
 from .command_line import parse_arguments
 from .config import from_json, to_json
-from .data import Mixture, Procedural, ShapeError, open_shapes
+from .data import Mixture, Procedural, ShapeError, open_all
 from .device import choose_device
-from .evaluate import DetectOptions, candidates, repeatability, suppress
+from .evaluate import DetectOptions, candidates, repeatability, suppress, view_pairs, why_none
 from .export import build_network, load_network, replacing
-from .losses import distillation_losses, snake_losses
+from .losses import LOSSES, distillation_losses, snake_losses
 from .model import Decoder, PointEncoder, ResnetBlockFC, SnakeNetwork, voxel_index
 from .targets import Targets
 
@@ -45,11 +46,11 @@ def make_batch(shapes, config, first, number, device, stream=0):
 
 
 def learning_rate(config, step):
-    """Linear warm-up, then cosine to zero or a tenth after two thirds."""
+    """Linear warm-up, then cosine to zero or a tenth after a share of the steps."""
     if step < config.warmup:
         return config.learning_rate * (step + 1) / config.warmup
     if config.schedule == "step":
-        return config.learning_rate * (0.1 if step >= config.steps * 2 / 3 else 1.0)
+        return config.learning_rate * (0.1 if step >= config.steps * config.drop_after else 1.0)
     progress = (step - config.warmup) / max(config.steps - config.warmup, 1)
     return config.learning_rate * 0.5 * (1 + math.cos(math.pi * min(progress, 1.0)))
 
@@ -77,7 +78,7 @@ def validate(network, config, shapes, device):
     options = DetectOptions(normalization=normalization, query_resolution=config.validation_resolution)
     with torch.no_grad():
         batches = [make_batch(shapes, config, first, 4, device, stream=1) for first in range(0, 32, 4)]
-        results = [snake_losses(network, batch, config.bf16) for batch in batches]
+        results = [snake_losses(network, batch, config.bf16, ridge=config.sparsity_ridge) for batch in batches]
     values = {name: float(np.mean([losses[name].item() for losses, _ in results])) for name in results[0][0]}
     values["saturated"] = float(np.mean([share.item() for _, share in results]))
 
@@ -88,7 +89,17 @@ def validate(network, config, shapes, device):
 
     for name, (measured, count) in repeatability(detector, shapes, config.validation_objects).items():
         values |= {f"repeatability_{name}": float(measured[0]), f"keypoints_{name}": count}
+    if values["keypoints_nms_0.01"] == 0:
+        cloud, _, _ = next(view_pairs(shapes, 1, 5000, 0))
+        tqdm.write(f"warning: no keypoint in the validation: {why_none(network, cloud, options)}")
     return values
+
+
+def score_of(values, config):
+    """How good a validation is, by which the best is chosen."""
+    if config.best_by == "loss":
+        return -total_loss({name: values[name] for name in LOSSES}, config)
+    return values["repeatability_nms_0.01"] + values["repeatability_nms_0.05"]
 
 
 def save_checkpoint(path, config, step, network, average, optimizer, best):
@@ -175,11 +186,13 @@ def network_health(network, points):
 
 
 def make_optimizer(network, config):
-    """AdamW, with decay on the U-Net alone.
+    """The released code's Adam with an L2 penalty on everything, or AdamW, with decay on the U-Net alone.
 
     The L2 penalty inside Adam is divided by the gradient's own scale: where gradients are small it alone decides. It set
-    every point encoder trained with it to zero, and most of the occupancy decoders.
+    every point encoder trained with it to zero, and most of the occupancy decoders, at learning rates of 1e-3 and more.
     """
+    if config.optimizer == "adam":
+        return torch.optim.Adam(network.parameters(), lr=config.learning_rate, weight_decay=config.weight_decay)
     unet = list(network.encoder.unet3d.parameters())
     decayed = {id(p) for p in unet}
     others = [p for p in network.parameters() if id(p) not in decayed]
@@ -249,15 +262,15 @@ def run_until(config, pressed):
     run = Path(config.run_dir)
     resumed = (run / "last.pt").exists()
     try:
-        clouds = [open_shapes(folder) for folder in config.data]
+        clouds = open_all(config.data, config.split)
         shapes = Targets(*config.targets) if config.targets else Mixture(clouds, config.procedural_share)
-        held_out = Mixture([open_shapes(folder) for folder in config.validation_data] or [Procedural()], 0.0)
+        held_out = Mixture(open_all(config.validation_data, config.validation_split) or [Procedural()], 0.0)
         network = (SnakeNetwork(config.network) if resumed else starting_network(config)).to(device).train()
     except (OSError, ValueError) as error:
         raise SystemExit(str(error)) from error
     average = copy.deepcopy(network).requires_grad_(False)
     optimizer = make_optimizer(network, config)
-    step, best = 0, -1.0
+    step, best = 0, -math.inf
     if resumed:
         state = torch.load(run / "last.pt", map_location="cpu", weights_only=True)
         if from_json(state["config"]).network != config.network:
@@ -266,7 +279,7 @@ def run_until(config, pressed):
         average.load_state_dict(state["ema"])
         optimizer.load_state_dict(state["optimizer"])
         step, best = state["step"], state["best"]
-    losses_of = distillation_losses if config.targets else snake_losses
+    losses_of = distillation_losses if config.targets else partial(snake_losses, ridge=config.sparsity_ridge)
     model = DistributedDataParallel(network) if world > 1 else network
 
     log = None
@@ -316,7 +329,7 @@ def run_until(config, pressed):
                 values |= network_health(average, batch["points"].flatten(0, 1))
                 write_scalars(log, "validation", values, step)
                 tqdm.write(f"step {step}: " + " ".join(f"{k}={v:.3f}" for k, v in values.items()))
-                score = values["repeatability_nms_0.01"] + values["repeatability_nms_0.05"]
+                score = score_of(values, config)
                 if score > best:
                     best = score
                     save_checkpoint(run / "best.pt", config, step, network, average, optimizer, best)

@@ -1,6 +1,9 @@
 """The smallest configuration that exercises everything; one thread, so that runs repeat bit for bit."""
 
 import dataclasses
+import os
+import subprocess
+from pathlib import Path
 
 import pytest
 import torch
@@ -9,6 +12,7 @@ from snake_training.config import TrainConfig
 from snake_training.model import SnakeNetwork
 
 torch.set_num_threads(1)
+FOLDER = Path(__file__).resolve().parents[2]  # of the repository
 
 TINY = dict(
     resolution=8, unet_levels=2, unet_base_channels=8, c_dim=8, num_points=128, num_occupancy=32, num_grids=8,
@@ -45,3 +49,19 @@ def arguments(config):
         else:
             words += [f"--{option}", str(value)]
     return words
+
+
+@pytest.fixture(scope="session")
+def snake_cli():
+    """snake_cli(*words) -> what the command line of snake-rs did; SNAKE_CLI may say where the binary lies."""
+    built = FOLDER / "target/release/snake-cli"
+    binary = os.environ.get("SNAKE_CLI", built)
+    if not Path(binary).exists():
+        pytest.skip(f"no {binary}: cargo build --release")
+
+    def run(*words, **settings):
+        done = subprocess.run([binary, *map(str, words)], check=False, capture_output=True, text=True, **settings)
+        assert done.returncode == 0, done.stderr
+        return done
+
+    return run

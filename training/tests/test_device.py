@@ -74,3 +74,10 @@ def test_a_teacher_computes_in_the_precision_that_is_fast(network, monkeypatch, 
     monkeypatch.setattr(network, "forward", fields)
     torch_teacher(network)(np.zeros((1, 8, 3), np.float32), np.zeros((1, 4, 3), np.float32))
     assert used == [fast]
+
+
+@pytest.mark.parametrize(("resolution", "runs"), [(8, False), (16, True)])
+def test_small_volumes_are_in_float32(tiny, monkeypatch, resolution, runs):
+    """torch's bfloat16 convolutions of 2 voxels a side read memory that nobody wrote."""
+    monkeypatch.setattr(device, "has_fast_bfloat16", lambda _: True)
+    assert device.choose_device(tiny(bf16=True, resolution=resolution, unet_levels=3))[1].bf16 is runs

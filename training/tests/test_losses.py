@@ -94,6 +94,14 @@ def test_sparsity_counts_grids_over_a_twentieth_occupied(occupied, counts):
     assert loss.item() == pytest.approx(float(counts), abs=1e-5)
 
 
+def test_sparsity_with_a_ridge_counts_only_points_near_the_highest_occupancy():
+    """A peak in the rim is worth nothing; by the paper's loss it is the cheapest."""
+    occupancy, saliency = torch.tensor([[0.95, 0.9, 0.6, 0.2]]), torch.tensor([[0.1, 0.1, 0.9, 0.9]])
+    everywhere = torch.ones(1, 4, dtype=torch.bool)
+    assert sparsity_loss(occupancy, saliency, everywhere).item() == pytest.approx(1 - (0.9 - 1.1 / 3), abs=1e-4)
+    assert sparsity_loss(occupancy, saliency, everywhere, ridge=0.9).item() == pytest.approx(1, abs=1e-4)
+
+
 def test_surface_and_sparsity_send_no_gradient_to_the_occupancy():
     occupancy, saliency = (torch.full((1, 10), 0.6, requires_grad=True) for _ in range(2))
     (surface_loss(occupancy, saliency, ALL) + sparsity_loss(occupancy, saliency, ALL)).backward()

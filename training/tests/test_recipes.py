@@ -1,11 +1,13 @@
 """Recipes run from end to end, go on where they stopped, and refuse what does not fit."""
 
+import json
 from pathlib import Path
 
 import numpy as np
 import pytest
 import torch
 
+from snake_training import pieces
 from snake_training.data.crops import Crops
 from snake_training.export import load_network
 from snake_training.recipes import Recipe, main, result
@@ -42,7 +44,47 @@ def test_what_is_done_is_not_done_again(run_dir):
 
 def test_the_recipe_of_the_released_weights_runs(tmp_path):
     main([str(RECIPES / "scenes.toml"), "--run-dir", str(tmp_path), "--smoke"])
-    assert load_network(tmp_path / "scenes.safetensors")
+    assert load_network(tmp_path / "scenes/scenes.safetensors")
+
+
+@pytest.mark.parametrize("name", ["compact", "paper"])
+def test_a_recipe_of_objects_ends_with_a_weight_file_and_its_figures(tmp_path, name, capsys):
+    """Without data, and the second time with some: then what is done stays."""
+    main([str(RECIPES / f"{name}.toml"), "--run-dir", str(tmp_path), "--smoke"])
+    weights = tmp_path / f"{name}/{name}.safetensors"
+    assert weights.stat().st_size < (1_000_000 if name == "compact" else 10_000_000)
+    assert load_network(weights).config.unet_base_channels == (16 if name == "compact" else 32)
+    figures = json.loads((tmp_path / name / "figures/figures.json").read_text())
+    assert set(figures) == {"repeatability", "keypoints", "options"}
+    done = json.loads((tmp_path / name / "figures/done.json").read_text())
+    assert done["processor"] and done["seconds"] >= 0
+    made = weights.stat().st_mtime_ns
+    main([str(RECIPES / f"{name}.toml"), "--run-dir", str(tmp_path), "--smoke"])
+    assert weights.stat().st_mtime_ns == made
+
+
+def test_a_run_moves_in_pieces(run_dir, tmp_path, monkeypatch):
+    """The run of another machine goes on here; no piece is above 5 MB, and a changed or missing one is told."""
+    assert pieces.PIECE < 5_000_000
+    monkeypatch.setattr(pieces, "PIECE", 100_000)
+    pieces.pack(run_dir, tmp_path / "pieces")
+    files = sorted((tmp_path / "pieces").iterdir())
+    assert len(files) > 3 and all(path.stat().st_size <= 100_000 for path in files)
+    pieces.unpack(tmp_path / "pieces", tmp_path / "run")
+    stored = {str(path.relative_to(run_dir)): path.read_bytes() for path in run_dir.rglob("*") if path.is_file()}
+    assert {
+        str(p.relative_to(tmp_path / "run")): p.read_bytes() for p in (tmp_path / "run").rglob("*") if p.is_file()
+    } == stored
+    files[1].write_bytes(b"x" + files[1].read_bytes()[1:])
+    with pytest.raises(ValueError, match="0001: not the piece that was written"):
+        pieces.unpack(tmp_path / "pieces", tmp_path / "other")
+    files[1].unlink()
+    with pytest.raises(ValueError, match="not all pieces"):
+        pieces.unpack(tmp_path / "pieces", tmp_path / "other")
+    (tmp_path / "mine").mkdir()
+    (tmp_path / "mine/file").write_text("keep")
+    with pytest.raises(ValueError, match="something else"):
+        pieces.pack(run_dir, tmp_path / "mine")
 
 
 def test_training_goes_on_from_its_checkpoint_bit_for_bit(run_dir, tmp_path):
@@ -70,7 +112,7 @@ def test_other_settings_than_those_of_the_results_are_refused(run_dir, tmp_path)
     ("line", "word"),
     [
         ('name = "a"\nkind = "bake"', "kind 'bake'"),
-        ('name = "a"\nkind = "train"\ninit = "b"\ncrops = "c"', "no stage 'c' before it"),
+        ('name = "a"\nkind = "scenes"\ninit = "b"\ncrops = "c"', "no stage 'c' before it"),
         ('name = "a"\nkind = "average"\nof = ["b"]', "no stage 'b' before it"),
     ],
 )

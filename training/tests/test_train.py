@@ -19,6 +19,7 @@ from conftest import TINY, arguments
 from snake_training import train as training
 from snake_training.command_line import parse_arguments
 from snake_training.config import PRESETS, TrainConfig, check, from_json, to_json
+from snake_training.evaluate import DetectOptions, why_none
 from snake_training.export import load_network, read_checkpoint, write_weights
 from snake_training.losses import snake_losses
 from snake_training.model import SnakeNetwork, voxel_index
@@ -467,3 +468,42 @@ def test_revived_units_change_nothing_until_they_learn(network):
     assert torch.equal(block.fc_0.weight[-1], last) and (block.fc_0.weight.abs().amax(dim=1) > 0.01).all()
     block(x).square().sum().backward()
     assert (block.fc_1.weight.grad.abs().amax(dim=0) > 0).sum() > 1
+
+
+# A validation without keypoints
+
+
+class Fields:
+    """A network whose fields are functions of the distance from the origin, where a ball of radius 0.3 is occupied."""
+
+    def __init__(self, network, occupancy, saliency):
+        self.config, self.parameters, self.encode = network.config, network.parameters, network.encode
+        self.fields = occupancy, saliency
+
+    def occupancy_and_saliency(self, _volume, queries):
+        return tuple(field(queries.norm(dim=-1)) for field in self.fields)
+
+    def occupancy(self, _volume, queries):
+        return self.fields[0](queries.norm(dim=-1))
+
+
+@pytest.mark.parametrize(
+    ("occupancy", "saliency", "reason"),
+    [
+        (lambda r: 0 * r + 0.4, lambda r: 0 * r + 0.9, "occupancy is at most 0.40"),
+        (lambda r: (1.2 - 2 * r).clamp(0, 1), lambda r: (r > 0.25) * 0.9, "peaks beside the surface: it reaches 0.90"),
+        (lambda r: (r < 0.3).float(), lambda r: 0 * r + 0.2, "at most 0.20 on the surface, the threshold is 0.7"),
+        (lambda r: (r < 0.3).float(), lambda r: 0 * r + 0.9, None),
+    ],
+)
+def test_the_reason_why_there_are_no_keypoints(network, occupancy, saliency, reason):
+    points = np.random.default_rng(0).normal(size=(200, 3)).astype(np.float32)
+    options = DetectOptions(query_resolution=12, refine_steps=0)
+    said = why_none(Fields(network, occupancy, saliency), points, options)
+    assert said is None if reason is None else reason in said
+
+
+def test_a_validation_without_keypoints_warns_at_once(tiny, capsys):
+    train(tiny(steps=1, validate_every=1))
+    printed = capsys.readouterr()
+    assert "warning: no keypoint in the validation: the " in printed.out + printed.err

@@ -1,6 +1,6 @@
 """Where training shapes come from: the int16 corpus, WebDataset shards, folders of clouds, or procedural shapes. None needs labels."""
 
-from .datasets import Corpus, Folder, Mixture, ShapeError, Shards, Stretched, open_shapes, write_corpus
+from .datasets import Corpus, Folder, Mixture, ShapeError, Shards, Stretched, open_all, open_shapes, write_corpus
 from .procedural import Procedural
 
 __all__ = [
@@ -11,6 +11,7 @@ __all__ = [
     "ShapeError",
     "Shards",
     "Stretched",
+    "open_all",
     "open_shapes",
     "write_corpus",
 ]

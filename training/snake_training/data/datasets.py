@@ -9,6 +9,7 @@ import numpy as np
 from tqdm import tqdm
 
 from ..augment import choose, normalize, random_rotation
+from .official import Bodies, clouds_below, clouds_of_split
 from .procedural import Procedural
 
 # What `numpy.load` raises for content that is no array.
@@ -48,22 +49,28 @@ class Corpus:
 
 
 class Folder:
-    """All `.npy` and `.ply` clouds below a folder, one shape a file; meshes are sampled on their surface."""
+    """All `.npy`, `.ply` and `.pcd` clouds below a folder, or those of a list, one shape a file; meshes are sampled on
+    their surface."""
 
-    def __init__(self, folder, mesh_points=8192):
+    def __init__(self, folder, mesh_points=8192, split=""):
         if not Path(folder).is_dir():
             raise ShapeError(f"{folder}: no such folder")
-        self.files = sorted(p for p in Path(folder).rglob("*") if p.suffix.lower() in (".npy", ".ply"))
+        try:
+            self.files = clouds_of_split(folder, split) if split else clouds_below(folder)
+        except (OSError, ValueError) as error:
+            raise ShapeError(str(error)) from error
         self.mesh_points = mesh_points
         if not self.files:
-            raise ShapeError(f"{folder}: neither points.npy + index.json nor any .npy or .ply file")
+            raise ShapeError(f"{folder}: neither points.npy + index.json nor any .npy, .ply or .pcd file")
 
     def __len__(self):
         return len(self.files)
 
     def __getitem__(self, row):
         path = self.files[row]
-        return finite_points(read_npy(path) if path.suffix.lower() == ".npy" else self.read_ply(path, row), path)
+        kind = path.suffix.lower()
+        points = read_npy(path) if kind == ".npy" else read_pcd(path) if kind == ".pcd" else self.read_ply(path, row)
+        return finite_points(points, path)
 
     def read_ply(self, path, seed):
         """The vertices of a cloud, or points drawn from a mesh's surface by area."""
@@ -165,6 +172,18 @@ def read_npy(path):
         raise ShapeError(f"{path}: not a readable NPY ({error})") from error
 
 
+def read_pcd(path):
+    """The points (N, 3) of a PCD file."""
+    try:
+        import snake_rs  # the only use
+    except ImportError as error:
+        raise ShapeError(f"{path}: PCD files need the module snake_rs, see README.md: {error}") from error
+    try:
+        return snake_rs.read_points(path)
+    except Exception as error:  # whatever the reader refuses
+        raise ShapeError(str(error)) from error
+
+
 def finite_points(points, name):
     """The finite points (N, 3) of an array that may have further columns, near zero and without outliers."""
     if points.dtype.kind not in "fiu" or points.ndim != 2 or points.shape[1] < 3:
@@ -193,11 +212,25 @@ def near_zero(points):
     return points - middle if is_far else points
 
 
-def open_shapes(folder):
-    """A corpus or shards if the folder holds them, else a folder of clouds."""
-    if (Path(folder) / "points.npy").exists():
+def open_shapes(folder, split=""):
+    """A corpus, shards or a body model if the folder holds them, else a folder of clouds, of which a list may name some."""
+    folder = Path(folder)
+    bodies = [path for path in (folder / "model.npz", folder / "model.pkl") if path.exists()]
+    if not split and (folder / "points.npy").exists():
         return Corpus(folder)
-    return Shards(folder) if any(Path(folder).glob("*.tar")) else Folder(folder)
+    if not split and bodies:
+        try:
+            return Bodies(bodies[0])
+        except ValueError as error:
+            raise ShapeError(str(error)) from error
+    return Shards(folder) if not split and any(folder.glob("*.tar")) else Folder(folder, split=split)
+
+
+def open_all(folders, splits):
+    """The shapes of folders, each with the list in the same place, if lists are given."""
+    if splits and len(splits) != len(folders):
+        raise ShapeError(f"{len(splits)} lists for {len(folders)} folders: give a list for each")
+    return [open_shapes(folder, split) for folder, split in zip(folders, splits or [""] * len(folders))]
 
 
 def write_corpus(folder, shapes, points=8192):

@@ -1,0 +1,111 @@
+"""Every command of docs/reproduce.md runs, on miniature data in the official layouts."""
+
+import os
+import re
+import shlex
+import shutil
+import subprocess
+import sys
+
+import pytest
+import torch
+
+from conftest import FOLDER
+from snake_training.model import NetworkConfig, SnakeNetwork
+from test_official import TINY, fragments, keypointnet, match3d, modelnet40, smpl
+
+PAGE = (FOLDER / "docs/reproduce.md").read_text()
+COMMANDS = [
+    line
+    for block in re.findall(r"```sh\n(.*?)```", PAGE, re.DOTALL)
+    for line in block.replace("\\\n", " ").splitlines()
+    if line.strip()
+]
+# What makes a command small, by its beginning; the later ones override the page's own.
+SMALL = {
+    "snake_training.train": TINY,
+    "snake_training.ablations": ["--steps", "1", "--batch", "1", "--objects", "1", "--tables", "losses"],
+    "eval": ["--limit", "1"],
+    "repeatability": ["--methods", "snake,random"],
+    "semantic": ["--methods", "snake,random"],
+    "registration": ["--detectors", "snake"],
+}
+
+
+@pytest.fixture(scope="module")
+def place(tmp_path_factory):
+    """A folder with data/, split/, and an official checkpoint with its configuration."""
+    folder = tmp_path_factory.mktemp("paper")
+    data, split = folder / "data", folder / "split"
+    split.mkdir()
+    _, names = keypointnet(data / "keypointnet_pcds")
+    for name in ("keypointnet_train", "keypointnet_test_630"):
+        shutil.copy(names, split / f"{name}.txt")
+    names.unlink()
+    shutil.move(modelnet40(data / "modelnet40")[1], split)
+    smpl(data / "smpl_model")
+    shutil.move(match3d(data)[1], split / "match3d_train_new_40k.txt")
+    (data / "redwood/numpy_gt_normal").mkdir()
+    for name in ("room", "transform.npy", "redwood_pair.txt"):
+        shutil.move(data / "redwood" / name, data / "redwood/numpy_gt_normal" / name)
+    fragments(data / "3DMatch_eval_downsample")
+    config = NetworkConfig(resolution=(8,) * 3, unet_levels=2, unet_base_channels=8)
+    torch.save(SnakeNetwork(config).state_dict(), folder / "model_best.pth")
+    (folder / "config.yaml").write_text(
+        "dataset_name: ModelNet40\ngrid_resolution: [8, 8, 8]\nnum_levels: 2\nf_maps: 8\nhidden_size: 32\n"
+    )
+    return folder
+
+
+@pytest.mark.parametrize("command", COMMANDS)
+def test_a_command_of_the_page_runs(place, snake_cli, command):
+    """In the order of the page: what trains comes first."""
+    words = shlex.split(command)
+    for name, added in SMALL.items():
+        words += added if name in words else []
+    if words[0] == "snake-cli":
+        for word in words:  # weights of rows that were left out here
+            if word.startswith("ablations/"):
+                assert (place / word).exists()
+        snake_cli(*words[1:], cwd=place)
+        return
+    environment = os.environ | {"PYTHONPATH": os.pathsep.join([str(FOLDER / "training"), str(FOLDER / "python")])}
+    if "snake_training.ablations" in words:
+        words = small_ablations(words)
+    done = subprocess.run(
+        [sys.executable, *words[1:]], check=False, cwd=place, env=environment, capture_output=True, text=True
+    )
+    assert done.returncode == 0, done.stderr[-2000:]
+
+
+def small_ablations(words):
+    """The ablations with the tiny network of the tests in place of the paper's."""
+    tiny = (
+        "resolution=8, unet_levels=2, unet_base_channels=8, num_points=64, num_occupancy=16, num_grids=4, grid_size=3"
+    )
+    code = (
+        "import sys; from snake_training import ablations; "
+        f"ablations.PRESETS['modelnet40'] |= dict({tiny}, validation_resolution=6); ablations.main(sys.argv[1:])"
+    )
+    return [words[0], "-c", code, *words[3:]]
+
+
+def test_every_table_and_figure_has_a_row():
+    """The paper's 14 tables and its figures of results."""
+    named = {int(number) for number in re.findall(r"Tab\. (\d+)", PAGE)}
+    assert named == set(range(1, 15))
+    assert all(f"Fig. 5{letter}" in PAGE for letter in "abcdefgh") and len(PAGE.split()) <= 1200
+
+
+def test_the_papers_figures_are_those_of_the_paper():
+    """Where the paper lies beside the repository, each figure of the column `paper` stands in it."""
+    paper = FOLDER.parent / "shared/paper/snake_arxiv.tex.txt"
+    if not paper.exists():
+        pytest.skip(f"no {paper}")
+    text = paper.read_text()
+    rows = [
+        row.split("|") for row in PAGE.splitlines() if row.startswith("| ") and re.search(r"Tab|Sec|recall|ratio", row)
+    ]
+    figures = [number for row in rows for number in re.findall(r"\d+\.\d+", row[2] + (row[3] if len(row) > 5 else ""))]
+    assert len(figures) > 50
+    assert [number for number in figures if number not in text and str(float(number)) not in text] == []
