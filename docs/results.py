@@ -69,6 +69,21 @@ def one_number_a_cell(tables: str) -> str:
     return re.sub(r" ± standard deviation over \w+| ±\d+\.\d+", "", tables)
 
 
+def joined(tables: str) -> str:
+    """The tables of one evaluation of repeatability as one: a row a method, views that are not disturbed once."""
+    columns: dict[str, dict[str, str]] = {}
+    for table in re.findall(r"(?:^\|.*\n?)+", tables, re.MULTILINE):
+        head, _, *rows = ([cell.strip() for cell in line.strip("|").split("|")] for line in table.splitlines())
+        for i, name in enumerate(head):
+            if name not in ("method", "1 in 1", "σ 0"):
+                columns[name] = {row[0]: row[i] for row in rows}
+    methods = list(next(iter(columns.values())))
+    rows = [["method", *columns]]
+    rows += [[method, *(cells.get(method, "-") for cells in columns.values())] for method in methods]
+    head, *lines = (f"| {' | '.join(row)} |\n" for row in rows)
+    return "".join([head, f"|{'---|' * (1 + len(columns))}\n", *lines])
+
+
 def fill(text: str) -> str:
     return textwrap.fill(text, 120, subsequent_indent="  " * text.startswith("- "))
 
@@ -119,9 +134,10 @@ best 64 keypoints of each view. `snake` is the model `compact` with the options 
 four rotated copies of each view, as the model `standard` does, in three times the time. Coverage is the mean distance
 from the points of the first view to the nearest keypoint, in the same units.
 
-All methods keep their keypoints {OBJECT_NMS} apart, so that no method gains by keypoints that cluster:
+All methods keep their keypoints {OBJECT_NMS} apart, so that no method gains by keypoints that cluster. Views that are
+thinned (1 in N) or noisy (σ) are at ε 0.04:
 
-{tables}
+{joined(tables)}
 ![the same as curves](repeatability.svg)
 
 {what_does_as_well(report, 0.04)}
@@ -129,13 +145,13 @@ All methods keep their keypoints {OBJECT_NMS} apart, so that no method gains by 
 
 With `--nms-radius 0.05`:
 
-{closer_tables}
+{joined(closer_tables)}
 ### The paper's protocol
 
 The paper's suppression of 0.01 lets keypoints cluster at a place, where they find each other again more easily: compare the
 coverage. Its figures are for ModelNet40: other objects, and a network with a 64³ volume.
 
-{paper_tables}"""
+{joined(paper_tables)}"""
 
 
 def strict(tables: str) -> str:
@@ -201,7 +217,7 @@ recommends.
 10240 points of each cloud, the best 64 keypoints, all methods {ROOM_NMS} m apart, {report["pairs"]} evenly spaced pairs of the first
 folder; ε in metres.
 
-{tables}
+{joined(tables)}
 ![the same as curves](repeatability-scenes.svg)
 
 {what_does_as_well(report, 0.2)}

@@ -34,11 +34,24 @@ def registration(recall: dict[str, tuple[float, float]]) -> dict:
     return {"scenes": ["kitchen"], "pairs": 9, "rows": rows}
 
 
+def table(text: str) -> str:
+    """A caption and a table of one method."""
+    return f"At ε 0.04:\n\n| method | ε 0.04 |\n|---|---|\n| TABLE {text} | 0.5 |\n"
+
+
+def test_tables_of_one_evaluation_are_joined():
+    tables = """Mean:\n\n| method | ε 0.02 | coverage |\n|---|---|---|\n| iss | 0.1 | 0.2 |\n| iss (paper) | - | - |
+\nOver noise:\n\n| method | σ 0 | σ 0.06 |\n|---|---|---|\n| iss | 0.1 | 0.3 |\n"""
+    lines = results.joined(tables).splitlines()
+    assert lines[0] == "| method | ε 0.02 | coverage | σ 0.06 |" and lines[1] == "|---|---|---|---|"
+    assert lines[2:] == ["| iss | 0.1 | 0.2 | 0.3 |", "| iss (paper) | - | - | - |"]
+
+
 def test_it_says_where_others_do_as_well():
     report = repeatability({"snake": (0.7, 0.9, 0.5), "fps": (0.4, 0.88, 0.1), "random": (0.1, 0.4, 0.6)})
     assert results.as_good(report, "fps", 0.04) == ["ε 0.1 (0.88 to 0.90)"]
     assert results.as_good(report, "random", 0.04) == ["1 in 1, σ 0.1 (0.60 to 0.50)"]
-    text = results.objects_part((report, "TABLE A\n"), "TABLE B\n", "TABLE C\n")
+    text = results.objects_part((report, table("A")), table("B"), table("C"))
     assert "- farthest-point: ε 0.1 (0.88 to 0.90)\n- random: 1 in 1, σ 0.1" in text
     assert "- ISS: nowhere" in text and "on 4 objects" in text
     assert re.findall("TABLE .", text) == ["TABLE A", "TABLE B", "TABLE C"]
