@@ -177,4 +177,11 @@ pub enum Command {
         /// The shell.
         shell: Shell,
     },
+    /// Write the manual pages of snake-cli and of its sub-commands to a folder.
+    #[command(after_help = "Examples:
+  snake-cli manual ~/.local/share/man/man1")]
+    Manual {
+        /// The folder; it is made if it does not exist.
+        folder: PathBuf,
+    },
 }

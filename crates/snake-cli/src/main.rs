@@ -3,6 +3,7 @@
 
 mod align;
 mod args;
+mod completions;
 mod config;
 mod detect;
 mod eval;
@@ -23,9 +24,8 @@ mod view;
 use std::process::ExitCode;
 
 use anyhow::Result;
+use clap::Parser;
 use clap::error::{ContextKind, ContextValue, ErrorKind};
-use clap::{CommandFactory, Parser};
-use clap_complete::Shell;
 
 use args::{Arguments, Command};
 use snake_core::printable;
@@ -55,7 +55,8 @@ fn run(command: &Command) -> Result<ExitCode> {
         Command::Model { file } => model::run(file.as_deref())?,
         Command::Options => set::list()?,
         Command::Schema => terminal::print_bytes(include_bytes!("schema.json"))?,
-        Command::Completions { shell } => complete(*shell)?,
+        Command::Completions { shell } => completions::print(*shell)?,
+        Command::Manual { folder } => completions::write_manual(folder)?,
     }
     Ok(ExitCode::SUCCESS)
 }
@@ -96,11 +97,4 @@ fn with_printable_arguments(error: clap::Error) -> clap::Error {
         error.insert(ContextKind::InvalidValue, ContextValue::String(value));
     }
     error
-}
-
-/// Prints the completion script of a shell.
-fn complete(shell: Shell) -> Result<()> {
-    let mut script = Vec::new();
-    clap_complete::generate(shell, &mut Arguments::command(), "snake-cli", &mut script);
-    terminal::print_bytes(&script)
 }

@@ -83,14 +83,47 @@ fn every_shell_gets_completions() {
 
 #[cfg(unix)]
 #[test]
-fn bash_completes_a_sub_command() {
+fn bash_completes_sub_commands_and_their_options() {
     let folder = tempfile::tempdir().unwrap();
     let script = folder.path().join("snake-cli.bash");
     std::fs::write(&script, stdout(&snake(&["completions", "bash"]))).unwrap();
-    let typed = "source $0; read -ra words <<< $(complete -p snake-cli); COMP_WORDS=(snake-cli regi); COMP_CWORD=1
-        ${words[${#words[@]} - 2]} snake-cli regi snake-cli; echo ${COMPREPLY[@]}";
-    let output = Command::new("bash").args(["-c", typed]).arg(&script).output().unwrap();
-    assert_eq!(stdout(&output).trim(), "register");
+    // What Bash does when the last word is completed: the function of `complete` is called with the program and two words.
+    let typed = "source $0; read -ra words <<< $(complete -p snake-cli); COMP_WORDS=($@); COMP_CWORD=$(($# - 1))
+        ${words[${#words[@]} - 2]} $1 \"${@: -1}\" \"${@: -2:1}\"; echo ${COMPREPLY[@]}";
+    let completed = |line: &str| {
+        let output = Command::new("bash").args(["-c", typed]).arg(&script).args(line.split(' ')).output().unwrap();
+        stdout(&output).trim().to_owned()
+    };
+    assert_eq!(completed("snake-cli regi"), "register");
+    assert_eq!(completed("snake-cli detect --nms"), "--nms-radius");
+    assert_eq!(completed("snake-cli eval sem"), "semantic");
+    assert_eq!(completed("snake-cli completions ba"), "bash");
+    // Every option of every sub-command, as its help lists them.
+    for (name, help) in helps(&[]) {
+        let offered = completed(&format!("snake-cli {name} --").replace("  ", " "));
+        let offered: Vec<&str> = offered.split(' ').collect();
+        // Descriptions are indented further than options.
+        for line in help.lines().filter(|line| line.starts_with("  -") || line.starts_with("      --")) {
+            let option = line.split_whitespace().find(|word| word.starts_with("--")).unwrap();
+            assert!(offered.contains(&option), "{name}: {option}: {offered:?}");
+        }
+    }
+}
+
+#[test]
+fn every_sub_command_has_a_manual_page() {
+    let folder = tempfile::tempdir().unwrap();
+    let pages = folder.path().join("man/man1");
+    assert_eq!(snake(&["manual", &pages.display().to_string()]).status.code(), Some(0));
+    for (name, _) in helps(&[]) {
+        let file = format!("{}.1", format!("snake-cli {name}").trim_end().replace(' ', "-"));
+        let page = std::fs::read_to_string(pages.join(&file)).unwrap_or_else(|error| panic!("{file}: {error}"));
+        assert!(page.contains(".SH SYNOPSIS"), "{page}");
+    }
+    std::fs::write(folder.path().join("file"), "").unwrap();
+    let output = snake(&["manual", &folder.path().join("file").display().to_string()]);
+    assert_eq!(output.status.code(), Some(2));
+    assert!(stderr(&output).starts_with("error: ") && stderr(&output).lines().count() == 1, "{}", stderr(&output));
 }
 
 #[test]
