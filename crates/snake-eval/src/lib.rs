@@ -34,11 +34,12 @@
 
 #![forbid(unsafe_code)]
 
-#[cfg(feature = "datasets")]
 mod coverage;
+#[cfg(feature = "datasets")]
 pub mod datasets;
 #[cfg(feature = "datasets")]
 mod error;
+#[cfg(feature = "datasets")]
 mod external;
 mod registration;
 mod repeatability;
@@ -55,9 +56,10 @@ use snake_core::RigidTransform;
 use snake_core::space::check_points;
 use snake_core::space::{Vector, vector};
 
-#[cfg(feature = "datasets")]
 pub use coverage::{RankedKeypoints, radius_of_coverage};
+#[cfg(feature = "datasets")]
 pub use error::Error;
+#[cfg(feature = "datasets")]
 pub use external::ExternalKeypoints;
 pub use registration::{
     RegistrationOutcome, feature_matching_recall, information_matrix, inlier_ratio, overlap, registration_recall,
