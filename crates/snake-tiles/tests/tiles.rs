@@ -239,13 +239,17 @@ fn damaged_copc_files_are_errors() {
     page[12..].copy_from_slice(&(-1_i32).to_le_bytes());
     assert!(outcome(octree + 16, &page).contains("the octree is damaged"));
 
-    // A tile of a damaged chunk is an error; a damaged octree leaves the points of a LAZ file, which are sorted.
+    // A tile of a damaged chunk is an error, as is the preparation if it needs all points; a damaged octree leaves the points of a LAZ file, which are sorted.
     outcome(chunk + 30, &[0; 4]);
-    let run = prepare(std::slice::from_ref(&scan), &options(), 8.0, &tiles).unwrap();
+    let error = prepare(std::slice::from_ref(&scan), &options(), 8.0, &tiles).unwrap_err().to_string();
+    assert!(error.contains("city.copc.laz"), "{error}");
+    let mut options = options();
+    options.detect.mode_radius = Some(0.6.into());
+    let run = prepare(std::slice::from_ref(&scan), &options, 8.0, &tiles).unwrap();
     let error = run.detect(&run.tiles()[0], &Control::default()).unwrap_err().to_string();
     assert!(error.contains("city.copc.laz"), "{error}");
     outcome(octree, &77_i32.to_le_bytes());
-    let run = prepare(std::slice::from_ref(&scan), &options(), 8.0, &tiles).unwrap();
+    let run = prepare(std::slice::from_ref(&scan), &options, 8.0, &tiles).unwrap();
     assert!(fs::read_dir(tiles.join("points")).unwrap().count() > 3);
     assert_eq!(run.num_points().0, 6000);
 }
