@@ -11,11 +11,9 @@ import pytest
 CITY = Path(__file__).parent / "data/tiles/city.copc.laz"
 OPTIONS = [
     "--model",
-    "rooms",
-    "--set",
-    "window_radius=4",
-    "--set",
-    "query_resolution=10",
+    "scenes",
+    "--voxel-size",
+    "0.4",
     "--nms-radius",
     "0.5",
     "--max-keypoints",

@@ -15,9 +15,8 @@ import snake_rs
 # 12 000 points on 40 by 40 m: cargo run --release -p snake-tiles --example city -- tests/data/tiles/city.copc.laz 2 3000
 CITY = Path(__file__).parent / "data/tiles/city.copc.laz"
 OPTIONS = {
-    "window_radius": 4.0,
-    "query_resolution": 10,
-    "refine_steps": 0,
+    "voxel_size": 0.4,
+    "mode_radius": 0.6,
     "saliency_threshold": 0.01,
     "nms_radius": 0.5,
 }
@@ -25,7 +24,7 @@ OPTIONS = {
 
 @pytest.fixture(scope="module")
 def whole():
-    keypoints = snake_rs.detect(CITY, model="rooms", **OPTIONS, max_keypoints=100_000)
+    keypoints = snake_rs.detect(CITY, model="scenes", **OPTIONS, max_keypoints=100_000)
     assert len(keypoints) > 50
     return keypoints
 
@@ -82,7 +81,7 @@ def server():
 
 def test_a_tile_reads_a_part_of_a_copc_file_over_http(server, whole, tmp_path):
     url = f"http://127.0.0.1:{server.server_port}/city.copc.laz"
-    tiles = snake_rs.tiles(url, tile=13, folder=tmp_path / "tiles", model="rooms", **OPTIONS)
+    tiles = snake_rs.tiles(url, tile=13, folder=tmp_path / "tiles", model="scenes", **OPTIONS)
     size = CITY.stat().st_size
     assert len(tiles) > 4
     assert server.served < 0.1 * size, "only the octree is read"
@@ -94,7 +93,7 @@ def test_a_tile_reads_a_part_of_a_copc_file_over_http(server, whole, tmp_path):
     for tile in range(len(tiles)):
         copy.detect(tile)
     assert_equal(tiles.finish(), whole)
-    again = snake_rs.tiles(url, tile=13, folder=tmp_path / "tiles", model="rooms", **OPTIONS)
+    again = snake_rs.tiles(url, tile=13, folder=tmp_path / "tiles", model="scenes", **OPTIONS)
     assert all(again.is_detected(tile) for tile in range(len(again)))
 
 
@@ -102,7 +101,7 @@ def test_a_reply_that_may_pass_is_tried_again(server, tmp_path, monkeypatch):
     from snake_rs import _remote
 
     monkeypatch.setattr(_remote, "_PAUSES", (0.01, 0.01, 0.01))
-    given = {"tile": 40, "folder": tmp_path / "tiles", "model": "rooms", **OPTIONS}
+    given = {"tile": 40, "folder": tmp_path / "tiles", "model": "scenes", **OPTIONS}
     server.failures = 2
     tiles = snake_rs.tiles(f"http://127.0.0.1:{server.server_port}/city.copc.laz", **given)
     server.failures = 3
@@ -115,7 +114,7 @@ def test_a_reply_that_may_pass_is_tried_again(server, tmp_path, monkeypatch):
 
 def test_mistakes_of_servers_are_errors(server, tmp_path):
     url = f"http://127.0.0.1:{server.server_port}"
-    options = {"tile": 13, "folder": tmp_path / "tiles", "model": "rooms", **OPTIONS}
+    options = {"tile": 13, "folder": tmp_path / "tiles", "model": "scenes", **OPTIONS}
     with pytest.raises(FileNotFoundError):
         snake_rs.tiles(f"{url}/missing.copc.laz", **options)
     server.has_ranges = False
@@ -129,7 +128,7 @@ def test_tiles_lie_in_object_storage(whole, object_storage, tmp_path):
     np.save(plain, whole.points)
     files.put_file(str(CITY), "clouds/city.copc.laz")
     files.put_file(str(plain), "clouds/city.npy")
-    given = {"folder": tmp_path / "tiles", "model": "rooms", "storage_options": storage, **OPTIONS}
+    given = {"folder": tmp_path / "tiles", "model": "scenes", "storage_options": storage, **OPTIONS}
     tiles = snake_rs.tiles("s3://clouds/city.copc.laz", tile=25, **given)
     assert not (tmp_path / "tiles/inputs").exists()
     for tile in range(len(tiles)):

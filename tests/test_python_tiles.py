@@ -16,9 +16,8 @@ from golden_network import EASY, GOLDEN
 import snake_rs
 
 OPTIONS = {
-    "window_radius": 4.0,
-    "query_resolution": 14,
-    "refine_steps": 0,
+    "voxel_size": 0.4,
+    "mode_radius": 0.6,
     "saliency_threshold": 0.01,
     "nms_radius": 0.5,
 }
@@ -39,7 +38,7 @@ def city(tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def whole(city):
-    keypoints = snake_rs.detect(city, model="rooms", **WHOLE)
+    keypoints = snake_rs.detect(city, model="scenes", **WHOLE)
     assert len(keypoints) > 50
     return keypoints
 
@@ -51,11 +50,11 @@ def assert_equal(found, whole):
 
 
 def test_tiles_and_their_pickles_give_the_keypoints_of_the_whole_cloud(city, whole, tmp_path):
-    tiles = snake_rs.tiles(city, tile=9, folder=tmp_path / "tiles", model="rooms", **OPTIONS)
+    tiles = snake_rs.tiles(city, tile=9, folder=tmp_path / "tiles", model="scenes", **OPTIONS)
     assert len(tiles) > 4 and not tiles.failures and tiles.max_keypoints is None
     copy = pickle.loads(pickle.dumps(tiles))
     for row in copy.rows():
-        assert row["west"] < row["east"] and row["num_points"] > 0 and row["num_windows"] > 0
+        assert row["west"] < row["east"] and row["num_points"] > 0
         copy.detect(row["tile"])
         assert tiles.is_detected(row["tile"])
     assert sum(row["num_points"] for row in tiles.rows()) == 5000
@@ -70,20 +69,20 @@ def test_a_folder_is_one_cloud(city, whole, tmp_path):
     for number, start in enumerate((0, 2000)):
         (tmp_path / f"parts/{number}.xyz").write_text("".join(lines[start : [2000, None][number]]))
     (tmp_path / "parts/notes.md").write_text("flown in May")
-    tiles = snake_rs.tiles(tmp_path / "parts", tile=9, folder=tmp_path / "tiles", model="rooms", **OPTIONS)
+    tiles = snake_rs.tiles(tmp_path / "parts", tile=9, folder=tmp_path / "tiles", model="scenes", **OPTIONS)
     for tile in range(len(tiles)):
         tiles.detect(tile)
     assert_equal(tiles.finish().to_dict(), whole)
     (tmp_path / "empty").mkdir()
     with pytest.raises(FileNotFoundError, match="no clouds"):
-        snake_rs.tiles(tmp_path / "empty", tile=9, folder=tmp_path / "none", model="rooms", **OPTIONS)
+        snake_rs.tiles(tmp_path / "empty", tile=9, folder=tmp_path / "none", model="scenes", **OPTIONS)
 
 
 def test_limits_lists_of_paths_and_missing_tiles(city, whole, tmp_path):
     broken = tmp_path / "broken.laz"
     broken.write_text("no scan")
     tiles = snake_rs.tiles(
-        [city, broken], tile=20, folder=tmp_path / "tiles", model="rooms", **OPTIONS, max_keypoints=9
+        [city, broken], tile=20, folder=tmp_path / "tiles", model="scenes", **OPTIONS, max_keypoints=9
     )
     assert list(tiles.failures) == [broken]
     with pytest.raises(ValueError, match=f"{len(tiles)} of {len(tiles)} tiles are missing"):
@@ -98,7 +97,7 @@ def test_limits_lists_of_paths_and_missing_tiles(city, whole, tmp_path):
 
 
 def test_a_folder_belongs_to_one_run(city, tmp_path):
-    given = {"paths": city, "tile": 20, "model": "rooms", **OPTIONS}
+    given = {"paths": city, "tile": 20, "model": "scenes", **OPTIONS}
     for name in ("points", "inputs"):
         (tmp_path / "mine" / name).mkdir(parents=True)
         (tmp_path / "mine" / name / "mine.txt").write_text("mine")
@@ -113,7 +112,7 @@ def test_a_folder_belongs_to_one_run(city, tmp_path):
     assert first.is_detected(0)
     other = f"""
 import snake_rs
-snake_rs.tiles({str(city)!r}, tile=20, folder={str(tmp_path / "tiles")!r}, model="rooms")
+snake_rs.tiles({str(city)!r}, tile=20, folder={str(tmp_path / "tiles")!r}, model="scenes")
 """
     run = subprocess.run([sys.executable, "-c", other], capture_output=True, text=True)
     assert f"OSError: {tmp_path / 'tiles'} is in use by process {os.getpid()} on " in run.stderr
@@ -126,7 +125,7 @@ snake_rs.tiles({str(city)!r}, tile=20, folder={str(tmp_path / "tiles")!r}, model
     ("wrong", "error", "words"),
     [
         ({"tile": 0}, ValueError, "tile"),
-        ({"model": "compact"}, ValueError, "window_radius"),
+        ({"model": "compact"}, ValueError, "scenes"),
         ({"snap": True}, ValueError, "snap"),
         ({"mode_radius": 0.1}, ValueError, "mode_radius"),
         ({"paths": "missing.laz"}, FileNotFoundError, "missing.laz"),
@@ -134,7 +133,7 @@ snake_rs.tiles({str(city)!r}, tile=20, folder={str(tmp_path / "tiles")!r}, model
     ],
 )
 def test_mistakes_are_errors(city, tmp_path, wrong, error, words):
-    given = {"paths": city, "tile": 9, "folder": tmp_path / "tiles", "model": "rooms", **wrong}
+    given = {"paths": city, "tile": 9, "folder": tmp_path / "tiles", "model": "scenes", **wrong}
     with pytest.raises(error, match=words):
         snake_rs.tiles(**given)
 
@@ -297,7 +296,7 @@ def test_a_cluster_has_the_bits_of_one_machine_though_a_worker_is_killed(cluster
             return super().__call__(batch)
 
     monkeypatch.setattr(module, "DetectTiles", KilledOnce)
-    tiles = snake_rs.tiles(city, tile=5, folder=folder, model="rooms", **OPTIONS)
+    tiles = snake_rs.tiles(city, tile=5, folder=folder, model="scenes", **OPTIONS)
     table = module.keypoints_of_tiles(tiles, concurrency=2)
     assert_equal({name: table[name].to_numpy() for name in table.column_names}, whole)
     # No tile is lost, and none that was done when the worker died is detected again.
@@ -313,9 +312,9 @@ def test_a_cluster_reads_copc_files_by_bounds(cluster, tmp_path):
     from snake_rs.ray import keypoints_of_tiles
 
     path = Path(__file__).parent / "data/tiles/city.copc.laz"
-    tiles = snake_rs.tiles(path, tile=20, folder=tmp_path / "tiles", model="rooms", **OPTIONS)
+    tiles = snake_rs.tiles(path, tile=20, folder=tmp_path / "tiles", model="scenes", **OPTIONS)
     table = keypoints_of_tiles(tiles)
-    here = snake_rs.detect(path, model="rooms", **WHOLE)
+    here = snake_rs.detect(path, model="scenes", **WHOLE)
     assert len(here) > 50
     assert_equal({name: table[name].to_numpy() for name in table.column_names}, here)
 
@@ -323,7 +322,7 @@ def test_a_cluster_reads_copc_files_by_bounds(cluster, tmp_path):
 def test_a_cluster_names_tiles_that_fail(cluster, city, tmp_path):
     from snake_rs.ray import keypoints_of_tiles
 
-    tiles = snake_rs.tiles(city, tile=40, folder=tmp_path / "tiles", model="rooms", **OPTIONS)
+    tiles = snake_rs.tiles(city, tile=40, folder=tmp_path / "tiles", model="scenes", **OPTIONS)
     for path in (tmp_path / "tiles" / "points").iterdir():
         path.write_bytes(b"damaged")
     with pytest.raises(ValueError, match=r"2 of 2 tiles failed: the tile from x 69.*checksum"):

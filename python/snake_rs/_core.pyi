@@ -221,7 +221,6 @@ class _TileRow(TypedDict):
     east: float
     north: float
     num_points: int
-    num_windows: int
 
 @final
 class Tiles:

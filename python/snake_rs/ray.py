@@ -59,7 +59,7 @@ _TRANSFORM = [
     pa.field("is_reliable", pa.bool_()),
 ]
 _ERROR = pa.field("error", pa.string())
-_RANK = ["cell_x", "cell_y", "cell_z", "rank"]
+_RANK = {"start": "descending", "cell_z": "ascending", "cell_y": "ascending", "cell_x": "ascending"}
 
 
 def _use_own_cpus() -> None:
@@ -179,7 +179,7 @@ class RegisterPairs:
 def _loaded(model: Model | str) -> Model:
     if isinstance(model, Model):
         return model
-    return Model.builtin(model) if model in ("compact", "standard", "rooms") else Model.load(model)
+    return Model.builtin(model) if model in ("compact", "standard", "rooms", "scenes") else Model.load(model)
 
 
 @contextlib.contextmanager
@@ -233,8 +233,7 @@ class DetectTiles:
 
 class TileKeypoints:
     """The keypoints of tiles, once all tiles are detected: the seams between them are solved here. A batch is as of
-    `DetectTiles`, and gives a row for each keypoint: the columns of `DetectedTiles.keypoints`, `tile`, and `rank`, the order in
-    the tile. Raises ValueError when tiles are missing.
+    `DetectTiles`, and gives a row for each keypoint: the columns of `DetectedTiles.keypoints`, and `tile`. Raises ValueError when tiles are missing.
     """
 
     def __init__(self, tiles: Tiles) -> None:
@@ -249,7 +248,7 @@ class TileKeypoints:
     def _keypoints(self, tile: int) -> pa.Table:
         columns = self.detected.keypoints(tile)
         number = len(columns["x"])
-        return pa.table({**columns, "tile": np.full(number, tile), "rank": np.arange(number)})
+        return pa.table({**columns, "tile": np.full(number, tile)})
 
 
 def keypoints_of_tiles(tiles: Tiles, concurrency: int = 1, num_cpus: float = 1) -> pa.Table:
@@ -280,6 +279,6 @@ def keypoints_of_tiles(tiles: Tiles, concurrency: int = 1, num_cpus: float = 1) 
         raise ValueError(f"{len(failed)} of {len(tiles)} tiles failed: {reasons}")
     references: Any = over_tiles(TileKeypoints, 4).to_arrow_refs()
     parts: list[pa.Table] = ray.get(references)
-    order = [("saliency", "descending"), *((name, "ascending") for name in _RANK)]
+    order = [("saliency", "descending"), *_RANK.items()]
     table = pa.concat_tables(part for part in parts if part.num_rows > 0 or len(parts) == 1).sort_by(order)
-    return table.drop_columns(_RANK).slice(0, tiles.max_keypoints)
+    return table.drop_columns(list(_RANK)).slice(0, tiles.max_keypoints)

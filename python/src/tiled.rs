@@ -26,8 +26,9 @@ use crate::{options, remote, threads};
 /// `s3://bucket/city.copc.laz` or `https://..`, and `s3://bucket/city/` for a folder; `storage_options` are those of its file system. Of COPC files ranges of bytes
 /// are read; files of other formats are copied to the folder once.
 ///
-/// `model` and `options` are those of `detect`. Tiles need a `window_radius`, which "rooms" recommends, and lengths in cloud
-/// units. All keypoints are kept unless `max_keypoints` is given. Files that cannot be read are left out and stand in
+/// `model` and `options` are those of `detect`; the model is one of scenes, by default "scenes". Give `voxel_size` in cloud units: of
+/// a cloud of at most 2 million points it is chosen else. Lengths in resolutions, such as the `mode_radius` of "scenes", need all
+/// points once: give cloud units if a COPC file is far away. All keypoints are kept unless `max_keypoints` is given. Files that cannot be read are left out and stand in
 /// `Tiles.failures`.
 ///
 /// Raises ValueError for an invalid value, an option that needs the whole cloud, coordinates in degrees, or files of different
@@ -46,7 +47,7 @@ pub fn tiles(
 ) -> PyResult<Tiles> {
     let model = match model {
         Some(model) => model::given(py, model)?,
-        None => Bound::new(py, Model::py_builtin(py, "compact")?)?,
+        None => Bound::new(py, Model::py_builtin(py, "scenes")?)?,
     };
     let mut resolved = options::resolve("tiles", &options::ALL, model.get().core().recommended(), options)?;
     if !options.is_some_and(|options| options.contains("max_keypoints").unwrap_or(false)) {
@@ -114,7 +115,7 @@ fn nth(run: &TiledRun, tile: usize) -> PyResult<&Tile> {
 #[pymethods]
 impl Tiles {
     /// One dict a tile, in their order: `tile` (its number), `folder`, its bounds `west`, `south`, `east` and `north` in the
-    /// units of the files, `num_points` and `num_windows`, which says how long it takes.
+    /// units of the files, and `num_points`, which says how long it takes.
     fn rows<'py>(&self, py: Python<'py>) -> PyResult<Vec<Bound<'py, PyDict>>> {
         let row = |(number, tile): (usize, &Tile)| {
             let [[west, south], [east, north]] = self.run.bounds(tile);
@@ -122,7 +123,6 @@ impl Tiles {
             row.set_item("tile", number)?;
             row.set_item("folder", self.folder().to_string_lossy())?;
             row.set_item("num_points", tile.num_points)?;
-            row.set_item("num_windows", tile.num_windows)?;
             Ok(row)
         };
         self.run.tiles().iter().enumerate().map(row).collect()
@@ -227,16 +227,16 @@ impl DetectedTiles {
         self.detected.missing.iter().filter_map(number).collect()
     }
 
-    /// Number of "windows" that were encoded, and the number of queries after each step, as of `Keypoints.counts`.
+    /// Number of tiles that were encoded, as "windows", and the number of queries after each step, as of `Keypoints.counts`.
     #[getter]
     fn counts<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyDict>> {
         counts_dict(py, &self.detected.counts)
     }
 
     /// The keypoints of one tile, a dict of arrays (K,): `x`, `y`, `z`, `saliency`, `occupancy`, `nearest_index` (over all
-    /// files, in their order), and the cell of the keypoint's window, `cell_x`, `cell_y` and `cell_z`.
+    /// files, in their order), `start`, the saliency where it started, and the voxel there, `cell_z`, `cell_y` and `cell_x`.
     ///
-    /// The keypoints of all tiles, sorted by falling saliency, then by cell and by their order in the tile, are those of
+    /// The keypoints of all tiles, sorted by falling saliency, then falling `start`, `cell_z`, `cell_y` and `cell_x`, are those of
     /// `Tiles.finish`, which also limits their number. Raises as `Tiles.detect`.
     fn keypoints<'py>(&self, py: Python<'py>, tile: usize) -> PyResult<Bound<'py, PyDict>> {
         let tile = nth(&self.run, tile)?;
@@ -253,7 +253,8 @@ impl DetectedTiles {
         columns.set_item("occupancy", scores(|found| found.keypoint.occupancy))?;
         let nearest = found.iter().map(|found| found.keypoint.nearest_index as i64).collect();
         columns.set_item("nearest_index", arrays::values(py, nearest))?;
-        for (axis, name) in ["cell_x", "cell_y", "cell_z"].into_iter().enumerate() {
+        columns.set_item("start", arrays::values(py, found.iter().map(|found| found.start).collect()))?;
+        for (axis, name) in [(2, "cell_z"), (1, "cell_y"), (0, "cell_x")] {
             columns.set_item(name, arrays::values(py, found.iter().map(|found| found.cell[axis]).collect()))?;
         }
         Ok(columns)

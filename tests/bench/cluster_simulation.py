@@ -1,8 +1,8 @@
-"""Simulates `keypoints_of_tiles` on N nodes from the windows of the tiles of a cloud.
+"""Simulates `keypoints_of_tiles` on N nodes from the points of the tiles of a cloud.
 
 python tests/bench/cluster_simulation.py FOLDER.tiles --area 10000 --overhead 0.012 [--nodes 1 .. 1000] [--square-km 1]
 
-The folder is that of `snake_rs.tiles`. A tile takes `--window-seconds` a window on a node, which is one core. As in Ray, a node that
+The folder is that of `snake_rs.tiles`. A tile takes `--seconds` a million points on a node, which is one core. As in Ray, a node that
 is idle takes the next tile, and the driver hands out one tile after another, `--overhead` seconds each. The second pass takes
 `--second` of the time of the first, and the driver sorts the table at the end, `--sort` seconds a square kilometre.
 """
@@ -15,10 +15,10 @@ from pathlib import Path
 import numpy as np
 
 
-def windows_of_tiles(folder: Path) -> np.ndarray:
-    """The number of windows of each tile."""
+def points_of_tiles(folder: Path) -> np.ndarray:
+    """The millions of points of each tile."""
     plan = json.loads((folder / "plan.json").read_text().splitlines()[0])  # the second line is a checksum
-    return np.array([tile["num_windows"] for tile in plan["tiles"]])
+    return np.array([tile["num_points"] / 1e6 for tile in plan["tiles"]])
 
 
 def makespan(times: np.ndarray, nodes: int, overhead: float) -> float:
@@ -35,13 +35,13 @@ def main() -> None:
     parser.add_argument("folder", type=Path)
     parser.add_argument("--nodes", type=int, nargs="+", default=[1, 2, 5, 10, 20, 50, 100, 200, 500, 1000])
     parser.add_argument("--area", type=float, required=True, help="square metres of the cloud")
-    parser.add_argument("--window-seconds", type=float, default=0.083, help="seconds of a core a window")
+    parser.add_argument("--seconds", type=float, required=True, help="seconds of a core a million points")
     parser.add_argument("--square-km", type=float, default=1.0)
     parser.add_argument("--overhead", type=float, required=True, help="seconds a task")
     parser.add_argument("--second", type=float, default=0.16, help="time of the second pass, as a part of the first")
     parser.add_argument("--sort", type=float, default=40.0, help="seconds of the driver at the end, a square kilometre")
     given = parser.parse_args()
-    known = given.window_seconds * windows_of_tiles(given.folder)
+    known = given.seconds * points_of_tiles(given.folder)
     number = round(given.square_km * 1e6 / given.area * len(known))
     times = np.random.default_rng(0).choice(known, number)
     print(f"{len(known)} tiles of {known.min():.0f} to {known.max():.0f} s; {number} simulated tiles")

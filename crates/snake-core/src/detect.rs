@@ -216,7 +216,8 @@ impl Candidates {
                 (above_occupancy(field, &queries, threshold, control)?, options.query_resolution.pow(3))
             }
             None => {
-                let queries = cell_means(field);
+                let mut queries = cell_means(field);
+                queries.retain(|&query| owns(&field.normalization().to_cloud(query)));
                 (above_occupancy_of(field, &queries, threshold, control)?, queries.len())
             }
         };

@@ -98,6 +98,19 @@ pub fn resolution(what: &'static str, points: &[Point]) -> Result<f64> {
     }
 }
 
+/// The distinct ones of finite points, each with its distance to the nearest other one; infinite if there is none.
+///
+/// # Errors
+/// [`Error::Input`] for more points than [`u32::MAX`].
+pub fn gaps(points: &[Point]) -> Result<Vec<(Point, f64)>> {
+    let points = distinct(points);
+    if points.len() < 2 {
+        return Ok(points.into_iter().map(|point| (point, f64::INFINITY)).collect());
+    }
+    let distances = distances(&points)?;
+    Ok(points.iter().copied().zip(distances.iter().copied()).collect())
+}
+
 /// The distinct ones of finite points, sorted.
 fn distinct(points: &[Point]) -> Vec<Point> {
     let mut points = points.to_vec();
@@ -111,14 +124,20 @@ fn mean_gap(points: &[Point]) -> Result<Option<f64>> {
     if points.len() < 2 {
         return Ok(None);
     }
+    let distances = distances(points)?;
+    let are_distinct = distances.iter().all(|distance| *distance > 0.0);
+    Ok(are_distinct.then(|| distances.iter().sum::<f64>() / points.len() as f64))
+}
+
+/// The distance of each of two or more points to the nearest other one.
+fn distances(points: &[Point]) -> Result<Scratch<f64>> {
     let tree = PointTree::new(points)?;
     let mut distances = Scratch::zeros(points.len());
     distances.par_iter_mut().enumerate().for_each(|(index, distance)| {
         let (squared, _): (f64, usize) = tree.nearest(&points[index], Some(index));
         *distance = squared.sqrt();
     });
-    let are_distinct = distances.iter().all(|distance| *distance > 0.0);
-    Ok(are_distinct.then(|| distances.iter().sum::<f64>() / points.len() as f64))
+    Ok(distances)
 }
 
 impl From<f64> for Length {

@@ -16,6 +16,9 @@ const STEPS: [(f32, i32); 3] = [(1.0, 8), (0.85, 12), (0.7, 16)];
 /// The share of the radius about a mode within which its best candidate is looked for.
 const SCORE_SHARE: f32 = 0.5;
 
+/// How far from its start the candidates are that decide a mode, in radii: the three steps and the look at the best one.
+pub(crate) const SHIFT: f32 = 3.1;
+
 /// Number of candidates that are moved per keypoint, because several of them end at the same mode. For fewer than 64
 /// keypoints the number is that of 64, because the most salient candidates lie close together.
 const STARTS: usize = 48;
@@ -44,18 +47,33 @@ pub(crate) fn seek_modes(positions: &[Point], scores: &[f32], radius: f32, max_k
     let cells = RadiusCells::new(positions, radius)?;
     let most = STARTS.saturating_mul(max_keypoints.max(64));
     let starts = keep_in_order(&cells, &by_falling_score(scores), radius / 2.0, most);
+    let (positions, scores) = moved(&cells, scores, radius, &starts);
+    Ok(Modes { starts, positions, scores })
+}
+
+/// The modes of some candidates with their scores, see [`seek_modes`].
+pub(crate) fn modes_of(
+    positions: &[Point],
+    scores: &[f32],
+    radius: f32,
+    starts: &[usize],
+) -> Result<(Scratch<Point>, Scratch<f32>)> {
+    Ok(moved(&RadiusCells::new(positions, radius)?, scores, radius, starts))
+}
+
+fn moved(cells: &RadiusCells, scores: &[f32], radius: f32, starts: &[usize]) -> (Scratch<Point>, Scratch<f32>) {
     let weights = STEPS.map(|(_, power)| Scratch::collect(scores.len(), scores.iter().map(|score| score.powi(power))));
-    let mut modes = Scratch::collect(starts.len(), starts.iter().map(|&start| positions[start]));
+    let mut modes = Scratch::collect(starts.len(), starts.iter().map(|&start| cells.points()[start]));
     let mut mode_scores = Scratch::collect(starts.len(), starts.iter().map(|&start| scores[start]));
     modes.par_iter_mut().zip(&mut mode_scores[..]).for_each(|(mode, score)| {
         for ((share, _), weights) in STEPS.iter().zip(&weights) {
-            *mode = weighted_mean(&cells, weights, *mode, share * radius);
+            *mode = weighted_mean(cells, weights, *mode, share * radius);
         }
         let mut best = *score;
         cells.within(mode, SCORE_SHARE * radius, |index| best = best.max(scores[index]));
         *score = 0.5 * (*score + best);
     });
-    Ok(Modes { starts, positions: modes, scores: mode_scores })
+    (modes, mode_scores)
 }
 
 /// The mean of the candidates within `radius` of a position; the position itself if there is none.

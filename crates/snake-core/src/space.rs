@@ -2,7 +2,7 @@
 
 pub use crate::farthest::farthest_points;
 pub use crate::kd_tree::KdTree;
-pub use crate::length::resolution;
+pub use crate::length::{gaps, resolution};
 pub use crate::neighbors::{Neighbors, Vector, eigen, vector};
 pub use crate::nms::{nearest_points, suppress_ranked};
 pub use crate::points::{FinitePoints, check_points};

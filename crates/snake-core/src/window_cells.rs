@@ -71,11 +71,6 @@ impl<'a> WindowCells<'a> {
         inside.into_iter().map(|index| self.points[index as usize]).collect()
     }
 
-    /// The cell of a window.
-    pub(crate) fn cell_of(&self, window: usize) -> Cell {
-        self.cells[window]
-    }
-
     fn is_inside(&self, center: &Point, index: u32) -> bool {
         let [x, y, z]: Point = std::array::from_fn(|axis| center[axis] - self.points[index as usize][axis]);
         x * x + y * y + z * z <= self.radius * self.radius

@@ -10,16 +10,22 @@ use snake_io::Copc;
 use crate::Result;
 use crate::folder::RunFolder;
 use crate::plan::{Plan, Source, Tile, place, version};
-use crate::run::{Extent, TiledRun, columns_of, is_kept, widen};
+use crate::run::{Extent, TiledRun, choose_voxel_size, columns_of, is_kept, widen};
+
+/// A rectangle without an end.
+const EVERYWHERE: [[f64; 2]; 2] = [[f64::NEG_INFINITY; 2], [f64::INFINITY; 2]];
 
 impl TiledRun {
     /// As [`TiledRun::prepare`], of COPC files that make up one cloud, also behind a server. Only their octrees are read, so
-    /// that [`Tile::num_points`] and [`Tile::num_windows`] are estimates, and a tile may be empty. Each tile reads its points
-    /// from the files by bounds.
+    /// that [`Tile::num_points`] is an estimate, and a tile may be empty. Each tile reads its points from the files by bounds. A
+    /// voxel size that is to be chosen and lengths in `r` need all points, which are then read here.
     ///
     /// # Errors
     /// As [`TiledRun::prepare`].
-    pub fn prepare_copc(detector: TileDetector, files: Vec<Copc>, side: f64, folder: &Path) -> Result<Self> {
+    pub fn prepare_copc(mut detector: TileDetector, files: Vec<Copc>, side: f64, folder: &Path) -> Result<Self> {
+        choose_voxel_size(&mut detector, &mut |found| {
+            files.iter().try_for_each(|file| Ok(file.for_each_position_in(EVERYWHERE, &mut |_, at| found(at))?))
+        })?;
         let columns = columns_of(&detector, side)?;
         let (_one_at_a_time, folder) = (RunFolder::begin(), RunFolder::claim(folder)?);
         let versions = files.iter().map(|file| version(file.source())).collect::<Result<_>>()?;
@@ -31,7 +37,7 @@ impl TiledRun {
                 plan.versions = versions;
                 plan.write(&folder)?;
             }
-            return Ok(Self { detector, plan, id, folder, copc: files });
+            return Self { detector, plan, id, folder, copc: files }.resolved();
         }
         let mut extent = Extent::default();
         for file in &files {
@@ -43,8 +49,7 @@ impl TiledRun {
         plan.num_points = files.iter().map(Copc::num_points).sum();
         plan.tiles = tiles(&detector, &plan, &files, &bounds)?;
         folder.clear(|name| is_kept(&folder, name, &id))?;
-        plan.write(&folder)?;
-        Ok(Self { detector, plan, id, folder, copc: files })
+        Self { detector, plan, id, folder, copc: files }.measured()
     }
 
     /// As [`TiledRun::open`], of a run of [`TiledRun::prepare_copc`] whose files are not on a disk that all machines see.
@@ -55,12 +60,12 @@ impl TiledRun {
         let folder = RunFolder::join(folder)?;
         let plan = Plan::of_settings(&folder, &detector.settings())?;
         plan.check_files(&folder, &files)?;
-        Ok(Self { detector, id: plan.source.id()?, plan, folder, copc: files })
+        Self { detector, id: plan.source.id()?, plan, folder, copc: files }.resolved()
     }
 
     /// Calls `found` with all points in a rectangle of columns, and with others, and their indices in the cloud.
     pub(crate) fn for_each_near(&self, columns: &[Range<i32>; 2], found: &mut dyn FnMut(Point, u64)) -> Result<()> {
-        // The cells are found in the narrower numbers of the points: one more column has those at the border.
+        // The columns are found in the narrower numbers of the points: one more has those at the border.
         let [low, high] = self.corners(&widen(columns, 1));
         let mut first = 0;
         for file in &self.copc {
@@ -75,19 +80,16 @@ impl TiledRun {
 
 /// The tiles that may have points, by place.
 fn tiles(detector: &TileDetector, plan: &Plan, files: &[Copc], bounds: &Bounds) -> Result<Vec<Tile>> {
-    let cell = |corner| detector.cell(&subtract_origin(corner, plan.origin));
-    let (low, high) = (cell(bounds.low)?, cell(bounds.high)?);
+    let column = |corner| detector.column(&subtract_origin(corner, plan.origin));
+    let (low, high) = (column(bounds.low)?, column(bounds.high)?);
     let number = |low: [i32; 2], high: [i32; 2]| -> u64 {
         (0..2).map(|axis| u64::from(high[axis].abs_diff(low[axis])) + 1).fold(1, u64::saturating_mul)
     };
-    // At least one window a column, if all of the ground has points.
-    let num_columns = number([low[0], low[1]], [high[0], high[1]]);
-    detector.check_windows(num_columns as usize, plan.num_points as usize)?;
     let mut shares: BTreeMap<[i32; 2], f64> = BTreeMap::new();
     for (node, num_points) in files.iter().flat_map(Copc::nodes) {
         let at = |corner: [f64; 3], axis: usize| corner[axis].clamp(bounds.low[axis], bounds.high[axis]);
-        let corner = |of: [f64; 3]| cell(std::array::from_fn(|axis| at(of, axis)));
-        let [low, high] = [corner(node.low)?, corner(node.high)?].map(|[x, y, _]| plan.place([x, y, 0]));
+        let corner = |of: [f64; 3]| column(std::array::from_fn(|axis| at(of, axis)));
+        let [low, high] = [corner(node.low)?, corner(node.high)?].map(|column| plan.place(column));
         let share = num_points as f64 / number(low, high) as f64;
         // A point may lie two steps of the coordinates outside of its node, in the next tile.
         for x in low[0] - 1..=high[0] + 1 {
@@ -102,11 +104,6 @@ fn tiles(detector: &TileDetector, plan: &Plan, files: &[Copc], bounds: &Bounds) 
     let side = plan.source.columns;
     let [first, last] = [low, high].map(|columns| place(side, columns));
     let is_inside = |at: &[i32; 2]| (0..2).all(|axis| (first[axis]..=last[axis]).contains(&at[axis]));
-    let tile = |(place, share): ([i32; 2], f64)| {
-        let own = plan.columns(place);
-        let begin = [0, 1].map(|axis: usize| own[axis].start.max(low[axis]));
-        let end = [0, 1].map(|axis: usize| (own[axis].end - 1).min(high[axis]));
-        Tile { place, num_points: share.round() as u64, num_windows: number(begin, end) }
-    };
+    let tile = |(place, share): ([i32; 2], f64)| Tile { place, num_points: share.round() as u64 };
     Ok(shares.into_iter().filter(|(place, _)| is_inside(place)).map(tile).collect())
 }

@@ -1,5 +1,5 @@
-//! The candidates of a tile on disk, as safetensors: `position` `(N, 3)`, `saliency`, `occupancy` and `cell` `(N, 3)`. The
-//! metadata has the bounds of the positions along x and y, and the counts.
+//! The candidates of a tile on disk, as safetensors: `position` `(N, 3)`, `saliency`, `occupancy`, `start` and `cell`
+//! `(N, 3)`. The metadata has the bounds of the positions along x and y, and the counts.
 
 use safetensors::tensor::{Dtype, SafeTensors, TensorView};
 use serde::{Deserialize, Serialize};
@@ -38,12 +38,13 @@ pub(crate) fn write(folder: &RunFolder, run: &str, place: [i32; 2], found: &Tile
     let of = |value: fn(&Candidate) -> f32| -> Vec<u8> {
         candidates.iter().flat_map(|candidate| value(candidate).to_ne_bytes()).collect()
     };
-    let (saliency, occupancy) = (of(|c| c.saliency), of(|c| c.occupancy));
+    let (saliency, occupancy, start) = (of(|c| c.saliency), of(|c| c.occupancy), of(|c| c.start));
     let number = candidates.len();
     let tensors = [
         ("position", Dtype::F32, vec![number, 3], &positions),
         ("saliency", Dtype::F32, vec![number], &saliency),
         ("occupancy", Dtype::F32, vec![number], &occupancy),
+        ("start", Dtype::F32, vec![number], &start),
         ("cell", Dtype::I32, vec![number, 3], &cells),
     ]
     .map(|(name, dtype, shape, bytes)| TensorView::new(dtype, shape, bytes).map(|view| (name, view)));
@@ -78,9 +79,11 @@ fn parse(bytes: &[u8]) -> std::result::Result<Vec<Candidate>, String> {
     let data = |name| file.tensor(name).map(|tensor| tensor.data()).map_err(|e| e.to_string());
     let positions: Vec<Point> = bytemuck::pod_collect_to_vec(data("position")?);
     let cells: Vec<[i32; 3]> = bytemuck::pod_collect_to_vec(data("cell")?);
-    let saliency: Vec<f32> = bytemuck::pod_collect_to_vec(data("saliency")?);
-    let occupancy: Vec<f32> = bytemuck::pod_collect_to_vec(data("occupancy")?);
-    let values = positions.into_iter().zip(cells).zip(saliency.into_iter().zip(occupancy));
-    let candidate = |((position, cell), (saliency, occupancy))| Candidate { position, saliency, occupancy, cell };
+    let of = |name| data(name).map(bytemuck::pod_collect_to_vec::<u8, f32>);
+    let (saliency, occupancy, start) = (of("saliency")?, of("occupancy")?, of("start")?);
+    let scores = saliency.into_iter().zip(occupancy).zip(start);
+    let values = positions.into_iter().zip(cells).zip(scores);
+    let candidate =
+        |((position, cell), ((saliency, occupancy), start))| Candidate { position, saliency, occupancy, start, cell };
     Ok(values.map(candidate).collect())
 }

@@ -12,9 +12,11 @@ use crate::{Error, Result};
 pub struct TiledKeypoint {
     /// The keypoint relative to [`TiledRun::origin`]. Its `nearest_index` counts the points of all files.
     pub keypoint: Keypoint,
-    /// The place of the tile whose window found it.
+    /// The place of the tile that found it.
     pub tile: [i32; 2],
-    /// The cell of that window. Keypoints of equal saliency are ranked by it, and by their order in their tile.
+    /// Saliency where it started. Keypoints of equal saliency are ranked by it, then by the z, y and x of their cells.
+    pub start: f32,
+    /// The voxel where it started, along x, y and z.
     pub cell: [i32; 3],
 }
 
@@ -73,6 +75,7 @@ impl TiledRun {
         let keypoints = self.with_nearest(kept, control)?;
         let mut counts = detected.counts;
         counts.keypoints = keypoints.len();
+        counts.windows = 1;
         Ok(TiledDetection { keypoints, counts })
     }
 
@@ -90,8 +93,8 @@ impl TiledRun {
         Detected { summaries, counts, missing }
     }
 
-    /// The keypoints of one tile. Those of all tiles, sorted by falling saliency, then by cell and by their order here, are
-    /// those of [`TiledRun::finish`], which also limits their number.
+    /// The keypoints of one tile. Those of all tiles, sorted by falling saliency, then as [`TiledKeypoint::start`] says, are those
+    /// of [`TiledRun::finish`], which also limits their number.
     ///
     /// # Errors
     /// As [`TiledRun::finish`].
@@ -110,9 +113,9 @@ impl TiledRun {
         let positions: Vec<Point> = kept.iter().map(|(candidate, _)| candidate.position).collect();
         let nearest = self.nearest(&positions, control)?;
         let keypoint = |((candidate, tile), nearest): ((Candidate, [i32; 2]), u64)| {
-            let Candidate { position, saliency, occupancy, cell } = candidate;
+            let Candidate { position, saliency, occupancy, start, cell } = candidate;
             let keypoint = Keypoint { position, saliency, occupancy, nearest_index: nearest as usize };
-            TiledKeypoint { keypoint, tile, cell }
+            TiledKeypoint { keypoint, tile, start, cell }
         };
         Ok(kept.into_iter().zip(nearest).map(keypoint).collect())
     }

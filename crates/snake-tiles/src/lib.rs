@@ -5,8 +5,8 @@
 //! ```
 //!
 //! 1. [`TiledRun::prepare`] reads the files point by point and writes the points to a folder, a file for each tile.
-//! 2. [`TiledRun::detect`] encodes the windows of one tile and writes their candidates. It reads the points of the tile and
-//!    of a margin around it.
+//! 2. [`TiledRun::detect`] encodes the voxels of one tile and writes their candidates. It reads the points of the tile and of a
+//!    margin around it.
 //! 3. [`TiledRun::finish`] suppresses the candidates, again tile by tile with what it needs of the neighbours, and finds
 //!    the nearest point of each keypoint.
 //!
@@ -22,7 +22,7 @@
 //! # let scan = folder.path().join("scan.xyz");
 //! # let line = |i: u32| format!("{} {} {}\n", 0.05 * f64::from(i % 30), 0.05 * f64::from(i / 30), 0.01 * f64::from(i % 7));
 //! # std::fs::write(&scan, (0..900).map(line).collect::<String>())?;
-//! let model = Model::builtin(Builtin::Rooms);
+//! let model = Model::builtin(Builtin::Scenes);
 //! let detector = TileDetector::new(&model, model.recommended())?;
 //! let run = TiledRun::prepare(detector, &[scan], &Default::default(), 50.0, &folder.path().join("tiles"))?;
 //! for tile in run.tiles() {

@@ -1,9 +1,9 @@
-//! The nearest point of each keypoint.
+//! The nearest point of each keypoint, and of each point.
 
 use std::collections::BTreeMap;
 use std::ops::Range;
 
-use snake_core::space::nearest_points;
+use snake_core::space::{gaps, nearest_points};
 use snake_core::{Control, Point};
 
 use crate::Result;
@@ -14,13 +14,13 @@ impl TiledRun {
     pub(crate) fn nearest(&self, positions: &[Point], control: &Control) -> Result<Vec<u64>> {
         let mut by_place: BTreeMap<[i32; 2], Vec<usize>> = BTreeMap::new();
         for (index, position) in positions.iter().enumerate() {
-            by_place.entry(self.plan.place(self.detector.cell(position)?)).or_default().push(index);
+            by_place.entry(self.plan.place(self.detector.column(position)?)).or_default().push(index);
         }
         let counter = control.begin("nearest points", by_place.len());
         let mut nearest = vec![0; positions.len()];
         for (place, mut open) in by_place {
             counter.check()?;
-            let mut margin = self.detector.halo();
+            let mut margin = 1;
             // A point beyond the columns may be nearer, or none may be in them.
             while !open.is_empty() {
                 let columns = widen(&self.plan.columns(place), margin);
@@ -42,15 +42,37 @@ impl TiledRun {
         Ok(nearest)
     }
 
+    /// The mean distance of the distinct points of all tiles to their nearest other one: [`snake_core::space::resolution`] of the
+    /// cloud, if it has no outliers.
+    pub(crate) fn resolution(&self) -> Result<f64> {
+        let (mut sum, mut number) = (0.0, 0_u32);
+        for tile in self.tiles() {
+            let own = self.plan.columns(tile.place);
+            let (mut margin, mut known) = (1, None);
+            while known.is_none() {
+                let columns = widen(&own, margin);
+                let (points, _) = self.points(&columns)?;
+                let is_whole = self.plan.is_inside(&columns);
+                let is_own = |point: &Point| {
+                    let is_inside = |column: [i32; 2]| (0..2).all(|axis| own[axis].contains(&column[axis]));
+                    self.detector.column(point).is_ok_and(is_inside)
+                };
+                let own: Vec<(Point, f64)> = gaps(&points)?.into_iter().filter(|(point, _)| is_own(point)).collect();
+                let is_known = |(point, gap): &(Point, f64)| is_whole || self.detector.is_inside(point, *gap, &columns);
+                known = own.iter().all(is_known).then_some(own);
+                margin = margin.saturating_mul(2);
+            }
+            for (_, gap) in known.into_iter().flatten().filter(|(_, gap)| gap.is_finite()) {
+                sum += gap;
+                number += 1;
+            }
+        }
+        Ok(if number > 0 { sum / f64::from(number) } else { 0.0 })
+    }
+
     /// Whether all points that are as near as the found one lie in the columns.
     fn is_inside(&self, query: &Point, found: &Point, columns: &[Range<i32>; 2]) -> bool {
         let distance = (0..3).map(|axis| f64::from(query[axis] - found[axis]).powi(2)).sum::<f64>().sqrt();
-        let reach = distance * (1.0 + 1e-5);
-        (0..2).all(|axis| {
-            let [low, high] =
-                [columns[axis].start, columns[axis].end].map(|c| f64::from(c) * self.detector.cell_side());
-            let at = f64::from(query[axis]);
-            at - reach > low && at + reach < high
-        })
+        self.detector.is_inside(query, distance * (1.0 + 1e-5), columns)
     }
 }

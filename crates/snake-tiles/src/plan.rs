@@ -97,8 +97,6 @@ pub struct Tile {
     pub place: [i32; 2],
     /// Number of its points; an estimate when they are read from COPC files.
     pub num_points: u64,
-    /// Number of its windows, which take about equal times. For COPC files the number of its columns, with or without points.
-    pub num_windows: u64,
 }
 
 /// The tiles of a run, written once all points are on disk.
@@ -114,6 +112,8 @@ pub(crate) struct Plan {
     pub(crate) num_points: u64,
     pub(crate) num_skipped: u64,
     pub(crate) failures: Vec<Failure>,
+    /// The resolution of the cloud, if the options need it.
+    pub(crate) resolution: Option<f64>,
     /// By place, ascending.
     pub(crate) tiles: Vec<Tile>,
     /// The digests of the tiles' points; none when they are read by bounds.
@@ -130,7 +130,7 @@ impl Plan {
         failures: Vec<Failure>,
     ) -> Self {
         let (num_points, num_skipped, tiles, digests) = (0, 0, Vec::new(), Vec::new());
-        Self { source, versions, origin, crs, num_points, num_skipped, failures, tiles, digests }
+        Self { source, versions, origin, crs, num_points, num_skipped, failures, resolution: None, tiles, digests }
     }
 
     /// Whether the points of all tiles are on disk, undamaged. All of them are read.
@@ -195,15 +195,15 @@ impl Plan {
         self.tiles.iter().flat_map(names)
     }
 
-    /// The columns of cells of the tile at a place.
+    /// The columns of voxels of the tile at a place.
     pub(crate) fn columns(&self, place: [i32; 2]) -> [Range<i32>; 2] {
         let side = self.source.columns;
         place.map(|place| place * side..(place + 1) * side)
     }
 
-    /// The place of the tile of a cell.
-    pub(crate) fn place(&self, [x, y, _]: [i32; 3]) -> [i32; 2] {
-        place(self.source.columns, [x, y])
+    /// The place of the tile of a column.
+    pub(crate) fn place(&self, column: [i32; 2]) -> [i32; 2] {
+        place(self.source.columns, column)
     }
 
     /// Whether all tiles lie in a range of columns.

@@ -1,6 +1,5 @@
 //! A run in tiles: from files to keypoints.
 
-use std::collections::HashSet;
 use std::ops::Range;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -40,9 +39,9 @@ impl TiledRun {
     /// [`Error::Refused`] for a side that is not positive or makes tiles without number, for coordinates in degrees, and
     /// for files of different coordinate reference systems, for a folder with files that no run wrote, and for inputs that
     /// change while they are read; [`Error::InUse`] when another process has the folder; [`Error::Input`] when no file can
-    /// be read; [`Error::File`] when the folder cannot be written; [`Error::Core`] when the radius does not suit the cloud.
+    /// be read; [`Error::File`] when the folder cannot be written; [`Error::Core`] when the voxel size does not suit the cloud.
     pub fn prepare(
-        detector: TileDetector,
+        mut detector: TileDetector,
         files: &[PathBuf],
         read: &ReadOptions,
         side: f64,
@@ -51,6 +50,12 @@ impl TiledRun {
         if let Some(copc) = open_all(files, read) {
             return Self::prepare_copc(detector, copc, side, folder);
         }
+        choose_voxel_size(&mut detector, &mut |found| {
+            let outcomes = files.iter().map(|file| snake_io::for_each_position(file, read, found));
+            let (read, failed): (Vec<_>, Vec<_>) = outcomes.partition(|outcome| outcome.is_ok());
+            // One of several files that cannot be read becomes a failure later.
+            failed.into_iter().next().filter(|_| read.is_empty()).map_or(Ok(()), |error| Ok(error.map(drop)?))
+        })?;
         let columns = columns_of(&detector, side)?;
         let (_one_at_a_time, folder) = (RunFolder::begin(), RunFolder::claim(folder)?);
         let versions = versions(files)?;
@@ -60,7 +65,7 @@ impl TiledRun {
             && plan.points_fit(&folder)
         {
             folder.mend(plan.names())?;
-            return Ok(Self { detector, plan, id, folder, copc: Vec::new() });
+            return Self { detector, plan, id, folder, copc: Vec::new() }.resolved();
         }
         // What is wrong with the inputs is said before anything is removed.
         let Extent { bounds, crs, failures, .. } = extent(files, read)?;
@@ -71,8 +76,23 @@ impl TiledRun {
             let reason = "changed while they were read; begin again once they are complete".into();
             return Err(Error::Refused { what: "inputs", reason });
         }
-        plan.write(&folder)?;
-        Ok(Self { detector, plan, id, folder, copc: Vec::new() })
+        Self { detector, plan, id, folder, copc: Vec::new() }.measured()
+    }
+
+    /// A run whose plan is complete but for the cloud's resolution: measures it, and writes the plan.
+    pub(crate) fn measured(mut self) -> Result<Self> {
+        if self.detector.needs_resolution() {
+            self.plan.resolution = Some(self.resolution()?);
+        }
+        let run = self.resolved()?;
+        run.plan.write(&run.folder)?;
+        Ok(run)
+    }
+
+    /// A run of a plan: lengths in `r` get their value.
+    pub(crate) fn resolved(mut self) -> Result<Self> {
+        self.plan.resolution.map_or(Ok(()), |resolution| self.detector.set_resolution(resolution))?;
+        Ok(self)
     }
 
     /// Opens the run that [`TiledRun::prepare`] made in a folder, for another process or machine that sees the folder. The
@@ -84,7 +104,7 @@ impl TiledRun {
         let folder = RunFolder::join(folder)?;
         let plan = Plan::of_settings(&folder, &detector.settings())?;
         if !plan.source.by_bounds {
-            return Ok(Self { detector, id: plan.source.id()?, plan, folder, copc: Vec::new() });
+            return Self { detector, id: plan.source.id()?, plan, folder, copc: Vec::new() }.resolved();
         }
         let open = |path: &Path| {
             let file = LocalFile::new(path).map_err(Error::file(path))?;
@@ -145,7 +165,7 @@ impl TiledRun {
 
     /// The lowest and the highest corner of columns, in the units of the files.
     pub(crate) fn corners(&self, columns: &[Range<i32>; 2]) -> [[f64; 2]; 2] {
-        let at = |axis: usize, column: i32| f64::from(column) * self.detector.cell_side() + self.plan.origin[axis];
+        let at = |axis: usize, column: i32| f64::from(column) * self.detector.column_side() + self.plan.origin[axis];
         [[at(0, columns[0].start), at(1, columns[1].start)], [at(0, columns[0].end), at(1, columns[1].end)]]
     }
 
@@ -169,8 +189,16 @@ impl TiledRun {
             return Ok(());
         }
         let columns = self.plan.columns(tile.place);
-        let (points, _) = self.points(&widen(&columns, self.detector.halo()))?;
-        let found = self.detector.detect(&points, &columns, control)?;
+        let mut margin = self.detector.margin();
+        let found = loop {
+            let near = widen(&columns, margin);
+            let (points, _) = self.points(&widen(&near, self.detector.halo()))?;
+            let is_whole = self.plan.is_inside(&near);
+            if let Some(found) = self.detector.detect(&points, &columns, margin, is_whole, control)? {
+                break found;
+            }
+            margin = margin.saturating_mul(2);
+        };
         self.plan.check_folder(&self.folder)?;
         candidates::write(&self.folder, &self.id, tile.place, &found)
     }
@@ -179,8 +207,8 @@ impl TiledRun {
     pub(crate) fn points(&self, columns: &[Range<i32>; 2]) -> Result<(Vec<Point>, Vec<u64>)> {
         let mut found = Vec::new();
         let mut add = |point: Point, index: u64| {
-            let is_inside = |[x, y, _]: [i32; 3]| columns[0].contains(&x) && columns[1].contains(&y);
-            if self.detector.cell(&point).is_ok_and(is_inside) {
+            let is_inside = |[x, y]: [i32; 2]| columns[0].contains(&x) && columns[1].contains(&y);
+            if self.detector.column(&point).is_ok_and(is_inside) {
                 found.push((index, point));
             }
         };
@@ -225,9 +253,9 @@ fn sort_points(
             if outcome.is_ok() && position.iter().all(|v| v.is_finite()) {
                 let point = subtract_origin(position, origin);
                 outcome = detector
-                    .cell(&point)
+                    .column(&point)
                     .map_err(Error::from)
-                    .and_then(|[x, y, _]| writer.add(place(columns, [x, y]), point, index));
+                    .and_then(|column| writer.add(place(columns, column), point, index));
             } else {
                 plan.num_skipped += 1;
             }
@@ -235,14 +263,9 @@ fn sort_points(
         outcome?;
     }
     for (place, num_points, digest) in writer.finish()? {
-        let (mut tile, mut cells) = (Tile { place, num_points, num_windows: 0 }, HashSet::new());
-        for_each_point(folder, &tile, &digest, |point, _| cells.extend(detector.cell(&point)))?;
-        tile.num_windows = cells.len() as u64;
-        plan.tiles.push(tile);
+        plan.tiles.push(Tile { place, num_points });
         plan.digests.push(digest);
     }
-    let sum = |of: fn(&Tile) -> u64| plan.tiles.iter().map(of).sum::<u64>() as usize;
-    detector.check_windows(sum(|tile| tile.num_windows), sum(|tile| tile.num_points))?;
     Ok(plan)
 }
 
@@ -253,12 +276,44 @@ pub(crate) fn widen(columns: &[Range<i32>; 2], by: i32) -> [Range<i32>; 2] {
 
 /// The number of columns along a side of about `side` cloud units.
 pub(crate) fn columns_of(detector: &TileDetector, side: f64) -> Result<i32> {
-    let columns = (side / detector.cell_side()).round().max(1.0);
+    let columns = (side / detector.column_side()).round().max(1.0);
     if !(side > 0.0 && columns < f64::from(1 << 20)) {
-        let reason = format!("a side of {side}; allowed is about {} to 1000000 times that", detector.cell_side());
+        let reason = format!("a side of {side}; allowed is about {} to 1000000 times that", detector.column_side());
         return Err(Error::Refused { what: "tile", reason });
     }
     Ok(columns as i32)
+}
+
+/// Points of a cloud whose voxel size can be chosen, at most: they are read into memory for it.
+const CHOSEN_POINTS: usize = 2_000_000;
+
+/// Chooses the voxel size where the options have none. `read` calls its argument with all points.
+pub(crate) fn choose_voxel_size(
+    detector: &mut TileDetector,
+    read: &mut dyn FnMut(&mut dyn FnMut([f64; 3])) -> Result<()>,
+) -> Result<()> {
+    if !detector.needs_voxel_size() {
+        return Ok(());
+    }
+    let (mut positions, mut bounds, mut number) = (Vec::new(), Bounds::default(), 0_usize);
+    read(&mut |position| {
+        if position.iter().all(|v| v.is_finite()) {
+            bounds.add(position);
+            number += 1;
+            if number <= CHOSEN_POINTS {
+                positions.push(position);
+            }
+        }
+    })?;
+    if number > CHOSEN_POINTS {
+        let reason = format!(
+            "none is given, and {number} points are too many to choose one from (at most {CHOSEN_POINTS}); give a length in \
+             cloud units, on the command line with --voxel-size 0.1: details smaller than it are not seen"
+        );
+        return Err(Error::Refused { what: "voxel_size", reason });
+    }
+    let points: Vec<Point> = positions.into_iter().map(|position| subtract_origin(position, bounds.origin())).collect();
+    Ok(detector.choose_voxel_size(&points)?)
 }
 
 /// What is known of the cloud before its tiles.

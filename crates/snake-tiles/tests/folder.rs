@@ -6,17 +6,16 @@ use std::collections::BTreeMap;
 use std::fs;
 use std::path::{Path, PathBuf};
 
-use snake_core::{Builtin, Control, DetectOptions, Model, Options, TileDetector};
+use snake_core::{Builtin, Control, Model, Options, TileDetector};
 use snake_io::ReadOptions;
 use snake_tiles::{Error, TiledKeypoint, TiledRun};
 
 fn options() -> Options {
-    let detect = DetectOptions::default()
-        .with_query_resolution(10)
-        .with_refine_steps(0)
-        .with_saliency_threshold(0.01)
-        .with_nms_radius(Some(0.5.into()));
-    Options::default().with_detect(detect).with_window_radius(Some(4.0.into()))
+    let mut options = *Model::builtin(Builtin::Scenes).recommended();
+    options.encode.voxel_size = Some(0.4.into());
+    options.detect = options.detect.with_saliency_threshold(0.01).with_nms_radius(Some(0.5.into()));
+    options.detect.max_keypoints = 100_000;
+    options
 }
 
 /// A scan in a folder, and a place for its tiles.
@@ -34,7 +33,7 @@ fn prepare_with(model: &Model, scan: &Path, options: &Options, tiles: &Path) -> 
 }
 
 fn prepare(scan: &Path, tiles: &Path) -> snake_tiles::Result<TiledRun> {
-    prepare_with(&Model::builtin(Builtin::Rooms), scan, &options(), tiles)
+    prepare_with(&Model::builtin(Builtin::Scenes), scan, &options(), tiles)
 }
 
 fn finish(run: &TiledRun) -> Vec<TiledKeypoint> {
@@ -112,14 +111,14 @@ fn links_are_neither_followed_nor_removed() {
     // In the folder of a run a link takes the place of a file or a folder: nothing behind it changes.
     let mut other = options();
     other.detect.saliency_threshold = 0.02;
-    let rooms = Model::builtin(Builtin::Rooms);
+    let scenes = Model::builtin(Builtin::Scenes);
     let run = prepare(&scan, &tiles).unwrap();
     let keypoints = finish(&run);
     for name in ["points", "candidates"] {
         let (path, kept) = (tiles.join(name), folder.path().join("kept"));
         fs::rename(&path, &kept).unwrap();
         symlink(&real, &path).unwrap();
-        let errors = [prepare_with(&rooms, &scan, &other, &tiles).err(), prepare(&scan, &tiles).err()];
+        let errors = [prepare_with(&scenes, &scan, &other, &tiles).err(), prepare(&scan, &tiles).err()];
         assert!(errors.iter().filter(|error| matches!(error, Some(Error::Refused { .. }))).count() > 0, "{errors:?}");
         fs::remove_file(&path).unwrap();
         fs::rename(&kept, &path).unwrap();
@@ -130,7 +129,7 @@ fn links_are_neither_followed_nor_removed() {
     symlink(real.join("0_0.bin"), &candidates).unwrap();
     let open = run.tiles().iter().find(|tile| !run.is_detected(tile)).unwrap();
     assert!(matches!(run.detect(open, &Control::default()), Err(Error::Refused { .. })));
-    assert!(prepare_with(&rooms, &scan, &other, &tiles).unwrap_err().to_string().contains("candidates"));
+    assert!(prepare_with(&scenes, &scan, &other, &tiles).unwrap_err().to_string().contains("candidates"));
     assert_eq!(content(&real), before);
     fs::remove_file(&candidates).unwrap();
     assert_eq!(finish(&run), keypoints);
@@ -225,7 +224,7 @@ fn damage_during_a_run_is_an_error() {
 #[test]
 fn other_weights_and_other_inputs_of_the_same_metadata_begin_anew() {
     let (folder, scan, tiles) = scan();
-    let file = concat!(env!("CARGO_MANIFEST_DIR"), "/../snake-core/models/rooms.safetensors");
+    let file = concat!(env!("CARGO_MANIFEST_DIR"), "/../snake-core/models/scenes.safetensors");
     let mut bytes = fs::read(file).unwrap();
     let first = Model::from_bytes(&bytes).unwrap();
     let last = bytes.len() - 2;

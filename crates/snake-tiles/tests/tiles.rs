@@ -5,18 +5,16 @@ mod city;
 use std::fs;
 use std::path::{Path, PathBuf};
 
-use snake_core::{Builtin, Control, DetectOptions, Detection, Model, Options, TileDetector};
+use snake_core::{Builtin, Control, Detection, Model, Options, TileDetector};
 use snake_io::{ReadOptions, for_each_position, read_cloud};
-use snake_tiles::{TiledDetection, TiledRun};
+use snake_tiles::{TiledDetection, TiledKeypoint, TiledRun};
 
 fn options() -> Options {
-    let detect = DetectOptions::default()
-        .with_query_resolution(16)
-        .with_refine_steps(0)
-        .with_saliency_threshold(0.01)
-        .with_nms_radius(Some(0.5.into()))
-        .with_max_keypoints(100_000);
-    Options::default().with_detect(detect).with_window_radius(Some(4.0.into()))
+    let mut options = *Model::builtin(Builtin::Scenes).recommended();
+    options.encode.voxel_size = Some(0.2.into());
+    options.detect = options.detect.with_saliency_threshold(0.01).with_nms_radius(Some(0.5.into()));
+    options.detect.max_keypoints = 100_000;
+    options
 }
 
 fn write_city(path: &Path) {
@@ -26,7 +24,7 @@ fn write_city(path: &Path) {
 }
 
 fn prepare(files: &[PathBuf], options: &Options, side: f64, folder: &Path) -> snake_tiles::Result<TiledRun> {
-    let detector = TileDetector::new(&Model::builtin(Builtin::Rooms), options)?;
+    let detector = TileDetector::new(&Model::builtin(Builtin::Scenes), options)?;
     TiledRun::prepare(detector, files, &ReadOptions::default(), side, folder)
 }
 
@@ -47,10 +45,10 @@ fn five_tilings_an_interrupted_run_and_split_files_give_the_bits_of_the_whole_cl
     let scan = path("city.las");
     write_city(&scan);
     let cloud = read_cloud(&scan, &ReadOptions::default()).unwrap();
-    let whole = Model::builtin(Builtin::Rooms).detect(&cloud.points, &options()).unwrap();
+    let whole = Model::builtin(Builtin::Scenes).detect(&cloud.points, &options()).unwrap();
     assert!(whole.keypoints.len() > 100, "{}", whole.keypoints.len());
 
-    // The origin of the cells is that of the cloud, so each size has borders at other places.
+    // The origin of the voxels is that of the cloud, so each size has borders at other places.
     for side in [3.0, 6.5, 9.0, 14.0, 1000.0] {
         let run = prepare(std::slice::from_ref(&scan), &options(), side, &path("tiles")).unwrap();
         assert_eq!((run.origin(), run.num_points()), (cloud.origin, (6000, 0)));
@@ -63,16 +61,24 @@ fn five_tilings_an_interrupted_run_and_split_files_give_the_bits_of_the_whole_cl
     let run = prepare(std::slice::from_ref(&scan), &options(), 9.0, &path("shared")).unwrap();
     run.tiles().iter().for_each(|tile| run.detect(tile, &Control::default()).unwrap());
     let open = |options| {
-        TiledRun::open(TileDetector::new(&Model::builtin(Builtin::Rooms), &options).unwrap(), &path("shared"))
+        TiledRun::open(TileDetector::new(&Model::builtin(Builtin::Scenes), &options).unwrap(), &path("shared"))
     };
     let opened = open(options()).unwrap();
     let detected = opened.detected();
     let of_tile = |tile| opened.keypoints(tile, &detected, &Control::default()).unwrap();
     let mut keypoints: Vec<_> = opened.tiles().iter().flat_map(of_tile).collect();
-    keypoints.sort_by(|a, b| b.keypoint.saliency.total_cmp(&a.keypoint.saliency).then(a.cell.cmp(&b.cell)));
+    let by_place = |found: &TiledKeypoint| [found.cell[2], found.cell[1], found.cell[0]];
+    keypoints.sort_by(|a, b| {
+        b.keypoint
+            .saliency
+            .total_cmp(&a.keypoint.saliency)
+            .then(b.start.total_cmp(&a.start))
+            .then_with(|| by_place(a).cmp(&by_place(b)))
+    });
     assert_eq!(keypoints, run.finish(&Control::default()).unwrap().keypoints);
     assert!(keypoints.iter().map(|k| &k.keypoint).eq(&whole.keypoints));
-    let other = options().with_window_radius(Some(4.5.into()));
+    let mut other = options();
+    other.encode.voxel_size = Some(0.5.into());
     assert!(open(other).unwrap_err().to_string().contains("other options"));
 
     // A run that ends after some tiles goes on without the input, and repeats none of them.
@@ -156,7 +162,7 @@ fn tiles_read_by_bounds_from_copc_give_the_bits_of_the_whole_cloud() {
     write_copc(&scan);
     let cloud = read_cloud(&scan, &ReadOptions::default()).unwrap();
     assert_eq!(cloud.points.len(), 6000);
-    let whole = Model::builtin(Builtin::Rooms).detect(&cloud.points, &options()).unwrap();
+    let whole = Model::builtin(Builtin::Scenes).detect(&cloud.points, &options()).unwrap();
     assert!(whole.keypoints.len() > 100, "{}", whole.keypoints.len());
     for side in [6.5, 1000.0] {
         let run = prepare(std::slice::from_ref(&scan), &options(), side, &path("tiles")).unwrap();
@@ -181,7 +187,7 @@ fn tiles_read_by_bounds_from_copc_give_the_bits_of_the_whole_cloud() {
     run.detect(&run.tiles()[0], &Control::default()).unwrap();
     assert!(begin().is_detected(&run.tiles()[0]));
     let open =
-        || TiledRun::open(TileDetector::new(&Model::builtin(Builtin::Rooms), &options()).unwrap(), &path("again"));
+        || TiledRun::open(TileDetector::new(&Model::builtin(Builtin::Scenes), &options()).unwrap(), &path("again"));
     assert_equal(&finish(&open().unwrap()), &whole, "opened");
     let mut bytes = fs::read(&scan).unwrap();
     bytes.push(0);
@@ -233,13 +239,17 @@ fn damaged_copc_files_are_errors() {
     page[12..].copy_from_slice(&(-1_i32).to_le_bytes());
     assert!(outcome(octree + 16, &page).contains("the octree is damaged"));
 
-    // A tile of a damaged chunk is an error; a damaged octree leaves the points of a LAZ file, which are sorted.
+    // A tile of a damaged chunk is an error, as is the preparation if it needs all points; a damaged octree leaves the points of a LAZ file, which are sorted.
     outcome(chunk + 30, &[0; 4]);
-    let run = prepare(std::slice::from_ref(&scan), &options(), 8.0, &tiles).unwrap();
+    let error = prepare(std::slice::from_ref(&scan), &options(), 8.0, &tiles).unwrap_err().to_string();
+    assert!(error.contains("city.copc.laz"), "{error}");
+    let mut options = options();
+    options.detect.mode_radius = Some(0.6.into());
+    let run = prepare(std::slice::from_ref(&scan), &options, 8.0, &tiles).unwrap();
     let error = run.detect(&run.tiles()[0], &Control::default()).unwrap_err().to_string();
     assert!(error.contains("city.copc.laz"), "{error}");
     outcome(octree, &77_i32.to_le_bytes());
-    let run = prepare(std::slice::from_ref(&scan), &options(), 8.0, &tiles).unwrap();
+    let run = prepare(std::slice::from_ref(&scan), &options, 8.0, &tiles).unwrap();
     assert!(fs::read_dir(tiles.join("points")).unwrap().count() > 3);
     assert_eq!(run.num_points().0, 6000);
 }

@@ -19,7 +19,7 @@ use snake_io::{self as io, Cloud, Contents, KeypointFormat, KeypointSource};
 
 use crate::inputs::{DASH, check_inputs, expand, missing_returns, output_origin};
 use crate::output::{InputFiles, in_folder};
-use crate::setup::{Loaded, Models};
+use crate::setup::{Loaded, Models, Suits};
 use crate::terminal::{self, Bar, Report};
 use crate::timing::{STAGES, Seconds};
 use args::DetectArguments;
@@ -33,8 +33,8 @@ pub fn run(arguments: &DetectArguments) -> Result<ExitCode> {
     arguments.compute.start_threads()?;
     let loading = Instant::now();
     let progress = Progress::default();
-    let models =
-        arguments.compute.load_models(arguments.options.suits(), |loaded| arguments.options.resolve(loaded))?;
+    let suits = if arguments.tiles.tile.is_some() { Suits::Scenes } else { arguments.options.suits() };
+    let models = arguments.compute.load_models(suits, |loaded| arguments.options.resolve(loaded))?;
     let control = Control::new().progress(&progress);
     let load_model = loading.elapsed().as_secs_f64();
     let inputs = expand(&arguments.inputs, arguments.input.input_format, io::is_recording)?;

@@ -61,12 +61,14 @@ pub fn run(
     let ((num_points, num_skipped), counts) = (run.num_points(), found.counts);
     let mut report = Report::default();
     report.line(format!(
-        "{} keypoints from {num_points} points ({num_skipped} not finite) with {} windows in {} tiles in {:.1} s",
+        "{} keypoints from {num_points} points ({num_skipped} not finite) in {} tiles in {:.1} s",
         counts.keypoints,
-        counts.windows,
         run.tiles().len(),
         start.elapsed().as_secs_f64()
     ));
+    if let Some(voxel_size) = run.options().encode.voxel_size {
+        report.line(format!("voxels of {voxel_size}"));
+    }
     report.line(format!(
         "{} queries, {} occupied, {} above the saliency threshold",
         counts.queries, counts.occupied, counts.above_threshold
@@ -103,15 +105,15 @@ fn check(arguments: &DetectArguments, inputs: &[PathBuf], output: &Path) -> Resu
 
 /// Detects all tiles that are not done. Returns the places of the tiles that failed.
 fn detect(run: &TiledRun, folder: &Path) -> Result<Vec<[i32; 2]>> {
-    let windows = |tiles: &mut dyn Iterator<Item = &Tile>| tiles.map(|tile| tile.num_windows).sum::<u64>();
-    let all = windows(&mut run.tiles().iter());
+    let points = |tiles: &mut dyn Iterator<Item = &Tile>| tiles.map(|tile| tile.num_points).sum::<u64>();
+    let all = points(&mut run.tiles().iter());
     let bar = terminal::progress(all as usize)?;
     let open: Vec<&Tile> = run.tiles().iter().filter(|tile| !run.is_detected(tile)).collect();
-    bar.begin_at((all - windows(&mut open.iter().copied())) as usize);
+    bar.begin_at((all - points(&mut open.iter().copied())) as usize);
     let mut failed = Vec::new();
     for (number, tile) in open.iter().enumerate() {
         bar.set_message(format!(
-            "windows, tile {} of {}",
+            "points, tile {} of {}",
             run.tiles().len() - open.len() + number + 1,
             run.tiles().len()
         ));
@@ -123,7 +125,7 @@ fn detect(run: &TiledRun, folder: &Path) -> Result<Vec<[i32; 2]>> {
                 report(&bar, run, tile, error.into());
             }
         }
-        bar.advance(tile.num_windows);
+        bar.advance(tile.num_points);
     }
     bar.finish();
     if failed.len() == run.tiles().len() {
