@@ -47,13 +47,13 @@ def test_the_recipe_of_the_released_weights_runs(tmp_path):
     assert load_network(tmp_path / "scenes/scenes.safetensors")
 
 
-@pytest.mark.parametrize("name", ["compact", "paper"])
+@pytest.mark.parametrize("name", ["compact", "standard", "paper"])
 def test_a_recipe_of_objects_ends_with_a_weight_file_and_its_figures(tmp_path, name, capsys):
     """Without data, and the second time with some: then what is done stays."""
     main([str(RECIPES / f"{name}.toml"), "--run-dir", str(tmp_path), "--smoke"])
     weights = tmp_path / f"{name}/{name}.safetensors"
-    assert weights.stat().st_size < (1_000_000 if name == "compact" else 10_000_000)
-    assert load_network(weights).config.unet_base_channels == (16 if name == "compact" else 32)
+    assert weights.stat().st_size < (10_000_000 if name == "paper" else 1_000_000)
+    assert load_network(weights).config.unet_base_channels == (32 if name == "paper" else 16)
     figures = json.loads((tmp_path / name / "figures/figures.json").read_text())
     assert set(figures) == {"repeatability", "keypoints", "options"}
     done = json.loads((tmp_path / name / "figures/done.json").read_text())
