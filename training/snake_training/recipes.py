@@ -109,8 +109,9 @@ class Recipe:
         for stage in self.stages:
             folder = self.run_dir / stage["name"]
             done = folder / "done.json"
+            made = {"stage": stage, "smoke": self.smoke}
             if done.exists():
-                if json.loads(done.read_text())["stage"] != stage:
+                if not made.items() <= json.loads(done.read_text()).items():
                     raise ValueError(f"{folder} was made with other settings; delete it, or give another --run-dir")
                 continue
             folder.mkdir(parents=True, exist_ok=True)
@@ -118,7 +119,7 @@ class Recipe:
             getattr(self, stage["kind"])(stage, folder, log)
             seconds = round(time.time() - began)
             with replacing(done) as temporary:
-                temporary.write_text(json.dumps({"stage": stage, "seconds": seconds, "processor": processor()}))
+                temporary.write_text(json.dumps(made | {"seconds": seconds, "processor": processor()}))
             log(f"{stage['name']}: {seconds} s")
 
     def options(self, stage, smoke):

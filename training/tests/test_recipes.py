@@ -108,6 +108,11 @@ def test_other_settings_than_those_of_the_results_are_refused(run_dir, tmp_path)
         Recipe(tmp_path / "other.toml", run_dir, smoke=True).run()
 
 
+def test_a_smoke_is_not_taken_for_the_real_run(run_dir):
+    with pytest.raises(ValueError, match="crops was made with other settings"):
+        Recipe(RECIPES / "scenes-from-nothing.toml", run_dir).run()
+
+
 @pytest.mark.parametrize(
     ("line", "word"),
     [
