@@ -3,7 +3,7 @@ VENV := .venv
 PYTHON := $(VENV)/bin/python
 export VIRTUAL_ENV := $(CURDIR)/$(VENV)
 
-.PHONY: help test test-aarch64 test-examples check golden bench bench-registration models wheel manylinux results fuzz
+.PHONY: help quick test dist site test-aarch64 test-examples check golden bench bench-registration models wheel manylinux results fuzz
 .DEFAULT_GOAL := help
 
 help:  ## this list
@@ -33,6 +33,12 @@ $(VENV)/bench-ready: $(VENV)/ready
 .PHONY: module
 module: $(VENV)/ready
 	$(VENV)/bin/maturin develop --release --quiet --manifest-path python/Cargo.toml
+
+quick:  ## after every edit, three minutes: format, lints, kernels, core, command line
+	cargo fmt --check
+	cargo clippy --release --workspace --exclude snake-rs-python --all-targets --features $(FEATURES)
+	cargo test --release --features $(FEATURES) -p snake-kernels -p snake-core --lib
+	cargo test --release -p snake-cli --test cli -- detect:: register:: usage:: outputs::
 
 # What the tests and the examples need beside the default features. tests/test_embedding.py runs what is compiled here.
 FEATURES := snake-core/arrow,snake-core/tracing
@@ -111,6 +117,20 @@ models: $(VENV)/ready  ## all weights from their recipes into runs/: make models
 
 results:  ## docs/results.md: make results OBJECTS=FOLDER LANDMARKS=FOLDER SCENES="FOLDER .." (or one of them), LIMIT=NUMBER of objects; resumable
 	python3 docs/results.py $(if $(OBJECTS),--objects $(OBJECTS)) $(if $(LANDMARKS),--landmarks $(LANDMARKS)) $(if $(SCENES),--scenes $(SCENES)) $(if $(LIMIT),--limit $(LIMIT))
+
+dist: manylinux  ## target/dist: an archive of the program with completions, manual and licences, and the wheel
+	python3 tools/dist.py
+	cp "$$(ls -t target/wheels/snake_rs-*manylinux*.whl | head -n 1)" target/dist
+
+$(VENV)/site-ready: $(VENV)/ready
+	$(PYTHON) -m pip install --quiet "mkdocs-material<10" "mkdocstrings[python]"
+	touch $@
+
+site: module $(VENV)/site-ready  ## target/site: the pages, the API of Python and of Rust; open target/site/index.html or serve it
+	python3 tools/site.py
+	NO_MKDOCS_2_WARNING=1 $(VENV)/bin/mkdocs build --quiet
+	cargo doc --release --workspace --exclude snake-rs-python --exclude snake-cli --no-deps
+	cp -r target/doc target/site/rustdoc
 
 wheel: $(VENV)/ready  ## a wheel of the Python module in target/wheels
 	$(VENV)/bin/maturin build --release --manifest-path python/Cargo.toml

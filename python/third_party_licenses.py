@@ -1,27 +1,28 @@
 """Writes LICENSE-THIRD-PARTY: the licences of all Rust crates that the wheel contains, and of the C code in them.
 
 python python/third_party_licenses.py [--check]
+python python/third_party_licenses.py --package snake-cli --output FILE    # those of the program
 
 A crate that may be used under the Apache License 2.0 is used under it; its text stands once. Of the others all texts of their packages
 are taken. With --check the file is compared and not written.
 """
 
+import argparse
 import json
 import re
 import subprocess
-import sys
 from pathlib import Path
 
 FOLDER = Path(__file__).parent
 OUTPUT = FOLDER / "LICENSE-THIRD-PARTY"
-CRATE = "snake-rs-python"
+WHEEL = "snake-rs-python"
 TEXTS = re.compile(r"^(LICEN[CS]E|COPYING|COPYRIGHT|NOTICE|UNLICENSE)", re.IGNORECASE)
 RULE = "=" * 80
 
 
-def crates() -> list[dict[str, str]]:
-    """The crates in the wheel, of all platforms: name, version, licence and folder."""
-    tree = ["cargo", "tree", "--package", CRATE, "--edges", "normal,no-proc-macro", "--target", "all"]
+def crates(package: str) -> list[dict[str, str]]:
+    """The crates in the wheel or in a program, of all platforms: name, version, licence and folder."""
+    tree = ["cargo", "tree", "--package", package, "--edges", "normal,no-proc-macro", "--target", "all"]
     lines = subprocess.run([*tree, "--prefix", "none", "--format", "{p}"], cwd=FOLDER, capture_output=True, check=True)
     used = {tuple(line.split()[:2]) for line in lines.stdout.decode().splitlines() if line}
     metadata = ["cargo", "metadata", "--format-version", "1"]
@@ -60,10 +61,11 @@ def texts(crate: dict[str, str]) -> list[str]:
     return found
 
 
-def page() -> str:
+def page(package: str) -> str:
     """The text of the file."""
-    listed = crates()
-    head = "The Python module snake_rs contains these Rust crates. Crates with the Apache License 2.0 among their licences are\n"
+    listed = crates(package)
+    name = "The Python module snake_rs" if package == WHEEL else f"The program {package}"
+    head = f"{name} contains these Rust crates. Crates with the Apache License 2.0 among their licences are\n"
     head += "used under it; its text is in LICENSE-APACHE. The other texts follow.\n\n"
     head += "\n".join(f"{crate['name']} {crate['version']}: {crate['license']}" for crate in listed)
     by_text: dict[str, list[str]] = {}
@@ -75,11 +77,16 @@ def page() -> str:
 
 
 def main() -> None:
-    if "--check" in sys.argv[1:]:
-        if OUTPUT.read_text(encoding="utf-8") != page():
-            raise SystemExit(f"{OUTPUT.name} is not that of Cargo.lock: python python/third_party_licenses.py")
-    else:
-        OUTPUT.write_text(page(), encoding="utf-8")
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--check", action="store_true", help="compare the file, and write nothing")
+    parser.add_argument("--package", default=WHEEL, help="crate of the program")
+    parser.add_argument("--output", type=Path, default=OUTPUT)
+    arguments = parser.parse_args()
+    text = page(arguments.package)
+    if not arguments.check:
+        arguments.output.write_text(text, encoding="utf-8")
+    elif arguments.output.read_text(encoding="utf-8") != text:
+        raise SystemExit(f"{OUTPUT.name} is not that of Cargo.lock: python python/third_party_licenses.py")
 
 
 if __name__ == "__main__":

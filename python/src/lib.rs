@@ -105,6 +105,14 @@ fn detect(
     Ok(Bound::new(py, Keypoints::from_detection(py, detection, origin, precision, Some(cloud))?)?.into_any().unbind())
 }
 
+/// What `detect` chooses between the models of objects and of scenes by: eight numbers of a cloud `(N, 3)`, or None if it is too
+/// small. `snake_training.cloud_kind` fits the weights of them.
+#[pyfunction]
+fn scene_signs(points: &Bound<'_, PyAny>) -> PyResult<Option<Vec<f64>>> {
+    let (cloud, _) = arrays::cloud("points", points)?;
+    Ok(snake_core::scene_signs(&cloud.points).map(Vec::from))
+}
+
 /// The model of a call with its options; where none is named, each cloud has the built-in one that suits it.
 struct Choice {
     given: (snake_core::Model, Options),
@@ -203,7 +211,7 @@ mod _core {
     use super::{
         Alignment, AlignmentEdge, DetectedTiles, Field, Keypoint, Keypoints, Mesh, Model, RecordedCloud, Recording,
         Registration, Tiles, align, detect, estimate_normals, fpfh, get_num_threads, match_keypoints, read_points,
-        read_recording, register, set_num_threads, tiles,
+        read_recording, register, scene_signs, set_num_threads, tiles,
     };
 
     /// Fills what pyo3, numpy and the kernels fill at their first use. While that happens the GIL is released, and a child

@@ -49,7 +49,7 @@ typedef struct SnakeKeypoint {
   float saliency;
   /// Occupancy at the position, 0 to 1.
   float occupancy;
-  /// Index of the nearest point of the cloud.
+  /// Index of the nearest point of the cloud, of all its points.
   size_t nearest_index;
 } SnakeKeypoint;
 
@@ -75,7 +75,8 @@ typedef struct SnakeRegistration {
 extern "C" {
 #endif // __cplusplus
 
-/// Detects the keypoints of a cloud. Points that are not finite are skipped.
+/// Detects the keypoints of a cloud. Points that are not finite, and a few that are much farther than all others, are left out.
+/// A cloud without finite points is an error.
 ///
 /// `options` is null for what the model recommends, or a JSON object of values that replace those, such as
 /// `{"max_keypoints": 20, "nms_radius": "3r"}`. `*detection` is null after an error.
@@ -139,7 +140,8 @@ enum SnakeStatus snake_set_num_threads(size_t num_threads);
 const char *snake_version(void);
 
 /// Finds the rigid transform from `source` to `target`, clouds of the same unit that may overlap in part, without an
-/// initial guess. `model` runs only if the options ask for its keypoints or descriptors.
+/// initial guess. `model` runs only if the options ask for its keypoints or descriptors. Points are left out as in
+/// `snake_detect`, and those that stand for missing returns, such as many at (0, 0, 0).
 ///
 /// `options` is null for the defaults, or a JSON object such as `{"gravity": "z", "hypotheses": 5}`. After an error
 /// `*registration` is unchanged.

@@ -18,7 +18,7 @@ pub struct SnakeKeypoint {
     pub saliency: f32,
     /// Occupancy at the position, 0 to 1.
     pub occupancy: f32,
-    /// Index of the nearest point of the cloud.
+    /// Index of the nearest point of the cloud, of all its points.
     pub nearest_index: usize,
 }
 
@@ -34,7 +34,8 @@ pub struct SnakeDetection {
     keypoints: Vec<SnakeKeypoint>,
 }
 
-/// Detects the keypoints of a cloud. Points that are not finite are skipped.
+/// Detects the keypoints of a cloud. Points that are not finite, and a few that are much farther than all others, are left out.
+/// A cloud without finite points is an error.
 ///
 /// `options` is null for what the model recommends, or a JSON object of values that replace those, such as
 /// `{"max_keypoints": 20, "nms_radius": "3r"}`. `*detection` is null after an error.

@@ -3,7 +3,7 @@
 //! Every function but those that free and ask returns a [`SnakeStatus`]. After a status other than
 //! [`SnakeStatus::Ok`], [`snake_last_error`] gives the reason as text, for each thread by itself, and the result is null
 //! or unchanged. No argument makes a function crash, as long as pointers are null or valid: null, wrong lengths and
-//! values that are not finite are errors, and so is a panic within the library.
+//! clouds without finite points are errors, and so is a panic within the library.
 //!
 //! A [`SnakeCloud`] is read where it is and may have padding. Results belong to the caller, who frees them with the function of their
 //! type. Models can be used by several threads at the same time.

@@ -74,6 +74,26 @@ fn keypoints_are_those_of_the_core_packed_and_padded() {
 }
 
 #[test]
+fn points_that_are_not_finite_or_far_from_all_others_are_left_out() {
+    let (points, model) = (torus(), compact());
+    let found = detect(model, packed(&points), None).unwrap();
+    let bad = [[f32::NAN, 0.0, 0.0], [0.0, f32::INFINITY, 0.0], [1e6, 0.0, 0.0]];
+    let with_bad = [&bad, &points[..]].concat();
+    // The index counts all points.
+    let expected: Vec<_> =
+        found.iter().map(|keypoint| SnakeKeypoint { nearest_index: keypoint.nearest_index + 3, ..*keypoint }).collect();
+    assert_eq!(detect(model, packed(&with_bad), None).unwrap(), expected);
+    let transform = |source: &[[f32; 3]]| unsafe {
+        let mut found = std::mem::zeroed();
+        let status = snake_register(model, packed(source), packed(&points), null(), &mut found);
+        assert_eq!(status, SnakeStatus::Ok);
+        found.t_target_source
+    };
+    assert_eq!(transform(&with_bad), transform(&points));
+    unsafe { snake_model_free(model) };
+}
+
+#[test]
 fn bad_clouds_and_options_are_errors() {
     let (points, model) = (torus(), compact());
     let good = packed(&points);

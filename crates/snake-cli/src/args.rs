@@ -40,7 +40,7 @@ Environment:
   NO_COLOR       turns colours off; colours are only used on a terminal
 
 Configuration (snake.toml): model = \"NAME or FILE\", threads = N, [options] for every model, and
-[models.NAME] or [models.'FILE'] for one. Options have the names that `snake-cli model` prints. The
+[models.NAME] or [models.'FILE'] for one. Options have the names that `snake-cli options` prints. The
 command line comes first, then the environment, then the configuration, then what the model recommends;
 with --preset the options of the configuration do not apply."
 )]
@@ -88,7 +88,7 @@ pub enum Command {
   snake-cli detect scan.ply -o keypoints.csv --max-keypoints 256 --nms-radius 0.05
   snake-cli detect clouds/ -o results/ --format json
   snake-cli detect part.stl --sample 20000 -o keypoints.ply
-  snake-cli detect room.pcd -o keypoints.ply --window-radius 1 --nms-radius 0.2
+  snake-cli detect room.pcd -o keypoints.ply --voxel-size 0.04 --set snap=true
   snake-cli detect - --input-format xyz -o - --format csv < scan.txt > keypoints.csv
   snake-cli detect city.laz --model rooms --tile 50 -o keypoints.parquet
   snake-cli detect scan.ply --json | jq '.keypoints[0]'")]
@@ -158,6 +158,11 @@ pub enum Command {
         #[arg(env = "SNAKE_MODEL", hide_env_values = true)]
         file: Option<PathBuf>,
     },
+    /// List the options that --set, `snake.toml` and Python take, with their values.
+    #[command(after_help = "Examples:
+  snake-cli options
+  snake-cli detect scan.ply --set mode_radius=4% --set snap=true")]
+    Options,
     /// Print the JSON schema of a line of `detect --json`.
     #[command(after_help = "Examples:
   snake-cli schema > detect.schema.json")]
@@ -171,5 +176,12 @@ pub enum Command {
     Completions {
         /// The shell.
         shell: Shell,
+    },
+    /// Write the manual pages of snake-cli and of its sub-commands to a folder.
+    #[command(after_help = "Examples:
+  snake-cli manual ~/.local/share/man/man1")]
+    Manual {
+        /// The folder; it is made if it does not exist.
+        folder: PathBuf,
     },
 }

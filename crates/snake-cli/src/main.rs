@@ -3,6 +3,7 @@
 
 mod align;
 mod args;
+mod completions;
 mod config;
 mod detect;
 mod eval;
@@ -14,6 +15,7 @@ mod output;
 mod reconstruct;
 mod register;
 mod render;
+mod set;
 mod setup;
 mod terminal;
 mod timing;
@@ -22,9 +24,8 @@ mod view;
 use std::process::ExitCode;
 
 use anyhow::Result;
+use clap::Parser;
 use clap::error::{ContextKind, ContextValue, ErrorKind};
-use clap::{CommandFactory, Parser};
-use clap_complete::Shell;
 
 use args::{Arguments, Command};
 use snake_core::printable;
@@ -52,8 +53,10 @@ fn run(command: &Command) -> Result<ExitCode> {
         Command::Register(arguments) => return register::run(arguments),
         Command::View(arguments) => view::run(arguments)?,
         Command::Model { file } => model::run(file.as_deref())?,
+        Command::Options => set::list()?,
         Command::Schema => terminal::print_bytes(include_bytes!("schema.json"))?,
-        Command::Completions { shell } => complete(*shell)?,
+        Command::Completions { shell } => completions::print(*shell)?,
+        Command::Manual { folder } => completions::write_manual(folder)?,
     }
     Ok(ExitCode::SUCCESS)
 }
@@ -66,7 +69,19 @@ fn explain(error: clap::Error) -> ExitCode {
             // The help quotes no arguments, so it is safe to print.
             let _ = error.print();
         }
-        _ => terminal::usage_error(&with_printable_arguments(error).render().to_string()),
+        _ => {
+            let error = with_printable_arguments(error);
+            match error.get(ContextKind::InvalidArg) {
+                Some(ContextValue::String(flag)) if error.kind() == ErrorKind::UnknownArgument => {
+                    let instead = set::instead_of(flag);
+                    terminal::usage_error(&instead.map_or_else(
+                        || error.render().to_string(),
+                        |instead| format!("error: {flag} is the name of an option: {instead}\n"),
+                    ));
+                }
+                _ => terminal::usage_error(&error.render().to_string()),
+            }
+        }
     }
     code
 }
@@ -82,11 +97,4 @@ fn with_printable_arguments(error: clap::Error) -> clap::Error {
         error.insert(ContextKind::InvalidValue, ContextValue::String(value));
     }
     error
-}
-
-/// Prints the completion script of a shell.
-fn complete(shell: Shell) -> Result<()> {
-    let mut script = Vec::new();
-    clap_complete::generate(shell, &mut Arguments::command(), "snake-cli", &mut script);
-    terminal::print_bytes(&script)
 }

@@ -6,12 +6,12 @@ use std::time::Instant;
 use anyhow::{Context, Result};
 use clap::Args;
 use serde_json::json;
-use snake_core::{Cloud, Control, MeshOptions, Progress};
+use snake_core::{Cloud, Control, MeshOptions, Options, Progress};
 use snake_io as io;
 
 use crate::inputs::{InputArguments, output_origin};
 use crate::output::InputFiles;
-use crate::setup::{ComputeArguments, EncodeFlags, override_with};
+use crate::setup::{ComputeArguments, EncodeFlags, Loaded, override_with};
 use crate::terminal::{self, Report};
 
 #[derive(Args)]
@@ -52,17 +52,17 @@ pub fn run(arguments: &ReconstructArguments) -> Result<()> {
     override_with(&mut options.level, arguments.level);
     options.check()?;
     let progress = Progress::default();
-    let loaded = arguments.compute.load_model()?;
-    let model = &loaded.model;
+    let flags = &arguments.encode;
+    let models = arguments.compute.load_models(flags.suits(), |loaded| flags.resolve(loaded))?;
     let control = Control::new().progress(&progress);
-    let encode = arguments.encode.resolve(&loaded)?.encode;
-    terminal::detail("options", || json!({ "encode": encode, "mesh": options }).to_string());
+    let first = &models.first().options.encode;
     let bar = terminal::stages(&progress)?;
     bar.set_message(format!("{} ({} samples along each axis)", input.display(), options.resolution));
     let start = Instant::now();
-    let Cloud { points, origin } = arguments.reading.read(input, encode.seed)?.for_normalization(encode.normalization);
+    let Cloud { points, origin } = arguments.reading.read(input, first.seed)?.for_normalization(first.normalization);
+    let Loaded { model, options: Options { encode, .. }, .. } = models.for_cloud(&points);
     let read = start.elapsed().as_secs_f64();
-    let field = model.encode_with(&points, &encode, &control).with_context(|| input.display().to_string())?;
+    let field = model.encode_with(&points, encode, &control).with_context(|| input.display().to_string())?;
     bar.suspend(|| terminal::hint_outliers(&input.display().to_string(), &field));
     let encoded = start.elapsed().as_secs_f64();
     let mesh = field.mesh_with(&options, &control)?;
@@ -98,7 +98,7 @@ pub fn run(arguments: &ReconstructArguments) -> Result<()> {
         "{name}: {vertices} vertices, {triangles} triangles, area {area:.5} from {num_points} points in {total:.3} s"
     ));
     if triangles == 0 {
-        report.line("no surface: try a lower --level, or --normalization");
+        report.line("no surface: try a lower --level");
     }
     report.line(format!("written to {}", output.display()));
     terminal::print_report(&report)

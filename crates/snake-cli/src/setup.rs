@@ -6,8 +6,9 @@ use std::time::Instant;
 use anyhow::{Result, bail};
 use clap::Args;
 use serde::de::DeserializeOwned;
-use snake_core::{Length, Model, NormalizationMethod, Options, Preset, SimdLevel};
+use snake_core::{Builtin, Length, Model, Options, Point, Preset, SimdLevel};
 
+use crate::set::SetArguments;
 use crate::{config, model, terminal};
 
 /// The most threads on a machine with fewer processors: more threads would only wait for each other.
@@ -19,8 +20,6 @@ pub struct Loaded {
     /// The name in reports.
     pub name: String,
     pub options: Options,
-    /// Whether the model was not named anywhere.
-    pub is_default: bool,
 }
 
 /// Options of every sub-command that runs the network.
@@ -29,7 +28,8 @@ pub struct ComputeArguments {
     /// Weight file (.safetensors), or the name of a model. Built in are compact (for objects), standard (for objects,
     /// better and slower), scenes (for rooms, LiDAR sweeps and streets) and rooms (for rooms in metres, in windows). Any
     /// other NAME is a file NAME.safetensors in SNAKE_MODELS, beside the program or in the user's data folder [default:
-    /// compact; detect takes scenes for a cloud that looks like a sweep].
+    /// scenes
+    /// for a cloud that looks like a room, a sweep or terrain, else compact].
     #[arg(long, value_name = "MODEL", env = "SNAKE_MODEL", hide_env_values = true)]
     pub model: Option<PathBuf>,
     /// Number of threads, at most 256 or the number of processors [default: one for each processor]. The result does
@@ -66,20 +66,71 @@ impl ComputeArguments {
         Ok(())
     }
 
-    /// Loads the model of `--model`, by default the built-in one.
+    /// Loads the model of `--model`, by default `compact`.
     pub fn load_model(&self) -> Result<Loaded> {
-        let path = match &self.model {
+        load(self.named()?)
+    }
+
+    /// Loads the model of `--model`, or else those that suit the options, with the options as `resolve` changes them.
+    pub fn load_models(&self, suits: Suits, resolve: impl Fn(&Loaded) -> Result<Options>) -> Result<Models> {
+        let load = |path: Option<&Path>| -> Result<Loaded> {
+            let loaded = load(path)?;
+            Ok(Loaded { options: resolve(&loaded)?, ..loaded })
+        };
+        let scenes = Some(Path::new("scenes"));
+        let models = match (self.named()?, suits) {
+            (None, Suits::TheCloud) => Models { first: load(None)?, scenes: Some(load(scenes)?) },
+            (None, Suits::Scenes) => Models { first: load(scenes)?, scenes: None },
+            (named, _) => Models { first: load(named)?, scenes: None },
+        };
+        let options = &models.first.options;
+        terminal::detail("options", || serde_json::to_string(options).unwrap_or_default());
+        Ok(models)
+    }
+
+    /// The model that is named on the command line, in the environment or in the configuration.
+    fn named(&self) -> Result<Option<&Path>> {
+        Ok(match &self.model {
             None => config::get()?.model.as_deref(),
             given => given.as_deref(),
-        };
-        Ok(Loaded { is_default: path.is_none(), ..load(path)? })
+        })
     }
 }
 
-impl Loaded {
-    /// The built-in model for scenes.
-    pub fn scenes() -> Result<Self> {
-        load(Some(Path::new("scenes")))
+/// Which built-in model suits options of the command line.
+#[derive(Clone, Copy, PartialEq, Eq)]
+pub enum Suits {
+    /// Options that only models of objects have.
+    Objects,
+    /// Options that only models of scenes have.
+    Scenes,
+    /// Options that all have: the cloud decides.
+    TheCloud,
+}
+
+/// The model of a run with its options, or, where none is named, the built-in models of which each cloud gets its own.
+pub struct Models {
+    first: Loaded,
+    scenes: Option<Loaded>,
+}
+
+impl Models {
+    /// The model for a cloud.
+    pub fn for_cloud(&self, points: &[Point]) -> &Loaded {
+        match &self.scenes {
+            Some(scenes) if Builtin::for_cloud(points) == Builtin::Scenes => scenes,
+            _ => &self.first,
+        }
+    }
+
+    /// The model for everything that is no cloud, such as the options of reading.
+    pub fn first(&self) -> &Loaded {
+        &self.first
+    }
+
+    /// Whether the cloud decides.
+    pub fn are_chosen(&self) -> bool {
+        self.scenes.is_some()
     }
 }
 
@@ -90,7 +141,7 @@ fn load(path: Option<&Path>) -> Result<Loaded> {
     terminal::detail("model", || {
         format!("{name}, {} parameters, {:.3} s", model.num_parameters(), start.elapsed().as_secs_f64())
     });
-    Ok(Loaded { model, name, options, is_default: false })
+    Ok(Loaded { model, name, options })
 }
 
 /// Options of the encoding. Each one defaults to the value of the preset, or else to the model's recommended value.
@@ -101,19 +152,6 @@ pub struct EncodeFlags {
     /// or 3dmatch), or the options of the model standard [default: the model's own].
     #[arg(long)]
     preset: Option<String>,
-    /// How the cloud is mapped into the network's cube ±0.5. unit-sphere: the mean moves to the origin, the farthest
-    /// point to the sphere of radius 0.5. principal-axes: the same, and the cloud is encoded in its principal axes, so
-    /// that keypoints hardly depend on how it is turned. unit-cube: the mean moves to the origin, the largest coordinate
-    /// to ±0.5. none: the cloud already lies in the cube [default: principal-axes].
-    #[arg(long, value_parser = named::<NormalizationMethod>)]
-    normalization: Option<NormalizationMethod>,
-    /// Encode at most this many points, drawn at random. The report gives the number of encoded points
-    /// [default: all points].
-    #[arg(long)]
-    max_points: Option<usize>,
-    /// Seed of the random draws of --max-points and --sample [default: 0].
-    #[arg(long)]
-    seed: Option<u64>,
     /// Average the field over this many rotated copies of the cloud. Keypoints repeat far better, and the time grows in
     /// proportion [default: 1].
     #[arg(long)]
@@ -122,26 +160,31 @@ pub struct EncodeFlags {
     /// than a voxel are not seen [default: chosen from the cloud].
     #[arg(long, value_name = "LENGTH")]
     voxel_size: Option<Length>,
+    #[command(flatten)]
+    set: SetArguments,
 }
 
 impl EncodeFlags {
-    /// Whether a preset or a normalisation is named, which suit only some models.
-    pub fn names_a_model(&self) -> bool {
-        self.preset.is_some() || self.normalization.is_some()
-    }
-
-    /// The options of the preset or the model, with the encoding overridden by the command line.
+    /// The options of the preset or the model, with those of the command line in their place.
     pub fn resolve(&self, loaded: &Loaded) -> Result<Options> {
-        let mut preset = match &self.preset {
+        let mut options = match &self.preset {
             Some(name) => Preset::named(name)?.options(),
             None => loaded.options,
         };
-        override_with(&mut preset.encode.normalization, self.normalization);
-        override_with(&mut preset.encode.max_points, self.max_points.map(Some));
-        override_with(&mut preset.encode.seed, self.seed);
-        override_with(&mut preset.encode.rotations, self.rotations);
-        override_with(&mut preset.encode.voxel_size, self.voxel_size.map(none_if_zero));
-        Ok(preset)
+        override_with(&mut options.encode.rotations, self.rotations);
+        override_with(&mut options.encode.voxel_size, self.voxel_size.map(none_if_zero));
+        self.set.apply(&options)
+    }
+
+    /// What the options say of the model where none is named.
+    pub fn suits(&self) -> Suits {
+        if self.voxel_size.is_some() || self.set.names("voxel_size") {
+            Suits::Scenes
+        } else if self.preset.is_some() || self.set.names("normalization") || self.rotations.is_some_and(|n| n > 1) {
+            Suits::Objects
+        } else {
+            Suits::TheCloud
+        }
     }
 }
 

@@ -93,6 +93,7 @@ pub use limits::Limits;
 #[cfg(feature = "builtin-models")]
 pub use model::Builtin;
 pub use model::Model;
+pub use named_options::with_named_values;
 pub use nms::Fate;
 pub use options::{DetectOptions, EncodeOptions, MeshOptions, Options, Preset, RefineMethod, Selection};
 pub use outliers::Outliers;
@@ -104,6 +105,7 @@ pub use printable::{is_harmful, printable};
 pub use progress::{Progress, Stage};
 pub use rigid_transform::RigidTransform;
 pub use scale_hint::scale_hint;
+pub use scene::scene_signs;
 pub use side_by_side::side_by_side;
 pub use snake_kernels::SimdLevel;
 pub use surface::Mesh;

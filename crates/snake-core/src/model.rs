@@ -14,7 +14,7 @@ use crate::network::Network;
 use crate::options::Preset;
 use crate::options::{EncodeOptions, Options};
 use crate::points::{FinitePoints, Point};
-use crate::scene::is_sweep;
+use crate::scene::{is_sweep, looks_like_scene};
 use crate::windows::detect_in_windows;
 use crate::{Error, Result};
 
@@ -41,11 +41,11 @@ pub enum Builtin {
 
 #[cfg(feature = "builtin-models")]
 impl Builtin {
-    /// The model for a cloud `(N, 3)` in any unit: [`Builtin::Scenes`] if it looks like the sweep of a sensor in its midst, else
-    /// [`Builtin::Compact`]. A room looks like a hollow object: name the model of a room.
+    /// The model for a cloud `(N, 3)` in any unit: [`Builtin::Scenes`] if it looks like the sweep of a sensor in its midst, or
+    /// like a room, a street or terrain by its [`scene_signs`](crate::scene_signs); else [`Builtin::Compact`].
     pub fn for_cloud(points: &[Point]) -> Self {
         match FinitePoints::of("points", points) {
-            Ok(used) if is_sweep(&used.points) => Self::Scenes,
+            Ok(used) if is_sweep(&used.points) || looks_like_scene(&used.points) => Self::Scenes,
             _ => Self::Compact,
         }
     }

@@ -1,5 +1,7 @@
 //! Options replaced by name, for callers that have them as text: files of settings and other languages.
 
+use serde::Serialize;
+use serde::de::DeserializeOwned;
 use serde_json::{Map, Value};
 
 use crate::options::Options;
@@ -21,23 +23,34 @@ impl Options {
     /// # Errors
     /// [`Error::Input`] for an unknown name, with all names, and for a value of another type.
     pub fn with_values(&self, values: &Map<String, Value>) -> Result<Self> {
-        let refused = |reason| Error::Input { what: "options", reason };
-        let mut tree = serde_json::to_value(self).map_err(|error| refused(error.to_string()))?;
-        let mut options = *self;
-        for (name, value) in values {
-            let places = ["/encode/", "/detect/", "/"].map(|part| format!("{part}{name}"));
-            let is_option = |place: &&String| tree.pointer(place).is_some_and(|value| !value.is_object());
-            let Some(place) = places.iter().find(is_option) else {
-                return Err(refused(format!("unknown option `{name}`; the options are {}", names(&tree).join(", "))));
-            };
-            if let Some(slot) = tree.pointer_mut(place) {
-                *slot = value.clone();
-            }
-            options = serde_json::from_value(tree.clone())
-                .map_err(|error| refused(format!("option `{name}` is {value}: {error}")))?;
-        }
-        Ok(options)
+        with_named_values(self, values)
     }
+}
+
+/// Options of any kind with some of them replaced by name, as [`Options::with_values`] does.
+///
+/// # Errors
+/// [`Error::Input`] for an unknown name, with all names, and for a value of another type.
+pub fn with_named_values<T: Clone + Serialize + DeserializeOwned>(
+    options: &T,
+    values: &Map<String, Value>,
+) -> Result<T> {
+    let refused = |reason| Error::Input { what: "options", reason };
+    let mut tree = serde_json::to_value(options).map_err(|error| refused(error.to_string()))?;
+    let mut replaced = options.clone();
+    for (name, value) in values {
+        let places = ["/encode/", "/detect/", "/"].map(|part| format!("{part}{name}"));
+        let is_option = |place: &&String| tree.pointer(place).is_some_and(|value| !value.is_object());
+        let Some(place) = places.iter().find(is_option) else {
+            return Err(refused(format!("unknown option `{name}`; the options are {}", names(&tree).join(", "))));
+        };
+        if let Some(slot) = tree.pointer_mut(place) {
+            *slot = value.clone();
+        }
+        replaced = serde_json::from_value(tree.clone())
+            .map_err(|error| refused(format!("option `{name}` is {value}: {error}")))?;
+    }
+    Ok(replaced)
 }
 
 /// The names of all options.

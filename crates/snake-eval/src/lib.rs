@@ -34,10 +34,13 @@
 
 #![forbid(unsafe_code)]
 
+mod coverage;
 #[cfg(feature = "datasets")]
 pub mod datasets;
 #[cfg(feature = "datasets")]
 mod error;
+#[cfg(feature = "datasets")]
+mod external;
 mod registration;
 mod repeatability;
 #[cfg(feature = "datasets")]
@@ -53,8 +56,11 @@ use snake_core::RigidTransform;
 use snake_core::space::check_points;
 use snake_core::space::{Vector, vector};
 
+pub use coverage::{RankedKeypoints, radius_of_coverage};
 #[cfg(feature = "datasets")]
 pub use error::Error;
+#[cfg(feature = "datasets")]
+pub use external::ExternalKeypoints;
 pub use registration::{
     RegistrationOutcome, feature_matching_recall, information_matrix, inlier_ratio, overlap, registration_recall,
     squared_registration_error,

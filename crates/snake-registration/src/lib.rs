@@ -24,51 +24,30 @@
 //! # Ok::<(), snake_core::Error>(())
 //! ```
 //!
+//! In folders: `parts/` are plain steps; `pair/` prepares two clouds, matches and refines; `verdict/` says whether the result can be
+//! relied on; `many/` aligns many clouds; `detectors/` are classical keypoints.
+//!
 //! `t_target_source` maps a point from the source frame to the target frame: `p_target = R p_source + t`. Results have
 //! the same bits for any number of threads.
 
 #![forbid(unsafe_code)]
 
-mod align;
-mod cloud;
-mod consistency;
-mod constraint;
-mod depth_image;
-mod describe;
 pub mod detectors;
-mod fast_fpfh;
-mod fine;
-mod fpfh;
-mod icp;
-mod match_graph;
-mod matching;
-mod medians;
-mod near_grid;
-mod nearest;
-mod open_motions;
+mod many;
 mod options;
 mod pair;
-mod prepared;
-mod ransac;
-mod register;
-mod repeats;
+mod parts;
 mod result;
-mod rigid;
-mod scan;
-mod sentinels;
-mod slide;
-mod surface;
 mod verdict;
-mod viewpoint;
 
-pub use align::{AlignOptions, Alignment, Edge, Pose, align, align_with};
-pub use cloud::estimate_normals;
-pub use describe::describe;
-pub use fpfh::{FPFH_DIMENSION, fpfh};
-pub use matching::mutual_nearest;
+pub use many::{AlignOptions, Alignment, Edge, Pose, align, align_with};
 pub use options::{Axis, Descriptor, KeypointDetector, RegisterOptions};
-pub use ransac::{Consensus, RansacOptions, ransac};
-pub use register::{register, register_with};
+pub use pair::describe::describe;
+pub use pair::register::{register, register_with};
+pub use pair::scan::Scan;
+pub use parts::cloud::estimate_normals;
+pub use parts::fpfh::{FPFH_DIMENSION, fpfh};
+pub use parts::matching::mutual_nearest;
+pub use parts::ransac::{Consensus, RansacOptions, ransac};
+pub use parts::rigid::{kabsch, transform_points};
 pub use result::{Hypothesis, Registration, ViewpointUsed};
-pub use rigid::{kabsch, transform_points};
-pub use scan::Scan;

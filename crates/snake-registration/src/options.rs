@@ -7,7 +7,7 @@ use serde::{Deserialize, Serialize};
 use snake_core::space::{Vector, resolution};
 use snake_core::{Error, Length, Point, Result, RigidTransform, setters};
 
-use crate::medians::upper_median;
+use crate::parts::medians::upper_median;
 
 /// Options of [`register`](crate::register()).
 ///

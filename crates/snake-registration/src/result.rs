@@ -44,13 +44,13 @@ pub struct Registration {
     pub match_spread: f64,
     /// How well planar patches of the overlap fix the direction of motion that they fix least: of their squared motion, the
     /// share against patches that face it. It is 0 if the source can slide or turn on the target, about 0.1 if surfaces face
-    /// all ways.
+    /// all ways. Where less than half of the overlap lies on patches and slides fit worse by 0.07, it is `slide_margin`.
     pub weakest_constraint: f64,
     /// By how much the overlap (a share, 0 to 1, less twice the violated free space) exceeds that of slides of the source
     /// by 2 to 12 inlier distances along the direction that is fixed least; below 0 if a slide fits better.
     pub slide_margin: f64,
     /// Of the patches that tell, the share that agrees where the target looks alike, as one period farther along a row of
-    /// equal pillars; 0 if it looks alike nowhere.
+    /// equal pillars; 0 if it looks alike nowhere or `fitness` is at most 0.8.
     pub repeat_fit: f64,
     /// The information matrix (inverse covariance up to the noise) of the transform, for a pose graph: of a small
     /// rotation (radians) and then a small translation (cloud units) of the source in the target frame. It is the sum of

@@ -140,18 +140,70 @@ fn corridors_and_tunnels_are_open_along_their_axis() {
 
 #[test]
 fn a_row_of_pillars_is_not_left_by_one_period() {
-    for period in [1.2, 2.0] {
+    for (period, half, side) in [(1.2, 0.2, 2.0), (2.0, 0.2, 2.0), (2.0, 0.19, 1.7), (1.65, 0.4, 1.6), (2.3, 0.16, 2.2)]
+    {
         let mut scene = corridor();
         scene.rooms[0] = [[-200.0, -2.5, 0.0], [200.0, 2.5, 2.6]];
         for x in -40..40 {
             let x = period * f64::from(x);
-            scene.boxes.extend([-2.0, 2.0].map(|y| [[x, y - 0.2, 0.0], [x + 0.4, y + 0.2, 2.6]]));
+            scene.boxes.extend([-side, side].map(|y| [[x, y - half, 0.0], [x + 2.0 * half, y + half, 2.6]]));
         }
-        for (rays, most) in [(camera(0.0), 12.0), (lidar(-0.5, 0.5), 20.0)] {
+        // A camera may look along the row or across it.
+        for (name, rays, most) in
+            [("ahead", camera(0.0), 12.0), ("aside", camera(0.35), 12.0), ("LiDAR", lidar(-0.5, 0.5), 20.0)]
+        {
             let seen = |x: f64, seed| scene.seen([x, 0.0, 1.4], &rays, most, 0.005, seed);
             let found = run(&seen(0.7, 1), &seen(0.7 + period, 2)).unwrap();
-            assert!(!found.is_reliable && found.is_ambiguous, "{period}: {found:?}");
+            assert!(!found.is_reliable && found.is_ambiguous, "{period} {half}, {name}: {found:?}");
         }
+    }
+}
+
+/// Clouds whose 16 nearest points are nowhere a planar patch: a curve wound around a torus with a dent, points in a bulky
+/// volume, wires, and a thin fence.
+fn clouds_without_patches() -> [(&'static str, Vec<Point>); 4] {
+    let torus = |i: i32| {
+        let (u, v) = (0.1 * i as f32, 0.7 * i as f32);
+        let ring = 1.0 + 0.3 * v.cos();
+        let (x, y) = (ring * u.cos(), ring * u.sin());
+        [x, y, 0.3 * v.sin() + (x - 0.4 * y).max(0.5)]
+    };
+    let mut rng = ChaCha8Rng::seed_from_u64(5);
+    let mut random = move |low: f32, high: f32| rng.random_range(low..high);
+    let volume = (0..6000).map(|_| [(); 3].map(|()| random(-1.0, 1.0)));
+    // The height varies over the ground.
+    let volume = volume.map(|[x, y, z]| [x, 0.8 * y, 0.5 * z * (1.2 + (2.0 * x).sin() + y)]).collect();
+    let wire = |i: i32| {
+        let (k, t) = ((i % 9) as f32, (i / 9) as f32 / 400.0);
+        [t * (1.0 + 0.1 * k) - 0.02 * k * k, 0.25 * k + 0.2 * (t * (3.0 + k)).sin(), 0.15 * (k * t).cos() * k]
+    };
+    let bars = (0..5000).map(|i| {
+        let k = (i % 12) as f32;
+        let along = 1.3 * (i / 12) as f32 / 416.0;
+        let noise = [(); 3].map(|()| random(-0.01, 0.01));
+        let bar = if k < 7.0 {
+            [0.3 * k - 0.01 * k * k, along, 0.0]
+        } else {
+            [1.9 * along - 0.2, 0.2 * (k - 6.0).powf(1.1), 0.1]
+        };
+        [0, 1, 2].map(|axis| bar[axis] + noise[axis])
+    });
+    [
+        ("torus", (0..4000).map(torus).collect()),
+        ("volume", volume),
+        ("wires", (0..3600).map(wire).collect()),
+        ("fence", bars.collect()),
+    ]
+}
+
+#[test]
+fn exact_copies_of_clouds_without_planar_patches_are_reliable() {
+    for (name, source) in clouds_without_patches() {
+        let target: Vec<Point> = source.iter().map(|[x, y, z]| [3.0 - y, *x, *z]).collect();
+        let found = run(&source, &target).unwrap();
+        let t = found.t_target_source.to_matrix();
+        let error = (0..3).map(|axis| (t[axis][3] - [3.0, 0.0, 0.0][axis]).abs()).fold(0.0, f64::max);
+        assert!(found.is_reliable && error < 1e-3 && (t[1][0] - 1.0).abs() < 1e-3, "{name}: {found:?}");
     }
 }
 

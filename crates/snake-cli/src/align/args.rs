@@ -2,6 +2,7 @@
 
 use std::path::PathBuf;
 
+use anyhow::Result;
 use clap::Args;
 use snake_registration::AlignOptions;
 
@@ -41,9 +42,9 @@ pub struct AlignArguments {
 
 impl AlignArguments {
     /// The defaults, overridden by the command line.
-    pub fn options(&self) -> AlignOptions {
-        let mut options = AlignOptions::default().with_register(self.register.resolve());
+    pub fn options(&self) -> Result<AlignOptions> {
+        let mut options = AlignOptions::default().with_register(self.register.resolve()?);
         override_with(&mut options.max_partners, self.max_partners);
-        options
+        Ok(options)
     }
 }

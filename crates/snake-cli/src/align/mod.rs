@@ -14,6 +14,7 @@ use snake_registration::{Alignment, align_with, transform_points};
 
 use crate::inputs::{check_inputs, expand, output_origin};
 use crate::output::InputFiles;
+use crate::setup::Suits;
 use crate::terminal::{self, Report};
 use args::AlignArguments;
 
@@ -29,8 +30,8 @@ pub fn run(arguments: &AlignArguments) -> Result<ExitCode> {
     check_inputs(&inputs)?;
     let files = InputFiles::new(inputs.iter().chain(&arguments.compute.model));
     output.iter().chain(merged).try_for_each(|path| files.refuse_as_output(path))?;
-    let mut options = arguments.options();
-    let model = arguments.compute.load_model()?.model;
+    let mut options = arguments.options()?;
+    let models = arguments.compute.load_models(Suits::TheCloud, |loaded| Ok(loaded.options))?;
     terminal::detail("options", || serde_json::to_string(&options).unwrap_or_default());
     let progress = Progress::default();
     let bar = terminal::stages(&progress)?;
@@ -47,7 +48,8 @@ pub fn run(arguments: &AlignArguments) -> Result<ExitCode> {
     for (input, points) in inputs.iter().zip(&points) {
         Normalization::of(points, NormalizationMethod::UnitSphere).with_context(|| input.display().to_string())?;
     }
-    let near = align_with(&points, &model, &options, &control).context("cannot align the clouds")?;
+    let model = &models.for_cloud(points.first().copied().unwrap_or_default()).model;
+    let near = align_with(&points, model, &options, &control).context("cannot align the clouds")?;
     bar.finish();
 
     let mut merged_origin = [0.0; 3];

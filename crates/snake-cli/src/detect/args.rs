@@ -4,11 +4,11 @@ use std::path::PathBuf;
 
 use anyhow::Result;
 use clap::Args;
-use snake_core::{Length, Options, RefineMethod, Selection};
+use snake_core::{Length, Options};
 use snake_io::KeypointFormat;
 
 use crate::inputs::InputArguments;
-use crate::setup::{ComputeArguments, EncodeFlags, Loaded, named, none_if_zero, override_with};
+use crate::setup::{ComputeArguments, EncodeFlags, Loaded, Suits, named, none_if_zero, override_with};
 
 #[derive(Args)]
 pub struct DetectArguments {
@@ -73,44 +73,9 @@ pub struct TileArguments {
 pub struct DetectFlags {
     #[command(flatten)]
     encode: EncodeFlags,
-    /// Split the cloud into overlapping balls of this radius and encode each one separately. Use windows for rooms and
-    /// larger scenes, whose details are lost when the whole cloud is encoded at once. The radius is in cloud units, or
-    /// in multiples of the cloud's resolution (`40r`). --normalization is ignored with windows [default: no windows].
-    #[arg(long, value_name = "LENGTH")]
-    window_radius: Option<Length>,
-    /// Number of queries along each axis of the initial grid [default: 64].
-    #[arg(long)]
-    query_resolution: Option<usize>,
-    /// Evaluate only queries that are at most this many voxels, along each axis, from a voxel with points; 0 evaluates
-    /// all queries. A small band is faster and rarely changes the result [default: 1].
-    #[arg(long)]
-    query_band: Option<usize>,
-    /// Number of refinement steps (J in the paper) [default: 0].
-    #[arg(long)]
-    refine_steps: Option<usize>,
-    /// Step size of the refinement, in network units (the cube ±0.5) [default: 0.001].
-    #[arg(long)]
-    refine_step_size: Option<f32>,
-    /// Optimiser of the refinement: adam or gradient-descent [default: adam].
-    #[arg(long, value_parser = named::<RefineMethod>)]
-    refine_method: Option<RefineMethod>,
-    /// Position that a refined query keeps: best-position, or reference-final-position as in the paper's released code
-    /// [default: best-position].
-    #[arg(long, value_parser = named::<Selection>)]
-    selection: Option<Selection>,
-    /// Refine only queries whose occupancy, a probability, is above this threshold [default: 0.5].
-    #[arg(long)]
-    occupancy_threshold: Option<f32>,
-    /// Keep only refined positions whose occupancy, a probability, is above this threshold [default: 0.8].
-    #[arg(long)]
-    surface_threshold: Option<f32>,
     /// Keep only keypoints whose saliency, 0 to 1, is above this threshold [default: 0.07].
     #[arg(long)]
     saliency_threshold: Option<f32>,
-    /// Before suppression, move keypoints to the weighted mean of the candidates within this radius. A length as of
-    /// --nms-radius; 0 turns it off [default: 6%].
-    #[arg(long, value_name = "LENGTH")]
-    mode_radius: Option<Length>,
     /// Radius of non-maximum suppression: keypoints are farther apart than this. The radius is in cloud units, in
     /// multiples of the cloud's resolution, the mean distance between nearest points (`3r`), in per cent of the cloud's
     /// radius (`10%`), or in voxels (`4v`); 0 turns suppression off [default: 10%].
@@ -119,15 +84,12 @@ pub struct DetectFlags {
     /// Keep at most this many keypoints, those with the highest saliency [default: 64].
     #[arg(long)]
     max_keypoints: Option<usize>,
-    /// Move each keypoint to its nearest input point [default: no].
-    #[arg(long)]
-    snap: bool,
 }
 
 impl DetectFlags {
-    /// Whether an option is given that suits only models with a cube.
-    pub fn names_a_model(&self) -> bool {
-        self.encode.names_a_model() || self.window_radius.is_some()
+    /// What the options say of the model where none is named.
+    pub fn suits(&self) -> Suits {
+        self.encode.suits()
     }
 
     /// The number of --max-keypoints, if it is given.
@@ -135,24 +97,13 @@ impl DetectFlags {
         self.max_keypoints
     }
 
-    /// The options of a run: the options of the preset or the model, overridden by the command line.
+    /// The options of a run: the options of the preset or the model, with those of the command line in their place.
     pub fn resolve(&self, loaded: &Loaded) -> Result<Options> {
-        let mut preset = self.encode.resolve(loaded)?;
-        override_with(&mut preset.window_radius, self.window_radius.map(Some));
-        let detect = &mut preset.detect;
-        override_with(&mut detect.query_resolution, self.query_resolution);
-        override_with(&mut detect.query_band, self.query_band);
-        override_with(&mut detect.refine_steps, self.refine_steps);
-        override_with(&mut detect.refine_step_size, self.refine_step_size);
-        override_with(&mut detect.refine_method, self.refine_method);
-        override_with(&mut detect.selection, self.selection);
-        override_with(&mut detect.occupancy_threshold, self.occupancy_threshold);
-        override_with(&mut detect.surface_threshold, self.surface_threshold);
+        let mut options = self.encode.resolve(loaded)?;
+        let detect = &mut options.detect;
         override_with(&mut detect.saliency_threshold, self.saliency_threshold);
-        override_with(&mut detect.mode_radius, self.mode_radius.map(none_if_zero));
         override_with(&mut detect.nms_radius, self.nms_radius.map(none_if_zero));
         override_with(&mut detect.max_keypoints, self.max_keypoints);
-        override_with(&mut detect.snap, self.snap.then_some(true));
-        Ok(preset)
+        Ok(options)
     }
 }

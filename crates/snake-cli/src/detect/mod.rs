@@ -14,12 +14,12 @@ use std::time::Instant;
 
 use anyhow::{Context, Result, anyhow, bail};
 use serde_json::{Value, json};
-use snake_core::{Builtin, Control, Detection, Options, Progress, add_origin, cluster_hint, scale_hint, side_by_side};
+use snake_core::{Control, Detection, Progress, add_origin, cluster_hint, scale_hint, side_by_side};
 use snake_io::{self as io, Cloud, Contents, KeypointFormat, KeypointSource};
 
 use crate::inputs::{DASH, check_inputs, expand, missing_returns, output_origin};
 use crate::output::{InputFiles, in_folder};
-use crate::setup::Loaded;
+use crate::setup::{Loaded, Models};
 use crate::terminal::{self, Bar, Report};
 use crate::timing::{STAGES, Seconds};
 use args::DetectArguments;
@@ -33,32 +33,22 @@ pub fn run(arguments: &DetectArguments) -> Result<ExitCode> {
     arguments.compute.start_threads()?;
     let loading = Instant::now();
     let progress = Progress::default();
-    let loaded = arguments.compute.load_model()?;
+    let models =
+        arguments.compute.load_models(arguments.options.suits(), |loaded| arguments.options.resolve(loaded))?;
     let control = Control::new().progress(&progress);
     let load_model = loading.elapsed().as_secs_f64();
-    let options = arguments.options.resolve(&loaded)?;
-    terminal::detail("options", || serde_json::to_string(&options).unwrap_or_default());
-    // Where no model is named, each cloud has the one that suits it.
-    let is_chosen = loaded.is_default && !arguments.options.names_a_model();
-    let scenes = is_chosen.then(Loaded::scenes).transpose()?;
-    let of_scenes = scenes.as_ref().map(|scenes| arguments.options.resolve(scenes)).transpose()?;
     let inputs = expand(&arguments.inputs, arguments.input.input_format, io::is_recording)?;
     check_inputs(&inputs)?;
-    let job = Job {
-        loaded: (&loaded, &options),
-        scenes: scenes.as_ref().zip(of_scenes.as_ref()),
-        arguments,
-        control: &control,
-        hinted: &Mutex::default(),
-    };
+    let job = Job { models: &models, arguments, control: &control, hinted: &Mutex::default() };
     if recording::is_given(arguments, &inputs)? {
         return recording::run(&job, &inputs[0], terminal::stages(&progress)?, load_model);
     }
     if let (Some(side), Some(output)) = (arguments.tiles.tile, &arguments.output) {
-        return tiled::run(arguments, &loaded.model, options, &inputs, side, output);
+        let Loaded { model, options, .. } = models.first();
+        return tiled::run(arguments, model, *options, &inputs, side, output);
     }
     let outputs = outputs(arguments, &inputs)?;
-    let is_parallel = options.window_radius.is_none() && inputs.iter().all(|input| is_small(input));
+    let is_parallel = models.first().options.window_radius.is_none() && inputs.iter().all(|input| is_small(input));
     let bar = match &inputs[..] {
         [_] => terminal::stages(&progress)?,
         several if is_parallel => terminal::progress(several.len())?,
@@ -129,9 +119,7 @@ fn outputs(arguments: &DetectArguments, inputs: &[PathBuf]) -> Result<Vec<Result
 /// What all clouds of a run share.
 #[derive(Clone, Copy)]
 struct Job<'a> {
-    loaded: (&'a Loaded, &'a Options),
-    /// The model for scenes, if each cloud has the model that suits it.
-    scenes: Option<(&'a Loaded, &'a Options)>,
+    models: &'a Models,
     arguments: &'a DetectArguments,
     control: &'a Control,
     /// The hints that were printed.
@@ -157,7 +145,7 @@ impl Job<'_> {
     /// Processes one input from file to file.
     fn process_file(&self, input: &Path, name: &str, output: Option<&Path>, bar: &Bar) -> Result<Processed> {
         let start = Instant::now();
-        let contents = self.arguments.input.read_without_hint(input, self.loaded.1.encode.seed)?;
+        let contents = self.arguments.input.read_without_hint(input, self.models.first().options.encode.seed)?;
         self.process(Item { input, name, output, recorded: None, contents, start, bar })
     }
 
@@ -167,11 +155,8 @@ impl Job<'_> {
         let missing_returns = missing_returns(&contents);
         let Contents { cloud, crs, .. } = contents;
         let Self { arguments, control, .. } = *self;
-        let Cloud { points, origin } = cloud.for_normalization(self.loaded.1.encode.normalization);
-        let (Loaded { model, name: model_name, .. }, options) = match self.scenes {
-            Some(scenes) if Builtin::for_cloud(&points) == Builtin::Scenes => scenes,
-            _ => self.loaded,
-        };
+        let Cloud { points, origin } = cloud.for_normalization(self.models.first().options.encode.normalization);
+        let Loaded { model, name: model_name, options } = self.models.for_cloud(&points);
         let read = start.elapsed().as_secs_f64();
         // Before the detection, which may take minutes at the wrong scale.
         let mut hints: Vec<String> = Vec::new();
@@ -207,7 +192,7 @@ impl Job<'_> {
             Report::json(&line)?
         } else {
             let mut report = table(name, output, points.len(), origin, &detection, total)?;
-            if self.scenes.is_some() {
+            if self.models.are_chosen() {
                 report.line(format!("model: {model_name}, as the cloud looks; --model NAME names another"));
             }
             report
@@ -294,7 +279,7 @@ fn table(
     let (queries, occupied, above) = (counts.queries, counts.occupied, counts.above_threshold);
     report.line(format!("{queries} queries, {occupied} occupied, {above} above the saliency threshold"));
     if keypoints.is_empty() {
-        let advice = if occupied == 0 { "--occupancy-threshold or --normalization" } else { "--saliency-threshold" };
+        let advice = if occupied == 0 { "--set occupancy_threshold=0.3" } else { "a lower --saliency-threshold" };
         report.line(format!("no keypoints: try {advice}"));
     } else {
         let [x, y, z] = ["x", "y", "z"];

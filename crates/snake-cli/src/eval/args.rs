@@ -8,7 +8,7 @@ use snake_registration::detectors::Detector;
 use snake_registration::{Descriptor, KeypointDetector};
 
 use crate::inputs::ColumnArguments;
-use crate::setup::{ComputeArguments, named};
+use crate::setup::{ComputeArguments, EncodeFlags, named};
 
 #[derive(Subcommand)]
 pub enum Eval {
@@ -133,6 +133,11 @@ pub struct RepeatabilityArguments {
     /// Number of points in each view, drawn at random [default: 5000, rooms: 10240].
     #[arg(long)]
     pub num_points: Option<usize>,
+    /// Suppress the keypoints of each method so far that they cover the clouds alike: that the mean distance of a point to the
+    /// nearest keypoint is this, in units of the data set. The radius of each method and condition is found on the first view
+    /// of every pair, and methods are then compared fairly.
+    #[arg(long, value_name = "DISTANCE", conflicts_with = "nms_radius")]
+    pub coverage: Option<f64>,
     #[command(flatten)]
     pub common: EvalArguments,
 }
@@ -166,16 +171,17 @@ pub struct EvalArguments {
     /// Number of keypoints of each cloud, the best ones.
     #[arg(long, default_value_t = 64)]
     pub count: usize,
-    /// Named set of options of the method snake, as in `detect` [default: the model's own].
-    #[arg(long)]
-    pub preset: Option<String>,
     /// Radius of non-maximum suppression, in cloud units or in multiples of the cloud's resolution (`3r`). It applies
     /// to all ranked methods [default: from the options of snake, none for the others; in `semantic` 0.1 for all].
     #[arg(long, value_name = "LENGTH")]
     pub nms_radius: Option<Length>,
-    /// Radius of the windows of the method snake, as in `detect` [default: from its options].
-    #[arg(long, value_name = "LENGTH")]
-    pub window_radius: Option<Length>,
+    /// Also evaluate the keypoints in FOLDER/CLOUD.npz under this name: `keypoints` (K, 3) in the cloud's frame and, unless
+    /// they are ranked, `scores` (K). CLOUD is the path of the cloud's file from the data set on, without extension; of bodies
+    /// `body_1_0`, `body_2_0` and so on.
+    #[arg(long, value_name = "NAME=FOLDER", value_parser = external)]
+    pub external: Vec<(String, PathBuf)>,
+    #[command(flatten)]
+    pub options: EncodeFlags,
     #[command(flatten)]
     pub run: RunArguments,
 }
@@ -204,6 +210,14 @@ pub struct RunArguments {
     pub columns: ColumnArguments,
     #[command(flatten)]
     pub compute: ComputeArguments,
+}
+
+fn external(text: &str) -> Result<(String, PathBuf), String> {
+    let (name, folder) = text.split_once('=').filter(|(name, _)| !name.is_empty()).ok_or("expected NAME=FOLDER")?;
+    if Detector::NAMES.contains(&name) || name.starts_with("snake") {
+        return Err(format!("{name} is a method of its own"));
+    }
+    Ok((name.into(), folder.into()))
 }
 
 /// The protocols of the classical detectors.

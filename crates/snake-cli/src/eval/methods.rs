@@ -1,66 +1,96 @@
 //! The detectors that an evaluation compares.
 
-use anyhow::{Result, bail};
+use std::path::PathBuf;
+
+use anyhow::{Context, Result, bail};
 use serde_json::{Value, json};
 use snake_core::space::suppress_ranked;
-use snake_core::{Length, Model, Options, Point, Preset};
+use snake_core::{Length, Model, Options, Point};
+use snake_eval::ExternalKeypoints;
 use snake_registration::detectors::{Detector, Protocol};
 
 use super::args::{EvalArguments, ProtocolName};
 use crate::setup::{Loaded, none_if_zero};
 
 /// A detector with its options. It maps a cloud to the positions of its best keypoints.
-pub enum Method {
-    Snake { name: String, model: Box<Model>, options: Options },
-    Classical { name: String, detector: Detector, count: usize, protocol: Protocol, spacing: Option<Length> },
+pub struct Method {
+    name: String,
+    source: Source,
+    /// Number of keypoints at most.
+    count: usize,
+    spacing: Spacing,
+}
+
+enum Source {
+    Snake {
+        model: Box<Model>,
+        options: Options,
+    },
+    Classical {
+        detector: Detector,
+        protocol: Protocol,
+    },
+    /// Keypoints from files, `FOLDER/NAME.npz` for the cloud NAME.
+    External {
+        folder: PathBuf,
+    },
+}
+
+/// How far apart the ranked keypoints of a method are.
+#[derive(Clone, Copy)]
+enum Spacing {
+    /// As the method gives them.
+    Own,
+    /// At least a length.
+    Radius(Length),
+    /// So far that the keypoints cover the clouds as is asked; the radius is found on the clouds.
+    Coverage,
 }
 
 impl Method {
-    /// The methods of the command line. With `--nms-radius`, or else with a `spacing`, the ranked keypoints of the
-    /// classical detectors too are farther apart than that.
+    /// The methods of the command line. With `--nms-radius`, or else with a `spacing`, all ranked keypoints are farther apart
+    /// than that.
     pub fn all(arguments: &EvalArguments, spacing: Option<Length>) -> Result<Vec<Self>> {
+        Self::with_spacing(arguments, arguments.nms_radius.or(spacing).map_or(Spacing::Own, Spacing::Radius))
+    }
+
+    /// The methods, whose keypoints are not suppressed before [`keypoints_apart`](Self::keypoints_apart).
+    pub fn all_unsuppressed(arguments: &EvalArguments) -> Result<Vec<Self>> {
+        Self::with_spacing(arguments, Spacing::Coverage)
+    }
+
+    fn with_spacing(arguments: &EvalArguments, spacing: Spacing) -> Result<Vec<Self>> {
         if arguments.count == 0 {
             bail!("--count must be 1 or more");
         }
-        let nms_radius = arguments.nms_radius.or(spacing);
         let protocol = match arguments.protocol {
             ProtocolName::Ranked => Protocol::Ranked,
             ProtocolName::Paper => Protocol::Paper,
         };
-        let method = |name: &String| {
-            if let Some(rotations) = rotations(name) {
-                return Self::snake(name, rotations, arguments, nms_radius);
-            }
-            let detector = Detector::named(name, protocol)?;
-            let spacing = nms_radius.filter(|_| protocol == Protocol::Ranked);
-            Ok(Self::Classical { name: name.clone(), detector, count: arguments.count, protocol, spacing })
+        let named = |name: &String| {
+            let (source, spacing) = match rotations(name) {
+                Some(rotations) => {
+                    // The detection suppresses by a radius itself.
+                    let after = if matches!(spacing, Spacing::Coverage) { spacing } else { Spacing::Own };
+                    (Source::snake(rotations, arguments, spacing)?, after)
+                }
+                None => {
+                    let spacing = if protocol == Protocol::Ranked { spacing } else { Spacing::Own };
+                    (Source::Classical { detector: Detector::named(name, protocol)?, protocol }, spacing)
+                }
+            };
+            Ok(Self { name: name.clone(), source, count: arguments.count, spacing })
         };
-        arguments.methods.iter().map(method).collect()
-    }
-
-    fn snake(
-        name: &str,
-        rotations: Option<usize>,
-        arguments: &EvalArguments,
-        nms_radius: Option<Length>,
-    ) -> Result<Self> {
-        let Loaded { model, options, .. } = arguments.run.compute.load_model()?;
-        let mut options = match &arguments.preset {
-            Some(name) => Preset::named(name)?.options(),
-            None => options,
+        let external = |(name, folder): &(String, PathBuf)| {
+            let source = Source::External { folder: folder.clone() };
+            Ok(Self { name: name.clone(), source, count: arguments.count, spacing })
         };
-        options.detect.max_keypoints = arguments.count;
-        options.encode.rotations = rotations.unwrap_or(options.encode.rotations);
-        options.window_radius = arguments.window_radius.or(options.window_radius);
-        options.detect.nms_radius = nms_radius.map_or(options.detect.nms_radius, none_if_zero);
-        Ok(Self::Snake { name: name.into(), model: Box::new(model), options })
+        arguments.methods.iter().map(named).chain(arguments.external.iter().map(external)).collect()
     }
 
     /// The name on the command line.
     pub fn name(&self) -> &str {
-        match self {
-            Self::Snake { name, .. } | Self::Classical { name, .. } => name,
-        }
+        &self.name
     }
 
     /// All settings that the keypoints depend on.
@@ -76,31 +106,75 @@ impl Method {
     }
 
     fn settings(&self) -> Value {
-        match self {
-            Self::Snake { name, model, options } => {
-                json!({"name": name, "options": options, "model": model.metadata()})
+        let spacing = match self.spacing {
+            Spacing::Radius(radius) => Some(radius),
+            Spacing::Own | Spacing::Coverage => None,
+        };
+        match &self.source {
+            Source::Snake { model, options } => {
+                json!({"name": self.name, "options": options, "model": model.metadata()})
             }
-            Self::Classical { name, spacing, .. } => json!({"name": name, "spacing": spacing}),
+            Source::Classical { .. } => json!({"name": self.name, "spacing": spacing}),
+            Source::External { folder } => json!({"name": self.name, "spacing": spacing, "folder": folder}),
         }
     }
 
-    /// Positions of the best keypoints, best first. The seed determines random choices.
-    pub fn keypoints(&self, points: &[Point], seed: u64) -> Result<Vec<Point>> {
-        Ok(match self {
-            Self::Snake { model, options, .. } => {
+    /// Positions of the best keypoints of a cloud, best first; `name` finds those in files. The seed determines random choices.
+    pub fn keypoints(&self, points: &[Point], name: Option<&str>, seed: u64) -> Result<Vec<Point>> {
+        let radius = match self.spacing {
+            Spacing::Own | Spacing::Coverage | Spacing::Radius(Length::Units(0.0)) => 0.0,
+            Spacing::Radius(radius) => radius.in_units("nms_radius", points)?,
+        };
+        self.keypoints_apart(points, name, seed, radius)
+    }
+
+    /// The same, suppressed by a radius in cloud units.
+    pub fn keypoints_apart(&self, points: &[Point], name: Option<&str>, seed: u64, radius: f64) -> Result<Vec<Point>> {
+        let ranked = self.candidates(points, name, seed)?;
+        Ok(suppress_ranked(&ranked, radius as f32, self.count)?.into_iter().map(|index| ranked[index]).collect())
+    }
+
+    /// Positions of all keypoints, best first: before suppression, where it is not the detector's own.
+    pub fn candidates(&self, points: &[Point], name: Option<&str>, seed: u64) -> Result<Vec<Point>> {
+        Ok(match &self.source {
+            Source::Snake { model, options } => {
                 model.detect(points, options)?.keypoints.iter().map(|keypoint| keypoint.position).collect()
             }
-            Self::Classical { detector, count, protocol, spacing, .. } => {
-                let candidates = if spacing.is_some() { points.len() } else { *count };
+            Source::Classical { detector, protocol } => {
+                let candidates = if matches!(self.spacing, Spacing::Own) { self.count } else { points.len() };
                 let found = detector.keypoints(points, candidates, *protocol, seed)?;
-                let radius = match spacing {
-                    None | Some(Length::Units(0.0)) => 0.0,
-                    Some(spacing) => spacing.in_units("nms_radius", points)? as f32,
+                found.iter().map(|response| points[response.index]).collect()
+            }
+            Source::External { folder } => {
+                let Some(name) = name else {
+                    bail!("--external needs a data set of pairs of clouds: the views of an object are drawn at random");
                 };
-                let ranked: Vec<Point> = found.iter().map(|response| points[response.index]).collect();
-                suppress_ranked(&ranked, radius, *count)?.into_iter().map(|index| ranked[index]).collect()
+                let file = folder.join(format!("{name}.npz"));
+                ExternalKeypoints::read(&file).with_context(|| format!("--external {}", self.name))?.positions
             }
         })
+    }
+
+    /// The largest number of keypoints of a cloud.
+    pub fn count(&self) -> usize {
+        self.count
+    }
+}
+
+impl Source {
+    fn snake(rotations: Option<usize>, arguments: &EvalArguments, spacing: Spacing) -> Result<Self> {
+        let loaded = arguments.run.compute.load_model()?;
+        let mut options = arguments.options.resolve(&loaded)?;
+        options.encode.rotations = rotations.unwrap_or(options.encode.rotations);
+        options.detect.max_keypoints = arguments.count;
+        match spacing {
+            Spacing::Own => (),
+            Spacing::Radius(radius) => options.detect.nms_radius = none_if_zero(radius),
+            // Suppression follows, of all candidates.
+            Spacing::Coverage => (options.detect.nms_radius, options.detect.max_keypoints) = (None, usize::MAX),
+        }
+        let Loaded { model, .. } = loaded;
+        Ok(Self::Snake { model: Box::new(model), options })
     }
 }
 

@@ -4,11 +4,12 @@ use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result, bail};
 use serde_json::{Value, json};
+use snake_core::Point;
 use snake_eval::datasets::{Scale, ViewPairs};
 use snake_eval::reports::repeatability::{Report, Row, Sweeps};
 use snake_eval::tables::paper;
-use snake_eval::views::{Condition, Views};
-use snake_eval::{mean_distance_to_keypoints, relative_repeatability};
+use snake_eval::views::{Condition, PairClouds, Views};
+use snake_eval::{RankedKeypoints, mean_distance_to_keypoints, radius_of_coverage, relative_repeatability};
 use snake_io as io;
 
 use super::args::RepeatabilityArguments;
@@ -25,13 +26,15 @@ pub fn run(arguments: &RepeatabilityArguments) -> Result<()> {
     let data = open(arguments)?;
     let columns = &common.run.columns;
     let plan = Plan::new(arguments, &data)?;
-    let methods = Method::all(common, None)?;
-    let settings = plan.settings(arguments, &methods);
+    let methods =
+        if arguments.coverage.is_some() { Method::all_unsuppressed(common)? } else { Method::all(common, None)? };
     let schedule = Schedule::new(data.len(), &common.run)?;
+    let radii = plan.radii(&data, columns, &schedule, &methods, arguments.coverage)?;
+    let settings = plan.settings(arguments, &methods);
     let inputs = data.files().into_iter().chain(arguments.transform.as_deref());
     files::check(&common.run, "repeatability", inputs)?;
     let mut record = Record::open(common.run.output.as_deref(), "repeatability", &settings, schedule.tasks().len())?;
-    record.fill(schedule.tasks(), |pair| data.name(pair), |task| plan.rows(&data, columns, task, &methods))?;
+    record.fill(schedule.tasks(), |pair| data.name(pair), |task| plan.rows(&data, columns, task, &methods, &radii))?;
     let paper = match data.scale() {
         _ if !common.run.paper => None,
         Scale::Room => Some(&paper::REDWOOD),
@@ -64,6 +67,14 @@ fn open_pair(inputs: &[PathBuf], transform: &Path) -> Result<ViewPairs> {
     };
     let t_target_source = io::read_transform(transform).context("--transform")?;
     Ok(ViewPairs::from_pair(source, target, t_target_source))
+}
+
+/// The radius of suppression for each condition and method, in units of the data set, where it is not the method's own.
+type Radii = Vec<Vec<Option<f64>>>;
+
+/// The names of the two clouds of a pair, where they have any.
+fn names(data: &ViewPairs, pair: usize) -> [Option<&str>; 2] {
+    data.cloud_names(pair).map_or([None; 2], |names| names.each_ref().map(|name| Some(&name[..])))
 }
 
 /// The thresholds, conditions and number of points to evaluate.
@@ -122,9 +133,43 @@ impl Plan {
             "transform": arguments.transform,
             "keypoints": Method::all_settings(&arguments.common, methods),
             "num_points": self.num_points,
+            "coverage": arguments.coverage,
             "epsilon": self.sweeps.epsilon,
             "conditions": self.sweeps.conditions,
         })
+    }
+
+    /// With `--coverage`, the radius of suppression of each method under each condition, from the first views of the first seed.
+    fn radii(
+        &self,
+        data: &ViewPairs,
+        columns: &ColumnArguments,
+        schedule: &Schedule,
+        methods: &[Method],
+        coverage: Option<f64>,
+    ) -> Result<Radii> {
+        let Some(coverage) = coverage else { return Ok(vec![vec![None; methods.len()]; self.sweeps.conditions.len()]) };
+        let seed = schedule.tasks()[0].seed;
+        let clouds = |index: &usize| Ok((*index, data.clouds(*index, &columns.options())?));
+        let clouds: Vec<(usize, PairClouds)> = schedule.chosen().iter().map(clouds).collect::<Result<_>>()?;
+        let bar = terminal::progress(self.sweeps.conditions.len() * methods.len())?;
+        bar.set_message("the radius at which each method covers as far");
+        let mut radii = Vec::new();
+        for condition in &self.sweeps.conditions {
+            let of = |method: &Method| {
+                let ranked = |(index, clouds): &(usize, PairClouds)| -> Result<RankedKeypoints> {
+                    let Views { view_1, seeds, .. } = clouds.views(*condition, self.num_points, seed, *index)?;
+                    let keypoints = method.candidates(&view_1, names(data, *index)[0], seeds[0])?;
+                    Ok(RankedKeypoints { points: view_1, keypoints })
+                };
+                let ranked = clouds.iter().map(ranked).collect::<Result<Vec<_>>>()?;
+                bar.step();
+                Ok(Some(radius_of_coverage(&ranked, method.count(), coverage)?))
+            };
+            radii.push(methods.iter().map(of).collect::<Result<Vec<_>>>()?);
+        }
+        bar.finish();
+        Ok(radii)
     }
 
     /// The figures of one pair: a row for each method and condition.
@@ -134,13 +179,19 @@ impl Plan {
         columns: &ColumnArguments,
         Task { seed, index }: Task,
         methods: &[Method],
+        radii: &Radii,
     ) -> Result<Vec<Row>> {
         let clouds = data.clouds(index, &columns.options())?;
+        let names = names(data, index);
         let mut rows = Vec::new();
-        for condition in &self.sweeps.conditions {
+        for (condition, radii) in self.sweeps.conditions.iter().zip(radii) {
             let Views { view_1, view_2, t_1_2, seeds } = clouds.views(*condition, self.num_points, seed, index)?;
-            for method in methods {
-                let (first, second) = (method.keypoints(&view_1, seeds[0])?, method.keypoints(&view_2, seeds[1])?);
+            for (method, radius) in methods.iter().zip(radii) {
+                let keypoints = |view: &[Point], which: usize| match radius {
+                    Some(radius) => method.keypoints_apart(view, names[which], seeds[which], *radius),
+                    None => method.keypoints(view, names[which], seeds[which]),
+                };
+                let (first, second) = (keypoints(&view_1, 0)?, keypoints(&view_2, 1)?);
                 let repeatability = relative_repeatability(&first, &second, &t_1_2, &self.sweeps.epsilon)?;
                 let coverage = if first.is_empty() { None } else { Some(mean_distance_to_keypoints(&view_1, &first)?) };
                 let keypoints = first.len();

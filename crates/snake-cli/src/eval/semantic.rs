@@ -69,7 +69,9 @@ fn rows(
     let threshold = &arguments.threshold;
     let of_bodies = |body_1: &[Point], body_2: &[Point]| {
         let row = |method: &Method| {
-            let (on_1, on_2) = (method.keypoints(body_1, seed_1)?, method.keypoints(body_2, seed_2)?);
+            let [name_1, name_2] = [1, 2].map(|body| format!("body_{body}_{shape}"));
+            let on_1 = method.keypoints(body_1, Some(&name_1), seed_1)?;
+            let on_2 = method.keypoints(body_2, Some(&name_2), seed_2)?;
             let counts = |rule| smpl_pair_counts(body_1, body_2, &on_1, &on_2, threshold, rule);
             let paper = counts(SmplProtocol::PaperCompatible { seed: fill_seed })?;
             let strict = counts(SmplProtocol::Strict)?;
@@ -82,7 +84,7 @@ fn rows(
             // The annotations are indices of points, so the origin does not matter.
             let points = arguments.common.run.columns.read(&shapes[shape].cloud)?.points;
             let row = |method: &Method| {
-                let found = method.keypoints(&points, seed_1)?;
+                let found = method.keypoints(&points, Some(&data.name(shape)), seed_1)?;
                 let counts = |rule| semantic_counts(&points, &shapes[shape].keypoints, &found, threshold, rule);
                 let (strict, paper) = (counts(Unreachable::Strict)?, counts(Unreachable::PaperCompatible)?);
                 Ok(Row { method: method.name().into(), keypoints: found.len(), strict, paper })

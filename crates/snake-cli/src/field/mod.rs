@@ -11,6 +11,7 @@ use snake_io as io;
 
 use crate::output::InputFiles;
 use crate::render::figure::{Panel, PanelAxis, figure};
+use crate::setup::Loaded;
 use crate::terminal;
 use args::{FieldArguments, Quantity, Slice};
 
@@ -27,16 +28,15 @@ pub fn run(arguments: &FieldArguments) -> Result<()> {
         _ => bail!("{}: unknown extension; files that can be written: .png, .npy", output.display()),
     };
     let progress = Progress::default();
-    let loaded = arguments.compute.load_model()?;
-    let model = &loaded.model;
+    let encode = &arguments.encode;
+    let models = arguments.compute.load_models(encode.suits(), |loaded| encode.resolve(loaded))?;
     let control = Control::new().progress(&progress);
-    let options = arguments.encode.resolve(&loaded)?.encode;
-    terminal::detail("options", || serde_json::to_string(&options).unwrap_or_default());
+    let first = &models.first().options.encode;
     let bar = terminal::stages(&progress)?;
     bar.set_message(input.display().to_string());
-    let Cloud { points, origin } =
-        arguments.reading.read(input, options.seed)?.for_normalization(options.normalization);
-    let field = model.encode_with(&points, &options, &control).with_context(|| input.display().to_string())?;
+    let Cloud { points, origin } = arguments.reading.read(input, first.seed)?.for_normalization(first.normalization);
+    let Loaded { model, options, .. } = models.for_cloud(&points);
+    let field = model.encode_with(&points, &options.encode, &control).with_context(|| input.display().to_string())?;
     bar.finish();
     terminal::hint_outliers(&input.display().to_string(), &field);
     let grid = field.grid(*resolution)?;

@@ -2,8 +2,10 @@
 
 pub mod args;
 
+use std::path::PathBuf;
+
 use anyhow::{Context, Result, bail};
-use snake_core::{Control, Error, Progress};
+use snake_core::{Cloud, Control, Error, Progress};
 use snake_io as io;
 use snake_view::{Page, Pair, ShownCloud};
 
@@ -26,19 +28,23 @@ pub fn run(arguments: &ViewArguments) -> Result<()> {
     InputFiles::new(inputs).refuse_as_output(output)?;
     let t_first_second = transform.as_deref().map(io::read_transform).transpose()?;
     let progress = Progress::default();
-    let loaded = arguments.compute.load_model()?;
+    let models =
+        arguments.compute.load_models(arguments.options.suits(), |loaded| arguments.options.resolve(loaded))?;
     let control = Control::new().progress(&progress);
-    let options = arguments.options.resolve(&loaded)?;
-    let Loaded { model, name: model_name, .. } = loaded;
-    terminal::detail("options", || serde_json::to_string(&options).unwrap_or_default());
     let bar = terminal::stages(&progress)?;
+    let read = |input: &PathBuf| -> Result<Cloud> {
+        let encode = &models.first().options.encode;
+        Ok(arguments.reading.read(input, encode.seed)?.for_normalization(encode.normalization))
+    };
+    // Both clouds of a pair have the model that suits the first.
+    let first_cloud = read(input)?;
+    let Loaded { model, name: model_name, options } = models.for_cloud(&first_cloud.points);
+    let second_cloud = second.as_ref().map(read).transpose()?;
     let mut clouds: Vec<ShownCloud> = Vec::new();
-    for input in [input].into_iter().chain(second) {
-        bar.set_message(input.display().to_string());
-        let cloud = arguments.reading.read(input, options.encode.seed)?;
-        let cloud = cloud.for_normalization(options.encode.normalization);
+    for (input, cloud) in [(input, first_cloud)].into_iter().chain(second.iter().zip(second_cloud)) {
         let name = input.display().to_string();
-        let shown = ShownCloud::detect(&model, &options, name.clone(), &cloud, &control);
+        bar.set_message(name.clone());
+        let shown = ShownCloud::detect(model, options, name.clone(), &cloud, &control);
         let shown = shown.with_context(|| name.clone())?;
         bar.suspend(|| terminal::hint_outliers(&name, &shown.field));
         clouds.push(shown);
@@ -46,7 +52,7 @@ pub fn run(arguments: &ViewArguments) -> Result<()> {
     bar.set_message("registration");
     let pair = match &clouds[..] {
         [first, second] => {
-            let pair = Pair::aligned(&model, [first, second], t_first_second, *epsilon, &control);
+            let pair = Pair::aligned(model, [first, second], t_first_second, *epsilon, &control);
             Some(pair.map_err(|error| not_aligned(error, first, second))?)
         }
         _ => None,
@@ -54,7 +60,7 @@ pub fn run(arguments: &ViewArguments) -> Result<()> {
     bar.finish();
     let mut report: Report = clouds.iter().map(ShownCloud::summary).chain(pair.as_ref().map(Pair::summary)).collect();
     let colors = std::array::from_fn(|i| arguments.colormap.color(i as f32 / 255.0));
-    let page = Page { clouds, pair, options, model_name, colors };
+    let page = Page { clouds, pair, options: *options, model_name: model_name.clone(), colors };
     let html = page.html()?;
     write_page(output, &html)?;
     report.line(format!("written to {}", output.display()));

@@ -70,7 +70,7 @@ fn align_refuses_bad_arguments_before_any_work() {
         (vec![&scans, "--merged", "map.las"], "las"),
         (vec![&first, "-o", &poses], "2 to 500"),
         (vec![&scans, "--merged", &first], "overwrite"),
-        (vec![&scans, "-o", &poses, "--source-viewpoint", "0,0,0"], "viewpoint"),
+        (vec![&scans, "-o", &poses, "--set", "source_viewpoint=[0,0,0]"], "viewpoint"),
         (vec![&scans, "-o", &poses, "--max-partners", "0"], "max_partners"),
     ] {
         let output = snake(&[&["align"], &arguments[..]].concat());

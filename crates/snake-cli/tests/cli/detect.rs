@@ -20,8 +20,8 @@ fn a_cloud_far_from_the_scale_of_the_model_has_a_note() {
     let points: Vec<[f32; 3]> = (0..12_000).map(point).collect();
     write_npy(&path, &[12_000, 3], points.as_flattened());
     let path = path.display().to_string();
-    let run = |extra: &[&str]| snake(&[&["detect", &path, "--json", "--max-points", "2000"], extra].concat());
-    let (plain, quiet, windows) = (run(&[]), run(&["--quiet"]), run(&["--window-radius", "1.5"]));
+    let run = |extra: &[&str]| snake(&[&["detect", &path, "--json", "--set", "max_points=2000"], extra].concat());
+    let (plain, quiet, windows) = (run(&[]), run(&["--quiet"]), run(&["--set", "window_radius=1.5"]));
     let note = "if it is a room in metres, the model `scenes` sees more of it";
     assert!(stderr(&plain).contains("note:") && stderr(&plain).contains(note), "{}", stderr(&plain));
     assert!(json_lines(&plain)[0]["notes"][0].as_str().unwrap().contains(note));
@@ -105,13 +105,13 @@ fn options_reach_the_detector() {
         assert!(output.status.success(), "{}", stderr(&output));
         json_lines(&output)[0]["counts"][name].as_u64().unwrap()
     };
-    assert_eq!(count(&["--query-resolution", "20"], "queries"), 8000);
+    assert_eq!(count(&["--set", "query_resolution=20"], "queries"), 8000);
     assert_eq!(count(&["--max-keypoints", "5"], "keypoints"), 5);
     assert!(count(&["--nms-radius", "0.5"], "keypoints") < 10);
     assert_eq!(count(&["--saliency-threshold", "1"], "keypoints"), 0);
-    assert_eq!(count(&["--occupancy-threshold", "1"], "occupied"), 0);
+    assert_eq!(count(&["--set", "occupancy_threshold=1"], "occupied"), 0);
     assert_eq!(count(&["--preset", "redwood"], "queries"), 1_000_000);
-    let snapped = snake(&["detect", &sample(), "--json", "--snap", "--max-keypoints", "3"]);
+    let snapped = snake(&["detect", &sample(), "--json", "--set", "snap=true", "--max-keypoints", "3"]);
     let points = snake_io::read_points(Path::new(&sample())).unwrap();
     for keypoint in json_lines(&snapped)[0]["keypoints"].as_array().unwrap() {
         let nearest = points[keypoint["nearest_index"].as_u64().unwrap() as usize];
@@ -206,14 +206,15 @@ fn many_files_are_reported_in_order_for_any_number_of_threads() {
 #[test]
 fn subsampling_is_seeded_and_reported() {
     let report = |seed: &str| {
-        let output = snake(&["detect", &sample(), "--json", "--max-points", "1500", "--seed", seed]);
+        let output =
+            snake(&["detect", &sample(), "--json", "--set", "max_points=1500", "--set", &format!("seed={seed}")]);
         json_lines(&output)[0]["keypoints"].to_string()
     };
     assert_eq!(report("1"), report("1"));
     assert_ne!(report("1"), report("2"));
-    let output = snake(&["detect", &sample(), "--max-points", "1500"]);
+    let output = snake(&["detect", &sample(), "--set", "max_points=1500"]);
     assert!(String::from_utf8_lossy(&output.stdout).contains("(1500 encoded)"));
-    let output = snake(&["detect", &sample(), "--max-points", "1500", "--json"]);
+    let output = snake(&["detect", &sample(), "--set", "max_points=1500", "--json"]);
     assert_eq!(
         (&json_lines(&output)[0]["num_encoded"], &json_lines(&output)[0]["num_points"]),
         (&1500.into(), &4096.into())
@@ -224,7 +225,7 @@ fn subsampling_is_seeded_and_reported() {
 fn detection_in_windows_reports_their_number() {
     let whole = json_lines(&snake(&["detect", &sample(), "--json"])).remove(0);
     let radius = (whole["normalization"]["scale"].as_f64().unwrap() / 4.0).to_string();
-    let options = ["detect", &sample(), "--window-radius", &radius, "--saliency-threshold", "0.2"];
+    let options = ["detect", &sample(), "--set", &format!("window_radius={radius}"), "--saliency-threshold", "0.2"];
     let report = json_lines(&snake(&[&options[..], &["--json"]].concat())).remove(0);
     let windows = report["counts"]["windows"].as_u64().unwrap();
     assert!(windows > 3 && report["normalization"].is_null());
@@ -234,7 +235,7 @@ fn detection_in_windows_reports_their_number() {
     let table = String::from_utf8(snake(&options).stdout).unwrap();
     assert!(table.contains(&format!("from 4096 points with {windows} windows in ")), "{table}");
     for wrong in ["0", "1e-60", "1e60", "0r"] {
-        let refused = snake(&["detect", &sample(), "--window-radius", wrong]);
+        let refused = snake(&["detect", &sample(), "--set", &format!("window_radius={wrong}")]);
         assert_eq!(refused.status.code(), Some(2));
         assert!(stderr(&refused).contains("window_radius"), "{}", stderr(&refused));
     }
@@ -247,7 +248,13 @@ fn detection_in_windows_reports_their_number() {
 fn memory_is_proportional_to_the_number_of_points() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("large.npy");
-    let values: Vec<f32> = (0..15_000_000_u32).map(|i| (i.wrapping_mul(2_654_435_761) >> 8) as f32 / 1e7).collect();
+    // A ball: its points turn by the golden angle.
+    let point = |i: u32| {
+        let z = 2.0 * (f64::from(i) + 0.5) / 5e6 - 1.0;
+        let (flat, (sin, cos)) = ((1.0 - z * z).sqrt(), (f64::from(i) * 2.399_963_23).sin_cos());
+        [flat * cos, flat * sin, z].map(|v| v as f32)
+    };
+    let values: Vec<f32> = (0..5_000_000).flat_map(point).collect();
     write_npy(&path, &[5_000_000, 3], &values);
     let program = Command::cargo_bin("snake-cli").unwrap();
     let output = Command::new("sh")
@@ -328,7 +335,7 @@ fn points_that_are_not_finite_are_skipped_and_counted() {
         String::from_utf8_lossy(&snake(&["detect", &path]).stdout)
             .contains("from 8192 points (4096 not finite or outliers, skipped)")
     );
-    let output = snake(&["register", &path, &sample(), "--max-keypoints", "300"]);
+    let output = snake(&["register", &path, &sample(), "--set", "max_keypoints=300"]);
     assert!(
         String::from_utf8_lossy(&output.stdout).contains("skipped 4096 points of the source"),
         "{}",
@@ -353,7 +360,7 @@ fn meshes_are_sampled_and_keypointnet_is_written() {
     assert_eq!(run(&[])["num_points"], 8);
     let report = run(&["--sample", "4000", "-o", &marks]);
     assert_eq!(report["num_points"], 4000);
-    assert_ne!(report["keypoints"], run(&["--sample", "4000", "--seed", "3"])["keypoints"]);
+    assert_ne!(report["keypoints"], run(&["--sample", "4000", "--set", "seed=3"])["keypoints"]);
     let shapes: Value = serde_json::from_slice(&std::fs::read(&marks).unwrap()).unwrap();
     assert_eq!((&shapes[0]["class_id"], &shapes[0]["model_id"]), (&"02691156".into(), &"cube".into()));
     for (marked, keypoint) in

@@ -169,7 +169,7 @@ fn names_and_values_print_no_control_characters() {
         &["detect", &cloud, "--model", HOSTILE],
         &["detect", &cloud, "--preset", HOSTILE],
         &["detect", &cloud, "--threads", HOSTILE],
-        &["detect", &cloud, "--refine-method", HOSTILE],
+        &["detect", &cloud, "--set", &format!("refine_method={HOSTILE}")],
         &["detect", &cloud, "--nms-radius", HOSTILE],
         &["detect", &cloud, "--input-format", HOSTILE],
         &["detect", &cloud, &format!("--{HOSTILE}")],
@@ -218,7 +218,7 @@ fn a_progress_bar_prints_no_control_characters() {
     }
     let folder = tempfile::tempdir().unwrap();
     std::fs::copy(sample(), folder.path().join("x\u{1b}[35my\u{202e}.ply")).unwrap();
-    let command = format!("{} detect x*.ply --rotations 8 --refine-steps 10000", env!("CARGO_BIN_EXE_snake-cli"));
+    let command = format!("{} detect x*.ply --rotations 8 --set refine_steps=10000", env!("CARGO_BIN_EXE_snake-cli"));
     let mut script = Command::new("script");
     script.current_dir(folder.path()).args(["-qefc", &command, "/dev/null"]).stdin(Stdio::null());
     let mut child = script.stdout(Stdio::piped()).spawn().unwrap();

@@ -20,7 +20,8 @@ fn scan() -> (tempfile::TempDir, PathBuf) {
 
 fn detect(scan: &Path, output: &Path, more: &[&str]) -> Command {
     let mut command = Command::new(env!("CARGO_BIN_EXE_snake-cli"));
-    let options = ["--model", "rooms", "--window-radius", "2", "--query-resolution", "10", "--max-keypoints", "5000"];
+    let options =
+        ["--model", "rooms", "--set", "window_radius=2", "--set", "query_resolution=10", "--max-keypoints", "5000"];
     command.arg("detect").arg(scan).arg("-o").arg(output).args(["--tile", "3"]).args(options).args(more);
     command.stdin(Stdio::null()).stdout(Stdio::null()).stderr(Stdio::piped());
     command
@@ -80,7 +81,7 @@ fn a_second_run_in_a_folder_is_told_who_holds_it() {
     std::os::unix::fs::symlink(&tiles, path("name")).unwrap();
     let names = [given.clone(), path("tiles/../tiles"), if cfg!(unix) { path("name") } else { given.clone() }];
     for name in names {
-        let mut first = detect(&scan, &output, &["--tile-folder", &given, "--refine-steps", "3"]).spawn().unwrap();
+        let mut first = detect(&scan, &output, &["--tile-folder", &given, "--set", "refine_steps=3"]).spawn().unwrap();
         let process = first.id().to_string();
         let lock = tiles.join("snake-tiles.lock");
         while !fs::read_to_string(&lock).is_ok_and(|text| text.lines().next() == Some(&process)) {
@@ -140,7 +141,7 @@ fn errors_that_no_repetition_mends_do_not_promise_it() {
     let output = folder.path().join("keypoints.csv");
     let single = folder.path().join("single.xyz");
     fs::write(&single, "0 0 0\n").unwrap();
-    let tiny = ["--window-radius", "0.01"];
+    let tiny = ["--set", "window_radius=0.01"];
     for (input, more) in [(&single, &[][..]), (&scan, &tiny), (&folder.path().join("none.laz"), &[])] {
         let (code, error) = run(input, &output, more);
         assert!(code == Some(2) && !error.contains("continues"), "{error}");

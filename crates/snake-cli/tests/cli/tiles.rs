@@ -17,7 +17,8 @@ fn tiles_write_the_keypoints_of_the_whole_cloud() {
     let path = |name: &str| folder.path().join(name).display().to_string();
     let (input, whole, tiled) = (path("scan.xyz"), path("whole.csv"), path("tiled.csv"));
     fs::write(&input, scan()).unwrap();
-    let options = ["--model", "rooms", "--window-radius", "2", "--query-resolution", "16", "--max-keypoints", "5000"];
+    let options =
+        ["--model", "rooms", "--set", "window_radius=2", "--set", "query_resolution=16", "--max-keypoints", "5000"];
     let run = |arguments: &[&str]| {
         let output = snake(&[&["detect", &input][..], arguments, &options].concat());
         (output.status.code(), stderr(&output))
@@ -85,7 +86,8 @@ fn a_copc_file_in_tiles_gives_the_bytes_of_the_whole_with_its_reference_system()
     let folder = tempfile::tempdir().unwrap();
     let path = |name: &str| folder.path().join(name).display().to_string();
     let (whole, tiled) = (path("whole.laz"), path("tiled.laz"));
-    let options = ["--model", "rooms", "--window-radius", "4", "--query-resolution", "12", "--max-keypoints", "5000"];
+    let options =
+        ["--model", "rooms", "--set", "window_radius=4", "--set", "query_resolution=12", "--max-keypoints", "5000"];
     for (output, tile) in [(&whole, &[][..]), (&tiled, &["--tile", "15"])] {
         let run = snake(&[&["detect", city, "-o", output][..], tile, &options].concat());
         assert_eq!(run.status.code(), Some(0), "{}", stderr(&run));
@@ -105,9 +107,9 @@ fn tiles_need_lengths_in_cloud_units_and_files() {
     for (arguments, expected) in [
         (&["--model", "compact"][..], "window_radius"),
         (&["--model", "rooms", "--nms-radius", "3r"], "nms_radius"),
-        (&["--model", "rooms", "--max-points", "100"], "max_points"),
-        (&["--model", "rooms", "--snap"], "snap"),
-        (&["--model", "rooms", "--mode-radius", "0.1"], "mode_radius"),
+        (&["--model", "rooms", "--set", "max_points=100"], "max_points"),
+        (&["--model", "rooms", "--set", "snap=true"], "snap"),
+        (&["--model", "rooms", "--set", "mode_radius=0.1"], "mode_radius"),
         (&["--model", "rooms", "--json"], "--json"),
     ] {
         let refused = snake(&[&["detect", &input, "-o", &output, "--tile", "4"][..], arguments].concat());

@@ -83,14 +83,47 @@ fn every_shell_gets_completions() {
 
 #[cfg(unix)]
 #[test]
-fn bash_completes_a_sub_command() {
+fn bash_completes_sub_commands_and_their_options() {
     let folder = tempfile::tempdir().unwrap();
     let script = folder.path().join("snake-cli.bash");
     std::fs::write(&script, stdout(&snake(&["completions", "bash"]))).unwrap();
-    let typed = "source $0; read -ra words <<< $(complete -p snake-cli); COMP_WORDS=(snake-cli regi); COMP_CWORD=1
-        ${words[${#words[@]} - 2]} snake-cli regi snake-cli; echo ${COMPREPLY[@]}";
-    let output = Command::new("bash").args(["-c", typed]).arg(&script).output().unwrap();
-    assert_eq!(stdout(&output).trim(), "register");
+    // What Bash does when the last word is completed: the function of `complete` is called with the program and two words.
+    let typed = "source $0; read -ra words <<< $(complete -p snake-cli); COMP_WORDS=($@); COMP_CWORD=$(($# - 1))
+        ${words[${#words[@]} - 2]} $1 \"${@: -1}\" \"${@: -2:1}\"; echo ${COMPREPLY[@]}";
+    let completed = |line: &str| {
+        let output = Command::new("bash").args(["-c", typed]).arg(&script).args(line.split(' ')).output().unwrap();
+        stdout(&output).trim().to_owned()
+    };
+    assert_eq!(completed("snake-cli regi"), "register");
+    assert_eq!(completed("snake-cli detect --nms"), "--nms-radius");
+    assert_eq!(completed("snake-cli eval sem"), "semantic");
+    assert_eq!(completed("snake-cli completions ba"), "bash");
+    // Every option of every sub-command, as its help lists them.
+    for (name, help) in helps(&[]) {
+        let offered = completed(&format!("snake-cli {name} --").replace("  ", " "));
+        let offered: Vec<&str> = offered.split(' ').collect();
+        // Descriptions are indented further than options.
+        for line in help.lines().filter(|line| line.starts_with("  -") || line.starts_with("      --")) {
+            let option = line.split_whitespace().find(|word| word.starts_with("--")).unwrap();
+            assert!(offered.contains(&option), "{name}: {option}: {offered:?}");
+        }
+    }
+}
+
+#[test]
+fn every_sub_command_has_a_manual_page() {
+    let folder = tempfile::tempdir().unwrap();
+    let pages = folder.path().join("man/man1");
+    assert_eq!(snake(&["manual", &pages.display().to_string()]).status.code(), Some(0));
+    for (name, _) in helps(&[]) {
+        let file = format!("{}.1", format!("snake-cli {name}").trim_end().replace(' ', "-"));
+        let page = std::fs::read_to_string(pages.join(&file)).unwrap_or_else(|error| panic!("{file}: {error}"));
+        assert!(page.contains(".SH SYNOPSIS"), "{page}");
+    }
+    std::fs::write(folder.path().join("file"), "").unwrap();
+    let output = snake(&["manual", &folder.path().join("file").display().to_string()]);
+    assert_eq!(output.status.code(), Some(2));
+    assert!(stderr(&output).starts_with("error: ") && stderr(&output).lines().count() == 1, "{}", stderr(&output));
 }
 
 #[test]
@@ -101,7 +134,7 @@ fn quiet_leaves_files_json_and_errors() {
     assert_eq!((stdout(&output), stderr(&output)), (String::new(), String::new()));
     assert!(std::fs::read_to_string(&result).unwrap().starts_with("x,y,z"));
     assert!(!keypoints(&snake(&["--quiet", "detect", &sample(), "--json"])).as_array().unwrap().is_empty());
-    let output = snake(&["register", &sample(), &sample(), "-q", "--max-keypoints", "100"]);
+    let output = snake(&["register", &sample(), &sample(), "-q", "--set", "max_keypoints=100"]);
     assert_eq!(stdout(&output), "");
     let output = snake(&["detect", "nowhere.ply", "--quiet"]);
     assert_eq!(output.status.code(), Some(2));
@@ -129,7 +162,7 @@ fn verbose_reports_settings_and_changes_no_result() {
         assert!(said.contains(expected), "{expected}: {said}");
     }
     assert_eq!(keypoints(&verbose), keypoints(&snake(&["detect", &sample(), "--json", "--nms-radius", "4r"])));
-    let said = stderr(&snake(&["-v", "register", &sample(), &sample(), "--max-keypoints", "100"]));
+    let said = stderr(&snake(&["-v", "register", &sample(), &sample(), "--set", "max_keypoints=100"]));
     assert!(said.contains("points: 4096 and 4096") && said.contains("\"voxel_size\":null"), "{said}");
 }
 
@@ -180,15 +213,16 @@ fn lengths_can_be_multiples_of_the_resolution() {
     assert_eq!(found("6r"), found(&in_units(6.0)));
     assert_ne!(found("6r"), found("0"));
     let registered = |voxel: &str, inlier: &str| {
-        let fixed = ["register", &sample(), &sample(), "--json", "--max-keypoints", "200"];
-        let lengths = ["--voxel-size", voxel, "--inlier-distance", inlier];
+        let fixed = ["register", &sample(), &sample(), "--json", "--set", "max_keypoints=200"];
+        let lengths = ["--voxel-size", voxel, "--set", &format!("inlier_distance={inlier}")];
         let found: Value = serde_json::from_str(&stdout(&snake(&[&fixed[..], &lengths].concat()))).unwrap();
         (found["t_target_source"].clone(), found["num_inliers"].clone(), found["rmse"].clone())
     };
     assert_eq!(registered("2r", "3r"), registered(&in_units(2.0), &in_units(3.0)));
-    for option in ["--voxel-size", "--normal-radius", "--feature-radius", "--inlier-distance"] {
-        let output = snake(&["register", &sample(), &sample(), option, "3x"]);
-        assert!(stderr(&output).contains("such as `6r`") && stderr(&output).contains(option), "{}", stderr(&output));
+    for option in [["--voxel-size", "3x"], ["--set", "normal_radius=3x"], ["--set", "inlier_distance=3x"]] {
+        let output = snake(&[&["register", &sample(), &sample()], &option[..]].concat());
+        let name = option[if option[0] == "--set" { 1 } else { 0 }].split('=').next().unwrap();
+        assert!(stderr(&output).contains("such as `6r`") && stderr(&output).contains(name), "{}", stderr(&output));
     }
     for wrong in ["3x", "r", "wide"] {
         let output = snake(&["detect", &sample(), "--nms-radius", wrong]);
@@ -234,7 +268,7 @@ fn a_long_call_shows_the_remaining_time() {
     let (program, cloud) = (env!("CARGO_BIN_EXE_snake-cli"), sample());
     let output = folder.path().join("page.html").display().to_string();
     for command in [format!("detect '{cloud}'"), format!("view '{cloud}' -o '{output}'")] {
-        let options = "--rotations 8 --refine-steps 120 --query-band 0 --occupancy-threshold 0";
+        let options = "--rotations 8 --set refine_steps=120 --set query_band=0 --set occupancy_threshold=0";
         let command = format!("exec '{program}' {command} {options}");
         let mut script = Command::new("script");
         script.args(["-qefc", &command, "/dev/null"]).stdin(Stdio::null());
@@ -266,7 +300,7 @@ impl Drop for Running {
 fn many_windows_are_announced_and_counted_without_a_terminal() {
     use std::io::{BufRead, BufReader};
     use std::process::Stdio;
-    let options = ["--window-radius", "0.05", "--occupancy-threshold", "0", "--query-band", "0"];
+    let options = ["--set", "window_radius=0.05", "--set", "occupancy_threshold=0", "--set", "query_band=0"];
     let mut command = Command::new(env!("CARGO_BIN_EXE_snake-cli"));
     command.arg("detect").arg(sample()).args(options).stdout(Stdio::null()).stderr(Stdio::piped());
     let start = std::time::Instant::now();
@@ -311,34 +345,36 @@ fn an_interrupt_leaves_only_complete_files() {
 }
 
 #[test]
-fn the_help_shows_the_default_of_every_option() {
-    let help = stdout(&snake(&["detect", "--help"]));
+fn every_option_is_listed_with_its_values_and_an_old_flag_names_it() {
+    let listed = stdout(&snake(&["options"]));
     let recommended = serde_json::to_value(snake_core::Model::named("compact").unwrap().recommended()).unwrap();
-    let parts = [&recommended["encode"], &recommended["detect"]].map(|part| part.as_object().unwrap().clone());
-    let options = parts.into_iter().flatten().chain([("window_radius".into(), recommended["window_radius"].clone())]);
-    for (name, value) in options {
-        let shown = match (name.as_str(), value) {
-            ("max_points", Value::Null) => "all points".into(),
-            ("window_radius", Value::Null) => "no windows".into(),
-            ("voxel_size", Value::Null) => "chosen from the cloud".into(),
-            ("snap", Value::Bool(false)) => "no".into(),
-            // 0.3 in float32 has more digits as a JSON value.
-            (_, Value::Number(number)) => (number.as_f64().unwrap() as f32).to_string(),
-            (_, Value::String(text)) => text,
-            (name, value) => panic!("{name} {value}"),
-        };
-        let flag = format!("--{}", name.replace('_', "-"));
-        let entry = help.split("\n      --").find(|entry| entry.split_whitespace().next() == Some(&flag[2..]));
-        let text = entry.expect(&flag);
-        let text = text.split_whitespace().collect::<Vec<_>>().join(" ");
-        assert!(text.contains(&format!("[default: {shown}]")), "{flag} {shown}: {text}");
+    for part in ["encode", "detect"] {
+        for name in recommended[part].as_object().unwrap().keys() {
+            assert!(listed.lines().any(|line| line.split_whitespace().next() == Some(name)), "{name}: {listed}");
+        }
     }
+    let line = |name: &str| listed.lines().find(|line| line.starts_with(name)).unwrap().split_whitespace().skip(1);
+    assert_eq!(line("nms_radius").take(2).collect::<Vec<_>>(), ["10%", "6.5v"]);
+    for (flag, name) in [("--refine-steps", "refine_steps"), ("--hypotheses=3", "hypotheses")] {
+        let said = stderr(&snake(&["detect", &sample(), flag, "3"]));
+        assert!(said.contains(&format!("type --set {name}=VALUE")), "{said}");
+    }
+    let options = |command: &str| {
+        stdout(&snake(&[command, "--help"]))
+            .lines()
+            .filter(|line| {
+                line.trim_start().starts_with("--") || line.trim_start().starts_with("-") && line.contains(", --")
+            })
+            .count()
+    };
+    assert!(options("detect") <= 24 && options("register") <= 18, "{} {}", options("detect"), options("register"));
 }
 
 #[test]
 fn every_option_with_a_value_shows_its_default() {
     // Files are written only if they are named, and these two begin another way of working.
-    const WITHOUT: [&str; 7] = ["output", "aligned", "view", "merged", "initial", "transform", "tile"];
+    const WITHOUT: [&str; 10] =
+        ["output", "aligned", "view", "merged", "initial", "transform", "tile", "set", "external", "coverage"];
     for (name, help) in helps(&[]) {
         for entry in help.split("\n      --").skip(1) {
             let entry = entry.split("\n  -").next().unwrap();

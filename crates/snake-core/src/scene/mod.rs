@@ -9,6 +9,7 @@ mod encoder;
 mod levels;
 mod queries;
 mod scatter;
+mod signs;
 mod sweep;
 #[cfg(test)]
 mod tests;
@@ -18,5 +19,7 @@ mod voxel_size;
 pub(crate) use self::block_grid::BlockGrid;
 pub(crate) use self::encoder::{SceneEncoder, SceneMemory};
 pub(crate) use self::queries::cell_means;
+pub(crate) use self::signs::looks_like_scene;
+pub use self::signs::scene_signs;
 pub(crate) use self::sweep::is_sweep;
 pub(crate) use self::voxel_size::voxel_size;

@@ -43,6 +43,7 @@ struct PairEntry {
     name: String,
     /// Files of views 1 and 2; a path may lack the extension.
     clouds: [PathBuf; 2],
+    cloud_names: [String; 2],
     t_1_2: RigidTransform,
 }
 
@@ -91,7 +92,8 @@ impl ViewPairs {
     /// first view, and the pair is scaled so that the target has radius 1.
     pub fn from_pair(source: &Path, target: &Path, t_target_source: RigidTransform) -> Self {
         let name = format!("{} to {}", source.display(), target.display());
-        let pair = PairEntry { name, clouds: [target.into(), source.into()], t_1_2: t_target_source };
+        let cloud_names = [target, source].map(|path| path.display().to_string());
+        let pair = PairEntry { name, clouds: [target.into(), source.into()], cloud_names, t_1_2: t_target_source };
         Self { scale: Scale::Object, source: Source::Pairs { pairs: vec![pair], unit_radius: true } }
     }
 
@@ -156,6 +158,18 @@ impl ViewPairs {
         }
     }
 
+    /// The names of clouds 1 and 2 of a pair: their files from the data set's folder on, without extension. `None` for objects,
+    /// whose views are drawn at random, and for clouds that are scaled.
+    ///
+    /// # Panics
+    /// When `pair` is not below [`len`](Self::len).
+    pub fn cloud_names(&self, pair: usize) -> Option<&[String; 2]> {
+        match &self.source {
+            Source::Pairs { pairs, unit_radius: false } => Some(&pairs[pair].cloud_names),
+            _ => None,
+        }
+    }
+
     /// Reads the clouds that the views of a pair are drawn from. Points that are not finite are left out, so that views
     /// have the requested number of points.
     ///
@@ -198,10 +212,19 @@ fn finite_points(path: &Path, options: &ReadOptions) -> Result<Cloud> {
 fn listed_pairs(folder: &Path) -> Result<Vec<PairEntry>> {
     let entry = |ListedPair { source, target, t_target_source }| PairEntry {
         name: format!("{source} to {target}"),
+        cloud_names: [&target, &source].map(|file| without_extension(file).into()),
         clouds: [folder.join(target), folder.join(source)],
         t_1_2: t_target_source,
     };
     Ok(pairs_json::read(folder)?.into_iter().map(entry).collect())
+}
+
+/// The name of a cloud's file without the extension of a known format.
+fn without_extension(file: &str) -> &str {
+    match file.rsplit_once('.') {
+        Some((name, extension)) if io::POINT_EXTENSIONS.contains(&extension) => name,
+        _ => file,
+    }
 }
 
 /// USIP's ModelNet40: `original/I.npy`, the rotated object `rotated/I.npy`, and row I of `transform.npy`.
@@ -209,6 +232,7 @@ fn modelnet_pairs(folder: &Path) -> Result<Vec<PairEntry>> {
     let entry = |(i, t_1_2)| PairEntry {
         name: format!("{i}"),
         clouds: ["original", "rotated"].map(|view| folder.join(view).join(format!("{i}.npy"))),
+        cloud_names: ["original", "rotated"].map(|view| format!("{view}/{i}")),
         t_1_2,
     };
     Ok(io::read_transforms(&folder.join("transform.npy"))?.into_iter().enumerate().map(entry).collect())
@@ -231,7 +255,8 @@ fn redwood_pairs(folder: &Path) -> Result<Vec<PairEntry>> {
             return Err(Error::layout(&path, format!("expected a scene and two numbers, found `{line}`")));
         };
         let clouds = [first, second].map(|number| folder.join(scene).join(format!("{number}.npy")));
-        Ok(PairEntry { name: format!("{scene} {first} {second}"), clouds, t_1_2 })
+        let cloud_names = [first, second].map(|number| format!("{scene}/{number}"));
+        Ok(PairEntry { name: format!("{scene} {first} {second}"), clouds, cloud_names, t_1_2 })
     };
     lines.into_iter().zip(transforms).map(entry).collect()
 }

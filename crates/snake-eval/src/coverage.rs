@@ -1,0 +1,111 @@
+//! The suppression at which keypoints cover clouds as far as is asked: detectors are compared fairly where they cover alike.
+
+use rayon::prelude::*;
+use snake_core::space::{check_points, suppress_ranked};
+use snake_core::{Error, Point, Result};
+
+use crate::mean_distance_to_keypoints;
+
+/// A radius is this many times the one that was tried before it.
+const STEP: f64 = 1.2;
+/// Steps from a radius of a hundredth of the coverage on: as far as a hundred times the coverage.
+const STEPS: i32 = 50;
+/// Halvings of the last step: the radius is right to a part in 1000.
+const HALVINGS: usize = 7;
+
+/// A cloud with the keypoints of a detector.
+#[derive(Debug, Clone, PartialEq)]
+pub struct RankedKeypoints {
+    /// The cloud `(N, 3)`.
+    pub points: Vec<Point>,
+    /// Positions of keypoints `(K, 3)`, best first, without suppression.
+    pub keypoints: Vec<Point>,
+}
+
+/// The radius of suppression, one for all clouds, with which the best `count` keypoints of each cover their clouds as far as
+/// is asked: the mean distance of a point to the nearest keypoint, on average over the clouds, is `coverage`, in cloud units.
+/// 0 if they do without suppression. Where no radius covers as far, the one that covers farthest. Clouds without keypoints do
+/// not count.
+///
+/// # Errors
+/// [`Error::Input`] for an empty cloud or coordinates that are not finite, [`Error::Option`] for a coverage that is not
+/// positive.
+pub fn radius_of_coverage(clouds: &[RankedKeypoints], count: usize, coverage: f64) -> Result<f64> {
+    if !(coverage > 0.0 && coverage.is_finite()) {
+        return Err(Error::Option { name: "coverage", value: coverage.to_string(), allowed: "a length above 0" });
+    }
+    clouds.iter().try_for_each(|cloud| check_points("keypoints", &cloud.keypoints))?;
+    let found = |radius: f64| mean_coverage(clouds, count, radius);
+    if found(0.0)? <= coverage {
+        return Ok(0.0);
+    }
+    let radii = (0..STEPS).map(|step| 0.01 * coverage * STEP.powi(step));
+    let (mut best, mut least) = (0.0, f64::INFINITY);
+    for radius in radii {
+        let covered = found(radius)?;
+        if covered < least {
+            (best, least) = (radius, covered);
+        }
+        if covered <= coverage {
+            break;
+        }
+        // With growing radius the keypoints spread, until so few are left that they cover less again.
+        if covered > 1.5 * least {
+            return Ok(best);
+        }
+    }
+    if least > coverage {
+        return Ok(best);
+    }
+    let (mut too_small, mut enough) = (best / STEP, best);
+    for _ in 0..HALVINGS {
+        let middle = f64::midpoint(too_small, enough);
+        if found(middle)? <= coverage { enough = middle } else { too_small = middle }
+    }
+    Ok(enough)
+}
+
+fn mean_coverage(clouds: &[RankedKeypoints], count: usize, radius: f64) -> Result<f64> {
+    let of = |RankedKeypoints { points, keypoints }: &RankedKeypoints| -> Result<f64> {
+        let kept = suppress_ranked(keypoints, radius as f32, count)?;
+        let kept: Vec<Point> = kept.into_iter().map(|index| keypoints[index]).collect();
+        mean_distance_to_keypoints(points, &kept)
+    };
+    let covered =
+        clouds.par_iter().filter(|cloud| !cloud.keypoints.is_empty()).map(of).collect::<Result<Vec<f64>>>()?;
+    Ok(covered.iter().sum::<f64>() / covered.len().max(1) as f64)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// A line of points at 0, 1, .., 99, all of which are keypoints.
+    fn line() -> RankedKeypoints {
+        let points: Vec<Point> = (0..100).map(|i| [i as f32, 0.0, 0.0]).collect();
+        RankedKeypoints { keypoints: points.clone(), points }
+    }
+
+    #[test]
+    fn the_keypoints_cover_as_asked_and_hardly_further() {
+        let clouds = [line(), line()];
+        for asked in [3.0, 5.0, 10.0] {
+            let radius = radius_of_coverage(&clouds, 10, asked).unwrap();
+            let found = mean_coverage(&clouds, 10, radius).unwrap();
+            assert!(found <= asked && found > 0.75 * asked, "{asked} {found}");
+            assert!(mean_coverage(&clouds, 10, radius * 0.85).unwrap() > asked);
+        }
+        // The best ten cover to 40.95 on average, without any suppression.
+        assert_eq!(radius_of_coverage(&clouds, 10, 41.0).unwrap(), 0.0);
+    }
+
+    #[test]
+    fn where_nothing_covers_as_far_the_best_radius_is_taken() {
+        let radius = radius_of_coverage(&[line()], 10, 0.5).unwrap();
+        let found = mean_coverage(&[line()], 10, radius).unwrap();
+        assert!((2.0..3.0).contains(&found), "{radius} {found}");
+        let none = RankedKeypoints { keypoints: Vec::new(), ..line() };
+        assert_eq!(radius_of_coverage(std::slice::from_ref(&none), 10, 0.5).unwrap(), 0.0);
+        assert!(radius_of_coverage(&[line()], 10, 0.0).is_err());
+    }
+}

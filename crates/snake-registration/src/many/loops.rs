@@ -1,0 +1,98 @@
+//! What loops of three transforms say about each of them.
+
+use std::collections::HashMap;
+
+use nalgebra::IsometryMatrix3;
+
+use snake_core::space::Vector;
+
+use crate::pair::consistency::displacement;
+
+/// The confidence from which on a transform is a witness for others.
+const RELIABLE: f64 = 0.5;
+
+/// A transform between two clouds and the probability, 0 to 1, that it is right by its own evidence.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Witness {
+    pub(super) source: usize,
+    pub(super) target: usize,
+    pub(super) t_target_source: IsometryMatrix3<f64>,
+    pub(super) confidence: f64,
+    /// A loop is closed if it moves points by less than this (root mean square), or that of another of its transforms.
+    pub(super) distance: f64,
+}
+
+/// The probability that each transform is wrong in spite of its own evidence and the loops of three that it closes.
+///
+/// Two right transforms and a third that closes their loop prove each other. Wrong transforms close a loop by chance
+/// only: `(1 - own) Π (1 - a b)` over the closed loops, with the own probabilities a and b of the other two. These are reliable
+/// by themselves: two clouds of one thing fit a third that lacks it in the same wrong way, which closes a loop of doubtful
+/// transforms. A loop is closed if it moves the points of `probes[cloud]` little.
+pub(super) fn doubts(witnesses: &[Witness], probes: &[Vec<Vector>]) -> Vec<f64> {
+    let mut by_cloud: Vec<HashMap<usize, usize>> = vec![HashMap::new(); probes.len()];
+    for (index, witness) in witnesses.iter().enumerate() {
+        by_cloud[witness.source].insert(witness.target, index);
+        by_cloud[witness.target].insert(witness.source, index);
+    }
+    // From one end of a transform to the other.
+    let step = |index: usize, from: usize| {
+        let Witness { source, t_target_source, .. } = &witnesses[index];
+        if from == *source { *t_target_source } else { t_target_source.inverse() }
+    };
+    let doubt = |witness: &Witness| {
+        let (source, target) = (witness.source, witness.target);
+        let mut thirds: Vec<usize> = by_cloud[source].keys().copied().collect();
+        thirds.sort_unstable();
+        let mut doubt = 1.0 - witness.confidence;
+        for third in thirds {
+            let Some(&last) = by_cloud[target].get(&third) else { continue };
+            let first = by_cloud[source][&third];
+            let others = [&witnesses[first], &witnesses[last]];
+            if others.iter().any(|other| other.confidence < RELIABLE) {
+                continue;
+            }
+            let distance = others.iter().map(|other| other.distance).fold(witness.distance, f64::max);
+            let around = step(last, third) * step(first, source);
+            if displacement(&around, &witness.t_target_source, &probes[source]) < distance {
+                doubt *= 1.0 - witnesses[first].confidence * witnesses[last].confidence;
+            }
+        }
+        doubt
+    };
+    witnesses.iter().map(doubt).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use rand::SeedableRng;
+    use rand_chacha::ChaCha8Rng;
+
+    use super::*;
+    use crate::parts::rigid::tests::random_transform;
+
+    #[test]
+    fn closed_loops_lower_a_doubt_and_open_ones_leave_it() {
+        let mut rng = ChaCha8Rng::seed_from_u64(2);
+        let poses: Vec<_> = (0..4).map(|_| random_transform(&mut rng)).collect();
+        let witness = |source: usize, target: usize, confidence: f64| Witness {
+            source,
+            target,
+            t_target_source: poses[target].inverse() * poses[source],
+            confidence,
+            distance: 0.05,
+        };
+        let mut witnesses = vec![witness(0, 1, 0.9), witness(2, 1, 0.8), witness(0, 2, 0.1), witness(3, 0, 0.3)];
+        let probes = vec![vec![Vector::x(), Vector::y(), Vector::zeros()]; 4];
+        let found = doubts(&witnesses, &probes);
+        assert!((found[2] - 0.9 * (1.0 - 0.72)).abs() < 1e-12, "{found:?}");
+        assert!(found[0] < 0.1 && found[1] < 0.2);
+        assert_eq!(found[3], 1.0 - 0.3);
+        // A wrong transform closes no loop.
+        witnesses[2].t_target_source.translation.vector.x += 0.2;
+        let found = doubts(&witnesses, &probes);
+        assert!(
+            found.iter().zip(&witnesses).all(|(found, own)| (1.0 - found - own.confidence).abs() < 1e-12),
+            "{found:?}"
+        );
+    }
+}

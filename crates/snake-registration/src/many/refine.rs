@@ -1,0 +1,123 @@
+//! Poses that fit the points of all clouds at once.
+
+use rayon::prelude::*;
+
+use snake_core::space::Vector;
+use snake_core::{Counter, Result};
+
+use super::parts::Part;
+use super::pose_graph::{Link, least_squares};
+use crate::pair::consistency::displacement;
+use crate::pair::icp::remeasure;
+use crate::pair::surface::{Surface, coarse_step};
+
+/// Rounds at most; each measures every pair of clouds again.
+const ROUNDS: usize = 30;
+/// The refinement ends when no cloud moves by more than this share of the inlier distance.
+const TOLERANCE: f64 = 0.01;
+
+/// Refines the poses of a part on the points of the pairs of clouds that overlap, given by their places in the part, as are
+/// `surfaces`.
+///
+/// Each round pairs some of the points by the poses, takes one step of ICP for every pair of clouds and fits the poses to these
+/// steps. A transform that was measured from two clouds alone bends to where their own distortions fit best; here each cloud
+/// lies between all that it overlaps.
+pub(super) fn refine(
+    part: &mut Part,
+    pairs: &[[usize; 2]],
+    surfaces: &[Surface],
+    probes: &[Vec<Vector>],
+    gravity: Option<Vector>,
+    counter: &Counter,
+) -> Result<()> {
+    let Part { clouds, poses, .. } = part;
+    for _ in 0..ROUNDS {
+        counter.check()?;
+        let measure = |&[source, target]: &[usize; 2]| {
+            let of_pair = [source, target].map(|at| &surfaces[at]);
+            let step = coarse_step(of_pair.map(|surface| surface.points.len()).into_iter().max()?);
+            let by_poses = poses[target].inverse() * poses[source];
+            let (t_target_source, information) = remeasure(of_pair, &by_poses, gravity, step)?;
+            Some(Link { source, target, t_target_source, information })
+        };
+        let links: Vec<Link> = pairs.par_iter().filter_map(measure).collect();
+        if links.is_empty() {
+            break;
+        }
+        let before = poses.clone();
+        let distance = surfaces[0].grid.distance();
+        least_squares(poses, &links, &vec![1.0; links.len()], distance, counter)?;
+        let moved = clouds.iter().zip(before.iter().zip(&*poses));
+        let moved = moved.map(|(&cloud, (before, after))| displacement(before, after, &probes[cloud]));
+        if moved.fold(0.0, f64::max) < TOLERANCE * distance {
+            break;
+        }
+    }
+    Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use nalgebra::IsometryMatrix3;
+    use rand::SeedableRng;
+    use rand_chacha::ChaCha8Rng;
+
+    use super::*;
+    use crate::parts::rigid::moved;
+    use crate::parts::rigid::tests::{random_points, random_transform};
+    use snake_core::space::vector;
+
+    type PointsAndNormals = (Vec<Vector>, Vec<Vector>);
+
+    /// Five clouds along a corridor x = -3 to 3 with a step in its floor, each 3 long: points, normals and the true poses.
+    fn corridor() -> (Vec<PointsAndNormals>, Vec<IsometryMatrix3<f64>>) {
+        let mut rng = ChaCha8Rng::seed_from_u64(7);
+        let poses: Vec<_> = (0..5).map(|_| random_transform(&mut rng)).collect();
+        let cloud = |(i, pose): (usize, &IsometryMatrix3<f64>)| {
+            let middle = 0.75 * (i as f64 - 2.0);
+            let of = |(i, p): (usize, Vector)| {
+                let x = middle + 1.5 * p.x;
+                match i % 4 {
+                    0 => (Vector::new(x, p.y, -1.0 + 0.1 * x.floor()), Vector::z()),
+                    1 => (Vector::new(x.round(), p.y, p.z), Vector::x()),
+                    2 => (Vector::new(x, 1.0, p.z), Vector::y()),
+                    _ => (Vector::new(x, -1.0, p.z), Vector::y()),
+                }
+            };
+            let points = random_points(&mut ChaCha8Rng::seed_from_u64(i as u64), 3000).into_iter().map(vector);
+            let inverse = pose.inverse();
+            points.enumerate().map(of).map(|(p, n)| (moved(&inverse, &p), inverse.rotation * n)).unzip()
+        };
+        (poses.iter().enumerate().map(cloud).collect(), poses)
+    }
+
+    #[test]
+    fn all_points_together_correct_the_poses() {
+        let (clouds, truth) = corridor();
+        let surfaces: Vec<Surface> =
+            clouds.iter().map(|(points, normals)| Surface::new(points, normals, None, 0.15)).collect();
+        let probes: Vec<Vec<Vector>> = clouds.iter().map(|(points, _)| points[..50].to_vec()).collect();
+        let poses: Vec<IsometryMatrix3<f64>> = truth.iter().map(|pose| truth[0].inverse() * pose).collect();
+        let off = |i: usize| {
+            let size = 0.03 * i as f64 / 4.0;
+            IsometryMatrix3::new(Vector::new(size, -size, size), Vector::repeat(size / 2.0))
+        };
+        let mut part = Part {
+            clouds: (0..5).collect(),
+            poses: poses.iter().enumerate().map(|(i, pose)| pose * off(i)).collect(),
+            links: Vec::new(),
+        };
+        let pairs: Vec<[usize; 2]> = (1..5).flat_map(|at| (0..at).map(move |before| [at, before])).collect();
+        let error = |part: &Part| {
+            let errors = (0..5).map(|i| displacement(&part.poses[i], &poses[i], &probes[i]));
+            errors.fold(0.0, f64::max)
+        };
+        assert!(error(&part) > 0.04);
+        refine(&mut part, &pairs, &surfaces, &probes, None, &Counter::default()).unwrap();
+        assert!(error(&part) < 0.005 && part.poses[0] == poses[0], "{}", error(&part));
+        // Without pairs the poses stay.
+        let before = part.poses.clone();
+        refine(&mut part, &[], &surfaces, &probes, None, &Counter::default()).unwrap();
+        assert_eq!(part.poses, before);
+    }
+}

@@ -1,0 +1,109 @@
+//! Tests of alignment as a whole.
+
+use rand::SeedableRng;
+use rand_chacha::ChaCha8Rng;
+
+use super::*;
+use crate::RegisterOptions;
+use crate::parts::rigid::tests::{random_points, random_transform};
+use crate::parts::rigid::transform_points;
+use snake_core::space::Vector;
+use snake_core::{Builtin, CancelFlag};
+
+/// Three samplings of the sample, each moved; a closed surface that fits none of them is cloud 1.
+fn clouds() -> (Vec<Vec<Point>>, Vec<RigidTransform>) {
+    let path = concat!(env!("CARGO_MANIFEST_DIR"), "/../../samples/plane.ply");
+    let points = snake_io::read_points(path.as_ref()).unwrap();
+    let mut rng = ChaCha8Rng::seed_from_u64(5);
+    let poses: Vec<RigidTransform> = (0..4).map(|_| random_transform(&mut rng).into()).collect();
+    let sampling = |start: usize| points.iter().skip(start).step_by(2).copied().collect::<Vec<Point>>();
+    let mut box_points = random_points(&mut rng, 2000);
+    box_points.iter_mut().enumerate().for_each(|(i, p)| p[i % 3] = if i % 2 == 0 { 1.0 } else { -1.0 });
+    let all = [sampling(0), box_points, sampling(1), points[..2500].to_vec()];
+    (all.iter().zip(&poses).map(|(points, pose)| transform_points(pose, points)).collect(), poses)
+}
+
+fn run(clouds: &[Vec<Point>], options: &AlignOptions) -> Result<Alignment> {
+    align(clouds, &Model::builtin(Builtin::Compact), options)
+}
+
+#[test]
+fn clouds_of_one_shape_are_one_part_and_others_another() {
+    let (clouds, poses) = clouds();
+    let found = run(&clouds, &AlignOptions::default()).unwrap();
+    assert_eq!(found.parts, [vec![0, 2, 3], vec![1]]);
+    assert_eq!(found.num_pairs, 6);
+    assert_eq!(found.poses[0].t_part_cloud, RigidTransform::identity());
+    assert_eq!(found.poses[1].t_part_cloud, RigidTransform::identity());
+    for cloud in [2, 3] {
+        let truth = poses[0] * poses[cloud].inverse();
+        let (angle, _) = found.poses[cloud].t_part_cloud.angle_and_distance_to(&truth);
+        let residuals = clouds[cloud].iter().map(|&p| {
+            let (a, b) = (found.poses[cloud].t_part_cloud.apply(p), truth.apply(p));
+            (0..3).map(|axis| (a[axis] - b[axis]).abs()).fold(0.0, f32::max)
+        });
+        assert!(angle < 0.02 && residuals.fold(0.0, f32::max) < 0.03, "{found:?}");
+        assert!(found.poses[cloud].covariance[3][3] > 0.0 && found.poses[cloud].part == 0);
+    }
+    let pairs: Vec<_> = found.edges.iter().map(|edge| (edge.source, edge.target)).collect();
+    assert_eq!(pairs, [(2, 0), (3, 0), (3, 2)]);
+    assert!(found.edges.iter().all(|edge| edge.belief >= edge.confidence && edge.residual < 0.05));
+}
+
+#[test]
+fn threads_do_not_matter() {
+    let (clouds, _) = clouds();
+    let run = |threads| {
+        let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
+        let options = AlignOptions::default().with_max_partners(1);
+        Alignment { seconds: 0.0, ..pool.install(|| run(&clouds, &options).unwrap()) }
+    };
+    let one = run(1);
+    assert!(one.num_pairs < 6 && one.num_pairs >= 3, "{one:?}");
+    assert_eq!(one, run(3));
+}
+
+#[test]
+fn origins_far_from_zero_are_added_to_the_transforms() {
+    let (clouds, _) = clouds();
+    let found = run(&clouds, &AlignOptions::default()).unwrap();
+    let origins: Vec<[f64; 3]> = (0..4).map(|i| [1e5 * f64::from(i), 2e6, -3.0]).collect();
+    let far = found.clone().between_origins(&origins);
+    let at = |cloud: usize, point: [f64; 3]| {
+        let whole = std::array::from_fn(|axis| point[axis] + origins[cloud][axis]);
+        far.poses[cloud].t_part_cloud.apply_vector(&Vector::from(whole))
+    };
+    let near = found.poses[2].t_part_cloud.apply_vector(&Vector::new(0.1, 0.2, 0.3));
+    assert!((at(2, [0.1, 0.2, 0.3]) - (near + Vector::from(origins[0]))).norm() < 1e-6);
+}
+
+#[test]
+fn bad_clouds_and_options_are_refused() {
+    let (clouds, _) = clouds();
+    let refused = |clouds: &[Vec<Point>], options: &AlignOptions| run(clouds, options).unwrap_err().to_string();
+    let default = AlignOptions::default();
+    assert!(refused(&clouds[..1], &default).contains("2 to 500"));
+    for (bad, reason) in
+        [(vec![], "no points"), (vec![[f32::NAN; 3]; 3], "finite"), (vec![[1.0; 3]; 3], "two different")]
+    {
+        let error = refused(&[clouds[0].clone(), clouds[1].clone(), bad], &default);
+        assert!(error.contains("cloud 2 (from 0)") && error.contains(reason), "{error}");
+    }
+    let register = RegisterOptions::default();
+    for (options, name) in [
+        (default.clone().with_max_partners(0), "max_partners"),
+        (default.clone().with_viewpoints(vec![None]), "viewpoints"),
+        (default.clone().with_viewpoints(vec![Some([f64::NAN; 3]); 4]), "finite"),
+        (default.clone().with_register(register.with_initial(Some(RigidTransform::identity()))), "initial"),
+        (default.clone().with_register(register.with_source_viewpoint(Some([0.0; 3]))), "source_viewpoint"),
+        (default.clone().with_register(register.with_hypotheses(2)), "hypotheses"),
+        (default.clone().with_register(register.with_max_matches(1)), "max_matches"),
+    ] {
+        assert!(refused(&clouds, &options).contains(name), "{name}");
+    }
+    let flag = CancelFlag::default();
+    flag.cancel();
+    let model = Model::builtin(Builtin::Compact);
+    let stopped = align_with(&clouds, &model, &default, &Control::new().cancel(&flag));
+    assert!(matches!(stopped, Err(Error::Cancelled)));
+}

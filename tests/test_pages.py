@@ -1,0 +1,208 @@
+"""What the pages say is so: commands and examples run as they stand, links lead somewhere, and a page stays short.
+
+A command of ours runs in a folder where every input that it names exists: files of the repository, and copies of samples under all
+other names. A command whose data only the reader has names it in CAPITALS: its options are checked, and it runs until it misses the
+data. Of commands that take minutes (training, make, cargo) the target, module, options and paths are checked. Programs of others are
+not run.
+"""
+
+import itertools
+import re
+import shlex
+import shutil
+import subprocess
+import sys
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+import pytest
+import tomllib
+
+import snake_rs
+
+ROOT = Path(__file__).parents[1]
+LOGS = ("docs/archive/", "training/EXPERIMENTS.md")
+LISTED = subprocess.run(["git", "ls-files", "*.md"], cwd=ROOT, capture_output=True, text=True, check=True).stdout
+PAGES = [name for name in LISTED.split() if not name.startswith(LOGS) and (ROOT / name).is_file()]
+OUTPUTS = ("-o", "--output", "--aligned", "--merged", "--view", "--tile-folder", "--screenshot")
+DATA_OF_THE_READER = re.compile(r"(?<![=\w])[A-Z]{4,}\b")
+
+
+def text_of(page: str) -> str:
+    return (ROOT / page).read_text(encoding="utf-8")
+
+
+def blocks(page: str, language: str) -> list[str]:
+    return re.findall(rf"^```{language}\n(.*?)^```", text_of(page), re.DOTALL | re.MULTILINE)
+
+
+def commands(page: str) -> list[str]:
+    """The commands of a page, each on one line, without comments."""
+    lines = "\n".join(blocks(page, "sh")).replace("\\\n", " ").splitlines()
+    bare = (re.sub(r"(^|\s)#.*", "", line).strip() for line in lines)
+    return [line.removeprefix("/usr/bin/time -v ") for line in bare if line]
+
+
+COMMANDS = [(page, command) for page in PAGES for command in commands(page)]
+
+
+def of(*programs: str) -> list:
+    return [pytest.param(c, id=f"{page}: {c[:60]}") for page, c in COMMANDS if c.split()[0] in programs]
+
+
+@pytest.fixture
+def folder(tmp_path, monkeypatch):
+    """A folder with the samples, in which a test works."""
+    shutil.copytree(ROOT / "samples", tmp_path / "samples")
+    (tmp_path / "docs/gallery").mkdir(parents=True)
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
+
+
+def stand_in(path: Path) -> None:
+    """Makes a file or a folder of this name from a sample."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    sample = ROOT / "samples/plane.ply"
+    points = snake_rs.read_points(sample)
+    recording, suffix = ROOT / "tests/data/io/drive.mcap", path.suffix
+    if not suffix and path.name.startswith("drive"):
+        stand_in(path / "drive.mcap")
+    elif not suffix:
+        stand_in(path / "a.ply")
+        stand_in(path / "b.ply")
+    elif suffix == ".npy":
+        np.save(path, points)
+    elif suffix == ".csv":
+        np.savetxt(path, np.hstack([points, points]), delimiter=",", header="lat,lon,alt,x,y,z", comments="")
+    elif suffix in (".las", ".laz"):
+        snake_rs.detect(points, max_keypoints=None, nms_radius=None).save(path.with_suffix(".laz"))
+        path.with_suffix(".laz").rename(path)
+    else:
+        given = {
+            ".mcap": recording,
+            ".safetensors": ROOT / "crates/snake-core/models/compact.safetensors",
+            ".ply": sample,
+        }
+        shutil.copy(given[suffix], path)
+
+
+def with_inputs(command: str) -> list[str]:
+    """The words of a command, each input of which exists then."""
+    words = shlex.split(command)
+    for i, (before, word) in enumerate(itertools.pairwise(words), 1):
+        words[i] = word.lstrip("/") if before in OUTPUTS else word
+        path = Path(word.replace("*", "a"))
+        is_file = path.suffix in (".ply", ".npy", ".csv", ".las", ".laz", ".mcap", ".safetensors")
+        if before not in OUTPUTS and (is_file or word.endswith("/")) and not path.exists():
+            stand_in(path)
+    return words
+
+
+@pytest.mark.parametrize("command", of("snake-cli"))
+def test_command_runs(command, compiled, folder):
+    done = subprocess.run(
+        [compiled / "snake-cli", *with_inputs(command)[1:]], capture_output=True, text=True, check=False
+    )
+    if needs_data := DATA_OF_THE_READER.search(command):
+        # It is the data that is missing: every option is known and has a value that it takes.
+        assert done.returncode == 2 and needs_data[0] in done.stderr, done.stderr
+        assert "Usage" not in done.stderr and "--help" not in done.stderr, done.stderr
+    else:
+        assert done.returncode == 0, done.stderr
+        assert "0 keypoints" not in done.stdout.replace("10 keypoints", ""), done.stdout
+
+
+@pytest.mark.parametrize("command", of("make"))
+def test_target_exists(command):
+    assert re.search(rf"^{command.split()[1]}:.* ## ", (ROOT / "Makefile").read_text(), re.MULTILINE)
+
+
+@cache
+def help_of(*program: str) -> str:
+    command = [sys.executable, *program, "--help"]
+    return subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=True).stdout
+
+
+@pytest.mark.parametrize("command", of("python", "python3"))
+def test_options_of_python_exist(command):
+    words = shlex.split(command.split(" -- ")[0])
+    flags = [word.split("=")[0] for word in words[2:] if word.startswith("--")]
+    if words[1] == "-m" and words[2].startswith("snake_training"):
+        pytest.importorskip("snake_training", reason="pip install ./training")
+        program = words[1:3] + [word for word in words[3:4] if re.fullmatch("[a-z]+", word) and "slices" in words[2]]
+    else:
+        program = words[1:2]
+        found = [path for path in ROOT.glob(f"**/{program[0]}") if "target" not in path.parts]
+        assert found, f"{program[0]} is not in the repository"
+        program = [str(found[0])]
+    assert not flags or not (unknown := [flag for flag in flags if flag not in help_of(*program)]), unknown
+
+
+@pytest.mark.parametrize("command", of("cargo", "pip"))
+def test_paths_of_installers_exist(command):
+    words = shlex.split(command.split(" -- ")[0])
+    for before, word in itertools.pairwise(words):
+        if before == "--path" or word.startswith("./"):
+            assert (ROOT / word.split("[")[0]).is_dir()
+        if before == "-p":
+            assert (ROOT / "crates" / word / "Cargo.toml").is_file()
+        if before == "--example":
+            assert list(ROOT.glob(f"crates/*/examples/{word}.rs"))
+
+
+@pytest.mark.parametrize("page", [page for page in PAGES if blocks(page, "python")])
+def test_python_runs(page, folder, monkeypatch, capsys):
+    """Blocks run one after another; those that need other packages than ours are compiled."""
+    opened, names = [], {}
+    monkeypatch.setattr("webbrowser.open", opened.append)
+    monkeypatch.setattr("tempfile.tempdir", str(folder))
+    for block in blocks(page, "python"):
+        code = compile(block, page, "exec")
+        imported = set(re.findall(r"^(?:import|from) (\w+)", block, re.MULTILINE))
+        if imported <= {"snake_rs", "numpy"}:
+            for name in re.findall(r'"([\w./]+\.(?:ply|mcap))"', block):
+                if not Path(name).exists():
+                    stand_in(Path(name))
+            exec(code, names | {"snake_rs": snake_rs})
+    if page == "README.md":
+        assert "Keypoints(64" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize("page", [page for page in PAGES if any("[options]" in b for b in blocks(page, "toml"))])
+def test_configuration_is_read(page, compiled, folder):
+    (block,) = (block for block in blocks(page, "toml") if "[options]" in block)
+    tomllib.loads(block)
+    (folder / "snake.toml").write_text(block)
+    done = subprocess.run([compiled / "snake-cli", "detect", "samples/plane.ply", "-v"], capture_output=True, text=True)
+    assert done.returncode == 0 and "rooms" in done.stderr and '"nms_radius":0.2' in done.stderr, done.stderr
+
+
+def test_rust_example_is_the_one_that_cargo_compiles():
+    (example,) = blocks("README.md", "rust")
+    assert example == (ROOT / "crates/snake-io/examples/keypoints.rs").read_text()
+
+
+def anchors(page: Path) -> set[str]:
+    headings = re.findall(r"^#+ (.*)$", page.read_text(encoding="utf-8"), re.MULTILINE)
+    return {re.sub(r"[^\w\- ]", "", heading.lower()).replace(" ", "-") for heading in headings}
+
+
+@pytest.mark.parametrize("page", PAGES)
+def test_links_lead_somewhere(page):
+    for link in re.findall(r"\]\(([^)\s]+)\)", text_of(page)):
+        if "://" not in link:
+            name, _, anchor = link.partition("#")
+            target = (ROOT / page).parent / name if name else ROOT / page
+            assert target.exists(), link
+            assert not anchor or anchor in anchors(target), link
+
+
+def test_the_readme_is_short():
+    assert len(text_of("README.md").splitlines()) <= 120
+
+
+def test_speeds_of_the_readme_are_those_of_the_page():
+    speed = text_of("README.md").split("## Speed")[1].split("##")[0]
+    for seconds in re.findall(r"\| ([\d.]+) s", speed):
+        assert f"| {seconds} |" in text_of("docs/performance.md")
