@@ -111,7 +111,7 @@ $(VENV)/registration-ready: $(VENV)/ready
 bench-registration: module $(VENV)/registration-ready  ## registration beside Open3D and KISS-Matcher: make bench-registration SCENES=FOLDER OBJECTS=FOLDER; resumable, hours, PARTS="speed verdict" for a part
 	$(PYTHON) tests/bench/registration.py $(if $(SCENES),--scenes $(SCENES)) $(if $(OBJECTS),--objects $(OBJECTS)) $(if $(PARTS),--parts $(PARTS))
 
-models: $(VENV)/ready  ## all weights from their recipes into runs/: make models DATA=FOLDER VAL=FOLDER adds shapes, SMOKE=1 only sees that it runs; days, resumable, each recipe states its time
+models: module  ## all weights from their recipes into runs/: make models DATA=FOLDER VAL=FOLDER adds shapes, SMOKE=1 only sees that it runs; days, resumable, each recipe states its time
 	OMP_NUM_THREADS=1 $(PYTHON) -m snake_training.recipes training/recipes/*.toml $(if $(DATA),--data $(DATA)) \
 		$(if $(VAL),--validation-data $(VAL)) $(if $(SMOKE),--smoke --run-dir runs/smoke)
 
