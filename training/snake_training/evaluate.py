@@ -213,15 +213,16 @@ def repeatability(detector, shapes, number=10**9, num_points=5000, seed=0, epsil
 def detector(engine, weights, options, device="cpu", rotations=1):
     """points (N, 3) -> keypoints (K, >= 3), by the PyTorch detection of this file or by snake-rs.
 
-    Only snake-rs averages over `rotations` of the input.
+    Only snake-rs averages over `rotations` of the input, and detects with the options of the weights (`options` None).
     """
     if engine == "snake-rs":
         import snake_rs
 
         model = snake_rs.Model.load(weights)
-        return lambda points: snake_rs.detect(points, model, rotations=rotations, **vars(options)).points
-    if rotations > 1:
-        raise ValueError("--rotations needs --engine snake-rs")
+        given = {} if options is None else vars(options) | {"rotations": rotations}
+        return lambda points: snake_rs.detect(points, model, **given).points
+    if rotations > 1 or options is None:
+        raise ValueError("--rotations and --recommended need --engine snake-rs")
     network = load_network(weights, device)
     return lambda points: detect(network, points, options)
 
@@ -241,6 +242,11 @@ def main(argv=None):
     parser.add_argument("--seed", type=int, default=0, help="seed of rotations and point choices")
     parser.add_argument("--engine", choices=("torch", "snake-rs"), default="torch", help="which implementation detects")
     parser.add_argument("--rotations", type=int, default=1, help="turned copies averaged (snake-rs only)")
+    parser.add_argument(
+        "--recommended",
+        action="store_true",
+        help="detect with the options of the weights, not those below (snake-rs only)",
+    )
     parser.add_argument("--device", default="cpu", help="torch device, for instance cuda")
     parser.add_argument("--threads", type=int, default=0, help="torch threads; 0: torch's default")
     for name, field in DetectOptions.__dataclass_fields__.items():
@@ -252,7 +258,8 @@ def main(argv=None):
         torch.set_num_threads(arguments.threads)
     options = DetectOptions(**{name: getattr(arguments, name) for name in DetectOptions.__dataclass_fields__})
     try:
-        find = detector(arguments.engine, arguments.weights, options, arguments.device, arguments.rotations)
+        asked = None if arguments.recommended else options
+        find = detector(arguments.engine, arguments.weights, asked, arguments.device, arguments.rotations)
         result = repeatability(
             lambda points: {"snake": find(points)}, open_shapes(arguments.data), arguments.objects,
             arguments.num_points, arguments.seed, arguments.epsilon, progress=True,
@@ -261,7 +268,7 @@ def main(argv=None):
         parser.error(str(error))
     values, count = result["snake"]
     figures = {f"{e:g}": round(float(v), 4) for e, v in zip(arguments.epsilon, values)}
-    print(json.dumps({"repeatability": figures, "keypoints": round(count, 1), "options": vars(options)}))
+    print(json.dumps({"repeatability": figures, "keypoints": round(count, 1), "options": asked and vars(asked)}))
 
 
 if __name__ == "__main__":

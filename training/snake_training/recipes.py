@@ -3,6 +3,7 @@ stage goes on from its checkpoint, on this machine or on another to which the ru
 
 A recipe is a TOML file of stages in order. Each has a name, a kind, and the settings of its kind:
 
+weights   file (a weight file): a network to go on from
 targets   of (a stage, the teacher), the options of `snake_training.targets`
 train     init and targets (stages), the options of `snake_training.train`, for a network of objects
 crops     files: ranges [first seed, number] of files of 25 made crops (`snake_training.data.crops`)
@@ -81,7 +82,7 @@ def command(options):
 class Recipe:
     """A recipe's stages and the folder of their results."""
 
-    KINDS = ("targets", "train", "crops", "start", "scenes", "average", "export", "figures")
+    KINDS = ("weights", "targets", "train", "crops", "start", "scenes", "average", "export", "figures")
 
     def __init__(self, path, run_dir, smoke=False, data=(), validation_data=()):
         self.base, self.run_dir, self.smoke = Path(path).parent, Path(run_dir), smoke
@@ -108,8 +109,9 @@ class Recipe:
         for stage in self.stages:
             folder = self.run_dir / stage["name"]
             done = folder / "done.json"
+            made = {"stage": stage, "smoke": self.smoke}
             if done.exists():
-                if json.loads(done.read_text())["stage"] != stage:
+                if not made.items() <= json.loads(done.read_text()).items():
                     raise ValueError(f"{folder} was made with other settings; delete it, or give another --run-dir")
                 continue
             folder.mkdir(parents=True, exist_ok=True)
@@ -117,7 +119,7 @@ class Recipe:
             getattr(self, stage["kind"])(stage, folder, log)
             seconds = round(time.time() - began)
             with replacing(done) as temporary:
-                temporary.write_text(json.dumps({"stage": stage, "seconds": seconds, "processor": processor()}))
+                temporary.write_text(json.dumps(made | {"seconds": seconds, "processor": processor()}))
             log(f"{stage['name']}: {seconds} s")
 
     def options(self, stage, smoke):
@@ -126,6 +128,10 @@ class Recipe:
             {name: value for name, value in stage.items() if name not in ("name", "kind", "of", "init", "targets")}
             | (smoke if self.smoke else {})
         )
+
+    def weights(self, stage, folder, log):
+        """A network that is there."""
+        save(folder, load_network(self.base / stage["file"]))
 
     def targets(self, stage, folder, log):
         """The teacher's saliency, averaged."""

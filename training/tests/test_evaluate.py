@@ -283,3 +283,21 @@ def test_command_line(tmp_path, network, capsys):
         assert stop.value.code == 2 and "absent" in capsys.readouterr().err
     with pytest.raises(SystemExit):
         main([str(weights), str(tmp_path / "shapes"), "--selection", "worst"])
+
+
+def test_the_options_of_the_weights_are_those_of_snake_rs(tmp_path, network, capsys):
+    """With --recommended, a file's own suppression decides how many keypoints there are."""
+    np.save(tmp_path / "cloud.npy", np.random.default_rng(0).normal(size=(500, 3)).astype(np.float32))
+    counts = {}
+    for radius in ("0.2", "2.0"):
+        thresholds = '"occupancy_threshold":0,"surface_threshold":0,"saliency_threshold":0,"refine_steps":0'
+        options = f'{{"detect":{{{thresholds},"query_resolution":8,"nms_radius":{radius}}}}}'
+        write_weights(
+            tmp_path / "w.safetensors", network.config, network.state_dict(), extra={"recommended_options": options}
+        )
+        main([str(tmp_path / "w.safetensors"), str(tmp_path), "--engine", "snake-rs", "--recommended"])
+        counts[radius] = json.loads(capsys.readouterr().out)["keypoints"]
+    assert counts["0.2"] > counts["2.0"] >= 1
+    with pytest.raises(SystemExit):
+        main([str(tmp_path / "w.safetensors"), str(tmp_path), "--recommended"])
+    assert "need --engine snake-rs" in capsys.readouterr().err

@@ -47,13 +47,13 @@ def test_the_recipe_of_the_released_weights_runs(tmp_path):
     assert load_network(tmp_path / "scenes/scenes.safetensors")
 
 
-@pytest.mark.parametrize("name", ["compact", "paper"])
+@pytest.mark.parametrize("name", ["compact", "standard", "paper"])
 def test_a_recipe_of_objects_ends_with_a_weight_file_and_its_figures(tmp_path, name, capsys):
     """Without data, and the second time with some: then what is done stays."""
     main([str(RECIPES / f"{name}.toml"), "--run-dir", str(tmp_path), "--smoke"])
     weights = tmp_path / f"{name}/{name}.safetensors"
-    assert weights.stat().st_size < (1_000_000 if name == "compact" else 10_000_000)
-    assert load_network(weights).config.unet_base_channels == (16 if name == "compact" else 32)
+    assert weights.stat().st_size < (10_000_000 if name == "paper" else 1_000_000)
+    assert load_network(weights).config.unet_base_channels == (32 if name == "paper" else 16)
     figures = json.loads((tmp_path / name / "figures/figures.json").read_text())
     assert set(figures) == {"repeatability", "keypoints", "options"}
     done = json.loads((tmp_path / name / "figures/done.json").read_text())
@@ -106,6 +106,11 @@ def test_other_settings_than_those_of_the_results_are_refused(run_dir, tmp_path)
     (tmp_path / "other.toml").write_text(text.replace("steps = 8000", "steps = 8001"))
     with pytest.raises(ValueError, match="corners was made with other settings"):
         Recipe(tmp_path / "other.toml", run_dir, smoke=True).run()
+
+
+def test_a_smoke_is_not_taken_for_the_real_run(run_dir):
+    with pytest.raises(ValueError, match="crops was made with other settings"):
+        Recipe(RECIPES / "scenes-from-nothing.toml", run_dir).run()
 
 
 @pytest.mark.parametrize(

@@ -39,12 +39,12 @@ def place(tmp_path_factory):
     data, split = folder / "data", folder / "split"
     split.mkdir()
     _, names = keypointnet(data / "keypointnet_pcds")
-    for name in ("keypointnet_train", "keypointnet_test_630"):
+    for name in ("keypointnet_train", "keypointnet_val", "keypointnet_test_630"):
         shutil.copy(names, split / f"{name}.txt")
     names.unlink()
-    shutil.move(modelnet40(data / "modelnet40")[1], split)
+    shutil.copy(shutil.move(modelnet40(data / "modelnet40")[1], split), split / "modelnet40_val.txt")
     smpl(data / "smpl_model")
-    shutil.move(match3d(data)[1], split / "match3d_train_new_40k.txt")
+    shutil.copy(shutil.move(match3d(data)[1], split / "match3d_train_new_40k.txt"), split / "match3d_val.txt")
     (data / "redwood/numpy_gt_normal").mkdir()
     for name in ("room", "transform.npy", "redwood_pair.txt"):
         shutil.move(data / "redwood" / name, data / "redwood/numpy_gt_normal" / name)

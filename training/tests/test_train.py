@@ -261,8 +261,8 @@ def test_best_is_kept_by_score(tiny, monkeypatch):
 
 
 def test_a_gradient_that_is_not_finite_stops_the_run(tiny, tmp_path, network, monkeypatch):
-    def poisoned(*given):
-        losses, saturated = snake_losses(*given)
+    def poisoned(*given, **named):
+        losses, saturated = snake_losses(*given, **named)
         return losses | {"surface": losses["surface"] * math.nan}, saturated
 
     monkeypatch.setattr(training, "snake_losses", poisoned)
