@@ -44,6 +44,7 @@ __all__ = [
     "read_recording",
     "register",
     "registration_recall",
+    "scene_signs",
     "relative_repeatability",
     "semantic_counts",
     "set_num_threads",

@@ -32,6 +32,13 @@ def objects(folder, step, rng):
             yield cloud[:600] + rng.normal(0, 0.02, (600, 3))
 
 
+def torus(rng, number=4000):
+    """A ring: smooth and hollow, as no object of the corpus is."""
+    one, other = rng.uniform(0, 2 * np.pi, (2, number))
+    out = 1 + rng.uniform(0.1, 0.6) * np.cos(other)
+    return np.column_stack([out * np.cos(one), out * np.sin(one), rng.uniform(0.1, 0.6) * np.sin(other)])
+
+
 def fragments(folder):
     """The clouds of a folder of scenes."""
     for row in json.loads((folder / "index.json").read_text()):
@@ -70,6 +77,8 @@ def main(argv=None):
         kind, cloud = scene_cloud(rng)
         made.setdefault(kind, []).append(cloud)
     groups = {"objects": (signs(objects(arguments.objects, arguments.step, rng)), False)}
+    rounded = [torus(rng) for _ in range(arguments.made // 4)]
+    groups["rings"] = (signs(rounded), False)
     groups |= {kind: (signs(clouds), True) for kind, clouds in sorted(made.items())}
     groups |= {str(folder): (signs(fragments(folder)), True) for folder in arguments.scenes}
     weights = fit(list(groups.values()))
