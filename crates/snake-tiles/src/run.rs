@@ -287,10 +287,13 @@ pub(crate) fn columns_of(detector: &TileDetector, side: f64) -> Result<i32> {
 /// Points of a cloud whose voxel size can be chosen, at most: they are read into memory for it.
 const CHOSEN_POINTS: usize = 2_000_000;
 
+/// Takes a position.
+type Take<'a> = dyn FnMut([f64; 3]) + 'a;
+
 /// Chooses the voxel size where the options have none. `read` calls its argument with all points.
 pub(crate) fn choose_voxel_size(
     detector: &mut TileDetector,
-    read: &mut dyn FnMut(&mut dyn FnMut([f64; 3])) -> Result<()>,
+    read: &mut dyn FnMut(&mut Take<'_>) -> Result<()>,
 ) -> Result<()> {
     if !detector.needs_voxel_size() {
         return Ok(());
