@@ -13,7 +13,7 @@ use crate::terminal::{self, Report};
 #[derive(Args)]
 pub struct SetArguments {
     /// Set any option by its name, such as `--set refine_steps=10`. `snake-cli options` lists all of them; a text, a number,
-    /// true, false, none or [x,y,z] is a value. It may be given several times.
+    /// true, false, none or a list in JSON is a value. It may be given several times.
     #[arg(long, value_name = "NAME=VALUE", value_parser = assignment)]
     set: Vec<(String, Value)>,
 }

@@ -22,7 +22,7 @@ const DIRECTIONS: usize = 100;
 const SAMPLES: usize = 150;
 
 /// The weight of each of [`scene_signs`], and that of one.
-const WEIGHTS: [f64; NUM_SIGNS + 1] = [-188.6, -10.55, 2.743, -8.131, 0.6862, 5.157, 5.491, -39.82, -7.381];
+const WEIGHTS: [f64; NUM_SIGNS + 1] = [-187.6, -9.776, 2.844, -7.656, 0.5591, 5.274, 6.212, -38.05, -8.389];
 
 /// Whether a cloud `(N, 3)` of finite points looks like a scene and not like one object.
 pub(crate) fn looks_like_scene(points: &[Point]) -> bool {
