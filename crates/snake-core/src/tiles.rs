@@ -27,9 +27,9 @@ use snake_kernels::BLOCK_SIDE;
 
 /// Columns around a tile whose points its voxels depend on.
 ///
-/// Each convolution of blocks computes a block from its neighbours. On its way down and up the levels a block of the finest level so
-/// depends on 19 blocks in each direction with a network of three levels, on 4 with one and 38 with four, those that
-/// exist because of points nearby included. That is less than five blocks of the coarsest level.
+/// Each convolution of blocks computes a block from its neighbours. On its way down and up three levels a column so depends on at
+/// most 79 voxels in each direction, the blocks that exist because of points nearby included. That is less than five blocks
+/// of the coarsest level.
 const HALO: i32 = 5;
 
 /// A scene model with options for the tiles of a cloud. All points are relative to the origin of the whole cloud.
