@@ -9,6 +9,7 @@ import json
 from pathlib import Path
 
 import numpy as np
+
 from snake_rs._core import scene_signs
 
 from .data.kinds import scene_cloud
