@@ -73,7 +73,7 @@ def joined(tables: str) -> str:
     return "".join([head, f"|{'---|' * (1 + len(columns))}\n", *lines])
 
 
-def objects_part(alike: tuple[dict, str], closer_tables: str, paper_tables: str) -> str:
+def objects_part(alike: tuple[dict, str], paper_tables: str) -> str:
     report, tables = alike
     return f"""## Objects
 
@@ -89,11 +89,6 @@ thinned (1 in N) or noisy (σ) are at ε 0.04:
 {joined(tables)}
 ![the same as curves](repeatability.svg)
 
-### Closer keypoints
-
-With `--nms-radius 0.05`:
-
-{joined(closer_tables)}
 ### The paper's protocol
 
 The paper's suppression of 0.01 lets keypoints cluster at a place, where they find each other again more easily: compare the
@@ -102,18 +97,18 @@ coverage. Its figures are for ModelNet40: other objects, and a network with a 64
 {joined(paper_tables)}"""
 
 
-def strict(tables: str) -> str:
-    """The tables without those that count as the paper's released code does, which have the same figures here."""
-    return re.sub(r"^[^\n]*as the paper's released code counts:\n\n(\|[^\n]*\n)+\n?", "", tables, flags=re.MULTILINE)
+def shares(tables: str) -> str:
+    """The table with the share of the landmarks that are found, of those of an evaluation."""
+    return re.search(r"^Share of annotated[^\n]*\n\n(\|[^\n]*\n)+", tables, re.MULTILINE)[0]
 
 
 def landmarks_part(tables: str) -> str:
     return f"""## Landmarks
 
 200 procedural shapes that know their corners, tips and ends (`python -m snake_training.data.landmarks`), keypoints {OBJECT_NMS}
-apart: the share of these places that have a keypoint within a threshold, and the mean IoU of KeypointNet's protocol.
+apart: the share of these places that have a keypoint within a threshold. The report has the mean IoU of KeypointNet's protocol too.
 
-{strict(tables)}"""
+{shares(tables)}"""
 
 
 def registration(report: dict, tables: str) -> str:
@@ -178,11 +173,9 @@ def main() -> None:
         objects = [arguments.objects, *(["--limit", str(arguments.limit)] if arguments.limit else [])]
         views = ["--epsilon", "0.02,0.04,0.1", "--downsample", "1,8", "--noise", "0,0.06"]
         alike = evaluate("objects", "repeatability", *objects, *methods, *views, "--nms-radius", OBJECT_NMS)
-        few = [*methods, *undisturbed, "--epsilon", "0.02,0.04,0.1"]
-        _, closer = evaluate("closer", "repeatability", *objects, *few, "--nms-radius", "0.05")
         few = [*methods, "--epsilon", "0.04", "--downsample", "1,8", "--noise", "0,0.06", "--paper"]
         _, paper = evaluate("paper", "repeatability", *objects, *few, "--nms-radius", "0.01")
-        parts["Objects"] = objects_part(alike, closer, paper)
+        parts["Objects"] = objects_part(alike, paper)
         shutil.copy(RUNS / "objects/repeatability.svg", PAGE.with_name("repeatability.svg"))
     if arguments.landmarks:
         few = [*methods, "--nms-radius", OBJECT_NMS, "--threshold", "0.05,0.1"]

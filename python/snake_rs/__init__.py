@@ -23,7 +23,7 @@
     for cloud in snake_rs.read_recording("drive.mcap", topic="/points"):
         keypoints = snake_rs.detect(cloud)     # each cloud of a recording of ROS, with cloud.log_time and cloud.frame_id
 
-    tiles = snake_rs.tiles("city.laz", tile=50, folder="city.tiles", model="rooms")  # clouds that do not fit into memory
+    tiles = snake_rs.tiles("city.laz", tile=50, folder="city.tiles", voxel_size=0.1)  # clouds that do not fit into memory
 
 Classical detectors are in snake_rs.baselines, metrics in snake_rs.metrics, classes for clusters in snake_rs.ray.
 """

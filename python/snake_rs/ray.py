@@ -11,7 +11,7 @@ found = clouds.map_batches(
     DetectClouds, fn_constructor_args=("compact",), batch_format="pyarrow", concurrency=4, num_cpus=2
 )
 
-tiles = snake_rs.tiles("city.laz", tile=50, folder="/shared/city.tiles", model="rooms")
+tiles = snake_rs.tiles("city.laz", tile=50, folder="/shared/city.tiles", voxel_size=0.1)
 keypoints = keypoints_of_tiles(tiles, concurrency=4, num_cpus=2)  # a pyarrow.Table
 """
 
