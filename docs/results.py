@@ -36,10 +36,10 @@ The table of the README:
 ```sh
 snake-cli eval repeatability OBJECTS --model compact --methods snake,snakex4,iss,surface-variation,sift3d \\
     --coverage 0.14 --epsilon 0.04 --downsample 1 --noise 0 --limit 58    # snakex4 is standard
-snake-cli eval repeatability SCENES --model scenes --methods snake,iss --limit 30 --nms-radius 0.25 --epsilon 0.16 \\
-    --table-epsilon 0.16 --downsample 1,8 --noise 0             # ISS: --nms-radius 0.15
-snake-cli eval repeatability SWEEPS --model scenes --methods snake,iss --count 128 --nms-radius 1.7 --epsilon 0.5 \\
-    --num-points 30000 --downsample 1 --noise 0                 # ISS: --nms-radius 1.5
+snake-cli eval repeatability SCENES --model scenes --methods snake,iss,sift3d --limit 30 --coverage 0.197 --epsilon 0.16 \\
+    --table-epsilon 0.16 --downsample 1,8 --noise 0
+snake-cli eval repeatability SWEEPS --model scenes --methods snake,iss,sift3d --count 128 --coverage 3 --epsilon 0.5 \\
+    --num-points 30000 --downsample 1 --noise 0
 ```
 """
 

@@ -71,7 +71,7 @@ impl Summary {
         if !self.empty.is_empty() {
             let (number, names) = (self.empty.len(), listed(&self.empty));
             report.line(format!(
-                "{number} without keypoints: {names}: try --saliency-threshold or --occupancy-threshold"
+                "{number} without keypoints: {names}: try a lower --saliency-threshold or --set occupancy_threshold=0.3"
             ));
         }
         report.line(format!("written to {}", output.display()));

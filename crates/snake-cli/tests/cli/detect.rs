@@ -429,7 +429,7 @@ fn many_clouds_that_are_written_end_with_a_summary() {
     assert!(lines[0].contains(" from 8192 points in 2 clouds in ") && lines[0].contains(" a cloud)"), "{summary}");
     assert_eq!(lines[1], format!("written to {output}"));
     let empty = text(&["detect", &input, "-o", &output, "--saliency-threshold", "0.999"]);
-    assert!(empty.contains("2 without keypoints: ") && empty.contains("try --saliency-threshold"), "{empty}");
+    assert!(empty.contains("2 without keypoints: ") && empty.contains("try a lower --saliency-threshold"), "{empty}");
     // Without files the tables are the result, and one cloud has its own.
     assert!(
         text(&["detect", &input]).contains("a.ply: ") && text(&["detect", &one, "-o", &output]).contains("a.ply: ")
