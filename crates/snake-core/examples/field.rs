@@ -1,6 +1,6 @@
 //! Encode a cloud once, and query its field many times: `cargo run --release --example field`.
 
-use snake_core::{Builtin, DetectOptions, EncodeOptions, Model, Point, Result};
+use snake_core::{Builtin, Model, Point, Result};
 
 /// A cube of side 1, as points on its faces.
 fn cube() -> Vec<Point> {
@@ -17,7 +17,8 @@ fn cube() -> Vec<Point> {
 }
 
 fn main() -> Result<()> {
-    let field = Model::builtin(Builtin::Compact).encode(&cube(), &EncodeOptions::default())?;
+    let model = Model::builtin(Builtin::Compact);
+    let field = model.encode(&cube(), &model.recommended().encode)?;
 
     // Queries, gradients and results are in the frame and units of the cloud.
     let queries = [[0.0, 0.0, 0.0], [0.5, 0.5, 0.0], [0.5, 0.5, 0.5]];
@@ -30,7 +31,10 @@ fn main() -> Result<()> {
         );
     }
 
-    let options = DetectOptions::default().with_nms_radius(Some(0.2.into()));
-    println!("{} keypoints at least 0.2 apart", field.detect(&options)?.keypoints.len());
+    // The options that the weights recommend, with another one in its place; `DetectOptions::default()` are the paper's.
+    let options = model.recommended().detect.with_nms_radius(Some(0.2.into()));
+    let keypoints = field.detect(&options)?.keypoints;
+    assert!(!keypoints.is_empty());
+    println!("{} keypoints at least 0.2 apart", keypoints.len());
     Ok(())
 }

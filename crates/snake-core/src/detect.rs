@@ -141,11 +141,12 @@ impl Field {
     /// Detects the keypoints of the encoded cloud (SNAKE Algorithm 1). A field without surface has none.
     ///
     /// ```
-    /// use snake_core::{Builtin, DetectOptions, EncodeOptions, Length, Model};
+    /// use snake_core::{Builtin, Model};
     /// # let points: Vec<[f32; 3]> = (0..500).map(|i| { let a = i as f32 * 0.1; [a.cos(), a.sin(), (a * 0.3).sin()] }).collect();
-    /// let field = Model::builtin(Builtin::Compact).encode(&points, &EncodeOptions::default())?;
-    /// let options = DetectOptions::default().with_max_keypoints(16).with_nms_radius(Some(0.1.into()));
-    /// assert!(field.detect(&options)?.keypoints.len() <= 16);
+    /// let model = Model::builtin(Builtin::Compact);
+    /// let field = model.encode(&points, &model.recommended().encode)?;
+    /// let options = model.recommended().detect.with_max_keypoints(16).with_nms_radius(Some(0.1.into()));
+    /// assert!((1..=16).contains(&field.detect(&options)?.keypoints.len()));
     /// # Ok::<(), snake_core::Error>(())
     /// ```
     ///

@@ -1,6 +1,7 @@
 //! The command line as a person uses it, a file for each command and topic. One test binary links once.
 
 mod align;
+mod default_path;
 mod detect;
 mod eval_registration;
 mod eval_repeatability;
