@@ -40,7 +40,7 @@ use tiled::{DetectedTiles, Tiles, tiles};
 
 /// Detects the keypoints of a cloud in one call: `model.encode(points).detect()`. `model` is a `Model`, the name of a
 /// built-in model ("compact", "standard", "scenes" or "rooms") or the path of a weight file; it defaults to "compact", and to "scenes" for
-/// a cloud that looks like the sweep of a sensor.
+/// a cloud that looks like a room, a sweep or terrain.
 ///
 /// `points` (N, 3) are real numbers; additional columns are ignored. They can be a numpy array, a structured array with the
 /// fields x, y and z, a torch tensor on the CPU or any other value with DLPack, an Open3D point cloud (also of `open3d.t`), a

@@ -12,8 +12,7 @@ use crate::points::{FinitePoints, Point};
 const FEWEST: usize = 8;
 /// The most points that are measured.
 const MOST_POINTS: usize = 1000;
-/// From here on keypoints cluster: how many times as far points lie from them as from as many random points. The keypoints
-/// of `compact` have 1.3 where they are 10 % of the radius apart, and 2.2 where suppression is 1 % (`docs/results.md`).
+/// From here on keypoints cluster: how many times as far points lie from them as from as many random points.
 const CLUSTERED: f64 = 2.0;
 
 /// One sentence for the user if keypoints cluster in a part of their cloud `(N, 3)`: the mean distance from its points to the
