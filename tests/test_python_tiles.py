@@ -127,7 +127,7 @@ snake_rs.tiles({str(city)!r}, tile=20, folder={str(tmp_path / "tiles")!r}, model
         ({"tile": 0}, ValueError, "tile"),
         ({"model": "compact"}, ValueError, "scenes"),
         ({"snap": True}, ValueError, "snap"),
-        ({"mode_radius": 0.1}, ValueError, "mode_radius"),
+        ({"mode_radius": "5%"}, ValueError, "mode_radius"),
         ({"paths": "missing.laz"}, FileNotFoundError, "missing.laz"),
         ({"colour": 1}, TypeError, "colour"),
     ],

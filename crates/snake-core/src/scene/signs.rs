@@ -24,11 +24,15 @@ const SAMPLES: usize = 150;
 /// The weight of each of [`scene_signs`], and that of one.
 const WEIGHTS: [f64; NUM_SIGNS + 1] = [-187.6, -9.776, 2.844, -7.656, 0.5591, 5.274, 6.212, -38.05, -8.389];
 
+/// A wire or a curve is no scene: the surroundings of its cells are less broad than this.
+const CURVE: f64 = 0.2;
+
 /// Whether a cloud `(N, 3)` of finite points looks like a scene and not like one object.
 pub(crate) fn looks_like_scene(points: &[Point]) -> bool {
     scene_signs(points).is_some_and(|signs| {
         let [weights @ .., constant] = &WEIGHTS;
-        signs.iter().zip(weights).map(|(sign, weight)| sign * weight).sum::<f64>() + constant > 0.0
+        let [_, broad, ..] = signs;
+        broad > CURVE && signs.iter().zip(weights).map(|(sign, weight)| sign * weight).sum::<f64>() + constant > 0.0
     })
 }
 
@@ -177,6 +181,11 @@ mod tests {
         for half in [[1.0, 1.0, 1.0], [1.0, 0.4, 0.3], [1.0, 1.0, 0.1]] {
             assert!(!looks_like_scene(&cuboid(4000, half).collect::<Vec<_>>()), "{half:?}");
         }
+        let knot = |i: usize| {
+            let (u, v) = (0.1 * i as f32, 0.7 * i as f32);
+            [(1.0 + 0.3 * v.cos()) * u.cos(), (1.0 + 0.3 * v.cos()) * u.sin(), 0.3 * v.sin()]
+        };
+        assert!(!looks_like_scene(&(0..4000).map(knot).collect::<Vec<_>>()));
     }
 
     #[test]
