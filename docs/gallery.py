@@ -9,10 +9,6 @@ import json
 import subprocess
 from pathlib import Path
 
-import matplotlib
-
-matplotlib.use("Agg")
-import matplotlib.pyplot as plt
 import numpy as np
 
 
@@ -53,6 +49,11 @@ def main():
     parser.add_argument("--columns", type=int, default=4)
     parser.add_argument("--view", type=float, nargs=2, default=(35, 25), help="azimuth and elevation, degrees")
     arguments = parser.parse_args()
+    import matplotlib  # Not before: the help needs none.
+
+    matplotlib.use("Agg")
+    from matplotlib import pyplot as plt
+
     rows = -(-len(arguments.clouds) // arguments.columns)
     figure, grid = plt.subplots(rows, arguments.columns, figsize=(4 * arguments.columns, 4 * rows), squeeze=False)
     for axes in grid.flat:
