@@ -22,10 +22,12 @@ pub struct RankedKeypoints {
     pub keypoints: Vec<Point>,
 }
 
-/// The radius of suppression, one for all clouds, with which the best `count` keypoints of each cover their clouds as far as
-/// is asked: the mean distance of a point to the nearest keypoint, on average over the clouds, is `coverage`, in cloud units.
-/// 0 if they do without suppression. Where no radius covers as far, the one that covers farthest. Clouds without keypoints do
-/// not count.
+/// The suppression radius at which a detector's keypoints reach a given coverage, in cloud units. One radius serves all
+/// clouds.
+///
+/// The coverage of a cloud is the mean distance from its points to the nearest of its best `count` keypoints. The returned
+/// radius is the smallest at which its mean over the clouds is at most `coverage`; 0 if no suppression is needed. If no radius
+/// reaches that coverage, the radius with the best coverage is returned. Clouds without keypoints do not count.
 ///
 /// # Errors
 /// [`Error::Input`] for an empty cloud or coordinates that are not finite, [`Error::Option`] for a coverage that is not

@@ -1,5 +1,6 @@
 //! Reasons to refuse rows of text that can be read in two ways, and words for rows that cannot be read at all.
 
+use super::commas::{COMMAS, commas};
 use super::header::Header;
 use super::number::number;
 use super::separator::Separator;
@@ -69,9 +70,6 @@ impl DecimalCommas {
     }
 }
 
-/// The advice for commas that separate columns and decimals.
-pub(super) const COMMAS: &str = "export them with decimal points, or with semicolons between the columns";
-
 /// What is wrong in a row without three coordinates, and what to do. `names` are those of the header.
 pub(super) fn explain(row: &str, names: &[String], separator: Separator) -> String {
     let fields: Vec<&str> = separator.fields(row).collect();
@@ -122,28 +120,6 @@ fn first_numbers(fields: &[&str]) -> Option<usize> {
 /// The option for three columns from this place, counted from 0.
 fn choice(start: usize) -> String {
     format!("--columns {},{},{}", start + 1, start + 2, start + 3)
-}
-
-/// The advice for numbers with commas or apostrophes in them.
-pub(super) fn commas(row: &str) -> Option<String> {
-    let separators = [Separator::Char(b';'), Separator::Char(b'\t'), Separator::WhiteSpace, Separator::Char(b',')];
-    let has = |separator: &Separator, decimal: bool| {
-        let repaired = |field: &str| match decimal {
-            true => number(&field.trim_end_matches(',').replacen(',', ".", 1)).is_some(),
-            false => field.contains('.') && number(&field.replace([',', '\''], "")).is_some(),
-        };
-        let is_unread = |field: &str| number(field).is_none() && field.trim_end_matches(',').contains([',', '\'']);
-        separator.fields(row).any(is_unread) && separator.fields(row).filter(|field| repaired(field)).count() >= 3
-    };
-    if let Some(separator) = separators.iter().find(|separator| has(separator, true)) {
-        return Some(match separator {
-            Separator::Char(b',') => format!("decimal commas and commas between the columns; {COMMAS}"),
-            _ if row.contains(", ") => format!("decimal commas and commas between the columns; {COMMAS}"),
-            _ => "decimal commas; write decimal points: sed 's/,/./g' FILE > NEW".into(),
-        });
-    }
-    let is_grouped = separators.iter().any(|separator| has(separator, false));
-    is_grouped.then(|| "separators of thousands; export the numbers without them".into())
 }
 
 /// A number with its noun.

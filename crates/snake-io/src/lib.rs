@@ -61,6 +61,7 @@ mod atomic;
 mod bag_folder;
 mod clouds;
 mod columns;
+mod commas;
 #[cfg(feature = "laz")]
 mod copc;
 mod crs;

@@ -2,7 +2,7 @@
 
 use std::borrow::Cow;
 
-use super::doubts::commas;
+use super::commas::commas;
 use super::number::number;
 use super::shape::Position;
 use snake_core::excerpt;

@@ -3,13 +3,13 @@
 use std::io::{self, Write};
 
 use super::columns::{self, Columns, Indices};
-use super::doubts::{self, COMMAS, DecimalCommas, count};
+use super::commas::COMMAS;
+use super::doubts::{self, DecimalCommas, count};
 use super::header::{Header, is_comment, is_units};
 use super::lines::{Lines, no_position, text};
 use super::number::{cell, number};
 use super::separator::{Separator, without_brackets};
 use super::shape::{Position, Shape};
-use super::transform::matrix;
 use snake_core::{RigidTransform, excerpt};
 
 /// Titles above a header may take this many lines.
@@ -30,6 +30,16 @@ pub(super) fn read(bytes: &[u8], columns: Option<&Columns>) -> Result<Shape, Str
 /// Reads the same columns from a file that may hold several scans, with a line with its number of points above each.
 pub(super) fn read_counted(bytes: &[u8], columns: Option<&Columns>) -> Result<Shape, String> {
     Ok(read_rows(bytes, columns, true)?.into())
+}
+
+/// Four rows of four numbers, if a text consists of them.
+pub(super) fn matrix(bytes: &[u8]) -> Option<[[f64; 4]; 4]> {
+    let row = |(_, line): (usize, &[u8])| -> Option<[f64; 4]> {
+        let numbers: Option<Vec<f64>> = text(line).split_whitespace().map(number).collect();
+        numbers?.try_into().ok()
+    };
+    let rows: Option<Vec<_>> = Lines::of_text(bytes).ok()?.take(5).map(row).collect();
+    rows?.try_into().ok()
 }
 
 /// Writes the four rows of a transform's matrix.

@@ -6,9 +6,7 @@ use std::path::Path;
 use serde::{Deserialize, Serialize};
 
 use super::format::{extension, unknown_extension};
-use super::lines::{Lines, text};
-use super::number::number;
-use super::text::write_rows;
+use super::text::{matrix, write_rows};
 use super::{Error, Result, npy, write_atomically};
 use snake_core::RigidTransform;
 
@@ -33,16 +31,6 @@ pub(super) fn read_json(bytes: &[u8]) -> std::result::Result<RigidTransform, Str
 /// Reads four rows of four numbers.
 pub(super) fn read_text(bytes: &[u8]) -> std::result::Result<RigidTransform, String> {
     checked(matrix(bytes).ok_or("expected four rows of four numbers")?)
-}
-
-/// Four rows of four numbers, if a text consists of them.
-pub(super) fn matrix(bytes: &[u8]) -> Option<[[f64; 4]; 4]> {
-    let row = |(_, line): (usize, &[u8])| -> Option<[f64; 4]> {
-        let numbers: Option<Vec<f64>> = text(line).split_whitespace().map(number).collect();
-        numbers?.try_into().ok()
-    };
-    let rows: Option<Vec<_>> = Lines::of_text(bytes).ok()?.take(5).map(row).collect();
-    rows?.try_into().ok()
 }
 
 /// The transform of these rows.

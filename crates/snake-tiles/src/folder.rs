@@ -11,7 +11,6 @@ use std::sync::{Mutex, MutexGuard, PoisonError};
 use snake_io::{TEMPORARY, sync_folder, write_atomically};
 
 use crate::lock::{LOCK, Lock};
-use crate::plan::PLAN;
 use crate::{Error, Result};
 
 /// The name of the marker.
@@ -23,6 +22,9 @@ const FOUND: &str = "folder found";
 
 /// Folders that another process removes while this one claims them are claimed again.
 const ATTEMPTS: usize = 100;
+
+/// The name of the plan in the folder.
+pub(crate) const PLAN: &str = "plan.json";
 
 /// One run of this process at a time prepares a folder.
 static PREPARING: Mutex<()> = Mutex::new(());

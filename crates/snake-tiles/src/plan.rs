@@ -7,11 +7,8 @@ use serde::{Deserialize, Serialize};
 use snake_core::TileSettings;
 use snake_io::{Copc, Crs, LocalFile, Ranges};
 
-use crate::folder::{RunFolder, digest_of};
+use crate::folder::{PLAN, RunFolder, digest_of};
 use crate::{Error, Result, candidates, points};
-
-/// The name of the plan in the folder.
-pub(crate) const PLAN: &str = "plan.json";
 
 /// Everything that decides the candidates of a run.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -136,7 +133,7 @@ impl Plan {
     /// Whether the points of all tiles are on disk, undamaged. All of them are read.
     pub(crate) fn points_fit(&self, folder: &RunFolder) -> bool {
         let mut tiles = self.tiles.iter().zip(&self.digests);
-        tiles.all(|(tile, digest)| points::for_each_point(folder, tile, digest, |_, _| ()).is_ok())
+        tiles.all(|(tile, digest)| points::for_each_point(folder, tile.place, digest, |_, _| ()).is_ok())
     }
 
     /// The plan in a folder, if it is complete and from the same source.

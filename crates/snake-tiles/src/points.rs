@@ -11,7 +11,6 @@ use snake_core::Point;
 use snake_io::sync_folder;
 
 use crate::folder::RunFolder;
-use crate::plan::Tile;
 use crate::{Error, Result};
 
 /// Bytes of a point.
@@ -85,17 +84,17 @@ impl<'a> PointWriter<'a> {
     }
 }
 
-/// Calls `found` with each point of a tile and its index.
+/// Calls `found` with each point of the tile at a place and its index.
 ///
 /// # Errors
 /// [`Error::File`], and [`Error::Damaged`] at the end of a file with another content than was written.
 pub(crate) fn for_each_point(
     folder: &RunFolder,
-    tile: &Tile,
+    place: [i32; 2],
     digest: &str,
     mut found: impl FnMut(Point, u64),
 ) -> Result<()> {
-    let path = folder.path().join(name(tile.place));
+    let path = folder.path().join(name(place));
     let mut file = File::open(&path).map_err(Error::file(&path))?;
     let (mut hasher, mut part) = (blake3::Hasher::new(), Vec::new());
     loop {

@@ -216,7 +216,7 @@ impl TiledRun {
             self.for_each_near(columns, &mut add)?;
         } else {
             for (tile, digest) in self.plan.tiles_in(columns) {
-                for_each_point(&self.folder, tile, digest, &mut add)?;
+                for_each_point(&self.folder, tile.place, digest, &mut add)?;
             }
         }
         found.sort_unstable_by_key(|(index, _)| *index);

@@ -7,6 +7,7 @@
 mod block_grid;
 mod encoder;
 mod levels;
+mod measured;
 mod queries;
 mod scatter;
 mod signs;

@@ -7,6 +7,7 @@
 
 use nalgebra::Matrix3;
 
+use super::measured::{drawn, quantile};
 use crate::points::Point;
 
 /// The number of signs.
@@ -74,11 +75,7 @@ pub fn scene_signs(points: &[Point]) -> Option<[f64; NUM_SIGNS]> {
 
 /// The mean of the points in each cell, in the order of the grid.
 fn cells(points: &[Point]) -> Option<Vec<[f64; 3]>> {
-    let step = points.len().div_ceil(POINTS).max(1);
-    // A fixed step could be the width of an image, and take one column of it.
-    let draw = |i: usize| i * step + (i as f64 * 0.618_033_988_75 % 1.0 * step as f64) as usize;
-    let drawn = (0..points.len().div_ceil(step)).filter_map(|i| points.get(draw(i)));
-    let drawn: Vec<[f64; 3]> = drawn.map(|point| point.map(f64::from)).collect();
+    let drawn: Vec<[f64; 3]> = drawn(points, POINTS).map(|point| point.map(f64::from)).collect();
     if drawn.len() < 100 {
         return None;
     }
@@ -132,11 +129,6 @@ fn skewness(cells: &[[f64; 3]], direction: &[f64; 3]) -> f64 {
     let moment = |power| cells.iter().map(|cell| dot(cell, direction).powi(power)).sum::<f64>() / cells.len() as f64;
     let variance = moment(2);
     if variance > 1e-12 { moment(3) / variance.powf(1.5) } else { 0.0 }
-}
-
-fn quantile(mut values: Vec<f64>, share: f64) -> f64 {
-    let rank = (share * (values.len() - 1) as f64) as usize;
-    *values.select_nth_unstable_by(rank, f64::total_cmp).1
 }
 
 fn dot(a: &[f64; 3], b: &[f64; 3]) -> f64 {

@@ -1,5 +1,6 @@
 //! Sweeps: clouds that one sensor saw about itself.
 
+use super::measured::{drawn, quantile};
 use crate::points::Point;
 
 /// Number of points that are measured.
@@ -16,11 +17,7 @@ const UNEVEN: f64 = 2.2;
 /// Whether a cloud `(N, 3)`, in any unit, looks like the sweep of a sensor in its midst: dense near the sensor, and with points
 /// far beyond. Of 2033 objects six do.
 pub(crate) fn is_sweep(points: &[Point]) -> bool {
-    let step = points.len().div_ceil(MEASURED).max(1);
-    // A fixed step could be the width of an image, and take one column of it.
-    let draw = |i: usize| i * step + (i as f64 * 0.618_033_988_75 % 1.0 * step as f64) as usize;
-    let number = points.len().div_ceil(step);
-    let measured: Vec<Point> = (0..number).filter_map(|i| points.get(draw(i)).copied()).collect();
+    let measured: Vec<Point> = drawn(points, MEASURED).collect();
     if measured.len() < MEASURED / 4 {
         return false;
     }
@@ -28,22 +25,20 @@ pub(crate) fn is_sweep(points: &[Point]) -> bool {
         let mut values: Vec<f32> = measured.iter().map(|point| point[axis]).collect();
         *values.select_nth_unstable_by(measured.len() / 2, f32::total_cmp).1
     });
-    let reach = quantiles(measured.iter().map(|point| distance(point, &center)).collect(), [0.5, 0.98]);
+    let reaches: Vec<f64> = measured.iter().map(|point| distance(point, &center)).collect();
     let nearest = |(i, point): (usize, &Point)| {
         let others = measured.iter().enumerate().filter(|(j, _)| i != *j).map(|(_, other)| distance(point, other));
         others.fold(f64::INFINITY, f64::min)
     };
-    let spacing = quantiles(measured.iter().enumerate().map(nearest).collect(), [0.5, 0.95]);
-    reach[1] > FAR * reach[0] && spacing[1] > UNEVEN * spacing[0]
+    let spacings: Vec<f64> = measured.iter().enumerate().map(nearest).collect();
+    let is_more = |values: &[f64], share: f64, times: f64| {
+        quantile(values.to_vec(), share) > times * quantile(values.to_vec(), 0.5)
+    };
+    is_more(&reaches, 0.98, FAR) && is_more(&spacings, 0.95, UNEVEN)
 }
 
 fn distance(a: &Point, b: &Point) -> f64 {
     (0..3).map(|axis| f64::from(a[axis] - b[axis]).powi(2)).sum::<f64>().sqrt()
-}
-
-fn quantiles(mut values: Vec<f64>, shares: [f64; 2]) -> [f64; 2] {
-    values.sort_unstable_by(f64::total_cmp);
-    shares.map(|share| values[(share * (values.len() - 1) as f64) as usize])
 }
 
 #[cfg(test)]
