@@ -14,7 +14,7 @@ use crate::{Error, Result};
 /// `snake_registration::register_with`. Results do not depend on it. The default does nothing.
 ///
 /// A call checks it between the layers of the network and the parts of a layer, between tiles of queries, refinement
-/// steps, windows, RANSAC rounds and ICP steps. A stopped call returns an error. Model and field stay as they were.
+/// steps, RANSAC rounds and ICP steps. A stopped call returns an error. Model and field stay as they were.
 ///
 /// ```
 /// use snake_core::{Builtin, CancelFlag, Control, Error, Model};
@@ -285,13 +285,7 @@ mod tests {
         let model = model_of_64();
         let mut whole = Options::default();
         whole.encode.rotations = 2;
-        let mut windows = *Model::builtin(Builtin::Compact).recommended();
-        windows.window_radius = Some(0.5.into());
-        for (model, options) in [(&model, whole), (&Model::builtin(Builtin::Compact), windows)] {
-            assert_stops_soon(|control| {
-                model.detect_with(&points, &options, control).map(|detection| detection.keypoints)
-            });
-        }
+        assert_stops_soon(|control| model.detect_with(&points, &whole, control).map(|detection| detection.keypoints));
     }
 
     #[test]

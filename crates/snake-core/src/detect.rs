@@ -66,9 +66,9 @@ pub struct Detection {
     pub num_skipped: usize,
     /// Number of points that were encoded.
     pub num_encoded: usize,
-    /// The normalisation of the cloud; `None` with windows, because each window has its own.
+    /// The normalisation of the cloud; `None` before the first detection.
     pub normalization: Option<Normalization>,
-    /// The size of a voxel of the volume in cloud units; `None` with windows.
+    /// The size of a voxel of the volume in cloud units; `None` before the first detection.
     #[serde(default)]
     pub voxel_size: Option<f32>,
     /// Number of queries after each step.
@@ -82,9 +82,7 @@ pub struct Detection {
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
 #[non_exhaustive]
 pub struct Counts {
-    /// Number of windows; 1 without windows.
-    pub windows: usize,
-    /// Queries of the query grid, in all windows.
+    /// Queries of the query grid.
     pub queries: usize,
     /// Queries above the occupancy threshold.
     pub occupied: usize,
@@ -95,9 +93,8 @@ pub struct Counts {
 }
 
 impl Counts {
-    /// Adds the counts of another window or tile.
+    /// Adds the counts of another tile.
     pub fn add(&mut self, other: &Self) {
-        self.windows += other.windows;
         self.queries += other.queries;
         self.occupied += other.occupied;
         self.above_threshold += other.above_threshold;
@@ -116,25 +113,6 @@ pub struct Timing {
     pub refine: f64,
     /// Threshold, suppression, nearest points.
     pub nms: f64,
-}
-
-impl Timing {
-    fn add(&mut self, other: &Self) {
-        self.encode += other.encode;
-        self.occupancy += other.occupancy;
-        self.refine += other.refine;
-        self.nms += other.nms;
-    }
-
-    /// Scales the run times summed over parallel threads so that their sum is the wall time `seconds`.
-    pub(crate) fn scale_to(&mut self, seconds: f64) {
-        let sum = self.encode + self.occupancy + self.refine;
-        if sum > 0.0 {
-            for stage in [&mut self.encode, &mut self.occupancy, &mut self.refine] {
-                *stage *= seconds / sum;
-            }
-        }
-    }
 }
 
 impl Field {
@@ -191,7 +169,7 @@ impl Field {
     }
 }
 
-/// Refined queries above the saliency threshold, of a whole cloud or of its windows.
+/// Refined queries above the saliency threshold.
 #[derive(Default)]
 pub(crate) struct Candidates {
     /// In the cloud's frame and units.
@@ -229,26 +207,12 @@ impl Candidates {
         candidates.timing.occupancy = (occupancy_done - start).as_secs_f64();
         candidates.timing.refine = occupancy_done.elapsed().as_secs_f64();
         candidates.counts = Counts {
-            windows: 1,
             queries: num_queries,
             occupied: occupied.len(),
             above_threshold: candidates.positions.len(),
             keypoints: 0,
         };
         Ok(candidates)
-    }
-
-    /// The same in no more memory than they need: the candidates of all windows are kept.
-    pub(crate) fn compact(self) -> Self {
-        Self { positions: self.positions.compact(), scores: self.scores.compact(), ..self }
-    }
-
-    /// Adds the candidates of another window.
-    pub(crate) fn append(&mut self, other: Self) {
-        self.positions.extend_from_slice(&other.positions);
-        self.scores.extend_from_slice(&other.scores);
-        self.counts.add(&other.counts);
-        self.timing.add(&other.timing);
     }
 }
 

@@ -8,12 +8,10 @@ use crate::field::{Field, FieldMemory};
 use crate::model::Model;
 use crate::options::Options;
 use crate::point_source::PointSource;
-use crate::points::Point;
-use crate::windows::detect_in_windows;
 
 /// A model with its options, for clouds that come one after another, such as the sweeps of a laser scanner. Memory of one
 /// cloud is used again for the next. On one thread it allocates nothing after the third cloud, unless a cloud is larger than
-/// all before or the options have windows.
+/// all before.
 ///
 /// ```
 /// use snake_core::{Builtin, Detection, Detector, Model};
@@ -75,12 +73,7 @@ impl Detector {
         detection: &mut Detection,
         control: &Control,
     ) -> Result<()> {
-        if let Some(radius) = self.options.window_radius {
-            let points: Vec<Point> = (0..source.num_points()).map(|index| source.point(index)).collect();
-            *detection = detect_in_windows(self.model.network(), &points, radius, &self.options, control)?;
-            return Ok(());
-        }
-        let Options { encode, detect, .. } = &self.options;
+        let Options { encode, detect } = &self.options;
         control.get_limits().check_evaluations(&detect.evaluations(encode.rotations))?;
         let start = Instant::now();
         let field = Field::of_source(self.model.network().clone(), source, encode, &mut self.memory, control)?;
@@ -96,7 +89,7 @@ impl Detector {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::{Builtin, Error, Limits, SeparateAxes};
+    use crate::{Builtin, Error, Limits, Point, SeparateAxes};
 
     /// A bent sheet of 1500 points, some of which are not finite.
     fn cloud(bend: f32, is_missing: impl Fn(usize) -> bool) -> Vec<Point> {
@@ -110,19 +103,16 @@ mod tests {
     #[test]
     fn a_detector_finds_what_the_model_finds_cloud_after_cloud() {
         let model = Model::builtin(Builtin::Compact);
-        let mut windows = *model.recommended();
-        windows.window_radius = Some(0.7.into());
-        for options in [*model.recommended(), windows] {
-            let mut detector = Detector::new(model.clone(), options).unwrap();
-            let mut found = Detection::default();
-            for points in [cloud(0.5, |_| false), cloud(0.9, |i| i % 3 == 0), cloud(0.1, |i| i == 1499)] {
-                let [x, y, z] = [0, 1, 2].map(|axis| points.iter().map(|p| p[axis]).collect::<Vec<f32>>());
-                detector.detect_into(&SeparateAxes::new(&x, &y, &z).unwrap(), &mut found).unwrap();
-                let expected = model.detect(&points, &options).unwrap();
-                assert!(!expected.keypoints.is_empty());
-                found.timing = expected.timing;
-                assert_eq!(found, expected);
-            }
+        let options = *model.recommended();
+        let mut detector = Detector::new(model.clone(), options).unwrap();
+        let mut found = Detection::default();
+        for points in [cloud(0.5, |_| false), cloud(0.9, |i| i % 3 == 0), cloud(0.1, |i| i == 1499)] {
+            let [x, y, z] = [0, 1, 2].map(|axis| points.iter().map(|p| p[axis]).collect::<Vec<f32>>());
+            detector.detect_into(&SeparateAxes::new(&x, &y, &z).unwrap(), &mut found).unwrap();
+            let expected = model.detect(&points, &options).unwrap();
+            assert!(!expected.keypoints.is_empty());
+            found.timing = expected.timing;
+            assert_eq!(found, expected);
         }
     }
 

@@ -71,8 +71,6 @@ mod tiles;
 mod tracker;
 mod volume;
 mod weights;
-mod window_cells;
-mod windows;
 mod zero_hint;
 
 #[cfg(feature = "arrow")]

@@ -14,9 +14,9 @@ pub struct Limits {
     /// Points of a cloud, those that are not finite included.
     pub max_points: Option<usize>,
     /// Bytes of the feature volumes of a field, one for each rotation. The U-Net needs about four volumes more while it
-    /// encodes one; with windows each thread has a field of its own.
+    /// encodes one.
     pub max_volume_bytes: Option<usize>,
-    /// Evaluations of the decoders: for detection the queries of all windows times the refinement steps and one, times
+    /// Evaluations of the decoders: for detection the queries times the refinement steps and one, times
     /// the rotations; for a mesh the samples of its grid times the rotations.
     pub max_evaluations: Option<usize>,
 }
@@ -90,26 +90,5 @@ mod tests {
         let mesh = MeshOptions::default().with_resolution(16);
         let in_mesh = |limit| refused(field.mesh_with(&mesh, &with(limits.with_max_evaluations(Some(limit)))));
         assert_eq!((in_mesh(4096), in_mesh(4095)), (None, Some(("evaluations", 4096, 4095))));
-    }
-
-    #[test]
-    fn all_windows_count() {
-        let (points, _) = cylinder();
-        let model = Model::builtin(Builtin::Compact);
-        let detect = DetectOptions::default().with_query_resolution(8).with_refine_steps(0);
-        let options = Options::default().with_detect(detect).with_window_radius(Some(0.5.into()));
-        let call = |limits| model.detect_with(&points, &options, &Control::new().limits(limits));
-        let windows = call(Limits::default()).unwrap().counts.windows;
-        let (needed, limits) = (windows * 512, Limits::default());
-        assert!(windows > 1 && refused(call(limits.with_max_evaluations(Some(needed)))).is_none());
-        assert_eq!(
-            refused(call(limits.with_max_evaluations(Some(needed - 1)))),
-            Some(("evaluations", needed, needed - 1))
-        );
-        assert_eq!(refused(call(limits.with_max_points(Some(1)))), Some(("points", 2000, 1)));
-        assert_eq!(
-            refused(call(limits.with_max_volume_bytes(Some(0)))).map(|(what, ..)| what),
-            Some("bytes of feature volumes")
-        );
     }
 }

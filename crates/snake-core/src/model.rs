@@ -15,13 +15,10 @@ use crate::options::Preset;
 use crate::options::{EncodeOptions, Options};
 use crate::points::{FinitePoints, Point};
 use crate::scene::{is_sweep, looks_like_scene};
-use crate::windows::detect_in_windows;
 use crate::{Error, Result};
 
 #[cfg(feature = "builtin-models")]
 const COMPACT: &[u8] = include_bytes!("../models/compact.safetensors");
-#[cfg(feature = "builtin-models")]
-const ROOMS: &[u8] = include_bytes!("../models/rooms.safetensors");
 #[cfg(feature = "builtin-models")]
 const SCENES: &[u8] = include_bytes!("../models/scenes.safetensors");
 
@@ -33,8 +30,6 @@ pub enum Builtin {
     /// For objects, of any unit.
     #[default]
     Compact,
-    /// For clouds of rooms in metres. It recommends windows.
-    Rooms,
     /// For rooms, sweeps and streets, of any unit. Its volume follows the cloud.
     Scenes,
 }
@@ -67,19 +62,18 @@ pub struct Model {
 #[cfg(feature = "builtin-models")]
 impl Model {
     /// The names that [`Model::named`] knows: the built-in models, and `standard`.
-    pub const NAMES: [&'static str; 4] = ["compact", "standard", "rooms", "scenes"];
+    pub const NAMES: [&'static str; 3] = ["compact", "standard", "scenes"];
 
     /// A model that comes with the crate.
     pub fn builtin(which: Builtin) -> Self {
         let bytes = match which {
             Builtin::Compact => COMPACT,
-            Builtin::Rooms => ROOMS,
             Builtin::Scenes => SCENES,
         };
         Self::from_bytes(bytes).expect("a test reads every embedded file")
     }
 
-    /// A built-in model by its name: `compact`, `rooms`, `scenes`, or `standard`, which is `compact` with the recommended options of
+    /// A built-in model by its name: `compact`, `scenes`, or `standard`, which is `compact` with the recommended options of
     /// [`Preset::Standard`].
     ///
     /// # Errors
@@ -87,16 +81,13 @@ impl Model {
     pub fn named(name: &str) -> Result<Self> {
         match name {
             "compact" => Ok(Self::builtin(Builtin::Compact)),
-            "rooms" => Ok(Self::builtin(Builtin::Rooms)),
             "scenes" => Ok(Self::builtin(Builtin::Scenes)),
             "standard" => {
                 let mut network = Network::from_bytes(COMPACT)?;
                 network.recommended = Preset::Standard.options();
                 Ok(Self { network: Arc::new(network) })
             }
-            _ => {
-                Err(Error::Option { name: "model", value: name.into(), allowed: "compact, standard, rooms or scenes" })
-            }
+            _ => Err(Error::Option { name: "model", value: name.into(), allowed: "compact, standard or scenes" }),
         }
     }
 }
@@ -157,8 +148,7 @@ impl Model {
         Field::new(self.network.clone(), points, options, control)
     }
 
-    /// Keypoints of a cloud `(N, 3)` in one call: [`Model::encode`], then [`Field::detect`]. With
-    /// [`Options::window_radius`] the cloud is detected in windows.
+    /// Keypoints of a cloud `(N, 3)` in one call: [`Model::encode`], then [`Field::detect`].
     ///
     /// ```
     /// use snake_core::{Builtin, Model, Options};
@@ -183,9 +173,6 @@ impl Model {
     /// The errors of [`Model::detect`]; [`Error::Cancelled`], [`Error::DeadlineExceeded`] and [`Error::LimitExceeded`].
     pub fn detect_with(&self, points: &[Point], options: &Options, control: &Control) -> Result<Detection> {
         options.check(self.config())?;
-        if let Some(radius) = options.window_radius {
-            return detect_in_windows(&self.network, points, radius, options, control);
-        }
         control.get_limits().check_evaluations(&options.detect.evaluations(options.encode.rotations))?;
         let start = Instant::now();
         let field = self.encode_with(points, &options.encode, control)?;
@@ -206,15 +193,13 @@ mod tests {
 
     #[test]
     fn every_embedded_model_loads_with_its_recommended_options() {
-        let [compact, standard, rooms, scenes] = Model::NAMES.map(|name| Model::named(name).unwrap());
+        let [compact, standard, scenes] = Model::NAMES.map(|name| Model::named(name).unwrap());
         assert_eq!(compact.metadata(), standard.metadata());
         assert_eq!(*standard.recommended(), Preset::Standard.options());
         assert_eq!((compact.recommended().encode.rotations, standard.recommended().encode.rotations), (1, 4));
-        assert!(scenes.config().frame().is_none() && scenes.recommended().window_radius.is_none());
+        assert!(scenes.config().frame().is_none());
         assert_eq!(Model::builtin(Builtin::Scenes).metadata(), scenes.metadata());
-        assert!(compact.recommended().window_radius.is_none() && rooms.recommended().window_radius.is_some());
         assert_eq!(Model::builtin(Builtin::default()).metadata(), compact.metadata());
-        assert_eq!(Model::builtin(Builtin::Rooms).metadata(), rooms.metadata());
         assert!(Model::named("large").is_err());
     }
 }

@@ -54,7 +54,7 @@ impl EncodeOptions {
     pub(crate) fn check(&self, config: &ModelConfig) -> Result<()> {
         let inside = self.rotations == 1 || self.normalization.allows_rotations();
         if !(1..=64).contains(&self.rotations) || !inside {
-            let allowed = "1 to 64, above 1 only with unit-sphere or principal-axes normalization or in windows";
+            let allowed = "1 to 64, above 1 only with unit-sphere or principal-axes normalization";
             return Err(Error::Option { name: "rotations", value: self.rotations.to_string(), allowed });
         }
         if self.max_points == Some(0) {
@@ -253,65 +253,24 @@ fn most_if_null<'de, D: serde::Deserializer<'de>>(deserializer: D) -> std::resul
 
 /// All options of [`Model::detect`](crate::Model::detect).
 #[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
-#[serde(from = "OptionsFile")]
+#[serde(default, deny_unknown_fields)]
 #[non_exhaustive]
 pub struct Options {
     /// Options of encoding.
     pub encode: EncodeOptions,
     /// Options of detection.
     pub detect: DetectOptions,
-    /// Radius of the windows, overlapping balls that cover the cloud and are encoded one by one at the scale of the
-    /// radius. Keypoints then depend only on their surroundings, and the normalisation is not used. `None`: the whole
-    /// cloud is encoded at once, which loses details of large clouds.
-    pub window_radius: Option<Length>,
 }
 
 setters!(Options {
     encode: EncodeOptions => with_encode,
     detect: DetectOptions => with_detect,
-    window_radius: Option<Length> => with_window_radius,
 });
-
-/// [`Options`] in files. Files of 2025 have the window radius in a group of its own.
-#[derive(Default, Deserialize)]
-#[serde(default, deny_unknown_fields)]
-struct OptionsFile {
-    encode: EncodeOptions,
-    detect: DetectOptions,
-    window_radius: Option<Length>,
-    windows: WindowsFile,
-}
-
-#[derive(Default, Deserialize)]
-#[serde(default, deny_unknown_fields)]
-struct WindowsFile {
-    window_radius: Option<Length>,
-}
-
-impl From<OptionsFile> for Options {
-    fn from(file: OptionsFile) -> Self {
-        let OptionsFile { encode, detect, window_radius, windows } = file;
-        Self { encode, detect, window_radius: window_radius.or(windows.window_radius) }
-    }
-}
 
 impl Options {
     /// Refuses options out of their ranges, and options that need too much memory or time with this network.
     pub(crate) fn check(&self, config: &ModelConfig) -> Result<()> {
-        // A multiple has the range of a length, because the resolution is not known yet.
-        if let Some(length) = self.window_radius {
-            if config.frame().is_none() {
-                let allowed = "none with a scene model, whose volume follows the cloud";
-                return Err(Error::Option { name: "window_radius", value: length.to_string(), allowed });
-            }
-            check_radius(length.number(), || length.to_string())?;
-        }
-        let normalization = match self.window_radius {
-            // A ball can be rotated like the unit sphere.
-            Some(_) => NormalizationMethod::UnitSphere,
-            None => self.encode.normalization,
-        };
-        EncodeOptions { normalization, ..self.encode }.check(config)?;
+        self.encode.check(config)?;
         self.detect.check(self.encode.rotations)
     }
 }
@@ -404,18 +363,7 @@ impl Preset {
         };
         let rotations = if self == Self::Standard { 4 } else { 1 };
         let encode = EncodeOptions { normalization, max_points, rotations, ..Default::default() };
-        Options { encode, detect, window_radius: None }
-    }
-}
-
-/// Checks a window radius: as for the extents of clouds, squared distances must neither vanish nor overflow in f32.
-pub(crate) fn check_radius(radius: f64, shown: impl FnOnce() -> String) -> Result<()> {
-    match (1e-15..=1e15).contains(&radius) {
-        true => Ok(()),
-        false => {
-            let allowed = "1e-15 to 1e15 (cloud units, or as in `40r` resolutions)";
-            Err(Error::Option { name: "window_radius", value: shown(), allowed })
-        }
+        Options { encode, detect }
     }
 }
 
@@ -489,16 +437,13 @@ mod tests {
     }
 
     #[test]
-    fn a_radius_of_0_is_none_and_old_files_keep_their_windows() {
+    fn a_radius_of_0_is_none() {
         let read = |json: &str| serde_json::from_str::<Options>(json).unwrap();
         for off in ["0", "0.0", "null"] {
             assert_eq!(read(&format!("{{\"detect\":{{\"nms_radius\":{off}}}}}")).detect.nms_radius, None, "{off}");
             assert_eq!(read(&format!("{{\"detect\":{{\"mode_radius\":{off}}}}}")).detect.mode_radius, None, "{off}");
         }
         assert_eq!(read(r#"{"detect":{"nms_radius":"3r"}}"#).detect.nms_radius, Some(Length::Resolutions(3.0)));
-        let old = read(r#"{"detect":{"refine_steps":0},"windows":{"window_radius":0.8}}"#);
-        assert_eq!(old, read(r#"{"detect":{"refine_steps":0},"window_radius":0.8}"#));
-        assert_eq!(old.window_radius, Some(Length::Units(0.8)));
         assert!(serde_json::from_str::<Options>(r#"{"window":{}}"#).is_err());
     }
 
@@ -509,7 +454,8 @@ mod tests {
             assert_eq!(Preset::named(preset.name()).unwrap(), preset);
             assert_eq!(serde_json::from_str::<Options>(&serde_json::to_string(&options).unwrap()).unwrap(), options);
         }
-        let mut options = Options { window_radius: Some(Length::Resolutions(40.0)), ..Default::default() };
+        let mut options = Options::default();
+        options.detect.mode_radius = Some(Length::Resolutions(40.0));
         options.detect.nms_radius = None;
         assert_eq!(serde_json::from_str::<Options>(&serde_json::to_string(&options).unwrap()).unwrap(), options);
         let error = Preset::named("scannet").unwrap_err().to_string();

@@ -37,8 +37,7 @@ impl Model {
     /// the target, the smallest budget is returned.
     ///
     /// # Errors
-    /// [`Error::Option`] for a target of zero, for fewer than two points or more than 10⁸, and for models that recommend windows, because the
-    /// number of windows depends on the cloud.
+    /// [`Error::Option`] for a target of zero, for fewer than two points or more than 10⁸.
     pub fn realtime_options(&self, target: Duration, num_points: usize) -> Result<Options> {
         if target.is_zero() {
             return Err(Error::Option { name: "target", value: "0".into(), allowed: "above 0 (seconds)" });
@@ -46,10 +45,6 @@ impl Model {
         if !(2..=MOST).contains(&num_points) {
             let allowed = "2 to 100000000";
             return Err(Error::Option { name: "num_points", value: num_points.to_string(), allowed });
-        }
-        if let Some(radius) = self.recommended().window_radius {
-            let allowed = "none in real time, because the number of windows depends on the cloud";
-            return Err(Error::Option { name: "window_radius", value: radius.to_string(), allowed });
         }
         let cloud = room(num_points);
         let mut best = None;
@@ -159,6 +154,5 @@ mod tests {
         for num_points in [1, 100_000_001, usize::MAX] {
             assert!(error(Builtin::Compact, second, num_points).contains("num_points"));
         }
-        assert!(error(Builtin::Rooms, second, 100).contains("window_radius"));
     }
 }

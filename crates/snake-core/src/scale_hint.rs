@@ -12,11 +12,9 @@ const CROWDED: f64 = 0.2;
 /// Number of points and radii, in cloud units, of clouds that may be rooms in metres.
 const ROOM_POINTS: usize = 10_000;
 const ROOM_RADII: Range<f64> = 1.3..30.0;
-/// Radii of clouds for windows, in radii of a window.
-const WINDOW_RADII: Range<f64> = 1.5..25.0;
 
 /// A text for the user if detection with these options suits another scale than the cloud's `(N, 3)`: a room that
-/// is detected as one object, a LiDAR sweep, or a cloud in other units than the windows. It also names
+/// is detected as one object, or a LiDAR sweep. It also names
 /// [`Outliers`](crate::Outliers), which are left out. `None` if nothing is wrong, or if the cloud cannot be used at all, which
 /// detection says. Clouds with the same fault have the same text, so that a program can say it once.
 ///
@@ -25,7 +23,6 @@ const WINDOW_RADII: Range<f64> = 1.5..25.0;
 /// let object: Vec<[f32; 3]> = (0..500).map(|i| { let a = i as f32 * 0.1; [a.cos(), a.sin(), (a * 0.3).sin()].map(|v| 0.2 * v) }).collect();
 /// let hint = |model: Model| scale_hint(&object, model.config(), model.recommended());
 /// assert_eq!(hint(Model::builtin(Builtin::Compact)), None);
-/// assert!(hint(Model::builtin(Builtin::Rooms)).is_some());
 /// ```
 pub fn scale_hint(points: &[Point], config: &ModelConfig, options: &Options) -> Option<String> {
     let used = FinitePoints::of("points", points).ok()?;
@@ -39,10 +36,6 @@ fn of_scale(points: &[Point], config: &ModelConfig, options: &Options) -> Option
     config.frame()?;
     let sphere = Normalization::of_finite(points, NormalizationMethod::UnitSphere).ok()?;
     let radius = f64::from(sphere.scale) / 2.0;
-    if let Some(window) = options.window_radius {
-        let window = window.in_units("window_radius", points).ok()?;
-        return of_windows(radius, window);
-    }
     if options.encode.normalization == NormalizationMethod::None {
         return None;
     }
@@ -62,22 +55,6 @@ fn of_scale(points: &[Point], config: &ModelConfig, options: &Options) -> Option
     })
 }
 
-fn of_windows(radius: f64, window: f64) -> Option<String> {
-    let ratio = radius / window;
-    if WINDOW_RADII.contains(&ratio) {
-        return None;
-    }
-    let Range { start, end } = WINDOW_RADII;
-    let (size, advice) = if ratio < start {
-        (format!("less than {start}"), "for one object, the model `compact` needs no windows")
-    } else {
-        let advice = "for other units than metres give `window_radius` and `nms_radius`; the model `scenes` is for \
-                      scenes of any size and unit";
-        (format!("more than {end}"), advice)
-    };
-    Some(format!("the cloud has a radius of {size} times that of a window ({window}): {advice}"))
-}
-
 /// The median distance of the points from the center.
 fn median_distance(points: &[Point], center: Point) -> f64 {
     let squared = |p: &Point| (0..3).map(|axis| f64::from(p[axis] - center[axis]).powi(2)).sum::<f64>();
@@ -89,7 +66,7 @@ fn median_distance(points: &[Point], center: Point) -> f64 {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::{Builtin, Length, Model, Preset};
+    use crate::{Builtin, Model, Preset};
 
     /// Points on a sphere.
     fn sphere(number: usize, radius: f32) -> Vec<Point> {
@@ -102,33 +79,28 @@ mod tests {
         (0..number).map(point).collect()
     }
 
-    fn hint(points: &[Point], window: Option<f64>) -> String {
-        let options = Preset::Standard.options().with_window_radius(window.map(Length::Units));
+    fn hint(points: &[Point]) -> String {
+        let options = Preset::Standard.options();
         scale_hint(points, Model::builtin(Builtin::Compact).config(), &options).unwrap_or_default()
     }
 
     #[test]
     fn objects_have_no_hint_and_rooms_have_one() {
-        assert_eq!(hint(&sphere(20_000, 1.0), None), "");
-        assert_eq!(hint(&sphere(2_000, 3.0), None), "");
-        assert_eq!(hint(&sphere(20_000, 300.0), None), "");
-        assert!(hint(&sphere(20_000, 3.0), None).contains("the model `scenes`"));
-        assert_eq!(hint(&sphere(20_000, 3.0), Some(0.8)), "");
+        assert_eq!(hint(&sphere(20_000, 1.0)), "");
+        assert_eq!(hint(&sphere(2_000, 3.0)), "");
+        assert_eq!(hint(&sphere(20_000, 300.0)), "");
+        assert!(hint(&sphere(20_000, 3.0)).contains("the model `scenes`"));
     }
 
     #[test]
     fn far_points_and_sweeps_have_a_hint() {
         let mut sweep = sphere(900, 5.0);
         sweep.extend(sphere(100, 80.0));
-        assert!(hint(&sweep, None).starts_with("half of the points lie within 0.2"), "{}", hint(&sweep, None));
+        assert!(hint(&sweep).starts_with("half of the points lie within 0.2"), "{}", hint(&sweep));
         sweep.push([81.0, 0.0, 0.0]);
         let mut other = sweep.clone();
         other.push([95.0, 0.0, 0.0]);
-        for window in [None, Some(0.8)] {
-            assert_eq!(hint(&sweep, window), hint(&other, window));
-        }
-        assert!(hint(&sweep, Some(0.8)).contains("the model `scenes`"));
-        assert!(hint(&sphere(900, 3000.0), Some(0.8)).contains("other units than metres"));
+        assert_eq!(hint(&sweep), hint(&other));
     }
 
     #[test]
@@ -137,17 +109,16 @@ mod tests {
             points.push([1e4, 0.0, 0.0]);
             points
         };
-        let object = hint(&with_one(sphere(6000, 1.0)), None);
+        let object = hint(&with_one(sphere(6000, 1.0)));
         assert!(object.starts_with("1 of 6001 points is 10000 times as far") && !object.contains("; "), "{object}");
-        let room = hint(&with_one(sphere(20_000, 3.0)), None);
+        let room = hint(&with_one(sphere(20_000, 3.0)));
         assert!(room.contains("left out; ") && room.contains("the model `scenes`"), "{room}");
     }
 
     #[test]
-    fn one_window_is_an_object_and_bad_clouds_have_no_hint() {
-        assert!(hint(&sphere(900, 1.0), Some(0.8)).contains("`compact` needs no windows"));
+    fn bad_clouds_and_scene_models_have_no_hint() {
         for bad in [vec![], vec![[1.0; 3]; 9], vec![[f32::NAN; 3]]] {
-            assert_eq!((hint(&bad, None), hint(&bad, Some(0.8))), Default::default());
+            assert_eq!(hint(&bad), "");
         }
         let options = Preset::Standard.options();
         let unscaled = options.with_encode(options.encode.with_normalization(NormalizationMethod::None));

@@ -75,7 +75,6 @@ impl TiledRun {
         let keypoints = self.with_nearest(kept, control)?;
         let mut counts = detected.counts;
         counts.keypoints = keypoints.len();
-        counts.windows = 1;
         Ok(TiledDetection { keypoints, counts })
     }
 

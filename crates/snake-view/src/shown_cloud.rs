@@ -43,10 +43,7 @@ impl ShownCloud {
     /// The errors of [`Model::encode`] and [`Model::detect`](Model::detect).
     pub fn detect(model: &Model, options: &Options, name: String, cloud: &Cloud, control: &Control) -> Result<Self> {
         let field = model.encode_with(&cloud.points, &options.encode, control)?;
-        let detection = match options.window_radius {
-            Some(_) => model.detect_with(&cloud.points, options, control)?,
-            None => field.detect_with(&options.detect, control)?,
-        };
+        let detection = field.detect_with(&options.detect, control)?;
         let points = field.points();
         let shown = subsample(points);
         let surface = surface(&field, control)?;
