@@ -126,7 +126,7 @@ mod write;
 
 pub use array::Array;
 #[cfg(feature = "npz")]
-pub use array_files::read_arrays;
+pub use array_files::{find_arrays, read_arrays};
 pub use array_files::{read_array, write_volume};
 pub use atomic::{TEMPORARY, hold_writes, sync_folder, write_atomically};
 pub use clouds::{

@@ -7,7 +7,7 @@ use snake_core::{Cloud, Point, RigidTransform};
 use snake_io::{self as io, ReadOptions};
 
 use super::pairs_json::{self, ListedPair};
-use super::{find_cloud, read_json, read_text};
+use super::{find_cloud, read_json, read_text, without_extension};
 use crate::error::{Error, Result};
 use crate::views::PairClouds;
 
@@ -217,14 +217,6 @@ fn listed_pairs(folder: &Path) -> Result<Vec<PairEntry>> {
         t_1_2: t_target_source,
     };
     Ok(pairs_json::read(folder)?.into_iter().map(entry).collect())
-}
-
-/// The name of a cloud's file without the extension of a known format.
-fn without_extension(file: &str) -> &str {
-    match file.rsplit_once('.') {
-        Some((name, extension)) if io::POINT_EXTENSIONS.contains(&extension) => name,
-        _ => file,
-    }
 }
 
 /// USIP's ModelNet40: `original/I.npy`, the rotated object `rotated/I.npy`, and row I of `transform.npy`.
