@@ -2,8 +2,7 @@
 
 use std::path::Path;
 
-use snake_core::space::nearest_points;
-use snake_core::{Point, subtract_origin};
+use snake_geometry::{Point, nearest_points, subtract_origin};
 use snake_io::{find_arrays, read_arrays};
 
 use crate::error::{Error, Result};

@@ -2,7 +2,7 @@
 
 use std::path::Path;
 
-use snake_core::{Cloud, Point};
+use snake_geometry::{Cloud, Point};
 
 use crate::columns::Columns;
 use crate::crs::Crs;

@@ -5,7 +5,7 @@ use std::str::FromStr;
 use serde::Serialize;
 
 use crate::Error;
-use snake_core::excerpt;
+use snake_geometry::excerpt;
 
 /// The columns that hold x, y and z, chosen by name or by position.
 ///

@@ -12,7 +12,7 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 use laz::{LazItem, LazVlr};
-use snake_core::Bounds;
+use snake_geometry::Bounds;
 
 use crate::crs::Crs;
 use crate::las::{HEADER_SIZE, Header, check_items, field};

@@ -5,7 +5,7 @@ use super::header::Header;
 use super::number::number;
 use super::separator::Separator;
 use super::shape::Position;
-use snake_core::excerpt;
+use snake_geometry::excerpt;
 
 /// The fewest rows whose first column can show that it is an index or a time.
 const MIN_ROWS: usize = 5;

@@ -5,7 +5,7 @@
 use std::io::Cursor;
 
 use e57::{CartesianCoordinate, E57Reader, PointCloud, RecordName, Transform};
-use snake_core::excerpt;
+use snake_geometry::excerpt;
 
 use super::MAX_EXPANSION;
 use super::quaternion::rotation;

@@ -197,7 +197,7 @@ mod tests {
         )
     }
 
-    fn read(text: &str) -> Result<Vec<snake_core::Point>, String> {
+    fn read(text: &str) -> Result<Vec<snake_geometry::Point>, String> {
         points(super::read(text.as_bytes()))
     }
 

@@ -5,8 +5,7 @@ use std::io::{self, Write};
 use serde_json::{Number, Value, json};
 
 use super::keypoint_source::KeypointSource;
-use snake_core::Keypoint;
-use snake_core::add_origin;
+use snake_geometry::{Keypoint, add_origin};
 
 /// One keypoint as an object with the keys x, y, z, saliency, occupancy and nearest_index.
 ///

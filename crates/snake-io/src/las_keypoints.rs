@@ -4,7 +4,7 @@
 use std::io::{self, Cursor, Write};
 
 use laz::{LasZipCompressor, LazVlr, LazVlrBuilder};
-use snake_core::{Bounds, Keypoint, add_origin};
+use snake_geometry::{Bounds, Keypoint, add_origin};
 
 use super::keypoint_source::KeypointSource;
 

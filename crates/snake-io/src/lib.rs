@@ -9,7 +9,7 @@
 //! ```
 //!
 //! ```
-//! use snake_core::add_origin;
+//! use snake_geometry::add_origin;
 //! use snake_io::{ReadOptions, read_cloud, write_points};
 //! # let folder = tempfile::tempdir()?;
 //! # let [scan, copy] = ["scan.xyz", "copy.ply"].map(|name| folder.path().join(name));
@@ -145,7 +145,7 @@ pub use mesh::{MESH_EXTENSIONS, check_mesh_path, write_mesh};
 pub use read_keypoints::read_keypoints;
 #[cfg(feature = "mcap")]
 pub use recording::{RecordedCloud, Recording, is_recording, read_recording};
-pub use snake_core::Cloud;
+pub use snake_geometry::Cloud;
 pub use transform::{
     REGISTRATION_EXTENSIONS, check_registration_path, read_transform, read_transforms, write_registration,
 };

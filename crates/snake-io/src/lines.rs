@@ -5,7 +5,7 @@ use std::borrow::Cow;
 use super::commas::commas;
 use super::number::number;
 use super::shape::Position;
-use snake_core::excerpt;
+use snake_geometry::excerpt;
 
 const BYTE_ORDER_MARK: &[u8] = b"\xef\xbb\xbf";
 

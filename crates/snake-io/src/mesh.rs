@@ -7,8 +7,7 @@ use super::format::{extension, unknown_extension};
 use super::table::Kind;
 use super::write::axes;
 use super::{Error, Result, write_atomically};
-use snake_core::Mesh;
-use snake_core::add_origin;
+use snake_geometry::{Mesh, add_origin};
 
 /// The extensions that [`write_mesh`] accepts.
 pub const MESH_EXTENSIONS: &[&str] = &["ply", "obj", "stl"];

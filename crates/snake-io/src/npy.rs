@@ -6,8 +6,7 @@ use super::array::Array;
 use super::columns::{Columns, Indices};
 use super::dtype::Dtype;
 use super::shape::{Position, Shape, check_left_over};
-use snake_core::excerpt;
-use snake_core::{Point, RigidTransform};
+use snake_geometry::{Point, RigidTransform, excerpt};
 
 pub(super) const MAGIC: &[u8] = b"\x93NUMPY";
 

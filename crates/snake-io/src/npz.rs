@@ -8,7 +8,7 @@ use super::array::Array;
 use super::columns::Columns;
 use super::shape::Shape;
 use super::{MAX_EXPANSION, npy};
-use snake_core::excerpt;
+use snake_geometry::excerpt;
 
 /// Names of the array with the cloud, the likeliest first. NumPy gives the last one to an array saved without a name.
 const NAMES: [&str; 5] = ["points", "xyz", "pc", "pos", "arr_0"];

@@ -2,7 +2,7 @@
 
 use super::lines::{Lines, no_position, position, text, without_comment};
 use super::shape::{Shape, add_polygon};
-use snake_core::excerpt;
+use snake_geometry::excerpt;
 
 /// Reads the lines `v` and `f`; normals, textures, groups, materials, points and lines are ignored. A face may refer to
 /// a vertex that comes after it. A line continues after `\` at its end, and `#` begins a comment anywhere.

@@ -2,7 +2,7 @@
 
 use super::lines::{Lines, no_position, position, text, without_comment};
 use super::shape::{Shape, add_polygon};
-use snake_core::excerpt;
+use snake_geometry::excerpt;
 
 /// Keywords at the beginning of a file. The letters before OFF announce fields after the coordinates of a vertex.
 const KEYWORDS: [&str; 6] = ["STOFF", "CNOFF", "STCOFF", "COFF", "NOFF", "OFF"];

@@ -11,7 +11,7 @@ use parquet::file::properties::WriterProperties;
 use parquet::file::writer::{SerializedFileWriter, SerializedRowGroupWriter};
 use parquet::schema::parser::parse_message_type;
 use serde_json::{Value, json};
-use snake_core::{Bounds, Keypoint, add_origin};
+use snake_geometry::{Bounds, Keypoint, add_origin};
 
 use super::crs::Crs;
 use super::keypoint_source::KeypointSource;

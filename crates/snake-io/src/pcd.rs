@@ -5,7 +5,7 @@ use super::lines::{Lines, advice, text};
 use super::lzf;
 use super::number::number;
 use super::shape::{Position, Shape, check_left_over};
-use snake_core::excerpt;
+use snake_geometry::excerpt;
 
 const AXES: [&str; 3] = ["x", "y", "z"];
 
@@ -235,7 +235,7 @@ fn axes(
 #[cfg(test)]
 mod tests {
     use super::super::tests::points;
-    use snake_core::Point;
+    use snake_geometry::Point;
 
     fn read(bytes: &[u8]) -> Result<Vec<Point>, String> {
         points(super::read(bytes))

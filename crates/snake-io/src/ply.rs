@@ -4,7 +4,7 @@ use super::lines::{Lines, advice, text};
 use super::number::number;
 use super::ply_header::{Element, Header, Property, Role};
 use super::shape::{Position, Shape, add_polygon, check_left_over};
-use snake_core::excerpt;
+use snake_geometry::excerpt;
 
 /// Reads x, y, z of the element `vertex` and, if asked for, the polygons of the elements `face` and `tristrips`.
 ///
@@ -222,7 +222,7 @@ mod tests {
 
     use super::super::tests::{KEYPOINTS, points};
     use super::super::{KeypointFormat, KeypointSource};
-    use snake_core::Point;
+    use snake_geometry::Point;
 
     fn read(bytes: &[u8]) -> Result<Vec<Point>, String> {
         points(super::read(bytes, false))

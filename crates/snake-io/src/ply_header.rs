@@ -2,7 +2,7 @@
 
 use super::dtype::Dtype;
 use super::lines::{Lines, text};
-use snake_core::excerpt;
+use snake_geometry::excerpt;
 
 const AXES: [&str; 3] = ["x", "y", "z"];
 

@@ -3,7 +3,7 @@
 use std::path::Path;
 
 use serde::Deserialize;
-use snake_core::{Cloud, Keypoint, Point};
+use snake_geometry::{Cloud, Keypoint, Point};
 
 use super::columns::{Column, Columns};
 use super::format::{KeypointFormat, unknown_extension};
@@ -20,7 +20,7 @@ type Row = [f64; 6];
 /// the file's order, relative to an origin, and that origin, which is zero near zero.
 ///
 /// ```
-/// use snake_core::Keypoint;
+/// use snake_geometry::Keypoint;
 /// # let folder = tempfile::tempdir()?;
 /// # let path = folder.path().join("keypoints.csv");
 /// let keypoint = Keypoint { position: [1.0, 0.5, 2.0], saliency: 0.9, occupancy: 0.8, nearest_index: 7 };
@@ -178,7 +178,7 @@ mod tests {
     use super::*;
     use crate::tests::KEYPOINTS;
     use crate::{KeypointSource, write_keypoints};
-    use snake_core::add_origin;
+    use snake_geometry::add_origin;
 
     #[test]
     fn keypoints_of_every_format_read_back_as_they_were() {

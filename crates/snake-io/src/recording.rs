@@ -3,7 +3,7 @@
 
 use std::path::{Path, PathBuf};
 
-use snake_core::Cloud;
+use snake_geometry::Cloud;
 
 use crate::bag_folder;
 use crate::format::extension;

@@ -1,6 +1,6 @@
 //! Decodes messages `PointCloud2` of ROS 2 and ROS 1.
 
-use snake_core::{Cloud, PointCloud2Layout, PointCloud2View, PointField, PointSource};
+use snake_geometry::{Cloud, PointCloud2Layout, PointCloud2View, PointField, PointSource};
 
 /// Decodes a message: its frame and its points.
 pub(crate) fn decode(encoding: &str, data: &[u8]) -> std::result::Result<(String, Cloud), String> {

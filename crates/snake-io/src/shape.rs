@@ -3,7 +3,7 @@
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
-use snake_core::Cloud;
+use snake_geometry::Cloud;
 
 /// A position in the file's precision.
 pub(super) type Position = [f64; 3];

@@ -2,7 +2,7 @@
 
 use std::path::{Path, PathBuf};
 
-use snake_core::{Keypoint, Point, RigidTransform};
+use snake_geometry::{Keypoint, Point, RigidTransform};
 
 use super::shape::Shape;
 use super::*;

@@ -10,7 +10,7 @@ use super::lines::{Lines, no_position, text};
 use super::number::{cell, number};
 use super::separator::{Separator, without_brackets};
 use super::shape::{Position, Shape};
-use snake_core::{RigidTransform, excerpt};
+use snake_geometry::{RigidTransform, excerpt};
 
 /// Titles above a header may take this many lines.
 const MAX_TITLE_LINES: usize = 20;
@@ -294,7 +294,7 @@ fn leading_numbers(row: &str, separator: Separator) -> usize {
 #[cfg(test)]
 mod tests {
     use super::super::tests::points;
-    use snake_core::Point;
+    use snake_geometry::Point;
 
     fn read(bytes: &[u8]) -> Result<Vec<Point>, String> {
         points(super::read(bytes, None))

@@ -1,6 +1,6 @@
 //! The topics of a recording.
 
-use snake_core::excerpt;
+use snake_geometry::excerpt;
 
 /// The schemas of the messages that are read: of ROS 2, of ROS 1, and of ROS 2 as its middleware names it.
 const SCHEMAS: [&str; 3] =

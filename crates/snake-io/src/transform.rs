@@ -8,7 +8,7 @@ use serde::{Deserialize, Serialize};
 use super::format::{extension, unknown_extension};
 use super::text::{matrix, write_rows};
 use super::{Error, Result, npy, write_atomically};
-use snake_core::RigidTransform;
+use snake_geometry::RigidTransform;
 
 /// The extensions that [`write_registration`] accepts.
 pub const REGISTRATION_EXTENSIONS: &[&str] = &["json", "txt"];

@@ -8,9 +8,7 @@ use super::json;
 use super::keypoint_source::KeypointSource;
 use super::table::{Kind, Table};
 use super::{Error, Result, write_atomically};
-use snake_core::Keypoint;
-use snake_core::Point;
-use snake_core::add_origin;
+use snake_geometry::{Keypoint, Point, add_origin};
 
 impl KeypointFormat {
     /// Writes keypoints and adds the origin, except in PCD, whose coordinates have four bytes.

@@ -3,10 +3,8 @@
 use base64::Engine;
 use base64::engine::general_purpose::STANDARD;
 use serde_json::{Value, json};
-use snake_core::{
-    Cloud, Control, Detection, Field, Mesh, MeshOptions, Model, Normalization, Options, Point, Result, add_origin,
-    cluster_hint,
-};
+use snake_core::{Control, Detection, Field, MeshOptions, Model, Options, Result, cluster_hint};
+use snake_geometry::{Cloud, Mesh, Normalization, Point, add_origin};
 use snake_io as io;
 
 use crate::vertices::Vertices;

@@ -5,11 +5,10 @@ use std::collections::hash_map::Entry;
 use std::path::PathBuf;
 
 use anyhow::{Context, Result, anyhow, bail};
-use snake_core::space::suppress_ranked;
-use snake_core::{Cloud, Length, Point};
 use snake_eval::ExternalKeypoints;
 use snake_eval::datasets::{ScenePair, Scenes};
 use snake_eval::reports::registration::Method;
+use snake_geometry::{Cloud, Length, Point, suppress_ranked};
 use snake_registration::{Descriptor, KeypointDetector, Scan};
 
 use super::args::RegistrationArguments;

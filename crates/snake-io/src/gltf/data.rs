@@ -5,7 +5,7 @@ use std::borrow::Cow;
 use base64::Engine;
 use base64::alphabet::STANDARD;
 use base64::engine::{DecodePaddingMode, GeneralPurpose, GeneralPurposeConfig};
-use snake_core::excerpt;
+use snake_geometry::excerpt;
 
 use super::document::{Accessor, Document};
 use super::named;

@@ -3,7 +3,7 @@
 use std::collections::BTreeMap;
 
 use serde::Deserialize;
-use snake_core::excerpt;
+use snake_geometry::excerpt;
 
 /// A document. Its parts name each other by index.
 #[derive(Deserialize)]

@@ -13,13 +13,13 @@ use crate::parts::fast_fpfh;
 use crate::parts::fpfh::FPFH_DIMENSION;
 use snake_core::Control;
 use snake_core::Field;
-use snake_core::Length;
 use snake_core::Model;
 use snake_core::Options;
 use snake_core::Result;
-use snake_core::space::{FinitePoints, check_points, suppress_to_count};
-use snake_core::space::{Neighbors, Vector, vector};
-use snake_core::{Normalization, NormalizationMethod, Point};
+use snake_geometry::{
+    FinitePoints, Length, Neighbors, Normalization, NormalizationMethod, Point, Vector, check_points,
+    suppress_to_count, vector,
+};
 
 /// A cloud with the data for matching. Each part is computed when it is first needed and then kept for all detectors
 /// and descriptors. The model runs only for a detector or descriptor that needs its field.
@@ -291,7 +291,7 @@ const NORMALIZATION: NormalizationMethod = NormalizationMethod::UnitCube;
 /// Reduces finite points to voxel means.
 pub(crate) fn reduce(points: &[Point], voxel_size: f64, control: &Control) -> Result<Neighbors> {
     let counter = control.begin("voxels", points.len());
-    Neighbors::new(voxel_means(points, voxel_size, &counter)?)
+    Ok(Neighbors::new(voxel_means(points, voxel_size, &counter)?)?)
 }
 
 #[cfg(test)]
