@@ -124,8 +124,7 @@ class _DetectOptions(_Preset, total=False):
     snap: bool
 
 @type_check_only
-class _Options(_EncodeOptions, _DetectOptions, total=False):
-    window_radius: float | str | None
+class _Options(_EncodeOptions, _DetectOptions, total=False): ...
 
 @type_check_only
 class _RegisterOptions(TypedDict, total=False):

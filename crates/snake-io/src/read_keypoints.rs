@@ -5,10 +5,12 @@ use std::path::Path;
 use serde::Deserialize;
 use snake_geometry::{Cloud, Keypoint, Point};
 
-use super::columns::{Column, Columns};
-use super::format::{KeypointFormat, unknown_extension};
-use super::table::Kind;
-use super::{Error, Result, npy, pcd};
+use crate::arrays::npy;
+use crate::format::{KeypointFormat, unknown_extension};
+use crate::formats::pcd;
+use crate::text::columns::{Column, Columns};
+use crate::write::table::Kind;
+use crate::{Error, Result};
 
 /// The columns of a file of keypoints; others, such as colours, are ignored.
 const COLUMNS: [&str; 6] = ["x", "y", "z", "saliency", "occupancy", "nearest_index"];
