@@ -37,6 +37,14 @@ enum Source {
     },
 }
 
+/// A cloud by the name that keypoints in files have.
+#[derive(Clone, Copy)]
+pub struct InFile<'a> {
+    pub name: &'a str,
+    /// Offset to add to the cloud for the frame of its file.
+    pub origin: [f64; 3],
+}
+
 /// How far apart the ranked keypoints of a method are.
 #[derive(Clone, Copy)]
 enum Spacing {
@@ -123,23 +131,29 @@ impl Method {
         }
     }
 
-    /// Positions of the best keypoints of a cloud, best first; `name` finds those in files. The seed determines random choices.
-    pub fn keypoints(&self, points: &[Point], name: Option<&str>, seed: u64) -> Result<Vec<Point>> {
+    /// Positions of the best keypoints of a cloud, best first; `file` finds those in files. The seed determines random choices.
+    pub fn keypoints(&self, points: &[Point], file: Option<InFile>, seed: u64) -> Result<Vec<Point>> {
         let radius = match self.spacing {
             Spacing::Own | Spacing::Coverage | Spacing::Radius(Length::Units(0.0)) => 0.0,
             Spacing::Radius(radius) => radius.in_units("nms_radius", points)?,
         };
-        self.keypoints_apart(points, name, seed, radius)
+        self.keypoints_apart(points, file, seed, radius)
     }
 
     /// The same, suppressed by a radius in cloud units.
-    pub fn keypoints_apart(&self, points: &[Point], name: Option<&str>, seed: u64, radius: f64) -> Result<Vec<Point>> {
-        let ranked = self.candidates(points, name, seed)?;
+    pub fn keypoints_apart(
+        &self,
+        points: &[Point],
+        file: Option<InFile>,
+        seed: u64,
+        radius: f64,
+    ) -> Result<Vec<Point>> {
+        let ranked = self.candidates(points, file, seed)?;
         Ok(suppress_ranked(&ranked, radius as f32, self.count)?.into_iter().map(|index| ranked[index]).collect())
     }
 
     /// Positions of all keypoints, best first: before suppression, where it is not the detector's own.
-    pub fn candidates(&self, points: &[Point], name: Option<&str>, seed: u64) -> Result<Vec<Point>> {
+    pub fn candidates(&self, points: &[Point], file: Option<InFile>, seed: u64) -> Result<Vec<Point>> {
         Ok(match &self.source {
             Source::Snake { model, options } => {
                 model.detect(points, options)?.keypoints.iter().map(|keypoint| keypoint.position).collect()
@@ -150,11 +164,11 @@ impl Method {
                 found.iter().map(|response| points[response.index]).collect()
             }
             Source::External { folder } => {
-                let Some(name) = name else {
+                let Some(InFile { name, origin }) = file else {
                     bail!("--external needs a data set of pairs of clouds: the views of an object are drawn at random");
                 };
                 let file = folder.join(format!("{name}.npz"));
-                ExternalKeypoints::read(&file, [0.0; 3]).with_context(|| format!("--external {}", self.name))?.positions
+                ExternalKeypoints::read(&file, origin).with_context(|| format!("--external {}", self.name))?.positions
             }
         })
     }

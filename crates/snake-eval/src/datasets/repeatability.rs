@@ -192,9 +192,9 @@ impl ViewPairs {
                 if let Some((file, _)) = files.iter().zip(&clouds).find(|(_, cloud)| cloud.points.is_empty()) {
                     return Err(Error::layout(file, "a cloud without points"));
                 }
-                let [first, second] = clouds.each_ref().map(|cloud| cloud.origin);
-                let t_1_2 = t_1_2.subtract_origins(second, first);
-                let pair = PairClouds::Real { clouds: clouds.map(|cloud| cloud.points), t_1_2 };
+                let origins = clouds.each_ref().map(|cloud| cloud.origin);
+                let t_1_2 = t_1_2.subtract_origins(origins[1], origins[0]);
+                let pair = PairClouds::Real { clouds: clouds.map(|cloud| cloud.points), t_1_2, origins };
                 if *unit_radius { pair.with_unit_radius() } else { Ok(pair) }
             }
         }
