@@ -1,7 +1,9 @@
 //! `snake_rs.steps`.
 
 use numpy::ndarray::ArrayView4;
-use numpy::{PyArray, PyArray1, PyArray2, PyArray4, PyReadonlyArrayDyn, PyUntypedArrayMethods};
+use numpy::{
+    PyArray, PyArray1, PyArray2, PyArray4, PyArrayDyn, PyArrayMethods, PyReadonlyArrayDyn, PyUntypedArrayMethods,
+};
 use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
 use snake_core::steps::{self, Quantity};
@@ -20,7 +22,7 @@ type Decoded<'py> = (Bound<'py, PyArray1<f32>>, Bound<'py, PyArray2<f32>>, Bound
 fn values(what: &str, value: &Bound<PyAny>, shape: &[isize]) -> PyResult<(Vec<f32>, Vec<usize>)> {
     let numpy = value.py().import("numpy")?;
     let converted = || -> PyResult<PyReadonlyArrayDyn<f32>> {
-        Ok(numpy.call_method1("require", (value, "float32", "CA"))?.extract()?)
+        Ok(numpy.call_method1("require", (value, "float32", "CA"))?.cast_into::<PyArrayDyn<f32>>()?.try_readonly()?)
     };
     let array = converted().map_err(|_| PyValueError::new_err(format!("{what}: expected real numbers")))?;
     let fits = array.ndim() == shape.len()

@@ -171,6 +171,11 @@ pub struct EncodeFlags {
 }
 
 impl EncodeFlags {
+    /// Whether `--set` names an option.
+    pub fn sets(&self, option: &str) -> bool {
+        self.set.names(option)
+    }
+
     /// The name of the preset.
     pub fn preset(&self) -> Option<&str> {
         self.preset.as_deref()

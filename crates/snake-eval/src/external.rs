@@ -12,8 +12,10 @@ use crate::error::{Error, Result};
 pub struct ExternalKeypoints {
     /// Positions `(K, 3)` in the cloud's frame.
     pub positions: Vec<Point>,
-    /// A descriptor of each keypoint, `(K, D)`, flat; none if the file has none.
+    /// A descriptor of each keypoint, `(K, dimension)`, flat; none if the file has none.
     pub descriptors: Vec<f32>,
+    /// Length of a descriptor; 0 if the file has none.
+    pub dimension: usize,
 }
 
 impl ExternalKeypoints {
@@ -46,17 +48,11 @@ impl ExternalKeypoints {
             order.sort_by(|&a, &b| scores.items[b].total_cmp(&scores.items[a]));
         }
         let position = |&i: &usize| subtract_origin(std::array::from_fn(|axis| keypoints.items[3 * i + axis]), origin);
-        let descriptors = descriptors.map_or_else(Vec::new, |array| {
-            let length = array.shape[1];
-            let row = |&i: &usize| array.items[i * length..(i + 1) * length].iter().map(|&value| value as f32);
-            order.iter().flat_map(row).collect()
-        });
-        Ok(Self { positions: order.iter().map(position).collect(), descriptors })
-    }
-
-    /// Length of a descriptor; 0 if there are none.
-    pub fn dimension(&self) -> usize {
-        self.descriptors.len() / self.positions.len().max(1)
+        let dimension = descriptors.as_ref().map_or(0, |array| array.shape[1]);
+        let values = descriptors.map_or_else(Vec::new, |array| array.items);
+        let row = |&i: &usize| values[i * dimension..(i + 1) * dimension].iter().map(|&value| value as f32);
+        let descriptors = order.iter().flat_map(row).collect();
+        Ok(Self { positions: order.iter().map(position).collect(), descriptors, dimension })
     }
 
     /// The descriptor of the nearest keypoint for each point `(N, 3)`: `(N, D)`, flat. Among equally near keypoints the best one
@@ -65,8 +61,8 @@ impl ExternalKeypoints {
     /// # Errors
     /// [`Error::Core`] for more keypoints than 32-bit indices can count.
     pub fn descriptors_at(&self, points: &[Point]) -> Result<Vec<f32>> {
-        let dimension = self.dimension();
-        if dimension == 0 {
+        let dimension = self.dimension;
+        if self.descriptors.is_empty() {
             return Ok(Vec::new());
         }
         let row = |keypoint: usize| &self.descriptors[keypoint * dimension..][..dimension];

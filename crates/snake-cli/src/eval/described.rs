@@ -52,7 +52,8 @@ impl<'a> Methods<'a> {
     pub fn new(arguments: &'a RegistrationArguments, scenes: &Scenes) -> Result<Self> {
         let RegistrationArguments { external, nms_radius, options, .. } = arguments;
         let models = arguments.run.load_models(|model| Scan::default_options(model, VOXEL_SIZE))?;
-        let of_paper = (options.preset() == Some(PAPER.0)).then_some(PAPER.1);
+        let is_of_paper = options.preset() == Some(PAPER.0) && !options.sets("nms_radius");
+        let of_paper = is_of_paper.then_some(PAPER.1);
         let resolve = |mut loaded: Loaded| -> Result<Loaded> {
             loaded.options = options.resolve(&loaded)?;
             if let Some(radius) = nms_radius.or(of_paper) {
@@ -74,7 +75,7 @@ impl<'a> Methods<'a> {
 
     /// All combinations, in the order of the command line. Keypoints of files also have the descriptors of their own files.
     fn combine(&self, arguments: &RegistrationArguments, scenes: &Scenes) -> Result<Vec<Detector>> {
-        let names = arguments.detectors.iter().map(|detector| name_of(detector)).collect::<Vec<_>>();
+        let names = arguments.detectors.iter().map(name_of).collect::<Vec<_>>();
         check_distinct("--detectors and --external", names.iter().chain(self.external.iter().map(|(name, _)| name)))?;
         check_distinct("--descriptors", arguments.descriptors.iter())?;
         let descriptors: Vec<Source<Descriptor>> =
@@ -99,7 +100,7 @@ impl<'a> Methods<'a> {
         for file in 0..self.external.len() {
             let is_own = |source: &Source<Descriptor>| matches!(source, Source::Files(other) if *other == file);
             let mut all = descriptors.clone();
-            if !all.iter().any(is_own) && self.read(file, scenes, scenes.pairs[0].source, [0.0; 3])?.dimension() > 0 {
+            if !all.iter().any(is_own) && self.read(file, scenes, scenes.pairs[0].source, [0.0; 3])?.dimension > 0 {
                 all.push(Source::Files(file));
             }
             let descriptors = all.into_iter().flat_map(|source| with_models(source, None)).collect();
@@ -189,10 +190,10 @@ impl<'a> Methods<'a> {
 
     /// Descriptors of keypoints from one of the files, and their length.
     fn of_files(&self, file: usize, found: &ExternalKeypoints, keypoints: &[Point]) -> Result<(Vec<f32>, usize)> {
-        if found.dimension() == 0 && !keypoints.is_empty() {
+        if found.descriptors.is_empty() && !keypoints.is_empty() {
             bail!("--external {}: no `descriptors` in the file, or no keypoint has one", self.external[file].0);
         }
-        Ok((found.descriptors_at(keypoints)?, found.dimension()))
+        Ok((found.descriptors_at(keypoints)?, found.dimension))
     }
 
     fn read(&self, file: usize, scenes: &Scenes, cloud: usize, origin: [f64; 3]) -> Result<ExternalKeypoints> {

@@ -26,7 +26,7 @@ fn described(points: &[Point]) -> (Vec<Point>, Vec<f32>) {
 fn write(folder: &Path, fragment: usize, keypoints: &[Point], descriptors: Option<&[f32]>, offset: [f64; 3]) {
     let number = keypoints.len();
     let order: Vec<usize> = (0..number).map(|i| i * 7 % number).collect();
-    assert!(number % 7 != 0);
+    assert!(!number.is_multiple_of(7));
     let mixed: Vec<[f64; 3]> = order.iter().map(|&i| snake_core::add_origin(keypoints[i], offset)).collect();
     let scores: Vec<f64> = order.iter().map(|&i| 1.0 / (1.0 + i as f64)).collect();
     let all = descriptors.unwrap_or_default();
@@ -157,9 +157,12 @@ fn files_that_cannot_be_used_are_named_with_the_reason() {
         refused(&with, message);
     }
     // A cloud without keypoints has no matches, which is no error.
-    write_npz(&npz, &[("keypoints", &[0, 3], &[]), ("descriptors", &[0, 33], &[])]);
-    let none = rows(data.path(), &[&["--detectors", "fps"], &with[..]].concat());
-    assert_eq!(none.last().unwrap().1[1]["correspondences"], 0.0);
+    for fragment in [0, 2] {
+        let npz = found.join(format!("room__{fragment:02}.npz"));
+        write_npz(&npz, &[("keypoints", &[0, 3], &[]), ("descriptors", &[0, 33], &[])]);
+        let none = rows(data.path(), &[&["--detectors", "fps"], &with[..]].concat());
+        assert!(none.len() == 6 && none[5].0 == "mine mine" && none[5].1[1]["correspondences"] == 0.0, "{none:?}");
+    }
 }
 
 #[test]
@@ -193,6 +196,8 @@ fn the_preset_has_the_papers_values() {
     // The options are those that detect: fewer keypoints, and none above a threshold that no saliency reaches.
     assert!(paper.1[0].1.as_f64() < own.1[0].1.as_f64(), "{:?} {:?}", paper.1, own.1);
     assert_eq!(settings(&["--set", "saliency_threshold=1"]).1[0].1, 0.0);
+    let given = settings(&["--preset", "3dmatch", "--set", "nms_radius=0.2"]);
+    assert_eq!(detect(&given, "nms_radius"), 0.2);
     // Keypoints of files are as far apart as the paper's, those of other detectors are not suppressed.
     let wide = settings(&["--preset", "3dmatch", "--nms-radius", "0.4"]);
     assert_eq!(detect(&wide, "nms_radius"), 0.4);
