@@ -37,7 +37,7 @@ module: $(VENV)/ready
 quick:  ## after every edit, three minutes: format, lints, kernels, core, command line
 	cargo fmt --check
 	cargo clippy --release --workspace --exclude snake-rs-python --all-targets --features $(FEATURES)
-	cargo test --release --features $(FEATURES) -p snake-kernels -p snake-core --lib
+	cargo test --release --features $(FEATURES) -p snake-kernels -p snake-geometry -p snake-core --lib
 	cargo test --release -p snake-cli --test cli -- detect:: register:: usage:: outputs::
 
 # What the tests and the examples need beside the default features. tests/test_embedding.py runs what is compiled here.
@@ -57,12 +57,13 @@ ARM := aarch64-unknown-linux-gnu
 ARM_CARGO := CARGO_TARGET_AARCH64_UNKNOWN_LINUX_GNU_LINKER=aarch64-linux-gnu-gcc \
 	CARGO_TARGET_AARCH64_UNKNOWN_LINUX_GNU_RUNNER="qemu-aarch64 -L /usr/aarch64-linux-gnu" cargo test --release --target $(ARM)
 # The tests of the field that take seconds: whole detections take minutes under emulation.
-ARM_TESTS := golden:: decoder:: encoder:: volume:: radius_cells:: nms:: modes:: rotations::
+ARM_TESTS := golden:: decoder:: encoder:: volume:: modes::
 test-aarch64:  ## the kernels and the field under emulation, with NEON; needs qemu-user, gcc-aarch64-linux-gnu and the Rust target
 	@command -v qemu-aarch64 >/dev/null || { echo "qemu-aarch64 is missing: apt-get install qemu-user"; exit 1; }
 	@command -v aarch64-linux-gnu-gcc >/dev/null || { echo "the linker is missing: apt-get install gcc-aarch64-linux-gnu"; exit 1; }
 	@test -d "$$(rustc --print target-libdir --target $(ARM))" || { echo "rustup target add $(ARM)"; exit 1; }
 	$(ARM_CARGO) -p snake-kernels --lib --tests
+	$(ARM_CARGO) -p snake-geometry --lib
 	$(ARM_CARGO) -p snake-core --lib -- $(ARM_TESTS)
 
 check: module $(VENV)/check-ready wheel-test packages sdist  ## formatting, lints, type stubs, documentation, packages, the wheel

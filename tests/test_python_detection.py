@@ -36,7 +36,7 @@ def test_keypoints_have_a_text_form_and_can_be_pickled(field, keypoints):
     assert same(copy, keypoints) and copy.timing_seconds == keypoints.timing_seconds
     nothing = field.detect(occupancy_threshold=1.0, query_resolution=4)
     assert len(nothing) == 0 and nothing.points.shape == (0, 3) and nothing.nearest_index.dtype == np.int64
-    counts = {"windows": 1, "queries": 64, "occupied": 0, "above_threshold": 0, "keypoints": 0}
+    counts = {"queries": 64, "occupied": 0, "above_threshold": 0, "keypoints": 0}
     assert repr(nothing) == f"Keypoints(0, counts {counts})"
 
 
@@ -66,20 +66,6 @@ def test_every_option_has_an_effect(model, field, keypoints, points):
         encoded = {name: options.get(name, model.recommended[name]) for name in ("normalization", "max_points", "seed")}
         found = snake_rs.detect(points, model, **every, **options)
         assert same(found, model.encode(points, **encoded).detect(**every)) and not same(found, keypoints)
-
-
-def test_detection_in_windows(model, keypoints, points):
-    every = EASY | {"max_keypoints": 10**6, "nms_radius": 0.3}
-    extent = np.ptp(points, axis=0).max()
-    through = snake_rs.detect(points, model, **every, window_radius=extent / 3)
-    assert through.counts["windows"] > 3 and len(through) > 5 and not same(through, keypoints)
-    whole = snake_rs.detect(points, model, **every, window_radius=None)
-    assert same(whole, snake_rs.detect(points, model, **every)) and whole.counts["windows"] == 1
-    assert model.recommended["window_radius"] is None
-    with pytest.raises(ValueError, match="option `window_radius` is -1: allowed is 1e-15 to 1e15"):
-        snake_rs.detect(points, model, window_radius=-1)
-    with pytest.raises(TypeError, match="unexpected keyword argument 'window_radius'"):
-        model.encode(points, window_radius=1)
 
 
 def test_options_accept_numpy_numbers(field, keypoints):
@@ -180,8 +166,8 @@ def test_the_warning_comes_before_a_long_detection():
     signal.setitimer(signal.ITIMER_REAL, 2)
     ground = np.random.default_rng(1).uniform((-18, -18, 0), (18, 18, 0.01), (20_000, 3))
     try:
-        with pytest.warns(UserWarning, match="times that of a window"), pytest.raises(TimeoutError):
-            snake_rs.detect(ground, "rooms")
+        with pytest.warns(UserWarning, match="the model `scenes` sees more of it"), pytest.raises(TimeoutError):
+            snake_rs.detect(ground, "compact", query_resolution=128, query_band=0, occupancy_threshold=0, refine_steps=100)
     finally:
         signal.setitimer(signal.ITIMER_REAL, 0)
         signal.signal(signal.SIGALRM, before)

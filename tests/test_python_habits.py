@@ -35,7 +35,7 @@ def test_a_model_is_also_a_name_or_a_path(tmp_path):
     points = torus()
     by_name = snake_rs.detect(points, model="standard")
     assert same(by_name, snake_rs.detect(points, snake_rs.Model.builtin("standard")))
-    with pytest.raises(ValueError, match="no built-in model large; known are compact, standard, rooms"):
+    with pytest.raises(ValueError, match="no built-in model large; known are compact, standard"):
         snake_rs.detect(points, model="large")
     with pytest.raises(FileNotFoundError):
         snake_rs.detect(points, model=tmp_path / "none.safetensors")
@@ -248,5 +248,5 @@ def test_a_page_shows_a_pair_or_takes_a_model():
 
 
 def test_models_say_their_name(tmp_path):
-    assert repr(snake_rs.Model.builtin("rooms")).startswith("Model(rooms, ")
+    assert repr(snake_rs.Model.builtin("scenes")).startswith("Model(scenes, ")
     assert repr(pickle.loads(pickle.dumps(snake_rs.Model.builtin("standard")))).startswith("Model(standard, ")

@@ -44,13 +44,13 @@ def test_models_can_be_pickled(model, field, points):
 
 
 def test_built_in_models_have_names(points):
-    rooms = snake_rs.Model.builtin("rooms")
-    assert rooms.recommended["window_radius"] == 0.8 and rooms.metadata["name"] == "rooms"
-    kept = pickle.dumps(rooms)
-    assert len(kept) < 1000 and pickle.loads(kept).metadata == rooms.metadata
-    assert snake_rs.Model.builtin("compact").metadata == snake_rs.Model.builtin().metadata != rooms.metadata
-    assert len(snake_rs.detect(points, rooms)) > 0
-    with pytest.raises(ValueError, match="compact, standard, rooms or scenes"):
+    scenes = snake_rs.Model.builtin("scenes")
+    assert scenes.recommended["nms_radius"] == "6.5v" and scenes.metadata["name"] == "scenes"
+    kept = pickle.dumps(scenes)
+    assert len(kept) < 1000 and pickle.loads(kept).metadata == scenes.metadata
+    assert snake_rs.Model.builtin("compact").metadata == snake_rs.Model.builtin().metadata != scenes.metadata
+    assert len(snake_rs.detect(points, scenes)) > 0
+    with pytest.raises(ValueError, match="compact, standard or scenes"):
         snake_rs.Model.builtin("potatoes")
 
 

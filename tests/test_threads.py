@@ -80,7 +80,7 @@ def test_every_part_of_the_module_computes_in_a_child():
     run("""
         eye = np.eye(4)
         def everything():
-            model = snake_rs.Model.builtin("rooms")
+            model = snake_rs.Model.builtin("compact")
             field = model.encode(points)
             field.occupancy(points), field.saliency_and_gradient(points), field.descriptors(points)
             found = field.detect(**options).points
@@ -208,7 +208,6 @@ def seconds_until_interrupted(call):
 
 CALLS = {
     "detect": "snake_rs.detect(many, rotations=64)",
-    "detect through windows": "snake_rs.detect(many, window_radius=0.1)",
     "encode": "model.encode(many, rotations=64)",
     "detect of a field": "field.detect(query_resolution=128, refine_steps=100, occupancy_threshold=0.01)",
     "mesh": "field.mesh(resolution=512)",

@@ -3,8 +3,8 @@
 use numpy::PyArray1;
 use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
-use snake_core::space::FinitePoints;
 use snake_core::{Cloud, Length};
+use snake_geometry::FinitePoints;
 use snake_registration::detectors::{
     Covariance, Detector, Harris3dOptions, IssOptions, Protocol, Response, Sift3dOptions, SiftField,
     SurfaceVariationOptions,

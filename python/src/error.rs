@@ -8,8 +8,8 @@ use snake_core::Error;
 
 /// The exception for an error of the core. `Io` becomes an OSError with errno and file name, which gives
 /// FileNotFoundError and similar subclasses. Any other error becomes a ValueError.
-pub fn py_error(error: Error) -> PyErr {
-    match error {
+pub fn py_error(error: impl Into<Error>) -> PyErr {
+    match error.into() {
         Error::Io { path, source } => os_error(path, &source),
         other => PyValueError::new_err(other.to_string()),
     }

@@ -57,7 +57,7 @@ pub struct Keypoints {
     /// Number of input points that were skipped because they are not finite, or are outliers.
     #[pyo3(get)]
     num_skipped: usize,
-    /// Number of "windows" that were encoded, and the number of queries after each step: "queries", "occupied",
+    /// The number of queries after each step: "queries", "occupied",
     /// "above_threshold", "keypoints".
     #[pyo3(get)]
     counts: Py<PyDict>,
@@ -103,7 +103,6 @@ impl Keypoints {
 /// The counts by name.
 pub fn counts_dict<'py>(py: Python<'py>, counts: &Counts) -> PyResult<Bound<'py, PyDict>> {
     let counts = [
-        ("windows", counts.windows),
         ("queries", counts.queries),
         ("occupied", counts.occupied),
         ("above_threshold", counts.above_threshold),

@@ -39,7 +39,7 @@ use threads::{get_num_threads, set_num_threads};
 use tiled::{DetectedTiles, Tiles, tiles};
 
 /// Detects the keypoints of a cloud in one call: `model.encode(points).detect()`. `model` is a `Model`, the name of a
-/// built-in model ("compact", "standard", "scenes" or "rooms") or the path of a weight file; it defaults to "compact", and to "scenes" for
+/// built-in model ("compact", "standard" or "scenes") or the path of a weight file; it defaults to "compact", and to "scenes" for
 /// a cloud that looks like a room, a sweep or terrain.
 ///
 /// `points` (N, 3) are real numbers; additional columns are ignored. They can be a numpy array, a structured array with the
@@ -50,10 +50,7 @@ use tiled::{DetectedTiles, Tiles, tiles};
 /// float32 or float16, else as float64. Masked points, points that are not finite and outliers (few points far beyond all others) are skipped
 /// (`Keypoints.num_skipped`), but `nearest_index` counts them.
 ///
-/// `options` are the options of `Model.encode` and `Field.detect`, and `window_radius`. With `window_radius` the cloud
-/// is split into overlapping balls of that radius, and each ball is encoded separately. It is in cloud units, or text
-/// such as "40r" in multiples of the cloud's resolution. None encodes the whole cloud at once, which loses the details
-/// of a room. Options default to the values of `preset`, or else of `model.recommended`. With the built-in model the
+/// `options` are the options of `Model.encode` and `Field.detect`. They default to the values of `preset`, or else of `model.recommended`. With the built-in model the
 /// defaults are:
 ///
 ///     normalization="principal-axes"   how the cloud is mapped into the network's frame: "principal-axes", "unit-sphere",
@@ -75,7 +72,6 @@ use tiled::{DetectedTiles, Tiles, tiles};
 ///     max_keypoints=64              largest number of keypoints; None: no limit
 ///     snap=False                    move each keypoint to its nearest input point
 ///     voxel_size=None               size of a voxel, for "scenes": cloud units or "2r"; None: chosen from the cloud
-///     window_radius=None            radius of the windows; None: the whole cloud at once
 ///     preset=None                   "modelnet40", "keypointnet", "smpl", "redwood", "3dmatch" or "standard"
 ///
 /// A UserWarning says if the cloud has outliers, or is far from the scale that model and options are for. Raises ValueError for an
@@ -128,7 +124,7 @@ impl Choice {
         let is_named = |name: &&str| {
             options.is_some_and(|options| options.get_item(name).ok().flatten().is_some_and(|value| !value.is_none()))
         };
-        let is_chosen = model.is_none() && !["preset", "normalization", "window_radius"].iter().any(is_named);
+        let is_chosen = model.is_none() && !["preset", "normalization"].iter().any(is_named);
         let scenes = is_chosen.then(|| model::builtin(py, Builtin::Scenes).and_then(with_options)).transpose()?;
         Ok(Self { given: with_options(model::given_or_builtin(py, model)?)?, scenes })
     }

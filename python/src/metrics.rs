@@ -3,7 +3,7 @@
 use numpy::{PyArray1, PyArray2, PyArrayDyn, PyArrayMethods};
 use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
-use snake_core::{self, Error, RigidTransform};
+use snake_core::RigidTransform;
 use snake_eval::{self as core, MatchCounts, RegistrationOutcome, SmplProtocol, Unreachable};
 
 use crate::arrays::{self, named};
@@ -30,7 +30,7 @@ where
 pub fn transform(what: &str, value: &Bound<PyAny>) -> PyResult<RigidTransform> {
     let rows = numbers(what, "a transform of shape (4, 4)", value)?;
     RigidTransform::from_matrix(rows).map_err(|error| match error {
-        Error::Input { reason, .. } => PyValueError::new_err(format!("{what}: {reason}")),
+        snake_geometry::Error::Input { reason, .. } => PyValueError::new_err(format!("{what}: {reason}")),
         other => py_error(other),
     })
 }

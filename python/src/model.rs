@@ -101,7 +101,7 @@ pub fn given<'py>(py: Python<'py>, model: &Bound<'py, PyAny>) -> PyResult<Bound<
 #[pymethods]
 impl Model {
     /// A model that comes with the package. "compact" is for objects. "standard" is also for objects; it is slower, and
-    /// its keypoints repeat better. "scenes" is for rooms, sweeps and streets of any unit. "rooms" is for clouds of rooms in metres and recommends windows. Raises ValueError
+    /// its keypoints repeat better. "scenes" is for rooms, sweeps and streets of any unit. Raises ValueError
     /// for any other name.
     #[staticmethod]
     #[pyo3(name = "builtin", signature = (name="compact"))]

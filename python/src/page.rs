@@ -24,7 +24,7 @@ pub fn page(
     t_first_second: Option<&Bound<'_, PyAny>>,
     options: Option<&Bound<'_, PyDict>>,
 ) -> PyResult<String> {
-    // `view(points, "rooms")` names a model, `view(a, b)` a cloud.
+    // `view(points, "scenes")` names a model, `view(a, b)` a cloud.
     let (second, model) = match second {
         Some(value) if model.is_none() && model::is_model(value) => (None, second),
         _ => (second, model),

@@ -227,7 +227,7 @@ impl DetectedTiles {
         self.detected.missing.iter().filter_map(number).collect()
     }
 
-    /// Number of tiles that were encoded, as "windows", and the number of queries after each step, as of `Keypoints.counts`.
+    /// The number of queries after each step, as of `Keypoints.counts`.
     #[getter]
     fn counts<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyDict>> {
         counts_dict(py, &self.detected.counts)

@@ -28,7 +28,7 @@ unsafe fn store(place: *mut *mut SnakeModel, load: impl FnOnce() -> Result<Model
     })
 }
 
-/// A built-in model: "compact" or "standard" for objects, "rooms" for rooms in metres. `*model` is null after an error.
+/// A built-in model: "compact" or "standard" for objects, "scenes" for rooms, sweeps and terrain. `*model` is null after an error.
 ///
 /// # Safety
 /// `name` is null or a text that ends with a zero; `model` is null or valid for a write.

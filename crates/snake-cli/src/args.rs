@@ -90,7 +90,7 @@ pub enum Command {
   snake-cli detect part.stl --sample 20000 -o keypoints.ply
   snake-cli detect room.pcd -o keypoints.ply --voxel-size 0.04 --set snap=true
   snake-cli detect - --input-format xyz -o - --format csv < scan.txt > keypoints.csv
-  snake-cli detect city.laz --model rooms --tile 50 -o keypoints.parquet
+  snake-cli detect city.laz --tile 50 -o keypoints.parquet
   snake-cli detect scan.ply --json | jq '.keypoints[0]'")]
     Detect(Box<DetectArguments>),
     /// Evaluate keypoints on a data set and compare them with classical detectors.

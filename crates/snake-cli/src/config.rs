@@ -70,14 +70,13 @@ mod tests {
 
     #[test]
     fn options_of_a_model_come_after_those_of_all() {
-        let text = "model = 'rooms'\nthreads = 2\n[options]\nmax_keypoints = 9\nnms_radius = '3r'\nwindow_radius = 2.0\n\
-                    [models.rooms]\nmax_keypoints = 7\nrotations = 4\n[models.'my/weights.safetensors']\nsnap = true\n";
+        let text = "model = 'scenes'\nthreads = 2\n[options]\nmax_keypoints = 9\nnms_radius = '3r'\n\
+                    [models.scenes]\nmax_keypoints = 7\nrotations = 4\n[models.'my/weights.safetensors']\nsnap = true\n";
         let config = Config::parse(text).unwrap();
         let options = |model: &str| config.options_of(Path::new(model), &Options::default()).unwrap();
-        let found = options("rooms");
+        let found = options("scenes");
         assert_eq!((found.detect.max_keypoints, found.encode.rotations), (7, 4));
         assert_eq!(found.detect.nms_radius.unwrap().to_string(), "3r");
-        assert_eq!(found.window_radius.unwrap().to_string(), "2");
         assert_eq!((options("compact").detect.max_keypoints, options("compact").detect.snap), (9, false));
         assert!(options("my/weights.safetensors").detect.snap);
     }
@@ -86,8 +85,8 @@ mod tests {
     fn wrong_names_and_values_are_refused_by_name() {
         for (text, expected) in [
             ("[options]\nradius = 1", "unknown option `radius`"),
-            ("[models.rooms]\nmax_keypoints = 'many'", "max_keypoints"),
-            ("modle = 'rooms'", "modle"),
+            ("[models.scenes]\nmax_keypoints = 'many'", "max_keypoints"),
+            ("modle = 'scenes'", "modle"),
             ("threads = [", "expected"),
         ] {
             let error = format!("{:#}", Config::parse(text).unwrap_err());

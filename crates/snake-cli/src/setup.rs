@@ -26,7 +26,7 @@ pub struct Loaded {
 #[derive(Args)]
 pub struct ComputeArguments {
     /// Weight file (.safetensors), or the name of a model. Built in are compact (for objects), standard (for objects,
-    /// better and slower), scenes (for rooms, LiDAR sweeps and streets) and rooms (for rooms in metres, in windows). Any
+    /// better and slower) and scenes (for rooms, LiDAR sweeps and streets). Any
     /// other NAME is a file NAME.safetensors in SNAKE_MODELS, beside the program or in the user's data folder [default:
     /// scenes
     /// for a cloud that looks like a room, a sweep or terrain, else compact].

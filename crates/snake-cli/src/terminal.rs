@@ -194,8 +194,6 @@ const BAR_INTERVAL: Duration = Duration::from_millis(200);
 
 /// Time between two progress lines when there is no terminal for a bar.
 const LINE_INTERVAL: Duration = Duration::from_secs(10);
-/// The number of windows is announced if the remaining time is at least this.
-const LONG: Duration = Duration::from_secs(10);
 
 /// A bar that appears after a second. With several steps it shows the remaining time. If the standard error is not a
 /// terminal, a line every ten seconds replaces the bar. With `--quiet` there is neither.
@@ -206,13 +204,12 @@ pub fn progress(steps: usize) -> Result<Bar> {
 
 /// A bar for one long call, like [`progress`]. It shows the current stage of the model with its remaining time.
 pub fn stages(progress: &Progress) -> Result<Bar> {
-    let (progress, mut windows) = (progress.clone(), Windows::default());
+    let progress = progress.clone();
     shown_later(1, "{bar:30} {prefix}: {msg}", move |bar| {
         let Some(stage) = progress.stage() else {
             bar.set_prefix("reading");
             return format!("reading {}", bar.message());
         };
-        windows.announce(bar, &stage);
         bar.set_length(stage.total.max(1));
         bar.set_position(stage.done);
         bar.set_prefix(match stage.remaining() {
@@ -225,10 +222,9 @@ pub fn stages(progress: &Progress) -> Result<Bar> {
 
 /// A bar for several calls, like [`progress`]. Each call shows the current stage of the model.
 pub fn calls(number: usize, progress: &Progress) -> Result<Bar> {
-    let (progress, mut windows) = (progress.clone(), Windows::default());
+    let progress = progress.clone();
     shown_later(number, "{bar:30} {pos}/{len} {msg} (ETA {eta})", move |bar| {
         let Some(stage) = progress.stage() else { return steps_done(bar) };
-        windows.announce(bar, &stage);
         format!("{}: {}", steps_done(bar), stage_line(&stage))
     })
 }
@@ -241,30 +237,6 @@ fn stage_line(stage: &Stage) -> String {
     match stage.remaining() {
         Some(left) => format!("{}, {} of {}, about {} left", stage.name, stage.done, stage.total, HumanDuration(left)),
         None => stage.name.into(),
-    }
-}
-
-/// Whether the windows of the current cloud have been announced.
-#[derive(Default)]
-struct Windows {
-    /// Time since the stage began, at the last update.
-    elapsed: Duration,
-    announced: bool,
-}
-
-impl Windows {
-    /// Prints the number of windows and their time once for each cloud, if they take long.
-    fn announce(&mut self, bar: &ProgressBar, stage: &Stage) {
-        self.announced &= stage.name == "windows" && stage.elapsed >= self.elapsed;
-        self.elapsed = stage.elapsed;
-        let remaining = stage.remaining().filter(|remaining| stage.elapsed >= BAR_AFTER && *remaining >= LONG);
-        if let (Some(remaining), false, "windows") = (remaining, self.announced, stage.name) {
-            self.announced = true;
-            let time = HumanDuration(stage.elapsed + remaining);
-            let text = format!("{}: {} windows, about {time} in all", bar.message(), stage.total);
-            // The bar is locked meanwhile: even its message cannot be read.
-            bar.suspend(|| note(&text));
-        }
     }
 }
 

@@ -68,3 +68,13 @@ pub enum Error {
 
 /// A result with the crate's [`Error`].
 pub type Result<T> = std::result::Result<T, Error>;
+
+impl From<snake_geometry::Error> for Error {
+    fn from(error: snake_geometry::Error) -> Self {
+        match error {
+            snake_geometry::Error::Input { what, reason } => Self::Input { what, reason },
+            snake_geometry::Error::Option { name, value, allowed } => Self::Option { name, value, allowed },
+            other => Self::Input { what: "points", reason: other.to_string() },
+        }
+    }
+}

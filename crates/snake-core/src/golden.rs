@@ -4,11 +4,11 @@ use std::path::{Path, PathBuf};
 
 use safetensors::SafeTensors;
 
-use crate::control::{Control, Counter};
-use crate::encoder::{EncoderMemory, VoxelGroups};
-use crate::options::{DetectOptions, RefineMethod, Selection};
-use crate::query_grid::tests::occupied_queries;
-use crate::refine::refine;
+use crate::call::control::{Control, Counter};
+use crate::detect::options::{DetectOptions, RefineMethod, Selection};
+use crate::detect::query_grid::tests::occupied_queries;
+use crate::detect::refine::refine;
+use crate::network::encoder::{EncoderMemory, VoxelGroups};
 use crate::{EncodeOptions, Field, Model, NormalizationMethod, Point};
 
 struct Case {

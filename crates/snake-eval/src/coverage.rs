@@ -1,8 +1,8 @@
 //! The suppression at which keypoints cover clouds as far as is asked: detectors are compared fairly where they cover alike.
 
 use rayon::prelude::*;
-use snake_core::space::{check_points, suppress_ranked};
-use snake_core::{Error, Point, Result};
+use snake_core::{Error, Result};
+use snake_geometry::{Point, check_points, suppress_ranked};
 
 use crate::mean_distance_to_keypoints;
 

@@ -2,7 +2,7 @@
 
 use std::path::Path;
 
-use snake_core::Point;
+use snake_geometry::Point;
 use snake_io::{Array, read_arrays};
 
 use crate::error::{Error, Result};

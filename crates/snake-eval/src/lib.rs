@@ -18,7 +18,7 @@
 //! ```
 //!
 //! ```
-//! use snake_core::RigidTransform;
+//! use snake_geometry::RigidTransform;
 //! use snake_eval::{feature_matching_recall, inlier_ratio};
 //! let rows = [[1.0, 0.0, 0.0, 5.0], [0.0, 1.0, 0.0, 0.0], [0.0, 0.0, 1.0, 0.0], [0.0, 0.0, 0.0, 1.0]];
 //! let t_target_source = RigidTransform::from_matrix(rows)?;
@@ -52,9 +52,7 @@ pub mod tables;
 #[cfg(feature = "datasets")]
 pub mod views;
 
-use snake_core::RigidTransform;
-use snake_core::space::check_points;
-use snake_core::space::{Vector, vector};
+use snake_geometry::{RigidTransform, Vector, check_points, vector};
 
 pub use coverage::{RankedKeypoints, radius_of_coverage};
 #[cfg(feature = "datasets")]

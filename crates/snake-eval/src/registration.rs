@@ -5,10 +5,8 @@ use nalgebra::{Matrix3, Matrix3x6, Matrix6, UnitQuaternion, Vector6};
 use serde::{Deserialize, Serialize};
 
 use super::{Coordinate, moved};
-use snake_core::space::check_points;
-use snake_core::space::{Neighbors, vector};
 use snake_core::{Error, Result};
-use snake_core::{Point, RigidTransform};
+use snake_geometry::{Neighbors, Point, RigidTransform, check_points, vector};
 
 /// Inlier ratio: the share of correspondences that `t_target_source` brings closer than `threshold`.
 ///

@@ -2,9 +2,7 @@
 
 use super::{Coordinate, check_thresholds, moved};
 use snake_core::Result;
-use snake_core::RigidTransform;
-use snake_core::space::check_points;
-use snake_core::space::{Neighbors, Vector, vector};
+use snake_geometry::{Neighbors, RigidTransform, Vector, check_points, vector};
 
 /// Relative repeatability (SNAKE section 4.2, USIP): for each `epsilon`, the share of view 1's keypoints `(K, 3)` that
 /// are closer than `epsilon` to a keypoint of view 2. `t_1_2` maps view 2 to the frame of view 1.
@@ -13,7 +11,7 @@ use snake_core::space::{Neighbors, Vector, vector};
 /// `epsilon` does not count. A view without keypoints gives 0. The figure of a data set is the mean over its pairs.
 ///
 /// ```
-/// use snake_core::RigidTransform;
+/// use snake_geometry::RigidTransform;
 /// use snake_eval::relative_repeatability;
 /// let rows = [[1.0, 0.0, 0.0, 5.0], [0.0, 1.0, 0.0, 0.0], [0.0, 0.0, 1.0, 0.0], [0.0, 0.0, 0.0, 1.0]];
 /// let t_1_2 = RigidTransform::from_matrix(rows)?;
@@ -39,7 +37,7 @@ pub fn relative_repeatability<T: Coordinate>(
 /// `epsilon`. `t_1_2` maps view 2 to the frame of view 1. The share of `Some` is [`relative_repeatability`].
 ///
 /// ```
-/// use snake_core::RigidTransform;
+/// use snake_geometry::RigidTransform;
 /// use snake_eval::repeated_keypoints;
 /// let rows = [[1.0, 0.0, 0.0, 5.0], [0.0, 1.0, 0.0, 0.0], [0.0, 0.0, 1.0, 0.0], [0.0, 0.0, 0.0, 1.0]];
 /// let t_1_2 = RigidTransform::from_matrix(rows)?;
@@ -124,7 +122,7 @@ fn shares_within(of: &[Vector], to: Vec<Vector>, epsilon: &[f64]) -> Result<Vec<
 #[cfg(test)]
 mod tests {
     use super::*;
-    use snake_core::Point;
+    use snake_geometry::Point;
 
     const VIEW_1: [Point; 4] = [[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [5.0, 0.0, 0.0], [9.0, 9.0, 9.0]];
     const VIEW_2: [Point; 2] = [[0.25, 0.0, 0.0], [1.0, 0.5, 0.0]];

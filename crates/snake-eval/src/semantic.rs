@@ -11,11 +11,8 @@ use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
 use super::{Coordinate, check_thresholds};
-use snake_core::Point;
-use snake_core::space::check_points;
-use snake_core::space::nearest_points;
-use snake_core::space::{Neighbors, vector};
 use snake_core::{Error, Result};
+use snake_geometry::{Neighbors, Point, check_points, nearest_points, vector};
 
 /// Number of neighbours of a point in the graph of geodesic distances (SNAKE section 4.1, KeypointNet).
 const GRAPH_NEIGHBORS: usize = 20;
@@ -231,7 +228,7 @@ fn snap(what: &'static str, keypoints: &[Point], points: &[Point]) -> Result<Vec
         return Ok(Vec::new());
     }
     check_points(what, keypoints)?;
-    nearest_points(points, keypoints)
+    Ok(nearest_points(points, keypoints)?)
 }
 
 /// For each point its neighbours in the graph and the lengths of the edges.

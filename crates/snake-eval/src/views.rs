@@ -5,7 +5,7 @@ use rand::{Rng, RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use rand_distr::StandardNormal;
 use serde::{Deserialize, Serialize};
-use snake_core::{Normalization, NormalizationMethod, Point, RigidTransform};
+use snake_geometry::{Normalization, NormalizationMethod, Point, RigidTransform};
 
 use crate::error::{Error, Result};
 

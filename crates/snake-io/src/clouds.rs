@@ -2,21 +2,23 @@
 
 use std::path::Path;
 
-use snake_core::{Cloud, Point};
+use snake_geometry::{Cloud, Point};
 
-use crate::columns::Columns;
+use crate::arrays::npy;
+#[cfg(feature = "npz")]
+use crate::arrays::npz;
 use crate::crs::Crs;
-#[cfg(feature = "e57")]
-use crate::e57;
 use crate::format::PointFormat;
+#[cfg(feature = "e57")]
+use crate::formats::e57;
 #[cfg(feature = "gltf")]
-use crate::gltf;
+use crate::formats::gltf;
+use crate::formats::shape::Shape;
+use crate::formats::{obj, off, pcd, ply, stl, sweep};
 #[cfg(feature = "laz")]
 use crate::las;
-#[cfg(feature = "npz")]
-use crate::npz;
-use crate::shape::Shape;
-use crate::{Error, Result, npy, obj, off, pcd, ply, stl, sweep, text};
+use crate::text::columns::Columns;
+use crate::{Error, Result, text};
 
 /// The first bytes of a file that gzip compressed.
 const GZIP_MAGIC: &[u8] = b"\x1f\x8b";

@@ -16,7 +16,7 @@ pub struct Crs {
 #[cfg(feature = "laz")]
 impl Crs {
     /// The system that a text describes: WKT of version 1 or 2.
-    pub(super) fn from_wkt(text: &str) -> Self {
+    pub(crate) fn from_wkt(text: &str) -> Self {
         let text = text.trim_end_matches('\0').trim();
         let part = |names: &[&str]| names.iter().find_map(|name| text.find(name).map(|at| element(&text[at..])));
         let projected = part(&["PROJCS[", "PROJCRS[", "PROJECTEDCRS["]);
@@ -29,7 +29,7 @@ impl Crs {
     }
 
     /// The system of a directory of GeoTIFF keys.
-    pub(super) fn from_geo_keys(record: &[u8]) -> Option<Self> {
+    pub(crate) fn from_geo_keys(record: &[u8]) -> Option<Self> {
         let numbers: Vec<u16> = record.as_chunks().0.iter().map(|bytes| u16::from_le_bytes(*bytes)).collect();
         // A header of four numbers, then four numbers a key. A location of 0 says that the last one is the value.
         let value = |key: u16| {

@@ -4,7 +4,7 @@ use std::path::Path;
 
 use serde::Deserialize;
 
-use super::npy;
+use crate::arrays::npy;
 use crate::{Error, Result};
 
 /// The first bytes of a zip archive.
@@ -298,11 +298,11 @@ fn conversion(extension: &str) -> Option<&'static str> {
     })
 }
 
-pub(super) fn extension(path: &Path) -> String {
+pub(crate) fn extension(path: &Path) -> String {
     path.extension().unwrap_or_default().to_string_lossy().to_ascii_lowercase()
 }
 
-pub(super) fn unknown_extension(path: &Path, verb: &str, extensions: &[&str]) -> Error {
+pub(crate) fn unknown_extension(path: &Path, verb: &str, extensions: &[&str]) -> Error {
     let reason = format!("unknown extension; files that can be {verb}: .{}", extensions.join(", ."));
     Error::Format { path: path.into(), reason }
 }

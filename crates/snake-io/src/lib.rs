@@ -3,13 +3,13 @@
 //! writer writes a whole file or none.
 //!
 //! ```text
-//! file → read_cloud → Cloud {points (N, 3) f32, origin f64} → snake_core::Model → Keypoint, Mesh
+//! file → read_cloud → Cloud {points (N, 3) f32, origin f64} → Model of snake-core → Keypoint, Mesh
 //!                       │                                                            │
 //!                       └→ write_points                    write_keypoints, write_mesh ←┘
 //! ```
 //!
 //! ```
-//! use snake_core::add_origin;
+//! use snake_geometry::add_origin;
 //! use snake_io::{ReadOptions, read_cloud, write_points};
 //! # let folder = tempfile::tempdir()?;
 //! # let [scan, copy] = ["scan.xyz", "copy.ply"].map(|name| folder.path().join(name));
@@ -54,101 +54,49 @@
 
 #![forbid(unsafe_code)]
 
-mod array;
-mod array_files;
+mod arrays;
 mod atomic;
-#[cfg(feature = "mcap")]
-mod bag_folder;
 mod clouds;
-mod columns;
-mod commas;
-#[cfg(feature = "laz")]
-mod copc;
 mod crs;
-mod doubts;
-mod dtype;
-#[cfg(feature = "e57")]
-mod e57;
 mod error;
 mod format;
-#[cfg(feature = "gltf")]
-mod gltf;
-#[cfg(feature = "laz")]
-mod gps_time;
-mod header;
-mod json;
-mod keypoint_source;
+mod formats;
 #[cfg(feature = "laz")]
 mod las;
-#[cfg(feature = "laz")]
-mod las_keypoints;
-mod lines;
-mod lzf;
 #[cfg(feature = "mcap")]
-mod mcap;
-mod mesh;
-#[cfg(feature = "mcap")]
-mod message;
-mod npy;
-#[cfg(feature = "npz")]
-mod npz;
-mod number;
-mod obj;
-mod off;
-#[cfg(feature = "parquet")]
-mod parquet;
-mod pcd;
-mod ply;
-mod ply_header;
-#[cfg(any(feature = "e57", feature = "gltf"))]
-mod quaternion;
+mod logs;
 mod read_keypoints;
-#[cfg(feature = "mcap")]
-mod recording;
-#[cfg(feature = "mcap")]
-mod ros_message;
-#[cfg(feature = "rosbag2")]
-mod rosbag2;
-mod separator;
-mod shape;
-#[cfg(feature = "rosbag2")]
-mod sqlite_file;
-mod stl;
-mod sweep;
-mod table;
 #[cfg(test)]
 mod tests;
 mod text;
-#[cfg(feature = "mcap")]
-mod topics;
 mod transform;
 mod write;
 
-pub use array::Array;
+pub use arrays::array::Array;
 #[cfg(feature = "npz")]
-pub use array_files::read_arrays;
-pub use array_files::{read_array, write_volume};
+pub use arrays::array_files::read_arrays;
+pub use arrays::array_files::{read_array, write_volume};
 pub use atomic::{TEMPORARY, hold_writes, sync_folder, write_atomically};
 pub use clouds::{
     Contents, ReadOptions, for_each_position, parse_cloud, parse_contents, read_cloud, read_clouds, read_contents,
     read_points,
 };
-pub use columns::{Column, Columns};
-#[cfg(feature = "laz")]
-pub use copc::{Copc, LocalFile, Ranges};
 pub use crs::Crs;
 pub use error::{Error, Result};
 pub use format::{CLOUD_EXTENSIONS, CloudFormat, KEYPOINT_EXTENSIONS, KeypointFormat, POINT_EXTENSIONS, PointFormat};
-pub use json::keypoint_json;
-pub use keypoint_source::KeypointSource;
-pub use mesh::{MESH_EXTENSIONS, check_mesh_path, write_mesh};
-pub use read_keypoints::read_keypoints;
+#[cfg(feature = "laz")]
+pub use las::copc::{Copc, LocalFile, Ranges};
 #[cfg(feature = "mcap")]
-pub use recording::{RecordedCloud, Recording, is_recording, read_recording};
-pub use snake_core::Cloud;
+pub use logs::recording::{RecordedCloud, Recording, is_recording, read_recording};
+pub use read_keypoints::read_keypoints;
+pub use snake_geometry::Cloud;
+pub use text::columns::{Column, Columns};
 pub use transform::{
     REGISTRATION_EXTENSIONS, check_registration_path, read_transform, read_transforms, write_registration,
 };
+pub use write::json::keypoint_json;
+pub use write::keypoint_source::KeypointSource;
+pub use write::mesh::{MESH_EXTENSIONS, check_mesh_path, write_mesh};
 pub use write::{adds_origin, write_keypoints, write_points};
 
 /// The limit of the unpacked size, in sizes of the packed file. No scan exceeds it; a file made to exceed it would take

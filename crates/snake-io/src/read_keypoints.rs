@@ -3,12 +3,14 @@
 use std::path::Path;
 
 use serde::Deserialize;
-use snake_core::{Cloud, Keypoint, Point};
+use snake_geometry::{Cloud, Keypoint, Point};
 
-use super::columns::{Column, Columns};
-use super::format::{KeypointFormat, unknown_extension};
-use super::table::Kind;
-use super::{Error, Result, npy, pcd};
+use crate::arrays::npy;
+use crate::format::{KeypointFormat, unknown_extension};
+use crate::formats::pcd;
+use crate::text::columns::{Column, Columns};
+use crate::write::table::Kind;
+use crate::{Error, Result};
 
 /// The columns of a file of keypoints; others, such as colours, are ignored.
 const COLUMNS: [&str; 6] = ["x", "y", "z", "saliency", "occupancy", "nearest_index"];
@@ -20,7 +22,7 @@ type Row = [f64; 6];
 /// the file's order, relative to an origin, and that origin, which is zero near zero.
 ///
 /// ```
-/// use snake_core::Keypoint;
+/// use snake_geometry::Keypoint;
 /// # let folder = tempfile::tempdir()?;
 /// # let path = folder.path().join("keypoints.csv");
 /// let keypoint = Keypoint { position: [1.0, 0.5, 2.0], saliency: 0.9, occupancy: 0.8, nearest_index: 7 };
@@ -178,7 +180,7 @@ mod tests {
     use super::*;
     use crate::tests::KEYPOINTS;
     use crate::{KeypointSource, write_keypoints};
-    use snake_core::add_origin;
+    use snake_geometry::add_origin;
 
     #[test]
     fn keypoints_of_every_format_read_back_as_they_were() {

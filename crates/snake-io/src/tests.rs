@@ -2,10 +2,10 @@
 
 use std::path::{Path, PathBuf};
 
-use snake_core::{Keypoint, Point, RigidTransform};
+use snake_geometry::{Keypoint, Point, RigidTransform};
 
-use super::shape::Shape;
 use super::*;
+use crate::formats::shape::Shape;
 
 pub(crate) const KEYPOINTS: [Keypoint; 2] = [
     Keypoint { position: [0.1, -2.5, 3e-7], saliency: 0.75, occupancy: 0.5, nearest_index: 7 },

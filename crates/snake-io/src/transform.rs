@@ -5,10 +5,11 @@ use std::path::Path;
 
 use serde::{Deserialize, Serialize};
 
-use super::format::{extension, unknown_extension};
-use super::text::{matrix, write_rows};
-use super::{Error, Result, npy, write_atomically};
-use snake_core::RigidTransform;
+use crate::arrays::npy;
+use crate::format::{extension, unknown_extension};
+use crate::text::{matrix, write_rows};
+use crate::{Error, Result, write_atomically};
+use snake_geometry::RigidTransform;
 
 /// The extensions that [`write_registration`] accepts.
 pub const REGISTRATION_EXTENSIONS: &[&str] = &["json", "txt"];
@@ -21,7 +22,7 @@ enum Written {
 }
 
 /// Reads the four rows of the matrix, alone or under the key `t_target_source` of an object.
-pub(super) fn read_json(bytes: &[u8]) -> std::result::Result<RigidTransform, String> {
+pub(crate) fn read_json(bytes: &[u8]) -> std::result::Result<RigidTransform, String> {
     match serde_json::from_slice(bytes) {
         Ok(Written::Registration { t_target_source: rows } | Written::Rows(rows)) => checked(rows),
         Err(_) => Err("expected {\"t_target_source\": [[..4], ..4]}, or the rows alone".into()),
@@ -29,7 +30,7 @@ pub(super) fn read_json(bytes: &[u8]) -> std::result::Result<RigidTransform, Str
 }
 
 /// Reads four rows of four numbers.
-pub(super) fn read_text(bytes: &[u8]) -> std::result::Result<RigidTransform, String> {
+pub(crate) fn read_text(bytes: &[u8]) -> std::result::Result<RigidTransform, String> {
     checked(matrix(bytes).ok_or("expected four rows of four numbers")?)
 }
 

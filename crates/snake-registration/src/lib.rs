@@ -12,7 +12,7 @@
 //! [`mutual_nearest`], [`ransac()`] and [`kabsch`] are plain parts for own pipelines:
 //!
 //! ```
-//! use snake_core::RigidTransform;
+//! use snake_geometry::RigidTransform;
 //! use snake_registration::{RansacOptions, ransac, transform_points};
 //! let source = [[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 2.0, 0.0], [0.0, 0.0, 3.0], [1.0, 1.0, 1.0]];
 //! let rows = [[0.0, -1.0, 0.0, 3.0], [1.0, 0.0, 0.0, 0.0], [0.0, 0.0, 1.0, 0.0], [0.0, 0.0, 0.0, 1.0]];

@@ -4,8 +4,8 @@ use std::borrow::Cow;
 
 use serde::{Deserialize, Serialize};
 
-use snake_core::space::{Vector, resolution};
-use snake_core::{Error, Length, Point, Result, RigidTransform, setters};
+use snake_core::{Error, Result};
+use snake_geometry::{Length, Point, RigidTransform, Vector, resolution, setters};
 
 use crate::parts::medians::upper_median;
 
@@ -23,7 +23,7 @@ pub struct RegisterOptions {
     /// Maximum number of keypoints per cloud; the best are kept. Of too many voxels it keeps a random part.
     pub max_keypoints: usize,
     /// Exactly this many keypoints per cloud, or all if there are fewer, for links of low bandwidth: they are ranked by the
-    /// detector and spread over the cloud by [`suppress_to_count`](snake_core::space::suppress_to_count), where the best
+    /// detector and spread over the cloud by [`suppress_to_count`](snake_geometry::suppress_to_count), where the best
     /// ones alone would cluster. It takes the place of `max_keypoints`.
     pub num_keypoints: Option<usize>,
     /// Maximum number of matches; the most distinctive are kept.
@@ -163,7 +163,7 @@ impl Axis {
 const MOST_MATCHES: usize = 20_000;
 
 impl RegisterOptions {
-    /// Converts the viewpoints and the guess to points relative to their origins (see [`Cloud`](snake_core::Cloud)). A
+    /// Converts the viewpoints and the guess to points relative to their origins (see [`Cloud`](snake_geometry::Cloud)). A
     /// cloud with an origin other than zero is georeferenced: no sensor stands at the zero of its frame.
     pub fn place(&mut self, source: [f64; 3], target: [f64; 3]) {
         let viewpoints = [(&mut self.source_viewpoint, source), (&mut self.target_viewpoint, target)];
@@ -212,7 +212,7 @@ impl RegisterOptions {
         let coarser = match given.iter().any(|(_, length)| is_multiple(*length)) {
             true => {
                 let resolutions = clouds.iter().map(|points| resolution("points", points));
-                upper_median(&resolutions.collect::<Result<Vec<f64>>>()?)
+                upper_median(&resolutions.collect::<std::result::Result<Vec<f64>, _>>()?)
             }
             false => 0.0,
         };

@@ -2,7 +2,7 @@
 
 use serde::{Deserialize, Serialize};
 
-use snake_core::{Point, RigidTransform};
+use snake_geometry::{Point, RigidTransform};
 
 /// The result of [`register`](crate::register()).
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -112,7 +112,7 @@ impl ViewpointUsed {
 }
 
 impl Registration {
-    /// Converts the transforms from points relative to an origin (see [`Cloud`](snake_core::Cloud)) to points with their
+    /// Converts the transforms from points relative to an origin (see [`Cloud`](snake_geometry::Cloud)) to points with their
     /// origins added. The information matrix is about the same axes, and stays.
     #[must_use]
     pub fn between_origins(mut self, source: [f64; 3], target: [f64; 3]) -> Self {

@@ -4,7 +4,8 @@ use std::collections::BTreeMap;
 use std::ops::Range;
 use std::path::Path;
 
-use snake_core::{Bounds, Point, TileDetector, subtract_origin};
+use snake_core::TileDetector;
+use snake_geometry::{Bounds, Point, subtract_origin};
 use snake_io::Copc;
 
 use crate::Result;

@@ -3,7 +3,8 @@
 
 use safetensors::tensor::{Dtype, SafeTensors, TensorView};
 use serde::{Deserialize, Serialize};
-use snake_core::{Candidate, Counts, Point, TileCandidates};
+use snake_core::{Candidate, Counts, TileCandidates};
+use snake_geometry::Point;
 
 use crate::folder::RunFolder;
 use crate::{Error, Result};

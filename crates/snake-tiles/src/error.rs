@@ -58,6 +58,12 @@ pub enum Error {
     },
 }
 
+impl From<snake_geometry::Error> for Error {
+    fn from(error: snake_geometry::Error) -> Self {
+        Self::Core(error.into())
+    }
+}
+
 /// A result with the crate's [`Error`].
 pub type Result<T> = std::result::Result<T, Error>;
 

@@ -1,6 +1,7 @@
 //! From the candidates of all tiles to keypoints.
 
-use snake_core::{Candidate, Control, Counts, Fate, Keypoint, Point, by_rank};
+use snake_core::{Candidate, Control, Counts, by_rank};
+use snake_geometry::{Fate, Keypoint, Point};
 
 use crate::candidates::{self, Summary};
 use crate::plan::Tile;
@@ -75,7 +76,6 @@ impl TiledRun {
         let keypoints = self.with_nearest(kept, control)?;
         let mut counts = detected.counts;
         counts.keypoints = keypoints.len();
-        counts.windows = 1;
         Ok(TiledDetection { keypoints, counts })
     }
 

@@ -3,8 +3,8 @@
 use std::collections::BTreeMap;
 use std::ops::Range;
 
-use snake_core::space::{gaps, nearest_points};
-use snake_core::{Control, Point};
+use snake_core::Control;
+use snake_geometry::{Point, gaps, nearest_points};
 
 use crate::Result;
 use crate::run::{TiledRun, widen};
@@ -42,7 +42,7 @@ impl TiledRun {
         Ok(nearest)
     }
 
-    /// The mean distance of the distinct points of all tiles to their nearest other one: [`snake_core::space::resolution`] of the
+    /// The mean distance of the distinct points of all tiles to their nearest other one: [`snake_geometry::resolution`] of the
     /// cloud, if it has no outliers.
     pub(crate) fn resolution(&self) -> Result<f64> {
         let (mut sum, mut number) = (0.0, 0_u32);

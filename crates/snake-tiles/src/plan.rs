@@ -102,7 +102,7 @@ pub(crate) struct Plan {
     pub(crate) source: Source,
     /// The versions of the input files, in their order.
     pub(crate) versions: Vec<Version>,
-    /// Added to all points, see [`snake_core::Cloud::origin`].
+    /// Added to all points, see [`snake_geometry::Cloud::origin`].
     pub(crate) origin: [f64; 3],
     pub(crate) crs: Option<Crs>,
     /// Points of all files, those that are not finite included.

@@ -7,7 +7,7 @@ use std::collections::BTreeMap;
 use std::fs::File;
 use std::io::{Read, Write};
 
-use snake_core::Point;
+use snake_geometry::Point;
 use snake_io::sync_folder;
 
 use crate::folder::RunFolder;

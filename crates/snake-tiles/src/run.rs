@@ -4,7 +4,8 @@ use std::ops::Range;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
-use snake_core::{Bounds, Control, Options, Point, TileDetector, subtract_origin};
+use snake_core::{Control, Options, TileDetector};
+use snake_geometry::{Bounds, Point, subtract_origin};
 use snake_io::{Copc, Crs, LocalFile, ReadOptions};
 
 use crate::candidates::{self, Summary};
@@ -148,7 +149,7 @@ impl TiledRun {
         (self.plan.num_points, self.plan.num_skipped)
     }
 
-    /// Added to all keypoints, see [`snake_core::Cloud::origin`].
+    /// Added to all keypoints, see [`snake_geometry::Cloud::origin`].
     pub fn origin(&self) -> [f64; 3] {
         self.plan.origin
     }

@@ -3,7 +3,8 @@
 use base64::Engine;
 use base64::engine::general_purpose::STANDARD;
 use serde_json::{Value, json};
-use snake_core::{Options, printable};
+use snake_core::Options;
+use snake_geometry::printable;
 
 use crate::pair::Pair;
 use crate::shown_cloud::ShownCloud;

@@ -1,8 +1,9 @@
 //! The alignment of the two clouds on a page.
 
 use serde_json::{Value, json};
-use snake_core::{Control, Length, Model, Normalization, NormalizationMethod, Result, RigidTransform};
+use snake_core::{Control, Model, Result};
 use snake_eval::repeated_keypoints;
+use snake_geometry::{Length, Normalization, NormalizationMethod, RigidTransform};
 use snake_registration::{RegisterOptions, Registration, register_with};
 
 use crate::shown_cloud::ShownCloud;

@@ -3,8 +3,8 @@
 use base64::Engine;
 use base64::engine::general_purpose::STANDARD;
 use serde_json::{Value, json};
-use snake_core::space::FinitePoints;
-use snake_core::{Cloud, Normalization, NormalizationMethod, Point, Result, add_origin};
+use snake_core::Result;
+use snake_geometry::{Cloud, FinitePoints, Normalization, NormalizationMethod, Point, add_origin};
 use snake_registration::{RegisterOptions, Registration, transform_points};
 
 use crate::page::document;

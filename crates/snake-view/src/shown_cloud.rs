@@ -3,10 +3,8 @@
 use base64::Engine;
 use base64::engine::general_purpose::STANDARD;
 use serde_json::{Value, json};
-use snake_core::{
-    Cloud, Control, Detection, Field, Mesh, MeshOptions, Model, Normalization, Options, Point, Result, add_origin,
-    cluster_hint,
-};
+use snake_core::{Control, Detection, Field, MeshOptions, Model, Options, Result, cluster_hint};
+use snake_geometry::{Cloud, Mesh, Normalization, Point, add_origin};
 use snake_io as io;
 
 use crate::vertices::Vertices;
@@ -43,10 +41,7 @@ impl ShownCloud {
     /// The errors of [`Model::encode`] and [`Model::detect`](Model::detect).
     pub fn detect(model: &Model, options: &Options, name: String, cloud: &Cloud, control: &Control) -> Result<Self> {
         let field = model.encode_with(&cloud.points, &options.encode, control)?;
-        let detection = match options.window_radius {
-            Some(_) => model.detect_with(&cloud.points, options, control)?,
-            None => field.detect_with(&options.detect, control)?,
-        };
+        let detection = field.detect_with(&options.detect, control)?;
         let points = field.points();
         let shown = subsample(points);
         let surface = surface(&field, control)?;

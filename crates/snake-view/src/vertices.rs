@@ -2,7 +2,7 @@
 
 use base64::Engine;
 use base64::engine::general_purpose::STANDARD;
-use snake_core::{Point, add_origin};
+use snake_geometry::{Point, add_origin};
 
 /// Quantised vertices. Positions have 16 bits within their bounding box, `low + (high - low) q / 65535`, and saliency
 /// has 8 bits within [0, 1]. The error is below a pixel of any screen, and the size is a third of that of floats.

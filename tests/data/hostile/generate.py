@@ -130,10 +130,6 @@ def weight_files():
         "options_rotations_in_a_cube": options({"encode": {"rotations": 2, "normalization": "unit-cube"}}),
         "options_refine_steps_10000": options({"detect": {"refine_steps": 10000}}),
         "options_steps_times_rotations": options({"encode": {"rotations": 64}, "detect": {"refine_steps": 100}}),
-        "options_window_radius_0": options({"windows": {"window_radius": 0}}),
-        "options_window_radius_1e-16": options({"windows": {"window_radius": 1e-16}}),
-        "options_window_radius_1e-15": options({"windows": {"window_radius": 1e-15}}),
-        "options_window_radius_1e-9r": options({"windows": {"window_radius": "1e-9r"}}),
         "metadata_not_text": with_header({"__metadata__": {"format": 3}}, b""),
     }
 

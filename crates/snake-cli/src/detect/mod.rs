@@ -48,7 +48,7 @@ pub fn run(arguments: &DetectArguments) -> Result<ExitCode> {
         return tiled::run(arguments, model, *options, &inputs, side, output);
     }
     let outputs = outputs(arguments, &inputs)?;
-    let is_parallel = models.first().options.window_radius.is_none() && inputs.iter().all(|input| is_small(input));
+    let is_parallel = inputs.iter().all(|input| is_small(input));
     let bar = match &inputs[..] {
         [_] => terminal::stages(&progress)?,
         several if is_parallel => terminal::progress(several.len())?,
@@ -271,9 +271,6 @@ fn table(
     }
     if detection.num_encoded + detection.num_skipped < num_points {
         write!(first, " ({} encoded)", detection.num_encoded)?;
-    }
-    if counts.windows > 1 {
-        write!(first, " with {} windows", counts.windows)?;
     }
     report.line(format!("{first} in {total:.3} s"));
     let (queries, occupied, above) = (counts.queries, counts.occupied, counts.above_threshold);

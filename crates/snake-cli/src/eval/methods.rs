@@ -4,9 +4,9 @@ use std::path::PathBuf;
 
 use anyhow::{Context, Result, bail};
 use serde_json::{Value, json};
-use snake_core::space::suppress_ranked;
 use snake_core::{Length, Model, Options, Point};
 use snake_eval::ExternalKeypoints;
+use snake_geometry::suppress_ranked;
 use snake_registration::detectors::{Detector, Protocol};
 
 use super::args::{EvalArguments, ProtocolName};

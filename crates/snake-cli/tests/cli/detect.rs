@@ -21,13 +21,13 @@ fn a_cloud_far_from_the_scale_of_the_model_has_a_note() {
     write_npy(&path, &[12_000, 3], points.as_flattened());
     let path = path.display().to_string();
     let run = |extra: &[&str]| snake(&[&["detect", &path, "--json", "--set", "max_points=2000"], extra].concat());
-    let (plain, quiet, windows) = (run(&[]), run(&["--quiet"]), run(&["--set", "window_radius=1.5"]));
+    let (plain, quiet, scenes) = (run(&[]), run(&["--quiet"]), run(&["--model", "scenes"]));
     let note = "if it is a room in metres, the model `scenes` sees more of it";
     assert!(stderr(&plain).contains("note:") && stderr(&plain).contains(note), "{}", stderr(&plain));
     assert!(json_lines(&plain)[0]["notes"][0].as_str().unwrap().contains(note));
-    assert_eq!((stderr(&quiet).contains(note), stderr(&windows).contains(note)), (false, false));
+    assert_eq!((stderr(&quiet).contains(note), stderr(&scenes).contains(note)), (false, false));
     assert_eq!(json_lines(&quiet)[0]["notes"], json_lines(&plain)[0]["notes"]);
-    assert_eq!(json_lines(&windows)[0]["notes"], serde_json::json!([]));
+    assert_eq!(json_lines(&scenes)[0]["notes"], serde_json::json!([]));
 }
 
 #[test]
@@ -219,26 +219,6 @@ fn subsampling_is_seeded_and_reported() {
         (&json_lines(&output)[0]["num_encoded"], &json_lines(&output)[0]["num_points"]),
         (&1500.into(), &4096.into())
     );
-}
-
-#[test]
-fn detection_in_windows_reports_their_number() {
-    let whole = json_lines(&snake(&["detect", &sample(), "--json"])).remove(0);
-    let radius = (whole["normalization"]["scale"].as_f64().unwrap() / 4.0).to_string();
-    let options = ["detect", &sample(), "--set", &format!("window_radius={radius}"), "--saliency-threshold", "0.2"];
-    let report = json_lines(&snake(&[&options[..], &["--json"]].concat())).remove(0);
-    let windows = report["counts"]["windows"].as_u64().unwrap();
-    assert!(windows > 3 && report["normalization"].is_null());
-    assert_eq!((&whole["counts"]["windows"], &report["num_encoded"]), (&1.into(), &4096.into()));
-    assert_eq!(report["keypoints"].as_array().unwrap().len() as u64, report["counts"]["keypoints"]);
-    assert!(report["counts"]["keypoints"].as_u64().unwrap() > 10);
-    let table = String::from_utf8(snake(&options).stdout).unwrap();
-    assert!(table.contains(&format!("from 4096 points with {windows} windows in ")), "{table}");
-    for wrong in ["0", "1e-60", "1e60", "0r"] {
-        let refused = snake(&["detect", &sample(), "--set", &format!("window_radius={wrong}")]);
-        assert_eq!(refused.status.code(), Some(2));
-        assert!(stderr(&refused).contains("window_radius"), "{}", stderr(&refused));
-    }
 }
 
 /// 60 MB of coordinates: the file and the cloud are 120 MB, the cloud, a copy and the points by voxels 160 MB, and each

@@ -28,7 +28,7 @@ fn models_are_found_by_name() {
     assert!(String::from_utf8_lossy(&found.stdout).contains("volume: 16 x 16 x 16 voxels"), "{}", stderr(&found));
     // The built-in models have names too, and a path is no name.
     assert_eq!(named("compact").stdout, snake(&["model"]).stdout);
-    assert!(String::from_utf8_lossy(&named("rooms").stdout).starts_with("rooms, built-in: 343874 parameters"));
+    assert!(String::from_utf8_lossy(&named("scenes").stdout).starts_with("scenes, built-in: 343266 parameters"));
     let path = named("nowhere/mine");
     assert!(stderr(&path).contains("cannot load the model nowhere/mine"), "{}", stderr(&path));
 }

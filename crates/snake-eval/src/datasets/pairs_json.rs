@@ -3,7 +3,7 @@
 use std::path::Path;
 
 use serde::Deserialize;
-use snake_core::RigidTransform;
+use snake_geometry::RigidTransform;
 
 use super::read_json;
 use crate::error::Result;

@@ -3,7 +3,7 @@
 use std::path::{Path, PathBuf};
 
 use serde::Deserialize;
-use snake_core::{Cloud, Point, RigidTransform};
+use snake_geometry::{Cloud, Point, RigidTransform};
 use snake_io::{self as io, ReadOptions};
 
 use super::pairs_json::{self, ListedPair};

@@ -2,7 +2,7 @@
 
 use std::path::{Path, PathBuf};
 
-use snake_core::RigidTransform;
+use snake_geometry::RigidTransform;
 
 use super::pairs_json::{self, ListedPair};
 use super::{find_cloud, read_text};

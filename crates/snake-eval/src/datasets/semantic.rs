@@ -4,7 +4,7 @@ use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
 use serde::Deserialize;
-use snake_core::Point;
+use snake_geometry::Point;
 use snake_io as io;
 
 use super::{read_json, read_text};

@@ -283,7 +283,7 @@ impl<'a> Report<'a> {
 
 #[cfg(test)]
 mod tests {
-    use snake_core::RigidTransform;
+    use snake_geometry::RigidTransform;
 
     use crate::tables::paper::THREE_D_MATCH;
 

@@ -11,7 +11,7 @@ use nalgebra::{Point3, Vector3};
 use rand::distr::Distribution;
 use rand::distr::weighted::WeightedIndex;
 use rand::{Rng, RngExt};
-use snake_core::Point;
+use snake_geometry::Point;
 use snake_io::{self as io, Array};
 
 use crate::error::{Error, Result};

@@ -1,7 +1,8 @@
 //! Farthest-point sampling.
 
 use super::{Response, among_finite, check_distinct};
-use snake_core::{Point, Result, space};
+use snake_core::Result;
+use snake_geometry::Point;
 
 /// At most `count` points; each is the farthest from all points before it.
 ///
@@ -20,7 +21,7 @@ pub fn farthest_points(points: &[Point], count: usize) -> Result<Vec<Response>> 
 fn find(points: &[Point], count: usize) -> Result<Vec<Response>> {
     check_distinct(points)?;
     // The first point takes its score from the second.
-    let found = space::farthest_points(points, count.max(2), || Ok(()))?;
+    let found = snake_geometry::farthest_points(points, count.max(2), || Result::Ok(()))?;
     let scores = found.iter().map(|(_, squared)| squared.sqrt()).collect::<Vec<_>>();
     let response = |(place, &(index, _)): (usize, &(usize, f64))| Response { index, score: scores[place.max(1)] };
     Ok(found.iter().enumerate().take(count).map(response).collect())

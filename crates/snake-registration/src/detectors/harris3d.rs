@@ -5,10 +5,8 @@ use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
 use super::{Response, among_distinct, index_cloud, local_maxima};
-use snake_core::Length;
-use snake_core::Point;
-use snake_core::space::Vector;
-use snake_core::{Error, Result, setters};
+use snake_core::{Error, Result};
+use snake_geometry::{Length, Point, Vector, setters};
 
 /// Options of [`harris3d`].
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
@@ -74,7 +72,7 @@ fn find(points: &[Point], options: &Harris3dOptions) -> Result<Vec<Response>> {
 mod tests {
     use super::super::tests::{corner, cube};
     use super::*;
-    use snake_core::space::vector;
+    use snake_geometry::vector;
 
     #[test]
     fn the_corners_of_a_cube_are_the_keypoints() {

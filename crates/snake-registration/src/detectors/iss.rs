@@ -4,10 +4,8 @@ use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
 use super::{Response, among_distinct, index_cloud, local_maxima};
-use snake_core::Length;
-use snake_core::Point;
-use snake_core::space::eigen;
-use snake_core::{Error, Result, setters};
+use snake_core::{Error, Result};
+use snake_geometry::{Length, Point, eigen, setters};
 
 /// The matrix whose eigenvalues are used.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]

@@ -3,7 +3,7 @@
 //!
 //! Each returns indices of input points with a score, by falling score and, for equal scores, by rising index. Results
 //! are the same for any number of threads. A [`Detector`] is one of them with its options, and [`Detector::keypoints`]
-//! selects keypoints by a [`Protocol`]. Points that are not finite and [`Outliers`](snake_core::Outliers) are skipped. Of equal
+//! selects keypoints by a [`Protocol`]. Points that are not finite and [`Outliers`](snake_geometry::Outliers) are skipped. Of equal
 //! points the first counts, except for random points. Indices refer to the whole cloud.
 
 mod farthest_point;
@@ -19,10 +19,8 @@ use rand::SeedableRng;
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
-use snake_core::Point;
-use snake_core::space::FinitePoints;
-use snake_core::space::{Neighbors, vector};
 use snake_core::{Error, Result};
+use snake_geometry::{FinitePoints, Neighbors, Point, vector};
 
 pub use farthest_point::farthest_points;
 pub use harris3d::{Harris3dOptions, harris3d};
@@ -184,7 +182,7 @@ fn check_distinct(points: &[Point]) -> Result<()> {
 /// Indexes a cloud of at least two different finite points.
 fn index_cloud(points: &[Point]) -> Result<Neighbors> {
     check_distinct(points)?;
-    Neighbors::new(points.iter().map(|&p| vector(p)).collect())
+    Ok(Neighbors::new(points.iter().map(|&p| vector(p)).collect())?)
 }
 
 /// Non-maximum suppression: the indices of points that pass and whose score no point closer than `radius` exceeds.
@@ -215,7 +213,7 @@ fn by_falling_score(mut responses: Vec<Response>) -> Vec<Response> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use snake_core::Length;
+    use snake_geometry::Length;
 
     /// A unit cube's surface: `side`² points on each face, the edges doubled as its faces share them.
     pub(super) fn cube(side: usize) -> Vec<Point> {

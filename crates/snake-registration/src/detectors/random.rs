@@ -3,8 +3,8 @@
 use rand::{RngExt, SeedableRng};
 
 use super::{Response, among_finite, by_falling_score, index_cloud};
-use snake_core::Point;
 use snake_core::Result;
+use snake_geometry::Point;
 
 /// `count` points of the cloud, or all if it has fewer, drawn without replacement. Every point gets a random score in
 /// [0, 1), and the highest scores are taken.

@@ -6,10 +6,8 @@ use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
 use super::{Response, among_distinct, by_falling_score, index_cloud};
-use snake_core::Length;
-use snake_core::Point;
-use snake_core::space::{Neighbors, Vector, eigen};
-use snake_core::{Error, Result, setters};
+use snake_core::{Error, Result};
+use snake_geometry::{Length, Neighbors, Point, Vector, eigen, setters};
 
 /// The search ends at an octave with fewer points.
 const MIN_OCTAVE_POINTS: usize = 25;

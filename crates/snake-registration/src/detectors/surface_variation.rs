@@ -4,10 +4,8 @@ use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
 use super::{Response, among_distinct, index_cloud, local_maxima};
-use snake_core::Length;
-use snake_core::Point;
-use snake_core::space::eigen;
-use snake_core::{Result, setters};
+use snake_core::Result;
+use snake_geometry::{Length, Point, eigen, setters};
 
 /// Options of [`surface_variation`].
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
@@ -64,7 +62,7 @@ mod tests {
     use super::super::tests::{corner, cube};
     use super::*;
     use nalgebra::Matrix3;
-    use snake_core::space::{Vector, vector};
+    use snake_geometry::{Vector, vector};
 
     #[test]
     fn the_corners_of_a_cube_are_the_strongest() {

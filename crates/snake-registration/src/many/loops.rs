@@ -4,7 +4,7 @@ use std::collections::HashMap;
 
 use nalgebra::IsometryMatrix3;
 
-use snake_core::space::Vector;
+use snake_geometry::Vector;
 
 use crate::pair::consistency::displacement;
 

@@ -15,7 +15,8 @@ use std::time::Instant;
 
 use rayon::prelude::*;
 
-use snake_core::{Control, Error, Model, Point, Result, RigidTransform};
+use snake_core::{Control, Error, Model, Result};
+use snake_geometry::{Point, RigidTransform};
 
 use super::result::Registration;
 use crate::pair::Pair;

@@ -6,8 +6,8 @@
 use nalgebra::{DMatrix, DVector, IsometryMatrix3, Matrix3, Matrix6, Rotation3, Translation3, Vector6};
 
 use crate::parts::rigid::rotation_vector;
-use snake_core::space::Vector;
 use snake_core::{Counter, Result};
+use snake_geometry::Vector;
 
 /// Steps with one set of robust weights.
 const STEPS: usize = 8;

@@ -2,8 +2,8 @@
 
 use rayon::prelude::*;
 
-use snake_core::space::Vector;
 use snake_core::{Counter, Result};
+use snake_geometry::Vector;
 
 use super::parts::Part;
 use super::pose_graph::{Link, least_squares};
@@ -65,7 +65,7 @@ mod tests {
     use super::*;
     use crate::parts::rigid::moved;
     use crate::parts::rigid::tests::{random_points, random_transform};
-    use snake_core::space::vector;
+    use snake_geometry::vector;
 
     type PointsAndNormals = (Vec<Vector>, Vec<Vector>);
 

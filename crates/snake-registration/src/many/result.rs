@@ -2,7 +2,8 @@
 
 use serde::{Deserialize, Serialize};
 
-use snake_core::{Error, Result, RigidTransform};
+use snake_core::{Error, Result};
+use snake_geometry::RigidTransform;
 
 use crate::options::RegisterOptions;
 
@@ -51,7 +52,7 @@ impl AlignOptions {
         self
     }
 
-    /// Converts the viewpoints to points relative to their clouds' origins (see [`Cloud`](snake_core::Cloud)). If a cloud
+    /// Converts the viewpoints to points relative to their clouds' origins (see [`Cloud`](snake_geometry::Cloud)). If a cloud
     /// without a viewpoint has an origin other than zero, no cloud's frame is taken to start at its sensor.
     pub fn place(&mut self, origins: &[[f64; 3]]) {
         if self.viewpoints.is_empty() {
@@ -153,7 +154,7 @@ pub struct Edge {
 }
 
 impl Alignment {
-    /// Converts the transforms from points relative to an origin (see [`Cloud`](snake_core::Cloud)) to points with their
+    /// Converts the transforms from points relative to an origin (see [`Cloud`](snake_geometry::Cloud)) to points with their
     /// origins added. `origins` has one for each cloud.
     #[must_use]
     pub fn between_origins(mut self, origins: &[[f64; 3]]) -> Self {

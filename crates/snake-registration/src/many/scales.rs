@@ -2,7 +2,8 @@
 
 use std::collections::BTreeMap;
 
-use snake_core::{Control, Length, Model, Point, Result};
+use snake_core::{Control, Model, Result};
+use snake_geometry::{Length, Point};
 
 use crate::options::RegisterOptions;
 use crate::pair::prepared::{Prepared, PreparedClouds};

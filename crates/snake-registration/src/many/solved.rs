@@ -5,8 +5,8 @@ use std::collections::HashSet;
 use nalgebra::Matrix6;
 use rayon::prelude::*;
 
-use snake_core::space::Vector;
 use snake_core::{Control, Result};
+use snake_geometry::Vector;
 
 use super::loops::{Witness, doubts};
 use super::parts::{Part, split};

@@ -7,8 +7,8 @@ use super::*;
 use crate::RegisterOptions;
 use crate::parts::rigid::tests::{random_points, random_transform};
 use crate::parts::rigid::transform_points;
-use snake_core::space::Vector;
 use snake_core::{Builtin, CancelFlag};
+use snake_geometry::Vector;
 
 /// Three samplings of the sample, each moved; a closed surface that fits none of them is cloud 1.
 fn clouds() -> (Vec<Vec<Point>>, Vec<RigidTransform>) {

@@ -10,8 +10,8 @@ use rayon::prelude::*;
 
 use crate::pair::match_graph::{Criteria, Graph, Match};
 use crate::parts::rigid::{best_fit, best_fit_about, moved};
-use snake_core::space::Vector;
 use snake_core::{Control, Result};
+use snake_geometry::Vector;
 
 /// Number of matches from which transforms are estimated: those with the most support in the graph.
 const MAX_SEEDS: usize = 200;
@@ -112,7 +112,7 @@ mod tests {
 
     use super::*;
     use crate::parts::rigid::tests::{random_points, random_transform};
-    use snake_core::space::vector;
+    use snake_geometry::vector;
 
     const CRITERIA: Criteria = Criteria { inlier_distance: 0.03, signed: true, gravity: None };
 

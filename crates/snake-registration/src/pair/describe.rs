@@ -8,8 +8,8 @@ use crate::pair::scan::reduce;
 use crate::parts::cloud::{Orientation, normals};
 use crate::parts::fast_fpfh;
 use crate::parts::matching::hellinger;
-use snake_core::space::{FinitePoints, check_points, vector};
-use snake_core::{Control, Point, Result};
+use snake_core::{Control, Result};
+use snake_geometry::{FinitePoints, Point, check_points, vector};
 
 /// Descriptors `(K, FPFH_DIMENSION)`, flat, of keypoints `(K, 3)` of a cloud `(N, 3)`: the square roots of FPFH histograms, of
 /// normals without a sign. They do not depend on how the cloud is turned, and [`mutual_nearest`](crate::mutual_nearest) matches
@@ -41,7 +41,7 @@ pub fn describe(points: &[Point], keypoints: &[Point], control: &Control) -> Res
 #[cfg(test)]
 mod tests {
     use nalgebra::{IsometryMatrix3, Vector3};
-    use snake_core::RigidTransform;
+    use snake_geometry::RigidTransform;
 
     use super::*;
     use crate::{mutual_nearest, transform_points};

@@ -9,8 +9,8 @@ use rayon::prelude::*;
 use crate::pair::icp::{PlanePair, iterate};
 use crate::parts::cloud::voxel_means;
 use crate::parts::rigid::moved;
-use snake_core::space::{Neighbors, Vector, eigen};
-use snake_core::{Counter, Point, Result};
+use snake_core::{Counter, Result};
+use snake_geometry::{Neighbors, Point, Vector, eigen};
 
 /// The side of a fine voxel, in voxels,
 const SIDE: f64 = 0.125;

@@ -5,8 +5,8 @@ use rayon::prelude::*;
 
 use crate::pair::surface::Surface;
 use crate::parts::rigid::{moved, rotation_vector};
-use snake_core::space::Vector;
 use snake_core::{Counter, Result};
+use snake_geometry::Vector;
 
 /// The iteration ends when the translation is below this share of the pair distance and the rotation below this angle
 /// in radians.
@@ -200,7 +200,7 @@ mod tests {
     use crate::parts::cloud::{Orientation, normals};
     use crate::parts::rigid::tests::random_points;
     use snake_core::Control;
-    use snake_core::space::{Neighbors, vector};
+    use snake_geometry::{Neighbors, vector};
 
     /// Random points on `sides` faces of the cube ±1.
     fn faces(sides: usize, seed: u64) -> Vec<Vector> {

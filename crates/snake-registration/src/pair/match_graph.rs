@@ -7,8 +7,8 @@ use rayon::prelude::*;
 
 use crate::pair::surface::AGREEING_COSINE;
 use crate::parts::rigid::moved;
-use snake_core::space::Vector;
 use snake_core::{Counter, Result};
+use snake_geometry::Vector;
 
 /// The difference of cosines between normals from which on two matches are incompatible.
 const COSINE_TOLERANCE: f32 = 0.3;

@@ -17,8 +17,8 @@ use std::time::Instant;
 use nalgebra::IsometryMatrix3;
 use rayon::prelude::*;
 
-use snake_core::space::{Vector, vector};
-use snake_core::{Control, Error, Outliers, Result};
+use snake_core::{Control, Error, Result};
+use snake_geometry::{Outliers, Vector, vector};
 
 use crate::options::RegisterOptions;
 use crate::pair::consistency::{displacement, hypotheses};

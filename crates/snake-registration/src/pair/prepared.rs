@@ -5,8 +5,8 @@ use std::sync::OnceLock;
 
 use rayon::prelude::*;
 
-use snake_core::space::{FinitePoints, Neighbors, Vector};
-use snake_core::{Control, Error, Model, Normalization, NormalizationMethod, Outliers, Point, Result};
+use snake_core::{Control, Error, Model, Result};
+use snake_geometry::{FinitePoints, Neighbors, Normalization, NormalizationMethod, Outliers, Point, Vector};
 
 use crate::FPFH_DIMENSION;
 use crate::options::{Descriptor, RegisterOptions};
@@ -62,7 +62,7 @@ impl PreparedClouds {
         control: &Control,
     ) -> Result<Self> {
         let named = |index: usize| move |error| named(error, index, names);
-        let used = |(index, points)| FinitePoints::of("points", points).map_err(named(index));
+        let used = |(index, points)| FinitePoints::of("points", points).map_err(|error| named(index)(error.into()));
         let used: Vec<FinitePoints> = clouds.iter().copied().enumerate().map(used).collect::<Result<_>>()?;
         let outliers: Vec<Option<Outliers>> = used.iter().map(FinitePoints::outliers).collect();
         let sensor = |index: usize| given[index].unwrap_or_default();
@@ -77,7 +77,7 @@ impl PreparedClouds {
             let voxels: Vec<Neighbors> = voxels.collect::<Result<_>>()?;
             // In a sparse cloud most voxels hold one point, and the voxel size is less than the distance between neighbours.
             let resolutions: Vec<f64> = voxels.par_iter().map(Neighbors::resolution).collect();
-            Ok((voxels, voxel_size.max(upper_median(&resolutions))))
+            Result::Ok((voxels, voxel_size.max(upper_median(&resolutions))))
         };
         let mut voxel_size = voxel_size.unwrap_or(lower_median(&diameters) / VOXELS_PER_DIAMETER);
         let (mut voxels, mut spacing) = reduced(voxel_size)?;

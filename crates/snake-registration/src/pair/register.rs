@@ -2,7 +2,8 @@
 
 use std::time::Instant;
 
-use snake_core::{Control, Model, Point, Result};
+use snake_core::{Control, Model, Result};
+use snake_geometry::Point;
 
 use crate::options::RegisterOptions;
 use crate::pair::Pair;
@@ -66,8 +67,8 @@ mod tests {
     use crate::options::{Descriptor, KeypointDetector};
     use crate::parts::rigid::tests::random_transform;
     use crate::parts::rigid::transform_points;
-    use snake_core::space::resolution;
-    use snake_core::{Builtin, Length, RigidTransform};
+    use snake_core::Builtin;
+    use snake_geometry::{Length, RigidTransform, resolution};
 
     fn sample() -> Vec<Point> {
         let path = concat!(env!("CARGO_MANIFEST_DIR"), "/../../samples/plane.ply");

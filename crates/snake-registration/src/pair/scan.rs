@@ -13,12 +13,12 @@ use crate::parts::fast_fpfh;
 use crate::parts::fpfh::FPFH_DIMENSION;
 use snake_core::Control;
 use snake_core::Field;
-use snake_core::Length;
 use snake_core::Model;
 use snake_core::Result;
-use snake_core::space::{FinitePoints, check_points, suppress_to_count};
-use snake_core::space::{Neighbors, Vector, vector};
-use snake_core::{Normalization, NormalizationMethod, Point};
+use snake_geometry::{
+    FinitePoints, Length, Neighbors, Normalization, NormalizationMethod, Point, Vector, check_points,
+    suppress_to_count, vector,
+};
 
 /// A cloud with the data for matching. Each part is computed when it is first needed and then kept for all detectors
 /// and descriptors. The model runs only for a detector or descriptor that needs its field.
@@ -209,21 +209,10 @@ impl Scan {
     fn salient_points(&self, most: usize, control: &Control) -> Result<Vec<Point>> {
         let recommended = *self.model.recommended();
         let options = recommended.detect.with_saliency_threshold(0.0).with_max_keypoints(most);
-        let uses_windows = match recommended.window_radius {
-            // Windows need a size well above a voxel.
-            Some(Length::Units(radius)) => radius >= 2.0 * self.voxel_size,
-            radius => radius.is_some(),
-        };
-        let found = if uses_windows {
-            let options = recommended.with_detect(options);
-            self.model.detect_with(&self.voxel_means(), &options, control)?
-        } else {
-            // The suppression radius of a whole object is relative to its size; that of windows is in cloud units.
-            let nms_radius = Some(Length::Units(self.voxel_size));
-            // FPFH describes the surface, so keypoints are moved onto it.
-            let options = options.with_nms_radius(nms_radius).with_mode_radius(None).with_snap(true);
-            self.field(control)?.detect_with(&options, control)?
-        };
+        // FPFH describes the surface, so keypoints are moved onto it.
+        let nms_radius = Some(Length::Units(self.voxel_size));
+        let options = options.with_nms_radius(nms_radius).with_mode_radius(None).with_snap(true);
+        let found = self.field(control)?.detect_with(&options, control)?;
         Ok(found.keypoints.into_iter().map(|keypoint| keypoint.position).collect())
     }
 
@@ -288,7 +277,7 @@ const NORMALIZATION: NormalizationMethod = NormalizationMethod::UnitCube;
 /// Reduces finite points to voxel means.
 pub(crate) fn reduce(points: &[Point], voxel_size: f64, control: &Control) -> Result<Neighbors> {
     let counter = control.begin("voxels", points.len());
-    Neighbors::new(voxel_means(points, voxel_size, &counter)?)
+    Ok(Neighbors::new(voxel_means(points, voxel_size, &counter)?)?)
 }
 
 #[cfg(test)]
@@ -345,18 +334,6 @@ mod tests {
     }
 
     #[test]
-    fn a_model_that_sees_through_windows_does_so_with_its_own_suppression_radius() {
-        let room: Vec<Point> = sample().iter().map(|point| point.map(|v| 3.0 * v)).collect();
-        let model = Model::named("rooms").unwrap();
-        let scan = Scan::new(&room, &model, 0.03).unwrap();
-        let found = scan.keypoints(Snake, 50, 0).unwrap();
-        let Some(Length::Units(radius)) = model.recommended().detect.nms_radius else { panic!("a length in metres") };
-        let apart = |a: &Point, b: &Point| (vector(*a) - vector(*b)).norm() >= radius;
-        assert!(found.len() > 10 && (1..found.len()).all(|i| found[..i].iter().all(|other| apart(other, &found[i]))));
-        assert!(radius > 0.03 && model.recommended().window_radius.is_some());
-    }
-
-    #[test]
     fn a_model_that_recommends_several_copies_encodes_one() {
         let model = Model::named("standard").unwrap();
         assert!(model.recommended().encode.rotations > 1);
@@ -372,8 +349,6 @@ mod tests {
             scan.descriptors(&sample()[..3], Descriptor::Fpfh).unwrap();
             assert!(scan.field.get().is_none(), "{name}");
             scan.keypoints(Snake, 10, 0).unwrap();
-            let in_windows = name == "rooms";
-            assert_eq!(scan.field.get().is_none(), in_windows, "{name}");
             scan.descriptors(&sample()[..3], Descriptor::Field).unwrap();
             let first: *const Field = scan.field.get().unwrap();
             scan.descriptors(&sample()[..3], Descriptor::Field).unwrap();

@@ -3,8 +3,7 @@
 use std::borrow::Cow;
 use std::collections::HashMap;
 
-use snake_core::Point;
-use snake_core::space::{Vector, vector};
+use snake_geometry::{Point, Vector, vector};
 
 use crate::parts::spread::least_spread;
 

@@ -6,7 +6,7 @@ use rayon::prelude::*;
 use crate::parts::depth_image::{COARSE, DepthImage, FINE, Sight};
 use crate::parts::near_grid::NearGrid;
 use crate::parts::rigid::moved;
-use snake_core::space::Vector;
+use snake_geometry::Vector;
 
 /// The cosine from which on two normals agree.
 pub(crate) const AGREEING_COSINE: f64 = 0.7;

@@ -3,7 +3,7 @@
 use crate::options::RegisterOptions;
 use crate::parts::depth_image::{COARSE, DepthImage};
 use crate::result::ViewpointUsed;
-use snake_core::space::Vector;
+use snake_geometry::Vector;
 
 /// The origin is taken for the viewpoint if at least this share of a cloud is visible from there. Of scans it is 0.7 and
 /// more even if the sensor moved; of whole objects it is about half.

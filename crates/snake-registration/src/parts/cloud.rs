@@ -4,11 +4,9 @@ use std::collections::HashMap;
 
 use rayon::prelude::*;
 
-use snake_core::Point;
-use snake_core::space::check_points;
-use snake_core::space::{Neighbors, Vector, vector};
 use snake_core::{Control, Counter};
 use snake_core::{Error, Result};
+use snake_geometry::{Neighbors, Point, Vector, check_points, vector};
 
 /// The mean of the points in each voxel of side `voxel_size`, in the order of the voxels' first points.
 pub(crate) fn voxel_means(points: &[Point], voxel_size: f64, counter: &Counter) -> Result<Vec<Vector>> {

@@ -2,7 +2,7 @@
 
 use std::collections::HashMap;
 
-use snake_core::space::Vector;
+use snake_geometry::Vector;
 
 /// How a depth image is made.
 #[derive(Debug, Clone, Copy)]

@@ -6,8 +6,8 @@ use rayon::prelude::*;
 
 use crate::parts::fpfh::FPFH_DIMENSION;
 use crate::parts::near_grid::NearGrid;
-use snake_core::space::Vector;
 use snake_core::{Control, Result};
+use snake_geometry::Vector;
 
 const BINS: usize = FPFH_DIMENSION / 3;
 
@@ -130,7 +130,7 @@ mod tests {
     use crate::fpfh;
     use crate::parts::cloud::estimate_normals;
     use crate::parts::rigid::tests::random_points;
-    use snake_core::space::vector;
+    use snake_geometry::vector;
 
     #[test]
     fn descriptors_are_those_of_the_plain_function() {

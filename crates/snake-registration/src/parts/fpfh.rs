@@ -6,10 +6,8 @@ use rayon::prelude::*;
 
 use crate::parts::cloud::check_radius;
 use snake_core::Control;
-use snake_core::Point;
-use snake_core::space::check_points;
-use snake_core::space::{Neighbors, Vector, vector};
 use snake_core::{Error, Result};
+use snake_geometry::{Neighbors, Point, Vector, check_points, vector};
 
 /// Length of a descriptor: three histograms of 11 bins.
 pub const FPFH_DIMENSION: usize = 3 * BINS;

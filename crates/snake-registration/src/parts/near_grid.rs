@@ -1,6 +1,6 @@
 //! The nearest point within a fixed distance, by cells.
 
-use snake_core::space::Vector;
+use snake_geometry::Vector;
 
 /// Cells per point, at most; a cloud of greater extent gets larger cells.
 const MAX_CELLS_PER_POINT: f64 = 256.0;
@@ -110,7 +110,7 @@ impl NearGrid {
 mod tests {
     use rand::SeedableRng;
     use rand_chacha::ChaCha8Rng;
-    use snake_core::space::{Neighbors, vector};
+    use snake_geometry::{Neighbors, vector};
 
     use super::*;
     use crate::parts::rigid::tests::random_points;

@@ -7,10 +7,9 @@ use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
 use crate::parts::rigid::{best_fit, check_pairs, moved};
-use snake_core::space::{Vector, vector};
 use snake_core::{Control, Counter};
-use snake_core::{Error, Result, setters};
-use snake_core::{Point, RigidTransform};
+use snake_core::{Error, Result};
+use snake_geometry::{Point, RigidTransform, Vector, setters, vector};
 
 /// Samples of one random stream; a stream is drawn by one thread.
 const SAMPLES_PER_STREAM: usize = 512;

@@ -4,10 +4,8 @@ use nalgebra::{
     IsometryMatrix3, Matrix3, Matrix4, Quaternion, Rotation3, SymmetricEigen, Translation3, UnitQuaternion,
 };
 
-use snake_core::space::check_points;
-use snake_core::space::{Vector, vector};
 use snake_core::{Error, Result};
-use snake_core::{Point, RigidTransform};
+use snake_geometry::{Point, RigidTransform, Vector, check_points, vector};
 
 /// The least-squares rigid transform `t_target_source` from `source` `(N, 3)` to `target` `(N, 3)`, row i to row i.
 ///

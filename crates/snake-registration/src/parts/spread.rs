@@ -1,7 +1,7 @@
 //! How far points are spread.
 
 use nalgebra::Matrix3;
-use snake_core::space::Vector;
+use snake_geometry::Vector;
 
 /// The standard deviation of points in the direction in which they vary least; 0 for less than two.
 pub(crate) fn least_spread(points: &[Vector]) -> f64 {

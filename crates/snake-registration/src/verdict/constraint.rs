@@ -4,7 +4,7 @@ use nalgebra::{Matrix6xX, Vector6};
 
 use crate::pair::fine::Overlap;
 use crate::pair::icp::{Normal, PlanePair};
-use snake_core::space::Vector;
+use snake_geometry::Vector;
 
 /// A patch constrains a motion that moves it at less than about 75 degrees to its normal. The normals of planar patches are
 /// better than that, and those of slopes that a voxel does not show are not.
@@ -76,7 +76,7 @@ mod tests {
     use super::*;
     use crate::pair::icp::information;
     use crate::parts::rigid::tests::random_points;
-    use snake_core::space::vector;
+    use snake_geometry::vector;
 
     /// Patches on `sides` faces of the cube ±1, whose normals are off by up to `noise`.
     fn faces(sides: usize, noise: f64) -> Vec<PlanePair> {

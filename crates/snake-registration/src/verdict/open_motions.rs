@@ -2,7 +2,7 @@
 
 use nalgebra::{Matrix3xX, Matrix6xX};
 
-use snake_core::space::Vector;
+use snake_geometry::Vector;
 
 /// A motion with a rotation part below this is a translation.
 const NO_ROTATION: f64 = 0.1;

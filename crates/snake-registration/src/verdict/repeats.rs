@@ -10,7 +10,7 @@ use crate::pair::fine::{AGREEING_COSINE, FineCloud};
 use crate::pair::icp::PlanePair;
 use crate::pair::surface::Surface;
 use crate::parts::near_grid::NearGrid;
-use snake_core::space::Vector;
+use snake_geometry::Vector;
 
 /// A patch tells whether a slide is right if the cosine between its normal and the slide is at least this: a floor agrees
 /// with all slides along it.

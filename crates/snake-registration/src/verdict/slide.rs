@@ -34,7 +34,7 @@ pub(crate) fn slide_margin(
 mod tests {
     use rand::SeedableRng;
     use rand_chacha::ChaCha8Rng;
-    use snake_core::space::{Vector, vector};
+    use snake_geometry::{Vector, vector};
 
     use super::*;
     use crate::pair::icp::information;

@@ -1,0 +1,78 @@
+//! A hint where keypoints cluster in a part of the cloud.
+
+use rand::SeedableRng;
+use rand::seq::index::sample;
+use rand_chacha::ChaCha8Rng;
+
+use snake_geometry::{FinitePoints, Keypoint, Neighbors, Point, vector};
+
+/// Fewer keypoints say nothing.
+const FEWEST: usize = 8;
+/// The most points that are measured.
+const MOST_POINTS: usize = 1000;
+/// From here on keypoints cluster: how many times as far points lie from them as from as many random points.
+const CLUSTERED: f64 = 2.0;
+
+/// One sentence for the user if keypoints cluster in a part of their cloud `(N, 3)`: the mean distance from its points to the
+/// nearest keypoint is at least twice that to as many random points. `None` if they do not, if there are fewer than eight, or
+/// if the cloud cannot be used at all. The sentence is always the same.
+///
+/// ```
+/// use snake_core::{Keypoint, cluster_hint};
+/// let points: Vec<[f32; 3]> = (0..900).map(|i| [(i % 30) as f32, (i / 30) as f32, 0.0]).collect();
+/// let keypoint = |position| Keypoint { position, saliency: 0.9, occupancy: 0.9, nearest_index: 0 };
+/// let clump: Vec<Keypoint> = (0..16).map(|i| keypoint([(i % 4) as f32, (i / 4) as f32, 0.0])).collect();
+/// assert!(cluster_hint(&points, &clump).is_some());
+/// ```
+pub fn cluster_hint(points: &[Point], keypoints: &[Keypoint]) -> Option<String> {
+    let points = FinitePoints::of("points", points).ok()?.points;
+    if keypoints.len() < FEWEST || points.len() < keypoints.len() {
+        return None;
+    }
+    let mut rng = ChaCha8Rng::seed_from_u64(0);
+    let mut draw = |number| sample(&mut rng, points.len(), number).iter().map(|i| points[i]).collect::<Vec<_>>();
+    let (random, measured) = (draw(keypoints.len()), draw(MOST_POINTS.min(points.len())));
+    let distance_to = |places: Vec<Point>| {
+        let neighbors = Neighbors::new(places.into_iter().map(vector).collect()).ok()?;
+        Some(measured.iter().map(|&p| neighbors.distance(&vector(p))).sum::<f64>() / measured.len() as f64)
+    };
+    let to_keypoints = distance_to(keypoints.iter().map(|keypoint| keypoint.position).collect())?;
+    let to_random = distance_to(random)?;
+    (to_keypoints >= CLUSTERED * to_random && to_random > 0.0).then(|| {
+        format!(
+            "the keypoints cluster: a point is on average at least {CLUSTERED} times as far from the nearest as from as many \
+             random points; a larger `nms_radius` spreads them"
+        )
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn keypoints(positions: impl Iterator<Item = Point>) -> Vec<Keypoint> {
+        positions.map(|position| Keypoint { position, saliency: 1.0, occupancy: 1.0, nearest_index: 0 }).collect()
+    }
+
+    fn square() -> Vec<Point> {
+        (0..2500).map(|i| [(i % 50) as f32, (i / 50) as f32, 0.0]).collect()
+    }
+
+    #[test]
+    fn only_keypoints_in_a_part_of_the_cloud_have_a_hint() {
+        let points = square();
+        let spread = keypoints((0..64).map(|i| [(i % 8) as f32 * 7.0, (i / 8) as f32 * 7.0, 0.0]));
+        let clump = keypoints((0..64).map(|i| [(i % 8) as f32, (i / 8) as f32, 0.0]));
+        assert_eq!(cluster_hint(&points, &spread), None);
+        assert!(cluster_hint(&points, &clump).unwrap().starts_with("the keypoints cluster"));
+        assert_eq!(cluster_hint(&points, &clump[..7]), None);
+    }
+
+    #[test]
+    fn clouds_that_cannot_be_used_have_no_hint() {
+        let some = keypoints((0..9).map(|i| [i as f32, 0.0, 0.0]));
+        for points in [vec![], vec![[f32::NAN; 3]; 20], vec![[1.0; 3]; 20], vec![[0.0; 3]; 3]] {
+            assert_eq!(cluster_hint(&points, &some), None);
+        }
+    }
+}

@@ -1,0 +1,150 @@
+//! Mode seeking: keypoints move to where salient candidates are densest.
+
+use rayon::prelude::*;
+
+use crate::Result;
+use snake_geometry::{Point, RadiusCells, by_falling_score, keep_in_order};
+use snake_kernels::Scratch;
+
+/// The steps of the mean shift: the share of the radius within which candidates count, and the power of their saliency that
+/// weighs them. With a power of 8, a candidate a tenth less salient weighs half as much. A mean over a wide neighbourhood lies
+/// inside of a corner; later steps come nearer to the peak.
+const STEPS: [(f32, i32); 3] = [(1.0, 8), (0.85, 12), (0.7, 16)];
+
+/// The share of the radius about a mode within which its best candidate is looked for.
+const SCORE_SHARE: f32 = 0.5;
+
+/// How far from its start the candidates are that decide a mode, in radii: the three steps and the look at the best one.
+pub(crate) const SHIFT: f32 = 3.1;
+
+/// Number of candidates that are moved per keypoint, because several of them end at the same mode. For fewer than 64
+/// keypoints the number is that of 64, because the most salient candidates lie close together.
+const STARTS: usize = 48;
+
+/// Candidates that moved to modes, by falling saliency of where they started.
+pub(crate) struct Modes {
+    /// Indices of the candidates.
+    pub(crate) starts: Scratch<usize>,
+    /// Their new positions.
+    pub(crate) positions: Scratch<Point>,
+    /// The mean of the saliency where a candidate started and of the highest one where it ended. The latter tells modes on
+    /// a peak from those that stopped on a ridge; the former tells modes of one peak from each other.
+    pub(crate) scores: Scratch<f32>,
+}
+
+/// Moves the most salient candidates, at least half of `radius` apart, to modes by mean shift (Comaniciu and Meer 2002):
+/// three times to the mean of the candidates within `radius`, weighted by a power of their saliency. From step to step the
+/// radius falls and the power rises.
+///
+/// A mean over a neighbourhood is more precise than the position of a single query. Modes can coincide, so they are
+/// suppressed afterwards.
+///
+/// # Errors
+/// [`crate::Error::Input`] when a position is not finite.
+pub(crate) fn seek_modes(positions: &[Point], scores: &[f32], radius: f32, max_keypoints: usize) -> Result<Modes> {
+    let cells = RadiusCells::new(positions, radius)?;
+    let most = STARTS.saturating_mul(max_keypoints.max(64));
+    let starts = keep_in_order(&cells, &by_falling_score(scores), radius / 2.0, most);
+    let (positions, scores) = moved(&cells, scores, radius, &starts);
+    Ok(Modes { starts, positions, scores })
+}
+
+/// The modes of some candidates with their scores, see [`seek_modes`].
+pub(crate) fn modes_of(
+    positions: &[Point],
+    scores: &[f32],
+    radius: f32,
+    starts: &[usize],
+) -> Result<(Scratch<Point>, Scratch<f32>)> {
+    Ok(moved(&RadiusCells::new(positions, radius)?, scores, radius, starts))
+}
+
+fn moved(cells: &RadiusCells, scores: &[f32], radius: f32, starts: &[usize]) -> (Scratch<Point>, Scratch<f32>) {
+    let weights = STEPS.map(|(_, power)| Scratch::collect(scores.len(), scores.iter().map(|score| score.powi(power))));
+    let mut modes = Scratch::collect(starts.len(), starts.iter().map(|&start| cells.points()[start]));
+    let mut mode_scores = Scratch::collect(starts.len(), starts.iter().map(|&start| scores[start]));
+    modes.par_iter_mut().zip(&mut mode_scores[..]).for_each(|(mode, score)| {
+        for ((share, _), weights) in STEPS.iter().zip(&weights) {
+            *mode = weighted_mean(cells, weights, *mode, share * radius);
+        }
+        let mut best = *score;
+        cells.within(mode, SCORE_SHARE * radius, |index| best = best.max(scores[index]));
+        *score = 0.5 * (*score + best);
+    });
+    (modes, mode_scores)
+}
+
+/// The mean of the candidates within `radius` of a position; the position itself if there is none.
+fn weighted_mean(cells: &RadiusCells, weights: &[f32], at: Point, radius: f32) -> Point {
+    let (mut total, mut sum) = (0.0_f64, [0.0_f64; 3]);
+    cells.within(&at, radius, |index| {
+        let weight = f64::from(weights[index]);
+        total += weight;
+        sum.iter_mut().zip(cells.points()[index]).for_each(|(sum, value)| *sum += weight * f64::from(value));
+    });
+    if total > 0.0 { sum.map(|value| (value / total) as f32) } else { at }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// The mean shift with sums over all candidates: the position and the score of a mode.
+    fn plain(positions: &[Point], scores: &[f32], start: usize, radius: f32) -> (Point, f32) {
+        let is_near = |p: &Point, at: &Point, radius: f32| {
+            (0..3).map(|axis| (p[axis] - at[axis]).powi(2)).sum::<f32>() <= radius.powi(2)
+        };
+        let mode = [(1.0, 8), (0.85, 12), (0.7, 16)].into_iter().fold(positions[start], |at, (share, power)| {
+            let weight = |p: &Point, s: f32| f64::from(s).powi(power) * f64::from(is_near(p, &at, share * radius));
+            let weights: Vec<f64> = positions.iter().zip(scores).map(|(p, &s)| weight(p, s)).collect();
+            let total: f64 = weights.iter().sum();
+            std::array::from_fn(|axis| {
+                (positions.iter().zip(&weights).map(|(p, w)| w * f64::from(p[axis])).sum::<f64>() / total) as f32
+            })
+        });
+        let there = positions.iter().zip(scores).filter(|(p, _)| is_near(p, &mode, 0.5 * radius)).map(|(_, &s)| s);
+        (mode, 0.5 * (scores[start] + there.fold(scores[start], f32::max)))
+    }
+
+    fn candidates() -> (Vec<Point>, Vec<f32>) {
+        let at = |i: u32, k: u32| (i * k % 997) as f32 / 997.0;
+        let positions: Vec<Point> = (0_u32..800).map(|i| [at(i, 131), at(i, 577), at(i, 883)]).collect();
+        let scores = (0_u32..800).map(|i| 0.2 + 0.8 * at(i, 311)).collect();
+        (positions, scores)
+    }
+
+    #[test]
+    fn modes_are_those_of_the_plain_mean_shift() {
+        let (positions, scores) = candidates();
+        let modes = seek_modes(&positions, &scores, 0.3, 100).unwrap();
+        assert!(modes.starts.len() > 10 && modes.starts.is_sorted_by(|&a, &b| scores[a] >= scores[b]));
+        for (i, &start) in modes.starts.iter().enumerate() {
+            let (expected, score) = plain(&positions, &scores, start, 0.3);
+            let mode = modes.positions[i];
+            assert!((0..3).all(|axis| (mode[axis] - expected[axis]).abs() < 1e-5), "{mode:?} {expected:?}");
+            assert_eq!(modes.scores[i], score, "{mode:?}");
+        }
+    }
+
+    #[test]
+    fn a_bump_is_found_between_grid_points() {
+        let center = [0.031, -0.012, 0.007];
+        let grid = |i: u32| (i as f32 - 8.0) * 0.03;
+        let positions: Vec<Point> = (0..4096).map(|i| [grid(i % 16), grid(i / 16 % 16), grid(i / 256)]).collect();
+        let squared = |p: &Point| (0..3).map(|axis| (p[axis] - center[axis]).powi(2)).sum::<f32>();
+        let scores: Vec<f32> = positions.iter().map(|p| (-squared(p) / (2.0 * 0.05_f32.powi(2))).exp()).collect();
+        let modes = seek_modes(&positions, &scores, 0.06, 100).unwrap();
+        assert!(squared(&modes.positions[0]).sqrt() < 0.005, "{:?}", modes.positions[0]);
+    }
+
+    #[test]
+    fn modes_of_no_candidates_one_candidate_and_scores_of_zero() {
+        let modes = |positions: &[Point], scores: &[f32]| {
+            let Modes { starts, positions, scores } = seek_modes(positions, scores, 0.1, 9).unwrap();
+            (starts.to_vec(), positions.to_vec(), scores.to_vec())
+        };
+        assert_eq!(modes(&[], &[]), (vec![], vec![], vec![]));
+        assert_eq!(modes(&[[1.0, 2.0, 3.0]], &[0.5]), (vec![0], vec![[1.0, 2.0, 3.0]], vec![0.5]));
+        assert_eq!(modes(&[[1.0, 2.0, 3.0]], &[0.0]), (vec![0], vec![[1.0, 2.0, 3.0]], vec![0.0]));
+    }
+}

@@ -1,0 +1,213 @@
+//! Refinement: queries climb the saliency field (SNAKE Algorithm 1).
+
+use rayon::prelude::*;
+
+use crate::Result;
+use crate::call::control::{Control, Counter};
+use crate::call::span::span;
+use crate::detect::options::{DetectOptions, RefineMethod, Selection};
+use crate::field::{Field, Quantity};
+use crate::network::layers::TILE;
+use snake_geometry::Point;
+use snake_kernels::{Scratch, scratch_elements};
+
+/// A refined query.
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
+pub(crate) struct Refined {
+    /// In the network's frame.
+    pub(crate) position: Point,
+    /// Saliency. It is 0 unless saliency and occupancy are above their thresholds.
+    pub(crate) score: f32,
+}
+
+scratch_elements!(Refined);
+
+/// Moves each query by `refine_steps` steps and selects a position and a score for it.
+///
+/// Queries are independent, except that Adam's gradient is that of the *mean* saliency: each query's own gradient divided
+/// by their number. A tile therefore makes all its steps on one thread.
+pub(crate) fn refine(
+    field: &Field,
+    queries: &[Point],
+    options: &DetectOptions,
+    control: &Control,
+) -> Result<Scratch<Refined>> {
+    span!("refine");
+    let counter = control.begin("refinement", queries.len() * (options.refine_steps + 1));
+    let mut refined = Scratch::<Refined>::zeros(queries.len());
+    let tiles = refined.par_chunks_mut(TILE).zip(queries.par_chunks(TILE));
+    tiles.try_for_each(|(refined, tile)| refine_tile(field, tile, queries.len(), options, &counter, refined))?;
+    Ok(refined)
+}
+
+/// Positions of a tile's queries after each number of steps, with their saliency.
+struct Trajectory {
+    /// Number of queries of the tile.
+    num_queries: usize,
+    /// Step by step, so that query q after s steps stands at `s * num_queries + q`.
+    positions: Scratch<Point>,
+    saliency: Scratch<f32>,
+}
+
+impl Trajectory {
+    /// Steps that have memory from the start.
+    const FEW: usize = 64;
+
+    fn new(num_queries: usize, num_steps: usize) -> Self {
+        let length = num_queries * num_steps.min(Self::FEW);
+        Self { num_queries, positions: Scratch::empty(length), saliency: Scratch::empty(length) }
+    }
+
+    fn push(&mut self, positions: &[Point], saliency: &[f32]) {
+        self.positions.extend_from_slice(positions);
+        self.saliency.extend_from_slice(saliency);
+    }
+}
+
+fn refine_tile(
+    field: &Field,
+    queries: &[Point],
+    num_queries: usize,
+    options: &DetectOptions,
+    counter: &Counter,
+    refined: &mut [Refined],
+) -> Result<()> {
+    let mut positions = Scratch::copy_of(queries);
+    let mut trajectory = Trajectory::new(queries.len(), options.refine_steps + 1);
+    let mut adam = Adam::new(queries.len(), options.refine_step_size);
+    for _ in 0..options.refine_steps {
+        counter.check()?;
+        let (saliency, gradient) = field.tile_values_and_gradients(Quantity::Saliency, &positions);
+        trajectory.push(&positions, &saliency);
+        match options.refine_method {
+            RefineMethod::Adam => adam.step(&mut positions, &gradient, -1.0 / num_queries as f32),
+            RefineMethod::GradientDescent => {
+                for (position, gradient) in positions.as_flattened_mut().iter_mut().zip(gradient.as_flattened()) {
+                    *position += options.refine_step_size * gradient;
+                }
+            }
+        }
+        counter.add(queries.len());
+    }
+    counter.check()?;
+    match options.selection {
+        Selection::ReferenceFinalPosition if options.refine_steps > 0 => {
+            best_on_surface(field, &trajectory, options, refined);
+            refined.iter_mut().zip(positions.iter()).for_each(|(best, &position)| best.position = position);
+        }
+        _ => {
+            trajectory.push(&positions, &field.tile_values(Quantity::Saliency, &positions));
+            best_on_surface(field, &trajectory, options, refined);
+        }
+    }
+    counter.add(queries.len());
+    Ok(())
+}
+
+/// For each query of a tile, the most salient position of its trajectory that lies on the surface; the first of several.
+///
+/// Occupancy is evaluated by falling saliency, until a position lies on the surface or its saliency is too low for a
+/// keypoint. The result is the same as with the occupancy of all positions, and most queries need none.
+fn best_on_surface(field: &Field, trajectory: &Trajectory, options: &DetectOptions, best: &mut [Refined]) {
+    let &Trajectory { num_queries, ref positions, ref saliency } = trajectory;
+    let num_steps = positions.len() / num_queries;
+    // For each query the number of its salient steps, and these steps by falling saliency.
+    let mut counts = Scratch::zeros(best.len());
+    let mut ranked = Scratch::zeros(best.len() * num_steps);
+    for (query, (best, ranked)) in best.iter_mut().zip(ranked.chunks_exact_mut(num_steps)).enumerate() {
+        *best = Refined { position: positions[query], score: 0.0 };
+        let saliency = |step: usize| saliency[step * num_queries + query];
+        let salient = (0..num_steps).filter(|&step| saliency(step) > options.saliency_threshold);
+        counts[query] = ranked.iter_mut().zip(salient).map(|(rank, step)| *rank = step).count();
+        ranked[..counts[query]].sort_unstable_by(|&a, &b| saliency(b).total_cmp(&saliency(a)).then(a.cmp(&b)));
+    }
+    for rank in 0..num_steps {
+        let is_open = |query: &usize| counts[*query] > rank;
+        let open = Scratch::collect(best.len(), (0..best.len()).filter(is_open));
+        let place = |query: usize| ranked[query * num_steps + rank] * num_queries + query;
+        let of_open = Scratch::collect(open.len(), open.iter().map(|&query| positions[place(query)]));
+        let occupancy = match options.surface_threshold > 0.0 {
+            true => field.tile_values(Quantity::Occupancy, &of_open),
+            false => Scratch::collect(of_open.len(), of_open.iter().map(|_| 1.0)),
+        };
+        for (&query, &occupancy) in open.iter().zip(occupancy.iter()) {
+            if occupancy > options.surface_threshold {
+                best[query] = Refined { position: positions[place(query)], score: saliency[place(query)] };
+                counts[query] = 0;
+            }
+        }
+    }
+}
+
+/// Adam (β 0.9 and 0.999, ε 1e-8) on a tile of points, in the order of operations of the reference.
+struct Adam {
+    step_size: f32,
+    steps: i32,
+    mean: Scratch<f32>,
+    variance: Scratch<f32>,
+}
+
+impl Adam {
+    fn new(num_points: usize, step_size: f32) -> Self {
+        Self { step_size, steps: 0, mean: Scratch::zeros(3 * num_points), variance: Scratch::zeros(3 * num_points) }
+    }
+
+    /// One step down the gradient times `factor`.
+    fn step(&mut self, points: &mut [Point], gradient: &[Point], factor: f32) {
+        self.steps += 1;
+        let (correct_mean, correct_variance) = (1.0 - 0.9_f64.powi(self.steps), 1.0 - 0.999_f64.powi(self.steps));
+        let step = (f64::from(self.step_size) / correct_mean) as f32;
+        let root = correct_variance.sqrt() as f32;
+        let moments = self.mean.iter_mut().zip(self.variance.iter_mut());
+        for ((value, gradient), (mean, variance)) in
+            points.as_flattened_mut().iter_mut().zip(gradient.as_flattened()).zip(moments)
+        {
+            let gradient = gradient * factor;
+            *mean += (gradient - *mean) * 0.1;
+            *variance = *variance * 0.999 + gradient * gradient * 0.001;
+            *value -= step * (*mean / (variance.sqrt() / root + 1e-8));
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Algorithm 1 as printed: saliency and occupancy of every position.
+    fn textbook(field: &Field, queries: &[Point], options: &DetectOptions) -> Vec<Refined> {
+        let mut best: Vec<Refined> = queries.iter().map(|&position| Refined { position, score: -1.0 }).collect();
+        let mut positions = queries.to_vec();
+        let mut adam = Adam::new(queries.len(), options.refine_step_size);
+        for step in 0..=options.refine_steps {
+            let (saliency, gradient) = field.tile_values_and_gradients(Quantity::Saliency, &positions);
+            let occupancy = field.tile_values(Quantity::Occupancy, &positions);
+            for (i, best) in best.iter_mut().enumerate() {
+                let kept = saliency[i] > options.saliency_threshold && occupancy[i] > options.surface_threshold;
+                let score = if kept { saliency[i] } else { 0.0 };
+                if score > best.score {
+                    *best = Refined { position: positions[i], score };
+                }
+            }
+            if step < options.refine_steps {
+                adam.step(&mut positions, &gradient, -1.0 / queries.len() as f32);
+            }
+        }
+        best
+    }
+
+    #[test]
+    fn refinement_equals_algorithm_1() {
+        let (points, field) = crate::detect::tests::cylinder();
+        let queries: Vec<Point> = points[..TILE].iter().map(|p| p.map(|v| 0.45 * v)).collect();
+        let mut outcomes = [0; 2];
+        for (refine_steps, saliency_threshold) in [(0, 0.0), (6, 0.0), (6, 0.3), (3, 0.6)] {
+            let options =
+                DetectOptions { refine_steps, saliency_threshold, refine_step_size: 0.01, ..Default::default() };
+            let found = refine(&field, &queries, &options, &Control::default()).unwrap();
+            assert_eq!(found[..], textbook(&field, &queries, &options), "{refine_steps} {saliency_threshold}");
+            found.iter().for_each(|refined| outcomes[usize::from(refined.score > 0.0)] += 1);
+        }
+        assert!(outcomes.iter().all(|&number| number > 10), "{outcomes:?}");
+    }
+}

@@ -1,0 +1,537 @@
+//! Detection of one tile of a cloud that is too large for memory. Tiles give the keypoints of the whole cloud, bit for bit.
+//!
+//! The voxels of a scene lie on a lattice that is fixed in the cloud's coordinates. A tile owns whole columns along x and y, as
+//! wide as a block of the network's coarsest level. What the network makes of a voxel depends on the points of its column
+//! and of [`TileDetector::halo`] columns around it. Mode seeking looks at candidates of some columns more
+//! ([`TileDetector::margin`]). The candidates of all tiles are suppressed together ([`TileDetector::fates`]), which says where a
+//! tile must know more of its neighbours.
+
+use std::ops::Range;
+use std::sync::Arc;
+
+use serde::{Deserialize, Serialize};
+
+use crate::call::control::Control;
+use crate::detect::modes::{SHIFT, modes_of};
+use crate::detect::options::{Options, Radii};
+use crate::detect::{Candidates, Counts};
+use crate::field::{Field, check_number_of_points};
+use crate::models::Model;
+use crate::models::voxel_size;
+use crate::network::Network;
+use crate::{Error, Result};
+use snake_geometry::{Fate, FinitePoints, Length, Normalization, Point, by_falling_score, check_points, suppress_seen};
+use snake_kernels::BLOCK_SIDE;
+
+/// Columns around a tile whose points its voxels depend on.
+///
+/// Each convolution of blocks computes a block from its neighbours. On its way down and up three levels a column so depends on at
+/// most 79 voxels in each direction, the blocks that exist because of points nearby included. That is less than five blocks
+/// of the coarsest level.
+const HALO: i32 = 5;
+
+/// A scene model with options for the tiles of a cloud. All points are relative to the origin of the whole cloud.
+#[derive(Debug, Clone)]
+pub struct TileDetector {
+    network: Arc<Network>,
+    options: Options,
+    /// 0 before [`TileDetector::choose_voxel_size`].
+    voxel_size: f32,
+    /// Lengths in `r` are 0 before [`TileDetector::set_resolution`].
+    radii: Radii,
+}
+
+/// A voxel's query above the saliency threshold, after mode seeking, that suppression has not removed yet.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Candidate {
+    /// Position in cloud units, relative to the origin of the whole cloud.
+    pub position: Point,
+    /// The score, see [`Keypoint::saliency`](crate::Keypoint::saliency).
+    pub saliency: f32,
+    /// Occupancy in [0, 1] at the position.
+    pub occupancy: f32,
+    /// Saliency in [0, 1] where it started; the score without mode seeking.
+    pub start: f32,
+    /// The voxel where it started, along x, y and z.
+    pub cell: [i32; 3],
+}
+
+/// The candidates of a tile, by their cells' z, then y, then x.
+#[derive(Debug, Clone, PartialEq, Default)]
+pub struct TileCandidates {
+    /// The candidates.
+    pub candidates: Vec<Candidate>,
+    /// Number of queries after each step. Keypoints are not counted.
+    pub counts: Counts,
+}
+
+/// The fingerprint of everything that decides the candidates of a tile, apart from the cloud.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct TileSettings {
+    /// The BLAKE3 digest of the model's weight file.
+    pub model: String,
+    /// The options.
+    pub options: Options,
+}
+
+impl TileDetector {
+    /// A detector of tiles. Without a voxel size it needs [`TileDetector::choose_voxel_size`], with lengths in `r`
+    /// [`TileDetector::set_resolution`], both for the whole cloud.
+    ///
+    /// # Errors
+    /// [`Error::Option`] when the model is none of scenes, or when an option is out of its range or needs the whole cloud: a
+    /// length in `%`, a voxel size in `r`, `max_points`, `refine_steps` or `snap`.
+    pub fn new(model: &Model, options: &Options) -> Result<Self> {
+        let refused = |name, value: String, allowed| Err(Error::Option { name, value, allowed });
+        if model.config().frame().is_some() {
+            let name = model.metadata().get("name").map_or("a model of objects", String::as_str);
+            return refused("model", name.into(), "`scenes` or another scene model in tiles");
+        }
+        options.check(model.config())?;
+        if let Some(number) = options.encode.max_points {
+            return refused("max_points", number.to_string(), "none in tiles");
+        }
+        if options.detect.refine_steps > 0 {
+            return refused("refine_steps", options.detect.refine_steps.to_string(), "0 in tiles");
+        }
+        if options.detect.snap {
+            return refused("snap", "true".into(), "false in tiles");
+        }
+        for (name, length) in [("nms_radius", options.detect.nms_radius), ("mode_radius", options.detect.mode_radius)] {
+            if let Some(length @ Length::Percent(_)) = length {
+                let allowed = "a length in cloud units, in voxels as in `6v` or in resolutions as in `3r` in tiles";
+                return refused(name, length.to_string(), allowed);
+            }
+        }
+        let voxel_size = match options.encode.voxel_size {
+            None => 0.0,
+            Some(length @ Length::Units(_)) => length.in_units("voxel_size", &[])? as f32,
+            Some(other) => {
+                return refused("voxel_size", other.to_string(), "a length in cloud units in tiles, such as `0.1`");
+            }
+        };
+        let radii = Radii { nms: 0.0, mode: None };
+        let mut detector = Self { network: model.network().clone(), options: *options, voxel_size, radii };
+        detector.radii = detector.radii_of(0.0)?;
+        Ok(detector)
+    }
+
+    /// Whether the options have no voxel size.
+    pub fn needs_voxel_size(&self) -> bool {
+        self.options.encode.voxel_size.is_none()
+    }
+
+    /// Chooses the voxel size for all finite points of the cloud, as [`Model::encode`] does. It then stands in the options.
+    ///
+    /// # Errors
+    /// [`Error::Input`] for a cloud without extent.
+    pub fn choose_voxel_size(&mut self, points: &[Point]) -> Result<()> {
+        self.voxel_size = voxel_size(None, &FinitePoints::of("points", points)?.points)?;
+        self.options.encode.voxel_size = Some(Length::Units(self.voxel_size.into()));
+        self.radii = self.radii_of(0.0)?;
+        Ok(())
+    }
+
+    /// Whether a length of the options is in resolutions of the cloud.
+    pub fn needs_resolution(&self) -> bool {
+        let lengths = [self.options.detect.nms_radius, self.options.detect.mode_radius];
+        lengths.iter().any(|length| matches!(length, Some(Length::Resolutions(_))))
+    }
+
+    /// Gives lengths in `r` their value from the [resolution](snake_geometry::resolution) of the whole cloud.
+    ///
+    /// # Errors
+    /// [`Error::Option`] for a resolution of 0.
+    pub fn set_resolution(&mut self, resolution: f64) -> Result<()> {
+        self.radii = self.radii_of(resolution)?;
+        Ok(())
+    }
+
+    fn radii_of(&self, resolution: f64) -> Result<Radii> {
+        let mut detect = self.options.detect;
+        for (name, length) in [("nms_radius", &mut detect.nms_radius), ("mode_radius", &mut detect.mode_radius)] {
+            if let Some(multiple @ Length::Resolutions(_)) = *length {
+                let known = || multiple.resolve(name, || resolution).map(Length::Units);
+                *length = (resolution > 0.0).then(known).transpose()?;
+            }
+        }
+        detect.radii(&[], self.voxel_size)
+    }
+
+    /// What decides the candidates of a tile, apart from the cloud.
+    pub fn settings(&self) -> TileSettings {
+        TileSettings { model: self.network.digest.clone(), options: self.options }
+    }
+
+    /// The options.
+    pub fn options(&self) -> &Options {
+        &self.options
+    }
+
+    /// The radius of suppression in cloud units; 0 for no suppression.
+    pub fn nms_radius(&self) -> f32 {
+        self.radii.nms
+    }
+
+    /// Voxels along the side of a column: a block of the coarsest level.
+    fn voxels_of_column(&self) -> i32 {
+        (BLOCK_SIDE as i32) << (self.network.config.unet_levels - 1)
+    }
+
+    /// The side of a column in cloud units.
+    pub fn column_side(&self) -> f64 {
+        f64::from(self.voxels_of_column()) * f64::from(self.voxel_size)
+    }
+
+    fn normalization(&self) -> Normalization {
+        Normalization { center: [0.0; 3], scale: self.voxel_size }
+    }
+
+    /// The voxel of a finite point.
+    ///
+    /// # Errors
+    /// [`Error::Option`] when the point is too far from the origin for the size of a voxel.
+    fn voxel(&self, point: &Point) -> Result<[i32; 3]> {
+        let voxel = self.normalization().to_network(*point).map(f32::floor);
+        match voxel.iter().all(|v| v.abs() < (1 << 20) as f32) {
+            true => Ok(voxel.map(|v| v as i32)),
+            false => Err(Error::Option {
+                name: "voxel_size",
+                value: format!("{}, too small for the point {point:?}", self.voxel_size),
+                allowed: "at least a millionth of the largest coordinate",
+            }),
+        }
+    }
+
+    /// The column of a finite point, along x and y.
+    ///
+    /// # Errors
+    /// [`Error::Option`] when the point is too far from the origin for the size of a voxel.
+    pub fn column(&self, point: &Point) -> Result<[i32; 2]> {
+        let [x, y, _] = self.voxel(point)?;
+        Ok(self.column_of(&[x, y, 0]))
+    }
+
+    fn column_of(&self, voxel: &[i32; 3]) -> [i32; 2] {
+        [0, 1].map(|axis: usize| voxel[axis].div_euclid(self.voxels_of_column()))
+    }
+
+    /// The number of columns around some columns whose points their candidates depend on.
+    pub fn halo(&self) -> i32 {
+        HALO
+    }
+
+    /// The number of columns around a tile with the candidates that mode seeking needs, unless chains of candidates are
+    /// longer, see [`TileDetector::detect`].
+    pub fn margin(&self) -> i32 {
+        let columns = |radius: f32| (f64::from(SHIFT * radius) / self.column_side()).ceil() as i32;
+        self.radii.mode.map_or(0, |radius| columns(radius).max(1))
+    }
+
+    /// The candidates of the voxels in the columns `[x, y]` of `tile`. `None` if mode seeking needs a larger margin: the most salient
+    /// candidates are moved, some distance apart, and which these are can depend on a chain of others.
+    ///
+    /// `points` are all finite points in these columns and in `margin` and [`TileDetector::halo`] columns around them, in the order
+    /// of the whole cloud. More points do no harm. `is_whole` says that no points of the cloud are farther than the margin.
+    ///
+    /// # Errors
+    /// The errors of [`Model::detect_with`].
+    pub fn detect(
+        &self,
+        points: &[Point],
+        tile: &[Range<i32>; 2],
+        margin: i32,
+        is_whole: bool,
+        control: &Control,
+    ) -> Result<Option<TileCandidates>> {
+        if points.is_empty() {
+            return Ok(Some(TileCandidates::default()));
+        }
+        check_points("points", points)?;
+        check_number_of_points(points.len())?;
+        let field = Field::normalized(self.network.clone(), points.to_vec(), self.normalization(), 1, control);
+        let field = field.map_err(advised)?;
+        let near = tile.clone().map(|range| range.start.saturating_sub(margin)..range.end.saturating_add(margin));
+        let found = |is_own: bool| -> Result<(Vec<Candidate>, Counts)> {
+            let owns = |point: &Point| self.is_in(point, &near) && self.is_in(point, tile) == is_own;
+            let Candidates { positions, scores, counts, .. } =
+                Candidates::of(&field, &self.options.detect, owns, control)?;
+            let candidate = |(&position, &saliency)| {
+                let cell = self.voxel(&position)?;
+                Ok(Candidate { position, saliency, occupancy: 0.0, start: saliency, cell })
+            };
+            Ok((positions.iter().zip(scores.iter()).map(candidate).collect::<Result<_>>()?, counts))
+        };
+        let (mut candidates, counts) = found(true)?;
+        if let Some(radius) = self.radii.mode {
+            candidates.extend(found(false)?.0);
+            candidates.sort_by_key(by_place);
+            let Some(modes) = self.modes(&candidates, radius, tile, (!is_whole).then_some(&near))? else {
+                return Ok(None);
+            };
+            candidates = modes;
+        }
+        let positions: Vec<Point> = candidates.iter().map(|candidate| candidate.position).collect();
+        for (candidate, occupancy) in candidates.iter_mut().zip(field.occupancy(&positions)?) {
+            candidate.occupancy = occupancy;
+        }
+        Ok(Some(TileCandidates { candidates, counts }))
+    }
+
+    fn is_in(&self, point: &Point, columns: &[Range<i32>; 2]) -> bool {
+        let is_inside = |column: [i32; 2]| (0..2).all(|axis| columns[axis].contains(&column[axis]));
+        self.column(point).is_ok_and(is_inside)
+    }
+
+    /// The candidates of a tile that mode seeking starts from, where it moves them. `candidates` are those of the columns
+    /// `seen`, or of the whole cloud.
+    fn modes(
+        &self,
+        candidates: &[Candidate],
+        radius: f32,
+        tile: &[Range<i32>; 2],
+        seen: Option<&[Range<i32>; 2]>,
+    ) -> Result<Option<Vec<Candidate>>> {
+        let positions: Vec<Point> = candidates.iter().map(|candidate| candidate.position).collect();
+        let scores: Vec<f32> = candidates.iter().map(|candidate| candidate.start).collect();
+        let order = by_falling_score(&scores);
+        let ranked: Vec<Point> = order.iter().map(|&index| positions[index]).collect();
+        let reach = 0.5 * f64::from(radius) * (1.0 + 1e-5);
+        let sees_all = |rank: usize| seen.is_none_or(|seen| self.is_inside(&ranked[rank], reach, seen));
+        let fates = suppress_seen(&ranked, radius / 2.0, sees_all)?;
+        let is_own = |index: usize| {
+            let column = self.column_of(&candidates[index].cell);
+            (0..2).all(|axis| tile[axis].contains(&column[axis]))
+        };
+        let own = || order.iter().zip(&fates).filter(|(index, _)| is_own(**index));
+        if own().any(|(_, fate)| *fate == Fate::Unknown) {
+            return Ok(None);
+        }
+        let starts: Vec<usize> = own().filter(|(_, fate)| **fate == Fate::Kept).map(|(index, _)| *index).collect();
+        let (moved, of_modes) = modes_of(&positions, &scores, radius, &starts)?;
+        let modes = starts.iter().zip(moved.iter().zip(of_modes.iter()));
+        let mut modes: Vec<Candidate> = modes
+            .map(|(&start, (&position, &saliency))| Candidate { position, saliency, ..candidates[start] })
+            .collect();
+        modes.sort_by_key(by_place);
+        Ok(Some(modes))
+    }
+
+    /// Whether all points at most `reach` from a point along x and y lie in the columns.
+    pub fn is_inside(&self, point: &Point, reach: f64, columns: &[Range<i32>; 2]) -> bool {
+        (0..2).all(|axis| {
+            let at = f64::from(point[axis]);
+            let [low, high] = [columns[axis].start, columns[axis].end].map(|c| f64::from(c) * self.column_side());
+            // The column of a point is found in `f32`.
+            let reach = reach + 1e-6 * at.abs();
+            at - reach > low && at + reach < high
+        })
+    }
+
+    /// The distance along an axis beyond which no candidate suppresses another, in cloud units.
+    pub fn suppression_reach(&self) -> f64 {
+        f64::from(self.radii.nms) * (1.0 + 1e-5)
+    }
+
+    /// The fate of each candidate of a part of the cloud. `sees_all` says for a candidate whether the part has all
+    /// candidates within [`TileDetector::suppression_reach`]. Candidates are ranked by [`by_rank`].
+    ///
+    /// # Errors
+    /// [`Error::Input`] for more candidates than [`u32::MAX`].
+    pub fn fates(&self, candidates: &[Candidate], sees_all: impl Fn(&Candidate) -> bool) -> Result<Vec<Fate>> {
+        let mut order: Vec<usize> = (0..candidates.len()).collect();
+        order.sort_by(|&a, &b| by_rank(&candidates[a], &candidates[b]));
+        let ranked: Vec<Point> = order.iter().map(|&index| candidates[index].position).collect();
+        let of_ranked = suppress_seen(&ranked, self.radii.nms, |rank| sees_all(&candidates[order[rank]]))?;
+        let mut fates = vec![Fate::Unknown; candidates.len()];
+        order.iter().zip(of_ranked).for_each(|(&index, fate)| fates[index] = fate);
+        Ok(fates)
+    }
+}
+
+/// The rank of candidates, best first: by their scores, the saliency where they started, and their cells' z, then y, then x.
+pub fn by_rank(a: &Candidate, b: &Candidate) -> std::cmp::Ordering {
+    let by_score = b.saliency.total_cmp(&a.saliency).then(b.start.total_cmp(&a.start));
+    by_score.then(by_place(a).cmp(&by_place(b)))
+}
+
+/// The order of the voxels of a scene.
+fn by_place(candidate: &Candidate) -> [i32; 3] {
+    let [x, y, z] = candidate.cell;
+    [z, y, x]
+}
+
+/// A volume that is too large for a voxel size has room in smaller tiles.
+fn advised(error: Error) -> Error {
+    match error {
+        Error::Option { name: "voxel_size", value, allowed } => {
+            let reason = format!("its voxels are {value} (allowed is {allowed}); so does a smaller tile");
+            Error::Input { what: "tile", reason }
+        }
+        other => other,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::collections::BTreeSet;
+
+    use super::*;
+    use crate::{Builtin, Keypoint};
+    use snake_geometry::resolution;
+
+    /// A strip of floor, 16 by 1.5, with walls and posts: it is longer than a tile with its halo.
+    fn place() -> Vec<Point> {
+        let floor = (0..9600).map(|i| [(i % 320) as f32 * 0.05 - 5.0, (i / 320) as f32 * 0.05, 0.0]);
+        let wall =
+            |x: f32| (0..900).map(move |i| [x + 0.01 * (i % 9) as f32, (i % 30) as f32 * 0.05, (i / 30) as f32 * 0.05]);
+        let post = |i: u32| {
+            let (at, angle) = (i / 400, i as f32 * 0.7);
+            let [x, y] = [at as f32 * 1.3 - 4.5, 0.4 + 0.25 * (at % 3) as f32];
+            [x + 0.1 * angle.cos(), y + 0.1 * angle.sin(), (i % 400) as f32 * 2e-3]
+        };
+        floor.chain(wall(-3.1)).chain(wall(1.0)).chain(wall(6.3)).chain((0..4400).map(post)).collect()
+    }
+
+    const VOXEL: f64 = 0.0625;
+
+    fn options(mode_radius: Option<Length>) -> Options {
+        let mut options = *Model::builtin(Builtin::Scenes).recommended();
+        options.encode.voxel_size = Some(VOXEL.into());
+        options.detect = options.detect.with_saliency_threshold(0.01).with_nms_radius(Some(Length::Voxels(1.5)));
+        options.detect = options.detect.with_mode_radius(mode_radius).with_max_keypoints(usize::MAX);
+        options
+    }
+
+    /// The tiles of `side` columns with points, from `offset` on.
+    fn tiles(detector: &TileDetector, points: &[Point], side: i32, offset: i32) -> Vec<[Range<i32>; 2]> {
+        let place = |point| detector.column(point).unwrap().map(|column| (column - offset).div_euclid(side));
+        let places: BTreeSet<[i32; 2]> = points.iter().map(place).collect();
+        let columns = |place: i32| place * side + offset..(place + 1) * side + offset;
+        places.into_iter().map(|place| place.map(columns)).collect()
+    }
+
+    fn widen(columns: &[Range<i32>; 2], by: i32) -> [Range<i32>; 2] {
+        columns.clone().map(|range| range.start - by..range.end + by)
+    }
+
+    /// The keypoints of all tiles with a halo, and their counts.
+    fn by_tiles(
+        detector: &TileDetector,
+        points: &[Point],
+        tiles: &[[Range<i32>; 2]],
+        halo: i32,
+    ) -> (Vec<Candidate>, Counts) {
+        let mut all = TileCandidates::default();
+        for tile in tiles {
+            let mut margin = detector.margin();
+            let found = loop {
+                let near = widen(tile, margin + halo);
+                let near: Vec<Point> = points.iter().filter(|point| detector.is_in(point, &near)).copied().collect();
+                let is_whole = margin > 99;
+                if let Some(found) = detector.detect(&near, tile, margin, is_whole, &Control::default()).unwrap() {
+                    break found;
+                }
+                margin *= 2;
+            };
+            all.counts.add(&found.counts);
+            all.candidates.extend(found.candidates);
+        }
+        let fates = detector.fates(&all.candidates, |_| true).unwrap();
+        let fates = all.candidates.iter().zip(fates);
+        let mut kept: Vec<Candidate> = fates.filter(|(_, fate)| *fate == Fate::Kept).map(|(c, _)| *c).collect();
+        kept.sort_by(by_rank);
+        (kept, all.counts)
+    }
+
+    fn is_equal(kept: &[Candidate], whole: &[Keypoint]) -> bool {
+        kept.iter()
+            .map(|c| (c.position, c.saliency, c.occupancy))
+            .eq(whole.iter().map(|k| (k.position, k.saliency, k.occupancy)))
+    }
+
+    #[test]
+    fn tiles_of_any_size_give_the_bits_of_the_whole_cloud() {
+        let model = Model::builtin(Builtin::Scenes);
+        let points = place();
+        for (mode_radius, tilings) in [
+            (None, &[(1, 0), (2, 1), (5, -2), (64, -29)][..]),
+            (Some(Length::Resolutions(3.5)), &[(1, 0), (2, 1), (3, -1)]),
+            // Chains of candidates and of modes that reach over several tiles.
+            (Some(Length::Voxels(9.0)), &[(1, 0), (2, 0)]),
+        ] {
+            let options = options(mode_radius);
+            let whole = model.detect(&points, &options).unwrap();
+            assert!(whole.keypoints.len() > 50, "{}", whole.keypoints.len());
+            let mut detector = TileDetector::new(&model, &options).unwrap();
+            detector.set_resolution(resolution("points", &points).unwrap()).unwrap();
+            for &(side, offset) in tilings {
+                let tiles = tiles(&detector, &points, side, offset);
+                let (kept, counts) = by_tiles(&detector, &points, &tiles, detector.halo());
+                assert!(is_equal(&kept, &whole.keypoints), "{side} {offset} {mode_radius:?}");
+                let of = |counts: &Counts| [counts.queries, counts.occupied, counts.above_threshold];
+                assert_eq!(of(&counts), of(&whole.counts));
+            }
+        }
+    }
+
+    #[test]
+    fn tiles_need_points_of_other_tiles() {
+        let model = Model::builtin(Builtin::Scenes);
+        let (points, options) = (place(), options(None));
+        let detector = TileDetector::new(&model, &options).unwrap();
+        assert_eq!((detector.column_side(), detector.margin()), (16.0 * VOXEL, 0));
+        let whole = model.detect(&points, &options).unwrap();
+        assert!(!is_equal(&by_tiles(&detector, &points, &tiles(&detector, &points, 1, 0), 0).0, &whole.keypoints));
+    }
+
+    #[test]
+    fn the_voxel_size_is_chosen_as_for_the_whole_cloud() {
+        let model = Model::builtin(Builtin::Scenes);
+        let mut options = options(None);
+        options.encode.voxel_size = None;
+        let mut detector = TileDetector::new(&model, &options).unwrap();
+        assert!(detector.needs_voxel_size());
+        detector.choose_voxel_size(&place()).unwrap();
+        assert!(!detector.needs_voxel_size());
+        let whole = model.encode(&place(), &options.encode).unwrap();
+        assert_eq!(detector.options().encode.voxel_size, Some(Length::Units(whole.voxel_size().into())));
+        assert!(detector.choose_voxel_size(&[[1.0; 3]; 9]).is_err());
+    }
+
+    #[test]
+    fn options_that_need_the_whole_cloud_are_refused_by_name() {
+        let scenes = Model::builtin(Builtin::Scenes);
+        let refused = |change: fn(&mut Options)| {
+            let mut options = options(None);
+            change(&mut options);
+            TileDetector::new(&scenes, &options).err().map(|error| error.to_string()).unwrap_or_default()
+        };
+        for (name, error) in [
+            ("`voxel_size` is 2r", refused(|options| options.encode.voxel_size = Some(Length::Resolutions(2.0)))),
+            ("`nms_radius` is 10%", refused(|options| options.detect.nms_radius = Some(Length::Percent(10.0)))),
+            ("`mode_radius` is 10%", refused(|options| options.detect.mode_radius = Some(Length::Percent(10.0)))),
+            ("`max_points`", refused(|options| options.encode.max_points = Some(7))),
+            ("`refine_steps`", refused(|options| options.detect.refine_steps = 3)),
+            ("`snap`", refused(|options| options.detect.snap = true)),
+        ] {
+            assert!(error.contains(name), "{name}: {error}");
+        }
+        let compact = Model::builtin(Builtin::Compact);
+        let error = TileDetector::new(&compact, &options(None)).unwrap_err().to_string();
+        assert!(error.contains("scenes"), "{error}");
+        let detector = TileDetector::new(&scenes, &options(None)).unwrap();
+        assert!(detector.column(&[1e30, 0.0, 0.0]).unwrap_err().to_string().contains("voxel_size"));
+    }
+
+    #[test]
+    fn a_tile_that_is_too_large_names_what_fits() {
+        let mut options = options(None);
+        options.encode.voxel_size = Some(1e-3.into());
+        let detector = TileDetector::new(&Model::builtin(Builtin::Scenes), &options).unwrap();
+        let at = |i: u32, factor: u32| (i.wrapping_mul(factor) >> 8) as f32 / (1 << 24) as f32;
+        let points: Vec<Point> = (0..200_000).map(|i| [at(i, 2_654_435_761), at(i, 40_503), at(i, 7919)]).collect();
+        let error = detector.detect(&points, &[0..64, 0..64], 0, true, &Control::default()).unwrap_err().to_string();
+        assert!(error.contains("smaller tile") && error.contains("times this size fits"), "{error}");
+    }
+}

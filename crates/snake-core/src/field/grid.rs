@@ -1,0 +1,114 @@
+//! Regular query grids, for images and volumes of a field.
+
+use crate::field::Field;
+use crate::{Error, Result};
+use snake_geometry::Point;
+
+/// A regular grid over the box of a field's feature volume, in the cloud's frame and units. The box is the network's
+/// cube ±0.5 with its padding; the grid includes both ends.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Grid {
+    /// Number of positions along each axis.
+    pub resolution: usize,
+    /// The first position along each axis.
+    pub low: Point,
+    /// The last position along each axis.
+    pub high: Point,
+}
+
+impl Grid {
+    /// The coordinate of an index along an axis: `low + index * (high - low) / (resolution - 1)`.
+    pub fn coordinate(&self, axis: usize, index: usize) -> f32 {
+        coordinate(self.low[axis], self.high[axis], self.resolution, index)
+    }
+
+    /// The two axes of a plane perpendicular to `axis` (0 to 2), ascending.
+    pub fn plane_axes(axis: usize) -> [usize; 2] {
+        [[1, 2], [0, 2], [0, 1]][axis]
+    }
+
+    /// The `resolution²` grid positions in a plane perpendicular to `axis`, at the coordinate `position` along it.
+    ///
+    /// The first of the other two axes varies fastest, so consecutive planes perpendicular to z are `[z][y][x]`.
+    ///
+    /// ```
+    /// let grid = snake_core::Grid { resolution: 2, low: [0.0, 10.0, 20.0], high: [1.0, 11.0, 21.0] };
+    /// assert_eq!(grid.plane(1, 5.0), [[0.0, 5.0, 20.0], [1.0, 5.0, 20.0], [0.0, 5.0, 21.0], [1.0, 5.0, 21.0]]);
+    /// ```
+    pub fn plane(&self, axis: usize, position: f32) -> Vec<Point> {
+        let [fast, slow] = Self::plane_axes(axis);
+        let mut queries = Vec::with_capacity(self.resolution * self.resolution);
+        for row in 0..self.resolution {
+            for column in 0..self.resolution {
+                let mut query = [position; 3];
+                query[fast] = self.coordinate(fast, column);
+                query[slow] = self.coordinate(slow, row);
+                queries.push(query);
+            }
+        }
+        queries
+    }
+}
+
+/// Coordinate `index` of `resolution` evenly spaced coordinates from `low` to `high`, both ends included.
+pub(crate) fn coordinate(low: f32, high: f32, resolution: usize, index: usize) -> f32 {
+    let share = index as f32 / (resolution - 1) as f32;
+    low * (1.0 - share) + high * share
+}
+
+impl Field {
+    /// The grid over this field's volume with `resolution` positions along each axis.
+    ///
+    /// ```
+    /// use snake_core::{Builtin, EncodeOptions, Model};
+    /// # let points: Vec<[f32; 3]> = (0..500).map(|i| { let a = i as f32 * 0.1; [a.cos(), a.sin(), (a * 0.3).sin()] }).collect();
+    /// let field = Model::builtin(Builtin::Compact).encode(&points, &EncodeOptions::default())?;
+    /// let grid = field.grid(64)?;
+    /// let slice = field.saliency(&grid.plane(2, 0.0))?; // [y][x] where z = 0
+    /// assert_eq!(slice.len(), 64 * 64);
+    /// # Ok::<(), snake_core::Error>(())
+    /// ```
+    ///
+    /// # Errors
+    /// [`Error::Option`] when the resolution is out of its range.
+    pub fn grid(&self, resolution: usize) -> Result<Grid> {
+        if !(2..=512).contains(&resolution) {
+            return Err(Error::Option { name: "resolution", value: resolution.to_string(), allowed: "2 to 512" });
+        }
+        let bounds = self.volume().grid.bounds();
+        let corner = |end: usize| self.normalization().to_cloud(bounds.map(|ends| ends[end]));
+        Ok(Grid { resolution, low: corner(0), high: corner(1) })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::detect::tests::cylinder;
+
+    #[test]
+    fn the_grid_spans_the_volume_in_the_clouds_frame() {
+        let (_, field) = cylinder();
+        let grid = field.grid(33).unwrap();
+        let (normalization, frame) = (field.normalization(), field.volume().frame().unwrap());
+        let half = 0.5 * (1.0 + frame.padding);
+        for axis in 0..3 {
+            for (index, expected) in [(0, -half), (16, 0.0), (32, half)] {
+                let mut point = normalization.center;
+                point[axis] = grid.coordinate(axis, index);
+                assert!((normalization.to_network(point)[axis] - expected).abs() < 1e-6, "axis {axis}, index {index}");
+            }
+        }
+        assert!(field.grid(1).is_err() && field.grid(513).is_err());
+    }
+
+    #[test]
+    fn planes_across_z_stack_to_z_y_x() {
+        let grid = Grid { resolution: 3, low: [0.0; 3], high: [2.0; 3] };
+        let stacked: Vec<Point> = (0..3).flat_map(|z| grid.plane(2, grid.coordinate(2, z))).collect();
+        for (index, query) in stacked.iter().enumerate() {
+            assert_eq!(*query, [index % 3, index / 3 % 3, index / 9].map(|i| i as f32));
+        }
+        assert_eq!(grid.plane(0, 7.5)[5], [7.5, 2.0, 1.0]);
+    }
+}

@@ -1,0 +1,158 @@
+//! Surface reconstruction: marching cubes on the occupancy field.
+
+mod cube;
+mod marching_cubes;
+mod outer;
+mod samples;
+#[cfg(test)]
+mod tests;
+
+use rayon::prelude::*;
+
+use crate::Result;
+use crate::call::control::Control;
+use crate::detect::options::MeshOptions;
+use crate::field::grid::coordinate;
+use crate::field::{Field, Quantity, log_odds};
+use crate::network::layers::TILE;
+use snake_geometry::{Mesh, Point, unit};
+
+use marching_cubes::{Crossing, Surface};
+use samples::{Sample, Samples};
+
+impl Field {
+    /// The surface where the occupancy equals [`MeshOptions::level`] (marching cubes; along edges linear in the
+    /// log-odds).
+    ///
+    /// The surface is closed. The grid covers the box of the feature volume, which is the network's cube ±0.5 with its
+    /// padding. Where the box cuts the occupied region, its face closes the surface. A field without a surface gives a
+    /// mesh without triangles.
+    ///
+    /// Samples are taken only near the surface, in blocks of 4³. The mesh equals that of all samples, except for small
+    /// occupied regions that contain no sample of every fourth along each axis and no point of the cloud in their
+    /// blocks.
+    ///
+    /// ```
+    /// use snake_core::{Builtin, EncodeOptions, MeshOptions, Model};
+    /// # let points: Vec<[f32; 3]> = (0..500).map(|i| { let a = i as f32 * 0.1; [a.cos(), a.sin(), (a * 0.3).sin()] }).collect();
+    /// let field = Model::builtin(Builtin::Compact).encode(&points, &EncodeOptions::default())?;
+    /// let mesh = field.mesh(&MeshOptions::default().with_resolution(32).with_outer(true))?;
+    /// assert_eq!(mesh.vertices.len(), mesh.normals.len());
+    /// # Ok::<(), snake_core::Error>(())
+    /// ```
+    ///
+    /// # Errors
+    /// [`Error::Option`](crate::Error::Option) when an option is out of its range.
+    pub fn mesh(&self, options: &MeshOptions) -> Result<Mesh> {
+        self.mesh_with(options, &Control::default())
+    }
+
+    /// [`Field::mesh`] with progress and cancellation.
+    ///
+    /// # Errors
+    /// The errors of [`Field::mesh`]; [`Error::Cancelled`](crate::Error::Cancelled) and
+    /// [`Error::DeadlineExceeded`](crate::Error::DeadlineExceeded).
+    pub fn mesh_with(&self, options: &MeshOptions, control: &Control) -> Result<Mesh> {
+        options.check()?;
+        let factors = [options.resolution, options.resolution, options.resolution, self.num_rotations()];
+        control.get_limits().check_evaluations(&factors)?;
+        let grid = Grid::new(self, options.resolution);
+        let near_points = self.points().iter().map(|&point| grid.sample_below(self.normalization().to_network(point)));
+        grid.mesh(options, near_points, control)
+    }
+}
+
+/// The sample positions of a field.
+struct Grid<'a> {
+    field: &'a Field,
+    /// Coordinates in the network's frame along each axis.
+    coordinates: [Vec<f32>; 3],
+}
+
+impl<'a> Grid<'a> {
+    fn new(field: &'a Field, resolution: usize) -> Self {
+        let coordinates = field
+            .volume()
+            .grid
+            .bounds()
+            .map(|[low, high]| (0..resolution).map(|index| coordinate(low, high, resolution, index)).collect());
+        Self { field, coordinates }
+    }
+
+    fn point(&self, sample: Sample) -> Point {
+        std::array::from_fn(|axis| self.coordinates[axis][sample[axis]])
+    }
+
+    /// The last sample that does not exceed a point along any axis; the first sample for a point below all.
+    fn sample_below(&self, point: Point) -> Sample {
+        std::array::from_fn(|axis| {
+            let above = self.coordinates[axis].partition_point(|&coordinate| coordinate <= point[axis]);
+            above.saturating_sub(1)
+        })
+    }
+
+    fn vertex(&self, samples: &Samples, crossing: &Crossing) -> Point {
+        let (low, axis) = samples.ends(crossing.edge);
+        let mut point = self.point(low);
+        point[axis] += crossing.fraction * (self.coordinates[axis][low[axis] + 1] - point[axis]);
+        point
+    }
+
+    fn mesh(&self, options: &MeshOptions, likely: impl IntoIterator<Item = Sample>, control: &Control) -> Result<Mesh> {
+        let value = |samples: &[Sample]| {
+            let queries: Vec<Point> = samples.iter().map(|&sample| self.point(sample)).collect();
+            let values = self.field.tile_values(Quantity::Occupancy, &queries);
+            // A network can overflow: `max` replaces NaN by a number.
+            values.iter().map(|value| log_odds(value.max(0.0))).collect()
+        };
+        let samples = Samples::near_surface(options.resolution, log_odds(options.level), value, likely, control)?;
+        control.begin("triangles", 0).check()?;
+        let mut surface = Surface::of(&samples);
+        control.check()?;
+        let num_all = surface.triangles.len();
+        if options.outer {
+            surface.retain_outer(&samples);
+            control.check()?;
+        }
+        let num_removed = options.outer.then(|| num_all - surface.triangles.len());
+        let vertices: Vec<Point> =
+            surface.crossings.par_iter().map(|crossing| self.vertex(&samples, crossing)).collect();
+        let counter = control.begin("normals", vertices.len());
+        let gradients = vertices.par_chunks(TILE).map(|tile| {
+            counter.check()?;
+            counter.add(tile.len());
+            Ok(self.field.tile_values_and_gradients(Quantity::Occupancy, tile).1.to_vec())
+        });
+        let gradients = gradients.collect::<Result<Vec<Vec<Point>>>>()?.concat();
+        let normalization = self.field.normalization();
+        let mut mesh = Mesh {
+            vertices: vertices.into_iter().map(|vertex| normalization.to_cloud(vertex)).collect(),
+            normals: Vec::new(),
+            triangles: surface.triangles,
+            num_removed,
+        };
+        mesh.normals = normals(&mesh, &gradients);
+        Ok(mesh)
+    }
+}
+
+/// For each vertex the direction of the negative gradient. On the faces of the box the gradient does not point inwards;
+/// there it is the direction of the adjacent triangles' normals.
+fn normals(mesh: &Mesh, gradients: &[Point]) -> Vec<[f32; 3]> {
+    let mut around = vec![[0.0; 3]; mesh.vertices.len()];
+    for &triangle in &mesh.triangles {
+        let cross = mesh.area_vector(triangle);
+        for sum in triangle.map(|vertex| vertex as usize) {
+            around[sum] = std::array::from_fn(|axis| around[sum][axis] + cross[axis]);
+        }
+    }
+    let normals = around.into_iter().zip(gradients).map(|(around, gradient)| {
+        let gradient = gradient.map(|v| -f64::from(v));
+        let points_out = (0..3).map(|axis| gradient[axis] * around[axis]).sum::<f64>() > 0.0;
+        match unit(if points_out { gradient } else { around }) {
+            [0.0, 0.0, 0.0] => [0.0, 0.0, 1.0],
+            normal => normal,
+        }
+    });
+    normals.collect()
+}

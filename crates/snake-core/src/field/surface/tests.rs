@@ -1,0 +1,287 @@
+//! Surfaces of functions that are known, and the surface of a field.
+
+use std::collections::HashMap;
+use std::f64::consts::PI;
+
+use rand::{RngExt, SeedableRng};
+use rand_chacha::ChaCha8Rng;
+
+use super::*;
+use crate::Error;
+
+/// All samples of a function, or those that are found without a hint.
+fn samples(resolution: usize, all: bool, value: impl Fn(Sample) -> f32 + Sync) -> Samples {
+    let likely = every_sample(resolution).filter(|_| all);
+    Samples::near_surface(
+        resolution,
+        0.0,
+        |asked| asked.iter().map(|&sample| value(sample)).collect(),
+        likely,
+        &Control::default(),
+    )
+    .unwrap()
+}
+
+fn every_sample(resolution: usize) -> impl Iterator<Item = Sample> {
+    let [columns, number] = [resolution, resolution.pow(3)];
+    (0..number).map(move |i| [i % columns, i / columns % columns, i / (columns * columns)])
+}
+
+/// A mesh whose unit is the distance of two samples.
+fn mesh(samples: &Samples, surface: &Surface) -> Mesh {
+    let vertex = |crossing: &Crossing| {
+        let (low, axis) = samples.ends(crossing.edge);
+        let mut point = low.map(|i| i as f32);
+        point[axis] += crossing.fraction;
+        point
+    };
+    let vertices = surface.crossings.iter().map(vertex).collect();
+    Mesh { vertices, triangles: surface.triangles.clone(), ..Mesh::default() }
+}
+
+/// By the divergence theorem.
+fn volume(mesh: &Mesh) -> f64 {
+    let of = |&triangle: &[u32; 3]| {
+        let corner = mesh.vertices[triangle[0] as usize].map(f64::from);
+        mesh.area_vector(triangle).iter().zip(corner).map(|(c, p)| c * p).sum::<f64>() / 6.0
+    };
+    mesh.triangles.iter().map(of).sum()
+}
+
+/// Vertices minus edges plus triangles; fails unless each edge is that of two triangles, in opposite directions.
+fn euler_characteristic(mesh: &Mesh) -> i64 {
+    let mut directed: HashMap<(u32, u32), usize> = HashMap::new();
+    for &[a, b, c] in &mesh.triangles {
+        [(a, b), (b, c), (c, a)].into_iter().for_each(|edge| *directed.entry(edge).or_default() += 1);
+    }
+    for (&(a, b), &number) in &directed {
+        assert!(number == 1 && directed.get(&(b, a)) == Some(&1), "edge {a} {b}");
+    }
+    let mut used = vec![false; mesh.vertices.len()];
+    mesh.triangles.iter().flatten().for_each(|&vertex| used[vertex as usize] = true);
+    assert!(used.iter().all(|&used| used), "a vertex without a triangle");
+    mesh.vertices.len() as i64 - directed.len() as i64 / 2 + mesh.triangles.len() as i64
+}
+
+fn distance(sample: Sample, from: [f32; 3]) -> f32 {
+    (0..3).map(|axis| (sample[axis] as f32 - from[axis]).powi(2)).sum::<f32>().sqrt()
+}
+
+/// Positive between two radii around a point.
+fn shell(sample: Sample, center: [f32; 3], radii: [f32; 2]) -> f32 {
+    let distance = distance(sample, center);
+    (distance - radii[0]).min(radii[1] - distance)
+}
+
+#[test]
+fn sphere_and_torus_have_their_area_volume_and_euler_characteristic() {
+    let sphere = |sample| 20.0 - distance(sample, [24.3, 23.9, 24.1]);
+    let torus = |sample: Sample| {
+        let [x, y, z] = sample.map(|i| i as f32 - 24.2);
+        6.5 - ((x.hypot(y) - 15.0).powi(2) + z * z).sqrt()
+    };
+    let (big, small) = (15.0, 6.5);
+    let exact = [
+        (4.0 * PI * 400.0, 4.0 / 3.0 * PI * 8000.0, 2),
+        (4.0 * PI * PI * big * small, 2.0 * PI * PI * big * small * small, 0),
+    ];
+    let found = [samples(49, true, sphere), samples(49, true, torus)];
+    for (samples, (area, inside, euler)) in found.iter().zip(exact) {
+        let mesh = mesh(samples, &Surface::of(samples));
+        // Chords instead of arcs: both are a little small.
+        assert!((0.995..1.0).contains(&(mesh.area() / area)), "{} {area}", mesh.area());
+        assert!((0.99..1.0).contains(&(volume(&mesh) / inside)), "{} {inside}", volume(&mesh));
+        assert_eq!(euler_characteristic(&mesh), euler);
+    }
+}
+
+#[test]
+fn noise_has_a_closed_surface_and_its_outer_part_is_what_a_flood_reaches() {
+    let mut removed = 0;
+    for (seed, share) in [0.1, 0.3, 0.5, 0.7, 0.8, 0.9, 0.95].into_iter().enumerate() {
+        let mut rng = ChaCha8Rng::seed_from_u64(seed as u64);
+        let resolution = 13;
+        let values: Vec<f32> = (0..resolution * resolution * resolution).map(|_| rng.random_range(0.0..1.0)).collect();
+        let value = |[x, y, z]: Sample| values[x + resolution * (y + resolution * z)] - (1.0 - share);
+        let samples = samples(resolution, true, value);
+        let all = Surface::of(&samples);
+        euler_characteristic(&mesh(&samples, &all));
+
+        let reached = flood(&samples);
+        let is_outer = |&vertex: &u32| {
+            let (low, axis) = samples.ends(all.crossings[vertex as usize].edge);
+            let mut high = low;
+            high[axis] += 1;
+            let empty = if samples.occupied(low) { high } else { low };
+            reached[empty[0] + resolution * (empty[1] + resolution * empty[2])]
+        };
+        let edges = |surface: &Surface| -> Vec<[u32; 3]> {
+            surface.triangles.iter().map(|t| t.map(|vertex| surface.crossings[vertex as usize].edge)).collect()
+        };
+        let expected: Vec<[u32; 3]> =
+            all.triangles.iter().zip(edges(&all)).filter(|(t, _)| is_outer(&t[0])).map(|(_, e)| e).collect();
+        let mut outer = all.clone();
+        outer.retain_outer(&samples);
+        assert_eq!(edges(&outer), expected);
+        euler_characteristic(&mesh(&samples, &outer));
+        removed += all.triangles.len() - outer.triangles.len();
+    }
+    assert!(removed > 100, "{removed}");
+}
+
+/// Which samples can be reached from the border through empty ones, along the axes.
+fn flood(samples: &Samples) -> Vec<bool> {
+    let n = samples.resolution;
+    let mut reached = vec![false; n * n * n];
+    let mut open = vec![[0, 0, 0]];
+    while let Some(sample) = open.pop() {
+        let [x, y, z] = sample;
+        let seen = std::mem::replace(&mut reached[x + n * (y + n * z)], true);
+        if !seen {
+            let ways = (0..3).flat_map(|axis| [-1, 1].map(|step| (axis, step)));
+            open.extend(ways.filter_map(|(axis, step)| {
+                let mut next = sample;
+                next[axis] = sample[axis].checked_add_signed(step).filter(|&i| i < n)?;
+                (!samples.occupied(next)).then_some(next)
+            }));
+        }
+    }
+    reached
+}
+
+#[test]
+fn the_outer_surface_is_without_cavities_and_what_is_in_them() {
+    let area = |value: &(dyn Fn(Sample) -> f32 + Sync), outer: bool| {
+        let samples = samples(48, true, value);
+        let mut surface = Surface::of(&samples);
+        if outer {
+            surface.retain_outer(&samples);
+        }
+        let mesh = mesh(&samples, &surface);
+        (mesh.area() / (4.0 * PI), euler_characteristic(&mesh))
+    };
+    let near = |(area, euler): (f64, i64), expected: f64, number: i64| {
+        assert!((area / expected - 1.0).abs() < 0.02 && euler == 2 * number, "{area} {expected} {euler}");
+    };
+    let outside = |sample| shell(sample, [41.0, 41.0, 41.0], [-1.0, 4.0]);
+    let nested = |sample| {
+        let spheres = shell(sample, [20.0; 3], [15.0, 17.0]).max(shell(sample, [20.0; 3], [6.0, 9.0]));
+        spheres.max(outside(sample))
+    };
+    near(area(&nested, false), 17.0_f64.powi(2) + 15.0_f64.powi(2) + 81.0 + 36.0 + 16.0, 5);
+    near(area(&nested, true), 17.0_f64.powi(2) + 16.0, 2);
+    let open = |sample: Sample| shell(sample, [20.0; 3], [15.0, 17.0]).min(30.3 - sample[2] as f32);
+    assert_eq!(area(&open, false), area(&open, true));
+    // The island's last way along x ends at another part that is outer.
+    let before =
+        |sample| shell(sample, [30.0, 24.0, 24.0], [-1.0, 6.0]).max(shell(sample, [8.0, 24.0, 24.0], [3.0, 5.0]));
+    near(area(&before, true), 36.0 + 25.0, 2);
+}
+
+#[test]
+fn samples_near_the_surface_give_the_surface_of_all_samples() {
+    let two_sheets = |sample: Sample| {
+        let wave = 16.0 + 5.0 * (sample[0] as f32 * 0.3).sin() + 4.0 * (sample[1] as f32 * 0.25).cos();
+        0.7 - (sample[2] as f32 - wave).abs()
+    };
+    for resolution in [30, 33, 47] {
+        let sphere = |sample| shell(sample, [14.0, 15.0, 13.2], [9.0, 11.5]);
+        for value in [&sphere as &(dyn Fn(Sample) -> f32 + Sync), &two_sheets] {
+            let (all, near) = (samples(resolution, true, value), samples(resolution, false, value));
+            assert_eq!(Surface::of(&near), Surface::of(&all));
+            assert!(near.known().len() < all.known().len() * 2 / 3, "{} of {}", near.known().len(), all.known().len());
+            assert!(!Surface::of(&all).triangles.is_empty());
+        }
+    }
+    // A speck in a block whose sample misses it: found if the block is likely.
+    let speck = |sample| if sample == [9, 9, 9] { 1.0 } else { -1.0 };
+    assert!(samples(32, false, speck).known().is_empty());
+    let likely = Samples::near_surface(
+        32,
+        0.0,
+        |asked| asked.iter().map(|&s| speck(s)).collect(),
+        [[8, 11, 10]],
+        &Control::default(),
+    )
+    .unwrap();
+    assert_eq!(Surface::of(&likely).crossings.len(), 6);
+}
+
+#[test]
+fn the_border_closes_what_it_cuts() {
+    let samples = samples(18, true, |sample| 9.25 - sample[0] as f32);
+    let mesh = mesh(&samples, &Surface::of(&samples));
+    assert_eq!(euler_characteristic(&mesh), 2);
+    let ends = |axis: usize| {
+        let along = mesh.vertices.iter().map(|vertex| vertex[axis]);
+        [along.clone().fold(f32::INFINITY, f32::min), along.fold(f32::NEG_INFINITY, f32::max)]
+    };
+    assert_eq!([0, 1, 2].map(ends), [[0.0, 9.25], [0.0, 17.0], [0.0, 17.0]]);
+    // A box of 9.25 × 17 × 17, of which the edges on the border are cut off.
+    assert!((0.96..1.0).contains(&(volume(&mesh) / (9.25 * 17.0 * 17.0))), "{}", volume(&mesh));
+}
+
+#[test]
+fn the_mesh_of_a_field_is_that_of_all_samples_at_the_level_and_faces_out() {
+    let (points, field) = crate::detect::tests::cylinder();
+    for (resolution, level, outer) in [(50, 0.4, false), (64, 0.8, true)] {
+        let options = MeshOptions { resolution, level, outer };
+        let found = field.mesh(&options).unwrap();
+        assert_eq!(
+            found,
+            Grid::new(&field, resolution).mesh(&options, every_sample(resolution), &Control::default()).unwrap()
+        );
+        euler_characteristic(&found);
+        let threads = rayon::ThreadPoolBuilder::new().num_threads(3).build().unwrap();
+        assert_eq!(found, threads.install(|| field.mesh(&options)).unwrap());
+
+        let mut errors: Vec<f32> =
+            field.occupancy(&found.vertices).unwrap().into_iter().map(|value| (value - level).abs()).collect();
+        errors.sort_by(f32::total_cmp);
+        // The occupancy rises within a sample or two.
+        assert!(errors[errors.len() / 2] < 0.15, "{}", errors[errors.len() / 2]);
+        let agree = |&triangle: &[u32; 3]| {
+            let cross = found.area_vector(triangle);
+            let dot = |normal: [f32; 3]| (0..3).map(|axis| cross[axis] * f64::from(normal[axis])).sum::<f64>();
+            triangle.iter().all(|&vertex| dot(found.normals[vertex as usize]) > 0.0)
+        };
+        let agreeing = found.triangles.iter().filter(|triangle| agree(triangle)).count();
+        assert!(agreeing * 10 > found.triangles.len() * 9, "{agreeing} of {}", found.triangles.len());
+        assert!(found.normals.iter().all(|n| (n.iter().map(|v| v * v).sum::<f32>() - 1.0).abs() < 1e-5));
+        // Three voxels of the 32³ volume.
+        let far = 0.105 * field.normalization().scale;
+        let distance = |a: Point, b: Point| (0..3).map(|axis| (a[axis] - b[axis]).powi(2)).sum::<f32>().sqrt();
+        let nearest = |vertex: Point| points.iter().map(|&p| distance(p, vertex)).fold(f32::INFINITY, f32::min);
+        assert!(found.vertices.iter().all(|&vertex| nearest(vertex) < far));
+    }
+}
+
+#[test]
+fn options_out_of_range_are_refused() {
+    let (_, field) = crate::detect::tests::cylinder();
+    for (resolution, level) in [(7, 0.4), (513, 0.4), (usize::MAX, 0.4), (16, 0.0), (16, 1.0), (16, f32::NAN)] {
+        let options = MeshOptions { resolution, level, outer: false };
+        assert!(matches!(field.mesh(&options), Err(Error::Option { .. })), "{options:?}");
+    }
+}
+
+#[test]
+fn an_open_shell_says_that_its_inner_side_is_left() {
+    let hint = |value: &(dyn Fn(Sample) -> f32 + Sync)| {
+        let samples = samples(40, true, value);
+        let mut surface = Surface::of(&samples);
+        let num_all = surface.triangles.len();
+        surface.retain_outer(&samples);
+        let num_removed = Some(num_all - surface.triangles.len());
+        Mesh { num_removed, ..mesh(&samples, &surface) }.shell_hint()
+    };
+    let closed = |sample: Sample| shell(sample, [19.5; 3], [12.0, 15.0]);
+    assert_eq!(hint(&closed), None);
+    let text = hint(&|sample| if sample[2] > 28 { -1.0 } else { closed(sample) }).unwrap();
+    assert!(text.starts_with("`outer` removed 0 of ") && text.contains("the shell is open"), "{text}");
+    // A small bubble in the wall is no inner side.
+    let bubble = |sample: Sample| shell(sample, [19.5, 19.5, 6.0], [0.9, 40.0]);
+    let text = hint(&|sample| if sample[2] > 28 { -1.0 } else { closed(sample).min(bubble(sample)) }).unwrap();
+    assert!(text.contains("the shell is open"), "{text}");
+    assert_eq!(Mesh { triangles: vec![[0, 1, 2]], ..Mesh::default() }.shell_hint(), None, "`outer` was not asked for");
+}

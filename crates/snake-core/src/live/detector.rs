@@ -1,0 +1,138 @@
+//! Detection in clouds that come one after another.
+
+use crate::Keypoint;
+use crate::Result;
+use crate::call::clock::Instant;
+use crate::call::control::Control;
+use crate::detect::Detection;
+use crate::detect::options::Options;
+use crate::field::{Field, FieldMemory};
+use crate::models::Model;
+use snake_geometry::PointSource;
+
+/// A model with its options, for clouds that come one after another, such as the sweeps of a laser scanner. Memory of one
+/// cloud is used again for the next. On one thread it allocates nothing after the third cloud, unless a cloud is larger than
+/// all before.
+///
+/// ```
+/// use snake_core::{Builtin, Detection, Detector, Model};
+/// # let sweeps = [[[0.0_f32, 0.0, 1.0], [2.0, 0.0, 0.5], [0.0, 1.0, 0.0], [1.0, 1.0, 1.0]]];
+/// let model = Model::builtin(Builtin::Compact);
+/// let options = *model.recommended();
+/// let mut detector = Detector::new(model, options)?;
+/// let mut detection = Detection::default();
+/// for sweep in &sweeps {
+///     detector.detect_into(&sweep[..], &mut detection)?;
+///     println!("{} keypoints", detection.keypoints.len());
+/// }
+/// # Ok::<(), snake_core::Error>(())
+/// ```
+#[derive(Debug, Clone)]
+pub struct Detector {
+    model: Model,
+    options: Options,
+    memory: FieldMemory,
+    /// Memory for the keypoints of the next cloud.
+    keypoints: Vec<Keypoint>,
+}
+
+impl Detector {
+    /// A detector of a model with options.
+    ///
+    /// # Errors
+    /// [`Error::Option`](crate::Error::Option) when an option is out of its range.
+    pub fn new(model: Model, options: Options) -> Result<Self> {
+        options.check(model.config())?;
+        Ok(Self { model, options, memory: FieldMemory::default(), keypoints: Vec::new() })
+    }
+
+    /// The model.
+    pub fn model(&self) -> &Model {
+        &self.model
+    }
+
+    /// The options.
+    pub fn options(&self) -> &Options {
+        &self.options
+    }
+
+    /// Replaces `detection` by the keypoints of a cloud. They have the bits of [`Model::detect`].
+    ///
+    /// # Errors
+    /// The errors of [`Model::detect`]. The old content of `detection` is then kept.
+    pub fn detect_into(&mut self, source: &(impl PointSource + ?Sized), detection: &mut Detection) -> Result<()> {
+        self.detect_into_with(source, detection, &Control::default())
+    }
+
+    /// [`Detector::detect_into`] with progress, cancellation and limits.
+    ///
+    /// # Errors
+    /// The errors of [`Model::detect_with`].
+    pub fn detect_into_with(
+        &mut self,
+        source: &(impl PointSource + ?Sized),
+        detection: &mut Detection,
+        control: &Control,
+    ) -> Result<()> {
+        let Options { encode, detect } = &self.options;
+        control.get_limits().check_evaluations(&detect.evaluations(encode.rotations))?;
+        let start = Instant::now();
+        let field = Field::of_source(self.model.network().clone(), source, encode, &mut self.memory, control)?;
+        let seconds = start.elapsed().as_secs_f64();
+        let found = field.detect_in(detect, std::mem::take(&mut self.keypoints), control)?;
+        self.keypoints = std::mem::replace(detection, found).keypoints;
+        detection.timing.encode = seconds;
+        field.leave_to(&mut self.memory);
+        Ok(())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::{Builtin, Error, Limits, Point, SeparateAxes};
+
+    /// A bent sheet of 1500 points, some of which are not finite.
+    fn cloud(bend: f32, is_missing: impl Fn(usize) -> bool) -> Vec<Point> {
+        let point = |i: usize| {
+            let (u, v) = ((i % 50) as f32 * 0.04, (i / 50) as f32 * 0.05);
+            if is_missing(i) { [u, f32::NAN, v] } else { [u, v, bend * (u * v).sin()] }
+        };
+        (0..1500).map(point).collect()
+    }
+
+    #[test]
+    fn a_detector_finds_what_the_model_finds_cloud_after_cloud() {
+        let model = Model::builtin(Builtin::Compact);
+        let options = *model.recommended();
+        let mut detector = Detector::new(model.clone(), options).unwrap();
+        let mut found = Detection::default();
+        for points in [cloud(0.5, |_| false), cloud(0.9, |i| i % 3 == 0), cloud(0.1, |i| i == 1499)] {
+            let [x, y, z] = [0, 1, 2].map(|axis| points.iter().map(|p| p[axis]).collect::<Vec<f32>>());
+            detector.detect_into(&SeparateAxes::new(&x, &y, &z).unwrap(), &mut found).unwrap();
+            let expected = model.detect(&points, &options).unwrap();
+            assert!(!expected.keypoints.is_empty());
+            found.timing = expected.timing;
+            assert_eq!(found, expected);
+        }
+    }
+
+    #[test]
+    fn a_refused_cloud_leaves_the_last_detection_and_the_detector_goes_on() {
+        let model = Model::builtin(Builtin::Compact);
+        let options = *model.recommended();
+        let mut detector = Detector::new(model, options).unwrap();
+        let mut found = Detection::default();
+        let points = cloud(0.5, |_| false);
+        detector.detect_into(&points, &mut found).unwrap();
+        let kept = found.clone();
+        let error = detector.detect_into(&[[f32::NAN; 3]; 4][..], &mut found).unwrap_err().to_string();
+        assert_eq!(error, "points: none of the 4 points is finite");
+        let control = Control::new().limits(Limits::default().with_max_points(Some(100)));
+        let refused = detector.detect_into_with(&points, &mut found, &control);
+        assert!(matches!(refused, Err(Error::LimitExceeded { what: "points", number: 1500, limit: 100 })));
+        assert_eq!(found, kept);
+        detector.detect_into(&points, &mut found).unwrap();
+        assert_eq!(found.keypoints, kept.keypoints);
+    }
+}

@@ -1,0 +1,8 @@
+//! One cloud after another: the same memory again, a time for each, and which keypoint was seen before.
+
+mod detector;
+mod realtime;
+mod tracker;
+
+pub use detector::Detector;
+pub use tracker::{Tracker, TrackerOptions};

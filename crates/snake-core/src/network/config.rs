@@ -1,0 +1,178 @@
+//! The configuration of a network.
+
+use crate::Result;
+use crate::call::budget;
+use crate::network::volume::VolumeFrame;
+use crate::network::weights::{self, Weights};
+
+/// How the encoder scatters the features of points to voxels.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub enum Scatter {
+    /// A voxel is the mean of the features of its points, as in the authors' network.
+    #[default]
+    Hard,
+    /// A feature is added to the eight nearest voxels with trilinear weights. A voxel's sum is divided by its total weight,
+    /// or by the typical total weight of the cloud's voxels if that is larger.
+    Soft,
+}
+
+impl Scatter {
+    /// The name in a weight file's metadata: `hard` or `soft`.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Hard => "hard",
+            Self::Soft => "soft",
+        }
+    }
+}
+
+/// How the encoder computes the features of points.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub enum PointEncoder {
+    /// PointNet with maxima over the points of a voxel, as in the authors' network.
+    #[default]
+    PointNet,
+    /// PointNet++ (Qi et al. 2017): maxima over the points of balls of two sizes.
+    PointNet2,
+}
+
+impl PointEncoder {
+    /// The name in a weight file's metadata: `pointnet` or `pointnet2`.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::PointNet => "pointnet",
+            Self::PointNet2 => "pointnet2",
+        }
+    }
+}
+
+/// The extent of a network's feature volume.
+#[derive(Debug, Clone, Copy, PartialEq)]
+#[non_exhaustive]
+pub enum VolumeShape {
+    /// A cube to which every cloud is scaled, as in the paper.
+    Cube(VolumeFrame),
+    /// Voxels of a given size wherever the points of a scene reach
+    /// ([`EncodeOptions::voxel_size`](crate::EncodeOptions::voxel_size)).
+    Scene {
+        /// The total weight of points below which a voxel counts their features less.
+        scatter_mass: f32,
+    },
+}
+
+/// The configuration of a network, from the weight file's metadata.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct ModelConfig {
+    /// Extent of the feature volume.
+    pub volume: VolumeShape,
+    /// Channels of the volume.
+    pub c_dim: usize,
+    /// Width of the point encoder.
+    pub hidden_dim: usize,
+    /// Width of the decoders.
+    pub decoder_hidden_dim: usize,
+    /// Residual blocks in the point encoder and in each decoder.
+    pub resnet_blocks: usize,
+    /// Levels of the U-Net.
+    pub unet_levels: usize,
+    /// Channels of its first level; each level below doubles them.
+    pub unet_base_channels: usize,
+    /// Groups of its group normalisations; 1 for layers with fewer channels. A scene model has none: 0.
+    pub group_norm_groups: usize,
+    /// How features are scattered to voxels; hard if the file does not say.
+    pub scatter: Scatter,
+    /// How the features of points are computed; by PointNet if the file does not say.
+    pub point_encoder: PointEncoder,
+}
+
+impl ModelConfig {
+    /// The frame of the feature volume; `None` for a scene model, whose volume follows the cloud.
+    pub fn frame(&self) -> Option<VolumeFrame> {
+        match self.volume {
+            VolumeShape::Cube(frame) => Some(frame),
+            VolumeShape::Scene { .. } => None,
+        }
+    }
+
+    pub(crate) fn from_weights(file: &Weights) -> Result<Self> {
+        let whole = |key: &str, most: usize| match file.number::<usize>(key)? {
+            value if (1..=most).contains(&value) => Ok(value),
+            value => Err(weights::error(key, &format!("1 to {most}"), value.to_string())),
+        };
+        let volume = match file.metadata.get("coordinates").map(String::as_str) {
+            None | Some("cloud") => VolumeShape::Cube(cube_frame(file)?),
+            Some("voxel") => VolumeShape::Scene { scatter_mass: file.number("scatter_mass")? },
+            Some(other) => return Err(weights::error("coordinates", "cloud or voxel", other.into())),
+        };
+        let config = Self {
+            volume,
+            c_dim: whole("c_dim", 1024)?,
+            hidden_dim: whole("hidden_dim", 1024)?,
+            decoder_hidden_dim: whole("decoder_hidden_dim", 1024)?,
+            resnet_blocks: whole("resnet_blocks", 64)?,
+            unet_levels: whole("unet_levels", 8)?,
+            unet_base_channels: whole("unet_base_channels", 1024)?,
+            group_norm_groups: match volume {
+                VolumeShape::Cube(_) => whole("group_norm_groups", 1024)?,
+                VolumeShape::Scene { .. } => 0,
+            },
+            scatter: match file.metadata.get("scatter").map(String::as_str) {
+                None | Some("hard") => Scatter::Hard,
+                Some("soft") => Scatter::Soft,
+                Some(other) => return Err(weights::error("scatter", "hard or soft", other.into())),
+            },
+            point_encoder: match file.metadata.get("point_encoder").map(String::as_str) {
+                None | Some("pointnet") => PointEncoder::PointNet,
+                Some("pointnet2") => PointEncoder::PointNet2,
+                Some(other) => return Err(weights::error("point_encoder", "pointnet or pointnet2", other.into())),
+            },
+        };
+        match volume {
+            VolumeShape::Cube(frame) => check_cube(&frame, &config)?,
+            VolumeShape::Scene { scatter_mass } => check_scene(scatter_mass, &config)?,
+        }
+        Ok(config)
+    }
+}
+
+/// The frame of a volume that every cloud is scaled to.
+fn cube_frame(file: &Weights) -> Result<VolumeFrame> {
+    let text = file.text("resolution")?;
+    let sizes = text.trim_matches(['[', ']']).split(',').map(|v| v.trim().parse::<usize>().ok());
+    let resolution: Option<Vec<usize>> = sizes.collect();
+    let [x, y, z] = resolution.as_deref().unwrap_or_default() else {
+        return Err(weights::error("resolution", "[x, y, z]", text.into()));
+    };
+    Ok(VolumeFrame {
+        resolution: [*x, *y, *z],
+        padding: file.number("padding")?,
+        z_bounds: [file.number("z_min")?, file.number("z_max")?],
+    })
+}
+
+fn check_cube(frame: &VolumeFrame, config: &ModelConfig) -> Result<()> {
+    let smallest = 2.max(1 << (config.unet_levels - 1));
+    let &VolumeFrame { resolution, padding, z_bounds: [z_min, z_max] } = frame;
+    if resolution.iter().any(|size| !(smallest..=512).contains(size)) {
+        let expected = format!("{smallest} to 512 voxels along each axis");
+        return Err(weights::error("resolution", &expected, format!("{resolution:?}")));
+    }
+    budget::check_volume(frame, config)?;
+    let z_extent = z_max - z_min;
+    if !((0.0..=10.0).contains(&padding) && z_extent > 0.0 && z_extent < 1e3) {
+        let found = format!("padding {padding}, z from {z_min} to {z_max}");
+        return Err(weights::error("padding", "0 to 10, and z_min below z_max", found));
+    }
+    Ok(())
+}
+
+fn check_scene(scatter_mass: f32, config: &ModelConfig) -> Result<()> {
+    if !(scatter_mass > 0.0 && scatter_mass < 1e6) {
+        return Err(weights::error("scatter_mass", "a positive number below 1e6", scatter_mass.to_string()));
+    }
+    if config.scatter != Scatter::Soft || config.point_encoder != PointEncoder::PointNet {
+        let found = format!("scatter {} and point_encoder {}", config.scatter.name(), config.point_encoder.name());
+        return Err(weights::error("coordinates", "with voxel: scatter soft and point_encoder pointnet", found));
+    }
+    Ok(())
+}

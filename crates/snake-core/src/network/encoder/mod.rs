@@ -1,0 +1,132 @@
+//! The encoder, from points to a volume: PointNet with local max-pooling or PointNet++, scattering, 3-D U-Net (SNAKE 3.1,
+//! ConvONet).
+
+mod point_features;
+mod pointnet;
+mod pointnet2;
+mod pointnet_blocks;
+mod scatter;
+mod unet;
+mod voxel_groups;
+
+use rayon::prelude::*;
+
+pub(crate) use self::point_features::PointFeatures;
+use self::unet::UNet3d;
+pub(crate) use self::voxel_groups::VoxelGroups;
+use crate::Result;
+use crate::call::control::Counter;
+use crate::call::span::span;
+use crate::network::config::{ModelConfig, Scatter};
+use crate::network::layers::Tensor;
+use crate::network::volume::{Volume, VolumeFrame, VolumeGrid};
+use crate::network::weights::Scope;
+use snake_geometry::Point;
+use snake_kernels::{ConstantRegion, channel_sums};
+
+/// The encoder of a model.
+#[derive(Debug)]
+pub(crate) struct Encoder {
+    frame: VolumeFrame,
+    scatter: Scatter,
+    pub(crate) points: PointFeatures,
+    unet: UNet3d,
+}
+
+/// The memory for the points of a cloud, which the next cloud uses again.
+#[derive(Debug, Clone, Default)]
+pub(crate) struct EncoderMemory {
+    groups: VoxelGroups,
+    /// Sums over the points of each voxel.
+    sums: Vec<f32>,
+}
+
+impl Encoder {
+    pub(crate) fn load(scope: &Scope, config: &ModelConfig, frame: VolumeFrame) -> Result<Self> {
+        Ok(Self {
+            frame,
+            scatter: config.scatter,
+            points: PointFeatures::load(scope, config)?,
+            unet: UNet3d::load(&scope.at("unet3d"), config, frame)?,
+        })
+    }
+
+    /// The progress units of [`Encoder::encode`]: each point once for grouping and once per layer of the point encoder,
+    /// and the voxels of the U-Net. All take similar times.
+    pub(crate) fn work(&self, num_points: usize) -> usize {
+        num_points + self.points.work(num_points) + self.unet.work(self.frame.size())
+    }
+
+    /// Encodes `num_points` points, given by `point` in the network's frame, to the feature volume.
+    pub(crate) fn encode(
+        &self,
+        num_points: usize,
+        point: impl Fn(usize) -> Point + Sync,
+        memory: &mut EncoderMemory,
+        counter: &Counter,
+    ) -> Result<Volume> {
+        let volume = self.point_volume(num_points, point, memory, counter)?;
+        span!("unet");
+        let grid = VolumeGrid::Cube(self.frame);
+        Ok(Volume { grid, channels: volume.channels, values: self.unet.forward(volume, counter)? })
+    }
+
+    /// The input of the U-Net: the scattered features of the points.
+    fn point_volume(
+        &self,
+        num_points: usize,
+        point: impl Fn(usize) -> Point + Sync,
+        memory: &mut EncoderMemory,
+        counter: &Counter,
+    ) -> Result<Tensor> {
+        span!("pointnet");
+        memory.groups.fill(num_points, &point, &self.frame);
+        counter.add(num_points);
+        counter.check()?;
+        match self.scatter {
+            Scatter::Hard => {
+                self.points.voxel_means(&memory.groups, &point, &mut memory.sums, counter)?;
+                Ok(self.scatter(&memory.sums, &memory.groups))
+            }
+            Scatter::Soft => self.scatter_soft(memory, &point, counter),
+        }
+    }
+
+    /// Scatters the mean features to the occupied voxels; voxels without points are zero.
+    pub(crate) fn scatter(&self, means: &[f32], groups: &VoxelGroups) -> Tensor {
+        let (size, channels) = (self.frame.size(), self.points.channels());
+        let mut values = self.unet.pool.take(size.iter().product::<usize>() * channels);
+        values.par_chunks_mut(size[1] * size[2] * channels).for_each(|plane| plane.fill(0.0));
+        for (voxel, mean) in groups.voxels().zip(means.chunks_exact(channels)) {
+            values[voxel * channels..][..channels].copy_from_slice(mean);
+        }
+        let constant = Some(ConstantRegion::around(size, groups.voxels()));
+        Tensor { size, channels, values, sums: channel_sums(means, channels), constant }
+    }
+
+    /// Scatters the features of the points to their eight nearest voxels ([`Scatter::Soft`]); voxels without mass are zero.
+    fn scatter_soft(
+        &self,
+        EncoderMemory { groups, sums: slots }: &mut EncoderMemory,
+        point: impl Fn(usize) -> Point + Sync,
+        counter: &Counter,
+    ) -> Result<Tensor> {
+        let (size, channels) = (self.frame.size(), self.points.channels());
+        let spread =
+            |point: Point, feature: &[f32], slots: &mut [f32]| scatter::spread(&self.frame, point, feature, slots);
+        self.points.voxel_sums(groups, point, scatter::slots_width(channels), spread, slots, counter)?;
+        let mut values = self.unet.pool.take(size.iter().product::<usize>() * channels);
+        values.par_chunks_mut(size[1] * size[2] * channels).for_each(|plane| plane.fill(0.0));
+        counter.check()?;
+        let touched = scatter::gather(&self.frame, groups, slots, &mut values, counter)?;
+        let sums = channel_sums(&values, channels);
+        counter.check()?;
+        Ok(Tensor {
+            size,
+            channels,
+            values,
+            sums,
+            constant: Some(ConstantRegion::around(size, touched.iter().copied())),
+        })
+    }
+}

@@ -1,0 +1,85 @@
+//! A network: configuration, layers and metadata. Models and fields share it.
+
+pub(crate) mod config;
+pub(crate) mod decoder;
+pub(crate) mod encoder;
+pub(crate) mod layers;
+pub(crate) mod scene;
+pub(crate) mod volume;
+pub(crate) mod weights;
+
+pub use self::config::{ModelConfig, PointEncoder, Scatter, VolumeShape};
+pub use self::volume::{Volume, VolumeFrame};
+
+use std::collections::BTreeMap;
+
+use crate::Result;
+use crate::detect::options::Options;
+use crate::network::decoder::Decoder;
+use crate::network::encoder::Encoder;
+use crate::network::scene::SceneEncoder;
+use crate::network::weights::{Scope, Weights};
+
+/// The encoder of a network, by the shape of its volume.
+#[derive(Debug)]
+pub(crate) enum NetworkEncoder {
+    Cube(Box<Encoder>),
+    Scene(Box<SceneEncoder>),
+}
+
+impl NetworkEncoder {
+    fn load(scope: &Scope, config: &ModelConfig) -> Result<Self> {
+        Ok(match config.volume {
+            VolumeShape::Cube(frame) => Self::Cube(Box::new(Encoder::load(scope, config, frame)?)),
+            VolumeShape::Scene { scatter_mass } => {
+                Self::Scene(Box::new(SceneEncoder::load(scope, config, scatter_mass)?))
+            }
+        })
+    }
+
+    /// The encoder of a cube, for tests of its stages.
+    #[cfg(test)]
+    pub(crate) fn cube(&self) -> &Encoder {
+        let Self::Cube(encoder) = self else { panic!("this is a scene model") };
+        encoder
+    }
+}
+
+/// Encoder and decoders.
+#[derive(Debug)]
+pub(crate) struct Network {
+    pub(crate) config: ModelConfig,
+    pub(crate) metadata: BTreeMap<String, String>,
+    pub(crate) recommended: Options,
+    pub(crate) num_parameters: usize,
+    /// The BLAKE3 digest of the weight file.
+    pub(crate) digest: String,
+    pub(crate) encoder: NetworkEncoder,
+    pub(crate) occupancy: Decoder,
+    pub(crate) saliency: Decoder,
+}
+
+impl Network {
+    /// Loads a network from the bytes of a weight file. A tensor that the network does not use is an error.
+    pub(crate) fn from_bytes(bytes: &[u8]) -> Result<Self> {
+        let file = Weights::open(bytes)?;
+        let config = ModelConfig::from_weights(&file)?;
+        let network = Self {
+            config,
+            metadata: file.metadata.clone().into_iter().collect(),
+            recommended: match file.metadata.get("recommended_options") {
+                Some(json) => serde_json::from_str(json)
+                    .map_err(|e| weights::error("recommended_options", "options of snake-rs as JSON", e.to_string()))?,
+                None => Options::default(),
+            },
+            encoder: NetworkEncoder::load(&file.at("encoder"), &config)?,
+            occupancy: Decoder::occupancy(&file.at("decoder_occup"), &config)?,
+            saliency: Decoder::saliency(&file.at("decoder_keypoint"), &config)?,
+            num_parameters: file.num_parameters(),
+            digest: blake3::hash(bytes).to_string(),
+        };
+        network.recommended.check(&config)?;
+        file.finish()?;
+        Ok(network)
+    }
+}

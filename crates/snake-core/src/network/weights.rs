@@ -1,0 +1,121 @@
+//! Opens a weight file (safetensors, `format=snake-field`) and loads its tensors by name.
+
+use std::cell::RefCell;
+use std::collections::{BTreeSet, HashMap};
+
+use half::f16;
+use safetensors::{Dtype, SafeTensors};
+
+use crate::{Error, Result};
+use snake_geometry::excerpt;
+
+/// Tensors and metadata of one weight file, and the names of the tensors that were read.
+pub(crate) struct Weights<'data> {
+    tensors: SafeTensors<'data>,
+    pub(crate) metadata: HashMap<String, String>,
+    asked: RefCell<BTreeSet<String>>,
+}
+
+impl<'data> Weights<'data> {
+    /// Reads the header; another `format_version` than 1, or 2 for scene models, is refused.
+    pub(crate) fn open(bytes: &'data [u8]) -> Result<Self> {
+        let broken = |e| error("file", "a safetensors file", format!("{e}"));
+        let (_, header) = SafeTensors::read_metadata(bytes).map_err(broken)?;
+        let entries = header.metadata().iter().flatten();
+        let metadata = entries.map(|(key, value)| (key.clone(), value.clone())).collect();
+        let tensors = SafeTensors::deserialize(bytes).map_err(broken)?;
+        let weights = Self { tensors, metadata, asked: RefCell::default() };
+        let format = weights.metadata.get("format").cloned().unwrap_or_default();
+        if format != "snake-field" {
+            return Err(error(
+                "format",
+                "snake-field",
+                format!("{format:?}; export the network with snake_training.export"),
+            ));
+        }
+        let is_scene = weights.metadata.get("coordinates").is_some_and(|coordinates| coordinates == "voxel");
+        match weights.number::<u32>("format_version")? {
+            1 if !is_scene => Ok(weights),
+            2 if is_scene => Ok(weights),
+            other => {
+                let found = format!("{other}; use a newer snake-rs");
+                Err(error("format_version", "1, or 2 with `coordinates` voxel", found))
+            }
+        }
+    }
+
+    /// A metadata value.
+    pub(crate) fn text(&self, key: &str) -> Result<&str> {
+        self.metadata.get(key).map(String::as_str).ok_or_else(|| error(key, "a metadata value", "none".into()))
+    }
+
+    /// A metadata value as a number.
+    pub(crate) fn number<T: std::str::FromStr>(&self, key: &str) -> Result<T> {
+        let text = self.text(key)?;
+        text.parse().map_err(|_| error(key, "a number", format!("{text:?}")))
+    }
+
+    /// The tensors whose names begin with `name`.
+    pub(crate) fn at(&self, name: &str) -> Scope<'_> {
+        Scope { weights: self, prefix: name.into() }
+    }
+
+    /// Number of values in all tensors.
+    pub(crate) fn num_parameters(&self) -> usize {
+        self.tensors.iter().map(|(_, view)| view.shape().iter().product::<usize>()).sum()
+    }
+
+    /// Fails if a tensor was not read.
+    pub(crate) fn finish(self) -> Result<()> {
+        let asked = self.asked.borrow();
+        let mut unknown: Vec<&str> = self.tensors.names().into_iter().filter(|name| !asked.contains(*name)).collect();
+        unknown.sort_unstable();
+        match unknown.first() {
+            Some(name) => {
+                Err(error(name, "no such tensor in this network", format!("{} unknown tensors", unknown.len())))
+            }
+            None => Ok(()),
+        }
+    }
+
+    fn tensor(&self, name: &str, shape: &[usize]) -> Result<Vec<f32>> {
+        let expected = || format!("float32 or float16 of shape {shape:?}");
+        let view = self.tensors.tensor(name).map_err(|_| error(name, &expected(), "nothing".into()))?;
+        self.asked.borrow_mut().insert(name.into());
+        // The data may be unaligned within the file, so numbers are decoded from bytes.
+        let data = view.data();
+        let values: Vec<f32> = match view.dtype() {
+            _ if view.shape() != shape => return Err(error(name, &expected(), format!("shape {:?}", view.shape()))),
+            Dtype::F32 => data.as_chunks().0.iter().map(|b| f32::from_le_bytes(*b)).collect(),
+            Dtype::F16 => data.as_chunks().0.iter().map(|b| f16::from_le_bytes(*b).to_f32()).collect(),
+            other => return Err(error(name, &expected(), format!("{other:?}"))),
+        };
+        match values.iter().position(|v| !v.is_finite()) {
+            Some(at) => Err(error(name, "finite values", format!("{} at index {at}", values[at]))),
+            None => Ok(values),
+        }
+    }
+}
+
+/// The tensors under one prefix.
+pub(crate) struct Scope<'w> {
+    weights: &'w Weights<'w>,
+    prefix: String,
+}
+
+impl Scope<'_> {
+    /// The tensors under the prefix `name` within this scope.
+    pub(crate) fn at(&self, name: &str) -> Scope<'_> {
+        Scope { weights: self.weights, prefix: format!("{}.{name}", self.prefix) }
+    }
+
+    /// The tensor `name` of this scope, which must have this shape and finite values.
+    pub(crate) fn tensor(&self, name: &str, shape: &[usize]) -> Result<Vec<f32>> {
+        self.weights.tensor(&format!("{}.{name}", self.prefix), shape)
+    }
+}
+
+/// An [`Error::Weights`]; text from the file is cut to one short line.
+pub(crate) fn error(tensor: &str, expected: &str, found: String) -> Error {
+    Error::Weights { tensor: excerpt(tensor, 100), expected: expected.into(), found: excerpt(&found, 200) }
+}

@@ -1,0 +1,45 @@
+//! Keypoints.
+
+use serde::{Deserialize, Serialize};
+
+use crate::Point;
+
+/// One keypoint, in the frame and units of the input cloud.
+///
+/// Serde writes the keys x, y, z, saliency, occupancy and nearest_index.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[serde(from = "KeypointRecord", into = "KeypointRecord")]
+pub struct Keypoint {
+    /// Position in cloud units.
+    pub position: Point,
+    /// Saliency in [0, 1]; the score that keypoints are ranked by. With mode seeking it is the mean of the saliency where the
+    /// candidate started and of the highest one where it ended.
+    pub saliency: f32,
+    /// Occupancy in [0, 1] at the position.
+    pub occupancy: f32,
+    /// Index of the nearest input point, in the cloud as it was given.
+    pub nearest_index: usize,
+}
+
+/// A [`Keypoint`] in files.
+#[derive(Serialize, Deserialize)]
+struct KeypointRecord {
+    x: f32,
+    y: f32,
+    z: f32,
+    saliency: f32,
+    occupancy: f32,
+    nearest_index: usize,
+}
+
+impl From<Keypoint> for KeypointRecord {
+    fn from(Keypoint { position: [x, y, z], saliency, occupancy, nearest_index }: Keypoint) -> Self {
+        Self { x, y, z, saliency, occupancy, nearest_index }
+    }
+}
+
+impl From<KeypointRecord> for Keypoint {
+    fn from(KeypointRecord { x, y, z, saliency, occupancy, nearest_index }: KeypointRecord) -> Self {
+        Self { position: [x, y, z], saliency, occupancy, nearest_index }
+    }
+}

@@ -1,0 +1,17 @@
+//! Points in the units of their cloud, and what is found on it.
+
+mod cloud;
+mod keypoint;
+mod length;
+mod mesh;
+mod outliers;
+mod points;
+mod zero_hint;
+
+pub use cloud::{Bounds, Cloud, add_origin, subtract_origin};
+pub use keypoint::Keypoint;
+pub use length::{Length, gaps, resolution};
+pub use mesh::{Mesh, unit};
+pub use outliers::{Outliers, Reach};
+pub use points::{FinitePoints, Normalization, NormalizationMethod, Point, check_points};
+pub use zero_hint::zero_hint;

@@ -1,0 +1,44 @@
+//! The ground of snake-rs: point clouds and what can be said of them without a network.
+//!
+//! ```text
+//! source/     other programs' clouds → points      transform/  rigid transforms, rotations
+//! clouds/     points, lengths, outliers, results    near/       neighbours
+//! text/       words of errors that are safe to show subset/     suppression, samples
+//! ```
+//!
+//! | question | structure |
+//! |---|---|
+//! | nearest points, or all within any radius, in f64 or f32 | [`KdTree`] (kiddo's tree) |
+//! | all neighbours within one radius, with normals and covariances | [`Neighbors`], on that tree |
+//! | all candidates within one radius, with no allocation | [`RadiusCells`], one grid of cells |
+//! | nearest different point of every point of a large cloud, on all threads | [`PointTree`] |
+//!
+//! Lengths are in the cloud's own units, whatever they are. Results have the same bits for any number of threads.
+
+#![forbid(unsafe_code)]
+
+mod clouds;
+mod error;
+mod near;
+mod setters;
+mod source;
+mod subset;
+mod text;
+mod transform;
+
+pub use clouds::{
+    Bounds, Cloud, FinitePoints, Keypoint, Length, Mesh, Normalization, NormalizationMethod, Outliers, Point, Reach,
+    add_origin, check_points, gaps, resolution, subtract_origin, unit, zero_hint,
+};
+pub use error::{Error, Result};
+pub use near::{KdTree, Neighbors, PointTree, RadiusCells, Vector, eigen, vector};
+#[cfg(feature = "arrow")]
+pub use source::ArrowPoints;
+pub use source::{PointCloud2Layout, PointCloud2View, PointField, PointSource, SeparateAxes};
+pub use subset::{
+    Fate, by_falling_score, farthest_points, keep_apart, keep_in_order, nearest_points, nearest_points_into, sample,
+    suppress, suppress_ranked, suppress_seen, suppress_to_count,
+};
+#[doc(hidden)]
+pub use text::{excerpt, is_harmful, printable};
+pub use transform::{RigidTransform, rotations};

@@ -1,0 +1,11 @@
+//! Neighbours of points. The table of the crate says which structure answers which question.
+
+mod kd_tree;
+mod neighbors;
+mod point_tree;
+mod radius_cells;
+
+pub use kd_tree::KdTree;
+pub use neighbors::{Neighbors, Vector, eigen, vector};
+pub use point_tree::PointTree;
+pub use radius_cells::RadiusCells;

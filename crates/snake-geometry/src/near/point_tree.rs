@@ -1,0 +1,185 @@
+//! A k-d tree for nearest points that takes no new memory from cloud to cloud. `KdTree` also finds all points within a radius.
+
+use std::ops::{Add, Mul, Sub};
+
+use snake_kernels::{Scratch, scratch_elements};
+
+use crate::{Error, Point, Result};
+
+/// Smaller parts of the tree are searched point by point.
+const LEAF: usize = 12;
+
+/// Smaller parts of the tree are built by one thread.
+const PART: usize = 1 << 12;
+
+/// A point of the tree. The middle one of a part splits it.
+#[derive(Clone, Copy, Default)]
+struct Node {
+    point: Point,
+    index: u32,
+    /// The axis along which the part is split.
+    axis: u32,
+    /// The lowest index in the part.
+    lowest: u32,
+}
+
+scratch_elements!(Node);
+
+/// Finite points, sorted so that the middle of each part splits it along its widest axis.
+///
+/// Searches are exact, and fast for every arrangement of points: equal points, and points on a line or plane.
+pub struct PointTree(Scratch<Node>);
+
+/// The nearest point of a search: its squared distance and its index.
+type Nearest<T> = (T, u32);
+
+/// `f32` or `f64`, in which distances are computed.
+pub trait Real: Copy + PartialOrd + From<f32> + Add<Output = Self> + Sub<Output = Self> + Mul<Output = Self> {}
+impl Real for f32 {}
+impl Real for f64 {}
+
+impl PointTree {
+    /// Indexes finite points.
+    ///
+    /// # Errors
+    /// [`Error::Input`] for more points than [`u32::MAX`].
+    pub fn new(points: &[Point]) -> Result<Self> {
+        let number = u32::try_from(points.len())
+            .map_err(|_| Error::Input { what: "points", reason: format!("{} are too many", points.len()) })?;
+        let node = |(index, &point): (u32, &Point)| Node { point, index, axis: 0, lowest: index };
+        let mut nodes = Scratch::collect(points.len(), (0..number).zip(points).map(node));
+        split(&mut nodes);
+        Ok(Self(nodes))
+    }
+
+    /// The squared distance and the index of the point nearest to a query; the lowest index among equally near points. The point
+    /// with the index `but` does not count. Without any point the distance is infinite.
+    pub fn nearest<T: Real>(&self, query: &Point, but: Option<usize>) -> (T, usize) {
+        let mut best = (T::from(f32::INFINITY), u32::MAX);
+        search(&self.0, query, but, &mut best);
+        (best.0, best.1 as usize)
+    }
+}
+
+/// Sorts a part and returns its lowest index.
+fn split(nodes: &mut [Node]) -> u32 {
+    if nodes.len() <= LEAF {
+        return nodes.iter().map(|node| node.index).min().unwrap_or(u32::MAX);
+    }
+    let along = |axis: usize| nodes.iter().map(move |node| node.point[axis]);
+    let extent =
+        |axis: usize| along(axis).fold(f32::NEG_INFINITY, f32::max) - along(axis).fold(f32::INFINITY, f32::min);
+    let extents = [extent(0), extent(1), extent(2)];
+    let axis = (1..3).fold(0, |widest, axis| if extents[axis] > extents[widest] { axis } else { widest });
+    let (before, middle, after) =
+        nodes.select_nth_unstable_by(nodes.len() / 2, |a, b| a.point[axis].total_cmp(&b.point[axis]));
+    let [first, last] = match before.len() < PART {
+        true => [split(before), split(after)],
+        false => <[u32; 2]>::from(rayon::join(|| split(before), || split(after))),
+    };
+    middle.axis = axis as u32;
+    middle.lowest = middle.index.min(first).min(last);
+    middle.lowest
+}
+
+fn search<T: Real>(nodes: &[Node], query: &Point, but: Option<usize>, best: &mut Nearest<T>) {
+    if nodes.len() <= LEAF {
+        nodes.iter().for_each(|node| look(node, query, but, best));
+        return;
+    }
+    let (before, [middle, after @ ..]) = nodes.split_at(nodes.len() / 2) else { return };
+    look(middle, query, but, best);
+    let axis = middle.axis as usize;
+    let offset = T::from(query[axis]) - T::from(middle.point[axis]);
+    let (near, far) = if offset < T::from(0.0) { (before, after) } else { (after, before) };
+    search(near, query, but, best);
+    // Rounding is monotone, so no point beyond the plane is nearer than the plane, also in these numbers.
+    let distance = offset * offset;
+    if distance < best.0 || distance == best.0 && lowest(far) < best.1 {
+        search(far, query, but, best);
+    }
+}
+
+/// The lowest index of a part, or 0 for a small one.
+fn lowest(nodes: &[Node]) -> u32 {
+    if nodes.len() <= LEAF { 0 } else { nodes[nodes.len() / 2].lowest }
+}
+
+fn look<T: Real>(node: &Node, query: &Point, but: Option<usize>, best: &mut Nearest<T>) {
+    let [x, y, z] = std::array::from_fn(|axis| T::from(query[axis]) - T::from(node.point[axis]));
+    let distance = x * x + y * y + z * z;
+    if (distance < best.0 || distance == best.0 && node.index < best.1) && but != Some(node.index as usize) {
+        *best = (distance, node.index);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Clouds that are hard for k-d trees, with ties and repeated points.
+    fn clouds() -> Vec<Vec<Point>> {
+        let lattice = |i: u32, axis: u32| (i / 7_u32.pow(axis) % 7) as f32;
+        let scattered = |i: u32, axis: usize| (i.wrapping_mul([7919, 104_729, 1_299_709][axis]) % 10_007) as f32;
+        vec![
+            (0..700).map(|i| std::array::from_fn(|axis| lattice(i, axis as u32))).collect(),
+            (0..1000).map(|i| std::array::from_fn(|axis| scattered(i, axis))).collect(),
+            (0..500).map(|i| [(i % 100) as f32, 0.0, 5.0]).collect(),
+            (0..500).map(|i| if i % 3 == 0 { [1.0; 3] } else { [scattered(i, 0), 2.0, scattered(i, 2)] }).collect(),
+            (0..12_000).map(|i| [scattered(i, 0), scattered(i, 1) * 1e-3, 7.0]).collect(),
+            [[3e38; 3], [-3e38; 3], [0.0; 3], [1e-40; 3]].repeat(9),
+            vec![[3.0, 4.0, 5.0]; 300],
+            vec![[3.0, 4.0, 5.0]],
+            vec![],
+        ]
+    }
+
+    fn plain<T: Real>(points: &[Point], query: &Point, but: Option<usize>) -> (T, usize) {
+        let mut best = (T::from(f32::INFINITY), u32::MAX as usize);
+        for (index, point) in points.iter().enumerate().filter(|(index, _)| Some(*index) != but) {
+            let [x, y, z] = std::array::from_fn(|axis| T::from(query[axis]) - T::from(point[axis]));
+            let distance = x * x + y * y + z * z;
+            if distance < best.0 || distance == best.0 && index < best.1 {
+                best = (distance, index);
+            }
+        }
+        best
+    }
+
+    #[test]
+    fn the_nearest_point_is_that_of_the_plain_loop() {
+        for points in clouds() {
+            let tree = PointTree::new(&points).unwrap();
+            let others = [[0.5, 1.5, 2.5], [-1e4, 0.0, 0.0], [3e38, 0.0, -3e38]];
+            for query in points.iter().step_by(37).chain(&others) {
+                for but in [None, points.iter().position(|point| point == query)] {
+                    assert_eq!(tree.nearest::<f32>(query, but), plain::<f32>(&points, query, but), "{query:?}");
+                    assert_eq!(tree.nearest::<f64>(query, but), plain::<f64>(&points, query, but), "{query:?}");
+                }
+            }
+        }
+    }
+
+    // This test would take minutes and not a second if each query looked at all points.
+    #[test]
+    fn every_point_of_a_hard_cloud_finds_its_neighbour() {
+        const NUMBER: u32 = 200_000;
+        let unit = |i: u32, factor: u32| (i.wrapping_mul(factor) >> 8) as f32 / (1_u32 << 24) as f32;
+        let clouds: [fn(f32, f32) -> Point; 4] = [
+            |_, _| [1.0; 3],
+            |u, _| [0.0, u, 0.0],
+            |u, v| [u, v, 0.0],
+            |u, v| if u < 0.5 { [0.0; 3] } else { [v, u, 1.0] },
+        ];
+        for cloud in clouds {
+            let point = |i| cloud(unit(i, 2_654_435_761), unit(i, 0x9e37_79b1 ^ 0x0f0f_0f0f));
+            let points: Vec<Point> = (0..NUMBER).map(point).collect();
+            let tree = PointTree::new(&points).unwrap();
+            for (index, query) in points.iter().enumerate() {
+                let (distance, nearest) = tree.nearest::<f32>(query, None);
+                assert!(points[nearest] == *query && distance == 0.0 && nearest <= index);
+                assert_ne!(tree.nearest::<f64>(query, Some(index)).1, index);
+            }
+        }
+    }
+}

@@ -1,0 +1,169 @@
+//! Points in cells as wide as a radius, for queries within it.
+
+use rayon::prelude::*;
+
+use crate::{Error, Point, Result};
+use snake_kernels::Scratch;
+
+/// Bits of a cell's number along an axis. Cells so many steps apart have the same number, which costs time and no result.
+const BITS: u64 = 21;
+
+/// The largest number of a cell along an axis. After it comes 0.
+const LAST: u64 = (1 << BITS) - 1;
+
+/// Distances in `f32` are rounded: a point within the radius is at most this many radii away.
+const MARGIN: f64 = 1.0 + 1e-6;
+
+/// Points sorted into cells that are as wide as a radius: a query looks at 27 cells at most.
+///
+/// Where the queries themselves are at least a share of the radius apart, as in suppression, each point is looked at a
+/// bounded number of times, for every arrangement of points but those that make numbers of cells coincide.
+pub struct RadiusCells<'a> {
+    points: &'a [Point],
+    side: f64,
+    /// The cell and the index of each point, ascending.
+    members: Scratch<(u64, u32)>,
+    /// The place of each cell's first member, in a hash table with linear probing that is at most half full.
+    firsts: Scratch<u32>,
+}
+
+/// No cell: a slot of the hash table that is free.
+const FREE: u32 = u32::MAX;
+
+impl<'a> RadiusCells<'a> {
+    /// Sorts finite points for queries within at most `radius`, which is positive.
+    ///
+    /// # Errors
+    /// [`Error::Input`] for more points than [`u32::MAX`].
+    pub fn new(points: &'a [Point], radius: f32) -> Result<Self> {
+        let number = u32::try_from(points.len())
+            .map_err(|_| Error::Input { what: "points", reason: format!("{} are too many", points.len()) })?;
+        let side = f64::from(radius) * MARGIN;
+        let slots = (2 * points.len()).max(2).next_power_of_two();
+        let firsts = Scratch::collect(slots, std::iter::repeat_n(FREE, slots));
+        let mut cells = Self { points, side, members: Scratch::default(), firsts };
+        let members = (0..number).map(|index| (key(cells.cell(&points[index as usize])), index));
+        cells.members = Scratch::collect(points.len(), members);
+        cells.members.par_sort_unstable();
+        for place in 0..number {
+            let cell = cells.members[place as usize].0;
+            if place == 0 || cells.members[place as usize - 1].0 != cell {
+                let slot = cells.slot(cell);
+                cells.firsts[slot] = place;
+            }
+        }
+        Ok(cells)
+    }
+
+    /// The points.
+    pub fn points(&self) -> &[Point] {
+        self.points
+    }
+
+    /// Calls `found` with the index of each point at most `radius` from a position, in an order that depends on the points
+    /// alone. The radius is at most that of the cells.
+    pub fn within(&self, position: &Point, radius: f32, mut found: impl FnMut(usize)) {
+        let [xs, ys, zs] = position.map(|value| self.reached(value, radius));
+        for [y, z] in zs.into_iter().flatten().flat_map(|z| ys.into_iter().flatten().map(move |y| [y, z])) {
+            for cell in xs.into_iter().flatten().map(|x| key([x, y, z])) {
+                let first = self.firsts[self.slot(cell)] as usize;
+                let members = self.members.get(first..).unwrap_or_default();
+                for &(_, index) in members.iter().take_while(|(other, _)| *other == cell) {
+                    let other = &self.points[index as usize];
+                    let [x, y, z]: Point = std::array::from_fn(|axis| position[axis] - other[axis]);
+                    if x * x + y * y + z * z <= radius * radius {
+                        found(index as usize);
+                    }
+                }
+            }
+        }
+    }
+
+    /// The slot of a cell, which is free if the cell has no members.
+    fn slot(&self, cell: u64) -> usize {
+        // Fibonacci hashing (Knuth, The Art of Computer Programming 3, section 6.4).
+        let hash = cell.wrapping_mul(0x9e37_79b9_7f4a_7c15) >> (64 - self.firsts.len().ilog2());
+        let mut slot = hash as usize;
+        while self.members.get(self.firsts[slot] as usize).is_some_and(|(other, _)| *other != cell) {
+            slot = (slot + 1) & (self.firsts.len() - 1);
+        }
+        slot
+    }
+
+    /// The number of a position's cell along x, y and z.
+    fn cell(&self, position: &Point) -> [u64; 3] {
+        position.map(|value| number((f64::from(value) / self.side).floor()))
+    }
+
+    /// The numbers of the cells before, at and after a coordinate that a radius reaches. Far from zero, where cells are finer
+    /// than `f32`, equal coordinates have the same cell, and others are farther apart than the radius.
+    fn reached(&self, value: f32, radius: f32) -> [Option<u64>; 3] {
+        let reach = f64::from(radius) * MARGIN / self.side;
+        let place = f64::from(value) / self.side;
+        let cell = place.floor();
+        let middle = number(cell);
+        [
+            (place - cell <= reach).then_some(middle.wrapping_sub(1) & LAST),
+            Some(middle),
+            (cell + 1.0 - place <= reach).then_some((middle + 1) & LAST),
+        ]
+    }
+}
+
+/// The number of a cell along an axis.
+fn number(cell: f64) -> u64 {
+    cell.rem_euclid((LAST + 1) as f64) as u64
+}
+
+/// One number for a cell.
+fn key([x, y, z]: [u64; 3]) -> u64 {
+    x | y << BITS | z << (2 * BITS)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn squared(a: &Point, b: &Point) -> f32 {
+        let [x, y, z]: Point = std::array::from_fn(|axis| a[axis] - b[axis]);
+        x * x + y * y + z * z
+    }
+
+    #[test]
+    fn points_within_the_radius_are_those_of_the_plain_loop() {
+        let at = |i: u32, k: u32| (i * k % 997) as f32 / 997.0;
+        let random: Vec<Point> = (0..300).map(|i| [at(i, 131), at(i, 577), at(i, 883)]).collect();
+        let lattice: Vec<Point> = (0..300_u16).map(|i| [i % 5, i / 5 % 5, i % 7].map(|v| 0.1 * f32::from(v))).collect();
+        let far = vec![[3e38; 3], [-3e38; 3], [0.0; 3], [1e-40; 3], [0.05, 0.0, 0.0]];
+        // Cells with the same number, and cells on both sides of the last number.
+        let period = 0.3 * (1.0 + 1e-6) * (LAST + 1) as f32;
+        let same: Vec<Point> =
+            (0..60).map(|i| [(i % 3 - 1) as f32 * period + 0.1 * i as f32, 0.05 * i as f32, period]).collect();
+        for points in [random, lattice, far, same, vec![[1.0; 3]; 9], vec![]] {
+            for radius in [1e-30, 0.1, 0.3, 5.0, 1e19] {
+                let cells = RadiusCells::new(&points, radius).unwrap();
+                for query in points.iter().chain(&[[0.5; 3], [-9.0, 0.0, 0.0], [3e38, 0.0, -3e38]]) {
+                    for radius in [radius, 0.85 * radius, 0.5 * radius] {
+                        let mut found = Vec::new();
+                        cells.within(query, radius, |index| found.push(index));
+                        found.sort_unstable();
+                        let is_near = |&index: &usize| squared(query, &points[index]) <= radius * radius;
+                        assert_eq!(found, (0..points.len()).filter(is_near).collect::<Vec<_>>(), "{query:?} {radius}");
+                    }
+                }
+            }
+        }
+    }
+
+    // This test would take a minute and not a second if the far point made the cells wider.
+    #[test]
+    fn a_point_far_away_costs_no_time() {
+        let at = |i: u32, factor: u32| (i.wrapping_mul(factor) >> 8) as f32 / (1 << 24) as f32;
+        let mut points: Vec<Point> = (0..200_000).map(|i| [at(i, 2_654_435_761), at(i, 40_503), 0.0]).collect();
+        points.push([1e7, -1e7, 1e7]);
+        let cells = RadiusCells::new(&points, 0.002).unwrap();
+        let mut number = 0;
+        points.iter().for_each(|point| cells.within(point, 0.002, |_| number += 1));
+        assert!((200_001..2_000_000).contains(&number), "{number}");
+    }
+}

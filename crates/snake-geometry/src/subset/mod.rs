@@ -1,0 +1,14 @@
+//! Some points of many: suppression, samples, farthest points.
+
+mod farthest;
+mod nms;
+mod sampling;
+mod spread;
+
+pub use farthest::farthest_points;
+pub use nms::{
+    Fate, by_falling_score, keep_apart, keep_in_order, nearest_points, nearest_points_into, suppress, suppress_ranked,
+    suppress_seen,
+};
+pub use sampling::sample;
+pub use spread::suppress_to_count;

@@ -1,0 +1,250 @@
+//! Non-maximum suppression by radius, and nearest input points.
+
+use std::collections::HashSet;
+
+use rayon::prelude::*;
+
+use crate::{KdTree, Point, PointTree, RadiusCells, Result};
+use snake_kernels::{Scratch, SimdLevel};
+
+/// Greedy non-maximum suppression: indices of the kept points, best first, each farther than `radius` from all earlier
+/// ones.
+///
+/// Points are processed by falling score and, for equal scores, by rising index. At most `limit` are kept.
+/// A radius of 0 suppresses only by `limit`.
+pub fn suppress(points: &[Point], scores: &[f32], radius: f32, limit: usize) -> Result<Scratch<usize>> {
+    let order = by_falling_score(scores);
+    if radius <= 0.0 || points.is_empty() {
+        return Ok(Scratch::copy_of(&order[..limit.min(order.len())]));
+    }
+    Ok(keep_in_order(&RadiusCells::new(points, radius)?, &order, radius, limit))
+}
+
+/// Greedy non-maximum suppression of points `(N, 3)` that are ranked, best first: indices of the kept points, in the
+/// same order, each farther than `radius` from all earlier ones.
+///
+/// At most `limit` are kept. A radius of 0 suppresses only by `limit`.
+///
+/// # Errors
+/// [`Error::Input`](crate::Error::Input) for more points than [`u32::MAX`]. The points must be finite.
+pub fn suppress_ranked(points: &[Point], radius: f32, limit: usize) -> Result<Vec<usize>> {
+    if radius <= 0.0 || points.is_empty() {
+        return Ok((0..points.len().min(limit)).collect());
+    }
+    let order = Scratch::collect(points.len(), 0..points.len());
+    Ok(keep_in_order(&RadiusCells::new(points, radius)?, &order, radius, limit).to_vec())
+}
+
+/// Indices by falling score and, for equal scores, rising.
+pub fn by_falling_score(scores: &[f32]) -> Scratch<usize> {
+    let mut order = Scratch::collect(scores.len(), 0..scores.len());
+    order.sort_unstable_by(|&a, &b| scores[b].total_cmp(&scores[a]).then(a.cmp(&b)));
+    order
+}
+
+/// The points of `order` that suppression keeps, by a radius of at most that of the cells.
+pub fn keep_in_order(cells: &RadiusCells, order: &[usize], radius: f32, limit: usize) -> Scratch<usize> {
+    keep_apart(order, limit, |index, found| cells.within(&cells.points()[index], radius, found))
+}
+
+/// The points of `order` that suppression keeps. `within` calls its second argument with each point within the radius of a
+/// point.
+pub fn keep_apart(order: &[usize], limit: usize, within: impl Fn(usize, &mut dyn FnMut(usize))) -> Scratch<usize> {
+    let mut suppressed: Scratch<bool> = Scratch::zeros(order.len());
+    let mut kept = Scratch::empty(limit.min(order.len()));
+    for &index in order {
+        if kept.len() == limit {
+            break;
+        }
+        if !suppressed[index] {
+            kept.extend_from_slice(&[index]);
+            within(index, &mut |other| suppressed[other] = true);
+        }
+    }
+    kept
+}
+
+/// What greedy suppression does with a candidate.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Fate {
+    /// It is a keypoint.
+    Kept,
+    /// A kept candidate of higher rank lies within the radius.
+    Suppressed,
+    /// It depends on candidates that are not known.
+    Unknown,
+}
+
+/// Greedy non-maximum suppression where only a part of a cloud is known. The points `(N, 3)` are ranked, best first. Returns
+/// what the suppression of the whole cloud does with each of them.
+///
+/// `sees_all` says whether the points include all points of the whole cloud within the radius of a point. A fate is known
+/// if it follows from such points alone.
+pub fn suppress_seen(points: &[Point], radius: f32, sees_all: impl Fn(usize) -> bool) -> Result<Vec<Fate>> {
+    if radius <= 0.0 {
+        return Ok(vec![Fate::Kept; points.len()]);
+    }
+    let tree = KdTree::new(points)?;
+    let mut fates = vec![None; points.len()];
+    // All points of a cell are within the radius of each other, so one of unknown fate leaves those of lower rank unknown.
+    // Candidates are dense: without cells each of them would look at thousands of others.
+    let cell = |point: Point| point.map(|value| (f64::from(value) / (0.57 * f64::from(radius))).floor() as i64);
+    let mut unknown_cells = HashSet::new();
+    let mut near = Vec::new();
+    for index in 0..points.len() {
+        if fates[index].is_some() {
+            continue;
+        }
+        near.clear();
+        let is_known = sees_all(index) && !unknown_cells.contains(&cell(points[index])) && {
+            tree.within(&points[index], radius * radius, |other, _| near.push(other));
+            near.iter().all(|&other| fates[other] != Some(Fate::Unknown))
+        };
+        if is_known {
+            near.iter().filter(|&&other| other > index).for_each(|&other| fates[other] = Some(Fate::Suppressed));
+            fates[index] = Some(Fate::Kept);
+        } else {
+            fates[index] = Some(Fate::Unknown);
+            unknown_cells.insert(cell(points[index]));
+        }
+    }
+    Ok(fates.into_iter().map(|fate| fate.unwrap_or(Fate::Unknown)).collect())
+}
+
+/// Index of the nearest point `(N, 3)` for each query `(M, 3)`; the lowest index among equally near points.
+pub fn nearest_points(points: &[Point], queries: &[Point]) -> Result<Vec<usize>> {
+    let mut nearest = vec![0; queries.len()];
+    nearest_points_into(points, queries, &mut nearest)?;
+    Ok(nearest)
+}
+
+/// [`nearest_points`] with memory for the indices.
+pub fn nearest_points_into(points: &[Point], queries: &[Point], indices: &mut [usize]) -> Result<()> {
+    // For a few hundred queries a linear search is faster than building a tree.
+    if queries.len() < 256 {
+        indices.par_iter_mut().zip(queries).for_each(|(index, &query)| *index = nearest_of_all(points, query));
+        return Ok(());
+    }
+    let none = std::iter::repeat_n((f32::INFINITY, 0), queries.len());
+    let mut nearest = Scratch::collect(queries.len(), none);
+    for (number, points) in points.chunks(TREE_POINTS).enumerate() {
+        let tree = PointTree::new(points)?;
+        nearest.par_iter_mut().zip(queries).for_each(|(nearest, query)| {
+            let (distance, index) = tree.nearest(query, None);
+            if distance < nearest.0 {
+                *nearest = (distance, number * TREE_POINTS + index);
+            }
+        });
+    }
+    indices.iter_mut().zip(nearest.iter()).for_each(|(index, (_, nearest))| *index = *nearest);
+    Ok(())
+}
+
+/// Points per tree. Large clouds are searched with several, one at a time, which all use the same memory.
+const TREE_POINTS: usize = 1 << 16;
+
+fn nearest_of_all(points: &[Point], query: Point) -> usize {
+    let mut best = 0;
+    snake_kernels::nearest_row(SimdLevel::current(), points, query, &mut best);
+    best
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn squared_distance(a: Point, b: Point) -> f32 {
+        (0..3).map(|axis| (a[axis] - b[axis]).powi(2)).sum()
+    }
+
+    #[test]
+    fn equals_the_quadratic_loop_and_respects_ties() {
+        let points: Vec<Point> =
+            (0_u32..400).map(|i| std::array::from_fn(|axis| (i * [7, 13, 29][axis] % 17) as f32 * 0.1)).collect();
+        let scores: Vec<f32> = (0_u32..400).map(|i| (i * 31 % 23) as f32).collect();
+        for (radius, limit) in [(0.0, 5), (0.1, 400), (0.15, 400), (0.5, 7), (9.0, 3)] {
+            let mut order: Vec<usize> = (0..400).collect();
+            order.sort_by(|&a, &b| scores[b].total_cmp(&scores[a]).then(a.cmp(&b)));
+            let mut expected: Vec<usize> = Vec::new();
+            for i in order {
+                let free =
+                    expected.iter().all(|&k| radius == 0.0 || squared_distance(points[i], points[k]) > radius * radius);
+                if free && expected.len() < limit {
+                    expected.push(i);
+                }
+            }
+            assert_eq!(suppress(&points, &scores, radius, limit).unwrap()[..], expected, "radius {radius}");
+        }
+    }
+
+    #[test]
+    fn ranked_points_are_kept_in_their_order() {
+        let points = [0.0, 0.5, 1.0, 2.0, 1.25, 4.0].map(|x| [x, 0.0, 0.0]);
+        assert_eq!(suppress_ranked(&points, 0.5, 9).unwrap(), [0, 2, 3, 5]);
+        assert_eq!(suppress_ranked(&points, 0.5, 3).unwrap(), [0, 2, 3]);
+        assert_eq!(suppress_ranked(&points, 0.0, 5).unwrap(), [0, 1, 2, 3, 4]);
+        assert_eq!(suppress_ranked(&[], 0.5, 5).unwrap(), [] as [usize; 0]);
+    }
+
+    #[test]
+    fn fates_of_a_part_are_those_of_the_whole() {
+        let at = |i: u32, factor: u32| (i * factor % 997) as f32 / 100.0;
+        let points: Vec<Point> = (0..900).map(|i| [at(i, 131), at(i, 577), 0.0]).collect();
+        let kept = suppress_ranked(&points, 0.4, 900).unwrap();
+        let all = suppress_seen(&points, 0.4, |_| true).unwrap();
+        assert!(all.iter().enumerate().all(|(i, fate)| (*fate == Fate::Kept) == kept.contains(&i)));
+        assert!(!all.contains(&Fate::Unknown));
+        for high in [5.0, 8.0] {
+            let part: Vec<usize> = (0..900).filter(|&i| points[i][0] < high).collect();
+            let positions: Vec<Point> = part.iter().map(|&i| points[i]).collect();
+            let fates = suppress_seen(&positions, 0.4, |rank| positions[rank][0] + 0.4001 < high).unwrap();
+            let known = part.iter().zip(&fates).filter(|(_, fate)| **fate != Fate::Unknown);
+            assert!(known.clone().all(|(&i, fate)| *fate == all[i]));
+            // The fates at the border are not all known.
+            assert!((part.len() / 10..part.len()).contains(&known.count()));
+        }
+    }
+
+    #[test]
+    fn fates_of_crowded_points_equal_the_quadratic_loop() {
+        let at = |i: u32, factor: u32| (i.wrapping_mul(factor) >> 8) as f32 / (1 << 24) as f32;
+        let points: Vec<Point> = (0..1500).map(|i| [2_654_435_761, 0x9e37_79b1, 40_503].map(|f| at(i, f))).collect();
+        let radius = 0.3_f32;
+        let sees_all = |index: usize| points[index][0] > 0.1;
+        let mut expected: Vec<Fate> = Vec::new();
+        for index in 0..points.len() {
+            let is_near = |&other: &usize| squared_distance(points[other], points[index]) <= radius * radius;
+            let near: Vec<Fate> = (0..index).filter(is_near).map(|other| expected[other]).collect();
+            expected.push(if near.contains(&Fate::Kept) {
+                Fate::Suppressed
+            } else if sees_all(index) && !near.contains(&Fate::Unknown) {
+                Fate::Kept
+            } else {
+                Fate::Unknown
+            });
+        }
+        for fate in [Fate::Kept, Fate::Suppressed, Fate::Unknown] {
+            assert!(expected.contains(&fate));
+        }
+        assert_eq!(suppress_seen(&points, radius, sees_all).unwrap(), expected);
+    }
+
+    #[test]
+    fn the_nearest_of_equal_points_is_the_first() {
+        let points = [[1.0, 0.0, 0.0], [0.0, 0.0, 0.0], [0.0, 0.0, 0.0], [-1.0, 0.0, 0.0]];
+        let queries = [[0.1, 0.0, 0.0], [0.0, 0.0, 0.0], [0.5, 0.0, 0.0]];
+        assert_eq!(nearest_points(&points, &queries).unwrap(), [1, 1, 0]);
+        assert_eq!(nearest_points(&points, &queries.repeat(100)).unwrap(), [1, 1, 0].repeat(100));
+    }
+
+    #[test]
+    fn the_tree_and_the_scan_find_the_same_point() {
+        let coordinate = |i: u32, axis: usize| (u64::from(i) * [7919, 104_729, 1_299_709][axis] % 10_007) as f32 * 1e-4;
+        // There are so many points that several trees have equally near points.
+        let points: Vec<Point> =
+            (0..2 * TREE_POINTS as u32 + 1000).map(|i| std::array::from_fn(|axis| coordinate(i, axis))).collect();
+        let queries: Vec<Point> = (5000..5300).map(|i| std::array::from_fn(|axis| coordinate(i, axis))).collect();
+        let scanned: Vec<usize> = queries.iter().map(|&query| nearest_of_all(&points, query)).collect();
+        assert_eq!(nearest_points(&points, &queries).unwrap(), scanned);
+    }
+}

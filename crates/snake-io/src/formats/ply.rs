@@ -1,0 +1,404 @@
+//! Reads PLY, ascii and binary.
+
+use crate::formats::ply_header::{Element, Header, Property, Role};
+use crate::formats::shape::{Position, Shape, add_polygon, check_left_over};
+use crate::text::lines::{Lines, advice, text};
+use crate::text::number::number;
+use snake_geometry::excerpt;
+
+/// Reads x, y, z of the element `vertex` and, if asked for, the polygons of the elements `face` and `tristrips`.
+///
+/// The file may be ascii or binary in either byte order, with any scalar type. Ascii coordinates keep all their digits.
+/// Other properties and elements are ignored, whether or not their values fit their types. Faces that were not asked for
+/// may be damaged or cut short.
+pub(crate) fn read(bytes: &[u8], with_faces: bool) -> Result<Shape, String> {
+    let (header, lines) = Header::parse(bytes)?;
+    let mut payload = if header.is_ascii { Payload::Ascii(lines) } else { Payload::Binary(lines.rest()) };
+    // Elements without properties take no bytes, so the file's length does not limit their number.
+    let elements: Vec<&Element> = header.elements.iter().filter(|element| !element.properties.is_empty()).collect();
+    let Some(vertex) = elements.iter().position(|element| element.name == "vertex") else {
+        let names: Vec<&str> = header.elements.iter().map(|element| element.name.as_str()).collect();
+        return Err(format!("no element `vertex`; the elements are {}", excerpt(&names.join(", "), 200)));
+    };
+    let (mut shape, mut position) = (Shape::default(), 0);
+    for (index, element) in elements.iter().enumerate() {
+        position = index + 1;
+        match element.name.as_str() {
+            "vertex" => shape.points = payload.points(element)?,
+            "face" if with_faces => payload.faces(element, &mut shape.triangles)?,
+            "tristrips" if with_faces => payload.strips(element, &mut shape.triangles)?,
+            _ => payload.skip(element)?,
+        }
+        if index >= vertex && !with_faces {
+            break;
+        }
+    }
+    payload.check_rest(&elements[position..], &shape.points)?;
+    if !with_faces {
+        let faces = elements.iter().filter(|element| matches!(element.name.as_str(), "face" | "tristrips"));
+        shape.unread_faces = faces.map(|element| element.count).sum();
+    }
+    shape.check_triangles()?;
+    Ok(shape)
+}
+
+/// The data that is not yet read.
+#[derive(Clone)]
+enum Payload<'a> {
+    Ascii(Lines<'a>),
+    Binary(&'a [u8]),
+}
+
+impl<'a> Payload<'a> {
+    /// Reads a row and calls `found` with the values of the properties that have a use.
+    fn next(&mut self, element: &Element, mut found: impl FnMut(Role, f64)) -> Result<(), String> {
+        let name = || excerpt(&element.name, 40);
+        match self {
+            Self::Binary(data) => {
+                let mut values = |property: &Property| {
+                    let count = match property.length {
+                        Some(length) => list_length(length.decode(take(data, 1, length.size)?))?,
+                        None => 1,
+                    };
+                    let items = take(data, count, property.item.size)?.chunks_exact(property.item.size);
+                    if property.role != Role::Unused {
+                        items.for_each(|item| found(property.role, property.item.decode(item)));
+                    }
+                    Some(())
+                };
+                let whole = element.properties.iter().all(|property| values(property).is_some());
+                whole.then_some(()).ok_or_else(|| format!("cut short within the rows of `{}`", name()))
+            }
+            Self::Ascii(lines) => {
+                let (line_number, line) =
+                    lines.next().ok_or_else(|| format!("the file ends before the last `{}`", name()))?;
+                let line = text(line);
+                let mut words = line.split_ascii_whitespace();
+                let mut values = |property: &Property| {
+                    let count = match property.length {
+                        Some(_) => list_length(number(words.next()?)?)?,
+                        None => 1,
+                    };
+                    for _ in 0..count {
+                        let word = words.next()?;
+                        if property.role != Role::Unused {
+                            found(property.role, number(word)?);
+                        }
+                    }
+                    Some(())
+                };
+                let whole = element.properties.iter().all(|property| values(property).is_some());
+                whole.then_some(()).ok_or_else(|| {
+                    format!(
+                        "line {line_number}: `{}` does not fit the properties of `{}`{}",
+                        excerpt(&line, 60),
+                        name(),
+                        advice(&line)
+                    )
+                })
+            }
+        }
+    }
+
+    fn points(&mut self, element: &Element) -> Result<Vec<Position>, String> {
+        if let (Self::Binary(data), Some(stride)) = (&mut *self, element.stride()) {
+            let rows = take(data, element.count, stride).ok_or("cut short within the rows of `vertex`")?;
+            let (mut axes, mut offset) = ([None; 3], 0);
+            for property in &element.properties {
+                if let Role::Axis(axis) = property.role {
+                    axes[axis] = Some((property.item, offset));
+                }
+                offset += property.item.size;
+            }
+            let value = |row: &[u8], axis: usize| {
+                axes[axis].map_or(f64::NAN, |(item, offset)| item.decode(&row[offset..offset + item.size]))
+            };
+            return Ok(rows.chunks_exact(stride).map(|row| std::array::from_fn(|axis| value(row, axis))).collect());
+        }
+        let mut points = Vec::with_capacity(element.count);
+        for _ in 0..element.count {
+            let mut point = [f64::NAN; 3];
+            self.next(element, |role, value| {
+                if let Role::Axis(axis) = role {
+                    point[axis] = value;
+                }
+            })?;
+            points.push(point);
+        }
+        Ok(points)
+    }
+
+    fn faces(&mut self, element: &Element, triangles: &mut Vec<[u32; 3]>) -> Result<(), String> {
+        let mut corners = Vec::new();
+        for _ in 0..element.count {
+            corners.clear();
+            self.next(element, |_, corner| corners.push(index(corner)))?;
+            add_polygon(triangles, &corners);
+        }
+        Ok(())
+    }
+
+    /// Reads strips of triangles. Negative corners separate the strips of a list, and every second triangle of a strip is
+    /// turned.
+    fn strips(&mut self, element: &Element, triangles: &mut Vec<[u32; 3]>) -> Result<(), String> {
+        for _ in 0..element.count {
+            let mut corners = Vec::new();
+            self.next(element, |_, corner| corners.push(corner))?;
+            for strip in corners.split(|&corner| corner < 0.0) {
+                triangles.extend(strip.windows(3).enumerate().map(|(place, corners)| match place % 2 {
+                    0 => [corners[0], corners[1], corners[2]].map(index),
+                    _ => [corners[1], corners[0], corners[2]].map(index),
+                }));
+            }
+        }
+        Ok(())
+    }
+
+    fn skip(&mut self, element: &Element) -> Result<(), String> {
+        match (&mut *self, element.stride()) {
+            (Self::Binary(data), Some(stride)) => {
+                let rows = take(data, element.count, stride).map(drop);
+                rows.ok_or_else(|| format!("cut short within the rows of `{}`", excerpt(&element.name, 40)))
+            }
+            _ => (0..element.count).try_for_each(|_| self.next(element, |_, _| ())),
+        }
+    }
+
+    /// Refuses data after the last element that shows that the header describes other data. The elements `unread` may be
+    /// cut short, unless most faces have corners that are no vertices.
+    fn check_rest(mut self, unread: &[&Element], points: &[Position]) -> Result<(), String> {
+        for element in unread {
+            let (mut num_rows, mut num_bad, mut is_cut) = (0, 0, false);
+            while num_rows < element.count && !is_cut {
+                let mut fits = true;
+                let is_last = matches!(&self, Self::Ascii(lines) if lines.clone().next().is_none());
+                let row = self.next(element, |_, corner| fits &= corner >= 0.0 && corner < points.len() as f64);
+                is_cut = row.is_err();
+                num_bad += usize::from(!fits || is_cut && matches!(self, Self::Ascii(_)) && !is_last);
+                num_rows += 1;
+            }
+            if element.name == "face" && 2 * num_bad > num_rows {
+                return Err("no faces follow the vertices: what the header says does not fit the data".into());
+            }
+            if is_cut {
+                return Ok(());
+            }
+        }
+        match self {
+            Self::Binary(rest) => check_left_over(rest, points.len()),
+            Self::Ascii(mut lines) => {
+                match lines.find(|(_, line)| text(line).split_ascii_whitespace().all(|word| number(word).is_some())) {
+                    Some((number, line)) => Err(format!(
+                        "line {number}: `{}` follows the last row that the header promises",
+                        excerpt(&text(line), 60)
+                    )),
+                    None => Ok(()),
+                }
+            }
+        }
+    }
+}
+
+/// Takes `count` items of `size` bytes from the beginning of the data.
+fn take<'a>(data: &mut &'a [u8], count: usize, size: usize) -> Option<&'a [u8]> {
+    let (taken, rest) = data.split_at_checked(count.checked_mul(size)?)?;
+    *data = rest;
+    Some(taken)
+}
+
+fn list_length(value: f64) -> Option<usize> {
+    (value >= 0.0 && value.fract() == 0.0).then_some(value as usize)
+}
+
+/// An index of a vertex. A value that is no index becomes one that no file has.
+fn index(corner: f64) -> u32 {
+    if corner >= 0.0 && corner.fract() == 0.0 { corner as u32 } else { u32::MAX }
+}
+
+#[cfg(test)]
+mod tests {
+    use ply_rs::parser::Parser;
+    use ply_rs::ply::{DefaultElement, Encoding, Property as Read};
+
+    use crate::tests::{KEYPOINTS, points};
+    use crate::{KeypointFormat, KeypointSource};
+    use snake_geometry::Point;
+
+    fn read(bytes: &[u8]) -> Result<Vec<Point>, String> {
+        points(super::read(bytes, false))
+    }
+
+    const POINTS: [Point; 2] = [[1.0, 2.0, 3.0], [4.0, 50.0, 6.0]];
+
+    /// A file with a list before and after the coordinates, and an element before and after the vertices.
+    fn ply(encoding: Encoding, scalar: &str) -> Vec<u8> {
+        let integer_size = |name: &str| match name {
+            "char" | "uchar" | "int8" | "uint8" => 1,
+            "short" | "ushort" | "int16" | "uint16" => 2,
+            _ => 4,
+        };
+        let mut bytes = format!(
+            "ply\r\nformat {encoding} 1.0\ncomment \u{e9}\nelement camera 1\nproperty list uchar int views\n\
+             element empty 1000000000000\nelement vertex 2\nproperty {scalar} x\n\
+             property list uchar short scalar (0.1)\nproperty {scalar} y\nproperty {scalar} z\n\
+             property uchar red\nelement face 1\nproperty list uchar uint vertex_indices\nend_header\n"
+        )
+        .into_bytes();
+        if encoding == Encoding::Ascii {
+            bytes.extend(b"2 -5 6\n1 2 7 8 2 3 255\r\n\n  4 0\t50 6 255 \n3 0 1 1");
+            return bytes;
+        }
+        let camera = [(2.0, "uchar"), (-5.0, "int"), (6.0, "int")];
+        let first = [(1.0, scalar), (2.0, "uchar"), (7.0, "short"), (8.0, "short"), (2.0, scalar), (3.0, scalar)];
+        let second = [(255.0, "uchar"), (4.0, scalar), (0.0, "uchar"), (50.0, scalar), (6.0, scalar), (255.0, "uchar")];
+        let face = [(3.0, "uchar"), (0.0, "uint"), (1.0, "uint"), (1.0, "uint")];
+        for (value, scalar) in [&camera[..], &first, &second, &face].concat() {
+            let value: f64 = value;
+            let mut value = match scalar {
+                "float" | "float32" => (value as f32).to_le_bytes().to_vec(),
+                "double" | "float64" => value.to_le_bytes().to_vec(),
+                _ => (value as i64).to_le_bytes()[..integer_size(scalar)].to_vec(),
+            };
+            if encoding == Encoding::BinaryBigEndian {
+                value.reverse();
+            }
+            bytes.extend(value);
+        }
+        bytes
+    }
+
+    #[test]
+    fn every_encoding_and_scalar_type() {
+        let scalars = ["char", "uchar", "short", "ushort", "int", "uint", "float", "double", "int8", "uint8", "int16"];
+        for encoding in [Encoding::Ascii, Encoding::BinaryLittleEndian, Encoding::BinaryBigEndian] {
+            for scalar in scalars.into_iter().chain(["uint16", "int32", "uint32", "float32", "float64"]) {
+                assert_eq!(read(&ply(encoding, scalar)).unwrap(), POINTS, "{encoding} {scalar}");
+            }
+        }
+    }
+
+    #[test]
+    fn axes_may_be_in_upper_case_if_none_is_in_lower_case() {
+        let text = |names: [&str; 4]| {
+            let properties: String = names.iter().map(|name| format!("property float {name}\n")).collect();
+            format!("ply\nformat ascii 1.0\nelement vertex 1\n{properties}end_header\n1 2 3 4\n")
+        };
+        let point = |names| read(text(names).as_bytes()).map(|points| points[0]);
+        assert_eq!(point(["X", "Y", "Z", "Intensity"]).unwrap(), [1.0, 2.0, 3.0]);
+        assert_eq!(point(["X", "x", "y", "z"]).unwrap(), [2.0, 3.0, 4.0]);
+        assert!(point(["X", "X", "Y", "Z"]).unwrap_err().contains("same name"));
+        assert!(point(["X", "y", "Z", "z"]).unwrap_err().contains("`x`"));
+    }
+
+    #[test]
+    fn coordinates_that_are_not_finite_come_through() {
+        for scalar in ["float", "double"] {
+            let xyz = format!("property {scalar} x\nproperty {scalar} y\nproperty {scalar} z\n");
+            let text = format!("ply\nformat ascii 1.0\nelement vertex 2\n{xyz}property {scalar} w\nend_header\n");
+            let points = read(format!("{text}1 -nan inf nan\n4 5 6 nan\n").as_bytes()).unwrap();
+            assert!(points[0][0] == 1.0 && !points[0][1].is_finite() && !points[0][2].is_finite(), "{points:?}");
+            assert_eq!(points[1], [4.0, 5.0, 6.0]);
+        }
+    }
+
+    #[test]
+    fn faces_are_polygons_in_every_encoding_and_type() {
+        let quads = "element vertex 4\nproperty float x\nproperty float y\nproperty float z\nelement face 2\n\
+            property uchar quality\nproperty list uchar KIND vertex_index\nend_header\n";
+        for kind in ["char", "uchar", "short", "ushort", "int", "uint"] {
+            let header = |encoding| format!("ply\nformat {encoding} 1.0\n{}", quads.replace("KIND", kind));
+            let ascii = header("ascii") + "0 0 0\n1 0 0\n1 1 0\n0 1 0\n9 4 0 1 2 3\n9 3 3 2 1\n";
+            let size = match kind {
+                "char" | "uchar" => 1,
+                "short" | "ushort" => 2,
+                _ => 4,
+            };
+            let mut binary = header("binary_little_endian").into_bytes();
+            binary.extend(
+                [0.0_f32, 0.0, 0.0, 1.0, 0.0, 0.0, 1.0, 1.0, 0.0, 0.0, 1.0, 0.0].map(f32::to_le_bytes).concat(),
+            );
+            for corners in [&[0_u32, 1, 2, 3][..], &[3, 2, 1]] {
+                binary.extend([9, corners.len() as u8]);
+                corners.iter().for_each(|corner| binary.extend(&corner.to_le_bytes()[..size]));
+            }
+            for bytes in [ascii.as_bytes(), &binary] {
+                let shape = super::read(bytes, true).unwrap();
+                assert_eq!((shape.points.len(), &shape.triangles[..]), (4, &[[0, 1, 2], [0, 2, 3], [3, 2, 1]][..]));
+                assert!(super::read(bytes, false).unwrap().triangles.is_empty());
+            }
+            let beyond = super::read(ascii.replace("3 3 2 1", "3 3 2 4").as_bytes(), true).unwrap_err();
+            assert!(beyond.contains("names vertex 4"), "{beyond}");
+        }
+    }
+
+    #[test]
+    fn truncated_files_are_refused() {
+        for (encoding, after_vertices) in
+            [(Encoding::Ascii, 14), (Encoding::BinaryLittleEndian, 13), (Encoding::BinaryBigEndian, 13)]
+        {
+            let bytes = ply(encoding, "float");
+            for length in 0..bytes.len() - after_vertices {
+                assert!(read(&bytes[..length]).is_err(), "{encoding} {length}");
+            }
+        }
+        let mut bytes = Vec::new();
+        KeypointFormat::Ply.write(&mut bytes, &KEYPOINTS, &KeypointSource::default()).unwrap();
+        for length in 0..bytes.len() {
+            read(&bytes[..length]).unwrap_err();
+        }
+    }
+
+    #[test]
+    fn bad_headers_and_lines_are_named() {
+        let xyz = "property float x\nproperty float y\nproperty float z\n";
+        for (body, expected) in [
+            (format!("element vertex 1000000000000\n{xyz}end_header\n1 2 3\n"), "6 bytes follow"),
+            (format!("element vertex 18446744073709551615\n{xyz}end_header\n1 2 3\n"), "6 bytes follow"),
+            (format!("element vertex 99999999999999999999\n{xyz}end_header\n1 2 3\n"), "line 3: no number of rows"),
+            (format!("element vertex 2\n{xyz}end_header\n1 2 3\n\n\n\n\n\n\n\n"), "ends before the last `vertex`"),
+            (format!("element vertex 1\n{xyz}end_header\n1 2\n\n\n\n"), "line 8: `1 2` does not fit"),
+            (format!("element vertex 1\n{xyz}property float x\nend_header\n1 2 3 4\n"), "same name"),
+            (format!("element vertex 1\n{xyz}element vertex 1\n{xyz}end_header\n1 2 3\n1 2 3\n"), "same name"),
+            ("element vertex 0\nproperty float x\nproperty float y\nend_header\n".into(), "no scalar property `z`"),
+            ("element vertex 0\nproperty list uchar float x\nend_header\n".into(), "no scalar property `x`"),
+            ("element point 0\nproperty float x\nend_header\n".into(), "no element `vertex`"),
+            ("element empty 1000000000000\nend_header\n".into(), "no element `vertex`"),
+            (
+                "element vertex 1\nproperty x\nend_header\n".into(),
+                "header, line 4: no entry of a PLY header: `property x`",
+            ),
+            (xyz.into(), "no element above `property float x`"),
+            ("element vertex 0\n".into(), "no line `end_header`"),
+        ] {
+            let reason = read(format!("ply\nformat ascii 1.0\n{body}").as_bytes()).unwrap_err();
+            assert!(reason.contains(expected), "{reason}");
+        }
+        assert!(read(b"solid cube").unwrap_err().starts_with("not a PLY file"));
+        let none = format!("ply\nformat binary_big_endian 1.0\nelement vertex 0\n{xyz}end_header\n");
+        assert!(read(none.as_bytes()).unwrap().is_empty());
+    }
+
+    #[test]
+    fn hostile_headers_cost_little() {
+        let long_name = "n".repeat(1 << 15);
+        let many = "property char a\n".repeat(1500);
+        read(format!("ply\nformat ascii 1.0\nelement {long_name} 1\n{many}end_header\n").as_bytes()).unwrap_err();
+        // The list claims 4e9 items.
+        let list = "ply\nformat binary_little_endian 1.0\nelement face 1\nproperty list uint double a\nend_header\n";
+        read(&[list.as_bytes(), &[255; 64]].concat()).unwrap_err();
+    }
+
+    #[test]
+    fn written_properties_read_back() {
+        let mut bytes = Vec::new();
+        KeypointFormat::Ply.write(&mut bytes, &KEYPOINTS, &KeypointSource::default()).unwrap();
+        let ply = Parser::<DefaultElement>::new().read_ply(&mut &bytes[..]).unwrap();
+        for (vertex, keypoint) in ply.payload["vertex"].iter().zip(KEYPOINTS) {
+            assert_eq!(["x", "y", "z"].map(|axis| vertex[axis].clone()), keypoint.position.map(Read::Float));
+            assert_eq!(vertex["saliency"], Read::Float(keypoint.saliency));
+            assert_eq!(vertex["occupancy"], Read::Float(keypoint.occupancy));
+            assert!(matches!(vertex["red"], Read::UChar(_)));
+            assert_eq!(vertex["nearest_index"], Read::Int(keypoint.nearest_index as i32));
+        }
+    }
+}

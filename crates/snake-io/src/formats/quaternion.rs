@@ -1,0 +1,42 @@
+//! Rotations as files write them.
+
+/// The rotation of a quaternion `w x y z` of any length, row by row. Writers put zeros where no rotation is known, which
+/// is none.
+pub(crate) fn rotation(quaternion: [f64; 4]) -> Result<[[f64; 3]; 3], String> {
+    let most = quaternion.into_iter().map(f64::abs).fold(0.0, f64::max);
+    if !quaternion.iter().all(|v| v.is_finite()) {
+        return Err(format!("a rotation by {quaternion:?}, which is not finite"));
+    }
+    if most == 0.0 {
+        return Ok([[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]]);
+    }
+    // The square of a large number would not be finite, and that of a small one would be zero.
+    let scaled = quaternion.map(|v| v / most);
+    let length = scaled.iter().map(|v| v * v).sum::<f64>().sqrt();
+    let [w, x, y, z] = scaled.map(|v| v / length);
+    Ok([
+        [1.0 - 2.0 * (y * y + z * z), 2.0 * (x * y - w * z), 2.0 * (x * z + w * y)],
+        [2.0 * (x * y + w * z), 1.0 - 2.0 * (x * x + z * z), 2.0 * (y * z - w * x)],
+        [2.0 * (x * z - w * y), 2.0 * (y * z + w * x), 1.0 - 2.0 * (x * x + y * y)],
+    ])
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_length_of_a_quaternion_does_not_matter() {
+        let turn = [[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]];
+        for length in [1.0, 0.707, 3.0, 1e200, 1e-200] {
+            let found = rotation([length, 0.0, 0.0, length]).unwrap();
+            for (found, expected) in found.as_flattened().iter().zip(turn.as_flattened()) {
+                assert!((found - expected).abs() < 1e-15, "{length}: {found}");
+            }
+        }
+        assert_eq!(rotation([0.0; 4]).unwrap(), rotation([1.0, 0.0, 0.0, 0.0]).unwrap());
+        for value in [f64::NAN, f64::INFINITY] {
+            assert!(rotation([1.0, value, 0.0, 0.0]).unwrap_err().contains("not finite"));
+        }
+    }
+}

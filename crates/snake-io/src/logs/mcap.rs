@@ -1,0 +1,249 @@
+//! MCAP files. A damaged chunk and a cut end cost their own messages only.
+
+use std::collections::{HashMap, VecDeque};
+use std::fs::File;
+use std::io::{BufReader, Read, Seek, SeekFrom};
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+
+use ::mcap::records::{Record, op};
+use ::mcap::sans_io::{LinearReadEvent, LinearReader, LinearReaderOptions};
+use ::mcap::{MAGIC, McapError, parse_record};
+
+use crate::logs::message::{Message, Messages};
+use crate::{Error, MAX_EXPANSION, Result};
+
+/// The topics and the schemas of their messages, in the order of the file. Damage is left to the reader.
+pub(crate) fn topics(path: &Path) -> Result<Vec<(String, String)>> {
+    let mut topics: Vec<(String, String)> = Vec::new();
+    let mut first_error = None;
+    for found in Reader::open(path, None)? {
+        match found {
+            Ok(Found { channel, .. }) => {
+                if topics.iter().all(|(topic, _)| *topic != channel.topic) {
+                    topics.push((channel.topic.clone(), channel.schema.clone()));
+                }
+            }
+            Err(error) => first_error = first_error.or(Some(error)),
+        }
+    }
+    match first_error {
+        Some(error) if topics.is_empty() => Err(error),
+        _ => Ok(topics),
+    }
+}
+
+/// The messages of a topic, in the order of the file.
+pub(crate) fn messages(path: &Path, topic: &str) -> Result<Messages> {
+    Ok(Box::new(Reader::open(path, Some(topic.to_owned()))?.map(|found| {
+        let Found { channel, log_time, data } = found?;
+        Ok(Message { log_time, encoding: channel.encoding.clone(), data })
+    })))
+}
+
+/// A channel, which has the messages of one writer to a topic.
+struct Channel {
+    topic: String,
+    schema: String,
+    encoding: String,
+}
+
+/// A message.
+struct Found {
+    channel: Arc<Channel>,
+    log_time: u64,
+    /// Empty if no topic is read.
+    data: Vec<u8>,
+}
+
+/// The messages of a file, in its order, or only those of a topic.
+struct Reader {
+    path: PathBuf,
+    file: BufReader<File>,
+    /// Bytes from here to the end of the file.
+    left: u64,
+    /// The longest record.
+    most: usize,
+    topic: Option<String>,
+    schemas: HashMap<u16, String>,
+    channels: HashMap<u16, Arc<Channel>>,
+    /// What was found in a chunk.
+    waiting: VecDeque<Result<Found>>,
+    has_ended: bool,
+}
+
+impl Reader {
+    fn open(path: &Path, topic: Option<String>) -> Result<Self> {
+        let io_error = |source| Error::Io { path: path.into(), source };
+        let file = File::open(path).map_err(io_error)?;
+        let length = file.metadata().map_err(io_error)?.len();
+        // A damaged length would otherwise take all memory. Lengths in messages of ROS have 32 bits.
+        let most = length.saturating_mul(MAX_EXPANSION as u64).min(u32::MAX.into()) as usize;
+        let mut reader = Self {
+            path: path.into(),
+            file: BufReader::with_capacity(1 << 20, file),
+            left: length,
+            most,
+            topic,
+            schemas: HashMap::new(),
+            channels: HashMap::new(),
+            waiting: VecDeque::new(),
+            has_ended: false,
+        };
+        if reader.bytes(MAGIC.len() as u64)? != MAGIC {
+            return Err(reader.refused("no MCAP file: it does not begin with the bytes 89 `MCAP0`"));
+        }
+        Ok(reader)
+    }
+
+    fn refused(&self, reason: impl Into<String>) -> Error {
+        Error::Format { path: self.path.clone(), reason: reason.into() }
+    }
+
+    fn cut(&self) -> Error {
+        self.refused("cut short; the messages before are read. To repair the file: mcap recover IN.mcap -o OUT.mcap")
+    }
+
+    fn io(&self, source: std::io::Error) -> Error {
+        Error::Io { path: self.path.clone(), source }
+    }
+
+    /// The next bytes, or fewer where the file ends.
+    fn bytes(&mut self, length: u64) -> Result<Vec<u8>> {
+        let mut bytes = Vec::new();
+        let length = length.min(self.left);
+        self.file.by_ref().take(length).read_to_end(&mut bytes).map_err(|source| self.io(source))?;
+        self.left -= length;
+        Ok(bytes)
+    }
+
+    fn skip(&mut self, length: u64) -> Result<()> {
+        let length = length.min(self.left);
+        self.file.seek_relative(length as i64).map_err(|source| self.io(source))?;
+        self.left -= length;
+        Ok(())
+    }
+
+    /// Reads the next record. What it has is found in `waiting`.
+    fn read_record(&mut self) -> Result<()> {
+        let head = self.bytes(9)?;
+        let Ok::<[u8; 9], _>([opcode, length @ ..]) = head.as_slice().try_into() else { return Err(self.cut()) };
+        let length = u64::from_le_bytes(length);
+        let is_whole = length <= self.left;
+        match opcode {
+            op::DATA_END => return self.check_end(),
+            op::CHUNK => {
+                let body = self.bytes(length)?;
+                self.read_chunk(&head, &body, is_whole);
+            }
+            op::SCHEMA | op::CHANNEL | op::MESSAGE if is_whole => {
+                let body = self.bytes(length)?;
+                if let Some(found) = self.add(opcode, &body)? {
+                    self.waiting.push_back(Ok(found));
+                }
+            }
+            0 => return Err(self.refused("damaged: a record of the kind 0")),
+            _ => self.skip(length)?,
+        }
+        if is_whole { Ok(()) } else { Err(self.cut()) }
+    }
+
+    /// The file goes on with a summary, which is not read, and ends as it began.
+    fn check_end(&mut self) -> Result<()> {
+        self.has_ended = true;
+        let end = MAGIC.len() as i64;
+        if self.left < MAGIC.len() as u64 {
+            return Err(self.cut());
+        }
+        self.file.seek(SeekFrom::End(-end)).map_err(|source| self.io(source))?;
+        self.left = end as u64;
+        if self.bytes(end as u64)? == MAGIC { Ok(()) } else { Err(self.cut()) }
+    }
+
+    /// Reads the messages of a chunk. Those of a damaged chunk are left out, because its checksum is for all of them;
+    /// those of a chunk that the end of the file cuts are kept.
+    fn read_chunk(&mut self, head: &[u8], body: &[u8], is_whole: bool) {
+        let options = LinearReaderOptions::default()
+            .with_skip_start_magic(true)
+            .with_skip_end_magic(true)
+            .with_validate_chunk_crcs(true)
+            .with_record_length_limit(self.most);
+        let mut reader = LinearReader::new_with_options(options);
+        let mut source = head.chain(body);
+        let mut messages = Vec::new();
+        let mut error = None;
+        while let (None, Some(event)) = (&error, reader.next_event()) {
+            match event {
+                Ok(LinearReadEvent::ReadRequest(length)) => match source.read(reader.insert(length)) {
+                    Ok(length) => reader.notify_read(length),
+                    Err(source) => error = Some(self.io(source)),
+                },
+                Ok(LinearReadEvent::Record { opcode, data }) => match self.add(opcode, data) {
+                    Ok(found) => messages.extend(found),
+                    Err(reason) => error = Some(reason),
+                },
+                Err(reason) => error = Some(self.failed(&reason)),
+            }
+        }
+        match error {
+            Some(error) if is_whole => self.waiting.push_back(Err(error)),
+            _ => self.waiting.extend(messages.into_iter().map(Ok)),
+        }
+    }
+
+    fn failed(&self, error: &McapError) -> Error {
+        match error {
+            McapError::UnsupportedCompression(name) => self.refused(format!(
+                "chunks compressed with `{name}`, which is not read; convert it: mcap compress --compression zstd IN.mcap -o \
+                 OUT.mcap"
+            )),
+            error => self.refused(format!("a chunk is damaged, and its messages are left out: {error}")),
+        }
+    }
+
+    /// Notes a schema or a channel, and returns a message of the topic.
+    fn add(&mut self, opcode: u8, body: &[u8]) -> Result<Option<Found>> {
+        match parse_record(opcode, body).map_err(|error| self.refused(format!("a record is damaged: {error}")))? {
+            Record::Schema { header, .. } => {
+                self.schemas.insert(header.id, header.name);
+            }
+            Record::Channel(channel) => {
+                let schema = self.schemas.get(&channel.schema_id).map_or("without a schema", |name| name);
+                let (schema, encoding) = (schema.to_owned(), channel.message_encoding);
+                self.channels.insert(channel.id, Arc::new(Channel { topic: channel.topic, schema, encoding }));
+            }
+            Record::Message { header, data } => {
+                let Some(channel) = self.channels.get(&header.channel_id) else {
+                    return Err(self.refused(format!("a message of channel {}, which is not there", header.channel_id)));
+                };
+                let data = match &self.topic {
+                    Some(topic) if *topic != channel.topic => return Ok(None),
+                    Some(_) => data.into_owned(),
+                    None => Vec::new(),
+                };
+                return Ok(Some(Found { channel: channel.clone(), log_time: header.log_time, data }));
+            }
+            _ => (),
+        }
+        Ok(None)
+    }
+}
+
+impl Iterator for Reader {
+    type Item = Result<Found>;
+
+    fn next(&mut self) -> Option<Self::Item> {
+        loop {
+            if let Some(found) = self.waiting.pop_front() {
+                return Some(found);
+            }
+            if self.has_ended {
+                return None;
+            }
+            if let Err(error) = self.read_record() {
+                self.has_ended = true;
+                self.waiting.push_back(Err(error));
+            }
+        }
+    }
+}

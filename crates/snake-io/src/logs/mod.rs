@@ -1,0 +1,12 @@
+//! Recordings of robots: MCAP, bags of ROS 2.
+
+pub(crate) mod bag_folder;
+pub(crate) mod mcap;
+pub(crate) mod message;
+pub(crate) mod recording;
+pub(crate) mod ros_message;
+#[cfg(feature = "rosbag2")]
+pub(crate) mod rosbag2;
+#[cfg(feature = "rosbag2")]
+pub(crate) mod sqlite_file;
+pub(crate) mod topics;

@@ -1,0 +1,439 @@
+//! Reads points from columns of text.
+
+pub(crate) mod columns;
+pub(crate) mod commas;
+pub(crate) mod doubts;
+pub(crate) mod header;
+pub(crate) mod lines;
+pub(crate) mod number;
+pub(crate) mod separator;
+
+use std::io::{self, Write};
+
+use crate::formats::shape::{Position, Shape};
+use crate::text::columns::{Columns, Indices};
+use crate::text::commas::COMMAS;
+use crate::text::doubts::{DecimalCommas, count};
+use crate::text::header::{Header, is_comment, is_units};
+use crate::text::lines::{Lines, no_position, text};
+use crate::text::number::{cell, number};
+use crate::text::separator::{Separator, without_brackets};
+use snake_geometry::{RigidTransform, excerpt};
+
+/// Titles above a header may take this many lines.
+const MAX_TITLE_LINES: usize = 20;
+
+/// Reads one point per line: x, y, z in the chosen columns, else in the columns that a header names, else in the first
+/// three. A first line with a single integer is the number of points.
+///
+/// The separator is chosen line by line: semicolons, else commas, else bars, else white space; below a header with tabs
+/// it is the tab. Separators within double quotes and brackets around a row are ignored. Blank lines and comments are
+/// ignored too, except that a comment can be the header. `nan` and `inf` are numbers; an empty cell and `NA` are `nan`.
+///
+/// Rows that can be read in two ways are refused, unless the columns are chosen by numbers.
+pub(crate) fn read(bytes: &[u8], columns: Option<&Columns>) -> Result<Shape, String> {
+    Ok(read_rows(bytes, columns, false)?.into())
+}
+
+/// Reads the same columns from a file that may hold several scans, with a line with its number of points above each.
+pub(crate) fn read_counted(bytes: &[u8], columns: Option<&Columns>) -> Result<Shape, String> {
+    Ok(read_rows(bytes, columns, true)?.into())
+}
+
+/// Four rows of four numbers, if a text consists of them.
+pub(crate) fn matrix(bytes: &[u8]) -> Option<[[f64; 4]; 4]> {
+    let row = |(_, line): (usize, &[u8])| -> Option<[f64; 4]> {
+        let numbers: Option<Vec<f64>> = text(line).split_whitespace().map(number).collect();
+        numbers?.try_into().ok()
+    };
+    let rows: Option<Vec<_>> = Lines::of_text(bytes).ok()?.take(5).map(row).collect();
+    rows?.try_into().ok()
+}
+
+/// Writes the four rows of a transform's matrix.
+pub(crate) fn write_rows(out: &mut dyn Write, transform: &RigidTransform) -> io::Result<()> {
+    for [a, b, c, d] in transform.to_matrix() {
+        writeln!(out, "{a} {b} {c} {d}")?;
+    }
+    Ok(())
+}
+
+fn read_rows(bytes: &[u8], columns: Option<&Columns>, in_blocks: bool) -> Result<Vec<Position>, String> {
+    let mut lines = Lines::of_text(bytes)?;
+    let mut above = Above { columns, comments: Vec::new(), header: None };
+    let (mut layout, mut blocks): (Option<Layout>, _) = (None, Blocks::default());
+    let (mut points, mut decimal_commas, mut first_line) = (Vec::new(), DecimalCommas::default(), 0);
+    while let Some((number, line)) = lines.next() {
+        if is_comment(line) {
+            // Any comment above the points can be the header.
+            if layout.is_none() {
+                above.comments.push(line);
+            }
+            continue;
+        }
+        let line = text(line);
+        let row = without_brackets(&line);
+        // The last bracket of an array stands alone.
+        if row.is_empty() {
+            continue;
+        }
+        if blocks.begins(row, number, points.len(), above.header.is_none() && layout.is_none(), in_blocks)? {
+            continue;
+        }
+        let layout = match &mut layout {
+            Some(layout) => layout,
+            None if above.is_heading(row, &lines) => continue,
+            none => {
+                first_line = number;
+                none.insert(above.layout(row).map_err(|reason| format!("line {number}: {reason}"))?)
+            }
+        };
+        points.push(layout.point(number, row)?);
+        if layout.is_guessed() && layout.separator == Separator::Char(b',') && !decimal_commas.is_excluded() {
+            decimal_commas.add(layout.separator.fields(row));
+        }
+    }
+    blocks.check(points.len())?;
+    if let Some(header) = above.header.filter(|header| layout.is_none() && !header.tells(columns)) {
+        return Err(format!("no points below `{}`", excerpt(&header.names.join(" "), 60)));
+    }
+    if let Some(layout) = layout.filter(Layout::is_guessed) {
+        decimal_commas.check()?;
+        if layout.width > 3 {
+            doubts::check_first_column(&points, first_line)?;
+        }
+        if points.len() == 4 && matrix(bytes).is_some_and(|rows| rows[3] == [0.0, 0.0, 0.0, 1.0]) {
+            return Err("the 4 x 4 matrix of a transform and no cloud; `register --initial` takes it".into());
+        }
+    }
+    Ok(points)
+}
+
+/// Lines with numbers of points, above all points or above each scan.
+#[derive(Default)]
+struct Blocks {
+    /// The number of the last such line and the number of points that it promises.
+    promised: Option<(usize, u64)>,
+    /// The number of points above that line.
+    above: usize,
+}
+
+impl Blocks {
+    /// Whether a line is the number of the points that follow: the first line, or with `in_blocks` the line after the
+    /// last point of a scan.
+    fn begins(
+        &mut self,
+        row: &str,
+        line: usize,
+        num_points: usize,
+        is_first: bool,
+        in_blocks: bool,
+    ) -> Result<bool, String> {
+        let is_next = match self.promised {
+            None => is_first,
+            Some((_, count)) => in_blocks && count == (num_points - self.above) as u64,
+        };
+        let count = is_next.then(|| row.trim().parse().ok()).flatten();
+        if let Some(count) = count {
+            (self.promised, self.above) = (Some((line, count)), num_points);
+        }
+        Ok(count.is_some())
+    }
+
+    fn check(&self, num_points: usize) -> Result<(), String> {
+        match self.promised {
+            Some((line, count)) if count != (num_points - self.above) as u64 => Err(format!(
+                "line {line} promises {count} points, {} follow; to read them all, remove this line: sed {line}d FILE > NEW",
+                num_points - self.above
+            )),
+            _ => Ok(()),
+        }
+    }
+}
+
+/// The lines above the points.
+struct Above<'a> {
+    columns: Option<&'a Columns>,
+    comments: Vec<&'a [u8]>,
+    header: Option<Header>,
+}
+
+impl Above<'_> {
+    /// Whether a line above the points is the header, a line of units below it, or a title above it.
+    fn is_heading(&mut self, line: &str, later: &Lines) -> bool {
+        let tells = |header: &Header| header.tells(self.columns);
+        if self.header.as_ref().is_some_and(tells) {
+            return is_units(line);
+        }
+        let header = Header::of(line);
+        if !header.as_ref().is_some_and(tells) {
+            let numbers = Separator::of(line, b";,|").fields(line).filter(|field| number(field).is_some()).count();
+            let mut later = later.clone().take(MAX_TITLE_LINES).filter_map(|(_, line)| Header::of(&text(line)));
+            if numbers < 3 && later.any(|header| tells(&header)) {
+                return true;
+            }
+            if self.header.is_some() || header.is_none() {
+                return false;
+            }
+        }
+        self.header = header;
+        true
+    }
+
+    /// The layout by the header, the comments above the first row and the chosen columns.
+    fn layout(&mut self, row: &str) -> Result<Layout, String> {
+        let mut header = match self.header.take() {
+            None => Header::among(&self.comments, row, self.columns)?,
+            header => header,
+        };
+        if let Some(header) = &mut header {
+            header.name_index(row);
+        }
+        let names = header.as_ref().map_or(&[][..], |header| &header.names);
+        let indices = match self.columns {
+            Some(columns) => columns.of_text(names)?,
+            None if header.is_none() => [0, 1, 2],
+            None => columns::known(names).ok_or_else(|| match names.len() < 3 {
+                true => doubts::no_header(names, row),
+                false => columns::cannot_tell(names),
+            })?,
+        };
+        let has_tabs = header.as_ref().is_some_and(|header| header.separator == Separator::Char(b'\t'));
+        let known: &[u8] = if has_tabs { b"\t" } else { b";,|" };
+        let separator = Separator::of(row, known);
+        let width = if names.is_empty() { separator.fields(row).count() } else { names.len() };
+        Ok(Layout {
+            columns: indices,
+            is_chosen: self.columns.is_some_and(Columns::are_numbers),
+            known,
+            separator,
+            width,
+            num_numbers: leading_numbers(row, separator),
+            header,
+        })
+    }
+}
+
+/// The positions of the coordinates in a row.
+struct Layout {
+    columns: Indices,
+    /// Whether the columns are chosen by numbers.
+    is_chosen: bool,
+    header: Option<Header>,
+    /// The separators that a row may have.
+    known: &'static [u8],
+    /// The separator of the last row.
+    separator: Separator,
+    /// The number of columns in the header, or without one in the first row.
+    width: usize,
+    /// The number of columns before the first one of the first row that is no number.
+    num_numbers: usize,
+}
+
+impl Layout {
+    /// Whether neither a header nor the caller says where the coordinates are.
+    fn is_guessed(&self) -> bool {
+        self.header.is_none() && !self.is_chosen
+    }
+
+    fn point(&mut self, number: usize, row: &str) -> Result<Position, String> {
+        if let Some((point, width)) = self.parse(row)
+            && width == self.width
+        {
+            return Ok(point);
+        }
+        self.separator = Separator::of(row, self.known);
+        let parsed = self.parse(row);
+        let explain = || no_position(number, row) + &doubts::explain(row, self.names(), self.separator);
+        let (point, width) = parsed.ok_or_else(explain)?;
+        if width != self.width && !self.is_chosen {
+            self.check_width(row, width).map_err(|reason| {
+                let shown = excerpt(row, 60);
+                format!(
+                    "line {number}: {reason} in `{shown}`; are these decimal commas, or an index? Choose the columns by \
+                     numbers, as in --columns 1,2,3, or {COMMAS}"
+                )
+            })?;
+        }
+        Ok(point)
+    }
+
+    /// The point and the number of columns in a row.
+    fn parse(&self, row: &str) -> Option<(Position, usize)> {
+        let (mut point, mut width) = ([None; 3], 0);
+        for (column, field) in self.separator.fields(row).enumerate() {
+            if let Some(axis) = self.columns.iter().position(|&c| c == column) {
+                point[axis] = Some(cell(field)?);
+            }
+            width = column + 1;
+        }
+        let [Some(x), Some(y), Some(z)] = point else { return None };
+        Some(([x, y, z], width))
+    }
+
+    /// Refuses a row whose number of columns shows that its columns are not those of the header or of the first row.
+    fn check_width(&self, row: &str, width: usize) -> Result<(), String> {
+        let Some(header) = &self.header else {
+            let numbers = leading_numbers(row, self.separator);
+            return match numbers == self.num_numbers {
+                true => Ok(()),
+                false => Err(format!("{}, {} in the first row,", count(numbers, "number"), self.num_numbers)),
+            };
+        };
+        let is_number = |field: &str| number(field).is_some();
+        let has_more = self.separator.fields(row).skip(self.width).any(is_number) && !header.is_open;
+        let has_less = width < self.width && self.separator == Separator::WhiteSpace;
+        match has_more || has_less {
+            true => Err(format!("{} below {}", count(width, "column"), count(self.width, "name"))),
+            false => Ok(()),
+        }
+    }
+
+    fn names(&self) -> &[String] {
+        self.header.as_ref().map_or(&[], |header| &header.names)
+    }
+}
+
+/// The number of columns before the first one that is no number.
+fn leading_numbers(row: &str, separator: Separator) -> usize {
+    separator.fields(row).take_while(|field| number(field).is_some()).count()
+}
+
+#[cfg(test)]
+mod tests {
+    use crate::tests::points;
+    use snake_geometry::Point;
+
+    fn read(bytes: &[u8]) -> Result<Vec<Point>, String> {
+        points(super::read(bytes, None))
+    }
+
+    fn read_counted(bytes: &[u8]) -> Result<Vec<Point>, String> {
+        points(super::read_counted(bytes, None))
+    }
+
+    const TWO: [Point; 2] = [[1.0, 2.0, 3.0], [-0.5, 1e-3, 7.0]];
+
+    #[test]
+    fn separators_comments_headers_and_line_ends() {
+        for text in [
+            "1 2 3\n-.5 1e-3 7.",
+            "1,2,3\r\n-0.5,0.001,7\r\n",
+            "x y z\r1 2 3\r-0.5 0.001 7\r",
+            "1; 2; 3; 255\n-0.5; 0.001; 7; 255\n\n",
+            "# x y z\n\n// more\n  1\t2   3\n  # between\n-0.5 +0.001 7",
+            "\u{feff}X Y Z red\n1 2 3 9\n-0.5 0.001 7 9\n",
+            "id,\"z\",\"y\",\"x\"\na,3,2,1\nb,7,0.001,-0.5\n",
+            "east,north,up,\n1,2,3,\n-0.5,0.001,7,\n",
+        ] {
+            assert_eq!(read(text.as_bytes()).unwrap(), TWO, "{text:?}");
+        }
+        for text in ["", "\n\r\n", "# nothing", "x,y,z\n"] {
+            assert!(read(text.as_bytes()).unwrap().is_empty(), "{text:?}");
+        }
+    }
+
+    #[test]
+    fn headers_of_peoples_tools_say_where_the_coordinates_are() {
+        for (program, text) in [
+            ("ParaView", "\"ring\",\"range\",\"Points:0\",\"Points:1\",\"Points:2\"\n9,8,1,2,3\n9,8,-0.5,1e-3,7\n"),
+            ("ParaView 5.13", "\"Points_0\",\"a:0\",\"Points_1\",\"Points_2\"\n1,9,2,3\n-0.5,9,1e-3,7\n"),
+            (
+                "VeloView",
+                "\"intensity\",\"laser_id\",\"Points_m_XYZ:0\",\"Points_m_XYZ:1\",\"Points_m_XYZ:2\"\n9,8,1,2,3\n9,8,-0.5,1e-3,7\n",
+            ),
+            (
+                "VeloView 3",
+                "\"Points_m_XYZ:0\",\"Points_m_XYZ:1\",\"Points_m_XYZ:2\",\"X\",\"Y\",\"Z\"\n1,2,3,1,2,3\n-.5,1e-3,7,-.5,1e-3,7\n",
+            ),
+            (
+                "Ouster",
+                "TIMESTAMP (ns), RANGE (mm), SIGNAL (photons), X (m), Y (m), Z (m)\n5,6,7,1,2,3\n5,6,7,-.5,1e-3,7\n",
+            ),
+            ("Ouster by NumPy", "# TIMESTAMP (ns), RANGE (mm), X (m), Y (m), Z (m)\n5,6,1,2,3\n5,6,-.5,1e-3,7\n"),
+            ("units between spaces", "Time [s] X (m) Y (m) Z (m)\n5 1 2 3\n5 -.5 1e-3 7\n"),
+            ("CloudCompare", "//R G B X Y Z\n9 9 9 1 2 3\n9 9 9 -.5 1e-3 7\n"),
+            ("CloudCompare with a count", "//X;Y;Z;Scalar_field\n2\n1;2;3;9\n-.5;1e-3;7;9\n"),
+            ("pandas", ",x,y,z\n0,1,2,3\n1,-.5,1e-3,7\n"),
+            ("pandas with tabs", "\tx\ty\tz\n0\t1\t2\t3\n1\t-.5\t1e-3\t7\n"),
+            ("pandas of an array", ",0,1,2\n0,1,2,3\n1,-.5,1e-3,7\n"),
+            ("pandas as text", "     x      y  z\n0  1.0  2.000  3\n1 -0.5  0.001  7\n"),
+            ("R", "\"x\" \"y\" \"z\"\n\"1\" 1 2 3\n\"2 b\" -.5 1e-3 7\n"),
+            (
+                "TUM",
+                "# ground truth\n# file: 'a b c.bag'\n# timestamp tx ty tz qx qy qz qw\n5 1 2 3 0 0 0 1\n6 -.5 1e-3 7 0 0 0 1\n",
+            ),
+            ("quoted text with commas", "name,x,y,z\n\"a, b\",\"1\",2,3\n\"c\",-.5,1e-3,7\n"),
+            ("tabs and an empty column", "id\tlabel\tX\tY\tZ\n1\t\t1\t2\t3\n2\tb c\t-.5\t1e-3\t7\n"),
+            ("byte order mark", "\u{feff}\"id\";\"X\";\"Y\";\"Z\"\n4;1;2;3\n5;-.5;1e-3;7\n"),
+        ] {
+            assert_eq!(read(text.as_bytes()).unwrap_or_else(|reason| panic!("{program}: {reason}")), TWO, "{program}");
+        }
+        // Prose is not a header.
+        for text in ["# made by me today\n1 2 3 9\n-.5 1e-3 7 9", "# x is east\n1 2 3\n-.5 1e-3 7"] {
+            assert_eq!(read(text.as_bytes()).unwrap(), TWO, "{text:?}");
+        }
+    }
+
+    #[test]
+    fn headers_that_tell_nothing_are_refused_with_their_columns() {
+        for text in [
+            "intensity,ring,range\n1,2,3\n",
+            "# intensity, ring, range\n1,2,3\n",
+            "time\tlat\tlon\talt\n1\t2\t3\t4\n",
+            "x,y,x,z\n1,2,3,4\n",
+            "Velocity:0,Velocity:1,Velocity:2\n1,2,3\n",
+        ] {
+            let reason = read(text.as_bytes()).unwrap_err();
+            assert!(reason.contains("--columns x,y,z"), "{reason}");
+        }
+        let reason = read(b"intensity,ring,range (mm)\n1,2,3\n").unwrap_err();
+        assert!(reason.ends_with("The columns are 1 `intensity`, 2 `ring`, 3 `range (mm)`"), "{reason}");
+    }
+
+    #[test]
+    fn columns_can_be_chosen() {
+        let read = |text: &str, columns: &str| points(super::read(text.as_bytes(), Some(&columns.parse().unwrap())));
+        let table = "t,lat,lon,alt\n9,1,2,3\n9,-.5,1e-3,7\n";
+        assert_eq!(read(table, "lat,lon,alt").unwrap(), TWO);
+        assert_eq!(read(table, "2,3,4").unwrap(), TWO);
+        assert_eq!(read("9 3 2 1\n9 7 1e-3 -.5\n", "4,3,2").unwrap(), TWO);
+        assert_eq!(read("# t a b c\n9 1 2 3\n9 -.5 1e-3 7\n", "a,b,c").unwrap(), TWO);
+        assert!(read(table, "x,y,z").unwrap_err().contains("no column `x`; the columns are 1 `t`, 2 `lat`"));
+        assert!(read("1 2 3\n", "x,y,z").unwrap_err().contains("no header"));
+        assert!(read("1 2 3\n", "2,3,4").unwrap_err().starts_with("line 1: no three coordinates"));
+    }
+
+    #[test]
+    fn numbers_that_are_not_finite_come_through() {
+        let points = read(b"nan -nan NaN\ninf -Infinity 1e99\n").unwrap();
+        assert!(points[0].iter().all(|v| v.is_nan()) && points[1].iter().all(|v| v.is_infinite()));
+    }
+
+    #[test]
+    fn bad_lines_are_named_and_shown() {
+        for (text, line, shown) in [
+            (&b"1 2 3\n1 2\n"[..], "line 2:", "`1 2`"),
+            (b"x y z\n\n1 two 3", "line 3:", "`1 two 3`"),
+            (b"x y z\nx y z\n", "line 2:", "`x y z`"),
+            (b"1,5;2,5;3,5", "line 1:", "`1,5;2,5;3,5`"),
+            (b"2.5\n1 2 3\n1 2 3", "line 1:", "`2.5`"),
+            (b"1 2 3\n1 \xff 3", "line 2:", "`1 \u{ff} 3`"),
+            (b"1 2\0 3", "line 1:", "`1 2  3`"),
+        ] {
+            let reason = read(text).unwrap_err();
+            assert!(reason.starts_with(line) && reason.contains(shown), "{reason}");
+        }
+        assert!(read("9".repeat(1 << 20).as_bytes()).unwrap_err().len() < 200);
+    }
+
+    #[test]
+    fn count_lines_are_checked() {
+        assert_eq!(read_counted(b"2\n1 2 3 0 255 0 0\n-0.5 1e-3 7 0 0 0 0\n").unwrap(), TWO);
+        assert_eq!(read_counted(b"# pts\n1 2 3\n-0.5 1e-3 7\n").unwrap(), TWO);
+        assert!(read_counted(b"0\n").unwrap().is_empty() && read_counted(b"").unwrap().is_empty());
+        for text in [&b"3\n1 2 3\n"[..], b"1000000000000\n1 2 3\n", b"1\n1 2 3\n1 2 3\n", b"2.5\n1 2 3"] {
+            read_counted(text).unwrap_err();
+        }
+    }
+}

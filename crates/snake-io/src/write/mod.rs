@@ -1,0 +1,211 @@
+//! Converts keypoints and clouds to the columns of a file.
+
+pub(crate) mod json;
+pub(crate) mod keypoint_source;
+pub(crate) mod mesh;
+#[cfg(feature = "parquet")]
+pub(crate) mod parquet;
+pub(crate) mod table;
+
+use std::io::{self, Write};
+use std::path::Path;
+
+use crate::format::{CloudFormat, KeypointFormat, extension};
+use crate::write::keypoint_source::KeypointSource;
+use crate::write::table::{Kind, Table};
+use crate::{Error, Result, write_atomically};
+use snake_geometry::{Keypoint, Point, add_origin};
+
+impl KeypointFormat {
+    /// Writes keypoints and adds the origin, except in PCD, whose coordinates have four bytes.
+    ///
+    /// # Errors
+    /// The errors of `out`; for PLY and PCD also an index that does not fit into their integers.
+    pub fn write(self, out: &mut dyn Write, keypoints: &[Keypoint], source: &KeypointSource) -> io::Result<()> {
+        let [x, y, z] = axes(source.origin);
+        let [saliency, occupancy] = ["saliency", "occupancy"].map(|name| (name, Kind::Float));
+        let index = ("nearest_index", Kind::Int);
+        let position = |keypoint: &Keypoint| add_origin(keypoint.position, source.origin);
+        let values = |k: &Keypoint| [k.saliency.into(), k.occupancy.into(), k.nearest_index as f64];
+        let num_rows = keypoints.len();
+        match self {
+            Self::Ply => {
+                let [red, green, blue] = ["red", "green", "blue"].map(|name| (name, Kind::Byte));
+                let rows = keypoints.iter().map(|keypoint| {
+                    let ([x, y, z], [saliency, occupancy, index]) = (position(keypoint), values(keypoint));
+                    let [red, green, blue] = color(keypoint.saliency).map(f64::from);
+                    [x, y, z, red, green, blue, saliency, occupancy, index]
+                });
+                let columns = [x, y, z, red, green, blue, saliency, occupancy, index];
+                Table { columns, num_rows, rows }.write_ply(out)
+            }
+            Self::Pcd => {
+                let [x, y, z] = axes([0.0; 3]);
+                let rows = keypoints.iter().map(|keypoint| {
+                    let ([x, y, z], [saliency, occupancy, index]) =
+                        (keypoint.position.map(f64::from), values(keypoint));
+                    let [red, green, blue] = color(keypoint.saliency);
+                    // PCL stores the bytes of a colour as the bits of a float.
+                    let rgb = f32::from_bits(u32::from_be_bytes([0, red, green, blue]));
+                    [x, y, z, rgb.into(), saliency, occupancy, index]
+                });
+                let columns = [x, y, z, ("rgb", Kind::Float), saliency, occupancy, index];
+                Table { columns, num_rows, rows }.write_pcd(out, source.origin)
+            }
+            Self::Npy | Self::Csv => {
+                let rows = keypoints.iter().map(|keypoint| {
+                    let ([x, y, z], [saliency, occupancy, index]) = (position(keypoint), values(keypoint));
+                    [x, y, z, saliency, occupancy, index]
+                });
+                let table = Table { columns: [x, y, z, saliency, occupancy, index], num_rows, rows };
+                if self == Self::Npy { table.write_npy(out) } else { table.write_csv(out) }
+            }
+            Self::Json => json::write(out, keypoints, source.origin),
+            Self::KeypointNet => json::write_keypointnet(out, keypoints, source),
+            #[cfg(feature = "laz")]
+            Self::Laz => crate::las::keypoints::write(out, keypoints, source),
+            #[cfg(feature = "parquet")]
+            Self::Parquet => parquet::write(out, keypoints, source),
+        }
+    }
+}
+
+impl CloudFormat {
+    /// Writes points `(N, 3)` and adds the origin, except in PCD, whose coordinates have four bytes.
+    ///
+    /// # Errors
+    /// The errors of `out`.
+    pub fn write(self, out: &mut dyn Write, points: &[Point], origin: [f64; 3]) -> io::Result<()> {
+        let num_rows = points.len();
+        let rows = points.iter().map(|&point| add_origin(point, origin));
+        let table = Table { columns: axes(origin), num_rows, rows };
+        match self {
+            Self::Ply => table.write_ply(out),
+            Self::Pcd => {
+                let rows = points.iter().map(|point| point.map(f64::from));
+                Table { columns: axes([0.0; 3]), num_rows, rows }.write_pcd(out, origin)
+            }
+            Self::Npy => table.write_npy(out),
+            Self::Xyz => table.write_lines(out, " "),
+            Self::Csv => table.write_csv(out),
+        }
+    }
+}
+
+/// The columns of the coordinates. Coordinates with an origin need eight bytes.
+pub(crate) fn axes(origin: [f64; 3]) -> [(&'static str, Kind); 3] {
+    let kind = if origin == [0.0; 3] { Kind::Float } else { Kind::Double };
+    ["x", "y", "z"].map(|axis| (axis, kind))
+}
+
+/// The colour of a saliency, from violet at 0 through green to yellow at 1 (five colours of viridis).
+fn color(saliency: f32) -> [u8; 3] {
+    const COLORS: [[u8; 3]; 5] = [[68, 1, 84], [59, 82, 139], [33, 145, 140], [94, 201, 98], [253, 231, 37]];
+    let place = saliency.clamp(0.0, 1.0) * (COLORS.len() - 1) as f32;
+    let low = (place as usize).min(COLORS.len() - 2);
+    let share = place - low as f32;
+    let mixed =
+        |channel: usize| f32::from(COLORS[low][channel]) * (1.0 - share) + f32::from(COLORS[low + 1][channel]) * share;
+    std::array::from_fn(|channel| mixed(channel).round() as u8)
+}
+
+/// Writes keypoints; the extension selects the format.
+///
+/// The file appears under its name once it is complete and replaces an earlier file of that name. Links and special
+/// files are treated as by [`write_atomically`].
+///
+/// # Errors
+/// [`Error::Format`] when the extension is not among [`KEYPOINT_EXTENSIONS`](crate::KEYPOINT_EXTENSIONS); [`Error::Io`] when the file cannot be
+/// written.
+pub fn write_keypoints(path: &Path, keypoints: &[Keypoint], source: &KeypointSource) -> Result<()> {
+    let format = KeypointFormat::from_path(path)?;
+    write_atomically(path, |file| format.write(file, keypoints, source))
+        .map_err(|source| Error::Io { path: path.into(), source })
+}
+
+/// Whether the writers add the origin to the coordinates in this file; otherwise these stay relative to the origin.
+pub fn adds_origin(path: &Path) -> bool {
+    !matches!(extension(path).as_str(), "pcd" | "stl")
+}
+
+/// Writes points `(N, 3)` and adds the origin if [`adds_origin`]. The file is written whole or not at all, as by
+/// [`write_keypoints`].
+///
+/// # Errors
+/// [`Error::Format`] when the extension is not among [`CLOUD_EXTENSIONS`](crate::CLOUD_EXTENSIONS); [`Error::Io`] when the file cannot be
+/// written.
+pub fn write_points(path: &Path, points: &[Point], origin: [f64; 3]) -> Result<()> {
+    let format = CloudFormat::from_path(path)?;
+    write_atomically(path, |file| format.write(file, points, origin))
+        .map_err(|source| Error::Io { path: path.into(), source })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::tests::KEYPOINTS;
+
+    fn written(format: KeypointFormat, origin: [f64; 3]) -> Vec<u8> {
+        let mut bytes = Vec::new();
+        format.write(&mut bytes, &KEYPOINTS, &KeypointSource { origin, ..Default::default() }).unwrap();
+        bytes
+    }
+
+    #[test]
+    fn text_is_short_and_exact() {
+        let text = String::from_utf8(written(KeypointFormat::Csv, [0.0; 3])).unwrap();
+        let expected =
+            "x,y,z,saliency,occupancy,nearest_index\n0.1,-2.5,0.0000003,0.75,0.5,7\n4,5,10000000,0.3,1,16777217\n";
+        assert_eq!(text, expected);
+        let far = String::from_utf8(written(KeypointFormat::Csv, [5e6, 0.0, 0.0])).unwrap();
+        assert!(far.contains("\n5000004,5,10000000,0.3,1,16777217\n") && far.contains("\n5000000.1"), "{far}");
+    }
+
+    #[test]
+    fn arrays_are_exact_and_aligned() {
+        let bytes = written(KeypointFormat::Npy, [0.0; 3]);
+        let data = &bytes[bytes.len() - 96..];
+        assert_eq!((bytes.len() - data.len()) % 64, 0);
+        assert_eq!(data[..8], f64::from(0.1_f32).to_le_bytes());
+        assert_eq!(data[88..], 16_777_217_f64.to_le_bytes());
+    }
+
+    #[test]
+    fn colors_follow_saliency() {
+        assert_eq!(
+            [0.0, 0.5, 1.0, f32::NAN, 7.0].map(color),
+            [[68, 1, 84], [33, 145, 140], [253, 231, 37], [0; 3], [253, 231, 37]]
+        );
+        assert_eq!(color(0.75), [94, 201, 98]);
+        let bytes = written(KeypointFormat::Pcd, [0.0; 3]);
+        let text = String::from_utf8_lossy(&bytes);
+        assert!(
+            text.contains(
+                "FIELDS x y z rgb saliency occupancy nearest_index\nSIZE 4 4 4 4 4 4 4\nTYPE F F F F F F I\n"
+            ),
+            "{text}"
+        );
+        // In little-endian order blue comes first.
+        assert_eq!(bytes[bytes.len() - 56..][12..16], [98, 201, 94, 0]);
+    }
+
+    #[test]
+    fn clouds_in_every_format_have_the_origin_added() {
+        let (points, origin) = ([[0.5, 0.25, -1.0], [0.1, 2.0, 3.0]], [500_000.0, 5_400_000.0, 0.0]);
+        let text = |format: CloudFormat, origin| {
+            let mut bytes = Vec::new();
+            format.write(&mut bytes, &points, origin).unwrap();
+            String::from_utf8_lossy(&bytes).into_owned()
+        };
+        assert_eq!(text(CloudFormat::Xyz, [0.0; 3]), "0.5 0.25 -1\n0.1 2 3\n");
+        assert!(text(CloudFormat::Xyz, origin).starts_with("500000.5 5400000.25 -1\n"));
+        assert!(text(CloudFormat::Csv, origin).starts_with("x,y,z\n500000.5,5400000.25,-1\n"));
+        assert!(text(CloudFormat::Ply, origin).contains("property double x\n"));
+        let pcd = text(CloudFormat::Pcd, origin);
+        assert!(pcd.contains("SIZE 4 4 4\n") && pcd.contains("\n# snake-rs origin 500000 5400000 0\n"), "{pcd}");
+        assert!(!text(CloudFormat::Pcd, [0.0; 3]).contains("origin"));
+        let keypoints = String::from_utf8_lossy(&written(KeypointFormat::Pcd, origin)).into_owned();
+        assert!(keypoints.contains("SIZE 4 4 4 4") && keypoints.contains("# snake-rs origin 500000"), "{keypoints}");
+        assert!(text(CloudFormat::Ply, [0.0; 3]).contains("property float x\n"));
+    }
+}
