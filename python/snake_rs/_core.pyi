@@ -118,6 +118,7 @@ class _DetectOptions(_Preset, total=False):
     selection: Literal["best-position", "reference-final-position"]
     surface_threshold: float
     saliency_threshold: float
+    min_confidence: float | None
     mode_radius: float | str | None
     nms_radius: float | str
     max_keypoints: int | None
@@ -311,6 +312,8 @@ class Keypoint:
     def occupancy(self) -> float: ...
     @property
     def nearest_index(self) -> int: ...
+    @property
+    def confidence(self) -> float | None: ...
 
 @final
 class Keypoints:
@@ -320,6 +323,7 @@ class Keypoints:
         saliency: NDArray[np.float32],
         occupancy: NDArray[np.float32],
         nearest_index: NDArray[np.int64],
+        confidence: NDArray[np.float32],
         num_skipped: int,
         counts: dict[str, int],
         timing_seconds: dict[str, float],
@@ -337,6 +341,8 @@ class Keypoints:
     def occupancy(self) -> NDArray[np.float32]: ...
     @property
     def nearest_index(self) -> NDArray[np.int64]: ...
+    @property
+    def confidence(self) -> NDArray[np.float32]: ...
     @property
     def num_skipped(self) -> int: ...
     @property

@@ -49,6 +49,7 @@ _KEYPOINT = pa.struct(
         ("saliency", pa.float32()),
         ("occupancy", pa.float32()),
         ("nearest_index", pa.int64()),
+        ("confidence", pa.float32()),
     ]
 )
 # What `DetectClouds` and `RegisterPairs` add beside the error.

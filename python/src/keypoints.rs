@@ -26,6 +26,8 @@ pub struct Keypoint {
     occupancy: f32,
     /// Index of the nearest input point.
     nearest_index: i64,
+    /// Probability in [0, 1] that another view finds it again; None if the model's file has no map of confidences.
+    confidence: Option<f32>,
 }
 
 #[pymethods]
@@ -54,6 +56,10 @@ pub struct Keypoints {
     /// Index (K,) int64 of the nearest input point, in the input array with its skipped points.
     #[pyo3(get)]
     nearest_index: Py<PyArray1<i64>>,
+    /// Confidence (K,) float32: the probability that another view of the same surface finds a keypoint again, within 4 % of the
+    /// radius of an object, two voxels of a scene; not a number if the model's file has no map of confidences.
+    #[pyo3(get)]
+    confidence: Py<PyArray1<f32>>,
     /// Number of input points that were skipped because they are not finite, or are outliers.
     #[pyo3(get)]
     num_skipped: usize,
@@ -91,6 +97,8 @@ impl Keypoints {
             saliency: arrays::values(py, keypoints.iter().map(|k| k.saliency).collect()).unbind(),
             occupancy: arrays::values(py, keypoints.iter().map(|k| k.occupancy).collect()).unbind(),
             nearest_index: arrays::values(py, keypoints.iter().map(|k| k.nearest_index as i64).collect()).unbind(),
+            confidence: arrays::values(py, keypoints.iter().map(|k| k.confidence.unwrap_or(f32::NAN)).collect())
+                .unbind(),
             num_skipped,
             counts: counts_dict(py, &counts)?.unbind(),
             timing_seconds: timing.into_py_dict(py)?.unbind(),
@@ -114,13 +122,14 @@ pub fn counts_dict<'py>(py: Python<'py>, counts: &Counts) -> PyResult<Bound<'py,
 #[pymethods]
 impl Keypoints {
     #[new]
-    #[pyo3(signature = (points, saliency, occupancy, nearest_index, num_skipped, counts, timing_seconds, descriptors=None))]
+    #[pyo3(signature = (points, saliency, occupancy, nearest_index, confidence, num_skipped, counts, timing_seconds, descriptors=None))]
     #[expect(clippy::too_many_arguments, reason = "the state of a pickle")]
     fn new(
         points: Positions,
         saliency: Py<PyArray1<f32>>,
         occupancy: Py<PyArray1<f32>>,
         nearest_index: Py<PyArray1<i64>>,
+        confidence: Py<PyArray1<f32>>,
         num_skipped: usize,
         counts: Py<PyDict>,
         timing_seconds: Py<PyDict>,
@@ -128,7 +137,18 @@ impl Keypoints {
     ) -> Self {
         let descriptors = descriptors.map_or_else(OnceLock::new, OnceLock::from);
         let cloud = None;
-        Self { points, saliency, occupancy, nearest_index, num_skipped, counts, timing_seconds, cloud, descriptors }
+        Self {
+            points,
+            saliency,
+            occupancy,
+            nearest_index,
+            confidence,
+            num_skipped,
+            counts,
+            timing_seconds,
+            cloud,
+            descriptors,
+        }
     }
 
     /// Reads keypoints from a file that `save` wrote (ply, pcd, npy, csv or json). They have neither counts nor times, and no
@@ -175,7 +195,7 @@ impl Keypoints {
         open3d.getattr("geometry")?.call_method1("PointCloud", (vector,))
     }
 
-    /// The columns x, y, z, saliency, occupancy and nearest_index, a dict of arrays (K,): `pandas.DataFrame(k.to_dict())`.
+    /// The columns x, y, z, saliency, occupancy, nearest_index and confidence, a dict of arrays (K,): `pandas.DataFrame(k.to_dict())`.
     fn to_dict<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyDict>> {
         let columns = PyDict::new(py);
         let points = self.points.bind(py);
@@ -185,6 +205,7 @@ impl Keypoints {
         columns.set_item("saliency", &self.saliency)?;
         columns.set_item("occupancy", &self.occupancy)?;
         columns.set_item("nearest_index", &self.nearest_index)?;
+        columns.set_item("confidence", &self.confidence)?;
         Ok(columns)
     }
 
@@ -194,10 +215,14 @@ impl Keypoints {
         let (cloud, _) = arrays::cloud("points", &self.points.bind(py))?;
         let (saliency, occupancy) = (self.saliency.bind(py).try_readonly()?, self.occupancy.bind(py).try_readonly()?);
         let nearest_index = self.nearest_index.bind(py).try_readonly()?;
-        let scores = saliency.as_slice()?.iter().zip(occupancy.as_slice()?).zip(nearest_index.as_slice()?);
-        let keypoint = |(&position, ((&saliency, &occupancy), &index)): (&Point, ((&f32, &f32), &i64))| {
-            core::Keypoint { position, saliency, occupancy, nearest_index: index as usize }
-        };
+        let confidence = self.confidence.bind(py).try_readonly()?;
+        let scores = saliency.as_slice()?.iter().zip(occupancy.as_slice()?).zip(confidence.as_slice()?);
+        let scores = scores.zip(nearest_index.as_slice()?);
+        let keypoint =
+            |(&position, (((&saliency, &occupancy), &confidence), &index)): (&Point, (((&f32, &f32), &f32), &i64))| {
+                let confidence = (!confidence.is_nan()).then_some(confidence);
+                core::Keypoint { position, saliency, occupancy, nearest_index: index as usize, confidence }
+            };
         let keypoints: Vec<core::Keypoint> = cloud.points.iter().zip(scores).map(keypoint).collect();
         let source = KeypointSource::new(&path, cloud.origin);
         py.detach(|| write_keypoints(&path, &keypoints, &source)).map_err(file_error)
@@ -236,11 +261,14 @@ impl Keypoints {
 
     fn __getitem__<'py>(&self, py: Python<'py>, index: &Bound<'py, PyAny>) -> PyResult<Bound<'py, PyAny>> {
         let points = self.points.bind(py).get_item(index)?;
-        let [saliency, occupancy] = [&self.saliency, &self.occupancy].map(|values| values.bind(py).get_item(index));
-        let (saliency, occupancy, nearest) = (saliency?, occupancy?, self.nearest_index.bind(py).get_item(index)?);
+        let [saliency, occupancy, confidence] =
+            [&self.saliency, &self.occupancy, &self.confidence].map(|values| values.bind(py).get_item(index));
+        let (saliency, occupancy, confidence) = (saliency?, occupancy?, confidence?);
+        let nearest = self.nearest_index.bind(py).get_item(index)?;
         if points.getattr("ndim")?.extract::<usize>()? == 1 {
             let (saliency, occupancy, nearest_index) = (saliency.extract()?, occupancy.extract()?, nearest.extract()?);
-            let keypoint = Keypoint { position: points.unbind(), saliency, occupancy, nearest_index };
+            let confidence = Some(confidence.extract::<f32>()?).filter(|probability| !probability.is_nan());
+            let keypoint = Keypoint { position: points.unbind(), saliency, occupancy, nearest_index, confidence };
             return Ok(Bound::new(py, keypoint)?.into_any());
         }
         let contiguous = |values: Bound<'py, PyAny>| values.call_method0("copy");
@@ -249,6 +277,7 @@ impl Keypoints {
             saliency: contiguous(saliency)?.extract()?,
             occupancy: contiguous(occupancy)?.extract()?,
             nearest_index: contiguous(nearest)?.extract()?,
+            confidence: contiguous(confidence)?.extract()?,
             num_skipped: self.num_skipped,
             counts: self.counts.clone_ref(py),
             timing_seconds: self.timing_seconds.clone_ref(py),
@@ -272,10 +301,12 @@ impl Keypoints {
     }
 
     fn __getnewargs__<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyTuple>> {
-        let Self { points, saliency, occupancy, nearest_index, num_skipped, counts, timing_seconds, .. } = self;
-        let state =
-            (points, saliency, occupancy, nearest_index, num_skipped, counts, timing_seconds, self.descriptors.get());
-        state.into_pyobject(py)
+        let Self {
+            points, saliency, occupancy, nearest_index, confidence, num_skipped, counts, timing_seconds, ..
+        } = self;
+        let descriptors = self.descriptors.get();
+        (points, saliency, occupancy, nearest_index, confidence, num_skipped, counts, timing_seconds, descriptors)
+            .into_pyobject(py)
     }
 
     fn __len__(&self, py: Python<'_>) -> PyResult<usize> {

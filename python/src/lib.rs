@@ -68,6 +68,7 @@ use tiled::{DetectedTiles, Tiles, tiles};
 ///     selection="best-position"     or "reference-final-position", as in the released code
 ///     surface_threshold=0.8         occupancy above which a position lies on the surface
 ///     saliency_threshold=0.07       least saliency of a keypoint
+///     min_confidence=None           least probability that another view finds a keypoint again
 ///     mode_radius="6%"              radius in which keypoints move to the mean of the candidates; 0: off
 ///     nms_radius="10%"              least distance of keypoints: cloud units, "3r" or "10%" of the cloud's radius; 0: off
 ///     max_keypoints=64              largest number of keypoints; None: no limit

@@ -234,7 +234,7 @@ impl DetectedTiles {
     }
 
     /// The keypoints of one tile, a dict of arrays (K,): `x`, `y`, `z`, `saliency`, `occupancy`, `nearest_index` (over all
-    /// files, in their order), `start`, the saliency where it started, and the voxel there, `cell_z`, `cell_y` and `cell_x`.
+    /// files, in their order), `confidence`, `start`, the saliency where it started, and the voxel there, `cell_z`, `cell_y` and `cell_x`.
     ///
     /// The keypoints of all tiles, sorted by falling saliency, then falling `start`, `cell_z`, `cell_y` and `cell_x`, are those of
     /// `Tiles.finish`, which also limits their number. Raises as `Tiles.detect`.
@@ -253,6 +253,8 @@ impl DetectedTiles {
         columns.set_item("occupancy", scores(|found| found.keypoint.occupancy))?;
         let nearest = found.iter().map(|found| found.keypoint.nearest_index as i64).collect();
         columns.set_item("nearest_index", arrays::values(py, nearest))?;
+        let confidence = found.iter().map(|found| found.keypoint.confidence.unwrap_or(f32::NAN)).collect();
+        columns.set_item("confidence", arrays::values(py, confidence))?;
         columns.set_item("start", arrays::values(py, found.iter().map(|found| found.start).collect()))?;
         for (axis, name) in [(2, "cell_z"), (1, "cell_y"), (0, "cell_x")] {
             columns.set_item(name, arrays::values(py, found.iter().map(|found| found.cell[axis]).collect()))?;

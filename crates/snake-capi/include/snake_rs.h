@@ -51,6 +51,8 @@ typedef struct SnakeKeypoint {
   float occupancy;
   /// Index of the nearest point of the cloud, of all its points.
   size_t nearest_index;
+  /// Probability that another view finds it again, 0 to 1; NaN if the model has no map of confidences.
+  float confidence;
 } SnakeKeypoint;
 
 /// The rigid transform between two clouds.

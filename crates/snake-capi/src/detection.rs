@@ -20,12 +20,14 @@ pub struct SnakeKeypoint {
     pub occupancy: f32,
     /// Index of the nearest point of the cloud, of all its points.
     pub nearest_index: usize,
+    /// Probability that another view finds it again, 0 to 1; NaN if the model has no map of confidences.
+    pub confidence: f32,
 }
 
 impl From<&Keypoint> for SnakeKeypoint {
     fn from(keypoint: &Keypoint) -> Self {
-        let Keypoint { position, saliency, occupancy, nearest_index } = *keypoint;
-        Self { position, saliency, occupancy, nearest_index }
+        let Keypoint { position, saliency, occupancy, nearest_index, confidence } = *keypoint;
+        Self { position, saliency, occupancy, nearest_index, confidence: confidence.unwrap_or(f32::NAN) }
     }
 }
 

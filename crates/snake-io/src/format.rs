@@ -155,7 +155,7 @@ pub enum KeypointFormat {
     Ply,
     /// Binary PCD points with the same fields.
     Pcd,
-    /// An array `(K, 6)` of `<f8`: x, y, z, saliency, occupancy, nearest_index.
+    /// An array `(K, 7)` of `<f8`: x, y, z, saliency, occupancy, nearest_index, confidence, which is not a number where it is not known.
     Npy,
     /// The same columns as text.
     Csv,

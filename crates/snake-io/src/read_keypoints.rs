@@ -14,9 +14,11 @@ use crate::{Error, Result};
 
 /// The columns of a file of keypoints; others, such as colours, are ignored.
 const COLUMNS: [&str; 6] = ["x", "y", "z", "saliency", "occupancy", "nearest_index"];
+/// The column that files of 2025 lack; a confidence that is not a number is none.
+const CONFIDENCE: &str = "confidence";
 const EXTENSIONS: &[&str] = &["ply", "pcd", "npy", "csv", "json"];
 
-type Row = [f64; 6];
+type Row = [f64; 7];
 
 /// Reads keypoints as [`write_keypoints`](crate::write_keypoints) writes them in PLY, PCD, NPY, CSV and JSON: the keypoints in
 /// the file's order, relative to an origin, and that origin, which is zero near zero.
@@ -25,7 +27,7 @@ type Row = [f64; 6];
 /// use snake_geometry::Keypoint;
 /// # let folder = tempfile::tempdir()?;
 /// # let path = folder.path().join("keypoints.csv");
-/// let keypoint = Keypoint { position: [1.0, 0.5, 2.0], saliency: 0.9, occupancy: 0.8, nearest_index: 7 };
+/// let keypoint = Keypoint { position: [1.0, 0.5, 2.0], saliency: 0.9, occupancy: 0.8, nearest_index: 7, confidence: Some(0.5) };
 /// snake_io::write_keypoints(&path, &[keypoint], &Default::default())?;
 /// assert_eq!(snake_io::read_keypoints(&path)?, (vec![keypoint], [0.0; 3]));
 /// # Ok::<(), Box<dyn std::error::Error>>(())
@@ -51,22 +53,24 @@ pub fn read_keypoints(path: &Path) -> Result<(Vec<Keypoint>, [f64; 3])> {
 fn keypoints(rows: &[Row], origin: [f64; 3]) -> (Vec<Keypoint>, [f64; 3]) {
     let positions = rows.iter().map(|&[x, y, z, ..]| std::array::from_fn(|axis| [x, y, z][axis] + origin[axis]));
     let cloud = Cloud::from_positions(positions);
-    let keypoint = |(&[.., saliency, occupancy, index], position): (&Row, Point)| Keypoint {
+    let keypoint = |(&[.., saliency, occupancy, index, confidence], position): (&Row, Point)| Keypoint {
         position,
         saliency: saliency as f32,
         occupancy: occupancy as f32,
         nearest_index: index as usize,
+        confidence: (!confidence.is_nan()).then_some(confidence as f32),
     };
     (rows.iter().zip(cloud.points).map(keypoint).collect(), cloud.origin)
 }
 
-/// The places of the columns among the names of a file.
-fn places(names: &[&str]) -> std::result::Result<[usize; 6], String> {
+/// The places of the columns among the names of a file; that of the confidence can be missing.
+fn places(names: &[&str]) -> std::result::Result<[Option<usize>; 7], String> {
     let place = |column: &&str| names.iter().position(|name| name == column);
     if let Some(missing) = COLUMNS.iter().find(|column| place(column).is_none()) {
         return Err(format!("no column `{missing}`, so these are not keypoints; the columns are {}", names.join(", ")));
     }
-    Ok(COLUMNS.map(|column| place(&column).unwrap_or_default()))
+    let [x, y, z, saliency, occupancy, index] = COLUMNS.map(|column| place(&column));
+    Ok([x, y, z, saliency, occupancy, index, place(&CONFIDENCE)])
 }
 
 fn csv(bytes: &[u8]) -> std::result::Result<Vec<Row>, String> {
@@ -76,9 +80,13 @@ fn csv(bytes: &[u8]) -> std::result::Result<Vec<Row>, String> {
     let places = places(&header)?;
     let row = |(number, line): (usize, &str)| {
         let fields: Vec<&str> = line.split(',').collect();
-        let value = |place: usize| fields.get(place).and_then(|field| field.parse().ok());
+        let value = |place: Option<usize>| match place {
+            Some(place) => fields.get(place).and_then(|field| field.parse().ok()),
+            None => Some(f64::NAN),
+        };
         let row: Option<Vec<f64>> = places.iter().map(|&place| value(place)).collect();
-        row.and_then(|row| row.try_into().ok()).ok_or_else(|| format!("line {}: not six numbers", number + 1))
+        row.and_then(|row| row.try_into().ok())
+            .ok_or_else(|| format!("line {}: not a number in each column", number + 1))
     };
     lines.map(row).collect()
 }
@@ -97,11 +105,13 @@ fn json(bytes: &[u8]) -> std::result::Result<Vec<Row>, String> {
         saliency: Option<f64>,
         occupancy: Option<f64>,
         nearest_index: u64,
+        confidence: Option<f64>,
     }
     let File { keypoints } = serde_json::from_slice(bytes).map_err(|error| error.to_string())?;
-    let row = |Entry { x, y, z, saliency, occupancy, nearest_index }: Entry| {
-        let [x, y, z, saliency, occupancy] = [x, y, z, saliency, occupancy].map(|value| value.unwrap_or(f64::NAN));
-        [x, y, z, saliency, occupancy, nearest_index as f64]
+    let row = |Entry { x, y, z, saliency, occupancy, nearest_index, confidence }: Entry| {
+        let [x, y, z, saliency, occupancy, confidence] =
+            [x, y, z, saliency, occupancy, confidence].map(|value| value.unwrap_or(f64::NAN));
+        [x, y, z, saliency, occupancy, nearest_index as f64, confidence]
     };
     Ok(keypoints.into_iter().map(row).collect())
 }
@@ -110,10 +120,14 @@ fn npy_rows(bytes: &[u8]) -> std::result::Result<Vec<Row>, String> {
     let columns = |columns: [usize; 3]| Columns(columns.map(Column::Index));
     let (first, second) = (columns([0, 1, 2]), columns([3, 4, 5]));
     let (positions, scores) = (npy::positions(bytes, Some(&first))?, npy::positions(bytes, Some(&second))?);
-    Ok(positions
-        .zip(scores)
-        .map(|([x, y, z], [saliency, occupancy, index])| [x, y, z, saliency, occupancy, index])
-        .collect())
+    let confidences: Option<Vec<f64>> = npy::positions(bytes, Some(&columns([6; 3])))
+        .ok()
+        .map(|rows| rows.map(|[confidence, ..]| confidence).collect());
+    let confidence = |row: usize| confidences.as_ref().map_or(f64::NAN, |all| all[row]);
+    let row = |(row, ([x, y, z], [saliency, occupancy, index])): (usize, ([f64; 3], [f64; 3]))| {
+        [x, y, z, saliency, occupancy, index, confidence(row)]
+    };
+    Ok(positions.zip(scores).enumerate().map(row).collect())
 }
 
 fn ply(bytes: &[u8]) -> std::result::Result<Vec<Row>, String> {
@@ -170,7 +184,7 @@ fn binary(columns: &[(&str, Kind)], num_rows: usize, data: &[u8]) -> std::result
     }
     let row = |mut bytes: &[u8]| {
         let values: Vec<f64> = columns.iter().map(|(_, kind)| kind.read(&mut bytes)).collect();
-        places.map(|place| values[place])
+        places.map(|place| place.map_or(f64::NAN, |place| values[place]))
     };
     Ok(data.chunks_exact(size).map(row).collect())
 }

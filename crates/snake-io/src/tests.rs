@@ -8,8 +8,14 @@ use super::*;
 use crate::formats::shape::Shape;
 
 pub(crate) const KEYPOINTS: [Keypoint; 2] = [
-    Keypoint { position: [0.1, -2.5, 3e-7], saliency: 0.75, occupancy: 0.5, nearest_index: 7 },
-    Keypoint { position: [4.0, 5.0, 1.0e7], saliency: 0.3, occupancy: 1.0, nearest_index: 16_777_217 },
+    Keypoint { position: [0.1, -2.5, 3e-7], saliency: 0.75, occupancy: 0.5, nearest_index: 7, confidence: Some(0.5) },
+    Keypoint {
+        position: [4.0, 5.0, 1.0e7],
+        saliency: 0.3,
+        occupancy: 1.0,
+        nearest_index: 16_777_217,
+        confidence: Some(0.25),
+    },
 ];
 
 /// The four points that every file in `good` and `velodyne` holds.

@@ -193,7 +193,7 @@ proptest! {
     fn written_keypoints_read_back(
         points in points(), saliency in 0_f32..1.0, occupancy in 0_f32..1.0, nearest_index in 0..1_usize << 31,
     ) {
-        let keypoint = |&position: &Point| Keypoint { position, saliency, occupancy, nearest_index };
+        let keypoint = |&position: &Point| Keypoint { position, saliency, occupancy, nearest_index, confidence: None };
         let keypoints: Vec<Keypoint> = points.iter().map(keypoint).collect();
         let _alone = checks::alone();
         let folder = tempfile::tempdir().unwrap();

@@ -110,11 +110,15 @@ impl TiledRun {
 
     /// Keypoints from candidates and the places of their tiles.
     fn with_nearest(&self, kept: Vec<(Candidate, [i32; 2])>, control: &Control) -> Result<Vec<TiledKeypoint>> {
+        let least = self.detector.options().detect.min_confidence;
+        let is_good = |candidate: &Candidate| least.is_none() || self.detector.confidence(candidate.saliency) >= least;
+        let kept: Vec<_> = kept.into_iter().filter(|(candidate, _)| is_good(candidate)).collect();
         let positions: Vec<Point> = kept.iter().map(|(candidate, _)| candidate.position).collect();
         let nearest = self.nearest(&positions, control)?;
         let keypoint = |((candidate, tile), nearest): ((Candidate, [i32; 2]), u64)| {
             let Candidate { position, saliency, occupancy, start, cell } = candidate;
-            let keypoint = Keypoint { position, saliency, occupancy, nearest_index: nearest as usize };
+            let confidence = self.detector.confidence(saliency);
+            let keypoint = Keypoint { position, saliency, occupancy, nearest_index: nearest as usize, confidence };
             TiledKeypoint { keypoint, tile, start, cell }
         };
         Ok(kept.into_iter().zip(nearest).map(keypoint).collect())

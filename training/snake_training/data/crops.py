@@ -44,16 +44,18 @@ def reaching(origins, directions, center, radius):
     return (along > 0) & (dot(offset, offset) - along**2 < radius**2)
 
 
-def depth_camera(eye, target, rng):
-    """(directions (R, 3) in the world) of an image of 640 x 480 pixels, every second or third of them; hand-held."""
+def depth_camera(eye, target, rng, step=None):
+    """Of an image of 640 x 480 pixels, hand-held: directions (R, 3) in the world of every `step`-th pixel, of every second or third
+    without it, row by row; and the rotation (3, 3) from the camera's frame to the world."""
     forward = (target - eye) / np.linalg.norm(target - eye)
     right = np.cross(forward, (0, 0, 1) + rng.normal(size=3) * 0.1)
     right /= np.linalg.norm(right)
-    step = rng.integers(2, 4)
+    step = step or rng.integers(2, 4)
     u, v = np.meshgrid(np.arange(0, 640, step) - 319.5, np.arange(0, 480, step) - 239.5)
     rays = np.stack([u, v], axis=-1).reshape(-1, 2) / 575
-    directions = forward + rays[:, :1] * right + rays[:, 1:] * np.cross(forward, right)
-    return directions / np.linalg.norm(directions, axis=1, keepdims=True)
+    down = np.cross(forward, right)
+    directions = forward + rays[:, :1] * right + rays[:, 1:] * down
+    return directions / np.linalg.norm(directions, axis=1, keepdims=True), np.stack([right, down, forward], axis=1)
 
 
 def spinning_lidar(rng, beams=None):
@@ -145,7 +147,7 @@ def room_views(world, size, rng, center, radius):
         images, at = [], eye
         quadratic = rng.uniform(0.0008, 0.004)
         for _ in range(1 if rng.random() < 0.45 else rng.integers(2, 7)):
-            rays = depth_camera(at, center + rng.normal(size=3) * 0.4, rng)
+            rays, _ = depth_camera(at, center + rng.normal(size=3) * 0.4, rng)
             view = View(np.broadcast_to(at, rays.shape), rays, 0.001, quadratic, 4.5, 0.4)
             points, clean = seen(world, view, center, radius, rng)
             left = holes(points, at, rng)

@@ -76,6 +76,10 @@ pub struct DetectFlags {
     /// Keep only keypoints whose saliency, 0 to 1, is above this threshold [default: 0.07].
     #[arg(long)]
     saliency_threshold: Option<f32>,
+    /// Keep only keypoints of at least this confidence, 0 to 1: the probability that another view finds them again, for models
+    /// whose file has a map from saliency to it; 0 keeps all [default: 0].
+    #[arg(long, value_name = "PROBABILITY")]
+    min_confidence: Option<f32>,
     /// Radius of non-maximum suppression: keypoints are farther apart than this. The radius is in cloud units, in
     /// multiples of the cloud's resolution, the mean distance between nearest points (`3r`), in per cent of the cloud's
     /// radius (`10%`), or in voxels (`4v`); 0 turns suppression off [default: 10%].
@@ -102,6 +106,7 @@ impl DetectFlags {
         let mut options = self.encode.resolve(loaded)?;
         let detect = &mut options.detect;
         override_with(&mut detect.saliency_threshold, self.saliency_threshold);
+        override_with(&mut detect.min_confidence, self.min_confidence.map(|least| (least != 0.0).then_some(least)));
         override_with(&mut detect.nms_radius, self.nms_radius.map(none_if_zero));
         override_with(&mut detect.max_keypoints, self.max_keypoints);
         Ok(options)

@@ -281,15 +281,18 @@ fn table(
     } else {
         let [x, y, z] = ["x", "y", "z"];
         report.heading(format!(
-            "{:>4} {x:>12} {y:>12} {z:>12} {:>9} {:>9} {:>8}",
-            "#", "saliency", "occupancy", "nearest"
+            "{:>4} {x:>12} {y:>12} {z:>12} {:>9} {:>10} {:>9} {:>8}",
+            "#", "saliency", "confidence", "occupancy", "nearest"
         ));
     }
     for (rank, k) in keypoints.iter().take(TABLE_ROWS).enumerate() {
         let [x, y, z] = add_origin(k.position, origin);
         let (saliency, occupancy, nearest) = (k.saliency, k.occupancy, k.nearest_index);
         let rank = rank + 1;
-        report.line(format!("{rank:>4} {x:>12.5} {y:>12.5} {z:>12.5} {saliency:>9.4} {occupancy:>9.4} {nearest:>8}"));
+        let confidence = k.confidence.map_or("-".into(), |probability| format!("{probability:.2}"));
+        report.line(format!(
+            "{rank:>4} {x:>12.5} {y:>12.5} {z:>12.5} {saliency:>9.4} {confidence:>10} {occupancy:>9.4} {nearest:>8}"
+        ));
     }
     match output {
         Some(output) if output == Path::new(DASH) => (),

@@ -20,7 +20,7 @@ const CLUSTERED: f64 = 2.0;
 /// ```
 /// use snake_core::{Keypoint, cluster_hint};
 /// let points: Vec<[f32; 3]> = (0..900).map(|i| [(i % 30) as f32, (i / 30) as f32, 0.0]).collect();
-/// let keypoint = |position| Keypoint { position, saliency: 0.9, occupancy: 0.9, nearest_index: 0 };
+/// let keypoint = |position| Keypoint { position, saliency: 0.9, occupancy: 0.9, nearest_index: 0, confidence: None };
 /// let clump: Vec<Keypoint> = (0..16).map(|i| keypoint([(i % 4) as f32, (i / 4) as f32, 0.0])).collect();
 /// assert!(cluster_hint(&points, &clump).is_some());
 /// ```
@@ -51,7 +51,9 @@ mod tests {
     use super::*;
 
     fn keypoints(positions: impl Iterator<Item = Point>) -> Vec<Keypoint> {
-        positions.map(|position| Keypoint { position, saliency: 1.0, occupancy: 1.0, nearest_index: 0 }).collect()
+        positions
+            .map(|position| Keypoint { position, saliency: 1.0, occupancy: 1.0, nearest_index: 0, confidence: None })
+            .collect()
     }
 
     fn square() -> Vec<Point> {

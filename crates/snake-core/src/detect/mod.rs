@@ -24,7 +24,7 @@ use crate::detect::options::Radii;
 use crate::detect::query_grid::{QueryGrid, above_occupancy, above_occupancy_of};
 use crate::detect::refine::{Refined, refine};
 use crate::field::{Field, Quantity};
-use crate::network::scene::cell_means;
+use crate::network::scene::{cell_means, clear_rims};
 use snake_geometry::{FinitePoints, Keypoint, Normalization, Point, nearest_points_into, suppress};
 use snake_kernels::{Element, Scratch};
 
@@ -123,6 +123,7 @@ impl Field {
         control: &Control,
     ) -> Result<Detection> {
         options.check(self.num_rotations())?;
+        self.network().check_confidence(options)?;
         control.get_limits().check_evaluations(&options.evaluations(self.num_rotations()))?;
         let radii = options.radii(self.points(), self.voxel_size())?;
         let candidates = Candidates::of(self, options, |_| true, control)?;
@@ -133,6 +134,13 @@ impl Field {
             Ok(occupancy)
         };
         let mut detection = finish(candidates, self.finite_points(), radii, options, occupancy, memory)?;
+        for keypoint in &mut detection.keypoints {
+            keypoint.confidence = self.network().confidence(keypoint.saliency);
+        }
+        if let Some(least) = options.min_confidence {
+            detection.keypoints.retain(|keypoint| keypoint.confidence >= Some(least));
+            detection.counts.keypoints = detection.keypoints.len();
+        }
         detection.num_skipped = self.num_skipped();
         detection.num_encoded = self.num_encoded();
         detection.normalization = Some(self.normalization());
@@ -161,20 +169,24 @@ impl Candidates {
     ) -> Result<Self> {
         let start = Instant::now();
         let threshold = options.occupancy_threshold;
+        let cells = field.volume().frame().is_none().then(|| cell_means(field));
         let (mut occupied, num_queries) = match field.volume().frame() {
             Some(frame) => {
                 let queries = QueryGrid::new(field, &frame, options);
                 (above_occupancy(field, &queries, threshold, control)?, options.query_resolution.pow(3))
             }
             None => {
-                let mut queries = cell_means(field);
+                let mut queries = cells.clone().unwrap_or_default();
                 queries.retain(|&query| owns(&field.normalization().to_cloud(query)));
                 (above_occupancy_of(field, &queries, threshold, control)?, queries.len())
             }
         };
         occupied.retain(|&query| owns(&field.normalization().to_cloud(query)));
         let occupancy_done = Instant::now();
-        let refined = refine(field, &occupied, options, control)?;
+        let mut refined = refine(field, &occupied, options, control)?;
+        if let Some(cells) = &cells {
+            clear_rims(&mut refined, cells)?;
+        }
         let mut candidates = above_saliency(field, &refined, options.saliency_threshold);
         candidates.timing.occupancy = (occupancy_done - start).as_secs_f64();
         candidates.timing.refine = occupancy_done.elapsed().as_secs_f64();
@@ -240,6 +252,7 @@ pub(crate) fn finish(
         saliency: scores[rank],
         occupancy: occupancy[rank],
         nearest_index: points.original_index(nearest[rank]),
+        confidence: None,
     };
     let mut keypoints = memory;
     keypoints.clear();

@@ -132,6 +132,9 @@ pub struct DetectOptions {
     pub surface_threshold: f32,
     /// Keypoints have a score above this (thr_s).
     pub saliency_threshold: f32,
+    /// Least [`Keypoint::confidence`](crate::Keypoint::confidence) of a keypoint, 0 to 1; `None`: no limit. It needs a model whose file
+    /// has a map of confidences.
+    pub min_confidence: Option<f32>,
     /// Radius of mode seeking: before suppression, three steps of mean shift move keypoints to the weighted mean of the
     /// candidates within this radius, then 0.85 and 0.7 of it, which is more precise than the best single query. `None` or 0:
     /// off, as in the paper.
@@ -157,6 +160,7 @@ setters!(DetectOptions {
     selection: Selection => with_selection,
     surface_threshold: f32 => with_surface_threshold,
     saliency_threshold: f32 => with_saliency_threshold,
+    min_confidence: Option<f32> => with_min_confidence,
     mode_radius: Option<Length> => with_mode_radius,
     nms_radius: Option<Length> => with_nms_radius,
     max_keypoints: usize => with_max_keypoints,
@@ -175,6 +179,7 @@ impl Default for DetectOptions {
             selection: Selection::BestPosition,
             surface_threshold: 0.8,
             saliency_threshold: 0.7,
+            min_confidence: None,
             mode_radius: None,
             nms_radius: Some(Length::Units(0.01)),
             max_keypoints: 64,
@@ -196,6 +201,7 @@ impl DetectOptions {
         within("occupancy_threshold", self.occupancy_threshold, 0.0..=1.0, "0 to 1")?;
         within("surface_threshold", self.surface_threshold, 0.0..=1.0, "0 to 1")?;
         within("saliency_threshold", self.saliency_threshold, 0.0..=1.0, "0 to 1")?;
+        within("min_confidence", self.min_confidence.unwrap_or(0.0), 0.0..=1.0, "0 to 1")?;
         for (name, length) in [("nms_radius", self.nms_radius), ("mode_radius", self.mode_radius)] {
             let Some(length) = length else { continue };
             let value = length.number();

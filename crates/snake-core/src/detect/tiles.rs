@@ -87,7 +87,7 @@ impl TileDetector {
             let name = model.metadata().get("name").map_or("a model of objects", String::as_str);
             return refused("model", name.into(), "`scenes` or another scene model in tiles");
         }
-        options.check(model.config())?;
+        model.network().check(options)?;
         if let Some(number) = options.encode.max_points {
             return refused("max_points", number.to_string(), "none in tiles");
         }
@@ -166,6 +166,11 @@ impl TileDetector {
     /// The options.
     pub fn options(&self) -> &Options {
         &self.options
+    }
+
+    /// The confidence of a keypoint of this score, see [`Keypoint::confidence`](crate::Keypoint::confidence).
+    pub fn confidence(&self, saliency: f32) -> Option<f32> {
+        self.network.confidence(saliency)
     }
 
     /// The radius of suppression in cloud units; 0 for no suppression.

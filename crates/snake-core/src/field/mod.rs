@@ -248,6 +248,11 @@ impl Field {
         self.num_encoded
     }
 
+    /// The network.
+    pub(crate) fn network(&self) -> &Network {
+        &self.network
+    }
+
     /// Number of rotated copies of the cloud that were encoded.
     pub(crate) fn num_rotations(&self) -> usize {
         self.views.len()

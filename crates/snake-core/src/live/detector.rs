@@ -42,7 +42,7 @@ impl Detector {
     /// # Errors
     /// [`Error::Option`](crate::Error::Option) when an option is out of its range.
     pub fn new(model: Model, options: Options) -> Result<Self> {
-        options.check(model.config())?;
+        model.network().check(&options)?;
         Ok(Self { model, options, memory: FieldMemory::default(), keypoints: Vec::new() })
     }
 

@@ -179,7 +179,7 @@ mod tests {
     use super::*;
 
     fn keypoint(x: f32) -> Keypoint {
-        Keypoint { position: [x, 0.0, 0.0], saliency: 1.0, occupancy: 1.0, nearest_index: 0 }
+        Keypoint { position: [x, 0.0, 0.0], saliency: 1.0, occupancy: 1.0, nearest_index: 0, confidence: None }
     }
 
     #[test]

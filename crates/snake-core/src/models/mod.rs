@@ -183,7 +183,7 @@ impl Model {
     /// # Errors
     /// The errors of [`Model::detect`]; [`Error::Cancelled`], [`Error::DeadlineExceeded`] and [`Error::LimitExceeded`].
     pub fn detect_with(&self, points: &[Point], options: &Options, control: &Control) -> Result<Detection> {
-        options.check(self.config())?;
+        self.network.check(options)?;
         control.get_limits().check_evaluations(&options.detect.evaluations(options.encode.rotations))?;
         let start = Instant::now();
         let field = self.encode_with(points, &options.encode, control)?;

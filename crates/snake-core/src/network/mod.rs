@@ -1,5 +1,6 @@
 //! A network: configuration, layers and metadata. Models and fields share it.
 
+pub(crate) mod confidence;
 pub(crate) mod config;
 pub(crate) mod decoder;
 pub(crate) mod encoder;
@@ -13,12 +14,13 @@ pub use self::volume::{Volume, VolumeFrame};
 
 use std::collections::BTreeMap;
 
-use crate::Result;
-use crate::detect::options::Options;
+use crate::detect::options::{DetectOptions, Options};
+use crate::network::confidence::ConfidenceMap;
 use crate::network::decoder::Decoder;
 use crate::network::encoder::Encoder;
 use crate::network::scene::SceneEncoder;
 use crate::network::weights::{Scope, Weights};
+use crate::{Error, Result};
 
 /// The encoder of a network, by the shape of its volume.
 #[derive(Debug)]
@@ -52,6 +54,8 @@ pub(crate) struct Network {
     pub(crate) metadata: BTreeMap<String, String>,
     pub(crate) recommended: Options,
     pub(crate) num_parameters: usize,
+    /// From scores to the probability that another view finds a keypoint again.
+    pub(crate) confidence: Option<ConfidenceMap>,
     /// The BLAKE3 digest of the weight file.
     pub(crate) digest: String,
     pub(crate) encoder: NetworkEncoder,
@@ -72,14 +76,38 @@ impl Network {
                     .map_err(|e| weights::error("recommended_options", "options of snake-rs as JSON", e.to_string()))?,
                 None => Options::default(),
             },
+            confidence: ConfidenceMap::from_weights(&file)?,
             encoder: NetworkEncoder::load(&file.at("encoder"), &config)?,
             occupancy: Decoder::occupancy(&file.at("decoder_occup"), &config)?,
             saliency: Decoder::saliency(&file.at("decoder_keypoint"), &config)?,
             num_parameters: file.num_parameters(),
             digest: blake3::hash(bytes).to_string(),
         };
-        network.recommended.check(&config)?;
+        network.check(&network.recommended)?;
         file.finish()?;
         Ok(network)
+    }
+
+    /// Refuses options that this network cannot serve.
+    pub(crate) fn check(&self, options: &Options) -> Result<()> {
+        options.check(&self.config)?;
+        self.check_confidence(&options.detect)
+    }
+
+    /// The probability that another view finds a keypoint of this score again.
+    pub(crate) fn confidence(&self, score: f32) -> Option<f32> {
+        self.confidence.as_ref().map(|map| map.at(score))
+    }
+
+    /// Refuses a least confidence without a map.
+    pub(crate) fn check_confidence(&self, options: &DetectOptions) -> Result<()> {
+        match options.min_confidence {
+            Some(least) if self.confidence.is_none() => {
+                let allowed =
+                    "none with this model, whose file has no map of confidences; snake_training.confidence fits one";
+                Err(Error::Option { name: "min_confidence", value: least.to_string(), allowed })
+            }
+            _ => Ok(()),
+        }
     }
 }

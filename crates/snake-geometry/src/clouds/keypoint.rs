@@ -6,7 +6,7 @@ use crate::Point;
 
 /// One keypoint, in the frame and units of the input cloud.
 ///
-/// Serde writes the keys x, y, z, saliency, occupancy and nearest_index.
+/// Serde writes the keys x, y, z, saliency, occupancy, nearest_index and confidence.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(from = "KeypointRecord", into = "KeypointRecord")]
 pub struct Keypoint {
@@ -19,6 +19,9 @@ pub struct Keypoint {
     pub occupancy: f32,
     /// Index of the nearest input point, in the cloud as it was given.
     pub nearest_index: usize,
+    /// Probability in [0, 1] that another view of the same surface finds it again: within 4 % of the radius of an object, two
+    /// voxels of a scene. `None` if the model's file has no map of confidences.
+    pub confidence: Option<f32>,
 }
 
 /// A [`Keypoint`] in files.
@@ -30,16 +33,18 @@ struct KeypointRecord {
     saliency: f32,
     occupancy: f32,
     nearest_index: usize,
+    #[serde(default)]
+    confidence: Option<f32>,
 }
 
 impl From<Keypoint> for KeypointRecord {
-    fn from(Keypoint { position: [x, y, z], saliency, occupancy, nearest_index }: Keypoint) -> Self {
-        Self { x, y, z, saliency, occupancy, nearest_index }
+    fn from(Keypoint { position: [x, y, z], saliency, occupancy, nearest_index, confidence }: Keypoint) -> Self {
+        Self { x, y, z, saliency, occupancy, nearest_index, confidence }
     }
 }
 
 impl From<KeypointRecord> for Keypoint {
-    fn from(KeypointRecord { x, y, z, saliency, occupancy, nearest_index }: KeypointRecord) -> Self {
-        Self { position: [x, y, z], saliency, occupancy, nearest_index }
+    fn from(KeypointRecord { x, y, z, saliency, occupancy, nearest_index, confidence }: KeypointRecord) -> Self {
+        Self { position: [x, y, z], saliency, occupancy, nearest_index, confidence }
     }
 }

@@ -1,4 +1,4 @@
-//! Writes keypoints as LAZ 1.4 of point format 0, with saliency, occupancy and nearest_index as extra dimensions, which PDAL
+//! Writes keypoints as LAZ 1.4 of point format 0, with saliency, occupancy, nearest_index and confidence as extra dimensions, which PDAL
 //! does not look for in earlier versions.
 
 use std::io::{self, Cursor, Write};
@@ -15,10 +15,10 @@ const HEADER: u16 = 375;
 const RECORD_HEADER: u16 = 54;
 
 /// Bytes of the extra dimensions of a point.
-const EXTRA: u16 = 16;
+const EXTRA: u16 = 20;
 
 /// The extra dimensions with their types: 9 is `f32`, 7 is `u64`.
-const DIMENSIONS: [(&str, u8); 3] = [("saliency", 9), ("occupancy", 9), ("nearest_index", 7)];
+const DIMENSIONS: [(&str, u8); 4] = [("saliency", 9), ("occupancy", 9), ("nearest_index", 7), ("confidence", 9)];
 
 /// Writes keypoints. Coordinates are rounded to a power of ten that divides the extent into at least 200 million parts, the
 /// intensity is the saliency, and the coordinate reference system is given by its EPSG code.
@@ -74,6 +74,7 @@ pub(crate) fn write(out: &mut dyn Write, keypoints: &[Keypoint], source: &Keypoi
         record.resize(20, 0);
         record.extend([keypoint.saliency, keypoint.occupancy].iter().flat_map(|v| v.to_le_bytes()));
         record.extend((keypoint.nearest_index as u64).to_le_bytes());
+        record.extend(keypoint.confidence.unwrap_or(f32::NAN).to_le_bytes());
         compressor.compress_one(&record)?;
     }
     compressor.done()?;

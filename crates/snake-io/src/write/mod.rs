@@ -23,41 +23,43 @@ impl KeypointFormat {
     /// The errors of `out`; for PLY and PCD also an index that does not fit into their integers.
     pub fn write(self, out: &mut dyn Write, keypoints: &[Keypoint], source: &KeypointSource) -> io::Result<()> {
         let [x, y, z] = axes(source.origin);
-        let [saliency, occupancy] = ["saliency", "occupancy"].map(|name| (name, Kind::Float));
+        let [saliency, occupancy, confidence] = ["saliency", "occupancy", "confidence"].map(|name| (name, Kind::Float));
         let index = ("nearest_index", Kind::Int);
         let position = |keypoint: &Keypoint| add_origin(keypoint.position, source.origin);
-        let values = |k: &Keypoint| [k.saliency.into(), k.occupancy.into(), k.nearest_index as f64];
+        let values = |k: &Keypoint| {
+            [k.saliency.into(), k.occupancy.into(), k.nearest_index as f64, k.confidence.unwrap_or(f32::NAN).into()]
+        };
         let num_rows = keypoints.len();
         match self {
             Self::Ply => {
                 let [red, green, blue] = ["red", "green", "blue"].map(|name| (name, Kind::Byte));
                 let rows = keypoints.iter().map(|keypoint| {
-                    let ([x, y, z], [saliency, occupancy, index]) = (position(keypoint), values(keypoint));
+                    let ([x, y, z], [saliency, occupancy, index, confidence]) = (position(keypoint), values(keypoint));
                     let [red, green, blue] = color(keypoint.saliency).map(f64::from);
-                    [x, y, z, red, green, blue, saliency, occupancy, index]
+                    [x, y, z, red, green, blue, saliency, occupancy, index, confidence]
                 });
-                let columns = [x, y, z, red, green, blue, saliency, occupancy, index];
+                let columns = [x, y, z, red, green, blue, saliency, occupancy, index, confidence];
                 Table { columns, num_rows, rows }.write_ply(out)
             }
             Self::Pcd => {
                 let [x, y, z] = axes([0.0; 3]);
                 let rows = keypoints.iter().map(|keypoint| {
-                    let ([x, y, z], [saliency, occupancy, index]) =
+                    let ([x, y, z], [saliency, occupancy, index, confidence]) =
                         (keypoint.position.map(f64::from), values(keypoint));
                     let [red, green, blue] = color(keypoint.saliency);
                     // PCL stores the bytes of a colour as the bits of a float.
                     let rgb = f32::from_bits(u32::from_be_bytes([0, red, green, blue]));
-                    [x, y, z, rgb.into(), saliency, occupancy, index]
+                    [x, y, z, rgb.into(), saliency, occupancy, index, confidence]
                 });
-                let columns = [x, y, z, ("rgb", Kind::Float), saliency, occupancy, index];
+                let columns = [x, y, z, ("rgb", Kind::Float), saliency, occupancy, index, confidence];
                 Table { columns, num_rows, rows }.write_pcd(out, source.origin)
             }
             Self::Npy | Self::Csv => {
                 let rows = keypoints.iter().map(|keypoint| {
-                    let ([x, y, z], [saliency, occupancy, index]) = (position(keypoint), values(keypoint));
-                    [x, y, z, saliency, occupancy, index]
+                    let ([x, y, z], [saliency, occupancy, index, confidence]) = (position(keypoint), values(keypoint));
+                    [x, y, z, saliency, occupancy, index, confidence]
                 });
-                let table = Table { columns: [x, y, z, saliency, occupancy, index], num_rows, rows };
+                let table = Table { columns: [x, y, z, saliency, occupancy, index, confidence], num_rows, rows };
                 if self == Self::Npy { table.write_npy(out) } else { table.write_csv(out) }
             }
             Self::Json => json::write(out, keypoints, source.origin),
@@ -154,20 +156,19 @@ mod tests {
     #[test]
     fn text_is_short_and_exact() {
         let text = String::from_utf8(written(KeypointFormat::Csv, [0.0; 3])).unwrap();
-        let expected =
-            "x,y,z,saliency,occupancy,nearest_index\n0.1,-2.5,0.0000003,0.75,0.5,7\n4,5,10000000,0.3,1,16777217\n";
+        let expected = "x,y,z,saliency,occupancy,nearest_index,confidence\n0.1,-2.5,0.0000003,0.75,0.5,7,0.5\n4,5,10000000,0.3,1,16777217,0.25\n";
         assert_eq!(text, expected);
         let far = String::from_utf8(written(KeypointFormat::Csv, [5e6, 0.0, 0.0])).unwrap();
-        assert!(far.contains("\n5000004,5,10000000,0.3,1,16777217\n") && far.contains("\n5000000.1"), "{far}");
+        assert!(far.contains("\n5000004,5,10000000,0.3,1,16777217,0.25\n") && far.contains("\n5000000.1"), "{far}");
     }
 
     #[test]
     fn arrays_are_exact_and_aligned() {
         let bytes = written(KeypointFormat::Npy, [0.0; 3]);
-        let data = &bytes[bytes.len() - 96..];
+        let data = &bytes[bytes.len() - 112..];
         assert_eq!((bytes.len() - data.len()) % 64, 0);
         assert_eq!(data[..8], f64::from(0.1_f32).to_le_bytes());
-        assert_eq!(data[88..], 16_777_217_f64.to_le_bytes());
+        assert_eq!(data[96..104], 16_777_217_f64.to_le_bytes());
     }
 
     #[test]
@@ -181,12 +182,12 @@ mod tests {
         let text = String::from_utf8_lossy(&bytes);
         assert!(
             text.contains(
-                "FIELDS x y z rgb saliency occupancy nearest_index\nSIZE 4 4 4 4 4 4 4\nTYPE F F F F F F I\n"
+                "FIELDS x y z rgb saliency occupancy nearest_index confidence\nSIZE 4 4 4 4 4 4 4 4\nTYPE F F F F F F I F\n"
             ),
             "{text}"
         );
         // In little-endian order blue comes first.
-        assert_eq!(bytes[bytes.len() - 56..][12..16], [98, 201, 94, 0]);
+        assert_eq!(bytes[bytes.len() - 64..][12..16], [98, 201, 94, 0]);
     }
 
     #[test]

@@ -19,7 +19,7 @@ use crate::write::keypoint_source::KeypointSource;
 /// Rows that are written together.
 const ROWS: usize = 1 << 18;
 
-/// Writes the columns `geometry` (WKB points with z), x, y, z, saliency, occupancy and nearest_index, and `tile` if the
+/// Writes the columns `geometry` (WKB points with z), x, y, z, saliency, occupancy, nearest_index and confidence, and `tile` if the
 /// keypoints have tiles.
 pub(crate) fn write(out: &mut dyn Write, keypoints: &[Keypoint], source: &KeypointSource) -> io::Result<()> {
     // The writer of the crate must be `Send`, which `out` is not.
@@ -33,7 +33,7 @@ fn write_bytes(out: &mut Vec<u8>, keypoints: &[Keypoint], source: &KeypointSourc
     let tile = if has_tiles { "required binary tile (UTF8);" } else { "" };
     let schema = parse_message_type(&format!(
         "message keypoints {{ required binary geometry; required double x; required double y; required double z;
-         required float saliency; required float occupancy; required int64 nearest_index; {tile} }}"
+         required float saliency; required float occupancy; required int64 nearest_index; required float confidence; {tile} }}"
     ))?;
     let mut metadata = vec![KeyValue::new("geo".into(), geo(keypoints, source).to_string())];
     if let Some(Crs { wkt: Some(wkt), .. }) = &source.crs {
@@ -55,6 +55,7 @@ fn write_bytes(out: &mut Vec<u8>, keypoints: &[Keypoint], source: &KeypointSourc
         column::<FloatType>(&mut group, keypoints.iter().map(|k| k.saliency))?;
         column::<FloatType>(&mut group, keypoints.iter().map(|k| k.occupancy))?;
         column::<Int64Type>(&mut group, keypoints.iter().map(|k| k.nearest_index as i64))?;
+        column::<FloatType>(&mut group, keypoints.iter().map(|k| k.confidence.unwrap_or(f32::NAN)))?;
         if has_tiles {
             let tiles = &source.tiles[number * ROWS..][..keypoints.len()];
             column::<ByteArrayType>(&mut group, tiles.iter().map(|[x, y]| format!("{x}_{y}").into_bytes().into()))?;
@@ -177,7 +178,7 @@ mod tests {
             assert_eq!(row.get_bytes(0).unwrap().data()[5..13], position[0].to_le_bytes());
             assert_eq!([4, 5].map(|column| row.get_float(column).unwrap()), [keypoint.saliency, keypoint.occupancy]);
             assert_eq!(row.get_long(6).unwrap(), keypoint.nearest_index as i64);
-            assert_eq!(row.get_string(7).unwrap(), tile);
+            assert_eq!(row.get_string(8).unwrap(), tile);
         }
         let metadata = reader.metadata().file_metadata().key_value_metadata().unwrap();
         let value = |key: &str| metadata.iter().find(|pair| pair.key == key).and_then(|pair| pair.value.clone());

@@ -8,6 +8,7 @@ mod block_grid;
 mod encoder;
 mod levels;
 mod queries;
+mod rims;
 mod scatter;
 #[cfg(test)]
 mod tests;
@@ -16,3 +17,4 @@ mod unet;
 pub(crate) use self::block_grid::BlockGrid;
 pub(crate) use self::encoder::{SceneEncoder, SceneMemory};
 pub(crate) use self::queries::cell_means;
+pub(crate) use self::rims::clear_rims;

@@ -1,0 +1,159 @@
+"""Fits the map from a keypoint's score to the probability that another view finds it again, and writes it into a weight file:
+
+    python -m snake_training.confidence compact.safetensors --objects CORPUS/val --rotations 1 4
+    python -m snake_training.confidence scenes.safetensors --pairs FRAMES SWEEPS --test SCENES
+
+Half of the objects or of the pairs is for the fit, the other half for the expected calibration error that is printed; folders of
+`--test` are only for that. Detection is that of snake-rs with the options that the file recommends. A keypoint is found again if one
+of the other view lies within 4 % of the radius of an object, or two voxels of a scene. In a scene only keypoints count whose place
+the other view saw: one of its points lies within a voxel. The tensors and their digest stay.
+"""
+
+import argparse
+import json
+from pathlib import Path
+
+import numpy as np
+from safetensors import safe_open
+from safetensors.numpy import load_file, save_file
+from scipy.spatial import cKDTree
+
+from .data import open_shapes
+from .evaluate import view_pairs
+from .export import replacing
+
+OBJECT_REACH, SCENE_REACH, SEEN = 0.04, 2.0, 1.0  # radii; voxels; voxels
+
+
+def repeated(points, others, reach):
+    """Whether each of the keypoints (K, 3) has one of the others (L, 3) within `reach`: (K,)."""
+    return cKDTree(others).query(points)[0] <= reach if len(others) else np.zeros(len(points), bool)
+
+
+def of_objects(model, shapes, number, points, rotations):
+    """A list of (scores (K,), whether they are found again (K,)) of objects, both of whose views are turned and sampled anew."""
+    rows = []
+    for first, second, turn in view_pairs(shapes, number, points, 0):
+        found = [model.encode(cloud.astype(np.float32), rotations=rotations).detect() for cloud in (first, second)]
+        moved = found[1].points @ turn.T
+        hits = repeated(found[0].points, moved, OBJECT_REACH), repeated(moved, found[0].points, OBJECT_REACH)
+        rows.append((np.concatenate([view.saliency for view in found]), np.concatenate(hits)))
+    return rows
+
+
+def of_pairs(model, folder, number):
+    """The same of pairs of scenes, a folder with `pairs.json`."""
+    listed, clouds, rows = json.loads((folder / "pairs.json").read_text()), {}, []
+
+    def cloud(name):
+        if name not in clouds:
+            points = np.load(folder / f"{name}.npy")[:, :3].astype(np.float32)
+            field = model.encode(points)
+            clouds[name] = field.detect(), cKDTree(points), field.normalization[1]
+        return clouds[name]
+
+    for row in np.linspace(0, len(listed) - 1, min(number, len(listed))).round().astype(int):
+        pair = listed[row]
+        matrix, both = np.array(pair.get("T_icp") or pair["T"]), [cloud(pair[end]) for end in ("source", "target")]
+        scores, hits = [], []
+        for (view, _, voxel), (other, tree, _), t in zip(both, both[::-1], (matrix, np.linalg.inv(matrix)), strict=True):
+            moved = view.points @ t[:3, :3].T + t[:3, 3]
+            is_seen = tree.query(moved)[0] <= SEEN * voxel
+            scores.append(view.saliency[is_seen])
+            hits.append(repeated(moved[is_seen], other.points, SCENE_REACH * voxel))
+        rows.append((np.concatenate(scores), np.concatenate(hits)))
+    return rows
+
+
+def isotonic(values, weights):
+    """The non-decreasing sequence nearest to `values` (N,) by weighted squares: pool adjacent violators."""
+    blocks = []
+    for value, weight in zip(values, weights, strict=True):
+        blocks.append([value, weight, 1])
+        while len(blocks) > 1 and blocks[-2][0] >= blocks[-1][0]:
+            value, weight, length = blocks.pop()
+            last = blocks[-1]
+            last[0] = (last[0] * last[1] + value * weight) / (last[1] + weight)
+            last[1] += weight
+            last[2] += length
+    return np.concatenate([np.full(length, value) for value, _, length in blocks])
+
+
+def fit(scores, hits, weights, number=12):
+    """At most `number` knots (K, 2) of score and probability: scores in bins of equal weight, isotonic."""
+    order = scores.argsort()
+    share = np.cumsum(weights[order]) / weights.sum()
+    bins = np.minimum((share * number).astype(int), number - 1)
+    mean = lambda values, of: (values * of).sum() / of.sum()  # noqa: E731
+    rows = [order[bins == one] for one in range(number) if (bins == one).any()]
+    score = np.array([mean(scores[row], weights[row]) for row in rows])
+    probability = isotonic([mean(hits[row], weights[row]) for row in rows], [weights[row].sum() for row in rows])
+    knots = [[round(float(s), 4), round(float(p), 4)] for s, p in zip(score, probability, strict=True)]
+    return [knot for knot, last in zip(knots, [None, *knots]) if last is None or knot[0] > last[0]]
+
+
+def calibration_error(knots, scores, hits, bins=10):
+    """The expected calibration error: the mean distance of mean confidence and share found again, in bins of equal number."""
+    confidence = np.interp(scores, *np.transpose(knots))
+    parts = np.array_split(scores.argsort(), bins)
+    return sum(len(part) * abs(confidence[part].mean() - hits[part].mean()) for part in parts if len(part)) / len(scores)
+
+
+def joined(rows):
+    """Scores and hits of all rows."""
+    return tuple(np.concatenate(column) for column in zip(*rows, strict=True))
+
+
+def write_map(path, knots):
+    """Writes the map into a weight file's metadata; nothing else changes."""
+    with safe_open(path, "numpy") as file:
+        metadata = file.metadata()
+    tensors = load_file(path)
+    with replacing(path) as temporary:
+        save_file(tensors, temporary, metadata=metadata | {"confidence": json.dumps(knots)})
+
+
+def main(argv=None):
+    """Command line."""
+    parser = argparse.ArgumentParser(
+        prog="python -m snake_training.confidence", description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("weights", help="weight file, which gets the map")
+    parser.add_argument("--objects", help="corpus folder, or folder of clouds")
+    parser.add_argument("--pairs", nargs="*", default=[], help="folders of scenes with pairs.json")
+    parser.add_argument("--test", nargs="*", default=[], help="folders of scenes that are only measured")
+    parser.add_argument("--number", type=int, default=200, help="objects, or pairs of a folder, at most")
+    parser.add_argument("--num-points", type=int, default=5000, help="points of an object's view")
+    parser.add_argument("--rotations", type=int, nargs="+", default=[1], help="of objects; one map serves all")
+    parser.add_argument("--dry-run", action="store_true", help="do not write")
+    arguments = parser.parse_args(argv)
+    if not arguments.objects and not arguments.pairs:
+        parser.error("--objects or --pairs is needed")
+    import snake_rs
+
+    try:
+        model = snake_rs.Model.load(arguments.weights)
+        sets = {folder: of_pairs(model, Path(folder), arguments.number) for folder in arguments.pairs}
+        if arguments.objects:
+            shapes = open_shapes(arguments.objects)
+            for rotations in arguments.rotations:
+                rows = of_objects(model, shapes, arguments.number, arguments.num_points, rotations)
+                sets[f"{arguments.objects}, {rotations} rotations"] = rows
+        tests = {folder: of_pairs(model, Path(folder), arguments.number) for folder in arguments.test}
+    except (OSError, ValueError) as error:
+        parser.error(str(error))
+    fitted = [joined(rows[::2]) for rows in sets.values()]
+    scores, hits = joined(fitted)
+    weights = np.concatenate([np.full(len(part), 1 / len(part)) for part, _ in fitted])  # every set counts alike
+    knots = fit(scores, hits, weights)
+    print("knots", json.dumps(knots))
+    for name, rows in {name: rows[1::2] for name, rows in sets.items()}.items() | tests.items():
+        scores, hits = joined(rows)
+        error = calibration_error(knots, scores, hits)
+        print(f"{name}: {len(scores)} keypoints, {hits.mean():.3f} found again, calibration error {error:.3f}")
+    if not arguments.dry_run:
+        write_map(arguments.weights, knots)
+
+
+if __name__ == "__main__":
+    main()
