@@ -147,7 +147,7 @@ def main(argv=None):
     weights = np.concatenate([np.full(len(part), 1 / len(part)) for part, _ in fitted])  # every set counts alike
     knots = fit(scores, hits, weights)
     print("knots", json.dumps(knots))
-    for name, rows in {name: rows[1::2] for name, rows in sets.items()}.items() | tests.items():
+    for name, rows in ({name: rows[1::2] for name, rows in sets.items()} | tests).items():
         scores, hits = joined(rows)
         error = calibration_error(knots, scores, hits)
         print(f"{name}: {len(scores)} keypoints, {hits.mean():.3f} found again, calibration error {error:.3f}")

@@ -120,9 +120,9 @@ fn npy_rows(bytes: &[u8]) -> std::result::Result<Vec<Row>, String> {
     let columns = |columns: [usize; 3]| Columns(columns.map(Column::Index));
     let (first, second) = (columns([0, 1, 2]), columns([3, 4, 5]));
     let (positions, scores) = (npy::positions(bytes, Some(&first))?, npy::positions(bytes, Some(&second))?);
-    let confidences: Option<Vec<f64>> = npy::positions(bytes, Some(&columns([6; 3])))
+    let confidences: Option<Vec<f64>> = npy::positions(bytes, Some(&columns([4, 5, 6])))
         .ok()
-        .map(|rows| rows.map(|[confidence, ..]| confidence).collect());
+        .map(|rows| rows.map(|[.., confidence]| confidence).collect());
     let confidence = |row: usize| confidences.as_ref().map_or(f64::NAN, |all| all[row]);
     let row = |(row, ([x, y, z], [saliency, occupancy, index])): (usize, ([f64; 3], [f64; 3]))| {
         [x, y, z, saliency, occupancy, index, confidence(row)]
@@ -239,6 +239,6 @@ mod tests {
         let path = folder.path().join("cut.ply");
         write_keypoints(&path, &KEYPOINTS, &KeypointSource::default()).unwrap();
         let bytes = std::fs::read(&path).unwrap();
-        assert!(refused("cut.ply", &bytes[..bytes.len() - 1]).contains("2 keypoints of 27 bytes"));
+        assert!(refused("cut.ply", &bytes[..bytes.len() - 1]).contains("2 keypoints of 31 bytes"));
     }
 }

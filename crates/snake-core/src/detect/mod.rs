@@ -298,7 +298,7 @@ pub(crate) mod tests {
         assert_eq!(serde_json::from_str::<Detection>(&text).unwrap(), found);
         let value: serde_json::Value = serde_json::from_str(&text).unwrap();
         let keys: Vec<&String> = value["keypoints"][0].as_object().unwrap().keys().collect();
-        assert_eq!(keys, ["nearest_index", "occupancy", "saliency", "x", "y", "z"]);
+        assert_eq!(keys, ["confidence", "nearest_index", "occupancy", "saliency", "x", "y", "z"]);
         assert!(value["timing_seconds"]["encode"].as_f64().unwrap() > 0.0);
     }
 

@@ -83,10 +83,12 @@ mod tests {
 
     #[test]
     fn a_sheet_is_cleared_along_its_rim_and_kept_within() {
-        for turn in [|x, y| [x, y, 0.3], |x, y| [x, 0.5, y], |x: f32, y: f32| [x, y, 0.5 * x]] {
+        let planes: [(fn(f32, f32) -> Point, usize); 3] =
+            [(|x, y| [x, y, 0.3], 1), (|x, y| [x, 0.5, y], 2), (|x, y| [x, y, 0.5 * x], 1)];
+        for (turn, second) in planes {
             let sheet = square(24, turn);
             let rim = |p: &Point| p[0] < 1.0 || p[0] > 23.0;
-            let within = |p: &Point| (6.0..18.0).contains(&p[0]) && (6.0..18.0).contains(&p[1].max(p[2]));
+            let within = |p: &Point| (6.0..18.0).contains(&p[0]) && (6.0..18.0).contains(&p[second]);
             assert_eq!(left(&sheet, rim)[0], 0);
             let [kept, all] = left(&sheet, within);
             assert!(kept == all && all > 50);
