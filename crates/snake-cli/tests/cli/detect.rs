@@ -6,7 +6,7 @@ use std::process::Output;
 use assert_cmd::Command;
 use serde_json::Value;
 
-use super::{json_lines, sample, snake, stderr, write_npy};
+use super::{json_lines, root, sample, snake, stderr, write_npy};
 
 #[test]
 fn a_cloud_far_from_the_scale_of_the_model_has_a_note() {
@@ -414,4 +414,26 @@ fn many_clouds_that_are_written_end_with_a_summary() {
     assert!(
         text(&["detect", &input]).contains("a.ply: ") && text(&["detect", &one, "-o", &output]).contains("a.ply: ")
     );
+}
+
+#[test]
+fn min_confidence_keeps_the_good_keypoints() {
+    let sample = root().join("samples/plane.ply").display().to_string();
+    let found = |arguments: &[&str]| {
+        let output = snake(&[&["detect", &sample, "--json"], arguments].concat());
+        assert!(output.status.success(), "{}", stderr(&output));
+        json_lines(&output)[0]["keypoints"].as_array().unwrap().clone()
+    };
+    let all = found(&["--model", "compact"]);
+    let confidence = |keypoint: &Value| keypoint["confidence"].as_f64().unwrap();
+    assert!(all.is_sorted_by(|a, b| confidence(a) >= confidence(b)));
+    let good: Vec<Value> = all.iter().filter(|keypoint| confidence(keypoint) >= 0.75).cloned().collect();
+    assert!(!good.is_empty() && good.len() < all.len());
+    assert_eq!(found(&["--model", "compact", "--min-confidence", "0.75"]), good);
+    assert_eq!(found(&["--model", "compact", "--set", "min_confidence=0.75"]), good);
+    assert_eq!(found(&["--model", "compact", "--min-confidence", "0"]), all);
+    let golden = root().join("tests/golden/tiny/weights.safetensors").display().to_string();
+    assert!(found(&["--model", &golden]).iter().all(|keypoint| keypoint["confidence"].is_null()));
+    let refused = snake(&["detect", &sample, "--model", &golden, "--min-confidence", "0.5"]);
+    assert!(!refused.status.success() && stderr(&refused).contains("no map of confidences"), "{}", stderr(&refused));
 }
