@@ -62,6 +62,20 @@ def test_keypoints_of_files_are_ranked_by_their_scores(compiled, pair):
     assert whole["keypoints"] == 40 and 0.5 <= whole["repeatability"][0] < 0.75
 
 
+def test_keypoints_of_files_are_in_the_frame_of_far_clouds(compiled, tmp_path):
+    """Of georeferenced clouds, too, all points that are keypoints are found again."""
+    points = snake_rs.read_points("samples/plane.ply").astype(np.float64)
+    (tmp_path / "found").mkdir()
+    for name, shift in (("a", [5e5, 5e6, 100]), ("b", [5e5, 5e6 + 1, 100])):
+        np.save(tmp_path / f"{name}.npy", points + shift)
+        np.savez(tmp_path / f"found/{name}.npz", keypoints=points[:60] + shift)
+    to_a = np.eye(4)
+    to_a[1, 3] = -1
+    (tmp_path / "pairs.json").write_text(json.dumps([{"source": "b.npy", "target": "a.npy", "T": to_a.tolist()}]))
+    found = report(compiled, tmp_path, "--methods", "random", "--external", f"other={tmp_path / 'found'}")
+    assert found["other"]["repeatability"] == [1.0] and found["other"]["coverage"] < 1
+
+
 def test_files_that_are_wrong_are_named(compiled, pair):
     folder, points = pair
     (folder / "found").mkdir()

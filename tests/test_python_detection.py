@@ -167,7 +167,9 @@ def test_the_warning_comes_before_a_long_detection():
     ground = np.random.default_rng(1).uniform((-18, -18, 0), (18, 18, 0.01), (20_000, 3))
     try:
         with pytest.warns(UserWarning, match="the model `scenes` sees more of it"), pytest.raises(TimeoutError):
-            snake_rs.detect(ground, "compact", query_resolution=128, query_band=0, occupancy_threshold=0, refine_steps=100)
+            snake_rs.detect(
+                ground, "compact", query_resolution=128, query_band=0, occupancy_threshold=0, refine_steps=100
+            )
     finally:
         signal.setitimer(signal.ITIMER_REAL, 0)
         signal.signal(signal.SIGALRM, before)

@@ -25,13 +25,14 @@
 
     tiles = snake_rs.tiles("city.laz", tile=50, folder="city.tiles", voxel_size=0.1)  # clouds that do not fit into memory
 
-Classical detectors are in snake_rs.baselines, metrics in snake_rs.metrics, classes for clusters in snake_rs.ray.
+Classical detectors are in snake_rs.baselines, metrics in snake_rs.metrics, the steps of a detection in snake_rs.steps,
+classes for clusters in snake_rs.ray.
 """
 
 # NumPy imports this lazily: a child forked while another thread imports it would wait for the import lock forever.
 import numpy.ma  # noqa: F401
 
-from . import baselines, metrics
+from . import baselines, metrics, steps
 from ._core import (
     Alignment,
     AlignmentEdge,
@@ -87,6 +88,7 @@ __all__ = [
     "read_recording",
     "register",
     "set_num_threads",
+    "steps",
     "tiles",
     "view",
 ]

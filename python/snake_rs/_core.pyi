@@ -23,7 +23,9 @@ __all__ = [
     "Registration",
     "Tiles",
     "__version__",
+    "aggregate",
     "align",
+    "decode",
     "detect",
     "estimate_normals",
     "farthest_points",
@@ -34,6 +36,8 @@ __all__ = [
     "harris3d",
     "information_matrix",
     "inlier_ratio",
+    "interpolate",
+    "interpolate_gradient",
     "iou",
     "iss",
     "match",
@@ -42,6 +46,7 @@ __all__ = [
     "random_points",
     "read_points",
     "read_recording",
+    "refine",
     "register",
     "registration_recall",
     "relative_repeatability",
@@ -52,6 +57,7 @@ __all__ = [
     "smpl_iou",
     "smpl_pair_counts",
     "squared_registration_error",
+    "suppress",
     "surface_variation",
     "symmetric_repeatability",
     "tiles",
@@ -119,8 +125,7 @@ class _DetectOptions(_Preset, total=False):
     snap: bool
 
 @type_check_only
-class _Options(_EncodeOptions, _DetectOptions, total=False):
-    window_radius: float | str | None
+class _Options(_EncodeOptions, _DetectOptions, total=False): ...
 
 @type_check_only
 class _RegisterOptions(TypedDict, total=False):
@@ -555,3 +560,21 @@ class Registration:
     def num_skipped(self) -> tuple[int, int]: ...
     @property
     def seconds(self) -> float: ...
+
+def aggregate(model: Model, points: _Points, features: ArrayLike) -> NDArray[np.float32]: ...
+def interpolate(model: Model, volume: ArrayLike, queries: _Points) -> NDArray[np.float32]: ...
+def interpolate_gradient(
+    model: Model, volume: ArrayLike, queries: _Points, in_features: ArrayLike
+) -> NDArray[np.float32]: ...
+def decode(
+    model: Model, quantity: Literal["occupancy", "saliency"], queries: _Points, features: ArrayLike
+) -> tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.float32]]: ...
+def refine(
+    queries: _Points,
+    gradients: ArrayLike,
+    method: Literal["adam", "gradient-descent"] = "adam",
+    step_size: float = 0.001,
+) -> NDArray[np.float32]: ...
+def suppress(
+    points: _Points, scores: ArrayLike, radius: float, max_keypoints: int | None = None
+) -> NDArray[np.int64]: ...

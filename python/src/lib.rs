@@ -17,6 +17,7 @@ mod page;
 mod recording;
 mod registration;
 mod remote;
+mod steps;
 mod threads;
 mod tiled;
 
@@ -204,6 +205,8 @@ mod _core {
     };
     #[pymodule_export]
     use super::page::page;
+    #[pymodule_export]
+    use super::steps::{aggregate, decode, interpolate, interpolate_gradient, refine, suppress};
     #[pymodule_export]
     use super::{
         Alignment, AlignmentEdge, DetectedTiles, Field, Keypoint, Keypoints, Mesh, Model, RecordedCloud, Recording,

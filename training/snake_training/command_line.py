@@ -32,9 +32,9 @@ def parse_arguments(argv, description):
     values = vars(parser.parse_args(argv))
     resumed = Path(values["run_dir"]) / "last.pt"
     if values["init"]:
-        of = shape_of(resumed if resumed.exists() else values["init"])
-        values |= {name: value for name, value in of.items() if shape[name] is None}
-        values["recommended_options"] = values["recommended_options"] or recommended_options(values["init"])
+        started = resumed if resumed.exists() else values["init"]
+        values |= {name: value for name, value in shape_of(started).items() if shape[name] is None}
+        values["recommended_options"] = values["recommended_options"] or recommended_options(started)
     del values["preset"]
     return check(TrainConfig(**{k: tuple(v) if isinstance(v, list) else v for k, v in values.items()}))
 

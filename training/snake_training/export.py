@@ -4,6 +4,7 @@ import argparse
 import hashlib
 import json
 import pickle
+import sys
 from contextlib import contextmanager
 from pathlib import Path
 
@@ -204,6 +205,12 @@ def main(argv=None):
         preset = arguments.preset or (arguments.yaml and preset_from_yaml(arguments.yaml))
         options = recommended_options(arguments.source) or (preset and PRESETS[preset]["recommended_options"])
         extra = ({"recommended_options": options} if options else {}) | extra
+        if "recommended_options" not in extra:
+            print(
+                "no options of detection are recommended, so the file detects as for ModelNet40; give --preset, or the --yaml "
+                "of an official checkpoint",
+                file=sys.stderr,
+            )
         write_weights(arguments.output, config, tensors, torch.float16 if arguments.float16 else torch.float32, extra)
     except (OSError, ValueError) as error:
         parser.error(str(error))

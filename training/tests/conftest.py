@@ -64,4 +64,5 @@ def snake_cli():
         assert done.returncode == 0, done.stderr
         return done
 
+    run.path = str(binary)
     return run

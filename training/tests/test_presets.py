@@ -143,6 +143,27 @@ def test_a_fine_tuned_export_keeps_the_options_of_its_start(tmp_path, tiny, netw
     assert recommended(tmp_path / "out.safetensors") == options == recommended_options(tmp_path / "out.safetensors")
 
 
+def test_a_resumed_run_keeps_the_options_of_its_start_when_that_is_gone(tmp_path, tiny, network):
+    options = '{"detect":{"nms_radius":"10%"}}'
+    config = tiny(recommended_options=options)
+    (tmp_path / "run").mkdir()
+    state = {"config": to_json(config), "step": 1, "best": 0.0, "ema": network.state_dict()}
+    torch.save(state, tmp_path / "run/last.pt")
+    words = [word for word in arguments(tiny()) if word not in ("--init", "--recommended-options", "")]
+    assert parse_arguments([*words, "--init", str(tmp_path / "gone.safetensors")], "").recommended_options == options
+
+
+@pytest.mark.parametrize(("data", "grid", "resolution", "preset"), OFFICIAL)
+def test_an_export_recommends_what_the_official_yaml_says_or_says_that_it_does_not(
+    tmp_path, official, capsys, data, grid, resolution, preset
+):
+    """By the command that the page of the paper's tables has: KeypointNet, SMPL and Redwood do not detect as ModelNet40."""
+    (tmp_path / "config.yaml").write_text(YAML.format(data, grid, [resolution] * 3))
+    export([str(official), "-o", str(tmp_path / "out.safetensors"), "--yaml", str(tmp_path / "config.yaml"), *FLAGS])
+    assert recommended(tmp_path / "out.safetensors") == (PRESETS[preset]["recommended_options"] if preset else None)
+    assert ("no options of detection are recommended" in capsys.readouterr().err) == (preset is None)
+
+
 @pytest.mark.parametrize("text", ["{", "nms"])
 def test_options_that_are_no_json_are_refused(text):
     with pytest.raises(SystemExit, match="recommended-options must be JSON"):

@@ -109,11 +109,12 @@ const struct SnakeKeypoint *snake_detection_keypoints(const struct SnakeDetectio
 /// `detection` is null or a detection of this library that is not freed yet.
 void snake_detection_free(struct SnakeDetection *detection);
 
-/// A built-in model: "compact" or "standard" for objects, "rooms" for rooms in metres. `*model` is null after an error.
+/// A built-in model: "compact" or "standard" for objects, "scenes" for rooms, sweeps and terrain. `*model` is null after an error.
 ///
 /// # Safety
 /// `name` is null or a text that ends with a zero; `model` is null or valid for a write.
-enum SnakeStatus snake_model_named(const char *name, struct SnakeModel **model);
+enum SnakeStatus snake_model_named(const char *name,
+                                   struct SnakeModel **model);
 
 /// Reads a weight file (safetensors). `*model` is null after an error.
 ///

@@ -66,15 +66,15 @@ impl ComputeArguments {
         Ok(())
     }
 
-    /// Loads the model of `--model`, by default `compact`.
-    pub fn load_model(&self) -> Result<Loaded> {
-        load(self.named()?)
+    /// Loads the model of `--model`, by default `compact`, with the options that follow from those of `start`.
+    pub fn load_model(&self, start: impl Fn(&Model) -> Options) -> Result<Loaded> {
+        load(self.named()?, start)
     }
 
     /// Loads the model of `--model`, or else those that suit the options, with the options as `resolve` changes them.
     pub fn load_models(&self, suits: Suits, resolve: impl Fn(&Loaded) -> Result<Options>) -> Result<Models> {
         let load = |path: Option<&Path>| -> Result<Loaded> {
-            let loaded = load(path)?;
+            let loaded = load(path, recommended)?;
             Ok(Loaded { options: resolve(&loaded)?, ..loaded })
         };
         let scenes = Some(Path::new("scenes"));
@@ -134,12 +134,18 @@ impl Models {
     }
 }
 
-fn load(path: Option<&Path>) -> Result<Loaded> {
-    let start = Instant::now();
+/// The options that a model recommends.
+pub fn recommended(model: &Model) -> Options {
+    *model.recommended()
+}
+
+/// Loads a model with the options that the configuration makes of those of `start`.
+pub fn load(path: Option<&Path>, start: impl Fn(&Model) -> Options) -> Result<Loaded> {
+    let began = Instant::now();
     let (model, name) = (model::load(path)?, model::name(path));
-    let options = config::get()?.options_of(path.unwrap_or(Path::new("compact")), model.recommended())?;
+    let options = config::get()?.options_of(path.unwrap_or(Path::new("compact")), &start(&model))?;
     terminal::detail("model", || {
-        format!("{name}, {} parameters, {:.3} s", model.num_parameters(), start.elapsed().as_secs_f64())
+        format!("{name}, {} parameters, {:.3} s", model.num_parameters(), began.elapsed().as_secs_f64())
     });
     Ok(Loaded { model, name, options })
 }
@@ -165,6 +171,16 @@ pub struct EncodeFlags {
 }
 
 impl EncodeFlags {
+    /// Whether `--set` names an option.
+    pub fn sets(&self, option: &str) -> bool {
+        self.set.names(option)
+    }
+
+    /// The name of the preset.
+    pub fn preset(&self) -> Option<&str> {
+        self.preset.as_deref()
+    }
+
     /// The options of the preset or the model, with those of the command line in their place.
     pub fn resolve(&self, loaded: &Loaded) -> Result<Options> {
         let mut options = match &self.preset {

@@ -1,13 +1,13 @@
 //! A detector that keeps up with a laser scanner: `cargo run --release -p snake-core --example realtime_loop`.
 //!
-//! Arguments: number of frames (200), points of a sweep (120000), target in milliseconds (50), threads (2).
+//! Arguments: number of frames (200), points of a sweep (120000), target in milliseconds (100), threads (2), model (scenes).
 
 mod sweep;
 
 use std::error::Error;
 use std::time::{Duration, Instant};
 
-use snake_core::{Builtin, Detection, Detector, Model};
+use snake_core::{Detection, Detector, Model};
 
 /// The value below which a share of the sorted values lies.
 fn percentile(sorted: &[f64], share: f64) -> f64 {
@@ -27,15 +27,15 @@ fn processor_milliseconds() -> Option<f64> {
 fn main() -> Result<(), Box<dyn Error>> {
     let argument = |place: usize, default: usize| std::env::args().nth(place).map_or(Ok(default), |text| text.parse());
     let (num_frames, num_points) = (argument(1, 200)?.max(1), argument(2, 120_000)?);
-    let (target, threads) = (Duration::from_millis(argument(3, 50)? as u64), argument(4, 2)?);
+    let (target, threads) = (Duration::from_millis(argument(3, 100)? as u64), argument(4, 2)?);
 
     // The budget is measured in the pool that will detect. Keep the options as JSON to repeat a run elsewhere.
     let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build()?;
-    let model = Model::builtin(Builtin::Compact);
+    let model = Model::named(std::env::args().nth(5).as_deref().unwrap_or("scenes"))?;
     let options = pool.install(|| model.realtime_options(target, num_points))?;
     let mut detector = Detector::new(model, options)?;
     let mut detection = Detection::default();
-    println!("{:?} points, query grid of {}", options.encode.max_points, options.detect.query_resolution);
+    println!("{:?} points", options.encode.max_points);
 
     let sweeps: Vec<_> = (0..20).map(|number| sweep::sweep(num_points, 0.5 * number as f32)).collect();
     let (mut wall, mut processor) = (Vec::new(), Vec::new());

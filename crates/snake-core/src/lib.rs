@@ -40,6 +40,8 @@ mod golden;
 mod live;
 mod models;
 mod network;
+#[doc(hidden)]
+pub mod steps;
 
 pub use call::{CancelFlag, Control, Counter, Limits, Progress, Stage, check_num_threads, side_by_side};
 pub use detect::{

@@ -29,6 +29,8 @@ pub enum PairClouds {
         clouds: [Vec<Point>; 2],
         /// Maps cloud 2 to the frame of cloud 1.
         t_1_2: RigidTransform,
+        /// Offsets to add to the clouds, as they were read.
+        origins: [[f64; 3]; 2],
     },
 }
 
@@ -43,6 +45,8 @@ pub struct Views {
     pub t_1_2: RigidTransform,
     /// A seed for the random choices of a detector on each view.
     pub seeds: [u64; 2],
+    /// Offsets to add to the views for the frames of the clouds' files.
+    pub origins: [[f64; 3]; 2],
 }
 
 impl PairClouds {
@@ -60,10 +64,11 @@ impl PairClouds {
     /// # Errors
     /// [`Error::Core`] when the points of the first cloud have no extent.
     pub fn with_unit_radius(self) -> Result<Self> {
-        let Self::Real { clouds, t_1_2 } = self else { return Ok(self) };
+        let Self::Real { clouds, t_1_2, origins } = self else { return Ok(self) };
         let radius = Normalization::of(&clouds[0], NormalizationMethod::UnitSphere)?.scale / 2.0;
         let clouds = clouds.map(|points| points.into_iter().map(|point| point.map(|v| v / radius)).collect());
-        Ok(Self::Real { clouds, t_1_2: t_1_2.in_units_of(f64::from(radius)) })
+        let origins = origins.map(|origin| origin.map(|v| v / f64::from(radius)));
+        Ok(Self::Real { clouds, t_1_2: t_1_2.in_units_of(f64::from(radius)), origins })
     }
 
     /// Draws views of at most `num_points` points under a condition. The number of the pair selects a random stream of
@@ -89,7 +94,7 @@ impl PairClouds {
                 let inverse = rotation.inverse().to_rotation_matrix();
                 ([first, second], IsometryMatrix3::from_parts(Translation3::identity(), inverse).into())
             }
-            Self::Real { clouds, t_1_2 } => {
+            Self::Real { clouds, t_1_2, .. } => {
                 (clouds.each_ref().map(|points| choose(points, share(points), &mut rng)), *t_1_2)
             }
         };
@@ -98,7 +103,11 @@ impl PairClouds {
             points.into_iter().map(|point| point.map(&mut add_noise)).collect()
         };
         let (view_1, view_2) = (noisy(first), noisy(second));
-        Ok(Views { view_1, view_2, t_1_2, seeds: [rng.random(), rng.random()] })
+        let origins = match self {
+            Self::Object(_) => [[0.0; 3]; 2],
+            Self::Real { origins, .. } => *origins,
+        };
+        Ok(Views { view_1, view_2, t_1_2, seeds: [rng.random(), rng.random()], origins })
     }
 
     /// Refuses clouds and conditions that no view can be drawn from.
@@ -174,12 +183,12 @@ mod tests {
     #[test]
     fn real_pairs_keep_their_units_and_transform() {
         let t_1_2 = RigidTransform::from(IsometryMatrix3::translation(2.0, 0.0, 0.0));
-        let clouds = PairClouds::Real { clouds: [ball(50), ball(80)], t_1_2 };
+        let clouds = PairClouds::Real { clouds: [ball(50), ball(80)], t_1_2, origins: [[0.0; 3]; 2] };
         let views = clouds.views(CLEAN, 60, 0, 0).unwrap();
         assert_eq!((views.view_1.len(), views.view_2.len(), views.t_1_2), (50, 60, t_1_2));
         assert!(views.view_1.iter().all(|p| ball(50).contains(p)));
-        let Ok(PairClouds::Real { clouds: [first, second], t_1_2: scaled }) =
-            PairClouds::Real { clouds: [ball(300), ball(80)], t_1_2 }.with_unit_radius()
+        let Ok(PairClouds::Real { clouds: [first, second], t_1_2: scaled, .. }) =
+            PairClouds::Real { clouds: [ball(300), ball(80)], t_1_2, origins: [[0.0; 3]; 2] }.with_unit_radius()
         else {
             panic!("a real pair")
         };

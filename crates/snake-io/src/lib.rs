@@ -74,7 +74,7 @@ mod write;
 
 pub use arrays::array::Array;
 #[cfg(feature = "npz")]
-pub use arrays::array_files::read_arrays;
+pub use arrays::array_files::{find_arrays, read_arrays};
 pub use arrays::array_files::{read_array, write_volume};
 pub use atomic::{TEMPORARY, hold_writes, sync_folder, write_atomically};
 pub use clouds::{

@@ -2,13 +2,14 @@
 
 use std::path::PathBuf;
 
+use anyhow::Result;
 use clap::{Args, Subcommand, ValueEnum};
-use snake_core::Length;
+use snake_core::{Length, Model, Options};
 use snake_registration::detectors::Detector;
 use snake_registration::{Descriptor, KeypointDetector};
 
 use crate::inputs::ColumnArguments;
-use crate::setup::{ComputeArguments, EncodeFlags, named};
+use crate::setup::{ComputeArguments, EncodeFlags, Loaded, load, named};
 
 #[derive(Subcommand)]
 pub enum Eval {
@@ -36,7 +37,8 @@ pub enum Eval {
   snake-cli eval repeatability corpus/objects/val -o results/
   snake-cli eval repeatability my_scans/ --methods snake,snakex4,iss,random --downsample 1 --noise 0
   snake-cli eval repeatability scan2.ply scan1.ply --transform t.json --seeds 5 --downsample 1 --noise 0
-  snake-cli eval repeatability scenes/val -o results/ --preset redwood --nms-radius 0.04")]
+  snake-cli eval repeatability scenes/val -o results/ --preset redwood --nms-radius 0.04
+  snake-cli eval repeatability corpus/objects/val --models seed1.safetensors,seed2.safetensors,seed3.safetensors")]
     Repeatability(Box<RepeatabilityArguments>),
     /// Measure registration of scene fragments by the rules of the 3DMatch benchmark.
     ///
@@ -52,7 +54,8 @@ pub enum Eval {
     /// partner within 0.05 m.
     #[command(after_help = "Examples:
   snake-cli eval registration scenes/val -o results/
-  snake-cli eval registration 3dmatch/fragments --detectors snake,fps,random --descriptors fpfh --keypoints 1000,250")]
+  snake-cli eval registration 3dmatch/fragments --detectors snake,fps,random --descriptors fpfh --keypoints 1000,250
+  snake-cli eval registration 3dmatch/fragments --preset 3dmatch --external d3feat=d3feat_npz --descriptors d3feat")]
     Registration(Box<RegistrationArguments>),
     /// Measure semantic consistency: mIoU with annotated keypoints, or between two poses of a body.
     ///
@@ -97,12 +100,24 @@ pub struct RegistrationArguments {
     #[arg(long, value_delimiter = ',', value_parser = named::<KeypointDetector>,
         default_values = registration_detectors())]
     pub detectors: Vec<KeypointDetector>,
-    /// Descriptors to evaluate: field, fpfh or both.
-    #[arg(long, value_delimiter = ',', value_parser = named::<Descriptor>, default_value = "field,fpfh")]
-    pub descriptors: Vec<Descriptor>,
+    /// Descriptors to evaluate: field, fpfh, or the name of an --external, whose descriptor of a keypoint is that of the nearest
+    /// point in the file.
+    #[arg(long, value_delimiter = ',', default_value = "field,fpfh")]
+    pub descriptors: Vec<String>,
     /// Numbers of keypoints to evaluate; each number takes the best keypoints of each cloud.
     #[arg(long, value_delimiter = ',', default_value = "2500,1000,500,250,100")]
     pub keypoints: Vec<usize>,
+    /// Radius of non-maximum suppression, in metres or in multiples of the cloud's resolution (`3r`), of all detectors
+    /// [default: a voxel of 0.03 for snake, none for the others; with --preset 3dmatch, as in the paper, 0.05 for snake and files].
+    #[arg(long, value_name = "LENGTH")]
+    pub nms_radius: Option<Length>,
+    /// Also evaluate the keypoints in FOLDER/CLOUD.npz under this name: `keypoints` (K, 3) in the cloud's frame and, unless
+    /// they are ranked, `scores` (K). Those with `descriptors` (K, D) are matched by them too. CLOUD is the path of the cloud's
+    /// file from the data set on, without extension, such as `SCENE/cloud_bin_0`.
+    #[arg(long, value_name = "NAME=FOLDER", value_parser = external)]
+    pub external: Vec<(String, PathBuf)>,
+    #[command(flatten)]
+    pub options: EncodeFlags,
     #[command(flatten)]
     pub run: RunArguments,
 }
@@ -203,6 +218,10 @@ pub struct RunArguments {
     /// over the seeds. With one seed, the deviation is over pairs, shapes or scenes.
     #[arg(long, default_value_t = 1, value_parser = clap::value_parser!(u16).range(1..))]
     pub seeds: u16,
+    /// Evaluate these models as one method, in place of that of --model: the figures are the mean and the standard deviation
+    /// over them, as over networks that were trained with other seeds [default: only that of --model].
+    #[arg(long, value_name = "MODEL", value_delimiter = ',')]
+    pub models: Vec<PathBuf>,
     /// Also show the paper's figures, marked as such, where the paper has any.
     #[arg(long)]
     pub paper: bool,
@@ -212,9 +231,20 @@ pub struct RunArguments {
     pub compute: ComputeArguments,
 }
 
-fn external(text: &str) -> Result<(String, PathBuf), String> {
+impl RunArguments {
+    /// Loads the models to evaluate, with the options that follow from those of `start`.
+    pub fn load_models(&self, start: impl Fn(&Model) -> Options) -> Result<Vec<Loaded>> {
+        match &self.models[..] {
+            [] => Ok(vec![self.compute.load_model(start)?]),
+            models => models.iter().map(|model| load(Some(model), &start)).collect(),
+        }
+    }
+}
+
+fn external(text: &str) -> std::result::Result<(String, PathBuf), String> {
     let (name, folder) = text.split_once('=').filter(|(name, _)| !name.is_empty()).ok_or("expected NAME=FOLDER")?;
-    if Detector::NAMES.contains(&name) || name.starts_with("snake") {
+    let is_detector = Detector::NAMES.contains(&name) || named::<KeypointDetector>(name).is_ok();
+    if is_detector || named::<Descriptor>(name).is_ok() || name.starts_with("snake") {
         return Err(format!("{name} is a method of its own"));
     }
     Ok((name.into(), folder.into()))

@@ -1,6 +1,6 @@
 //! The result files of a metric in the output directory.
 
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result};
 use snake_io as io;
@@ -14,7 +14,8 @@ const EXTENSIONS: [&str; 5] = ["csv", "json", "jsonl", "md", "svg"];
 /// Returns an error if the results would replace an input file.
 pub fn check<'a>(run: &'a RunArguments, metric: &str, inputs: impl Iterator<Item = &'a Path>) -> Result<()> {
     let Some(folder) = &run.output else { return Ok(()) };
-    let inputs = InputFiles::new(inputs.chain(run.compute.model.as_deref()));
+    let models = run.compute.model.iter().chain(&run.models).map(PathBuf::as_path);
+    let inputs = InputFiles::new(inputs.chain(models));
     EXTENSIONS.iter().try_for_each(|extension| inputs.refuse_as_output(&folder.join(format!("{metric}.{extension}"))))
 }
 

@@ -1,5 +1,6 @@
 //! The detectors that an evaluation compares.
 
+use std::collections::HashSet;
 use std::path::PathBuf;
 
 use anyhow::{Context, Result, bail};
@@ -10,7 +11,7 @@ use snake_geometry::suppress_ranked;
 use snake_registration::detectors::{Detector, Protocol};
 
 use super::args::{EvalArguments, ProtocolName};
-use crate::setup::{Loaded, none_if_zero};
+use crate::setup::{Loaded, none_if_zero, recommended};
 
 /// A detector with its options. It maps a cloud to the positions of its best keypoints.
 pub struct Method {
@@ -34,6 +35,14 @@ enum Source {
     External {
         folder: PathBuf,
     },
+}
+
+/// A cloud by the name that keypoints in files have.
+#[derive(Clone, Copy)]
+pub struct InFile<'a> {
+    pub name: &'a str,
+    /// Offset to add to the cloud for the frame of its file.
+    pub origin: [f64; 3],
 }
 
 /// How far apart the ranked keypoints of a method are.
@@ -67,25 +76,28 @@ impl Method {
             ProtocolName::Ranked => Protocol::Ranked,
             ProtocolName::Paper => Protocol::Paper,
         };
-        let named = |name: &String| {
-            let (source, spacing) = match rotations(name) {
+        let of = |name: &str, source, spacing| Self { name: name.into(), source, count: arguments.count, spacing };
+        let mut methods: Vec<Self> = Vec::new();
+        for name in &arguments.methods {
+            match rotations(name) {
                 Some(rotations) => {
                     // The detection suppresses by a radius itself.
                     let after = if matches!(spacing, Spacing::Coverage) { spacing } else { Spacing::Own };
-                    (Source::snake(rotations, arguments, spacing)?, after)
+                    let sources = Source::of_models(rotations, arguments, spacing)?;
+                    methods.extend(sources.into_iter().map(|source| of(name, source, after)));
                 }
                 None => {
                     let spacing = if protocol == Protocol::Ranked { spacing } else { Spacing::Own };
-                    (Source::Classical { detector: Detector::named(name, protocol)?, protocol }, spacing)
+                    let source = Source::Classical { detector: Detector::named(name, protocol)?, protocol };
+                    methods.push(of(name, source, spacing));
                 }
-            };
-            Ok(Self { name: name.clone(), source, count: arguments.count, spacing })
-        };
-        let external = |(name, folder): &(String, PathBuf)| {
-            let source = Source::External { folder: folder.clone() };
-            Ok(Self { name: name.clone(), source, count: arguments.count, spacing })
-        };
-        arguments.methods.iter().map(named).chain(arguments.external.iter().map(external)).collect()
+            }
+        }
+        let files = |(name, folder): &(String, PathBuf)| of(name, Source::External { folder: folder.clone() }, spacing);
+        methods.extend(arguments.external.iter().map(files));
+        let names = arguments.methods.iter().chain(arguments.external.iter().map(|(name, _)| name));
+        check_distinct("--methods and --external", names)?;
+        Ok(methods)
     }
 
     /// The name on the command line.
@@ -119,23 +131,29 @@ impl Method {
         }
     }
 
-    /// Positions of the best keypoints of a cloud, best first; `name` finds those in files. The seed determines random choices.
-    pub fn keypoints(&self, points: &[Point], name: Option<&str>, seed: u64) -> Result<Vec<Point>> {
+    /// Positions of the best keypoints of a cloud, best first; `file` finds those in files. The seed determines random choices.
+    pub fn keypoints(&self, points: &[Point], file: Option<InFile>, seed: u64) -> Result<Vec<Point>> {
         let radius = match self.spacing {
             Spacing::Own | Spacing::Coverage | Spacing::Radius(Length::Units(0.0)) => 0.0,
             Spacing::Radius(radius) => radius.in_units("nms_radius", points)?,
         };
-        self.keypoints_apart(points, name, seed, radius)
+        self.keypoints_apart(points, file, seed, radius)
     }
 
     /// The same, suppressed by a radius in cloud units.
-    pub fn keypoints_apart(&self, points: &[Point], name: Option<&str>, seed: u64, radius: f64) -> Result<Vec<Point>> {
-        let ranked = self.candidates(points, name, seed)?;
+    pub fn keypoints_apart(
+        &self,
+        points: &[Point],
+        file: Option<InFile>,
+        seed: u64,
+        radius: f64,
+    ) -> Result<Vec<Point>> {
+        let ranked = self.candidates(points, file, seed)?;
         Ok(suppress_ranked(&ranked, radius as f32, self.count)?.into_iter().map(|index| ranked[index]).collect())
     }
 
     /// Positions of all keypoints, best first: before suppression, where it is not the detector's own.
-    pub fn candidates(&self, points: &[Point], name: Option<&str>, seed: u64) -> Result<Vec<Point>> {
+    pub fn candidates(&self, points: &[Point], file: Option<InFile>, seed: u64) -> Result<Vec<Point>> {
         Ok(match &self.source {
             Source::Snake { model, options } => {
                 model.detect(points, options)?.keypoints.iter().map(|keypoint| keypoint.position).collect()
@@ -146,11 +164,11 @@ impl Method {
                 found.iter().map(|response| points[response.index]).collect()
             }
             Source::External { folder } => {
-                let Some(name) = name else {
+                let Some(InFile { name, origin }) = file else {
                     bail!("--external needs a data set of pairs of clouds: the views of an object are drawn at random");
                 };
                 let file = folder.join(format!("{name}.npz"));
-                ExternalKeypoints::read(&file).with_context(|| format!("--external {}", self.name))?.positions
+                ExternalKeypoints::read(&file, origin).with_context(|| format!("--external {}", self.name))?.positions
             }
         })
     }
@@ -162,20 +180,33 @@ impl Method {
 }
 
 impl Source {
-    fn snake(rotations: Option<usize>, arguments: &EvalArguments, spacing: Spacing) -> Result<Self> {
-        let loaded = arguments.run.compute.load_model()?;
-        let mut options = arguments.options.resolve(&loaded)?;
-        options.encode.rotations = rotations.unwrap_or(options.encode.rotations);
-        options.detect.max_keypoints = arguments.count;
-        match spacing {
-            Spacing::Own => (),
-            Spacing::Radius(radius) => options.detect.nms_radius = none_if_zero(radius),
-            // Suppression follows, of all candidates.
-            Spacing::Coverage => (options.detect.nms_radius, options.detect.max_keypoints) = (None, usize::MAX),
-        }
-        let Loaded { model, .. } = loaded;
-        Ok(Self::Snake { model: Box::new(model), options })
+    /// The network, by each of the models.
+    fn of_models(rotations: Option<usize>, arguments: &EvalArguments, spacing: Spacing) -> Result<Vec<Self>> {
+        let of = |loaded: Loaded| {
+            let mut options = arguments.options.resolve(&loaded)?;
+            options.encode.rotations = rotations.unwrap_or(options.encode.rotations);
+            options.detect.max_keypoints = arguments.count;
+            match spacing {
+                Spacing::Own => (),
+                Spacing::Radius(radius) => options.detect.nms_radius = none_if_zero(radius),
+                // Suppression follows, of all candidates.
+                Spacing::Coverage => (options.detect.nms_radius, options.detect.max_keypoints) = (None, usize::MAX),
+            }
+            Ok(Self::Snake { model: Box::new(loaded.model), options })
+        };
+        arguments.run.load_models(recommended)?.into_iter().map(of).collect()
     }
+}
+
+/// Refuses a name that stands twice, because rows of one name are those of several models.
+pub fn check_distinct<'a>(option: &str, names: impl Iterator<Item = &'a String>) -> Result<()> {
+    let mut known = HashSet::new();
+    for name in names {
+        if !known.insert(name) {
+            bail!("{option} name {name} twice");
+        }
+    }
+    Ok(())
 }
 
 /// The number of rotated copies in a method's name: N for `snakexN`, no number for `snake`, and `None` for other

@@ -1,6 +1,7 @@
 //! `snake-cli eval`: metrics of keypoints on data sets.
 
 pub mod args;
+mod described;
 mod files;
 mod methods;
 mod record;

@@ -14,7 +14,7 @@ use snake_io as io;
 
 use super::args::RepeatabilityArguments;
 use super::files;
-use super::methods::Method;
+use super::methods::{InFile, Method};
 use super::record::Record;
 use super::schedule::{Schedule, Task};
 use crate::inputs::{ColumnArguments, expand};
@@ -72,9 +72,10 @@ fn open_pair(inputs: &[PathBuf], transform: &Path) -> Result<ViewPairs> {
 /// The radius of suppression for each condition and method, in units of the data set, where it is not the method's own.
 type Radii = Vec<Vec<Option<f64>>>;
 
-/// The names of the two clouds of a pair, where they have any.
-fn names(data: &ViewPairs, pair: usize) -> [Option<&str>; 2] {
-    data.cloud_names(pair).map_or([None; 2], |names| names.each_ref().map(|name| Some(&name[..])))
+/// The two clouds of a pair in files, where they have names.
+fn in_files<'a>(data: &'a ViewPairs, pair: usize, origins: &[[f64; 3]; 2]) -> [Option<InFile<'a>>; 2] {
+    let names = data.cloud_names(pair);
+    [0, 1].map(|which| names.map(|names| InFile { name: &names[which], origin: origins[which] }))
 }
 
 /// The thresholds, conditions and number of points to evaluate.
@@ -158,8 +159,9 @@ impl Plan {
         for condition in &self.sweeps.conditions {
             let of = |method: &Method| {
                 let ranked = |(index, clouds): &(usize, PairClouds)| -> Result<RankedKeypoints> {
-                    let Views { view_1, seeds, .. } = clouds.views(*condition, self.num_points, seed, *index)?;
-                    let keypoints = method.candidates(&view_1, names(data, *index)[0], seeds[0])?;
+                    let Views { view_1, seeds, origins, .. } =
+                        clouds.views(*condition, self.num_points, seed, *index)?;
+                    let keypoints = method.candidates(&view_1, in_files(data, *index, &origins)[0], seeds[0])?;
                     Ok(RankedKeypoints { points: view_1, keypoints })
                 };
                 let ranked = clouds.iter().map(ranked).collect::<Result<Vec<_>>>()?;
@@ -182,14 +184,15 @@ impl Plan {
         radii: &Radii,
     ) -> Result<Vec<Row>> {
         let clouds = data.clouds(index, &columns.options())?;
-        let names = names(data, index);
         let mut rows = Vec::new();
         for (condition, radii) in self.sweeps.conditions.iter().zip(radii) {
-            let Views { view_1, view_2, t_1_2, seeds } = clouds.views(*condition, self.num_points, seed, index)?;
+            let Views { view_1, view_2, t_1_2, seeds, origins } =
+                clouds.views(*condition, self.num_points, seed, index)?;
+            let files = in_files(data, index, &origins);
             for (method, radius) in methods.iter().zip(radii) {
                 let keypoints = |view: &[Point], which: usize| match radius {
-                    Some(radius) => method.keypoints_apart(view, names[which], seeds[which], *radius),
-                    None => method.keypoints(view, names[which], seeds[which]),
+                    Some(radius) => method.keypoints_apart(view, files[which], seeds[which], *radius),
+                    None => method.keypoints(view, files[which], seeds[which]),
                 };
                 let (first, second) = (keypoints(&view_1, 0)?, keypoints(&view_2, 1)?);
                 let repeatability = relative_repeatability(&first, &second, &t_1_2, &self.sweeps.epsilon)?;

@@ -76,7 +76,8 @@ mod tests {
         let (limit, seed, seeds) = (Some(2), u64::MAX, 2);
         let compute = ComputeArguments { threads: None, model: None };
         let columns = ColumnArguments::default();
-        let run = RunArguments { output: None, limit, seed, seeds, paper: false, columns, compute };
+        let models = Vec::new();
+        let run = RunArguments { output: None, limit, seed, seeds, models, paper: false, columns, compute };
         let schedule = Schedule::new(3, &run).unwrap();
         let expected = [(u64::MAX, 0), (u64::MAX, 2), (0, 0), (0, 2)].map(|(seed, index)| Task { seed, index });
         assert_eq!((schedule.tasks(), schedule.chosen()), (&expected[..], &[0, 2][..]));

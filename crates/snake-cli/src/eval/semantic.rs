@@ -4,7 +4,7 @@ use anyhow::Result;
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use serde_json::{Value, json};
-use snake_core::{Length, Point};
+use snake_core::{Cloud, Length, Point};
 use snake_eval::datasets::SemanticData;
 use snake_eval::reports::semantic::{Report, Row};
 use snake_eval::tables::paper;
@@ -12,7 +12,7 @@ use snake_eval::{SmplProtocol, Unreachable, semantic_counts, smpl_pair_counts};
 
 use super::args::SemanticArguments;
 use super::files;
-use super::methods::Method;
+use super::methods::{InFile, Method};
 use super::record::Record;
 use super::schedule::{Schedule, Task};
 use crate::terminal;
@@ -69,9 +69,10 @@ fn rows(
     let threshold = &arguments.threshold;
     let of_bodies = |body_1: &[Point], body_2: &[Point]| {
         let row = |method: &Method| {
-            let [name_1, name_2] = [1, 2].map(|body| format!("body_{body}_{shape}"));
-            let on_1 = method.keypoints(body_1, Some(&name_1), seed_1)?;
-            let on_2 = method.keypoints(body_2, Some(&name_2), seed_2)?;
+            let names = [1, 2].map(|body| format!("body_{body}_{shape}"));
+            let [file_1, file_2] = names.each_ref().map(|name| Some(InFile { name, origin: [0.0; 3] }));
+            let on_1 = method.keypoints(body_1, file_1, seed_1)?;
+            let on_2 = method.keypoints(body_2, file_2, seed_2)?;
             let counts = |rule| smpl_pair_counts(body_1, body_2, &on_1, &on_2, threshold, rule);
             let paper = counts(SmplProtocol::PaperCompatible { seed: fill_seed })?;
             let strict = counts(SmplProtocol::Strict)?;
@@ -81,10 +82,11 @@ fn rows(
     };
     match data {
         SemanticData::KeypointNet(shapes) => {
-            // The annotations are indices of points, so the origin does not matter.
-            let points = arguments.common.run.columns.read(&shapes[shape].cloud)?.points;
+            // The annotations are indices of points, so the origin matters to keypoints in files only.
+            let Cloud { points, origin } = arguments.common.run.columns.read(&shapes[shape].cloud)?;
+            let name = data.name(shape);
             let row = |method: &Method| {
-                let found = method.keypoints(&points, Some(&data.name(shape)), seed_1)?;
+                let found = method.keypoints(&points, Some(InFile { name: &name, origin }), seed_1)?;
                 let counts = |rule| semantic_counts(&points, &shapes[shape].keypoints, &found, threshold, rule);
                 let (strict, paper) = (counts(Unreachable::Strict)?, counts(Unreachable::PaperCompatible)?);
                 Ok(Row { method: method.name().into(), keypoints: found.len(), strict, paper })

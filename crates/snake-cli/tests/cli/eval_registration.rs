@@ -16,12 +16,12 @@ fn pose(k: usize) -> RigidTransform {
 }
 
 /// From fragment j to fragment i.
-fn between(i: usize, j: usize) -> RigidTransform {
+pub(super) fn between(i: usize, j: usize) -> RigidTransform {
     pose(i) * pose(j).inverse()
 }
 
 /// Fragments 0 to 3 of a scene: the sample, each without every fourth point and in its own frame.
-fn fragments() -> [Vec<[f32; 3]>; 4] {
+pub(super) fn fragments() -> [Vec<[f32; 3]>; 4] {
     let points = snake_io::read_points(Path::new(&sample())).unwrap();
     std::array::from_fn(|k| {
         let seen: Vec<_> = points.iter().enumerate().filter(|(i, _)| i % 4 != k).map(|(_, p)| *p).collect();
@@ -30,7 +30,7 @@ fn fragments() -> [Vec<[f32; 3]>; 4] {
 }
 
 /// Pairs (i, j) of [`fragments`] in our format.
-fn scenes(pairs: &[[usize; 2]]) -> TempDir {
+pub(super) fn scenes(pairs: &[[usize; 2]]) -> TempDir {
     let (folder, clouds) = (tempfile::tempdir().unwrap(), fragments());
     for (k, cloud) in clouds.iter().enumerate() {
         snake_io::write_points(&folder.path().join(format!("room__{k:02}.ply")), cloud, [0.0; 3]).unwrap();

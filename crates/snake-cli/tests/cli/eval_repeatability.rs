@@ -9,7 +9,7 @@ use tempfile::TempDir;
 use super::{sample, snake, stderr, write_npy};
 
 /// A folder in the corpus format: `number` copies of the sample, each of `size` of its points.
-fn corpus(number: usize, size: usize) -> TempDir {
+pub(super) fn corpus(number: usize, size: usize) -> TempDir {
     let folder = tempfile::tempdir().unwrap();
     let points = snake_io::read_points(Path::new(&sample())).unwrap();
     write_npy(&folder.path().join("points.npy"), &[number, size, 3], points[..number * size].as_flattened());

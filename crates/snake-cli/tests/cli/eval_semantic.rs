@@ -9,7 +9,7 @@ use super::{root, sample, snake, stderr, write_npy};
 
 /// A folder in the layout of KeypointNet: three shapes of 600 points of the sample; on the two chairs the marked points
 /// are the first five of farthest-point sampling, on the table one that is not among them.
-fn keypointnet() -> TempDir {
+pub(super) fn keypointnet() -> TempDir {
     let folder = tempfile::tempdir().unwrap();
     let points = &snake_io::read_points(Path::new(&sample())).unwrap()[..600];
     let found: Vec<usize> = snake_registration::detectors::farthest_points(points, 5)

@@ -3,6 +3,8 @@
 mod align;
 mod default_path;
 mod detect;
+mod eval_files;
+mod eval_models;
 mod eval_registration;
 mod eval_repeatability;
 mod eval_semantic;
@@ -20,6 +22,7 @@ mod tile_folders;
 mod tiles;
 mod usage;
 
+use std::io::Write;
 use std::path::{Path, PathBuf};
 use std::process::Output;
 
@@ -46,14 +49,29 @@ fn stderr(output: &Output) -> String {
     String::from_utf8_lossy(&output.stderr).into()
 }
 
-/// Writes an array of f32 as NumPy would.
-fn write_npy(path: &Path, shape: &[usize], values: &[f32]) {
+/// An array of the type `descr` as NumPy writes it.
+fn npy(descr: &str, shape: &[usize], values: impl Iterator<Item = u8>) -> Vec<u8> {
     let shape: String = shape.iter().map(|length| format!("{length}, ")).collect();
-    let header = format!("{{'descr': '<f4', 'fortran_order': False, 'shape': ({shape}), }}\n");
+    let header = format!("{{'descr': '{descr}', 'fortran_order': False, 'shape': ({shape}), }}\n");
     let mut bytes = b"\x93NUMPY\x01\x00".to_vec();
     bytes.extend((header.len() as u16).to_le_bytes());
     bytes.extend(header.as_bytes());
-    bytes.extend(values.iter().flat_map(|v| v.to_le_bytes()));
+    bytes.extend(values);
+    bytes
+}
+
+fn write_npy(path: &Path, shape: &[usize], values: &[f32]) {
     std::fs::create_dir_all(path.parent().unwrap()).unwrap();
-    std::fs::write(path, bytes).unwrap();
+    std::fs::write(path, npy("<f4", shape, values.iter().flat_map(|v| v.to_le_bytes()))).unwrap();
+}
+
+/// Writes an `.npz` archive of arrays of f64, each of a name, a shape and values.
+fn write_npz(path: &Path, arrays: &[(&str, &[usize], &[f64])]) {
+    std::fs::create_dir_all(path.parent().unwrap()).unwrap();
+    let mut archive = zip::ZipWriter::new(std::fs::File::create(path).unwrap());
+    for (name, shape, values) in arrays {
+        archive.start_file(format!("{name}.npy"), zip::write::SimpleFileOptions::default()).unwrap();
+        archive.write_all(&npy("<f8", shape, values.iter().flat_map(|v| v.to_le_bytes()))).unwrap();
+    }
+    archive.finish().unwrap();
 }

@@ -74,19 +74,12 @@ fn refine_tile(
 ) -> Result<()> {
     let mut positions = Scratch::copy_of(queries);
     let mut trajectory = Trajectory::new(queries.len(), options.refine_steps + 1);
-    let mut adam = Adam::new(queries.len(), options.refine_step_size);
+    let mut ascent = Ascent::new(queries.len(), num_queries, options);
     for _ in 0..options.refine_steps {
         counter.check()?;
         let (saliency, gradient) = field.tile_values_and_gradients(Quantity::Saliency, &positions);
         trajectory.push(&positions, &saliency);
-        match options.refine_method {
-            RefineMethod::Adam => adam.step(&mut positions, &gradient, -1.0 / num_queries as f32),
-            RefineMethod::GradientDescent => {
-                for (position, gradient) in positions.as_flattened_mut().iter_mut().zip(gradient.as_flattened()) {
-                    *position += options.refine_step_size * gradient;
-                }
-            }
-        }
+        ascent.step(&mut positions, &gradient);
         counter.add(queries.len());
     }
     counter.check()?;
@@ -139,6 +132,35 @@ fn best_on_surface(field: &Field, trajectory: &Trajectory, options: &DetectOptio
     }
 }
 
+/// The steps of positions up the saliency.
+pub(crate) struct Ascent {
+    method: RefineMethod,
+    step_size: f32,
+    /// Adam climbs the mean saliency of all queries of the cloud.
+    num_queries: usize,
+    adam: Adam,
+}
+
+impl Ascent {
+    /// Of a tile of `num_positions` among `num_queries` queries.
+    pub(crate) fn new(num_positions: usize, num_queries: usize, options: &DetectOptions) -> Self {
+        let step_size = options.refine_step_size;
+        Self { method: options.refine_method, step_size, num_queries, adam: Adam::new(num_positions, step_size) }
+    }
+
+    /// One step up each position's gradient of its saliency.
+    pub(crate) fn step(&mut self, positions: &mut [Point], gradients: &[Point]) {
+        match self.method {
+            RefineMethod::Adam => self.adam.step(positions, gradients, -1.0 / self.num_queries as f32),
+            RefineMethod::GradientDescent => {
+                for (position, gradient) in positions.as_flattened_mut().iter_mut().zip(gradients.as_flattened()) {
+                    *position += self.step_size * gradient;
+                }
+            }
+        }
+    }
+}
+
 /// Adam (β 0.9 and 0.999, ε 1e-8) on a tile of points, in the order of operations of the reference.
 struct Adam {
     step_size: f32,
@@ -178,7 +200,7 @@ mod tests {
     fn textbook(field: &Field, queries: &[Point], options: &DetectOptions) -> Vec<Refined> {
         let mut best: Vec<Refined> = queries.iter().map(|&position| Refined { position, score: -1.0 }).collect();
         let mut positions = queries.to_vec();
-        let mut adam = Adam::new(queries.len(), options.refine_step_size);
+        let mut ascent = Ascent::new(queries.len(), queries.len(), options);
         for step in 0..=options.refine_steps {
             let (saliency, gradient) = field.tile_values_and_gradients(Quantity::Saliency, &positions);
             let occupancy = field.tile_values(Quantity::Occupancy, &positions);
@@ -190,7 +212,7 @@ mod tests {
                 }
             }
             if step < options.refine_steps {
-                adam.step(&mut positions, &gradient, -1.0 / queries.len() as f32);
+                ascent.step(&mut positions, &gradient);
             }
         }
         best

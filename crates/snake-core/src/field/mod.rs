@@ -110,8 +110,10 @@ pub(crate) fn check_number_of_points(number: usize) -> Result<()> {
 
 /// One of the two decoders.
 #[derive(Debug, Clone, Copy)]
-pub(crate) enum Quantity {
+pub enum Quantity {
+    /// The probability of a surface.
     Occupancy,
+    /// The saliency.
     Saliency,
 }
 

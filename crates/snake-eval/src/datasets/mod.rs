@@ -39,3 +39,11 @@ fn find_cloud(path: &Path) -> Result<PathBuf> {
     let found = named.into_iter().find(|path| path.is_file());
     found.ok_or_else(|| Error::layout(path, format!("no such cloud (looked for .{})", POINT_EXTENSIONS.join(", ."))))
 }
+
+/// The name of a cloud's file without the extension of a known format.
+fn without_extension(file: &str) -> &str {
+    match file.rsplit_once('.') {
+        Some((name, extension)) if POINT_EXTENSIONS.contains(&extension) => name,
+        _ => file,
+    }
+}

@@ -7,7 +7,7 @@ use snake_geometry::{Cloud, Point, RigidTransform};
 use snake_io::{self as io, ReadOptions};
 
 use super::pairs_json::{self, ListedPair};
-use super::{find_cloud, read_json, read_text};
+use super::{find_cloud, read_json, read_text, without_extension};
 use crate::error::{Error, Result};
 use crate::views::PairClouds;
 
@@ -192,9 +192,9 @@ impl ViewPairs {
                 if let Some((file, _)) = files.iter().zip(&clouds).find(|(_, cloud)| cloud.points.is_empty()) {
                     return Err(Error::layout(file, "a cloud without points"));
                 }
-                let [first, second] = clouds.each_ref().map(|cloud| cloud.origin);
-                let t_1_2 = t_1_2.subtract_origins(second, first);
-                let pair = PairClouds::Real { clouds: clouds.map(|cloud| cloud.points), t_1_2 };
+                let origins = clouds.each_ref().map(|cloud| cloud.origin);
+                let t_1_2 = t_1_2.subtract_origins(origins[1], origins[0]);
+                let pair = PairClouds::Real { clouds: clouds.map(|cloud| cloud.points), t_1_2, origins };
                 if *unit_radius { pair.with_unit_radius() } else { Ok(pair) }
             }
         }
@@ -217,14 +217,6 @@ fn listed_pairs(folder: &Path) -> Result<Vec<PairEntry>> {
         t_1_2: t_target_source,
     };
     Ok(pairs_json::read(folder)?.into_iter().map(entry).collect())
-}
-
-/// The name of a cloud's file without the extension of a known format.
-fn without_extension(file: &str) -> &str {
-    match file.rsplit_once('.') {
-        Some((name, extension)) if io::POINT_EXTENSIONS.contains(&extension) => name,
-        _ => file,
-    }
 }
 
 /// USIP's ModelNet40: `original/I.npy`, the rotated object `rotated/I.npy`, and row I of `transform.npy`.

@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 use snake_geometry::RigidTransform;
 
 use super::pairs_json::{self, ListedPair};
-use super::{find_cloud, read_text};
+use super::{find_cloud, read_text, without_extension};
 use crate::error::{Error, Result};
 
 /// Fragments, and pairs of fragments that overlap. Lengths are in metres.
@@ -16,6 +16,7 @@ pub struct Scenes {
     pub clouds: Vec<PathBuf>,
     /// The pairs, scene by scene. There is at least one.
     pub pairs: Vec<ScenePair>,
+    folder: PathBuf,
 }
 
 /// Two fragments of a scene.
@@ -46,7 +47,7 @@ impl Scenes {
     /// [`Error::Io`] when a list cannot be read; [`Error::Layout`] when it does not follow its format, a cloud is
     /// missing, or there are no pairs.
     pub fn open(folder: &Path) -> Result<Self> {
-        let mut scenes = Self { clouds: Vec::new(), pairs: Vec::new() };
+        let mut scenes = Self { clouds: Vec::new(), pairs: Vec::new(), folder: folder.into() };
         if folder.join(pairs_json::NAME).exists() {
             pairs_json::read(folder)?.into_iter().try_for_each(|pair| scenes.add_pair(folder, pair))?;
         } else if let Some(truth) = ground_truth(folder) {
@@ -106,6 +107,15 @@ impl Scenes {
             self.clouds.push(path);
             self.clouds.len() - 1
         })
+    }
+
+    /// The name of a cloud: its file from the data set's folder on, without extension.
+    ///
+    /// # Panics
+    /// When `cloud` is not an index of [`clouds`](Self::clouds).
+    pub fn cloud_name(&self, cloud: usize) -> String {
+        let path = &self.clouds[cloud];
+        without_extension(&path.strip_prefix(&self.folder).unwrap_or(path).to_string_lossy()).into()
     }
 
     /// The name of a pair.

@@ -14,3 +14,21 @@ pub struct Pair<Row> {
     /// The rows, in the same order for every pair.
     pub rows: Vec<Row>,
 }
+
+/// The places of the rows that belong together, in the order of their first ones: a method that runs several models has a row
+/// for each of them.
+fn alike<T>(rows: &[T], are_alike: impl Fn(&T, &T) -> bool) -> Vec<Vec<usize>> {
+    let mut groups: Vec<Vec<usize>> = Vec::new();
+    for (place, row) in rows.iter().enumerate() {
+        match groups.iter_mut().find(|group| are_alike(&rows[group[0]], row)) {
+            Some(group) => group.push(place),
+            None => groups.push(vec![place]),
+        }
+    }
+    groups
+}
+
+/// The most rows that belong together: the number of models.
+fn num_models(groups: &[Vec<usize>]) -> usize {
+    groups.iter().map(Vec::len).max().unwrap_or(1)
+}

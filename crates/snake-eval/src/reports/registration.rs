@@ -3,9 +3,8 @@
 use serde::{Deserialize, Serialize};
 use serde_json::{Value, json};
 use snake_core::Result;
-use snake_registration::{Descriptor, KeypointDetector};
 
-use super::Pair;
+use super::{Pair, alike, num_models};
 use crate::datasets::ScenePair;
 use crate::tables::paper::{PaperRegistration, PaperTable};
 use crate::tables::{self, Statistic, Table, mean};
@@ -29,28 +28,22 @@ pub struct Row {
     pub squared_error: Option<f64>,
 }
 
+/// A detector with a descriptor.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Method {
+    /// The name of the detector.
+    pub detector: String,
+    /// The name of the descriptor.
+    pub descriptor: String,
+}
+
 /// The combinations that are compared.
 #[derive(Debug, Clone, Copy)]
 pub struct Cases<'a> {
-    /// The detectors.
-    pub detectors: &'a [KeypointDetector],
-    /// The descriptors, for each detector.
-    pub descriptors: &'a [Descriptor],
-    /// The numbers of keypoints, for each descriptor. There is at least one.
+    /// The detectors with their descriptors; one that stands there several times has as many models.
+    pub methods: &'a [Method],
+    /// The numbers of keypoints, for each method. There is at least one.
     pub keypoints: &'a [usize],
-}
-
-impl Cases<'_> {
-    /// The detector, descriptor and number of keypoints of each row of a pair.
-    fn all(&self) -> Vec<(KeypointDetector, Descriptor, usize)> {
-        let mut cases = Vec::new();
-        for &detector in self.detectors {
-            for &descriptor in self.descriptors {
-                cases.extend(self.keypoints.iter().map(|&keypoints| (detector, descriptor, keypoints)));
-            }
-        }
-        cases
-    }
 }
 
 /// The figures of every case: a detector, a descriptor and a number of keypoints.
@@ -60,14 +53,14 @@ pub struct Report<'a> {
     scenes: Vec<&'a str>,
     num_pairs: usize,
     num_seeds: usize,
+    num_models: usize,
     summaries: Vec<Summary>,
     paper: Option<&'a PaperRegistration>,
 }
 
-/// The figures of one case: the mean over the seeds for each scene, and the mean over the scenes.
+/// The figures of one case: the mean over the seeds and models for each scene, and the mean over the scenes.
 struct Summary {
-    detector: Value,
-    descriptor: Value,
+    method: Method,
     keypoints: usize,
     scenes: Vec<Figures>,
     mean: Figures,
@@ -164,28 +157,33 @@ impl<'a> Report<'a> {
                 scenes.push(&pair.scene);
             }
         }
-        let summary = |(i, (detector, descriptor, keypoints)): (usize, (KeypointDetector, Descriptor, usize))| {
-            let of_scene = |scene: &str, rows: &[Pair<Row>]| {
-                let rows = pairs.iter().zip(rows).filter(|(pair, _)| pair.scene == scene);
-                Figures::of_scene(&rows.map(|(pair, rows)| (*pair, &rows.rows[i])).collect::<Vec<_>>())
-            };
-            let of_run = |rows: &&[Pair<Row>]| scenes.iter().map(|scene| of_scene(scene, rows)).collect();
-            let of_seeds = runs.iter().map(of_run).collect::<Result<Vec<Vec<Figures>>>>()?;
-            let means: Vec<Figures> = of_seeds.iter().map(|scenes| Figures::mean(scenes)).collect();
-            let over_seeds =
-                |scene: usize| Figures::mean(&of_seeds.iter().map(|scenes| scenes[scene].clone()).collect::<Vec<_>>());
+        let of_scene = |scene: &str, rows: &[Pair<Row>], case: usize| {
+            let rows = pairs.iter().zip(rows).filter(|(pair, _)| pair.scene == scene);
+            Figures::of_scene(&rows.map(|(pair, rows)| (*pair, &rows.rows[case])).collect::<Vec<_>>())
+        };
+        let summary = |group: &[usize], column: usize| {
+            let places = group.iter().map(|method| method * cases.keypoints.len() + column);
+            let mut of_runs = Vec::new();
+            for (rows, case) in runs.iter().flat_map(|rows| places.clone().map(move |case| (rows, case))) {
+                of_runs.push(scenes.iter().map(|scene| of_scene(scene, rows, case)).collect::<Result<Vec<_>>>()?);
+            }
+            let means: Vec<Figures> = of_runs.iter().map(|scenes| Figures::mean(scenes)).collect();
+            let over_runs =
+                |scene: usize| Figures::mean(&of_runs.iter().map(|scenes| scenes[scene].clone()).collect::<Vec<_>>());
             Ok(Summary {
-                detector: json!(detector),
-                descriptor: json!(descriptor),
-                keypoints,
-                scenes: (0..scenes.len()).map(over_seeds).collect(),
+                method: cases.methods[group[0]].clone(),
+                keypoints: cases.keypoints[column],
+                scenes: (0..scenes.len()).map(over_runs).collect(),
                 mean: Figures::mean(&means),
-                deviation: Deviations::new(&means, &of_seeds[0]),
+                deviation: Deviations::new(&means, &of_runs[0]),
             })
         };
-        let summaries = cases.all().into_iter().enumerate().map(summary).collect::<Result<_>>()?;
-        let (num_pairs, num_seeds) = (pairs.len(), runs.len());
-        Ok(Self { settings, keypoints: cases.keypoints, scenes, num_pairs, num_seeds, summaries, paper })
+        let groups = alike(cases.methods, |a, b| a == b);
+        let columns = 0..cases.keypoints.len();
+        let all = groups.iter().flat_map(|group| columns.clone().map(|column| summary(group, column)));
+        let summaries = all.collect::<Result<_>>()?;
+        let (num_pairs, num_seeds, num_models) = (pairs.len(), runs.len(), num_models(&groups));
+        Ok(Self { settings, keypoints: cases.keypoints, scenes, num_pairs, num_seeds, num_models, summaries, paper })
     }
 
     /// The tables as lines of plain text.
@@ -201,9 +199,9 @@ impl<'a> Report<'a> {
     /// One table for each figure, with a row for each detector and descriptor and a column for each number of keypoints.
     fn tables(&self) -> Vec<Table> {
         let (pairs, scenes) = (self.num_pairs, self.scenes.len());
-        let over = match (scenes, self.num_seeds) {
-            (1, 1) => String::new(),
-            (_, seeds) => format!(" ± {}", tables::deviation_name(seeds, "scenes")),
+        let over = match (scenes, self.num_seeds, self.num_models) {
+            (1, 1, 1) => String::new(),
+            (_, seeds, models) => format!(" ± {}", tables::deviation_name(seeds, models, "scenes")),
         };
         let recall =
             |mean: Option<f64>, deviation| mean.map_or("-".into(), |mean| Statistic { mean, deviation }.cell());
@@ -235,8 +233,8 @@ impl<'a> Report<'a> {
         let mut head = vec!["keypoints".to_owned()];
         head.extend(self.keypoints.iter().map(usize::to_string));
         let row = |cases: &[Summary]| {
-            let name = |value: &Value| value.as_str().unwrap_or_default().to_owned();
-            let method = name(&cases[0].detector) + " " + &name(&cases[0].descriptor);
+            let Method { detector, descriptor } = &cases[0].method;
+            let method = format!("{detector} {descriptor}");
             std::iter::once(method).chain(cases.iter().map(&cell)).collect()
         };
         let mut rows: Vec<Vec<String>> = self.summaries.chunks(self.keypoints.len()).map(row).collect();
@@ -251,9 +249,7 @@ impl<'a> Report<'a> {
             "detector,descriptor,keypoints,scene,feature_matching_recall,inlier_ratio,registration_recall,found,correspondences\n",
         );
         let cell = |value: Option<f64>| value.map(|value| value.to_string()).unwrap_or_default();
-        for Summary { detector, descriptor, keypoints, scenes, mean, deviation } in &self.summaries {
-            let (detector, descriptor) =
-                (detector.as_str().unwrap_or_default(), descriptor.as_str().unwrap_or_default());
+        for Summary { method: Method { detector, descriptor }, keypoints, scenes, mean, deviation } in &self.summaries {
             let quoted = self.scenes.iter().map(|scene| format!("\"{}\"", scene.replace('"', "\"\"")));
             for (scene, figures) in quoted.zip(scenes).chain(std::iter::once(("mean".into(), mean))) {
                 let Figures { feature_matching_recall, inlier_ratio, registration_recall, found, correspondences } =
@@ -272,7 +268,7 @@ impl<'a> Report<'a> {
 
     fn json(&self) -> String {
         let row = |summary: &Summary| {
-            let Summary { detector, descriptor, keypoints, scenes, mean, deviation } = summary;
+            let Summary { method: Method { detector, descriptor }, keypoints, scenes, mean, deviation } = summary;
             json!({"detector": detector, "descriptor": descriptor, "keypoints": keypoints, "mean": mean, "deviation": deviation, "scenes": scenes})
         };
         let rows: Vec<Value> = self.summaries.iter().map(row).collect();
@@ -301,8 +297,8 @@ mod tests {
 
     #[test]
     fn figures_are_means_over_the_scenes_by_hand() {
-        let (detectors, descriptors) = ([KeypointDetector::Iss], [Descriptor::Fpfh]);
-        let cases = Cases { detectors: &detectors, descriptors: &descriptors, keypoints: &[100] };
+        let method = Method { detector: "iss".into(), descriptor: "fpfh".into() };
+        let cases = Cases { methods: &[method], keypoints: &[100] };
         // Scene a has three pairs, one of them consecutive and one without a transform; b only a consecutive one.
         let pairs = [pair("a", [0, 1]), pair("a", [0, 2]), pair("a", [0, 3]), pair("b", [4, 5])];
         let rows = [row(0.5, None), row(0.04, Some(0.03)), row(0.06, None), row(0.0, Some(0.0))];

@@ -3,7 +3,7 @@
 use serde::{Deserialize, Serialize};
 use serde_json::{Value, json};
 
-use super::Pair;
+use super::{Pair, alike, num_models};
 use crate::tables::paper::{PaperRepeatability, PaperTable};
 use crate::tables::plot::{self, Line, Panel};
 use crate::tables::{self, Statistic, Table, mean};
@@ -55,6 +55,7 @@ pub struct Report<'a> {
     summaries: Vec<Summary>,
     num_pairs: usize,
     num_seeds: usize,
+    num_models: usize,
     paper: Option<&'a PaperRepeatability>,
 }
 
@@ -70,7 +71,7 @@ struct Summary {
 }
 
 impl Summary {
-    /// Summarises the rows of all pairs for one method and condition, seed by seed.
+    /// Summarises the rows of all pairs for one method and condition, seed by seed and model by model.
     fn new(runs: &[Vec<&Row>]) -> Self {
         let Row { method, condition, repeatability, .. } = runs[0][0];
         let keypoints: Vec<f64> = runs.iter().flatten().map(|row| row.keypoints as f64).collect();
@@ -91,8 +92,8 @@ impl Summary {
 }
 
 impl<'a> Report<'a> {
-    /// Summarises the pairs of each seed. All pairs have rows for the same methods and conditions. The tables also show
-    /// the paper's rows, and the JSON has the settings.
+    /// Summarises the pairs of each seed. All pairs have rows for the same methods and conditions; rows of the same method and
+    /// condition are those of several models. The tables also show the paper's rows, and the JSON has the settings.
     ///
     /// # Panics
     /// When there are no pairs, or when two pairs have rows for different methods or conditions.
@@ -102,12 +103,16 @@ impl<'a> Report<'a> {
         runs: &[&[Pair<Row>]],
         paper: Option<&'a PaperRepeatability>,
     ) -> Self {
-        let num_rows = runs[0].first().map_or(0, |pair| pair.rows.len());
-        let rows_of = |i: usize| -> Vec<Vec<&Row>> {
-            runs.iter().map(|pairs| pairs.iter().map(|pair| &pair.rows[i]).collect()).collect()
+        let rows = runs[0].first().map_or(&[][..], |pair| &pair.rows);
+        let groups = alike(rows, |a, b| (&a.method, a.condition) == (&b.method, b.condition));
+        let rows_of = |group: &Vec<usize>| -> Vec<Vec<&Row>> {
+            runs.iter()
+                .flat_map(|pairs| group.iter().map(|&i| pairs.iter().map(|pair| &pair.rows[i]).collect()))
+                .collect()
         };
-        let summaries = (0..num_rows).map(|i| Summary::new(&rows_of(i))).collect();
-        Self { sweeps, settings, summaries, num_pairs: runs[0].len(), num_seeds: runs.len(), paper }
+        let summaries = groups.iter().map(|group| Summary::new(&rows_of(group))).collect();
+        let (num_pairs, num_models) = (runs[0].len(), num_models(&groups));
+        Self { sweeps, settings, summaries, num_pairs, num_seeds: runs.len(), num_models, paper }
     }
 
     /// The tables as lines of plain text.
@@ -190,7 +195,7 @@ impl<'a> Report<'a> {
             row.push(s.coverage.map_or("-".into(), |coverage| format!("{coverage:.4}")));
             row
         };
-        let over = tables::deviation_name(self.num_seeds, "pairs");
+        let over = tables::deviation_name(self.num_seeds, self.num_models, "pairs");
         let title = format!("Relative repeatability, mean over {} pairs ± {over}", self.num_pairs);
         let theirs = self.paper.into_iter().flat_map(|paper| paper.epsilon.rows(&self.sweeps.epsilon));
         let theirs = theirs.map(|row| [row, vec!["-".into(), "-".into()]].concat());

@@ -4,7 +4,7 @@ use serde::{Deserialize, Serialize};
 use serde_json::{Value, json};
 use snake_core::Result;
 
-use super::Pair;
+use super::{Pair, alike, num_models};
 use crate::tables::paper::PaperTable;
 use crate::tables::plot::{self, Line, Panel};
 use crate::tables::{self, Statistic, Table, mean};
@@ -31,6 +31,7 @@ pub struct Report<'a> {
     num_shapes: usize,
     num_classes: usize,
     num_seeds: usize,
+    num_models: usize,
     paper: Option<&'a PaperTable>,
 }
 
@@ -60,7 +61,7 @@ enum Cell {
 type Classes<'a> = Vec<Vec<&'a Row>>;
 
 impl Figure {
-    /// The statistic over the seeds of the mean over the classes.
+    /// The statistic over the seeds and models of the mean over the classes.
     fn new(runs: &[Classes], class: Option<&str>, iou: Iou) -> Result<Self> {
         let at = |threshold: usize, cell: Cell| {
             let is_paper = cell == Cell::Iou { is_paper: true };
@@ -89,8 +90,8 @@ impl Figure {
 }
 
 impl<'a> Report<'a> {
-    /// Summarises the shapes with their classes, or the pairs of bodies without classes, seed by seed. The tables also
-    /// show the paper's rows, and the JSON has the settings.
+    /// Summarises the shapes with their classes, or the pairs of bodies without classes, seed by seed. Rows of the same method
+    /// are those of several models. The tables also show the paper's rows, and the JSON has the settings.
     ///
     /// # Errors
     /// [`Error::Input`](snake_core::Error::Input) when a row has no counts.
@@ -109,21 +110,25 @@ impl<'a> Report<'a> {
         distinct.dedup();
         let num_classes = distinct.iter().flatten().count();
         let mut figures = Vec::new();
-        for method in 0..runs[0].first().map_or(0, |shape| shape.rows.len()) {
+        let methods = alike(runs[0].first().map_or(&[][..], |shape| &shape.rows), |a, b| a.method == b.method);
+        for method in &methods {
             let figure = |chosen: &[Option<&str>], class, iou| {
-                let of_class = |number: usize, class: &Option<&str>| -> Vec<&Row> {
-                    let belongs = runs[number].iter().zip(classes).filter(|(_, other)| *other == class);
-                    belongs.map(|(shape, _)| &shape.rows[method]).collect()
+                let of_class = |run: usize, row: usize, class: &Option<&str>| -> Vec<&Row> {
+                    let belongs = runs[run].iter().zip(classes).filter(|(_, other)| *other == class);
+                    belongs.map(|(shape, _)| &shape.rows[row]).collect()
                 };
-                let of_run = |number| chosen.iter().map(|class| of_class(number, class)).collect();
-                Figure::new(&(0..runs.len()).map(of_run).collect::<Vec<_>>(), class, iou)
+                let of_run = |(run, row)| chosen.iter().map(|class| of_class(run, row, class)).collect();
+                let places = (0..runs.len()).flat_map(|run| method.iter().map(move |&row| (run, row)));
+                let of_runs: Vec<Classes> = places.map(of_run).collect();
+                Figure::new(&of_runs, class, iou)
             };
             figures.push(figure(&distinct, None, if num_classes > 0 { class_iou } else { pairs_iou })?);
             for class in distinct.iter().filter(|class| class.is_some()) {
                 figures.push(figure(&[*class], *class, class_iou)?);
             }
         }
-        Ok(Self { threshold, settings, figures, num_shapes: classes.len(), num_classes, num_seeds: runs.len(), paper })
+        let (num_shapes, num_seeds, num_models) = (classes.len(), runs.len(), num_models(&methods));
+        Ok(Self { threshold, settings, figures, num_shapes, num_classes, num_seeds, num_models, paper })
     }
 
     /// The tables as lines of plain text.
@@ -158,7 +163,7 @@ impl<'a> Report<'a> {
                 0 => (format!("{} pairs", self.num_shapes), "pairs"),
                 classes => (format!("{} shapes of {classes} classes", self.num_shapes), "shapes"),
             };
-            let deviation = tables::deviation_name(self.num_seeds, parts);
+            let deviation = tables::deviation_name(self.num_seeds, self.num_models, parts);
             let theirs = paper.into_iter().flat_map(|paper| paper.rows(self.threshold));
             let rows = self.means().map(row).chain(theirs.map(|row| [row, vec!["-".into()]].concat())).collect();
             let title = format!("{what} over {over} at each threshold ± {deviation}, {rule}");

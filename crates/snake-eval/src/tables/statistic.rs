@@ -33,12 +33,14 @@ impl Statistic {
     }
 }
 
-/// The name of the deviations of [`Statistic::over_seeds`]: over the seeds, or over the `parts` of a single seed, such
-/// as `pairs`.
-pub fn deviation_name(seeds: usize, parts: &str) -> String {
-    match seeds {
-        1 => format!("standard deviation over {parts}"),
-        _ => format!("standard deviation over {seeds} seeds"),
+/// The name of the deviations of [`Statistic::over_seeds`]: over the seeds and models, or over the `parts` of a single seed,
+/// such as `pairs`.
+pub fn deviation_name(seeds: usize, models: usize, parts: &str) -> String {
+    match (seeds, models) {
+        (1, 1) => format!("standard deviation over {parts}"),
+        (_, 1) => format!("standard deviation over {seeds} seeds"),
+        (1, _) => format!("standard deviation over {models} models, without a model over {parts}"),
+        _ => format!("standard deviation over {seeds} seeds and {models} models"),
     }
 }
 

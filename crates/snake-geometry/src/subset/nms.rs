@@ -157,23 +157,61 @@ mod tests {
         (0..3).map(|axis| (a[axis] - b[axis]).powi(2)).sum()
     }
 
-    #[test]
-    fn equals_the_quadratic_loop_and_respects_ties() {
-        let points: Vec<Point> =
-            (0_u32..400).map(|i| std::array::from_fn(|axis| (i * [7, 13, 29][axis] % 17) as f32 * 0.1)).collect();
-        let scores: Vec<f32> = (0_u32..400).map(|i| (i * 31 % 23) as f32).collect();
-        for (radius, limit) in [(0.0, 5), (0.1, 400), (0.15, 400), (0.5, 7), (9.0, 3)] {
-            let mut order: Vec<usize> = (0..400).collect();
-            order.sort_by(|&a, &b| scores[b].total_cmp(&scores[a]).then(a.cmp(&b)));
-            let mut expected: Vec<usize> = Vec::new();
-            for i in order {
-                let free =
-                    expected.iter().all(|&k| radius == 0.0 || squared_distance(points[i], points[k]) > radius * radius);
-                if free && expected.len() < limit {
-                    expected.push(i);
-                }
+    /// Suppression in the order given, by one structure for the neighbours.
+    type Suppression = fn(&[Point], &[usize], f32, usize) -> Vec<usize>;
+
+    /// The plain definition, and what must equal it: kiddo's tree, and the cells that detection uses because they allocate
+    /// nothing in a frame.
+    const SUPPRESSIONS: [(&str, Suppression); 2] = [
+        ("tree", |points, order, radius, limit| {
+            let tree = KdTree::new(points).unwrap();
+            let within = |index: usize, found: &mut dyn FnMut(usize)| {
+                tree.within(&points[index], radius * radius, |other, _| found(other));
+            };
+            keep_apart(order, limit, within).to_vec()
+        }),
+        ("cells", |points, order, radius, limit| {
+            keep_in_order(&RadiusCells::new(points, radius).unwrap(), order, radius, limit).to_vec()
+        }),
+    ];
+
+    fn plain(points: &[Point], order: &[usize], radius: f32, limit: usize) -> Vec<usize> {
+        let mut kept: Vec<usize> = Vec::new();
+        for &i in order {
+            let is_free = kept.iter().all(|&k| squared_distance(points[i], points[k]) > radius * radius);
+            if is_free && kept.len() < limit {
+                kept.push(i);
             }
-            assert_eq!(suppress(&points, &scores, radius, limit).unwrap()[..], expected, "radius {radius}");
+        }
+        kept
+    }
+
+    #[test]
+    fn every_suppression_equals_the_quadratic_loop_and_respects_ties() {
+        let lattice = |i: u32| std::array::from_fn(|axis| (i * [7, 13, 29][axis] % 17) as f32 * 0.1);
+        let random = |i: u32| std::array::from_fn(|axis| (i * [7919, 104_729, 11][axis] % 10_007) as f32 * 1e-4);
+        let clouds: [Vec<Point>; 7] = [
+            (0..400).map(lattice).collect(),
+            (0..400).map(random).collect(),
+            (0..400).map(|i| [0.0, random(i)[0], 0.0]).collect(),
+            (0..400).map(|i| if i % 3 == 0 { [1.0; 3] } else { random(i) }).collect(),
+            (0..400).map(|i| if i % 50 == 0 { [1e7, -1e7, 1e7] } else { random(i) }).collect(),
+            vec![[1.0; 3]; 9],
+            vec![],
+        ];
+        for (number, points) in clouds.iter().enumerate() {
+            let scores: Vec<f32> = (0..points.len() as u32).map(|i| (i * 31 % 23) as f32).collect();
+            let mut order: Vec<usize> = (0..points.len()).collect();
+            order.sort_by(|&a, &b| scores[b].total_cmp(&scores[a]).then(a.cmp(&b)));
+            for (radius, limit) in [(1e-20, 400), (0.1, 400), (0.15, 400), (0.2, 400), (0.5, 7), (9.0, 3), (0.1, 0)] {
+                let expected = plain(points, &order, radius, limit);
+                for (name, suppression) in SUPPRESSIONS {
+                    let kept = suppression(points, &order, radius, limit);
+                    assert_eq!(kept, expected, "{name}: cloud {number}, radius {radius}");
+                }
+                assert_eq!(suppress(points, &scores, radius, limit).unwrap()[..], expected);
+            }
+            assert_eq!(suppress(points, &scores, 0.0, 5).unwrap()[..], order[..order.len().min(5)]);
         }
     }
 

@@ -37,6 +37,17 @@ pub fn read_array(path: &Path) -> Result<Array> {
 /// [`Error::Io`] when the file cannot be read; [`Error::Format`] when it is not an archive or lacks one of the arrays.
 #[cfg(feature = "npz")]
 pub fn read_arrays(path: &Path, names: &[&str]) -> Result<Vec<Array>> {
+    let lacking = |name: &&str| Error::Format { path: path.into(), reason: format!("array `{name}`: not in the file") };
+    let found = find_arrays(path, names)?.into_iter().zip(names);
+    found.map(|(array, name)| array.ok_or_else(|| lacking(name))).collect()
+}
+
+/// [`read_arrays`] with `None` for an array that the archive does not have.
+///
+/// # Errors
+/// [`Error::Io`] when the file cannot be read; [`Error::Format`] when it is not an archive or an array cannot be read.
+#[cfg(feature = "npz")]
+pub fn find_arrays(path: &Path, names: &[&str]) -> Result<Vec<Option<Array>>> {
     let bytes = std::fs::read(path).map_err(|source| Error::Io { path: path.into(), source })?;
     npz::read_named(&bytes, names).map_err(|reason| Error::Format { path: path.into(), reason })
 }

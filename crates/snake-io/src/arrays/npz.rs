@@ -31,12 +31,12 @@ pub(crate) fn read(bytes: &[u8], columns: Option<&Columns>) -> Result<Shape, Str
     npy::read(&array, columns).map_err(|reason| format!("array `{}`: {reason}", name(&archive, index)))
 }
 
-/// Reads the named arrays, in the order of `names`.
-pub(crate) fn read_named(bytes: &[u8], names: &[&str]) -> Result<Vec<Array>, String> {
+/// Reads those of the named arrays that the archive has, in the order of `names`.
+pub(crate) fn read_named(bytes: &[u8], names: &[&str]) -> Result<Vec<Option<Array>>, String> {
     let mut archive = open(bytes)?;
     let mut named = |name: &&str| {
-        let index = archive.index_for_name(&format!("{name}.npy")).ok_or("not in the file")?;
-        npy::read_array(&unpack(&mut archive, index, bytes.len().saturating_mul(MAX_EXPANSION))?)
+        let Some(index) = archive.index_for_name(&format!("{name}.npy")) else { return Ok(None) };
+        npy::read_array(&unpack(&mut archive, index, bytes.len().saturating_mul(MAX_EXPANSION))?).map(Some)
     };
     names.iter().map(|name| named(name).map_err(|reason| format!("array `{name}`: {reason}"))).collect()
 }
@@ -122,11 +122,11 @@ mod tests {
     #[test]
     fn arrays_are_found_by_their_names() {
         let file = npz(&[("a.npy", npy([2, 3])), ("b.npy", npy([4, 1])), ("zeros.npy", vec![0; 1 << 20])]);
-        let shapes = |names: &[&str]| -> Result<Vec<Vec<usize>>, String> {
-            Ok(read_named(&file, names)?.into_iter().map(|array| array.shape).collect())
+        let shapes = |names: &[&str]| -> Result<Vec<Option<Vec<usize>>>, String> {
+            Ok(read_named(&file, names)?.into_iter().map(|array| Some(array?.shape)).collect())
         };
-        assert_eq!(shapes(&["b", "a"]), Ok(vec![vec![4, 1], vec![2, 3]]));
-        assert_eq!(shapes(&["a", "c"]), Err("array `c`: not in the file".into()));
+        assert_eq!(shapes(&["b", "a"]), Ok(vec![Some(vec![4, 1]), Some(vec![2, 3])]));
+        assert_eq!(shapes(&["a", "c"]), Ok(vec![Some(vec![2, 3]), None]));
         assert!(shapes(&["zeros"]).unwrap_err().starts_with("array `zeros`: not a .npy file"));
     }
 

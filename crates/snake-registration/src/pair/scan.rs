@@ -14,6 +14,7 @@ use crate::parts::fpfh::FPFH_DIMENSION;
 use snake_core::Control;
 use snake_core::Field;
 use snake_core::Model;
+use snake_core::Options;
 use snake_core::Result;
 use snake_geometry::{
     FinitePoints, Length, Neighbors, Normalization, NormalizationMethod, Point, Vector, check_points,
@@ -31,6 +32,8 @@ pub struct Scan {
     /// The finite points.
     pub(crate) points: Vec<Point>,
     model: Model,
+    /// The options of the model's keypoints and field.
+    options: Options,
     field: OnceLock<Field>,
     /// FPFH of all voxels: of normals without a sign, and with one.
     fpfh: [OnceLock<Vec<f32>>; 2],
@@ -82,9 +85,26 @@ impl Scan {
             orientation,
             points: points.to_vec(),
             model: model.clone(),
+            options: Self::default_options(model, voxel_size),
             field: OnceLock::new(),
             fpfh: Default::default(),
         })
+    }
+
+    /// The options of the model's keypoints and field: those that it recommends, but in the unit cube, without rotated copies,
+    /// and with every salient point, moved onto the surface, that is a voxel from the others.
+    pub fn default_options(model: &Model, voxel_size: f64) -> Options {
+        let recommended = *model.recommended();
+        let encode = recommended.encode.with_normalization(NORMALIZATION).with_rotations(1);
+        // FPFH describes the surface, so keypoints are moved onto it.
+        let detect = recommended.detect.with_saliency_threshold(0.0).with_mode_radius(None).with_snap(true);
+        recommended.with_encode(encode).with_detect(detect.with_nms_radius(Some(Length::Units(voxel_size))))
+    }
+
+    /// Takes other options for the model's keypoints and field. Their `max_keypoints` is not used.
+    #[must_use]
+    pub fn with_options(self, options: Options) -> Self {
+        Self { options, field: OnceLock::new(), ..self }
     }
 
     /// At most `count` keypoints `(K, 3)` in the cloud's frame, best first, and no more than the cloud has points. Only
@@ -200,18 +220,12 @@ impl Scan {
         if let Some(field) = self.field.get() {
             return Ok(field);
         }
-        let recommended = self.model.recommended().encode;
-        let options = recommended.with_normalization(NORMALIZATION).with_rotations(1);
-        let field = self.model.encode_with(&self.points, &options, control)?;
+        let field = self.model.encode_with(&self.points, &self.options.encode, control)?;
         Ok(self.field.get_or_init(|| field))
     }
 
     fn salient_points(&self, most: usize, control: &Control) -> Result<Vec<Point>> {
-        let recommended = *self.model.recommended();
-        let options = recommended.detect.with_saliency_threshold(0.0).with_max_keypoints(most);
-        // FPFH describes the surface, so keypoints are moved onto it.
-        let nms_radius = Some(Length::Units(self.voxel_size));
-        let options = options.with_nms_radius(nms_radius).with_mode_radius(None).with_snap(true);
+        let options = self.options.detect.with_max_keypoints(most);
         let found = self.field(control)?.detect_with(&options, control)?;
         Ok(found.keypoints.into_iter().map(|keypoint| keypoint.position).collect())
     }

@@ -97,9 +97,7 @@ impl Encoder {
         let (size, channels) = (self.frame.size(), self.points.channels());
         let mut values = self.unet.pool.take(size.iter().product::<usize>() * channels);
         values.par_chunks_mut(size[1] * size[2] * channels).for_each(|plane| plane.fill(0.0));
-        for (voxel, mean) in groups.voxels().zip(means.chunks_exact(channels)) {
-            values[voxel * channels..][..channels].copy_from_slice(mean);
-        }
+        write_rows(means, groups, channels, &mut values);
         let constant = Some(ConstantRegion::around(size, groups.voxels()));
         Tensor { size, channels, values, sums: channel_sums(means, channels), constant }
     }
@@ -129,4 +127,40 @@ impl Encoder {
             constant: Some(ConstantRegion::around(size, touched.iter().copied())),
         })
     }
+}
+
+/// Writes the rows `(voxels, channels)` of the occupied voxels into a volume `[z][y][x][channel]`.
+fn write_rows(rows: &[f32], groups: &VoxelGroups, channels: usize, volume: &mut [f32]) {
+    for (voxel, row) in groups.voxels().zip(rows.chunks_exact(channels)) {
+        volume[voxel * channels..][..channels].copy_from_slice(row);
+    }
+}
+
+/// Aggregates given features in a zeroed volume `[z][y][x][channel]`. `feature` returns a grouped point with its feature.
+pub(crate) fn aggregated<'a>(
+    scatter: Scatter,
+    frame: &VolumeFrame,
+    groups: &VoxelGroups,
+    feature: impl Fn(usize) -> (Point, &'a [f32]),
+    values: &mut [f32],
+) -> Result<()> {
+    let channels = values.len() / frame.resolution.iter().product::<usize>();
+    let width = if scatter == Scatter::Hard { channels } else { scatter::slots_width(channels) };
+    let mut sums = vec![0.0; groups.num_voxels() * width];
+    for (voxel, sums) in sums.chunks_exact_mut(width).enumerate() {
+        for (point, feature) in groups.members(voxel..voxel + 1).map(&feature) {
+            match scatter {
+                Scatter::Hard => point_features::add(point, feature, sums),
+                Scatter::Soft => scatter::spread(frame, point, feature, sums),
+            }
+        }
+    }
+    match scatter {
+        Scatter::Hard => {
+            point_features::divide_by_counts(&mut sums, groups, channels);
+            write_rows(&sums, groups, channels, values);
+        }
+        Scatter::Soft => drop(scatter::gather(frame, groups, &sums, values, &Counter::default())?),
+    }
+    Ok(())
 }

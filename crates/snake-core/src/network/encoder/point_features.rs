@@ -56,14 +56,8 @@ impl PointFeatures {
         means: &mut Vec<f32>,
         counter: &Counter,
     ) -> Result<()> {
-        let add = |_: Point, feature: &[f32], sums: &mut [f32]| {
-            sums.iter_mut().zip(feature).for_each(|(sum, value)| *sum += value);
-        };
         self.voxel_sums(groups, point, self.channels(), add, means, counter)?;
-        for (voxel, mean) in means.chunks_exact_mut(self.channels()).enumerate() {
-            let size = groups.num_points(voxel..voxel + 1);
-            mean.iter_mut().for_each(|sum| *sum /= size as f32);
-        }
+        divide_by_counts(means, groups, self.channels());
         Ok(())
     }
 
@@ -84,5 +78,18 @@ impl PointFeatures {
             Self::PointNet(net) => net.add_to_voxels(groups, point, add, sums, counter),
             Self::PointNet2(net) => net.add_to_voxels(groups, point, add, sums, counter),
         }
+    }
+}
+
+/// Adds a feature to the sum of its voxel.
+pub(super) fn add(_: Point, feature: &[f32], sums: &mut [f32]) {
+    sums.iter_mut().zip(feature).for_each(|(sum, value)| *sum += value);
+}
+
+/// Makes means of the sums `(voxels, channels)` over the points of each occupied voxel.
+pub(super) fn divide_by_counts(sums: &mut [f32], groups: &VoxelGroups, channels: usize) {
+    for (voxel, mean) in sums.chunks_exact_mut(channels).enumerate() {
+        let size = groups.num_points(voxel..voxel + 1);
+        mean.iter_mut().for_each(|sum| *sum /= size as f32);
     }
 }
