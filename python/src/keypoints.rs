@@ -218,12 +218,15 @@ impl Keypoints {
         let confidence = self.confidence.bind(py).try_readonly()?;
         let scores = saliency.as_slice()?.iter().zip(occupancy.as_slice()?).zip(confidence.as_slice()?);
         let scores = scores.zip(nearest_index.as_slice()?);
-        let keypoint =
-            |(&position, (((&saliency, &occupancy), &confidence), &index)): (&Point, (((&f32, &f32), &f32), &i64))| {
-                let confidence = (!confidence.is_nan()).then_some(confidence);
-                core::Keypoint { position, saliency, occupancy, nearest_index: index as usize, confidence }
-            };
-        let keypoints: Vec<core::Keypoint> = cloud.points.iter().zip(scores).map(keypoint).collect();
+        let rows = cloud.points.iter().zip(scores);
+        let keypoints = rows.map(|(&position, (((&saliency, &occupancy), &confidence), &index))| core::Keypoint {
+            position,
+            saliency,
+            occupancy,
+            nearest_index: index as usize,
+            confidence: (!confidence.is_nan()).then_some(confidence),
+        });
+        let keypoints: Vec<core::Keypoint> = keypoints.collect();
         let source = KeypointSource::new(&path, cloud.origin);
         py.detach(|| write_keypoints(&path, &keypoints, &source)).map_err(file_error)
     }

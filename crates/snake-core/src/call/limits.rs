@@ -2,7 +2,7 @@
 
 use serde::{Deserialize, Serialize};
 
-use crate::call::budget;
+use crate::network::budget;
 use crate::network::config::ModelConfig;
 use crate::{Error, Result, setters};
 

@@ -1,6 +1,5 @@
 //! What a call may do: progress and cancellation, limits, threads.
 
-pub(crate) mod budget;
 pub(crate) mod clock;
 pub(crate) mod control;
 pub(crate) mod limits;

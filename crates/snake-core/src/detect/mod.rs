@@ -1,11 +1,13 @@
 //! Keypoint detection (SNAKE Algorithm 1).
 
+pub(crate) mod cell_means;
 mod cluster_hint;
 pub(crate) mod modes;
 mod named_options;
 pub(crate) mod options;
 pub(crate) mod query_grid;
 pub(crate) mod refine;
+pub(crate) mod rims;
 pub(crate) mod tiles;
 
 pub use self::cluster_hint::cluster_hint;
@@ -23,8 +25,8 @@ use crate::detect::modes::seek_modes;
 use crate::detect::options::Radii;
 use crate::detect::query_grid::{QueryGrid, above_occupancy, above_occupancy_of};
 use crate::detect::refine::{Refined, refine};
+use crate::detect::{cell_means::cell_means, rims::clear_rims};
 use crate::field::{Field, Quantity};
-use crate::network::scene::{cell_means, clear_rims};
 use snake_geometry::{FinitePoints, Keypoint, Normalization, Point, nearest_points_into, suppress};
 use snake_kernels::{Element, Scratch};
 

@@ -3,7 +3,7 @@
 use serde::{Deserialize, Serialize};
 use snake_kernels::Scratch;
 
-use crate::call::budget;
+use crate::network::budget;
 use crate::network::config::ModelConfig;
 use crate::{Error, Result, setters};
 use snake_geometry::{Length, NormalizationMethod, Point, sample};

@@ -1,16 +1,11 @@
 //! A network: its configuration and weights.
 
-mod measured;
 mod scale_hint;
 mod signs;
-mod sweep;
-mod voxel_size;
 
 pub use self::scale_hint::scale_hint;
 use self::signs::looks_like_scene;
 pub use self::signs::scene_signs;
-use self::sweep::is_sweep;
-pub(crate) use self::voxel_size::voxel_size;
 
 use std::collections::BTreeMap;
 use std::path::Path;
@@ -25,6 +20,7 @@ use crate::detect::options::{EncodeOptions, Options};
 use crate::field::Field;
 use crate::network::Network;
 use crate::network::config::ModelConfig;
+use crate::network::scene::is_sweep;
 use crate::{Error, Result};
 use snake_geometry::{FinitePoints, Point};
 

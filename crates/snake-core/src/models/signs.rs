@@ -7,7 +7,7 @@
 
 use nalgebra::Matrix3;
 
-use super::measured::{drawn, quantile};
+use crate::network::scene::measured::{drawn, quantile};
 use snake_geometry::Point;
 
 /// The number of signs.

@@ -1,7 +1,6 @@
 //! The configuration of a network.
 
 use crate::Result;
-use crate::call::budget;
 use crate::network::volume::VolumeFrame;
 use crate::network::weights::{self, Weights};
 
@@ -157,7 +156,6 @@ fn check_cube(frame: &VolumeFrame, config: &ModelConfig) -> Result<()> {
         let expected = format!("{smallest} to 512 voxels along each axis");
         return Err(weights::error("resolution", &expected, format!("{resolution:?}")));
     }
-    budget::check_volume(frame, config)?;
     let z_extent = z_max - z_min;
     if !((0.0..=10.0).contains(&padding) && z_extent > 0.0 && z_extent < 1e3) {
         let found = format!("padding {padding}, z from {z_min} to {z_max}");

@@ -1,5 +1,6 @@
 //! A network: configuration, layers and metadata. Models and fields share it.
 
+pub(crate) mod budget;
 pub(crate) mod confidence;
 pub(crate) mod config;
 pub(crate) mod decoder;
@@ -68,6 +69,9 @@ impl Network {
     pub(crate) fn from_bytes(bytes: &[u8]) -> Result<Self> {
         let file = Weights::open(bytes)?;
         let config = ModelConfig::from_weights(&file)?;
+        if let VolumeShape::Cube(frame) = &config.volume {
+            budget::check_volume(frame, &config)?;
+        }
         let network = Self {
             config,
             metadata: file.metadata.clone().into_iter().collect(),

@@ -7,14 +7,15 @@
 mod block_grid;
 mod encoder;
 mod levels;
-mod queries;
-mod rims;
+pub(crate) mod measured;
 mod scatter;
+mod sweep;
 #[cfg(test)]
 mod tests;
 mod unet;
+mod voxel_size;
 
 pub(crate) use self::block_grid::BlockGrid;
 pub(crate) use self::encoder::{SceneEncoder, SceneMemory};
-pub(crate) use self::queries::cell_means;
-pub(crate) use self::rims::clear_rims;
+pub(crate) use self::sweep::is_sweep;
+pub(crate) use self::voxel_size::voxel_size;
