@@ -57,7 +57,7 @@ pub struct DetectArguments {
 pub struct TileArguments {
     /// Detect in tiles of about this side in cloud units, such as 50 for a city in metres. All inputs make up one cloud,
     /// and the keypoints are those of the whole cloud. It needs a scene model, and --voxel-size for more than 2 million
-    /// points. All keypoints are kept unless --max-keypoints is given.
+    /// points. Without --max-keypoints all keypoints are kept.
     #[arg(long, value_name = "SIDE", requires = "output", conflicts_with_all = ["json", "timing", "number_results"])]
     pub tile: Option<f64>,
     /// Folder for the points and candidates of the tiles, 20 bytes a point: a new or an empty one, or that of an earlier run,
