@@ -177,7 +177,7 @@ def test_configuration_is_read(page, compiled, folder):
     tomllib.loads(block)
     (folder / "snake.toml").write_text(block)
     done = subprocess.run([compiled / "snake-cli", "detect", "samples/plane.ply", "-v"], capture_output=True, text=True)
-    assert done.returncode == 0 and "rooms" in done.stderr and '"nms_radius":0.2' in done.stderr, done.stderr
+    assert done.returncode == 0 and "scenes" in done.stderr and '"nms_radius":0.2' in done.stderr, done.stderr
 
 
 def test_rust_example_is_the_one_that_cargo_compiles():
