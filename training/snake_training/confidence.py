@@ -56,7 +56,9 @@ def of_pairs(model, folder, number):
         pair = listed[row]
         matrix, both = np.array(pair.get("T_icp") or pair["T"]), [cloud(pair[end]) for end in ("source", "target")]
         scores, hits = [], []
-        for (view, _, voxel), (other, tree, _), t in zip(both, both[::-1], (matrix, np.linalg.inv(matrix)), strict=True):
+        for (view, _, voxel), (other, tree, _), t in zip(
+            both, both[::-1], (matrix, np.linalg.inv(matrix)), strict=True
+        ):
             moved = view.points @ t[:3, :3].T + t[:3, 3]
             is_seen = tree.query(moved)[0] <= SEEN * voxel
             scores.append(view.saliency[is_seen])
@@ -96,7 +98,9 @@ def calibration_error(knots, scores, hits, bins=10):
     """The expected calibration error: the mean distance of mean confidence and share found again, in bins of equal number."""
     confidence = np.interp(scores, *np.transpose(knots))
     parts = np.array_split(scores.argsort(), bins)
-    return sum(len(part) * abs(confidence[part].mean() - hits[part].mean()) for part in parts if len(part)) / len(scores)
+    return sum(len(part) * abs(confidence[part].mean() - hits[part].mean()) for part in parts if len(part)) / len(
+        scores
+    )
 
 
 def joined(rows):
@@ -116,7 +120,9 @@ def write_map(path, knots):
 def main(argv=None):
     """Command line."""
     parser = argparse.ArgumentParser(
-        prog="python -m snake_training.confidence", description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+        prog="python -m snake_training.confidence",
+        description=__doc__,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     parser.add_argument("weights", help="weight file, which gets the map")
     parser.add_argument("--objects", help="corpus folder, or folder of clouds")

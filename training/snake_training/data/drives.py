@@ -29,7 +29,9 @@ def sweep(world, eye, turn, rng):
         near = world.toward(eye[None], eye + middle * FURTHEST, FURTHEST * np.linalg.norm(some - middle, axis=1).max())
         reach, which, slope = near.cast(np.broadcast_to(eye, some.shape), some)
         kept = (reach > NEAREST) & (reach < FURTHEST) & (rng.random(len(some)) < 0.15 + 2.5 * slope)
-        reach = reach + NOISE * rng.standard_normal(len(reach)) + near.arrays()[3][which] * rng.exponential(0.7, len(reach))
+        reach = (
+            reach + NOISE * rng.standard_normal(len(reach)) + near.arrays()[3][which] * rng.exponential(0.7, len(reach))
+        )
         points.append(some[kept] * reach[kept, None])
     return (np.concatenate(points) @ turn).astype(np.float32)
 
