@@ -86,7 +86,7 @@ def fit(scores, hits, weights, number=12):
     order = scores.argsort()
     share = np.cumsum(weights[order]) / weights.sum()
     bins = np.minimum((share * number).astype(int), number - 1)
-    mean = lambda values, of: (values * of).sum() / of.sum()  # noqa: E731
+    mean = lambda values, of: (values * of).sum() / of.sum()
     rows = [order[bins == one] for one in range(number) if (bins == one).any()]
     score = np.array([mean(scores[row], weights[row]) for row in rows])
     probability = isotonic([mean(hits[row], weights[row]) for row in rows], [weights[row].sum() for row in rows])

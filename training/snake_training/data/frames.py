@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 from scipy.spatial import cKDTree
 
-from .crops import View, depth_camera, holes, standpoint
+from .crops import depth_camera, holes, standpoint
 from .worlds import room
 
 NEAREST, FURTHEST = 0.4, 4.5  # metres, of the sensor
