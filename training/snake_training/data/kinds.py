@@ -23,7 +23,7 @@ def scene_cloud(rng):
         target = standpoint(size, rng) + rng.normal(size=3) * 0.3
         images, quadratic = [], rng.uniform(0.0008, 0.004)
         for _ in range(1 if kind == "depth frame" else rng.integers(4, 12)):
-            rays = depth_camera(eye, target, rng)
+            rays, _ = depth_camera(eye, target, rng)
             images.append(_seen(world, View(np.broadcast_to(eye, rays.shape), rays, 0.001, quadratic, 4.5, 0.4), rng))
             eye, target = eye + rng.normal(size=3) * (0.2, 0.2, 0.1), target + rng.normal(size=3) * 0.5
         points = np.concatenate(images)
