@@ -7,7 +7,7 @@ use crate::crs::Crs;
 /// The description of a keypoint file's cloud.
 #[derive(Debug, Clone, PartialEq, Default)]
 pub struct KeypointSource {
-    /// Added to the positions, see [`Cloud::origin`](super::Cloud::origin).
+    /// Added to the positions, see [`Cloud::origin`](snake_geometry::Cloud::origin).
     pub origin: [f64; 3],
     /// Class of the shape, for KeypointNet annotations.
     pub class_id: String,
