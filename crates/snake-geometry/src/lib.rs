@@ -13,7 +13,7 @@
 //! | all candidates within one radius, with no allocation | [`RadiusCells`], one grid of cells |
 //! | nearest different point of every point of a large cloud, on all threads | [`PointTree`] |
 //!
-//! Lengths are in the cloud's own units, whatever they are. Results have the same bits for any number of threads.
+//! Lengths are in the units of the cloud. Results have the same bits for any number of threads.
 
 #![forbid(unsafe_code)]
 

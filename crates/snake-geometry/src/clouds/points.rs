@@ -17,8 +17,7 @@ pub enum NormalizationMethod {
     #[default]
     UnitSphere,
     /// As [`NormalizationMethod::UnitSphere`], and encoded in the cloud's principal axes, so that the field and its
-    /// keypoints hardly depend on how the cloud is turned. Each axis points to the side of positive skewness. Windows are
-    /// encoded as the cloud lies.
+    /// keypoints hardly depend on how the cloud is turned. Each axis points to the side of positive skewness.
     PrincipalAxes,
     /// Subtract the mean, divide by twice the largest absolute coordinate: the cloud touches the cube ±0.5.
     UnitCube,
