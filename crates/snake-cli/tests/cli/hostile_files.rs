@@ -48,7 +48,8 @@ fn every_file_gives_the_expected_result() {
             assert_eq!(report["num_points"], num_points, "{file}");
             assert_eq!(report["num_skipped"], num_skipped.unwrap_or(0), "{file}");
             for keypoint in report["keypoints"].as_array().unwrap() {
-                let is_right = |(name, value): (&String, &Value)| value.is_number() || name == "confidence" && value.is_null();
+                let is_right =
+                    |(name, value): (&String, &Value)| value.is_number() || name == "confidence" && value.is_null();
                 assert!(keypoint.as_object().unwrap().iter().all(is_right), "{file}: {keypoint}");
             }
         }

@@ -24,7 +24,7 @@ use crate::detect::options::Radii;
 use crate::detect::query_grid::{QueryGrid, above_occupancy, above_occupancy_of};
 use crate::detect::refine::{Refined, refine};
 use crate::field::{Field, Quantity};
-use crate::network::scene::{cell_means, clear_rims};
+use crate::network::scene::{cell_means, lower_rims};
 use snake_geometry::{FinitePoints, Keypoint, Normalization, Point, nearest_points_into, suppress};
 use snake_kernels::{Element, Scratch};
 
@@ -185,7 +185,7 @@ impl Candidates {
         let occupancy_done = Instant::now();
         let mut refined = refine(field, &occupied, options, control)?;
         if let Some(cells) = &cells {
-            clear_rims(&mut refined, cells)?;
+            lower_rims(&mut refined, cells)?;
         }
         let mut candidates = above_saliency(field, &refined, options.saliency_threshold);
         candidates.timing.occupancy = (occupancy_done - start).as_secs_f64();

@@ -17,4 +17,4 @@ mod unet;
 pub(crate) use self::block_grid::BlockGrid;
 pub(crate) use self::encoder::{SceneEncoder, SceneMemory};
 pub(crate) use self::queries::cell_means;
-pub(crate) use self::rims::clear_rims;
+pub(crate) use self::rims::lower_rims;

@@ -2,7 +2,8 @@
 //!
 //! The network sees less of a surface at its rim and takes it for a corner. A cell lies on a rim if the cells around it are about
 //! as flat as a plane and lie on one side of it. An edge or a corner has another face on the other side. Whether a
-//! thing really ends there cannot be told from its points: the free edge of a board loses its keypoints too.
+//! thing really ends there cannot be told from its points: the free edge of a board has lower scores too, which only its
+//! strongest corners survive.
 
 use nalgebra::{Matrix3, Vector3};
 use rayon::prelude::*;
@@ -21,14 +22,16 @@ const LEAST_OFFSET: f64 = 0.75;
 const MOST_THICKNESS: f64 = 0.3;
 /// and that at least this share of the larger one: a pole or a ring of a sweep has no rim.
 const LEAST_WIDTH: f64 = 0.1;
-/// Queries at most so many voxels from a cell of a rim are no keypoints.
+/// Queries at most so many voxels from a cell of a rim have
 const DISTANCE: f32 = 1.5;
+/// this share of their score.
+const SHARE: f32 = 0.6;
 /// Steps of the positions of cells, which are sums' units: sums of integers do not depend on their order.
 const STEPS: f32 = 256.0;
 
-/// Sets the score of queries near a rim to 0. `cells` are the means of the points of all cells with points; all positions are in
+/// Lowers the score of queries near a rim. `cells` are the means of the points of all cells with points; all positions are in
 /// voxels.
-pub(crate) fn clear_rims(refined: &mut [Refined], cells: &[Point]) -> Result<()> {
+pub(crate) fn lower_rims(refined: &mut [Refined], cells: &[Point]) -> Result<()> {
     let around = RadiusCells::new(cells, NEIGHBOURHOOD)?;
     let mut is_asked: Scratch<bool> = Scratch::zeros(cells.len());
     for query in refined.iter().filter(|query| query.score > 0.0) {
@@ -39,7 +42,7 @@ pub(crate) fn clear_rims(refined: &mut [Refined], cells: &[Point]) -> Result<()>
         let mut is_near = false;
         around.within(&query.position, DISTANCE, |cell| is_near |= is_asked[cell]);
         if is_near {
-            query.score = 0.0;
+            query.score *= SHARE;
         }
     });
     Ok(())
@@ -69,12 +72,12 @@ fn is_on_rim(around: &RadiusCells, cell: usize) -> bool {
 mod tests {
     use super::*;
 
-    /// The scores that are left of a query at each cell, by whether `is_asked` accepts its position.
+    /// The number of queries at cells whose score stays, and of all, of those whose position `is_asked` accepts.
     fn left(cells: &[Point], is_asked: impl Fn(&Point) -> bool) -> [usize; 2] {
         let mut refined: Vec<Refined> = cells.iter().map(|&position| Refined { position, score: 0.5 }).collect();
-        clear_rims(&mut refined, cells).unwrap();
+        lower_rims(&mut refined, cells).unwrap();
         let asked = || refined.iter().filter(|query| is_asked(&query.position));
-        [asked().filter(|query| query.score > 0.0).count(), asked().count()]
+        [asked().filter(|query| query.score == 0.5).count(), asked().count()]
     }
 
     fn square(n: i32, place: impl Fn(f32, f32) -> Point) -> Vec<Point> {
@@ -82,7 +85,7 @@ mod tests {
     }
 
     #[test]
-    fn a_sheet_is_cleared_along_its_rim_and_kept_within() {
+    fn a_sheet_has_lower_scores_along_its_rim_and_kept_within() {
         let planes: [(fn(f32, f32) -> Point, usize); 3] =
             [(|x, y| [x, y, 0.3], 1), (|x, y| [x, 0.5, y], 2), (|x, y| [x, y, 0.5 * x], 1)];
         for (turn, second) in planes {
