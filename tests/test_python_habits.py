@@ -97,7 +97,7 @@ def test_keypoints_are_an_array_and_columns(keypoints):
     assert np.asarray(keypoints, dtype=np.float32).dtype == np.float32
     assert not np.shares_memory(np.array(keypoints), keypoints.points)
     columns = keypoints.to_dict()
-    assert list(columns) == ["x", "y", "z", "saliency", "occupancy", "nearest_index"]
+    assert list(columns) == ["x", "y", "z", "saliency", "occupancy", "nearest_index", "confidence"]
     assert np.array_equal(columns["y"], keypoints.points[:, 1])
 
 
