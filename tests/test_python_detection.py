@@ -5,7 +5,7 @@ import signal
 
 import numpy as np
 import pytest
-from golden_network import EASY, same
+from golden_network import EASY, GOLDEN, same
 
 import snake_rs
 
@@ -173,3 +173,15 @@ def test_the_warning_comes_before_a_long_detection():
     finally:
         signal.setitimer(signal.ITIMER_REAL, 0)
         signal.signal(signal.SIGALRM, before)
+
+
+def test_confidence_rises_with_saliency_and_min_confidence_keeps_the_good(points):
+    found = snake_rs.detect(points)
+    assert found.confidence.dtype == np.float32 and (np.diff(found.confidence) <= 0).all()
+    least = float(np.median(found.confidence))
+    kept = snake_rs.detect(points, min_confidence=least)
+    assert np.array_equal(kept.points, found.points[found.confidence >= least]) and kept[0].confidence == kept.confidence[0]
+    without = snake_rs.Model.load(GOLDEN / "tiny" / "weights.safetensors")
+    assert np.isnan(without.encode(points).detect().confidence).all()
+    with pytest.raises(ValueError, match="no map of confidences"):
+        snake_rs.detect(points, without, min_confidence=0.5)

@@ -7,6 +7,7 @@ mod named_options;
 pub(crate) mod options;
 pub(crate) mod query_grid;
 pub(crate) mod refine;
+mod rims;
 pub(crate) mod tiles;
 
 pub use self::cluster_hint::cluster_hint;
@@ -25,6 +26,7 @@ use crate::detect::modes::seek_modes;
 use crate::detect::options::Radii;
 use crate::detect::query_grid::{QueryGrid, above_occupancy, above_occupancy_of};
 use crate::detect::refine::{Refined, refine};
+use crate::detect::rims::lower_rims;
 use crate::field::{Field, Quantity};
 use snake_geometry::{FinitePoints, Keypoint, Normalization, Point, nearest_points_into, suppress};
 use snake_kernels::{Element, Scratch};
@@ -170,20 +172,24 @@ impl Candidates {
     ) -> Result<Self> {
         let start = Instant::now();
         let threshold = options.occupancy_threshold;
+        let cells = field.volume().frame().is_none().then(|| cell_means(field));
         let (mut occupied, num_queries) = match field.volume().frame() {
             Some(frame) => {
                 let queries = QueryGrid::new(field, &frame, options);
                 (above_occupancy(field, &queries, threshold, control)?, options.query_resolution.pow(3))
             }
             None => {
-                let mut queries = cell_means(field);
+                let mut queries = cells.clone().unwrap_or_default();
                 queries.retain(|&query| owns(&field.normalization().to_cloud(query)));
                 (above_occupancy_of(field, &queries, threshold, control)?, queries.len())
             }
         };
         occupied.retain(|&query| owns(&field.normalization().to_cloud(query)));
         let occupancy_done = Instant::now();
-        let refined = refine(field, &occupied, options, control)?;
+        let mut refined = refine(field, &occupied, options, control)?;
+        if let Some(cells) = &cells {
+            lower_rims(&mut refined, cells)?;
+        }
         let mut candidates = above_saliency(field, &refined, options.saliency_threshold);
         candidates.timing.occupancy = (occupancy_done - start).as_secs_f64();
         candidates.timing.refine = occupancy_done.elapsed().as_secs_f64();
