@@ -11,7 +11,9 @@ use std::sync::Arc;
 
 use serde::{Deserialize, Serialize};
 
+use crate::call::clock::Instant;
 use crate::call::control::Control;
+use crate::detect::cell_means::cell_means;
 use crate::detect::modes::{SHIFT, modes_of};
 use crate::detect::options::{Options, Radii};
 use crate::detect::{Candidates, Counts};
@@ -257,10 +259,11 @@ impl TileDetector {
         let field = Field::normalized(self.network.clone(), points.to_vec(), self.normalization(), 1, control);
         let field = field.map_err(advised)?;
         let near = tile.clone().map(|range| range.start.saturating_sub(margin)..range.end.saturating_add(margin));
+        let cells = cell_means(&field);
         let found = |is_own: bool| -> Result<(Vec<Candidate>, Counts)> {
             let owns = |point: &Point| self.is_in(point, &near) && self.is_in(point, tile) == is_own;
             let Candidates { positions, scores, counts, .. } =
-                Candidates::of(&field, &self.options.detect, owns, control)?;
+                Candidates::of_cells(&field, &cells, owns, &self.options.detect, Instant::now(), control)?;
             let candidate = |(&position, &saliency)| {
                 let cell = self.voxel(&position)?;
                 Ok(Candidate { position, saliency, occupancy: 0.0, start: saliency, cell })

@@ -118,13 +118,13 @@ pub enum Quantity {
 }
 
 impl Field {
+    /// The field of a cloud. The options are valid for the network.
     pub(crate) fn new(
         network: Arc<Network>,
         points: &[Point],
         options: &EncodeOptions,
         control: &Control,
     ) -> Result<Self> {
-        options.check(&network.config)?;
         control.get_limits().check_points(points.len())?;
         let finite = FinitePoints::of("points", points)?;
         Self::of_finite(network, finite, points.len(), options, &mut FieldMemory::default(), control)

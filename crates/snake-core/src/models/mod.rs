@@ -90,6 +90,7 @@ impl Model {
     /// # Errors
     /// The errors of [`Model::encode`]; [`Error::Cancelled`], [`Error::DeadlineExceeded`] and [`Error::LimitExceeded`].
     pub fn encode_with(&self, points: &[Point], options: &EncodeOptions, control: &Control) -> Result<Field> {
+        options.check(&self.network.config)?;
         Field::new(self.network.clone(), points, options, control)
     }
 
@@ -120,9 +121,9 @@ impl Model {
         self.network.check(options)?;
         control.get_limits().check_evaluations(&options.detect.evaluations(options.encode.rotations))?;
         let start = Instant::now();
-        let field = self.encode_with(points, &options.encode, control)?;
+        let field = Field::new(self.network.clone(), points, &options.encode, control)?;
         let encode = start.elapsed().as_secs_f64();
-        let mut detection = field.detect_with(&options.detect, control)?;
+        let mut detection = field.detect_in(&options.detect, Vec::new(), control)?;
         detection.timing.encode = encode;
         Ok(detection)
     }
