@@ -24,7 +24,8 @@ const N: usize = BLOCK_SIDE + 2;
 /// One input volume of a convolution of blocks. The channels of several sources follow each other.
 #[derive(Debug, Clone, Copy)]
 pub struct BlockSource<'a> {
-    /// Values `[block][z][y][x][channel]`. Block 0 stands for every missing block and is zero.
+    /// Values `[block][z][y][x][channel]`. Block 0 stands for every missing block and is zero; so do numbers beyond the last
+    /// block.
     pub values: &'a [f32],
     /// Channels of this volume.
     pub channels: usize,
@@ -37,6 +38,13 @@ pub struct BlockSource<'a> {
 }
 
 impl BlockSource<'_> {
+    /// The blocks about an output block; 0 for those that have no values.
+    #[inline(always)]
+    fn stored(&self, output: usize) -> [u32; 27] {
+        let number = (self.values.len() / (BLOCK_VOXELS * self.channels)) as u32;
+        self.neighbors[output].map(|neighbor| if neighbor < number { neighbor } else { 0 })
+    }
+
     /// For the voxels about an output block along one axis, which of the three blocks holds each, and its place there.
     #[inline(always)]
     fn places(&self, output: usize, axis: usize) -> [[usize; 2]; N] {
@@ -145,7 +153,8 @@ impl Gather for BlocksFrom<'_> {
         let mut rows = [[zero; M]; M];
         for tile in 0..self.number {
             let output = self.first + tile;
-            let neighbors = &source.neighbors[output];
+            let neighbors = source.stored(output);
+            let ahead = (half == 0 && output + 1 < source.neighbors.len()).then(|| source.stored(output + 1));
             let [x, y, z] = [source.places(output, 0), source.places(output, 1), source.places(output, 2)];
             for i in 0..M {
                 // Two neighbours of an upsampled volume are one voxel.
@@ -155,9 +164,16 @@ impl Gather for BlocksFrom<'_> {
                 }
                 for (along_z, y) in rows.iter_mut().zip(&y) {
                     for (value, z) in along_z.iter_mut().zip(&z) {
-                        let neighbor = neighbors[(z[0] * 3 + y[0]) * 3 + x[i][0]] as usize;
+                        let place = (z[0] * 3 + y[0]) * 3 + x[i][0];
                         let voxel = (z[1] * BLOCK_SIDE + y[1]) * BLOCK_SIDE + x[i][1];
-                        *value = load(&values[(neighbor * BLOCK_VOXELS + voxel) * source.channels..], lanes);
+                        let of_voxel = |neighbor: u32| (neighbor as usize * BLOCK_VOXELS + voxel) * source.channels;
+                        // The first half of the block's channels fetches ahead for both halves.
+                        if let Some(ahead) = &ahead {
+                            let ahead = values.as_ptr().wrapping_add(of_voxel(ahead[place]));
+                            L::prefetch(ahead);
+                            L::prefetch(ahead.wrapping_add(LANES));
+                        }
+                        *value = load(&values[of_voxel(neighbors[place])..], lanes);
                     }
                     *along_z = inputs_of_axis(*along_z);
                 }
