@@ -45,6 +45,14 @@ impl BlockSource<'_> {
         self.neighbors[output].map(|neighbor| if neighbor < number { neighbor } else { 0 })
     }
 
+    /// Where the values of a voxel begin, at these places along x, y and z.
+    #[inline(always)]
+    fn first_value(&self, neighbors: &[u32; 27], [x, y, z]: [[usize; 2]; 3]) -> usize {
+        let neighbor = neighbors[(z[0] * 3 + y[0]) * 3 + x[0]] as usize;
+        let voxel = (z[1] * BLOCK_SIDE + y[1]) * BLOCK_SIDE + x[1];
+        (neighbor * BLOCK_VOXELS + voxel) * self.channels
+    }
+
     /// For the voxels about an output block along one axis, which of the three blocks holds each, and its place there.
     #[inline(always)]
     fn places(&self, output: usize, axis: usize) -> [[usize; 2]; N] {
@@ -154,28 +162,38 @@ impl Gather for BlocksFrom<'_> {
         for tile in 0..self.number {
             let output = self.first + tile;
             let neighbors = source.stored(output);
-            let ahead = (half == 0 && output + 1 < source.neighbors.len()).then(|| source.stored(output + 1));
+            // The first half of the block's channels fetches the next block's values for both halves.
+            let next = if half == 0 && output + 1 < source.neighbors.len() { output + 1 } else { output };
+            let fetched = source.stored(next);
+            let [next_x, next_y, next_z] = [source.places(next, 0), source.places(next, 1), source.places(next, 2)];
             let [x, y, z] = [source.places(output, 0), source.places(output, 1), source.places(output, 2)];
+            // Two neighbours of an upsampled volume are one voxel.
+            let is_repeated = |i: usize| block.upsampled && i > 0 && i % 2 == 0;
             for i in 0..M {
-                // Two neighbours of an upsampled volume are one voxel.
-                if block.upsampled && i > 0 && i % 2 == 0 {
+                if is_repeated(i) {
                     columns[i] = columns[i - 1];
                     continue;
                 }
-                for (along_z, y) in rows.iter_mut().zip(&y) {
-                    for (value, z) in along_z.iter_mut().zip(&z) {
-                        let place = (z[0] * 3 + y[0]) * 3 + x[i][0];
-                        let voxel = (z[1] * BLOCK_SIDE + y[1]) * BLOCK_SIDE + x[i][1];
-                        let of_voxel = |neighbor: u32| (neighbor as usize * BLOCK_VOXELS + voxel) * source.channels;
-                        // The first half of the block's channels fetches ahead for both halves.
-                        if let Some(ahead) = &ahead {
-                            let ahead = values.as_ptr().wrapping_add(of_voxel(ahead[place]));
+                for j in 0..M {
+                    if is_repeated(j) {
+                        rows[j] = rows[j - 1];
+                        continue;
+                    }
+                    let mut along_z = [zero; M];
+                    for k in 0..M {
+                        if is_repeated(k) {
+                            along_z[k] = along_z[k - 1];
+                            continue;
+                        }
+                        if half == 0 {
+                            let from = source.first_value(&fetched, [next_x[i], next_y[j], next_z[k]]);
+                            let ahead = values.as_ptr().wrapping_add(from);
                             L::prefetch(ahead);
                             L::prefetch(ahead.wrapping_add(LANES));
                         }
-                        *value = load(&values[of_voxel(neighbors[place])..], lanes);
+                        along_z[k] = load(&values[source.first_value(&neighbors, [x[i], y[j], z[k]])..], lanes);
                     }
-                    *along_z = inputs_of_axis(*along_z);
+                    rows[j] = inputs_of_axis(along_z);
                 }
                 for z in 0..M {
                     let mut along_y = [zero; M];

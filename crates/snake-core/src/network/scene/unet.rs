@@ -188,8 +188,8 @@ impl BlockUnet {
                     let [x, y, z] =
                         [x % 2 * 2 + (corner & 1), y % 2 * 2 + (corner >> 1 & 1), z % 2 * 2 + (corner >> 2)];
                     let node = child * BLOCK_VOXELS + (z * 4 + y) * 4 + x;
-                    for (o, v) in out.iter_mut().zip(&values[node * channels..][..channels]) {
-                        *o = o.max(*v);
+                    for (most, &value) in out.iter_mut().zip(&values[node * channels..][..channels]) {
+                        *most = if value > *most { value } else { *most };
                     }
                 }
             }
