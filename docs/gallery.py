@@ -15,7 +15,11 @@ import numpy as np
 WIDTH, TITLE, MARGIN = 1000, 26, 12  # pixels
 VIRIDIS = [(68, 1, 84), (59, 82, 139), (33, 145, 140), (94, 201, 98), (253, 231, 37)]
 # Rotations to x right, y away and z up, by the axis that points up in a cloud; a camera has -y there.
-UPRIGHT = {"z": np.eye(3), "y": np.array([[1, 0, 0], [0, 0, -1], [0, 1, 0]]), "camera": np.array([[1, 0, 0], [0, 0, 1], [0, -1, 0]])}
+UPRIGHT = {
+    "z": np.eye(3),
+    "y": np.array([[1, 0, 0], [0, 0, -1], [0, 1, 0]]),
+    "camera": np.array([[1, 0, 0], [0, 0, 1], [0, -1, 0]]),
+}
 
 
 def detected(path, model):
@@ -83,7 +87,9 @@ def main():
     parser.add_argument("--model", help="default: as the cloud looks")
     parser.add_argument("--columns", type=int, default=4)
     parser.add_argument("--view", type=float, nargs=2, default=(35, 25), help="azimuth and elevation, degrees")
-    parser.add_argument("--up", nargs="+", choices=UPRIGHT, default=["z"], help="the axis that points up, for all or for each")
+    parser.add_argument(
+        "--up", nargs="+", choices=UPRIGHT, default=["z"], help="the axis that points up, for all or for each"
+    )
     parser.add_argument("--radius", type=float, default=np.inf, help="show only what is so near to the median point")
     parser.add_argument("--size", type=int, default=2, help="pixels of a point")
     arguments = parser.parse_args()
