@@ -46,8 +46,9 @@ def colours(saliency):
 
 def panel(path, arguments, turn, width):
     """The picture of a cloud, `width` pixels wide."""
-    import snake_rs
     from PIL import Image, ImageDraw, ImageFont
+
+    import snake_rs
 
     points = np.asarray(snake_rs.read_points(path))
     found, model = detected(path, arguments.model)
