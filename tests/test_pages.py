@@ -275,3 +275,13 @@ def test_speeds_of_the_readme_are_those_of_the_page():
     speed = text_of("README.md").split("## Speed")[1].split("##")[0]
     for seconds in re.findall(r"\| ([\d.]+) s", speed):
         assert f"| {seconds} |" in text_of("docs/performance.md")
+
+
+@pytest.mark.parametrize(
+    "folder", [path.parent for path in sorted(ROOT.glob("crates/*/Cargo.toml"))], ids=lambda path: path.name
+)
+def test_a_published_crate_carries_its_page_and_licences(folder):
+    for name in ("README.md", "LICENSE-MIT", "LICENSE-APACHE"):
+        assert (folder / name).is_file(), name
+    package = tomllib.loads((folder / "Cargo.toml").read_text())["package"]
+    assert package["description"] and package.get("readme", "README.md")
