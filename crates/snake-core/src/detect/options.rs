@@ -295,7 +295,7 @@ pub enum Preset {
     /// The paper's settings for 3DMatch.
     ThreeDMatch,
     /// For [`Builtin::Compact`](crate::Builtin::Compact): four rotated copies. Keypoints repeat better, and detection
-    /// takes four times as long.
+    /// takes three times as long.
     Standard,
 }
 
