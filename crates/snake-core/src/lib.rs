@@ -58,9 +58,9 @@ pub use network::{ModelConfig, PointEncoder, Scatter, Volume, VolumeFrame, Volum
 #[cfg(feature = "arrow")]
 pub use snake_geometry::ArrowPoints;
 pub use snake_geometry::{
-    Bounds, Cloud, Fate, Keypoint, Length, Mesh, Normalization, NormalizationMethod, Outliers, Point,
-    PointCloud2Layout, PointCloud2View, PointField, PointSource, RigidTransform, SeparateAxes, add_origin,
-    subtract_origin, zero_hint,
+    Bounds, Cloud, Fate, Keypoint, Length, Mesh, Normalization, NormalizationMethod, OptionGroup, OptionInfo,
+    OptionKind, Outliers, Point, PointCloud2Layout, PointCloud2View, PointField, PointSource, RigidTransform,
+    SeparateAxes, add_origin, subtract_origin, zero_hint,
 };
 #[doc(hidden)]
 pub use snake_geometry::{excerpt, is_harmful, printable, setters};
