@@ -113,12 +113,31 @@ impl OptionInfo {
         help.strip_suffix('.').map_or(help.clone(), str::to_owned)
     }
 
-    /// The allowed values in words: the range or the names; empty for any value.
-    pub fn allowed(&self) -> String {
-        match (self.kind)() {
+    /// What values are allowed and what none of them means, such as `allowed: 1 or more; none: all points`, where `none` is how
+    /// no value is written; empty if there is nothing to say.
+    pub fn limits(&self, none: &str) -> String {
+        let allowed = match (self.kind)() {
             OptionKind::Choice([names @ .., last]) => format!("{} or {last}", names.join(", ")),
             _ => self.range.to_owned(),
+        };
+        let facts = [("allowed", allowed.as_str()), (none, self.none)];
+        let facts = facts.iter().filter(|(name, text)| !name.is_empty() && !text.is_empty());
+        facts.map(|(name, text)| format!("{name}: {text}")).collect::<Vec<_>>().join("; ")
+    }
+
+    /// [`OptionInfo::help`] and [`OptionInfo::limits`] as lines of about `width` characters at most.
+    pub fn lines(&self, none: &str, width: usize) -> Vec<String> {
+        let limits = Some(self.limits(none)).filter(|limits| !limits.is_empty());
+        let text = limits.map_or(self.help(), |limits| format!("{} [{limits}]", self.help()));
+        let mut lines = vec![String::new()];
+        for word in text.split(' ') {
+            match lines.last_mut() {
+                Some(line) if line.is_empty() => word.clone_into(line),
+                Some(line) if line.chars().count() + 1 + word.chars().count() <= width => *line += &format!(" {word}"),
+                _ => lines.push(word.into()),
+            }
         }
+        lines
     }
 }
 
@@ -297,7 +316,12 @@ mod tests {
         let ranges = ["number", "share", "radius", "switch"].map(|name| of(name).range);
         assert_eq!(ranges, ["2 or more", "0.001 to 0.999 (of all)", "0 or more", ""]);
         assert_eq!((of("share").none, of("share").flag, of("number").flag), ("off", "SHARE", ""));
-        assert_eq!(of("method").allowed(), "unit-sphere, principal-axes, unit-cube or none");
+        assert_eq!(of("method").limits("null"), "allowed: unit-sphere, principal-axes, unit-cube or none");
+        assert_eq!(of("radius").limits("null"), "allowed: 0 or more; null: no limit");
+        assert_eq!(
+            (of("radius").limits(""), of("switch").limits("null")),
+            ("allowed: 0 or more".into(), String::new())
+        );
         let kinds = ["number", "share", "radius", "switch", "place", "transform"].map(|name| (of(name).kind)());
         use OptionKind::{Flag, Length, List, Number, Whole};
         assert_eq!(kinds, [Whole, Number, Length, Flag, List, List]);

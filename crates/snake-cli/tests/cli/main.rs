@@ -12,6 +12,7 @@ mod field_and_view;
 mod hostile_files;
 mod mistakes;
 mod model;
+mod options;
 mod origins_and_columns;
 mod outputs;
 mod printing;

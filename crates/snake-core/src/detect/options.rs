@@ -98,11 +98,17 @@ options! {
         /// Largest distance of a query from a voxel with input points, in voxels along each axis; 0: all queries are
         /// evaluated. Farther queries are dropped without evaluation: there are many of them, and hardly ever a surface.
         query_band, with_query_band: usize = 0, from 0 to 1024 "voxels";
-        /// Occupancy above which a query is refined (1 − thr_o).
+        /// Occupancy above which a query is refined.
+        ///
+        /// 1 − thr_o of the paper.
         occupancy_threshold, with_occupancy_threshold: f32 = 0.5, from 0 to 1;
-        /// Number of refinement steps (J).
+        /// Number of refinement steps.
+        ///
+        /// J of the paper.
         refine_steps, with_refine_steps: usize = 10, from 0 to 10000;
-        /// Step size of refinement (λ).
+        /// Step size of refinement.
+        ///
+        /// λ of the paper.
         refine_step_size, with_refine_step_size: f32 = 1e-3, from 0 to 1 "network units";
         /// Method that moves queries up the saliency field.
         refine_method, with_refine_method: RefineMethod = RefineMethod::Adam;
@@ -112,7 +118,9 @@ options! {
         ///
         /// The default is the released code's.
         surface_threshold, with_surface_threshold: f32 = 0.8, from 0 to 1;
-        /// Saliency above which a position is a keypoint (thr_s).
+        /// Saliency above which a position is a keypoint.
+        ///
+        /// thr_s of the paper.
         saliency_threshold, with_saliency_threshold: f32 = 0.7, from 0 to 1, flag "SALIENCY";
         /// Least confidence of a keypoint: the probability that another view finds it again, for models whose file has a map
         /// from saliency to it.
