@@ -17,14 +17,14 @@ use crate::{Error, Length, Result};
 ///         /// Largest number of results. The first paragraph is the help of every interface.
 ///         ///
 ///         /// What follows is for Rust alone.
-///         limit, with_limit: Option<usize> = None, none "all results", from 1 to 100 "results", flag "NUMBER";
+///         limit, with_limit: Option<usize> = None, none "all results", from 1 to 100, flag "NUMBER";
 ///     }
 /// }
 /// # fn main() { assert_eq!(SearchOptions::default().with_limit(Some(3)).limit, Some(3)) }
 /// ```
 ///
-/// `none` says what `None` means, `from` is the range (`from 1 or more` has no end), and `flag` marks an option that is common
-/// enough for a flag of its own on a command line.
+/// `none` says what `None` means, and `from` is the range: `from 1 or more` has no end, and `from 0 to 9 " (voxels)"` a note.
+/// `flag` names the value of a flag on the command line, for an option that is common enough for one.
 #[doc(hidden)]
 #[macro_export]
 macro_rules! options {
@@ -35,7 +35,7 @@ macro_rules! options {
             $(#[serde($($serde:tt)*)])?
             $name:ident, $setter:ident: $type:ty = $default:expr
             $(, none $none:literal)?
-            $(, from $low:literal $(to $high:literal)? $(or $more:ident)? $($unit:literal)?)?
+            $(, from $low:literal $(to $high:literal)? $(or $more:ident)? $($note:literal)?)?
             $(, flag $flag:literal)?;
         )+ }
     ) => {
@@ -45,8 +45,8 @@ macro_rules! options {
         #[non_exhaustive]
         pub struct $options { $(
             $(#[doc = $doc])+
-            $(#[doc = concat!("\n`None`, or null in JSON: ", $none, ".")])?
-            $(#[doc = concat!("\nAllowed: ", $crate::options!(@range $low $(to $high)? $(or $more)? $($unit)?), ".")])?
+            $(#[doc = concat!("\nWithout a value, null in JSON: ", $none, ".")])?
+            $(#[doc = concat!("\nAllowed: ", $crate::options!(@range $low $(to $high)? $(or $more)? $($note)?), ".")])?
             #[doc = concat!("\nDefault: `", stringify!($default), "`.")]
             $(#[serde($($serde)*)])?
             pub $name: $type,
@@ -64,7 +64,7 @@ macro_rules! options {
             const OPTIONS: &'static [$crate::OptionInfo] = &[$($crate::OptionInfo {
                 name: stringify!($name),
                 doc: concat!($($doc, "\n"),+),
-                range: concat!("" $(, $crate::options!(@range $low $(to $high)? $(or $more)? $($unit)?))?),
+                range: concat!("" $(, $crate::options!(@range $low $(to $high)? $(or $more)? $($note)?))?),
                 none: concat!("" $(, $none)?),
                 flag: concat!("" $(, $flag)?),
                 kind: $crate::OptionKind::of::<$type>,
@@ -75,7 +75,7 @@ macro_rules! options {
             /// Checks each option against its own range.
             pub(crate) fn check_ranges(&self) -> $crate::Result<()> {
                 $($(
-                    let allowed = $crate::options!(@range $low $(to $high)? $(or $more)? $($unit)?);
+                    let allowed = $crate::options!(@range $low $(to $high)? $(or $more)? $($note)?);
                     let bounds = (f64::from($low), [$(f64::from($high), )? f64::from(f32::MAX)][0]);
                     $crate::check_range(stringify!($name), &self.$name, bounds, allowed)?;
                 )?)+
@@ -83,8 +83,8 @@ macro_rules! options {
             }
         }
     };
-    (@range $low:literal $(to $high:literal)? $(or $more:ident)? $($unit:literal)?) => {
-        concat!($low $(, " to ", $high)? $(, " or ", stringify!($more))? $(, " (", $unit, ")")?)
+    (@range $low:literal $(to $high:literal)? $(or $more:ident)? $($note:literal)?) => {
+        concat!($low $(, " to ", $high)? $(, " or ", stringify!($more))? $(, $note)?)
     };
 }
 
@@ -145,6 +145,11 @@ impl OptionInfo {
 pub trait OptionGroup: Default + Serialize + DeserializeOwned {
     /// Its options, in the order of the fields.
     const OPTIONS: &'static [OptionInfo];
+
+    /// The range of an option in words.
+    fn range(name: &str) -> &'static str {
+        Self::OPTIONS.iter().find(|option| option.name == name).map_or("", |option| option.range)
+    }
 }
 
 /// What the values of an option look like.
@@ -288,7 +293,7 @@ mod tests {
             /// Not for other languages.
             number, with_number: usize = 3, from 2 or more;
             /// A share.
-            share, with_share: Option<f32> = None, none "off", from 0.001 to 0.999 "of all", flag "SHARE";
+            share, with_share: Option<f32> = None, none "off", from 0.001 to 0.999 " (of all)", flag "SHARE";
             /// A radius.
             radius, with_radius: Option<Length> = None, none "no limit", from 0 or more;
             /// A switch.

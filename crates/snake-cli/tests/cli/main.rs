@@ -13,6 +13,7 @@ mod hostile_files;
 mod mistakes;
 mod model;
 mod options;
+mod options_in_python;
 mod origins_and_columns;
 mod outputs;
 mod printing;

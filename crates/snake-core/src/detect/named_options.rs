@@ -57,7 +57,12 @@ pub fn with_named_values<T: Clone + Serialize + DeserializeOwned>(
 #[doc(hidden)]
 pub fn in_words(error: &serde_json::Error) -> String {
     let text = error.to_string();
-    let words = [("f32", "a number"), ("usize", "a whole number, 0 or more"), ("u64", "a whole number, 0 or more")];
+    let words = [
+        ("f32", "a number"),
+        ("f64", "a number"),
+        ("usize", "a whole number, 0 or more"),
+        ("u64", "a whole number, 0 or more"),
+    ];
     let found = words.iter().find_map(|(rust, words)| Some(format!("{}{words}", text.strip_suffix(rust)?)));
     found.unwrap_or(text)
 }

@@ -6,7 +6,7 @@ use snake_kernels::Scratch;
 use crate::network::budget;
 use crate::network::config::ModelConfig;
 use crate::{Error, Result};
-use snake_geometry::{Length, NormalizationMethod, Point, Ranged, options, sample, setters};
+use snake_geometry::{Length, NormalizationMethod, OptionGroup, Point, Ranged, options, sample, setters};
 
 options! {
     /// Options of [`Model::encode`](crate::Model::encode).
@@ -21,9 +21,9 @@ options! {
         /// in proportion.
         ///
         /// The mean is that of the log-odds. The network is only roughly equivariant, and its errors in the copies are nearly
-        /// independent. Above 1 only with [`NormalizationMethod::UnitSphere`] or [`NormalizationMethod::PrincipalAxes`],
-        /// because a rotated cube leaves the volume.
-        rotations, with_rotations: usize = 1, from 1 to 64, flag "NUMBER";
+        /// independent. A rotated cube leaves the volume.
+        rotations, with_rotations: usize = 1,
+            from 1 to 64 ", above 1 only with unit-sphere or principal-axes normalization", flag "NUMBER";
         /// Size of a voxel, for scene models: in cloud units, or in multiples of the cloud's resolution (`2r`). Details
         /// smaller than a voxel are not seen.
         #[serde(deserialize_with = "none_if_zero")]
@@ -36,7 +36,7 @@ impl EncodeOptions {
     pub(crate) fn check(&self, config: &ModelConfig) -> Result<()> {
         self.check_ranges()?;
         if self.rotations > 1 && !self.normalization.allows_rotations() {
-            let allowed = "1 to 64, above 1 only with unit-sphere or principal-axes normalization";
+            let allowed = Self::range("rotations");
             return Err(Error::Option { name: "rotations", value: self.rotations.to_string(), allowed });
         }
         if config.frame().is_none() && self.rotations > 1 {
@@ -97,7 +97,7 @@ options! {
         query_resolution, with_query_resolution: usize = 64, from 1 to 256;
         /// Largest distance of a query from a voxel with input points, in voxels along each axis; 0: all queries are
         /// evaluated. Farther queries are dropped without evaluation: there are many of them, and hardly ever a surface.
-        query_band, with_query_band: usize = 0, from 0 to 1024 "voxels";
+        query_band, with_query_band: usize = 0, from 0 to 1024 " (voxels)";
         /// Occupancy above which a query is refined.
         ///
         /// 1 − thr_o of the paper.
@@ -109,7 +109,7 @@ options! {
         /// Step size of refinement.
         ///
         /// λ of the paper.
-        refine_step_size, with_refine_step_size: f32 = 1e-3, from 0 to 1 "network units";
+        refine_step_size, with_refine_step_size: f32 = 1e-3, from 0 to 1 " (network units)";
         /// Method that moves queries up the saliency field.
         refine_method, with_refine_method: RefineMethod = RefineMethod::Adam;
         /// Position and score of a refined query: the best of its trajectory, or those of the released code.
@@ -133,13 +133,14 @@ options! {
         ///
         /// Three steps of mean shift move them to the weighted mean within this radius, then 0.85 and 0.7 of it.
         #[serde(deserialize_with = "none_if_zero")]
-        mode_radius, with_mode_radius: Option<Length> = None, none "keypoints stay, as in the paper", from 0 or more;
+        mode_radius, with_mode_radius: Option<Length> = None, none "keypoints stay, as in the paper",
+            from 0 or more " (cloud units, or as in `3r` resolutions)";
         /// Least distance of keypoints: in cloud units, in multiples of the cloud's resolution, the mean distance between
         /// nearest points (`3r`), in per cent of the cloud's radius (`10%`), or in voxels (`4v`). Of those that are closer the
         /// best is kept.
         #[serde(deserialize_with = "none_if_zero")]
-        nms_radius, with_nms_radius: Option<Length> = Some(Length::Units(0.01)), none "no suppression", from 0 or more,
-            flag "LENGTH";
+        nms_radius, with_nms_radius: Option<Length> = Some(Length::Units(0.01)), none "no suppression",
+            from 0 or more " (cloud units, or as in `3r` resolutions)", flag "LENGTH";
         /// Largest number of keypoints; those with the highest saliency are kept.
         ///
         /// `usize::MAX` is no limit.
@@ -323,11 +324,11 @@ options! {
     /// Options of [`Field::mesh`](crate::Field::mesh).
     pub struct MeshOptions {
         /// Number of samples of the occupancy along each axis of the feature volume, ends included.
-        resolution, with_resolution: usize = 128, from 8 to 512 "samples along each axis", flag "NUMBER";
+        resolution, with_resolution: usize = 128, from 8 to 512 " (samples along each axis)", flag "NUMBER";
         /// Occupancy at the surface. A higher level gives thinner shells.
         ///
         /// The default is the released code's.
-        level, with_level: f32 = 0.4, from 0.001 to 0.999 "a probability", flag "PROBABILITY";
+        level, with_level: f32 = 0.4, from 0.001 to 0.999 " (a probability)", flag "PROBABILITY";
         /// Whether only surfaces are kept that can be reached from outside. A thin shell has an outer and an inner surface; this
         /// removes the inner one unless the shell has a hole.
         outer, with_outer: bool = false, flag "OUTER";
