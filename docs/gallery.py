@@ -1,22 +1,33 @@
 """Draws clouds with their keypoints: `python docs/gallery.py OUT.png CLOUD.. [--model NAME]`.
 
-Needs snake-cli and matplotlib. A cloud is an .npy file (N, 3); its keypoints are those of `snake-cli detect` with its
-default options. Keypoints on the far side are drawn smaller.
+Keypoints are those of `snake-cli detect` with its default options: the larger, the higher their confidence. Points have the colour of
+the saliency at them, of the field that gave the keypoints, from violet (0) to yellow (0.7). Needs snake-cli, snake_rs and Pillow.
 """
 
 import argparse
+import itertools
 import json
 import subprocess
 from pathlib import Path
 
 import numpy as np
 
+WIDTH, TITLE, MARGIN = 1000, 26, 12  # pixels
+VIRIDIS = [(68, 1, 84), (59, 82, 139), (33, 145, 140), (94, 201, 98), (253, 231, 37)]
+# Rotations to x right, y away and z up, by the axis that points up in a cloud; a camera has -y there.
+UPRIGHT = {
+    "z": np.eye(3),
+    "y": np.array([[1, 0, 0], [0, 0, -1], [0, 1, 0]]),
+    "camera": np.array([[1, 0, 0], [0, 0, 1], [0, -1, 0]]),
+}
 
-def keypoints(path, model):
-    """Keypoints (K, 3) of a cloud, best first."""
-    command = ["snake-cli", "detect", path, "--json", "--model", model]
-    found = json.loads(subprocess.run(command, capture_output=True, text=True, check=True).stdout)["keypoints"]
-    return np.array([[keypoint[axis] for axis in "xyz"] for keypoint in found]).reshape(-1, 3)
+
+def detected(path, model):
+    """Keypoints (K, 4), the worst first: x, y, z and confidence; and the name of the model that found them."""
+    command = ["snake-cli", "detect", path, "--json", *(["--model", model] if model else [])]
+    found = json.loads(subprocess.run(command, capture_output=True, text=True, check=True).stdout)
+    rows = [[keypoint[key] for key in ("x", "y", "z", "confidence")] for keypoint in found["keypoints"]]
+    return np.array(rows, float).reshape(-1, 4)[::-1], found["model"].split(",")[0]
 
 
 def rotation(azimuth, elevation):
@@ -27,17 +38,46 @@ def rotation(azimuth, elevation):
     return about_x @ about_z
 
 
-def draw(axes, points, found, turn):
-    """A cloud (N, 3), shaded by depth, with keypoints (K, 3)."""
-    points, found = points @ turn.T, found @ turn.T
-    order = np.argsort(points[:, 2])
-    axes.scatter(
-        *points[order, :2].T, c=points[order, 2], cmap="Greys", s=1.2, vmin=2 * points[:, 2].min(), linewidths=0
-    )
-    near = (found[:, 2] - points[:, 2].min()) / np.ptp(points[:, 2])
-    axes.scatter(*found[:, :2].T, s=12 + 28 * near, c="#e5484d", edgecolors="black", linewidths=0.6)
-    axes.set_aspect("equal")
-    axes.axis("off")
+def colours(saliency):
+    """Colours (N, 3) of saliencies (N,)."""
+    stops = np.linspace(0, 0.7, len(VIRIDIS))
+    return np.stack([np.interp(saliency, stops, channel) for channel in zip(*VIRIDIS)], axis=1).astype(np.uint8)
+
+
+def panel(path, arguments, turn, width):
+    """The picture of a cloud, `width` pixels wide."""
+    from PIL import Image, ImageDraw, ImageFont
+
+    import snake_rs
+
+    points = np.asarray(snake_rs.read_points(path))
+    found, model = detected(path, arguments.model)
+    saliency = snake_rs.Model.builtin(model).encode(points).saliency(points)
+    middle = np.median(points, axis=0)
+    shown, near = (np.linalg.norm(cloud[:, :3] - middle, axis=1) < arguments.radius for cloud in (points, found))
+    seen, marks = points[shown] @ turn.T, found[near, :3] @ turn.T
+    low, high = seen[:, :2].min(axis=0), seen[:, :2].max(axis=0)
+    scale = (width - 2 * MARGIN) / max(high[0] - low[0], high[1] - low[1])
+    height = int((high[1] - low[1]) * scale) + 2 * MARGIN + TITLE
+
+    def pixels(cloud):
+        across = MARGIN + (cloud[:, 0] - (low[0] + high[0]) / 2) * scale + (width - 2 * MARGIN) / 2
+        return np.column_stack([across, TITLE + MARGIN + (high[1] - cloud[:, 1]) * scale]).astype(int)
+
+    canvas = np.full((height, width, 3), 255, np.uint8)
+    order = np.argsort(seen[:, 2])  # the nearest is drawn last
+    for step in np.ndindex(arguments.size, arguments.size):
+        column, row = np.minimum(pixels(seen[order]) + step, (width - 1, height - 1)).T
+        canvas[row, column] = colours(saliency[shown][order])
+    image = Image.fromarray(canvas)
+    draw = ImageDraw.Draw(image)
+    for (x, y), confidence in zip(pixels(marks), found[near, 3]):
+        radius = width * (0.003 + 0.014 * confidence)
+        box = (x - radius, y - radius, x + radius, y + radius)
+        draw.ellipse(box, fill="#e5484d", outline="white" if radius > 3 else None, width=1)
+    title = f"{Path(path).stem}: {len(found)}"
+    draw.text((width / 2, TITLE / 2), title, fill="black", font=ImageFont.load_default(15), anchor="mm")
+    return image
 
 
 def main():
@@ -45,26 +85,27 @@ def main():
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("output")
     parser.add_argument("clouds", nargs="+")
-    parser.add_argument("--model", default="compact")
+    parser.add_argument("--model", help="default: as the cloud looks")
     parser.add_argument("--columns", type=int, default=4)
     parser.add_argument("--view", type=float, nargs=2, default=(35, 25), help="azimuth and elevation, degrees")
+    parser.add_argument(
+        "--up", nargs="+", choices=UPRIGHT, default=["z"], help="the axis that points up, for all or for each"
+    )
+    parser.add_argument("--radius", type=float, default=np.inf, help="show only what is so near to the median point")
+    parser.add_argument("--size", type=int, default=2, help="pixels of a point")
     arguments = parser.parse_args()
-    import matplotlib  # Not before: the help needs none.
+    from PIL import Image  # Not before: the help needs nothing.
 
-    matplotlib.use("Agg")
-    from matplotlib import pyplot as plt
-
-    rows = -(-len(arguments.clouds) // arguments.columns)
-    figure, grid = plt.subplots(rows, arguments.columns, figsize=(4 * arguments.columns, 4 * rows), squeeze=False)
-    for axes in grid.flat:
-        axes.axis("off")
-    for axes, path in zip(grid.flat, arguments.clouds):
-        points = np.load(path)
-        found = keypoints(path, arguments.model)
-        draw(axes, points, found, rotation(*arguments.view))
-        axes.set_title(f"{Path(path).stem}: {len(found)}", fontsize=11)
-    figure.tight_layout()
-    figure.savefig(arguments.output, dpi=75)
+    up, width = itertools.cycle(arguments.up), WIDTH // arguments.columns
+    turns = (rotation(*arguments.view) @ UPRIGHT[axis] for axis in up)
+    panels = [panel(path, arguments, turn, width) for path, turn in zip(arguments.clouds, turns)]
+    rows = [panels[i : i + arguments.columns] for i in range(0, len(panels), arguments.columns)]
+    heights = [max(image.height for image in row) for row in rows]
+    picture = Image.new("RGB", (WIDTH, sum(heights)), "white")
+    for i, row in enumerate(rows):
+        for j, image in enumerate(row):
+            picture.paste(image, (j * width, sum(heights[:i]) + (heights[i] - image.height) // 2))
+    picture.quantize(64).save(arguments.output, optimize=True)
 
 
 if __name__ == "__main__":

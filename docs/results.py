@@ -23,9 +23,8 @@ CLASSICAL = "surface-variation,iss,harris3d,sift3d,fps,random"
 
 INTRODUCTION = """# Results
 
-Made by `make results OBJECTS=FOLDER LANDMARKS=FOLDER SCENES="FOLDER .."`, which writes this page whole: do not edit it. OBJECTS is a
-folder of objects, SCENES one or more folders of clouds with their `pairs.json` (`snake-cli eval repeatability --help` lists the
-layouts), LANDMARKS one of shapes that know their corners. Rows marked as the paper's are its own figures for its own data.
+Made by `make results OBJECTS=FOLDER LANDMARKS=FOLDER SCENES="FOLDER .."`: do not edit it (`snake-cli eval repeatability --help` lists the
+layouts of the folders). Rows marked as the paper's are its own figures for its own data.
 
 Here: the validation split of the corpus (`LIMIT=58`, every third object), which was not trained on, and fragments of the 3DMatch
 benchmark, of whose pairs those count that overlap by at least a tenth and fit within 2 cm under the published transforms. About a

@@ -141,6 +141,73 @@ def test_options_of_python_exist(command):
     assert not flags or not (unknown := [flag for flag in flags if flag not in help_of(*program)]), unknown
 
 
+CHECKED = ("snake-cli", "make", "python", "python3", "cargo", "pip")
+OF_OTHERS = ("cmake", "chromium")
+
+
+def test_no_kind_of_block_is_left_out():
+    assert {command.split()[0] for _, command in COMMANDS} <= {*CHECKED, *OF_OTHERS}
+    languages = {found for page in PAGES for found in re.findall(r"^```(\w+)$", text_of(page), re.MULTILINE)}
+    # tests/test_embedding.py has the Rust and C++ of docs/embedding.md, cargo the Rust of the crates' own pages.
+    assert languages <= {"sh", "python", "toml", "rust", "cpp", "c", "text"}
+
+
+TRAINING = ("train", "targets", "evaluate", "ablations", "recipes", "export", "confidence", "benchmark")
+
+
+@cache
+def known_options(compiled) -> set[str]:
+    """The long options of all commands: snake-cli, its sub-commands, and the modules of training."""
+    helps = [
+        subprocess.run([compiled / "snake-cli", *words, "--help"], capture_output=True, text=True, check=True).stdout
+        for words in (["detect"], ["register"], ["align"], ["reconstruct"], ["field"], ["view"], ["eval", "repeatability"],
+                      ["eval", "semantic"], ["eval", "registration"])
+    ]  # fmt: skip
+    helps += [help_of("-m", f"snake_training.{name}") for name in TRAINING]
+    return set(re.findall(r"(?<![\w-])--[a-z][\w-]*", "\n".join(helps)))
+
+
+def in_prose(page: str) -> list[str]:
+    """The code within the sentences and tables of a page."""
+    prose = re.sub(r"^```.*?^```", "", text_of(page), flags=re.DOTALL | re.MULTILINE)
+    return re.findall(r"`([^`\n]+)`", prose)
+
+
+@pytest.mark.parametrize("page", PAGES)
+def test_options_in_prose_exist(page, compiled):
+    pytest.importorskip("snake_training", reason="pip install ./training")
+    listed = subprocess.run([compiled / "snake-cli", "options"], capture_output=True, text=True, check=True).stdout
+    named = set(re.findall(r"^(\w+) ", listed, re.MULTILINE))
+    for code in in_prose(page):
+        if code.startswith("make "):
+            for target in re.findall(r"^[a-z0-9-]+$", code.removeprefix("make ").replace(" ", "\n"), re.MULTILINE):
+                test_target_exists(f"make {target}")
+        if code.startswith(("--", "snake-cli ")):
+            flags = [word.split("=")[0] for word in code.split() if word.startswith("--")]
+            assert {*flags} - {"--help"} <= known_options(compiled), code
+            settings = re.findall(r"--set ([a-z_]+)=", code)
+            assert {*settings} <= named, code
+
+
+def test_features_of_crates_exist():
+    rows = re.findall(r"^\| `(snake-[a-z]+)` \|[^|]*\|([^|]*)\|$", text_of("docs/embedding.md"), re.MULTILINE)
+    assert len(rows) > 5
+    for crate, features in rows:
+        manifest = tomllib.loads((ROOT / "crates" / crate / "Cargo.toml").read_text())
+        assert {*re.findall(r"`([a-z][\w-]+)`", features)} <= {*manifest.get("features", {})}, crate
+
+
+@pytest.mark.parametrize("page", [page for page in PAGES if blocks(page, "c")])
+def test_c_compiles(page, folder):
+    if not (compiler := shutil.which("cc")):
+        pytest.skip("no C compiler")
+    (block,) = blocks(page, "c")
+    (folder / "block.c").write_text(f'#include <stdio.h>\n#include "snake_rs.h"\nvoid block(void) {{\n{block}}}\n')
+    include = ROOT / "crates/snake-capi/include"
+    done = subprocess.run([compiler, "-fsyntax-only", "-I", include, "block.c"], capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+
+
 @pytest.mark.parametrize("command", of("cargo", "pip"))
 def test_paths_of_installers_exist(command):
     words = shlex.split(command.split(" -- ")[0])
@@ -208,3 +275,13 @@ def test_speeds_of_the_readme_are_those_of_the_page():
     speed = text_of("README.md").split("## Speed")[1].split("##")[0]
     for seconds in re.findall(r"\| ([\d.]+) s", speed):
         assert f"| {seconds} |" in text_of("docs/performance.md")
+
+
+@pytest.mark.parametrize(
+    "folder", [path.parent for path in sorted(ROOT.glob("crates/*/Cargo.toml"))], ids=lambda path: path.name
+)
+def test_a_published_crate_carries_its_page_and_licences(folder):
+    for name in ("README.md", "LICENSE-MIT", "LICENSE-APACHE"):
+        assert (folder / name).is_file(), name
+    package = tomllib.loads((folder / "Cargo.toml").read_text())["package"]
+    assert package["description"] and package.get("readme", "README.md")

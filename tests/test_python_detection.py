@@ -180,7 +180,10 @@ def test_confidence_rises_with_saliency_and_min_confidence_keeps_the_good(points
     assert found.confidence.dtype == np.float32 and (np.diff(found.confidence) <= 0).all()
     least = float(np.median(found.confidence))
     kept = snake_rs.detect(points, min_confidence=least)
-    assert np.array_equal(kept.points, found.points[found.confidence >= least]) and kept[0].confidence == kept.confidence[0]
+    assert (
+        np.array_equal(kept.points, found.points[found.confidence >= least])
+        and kept[0].confidence == kept.confidence[0]
+    )
     without = snake_rs.Model.load(GOLDEN / "tiny" / "weights.safetensors")
     assert np.isnan(without.encode(points).detect().confidence).all()
     with pytest.raises(ValueError, match="no map of confidences"):

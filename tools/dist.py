@@ -13,7 +13,13 @@ import sys
 from pathlib import Path
 
 ROOT = Path(__file__).parents[1]
-SHELLS = {"bash": "snake-cli.bash", "zsh": "_snake-cli", "fish": "snake-cli.fish", "powershell": "_snake-cli.ps1"}
+SHELLS = {
+    "bash": "snake-cli.bash",
+    "zsh": "_snake-cli",
+    "fish": "snake-cli.fish",
+    "powershell": "_snake-cli.ps1",
+    "elvish": "snake-cli.elv",
+}
 
 
 def host() -> str:

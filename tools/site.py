@@ -25,6 +25,8 @@ PYTHON = """# Python
 ::: snake_rs.baselines
 
 ::: snake_rs.metrics
+
+::: snake_rs.steps
 """
 
 

@@ -1,4 +1,4 @@
-"""Detection and registration on a cluster, with Ray Data: pip install "snake-rs[ray]".
+"""Detection and registration on a cluster, with Ray Data: pip install 'ray[data]'.
 
 Each class is for `ray.data.Dataset.map_batches`. It loads its model once an actor and uses as many threads as the actor has
 CPUs.
@@ -31,7 +31,7 @@ try:
     import ray  # type: ignore[import-not-found, unused-ignore]
     import ray.data  # type: ignore[import-not-found, unused-ignore]
 except ImportError as _error:
-    raise ImportError('snake_rs.ray needs Ray Data: pip install "snake-rs[ray]"') from _error
+    raise ImportError("snake_rs.ray needs Ray Data: pip install 'ray[data]'") from _error
 
 from ._core import Model, Tiles, detect, register, set_num_threads
 from ._remote import open_url, retried

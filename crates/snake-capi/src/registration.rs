@@ -2,13 +2,12 @@
 
 use std::ffi::c_char;
 
-use serde_json::Value;
-use snake_core::Control;
+use snake_core::{Control, with_named_values};
 use snake_registration::{RegisterOptions, Registration, register_with};
 
 use crate::arguments::{SnakeCloud, check_output, optional, options as parse_options};
 use crate::model::SnakeModel;
-use crate::status::{Failure, SnakeStatus, guarded};
+use crate::status::{SnakeStatus, guarded};
 
 /// The rigid transform between two clouds.
 #[repr(C)]
@@ -72,8 +71,7 @@ pub unsafe extern "C" fn snake_register(
         let model = unsafe { optional("model", model) }?.map(|model| &model.model);
         // SAFETY: the caller vouches for the text.
         let values = unsafe { parse_options(options) }?;
-        let options: RegisterOptions = serde_json::from_value(Value::Object(values))
-            .map_err(|error| Failure::new(SnakeStatus::Input, format!("options: {error}")))?;
+        let options = with_named_values(&RegisterOptions::default(), &values)?;
         let found = register_with(&source, &target, model, &options, &Control::default())?;
         let found = SnakeRegistration::from(&found);
         // SAFETY: the place is neither null nor misaligned; the caller vouches for the rest.

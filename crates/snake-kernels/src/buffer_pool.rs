@@ -31,7 +31,7 @@ impl BufferPool {
                 same.or_else(|| unused.iter().position(|values| (length..=2 * length).contains(&values.capacity())))?;
             Some(unused.remove(place))
         });
-        let mut values = values.unwrap_or_else(|| vec![0.0; length]);
+        let mut values = values.unwrap_or_else(|| fresh(length));
         values.resize(length, 0.0);
         Buffer { values, pool: self.clone() }
     }
@@ -46,6 +46,27 @@ impl BufferPool {
         }
     }
 }
+
+/// Zeros in memory of which the operating system is asked to make huge pages, where it can: a page is cleared when it is first
+/// written, and 512 small ones take several times as long as one of 2 MiB.
+fn fresh(length: usize) -> Vec<f32> {
+    let values = vec![0.0; length];
+    #[cfg(all(target_os = "linux", not(miri)))]
+    {
+        let size = std::mem::size_of_val(&values[..]);
+        let start = values.as_ptr().addr().next_multiple_of(HUGE_PAGE);
+        let end = (values.as_ptr().addr() + size) / HUGE_PAGE * HUGE_PAGE;
+        if start < end {
+            // SAFETY: the pages lie within the vector, and the advice changes no values.
+            unsafe { libc::madvise(start as *mut libc::c_void, end - start, libc::MADV_HUGEPAGE) };
+        }
+    }
+    values
+}
+
+/// The size of a huge page of most processors, in bytes.
+#[cfg(all(target_os = "linux", not(miri)))]
+const HUGE_PAGE: usize = 2 << 20;
 
 impl Drop for Buffer {
     fn drop(&mut self) {

@@ -1,105 +1,121 @@
-//! Keypoints of a drive through a room as tracks, beside the nearest neighbours of ISS keypoints from frame to frame:
-//! `cargo run --release -p snake-registration --example tracks`.
+//! Keypoints of a made drive as tracks, beside those of ISS. Make sweeps with
+//! `python -m snake_training.data.drives -o DRIVES --sweeps 11 --step 1`, then run
+//! `cargo run --release -p snake-registration --example tracks -- DRIVES`.
 
-use snake_core::{Builtin, Model, NormalizationMethod, Point, Result, Tracker, TrackerOptions};
+use std::collections::BTreeMap;
+use std::path::Path;
+
+use snake_core::{Builtin, Keypoint, Model, Point, RigidTransform, Tracker, TrackerOptions};
 use snake_registration::detectors::{IssOptions, iss};
 
-const NUM_FRAMES: u16 = 11;
-/// Way of the sensor along x from frame to frame, in metres.
-const STEP: f32 = 0.1;
-/// Maximum distance between a keypoint and its track, in metres.
-const MAX_DISTANCE: f32 = 0.4;
+/// Maximum distance between a keypoint and its track, in metres; a keypoint is at the same place within half of it.
+const MAX_DISTANCE: f64 = 1.0;
 
-/// A keypoint's id and its position in the room.
+type Result<T> = std::result::Result<T, Box<dyn std::error::Error>>;
+
+/// A keypoint's id and its position in the frame of the first sweep.
 type Tracked = (u64, Point);
 
-fn main() -> Result<()> {
-    let model = Model::builtin(Builtin::Compact);
-    // Frames lie alike, so they are encoded as they lie: principal axes may change places from frame to frame.
-    let encode = model.recommended().encode.with_normalization(NormalizationMethod::UnitSphere);
-    let mut tracker = Tracker::new(TrackerOptions::default().with_max_distance(f64::from(MAX_DISTANCE)))?;
-    let mut frames: Vec<Vec<Tracked>> = Vec::new();
-    for frame in 0..NUM_FRAMES {
-        let field = model.encode(&view(frame), &encode)?;
-        let keypoints = field.detect(&model.recommended().detect)?.keypoints;
-        let positions: Vec<Point> = keypoints.iter().map(|keypoint| keypoint.position).collect();
-        // The motion is not given: it is less than the maximum distance.
-        let ids = tracker.update(&keypoints, &field.descriptors(&positions)?, None)?;
-        frames.push(ids.into_iter().zip(in_room(&positions, frame)).collect());
-    }
-    report("Tracker", &frames);
+/// The sweeps of a drive, with the transforms from each sweep's frame to that of the first.
+type Drive = Vec<(Vec<Point>, RigidTransform)>;
 
-    let count = frames[0].len();
-    let mut frames: Vec<Vec<Tracked>> = Vec::new();
-    let (mut last, mut next_id): (Vec<Tracked>, u64) = (Vec::new(), 0);
-    for frame in 0..NUM_FRAMES {
-        let points = view(frame);
-        let best = iss(&points, &IssOptions::default())?;
-        let positions: Vec<Point> = best.iter().take(count).map(|response| points[response.index]).collect();
-        last = continued(&last, &positions, &mut next_id);
-        frames.push(last.iter().map(|&(id, position)| (id, in_room(&[position], frame)[0])).collect());
+fn main() -> Result<()> {
+    let folder =
+        std::env::args().nth(1).ok_or("usage: tracks DRIVES, a folder that snake_training.data.drives wrote")?;
+    let (mut shares, drives) = ([0.0; 2], drives(Path::new(&folder))?);
+    for (name, drive) in &drives {
+        let of_field = tracks_of_field(drive)?;
+        let count = of_field[0].len();
+        for ((method, frames), sum) in
+            [("scenes", of_field), ("ISS", tracks_of_iss(drive, count)?)].into_iter().zip(&mut shares)
+        {
+            let share = kept(&frames);
+            println!("{name}: {:3.0} % of the ids of {method} are kept over {} sweeps", 100.0 * share, drive.len() - 1);
+            *sum += share / drives.len() as f64;
+        }
     }
-    report("ISS and nearest neighbours", &frames);
+    println!("mean: scenes {:.2}, ISS {:.2}", shares[0], shares[1]);
     Ok(())
 }
 
-/// How many ids of the first frame are also in the last, at the same place.
-fn report(name: &str, frames: &[Vec<Tracked>]) {
+/// The drives of a folder by name. Row i of `pairs.json` maps sweep i + 1 of its drive to sweep i.
+fn drives(folder: &Path) -> Result<BTreeMap<String, Drive>> {
+    #[derive(serde::Deserialize)]
+    struct Pair {
+        source: String,
+        target: String,
+        #[serde(rename = "T")]
+        transform: [[f64; 4]; 4],
+    }
+    let pairs: Vec<Pair> = serde_json::from_slice(&std::fs::read(folder.join("pairs.json"))?)?;
+    let read = |name: &str| -> Result<Vec<Point>> { Ok(snake_io::read_points(&folder.join(format!("{name}.npy")))?) };
+    let mut drives: BTreeMap<String, Drive> = BTreeMap::new();
+    for pair in pairs {
+        let name = pair.target.split('_').next().unwrap_or_default().to_string();
+        let drive = drives.entry(name).or_default();
+        if drive.is_empty() {
+            drive.push((read(&pair.target)?, RigidTransform::identity()));
+        }
+        let before = drive[drive.len() - 1].1;
+        drive.push((read(&pair.source)?, before * RigidTransform::from_matrix(pair.transform)?));
+    }
+    Ok(drives)
+}
+
+/// Keypoints of `scenes` with their descriptors.
+fn tracks_of_field(drive: &Drive) -> Result<Vec<Vec<Tracked>>> {
+    let model = Model::builtin(Builtin::Scenes);
+    tracks(drive, |points| {
+        let field = model.encode(points, &model.recommended().encode)?;
+        let keypoints = field.detect(&model.recommended().detect)?.keypoints;
+        let positions: Vec<Point> = keypoints.iter().map(|keypoint| keypoint.position).collect();
+        let descriptors = field.descriptors(&positions)?;
+        Ok((keypoints, descriptors))
+    })
+}
+
+/// The best `count` keypoints of ISS, whose tracks go on by position alone.
+fn tracks_of_iss(drive: &Drive, count: usize) -> Result<Vec<Vec<Tracked>>> {
+    tracks(drive, |points| {
+        let best = iss(points, &IssOptions::default())?;
+        let keypoint = |nearest_index: usize| Keypoint {
+            position: points[nearest_index],
+            saliency: 1.0,
+            occupancy: 1.0,
+            nearest_index,
+            confidence: None,
+        };
+        let keypoints: Vec<Keypoint> = best.iter().take(count).map(|response| keypoint(response.index)).collect();
+        let alike = vec![1.0; keypoints.len()];
+        Ok((keypoints, alike))
+    })
+}
+
+/// The ids of keypoints and their positions, sweep by sweep. The motion is given, as odometry gives it.
+fn tracks(
+    drive: &Drive,
+    mut detect: impl FnMut(&[Point]) -> Result<(Vec<Keypoint>, Vec<f32>)>,
+) -> Result<Vec<Vec<Tracked>>> {
+    let mut tracker = Tracker::new(TrackerOptions::default().with_max_distance(MAX_DISTANCE))?;
+    let mut frames = Vec::new();
+    for (number, (points, to_first)) in drive.iter().enumerate() {
+        let (keypoints, descriptors) = detect(points)?;
+        let motion = number.checked_sub(1).map(|last| to_first.inverse() * drive[last].1);
+        let ids = tracker.update(&keypoints, &descriptors, motion.as_ref())?;
+        frames.push(ids.into_iter().zip(keypoints.iter().map(|keypoint| to_first.apply(keypoint.position))).collect());
+    }
+    Ok(frames)
+}
+
+/// The share of the ids of the first frame that are also in the last, at the same place.
+fn kept(frames: &[Vec<Tracked>]) -> f64 {
     let (first, last) = (&frames[0], &frames[frames.len() - 1]);
     let is_kept = |(id, place): &&Tracked| {
-        last.iter().any(|(other, position)| other == id && distance(place, position) < MAX_DISTANCE)
+        last.iter().any(|(other, position)| other == id && distance(place, position) < MAX_DISTANCE / 2.0)
     };
-    let kept = first.iter().filter(is_kept).count();
-    let share = 100.0 * kept as f64 / first.len() as f64;
-    println!("{name}: {kept} of {} ids ({share:.0} %) are kept over {} frames", first.len(), frames.len() - 1);
+    first.iter().filter(is_kept).count() as f64 / first.len() as f64
 }
 
-/// The ids of positions by their nearest neighbours in the last frame, the nearest pairs first.
-fn continued(last: &[Tracked], positions: &[Point], next_id: &mut u64) -> Vec<Tracked> {
-    let mut pairs: Vec<(f32, usize, usize)> = Vec::new();
-    for (new, position) in positions.iter().enumerate() {
-        pairs.extend(last.iter().enumerate().map(|(old, (_, place))| (distance(position, place), new, old)));
-    }
-    pairs.sort_by(|a, b| a.0.total_cmp(&b.0));
-    let (mut ids, mut is_taken) = (vec![None; positions.len()], vec![false; last.len()]);
-    for (_, new, old) in pairs.into_iter().take_while(|pair| pair.0 < MAX_DISTANCE) {
-        if ids[new].is_none() && !is_taken[old] {
-            (ids[new], is_taken[old]) = (Some(last[old].0), true);
-        }
-    }
-    let mut id = |known: Option<u64>| {
-        known.unwrap_or_else(|| {
-            *next_id += 1;
-            *next_id
-        })
-    };
-    ids.into_iter().map(&mut id).zip(positions.iter().copied()).collect()
-}
-
-fn distance(a: &Point, b: &Point) -> f32 {
-    a.iter().zip(b).map(|(a, b)| (a - b).powi(2)).sum::<f32>().sqrt()
-}
-
-/// Positions of the sensor's frame in the frame of the room.
-fn in_room(positions: &[Point], frame: u16) -> Vec<Point> {
-    positions.iter().map(|&[x, y, z]| [x + f32::from(frame) * STEP, y, z]).collect()
-}
-
-/// A room with boxes, seen from a sensor that moves along x. Each frame has other points.
-fn view(frame: u16) -> Vec<Point> {
-    let at = f32::from(frame) * STEP;
-    let point = |i: usize| {
-        let [u, v, w] = [0.754_877_7, 0.569_840_3, 0.438_579]
-            .map(|step: f64| ((i + 977 * usize::from(frame)) as f64 * step).fract() as f32);
-        let [x, y, z] = match i % 5 {
-            0 => [6.0 * u, 6.0 * v, 0.0],
-            1 => [6.0 * u, 0.0, 2.5 * v],
-            2 => [0.0, 6.0 * u, 2.5 * v],
-            3 if w < 0.5 => [1.0 + 1.5 * u, 4.0 * w + 2.0, 1.0],
-            3 => [1.0 + 1.5 * u, 2.0, v],
-            _ => [4.0, 3.0 + u, 1.8 * v],
-        };
-        [x - at, y, z]
-    };
-    (0..6000).map(point).collect()
+fn distance(a: &Point, b: &Point) -> f64 {
+    a.iter().zip(b).map(|(a, b)| f64::from(a - b).powi(2)).sum::<f64>().sqrt()
 }

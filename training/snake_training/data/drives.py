@@ -18,9 +18,9 @@ NEAREST, FURTHEST, NOISE = 1.5, 100.0, 0.02  # metres
 SECTORS = 24
 
 
-def sweep(world, eye, turn, rng):
-    """The points (N, 3) of a sweep from `eye`, in the sensor's frame, which `turn` (3, 3) maps to the street's."""
-    rays, points = spinning_lidar(rng, 64) @ turn.T, []
+def sweep(world, eye, turn, beams, rng):
+    """The points (N, 3) that directions (R, 3) in the sensor's frame meet from `eye`; `turn` (3, 3) maps to the street's frame."""
+    rays, points = beams @ turn.T, []
     sector = (np.arctan2(rays[:, 1], rays[:, 0]) / (2 * np.pi) * SECTORS).round() % SECTORS
     for number in range(SECTORS):
         some = rays[sector == number]
@@ -40,12 +40,13 @@ def drive(seed, number, step):
     """`number` sweeps (N, 3), `step` metres apart, with the matrices (4, 4) from their frames to the street's."""
     rng = np.random.default_rng([seed, 0xD21E])
     world, half = street(rng)
+    beams = spinning_lidar(rng, 64)
     eye, yaw = np.array([-number * step / 2, rng.uniform(-0.4, 0.4) * half, 1.8]), rng.normal() * 0.05
     for _ in range(number):
         turn = upright(np.random.default_rng(seed), 0.01)  # as the sensor is mounted
         yaw += rng.normal() * 0.02
         turn = np.array([[np.cos(yaw), -np.sin(yaw), 0], [np.sin(yaw), np.cos(yaw), 0], [0, 0, 1]]) @ turn
-        yield sweep(world, eye, turn, rng), pose(eye, turn)
+        yield sweep(world, eye, turn, beams, rng), pose(eye, turn)
         eye = eye + step * np.array([np.cos(yaw), np.sin(yaw), rng.normal() * 0.005])
         shift = (rng.uniform(0.3, 1.0), 0, 0)
         world = type(world)((k, c + shift if moving else c, a, fuzz, moving) for k, c, a, fuzz, moving in world.rows)

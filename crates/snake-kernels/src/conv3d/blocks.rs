@@ -24,7 +24,8 @@ const N: usize = BLOCK_SIDE + 2;
 /// One input volume of a convolution of blocks. The channels of several sources follow each other.
 #[derive(Debug, Clone, Copy)]
 pub struct BlockSource<'a> {
-    /// Values `[block][z][y][x][channel]`. Block 0 stands for every missing block and is zero.
+    /// Values `[block][z][y][x][channel]`. Block 0 stands for every missing block and is zero; so do numbers beyond the last
+    /// block.
     pub values: &'a [f32],
     /// Channels of this volume.
     pub channels: usize,
@@ -37,6 +38,21 @@ pub struct BlockSource<'a> {
 }
 
 impl BlockSource<'_> {
+    /// The blocks about an output block; 0 for those that have no values.
+    #[inline(always)]
+    fn stored(&self, output: usize) -> [u32; 27] {
+        let number = (self.values.len() / (BLOCK_VOXELS * self.channels)) as u32;
+        self.neighbors[output].map(|neighbor| if neighbor < number { neighbor } else { 0 })
+    }
+
+    /// Where the values of a voxel begin, at these places along x, y and z.
+    #[inline(always)]
+    fn first_value(&self, neighbors: &[u32; 27], [x, y, z]: [[usize; 2]; 3]) -> usize {
+        let neighbor = neighbors[(z[0] * 3 + y[0]) * 3 + x[0]] as usize;
+        let voxel = (z[1] * BLOCK_SIDE + y[1]) * BLOCK_SIDE + x[1];
+        (neighbor * BLOCK_VOXELS + voxel) * self.channels
+    }
+
     /// For the voxels about an output block along one axis, which of the three blocks holds each, and its place there.
     #[inline(always)]
     fn places(&self, output: usize, axis: usize) -> [[usize; 2]; N] {
@@ -154,21 +170,39 @@ impl Gather for BlocksFrom<'_> {
         let mut rows = [[zero; M]; M];
         for tile in 0..self.number {
             let output = self.first + tile;
-            let neighbors = &source.neighbors[output];
+            let neighbors = source.stored(output);
+            // The first half of the block's channels fetches the next block's values for both halves.
+            let next = if half == 0 && output + 1 < source.neighbors.len() { output + 1 } else { output };
+            let fetched = source.stored(next);
+            let [next_x, next_y, next_z] = [source.places(next, 0), source.places(next, 1), source.places(next, 2)];
             let [x, y, z] = [source.places(output, 0), source.places(output, 1), source.places(output, 2)];
+            // Two neighbours of an upsampled volume are one voxel.
+            let is_repeated = |i: usize| block.upsampled && i > 0 && i.is_multiple_of(2);
             for i in 0..M {
-                // Two neighbours of an upsampled volume are one voxel.
-                if block.upsampled && i > 0 && i % 2 == 0 {
+                if is_repeated(i) {
                     columns[i] = columns[i - 1];
                     continue;
                 }
-                for (along_z, y) in rows.iter_mut().zip(&y) {
-                    for (value, z) in along_z.iter_mut().zip(&z) {
-                        let neighbor = neighbors[(z[0] * 3 + y[0]) * 3 + x[i][0]] as usize;
-                        let voxel = (z[1] * BLOCK_SIDE + y[1]) * BLOCK_SIDE + x[i][1];
-                        *value = load(token, &values[(neighbor * BLOCK_VOXELS + voxel) * source.channels..], lanes);
+                for j in 0..M {
+                    if is_repeated(j) {
+                        rows[j] = rows[j - 1];
+                        continue;
                     }
-                    *along_z = inputs_of_axis(*along_z);
+                    let mut along_z = [zero; M];
+                    for k in 0..M {
+                        if is_repeated(k) {
+                            along_z[k] = along_z[k - 1];
+                            continue;
+                        }
+                        if half == 0 {
+                            let from = source.first_value(&fetched, [next_x[i], next_y[j], next_z[k]]);
+                            let ahead = values.as_ptr().wrapping_add(from);
+                            L::prefetch(ahead);
+                            L::prefetch(ahead.wrapping_add(LANES));
+                        }
+                        along_z[k] = load(token, &values[source.first_value(&neighbors, [x[i], y[j], z[k]])..], lanes);
+                    }
+                    rows[j] = inputs_of_axis(along_z);
                 }
                 for z in 0..M {
                     let mut along_y = [zero; M];

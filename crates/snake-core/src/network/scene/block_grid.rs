@@ -13,26 +13,47 @@ const FARTHEST: i32 = 1 << 18;
 /// Coordinates of points are below this, so that all blocks about them have places.
 pub(crate) const FARTHEST_NODE: f32 = ((FARTHEST - 16) * BLOCK_SIDE as i32) as f32;
 
-/// The blocks of a lattice that are stored. Block 0 stands for all others; the stored blocks are numbered from 1 on, by z,
-/// then y, then x.
+/// The blocks of a lattice that are stored. Block 0 stands for all others; the stored blocks are numbered from 1 on, along
+/// a Z-order curve: neighbours have near numbers, so that their values are still in the cache.
 #[derive(Debug, Clone, Default)]
 pub(crate) struct BlockGrid {
-    /// Keys of the blocks, ascending.
+    /// Keys of the blocks, in the order of their numbers.
     keys: Vec<u64>,
     /// An open hash table of the blocks' numbers; 0 is an empty entry. Its length is a power of two.
     table: Vec<u32>,
 }
 
-/// A number that orders places by z, then y, then x.
+/// A number that orders places along a Z-order curve: the bits of x, y and z by turns, x lowest.
 fn key(place: Place) -> u64 {
-    let [x, y, z] = place.map(|i| (i + FARTHEST) as u64);
-    (z << 42) | (y << 21) | x
+    let [x, y, z] = place.map(|i| spread((i + FARTHEST) as u64));
+    (z << 2) | (y << 1) | x
 }
 
 /// Inverse of [`key`].
 fn place(key: u64) -> Place {
-    [key, key >> 21, key >> 42].map(|bits| (bits & ((1 << 21) - 1)) as i32 - FARTHEST)
+    [key, key >> 1, key >> 2].map(|bits| gather(bits) as i32 - FARTHEST)
 }
+
+/// Each of the lowest 21 bits, three places apart.
+fn spread(value: u64) -> u64 {
+    SPREADS.into_iter().fold(value, |bits, (shift, mask)| (bits | (bits << shift)) & mask)
+}
+
+/// Inverse of [`spread`]; other bits are ignored.
+fn gather(bits: u64) -> u64 {
+    let masks = SPREADS.map(|(_, mask)| mask).into_iter().rev().skip(1).chain([(1 << 21) - 1]);
+    let shifts = SPREADS.map(|(shift, _)| shift).into_iter().rev();
+    shifts.zip(masks).fold(bits & SPREADS[4].1, |bits, (shift, mask)| (bits | (bits >> shift)) & mask)
+}
+
+/// Steps that spread bits: shifts, and the bits that stay.
+const SPREADS: [(u32, u64); 5] = [
+    (32, 0x001F_0000_0000_FFFF),
+    (16, 0x001F_0000_FF00_00FF),
+    (8, 0x100F_00F0_0F00_F00F),
+    (4, 0x10C3_0C30_C30C_30C3),
+    (2, 0x1249_2492_4924_9249),
+];
 
 impl BlockGrid {
     /// The blocks at these places; a place may come several times.
@@ -46,6 +67,16 @@ impl BlockGrid {
         }
         keys.sort_unstable();
         keys.dedup();
+        Self::of_keys(keys)
+    }
+
+    /// These blocks and, numbered after them, those of `more` that are not among them.
+    pub(crate) fn with(&self, more: &Self) -> Self {
+        let is_new = |key: &u64| self.number(place(*key)) == 0;
+        Self::of_keys(self.keys.iter().copied().chain(more.keys.iter().copied().filter(is_new)).collect())
+    }
+
+    fn of_keys(keys: Vec<u64>) -> Self {
         let mut table = vec![0; (2 * keys.len()).next_power_of_two().max(2)];
         for (number, &key) in (1..).zip(&keys) {
             let mut entry = Self::first_entry(key, table.len());

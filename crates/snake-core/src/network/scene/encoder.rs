@@ -69,7 +69,7 @@ impl SceneEncoder {
         let nodes = self.nodes(&levels[0], &cells, &memory.sums);
         span!("unet");
         let values = self.unet.forward(&levels, nodes, &counter)?;
-        let grid = levels.into_iter().next().map(|level| level.grid).unwrap_or_default();
+        let grid = levels.into_iter().next().map(|level| level.near).unwrap_or_default();
         Ok(Volume { grid: VolumeGrid::Blocks(grid), channels, values })
     }
 
@@ -86,14 +86,14 @@ impl SceneEncoder {
         Ok(groups.fill_sparse(points))
     }
 
-    /// The input of the U-Net, with the missing block 0.
+    /// The input of the U-Net: the near blocks, with the missing block 0.
     fn nodes(&self, level: &Level, cells: &[[i32; 3]], sums: &[f32]) -> snake_kernels::Buffer {
         let channels = self.points.channels();
         let block = BLOCK_VOXELS * channels;
-        let mut nodes = self.unet.pool.take((level.grid.len() + 1) * block);
+        let mut nodes = self.unet.pool.take((level.near.len() + 1) * block);
         nodes[..block].fill(0.0);
         let of_blocks = &mut nodes[block..];
-        scatter::gather(&level.grid, &level.neighbors, cells, sums, self.scatter_mass, channels, of_blocks);
+        scatter::gather(&level.near, &level.neighbors, cells, sums, self.scatter_mass, channels, of_blocks);
         nodes
     }
 }

@@ -9,10 +9,16 @@ use super::block_grid::{BlockGrid, children, half_of_parent, places_between};
 /// far, so whatever the encoder makes of the points lies in them.
 const REACH: i32 = 2;
 
+/// The same for the near blocks: what one convolution makes of the points lies in them.
+const NEAR: i32 = 1;
+
 /// One level: its blocks and where their neighbours are stored.
 #[derive(Debug, Default)]
 pub(super) struct Level {
     pub(super) grid: BlockGrid,
+    /// The blocks near the points, which have the lowest numbers; of coarser levels all blocks. The first convolution of the
+    /// encoder and the last of the decoder make only these.
+    pub(super) near: BlockGrid,
     /// For each block the blocks about it.
     pub(super) neighbors: Vec<[u32; 27]>,
     /// For each block the blocks of the next coarser level about the one that covers it, and its half of that one.
@@ -23,9 +29,13 @@ pub(super) struct Level {
 }
 
 /// The levels of the U-Net from the finest on, over cells given by their lowest nodes.
-pub(super) fn levels(number: usize, cells: impl Iterator<Item = [i32; 3]>) -> Vec<Level> {
-    let about_cell = |cell: [i32; 3]| places_between(cell.map(|i| i - REACH), cell.map(|i| i + 1 + REACH));
-    let mut grids = vec![BlockGrid::new(cells.flat_map(about_cell))];
+pub(super) fn levels(number: usize, cells: impl Iterator<Item = [i32; 3]> + Clone) -> Vec<Level> {
+    let about_cells = |reach: i32| {
+        let about_cell = move |cell: [i32; 3]| places_between(cell.map(|i| i - reach), cell.map(|i| i + 1 + reach));
+        BlockGrid::new(cells.clone().flat_map(about_cell))
+    };
+    let near = about_cells(NEAR);
+    let mut grids = vec![near.with(&about_cells(REACH))];
     for level in 1..number {
         let half = BLOCK_SIDE as i32 / 2;
         let about_block = |place: [i32; 3]| {
@@ -47,6 +57,7 @@ pub(super) fn levels(number: usize, cells: impl Iterator<Item = [i32; 3]>) -> Ve
                 Some(finer) => grid.places().map(|place| children(&grids[finer], place)).collect(),
                 None => Vec::new(),
             },
+            near: if level == 0 { near.clone() } else { grid.clone() },
             grid: grid.clone(),
         });
     }

@@ -30,7 +30,8 @@ pub(super) fn gather(
     channels: usize,
     nodes: &mut [f32],
 ) {
-    // One more than the row of each cell with points, at its lowest node.
+    // One more than the row of each cell with points, at its lowest node. Cells lie in these blocks, and neighbours of higher
+    // numbers hold none.
     let mut rows = vec![0_u32; (grid.len() + 1) * BLOCK_VOXELS];
     (1..).zip(cells).for_each(|(row, &cell)| rows[grid.node(cell) as usize] = row);
     let slot = |row: u32, corner: usize| &slots[((row as usize - 1) * 8 + corner) * (channels + 1)..][..channels + 1];
@@ -39,7 +40,7 @@ pub(super) fn gather(
             node.fill(0.0);
             let mut mass = 0.0;
             for corner in 0..8 {
-                let row = rows[cell_at_corner(neighbors, voxel, corner)];
+                let row = rows.get(cell_at_corner(neighbors, voxel, corner)).copied().unwrap_or(0);
                 if row > 0 {
                     let (sums, mass_of_slot) = slot(row, corner).split_at(channels);
                     mass += mass_of_slot[0];

@@ -116,8 +116,8 @@ impl BlockUnet {
         levels.iter().map(nodes).sum::<usize>() + levels[..levels.len() - 1].iter().map(nodes).sum::<usize>()
     }
 
-    /// Maps nodes `[block][z][y][x][c_dim]` of the finest level, block 0 included, to features of the same shape. Block 0 of
-    /// the output has the features far from all points.
+    /// Maps nodes `[block][z][y][x][c_dim]` of the near blocks of the finest level, block 0 included, to features of the same
+    /// shape. Block 0 of the output has the features far from all points.
     pub(super) fn forward(&self, levels: &[Level], input: Values, counter: &Counter) -> Result<Buffer> {
         let made = self.level(levels, &self.encoders, &self.decoders, input, counter)?;
         let mut output = self.pool.take(made.len() / self.channels * self.final_conv.outputs());
@@ -137,22 +137,23 @@ impl BlockUnet {
         counter: &Counter,
     ) -> Result<Values> {
         let (level, encoder) = (&levels[0], &encoders[0]);
-        let skip = self.convolve(encoder, level, vec![(input, false)], counter)?;
+        let [near, all] = [level.near.len(), level.grid.len()];
+        let skip = self.convolve(encoder, level, [near, all], vec![(input, false)], counter)?;
         let Some((decoder, decoders)) = decoders.split_first() else { return Ok(skip) };
         let pooled = self.max_pool(&skip, encoder[1].packed.outputs(), &levels[1]);
         let coarse = self.level(&levels[1..], &encoders[1..], decoders, pooled, counter)?;
-        self.convolve(decoder, level, vec![(skip, false), (coarse, true)], counter)
+        self.convolve(decoder, level, [all, near], vec![(skip, false), (coarse, true)], counter)
     }
 
-    /// Two convolutions of inputs, each upsampled or not.
+    /// Two convolutions of inputs, each upsampled or not, that make the first so many blocks.
     fn convolve(
         &self,
         [first, second]: &DoubleConv,
         level: &Level,
+        made: [usize; 2],
         inputs: Vec<(Values, bool)>,
         counter: &Counter,
     ) -> Result<Values> {
-        let number = level.grid.len();
         let sources: Vec<BlockSource> = inputs
             .iter()
             .zip(first.packed.sources())
@@ -163,14 +164,14 @@ impl BlockUnet {
                 halves: upsampled.then_some(&level.halves[..]),
             })
             .collect();
-        let middle = first.forward(&sources, number, &self.pool, counter)?;
+        let middle = first.forward(&sources, made[0], &self.pool, counter)?;
         drop(sources);
         drop(inputs);
         let channels = first.packed.outputs();
         let source = BlockSource { values: &middle, channels, neighbors: &level.neighbors, halves: None };
-        let made = second.forward(&[source], number, &self.pool, counter)?;
-        counter.add(number * BLOCK_VOXELS);
-        Ok(made)
+        let values = second.forward(&[source], made[1], &self.pool, counter)?;
+        counter.add(level.grid.len() * BLOCK_VOXELS);
+        Ok(values)
     }
 
     /// Max-pooling over 2x2x2 nodes, into the blocks of the next coarser level.
@@ -187,8 +188,8 @@ impl BlockUnet {
                     let [x, y, z] =
                         [x % 2 * 2 + (corner & 1), y % 2 * 2 + (corner >> 1 & 1), z % 2 * 2 + (corner >> 2)];
                     let node = child * BLOCK_VOXELS + (z * 4 + y) * 4 + x;
-                    for (o, v) in out.iter_mut().zip(&values[node * channels..][..channels]) {
-                        *o = o.max(*v);
+                    for (most, &value) in out.iter_mut().zip(&values[node * channels..][..channels]) {
+                        *most = if value > *most { value } else { *most };
                     }
                 }
             }
