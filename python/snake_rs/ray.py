@@ -152,10 +152,10 @@ class RegisterPairs:
     """
 
     def __init__(
-        self, model: Model | str = "compact", storage_options: dict[str, Any] | None = None, **options: Any
+        self, model: Model | str | None = None, storage_options: dict[str, Any] | None = None, **options: Any
     ) -> None:
         _use_own_cpus()
-        self.model = _loaded(model)
+        self.model = None if model is None else _loaded(model)
         self.storage_options = storage_options or {}
         self.options = options
         nothing = np.empty((0, 3), np.float32)

@@ -5,7 +5,6 @@ use rayon::prelude::*;
 use crate::Result;
 use crate::call::control::Control;
 use crate::network::encoder::EncoderMemory;
-use crate::network::scene::SceneMemory;
 use crate::network::volume::Volume;
 use crate::network::{Network, NetworkEncoder, weights};
 use snake_geometry::{
@@ -37,7 +36,7 @@ impl View {
             NetworkEncoder::Cube(encoder) => encoder,
             NetworkEncoder::Scene(encoder) => {
                 let in_voxels: Vec<Point> = points.iter().map(|&point| normalization.to_network(point)).collect();
-                let volume = encoder.encode(&in_voxels, &mut memory.scene, control)?;
+                let volume = encoder.encode(&in_voxels, &mut memory.encoder, control)?;
                 return Ok(vec![Self { rotation: rotations::IDENTITY, volume: finite(volume)? }]);
             }
         };
@@ -69,5 +68,4 @@ pub(crate) struct FieldMemory {
     pub(super) indices: Vec<usize>,
     pub(super) views: Vec<View>,
     encoder: EncoderMemory,
-    scene: SceneMemory,
 }

@@ -33,12 +33,12 @@ pub(crate) struct Encoder {
     unet: UNet3d,
 }
 
-/// The memory for the points of a cloud, which the next cloud uses again.
+/// The memory for the points of a cloud, in voxels of a cube or cells of a scene, which the next cloud uses again.
 #[derive(Debug, Clone, Default)]
 pub(crate) struct EncoderMemory {
-    groups: VoxelGroups,
+    pub(crate) groups: VoxelGroups,
     /// Sums over the points of each voxel.
-    sums: Vec<f32>,
+    pub(crate) sums: Vec<f32>,
 }
 
 impl Encoder {

@@ -10,7 +10,7 @@ use crate::call::control::Control;
 use crate::call::span::span;
 use crate::network::budget;
 use crate::network::config::ModelConfig;
-use crate::network::encoder::{PointFeatures, VoxelGroups};
+use crate::network::encoder::{EncoderMemory, PointFeatures, VoxelGroups};
 use crate::network::volume::{Volume, VolumeGrid};
 use crate::network::weights::Scope;
 use crate::{Error, Result};
@@ -25,14 +25,6 @@ pub(crate) struct SceneEncoder {
     scatter_mass: f32,
 }
 
-/// The memory for the points of a cloud, which the next cloud uses again.
-#[derive(Debug, Clone, Default)]
-pub(crate) struct SceneMemory {
-    groups: VoxelGroups,
-    /// Sums over the points of each cell.
-    sums: Vec<f32>,
-}
-
 impl SceneEncoder {
     pub(crate) fn load(scope: &Scope, config: &ModelConfig, scatter_mass: f32) -> Result<Self> {
         Ok(Self {
@@ -43,7 +35,7 @@ impl SceneEncoder {
     }
 
     /// Encodes points, given in voxels.
-    pub(crate) fn encode(&self, points: &[Point], memory: &mut SceneMemory, control: &Control) -> Result<Volume> {
+    pub(crate) fn encode(&self, points: &[Point], memory: &mut EncoderMemory, control: &Control) -> Result<Volume> {
         self.encode_also(points, &[], memory, control)
     }
 
@@ -52,7 +44,7 @@ impl SceneEncoder {
         &self,
         points: &[Point],
         more: &[[i32; 3]],
-        memory: &mut SceneMemory,
+        memory: &mut EncoderMemory,
         control: &Control,
     ) -> Result<Volume> {
         let cells = self.cells(points, &mut memory.groups)?;

@@ -16,5 +16,5 @@ mod unet;
 mod voxel_size;
 
 pub(crate) use self::block_grid::BlockGrid;
-pub(crate) use self::encoder::{SceneEncoder, SceneMemory};
+pub(crate) use self::encoder::SceneEncoder;
 pub(crate) use self::voxel_size::voxel_size;

@@ -3,9 +3,9 @@ use std::path::Path;
 
 use safetensors::SafeTensors;
 
-use super::SceneMemory;
 use crate::call::control::Control;
 use crate::network::NetworkEncoder;
+use crate::network::encoder::EncoderMemory;
 use crate::network::volume::Volume;
 use crate::{Builtin, DetectOptions, EncodeOptions, Field, Keypoint, Length, Model};
 use snake_geometry::Point;
@@ -134,7 +134,7 @@ fn blocks_equal_the_whole_box() {
     let NetworkEncoder::Scene(encoder) = &model.network().encoder else { panic!("a scene") };
     let points: Vec<Point> = room().into_iter().map(|p| p.map(|v| v * 8.0 - 3.7)).collect();
     let volume = |more: &[[i32; 3]]| {
-        encoder.encode_also(&points, more, &mut SceneMemory::default(), &Control::default()).unwrap()
+        encoder.encode_also(&points, more, &mut EncoderMemory::default(), &Control::default()).unwrap()
     };
     let all: Vec<[i32; 3]> = (0..60 * 60 * 60).map(|i| [i % 60 - 14, i / 60 % 60 - 14, i / 3600 - 14]).collect();
     let [sparse, dense] = [volume(&[]), volume(&all)];
