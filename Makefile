@@ -41,7 +41,7 @@ quick:  ## after every edit, three minutes: format, lints, kernels, core, comman
 	cargo test --release -p snake-cli --test cli -- detect:: register:: usage:: outputs::
 
 # What the tests and the examples need beside the default features. tests/test_embedding.py runs what is compiled here.
-FEATURES := snake-core/arrow,snake-core/tracing
+FEATURES := snake-core/arrow,snake-core/ndarray,snake-core/tracing
 test: module  ## all tests: Rust, Copper's task, Python module, training, parity with PyTorch
 	cargo test --release --features $(FEATURES)
 	cargo test --release --locked --manifest-path examples/copper_task/Cargo.toml --target-dir target

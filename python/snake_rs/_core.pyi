@@ -95,13 +95,15 @@ _Model: TypeAlias = Model | _Path
 # float32 for clouds of float32 or float16, else float64.
 _Positions: TypeAlias = NDArray[np.float32] | NDArray[np.float64]
 
+# Options, written by SNAKE_WRITE_OPTIONS=1 cargo test --release -p snake-cli --test cli options_in_python
+
 @type_check_only
 class _Preset(TypedDict, total=False):
     preset: Literal["modelnet40", "keypointnet", "smpl", "redwood", "3dmatch", "standard"] | None
 
 @type_check_only
 class _EncodeOptions(_Preset, total=False):
-    normalization: Literal["principal-axes", "unit-sphere", "unit-cube", "none"]
+    normalization: Literal["unit-sphere", "principal-axes", "unit-cube", "none"]
     max_points: int | None
     seed: int
     rotations: int
@@ -120,7 +122,7 @@ class _DetectOptions(_Preset, total=False):
     saliency_threshold: float
     min_confidence: float | None
     mode_radius: float | str | None
-    nms_radius: float | str
+    nms_radius: float | str | None
     max_keypoints: int | None
     snap: bool
 
@@ -152,6 +154,8 @@ class _MeshOptions(TypedDict, total=False):
     resolution: int
     level: float
     outer: bool
+
+# The end of the options.
 
 @type_check_only
 class _Config(TypedDict):

@@ -144,14 +144,11 @@ impl Field {
 
     /// Keypoints of the encoded cloud.
     ///
-    /// Options: `query_resolution`, `occupancy_threshold`, `refine_steps`, `refine_step_size`, `refine_method` ("adam"
-    /// or "gradient-descent"), `selection` ("best-position" or "reference-final-position"), `surface_threshold`,
-    /// `saliency_threshold`, `mode_radius` (move keypoints to the mode of the candidates within this length; None:
-    /// off), `nms_radius` (a number of cloud units, or text such as "3r" in multiples of the mean distance between
-    /// nearest points; 0: off), `max_keypoints`, `snap` (move each keypoint to its nearest input point), and `preset`
-    /// ("modelnet40", "keypointnet", "smpl", "redwood", "3dmatch" or "standard"). Other options default to the values
-    /// of `preset`, or else of the model's `recommended`. Raises ValueError for an invalid value and TypeError for an
-    /// unknown option.
+    /// Raises ValueError for an invalid value and TypeError for an unknown option. Options default to the values of `preset`,
+    /// or else of the model's `recommended`. Those of "compact" are:
+    ///
+    #[doc = include_str!("help/detect.txt")]
+    #[doc = include_str!("help/preset.txt")]
     #[pyo3(signature = (**options))]
     fn detect(&self, py: Python<'_>, options: Option<&Bound<PyDict>>) -> PyResult<Keypoints> {
         let preset = options::resolve("detect", &options::DETECT, self.core.recommended(), options)?;
@@ -162,10 +159,10 @@ impl Field {
 
     /// The level set of the occupancy at `level`, by marching cubes: a closed mesh in the cloud's frame and units.
     ///
-    /// Options: `resolution` (samples along each axis of the volume's box, 8 to 512; default 128), `level` (0.001 to
-    /// 0.999; default 0.4) and `outer` (keep only surfaces that can be reached from outside, because a thin shell has a
-    /// second surface inside; default False). Raises ValueError for an invalid value and TypeError for an unknown
-    /// option.
+    /// A thin shell has a second surface inside. Raises ValueError for an invalid value and TypeError for an unknown option.
+    /// The options are:
+    ///
+    #[doc = include_str!("help/mesh.txt")]
     #[pyo3(signature = (**options))]
     fn mesh(&self, py: Python<'_>, options: Option<&Bound<PyDict>>) -> PyResult<Mesh> {
         let options: core::MeshOptions = options::of("mesh", options)?;

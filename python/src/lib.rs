@@ -51,30 +51,12 @@ use tiled::{DetectedTiles, Tiles, tiles};
 /// float32 or float16, else as float64. Masked points, points that are not finite and outliers (few points far beyond all others) are skipped
 /// (`Keypoints.num_skipped`), but `nearest_index` counts them.
 ///
-/// `options` are the options of `Model.encode` and `Field.detect`. They default to the values of `preset`, or else of `model.recommended`. With the built-in model the
-/// defaults are:
+/// `options` are those of `Model.encode` and `Field.detect`. They default to the values of `preset`, or else of
+/// `model.recommended`. With the built-in model "compact" the defaults are:
 ///
-///     normalization="principal-axes"   how the cloud is mapped into the network's frame: "principal-axes", "unit-sphere",
-///                                  "unit-cube", "none"
-///     max_points=None               largest number of points to encode, drawn at random; None: all
-///     seed=0                        seed of that draw
-///     rotations=1                   rotated copies of the cloud to average over, 1 to 64
-///     query_resolution=64           queries along each axis of the query grid, 1 to 256
-///     query_band=1                  largest distance of queries from points, in voxels; 0: all queries
-///     occupancy_threshold=0.5       occupancy above which a query is refined
-///     refine_steps=0                steps of refinement
-///     refine_step_size=0.001        step size, in network units
-///     refine_method="adam"          or "gradient-descent"
-///     selection="best-position"     or "reference-final-position", as in the released code
-///     surface_threshold=0.8         occupancy above which a position lies on the surface
-///     saliency_threshold=0.07       least saliency of a keypoint
-///     min_confidence=None           least probability that another view finds a keypoint again
-///     mode_radius="6%"              radius in which keypoints move to the mean of the candidates; 0: off
-///     nms_radius="10%"              least distance of keypoints: cloud units, "3r" or "10%" of the cloud's radius; 0: off
-///     max_keypoints=64              largest number of keypoints; None: no limit
-///     snap=False                    move each keypoint to its nearest input point
-///     voxel_size=None               size of a voxel, for "scenes": cloud units or "2r"; None: chosen from the cloud
-///     preset=None                   "modelnet40", "keypointnet", "smpl", "redwood", "3dmatch" or "standard"
+#[doc = include_str!("help/encode.txt")]
+#[doc = include_str!("help/detect.txt")]
+#[doc = include_str!("help/preset.txt")]
 ///
 /// A UserWarning says if the cloud has outliers, or is far from the scale that model and options are for. Raises ValueError for an
 /// invalid array or value, OSError for a file that cannot be read, and TypeError for an unknown option.

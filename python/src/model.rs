@@ -179,12 +179,12 @@ impl Model {
 
     /// Encodes a cloud once; the field can then be queried any number of times.
     ///
-    /// `points` is (N, 3), in the same forms as in `detect`; points that are not finite or outliers are skipped. Options:
-    /// `normalization` ("unit-sphere"; "principal-axes", the same and encoded in the cloud's principal axes; "unit-cube";
-    /// or "none": the cloud already lies in the cube +-0.5), `max_points` (encode at most this many points, drawn at random; None: all points), `seed` of that draw, `rotations` (average
-    /// over this many rotated copies of the cloud: keypoints repeat far better, and the time grows in proportion), and
-    /// `preset`. Other options default to the values of `preset`, or else of `model.recommended`. Raises ValueError for
-    /// an invalid array or value.
+    /// `points` is (N, 3), in the same forms as in `detect`; points that are not finite or outliers are skipped. Raises
+    /// ValueError for an invalid array or value, and TypeError for an unknown option. Options default to the values of
+    /// `preset`, or else of `model.recommended`. Those of "compact" are:
+    ///
+    #[doc = include_str!("help/encode.txt")]
+    #[doc = include_str!("help/preset.txt")]
     #[pyo3(signature = (points, **options))]
     fn encode(slf: &Bound<Self>, points: &Bound<PyAny>, options: Option<&Bound<PyDict>>) -> PyResult<Field> {
         let core = slf.get().core();

@@ -7,7 +7,7 @@ use pyo3::types::{PyDict, PyString};
 use serde::Serialize;
 use serde::de::DeserializeOwned;
 use serde_json::{Number, Value};
-use snake_core::{Options, Preset};
+use snake_core::{Options, Preset, in_words};
 
 use crate::error::py_error;
 
@@ -100,19 +100,6 @@ pub fn flat<'py>(py: Python<'py>, preset: &Options) -> PyResult<Bound<'py, PyDic
 
 fn tree(preset: &Options) -> PyResult<Value> {
     serde_json::to_value(preset).map_err(|e| PyValueError::new_err(e.to_string()))
-}
-
-/// The message of a serde error, without Rust's type names.
-fn in_words(error: &serde_json::Error) -> String {
-    let text = error.to_string();
-    let words = [
-        ("f32", "a number"),
-        ("f64", "a number"),
-        ("usize", "a whole number, 0 or more"),
-        ("u64", "a whole number, 0 or more"),
-    ];
-    let found = words.iter().find_map(|(rust, words)| Some(format!("{}{words}", text.strip_suffix(rust)?)));
-    found.unwrap_or(text)
 }
 
 /// The number of items that a sequence can have: a matrix has four rows of four.

@@ -168,16 +168,11 @@ impl Registration {
 /// `is_reliable` say whether to trust it. `model` (default: the built-in one) runs only for the detector "snake" and the
 /// descriptor "field".
 ///
-/// Options: `detector` ("voxels", all points of the downsampled clouds, "snake", the model's keypoints, or "iss",
-/// "harris3d", "sift3d", "fps" or "random" on the downsampled clouds), `descriptor` ("fpfh", which is invariant to
-/// rotation, or "field", for clouds of about the same orientation), `max_keypoints`, `num_keypoints` (exactly this many, spread evenly, for links of
-/// low bandwidth; None: `max_keypoints` counts), `max_matches`, `voxel_size`,
-/// `normal_radius`, `feature_radius` and `inlier_distance` (lengths in cloud units, or text such as "3r" in multiples of
-/// the coarser cloud's mean distance between nearest points; None: derived from the clouds), `use_viewpoints`,
-/// `source_viewpoint` and `target_viewpoint` (the sensors' positions (3,); None: the origin, if most of the cloud is
-/// visible from there), `gravity` ("x", "y" or "z", the axis that points up in both), `initial` (a guess (4, 4) of
-/// `t_target_source`), `hypotheses`, `seed`, `refine_steps` (0: no ICP).
-/// Raises ValueError for invalid arrays or values and when no transform fits, TypeError for an unknown option.
+/// Raises ValueError for invalid arrays or values and when no transform fits, TypeError for an unknown option. Lengths are in
+/// cloud units, or text such as "3r" in multiples of the coarser cloud's mean distance between nearest points. The options
+/// are:
+///
+#[doc = include_str!("help/register.txt")]
 #[pyfunction]
 #[pyo3(signature = (source, target, model=None, **options))]
 pub fn register(

@@ -150,7 +150,12 @@ def main(argv=None):
         parser.error(str(error))
     fitted = [joined(rows[::2]) for rows in sets.values()]
     scores, hits = joined(fitted)
-    weights = np.concatenate([np.full(len(part), 1 / len(part)) for part, _ in fitted])  # every set counts alike
+    if not len(scores):
+        print("no keypoints were found: the file gets no map")
+        return
+    weights = np.concatenate(
+        [np.full(len(part), 1 / max(len(part), 1)) for part, _ in fitted]
+    )  # every set counts alike
     knots = fit(scores, hits, weights)
     print("knots", json.dumps(knots))
     for name, rows in ({name: rows[1::2] for name, rows in sets.items()} | tests).items():

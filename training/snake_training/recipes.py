@@ -12,6 +12,10 @@ scenes    init (a stage), teacher (a stage, or ""), crops, the settings of `snak
           stop, a step before the last
 average   of (stages), weights: the weighted mean of their networks
 export    of (a stage), output, metadata: the weight file
+frames    the options of `snake_training.data.frames`: pairs of depth frames of made rooms
+drives    the options of `snake_training.data.drives`: pairs of sweeps of made drives
+confidence  of (an export), scenes (stages), the options of `snake_training.confidence`: the map in the file, of pairs of
+          scenes, or else of the validation data
 figures   of (an export), the options of `snake_training.evaluate`: its repeatability on the validation data
 
 A path is relative to the recipe's folder, the output to the run folder. Shapes are procedural; `--data` adds some. `--smoke` runs
@@ -35,9 +39,9 @@ try:
 except ModuleNotFoundError:  # before Python 3.11
     import tomli as tomllib
 
-from . import evaluate, pieces, targets
+from . import confidence, evaluate, pieces, targets
 from .command_line import parse_arguments
-from .data import Procedural, write_corpus
+from .data import Procedural, drives, frames, write_corpus
 from .data.crops import Crops, write_part
 from .export import config_of, load_network, network_of, replacing, write_weights
 from .scenes import SceneTraining, Target, started
@@ -51,6 +55,9 @@ SMOKE_OF_OBJECTS = dict(
 )  # fmt: skip
 SMOKE_OF_TARGETS = dict(procedural=2, rotations=3, queries=200, points=256)
 SMOKE_OF_FIGURES = dict(objects=1, num_points=256, query_resolution=8)
+SMOKE_OF_FRAMES = dict(pairs=2)
+SMOKE_OF_DRIVES = dict(drives=1, sweeps=3)
+SMOKE_OF_CONFIDENCE = dict(number=2)
 
 
 def save(folder, network):
@@ -82,7 +89,10 @@ def command(options):
 class Recipe:
     """A recipe's stages and the folder of their results."""
 
-    KINDS = ("weights", "targets", "train", "crops", "start", "scenes", "average", "export", "figures")
+    KINDS = (
+        "weights", "targets", "train", "crops", "start", "scenes", "average", "export", "frames", "drives", "confidence",
+        "figures",
+    )  # fmt: skip
 
     def __init__(self, path, run_dir, smoke=False, data=(), validation_data=()):
         self.base, self.run_dir, self.smoke = Path(path).parent, Path(run_dir), smoke
@@ -98,7 +108,7 @@ class Recipe:
                 raise ValueError(
                     f"{path}: stage {name!r} of kind {kind!r}: names differ, kinds are {', '.join(self.KINDS)}"
                 )
-            for key in ("crops", "teacher", "of", "targets") + (() if kind == "start" else ("init",)):
+            for key in ("crops", "teacher", "of", "targets", "scenes") + (() if kind == "start" else ("init",)):
                 for other in [stage[key]] if isinstance(stage.get(key), str) else stage.get(key, []):
                     if other and other not in seen:
                         raise ValueError(f"{path}: stage {name!r}: no stage {other!r} before it")
@@ -125,7 +135,11 @@ class Recipe:
     def options(self, stage, smoke):
         """A stage's own options, as a command line."""
         return command(
-            {name: value for name, value in stage.items() if name not in ("name", "kind", "of", "init", "targets")}
+            {
+                name: value
+                for name, value in stage.items()
+                if name not in ("name", "kind", "of", "init", "targets", "scenes")
+            }
             | (smoke if self.smoke else {})
         )
 
@@ -202,16 +216,40 @@ class Recipe:
         load_network(path)
         log(f"{path}: {path.stat().st_size} bytes")
 
+    def frames(self, stage, folder, log):
+        """Depth frames."""
+        frames.main(["-o", str(folder), *self.options(stage, SMOKE_OF_FRAMES)])
+
+    def drives(self, stage, folder, log):
+        """Sweeps."""
+        drives.main(["-o", str(folder), *self.options(stage, SMOKE_OF_DRIVES)])
+
+    def confidence(self, stage, folder, log):
+        """The map of confidences in an exported file, and its calibration error, printed and kept."""
+        pairs = [str(self.run_dir / name) for name in stage.get("scenes", [])]
+        data = command({"pairs": pairs} if pairs else {"objects": self.shapes(folder)})
+        self.printed(
+            confidence, stage, folder / "confidence.txt", [*data, *self.options(stage, SMOKE_OF_CONFIDENCE)], log
+        )
+
     def figures(self, stage, folder, log):
         """The repeatability of an exported file, printed and kept."""
+        options = [self.shapes(folder), *self.options(stage, SMOKE_OF_FIGURES)]
+        self.printed(evaluate, stage, folder / "figures.json", options, log)
+
+    def shapes(self, folder):
+        """The folder of the validation data, or of procedural shapes."""
+        if self.validation_data:
+            return self.validation_data[0]
+        write_corpus(folder / "shapes", [Procedural()[row] for row in range(1 if self.smoke else 32)], 8192)
+        return str(folder / "shapes")
+
+    def printed(self, module, stage, path, options, log):
+        """What a command prints about the exported file of a stage."""
         output = next(other["output"] for other in self.stages if other["name"] == stage["of"])
-        data = self.validation_data
-        if not data:
-            write_corpus(folder / "shapes", [Procedural()[row] for row in range(1 if self.smoke else 32)], 8192)
-            data = [str(folder / "shapes")]
         with contextlib.redirect_stdout(io.StringIO()) as printed:
-            evaluate.main([str(self.run_dir / output), data[0], *self.options(stage, SMOKE_OF_FIGURES)])
-        (folder / "figures.json").write_text(printed.getvalue())
+            module.main([str(self.run_dir / output), *options])
+        path.write_text(printed.getvalue())
         log(printed.getvalue().strip())
 
 

@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
+from safetensors import safe_open
 
 from snake_training import pieces
 from snake_training.data.crops import Crops
@@ -44,7 +45,13 @@ def test_what_is_done_is_not_done_again(run_dir):
 
 def test_the_recipe_of_the_released_weights_runs(tmp_path):
     main([str(RECIPES / "scenes.toml"), "--run-dir", str(tmp_path), "--smoke"])
-    assert load_network(tmp_path / "scenes/scenes.safetensors")
+    weights = tmp_path / "scenes/scenes.safetensors"
+    assert load_network(weights)
+    with safe_open(weights, "numpy") as file:
+        knots = json.loads(file.metadata()["confidence"])
+    assert all(0 <= probability <= 1 for _, probability in knots) and knots == sorted(knots)
+    pairs = json.loads((tmp_path / "scenes/drives/pairs.json").read_text())
+    assert [pair["source"] for pair in pairs] == ["drive500_1", "drive500_2"]
 
 
 @pytest.mark.parametrize("name", ["compact", "standard", "paper"])

@@ -2,12 +2,12 @@
 
 use std::ffi::c_char;
 
-use serde_json::Value;
+use snake_core::with_named_values;
 use snake_registration::{RegisterOptions, Registration, register};
 
 use crate::arguments::{SnakeCloud, check_output, input, options as parse_options};
 use crate::model::SnakeModel;
-use crate::status::{Failure, SnakeStatus, guarded};
+use crate::status::{SnakeStatus, guarded};
 
 /// The rigid transform between two clouds.
 #[repr(C)]
@@ -70,8 +70,7 @@ pub unsafe extern "C" fn snake_register(
             unsafe { (input("model", model)?, source.read("source")?, target.read("target")?) };
         // SAFETY: the caller vouches for the text.
         let values = unsafe { parse_options(options) }?;
-        let options: RegisterOptions = serde_json::from_value(Value::Object(values))
-            .map_err(|error| Failure::new(SnakeStatus::Input, format!("options: {error}")))?;
+        let options = with_named_values(&RegisterOptions::default(), &values)?;
         let found = SnakeRegistration::from(&register(&source, &target, &model.model, &options)?);
         // SAFETY: the place is neither null nor misaligned; the caller vouches for the rest.
         unsafe { registration.write(found) };

@@ -5,7 +5,8 @@
 use std::ffi::{CStr, CString};
 use std::ptr::{null, null_mut};
 
-use snake_core::Model;
+use snake_core::{DetectOptions, EncodeOptions, Model, OptionGroup};
+use snake_registration::RegisterOptions;
 use snake_rs::*;
 
 fn torus() -> Vec<[f32; 3]> {
@@ -131,6 +132,30 @@ fn bad_clouds_and_options_are_errors() {
         assert_eq!(snake_detection_num_keypoints(null()), 0);
         assert!(snake_detection_keypoints(null()).is_null());
     }
+}
+
+#[test]
+fn every_option_of_a_table_is_known_by_its_name() {
+    let (points, model) = (torus(), compact());
+    let cloud = packed(&points);
+    let refused = |name: &str, status: SnakeStatus| {
+        let said = last_error();
+        assert!(status == SnakeStatus::Input && said.contains(&format!("option `{name}` is {{}}")), "{said}");
+    };
+    for option in EncodeOptions::OPTIONS.iter().chain(DetectOptions::OPTIONS) {
+        let (status, _) = detect(model, cloud, Some(&format!("{{\"{}\": {{}}}}", option.name))).unwrap_err();
+        refused(option.name, status);
+    }
+    for option in RegisterOptions::OPTIONS {
+        let text = CString::new(format!("{{\"{}\": {{}}}}", option.name)).unwrap();
+        let mut found = unsafe { std::mem::zeroed() };
+        refused(option.name, unsafe { snake_register(model, cloud, cloud, text.as_ptr(), &mut found) });
+    }
+    let mut found = unsafe { std::mem::zeroed() };
+    let status = unsafe { snake_register(model, cloud, cloud, c"{\"radius\": 1}".as_ptr(), &mut found) };
+    assert_eq!(status, SnakeStatus::Input);
+    assert!(last_error().contains("unknown option `radius`; the options are "), "{}", last_error());
+    unsafe { snake_model_free(model) };
 }
 
 #[test]

@@ -8,6 +8,7 @@ mod config;
 mod detect;
 mod eval;
 mod field;
+mod flags;
 mod inputs;
 mod interrupt;
 mod model;

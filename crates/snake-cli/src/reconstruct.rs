@@ -6,12 +6,13 @@ use std::time::Instant;
 use anyhow::{Context, Result};
 use clap::Args;
 use serde_json::json;
-use snake_core::{Cloud, Control, MeshOptions, Options, Progress};
+use snake_core::{Cloud, Control, MeshOptions, Options, Progress, with_named_values};
 use snake_io as io;
 
+use crate::flags::OptionFlags;
 use crate::inputs::{InputArguments, output_origin};
 use crate::output::InputFiles;
-use crate::setup::{ComputeArguments, EncodeFlags, Loaded, override_with};
+use crate::setup::{ComputeArguments, EncodeFlags, Loaded};
 use crate::terminal::{self, Report};
 
 #[derive(Args)]
@@ -28,15 +29,8 @@ pub struct ReconstructArguments {
     pub json: bool,
     #[command(flatten)]
     compute: ComputeArguments,
-    /// Number of samples along each axis of the network's box, 8 to 512 [default: 128].
-    #[arg(long)]
-    resolution: Option<usize>,
-    /// Occupancy at the surface, a probability from 0.001 to 0.999. A higher level gives thinner shells [default: 0.4].
-    #[arg(long)]
-    level: Option<f32>,
-    /// Keep only the surfaces that can be reached from outside [default: keep all].
-    #[arg(long)]
-    outer: bool,
+    #[command(flatten)]
+    mesh: OptionFlags<MeshOptions>,
     #[command(flatten)]
     encode: EncodeFlags,
 }
@@ -47,9 +41,7 @@ pub fn run(arguments: &ReconstructArguments) -> Result<()> {
     let ReconstructArguments { input, output, .. } = arguments;
     io::check_mesh_path(output)?;
     InputFiles::new([input].into_iter().chain(&arguments.compute.model)).refuse_as_output(output)?;
-    let mut options = MeshOptions::default().with_outer(arguments.outer);
-    override_with(&mut options.resolution, arguments.resolution);
-    override_with(&mut options.level, arguments.level);
+    let options = with_named_values(&MeshOptions::default(), &arguments.mesh.given())?;
     options.check()?;
     let progress = Progress::default();
     let flags = &arguments.encode;

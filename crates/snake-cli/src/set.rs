@@ -3,9 +3,8 @@
 use anyhow::Result;
 use clap::Args;
 use serde::Serialize;
-use serde::de::DeserializeOwned;
 use serde_json::{Map, Value};
-use snake_core::{Builtin, Model, Options, with_named_values};
+use snake_core::{Builtin, DetectOptions, EncodeOptions, OptionGroup, OptionInfo};
 use snake_registration::RegisterOptions;
 
 use crate::terminal::{self, Report};
@@ -14,52 +13,59 @@ use crate::terminal::{self, Report};
 pub struct SetArguments {
     /// Set any option by its name, such as `--set refine_steps=10`. `snake-cli options` lists all of them; a text, a number,
     /// true, false, none or a list in JSON is a value. It may be given several times.
-    #[arg(long, value_name = "NAME=VALUE", value_parser = assignment)]
+    #[arg(long, value_name = "NAME=VALUE", value_parser = assignment, display_order = 1000)]
     set: Vec<(String, Value)>,
 }
 
 impl SetArguments {
-    /// The options with the given ones replaced.
-    pub fn apply<T: Clone + Serialize + DeserializeOwned>(&self, options: &T) -> Result<T> {
-        Ok(with_named_values(options, &self.set.iter().cloned().collect())?)
-    }
-
-    /// Whether an option is given.
-    pub fn names(&self, option: &str) -> bool {
-        self.set.iter().any(|(name, _)| name == option)
+    /// Names and values, as [`with_named_values`](snake_core::with_named_values) takes them.
+    pub fn given(&self) -> Map<String, Value> {
+        self.set.iter().cloned().collect()
     }
 }
 
-/// Reads `NAME=VALUE`. A value that is no JSON is a text.
+/// Reads `NAME=VALUE`.
 fn assignment(text: &str) -> Result<(String, Value), String> {
-    let (name, value) = text.split_once('=').ok_or("expected NAME=VALUE")?;
-    let value = match value.trim() {
+    let (name, text) = text.split_once('=').ok_or("expected NAME=VALUE")?;
+    Ok((name.trim().replace('-', "_"), value(text)))
+}
+
+/// A value as it is typed: JSON, or else a text.
+pub fn value(text: &str) -> Value {
+    match text.trim() {
         "none" => Value::Null,
-        value => serde_json::from_str(value).unwrap_or_else(|_| value.into()),
-    };
-    Ok((name.trim().replace('-', "_"), value))
+        text => serde_json::from_str(text).unwrap_or_else(|_| text.into()),
+    }
 }
 
 /// Prints the options of detection with the values of the built-in models, and those of registration with their defaults.
 pub fn list() -> Result<()> {
-    let of = |which| serde_json::to_value(Model::builtin(which).recommended());
-    let (compact, scenes) = (of(Builtin::Compact)?, of(Builtin::Scenes)?);
+    let [compact, scenes] = [Builtin::Compact, Builtin::Scenes].map(Builtin::recommended);
     let mut report = Report::default();
     report.heading(format!("{:<22} {:>16} {:>16}", "detection", "compact", "scenes"));
-    for group in ["encode", "detect"] {
-        for (name, value) in compact[group].as_object().into_iter().flatten() {
-            report.line(format!("{name:<22} {:>16} {:>16}", shown(value), shown(&scenes[group][name])));
-        }
-    }
+    rows(&mut report, EncodeOptions::OPTIONS, &[values_of(&compact.encode), values_of(&scenes.encode)]);
+    rows(&mut report, DetectOptions::OPTIONS, &[values_of(&compact.detect), values_of(&scenes.detect)]);
     report.heading(format!("{:<22} {:>16}", "registration", "default"));
-    for (name, value) in serde_json::to_value(RegisterOptions::default())?.as_object().into_iter().flatten() {
-        report.line(format!("{name:<22} {:>16}", shown(value)));
-    }
+    rows(&mut report, RegisterOptions::OPTIONS, &[values_of(&RegisterOptions::default())]);
     terminal::print(&report)
 }
 
+/// Prints the options of a table, each with its values and a help.
+fn rows(report: &mut Report, options: &[OptionInfo], columns: &[Value]) {
+    for option in options {
+        let values: String = columns.iter().map(|values| format!(" {:>16}", shown(&values[option.name]))).collect();
+        report.line(format!("{:<22}{values}", option.name));
+        option.lines("none", 96).iter().for_each(|line| report.line(format!("    {line}")));
+    }
+}
+
+/// The options of a group by name, with numbers as they are written: 0.07 and not its nearest float64.
+pub fn values_of<T: Serialize>(options: &T) -> Value {
+    serde_json::to_string(options).and_then(|text| serde_json::from_str(&text)).unwrap_or_default()
+}
+
 /// A value as `--set` takes it.
-fn shown(value: &Value) -> String {
+pub fn shown(value: &Value) -> String {
     match value {
         Value::Null => "none".into(),
         Value::String(text) => text.clone(),
@@ -70,16 +76,9 @@ fn shown(value: &Value) -> String {
 /// What to type instead of a flag that is no flag but the name of an option, such as `--refine-steps`.
 pub fn instead_of(flag: &str) -> Option<String> {
     let name = flag.strip_prefix("--")?.split('=').next()?.replace('-', "_");
-    let is_option = [serde_json::to_value(Options::default()), serde_json::to_value(RegisterOptions::default())]
-        .iter()
-        .flatten()
-        .any(|options| has(options, &name));
+    let tables = [EncodeOptions::OPTIONS, DetectOptions::OPTIONS, RegisterOptions::OPTIONS];
+    let is_option = tables.into_iter().flatten().any(|option| option.name == name);
     is_option.then(|| format!("type --set {name}=VALUE"))
-}
-
-fn has(options: &Value, name: &str) -> bool {
-    let groups = [options.get("encode"), options.get("detect"), Some(options)];
-    groups.into_iter().flatten().filter_map(Value::as_object).any(|group| Map::contains_key(group, name))
 }
 
 #[cfg(test)]

@@ -6,8 +6,10 @@ use std::time::Instant;
 use anyhow::{Result, bail};
 use clap::Args;
 use serde::de::DeserializeOwned;
-use snake_core::{Builtin, Length, Model, Options, Point, Preset, SimdLevel};
+use serde_json::{Map, Value};
+use snake_core::{Builtin, EncodeOptions, Length, Model, Options, Point, Preset, SimdLevel};
 
+use crate::flags::{OF_MODEL, OptionFlags};
 use crate::set::SetArguments;
 use crate::{config, model, terminal};
 
@@ -152,28 +154,22 @@ pub fn load(path: Option<&Path>, start: impl Fn(&Model) -> Options) -> Result<Lo
 
 /// Options of the encoding. Each one defaults to the value of the preset, or else to the model's recommended value.
 #[derive(Args)]
-#[command(next_help_heading = "Encoding options (the model recommends the values; those of compact are shown)")]
+#[command(next_help_heading = OF_MODEL)]
 pub struct EncodeFlags {
     /// Start from a named set of options: the paper's settings for a data set (modelnet40, keypointnet, smpl, redwood
     /// or 3dmatch), or the options of the model standard [default: the model's own].
     #[arg(long)]
     preset: Option<String>,
-    /// Average the field over this many rotated copies of the cloud. Keypoints repeat far better, and the time grows in
-    /// proportion [default: 1].
-    #[arg(long)]
-    rotations: Option<usize>,
-    /// Size of a voxel, for scene models: in cloud units, or in multiples of the cloud's resolution (`2r`). Details smaller
-    /// than a voxel are not seen [default: chosen from the cloud].
-    #[arg(long, value_name = "LENGTH")]
-    voxel_size: Option<Length>,
+    #[command(flatten)]
+    encode: OptionFlags<EncodeOptions>,
     #[command(flatten)]
     set: SetArguments,
 }
 
 impl EncodeFlags {
-    /// Whether `--set` names an option.
-    pub fn sets(&self, option: &str) -> bool {
-        self.set.names(option)
+    /// The options of the command line by name.
+    pub fn given(&self) -> Map<String, Value> {
+        self.encode.given().into_iter().chain(self.set.given()).collect()
     }
 
     /// The name of the preset.
@@ -183,31 +179,24 @@ impl EncodeFlags {
 
     /// The options of the preset or the model, with those of the command line in their place.
     pub fn resolve(&self, loaded: &Loaded) -> Result<Options> {
-        let mut options = match &self.preset {
+        let options = match &self.preset {
             Some(name) => Preset::named(name)?.options(),
             None => loaded.options,
         };
-        override_with(&mut options.encode.rotations, self.rotations);
-        override_with(&mut options.encode.voxel_size, self.voxel_size.map(none_if_zero));
-        self.set.apply(&options)
+        Ok(options.with_values(&self.given())?)
     }
 
     /// What the options say of the model where none is named.
     pub fn suits(&self) -> Suits {
-        if self.voxel_size.is_some() || self.set.names("voxel_size") {
+        let given = self.given();
+        let is_rotated = given.get("rotations").and_then(Value::as_u64).is_some_and(|rotations| rotations > 1);
+        if given.contains_key("voxel_size") {
             Suits::Scenes
-        } else if self.preset.is_some() || self.set.names("normalization") || self.rotations.is_some_and(|n| n > 1) {
+        } else if self.preset.is_some() || given.contains_key("normalization") || is_rotated {
             Suits::Objects
         } else {
             Suits::TheCloud
         }
-    }
-}
-
-/// Replaces an option by the given value, if there is one.
-pub fn override_with<T>(option: &mut T, given: Option<T>) {
-    if let Some(given) = given {
-        *option = given;
     }
 }
 

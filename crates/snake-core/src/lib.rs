@@ -44,6 +44,8 @@ mod network;
 pub mod steps;
 
 pub use call::{CancelFlag, Control, Counter, Limits, Progress, Stage, check_num_threads, side_by_side};
+#[doc(hidden)]
+pub use detect::in_words;
 pub use detect::{
     Candidate, Counts, DetectOptions, Detection, EncodeOptions, MeshOptions, Options, Preset, RefineMethod, Selection,
     TileCandidates, TileDetector, TileSettings, Timing, by_rank, cluster_hint, with_named_values,
@@ -58,9 +60,9 @@ pub use network::{ModelConfig, PointEncoder, Scatter, Volume, VolumeFrame, Volum
 #[cfg(feature = "arrow")]
 pub use snake_geometry::ArrowPoints;
 pub use snake_geometry::{
-    Bounds, Cloud, Fate, Keypoint, Length, Mesh, Normalization, NormalizationMethod, Outliers, Point,
-    PointCloud2Layout, PointCloud2View, PointField, PointSource, RigidTransform, SeparateAxes, add_origin,
-    subtract_origin, zero_hint,
+    Bounds, Cloud, Fate, Keypoint, Length, Mesh, Normalization, NormalizationMethod, OptionGroup, OptionInfo,
+    OptionKind, Outliers, Point, PointCloud2Layout, PointCloud2View, PointField, PointSource, RigidTransform,
+    SeparateAxes, add_origin, subtract_origin, zero_hint,
 };
 #[doc(hidden)]
 pub use snake_geometry::{excerpt, is_harmful, printable, setters};

@@ -20,6 +20,7 @@
 mod clouds;
 mod error;
 mod near;
+mod options;
 mod setters;
 mod source;
 mod subset;
@@ -32,6 +33,9 @@ pub use clouds::{
 };
 pub use error::{Error, Result};
 pub use near::{KdTree, Neighbors, PointTree, RadiusCells, Vector, eigen, vector};
+pub use options::{OptionGroup, OptionInfo, OptionKind};
+#[doc(hidden)]
+pub use options::{Ranged, check_range};
 #[cfg(feature = "arrow")]
 pub use source::ArrowPoints;
 pub use source::{PointCloud2Layout, PointCloud2View, PointField, PointSource, SeparateAxes};

@@ -5,101 +5,64 @@ use std::borrow::Cow;
 use serde::{Deserialize, Serialize};
 
 use snake_core::{Error, Result};
-use snake_geometry::{Length, Point, RigidTransform, Vector, resolution, setters};
+use snake_geometry::{Length, Point, RigidTransform, Vector, options, resolution};
 
 use crate::parts::medians::upper_median;
 
-/// Options of [`register`](crate::register()).
-///
-/// A length that is `None` is derived from the clouds. A length in resolutions refers to the coarser of the two clouds.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
-#[serde(default, deny_unknown_fields)]
-#[non_exhaustive]
-pub struct RegisterOptions {
-    /// The keypoint detector; by default every voxel is a keypoint.
-    pub detector: KeypointDetector,
-    /// The descriptor that matches keypoints.
-    pub descriptor: Descriptor,
-    /// Maximum number of keypoints per cloud; the best are kept. Of too many voxels it keeps a random part.
-    pub max_keypoints: usize,
-    /// Exactly this many keypoints per cloud, or all if there are fewer, for links of low bandwidth: they are ranked by the
-    /// detector and spread over the cloud by [`suppress_to_count`](snake_geometry::suppress_to_count), where the best
-    /// ones alone would cluster. It takes the place of `max_keypoints`.
-    pub num_keypoints: Option<usize>,
-    /// Maximum number of matches; the most distinctive are kept.
-    pub max_matches: usize,
-    /// Side of the voxels for normals, FPFH and refinement. `None`: 1/80 of the smaller cloud's diameter, which is
-    /// twice the largest distance of a point from the mean.
-    pub voxel_size: Option<Length>,
-    /// Radius of normals. `None`: twice the spacing, which is the voxel size or, if that is greater, the mean distance
-    /// between neighbours in the reduced clouds.
-    pub normal_radius: Option<Length>,
-    /// Radius of FPFH. `None`: 5 times the spacing.
-    pub feature_radius: Option<Length>,
-    /// A match agrees with a transform that brings its points closer than this. `None`: 1.5 times the spacing.
-    pub inlier_distance: Option<Length>,
-    /// Whether normals point to the sensor. Without, they have no sign, and the space between the sensor and the points
-    /// is not known to be free.
-    pub use_viewpoints: bool,
-    /// The sensor's position in the source's frame. `None`: the frame's origin, if most of the cloud is visible from
-    /// there.
-    pub source_viewpoint: Option<[f64; 3]>,
-    /// The sensor's position in the target's frame, likewise.
-    pub target_viewpoint: Option<[f64; 3]>,
-    /// The axis that points up in both clouds. The transform is then a rotation about this axis and a translation.
-    pub gravity: Option<Axis>,
-    /// A guess of `t_target_source`. It is refined; no other transform is searched for.
-    pub initial: Option<RigidTransform>,
-    /// Maximum number of transforms to return, best first.
-    pub hypotheses: usize,
-    /// Seed of random keypoints.
-    pub seed: u64,
-    /// Maximum number of point-to-plane ICP steps on the reduced clouds; 0 skips ICP. Pairs are closer than
-    /// `inlier_distance`.
-    pub refine_steps: usize,
-}
-
-setters!(RegisterOptions {
-    detector: KeypointDetector => with_detector,
-    descriptor: Descriptor => with_descriptor,
-    max_keypoints: usize => with_max_keypoints,
-    num_keypoints: Option<usize> => with_num_keypoints,
-    max_matches: usize => with_max_matches,
-    voxel_size: Option<Length> => with_voxel_size,
-    normal_radius: Option<Length> => with_normal_radius,
-    feature_radius: Option<Length> => with_feature_radius,
-    inlier_distance: Option<Length> => with_inlier_distance,
-    use_viewpoints: bool => with_use_viewpoints,
-    source_viewpoint: Option<[f64; 3]> => with_source_viewpoint,
-    target_viewpoint: Option<[f64; 3]> => with_target_viewpoint,
-    gravity: Option<Axis> => with_gravity,
-    initial: Option<RigidTransform> => with_initial,
-    hypotheses: usize => with_hypotheses,
-    seed: u64 => with_seed,
-    refine_steps: usize => with_refine_steps,
-});
-
-impl Default for RegisterOptions {
-    fn default() -> Self {
-        Self {
-            detector: KeypointDetector::default(),
-            descriptor: Descriptor::default(),
-            max_keypoints: 8000,
-            num_keypoints: None,
-            max_matches: 2000,
-            voxel_size: None,
-            normal_radius: None,
-            feature_radius: None,
-            inlier_distance: None,
-            use_viewpoints: true,
-            source_viewpoint: None,
-            target_viewpoint: None,
-            gravity: None,
-            initial: None,
-            hypotheses: 1,
-            seed: 0,
-            refine_steps: 30,
-        }
+options! {
+    /// Options of [`register`](crate::register()).
+    ///
+    /// A length that is `None` is derived from the clouds. A length in resolutions refers to the coarser of the two clouds.
+    pub struct RegisterOptions {
+        /// Detector of keypoints: voxels (all points of the downsampled clouds), snake (the model), or one of the others on the
+        /// downsampled clouds.
+        detector, with_detector: KeypointDetector = KeypointDetector::Voxels, flag "DETECTOR";
+        /// Descriptor that matches keypoints: fpfh, which is invariant to rotation, or field, for clouds of about the same
+        /// orientation.
+        descriptor, with_descriptor: Descriptor = Descriptor::Fpfh;
+        /// Largest number of keypoints of a cloud; the best are kept, and of too many voxels a random part.
+        max_keypoints, with_max_keypoints: usize = 8000, from 3 or more;
+        /// Number of keypoints of a cloud, spread evenly over it, for links of low bandwidth.
+        ///
+        /// Exactly this many, or all if there are fewer: they are ranked by the detector and spread by
+        /// [`suppress_to_count`](snake_geometry::suppress_to_count), where the best ones alone would cluster. It takes the
+        /// place of `max_keypoints`.
+        num_keypoints, with_num_keypoints: Option<usize> = None, none "`max_keypoints` counts", from 3 or more;
+        /// Largest number of matches; the most distinctive are kept.
+        ///
+        /// The graph of matches has a bit for every pair of them.
+        max_matches, with_max_matches: usize = 2000, from 3 to 20000;
+        /// Size of the voxels to which both clouds are downsampled for normals, FPFH, ICP and the classical detectors. It is
+        /// also the least distance between the keypoints of snake.
+        voxel_size, with_voxel_size: Option<Length> = None, none "1/80 of the diameter of the smaller cloud", flag "LENGTH";
+        /// Radius of the neighbourhood of a normal.
+        ///
+        /// The spacing is the voxel size or, if that is greater, the mean distance between neighbours in the reduced clouds.
+        normal_radius, with_normal_radius: Option<Length> = None, none "twice the spacing of the voxels";
+        /// Radius of the neighbourhood of FPFH.
+        feature_radius, with_feature_radius: Option<Length> = None, none "5 times the spacing";
+        /// Distance within which a match agrees with a transform.
+        inlier_distance, with_inlier_distance: Option<Length> = None, none "1.5 times the spacing";
+        /// Whether normals point to the sensor. Without, they have no sign, and the space between the sensor and the points
+        /// is not known to be free.
+        use_viewpoints, with_use_viewpoints: bool = true;
+        /// Position of the sensor in the source's frame.
+        source_viewpoint, with_source_viewpoint: Option<[f64; 3]> = None,
+            none "the frame's origin, if most of the cloud is visible from there";
+        /// Position of the sensor in the target's frame.
+        target_viewpoint, with_target_viewpoint: Option<[f64; 3]> = None, none "likewise";
+        /// Axis that points up in both clouds: the transform is a rotation about it and a translation.
+        gravity, with_gravity: Option<Axis> = None, none "any rotation", flag "AXIS";
+        /// Guess of `t_target_source`, four rows of four numbers. It is refined, and no other transform is searched for.
+        initial, with_initial: Option<RigidTransform> = None, none "a search";
+        /// Largest number of transforms to return, best first.
+        hypotheses, with_hypotheses: usize = 1, from 1 or more;
+        /// Seed of random keypoints.
+        seed, with_seed: u64 = 0;
+        /// Largest number of point-to-plane ICP steps on the reduced clouds; 0 skips ICP.
+        ///
+        /// Pairs are closer than `inlier_distance`.
+        refine_steps, with_refine_steps: usize = 30;
     }
 }
 
@@ -159,9 +122,6 @@ impl Axis {
     }
 }
 
-/// The largest number of matches: the graph of matches has a bit for every pair of them.
-const MOST_MATCHES: usize = 20_000;
-
 impl RegisterOptions {
     /// Converts the viewpoints and the guess to points relative to their origins (see [`Cloud`](snake_geometry::Cloud)). A
     /// cloud with an origin other than zero is georeferenced: no sensor stands at the zero of its frame.
@@ -177,19 +137,7 @@ impl RegisterOptions {
     }
 
     pub(crate) fn check(&self) -> Result<()> {
-        let number = |name, value: usize, allowed| Err(Error::Option { name, value: value.to_string(), allowed });
-        if self.max_keypoints < 3 {
-            return number("max_keypoints", self.max_keypoints, "3 or more");
-        }
-        if let Some(count @ ..3) = self.num_keypoints {
-            return number("num_keypoints", count, "3 or more");
-        }
-        if !(3..=MOST_MATCHES).contains(&self.max_matches) {
-            return number("max_matches", self.max_matches, "3 to 20000");
-        }
-        if self.hypotheses == 0 {
-            return number("hypotheses", self.hypotheses, "1 or more");
-        }
+        self.check_ranges()?;
         for (name, viewpoint) in
             [("source_viewpoint", self.source_viewpoint), ("target_viewpoint", self.target_viewpoint)]
         {

@@ -8,7 +8,7 @@ use snake_registration::AlignOptions;
 
 use crate::inputs::InputArguments;
 use crate::register::args::RegisterFlags;
-use crate::setup::{ComputeArguments, override_with};
+use crate::setup::ComputeArguments;
 
 #[derive(Args)]
 pub struct AlignArguments {
@@ -44,7 +44,7 @@ impl AlignArguments {
     /// The defaults, overridden by the command line.
     pub fn options(&self) -> Result<AlignOptions> {
         let mut options = AlignOptions::default().with_register(self.register.resolve()?);
-        override_with(&mut options.max_partners, self.max_partners);
+        options.max_partners = self.max_partners.unwrap_or(options.max_partners);
         Ok(options)
     }
 }

@@ -4,11 +4,12 @@ use std::path::PathBuf;
 
 use anyhow::Result;
 use clap::Args;
-use snake_core::{Length, Options};
+use snake_core::{DetectOptions, Options};
 use snake_io::KeypointFormat;
 
+use crate::flags::OptionFlags;
 use crate::inputs::InputArguments;
-use crate::setup::{ComputeArguments, EncodeFlags, Loaded, Suits, named, none_if_zero, override_with};
+use crate::setup::{ComputeArguments, EncodeFlags, Loaded, Suits, named};
 
 #[derive(Args)]
 pub struct DetectArguments {
@@ -44,11 +45,11 @@ pub struct DetectArguments {
     #[arg(long)]
     pub timing: bool,
     #[command(flatten)]
-    pub tiles: TileArguments,
-    #[command(flatten)]
     pub compute: ComputeArguments,
     #[command(flatten)]
     pub options: DetectFlags,
+    #[command(flatten)]
+    pub tiles: TileArguments,
 }
 
 /// Detection in tiles.
@@ -69,25 +70,11 @@ pub struct TileArguments {
 
 /// Options of detection. Each one defaults to the value of the preset, or else to the model's recommended value.
 #[derive(Args)]
-#[command(next_help_heading = "Detection options (the model recommends the values; those of compact are shown)")]
 pub struct DetectFlags {
     #[command(flatten)]
     encode: EncodeFlags,
-    /// Keep only keypoints whose saliency, 0 to 1, is above this threshold [default: 0.07].
-    #[arg(long)]
-    saliency_threshold: Option<f32>,
-    /// Keep only keypoints of at least this confidence, 0 to 1: the probability that another view finds them again, for models
-    /// whose file has a map from saliency to it; 0 keeps all [default: 0].
-    #[arg(long, value_name = "PROBABILITY")]
-    min_confidence: Option<f32>,
-    /// Radius of non-maximum suppression: keypoints are farther apart than this. The radius is in cloud units, in
-    /// multiples of the cloud's resolution, the mean distance between nearest points (`3r`), in per cent of the cloud's
-    /// radius (`10%`), or in voxels (`4v`); 0 turns suppression off [default: 10%].
-    #[arg(long, value_name = "LENGTH")]
-    nms_radius: Option<Length>,
-    /// Keep at most this many keypoints, those with the highest saliency [default: 64].
-    #[arg(long)]
-    max_keypoints: Option<usize>,
+    #[command(flatten)]
+    detect: OptionFlags<DetectOptions>,
 }
 
 impl DetectFlags {
@@ -96,19 +83,13 @@ impl DetectFlags {
         self.encode.suits()
     }
 
-    /// The number of --max-keypoints, if it is given.
-    pub fn max_keypoints(&self) -> Option<usize> {
-        self.max_keypoints
+    /// Whether an option is given.
+    pub fn has(&self, option: &str) -> bool {
+        self.detect.given().contains_key(option) || self.encode.given().contains_key(option)
     }
 
     /// The options of a run: the options of the preset or the model, with those of the command line in their place.
     pub fn resolve(&self, loaded: &Loaded) -> Result<Options> {
-        let mut options = self.encode.resolve(loaded)?;
-        let detect = &mut options.detect;
-        override_with(&mut detect.saliency_threshold, self.saliency_threshold);
-        override_with(&mut detect.min_confidence, self.min_confidence.map(|least| (least != 0.0).then_some(least)));
-        override_with(&mut detect.nms_radius, self.nms_radius.map(none_if_zero));
-        override_with(&mut detect.max_keypoints, self.max_keypoints);
-        Ok(options)
+        Ok(self.encode.resolve(loaded)?.with_values(&self.detect.given())?)
     }
 }

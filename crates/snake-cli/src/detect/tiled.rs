@@ -26,7 +26,9 @@ pub fn run(
 ) -> Result<ExitCode> {
     let start = Instant::now();
     check(arguments, inputs, output)?;
-    options.detect.max_keypoints = arguments.options.max_keypoints().unwrap_or(usize::MAX);
+    if !arguments.options.has("max_keypoints") {
+        options.detect.max_keypoints = usize::MAX;
+    }
     let detector = TileDetector::new(model, &options)?;
     let sample = arguments.input.sample.map(|number| number as usize);
     let read = arguments.input.columns.options().with_sample(sample).with_seed(options.encode.seed);

@@ -117,9 +117,9 @@ pub struct RegistrationArguments {
     #[arg(long, value_name = "NAME=FOLDER", value_parser = external)]
     pub external: Vec<(String, PathBuf)>,
     #[command(flatten)]
-    pub options: EncodeFlags,
-    #[command(flatten)]
     pub run: RunArguments,
+    #[command(flatten)]
+    pub options: EncodeFlags,
 }
 
 #[derive(Args)]
@@ -196,9 +196,9 @@ pub struct EvalArguments {
     #[arg(long, value_name = "NAME=FOLDER", value_parser = external)]
     pub external: Vec<(String, PathBuf)>,
     #[command(flatten)]
-    pub options: EncodeFlags,
-    #[command(flatten)]
     pub run: RunArguments,
+    #[command(flatten)]
+    pub options: EncodeFlags,
 }
 
 /// Options of every evaluation: its extent and its output.

@@ -52,7 +52,7 @@ impl<'a> Methods<'a> {
     pub fn new(arguments: &'a RegistrationArguments, scenes: &Scenes) -> Result<Self> {
         let RegistrationArguments { external, nms_radius, options, .. } = arguments;
         let models = arguments.run.load_models(|model| Scan::default_options(model, VOXEL_SIZE))?;
-        let is_of_paper = options.preset() == Some(PAPER.0) && !options.sets("nms_radius");
+        let is_of_paper = options.preset() == Some(PAPER.0) && !options.given().contains_key("nms_radius");
         let of_paper = is_of_paper.then_some(PAPER.1);
         let resolve = |mut loaded: Loaded| -> Result<Loaded> {
             loaded.options = options.resolve(&loaded)?;

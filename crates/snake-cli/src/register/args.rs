@@ -4,12 +4,13 @@ use std::path::PathBuf;
 
 use anyhow::Result;
 use clap::Args;
-use snake_core::Length;
-use snake_registration::{Axis, KeypointDetector, RegisterOptions};
+use snake_core::with_named_values;
+use snake_registration::RegisterOptions;
 
+use crate::flags::{OF_REGISTRATION, OptionFlags};
 use crate::inputs::InputArguments;
 use crate::set::SetArguments;
-use crate::setup::{ComputeArguments, named, override_with};
+use crate::setup::ComputeArguments;
 
 #[derive(Args)]
 pub struct RegisterArguments {
@@ -45,22 +46,10 @@ pub struct RegisterArguments {
 
 /// Options of registration; an option that is not given keeps its default.
 #[derive(Args)]
-#[command(
-    next_help_heading = "Registration options (LENGTH: in the clouds' units, or multiples of their resolution: 3r)"
-)]
+#[command(next_help_heading = OF_REGISTRATION)]
 pub struct RegisterFlags {
-    /// Keypoint detector: voxels (all points of the downsampled clouds), snake (the model), or iss, harris3d, sift3d, fps
-    /// or random on the downsampled clouds [default: voxels].
-    #[arg(long, value_parser = named::<KeypointDetector>)]
-    detector: Option<KeypointDetector>,
-    /// Size of the voxels to which both clouds are downsampled for normals, FPFH, ICP and the classical detectors. It
-    /// is also the least distance between the keypoints of snake [default: 1/80 of the diameter of the smaller cloud].
-    #[arg(long, value_name = "LENGTH")]
-    voxel_size: Option<Length>,
-    /// The axis that points up in both clouds, x, y or z: the transform is a rotation about it and a translation
-    /// [default: any rotation].
-    #[arg(long, value_name = "AXIS", value_parser = named::<Axis>)]
-    gravity: Option<Axis>,
+    #[command(flatten)]
+    flags: OptionFlags<RegisterOptions>,
     #[command(flatten)]
     set: SetArguments,
 }
@@ -68,10 +57,7 @@ pub struct RegisterFlags {
 impl RegisterFlags {
     /// The defaults, with the options of the command line in their place.
     pub fn resolve(&self) -> Result<RegisterOptions> {
-        let mut options = RegisterOptions::default();
-        override_with(&mut options.detector, self.detector);
-        override_with(&mut options.voxel_size, self.voxel_size.map(Some));
-        override_with(&mut options.gravity, self.gravity.map(Some));
-        self.set.apply(&options)
+        let given = self.flags.given().into_iter().chain(self.set.given()).collect();
+        Ok(with_named_values(&RegisterOptions::default(), &given)?)
     }
 }

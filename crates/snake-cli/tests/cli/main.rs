@@ -12,6 +12,8 @@ mod field_and_view;
 mod hostile_files;
 mod mistakes;
 mod model;
+mod options;
+mod options_in_python;
 mod origins_and_columns;
 mod outputs;
 mod printing;

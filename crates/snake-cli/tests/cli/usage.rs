@@ -20,27 +20,27 @@ fn command(arguments: &[&str], environment: &[(&str, &str)]) -> Command {
     command
 }
 
-fn snake_with(arguments: &[&str], environment: &[(&str, &str)]) -> Output {
+pub fn snake_with(arguments: &[&str], environment: &[(&str, &str)]) -> Output {
     command(arguments, environment).output().unwrap()
 }
 
-fn snake(arguments: &[&str]) -> Output {
+pub fn snake(arguments: &[&str]) -> Output {
     snake_with(arguments, &[])
 }
 
-fn stdout(output: &Output) -> String {
+pub fn stdout(output: &Output) -> String {
     assert!(output.status.success(), "{}", stderr(output));
     String::from_utf8_lossy(&output.stdout).into()
 }
 
 /// Keypoints of the one line of JSON.
-fn keypoints(output: &Output) -> Value {
+pub fn keypoints(output: &Output) -> Value {
     let report: Value = serde_json::from_str(&stdout(output)).unwrap();
     report["keypoints"].clone()
 }
 
 /// The help of a sub-command and of all below it, with their names.
-fn helps(name: &[&str]) -> Vec<(String, String)> {
+pub fn helps(name: &[&str]) -> Vec<(String, String)> {
     let help = stdout(&snake(&[name, &["--help"]].concat()));
     let (_, commands) = help.split_once("\nCommands:\n").unwrap_or_default();
     let entries = commands.lines().take_while(|line| !line.is_empty());
@@ -341,32 +341,6 @@ fn an_interrupt_leaves_only_complete_files() {
         assert!(path.display().to_string().ends_with(".keypoints.ply"), "{}", path.display());
         assert!(!snake_io::read_points(&path).unwrap().is_empty(), "{}", path.display());
     }
-}
-
-#[test]
-fn every_option_is_listed_with_its_values_and_an_old_flag_names_it() {
-    let listed = stdout(&snake(&["options"]));
-    let recommended = serde_json::to_value(snake_core::Model::named("compact").unwrap().recommended()).unwrap();
-    for part in ["encode", "detect"] {
-        for name in recommended[part].as_object().unwrap().keys() {
-            assert!(listed.lines().any(|line| line.split_whitespace().next() == Some(name)), "{name}: {listed}");
-        }
-    }
-    let line = |name: &str| listed.lines().find(|line| line.starts_with(name)).unwrap().split_whitespace().skip(1);
-    assert_eq!(line("nms_radius").take(2).collect::<Vec<_>>(), ["10%", "6.5v"]);
-    for (flag, name) in [("--refine-steps", "refine_steps"), ("--hypotheses=3", "hypotheses")] {
-        let said = stderr(&snake(&["detect", &sample(), flag, "3"]));
-        assert!(said.contains(&format!("type --set {name}=VALUE")), "{said}");
-    }
-    let options = |command: &str| {
-        stdout(&snake(&[command, "--help"]))
-            .lines()
-            .filter(|line| {
-                line.trim_start().starts_with("--") || line.trim_start().starts_with("-") && line.contains(", --")
-            })
-            .count()
-    };
-    assert!(options("detect") <= 24 && options("register") <= 18, "{} {}", options("detect"), options("register"));
 }
 
 #[test]

@@ -48,9 +48,23 @@ pub fn with_named_values<T: Clone + Serialize + DeserializeOwned>(
             *slot = value.clone();
         }
         replaced = serde_json::from_value(tree.clone())
-            .map_err(|error| refused(format!("option `{name}` is {value}: {error}")))?;
+            .map_err(|error| refused(format!("option `{name}` is {value}: {}", in_words(&error))))?;
     }
     Ok(replaced)
+}
+
+/// What is wrong with a value, without Rust's names of types.
+#[doc(hidden)]
+pub fn in_words(error: &serde_json::Error) -> String {
+    let text = error.to_string();
+    let words = [
+        ("f32", "a number"),
+        ("f64", "a number"),
+        ("usize", "a whole number, 0 or more"),
+        ("u64", "a whole number, 0 or more"),
+    ];
+    let found = words.iter().find_map(|(rust, words)| Some(format!("{}{words}", text.strip_suffix(rust)?)));
+    found.unwrap_or(text)
 }
 
 /// The names of all options.

@@ -5,59 +5,39 @@ use snake_kernels::Scratch;
 
 use crate::network::budget;
 use crate::network::config::ModelConfig;
-use crate::{Error, Result, setters};
-use snake_geometry::{Length, NormalizationMethod, Point, sample};
+use crate::{Error, Result};
+use snake_geometry::{Length, NormalizationMethod, OptionGroup, Point, Ranged, options, sample, setters};
 
-/// Options of [`Model::encode`](crate::Model::encode).
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
-#[serde(default, deny_unknown_fields)]
-#[non_exhaustive]
-pub struct EncodeOptions {
-    /// How the cloud is mapped into the network's frame, from the statistics of all its points.
-    pub normalization: NormalizationMethod,
-    /// Maximum number of finite points to encode, drawn at random without replacement. `None`: all of them.
-    pub max_points: Option<usize>,
-    /// Seed of the draw.
-    pub seed: u64,
-    /// Number of rotated copies of the cloud to encode, 1 to 64; their fields are averaged as log-odds. The network is
-    /// only roughly equivariant, and its errors in the copies are nearly independent. Keypoints therefore repeat far
-    /// better, and the cost grows with the number of copies. Above 1 only with [`NormalizationMethod::UnitSphere`] or
-    /// [`NormalizationMethod::PrincipalAxes`], because a rotated cube leaves the volume.
-    pub rotations: usize,
-    /// Size of a voxel, for scene models, which use no normalisation. `None`: it is chosen from the cloud.
-    pub voxel_size: Option<Length>,
-}
-
-setters!(EncodeOptions {
-    normalization: NormalizationMethod => with_normalization,
-    max_points: Option<usize> => with_max_points,
-    seed: u64 => with_seed,
-    rotations: usize => with_rotations,
-    voxel_size: Option<Length> => with_voxel_size,
-});
-
-impl Default for EncodeOptions {
-    fn default() -> Self {
-        Self {
-            normalization: NormalizationMethod::UnitSphere,
-            max_points: None,
-            seed: 0,
-            rotations: 1,
-            voxel_size: None,
-        }
+options! {
+    /// Options of [`Model::encode`](crate::Model::encode).
+    pub struct EncodeOptions {
+        /// Method that maps the cloud into the network's frame, from the statistics of all its points.
+        normalization, with_normalization: NormalizationMethod = NormalizationMethod::UnitSphere;
+        /// Largest number of points to encode, drawn at random without replacement from the finite ones.
+        max_points, with_max_points: Option<usize> = None, none "all points", from 1 or more;
+        /// Seed of the draw of `max_points`.
+        seed, with_seed: u64 = 0;
+        /// Number of rotated copies of the cloud whose fields are averaged. Keypoints repeat far better, and the time grows
+        /// in proportion.
+        ///
+        /// The mean is that of the log-odds. The network is only roughly equivariant, and its errors in the copies are nearly
+        /// independent. A rotated cube leaves the volume.
+        rotations, with_rotations: usize = 1,
+            from 1 to 64 ", above 1 only with unit-sphere or principal-axes normalization", flag "NUMBER";
+        /// Size of a voxel, for scene models: in cloud units, or in multiples of the cloud's resolution (`2r`). Details
+        /// smaller than a voxel are not seen.
+        #[serde(deserialize_with = "none_if_zero")]
+        voxel_size, with_voxel_size: Option<Length> = None, none "chosen from the cloud", flag "LENGTH";
     }
 }
 
 impl EncodeOptions {
     /// Checks the ranges, and the memory of the feature volumes of a network.
     pub(crate) fn check(&self, config: &ModelConfig) -> Result<()> {
-        let inside = self.rotations == 1 || self.normalization.allows_rotations();
-        if !(1..=64).contains(&self.rotations) || !inside {
-            let allowed = "1 to 64, above 1 only with unit-sphere or principal-axes normalization";
+        self.check_ranges()?;
+        if self.rotations > 1 && !self.normalization.allows_rotations() {
+            let allowed = Self::range("rotations");
             return Err(Error::Option { name: "rotations", value: self.rotations.to_string(), allowed });
-        }
-        if self.max_points == Some(0) {
-            return Err(Error::Option { name: "max_points", value: "0".into(), allowed: "1 or more" });
         }
         if config.frame().is_none() && self.rotations > 1 {
             let allowed = "1 for a scene model";
@@ -107,109 +87,74 @@ pub enum Selection {
     ReferenceFinalPosition,
 }
 
-/// Options of [`Field::detect`](crate::Field::detect); the defaults are the paper's for ModelNet40.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
-#[serde(default, deny_unknown_fields)]
-#[non_exhaustive]
-pub struct DetectOptions {
-    /// Queries along each axis of the query grid over the network's cube ±0.5: 1 to 256. The number of queries times
-    /// `refine_steps + 1` times [`EncodeOptions::rotations`] is at most 2^28.
-    pub query_resolution: usize,
-    /// Maximum distance of a query from a voxel with input points, in voxels along each axis. Farther queries are dropped
-    /// without evaluation: there are many of them, and hardly ever a surface. 0: all queries are evaluated.
-    pub query_band: usize,
-    /// Queries are refined if their occupancy is above this (1 − thr_o).
-    pub occupancy_threshold: f32,
-    /// Refinement steps (J).
-    pub refine_steps: usize,
-    /// Step size (λ), in network units.
-    pub refine_step_size: f32,
-    /// The method that moves queries up the saliency field.
-    pub refine_method: RefineMethod,
-    /// The position and score of a refined query.
-    pub selection: Selection,
-    /// A position lies on the surface if its occupancy is above this. The default is the released code's.
-    pub surface_threshold: f32,
-    /// Keypoints have a score above this (thr_s).
-    pub saliency_threshold: f32,
-    /// Least [`Keypoint::confidence`](crate::Keypoint::confidence) of a keypoint, 0 to 1; `None`: no limit. It needs a model whose file
-    /// has a map of confidences.
-    pub min_confidence: Option<f32>,
-    /// Radius of mode seeking: before suppression, three steps of mean shift move keypoints to the weighted mean of the
-    /// candidates within this radius, then 0.85 and 0.7 of it, which is more precise than the best single query. `None` or 0:
-    /// off, as in the paper.
-    #[serde(deserialize_with = "none_if_zero")]
-    pub mode_radius: Option<Length>,
-    /// Minimum distance of keypoints. `None`: no suppression. In JSON 0 is also `None`.
-    #[serde(deserialize_with = "none_if_zero")]
-    pub nms_radius: Option<Length>,
-    /// Maximum number of keypoints; the best are kept. In JSON null is no limit.
-    #[serde(deserialize_with = "most_if_null")]
-    pub max_keypoints: usize,
-    /// Move each keypoint to its nearest input point. Several keypoints can then coincide, as in the paper.
-    pub snap: bool,
-}
-
-setters!(DetectOptions {
-    query_resolution: usize => with_query_resolution,
-    query_band: usize => with_query_band,
-    occupancy_threshold: f32 => with_occupancy_threshold,
-    refine_steps: usize => with_refine_steps,
-    refine_step_size: f32 => with_refine_step_size,
-    refine_method: RefineMethod => with_refine_method,
-    selection: Selection => with_selection,
-    surface_threshold: f32 => with_surface_threshold,
-    saliency_threshold: f32 => with_saliency_threshold,
-    min_confidence: Option<f32> => with_min_confidence,
-    mode_radius: Option<Length> => with_mode_radius,
-    nms_radius: Option<Length> => with_nms_radius,
-    max_keypoints: usize => with_max_keypoints,
-    snap: bool => with_snap,
-});
-
-impl Default for DetectOptions {
-    fn default() -> Self {
-        Self {
-            query_resolution: 64,
-            query_band: 0,
-            occupancy_threshold: 0.5,
-            refine_steps: 10,
-            refine_step_size: 1e-3,
-            refine_method: RefineMethod::Adam,
-            selection: Selection::BestPosition,
-            surface_threshold: 0.8,
-            saliency_threshold: 0.7,
-            min_confidence: None,
-            mode_radius: None,
-            nms_radius: Some(Length::Units(0.01)),
-            max_keypoints: 64,
-            snap: false,
-        }
+options! {
+    /// Options of [`Field::detect`](crate::Field::detect); the defaults are the paper's for ModelNet40.
+    pub struct DetectOptions {
+        /// Number of queries along each axis of the query grid.
+        ///
+        /// The grid covers the network's cube ±0.5. The number of queries times `refine_steps + 1` times
+        /// [`EncodeOptions::rotations`] is at most 2^28.
+        query_resolution, with_query_resolution: usize = 64, from 1 to 256;
+        /// Largest distance of a query from a voxel with input points, in voxels along each axis; 0: all queries are
+        /// evaluated. Farther queries are dropped without evaluation: there are many of them, and hardly ever a surface.
+        query_band, with_query_band: usize = 0, from 0 to 1024 " (voxels)";
+        /// Occupancy above which a query is refined.
+        ///
+        /// 1 − thr_o of the paper.
+        occupancy_threshold, with_occupancy_threshold: f32 = 0.5, from 0 to 1;
+        /// Number of refinement steps.
+        ///
+        /// J of the paper.
+        refine_steps, with_refine_steps: usize = 10, from 0 to 10000;
+        /// Step size of refinement.
+        ///
+        /// λ of the paper.
+        refine_step_size, with_refine_step_size: f32 = 1e-3, from 0 to 1 " (network units)";
+        /// Method that moves queries up the saliency field.
+        refine_method, with_refine_method: RefineMethod = RefineMethod::Adam;
+        /// Position and score of a refined query: the best of its trajectory, or those of the released code.
+        selection, with_selection: Selection = Selection::BestPosition;
+        /// Occupancy above which a position lies on the surface.
+        ///
+        /// The default is the released code's.
+        surface_threshold, with_surface_threshold: f32 = 0.8, from 0 to 1;
+        /// Saliency above which a position is a keypoint.
+        ///
+        /// thr_s of the paper.
+        saliency_threshold, with_saliency_threshold: f32 = 0.7, from 0 to 1, flag "SALIENCY";
+        /// Least confidence of a keypoint: the probability that another view finds it again, for models whose file has a map
+        /// from saliency to it.
+        ///
+        /// It is [`Keypoint::confidence`](crate::Keypoint::confidence).
+        #[serde(deserialize_with = "none_if_zero")]
+        min_confidence, with_min_confidence: Option<f32> = None, none "no limit", from 0 to 1, flag "PROBABILITY";
+        /// Radius within which keypoints move to the mean of the candidates before suppression, which is more precise than the
+        /// best single query.
+        ///
+        /// Three steps of mean shift move them to the weighted mean within this radius, then 0.85 and 0.7 of it.
+        #[serde(deserialize_with = "none_if_zero")]
+        mode_radius, with_mode_radius: Option<Length> = None, none "keypoints stay, as in the paper",
+            from 0 or more " (cloud units, or as in `3r` resolutions)";
+        /// Least distance of keypoints: in cloud units, in multiples of the cloud's resolution, the mean distance between
+        /// nearest points (`3r`), in per cent of the cloud's radius (`10%`), or in voxels (`4v`). Of those that are closer the
+        /// best is kept.
+        #[serde(deserialize_with = "none_if_zero")]
+        nms_radius, with_nms_radius: Option<Length> = Some(Length::Units(0.01)), none "no suppression",
+            from 0 or more " (cloud units, or as in `3r` resolutions)", flag "LENGTH";
+        /// Largest number of keypoints; those with the highest saliency are kept.
+        ///
+        /// `usize::MAX` is no limit.
+        #[serde(deserialize_with = "most_if_null")]
+        max_keypoints, with_max_keypoints: usize = 64, none "no limit", flag "NUMBER";
+        /// Whether each keypoint moves to its nearest input point. Several keypoints can then coincide, as in the paper.
+        snap, with_snap: bool = false;
     }
 }
 
 impl DetectOptions {
     /// Checks the ranges, and the number of evaluations of a field with these rotations.
     pub(crate) fn check(&self, rotations: usize) -> Result<()> {
-        let within = |name, value: f32, range: std::ops::RangeInclusive<f32>, allowed| {
-            if range.contains(&value) { Ok(()) } else { Err(Error::Option { name, value: value.to_string(), allowed }) }
-        };
-        within("query_resolution", self.query_resolution as f32, 1.0..=256.0, "1 to 256")?;
-        within("query_band", self.query_band as f32, 0.0..=1024.0, "0 to 1024 (voxels)")?;
-        within("refine_steps", self.refine_steps as f32, 0.0..=10_000.0, "0 to 10000")?;
-        within("refine_step_size", self.refine_step_size, 0.0..=1.0, "0 to 1 (network units)")?;
-        within("occupancy_threshold", self.occupancy_threshold, 0.0..=1.0, "0 to 1")?;
-        within("surface_threshold", self.surface_threshold, 0.0..=1.0, "0 to 1")?;
-        within("saliency_threshold", self.saliency_threshold, 0.0..=1.0, "0 to 1")?;
-        within("min_confidence", self.min_confidence.unwrap_or(0.0), 0.0..=1.0, "0 to 1")?;
-        for (name, length) in [("nms_radius", self.nms_radius), ("mode_radius", self.mode_radius)] {
-            let Some(length) = length else { continue };
-            let value = length.number();
-            if !(value >= 0.0 && value as f32 <= f32::MAX) {
-                let allowed = "0 or more (cloud units, or as in `3r` resolutions)";
-                return Err(Error::Option { name, value: length.to_string(), allowed });
-            }
-        }
+        self.check_ranges()?;
         budget::check_queries(self.query_resolution, self.refine_steps, rotations)
     }
 
@@ -245,10 +190,13 @@ pub(crate) struct Radii {
     pub(crate) mode: Option<f32>,
 }
 
-/// A length, or `None` for 0 and null.
-fn none_if_zero<'de, D: serde::Deserializer<'de>>(deserializer: D) -> std::result::Result<Option<Length>, D::Error> {
-    let length = Option::<Length>::deserialize(deserializer)?;
-    Ok(length.filter(|length| *length != Length::Units(0.0)))
+/// An option, or `None` for 0 and null.
+fn none_if_zero<'de, T, D>(deserializer: D) -> std::result::Result<Option<T>, D::Error>
+where
+    T: Deserialize<'de> + Ranged,
+    D: serde::Deserializer<'de>,
+{
+    Ok(Option::<T>::deserialize(deserializer)?.filter(|value| value.outside(0.0, 0.0).is_some()))
 }
 
 /// A number, or the largest for null.
@@ -372,29 +320,18 @@ impl Preset {
     }
 }
 
-/// Options of [`Field::mesh`](crate::Field::mesh).
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
-#[serde(default, deny_unknown_fields)]
-#[non_exhaustive]
-pub struct MeshOptions {
-    /// Samples of the occupancy along each axis of the feature volume, ends included: 8 to 512.
-    pub resolution: usize,
-    /// Occupancy at the surface: 0.001 to 0.999. The default is the released code's.
-    pub level: f32,
-    /// Keep only surfaces that can be reached from outside. SNAKE reconstructs thin shells with an outer and an inner
-    /// surface; this removes the inner one unless the shell has a hole.
-    pub outer: bool,
-}
-
-setters!(MeshOptions {
-    resolution: usize => with_resolution,
-    level: f32 => with_level,
-    outer: bool => with_outer,
-});
-
-impl Default for MeshOptions {
-    fn default() -> Self {
-        Self { resolution: 128, level: 0.4, outer: false }
+options! {
+    /// Options of [`Field::mesh`](crate::Field::mesh).
+    pub struct MeshOptions {
+        /// Number of samples of the occupancy along each axis of the feature volume, ends included.
+        resolution, with_resolution: usize = 128, from 8 to 512 " (samples along each axis)", flag "NUMBER";
+        /// Occupancy at the surface. A higher level gives thinner shells.
+        ///
+        /// The default is the released code's.
+        level, with_level: f32 = 0.4, from 0.001 to 0.999 " (a probability)", flag "PROBABILITY";
+        /// Whether only surfaces are kept that can be reached from outside. A thin shell has an outer and an inner surface; this
+        /// removes the inner one unless the shell has a hole.
+        outer, with_outer: bool = false, flag "OUTER";
     }
 }
 
@@ -404,15 +341,7 @@ impl MeshOptions {
     /// # Errors
     /// [`Error::Option`] when an option is out of its range.
     pub fn check(&self) -> Result<()> {
-        if !(8..=512).contains(&self.resolution) {
-            let value = self.resolution.to_string();
-            return Err(Error::Option { name: "resolution", value, allowed: "8 to 512 (samples along each axis)" });
-        }
-        if !(0.001..=0.999).contains(&self.level) {
-            let value = self.level.to_string();
-            return Err(Error::Option { name: "level", value, allowed: "0.001 to 0.999 (a probability)" });
-        }
-        Ok(())
+        Ok(self.check_ranges()?)
     }
 }
 

@@ -86,10 +86,10 @@ mod tests {
 
     #[test]
     fn a_sheet_has_lower_scores_along_its_rim_and_kept_within() {
-        let planes: [(fn(f32, f32) -> Point, usize); 3] =
-            [(|x, y| [x, y, 0.3], 1), (|x, y| [x, 0.5, y], 2), (|x, y| [x, y, 0.5 * x], 1)];
-        for (turn, second) in planes {
-            let sheet = square(24, turn);
+        type Sheet = fn(f32, f32) -> Point;
+        let sheets: [Sheet; 3] = [|x, y| [x, y, 0.3], |x, y| [x, 0.5, y], |x, y| [x, y, 0.5 * x]];
+        for (sheet, second) in sheets.into_iter().zip([1, 2, 1]) {
+            let sheet = square(24, sheet);
             let rim = |p: &Point| p[0] < 1.0 || p[0] > 23.0;
             let within = |p: &Point| (6.0..18.0).contains(&p[0]) && (6.0..18.0).contains(&p[second]);
             assert_eq!(left(&sheet, rim)[0], 0);

@@ -48,6 +48,32 @@ impl Grid {
         }
         queries
     }
+
+    /// The values of all positions as an array `[z][y][x]`, asked of `values` plane by plane.
+    ///
+    /// ```
+    /// use snake_core::{Builtin, EncodeOptions, Model};
+    /// # let points: Vec<[f32; 3]> = (0..500).map(|i| { let a = i as f32 * 0.1; [a.cos(), a.sin(), (a * 0.3).sin()] }).collect();
+    /// let field = Model::builtin(Builtin::Compact).encode(&points, &EncodeOptions::default())?;
+    /// let saliency = field.grid(32)?.array(|queries| field.saliency(queries))?;
+    /// assert_eq!(saliency.dim(), (32, 32, 32));
+    /// # Ok::<(), snake_core::Error>(())
+    /// ```
+    ///
+    /// # Errors
+    /// Those of `values`, and [`Error::Input`] when it does not return a value for each position.
+    #[cfg(feature = "ndarray")]
+    pub fn array(&self, mut values: impl FnMut(&[Point]) -> Result<Vec<f32>>) -> Result<ndarray::Array3<f32>> {
+        let mut all = Vec::with_capacity(self.resolution.pow(3));
+        for index in 0..self.resolution {
+            all.extend(values(&self.plane(2, self.coordinate(2, index)))?);
+        }
+        let number = all.len();
+        ndarray::Array3::from_shape_vec([self.resolution; 3], all).map_err(|_| {
+            let reason = format!("{number} for a grid of {}³ positions", self.resolution);
+            Error::Input { what: "values", reason }
+        })
+    }
 }
 
 /// Coordinate `index` of `resolution` evenly spaced coordinates from `low` to `high`, both ends included.
@@ -100,6 +126,24 @@ mod tests {
             }
         }
         assert!(field.grid(1).is_err() && field.grid(513).is_err());
+    }
+
+    #[cfg(feature = "ndarray")]
+    #[test]
+    fn arrays_have_the_values_of_their_positions() {
+        let (_, field) = cylinder();
+        let grid = field.grid(9).unwrap();
+        let array = grid.array(|queries| field.occupancy(queries)).unwrap();
+        for (z, y, x) in [(0, 0, 0), (3, 5, 7), (8, 1, 4)] {
+            let query = [grid.coordinate(0, x), grid.coordinate(1, y), grid.coordinate(2, z)];
+            assert_eq!(array[[z, y, x]], field.occupancy(&[query]).unwrap()[0]);
+        }
+        assert!(grid.array(|_| Ok(vec![0.0])).unwrap_err().to_string().contains("9 for a grid"));
+        let (volume, shape) = (field.volume(), field.volume().shape());
+        let [_, height, width, channels] = shape;
+        assert_eq!(volume.view().shape(), shape);
+        let place = ((3 * height + 4) * width + 5) * channels + 6;
+        assert_eq!(volume.view()[[3, 4, 5, 6]], volume.features()[place]);
     }
 
     #[test]

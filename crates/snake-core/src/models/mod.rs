@@ -21,6 +21,8 @@ use crate::field::Field;
 use crate::network::Network;
 use crate::network::config::ModelConfig;
 use crate::network::scene::is_sweep;
+#[cfg(feature = "builtin-models")]
+use crate::network::weights::Weights;
 use crate::{Error, Result};
 use snake_geometry::{FinitePoints, Point};
 
@@ -51,6 +53,20 @@ impl Builtin {
             _ => Self::Compact,
         }
     }
+
+    /// What [`Model::recommended`] of this model is, without loading its weights.
+    pub fn recommended(self) -> Options {
+        Weights::open(self.bytes())
+            .and_then(|file| file.recommended_options())
+            .expect("a test reads every embedded file")
+    }
+
+    fn bytes(self) -> &'static [u8] {
+        match self {
+            Self::Compact => COMPACT,
+            Self::Scenes => SCENES,
+        }
+    }
 }
 
 /// A network with its weights; cloning it is cheap.
@@ -73,11 +89,7 @@ impl Model {
 
     /// A model that comes with the crate.
     pub fn builtin(which: Builtin) -> Self {
-        let bytes = match which {
-            Builtin::Compact => COMPACT,
-            Builtin::Scenes => SCENES,
-        };
-        Self::from_bytes(bytes).expect("a test reads every embedded file")
+        Self::from_bytes(which.bytes()).expect("a test reads every embedded file")
     }
 
     /// A built-in model by its name: `compact`, `scenes`, or `standard`, which is `compact` with the recommended options of
@@ -205,6 +217,8 @@ mod tests {
         assert_eq!(*standard.recommended(), Preset::Standard.options());
         assert_eq!((compact.recommended().encode.rotations, standard.recommended().encode.rotations), (1, 4));
         assert!(scenes.config().frame().is_none());
+        assert_eq!(Builtin::Compact.recommended(), *compact.recommended());
+        assert_eq!(Builtin::Scenes.recommended(), *scenes.recommended());
         assert_eq!(Model::builtin(Builtin::Scenes).metadata(), scenes.metadata());
         assert_eq!(Model::builtin(Builtin::default()).metadata(), compact.metadata());
         assert!(Model::named("large").is_err());

@@ -75,11 +75,7 @@ impl Network {
         let network = Self {
             config,
             metadata: file.metadata.clone().into_iter().collect(),
-            recommended: match file.metadata.get("recommended_options") {
-                Some(json) => serde_json::from_str(json)
-                    .map_err(|e| weights::error("recommended_options", "options of snake-rs as JSON", e.to_string()))?,
-                None => Options::default(),
-            },
+            recommended: file.recommended_options()?,
             confidence: ConfidenceMap::from_weights(&file)?,
             encoder: NetworkEncoder::load(&file.at("encoder"), &config)?,
             occupancy: Decoder::occupancy(&file.at("decoder_occup"), &config)?,

@@ -168,6 +168,12 @@ impl Volume {
         }
     }
 
+    /// The features as an array with the dimensions of [`Volume::shape`], without a copy.
+    #[cfg(feature = "ndarray")]
+    pub fn view(&self) -> ndarray::ArrayView4<'_, f32> {
+        ndarray::ArrayView::from_shape(self.shape(), self.features()).expect("as many features as the shape says")
+    }
+
     /// Writes trilinear features `(queries, channels)` and returns the corners that were read.
     pub(crate) fn interpolate(&self, grid: &VolumeGrid, queries: &[Point], features: &mut [f32]) -> Scratch<Corners> {
         let corners = Scratch::collect(queries.len(), queries.iter().map(|&query| grid.corners(query)));

@@ -6,6 +6,7 @@ use std::collections::{BTreeSet, HashMap};
 use half::f16;
 use safetensors::{Dtype, SafeTensors};
 
+use crate::detect::options::Options;
 use crate::{Error, Result};
 use snake_geometry::excerpt;
 
@@ -53,6 +54,13 @@ impl<'data> Weights<'data> {
     pub(crate) fn number<T: std::str::FromStr>(&self, key: &str) -> Result<T> {
         let text = self.text(key)?;
         text.parse().map_err(|_| error(key, "a number", format!("{text:?}")))
+    }
+
+    /// The recommended options, else the defaults.
+    pub(crate) fn recommended_options(&self) -> Result<Options> {
+        let Some(json) = self.metadata.get("recommended_options") else { return Ok(Options::default()) };
+        serde_json::from_str(json)
+            .map_err(|e| error("recommended_options", "options of snake-rs as JSON", e.to_string()))
     }
 
     /// The tensors whose names begin with `name`.

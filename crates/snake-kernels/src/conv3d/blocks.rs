@@ -168,7 +168,7 @@ impl Gather for BlocksFrom<'_> {
             let [next_x, next_y, next_z] = [source.places(next, 0), source.places(next, 1), source.places(next, 2)];
             let [x, y, z] = [source.places(output, 0), source.places(output, 1), source.places(output, 2)];
             // Two neighbours of an upsampled volume are one voxel.
-            let is_repeated = |i: usize| block.upsampled && i > 0 && i % 2 == 0;
+            let is_repeated = |i: usize| block.upsampled && i > 0 && i.is_multiple_of(2);
             for i in 0..M {
                 if is_repeated(i) {
                     columns[i] = columns[i - 1];

@@ -1,0 +1,98 @@
+//! Options: each is a row of a table of the core, and every interface follows from it.
+
+use snake_core::{DetectOptions, EncodeOptions, OptionGroup, OptionInfo};
+use snake_registration::RegisterOptions;
+
+use super::usage::{helps, keypoints, snake, snake_with, stdout};
+use super::{sample, stderr};
+
+/// The options of detection and of registration.
+fn tables() -> [(&'static str, Vec<&'static OptionInfo>); 2] {
+    let detection = EncodeOptions::OPTIONS.iter().chain(DetectOptions::OPTIONS).collect();
+    [("detect", detection), ("register", RegisterOptions::OPTIONS.iter().collect())]
+}
+
+#[test]
+fn every_option_of_a_table_is_known_everywhere() {
+    let listed = stdout(&snake(&["options"]));
+    let folder = tempfile::tempdir().unwrap();
+    let config = folder.path().join("snake.toml").display().to_string();
+    for (command, options) in tables() {
+        let help = stdout(&snake(&[command, "--help"])).split_whitespace().collect::<Vec<_>>().join(" ");
+        for option in options {
+            let name = option.name;
+            assert!(listed.lines().any(|line| line.split_whitespace().next() == Some(name)), "{name}: {listed}");
+            let flag = format!(" --{} ", name.replace('_', "-"));
+            // `register --initial` is a file, the option a matrix.
+            if name != "initial" {
+                assert_eq!(help.contains(&flag), !option.flag.is_empty(), "{command}{flag}");
+            }
+            assert!(option.flag.is_empty() || help.contains(&option.help()), "{command}{flag}: {help}");
+            // A value of the wrong type is refused by name, so the name is known.
+            let given = [command, &sample(), &sample(), "--set", &format!("{name}={{}}")].map(str::to_owned);
+            let said = stderr(&snake(&given.each_ref().map(String::as_str)));
+            assert!(said.contains(&format!("option `{name}` is {{}}")), "{said}");
+            if command == "detect" {
+                std::fs::write(&config, format!("[options]\n{name} = {{}}\n")).unwrap();
+                let said = stderr(&snake_with(&["detect", &sample()], &[("SNAKE_CONFIG", &config)]));
+                assert!(said.contains("snake.toml: ") && said.contains(&format!("option `{name}` is {{}}")), "{said}");
+            }
+        }
+    }
+}
+
+#[test]
+fn general_options_stand_below_the_general_heading() {
+    for (name, help) in helps(&[]) {
+        let mut heading = "";
+        for line in help.lines() {
+            if line.ends_with(':') && !line.starts_with(' ') {
+                heading = line;
+            }
+            let option = line.split_whitespace().find(|word| word.starts_with("--")).unwrap_or_default();
+            let is_listed = line.starts_with("      --") || line.starts_with("  -");
+            if is_listed && ["--model", "--threads", "--output", "--json", "--limit", "--seed"].contains(&option) {
+                assert_eq!(heading, "Options:", "{name} {option}");
+            }
+        }
+    }
+}
+
+#[test]
+fn zero_turns_an_option_off_by_flag_by_name_and_in_the_configuration() {
+    let folder = tempfile::tempdir().unwrap();
+    let config = folder.path().join("snake.toml").display().to_string();
+    let found = |arguments: &[&str], text: &str| {
+        std::fs::write(&config, text).unwrap();
+        let sample = sample();
+        let arguments = [&["detect", &sample, "--json", "--model", "compact"], arguments].concat();
+        keypoints(&snake_with(&arguments, &[("SNAKE_CONFIG", &config)]))
+    };
+    for (name, strict) in [("min_confidence", "0.9"), ("nms_radius", "20%"), ("voxel_size", "0.1")] {
+        let (flag, zero) = (format!("--{}", name.replace('_', "-")), format!("{name}=0"));
+        let off = found(&[&flag, "0"], "");
+        assert_eq!(off, found(&["--set", &zero], ""), "{name}");
+        assert_eq!(off, found(&[], &format!("[options]\n{name} = 0\n")), "{name}");
+        assert_eq!(off, found(&[&flag, "0"], &format!("[options]\n{name} = '{strict}'\n").replace("'0.9'", "0.9")));
+    }
+}
+
+#[test]
+fn an_old_flag_names_the_option_and_the_help_is_short() {
+    let listed = stdout(&snake(&["options"]));
+    let line = |name: &str| listed.lines().find(|line| line.starts_with(name)).unwrap().split_whitespace().skip(1);
+    assert_eq!(line("nms_radius").take(2).collect::<Vec<_>>(), ["10%", "6.5v"]);
+    for (flag, name) in [("--refine-steps", "refine_steps"), ("--hypotheses=3", "hypotheses")] {
+        let said = stderr(&snake(&["detect", &sample(), flag, "3"]));
+        assert!(said.contains(&format!("type --set {name}=VALUE")), "{said}");
+    }
+    let options = |command: &str| {
+        stdout(&snake(&[command, "--help"]))
+            .lines()
+            .filter(|line| {
+                line.trim_start().starts_with("--") || line.trim_start().starts_with("-") && line.contains(", --")
+            })
+            .count()
+    };
+    assert!(options("detect") <= 24 && options("register") <= 18, "{} {}", options("detect"), options("register"));
+}
