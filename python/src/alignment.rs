@@ -83,8 +83,8 @@ pub fn align(
     viewpoints: Option<Vec<Option<[f64; 3]>>>,
     options: Option<&Bound<'_, PyDict>>,
 ) -> PyResult<Alignment> {
-    let model = model::given_or_builtin(py, model)?;
     let register: core::RegisterOptions = options::of("align", options)?;
+    let model = model::of_registration(py, model, &register)?;
     let mut options = core::AlignOptions::default()
         .with_register(register)
         .with_max_partners(max_partners)
@@ -94,7 +94,7 @@ pub fn align(
     let origins: Vec<[f64; 3]> = clouds.iter().map(|cloud| cloud.origin).collect();
     options.place(&origins);
     let points: Vec<_> = clouds.into_iter().map(|cloud| cloud.points).collect();
-    let near = threads::run_with_signals(py, |control| core::align_with(&points, &model, &options, control))?;
+    let near = threads::run_with_signals(py, |control| core::align_with(&points, model.as_ref(), &options, control))?;
     let found = near.between_origins(&origins);
     let edge = |edge: &core::Edge| {
         let t_target_source = matrix(py, edge.t_target_source.to_matrix())?;

@@ -7,6 +7,7 @@ use pyo3::exceptions::{PyTypeError, PyValueError};
 use pyo3::prelude::*;
 use pyo3::types::{IntoPyDict, PyBytes, PyDict, PyTuple};
 use snake_core as core;
+use snake_registration::RegisterOptions;
 
 use crate::arrays::Precision;
 use crate::error::py_error;
@@ -58,6 +59,16 @@ pub fn given_or_builtin(py: Python<'_>, model: Option<&Bound<'_, PyAny>>) -> PyR
         Some(model) => Ok(given(py, model)?.get().core().clone()),
         None => builtin(py, core::Builtin::Compact),
     }
+}
+
+/// The given model, or the built-in one if the options of a registration run one.
+pub fn of_registration(
+    py: Python<'_>,
+    model: Option<&Bound<'_, PyAny>>,
+    options: &RegisterOptions,
+) -> PyResult<Option<core::Model>> {
+    let is_used = model.is_some() || options.needs_model();
+    is_used.then(|| given_or_builtin(py, model)).transpose()
 }
 
 /// Whether a value is meant as a model and not as a cloud: a `Model`, the name of one, or the path of a weight file.

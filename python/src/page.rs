@@ -55,7 +55,7 @@ pub fn page(
             clouds.iter().map(|(name, cloud)| ShownCloud::detect(&model, &options, name.clone(), cloud, control));
         let clouds: Vec<ShownCloud> = shown.collect::<snake_core::Result<_>>()?;
         let pair = match &clouds[..] {
-            [first, second] => Some(Pair::aligned(&model, [first, second], t_first_second, epsilon, control)?),
+            [first, second] => Some(Pair::aligned([first, second], t_first_second, epsilon, control)?),
             _ => None,
         };
         Ok(Page { clouds, pair, options, model_name, colors: viridis() })

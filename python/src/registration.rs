@@ -165,8 +165,8 @@ impl Registration {
 /// `source` (N, 3) and `target` (M, 3) have the same forms as in `detect` and the same units. They may overlap only
 /// partly. Points that are not finite are skipped. Descriptors of the downsampled clouds are matched, transforms on
 /// which many matches agree are compared on the clouds, and point-to-plane ICP refines the best. `confidence` and
-/// `is_reliable` say whether to trust it. `model` (default: the built-in one) runs only for the detector "snake" and the
-/// descriptor "field".
+/// `is_reliable` say whether to trust it. Only the detector "snake" and the descriptor "field" run a `model` (default: the
+/// built-in one); no other loads one.
 ///
 /// Raises ValueError for invalid arrays or values and when no transform fits, TypeError for an unknown option. Lengths are in
 /// cloud units, or text such as "3r" in multiples of the coarser cloud's mean distance between nearest points. The options
@@ -182,12 +182,13 @@ pub fn register(
     model: Option<&Bound<'_, PyAny>>,
     options: Option<&Bound<'_, PyDict>>,
 ) -> PyResult<Registration> {
-    let model = model::given_or_builtin(py, model)?;
     let mut options: core::RegisterOptions = options::of("register", options)?;
+    let model = model::of_registration(py, model, &options)?;
     let ((source, _), (target, _)) = (arrays::cloud("source", source)?, arrays::cloud("target", target)?);
     options.place(source.origin, target.origin);
     let (from, to) = (&source.points, &target.points);
-    let near = threads::run_with_signals(py, |control| core::register_with(from, to, &model, &options, control))?;
+    let near =
+        threads::run_with_signals(py, |control| core::register_with(from, to, model.as_ref(), &options, control))?;
     let found = near.between_origins(source.origin, target.origin);
     let transform = |transform: RigidTransform| matrix(py, transform.to_matrix());
     let hypotheses = found.hypotheses.iter().map(|hypothesis| transform(hypothesis.t_target_source));

@@ -1,4 +1,4 @@
-"""The weights by which a cloud is taken for a scene or for an object (`scene/signs.rs` in snake-core has them and their meaning).
+"""The weights by which a cloud is taken for a scene or for an object (`models/builtin.rs` in snake-core has them, `models/signs.rs` their meaning).
 
 `python -m snake_training.cloud_kind --objects CORPUS/objects/train --scenes CORPUS/scenes/train` fits them to made clouds of
 scenes and those of the corpus, and prints them, with the shares of clouds that they take for scenes.

@@ -143,7 +143,7 @@ enum SnakeStatus snake_set_num_threads(size_t num_threads);
 const char *snake_version(void);
 
 /// Finds the rigid transform from `source` to `target`, clouds of the same unit that may overlap in part, without an
-/// initial guess. `model` runs only if the options ask for its keypoints or descriptors. Points are left out as in
+/// initial guess. `model` runs only if the options ask for its keypoints or descriptors; else it may be null. Points are left out as in
 /// `snake_detect`, and those that stand for missing returns, such as many at (0, 0, 0).
 ///
 /// `options` is null for the defaults, or a JSON object such as `{"gravity": "z", "hypotheses": 5}`. After an error

@@ -27,6 +27,15 @@ pub(crate) unsafe fn input<'a, T>(what: &str, pointer: *const T) -> Result<&'a T
     Ok(unsafe { &*pointer })
 }
 
+/// The value behind a pointer; `None` for null.
+///
+/// # Safety
+/// As [`input`].
+pub(crate) unsafe fn optional<'a, T>(what: &str, pointer: *const T) -> Result<Option<&'a T>> {
+    // SAFETY: the caller vouches for the pointer.
+    (!pointer.is_null()).then(|| unsafe { input(what, pointer) }).transpose()
+}
+
 fn aligned<T>(what: &str, pointer: *const T) -> Result<()> {
     match pointer {
         _ if pointer.is_null() => Err(refused(what, "null")),

@@ -2,10 +2,10 @@
 
 use std::ffi::c_char;
 
-use snake_core::with_named_values;
-use snake_registration::{RegisterOptions, Registration, register};
+use snake_core::{Control, with_named_values};
+use snake_registration::{RegisterOptions, Registration, register_with};
 
-use crate::arguments::{SnakeCloud, check_output, input, options as parse_options};
+use crate::arguments::{SnakeCloud, check_output, optional, options as parse_options};
 use crate::model::SnakeModel;
 use crate::status::{SnakeStatus, guarded};
 
@@ -46,7 +46,7 @@ impl From<&Registration> for SnakeRegistration {
 }
 
 /// Finds the rigid transform from `source` to `target`, clouds of the same unit that may overlap in part, without an
-/// initial guess. `model` runs only if the options ask for its keypoints or descriptors. Points are left out as in
+/// initial guess. `model` runs only if the options ask for its keypoints or descriptors; else it may be null. Points are left out as in
 /// `snake_detect`, and those that stand for missing returns, such as many at (0, 0, 0).
 ///
 /// `options` is null for the defaults, or a JSON object such as `{"gravity": "z", "hypotheses": 5}`. After an error
@@ -65,13 +65,15 @@ pub unsafe extern "C" fn snake_register(
 ) -> SnakeStatus {
     guarded(|| {
         check_output("registration", registration)?;
-        // SAFETY: the caller vouches for the model and the clouds.
-        let (model, source, target) =
-            unsafe { (input("model", model)?, source.read("source")?, target.read("target")?) };
+        // SAFETY: the caller vouches for the clouds.
+        let (source, target) = unsafe { (source.read("source")?, target.read("target")?) };
+        // SAFETY: the caller vouches for the model.
+        let model = unsafe { optional("model", model) }?.map(|model| &model.model);
         // SAFETY: the caller vouches for the text.
         let values = unsafe { parse_options(options) }?;
         let options = with_named_values(&RegisterOptions::default(), &values)?;
-        let found = SnakeRegistration::from(&register(&source, &target, &model.model, &options)?);
+        let found = register_with(&source, &target, model, &options, &Control::default())?;
+        let found = SnakeRegistration::from(&found);
         // SAFETY: the place is neither null nor misaligned; the caller vouches for the rest.
         unsafe { registration.write(found) };
         Ok(())

@@ -203,7 +203,7 @@ fn clouds_are_registered() {
     };
     let before = found;
     let register = |source, target, options: *const _, found: &mut _| unsafe {
-        snake_register(model, source, target, options, found)
+        snake_register(null(), source, target, options, found)
     };
     let (source, target) = (packed(&dented), packed(&target));
     let empty = SnakeCloud { num_points: 0, ..source };
@@ -216,6 +216,12 @@ fn clouds_are_registered() {
     let expected = [0.0, -1.0, 0.0, 3.0, 1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 0.0, 1.0];
     assert!(found.t_target_source.iter().zip(expected).all(|(a, b)| (a - b).abs() < 0.02), "{found:?}");
     assert!(found.is_reliable && found.num_correspondences >= found.num_inliers && found.fitness > 0.9, "{found:?}");
+    let options = c"{\"detector\": \"snake\"}".as_ptr();
+    let before = found;
+    assert_eq!(register(source, target, options, &mut found), SnakeStatus::Option);
+    assert!(last_error().contains("`model` is none"), "{}", last_error());
+    assert_eq!(found, before);
+    assert_eq!(unsafe { snake_register(model, source, target, options, &mut found) }, SnakeStatus::Ok);
     unsafe { snake_model_free(model) };
 }
 

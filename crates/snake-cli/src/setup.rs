@@ -9,6 +9,8 @@ use serde::de::DeserializeOwned;
 use serde_json::{Map, Value};
 use snake_core::{Builtin, EncodeOptions, Length, Model, Options, Point, Preset, SimdLevel};
 
+use snake_registration::RegisterOptions;
+
 use crate::flags::{OF_MODEL, OptionFlags};
 use crate::set::SetArguments;
 use crate::{config, model, terminal};
@@ -88,6 +90,12 @@ impl ComputeArguments {
         let options = &models.first.options;
         terminal::detail("options", || serde_json::to_string(options).unwrap_or_default());
         Ok(models)
+    }
+
+    /// [`ComputeArguments::load_models`] for a registration; `None` if its options run no model.
+    pub fn load_for_registration(&self, options: &RegisterOptions) -> Result<Option<Models>> {
+        let load = || self.load_models(Suits::TheCloud, |loaded| Ok(loaded.options));
+        options.needs_model().then(load).transpose()
     }
 
     /// The model that is named on the command line, in the environment or in the configuration.

@@ -6,6 +6,7 @@ use safetensors::SafeTensors;
 
 use crate::call::control::{Control, Counter};
 use crate::detect::options::{DetectOptions, RefineMethod, Selection};
+use crate::detect::query_grid::Occupied;
 use crate::detect::query_grid::tests::occupied_queries;
 use crate::detect::refine::refine;
 use crate::network::encoder::{EncoderMemory, VoxelGroups};
@@ -158,7 +159,7 @@ fn the_query_grid_and_its_occupied_part() {
 #[test]
 fn refinement_by_both_methods() {
     for case in cases() {
-        let (field, start) = (case.field(), case.points("refine_start"));
+        let (field, start) = (case.field(), Occupied::of(&case.points("refine_start")));
         let scores = case.floats("refine_adam_masked_score_per_step");
         let selection = Selection::ReferenceFinalPosition;
         let options = DetectOptions { selection, saliency_threshold: 0.0, ..Default::default() };
@@ -167,7 +168,8 @@ fn refinement_by_both_methods() {
         // Adam divides by the gradient's size: where that is near zero, rounding decides the direction.
         let [median, most] = distance_quantiles(&positions, &case.points("refine_adam_end"), [0.5, 0.99]);
         assert!(median < 1e-5 && most < 1e-3, "{}: Adam ends {median} (median), {most} (99 %) away", case.name);
-        let best = |query: usize| scores.iter().skip(query).step_by(start.len()).fold(0.0, |m: f32, s| m.max(*s));
+        let best =
+            |query: usize| scores.iter().skip(query).step_by(start.positions.len()).fold(0.0, |m: f32, s| m.max(*s));
         let mut errors: Vec<f32> = found.iter().enumerate().map(|(i, c)| (c.score - best(i)).abs()).collect();
         errors.sort_by(f32::total_cmp);
         let [median, most] = [0.5, 0.99].map(|share| errors[(share * (errors.len() - 1) as f32) as usize]);
@@ -185,7 +187,7 @@ fn refinement_by_both_methods() {
 #[test]
 fn the_best_position_scores_no_less_than_any_step() {
     for case in cases() {
-        let (field, start) = (case.field(), case.points("refine_start"));
+        let (field, start) = (case.field(), Occupied::of(&case.points("refine_start")));
         let options = DetectOptions { saliency_threshold: 0.0, ..Default::default() };
         let reference = DetectOptions { selection: Selection::ReferenceFinalPosition, ..options };
         let best = refine(&field, &start, &options, &Control::default()).unwrap();

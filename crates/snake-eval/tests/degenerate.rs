@@ -82,10 +82,9 @@ fn keypoints_are_finite_or_refused() {
 
 #[test]
 fn registrations_are_finite_or_refused() {
-    let model = Model::builtin(Builtin::Compact);
     let options = RegisterOptions::default().with_max_keypoints(50);
     for (name, can_be_encoded, cloud) in clouds() {
-        let found = usable(name, register(&cloud, &cloud, &model, &options));
+        let found = usable(name, register(&cloud, &cloud, &options));
         assert!(can_be_encoded || found.is_none(), "{name}");
         if let Some(found) = found {
             assert!(

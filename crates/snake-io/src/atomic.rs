@@ -1,8 +1,9 @@
 //! Writes a file whole or not at all.
 
-use std::fs::{File, metadata, read_link};
+use std::fs::{self, File, metadata, read_link};
 use std::io::{self, BufWriter, ErrorKind, Write};
-use std::path::Path;
+use std::path::{Path, PathBuf};
+use std::sync::atomic::{AtomicUsize, Ordering};
 use std::sync::{PoisonError, RwLock, RwLockWriteGuard};
 
 /// Every writer of a temporary file holds a read lock on this.
@@ -45,15 +46,49 @@ pub fn write_atomically(path: &Path, fill: impl FnOnce(&mut dyn Write) -> io::Re
 fn replace(target: &Path, fill: impl FnOnce(&mut dyn Write) -> io::Result<()>) -> io::Result<()> {
     let _writing = WRITING.read().unwrap_or_else(PoisonError::into_inner);
     let folder = target.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."));
-    // `tempfile_in` would give the file to its owner alone, and would name the temporary file in errors.
-    let [prefix, suffix] = TEMPORARY;
-    let mut builder = tempfile::Builder::new();
-    let temporary = builder.prefix(prefix).suffix(suffix).make_in(folder, |path| File::create_new(path))?;
-    write_to(temporary.as_file(), fill)?;
-    temporary.as_file().sync_all()?;
-    temporary.persist(target)?;
+    let (temporary, file) = Temporary::create_in(folder)?;
+    write_to(&file, fill)?;
+    file.sync_all()?;
+    temporary.rename(target)?;
     sync_folder(folder);
     Ok(())
+}
+
+/// A temporary file, which is removed unless it is renamed.
+struct Temporary {
+    path: PathBuf,
+    is_renamed: bool,
+}
+
+impl Temporary {
+    /// Creates a file in a folder by a name that no other file has.
+    fn create_in(folder: &Path) -> io::Result<(Self, File)> {
+        static NUMBER: AtomicUsize = AtomicUsize::new(0);
+        let [prefix, suffix] = TEMPORARY;
+        loop {
+            let number = NUMBER.fetch_add(1, Ordering::Relaxed);
+            let path = folder.join(format!("{prefix}{}-{number}{suffix}", std::process::id()));
+            match File::create_new(&path) {
+                // Of a program that was killed, or that writes to the same folder from another machine.
+                Err(error) if error.kind() == ErrorKind::AlreadyExists => {}
+                created => return Ok((Self { path, is_renamed: false }, created?)),
+            }
+        }
+    }
+
+    fn rename(mut self, target: &Path) -> io::Result<()> {
+        fs::rename(&self.path, target)?;
+        self.is_renamed = true;
+        Ok(())
+    }
+}
+
+impl Drop for Temporary {
+    fn drop(&mut self) {
+        if !self.is_renamed {
+            let _may_be_gone = fs::remove_file(&self.path);
+        }
+    }
 }
 
 /// Waits until the names in a folder are on the disk. Where folders cannot be opened as files, there is nothing to wait for.
@@ -90,6 +125,21 @@ mod tests {
             assert_eq!(std::fs::read_to_string(&path).unwrap(), "whole");
             assert_eq!(std::fs::read_dir(folder.path()).unwrap().count(), 1, "temporary files remain");
         });
+    }
+
+    #[test]
+    fn what_fails_leaves_the_old_file_alone_and_names_of_killed_programs_are_passed_over() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("points.txt");
+        let [prefix, suffix] = TEMPORARY;
+        let left = |number: usize| folder.path().join(format!("{prefix}{}-{number}{suffix}", std::process::id()));
+        (0..100).for_each(|number| fs::write(left(number), "left").unwrap());
+        write_atomically(&path, |file| file.write_all(b"old")).unwrap();
+        let failed = write_atomically(&path, |file| file.write_all(b"ne").and(Err(ErrorKind::StorageFull.into())));
+        assert_eq!(failed.unwrap_err().kind(), ErrorKind::StorageFull);
+        assert_eq!(fs::read_to_string(&path).unwrap(), "old");
+        assert!((0..100).all(|number| fs::read_to_string(left(number)).unwrap() == "left"));
+        assert_eq!(fs::read_dir(folder.path()).unwrap().count(), 101);
     }
 
     #[cfg(unix)]

@@ -60,6 +60,7 @@ simd_levels! {
 
 #[inline(always)]
 fn linear_body<L: Lanes, const ROWS: usize>(
+    token: L::Token,
     layer: &PackedLinear,
     input: &[f32],
     output: &mut [f32],
@@ -68,15 +69,16 @@ fn linear_body<L: Lanes, const ROWS: usize>(
     let rows = input.len() / layer.inputs;
     let tiled = rows - rows % ROWS;
     for row in (0..tiled).step_by(ROWS) {
-        linear_rows::<L, ROWS>(layer, row, input, output, &mut epilogue);
+        linear_rows::<L, ROWS>(token, layer, row, input, output, &mut epilogue);
     }
     for row in tiled..rows {
-        linear_rows::<L, 1>(layer, row, input, output, &mut epilogue);
+        linear_rows::<L, 1>(token, layer, row, input, output, &mut epilogue);
     }
 }
 
 #[inline(always)]
 fn linear_rows<L: Lanes, const ROWS: usize>(
+    token: L::Token,
     layer: &PackedLinear,
     row: usize,
     input: &[f32],
@@ -87,17 +89,18 @@ fn linear_rows<L: Lanes, const ROWS: usize>(
     let mut block = 0;
     if L::PAIRS {
         while block + 2 <= layer.bias.len() {
-            linear_blocks::<L, ROWS, 2>(layer, row, block, input, output, epilogue);
+            linear_blocks::<L, ROWS, 2>(token, layer, row, block, input, output, epilogue);
             block += 2;
         }
     }
     for block in block..layer.bias.len() {
-        linear_blocks::<L, ROWS, 1>(layer, row, block, input, output, epilogue);
+        linear_blocks::<L, ROWS, 1>(token, layer, row, block, input, output, epilogue);
     }
 }
 
 #[inline(always)]
 fn linear_blocks<L: Lanes, const ROWS: usize, const BLOCKS: usize>(
+    token: L::Token,
     layer: &PackedLinear,
     row: usize,
     block: usize,
@@ -106,7 +109,7 @@ fn linear_blocks<L: Lanes, const ROWS: usize, const BLOCKS: usize>(
     epilogue: &mut Epilogue,
 ) {
     let weights = std::array::from_fn(|b| &layer.weights[(block + b) * layer.inputs..][..layer.inputs]);
-    let bias = std::array::from_fn(|b| [L::load(&layer.bias[block + b]); ROWS]);
+    let bias = std::array::from_fn(|b| [L::load(token, &layer.bias[block + b]); ROWS]);
     let sums: [_; BLOCKS] = accumulate_tile(bias, input, layer.inputs, weights);
     for (block, sums) in (block..).zip(sums) {
         let place = row * layer.outputs + block * LANES;
@@ -138,19 +141,20 @@ fn finish<L: Lanes, const ROWS: usize>(
             }
         };
     }
-    let zero = L::splat(0.0);
+    let token = sums[0].token();
+    let zero = L::splat(token, 0.0);
     match epilogue {
         Epilogue::Store => store_each!(sum, place, sum),
         Epilogue::Relu => store_each!(sum, place, sum.max(zero)),
-        Epilogue::Add => store_each!(sum, place, sum.add(load(&output[place.clone()], lanes))),
+        Epilogue::Add => store_each!(sum, place, sum.add(load(token, &output[place.clone()], lanes))),
         Epilogue::AddAndRelu(relu) => store_each!(sum, place, {
-            let sum = sum.add(load(&output[place.clone()], lanes));
+            let sum = sum.add(load(token, &output[place.clone()], lanes));
             store(sum.max(zero), &mut relu[place.clone()], lanes);
             sum
         }),
-        Epilogue::Mask(relu) => store_each!(sum, place, sum.mask_positive(load(&relu[place.clone()], lanes))),
+        Epilogue::Mask(relu) => store_each!(sum, place, sum.mask_positive(load(token, &relu[place.clone()], lanes))),
         Epilogue::AddMasked(relu) => store_each!(sum, place, {
-            sum.mask_positive(load(&relu[place.clone()], lanes)).add(load(&output[place.clone()], lanes))
+            sum.mask_positive(load(token, &relu[place.clone()], lanes)).add(load(token, &output[place.clone()], lanes))
         }),
     }
 }

@@ -1,9 +1,6 @@
 //! Sums, maxima and ReLUs of rows of features. Each is a plain loop, so all levels give the same bits.
 
-// `simd_levels` gives every body its lanes, which plain loops do not name.
-#![expect(clippy::extra_unused_type_parameters)]
-
-use crate::simd::simd_levels;
+use crate::simd::{Lanes, simd_levels};
 
 simd_levels! {
     /// Writes the ReLU of each input to the output.
@@ -11,7 +8,7 @@ simd_levels! {
 }
 
 #[inline(always)]
-fn relu_body<L, const ROWS: usize>(input: &[f32], output: &mut [f32]) {
+fn relu_body<L: Lanes, const ROWS: usize>(_: L::Token, input: &[f32], output: &mut [f32]) {
     output.iter_mut().zip(input).for_each(|(output, value)| *output = value.max(0.0));
 }
 
@@ -25,7 +22,13 @@ simd_levels! {
 }
 
 #[inline(always)]
-fn max_rows_body<L, const ROWS: usize>(features: &[f32], width: usize, targets: &[usize], maxima: &mut [f32]) {
+fn max_rows_body<L: Lanes, const ROWS: usize>(
+    _: L::Token,
+    features: &[f32],
+    width: usize,
+    targets: &[usize],
+    maxima: &mut [f32],
+) {
     for (feature, &target) in features.chunks_exact(width).zip(targets) {
         let maxima = &mut maxima[target * width..][..width];
         maxima.iter_mut().zip(feature).for_each(|(most, value)| *most = most.max(*value));
@@ -42,7 +45,8 @@ simd_levels! {
 }
 
 #[inline(always)]
-fn add_weighted_body<L, const ROWS: usize>(
+fn add_weighted_body<L: Lanes, const ROWS: usize>(
+    _: L::Token,
     feature: &[f32],
     weights: &[f32; 8],
     targets: &[usize; 8],
@@ -63,7 +67,7 @@ simd_levels! {
 }
 
 #[inline(always)]
-fn nearest_row_body<L, const ROWS: usize>(points: &[[f32; 3]], query: [f32; 3], best: &mut usize) {
+fn nearest_row_body<L: Lanes, const ROWS: usize>(_: L::Token, points: &[[f32; 3]], query: [f32; 3], best: &mut usize) {
     const RUN: usize = 64;
     let mut least = f32::INFINITY;
     *best = 0;

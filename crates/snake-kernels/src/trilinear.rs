@@ -49,6 +49,7 @@ simd_levels! {
 
 #[inline(always)]
 fn interpolate_body<L: Lanes, const ROWS: usize>(
+    token: L::Token,
     volume: &[f32],
     channels: usize,
     corners: &[Corners],
@@ -65,10 +66,10 @@ fn interpolate_body<L: Lanes, const ROWS: usize>(
         }
         let weights = at.weights();
         for (block, feature) in feature.chunks_mut(LANES).enumerate() {
-            let mut sum = L::splat(0.0);
+            let mut sum = L::splat(token, 0.0);
             for (&voxel, &weight) in at.voxels.iter().zip(&weights) {
                 let row = &volume[voxel as usize * channels + block * LANES..];
-                sum = L::splat(weight).multiply_add(load(row, feature.len()), sum);
+                sum = L::splat(token, weight).multiply_add(load(token, row, feature.len()), sum);
             }
             store(sum, feature, feature.len());
         }
@@ -88,6 +89,7 @@ simd_levels! {
 
 #[inline(always)]
 fn interpolate_backward_body<L: Lanes, const ROWS: usize>(
+    token: L::Token,
     volume: &[f32],
     channels: usize,
     corners: &[Corners],
@@ -97,16 +99,16 @@ fn interpolate_backward_body<L: Lanes, const ROWS: usize>(
     let rows = in_feature.chunks_exact(channels).zip(gradients);
     for (corners, (in_feature, gradient)) in corners.iter().zip(rows) {
         let slopes = corners.slopes();
-        let mut sums = [L::splat(0.0); 3];
+        let mut sums = [L::splat(token, 0.0); 3];
         for (block, in_feature) in in_feature.chunks(LANES).enumerate() {
-            let mut slopes_of_feature = [L::splat(0.0); 3];
+            let mut slopes_of_feature = [L::splat(token, 0.0); 3];
             for (&voxel, slope) in corners.voxels.iter().zip(&slopes) {
-                let row = load::<L>(&volume[voxel as usize * channels + block * LANES..], in_feature.len());
+                let row = load::<L>(token, &volume[voxel as usize * channels + block * LANES..], in_feature.len());
                 for axis in 0..3 {
-                    slopes_of_feature[axis] = L::splat(slope[axis]).multiply_add(row, slopes_of_feature[axis]);
+                    slopes_of_feature[axis] = L::splat(token, slope[axis]).multiply_add(row, slopes_of_feature[axis]);
                 }
             }
-            let in_feature = load(in_feature, in_feature.len());
+            let in_feature = load(token, in_feature, in_feature.len());
             for axis in 0..3 {
                 sums[axis] = slopes_of_feature[axis].multiply_add(in_feature, sums[axis]);
             }

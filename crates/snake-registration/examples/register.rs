@@ -2,7 +2,6 @@
 
 use std::path::Path;
 
-use snake_core::{Builtin, Model};
 use snake_registration::{RegisterOptions, register};
 
 fn main() -> Result<(), Box<dyn std::error::Error>> {
@@ -13,8 +12,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     let source = snake_io::read_points(Path::new(&source))?;
     let target = snake_io::read_points(Path::new(&target))?;
 
-    let model = Model::builtin(Builtin::Compact);
-    let found = register(&source, &target, &model, &RegisterOptions::default())?;
+    let found = register(&source, &target, &RegisterOptions::default())?;
     // A point of the source in the target's frame: p_target = R p_source + t.
     println!("{:?}", found.t_target_source);
     println!("{:.1} % of the source lies on the target", 100.0 * found.fitness);

@@ -1,6 +1,6 @@
 //! Registration step by step, to replace a step: `cargo run --release -p snake-registration --example steps`.
 
-use snake_core::{Builtin, Model, Point, RigidTransform};
+use snake_core::{Point, RigidTransform};
 use snake_registration::{Descriptor, KeypointDetector, RansacOptions, Scan, mutual_nearest, ransac, transform_points};
 
 fn main() -> Result<(), Box<dyn std::error::Error>> {
@@ -12,12 +12,11 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     let target = transform_points(&truth, &source);
 
     // Keypoints (K, 3) and descriptors (K, 33) of each cloud. Your own keypoints or descriptors can take their place.
-    let model = Model::builtin(Builtin::Compact);
     let described = |points: &[Point]| {
-        let scan = Scan::new(points, &model, 0.02)?;
+        let scan = Scan::new(points, 0.02)?;
         let keypoints = scan.keypoints(KeypointDetector::Iss, 500, 0)?;
         let descriptors = scan.descriptors(&keypoints, Descriptor::Fpfh)?;
-        Ok::<_, snake_core::Error>((keypoints, descriptors, scan.dimension(Descriptor::Fpfh)))
+        Ok::<_, snake_core::Error>((keypoints, descriptors, scan.dimension(Descriptor::Fpfh)?))
     };
     let (source_keypoints, source_descriptors, dimension) = described(&source)?;
     let (target_keypoints, target_descriptors, _) = described(&target)?;

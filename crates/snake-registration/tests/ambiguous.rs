@@ -4,7 +4,7 @@ use std::f32::consts::TAU;
 
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
-use snake_core::{Builtin, Model, Point, Result};
+use snake_core::{Point, Result};
 use snake_registration::{RegisterOptions, Registration, register};
 
 /// A surface that is sampled at random.
@@ -71,7 +71,7 @@ fn sample(of: Sampler, count: usize, seed: u64, noise: f32) -> Vec<Point> {
 }
 
 fn run(source: &[Point], target: &[Point]) -> Result<Registration> {
-    register(source, target, &Model::builtin(Builtin::Compact), &RegisterOptions::default())
+    register(source, target, &RegisterOptions::default())
 }
 
 /// Two samples of a surface. The target is turned by 1 about x.

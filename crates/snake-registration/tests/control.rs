@@ -2,7 +2,7 @@
 
 use std::time::{Duration, Instant};
 
-use snake_core::{Builtin, CancelFlag, Control, Error, Model, Point, Progress};
+use snake_core::{CancelFlag, Control, Error, Point, Progress};
 use snake_registration::{Descriptor, RegisterOptions, Registration, Scan, register, register_with};
 
 fn plane() -> Vec<Point> {
@@ -20,15 +20,14 @@ fn assert_complete(progress: &Progress, name: &str) {
 fn stages_are_counted_to_their_ends_and_change_no_result() {
     let points = plane();
     let progress = Progress::default();
-    let model = Model::builtin(Builtin::Compact);
     let control = Control::new().progress(&progress);
-    let scan = Scan::new_with(&points, &model, 0.05, &control).unwrap();
+    let scan = Scan::new_with(&points, 0.05, &control).unwrap();
     assert_complete(&progress, "normals");
     scan.descriptors_with(&points[..3], Descriptor::Fpfh, &control).unwrap();
     assert_complete(&progress, "FPFH");
     let options = RegisterOptions::default().with_max_keypoints(200);
-    let found = register(&points[..2048], &points[2048..], &model, &options).unwrap();
-    let watched = register_with(&points[..2048], &points[2048..], &model, &options, &control).unwrap();
+    let found = register(&points[..2048], &points[2048..], &options).unwrap();
+    let watched = register_with(&points[..2048], &points[2048..], None, &options, &control).unwrap();
     let text = serde_json::to_string(&found).unwrap();
     let mut written = found.clone();
     written.matches.clear(); // they are not in files
@@ -44,10 +43,10 @@ fn stages_are_counted_to_their_ends_and_change_no_result() {
 #[test]
 fn a_cancelled_registration_ends_soon() {
     const MOMENTS: u32 = 10;
-    let (points, model) = (plane(), Model::builtin(Builtin::Compact));
+    let points = plane();
     let options = RegisterOptions::default().with_max_keypoints(500);
     let call = |control: &Control| {
-        let found = register_with(&points[..2048], &points[2048..], &model, &options, control);
+        let found = register_with(&points[..2048], &points[2048..], None, &options, control);
         found.map(|found| found.t_target_source)
     };
     let start = Instant::now();

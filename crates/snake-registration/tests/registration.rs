@@ -4,9 +4,9 @@
 use std::path::{Path, PathBuf};
 
 use serde_json::Value;
-use snake_core::{Builtin, Model, RigidTransform};
+use snake_core::{Builtin, Control, Model, RigidTransform};
 use snake_io as io;
-use snake_registration::{RegisterOptions, Registration, register};
+use snake_registration::{RegisterOptions, Registration, register_with};
 
 /// A registration is right up to this many degrees and metres.
 const MOST: (f64, f64) = (15.0, 0.3);
@@ -39,12 +39,13 @@ fn pairs(split: &str) -> Option<Vec<Pair>> {
 
 /// The share of pairs that are put right, printed with the seconds that a pair takes.
 fn recall(name: &str, pairs: &[Pair], options: &RegisterOptions) -> f64 {
-    let model = Model::builtin(Builtin::Compact);
+    let model = options.needs_model().then(|| Model::builtin(Builtin::Compact));
     let mut errors = Vec::new();
     let mut seconds = Vec::new();
     for pair in pairs {
         let [source, target] = [&pair.source, &pair.target].map(|path| io::read_points(path).unwrap());
-        let found: Registration = register(&source, &target, &model, options).unwrap();
+        let found: Registration =
+            register_with(&source, &target, model.as_ref(), options, &Control::default()).unwrap();
         let (angle, distance) = found.t_target_source.angle_and_distance_to(&pair.t_target_source);
         errors.push((angle.to_degrees(), distance));
         seconds.push(found.seconds);

@@ -6,7 +6,7 @@ use std::time::Instant;
 
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
-use snake_core::{Builtin, Model, Point};
+use snake_core::Point;
 use snake_registration::{AlignOptions, RegisterOptions, Registration, align, register};
 
 type Vec3 = [f64; 3];
@@ -110,7 +110,7 @@ fn object(count: usize, seed: u64) -> Vec<Point> {
 }
 
 fn run(source: &[Point], target: &[Point]) -> Option<Registration> {
-    register(source, target, &Model::builtin(Builtin::Compact), &RegisterOptions::default()).ok()
+    register(source, target, &RegisterOptions::default()).ok()
 }
 
 #[test]
@@ -246,7 +246,7 @@ fn things_that_are_not_there_are_not_found_and_not_joined() {
     let street = Scene { boxes: houses.chain([ground]).collect(), ..Default::default() };
     let street = street.seen([0.0, 0.5, 1.8], &lidar(-0.43, 0.1), 80.0, 0.02, 5);
     let clouds = [views[0].clone(), views[1].clone(), object(4000, 1), object(4000, 2), street];
-    let found = align(&clouds, &Model::builtin(Builtin::Compact), &AlignOptions::default()).unwrap();
+    let found = align(&clouds, &AlignOptions::default()).unwrap();
     let kind = |cloud: usize| [0, 0, 1, 1, 2][cloud];
     assert!(found.parts.iter().all(|part| part.iter().all(|&cloud| kind(cloud) == kind(part[0]))), "{found:?}");
     // Clouds of one kind have the voxels of their size.

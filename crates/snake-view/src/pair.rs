@@ -1,7 +1,7 @@
 //! The alignment of the two clouds on a page.
 
 use serde_json::{Value, json};
-use snake_core::{Control, Model, Result};
+use snake_core::{Control, Result};
 use snake_eval::repeated_keypoints;
 use snake_geometry::{Length, Normalization, NormalizationMethod, RigidTransform};
 use snake_registration::{RegisterOptions, Registration, register_with};
@@ -31,7 +31,6 @@ impl Pair {
     /// # Errors
     /// The errors of [`register_with`] and of [`Pair::new`].
     pub fn aligned(
-        model: &Model,
         clouds: [&ShownCloud; 2],
         t_first_second: Option<RigidTransform>,
         epsilon: Option<Length>,
@@ -45,7 +44,7 @@ impl Pair {
             Some(transform) => (transform.subtract_origins(second.origin, first.origin), None),
             None => {
                 let (source, target) = (second.field.points(), first.field.points());
-                let found = register_with(source, target, model, &RegisterOptions::default(), control)?;
+                let found = register_with(source, target, None, &RegisterOptions::default(), control)?;
                 (found.t_target_source, Some(found))
             }
         };

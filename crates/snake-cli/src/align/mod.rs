@@ -14,7 +14,6 @@ use snake_registration::{Alignment, align_with, transform_points};
 
 use crate::inputs::{check_inputs, expand, output_origin};
 use crate::output::InputFiles;
-use crate::setup::Suits;
 use crate::terminal::{self, Report};
 use args::AlignArguments;
 
@@ -31,7 +30,7 @@ pub fn run(arguments: &AlignArguments) -> Result<ExitCode> {
     let files = InputFiles::new(inputs.iter().chain(&arguments.compute.model));
     output.iter().chain(merged).try_for_each(|path| files.refuse_as_output(path))?;
     let mut options = arguments.options()?;
-    let models = arguments.compute.load_models(Suits::TheCloud, |loaded| Ok(loaded.options))?;
+    let models = arguments.compute.load_for_registration(&options.register)?;
     terminal::detail("options", || serde_json::to_string(&options).unwrap_or_default());
     let progress = Progress::default();
     let bar = terminal::stages(&progress)?;
@@ -48,7 +47,8 @@ pub fn run(arguments: &AlignArguments) -> Result<ExitCode> {
     for (input, points) in inputs.iter().zip(&points) {
         Normalization::of(points, NormalizationMethod::UnitSphere).with_context(|| input.display().to_string())?;
     }
-    let model = &models.for_cloud(points.first().copied().unwrap_or_default()).model;
+    let first = points.first().copied().unwrap_or_default();
+    let model = models.as_ref().map(|models| &models.for_cloud(first).model);
     let near = align_with(&points, model, &options, &control).context("cannot align the clouds")?;
     bar.finish();
 

@@ -140,7 +140,7 @@ impl<'a> Methods<'a> {
     /// Reads a cloud and computes the keypoints of each detector with their descriptors.
     fn cloud(&self, scenes: &Scenes, index: usize, seed: u64) -> Result<DescribedCloud> {
         let Cloud { points, origin } = self.columns.read(&scenes.clouds[index])?;
-        let scan = |loaded: &Loaded| Ok(Scan::new(&points, &loaded.model, VOXEL_SIZE)?.with_options(loaded.options));
+        let scan = |loaded: &Loaded| Ok(Scan::new(&points, VOXEL_SIZE)?.with_model(&loaded.model, loaded.options));
         let scans: Vec<Scan> = self.models.iter().map(scan).collect::<Result<_>>()?;
         let read = |file| self.read(file, scenes, index, origin);
         let files: Vec<ExternalKeypoints> = (0..self.external.len()).map(read).collect::<Result<_>>()?;
@@ -158,7 +158,7 @@ impl<'a> Methods<'a> {
             for (descriptor, model) in descriptors {
                 let (descriptors, dimension) = match descriptor {
                     Source::Builtin(descriptor) => {
-                        (scans[*model].descriptors(&keypoints, *descriptor)?, scans[*model].dimension(*descriptor))
+                        (scans[*model].descriptors(&keypoints, *descriptor)?, scans[*model].dimension(*descriptor)?)
                     }
                     Source::Files(file) => self.of_files(*file, &files[*file], &keypoints)?,
                 };

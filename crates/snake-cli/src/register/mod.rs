@@ -14,7 +14,6 @@ use snake_view::RegistrationPage;
 
 use crate::inputs::{check_inputs, output_origin};
 use crate::output::{InputFiles, check_page_path, write_page};
-use crate::setup::Suits;
 use crate::terminal::{self, Report};
 use args::RegisterArguments;
 
@@ -30,9 +29,9 @@ pub fn run(arguments: &RegisterArguments) -> Result<ExitCode> {
         InputFiles::new([source, target].into_iter().chain(&arguments.compute.model).chain(&arguments.initial));
     output.iter().chain(aligned).chain(view).try_for_each(|path| inputs.refuse_as_output(path))?;
     let progress = Progress::default();
-    let models = arguments.compute.load_models(Suits::TheCloud, |loaded| Ok(loaded.options))?;
     let control = Control::new().progress(&progress);
     let mut options = arguments.options.resolve()?;
+    let models = arguments.compute.load_for_registration(&options)?;
     terminal::detail("options", || serde_json::to_string(&options).unwrap_or_default());
     let bar = terminal::stages(&progress)?;
     bar.set_message(format!("{} to {}", source.display(), target.display()));
@@ -44,7 +43,7 @@ pub fn run(arguments: &RegisterArguments) -> Result<ExitCode> {
     terminal::detail("points", || format!("{} and {}", source_cloud.points.len(), target_cloud.points.len()));
     options.initial = arguments.initial.as_deref().map(io::read_transform).transpose()?;
     options.place(source_cloud.origin, target_cloud.origin);
-    let model = &models.for_cloud(&target_cloud.points).model;
+    let model = models.as_ref().map(|models| &models.for_cloud(&target_cloud.points).model);
     let tried = register_with(&source_cloud.points, &target_cloud.points, model, &options, &control);
     let fits_none = matches!(tried, Err(Error::NoTransform { .. }));
     let tried = tried.with_context(|| format!("cannot register {} to {}", source.display(), target.display()));

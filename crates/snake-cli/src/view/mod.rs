@@ -52,7 +52,7 @@ pub fn run(arguments: &ViewArguments) -> Result<()> {
     bar.set_message("registration");
     let pair = match &clouds[..] {
         [first, second] => {
-            let pair = Pair::aligned(model, [first, second], t_first_second, *epsilon, &control);
+            let pair = Pair::aligned([first, second], t_first_second, *epsilon, &control);
             Some(pair.map_err(|error| not_aligned(error, first, second))?)
         }
         _ => None,

@@ -5,7 +5,7 @@ use std::process::Output;
 
 use nalgebra::{IsometryMatrix3, Vector3};
 use serde_json::Value;
-use snake_core::{Builtin, Model, Point, RigidTransform};
+use snake_core::{Point, RigidTransform};
 use snake_registration::{Descriptor, KeypointDetector, Scan};
 
 use super::eval_registration::{between, fragments, scenes};
@@ -16,7 +16,7 @@ const COUNT: usize = 60;
 
 /// Farthest points of a fragment with FPFH, as `eval registration` computes them.
 fn described(points: &[Point]) -> (Vec<Point>, Vec<f32>) {
-    let scan = Scan::new(points, &Model::builtin(Builtin::Compact), 0.03).unwrap();
+    let scan = Scan::new(points, 0.03).unwrap();
     let keypoints = scan.keypoints(KeypointDetector::Fps, COUNT, 0).unwrap();
     let descriptors = scan.descriptors(&keypoints, Descriptor::Fpfh).unwrap();
     (keypoints, descriptors)

@@ -16,6 +16,21 @@ fn rotated_sample(folder: &Path) -> String {
 }
 
 #[test]
+fn no_model_is_loaded_unless_the_options_run_one() {
+    let missing = |command: &str, more: &[&str]| {
+        snake(&[&[command, &sample(), &sample(), "--model", "missing.safetensors"], more].concat())
+    };
+    for command in ["register", "align"] {
+        let output = missing(command, &[]);
+        assert!(output.status.success(), "{command}: {}", stderr(&output));
+        for options in [["--detector", "snake"], ["--set", "descriptor=field"]] {
+            let output = missing(command, &options);
+            assert!(!output.status.success() && stderr(&output).contains("missing.safetensors"), "{}", stderr(&output));
+        }
+    }
+}
+
+#[test]
 fn register_prints_and_writes_the_transform() {
     let folder = tempfile::tempdir().unwrap();
     let turned = rotated_sample(folder.path());

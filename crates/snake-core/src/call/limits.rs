@@ -2,8 +2,6 @@
 
 use serde::{Deserialize, Serialize};
 
-use crate::network::budget;
-use crate::network::config::ModelConfig;
 use crate::{Error, Result, setters};
 
 /// The most that one call may ask of the machine, set with [`Control::limits`](crate::Control::limits). A call that would
@@ -33,10 +31,8 @@ impl Limits {
         check("points", number, self.max_points)
     }
 
-    /// For a field of so many rotations.
-    pub(crate) fn check_volumes(&self, config: &ModelConfig, rotations: usize) -> Result<()> {
-        let values = budget::volume_values(config).saturating_mul(rotations);
-        check("bytes of feature volumes", values.saturating_mul(size_of::<f32>()), self.max_volume_bytes)
+    pub(crate) fn check_volume_bytes(&self, number: usize) -> Result<()> {
+        check("bytes of feature volumes", number, self.max_volume_bytes)
     }
 
     /// For a product of these factors.
@@ -57,6 +53,7 @@ fn check(what: &'static str, number: usize, limit: Option<usize>) -> Result<()> 
 mod tests {
     use super::*;
     use crate::detect::tests::cylinder;
+    use crate::network::budget;
     use crate::{Builtin, Control, DetectOptions, MeshOptions, Model, Options};
 
     fn refused<T>(result: Result<T>) -> Option<(&'static str, usize, usize)> {
@@ -74,7 +71,7 @@ mod tests {
         let detect = DetectOptions::default().with_query_resolution(16).with_refine_steps(2);
         let mut options = Options::default().with_detect(detect);
         options.encode.rotations = 2;
-        let volumes = 2 * 4 * budget::volume_values(model.config());
+        let volumes = budget::volume_bytes(model.config(), 2);
         let with = |limits| Control::new().limits(limits);
         let in_model = |limits| refused(model.detect_with(&points, &options, &with(limits)));
         let limits = Limits::default();

@@ -26,7 +26,7 @@ use crate::call::span::span;
 use crate::detect::cell_means::cell_means;
 use crate::detect::modes::seek_modes;
 use crate::detect::options::Radii;
-use crate::detect::query_grid::{QueryGrid, above_occupancy, above_occupancy_of};
+use crate::detect::query_grid::{Occupied, QueryGrid, above_occupancy, above_occupancy_of};
 use crate::detect::refine::{Refined, refine};
 use crate::detect::rims::lower_rims;
 use crate::field::{Field, Quantity};
@@ -117,21 +117,21 @@ impl Field {
     /// The errors of [`Field::detect`]; [`Error::Cancelled`](crate::Error::Cancelled),
     /// [`Error::DeadlineExceeded`](crate::Error::DeadlineExceeded) and [`Error::LimitExceeded`](crate::Error::LimitExceeded).
     pub fn detect_with(&self, options: &DetectOptions, control: &Control) -> Result<Detection> {
+        options.check(self.num_rotations())?;
+        self.network().check_confidence(options)?;
+        control.get_limits().check_evaluations(&options.evaluations(self.num_rotations()))?;
         self.detect_in(options, Vec::new(), control)
     }
 
-    /// [`Field::detect_with`] with memory for the keypoints.
+    /// [`Field::detect_with`] with memory for the keypoints. The options are valid for the network, and within the limits.
     pub(crate) fn detect_in(
         &self,
         options: &DetectOptions,
         memory: Vec<Keypoint>,
         control: &Control,
     ) -> Result<Detection> {
-        options.check(self.num_rotations())?;
-        self.network().check_confidence(options)?;
-        control.get_limits().check_evaluations(&options.evaluations(self.num_rotations()))?;
         let radii = options.radii(self.points(), self.voxel_size())?;
-        let candidates = Candidates::of(self, options, |_| true, control)?;
+        let candidates = Candidates::of(self, options, control)?;
         control.begin("suppression", 0).check()?;
         let occupancy = |_: &[usize], positions: &[Point]| {
             let mut occupancy = Scratch::zeros(positions.len());
@@ -165,43 +165,59 @@ pub(crate) struct Candidates {
 }
 
 impl Candidates {
-    /// The candidates of a field. Only queries whose positions in the cloud's frame `owns` accepts are refined.
-    pub(crate) fn of(
+    /// The candidates of a field.
+    pub(crate) fn of(field: &Field, options: &DetectOptions, control: &Control) -> Result<Self> {
+        let start = Instant::now();
+        let Some(frame) = field.volume().frame() else {
+            let cells = cell_means(field);
+            return Self::of_cells(field, &cells, |_| true, options, start, control);
+        };
+        let queries = QueryGrid::new(field, &frame, options);
+        let occupied = above_occupancy(field, &queries, options.occupancy_threshold, control)?;
+        Self::refined(field, &occupied, None, options, start, control)
+            .map(|found| found.among(options.query_resolution.pow(3)))
+    }
+
+    /// The candidates of a scene that has these [`cell_means`]; those of the cells that `owns` accepts, in the cloud's frame.
+    pub(crate) fn of_cells(
         field: &Field,
-        options: &DetectOptions,
+        cells: &[Point],
         owns: impl Fn(&Point) -> bool,
+        options: &DetectOptions,
+        start: Instant,
         control: &Control,
     ) -> Result<Self> {
-        let start = Instant::now();
-        let threshold = options.occupancy_threshold;
-        let cells = field.volume().frame().is_none().then(|| cell_means(field));
-        let (mut occupied, num_queries) = match field.volume().frame() {
-            Some(frame) => {
-                let queries = QueryGrid::new(field, &frame, options);
-                (above_occupancy(field, &queries, threshold, control)?, options.query_resolution.pow(3))
-            }
-            None => {
-                let mut queries = cells.clone().unwrap_or_default();
-                queries.retain(|&query| owns(&field.normalization().to_cloud(query)));
-                (above_occupancy_of(field, &queries, threshold, control)?, queries.len())
-            }
-        };
-        occupied.retain(|&query| owns(&field.normalization().to_cloud(query)));
+        let is_own = |query: &Point| owns(&field.normalization().to_cloud(*query));
+        let queries = Scratch::collect(cells.len(), cells.iter().copied().filter(is_own));
+        let occupied = above_occupancy_of(field, &queries, options.occupancy_threshold, control)?;
+        Self::refined(field, &occupied, Some(cells), options, start, control).map(|found| found.among(queries.len()))
+    }
+
+    /// The candidates that come of occupied queries, and of a scene the cells whose rims are lowered.
+    fn refined(
+        field: &Field,
+        occupied: &Occupied,
+        cells: Option<&[Point]>,
+        options: &DetectOptions,
+        start: Instant,
+        control: &Control,
+    ) -> Result<Self> {
         let occupancy_done = Instant::now();
-        let mut refined = refine(field, &occupied, options, control)?;
-        if let Some(cells) = &cells {
+        let mut refined = refine(field, occupied, options, control)?;
+        if let Some(cells) = cells {
             lower_rims(&mut refined, cells)?;
         }
         let mut candidates = above_saliency(field, &refined, options.saliency_threshold);
         candidates.timing.occupancy = (occupancy_done - start).as_secs_f64();
         candidates.timing.refine = occupancy_done.elapsed().as_secs_f64();
-        candidates.counts = Counts {
-            queries: num_queries,
-            occupied: occupied.len(),
-            above_threshold: candidates.positions.len(),
-            keypoints: 0,
-        };
+        candidates.counts.occupied = occupied.positions.len();
+        candidates.counts.above_threshold = candidates.positions.len();
         Ok(candidates)
+    }
+
+    fn among(mut self, num_queries: usize) -> Self {
+        self.counts.queries = num_queries;
+        self
     }
 }
 

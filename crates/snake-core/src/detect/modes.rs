@@ -45,7 +45,7 @@ pub(crate) fn seek_modes(positions: &[Point], scores: &[f32], radius: f32, max_k
     let cells = RadiusCells::new(positions, radius)?;
     let most = STARTS.saturating_mul(max_keypoints.max(64));
     let starts = keep_in_order(&cells, &by_falling_score(scores), radius / 2.0, most);
-    let (positions, scores) = moved(&cells, scores, radius, &starts);
+    let (positions, scores) = moved(&cells, scores, &starts);
     Ok(Modes { starts, positions, scores })
 }
 
@@ -56,10 +56,11 @@ pub(crate) fn modes_of(
     radius: f32,
     starts: &[usize],
 ) -> Result<(Scratch<Point>, Scratch<f32>)> {
-    Ok(moved(&RadiusCells::new(positions, radius)?, scores, radius, starts))
+    Ok(moved(&RadiusCells::new(positions, radius)?, scores, starts))
 }
 
-fn moved(cells: &RadiusCells, scores: &[f32], radius: f32, starts: &[usize]) -> (Scratch<Point>, Scratch<f32>) {
+fn moved(cells: &RadiusCells, scores: &[f32], starts: &[usize]) -> (Scratch<Point>, Scratch<f32>) {
+    let radius = cells.radius();
     let weights = STEPS.map(|(_, power)| Scratch::collect(scores.len(), scores.iter().map(|score| score.powi(power))));
     let mut modes = Scratch::collect(starts.len(), starts.iter().map(|&start| cells.points()[start]));
     let mut mode_scores = Scratch::collect(starts.len(), starts.iter().map(|&start| scores[start]));

@@ -69,17 +69,33 @@ fn coordinate(low: f32, high: f32, resolution: usize, i: usize) -> f32 {
 /// Queries that are evaluated at a time, at least: enough for many threads.
 const BATCH: usize = 16_384;
 
-/// The queries whose occupancy is above the threshold, in the network's frame, x slowest and z fastest.
+/// Queries in the network's frame, with the occupancy that they were chosen by.
+#[derive(Debug, Default, PartialEq)]
+pub(crate) struct Occupied {
+    pub(crate) positions: Scratch<Point>,
+    /// Empty without a threshold: it is then evaluated nowhere.
+    pub(crate) occupancy: Scratch<f32>,
+}
+
+#[cfg(test)]
+impl Occupied {
+    /// Queries of unknown occupancy.
+    pub(crate) fn of(positions: &[Point]) -> Self {
+        Self { positions: Scratch::copy_of(positions), occupancy: Scratch::default() }
+    }
+}
+
+/// The queries whose occupancy is above the threshold, x slowest and z fastest.
 pub(crate) fn above_occupancy(
     field: &Field,
     queries: &QueryGrid,
     threshold: f32,
     control: &Control,
-) -> Result<Scratch<Point>> {
+) -> Result<Occupied> {
     span!("occupancy");
     let resolution = queries.resolution();
     let counter = control.begin("occupancy", resolution.pow(3));
-    let mut occupied = Scratch::empty(BATCH);
+    let mut occupied = Occupied { positions: Scratch::empty(BATCH), occupancy: Scratch::empty(BATCH) };
     let mut batch = Scratch::empty(BATCH + resolution * resolution);
     let mut first = 0;
     for x in 0..resolution {
@@ -101,11 +117,11 @@ fn append_occupied(
     queries: &[Point],
     threshold: f32,
     counter: &Counter,
-    occupied: &mut Scratch<Point>,
+    occupied: &mut Occupied,
 ) -> Result<()> {
     if threshold <= 0.0 {
         counter.add(queries.len());
-        occupied.extend_from_slice(queries);
+        occupied.positions.extend_from_slice(queries);
         return counter.check();
     }
     let mut occupancy = Scratch::zeros(queries.len());
@@ -116,20 +132,21 @@ fn append_occupied(
         Result::Ok(())
     })?;
     let pairs = queries.iter().zip(occupancy.iter());
-    occupied.extend(pairs.filter(|(_, value)| **value > threshold).map(|(query, _)| *query));
+    occupied.positions.extend(pairs.filter(|(_, value)| **value > threshold).map(|(query, _)| *query));
+    occupied.occupancy.extend(occupancy.iter().copied().filter(|value| *value > threshold));
     Ok(())
 }
 
-/// The queries of a list, in the network's frame, whose occupancy is above the threshold.
+/// The queries of a list whose occupancy is above the threshold.
 pub(crate) fn above_occupancy_of(
     field: &Field,
     queries: &[Point],
     threshold: f32,
     control: &Control,
-) -> Result<Scratch<Point>> {
+) -> Result<Occupied> {
     span!("occupancy");
     let counter = control.begin("occupancy", queries.len());
-    let mut occupied = Scratch::empty(queries.len());
+    let mut occupied = Occupied { positions: Scratch::empty(queries.len()), occupancy: Scratch::empty(queries.len()) };
     append_occupied(field, queries, threshold, &counter, &mut occupied)?;
     Ok(occupied)
 }
@@ -160,7 +177,7 @@ pub(crate) mod tests {
 
     pub(crate) fn occupied_queries(field: &Field, options: &DetectOptions) -> Vec<Point> {
         let queries = QueryGrid::new(field, &field.volume().frame().unwrap(), options);
-        above_occupancy(field, &queries, options.occupancy_threshold, &Control::default()).unwrap().to_vec()
+        above_occupancy(field, &queries, options.occupancy_threshold, &Control::default()).unwrap().positions.to_vec()
     }
 
     #[test]

@@ -6,6 +6,7 @@ use crate::Result;
 use crate::call::control::{Control, Counter};
 use crate::call::span::span;
 use crate::detect::options::{DetectOptions, RefineMethod, Selection};
+use crate::detect::query_grid::Occupied;
 use crate::field::{Field, Quantity};
 use crate::network::layers::TILE;
 use snake_geometry::Point;
@@ -28,16 +29,28 @@ scratch_elements!(Refined);
 /// by their number. A tile therefore makes all its steps on one thread.
 pub(crate) fn refine(
     field: &Field,
-    queries: &[Point],
+    queries: &Occupied,
     options: &DetectOptions,
     control: &Control,
 ) -> Result<Scratch<Refined>> {
     span!("refine");
-    let counter = control.begin("refinement", queries.len() * (options.refine_steps + 1));
-    let mut refined = Scratch::<Refined>::zeros(queries.len());
-    let tiles = refined.par_chunks_mut(TILE).zip(queries.par_chunks(TILE));
-    tiles.try_for_each(|(refined, tile)| refine_tile(field, tile, queries.len(), options, &counter, refined))?;
+    let Occupied { positions, occupancy } = queries;
+    let number = positions.len();
+    let counter = control.begin("refinement", number * (options.refine_steps + 1));
+    let mut refined = Scratch::<Refined>::zeros(number);
+    let tiles = refined.par_chunks_mut(TILE).zip(positions.par_chunks(TILE)).enumerate();
+    tiles.try_for_each(|(place, (refined, positions))| {
+        let occupancy = occupancy.get(place * TILE..).unwrap_or_default();
+        let tile = Tile { positions, occupancy: &occupancy[..occupancy.len().min(positions.len())] };
+        refine_tile(field, tile, number, options, &counter, refined)
+    })?;
     Ok(refined)
+}
+
+/// Some queries, with their occupancy or none.
+struct Tile<'a> {
+    positions: &'a [Point],
+    occupancy: &'a [f32],
 }
 
 /// Positions of a tile's queries after each number of steps, with their saliency.
@@ -66,7 +79,7 @@ impl Trajectory {
 
 fn refine_tile(
     field: &Field,
-    queries: &[Point],
+    Tile { positions: queries, occupancy }: Tile,
     num_queries: usize,
     options: &DetectOptions,
     counter: &Counter,
@@ -85,12 +98,12 @@ fn refine_tile(
     counter.check()?;
     match options.selection {
         Selection::ReferenceFinalPosition if options.refine_steps > 0 => {
-            best_on_surface(field, &trajectory, options, refined);
+            best_on_surface(field, &trajectory, occupancy, options, refined);
             refined.iter_mut().zip(positions.iter()).for_each(|(best, &position)| best.position = position);
         }
         _ => {
             trajectory.push(&positions, &field.tile_values(Quantity::Saliency, &positions));
-            best_on_surface(field, &trajectory, options, refined);
+            best_on_surface(field, &trajectory, occupancy, options, refined);
         }
     }
     counter.add(queries.len());
@@ -100,8 +113,15 @@ fn refine_tile(
 /// For each query of a tile, the most salient position of its trajectory that lies on the surface; the first of several.
 ///
 /// Occupancy is evaluated by falling saliency, until a position lies on the surface or its saliency is too low for a
-/// keypoint. The result is the same as with the occupancy of all positions, and most queries need none.
-fn best_on_surface(field: &Field, trajectory: &Trajectory, options: &DetectOptions, best: &mut [Refined]) {
+/// keypoint. The result is the same as with the occupancy of all positions, and most queries need none. `of_starts` is the
+/// occupancy of the first positions, or empty.
+fn best_on_surface(
+    field: &Field,
+    trajectory: &Trajectory,
+    of_starts: &[f32],
+    options: &DetectOptions,
+    best: &mut [Refined],
+) {
     let &Trajectory { num_queries, ref positions, ref saliency } = trajectory;
     let num_steps = positions.len() / num_queries;
     // For each query the number of its salient steps, and these steps by falling saliency.
@@ -114,18 +134,21 @@ fn best_on_surface(field: &Field, trajectory: &Trajectory, options: &DetectOptio
         counts[query] = ranked.iter_mut().zip(salient).map(|(rank, step)| *rank = step).count();
         ranked[..counts[query]].sort_unstable_by(|&a, &b| saliency(b).total_cmp(&saliency(a)).then(a.cmp(&b)));
     }
+    // Positions are numbered as in the trajectory, so that those of the starts come first.
+    let is_unknown = |place: &usize| options.surface_threshold > 0.0 && *place >= of_starts.len();
     for rank in 0..num_steps {
         let is_open = |query: &usize| counts[*query] > rank;
         let open = Scratch::collect(best.len(), (0..best.len()).filter(is_open));
         let place = |query: usize| ranked[query * num_steps + rank] * num_queries + query;
-        let of_open = Scratch::collect(open.len(), open.iter().map(|&query| positions[place(query)]));
-        let occupancy = match options.surface_threshold > 0.0 {
-            true => field.tile_values(Quantity::Occupancy, &of_open),
-            false => Scratch::collect(of_open.len(), of_open.iter().map(|_| 1.0)),
-        };
-        for (&query, &occupancy) in open.iter().zip(occupancy.iter()) {
-            if occupancy > options.surface_threshold {
-                best[query] = Refined { position: positions[place(query)], score: saliency[place(query)] };
+        let unknown = open.iter().map(|&query| place(query)).filter(is_unknown);
+        let unknown = Scratch::collect(open.len(), unknown.map(|place| positions[place]));
+        let evaluated = field.tile_values(Quantity::Occupancy, &unknown);
+        let mut evaluated = evaluated.iter();
+        for &query in open.iter() {
+            let place = place(query);
+            let occupancy = of_starts.get(place).or_else(|| evaluated.next());
+            if occupancy.is_none_or(|occupancy| *occupancy > options.surface_threshold) {
+                best[query] = Refined { position: positions[place], score: saliency[place] };
                 counts[query] = 0;
             }
         }
@@ -226,9 +249,14 @@ mod tests {
         for (refine_steps, saliency_threshold) in [(0, 0.0), (6, 0.0), (6, 0.3), (3, 0.6)] {
             let options =
                 DetectOptions { refine_steps, saliency_threshold, refine_step_size: 0.01, ..Default::default() };
-            let found = refine(&field, &queries, &options, &Control::default()).unwrap();
-            assert_eq!(found[..], textbook(&field, &queries, &options), "{refine_steps} {saliency_threshold}");
-            found.iter().for_each(|refined| outcomes[usize::from(refined.score > 0.0)] += 1);
+            let expected = textbook(&field, &queries, &options);
+            let occupancy = field.tile_values(Quantity::Occupancy, &queries);
+            for occupancy in [Scratch::default(), occupancy] {
+                let queries = Occupied { positions: Scratch::copy_of(&queries), occupancy };
+                let found = refine(&field, &queries, &options, &Control::default()).unwrap();
+                assert_eq!(found[..], expected, "{refine_steps} {saliency_threshold}");
+            }
+            expected.iter().for_each(|refined| outcomes[usize::from(refined.score > 0.0)] += 1);
         }
         assert!(outcomes.iter().all(|&number| number > 10), "{outcomes:?}");
     }

@@ -2,30 +2,32 @@
 
 pub(crate) mod grid;
 pub(crate) mod surface;
+mod values;
+mod views;
 
 pub use self::grid::Grid;
+pub use self::values::Quantity;
+pub(crate) use self::values::log_odds;
+pub(crate) use self::views::FieldMemory;
 
-use std::borrow::Cow;
 use std::sync::Arc;
 
 use rayon::prelude::*;
 
+use self::values::rotated;
+use self::views::View;
 use crate::call::control::Control;
 use crate::call::span::span;
 use crate::detect::options::{EncodeOptions, Options};
+use crate::network::Network;
+use crate::network::budget::volume_bytes;
 use crate::network::config::ModelConfig;
-use crate::network::decoder::Decoder;
-use crate::network::encoder::EncoderMemory;
 use crate::network::layers::TILE;
-use crate::network::scene::SceneMemory;
 use crate::network::scene::voxel_size;
-use crate::network::volume::{Volume, VolumeFrame, VolumeGrid};
-use crate::network::weights;
-use crate::network::{Network, NetworkEncoder};
+use crate::network::volume::Volume;
 use crate::{Error, Result};
 use snake_geometry::{
-    FinitePoints, Normalization, NormalizationMethod, Outliers, Point, PointSource, check_points,
-    rotations::{self, Rotation, rotate, rotate_inverse},
+    FinitePoints, Normalization, NormalizationMethod, Outliers, Point, PointSource, check_points, rotations,
 };
 use snake_kernels::Scratch;
 
@@ -40,63 +42,6 @@ pub struct Field {
     num_encoded: usize,
 }
 
-/// The feature volume of one rotated copy of the cloud.
-#[derive(Debug, Clone)]
-struct View {
-    rotation: Rotation,
-    volume: Volume,
-}
-
-impl View {
-    fn all(
-        network: &Network,
-        points: &[Point],
-        normalization: Normalization,
-        orientation: &Rotation,
-        rotations: usize,
-        memory: &mut FieldMemory,
-        control: &Control,
-    ) -> Result<Vec<Self>> {
-        check_number_of_points(points.len())?;
-        let encoder = match &network.encoder {
-            NetworkEncoder::Cube(encoder) => encoder,
-            NetworkEncoder::Scene(encoder) => {
-                let in_voxels: Vec<Point> = points.iter().map(|&point| normalization.to_network(point)).collect();
-                let volume = encoder.encode(&in_voxels, &mut memory.scene, control)?;
-                return Ok(vec![Self { rotation: rotations::IDENTITY, volume: finite(volume)? }]);
-            }
-        };
-        let counter = control.begin("encoding", rotations * encoder.work(points.len()));
-        let mut views = std::mem::take(&mut memory.views);
-        for rotation in rotations::super_fibonacci(rotations) {
-            let rotation = rotations::compose(&rotation, orientation);
-            let point = |index: usize| rotate(&rotation, normalization.to_network(points[index]));
-            let volume = encoder.encode(points.len(), point, &mut memory.encoder, &counter)?;
-            counter.check()?;
-            views.push(Self { rotation, volume: finite(volume)? });
-        }
-        Ok(views)
-    }
-}
-
-/// Refuses features that are not finite.
-fn finite(volume: Volume) -> Result<Volume> {
-    match volume.values.par_iter().all(|value| value.is_finite()) {
-        true => Ok(volume),
-        false => Err(weights::error("encoder", "finite features", "weights so large that they overflow".into())),
-    }
-}
-
-/// The memory of a field, which the next field uses again.
-#[derive(Debug, Clone, Default)]
-pub(crate) struct FieldMemory {
-    points: Vec<Point>,
-    indices: Vec<usize>,
-    views: Vec<View>,
-    encoder: EncoderMemory,
-    scene: SceneMemory,
-}
-
 /// Refuses more points than 32-bit indices can count.
 pub(crate) fn check_number_of_points(number: usize) -> Result<()> {
     match u32::try_from(number) {
@@ -108,23 +53,14 @@ pub(crate) fn check_number_of_points(number: usize) -> Result<()> {
     }
 }
 
-/// One of the two decoders.
-#[derive(Debug, Clone, Copy)]
-pub enum Quantity {
-    /// The probability of a surface.
-    Occupancy,
-    /// The saliency.
-    Saliency,
-}
-
 impl Field {
+    /// The field of a cloud. The options are valid for the network.
     pub(crate) fn new(
         network: Arc<Network>,
         points: &[Point],
         options: &EncodeOptions,
         control: &Control,
     ) -> Result<Self> {
-        options.check(&network.config)?;
         control.get_limits().check_points(points.len())?;
         let finite = FinitePoints::of("points", points)?;
         Self::of_finite(network, finite, points.len(), options, &mut FieldMemory::default(), control)
@@ -155,7 +91,7 @@ impl Field {
         control: &Control,
     ) -> Result<Self> {
         span!("encode");
-        control.get_limits().check_volumes(&network.config, options.rotations)?;
+        control.get_limits().check_volume_bytes(volume_bytes(&network.config, options.rotations))?;
         let points = &finite.points;
         let is_scene = network.config.frame().is_none();
         let normalization = match is_scene {
@@ -369,96 +305,6 @@ impl Field {
         Ok(Scratch::collect(queries.len(), queries.iter().map(|&query| self.normalization.to_network(query))))
     }
 
-    /// A decoder, and the voxels of a volume as it sees them.
-    fn decoder<'a>(&'a self, volume: &'a Volume, quantity: Quantity) -> (&'a Decoder, Cow<'a, VolumeGrid>) {
-        match (quantity, &volume.grid) {
-            (Quantity::Occupancy, grid) => (&self.network.occupancy, Cow::Borrowed(grid)),
-            // In the released code only the occupancy decoder uses the z bounds; the saliency decoder assumes ±0.5. All
-            // published networks have these bounds.
-            (Quantity::Saliency, VolumeGrid::Cube(frame)) => {
-                let frame = VolumeFrame { z_bounds: [-0.5, 0.5], ..*frame };
-                (&self.network.saliency, Cow::Owned(VolumeGrid::Cube(frame)))
-            }
-            (Quantity::Saliency, grid) => (&self.network.saliency, Cow::Borrowed(grid)),
-        }
-    }
-
-    /// One tile of queries in the network's frame, on the calling thread.
-    pub(crate) fn tile_values(&self, quantity: Quantity, queries: &[Point]) -> Scratch<f32> {
-        if let [view] = &self.views[..] {
-            return self.view_values(view, quantity, queries);
-        }
-        let mut sums = Scratch::zeros(queries.len());
-        for view in &self.views {
-            let values = self.view_values(view, quantity, queries);
-            sums.iter_mut().zip(values.iter()).for_each(|(sum, &value)| *sum += log_odds(value));
-        }
-        sums.iter_mut().for_each(|sum| *sum = probability(*sum / self.views.len() as f32));
-        sums
-    }
-
-    /// [`Field::tile_values`] with gradients, per network unit.
-    pub(crate) fn tile_values_and_gradients(
-        &self,
-        quantity: Quantity,
-        queries: &[Point],
-    ) -> (Scratch<f32>, Scratch<Point>) {
-        if let [view] = &self.views[..] {
-            return self.view_values_and_gradients(view, quantity, queries);
-        }
-        let mut sums = Scratch::zeros(queries.len());
-        let mut gradients = Scratch::<Point>::zeros(queries.len());
-        for view in &self.views {
-            let of_view = self.view_values_and_gradients(view, quantity, queries);
-            let of_view = of_view.0.iter().zip(of_view.1.iter());
-            for ((sum, gradient), (&value, &of_value)) in sums.iter_mut().zip(gradients.iter_mut()).zip(of_view) {
-                let value = value.clamp(LEAST, 1.0 - LEAST);
-                let of_log_odds = of_value.map(|v| v / (value * (1.0 - value)));
-                *sum += log_odds(value);
-                *gradient = std::array::from_fn(|axis| gradient[axis] + of_log_odds[axis]);
-            }
-        }
-        let views = self.views.len() as f32;
-        for (gradient, sum) in gradients.iter_mut().zip(sums.iter_mut()) {
-            let value = probability(*sum / views);
-            *gradient = gradient.map(|v| v * value * (1.0 - value) / views);
-            *sum = value;
-        }
-        (sums, gradients)
-    }
-
-    /// Values of one view.
-    fn view_values(&self, view: &View, quantity: Quantity, queries: &[Point]) -> Scratch<f32> {
-        let (decoder, grid) = self.decoder(&view.volume, quantity);
-        let queries = &rotated(&view.rotation, queries);
-        let mut features = Scratch::arbitrary(queries.len() * view.volume.channels);
-        view.volume.interpolate(&grid, queries, &mut features);
-        decoder.values(queries, &features)
-    }
-
-    /// [`Field::view_values`] with gradients: the decoder's derivative with respect to the query, plus the derivative
-    /// through the interpolated feature.
-    fn view_values_and_gradients(
-        &self,
-        view: &View,
-        quantity: Quantity,
-        queries: &[Point],
-    ) -> (Scratch<f32>, Scratch<Point>) {
-        let (decoder, grid) = self.decoder(&view.volume, quantity);
-        let queries = &rotated(&view.rotation, queries);
-        let mut features = Scratch::arbitrary(queries.len() * view.volume.channels);
-        let corners = view.volume.interpolate(&grid, queries, &mut features);
-        let decoded = decoder.values_and_gradients(queries, &features);
-        let mut gradients = view.volume.interpolate_backward(&corners, &decoded.in_feature);
-        let (in_query, _) = decoded.in_query.as_chunks::<3>();
-        for ((gradient, &query), in_query) in gradients.iter_mut().zip(queries.iter()).zip(in_query) {
-            let voxels_per_unit = grid.voxels_per_unit(query);
-            let turned = std::array::from_fn(|axis| in_query[axis] + gradient[axis] * voxels_per_unit[axis]);
-            *gradient = rotate_inverse(&view.rotation, turned);
-        }
-        (decoded.values, gradients)
-    }
-
     /// The shape of the network that made this field.
     pub fn config(&self) -> &ModelConfig {
         &self.network.config
@@ -467,107 +313,5 @@ impl Field {
     /// The recommended options of the network that made this field.
     pub fn recommended(&self) -> &Options {
         &self.network.recommended
-    }
-}
-
-/// Probabilities are clamped to this distance from 0 and 1 before they are averaged as log-odds.
-const LEAST: f32 = 1e-6;
-
-pub(crate) fn log_odds(probability: f32) -> f32 {
-    let probability = probability.clamp(LEAST, 1.0 - LEAST);
-    (probability / (1.0 - probability)).ln()
-}
-
-/// Queries of one tile in the orientation of a view.
-fn rotated(rotation: &Rotation, queries: &[Point]) -> Scratch<Point> {
-    Scratch::collect(queries.len(), queries.iter().map(|&query| rotate(rotation, query)))
-}
-
-fn probability(log_odds: f32) -> f32 {
-    1.0 / (1.0 + (-log_odds).exp())
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-    use crate::{Builtin, Model};
-
-    #[test]
-    fn several_rotations_are_averaged_as_log_odds_and_gradients_match_differences() {
-        let points: Vec<Point> = (0..3000)
-            .map(|i| {
-                let angle = i as f32 * 0.1;
-                [angle.cos() + 3.0, 2.0 * angle.sin(), (i % 40) as f32 * 0.02]
-            })
-            .collect();
-        let model = Model::builtin(Builtin::Compact);
-        let encode = |points: &[Point], rotations| {
-            model.encode(points, &EncodeOptions { rotations, ..Default::default() }).unwrap()
-        };
-        let field = encode(&points, 4);
-        let queries = &points[..50];
-        // By hand: a field of each rotated cloud.
-        let mut sums = vec![0.0; queries.len()];
-        for rotation in rotations::super_fibonacci(4) {
-            let rotated = |points: &[Point]| points.iter().map(|&p| rotate(&rotation, p)).collect::<Vec<_>>();
-            let values = encode(&rotated(&points), 1).saliency(&rotated(queries)).unwrap();
-            sums.iter_mut().zip(values).for_each(|(sum, value)| *sum += log_odds(value));
-        }
-        let (values, gradients) = field.saliency_and_gradient(queries).unwrap();
-        for ((value, sum), alone) in values.iter().zip(sums).zip(field.saliency(queries).unwrap()) {
-            // The rotated clouds are normalised anew, with other rounding.
-            assert!((value - probability(sum / 4.0)).abs() < 1e-3 && (value - alone).abs() < 1e-6, "{value} {alone}");
-        }
-        let mut errors: Vec<f32> = (0..queries.len() * 3)
-            .map(|i| {
-                let (query, axis, step) = (i / 3, i % 3, 1e-3);
-                let ends = [-step, step].map(|step| {
-                    let mut moved = queries[query];
-                    moved[axis] += step;
-                    field.saliency(&[moved]).unwrap()[0]
-                });
-                (gradients[query][axis] - (ends[1] - ends[0]) / (2.0 * step)).abs()
-            })
-            .collect();
-        errors.sort_by(f32::total_cmp);
-        let longest = gradients.as_flattened().iter().fold(0.0, |m: f32, v| m.max(v.abs()));
-        assert!(errors[errors.len() / 2] < 0.01 * longest && longest > 0.1, "{errors:?} {longest}");
-    }
-
-    #[test]
-    fn a_field_in_principal_axes_is_that_of_the_turned_cloud() {
-        let points: Vec<Point> = (0..3000)
-            .map(|i| {
-                let angle = i as f32 * 0.1;
-                [0.5 * angle.cos(), angle.sin(), (i % 40) as f32 * 0.09]
-            })
-            .collect();
-        let encode = |points: &[Point], normalization| {
-            let options = EncodeOptions { normalization, ..Default::default() };
-            Model::builtin(Builtin::Compact).encode(points, &options).unwrap()
-        };
-        let field = encode(&points, NormalizationMethod::PrincipalAxes);
-        let turn = |point: &Point| rotate(field.orientation(), *point);
-        let turned = encode(&points.iter().map(turn).collect::<Vec<_>>(), NormalizationMethod::UnitSphere);
-        assert_eq!((turned.orientation(), field.orientation() == turned.orientation()), (&rotations::IDENTITY, false));
-        let (values, gradients) = field.saliency_and_gradient(&points[..99]).unwrap();
-        let expected = turned.saliency_and_gradient(&points[..99].iter().map(turn).collect::<Vec<_>>()).unwrap();
-        for ((value, gradient), (same, turned)) in values.iter().zip(gradients).zip(expected.0.iter().zip(expected.1)) {
-            let back = rotate_inverse(field.orientation(), turned);
-            assert!((value - same).abs() < 1e-4, "{value} {same}");
-            assert!(gradient.iter().zip(back).all(|(a, b)| (a - b).abs() < 1e-2), "{gradient:?} {back:?}");
-        }
-    }
-
-    #[test]
-    fn rotations_need_a_sphere() {
-        let points: Vec<Point> = (0..100).map(|i| [i as f32, (i * i % 7) as f32, 0.0]).collect();
-        let encode = |normalization, rotations| {
-            let options = EncodeOptions { normalization, rotations, ..Default::default() };
-            Model::builtin(Builtin::Compact).encode(&points, &options).is_ok()
-        };
-        assert!(encode(NormalizationMethod::UnitSphere, 2) && encode(NormalizationMethod::UnitCube, 1));
-        assert!(!encode(NormalizationMethod::UnitCube, 2) && !encode(NormalizationMethod::UnitSphere, 0));
-        assert!(!encode(NormalizationMethod::UnitSphere, 65));
     }
 }

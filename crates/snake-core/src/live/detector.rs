@@ -12,7 +12,7 @@ use snake_geometry::PointSource;
 
 /// A model with its options, for clouds that come one after another, such as the sweeps of a laser scanner. Memory of one
 /// cloud is used again for the next. On one thread it allocates nothing after the third cloud, unless a cloud is larger than
-/// all before.
+/// all before, or `max_points` draws a sample of it.
 ///
 /// ```
 /// use snake_core::{Builtin, Detection, Detector, Model};

@@ -1,10 +1,13 @@
 //! A network: its configuration and weights.
 
+#[cfg(feature = "builtin-models")]
+mod builtin;
 mod scale_hint;
 mod signs;
 
+#[cfg(feature = "builtin-models")]
+pub use self::builtin::Builtin;
 pub use self::scale_hint::scale_hint;
-use self::signs::looks_like_scene;
 pub use self::signs::scene_signs;
 
 use std::collections::BTreeMap;
@@ -14,60 +17,12 @@ use std::sync::Arc;
 use crate::call::clock::Instant;
 use crate::call::control::Control;
 use crate::detect::Detection;
-#[cfg(feature = "builtin-models")]
-use crate::detect::options::Preset;
 use crate::detect::options::{EncodeOptions, Options};
 use crate::field::Field;
 use crate::network::Network;
 use crate::network::config::ModelConfig;
-use crate::network::scene::is_sweep;
-#[cfg(feature = "builtin-models")]
-use crate::network::weights::Weights;
 use crate::{Error, Result};
-use snake_geometry::{FinitePoints, Point};
-
-#[cfg(feature = "builtin-models")]
-const COMPACT: &[u8] = include_bytes!("../../models/compact.safetensors");
-#[cfg(feature = "builtin-models")]
-const SCENES: &[u8] = include_bytes!("../../models/scenes.safetensors");
-
-/// A model that comes with the crate (see `models/README.md`), with the feature `builtin-models`.
-#[cfg(feature = "builtin-models")]
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
-#[non_exhaustive]
-pub enum Builtin {
-    /// For objects, of any unit.
-    #[default]
-    Compact,
-    /// For rooms, sweeps and streets, of any unit. Its volume follows the cloud.
-    Scenes,
-}
-
-#[cfg(feature = "builtin-models")]
-impl Builtin {
-    /// The model for a cloud `(N, 3)` in any unit: [`Builtin::Scenes`] if it looks like the sweep of a sensor in its midst, or
-    /// like a room, a street or terrain by its [`scene_signs`](crate::scene_signs); else [`Builtin::Compact`].
-    pub fn for_cloud(points: &[Point]) -> Self {
-        match FinitePoints::of("points", points) {
-            Ok(used) if is_sweep(&used.points) || looks_like_scene(&used.points) => Self::Scenes,
-            _ => Self::Compact,
-        }
-    }
-
-    /// What [`Model::recommended`] of this model is, without loading its weights.
-    pub fn recommended(self) -> Options {
-        Weights::open(self.bytes())
-            .and_then(|file| file.recommended_options())
-            .expect("a test reads every embedded file")
-    }
-
-    fn bytes(self) -> &'static [u8] {
-        match self {
-            Self::Compact => COMPACT,
-            Self::Scenes => SCENES,
-        }
-    }
-}
+use snake_geometry::Point;
 
 /// A network with its weights; cloning it is cheap.
 ///
@@ -80,35 +35,6 @@ impl Builtin {
 #[derive(Debug, Clone)]
 pub struct Model {
     network: Arc<Network>,
-}
-
-#[cfg(feature = "builtin-models")]
-impl Model {
-    /// The names that [`Model::named`] knows: the built-in models, and `standard`.
-    pub const NAMES: [&'static str; 3] = ["compact", "standard", "scenes"];
-
-    /// A model that comes with the crate.
-    pub fn builtin(which: Builtin) -> Self {
-        Self::from_bytes(which.bytes()).expect("a test reads every embedded file")
-    }
-
-    /// A built-in model by its name: `compact`, `scenes`, or `standard`, which is `compact` with the recommended options of
-    /// [`Preset::Standard`].
-    ///
-    /// # Errors
-    /// [`Error::Option`] for an unknown name.
-    pub fn named(name: &str) -> Result<Self> {
-        match name {
-            "compact" => Ok(Self::builtin(Builtin::Compact)),
-            "scenes" => Ok(Self::builtin(Builtin::Scenes)),
-            "standard" => {
-                let mut network = Network::from_bytes(COMPACT)?;
-                network.recommended = Preset::Standard.options();
-                Ok(Self { network: Arc::new(network) })
-            }
-            _ => Err(Error::Option { name: "model", value: name.into(), allowed: "compact, standard or scenes" }),
-        }
-    }
 }
 
 impl Model {
@@ -164,6 +90,7 @@ impl Model {
     /// # Errors
     /// The errors of [`Model::encode`]; [`Error::Cancelled`], [`Error::DeadlineExceeded`] and [`Error::LimitExceeded`].
     pub fn encode_with(&self, points: &[Point], options: &EncodeOptions, control: &Control) -> Result<Field> {
+        options.check(&self.network.config)?;
         Field::new(self.network.clone(), points, options, control)
     }
 
@@ -194,33 +121,14 @@ impl Model {
         self.network.check(options)?;
         control.get_limits().check_evaluations(&options.detect.evaluations(options.encode.rotations))?;
         let start = Instant::now();
-        let field = self.encode_with(points, &options.encode, control)?;
+        let field = Field::new(self.network.clone(), points, &options.encode, control)?;
         let encode = start.elapsed().as_secs_f64();
-        let mut detection = field.detect_with(&options.detect, control)?;
+        let mut detection = field.detect_in(&options.detect, Vec::new(), control)?;
         detection.timing.encode = encode;
         Ok(detection)
     }
 
     pub(crate) fn network(&self) -> &Arc<Network> {
         &self.network
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn every_embedded_model_loads_with_its_recommended_options() {
-        let [compact, standard, scenes] = Model::NAMES.map(|name| Model::named(name).unwrap());
-        assert_eq!(compact.metadata(), standard.metadata());
-        assert_eq!(*standard.recommended(), Preset::Standard.options());
-        assert_eq!((compact.recommended().encode.rotations, standard.recommended().encode.rotations), (1, 4));
-        assert!(scenes.config().frame().is_none());
-        assert_eq!(Builtin::Compact.recommended(), *compact.recommended());
-        assert_eq!(Builtin::Scenes.recommended(), *scenes.recommended());
-        assert_eq!(Model::builtin(Builtin::Scenes).metadata(), scenes.metadata());
-        assert_eq!(Model::builtin(Builtin::default()).metadata(), compact.metadata());
-        assert!(Model::named("large").is_err());
     }
 }

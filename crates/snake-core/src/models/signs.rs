@@ -2,7 +2,7 @@
 //!
 //! A scene is seen from within or from one side, and much of it is flat; an object is seen from all around. The signs are
 //! measured on the mean points of the cells of a coarse grid, which do not depend on how densely the sensor samples what is
-//! near. `python -m snake_training.cloud_kind` fits the weights. By them 5 % of the validation objects and 95 % of the fragments
+//! near. `python -m snake_training.cloud_kind` fits the weights in `builtin.rs`. By them 5 % of the validation objects and 95 % of the fragments
 //! of the validation scene are taken for scenes.
 
 use nalgebra::Matrix3;
@@ -21,21 +21,6 @@ const CELLS: f64 = 16.0;
 const DIRECTIONS: usize = 100;
 /// Cells whose surroundings are measured, at most.
 const SAMPLES: usize = 150;
-
-/// The weight of each of [`scene_signs`], and that of one.
-const WEIGHTS: [f64; NUM_SIGNS + 1] = [-187.6, -9.776, 2.844, -7.656, 0.5591, 5.274, 6.212, -38.05, -8.389];
-
-/// A wire or a curve is no scene: the surroundings of its cells are less broad than this.
-const CURVE: f64 = 0.2;
-
-/// Whether a cloud `(N, 3)` of finite points looks like a scene and not like one object.
-pub(crate) fn looks_like_scene(points: &[Point]) -> bool {
-    scene_signs(points).is_some_and(|signs| {
-        let [weights @ .., constant] = &WEIGHTS;
-        let [_, broad, ..] = signs;
-        broad > CURVE && signs.iter().zip(weights).map(|(sign, weight)| sign * weight).sum::<f64>() + constant > 0.0
-    })
-}
 
 /// The signs of a cloud `(N, 3)` of finite points. `None` where the cells are too few, or the cloud has no extent.
 ///
@@ -141,6 +126,7 @@ fn squared_distance(a: &[f64; 3], b: &[f64; 3]) -> f64 {
 
 #[cfg(test)]
 mod tests {
+    use super::super::builtin::looks_like_scene;
     use super::*;
 
     /// Points on a box about the origin, of any half size.

@@ -23,11 +23,16 @@ const MIN_CHANNELS: usize = 16;
 
 /// Number of values of a feature volume, or of the widest volume of this resolution in the U-Net. That of a scene is known
 /// only from the cloud: 0.
-pub(crate) fn volume_values(config: &ModelConfig) -> usize {
+fn volume_values(config: &ModelConfig) -> usize {
     match config.volume {
         VolumeShape::Cube(frame) => frame.resolution.iter().product::<usize>() * widest(config),
         VolumeShape::Scene { .. } => 0,
     }
+}
+
+/// Bytes of the feature volumes of so many rotations.
+pub(crate) fn volume_bytes(config: &ModelConfig, rotations: usize) -> usize {
+    volume_values(config).saturating_mul(rotations).saturating_mul(size_of::<f32>())
 }
 
 fn widest(config: &ModelConfig) -> usize {

@@ -20,6 +20,7 @@ const MARGIN: f64 = 1.0 + 1e-6;
 /// bounded number of times, for every arrangement of points but those that make numbers of cells coincide.
 pub struct RadiusCells<'a> {
     points: &'a [Point],
+    radius: f32,
     side: f64,
     /// The cell and the index of each point, ascending.
     members: Scratch<(u64, u32)>,
@@ -41,7 +42,7 @@ impl<'a> RadiusCells<'a> {
         let side = f64::from(radius) * MARGIN;
         let slots = (2 * points.len()).max(2).next_power_of_two();
         let firsts = Scratch::collect(slots, std::iter::repeat_n(FREE, slots));
-        let mut cells = Self { points, side, members: Scratch::default(), firsts };
+        let mut cells = Self { points, radius, side, members: Scratch::default(), firsts };
         let members = (0..number).map(|index| (key(cells.cell(&points[index as usize])), index));
         cells.members = Scratch::collect(points.len(), members);
         cells.members.par_sort_unstable();
@@ -58,6 +59,11 @@ impl<'a> RadiusCells<'a> {
     /// The points.
     pub fn points(&self) -> &[Point] {
         self.points
+    }
+
+    /// The largest radius of a query.
+    pub fn radius(&self) -> f32 {
+        self.radius
     }
 
     /// Calls `found` with the index of each point at most `radius` from a position, in an order that depends on the points

@@ -13,11 +13,7 @@ use snake_kernels::{Scratch, SimdLevel};
 /// Points are processed by falling score and, for equal scores, by rising index. At most `limit` are kept.
 /// A radius of 0 suppresses only by `limit`.
 pub fn suppress(points: &[Point], scores: &[f32], radius: f32, limit: usize) -> Result<Scratch<usize>> {
-    let order = by_falling_score(scores);
-    if radius <= 0.0 || points.is_empty() {
-        return Ok(Scratch::copy_of(&order[..limit.min(order.len())]));
-    }
-    Ok(keep_in_order(&RadiusCells::new(points, radius)?, &order, radius, limit))
+    suppress_in_order(points, by_falling_score(scores), radius, limit)
 }
 
 /// Greedy non-maximum suppression of points `(N, 3)` that are ranked, best first: indices of the kept points, in the
@@ -28,11 +24,16 @@ pub fn suppress(points: &[Point], scores: &[f32], radius: f32, limit: usize) -> 
 /// # Errors
 /// [`Error::Input`](crate::Error::Input) for more points than [`u32::MAX`]. The points must be finite.
 pub fn suppress_ranked(points: &[Point], radius: f32, limit: usize) -> Result<Vec<usize>> {
-    if radius <= 0.0 || points.is_empty() {
-        return Ok((0..points.len().min(limit)).collect());
-    }
     let order = Scratch::collect(points.len(), 0..points.len());
-    Ok(keep_in_order(&RadiusCells::new(points, radius)?, &order, radius, limit).to_vec())
+    Ok(suppress_in_order(points, order, radius, limit)?.to_vec())
+}
+
+fn suppress_in_order(points: &[Point], order: Scratch<usize>, radius: f32, limit: usize) -> Result<Scratch<usize>> {
+    if radius <= 0.0 || points.is_empty() {
+        return Ok(Scratch::copy_of(&order[..limit.min(order.len())]));
+    }
+    let cells = RadiusCells::new(points, radius)?;
+    Ok(keep_in_order(&cells, &order, cells.radius(), limit))
 }
 
 /// Indices by falling score and, for equal scores, rising.

@@ -108,6 +108,7 @@ simd_levels! {
 
 #[inline(always)]
 fn batch_of_blocks_body<L: Lanes, const ROWS: usize>(
+    token: L::Token,
     conv: &BlockConv3d,
     scratch: &mut Buffers,
     first: usize,
@@ -117,15 +118,16 @@ fn batch_of_blocks_body<L: Lanes, const ROWS: usize>(
     let number = output.len() / (BLOCK_VOXELS * layer.outputs);
     let gather = BlocksFrom { conv, first, number };
     let (products, pitch) =
-        multiply_tiles::<L, ROWS, N>(layer, number, &gather, &mut scratch.inputs, &mut scratch.products);
+        multiply_tiles::<L, ROWS, N>(token, layer, number, &gather, &mut scratch.inputs, &mut scratch.products);
     let output_blocks = layer.outputs.div_ceil(LANES);
-    let zero = L::splat(0.0);
-    let mut partial = Partial::<L, N>::new();
+    let zero = L::splat(token, 0.0);
+    let mut partial = Partial::<L, N>::new(token);
     for (block, output) in output.chunks_exact_mut(BLOCK_VOXELS * layer.outputs).enumerate() {
         for out in 0..output_blocks {
             partial.read(&products[out * pitch + block * LANES..], output_blocks * pitch);
             let lanes = LANES.min(layer.outputs - out * LANES);
-            let [bias, constant] = [load::<L>(&bias[out * LANES..], lanes), load::<L>(&constant[out * LANES..], lanes)];
+            let [bias, constant] =
+                [load::<L>(token, &bias[out * LANES..], lanes), load::<L>(token, &constant[out * LANES..], lanes)];
             for y in 0..BLOCK_SIDE {
                 for x in 0..BLOCK_SIDE {
                     let mut column = [zero; N];
@@ -152,11 +154,18 @@ struct BlocksFrom<'a> {
 
 impl Gather for BlocksFrom<'_> {
     #[inline(always)]
-    fn transform<L: Lanes, const M: usize>(&self, block: &Block, half: usize, to: &mut [f32], pitch: usize) {
+    fn transform<L: Lanes, const M: usize>(
+        &self,
+        token: L::Token,
+        block: &Block,
+        half: usize,
+        to: &mut [f32],
+        pitch: usize,
+    ) {
         let source = &self.conv.sources[block.source];
         let lanes = LANES.min(block.channels - half * LANES);
         let values = &source.values[block.first[0] + half * LANES..];
-        let zero = L::splat(0.0);
+        let zero = L::splat(token, 0.0);
         let mut columns = [[[zero; M]; M]; M];
         let mut rows = [[zero; M]; M];
         for tile in 0..self.number {
@@ -191,7 +200,7 @@ impl Gather for BlocksFrom<'_> {
                             L::prefetch(ahead);
                             L::prefetch(ahead.wrapping_add(LANES));
                         }
-                        along_z[k] = load(&values[source.first_value(&neighbors, [x[i], y[j], z[k]])..], lanes);
+                        along_z[k] = load(token, &values[source.first_value(&neighbors, [x[i], y[j], z[k]])..], lanes);
                     }
                     rows[j] = inputs_of_axis(along_z);
                 }

@@ -186,19 +186,21 @@ simd_levels! {
 
 #[inline(always)]
 fn conv3d_task_body<L: Lanes, const ROWS: usize>(
+    token: L::Token,
     conv: &Conv3d,
     scratch: &mut Buffers,
     task: Task,
     sums: &mut [[f64; 2]],
 ) {
     match conv.layer.tile {
-        2 => conv3d_tiles::<L, ROWS, 4>(conv, scratch, task, sums, BATCH_2),
-        _ => conv3d_tiles::<L, ROWS, 6>(conv, scratch, task, sums, BATCH_4),
+        2 => conv3d_tiles::<L, ROWS, 4>(token, conv, scratch, task, sums, BATCH_2),
+        _ => conv3d_tiles::<L, ROWS, 6>(token, conv, scratch, task, sums, BATCH_4),
     }
 }
 
 #[inline(always)]
 fn conv3d_tiles<L: Lanes, const ROWS: usize, const N: usize>(
+    token: L::Token,
     conv: &Conv3d,
     scratch: &mut Buffers,
     mut task: Task,
@@ -219,10 +221,11 @@ fn conv3d_tiles<L: Lanes, const ROWS: usize, const N: usize>(
         }
     }
     let output_blocks = layer.outputs.div_ceil(LANES);
-    let mut partial = Partial::new();
+    let mut partial = Partial::<L, N>::new(token);
     for tiles in tiles.chunks(batch) {
         let gather = TilesOfPlane { conv, plane: task.plane, tiles };
-        let (products, product_pitch) = multiply_tiles::<L, ROWS, N>(layer, tiles.len(), &gather, inputs, products);
+        let (products, product_pitch) =
+            multiply_tiles::<L, ROWS, N>(token, layer, tiles.len(), &gather, inputs, products);
         for (tile, &[row, x]) in tiles.iter().enumerate() {
             for out in 0..output_blocks {
                 let products = &products[out * product_pitch + tile * LANES..];
@@ -237,7 +240,14 @@ fn conv3d_tiles<L: Lanes, const ROWS: usize, const N: usize>(
 /// The tiles of a batch, wherever their inputs lie.
 trait Gather {
     /// Transforms LANES input channels of each tile to V. `to` holds `pitch` values for each point, BLOCK for each tile.
-    fn transform<L: Lanes, const N: usize>(&self, block: &Block, half: usize, to: &mut [f32], pitch: usize);
+    fn transform<L: Lanes, const N: usize>(
+        &self,
+        token: L::Token,
+        block: &Block,
+        half: usize,
+        to: &mut [f32],
+        pitch: usize,
+    );
 }
 
 /// Tiles `[row, x]` of one plane of tiles.
@@ -249,14 +259,22 @@ struct TilesOfPlane<'a> {
 
 impl Gather for TilesOfPlane<'_> {
     #[inline(always)]
-    fn transform<L: Lanes, const N: usize>(&self, block: &Block, half: usize, to: &mut [f32], pitch: usize) {
-        transform_inputs::<L, N>(self.conv, block, half, self.plane, self.tiles, to, pitch);
+    fn transform<L: Lanes, const N: usize>(
+        &self,
+        token: L::Token,
+        block: &Block,
+        half: usize,
+        to: &mut [f32],
+        pitch: usize,
+    ) {
+        transform_inputs::<L, N>(token, self, block, half, to, pitch);
     }
 }
 
 /// The products of a batch of tiles at all points, `[point][output block][tile][lane]`, and the distance of two points.
 #[inline(always)]
 fn multiply_tiles<'a, L: Lanes, const ROWS: usize, const N: usize>(
+    token: L::Token,
     layer: &PackedConv3d,
     num_tiles: usize,
     gather: &impl Gather,
@@ -272,7 +290,7 @@ fn multiply_tiles<'a, L: Lanes, const ROWS: usize, const N: usize>(
     let products = first_values(products, N * N * N * output_blocks * product_pitch);
     for (number, block) in layer.blocks.iter().enumerate() {
         for half in 0..block.channels.div_ceil(LANES) {
-            gather.transform::<L, N>(block, half, &mut inputs[half * LANES..], input_pitch);
+            gather.transform::<L, N>(token, block, half, &mut inputs[half * LANES..], input_pitch);
         }
         for (k, p) in points(N, block.upsampled).enumerate() {
             let inputs = &inputs[p * input_pitch..][..padded_tiles * BLOCK];
@@ -281,7 +299,7 @@ fn multiply_tiles<'a, L: Lanes, const ROWS: usize, const N: usize>(
                 let from = (k * output_blocks + out) * block.channels;
                 let (weights, rest) = block.weights[from..].split_at(block.channels);
                 let next = &rest[..rest.len().min(block.channels)];
-                multiply::<L, ROWS>(inputs, weights, next, &mut products[..padded_tiles * LANES], number == 0);
+                multiply::<L, ROWS>(token, inputs, weights, next, &mut products[..padded_tiles * LANES], number == 0);
             }
         }
     }

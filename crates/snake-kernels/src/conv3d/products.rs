@@ -7,6 +7,7 @@ use crate::simd::{LANES, Lanes, accumulate_tile};
 /// the `next` product are fetched meanwhile: all weights together fill the second-level cache.
 #[inline(always)]
 pub(super) fn multiply<L: Lanes, const ROWS: usize>(
+    token: L::Token,
     inputs: &[f32],
     weights: &[[f32; LANES]],
     next: &[[f32; LANES]],
@@ -20,10 +21,10 @@ pub(super) fn multiply<L: Lanes, const ROWS: usize>(
         for line in ahead.next().unwrap_or_default() {
             L::prefetch(line.as_ptr());
         }
-        let mut sums = [L::splat(0.0); ROWS];
+        let mut sums = [L::splat(token, 0.0); ROWS];
         if !fresh {
             for r in 0..ROWS {
-                sums[r] = L::load(&products[r]);
+                sums[r] = L::load(token, &products[r]);
             }
         }
         let [sums] = accumulate_tile([sums], inputs.as_flattened(), BLOCK, [weights]);

@@ -4,7 +4,7 @@
 //! instructions.
 
 use super::pack::{BLOCK, Block};
-use super::{Conv3d, FAR, NEAR, Task};
+use super::{Conv3d, FAR, NEAR, Task, TilesOfPlane};
 use crate::simd::{LANES, Lanes, load, store};
 
 /// The largest M.
@@ -16,11 +16,10 @@ pub(super) const MAX_TILE: usize = 4;
 /// A column of inputs is transformed along z and y once, for all tiles along x that share it.
 #[inline(always)]
 pub(super) fn transform_inputs<L: Lanes, const N: usize>(
-    conv: &Conv3d,
+    token: L::Token,
+    &TilesOfPlane { conv, plane, tiles }: &TilesOfPlane,
     block: &Block,
     half: usize,
-    plane: usize,
-    tiles: &[[usize; 2]],
     to: &mut [f32],
     pitch: usize,
 ) {
@@ -28,12 +27,12 @@ pub(super) fn transform_inputs<L: Lanes, const N: usize>(
     let source = &sources[block.source];
     let lanes = LANES.min(block.channels - half * LANES);
     let [first, global] = block.first.map(|first| first + half * LANES);
-    let norm = [load::<L>(&scale[global..], lanes), load::<L>(&shift[global..], lanes)];
+    let norm = [load::<L>(token, &scale[global..], lanes), load::<L>(token, &shift[global..], lanes)];
     let values = &source.values[first..];
     // Two neighbours of an upsampled volume are one voxel.
     let shift = usize::from(source.upsampled);
     let [height, width] = [size[1] >> shift, size[2] >> shift];
-    let zero = L::splat(0.0);
+    let zero = L::splat(token, 0.0);
     let mut columns = [[[zero; N]; N]; N];
     let mut rows = [[zero; N]; N];
     let mut previous = None;
@@ -76,7 +75,7 @@ pub(super) fn transform_inputs<L: Lanes, const N: usize>(
                             L::prefetch(ahead);
                             L::prefetch(ahead.wrapping_add(LANES));
                         }
-                        *value = load::<L>(values, lanes).multiply_add(norm[0], norm[1]);
+                        *value = load::<L>(token, values, lanes).multiply_add(norm[0], norm[1]);
                     }
                 }
                 *along_z = inputs_of_axis(*along_z);
@@ -96,9 +95,10 @@ pub(super) fn transform_inputs<L: Lanes, const N: usize>(
 /// Transforms columns of inputs, which are transformed along z and y, along x, and stores them `pitch` apart.
 #[inline(always)]
 pub(super) fn store_inputs<L: Lanes, const N: usize>(columns: &[[[L; N]; N]; N], to: &mut [f32], pitch: usize) {
+    let token = columns[0][0][0].token();
     for z in 0..N {
         for y in 0..N {
-            let mut along_x = [L::splat(0.0); N];
+            let mut along_x = [L::splat(token, 0.0); N];
             for (i, value) in along_x.iter_mut().enumerate() {
                 *value = columns[i][z][y];
             }
@@ -119,20 +119,21 @@ pub(super) struct Partial<L, const N: usize> {
 
 impl<L: Lanes, const N: usize> Partial<L, N> {
     #[inline(always)]
-    pub(super) fn new() -> Self {
-        let zero = L::splat(0.0);
+    pub(super) fn new(token: L::Token) -> Self {
+        let zero = L::splat(token, 0.0);
         Self { rows: [[zero; MAX_TILE]; N], planes: [[[zero; MAX_TILE]; MAX_TILE]; N] }
     }
 
     /// Transforms the products of a tile, which are `pitch` apart, along x and y.
     #[inline(always)]
     pub(super) fn read(&mut self, products: &[f32], pitch: usize) {
-        let zero = L::splat(0.0);
+        let token = self.rows[0][0].token();
+        let zero = L::splat(token, 0.0);
         for (z, plane) in self.planes.iter_mut().enumerate() {
             for (y, along_x) in self.rows.iter_mut().enumerate() {
                 let mut products_of_row = [zero; N];
                 for (x, value) in products_of_row.iter_mut().enumerate() {
-                    *value = load(&products[((z * N + y) * N + x) * pitch..], LANES);
+                    *value = load(token, &products[((z * N + y) * N + x) * pitch..], LANES);
                 }
                 *along_x = outputs_of_axis(products_of_row);
             }
@@ -162,7 +163,7 @@ pub(super) fn transform_outputs<L: Lanes, const N: usize>(
     sums: &mut [[f64; 2]],
 ) {
     let &Conv3d { layer, size, .. } = conv;
-    let zero = L::splat(0.0);
+    let zero = L::splat(partial.rows[0][0].token(), 0.0);
     partial.read(products, pitch);
     let lanes = LANES.min(layer.outputs - out * LANES);
     let (mut sum, mut squares) = (zero, zero);
@@ -202,24 +203,27 @@ pub(super) fn inputs_of_axis<L: Lanes, const N: usize>(d: [L; N]) -> [L; N] {
         v[3] = d[1].sub(d[3]);
         return v;
     }
-    let [near, far] = [L::splat(NEAR as f32), L::splat(FAR as f32)];
-    let minus = [L::splat(-(NEAR * NEAR) as f32), L::splat(-(FAR * FAR) as f32)];
-    let [sum, product] = [L::splat(-(NEAR * NEAR + FAR * FAR) as f32), L::splat((NEAR * NEAR * FAR * FAR) as f32)];
+    let token = d[0].token();
+    let [near, far] = [L::splat(token, NEAR as f32), L::splat(token, FAR as f32)];
+    let minus = [L::splat(token, -(NEAR * NEAR) as f32), L::splat(token, -(FAR * FAR) as f32)];
+    let [sum, product] =
+        [L::splat(token, -(NEAR * NEAR + FAR * FAR) as f32), L::splat(token, (NEAR * NEAR * FAR * FAR) as f32)];
     v[0] = d[0].multiply_add(product, d[2].multiply_add(sum, d[4]));
     v[5] = d[1].multiply_add(product, d[3].multiply_add(sum, d[5]));
     let [even, odd] = [d[2].multiply_add(minus[1], d[4]), d[1].multiply_add(minus[1], d[3])];
     v[1] = odd.multiply_add(near, even);
-    v[2] = odd.multiply_add(L::splat(-NEAR as f32), even);
+    v[2] = odd.multiply_add(L::splat(token, -NEAR as f32), even);
     let [even, odd] = [d[2].multiply_add(minus[0], d[4]), d[1].multiply_add(minus[0], d[3])];
     v[3] = odd.multiply_add(far, even);
-    v[4] = odd.multiply_add(L::splat(-FAR as f32), even);
+    v[4] = odd.multiply_add(L::splat(token, -FAR as f32), even);
     v
 }
 
 /// Transforms N products along an axis to M outputs.
 #[inline(always)]
 pub(super) fn outputs_of_axis<L: Lanes, const N: usize>(m: [L; N]) -> [L; MAX_TILE] {
-    let zero = L::splat(0.0);
+    let token = m[0].token();
+    let zero = L::splat(token, 0.0);
     if N == 4 {
         return [m[0].add(m[1]).add(m[2]), m[1].sub(m[2]).sub(m[3]), zero, zero];
     }
@@ -233,7 +237,7 @@ pub(super) fn outputs_of_axis<L: Lanes, const N: usize>(m: [L; N]) -> [L; MAX_TI
         [near_difference, far_difference],
     ]) {
         (near, far) = (near * NEAR as f32, far * FAR as f32);
-        *value = of_near.multiply_add(L::splat(near), of_far.multiply_add(L::splat(far), *value));
+        *value = of_near.multiply_add(L::splat(token, near), of_far.multiply_add(L::splat(token, far), *value));
     }
     y
 }

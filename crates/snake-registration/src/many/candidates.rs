@@ -36,7 +36,7 @@ pub(super) fn pairs(clouds: &[Prepared], count: usize, control: &Control) -> Res
 /// The cosines between the clouds' vectors of residuals to the words (VLAD, Jégou et al. 2010).
 fn similarities(clouds: &[Prepared], control: &Control) -> Result<Vec<Vec<f32>>> {
     let signed = clouds.iter().all(|cloud| cloud.viewpoint.is_some());
-    let dimension = clouds[0].dimension();
+    let dimension = clouds[0].dimension;
     let rows: Vec<&[f32]> = clouds.iter().map(|cloud| cloud.descriptors(signed, control)).collect::<Result<_>>()?;
     let words = words(&rows, dimension, control)?;
     let vectors: Vec<Vec<f32>> = rows.par_iter().map(|rows| aggregate(rows, &words, dimension)).collect();

@@ -31,17 +31,17 @@ use solved::{Solved, solve};
 /// All clouds have the same units. Pairs with similar descriptors are registered as by [`register`](crate::register()). A
 /// transform counts if it is reliable, or if loops of three transforms prove it. The poses fit these transforms, each
 /// weighed by its information matrix; those that contradict the others lose their weight. Clouds that no chain of
-/// transforms links are in different parts.
+/// transforms links are in different parts. A detector or descriptor that runs a model gets it from [`align_with`].
 ///
 /// ```
-/// use snake_core::{Builtin, Model, RigidTransform};
+/// use snake_core::RigidTransform;
 /// use snake_registration::{AlignOptions, align, transform_points};
 /// # let whole = snake_io::read_points(concat!(env!("CARGO_MANIFEST_DIR"), "/../../samples/plane.ply").as_ref())?;
 /// let rows = [[0.0, -1.0, 0.0, 3.0], [1.0, 0.0, 0.0, 0.0], [0.0, 0.0, 1.0, 0.0], [0.0, 0.0, 0.0, 1.0]];
 /// let t_second_first = RigidTransform::from_matrix(rows)?;
 /// let first = whole[..2048].to_vec();
 /// let second = transform_points(&t_second_first, &whole[2048..]);
-/// let found = align(&[first, second], &Model::builtin(Builtin::Compact), &AlignOptions::default())?;
+/// let found = align(&[first, second], &AlignOptions::default())?;
 /// let (angle, distance) = found.poses[1].t_part_cloud.angle_and_distance_to(&t_second_first.inverse());
 /// assert!(found.parts == [[0, 1]] && angle < 0.05 && distance < 0.05);
 /// # Ok::<(), Box<dyn std::error::Error>>(())
@@ -49,18 +49,18 @@ use solved::{Solved, solve};
 ///
 /// # Errors
 /// [`Error::Input`] for fewer than 2 or more than 500 clouds, and for a cloud without finite points or without extent;
-/// [`Error::Option`] when an option is outside its range. Clouds that fit no other cloud are no error.
-pub fn align(clouds: &[impl AsRef<[Point]> + Sync], model: &Model, options: &AlignOptions) -> Result<Alignment> {
-    align_with(clouds, model, options, &Control::default())
+/// [`Error::Option`] when an option is outside its range or needs a model. Clouds that fit no other cloud are no error.
+pub fn align(clouds: &[impl AsRef<[Point]> + Sync], options: &AlignOptions) -> Result<Alignment> {
+    align_with(clouds, None, options, &Control::default())
 }
 
-/// [`align`] with progress and cancellation; a classical detector is not interrupted.
+/// [`align`] with the model of the detector `snake` or the descriptor `field`, progress and cancellation; a classical detector is not interrupted.
 ///
 /// # Errors
 /// The errors of [`align`]; [`Error::Cancelled`] and [`Error::DeadlineExceeded`].
 pub fn align_with(
     clouds: &[impl AsRef<[Point]> + Sync],
-    model: &Model,
+    model: Option<&Model>,
     options: &AlignOptions,
     control: &Control,
 ) -> Result<Alignment> {

@@ -24,7 +24,7 @@ impl Scales {
     pub(super) fn new(
         clouds: &[&[Point]],
         viewpoints: &[Option<[f64; 3]>],
-        model: &Model,
+        model: Option<&Model>,
         options: &RegisterOptions,
         control: &Control,
     ) -> Result<Self> {

@@ -4,10 +4,10 @@ use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
 
 use super::*;
-use crate::RegisterOptions;
 use crate::parts::rigid::tests::{random_points, random_transform};
 use crate::parts::rigid::transform_points;
-use snake_core::{Builtin, CancelFlag};
+use crate::{KeypointDetector, RegisterOptions};
+use snake_core::CancelFlag;
 use snake_geometry::Vector;
 
 /// Three samplings of the sample, each moved; a closed surface that fits none of them is cloud 1.
@@ -24,7 +24,7 @@ fn clouds() -> (Vec<Vec<Point>>, Vec<RigidTransform>) {
 }
 
 fn run(clouds: &[Vec<Point>], options: &AlignOptions) -> Result<Alignment> {
-    align(clouds, &Model::builtin(Builtin::Compact), options)
+    align(clouds, options)
 }
 
 #[test]
@@ -98,12 +98,12 @@ fn bad_clouds_and_options_are_refused() {
         (default.clone().with_register(register.with_source_viewpoint(Some([0.0; 3]))), "source_viewpoint"),
         (default.clone().with_register(register.with_hypotheses(2)), "hypotheses"),
         (default.clone().with_register(register.with_max_matches(1)), "max_matches"),
+        (default.clone().with_register(register.with_detector(KeypointDetector::Snake)), "model"),
     ] {
         assert!(refused(&clouds, &options).contains(name), "{name}");
     }
     let flag = CancelFlag::default();
     flag.cancel();
-    let model = Model::builtin(Builtin::Compact);
-    let stopped = align_with(&clouds, &model, &default, &Control::new().cancel(&flag));
+    let stopped = align_with(&clouds, None, &default, &Control::new().cancel(&flag));
     assert!(matches!(stopped, Err(Error::Cancelled)));
 }

@@ -5,6 +5,7 @@ pub(crate) mod describe;
 pub(crate) mod fine;
 pub(crate) mod icp;
 pub(crate) mod match_graph;
+pub(crate) mod model;
 pub(crate) mod prepared;
 pub(crate) mod register;
 pub(crate) mod scan;
@@ -232,7 +233,7 @@ impl<'a> Pair<'a> {
         let [source, target] = self.clouds;
         let descriptors = [source, target].map(|cloud| cloud.descriptors(self.signed, control));
         let [source_descriptors, target_descriptors] = descriptors;
-        let dimension = source.dimension();
+        let dimension = source.dimension;
         let count = options.max_matches;
         let ranked = ranked_matches(source_descriptors?, target_descriptors?, dimension, count, control)?;
         let matched = |[s, t]: [usize; 2]| Match {

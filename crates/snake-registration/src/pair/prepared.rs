@@ -45,6 +45,8 @@ pub(crate) struct Prepared {
     /// Keypoints, each with the index of the nearest voxel.
     pub(crate) keypoints: Vec<(Point, usize)>,
     descriptor: Descriptor,
+    /// Length of a descriptor.
+    pub(crate) dimension: usize,
     /// Descriptors of the keypoints, `(K, dimension)`: of normals without a sign, and with one.
     descriptors: [OnceLock<Vec<f32>>; 2],
     fine: OnceLock<FineCloud>,
@@ -57,10 +59,11 @@ impl PreparedClouds {
         clouds: &[&[Point]],
         given: &[Option<[f64; 3]>],
         names: &[&'static str],
-        model: &Model,
+        model: Option<&Model>,
         options: &RegisterOptions,
         control: &Control,
     ) -> Result<Self> {
+        let model = options.model_of(model)?;
         let named = |index: usize| move |error| named(error, index, names);
         let used = |(index, points)| FinitePoints::of("points", points).map_err(|error| named(index)(error.into()));
         let used: Vec<FinitePoints> = clouds.iter().copied().enumerate().map(used).collect::<Result<_>>()?;
@@ -92,11 +95,16 @@ impl PreparedClouds {
             let (points, original) = (&points[index], clouds[index].len());
             let viewpoint = viewpoint(&voxels.points, given[index], options, inlier_distance);
             let orientation = viewpoint.map_or(Orientation::Unsigned, |(at, _)| Orientation::Viewpoint(at));
-            let scan = Scan::of(points, voxels, model, lengths, orientation, control).map_err(named(index))?;
+            let scan = Scan::of(points, voxels, lengths, orientation, control).map_err(named(index))?;
+            let scan = match model {
+                Some(model) => scan.with_model(model, Scan::default_options(model, voxel_size)),
+                None => scan,
+            };
             // The clouds get different random keypoints. With one seed, equal clouds would have a partner for every keypoint.
             let seed = options.seed.wrapping_add(index as u64);
             let keypoints = scan.anchored_keypoints(options, seed, control)?;
             Ok(Prepared {
+                dimension: scan.dimension(options.descriptor)?,
                 scan,
                 diameter: diameters[index],
                 num_skipped: original - points.len(),
@@ -118,11 +126,6 @@ impl Prepared {
     /// The voxel size for a pair of clouds of this size.
     pub(crate) fn default_voxel_size(&self) -> f64 {
         self.diameter / VOXELS_PER_DIAMETER
-    }
-
-    /// Length of a descriptor.
-    pub(crate) fn dimension(&self) -> usize {
-        self.scan.dimension(self.descriptor)
     }
 
     /// The voxels, for pairs closer than `distance`; `signed` normals point to the sensor.

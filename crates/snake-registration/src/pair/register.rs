@@ -12,17 +12,17 @@ use crate::result::Registration;
 
 /// Finds the rigid transform from `source` `(N, 3)` to `target` `(M, 3)` without an initial guess.
 ///
-/// Both clouds are in the same units; they may overlap only in part. `model` runs only if the options ask for its
-/// keypoints or descriptors.
+/// Both clouds are in the same units; they may overlap only in part. A detector or descriptor that runs a model gets it
+/// from [`register_with`].
 ///
 /// ```
-/// use snake_core::{Builtin, Model, RigidTransform};
+/// use snake_core::RigidTransform;
 /// use snake_registration::{RegisterOptions, register, transform_points};
 /// # let source = snake_io::read_points(concat!(env!("CARGO_MANIFEST_DIR"), "/../../samples/plane.ply").as_ref())?;
 /// let rows = [[0.0, -1.0, 0.0, 3.0], [1.0, 0.0, 0.0, 0.0], [0.0, 0.0, 1.0, 0.0], [0.0, 0.0, 0.0, 1.0]];
 /// let t_target_source = RigidTransform::from_matrix(rows)?;
 /// let target = transform_points(&t_target_source, &source);
-/// let found = register(&source, &target, &Model::builtin(Builtin::Compact), &RegisterOptions::default())?;
+/// let found = register(&source, &target, &RegisterOptions::default())?;
 /// let (angle, distance) = found.t_target_source.angle_and_distance_to(&t_target_source);
 /// assert!(angle < 0.05 && distance < 0.05 && found.is_reliable);
 /// # Ok::<(), Box<dyn std::error::Error>>(())
@@ -31,12 +31,12 @@ use crate::result::Registration;
 /// # Errors
 /// [`Error::Input`](snake_core::Error::Input) for a cloud without finite points or without extent;
 /// [`Error::NoTransform`](snake_core::Error::NoTransform) when no three matches fit a rigid transform;
-/// [`Error::Option`](snake_core::Error::Option) when an option is outside its range.
-pub fn register(source: &[Point], target: &[Point], model: &Model, options: &RegisterOptions) -> Result<Registration> {
-    register_with(source, target, model, options, &Control::default())
+/// [`Error::Option`](snake_core::Error::Option) when an option is outside its range or needs a model.
+pub fn register(source: &[Point], target: &[Point], options: &RegisterOptions) -> Result<Registration> {
+    register_with(source, target, None, options, &Control::default())
 }
 
-/// [`register`] with progress and cancellation; a classical detector is not interrupted.
+/// [`register`] with the model of the detector `snake` or the descriptor `field`, progress and cancellation; a classical detector is not interrupted.
 ///
 /// # Errors
 /// The errors of [`register`]; [`Error::Cancelled`](snake_core::Error::Cancelled) and
@@ -44,7 +44,7 @@ pub fn register(source: &[Point], target: &[Point], model: &Model, options: &Reg
 pub fn register_with(
     source: &[Point],
     target: &[Point],
-    model: &Model,
+    model: Option<&Model>,
     options: &RegisterOptions,
     control: &Control,
 ) -> Result<Registration> {
@@ -80,7 +80,8 @@ mod tests {
     }
 
     fn run(source: &[Point], target: &[Point], options: &RegisterOptions) -> Result<Registration> {
-        register(source, target, &Model::builtin(Builtin::Compact), options)
+        let model = options.needs_model().then(|| Model::builtin(Builtin::Compact));
+        register_with(source, target, model.as_ref(), options, &Control::default())
     }
 
     /// The largest coordinate difference between the points under two transforms.
@@ -116,6 +117,18 @@ mod tests {
         };
         let (refined, rough) = (error(options), error(RegisterOptions { refine_steps: 0, ..options }));
         assert!(refined < 0.02 && rough > refined, "{refined} {rough}");
+    }
+
+    #[test]
+    fn options_that_run_a_model_need_one_before_anything_is_computed() {
+        let points = sample();
+        let snake = options().with_detector(KeypointDetector::Snake);
+        for options in [snake, options().with_descriptor(Descriptor::Field), snake.with_num_keypoints(Some(9))] {
+            let error = register(&points, &points, &options).unwrap_err().to_string();
+            assert!(error.contains("`model` is none") && error.contains("snake"), "{error}");
+            // No point of these clouds can be used.
+            assert_eq!(register(&[], &[], &options).unwrap_err().to_string(), error);
+        }
     }
 
     #[test]

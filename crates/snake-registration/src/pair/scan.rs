@@ -8,6 +8,7 @@ use rand_chacha::ChaCha8Rng;
 
 use crate::detectors::{Detector, Harris3dOptions, IssOptions, Protocol, Sift3dOptions};
 use crate::options::{Descriptor, KeypointDetector, RegisterOptions};
+use crate::pair::model::no_model;
 use crate::parts::cloud::{Orientation, check_radius, normals, voxel_means};
 use crate::parts::fast_fpfh;
 use crate::parts::fpfh::FPFH_DIMENSION;
@@ -22,7 +23,7 @@ use snake_geometry::{
 };
 
 /// A cloud with the data for matching. Each part is computed when it is first needed and then kept for all detectors
-/// and descriptors. The model runs only for a detector or descriptor that needs its field.
+/// and descriptors. Only [`KeypointDetector::Snake`] and [`Descriptor::Field`] need a model, which [`Scan::with_model`] brings.
 pub struct Scan {
     pub(crate) voxels: Neighbors,
     pub(crate) normals: Vec<Vector>,
@@ -31,9 +32,8 @@ pub struct Scan {
     orientation: Orientation,
     /// The finite points.
     pub(crate) points: Vec<Point>,
-    model: Model,
-    /// The options of the model's keypoints and field.
-    options: Options,
+    /// The model of the field, and the options of its keypoints and field.
+    model: Option<(Model, Options)>,
     field: OnceLock<Field>,
     /// FPFH of all voxels: of normals without a sign, and with one.
     fpfh: [OnceLock<Vec<f32>>; 2],
@@ -46,8 +46,8 @@ impl Scan {
     /// # Errors
     /// [`Error::Input`](snake_core::Error::Input) for a cloud without finite points or without extent;
     /// [`Error::Option`](snake_core::Error::Option) when the voxel size is not positive.
-    pub fn new(points: &[Point], model: &Model, voxel_size: f64) -> Result<Self> {
-        Self::new_with(points, model, voxel_size, &Control::default())
+    pub fn new(points: &[Point], voxel_size: f64) -> Result<Self> {
+        Self::new_with(points, voxel_size, &Control::default())
     }
 
     /// [`Scan::new`] with progress and cancellation.
@@ -55,18 +55,17 @@ impl Scan {
     /// # Errors
     /// The errors of [`Scan::new`]; [`Error::Cancelled`](snake_core::Error::Cancelled) and
     /// [`Error::DeadlineExceeded`](snake_core::Error::DeadlineExceeded).
-    pub fn new_with(points: &[Point], model: &Model, voxel_size: f64, control: &Control) -> Result<Self> {
+    pub fn new_with(points: &[Point], voxel_size: f64, control: &Control) -> Result<Self> {
         check_radius("voxel_size", voxel_size)?;
         let points = FinitePoints::of("points", points)?.points;
         let voxels = reduce(&points, voxel_size, control)?;
-        Self::of(&points, voxels, model, [voxel_size, 2.0 * voxel_size, 7.0 * voxel_size], Orientation::Mean, control)
+        Self::of(&points, voxels, [voxel_size, 2.0 * voxel_size, 7.0 * voxel_size], Orientation::Mean, control)
     }
 
     /// [`Scan::new`] of finite points and their voxels; `lengths` are voxel size, radius of normals and radius of FPFH.
     pub(crate) fn of(
         points: &[Point],
         voxels: Neighbors,
-        model: &Model,
         lengths: [f64; 3],
         orientation: Orientation,
         control: &Control,
@@ -84,8 +83,7 @@ impl Scan {
             feature_radius,
             orientation,
             points: points.to_vec(),
-            model: model.clone(),
-            options: Self::default_options(model, voxel_size),
+            model: None,
             field: OnceLock::new(),
             fpfh: Default::default(),
         })
@@ -101,10 +99,15 @@ impl Scan {
         recommended.with_encode(encode).with_detect(detect.with_nms_radius(Some(Length::Units(voxel_size))))
     }
 
-    /// Takes other options for the model's keypoints and field. Their `max_keypoints` is not used.
+    /// Adds the model of [`KeypointDetector::Snake`] and [`Descriptor::Field`], with the options of its keypoints and field
+    /// (see [`Scan::default_options`]). Their `max_keypoints` is not used.
     #[must_use]
-    pub fn with_options(self, options: Options) -> Self {
-        Self { options, field: OnceLock::new(), ..self }
+    pub fn with_model(self, model: &Model, options: Options) -> Self {
+        Self { model: Some((model.clone(), options)), field: OnceLock::new(), ..self }
+    }
+
+    fn model(&self) -> Result<&(Model, Options)> {
+        self.model.as_ref().ok_or_else(no_model)
     }
 
     /// At most `count` keypoints `(K, 3)` in the cloud's frame, best first, and no more than the cloud has points. Only
@@ -112,8 +115,8 @@ impl Scan {
     ///
     /// # Errors
     /// [`Error::Input`](snake_core::Error::Input) when a classical detector is used on a single voxel;
-    /// [`Error::Option`](snake_core::Error::Option) when `count` is 0; [`Error::Weights`](snake_core::Error::Weights)
-    /// when the model overflows.
+    /// [`Error::Option`](snake_core::Error::Option) when `count` is 0 or the scan has no model for its keypoints;
+    /// [`Error::Weights`](snake_core::Error::Weights) when the model overflows.
     pub fn keypoints(&self, detector: KeypointDetector, count: usize, seed: u64) -> Result<Vec<Point>> {
         self.keypoints_with(detector, count, seed, &Control::default())
     }
@@ -220,12 +223,13 @@ impl Scan {
         if let Some(field) = self.field.get() {
             return Ok(field);
         }
-        let field = self.model.encode_with(&self.points, &self.options.encode, control)?;
+        let (model, options) = self.model()?;
+        let field = model.encode_with(&self.points, &options.encode, control)?;
         Ok(self.field.get_or_init(|| field))
     }
 
     fn salient_points(&self, most: usize, control: &Control) -> Result<Vec<Point>> {
-        let options = self.options.detect.with_max_keypoints(most);
+        let options = self.model()?.1.detect.with_max_keypoints(most);
         let found = self.field(control)?.detect_with(&options, control)?;
         Ok(found.keypoints.into_iter().map(|keypoint| keypoint.position).collect())
     }
@@ -234,6 +238,7 @@ impl Scan {
     ///
     /// # Errors
     /// [`Error::Input`](snake_core::Error::Input) for coordinates that are not finite;
+    /// [`Error::Option`](snake_core::Error::Option) for descriptors of the field of a scan without a model;
     /// [`Error::Weights`](snake_core::Error::Weights) when the model overflows.
     pub fn descriptors(&self, points: &[Point], descriptor: Descriptor) -> Result<Vec<f32>> {
         self.descriptors_with(points, descriptor, &Control::default())
@@ -252,10 +257,13 @@ impl Scan {
     }
 
     /// Length of a descriptor.
-    pub fn dimension(&self, descriptor: Descriptor) -> usize {
+    ///
+    /// # Errors
+    /// [`Error::Option`](snake_core::Error::Option) for descriptors of the field of a scan without a model.
+    pub fn dimension(&self, descriptor: Descriptor) -> Result<usize> {
         match descriptor {
-            Descriptor::Fpfh => FPFH_DIMENSION,
-            Descriptor::Field => self.model.config().c_dim,
+            Descriptor::Fpfh => Ok(FPFH_DIMENSION),
+            Descriptor::Field => Ok(self.model()?.0.config().c_dim),
         }
     }
 
@@ -304,9 +312,18 @@ mod tests {
         snake_io::read_points(concat!(env!("CARGO_MANIFEST_DIR"), "/../../samples/plane.ply").as_ref()).unwrap()
     }
 
+    fn with_model(scan: Scan, model: &Model) -> Scan {
+        let options = Scan::default_options(model, scan.voxel_size);
+        scan.with_model(model, options)
+    }
+
+    fn scan_of(points: &[Point], voxel_size: f64) -> Scan {
+        with_model(Scan::new(points, voxel_size).unwrap(), &Model::builtin(Builtin::Compact))
+    }
+
     #[test]
     fn every_detector_has_keypoints_of_its_own_on_the_cloud_best_first() {
-        let scan = Scan::new(&sample(), &Model::builtin(Builtin::Compact), 0.02).unwrap();
+        let scan = scan_of(&sample(), 0.02);
         let mut earlier: Vec<Vec<Point>> = Vec::new();
         for detector in [Voxels, Snake, Iss, Harris3d, Sift3d, Fps, Random] {
             let keypoints = |count, seed| scan.keypoints(detector, count, seed).unwrap();
@@ -320,7 +337,7 @@ mod tests {
             earlier.push(found);
         }
         let sparse: Vec<Point> = sample().into_iter().step_by(20).collect();
-        let scan_of_sparse = Scan::new(&sparse, &Model::builtin(Builtin::Compact), 1e-3).unwrap();
+        let scan_of_sparse = scan_of(&sparse, 1e-3);
         assert_eq!(scan_of_sparse.keypoints(Snake, 100_000, 0).unwrap().len(), sparse.len());
         let error = scan.keypoints(Iss, 0, 0).unwrap_err().to_string();
         assert!(error.contains("count"), "{error}");
@@ -328,7 +345,7 @@ mod tests {
 
     #[test]
     fn spread_keypoints_have_the_wanted_number_and_cover_the_cloud() {
-        let scan = Scan::new(&sample(), &Model::builtin(Builtin::Compact), 0.02).unwrap();
+        let scan = scan_of(&sample(), 0.02);
         let uncovered = |keypoints: &[Point]| {
             let tree = Neighbors::new(keypoints.iter().map(|&point| vector(point)).collect()).unwrap();
             scan.voxels.points.iter().map(|voxel| tree.distance(voxel)).sum::<f64>()
@@ -351,14 +368,14 @@ mod tests {
     fn a_model_that_recommends_several_copies_encodes_one() {
         let model = Model::named("standard").unwrap();
         assert!(model.recommended().encode.rotations > 1);
-        let scan = Scan::new(&sample(), &model, 0.05).unwrap();
+        let scan = with_model(Scan::new(&sample(), 0.05).unwrap(), &model);
         assert_eq!(scan.keypoints(Snake, 10, 0).unwrap().len(), 10);
     }
 
     #[test]
     fn the_model_runs_only_for_what_asks_for_its_field_and_once() {
         for name in Model::NAMES {
-            let scan = Scan::new(&sample(), &Model::named(name).unwrap(), 0.05).unwrap();
+            let scan = with_model(Scan::new(&sample(), 0.05).unwrap(), &Model::named(name).unwrap());
             scan.keypoints(Iss, 10, 0).unwrap();
             scan.descriptors(&sample()[..3], Descriptor::Fpfh).unwrap();
             assert!(scan.field.get().is_none(), "{name}");
@@ -371,12 +388,31 @@ mod tests {
     }
 
     #[test]
+    fn a_scan_without_a_model_has_all_but_its_keypoints_and_descriptors() {
+        let scan = Scan::new(&sample(), 0.05).unwrap();
+        for detector in [Voxels, Iss, Harris3d, Sift3d, Fps, Random] {
+            assert!(!scan.keypoints(detector, 10, 0).unwrap().is_empty(), "{detector:?}");
+        }
+        assert_eq!(scan.descriptors(&sample()[..3], Descriptor::Fpfh).unwrap().len(), 3 * FPFH_DIMENSION);
+        let refused = [
+            scan.keypoints(Snake, 10, 0).err(),
+            scan.spread_keypoints_with(Snake, 10, 0, &Control::default()).err(),
+            scan.descriptors(&sample()[..3], Descriptor::Field).err(),
+            scan.dimension(Descriptor::Field).err(),
+        ];
+        for error in refused {
+            let error = error.unwrap().to_string();
+            assert!(error.contains("`model` is none"), "{error}");
+        }
+    }
+
+    #[test]
     fn descriptors_are_rows_of_the_voxel_nearest_to_each_point() {
-        let scan = Scan::new(&sample(), &Model::builtin(Builtin::Compact), 0.05).unwrap();
+        let scan = scan_of(&sample(), 0.05);
         let voxels: Vec<Point> = scan.voxels.points.iter().map(|point| point.map(|v| v as f32).into()).collect();
         for descriptor in [Descriptor::Fpfh, Descriptor::Field] {
             let all = scan.descriptors(&voxels, descriptor).unwrap();
-            let dimension = scan.dimension(descriptor);
+            let dimension = scan.dimension(descriptor).unwrap();
             assert_eq!(all.len(), voxels.len() * dimension);
             assert_eq!(scan.descriptors(&voxels[7..9], descriptor).unwrap(), all[7 * dimension..9 * dimension]);
             assert!(scan.descriptors(&[[f32::NAN; 3]], descriptor).is_err());
@@ -389,8 +425,7 @@ mod tests {
 
     #[test]
     fn clouds_and_sizes_that_cannot_be_used_are_refused() {
-        let model = Model::builtin(Builtin::Compact);
-        let scan = |points: &[Point], size| Scan::new(points, &model, size).err().unwrap().to_string();
+        let scan = |points: &[Point], size| Scan::new(points, size).err().unwrap().to_string();
         assert!(scan(&[], 0.1).contains("no points"));
         assert!(scan(&[[f32::NAN; 3]; 2], 0.1).contains("finite"));
         assert!(scan(&[[1.0; 3]; 4], 0.1).contains("two different"));

@@ -9,7 +9,7 @@ mod encoder;
 mod levels;
 pub(crate) mod measured;
 mod scatter;
-mod sweep;
+pub(crate) mod sweep;
 #[cfg(test)]
 mod tests;
 mod unet;
@@ -17,5 +17,4 @@ mod voxel_size;
 
 pub(crate) use self::block_grid::BlockGrid;
 pub(crate) use self::encoder::{SceneEncoder, SceneMemory};
-pub(crate) use self::sweep::is_sweep;
 pub(crate) use self::voxel_size::voxel_size;

@@ -1,0 +1,82 @@
+//! Levels of instructions.
+
+use std::sync::OnceLock;
+
+#[cfg(target_arch = "x86_64")]
+use super::lanes::{Avx2Token, Avx512Token};
+
+/// A level of instructions that this processor has.
+///
+/// Only detection makes one ([`SimdLevel::available`], [`SimdLevel::current`]), so a kernel that is given a level can rely
+/// on its instructions: it holds the token of the lanes of these instructions.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct SimdLevel(pub(crate) Instructions);
+
+/// The instructions that kernels are compiled for.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) enum Instructions {
+    /// Plain loops: SSE2 on x86-64, and whatever the compiler makes of them on others.
+    Portable,
+    /// NEON, which every aarch64 processor has.
+    #[cfg(target_arch = "aarch64")]
+    Neon,
+    /// AVX2 with fused multiply-add.
+    #[cfg(target_arch = "x86_64")]
+    Avx2(Avx2Token),
+    /// AVX-512 F with fused multiply-add.
+    #[cfg(target_arch = "x86_64")]
+    Avx512(Avx512Token),
+}
+
+impl SimdLevel {
+    /// The levels that this processor has, slowest first.
+    pub fn available() -> Vec<Self> {
+        #[allow(unused_mut)]
+        let mut levels = vec![Self(Instructions::Portable)];
+        #[cfg(target_arch = "aarch64")]
+        levels.push(Self(Instructions::Neon));
+        #[cfg(target_arch = "x86_64")]
+        levels.extend(Avx2Token::new().map(|token| Self(Instructions::Avx2(token))));
+        #[cfg(target_arch = "x86_64")]
+        levels.extend(Avx512Token::new().map(|token| Self(Instructions::Avx512(token))));
+        levels
+    }
+
+    /// The level in use. The first call chooses it, unless [`SimdLevel::make_current`] did: the level that the environment
+    /// variable `SNAKE_SIMD` names (`portable`, `avx2`, `avx512`, `neon`) if this processor has it, else the fastest.
+    pub fn current() -> Self {
+        *CURRENT.get_or_init(|| {
+            let wanted = std::env::var("SNAKE_SIMD").unwrap_or_default();
+            let levels = Self::available();
+            let named = levels.iter().find(|level| level.name() == wanted);
+            named.or(levels.last()).copied().unwrap_or(Self(Instructions::Portable))
+        })
+    }
+
+    /// Chooses this level for the program. All calls of a program use one level, so that they give the same bits.
+    ///
+    /// # Errors
+    /// The level in use, when another level is in use already: call this before anything else.
+    pub fn make_current(self) -> Result<(), Self> {
+        match *CURRENT.get_or_init(|| self) {
+            level if level == self => Ok(()),
+            level => Err(level),
+        }
+    }
+
+    /// The name of the level, as in `SNAKE_SIMD`.
+    pub fn name(self) -> &'static str {
+        match self.0 {
+            Instructions::Portable => "portable",
+            #[cfg(target_arch = "aarch64")]
+            Instructions::Neon => "neon",
+            #[cfg(target_arch = "x86_64")]
+            Instructions::Avx2(_) => "avx2",
+            #[cfg(target_arch = "x86_64")]
+            Instructions::Avx512(_) => "avx512",
+        }
+    }
+}
+
+/// The level in use.
+static CURRENT: OnceLock<SimdLevel> = OnceLock::new();
