@@ -51,7 +51,7 @@ def test_the_recipe_of_the_released_weights_runs(tmp_path):
         knots = json.loads(file.metadata()["confidence"])
     assert all(0 <= probability <= 1 for _, probability in knots) and knots == sorted(knots)
     pairs = json.loads((tmp_path / "scenes/drives/pairs.json").read_text())
-    assert [pair["source"] for pair in pairs] == ["drive500_1", "drive500_2"]
+    assert [pair["source"] for pair in pairs] == ["drive100_1", "drive100_2"]
 
 
 @pytest.mark.parametrize("name", ["compact", "standard", "paper"])
