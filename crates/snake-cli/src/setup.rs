@@ -92,10 +92,11 @@ impl ComputeArguments {
         Ok(models)
     }
 
-    /// [`ComputeArguments::load_models`] for a registration; `None` if its options run no model.
+    /// [`ComputeArguments::load_models`] for a registration; `None` if its options run no model and none is named. A model that
+    /// is named is loaded, so that a mistake in its name is said.
     pub fn load_for_registration(&self, options: &RegisterOptions) -> Result<Option<Models>> {
         let load = || self.load_models(Suits::TheCloud, |loaded| Ok(loaded.options));
-        options.needs_model().then(load).transpose()
+        (options.needs_model() || self.named()?.is_some()).then(load).transpose()
     }
 
     /// The model that is named on the command line, in the environment or in the configuration.

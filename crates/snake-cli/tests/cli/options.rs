@@ -28,6 +28,10 @@ fn every_option_of_a_table_is_known_everywhere() {
                 assert_eq!(help.contains(&flag), !option.flag.is_empty(), "{command}{flag}");
             }
             assert!(option.flag.is_empty() || help.contains(&option.help()), "{command}{flag}: {help}");
+            if option.flag.is_empty() && name != "initial" {
+                let said = stderr(&snake(&[command, &sample(), &sample(), flag.trim(), "1"]));
+                assert!(said.contains(&format!("type --set {name}=VALUE")), "{said}");
+            }
             // A value of the wrong type is refused by name, so the name is known.
             let given = [command, &sample(), &sample(), "--set", &format!("{name}={{}}")].map(str::to_owned);
             let said = stderr(&snake(&given.each_ref().map(String::as_str)));

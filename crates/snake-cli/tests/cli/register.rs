@@ -16,17 +16,19 @@ fn rotated_sample(folder: &Path) -> String {
 }
 
 #[test]
-fn no_model_is_loaded_unless_the_options_run_one() {
-    let missing = |command: &str, more: &[&str]| {
-        snake(&[&[command, &sample(), &sample(), "--model", "missing.safetensors"], more].concat())
+fn no_model_is_loaded_unless_the_options_run_one_or_it_is_named() {
+    let loaded = |command: &str, more: &[&str]| {
+        let output = snake(&[&[command, &sample(), &sample(), "-v"], more].concat());
+        (output.status.success(), stderr(&output).contains("\nmodel: compact"))
     };
     for command in ["register", "align"] {
-        let output = missing(command, &[]);
-        assert!(output.status.success(), "{command}: {}", stderr(&output));
-        for options in [["--detector", "snake"], ["--set", "descriptor=field"]] {
-            let output = missing(command, &options);
-            assert!(!output.status.success() && stderr(&output).contains("missing.safetensors"), "{}", stderr(&output));
+        assert_eq!(loaded(command, &[]), (true, false), "{command}");
+        for options in [["--detector", "snake"], ["--set", "descriptor=field"], ["--model", "compact"]] {
+            assert!(loaded(command, &options).1, "{command} {options:?}");
         }
+        let output = snake(&[command, &sample(), &sample(), "--model", "missing.safetensors"]);
+        assert_eq!(output.status.code(), Some(2), "{command}");
+        assert!(stderr(&output).contains("missing.safetensors"), "{}", stderr(&output));
     }
 }
 
