@@ -9,9 +9,10 @@
 //! | question | structure |
 //! |---|---|
 //! | nearest points, or all within any radius, in f64 or f32 | [`KdTree`] (kiddo's tree) |
-//! | all neighbours within one radius, with normals and covariances | [`Neighbors`], on that tree |
+//! | the same in f64, with normals, covariances and the resolution | [`Neighbors`], on that tree |
 //! | all candidates within one radius, with no allocation | [`RadiusCells`], one grid of cells |
-//! | nearest different point of every point of a large cloud, on all threads | [`PointTree`] |
+//! | the nearest point, of a cloud or of each keypoint, with no allocation | [`PointTree`] |
+//! | the nearest point within one distance, for every step of ICP | `NearGrid` of snake-registration, cells of a box |
 //!
 //! Lengths are in the units of the cloud. Results have the same bits for any number of threads.
 
