@@ -35,7 +35,7 @@ fn main() -> Result<(), Box<dyn Error>> {
     let options = pool.install(|| model.realtime_options(target, num_points))?;
     let mut detector = Detector::new(model, options)?;
     let mut detection = Detection::default();
-    println!("{:?} points", options.encode.max_points);
+    println!("points: {:?}, voxel size: {:?}", options.encode.max_points, options.encode.voxel_size);
 
     let sweeps: Vec<_> = (0..20).map(|number| sweep::sweep(num_points, 0.5 * number as f32)).collect();
     let (mut wall, mut processor) = (Vec::new(), Vec::new());

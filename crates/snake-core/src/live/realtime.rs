@@ -7,12 +7,14 @@ use crate::detect::options::Options;
 use crate::live::detector::Detector;
 use crate::models::Model;
 use crate::{Error, Result};
-use snake_geometry::{NormalizationMethod, Point};
+use snake_geometry::{Length, NormalizationMethod, Point};
 
 /// Query resolutions from fine to coarse.
 const RESOLUTIONS: [usize; 4] = [64, 48, 32, 24];
 /// Numbers of encoded points whose run times are measured.
 const SAMPLES: [usize; 2] = [2048, 16_384];
+/// Sizes of a voxel of a scene model, in resolutions of the cloud.
+const VOXELS: [f64; 11] = [1.25, 1.6, 2.0, 2.5, 3.15, 4.0, 5.0, 6.3, 8.0, 10.0, 12.5];
 /// A finer query grid is not worth fewer points than this.
 const FEW: usize = 8192;
 /// Numbers of points are rounded down to a multiple of this.
@@ -30,11 +32,14 @@ impl Model {
     /// [`DetectOptions::query_resolution`](crate::DetectOptions::query_resolution). Clouds are encoded as they lie, not in
     /// their principal axes: consecutive frames of a sensor lie alike, while their principal axes may change places.
     ///
+    /// A scene model keeps all points. Its budget is the size of a voxel
+    /// ([`EncodeOptions::voxel_size`](crate::EncodeOptions::voxel_size)), in resolutions of the cloud.
+    ///
     /// Detections of a made cloud of `num_points` points are measured, on the current Rayon pool, so call this in the pool
     /// that will detect, once. The options then fix the results: the same options give the same keypoints on any machine.
     /// Keep them, as JSON for example, to repeat a run. The target is not guaranteed: a
-    /// [deadline](crate::Control::deadline) stops what takes too long. If not even the smallest budget of 1024 points meets
-    /// the target, the smallest budget is returned.
+    /// [deadline](crate::Control::deadline) stops what takes too long. If not even the smallest budget of 1024 points, or of
+    /// voxels of 12.5 resolutions, meets the target, the smallest budget is returned.
     ///
     /// # Errors
     /// [`Error::Option`] for a target of zero, for fewer than two points or more than 10⁸.
@@ -47,19 +52,37 @@ impl Model {
             return Err(Error::Option { name: "num_points", value: num_points.to_string(), allowed });
         }
         let cloud = room(num_points);
+        let seconds_of_budget = target.as_secs_f64() * SHARE;
+        if self.config().frame().is_none() {
+            return self.voxels_within(&cloud, seconds_of_budget);
+        }
         let mut best = None;
         for query_resolution in RESOLUTIONS {
             let mut seconds = [0.0; 2];
             for (seconds, max_points) in seconds.iter_mut().zip(SAMPLES) {
                 *seconds = self.median_seconds(&cloud, self.budget(query_resolution, max_points))?;
             }
-            let points = affordable_points(seconds, target.as_secs_f64() * SHARE);
+            let points = affordable_points(seconds, seconds_of_budget);
             best = Some(self.budget(query_resolution, points));
             if points >= FEW {
                 break;
             }
         }
         Ok(best.unwrap_or(*self.recommended()))
+    }
+
+    /// The options of a scene model with the smallest voxels that take at most so many seconds.
+    fn voxels_within(&self, cloud: &[Point], seconds: f64) -> Result<Options> {
+        let recommended = *self.recommended();
+        let with = |voxel_size| recommended.with_encode(recommended.encode.with_voxel_size(voxel_size));
+        let mut budget = recommended;
+        for voxel_size in [None].into_iter().chain(VOXELS.map(|number| Some(Length::Resolutions(number)))) {
+            budget = with(voxel_size);
+            if self.median_seconds(cloud, budget)? <= seconds {
+                break;
+            }
+        }
+        Ok(budget)
     }
 
     fn budget(&self, query_resolution: usize, max_points: usize) -> Options {
@@ -142,6 +165,19 @@ mod tests {
             let again = one_thread.install(|| model.detect(&cloud, &read)).unwrap();
             assert_eq!((again.keypoints, again.counts), (found.keypoints, found.counts));
         }
+    }
+
+    #[test]
+    fn a_scene_keeps_its_points_and_has_larger_voxels_for_a_shorter_time() {
+        let model = Model::builtin(Builtin::Scenes);
+        let cloud = room(3000);
+        let size = |target| model.realtime_options(target, cloud.len()).unwrap().encode.voxel_size;
+        assert_eq!(size(Duration::from_secs(1000)), None);
+        assert_eq!(size(Duration::from_nanos(1)), Some(Length::Resolutions(12.5)));
+        let options = model.realtime_options(Duration::from_nanos(1), cloud.len()).unwrap();
+        let found = model.detect(&cloud, &options).unwrap();
+        assert_eq!(found.num_encoded, cloud.len());
+        assert!(found.voxel_size > model.detect(&cloud, model.recommended()).unwrap().voxel_size);
     }
 
     #[test]
