@@ -37,7 +37,7 @@ snake-cli eval repeatability OBJECTS --model compact --methods snake,snakex4,iss
     --coverage 0.14 --epsilon 0.04 --downsample 1 --noise 0 --limit 58    # snakex4 is standard
 snake-cli eval repeatability SCENES --model scenes --methods snake,iss,sift3d --limit 30 --coverage 0.197 --epsilon 0.16 \\
     --table-epsilon 0.16 --downsample 1,8 --noise 0
-snake-cli eval repeatability SWEEPS --model scenes --methods snake,iss,sift3d --count 128 --coverage 3 --epsilon 0.5 \\
+snake-cli eval repeatability SWEEPS --model scenes --methods snake,iss,sift3d --max-keypoints 128 --coverage 3 --epsilon 0.5 \\
     --num-points 30000 --downsample 1 --noise 0
 ```
 """
@@ -197,7 +197,7 @@ def main() -> None:
             few = [
                 "--descriptors",
                 "fpfh",
-                "--keypoints",
+                "--max-keypoints",
                 "500,250,100",
                 *(["--limit", str(MORE_PAIRS)] if number else []),
             ]

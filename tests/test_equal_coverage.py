@@ -37,7 +37,7 @@ def pair(tmp_path):
 def test_methods_cover_as_asked(compiled, pair):
     folder, _ = pair
     asked = 0.088
-    methods = ["--methods", "snake,iss", "--model", "compact", "--count", "40"]
+    methods = ["--methods", "snake,iss", "--model", "compact", "--max-keypoints", "40"]
     alike = report(compiled, folder, *methods, "--coverage", asked)
     assert all(0.9 * asked < row["coverage"] <= 1.001 * asked for row in alike.values()), alike
     own = report(compiled, folder, *methods)
@@ -57,8 +57,8 @@ def test_keypoints_of_files_are_ranked_by_their_scores(compiled, pair):
         moved = keypoints[order] + np.float32([shift, 0, 0])
         np.savez(folder / f"found/{name}.npz", keypoints=moved, scores=scores[order])
     external = ["--methods", "random", "--external", f"other={folder / 'found'}"]
-    assert report(compiled, folder, *external, "--count", "20")["other"]["repeatability"] == [1.0]
-    whole = report(compiled, folder, *external, "--count", "40")["other"]
+    assert report(compiled, folder, *external, "--max-keypoints", "20")["other"]["repeatability"] == [1.0]
+    whole = report(compiled, folder, *external, "--max-keypoints", "40")["other"]
     assert whole["keypoints"] == 40 and 0.5 <= whole["repeatability"][0] < 0.75
 
 

@@ -89,7 +89,7 @@ def test_radii_can_be_multiples_of_the_resolution(field, points):
         ({"selection": "x"}, "option `selection` is x: .*`best-position` or `reference-final-position`"),
         (
             {"preset": "kitti"},
-            "option `preset` is kitti: allowed is modelnet40, keypointnet, smpl, redwood, 3dmatch or standard",
+            "option `preset` is kitti: allowed is modelnet40, keypointnet, smpl, redwood or 3dmatch",
         ),
         ({"nms_radius": -1}, r"option `nms_radius` is -1: allowed is 0 or more \(cloud units, "),
         ({"nms_radius": float("nan")}, "option `nms_radius` is nan: expected finite numbers"),

@@ -99,7 +99,7 @@ _Positions: TypeAlias = NDArray[np.float32] | NDArray[np.float64]
 
 @type_check_only
 class _Preset(TypedDict, total=False):
-    preset: Literal["modelnet40", "keypointnet", "smpl", "redwood", "3dmatch", "standard"] | None
+    preset: Literal["modelnet40", "keypointnet", "smpl", "redwood", "3dmatch"] | None
 
 @type_check_only
 class _EncodeOptions(_Preset, total=False):

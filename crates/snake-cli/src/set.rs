@@ -73,9 +73,13 @@ pub fn shown(value: &Value) -> String {
     }
 }
 
-/// What to type instead of a flag that is no flag but the name of an option, such as `--refine-steps`.
+/// What to type instead of a flag that is no flag but the name of an option, such as `--refine-steps`, or an earlier name of
+/// one.
 pub fn instead_of(flag: &str) -> Option<String> {
     let name = flag.strip_prefix("--")?.split('=').next()?.replace('-', "_");
+    if ["count", "keypoints"].contains(&&name[..]) {
+        return Some("type --max-keypoints NUMBER".into());
+    }
     let tables = [EncodeOptions::OPTIONS, DetectOptions::OPTIONS, RegisterOptions::OPTIONS];
     let is_option = tables.into_iter().flatten().any(|option| option.name == name);
     is_option.then(|| format!("type --set {name}=VALUE"))
@@ -99,6 +103,7 @@ mod tests {
     fn a_flag_of_an_option_names_the_option() {
         assert_eq!(instead_of("--refine-steps").unwrap(), "type --set refine_steps=VALUE");
         assert_eq!(instead_of("--hypotheses=3").unwrap(), "type --set hypotheses=VALUE");
+        assert_eq!(instead_of("--count").unwrap(), "type --max-keypoints NUMBER");
         assert_eq!(instead_of("--colour"), None);
     }
 }

@@ -54,7 +54,7 @@ pub enum Eval {
     /// partner within 0.05 m.
     #[command(after_help = "Examples:
   snake-cli eval registration scenes/val -o results/
-  snake-cli eval registration 3dmatch/fragments --detectors snake,fps,random --descriptors fpfh --keypoints 1000,250
+  snake-cli eval registration 3dmatch/fragments --detectors snake,fps,random --descriptors fpfh --max-keypoints 1000,250
   snake-cli eval registration 3dmatch/fragments --preset 3dmatch --external d3feat=d3feat_npz --descriptors d3feat")]
     Registration(Box<RegistrationArguments>),
     /// Measure semantic consistency: mIoU with annotated keypoints, or between two poses of a body.
@@ -106,7 +106,7 @@ pub struct RegistrationArguments {
     pub descriptors: Vec<String>,
     /// Numbers of keypoints to evaluate; each number takes the best keypoints of each cloud.
     #[arg(long, value_delimiter = ',', default_value = "2500,1000,500,250,100")]
-    pub keypoints: Vec<usize>,
+    pub max_keypoints: Vec<usize>,
     /// Radius of non-maximum suppression, in metres or in multiples of the cloud's resolution (`3r`), of all detectors
     /// [default: a voxel of 0.03 for snake, none for the others; with --preset 3dmatch, as in the paper, 0.05 for snake and files].
     #[arg(long, value_name = "LENGTH")]
@@ -184,8 +184,8 @@ pub struct EvalArguments {
     #[arg(long, value_enum, default_value = "ranked")]
     pub protocol: ProtocolName,
     /// Number of keypoints of each cloud, the best ones.
-    #[arg(long, default_value_t = 64)]
-    pub count: usize,
+    #[arg(long, value_name = "NUMBER", default_value_t = 64)]
+    pub max_keypoints: usize,
     /// Radius of non-maximum suppression, in cloud units or in multiples of the cloud's resolution (`3r`). It applies
     /// to all ranked methods [default: from the options of snake, none for the others; in `semantic` 0.1 for all].
     #[arg(long, value_name = "LENGTH")]

@@ -66,7 +66,7 @@ impl<'a> Methods<'a> {
             detectors: Vec::new(),
             external,
             columns: &arguments.run.columns,
-            most: arguments.keypoints.iter().copied().max().unwrap_or_default(),
+            most: arguments.max_keypoints.iter().copied().max().unwrap_or_default(),
             spacing: [*nms_radius, nms_radius.or(of_paper)],
         };
         methods.detectors = methods.combine(arguments, scenes)?;

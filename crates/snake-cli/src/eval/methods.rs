@@ -69,14 +69,15 @@ impl Method {
     }
 
     fn with_spacing(arguments: &EvalArguments, spacing: Spacing) -> Result<Vec<Self>> {
-        if arguments.count == 0 {
-            bail!("--count must be 1 or more");
+        if arguments.max_keypoints == 0 {
+            bail!("--max-keypoints must be 1 or more");
         }
         let protocol = match arguments.protocol {
             ProtocolName::Ranked => Protocol::Ranked,
             ProtocolName::Paper => Protocol::Paper,
         };
-        let of = |name: &str, source, spacing| Self { name: name.into(), source, count: arguments.count, spacing };
+        let of =
+            |name: &str, source, spacing| Self { name: name.into(), source, count: arguments.max_keypoints, spacing };
         let mut methods: Vec<Self> = Vec::new();
         for name in &arguments.methods {
             match rotations(name) {
@@ -110,7 +111,7 @@ impl Method {
         json!({
             "methods": methods.iter().map(Self::settings).collect::<Vec<_>>(),
             "protocol": match arguments.protocol { ProtocolName::Ranked => "ranked", ProtocolName::Paper => "paper" },
-            "count": arguments.count,
+            "max_keypoints": arguments.max_keypoints,
             "limit": arguments.run.limit,
             "seed": arguments.run.seed,
             "seeds": arguments.run.seeds,
@@ -185,7 +186,7 @@ impl Source {
         let of = |loaded: Loaded| {
             let mut options = arguments.options.resolve(&loaded)?;
             options.encode.rotations = rotations.unwrap_or(options.encode.rotations);
-            options.detect.max_keypoints = arguments.count;
+            options.detect.max_keypoints = arguments.max_keypoints;
             match spacing {
                 Spacing::Own => (),
                 Spacing::Radius(radius) => options.detect.nms_radius = none_if_zero(radius),

@@ -32,8 +32,8 @@ const OVERLAP_DISTANCE: f64 = 0.05;
 /// Evaluates every pair that is not yet recorded, then reports.
 pub fn run(arguments: &RegistrationArguments) -> Result<()> {
     let scenes = Scenes::open(&arguments.data)?;
-    if arguments.keypoints.contains(&0) {
-        bail!("--keypoints must be 1 or more");
+    if arguments.max_keypoints.contains(&0) {
+        bail!("--max-keypoints must be 1 or more");
     }
     let methods = Methods::new(arguments, &scenes)?;
     let schedule = Schedule::new(scenes.pairs.len(), &arguments.run)?;
@@ -45,12 +45,12 @@ pub fn run(arguments: &RegistrationArguments) -> Result<()> {
     let rows_of = |Task { seed, index }| {
         let pair: &ScenePair = &scenes.pairs[index];
         let [source, target] = clouds.of(pair, &scenes, &methods, seed)?;
-        rows(&arguments.keypoints, pair, source, target, seed)
+        rows(&arguments.max_keypoints, pair, source, target, seed)
     };
     record.fill(schedule.tasks(), |pair| scenes.name(pair), rows_of)?;
     let pairs: Vec<&ScenePair> = schedule.chosen().iter().map(|&pair| &scenes.pairs[pair]).collect();
     let paper = arguments.run.paper.then_some(&THREE_D_MATCH);
-    let cases = Cases { methods: &methods.rows(), keypoints: &arguments.keypoints };
+    let cases = Cases { methods: &methods.rows(), keypoints: &arguments.max_keypoints };
     let report = Report::new(&cases, &settings, &pairs, &schedule.by_seed(record.pairs()), paper)?;
     if let Some(output) = output {
         files::write(output, "registration", &report.files())?;
@@ -69,7 +69,7 @@ fn settings(arguments: &RegistrationArguments, methods: &Methods) -> Value {
         "detectors": arguments.detectors,
         "descriptors": arguments.descriptors,
         "external": arguments.external,
-        "keypoints": arguments.keypoints,
+        "keypoints": arguments.max_keypoints,
         "nms_radius": arguments.nms_radius,
         "preset": arguments.options.preset(),
         "models": methods.models.iter().map(model).collect::<Vec<_>>(),

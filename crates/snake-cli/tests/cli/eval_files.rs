@@ -40,7 +40,7 @@ fn write(folder: &Path, fragment: usize, keypoints: &[Point], descriptors: Optio
 
 fn run(data: &Path, words: &[&str]) -> Output {
     let data = data.display().to_string();
-    snake(&[&["eval", "registration", &data, "--keypoints", "60,20"], words].concat())
+    snake(&[&["eval", "registration", &data, "--max-keypoints", "60,20"], words].concat())
 }
 
 /// The rows of a report, each as its method and its figures.

@@ -70,7 +70,7 @@ fn semantic_consistency_is_the_mean_over_models() {
 #[test]
 fn registration_is_the_mean_over_models() {
     let data = scenes(&[[0, 1], [0, 2]]);
-    let words = ["--detectors", "snake,fps", "--keypoints", "100,30"];
+    let words = ["--detectors", "snake,fps", "--max-keypoints", "100,30"];
     let figure = |row: &Value| ["mean", "deviation"].map(|key| row[key]["inlier_ratio"].as_f64().unwrap_or(f64::NAN));
     let without = |row: &Value| row["detector"] == "fps" && row["descriptor"] == "fpfh";
     check("registration", data.path(), &words, figure, without);

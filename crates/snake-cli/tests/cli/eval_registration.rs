@@ -71,7 +71,7 @@ fn benchmark_scene(folder: &Path, name: &str, pairs: &[[usize; 2]], weight: f64)
 /// `eval registration` with settings that take a second.
 fn eval_scenes(data: &Path, extra: &[&str]) -> Output {
     let data = data.display().to_string();
-    snake(&[&["eval", "registration", &data, "--keypoints", "400,50"], extra].concat())
+    snake(&[&["eval", "registration", &data, "--max-keypoints", "400,50"], extra].concat())
 }
 
 #[test]
@@ -161,7 +161,7 @@ fn invalid_options_and_scenes_are_refused() {
     for (extra, message) in [
         (["--detectors", "orb"], "harris3d"),
         (["--descriptors", "shot"], "fpfh"),
-        (["--keypoints", "100,0"], "--keypoints must be 1 or more"),
+        (["--max-keypoints", "100,0"], "--max-keypoints must be 1 or more"),
         (["--limit", "0"], "--limit must be 1 or more"),
     ] {
         let data = data.path().display().to_string();

@@ -213,7 +213,7 @@ fn invalid_options_and_data_sets_are_refused() {
         (&["--noise", "nan"], "--noise is NaN: allowed is 0 or more"),
         (&["--downsample", "0"], "must be 1 or more"),
         (&["--limit", "0"], "--limit must be 1 or more"),
-        (&["--count", "0"], "--count must be 1 or more"),
+        (&["--max-keypoints", "0"], "--max-keypoints must be 1 or more"),
         (&["--epsilon=-1"], "option `epsilon` is -1"),
         (&["--preset", "kitti"], "option `preset` is kitti"),
     ] {

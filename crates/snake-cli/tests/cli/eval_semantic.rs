@@ -57,7 +57,7 @@ fn keypoints_are_compared_with_annotations() {
         let report: Value = serde_json::from_slice(&files[2]).unwrap();
         report["rows"].as_array().unwrap().clone()
     };
-    let (text, files) = run("fps", &["--methods", "fps", "--count", "5", "--nms-radius", "0", "--paper"]);
+    let (text, files) = run("fps", &["--methods", "fps", "--max-keypoints", "5", "--nms-radius", "0", "--paper"]);
     let figures: Vec<Value> = rows(&files);
     let expected = [(Value::Null, [0.5, 1.0]), ("chair".into(), [1.0, 1.0]), ("table".into(), [0.0, 1.0])];
     for (row, (class, iou)) in figures.iter().zip(expected) {

@@ -121,7 +121,7 @@ fn evaluations_keep_the_precision_of_far_clouds() {
     std::fs::write(&transform, format!("1 0 0 {x}\n0 1 0 {y}\n0 0 1 {z}\n0 0 0 1\n")).unwrap();
     let (near, far) = (clouds.path("near.npy"), clouds.path("far.npy"));
     let table = |source: &str, target: &str, transform: &[&str]| {
-        let options = ["--methods", "fps", "--downsample", "1", "--noise", "0", "--count", "32"];
+        let options = ["--methods", "fps", "--downsample", "1", "--noise", "0", "--max-keypoints", "32"];
         let output = snake(&[&["eval", "repeatability", source, target], transform, &options[..]].concat());
         assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
         String::from_utf8_lossy(&output.stdout).into_owned()

@@ -242,15 +242,11 @@ pub enum Preset {
     Redwood,
     /// The paper's settings for 3DMatch.
     ThreeDMatch,
-    /// For [`Builtin::Compact`](crate::Builtin::Compact): four rotated copies. Keypoints repeat better, and detection
-    /// takes three times as long.
-    Standard,
 }
 
 impl Preset {
-    /// All presets, those of the paper's table of hyper-parameters first.
-    pub const ALL: [Self; 6] =
-        [Self::ModelNet40, Self::KeypointNet, Self::Smpl, Self::Redwood, Self::ThreeDMatch, Self::Standard];
+    /// All presets, as the paper's table of hyper-parameters has them.
+    pub const ALL: [Self; 5] = [Self::ModelNet40, Self::KeypointNet, Self::Smpl, Self::Redwood, Self::ThreeDMatch];
 
     /// Its name for [`Preset::named`].
     pub fn name(self) -> &'static str {
@@ -260,7 +256,6 @@ impl Preset {
             Self::Smpl => "smpl",
             Self::Redwood => "redwood",
             Self::ThreeDMatch => "3dmatch",
-            Self::Standard => "standard",
         }
     }
 
@@ -270,7 +265,7 @@ impl Preset {
     /// [`Error::Option`] for an unknown name.
     pub fn named(name: &str) -> Result<Self> {
         Self::ALL.into_iter().find(|preset| preset.name() == name).ok_or_else(|| {
-            let allowed = "modelnet40, keypointnet, smpl, redwood, 3dmatch or standard";
+            let allowed = "modelnet40, keypointnet, smpl, redwood or 3dmatch";
             Error::Option { name: "preset", value: name.into(), allowed }
         })
     }
@@ -284,7 +279,6 @@ impl Preset {
             Self::KeypointNet | Self::Smpl => (NormalizationMethod::UnitCube, Some(2048)),
             Self::Redwood => (NormalizationMethod::UnitCube, Some(10_240)),
             Self::ThreeDMatch => (NormalizationMethod::UnitCube, None),
-            Self::Standard => (NormalizationMethod::PrincipalAxes, None),
         };
         let detect = match self {
             Self::ModelNet40 => common,
@@ -305,17 +299,8 @@ impl Preset {
                 snap: true,
                 ..common
             },
-            Self::Standard => DetectOptions {
-                query_band: 1,
-                refine_steps: 0,
-                saliency_threshold: 0.07,
-                mode_radius: Some(Length::Percent(6.0)),
-                nms_radius: Some(Length::Percent(10.0)),
-                ..common
-            },
         };
-        let rotations = if self == Self::Standard { 4 } else { 1 };
-        let encode = EncodeOptions { normalization, max_points, rotations, ..Default::default() };
+        let encode = EncodeOptions { normalization, max_points, ..Default::default() };
         Options { encode, detect }
     }
 }

@@ -66,7 +66,7 @@ fn median_distance(points: &[Point], center: Point) -> f64 {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::{Builtin, Model, Preset};
+    use crate::{Builtin, Model};
 
     /// Points on a sphere.
     fn sphere(number: usize, radius: f32) -> Vec<Point> {
@@ -80,7 +80,7 @@ mod tests {
     }
 
     fn hint(points: &[Point]) -> String {
-        let options = Preset::Standard.options();
+        let options = *Model::builtin(Builtin::Compact).recommended();
         scale_hint(points, Model::builtin(Builtin::Compact).config(), &options).unwrap_or_default()
     }
 
@@ -120,7 +120,7 @@ mod tests {
         for bad in [vec![], vec![[1.0; 3]; 9], vec![[f32::NAN; 3]]] {
             assert_eq!(hint(&bad), "");
         }
-        let options = Preset::Standard.options();
+        let options = *Model::builtin(Builtin::Compact).recommended();
         let unscaled = options.with_encode(options.encode.with_normalization(NormalizationMethod::None));
         assert_eq!(scale_hint(&sphere(20_000, 3.0), Model::builtin(Builtin::Compact).config(), &unscaled), None);
         let scenes = Model::builtin(Builtin::Scenes);
