@@ -492,32 +492,7 @@ class AlignmentEdge:
 
 @final
 class Registration:
-    def __new__(
-        cls,
-        t_target_source: NDArray[np.float64],
-        confidence: float,
-        is_reliable: bool,
-        is_ambiguous: bool,
-        num_inliers: int,
-        num_agreeing: int,
-        num_rival_agreeing: int,
-        num_correspondences: int,
-        rmse: float,
-        inlier_distance: float,
-        fitness: float,
-        fitness_rmse: float,
-        free_space_violation: float,
-        match_spread: float,
-        weakest_constraint: float,
-        slide_margin: float,
-        repeat_fit: float,
-        information: NDArray[np.float64],
-        hypotheses: list[NDArray[np.float64]],
-        viewpoints: tuple[str, str],
-        notes: list[str],
-        num_skipped: tuple[int, int],
-        seconds: float,
-    ) -> Self: ...
+    def __new__(cls, state: dict[str, Any]) -> Self: ...
     @property
     def t_target_source(self) -> NDArray[np.float64]: ...
     @property

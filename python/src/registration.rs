@@ -2,7 +2,7 @@
 
 use numpy::{PyArray1, PyArray2, PyArrayMethods};
 use pyo3::prelude::*;
-use pyo3::types::{PyDict, PyTuple};
+use pyo3::types::PyDict;
 use snake_core::{Cloud, RigidTransform};
 use snake_registration as core;
 
@@ -60,90 +60,58 @@ pub struct Registration {
     seconds: f64,
 }
 
+/// Names the attributes, and reads all of them from a dict.
+macro_rules! attributes {
+    ($($name:ident),* $(,)?) => {
+        impl Registration {
+            const NAMES: &[&str] = &[$(stringify!($name)),*];
+
+            fn of_state(state: &Bound<'_, PyDict>) -> PyResult<Self> {
+                Ok(Self { $($name: state.as_any().get_item(stringify!($name))?.extract()?),* })
+            }
+        }
+    };
+}
+attributes!(
+    t_target_source,
+    confidence,
+    is_reliable,
+    is_ambiguous,
+    num_inliers,
+    num_agreeing,
+    num_rival_agreeing,
+    num_correspondences,
+    rmse,
+    inlier_distance,
+    fitness,
+    fitness_rmse,
+    free_space_violation,
+    match_spread,
+    weakest_constraint,
+    slide_margin,
+    repeat_fit,
+    information,
+    hypotheses,
+    viewpoints,
+    notes,
+    num_skipped,
+    seconds,
+);
+
 #[pymethods]
 impl Registration {
+    /// The registration that a pickle holds: a dict of all attributes.
     #[new]
-    #[expect(clippy::too_many_arguments, reason = "a pickle holds them all")]
-    fn new(
-        t_target_source: Py<PyArray2<f64>>,
-        confidence: f64,
-        is_reliable: bool,
-        is_ambiguous: bool,
-        num_inliers: usize,
-        num_agreeing: usize,
-        num_rival_agreeing: usize,
-        num_correspondences: usize,
-        rmse: f64,
-        inlier_distance: f64,
-        fitness: f64,
-        fitness_rmse: f64,
-        free_space_violation: f64,
-        match_spread: f64,
-        weakest_constraint: f64,
-        slide_margin: f64,
-        repeat_fit: f64,
-        information: Py<PyArray2<f64>>,
-        hypotheses: Vec<Py<PyArray2<f64>>>,
-        viewpoints: (String, String),
-        notes: Vec<String>,
-        num_skipped: (usize, usize),
-        seconds: f64,
-    ) -> Self {
-        Self {
-            t_target_source,
-            confidence,
-            is_reliable,
-            is_ambiguous,
-            num_inliers,
-            num_agreeing,
-            num_rival_agreeing,
-            num_correspondences,
-            rmse,
-            inlier_distance,
-            fitness,
-            fitness_rmse,
-            free_space_violation,
-            match_spread,
-            weakest_constraint,
-            slide_margin,
-            repeat_fit,
-            information,
-            hypotheses,
-            viewpoints,
-            notes,
-            num_skipped,
-            seconds,
-        }
+    fn new(state: &Bound<'_, PyDict>) -> PyResult<Self> {
+        Self::of_state(state)
     }
 
-    fn __getnewargs__<'py>(this: &Bound<'py, Self>) -> PyResult<Bound<'py, PyTuple>> {
-        let names = [
-            "t_target_source",
-            "confidence",
-            "is_reliable",
-            "is_ambiguous",
-            "num_inliers",
-            "num_agreeing",
-            "num_rival_agreeing",
-            "num_correspondences",
-            "rmse",
-            "inlier_distance",
-            "fitness",
-            "fitness_rmse",
-            "free_space_violation",
-            "match_spread",
-            "weakest_constraint",
-            "slide_margin",
-            "repeat_fit",
-            "information",
-            "hypotheses",
-            "viewpoints",
-            "notes",
-            "num_skipped",
-            "seconds",
-        ];
-        let values: PyResult<Vec<_>> = names.iter().map(|name| this.getattr(*name)).collect();
-        PyTuple::new(this.py(), values?)
+    fn __getnewargs__<'py>(this: &Bound<'py, Self>) -> PyResult<(Bound<'py, PyDict>,)> {
+        let state = PyDict::new(this.py());
+        for name in Self::NAMES {
+            state.set_item(name, this.getattr(name)?)?;
+        }
+        Ok((state,))
     }
 
     fn __repr__(&self) -> String {
