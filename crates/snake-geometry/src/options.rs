@@ -88,7 +88,7 @@ macro_rules! options {
     };
 }
 
-/// An option, as every interface shows it.
+/// Name, kind, default, range and help of an option.
 #[derive(Debug, Clone, Copy)]
 pub struct OptionInfo {
     /// The name: that of the field, of the key in JSON, and of the keyword in Python.

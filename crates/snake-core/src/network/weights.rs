@@ -5,8 +5,8 @@ use std::collections::{BTreeSet, HashMap};
 
 use half::f16;
 use safetensors::{Dtype, SafeTensors};
+use serde::de::DeserializeOwned;
 
-use crate::detect::options::Options;
 use crate::{Error, Result};
 use snake_geometry::excerpt;
 
@@ -57,7 +57,7 @@ impl<'data> Weights<'data> {
     }
 
     /// The recommended options, else the defaults.
-    pub(crate) fn recommended_options(&self) -> Result<Options> {
+    pub(crate) fn recommended_options<Options: DeserializeOwned + Default>(&self) -> Result<Options> {
         let Some(json) = self.metadata.get("recommended_options") else { return Ok(Options::default()) };
         serde_json::from_str(json)
             .map_err(|e| error("recommended_options", "options of snake-rs as JSON", e.to_string()))
