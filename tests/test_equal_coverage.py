@@ -1,4 +1,4 @@
-"""`snake-cli eval repeatability` compares methods where their keypoints cover alike, and those of other programs from files."""
+"""`snake-cli eval` compares methods where their keypoints cover alike, and those of other programs from files."""
 
 import json
 import subprocess
@@ -90,3 +90,25 @@ def test_files_that_are_wrong_are_named(compiled, pair):
     assert "(K, 3)" in error(keypoints=points[:, :2])
     assert "scores" in error(keypoints=points, scores=np.zeros(3))
     assert "not finite" in error(keypoints=np.full((4, 3), np.nan))
+
+
+def test_semantic_suppresses_until_keypoints_cover_as_asked(compiled, tmp_path):
+    """Of points on a line every ninth is a keypoint, as of the second body, whose keypoints are no more than these."""
+    line = np.zeros((101, 3), np.float32)
+    line[:, 0] = np.arange(101)
+    for body, step in ((1, 1), (2, 9)):
+        np.save(tmp_path / f"body_{body}.npy", line[None])
+        (tmp_path / "found").mkdir(exist_ok=True)
+        np.savez(tmp_path / f"found/body_{body}_0.npz", keypoints=line[::step])
+
+    def share(*arguments):
+        external = ["--methods", "random", "--external", f"other={tmp_path / 'found'}", "--max-keypoints", 11]
+        command = [compiled / "snake-cli", "eval", "semantic", tmp_path, "-o", Path(tempfile.mkdtemp(dir=tmp_path))]
+        command += ["--threshold", 0.5, *external, *arguments]
+        subprocess.run([str(word) for word in command], check=True, capture_output=True)
+        rows = json.loads((command[5] / "semantic.json").read_text())["rows"]
+        return next(row["strict"] for row in rows if row["method"] == "other")
+
+    # Every ninth point covers the line at 2.55, every eighth at 3.65.
+    assert share("--coverage", 2.6) == [1.0]
+    assert share()[0] < 0.2

@@ -148,11 +148,6 @@ pub struct RepeatabilityArguments {
     /// Number of points in each view, drawn at random [default: 5000, rooms: 10240].
     #[arg(long)]
     pub num_points: Option<usize>,
-    /// Suppress the keypoints of each method so far that they cover the clouds alike: that the mean distance of a point to the
-    /// nearest keypoint is this, in units of the data set. The radius of each method and condition is found on the first view
-    /// of every pair, and methods are then compared fairly.
-    #[arg(long, value_name = "DISTANCE", conflicts_with = "nms_radius")]
-    pub coverage: Option<f64>,
     #[command(flatten)]
     pub common: EvalArguments,
 }
@@ -190,6 +185,11 @@ pub struct EvalArguments {
     /// to all ranked methods [default: from the options of snake, none for the others; in `semantic` 0.1 for all].
     #[arg(long, value_name = "LENGTH")]
     pub nms_radius: Option<Length>,
+    /// Suppress the keypoints of each method so far that they cover the clouds alike: that the mean distance of a point to the
+    /// nearest keypoint is this, in units of the data set. The radius of each method and condition is found on the first cloud
+    /// of every pair or shape, and methods are then compared fairly.
+    #[arg(long, value_name = "DISTANCE", conflicts_with = "nms_radius")]
+    pub coverage: Option<f64>,
     /// Also evaluate the keypoints in FOLDER/CLOUD.npz under this name: `keypoints` (K, 3) in the cloud's frame and, unless
     /// they are ranked, `scores` (K). CLOUD is the path of the cloud's file from the data set on, without extension; of bodies
     /// `body_1_0`, `body_2_0` and so on.

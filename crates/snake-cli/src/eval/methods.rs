@@ -58,17 +58,12 @@ enum Spacing {
 
 impl Method {
     /// The methods of the command line. With `--nms-radius`, or else with a `spacing`, all ranked keypoints are farther apart
-    /// than that.
+    /// than that. With `--coverage` [`candidates`](Self::candidates) are not suppressed.
     pub fn all(arguments: &EvalArguments, spacing: Option<Length>) -> Result<Vec<Self>> {
-        Self::with_spacing(arguments, arguments.nms_radius.or(spacing).map_or(Spacing::Own, Spacing::Radius))
-    }
-
-    /// The methods, whose keypoints are not suppressed before [`keypoints_apart`](Self::keypoints_apart).
-    pub fn all_unsuppressed(arguments: &EvalArguments) -> Result<Vec<Self>> {
-        Self::with_spacing(arguments, Spacing::Coverage)
-    }
-
-    fn with_spacing(arguments: &EvalArguments, spacing: Spacing) -> Result<Vec<Self>> {
+        let spacing = match arguments.coverage {
+            Some(_) => Spacing::Coverage,
+            None => arguments.nms_radius.or(spacing).map_or(Spacing::Own, Spacing::Radius),
+        };
         if arguments.max_keypoints == 0 {
             bail!("--max-keypoints must be 1 or more");
         }
@@ -112,6 +107,7 @@ impl Method {
             "methods": methods.iter().map(Self::settings).collect::<Vec<_>>(),
             "protocol": match arguments.protocol { ProtocolName::Ranked => "ranked", ProtocolName::Paper => "paper" },
             "max_keypoints": arguments.max_keypoints,
+            "coverage": arguments.coverage,
             "limit": arguments.run.limit,
             "seed": arguments.run.seed,
             "seeds": arguments.run.seeds,
@@ -133,22 +129,19 @@ impl Method {
     }
 
     /// Positions of the best keypoints of a cloud, best first; `file` finds those in files. The seed determines random choices.
-    pub fn keypoints(&self, points: &[Point], file: Option<InFile>, seed: u64) -> Result<Vec<Point>> {
-        let radius = match self.spacing {
-            Spacing::Own | Spacing::Coverage | Spacing::Radius(Length::Units(0.0)) => 0.0,
-            Spacing::Radius(radius) => radius.in_units("nms_radius", points)?,
-        };
-        self.keypoints_apart(points, file, seed, radius)
-    }
-
-    /// The same, suppressed by a radius in cloud units.
-    pub fn keypoints_apart(
+    /// They are suppressed by the radius, in cloud units, or else by the method's own.
+    pub fn keypoints(
         &self,
         points: &[Point],
         file: Option<InFile>,
         seed: u64,
-        radius: f64,
+        radius: Option<f64>,
     ) -> Result<Vec<Point>> {
+        let radius = match (radius, self.spacing) {
+            (Some(radius), _) => radius,
+            (None, Spacing::Own | Spacing::Coverage | Spacing::Radius(Length::Units(0.0))) => 0.0,
+            (None, Spacing::Radius(radius)) => radius.in_units("nms_radius", points)?,
+        };
         let ranked = self.candidates(points, file, seed)?;
         Ok(suppress_ranked(&ranked, radius as f32, self.count)?.into_iter().map(|index| ranked[index]).collect())
     }

@@ -26,10 +26,9 @@ pub fn run(arguments: &RepeatabilityArguments) -> Result<()> {
     let data = open(arguments)?;
     let columns = &common.run.columns;
     let plan = Plan::new(arguments, &data)?;
-    let methods =
-        if arguments.coverage.is_some() { Method::all_unsuppressed(common)? } else { Method::all(common, None)? };
+    let methods = Method::all(common, None)?;
     let schedule = Schedule::new(data.len(), &common.run)?;
-    let radii = plan.radii(&data, columns, &schedule, &methods, arguments.coverage)?;
+    let radii = plan.radii(&data, columns, &schedule, &methods, common.coverage)?;
     let settings = plan.settings(arguments, &methods);
     let inputs = data.files().into_iter().chain(arguments.transform.as_deref());
     files::check(&common.run, "repeatability", inputs)?;
@@ -134,7 +133,6 @@ impl Plan {
             "transform": arguments.transform,
             "keypoints": Method::all_settings(&arguments.common, methods),
             "num_points": self.num_points,
-            "coverage": arguments.coverage,
             "epsilon": self.sweeps.epsilon,
             "conditions": self.sweeps.conditions,
         })
@@ -190,10 +188,8 @@ impl Plan {
                 clouds.views(*condition, self.num_points, seed, index)?;
             let files = in_files(data, index, &origins);
             for (method, radius) in methods.iter().zip(radii) {
-                let keypoints = |view: &[Point], which: usize| match radius {
-                    Some(radius) => method.keypoints_apart(view, files[which], seeds[which], *radius),
-                    None => method.keypoints(view, files[which], seeds[which]),
-                };
+                let keypoints =
+                    |view: &[Point], which: usize| method.keypoints(view, files[which], seeds[which], *radius);
                 let (first, second) = (keypoints(&view_1, 0)?, keypoints(&view_2, 1)?);
                 let repeatability = relative_repeatability(&first, &second, &t_1_2, &self.sweeps.epsilon)?;
                 let coverage = if first.is_empty() { None } else { Some(mean_distance_to_keypoints(&view_1, &first)?) };

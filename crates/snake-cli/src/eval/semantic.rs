@@ -8,9 +8,9 @@ use snake_core::{Cloud, Length, Point};
 use snake_eval::datasets::SemanticData;
 use snake_eval::reports::semantic::{Report, Row};
 use snake_eval::tables::paper;
-use snake_eval::{SmplProtocol, Unreachable, semantic_counts, smpl_pair_counts};
+use snake_eval::{RankedKeypoints, SmplProtocol, Unreachable, radius_of_coverage, semantic_counts, smpl_pair_counts};
 
-use super::args::SemanticArguments;
+use super::args::{EvalArguments, SemanticArguments};
 use super::files;
 use super::methods::{InFile, Method};
 use super::record::Record;
@@ -27,10 +27,11 @@ pub fn run(arguments: &SemanticArguments) -> Result<()> {
     let methods = Method::all(common, Some(SPACING))?;
     let settings = settings(arguments, &methods);
     let schedule = Schedule::new(data.len(), &common.run)?;
+    let radii = radii(&data, &schedule, &methods, common)?;
     let inputs = data.files().into_iter().chain([&*arguments.data]).chain(arguments.split.as_deref());
     files::check(&common.run, "semantic", inputs)?;
     let mut record = Record::open(common.run.output.as_deref(), "semantic", &settings, schedule.tasks().len())?;
-    record.fill(schedule.tasks(), |shape| data.name(shape), |task| rows(&data, task, &methods, arguments))?;
+    record.fill(schedule.tasks(), |shape| data.name(shape), |task| rows(&data, task, &methods, &radii, arguments))?;
     let paper = common.run.paper.then_some(match data {
         SemanticData::KeypointNet(_) => &paper::KEYPOINTNET,
         _ => &paper::SMPL,
@@ -56,42 +57,92 @@ fn settings(arguments: &SemanticArguments, methods: &[Method]) -> Value {
     })
 }
 
+/// The random choices on one shape: those of a body model, and the seeds of the first and second cloud and of filling up.
+fn draws(Task { seed, index: shape }: Task) -> (ChaCha8Rng, [u64; 3]) {
+    let mut rng = ChaCha8Rng::seed_from_u64(seed);
+    rng.set_stream(shape as u64);
+    let seeds = std::array::from_fn(|_| rng.random());
+    (rng, seeds)
+}
+
+/// With `--coverage`, the radius of suppression of each method, from the first clouds of the first seed.
+fn radii(
+    data: &SemanticData,
+    schedule: &Schedule,
+    methods: &[Method],
+    arguments: &EvalArguments,
+) -> Result<Vec<Option<f64>>> {
+    let Some(coverage) = arguments.coverage else { return Ok(vec![None; methods.len()]) };
+    let seed = schedule.tasks()[0].seed;
+    let bar = terminal::progress(methods.len())?;
+    bar.set_message("the radius at which each method covers as far");
+    let of = |method: &Method| {
+        let ranked = |&index: &usize| {
+            let (mut rng, [seed, ..]) = draws(Task { seed, index });
+            let of_body = |points| (points, [0.0; 3], body_name(1, index));
+            let (points, origin, name) = match data {
+                SemanticData::KeypointNet(shapes) => {
+                    let Cloud { points, origin } = arguments.run.columns.read(&shapes[index].cloud)?;
+                    (points, origin, data.name(index))
+                }
+                SemanticData::Bodies([first, _]) => of_body(first[index].clone()),
+                SemanticData::BodyModel(pairs) => {
+                    let [first, _] = pairs.bodies(index, &mut rng)?;
+                    of_body(first)
+                }
+            };
+            let keypoints = method.candidates(&points, Some(InFile { name: &name, origin }), seed)?;
+            Ok(RankedKeypoints { points, keypoints })
+        };
+        let ranked = schedule.chosen().iter().map(ranked).collect::<Result<Vec<_>>>()?;
+        bar.step();
+        Ok(Some(radius_of_coverage(&ranked, method.count(), coverage)?))
+    };
+    let radii = methods.iter().map(of).collect();
+    bar.finish();
+    radii
+}
+
+/// The name of one body of a pair, `which` is 1 or 2, in files of keypoints.
+fn body_name(which: usize, pair: usize) -> String {
+    format!("body_{which}_{pair}")
+}
+
 /// The matches on one shape: a row for each method.
 fn rows(
     data: &SemanticData,
-    Task { seed, index: shape }: Task,
+    task: Task,
     methods: &[Method],
+    radii: &[Option<f64>],
     arguments: &SemanticArguments,
 ) -> Result<Vec<Row>> {
-    let mut rng = ChaCha8Rng::seed_from_u64(seed);
-    rng.set_stream(shape as u64);
-    let [seed_1, seed_2, fill_seed]: [u64; 3] = std::array::from_fn(|_| rng.random());
-    let threshold = &arguments.threshold;
+    let (mut rng, [seed_1, seed_2, fill_seed]) = draws(task);
+    let (shape, threshold) = (task.index, &arguments.threshold);
     let of_bodies = |body_1: &[Point], body_2: &[Point]| {
-        let row = |method: &Method| {
-            let names = [1, 2].map(|body| format!("body_{body}_{shape}"));
+        let row = |(method, radius): (&Method, &Option<f64>)| {
+            let names = [1, 2].map(|which| body_name(which, shape));
             let [file_1, file_2] = names.each_ref().map(|name| Some(InFile { name, origin: [0.0; 3] }));
-            let on_1 = method.keypoints(body_1, file_1, seed_1)?;
-            let on_2 = method.keypoints(body_2, file_2, seed_2)?;
+            let on_1 = method.keypoints(body_1, file_1, seed_1, *radius)?;
+            let on_2 = method.keypoints(body_2, file_2, seed_2, *radius)?;
             let counts = |rule| smpl_pair_counts(body_1, body_2, &on_1, &on_2, threshold, rule);
             let paper = counts(SmplProtocol::PaperCompatible { seed: fill_seed })?;
             let strict = counts(SmplProtocol::Strict)?;
             Ok(Row { method: method.name().into(), keypoints: on_1.len(), strict, paper })
         };
-        methods.iter().map(row).collect()
+        methods.iter().zip(radii).map(row).collect()
     };
     match data {
         SemanticData::KeypointNet(shapes) => {
             // The annotations are indices of points, so the origin matters to keypoints in files only.
             let Cloud { points, origin } = arguments.common.run.columns.read(&shapes[shape].cloud)?;
             let name = data.name(shape);
-            let row = |method: &Method| {
-                let found = method.keypoints(&points, Some(InFile { name: &name, origin }), seed_1)?;
+            let row = |(method, radius): (&Method, &Option<f64>)| {
+                let found = method.keypoints(&points, Some(InFile { name: &name, origin }), seed_1, *radius)?;
                 let counts = |rule| semantic_counts(&points, &shapes[shape].keypoints, &found, threshold, rule);
                 let (strict, paper) = (counts(Unreachable::Strict)?, counts(Unreachable::PaperCompatible)?);
                 Ok(Row { method: method.name().into(), keypoints: found.len(), strict, paper })
             };
-            methods.iter().map(row).collect()
+            methods.iter().zip(radii).map(row).collect()
         }
         SemanticData::Bodies([first, second]) => of_bodies(&first[shape], &second[shape]),
         SemanticData::BodyModel(pairs) => {
