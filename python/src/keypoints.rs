@@ -209,7 +209,7 @@ impl Keypoints {
         Ok(columns)
     }
 
-    /// Writes the keypoints to a file; the extension determines the format: ply, pcd, npy, csv, json or keypointnet.json.
+    /// Writes the keypoints to a file; the extension determines the format: ply, pcd, npy, csv, json, keypointnet.json or laz.
     /// The file is written whole or not at all. Raises OSError when it cannot be written and ValueError for another extension.
     fn save(&self, py: Python<'_>, path: PathBuf) -> PyResult<()> {
         let (cloud, _) = arrays::cloud("points", &self.points.bind(py))?;

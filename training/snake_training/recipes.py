@@ -4,7 +4,7 @@ stage goes on from its checkpoint, on this machine or on another to which the ru
 A recipe is a TOML file of stages in order. Each has a name, a kind, and the settings of its kind:
 
 weights   file (a weight file): a network to go on from
-targets   of (a stage, the teacher), the options of `snake_training.targets`
+targets   of (stages, the teachers), the options of `snake_training.targets`
 train     init and targets (stages), the options of `snake_training.train`, for a network of objects
 crops     files: ranges [first seed, number] of files of 25 made crops (`snake_training.data.crops`)
 start     init (a weight file, or "" for new weights), crops, seed: layers with the crops' statistics for constants
@@ -148,11 +148,11 @@ class Recipe:
         save(folder, load_network(self.base / stage["file"]))
 
     def targets(self, stage, folder, log):
-        """The teacher's saliency, averaged."""
-        teacher = [str(self.run_dir / stage["of"] / "network.pt")] if stage.get("of") else []
+        """The teachers' saliency, averaged."""
+        teachers = [str(self.run_dir / name / "network.pt") for name in stage.get("of", [])]
         with replacing(folder / "targets.safetensors") as temporary:
             paths = [*command({"data": self.data} if self.data else {}), "-o", str(temporary)]
-            targets.main([*teacher, *paths, *self.options(stage, SMOKE_OF_TARGETS)])
+            targets.main([*teachers, *paths, *self.options(stage, SMOKE_OF_TARGETS)])
 
     def train(self, stage, folder, log):
         """A run of training of a network of objects, from its checkpoint if it has one."""

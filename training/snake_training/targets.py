@@ -65,6 +65,16 @@ def snake_rs_teacher(weights):
     return fields
 
 
+def weighted_sum(teachers, shares):
+    """A teacher whose log-odds are the sum of others' times their shares; its occupancy is their mean."""
+
+    def fields(points, queries):
+        log_odds, occupancy = zip(*(teacher(points, queries) for teacher in teachers))
+        return sum(share * values for share, values in zip(shares, log_odds, strict=True)), np.mean(occupancy, axis=0)
+
+    return fields
+
+
 def averaged_fields(teacher, points, queries, rotations, whole=slice(None)):
     """Mean log-odds of the saliency and mean occupancy, both (Q,), of queries (Q, 3) over rotations (K, 3, 3).
 
@@ -358,8 +368,10 @@ def open_all(arguments):
     if not arguments.weights:
         return shapes, None
     if arguments.engine == "snake-rs":
-        return shapes, snake_rs_teacher(arguments.weights)
-    return shapes, torch_teacher(load_network(arguments.weights, arguments.device))
+        teachers = [snake_rs_teacher(path) for path in arguments.weights]
+    else:
+        teachers = [torch_teacher(load_network(path, arguments.device)) for path in arguments.weights]
+    return shapes, weighted_sum(teachers, arguments.shares or [1 / len(teachers)] * len(teachers))
 
 
 class FieldsOnCluster:
@@ -406,8 +418,14 @@ def main(argv=None):
     )
     parser.add_argument(
         "weights",
-        nargs="?",
-        help="the teacher: a safetensors export, checkpoint or run folder; without it, how much the surface bends",
+        nargs="*",
+        help="the teachers: safetensors exports, checkpoints or run folders; without any, how much the surface bends",
+    )
+    parser.add_argument(
+        "--shares",
+        type=float,
+        nargs="*",
+        help="what the log-odds of each teacher are multiplied by before they are added; by default their mean is taken",
     )
     parser.add_argument("-o", "--output", required=True, help="file to write, about 57 kB a shape")
     parser.add_argument(
@@ -461,6 +479,8 @@ def main(argv=None):
             parser.error(f"--{name} must be {least} or more")
     if arguments.places and arguments.weights:
         parser.error("--places makes its targets without a teacher; leave out the WEIGHTS")
+    if arguments.shares and len(arguments.shares) != len(arguments.weights):
+        parser.error("--shares needs as many numbers as there are WEIGHTS")
     of_teacher = arguments.local in ("keypoints", "mean")
     if (of_teacher or arguments.disturbed) and not arguments.weights:
         parser.error("--local keypoints, --local mean and --disturbed are for a teacher; give WEIGHTS")
@@ -471,7 +491,7 @@ def main(argv=None):
         if len(shapes) == 0:
             parser.error("no shapes: give --data, --procedural or --places")
         settings = {
-            name: json.dumps(getattr(arguments, name)) for name in ("weights", "rotations", "seed", "disturbed")
+            name: json.dumps(getattr(arguments, name)) for name in ("weights", "shares", "rotations", "seed", "disturbed")
         }
         fields = fields_on_cluster(arguments, len(shapes)) if arguments.ray else None
         write_targets(

@@ -35,6 +35,7 @@ from snake_training.targets import (
     snake_rs_teacher,
     surface_variation,
     torch_teacher,
+    weighted_sum,
     write_targets,
 )
 from snake_training.train import make_batch, train
@@ -71,6 +72,15 @@ def test_fields_are_the_means_over_turned_copies(network):
     assert np.allclose(found[0], log_odds.mean(axis=0), atol=0.01)  # bfloat16
     assert np.allclose(found[1], occupancy.mean(dim=0), atol=0.01)
     assert np.ptp(log_odds, axis=0).max() > 0.05
+
+
+def test_several_teachers_say_the_sum_of_their_shares(network):
+    rng = np.random.default_rng(4)
+    points, queries = (rng.uniform(-0.4, 0.4, (2, number, 3)).astype(np.float32) for number in (128, 50))
+    teachers = [torch_teacher(network), lambda points, queries: (np.ones((2, 50)), np.zeros((2, 50)))]
+    alone = teachers[0](points, queries)
+    log_odds, occupancy = weighted_sum(teachers, [0.5, 3])(points, queries)
+    assert np.allclose(log_odds, 0.5 * alone[0] + 3) and np.allclose(occupancy, alone[1] / 2)
 
 
 def test_both_teachers_agree(network, tmp_path):
@@ -316,6 +326,7 @@ def test_the_command_writes_targets_and_refuses_what_it_cannot_do(tmp_path, netw
         (["--procedural", "2", "--local", "peaks"], 2),
         (["--places", "1"], 1),
         ([str(weights), "--procedural", "1", "--local", "mean", "--disturbed"], 1),
+        ([str(weights), str(weights), "--shares", "1", "2", "--procedural", "1"], 1),
     ):
         module.main([*given, "-o", str(output), *small])
         assert len(Targets(output)) == number
@@ -327,6 +338,7 @@ def test_the_command_writes_targets_and_refuses_what_it_cannot_do(tmp_path, netw
         ([str(weights), "--local", "peaks"], "leave out WEIGHTS"),
         (["--procedural", "1", "--local", "mean"], "give WEIGHTS"),
         (["--procedural", "1", "--disturbed"], "give WEIGHTS"),
+        ([str(weights), "--shares", "1", "2", "--procedural", "1"], "--shares needs as many numbers"),
     ):
         with pytest.raises(SystemExit):
             module.main(["-o", str(output), *small, *wrong])
