@@ -148,6 +148,9 @@ def main(argv=None):
         tests = {folder: of_pairs(model, Path(folder), arguments.number) for folder in arguments.test}
     except (OSError, ValueError) as error:
         parser.error(str(error))
+    for name, rows in sets.items():
+        if len(rows) < 2:
+            parser.error(f"{name}: two objects or pairs are needed: half of them are left for measuring")
     fitted = [joined(rows[::2]) for rows in sets.values()]
     scores, hits = joined(fitted)
     if not len(scores):

@@ -241,7 +241,7 @@ class Recipe:
         """The folder of the validation data, or of procedural shapes."""
         if self.validation_data:
             return self.validation_data[0]
-        write_corpus(folder / "shapes", [Procedural()[row] for row in range(1 if self.smoke else 32)], 8192)
+        write_corpus(folder / "shapes", [Procedural()[row] for row in range(2 if self.smoke else 32)], 8192)
         return str(folder / "shapes")
 
     def printed(self, module, stage, path, options, log):

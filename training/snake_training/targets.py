@@ -491,7 +491,8 @@ def main(argv=None):
         if len(shapes) == 0:
             parser.error("no shapes: give --data, --procedural or --places")
         settings = {
-            name: json.dumps(getattr(arguments, name)) for name in ("weights", "shares", "rotations", "seed", "disturbed")
+            name: json.dumps(getattr(arguments, name))
+            for name in ("weights", "shares", "rotations", "seed", "disturbed")
         }
         fields = fields_on_cluster(arguments, len(shapes)) if arguments.ray else None
         write_targets(

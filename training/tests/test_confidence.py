@@ -1,6 +1,7 @@
 """The map of confidences: its fit, and the made scenes that it is fitted to."""
 
 import json
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -9,7 +10,7 @@ from safetensors.numpy import load_file, save_file
 from scipy.spatial import cKDTree
 
 from snake_training.confidence import calibration_error, fit, isotonic, main, repeated, write_map
-from snake_training.data import drives, frames
+from snake_training.data import Procedural, drives, frames
 
 
 def test_isotonic_values_rise_and_keep_their_mean():
@@ -72,6 +73,11 @@ def test_made_pairs_show_the_same_surface(module, options, distance, tmp_path, c
 
 
 def test_a_fit_needs_clouds(tmp_path, capsys):
+    np.save(tmp_path / "one.npy", Procedural()[0])
+    compact = str(Path(__file__).parents[2] / "crates/snake-core/models/compact.safetensors")
+    with pytest.raises(SystemExit):
+        main([compact, "--dry-run", "--objects", str(tmp_path)])
+    assert "two objects" in capsys.readouterr().err
     with pytest.raises(SystemExit):
         main([str(tmp_path / "none.safetensors")])
     assert "--objects or --pairs" in capsys.readouterr().err
