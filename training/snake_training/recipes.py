@@ -86,6 +86,12 @@ def command(options):
     return words
 
 
+def named(stage, key):
+    """The stages that a stage names there: none, one or a list."""
+    names = stage.get(key, [])
+    return [names] if isinstance(names, str) else names
+
+
 class Recipe:
     """A recipe's stages and the folder of their results."""
 
@@ -109,7 +115,7 @@ class Recipe:
                     f"{path}: stage {name!r} of kind {kind!r}: names differ, kinds are {', '.join(self.KINDS)}"
                 )
             for key in ("crops", "teacher", "of", "targets", "scenes") + (() if kind == "start" else ("init",)):
-                for other in [stage[key]] if isinstance(stage.get(key), str) else stage.get(key, []):
+                for other in named(stage, key):
                     if other and other not in seen:
                         raise ValueError(f"{path}: stage {name!r}: no stage {other!r} before it")
             seen.add(name)
@@ -149,7 +155,7 @@ class Recipe:
 
     def targets(self, stage, folder, log):
         """The teachers' saliency, averaged."""
-        teachers = [str(self.run_dir / name / "network.pt") for name in stage.get("of", [])]
+        teachers = [str(self.run_dir / name / "network.pt") for name in named(stage, "of")]
         with replacing(folder / "targets.safetensors") as temporary:
             paths = [*command({"data": self.data} if self.data else {}), "-o", str(temporary)]
             targets.main([*teachers, *paths, *self.options(stage, SMOKE_OF_TARGETS)])

@@ -383,16 +383,8 @@ class FieldsOnCluster:
 
     def __call__(self, batch):
         given = self.arguments
-        settings = (
-            self.teacher,
-            given.rotations,
-            given.queries,
-            given.points,
-            given.seed,
-            given.local,
-            given.disturbed,
-        )
-        found = [fields_of(row, self.shapes[int(row)], *settings) for row in batch["id"].tolist()]
+        settings = given.rotations, given.queries, given.points, given.seed, given.local, given.disturbed
+        found = [fields_of(row, self.shapes[int(row)], self.teacher, *settings) for row in batch["id"].tolist()]
         return {"id": batch["id"]} | {name: np.stack([getattr(of, name) for of in found]) for name in Fields._fields}
 
 
@@ -466,15 +458,8 @@ def main(argv=None):
         help="on so many processors of a Ray cluster: that of RAY_ADDRESS, else of this machine; all must see the data",
     )
     arguments = parser.parse_args(argv)
-    for name, least in {
-        "ray": 0,
-        "stretched": 0,
-        "procedural": 0,
-        "places": 0,
-        "rotations": 1,
-        "queries": 1,
-        "points": 2,
-    }.items():
+    least_of = dict(ray=0, stretched=0, procedural=0, places=0, rotations=1, queries=1, points=2)
+    for name, least in least_of.items():
         if getattr(arguments, name) < least:
             parser.error(f"--{name} must be {least} or more")
     if arguments.places and arguments.weights:

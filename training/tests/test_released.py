@@ -13,7 +13,12 @@ ROOT = Path(__file__).resolve().parents[2]
 
 
 @pytest.mark.parametrize(
-    "path", ["crates/snake-core/models/compact.safetensors", "training/recipes/start/rooms.safetensors"]
+    "path",
+    [
+        "crates/snake-core/models/compact.safetensors",
+        "training/recipes/start/compact.safetensors",
+        "training/recipes/start/rooms.safetensors",
+    ],
 )
 def test_all_layers_are_alive(path):
     network = load_network(ROOT / path)
