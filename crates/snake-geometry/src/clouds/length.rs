@@ -129,12 +129,8 @@ fn mean_gap(points: &[Point]) -> Result<Option<f64>> {
 
 /// The distance of each of two or more points to the nearest other one.
 fn distances(points: &[Point]) -> Result<Scratch<f64>> {
-    let tree = PointTree::new(points)?;
-    let mut distances = Scratch::zeros(points.len());
-    distances.par_iter_mut().enumerate().for_each(|(index, distance)| {
-        let (squared, _): (f64, usize) = tree.nearest(&points[index], Some(index));
-        *distance = squared.sqrt();
-    });
+    let mut distances = PointTree::new(points)?.nearest_others();
+    distances.iter_mut().for_each(|distance| *distance = distance.sqrt());
     Ok(distances)
 }
 

@@ -2,6 +2,7 @@
 
 use std::ops::{Add, Mul, Sub};
 
+use rayon::prelude::*;
 use snake_kernels::{Scratch, scratch_elements};
 
 use crate::{Error, Point, Result};
@@ -58,6 +59,19 @@ impl PointTree {
         let mut best = (T::from(f32::INFINITY), u32::MAX);
         search(&self.0, query, but, &mut best);
         (best.0, best.1 as usize)
+    }
+
+    /// The squared distance of each point to its nearest other one; infinite for one point.
+    ///
+    /// The points are asked in the order of the tree: near ones follow each other, and what they look at is still in the cache.
+    pub fn nearest_others(&self) -> Scratch<f64> {
+        let mut by_node = Scratch::zeros(self.0.len());
+        by_node.par_iter_mut().zip(&*self.0).for_each(|(distance, node)| {
+            *distance = self.nearest::<f64>(&node.point, Some(node.index as usize)).0;
+        });
+        let mut distances = Scratch::zeros(self.0.len());
+        self.0.iter().zip(&*by_node).for_each(|(node, &distance)| distances[node.index as usize] = distance);
+        distances
     }
 }
 
@@ -156,6 +170,11 @@ mod tests {
                     assert_eq!(tree.nearest::<f32>(query, but), plain::<f32>(&points, query, but), "{query:?}");
                     assert_eq!(tree.nearest::<f64>(query, but), plain::<f64>(&points, query, but), "{query:?}");
                 }
+            }
+            let others = tree.nearest_others();
+            assert_eq!(others.len(), points.len());
+            for (index, &distance) in others.iter().enumerate().step_by(37) {
+                assert_eq!(distance, plain::<f64>(&points, &points[index], Some(index)).0, "{index}");
             }
         }
     }
