@@ -44,8 +44,8 @@ quick:  ## after every edit, three minutes: format, lints, kernels, core, comman
 FEATURES := snake-core/arrow,snake-core/ndarray,snake-core/tracing
 test: module  ## all tests: Rust, Copper's task, Python module, training, parity with PyTorch
 	cargo test --release --features $(FEATURES)
-	cargo test --release --locked --manifest-path examples/copper_task/Cargo.toml --target-dir target
-	OMP_NUM_THREADS=1 $(PYTHON) -m pytest -q -rs tests training/tests
+	CARGO_PROFILE_DEV_DEBUG=0 cargo test --locked --manifest-path examples/copper_task/Cargo.toml --target-dir target
+	OMP_NUM_THREADS=1 $(PYTHON) -m pytest -q -rs --numprocesses 2 --dist loadfile tests training/tests
 
 # Each has hundreds of dependencies of its own. The page needs wasm32-unknown-unknown, Node.js and Chromium.
 test-examples:  ## the other examples outside the workspace: Dora, Rerun, Zenoh and the page for a browser; half an hour
@@ -72,7 +72,6 @@ check: module $(VENV)/check-ready wheel-test packages sdist  ## formatting, lint
 	RUSTDOCFLAGS="-D warnings" cargo doc --release --workspace --no-deps
 	$(VENV)/bin/ruff check training python tests docs
 	$(VENV)/bin/ruff format --check training python tests docs
-	$(PYTHON) -m mypy.stubtest snake_rs._core
 	$(PYTHON) -m mypy --strict python/snake_rs
 	$(VENV)/bin/pyright --pythonpath $(PYTHON) python/snake_rs
 	$(PYTHON) python/third_party_licenses.py --check
