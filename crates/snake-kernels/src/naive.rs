@@ -112,6 +112,11 @@ impl Random {
     }
 }
 
+/// The cases of a test, or the first few of them under Miri, which needs minutes for a second.
+pub(crate) fn cases<T, const N: usize>(all: [T; N], under_miri: usize) -> impl Iterator<Item = T> {
+    all.into_iter().take(if cfg!(miri) { under_miri } else { N })
+}
+
 pub(crate) fn assert_close(found: &[f32], expected: &[f32], tolerance: f32, case: &str) {
     assert_eq!(found.len(), expected.len(), "{case}");
     for (i, (f, e)) in found.iter().zip(expected).enumerate() {
