@@ -423,7 +423,10 @@ fn pages_open_in_chromium_without_errors() {
     let (one, two) = (file(&folder, "one.html"), file(&folder, "two.html"));
     succeed(&["view", &sample(), "-o", &one]);
     succeed(&["view", &sample(), &turned(&folder), "-o", &two, "--nms-radius", "0.05"]);
-    for (page, words) in [(&one, vec!["triangles"]), (&two, vec!["repeat in B within", "keypoint of one cloud only"])] {
+    for (page, words) in [
+        (&one, vec!["triangles", "keypoint, larger with its confidence"]),
+        (&two, vec!["repeat in B within", "keypoint of one cloud only"]),
+    ] {
         let seen = open(&chromium, &folder, page, LOOK);
         assert!(seen.contains("data-state=\"drawn\""), "the scene was not drawn");
         assert!(attribute(&seen, "data-colors").unwrap() > 500, "{:?}", attribute(&seen, "data-colors"));

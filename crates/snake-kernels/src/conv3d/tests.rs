@@ -48,10 +48,10 @@ fn every_level_equals_the_textbook() {
 }
 
 #[test]
+#[cfg_attr(miri, ignore = "takes many minutes")]
 fn copied_tiles_are_those_that_would_be_computed() {
     let mut random = naive::Random::new(3);
-    let cases = [([4, 4, 40], vec![]), ([9, 21, 23], vec![0, 600]), ([16, 20, 24], vec![3700])];
-    for (size, occupied) in naive::cases(cases, 1) {
+    for (size, occupied) in [([16, 20, 24], vec![3700]), ([9, 21, 23], vec![0, 600]), ([4, 4, 40], vec![])] {
         let (channels, outputs) = (3, 20);
         let mut volume = vec![0.0; size.iter().product::<usize>() * channels];
         for voxel in &occupied {

@@ -71,10 +71,11 @@ function position(point, { normalization: { scale } }) {
 
 const number = (value, digits = 4) => (value === null ? "–" : Number(value.toPrecision(digits)).toString());
 
-function describe(tooltip, { of, rank, saliency, occupancy, x, y, z, nearest_index, link }) {
+function describe(tooltip, { of, rank, saliency, confidence, occupancy, x, y, z, nearest_index, link }) {
   const head = element("strong", data.clouds.length > 1 ? `Keypoint ${rank + 1} of ${"AB"[of]}` : `Keypoint ${rank + 1}`);
   const at = ["position", position([x, y, z], data.clouds[of])];
-  const rows = isRegistration ? [at] : [["score (saliency)", number(saliency)], ["occupancy", number(occupancy)], at,
+  const rows = isRegistration ? [at] : [["score (saliency)", number(saliency)],
+    ["confidence", number(confidence)], ["occupancy", number(occupancy)], at,
     ["nearest point", nearest_index]];
   if (link) {
     const partner = of === 0 ? link.second : link.first;
@@ -202,7 +203,7 @@ const matrixText = (rows) => rows.map((row) => row.map((v) => v.toFixed(4).padSt
 function registrationFacts({ links: found, verdict, t_first_second }) {
   const { confidence, is_reliable, is_ambiguous, num_correspondences, inlier_distance, fitness, notes } = verdict;
   const name = is_reliable ? "reliable" : is_ambiguous ? "ambiguous" : "not reliable";
-  const what = `confidence ${confidence.toFixed(2)}; ${found.length} of ${num_correspondences} matches agree; ` +
+  const what = `confidence ${confidence.toFixed(2)}; ${found.length} of ${num_correspondences} matches agree after ICP; ` +
     `${Math.round(100 * fitness)} % of the voxels of B within ${number(inlier_distance, 3)} of A`;
   return [element("p", [name, element("small", what)], { className: "share" }),
     ...notes.map((note) => element("p", note)),
@@ -236,7 +237,8 @@ function panel() {
   if (isRegistration) {
     byId("legend").replaceChildren(key("A: target", rgb(0)), key("B: source", rgb(255)), key("match", "var(--accent)"));
   } else {
-    byId("legend").append(key(two ? "keypoint that repeats" : "keypoint", "var(--accent)"));
+    const sized = keypoints.some(({ confidence }) => confidence !== null) ? ", larger with its confidence" : "";
+    byId("legend").append(key(two ? "keypoint that repeats" : `keypoint${sized}`, "var(--accent)"));
     if (two) byId("legend").append(key("keypoint of one cloud only", "var(--lone)"));
   }
   const hasSurface = data.clouds.some(({ surface }) => surface);

@@ -123,13 +123,13 @@ void main() {
   result = vec4(faded(shaded, depth), opacity);
 }`],
   discs: [`
-uniform mat4 camera, projection; uniform float disc_size, hovered; uniform vec3 plain, repeated;
-in vec4 disc; out vec3 color;
+uniform mat4 camera, projection; uniform float hovered; uniform vec3 plain, repeated;
+in vec4 disc; in float size; out vec3 color;
 void main() {
   vec4 seen = camera * vec4(disc.xyz, 1.0);
   seen.z += 0.03;
   gl_Position = projection * seen;
-  gl_PointSize = disc_size * (float(gl_VertexID) == hovered ? 1.5 : 1.0);
+  gl_PointSize = size * (float(gl_VertexID) == hovered ? 1.5 : 1.0);
   color = disc.w > 0.5 ? repeated : plain;
 }`, `
 uniform float opacity; in vec3 color; out vec4 result;
@@ -361,13 +361,14 @@ function drawKeypoints(seen, ratio, viewport) {
     stream("lines", ends, [["here", 3], ["there", 3], ["corner", 2]], gl.TRIANGLES);
   }
   const discs = keypoints.filter(isShown);
+  const usual = Math.min(13, 170 / Math.sqrt(discs.length)) * Math.max(0.6, dotScale());
   // Below 6 pixels nothing is left of a disc but its white ring.
-  const disc_size = Math.max(6, Math.min(13, 170 / Math.sqrt(discs.length)) * Math.max(0.6, dotScale())) * ratio;
-  const vertices = discs.flatMap((keypoint) => [...place(keypoint), keypoint.link ? 1 : 0]);
+  const size = ({ confidence }) => Math.max(6, usual * (0.5 + (confidence ?? 0.5))) * ratio;
+  const vertices = discs.flatMap((keypoint) => [...place(keypoint), keypoint.link ? 1 : 0, size(keypoint)]);
   // Keypoints behind points stay faintly visible.
   for (const opacity of [shown.surface ? 0.6 : 0.3, 1]) {
-    use("discs", seen, { disc_size, hovered: discs.indexOf(hovered), plain, repeated, opacity });
-    stream("discs", vertices, [["disc", 4]], gl.POINTS);
+    use("discs", seen, { hovered: discs.indexOf(hovered), plain, repeated, opacity });
+    stream("discs", vertices, [["disc", 4], ["size", 1]], gl.POINTS);
     gl.enable(gl.DEPTH_TEST);
   }
 }
