@@ -167,9 +167,8 @@ mod tests {
     #[test]
     fn every_level_equals_the_textbook() {
         let mut random = naive::Random::new(1);
-        for (rows, inputs, outputs) in
-            [(0, 3, 5), (1, 1, 1), (7, 3, 15), (8, 32, 16), (9, 64, 17), (31, 32, 32), (64, 96, 33)]
-        {
+        let cases = [(0, 3, 5), (1, 1, 1), (7, 3, 15), (8, 32, 16), (9, 64, 17), (31, 32, 32), (64, 96, 33)];
+        for (rows, inputs, outputs) in naive::cases(cases, 5) {
             let (weight, bias) = (random.values(inputs * outputs), random.values(outputs));
             let (input, start) = (random.values(rows * inputs), random.values(rows * outputs));
             let relu: Vec<f32> = random.values(rows * outputs).iter().map(|v| v.max(0.0)).collect();
