@@ -23,9 +23,9 @@ def test_the_stub_lists_every_option(model):
 
 def test_the_stub_matches_the_module():
     pytest.importorskip("mypy.stubtest")
-    # Of the others Python is the source; the types of Ray alone take a minute.
-    modules = ["snake_rs._core", "snake_rs.metrics", "snake_rs.steps"]
-    result = subprocess.run([sys.executable, "-m", "mypy.stubtest", *modules], capture_output=True, text=True)
+    # The other modules are of Python and have no stub.
+    words = [sys.executable, "-m", "mypy.stubtest", "snake_rs._core"]
+    result = subprocess.run(words, capture_output=True, text=True)
     assert result.returncode == 0, result.stdout + result.stderr
 
 

@@ -431,7 +431,11 @@ fn pages_open_in_chromium_without_errors() {
         assert!(seen.contains("data-state=\"drawn\""), "the scene was not drawn");
         assert!(attribute(&seen, "data-colors").unwrap() > 500, "{:?}", attribute(&seen, "data-colors"));
         let (_, tooltip) = seen.split_once("id=\"tooltip\"").unwrap();
-        assert!(tooltip[..400].contains("score (saliency)"), "{}", &tooltip[..400]);
+        assert!(
+            ["score (saliency)", "confidence"].iter().all(|name| tooltip[..400].contains(name)),
+            "{}",
+            &tooltip[..400]
+        );
         assert!(words.iter().all(|word| seen.contains(word)));
     }
 }

@@ -363,8 +363,8 @@ function drawKeypoints(seen, ratio, viewport) {
   const discs = keypoints.filter(isShown);
   const usual = Math.min(13, 170 / Math.sqrt(discs.length)) * Math.max(0.6, dotScale());
   // Below 6 pixels nothing is left of a disc but its white ring.
-  const size = ({ confidence }) => Math.max(6, usual * (0.5 + (confidence ?? 0.5))) * ratio;
-  const vertices = discs.flatMap((keypoint) => [...place(keypoint), keypoint.link ? 1 : 0, size(keypoint)]);
+  const diameter = ({ confidence }) => Math.max(6, usual * (0.5 + (confidence ?? 0.5))) * ratio;
+  const vertices = discs.flatMap((keypoint) => [...place(keypoint), keypoint.link ? 1 : 0, diameter(keypoint)]);
   // Keypoints behind points stay faintly visible.
   for (const opacity of [shown.surface ? 0.6 : 0.3, 1]) {
     use("discs", seen, { hovered: discs.indexOf(hovered), plain, repeated, opacity });
