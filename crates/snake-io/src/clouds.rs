@@ -1,5 +1,6 @@
 //! Reads point clouds from files and from bytes.
 
+use std::io::ErrorKind;
 use std::path::Path;
 
 use snake_geometry::{Cloud, Point};
@@ -99,9 +100,18 @@ pub fn read_cloud(path: &Path, options: &ReadOptions) -> Result<Cloud> {
 /// # Errors
 /// As [`read_cloud`].
 pub fn read_contents(path: &Path, options: &ReadOptions) -> Result<Contents> {
-    let format = PointFormat::from_path(path)?;
+    let format = format_of(path)?;
     let bytes = std::fs::read(path).map_err(|source| Error::Io { path: path.into(), source })?;
     parse(&bytes, format, options).map_err(|reason| Error::Format { path: path.into(), reason })
+}
+
+/// The format of a file. A file that is missing has no format that could be wrong, and a folder has none.
+fn format_of(path: &Path) -> Result<PointFormat> {
+    PointFormat::from_path(path).or_else(|unknown| match std::fs::metadata(path) {
+        Ok(file) if file.is_dir() => Err(Error::Io { path: path.into(), source: ErrorKind::IsADirectory.into() }),
+        Ok(_) => Err(unknown),
+        Err(source) => Err(Error::Io { path: path.into(), source }),
+    })
 }
 
 /// Calls `found` with each position of a file, in the file's order and units. Returns its coordinate reference system.
@@ -111,7 +121,7 @@ pub fn read_contents(path: &Path, options: &ReadOptions) -> Result<Contents> {
 /// # Errors
 /// As [`read_cloud`]. Positions before a damaged part are then found nevertheless.
 pub fn for_each_position(path: &Path, options: &ReadOptions, found: &mut dyn FnMut([f64; 3])) -> Result<Option<Crs>> {
-    let format = PointFormat::from_path(path)?;
+    let format = format_of(path)?;
     let io_error = |source| Error::Io { path: path.into(), source };
     let format_error = |reason| Error::Format { path: path.into(), reason };
     #[cfg(feature = "laz")]
