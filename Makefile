@@ -38,7 +38,7 @@ quick:  ## after every edit, three minutes: format, lints, kernels, core, comman
 	cargo fmt --check
 	cargo clippy --release --workspace --exclude snake-rs-python --all-targets --features $(FEATURES)
 	cargo test --release --features $(FEATURES) -p snake-kernels -p snake-geometry -p snake-core --lib
-	cargo test --release -p snake-cli --test cli -- detect:: register:: usage:: outputs::
+	cargo test --release -p snake-keypoints --test cli -- detect:: register:: usage:: outputs::
 
 # What the tests and the examples need beside the default features. tests/test_embedding.py runs what is compiled here.
 FEATURES := snake-core/arrow,snake-core/ndarray,snake-core/tracing
@@ -70,8 +70,8 @@ check: module $(VENV)/check-ready wheel-test packages sdist  ## formatting, lint
 	cargo fmt --check
 	cargo clippy --release --workspace --all-targets --features $(FEATURES)
 	RUSTDOCFLAGS="-D warnings" cargo doc --release --workspace --no-deps
-	$(VENV)/bin/ruff check training python tests docs
-	$(VENV)/bin/ruff format --check training python tests docs
+	$(VENV)/bin/ruff check training python tests docs samples
+	$(VENV)/bin/ruff format --check training python tests docs samples
 	$(PYTHON) -m mypy --strict python/snake_rs
 	$(VENV)/bin/pyright --pythonpath $(PYTHON) python/snake_rs
 	$(PYTHON) python/third_party_licenses.py --check
@@ -132,7 +132,7 @@ $(VENV)/site-ready: $(VENV)/ready
 site: module $(VENV)/site-ready  ## target/site: the pages, the API of Python and of Rust; open target/site/index.html or serve it
 	python3 tools/site.py
 	NO_MKDOCS_2_WARNING=1 $(VENV)/bin/mkdocs build --quiet
-	cargo doc --release --workspace --exclude snake-rs-python --exclude snake-cli --no-deps
+	cargo doc --release --workspace --exclude snake-rs-python --exclude snake-keypoints --no-deps
 	cp -r target/doc target/site/rustdoc
 
 wheel: $(VENV)/ready  ## a wheel of the Python module in target/wheels

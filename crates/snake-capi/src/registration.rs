@@ -8,6 +8,7 @@ use snake_registration::{RegisterOptions, Registration, register_with};
 use crate::arguments::{SnakeCloud, check_output, optional, options as parse_options};
 use crate::model::SnakeModel;
 use crate::status::{SnakeStatus, guarded};
+use crate::threads::run;
 
 /// The rigid transform between two clouds.
 #[repr(C)]
@@ -72,7 +73,7 @@ pub unsafe extern "C" fn snake_register(
         // SAFETY: the caller vouches for the text.
         let values = unsafe { parse_options(options) }?;
         let options = with_named_values(&RegisterOptions::default(), &values)?;
-        let found = register_with(&source, &target, model, &options, &Control::default())?;
+        let found = run(|| Ok(register_with(&source, &target, model, &options, &Control::default())?))?;
         let found = SnakeRegistration::from(&found);
         // SAFETY: the place is neither null nor misaligned; the caller vouches for the rest.
         unsafe { registration.write(found) };
