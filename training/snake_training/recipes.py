@@ -402,11 +402,10 @@ def main(argv=None):
         "--workers", type=int, default=0, help="processes that draw batches ahead; 0: none, best on a CPU"
     )
     parser.add_argument("--smoke", action="store_true", help="every stage with next to no work, to see that it runs")
-    moved = parser.add_mutually_exclusive_group()
-    moved.add_argument(
-        "--pack", metavar="FOLDER", help="at the end write what moves to another machine there, in pieces"
+    parser.add_argument("--unpack", metavar="FOLDER", help="first take up what another machine packed there")
+    parser.add_argument(
+        "--pack", metavar="FOLDER", help="at the end write there what moves to another machine, in pieces"
     )
-    moved.add_argument("--unpack", metavar="FOLDER", help="first take up what another machine packed")
     given = parser.parse_args(argv)
     if not (given.minutes >= 0 and given.workers >= 0):
         parser.error("--minutes and --workers must be 0 or more")
@@ -431,7 +430,7 @@ def main(argv=None):
                 recipe.run()
             except TimeSpent as error:
                 print(error)
-            if given.pack:
+            if given.pack and run_dir.is_dir():
                 moving.pack(run_dir, Path(given.pack) / path.stem)
     except (OSError, ValueError) as error:
         parser.error(str(error))

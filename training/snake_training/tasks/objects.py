@@ -49,7 +49,7 @@ class Objects:
         fields = model(batch["points"].flatten(0, 1), batch["queries"].flatten(0, 1), autocast)
         return tuple(field.unflatten(0, (size, 2)) for field in fields)
 
-    def validate(self, network, device):
+    def validate(self, network, device, autocast):
         """The four losses, the share of saturated queries, and relative repeatability on unseen shapes.
 
         Repeatability is at epsilon 0.04 of clouds of radius 1, with suppression at 0.01 and at 0.05.
@@ -63,7 +63,7 @@ class Objects:
             batch = make_batch(self.held_out, config, first, 4, stream=1)
             batch = {name: tensor.to(device) for name, tensor in batch.items()}
             with torch.no_grad():
-                results.append(losses_of(*self.answer(network, batch, config.bf16), batch))
+                results.append(losses_of(*self.answer(network, batch, autocast), batch))
         figures = {name: float(np.mean([losses[name].item() for losses, _ in results])) for name in LOSSES}
         figures["saturated"] = float(np.mean([share.item() for _, share in results]))
 
