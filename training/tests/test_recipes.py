@@ -170,6 +170,8 @@ CROPS = '[[stages]]\nname = "c"\nkind = "crops"\nfiles = [[1, 1]]\n'
         ('[[stages]]\nname = "../../x"\nkind = "crops"\nfiles = [[1, 1]]', "names differ"),
         ('[[stages]]\nname = "/x"\nkind = "crops"\nfiles = [[1, 1]]', "names differ"),
         (CROPS + CROPS, "names differ"),
+        ('[[stages]]\nname = "a"\nkind = "crops"\nfiles = [["x", 1]]', "files must be pairs"),
+        ('[[stages]]\nname = "a"\nkind = "crops"\nfiles = [[1, 0]]', "files must be pairs"),
         ('[[stages]]\nname = "a"\nkind = "crops"', "files"),
         ('[[stages]]\nname = "a"\nkind = "scenes"\ninit = "b"\ncrops = "c"', "no stage 'b' before it"),
         ('[[stages]]\nname = "a"\nkind = "export"\nof = "b"\noutput = "x"', "no stage 'b' before it"),
