@@ -146,9 +146,13 @@ class CropStage(Stage):
     files: tuple
 
     def __post_init__(self):
-        pairs = [pair for pair in self.files if isinstance(pair, list) and [type(value) for value in pair] == [int, int]]
+        pairs = [
+            pair for pair in self.files if isinstance(pair, list) and [type(value) for value in pair] == [int, int]
+        ]
         if len(pairs) != len(self.files) or min((value for pair in pairs for value in pair), default=0) < 1:
-            raise ValueError(f"files must be pairs of a first seed and a number, both 1 or more, got {list(self.files)}")
+            raise ValueError(
+                f"files must be pairs of a first seed and a number, both 1 or more, got {list(self.files)}"
+            )
 
     def run(self, recipe, folder):
         """Files that are there stay."""
