@@ -6,7 +6,7 @@ import json
 import re
 import sys
 from contextlib import contextmanager
-from pathlib import Path, PosixPath
+from pathlib import Path, PosixPath, PurePosixPath
 from typing import NamedTuple
 
 import numpy as np
@@ -90,7 +90,7 @@ def build_network(config, tensors):
 # runs anything when it is read.
 ARRAYS = np.zeros(1).__reduce__()[0], np.float64(0).__reduce__()[0]
 PLAIN = [
-    argparse.Namespace, PosixPath, np.ndarray, np.dtype, *(type(np.dtype(name)) for name in ("f4", "f8", "i4", "i8", "bool")),
+    argparse.Namespace, PurePosixPath, PosixPath, np.ndarray, np.dtype, *(type(np.dtype(name)) for name in ("f4", "f8", "i4", "i8", "bool")),
     *((of, f"numpy.{module}.multiarray.{of.__name__}") for of in ARRAYS for module in ("core", "_core")),
 ]  # fmt: skip
 
@@ -217,6 +217,7 @@ def main(argv=None):
     """Command line of the export."""
     parser = argparse.ArgumentParser(
         prog="python -m snake_training.export",
+        usage="python -m snake_training.export SOURCE -o OUTPUT [options]",
         description="Write the weight file of snake-rs from a run, a checkpoint, or an official model_best.pth.",
         formatter_class=argparse.ArgumentDefaultsHelpFormatter,
     )
