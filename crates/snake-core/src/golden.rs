@@ -4,12 +4,13 @@ use std::path::{Path, PathBuf};
 
 use safetensors::SafeTensors;
 
-use crate::call::control::{Control, Counter};
-use crate::detect::options::{DetectOptions, RefineMethod, Selection};
-use crate::detect::query_grid::Occupied;
-use crate::detect::query_grid::tests::occupied_queries;
+use crate::control::{Control, Counter};
+use crate::detect::occupied::Occupied;
+use crate::detect::occupied::tests::occupied_queries;
 use crate::detect::refine::refine;
-use crate::network::encoder::{EncoderMemory, VoxelGroups};
+use crate::lattice::VoxelGroups;
+use crate::network::encoder::EncoderMemory;
+use crate::options::{DetectOptions, RefineMethod, Selection};
 use crate::{EncodeOptions, Field, Model, NormalizationMethod, Point};
 
 struct Case {
@@ -88,7 +89,7 @@ fn distance_quantiles(found: &[Point], expected: &[Point], shares: [f32; 2]) -> 
 #[test]
 fn encoder_stages() {
     for case in cases() {
-        let encoder = case.model.network().encoder.cube();
+        let encoder = case.model.network().encoder.dense();
         let (points, frame) = (case.points("points"), case.model.config().frame().unwrap());
         let [features, means] = encoder.points.pointnet().plain(&points, &frame);
         case.assert_close("point_features", &features, 1e-5);

@@ -2,26 +2,16 @@
 
 use rayon::prelude::*;
 
+use super::occupied::Occupied;
 use crate::Result;
-use crate::call::control::{Control, Counter};
-use crate::call::span::span;
-use crate::detect::options::{DetectOptions, RefineMethod, Selection};
-use crate::detect::query_grid::Occupied;
+use crate::control::span;
+use crate::control::{Control, Counter};
 use crate::field::{Field, Quantity};
+use crate::lattice::Refined;
 use crate::network::layers::TILE;
+use crate::options::{DetectOptions, RefineMethod, Selection};
 use snake_geometry::Point;
-use snake_kernels::{Scratch, scratch_elements};
-
-/// A refined query.
-#[derive(Debug, Clone, Copy, PartialEq, Default)]
-pub(crate) struct Refined {
-    /// In the network's frame.
-    pub(crate) position: Point,
-    /// Saliency. It is 0 unless saliency and occupancy are above their thresholds.
-    pub(crate) score: f32,
-}
-
-scratch_elements!(Refined);
+use snake_kernels::Scratch;
 
 /// Moves each query by `refine_steps` steps and selects a position and a score for it.
 ///

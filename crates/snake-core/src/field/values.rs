@@ -1,11 +1,12 @@
-//! What a field answers: values and gradients of a tile of queries, of one view or the average of several.
+//! What a field answers: values and gradients of a tile of queries, of one rotated copy or the average of several.
 
 use std::borrow::Cow;
 
 use super::Field;
-use super::views::View;
+use super::copies::RotatedCopy;
+use crate::lattice::Lattice;
 use crate::network::decoder::Decoder;
-use crate::network::volume::{Volume, VolumeFrame, VolumeGrid};
+use crate::network::volume::Volume;
 use snake_geometry::{
     Point,
     rotations::{Rotation, rotate, rotate_inverse},
@@ -23,30 +24,24 @@ pub enum Quantity {
 
 impl Field {
     /// A decoder, and the voxels of a volume as it sees them.
-    fn decoder<'a>(&'a self, volume: &'a Volume, quantity: Quantity) -> (&'a Decoder, Cow<'a, VolumeGrid>) {
-        match (quantity, &volume.grid) {
-            (Quantity::Occupancy, grid) => (&self.network.occupancy, Cow::Borrowed(grid)),
-            // In the released code only the occupancy decoder uses the z bounds; the saliency decoder assumes ±0.5. All
-            // published networks have these bounds.
-            (Quantity::Saliency, VolumeGrid::Cube(frame)) => {
-                let frame = VolumeFrame { z_bounds: [-0.5, 0.5], ..*frame };
-                (&self.network.saliency, Cow::Owned(VolumeGrid::Cube(frame)))
-            }
-            (Quantity::Saliency, grid) => (&self.network.saliency, Cow::Borrowed(grid)),
+    fn decoder<'a>(&'a self, volume: &'a Volume, quantity: Quantity) -> (&'a Decoder, Cow<'a, Lattice>) {
+        match quantity {
+            Quantity::Occupancy => (&self.network.occupancy, Cow::Borrowed(&volume.lattice)),
+            Quantity::Saliency => (&self.network.saliency, volume.lattice.for_saliency()),
         }
     }
 
     /// One tile of queries in the network's frame, on the calling thread.
     pub(crate) fn tile_values(&self, quantity: Quantity, queries: &[Point]) -> Scratch<f32> {
-        if let [view] = &self.views[..] {
-            return self.view_values(view, quantity, queries);
+        if let [copy] = &self.copies[..] {
+            return self.copy_values(copy, quantity, queries);
         }
         let mut sums = Scratch::zeros(queries.len());
-        for view in &self.views {
-            let values = self.view_values(view, quantity, queries);
+        for copy in &self.copies {
+            let values = self.copy_values(copy, quantity, queries);
             sums.iter_mut().zip(values.iter()).for_each(|(sum, &value)| *sum += log_odds(value));
         }
-        sums.iter_mut().for_each(|sum| *sum = probability(*sum / self.views.len() as f32));
+        sums.iter_mut().for_each(|sum| *sum = probability(*sum / self.copies.len() as f32));
         sums
     }
 
@@ -56,58 +51,58 @@ impl Field {
         quantity: Quantity,
         queries: &[Point],
     ) -> (Scratch<f32>, Scratch<Point>) {
-        if let [view] = &self.views[..] {
-            return self.view_values_and_gradients(view, quantity, queries);
+        if let [copy] = &self.copies[..] {
+            return self.copy_values_and_gradients(copy, quantity, queries);
         }
         let mut sums = Scratch::zeros(queries.len());
         let mut gradients = Scratch::<Point>::zeros(queries.len());
-        for view in &self.views {
-            let of_view = self.view_values_and_gradients(view, quantity, queries);
-            let of_view = of_view.0.iter().zip(of_view.1.iter());
-            for ((sum, gradient), (&value, &of_value)) in sums.iter_mut().zip(gradients.iter_mut()).zip(of_view) {
+        for copy in &self.copies {
+            let of_copy = self.copy_values_and_gradients(copy, quantity, queries);
+            let of_copy = of_copy.0.iter().zip(of_copy.1.iter());
+            for ((sum, gradient), (&value, &of_value)) in sums.iter_mut().zip(gradients.iter_mut()).zip(of_copy) {
                 let value = value.clamp(LEAST, 1.0 - LEAST);
                 let of_log_odds = of_value.map(|v| v / (value * (1.0 - value)));
                 *sum += log_odds(value);
                 *gradient = std::array::from_fn(|axis| gradient[axis] + of_log_odds[axis]);
             }
         }
-        let views = self.views.len() as f32;
+        let number = self.copies.len() as f32;
         for (gradient, sum) in gradients.iter_mut().zip(sums.iter_mut()) {
-            let value = probability(*sum / views);
-            *gradient = gradient.map(|v| v * value * (1.0 - value) / views);
+            let value = probability(*sum / number);
+            *gradient = gradient.map(|v| v * value * (1.0 - value) / number);
             *sum = value;
         }
         (sums, gradients)
     }
 
-    /// Values of one view.
-    fn view_values(&self, view: &View, quantity: Quantity, queries: &[Point]) -> Scratch<f32> {
-        let (decoder, grid) = self.decoder(&view.volume, quantity);
-        let queries = &rotated(&view.rotation, queries);
-        let mut features = Scratch::arbitrary(queries.len() * view.volume.channels);
-        view.volume.interpolate(&grid, queries, &mut features);
+    /// Values of one copy.
+    fn copy_values(&self, copy: &RotatedCopy, quantity: Quantity, queries: &[Point]) -> Scratch<f32> {
+        let (decoder, lattice) = self.decoder(&copy.volume, quantity);
+        let queries = &rotated(&copy.rotation, queries);
+        let mut features = Scratch::arbitrary(queries.len() * copy.volume.channels);
+        copy.volume.interpolate(&lattice, queries, &mut features);
         decoder.values(queries, &features)
     }
 
-    /// [`Field::view_values`] with gradients: the decoder's derivative with respect to the query, plus the derivative
+    /// [`Field::copy_values`] with gradients: the decoder's derivative with respect to the query, plus the derivative
     /// through the interpolated feature.
-    fn view_values_and_gradients(
+    fn copy_values_and_gradients(
         &self,
-        view: &View,
+        copy: &RotatedCopy,
         quantity: Quantity,
         queries: &[Point],
     ) -> (Scratch<f32>, Scratch<Point>) {
-        let (decoder, grid) = self.decoder(&view.volume, quantity);
-        let queries = &rotated(&view.rotation, queries);
-        let mut features = Scratch::arbitrary(queries.len() * view.volume.channels);
-        let corners = view.volume.interpolate(&grid, queries, &mut features);
+        let (decoder, lattice) = self.decoder(&copy.volume, quantity);
+        let queries = &rotated(&copy.rotation, queries);
+        let mut features = Scratch::arbitrary(queries.len() * copy.volume.channels);
+        let corners = copy.volume.interpolate(&lattice, queries, &mut features);
         let decoded = decoder.values_and_gradients(queries, &features);
-        let mut gradients = view.volume.interpolate_backward(&corners, &decoded.in_feature);
+        let mut gradients = copy.volume.interpolate_backward(&corners, &decoded.in_feature);
         let (in_query, _) = decoded.in_query.as_chunks::<3>();
         for ((gradient, &query), in_query) in gradients.iter_mut().zip(queries.iter()).zip(in_query) {
-            let voxels_per_unit = grid.voxels_per_unit(query);
+            let voxels_per_unit = lattice.voxels_per_unit(query);
             let turned = std::array::from_fn(|axis| in_query[axis] + gradient[axis] * voxels_per_unit[axis]);
-            *gradient = rotate_inverse(&view.rotation, turned);
+            *gradient = rotate_inverse(&copy.rotation, turned);
         }
         (decoded.values, gradients)
     }
@@ -121,7 +116,7 @@ pub(crate) fn log_odds(probability: f32) -> f32 {
     (probability / (1.0 - probability)).ln()
 }
 
-/// Queries of one tile in the orientation of a view.
+/// Queries of one tile in the orientation of a copy.
 pub(super) fn rotated(rotation: &Rotation, queries: &[Point]) -> Scratch<Point> {
     Scratch::collect(queries.len(), queries.iter().map(|&query| rotate(rotation, query)))
 }

@@ -1,13 +1,13 @@
 //! Detection in clouds that come one after another.
 
 use crate::Keypoint;
+use crate::Model;
 use crate::Result;
-use crate::call::clock::Instant;
-use crate::call::control::Control;
+use crate::control::Control;
+use crate::control::clock::Instant;
 use crate::detect::Detection;
-use crate::detect::options::Options;
 use crate::field::{Field, FieldMemory};
-use crate::models::Model;
+use crate::options::Options;
 use snake_geometry::PointSource;
 
 /// A model with its options, for clouds that come one after another, such as the sweeps of a laser scanner. Memory of one
@@ -77,12 +77,12 @@ impl Detector {
         let Options { encode, detect } = &self.options;
         control.get_limits().check_evaluations(&detect.evaluations(encode.rotations))?;
         let start = Instant::now();
-        let field = Field::of_source(self.model.network().clone(), source, encode, &mut self.memory, control)?;
+        let field = Field::from_source(self.model.network().clone(), source, encode, &mut self.memory, control)?;
         let seconds = start.elapsed().as_secs_f64();
         let found = field.detect_in(detect, std::mem::take(&mut self.keypoints), control)?;
         self.keypoints = std::mem::replace(detection, found).keypoints;
         detection.timing.encode = seconds;
-        field.leave_to(&mut self.memory);
+        field.recycle_into(&mut self.memory);
         Ok(())
     }
 }

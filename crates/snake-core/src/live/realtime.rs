@@ -2,10 +2,11 @@
 
 use std::time::{Duration, Instant};
 
+use crate::Model;
 use crate::detect::Detection;
-use crate::detect::options::Options;
+use crate::lattice::TimeBudget;
 use crate::live::detector::Detector;
-use crate::models::Model;
+use crate::options::Options;
 use crate::{Error, Result};
 use snake_geometry::{Length, NormalizationMethod, Point};
 
@@ -53,14 +54,19 @@ impl Model {
         }
         let cloud = room(num_points);
         let seconds_of_budget = target.as_secs_f64() * SHARE;
-        if self.config().frame().is_none() {
-            return self.voxels_within(&cloud, seconds_of_budget);
+        match self.config().volume.time_budget() {
+            TimeBudget::VoxelSize => self.largest_voxels(&cloud, seconds_of_budget),
+            TimeBudget::PointsAndQueries => self.most_points(&cloud, seconds_of_budget),
         }
+    }
+
+    /// The options with the finest query grid for which enough points can be encoded in so many seconds.
+    fn most_points(&self, cloud: &[Point], seconds_of_budget: f64) -> Result<Options> {
         let mut best = None;
         for query_resolution in RESOLUTIONS {
             let mut seconds = [0.0; 2];
             for (seconds, max_points) in seconds.iter_mut().zip(SAMPLES) {
-                *seconds = self.median_seconds(&cloud, self.budget(query_resolution, max_points))?;
+                *seconds = self.median_seconds(cloud, self.budget(query_resolution, max_points))?;
             }
             let points = affordable_points(seconds, seconds_of_budget);
             best = Some(self.budget(query_resolution, points));
@@ -72,7 +78,7 @@ impl Model {
     }
 
     /// The options of a scene model with the smallest voxels that take at most so many seconds.
-    fn voxels_within(&self, cloud: &[Point], seconds: f64) -> Result<Options> {
+    fn largest_voxels(&self, cloud: &[Point], seconds: f64) -> Result<Options> {
         let recommended = *self.recommended();
         let with = |voxel_size| recommended.with_encode(recommended.encode.with_voxel_size(voxel_size));
         let mut budget = recommended;

@@ -1,7 +1,7 @@
 //! The configuration of a network.
 
 use crate::Result;
-use crate::network::volume::VolumeFrame;
+use crate::lattice::{VolumeFrame, VolumeShape};
 use crate::network::weights::{self, Weights};
 
 /// How the encoder scatters the features of points to voxels.
@@ -45,20 +45,6 @@ impl PointEncoder {
     }
 }
 
-/// The extent of a network's feature volume.
-#[derive(Debug, Clone, Copy, PartialEq)]
-#[non_exhaustive]
-pub enum VolumeShape {
-    /// A cube to which every cloud is scaled, as in the paper.
-    Cube(VolumeFrame),
-    /// Voxels of a given size wherever the points of a scene reach
-    /// ([`EncodeOptions::voxel_size`](crate::EncodeOptions::voxel_size)).
-    Scene {
-        /// The total weight of points below which a voxel counts their features less.
-        scatter_mass: f32,
-    },
-}
-
 /// The configuration of a network, from the weight file's metadata.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct ModelConfig {
@@ -87,10 +73,7 @@ pub struct ModelConfig {
 impl ModelConfig {
     /// The frame of the feature volume; `None` for a scene model, whose volume follows the cloud.
     pub fn frame(&self) -> Option<VolumeFrame> {
-        match self.volume {
-            VolumeShape::Cube(frame) => Some(frame),
-            VolumeShape::Scene { .. } => None,
-        }
+        self.volume.frame()
     }
 
     pub(crate) fn from_weights(file: &Weights) -> Result<Self> {

@@ -3,7 +3,7 @@
 use std::collections::BTreeSet;
 
 use super::*;
-use crate::{Builtin, Keypoint};
+use crate::{Builtin, Keypoint, Model};
 use snake_geometry::resolution;
 
 /// A strip of floor, 16 by 1.5, with walls and posts: it is longer than a tile with its halo.

@@ -3,7 +3,7 @@
 use rayon::prelude::*;
 
 use crate::Result;
-use crate::call::control::{Control, Counter};
+use crate::control::{Control, Counter};
 
 /// Samples per axis of a block.
 const SIDE: usize = 4;

@@ -6,9 +6,9 @@
 use rayon::prelude::*;
 
 use super::pointnet_blocks::{FirstBlock, PooledBlock, VoxelTerms};
-use super::voxel_groups::VoxelGroups;
 use crate::Result;
-use crate::call::control::Counter;
+use crate::control::Counter;
+use crate::lattice::VoxelGroups;
 use crate::network::config::ModelConfig;
 use crate::network::layers::{Linear, TILE};
 use crate::network::weights::Scope;
@@ -171,7 +171,7 @@ mod tests {
     use rand_chacha::ChaCha8Rng;
 
     use super::*;
-    use crate::network::volume::VolumeFrame;
+    use crate::lattice::VolumeFrame;
     use crate::{Builtin, Model};
 
     /// Combines each row of `features` with the row `target` of `pooled`, in order.
@@ -214,7 +214,7 @@ mod tests {
     #[test]
     fn voxels_of_any_size_have_the_bits_of_the_textbook() {
         let model = Model::builtin(Builtin::Compact);
-        let (encoder, frame) = (&model.network().encoder.cube().points, model.config().frame().unwrap());
+        let (encoder, frame) = (&model.network().encoder.dense().points, model.config().frame().unwrap());
         let mut random = ChaCha8Rng::seed_from_u64(1);
         // Clusters in a few voxels, as in a scan with an outlier, and points all over the volume.
         for (crowd, others) in

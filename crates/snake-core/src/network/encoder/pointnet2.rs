@@ -9,9 +9,9 @@
 
 use rayon::prelude::*;
 
-use super::voxel_groups::VoxelGroups;
 use crate::Result;
-use crate::call::control::Counter;
+use crate::control::Counter;
+use crate::lattice::VoxelGroups;
 use crate::network::config::ModelConfig;
 use crate::network::layers::{Linear, TILE};
 use crate::network::weights::Scope;
@@ -235,7 +235,7 @@ mod tests {
     use rand_chacha::ChaCha8Rng;
 
     use super::*;
-    use crate::network::volume::VolumeFrame;
+    use crate::lattice::VolumeFrame;
 
     const HIDDEN: usize = 5;
 

@@ -1,0 +1,103 @@
+//! The encoder to blocks: PointNet within cells, scattering to the nodes, U-Net on blocks.
+
+use snake_kernels::BLOCK_VOXELS;
+
+use super::EncoderMemory;
+use super::levels::{Level, levels};
+use super::points::PointFeatures;
+use super::scatter_blocks as scatter;
+use super::unet_blocks::BlockUnet;
+use crate::control::{Counter, span};
+use crate::lattice::{Cells, FARTHEST_NODE, Lattice, VoxelGroups};
+use crate::network::check;
+use crate::network::config::ModelConfig;
+use crate::network::volume::Volume;
+use crate::network::weights::Scope;
+use crate::{Error, Result};
+use snake_geometry::Point;
+
+/// The encoder of a scene model.
+#[derive(Debug)]
+pub(crate) struct BlockEncoder {
+    pub(crate) points: PointFeatures,
+    unet: BlockUnet,
+    /// A node with less mass than this counts its features less.
+    scatter_mass: f32,
+}
+
+impl BlockEncoder {
+    pub(crate) fn load(scope: &Scope, config: &ModelConfig, scatter_mass: f32) -> Result<Self> {
+        Ok(Self {
+            points: PointFeatures::load(scope, config)?,
+            unet: BlockUnet::load(&scope.at("unet3d"), config)?,
+            scatter_mass,
+        })
+    }
+
+    /// Encodes points, given in voxels.
+    pub(crate) fn encode(&self, points: &[Point], memory: &mut EncoderMemory, counter: &Counter) -> Result<Volume> {
+        self.encode_also(points, &[], memory, counter)
+    }
+
+    /// [`BlockEncoder::encode`] with blocks also about more cells, which hold no points.
+    pub(super) fn encode_also(
+        &self,
+        points: &[Point],
+        more: &[[i32; 3]],
+        memory: &mut EncoderMemory,
+        counter: &Counter,
+    ) -> Result<Volume> {
+        let cells = self.cells(points, &mut memory.groups)?;
+        let levels = levels(self.unet.num_levels(), cells.iter().chain(more).copied());
+        let channels = self.points.channels();
+        check_blocks(levels[0].grid.len(), channels)?;
+        counter.set_total(self.points.work(points.len()) + self.unet.work(&levels));
+        let offset = |index: usize| points[index].map(|v| v - v.floor() - 0.5);
+        span!("pointnet");
+        let width = scatter::slots_width(channels);
+        self.points.voxel_sums(&memory.groups, offset, width, scatter::spread, &mut memory.sums, counter)?;
+        counter.check()?;
+        let nodes = self.nodes(&levels[0], &cells, &memory.sums);
+        span!("unet");
+        let values = self.unet.forward(&levels, nodes, counter)?;
+        let grid = levels.into_iter().next().map(|level| level.near).unwrap_or_default();
+        let cells = Cells::from_groups(points, &memory.groups, &cells);
+        Ok(Volume { lattice: Lattice::Blocks(grid, cells), channels, values })
+    }
+
+    /// Groups points by cell. Returns the lowest node of each cell with points.
+    fn cells(&self, points: &[Point], groups: &mut VoxelGroups) -> Result<Vec<[i32; 3]>> {
+        if let Some(point) = points.iter().find(|point| !point.iter().all(|v| v.abs() < FARTHEST_NODE)) {
+            let allowed = "at least a millionth of the largest coordinate";
+            let value = format!(
+                "so small that a point is {:.0} voxels from the origin",
+                point.iter().fold(0.0, |m: f32, v| m.max(v.abs()))
+            );
+            return Err(Error::Option { name: "voxel_size", value, allowed });
+        }
+        Ok(groups.fill_sparse(points))
+    }
+
+    /// The input of the U-Net: the near blocks, with the missing block 0.
+    fn nodes(&self, level: &Level, cells: &[[i32; 3]], sums: &[f32]) -> snake_kernels::Buffer {
+        let channels = self.points.channels();
+        let block = BLOCK_VOXELS * channels;
+        let mut nodes = self.unet.pool.take((level.near.len() + 1) * block);
+        nodes[..block].fill(0.0);
+        let of_blocks = &mut nodes[block..];
+        scatter::gather(&level.near, &level.neighbors, cells, sums, self.scatter_mass, channels, of_blocks);
+        nodes
+    }
+}
+
+/// Refuses a volume that would need too much memory.
+fn check_blocks(number: usize, channels: usize) -> Result<()> {
+    let most = check::max_blocks(channels);
+    if number <= most {
+        return Ok(());
+    }
+    // The number of blocks falls with about the square of the size.
+    let factor = (1.1 * (number as f64 / most as f64).sqrt() * 10.0).ceil() / 10.0;
+    let value = format!("so small that {number} blocks of 4 x 4 x 4 voxels are needed; {factor} times this size fits");
+    Err(Error::Option { name: "voxel_size", value, allowed: "a size that needs at most a gibibyte of features" })
+}
