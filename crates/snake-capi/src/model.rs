@@ -2,30 +2,43 @@
 
 use std::ffi::c_char;
 
-use snake_core::Model;
+use snake_core::{Model, ModelChoice, NamedModel};
 
 use crate::arguments::{check_output, text, values};
 use crate::status::{Failure, Result, SnakeStatus, guarded};
 
-/// A network with its weights. Several threads may use one at the same time.
+/// A network with its weights, or the choice between those that are built in. Several threads may use one at the same time.
 pub struct SnakeModel {
-    pub(crate) model: Model,
+    pub(crate) choice: ModelChoice,
 }
 
 /// Puts a model on the heap, or a null pointer if there is none.
 ///
 /// # Safety
 /// `place` is null or valid for a write.
-unsafe fn store(place: *mut *mut SnakeModel, load: impl FnOnce() -> Result<Model>) -> SnakeStatus {
+unsafe fn store(place: *mut *mut SnakeModel, load: impl FnOnce() -> Result<ModelChoice>) -> SnakeStatus {
     guarded(|| {
         check_output("model", place)?;
         // SAFETY: the place is neither null nor misaligned; the caller vouches for the rest.
         unsafe { place.write(std::ptr::null_mut()) };
-        let model = Box::new(SnakeModel { model: load()? });
+        let model = Box::new(SnakeModel { choice: load()? });
         // SAFETY: as above.
         unsafe { place.write(Box::into_raw(model)) };
         Ok(())
     })
+}
+
+/// The built-in model that suits each cloud, chosen anew by every call, as `snake-cli` does without `--model`. Options that only
+/// one kind of model has name it: `voxel_size` "scenes", and `preset`, `normalization` and several `rotations` "compact". Else it
+/// is "scenes" for a cloud that looks like a room, a sweep or terrain, and "compact" for others. Each is loaded when it is
+/// first used. `*model` is null after an error.
+///
+/// # Safety
+/// `model` is null or valid for a write.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn snake_model_auto(model: *mut *mut SnakeModel) -> SnakeStatus {
+    // SAFETY: the caller vouches for the place.
+    unsafe { store(model, || Ok(ModelChoice::default())) }
 }
 
 /// A built-in model: "compact" or "standard" for objects, "scenes" for rooms, sweeps and terrain. `*model` is null after an error.
@@ -35,7 +48,12 @@ unsafe fn store(place: *mut *mut SnakeModel, load: impl FnOnce() -> Result<Model
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn snake_model_named(name: *const c_char, model: *mut *mut SnakeModel) -> SnakeStatus {
     // SAFETY: the caller vouches for both.
-    unsafe { store(model, || Ok(Model::named(text("name", name)?)?)) }
+    unsafe {
+        store(model, || {
+            let name = text("name", name)?;
+            Ok(NamedModel::new(Model::named(name)?, format!("{name}, built-in")).into())
+        })
+    }
 }
 
 /// Reads a weight file (safetensors). `*model` is null after an error.
@@ -45,7 +63,12 @@ pub unsafe extern "C" fn snake_model_named(name: *const c_char, model: *mut *mut
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn snake_model_load(path: *const c_char, model: *mut *mut SnakeModel) -> SnakeStatus {
     // SAFETY: the caller vouches for both.
-    unsafe { store(model, || Ok(Model::load(text("path", path)?)?)) }
+    unsafe {
+        store(model, || {
+            let path = text("path", path)?;
+            Ok(NamedModel::new(Model::load(path)?, path).into())
+        })
+    }
 }
 
 /// A model from the bytes of a weight file. `*model` is null after an error.
@@ -59,7 +82,11 @@ pub unsafe extern "C" fn snake_model_from_bytes(
     model: *mut *mut SnakeModel,
 ) -> SnakeStatus {
     // SAFETY: the caller vouches for both.
-    unsafe { store(model, || Ok(Model::from_bytes(values("bytes", bytes, length)?)?)) }
+    unsafe {
+        store(model, || {
+            Ok(NamedModel::new(Model::from_bytes(values("bytes", bytes, length)?)?, "without a name").into())
+        })
+    }
 }
 
 /// Frees a model; null is allowed.

@@ -91,7 +91,7 @@ fn encoder_stages() {
     for case in cases() {
         let encoder = case.model.network().encoder.dense();
         let (points, frame) = (case.points("points"), case.model.config().frame().unwrap());
-        let [features, means] = encoder.points.pointnet().plain(&points, &frame);
+        let [features, means] = encoder.points.plain(&points, &frame);
         case.assert_close("point_features", &features, 1e-5);
 
         let (mut groups, mut found) = (VoxelGroups::default(), Vec::new());
@@ -164,14 +164,14 @@ fn refinement_by_both_methods() {
         let scores = case.floats("refine_adam_masked_score_per_step");
         let selection = Selection::ReferenceFinalPosition;
         let options = DetectOptions { selection, saliency_threshold: 0.0, ..Default::default() };
-        let found = refine(&field, &start, &options, &Control::default()).unwrap();
-        let positions: Vec<Point> = found.iter().map(|c| c.position).collect();
+        let refined = refine(&field, &start, &options, &Control::default()).unwrap();
+        let positions: Vec<Point> = refined.iter().map(|c| c.position).collect();
         // Adam divides by the gradient's size: where that is near zero, rounding decides the direction.
         let [median, most] = distance_quantiles(&positions, &case.points("refine_adam_end"), [0.5, 0.99]);
         assert!(median < 1e-5 && most < 1e-3, "{}: Adam ends {median} (median), {most} (99 %) away", case.name);
         let best =
             |query: usize| scores.iter().skip(query).step_by(start.positions.len()).fold(0.0, |m: f32, s| m.max(*s));
-        let mut errors: Vec<f32> = found.iter().enumerate().map(|(i, c)| (c.score - best(i)).abs()).collect();
+        let mut errors: Vec<f32> = refined.iter().enumerate().map(|(i, c)| (c.score - best(i)).abs()).collect();
         errors.sort_by(f32::total_cmp);
         let [median, most] = [0.5, 0.99].map(|share| errors[(share * (errors.len() - 1) as f32) as usize]);
         assert!(median < 1e-5 && most < 1e-3, "{}: scores differ by {median} (median), {most} (99 %)", case.name);

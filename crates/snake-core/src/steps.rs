@@ -94,10 +94,10 @@ pub fn decode(model: &Model, quantity: Quantity, queries: &[Point], features: &[
     };
     let mut all = Decoded { values: Vec::new(), in_queries: Vec::new(), in_features: Vec::new() };
     for (queries, features) in queries.chunks(TILE).zip(features.chunks(TILE * c_dim)) {
-        let of_tile = decoder.values_and_gradients(queries, features);
-        all.values.extend_from_slice(&of_tile.values);
-        all.in_queries.extend_from_slice(of_tile.in_query.as_chunks().0);
-        all.in_features.extend_from_slice(&of_tile.in_feature);
+        let decoded = decoder.values_and_gradients(queries, features);
+        all.values.extend_from_slice(&decoded.values);
+        all.in_queries.extend_from_slice(decoded.in_query.as_chunks().0);
+        all.in_features.extend_from_slice(&decoded.in_feature);
     }
     Ok(all)
 }
@@ -109,12 +109,12 @@ pub fn decode(model: &Model, quantity: Quantity, queries: &[Point], features: &[
 /// [`Error::Input`] for queries that are not finite, or gradients of another number.
 pub fn refine(queries: &[Point], gradients: &[Vec<Point>], options: &DetectOptions) -> Result<Vec<Point>> {
     check_points("queries", queries)?;
-    if gradients.iter().any(|of_step| of_step.len() != queries.len()) {
+    if gradients.iter().any(|step_gradients| step_gradients.len() != queries.len()) {
         return Err(wrong("gradients", format!("expected one for each of {} queries", queries.len())));
     }
     let mut positions = queries.to_vec();
     let mut ascent = Ascent::new(queries.len(), queries.len(), options);
-    gradients.iter().for_each(|of_step| ascent.step(&mut positions, of_step));
+    gradients.iter().for_each(|step_gradients| ascent.step(&mut positions, step_gradients));
     Ok(positions)
 }
 

@@ -20,7 +20,7 @@ pub fn run(arguments: &DetectArguments, inputs: &[PathBuf], side: f64, output: &
     let start = Instant::now();
     check(arguments, inputs, output)?;
     let model = arguments.compute.load_model_of_tiles()?;
-    let mut options = model.resolve(&arguments.options.values())?;
+    let mut options = model.options.resolve(&arguments.options.values())?;
     if !arguments.options.has("max_keypoints") {
         options.detect.max_keypoints = usize::MAX;
     }

@@ -56,7 +56,7 @@ impl<'a> Methods<'a> {
         let is_of_paper = options.preset() == Some(PAPER.0) && !options.given().contains_key("nms_radius");
         let of_paper = is_of_paper.then_some(PAPER.1);
         let resolve = |mut loaded: NamedModel| -> Result<NamedModel> {
-            loaded.options = loaded.resolve(&options.values())?;
+            loaded.options = loaded.options.resolve(&options.values())?;
             if let Some(radius) = nms_radius.or(of_paper) {
                 loaded.options.detect.nms_radius = none_if_zero(radius);
             }

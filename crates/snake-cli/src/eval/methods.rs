@@ -177,7 +177,7 @@ impl Source {
     /// The network, by each of the models.
     fn of_models(rotations: Option<usize>, arguments: &EvalArguments, spacing: Spacing) -> Result<Vec<Self>> {
         let source = |loaded: NamedModel| -> Result<Self> {
-            let mut options = loaded.resolve(&arguments.options.values())?;
+            let mut options = loaded.options.resolve(&arguments.options.values())?;
             options.encode.rotations = rotations.unwrap_or(options.encode.rotations);
             options.detect.max_keypoints = arguments.max_keypoints;
             match spacing {

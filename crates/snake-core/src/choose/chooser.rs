@@ -2,7 +2,7 @@
 
 use serde_json::{Map, Value};
 
-use super::model_choice::{BuiltinModels, ModelChoice, NamedModel, resolve};
+use super::model_choice::{BuiltinModels, ModelChoice, NamedModel};
 use super::rule::{by_cloud, by_options};
 use super::scale_hint;
 use crate::cloud::UsedCloud;
@@ -56,16 +56,16 @@ impl Chooser {
     pub fn new(choice: ModelChoice, values: &Map<String, Value>) -> Result<Self> {
         Ok(Self(match choice {
             ModelChoice::Named(named) => {
-                let options = named.resolve(values)?;
+                let options = named.options.resolve(values)?;
                 Candidates::Named(named.with_options(options))
             }
             ModelChoice::Auto(models) => match by_options(values) {
                 Some((option, which)) => {
-                    let options = resolve(models.options(which), values)?;
+                    let options = models.options(which).resolve(values)?;
                     Candidates::ByOption(models, option, which, options)
                 }
                 None => {
-                    let [compact, scenes] = Builtin::ALL.map(|which| resolve(models.options(which), values));
+                    let [compact, scenes] = Builtin::ALL.map(|which| models.options(which).resolve(values));
                     Candidates::ByCloud(models, [compact?, scenes?])
                 }
             },

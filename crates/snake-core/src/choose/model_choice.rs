@@ -98,25 +98,24 @@ impl NamedModel {
         self.options = options;
         self
     }
-
-    /// Its options with some of them replaced by name; a `preset` replaces all.
-    ///
-    /// # Errors
-    /// As [`Chooser::new`](crate::Chooser::new).
-    pub fn resolve(&self, values: &Map<String, Value>) -> Result<Options> {
-        resolve(&self.options, values)
-    }
 }
 
-/// Options with some of them replaced by name. The value `preset` names a set of options to begin with instead.
-pub(super) fn resolve(start: &Options, values: &Map<String, Value>) -> Result<Options> {
-    let start = match values.get("preset") {
-        None | Some(Value::Null) => *start,
-        Some(Value::String(name)) if name == "standard" => *Model::named(name)?.recommended(),
-        Some(Value::String(name)) => Preset::named(name)?.options(),
-        Some(other) => Preset::named(&other.to_string())?.options(),
-    };
-    let mut values = values.clone();
-    values.remove("preset");
-    start.with_values(&values)
+impl Options {
+    /// These options with some of them replaced by name, as [`Options::with_values`] does. The value `preset` names a set of
+    /// options ([`Preset`], or `standard`) that come in place of these.
+    ///
+    /// # Errors
+    /// [`Error::Input`](crate::Error::Input) for an unknown name and for a value of another type;
+    /// [`Error::Option`](crate::Error::Option) for an unknown preset.
+    pub fn resolve(&self, values: &Map<String, Value>) -> Result<Self> {
+        let start = match values.get("preset") {
+            None | Some(Value::Null) => *self,
+            Some(Value::String(name)) if name == "standard" => *Model::named(name)?.recommended(),
+            Some(Value::String(name)) => Preset::named(name)?.options(),
+            Some(other) => Preset::named(&other.to_string())?.options(),
+        };
+        let mut values = values.clone();
+        values.remove("preset");
+        start.with_values(&values)
+    }
 }

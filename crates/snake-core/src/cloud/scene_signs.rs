@@ -94,9 +94,9 @@ fn surroundings(cells: &[[f64; 3]], radius: f64, at: [f64; 2]) -> Option<[f64; 2
         (near.len() >= 6 && sum > 0.0).then(|| [values[0] / sum, values[1] / sum])
     };
     let samples = cells.len().min(SAMPLES);
-    let found: Vec<[f64; 2]> = (0..samples).filter_map(|i| shares(i * cells.len() / samples)).collect();
-    let of = |index: usize| quantile(found.iter().map(|shares| shares[index]).collect(), at[index]);
-    (!found.is_empty()).then(|| [of(0), of(1)])
+    let shares: Vec<[f64; 2]> = (0..samples).filter_map(|i| shares(i * cells.len() / samples)).collect();
+    let value = |index: usize| quantile(shares.iter().map(|shares| shares[index]).collect(), at[index]);
+    (!shares.is_empty()).then(|| [value(0), value(1)])
 }
 
 /// Directions that cover the sphere evenly.

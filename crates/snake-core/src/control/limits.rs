@@ -2,29 +2,23 @@
 
 use serde::{Deserialize, Serialize};
 
-use crate::{Error, Result, setters};
+use crate::{Error, Result};
+use snake_geometry::options;
 
-/// The most that one call may ask of the machine, set with [`Control::limits`](crate::Control::limits). A call that would
-/// exceed a limit is refused before it begins. `None`: only the limits that hold for every call.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
-#[serde(default, deny_unknown_fields)]
-#[non_exhaustive]
-pub struct Limits {
-    /// Points of a cloud, those that are not finite included.
-    pub max_points: Option<usize>,
-    /// Bytes of the feature volumes of a field, one for each rotation. The U-Net needs about four volumes more while it
-    /// encodes one.
-    pub max_volume_bytes: Option<usize>,
-    /// Evaluations of the decoders: for detection the queries times the refinement steps and one, times
-    /// the rotations; for a mesh the samples of its grid times the rotations.
-    pub max_evaluations: Option<usize>,
+options! {
+    /// The most that one call may ask of the machine, set with [`Control::limits`](crate::Control::limits). A call that would
+    /// exceed a limit is refused before it begins.
+    pub struct Limits {
+        /// Points of a cloud, those that are not finite included.
+        max_points, with_max_points: Option<usize> = None, none "only the limits that hold for every call";
+        /// Bytes of the feature volumes of a field, one for each rotation. The U-Net needs about four volumes more while it
+        /// encodes one.
+        max_volume_bytes, with_max_volume_bytes: Option<usize> = None, none "only the limits that hold for every call";
+        /// Evaluations of the decoders: for detection the queries times the refinement steps and one, times
+        /// the rotations; for a mesh the samples of its grid times the rotations.
+        max_evaluations, with_max_evaluations: Option<usize> = None, none "only the limits that hold for every call";
+    }
 }
-
-setters!(Limits {
-    max_points: Option<usize> => with_max_points,
-    max_volume_bytes: Option<usize> => with_max_volume_bytes,
-    max_evaluations: Option<usize> => with_max_evaluations,
-});
 
 impl Limits {
     pub(crate) fn check_points(&self, number: usize) -> Result<()> {

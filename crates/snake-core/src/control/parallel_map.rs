@@ -24,10 +24,8 @@ use crate::Result;
 pub fn parallel_map<T: Send>(number: usize, task: impl Fn(usize) -> Result<T> + Sync) -> Result<Vec<T>> {
     let threads = rayon::current_num_threads();
     let alone = || ThreadPoolBuilder::new().num_threads(1).build();
-    let pools: Option<Vec<ThreadPool>> = match threads > 1 && number >= 2 * threads {
-        true => (0..threads).map(|_| alone().ok()).collect(),
-        false => None,
-    };
+    let is_worth_it = threads > 1 && number >= 2 * threads;
+    let pools: Option<Vec<ThreadPool>> = is_worth_it.then(|| (0..threads).map(|_| alone().ok()).collect()).flatten();
     let Some(pools) = pools else { return (0..number).map(task).collect() };
     let next = AtomicUsize::new(0);
     let take_tasks = || {

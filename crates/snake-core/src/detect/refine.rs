@@ -103,12 +103,12 @@ fn refine_tile(
 /// For each query of a tile, the most salient position of its trajectory that lies on the surface; the first of several.
 ///
 /// Occupancy is evaluated by falling saliency, until a position lies on the surface or its saliency is too low for a
-/// keypoint. The result is the same as with the occupancy of all positions, and most queries need none. `of_starts` is the
+/// keypoint. The result is the same as with the occupancy of all positions, and most queries need none. `start_occupancy` is the
 /// occupancy of the first positions, or empty.
 fn best_on_surface(
     field: &Field,
     trajectory: &Trajectory,
-    of_starts: &[f32],
+    start_occupancy: &[f32],
     options: &DetectOptions,
     best: &mut [Refined],
 ) {
@@ -125,7 +125,7 @@ fn best_on_surface(
         ranked[..counts[query]].sort_unstable_by(|&a, &b| saliency(b).total_cmp(&saliency(a)).then(a.cmp(&b)));
     }
     // Positions are numbered as in the trajectory, so that those of the starts come first.
-    let is_unknown = |place: &usize| options.surface_threshold > 0.0 && *place >= of_starts.len();
+    let is_unknown = |place: &usize| options.surface_threshold > 0.0 && *place >= start_occupancy.len();
     for rank in 0..num_steps {
         let is_open = |query: &usize| counts[*query] > rank;
         let open = Scratch::collect(best.len(), (0..best.len()).filter(is_open));
@@ -136,7 +136,7 @@ fn best_on_surface(
         let mut evaluated = evaluated.iter();
         for &query in open.iter() {
             let place = place(query);
-            let occupancy = of_starts.get(place).or_else(|| evaluated.next());
+            let occupancy = start_occupancy.get(place).or_else(|| evaluated.next());
             if occupancy.is_none_or(|occupancy| *occupancy > options.surface_threshold) {
                 best[query] = Refined { position: positions[place], score: saliency[place] };
                 counts[query] = 0;
@@ -243,8 +243,8 @@ mod tests {
             let occupancy = field.tile_values(Quantity::Occupancy, &queries);
             for occupancy in [Scratch::default(), occupancy] {
                 let queries = Occupied { positions: Scratch::copy_of(&queries), occupancy };
-                let found = refine(&field, &queries, &options, &Control::default()).unwrap();
-                assert_eq!(found[..], expected, "{refine_steps} {saliency_threshold}");
+                let refined = refine(&field, &queries, &options, &Control::default()).unwrap();
+                assert_eq!(refined[..], expected, "{refine_steps} {saliency_threshold}");
             }
             expected.iter().for_each(|refined| outcomes[usize::from(refined.score > 0.0)] += 1);
         }

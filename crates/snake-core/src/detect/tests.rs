@@ -23,9 +23,9 @@ pub(crate) fn cylinder() -> (Vec<Point>, Field) {
 fn detections_read_back_from_json() {
     let (points, _) = cylinder();
     let model = Model::builtin(Builtin::Compact);
-    let found = model.detect(&points, model.recommended()).unwrap();
-    let text = serde_json::to_string(&found).unwrap();
-    assert_eq!(serde_json::from_str::<Detection>(&text).unwrap(), found);
+    let detection = model.detect(&points, model.recommended()).unwrap();
+    let text = serde_json::to_string(&detection).unwrap();
+    assert_eq!(serde_json::from_str::<Detection>(&text).unwrap(), detection);
     let value: serde_json::Value = serde_json::from_str(&text).unwrap();
     let keys: Vec<&String> = value["keypoints"][0].as_object().unwrap().keys().collect();
     assert_eq!(keys, ["confidence", "nearest_index", "occupancy", "saliency", "x", "y", "z"]);
@@ -33,7 +33,7 @@ fn detections_read_back_from_json() {
 }
 
 #[test]
-fn in_principal_axes_a_turned_cloud_has_turned_keypoints() {
+fn rotated_cloud_has_rotated_keypoints_in_principal_axes() {
     let points: Vec<Point> = (0..4000)
         .map(|i| {
             let (angle, height) = (i as f32 * 0.7, (i % 97) as f32 / 97.0);
@@ -45,16 +45,16 @@ fn in_principal_axes_a_turned_cloud_has_turned_keypoints() {
     let shares = [NormalizationMethod::UnitSphere, NormalizationMethod::PrincipalAxes].map(|normalization| {
         let mut options = *model.recommended();
         options.encode.normalization = normalization;
-        let found = |points: &[Point]| model.detect(points, &options).unwrap().keypoints;
-        let keypoints = found(&points);
+        let detect = |points: &[Point]| model.detect(points, &options).unwrap().keypoints;
+        let keypoints = detect(&points);
         let rotation = &super_fibonacci(5).nth(3).unwrap();
-        let turned = found(&points.iter().map(|&p| rotate(rotation, p)).collect::<Vec<_>>());
+        let rotated = detect(&points.iter().map(|&p| rotate(rotation, p)).collect::<Vec<_>>());
         let again = |keypoint: &&Keypoint| {
             let squared = |other: &Keypoint| {
                 let other = rotate_inverse(rotation, other.position);
                 (0..3).map(|axis| (keypoint.position[axis] - other[axis]).powi(2)).sum::<f32>()
             };
-            turned.iter().map(squared).any(|squared| squared < 0.005 * 0.005)
+            rotated.iter().map(squared).any(|squared| squared < 0.005 * 0.005)
         };
         assert!(keypoints.len() > 20);
         keypoints.iter().filter(again).count() as f32 / keypoints.len() as f32
@@ -65,7 +65,7 @@ fn in_principal_axes_a_turned_cloud_has_turned_keypoints() {
 #[test]
 fn modes_are_suppressed() {
     let (_, field) = cylinder();
-    let found = |mode_radius, nms_radius: f64| {
+    let detect = |mode_radius, nms_radius: f64| {
         let options = DetectOptions {
             mode_radius,
             nms_radius: Some(nms_radius.into()),
@@ -75,8 +75,8 @@ fn modes_are_suppressed() {
         };
         field.detect(&options).unwrap().keypoints
     };
-    let modes = found(Some(Length::Units(0.1)), 0.1);
-    assert!(modes.len() > 5 && modes != found(None, 0.1));
+    let modes = detect(Some(Length::Units(0.1)), 0.1);
+    assert!(modes.len() > 5 && modes != detect(None, 0.1));
     assert!(modes.is_sorted_by(|a, b| a.saliency >= b.saliency));
     for (i, a) in modes.iter().enumerate() {
         for b in &modes[..i] {
@@ -89,17 +89,17 @@ fn modes_are_suppressed() {
 #[test]
 fn a_suppression_radius_may_be_a_multiple_of_the_resolution() {
     let (points, field) = cylinder();
-    let found = |radius: Length| {
+    let detect = |radius: Length| {
         let nms_radius = Some(radius);
         let options = DetectOptions { nms_radius, saliency_threshold: 0.0, max_keypoints: 1000, ..Default::default() };
         field.detect(&options).map(|detection| detection.keypoints)
     };
     let multiple = Length::Resolutions(5.0);
     let radius = multiple.in_units("nms_radius", &points).unwrap();
-    assert_eq!(found(multiple).unwrap(), found(Length::Units(radius)).unwrap());
-    assert!(found(multiple).unwrap().len() < found(Length::Units(0.0)).unwrap().len());
+    assert_eq!(detect(multiple).unwrap(), detect(Length::Units(radius)).unwrap());
+    assert!(detect(multiple).unwrap().len() < detect(Length::Units(0.0)).unwrap().len());
     for wrong in [Length::Resolutions(0.0), Length::Resolutions(-1.0), Length::Units(-1.0), Length::Units(1e60)] {
-        assert!(found(wrong).unwrap_err().to_string().contains("nms_radius"), "{wrong}");
+        assert!(detect(wrong).unwrap_err().to_string().contains("nms_radius"), "{wrong}");
     }
 }
 
@@ -116,14 +116,15 @@ fn points_that_are_not_finite_are_skipped_and_indices_are_those_of_the_whole_clo
     for max_points in [None, Some(700)] {
         let mut preset = *model.recommended();
         preset.encode.max_points = max_points;
-        let (of_whole, of_clean) = (model.detect(&whole, &preset).unwrap(), model.detect(&clean, &preset).unwrap());
-        assert_eq!((of_whole.num_skipped, of_clean.num_skipped), (1000, 0));
-        assert!(of_whole.keypoints.len() > 5);
-        let mapped = of_clean
+        let (whole_detection, clean_detection) =
+            (model.detect(&whole, &preset).unwrap(), model.detect(&clean, &preset).unwrap());
+        assert_eq!((whole_detection.num_skipped, clean_detection.num_skipped), (1000, 0));
+        assert!(whole_detection.keypoints.len() > 5);
+        let mapped = clean_detection
             .keypoints
             .iter()
             .map(|k| Keypoint { nearest_index: k.nearest_index / 2 * 3 + k.nearest_index % 2, ..*k });
-        assert_eq!(of_whole.keypoints, mapped.collect::<Vec<_>>());
+        assert_eq!(whole_detection.keypoints, mapped.collect::<Vec<_>>());
     }
     let error = model.detect(&[[f32::NAN; 3]; 9], model.recommended()).unwrap_err().to_string();
     assert_eq!(error, "points: none of the 9 points is finite");

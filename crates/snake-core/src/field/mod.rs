@@ -255,11 +255,11 @@ impl Field {
         let queries = self.to_network(queries)?;
         let mut features = vec![0.0; queries.len() * channels];
         features.par_chunks_mut(TILE * channels).zip(queries.par_chunks(TILE)).for_each(|(features, queries)| {
-            let mut of_copy = Scratch::zeros(features.len());
+            let mut copy_features = Scratch::zeros(features.len());
             for RotatedCopy { rotation, volume } in &self.copies {
                 let rotated = rotated(rotation, queries);
-                volume.interpolate(&volume.lattice, &rotated, &mut of_copy);
-                features.iter_mut().zip(of_copy.iter()).for_each(|(sum, f)| *sum += f);
+                volume.interpolate(&volume.lattice, &rotated, &mut copy_features);
+                features.iter_mut().zip(copy_features.iter()).for_each(|(sum, f)| *sum += f);
             }
             for feature in features.chunks_exact_mut(channels) {
                 let norm = feature.iter().map(|f| f * f).sum::<f32>().sqrt().max(f32::MIN_POSITIVE);
@@ -289,9 +289,9 @@ impl Field {
         let (mut values, mut gradients) = (vec![0.0; queries.len()], vec![[0.0; 3]; queries.len()]);
         let tiles = values.par_chunks_mut(TILE).zip(gradients.par_chunks_mut(TILE)).zip(queries.par_chunks(TILE));
         tiles.for_each(|((values, gradients), tile)| {
-            let of_tile = self.tile_values_and_gradients(quantity, tile);
-            values.copy_from_slice(&of_tile.0);
-            gradients.iter_mut().zip(of_tile.1.iter()).for_each(|(to, g)| *to = g.map(|v| v * per_cloud_unit));
+            let tile_results = self.tile_values_and_gradients(quantity, tile);
+            values.copy_from_slice(&tile_results.0);
+            gradients.iter_mut().zip(tile_results.1.iter()).for_each(|(to, g)| *to = g.map(|v| v * per_cloud_unit));
         });
         Ok((values, gradients))
     }

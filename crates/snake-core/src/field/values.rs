@@ -57,13 +57,15 @@ impl Field {
         let mut sums = Scratch::zeros(queries.len());
         let mut gradients = Scratch::<Point>::zeros(queries.len());
         for copy in &self.copies {
-            let of_copy = self.copy_values_and_gradients(copy, quantity, queries);
-            let of_copy = of_copy.0.iter().zip(of_copy.1.iter());
-            for ((sum, gradient), (&value, &of_value)) in sums.iter_mut().zip(gradients.iter_mut()).zip(of_copy) {
-                let value = value.clamp(LEAST, 1.0 - LEAST);
-                let of_log_odds = of_value.map(|v| v / (value * (1.0 - value)));
+            let copy_values = self.copy_values_and_gradients(copy, quantity, queries);
+            let copy_values = copy_values.0.iter().zip(copy_values.1.iter());
+            for ((sum, gradient), (&value, &value_gradient)) in
+                sums.iter_mut().zip(gradients.iter_mut()).zip(copy_values)
+            {
+                let value = value.clamp(MIN_PROBABILITY, 1.0 - MIN_PROBABILITY);
+                let log_odds_gradient = value_gradient.map(|v| v / (value * (1.0 - value)));
                 *sum += log_odds(value);
-                *gradient = std::array::from_fn(|axis| gradient[axis] + of_log_odds[axis]);
+                *gradient = std::array::from_fn(|axis| gradient[axis] + log_odds_gradient[axis]);
             }
         }
         let number = self.copies.len() as f32;
@@ -101,18 +103,18 @@ impl Field {
         let (in_query, _) = decoded.in_query.as_chunks::<3>();
         for ((gradient, &query), in_query) in gradients.iter_mut().zip(queries.iter()).zip(in_query) {
             let voxels_per_unit = lattice.voxels_per_unit(query);
-            let turned = std::array::from_fn(|axis| in_query[axis] + gradient[axis] * voxels_per_unit[axis]);
-            *gradient = rotate_inverse(&copy.rotation, turned);
+            let in_copy = std::array::from_fn(|axis| in_query[axis] + gradient[axis] * voxels_per_unit[axis]);
+            *gradient = rotate_inverse(&copy.rotation, in_copy);
         }
         (decoded.values, gradients)
     }
 }
 
 /// Probabilities are clamped to this distance from 0 and 1 before they are averaged as log-odds.
-const LEAST: f32 = 1e-6;
+const MIN_PROBABILITY: f32 = 1e-6;
 
 pub(crate) fn log_odds(probability: f32) -> f32 {
-    let probability = probability.clamp(LEAST, 1.0 - LEAST);
+    let probability = probability.clamp(MIN_PROBABILITY, 1.0 - MIN_PROBABILITY);
     (probability / (1.0 - probability)).ln()
 }
 
@@ -174,7 +176,7 @@ mod tests {
     }
 
     #[test]
-    fn a_field_in_principal_axes_is_that_of_the_turned_cloud() {
+    fn field_in_principal_axes_is_that_of_the_rotated_cloud() {
         let points: Vec<Point> = (0..3000)
             .map(|i| {
                 let angle = i as f32 * 0.1;
@@ -187,12 +189,15 @@ mod tests {
         };
         let field = encode(&points, NormalizationMethod::PrincipalAxes);
         let turn = |point: &Point| rotate(field.orientation(), *point);
-        let turned = encode(&points.iter().map(turn).collect::<Vec<_>>(), NormalizationMethod::UnitSphere);
-        assert_eq!((turned.orientation(), field.orientation() == turned.orientation()), (&rotations::IDENTITY, false));
+        let rotated = encode(&points.iter().map(turn).collect::<Vec<_>>(), NormalizationMethod::UnitSphere);
+        assert_eq!(
+            (rotated.orientation(), field.orientation() == rotated.orientation()),
+            (&rotations::IDENTITY, false)
+        );
         let (values, gradients) = field.saliency_and_gradient(&points[..99]).unwrap();
-        let expected = turned.saliency_and_gradient(&points[..99].iter().map(turn).collect::<Vec<_>>()).unwrap();
-        for ((value, gradient), (same, turned)) in values.iter().zip(gradients).zip(expected.0.iter().zip(expected.1)) {
-            let back = rotate_inverse(field.orientation(), turned);
+        let expected = rotated.saliency_and_gradient(&points[..99].iter().map(turn).collect::<Vec<_>>()).unwrap();
+        for ((value, gradient), (same, there)) in values.iter().zip(gradients).zip(expected.0.iter().zip(expected.1)) {
+            let back = rotate_inverse(field.orientation(), there);
             assert!((value - same).abs() < 1e-4, "{value} {same}");
             assert!(gradient.iter().zip(back).all(|(a, b)| (a - b).abs() < 1e-2), "{gradient:?} {back:?}");
         }

@@ -8,10 +8,10 @@ use snake_geometry::Point;
 pub(crate) type Place = [i32; 3];
 
 /// Places are within ± this along each axis. Nodes are then within ±2^20, where float32 has a sixteenth of a voxel.
-const FARTHEST: i32 = 1 << 18;
+const MAX_PLACE: i32 = 1 << 18;
 
 /// Coordinates of points are below this, so that all blocks about them have places.
-pub(crate) const FARTHEST_NODE: f32 = ((FARTHEST - 16) * BLOCK_SIDE as i32) as f32;
+pub(crate) const MAX_NODE: f32 = ((MAX_PLACE - 16) * BLOCK_SIDE as i32) as f32;
 
 /// The blocks of a lattice that are stored. Block 0 stands for all others; the stored blocks are numbered from 1 on, along
 /// a Z-order curve: neighbours have near numbers, so that their values are still in the cache.
@@ -25,13 +25,13 @@ pub(crate) struct BlockGrid {
 
 /// A number that orders places along a Z-order curve: the bits of x, y and z by turns, x lowest.
 fn key(place: Place) -> u64 {
-    let [x, y, z] = place.map(|i| spread((i + FARTHEST) as u64));
+    let [x, y, z] = place.map(|i| spread((i + MAX_PLACE) as u64));
     (z << 2) | (y << 1) | x
 }
 
 /// Inverse of [`key`].
 fn place(key: u64) -> Place {
-    [key, key >> 1, key >> 2].map(|bits| gather(bits) as i32 - FARTHEST)
+    [key, key >> 1, key >> 2].map(|bits| gather(bits) as i32 - MAX_PLACE)
 }
 
 /// Each of the lowest 21 bits, three places apart.
@@ -67,16 +67,16 @@ impl BlockGrid {
         }
         keys.sort_unstable();
         keys.dedup();
-        Self::of_keys(keys)
+        Self::from_keys(keys)
     }
 
     /// These blocks and, numbered after them, those of `more` that are not among them.
     pub(crate) fn with(&self, more: &Self) -> Self {
         let is_new = |key: &u64| self.number(place(*key)) == 0;
-        Self::of_keys(self.keys.iter().copied().chain(more.keys.iter().copied().filter(is_new)).collect())
+        Self::from_keys(self.keys.iter().copied().chain(more.keys.iter().copied().filter(is_new)).collect())
     }
 
-    fn of_keys(keys: Vec<u64>) -> Self {
+    fn from_keys(keys: Vec<u64>) -> Self {
         let mut table = vec![0; (2 * keys.len()).next_power_of_two().max(2)];
         for (number, &key) in (1..).zip(&keys) {
             let mut entry = Self::first_entry(key, table.len());
@@ -104,7 +104,7 @@ impl BlockGrid {
 
     /// The number of the block at a place; 0 if it is not stored.
     pub(crate) fn number(&self, place: Place) -> u32 {
-        if self.table.is_empty() || place.iter().any(|i| !(-FARTHEST..FARTHEST).contains(i)) {
+        if self.table.is_empty() || place.iter().any(|i| !(-MAX_PLACE..MAX_PLACE).contains(i)) {
             return 0;
         }
         let key = key(place);
@@ -134,7 +134,7 @@ impl BlockGrid {
 
     /// The eight nodes about a query in the network's frame.
     pub(crate) fn corners(&self, query: Point) -> Corners {
-        if !query.iter().all(|v| v.abs() < FARTHEST_NODE) {
+        if !query.iter().all(|v| v.abs() < MAX_NODE) {
             return Corners::default();
         }
         let low = query.map(|v| v.floor() as i32);

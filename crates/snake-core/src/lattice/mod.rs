@@ -17,7 +17,7 @@ mod shape;
 mod voxel_groups;
 mod voxel_size;
 
-pub(crate) use self::blocks::{BlockGrid, FARTHEST_NODE, children, half_of_parent, places_between};
+pub(crate) use self::blocks::{BlockGrid, MAX_NODE, children, half_of_parent, places_between};
 pub(crate) use self::cells::Cells;
 pub use self::cube::VolumeFrame;
 pub(crate) use self::queries::{Queries, Refined};
@@ -110,7 +110,7 @@ impl Lattice {
     }
 
     /// The queries from which detection starts: a grid over the cube, or the mean of the points of each cell of a scene.
-    /// `points` are those of the cloud in the frame of the volume, which is turned by `orientation`.
+    /// `points` are those of the cloud in the frame of the volume, which `orientation` rotates.
     pub(crate) fn queries(
         &self,
         points: impl Iterator<Item = Point>,

@@ -15,16 +15,16 @@ use crate::Result;
 
 /// Radius about a cell, in voxels, within which cells count as its neighbours.
 const NEIGHBOURHOOD: f32 = 3.0;
-/// The mean of the neighbours of a rim's cell lies so far from it along the plane, in voxels. Half a disc's mean lies 1.27 voxels
+/// Minimum distance along the plane, in voxels, of the neighbours' mean from a cell on a rim. Half a disc's mean lies 1.27 voxels
 /// from its centre.
-const LEAST_OFFSET: f64 = 0.75;
-/// The variance across the plane is at most this share of the smaller one along it,
-const MOST_THICKNESS: f64 = 0.3;
-/// and that at least this share of the larger one: a pole or a ring of a sweep has no rim.
-const LEAST_WIDTH: f64 = 0.1;
-/// Queries at most so many voxels from a cell of a rim have
+const MIN_OFFSET: f64 = 0.75;
+/// Maximum variance across the plane, as a share of the smaller one along it.
+const MAX_THICKNESS: f64 = 0.3;
+/// Minimum of the smaller variance along the plane, as a share of the larger one: a pole or a ring of a sweep has no rim.
+const MIN_WIDTH: f64 = 0.1;
+/// Maximum distance in voxels of a query from a cell of a rim for a lower score.
 const DISTANCE: f32 = 1.5;
-/// this share of their score.
+/// The factor of the scores near a rim.
 const SHARE: f32 = 0.6;
 /// Offsets are rounded to steps, this many a voxel: sums of integers do not depend on their order.
 const STEPS: f32 = 256.0;
@@ -64,8 +64,8 @@ fn is_on_rim(around: &RadiusCells, cell: usize) -> bool {
     let mean = Vector3::from(sum.map(|sum| sum as f64 / number / f64::from(STEPS)));
     let second = Matrix3::from_fn(|row, column| products[row][column] as f64 / number / f64::from(STEPS).powi(2));
     let ([across, narrow, wide], normal) = eigen(second - mean * mean.transpose());
-    let is_flat = across < MOST_THICKNESS * narrow && narrow > LEAST_WIDTH * wide;
-    is_flat && (mean - normal * normal.dot(&mean)).norm() > LEAST_OFFSET
+    let is_flat = across < MAX_THICKNESS * narrow && narrow > MIN_WIDTH * wide;
+    is_flat && (mean - normal * normal.dot(&mean)).norm() > MIN_OFFSET
 }
 
 #[cfg(test)]
@@ -109,7 +109,7 @@ mod tests {
     }
 
     #[test]
-    fn few_cells_are_no_trouble() {
+    fn few_cells_or_none_have_no_rims() {
         assert_eq!(left(&[], |_| true), [0, 0]);
         assert_eq!(left(&[[0.5; 3]], |_| true), [1, 1]);
         assert_eq!(left(&[[0.5; 3], [1.5, 0.5, 0.5]], |_| true), [2, 2]);

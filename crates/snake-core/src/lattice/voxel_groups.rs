@@ -97,10 +97,10 @@ impl VoxelGroups {
         sums: &mut [f32],
         task: &(impl Fn(Range<usize>, &mut [f32]) -> Result<()> + Sync),
     ) -> Result<()> {
-        self.in_parts_of(0..self.num_voxels(), most, sums, task)
+        self.range_in_parts(0..self.num_voxels(), most, sums, task)
     }
 
-    fn in_parts_of(
+    fn range_in_parts(
         &self,
         voxels: Range<usize>,
         most: usize,
@@ -112,10 +112,10 @@ impl VoxelGroups {
         }
         let width = sums.len() / voxels.len();
         let [first, rest] = self.halves(voxels);
-        let (of_first, of_rest) = sums.split_at_mut(first.len() * width);
+        let (first_sums, rest_sums) = sums.split_at_mut(first.len() * width);
         let (first, rest) = rayon::join(
-            || self.in_parts_of(first, most, of_first, task),
-            || self.in_parts_of(rest, most, of_rest, task),
+            || self.range_in_parts(first, most, first_sums, task),
+            || self.range_in_parts(rest, most, rest_sums, task),
         );
         first.and(rest)
     }

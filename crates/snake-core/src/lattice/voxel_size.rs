@@ -6,7 +6,7 @@
 //! - at most 80 % as many voxels hold points as there are different points: a voxel is then a little larger than the
 //!   distance between neighbouring points. Of a sweep, whose points lie far apart where there is something to see, 95 %
 //!   ([`UsedCloud::is_sweep`]); and
-//! - at most [`MOST_VOXELS`] voxels hold points, which bounds the time of a dense cloud.
+//! - at most [`MAX_VOXELS`] voxels hold points, which bounds the time of a dense cloud.
 //!
 //! Two clouds of one sensor so have the same size more often than by a rule without steps, and a room in millimetres has
 //! a thousand times the size of the room in metres.
@@ -19,7 +19,7 @@ use crate::{Error, Result};
 use snake_geometry::{Length, Point};
 
 /// Voxels with points, at most: about as many as a sweep of 120 000 points has at 0.28 m.
-const MOST_VOXELS: usize = 32_000;
+const MAX_VOXELS: usize = 32_000;
 
 /// Voxels with points, at most, for each different point; of a sweep the second.
 const SHARES: [f64; 2] = [0.8, 0.95];
@@ -49,7 +49,7 @@ fn chosen(cloud: &UsedCloud) -> Result<f64> {
     let largest = step_of(extent);
     let distinct = num_voxels(points, size_of(largest - 6 * STEPS));
     let share = SHARES[usize::from(cloud.is_sweep())];
-    let most = MOST_VOXELS.min((share * distinct as f64) as usize).max(1);
+    let most = MAX_VOXELS.min((share * distinct as f64) as usize).max(1);
     // The smallest step that has few enough voxels; one voxel as large as the cloud is always few enough.
     let (mut too_small, mut fits) = (largest - 6 * STEPS, largest + 1);
     while fits - too_small > 1 {

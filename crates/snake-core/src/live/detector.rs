@@ -79,8 +79,8 @@ impl Detector {
         let start = Instant::now();
         let field = Field::from_source(self.model.network().clone(), source, encode, &mut self.memory, control)?;
         let seconds = start.elapsed().as_secs_f64();
-        let found = field.detect_in(detect, std::mem::take(&mut self.keypoints), control)?;
-        self.keypoints = std::mem::replace(detection, found).keypoints;
+        let new = field.detect_in(detect, std::mem::take(&mut self.keypoints), control)?;
+        self.keypoints = std::mem::replace(detection, new).keypoints;
         detection.timing.encode = seconds;
         field.recycle_into(&mut self.memory);
         Ok(())
@@ -106,14 +106,14 @@ mod tests {
         let model = Model::builtin(Builtin::Compact);
         let options = *model.recommended();
         let mut detector = Detector::new(model.clone(), options).unwrap();
-        let mut found = Detection::default();
+        let mut detection = Detection::default();
         for points in [cloud(0.5, |_| false), cloud(0.9, |i| i % 3 == 0), cloud(0.1, |i| i == 1499)] {
             let [x, y, z] = [0, 1, 2].map(|axis| points.iter().map(|p| p[axis]).collect::<Vec<f32>>());
-            detector.detect_into(&SeparateAxes::new(&x, &y, &z).unwrap(), &mut found).unwrap();
+            detector.detect_into(&SeparateAxes::new(&x, &y, &z).unwrap(), &mut detection).unwrap();
             let expected = model.detect(&points, &options).unwrap();
             assert!(!expected.keypoints.is_empty());
-            found.timing = expected.timing;
-            assert_eq!(found, expected);
+            detection.timing = expected.timing;
+            assert_eq!(detection, expected);
         }
     }
 
@@ -122,17 +122,17 @@ mod tests {
         let model = Model::builtin(Builtin::Compact);
         let options = *model.recommended();
         let mut detector = Detector::new(model, options).unwrap();
-        let mut found = Detection::default();
+        let mut detection = Detection::default();
         let points = cloud(0.5, |_| false);
-        detector.detect_into(&points, &mut found).unwrap();
-        let kept = found.clone();
-        let error = detector.detect_into(&[[f32::NAN; 3]; 4][..], &mut found).unwrap_err().to_string();
+        detector.detect_into(&points, &mut detection).unwrap();
+        let kept = detection.clone();
+        let error = detector.detect_into(&[[f32::NAN; 3]; 4][..], &mut detection).unwrap_err().to_string();
         assert_eq!(error, "points: none of the 4 points is finite");
         let control = Control::new().limits(Limits::default().with_max_points(Some(100)));
-        let refused = detector.detect_into_with(&points, &mut found, &control);
+        let refused = detector.detect_into_with(&points, &mut detection, &control);
         assert!(matches!(refused, Err(Error::LimitExceeded { what: "points", number: 1500, limit: 100 })));
-        assert_eq!(found, kept);
-        detector.detect_into(&points, &mut found).unwrap();
-        assert_eq!(found.keypoints, kept.keypoints);
+        assert_eq!(detection, kept);
+        detector.detect_into(&points, &mut detection).unwrap();
+        assert_eq!(detection.keypoints, kept.keypoints);
     }
 }

@@ -17,11 +17,11 @@ const SAMPLES: [usize; 2] = [2048, 16_384];
 /// Sizes of a voxel of a scene model, in resolutions of the cloud.
 const VOXELS: [f64; 11] = [1.25, 1.6, 2.0, 2.5, 3.15, 4.0, 5.0, 6.3, 8.0, 10.0, 12.5];
 /// A finer query grid is not worth fewer points than this.
-const FEW: usize = 8192;
+const MIN_POINTS: usize = 8192;
 /// Numbers of points are rounded down to a multiple of this.
 const STEP: usize = 1024;
 /// The most points of the made cloud, which takes 12 bytes a point.
-const MOST: usize = 100_000_000;
+const MAX_POINTS: usize = 100_000_000;
 /// Detections beside the first one that are measured; the median counts.
 const REPEATS: usize = 5;
 /// The part of the target that the budget uses. The rest is for clouds that are harder than the measured one.
@@ -48,7 +48,7 @@ impl Model {
         if target.is_zero() {
             return Err(Error::Option { name: "target", value: "0".into(), allowed: "above 0 (seconds)" });
         }
-        if !(2..=MOST).contains(&num_points) {
+        if !(2..=MAX_POINTS).contains(&num_points) {
             let allowed = "2 to 100000000";
             return Err(Error::Option { name: "num_points", value: num_points.to_string(), allowed });
         }
@@ -70,7 +70,7 @@ impl Model {
             }
             let points = affordable_points(seconds, seconds_of_budget);
             best = Some(self.budget(query_resolution, points));
-            if points >= FEW {
+            if points >= MIN_POINTS {
                 break;
             }
         }
@@ -163,13 +163,13 @@ mod tests {
         let cloud = room(5000);
         for milliseconds in [1, 200] {
             let options = model.realtime_options(Duration::from_millis(milliseconds), cloud.len()).unwrap();
-            let found = model.detect(&cloud, &options).unwrap();
-            assert!(found.num_encoded <= options.encode.max_points.unwrap());
+            let detection = model.detect(&cloud, &options).unwrap();
+            assert!(detection.num_encoded <= options.encode.max_points.unwrap());
             assert_eq!(options.encode.normalization, NormalizationMethod::UnitSphere);
             let read: Options = serde_json::from_str(&serde_json::to_string(&options).unwrap()).unwrap();
             let one_thread = rayon::ThreadPoolBuilder::new().num_threads(1).build().unwrap();
             let again = one_thread.install(|| model.detect(&cloud, &read)).unwrap();
-            assert_eq!((again.keypoints, again.counts), (found.keypoints, found.counts));
+            assert_eq!((again.keypoints, again.counts), (detection.keypoints, detection.counts));
         }
     }
 
@@ -181,9 +181,9 @@ mod tests {
         assert_eq!(size(Duration::from_secs(1000)), None);
         assert_eq!(size(Duration::from_nanos(1)), Some(Length::Resolutions(12.5)));
         let options = model.realtime_options(Duration::from_nanos(1), cloud.len()).unwrap();
-        let found = model.detect(&cloud, &options).unwrap();
-        assert_eq!(found.num_encoded, cloud.len());
-        assert!(found.voxel_size > model.detect(&cloud, model.recommended()).unwrap().voxel_size);
+        let detection = model.detect(&cloud, &options).unwrap();
+        assert_eq!(detection.num_encoded, cloud.len());
+        assert!(detection.voxel_size > model.detect(&cloud, model.recommended()).unwrap().voxel_size);
     }
 
     #[test]

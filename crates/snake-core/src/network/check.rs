@@ -72,8 +72,8 @@ pub(super) fn check_volume(config: &ModelConfig) -> Result<()> {
     }
     let channels = widest(config);
     let shape = config.volume;
-    let found = format!("{shape} of {channels} channels (at least {MIN_CHANNELS} are counted), {values} values");
-    Err(weights::error("resolution", &format!("a volume of at most {MAX_VOLUME_VALUES} values"), found))
+    let actual = format!("{shape} of {channels} channels (at least {MIN_CHANNELS} are counted), {values} values");
+    Err(weights::error("resolution", &format!("a volume of at most {MAX_VOLUME_VALUES} values"), actual))
 }
 
 /// The maximum number of blocks of a scene's volume with this number of channels.

@@ -9,7 +9,7 @@ pub(crate) mod layers;
 pub(crate) mod volume;
 pub(crate) mod weights;
 
-pub use self::config::{ModelConfig, PointEncoder, Scatter};
+pub use self::config::{ModelConfig, Scatter};
 pub use self::volume::Volume;
 
 use std::collections::BTreeMap;

@@ -63,8 +63,8 @@ pub fn in_words(error: &serde_json::Error) -> String {
         ("usize", "a whole number, 0 or more"),
         ("u64", "a whole number, 0 or more"),
     ];
-    let found = words.iter().find_map(|(rust, words)| Some(format!("{}{words}", text.strip_suffix(rust)?)));
-    found.unwrap_or(text)
+    let in_words = words.iter().find_map(|(rust, words)| Some(format!("{}{words}", text.strip_suffix(rust)?)));
+    in_words.unwrap_or(text)
 }
 
 /// The names of all options.

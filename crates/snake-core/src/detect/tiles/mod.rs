@@ -160,14 +160,12 @@ impl TileDetector {
     /// [`Error::Option`] when the point is too far from the origin for the size of a voxel.
     fn voxel(&self, point: &Point) -> Result<[i32; 3]> {
         let voxel = self.normalization().to_network(*point).map(f32::floor);
-        match voxel.iter().all(|v| v.abs() < (1 << 20) as f32) {
-            true => Ok(voxel.map(|v| v as i32)),
-            false => Err(Error::Option {
-                name: "voxel_size",
-                value: format!("{}, too small for the point {point:?}", self.voxel_size),
-                allowed: "at least a millionth of the largest coordinate",
-            }),
+        if voxel.iter().all(|v| v.abs() < (1 << 20) as f32) {
+            return Ok(voxel.map(|v| v as i32));
         }
+        let value = format!("{}, too small for the point {point:?}", self.voxel_size);
+        let allowed = "at least a millionth of the largest coordinate";
+        Err(Error::Option { name: "voxel_size", value, allowed })
     }
 
     /// The column of a finite point, along x and y.
@@ -219,7 +217,7 @@ impl TileDetector {
         let field = Field::normalized(self.network.clone(), points.to_vec(), self.normalization(), control);
         let field = field.map_err(advised)?;
         let near = tile.clone().map(|range| range.start.saturating_sub(margin)..range.end.saturating_add(margin));
-        let found = |is_own: bool| -> Result<(Vec<Candidate>, Counts)> {
+        let owned_candidates = |is_own: bool| -> Result<(Vec<Candidate>, Counts)> {
             let owns = |point: &Point| self.is_in(point, &near) && self.is_in(point, tile) == is_own;
             let cells = field.lattice().cell_means().iter().copied();
             let cells: Vec<Point> = cells.filter(|cell| owns(&field.normalization().to_cloud(*cell))).collect();
@@ -232,9 +230,9 @@ impl TileDetector {
             };
             Ok((positions.iter().zip(scores.iter()).map(candidate).collect::<Result<_>>()?, counts))
         };
-        let (mut candidates, counts) = found(true)?;
+        let (mut candidates, counts) = owned_candidates(true)?;
         if let Some(radius) = self.radii.mode {
-            candidates.extend(found(false)?.0);
+            candidates.extend(owned_candidates(false)?.0);
             candidates.sort_by_key(by_place);
             let Some(modes) = self.modes(&candidates, radius, tile, (!is_whole).then_some(&near))? else {
                 return Ok(None);
@@ -278,8 +276,8 @@ impl TileDetector {
             return Ok(None);
         }
         let starts: Vec<usize> = own().filter(|(_, fate)| **fate == Fate::Kept).map(|(index, _)| *index).collect();
-        let (moved, of_modes) = modes_of(&positions, &scores, radius, &starts)?;
-        let modes = starts.iter().zip(moved.iter().zip(of_modes.iter()));
+        let (moved, mode_scores) = modes_of(&positions, &scores, radius, &starts)?;
+        let modes = starts.iter().zip(moved.iter().zip(mode_scores.iter()));
         let mut modes: Vec<Candidate> = modes
             .map(|(&start, (&position, &saliency))| Candidate { position, saliency, ..candidates[start] })
             .collect();
@@ -292,7 +290,7 @@ impl TileDetector {
         (0..2).all(|axis| {
             let at = f64::from(point[axis]);
             let [low, high] = [columns[axis].start, columns[axis].end].map(|c| f64::from(c) * self.column_side());
-            // The column of a point is found in `f32`.
+            // The column of a point is computed in `f32`.
             let reach = reach + 1e-6 * at.abs();
             at - reach > low && at + reach < high
         })
@@ -312,9 +310,9 @@ impl TileDetector {
         let mut order: Vec<usize> = (0..candidates.len()).collect();
         order.sort_by(|&a, &b| by_rank(&candidates[a], &candidates[b]));
         let ranked: Vec<Point> = order.iter().map(|&index| candidates[index].position).collect();
-        let of_ranked = suppress_seen(&ranked, self.radii.nms, |rank| sees_all(&candidates[order[rank]]))?;
+        let ranked_fates = suppress_seen(&ranked, self.radii.nms, |rank| sees_all(&candidates[order[rank]]))?;
         let mut fates = vec![Fate::Unknown; candidates.len()];
-        order.iter().zip(of_ranked).for_each(|(&index, fate)| fates[index] = fate);
+        order.iter().zip(ranked_fates).for_each(|(&index, fate)| fates[index] = fate);
         Ok(fates)
     }
 }

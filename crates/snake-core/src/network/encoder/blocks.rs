@@ -4,11 +4,11 @@ use snake_kernels::BLOCK_VOXELS;
 
 use super::EncoderMemory;
 use super::levels::{Level, levels};
-use super::points::PointFeatures;
+use super::pointnet::PointNet;
 use super::scatter_blocks as scatter;
 use super::unet_blocks::BlockUnet;
 use crate::control::{Counter, span};
-use crate::lattice::{Cells, FARTHEST_NODE, Lattice, VoxelGroups};
+use crate::lattice::{Cells, Lattice, MAX_NODE, VoxelGroups};
 use crate::network::check;
 use crate::network::config::ModelConfig;
 use crate::network::volume::Volume;
@@ -19,7 +19,7 @@ use snake_geometry::Point;
 /// The encoder of a scene model.
 #[derive(Debug)]
 pub(crate) struct BlockEncoder {
-    pub(crate) points: PointFeatures,
+    pub(crate) points: PointNet,
     unet: BlockUnet,
     /// A node with less mass than this counts its features less.
     scatter_mass: f32,
@@ -28,7 +28,7 @@ pub(crate) struct BlockEncoder {
 impl BlockEncoder {
     pub(crate) fn load(scope: &Scope, config: &ModelConfig, scatter_mass: f32) -> Result<Self> {
         Ok(Self {
-            points: PointFeatures::load(scope, config)?,
+            points: PointNet::load(scope, config)?,
             unet: BlockUnet::load(&scope.at("unet3d"), config)?,
             scatter_mass,
         })
@@ -67,7 +67,7 @@ impl BlockEncoder {
 
     /// Groups points by cell. Returns the lowest node of each cell with points.
     fn cells(&self, points: &[Point], groups: &mut VoxelGroups) -> Result<Vec<[i32; 3]>> {
-        if let Some(point) = points.iter().find(|point| !point.iter().all(|v| v.abs() < FARTHEST_NODE)) {
+        if let Some(point) = points.iter().find(|point| !point.iter().all(|v| v.abs() < MAX_NODE)) {
             let allowed = "at least a millionth of the largest coordinate";
             let value = format!(
                 "so small that a point is {:.0} voxels from the origin",
@@ -84,8 +84,8 @@ impl BlockEncoder {
         let block = BLOCK_VOXELS * channels;
         let mut nodes = self.unet.pool.take((level.near.len() + 1) * block);
         nodes[..block].fill(0.0);
-        let of_blocks = &mut nodes[block..];
-        scatter::gather(&level.near, &level.neighbors, cells, sums, self.scatter_mass, channels, of_blocks);
+        let block_nodes = &mut nodes[block..];
+        scatter::gather(&level.near, &level.neighbors, cells, sums, self.scatter_mass, channels, block_nodes);
         nodes
     }
 }

@@ -3,9 +3,10 @@
 use rayon::prelude::*;
 
 use super::EncoderMemory;
-use super::points::{self, PointFeatures};
+use super::pointnet::PointNet;
 use super::scatter_dense as scatter;
 use super::unet_dense::UNet3d;
+use super::voxel_sums::{add, divide_by_counts};
 use crate::Result;
 use crate::control::Counter;
 use crate::control::span;
@@ -22,7 +23,7 @@ use snake_kernels::{ConstantRegion, channel_sums};
 pub(crate) struct DenseEncoder {
     frame: VolumeFrame,
     scatter: Scatter,
-    pub(crate) points: PointFeatures,
+    pub(crate) points: PointNet,
     unet: UNet3d,
 }
 
@@ -31,7 +32,7 @@ impl DenseEncoder {
         Ok(Self {
             frame,
             scatter: config.scatter,
-            points: PointFeatures::load(scope, config)?,
+            points: PointNet::load(scope, config)?,
             unet: UNet3d::load(&scope.at("unet3d"), config, frame)?,
         })
     }
@@ -135,14 +136,14 @@ pub(crate) fn aggregated<'a>(
     for (voxel, sums) in sums.chunks_exact_mut(width).enumerate() {
         for (point, feature) in groups.members(voxel..voxel + 1).map(&feature) {
             match scatter {
-                Scatter::Hard => points::add(point, feature, sums),
+                Scatter::Hard => add(point, feature, sums),
                 Scatter::Soft => scatter::spread(frame, point, feature, sums),
             }
         }
     }
     match scatter {
         Scatter::Hard => {
-            points::divide_by_counts(&mut sums, groups, channels);
+            divide_by_counts(&mut sums, groups, channels);
             write_rows(&sums, groups, channels, values);
         }
         Scatter::Soft => drop(scatter::gather(frame, groups, &sums, values, &Counter::default())?),

@@ -1,19 +1,17 @@
-//! The encoder, from points to a volume: PointNet with local max-pooling or PointNet++, scattering, 3-D U-Net (SNAKE 3.1,
-//! ConvONet).
+//! The encoder, from points to a volume: PointNet with local max-pooling, scattering, 3-D U-Net (SNAKE 3.1, ConvONet).
 
 mod blocks;
 mod dense;
 mod levels;
 mod pointnet;
-mod pointnet2;
 mod pointnet_blocks;
-mod points;
 mod scatter_blocks;
 mod scatter_dense;
 #[cfg(test)]
 mod tests;
 mod unet_blocks;
 mod unet_dense;
+mod voxel_sums;
 
 pub(crate) use self::dense::aggregated;
 

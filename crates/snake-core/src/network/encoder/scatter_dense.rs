@@ -77,7 +77,7 @@ pub(super) fn gather(
     let mut masses: Scratch<f32> = Scratch::zeros(num_voxels);
     masses.par_chunks_mut(plane).enumerate().try_for_each(|(z, masses)| {
         let mass = |voxel: usize| reaching(voxel).map(|slot| slot[channels]).sum();
-        masses.iter_mut().enumerate().for_each(|(i, of_voxel)| *of_voxel = mass(z * plane + i));
+        masses.iter_mut().enumerate().for_each(|(i, voxel_mass)| *voxel_mass = mass(z * plane + i));
         counter.check()
     })?;
     let touched = Scratch::collect(num_voxels, (0..num_voxels).filter(|&voxel| masses[voxel] > 0.0));

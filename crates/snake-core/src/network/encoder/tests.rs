@@ -56,10 +56,10 @@ fn volume_and_fields_equal_pytorch() {
         steps.clone().any(|step| occupied.contains(&std::array::from_fn(|axis| node[axis] + step[axis])))
     };
     for (node, expected) in nodes(&file, "volume_nodes").into_iter().zip(expected.chunks(volume.channels)) {
-        let found = &volume.values[grid.node(node) as usize * volume.channels..][..volume.channels];
+        let features = &volume.values[grid.node(node) as usize * volume.channels..][..volume.channels];
         // Fourteen layers of float32 sums in another order, of values up to 10.
-        let is_close = found.iter().zip(expected).all(|(f, e)| (f - e).abs() < 3e-4);
-        assert!(is_close || !is_exact(node), "{node:?} {found:?} {expected:?}");
+        let is_close = features.iter().zip(expected).all(|(f, e)| (f - e).abs() < 3e-4);
+        assert!(is_close || !is_exact(node), "{node:?} {features:?} {expected:?}");
     }
     let queries = points(&file, "queries");
     let has_exact_nodes = |query: &Point| {
@@ -161,10 +161,10 @@ fn units_do_not_matter_and_hopeless_sizes_are_refused() {
     let room: Vec<Point> = room().into_iter().map(|p| p.map(|v| v + 0.000_37)).collect();
     let metres = model.detect(&room, &options).unwrap().keypoints;
     let millimetres: Vec<Point> = room.iter().map(|p| p.map(|v| v * 1000.0)).collect();
-    let found = model.detect(&millimetres, &options).unwrap().keypoints;
-    assert!(metres.len() > 20 && metres.len() == found.len());
-    for (metres, found) in metres.iter().zip(&found) {
-        assert!((0..3).all(|axis| (found.position[axis] / 1000.0 - metres.position[axis]).abs() < 1e-4));
+    let scaled = model.detect(&millimetres, &options).unwrap().keypoints;
+    assert!(metres.len() > 20 && metres.len() == scaled.len());
+    for (metres, scaled) in metres.iter().zip(&scaled) {
+        assert!((0..3).all(|axis| (scaled.position[axis] / 1000.0 - metres.position[axis]).abs() < 1e-4));
     }
     let refused = |size: Length| {
         let options = EncodeOptions::default().with_voxel_size(Some(size));

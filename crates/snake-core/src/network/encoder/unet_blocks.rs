@@ -31,12 +31,13 @@ impl BlockConv {
     fn load(scope: &Scope, sources: &[(usize, bool)], outputs: usize, constants: &[f32]) -> Result<Self> {
         let inputs: usize = sources.iter().map(|source| source.0).sum();
         let weight = scope.tensor("conv.weight", &[outputs, inputs, 3, 3, 3])?;
-        let of_constant = weight.chunks_exact(27 * inputs).map(|filters| {
+        let constant_outputs = weight.chunks_exact(27 * inputs).map(|filters| {
             let taps = filters.chunks_exact(27).zip(constants);
             taps.map(|(taps, &value)| taps.iter().map(|&w| f64::from(w)).sum::<f64>() * f64::from(value)).sum::<f64>()
         });
         let bias = scope.tensor("conv.bias", &[outputs])?;
-        let bias: Vec<f32> = bias.iter().zip(of_constant).map(|(&b, added)| (f64::from(b) + added) as f32).collect();
+        let bias: Vec<f32> =
+            bias.iter().zip(constant_outputs).map(|(&b, added)| (f64::from(b) + added) as f32).collect();
         Ok(Self {
             packed: PackedConv3d::new(sources, outputs, &weight, BLOCK_SIDE),
             constant: bias.iter().map(|value| value.max(0.0)).collect(),

@@ -43,10 +43,8 @@ impl UNet3d {
             let level = config.unet_levels - 2 - k;
             let outputs = channels[level];
             // Where the coarser size is exactly half, the convolution upsamples while it reads.
-            let sources: &[_] = match doubles(level) {
-                true => &[(outputs, false), (2 * outputs, true)],
-                false => &[(3 * outputs, false)],
-            };
+            let sources: &[_] =
+                if doubles(level) { &[(outputs, false), (2 * outputs, true)] } else { &[(3 * outputs, false)] };
             double(format!("decoders.{k}"), level, sources, outputs, outputs)
         };
         Ok(Self {

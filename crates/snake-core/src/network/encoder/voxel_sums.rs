@@ -1,52 +1,12 @@
-//! The network before scattering, from points to features, of either kind.
+//! Sums and means of the features of the points in each voxel.
 
 use super::pointnet::PointNet;
-use super::pointnet2::PointNet2;
 use crate::Result;
 use crate::control::Counter;
 use crate::lattice::VoxelGroups;
-use crate::network::config::{ModelConfig, PointEncoder};
-use crate::network::weights::Scope;
 use snake_geometry::Point;
 
-/// The point encoder of a model.
-#[derive(Debug)]
-pub(crate) enum PointFeatures {
-    PointNet(Box<PointNet>),
-    PointNet2(Box<PointNet2>),
-}
-
-impl PointFeatures {
-    pub(crate) fn load(scope: &Scope, config: &ModelConfig) -> Result<Self> {
-        Ok(match config.point_encoder {
-            PointEncoder::PointNet => Self::PointNet(Box::new(PointNet::load(scope, config)?)),
-            PointEncoder::PointNet2 => Self::PointNet2(Box::new(PointNet2::load(scope, config)?)),
-        })
-    }
-
-    /// The progress units of [`PointFeatures::voxel_sums`].
-    pub(crate) fn work(&self, num_points: usize) -> usize {
-        match self {
-            Self::PointNet(net) => net.work(num_points),
-            Self::PointNet2(net) => net.work(num_points),
-        }
-    }
-
-    /// Number of channels of a feature.
-    pub(crate) fn channels(&self) -> usize {
-        match self {
-            Self::PointNet(net) => net.channels(),
-            Self::PointNet2(net) => net.channels(),
-        }
-    }
-
-    /// The local PointNet, for tests of its stages.
-    #[cfg(test)]
-    pub(crate) fn pointnet(&self) -> &PointNet {
-        let Self::PointNet(net) = self else { panic!("this network has another point encoder") };
-        net
-    }
-
+impl PointNet {
     /// Replaces `means` by the mean feature of each occupied voxel, `(voxels, c_dim)`; `point` returns the grouped points in
     /// the network's frame.
     pub(crate) fn voxel_means(
@@ -74,10 +34,7 @@ impl PointFeatures {
     ) -> Result<()> {
         sums.clear();
         sums.resize(groups.num_voxels() * width, 0.0);
-        match self {
-            Self::PointNet(net) => net.add_to_voxels(groups, point, add, sums, counter),
-            Self::PointNet2(net) => net.add_to_voxels(groups, point, add, sums, counter),
-        }
+        self.add_to_voxels(groups, point, add, sums, counter)
     }
 }
 
