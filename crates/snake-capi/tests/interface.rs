@@ -237,6 +237,7 @@ fn clouds_are_registered() {
         t_target_source: [0.0; 16],
         confidence: -1.0,
         is_reliable: false,
+        is_ambiguous: false,
         num_correspondences: 0,
         num_inliers: 0,
         fitness: 0.0,
