@@ -48,9 +48,10 @@ fn keypoints<'py>(
     }
     let (py, (Cloud { points, .. }, _)) = (points.py(), arrays::cloud("points", points)?);
     let outliers = FinitePoints::of("points", &points).map_err(py_error)?.outliers();
-    warn(py, outliers.map(|outliers| outliers.to_string()))?;
+    outliers.map_or(Ok(()), |outliers| warn(py, &outliers.to_string()))?;
     let count = count.unwrap_or(usize::MAX);
-    let found: Vec<Response> = threads::run(py, || detector.keypoints(&points, count, protocol, seed))?;
+    let found: Vec<Response> =
+        threads::run_with_signals(py, |control| detector.keypoints_with(&points, count, protocol, seed, control))?;
     let indices = found.iter().map(|response| response.index as i64).collect();
     Ok((arrays::values(py, indices), arrays::values(py, found.iter().map(|response| response.score).collect())))
 }

@@ -7,6 +7,7 @@ use snake_core::{Chooser, Control, Keypoint, printable};
 use crate::arguments::{SnakeCloud, check_output, input, options as parse_options};
 use crate::model::{SnakeModel, free};
 use crate::status::{SnakeStatus, guarded};
+use crate::threads::run;
 
 /// A keypoint, in the frame and units of the cloud.
 #[repr(C)]
@@ -68,8 +69,10 @@ pub unsafe extern "C" fn snake_detect(
         // SAFETY: the caller vouches for the model, the cloud and the text.
         let (model, points, values) =
             unsafe { (input("model", model)?, cloud.read("cloud")?, parse_options(options)?) };
-        let chosen = Chooser::new(model.choice.clone(), &values)?.for_points(&points)?;
-        let found = chosen.detect(&Control::default())?;
+        let (found, chosen) = run(|| {
+            let chosen = Chooser::new(model.choice.clone(), &values)?.for_points(&points)?;
+            Ok((chosen.detect(&Control::default())?, chosen))
+        })?;
         let notes = chosen.notes().into_iter().chain(chosen.cluster_hint(&found));
         let result = SnakeDetection {
             keypoints: found.keypoints.iter().map(SnakeKeypoint::from).collect(),

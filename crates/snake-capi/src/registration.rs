@@ -3,12 +3,13 @@
 use std::ffi::c_char;
 
 use serde_json::Map;
-use snake_core::{Chooser, Control, Error, ModelChoice, with_named_values};
+use snake_core::{Chooser, Control, ModelChoice, with_named_values};
 use snake_registration::{RegisterOptions, Registration, register_with};
 
 use crate::arguments::{SnakeCloud, check_output, optional, options as parse_options};
 use crate::model::SnakeModel;
 use crate::status::{SnakeStatus, guarded};
+use crate::threads::run;
 
 /// The rigid transform between two clouds.
 #[repr(C)]
@@ -77,12 +78,13 @@ pub unsafe extern "C" fn snake_register(
         let values = unsafe { parse_options(options) }?;
         let options = with_named_values(&RegisterOptions::default(), &values)?;
         let is_used = |model: &&SnakeModel| options.needs_model() || matches!(model.choice, ModelChoice::Named(_));
-        let chosen = model.filter(is_used).map(|model| {
-            let chooser = Chooser::new(model.choice.clone(), &Map::new())?;
-            Ok::<_, Error>(chooser.for_points(&target)?.model)
-        });
-        let model = chosen.transpose()?;
-        let found = register_with(&source, &target, model.as_ref(), &options, &Control::default())?;
+        let model = model.filter(is_used);
+        let found = run(|| {
+            let choose = |model: &SnakeModel| Chooser::new(model.choice.clone(), &Map::new())?.for_points(&target);
+            let chosen = model.map(choose).transpose()?;
+            let model = chosen.as_ref().map(|chosen| &chosen.model);
+            Ok(register_with(&source, &target, model, &options, &Control::default())?)
+        })?;
         let found = SnakeRegistration::from(&found);
         // SAFETY: the place is neither null nor misaligned; the caller vouches for the rest.
         unsafe { registration.write(found) };

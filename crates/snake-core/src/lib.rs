@@ -69,7 +69,7 @@ pub use field::{Field, Grid};
 pub use lattice::{VolumeFrame, VolumeShape};
 pub use live::{Detector, Tracker, TrackerOptions};
 pub use model::Model;
-pub use network::{ModelConfig, Scatter, Volume};
+pub use network::{ModelConfig, Scatter, Volume, read_weight_file};
 #[doc(hidden)]
 pub use options::in_words;
 pub use options::{

@@ -4,15 +4,16 @@ use std::collections::BTreeMap;
 use std::path::Path;
 use std::sync::Arc;
 
+#[cfg(doc)]
+use crate::Error;
+use crate::Result;
 use crate::cloud::UsedCloud;
 use crate::control::Control;
 use crate::control::clock::Instant;
 use crate::detect::{Detection, TileDetector};
 use crate::field::{Field, FieldMemory};
-use crate::network::ModelConfig;
-use crate::network::Network;
+use crate::network::{ModelConfig, Network, read_weight_file};
 use crate::options::{EncodeOptions, Options};
-use crate::{Error, Result};
 use snake_geometry::Point;
 
 /// A network with its weights; cloning it is cheap.
@@ -34,9 +35,7 @@ impl Model {
     /// # Errors
     /// [`Error::Io`] when the file cannot be read; [`Error::Weights`] as for [`Model::from_bytes`].
     pub fn load(path: impl AsRef<Path>) -> Result<Self> {
-        let path = path.as_ref();
-        let bytes = std::fs::read(path).map_err(|source| Error::Io { path: path.into(), source })?;
-        Self::from_bytes(&bytes)
+        Self::from_bytes(&read_weight_file(path.as_ref())?)
     }
 
     /// Loads a network from the bytes of a weight file.

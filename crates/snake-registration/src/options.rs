@@ -112,6 +112,19 @@ pub enum Axis {
     Z,
 }
 
+/// The largest coordinate of a viewpoint, in cloud units. Points may lie as far; squares of what is much farther overflow.
+const MAX_COORDINATE: f64 = 1e15;
+
+/// Refuses a viewpoint with a coordinate that is not finite or too far.
+pub(crate) fn check_viewpoint(name: &'static str, viewpoint: &Option<[f64; 3]>) -> Result<()> {
+    match viewpoint {
+        Some(position) if !position.iter().all(|v| v.abs() <= MAX_COORDINATE) => {
+            Err(Error::Option { name, value: format!("{position:?}"), allowed: "three numbers from -1e15 to 1e15" })
+        }
+        _ => Ok(()),
+    }
+}
+
 impl Axis {
     pub(crate) fn unit(self) -> Vector {
         match self {
@@ -138,13 +151,8 @@ impl RegisterOptions {
 
     pub(crate) fn check(&self) -> Result<()> {
         self.check_ranges()?;
-        for (name, viewpoint) in
-            [("source_viewpoint", self.source_viewpoint), ("target_viewpoint", self.target_viewpoint)]
-        {
-            if let Some(value) = viewpoint.filter(|position| !position.iter().all(|v| v.is_finite())) {
-                return Err(Error::Option { name, value: format!("{value:?}"), allowed: "three finite numbers" });
-            }
-        }
+        check_viewpoint("source_viewpoint", &self.source_viewpoint)?;
+        check_viewpoint("target_viewpoint", &self.target_viewpoint)?;
         Ok(())
     }
 

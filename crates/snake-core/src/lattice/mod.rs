@@ -10,6 +10,7 @@
 mod blocks;
 mod cells;
 mod cube;
+mod levels;
 mod queries;
 mod query_grid;
 mod rims;
@@ -17,9 +18,10 @@ mod shape;
 mod voxel_groups;
 mod voxel_size;
 
-pub(crate) use self::blocks::{BlockGrid, MAX_NODE, children, half_of_parent, places_between};
+pub(crate) use self::blocks::{BlockGrid, MAX_NODE};
 pub(crate) use self::cells::Cells;
 pub use self::cube::VolumeFrame;
+pub(crate) use self::levels::{FinestLevel, Level, levels};
 pub(crate) use self::queries::{Queries, Refined};
 pub(crate) use self::shape::TimeBudget;
 pub use self::shape::VolumeShape;

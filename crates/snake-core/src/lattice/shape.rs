@@ -85,8 +85,14 @@ impl VolumeShape {
         }
     }
 
-    /// The map of a cloud to the network's frame, and the rotation of the volume in it.
-    pub(crate) fn place(&self, cloud: &UsedCloud, options: &EncodeOptions) -> Result<(Normalization, Rotation)> {
+    /// The map of a cloud to the network's frame, and the rotation of the volume in it. A scene has at most so many blocks, if its
+    /// voxel size is chosen.
+    pub(crate) fn place(
+        &self,
+        cloud: &UsedCloud,
+        options: &EncodeOptions,
+        max_blocks: usize,
+    ) -> Result<(Normalization, Rotation)> {
         match self {
             Self::Cube(_) => {
                 let normalization = Normalization::of_finite(cloud.points(), options.normalization)?;
@@ -99,7 +105,7 @@ impl VolumeShape {
                 Ok((normalization, orientation))
             }
             Self::Scene { .. } => {
-                let scale = voxel_size(options.voxel_size, cloud)?;
+                let scale = voxel_size(options.voxel_size, cloud, max_blocks)?;
                 Ok((Normalization { center: [0.0; 3], scale }, rotations::IDENTITY))
             }
         }

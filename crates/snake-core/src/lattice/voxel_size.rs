@@ -14,6 +14,8 @@
 use rayon::prelude::*;
 use snake_kernels::Scratch;
 
+use super::blocks::MAX_NODE;
+use super::levels::FinestLevel;
 use crate::cloud::UsedCloud;
 use crate::{Error, Result};
 use snake_geometry::{Length, Point};
@@ -27,15 +29,15 @@ const SHARES: [f64; 2] = [0.8, 0.95];
 /// Steps of the series in a factor of ten.
 const STEPS: i32 = 10;
 
-/// The voxel size in cloud units: the given one, or the one of the rule for the finite points of a cloud.
-pub(crate) fn voxel_size(given: Option<Length>, cloud: &UsedCloud) -> Result<f32> {
+/// The voxel size in cloud units: the given one, or the one of the rule for a cloud whose volume has at most so many blocks.
+pub(crate) fn voxel_size(given: Option<Length>, cloud: &UsedCloud, max_blocks: usize) -> Result<f32> {
     match given {
         Some(size) => Ok(size.in_units("voxel_size", cloud.points())? as f32),
-        None => chosen(cloud).map(|size| size as f32),
+        None => chosen(cloud, max_blocks).map(|size| size as f32),
     }
 }
 
-fn chosen(cloud: &UsedCloud) -> Result<f64> {
+fn chosen(cloud: &UsedCloud, max_blocks: usize) -> Result<f64> {
     let points = cloud.points();
     let extent = (0..3).map(|axis| {
         let ends = points.iter().fold([f32::MAX, f32::MIN], |[low, high], p| [low.min(p[axis]), high.max(p[axis])]);
@@ -56,7 +58,28 @@ fn chosen(cloud: &UsedCloud) -> Result<f64> {
         let middle = too_small + (fits - too_small) / 2;
         if num_voxels(points, size_of(middle)) <= most { fits = middle } else { too_small = middle }
     }
+    // Voxels that stand alone have many blocks: those of a dense part in the midst of a wide cloud.
+    while fits <= largest && !is_within_budget(points, size_of(fits), max_blocks) {
+        fits += 1;
+    }
     Ok(size_of(fits))
+}
+
+/// Whether the volume of a cloud in voxels of a size has at most so many blocks.
+fn is_within_budget(points: &[Point], size: f64, max_blocks: usize) -> bool {
+    if max_blocks == usize::MAX {
+        return true;
+    }
+    if points.iter().flatten().any(|v| (f64::from(*v) / size).abs() >= f64::from(MAX_NODE)) {
+        return false;
+    }
+    let mut keys: Vec<u64> = points.iter().map(|point| key(point, size)).collect();
+    keys.par_sort_unstable();
+    keys.dedup();
+    // The lowest 21 bits of a place, with its sign.
+    let place = |bits: u64| ((bits << 43) as i64 >> 43) as i32;
+    let cells = keys.iter().map(|&key| [key, key >> 21, key >> 42].map(place));
+    FinestLevel::new(cells, max_blocks).is_some()
 }
 
 /// The first step of the series that is not below a size.
@@ -74,18 +97,24 @@ fn size_of(step: i32) -> f64 {
 
 /// The number of voxels of a size that hold points.
 fn num_voxels(points: &[Point], size: f64) -> usize {
-    let key = |point: &Point| {
-        let [x, y, z] = point.map(|v| (f64::from(v) / size).floor() as i64 as u64 & 0x1F_FFFF);
-        (z << 42) | (y << 21) | x
-    };
-    let mut keys = Scratch::collect(points.len(), points.iter().map(|point| (key(point), 0)));
+    let mut keys = Scratch::collect(points.len(), points.iter().map(|point| (key(point, size), 0)));
     keys.par_sort_unstable();
     1 + keys.windows(2).filter(|pair| pair[0] != pair[1]).count()
+}
+
+/// The place of a point's voxel: 21 bits each of z, y and x.
+fn key(point: &Point, size: f64) -> u64 {
+    let [x, y, z] = point.map(|v| (f64::from(v) / size).floor() as i64 as u64 & 0x1F_FFFF);
+    (z << 42) | (y << 21) | x
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+    use snake_geometry::FinitePoints;
+
+    /// The blocks of a gibibyte of the built-in model.
+    const MAX_BLOCKS: usize = 1 << 17;
 
     /// A square of n x n points, `spacing` apart.
     fn square(n: usize, spacing: f32) -> Vec<Point> {
@@ -94,7 +123,7 @@ mod tests {
     }
 
     fn size(points: &[Point]) -> f64 {
-        chosen(&UsedCloud::new(points).unwrap()).unwrap()
+        chosen(&UsedCloud::new(points).unwrap(), MAX_BLOCKS).unwrap()
     }
 
     #[test]
@@ -115,7 +144,29 @@ mod tests {
 
     #[test]
     fn clouds_without_extent_are_refused() {
-        assert!(chosen(&UsedCloud::new(&[[1.0; 3]; 9]).unwrap()).is_err());
+        assert!(chosen(&UsedCloud::new(&[[1.0; 3]; 9]).unwrap(), MAX_BLOCKS).is_err());
         assert!(size(&[[0.0; 3], [1e-3, 0.0, 0.0]]) > 0.0);
+    }
+
+    #[test]
+    fn the_default_fits_its_budget_whatever_the_distances_of_the_points() {
+        let power = |i: usize, step: f32| 10_f32.powf(8.0 * (i as f32 * step).fract() - 4.0);
+        let all_scales: Vec<Point> = (0..60_000)
+            .map(|i| {
+                let scale = power(i, 0.618_034);
+                [0.754_877_7, 0.569_840_3, 0.324_718].map(|step| (i as f32 * step).fract() * scale)
+            })
+            .collect();
+        // A statue of 0.1 in terrain of 200 x 200.
+        let statue = square(250, 4e-4).into_iter().map(|[x, y, z]| [x + 100.0, y + 100.0, z]);
+        let terrain = (0..20_000).map(|i| [0.618_034, 0.754_877_7].map(|step: f32| (i as f32 * step).fract() * 200.0));
+        let mixed: Vec<Point> = terrain.map(|[x, y]| [x, y, 0.0]).chain(statue).collect();
+        for points in [all_scales, mixed] {
+            let size =
+                chosen(&UsedCloud::from_finite(FinitePoints::all((&points[..]).into()), points.len()), MAX_BLOCKS)
+                    .unwrap();
+            assert!(is_within_budget(&points, size, MAX_BLOCKS), "{size}");
+            assert!(!is_within_budget(&points, size / 100.0, MAX_BLOCKS), "{size}");
+        }
     }
 }

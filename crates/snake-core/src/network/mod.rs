@@ -11,6 +11,7 @@ pub(crate) mod weights;
 
 pub use self::config::{ModelConfig, Scatter};
 pub use self::volume::Volume;
+pub use self::weights::read_weight_file;
 
 use std::collections::BTreeMap;
 

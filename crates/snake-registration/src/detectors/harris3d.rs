@@ -1,11 +1,10 @@
 //! Harris 3D (Sipiran and Bustos 2011), as PCL computes it.
 
 use nalgebra::Matrix3;
-use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
-use super::{Response, among_distinct, index_cloud, local_maxima};
-use snake_core::{Error, Result};
+use super::{Response, among_distinct, each_point, index_cloud, local_maxima};
+use snake_core::{Control, Error, Result};
 use snake_geometry::{Length, Point, Vector, setters};
 
 /// Options of [`harris3d`].
@@ -17,7 +16,7 @@ pub struct Harris3dOptions {
     pub radius: Length,
     /// Responses below this are dropped; responses lie between 0 and 1/27.
     pub threshold: f64,
-    /// Keep only local maxima. If false, every point is a keypoint, as in the wrapper behind the paper's tables.
+    /// Keep only local maxima, of which a flat neighbourhood has none. If false, every point is a keypoint, as in the wrapper behind the paper's tables.
     pub non_max: bool,
 }
 
@@ -26,6 +25,9 @@ setters!(Harris3dOptions {
     threshold: f64 => with_threshold,
     non_max: bool => with_non_max,
 });
+
+/// A flat neighbourhood has a response of 0 up to rounding, and no local maximum.
+const FLAT: f64 = 1e-12;
 
 impl Default for Harris3dOptions {
     fn default() -> Self {
@@ -43,11 +45,11 @@ impl Default for Harris3dOptions {
 /// [`Error::Input`] when the cloud has no finite points or is one point repeated;
 /// [`Error::Option`] when an option is outside its range.
 pub fn harris3d(points: &[Point], options: &Harris3dOptions) -> Result<Vec<Response>> {
-    among_distinct(points, |points| find(points, options))
+    among_distinct(points, |points| find(points, options, &Control::default()))
 }
 
 /// [`harris3d`] of finite, distinct points.
-fn find(points: &[Point], options: &Harris3dOptions) -> Result<Vec<Response>> {
+pub(super) fn find(points: &[Point], options: &Harris3dOptions, control: &Control) -> Result<Vec<Response>> {
     if !options.threshold.is_finite() {
         let value = options.threshold.to_string();
         return Err(Error::Option { name: "threshold", value, allowed: "a finite number" });
@@ -56,16 +58,19 @@ fn find(points: &[Point], options: &Harris3dOptions) -> Result<Vec<Response>> {
     let radius = options.radius.resolve("radius", || cloud.resolution())?;
     cloud.check_density("radius", radius)?;
     let neighbors = |point: &Vector| cloud.within(point, radius);
-    let normals: Vec<Option<Vector>> = cloud.points.par_iter().map(|point| cloud.normal(&neighbors(point))).collect();
-    let response = |point| {
+    let normals = each_point(&cloud, control, |point| cloud.normal(&neighbors(point)))?;
+    let response = |point: &Vector| {
         let around: Vec<&Vector> = neighbors(point).into_iter().filter_map(|i| normals[i].as_ref()).collect();
         let sum: Matrix3<f64> = around.iter().map(|n| *n * n.transpose()).sum();
         (sum / around.len().max(1) as f64).determinant().max(0.0)
     };
-    let responses: Vec<f64> = cloud.points.par_iter().map(response).collect();
+    let responses = each_point(&cloud, control, response)?;
+    if options.non_max {
+        let is_corner = |response| response > FLAT && response >= options.threshold;
+        return local_maxima(&cloud, &responses, radius, 0, control, is_corner);
+    }
     // No point is closer than 0, so this radius suppresses nothing.
-    let radius = if options.non_max { radius } else { 0.0 };
-    Ok(local_maxima(&cloud, &responses, radius, 0, |response| response >= options.threshold))
+    local_maxima(&cloud, &responses, 0.0, 0, control, |response| response >= options.threshold)
 }
 
 #[cfg(test)]

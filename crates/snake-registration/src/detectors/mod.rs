@@ -19,8 +19,8 @@ use rand::SeedableRng;
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
-use snake_core::{Error, Result};
-use snake_geometry::{FinitePoints, Neighbors, Point, vector};
+use snake_core::{Control, Error, Result};
+use snake_geometry::{FinitePoints, Neighbors, Point, Vector, vector};
 
 pub use farthest_point::farthest_points;
 pub use harris3d::{Harris3dOptions, harris3d};
@@ -112,15 +112,32 @@ impl Detector {
     /// [`Error::Input`] when the cloud has no finite points or is one point repeated;
     /// [`Error::Option`] when an option is outside its range.
     pub fn keypoints(&self, points: &[Point], count: usize, protocol: Protocol, seed: u64) -> Result<Vec<Response>> {
+        self.keypoints_with(points, count, protocol, seed, &Control::default())
+    }
+
+    /// [`Detector::keypoints`] with cancellation and a deadline.
+    ///
+    /// # Errors
+    /// The errors of [`Detector::keypoints`]; [`Error::Cancelled`] and [`Error::DeadlineExceeded`].
+    pub fn keypoints_with(
+        &self,
+        points: &[Point],
+        count: usize,
+        protocol: Protocol,
+        seed: u64,
+        control: &Control,
+    ) -> Result<Vec<Response>> {
         if count == 0 {
             return Err(Error::Option { name: "count", value: "0".into(), allowed: "1 or more" });
         }
         among_finite(points, |points| {
             let mut responses = match self {
-                Self::Iss(options) => iss(points, options)?,
-                Self::Harris3d(options) => harris3d(points, options)?,
-                Self::Sift3d(options) => sift3d(points, options)?,
-                Self::SurfaceVariation(options) => surface_variation(points, options)?,
+                Self::Iss(options) => among_distinct(points, |points| iss::find(points, options, control))?,
+                Self::Harris3d(options) => among_distinct(points, |points| harris3d::find(points, options, control))?,
+                Self::Sift3d(options) => among_distinct(points, |points| sift3d::find(points, options, control))?,
+                Self::SurfaceVariation(options) => {
+                    among_distinct(points, |points| surface_variation::find(points, options, control))?
+                }
                 Self::FarthestPoint => return farthest_points(points, count),
                 Self::Random => return random_points(points, count, seed),
             };
@@ -185,6 +202,11 @@ fn index_cloud(points: &[Point]) -> Result<Neighbors> {
     Ok(Neighbors::new(points.iter().map(|&p| vector(p)).collect())?)
 }
 
+/// A value of each point, unless the call must stop.
+fn each_point<T: Send>(cloud: &Neighbors, control: &Control, value: impl Fn(&Vector) -> T + Sync) -> Result<Vec<T>> {
+    cloud.points.par_iter().map(|point| control.check().map(|()| value(point))).collect()
+}
+
 /// Non-maximum suppression: the indices of points that pass and whose score no point closer than `radius` exceeds.
 /// Points with equal scores all stay. As in PCL and Open3D, every neighbour counts, whether it passes or not.
 fn local_maxima(
@@ -192,16 +214,21 @@ fn local_maxima(
     scores: &[f64],
     radius: f64,
     min_neighbors: usize,
+    control: &Control,
     passes: impl Fn(f64) -> bool + Sync,
-) -> Vec<Response> {
-    let is_maximum = |index: &usize| {
-        passes(scores[*index]) && {
-            let neighbors = cloud.within(&cloud.points[*index], radius);
-            neighbors.len() >= min_neighbors && neighbors.iter().all(|&other| scores[other] <= scores[*index])
+) -> Result<Vec<Response>> {
+    let is_maximum = |index: usize| {
+        passes(scores[index]) && {
+            let neighbors = cloud.within(&cloud.points[index], radius);
+            neighbors.len() >= min_neighbors && neighbors.iter().all(|&other| scores[other] <= scores[index])
         }
     };
-    let kept = (0..scores.len()).into_par_iter().filter(is_maximum);
-    by_falling_score(kept.map(|index| Response { index, score: scores[index] }).collect())
+    let maximum = |index: usize| {
+        control.check()?;
+        Ok(is_maximum(index).then(|| Response { index, score: scores[index] }))
+    };
+    let found: Vec<Option<Response>> = (0..scores.len()).into_par_iter().map(maximum).collect::<Result<_>>()?;
+    Ok(by_falling_score(found.into_iter().flatten().collect()))
 }
 
 /// Sorts by falling score and, for equal scores, by rising index.
@@ -214,6 +241,21 @@ fn by_falling_score(mut responses: Vec<Response>) -> Vec<Response> {
 mod tests {
     use super::*;
     use snake_geometry::Length;
+
+    #[test]
+    fn a_flat_plate_has_no_keypoints() {
+        let at = |i: usize| (i % 30) as f32 * 0.1;
+        for tilt in [0.0, 0.3] {
+            let plate: Vec<Point> = (0..900).map(|i| [at(i), at(i / 30), tilt * at(i)]).collect();
+            let found = [
+                harris3d(&plate, &Harris3dOptions::default()).unwrap(),
+                iss(&plate, &IssOptions::default()).unwrap(),
+                surface_variation(&plate, &SurfaceVariationOptions::default()).unwrap(),
+                sift3d(&plate, &Sift3dOptions::default()).unwrap(),
+            ];
+            assert_eq!(found.map(|responses| responses.len()), [0; 4], "{tilt}");
+        }
+    }
 
     /// A unit cube's surface: `side`² points on each face, the edges doubled as its faces share them.
     pub(super) fn cube(side: usize) -> Vec<Point> {

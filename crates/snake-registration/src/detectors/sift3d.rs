@@ -5,8 +5,8 @@ use std::num::NonZeroUsize;
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
-use super::{Response, among_distinct, by_falling_score, index_cloud};
-use snake_core::{Error, Result};
+use super::{Response, among_distinct, by_falling_score, each_point, index_cloud};
+use snake_core::{Control, Error, Result};
 use snake_geometry::{Length, Neighbors, Point, Vector, eigen, setters};
 
 /// The search ends at an octave with fewer points.
@@ -72,11 +72,11 @@ impl Default for Sift3dOptions {
 /// [`Error::Input`] when the cloud has no finite points or is one point repeated;
 /// [`Error::Option`] when an option is outside its range.
 pub fn sift3d(points: &[Point], options: &Sift3dOptions) -> Result<Vec<Response>> {
-    among_distinct(points, |points| find(points, options))
+    among_distinct(points, |points| find(points, options, &Control::default()))
 }
 
 /// [`sift3d`] of finite, distinct points.
-fn find(points: &[Point], options: &Sift3dOptions) -> Result<Vec<Response>> {
+pub(super) fn find(points: &[Point], options: &Sift3dOptions, control: &Control) -> Result<Vec<Response>> {
     for (name, value) in [("octaves", options.octaves), ("scales_per_octave", options.scales_per_octave)] {
         if !(1..=64).contains(&value) {
             return Err(Error::Option { name, value: value.to_string(), allowed: "1 to 64" });
@@ -88,7 +88,7 @@ fn find(points: &[Point], options: &Sift3dOptions) -> Result<Vec<Response>> {
     }
     let input = index_cloud(points)?;
     let min_scale = options.min_scale.resolve("min_scale", || input.resolution())?;
-    let (mut positions, mut field) = (input.points.clone(), values(&input, options.field)?);
+    let (mut positions, mut field) = (input.points.clone(), values(&input, options.field, control)?);
     let mut strongest = vec![f64::NEG_INFINITY; points.len()];
     for octave in 0..options.octaves {
         let scale = min_scale * 2_f64.powi(octave as i32);
@@ -97,7 +97,7 @@ fn find(points: &[Point], options: &Sift3dOptions) -> Result<Vec<Response>> {
             break;
         }
         let cloud = Neighbors::new(positions)?;
-        let differences = differences_of_gaussians(&cloud, &field, scale, options.scales_per_octave);
+        let differences = differences_of_gaussians(&cloud, &field, scale, options.scales_per_octave, control)?;
         for (position, contrast) in extrema(&cloud, &differences, options.min_contrast) {
             let place = &mut strongest[input.nearest(&position, NonZeroUsize::MIN)[0].0];
             *place = f64::max(*place, contrast);
@@ -109,16 +109,16 @@ fn find(points: &[Point], options: &Sift3dOptions) -> Result<Vec<Response>> {
 }
 
 /// The field at each point.
-fn values(cloud: &Neighbors, field: SiftField) -> Result<Vec<f64>> {
+fn values(cloud: &Neighbors, field: SiftField, control: &Control) -> Result<Vec<f64>> {
     let SiftField::Curvature(radius) = field else { return Ok(cloud.points.iter().map(|p| p.y).collect()) };
     let radius = radius.resolve("curvature_radius", || cloud.resolution())?;
     cloud.check_density("curvature_radius", radius)?;
-    let variation = |point| {
+    let variation = |point: &Vector| {
         let (eigenvalues, _) = eigen(cloud.covariance(&cloud.within(point, radius)));
         let sum: f64 = eigenvalues.iter().sum();
         if sum > 0.0 { eigenvalues[0].max(0.0) / sum } else { 0.0 }
     };
-    Ok(cloud.points.par_iter().map(variation).collect())
+    each_point(cloud, control, variation)
 }
 
 /// The mean point and the mean of the field in every occupied voxel; voxels lie on multiples of `edge`.
@@ -135,7 +135,13 @@ fn thin(points: &[Vector], field: &[f64], edge: f64) -> (Vec<Vector>, Vec<f64>) 
 }
 
 /// The differences of the field between neighbouring scales of an octave, `[point][scale]`; Gaussians end at 3 sigma.
-fn differences_of_gaussians(cloud: &Neighbors, field: &[f64], base: f64, scales: usize) -> Vec<Vec<f64>> {
+fn differences_of_gaussians(
+    cloud: &Neighbors,
+    field: &[f64],
+    base: f64,
+    scales: usize,
+    control: &Control,
+) -> Result<Vec<Vec<f64>>> {
     let sigmas: Vec<f64> = (0..scales + 3).map(|i| base * 2_f64.powf((i as f64 - 1.0) / scales as f64)).collect();
     let reach = 3.0 * sigmas[scales + 2];
     let of_point = |point: &Vector| {
@@ -155,7 +161,7 @@ fn differences_of_gaussians(cloud: &Neighbors, field: &[f64], base: f64, scales:
         });
         blurred.collect::<Vec<_>>().windows(2).map(|pair| pair[1] - pair[0]).collect()
     };
-    cloud.points.par_iter().map(of_point).collect()
+    each_point(cloud, control, of_point)
 }
 
 /// Positions of the extrema and their absolute values.
@@ -199,7 +205,7 @@ mod tests {
         // With one scale per octave the standard deviations are half the base, the base, twice and four times the base.
         // The neighbour is 2 away: beyond 3 sigma of the first Gaussian and within 3 sigma of the others.
         let cloud = Neighbors::new(on_line(&[0.0, 2.0])).unwrap();
-        let found = differences_of_gaussians(&cloud, &[0.0, 1.0], 1.0, 1);
+        let found = differences_of_gaussians(&cloud, &[0.0, 1.0], 1.0, 1, &Control::default()).unwrap();
         let blurred = |sigma: f64| {
             let weight = (-0.5 * (2.0 / sigma).powi(2)).exp();
             weight / (1.0 + weight)

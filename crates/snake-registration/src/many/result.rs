@@ -5,7 +5,7 @@ use serde::{Deserialize, Serialize};
 use snake_core::{Error, Result};
 use snake_geometry::RigidTransform;
 
-use crate::options::RegisterOptions;
+use crate::options::{RegisterOptions, check_viewpoint};
 
 /// The largest number of clouds: the poses are solved for in one dense matrix.
 const MOST_CLOUDS: usize = 500;
@@ -91,9 +91,7 @@ impl AlignOptions {
         if ![0, count].contains(&self.viewpoints.len()) {
             return refused("viewpoints", format!("{} of them", self.viewpoints.len()), "one for each cloud, or none");
         }
-        if let Some(bad) = self.viewpoints.iter().flatten().find(|position| !position.iter().all(|v| v.is_finite())) {
-            return refused("viewpoints", format!("{bad:?}"), "three finite numbers each");
-        }
+        self.viewpoints.iter().try_for_each(|position| check_viewpoint("viewpoints", position))?;
         let mut viewpoints = self.viewpoints.clone();
         viewpoints.resize(count, None);
         Ok(viewpoints)

@@ -93,7 +93,8 @@ fn bad_clouds_and_options_are_refused() {
     for (options, name) in [
         (default.clone().with_max_partners(0), "max_partners"),
         (default.clone().with_viewpoints(vec![None]), "viewpoints"),
-        (default.clone().with_viewpoints(vec![Some([f64::NAN; 3]); 4]), "finite"),
+        (default.clone().with_viewpoints(vec![Some([f64::NAN; 3]); 4]), "-1e15 to 1e15"),
+        (default.clone().with_viewpoints(vec![None, Some([0.0, 0.0, 1e200]), None, None]), "-1e15 to 1e15"),
         (default.clone().with_register(register.with_initial(Some(RigidTransform::identity()))), "initial"),
         (default.clone().with_register(register.with_source_viewpoint(Some([0.0; 3]))), "source_viewpoint"),
         (default.clone().with_register(register.with_hypotheses(2)), "hypotheses"),

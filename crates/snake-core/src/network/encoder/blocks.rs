@@ -3,12 +3,11 @@
 use snake_kernels::BLOCK_VOXELS;
 
 use super::EncoderMemory;
-use super::levels::{Level, levels};
 use super::pointnet::PointNet;
 use super::scatter_blocks as scatter;
 use super::unet_blocks::BlockUnet;
-use crate::control::{Counter, span};
-use crate::lattice::{Cells, Lattice, MAX_NODE, VoxelGroups};
+use crate::control::{Counter, Limits, span};
+use crate::lattice::{Cells, FinestLevel, Lattice, Level, MAX_NODE, VoxelGroups, levels};
 use crate::network::check;
 use crate::network::config::ModelConfig;
 use crate::network::volume::Volume;
@@ -35,8 +34,14 @@ impl BlockEncoder {
     }
 
     /// Encodes points, given in voxels.
-    pub(crate) fn encode(&self, points: &[Point], memory: &mut EncoderMemory, counter: &Counter) -> Result<Volume> {
-        self.encode_also(points, &[], memory, counter)
+    pub(crate) fn encode(
+        &self,
+        points: &[Point],
+        memory: &mut EncoderMemory,
+        limits: &Limits,
+        counter: &Counter,
+    ) -> Result<Volume> {
+        self.encode_also(points, &[], memory, limits, counter)
     }
 
     /// [`BlockEncoder::encode`] with blocks also about more cells, which hold no points.
@@ -45,12 +50,16 @@ impl BlockEncoder {
         points: &[Point],
         more: &[[i32; 3]],
         memory: &mut EncoderMemory,
+        limits: &Limits,
         counter: &Counter,
     ) -> Result<Volume> {
         let cells = self.cells(points, &mut memory.groups)?;
-        let levels = levels(self.unet.num_levels(), cells.iter().chain(more).copied());
         let channels = self.points.channels();
-        check_blocks(levels[0].grid.len(), channels)?;
+        let finest = finest_level(cells.iter().chain(more).copied(), channels)?;
+        limits.check_volume_bytes(check::scene_bytes(finest.len(), channels))?;
+        counter.check()?;
+        let levels = levels(self.unet.num_levels(), finest);
+        counter.check()?;
         counter.set_total(self.points.work(points.len()) + self.unet.work(&levels));
         let offset = |index: usize| points[index].map(|v| v - v.floor() - 0.5);
         span!("pointnet");
@@ -90,14 +99,16 @@ impl BlockEncoder {
     }
 }
 
-/// Refuses a volume that would need too much memory.
-fn check_blocks(number: usize, channels: usize) -> Result<()> {
-    let most = check::max_blocks(channels);
-    if number <= most {
-        return Ok(());
+/// The finest level over cells. A volume that would need too much memory is refused, with a voxel size that fits.
+fn finest_level(cells: impl Iterator<Item = [i32; 3]> + Clone, channels: usize) -> Result<FinestLevel> {
+    let max = check::max_blocks(channels);
+    if let Some(level) = FinestLevel::new(cells.clone(), max) {
+        return Ok(level);
     }
-    // The number of blocks falls with about the square of the size.
-    let factor = (1.1 * (number as f64 / most as f64).sqrt() * 10.0).ceil() / 10.0;
-    let value = format!("so small that {number} blocks of 4 x 4 x 4 voxels are needed; {factor} times this size fits");
+    let fits = |halvings: &u32| FinestLevel::new(cells.clone().map(|cell| cell.map(|i| i >> halvings)), max).is_some();
+    // All cells lie within 2^20 nodes of zero, and are few after as many halvings.
+    let factor = 1 << (1..20).find(fits).unwrap_or(20);
+    let value =
+        format!("so small that more than {max} blocks of 4 x 4 x 4 voxels are needed; {factor} times this size fits");
     Err(Error::Option { name: "voxel_size", value, allowed: "a size that needs at most a gibibyte of features" })
 }

@@ -6,9 +6,9 @@ use snake_kernels::{
     conv3d_blocks,
 };
 
-use super::levels::Level;
 use crate::Result;
 use crate::control::Counter;
+use crate::lattice::Level;
 use crate::network::config::ModelConfig;
 use crate::network::layers::{Linear, TILE};
 use crate::network::weights::Scope;

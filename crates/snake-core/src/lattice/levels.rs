@@ -3,7 +3,7 @@
 use rayon::prelude::*;
 use snake_kernels::BLOCK_SIDE;
 
-use crate::lattice::{BlockGrid, children, half_of_parent, places_between};
+use super::blocks::{BlockGrid, children, half_of_parent, places_between};
 
 /// Nodes from the points, or from the next finer level's blocks, up to which a level has blocks: two convolutions reach so
 /// far, so whatever the encoder makes of the points lies in them.
@@ -14,28 +14,52 @@ const NEAR: i32 = 1;
 
 /// One level: its blocks and where their neighbours are stored.
 #[derive(Debug, Default)]
-pub(super) struct Level {
-    pub(super) grid: BlockGrid,
+pub(crate) struct Level {
+    pub(crate) grid: BlockGrid,
     /// The blocks near the points, which have the lowest numbers; of coarser levels all blocks. The first convolution of the
     /// encoder and the last of the decoder make only these.
-    pub(super) near: BlockGrid,
+    pub(crate) near: BlockGrid,
     /// For each block the blocks about it.
-    pub(super) neighbors: Vec<[u32; 27]>,
+    pub(crate) neighbors: Vec<[u32; 27]>,
     /// For each block the blocks of the next coarser level about the one that covers it, and its half of that one.
-    pub(super) coarser: Vec<[u32; 27]>,
-    pub(super) halves: Vec<u8>,
+    pub(crate) coarser: Vec<[u32; 27]>,
+    pub(crate) halves: Vec<u8>,
     /// For each block the eight blocks of the next finer level that it covers.
-    pub(super) children: Vec<[u32; 8]>,
+    pub(crate) children: Vec<[u32; 8]>,
 }
 
-/// The levels of the U-Net from the finest on, over cells given by their lowest nodes.
-pub(super) fn levels(number: usize, cells: impl Iterator<Item = [i32; 3]> + Clone) -> Vec<Level> {
-    let about_cells = |reach: i32| {
-        let about_cell = move |cell: [i32; 3]| places_between(cell.map(|i| i - reach), cell.map(|i| i + 1 + reach));
-        BlockGrid::new(cells.clone().flat_map(about_cell))
-    };
-    let near = about_cells(NEAR);
-    let mut grids = vec![near.with(&about_cells(REACH))];
+/// The blocks of the finest level over cells given by their lowest nodes: those near the cells, and all.
+#[derive(Debug)]
+pub(crate) struct FinestLevel {
+    pub(crate) near: BlockGrid,
+    pub(crate) all: BlockGrid,
+}
+
+impl FinestLevel {
+    /// `None` for more blocks than `max`. The memory grows with the number of cells, and not with that of too many blocks.
+    pub(crate) fn new(cells: impl Iterator<Item = [i32; 3]> + Clone, max: usize) -> Option<Self> {
+        let own = BlockGrid::new(cells.clone().map(|cell| cell.map(|i| i.div_euclid(BLOCK_SIDE as i32))));
+        if own.len() > max {
+            return None;
+        }
+        let about_cells = |reach: i32| {
+            let about_cell = move |cell: [i32; 3]| places_between(cell.map(|i| i - reach), cell.map(|i| i + 1 + reach));
+            BlockGrid::new(cells.clone().flat_map(about_cell))
+        };
+        let near = about_cells(NEAR);
+        let all = near.with(&about_cells(REACH));
+        (all.len() <= max).then_some(Self { near, all })
+    }
+
+    /// The number of blocks.
+    pub(crate) fn len(&self) -> usize {
+        self.all.len()
+    }
+}
+
+/// The levels of the U-Net from the finest on.
+pub(crate) fn levels(number: usize, FinestLevel { near, all }: FinestLevel) -> Vec<Level> {
+    let mut grids = vec![all];
     for level in 1..number {
         let half = BLOCK_SIDE as i32 / 2;
         let about_block = |place: [i32; 3]| {
