@@ -44,6 +44,7 @@ quick:  ## after every edit, three minutes: format, lints, kernels, core, comman
 FEATURES := snake-core/arrow,snake-core/ndarray,snake-core/tracing
 test: module  ## all tests: Rust, Python module, training, parity with PyTorch; Copper's task compiles
 	cargo test --release --features $(FEATURES)
+	cargo test --release -p snake-rs-python --test options
 	cargo check --release --locked --all-targets --manifest-path examples/copper_task/Cargo.toml --target-dir target
 	OMP_NUM_THREADS=1 $(PYTHON) -m pytest -q -rs --numprocesses 2 --dist loadfile tests training/tests
 

@@ -95,7 +95,7 @@ _Model: TypeAlias = Model | _Path
 # float32 for clouds of float32 or float16, else float64.
 _Positions: TypeAlias = NDArray[np.float32] | NDArray[np.float64]
 
-# Options, written by SNAKE_WRITE_OPTIONS=1 cargo test --release -p snake-keypoints --test cli options_in_python
+# Options, written by SNAKE_WRITE_OPTIONS=1 cargo test --release -p snake-rs-python --test options
 
 @type_check_only
 class _Preset(TypedDict, total=False):

@@ -9,9 +9,7 @@ use snake_core::{
 };
 use snake_registration::RegisterOptions;
 
-use super::root;
-
-const COMMAND: &str = "SNAKE_WRITE_OPTIONS=1 cargo test --release -p snake-keypoints --test cli options_in_python";
+const COMMAND: &str = "SNAKE_WRITE_OPTIONS=1 cargo test --release -p snake-rs-python --test options";
 
 #[test]
 fn docstrings_have_every_option_with_its_default() {
@@ -24,13 +22,13 @@ fn docstrings_have_every_option_with_its_default() {
         ("register", entries(&RegisterOptions::default())),
         ("preset", preset),
     ] {
-        check(&root().join(format!("python/src/help/{name}.txt")), &text);
+        check(&folder().join(format!("src/help/{name}.txt")), &text);
     }
 }
 
 #[test]
 fn the_stub_has_every_option_with_its_type() {
-    let path = root().join("python/snake_rs/_core.pyi");
+    let path = folder().join("snake_rs/_core.pyi");
     let stub = std::fs::read_to_string(&path).unwrap();
     let (begin, end) = (format!("# Options, written by {COMMAND}\n\n"), "\n# The end of the options.\n");
     let (before, rest) = stub.split_once(&begin).unwrap();
@@ -45,6 +43,11 @@ fn the_stub_has_every_option_with_its_type() {
         class("_MeshOptions", "TypedDict", &types(MeshOptions::OPTIONS)),
     ];
     check(&path, &format!("{before}{begin}{}{end}{after}", classes.join("\n")));
+}
+
+/// The folder of the package.
+fn folder() -> &'static Path {
+    Path::new(env!("CARGO_MANIFEST_DIR"))
 }
 
 /// Refuses a file with another text, or writes the text.
