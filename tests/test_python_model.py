@@ -20,7 +20,10 @@ def test_a_model_has_its_configuration_and_metadata(model):
     assert model.config["scatter"] == "hard"
     tensors = load_file(GOLDEN / "odd" / "weights.safetensors")
     assert model.num_parameters == sum(tensor.size for tensor in tensors.values())
-    assert repr(model) == f"Model(weights.safetensors, {model.num_parameters} parameters, volume 25 x 25 x 25 voxels of 32 channels)"
+    assert (
+        repr(model)
+        == f"Model(weights.safetensors, {model.num_parameters} parameters, volume 25 x 25 x 25 voxels of 32 channels)"
+    )
 
 
 def test_builtin_model_is_the_default(points):
