@@ -52,12 +52,14 @@ impl BuiltinModels {
 
     /// One of the models.
     pub fn get(&self, which: Builtin) -> &Model {
-        let load = || {
-            let start = Instant::now();
-            let model = Model::builtin(which);
-            (model, start.elapsed().as_secs_f64())
-        };
-        &self.loaded[which as usize].get_or_init(load).0
+        let place = &self.loaded[which as usize];
+        if let Some((model, _)) = place.get() {
+            return model;
+        }
+        // Loaded before the place is locked: a child process that is forked meanwhile would find it locked forever.
+        let start = Instant::now();
+        let model = Model::builtin(which);
+        &place.get_or_init(|| (model, start.elapsed().as_secs_f64())).0
     }
 
     /// Whether one of the models was used already.
