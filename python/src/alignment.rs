@@ -130,13 +130,13 @@ pub fn align(
     options: Option<&Bound<'_, PyDict>>,
 ) -> PyResult<Alignment> {
     let register: core::RegisterOptions = options::of("align", options)?;
-    let model = model::of_registration(py, model, &register)?;
     let mut options = core::AlignOptions::default()
         .with_register(register)
         .with_max_partners(max_partners)
         .with_viewpoints(viewpoints.unwrap_or_default());
     let read = clouds.iter().map(|cloud| Ok(arrays::cloud("clouds", cloud)?.0));
     let clouds: Vec<snake_core::Cloud> = read.collect::<PyResult<_>>()?;
+    let model = model::of_registration(py, model, &options.register, clouds.first())?;
     let origins: Vec<[f64; 3]> = clouds.iter().map(|cloud| cloud.origin).collect();
     options.place(&origins);
     let points: Vec<_> = clouds.into_iter().map(|cloud| cloud.points).collect();

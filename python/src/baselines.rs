@@ -48,7 +48,7 @@ fn keypoints<'py>(
     }
     let (py, (Cloud { points, .. }, _)) = (points.py(), arrays::cloud("points", points)?);
     let outliers = FinitePoints::of("points", &points).map_err(py_error)?.outliers();
-    warn(py, outliers.map(|outliers| outliers.to_string()))?;
+    outliers.map_or(Ok(()), |outliers| warn(py, &outliers.to_string()))?;
     let count = count.unwrap_or(usize::MAX);
     let found: Vec<Response> =
         threads::run_with_signals(py, |control| detector.keypoints_with(&points, count, protocol, seed, control))?;

@@ -73,6 +73,7 @@ macro_rules! options {
 
         impl $options {
             /// Checks each option against its own range.
+            #[allow(dead_code, reason = "a group may have no ranges")]
             pub(crate) fn check_ranges(&self) -> $crate::Result<()> {
                 $($(
                     let allowed = $crate::options!(@range $low $(to $high)? $(or $more)? $($note)?);
@@ -246,6 +247,12 @@ impl Ranged for usize {
 impl Ranged for f32 {
     fn outside(&self, low: f64, high: f64) -> Option<String> {
         (!(low as f32..=high as f32).contains(self)).then(|| self.to_string())
+    }
+}
+
+impl Ranged for f64 {
+    fn outside(&self, low: f64, high: f64) -> Option<String> {
+        (!(low..=high).contains(self)).then(|| self.to_string())
     }
 }
 

@@ -5,6 +5,7 @@ use std::collections::hash_map::Entry;
 use std::path::PathBuf;
 
 use anyhow::{Context, Result, anyhow, bail};
+use snake_core::NamedModel;
 use snake_eval::ExternalKeypoints;
 use snake_eval::datasets::{ScenePair, Scenes};
 use snake_eval::reports::registration::Method;
@@ -14,7 +15,7 @@ use snake_registration::{Descriptor, KeypointDetector, Scan};
 use super::args::RegistrationArguments;
 use super::methods::check_distinct;
 use crate::inputs::ColumnArguments;
-use crate::setup::{Loaded, named, none_if_zero};
+use crate::setup::{named, none_if_zero};
 
 /// Size of the voxels to which clouds are downsampled, in metres.
 pub const VOXEL_SIZE: f64 = 0.03;
@@ -23,7 +24,7 @@ const PAPER: (&str, Length) = ("3dmatch", Length::Units(0.05));
 
 /// The detectors and descriptors to evaluate, and the models that they use.
 pub struct Methods<'a> {
-    pub models: Vec<Loaded>,
+    pub models: Vec<NamedModel>,
     detectors: Vec<Detector>,
     external: &'a [(String, PathBuf)],
     columns: &'a ColumnArguments,
@@ -54,8 +55,8 @@ impl<'a> Methods<'a> {
         let models = arguments.run.load_models(|model| Scan::default_options(model, VOXEL_SIZE))?;
         let is_of_paper = options.preset() == Some(PAPER.0) && !options.given().contains_key("nms_radius");
         let of_paper = is_of_paper.then_some(PAPER.1);
-        let resolve = |mut loaded: Loaded| -> Result<Loaded> {
-            loaded.options = options.resolve(&loaded)?;
+        let resolve = |mut loaded: NamedModel| -> Result<NamedModel> {
+            loaded.options = loaded.options.resolve(&options.values())?;
             if let Some(radius) = nms_radius.or(of_paper) {
                 loaded.options.detect.nms_radius = none_if_zero(radius);
             }
@@ -140,7 +141,7 @@ impl<'a> Methods<'a> {
     /// Reads a cloud and computes the keypoints of each detector with their descriptors.
     fn cloud(&self, scenes: &Scenes, index: usize, seed: u64) -> Result<DescribedCloud> {
         let Cloud { points, origin } = self.columns.read(&scenes.clouds[index])?;
-        let scan = |loaded: &Loaded| Ok(Scan::new(&points, VOXEL_SIZE)?.with_model(&loaded.model, loaded.options));
+        let scan = |loaded: &NamedModel| Ok(Scan::new(&points, VOXEL_SIZE)?.with_model(&loaded.model, loaded.options));
         let scans: Vec<Scan> = self.models.iter().map(scan).collect::<Result<_>>()?;
         let read = |file| self.read(file, scenes, index, origin);
         let files: Vec<ExternalKeypoints> = (0..self.external.len()).map(read).collect::<Result<_>>()?;
