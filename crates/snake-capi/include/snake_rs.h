@@ -28,7 +28,7 @@ typedef enum SnakeStatus {
 /// The keypoints of a cloud.
 typedef struct SnakeDetection SnakeDetection;
 
-/// A network with its weights. Several threads may use one at the same time.
+/// A network with its weights, or the choice between those that are built in. Several threads may use one at the same time.
 typedef struct SnakeModel SnakeModel;
 
 /// A cloud of the caller, which is read where it is.
@@ -63,6 +63,8 @@ typedef struct SnakeRegistration {
   double confidence;
   /// Whether the transform can be relied on: `confidence` is at least 0.5.
   bool is_reliable;
+  /// Whether the clouds leave more than one answer, as a plane or a periodic structure does; then it is not reliable.
+  bool is_ambiguous;
   /// Number of matches.
   size_t num_correspondences;
   /// Number of matches on which the transform was built.
@@ -81,7 +83,8 @@ extern "C" {
 /// A cloud without finite points is an error.
 ///
 /// `options` is null for what the model recommends, or a JSON object of values that replace those, such as
-/// `{"max_keypoints": 20, "nms_radius": "3r"}`. `*detection` is null after an error.
+/// `{"max_keypoints": 20, "nms_radius": "3r"}`; `"preset"` names a set of options to begin with. `*detection` is null after an
+/// error.
 ///
 /// # Safety
 /// `model` is null or a model that is not freed yet; `cloud` has as many points as it says; `options` is null or a text
@@ -103,11 +106,40 @@ size_t snake_detection_num_keypoints(const struct SnakeDetection *detection);
 /// `detection` is null or a detection that is not freed yet.
 const struct SnakeKeypoint *snake_detection_keypoints(const struct SnakeDetection *detection);
 
+/// The name of the model that found the keypoints, such as "scenes, built-in", valid until the detection is freed; null for null.
+///
+/// # Safety
+/// `detection` is null or a detection that is not freed yet.
+const char *snake_detection_model(const struct SnakeDetection *detection);
+
+/// The size of a voxel of the model's volume, in cloud units; NaN for null.
+///
+/// # Safety
+/// `detection` is null or a detection that is not freed yet.
+float snake_detection_voxel_size(const struct SnakeDetection *detection);
+
+/// A sentence that a user should know: of the choice of the model, the cloud's scale, outliers, or keypoints that cluster. `index`
+/// counts from 0; null after the last one. It is UTF-8 and valid until the detection is freed.
+///
+/// # Safety
+/// `detection` is null or a detection that is not freed yet.
+const char *snake_detection_note(const struct SnakeDetection *detection,
+                                 size_t index);
+
 /// Frees a detection; null is allowed.
 ///
 /// # Safety
 /// `detection` is null or a detection of this library that is not freed yet.
 void snake_detection_free(struct SnakeDetection *detection);
+
+/// The built-in model that suits each cloud, chosen anew by every call, as `snake-cli` does without `--model`. Options that only
+/// one kind of model has name it: `voxel_size` "scenes", and `preset`, `normalization` and several `rotations` "compact". Else it
+/// is "scenes" for a cloud that looks like a room, a sweep or terrain, and "compact" for others. Each is loaded when it is
+/// first used. `*model` is null after an error.
+///
+/// # Safety
+/// `model` is null or valid for a write.
+enum SnakeStatus snake_model_auto(struct SnakeModel **model);
 
 /// A built-in model: "compact" or "standard" for objects, "scenes" for rooms, sweeps and terrain. `*model` is null after an error.
 ///
