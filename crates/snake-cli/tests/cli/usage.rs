@@ -156,6 +156,7 @@ fn verbose_reports_settings_and_changes_no_result() {
         &format!("threads: 3, SIMD {simd}\n"),
         "model: compact, built-in, ",
         "\"nms_radius\":\"4r\"",
+        "queries: 262144, ",
         "seconds: read 0.",
         "total ",
     ] {
