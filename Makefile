@@ -3,7 +3,7 @@ VENV := .venv
 PYTHON := $(VENV)/bin/python
 export VIRTUAL_ENV := $(CURDIR)/$(VENV)
 
-.PHONY: help quick test dist site test-aarch64 test-examples check golden bench bench-registration models wheel manylinux results fuzz
+.PHONY: help quick test dist site test-aarch64 test-examples check golden bench bench-registration models release-model wheel manylinux results fuzz
 .DEFAULT_GOAL := help
 
 help:  ## this list
@@ -102,7 +102,7 @@ golden: $(VENV)/ready  ## check the golden files against the PyTorch network
 
 bench: module $(VENV)/bench-ready  ## speed beside PyTorch, ONNX Runtime, OpenVINO and Open3D
 	cargo build --release
-	$(PYTHON) -m snake_training.benchmark
+	$(PYTHON) tests/bench/speed.py
 
 $(VENV)/registration-ready: $(VENV)/ready
 	$(PYTHON) -m pip install --quiet -e "training[registration]"
@@ -114,6 +114,9 @@ bench-registration: module $(VENV)/registration-ready  ## registration beside Op
 models: module  ## all weights from their recipes into runs/: make models DATA=FOLDER VAL=FOLDER adds shapes, SMOKE=1 only sees that it runs; days, resumable, each recipe states its time
 	OMP_NUM_THREADS=1 $(PYTHON) -m snake_training.recipes training/recipes/*.toml $(if $(DATA),--data $(DATA)) \
 		$(if $(VAL),--validation-data $(VAL)) $(if $(SMOKE),--smoke --run-dir runs/smoke)
+
+release-model: module  ## take a model that its recipe made into the repository: make release-model NAME=compact
+	$(PYTHON) tools/release_model.py $(NAME)
 
 results:  ## docs/results.md: make results OBJECTS=FOLDER LANDMARKS=FOLDER SCENES="FOLDER .." (or one of them), LIMIT=NUMBER of objects; resumable
 	python3 docs/results.py $(if $(OBJECTS),--objects $(OBJECTS)) $(if $(LANDMARKS),--landmarks $(LANDMARKS)) $(if $(SCENES),--scenes $(SCENES)) $(if $(LIMIT),--limit $(LIMIT))

@@ -186,7 +186,7 @@ def test_no_kind_of_block_is_left_out():
     assert languages <= {"sh", "python", "toml", "rust", "cpp", "c", "text"}
 
 
-TRAINING = ("train", "targets", "evaluate", "ablations", "recipes", "export", "confidence", "benchmark")
+TRAINING = ("train", "teacher", "evaluate", "ablations", "recipes", "export", "confidence")
 
 
 @cache
