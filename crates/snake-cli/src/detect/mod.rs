@@ -274,7 +274,8 @@ fn table(
     }
     report.line(format!("{first} in {total:.3} s"));
     if keypoints.is_empty() {
-        let advice = if counts.occupied == 0 { "--set occupancy_threshold=0.3" } else { "a lower --saliency-threshold" };
+        let advice =
+            if counts.occupied == 0 { "--set occupancy_threshold=0.3" } else { "a lower --saliency-threshold" };
         report.line(format!("no keypoints: try {advice}"));
     } else {
         let [x, y, z] = ["x", "y", "z"];
