@@ -13,9 +13,9 @@ typedef enum SnakeStatus {
   SNAKE_STATUS_OK = 0,
   /// A pointer is null or misaligned, a text is not UTF-8, or a length is impossible.
   SNAKE_STATUS_ARGUMENT = 1,
-  /// A cloud that cannot be used: without finite points, or without extent; or text of options that is not JSON.
+  /// A cloud that cannot be used, without finite points or without extent; or clouds that no transform fits.
   SNAKE_STATUS_INPUT = 2,
-  /// An option is outside its range.
+  /// Options that cannot be used: no JSON object, an unknown name, or a value of another type or out of its range.
   SNAKE_STATUS_OPTION = 3,
   /// A weight file does not hold the network that it names.
   SNAKE_STATUS_WEIGHTS = 4,
@@ -166,11 +166,6 @@ enum SnakeStatus snake_model_from_bytes(const uint8_t *bytes, size_t length, str
 /// `model` is null or a model of this library that is not freed yet.
 void snake_model_free(struct SnakeModel *model);
 
-/// Sets the number of threads of all calls; 0: one for each core. At most 256, or the number of cores. It must be called before
-/// the first other call that computes, and once; a call that is refused does not count. The environment variable
-/// `RAYON_NUM_THREADS` does the same.
-enum SnakeStatus snake_set_num_threads(size_t num_threads);
-
 /// The version of the library, such as "0.1.0".
 const char *snake_version(void);
 
@@ -193,6 +188,10 @@ enum SnakeStatus snake_register(const struct SnakeModel *model,
 /// The reason of the last error of this thread, or an empty text. It is UTF-8 and valid until the next function of this
 /// library that this thread calls.
 const char *snake_last_error(void);
+
+/// Sets the number of threads of all calls, from the next one on; 0: one for each core. At most 256, or the number of cores.
+/// The environment variable `RAYON_NUM_THREADS` does the same. A child after a fork keeps the number and has threads of its own.
+enum SnakeStatus snake_set_num_threads(size_t num_threads);
 
 #ifdef __cplusplus
 }  // extern "C"
