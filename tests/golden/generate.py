@@ -37,12 +37,14 @@ class Tolerance:
 # value; some tens of layers and sums of hundreds of terms leave about 1e-5 of values of order one.
 EXACT = Tolerance(0.0)
 FEATURES = Tolerance(1e-4, 1e-4)  # unbounded values, up to about 10
-PROBABILITIES = Tolerance(1e-5)
+# The volume of the paper's network differs by 4e-5 between processors with AVX2 and AVX-512.
+PROBABILITIES = Tolerance(4e-5)
 # Slopes of up to some tens, and a query whose ReLU or voxel boundary falls the other way has another slope entirely.
 GRADIENTS = Tolerance(1e-3, 1e-3, quantile=0.99)
 # Adam divides by the gradient's own size: where that is near zero, rounding decides a step of 1e-3 (the learning
 # rate) or its sign. Nearly all queries agree, so a high quantile is compared, not the maximum.
 REFINED = Tolerance(1e-4, quantile=0.99)
+DESCENDED = Tolerance(1e-3, quantile=0.99)
 # The same for a saliency along that path, and for a masked score whose occupancy stands at the threshold.
 REFINED_SCORES = Tolerance(1e-3, quantile=0.99)
 
@@ -123,8 +125,8 @@ def recompute(network, stored, query_resolution):
     yield "refine_adam_end", end, REFINED
     yield "refine_adam_saliency_per_step", saliencies, REFINED_SCORES
     yield "refine_adam_masked_score_per_step", scores, REFINED_SCORES
-    # Plain descent takes steps in proportion to the gradient: no division, so all queries but those at a kink agree.
-    yield "refine_gd_sum_end", refined(network, volume, stored["refine_start"], "descent")[0], REFINED
+    # Plain descent takes steps in proportion to the gradient, which jumps at a kink: from there a query ends elsewhere.
+    yield "refine_gd_sum_end", refined(network, volume, stored["refine_start"], "descent")[0], DESCENDED
 
 
 def compare(name, found, expected, tolerance):
