@@ -5,12 +5,14 @@ import json
 import subprocess
 import sys
 import warnings
+from pathlib import Path
 
 import numpy as np
 import pytest
 
 import snake_rs
 
+ROOT = Path(__file__).resolve().parents[1]
 OPTIONS = [
     {},
     {"max_keypoints": 20, "nms_radius": "3r"},
@@ -23,14 +25,6 @@ OPTIONS = [
     {"preset": "standard", "max_keypoints": 7},
     {"voxel_size": 0},
 ]
-
-
-def room():
-    """The floor and two walls of a room."""
-    u, v, w = (np.random.default_rng(1).random((3, 9000)) * [[4], [3], [2.4]]).astype(np.float32)
-    nothing = np.zeros_like(u)
-    walls = [np.c_[u, v, nothing][:3000], np.c_[u, nothing, w][3000:6000], np.c_[nothing, v, w][6000:]]
-    return np.ascontiguousarray(np.concatenate(walls))
 
 
 def by_python(cloud, options):
@@ -101,7 +95,8 @@ def by_c(library, cloud, options):
 def test_ten_sets_of_options_have_one_result_by_all_interfaces(points, compiled, tmp_path):
     library = ctypes.CDLL(str(compiled / "libsnake_rs.so"))
     models = set()
-    for name, cloud in {"object": points, "room": room()}.items():
+    room = snake_rs.read_points(ROOT / "samples/room/1.ply")
+    for name, cloud in {"object": points, "room": room}.items():
         np.save(tmp_path / f"{name}.npy", cloud)
         cloud.tofile(tmp_path / f"{name}.f32")
         for options in OPTIONS:

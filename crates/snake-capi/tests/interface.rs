@@ -74,15 +74,21 @@ fn keypoints_are_those_of_the_core_packed_and_padded() {
     unsafe { snake_model_free(model) };
 }
 
-/// The floor and two walls of a room.
+/// A floor, two walls and six boxes on the floor.
 fn room() -> Vec<[f32; 3]> {
-    let at = |i: u16, step: f32| (f32::from(i) * step).fract();
-    let point = |i: u16| match i % 3 {
-        0 => [4.0 * at(i, 0.618_034), 3.0 * at(i, 0.754_878), 0.0],
-        1 => [4.0 * at(i, 0.618_034), 0.0, 2.4 * at(i, 0.569_84)],
-        _ => [0.0, 3.0 * at(i, 0.754_878), 2.4 * at(i, 0.569_84)],
+    let at = |i: u16, step: f32| (f32::from(i) * step).fract() * 2.0 - 1.0;
+    let cuboid = |number: u16, half: [f32; 3]| {
+        (0..number).map(move |i| {
+            let mut point = [at(i, 0.618_034), at(i, 0.754_878), at(i, 0.569_84)];
+            point[usize::from(i % 3)] = if i / 3 % 2 == 0 { 1.0 } else { -1.0 };
+            [0, 1, 2].map(|axis| point[axis] * half[axis])
+        })
     };
-    (0..9000).map(point).collect()
+    let walls = cuboid(9000, [2.0, 1.5, 1.2]).filter(|p| p[0] > -1.99 && p[1] < 1.49 && p[2] < 1.19);
+    let boxes = (0..6u8).map(f32::from).flat_map(|i| {
+        cuboid(300, [0.2 + 0.05 * i, 0.2, 0.3]).map(move |p| [p[0] - 1.2 + 0.5 * i, p[1] - 0.8 + 0.3 * i, p[2] - 0.9])
+    });
+    walls.chain(boxes).collect()
 }
 
 #[test]

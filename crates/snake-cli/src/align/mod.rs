@@ -14,6 +14,7 @@ use snake_registration::{Alignment, align_with, transform_points};
 
 use crate::inputs::{check_inputs, expand, output_origin};
 use crate::output::InputFiles;
+use crate::setup::detail_of;
 use crate::terminal::{self, Report};
 use args::AlignArguments;
 
@@ -49,6 +50,7 @@ pub fn run(arguments: &AlignArguments) -> Result<ExitCode> {
     }
     let first = chooser.as_ref().zip(clouds.first());
     let chosen = first.map(|(chooser, first)| chooser.for_cloud(first)).transpose()?;
+    chosen.iter().for_each(detail_of);
     let near = align_with(&points, chosen.as_ref().map(|chosen| &chosen.model), &options, &control)
         .context("cannot align the clouds")?;
     bar.finish();

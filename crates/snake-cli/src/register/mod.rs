@@ -14,6 +14,7 @@ use snake_view::RegistrationPage;
 
 use crate::inputs::{check_inputs, output_origin};
 use crate::output::{InputFiles, check_page_path, write_page};
+use crate::setup::detail_of;
 use crate::terminal::{self, Report};
 use args::RegisterArguments;
 
@@ -45,6 +46,7 @@ pub fn run(arguments: &RegisterArguments) -> Result<ExitCode> {
     options.place(source_cloud.origin, target_cloud.origin);
     let chosen = chooser.as_ref().map(|chooser| chooser.for_cloud(&target_cloud));
     let chosen = chosen.transpose().with_context(|| target.display().to_string())?;
+    chosen.iter().for_each(detail_of);
     let model = chosen.as_ref().map(|chosen| &chosen.model);
     let tried = register_with(&source_cloud.points, &target_cloud.points, model, &options, &control);
     let fits_none = matches!(tried, Err(Error::NoTransform { .. }));

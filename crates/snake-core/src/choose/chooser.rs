@@ -238,6 +238,7 @@ impl Chosen<'_> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::choose::rule::tests::corner_of_a_room;
 
     fn values(json: &str) -> Map<String, Value> {
         serde_json::from_str(json).unwrap()
@@ -258,15 +259,8 @@ mod tests {
         (0..3000).map(point).collect()
     }
 
-    /// A floor and two walls.
     fn room() -> Vec<Point> {
-        let at = |i: usize, step: f32| (i as f32 * step).fract();
-        let point = |i: usize| match i % 3 {
-            0 => [4.0 * at(i, 0.618_034), 3.0 * at(i, 0.754_878), 0.0],
-            1 => [4.0 * at(i, 0.618_034), 0.0, 2.4 * at(i, 0.569_84)],
-            _ => [0.0, 3.0 * at(i, 0.754_878), 2.4 * at(i, 0.569_84)],
-        };
-        (0..9000).map(point).collect()
+        corner_of_a_room(1.0, 0.0)
     }
 
     #[test]

@@ -51,7 +51,7 @@ impl Builtin {
 }
 
 #[cfg(test)]
-mod tests {
+pub(super) mod tests {
     use super::*;
 
     fn is_scene(points: &[Point]) -> bool {
@@ -69,7 +69,7 @@ mod tests {
     }
 
     /// A floor, two walls and some boxes on the floor, in a unit and rotated about z.
-    fn corner_of_a_room(unit: f32, angle: f32) -> Vec<Point> {
+    pub(in crate::choose) fn corner_of_a_room(unit: f32, angle: f32) -> Vec<Point> {
         let walls = cuboid(9000, [2.0, 1.5, 1.2]).filter(|p| p[0] > -1.99 && p[1] < 1.49 && p[2] < 1.19);
         let boxes = (0..6).flat_map(|i| {
             let half = [0.2 + 0.05 * i as f32, 0.2, 0.3];

@@ -14,9 +14,10 @@ const MAX_POINTS: usize = 1000;
 /// many random points.
 const CLUSTERED: f64 = 2.0;
 
-/// One sentence for the user if keypoints cluster in a part of their cloud `(N, 3)`, of which only points that are used are given ([`Field::points`](crate::Field::points)): the mean distance from its points to the
-/// nearest keypoint is at least twice that to as many random points. `None` if they do not, if there are fewer than eight, or
-/// if the cloud cannot be used at all. The sentence is always the same.
+/// One sentence for the user if keypoints cluster in a part of their cloud `(N, 3)`: the mean distance from its points to the
+/// nearest keypoint is at least twice that to as many random points. The points are those that are used
+/// ([`Field::points`](crate::Field::points)). `None` if keypoints do not cluster, if there are fewer than eight, or if a point
+/// is not finite. The sentence is always the same.
 ///
 /// ```
 /// use snake_core::{Keypoint, cluster_hint};
@@ -26,7 +27,8 @@ const CLUSTERED: f64 = 2.0;
 /// assert!(cluster_hint(&points, &clump).is_some());
 /// ```
 pub fn cluster_hint(points: &[Point], keypoints: &[Keypoint]) -> Option<String> {
-    if keypoints.len() < MIN_KEYPOINTS || points.len() < keypoints.len() {
+    let is_usable = points.iter().flatten().all(|value| value.is_finite());
+    if !is_usable || keypoints.len() < MIN_KEYPOINTS || points.len() < keypoints.len() {
         return None;
     }
     let mut rng = ChaCha8Rng::seed_from_u64(0);
