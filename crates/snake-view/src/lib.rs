@@ -2,15 +2,17 @@
 //! repeat, or a registration with its matches ([`RegistrationPage`]). It is one file, and needs no server.
 //!
 //! ```
-//! use snake_core::{Builtin, Cloud, Control, Model};
+//! use snake_core::{Builtin, Chooser, Cloud, Control, Model, ModelChoice, NamedModel};
 //! use snake_view::{Page, ShownCloud, viridis};
 //! # let path = concat!(env!("CARGO_MANIFEST_DIR"), "/../../samples/plane.ply");
 //! # let points = snake_io::read_points(path.as_ref())?[..1000].to_vec();
-//! let model = Model::builtin(Builtin::Compact);
-//! let options = *model.recommended();
+//! let model = NamedModel::new(Model::builtin(Builtin::Compact), "compact");
+//! let chooser = Chooser::new(ModelChoice::Named(model), &serde_json::Map::new())?;
 //! let cloud = Cloud { points, origin: [0.0; 3] };
-//! let shown = ShownCloud::detect(&model, &options, "plane".into(), &cloud, &Control::default())?;
-//! let page = Page { clouds: vec![shown], pair: None, options, model_name: "compact".into(), colors: viridis() };
+//! let chosen = chooser.for_cloud(&cloud)?;
+//! let shown = ShownCloud::detect(&chosen, "plane".into(), &Control::default())?;
+//! let (options, model_name) = (chosen.options, chosen.name.clone());
+//! let page = Page { clouds: vec![shown], pair: None, options, model_name, colors: viridis() };
 //! assert!(page.html()?.starts_with("<!doctype html>"));
 //! # Ok::<(), Box<dyn std::error::Error>>(())
 //! ```
