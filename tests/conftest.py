@@ -43,7 +43,7 @@ def compiled():
     root = Path(__file__).parents[1]
     features = re.search(r"^FEATURES := (\S+)$", (root / "Makefile").read_text(), re.MULTILINE)[1]
     subprocess.run(
-        ["cargo", "build", "--release", "--bins", "--examples", "--features", features], cwd=root, check=True
+        ["cargo", "build", "--release", "--bins", "--examples", "--lib", "--features", features], cwd=root, check=True
     )
     return Path(os.environ.get("CARGO_TARGET_DIR", root / "target")) / "release"
 

@@ -63,11 +63,14 @@ def test_max_points_samples_by_seed(model, field, points):
     assert repr(model.encode(points, max_points=200)).startswith("Field(200 of 700 points encoded, center [")
 
 
+PLANE = r": points of a plane need a third column, numpy.c_\[points, numpy.zeros\(len\(points\)\)\]"
+
+
 @pytest.mark.parametrize(
     "array, found",
     [
-        (np.zeros((10, 2)), r"float64 of shape \(10, 2\)"),
-        (np.zeros((10, 2), np.int64), r"int64 of shape \(10, 2\)"),
+        (np.zeros((10, 2)), r"float64 of shape \(10, 2\)" + PLANE),
+        (np.zeros((10, 2), np.int64), r"int64 of shape \(10, 2\)" + PLANE),
         (np.zeros((10, 3), complex), r"complex128 of shape \(10, 3\)"),
         (np.zeros((10, 3), object), r"object of shape \(10, 3\)"),
         (np.zeros((10, 3), bool), r"bool of shape \(10, 3\)"),
@@ -131,5 +134,6 @@ def test_read_points_reads_every_format(tmp_path):
         snake_rs.read_points(tmp_path / "none.ply")
     with pytest.raises(ValueError, match="no faces to draw samples from"):
         snake_rs.read_points(good / "plain.xyz", sample=10)
+    (tmp_path / "a.doc").touch()
     with pytest.raises(ValueError, match="unknown extension"):
         snake_rs.read_points(tmp_path / "a.doc")

@@ -341,7 +341,7 @@ class Keypoints:
         descriptors: NDArray[np.float32] | None = None,
         model: str | None = None,
         voxel_size: float | None = None,
-        notes: list[str] = [],
+        notes: list[str] = ...,
     ) -> Self: ...
     @staticmethod
     def load(path: _Path) -> Keypoints: ...
