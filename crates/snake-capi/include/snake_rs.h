@@ -64,7 +64,7 @@ typedef struct SnakeRegistration {
   /// Whether the transform can be relied on: `confidence` is at least 0.5.
   bool is_reliable;
   /// Number of matches.
-  size_t num_correspondences;
+  size_t num_matches;
   /// Number of matches on which the transform was built.
   size_t num_inliers;
   /// Share of the source on the target, 0 to 1.

@@ -46,6 +46,8 @@ pub mod steps;
 pub use call::{CancelFlag, Control, Counter, Limits, Progress, Stage, check_num_threads, side_by_side};
 #[doc(hidden)]
 pub use detect::in_words;
+#[doc(hidden)]
+pub use detect::option_names;
 pub use detect::{
     Candidate, Counts, DetectOptions, Detection, EncodeOptions, MeshOptions, Options, Preset, RefineMethod, Selection,
     TileCandidates, TileDetector, TileSettings, Timing, by_rank, cluster_hint, with_named_values,

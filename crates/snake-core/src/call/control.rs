@@ -14,7 +14,7 @@ use crate::{Error, Result};
 /// `snake_registration::register_with`. Results do not depend on it. The default does nothing.
 ///
 /// A call checks it between the layers of the network and the parts of a layer, between tiles of queries, refinement
-/// steps, RANSAC rounds and ICP steps. A stopped call returns an error. Model and field stay as they were.
+/// steps, matches of a registration and ICP steps. A stopped call returns an error. Model and field stay as they were.
 ///
 /// ```
 /// use snake_core::{Builtin, CancelFlag, Control, Error, Model};

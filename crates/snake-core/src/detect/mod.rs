@@ -13,6 +13,7 @@ pub(crate) mod tiles;
 pub use self::cluster_hint::cluster_hint;
 #[doc(hidden)]
 pub use self::named_options::in_words;
+pub use self::named_options::option_names;
 pub use self::named_options::with_named_values;
 pub use self::options::{DetectOptions, EncodeOptions, MeshOptions, Options, Preset, RefineMethod, Selection};
 pub use self::tiles::{Candidate, TileCandidates, TileDetector, TileSettings, by_rank};

@@ -4,7 +4,8 @@ use rayon::prelude::*;
 
 use snake_core::{Control, Result};
 
-use crate::pair::prepared::Prepared;
+use crate::steps::PreparedCloud;
+use crate::steps::describe::{Rows, describe_cloud};
 
 /// Number of visual words: groups of similar descriptors.
 const WORDS: usize = 64;
@@ -13,10 +14,10 @@ const SAMPLES: usize = 16_000;
 /// Rounds of k-means.
 const ROUNDS: usize = 10;
 
-/// At most about `count` partners of each cloud as pairs `[source, target]`, source above target, ordered: the clouds
-/// whose descriptors are most alike, and the next cloud in the given order, because scans are often in sequence. All
-/// pairs if there are no more.
-pub(super) fn pairs(clouds: &[Prepared], count: usize, control: &Control) -> Result<Vec<[usize; 2]>> {
+/// The pairs `[source, target]` that are worth a registration, source above target, ordered. Each
+/// cloud is paired with the `count` clouds whose descriptors are most similar, and with the next
+/// cloud, because scans are often in sequence. Few clouds are all paired.
+pub(super) fn pairs(clouds: &[PreparedCloud], count: usize, control: &Control) -> Result<Vec<[usize; 2]>> {
     let all = (1..clouds.len()).flat_map(|source| (0..source).map(move |target| [source, target]));
     if clouds.len().saturating_sub(1) <= count {
         return Ok(all.collect());
@@ -34,10 +35,12 @@ pub(super) fn pairs(clouds: &[Prepared], count: usize, control: &Control) -> Res
 }
 
 /// The cosines between the clouds' vectors of residuals to the words (VLAD, Jégou et al. 2010).
-fn similarities(clouds: &[Prepared], control: &Control) -> Result<Vec<Vec<f32>>> {
+fn similarities(clouds: &[PreparedCloud], control: &Control) -> Result<Vec<Vec<f32>>> {
     let signed = clouds.iter().all(|cloud| cloud.viewpoint.is_some());
-    let dimension = clouds[0].dimension;
-    let rows: Vec<&[f32]> = clouds.iter().map(|cloud| cloud.descriptors(signed, control)).collect::<Result<_>>()?;
+    let described: Vec<Rows> =
+        clouds.iter().map(|cloud| describe_cloud(cloud, signed, control)).collect::<Result<_>>()?;
+    let dimension = described[0].dimension();
+    let rows: Vec<&[f32]> = described.iter().map(Rows::values).collect();
     let words = words(&rows, dimension, control)?;
     let vectors: Vec<Vec<f32>> = rows.par_iter().map(|rows| aggregate(rows, &words, dimension)).collect();
     let product = |a: &[f32], b: &[f32]| a.iter().zip(b).map(|(a, b)| a * b).sum::<f32>();
