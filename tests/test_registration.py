@@ -76,10 +76,19 @@ def test_model_and_options_reach_the_core(cloud, found):
     again = {"model": snake_rs.Model.builtin(), "voxel_size": None, "seed": np.int64(0)}
     args = (cloud[:2048], moved(transform(), cloud[2048:]))
     assert np.array_equal(snake_rs.register(*args, **again).t_target_source, found.t_target_source)
-    for options in ({"detector": "iss"}, {"detector": "surface-variation"}, {"descriptor": "field"}, {"icp_steps": 0}, {"feature_radius": 0.5}):
+    for options in (
+        {"detector": "iss"},
+        {"detector": "surface-variation"},
+        {"descriptor": "field"},
+        {"icp_steps": 0},
+        {"feature_radius": 0.5},
+    ):
         other = snake_rs.register(*args, **(again | options))
         # ICP can bring different matches to the same transform.
-        is_same = np.array_equal(other.t_target_source, found.t_target_source) and values(other)["matches rmse"] == values(found)["matches rmse"]
+        is_same = (
+            np.array_equal(other.t_target_source, found.t_target_source)
+            and values(other)["matches rmse"] == values(found)["matches rmse"]
+        )
         assert not is_same, options
 
 

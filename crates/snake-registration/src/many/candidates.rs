@@ -4,15 +4,9 @@ use rayon::prelude::*;
 
 use snake_core::{Control, Result};
 
+use super::TUNING;
 use crate::steps::PreparedCloud;
 use crate::steps::describe::{Rows, describe_cloud};
-
-/// Number of visual words: groups of similar descriptors.
-const WORDS: usize = 64;
-/// Descriptors of all clouds that the words are made from.
-const SAMPLES: usize = 16_000;
-/// Rounds of k-means.
-const ROUNDS: usize = 10;
 
 /// The pairs `[source, target]` that are worth a registration, source above target, ordered. Each
 /// cloud is paired with the `count` clouds whose descriptors are most similar, and with the next
@@ -53,14 +47,14 @@ fn nearest(row: &[f32], words: &[f32], dimension: usize) -> usize {
     distances.min_by(|a, b| a.1.total_cmp(&b.1)).map_or(0, |(index, _)| index)
 }
 
-/// The means of k-means on a sample of the descriptors, `(WORDS, dimension)`.
+/// The means of k-means on a sample of the descriptors, `(words, dimension)`.
 fn words(rows: &[&[f32]], dimension: usize, control: &Control) -> Result<Vec<f32>> {
     let total: usize = rows.iter().map(|rows| rows.len() / dimension).sum();
     let all = rows.iter().flat_map(|rows| rows.chunks_exact(dimension));
-    let sample: Vec<&[f32]> = all.step_by(total.div_ceil(SAMPLES).max(1)).collect();
-    let first = sample.iter().step_by(sample.len().div_ceil(WORDS).max(1));
+    let sample: Vec<&[f32]> = all.step_by(total.div_ceil(TUNING.samples).max(1)).collect();
+    let first = sample.iter().step_by(sample.len().div_ceil(TUNING.words).max(1));
     let mut words: Vec<f32> = first.flat_map(|row| row.iter().copied()).collect();
-    for _ in 0..ROUNDS {
+    for _ in 0..TUNING.word_rounds {
         control.check()?;
         let members: Vec<usize> = sample.par_iter().map(|row| nearest(row, &words, dimension)).collect();
         let mut sums = vec![0.0_f32; words.len()];

@@ -6,6 +6,7 @@ use nalgebra::{IsometryMatrix3, Matrix6};
 
 use snake_core::{Counter, Result};
 
+use super::TUNING;
 use super::pose_graph::{Link, covariances, optimize};
 
 /// Clouds that links connect.
@@ -17,10 +18,6 @@ pub(super) struct Part {
     /// Indices of the links that the poses follow, each with its error in cloud units.
     pub(super) links: Vec<(usize, f64)>,
 }
-
-/// Links that contradict the others are dropped at once if their error is above this share of the
-/// greatest.
-const DROPPED: f64 = 0.5;
 
 /// The parts of `count` clouds, those with the most clouds first. Links that contradict the others
 /// by more than the greatest of their part's `thresholds` (cloud units) are dropped, the worst
@@ -53,7 +50,7 @@ pub(super) fn split(
             parts.sort_by_key(|part| (usize::MAX - part.clouds.len(), part.clouds[0]));
             return Ok(parts);
         }
-        let limit = f64::max(1.0, DROPPED * worst);
+        let limit = f64::max(1.0, TUNING.dropped * worst);
         kept.retain(|link| errors[link] <= limit);
     }
 }

@@ -6,10 +6,8 @@ use nalgebra::IsometryMatrix3;
 
 use snake_geometry::Vector;
 
+use super::TUNING;
 use crate::rigid::displacement;
-
-/// The confidence from which on a transform is a witness for others.
-const RELIABLE: f64 = 0.5;
 
 /// A transform between two clouds and the probability, 0 to 1, that it is right by its own
 /// evidence.
@@ -52,7 +50,7 @@ pub(super) fn doubts(witnesses: &[Witness], probes: &[Vec<Vector>]) -> Vec<f64> 
             let Some(&last) = by_cloud[target].get(&third) else { continue };
             let first = by_cloud[source][&third];
             let others = [&witnesses[first], &witnesses[last]];
-            if others.iter().any(|other| other.confidence < RELIABLE) {
+            if others.iter().any(|other| other.confidence < TUNING.reliable) {
                 continue;
             }
             let distance = others.iter().map(|other| other.distance).fold(witness.distance, f64::max);

@@ -23,12 +23,58 @@ use crate::register::register_pair;
 use crate::result::Registration;
 use crate::steps::describe::describe_cloud;
 use crate::steps::{Pair, PreparedCloud};
+use crate::tuning::tuning;
 pub use result::{Alignment, Edge, Pose};
 use scales::Scales;
 use solved::solve;
 
-/// The largest number of clouds: the poses are solved for in one dense matrix.
-const MAX_CLOUDS: usize = 500;
+tuning! {
+    /// Number of clouds, at most: the poses are solved for in one dense matrix.
+    max_clouds: usize = 500, unit "clouds", from "set by hand in 595368d";
+    /// Number of visual words: groups of similar descriptors.
+    words: usize = 64, unit "words", from "set by hand in 595368d";
+    /// Number of descriptors of all clouds from which the words are made, at most.
+    samples: usize = 16_000, unit "descriptors", from "set by hand in 595368d";
+    /// Number of rounds of k-means.
+    word_rounds: usize = 10, unit "rounds", from "set by hand in 595368d";
+    /// Voxel size of one scale beside that of the next. Clouds of half to twice the usual size share
+    /// a scale.
+    scale_ratio: f64 = 4.0, unit "ratio of lengths", from "set by hand in b0e7886";
+    /// A transform with this confidence is a witness for others.
+    reliable: f64 = 0.5, unit "probability", from "the confidence from which a verdict is reliable";
+    /// Number of points of a cloud that tell whether a loop is closed, and whether clouds overlap.
+    probes: usize = 50, unit "points", from "set by hand in 595368d";
+    /// A loop of three transforms is closed if it moves points by less than this.
+    loop_distance: f64 = 3.0, unit "inlier distances", from "set by hand in 595368d";
+    /// A transform takes part in the pose graph if its probability of being wrong is at most this.
+    max_doubt: f64 = 0.5, unit "probability", from "set by hand in c6a0685";
+    /// Links that contradict the others are dropped at once if their error is above this share of
+    /// the greatest.
+    dropped: f64 = 0.5, unit "share of the greatest error", from "set by hand in c6a0685";
+    /// Number of steps with one set of robust weights.
+    pose_steps: usize = 8, unit "steps", from "set by hand in 595368d";
+    /// A link with a larger squared error has no weight; it is also the widest kernel. The poses
+    /// start from the most reliable links, and without the limit some wrong links that agree with
+    /// each other outvote them.
+    widest: f64 = 100.0, unit "squared thresholds", from "set by hand in c6a0685";
+    /// Factor by which the kernel narrows from one round to the next.
+    narrowing: f64 = 1.6, unit "ratio of widths", from "set by hand in 595368d";
+    /// A smaller step ends the round.
+    pose_tolerance: f64 = 1e-7, unit "radians, and inlier distances", from "set by hand in 595368d";
+    /// Damping of directions that no link fixes.
+    min_damping: f64 = 1e-9, unit "share of the diagonal", from "set by hand in 595368d";
+    /// Number of rounds of the last refinement, at most; each measures every pair of clouds again.
+    refine_rounds: usize = 30, unit "rounds", from "set by hand in c6a0685";
+    /// The last refinement ends when no cloud moves by more than this.
+    refine_tolerance: f64 = 0.01, unit "inlier distances", from "set by hand in c6a0685";
+    /// Clouds are registered from their poses if this share of the probes is close to the other
+    /// cloud.
+    min_overlap: f64 = 0.2, unit "share of the probes", from "set by hand in f9a1dee";
+    /// Clouds refine the poses if this share of the probes is close to the other cloud.
+    min_common: f64 = 0.1, unit "share of the probes", from "set by hand in c6a0685";
+    /// Points are close if they are nearer than this.
+    overlap_distance: f64 = 2.0, unit "inlier distances", from "set by hand in f9a1dee";
+}
 
 /// Finds the poses of clouds `(N, 3)` that overlap in part, without initial guesses.
 ///
@@ -109,8 +155,11 @@ pub fn align_with(
 
 /// Refuses too few or too many clouds, and viewpoints that are not one for each cloud.
 fn check_clouds(count: usize, viewpoints: &[Option<[f64; 3]>]) -> Result<()> {
-    if !(2..=MAX_CLOUDS).contains(&count) {
-        return Err(Error::Input { what: "clouds", reason: format!("{count} of them; needed are 2 to {MAX_CLOUDS}") });
+    if !(2..=TUNING.max_clouds).contains(&count) {
+        return Err(Error::Input {
+            what: "clouds",
+            reason: format!("{count} of them; needed are 2 to {}", TUNING.max_clouds),
+        });
     }
     if ![0, count].contains(&viewpoints.len()) {
         let (value, allowed) = (format!("{} of them", viewpoints.len()), "one for each cloud, or none");

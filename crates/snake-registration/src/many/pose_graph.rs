@@ -5,22 +5,10 @@
 
 use nalgebra::{DMatrix, DVector, IsometryMatrix3, Matrix3, Matrix6, Rotation3, Translation3, Vector6};
 
+use super::TUNING;
 use crate::rigid::rotation_vector;
 use snake_core::{Counter, Result};
 use snake_geometry::Vector;
-
-/// Steps with one set of robust weights.
-const STEPS: usize = 8;
-/// The squared error, in squared thresholds, beyond which a link has no weight, and the widest
-/// kernel. The poses start from the links that are believed most: without the limit, some wrong
-/// links that agree with each other outvote them.
-const WIDEST: f64 = 100.0;
-/// The factor by which the kernel narrows from one round to the next.
-const NARROWING: f64 = 1.6;
-/// A step below this (radians, and inlier distances) ends the round.
-const TOLERANCE: f64 = 1e-7;
-/// Damping of directions that no link fixes, relative to the diagonal.
-const MIN_DAMPING: f64 = 1e-9;
 
 /// A measured transform between two poses.
 #[derive(Debug, Clone)]
@@ -96,10 +84,10 @@ pub(super) fn optimize(
 ) -> Result<()> {
     let squared = threshold * threshold;
     let largest = links.iter().map(|link| link.squared_error(poses)).fold(0.0, f64::max);
-    let mut width = (2.0 * largest / squared).clamp(1.0, WIDEST);
+    let mut width = (2.0 * largest / squared).clamp(1.0, TUNING.widest);
     loop {
         let weight = |link: &Link| match link.squared_error(poses) {
-            error if error > WIDEST * squared => 0.0,
+            error if error > TUNING.widest * squared => 0.0,
             error => (width * squared / (error + width * squared)).powi(2),
         };
         let weights: Vec<f64> = links.iter().map(weight).collect();
@@ -107,7 +95,7 @@ pub(super) fn optimize(
         if width == 1.0 {
             return Ok(());
         }
-        width = (width / NARROWING).max(1.0);
+        width = (width / TUNING.narrowing).max(1.0);
     }
 }
 
@@ -124,7 +112,7 @@ pub(super) fn least_squares(
         costs.sum()
     };
     let (mut damping, mut best) = (1e-6, cost(poses));
-    for _ in 0..STEPS {
+    for _ in 0..TUNING.pose_steps {
         counter.check()?;
         let (normal, gradient) = normal_equations(poses, links, weights);
         let Some(inverse) = damped(&normal, damping).cholesky() else {
@@ -145,8 +133,8 @@ pub(super) fn least_squares(
             continue;
         }
         poses.copy_from_slice(&moved);
-        (best, damping) = (moved_cost, (damping / 10.0).max(MIN_DAMPING));
-        if step.amax() < TOLERANCE * scale.min(1.0) {
+        (best, damping) = (moved_cost, (damping / 10.0).max(TUNING.min_damping));
+        if step.amax() < TUNING.pose_tolerance * scale.min(1.0) {
             break;
         }
     }
@@ -183,7 +171,7 @@ fn normal_equations(poses: &[IsometryMatrix3<f64>], links: &[Link], weights: &[f
 /// The matrix with its diagonal raised, and no entry there next to zero.
 fn damped(normal: &DMatrix<f64>, damping: f64) -> DMatrix<f64> {
     let mut damped = normal.clone();
-    let least = MIN_DAMPING * normal.diagonal().max();
+    let least = TUNING.min_damping * normal.diagonal().max();
     for i in 0..damped.nrows() {
         damped[(i, i)] = (damped[(i, i)] * (1.0 + damping)).max(least).max(f64::MIN_POSITIVE);
     }
@@ -196,7 +184,7 @@ fn damped(normal: &DMatrix<f64>, damping: f64) -> DMatrix<f64> {
 /// large, but finite.
 pub(super) fn covariances(poses: &[IsometryMatrix3<f64>], links: &[Link], variance: f64) -> Vec<Matrix6<f64>> {
     let (normal, _) = normal_equations(poses, links, &vec![1.0; links.len()]);
-    let mut damping = MIN_DAMPING;
+    let mut damping = TUNING.min_damping;
     let inverse = loop {
         // Enough damping makes any matrix of a sum of squares positive definite.
         match damped(&normal, damping).cholesky() {

@@ -5,19 +5,16 @@ use std::collections::BTreeMap;
 use snake_core::{Control, Model, Result};
 use snake_geometry::{Length, Point};
 
+use super::TUNING;
 use crate::options::RegisterOptions;
 use crate::steps::prepare;
 use crate::steps::{PreparedCloud, PreparedClouds};
-
-/// The ratio of the voxels of one scale to those of the next. Clouds up to half and twice the usual
-/// size share a scale.
-const RATIO: f64 = 4.0;
 
 /// All clouds with the voxels of the usual scale, and those of larger and smaller scales where
 /// clouds have them.
 pub(super) struct Scales {
     usual: PreparedClouds,
-    /// The scale of each cloud, 0 for the usual one, as a power of [`RATIO`].
+    /// The scale of each cloud, 0 for the usual one, as a power of `scale_ratio`.
     scale_numbers: Vec<i32>,
     /// The other scales: the clouds of this size and larger ones, and the place of each.
     others: BTreeMap<i32, (PreparedClouds, Vec<Option<usize>>)>,
@@ -45,7 +42,7 @@ impl Scales {
             let members: Vec<usize> = (0..clouds.len()).filter(|&cloud| scale_numbers[cloud] >= scale).collect();
             let mut places = vec![None; clouds.len()];
             members.iter().enumerate().for_each(|(place, &cloud)| places[cloud] = Some(place));
-            let size = Length::Units(voxel_size * RATIO.powi(scale));
+            let size = Length::Units(voxel_size * TUNING.scale_ratio.powi(scale));
             let (clouds, viewpoints): (Vec<&[Point]>, Vec<Option<[f64; 3]>>) =
                 members.iter().map(|&cloud| (clouds[cloud], viewpoints.get(cloud).copied().flatten())).unzip();
             let options = options.with_voxel_size(Some(size));
@@ -90,5 +87,5 @@ impl Scales {
 
 /// The scale of voxels that are so many times as large as the usual ones.
 fn scale(ratio: f64) -> i32 {
-    (ratio.ln() / RATIO.ln()).round() as i32
+    (ratio.ln() / TUNING.scale_ratio.ln()).round() as i32
 }

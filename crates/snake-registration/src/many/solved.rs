@@ -8,6 +8,7 @@ use rayon::prelude::*;
 use snake_core::{Control, Result};
 use snake_geometry::Vector;
 
+use super::TUNING;
 use super::graph::{Part, split};
 use super::loops::{Witness, doubts};
 use super::pose_graph::Link;
@@ -19,21 +20,6 @@ use crate::options::RegisterOptions;
 use crate::result::Registration;
 use crate::rigid::moved;
 use crate::steps::PreparedCloud;
-
-/// Number of points of a cloud that tell whether a loop is closed, and whether clouds overlap.
-const PROBES: usize = 50;
-/// A loop of three transforms is closed if it moves points by less than this many inlier distances.
-const LOOP_DISTANCE: f64 = 3.0;
-/// Transforms with at most this probability of being wrong take part in the pose graph.
-const MAX_DOUBT: f64 = 0.5;
-/// Clouds overlap enough for a registration if this share of the probes is close to the other cloud
-/// by the poses.
-const MIN_OVERLAP: f64 = 0.2;
-/// Clouds overlap enough to refine the poses if this share of the probes is close to the other
-/// cloud by the poses.
-const MIN_COMMON: f64 = 0.1;
-/// Points closer than this many inlier distances are close.
-const OVERLAP_DISTANCE: f64 = 2.0;
 
 /// Poses that follow registrations.
 pub(super) struct Solved {
@@ -60,10 +46,10 @@ pub(super) fn solve(
     let distance = |pair: &[usize; 2]| scales.inlier_distance(scales.common(pair));
     let witnesses: Vec<Witness> = registered
         .iter()
-        .map(|(pair, registration)| witness(*pair, registration, LOOP_DISTANCE * distance(pair)))
+        .map(|(pair, registration)| witness(*pair, registration, TUNING.loop_distance * distance(pair)))
         .collect();
     let all = doubts(&witnesses, &probes);
-    let kept: Vec<usize> = (0..registered.len()).filter(|&i| all[i] <= MAX_DOUBT).collect();
+    let kept: Vec<usize> = (0..registered.len()).filter(|&i| all[i] <= TUNING.max_doubt).collect();
     let links: Vec<Link> = kept.iter().map(|&i| link(registered[i].0, &registered[i].1)).collect();
     let doubts: Vec<f64> = kept.iter().map(|&i| all[i]).collect();
     let thresholds: Vec<f64> = kept.iter().map(|&i| distance(&registered[i].0)).collect();
@@ -76,7 +62,7 @@ pub(super) fn solve(
                 cloud.surface(cloud.viewpoint.is_some(), scales.inlier_distance(scale))
             };
             let surfaces: Vec<Surface> = part.clouds.par_iter().map(surface).collect();
-            let pairs = overlapping(part, scales, MIN_COMMON);
+            let pairs = overlapping(part, scales, TUNING.min_common);
             refine(part, &pairs, &surfaces, &probes, gravity, &counter)?;
             part.measure_errors(&links);
         }
@@ -91,7 +77,7 @@ impl Solved {
         let linked: HashSet<[usize; 2]> = used.map(|link| [link.source, link.target]).collect();
         let mut guesses: Vec<Trial> = Vec::new();
         for part in &self.parts {
-            for [at, before] in overlapping(part, scales, MIN_OVERLAP) {
+            for [at, before] in overlapping(part, scales, TUNING.min_overlap) {
                 let pair = [part.clouds[at], part.clouds[before]];
                 if !linked.contains(&pair) {
                     let guess = part.poses[before].inverse() * part.poses[at];
@@ -163,7 +149,7 @@ fn overlapping(part: &Part, scales: &Scales, min_overlap: f64) -> Vec<[usize; 2]
         let target = &scales.cloud(part.clouds[before], scale).voxels.voxels;
         let probes = probes(scales.cloud(part.clouds[at], scale));
         let is_close =
-            |probe: &&Vector| target.distance(&moved(&transform, probe)) < OVERLAP_DISTANCE * inlier_distance;
+            |probe: &&Vector| target.distance(&moved(&transform, probe)) < TUNING.overlap_distance * inlier_distance;
         probes.iter().filter(is_close).count() as f64 >= min_overlap * probes.len() as f64
     };
     all.into_par_iter().filter(overlap).collect()
@@ -171,7 +157,7 @@ fn overlapping(part: &Part, scales: &Scales, min_overlap: f64) -> Vec<[usize; 2]
 
 fn probes(cloud: &PreparedCloud) -> Vec<Vector> {
     let points = &cloud.voxels.voxels.points;
-    points.iter().step_by(points.len().div_ceil(PROBES).max(1)).copied().collect()
+    points.iter().step_by(points.len().div_ceil(TUNING.probes).max(1)).copied().collect()
 }
 
 fn witness([source, target]: [usize; 2], registration: &Registration, distance: f64) -> Witness {
