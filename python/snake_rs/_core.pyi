@@ -134,8 +134,8 @@ class _DetectOptions(_Preset, total=False):
 class _Options(_EncodeOptions, _DetectOptions, total=False): ...
 
 @type_check_only
-class _RegisterOptions(TypedDict, total=False):
-    detector: Literal["voxels", "snake", "iss", "harris3d", "sift3d", "fps", "random"]
+class _RegistrationOptions(TypedDict, total=False):
+    detector: Literal["voxels", "snake", "iss", "harris3d", "sift3d", "surface-variation", "fps", "random"]
     descriptor: Literal["fpfh", "field"]
     max_keypoints: int
     num_keypoints: int | None
@@ -145,13 +145,49 @@ class _RegisterOptions(TypedDict, total=False):
     feature_radius: float | str | None
     inlier_distance: float | str | None
     use_viewpoints: bool
+    gravity: Literal["x", "y", "z"] | None
+    seed: int
+    icp_steps: int
+
+@type_check_only
+class _RegisterOptions(_RegistrationOptions, total=False):
     source_viewpoint: ArrayLike | None
     target_viewpoint: ArrayLike | None
-    gravity: Literal["x", "y", "z"] | None
     initial: ArrayLike | None
     hypotheses: int
-    seed: int
-    refine_steps: int
+
+@type_check_only
+class _AlignOptions(_RegistrationOptions, total=False):
+    max_partners: int
+
+@type_check_only
+class _IssOptions(TypedDict, total=False):
+    salient_radius: float | str
+    non_max_radius: float | str
+    gamma_21: float
+    gamma_32: float
+    min_neighbors: int
+    covariance: Literal["about-mean", "about-point"]
+
+@type_check_only
+class _Harris3dOptions(TypedDict, total=False):
+    radius: float | str
+    threshold: float
+    non_max: bool
+
+@type_check_only
+class _Sift3dOptions(TypedDict, total=False):
+    min_scale: float | str
+    octaves: int
+    scales_per_octave: int
+    min_contrast: float
+    field: Literal["curvature", "y"]
+    curvature_radius: float | str
+
+@type_check_only
+class _SurfaceVariationOptions(TypedDict, total=False):
+    radius: float | str
+    non_max_radius: float | str
 
 @type_check_only
 class _MeshOptions(TypedDict, total=False):

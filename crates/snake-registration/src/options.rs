@@ -80,7 +80,7 @@ options! {
 options! {
     /// Options of the alignment of many clouds, beside [`RegisterOptions`].
     pub struct AlignOptions {
-        /// Number of other clouds to which each cloud is registered, about: those with the most
+        /// Approximate number of other clouds to which each cloud is registered: those with the most
         /// similar descriptors, and its neighbours in the given order.
         max_partners, with_max_partners: usize = 20, from 1 or more, flag "NUMBER";
     }
