@@ -3,7 +3,7 @@ VENV := .venv
 PYTHON := $(VENV)/bin/python
 export VIRTUAL_ENV := $(CURDIR)/$(VENV)
 
-.PHONY: help quick test dist site test-aarch64 test-examples check golden bench bench-registration models wheel manylinux results fuzz
+.PHONY: help quick test dist site test-aarch64 test-examples check golden bench bench-registration models release-model wheel manylinux results fuzz
 .DEFAULT_GOAL := help
 
 help:  ## this list
@@ -38,7 +38,7 @@ quick:  ## after every edit, three minutes: format, lints, kernels, core, comman
 	cargo fmt --check
 	cargo clippy --release --workspace --exclude snake-rs-python --all-targets --features $(FEATURES)
 	cargo test --release --features $(FEATURES) -p snake-kernels -p snake-geometry -p snake-core --lib
-	cargo test --release -p snake-cli --test cli -- detect:: register:: usage:: outputs::
+	cargo test --release -p snake-keypoints --test cli -- detect:: register:: usage:: outputs::
 
 # What the tests and the examples need beside the default features. tests/test_embedding.py runs what is compiled here.
 FEATURES := snake-core/arrow,snake-core/ndarray,snake-core/tracing
@@ -70,8 +70,8 @@ check: module $(VENV)/check-ready wheel-test packages sdist  ## formatting, lint
 	cargo fmt --check
 	cargo clippy --release --workspace --all-targets --features $(FEATURES)
 	RUSTDOCFLAGS="-D warnings" cargo doc --release --workspace --no-deps
-	$(VENV)/bin/ruff check training python tests docs
-	$(VENV)/bin/ruff format --check training python tests docs
+	$(VENV)/bin/ruff check training python tests docs samples
+	$(VENV)/bin/ruff format --check training python tests docs samples
 	$(PYTHON) -m mypy --strict python/snake_rs
 	$(VENV)/bin/pyright --pythonpath $(PYTHON) python/snake_rs
 	$(PYTHON) python/third_party_licenses.py --check
@@ -102,7 +102,7 @@ golden: $(VENV)/ready  ## check the golden files against the PyTorch network
 
 bench: module $(VENV)/bench-ready  ## speed beside PyTorch, ONNX Runtime, OpenVINO and Open3D
 	cargo build --release
-	$(PYTHON) -m snake_training.benchmark
+	$(PYTHON) tests/bench/speed.py
 
 $(VENV)/registration-ready: $(VENV)/ready
 	$(PYTHON) -m pip install --quiet -e "training[registration]"
@@ -114,6 +114,9 @@ bench-registration: module $(VENV)/registration-ready  ## registration beside Op
 models: module  ## all weights from their recipes into runs/: make models DATA=FOLDER VAL=FOLDER adds shapes, SMOKE=1 only sees that it runs; days, resumable, each recipe states its time
 	OMP_NUM_THREADS=1 $(PYTHON) -m snake_training.recipes training/recipes/*.toml $(if $(DATA),--data $(DATA)) \
 		$(if $(VAL),--validation-data $(VAL)) $(if $(SMOKE),--smoke --run-dir runs/smoke)
+
+release-model: module  ## take a model that its recipe made into the repository: make release-model NAME=compact
+	$(PYTHON) tools/release_model.py $(NAME)
 
 results:  ## docs/results.md: make results OBJECTS=FOLDER LANDMARKS=FOLDER SCENES="FOLDER .." (or one of them), LIMIT=NUMBER of objects; resumable
 	python3 docs/results.py $(if $(OBJECTS),--objects $(OBJECTS)) $(if $(LANDMARKS),--landmarks $(LANDMARKS)) $(if $(SCENES),--scenes $(SCENES)) $(if $(LIMIT),--limit $(LIMIT))
@@ -129,7 +132,7 @@ $(VENV)/site-ready: $(VENV)/ready
 site: module $(VENV)/site-ready  ## target/site: the pages, the API of Python and of Rust; open target/site/index.html or serve it
 	python3 tools/site.py
 	NO_MKDOCS_2_WARNING=1 $(VENV)/bin/mkdocs build --quiet
-	cargo doc --release --workspace --exclude snake-rs-python --exclude snake-cli --no-deps
+	cargo doc --release --workspace --exclude snake-rs-python --exclude snake-keypoints --no-deps
 	cp -r target/doc target/site/rustdoc
 
 wheel: $(VENV)/ready  ## a wheel of the Python module in target/wheels

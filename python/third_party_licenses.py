@@ -1,7 +1,7 @@
 """Writes LICENSE-THIRD-PARTY: the licences of all Rust crates that the wheel contains, and of the C code in them.
 
 python python/third_party_licenses.py [--check]
-python python/third_party_licenses.py --package snake-cli --output FILE    # those of the program
+python python/third_party_licenses.py --package snake-keypoints --output FILE    # those of the program
 
 A crate that may be used under the Apache License 2.0 is used under it; its text stands once. Of the others all texts of their packages
 are taken. With --check the file is compared and not written.

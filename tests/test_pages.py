@@ -6,6 +6,7 @@ data. Of commands that take minutes (training, make, cargo) the target, module, 
 not run.
 """
 
+import importlib.util
 import itertools
 import re
 import shlex
@@ -115,6 +116,39 @@ def test_command_runs(command, compiled, folder):
         assert "0 keypoints" not in done.stdout.replace("10 keypoints", ""), done.stdout
 
 
+def test_commands_of_the_readme_run_as_they_stand(compiled, tmp_path):
+    """In a fresh clone, one after another, without any file that the repository lacks."""
+    tracked = subprocess.run(["git", "ls-files", "samples"], cwd=ROOT, capture_output=True, text=True, check=True)
+    for name in tracked.stdout.split():
+        (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
+        shutil.copy(ROOT / name, tmp_path / name)
+    ours = [c for c in commands("README.md") if "snake-cli " in c and not c.startswith("cargo install")]
+    assert ours[0] == "cargo run --release --bin snake-cli -- detect samples/plane.ply" and len(ours) > 5
+    assert commands("README.md")[1] == "make test"
+    for command in ours:
+        words = shlex.split(command.replace("cargo run --release --bin snake-cli -- ", "snake-cli "))
+        done = subprocess.run([compiled / "snake-cli", *words[1:]], cwd=tmp_path, capture_output=True, text=True)
+        assert done.returncode == 0, f"{command}: {done.stderr}"
+        assert "not reliable" not in done.stdout and "warning" not in done.stderr, (
+            f"{command}: {done.stdout}{done.stderr}"
+        )
+
+
+def test_the_samples_are_small_and_their_script_makes_them(tmp_path, monkeypatch):
+    spec = importlib.util.spec_from_file_location("generate", ROOT / "samples/generate.py")
+    script = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(script)
+    monkeypatch.setattr(script, "FOLDER", tmp_path)
+    script.main()
+    made = {path.relative_to(tmp_path): path for path in tmp_path.rglob("*.ply")}
+    assert len(made) == 4
+    for name, path in made.items():
+        # Sines differ in the last digit between machines.
+        one, other = snake_rs.read_points(path), snake_rs.read_points(ROOT / "samples" / name)
+        np.testing.assert_allclose(one, other, atol=1e-4)
+    assert sum(path.stat().st_size for path in (ROOT / "samples").rglob("*.ply")) < 300_000
+
+
 @pytest.mark.parametrize("command", of("make"))
 def test_target_exists(command):
     assert re.search(rf"^{command.split()[1]}:.* ## ", (ROOT / "Makefile").read_text(), re.MULTILINE)
@@ -152,7 +186,7 @@ def test_no_kind_of_block_is_left_out():
     assert languages <= {"sh", "python", "toml", "rust", "cpp", "c", "text"}
 
 
-TRAINING = ("train", "targets", "evaluate", "ablations", "recipes", "export", "confidence", "benchmark")
+TRAINING = ("train", "teacher", "evaluate", "ablations", "recipes", "export", "confidence")
 
 
 @cache
@@ -211,11 +245,13 @@ def test_c_compiles(page, folder):
 @pytest.mark.parametrize("command", of("cargo", "pip"))
 def test_paths_of_installers_exist(command):
     words = shlex.split(command.split(" -- ")[0])
+    manifests = [tomllib.loads(path.read_text()) for path in ROOT.glob("crates/*/Cargo.toml")]
+    packages = {manifest["package"]["name"] for manifest in manifests}
     for before, word in itertools.pairwise(words):
         if before == "--path" or word.startswith("./"):
             assert (ROOT / word.split("[")[0]).is_dir()
-        if before == "-p":
-            assert (ROOT / "crates" / word / "Cargo.toml").is_file()
+        if before == "-p" or (before == "install" and words[0] == "cargo" and not word.startswith("-")):
+            assert word in packages
         if before == "--example":
             assert list(ROOT.glob(f"crates/*/examples/{word}.rs"))
 

@@ -1,6 +1,9 @@
 """The module as users of numpy, pandas and notebooks expect it."""
 
+import contextlib
+import copy
 import html
+import importlib
 import json
 import pickle
 import re
@@ -73,6 +76,71 @@ def test_clouds_in_every_form_give_the_same_keypoints(keypoints, tmp_path):
         assert same(snake_rs.detect(form), keypoints), name
     with pytest.raises(FileNotFoundError):
         snake_rs.detect("none.ply")
+
+
+class Frame:
+    """A frame as those of pandas: columns have names, and a list of names chooses columns."""
+
+    def __init__(self, names, points):
+        self.columns, self.points = names, points
+
+    def __getitem__(self, names):
+        return self.points[:, [self.columns.index(name) for name in names]]
+
+    def __array__(self, dtype=None, copy=None):
+        return self.points
+
+
+def frames(points):
+    """The same cloud in frames of several kinds, with a column before the coordinates or in another order."""
+    time = np.arange(len(points)) * 1e-4
+    yield "fake", Frame(["t", "z", "y", "x"], np.column_stack([time, points[:, ::-1]]))
+    yield "numbers", Frame([0, 1, 2], points)
+    columns = {"t": time, "x": points[:, 0], "z": points[:, 2], "y": points[:, 1]}
+    for module, make in (("pandas", "DataFrame"), ("polars", "DataFrame"), ("pyarrow", "table")):
+        with contextlib.suppress(ImportError):
+            yield module, getattr(importlib.import_module(module), make)(columns)
+
+
+def test_frames_are_taken_by_the_names_of_their_columns(keypoints):
+    points = torus()
+    for name, frame in frames(points):
+        assert same(snake_rs.detect(frame), keypoints), name
+    for names in (["a", "b", "c"], ["x", "y", "y"], ["X", "Y", "Z"]):
+        with pytest.raises(
+            ValueError, match=f"^points: the columns of the frame are {', '.join(names)}: expected x, y and z"
+        ):
+            snake_rs.detect(Frame(names, points))
+
+
+def test_tensors_with_a_gradient_meshes_and_plans(keypoints):
+    points = torus()
+
+    class Gradient:
+        """A tensor that records its gradient has no array until it is detached."""
+
+        requires_grad = True
+
+        def __array__(self, dtype=None, copy=None):
+            raise RuntimeError("use tensor.detach()")
+
+        def detach(self):
+            return types.SimpleNamespace(cpu=lambda: points)
+
+    assert same(snake_rs.detect(Gradient()), keypoints)
+    assert same(snake_rs.detect(types.SimpleNamespace(vertex={"positions": points})), keypoints)
+    with pytest.raises(ValueError, match="^points: no points: it has no `positions`$"):
+        snake_rs.detect(types.SimpleNamespace(point={}))
+    with pytest.raises(ValueError, match=r"\(4000, 2\): points of a plane need a third column"):
+        snake_rs.detect(points[:, :2])
+
+
+def test_results_can_be_pickled(keypoints):
+    for result in (keypoints[3], snake_rs.align([torus(), torus(3000)])):
+        for again in (pickle.loads(pickle.dumps(result)), copy.deepcopy(result)):
+            assert repr(again) == repr(result)
+    edge = snake_rs.align([torus(), torus(3000)]).edges[0]
+    assert np.array_equal(pickle.loads(pickle.dumps(edge)).information, edge.information)
 
 
 def test_keypoints_are_a_sequence(keypoints):

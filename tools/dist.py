@@ -31,7 +31,7 @@ def build(target: str) -> Path:
     """Compiles the program for a target and returns its path."""
     # The folder of the host's own builds, so that nothing is compiled twice.
     other = [] if target == host() else ["--target", target]
-    subprocess.run(["cargo", "build", "--release", "--locked", "-p", "snake-cli", *other], cwd=ROOT, check=True)
+    subprocess.run(["cargo", "build", "--release", "--locked", "-p", "snake-keypoints", *other], cwd=ROOT, check=True)
     metadata = ["cargo", "metadata", "--no-deps", "--format-version", "1"]
     found = json.loads(subprocess.run(metadata, cwd=ROOT, capture_output=True, check=True).stdout)
     folder = Path(found["target_directory"])
@@ -48,7 +48,7 @@ def fill(folder: Path, program: Path) -> None:
     subprocess.run([program, "manual", folder / "man" / "man1"], check=True)
     for name in ("README.md", "CHANGELOG.md", "LICENSE-MIT", "LICENSE-APACHE"):
         shutil.copy(ROOT / name, folder)
-    licences = [sys.executable, ROOT / "python/third_party_licenses.py", "--package", "snake-cli"]
+    licences = [sys.executable, ROOT / "python/third_party_licenses.py", "--package", "snake-keypoints"]
     subprocess.run([*licences, "--output", folder / "LICENSE-THIRD-PARTY"], check=True)
 
 

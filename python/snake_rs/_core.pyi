@@ -99,7 +99,7 @@ _Model: TypeAlias = Model | _Path
 # float32 for clouds of float32 or float16, else float64.
 _Positions: TypeAlias = NDArray[np.float32] | NDArray[np.float64]
 
-# Options, written by SNAKE_WRITE_OPTIONS=1 cargo test --release -p snake-cli --test cli options_in_python
+# Options, written by SNAKE_WRITE_OPTIONS=1 cargo test --release -p snake-keypoints --test cli options_in_python
 
 @type_check_only
 class _Preset(TypedDict, total=False):
@@ -347,6 +347,14 @@ class Field:
 
 @final
 class Keypoint:
+    def __new__(
+        cls,
+        position: NDArray[Any],
+        saliency: float,
+        occupancy: float,
+        nearest_index: int,
+        confidence: float | None,
+    ) -> Self: ...
     @property
     def position(self) -> NDArray[Any]: ...
     @property
@@ -484,6 +492,16 @@ def registration_recall(fragments: ArrayLike, squared_errors: ArrayLike, thresho
 
 @final
 class Alignment:
+    def __new__(
+        cls,
+        poses: list[NDArray[np.float64]],
+        parts: list[list[int]],
+        covariances: list[NDArray[np.float64]],
+        edges: list[AlignmentEdge],
+        num_pairs: int,
+        num_skipped: list[int],
+        seconds: float,
+    ) -> Self: ...
     @property
     def poses(self) -> list[NDArray[np.float64]]: ...
     @property
@@ -501,6 +519,16 @@ class Alignment:
 
 @final
 class AlignmentEdge:
+    def __new__(
+        cls,
+        source: int,
+        target: int,
+        t_target_source: NDArray[np.float64],
+        confidence: float,
+        belief: float,
+        residual: float,
+        information: NDArray[np.float64],
+    ) -> Self: ...
     @property
     def source(self) -> int: ...
     @property

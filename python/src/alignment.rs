@@ -2,14 +2,14 @@
 
 use numpy::PyArray2;
 use pyo3::prelude::*;
-use pyo3::types::PyDict;
+use pyo3::types::{PyDict, PyTuple};
 use snake_registration as core;
 
 use crate::model;
 use crate::registration::matrix;
 use crate::{arrays, options, threads};
 
-/// The poses of many clouds.
+/// The poses of many clouds. They can be pickled.
 #[pyclass(frozen, get_all, module = "snake_rs")]
 pub struct Alignment {
     /// The pose (4, 4) float64 of each cloud: `p_part = R p_cloud + t`. A part has the frame of its first cloud.
@@ -30,7 +30,7 @@ pub struct Alignment {
     seconds: f64,
 }
 
-/// A registration of two clouds of an alignment.
+/// A registration of two clouds of an alignment. It can be pickled.
 #[pyclass(frozen, get_all, module = "snake_rs")]
 pub struct AlignmentEdge {
     /// Index of the source.
@@ -51,6 +51,24 @@ pub struct AlignmentEdge {
 
 #[pymethods]
 impl Alignment {
+    #[new]
+    fn new(
+        poses: Vec<Py<PyArray2<f64>>>,
+        parts: Vec<Vec<usize>>,
+        covariances: Vec<Py<PyArray2<f64>>>,
+        edges: Vec<Py<AlignmentEdge>>,
+        num_pairs: usize,
+        num_skipped: Vec<usize>,
+        seconds: f64,
+    ) -> Self {
+        Self { poses, parts, covariances, edges, num_pairs, num_skipped, seconds }
+    }
+
+    /// What a pickle holds: all attributes.
+    fn __getnewargs__<'py>(this: &Bound<'py, Self>) -> PyResult<Bound<'py, PyTuple>> {
+        attributes(this, ["poses", "parts", "covariances", "edges", "num_pairs", "num_skipped", "seconds"])
+    }
+
     fn __repr__(&self) -> String {
         let Self { poses, parts, edges, num_pairs, seconds, .. } = self;
         let sizes: Vec<String> = parts.iter().map(|part| part.len().to_string()).collect();
@@ -61,6 +79,34 @@ impl Alignment {
             edges.len()
         )
     }
+}
+
+#[pymethods]
+impl AlignmentEdge {
+    #[new]
+    fn new(
+        source: usize,
+        target: usize,
+        t_target_source: Py<PyArray2<f64>>,
+        confidence: f64,
+        belief: f64,
+        residual: f64,
+        information: Py<PyArray2<f64>>,
+    ) -> Self {
+        Self { source, target, t_target_source, confidence, belief, residual, information }
+    }
+
+    /// What a pickle holds: all attributes.
+    fn __getnewargs__<'py>(this: &Bound<'py, Self>) -> PyResult<Bound<'py, PyTuple>> {
+        let names = ["source", "target", "t_target_source", "confidence", "belief", "residual", "information"];
+        attributes(this, names)
+    }
+}
+
+/// The attributes of an object by name.
+fn attributes<'py>(object: &Bound<'py, PyAny>, names: [&str; 7]) -> PyResult<Bound<'py, PyTuple>> {
+    let values = names.iter().map(|name| object.getattr(*name)).collect::<PyResult<Vec<_>>>()?;
+    PyTuple::new(object.py(), values)
 }
 
 /// Finds the poses of many clouds that overlap in part, without initial poses.

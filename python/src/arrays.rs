@@ -6,7 +6,7 @@ use numpy::{
 use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
 use pyo3::types::{PyList, PyString, PyTuple};
-use snake_core::{Cloud, Point, add_origin, subtract_origin};
+use snake_core::{Cloud, Point, add_origin, excerpt, subtract_origin};
 use snake_io::ReadOptions;
 
 use crate::files;
@@ -104,7 +104,11 @@ pub fn given_rows<'py>(what: &str, value: &Bound<'py, PyAny>) -> PyResult<Rows<'
         Ok(PyValueError::new_err(format!("{what}: {needed} {} of shape {shape}{why}", array.dtype())))
     };
     let (kind, size) = (array.dtype().kind(), array.dtype().itemsize());
-    if !matches!(kind, b'f' | b'i' | b'u') || array.ndim() != 2 || array.shape()[1] < 3 {
+    let is_real = matches!(kind, b'f' | b'i' | b'u');
+    if is_real && array.ndim() == 2 && array.shape()[1] == 2 {
+        return Err(refused(": points of a plane need a third column, numpy.c_[points, numpy.zeros(len(points))]")?);
+    }
+    if !is_real || array.ndim() != 2 || array.shape()[1] < 3 {
         return Err(refused("")?);
     }
     if let &[rows @ (3 | 4), columns] = array.shape()
@@ -171,9 +175,16 @@ pub fn list_of_clouds<'py>(value: &Bound<'py, PyAny>) -> PyResult<Option<Vec<Bou
 /// Converts a value, or its points or vertices, to a numpy array. The points are the attribute `xyz` (laspy), `positions`
 /// within `point` (tensor clouds of Open3D), `points` or `vertices`.
 fn as_array<'py>(numpy: &Bound<'py, PyModule>, what: &str, value: &Bound<'py, PyAny>) -> PyResult<Bound<'py, PyAny>> {
+    if let Some(columns) = columns_of_frame(what, value)? {
+        return converted(numpy, what, &columns);
+    }
     if !value.hasattr("__array__")? && !value.hasattr("__dlpack__")? {
-        if let Some(point) = value.getattr_opt("point")? {
-            return converted(numpy, what, &point.get_item("positions")?);
+        for part in ["point", "vertex"] {
+            if let Some(part) = value.getattr_opt(part)? {
+                let positions = part.get_item("positions");
+                let empty = |_| PyValueError::new_err(format!("{what}: no points: it has no `positions`"));
+                return converted(numpy, what, &positions.map_err(empty)?);
+            }
         }
         for part in ["xyz", "points", "vertices"] {
             if let Some(part) = value.getattr_opt(part)? {
@@ -185,10 +196,38 @@ fn as_array<'py>(numpy: &Bound<'py, PyModule>, what: &str, value: &Bound<'py, Py
     with_columns(numpy, array)
 }
 
+/// The columns x, y and z of a frame of pandas or polars, or of a table of Arrow, in any order; `None` for anything else, and
+/// for a frame whose columns have numbers. Other names are refused, because the first three columns may be anything.
+fn columns_of_frame<'py>(what: &str, value: &Bound<'py, PyAny>) -> PyResult<Option<Bound<'py, PyAny>>> {
+    let Some(names) = value.getattr_opt("column_names")?.or(value.getattr_opt("columns")?) else { return Ok(None) };
+    let Ok(names) = names.try_iter() else { return Ok(None) };
+    let names: Vec<Bound<PyAny>> = names.collect::<PyResult<_>>()?;
+    if names.iter().all(|name| name.extract::<i64>().is_ok()) {
+        return Ok(None);
+    }
+    let names: Vec<String> = names.iter().map(|name| Ok(name.str()?.to_string())).collect::<PyResult<_>>()?;
+    if !AXES.iter().all(|axis| names.iter().filter(|name| name == axis).count() == 1) {
+        let listed = excerpt(&names.join(", "), 300);
+        let reason = format!(
+            "{what}: the columns of the frame are {listed}: expected x, y and z, each once; choose three others by \
+             frame[[\"a\", \"b\", \"c\"]].to_numpy()"
+        );
+        return Err(PyValueError::new_err(reason));
+    }
+    let axes = PyList::new(value.py(), AXES)?;
+    let chosen = match value.hasattr("select")? {
+        true => value.call_method1("select", (axes,))?,
+        false => value.get_item(axes)?,
+    };
+    Ok(Some(chosen))
+}
+
+/// The names of the columns of points.
+const AXES: [&str; 3] = ["x", "y", "z"];
+
 /// An array whose rows have the named fields x, y and z, as `(N, 3)`. Other arrays stay as they are.
 fn with_columns<'py>(numpy: &Bound<'py, PyModule>, array: Bound<'py, PyAny>) -> PyResult<Bound<'py, PyAny>> {
     let names: Option<Vec<String>> = array.getattr("dtype")?.getattr("names")?.extract()?;
-    const AXES: [&str; 3] = ["x", "y", "z"];
     if !names.is_some_and(|names| AXES.iter().all(|axis| names.iter().any(|name| name == axis))) {
         return Ok(array);
     }
@@ -200,6 +239,12 @@ fn with_columns<'py>(numpy: &Bound<'py, PyModule>, array: Bound<'py, PyAny>) -> 
 /// Converts a value to a numpy array, without a copy where possible. An exception from the value's own conversion is
 /// passed on unchanged. An exception from numpy becomes a ValueError that begins with `what`.
 fn converted<'py>(numpy: &Bound<'py, PyModule>, what: &str, value: &Bound<'py, PyAny>) -> PyResult<Bound<'py, PyAny>> {
+    // A tensor that records its gradient, or lies on another device, has no array.
+    let tensor = match value.hasattr("requires_grad")? {
+        true => &value.call_method0("detach")?.call_method0("cpu")?,
+        false => value,
+    };
+    let value = tensor;
     if value.hasattr("__array__")? {
         let masked = numpy.getattr("ma")?.getattr("MaskedArray")?;
         // `asanyarray` keeps the mask of a masked array.

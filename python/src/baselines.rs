@@ -4,7 +4,7 @@ use numpy::PyArray1;
 use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
-use snake_core::{Cloud, Point, Result};
+use snake_core::{Cloud, Control, Point, Result};
 use snake_geometry::FinitePoints;
 use snake_registration::detectors::{self, Protocol, Response};
 
@@ -18,20 +18,21 @@ type Found<'py> = (Bound<'py, PyArray1<i64>>, Bound<'py, PyArray1<f64>>);
 /// Runs `detect` on the points of an array and returns its responses.
 fn responses<'py>(
     points: &Bound<'py, PyAny>,
-    detect: impl FnOnce(&[Point]) -> Result<Vec<Response>> + Send,
+    detect: impl FnOnce(&[Point], &Control) -> Result<Vec<Response>> + Send,
 ) -> PyResult<Found<'py>> {
     let (py, (Cloud { points, .. }, _)) = (points.py(), arrays::cloud("points", points)?);
     let outliers = FinitePoints::of("points", &points).map_err(py_error)?.outliers();
     warn(py, outliers.map(|outliers| outliers.to_string()))?;
-    let responses: Vec<Response> = threads::run(py, || detect(&points))?;
+    let responses: Vec<Response> = threads::run_with_signals(py, |control| detect(&points, control))?;
     let indices = responses.iter().map(|response| response.index as i64).collect();
     let scores = responses.iter().map(|response| response.score).collect();
     Ok((arrays::values(py, indices), arrays::values(py, scores)))
 }
 
-/// Defines the functions of detectors with options: documentation, function, struct of options, file of their help.
+/// Defines the functions of detectors with options: documentation, name, function of the crate, struct of options, and the
+/// file of their help.
 macro_rules! baselines {
-    ($($(#[doc = $doc:literal])+ $name:ident, $options:ident, $help:literal;)+) => { $(
+    ($($(#[doc = $doc:literal])+ $name:ident, $detect:ident, $options:ident, $help:literal;)+) => { $(
         $(#[doc = $doc])+
         ///
         /// `count` limits the number of keypoints. `protocol` "ranked" selects the strongest keypoints. "paper" selects a
@@ -56,8 +57,10 @@ macro_rules! baselines {
                 return Err(PyValueError::new_err("option `count` is None: protocol paper needs a number"));
             }
             let count = count.unwrap_or(usize::MAX);
-            let detect = |points: &[Point]| detectors::$name(points, &options);
-            responses(points, |points| detectors::select_keypoints(points, detect, count, protocol, seed))
+            responses(points, |points, control| {
+                let detect = |points: &[Point]| detectors::$detect(points, &options, control);
+                detectors::select_keypoints(points, detect, count, protocol, seed)
+            })
         }
     )+ };
 }
@@ -68,21 +71,21 @@ baselines! {
     /// The score is the smallest eigenvalue of the covariance of the points nearer than `salient_radius`, in square units.
     /// A keypoint has the largest score of all points nearer than `non_max_radius`. The defaults give the keypoints of
     /// Open3D's compute_iss_keypoints.
-    iss, IssOptions, "help/iss.txt";
+    iss, iss_with, IssOptions, "help/iss.txt";
     /// Harris 3D as in PCL: indices (K,) int64 into `points` (N, 3) and scores (K,) float64, best first.
     ///
     /// The score is the determinant of the mean outer product of the normals within `radius`, 0 to 1/27.
-    harris3d, Harris3dOptions, "help/harris3d.txt";
+    harris3d, harris3d_with, Harris3dOptions, "help/harris3d.txt";
     /// SIFT 3D as in PCL: indices (K,) int64 into `points` (N, 3) and scores (K,) float64, best first.
     ///
     /// Keypoints are the input points nearest to the extrema of differences of Gaussians of a scalar field. The score is the
     /// absolute difference.
-    sift3d, Sift3dOptions, "help/sift3d.txt";
+    sift3d, sift3d_with, Sift3dOptions, "help/sift3d.txt";
     /// Surface variation (Pauly et al. 2002): indices (K,) int64 into `points` (N, 3) and scores (K,) float64, best first.
     ///
     /// The score is the smallest eigenvalue of the covariance of the points nearer than `radius`, divided by the sum of the
     /// three, 0 to 1/3. A keypoint has the largest score of all points nearer than `non_max_radius`.
-    surface_variation, SurfaceVariationOptions, "help/surface_variation.txt";
+    surface_variation, surface_variation_with, SurfaceVariationOptions, "help/surface_variation.txt";
 }
 
 /// Farthest-point sampling: indices (K,) int64 into `points` (N, 3) and scores (K,) float64, best first.
@@ -92,7 +95,7 @@ baselines! {
 /// array or count.
 #[pyfunction]
 pub fn farthest_points<'py>(points: &Bound<'py, PyAny>, count: usize) -> PyResult<Found<'py>> {
-    responses(points, |points| detectors::Detector::Fps.keypoints(points, count, Protocol::Ranked, 0))
+    responses(points, |points, _| detectors::Detector::Fps.keypoints(points, count, Protocol::Ranked, 0))
 }
 
 /// Random points without replacement: indices (K,) int64 into `points` (N, 3) and scores (K,) float64, best first.
@@ -100,5 +103,5 @@ pub fn farthest_points<'py>(points: &Bound<'py, PyAny>, count: usize) -> PyResul
 #[pyfunction]
 #[pyo3(signature = (points, count, seed=0))]
 pub fn random_points<'py>(points: &Bound<'py, PyAny>, count: usize, seed: u64) -> PyResult<Found<'py>> {
-    responses(points, |points| detectors::Detector::Random.keypoints(points, count, Protocol::Ranked, seed))
+    responses(points, |points, _| detectors::Detector::Random.keypoints(points, count, Protocol::Ranked, seed))
 }

@@ -15,7 +15,7 @@ use crate::arrays::{self, Positions, Precision};
 use crate::error::file_error;
 use crate::threads;
 
-/// One keypoint.
+/// One keypoint. It can be pickled.
 #[pyclass(frozen, get_all, module = "snake_rs")]
 pub struct Keypoint {
     /// Position (3,), in the cloud's frame and units.
@@ -32,6 +32,16 @@ pub struct Keypoint {
 
 #[pymethods]
 impl Keypoint {
+    #[new]
+    fn new(position: Py<PyAny>, saliency: f32, occupancy: f32, nearest_index: i64, confidence: Option<f32>) -> Self {
+        Self { position, saliency, occupancy, nearest_index, confidence }
+    }
+
+    /// What a pickle holds: the arguments of a new keypoint.
+    fn __getnewargs__(&self, py: Python<'_>) -> (Py<PyAny>, f32, f32, i64, Option<f32>) {
+        (self.position.clone_ref(py), self.saliency, self.occupancy, self.nearest_index, self.confidence)
+    }
+
     fn __repr__(&self, py: Python<'_>) -> PyResult<String> {
         let position = self.position.bind(py).call_method0("tolist")?;
         Ok(format!("Keypoint(position {position}, saliency {:.3}, occupancy {:.3})", self.saliency, self.occupancy))

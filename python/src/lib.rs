@@ -44,8 +44,8 @@ use tiled::{DetectedTiles, Tiles, tiles};
 /// a cloud that looks like a room, a sweep or terrain.
 ///
 /// `points` (N, 3) are real numbers; additional columns are ignored. They can be a numpy array, a structured array with the
-/// fields x, y and z, a torch tensor on the CPU or any other value with DLPack, an Open3D point cloud (also of `open3d.t`), a
-/// trimesh or laspy cloud, a cloud of `read_recording`, or any other value that numpy converts to such an array. The path of
+/// fields x, y and z, a frame of pandas or polars or an Arrow table with such columns, a torch tensor or any other value with DLPack,
+/// an Open3D cloud or mesh (also of `open3d.t`), a trimesh or laspy cloud, a cloud of `read_recording`, or any other value that numpy converts to such an array. The path of
 /// a file is read as by `read_points`. Points are copied as float32. Coordinates far from zero are copied relative to an
 /// origin, so that georeferenced scans in float64 keep their digits. Positions are returned as float32 if the points are
 /// float32 or float16, else as float64. Masked points, points that are not finite and outliers (few points far beyond all others) are skipped

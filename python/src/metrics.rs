@@ -130,7 +130,8 @@ pub fn geodesic_distances<'py>(
     neighbors: usize,
 ) -> PyResult<Bound<'py, PyArray2<f64>>> {
     let (py, points, sources) = (points.py(), arrays::positions("points", points)?, indices("sources", sources)?);
-    let rows = threads::run(py, || core::geodesic_distances(&points, &sources, neighbors))?;
+    let rows =
+        threads::run_with_signals(py, |control| core::geodesic_distances_with(&points, &sources, neighbors, control))?;
     PyArray1::from_vec(py, rows.concat()).reshape([sources.len(), points.len()])
 }
 

@@ -131,9 +131,9 @@ impl Model {
     /// network.
     #[staticmethod]
     fn load(py: Python<'_>, path: PathBuf) -> PyResult<Self> {
-        let read = py.detach(|| std::fs::read(&path));
+        let bytes = py.detach(|| core::read_weight_file(&path)).map_err(py_error)?;
         let name = path.file_name().map(|name| name.to_string_lossy().into_owned());
-        Self::from_file(py, read.map_err(|source| py_error(core::Error::Io { path, source }))?, name)
+        Self::from_file(py, bytes, name)
     }
 
     /// A model from the bytes of a weight file; `name` is what its text shows. Raises ValueError when they do not hold a

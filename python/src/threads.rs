@@ -6,10 +6,10 @@ use std::sync::mpsc::{RecvTimeoutError, channel};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::Duration;
 
-use pyo3::exceptions::PyRuntimeError;
+use pyo3::exceptions::{PyRuntimeError, PyValueError};
 use pyo3::prelude::*;
 use rayon::{ThreadPool, ThreadPoolBuilder};
-use snake_core::{CancelFlag, Control, Result, check_num_threads};
+use snake_core::{CancelFlag, Control, Result, SimdLevel, check_num_threads};
 
 use crate::error::py_error;
 
@@ -36,6 +36,7 @@ fn pool(py: Python<'_>) -> PyResult<Arc<ThreadPool>> {
     {
         return Ok(pool.clone());
     }
+    SimdLevel::check_environment().map_err(PyValueError::new_err)?;
     let builder = ThreadPoolBuilder::new().num_threads(state.num_threads);
     let pool = Arc::new(builder.build().map_err(|e| PyRuntimeError::new_err(e.to_string()))?);
     // With the GIL held no child can be forked: each thread fills what it shares with others at its first job.

@@ -177,7 +177,7 @@ def main(argv=None):
     folder = Path(arguments.output)
     given = dict(
         data=tuple(arguments.data), split=tuple(arguments.split), steps=arguments.steps, batch=arguments.batch,
-        warmup=min(200, arguments.steps // 5), validate_every=arguments.steps, validation_objects=1, sparsity_ridge=0.0,
+        warmup=min(200, arguments.steps // 5), validate_every=arguments.steps, validation_objects=1,
         init=arguments.init, fresh_saliency=bool(arguments.init),
     )  # fmt: skip
     config = TrainConfig(**PRESETS[arguments.preset] | given)

@@ -91,11 +91,40 @@ def within_bounds(points):
     return points[inside] if inside.any() else points
 
 
-def two_views(cloud, config, rng):
-    """One training sample from a cloud (M, 3) of any unit.
+def degraded(points, config, rng):
+    """The points (N, 3) thinned, with noise, or both: a third of the views each, so that a network learns each alone."""
+    is_thinned, is_noisy = [(True, False), (False, True), (True, True)][rng.integers(3)]
+    if is_thinned:
+        points = choose(rng, points, max(int(len(points) / config.max_thinning ** rng.random()), 2))
+    if is_noisy:
+        noise = rng.uniform(0, config.max_noise) * rng.standard_normal(points.shape)
+        points = points + noise.astype(np.float32)
+    return points
 
-    Returns a dict: points (2, N, 3); occupancy_queries (2, 2 K, 3), the first K on the surface;
-    grids (2, G, H^3, 3), the same physical places in both views.
+
+def occupancy_queries(surface, config, rng):
+    """Queries (2 K, 3): the first K on the clean surface (M, 3), the others anywhere in the padded volume."""
+    uniform = rng.uniform(-BOUND, BOUND, (config.num_occupancy, 3))
+    return np.concatenate([choose(rng, surface, config.num_occupancy), uniform])
+
+
+def local_grid(size, side):
+    """The points (size^3, 3) of a local grid about the origin; its side is `side` long."""
+    axis = np.linspace(-0.5, 0.5, size) * side
+    return np.stack(np.meshgrid(axis, axis, axis, indexing="ij"), axis=-1).reshape(-1, 3)
+
+
+def inside_volume(queries):
+    """(..., 3) -> (...): within the padded volume."""
+    return (np.abs(queries) <= BOUND).all(axis=-1)
+
+
+def two_views(cloud, config, rng):
+    """One sample for the four losses from a cloud (M, 3) of any unit, as float32 arrays by name.
+
+    points (2, N, 3); queries (2, 2 K + G H^3, 3), K on the surface, K anywhere and G local grids, the same physical places in
+    both views; inside (2, G, H^3): which grid points lie within the padded volume. The first view is the cloud as it is, the
+    second is turned, with noise and fewer points.
     """
     clean, _, _ = normalize(cloud, config.normalization, rng)
     rotation = random_rotation(rng, config.rotation)
@@ -103,101 +132,64 @@ def two_views(cloud, config, rng):
     moved = clean @ rotation.T + shift
     views = clean, moved - moved.mean(axis=0) if config.recenter else moved
     shift = shift - moved.mean(axis=0) if config.recenter else shift
-    noise = config.jitter_sigma * rng.standard_normal(clean.shape, dtype=np.float32)
-    noisy = within_bounds(views[1] + noise.clip(-config.jitter_clip, config.jitter_clip))
-    kept = max(int(config.num_points / rng.uniform(1, config.max_downsampling)), 1)
-    thinned = draw(rng, noisy, kept, config.with_replacement)
-    repeats = choose(rng, thinned, config.num_points)  # all of the thinned points, some of them several times
+    shown = views[1]
+    if rng.random() < config.partial_share:
+        shown = shown[facing(shown, rng)]
+    if rng.random() < config.degraded_share:
+        shown = within_bounds(degraded(choose(rng, shown, config.num_points), config, rng))
+        repeats = choose(rng, shown, config.num_points)
+    else:
+        noise = config.jitter_sigma * rng.standard_normal(shown.shape, dtype=np.float32)
+        noisy = within_bounds(shown + noise.clip(-config.jitter_clip, config.jitter_clip))
+        kept = max(int(config.num_points / rng.uniform(1, config.max_downsampling)), 1)
+        thinned = draw(rng, noisy, kept, config.with_replacement)
+        repeats = choose(rng, thinned, config.num_points)  # all of the thinned points, some of them several times
     inputs = draw(rng, views[0], config.num_points, config.with_replacement), repeats
-
-    queries = []
-    for view in views:
-        uniform = rng.uniform(-BOUND, BOUND, (config.num_occupancy, 3))
-        queries.append(np.concatenate([choose(rng, within_bounds(view), config.num_occupancy), uniform]))
-
-    side = np.linspace(-0.5, 0.5, config.grid_size) / config.grid_fraction
-    grid = np.stack(np.meshgrid(side, side, side, indexing="ij"), axis=-1).reshape(-1, 3)
-    grids = choose(rng, inputs[0], config.num_grids)[:, None] + grid
+    surface = [occupancy_queries(within_bounds(view), config, rng) for view in views]
+    grids = choose(rng, inputs[0], config.num_grids)[:, None] + local_grid(config.grid_size, 1 / config.grid_fraction)
+    grids = np.stack([grids, grids @ rotation.T + shift])
+    queries = np.concatenate([np.stack(surface), grids.reshape(2, -1, 3)], axis=1)
     return {
         "points": np.stack(inputs).astype(np.float32),
-        "occupancy_queries": np.stack(queries).astype(np.float32),
-        "grids": np.stack([grids, grids @ rotation.T + shift]).astype(np.float32),
+        "queries": queries.astype(np.float32),
+        "inside": inside_volume(grids),
     }
 
 
-WINDOW_CORE = 0.42  # of a window of radius 0.5, in network units: what lies within has its surroundings in the window
+def student_views(shape, config, rng):
+    """One sample for a student from a row of `Targets`, as float32 arrays by name: two views of a shape, each turned at random.
 
-
-def window(points, rng):
-    """A ball of radius 0.4 to 0.5 near the origin: which points (N, 3) lie in it, its center and its diameter.
-
-    All points of a ball that leaves the padded volume may not be there, so it stays within.
+    A share of them is `degraded`; of a share of the samples one view sees one side only. A view is normalised as it is seen,
+    noise and all, as in detection. points (2, N, 3); queries (2, 2 K + Q, 3): K on the surface that is seen, K anywhere, and
+    Q targets, the same physical places in both views, near what both see, half of them among the fifth of highest target;
+    target (Q,).
     """
-    radius = rng.uniform(0.4, 0.5)
-    direction = rng.normal(size=3)
-    center = direction / np.linalg.norm(direction) * rng.uniform(0, BOUND - radius)
-    inside = np.linalg.norm(points - center, axis=1) < radius
-    return (inside if inside.any() else ~inside), center, 2 * radius
-
-
-def degraded(points, config, rng):
-    """The points (N, 3) thinned, with noise, or both: a third of the views each, so that a student learns each alone."""
-    is_thinned, is_noisy = [(True, False), (False, True), (True, True)][rng.integers(3)]
-    if is_thinned:
-        points = choose(rng, points, max(int(len(points) / config.max_downsampling ** rng.random()), 2))
-    if is_noisy:
-        noise = rng.uniform(0, config.max_noise) * rng.standard_normal(points.shape)
-        points = points + noise.astype(np.float32)
-    return points
-
-
-def distillation_views(shape, config, rng):
-    """One sample from `Targets.sample`: two views, each rotated at random, a share of them `degraded`.
-
-    Of a shape with several views two are taken, each cut out as a `window`. A view of one whole object is normalised as
-    it is seen, noise and all, as in detection; of a share of these samples one view sees one side.
-    Returns a dict: points (2, N, 3); occupancy_queries (2, 2 K, 3), the first K on the surface that is seen; queries
-    (2, Q, 3), the same physical places in both views, near what both see, half of them among the fifth of highest
-    target; target (Q,).
-    """
-    clouds, queries, target = shape
-    whole = len(clouds) == 1
-    one_sided = rng.integers(2) if whole and rng.random() < config.partial_share else None
-    pair = (0, 0) if whole else rng.choice(len(clouds), 2, replace=False)
-    views, common = [], np.ones(len(queries), bool)
+    cloud, places, target = shape
+    one_sided = rng.integers(2) if rng.random() < config.partial_share else None
+    views, common = [], np.ones(len(places), bool)
     for view in range(2):
-        cloud, rotation = clouds[pair[view]], random_rotation(rng)
-        frame = None
-        if not whole:
-            inside, center, scale = window(cloud, rng)
-            cloud, frame = cloud[inside], (rotation @ center, scale)
-            common &= near(queries, cloud) & (np.linalg.norm(queries - center, axis=1) < WINDOW_CORE * scale)
+        rotation = random_rotation(rng)
         shown = cloud @ rotation.T
         if view == one_sided:
             side = facing(shown, rng)
-            shown = shown[side]
-            common = near(queries, cloud[side])
-        views.append((rotation, shown, frame))
-    common = np.flatnonzero(common) if common.any() else np.arange(len(queries))
+            shown, common = shown[side], near(places, cloud[side])
+        views.append((rotation, shown))
+    common = np.flatnonzero(common) if common.any() else np.arange(len(places))
     best = common[target[common].argsort()[-max(len(common) // 5, 1) :]]
     chosen = common[rng.integers(len(common), size=config.num_targets)]
     chosen[::2] = best[rng.integers(len(best), size=len(chosen[::2]))]
-    sample = {"points": [], "occupancy_queries": [], "queries": []}
-    for rotation, shown, frame in views:
-        seen = shown
-        if rng.random() < config.degraded_share:
-            seen = degraded(seen, config, rng)
-        if frame:
-            center, scale = frame
-            seen = (seen - center) / scale
-        else:
-            seen, center, scale = normalize(seen, config.normalization, rng)
-        uniform = rng.uniform(-BOUND, BOUND, (config.num_occupancy, 3))
-        on_surface = (choose(rng, shown, config.num_occupancy) - center) / scale
-        sample["points"].append(choose(rng, seen, config.num_points))
-        sample["occupancy_queries"].append(np.concatenate([on_surface, uniform]))
-        sample["queries"].append((queries[chosen] @ rotation.T - center) / scale)
-    return {name: np.stack(views).astype(np.float32) for name, views in sample.items()} | {"target": target[chosen]}
+    points, queries = [], []
+    for rotation, shown in views:
+        seen = degraded(shown, config, rng) if rng.random() < config.degraded_share else shown
+        seen, center, scale = normalize(seen, config.normalization, rng)
+        points.append(choose(rng, seen, config.num_points))
+        surface = occupancy_queries((shown - center) / scale, config, rng)
+        queries.append(np.concatenate([surface, (places[chosen] @ rotation.T - center) / scale]))
+    return {
+        "points": np.stack(points).astype(np.float32),
+        "queries": np.stack(queries).astype(np.float32),
+        "target": target[chosen],
+    }
 
 
 def near(queries, points):

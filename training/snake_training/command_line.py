@@ -1,17 +1,23 @@
-"""Command line of a training run: the settings of `config` as options."""
+"""Command line of a training run on objects: the settings of `config` as options."""
 
 import argparse
 import dataclasses
 from pathlib import Path
 
-from .config import PRESETS, TrainConfig, check
+from .config import NETWORK_SHAPE, PRESETS, TrainConfig, check
 from .export import load_network, recommended_options
 
-NETWORK_SHAPE = "resolution", "unet_levels", "unet_base_channels", "c_dim", "scatter", "point_encoder"
+RUN = {
+    "device": dict(default="auto", choices=("auto", "cpu", "cuda"), help="torch device"),
+    "minutes": dict(
+        default=0.0, type=float, help="stop with a checkpoint after this many minutes, to be resumed; 0: never"
+    ),
+    "workers": dict(default=0, type=int, help="processes that draw the batches ahead; 0: none, best on a CPU"),
+}
 
 
 def parse_arguments(argv, description):
-    """Command line -> TrainConfig: preset first, then whatever is given explicitly."""
+    """Command line -> TrainConfig, device, minutes, workers: preset first, then whatever is given explicitly."""
     parser = argparse.ArgumentParser(
         prog="python -m snake_training.train", description=description, add_help=False,
         formatter_class=argparse.ArgumentDefaultsHelpFormatter,
@@ -24,19 +30,35 @@ def parse_arguments(argv, description):
         else:
             options.setdefault("type", field.type)
         parser.add_argument("--" + field.name.replace("_", "-"), default=field.default, **options)
+    for name, options in RUN.items():
+        parser.add_argument(f"--{name}", **options)
     preset = parser.parse_known_args(argv)[0].preset
     parser.set_defaults(**PRESETS[preset])
     parser.add_argument("-h", "--help", action="help", help="show these settings, with the preset's values, and exit")
     # What a namespace holds already, argparse leaves alone: None tells what was not given.
-    shape = vars(parser.parse_args(argv, argparse.Namespace(**dict.fromkeys(NETWORK_SHAPE))))
+    given = vars(parser.parse_args(argv, argparse.Namespace(**dict.fromkeys(NETWORK_SHAPE))))
     values = vars(parser.parse_args(argv))
-    resumed = Path(values["run_dir"]) / "last.pt"
-    if values["init"]:
-        started = resumed if resumed.exists() else values["init"]
-        values |= {name: value for name, value in shape_of(started).items() if shape[name] is None}
-        values["recommended_options"] = values["recommended_options"] or recommended_options(started)
     del values["preset"]
-    return check(TrainConfig(**{k: tuple(v) if isinstance(v, list) else v for k, v in values.items()}))
+    about_run = [values.pop(name) for name in RUN]
+    if not (about_run[1] >= 0 and about_run[2] >= 0):
+        parser.error("--minutes and --workers must be 0 or more")
+    try:
+        config = TrainConfig(**{k: tuple(v) if isinstance(v, list) else v for k, v in values.items()})
+        config = with_start(config, {name for name in NETWORK_SHAPE if given[name] is not None})
+        return check(config), *about_run
+    except (OSError, ValueError) as error:
+        raise SystemExit(str(error)) from error
+
+
+def with_start(config, given):
+    """The settings with the network's shape, where it is not `given`, and options of the run that goes on, or of `init`."""
+    if not config.init:
+        return config
+    resumed = Path(config.run_dir) / "last.pt"
+    start = resumed if resumed.exists() else config.init
+    shape = {name: value for name, value in shape_of(start).items() if name not in given}
+    options = config.recommended_options or recommended_options(start)
+    return dataclasses.replace(config, **shape, recommended_options=options)
 
 
 def shape_of(weights):
@@ -44,5 +66,5 @@ def shape_of(weights):
     try:
         network = load_network(weights).config
     except (OSError, ValueError) as error:
-        raise SystemExit(f"--init: {error}") from error
+        raise ValueError(f"init: {error}") from error
     return {name: getattr(network, name) for name in NETWORK_SHAPE} | {"resolution": network.resolution[0]}

@@ -117,6 +117,41 @@ def write_map(path, knots):
         save_file(tensors, temporary, metadata=metadata | {"confidence": json.dumps(knots)})
 
 
+def fit_map(path, objects="", pairs=(), test=(), number=200, num_points=5000, rotations=(1,), write=True):
+    """Fits the map of a weight file and writes it there; returns the knots, and of each set of clouds the number of keypoints, the
+    share that is found again, and the calibration error. Without keypoints there is no map, and no knots.
+
+    objects: a corpus folder or a folder of clouds, each measured with all `rotations`. pairs, test: folders of scenes.
+    """
+    import snake_rs
+
+    model = snake_rs.Model.load(path)
+    sets = {str(folder): of_pairs(model, Path(folder), number) for folder in pairs}
+    if objects:
+        shapes = open_shapes(objects)
+        for copies in rotations:
+            sets[f"{objects}, {copies} rotations"] = of_objects(model, shapes, number, num_points, copies)
+    tests = {str(folder): of_pairs(model, Path(folder), number) for folder in test}
+    for name, rows in sets.items():
+        if len(rows) < 2:
+            raise ValueError(f"{name}: two objects or pairs are needed: half of them are left for measuring")
+    fitted = [joined(rows[::2]) for rows in sets.values()]
+    scores, hits = joined(fitted)
+    if not len(scores):
+        return {"knots": [], "sets": {}}
+    weights = np.concatenate([np.full(len(part), 1 / max(len(part), 1)) for part, _ in fitted])  # sets count alike
+    knots = fit(scores, hits, weights)
+    report = {"knots": knots, "sets": {}}
+    for name, rows in ({name: rows[1::2] for name, rows in sets.items()} | tests).items():
+        scores, hits = joined(rows)
+        error = calibration_error(knots, scores, hits)
+        figures = {"keypoints": len(scores), "found_again": float(hits.mean()), "calibration_error": float(error)}
+        report["sets"][name] = figures
+    if write:
+        write_map(path, knots)
+    return report
+
+
 def main(argv=None):
     """Command line."""
     parser = argparse.ArgumentParser(
@@ -132,41 +167,22 @@ def main(argv=None):
     parser.add_argument("--num-points", type=int, default=5000, help="points of an object's view")
     parser.add_argument("--rotations", type=int, nargs="+", default=[1], help="of objects; one map serves all")
     parser.add_argument("--dry-run", action="store_true", help="do not write")
-    arguments = parser.parse_args(argv)
-    if not arguments.objects and not arguments.pairs:
+    given = vars(parser.parse_args(argv))
+    if not given["objects"] and not given["pairs"]:
         parser.error("--objects or --pairs is needed")
-    import snake_rs
-
     try:
-        model = snake_rs.Model.load(arguments.weights)
-        sets = {folder: of_pairs(model, Path(folder), arguments.number) for folder in arguments.pairs}
-        if arguments.objects:
-            shapes = open_shapes(arguments.objects)
-            for rotations in arguments.rotations:
-                rows = of_objects(model, shapes, arguments.number, arguments.num_points, rotations)
-                sets[f"{arguments.objects}, {rotations} rotations"] = rows
-        tests = {folder: of_pairs(model, Path(folder), arguments.number) for folder in arguments.test}
+        report = fit_map(given.pop("weights"), write=not given.pop("dry_run"), **given)
     except (OSError, ValueError) as error:
         parser.error(str(error))
-    for name, rows in sets.items():
-        if len(rows) < 2:
-            parser.error(f"{name}: two objects or pairs are needed: half of them are left for measuring")
-    fitted = [joined(rows[::2]) for rows in sets.values()]
-    scores, hits = joined(fitted)
-    if not len(scores):
+    if not report["knots"]:
         print("no keypoints were found: the file gets no map")
         return
-    weights = np.concatenate(
-        [np.full(len(part), 1 / max(len(part), 1)) for part, _ in fitted]
-    )  # every set counts alike
-    knots = fit(scores, hits, weights)
-    print("knots", json.dumps(knots))
-    for name, rows in ({name: rows[1::2] for name, rows in sets.items()} | tests).items():
-        scores, hits = joined(rows)
-        error = calibration_error(knots, scores, hits)
-        print(f"{name}: {len(scores)} keypoints, {hits.mean():.3f} found again, calibration error {error:.3f}")
-    if not arguments.dry_run:
-        write_map(arguments.weights, knots)
+    print("knots", json.dumps(report["knots"]))
+    for name, found in report["sets"].items():
+        print(
+            f"{name}: {found['keypoints']} keypoints, {found['found_again']:.3f} found again, "
+            f"calibration error {found['calibration_error']:.3f}"
+        )
 
 
 if __name__ == "__main__":

@@ -1,13 +1,16 @@
-"""Every setting of a training run with its meaning and unit; lengths are in network units (the cube +-0.5)."""
+"""Every setting of a training run with its meaning and unit; lengths of objects are in network units (the cube +-0.5)."""
 
 import dataclasses
 import json
 import math
+import typing
 from dataclasses import dataclass
 
 import torch
 
 from .model import NetworkConfig, SnakeNetwork
+
+NETWORK_SHAPE = "resolution", "unet_levels", "unet_base_channels", "c_dim", "scatter"
 
 
 def setting(default, meaning, **kwargs):
@@ -18,8 +21,51 @@ def setting(default, meaning, **kwargs):
 
 
 @dataclass(frozen=True)
-class TrainConfig:
-    """The defaults are the recipe of the compact model; `PRESETS` holds the paper's rows."""
+class LoopSettings:
+    """What the training loop itself needs, whatever its task."""
+
+    seed: int = setting(1, "seed of initial weights and samples; sample i is the same whatever the number of processes")
+    bf16: bool = setting(True, "run the U-Net in bfloat16, where the GPU or processor has it; the rest stays float32")
+    weight_occupancy: float = setting(1.0, "weight of the occupancy loss; 0 switches a loss off")
+    weight_repeatability: float = setting(1.0, "weight of the repeatability loss")
+    weight_surface: float = setting(1.0, "weight of the surface loss")
+    weight_sparsity: float = setting(1.0, "weight of the sparsity loss")
+    weight_distillation: float = setting(1.0, "with targets: weight of the distance to them")
+    weight_consistency: float = setting(1.0, "with targets: weight of the distance between the two views")
+    steps: int = setting(8000, "optimiser steps of the whole schedule")
+    batch: int = setting(4, "samples a step, over all processes")
+    learning_rate: float = setting(1e-3, "Adam's learning rate after warm-up")
+    optimizer: str = setting(
+        "adamw",
+        "adamw: weight decay apart from the gradient, on the U-Net alone; adam: as an L2 penalty on everything (released "
+        "code), which at learning rates of 1e-3 and more sets the point encoder to zero",
+        choices=("adamw", "adam"),
+    )
+    weight_decay: float = setting(5e-4, "of the optimiser")
+    schedule: str = setting(
+        "cosine", "cosine: towards 0; step: x 0.1 after a share of the steps", choices=("cosine", "step")
+    )
+    drop_after: float = setting(2 / 3, "with the schedule step: that share (40 of 60 epochs in the paper)")
+    warmup: int = setting(200, "steps of linear warm-up, also where Adam starts again from weights alone")
+    clip_norm: float = setting(1.0, "gradient norm limit; 0: none")
+    ema_decay: float = setting(
+        0.998, "decay of the averaged weights, which are validated and exported; 0: no averaging"
+    )
+    validate_every: int = setting(500, "steps between validations")
+    best_by: str = setting(
+        "repeatability",
+        "which validation is the best: of highest repeatability, or of lowest total loss (released code)",
+        choices=("repeatability", "loss"),
+    )
+    checkpoint_minutes: float = setting(5.0, "minutes between checkpoints")
+    recommended_options: str = setting(
+        "", "options of detection, as JSON, that an export recommends; without them those of init"
+    )
+
+
+@dataclass(frozen=True)
+class TrainConfig(LoopSettings):
+    """A run on objects. The defaults are a network of the size of `compact`; `PRESETS` holds the paper's rows."""
 
     run_dir: str = setting(
         "runs/compact", "run folder: config, checkpoints, TensorBoard logs; an existing run is resumed"
@@ -35,20 +81,13 @@ class TrainConfig:
     validation_split: tuple = setting((), "a list for each of them", type=str)
     procedural_share: float = setting(0.25, "share of samples that are procedural shapes; 1 if no data is given")
     targets: tuple = setting(
-        (), "files of snake_training.targets: learn their saliency instead of eqs. 3 to 5; needs no data", type=str
+        (), "files of snake_training.teacher: learn their saliency instead of eqs. 3 to 5; needs no data", type=str
     )
     init: str = setting(
         "",
         "weights to start from: a safetensors export, checkpoint or run; also the network's shape where it is not given",
     )
     fresh_saliency: bool = setting(False, "with init: start the saliency decoder anew")
-    revive: bool = setting(
-        False,
-        "with init: draw dead layers anew: a point encoder whose features do not vary, and dead units of residual blocks",
-    )
-    seed: int = setting(1, "seed of initial weights and samples; sample i is the same whatever the number of processes")
-    device: str = setting("auto", "auto, cpu or cuda", choices=("auto", "cpu", "cuda"))
-    bf16: bool = setting(True, "run the U-Net in bfloat16, where the GPU or processor has it; the rest stays float32")
 
     resolution: int = setting(32, "voxels along each axis of the volume")
     unet_levels: int = setting(3, "levels of the U-Net")
@@ -58,11 +97,6 @@ class TrainConfig:
         "soft",
         "features to voxels: hard, each to its own (released code), or soft, to its eight by trilinear weights",
         choices=("hard", "soft"),
-    )
-    point_encoder: str = setting(
-        "pointnet",
-        "features of points: pointnet, pooled within voxels (released code), or pointnet2, PointNet++",
-        choices=("pointnet", "pointnet2"),
     )
 
     normalization: str = setting(
@@ -84,74 +118,51 @@ class TrainConfig:
     jitter_sigma: float = setting(0.005, "second view: standard deviation of the noise on each coordinate")
     jitter_clip: float = setting(0.015, "the noise is clipped to this")
     max_downsampling: float = setting(
-        4.0,
-        "second view: num_points / a uniform rate between 1 and this are drawn, then repeated; with targets: degraded views",
+        4.0, "second view: num_points / a uniform rate between 1 and this are drawn, then repeated"
     )
+    degraded_share: float = setting(
+        0.0, "share of second views, of all views with targets, that are thinned, noisy or both, a third each"
+    )
+    max_noise: float = setting(0.045, "of degraded views: the noise's standard deviation is uniform up to this")
+    max_thinning: float = setting(16.0, "of degraded views: one point is kept of up to this many")
+    partial_share: float = setting(0.0, "share of samples of which one view sees one side only")
 
     num_occupancy: int = setting(600, "occupancy queries on the surface, and as many uniform ones, a view")
     num_grids: int = setting(60, "local grids a sample (n in the paper)")
     grid_size: int = setting(5, "points along each side of a local grid (H_l)")
     grid_fraction: float = setting(6.0, "a local grid's side is 1 / this (U)")
-
     num_targets: int = setting(1024, "with targets: queries of the saliency a sample")
-    degraded_share: float = setting(0.4, "with targets: share of views that are thinned, noisy or both, a third each")
-    partial_share: float = setting(0.0, "with targets: share of samples of which one view sees one side only")
-    max_noise: float = setting(0.02, "with targets: their noise's standard deviation is uniform up to this")
 
-    weight_occupancy: float = setting(1.0, "weight of the occupancy loss; 0 switches a loss off")
-    weight_repeatability: float = setting(1.0, "weight of the repeatability loss")
-    weight_surface: float = setting(1.0, "weight of the surface loss")
-    weight_sparsity: float = setting(1.0, "weight of the sparsity loss")
-    sparsity_ridge: float = setting(
-        0.9,
-        "sparsity loss: share of the highest occupancy of a local grid that its points need to count; 0: all of occupancy "
-        "0.5 (paper). The paper's is cheapest where the saliency peaks in the rim of the surface, which detection drops",
-    )
-    weight_distillation: float = setting(1.0, "with targets: weight of the distance to them")
-    weight_consistency: float = setting(1.0, "with targets: weight of the distance between the two views")
-
-    steps: int = setting(8000, "optimiser steps of the whole schedule")
-    batch: int = setting(4, "samples a step, over all processes")
-    learning_rate: float = setting(1e-3, "Adam's learning rate after warm-up")
-    optimizer: str = setting(
-        "adamw",
-        "adamw: weight decay apart from the gradient, on the U-Net alone; adam: as an L2 penalty on everything (released "
-        "code), which at learning rates of 1e-3 and more sets the point encoder to zero",
-        choices=("adamw", "adam"),
-    )
-    weight_decay: float = setting(5e-4, "of the optimiser")
-    schedule: str = setting(
-        "cosine", "cosine: towards 0; step: x 0.1 after a share of the steps", choices=("cosine", "step")
-    )
-    drop_after: float = setting(2 / 3, "with the schedule step: that share (40 of 60 epochs in the paper)")
-    warmup: int = setting(200, "steps of linear warm-up")
-    clip_norm: float = setting(1.0, "gradient norm limit; 0: none")
-    ema_decay: float = setting(
-        0.998, "decay of the averaged weights, which are validated and exported; 0: no averaging"
-    )
-
-    validate_every: int = setting(500, "steps between validations")
-    best_by: str = setting(
-        "repeatability",
-        "which validation is the best: of highest repeatability, or of lowest total loss (released code)",
-        choices=("repeatability", "loss"),
-    )
     validation_objects: int = setting(32, "objects of a validation")
     validation_resolution: int = setting(64, "queries along each axis when a validation detects keypoints")
-    checkpoint_minutes: float = setting(5.0, "minutes between checkpoints")
-    recommended_options: str = setting(
-        "", "options of detection, as JSON, that an export recommends; without them those of init"
-    )
-    minutes: float = setting(0.0, "stop with a checkpoint after this many minutes, to be resumed; 0: never")
 
     @property
     def network(self):
         """The network's part of the configuration."""
-        return NetworkConfig(
-            resolution=(self.resolution,) * 3, unet_levels=self.unet_levels,
-            unet_base_channels=self.unet_base_channels, c_dim=self.c_dim, scatter=self.scatter,
-            point_encoder=self.point_encoder,
-        )  # fmt: skip
+        shape = {name: getattr(self, name) for name in NETWORK_SHAPE}
+        return NetworkConfig(**shape | {"resolution": (self.resolution,) * 3})
+
+
+@dataclass(frozen=True)
+class SceneTraining(LoopSettings):
+    """A run on crops of made rooms and streets; lengths are in voxels."""
+
+    steps: int = 4000
+    batch: int = 2
+    learning_rate: float = 1.5e-3
+    warmup: int = 50
+    weight_occupancy: float = 0.5
+    weight_consistency: float = 0.1
+    side: int = setting(32, "voxels of the box that a view is cut to; a multiple of the network's period")
+    teacher_share: float = setting(0.6, "of the target, where there is a teacher; the rest is the crop's level")
+    queries: int = setting(1500, "of the saliency, a crop")
+    num_occupancy: int = setting(300, "occupancy queries on the surface, and as many off it, a view")
+    num_grids: int = setting(0, "local grids a crop: learn by eqs. 3 to 5 instead of from targets; 0: from targets")
+    grid_size: int = setting(5, "points along each side of a local grid")
+    grid_voxels: float = setting(6.0, "side of a local grid")
+    turned_share: float = setting(0.4, "share of the views that are turned in any way, not only about z")
+    max_thinning: float = setting(8.0, "half of the views are thinned by up to this")
+    max_noise: float = setting(0.5, "a third of the views has noise of a standard deviation of up to this")
 
 
 def recommended(normalization, max_points, **detect):
@@ -173,7 +184,6 @@ PAPER = dict(
     resolution=64, unet_levels=4, unet_base_channels=32, num_grids=500, grid_size=8, batch=16, learning_rate=1e-4,
     scatter="hard", rotation="euler", optimizer="adam", schedule="step", warmup=0, ema_decay=0.0, procedural_share=0.0,
     bf16=False, clip_norm=0.0, best_by="loss",
-    sparsity_ridge=0.0,
 )  # fmt: skip
 PRESETS = {
     "compact": {},
@@ -203,53 +213,72 @@ PRESETS = {
 }  # fmt: skip
 
 
+# Ranges of the settings; what is not named here may be anything of its type.
+POSITIVE = (
+    "resolution", "unet_levels", "unet_base_channels", "c_dim", "num_points", "num_occupancy", "grid_size", "grid_fraction",
+    "num_targets", "steps", "batch", "learning_rate", "validate_every", "validation_objects", "validation_resolution",
+    "side", "queries", "grid_voxels",
+)  # fmt: skip
+NOT_NEGATIVE = (
+    "seed", "translation", "jitter_sigma", "jitter_clip", "max_noise", "num_grids", "weight_occupancy", "weight_repeatability",
+    "weight_surface", "weight_sparsity", "weight_distillation", "weight_consistency", "weight_decay", "warmup", "clip_norm",
+    "checkpoint_minutes",
+)  # fmt: skip
+AT_LEAST_ONE = "max_downsampling", "max_thinning"
+SHARES = "procedural_share", "degraded_share", "partial_share", "drop_after", "teacher_share", "turned_share"
+RANGES = (
+    dict.fromkeys(POSITIVE, ("positive", lambda value: 0 < value < math.inf))
+    | dict.fromkeys(NOT_NEGATIVE, ("0 or more", lambda value: 0 <= value < math.inf))
+    | dict.fromkeys(AT_LEAST_ONE, ("1 or more", lambda value: 1 <= value < math.inf))
+    | dict.fromkeys(SHARES, ("within [0, 1]", lambda value: 0 <= value <= 1))
+    | {"ema_decay": ("within [0, 1)", lambda value: 0 <= value < 1)}
+)  # NaN is refused by all
+
+
 def check(config):
-    """Refuse settings that cannot train, before any work is done."""
-    positive = (
-        "resolution", "unet_levels", "unet_base_channels", "c_dim", "num_points", "max_downsampling", "num_occupancy",
-        "num_grids", "grid_size", "grid_fraction", "num_targets", "steps", "batch", "learning_rate", "validate_every",
-        "validation_objects", "validation_resolution",
-    )  # fmt: skip
-    not_negative = (
-        "seed", "translation", "jitter_sigma", "jitter_clip", "weight_occupancy", "weight_repeatability",
-        "weight_surface", "weight_sparsity", "weight_distillation", "weight_consistency", "max_noise", "weight_decay",
-        "warmup", "clip_norm", "checkpoint_minutes", "minutes",
-    )  # fmt: skip
-
-    def refuse(name, allowed):
-        raise SystemExit(f"--{name.replace('_', '-')} must be {allowed}, got {getattr(config, name)}")
-
-    # Written so that NaN is refused too.
-    for name in positive:
-        if not 0 < getattr(config, name) < math.inf:
-            refuse(name, "positive")
-    for name in not_negative:
-        if not 0 <= getattr(config, name) < math.inf:
-            refuse(name, "0 or more")
-    for name in ("procedural_share", "degraded_share", "partial_share", "drop_after", "sparsity_ridge"):
-        if not 0 <= getattr(config, name) <= 1:
-            refuse(name, "within [0, 1]")
-    if not 0 <= config.ema_decay < 1:
-        refuse("ema_decay", "within [0, 1)")
+    """Refuse settings that cannot train, a ValueError, before any work is done."""
+    for field in dataclasses.fields(config):
+        allowed, fits = RANGES.get(field.name, ("", lambda _: True))
+        if not fits(getattr(config, field.name)):
+            raise ValueError(f"{field.name} must be {allowed}, got {getattr(config, field.name)}")
+        choices = field.metadata.get("choices")
+        if choices and getattr(config, field.name) not in choices:
+            raise ValueError(f"{field.name} must be one of {', '.join(choices)}, got {getattr(config, field.name)!r}")
     try:
         json.loads(config.recommended_options or "{}")
     except ValueError:
-        refuse("recommended_options", "JSON")
-    for name in ("fresh_saliency", "revive"):
-        if getattr(config, name) and not config.init:
-            raise SystemExit(
-                f"--{name.replace('_', '-')} needs --init: without it every part of the network starts anew"
-            )
-    if config.max_downsampling < 1:
-        refuse("max_downsampling", "1 or more")
+        raise ValueError(f"recommended_options must be JSON, got {config.recommended_options}") from None
+    return check_objects(config) if isinstance(config, TrainConfig) else config
+
+
+def check_objects(config):
+    """The same of what a run on objects has alone."""
+    if config.num_grids < 1:
+        raise ValueError(f"num_grids must be positive, got {config.num_grids}")
+    if config.fresh_saliency and not config.init:
+        raise ValueError("fresh_saliency needs init: without it every part of the network starts anew")
     if config.resolution >> (config.unet_levels - 1) < 1:
-        raise SystemExit(f"{config.unet_levels} levels do not fit a volume of {config.resolution} voxels a side")
+        raise ValueError(f"{config.unet_levels} levels do not fit a volume of {config.resolution} voxels a side")
     try:
         with torch.device("meta"):
             SnakeNetwork(config.network)
     except ValueError as error:
-        raise SystemExit(f"--c-dim or --unet-base-channels does not divide into groups: {error}") from None
+        raise ValueError(f"c_dim or unet_base_channels does not divide into groups: {error}") from None
     return config
+
+
+def from_table(kind, table):
+    """A dataclass of settings from a table of TOML: an unknown name or a wrong type is a ValueError."""
+    types = typing.get_type_hints(kind)
+    known = {field.name for field in dataclasses.fields(kind)}
+    for name, value in table.items():
+        if name not in known:
+            raise ValueError(f"unknown setting {name!r}; known are {', '.join(sorted(known))}")
+        wanted = typing.get_origin(types[name]) or types[name]
+        fits = isinstance(value, (int, float) if wanted is float else list if wanted is tuple else wanted)
+        if not fits or (isinstance(value, bool) and wanted is not bool):
+            raise ValueError(f"{name} must be of type {wanted.__name__}, got {value!r}")
+    return kind(**{name: tuple(value) if isinstance(value, list) else value for name, value in table.items()})
 
 
 def to_json(config):
@@ -258,6 +287,5 @@ def to_json(config):
 
 
 def from_json(text):
-    """Inverse of `to_json`; configurations from before soft scattering are hard."""
-    values = {"scatter": "hard"} | json.loads(text)
-    return TrainConfig(**{k: tuple(v) if isinstance(v, list) else v for k, v in values.items()})
+    """Inverse of `to_json` for a run on objects."""
+    return from_table(TrainConfig, json.loads(text))

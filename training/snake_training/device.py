@@ -4,7 +4,6 @@ import functools
 import os
 import sys
 import time
-from dataclasses import replace
 
 import torch
 import torch.nn.functional as F
@@ -14,22 +13,25 @@ import torch.nn.functional as F
 LEAST_SIDE = 4
 
 
-def choose_device(config):
-    """The torch device of this process, and the configuration with bfloat16 off where the device is slow in it."""
-    if config.device == "cpu" or (config.device == "auto" and not torch.cuda.is_available()):
-        device = torch.device("cpu")
-    elif torch.cuda.is_available():
-        device = torch.device("cuda", int(os.environ.get("LOCAL_RANK", "0")))
-        torch.cuda.set_device(device)
-    else:
-        raise SystemExit("--device cuda: torch finds no GPU here")
-    if config.bf16 and not has_fast_bfloat16(device):
+def choose_device(name):
+    """The torch device of this process: `name` is auto, cpu or cuda."""
+    if name == "cpu" or (name == "auto" and not torch.cuda.is_available()):
+        return torch.device("cpu")
+    if not torch.cuda.is_available():
+        raise ValueError("device cuda: torch finds no GPU here")
+    device = torch.device("cuda", int(os.environ.get("LOCAL_RANK", "0")))
+    torch.cuda.set_device(device)
+    return device
+
+
+def has_fast_unet(device, config):
+    """Whether the device computes the U-Net of a network of this configuration faster in bfloat16, and rightly."""
+    if not has_fast_bfloat16(device):
         if int(os.environ.get("RANK", "0")) == 0:
             print(f"bfloat16 is slow on this {device.type}: the U-Net runs in float32", file=sys.stderr)
-        config = replace(config, bf16=False)
-    if device.type == "cpu" and config.resolution >> (config.unet_levels - 1) < LEAST_SIDE:
-        config = replace(config, bf16=False)
-    return device, config
+        return False
+    lowest = min(getattr(config, "resolution", (1 << 30,))) >> (config.unet_levels - 1)
+    return device.type != "cpu" or lowest >= LEAST_SIDE
 
 
 def has_fast_bfloat16(device):

@@ -165,7 +165,7 @@ def why_none(network, points, options=DetectOptions()):
         return (
             f"the saliency peaks beside the surface: it reaches {off.max():.2f} where the occupancy is "
             f"{options.surface_threshold} and less, but only {on.max():.2f} on the surface. Another --saliency-threshold does "
-            "not help; --sparsity-ridge 0.9 keeps the sparsity loss to the surface"
+            "not help; learn the surface first, with the weights of the other losses 0, then start from it with fresh_saliency"
         )
     return f"the saliency is at most {on.max():.2f} on the surface, the threshold is {options.saliency_threshold}"
 
@@ -227,6 +227,23 @@ def detector(engine, weights, options, device="cpu", rotations=1):
     return lambda points: detect(network, points, options)
 
 
+def figures(
+    weights, data, objects=10**9, num_points=5000, epsilon=(0.02, 0.04, 0.06, 0.10), seed=0, engine="torch", rotations=1,
+    options=None, device="cpu",
+):  # fmt: skip
+    """The relative repeatability of a weight file on a folder of shapes: {"repeatability": by epsilon, "keypoints", "options"}.
+
+    Without `options` those that the weights recommend, by snake-rs.
+    """
+    find = detector(engine, weights, options, device, rotations)
+    measured = repeatability(
+        lambda points: {"snake": find(points)}, open_shapes(data), objects, num_points, seed, epsilon, progress=True
+    )
+    values, count = measured["snake"]
+    by_epsilon = {f"{e:g}": round(float(v), 4) for e, v in zip(epsilon, values)}
+    return {"repeatability": by_epsilon, "keypoints": round(count, 1), "options": options and vars(options)}
+
+
 def main(argv=None):
     """Prints the repeatability of a weight file on a folder of shapes."""
     parser = argparse.ArgumentParser(
@@ -256,19 +273,15 @@ def main(argv=None):
     arguments = parser.parse_args(argv)
     if arguments.threads:
         torch.set_num_threads(arguments.threads)
-    options = DetectOptions(**{name: getattr(arguments, name) for name in DetectOptions.__dataclass_fields__})
     try:
-        asked = None if arguments.recommended else options
-        find = detector(arguments.engine, arguments.weights, asked, arguments.device, arguments.rotations)
-        result = repeatability(
-            lambda points: {"snake": find(points)}, open_shapes(arguments.data), arguments.objects,
-            arguments.num_points, arguments.seed, arguments.epsilon, progress=True,
+        options = DetectOptions(**{name: getattr(arguments, name) for name in DetectOptions.__dataclass_fields__})
+        result = figures(
+            arguments.weights, arguments.data, arguments.objects, arguments.num_points, arguments.epsilon, arguments.seed,
+            arguments.engine, arguments.rotations, None if arguments.recommended else options, arguments.device,
         )  # fmt: skip
     except (OSError, ValueError) as error:
         parser.error(str(error))
-    values, count = result["snake"]
-    figures = {f"{e:g}": round(float(v), 4) for e, v in zip(arguments.epsilon, values)}
-    print(json.dumps({"repeatability": figures, "keypoints": round(count, 1), "options": asked and vars(asked)}))
+    print(json.dumps(result))
 
 
 if __name__ == "__main__":

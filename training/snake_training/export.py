@@ -3,16 +3,17 @@
 import argparse
 import hashlib
 import json
-import pickle
+import re
 import sys
 from contextlib import contextmanager
 from pathlib import Path
+from typing import NamedTuple
 
 import torch
 from safetensors import SafetensorError, safe_open
 from safetensors.torch import load_file, save_file
 
-from .config import PRESETS, from_json
+from .config import PRESETS
 from .model import NetworkConfig, SnakeNetwork
 from .scene_model import SceneConfig, SceneNetwork
 
@@ -50,9 +51,8 @@ def recommended_options(path):
         if path.suffix == ".safetensors":
             with safe_open(path, "pt") as file:
                 return (file.metadata() or {}).get("recommended_options", "")
-        state = torch.load(checkpoint_of(path), map_location="cpu", weights_only=True)
-        return from_json(state["config"]).recommended_options if "ema" in state else ""
-    except (OSError, SafetensorError, ValueError, KeyError, TypeError, pickle.UnpicklingError):
+        return json.loads(read_state(checkpoint_of(path)).get("settings", "{}")).get("recommended_options", "")
+    except (OSError, SafetensorError, ValueError):
         return ""
 
 
@@ -85,27 +85,65 @@ def build_network(config, tensors):
     return network
 
 
-def read_checkpoint(path, config=None):
-    """(NetworkConfig, tensors) of a run folder (its best), a checkpoint of ours, or an official `model_best.pth`."""
-    path = checkpoint_of(path)
+def read_state(path):
+    """The dictionary of a checkpoint of plain tensors; anything else is a ValueError, and nothing in it is run."""
     try:
         state = torch.load(path, map_location="cpu", weights_only=True)
     except OSError:
         raise
-    except Exception as error:  # the restricted unpickler's own refusal, or whatever else it trips over
-        raise ValueError(f"{path}: not a checkpoint of plain tensors; nothing in it was run ({error})") from error
+    except Exception as error:  # the restricted unpickler's own refusal, or whatever a cut file makes it trip over
+        found = re.search(r"GLOBAL ([\w.]+)", str(error))
+        reason = (
+            f"it holds a {found[1]} beside tensors; save its tensors alone: torch.save(checkpoint['state_dict'], ..)"
+            if found
+            else "it is cut short, or something else"
+        )
+        raise ValueError(f"{path}: not a checkpoint of plain tensors ({reason}); nothing in it was run") from error
     if not isinstance(state, dict):
         raise ValueError(f"{path}: expected a dictionary of tensors, found {type(state).__name__}")
-    if "config" in state and "ema" in state:
-        return from_json(state["config"]).network, state["ema"]
-    if set(state) == {"config", "network"}:  # a stage of a recipe
-        return config_of(state["config"]), state["network"]
+    return state
+
+
+def read_checkpoint(path, config=None):
+    """(NetworkConfig, tensors) of a run folder (its best), a checkpoint of ours, or an official `model_best.pth`."""
+    path = checkpoint_of(path)
+    state = read_state(path)
+    if "network_config" in state:  # ours
+        network = network_of(config_of(state["network_config"]))
+        network.load_state_dict(state["ema"])
+        return network.config, weights_of(network)
     for key in ("state_dict", "model", "model_state_dict"):
         state = state[key] if isinstance(state.get(key), dict) else state
     others = [str(name) for name, value in state.items() if not isinstance(value, torch.Tensor)]
     if others or not state:
         raise ValueError(f"{path}: expected a dictionary of tensors, found {', '.join(others) or 'nothing'} in it")
     return config or NetworkConfig(), {name.removeprefix("module."): tensor.float() for name, tensor in state.items()}
+
+
+def weights_of(network):
+    """The tensors of a network's weight file."""
+    return network.folded() if hasattr(network, "folded") else network.state_dict()
+
+
+class Moved(NamedTuple):
+    """The weights of a run that goes on elsewhere, in float16, and the step it has reached; Adam starts again there."""
+
+    network: torch.nn.Module
+    step: int
+    NAME = "moved.safetensors"
+
+    def write(self, path):
+        """A weight file with the step in its metadata."""
+        write_weights(path, self.network.config, weights_of(self.network), torch.float16, {"step": str(self.step)})
+
+    @classmethod
+    def read(cls, path):
+        """Inverse of `write`."""
+        with safe_open(path, "pt") as file:
+            step = (file.metadata() or {}).get("step", "")
+        if not step.isdecimal():
+            raise ValueError(f"{path}: not the weights of a run that goes on")
+        return cls(load_network(path), int(step))
 
 
 def read_yaml(path):

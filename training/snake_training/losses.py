@@ -1,24 +1,15 @@
-"""The four losses of SNAKE (section 3.2) on one view or a pair of views, with the masks of the released code, and the
-losses of distillation.
+"""The losses (SNAKE section 3.2): the four of the paper, with the masks of the released code, and those of a student.
 
-Occupancy and saliency are probabilities; a local grid is a row of H^3 values. `inside` marks grid points within the
-volume. Occupancies are detached wherever they weigh a saliency, so that only the occupancy loss shapes the surface.
+A task draws points, queries and what is known of them; the network answers; `losses_of` judges, the same for objects and scenes.
+Occupancy and saliency are probabilities; a local grid is a row of H^3 values. `inside` marks grid points within the volume.
+Occupancies are detached wherever they weigh a saliency, so that only the occupancy loss shapes the surface.
 """
-
-from functools import partial
 
 import torch
 import torch.distributed as dist
 import torch.nn.functional as F
 
-from .augment import BOUND
-
 LOSSES = "occupancy", "repeatability", "surface", "sparsity"
-
-
-def inside_volume(queries):
-    """(..., 3) -> (...): within the padded volume."""
-    return (queries.abs() <= BOUND).all(dim=-1)
 
 
 def masked_mean(values, mask, processes=1):
@@ -39,9 +30,9 @@ def mean_of_views(loss, *fields, processes=1):
     return sum(loss(*view, processes) for view in views) / 2
 
 
-def occupancy_loss(occupancy, target):
+def occupancy_loss(occupancy, label):
     """Binary cross-entropy of eq. 2, with the released code's log(x + 1e-5)."""
-    return -(target * torch.log(occupancy + 1e-5) + (1 - target) * torch.log(1 - occupancy + 1e-5)).mean()
+    return -(label * torch.log(occupancy + 1e-5) + (1 - label) * torch.log(1 - occupancy + 1e-5)).mean()
 
 
 def repeatability_loss(saliency_1, saliency_2, inside_1, inside_2, processes=1):
@@ -56,67 +47,64 @@ def surface_loss(occupancy, saliency, counted, processes=1):
     return masked_mean((1 - occupancy.detach()) * saliency, counted, processes)
 
 
-def sparsity_loss(occupancy, saliency, inside, processes=1, ridge=0.0):
+def sparsity_loss(occupancy, saliency, inside, processes=1):
     """Eq. 5: one minus (maximum - mean) of the saliency over the occupied points of each local grid (..., G, H^3).
 
     Counts grids that lie over 80 % inside and are occupied in more than 5 % of their points. Occupied are points of
-    occupancy 0.5; with `ridge`, only those that also have this share of the highest occupancy of their grid.
+    occupancy 0.5.
     """
-    occupancy = occupancy.detach()
-    occupied = occupancy >= 0.5
+    occupied = occupancy.detach() >= 0.5
     seen = (inside.float().mean(dim=-1) > 0.8) & (occupied.float().mean(dim=-1) > 0.05)
-    occupied &= occupancy >= ridge * occupancy.amax(dim=-1, keepdim=True)
     on_surface = saliency * occupied
     mean = on_surface.sum(dim=-1) / (occupied.sum(dim=-1) + 1e-5)
     peakedness = on_surface.amax(dim=-1) - mean
     return masked_mean(1 - peakedness, seen, processes)
 
 
-def snake_losses(network, batch, autocast, processes=1, ridge=0.0):
-    """The four losses of a batch of two-view samples, by name, and the share of saturated grid points on the surface.
+def losses_of(occupancy, saliency, batch, processes=1):
+    """The losses of a batch by name, and the share of saturated queries.
 
-    batch: points (B, 2, N, 3), occupancy_queries (B, 2, 2 K, 3), grids (B, 2, G, H^3, 3), one of equal parts if there
-    are several processes.
+    occupancy, saliency (B, 2, K + Q): the network's answers for two views of B samples, first at K occupancy queries whose
+    `label` (K,) says which lie on the surface. batch holds either `inside` (B, 2, G, H^3), of the local grids that the other
+    Q = G H^3 queries are, or their `target` (B, Q), log-odds of the saliency that a student learns. It is one of equal parts
+    if there are several processes.
     """
-    points, queries, grids = batch["points"], batch["occupancy_queries"], batch["grids"]
-    size, _, number, _ = queries.shape
-    _, _, num_grids, cells, _ = grids.shape
-    everywhere = torch.cat([queries, grids.flatten(2, 3)], dim=2).flatten(0, 1)
-    occupancy, saliency = network(points.flatten(0, 1), everywhere, autocast)
-    occupancy, saliency = (field.unflatten(0, (size, 2)) for field in (occupancy, saliency))
+    label = batch["label"]
+    number = len(label)
+    losses = {"occupancy": occupancy_loss(occupancy[:, :, :number], label)}
+    if "target" in batch:
+        return losses | student_losses(saliency[:, :, number:], batch["target"]), saturated(saliency[:, :, number:])
+    inside = batch["inside"]
     grid_occupancy, grid_saliency = (
-        field[:, :, number:].unflatten(2, (num_grids, cells)) for field in (occupancy, saliency)
+        field[:, :, number:].unflatten(2, inside.shape[2:]) for field in (occupancy, saliency)
     )
-    inside = inside_volume(grids)
-    counted = torch.cat([torch.ones_like(queries[..., 0], dtype=torch.bool), inside.flatten(2, 3)], dim=2)
-    target = (torch.arange(number, device=points.device) < number // 2).float()
-    losses = {
-        "occupancy": occupancy_loss(occupancy[:, :, :number], target),
+    counted = torch.cat([torch.ones_like(occupancy[..., :number], dtype=torch.bool), inside.flatten(2)], dim=2)
+    losses |= {
         "repeatability": repeatability_loss(*grid_saliency.unbind(1), *inside.unbind(1), processes),
         "surface": mean_of_views(surface_loss, occupancy, saliency, counted, processes=processes),
-        "sparsity": mean_of_views(
-            partial(sparsity_loss, ridge=ridge), grid_occupancy, grid_saliency, inside, processes=processes
-        ),
+        "sparsity": mean_of_views(sparsity_loss, grid_occupancy, grid_saliency, inside, processes=processes),
     }
-    on_surface = inside & (grid_occupancy >= 0.5)
-    return losses, masked_mean((grid_saliency.detach() > 0.9).float(), on_surface, processes)
+    return losses, saturated(grid_saliency, inside & (grid_occupancy >= 0.5), processes)
 
 
-def distillation_losses(network, batch, autocast, processes=1):
-    """Occupancy (eq. 2), distance of both views' saliency to the target and to each other; share of saturated queries.
+def student_losses(saliency, target):
+    """Distance of both views' saliency (B, 2, Q) to the target (B, Q), and to each other: Huber's, of log-odds.
 
-    Distances are Huber's, of log-odds. batch: that of `snake_losses` with queries (B, 2, Q, 3) of target (B, Q) in
-    place of the grids. Means over equal parts need no correction for several processes.
+    Means over equal parts need no correction for several processes.
     """
-    points, surface, queries, target = (batch[k] for k in ("points", "occupancy_queries", "queries", "target"))
-    size, _, number, _ = surface.shape
-    occupancy, saliency = network(points.flatten(0, 1), torch.cat([surface, queries], dim=2).flatten(0, 1), autocast)
-    occupancy, saliency = (field.unflatten(0, (size, 2)) for field in (occupancy, saliency))
-    student = torch.logit(saliency[:, :, number:], eps=1e-6)
-    label = (torch.arange(number, device=points.device) < number // 2).float()
-    losses = {
-        "occupancy": occupancy_loss(occupancy[:, :, :number], label),
+    student = saliency_log_odds(saliency)
+    return {
         "distillation": F.smooth_l1_loss(student, target[:, None].expand_as(student)),
         "consistency": F.smooth_l1_loss(*student.unbind(1)),
     }
-    return losses, (saliency[:, :, number:].detach() > 0.9).float().mean()
+
+
+def saliency_log_odds(saliency):
+    """Log-odds of the saliency, within +-13.8."""
+    return torch.logit(saliency, eps=1e-6)
+
+
+def saturated(saliency, counted=None, processes=1):
+    """Share of the counted queries with a saliency above 0.9."""
+    above = (saliency.detach() > 0.9).float()
+    return above.mean() if counted is None else masked_mean(above, counted, processes)

@@ -11,8 +11,6 @@ import torch.nn.functional as F
 from torch import nn
 from torch.utils.checkpoint import checkpoint
 
-from .pointnet2 import PointNet2
-
 
 @dataclass(frozen=True)
 class NetworkConfig:
@@ -30,13 +28,10 @@ class NetworkConfig:
     unet_base_channels: int = 32
     group_norm_groups: int = 8
     scatter: str = "hard"  # features to voxels: each to its own voxel (as released), or "soft", to its eight voxels
-    point_encoder: str = "pointnet"  # pooled within voxels (as released), or "pointnet2", over neighbourhoods of points
 
     def __post_init__(self):
         if self.scatter not in ("hard", "soft"):
             raise ValueError(f"scatter {self.scatter!r} is neither hard nor soft")
-        if self.point_encoder not in ("pointnet", "pointnet2"):
-            raise ValueError(f"point_encoder {self.point_encoder!r} is neither pointnet nor pointnet2")
 
     def to_metadata(self):
         """Metadata strings of the weight file, `format_version` 1."""
@@ -52,7 +47,9 @@ class NetworkConfig:
         """Inverse of `to_metadata`; unknown keys are ignored."""
         if metadata.get("format") != "snake-field" or int(metadata.get("format_version", 0)) != 1:
             raise ValueError("not a snake-field weight file of format version 1")
-        metadata = {"scatter": "hard", "point_encoder": "pointnet"} | metadata  # older files do not say
+        metadata = {"scatter": "hard"} | metadata  # older files do not say
+        if metadata.get("point_encoder", "pointnet") != "pointnet":
+            raise ValueError(f"the weight file has a point encoder of another kind: {metadata['point_encoder']}")
         missing = [name for name in cls.__dataclass_fields__ if name not in metadata]
         if missing:
             raise ValueError(f"the weight file's metadata lacks {', '.join(missing)}")
@@ -144,24 +141,19 @@ class UNet3D(nn.Module):
 
 
 class PointEncoder(nn.Module):
-    """Points to volume: PointNet with local max-pooling per voxel (ConvONet) or PointNet++, scattering, U-Net."""
+    """Points to volume: PointNet with local max-pooling per voxel (ConvONet), scattering, U-Net."""
 
     def __init__(self, config):
         super().__init__()
         self.config = config
         hidden = config.hidden_dim
-        if config.point_encoder == "pointnet2":
-            self.pointnet2 = PointNet2(hidden)
-        else:
-            self.fc_pos = nn.Linear(3, 2 * hidden)
-            self.blocks = nn.ModuleList(ResnetBlockFC(2 * hidden, hidden) for _ in range(config.resnet_blocks))
+        self.fc_pos = nn.Linear(3, 2 * hidden)
+        self.blocks = nn.ModuleList(ResnetBlockFC(2 * hidden, hidden) for _ in range(config.resnet_blocks))
         self.fc_c = nn.Linear(hidden, config.c_dim)
         self.unet3d = UNet3D(config)
 
     def point_features(self, points, voxels):
         """points (B, N, 3), voxels (B, N) flat indices -> features (B, N, c_dim)."""
-        if self.config.point_encoder == "pointnet2":
-            return self.fc_c(self.pointnet2(points))
         batch, number, _ = points.shape
         offsets = torch.arange(batch, device=points.device).unsqueeze(1) * voxels_per_volume(self.config)
         occupied, inverse = torch.unique(voxels + offsets, return_inverse=True)

@@ -1,247 +1,364 @@
-"""Runs recipes: `python -m snake_training.recipes recipes/scenes.toml`. Stages that are done are not done again, and a training
-stage goes on from its checkpoint, on this machine or on another to which the run folder was moved (`--pack`, `--unpack`).
+"""Runs recipes: `python -m snake_training.recipes recipes/compact.toml`. Stages that are done are not done again, and a training
+stage goes on from its checkpoint, on this machine or, by its weights alone, on another (`--pack`, `--unpack`).
 
 A recipe is a TOML file of stages in order. Each has a name, a kind, and the settings of its kind:
 
-weights   file (a weight file): a network to go on from
-targets   of (stages, the teachers), the options of `snake_training.targets`
-train     init and targets (stages), the options of `snake_training.train`, for a network of objects
+objects   a network of objects: init (a stage), targets (of stages), and the settings of `snake_training.train`
+teacher   of (a stage) and the settings of `snake_training.teacher`: the targets of a student
 crops     files: ranges [first seed, number] of files of 25 made crops (`snake_training.data.crops`)
-start     init (a weight file, or "" for new weights), crops, seed: layers with the crops' statistics for constants
-scenes    init (a stage), teacher (a stage, or ""), crops, the settings of `snake_training.scenes.SceneTraining`, and at times
-          stop, a step before the last
-average   of (stages), weights: the weighted mean of their networks
-export    of (a stage), output, metadata: the weight file
-frames    the options of `snake_training.data.frames`: pairs of depth frames of made rooms
-drives    the options of `snake_training.data.drives`: pairs of sweeps of made drives
-confidence  of (an export), scenes (stages), the options of `snake_training.confidence`: the map in the file, of pairs of
-          scenes, or else of the validation data
-figures   of (an export), the options of `snake_training.evaluate`: its repeatability on the validation data
+scenes    a network of scenes: init and teacher (stages), crops, and the settings of `config.SceneTraining`
+export    of (a stage), output, digest, metadata: the weight file; the digest is that of the released file
+frames    pairs, seed: pairs of depth frames of made rooms (`snake_training.data.frames`)
+drives    drives, sweeps, step, seed: pairs of sweeps of made drives (`snake_training.data.drives`)
+confidence  of (an export), scenes (stages), number, rotations: the map in the file, of pairs of scenes, or else of the
+          validation data (`snake_training.confidence`)
+figures   of (an export), objects, epsilon, rotations: its repeatability on the validation data (`snake_training.evaluate`)
 
-A path is relative to the recipe's folder, the output to the run folder. Shapes are procedural; `--data` adds some. `--smoke` runs
-every stage with next to no work.
+Shapes are procedural; `--data` adds some. `--smoke` runs every stage with next to no work.
 """
 
 import argparse
-import contextlib
-import io
+import dataclasses
 import json
 import platform
+import re
 import sys
 import time
-from dataclasses import fields
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import torch
+from safetensors import safe_open
 
 try:
     import tomllib
 except ModuleNotFoundError:  # before Python 3.11
     import tomli as tomllib
 
-from . import confidence, evaluate, pieces, targets
-from .command_line import parse_arguments
+from . import confidence, evaluate, moving
+from .command_line import with_start
+from .config import NETWORK_SHAPE, SceneTraining, TrainConfig, check, from_table
 from .data import Procedural, drives, frames, write_corpus
 from .data.crops import Crops, write_part
-from .export import config_of, load_network, network_of, replacing, write_weights
-from .scenes import SceneTraining, Target, started
-from .scenes import train as train_scenes
-from .train import run_steps
+from .export import load_network, replacing, weights_of, write_weights
+from .tasks.objects import Objects
+from .tasks.scenes import Scenes
+from .teacher import TeacherSettings, make_targets
+from .train import run
 
-SMOKE = dict(steps=2, batch=1, queries=50, occupancy_queries=20, warmup=1)
-SMOKE_OF_OBJECTS = dict(
-    steps=2, batch=1, resolution=8, num_points=256, num_occupancy=20, num_grids=4, grid_size=3, num_targets=50,
+NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_.-]*")  # of a stage or of an output: within the run folder, on every system
+SMOKE_OBJECTS = dict(
+    steps=2, batch=1, resolution=8, num_points=256, num_occupancy=20, num_grids=4, grid_size=3, num_targets=50, warmup=1,
     validation_objects=1, validation_resolution=8,
 )  # fmt: skip
-SMOKE_OF_TARGETS = dict(procedural=2, rotations=3, queries=200, points=256)
-SMOKE_OF_FIGURES = dict(objects=1, num_points=256, query_resolution=8)
-SMOKE_OF_FRAMES = dict(pairs=2)
-SMOKE_OF_DRIVES = dict(drives=1, sweeps=3)
-SMOKE_OF_CONFIDENCE = dict(number=2)
+SMOKE_TEACHER = dict(procedural=2, rotations=3, queries=200, points=256, engine="torch")
+SMOKE_SCENES = dict(steps=2, batch=1, queries=50, num_occupancy=20, warmup=1)
 
 
-def save(folder, network):
-    """The stage's result: the network; of a network of scenes with its scales, as they are trained."""
-    with replacing(folder / "network.pt") as temporary:
-        torch.save({"config": network.config.to_metadata(), "network": network.state_dict()}, temporary)
+class TimeSpent(Exception):
+    """The minutes of the command are over; its message says how far it came."""
 
 
-def result(folder):
-    """The network of a stage that is done."""
-    state = torch.load(folder / "network.pt", map_location="cpu", weights_only=True)
-    network = network_of(config_of(state["config"]))
-    network.load_state_dict(state["network"])
-    return network
+@dataclass(frozen=True, kw_only=True)
+class Stage:
+    """A step of a recipe. Fields that name other stages are in `USES`; `SETTINGS` is the class of further keys, if any."""
+
+    USES = ()
+    SETTINGS = None
+    name: str
+    settings: object = None
+
+    @classmethod
+    def read(cls, table):
+        """A stage from its table of TOML; what it does not know is a ValueError."""
+        own = {field.name for field in dataclasses.fields(cls)} - {"settings"}
+        mine = {key: value for key, value in table.items() if key in own or not cls.SETTINGS}
+        if cls.SETTINGS:
+            others = {key: value for key, value in table.items() if key not in own}
+            mine["settings"] = cls.settings_of(others)
+        return from_table(cls, mine)
+
+    @classmethod
+    def settings_of(cls, table):
+        """The further settings."""
+        return from_table(cls.SETTINGS, table)
+
+    def uses(self):
+        """The names of the stages before it that it needs."""
+        named = (getattr(self, key) for key in self.USES)
+        return [name for some in named for name in ([some] if isinstance(some, str) else some) if name]
 
 
-def command(options):
-    """The command line of a stage's options."""
-    words = []
-    for name, value in options.items():
-        option = name.replace("_", "-")
-        if isinstance(value, bool):
-            words.append(f"--{option}" if value else f"--no-{option}")
-        else:
-            words += [f"--{option}", *map(str, value if isinstance(value, (list, tuple)) else [value])]
-    return words
+@dataclass(frozen=True, kw_only=True)
+class ObjectStage(Stage):
+    """Training of a network of objects."""
+
+    USES = "init", "targets"
+    SETTINGS = TrainConfig
+    init: str = ""
+    targets: tuple = ()
+    given: tuple = ()  # which settings of the network's shape stand in the recipe
+
+    @classmethod
+    def read(cls, table):
+        own = {"name", "init", "targets"}
+        settings = {key: value for key, value in table.items() if key not in own}
+        of_the_run = {"run_dir", "data", "split", "validation_data", "validation_split"} & set(settings)
+        if of_the_run:
+            raise ValueError(f"unknown setting {min(of_the_run)!r}: the command line says where data and runs are")
+        config = from_table(TrainConfig, settings)
+        stage = from_table(cls, {key: table[key] for key in own & set(table)})
+        # Of a start the file is not there yet: that it is given is what the check asks.
+        check(replace(config, init=stage.init))
+        return replace(stage, settings=config, given=tuple(name for name in NETWORK_SHAPE if name in settings))
+
+    def run(self, recipe, folder):
+        """From its checkpoint if it has one."""
+        config = replace(
+            self.settings, run_dir=str(folder), data=recipe.data, validation_data=recipe.validation_data,
+            init=str(recipe.weights(self.init)) if self.init else "",
+            targets=tuple(str(recipe.run_dir / name / "targets.safetensors") for name in self.targets),
+        )  # fmt: skip
+        given = {*self.given, "resolution"} if recipe.smoke else set(self.given)
+        config = replace(config, **SMOKE_OBJECTS) if recipe.smoke else config
+        recipe.train(Objects(check(with_start(config, given))), folder)
 
 
-def named(stage, key):
-    """The stages that a stage names there: none, one or a list."""
-    names = stage.get(key, [])
-    return [names] if isinstance(names, str) else names
+@dataclass(frozen=True, kw_only=True)
+class TeacherStage(Stage):
+    """The targets of a student."""
+
+    USES = ("of",)
+    SETTINGS = TeacherSettings
+    of: str
+
+    def run(self, recipe, folder):
+        """The shapes of the data and procedural ones."""
+        settings = replace(self.settings, **SMOKE_TEACHER) if recipe.smoke else self.settings
+        device = recipe.device if recipe.device != "auto" else "cpu"
+        make_targets(folder / "targets.safetensors", recipe.weights(self.of), recipe.data, settings, device)
+
+
+@dataclass(frozen=True, kw_only=True)
+class CropStage(Stage):
+    """Made crops for networks of scenes."""
+
+    files: tuple
+
+    def run(self, recipe, folder):
+        """Files that are there stay."""
+        seeds = [first + part for first, number in self.files for part in range(number)]
+        for seed in seeds[:1] if recipe.smoke else seeds:
+            path = folder / f"{seed:05d}.npz"
+            if not path.exists():
+                recipe.in_time(self.name)
+                write_part(path, seed, 4 if recipe.smoke else 25)
+                recipe.log(f"{path}: written")
+
+
+@dataclass(frozen=True, kw_only=True)
+class SceneStage(Stage):
+    """Training of a network of scenes."""
+
+    USES = "init", "teacher", "crops"
+    SETTINGS = SceneTraining
+    init: str = ""
+    teacher: str = ""
+    crops: str
+
+    @classmethod
+    def settings_of(cls, table):
+        return check(from_table(SceneTraining, table))
+
+    def run(self, recipe, folder):
+        """From its checkpoint if it has one."""
+        settings = replace(self.settings, **SMOKE_SCENES) if recipe.smoke else self.settings
+        init, teacher = (name and load_network(recipe.weights(name)) for name in (self.init, self.teacher))
+        recipe.train(Scenes(settings, Crops(recipe.run_dir / self.crops), init or None, teacher or None), folder)
+
+
+@dataclass(frozen=True, kw_only=True)
+class ExportStage(Stage):
+    """The weight file in float16, read back once."""
+
+    USES = ("of",)
+    of: str
+    output: str
+    digest: str = ""
+    metadata: dict = dataclasses.field(default_factory=dict)
+
+    def run(self, recipe, folder):
+        """Says whether it is the released file."""
+        path = recipe.run_dir / self.output
+        network = load_network(recipe.weights(self.of))
+        write_weights(path, network.config, weights_of(network), torch.float16, self.metadata)
+        load_network(path)
+        with safe_open(path, "pt") as file:
+            digest = file.metadata()["digest"]
+        same = "that of the released file" if digest == self.digest else "other than that of the released file"
+        recipe.log(f"{path}: {path.stat().st_size} bytes, digest {digest}, {same}")
+
+
+@dataclass(frozen=True, kw_only=True)
+class FrameStage(Stage):
+    """Depth frames."""
+
+    pairs: int = 30
+    seed: int = 1
+
+    def run(self, recipe, folder):
+        """Clouds and pairs.json."""
+        frames.write(folder, 2 if recipe.smoke else self.pairs, self.seed)
+
+
+@dataclass(frozen=True, kw_only=True)
+class DriveStage(Stage):
+    """Sweeps of drives."""
+
+    drives: int = 10
+    sweeps: int = 3
+    step: float = 6.0
+    seed: int = 1
+
+    def run(self, recipe, folder):
+        """Clouds and pairs.json."""
+        drives.write(folder, 1 if recipe.smoke else self.drives, self.sweeps, self.step, self.seed)
+
+
+@dataclass(frozen=True, kw_only=True)
+class ConfidenceStage(Stage):
+    """The map of confidences in an exported file, and its calibration error."""
+
+    USES = "of", "scenes"
+    of: str
+    scenes: tuple = ()
+    number: int = 200
+    rotations: tuple = (1,)
+
+    def run(self, recipe, folder):
+        """Kept as confidence.json."""
+        pairs = [recipe.run_dir / name for name in self.scenes]
+        report = confidence.fit_map(
+            recipe.output_of(self.of), "" if pairs else recipe.shapes(folder), pairs, (), 2 if recipe.smoke else self.number,
+            rotations=self.rotations,
+        )  # fmt: skip
+        recipe.keep(folder / "confidence.json", report)
+
+
+@dataclass(frozen=True, kw_only=True)
+class FigureStage(Stage):
+    """The repeatability of an exported file."""
+
+    USES = ("of",)
+    of: str
+    objects: int = 30
+    num_points: int = 5000
+    epsilon: tuple = (0.02, 0.04, 0.1)
+    rotations: int = 1
+
+    def run(self, recipe, folder):
+        """Kept as figures.json."""
+        smoke = dict(objects=1, num_points=256) if recipe.smoke else {}
+        given = dict(objects=self.objects, num_points=self.num_points, epsilon=self.epsilon) | smoke
+        weights, shapes = str(recipe.output_of(self.of)), recipe.shapes(folder)
+        report = evaluate.figures(weights, shapes, engine="snake-rs", rotations=self.rotations, **given)
+        recipe.keep(folder / "figures.json", report)
+
+
+KINDS = {
+    "objects": ObjectStage, "teacher": TeacherStage, "crops": CropStage, "scenes": SceneStage, "export": ExportStage,
+    "frames": FrameStage, "drives": DriveStage, "confidence": ConfidenceStage, "figures": FigureStage,
+}  # fmt: skip
 
 
 class Recipe:
-    """A recipe's stages and the folder of their results."""
+    """A recipe's stages and the folder of their results. What cannot run is a ValueError before anything does.
 
-    KINDS = (
-        "weights", "targets", "train", "crops", "start", "scenes", "average", "export", "frames", "drives", "confidence",
-        "figures",
-    )  # fmt: skip
+    device, minutes, workers are those of `train.run`; the minutes are of all stages together.
+    """
 
-    def __init__(self, path, run_dir, smoke=False, data=(), validation_data=()):
-        self.base, self.run_dir, self.smoke = Path(path).parent, Path(run_dir), smoke
-        self.data, self.validation_data = ([str(Path(folder)) for folder in some] for some in (data, validation_data))
+    def __init__(
+        self, path, run_dir, smoke=False, data=(), validation_data=(), device="auto", minutes=0.0, workers=0, log=print
+    ):  # fmt: skip
+        self.path, self.run_dir, self.smoke, self.log = Path(path), Path(run_dir), smoke, log
+        self.data, self.validation_data = (tuple(map(str, some)) for some in (data, validation_data))
+        self.device, self.workers = device, workers
+        self.deadline = time.monotonic() + 60 * minutes if minutes else None
         try:
-            self.stages = tomllib.loads(Path(path).read_text())["stages"]
-        except (tomllib.TOMLDecodeError, KeyError) as error:
+            self.tables = tomllib.loads(self.path.read_text())["stages"]
+            if not isinstance(self.tables, list) or not all(isinstance(table, dict) for table in self.tables):
+                raise TypeError("stages is no list of tables")
+        except (tomllib.TOMLDecodeError, UnicodeDecodeError, KeyError, TypeError) as error:
             raise ValueError(f"{path}: not a recipe: {error}") from error
-        seen = set()
-        for stage in self.stages:
-            name, kind = stage.get("name"), stage.get("kind")
-            if not name or name in seen or kind not in self.KINDS:
-                raise ValueError(
-                    f"{path}: stage {name!r} of kind {kind!r}: names differ, kinds are {', '.join(self.KINDS)}"
-                )
-            for key in ("crops", "teacher", "of", "targets", "scenes") + (() if kind == "start" else ("init",)):
-                for other in named(stage, key):
-                    if other and other not in seen:
-                        raise ValueError(f"{path}: stage {name!r}: no stage {other!r} before it")
-            seen.add(name)
+        self.stages = {}
+        for table in self.tables:
+            stage = self.stage_of(table)
+            self.stages[stage.name] = stage
 
-    def run(self, log=print):
-        """All stages that are not done."""
-        for stage in self.stages:
-            folder = self.run_dir / stage["name"]
+    def stage_of(self, table):
+        """A stage from its table, checked against those before it."""
+        name, kind = table.get("name"), table.get("kind")
+        is_new = isinstance(name, str) and NAME.fullmatch(name) and name not in self.stages
+        if not is_new or not isinstance(kind, str) or kind not in KINDS:
+            raise ValueError(
+                f"{self.path}: stage {str(name)[:40]!r} of kind {str(kind)[:40]!r}: names differ and are words of letters, digits, "
+                f"'_', '.' and '-', kinds are {', '.join(KINDS)}"
+            )
+        try:
+            stage = KINDS[kind].read({key: value for key, value in table.items() if key != "kind"})
+        except (ValueError, TypeError) as error:
+            raise ValueError(f"{self.path}: stage {name!r}: {error}") from error
+        for other in stage.uses():
+            if other not in self.stages:
+                raise ValueError(f"{self.path}: stage {name!r}: no stage {other!r} before it")
+        output = getattr(stage, "output", None)
+        if output is not None and (not NAME.fullmatch(output) or output in self.stages):
+            raise ValueError(
+                f"{self.path}: stage {name!r}: output {output!r} is not the name of a file in the run folder"
+            )
+        return stage
+
+    def run(self):
+        """All stages that are not done. A TimeSpent says that the minutes are over."""
+        for stage, table in zip(self.stages.values(), self.tables, strict=True):
+            folder = self.run_dir / stage.name
             done = folder / "done.json"
-            made = {"stage": stage, "smoke": self.smoke}
+            made = {"stage": table, "smoke": self.smoke}
             if done.exists():
                 if not made.items() <= json.loads(done.read_text()).items():
                     raise ValueError(f"{folder} was made with other settings; delete it, or give another --run-dir")
                 continue
+            self.in_time(stage.name)
             folder.mkdir(parents=True, exist_ok=True)
             began = time.time()
-            getattr(self, stage["kind"])(stage, folder, log)
+            stage.run(self, folder)
             seconds = round(time.time() - began)
             with replacing(done) as temporary:
                 temporary.write_text(json.dumps(made | {"seconds": seconds, "processor": processor()}))
-            log(f"{stage['name']}: {seconds} s")
+            self.log(f"{stage.name}: {seconds} s")
 
-    def options(self, stage, smoke):
-        """A stage's own options, as a command line."""
-        return command(
-            {
-                name: value
-                for name, value in stage.items()
-                if name not in ("name", "kind", "of", "init", "targets", "scenes")
-            }
-            | (smoke if self.smoke else {})
-        )
+    def in_time(self, name):
+        """The minutes that are left, 0 if there is no limit; a TimeSpent if none is."""
+        left = 0.0 if self.deadline is None else (self.deadline - time.monotonic()) / 60
+        if self.deadline is not None and left <= 0:
+            raise TimeSpent(f"the minutes are over before {name} is done; the same command goes on")
+        return left
 
-    def weights(self, stage, folder, log):
-        """A network that is there."""
-        save(folder, load_network(self.base / stage["file"]))
+    def train(self, task, folder):
+        """A run of a task to its last step, then its averaged weights as the stage's result."""
+        is_done = run(task, folder, self.device, self.in_time(folder.name), self.workers)
+        network = load_network(folder / "last.pt")
+        if not is_done:
+            raise TimeSpent(f"the minutes are over within {folder.name}; the same command goes on")
+        write_weights(folder / "weights.safetensors", network.config, weights_of(network))
 
-    def targets(self, stage, folder, log):
-        """The teachers' saliency, averaged."""
-        teachers = [str(self.run_dir / name / "network.pt") for name in named(stage, "of")]
-        with replacing(folder / "targets.safetensors") as temporary:
-            paths = [*command({"data": self.data} if self.data else {}), "-o", str(temporary)]
-            targets.main([*teachers, *paths, *self.options(stage, SMOKE_OF_TARGETS)])
+    def weights(self, name):
+        """The weight file of a training stage that is done."""
+        return self.run_dir / name / "weights.safetensors"
 
-    def train(self, stage, folder, log):
-        """A run of training of a network of objects, from its checkpoint if it has one."""
-        added = {"run_dir": folder, "data": self.data, "validation_data": self.validation_data, "device": "cpu"}
-        if stage.get("init"):
-            added["init"] = self.run_dir / stage["init"] / "network.pt"
-        if stage.get("targets"):
-            added["targets"] = [self.run_dir / name / "targets.safetensors" for name in stage["targets"]]
-        config = parse_arguments(self.options(stage, SMOKE_OF_OBJECTS) + command(added), "")
-        run_steps(config)
-        save(folder, load_network(folder / "last.pt"))
-
-    def settings(self, stage):
-        """The stage's SceneTraining."""
-        known = {field.name for field in fields(SceneTraining)}
-        unknown = set(stage) - known - {"name", "kind", "init", "teacher", "crops", "stop"}
-        if unknown:
-            raise ValueError(f"stage {stage['name']!r}: unknown settings {', '.join(sorted(unknown))}")
-        given = {name: value for name, value in stage.items() if name in known}
-        return SceneTraining(**given | (SMOKE if self.smoke else {}))
-
-    def crops(self, stage, folder, log):
-        """Files of crops; those that are there stay."""
-        seeds = [first + part for first, number in stage["files"] for part in range(number)]
-        for seed in seeds[:1] if self.smoke else seeds:
-            path = folder / f"{seed:05d}.npz"
-            if not path.exists():
-                write_part(path, seed, 4 if self.smoke else 25)
-                log(f"{path}: written")
-
-    def start(self, stage, folder, log):
-        """Layers with constants."""
-        init = stage["init"] and str(self.base / stage["init"])
-        save(folder, started(init, Crops(self.run_dir / stage["crops"]), self.settings(stage)))
-
-    def scenes(self, stage, folder, log):
-        """A run of training of a network of scenes, from its checkpoint if it has one."""
-        crops, settings = Crops(self.run_dir / stage["crops"]), self.settings(stage)
-        teacher = result(self.run_dir / stage["teacher"]).eval() if stage.get("teacher") else None
-        network = result(self.run_dir / stage["init"]).train()
-        target = Target(teacher, crops, settings)
-        save(folder, train_scenes(folder, crops, settings, network, target, log, stop=stage.get("stop")))
-
-    def average(self, stage, folder, log):
-        """The weighted mean of networks."""
-        networks = [result(self.run_dir / name) for name in stage["of"]]
-        weights = torch.tensor(stage.get("weights", [1.0] * len(networks)))
-        mean = networks[0]
-        states = [network.state_dict() for network in networks]
-        mean.load_state_dict({
-            name: sum(weight * state[name] for weight, state in zip(weights / weights.sum(), states, strict=True))
-            for name in states[0]
-        })  # fmt: skip
-        save(folder, mean)
-
-    def export(self, stage, folder, log):
-        """The weight file in float16, read back once."""
-        network, path = result(self.run_dir / stage["of"]), self.run_dir / stage["output"]
-        tensors = network.folded() if hasattr(network, "folded") else network.state_dict()
-        write_weights(path, network.config, tensors, torch.float16, stage.get("metadata"))
-        load_network(path)
-        log(f"{path}: {path.stat().st_size} bytes")
-
-    def frames(self, stage, folder, log):
-        """Depth frames."""
-        frames.main(["-o", str(folder), *self.options(stage, SMOKE_OF_FRAMES)])
-
-    def drives(self, stage, folder, log):
-        """Sweeps."""
-        drives.main(["-o", str(folder), *self.options(stage, SMOKE_OF_DRIVES)])
-
-    def confidence(self, stage, folder, log):
-        """The map of confidences in an exported file, and its calibration error, printed and kept."""
-        pairs = [str(self.run_dir / name) for name in stage.get("scenes", [])]
-        data = command({"pairs": pairs} if pairs else {"objects": self.shapes(folder)})
-        self.printed(
-            confidence, stage, folder / "confidence.txt", [*data, *self.options(stage, SMOKE_OF_CONFIDENCE)], log
-        )
-
-    def figures(self, stage, folder, log):
-        """The repeatability of an exported file, printed and kept."""
-        options = [self.shapes(folder), *self.options(stage, SMOKE_OF_FIGURES)]
-        self.printed(evaluate, stage, folder / "figures.json", options, log)
+    def output_of(self, name):
+        """The file of an export."""
+        return self.run_dir / self.stages[name].output
 
     def shapes(self, folder):
         """The folder of the validation data, or of procedural shapes."""
@@ -250,13 +367,11 @@ class Recipe:
         write_corpus(folder / "shapes", [Procedural()[row] for row in range(2 if self.smoke else 32)], 8192)
         return str(folder / "shapes")
 
-    def printed(self, module, stage, path, options, log):
-        """What a command prints about the exported file of a stage."""
-        output = next(other["output"] for other in self.stages if other["name"] == stage["of"])
-        with contextlib.redirect_stdout(io.StringIO()) as printed:
-            module.main([str(self.run_dir / output), *options])
-        path.write_text(printed.getvalue())
-        log(printed.getvalue().strip())
+    def keep(self, path, report):
+        """A stage's figures, kept and printed."""
+        text = json.dumps(report)
+        path.write_text(text)
+        self.log(text)
 
 
 def processor():
@@ -281,22 +396,43 @@ def main(argv=None):
         "--data", nargs="*", default=[], help="corpus folders or folders of clouds, beside the procedural ones"
     )
     parser.add_argument("--validation-data", nargs="*", default=[], help="the same for validation and figures")
+    parser.add_argument("--device", choices=("auto", "cpu", "cuda"), default="auto", help="torch device; default: auto")
+    parser.add_argument("--minutes", type=float, default=0.0, help="stop with a checkpoint after so many; 0: never")
+    parser.add_argument(
+        "--workers", type=int, default=0, help="processes that draw batches ahead; 0: none, best on a CPU"
+    )
     parser.add_argument("--smoke", action="store_true", help="every stage with next to no work, to see that it runs")
-    moving = parser.add_mutually_exclusive_group()
-    moving.add_argument("--pack", metavar="FOLDER", help="only write the run folders there, in pieces below 5 MB")
-    moving.add_argument("--unpack", metavar="FOLDER", help="first restore the run folders from such pieces")
-    arguments = parser.parse_args(argv)
-    torch.set_num_threads(1)
+    moved = parser.add_mutually_exclusive_group()
+    moved.add_argument(
+        "--pack", metavar="FOLDER", help="at the end write what moves to another machine there, in pieces"
+    )
+    moved.add_argument("--unpack", metavar="FOLDER", help="first take up what another machine packed")
+    given = parser.parse_args(argv)
+    if not (given.minutes >= 0 and given.workers >= 0):
+        parser.error("--minutes and --workers must be 0 or more")
+    if given.device != "cuda":
+        torch.set_num_threads(1)
     try:
-        for path in map(Path, arguments.recipes):
-            run_dir = Path(arguments.run_dir) / path.stem
-            recipe = Recipe(path, run_dir, arguments.smoke, arguments.data, arguments.validation_data)
-            if arguments.pack:
-                pieces.pack(run_dir, Path(arguments.pack) / path.stem)
-                continue
-            if arguments.unpack:
-                pieces.unpack(Path(arguments.unpack) / path.stem, run_dir)
-            recipe.run()
+        for path in map(Path, given.recipes):
+            run_dir = Path(given.run_dir) / path.stem
+            recipe = Recipe(
+                path,
+                run_dir,
+                given.smoke,
+                given.data,
+                given.validation_data,
+                given.device,
+                given.minutes,
+                given.workers,
+            )
+            if given.unpack:
+                moving.unpack(Path(given.unpack) / path.stem, run_dir)
+            try:
+                recipe.run()
+            except TimeSpent as error:
+                print(error)
+            if given.pack:
+                moving.pack(run_dir, Path(given.pack) / path.stem)
     except (OSError, ValueError) as error:
         parser.error(str(error))
 

@@ -10,11 +10,11 @@ import torch
 import torch.nn.functional as F
 from torch import nn
 
-from .model import Decoder, NetworkConfig, ResnetBlockFC, UNet3D
+from .model import Decoder, NetworkConfig, ResnetBlockFC, UNet3D, saliency_head
 
 # What the metadata of all networks of scenes say.
 FIXED = {
-    "format": "snake-field", "format_version": "2", "coordinates": "voxel", "scatter": "soft", "point_encoder": "pointnet",
+    "format": "snake-field", "format_version": "2", "coordinates": "voxel", "scatter": "soft",
 }  # fmt: skip
 SHAPES = "c_dim", "unet_levels", "unet_base_channels"
 
@@ -187,6 +187,12 @@ class SceneNetwork(nn.Module):
         features = F.grid_sample(volume, grid, mode="bilinear", padding_mode="zeros", align_corners=True)
         features = features[..., 0, 0].transpose(1, 2) + far
         return self.decoder_occup(None, features), self.decoder_keypoint(None, features)
+
+    def forward(self, points, owner, queries, side, autocast=False):
+        """Occupancy and saliency (B, Q) of B clouds in boxes of `side` nodes along each axis, at queries (B, Q, 3)."""
+        volume, far = self.encode(points, owner, len(queries), (side,) * 3, autocast)
+        occupancy, saliency = self.logits(volume, far, queries)
+        return torch.sigmoid(occupancy), saliency_head(saliency)
 
     def folded(self):
         """The tensors of the weight file: scales multiplied into the convolutions."""

@@ -9,14 +9,16 @@ import pytest
 import torch
 
 from snake_training.config import TrainConfig
+from snake_training.losses import losses_of
 from snake_training.model import SnakeNetwork
+from snake_training.tasks.objects import Objects
 
 torch.set_num_threads(1)
 FOLDER = Path(__file__).resolve().parents[2]  # of the repository
 
 TINY = dict(
     resolution=8, unet_levels=2, unet_base_channels=8, c_dim=8, num_points=128, num_occupancy=32, num_grids=8,
-    grid_size=3, batch=2, steps=2, warmup=1, device="cpu", bf16=False, validate_every=100, validation_objects=1,
+    grid_size=3, batch=2, steps=2, warmup=1, bf16=False, validate_every=100, validation_objects=1,
     validation_resolution=6,
 )  # fmt: skip
 
@@ -35,6 +37,11 @@ def network():
     for parameter in network.parameters():
         parameter.data += 0.1 * torch.randn_like(parameter)
     return network.eval()
+
+
+def judged(network, batch, autocast=False):
+    """The losses of a batch of objects, and the share of saturated queries."""
+    return losses_of(*Objects.answer(None, network, batch, autocast), batch)
 
 
 def arguments(config):

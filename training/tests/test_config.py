@@ -8,13 +8,19 @@ import pytest
 
 from conftest import TINY, arguments
 from snake_training.command_line import parse_arguments
-from snake_training.config import PRESETS, TrainConfig, check, from_json, to_json
+from snake_training.config import PRESETS, TrainConfig, check, from_json, from_table, to_json
 from snake_training.model import SnakeNetwork
+
+
+@pytest.mark.parametrize("table", [{"step": 3}, {"steps": 3.5}, {"steps": True}, {"data": "folder"}, {"bf16": 1}])
+def test_a_table_with_an_unknown_name_or_a_wrong_type_is_refused(table):
+    with pytest.raises(ValueError, match=next(iter(table))):
+        from_table(TrainConfig, table)
 
 
 def test_arguments_and_json_give_the_configuration_back(tiny, tmp_path):
     config = tiny(data=("a", "b"), rotation="euler", translation=0.1, bf16=True)
-    assert parse_arguments(arguments(config), "") == config
+    assert parse_arguments(arguments(config), "") == (config, "auto", 0.0, 0)
     assert from_json(to_json(config)) == config
     # A run from before a setting existed resumes with its default.
     older = {name: value for name, value in json.loads(to_json(config)).items() if name != "normalization"}
@@ -23,20 +29,20 @@ def test_arguments_and_json_give_the_configuration_back(tiny, tmp_path):
 
 @pytest.mark.parametrize("preset", PRESETS)
 def test_presets_parse_and_can_be_overridden(preset):
-    config = parse_arguments(["--preset", preset], "")
+    config = parse_arguments(["--preset", preset], "")[0]
     assert all(getattr(config, name) == value for name, value in PRESETS[preset].items())
-    assert parse_arguments(["--batch", "7", "--preset", preset], "") == dataclasses.replace(config, batch=7)
+    assert parse_arguments(["--batch", "7", "--preset", preset], "")[0] == dataclasses.replace(config, batch=7)
 
 
 def test_the_papers_presets_have_the_papers_figures():
-    paper = parse_arguments(["--preset", "keypointnet"], "")
+    paper = parse_arguments(["--preset", "keypointnet"], "")[0]
     assert sum(p.numel() for p in SnakeNetwork(paper.network).parameters()) == 4_182_658
     assert (paper.grid_size, paper.grid_fraction, paper.num_grids, paper.num_points) == (8, 8.0, 500, 2048)
-    redwood, registration = (parse_arguments(["--preset", name], "") for name in ("redwood", "3dmatch"))
+    redwood, registration = (parse_arguments(["--preset", name], "")[0] for name in ("redwood", "3dmatch"))
     assert (redwood.resolution, redwood.grid_size, redwood.recenter) == (100, 10, True)
     found = registration.resolution, registration.grid_size, registration.grid_fraction, registration.num_points
     assert found == (64, 6, 12.0, 2048)
-    assert parse_arguments([], "") == TrainConfig()
+    assert parse_arguments([], "") == (TrainConfig(), "auto", 0.0, 0)
 
 
 @pytest.mark.parametrize("preset", ["compact", "smpl"])
@@ -56,27 +62,27 @@ def test_help_explains_every_setting_with_the_presets_value(preset, capsys):
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
-        ({"batch": 0}, "--batch must be positive, got 0"),
-        ({"steps": -1}, "--steps must be positive"),
-        ({"learning_rate": math.nan}, "--learning-rate must be positive, got nan"),
-        ({"learning_rate": math.inf}, "--learning-rate must be positive, got inf"),
-        ({"jitter_sigma": -0.1}, "--jitter-sigma must be 0 or more"),
-        ({"weight_surface": -1.0}, "--weight-surface must be 0 or more"),
-        ({"clip_norm": -1.0}, "--clip-norm must be 0 or more"),
-        ({"procedural_share": 1.5}, "--procedural-share must be within"),
-        ({"ema_decay": 1.0}, "--ema-decay must be within"),
-        ({"max_downsampling": 0.5}, "--max-downsampling must be 1 or more"),
-        ({"degraded_share": -0.1}, "--degraded-share must be within"),
-        ({"max_noise": math.nan}, "--max-noise must be 0 or more"),
-        ({"num_targets": 0}, "--num-targets must be positive, got 0"),
-        ({"fresh_saliency": True}, "--fresh-saliency needs --init"),
+        ({"batch": 0}, "batch must be positive, got 0"),
+        ({"steps": -1}, "steps must be positive"),
+        ({"learning_rate": math.nan}, "learning_rate must be positive, got nan"),
+        ({"learning_rate": math.inf}, "learning_rate must be positive, got inf"),
+        ({"jitter_sigma": -0.1}, "jitter_sigma must be 0 or more"),
+        ({"weight_surface": -1.0}, "weight_surface must be 0 or more"),
+        ({"clip_norm": -1.0}, "clip_norm must be 0 or more"),
+        ({"procedural_share": 1.5}, "procedural_share must be within"),
+        ({"ema_decay": 1.0}, "ema_decay must be within"),
+        ({"max_downsampling": 0.5}, "max_downsampling must be 1 or more"),
+        ({"degraded_share": -0.1}, "degraded_share must be within"),
+        ({"max_noise": math.nan}, "max_noise must be 0 or more"),
+        ({"num_targets": 0}, "num_targets must be positive, got 0"),
+        ({"fresh_saliency": True}, "fresh_saliency needs init"),
         ({"resolution": 4, "unet_levels": 4}, "4 levels do not fit a volume of 4 voxels"),
         ({"c_dim": 12}, "divide"),
         ({"unet_base_channels": 12}, "divide"),
     ],
 )
 def test_settings_that_cannot_train_are_refused(changes, message):
-    with pytest.raises(SystemExit, match=message.replace("[", r"\[")):
+    with pytest.raises(ValueError, match=message.replace("[", r"\[")):
         check(TrainConfig(**TINY | changes))
 
 

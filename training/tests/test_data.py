@@ -12,7 +12,7 @@ import trimesh
 from snake_training.augment import BOUND, choose, normalize, random_rotation, two_views, within_bounds
 from snake_training.data import Corpus, Folder, Mixture, Procedural, ShapeError, open_shapes
 from snake_training.data.procedural import RECIPES, box, cone, sample_surface, tube
-from snake_training.train import make_batch
+from snake_training.tasks.objects import make_batch
 
 
 def rng(seed=0):
@@ -22,6 +22,16 @@ def rng(seed=0):
 def cloud(number=600, seed=3):
     """A lopsided cloud far from the origin."""
     return (rng(seed).normal(size=(number, 3)) * (3, 1, 0.5) + (10, -4, 2)).astype(np.float32)
+
+
+def occupancy_queries(views, config):
+    """Occupancy queries (2, 2 K, 3) of two views."""
+    return views["queries"][:, : 2 * config.num_occupancy]
+
+
+def local_grids(views, config):
+    """Local grids (2, G, H^3, 3) of two views."""
+    return views["queries"][:, 2 * config.num_occupancy :].reshape(2, config.num_grids, -1, 3)
 
 
 # Clouds of files
@@ -130,7 +140,7 @@ def test_within_bounds_drops_what_is_outside_but_never_everything():
 
 def motion(views):
     """The rigid motion (rotation, shift) of the grids, by least squares; its residual is the test that it is one."""
-    source, target = views["grids"].reshape(2, -1, 3).astype(np.float64)
+    source, target = views["queries"][:, -views["inside"][0].size :].astype(np.float64)
     u, _, vt = np.linalg.svd((source - source.mean(0)).T @ (target - target.mean(0)))
     rotation = (u @ np.diag([1, 1, np.linalg.det(u @ vt)]) @ vt).T
     shift = target.mean(0) - rotation @ source.mean(0)
@@ -157,7 +167,7 @@ def test_the_second_view_is_the_first_moved_by_one_rigid_motion(tiny, kind, tran
     distance = np.linalg.norm(second[:, None] - moved[None], axis=2).min(axis=1)
     assert distance.max() < 1e-5
     # The surface queries come from the clean cloud of each view.
-    surface = views["occupancy_queries"][:, : config.num_occupancy]
+    surface = occupancy_queries(views, config)[:, : config.num_occupancy]
     for queries, view in zip(surface, (clean, moved)):
         assert np.linalg.norm(queries[:, None] - view[None], axis=2).min(axis=1).max() < 1e-5
 
@@ -165,7 +175,7 @@ def test_the_second_view_is_the_first_moved_by_one_rigid_motion(tiny, kind, tran
 def test_grids_are_cubes_of_a_sixth_around_input_points(tiny):
     config = tiny(grid_size=3, grid_fraction=6.0, with_replacement=False)
     views = two_views(cloud(), config, rng())
-    grids = views["grids"][0]
+    grids = local_grids(views, config)[0]
     centers = grids[:, 13]  # the middle one of 27
     assert all((np.abs(views["points"][0] - center).max(axis=1) < 1e-6).any() for center in centers)
     assert len(np.unique(centers, axis=0)) == config.num_grids
@@ -187,10 +197,22 @@ def test_jitter_is_clipped_and_only_on_the_second_views_input(tiny):
 @pytest.mark.parametrize("number", [2, 100, 128, 5000])
 def test_the_number_of_points_is_constant(tiny, number):
     views = two_views(cloud(number), tiny(), rng())
-    assert views["points"].shape == (2, 128, 3)
-    assert views["occupancy_queries"].shape == (2, 64, 3)
-    assert views["grids"].shape == (2, 8, 27, 3)
-    assert all(value.dtype == np.float32 for value in views.values())
+    assert views["points"].shape == (2, 128, 3) and views["points"].dtype == np.float32
+    assert views["queries"].shape == (2, 64 + 8 * 27, 3) and views["queries"].dtype == np.float32
+    assert views["inside"].shape == (2, 8, 27)
+
+
+def test_a_share_of_second_views_is_degraded_or_one_sided(tiny):
+    config = tiny(num_points=600, degraded_share=1.0, max_thinning=16.0, max_noise=0.045, with_replacement=False)
+    samples = [two_views(cloud(), config, rng(seed)) for seed in range(40)]
+    distinct = [len(np.unique(sample["points"][1], axis=0)) for sample in samples]
+    assert min(distinct) < 100 and max(distinct) == 600
+    assert all(len(np.unique(sample["points"][0], axis=0)) == 600 for sample in samples)
+    config = tiny(num_points=600, partial_share=1.0, max_downsampling=1.0, jitter_sigma=0.0, with_replacement=False)
+    ball = rng().normal(size=(2000, 3))
+    ball /= np.linalg.norm(ball, axis=1, keepdims=True)
+    one_sided = two_views(ball.astype(np.float32), config, rng())["points"][1]
+    assert (one_sided[:, 2] > 0.1).mean() < 0.1  # what the camera sees, which looks along z
 
 
 def test_downsampling_thins_the_second_view_by_up_to_the_rate(tiny):
@@ -213,7 +235,7 @@ def test_the_second_view_can_be_recentered(tiny):
         config = tiny(recenter=recenter, translation=0.3, jitter_sigma=0.0, num_points=600)
         views = two_views(cloud(), config, rng())
         motion(views)  # grids and surface queries move with the points
-        surface = views["occupancy_queries"][1, : config.num_occupancy]
+        surface = occupancy_queries(views, config)[1, : config.num_occupancy]
         means[recenter] = np.abs(surface.mean(axis=0)).max()
     assert means[False] > 0.1 and means[True] < 0.06
 
@@ -226,24 +248,28 @@ def test_points_shifted_out_of_the_volume_are_dropped_and_replaced(tiny):
         rotation, shift = motion(views)
         outside += (np.abs(normalize(cloud())[0] @ rotation.T + shift) > BOUND).any(axis=1).sum()
         assert np.abs(views["points"]).max() <= BOUND
-        assert np.abs(views["occupancy_queries"]).max() <= BOUND
+        assert np.abs(occupancy_queries(views, config)).max() <= BOUND
         assert views["points"].shape == (2, 600, 3)
     assert outside > 0
 
 
 def test_uniform_queries_fill_the_padded_volume(tiny):
-    queries = two_views(cloud(), tiny(num_occupancy=2000), rng())["occupancy_queries"][:, 2000:]
+    config = tiny(num_occupancy=2000)
+    queries = occupancy_queries(two_views(cloud(), config, rng()), config)[:, 2000:]
     assert 0.55 < np.abs(queries).max() <= BOUND
     assert np.abs((queries**2).mean(axis=(0, 1)) - BOUND**2 / 3).max() < 0.01
 
 
 def test_samples_depend_on_seed_and_index_alone(tiny):
     config, shapes = tiny(), Procedural()
-    both = make_batch(shapes, config, 4, 2, "cpu")
-    again = make_batch(shapes, config, 5, 1, "cpu")
-    other = make_batch(shapes, dataclasses.replace(config, seed=2), 5, 1, "cpu")
-    held_out = make_batch(shapes, config, 5, 1, "cpu", stream=1)
+    both = make_batch(shapes, config, 4, 2)
+    again = make_batch(shapes, config, 5, 1)
+    other = make_batch(shapes, dataclasses.replace(config, seed=2), 5, 1)
+    held_out = make_batch(shapes, config, 5, 1, stream=1)
+    assert again.pop("label").equal(both["label"])
     for name, value in again.items():
+        if name == "inside":
+            continue
         assert value[0].equal(both[name][1])
         assert not value.equal(other[name]) and not value.equal(held_out[name])
 

@@ -4,12 +4,14 @@ import numpy as np
 import pytest
 import torch
 
+from conftest import judged
 from snake_training import device
 from snake_training.data import Mixture
-from snake_training.device import choose_device, convolution_seconds, processor_has_fast_bfloat16
-from snake_training.losses import snake_losses
-from snake_training.targets import torch_teacher
-from snake_training.train import make_batch
+from snake_training.device import choose_device, convolution_seconds, has_fast_unet, processor_has_fast_bfloat16
+from snake_training.tasks.objects import make_batch
+from snake_training.teacher import torch_teacher
+
+CPU = torch.device("cpu")
 
 
 @pytest.fixture(autouse=True)
@@ -21,9 +23,9 @@ def forget_the_processor():
 
 
 def test_bfloat16_changes_the_losses_by_rounding_only(tiny, network):
-    batch = make_batch(Mixture([], 1.0), tiny(), 0, 2, torch.device("cpu"))
-    full, _ = snake_losses(network, batch, autocast=False)
-    rounded, _ = snake_losses(network, batch, autocast=True)
+    batch = make_batch(Mixture([], 1.0), tiny(), 0, 2)
+    full, _ = judged(network, batch)
+    rounded, _ = judged(network, batch, autocast=True)
     # The volume's values round to 8 bits; each loss is a mean over them.
     assert {name: value.item() for name, value in rounded.items()} == pytest.approx(
         {name: value.item() for name, value in full.items()}, abs=0.02
@@ -40,8 +42,7 @@ def test_bfloat16_changes_the_losses_by_rounding_only(tiny, network):
 )
 def test_bfloat16_is_used_only_where_the_processor_has_it(tiny, monkeypatch, capabilities, fast):
     monkeypatch.setattr(torch.cpu, "get_capabilities", lambda: capabilities, raising=False)
-    assert choose_device(tiny(bf16=True)) == (torch.device("cpu"), tiny(bf16=fast))
-    assert choose_device(tiny(bf16=False)) == (torch.device("cpu"), tiny(bf16=False))
+    assert choose_device("cpu") == CPU and has_fast_unet(CPU, tiny(resolution=16).network) is fast
 
 
 @pytest.mark.parametrize("fast", [False, True])
@@ -54,7 +55,8 @@ def test_bfloat16_is_timed_once_where_torch_does_not_name_the_instructions(tiny,
 
     monkeypatch.setattr(torch.cpu, "get_capabilities", lambda: {"architecture": "aarch64"}, raising=False)
     monkeypatch.setattr(device, "convolution_seconds", seconds)
-    assert choose_device(tiny(bf16=True))[1].bf16 == choose_device(tiny(bf16=True))[1].bf16 == fast
+    config = tiny(resolution=16).network
+    assert has_fast_unet(CPU, config) == has_fast_unet(CPU, config) == fast
     assert sorted(map(str, timed)) == ["torch.bfloat16", "torch.float32"]
 
 
@@ -80,4 +82,4 @@ def test_a_teacher_computes_in_the_precision_that_is_fast(network, monkeypatch, 
 def test_small_volumes_are_in_float32(tiny, monkeypatch, resolution, runs):
     """torch's bfloat16 convolutions of 2 voxels a side read memory that nobody wrote."""
     monkeypatch.setattr(device, "has_fast_bfloat16", lambda _: True)
-    assert device.choose_device(tiny(bf16=True, resolution=resolution, unet_levels=3))[1].bf16 is runs
+    assert has_fast_unet(CPU, tiny(resolution=resolution, unet_levels=3).network) is runs

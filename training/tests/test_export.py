@@ -1,10 +1,12 @@
 """Checkpoint to weight file and back, official checkpoints, and what is refused."""
 
+import argparse
 import hashlib
 import json
 import os
 from dataclasses import replace
 
+import numpy as np
 import pytest
 import torch
 from safetensors import safe_open
@@ -20,7 +22,8 @@ def checkpoint(tmp_path, tiny, network):
     """A checkpoint of ours whose averaged weights are `network`'s and whose raw weights are others."""
     path = tmp_path / "last.pt"
     raw = SnakeNetwork(network.config).state_dict()
-    torch.save({"config": to_json(tiny()), "step": 1, "best": 0.0, "network": raw, "ema": network.state_dict()}, path)
+    own = {"settings": to_json(tiny()), "network_config": network.config.to_metadata(), "step": 1, "best": 0.0}
+    torch.save(own | {"network": raw, "ema": network.state_dict()}, path)
     return path
 
 
@@ -198,6 +201,12 @@ def test_other_bad_sources(tmp_path, checkpoint, network, capsys):
     assert "KEY=VALUE" in refused(capsys, checkpoint, "-o", output, "--metadata", "licence")
     (tmp_path / "text.pth").write_text("hello")
     assert "not a checkpoint" in refused(capsys, tmp_path / "text.pth", "-o", output)
+    torch.save({"state_dict": {}, "best": np.float64(0.5), "args": argparse.Namespace(lr=1)}, tmp_path / "more.pth")
+    message = refused(capsys, tmp_path / "more.pth", "-o", output)
+    assert "beside tensors; save its tensors alone" in message and len(message.split("error:")[1]) < 400
+    content = checkpoint.read_bytes()
+    (tmp_path / "cut.pt").write_bytes(content[: len(content) // 2])
+    assert "cut short" in refused(capsys, tmp_path / "cut.pt", "-o", output)
     torch.save(torch.zeros(3), tmp_path / "tensor.pth")
     assert "expected a dictionary" in refused(capsys, tmp_path / "tensor.pth", "-o", output)
     torch.save({"epoch": 3}, tmp_path / "number.pth")

@@ -2,20 +2,23 @@
 
 import math
 
+import numpy as np
 import pytest
 import torch
 
+from conftest import judged
+from snake_training.augment import inside_volume
 from snake_training.data import Procedural
 from snake_training.losses import (
-    inside_volume,
+    losses_of,
     masked_mean,
     occupancy_loss,
     repeatability_loss,
-    snake_losses,
     sparsity_loss,
     surface_loss,
 )
-from snake_training.train import make_batch, total_loss
+from snake_training.tasks.objects import make_batch
+from snake_training.train import total_loss
 
 ALL = torch.ones(1, 10, dtype=torch.bool)
 
@@ -26,7 +29,7 @@ def inside(number, of):
 
 
 def test_inside_volume_is_the_padded_cube():
-    points = torch.tensor([[0.5625, 0, 0], [0.5626, 0, 0], [0, -0.5625, 0], [0, 0, -0.57]])
+    points = np.array([[0.5625, 0, 0], [0.5626, 0, 0], [0, -0.5625, 0], [0, 0, -0.57]])
     assert inside_volume(points).tolist() == [True, False, True, False]
 
 
@@ -94,14 +97,6 @@ def test_sparsity_counts_grids_over_a_twentieth_occupied(occupied, counts):
     assert loss.item() == pytest.approx(float(counts), abs=1e-5)
 
 
-def test_sparsity_with_a_ridge_counts_only_points_near_the_highest_occupancy():
-    """A peak in the rim is worth nothing; by the paper's loss it is the cheapest."""
-    occupancy, saliency = torch.tensor([[0.95, 0.9, 0.6, 0.2]]), torch.tensor([[0.1, 0.1, 0.9, 0.9]])
-    everywhere = torch.ones(1, 4, dtype=torch.bool)
-    assert sparsity_loss(occupancy, saliency, everywhere).item() == pytest.approx(1 - (0.9 - 1.1 / 3), abs=1e-4)
-    assert sparsity_loss(occupancy, saliency, everywhere, ridge=0.9).item() == pytest.approx(1, abs=1e-4)
-
-
 def test_surface_and_sparsity_send_no_gradient_to_the_occupancy():
     occupancy, saliency = (torch.full((1, 10), 0.6, requires_grad=True) for _ in range(2))
     (surface_loss(occupancy, saliency, ALL) + sparsity_loss(occupancy, saliency, ALL)).backward()
@@ -122,37 +117,27 @@ def test_no_grid_inside_gives_zero_and_no_nan_in_value_or_gradient():
     assert torch.equal(saliency.grad, torch.zeros(1, 10))
 
 
-class Fields:
-    """A network of known fields: surface below z = 0, saliency |x|."""
-
-    def __call__(self, points, queries, autocast):
-        assert queries.ndim == 3
-        return (queries[..., 2] < 0).float(), queries[..., 0].abs()
-
-
-def test_snake_losses_puts_each_query_where_it_belongs():
+def test_losses_of_puts_each_query_where_it_belongs():
     """Two occupancy queries and one grid of two points a view, all four losses by hand."""
-    batch = {
-        "points": torch.zeros(1, 2, 4, 3),
-        # View 1: both right. View 2: the surface one is wrong.
-        "occupancy_queries": torch.tensor([[[[0.1, 0, -0.1], [0.2, 0, 0.1]], [[0.1, 0, 0.1], [0.4, 0, 0.1]]]]),
-        # One grid of two points, of which view 2 has one outside.
-        "grids": torch.tensor([[[[[0.3, 0, -0.1], [0.1, 0, -0.1]]], [[[0.3, 0, -0.1], [0.7, 0, 0.1]]]]]),
-    }
-    losses, saturated = snake_losses(Fields(), batch, autocast=False)
+    # View 1: both right. View 2: the surface one is wrong.
+    occupancy = torch.tensor([[[1.0, 0, 1, 1], [0.0, 0, 1, 0]]])
+    saliency = torch.tensor([[[0.1, 0.2, 0.3, 0.1], [0.1, 0.4, 0.3, 0.7]]])
+    # One grid of two points, of which view 2 has one outside.
+    batch = {"label": torch.tensor([1.0, 0.0]), "inside": torch.tensor([[[[True, True]], [[True, False]]]])}
+    losses, share = losses_of(occupancy, saliency, batch)
     assert losses["occupancy"].item() == pytest.approx((3 * -math.log(1 + 1e-5) - math.log(1e-5)) / 4, rel=1e-5)
     assert losses["repeatability"].item() == 0  # the only grid is half outside in view 2
     # Off the surface: 0.2 of four in view 1; 0.1 and 0.4 of three in view 2, whose grid point outside is not counted.
     # The mean of the two views' means, as the released code has it, not the mean of all seven.
     assert losses["surface"].item() == pytest.approx((0.2 / 4 + (0.1 + 0.4) / 3) / 2, rel=1e-5)
     assert losses["sparsity"].item() == pytest.approx((1 - (0.3 - 0.2)) / 2, abs=1e-5)  # view 2 has no grid and adds 0
-    assert saturated.item() == 0
+    assert share.item() == 0
 
 
 def test_a_weight_of_zero_switches_a_loss_off(tiny, network):
     config = tiny()
-    batch = make_batch(Procedural(), config, 0, 2, "cpu")
-    losses, _ = snake_losses(network, batch, autocast=False)
+    batch = make_batch(Procedural(), config, 0, 2)
+    losses, _ = judged(network, batch)
     assert total_loss(losses, config).item() == pytest.approx(sum(loss.item() for loss in losses.values()))
     only = tiny(weight_repeatability=0, weight_surface=0, weight_sparsity=0, weight_occupancy=2)
     loss = total_loss(losses, only)
@@ -164,13 +149,14 @@ def test_a_weight_of_zero_switches_a_loss_off(tiny, network):
 
 def test_losses_of_a_real_sample_are_finite_and_reach_every_weight(tiny, network):
     config = tiny()
-    batch = make_batch(Procedural(), config, 0, 2, "cpu")
+    batch = make_batch(Procedural(), config, 0, 2)
     assert {name: tuple(value.shape) for name, value in batch.items()} == {
         "points": (2, 2, 128, 3),
-        "occupancy_queries": (2, 2, 64, 3),
-        "grids": (2, 2, 8, 27, 3),
+        "queries": (2, 2, 64 + 8 * 27, 3),
+        "inside": (2, 2, 8, 27),
+        "label": (64,),
     }
-    losses, saturated = snake_losses(network, batch, autocast=False)
+    losses, saturated = judged(network, batch)
     assert all(torch.isfinite(loss) for loss in losses.values())
     assert 0 <= saturated <= 1
     total_loss(losses, config).backward()

@@ -73,5 +73,5 @@ def test_files_that_do_not_say_are_hard_and_other_words_are_refused():
     assert NetworkConfig.from_metadata(metadata).scatter == "hard"
     with pytest.raises(ValueError, match="scatter"):
         NetworkConfig.from_metadata(metadata | {"scatter": "gentle"})
-    with pytest.raises(ValueError, match="point_encoder"):
+    with pytest.raises(ValueError, match="point encoder of another kind"):
         NetworkConfig.from_metadata(metadata | {"point_encoder": "pointnet3"})

@@ -154,7 +154,7 @@ CASES = [
 def test_a_layout_trains_exports_and_evaluates(tmp_path, snake_cli, preset, make, number, evaluation):
     data, split = make(tmp_path / "data")
     words = ["--preset", preset, "--data", str(data), *(["--split", str(split)] if split else []), *TINY]
-    config = parse_arguments([*words, "--run-dir", str(tmp_path / "run")], "")
+    config, *_ = parse_arguments([*words, "--run-dir", str(tmp_path / "run")], "")
     assert len(open_all(config.data, config.split)[0]) == number
     train(config)
     weights = tmp_path / "weights.safetensors"

@@ -13,7 +13,8 @@ from snake_training.config import PRESETS, TrainConfig, to_json
 from snake_training.export import main as export
 from snake_training.export import preset_from_yaml, recommended_options, write_weights
 from snake_training.model import NetworkConfig, SnakeNetwork
-from snake_training.train import learning_rate, make_optimizer, score_of
+from snake_training.tasks.objects import Objects
+from snake_training.train import learning_rate, make_optimizer
 
 # N, R, H_l, U, n, b, the share of the epochs before the rate drops, occupancy queries; jitter and its clip, down-sampling.
 TABLE = {
@@ -31,7 +32,7 @@ COLUMNS = (
 
 @pytest.mark.parametrize("name", TABLE)
 def test_a_preset_has_the_papers_values(name):
-    config = parse_arguments(["--preset", name], "")
+    config = parse_arguments(["--preset", name], "")[0]
     assert tuple(getattr(config, column) for column in COLUMNS) == pytest.approx(TABLE[name])
     assert (config.optimizer, config.weight_decay, config.learning_rate, config.warmup) == ("adam", 5e-4, 1e-4, 0)
     assert (config.unet_levels, config.unet_base_channels, config.c_dim, config.scatter) == (4, 32, 32, "hard")
@@ -44,7 +45,7 @@ def test_a_preset_has_the_papers_values(name):
 
 @pytest.mark.parametrize(("name", "epochs", "drop"), [("redwood", 20, 15), ("smpl", 30, 20), ("modelnet40", 60, 40)])
 def test_the_rate_drops_after_the_papers_epoch(name, epochs, drop):
-    config = parse_arguments(["--preset", name, "--steps", str(epochs * 10)], "")
+    config = parse_arguments(["--preset", name, "--steps", str(epochs * 10)], "")[0]
     rates = [learning_rate(config, 10 * epoch) for epoch in range(epochs)]
     assert rates == pytest.approx([1e-4] * drop + [1e-5] * (epochs - drop))
 
@@ -65,8 +66,8 @@ def test_adam_has_the_penalty_on_everything(network, tiny):
 def test_the_best_validation_is_of_the_least_total_loss(tiny):
     values = dict(occupancy=0.1, repeatability=0.2, surface=0.3, sparsity=0.4)
     values |= {"repeatability_nms_0.01": 0.5, "repeatability_nms_0.05": 0.25}
-    assert score_of(values, tiny(best_by="loss", weight_surface=2.0)) == pytest.approx(-1.3)
-    assert score_of(values, tiny()) == 0.75
+    assert Objects(tiny(best_by="loss", weight_surface=2.0)).score(values) == pytest.approx(-1.3)
+    assert Objects(tiny()).score(values) == 0.75
 
 
 # Options that an export recommends
@@ -128,6 +129,12 @@ def test_given_metadata_overrides_the_preset(tmp_path, official):
     assert recommended(tmp_path / "out.safetensors") == '{"detect":{"nms_radius":0.5}}'
 
 
+def checkpoint(config, network):
+    """What a run of these settings saves, without Adam."""
+    own = {"settings": to_json(config), "network_config": network.config.to_metadata()}
+    return own | {"step": 1, "began": 0, "best": 0.0, "ema": network.state_dict()}
+
+
 def test_a_fine_tuned_export_keeps_the_options_of_its_start(tmp_path, tiny, network):
     """From a weight file, and from a run that began with one."""
     options = '{"detect":{"nms_radius":"10%"}}'
@@ -135,10 +142,9 @@ def test_a_fine_tuned_export_keeps_the_options_of_its_start(tmp_path, tiny, netw
     write_weights(start, network.config, network.state_dict(), extra={"recommended_options": options})
     words = [word for word in arguments(tiny()) if word not in ("--init", "--recommended-options", "")]
     for init in (start, tmp_path / "first.pt"):
-        config = parse_arguments([*words, "--init", str(init)], "")
+        config = parse_arguments([*words, "--init", str(init)], "")[0]
         assert config.recommended_options == options
-        state = {"config": to_json(config), "step": 1, "best": 0.0, "ema": network.state_dict()}
-        torch.save(state, tmp_path / "first.pt")
+        torch.save(checkpoint(config, network), tmp_path / "first.pt")
     export([str(tmp_path / "first.pt"), "-o", str(tmp_path / "out.safetensors")])
     assert recommended(tmp_path / "out.safetensors") == options == recommended_options(tmp_path / "out.safetensors")
 
@@ -147,10 +153,10 @@ def test_a_resumed_run_keeps_the_options_of_its_start_when_that_is_gone(tmp_path
     options = '{"detect":{"nms_radius":"10%"}}'
     config = tiny(recommended_options=options)
     (tmp_path / "run").mkdir()
-    state = {"config": to_json(config), "step": 1, "best": 0.0, "ema": network.state_dict()}
-    torch.save(state, tmp_path / "run/last.pt")
+    torch.save(checkpoint(config, network), tmp_path / "run/last.pt")
     words = [word for word in arguments(tiny()) if word not in ("--init", "--recommended-options", "")]
-    assert parse_arguments([*words, "--init", str(tmp_path / "gone.safetensors")], "").recommended_options == options
+    found, *_ = parse_arguments([*words, "--init", str(tmp_path / "gone.safetensors")], "")
+    assert found.recommended_options == options
 
 
 @pytest.mark.parametrize(("data", "grid", "resolution", "preset"), OFFICIAL)
@@ -166,7 +172,7 @@ def test_an_export_recommends_what_the_official_yaml_says_or_says_that_it_does_n
 
 @pytest.mark.parametrize("text", ["{", "nms"])
 def test_options_that_are_no_json_are_refused(text):
-    with pytest.raises(SystemExit, match="recommended-options must be JSON"):
+    with pytest.raises(SystemExit, match="recommended_options must be JSON"):
         parse_arguments(["--recommended-options", text], "")
 
 

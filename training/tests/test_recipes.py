@@ -1,4 +1,4 @@
-"""Recipes run from end to end, go on where they stopped, and refuse what does not fit."""
+"""Recipes run from end to end, go on where they stopped, move to another machine, and refuse what does not fit."""
 
 import json
 from pathlib import Path
@@ -8,56 +8,46 @@ import pytest
 import torch
 from safetensors import safe_open
 
-from snake_training import pieces
+from snake_training import moving
+from snake_training.config import SceneTraining
 from snake_training.data.crops import Crops
-from snake_training.export import load_network
-from snake_training.recipes import Recipe, main, result
-from snake_training.scenes import SceneTraining, Target, make_batch, train
+from snake_training.export import Moved, load_network
+from snake_training.losses import losses_of
+from snake_training.recipes import Recipe, main
+from snake_training.tasks.scenes import Scenes
+from snake_training.train import run
 
 RECIPES = Path(__file__).resolve().parents[1] / "recipes"
+MODELS = RECIPES.parents[1] / "crates/snake-core/models"
 
 
 @pytest.fixture(scope="module")
 def run_dir(tmp_path_factory):
-    """The recipe from nothing, run with next to no work."""
+    """The recipe of scenes, run with next to no work."""
     folder = tmp_path_factory.mktemp("run")
-    Recipe(RECIPES / "scenes-from-nothing.toml", folder, smoke=True).run()
+    Recipe(RECIPES / "scenes.toml", folder, smoke=True).run()
     return folder
 
 
-def test_a_recipe_ends_with_a_weight_file(run_dir):
-    network = load_network(run_dir / "scenes.safetensors")
-    assert network.config.to_metadata()["coordinates"] == "voxel"
-    assert (run_dir / "scenes.safetensors").stat().st_size < 1_000_000
-
-
-def test_a_mean_of_networks_is_their_mean(run_dir):
-    a, b, mean = (result(run_dir / name).state_dict() for name in ("corners", "learn", "mean"))
-    name = "encoder.unet3d.final_conv.weight"
-    assert torch.allclose(mean[name], 0.2 * a[name] + 0.8 * b[name], atol=1e-6)
+def test_the_recipe_of_scenes_ends_with_a_weight_file_and_its_map(run_dir):
+    weights = run_dir / "scenes.safetensors"
+    assert load_network(weights).config.to_metadata()["coordinates"] == "voxel" and weights.stat().st_size < 1_000_000
+    with safe_open(weights, "numpy") as file:
+        knots = json.loads(file.metadata()["confidence"])
+    assert all(0 <= probability <= 1 for _, probability in knots) and knots == sorted(knots)
+    pairs = json.loads((run_dir / "drives/pairs.json").read_text())
+    assert [pair["source"] for pair in pairs] == ["drive100_1", "drive100_2"]
 
 
 def test_what_is_done_is_not_done_again(run_dir):
     before = {path: path.stat().st_mtime_ns for path in run_dir.rglob("*.*")}
-    Recipe(RECIPES / "scenes-from-nothing.toml", run_dir, smoke=True).run()
+    Recipe(RECIPES / "scenes.toml", run_dir, smoke=True).run()
     assert before == {path: path.stat().st_mtime_ns for path in run_dir.rglob("*.*")}
 
 
-def test_the_recipe_of_the_released_weights_runs(tmp_path):
-    main([str(RECIPES / "scenes.toml"), "--run-dir", str(tmp_path), "--smoke"])
-    weights = tmp_path / "scenes/scenes.safetensors"
-    assert load_network(weights)
-    with safe_open(weights, "numpy") as file:
-        knots = json.loads(file.metadata()["confidence"])
-    assert all(0 <= probability <= 1 for _, probability in knots) and knots == sorted(knots)
-    pairs = json.loads((tmp_path / "scenes/drives/pairs.json").read_text())
-    assert [pair["source"] for pair in pairs] == ["drive100_1", "drive100_2"]
-
-
-@pytest.mark.parametrize("name", ["compact", "standard", "paper"])
-def test_a_recipe_of_objects_ends_with_a_weight_file_and_its_figures(tmp_path, name, capsys):
-    """Without data, and the second time with some: then what is done stays."""
-    main([str(RECIPES / f"{name}.toml"), "--run-dir", str(tmp_path), "--smoke"])
+@pytest.mark.parametrize("name", ["compact", "paper"])
+def test_a_recipe_of_objects_ends_with_a_weight_file_and_its_figures(tmp_path, name):
+    main([str(RECIPES / f"{name}.toml"), "--run-dir", str(tmp_path), "--smoke", "--device", "cpu"])
     weights = tmp_path / f"{name}/{name}.safetensors"
     assert weights.stat().st_size < (10_000_000 if name == "paper" else 1_000_000)
     assert load_network(weights).config.unet_base_channels == (32 if name == "paper" else 16)
@@ -65,51 +55,92 @@ def test_a_recipe_of_objects_ends_with_a_weight_file_and_its_figures(tmp_path, n
     assert set(figures) == {"repeatability", "keypoints", "options"}
     done = json.loads((tmp_path / name / "figures/done.json").read_text())
     assert done["processor"] and done["seconds"] >= 0
-    made = weights.stat().st_mtime_ns
-    main([str(RECIPES / f"{name}.toml"), "--run-dir", str(tmp_path), "--smoke"])
-    assert weights.stat().st_mtime_ns == made
 
 
-def test_a_run_moves_in_pieces(run_dir, tmp_path, monkeypatch):
-    """The run of another machine goes on here; no piece is above 5 MB, and a changed or missing one is told."""
-    assert pieces.PIECE < 5_000_000
-    monkeypatch.setattr(pieces, "PIECE", 100_000)
-    pieces.pack(run_dir, tmp_path / "pieces")
-    files = sorted((tmp_path / "pieces").iterdir())
-    assert len(files) > 3 and all(path.stat().st_size <= 100_000 for path in files)
-    pieces.unpack(tmp_path / "pieces", tmp_path / "run")
-    stored = {str(path.relative_to(run_dir)): path.read_bytes() for path in run_dir.rglob("*") if path.is_file()}
-    assert {
-        str(p.relative_to(tmp_path / "run")): p.read_bytes() for p in (tmp_path / "run").rglob("*") if p.is_file()
-    } == stored
-    files[1].write_bytes(b"x" + files[1].read_bytes()[1:])
-    with pytest.raises(ValueError, match="0001: not the piece that was written"):
-        pieces.unpack(tmp_path / "pieces", tmp_path / "other")
-    files[1].unlink()
-    with pytest.raises(ValueError, match="not all pieces"):
-        pieces.unpack(tmp_path / "pieces", tmp_path / "other")
-    (tmp_path / "mine").mkdir()
-    (tmp_path / "mine/file").write_text("keep")
-    with pytest.raises(ValueError, match="something else"):
-        pieces.pack(run_dir, tmp_path / "mine")
+@pytest.mark.parametrize("name", ["compact", "scenes", "paper"])
+def test_a_recipe_names_the_released_file(name):
+    """Where a recipe states the digest of the released file, it is that file's."""
+    recipe = Recipe(RECIPES / f"{name}.toml", "runs")
+    released = next(
+        path for path in (MODELS / f"{name}.safetensors", RECIPES.parents[1] / f"models/{name}.safetensors")
+    )
+    if recipe.stages[name].digest:
+        with safe_open(released, "numpy") as file:
+            assert file.metadata()["digest"] == recipe.stages[name].digest
 
 
 def test_training_goes_on_from_its_checkpoint_bit_for_bit(run_dir, tmp_path):
     crops = Crops(run_dir / "crops")
-    settings = SceneTraining(steps=3, batch=1, side=16, queries=50, occupancy_queries=20, warmup=1)
+    settings = SceneTraining(steps=3, batch=1, side=16, queries=50, num_occupancy=20, warmup=1, bf16=False)
 
-    def trained(folder, *stops):
-        for steps in stops:  # a shorter run is the same run, stopped: its rates are those of the whole
-            network = result(run_dir / "start").train()
-            train(folder, crops, settings, network, Target(None, crops, settings), log=lambda _: None, stop=steps)
+    def trained(folder, *minutes):
+        for limit in minutes:
+            run(Scenes(settings, crops), folder, "cpu", limit)
         return torch.load(folder / "last.pt", weights_only=True)["network"]
 
-    once, twice = trained(tmp_path / "once", 3), trained(tmp_path / "twice", 2, 3)
+    once, twice = trained(tmp_path / "once", 0), trained(tmp_path / "twice", 1e-9, 0)
     assert all(torch.equal(once[name], twice[name]) for name in once)
 
 
+def test_scenes_learn_by_the_four_losses_too(run_dir):
+    """Local grids are the same places in both views: distances within them agree."""
+    settings = SceneTraining(batch=2, side=24, num_occupancy=20, num_grids=6, grid_size=3, bf16=False)
+    task = Scenes(settings, Crops(run_dir / "crops"))
+    batch = task.ready(task.batch(0, 2))
+    assert batch["inside"].shape == (2, 2, 6, 27) and batch["queries"].shape == (2, 2, 40 + 6 * 27, 3)
+    grids = batch["queries"][:, :, 40:]
+    assert torch.allclose(torch.cdist(grids[:, 0], grids[:, 0]), torch.cdist(grids[:, 1], grids[:, 1]), atol=1e-2)
+    losses, _ = losses_of(*task.answer(task.network(), batch, False), batch)
+    assert set(losses) == {"occupancy", "repeatability", "surface", "sparsity"}
+    assert all(torch.isfinite(loss) for loss in losses.values())
+
+
+def test_minutes_end_a_recipe_and_what_it_reached_goes_on_elsewhere(tmp_path, capsys, monkeypatch):
+    """As on a GPU that is there for ten minutes: the weights come back in pieces, and another machine takes them up."""
+    monkeypatch.setattr(moving, "PIECE", 100_000)
+    words = [str(RECIPES / "compact.toml"), "--smoke", "--device", "cpu"]
+    here, there, pieces = tmp_path / "here", tmp_path / "there", tmp_path / "pieces"
+    main([*words, "--run-dir", str(here), "--minutes", "1e-3", "--pack", str(pieces)])
+    assert "the minutes are over within surface" in capsys.readouterr().out
+    files = sorted(path for path in (pieces / "compact").iterdir() if path.name != moving.LIST)
+    assert len(files) > 3 and all(path.stat().st_size <= 100_000 for path in files)
+    main([*words, "--run-dir", str(there), "--unpack", str(pieces), "--pack", str(pieces)])
+    state = torch.load(there / "compact/surface/last.pt", weights_only=True)
+    assert (state["step"], state["began"]) == (2, 1)
+    assert load_network(there / "compact/compact.safetensors")
+    # What is done moves too: nothing is trained again.
+    main([*words, "--run-dir", str(tmp_path / "third"), "--unpack", str(pieces)])
+    assert not list((tmp_path / "third").rglob("last.pt"))
+    files = sorted(path for path in (pieces / "compact").iterdir() if path.name != moving.LIST)
+    files[0].write_bytes(b"x")
+    with pytest.raises(ValueError, match="is not the one that was written"):
+        moving.unpack(pieces / "compact", tmp_path / "other")
+    files[0].unlink()
+    with pytest.raises(ValueError, match="not all pieces"):
+        moving.unpack(pieces / "compact", tmp_path / "other")
+    (tmp_path / "mine").mkdir()
+    (tmp_path / "mine/file").write_text("keep")
+    with pytest.raises(ValueError, match="something else"):
+        moving.pack(there / "compact", tmp_path / "mine")
+
+
+@pytest.mark.parametrize("listed", ['{"../../harm/done.json": []}', '{"a/harm.sh": []}', "[]", "{"])
+def test_pieces_of_something_else_are_refused(tmp_path, listed):
+    (tmp_path / moving.LIST).write_text(listed)
+    with pytest.raises(ValueError, match="no file of a run|not all pieces"):
+        moving.unpack(tmp_path, tmp_path / "run/deep")
+    assert [path.name for path in tmp_path.iterdir()] == [moving.LIST]
+
+
+def test_moved_weights_are_known_by_their_step(run_dir, tmp_path):
+    Moved(load_network(run_dir / "corners/weights.safetensors"), 7).write(tmp_path / Moved.NAME)
+    assert Moved.read(tmp_path / Moved.NAME).step == 7
+    with pytest.raises(ValueError, match="not the weights of a run"):
+        Moved.read(run_dir / "corners/weights.safetensors")
+
+
 def test_other_settings_than_those_of_the_results_are_refused(run_dir, tmp_path):
-    text = (RECIPES / "scenes-from-nothing.toml").read_text()
+    text = (RECIPES / "scenes.toml").read_text()
     (tmp_path / "other.toml").write_text(text.replace("steps = 8000", "steps = 8001"))
     with pytest.raises(ValueError, match="corners was made with other settings"):
         Recipe(tmp_path / "other.toml", run_dir, smoke=True).run()
@@ -117,40 +148,68 @@ def test_other_settings_than_those_of_the_results_are_refused(run_dir, tmp_path)
 
 def test_a_smoke_is_not_taken_for_the_real_run(run_dir):
     with pytest.raises(ValueError, match="crops was made with other settings"):
-        Recipe(RECIPES / "scenes-from-nothing.toml", run_dir).run()
+        Recipe(RECIPES / "scenes.toml", run_dir).run()
+
+
+CROPS = '[[stages]]\nname = "c"\nkind = "crops"\nfiles = [[1, 1]]\n'
 
 
 @pytest.mark.parametrize(
-    ("line", "word"),
+    ("text", "said"),
     [
-        ('name = "a"\nkind = "bake"', "kind 'bake'"),
-        ('name = "a"\nkind = "scenes"\ninit = "b"\ncrops = "c"', "no stage 'c' before it"),
-        ('name = "a"\nkind = "average"\nof = ["b"]', "no stage 'b' before it"),
+        ("", "not a recipe"),
+        ("stages = 3", "not a recipe"),
+        ("stages = [3]", "not a recipe"),
+        ("\xff[", "not a recipe"),
+        ('[[stages]]\nname = "a"\nkind = "bake"', "kind 'bake'"),
+        ('[[stages]]\nname = "a"\nkind = 3', "of kind '3'"),
+        ('[[stages]]\nname = ["a"]\nkind = "crops"', "names differ"),
+        ('[[stages]]\nname = "../../x"\nkind = "crops"\nfiles = [[1, 1]]', "names differ"),
+        ('[[stages]]\nname = "/x"\nkind = "crops"\nfiles = [[1, 1]]', "names differ"),
+        (CROPS + CROPS, "names differ"),
+        ('[[stages]]\nname = "a"\nkind = "crops"', "files"),
+        ('[[stages]]\nname = "a"\nkind = "scenes"\ninit = "b"\ncrops = "c"', "no stage 'b' before it"),
+        ('[[stages]]\nname = "a"\nkind = "export"\nof = "b"\noutput = "x"', "no stage 'b' before it"),
+        (CROPS + '[[stages]]\nname = "a"\nkind = "export"\nof = "c"\noutput = "/abs/file"', "not the name of a file"),
+        (CROPS + '[[stages]]\nname = "a"\nkind = "export"\nof = "c"\noutput = "../up"', "not the name of a file"),
+        (CROPS + '[[stages]]\nname = "a"\nkind = "scenes"\ncrops = "c"\nwarmpu = 3', "unknown setting 'warmpu'"),
+        (CROPS + '[[stages]]\nname = "a"\nkind = "scenes"\ncrops = "c"\nsteps = "3"', "steps must be of type int"),
+        (CROPS + '[[stages]]\nname = "a"\nkind = "scenes"\ncrops = "c"\nsteps = 0', "steps must be positive"),
+        ('[[stages]]\nname = "a"\nkind = "objects"\nrun_dir = "elsewhere"', "unknown setting 'run_dir'"),
+        ('[[stages]]\nname = "a"\nkind = "objects"\nbatch = 0', "batch must be positive"),
+        ('[[stages]]\nname = "a"\nkind = "objects"\nfresh_saliency = true', "needs init"),
     ],
 )
-def test_a_recipe_that_cannot_run_is_refused(tmp_path, line, word):
-    (tmp_path / "wrong.toml").write_text(f"[[stages]]\n{line}\n")
-    with pytest.raises(ValueError, match=word):
-        Recipe(tmp_path / "wrong.toml", tmp_path)
+def test_a_recipe_that_cannot_run_is_refused_before_anything_runs(tmp_path, text, said):
+    (tmp_path / "wrong.toml").write_text(text, encoding="latin-1")
+    with pytest.raises(ValueError, match=said):
+        Recipe(tmp_path / "wrong.toml", tmp_path / "run")
+    assert [path.name for path in tmp_path.iterdir()] == ["wrong.toml"]
 
 
-def test_a_misspelt_setting_is_refused(run_dir, tmp_path):
-    text = (RECIPES / "scenes-from-nothing.toml").read_text()
-    (tmp_path / "wrong.toml").write_text(text.replace("warmup = 200", "warmpu = 200"))
-    (tmp_path / "crops").symlink_to(run_dir / "crops")
-    with pytest.raises(ValueError, match="warmpu"):
-        Recipe(tmp_path / "wrong.toml", tmp_path, smoke=True).run()
+def test_the_command_says_in_one_line_what_is_wrong(tmp_path, capsys):
+    (tmp_path / "wrong.toml").write_text("stages = 3")
+    for words in (
+        ["absent.toml"],
+        ["wrong.toml"],
+        ["wrong.toml", "--minutes", "-1"],
+        ["wrong.toml", "--unpack", "none"],
+    ):
+        with pytest.raises(SystemExit) as stop:
+            main([str(tmp_path / words[0]), *words[1:], "--run-dir", str(tmp_path)])
+        assert stop.value.code == 2 and "Traceback" not in capsys.readouterr().err
 
 
 def test_views_and_surface_of_a_crop_are_the_same_places(run_dir):
     """Queries lie as far from the clean surface in the teacher's box as in the crop, and views near it."""
-    crops = Crops(run_dir / "crops")
     settings = SceneTraining(batch=1, queries=200, max_noise=0, max_thinning=1)
-    batch = make_batch(crops, settings, 0, 0)
-    points, owner = batch["points"].numpy(), batch["owner"].numpy()
-    assert set(owner) == {0, 1, 2} and points.min() >= 0 and points.max() < settings.side
-    near = [
-        np.linalg.norm(points[owner == box][:, None] - q.numpy(), axis=2).min(axis=0)
-        for box, q in enumerate(batch["queries"])
-    ]
-    assert np.median(near[2]) < 1.0 and all(np.median(distance) < 2.5 for distance in near[:2])
+    batch = Scenes(settings, Crops(run_dir / "crops")).batch(0, 1)
+    points, owner, surface = batch["points"].numpy(), batch["owner"].numpy(), batch["surface_points"].numpy()
+    assert set(owner) == {0, 1} and points.min() >= 0 and points.max() < settings.side
+    queries = batch["queries"][0, :, len(batch["label"]) :].numpy()
+
+    def apart(queries, points):
+        return np.median(np.linalg.norm(points[:, None] - queries, axis=2).min(axis=0))
+
+    assert apart(batch["surface_queries"][0].numpy(), surface) < 1.0
+    assert all(apart(queries[view], points[owner == view]) < 2.5 for view in range(2))

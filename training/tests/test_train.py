@@ -14,15 +14,16 @@ import pytest
 import torch
 from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
 
-from conftest import arguments
+from conftest import arguments, judged
 from snake_training import train as training
 from snake_training.command_line import parse_arguments
 from snake_training.config import from_json
+from snake_training.data import Mixture, Procedural
 from snake_training.evaluate import DetectOptions, why_none
-from snake_training.export import load_network, read_checkpoint, write_weights
-from snake_training.losses import snake_losses
-from snake_training.model import SnakeNetwork, voxel_index
-from snake_training.train import learning_rate, make_batch, train, update_average
+from snake_training.export import Moved, load_network, read_checkpoint, write_weights
+from snake_training.model import SnakeNetwork
+from snake_training.tasks.objects import Objects, make_batch
+from snake_training.train import dead_share, learning_rate, train, update_average
 
 
 def state(config, name="last.pt"):
@@ -48,27 +49,36 @@ def flat(tree, prefix=""):
 # Runs
 
 
-def test_ctrl_c_ends_a_run_with_a_checkpoint_from_which_it_resumes(tiny, monkeypatch):
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGUSR1])
+def test_a_signal_ends_a_run_with_a_checkpoint_from_which_it_resumes(tiny, monkeypatch, number):
     config = tiny()
-    make = training.make_batch
+    draw = Objects.batch
 
-    def interrupted(*arguments, **options):
-        os.kill(os.getpid(), signal.SIGINT)
-        return make(*arguments, **options)
+    def interrupted(self, *given):
+        os.kill(os.getpid(), number)
+        return draw(self, *given)
 
-    handler = signal.getsignal(signal.SIGINT)
-    monkeypatch.setattr(training, "make_batch", interrupted)
+    handler = signal.getsignal(number)
+    monkeypatch.setattr(Objects, "batch", interrupted)
     with pytest.raises(SystemExit, match="step 1: stopped; .* resumes"):
-        train(config)
-    assert state(config)["step"] == 1 and signal.getsignal(signal.SIGINT) is handler
-    monkeypatch.setattr(training, "make_batch", make)
-    train(config)
-    interrupted_run = state(config)
+        train(config, "cpu")
+    assert state(config)["step"] == 1 and signal.getsignal(number) is handler
+    monkeypatch.setattr(Objects, "batch", draw)
+    train(config, "cpu")
+    resumed = state(config)
     whole = tiny(run_dir=config.run_dir + "-whole")
-    train(whole)
-    assert interrupted_run["step"] == 2
+    train(whole, "cpu")
+    assert resumed["step"] == 2
     for name, tensor in state(whole)["network"].items():
-        assert torch.equal(tensor, interrupted_run["network"][name]), name
+        assert torch.equal(tensor, resumed["network"][name]), name
+
+
+def test_batches_of_worker_processes_are_those_of_one_process(tiny, tmp_path):
+    one, ahead = tiny(run_dir=str(tmp_path / "one")), tiny(run_dir=str(tmp_path / "ahead"))
+    train(one, "cpu")
+    train(ahead, "cpu", workers=2)
+    here, there = state(one)["network"], state(ahead)["network"]
+    assert all(torch.equal(tensor, there[name]) for name, tensor in here.items())
 
 
 def test_a_run_writes_its_config_checkpoints_and_logs(tiny):
@@ -76,14 +86,14 @@ def test_a_run_writes_its_config_checkpoints_and_logs(tiny):
     train(config)
     run = Path(config.run_dir)
     assert from_json((run / "config.json").read_text()) == config
-    assert set(state(config)) == {"config", "step", "best", "network", "ema", "optimizer"}
-    assert state(config)["step"] == 2 and from_json(state(config)["config"]) == config
+    assert set(state(config)) == {"settings", "network_config", "step", "began", "best", "network", "ema", "optimizer"}
+    assert state(config)["step"] == 2 and from_json(state(config)["settings"]) == config
     assert state(config, "best.pt")["best"] >= 0
     logged = scalars(config)
     losses = {"occupancy", "repeatability", "surface", "sparsity", "saturated"}
     assert {name.removeprefix("train/") for name in logged if "train/" in name} == losses | {"gradient_norm"}
     measured = {f"{what}_nms_{radius}" for what in ("repeatability", "keypoints") for radius in (0.01, 0.05)}
-    health = {"dead_share", "feature_deviation"}
+    health = {"dead_share"}
     assert {name.removeprefix("validation/") for name in logged if "validation/" in name} == losses | measured | health
     assert all(math.isfinite(value) for steps in logged.values() for value in steps.values())
     assert not list(run.glob("*.partial"))
@@ -96,11 +106,11 @@ def test_a_run_writes_its_config_checkpoints_and_logs(tiny):
 
 def test_training_lowers_the_occupancy_loss(tiny):
     config = tiny(steps=12, learning_rate=1e-2)
-    batch = make_batch(training.Procedural(), config, 0, 4, "cpu", stream=1)
+    batch = make_batch(Procedural(), config, 0, 4, stream=1)
     train(config)
     torch.manual_seed(config.seed)
     networks = SnakeNetwork(config.network), load_network(config.run_dir)
-    before, after = (snake_losses(network, batch, False)[0]["occupancy"].item() for network in networks)
+    before, after = (judged(network, batch)[0]["occupancy"].item() for network in networks)
     assert after < before - 0.05
 
 
@@ -110,7 +120,7 @@ def test_resuming_continues_bit_for_bit(tiny, tmp_path):
     train(whole)
     parts = dataclasses.replace(whole, run_dir=str(tmp_path / "parts"))
     for step in (1, 2, 3):
-        train(dataclasses.replace(parts, minutes=1e-9))
+        train(parts, minutes=1e-9)
         assert state(parts)["step"] == step
     train(parts)
     expected, found = flat(state(whole)), flat(state(parts))
@@ -120,7 +130,7 @@ def test_resuming_continues_bit_for_bit(tiny, tmp_path):
         for path, value in expected.items()
         if not (value.equal(found[path]) if isinstance(value, torch.Tensor) else value == found[path])
     ]
-    assert differing == ["/config", "/best"] or differing == ["/config"]  # the run folder; validated more often
+    assert differing == ["/settings", "/best"] or differing == ["/settings"]  # the run folder; validated more often
     assert sum("/exp_avg" in path for path in expected) > 100
 
 
@@ -175,14 +185,9 @@ def test_unequal_masks_in_the_two_process_test(tiny):
     config = tiny(batch=4, translation=0.5)
     counts = []
     for first in range(0, 8, 2):
-        grids = make_batch(training.Mixture([], 1.0), config, first, 2, "cpu")["grids"]
-        counts.append((training_inside(grids).float().mean(dim=-1) > 0.9).all(dim=1).sum().item())
+        inside = make_batch(Mixture([], 1.0), config, first, 2)["inside"]
+        counts.append((inside.float().mean(dim=-1) > 0.9).all(dim=1).sum().item())
     assert counts[0] != counts[1] or counts[2] != counts[3]
-
-
-def training_inside(grids):
-    """(B, 2, G, H^3) of grid points within the padded volume."""
-    return (grids.abs() <= 0.5625).all(dim=-1)
 
 
 def test_average_of_weights_follows_and_without_decay_copies(network):
@@ -203,8 +208,8 @@ def test_the_start_gives_the_networks_shape(tmp_path, network):
     write_weights(path, network.config, network.state_dict())
     shape = network.config
     start = ["--init", str(path), "--run-dir", str(tmp_path / "run")]
-    assert parse_arguments(start, "").network == shape != parse_arguments([], "").network
-    given = parse_arguments([*start, "--resolution", "32"], "").network
+    assert parse_arguments(start, "")[0].network == shape != parse_arguments([], "")[0].network
+    given = parse_arguments([*start, "--resolution", "32"], "")[0].network
     assert given == dataclasses.replace(shape, resolution=(32,) * 3)
     with pytest.raises(SystemExit, match="absent"):
         parse_arguments(["--init", str(tmp_path / "absent.pt")], "")
@@ -239,9 +244,7 @@ def test_validation_uses_every_folder(tiny, tmp_path, monkeypatch):
         (tmp_path / name).mkdir()
         np.save(tmp_path / name / "cloud.npy", np.random.default_rng(ord(name)).normal(size=(300, 3)))
     rows = []
-    monkeypatch.setattr(
-        training, "validate", lambda network, config, shapes, device: rows.append(len(shapes)) or SCORES
-    )
+    monkeypatch.setattr(Objects, "validate", lambda self, *_: rows.append(len(self.held_out)) or dict(SCORES))
     train(tiny(validation_data=(str(tmp_path / "a"), str(tmp_path / "b")), steps=1))
     assert rows == [2]
 
@@ -252,7 +255,7 @@ SCORES = {"repeatability_nms_0.01": 0.1, "repeatability_nms_0.05": 0.2}
 def test_best_is_kept_by_score(tiny, monkeypatch):
     scores = iter((0.1, 0.5, 0.3, 0.0))
     monkeypatch.setattr(
-        training, "validate", lambda *_: {"repeatability_nms_0.01": next(scores), "repeatability_nms_0.05": 0.0}
+        Objects, "validate", lambda *_: {"repeatability_nms_0.01": next(scores), "repeatability_nms_0.05": 0.0}
     )
     config = tiny(steps=4, validate_every=1)
     train(config)
@@ -261,10 +264,11 @@ def test_best_is_kept_by_score(tiny, monkeypatch):
 
 def test_a_gradient_that_is_not_finite_stops_the_run(tiny, tmp_path, network, monkeypatch):
     def poisoned(*given, **named):
-        losses, saturated = snake_losses(*given, **named)
+        losses, saturated = judge(*given, **named)
         return losses | {"surface": losses["surface"] * math.nan}, saturated
 
-    monkeypatch.setattr(training, "snake_losses", poisoned)
+    judge = training.losses_of
+    monkeypatch.setattr(training, "losses_of", poisoned)
     with pytest.raises(SystemExit, match="step 0: the gradient is not finite"):
         train(tiny())
 
@@ -297,7 +301,7 @@ def test_step_schedule_falls_once_to_a_tenth(tiny):
 
 def test_a_batch_that_does_not_divide_is_refused(tiny, monkeypatch):
     monkeypatch.setenv("WORLD_SIZE", "4")
-    with pytest.raises(SystemExit, match="--batch 6 does not divide over 4 processes"):
+    with pytest.raises(SystemExit, match="batch 6 does not divide over 4 processes"):
         train(tiny(batch=6))
 
 
@@ -311,13 +315,13 @@ def test_a_file_of_nan_ends_the_run_with_a_line_that_names_it(tiny, tmp_path, op
 @pytest.mark.skipif(torch.cuda.is_available(), reason="there is a GPU")
 def test_cuda_without_a_gpu_is_refused(tiny):
     with pytest.raises(SystemExit, match="torch finds no GPU"):
-        train(tiny(device="cuda"))
+        train(tiny(), "cuda")
 
 
 @pytest.mark.skipif(not torch.cuda.is_available(), reason="no GPU")
 def test_a_run_on_the_gpu(tiny):
-    config = tiny(device="cuda", bf16=True)
-    train(config)
+    config = tiny(bf16=True)
+    train(config, "cuda")
     assert state(config)["step"] == 2
     assert all(math.isfinite(value) for steps in scalars(config).values() for value in steps.values())
 
@@ -327,13 +331,33 @@ def test_a_run_on_the_gpu(tiny):
 
 def test_a_short_run_keeps_the_encoder_alive(tiny):
     config = tiny(steps=80, learning_rate=1e-2, weight_decay=0.05, clip_norm=1.0)
-    torch.manual_seed(config.seed)
-    start = training.network_health(SnakeNetwork(config.network), torch.rand(2, 64, 3) - 0.5)
-    train(config)
-    network = load_network(config.run_dir)
-    end = training.network_health(network, torch.rand(2, 64, 3) - 0.5)
-    assert start["dead_share"] < 0.5  # the last layers of the blocks start at zero
-    assert end["dead_share"] == 0 and end["feature_deviation"] > 0.005  # 0 with the L2 penalty inside Adam
+    train(config, "cpu")
+    assert dead_share(load_network(config.run_dir)) == 0  # not so with the L2 penalty inside Adam
+
+
+def test_dead_layers_are_counted(network):
+    assert dead_share(network) == 0
+    for block in network.encoder.blocks:
+        for parameter in block.parameters():
+            parameter.data.zero_()
+    zeroed = sum(p.dim() >= 2 for p in network.encoder.blocks.parameters())
+    assert dead_share(network) == zeroed / sum(p.dim() >= 2 for p in network.parameters())
+
+
+def test_adam_begins_again_where_weights_alone_were_moved(tiny, tmp_path):
+    """The step and the weights move; the rate warms up anew."""
+    config = tiny(steps=4, schedule="cosine")
+    train(config, "cpu", minutes=1e-9)
+    there = dataclasses.replace(config, run_dir=str(tmp_path / "there"))
+    Path(there.run_dir).mkdir()
+    Moved(load_network(Path(config.run_dir) / "last.pt"), 1).write(Path(there.run_dir) / Moved.NAME)
+    train(there, "cpu", minutes=1e-9)
+    moved = state(there)
+    assert (moved["step"], moved["began"]) == (2, 1)
+    before, after = state(config)["ema"], moved["network"]
+    assert all(torch.allclose(after[name], tensor, atol=0.01) for name, tensor in before.items())
+    warm = dataclasses.replace(config, warmup=10, steps=100)
+    assert learning_rate(warm, 50, began=50) == pytest.approx(learning_rate(warm, 50) / 10)
 
 
 def test_weights_without_gradient_are_not_decayed(network, tiny):
@@ -346,50 +370,6 @@ def test_weights_without_gradient_are_not_decayed(network, tiny):
     for name, parameter in network.named_parameters():
         if not name.startswith("encoder.unet3d."):
             assert torch.equal(parameter, before[name]), name
-
-
-def test_health_tells_a_dead_encoder_from_a_living_one(network):
-    points = torch.rand(2, 64, 3) - 0.5
-    alive = training.network_health(network, points)
-    assert alive["dead_share"] == 0 and alive["feature_deviation"] > 0.02
-    network.encoder.fc_pos.weight.data.zero_()
-    network.encoder.fc_pos.bias.data.zero_()
-    for block in network.encoder.blocks:
-        for parameter in block.parameters():
-            parameter.data.zero_()
-    dead = training.network_health(network, points)
-    layers = sum(p.dim() >= 2 for p in network.parameters())
-    zeroed = sum(p.dim() >= 2 for p in network.encoder.blocks.parameters()) + 1
-    assert dead["dead_share"] == zeroed / layers and dead["feature_deviation"] < 1e-6
-
-
-def test_a_revived_encoder_starts_from_the_mean_of_the_dead_one(network):
-    for parameter in network.encoder.blocks.parameters():
-        parameter.data.zero_()
-    points = torch.rand(1, 64, 3) - 0.5
-    fresh = training.revived(network.encoder)
-    assert fresh.unet3d is network.encoder.unet3d
-    old = network.encoder
-    network.encoder = fresh
-    assert training.network_health(network, points)["feature_deviation"] > 0.01
-    voxels = voxel_index(points, network.config)
-    before, after = (e.point_features(points, voxels).detach().mean(dim=1) for e in (old, fresh))
-    assert torch.allclose(before, after, atol=0.3)
-
-
-def test_revived_units_change_nothing_until_they_learn(network):
-    block = network.decoder_occup.blocks[0]
-    with torch.no_grad():
-        block.fc_0.weight[:-1] = 0
-        block.fc_1.weight[:, :-1] = 0
-        block.fc_1.weight[:, -1] = 1
-    x, last = torch.randn(8, block.fc_0.in_features), block.fc_0.weight[-1].clone()
-    expected = block(x)
-    training.revive_units(block)
-    assert torch.equal(block(x), expected)
-    assert torch.equal(block.fc_0.weight[-1], last) and (block.fc_0.weight.abs().amax(dim=1) > 0.01).all()
-    block(x).square().sum().backward()
-    assert (block.fc_1.weight.grad.abs().amax(dim=0) > 0).sum() > 1
 
 
 # A validation without keypoints

@@ -114,6 +114,6 @@ pub(crate) unsafe fn options(pointer: *const c_char) -> Result<Map<String, Value
     }
     // SAFETY: the caller vouches for the text.
     let text = unsafe { text("options", pointer) }?;
-    let refused = |reason| Failure::new(SnakeStatus::Input, format!("options: not a JSON object: {reason}"));
+    let refused = |reason| Failure::new(SnakeStatus::Option, format!("options: not a JSON object: {reason}"));
     serde_json::from_str(text).map_err(refused)
 }

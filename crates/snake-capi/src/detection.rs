@@ -7,6 +7,7 @@ use snake_core::Keypoint;
 use crate::arguments::{SnakeCloud, check_output, input, options as parse_options};
 use crate::model::{SnakeModel, free};
 use crate::status::{SnakeStatus, guarded};
+use crate::threads::run;
 
 /// A keypoint, in the frame and units of the cloud.
 #[repr(C)]
@@ -60,7 +61,7 @@ pub unsafe extern "C" fn snake_detect(
         let (model, points, values) =
             unsafe { (input("model", model)?, cloud.read("cloud")?, parse_options(options)?) };
         let options = model.model.recommended().with_values(&values)?;
-        let found = model.model.detect(&points, &options)?;
+        let found = run(|| Ok(model.model.detect(&points, &options)?))?;
         let keypoints = found.keypoints.iter().map(SnakeKeypoint::from).collect();
         // SAFETY: as above.
         unsafe { detection.write(Box::into_raw(Box::new(SnakeDetection { keypoints }))) };

@@ -17,6 +17,7 @@ mod detection;
 mod model;
 mod registration;
 mod status;
+mod threads;
 
 pub use arguments::SnakeCloud;
 pub use detection::{
@@ -24,8 +25,8 @@ pub use detection::{
     snake_detection_num_keypoints,
 };
 pub use model::{
-    SnakeModel, snake_model_free, snake_model_from_bytes, snake_model_load, snake_model_named, snake_set_num_threads,
-    snake_version,
+    SnakeModel, snake_model_free, snake_model_from_bytes, snake_model_load, snake_model_named, snake_version,
 };
 pub use registration::{SnakeRegistration, snake_register};
 pub use status::{SnakeStatus, snake_last_error};
+pub use threads::snake_set_num_threads;

@@ -5,23 +5,28 @@ use std::ffi::c_char;
 use snake_core::Model;
 
 use crate::arguments::{check_output, text, values};
-use crate::status::{Failure, Result, SnakeStatus, guarded};
+use crate::status::{Result, SnakeStatus, guarded};
+use crate::threads::run;
 
 /// A network with its weights. Several threads may use one at the same time.
 pub struct SnakeModel {
     pub(crate) model: Model,
 }
 
-/// Puts a model on the heap, or a null pointer if there is none.
+/// Puts the model of a source on the heap, or a null pointer if there is none.
 ///
 /// # Safety
 /// `place` is null or valid for a write.
-unsafe fn store(place: *mut *mut SnakeModel, load: impl FnOnce() -> Result<Model>) -> SnakeStatus {
+unsafe fn store<T: Send>(
+    place: *mut *mut SnakeModel,
+    source: Result<T>,
+    load: impl FnOnce(T) -> Result<Model> + Send,
+) -> SnakeStatus {
     guarded(|| {
         check_output("model", place)?;
         // SAFETY: the place is neither null nor misaligned; the caller vouches for the rest.
         unsafe { place.write(std::ptr::null_mut()) };
-        let model = Box::new(SnakeModel { model: load()? });
+        let model = Box::new(SnakeModel { model: run(|| load(source?))? });
         // SAFETY: as above.
         unsafe { place.write(Box::into_raw(model)) };
         Ok(())
@@ -35,7 +40,7 @@ unsafe fn store(place: *mut *mut SnakeModel, load: impl FnOnce() -> Result<Model
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn snake_model_named(name: *const c_char, model: *mut *mut SnakeModel) -> SnakeStatus {
     // SAFETY: the caller vouches for both.
-    unsafe { store(model, || Ok(Model::named(text("name", name)?)?)) }
+    unsafe { store(model, text("name", name), |name| Ok(Model::named(name)?)) }
 }
 
 /// Reads a weight file (safetensors). `*model` is null after an error.
@@ -45,7 +50,7 @@ pub unsafe extern "C" fn snake_model_named(name: *const c_char, model: *mut *mut
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn snake_model_load(path: *const c_char, model: *mut *mut SnakeModel) -> SnakeStatus {
     // SAFETY: the caller vouches for both.
-    unsafe { store(model, || Ok(Model::load(text("path", path)?)?)) }
+    unsafe { store(model, text("path", path), |path| Ok(Model::load(path)?)) }
 }
 
 /// A model from the bytes of a weight file. `*model` is null after an error.
@@ -59,7 +64,7 @@ pub unsafe extern "C" fn snake_model_from_bytes(
     model: *mut *mut SnakeModel,
 ) -> SnakeStatus {
     // SAFETY: the caller vouches for both.
-    unsafe { store(model, || Ok(Model::from_bytes(values("bytes", bytes, length)?)?)) }
+    unsafe { store(model, values("bytes", bytes, length), |bytes| Ok(Model::from_bytes(bytes)?)) }
 }
 
 /// Frees a model; null is allowed.
@@ -84,23 +89,6 @@ pub(crate) unsafe fn free<T>(pointer: *mut T) {
         }
         Ok(())
     });
-}
-
-/// Sets the number of threads of all calls; 0: one for each core. At most 256, or the number of cores. It must be called before
-/// the first other call that computes, and once; a call that is refused does not count. The environment variable
-/// `RAYON_NUM_THREADS` does the same.
-#[unsafe(no_mangle)]
-pub extern "C" fn snake_set_num_threads(num_threads: usize) -> SnakeStatus {
-    guarded(|| {
-        let refused = |reason: String| Failure::new(SnakeStatus::Argument, reason);
-        if num_threads > 0 {
-            snake_core::check_num_threads(num_threads).map_err(|error| refused(error.to_string()))?;
-        }
-        let builder = || rayon::ThreadPoolBuilder::new().num_threads(num_threads);
-        // Once the threads of all calls could not be started, no later call can start them: others are tried first.
-        let started = builder().build().map(drop).and_then(|()| builder().build_global());
-        started.map_err(|error| refused(format!("num_threads: {error}")))
-    })
 }
 
 /// The version of the library, such as "0.1.0".

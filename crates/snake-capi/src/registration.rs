@@ -8,6 +8,7 @@ use snake_registration::{PairOptions, RegisterOptions, Registration, register_wi
 use crate::arguments::{SnakeCloud, check_output, optional, options as parse_options};
 use crate::model::SnakeModel;
 use crate::status::{SnakeStatus, guarded};
+use crate::threads::run;
 
 /// The rigid transform between two clouds.
 #[repr(C)]
@@ -74,7 +75,8 @@ pub unsafe extern "C" fn snake_register(
         let values = unsafe { parse_options(options) }?;
         let defaults = (RegisterOptions::default(), PairOptions::default());
         let (options, pair_options) = with_named_values(&defaults, &values)?;
-        let result = register_with(&source, &target, model, &options, &pair_options, &Control::default())?;
+        let control = Control::default();
+        let result = run(|| Ok(register_with(&source, &target, model, &options, &pair_options, &control)?))?;
         let result = SnakeRegistration::from(&result);
         // SAFETY: the place is neither null nor misaligned; the caller vouches for the rest.
         unsafe { registration.write(result) };

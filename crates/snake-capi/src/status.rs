@@ -15,9 +15,9 @@ pub enum SnakeStatus {
     Ok = 0,
     /// A pointer is null or misaligned, a text is not UTF-8, or a length is impossible.
     Argument = 1,
-    /// A cloud that cannot be used: without finite points, or without extent; or text of options that is not JSON.
+    /// A cloud that cannot be used, without finite points or without extent; or clouds that no transform fits.
     Input = 2,
-    /// An option is outside its range.
+    /// Options that cannot be used: no JSON object, an unknown name, or a value of another type or out of its range.
     Option = 3,
     /// A weight file does not hold the network that it names.
     Weights = 4,
@@ -47,8 +47,8 @@ impl Failure {
 impl From<Error> for Failure {
     fn from(error: Error) -> Self {
         let status = match error {
+            Error::Input { what: "options", .. } | Error::Option { .. } => SnakeStatus::Option,
             Error::Input { .. } | Error::NoTransform { .. } => SnakeStatus::Input,
-            Error::Option { .. } => SnakeStatus::Option,
             Error::Weights { .. } => SnakeStatus::Weights,
             Error::Io { .. } => SnakeStatus::Io,
             _ => SnakeStatus::Internal,

@@ -9,6 +9,7 @@ use clap::Args;
 use snake_core::zero_hint;
 use snake_io::{self as io, Cloud, Columns, Contents, POINT_EXTENSIONS, PointFormat, ReadOptions};
 
+use crate::patterns::{each_once, matching};
 use crate::terminal;
 
 /// The argument for the standard input or output.
@@ -28,6 +29,34 @@ pub struct InputArguments {
     pub sample: Option<u32>,
     #[command(flatten)]
     pub columns: ColumnArguments,
+}
+
+/// A list of inputs.
+#[derive(Args)]
+pub struct ListArgument {
+    /// Also read the inputs that this file lists, one on each line; `-` reads the list from the standard input. A command line
+    /// holds some thousand names, a list any number.
+    #[arg(long, value_name = "FILE")]
+    pub input_list: Option<PathBuf>,
+}
+
+impl ListArgument {
+    /// The inputs of the command line, then those of the list.
+    pub fn extend(&self, inputs: &[PathBuf]) -> Result<Vec<PathBuf>> {
+        let Some(list) = &self.input_list else { return Ok(inputs.to_vec()) };
+        let is_stdin = list == Path::new(DASH);
+        if is_stdin && inputs.contains(list) {
+            bail!("the standard input `-` can be given only once");
+        }
+        let text = if is_stdin { std::io::read_to_string(std::io::stdin()) } else { std::fs::read_to_string(list) };
+        let text = text.with_context(|| format!("cannot read {}", list.display()))?;
+        let lines = text.trim_start_matches('\u{feff}').lines().map(str::trim_end).filter(|line| !line.is_empty());
+        let inputs: Vec<PathBuf> = inputs.iter().cloned().chain(lines.map(PathBuf::from)).collect();
+        if inputs.is_empty() {
+            bail!("{}: the list of inputs is empty", list.display());
+        }
+        Ok(inputs)
+    }
 }
 
 /// The columns of text files and NumPy arrays that hold the coordinates.
@@ -143,8 +172,8 @@ fn point_format(extension: &str) -> Result<PointFormat> {
 }
 
 /// The files to read: named files, files that match a pattern, and the clouds in directories. The files of a pattern or
-/// a directory are sorted by name. With a format they are those of this format. A directory that is an input itself, as a
-/// bag of ROS 2 is for `detect`, stays what it is.
+/// a directory are sorted by name, and each is given once. With a format they are those of this format. A directory that is
+/// an input itself, as a bag of ROS 2 is for `detect`, stays what it is.
 pub fn expand(
     inputs: &[PathBuf],
     format: Option<PointFormat>,
@@ -152,30 +181,17 @@ pub fn expand(
 ) -> Result<Vec<PathBuf>> {
     let mut files = Vec::new();
     for input in inputs {
+        let mut paths = Vec::new();
         for path in matching(input)? {
             if path.is_dir() && !is_input(&path) {
-                files.append(&mut clouds_in(&path, format)?)
+                paths.append(&mut clouds_in(&path, format)?)
             } else {
-                files.push(path)
+                paths.push(path)
             }
         }
+        files.append(&mut each_once(paths));
     }
     Ok(files)
-}
-
-/// The paths that match a pattern of `*`, `?`, `[..]` and `**`. The shell leaves patterns to us when they are quoted,
-/// and on Windows. Any other path, and a pattern that is also the name of a file, gives the path itself.
-fn matching(input: &Path) -> Result<Vec<PathBuf>> {
-    let Some(pattern) = input.to_str().filter(|text| text.contains(['*', '?', '[']) && !input.exists()) else {
-        return Ok(vec![input.into()]);
-    };
-    let paths = glob::glob(pattern).with_context(|| format!("{pattern}: not a valid pattern"))?;
-    let paths: Result<Vec<PathBuf>, _> = paths.collect();
-    let paths = paths.with_context(|| format!("{pattern}: cannot list"))?;
-    if paths.is_empty() {
-        bail!("{pattern}: no file matches this pattern");
-    }
-    Ok(paths)
 }
 
 /// The most files of a directory that a text names.

@@ -13,6 +13,7 @@ mod inputs;
 mod interrupt;
 mod model;
 mod output;
+mod patterns;
 mod reconstruct;
 mod register;
 mod render;
@@ -22,17 +23,19 @@ mod terminal;
 mod timing;
 mod view;
 
+use std::ffi::OsString;
 use std::process::ExitCode;
 
 use anyhow::Result;
-use clap::Parser;
+use clap::builder::Resettable;
 use clap::error::{ContextKind, ContextValue, ErrorKind};
+use clap::{Arg, CommandFactory, FromArgMatches};
 
 use args::{Arguments, Command};
 use snake_core::printable;
 
 fn main() -> ExitCode {
-    let arguments = match Arguments::try_parse() {
+    let arguments = match parsed(std::env::args_os()) {
         Ok(arguments) => arguments,
         Err(error) => return explain(error),
     };
@@ -43,12 +46,26 @@ fn main() -> ExitCode {
     })
 }
 
+/// The arguments of a command line.
+fn parsed<T: Into<OsString> + Clone>(words: impl IntoIterator<Item = T>) -> Result<Arguments, clap::Error> {
+    let mut command = without_empty_variables(Arguments::command());
+    let mut matches = command.try_get_matches_from_mut(words)?;
+    Arguments::from_arg_matches_mut(&mut matches).map_err(|error| error.format(&mut command))
+}
+
+/// A variable of the environment that is empty counts as none.
+fn without_empty_variables(command: clap::Command) -> clap::Command {
+    let is_empty = |arg: &Arg| arg.get_env().and_then(std::env::var_os).is_some_and(|value| value.is_empty());
+    let command = command.mut_args(|arg| if is_empty(&arg) { arg.env(Resettable::Reset) } else { arg });
+    command.mut_subcommands(without_empty_variables)
+}
+
 fn run(command: &Command) -> Result<ExitCode> {
     interrupt::end_between_files()?;
     match command {
         Command::Align(arguments) => return align::run(arguments),
         Command::Detect(arguments) => return detect::run(arguments),
-        Command::Eval(command) => eval::run(command)?,
+        Command::Eval(command) => return eval::run(command),
         Command::Field(arguments) => field::run(arguments)?,
         Command::Reconstruct(arguments) => reconstruct::run(arguments)?,
         Command::Register(arguments) => return register::run(arguments),
@@ -91,7 +108,7 @@ fn explain(error: clap::Error) -> ExitCode {
 /// break in an argument would look like a line of clap's own text.
 fn with_printable_arguments(error: clap::Error) -> clap::Error {
     let arguments = std::env::args_os().map(|argument| printable(&argument.to_string_lossy()).into_owned());
-    let mut error = Arguments::try_parse_from(arguments).err().unwrap_or(error);
+    let mut error = parsed(arguments).err().unwrap_or(error);
     // The value of an environment variable is not among the arguments.
     if let Some(ContextValue::String(value)) = error.get(ContextKind::InvalidValue) {
         let value = printable(value).into_owned();

@@ -57,15 +57,8 @@ impl ComputeArguments {
             }
             rayon::ThreadPoolBuilder::new().num_threads(threads.into()).build_global()?;
         }
+        SimdLevel::check_environment().map_err(anyhow::Error::msg)?;
         let simd = SimdLevel::current().name();
-        let wanted = std::env::var("SNAKE_SIMD").unwrap_or_default();
-        if !wanted.is_empty() && wanted != simd {
-            let names: Vec<&str> = SimdLevel::available().into_iter().map(SimdLevel::name).collect();
-            terminal::warn(&format!(
-                "SNAKE_SIMD is {wanted}: allowed is {}; {simd} is used instead",
-                names.join(" or ")
-            ));
-        }
         terminal::detail("threads", || format!("{}, SIMD {simd}", rayon::current_num_threads()));
         Ok(())
     }

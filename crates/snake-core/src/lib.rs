@@ -58,7 +58,7 @@ pub use live::{Detector, Tracker, TrackerOptions};
 #[cfg(feature = "builtin-models")]
 pub use models::Builtin;
 pub use models::{Model, scale_hint, scene_signs};
-pub use network::{ModelConfig, PointEncoder, Scatter, Volume, VolumeFrame, VolumeShape};
+pub use network::{ModelConfig, PointEncoder, Scatter, Volume, VolumeFrame, VolumeShape, read_weight_file};
 #[cfg(feature = "arrow")]
 pub use snake_geometry::ArrowPoints;
 pub use snake_geometry::{

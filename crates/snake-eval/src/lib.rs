@@ -70,7 +70,8 @@ pub use repeatability::{
     mean_distance_to_keypoints, relative_repeatability, repeated_keypoints, symmetric_repeatability,
 };
 pub use semantic::{
-    MatchCounts, SmplProtocol, Unreachable, geodesic_distances, semantic_counts, smpl_iou, smpl_pair_counts,
+    MatchCounts, SmplProtocol, Unreachable, geodesic_distances, geodesic_distances_with, semantic_counts, smpl_iou,
+    smpl_pair_counts,
 };
 
 /// `f32`, or `f64`, which also holds the coordinates of georeferenced points.

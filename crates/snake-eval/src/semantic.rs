@@ -11,7 +11,7 @@ use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
 use super::{Coordinate, check_thresholds};
-use snake_core::{Error, Result};
+use snake_core::{Control, Error, Result};
 use snake_geometry::{Neighbors, Point, check_points, nearest_points, vector};
 
 /// Number of neighbours of a point in the graph of geodesic distances (SNAKE section 4.1, KeypointNet).
@@ -97,6 +97,19 @@ pub fn geodesic_distances<T: Coordinate>(
     sources: &[usize],
     neighbors: usize,
 ) -> Result<Vec<Vec<f64>>> {
+    geodesic_distances_with(points, sources, neighbors, &Control::default())
+}
+
+/// [`geodesic_distances`] with cancellation and a deadline.
+///
+/// # Errors
+/// The errors of [`geodesic_distances`]; [`Error::Cancelled`] and [`Error::DeadlineExceeded`].
+pub fn geodesic_distances_with<T: Coordinate>(
+    points: &[[T; 3]],
+    sources: &[usize],
+    neighbors: usize,
+    control: &Control,
+) -> Result<Vec<Vec<f64>>> {
     check_points("points", points)?;
     check_indices("sources", sources, points.len())?;
     if sources.len().saturating_mul(points.len()) > MOST_DISTANCES {
@@ -104,7 +117,8 @@ pub fn geodesic_distances<T: Coordinate>(
         return Err(Error::Input { what: "sources", reason });
     }
     let graph = neighbor_graph(points, neighbors)?;
-    Ok(sources.par_iter().map(|&source| shortest_paths(&graph, source)).collect())
+    let paths = |&source| control.check().map(|()| shortest_paths(&graph, source));
+    sources.par_iter().map(paths).collect()
 }
 
 /// KeypointNet's counts for one shape, one for each threshold (SNAKE section 4.1).

@@ -1,5 +1,7 @@
 //! Reads point clouds from files and from bytes.
 
+use std::fs::File;
+use std::io::Read;
 use std::path::Path;
 
 use snake_geometry::{Cloud, Point};
@@ -99,9 +101,17 @@ pub fn read_cloud(path: &Path, options: &ReadOptions) -> Result<Cloud> {
 /// # Errors
 /// As [`read_cloud`].
 pub fn read_contents(path: &Path, options: &ReadOptions) -> Result<Contents> {
-    let format = PointFormat::from_path(path)?;
+    let format = format_of(path)?;
     let bytes = std::fs::read(path).map_err(|source| Error::Io { path: path.into(), source })?;
     parse(&bytes, format, options).map_err(|reason| Error::Format { path: path.into(), reason })
+}
+
+/// The format of a file. What is missing or a folder has no format that could be wrong.
+fn format_of(path: &Path) -> Result<PointFormat> {
+    PointFormat::from_path(path).map_err(|unknown| match File::open(path).and_then(|mut file| file.read(&mut [0])) {
+        Ok(_) => unknown,
+        Err(source) => Error::Io { path: path.into(), source },
+    })
 }
 
 /// Calls `found` with each position of a file, in the file's order and units. Returns its coordinate reference system.
@@ -111,12 +121,12 @@ pub fn read_contents(path: &Path, options: &ReadOptions) -> Result<Contents> {
 /// # Errors
 /// As [`read_cloud`]. Positions before a damaged part are then found nevertheless.
 pub fn for_each_position(path: &Path, options: &ReadOptions, found: &mut dyn FnMut([f64; 3])) -> Result<Option<Crs>> {
-    let format = PointFormat::from_path(path)?;
+    let format = format_of(path)?;
     let io_error = |source| Error::Io { path: path.into(), source };
     let format_error = |reason| Error::Format { path: path.into(), reason };
     #[cfg(feature = "laz")]
     if (format, &options.columns, options.sample) == (PointFormat::Las, &None, None) {
-        let file = std::io::BufReader::with_capacity(1 << 20, std::fs::File::open(path).map_err(io_error)?);
+        let file = std::io::BufReader::with_capacity(1 << 20, File::open(path).map_err(io_error)?);
         return las::for_each_position(file, found).map_err(format_error);
     }
     let bytes = std::fs::read(path).map_err(io_error)?;
@@ -161,12 +171,13 @@ fn parse_as(bytes: &[u8], format: PointFormat, options: &ReadOptions) -> std::re
         let cloud = Cloud::from_positions(npy::positions(bytes, options.columns.as_ref())?);
         return Ok(Contents { cloud, ..Contents::default() });
     }
-    let shape = read_shape(bytes, format, options)?;
-    let viewpoint = if format == PointFormat::Pcd { pcd::viewpoint(bytes) } else { None };
     #[cfg(feature = "laz")]
     let crs = if format == PointFormat::Las { las::crs(bytes) } else { None };
     #[cfg(not(feature = "laz"))]
     let crs = None;
+    crs.iter().try_for_each(Crs::check_lengths)?;
+    let shape = read_shape(bytes, format, options)?;
+    let viewpoint = if format == PointFormat::Pcd { pcd::viewpoint(bytes) } else { None };
     let (cloud, unsampled_faces) = match options.sample {
         Some(number) => (shape.sample(number, options.seed)?.into_cloud(), 0),
         None => {

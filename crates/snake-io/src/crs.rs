@@ -13,6 +13,22 @@ pub struct Crs {
     pub is_geographic: bool,
 }
 
+impl Crs {
+    /// Refuses longitude and latitude, which are no lengths, with what to do about them.
+    ///
+    /// # Errors
+    /// The refusal in words.
+    pub fn check_lengths(&self) -> Result<(), &'static str> {
+        if self.is_geographic {
+            return Err(
+                "longitude and latitude in degrees are no lengths; project it to metres first, for example with \
+                        `pdal translate in.laz out.laz reprojection --filters.reprojection.out_srs=EPSG:32632`",
+            );
+        }
+        Ok(())
+    }
+}
+
 #[cfg(feature = "laz")]
 impl Crs {
     /// The system that a text describes: WKT of version 1 or 2.
@@ -73,11 +89,13 @@ mod tests {
         let degrees = Crs::from_wkt(&format!("{GEOGRAPHIC}\0"));
         assert_eq!((degrees.epsg, degrees.is_geographic), (Some(4326), true));
         assert_eq!(degrees.wkt.as_deref(), Some(GEOGRAPHIC));
+        assert!(degrees.check_lengths().unwrap_err().contains("degrees"));
         let utm = format!(
             r#"COMPD_CS["both",PROJCS["UTM",{GEOGRAPHIC},AUTHORITY["EPSG","25832"]],VERT_CS["h",AUTHORITY["EPSG","7837"]]]"#
         );
         let metres = Crs::from_wkt(&utm);
         assert_eq!((metres.epsg, metres.is_geographic), (Some(25832), false));
+        assert_eq!(metres.check_lengths(), Ok(()));
         assert_eq!(Crs::from_wkt(r#"PROJCRS["x",BASEGEOGCRS["y"],ID["EPSG",2056]]"#).epsg, Some(2056));
         assert_eq!(Crs::from_wkt("LOCAL_CS[\"site\"]").epsg, None);
     }

@@ -281,6 +281,10 @@ fn conversion(extension: &str) -> Option<&'static str> {
         "bag" => "convert the ROS 1 bag: mcap convert FILE.bag FILE.mcap",
         "db3" => "it is a recording: snake-cli detect FILE.db3 --topic /TOPIC, or read_recording in Rust and Python",
         "zstd" | "zst" => "decompress it: zstd -d FILE",
+        "gz" => "decompress it: gunzip --keep FILE",
+        "bz2" => "decompress it: bunzip2 --keep FILE",
+        "xz" => "decompress it: unxz --keep FILE",
+        "zip" => "unpack it: unzip FILE",
         "mcap" => "it is a recording: snake-cli detect FILE.mcap --topic /TOPIC, or read_recording in Rust and Python",
         "pcap" | "pcapng" => "convert the recording to LAS files: ouster-cli source FILE.pcap save FILE.las",
         "ptx" | "fls" | "rcp" => "convert it with CloudCompare: CloudCompare -O FILE -C_EXPORT_FMT PLY -SAVE_CLOUDS",
@@ -292,7 +296,12 @@ fn conversion(extension: &str) -> Option<&'static str> {
         }
         "drc" => "decode it: draco_decoder -i FILE.drc -o FILE.ply",
         "vtk" | "vtu" => "convert it: meshio convert FILE FILE.ply",
-        "fbx" | "dae" | "3ds" | "blend" => "convert it to a mesh: assimp export FILE FILE.ply",
+        "lvx" | "lvx2" => "export it with Livox Viewer as LAS or CSV",
+        "splat" | "ksplat" | "spz" | "sog" => {
+            "convert the Gaussian splats: npx @playcanvas/splat-transform FILE FILE.ply"
+        }
+        "usd" | "usda" | "usdc" | "usdz" => "convert it to a mesh: import it in Blender, and export it as PLY",
+        "fbx" | "dae" | "3ds" | "3mf" | "blend" => "convert it to a mesh: assimp export FILE FILE.ply",
         "step" | "stp" | "iges" | "igs" => "convert it to a mesh: freecadcmd, then Mesh.export to FILE.stl",
         _ => return None,
     })

@@ -183,3 +183,35 @@ fn unknown_extensions_are_refused_with_the_list() {
     }
     assert!(matches!(read_points(Path::new("/nowhere/a.PLY")), Err(Error::Io { .. })));
 }
+
+/// A LAS file with a further record of the user `LASF_Projection`.
+#[cfg(feature = "laz")]
+fn with_record(number: u16, data: &[u8]) -> Vec<u8> {
+    let path = concat!(env!("CARGO_MANIFEST_DIR"), "/../../tests/data/io/good/format_2.las");
+    let mut bytes = std::fs::read(path).unwrap();
+    let mut record = [0; 54].to_vec();
+    record[2..17].copy_from_slice(b"LASF_Projection");
+    record[18..20].copy_from_slice(&number.to_le_bytes());
+    record[20..22].copy_from_slice(&(data.len() as u16).to_le_bytes());
+    record.extend(data);
+    let header = u16::from_le_bytes([bytes[94], bytes[95]]) as usize;
+    let begins = u32::from_le_bytes(bytes[96..100].try_into().unwrap()) + record.len() as u32;
+    bytes[96..100].copy_from_slice(&begins.to_le_bytes());
+    bytes[100] += 1;
+    bytes.splice(header..header, record);
+    bytes
+}
+
+#[test]
+#[cfg(feature = "laz")]
+fn laser_scans_in_degrees_are_refused_with_what_to_do() {
+    let keys = |kind: u16, key: u16, code: u16| -> Vec<u8> {
+        [1, 1, 0, 2, 1024, 0, 1, kind, key, 0, 1, code].iter().flat_map(|n: &u16| n.to_le_bytes()).collect()
+    };
+    let read = |bytes: Vec<u8>| parse_cloud(&bytes, PointFormat::Las, &ReadOptions::default());
+    for degrees in [with_record(34735, &keys(2, 2048, 4326)), with_record(2112, b"GEOGCS[\"WGS 84\"]")] {
+        let error = read(degrees).unwrap_err().to_string();
+        assert!(error.contains("degrees are no lengths; project it to metres"), "{error}");
+    }
+    assert_eq!(read(with_record(34735, &keys(1, 3072, 25832))).unwrap().points, CLOUD);
+}

@@ -170,11 +170,17 @@ impl PairOptions {
     }
 }
 
-/// Refuses a position that is not finite.
+/// The largest coordinate of a viewpoint, in cloud units. Points may lie as far; squares of what is
+/// much farther overflow.
+const MAX_COORDINATE: f64 = 1e15;
+
+/// Refuses a viewpoint with a coordinate that is not finite or too far.
 pub(crate) fn check_viewpoint(name: &'static str, viewpoint: Option<[f64; 3]>) -> Result<()> {
-    match viewpoint.filter(|position| !position.iter().all(|v| v.is_finite())) {
-        Some(value) => Err(Error::Option { name, value: format!("{value:?}"), allowed: "three finite numbers" }),
-        None => Ok(()),
+    match viewpoint {
+        Some(position) if !position.iter().all(|v| v.abs() <= MAX_COORDINATE) => {
+            Err(Error::Option { name, value: format!("{position:?}"), allowed: "three numbers from -1e15 to 1e15" })
+        }
+        _ => Ok(()),
     }
 }
 

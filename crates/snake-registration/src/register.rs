@@ -38,7 +38,7 @@ pub fn register(source: &[Point], target: &[Point], options: &RegisterOptions) -
 }
 
 /// [`register`] with what is known of the pair, with the model of the detector `snake` or the
-/// descriptor `field`, and with progress and cancellation; a classical detector is not interrupted.
+/// descriptor `field`, and with progress and cancellation.
 ///
 /// # Errors
 /// The errors of [`register`]; [`Error::Cancelled`](snake_core::Error::Cancelled) and

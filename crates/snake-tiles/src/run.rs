@@ -334,12 +334,8 @@ impl Extent {
     /// Adds the coordinate reference system of a file.
     pub(crate) fn add_crs(&mut self, file: &Path, crs: Option<Crs>) -> Result<()> {
         let Some(crs) = crs else { return Ok(()) };
-        if crs.is_geographic {
-            let reason = format!(
-                "{}: longitude and latitude in degrees are no lengths; project it to metres first, for example with \
-                 `pdal translate in.laz out.laz reprojection --filters.reprojection.out_srs=EPSG:32632`",
-                file.display()
-            );
+        if let Err(reason) = crs.check_lengths() {
+            let reason = format!("{}: {reason}", file.display());
             return Err(Error::Refused { what: "coordinate reference system", reason });
         }
         match (&self.first, &self.crs) {

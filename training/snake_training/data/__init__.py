@@ -1,6 +1,6 @@
 """Where training shapes come from: the int16 corpus, WebDataset shards, folders of clouds, or procedural shapes. None needs labels."""
 
-from .datasets import Corpus, Folder, Mixture, ShapeError, Shards, Stretched, open_all, open_shapes, write_corpus
+from .datasets import Corpus, Folder, Mixture, ShapeError, Shards, open_all, open_shapes, write_corpus
 from .procedural import Procedural
 
 __all__ = [
@@ -10,7 +10,6 @@ __all__ = [
     "Procedural",
     "ShapeError",
     "Shards",
-    "Stretched",
     "open_all",
     "open_shapes",
     "write_corpus",

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 from tqdm import tqdm
 
-from ..augment import choose, normalize, random_rotation
+from ..augment import choose, normalize
 from .official import Bodies, clouds_below, clouds_of_split
 from .procedural import Procedural
 
@@ -123,22 +123,6 @@ class Shards:
         return self[rng.integers(len(self))]
 
 
-class Stretched:
-    """Copies of all shapes, each stretched by 0.6 to 1.6 along each of three random axes, for more variety."""
-
-    def __init__(self, shapes, copies):
-        self.shapes, self.copies = shapes, copies
-
-    def __len__(self):
-        return len(self.shapes) * self.copies
-
-    def __getitem__(self, row):
-        rng = np.random.default_rng([row, 0x57E])
-        axes = random_rotation(rng)
-        cloud = self.shapes[row % len(self.shapes)]
-        return (cloud @ axes.T * np.exp(rng.uniform(-0.5, 0.5, 3)) @ axes).astype(np.float32)
-
-
 class Mixture:
     """A share of procedural shapes, the rest uniformly over all shapes of the other collections; rows are theirs."""
 
@@ -188,6 +172,8 @@ def finite_points(points, name):
     """The finite points (N, 3) of an array that may have further columns, near zero and without outliers."""
     if points.dtype.kind not in "fiu" or points.ndim != 2 or points.shape[1] < 3:
         raise ShapeError(f"{name}: expected (N, 3) numbers, found {points.dtype} {points.shape}")
+    if len(points) <= 4 < points.shape[1]:
+        raise ShapeError(f"{name}: expected (N, 3), found {points.shape}: transpose it")
     points = points[:, :3].astype(np.float64)
     points = near_zero(points[np.isfinite(points).all(axis=1)]).astype(np.float32)
     if len(points) < 2 or (points == points[0]).all():

@@ -52,6 +52,22 @@ def drive(seed, number, step):
         world = type(world)((k, c + shift if moving else c, a, fuzz, moving) for k, c, a, fuzz, moving in world.rows)
 
 
+def write(folder, drives, sweeps, step, seed):
+    """Sweeps of `drives` streets, `sweeps` of each, `step` metres apart, with the list of neighbouring pairs."""
+    folder.mkdir(parents=True, exist_ok=True)
+    rows = []
+    for number in range(seed, seed + drives):
+        poses = []
+        for view, (points, matrix) in enumerate(drive(number, sweeps, step)):
+            np.save(folder / f"drive{number:03d}_{view}.npy", points)
+            poses.append(matrix)
+        for view in range(1, len(poses)):
+            matrix = np.linalg.inv(poses[view - 1]) @ poses[view]
+            names = {"source": f"drive{number:03d}_{view}", "target": f"drive{number:03d}_{view - 1}"}
+            rows.append(names | {"T": matrix.tolist()})
+    (folder / "pairs.json").write_text(json.dumps(rows, indent=1))
+
+
 def main(argv=None):
     """Command line."""
     parser = argparse.ArgumentParser(
@@ -66,18 +82,7 @@ def main(argv=None):
     arguments = parser.parse_args(argv)
     if min(arguments.drives, arguments.sweeps - 1) < 1:
         parser.error("--drives must be 1 or more, --sweeps 2 or more")
-    folder, rows = Path(arguments.output), []
-    folder.mkdir(parents=True, exist_ok=True)
-    for seed in range(arguments.seed, arguments.seed + arguments.drives):
-        poses = []
-        for number, (points, matrix) in enumerate(drive(seed, arguments.sweeps, arguments.step)):
-            np.save(folder / f"drive{seed:03d}_{number}.npy", points)
-            poses.append(matrix)
-        for number in range(1, len(poses)):
-            matrix = np.linalg.inv(poses[number - 1]) @ poses[number]
-            names = {"source": f"drive{seed:03d}_{number}", "target": f"drive{seed:03d}_{number - 1}"}
-            rows.append(names | {"T": matrix.tolist()})
-    (folder / "pairs.json").write_text(json.dumps(rows, indent=1))
+    write(Path(arguments.output), arguments.drives, arguments.sweeps, arguments.step, arguments.seed)
 
 
 if __name__ == "__main__":

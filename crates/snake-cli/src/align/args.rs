@@ -7,7 +7,7 @@ use clap::Args;
 use snake_registration::{AlignOptions, RegisterOptions};
 
 use crate::flags::OptionFlags;
-use crate::inputs::InputArguments;
+use crate::inputs::{InputArguments, ListArgument};
 use crate::register::args::RegisterFlags;
 use crate::setup::ComputeArguments;
 
@@ -15,8 +15,10 @@ use crate::setup::ComputeArguments;
 pub struct AlignArguments {
     /// The clouds, in the same units: files, folders or quoted patterns ('scans/*.pcd'). Those of a folder or a pattern are
     /// sorted by name.
-    #[arg(required = true)]
+    #[arg(required_unless_present = "input_list")]
     pub inputs: Vec<PathBuf>,
+    #[command(flatten)]
+    pub list: ListArgument,
     /// Write the poses to this file (.json, with the same content as --json).
     #[arg(short, long)]
     pub output: Option<PathBuf>,

@@ -25,7 +25,7 @@ pub fn run(arguments: &AlignArguments) -> Result<ExitCode> {
         bail!("{}: poses are written as .json", path.display());
     }
     merged.as_deref().map(CloudFormat::from_path).transpose()?;
-    let inputs = expand(&arguments.inputs, arguments.input.input_format, |_| false)?;
+    let inputs = expand(&arguments.list.extend(&arguments.inputs)?, arguments.input.input_format, |_| false)?;
     check_inputs(&inputs)?;
     let files = InputFiles::new(inputs.iter().chain(&arguments.compute.model));
     output.iter().chain(merged).try_for_each(|path| files.refuse_as_output(path))?;

@@ -8,7 +8,7 @@ use snake_core::{DetectOptions, Options};
 use snake_io::KeypointFormat;
 
 use crate::flags::OptionFlags;
-use crate::inputs::InputArguments;
+use crate::inputs::{InputArguments, ListArgument};
 use crate::setup::{ComputeArguments, EncodeFlags, Loaded, Suits, named};
 
 #[derive(Args)]
@@ -17,8 +17,10 @@ pub struct DetectArguments {
     /// KITTI and nuScenes), meshes (.ply, .obj, .off, .stl, .gltf, .glb), directories of such files, or quoted patterns:
     /// 'scans/**/*.ply'; `-` is the standard input. Or one recording of ROS (.mcap, .db3, or the folder of a bag), all
     /// clouds of which are processed.
-    #[arg(required = true)]
+    #[arg(required_unless_present = "input_list")]
     pub inputs: Vec<PathBuf>,
+    #[command(flatten)]
+    pub list: ListArgument,
     /// Write the keypoints to this file (.ply, .pcd, .npy, .csv, .json, .laz, .parquet or .keypointnet.json). For several
     /// inputs, write them to this directory as NAME.keypoints.EXT, for a recording as NAME.000000.keypoints.EXT. `-` is the
     /// standard output; the report then goes to the standard error.

@@ -37,7 +37,7 @@ pub fn run(arguments: &DetectArguments) -> Result<ExitCode> {
     let models = arguments.compute.load_models(suits, |loaded| arguments.options.resolve(loaded))?;
     let control = Control::new().progress(&progress);
     let load_model = loading.elapsed().as_secs_f64();
-    let inputs = expand(&arguments.inputs, arguments.input.input_format, io::is_recording)?;
+    let inputs = expand(&arguments.list.extend(&arguments.inputs)?, arguments.input.input_format, io::is_recording)?;
     check_inputs(&inputs)?;
     let job = Job { models: &models, arguments, control: &control, hinted: &Mutex::default() };
     if recording::is_given(arguments, &inputs)? {

@@ -10,12 +10,14 @@ mod repeatability;
 mod schedule;
 mod semantic;
 
+use std::process::ExitCode;
+
 use anyhow::Result;
 
 use args::{Eval, RunArguments};
 
 /// Evaluates everything that is not yet recorded, then reports.
-pub fn run(command: &Eval) -> Result<()> {
+pub fn run(command: &Eval) -> Result<ExitCode> {
     let RunArguments { compute, .. } = match command {
         Eval::Repeatability(arguments) => &arguments.common.run,
         Eval::Semantic(arguments) => &arguments.common.run,
@@ -23,8 +25,9 @@ pub fn run(command: &Eval) -> Result<()> {
     };
     compute.start_threads()?;
     match command {
-        Eval::Repeatability(arguments) => repeatability::run(arguments),
-        Eval::Semantic(arguments) => semantic::run(arguments),
-        Eval::Registration(arguments) => registration::run(arguments),
+        Eval::Repeatability(arguments) => return repeatability::run(arguments),
+        Eval::Semantic(arguments) => semantic::run(arguments)?,
+        Eval::Registration(arguments) => registration::run(arguments)?,
     }
+    Ok(ExitCode::SUCCESS)
 }

@@ -1,6 +1,7 @@
 //! `snake-cli eval repeatability`.
 
 use std::path::{Path, PathBuf};
+use std::process::ExitCode;
 
 use anyhow::{Context, Result, bail};
 use serde_json::{Value, json};
@@ -21,15 +22,18 @@ use crate::inputs::{ColumnArguments, expand};
 use crate::terminal;
 
 /// Evaluates every pair that is not yet recorded, then reports.
-pub fn run(arguments: &RepeatabilityArguments) -> Result<()> {
+pub fn run(arguments: &RepeatabilityArguments) -> Result<ExitCode> {
     let common = &arguments.common;
-    let data = open(arguments)?;
     let columns = &common.run.columns;
+    let (data, left_out) = open(arguments)?;
     let plan = Plan::new(arguments, &data)?;
     let methods = Method::all(common, None)?;
     let schedule = Schedule::new(data.len(), &common.run)?;
     let radii = plan.radii(&data, columns, &schedule, &methods, common.coverage)?;
-    let settings = plan.settings(arguments, &methods);
+    let mut settings = plan.settings(arguments, &methods);
+    if !left_out.is_empty() {
+        settings["left_out"] = json!(left_out);
+    }
     let inputs = data.files().into_iter().chain(arguments.transform.as_deref());
     files::check(&common.run, "repeatability", inputs)?;
     let mut record = Record::open(common.run.output.as_deref(), "repeatability", &settings, schedule.tasks().len())?;
@@ -43,21 +47,45 @@ pub fn run(arguments: &RepeatabilityArguments) -> Result<()> {
     if let Some(output) = &common.run.output {
         files::write(output, "repeatability", &report.files())?;
     }
-    terminal::print_report(&report.text_lines().into_iter().collect())
+    terminal::print_report(&report.text_lines().into_iter().collect())?;
+    Ok(if left_out.is_empty() { ExitCode::SUCCESS } else { ExitCode::FAILURE })
 }
 
-/// Opens the data set of the command line: two clouds with their transform, a folder in a known layout, or cloud files.
-fn open(arguments: &RepeatabilityArguments) -> Result<ViewPairs> {
+/// Opens the data set of the command line: two clouds with their transform, a folder in a known layout, or cloud files. Also
+/// returns the cloud files that are left out.
+fn open(arguments: &RepeatabilityArguments) -> Result<(ViewPairs, Vec<PathBuf>)> {
     let inputs = &arguments.data[..];
     if let Some(transform) = &arguments.transform {
-        return open_pair(inputs, transform);
+        return Ok((open_pair(inputs, transform)?, Vec::new()));
     }
     if let [folder] = inputs
         && let Some(data) = ViewPairs::open(folder)?
     {
-        return Ok(data);
+        return Ok((data, Vec::new()));
     }
-    Ok(ViewPairs::from_objects(expand(inputs, None, |_| false)?))
+    objects(expand(inputs, None, |_| false)?, &arguments.common.run.columns)
+}
+
+/// Cloud files as objects, and those of several that have no cloud, each of which is named.
+fn objects(files: Vec<PathBuf>, columns: &ColumnArguments) -> Result<(ViewPairs, Vec<PathBuf>)> {
+    let data = ViewPairs::from_objects(files.clone());
+    if files.len() == 1 {
+        return Ok((data, Vec::new()));
+    }
+    let (mut used, mut left_out) = (Vec::new(), Vec::new());
+    for (index, file) in files.into_iter().enumerate() {
+        match data.clouds(index, &columns.options()) {
+            Ok(_) => used.push(file),
+            Err(error) => {
+                terminal::warn(&format!("{} is left out: {error}", file.display()));
+                left_out.push(file);
+            }
+        }
+    }
+    if used.is_empty() {
+        bail!("none of the {} files has a cloud to evaluate", left_out.len());
+    }
+    Ok((ViewPairs::from_objects(used), left_out))
 }
 
 fn open_pair(inputs: &[PathBuf], transform: &Path) -> Result<ViewPairs> {

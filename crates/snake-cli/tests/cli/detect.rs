@@ -247,6 +247,26 @@ fn memory_is_proportional_to_the_number_of_points() {
     assert_eq!((&report["num_points"], &report["num_encoded"]), (&5_000_000.into(), &5_000_000.into()));
 }
 
+/// The points are 3.6 MB; their blocks would take gigabytes.
+#[cfg(unix)]
+#[test]
+fn a_voxel_size_that_is_too_small_is_refused_before_its_blocks_are_made() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("cube.npy");
+    let at = |i: u32, step: f64| ((f64::from(i) * step).fract() * 1000.0) as f32;
+    let values: Vec<f32> =
+        (0..300_000).flat_map(|i| [at(i, 0.618_033_988_7), at(i, 0.754_877_666_2), at(i, 0.569_840_290_9)]).collect();
+    write_npy(&path, &[300_000, 3], &values);
+    let program = Command::cargo_bin("snake-cli").unwrap();
+    let output = Command::new("sh")
+        .args(["-c", "ulimit -v 1000000; exec \"$0\" detect \"$1\" --model scenes --voxel-size 0.01 --threads 1"])
+        .args([program.get_program(), path.as_os_str()])
+        .output()
+        .unwrap();
+    assert_eq!(output.status.code(), Some(2), "{}", stderr(&output));
+    assert!(stderr(&output).contains("times this size fits"), "{}", stderr(&output));
+}
+
 #[test]
 fn stdout_has_only_the_keypoints_in_a_pipe() {
     let bytes = std::fs::read(sample()).unwrap();

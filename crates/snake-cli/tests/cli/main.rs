@@ -10,6 +10,7 @@ mod eval_repeatability;
 mod eval_semantic;
 mod field_and_view;
 mod hostile_files;
+mod inputs;
 mod mistakes;
 mod model;
 mod options;

@@ -12,7 +12,7 @@ use snake_registration::{AlignOptions, PairOptions, RegisterOptions};
 
 use super::root;
 
-const COMMAND: &str = "SNAKE_WRITE_OPTIONS=1 cargo test --release -p snake-cli --test cli options_in_python";
+const COMMAND: &str = "SNAKE_WRITE_OPTIONS=1 cargo test --release -p snake-keypoints --test cli options_in_python";
 
 #[test]
 fn docstrings_have_every_option_with_its_default() {

@@ -185,8 +185,11 @@ fn options_can_be_environment_variables() {
     let output = snake_with(&["detect", &sample()], &[("SNAKE_THREADS", "many")]);
     assert!(output.status.code() == Some(2) && stderr(&output).contains("--threads"), "{}", stderr(&output));
     let sse: &[(&str, &str)] = &[("SNAKE_SIMD", "sse")];
-    assert!(stderr(&snake_with(&["detect", &sample()], sse)).starts_with("warning: SNAKE_SIMD is sse: "));
-    assert_eq!(stderr(&snake_with(&["detect", &sample(), "-q"], sse)), "");
+    let output = snake_with(&["detect", &sample()], sse);
+    assert_eq!(output.status.code(), Some(2));
+    assert!(stderr(&output).starts_with("error: SNAKE_SIMD is sse: allowed is portable"), "{}", stderr(&output));
+    let empty = ["SNAKE_THREADS", "SNAKE_MODEL", "SNAKE_SIMD", "SNAKE_CONFIG"].map(|name| (name, ""));
+    assert_eq!(stderr(&snake_with(&["detect", &sample()], &empty)), "");
     assert_eq!(stderr(&snake_with(&["detect", &sample()], &[("SNAKE_SIMD", "portable")])), "");
 }
 

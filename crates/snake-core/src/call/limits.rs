@@ -13,7 +13,7 @@ pub struct Limits {
     /// Points of a cloud, those that are not finite included.
     pub max_points: Option<usize>,
     /// Bytes of the feature volumes of a field, one for each rotation. The U-Net needs about four volumes more while it
-    /// encodes one.
+    /// encodes one. Of a scene they are known once its blocks are counted, before they are made.
     pub max_volume_bytes: Option<usize>,
     /// Evaluations of the decoders: for detection the queries times the refinement steps and one, times
     /// the rotations; for a mesh the samples of its grid times the rotations.
@@ -62,6 +62,19 @@ mod tests {
             Err(Error::LimitExceeded { what, number, limit }) => Some((what, number, limit)),
             Err(error) => panic!("{error}"),
         }
+    }
+
+    #[test]
+    fn a_scene_counts_the_bytes_of_its_volume() {
+        let (points, _) = cylinder();
+        let model = Model::builtin(Builtin::Scenes);
+        let encode = |limit: usize| {
+            let limits = Limits::default().with_max_volume_bytes(Some(limit));
+            model.encode_with(&points, &model.recommended().encode, &Control::new().limits(limits))
+        };
+        let Some(("bytes of feature volumes", needed, 1000)) = refused(encode(1000)) else { panic!("not refused") };
+        assert!(encode(needed).unwrap().volume().values.len() * size_of::<f32>() <= needed);
+        assert_eq!(refused(encode(needed - 1)), Some(("bytes of feature volumes", needed, needed - 1)));
     }
 
     #[test]

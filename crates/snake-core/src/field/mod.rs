@@ -20,7 +20,7 @@ use crate::call::control::Control;
 use crate::call::span::span;
 use crate::detect::options::{EncodeOptions, Options};
 use crate::network::Network;
-use crate::network::budget::volume_bytes;
+use crate::network::budget::{most_blocks, volume_bytes};
 use crate::network::config::ModelConfig;
 use crate::network::layers::TILE;
 use crate::network::scene::voxel_size;
@@ -95,7 +95,10 @@ impl Field {
         let points = &finite.points;
         let is_scene = network.config.frame().is_none();
         let normalization = match is_scene {
-            true => Normalization { center: [0.0; 3], scale: voxel_size(options.voxel_size, points)? },
+            true => Normalization {
+                center: [0.0; 3],
+                scale: voxel_size(options.voxel_size, points, most_blocks(network.config.c_dim))?,
+            },
             false => Normalization::of_finite(points, options.normalization)?,
         };
         let orientation = match options.normalization {

@@ -14,6 +14,9 @@ use std::collections::BTreeMap;
 use std::path::Path;
 use std::sync::Arc;
 
+#[cfg(doc)]
+use crate::Error;
+use crate::Result;
 use crate::call::clock::Instant;
 use crate::call::control::Control;
 use crate::detect::Detection;
@@ -21,7 +24,7 @@ use crate::detect::options::{EncodeOptions, Options};
 use crate::field::Field;
 use crate::network::Network;
 use crate::network::config::ModelConfig;
-use crate::{Error, Result};
+use crate::network::weights::read_weight_file;
 use snake_geometry::Point;
 
 /// A network with its weights; cloning it is cheap.
@@ -43,9 +46,7 @@ impl Model {
     /// # Errors
     /// [`Error::Io`] when the file cannot be read; [`Error::Weights`] as for [`Model::from_bytes`].
     pub fn load(path: impl AsRef<Path>) -> Result<Self> {
-        let path = path.as_ref();
-        let bytes = std::fs::read(path).map_err(|source| Error::Io { path: path.into(), source })?;
-        Self::from_bytes(&bytes)
+        Self::from_bytes(&read_weight_file(path.as_ref())?)
     }
 
     /// Loads a network from the bytes of a weight file.

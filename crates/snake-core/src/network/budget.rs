@@ -57,6 +57,11 @@ pub(crate) fn most_blocks(channels: usize) -> usize {
     MAX_SCENE_VALUES / (snake_kernels::BLOCK_VOXELS * channels.max(MIN_CHANNELS))
 }
 
+/// Bytes of a scene's volume of so many blocks.
+pub(crate) fn scene_bytes(blocks: usize, channels: usize) -> usize {
+    blocks * snake_kernels::BLOCK_VOXELS * channels.max(MIN_CHANNELS) * size_of::<f32>()
+}
+
 /// Refuses more rotations than fit into the memory for feature volumes.
 pub(crate) fn check_rotations(rotations: usize, config: &ModelConfig) -> Result<()> {
     let values = volume_values(config);

@@ -12,6 +12,7 @@ pub(crate) mod weights;
 
 pub use self::config::{ModelConfig, PointEncoder, Scatter, VolumeShape};
 pub use self::volume::{Volume, VolumeFrame};
+pub use self::weights::read_weight_file;
 
 use std::collections::BTreeMap;
 

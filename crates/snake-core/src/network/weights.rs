@@ -2,6 +2,9 @@
 
 use std::cell::RefCell;
 use std::collections::{BTreeSet, HashMap};
+use std::fs::File;
+use std::io::Read;
+use std::path::Path;
 
 use half::f16;
 use safetensors::{Dtype, SafeTensors};
@@ -9,6 +12,26 @@ use serde::de::DeserializeOwned;
 
 use crate::{Error, Result};
 use snake_geometry::excerpt;
+
+/// The longest header of a weight file, in bytes: the limit of the safetensors format.
+const MAX_HEADER: u64 = 100_000_000;
+
+/// The bytes of a weight file, for [`Model::from_bytes`](crate::Model::from_bytes). What does not begin as one is not read to its
+/// end, which a device does not have.
+///
+/// # Errors
+/// [`Error::Io`] when the file cannot be read.
+pub fn read_weight_file(path: &Path) -> Result<Vec<u8>> {
+    let io = |source| Error::Io { path: path.into(), source };
+    let mut file = File::open(path).map_err(io)?;
+    let mut bytes = Vec::new();
+    file.by_ref().take(8).read_to_end(&mut bytes).map_err(io)?;
+    let header = bytes.first_chunk().map(|length| u64::from_le_bytes(*length));
+    if header.is_some_and(|length| (1..=MAX_HEADER).contains(&length)) {
+        file.read_to_end(&mut bytes).map_err(io)?;
+    }
+    Ok(bytes)
+}
 
 /// Tensors and metadata of one weight file, and the names of the tensors that were read.
 pub(crate) struct Weights<'data> {

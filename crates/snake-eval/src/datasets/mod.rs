@@ -24,8 +24,10 @@ pub use repeatability::{Scale, ViewPairs};
 pub use scenes::{ScenePair, Scenes};
 pub use semantic::{SemanticData, Shape};
 
+/// A text file, without the byte order mark that some editors write.
 fn read_text(path: &Path) -> Result<String> {
-    std::fs::read_to_string(path).map_err(|reason| Error::io(path, reason))
+    let text = std::fs::read_to_string(path).map_err(|reason| Error::io(path, reason))?;
+    Ok(text.trim_start_matches('\u{feff}').to_owned())
 }
 
 fn read_json<T: DeserializeOwned>(path: &Path) -> Result<T> {

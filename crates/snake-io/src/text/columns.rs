@@ -54,6 +54,9 @@ const KNOWN: [Names; 18] = [
 
 type Names = [&'static str; 3];
 
+/// Names of columns in degrees, in lower case and without units.
+const DEGREES: [&str; 6] = ["lon", "long", "lng", "longitude", "lat", "latitude"];
+
 impl FromStr for Columns {
     type Err = Error;
 
@@ -75,8 +78,15 @@ impl Columns {
         self.indices(|name| Err(format!("an array has no column `{}`; choose columns by numbers", excerpt(name, 40))))
     }
 
-    /// Finds the columns of text; `names` is empty without a header.
+    /// Finds the columns of text; `names` is empty without a header. Degrees are refused also if they are chosen.
     pub(crate) fn of_text(&self, names: &[String]) -> Result<Indices, String> {
+        let [x, y, z] = self.in_header(names)?;
+        let is_degrees = |column: usize| names.get(column).is_some_and(|name| DEGREES.contains(&&plain(name)[..]));
+        if is_degrees(x) && is_degrees(y) { Err(degrees(names)) } else { Ok([x, y, z]) }
+    }
+
+    /// Finds the columns by names or numbers, also those of degrees.
+    pub(crate) fn in_header(&self, names: &[String]) -> Result<Indices, String> {
         self.indices(|wanted| {
             let is_wanted = |name: &&String| clean(name).eq_ignore_ascii_case(wanted) || plain(name) == plain(wanted);
             let shown = excerpt(wanted, 40);
@@ -96,7 +106,7 @@ impl Columns {
 
     /// Whether columns are chosen by names, and these names are among a header's.
     pub(crate) fn are_named_in(&self, names: &[String]) -> bool {
-        !self.are_numbers() && self.of_text(names).is_ok()
+        !self.are_numbers() && self.in_header(names).is_ok()
     }
 
     fn indices(&self, of_name: impl Fn(&str) -> Result<usize, String>) -> Result<Indices, String> {
@@ -136,18 +146,22 @@ pub(crate) fn is_numbered(names: &[String]) -> bool {
 
 /// The error for unknown columns, with the way to choose them.
 pub(crate) fn cannot_tell(names: &[String]) -> String {
-    if names.iter().any(|name| plain(name).starts_with("lat"))
-        && names.iter().any(|name| plain(name).starts_with("lon"))
-    {
-        return format!(
-            "latitude and longitude are degrees and no lengths: project them to metres first, for example with cs2cs of \
-             PROJ, and choose the columns with --columns x,y,z. The columns are {}",
-            listed(names)
-        );
+    let begins = |start: &str| names.iter().any(|name| plain(name).starts_with(start));
+    if begins("lat") && begins("lon") {
+        return degrees(names);
     }
     format!(
         "the header does not say which columns are x, y and z: choose them by names or numbers, as in --columns x,y,z. \
          The columns are {}",
+        listed(names)
+    )
+}
+
+/// The error for columns of degrees.
+fn degrees(names: &[String]) -> String {
+    format!(
+        "latitude and longitude are degrees and no lengths: project them to metres first, for example with cs2cs of PROJ, \
+         and choose the columns with --columns x,y,z. The columns are {}",
         listed(names)
     )
 }
@@ -203,6 +217,16 @@ mod tests {
         let columns: Columns = "x,y,z".parse().unwrap();
         assert!(columns.of_text(&[]).unwrap_err().contains("no header") && columns.of_array().is_err());
         assert_eq!("4,5,6".parse::<Columns>().unwrap().of_array().unwrap(), [3, 4, 5]);
+    }
+
+    #[test]
+    fn chosen_degrees_are_refused() {
+        let header = names(&["Lon", "lat (deg)", "alt", "x", "y"]);
+        for text in ["lon,lat,alt", "lat,lon,alt", "1,2,3"] {
+            let error = text.parse::<Columns>().unwrap().of_text(&header).unwrap_err();
+            assert!(error.contains("degrees and no lengths"), "{text}: {error}");
+        }
+        assert_eq!("x,y,alt".parse::<Columns>().unwrap().of_text(&header).unwrap(), [3, 4, 2]);
     }
 
     #[test]

@@ -74,7 +74,7 @@ impl Header {
         let headers = || comments.iter().rev().filter_map(|comment| Self::of_comment(&text(comment)));
         let is_of_row = |header: &Self| {
             let is_told = match columns {
-                Some(columns) => columns.of_text(&header.names).is_ok(),
+                Some(columns) => columns.in_header(&header.names).is_ok(),
                 None => header.tells(None),
             };
             let is_table = header.separator == separator && separator != Separator::WhiteSpace;

@@ -53,6 +53,19 @@ impl SimdLevel {
         })
     }
 
+    /// Refuses a `SNAKE_SIMD` that names no level of this processor; [`SimdLevel::current`] uses the fastest instead.
+    ///
+    /// # Errors
+    /// The refusal in words.
+    pub fn check_environment() -> Result<(), String> {
+        let wanted = std::env::var("SNAKE_SIMD").unwrap_or_default();
+        let names: Vec<&str> = Self::available().into_iter().map(Self::name).collect();
+        if wanted.is_empty() || names.contains(&&wanted[..]) {
+            return Ok(());
+        }
+        Err(format!("SNAKE_SIMD is {wanted}: allowed is {}", names.join(" or ")))
+    }
+
     /// Chooses this level for the program. All calls of a program use one level, so that they give the same bits.
     ///
     /// # Errors

@@ -1,11 +1,10 @@
 //! Harris 3D (Sipiran and Bustos 2011), as PCL computes it.
 
 use nalgebra::Matrix3;
-use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
-use super::{Response, among_distinct, index_cloud, local_maxima};
-use snake_core::{Error, Result};
+use super::{Response, among_distinct, each_point, index_cloud, local_maxima};
+use snake_core::{Control, Error, Result};
 use snake_geometry::{Length, Point, Vector, options};
 
 options! {
@@ -15,11 +14,14 @@ options! {
         radius, with_radius: Length = Length::Resolutions(6.0);
         /// Responses below this are dropped; responses lie between 0 and 1/27.
         threshold, with_threshold: f64 = 0.0;
-        /// Keep only local maxima. If false, every point is a keypoint, as in the wrapper behind
-        /// the paper's tables.
+        /// Keep only local maxima, of which a flat neighbourhood has none. If false, every point is a
+        /// keypoint, as in the wrapper behind the paper's tables.
         non_max, with_non_max: bool = true;
     }
 }
+
+/// A flat neighbourhood has a response of 0 up to rounding, and no local maximum.
+const FLAT: f64 = 1e-12;
 
 /// Harris 3D keypoints, by falling score.
 ///
@@ -32,11 +34,20 @@ options! {
 /// [`Error::Input`] when the cloud has no finite points or is one point repeated; [`Error::Option`]
 /// when an option is outside its range.
 pub fn harris3d(points: &[Point], options: &Harris3dOptions) -> Result<Vec<Response>> {
-    among_distinct(points, |points| find(points, options))
+    harris3d_with(points, options, &Control::default())
+}
+
+/// [`harris3d`] with cancellation and a deadline.
+///
+/// # Errors
+/// The errors of [`harris3d`]; [`Error::Cancelled`](snake_core::Error::Cancelled) and
+/// [`Error::DeadlineExceeded`](snake_core::Error::DeadlineExceeded).
+pub fn harris3d_with(points: &[Point], options: &Harris3dOptions, control: &Control) -> Result<Vec<Response>> {
+    among_distinct(points, |points| find(points, options, control))
 }
 
 /// [`harris3d`] of finite, distinct points.
-fn find(points: &[Point], options: &Harris3dOptions) -> Result<Vec<Response>> {
+fn find(points: &[Point], options: &Harris3dOptions, control: &Control) -> Result<Vec<Response>> {
     if !options.threshold.is_finite() {
         let value = options.threshold.to_string();
         return Err(Error::Option { name: "threshold", value, allowed: "a finite number" });
@@ -46,16 +57,19 @@ fn find(points: &[Point], options: &Harris3dOptions) -> Result<Vec<Response>> {
     let radius = options.radius.resolve("radius", || cloud.resolution())?;
     cloud.check_density("radius", radius)?;
     let neighbors = |point: &Vector| cloud.within(point, radius);
-    let normals: Vec<Option<Vector>> = cloud.points.par_iter().map(|point| cloud.normal(&neighbors(point))).collect();
-    let response = |point| {
+    let normals = each_point(&cloud, control, |point| cloud.normal(&neighbors(point)))?;
+    let response = |point: &Vector| {
         let around: Vec<&Vector> = neighbors(point).into_iter().filter_map(|i| normals[i].as_ref()).collect();
         let sum: Matrix3<f64> = around.iter().map(|n| *n * n.transpose()).sum();
         (sum / around.len().max(1) as f64).determinant().max(0.0)
     };
-    let responses: Vec<f64> = cloud.points.par_iter().map(response).collect();
+    let responses = each_point(&cloud, control, response)?;
+    if options.non_max {
+        let is_corner = |response| response > FLAT && response >= options.threshold;
+        return local_maxima(&cloud, &responses, radius, 0, control, is_corner);
+    }
     // No point is closer than 0, so this radius suppresses nothing.
-    let radius = if options.non_max { radius } else { 0.0 };
-    Ok(local_maxima(&cloud, &responses, radius, 0, |response| response >= options.threshold))
+    local_maxima(&cloud, &responses, 0.0, 0, control, |response| response >= options.threshold)
 }
 
 #[cfg(test)]

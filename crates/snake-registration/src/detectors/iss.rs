@@ -1,11 +1,10 @@
 //! Intrinsic shape signatures (Zhong 2009), as Open3D and PCL compute them.
 
-use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
-use super::{Response, among_distinct, index_cloud, local_maxima};
-use snake_core::{Error, Result};
-use snake_geometry::{Length, Point, eigen, options};
+use super::{Response, among_distinct, each_point, index_cloud, local_maxima};
+use snake_core::{Control, Error, Result};
+use snake_geometry::{Length, Point, Vector, eigen, options};
 
 /// The matrix whose eigenvalues are used.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
@@ -49,11 +48,20 @@ options! {
 /// [`Error::Input`] when the cloud has no finite points or is one point repeated; [`Error::Option`]
 /// when an option is outside its range.
 pub fn iss(points: &[Point], options: &IssOptions) -> Result<Vec<Response>> {
-    among_distinct(points, |points| find(points, options))
+    iss_with(points, options, &Control::default())
+}
+
+/// [`iss`] with cancellation and a deadline.
+///
+/// # Errors
+/// The errors of [`iss`]; [`Error::Cancelled`](snake_core::Error::Cancelled) and
+/// [`Error::DeadlineExceeded`](snake_core::Error::DeadlineExceeded).
+pub fn iss_with(points: &[Point], options: &IssOptions, control: &Control) -> Result<Vec<Response>> {
+    among_distinct(points, |points| find(points, options, control))
 }
 
 /// [`iss`] of finite, distinct points.
-fn find(points: &[Point], options: &IssOptions) -> Result<Vec<Response>> {
+fn find(points: &[Point], options: &IssOptions, control: &Control) -> Result<Vec<Response>> {
     for (name, gamma) in [("gamma_21", options.gamma_21), ("gamma_32", options.gamma_32)] {
         if gamma.is_nan() || gamma <= 0.0 {
             return Err(Error::Option { name, value: gamma.to_string(), allowed: "above 0" });
@@ -65,7 +73,7 @@ fn find(points: &[Point], options: &IssOptions) -> Result<Vec<Response>> {
     let non_max_radius = options.non_max_radius.resolve("non_max_radius", || cloud.resolution())?;
     cloud.check_density("salient_radius", salient_radius)?;
     cloud.check_density("non_max_radius", non_max_radius)?;
-    let saliency = |point| {
+    let saliency = |point: &Vector| {
         let neighbors = cloud.within(point, salient_radius);
         if neighbors.len() < options.min_neighbors {
             return 0.0;
@@ -79,8 +87,8 @@ fn find(points: &[Point], options: &IssOptions) -> Result<Vec<Response>> {
         let distinct = third > first * f64::EPSILON * 8.0;
         if distinct && second / first < options.gamma_21 && third / second < options.gamma_32 { third } else { 0.0 }
     };
-    let saliencies: Vec<f64> = cloud.points.par_iter().map(saliency).collect();
-    Ok(local_maxima(&cloud, &saliencies, non_max_radius, options.min_neighbors, |saliency| saliency > 0.0))
+    let saliencies = each_point(&cloud, control, saliency)?;
+    local_maxima(&cloud, &saliencies, non_max_radius, options.min_neighbors, control, |saliency| saliency > 0.0)
 }
 
 #[cfg(test)]

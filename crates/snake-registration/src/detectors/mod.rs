@@ -22,15 +22,15 @@ use rand::SeedableRng;
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
-use snake_core::{Error, Result};
-use snake_geometry::{FinitePoints, Neighbors, Point, vector};
+use snake_core::{Control, Error, Result};
+use snake_geometry::{FinitePoints, Neighbors, Point, Vector, vector};
 
 pub use farthest_point::farthest_points;
-pub use harris3d::{Harris3dOptions, harris3d};
-pub use iss::{Covariance, IssOptions, iss};
+pub use harris3d::{Harris3dOptions, harris3d, harris3d_with};
+pub use iss::{Covariance, IssOptions, iss, iss_with};
 pub use random::random_points;
-pub use sift3d::{Sift3dOptions, SiftField, sift3d};
-pub use surface_variation::{SurfaceVariationOptions, surface_variation};
+pub use sift3d::{Sift3dOptions, SiftField, sift3d, sift3d_with};
+pub use surface_variation::{SurfaceVariationOptions, surface_variation, surface_variation_with};
 
 /// A point of the cloud with its score.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
@@ -55,12 +55,13 @@ pub enum Protocol {
     Paper,
 }
 
-/// The wanted keypoints of a cloud.
+/// The wanted keypoints of a cloud, and the control of the call.
 #[derive(Clone, Copy)]
-struct Wanted {
+struct Wanted<'a> {
     count: usize,
     protocol: Protocol,
     seed: u64,
+    control: &'a Control,
 }
 
 /// The table of detectors: documentation, variant, name, and the function that finds keypoints
@@ -95,8 +96,8 @@ macro_rules! detectors {
             }
 
             /// The keypoints among finite points; `None` if the detector is not a classical one.
-            fn find(self, points: &[Point], wanted: Wanted) -> Option<Result<Vec<Response>>> {
-                let find: fn(&[Point], Wanted) -> Result<Vec<Response>> = match self {
+            fn find(self, points: &[Point], wanted: Wanted<'_>) -> Option<Result<Vec<Response>>> {
+                let find: fn(&[Point], Wanted<'_>) -> Result<Vec<Response>> = match self {
                     Self::Voxels | Self::Snake => return None,
                     $(Self::$variant => $find,)+
                 };
@@ -108,22 +109,23 @@ macro_rules! detectors {
 
 detectors! {
     /// Intrinsic shape signatures.
-    Iss = "iss": |points, wanted| Ok(wanted.select(points, iss(points, &IssOptions::default())?));
+    Iss = "iss": |points, wanted| Ok(wanted.select(points, iss_with(points, &IssOptions::default(), wanted.control)?));
     /// Harris corners of the normals. For [`Protocol::Paper`] without suppression, as in the
     /// wrapper behind the paper's tables.
     Harris3d = "harris3d": |points, wanted| {
         let options = Harris3dOptions::default().with_non_max(wanted.protocol == Protocol::Ranked);
-        Ok(wanted.select(points, harris3d(points, &options)?))
+        Ok(wanted.select(points, harris3d_with(points, &options, wanted.control)?))
     };
     /// Extrema of the differences of Gaussians of the curvature, or of the y coordinate for
     /// [`Protocol::Paper`].
     Sift3d = "sift3d": |points, wanted| {
         let field = if wanted.protocol == Protocol::Ranked { SiftField::Curvature } else { SiftField::Y };
-        Ok(wanted.select(points, sift3d(points, &Sift3dOptions::default().with_field(field))?))
+        let options = Sift3dOptions::default().with_field(field);
+        Ok(wanted.select(points, sift3d_with(points, &options, wanted.control)?))
     };
     /// Maxima of the surface variation.
     SurfaceVariation = "surface-variation": |points, wanted| {
-        Ok(wanted.select(points, surface_variation(points, &SurfaceVariationOptions::default())?))
+        Ok(wanted.select(points, surface_variation_with(points, &SurfaceVariationOptions::default(), wanted.control)?))
     };
     /// Farthest-point sampling.
     Fps = "fps": |points, wanted| farthest_points(points, wanted.count);
@@ -156,7 +158,22 @@ impl Detector {
     /// [`Error::Input`] when the cloud has no finite points or is one point repeated;
     /// [`Error::Option`] when `count` is 0, and for the detectors `voxels` and `snake`.
     pub fn keypoints(self, points: &[Point], count: usize, protocol: Protocol, seed: u64) -> Result<Vec<Response>> {
-        let wanted = Wanted::new(count, protocol, seed)?;
+        self.keypoints_with(points, count, protocol, seed, &Control::default())
+    }
+
+    /// [`Detector::keypoints`] with cancellation and a deadline.
+    ///
+    /// # Errors
+    /// The errors of [`Detector::keypoints`]; [`Error::Cancelled`] and [`Error::DeadlineExceeded`].
+    pub fn keypoints_with(
+        self,
+        points: &[Point],
+        count: usize,
+        protocol: Protocol,
+        seed: u64,
+        control: &Control,
+    ) -> Result<Vec<Response>> {
+        let wanted = Wanted::new(count, protocol, seed, control)?;
         among_finite(points, |points| self.find(points, wanted).unwrap_or_else(|| Err(not_classical(self.name()))))
     }
 }
@@ -174,7 +191,8 @@ pub fn select_keypoints(
     protocol: Protocol,
     seed: u64,
 ) -> Result<Vec<Response>> {
-    let wanted = Wanted::new(count, protocol, seed)?;
+    let control = Control::default();
+    let wanted = Wanted::new(count, protocol, seed, &control)?;
     among_finite(points, |points| Ok(wanted.select(points, detect(points)?)))
 }
 
@@ -183,12 +201,12 @@ fn not_classical(name: &str) -> Error {
     Error::Option { name: "detector", value: name.into(), allowed }
 }
 
-impl Wanted {
-    fn new(count: usize, protocol: Protocol, seed: u64) -> Result<Self> {
+impl<'a> Wanted<'a> {
+    fn new(count: usize, protocol: Protocol, seed: u64, control: &'a Control) -> Result<Self> {
         if count == 0 {
             return Err(Error::Option { name: "count", value: "0".into(), allowed: "1 or more" });
         }
-        Ok(Self { count, protocol, seed })
+        Ok(Self { count, protocol, seed, control })
     }
 
     /// The wanted keypoints among the responses of a detector to these points.
@@ -255,24 +273,34 @@ fn index_cloud(points: &[Point]) -> Result<Neighbors> {
     Ok(Neighbors::new(points.iter().map(|&p| vector(p)).collect())?)
 }
 
+/// A value of each point, unless the call must stop.
+fn each_point<T: Send>(cloud: &Neighbors, control: &Control, value: impl Fn(&Vector) -> T + Sync) -> Result<Vec<T>> {
+    cloud.points.par_iter().map(|point| control.check().map(|()| value(point))).collect()
+}
+
 /// Non-maximum suppression: the indices of points that pass and whose score no point closer than
-/// `radius` exceeds. Points with equal scores all stay. As in PCL and Open3D, every neighbour
-/// counts, whether it passes or not.
+/// `radius` exceeds. Points with equal scores all stay. As in PCL and Open3D, every neighbour counts,
+/// whether it passes or not.
 fn local_maxima(
     cloud: &Neighbors,
     scores: &[f64],
     radius: f64,
     min_neighbors: usize,
+    control: &Control,
     passes: impl Fn(f64) -> bool + Sync,
-) -> Vec<Response> {
-    let is_maximum = |index: &usize| {
-        passes(scores[*index]) && {
-            let neighbors = cloud.within(&cloud.points[*index], radius);
-            neighbors.len() >= min_neighbors && neighbors.iter().all(|&other| scores[other] <= scores[*index])
+) -> Result<Vec<Response>> {
+    let is_maximum = |index: usize| {
+        passes(scores[index]) && {
+            let neighbors = cloud.within(&cloud.points[index], radius);
+            neighbors.len() >= min_neighbors && neighbors.iter().all(|&other| scores[other] <= scores[index])
         }
     };
-    let kept = (0..scores.len()).into_par_iter().filter(is_maximum);
-    by_falling_score(kept.map(|index| Response { index, score: scores[index] }).collect())
+    let maximum = |index: usize| {
+        control.check()?;
+        Ok(is_maximum(index).then(|| Response { index, score: scores[index] }))
+    };
+    let maxima: Vec<Option<Response>> = (0..scores.len()).into_par_iter().map(maximum).collect::<Result<_>>()?;
+    Ok(by_falling_score(maxima.into_iter().flatten().collect()))
 }
 
 /// Sorts by falling score and, for equal scores, by rising index.
@@ -285,6 +313,21 @@ fn by_falling_score(mut responses: Vec<Response>) -> Vec<Response> {
 mod tests {
     use super::*;
     use snake_geometry::Length;
+
+    #[test]
+    fn a_flat_plate_has_no_keypoints() {
+        let at = |i: usize| (i % 30) as f32 * 0.1;
+        for tilt in [0.0, 0.3] {
+            let plate: Vec<Point> = (0..900).map(|i| [at(i), at(i / 30), tilt * at(i)]).collect();
+            let keypoints = [
+                harris3d(&plate, &Harris3dOptions::default()).unwrap(),
+                iss(&plate, &IssOptions::default()).unwrap(),
+                surface_variation(&plate, &SurfaceVariationOptions::default()).unwrap(),
+                sift3d(&plate, &Sift3dOptions::default()).unwrap(),
+            ];
+            assert_eq!(keypoints.map(|responses| responses.len()), [0; 4], "{tilt}");
+        }
+    }
 
     /// A unit cube's surface: `side`² points on each face, the edges doubled as its faces share
     /// them.

@@ -5,8 +5,8 @@ use std::num::NonZeroUsize;
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
-use super::{Response, among_distinct, by_falling_score, index_cloud};
-use snake_core::Result;
+use super::{Response, among_distinct, by_falling_score, each_point, index_cloud};
+use snake_core::{Control, Result};
 use snake_geometry::{Length, Neighbors, Point, Vector, eigen, options};
 
 /// The search ends at an octave with fewer points.
@@ -59,15 +59,24 @@ options! {
 /// [`Error::Input`](snake_core::Error::Input) when the cloud has no finite points or is one point
 /// repeated; [`Error::Option`](snake_core::Error::Option) when an option is outside its range.
 pub fn sift3d(points: &[Point], options: &Sift3dOptions) -> Result<Vec<Response>> {
-    among_distinct(points, |points| find(points, options))
+    sift3d_with(points, options, &Control::default())
+}
+
+/// [`sift3d`] with cancellation and a deadline.
+///
+/// # Errors
+/// The errors of [`sift3d`]; [`Error::Cancelled`](snake_core::Error::Cancelled) and
+/// [`Error::DeadlineExceeded`](snake_core::Error::DeadlineExceeded).
+pub fn sift3d_with(points: &[Point], options: &Sift3dOptions, control: &Control) -> Result<Vec<Response>> {
+    among_distinct(points, |points| find(points, options, control))
 }
 
 /// [`sift3d`] of finite, distinct points.
-fn find(points: &[Point], options: &Sift3dOptions) -> Result<Vec<Response>> {
+fn find(points: &[Point], options: &Sift3dOptions, control: &Control) -> Result<Vec<Response>> {
     options.check_ranges()?;
     let input = index_cloud(points)?;
     let min_scale = options.min_scale.resolve("min_scale", || input.resolution())?;
-    let (mut positions, mut field) = (input.points.clone(), values(&input, options)?);
+    let (mut positions, mut field) = (input.points.clone(), values(&input, options, control)?);
     let mut strongest = vec![f64::NEG_INFINITY; points.len()];
     for octave in 0..options.octaves {
         let scale = min_scale * 2_f64.powi(octave as i32);
@@ -76,7 +85,7 @@ fn find(points: &[Point], options: &Sift3dOptions) -> Result<Vec<Response>> {
             break;
         }
         let cloud = Neighbors::new(positions)?;
-        let differences = differences_of_gaussians(&cloud, &field, scale, options.scales_per_octave);
+        let differences = differences_of_gaussians(&cloud, &field, scale, options.scales_per_octave, control)?;
         for (position, contrast) in extrema(&cloud, &differences, options.min_contrast) {
             let place = &mut strongest[input.nearest(&position, NonZeroUsize::MIN)[0].0];
             *place = f64::max(*place, contrast);
@@ -88,18 +97,18 @@ fn find(points: &[Point], options: &Sift3dOptions) -> Result<Vec<Response>> {
 }
 
 /// The field at each point.
-fn values(cloud: &Neighbors, options: &Sift3dOptions) -> Result<Vec<f64>> {
+fn values(cloud: &Neighbors, options: &Sift3dOptions, control: &Control) -> Result<Vec<f64>> {
     if options.field == SiftField::Y {
         return Ok(cloud.points.iter().map(|p| p.y).collect());
     }
     let radius = options.curvature_radius.resolve("curvature_radius", || cloud.resolution())?;
     cloud.check_density("curvature_radius", radius)?;
-    let variation = |point| {
+    let variation = |point: &Vector| {
         let (eigenvalues, _) = eigen(cloud.covariance(&cloud.within(point, radius)));
         let sum: f64 = eigenvalues.iter().sum();
         if sum > 0.0 { eigenvalues[0].max(0.0) / sum } else { 0.0 }
     };
-    Ok(cloud.points.par_iter().map(variation).collect())
+    each_point(cloud, control, variation)
 }
 
 /// The mean point and the mean of the field in every occupied voxel; voxels lie on multiples of
@@ -118,7 +127,13 @@ fn thin(points: &[Vector], field: &[f64], edge: f64) -> (Vec<Vector>, Vec<f64>) 
 
 /// The differences of the field between neighbouring scales of an octave, `[point][scale]`;
 /// Gaussians end at 3 sigma.
-fn differences_of_gaussians(cloud: &Neighbors, field: &[f64], base: f64, scales: usize) -> Vec<Vec<f64>> {
+fn differences_of_gaussians(
+    cloud: &Neighbors,
+    field: &[f64],
+    base: f64,
+    scales: usize,
+    control: &Control,
+) -> Result<Vec<Vec<f64>>> {
     let sigmas: Vec<f64> = (0..scales + 3).map(|i| base * 2_f64.powf((i as f64 - 1.0) / scales as f64)).collect();
     let reach = 3.0 * sigmas[scales + 2];
     let differences = |point: &Vector| {
@@ -138,7 +153,7 @@ fn differences_of_gaussians(cloud: &Neighbors, field: &[f64], base: f64, scales:
         });
         blurred.collect::<Vec<_>>().windows(2).map(|pair| pair[1] - pair[0]).collect()
     };
-    cloud.points.par_iter().map(differences).collect()
+    each_point(cloud, control, differences)
 }
 
 /// Positions of the extrema and their absolute values.
@@ -183,7 +198,7 @@ mod tests {
         // four times the base. The neighbour is 2 away: beyond 3 sigma of the first Gaussian and
         // within 3 sigma of the others.
         let cloud = Neighbors::new(on_line(&[0.0, 2.0])).unwrap();
-        let differences = differences_of_gaussians(&cloud, &[0.0, 1.0], 1.0, 1);
+        let differences = differences_of_gaussians(&cloud, &[0.0, 1.0], 1.0, 1, &Control::default()).unwrap();
         let blurred = |sigma: f64| {
             let weight = (-0.5 * (2.0 / sigma).powi(2)).exp();
             weight / (1.0 + weight)

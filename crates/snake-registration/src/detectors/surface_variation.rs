@@ -1,11 +1,10 @@
 //! Surface variation (Pauly, Gross and Kobbelt 2002): how far a neighbourhood is from flat.
 
-use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
-use super::{Response, among_distinct, index_cloud, local_maxima};
-use snake_core::Result;
-use snake_geometry::{Length, Point, eigen, options};
+use super::{Response, among_distinct, each_point, index_cloud, local_maxima};
+use snake_core::{Control, Result};
+use snake_geometry::{Length, Point, Vector, eigen, options};
 
 options! {
     /// Options of [`surface_variation`].
@@ -28,24 +27,37 @@ options! {
 /// [`Error::Input`](snake_core::Error::Input) when the cloud has no finite points or is one point
 /// repeated; [`Error::Option`](snake_core::Error::Option) when an option is outside its range.
 pub fn surface_variation(points: &[Point], options: &SurfaceVariationOptions) -> Result<Vec<Response>> {
-    among_distinct(points, |points| find(points, options))
+    surface_variation_with(points, options, &Control::default())
+}
+
+/// [`surface_variation`] with cancellation and a deadline.
+///
+/// # Errors
+/// The errors of [`surface_variation`]; [`Error::Cancelled`](snake_core::Error::Cancelled) and
+/// [`Error::DeadlineExceeded`](snake_core::Error::DeadlineExceeded).
+pub fn surface_variation_with(
+    points: &[Point],
+    options: &SurfaceVariationOptions,
+    control: &Control,
+) -> Result<Vec<Response>> {
+    among_distinct(points, |points| find(points, options, control))
 }
 
 /// [`surface_variation`] of finite, distinct points.
-fn find(points: &[Point], options: &SurfaceVariationOptions) -> Result<Vec<Response>> {
+fn find(points: &[Point], options: &SurfaceVariationOptions, control: &Control) -> Result<Vec<Response>> {
     options.check_ranges()?;
     let cloud = index_cloud(points)?;
     let radius = options.radius.in_units("radius", points)?;
     let non_max_radius = options.non_max_radius.in_units("non_max_radius", points)?;
     cloud.check_density("radius", radius)?;
     cloud.check_density("non_max_radius", non_max_radius)?;
-    let variation = |point| {
+    let variation = |point: &Vector| {
         let ([third, second, first], _) = eigen(cloud.covariance(&cloud.within(point, radius)));
         // A neighbourhood that is flat up to rounding has no variation.
         if third > first * f64::EPSILON * 8.0 { third / (first + second + third) } else { 0.0 }
     };
-    let variations: Vec<f64> = cloud.points.par_iter().map(variation).collect();
-    Ok(local_maxima(&cloud, &variations, non_max_radius, 0, |variation| variation > 0.0))
+    let variations = each_point(&cloud, control, variation)?;
+    local_maxima(&cloud, &variations, non_max_radius, 0, control, |variation| variation > 0.0)
 }
 
 #[cfg(test)]
@@ -53,7 +65,7 @@ mod tests {
     use super::super::tests::{corner, cube};
     use super::*;
     use nalgebra::Matrix3;
-    use snake_geometry::{Vector, vector};
+    use snake_geometry::vector;
 
     #[test]
     fn the_corners_of_a_cube_are_the_strongest() {

@@ -108,7 +108,7 @@ pub fn align(clouds: &[impl AsRef<[Point]> + Sync], options: &RegisterOptions) -
 
 /// [`align`] with the sensor's position in the frame of each cloud, where it is known (`viewpoints`
 /// has one for each cloud, or none), with the model of the detector `snake` or the descriptor
-/// `field`, and with progress and cancellation; a classical detector is not interrupted.
+/// `field`, and with progress and cancellation.
 ///
 /// # Errors
 /// The errors of [`align`]; [`Error::Cancelled`] and [`Error::DeadlineExceeded`].

@@ -94,7 +94,9 @@ fn bad_clouds_and_options_are_refused() {
         assert!(error.contains("cloud 2 (from 0)") && error.contains(reason), "{error}");
     }
     assert!(refused(&clouds, &[None], &default).contains("viewpoints"));
-    assert!(refused(&clouds, &[Some([f64::NAN; 3]); 4], &default).contains("finite"));
+    assert!(refused(&clouds, &[Some([f64::NAN; 3]); 4], &default).contains("-1e15 to 1e15"));
+    let far = [None, Some([0.0, 0.0, 1e200]), None, None];
+    assert!(refused(&clouds, &far, &default).contains("-1e15 to 1e15"));
     assert!(refused(&clouds, &[], &default.with_max_matches(1)).contains("max_matches"));
     assert!(refused(&clouds, &[], &default.with_detector(Detector::Snake)).contains("model"));
     let none = run(&clouds, &AlignOptions::default().with_max_partners(0)).unwrap_err().to_string();

@@ -3,7 +3,7 @@
 use snake_kernels::BLOCK_VOXELS;
 
 use super::block_grid::FARTHEST_NODE;
-use super::levels::{Level, levels};
+use super::levels::{FinestLevel, Level, levels};
 use super::scatter;
 use super::unet::BlockUnet;
 use crate::call::control::Control;
@@ -48,9 +48,12 @@ impl SceneEncoder {
         control: &Control,
     ) -> Result<Volume> {
         let cells = self.cells(points, &mut memory.groups)?;
-        let levels = levels(self.unet.num_levels(), cells.iter().chain(more).copied());
         let channels = self.points.channels();
-        check_blocks(levels[0].grid.len(), channels)?;
+        let finest = finest_level(cells.iter().chain(more).copied(), channels)?;
+        control.get_limits().check_volume_bytes(budget::scene_bytes(finest.len(), channels))?;
+        control.check()?;
+        let levels = levels(self.unet.num_levels(), finest);
+        control.check()?;
         let work = self.points.work(points.len()) + self.unet.work(&levels);
         let counter = control.begin("encoding", work);
         let offset = |index: usize| points[index].map(|v| v - v.floor() - 0.5);
@@ -90,14 +93,16 @@ impl SceneEncoder {
     }
 }
 
-/// Refuses a volume that would need too much memory.
-fn check_blocks(number: usize, channels: usize) -> Result<()> {
+/// The finest level over cells. A volume that would need too much memory is refused, with a voxel size that fits.
+fn finest_level(cells: impl Iterator<Item = [i32; 3]> + Clone, channels: usize) -> Result<FinestLevel> {
     let most = budget::most_blocks(channels);
-    if number <= most {
-        return Ok(());
+    if let Some(level) = FinestLevel::new(cells.clone(), most) {
+        return Ok(level);
     }
-    // The number of blocks falls with about the square of the size.
-    let factor = (1.1 * (number as f64 / most as f64).sqrt() * 10.0).ceil() / 10.0;
-    let value = format!("so small that {number} blocks of 4 x 4 x 4 voxels are needed; {factor} times this size fits");
+    let fits = |halvings: &u32| FinestLevel::new(cells.clone().map(|cell| cell.map(|i| i >> halvings)), most).is_some();
+    // All cells lie within 2^20 nodes of zero, and are few after as many halvings.
+    let factor = 1 << (1..20).find(fits).unwrap_or(20);
+    let value =
+        format!("so small that more than {most} blocks of 4 x 4 x 4 voxels are needed; {factor} times this size fits");
     Err(Error::Option { name: "voxel_size", value, allowed: "a size that needs at most a gibibyte of features" })
 }

@@ -28,14 +28,38 @@ pub(super) struct Level {
     pub(super) children: Vec<[u32; 8]>,
 }
 
-/// The levels of the U-Net from the finest on, over cells given by their lowest nodes.
-pub(super) fn levels(number: usize, cells: impl Iterator<Item = [i32; 3]> + Clone) -> Vec<Level> {
-    let about_cells = |reach: i32| {
-        let about_cell = move |cell: [i32; 3]| places_between(cell.map(|i| i - reach), cell.map(|i| i + 1 + reach));
-        BlockGrid::new(cells.clone().flat_map(about_cell))
-    };
-    let near = about_cells(NEAR);
-    let mut grids = vec![near.with(&about_cells(REACH))];
+/// The blocks of the finest level over cells given by their lowest nodes: those near the cells, and all.
+#[derive(Debug)]
+pub(crate) struct FinestLevel {
+    pub(super) near: BlockGrid,
+    pub(super) all: BlockGrid,
+}
+
+impl FinestLevel {
+    /// `None` for more blocks than `most`. The memory grows with the number of cells, and not with that of too many blocks.
+    pub(crate) fn new(cells: impl Iterator<Item = [i32; 3]> + Clone, most: usize) -> Option<Self> {
+        let own = BlockGrid::new(cells.clone().map(|cell| cell.map(|i| i.div_euclid(BLOCK_SIDE as i32))));
+        if own.len() > most {
+            return None;
+        }
+        let about_cells = |reach: i32| {
+            let about_cell = move |cell: [i32; 3]| places_between(cell.map(|i| i - reach), cell.map(|i| i + 1 + reach));
+            BlockGrid::new(cells.clone().flat_map(about_cell))
+        };
+        let near = about_cells(NEAR);
+        let all = near.with(&about_cells(REACH));
+        (all.len() <= most).then_some(Self { near, all })
+    }
+
+    /// The number of blocks.
+    pub(super) fn len(&self) -> usize {
+        self.all.len()
+    }
+}
+
+/// The levels of the U-Net from the finest on.
+pub(super) fn levels(number: usize, FinestLevel { near, all }: FinestLevel) -> Vec<Level> {
+    let mut grids = vec![all];
     for level in 1..number {
         let half = BLOCK_SIDE as i32 / 2;
         let about_block = |place: [i32; 3]| {

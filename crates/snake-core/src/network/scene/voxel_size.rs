@@ -14,6 +14,8 @@
 use rayon::prelude::*;
 use snake_kernels::Scratch;
 
+use super::block_grid::FARTHEST_NODE;
+use super::levels::FinestLevel;
 use super::sweep::is_sweep;
 use crate::{Error, Result};
 use snake_geometry::{Length, Point};
@@ -27,15 +29,16 @@ const SHARES: [f64; 2] = [0.8, 0.95];
 /// Steps of the series in a factor of ten.
 const STEPS: i32 = 10;
 
-/// The voxel size in cloud units: the given one, or the one of the rule for the finite points of a cloud.
-pub(crate) fn voxel_size(given: Option<Length>, points: &[Point]) -> Result<f32> {
+/// The voxel size in cloud units: the given one, or the one of the rule for the finite points of a cloud, whose volume has at most
+/// so many blocks.
+pub(crate) fn voxel_size(given: Option<Length>, points: &[Point], most_blocks: usize) -> Result<f32> {
     match given {
         Some(size) => Ok(size.in_units("voxel_size", points)? as f32),
-        None => chosen(points).map(|size| size as f32),
+        None => chosen(points, most_blocks).map(|size| size as f32),
     }
 }
 
-fn chosen(points: &[Point]) -> Result<f64> {
+fn chosen(points: &[Point], most_blocks: usize) -> Result<f64> {
     let extent = (0..3).map(|axis| {
         let ends = points.iter().fold([f32::MAX, f32::MIN], |[low, high], p| [low.min(p[axis]), high.max(p[axis])]);
         f64::from(ends[1]) - f64::from(ends[0])
@@ -55,7 +58,28 @@ fn chosen(points: &[Point]) -> Result<f64> {
         let middle = too_small + (fits - too_small) / 2;
         if num_voxels(points, size_of(middle)) <= most { fits = middle } else { too_small = middle }
     }
+    // Voxels that stand alone have many blocks: those of a dense part in the midst of a wide cloud.
+    while fits <= largest && !is_within_budget(points, size_of(fits), most_blocks) {
+        fits += 1;
+    }
     Ok(size_of(fits))
+}
+
+/// Whether the volume of a cloud in voxels of a size has at most so many blocks.
+fn is_within_budget(points: &[Point], size: f64, most_blocks: usize) -> bool {
+    if most_blocks == usize::MAX {
+        return true;
+    }
+    if points.iter().flatten().any(|v| (f64::from(*v) / size).abs() >= f64::from(FARTHEST_NODE)) {
+        return false;
+    }
+    let mut keys: Vec<u64> = points.iter().map(|point| key(point, size)).collect();
+    keys.par_sort_unstable();
+    keys.dedup();
+    // The lowest 21 bits of a place, with its sign.
+    let place = |bits: u64| ((bits << 43) as i64 >> 43) as i32;
+    let cells = keys.iter().map(|&key| [key, key >> 21, key >> 42].map(place));
+    FinestLevel::new(cells, most_blocks).is_some()
 }
 
 /// The first step of the series that is not below a size.
@@ -73,18 +97,23 @@ fn size_of(step: i32) -> f64 {
 
 /// The number of voxels of a size that hold points.
 fn num_voxels(points: &[Point], size: f64) -> usize {
-    let key = |point: &Point| {
-        let [x, y, z] = point.map(|v| (f64::from(v) / size).floor() as i64 as u64 & 0x1F_FFFF);
-        (z << 42) | (y << 21) | x
-    };
-    let mut keys = Scratch::collect(points.len(), points.iter().map(|point| (key(point), 0)));
+    let mut keys = Scratch::collect(points.len(), points.iter().map(|point| (key(point, size), 0)));
     keys.par_sort_unstable();
     1 + keys.windows(2).filter(|pair| pair[0] != pair[1]).count()
+}
+
+/// The place of a point's voxel: 21 bits each of z, y and x.
+fn key(point: &Point, size: f64) -> u64 {
+    let [x, y, z] = point.map(|v| (f64::from(v) / size).floor() as i64 as u64 & 0x1F_FFFF);
+    (z << 42) | (y << 21) | x
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    /// The blocks of a gibibyte of the built-in model.
+    const MOST: usize = 1 << 17;
 
     /// A square of n x n points, `spacing` apart.
     fn square(n: usize, spacing: f32) -> Vec<Point> {
@@ -95,11 +124,11 @@ mod tests {
     #[test]
     fn a_voxel_is_as_large_as_the_points_are_apart_and_larger_in_dense_clouds() {
         // 100 x 100 points 0.02 apart: 80 % of the voxels at 0.0224.
-        assert_eq!(chosen(&square(100, 0.02)).unwrap(), 0.025);
-        assert_eq!(chosen(&square(100, 20.0)).unwrap(), 25.0);
+        assert_eq!(chosen(&square(100, 0.02), MOST).unwrap(), 0.025);
+        assert_eq!(chosen(&square(100, 20.0), MOST).unwrap(), 25.0);
         // 600 x 600 points 0.001 apart are 0.36 square units: 32 000 voxels of 0.0034.
-        assert_eq!(chosen(&square(600, 0.001)).unwrap(), 0.004);
-        assert_eq!(chosen(&square(100, 0.02).repeat(3)).unwrap(), 0.025);
+        assert_eq!(chosen(&square(600, 0.001), MOST).unwrap(), 0.004);
+        assert_eq!(chosen(&square(100, 0.02).repeat(3), MOST).unwrap(), 0.025);
     }
 
     #[test]
@@ -110,7 +139,27 @@ mod tests {
 
     #[test]
     fn clouds_without_extent_are_refused() {
-        assert!(chosen(&[[1.0; 3]; 9]).is_err());
-        assert!(chosen(&[[0.0; 3], [1e-3, 0.0, 0.0]]).is_ok());
+        assert!(chosen(&[[1.0; 3]; 9], MOST).is_err());
+        assert!(chosen(&[[0.0; 3], [1e-3, 0.0, 0.0]], MOST).is_ok());
+    }
+
+    #[test]
+    fn the_default_fits_its_budget_whatever_the_distances_of_the_points() {
+        let power = |i: usize, step: f32| 10_f32.powf(8.0 * (i as f32 * step).fract() - 4.0);
+        let all_scales: Vec<Point> = (0..60_000)
+            .map(|i| {
+                let scale = power(i, 0.618_034);
+                [0.754_877_7, 0.569_840_3, 0.324_718].map(|step| (i as f32 * step).fract() * scale)
+            })
+            .collect();
+        // A statue of 0.1 in terrain of 200 x 200.
+        let statue = square(250, 4e-4).into_iter().map(|[x, y, z]| [x + 100.0, y + 100.0, z]);
+        let terrain = (0..20_000).map(|i| [0.618_034, 0.754_877_7].map(|step: f32| (i as f32 * step).fract() * 200.0));
+        let mixed: Vec<Point> = terrain.map(|[x, y]| [x, y, 0.0]).chain(statue).collect();
+        for points in [all_scales, mixed] {
+            let size = chosen(&points, MOST).unwrap();
+            assert!(is_within_budget(&points, size, MOST), "{size}");
+            assert!(!is_within_budget(&points, size / 100.0, MOST), "{size}");
+        }
     }
 }

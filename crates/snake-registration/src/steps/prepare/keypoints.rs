@@ -34,7 +34,7 @@ impl VoxelCloud {
             classical => {
                 let voxels = self.points();
                 control.begin("keypoints", 0).check()?;
-                let responses = classical.keypoints(&voxels, count, Protocol::Ranked, seed)?;
+                let responses = classical.keypoints_with(&voxels, count, Protocol::Ranked, seed, control)?;
                 Ok(responses.into_iter().map(|response| voxels[response.index]).collect())
             }
         }

@@ -95,6 +95,7 @@ fn frequent(values: &[f64], least: usize) -> Vec<f64> {
     let mut groups = Vec::new();
     let (mut first, mut end) = (0, 0);
     while first < sorted.len() {
+        end = end.max(first + 1);
         while end < sorted.len() && sorted[end] - sorted[first] <= TUNING.missing_tolerance * sorted[first].abs() {
             end += 1;
         }
@@ -145,6 +146,13 @@ mod tests {
         }
         let (points, _) = scan(|ray| ray * (3.0 / ray.x).min(2.0 / ray.y.abs()));
         assert_eq!(without_sentinels(Cow::Borrowed(&points), [0.0; 3]).0.len(), 4000);
+    }
+
+    #[test]
+    fn distances_that_overflow_are_no_frequent_ones_and_end() {
+        assert_eq!(frequent(&[1.0, f64::INFINITY, f64::INFINITY, f64::NAN], 2), Vec::<f64>::new());
+        assert_eq!(frequent(&[2.0, 1.0, 2.0, 3.0], 2), [2.0]);
+        assert_eq!(frequent(&[], 1), Vec::<f64>::new());
     }
 
     #[test]

@@ -1,7 +1,7 @@
-"""How snake-rs scales: `python -m snake_training.scaling -o scaling.svg`.
+"""How snake-rs scales: `python tests/bench/scaling.py -o scaling.svg`.
 
 Seconds of each stage of detection against points, voxels, queries and refinement steps, for the paper's U-Net with
-seeded random weights (see `snake_training.benchmark`). The numbers go to a .csv file beside the plot.
+seeded random weights (see `tests/bench/speed.py`). The numbers go to a .csv file beside the plot.
 """
 
 import argparse
@@ -11,12 +11,12 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 
 import numpy as np
+from speed import STAGES, alternate, machine, run_snake_rs, seeded_network
 
-from .benchmark import STAGES, alternate, machine, run_snake_rs, seeded_network
-from .data import Procedural
-from .evaluate import DetectOptions
-from .export import write_weights
-from .model import NetworkConfig
+from snake_training.data import Procedural
+from snake_training.evaluate import DetectOptions
+from snake_training.export import write_weights
+from snake_training.model import NetworkConfig
 
 PARTS = STAGES[:-1]
 BASE = {"points": 4096, "resolution": 64, "query_resolution": 64, "refine_steps": 10}
@@ -110,7 +110,7 @@ def plot(path, rows, title):
 def main(argv=None):
     """Measures, prints the table with fitted exponents, writes plot and numbers."""
     parser = argparse.ArgumentParser(
-        prog="python -m snake_training.scaling",
+        prog="python tests/bench/scaling.py",
         description=__doc__,
         formatter_class=argparse.ArgumentDefaultsHelpFormatter,
     )

@@ -3,17 +3,21 @@
 import csv
 import json
 import sys
+from pathlib import Path
 
 import numpy as np
 import pytest
-import torch
 
-from snake_training import benchmark, scaling
+torch = pytest.importorskip("torch", reason="pip install ./training")
+
 from snake_training.data import Procedural
 from snake_training.evaluate import DetectOptions
 from snake_training.model import NetworkConfig
 
-pytest.importorskip("snake_rs", reason="snake_rs is not built: the benchmark was not run")
+sys.path.insert(0, str(Path(__file__).parent / "bench"))
+
+import scaling
+import speed
 
 CONFIG = NetworkConfig(resolution=(16, 16, 16), c_dim=8, unet_levels=2, unet_base_channels=8)
 OPTIONS = DetectOptions(query_resolution=16, refine_steps=2)
@@ -21,8 +25,8 @@ OPTIONS = DetectOptions(query_resolution=16, refine_steps=2)
 
 @pytest.fixture(scope="module")
 def report():
-    report = benchmark.measure(CONFIG, num_points=512, occupied=300, options=OPTIONS, threads=1, runs=1)
-    return {"machine": benchmark.machine(), **report}
+    report = speed.measure(CONFIG, num_points=512, occupied=300, options=OPTIONS, threads=1, runs=1)
+    return {"machine": speed.machine(), **report}
 
 
 def test_every_part_is_measured(report):
@@ -31,7 +35,7 @@ def test_every_part_is_measured(report):
     assert report["counts"]["above_threshold"] > 30 and report["counts"]["keypoints"] > 0
     for rows in (report["detect_seconds"], report["thread_seconds"]):
         for name, row in rows.items():
-            assert set(row) == {*benchmark.STAGES, "refined"} and all(value > 0 for value in row.values()), name
+            assert set(row) == {*speed.STAGES, "refined"} and all(value > 0 for value in row.values()), name
     assert len(report["detect_seconds"]) == 4 and report["thread_ratio"] == {}
     ratio, rows = report["detect_ratio"]["PyTorch / snake-rs"], report["detect_seconds"]
     assert ratio["total"] == rows["PyTorch"]["total"] / rows["snake-rs"]["total"]
@@ -40,10 +44,10 @@ def test_every_part_is_measured(report):
 
 def test_threads_are_compared_in_processes_of_their_own(tmp_path):
     points = Procedural(points=512)[0]
-    network = benchmark.seeded_network(CONFIG, points, 300, query_resolution=16)
+    network = speed.seeded_network(CONFIG, points, 300, query_resolution=16)
     weights = str(tmp_path / "network.safetensors")
-    benchmark.write_weights(weights, CONFIG, network.state_dict())
-    rows, ratio = benchmark.compare_threads(weights, points, OPTIONS, threads=2, runs=1)
+    speed.write_weights(weights, CONFIG, network.state_dict())
+    rows, ratio = speed.compare_threads(weights, points, OPTIONS, threads=2, runs=1)
     assert list(rows) == ["1 thread", "2 threads"]
     assert ratio["1 / 2 threads"]["encode"] == rows["1 thread"]["encode"] / rows["2 threads"]["encode"]
 
@@ -54,20 +58,20 @@ def test_engines_agree_where_a_ratio_is_given(report):
     assert rows["PyTorch channels_last_3d"]["ratio"] > 0
     for name, row in rows.items():
         assert ("ratio" in row) != ("note" in row), name
-        assert "ratio" not in row or row["difference"] <= benchmark.MAX_DIFFERENCE, name
+        assert "ratio" not in row or row["difference"] <= speed.MAX_DIFFERENCE, name
 
 
 def test_the_report_can_be_read_as_text_and_json(report):
     assert json.loads(json.dumps(report))["settings"]["threads"] == 1
-    text = benchmark.text(report)
-    for word in (*benchmark.PACKAGES, *report["unet_seconds"], *report["detect_ratio"], "threads of each: 1", "J = 2"):
+    text = speed.text(report)
+    for word in (*speed.PACKAGES, *report["unet_seconds"], *report["detect_ratio"], "threads of each: 1", "J = 2"):
         assert word in text
 
 
 def test_a_busy_machine_is_said(report):
     for load, said in ((0.0, False), (99.0, True)):
         host = report["machine"] | {"load_before": load, "cores": 2}
-        assert ("BUSY MACHINE" in benchmark.text(report | {"machine": host})) == said
+        assert ("BUSY MACHINE" in speed.text(report | {"machine": host})) == said
 
 
 @pytest.mark.parametrize("package", ["onnxruntime", "openvino", "open3d"])
@@ -84,9 +88,9 @@ def test_missing_peers_are_named_not_counted(monkeypatch):
     import snake_rs
 
     points = Procedural(points=512)[0]
-    rows = benchmark.compare_compact(snake_rs.Model.builtin(), points, runs=1)
-    assert rows["Open3D ISS"] == {"note": benchmark.NOT_INSTALLED}
-    assert benchmark.NOT_INSTALLED in benchmark.table("title", rows)
+    rows = speed.compare_compact(snake_rs.Model.builtin(), points, runs=1)
+    assert rows["Open3D ISS"] == {"note": speed.NOT_INSTALLED}
+    assert speed.NOT_INSTALLED in speed.table("title", rows)
 
 
 def test_a_peer_that_disagrees_or_cannot_run_gets_no_ratio(monkeypatch):
@@ -103,29 +107,29 @@ def test_a_peer_that_disagrees_or_cannot_run_gets_no_ratio(monkeypatch):
 
         volume = np.zeros((8, 16, 16, 16), np.float32)
 
-    monkeypatch.setattr(benchmark, "unet_peers", peers)
+    monkeypatch.setattr(speed, "unet_peers", peers)
     points = Procedural(points=512)[0]
-    network = benchmark.seeded_network(CONFIG, points, 300, query_resolution=16)
-    rows = benchmark.compare_unet(network, Model(), points, threads=1, runs=1)
+    network = speed.seeded_network(CONFIG, points, 300, query_resolution=16)
+    rows = speed.compare_unet(network, Model(), points, threads=1, runs=1)
     assert "ratio" in rows["PyTorch contiguous"]
     assert "ratio" not in rows["wrong"] and "differs" in rows["wrong"]["note"]
     assert rows["broken"] == {"note": "cannot run here: no kernel"}
 
 
 def test_engines_that_refine_other_numbers_of_queries_get_no_ratio():
-    ours = dict.fromkeys(benchmark.STAGES, 1.0) | {"refined": 1000}
-    assert benchmark.detect_ratio(ours | {"total": 2.0, "refined": 1009}, ours)["total"] == 2.0
-    ratio = benchmark.detect_ratio(ours | {"refined": 1020}, ours)
+    ours = dict.fromkeys(speed.STAGES, 1.0) | {"refined": 1000}
+    assert speed.detect_ratio(ours | {"total": 2.0, "refined": 1009}, ours)["total"] == 2.0
+    ratio = speed.detect_ratio(ours | {"refined": 1020}, ours)
     assert ratio == {"note": "no ratio: 1020 queries refined, by snake-rs 1000"}
-    assert ratio["note"] in benchmark.table("ratios", {"PyTorch / snake-rs": ratio})
+    assert ratio["note"] in speed.table("ratios", {"PyTorch / snake-rs": ratio})
 
 
 def test_each_level_of_instructions_has_a_process_of_its_own():
     capability = torch.backends.cpu.get_cpu_capability()
     with pytest.MonkeyPatch.context() as environment:
-        for name in benchmark.AVX2:
+        for name in speed.AVX2:
             environment.setenv(name, "")
-        reports = dict(benchmark.measure_levels(CONFIG, 512, 300, OPTIONS, 1, 1))
+        reports = dict(speed.measure_levels(CONFIG, 512, 300, OPTIONS, 1, 1))
     assert len(reports) == (2 if capability == "AVX512" else 1)
     assert all(report["unet_seconds"]["snake-rs (whole encode)"]["difference"] < 1e-4 for report in reports.values())
     assert len({report["machine"]["load_before"] for report in reports.values()}) == 1, "the first level is no load"
@@ -133,13 +137,13 @@ def test_each_level_of_instructions_has_a_process_of_its_own():
 
 def test_medians_leave_out_the_first_round():
     seconds = iter([9.0, 1.0, 5.0, 2.0])
-    assert benchmark.alternate({"a": lambda: {"total": next(seconds)}}, runs=3) == {"a": {"total": 2.0}}
+    assert speed.alternate({"a": lambda: {"total": next(seconds)}}, runs=3) == {"a": {"total": 2.0}}
 
 
 def test_bad_arguments_are_refused(capsys, tmp_path):
     for main, words, expected in (
-        (benchmark.main, ["--runs", "0"], "--runs must be 1 to"),
-        (benchmark.main, ["--occupied", "-3"], "--occupied must be 1 to"),
+        (speed.main, ["--runs", "0"], "--runs must be 1 to"),
+        (speed.main, ["--occupied", "-3"], "--occupied must be 1 to"),
         (scaling.main, ["-o", "plot.png"], "must end in .svg"),
         (scaling.main, ["-o", "plot.svg", "--runs", "0"], "must be 1 or more"),
     ):

@@ -1,4 +1,4 @@
-"""Speed of snake-rs beside its peers, alternating in one run: `python -m snake_training.benchmark`.
+"""Speed of snake-rs beside its peers, alternating in one run: `python tests/bench/speed.py`.
 
 The network is the paper's, 64^3, with seeded random weights: speed does not depend on their values. Its decoders are
 fitted so that as many queries pass each threshold as on a typical object. Peers that are not installed are named, not
@@ -24,13 +24,13 @@ from tempfile import TemporaryDirectory
 
 import numpy as np
 import torch
+from speed_peers import open3d_iss, unet_peers
 
-from .augment import normalize
-from .data import Procedural
-from .evaluate import DetectOptions, near_points, query_grid, refine, select
-from .export import write_weights
-from .model import NetworkConfig, SnakeNetwork, voxel_index
-from .peers import open3d_iss, unet_peers
+from snake_training.augment import normalize
+from snake_training.data import Procedural
+from snake_training.evaluate import DetectOptions, near_points, query_grid, refine, select
+from snake_training.export import write_weights
+from snake_training.model import NetworkConfig, SnakeNetwork, voxel_index
 
 PACKAGES = ("snake-rs", "torch", "onnxruntime", "openvino", "open3d")
 STAGES = ("encode", "occupancy", "refine", "nms", "total")
@@ -377,7 +377,7 @@ def text(report):
 def main(argv=None):
     """Prints the tables of each level of instructions, and writes the same as JSON."""
     parser = argparse.ArgumentParser(
-        prog="python -m snake_training.benchmark",
+        prog="python tests/bench/speed.py",
         description=__doc__,
         formatter_class=argparse.ArgumentDefaultsHelpFormatter,
     )

@@ -1,0 +1,75 @@
+//! Which files a command reads: lists, and folders with files that hold no cloud.
+
+use std::path::Path;
+
+use assert_cmd::Command;
+
+use super::{json_lines, sample, snake, stderr};
+
+#[test]
+fn a_list_names_inputs_in_a_file_or_at_the_standard_input() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = |name: &str| folder.path().join(name).display().to_string();
+    for name in ["b.ply", "a.ply"] {
+        std::fs::copy(sample(), path(name)).unwrap();
+    }
+    let list = format!("\u{feff}{}\r\n\r\n{}\r\n", path("b.ply"), path("a.ply"));
+    std::fs::write(path("list.txt"), &list).unwrap();
+    let few = ["--json", "--max-keypoints", "3"];
+    let inputs = |output| json_lines(&output).iter().map(|line| line["input"].clone()).collect::<Vec<_>>();
+    let found = inputs(snake(&[&["detect", &sample(), "--input-list", &path("list.txt")], &few[..]].concat()));
+    assert_eq!(found, [sample(), path("b.ply"), path("a.ply")]);
+    let mut command = Command::cargo_bin("snake-cli").unwrap();
+    let run = command.args(["detect", "--input-list", "-"]).args(few).write_stdin(list).output().unwrap();
+    assert_eq!(inputs(run), [path("b.ply"), path("a.ply")]);
+    let output = snake(&["align", "--input-list", &path("list.txt"), "--json"]);
+    assert!(output.status.success(), "{}", stderr(&output));
+    std::fs::write(path("list.txt"), "\n").unwrap();
+    for (arguments, expected) in [
+        (["detect", "--input-list", &path("list.txt")], "the list of inputs is empty"),
+        (["detect", "--input-list", "nowhere.txt"], "cannot read nowhere.txt"),
+        (["detect", "-", "--input-list=-"], "only once"),
+        (["detect", "--json", "-q"], "required"),
+    ] {
+        let output = snake(&arguments);
+        assert!(output.status.code() == Some(2) && stderr(&output).contains(expected), "{}", stderr(&output));
+    }
+}
+
+#[test]
+fn an_evaluation_leaves_out_files_without_a_cloud_and_says_so() {
+    let folder = tempfile::tempdir().unwrap();
+    let write = |name: &str, content: &str| std::fs::write(folder.path().join(name), content).unwrap();
+    for name in ["a.ply", "c.ply"] {
+        std::fs::copy(sample(), folder.path().join(name)).unwrap();
+    }
+    let eval = |data: &Path| {
+        let data = data.display().to_string();
+        snake(&[
+            "eval",
+            "repeatability",
+            &data,
+            "--methods",
+            "random",
+            "--downsample",
+            "1",
+            "--noise",
+            "0",
+            "--num-points",
+            "500",
+        ])
+    };
+    let whole = eval(folder.path());
+    assert!(whole.status.success(), "{}", stderr(&whole));
+    write("b.xyz", "1 2 potato\n");
+    write("d.xyz", "");
+    let output = eval(folder.path());
+    assert_eq!(output.status.code(), Some(1));
+    assert!(String::from_utf8_lossy(&output.stdout).contains("over 2 pairs"));
+    for expected in ["b.xyz is left out: ", "potato", "d.xyz is left out: "] {
+        assert!(stderr(&output).contains(expected), "{}", stderr(&output));
+    }
+    std::fs::remove_file(folder.path().join("a.ply")).unwrap();
+    std::fs::remove_file(folder.path().join("c.ply")).unwrap();
+    assert!(stderr(&eval(folder.path())).contains("none of the 2 files has a cloud"));
+}
