@@ -2,12 +2,14 @@
 
 import pickle
 import signal
+from pathlib import Path
 
 import numpy as np
 import pytest
 from golden_network import EASY, GOLDEN, same
 
 import snake_rs
+from snake_rs._core import page
 
 
 def test_keypoints_have_their_arrays(field, keypoints, points):
@@ -38,6 +40,26 @@ def test_keypoints_have_a_text_form_and_can_be_pickled(field, keypoints):
     assert len(nothing) == 0 and nothing.points.shape == (0, 3) and nothing.nearest_index.dtype == np.int64
     counts = {"queries": 64, "occupied": 0, "above_threshold": 0, "keypoints": 0}
     assert repr(nothing) == f"Keypoints(0, counts {counts})"
+
+
+def test_keypoints_say_which_model_and_voxel_size_found_them(field, keypoints, points):
+    assert (keypoints.model, keypoints.notes) == ("weights.safetensors", [])
+    found = snake_rs.detect(points, voxel_size=0.25, max_keypoints=5)
+    assert (found.model, found.voxel_size) == ("scenes, built-in", 0.25)
+    assert "option `voxel_size` is for scenes" in found.notes[0]
+    for other in (pickle.loads(pickle.dumps(found)), found[:2]):
+        assert (other.model, other.voxel_size, other.notes) == (found.model, found.voxel_size, found.notes)
+    assert snake_rs.detect(points, rotations=2, max_keypoints=5).model == "compact, built-in"
+
+
+def test_a_room_has_the_model_of_rooms_in_every_function():
+    room = snake_rs.read_points(Path(__file__).parents[1] / "samples" / "room" / "1.ply")
+    assert "scenes, built-in" in page(room, max_keypoints=5)
+    with pytest.warns(UserWarning, match="option `rotations` is for objects"):
+        assert snake_rs.detect(room, rotations=2, max_keypoints=5).model == "compact, built-in"
+    found = snake_rs.register(room, room, detector="snake", descriptor="field")
+    named = snake_rs.register(room, room, "scenes", detector="snake", descriptor="field")
+    assert np.array_equal(found.t_target_source, named.t_target_source)
 
 
 def test_every_option_has_an_effect(model, field, keypoints, points):

@@ -16,11 +16,14 @@ def test_a_model_has_its_configuration_and_metadata(model):
     assert (model.config["c_dim"], model.config["padding"], model.config["unet_levels"]) == (32, 0.125, 3)
     assert model.metadata["format"] == "snake-field" and model.metadata["resolution"] == "[25, 25, 25]"
     # Older files do not name the scattering and the point encoder.
-    assert set(model.config) - {"scatter", "point_encoder"} < set(model.metadata)
-    assert (model.config["scatter"], model.config["point_encoder"]) == ("hard", "pointnet")
+    assert set(model.config) - {"scatter"} < set(model.metadata)
+    assert model.config["scatter"] == "hard"
     tensors = load_file(GOLDEN / "odd" / "weights.safetensors")
     assert model.num_parameters == sum(tensor.size for tensor in tensors.values())
-    assert repr(model) == f"Model(weights.safetensors, {model.num_parameters} parameters, volume 25 x 25 x 25 x 32)"
+    assert (
+        repr(model)
+        == f"Model(weights.safetensors, {model.num_parameters} parameters, volume 25 x 25 x 25 voxels of 32 channels)"
+    )
 
 
 def test_builtin_model_is_the_default(points):

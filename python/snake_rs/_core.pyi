@@ -99,7 +99,7 @@ _Model: TypeAlias = Model | _Path
 # float32 for clouds of float32 or float16, else float64.
 _Positions: TypeAlias = NDArray[np.float32] | NDArray[np.float64]
 
-# Options, written by SNAKE_WRITE_OPTIONS=1 cargo test --release -p snake-keypoints --test cli options_in_python
+# Options, written by SNAKE_WRITE_OPTIONS=1 cargo test --release -p snake-rs-python --test options
 
 @type_check_only
 class _Preset(TypedDict, total=False):
@@ -211,7 +211,6 @@ class _Config(TypedDict):
     unet_base_channels: int
     group_norm_groups: int
     scatter: str
-    point_encoder: str
 
 @overload
 def detect(
@@ -379,6 +378,9 @@ class Keypoints:
         counts: dict[str, int],
         timing_seconds: dict[str, float],
         descriptors: NDArray[np.float32] | None = None,
+        model: str | None = None,
+        voxel_size: float | None = None,
+        notes: list[str] = [],
     ) -> Self: ...
     @staticmethod
     def load(path: _Path) -> Keypoints: ...
@@ -400,6 +402,12 @@ class Keypoints:
     def counts(self) -> dict[str, int]: ...
     @property
     def timing_seconds(self) -> dict[str, float]: ...
+    @property
+    def model(self) -> str | None: ...
+    @property
+    def voxel_size(self) -> float | None: ...
+    @property
+    def notes(self) -> list[str]: ...
     def to_open3d(self) -> Any: ...
     def to_dict(self) -> dict[str, NDArray[Any]]: ...
     def save(self, path: _Path) -> None: ...

@@ -22,7 +22,7 @@ fn responses<'py>(
 ) -> PyResult<Found<'py>> {
     let (py, (Cloud { points, .. }, _)) = (points.py(), arrays::cloud("points", points)?);
     let outliers = FinitePoints::of("points", &points).map_err(py_error)?.outliers();
-    warn(py, outliers.map(|outliers| outliers.to_string()))?;
+    outliers.map_or(Ok(()), |outliers| warn(py, &outliers.to_string()))?;
     let responses: Vec<Response> = threads::run_with_signals(py, |control| detect(&points, control))?;
     let indices = responses.iter().map(|response| response.index as i64).collect();
     let scores = responses.iter().map(|response| response.score).collect();

@@ -10,6 +10,7 @@ use snake_core::{self as core, Point};
 use crate::arrays::{Positions, Precision};
 use crate::keypoints::Keypoints;
 use crate::mesh::Mesh;
+use crate::model::Model;
 use crate::{arrays, options, threads};
 
 /// Values and gradients of Q queries.
@@ -154,7 +155,9 @@ impl Field {
         let preset = options::resolve("detect", &options::DETECT, self.core.recommended(), options)?;
         let detection = threads::run_with_signals(py, |control| self.core.detect_with(&preset.detect, control))?;
         let cloud = core::Cloud { points: self.core.points().to_vec(), origin: self.origin };
-        Keypoints::from_detection(py, detection, self.origin, self.precision, Some(cloud))
+        let model = self.model.bind(py).cast::<Model>()?.get().named().name;
+        let source = (Some(model), self.outliers().into_iter().collect());
+        Keypoints::from_detection(py, detection, self.origin, self.precision, Some(cloud), source)
     }
 
     /// The level set of the occupancy at `level`, by marching cubes: a closed mesh in the cloud's frame and units.

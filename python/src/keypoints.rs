@@ -7,7 +7,7 @@ use numpy::{PyArray1, PyArray2, PyArrayMethods};
 use pyo3::exceptions::{PyImportError, PyValueError};
 use pyo3::prelude::*;
 use pyo3::types::{IntoPyDict, PyDict, PyIterator, PyList, PySlice, PyTuple};
-use snake_core::{self as core, Cloud, Counts, Detection, Point};
+use snake_core::{self as core, Chosen, Cloud, Counts, Detection, Point};
 use snake_io::{KeypointSource, read_keypoints, write_keypoints};
 use snake_registration::{FPFH_DIMENSION, describe_keypoints};
 
@@ -80,12 +80,37 @@ pub struct Keypoints {
     /// Seconds of each step: "encode" (0 for `Field.detect`), "occupancy", "refine", "nms".
     #[pyo3(get)]
     timing_seconds: Py<PyDict>,
+    /// The name of the model that found them; None for keypoints from a file.
+    #[pyo3(get)]
+    model: Option<String>,
+    /// The size of a voxel of its volume, in cloud units; None for keypoints from a file.
+    #[pyo3(get)]
+    voxel_size: Option<f64>,
+    /// What to know about them, a list of sentences: of the choice of the model, the cloud's scale, outliers, and keypoints that
+    /// cluster.
+    #[pyo3(get)]
+    notes: Vec<String>,
     /// The cloud, for descriptors. Keypoints that were pickled or loaded have none.
     cloud: Option<Arc<Cloud>>,
     descriptors: OnceLock<Py<PyArray2<f32>>>,
 }
 
 impl Keypoints {
+    /// The keypoints of a cloud by the model that was chosen for it. `notes` are those on the choice.
+    pub fn chosen(
+        py: Python<'_>,
+        detection: Detection,
+        mut notes: Vec<String>,
+        chosen: &Chosen,
+        cloud: &Cloud,
+        precision: Precision,
+    ) -> PyResult<Self> {
+        notes.extend(py.detach(|| chosen.cluster_hint(&detection)));
+        let cloud = cloud.clone().for_normalization(chosen.options.encode.normalization);
+        let source = (Some(chosen.name.clone()), notes);
+        Self::from_detection(py, detection, chosen.origin, precision, Some(cloud), source)
+    }
+
     /// Converts the core's result to arrays and dicts.
     pub fn from_detection(
         py: Python<'_>,
@@ -93,8 +118,9 @@ impl Keypoints {
         origin: [f64; 3],
         precision: Precision,
         cloud: Option<Cloud>,
+        (model, notes): (Option<String>, Vec<String>),
     ) -> PyResult<Self> {
-        let Detection { keypoints, num_skipped, counts, timing, .. } = detection;
+        let Detection { keypoints, num_skipped, counts, timing, voxel_size, .. } = detection;
         let timing = [
             ("encode", timing.encode),
             ("occupancy", timing.occupancy),
@@ -112,6 +138,10 @@ impl Keypoints {
             num_skipped,
             counts: counts_dict(py, &counts)?.unbind(),
             timing_seconds: timing.into_py_dict(py)?.unbind(),
+            model,
+            // 0.1 and not its nearest float32.
+            voxel_size: voxel_size.and_then(|size| size.to_string().parse().ok()),
+            notes,
             cloud: cloud.map(Arc::new),
             descriptors: OnceLock::new(),
         })
@@ -132,7 +162,7 @@ pub fn counts_dict<'py>(py: Python<'py>, counts: &Counts) -> PyResult<Bound<'py,
 #[pymethods]
 impl Keypoints {
     #[new]
-    #[pyo3(signature = (points, saliency, occupancy, nearest_index, confidence, num_skipped, counts, timing_seconds, descriptors=None))]
+    #[pyo3(signature = (points, saliency, occupancy, nearest_index, confidence, num_skipped, counts, timing_seconds, descriptors=None, model=None, voxel_size=None, notes=vec![]))]
     #[expect(clippy::too_many_arguments, reason = "the state of a pickle")]
     fn new(
         points: Positions,
@@ -144,6 +174,9 @@ impl Keypoints {
         counts: Py<PyDict>,
         timing_seconds: Py<PyDict>,
         descriptors: Option<Py<PyArray2<f32>>>,
+        model: Option<String>,
+        voxel_size: Option<f64>,
+        notes: Vec<String>,
     ) -> Self {
         let descriptors = descriptors.map_or_else(OnceLock::new, OnceLock::from);
         let cloud = None;
@@ -156,6 +189,9 @@ impl Keypoints {
             num_skipped,
             counts,
             timing_seconds,
+            model,
+            voxel_size,
+            notes,
             cloud,
             descriptors,
         }
@@ -170,7 +206,7 @@ impl Keypoints {
         let mut detection = Detection::default();
         detection.counts.keypoints = keypoints.len();
         detection.keypoints = keypoints;
-        Self::from_detection(py, detection, origin, precision, None)
+        Self::from_detection(py, detection, origin, precision, None, (None, Vec::new()))
     }
 
     /// Descriptors (K, 33) float32 of the cloud around each keypoint: the square roots of FPFH histograms, which do not depend
@@ -294,6 +330,9 @@ impl Keypoints {
             num_skipped: self.num_skipped,
             counts: self.counts.clone_ref(py),
             timing_seconds: self.timing_seconds.clone_ref(py),
+            model: self.model.clone(),
+            voxel_size: self.voxel_size,
+            notes: self.notes.clone(),
             cloud: self.cloud.clone(),
             descriptors: match self.descriptors.get() {
                 Some(all) => OnceLock::from(contiguous(all.bind(py).get_item(index)?)?.extract::<Py<PyArray2<f32>>>()?),
@@ -314,12 +353,12 @@ impl Keypoints {
     }
 
     fn __getnewargs__<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyTuple>> {
-        let Self {
-            points, saliency, occupancy, nearest_index, confidence, num_skipped, counts, timing_seconds, ..
-        } = self;
+        let Self { points, saliency, occupancy, nearest_index, confidence, num_skipped, counts, .. } = self;
+        let arrays = (points, saliency, occupancy, nearest_index, confidence).into_pyobject(py)?;
+        let Self { timing_seconds, model, voxel_size, notes, .. } = self;
         let descriptors = self.descriptors.get();
-        (points, saliency, occupancy, nearest_index, confidence, num_skipped, counts, timing_seconds, descriptors)
-            .into_pyobject(py)
+        let others = (num_skipped, counts, timing_seconds, descriptors, model, voxel_size, notes).into_pyobject(py)?;
+        arrays.as_sequence().concat(others.as_sequence())?.to_tuple()
     }
 
     fn __len__(&self, py: Python<'_>) -> PyResult<usize> {

@@ -24,7 +24,7 @@ mod tiled;
 use numpy::{PyArray2, PyArrayMethods};
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
-use snake_core::{Builtin, Cloud, Error, Options, scale_hint, side_by_side};
+use snake_core::{Chooser, Chosen, Cloud, Error, parallel_map};
 use snake_registration::{FPFH_DIMENSION, mutual_nearest};
 
 use alignment::{Alignment, AlignmentEdge, align};
@@ -40,8 +40,9 @@ use threads::{get_num_threads, set_num_threads};
 use tiled::{DetectedTiles, Tiles, tiles};
 
 /// Detects the keypoints of a cloud in one call: `model.encode(points).detect()`. `model` is a `Model`, the name of a
-/// built-in model ("compact", "standard" or "scenes") or the path of a weight file; it defaults to "compact", and to "scenes" for
-/// a cloud that looks like a room, a sweep or terrain.
+/// built-in model ("compact", "standard" or "scenes") or the path of a weight file. Without one, options that only one kind of
+/// model has name it: `voxel_size` "scenes", and `preset`, `normalization` and several `rotations` "compact". Else it is
+/// "scenes" for a cloud that looks like a room, a sweep or terrain, and "compact" for others. `Keypoints.model` says which.
 ///
 /// `points` (N, 3) are real numbers; additional columns are ignored. They can be a numpy array, a structured array with the
 /// fields x, y and z, a frame of pandas or polars or an Arrow table with such columns, a torch tensor or any other value with DLPack,
@@ -58,7 +59,8 @@ use tiled::{DetectedTiles, Tiles, tiles};
 #[doc = include_str!("help/detect.txt")]
 #[doc = include_str!("help/preset.txt")]
 ///
-/// A UserWarning says if the cloud has outliers, or is far from the scale that model and options are for. Raises ValueError for an
+/// A UserWarning says if the cloud has outliers, is far from the scale that model and options are for, or if an option gave it
+/// another model than it would have without it. These texts are also in `Keypoints.notes`. Raises ValueError for an
 /// invalid array or value, OSError for a file that cannot be read, and TypeError for an unknown option.
 ///
 /// A list or tuple of clouds gives a list of `Keypoints`, in its order. The clouds are detected side by side on all cores; an
@@ -71,18 +73,19 @@ fn detect(
     model: Option<&Bound<'_, PyAny>>,
     options: Option<&Bound<'_, PyDict>>,
 ) -> PyResult<Py<PyAny>> {
-    let choice = Choice::new(py, model, options)?;
+    let values = options::values("detect", &options::ALL, options)?;
+    let chooser = model::chooser(py, model, &values)?;
     if let Some(clouds) = arrays::list_of_clouds(points)? {
-        return Ok(detect_all(py, &clouds, &choice)?.into_pyobject(py)?.into_any().unbind());
+        return Ok(detect_all(py, &clouds, &chooser)?.into_pyobject(py)?.into_any().unbind());
     }
     let (cloud, precision) = arrays::cloud("points", points)?;
-    let cloud = cloud.for_normalization(choice.given.1.encode.normalization);
-    let (model, preset) = choice.for_cloud(&cloud);
+    let chosen = threads::run(py, || chooser.for_cloud(&cloud))?;
     // Before the detection, which may take minutes at the wrong scale.
-    warn(py, scale_hint(&cloud.points, model.config(), preset))?;
-    let detection = threads::run_with_signals(py, |control| model.detect_with(&cloud.points, preset, control))?;
-    let origin = cloud.origin;
-    Ok(Bound::new(py, Keypoints::from_detection(py, detection, origin, precision, Some(cloud))?)?.into_any().unbind())
+    let notes = chosen.notes();
+    notes.iter().try_for_each(|note| warn(py, note))?;
+    let detection = threads::run_with_signals(py, |control| chosen.detect(control))?;
+    let keypoints = Keypoints::chosen(py, detection, notes, &chosen, &cloud, precision)?;
+    Ok(Bound::new(py, keypoints)?.into_any().unbind())
 }
 
 /// What `detect` chooses between the models of objects and of scenes by: eight numbers of a cloud `(N, 3)`, or None if it is too
@@ -93,67 +96,36 @@ fn scene_signs(points: &Bound<'_, PyAny>) -> PyResult<Option<Vec<f64>>> {
     Ok(snake_core::scene_signs(&cloud.points).map(Vec::from))
 }
 
-/// The model of a call with its options; where none is named, each cloud has the built-in one that suits it.
-struct Choice {
-    given: (snake_core::Model, Options),
-    scenes: Option<(snake_core::Model, Options)>,
-}
-
-impl Choice {
-    fn new(py: Python<'_>, model: Option<&Bound<'_, PyAny>>, options: Option<&Bound<'_, PyDict>>) -> PyResult<Self> {
-        let with_options = |model: snake_core::Model| -> PyResult<_> {
-            let options = options::resolve("detect", &options::ALL, model.recommended(), options)?;
-            Ok((model, options))
-        };
-        let is_named = |name: &&str| {
-            options.is_some_and(|options| options.get_item(name).ok().flatten().is_some_and(|value| !value.is_none()))
-        };
-        let is_chosen = model.is_none() && !["preset", "normalization"].iter().any(is_named);
-        let scenes = is_chosen.then(|| model::builtin(py, Builtin::Scenes).and_then(with_options)).transpose()?;
-        Ok(Self { given: with_options(model::given_or_builtin(py, model)?)?, scenes })
-    }
-
-    fn for_cloud(&self, cloud: &Cloud) -> &(snake_core::Model, Options) {
-        match &self.scenes {
-            Some(scenes) if Builtin::for_cloud(&cloud.points) == Builtin::Scenes => scenes,
-            _ => &self.given,
-        }
-    }
-}
-
 /// The keypoints of several clouds.
-fn detect_all(py: Python<'_>, given: &[Bound<'_, PyAny>], choice: &Choice) -> PyResult<Vec<Keypoints>> {
+fn detect_all(py: Python<'_>, given: &[Bound<'_, PyAny>], chooser: &Chooser) -> PyResult<Vec<Keypoints>> {
     let mut clouds: Vec<(Cloud, Precision)> = Vec::with_capacity(given.len());
     for (index, value) in given.iter().enumerate() {
-        let (cloud, precision) = arrays::cloud(&format!("points[{index}]"), value)?;
-        let cloud = cloud.for_normalization(choice.given.1.encode.normalization);
-        let (model, options) = choice.for_cloud(&cloud);
-        let hint = scale_hint(&cloud.points, model.config(), options);
-        warn(py, hint.map(|hint| format!("points[{index}]: {hint}")))?;
-        clouds.push((cloud, precision));
+        clouds.push(arrays::cloud(&format!("points[{index}]"), value)?);
+    }
+    let named = |index: usize, error: Error| match error {
+        Error::Input { reason, .. } => Error::Input { what: "points", reason: format!("[{index}]: {reason}") },
+        other => other,
+    };
+    let mut chosen: Vec<(Chosen, Vec<String>)> = Vec::with_capacity(given.len());
+    for (index, (cloud, _)) in clouds.iter().enumerate() {
+        let choice = threads::run(py, || chooser.for_cloud(cloud).map_err(|error| named(index, error)))?;
+        let notes = choice.notes();
+        notes.iter().try_for_each(|note| warn(py, &format!("points[{index}]: {note}")))?;
+        chosen.push((choice, notes));
     }
     let detections = threads::run_with_signals(py, |control| {
         let control = control.without_progress();
-        side_by_side(clouds.len(), |index| {
-            let (model, options) = choice.for_cloud(&clouds[index].0);
-            model.detect_with(&clouds[index].0.points, options, &control).map_err(|error| match error {
-                Error::Input { reason, .. } => Error::Input { what: "points", reason: format!("[{index}]: {reason}") },
-                other => other,
-            })
-        })
+        parallel_map(chosen.len(), |index| chosen[index].0.detect(&control).map_err(|error| named(index, error)))
     })?;
-    let keypoints = |(detection, (cloud, precision)): (_, (Cloud, _))| {
-        Keypoints::from_detection(py, detection, cloud.origin, precision, Some(cloud))
+    let keypoints = |((detection, (chosen, notes)), (cloud, precision)): ((_, (Chosen, _)), &(Cloud, _))| {
+        Keypoints::chosen(py, detection, notes, &chosen, cloud, *precision)
     };
-    detections.into_iter().zip(clouds).map(keypoints).collect()
+    detections.into_iter().zip(chosen).zip(&clouds).map(keypoints).collect()
 }
 
-/// Gives a UserWarning, if there is something to say.
-fn warn(py: Python<'_>, text: Option<String>) -> PyResult<()> {
-    match text {
-        Some(text) => py.import("warnings")?.call_method1("warn", (text,)).map(drop),
-        None => Ok(()),
-    }
+/// Gives a UserWarning.
+fn warn(py: Python<'_>, text: &str) -> PyResult<()> {
+    py.import("warnings")?.call_method1("warn", (text,)).map(drop)
 }
 
 /// Matches the keypoints of two clouds: (M, 2) int64, rows `[index in a, index in b]` of keypoints each of whose `descriptors`

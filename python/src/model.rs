@@ -6,6 +6,7 @@ use std::sync::{Arc, OnceLock};
 use pyo3::exceptions::{PyTypeError, PyValueError};
 use pyo3::prelude::*;
 use pyo3::types::{IntoPyDict, PyBytes, PyDict, PyTuple};
+use serde_json::{Map, Value};
 use snake_core as core;
 use snake_registration::RegisterOptions;
 
@@ -34,41 +35,51 @@ impl Model {
         &self.core
     }
 
+    /// The model with its name in results.
+    pub fn named(&self) -> core::NamedModel {
+        let name = match &self.origin {
+            Origin::Builtin(name) => format!("{name}, built-in"),
+            Origin::File(_, name) => name.clone().unwrap_or_else(|| "without a name".into()),
+        };
+        core::NamedModel::new(self.core.clone(), name)
+    }
+
     fn from_file(py: Python<'_>, file: Vec<u8>, name: Option<String>) -> PyResult<Self> {
         let core = threads::run(py, || core::Model::from_bytes(&file))?;
         Ok(Self { core, origin: Origin::File(Arc::new(file), name) })
     }
 }
 
-/// A built-in model that a call without a model may take, loaded once.
-pub fn builtin(py: Python<'_>, which: core::Builtin) -> PyResult<core::Model> {
-    static MODELS: [OnceLock<core::Model>; 2] = [const { OnceLock::new() }; 2];
-    let place = &MODELS[usize::from(which == core::Builtin::Scenes)];
-    match place.get() {
-        Some(model) => Ok(model.clone()),
-        None => {
-            let model = threads::run(py, || Ok(core::Model::builtin(which)))?;
-            Ok(place.get_or_init(|| model).clone())
-        }
-    }
+/// The built-in models of calls without a model, each loaded once.
+fn builtin_models() -> &'static core::BuiltinModels {
+    static MODELS: OnceLock<core::BuiltinModels> = OnceLock::new();
+    MODELS.get_or_init(core::BuiltinModels::default)
 }
 
-/// The given model, or by default the built-in one.
-pub fn given_or_builtin(py: Python<'_>, model: Option<&Bound<'_, PyAny>>) -> PyResult<core::Model> {
-    match model {
-        Some(model) => Ok(given(py, model)?.get().core().clone()),
-        None => builtin(py, core::Builtin::Compact),
-    }
+/// What chooses model and options of each cloud of a call, for given values of options.
+pub fn chooser(
+    py: Python<'_>,
+    model: Option<&Bound<'_, PyAny>>,
+    values: &Map<String, Value>,
+) -> PyResult<core::Chooser> {
+    let choice = match model {
+        Some(model) => given(py, model)?.get().named().into(),
+        None => core::ModelChoice::Auto(builtin_models().clone()),
+    };
+    core::Chooser::new(choice, values).map_err(py_error)
 }
 
-/// The given model, or the built-in one if the options of a registration run one.
+/// The model for a registration to a cloud: the given one, or the one that the cloud has if the options run one.
 pub fn of_registration(
     py: Python<'_>,
     model: Option<&Bound<'_, PyAny>>,
     options: &RegisterOptions,
+    cloud: Option<&core::Cloud>,
 ) -> PyResult<Option<core::Model>> {
     let is_used = model.is_some() || options.needs_model();
-    is_used.then(|| given_or_builtin(py, model)).transpose()
+    let (true, Some(cloud)) = (is_used, cloud) else { return Ok(None) };
+    let chooser = chooser(py, model, &Map::new())?;
+    threads::run(py, || Ok(Some(chooser.for_cloud(cloud)?.model)))
 }
 
 /// Whether a value is meant as a model and not as a cloud: a `Model`, the name of one, or the path of a weight file.
@@ -117,10 +128,9 @@ impl Model {
     #[staticmethod]
     #[pyo3(name = "builtin", signature = (name="compact"))]
     pub fn py_builtin(py: Python<'_>, name: &str) -> PyResult<Self> {
-        let core = if name == "compact" {
-            builtin(py, core::Builtin::Compact)?
-        } else {
-            threads::run(py, || core::Model::named(name))?
+        let core = match core::Builtin::ALL.into_iter().find(|which| which.name() == name) {
+            Some(which) => threads::run(py, || Ok(builtin_models().get(which).clone()))?,
+            None => threads::run(py, || core::Model::named(name))?,
         };
         Ok(Self { core, origin: Origin::Builtin(name.into()) })
     }
@@ -166,7 +176,6 @@ impl Model {
             dict.set_item("z_max", frame.z_bounds[1])?;
         }
         dict.set_item("scatter", config.scatter.name())?;
-        dict.set_item("point_encoder", config.point_encoder.name())?;
         Ok(dict)
     }
 
@@ -203,7 +212,7 @@ impl Model {
         let (cloud, precision) = arrays::cloud("points", points)?;
         let cloud = cloud.for_normalization(preset.encode.normalization);
         let field = Field::new(slf, core, &cloud, preset.encode, precision)?;
-        warn(slf.py(), field.outliers())?;
+        field.outliers().map_or(Ok(()), |text| warn(slf.py(), &text))?;
         Ok(field)
     }
 
@@ -237,10 +246,11 @@ impl Model {
             Origin::Builtin(name) | Origin::File(_, Some(name)) => name,
             Origin::File(_, None) => "without a name",
         };
-        let volume = match config.frame().map(|frame| frame.resolution) {
-            Some([x, y, z]) => format!("{x} x {y} x {z}"),
-            None => "of scenes".into(),
-        };
-        format!("Model({name}, {} parameters, volume {volume} x {})", self.core.num_parameters(), config.c_dim)
+        format!(
+            "Model({name}, {} parameters, volume {} of {} channels)",
+            self.core.num_parameters(),
+            config.volume,
+            config.c_dim
+        )
     }
 }

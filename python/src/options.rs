@@ -7,7 +7,7 @@ use pyo3::types::{PyDict, PyList, PyString};
 use serde::Serialize;
 use serde::de::DeserializeOwned;
 use serde_json::{Map, Number, Value};
-use snake_core::{Options, Preset, in_words, option_names};
+use snake_core::{Options, in_words, option_names};
 
 use crate::error::py_error;
 
@@ -26,24 +26,30 @@ pub fn resolve(
     recommended: &Options,
     given: Option<&Bound<PyDict>>,
 ) -> PyResult<Options> {
-    let Some(given) = given else { return Ok(*recommended) };
-    let mut preset = match given.get_item("preset")?.filter(|name| !name.is_none()) {
-        Some(name) => Preset::named(&name.str()?.to_cow()?).map_err(py_error)?.options(),
-        None => *recommended,
-    };
-    let mut tree = tree(&preset)?;
-    for (name, value) in given {
+    recommended.resolve(&values(function, parts, given)?).map_err(py_error)
+}
+
+/// The keywords of one call as JSON, `preset` included, each of the right type. Each must belong to one of the `parts`.
+pub fn values(function: &str, parts: &[&str], given: Option<&Bound<PyDict>>) -> PyResult<Map<String, Value>> {
+    let mut values = Map::new();
+    let mut tree = tree(&Options::default())?;
+    for (name, value) in given.into_iter().flatten() {
         let name: String = name.extract()?;
         if name == "preset" {
+            if !value.is_none() {
+                values.insert(name, value.str()?.to_cow()?.into());
+            }
             continue;
         }
         let Some(part) = parts.iter().find(|part| options_of(&tree, part).any(|option| *option == name)) else {
             let known = parts.iter().flat_map(|part| options_of(&tree, part)).map(String::as_str);
             return Err(unexpected(function, &name, std::iter::once("preset").chain(known)));
         };
-        preset = set(&mut tree, &format!("{part}/{name}"), &name, &value)?;
+        let pointer = format!("{part}/{name}");
+        set::<Options>(&mut tree, &pointer, &name, &value)?;
+        values.insert(name, tree.pointer(&pointer).cloned().unwrap_or_default());
     }
-    Ok(preset)
+    Ok(values)
 }
 
 /// The names of the options of one part, without nested parts.

@@ -53,31 +53,29 @@ pub fn page(
     }
     let epsilon = epsilon.map(LengthLike::length).transpose()?;
     let t_first_second = t_first_second.map(|value| metrics::transform("t_first_second", value)).transpose()?;
-    let model_name = match model {
-        None => "compact".to_owned(),
-        Some(model) => model.str()?.to_cow()?.into_owned(),
-    };
-    let model = model::given_or_builtin(py, model)?;
-    let options = options::resolve("view", &options::ALL, model.recommended(), options)?;
+    let chooser = model::chooser(py, model, &options::values("view", &options::ALL, options)?)?;
     let named = |given: Option<&str>, what: &str, value: &Bound<'_, PyAny>, unnamed: &str| {
         let (cloud, _) = arrays::cloud(what, value)?;
         let path: Option<PathBuf> = value.extract().ok();
         let name = given.map(str::to_owned).or(path.map(|path| path.display().to_string()));
-        let cloud = cloud.for_normalization(options.encode.normalization);
         PyResult::Ok((name.unwrap_or_else(|| unnamed.into()), cloud))
     };
     let unnamed = if second.is_some() { "first" } else { "cloud" };
     let mut clouds = vec![named(name, "points", points, unnamed)?];
     clouds.extend(second.map(|second| named(None, "second", second, "second")).transpose()?);
     let page = threads::run_with_signals(py, |control| {
-        let shown =
-            clouds.iter().map(|(name, cloud)| ShownCloud::detect(&model, &options, name.clone(), cloud, control));
-        let clouds: Vec<ShownCloud> = shown.collect::<snake_core::Result<_>>()?;
-        let pair = match &clouds[..] {
+        let mut shown: Vec<ShownCloud> = Vec::new();
+        // Both clouds of a pair have the model that suits the first.
+        let first = chooser.for_cloud(&clouds[0].1)?;
+        shown.push(ShownCloud::detect(&first, clouds[0].0.clone(), control)?);
+        for (name, cloud) in &clouds[1..] {
+            shown.push(ShownCloud::detect(&first.with_cloud(cloud)?, name.clone(), control)?);
+        }
+        let pair = match &shown[..] {
             [first, second] => Some(Pair::aligned([first, second], t_first_second, epsilon, control)?),
             _ => None,
         };
-        Ok(Page { clouds, pair, options, model_name, colors: viridis() })
+        Ok(Page { clouds: shown, pair, options: first.options, model_name: first.name, colors: viridis() })
     })?;
     page.html().map_err(|error| PyValueError::new_err(error.to_string()))
 }

@@ -169,7 +169,7 @@ impl Registration {
 /// partly. Points that are not finite are skipped. Descriptors of the downsampled clouds are matched, transforms on
 /// which many matches agree are compared on the clouds, and point-to-plane ICP refines the best. `verdict` says whether
 /// to trust it. Only the detector "snake" and the descriptor "field" run a `model` (default: the
-/// built-in one); no other loads one.
+/// built-in one that suits the target, as in `detect`); no other loads one.
 ///
 /// Raises ValueError for invalid arrays or values and when no transform fits, TypeError for an unknown option. Lengths are in
 /// cloud units, or text such as "3r" in multiples of the coarser cloud's mean distance between nearest points. The options
@@ -186,8 +186,8 @@ pub fn register(
     options: Option<&Bound<'_, PyDict>>,
 ) -> PyResult<Registration> {
     let (mut options, mut pair): (core::RegisterOptions, core::PairOptions) = options::of("register", options)?;
-    let model = model::of_registration(py, model, &options)?;
     let ((source, _), (target, _)) = (arrays::cloud("source", source)?, arrays::cloud("target", target)?);
+    let model = model::of_registration(py, model, &options, Some(&target))?;
     pair.place(&mut options, source.origin, target.origin);
     let (from, to) = (&source.points, &target.points);
     let near = threads::run_with_signals(py, |control| {

@@ -6,7 +6,7 @@ use std::sync::Arc;
 use pyo3::exceptions::{PyIndexError, PyValueError};
 use pyo3::prelude::*;
 use pyo3::types::{IntoPyDict, PyDict, PyTuple};
-use snake_core::{Detection, TileDetector, add_origin};
+use snake_core::{Detection, Length, TileDetector, add_origin};
 use snake_io::ReadOptions;
 use snake_tiles::{Detected, Tile, TiledKeypoint, TiledRun};
 
@@ -173,7 +173,11 @@ impl Tiles {
         detection.keypoints = found.keypoints.iter().map(|keypoint| keypoint.keypoint).collect();
         detection.counts = found.counts;
         detection.num_skipped = self.run.num_points().1 as usize;
-        Keypoints::from_detection(py, detection, self.run.origin(), Precision::Double, None)
+        if let Some(Length::Units(size)) = self.run.options().encode.voxel_size {
+            detection.voxel_size = Some(size as f32);
+        }
+        let source = (Some(self.model.get().named().name), Vec::new());
+        Keypoints::from_detection(py, detection, self.run.origin(), Precision::Double, None, source)
     }
 
     /// Opens the tiles of a folder, for `pickle`.

@@ -87,7 +87,9 @@ class TrainConfig(LoopSettings):
         "",
         "weights to start from: a safetensors export, checkpoint or run; also the network's shape where it is not given",
     )
-    fresh_saliency: bool = setting(False, "with init: start the saliency decoder anew")
+    fresh_saliency: bool = setting(
+        False, "with init: start the saliency decoder anew, with a draw that begins highest at corners and tips"
+    )
 
     resolution: int = setting(32, "voxels along each axis of the volume")
     unet_levels: int = setting(3, "levels of the U-Net")

@@ -2,7 +2,6 @@
 
 import functools
 import os
-import sys
 import time
 
 import torch
@@ -27,8 +26,6 @@ def choose_device(name):
 def has_fast_unet(device, config):
     """Whether the device computes the U-Net of a network of this configuration faster in bfloat16, and rightly."""
     if not has_fast_bfloat16(device):
-        if int(os.environ.get("RANK", "0")) == 0:
-            print(f"bfloat16 is slow on this {device.type}: the U-Net runs in float32", file=sys.stderr)
         return False
     lowest = min(getattr(config, "resolution", (1 << 30,))) >> (config.unet_levels - 1)
     return device.type != "cpu" or lowest >= LEAST_SIDE

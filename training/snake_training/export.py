@@ -6,9 +6,10 @@ import json
 import re
 import sys
 from contextlib import contextmanager
-from pathlib import Path
+from pathlib import Path, PosixPath, PurePosixPath
 from typing import NamedTuple
 
+import numpy as np
 import torch
 from safetensors import SafetensorError, safe_open
 from safetensors.torch import load_file, save_file
@@ -85,19 +86,25 @@ def build_network(config, tensors):
     return network
 
 
+# What released code keeps beside tensors: scores of NumPy (1 and 2 name their module differently), settings, paths. None of it
+# runs anything when it is read.
+ARRAYS = np.zeros(1).__reduce__()[0], np.float64(0).__reduce__()[0]
+PLAIN = [
+    argparse.Namespace, PurePosixPath, PosixPath, np.ndarray, np.dtype, *(type(np.dtype(name)) for name in ("f4", "f8", "i4", "i8", "bool")),
+    *((of, f"numpy.{module}.multiarray.{of.__name__}") for of in ARRAYS for module in ("core", "_core")),
+]  # fmt: skip
+
+
 def read_state(path):
-    """The dictionary of a checkpoint of plain tensors; anything else is a ValueError, and nothing in it is run."""
+    """The dictionary of a checkpoint of tensors and plain values; anything else is a ValueError, and nothing in it is run."""
     try:
-        state = torch.load(path, map_location="cpu", weights_only=True)
+        with torch.serialization.safe_globals(PLAIN):
+            state = torch.load(path, map_location="cpu", weights_only=True)
     except OSError:
         raise
     except Exception as error:  # the restricted unpickler's own refusal, or whatever a cut file makes it trip over
         found = re.search(r"GLOBAL ([\w.]+)", str(error))
-        reason = (
-            f"it holds a {found[1]} beside tensors; save its tensors alone: torch.save(checkpoint['state_dict'], ..)"
-            if found
-            else "it is cut short, or something else"
-        )
+        reason = f"it holds a {found[1]}; save its state_dict alone" if found else "it is cut short, or something else"
         raise ValueError(f"{path}: not a checkpoint of plain tensors ({reason}); nothing in it was run") from error
     if not isinstance(state, dict):
         raise ValueError(f"{path}: expected a dictionary of tensors, found {type(state).__name__}")
@@ -210,6 +217,7 @@ def main(argv=None):
     """Command line of the export."""
     parser = argparse.ArgumentParser(
         prog="python -m snake_training.export",
+        usage="python -m snake_training.export SOURCE -o OUTPUT [options]",
         description="Write the weight file of snake-rs from a run, a checkpoint, or an official model_best.pth.",
         formatter_class=argparse.ArgumentDefaultsHelpFormatter,
     )

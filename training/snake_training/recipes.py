@@ -145,6 +145,15 @@ class CropStage(Stage):
 
     files: tuple
 
+    def __post_init__(self):
+        pairs = [
+            pair for pair in self.files if isinstance(pair, list) and [type(value) for value in pair] == [int, int]
+        ]
+        if len(pairs) != len(self.files) or min((value for pair in pairs for value in pair), default=0) < 1:
+            raise ValueError(
+                f"files must be pairs of a first seed and a number, both 1 or more, got {list(self.files)}"
+            )
+
     def run(self, recipe, folder):
         """Files that are there stay."""
         seeds = [first + part for first, number in self.files for part in range(number)]
@@ -402,11 +411,10 @@ def main(argv=None):
         "--workers", type=int, default=0, help="processes that draw batches ahead; 0: none, best on a CPU"
     )
     parser.add_argument("--smoke", action="store_true", help="every stage with next to no work, to see that it runs")
-    moved = parser.add_mutually_exclusive_group()
-    moved.add_argument(
-        "--pack", metavar="FOLDER", help="at the end write what moves to another machine there, in pieces"
+    parser.add_argument("--unpack", metavar="FOLDER", help="first take up what another machine packed there")
+    parser.add_argument(
+        "--pack", metavar="FOLDER", help="at the end write there what moves to another machine, in pieces"
     )
-    moved.add_argument("--unpack", metavar="FOLDER", help="first take up what another machine packed")
     given = parser.parse_args(argv)
     if not (given.minutes >= 0 and given.workers >= 0):
         parser.error("--minutes and --workers must be 0 or more")
@@ -431,7 +439,7 @@ def main(argv=None):
                 recipe.run()
             except TimeSpent as error:
                 print(error)
-            if given.pack:
+            if given.pack and run_dir.is_dir():
                 moving.pack(run_dir, Path(given.pack) / path.stem)
     except (OSError, ValueError) as error:
         parser.error(str(error))

@@ -203,6 +203,8 @@ def run_until(task, folder, device, minutes, workers, pressed):
         dist.init_process_group("nccl" if device.type == "cuda" else "gloo", timeout=timedelta(hours=4))
     state = State(task, folder, device)
     autocast = settings.bf16 and has_fast_unet(device, state.network.config)
+    if settings.bf16 and not autocast and rank == 0:
+        print(f"bfloat16 is slow on this {device.type}: the U-Net runs in float32", file=sys.stderr)
     model = DistributedDataParallel(state.network) if world > 1 else state.network
 
     log = None
@@ -245,7 +247,7 @@ def run_until(task, folder, device, minutes, workers, pressed):
                 bar.set_postfix({k[:3]: f"{v:.3f}" for k, v in running.items()}, refresh=False)
                 write_scalars(log, "train", running, state.step)
             if state.step % settings.validate_every == 0 or (finished and not spent):
-                validate(state, device, log)
+                validate(state, device, autocast, log)
             if finished or interrupted or time.monotonic() - saved > settings.checkpoint_minutes * 60:
                 state.save("last.pt")
                 saved = time.monotonic()
@@ -263,9 +265,9 @@ def run_until(task, folder, device, minutes, workers, pressed):
     return not spent
 
 
-def validate(state, device, log):
+def validate(state, device, autocast, log):
     """The figures of the averaged weights to the log; the best are kept in best.pt."""
-    figures = state.task.validate(state.average, device)
+    figures = state.task.validate(state.average, device, autocast)
     if not figures:
         return
     figures["dead_share"] = dead_share(state.average)

@@ -37,6 +37,12 @@ def local_grids(views, config):
 # Clouds of files
 
 
+def test_points_in_columns_are_refused_as_detection_does(tmp_path):
+    np.save(tmp_path / "columns.npy", cloud().T)
+    with pytest.raises(ShapeError, match="transpose 600 points in 3 rows"):
+        open_shapes(tmp_path)[0]
+
+
 def test_georeferenced_clouds_keep_their_digits_and_lose_their_outliers(tmp_path):
     near, far = cloud(4000).astype(np.float64), np.array([500123.25, 5412345.75, 431.5])
     stored = {

@@ -16,13 +16,15 @@ from tensorboard.backend.event_processing.event_accumulator import EventAccumula
 
 from conftest import arguments, judged
 from snake_training import train as training
+from snake_training.augment import normalize
 from snake_training.command_line import parse_arguments
 from snake_training.config import from_json
 from snake_training.data import Mixture, Procedural
+from snake_training.data.landmarks import RECIPES, landmarks
 from snake_training.evaluate import DetectOptions, why_none
 from snake_training.export import Moved, load_network, read_checkpoint, write_weights
-from snake_training.model import SnakeNetwork
-from snake_training.tasks.objects import Objects, make_batch
+from snake_training.model import Decoder, SnakeNetwork
+from snake_training.tasks.objects import Objects, draw_saliency, make_batch
 from snake_training.train import dead_share, learning_rate, train, update_average
 
 
@@ -276,6 +278,26 @@ def test_a_gradient_that_is_not_finite_stops_the_run(tiny, tmp_path, network, mo
 def test_missing_data_is_a_clear_error(tiny, tmp_path):
     with pytest.raises(SystemExit, match="no such folder"):
         train(tiny(data=(str(tmp_path / "absent"),)))
+
+
+def test_a_new_saliency_begins_higher_at_corners_than_other_draws(network):
+    clouds = [landmarks(name, np.random.default_rng(row)) for row, name in enumerate(RECIPES)]
+
+    def preference():
+        found = []
+        for cloud, at in clouds:
+            points = torch.from_numpy(normalize(cloud)[0])[None]
+            values = network.saliency(network.encode(points), points)[0].logit()
+            found.append(((values[at].mean() - values.mean()) / values.std()).item())
+        return np.mean(found)
+
+    others = []
+    with torch.no_grad():
+        for _ in range(8):
+            network.decoder_keypoint = Decoder(network.config)
+            others.append(preference())
+        draw_saliency(network)
+        assert preference() > max(np.median(others), 0)
 
 
 # Schedules

@@ -1,8 +1,8 @@
 //! Detection of keypoints.
 
-use std::ffi::c_char;
+use std::ffi::{CString, c_char};
 
-use snake_core::Keypoint;
+use snake_core::{Chooser, Control, Keypoint, printable};
 
 use crate::arguments::{SnakeCloud, check_output, input, options as parse_options};
 use crate::model::{SnakeModel, free};
@@ -35,13 +35,22 @@ impl From<&Keypoint> for SnakeKeypoint {
 /// The keypoints of a cloud.
 pub struct SnakeDetection {
     keypoints: Vec<SnakeKeypoint>,
+    voxel_size: f32,
+    model: CString,
+    notes: Vec<CString>,
+}
+
+/// A text for C: without zeros, which would end it, and without characters that control a terminal.
+fn c_text(text: &str) -> CString {
+    CString::new(printable(text).as_bytes()).unwrap_or_default()
 }
 
 /// Detects the keypoints of a cloud. Points that are not finite, and a few that are much farther than all others, are left out.
 /// A cloud without finite points is an error.
 ///
 /// `options` is null for what the model recommends, or a JSON object of values that replace those, such as
-/// `{"max_keypoints": 20, "nms_radius": "3r"}`. `*detection` is null after an error.
+/// `{"max_keypoints": 20, "nms_radius": "3r"}`; `"preset"` names a set of options to begin with. `*detection` is null after an
+/// error.
 ///
 /// # Safety
 /// `model` is null or a model that is not freed yet; `cloud` has as many points as it says; `options` is null or a text
@@ -60,11 +69,19 @@ pub unsafe extern "C" fn snake_detect(
         // SAFETY: the caller vouches for the model, the cloud and the text.
         let (model, points, values) =
             unsafe { (input("model", model)?, cloud.read("cloud")?, parse_options(options)?) };
-        let options = model.model.recommended().with_values(&values)?;
-        let found = run(|| Ok(model.model.detect(&points, &options)?))?;
-        let keypoints = found.keypoints.iter().map(SnakeKeypoint::from).collect();
+        let (found, chosen) = run(|| {
+            let chosen = Chooser::new(model.choice.clone(), &values)?.for_points(&points)?;
+            Ok((chosen.detect(&Control::default())?, chosen))
+        })?;
+        let notes = chosen.notes().into_iter().chain(chosen.cluster_hint(&found));
+        let result = SnakeDetection {
+            keypoints: found.keypoints.iter().map(SnakeKeypoint::from).collect(),
+            voxel_size: found.voxel_size.unwrap_or(f32::NAN),
+            model: c_text(&chosen.name),
+            notes: notes.map(|note| c_text(&note)).collect(),
+        };
         // SAFETY: as above.
-        unsafe { detection.write(Box::into_raw(Box::new(SnakeDetection { keypoints }))) };
+        unsafe { detection.write(Box::into_raw(Box::new(result))) };
         Ok(())
     })
 }
@@ -87,6 +104,38 @@ pub unsafe extern "C" fn snake_detection_num_keypoints(detection: *const SnakeDe
 pub unsafe extern "C" fn snake_detection_keypoints(detection: *const SnakeDetection) -> *const SnakeKeypoint {
     // SAFETY: the caller vouches for the detection.
     unsafe { detection.as_ref() }.map_or(std::ptr::null(), |detection| detection.keypoints.as_ptr())
+}
+
+/// The name of the model that found the keypoints, such as "scenes, built-in", valid until the detection is freed; null for null.
+///
+/// # Safety
+/// `detection` is null or a detection that is not freed yet.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn snake_detection_model(detection: *const SnakeDetection) -> *const c_char {
+    // SAFETY: the caller vouches for the detection.
+    unsafe { detection.as_ref() }.map_or(std::ptr::null(), |detection| detection.model.as_ptr())
+}
+
+/// The size of a voxel of the model's volume, in cloud units; NaN for null.
+///
+/// # Safety
+/// `detection` is null or a detection that is not freed yet.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn snake_detection_voxel_size(detection: *const SnakeDetection) -> f32 {
+    // SAFETY: the caller vouches for the detection.
+    unsafe { detection.as_ref() }.map_or(f32::NAN, |detection| detection.voxel_size)
+}
+
+/// A sentence that a user should know: of the choice of the model, the cloud's scale, outliers, or keypoints that cluster. `index`
+/// counts from 0; null after the last one. It is UTF-8 and valid until the detection is freed.
+///
+/// # Safety
+/// `detection` is null or a detection that is not freed yet.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn snake_detection_note(detection: *const SnakeDetection, index: usize) -> *const c_char {
+    // SAFETY: the caller vouches for the detection.
+    let note = unsafe { detection.as_ref() }.and_then(|detection| detection.notes.get(index));
+    note.map_or(std::ptr::null(), |note| note.as_ptr())
 }
 
 /// Frees a detection; null is allowed.

@@ -22,10 +22,11 @@ mod threads;
 pub use arguments::SnakeCloud;
 pub use detection::{
     SnakeDetection, SnakeKeypoint, snake_detect, snake_detection_free, snake_detection_keypoints,
-    snake_detection_num_keypoints,
+    snake_detection_model, snake_detection_note, snake_detection_num_keypoints, snake_detection_voxel_size,
 };
 pub use model::{
-    SnakeModel, snake_model_free, snake_model_from_bytes, snake_model_load, snake_model_named, snake_version,
+    SnakeModel, snake_model_auto, snake_model_free, snake_model_from_bytes, snake_model_load, snake_model_named,
+    snake_version,
 };
 pub use registration::{SnakeRegistration, snake_register};
 pub use status::{SnakeStatus, snake_last_error};

@@ -2,15 +2,15 @@
 
 use std::ffi::c_char;
 
-use snake_core::Model;
+use snake_core::{Model, ModelChoice, NamedModel};
 
 use crate::arguments::{check_output, text, values};
 use crate::status::{Result, SnakeStatus, guarded};
 use crate::threads::run;
 
-/// A network with its weights. Several threads may use one at the same time.
+/// A network with its weights, or the choice between those that are built in. Several threads may use one at the same time.
 pub struct SnakeModel {
-    pub(crate) model: Model,
+    pub(crate) choice: ModelChoice,
 }
 
 /// Puts the model of a source on the heap, or a null pointer if there is none.
@@ -20,17 +20,30 @@ pub struct SnakeModel {
 unsafe fn store<T: Send>(
     place: *mut *mut SnakeModel,
     source: Result<T>,
-    load: impl FnOnce(T) -> Result<Model> + Send,
+    load: impl FnOnce(T) -> Result<ModelChoice> + Send,
 ) -> SnakeStatus {
     guarded(|| {
         check_output("model", place)?;
         // SAFETY: the place is neither null nor misaligned; the caller vouches for the rest.
         unsafe { place.write(std::ptr::null_mut()) };
-        let model = Box::new(SnakeModel { model: run(|| load(source?))? });
+        let model = Box::new(SnakeModel { choice: run(|| load(source?))? });
         // SAFETY: as above.
         unsafe { place.write(Box::into_raw(model)) };
         Ok(())
     })
+}
+
+/// The built-in model that suits each cloud, chosen anew by every call, as `snake-cli` does without `--model`. Options that only
+/// one kind of model has name it: `voxel_size` "scenes", and `preset`, `normalization` and several `rotations` "compact". Else it
+/// is "scenes" for a cloud that looks like a room, a sweep or terrain, and "compact" for others. Each is loaded when it is
+/// first used. `*model` is null after an error.
+///
+/// # Safety
+/// `model` is null or valid for a write.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn snake_model_auto(model: *mut *mut SnakeModel) -> SnakeStatus {
+    // SAFETY: the caller vouches for the place.
+    unsafe { store(model, Ok(()), |()| Ok(ModelChoice::default())) }
 }
 
 /// A built-in model: "compact" or "standard" for objects, "scenes" for rooms, sweeps and terrain. `*model` is null after an error.
@@ -40,7 +53,11 @@ unsafe fn store<T: Send>(
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn snake_model_named(name: *const c_char, model: *mut *mut SnakeModel) -> SnakeStatus {
     // SAFETY: the caller vouches for both.
-    unsafe { store(model, text("name", name), |name| Ok(Model::named(name)?)) }
+    unsafe {
+        store(model, text("name", name), |name| {
+            Ok(NamedModel::new(Model::named(name)?, format!("{name}, built-in")).into())
+        })
+    }
 }
 
 /// Reads a weight file (safetensors). `*model` is null after an error.
@@ -50,7 +67,7 @@ pub unsafe extern "C" fn snake_model_named(name: *const c_char, model: *mut *mut
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn snake_model_load(path: *const c_char, model: *mut *mut SnakeModel) -> SnakeStatus {
     // SAFETY: the caller vouches for both.
-    unsafe { store(model, text("path", path), |path| Ok(Model::load(path)?)) }
+    unsafe { store(model, text("path", path), |path| Ok(NamedModel::new(Model::load(path)?, path).into())) }
 }
 
 /// A model from the bytes of a weight file. `*model` is null after an error.
@@ -64,7 +81,11 @@ pub unsafe extern "C" fn snake_model_from_bytes(
     model: *mut *mut SnakeModel,
 ) -> SnakeStatus {
     // SAFETY: the caller vouches for both.
-    unsafe { store(model, values("bytes", bytes, length), |bytes| Ok(Model::from_bytes(bytes)?)) }
+    unsafe {
+        store(model, values("bytes", bytes, length), |bytes| {
+            Ok(NamedModel::new(Model::from_bytes(bytes)?, "without a name").into())
+        })
+    }
 }
 
 /// Frees a model; null is allowed.

@@ -2,7 +2,8 @@
 
 use std::ffi::c_char;
 
-use snake_core::{Control, with_named_values};
+use serde_json::Map;
+use snake_core::{Chooser, Control, ModelChoice, with_named_values};
 use snake_registration::{PairOptions, RegisterOptions, Registration, register_with};
 
 use crate::arguments::{SnakeCloud, check_output, optional, options as parse_options};
@@ -20,6 +21,8 @@ pub struct SnakeRegistration {
     pub confidence: f64,
     /// Whether the transform can be relied on: `confidence` is at least 0.5.
     pub is_reliable: bool,
+    /// Whether the clouds leave more than one answer, as a plane or a periodic structure does; then it is not reliable.
+    pub is_ambiguous: bool,
     /// Number of matches.
     pub num_matches: usize,
     /// Number of matches on which the transform was built.
@@ -39,6 +42,7 @@ impl From<&Registration> for SnakeRegistration {
             t_target_source,
             confidence: verdict.confidence,
             is_reliable: verdict.is_reliable,
+            is_ambiguous: verdict.is_ambiguous,
             num_matches: matches.num_matches,
             num_inliers: matches.num_inliers,
             fitness: fit.fitness,
@@ -70,13 +74,19 @@ pub unsafe extern "C" fn snake_register(
         // SAFETY: the caller vouches for the clouds.
         let (source, target) = unsafe { (source.read("source")?, target.read("target")?) };
         // SAFETY: the caller vouches for the model.
-        let model = unsafe { optional("model", model) }?.map(|model| &model.model);
+        let model = unsafe { optional("model", model) }?;
         // SAFETY: the caller vouches for the text.
         let values = unsafe { parse_options(options) }?;
         let defaults = (RegisterOptions::default(), PairOptions::default());
         let (options, pair_options) = with_named_values(&defaults, &values)?;
-        let control = Control::default();
-        let result = run(|| Ok(register_with(&source, &target, model, &options, &pair_options, &control)?))?;
+        let is_used = |model: &&SnakeModel| options.needs_model() || matches!(model.choice, ModelChoice::Named(_));
+        let model = model.filter(is_used);
+        let result = run(|| {
+            let choose = |model: &SnakeModel| Chooser::new(model.choice.clone(), &Map::new())?.for_points(&target);
+            let chosen = model.map(choose).transpose()?;
+            let model = chosen.as_ref().map(|chosen| &chosen.model);
+            Ok(register_with(&source, &target, model, &options, &pair_options, &Control::default())?)
+        })?;
         let result = SnakeRegistration::from(&result);
         // SAFETY: the place is neither null nor misaligned; the caller vouches for the rest.
         unsafe { registration.write(result) };

@@ -74,6 +74,47 @@ fn keypoints_are_those_of_the_core_packed_and_padded() {
     unsafe { snake_model_free(model) };
 }
 
+/// The floor and two walls of a room.
+fn room() -> Vec<[f32; 3]> {
+    let at = |i: u16, step: f32| (f32::from(i) * step).fract();
+    let point = |i: u16| match i % 3 {
+        0 => [4.0 * at(i, 0.618_034), 3.0 * at(i, 0.754_878), 0.0],
+        1 => [4.0 * at(i, 0.618_034), 0.0, 2.4 * at(i, 0.569_84)],
+        _ => [0.0, 3.0 * at(i, 0.754_878), 2.4 * at(i, 0.569_84)],
+    };
+    (0..9000).map(point).collect()
+}
+
+#[test]
+fn an_automatic_model_is_that_of_each_cloud_and_a_detection_says_which() {
+    let (torus, room, mut model) = (torus(), room(), null_mut());
+    assert_eq!(unsafe { snake_model_auto(&mut model) }, SnakeStatus::Ok);
+    let detected = |points: &[[f32; 3]], options: &CStr| unsafe {
+        let mut found = null_mut();
+        assert_eq!(snake_detect(model, packed(points), options.as_ptr(), &mut found), SnakeStatus::Ok);
+        let text = |text: *const std::ffi::c_char| (!text.is_null()).then(|| CStr::from_ptr(text).to_str().unwrap());
+        let name = text(snake_detection_model(found)).unwrap().to_owned();
+        let note = text(snake_detection_note(found, 0)).map(str::to_owned).unwrap_or_default();
+        assert!(snake_detection_voxel_size(found) > 0.0 && snake_detection_note(found, 99).is_null());
+        snake_detection_free(found);
+        (name, note)
+    };
+    assert_eq!(detected(&torus, c"{}").0, "compact, built-in");
+    assert_eq!(detected(&room, c"{}").0, "scenes, built-in");
+    let (name, note) = detected(&room, c"{\"rotations\": 2}");
+    assert_eq!(name, "compact, built-in");
+    assert!(note.starts_with("option `rotations` is for objects, so the model is `compact`"), "{note}");
+    unsafe {
+        let mut found = std::mem::zeroed();
+        let options = c"{\"detector\": \"snake\"}";
+        let status = snake_register(model, packed(&torus), packed(&torus), options.as_ptr(), &mut found);
+        assert_eq!(status, SnakeStatus::Ok, "{}", last_error());
+        snake_model_free(model);
+        assert!(snake_detection_model(null()).is_null() && snake_detection_note(null(), 0).is_null());
+        assert!(snake_detection_voxel_size(null()).is_nan());
+    }
+}
+
 #[test]
 fn points_that_are_not_finite_or_far_from_all_others_are_left_out() {
     let (points, model) = (torus(), compact());
@@ -198,6 +239,7 @@ fn clouds_are_registered() {
         t_target_source: [0.0; 16],
         confidence: -1.0,
         is_reliable: false,
+        is_ambiguous: false,
         num_matches: 0,
         num_inliers: 0,
         fitness: 0.0,

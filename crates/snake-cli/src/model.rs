@@ -66,11 +66,7 @@ pub fn run(model: Option<&Path>) -> Result<()> {
     let config = model.config();
     let mut report = Report::default();
     report.line(format!("{name}: {} parameters", model.num_parameters()));
-    let voxels = match config.frame().map(|frame| frame.resolution) {
-        Some([x, y, z]) => format!("{x} x {y} x {z} voxels"),
-        None => "voxels where the points reach (a scene model)".into(),
-    };
-    report.line(format!("volume: {voxels}, {} channels", config.c_dim));
+    report.line(format!("volume: {}, {} channels", config.volume, config.c_dim));
     report.line(format!("U-Net: {} levels from {} channels", config.unet_levels, config.unet_base_channels));
     report.line(format!("recommended options: {}", serde_json::to_string(model.recommended())?));
     report.line("metadata:");

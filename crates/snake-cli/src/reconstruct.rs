@@ -6,13 +6,13 @@ use std::time::Instant;
 use anyhow::{Context, Result};
 use clap::Args;
 use serde_json::json;
-use snake_core::{Cloud, Control, MeshOptions, Options, Progress, with_named_values};
+use snake_core::{Control, MeshOptions, Progress, with_named_values};
 use snake_io as io;
 
 use crate::flags::OptionFlags;
 use crate::inputs::{InputArguments, output_origin};
 use crate::output::InputFiles;
-use crate::setup::{ComputeArguments, EncodeFlags, Loaded};
+use crate::setup::{ComputeArguments, EncodeFlags, detail_of};
 use crate::terminal::{self, Report};
 
 #[derive(Args)]
@@ -44,18 +44,22 @@ pub fn run(arguments: &ReconstructArguments) -> Result<()> {
     let options = with_named_values(&MeshOptions::default(), &arguments.mesh.given())?;
     options.check()?;
     let progress = Progress::default();
-    let flags = &arguments.encode;
-    let models = arguments.compute.load_models(flags.suits(), |loaded| flags.resolve(loaded))?;
+    let chooser = arguments.compute.chooser(&arguments.encode.values())?;
     let control = Control::new().progress(&progress);
-    let first = &models.first().options.encode;
     let bar = terminal::stages(&progress)?;
     bar.set_message(format!("{} ({} samples along each axis)", input.display(), options.resolution));
     let start = Instant::now();
-    let Cloud { points, origin } = arguments.reading.read(input, first.seed)?.for_normalization(first.normalization);
-    let Loaded { model, options: Options { encode, .. }, .. } = models.for_cloud(&points);
+    let cloud = arguments.reading.read(input, chooser.seed())?;
+    let name = input.display().to_string();
     let read = start.elapsed().as_secs_f64();
-    let field = model.encode_with(&points, encode, &control).with_context(|| input.display().to_string())?;
-    bar.suspend(|| terminal::hint_outliers(&input.display().to_string(), &field));
+    let chosen = chooser.for_cloud(&cloud).with_context(|| name.clone())?;
+    let origin = chosen.origin;
+    let field = chosen.encode(&control).with_context(|| name.clone())?;
+    bar.suspend(|| {
+        detail_of(&chosen);
+        terminal::hints(&name, &chosen.note);
+        terminal::hint_outliers(&name, &field);
+    });
     let encoded = start.elapsed().as_secs_f64();
     let mesh = field.mesh_with(&options, &control)?;
     let meshed = start.elapsed().as_secs_f64();
@@ -73,7 +77,7 @@ pub fn run(arguments: &ReconstructArguments) -> Result<()> {
         return terminal::print_json(&json!({
             "input": input.display().to_string(),
             "output": output.display().to_string(),
-            "num_points": points.len(),
+            "num_points": cloud.points.len(),
             "origin": origin,
             "output_origin": output_origin,
             "normalization": field.normalization(),
@@ -85,7 +89,7 @@ pub fn run(arguments: &ReconstructArguments) -> Result<()> {
         }));
     }
     let mut report = Report::default();
-    let (name, num_points) = (input.display(), points.len());
+    let (name, num_points) = (input.display(), cloud.points.len());
     report.line(format!(
         "{name}: {vertices} vertices, {triangles} triangles, area {area:.5} from {num_points} points in {total:.3} s"
     ));

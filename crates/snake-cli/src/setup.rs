@@ -7,8 +7,9 @@ use anyhow::{Result, bail};
 use clap::Args;
 use serde::de::DeserializeOwned;
 use serde_json::{Map, Value};
-use snake_core::{Builtin, EncodeOptions, Length, Model, Options, Point, Preset, SimdLevel};
-
+use snake_core::{
+    Builtin, BuiltinModels, Chooser, Chosen, EncodeOptions, Length, Model, ModelChoice, NamedModel, Options, SimdLevel,
+};
 use snake_registration::RegisterOptions;
 
 use crate::flags::{OF_MODEL, OptionFlags};
@@ -17,14 +18,6 @@ use crate::{config, model, terminal};
 
 /// The most threads on a machine with fewer processors: more threads would only wait for each other.
 const MAX_THREADS: usize = 256;
-
-/// A model with the options that it recommends, as the configuration file changes them.
-pub struct Loaded {
-    pub model: Model,
-    /// The name in reports.
-    pub name: String,
-    pub options: Options,
-}
 
 /// Options of every sub-command that runs the network.
 #[derive(Args)]
@@ -64,32 +57,29 @@ impl ComputeArguments {
     }
 
     /// Loads the model of `--model`, by default `compact`, with the options that follow from those of `start`.
-    pub fn load_model(&self, start: impl Fn(&Model) -> Options) -> Result<Loaded> {
+    pub fn load_model(&self, start: impl Fn(&Model) -> Options) -> Result<NamedModel> {
         load(self.named()?, start)
     }
 
-    /// Loads the model of `--model`, or else those that suit the options, with the options as `resolve` changes them.
-    pub fn load_models(&self, suits: Suits, resolve: impl Fn(&Loaded) -> Result<Options>) -> Result<Models> {
-        let load = |path: Option<&Path>| -> Result<Loaded> {
-            let loaded = load(path, recommended)?;
-            Ok(Loaded { options: resolve(&loaded)?, ..loaded })
-        };
-        let scenes = Some(Path::new("scenes"));
-        let models = match (self.named()?, suits) {
-            (None, Suits::TheCloud) => Models { first: load(None)?, scenes: Some(load(scenes)?) },
-            (None, Suits::Scenes) => Models { first: load(scenes)?, scenes: None },
-            (named, _) => Models { first: load(named)?, scenes: None },
-        };
-        let options = &models.first.options;
-        terminal::detail("options", || serde_json::to_string(options).unwrap_or_default());
-        Ok(models)
+    /// The model of `--model`, by default `scenes`.
+    pub fn load_model_of_tiles(&self) -> Result<NamedModel> {
+        load(Some(self.named()?.unwrap_or(Path::new("scenes"))), recommended)
     }
 
-    /// [`ComputeArguments::load_models`] for a registration; `None` if its options run no model and none is named. A model that
+    /// What chooses model and options of each cloud, for given values of options.
+    pub fn chooser(&self, values: &Map<String, Value>) -> Result<Chooser> {
+        let choice = match self.named()? {
+            Some(path) => load(Some(path), recommended)?.into(),
+            None => ModelChoice::Auto(configured_models()?),
+        };
+        Ok(Chooser::new(choice, values)?)
+    }
+
+    /// [`ComputeArguments::chooser`] for a registration; `None` if its options run no model and none is named. A model that
     /// is named is loaded, so that a mistake in its name is said.
-    pub fn load_for_registration(&self, options: &RegisterOptions) -> Result<Option<Models>> {
-        let load = || self.load_models(Suits::TheCloud, |loaded| Ok(loaded.options));
-        (options.needs_model() || self.named()?.is_some()).then(load).transpose()
+    pub fn chooser_of_registration(&self, options: &RegisterOptions) -> Result<Option<Chooser>> {
+        let is_used = options.needs_model() || self.named()?.is_some();
+        is_used.then(|| self.chooser(&Map::new())).transpose()
     }
 
     /// The model that is named on the command line, in the environment or in the configuration.
@@ -101,41 +91,18 @@ impl ComputeArguments {
     }
 }
 
-/// Which built-in model suits options of the command line.
-#[derive(Clone, Copy, PartialEq, Eq)]
-pub enum Suits {
-    /// Options that only models of objects have.
-    Objects,
-    /// Options that only models of scenes have.
-    Scenes,
-    /// Options that all have: the cloud decides.
-    TheCloud,
+/// The built-in models with their options as the configuration changes them.
+fn configured_models() -> Result<BuiltinModels> {
+    let config = config::get()?;
+    Builtin::ALL.into_iter().try_fold(BuiltinModels::default(), |models, which| {
+        Ok(models.with_options(which, config.options_of(Path::new(which.name()), &which.recommended())?))
+    })
 }
 
-/// The model of a run with its options, or, where none is named, the built-in models of which each cloud gets its own.
-pub struct Models {
-    first: Loaded,
-    scenes: Option<Loaded>,
-}
-
-impl Models {
-    /// The model for a cloud.
-    pub fn for_cloud(&self, points: &[Point]) -> &Loaded {
-        match &self.scenes {
-            Some(scenes) if Builtin::for_cloud(points) == Builtin::Scenes => scenes,
-            _ => &self.first,
-        }
-    }
-
-    /// The model for everything that is no cloud, such as the options of reading.
-    pub fn first(&self) -> &Loaded {
-        &self.first
-    }
-
-    /// Whether the cloud decides.
-    pub fn are_chosen(&self) -> bool {
-        self.scenes.is_some()
-    }
+/// Prints the model and the options of a cloud, with `--verbose`.
+pub fn detail_of(chosen: &Chosen) {
+    terminal::detail("model", || format!("{}, {} parameters", chosen.name, chosen.model.num_parameters()));
+    terminal::detail("options", || serde_json::to_string(&chosen.options).unwrap_or_default());
 }
 
 /// The options that a model recommends.
@@ -144,14 +111,12 @@ pub fn recommended(model: &Model) -> Options {
 }
 
 /// Loads a model with the options that the configuration makes of those of `start`.
-pub fn load(path: Option<&Path>, start: impl Fn(&Model) -> Options) -> Result<Loaded> {
+pub fn load(path: Option<&Path>, start: impl Fn(&Model) -> Options) -> Result<NamedModel> {
     let began = Instant::now();
     let (model, name) = (model::load(path)?, model::name(path));
     let options = config::get()?.options_of(path.unwrap_or(Path::new("compact")), &start(&model))?;
-    terminal::detail("model", || {
-        format!("{name}, {} parameters, {:.3} s", model.num_parameters(), began.elapsed().as_secs_f64())
-    });
-    Ok(Loaded { model, name, options })
+    terminal::detail("loaded", || format!("{name}, {:.3} s", began.elapsed().as_secs_f64()));
+    Ok(NamedModel::new(model, name).with_options(options))
 }
 
 /// Options of the encoding. Each one defaults to the value of the preset, or else to the model's recommended value.
@@ -179,26 +144,10 @@ impl EncodeFlags {
         self.preset.as_deref()
     }
 
-    /// The options of the preset or the model, with those of the command line in their place.
-    pub fn resolve(&self, loaded: &Loaded) -> Result<Options> {
-        let options = match &self.preset {
-            Some(name) => Preset::named(name)?.options(),
-            None => loaded.options,
-        };
-        Ok(options.with_values(&self.given())?)
-    }
-
-    /// What the options say of the model where none is named.
-    pub fn suits(&self) -> Suits {
-        let given = self.given();
-        let is_rotated = given.get("rotations").and_then(Value::as_u64).is_some_and(|rotations| rotations > 1);
-        if given.contains_key("voxel_size") {
-            Suits::Scenes
-        } else if self.preset.is_some() || given.contains_key("normalization") || is_rotated {
-            Suits::Objects
-        } else {
-            Suits::TheCloud
-        }
+    /// [`EncodeFlags::given`] with the preset.
+    pub fn values(&self) -> Map<String, Value> {
+        let preset = self.preset.iter().map(|name| ("preset".to_owned(), name.clone().into()));
+        self.given().into_iter().chain(preset).collect()
     }
 }
 

@@ -173,6 +173,11 @@ pub fn hint(text: &str) {
     }
 }
 
+/// Prints each piece of advice on a cloud.
+pub fn hints<'a>(name: &str, hints: impl IntoIterator<Item = &'a String>) {
+    hints.into_iter().for_each(|text| hint(&format!("{name}: {text}")));
+}
+
 /// Names the outliers of a cloud, which its field leaves out, if there are any.
 pub fn hint_outliers(name: &str, field: &Field) {
     if let Some(outliers) = field.outliers() {

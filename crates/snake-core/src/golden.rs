@@ -4,12 +4,13 @@ use std::path::{Path, PathBuf};
 
 use safetensors::SafeTensors;
 
-use crate::call::control::{Control, Counter};
-use crate::detect::options::{DetectOptions, RefineMethod, Selection};
-use crate::detect::query_grid::Occupied;
-use crate::detect::query_grid::tests::occupied_queries;
+use crate::control::{Control, Counter};
+use crate::detect::occupied::Occupied;
+use crate::detect::occupied::tests::occupied_queries;
 use crate::detect::refine::refine;
-use crate::network::encoder::{EncoderMemory, VoxelGroups};
+use crate::lattice::VoxelGroups;
+use crate::network::encoder::EncoderMemory;
+use crate::options::{DetectOptions, RefineMethod, Selection};
 use crate::{EncodeOptions, Field, Model, NormalizationMethod, Point};
 
 struct Case {
@@ -88,9 +89,9 @@ fn distance_quantiles(found: &[Point], expected: &[Point], shares: [f32; 2]) -> 
 #[test]
 fn encoder_stages() {
     for case in cases() {
-        let encoder = case.model.network().encoder.cube();
+        let encoder = case.model.network().encoder.dense();
         let (points, frame) = (case.points("points"), case.model.config().frame().unwrap());
-        let [features, means] = encoder.points.pointnet().plain(&points, &frame);
+        let [features, means] = encoder.points.plain(&points, &frame);
         case.assert_close("point_features", &features, 1e-5);
 
         let (mut groups, mut found) = (VoxelGroups::default(), Vec::new());
@@ -163,14 +164,14 @@ fn refinement_by_both_methods() {
         let scores = case.floats("refine_adam_masked_score_per_step");
         let selection = Selection::ReferenceFinalPosition;
         let options = DetectOptions { selection, saliency_threshold: 0.0, ..Default::default() };
-        let found = refine(&field, &start, &options, &Control::default()).unwrap();
-        let positions: Vec<Point> = found.iter().map(|c| c.position).collect();
+        let refined = refine(&field, &start, &options, &Control::default()).unwrap();
+        let positions: Vec<Point> = refined.iter().map(|c| c.position).collect();
         // Adam divides by the gradient's size: where that is near zero, rounding decides the direction.
         let [median, most] = distance_quantiles(&positions, &case.points("refine_adam_end"), [0.5, 0.99]);
         assert!(median < 1e-5 && most < 1e-3, "{}: Adam ends {median} (median), {most} (99 %) away", case.name);
         let best =
             |query: usize| scores.iter().skip(query).step_by(start.positions.len()).fold(0.0, |m: f32, s| m.max(*s));
-        let mut errors: Vec<f32> = found.iter().enumerate().map(|(i, c)| (c.score - best(i)).abs()).collect();
+        let mut errors: Vec<f32> = refined.iter().enumerate().map(|(i, c)| (c.score - best(i)).abs()).collect();
         errors.sort_by(f32::total_cmp);
         let [median, most] = [0.5, 0.99].map(|share| errors[(share * (errors.len() - 1) as f32) as usize]);
         assert!(median < 1e-5 && most < 1e-3, "{}: scores differ by {median} (median), {most} (99 %)", case.name);

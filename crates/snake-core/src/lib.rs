@@ -9,12 +9,17 @@
 //!
 //! | folder | what it holds |
 //! |---|---|
-//! | `models/` | the weights that come with the crate, and which of them suits a cloud |
-//! | `network/` | weights → layers; points → encoder → volume, dense or in blocks; decoder |
+//! | `control/` | what a call may do: progress, cancellation, limits, threads |
+//! | `options/` | options of encoding, detection and meshes |
+//! | `cloud/` | a cloud as it is used, and what is measured of it |
+//! | `lattice/` | where voxels and queries lie: in a cube, or about the points of a scene |
+//! | `network/` | weights → layers; points → encoder → volume; decoder |
 //! | `field/` | encode once, query many; grid; surface |
-//! | `detect/` | Algorithm 1, a step a file; its options; tiles |
+//! | `detect/` | Algorithm 1, a step a file; tiles |
+//! | `choose/` | which model a cloud gets |
 //! | `live/` | the same for the next frame: detector, real time, tracker |
-//! | `call/` | what a call may do: progress, cancellation, limits, threads |
+//!
+//! Each of them uses those above it, and none below.
 //!
 //! | you have | you want | use |
 //! |---|---|---|
@@ -31,34 +36,47 @@
 
 #![forbid(unsafe_code)]
 
-mod call;
+#[cfg(feature = "builtin-models")]
+mod builtin;
+mod choose;
+mod cloud;
+mod control;
 mod detect;
 mod error;
 mod field;
 #[cfg(test)]
 mod golden;
+mod lattice;
 mod live;
-mod models;
+mod model;
 mod network;
+mod options;
 #[doc(hidden)]
 pub mod steps;
 
-pub use call::{CancelFlag, Control, Counter, Limits, Progress, Stage, check_num_threads, side_by_side};
-#[doc(hidden)]
-pub use detect::in_words;
-#[doc(hidden)]
-pub use detect::option_names;
+#[cfg(feature = "builtin-models")]
+pub use builtin::Builtin;
+pub use choose::scale_hint;
+#[cfg(feature = "builtin-models")]
+pub use choose::{BuiltinModels, Chooser, Chosen, ChosenBy, ModelChoice, NamedModel};
+pub use cloud::{UsedCloud, scene_signs};
+pub use control::{CancelFlag, Control, Counter, Limits, Progress, Stage, check_num_threads, parallel_map};
 pub use detect::{
-    Candidate, Counts, DetectOptions, Detection, EncodeOptions, MeshOptions, Options, Preset, RefineMethod, Selection,
-    TileCandidates, TileDetector, TileSettings, Timing, by_rank, cluster_hint, with_named_values,
+    Candidate, Counts, Detection, TileCandidates, TileDetector, TileSettings, Timing, by_rank, cluster_hint,
 };
 pub use error::{Error, Result};
 pub use field::{Field, Grid};
+pub use lattice::{VolumeFrame, VolumeShape};
 pub use live::{Detector, Tracker, TrackerOptions};
-#[cfg(feature = "builtin-models")]
-pub use models::Builtin;
-pub use models::{Model, scale_hint, scene_signs};
-pub use network::{ModelConfig, PointEncoder, Scatter, Volume, VolumeFrame, VolumeShape, read_weight_file};
+pub use model::Model;
+pub use network::{ModelConfig, Scatter, Volume, read_weight_file};
+#[doc(hidden)]
+pub use options::in_words;
+#[doc(hidden)]
+pub use options::option_names;
+pub use options::{
+    DetectOptions, EncodeOptions, MeshOptions, Options, Preset, RefineMethod, Selection, with_named_values,
+};
 #[cfg(feature = "arrow")]
 pub use snake_geometry::ArrowPoints;
 pub use snake_geometry::{

@@ -5,9 +5,10 @@
 //! versions keep.
 
 use crate::detect::refine::Ascent;
-use crate::network::encoder::{VoxelGroups, aggregated};
+use crate::lattice::{Lattice, VolumeFrame, VoxelGroups};
+use crate::network::Volume;
+use crate::network::encoder::aggregated;
 use crate::network::layers::TILE;
-use crate::network::volume::{Volume, VolumeFrame, VolumeGrid};
 use crate::{DetectOptions, Error, Model, Result};
 use snake_geometry::{Point, check_points};
 use snake_kernels::BufferPool;
@@ -20,7 +21,7 @@ pub use crate::field::Quantity;
 /// # Errors
 /// [`Error::Input`] for a scene model, points that are not finite, or features of another number.
 pub fn aggregate(model: &Model, points: &[Point], features: &[f32]) -> Result<Vec<f32>> {
-    let frame = frame(model)?;
+    let frame = model.config().volume.cube()?;
     check_points("points", points)?;
     let channels = channels("features", features.len(), points.len())?;
     let mut groups = VoxelGroups::default();
@@ -38,7 +39,7 @@ pub fn aggregate(model: &Model, points: &[Point], features: &[f32]) -> Result<Ve
 pub fn interpolate(model: &Model, volume: &[f32], queries: &[Point]) -> Result<Vec<f32>> {
     let volume = given_volume(model, volume, queries)?;
     let mut features = vec![0.0; queries.len() * volume.channels];
-    volume.interpolate(&volume.grid, queries, &mut features);
+    volume.interpolate(&volume.lattice, queries, &mut features);
     Ok(features)
 }
 
@@ -58,9 +59,9 @@ pub fn interpolate_gradient(
         return Err(wrong("in_features", format!("expected {} for each query", volume.channels)));
     }
     let mut features = vec![0.0; in_features.len()];
-    let corners = volume.interpolate(&volume.grid, queries, &mut features);
+    let corners = volume.interpolate(&volume.lattice, queries, &mut features);
     let gradients = volume.interpolate_backward(&corners, in_features);
-    let per_unit = queries.iter().map(|&query| volume.grid.voxels_per_unit(query));
+    let per_unit = queries.iter().map(|&query| volume.lattice.voxels_per_unit(query));
     let scaled = |(gradient, factor): (&Point, Point)| std::array::from_fn(|axis| gradient[axis] * factor[axis]);
     Ok(gradients.iter().zip(per_unit).map(scaled).collect())
 }
@@ -93,10 +94,10 @@ pub fn decode(model: &Model, quantity: Quantity, queries: &[Point], features: &[
     };
     let mut all = Decoded { values: Vec::new(), in_queries: Vec::new(), in_features: Vec::new() };
     for (queries, features) in queries.chunks(TILE).zip(features.chunks(TILE * c_dim)) {
-        let of_tile = decoder.values_and_gradients(queries, features);
-        all.values.extend_from_slice(&of_tile.values);
-        all.in_queries.extend_from_slice(of_tile.in_query.as_chunks().0);
-        all.in_features.extend_from_slice(&of_tile.in_feature);
+        let decoded = decoder.values_and_gradients(queries, features);
+        all.values.extend_from_slice(&decoded.values);
+        all.in_queries.extend_from_slice(decoded.in_query.as_chunks().0);
+        all.in_features.extend_from_slice(&decoded.in_feature);
     }
     Ok(all)
 }
@@ -108,23 +109,17 @@ pub fn decode(model: &Model, quantity: Quantity, queries: &[Point], features: &[
 /// [`Error::Input`] for queries that are not finite, or gradients of another number.
 pub fn refine(queries: &[Point], gradients: &[Vec<Point>], options: &DetectOptions) -> Result<Vec<Point>> {
     check_points("queries", queries)?;
-    if gradients.iter().any(|of_step| of_step.len() != queries.len()) {
+    if gradients.iter().any(|step_gradients| step_gradients.len() != queries.len()) {
         return Err(wrong("gradients", format!("expected one for each of {} queries", queries.len())));
     }
     let mut positions = queries.to_vec();
     let mut ascent = Ascent::new(queries.len(), queries.len(), options);
-    gradients.iter().for_each(|of_step| ascent.step(&mut positions, of_step));
+    gradients.iter().for_each(|step_gradients| ascent.step(&mut positions, step_gradients));
     Ok(positions)
 }
 
 fn wrong(what: &'static str, reason: String) -> Error {
     Error::Input { what, reason }
-}
-
-/// The frame of a model's volume.
-fn frame(model: &Model) -> Result<VolumeFrame> {
-    let refused = || wrong("model", "a scene model has no volume of its own: it follows the cloud".into());
-    model.config().frame().ok_or_else(refused)
 }
 
 fn num_voxels(frame: &VolumeFrame) -> usize {
@@ -141,18 +136,18 @@ fn channels(what: &'static str, length: usize, rows: usize) -> Result<usize> {
 
 /// A given volume in the frame of a model, for queries.
 fn given_volume(model: &Model, values: &[f32], queries: &[Point]) -> Result<Volume> {
-    let frame = frame(model)?;
+    let frame = model.config().volume.cube()?;
     check_points("queries", queries)?;
     let channels = channels("volume", values.len(), num_voxels(&frame))?;
     let mut buffer = BufferPool::default().take(values.len());
     buffer.copy_from_slice(values);
-    Ok(Volume { grid: VolumeGrid::Cube(frame), channels, values: buffer })
+    Ok(Volume { lattice: Lattice::Cube(frame), channels, values: buffer })
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::call::control::Control;
+    use crate::control::Control;
     use crate::{Builtin, EncodeOptions};
 
     fn cloud() -> Vec<Point> {

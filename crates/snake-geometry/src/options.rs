@@ -73,6 +73,7 @@ macro_rules! options {
 
         impl $options {
             /// Checks each option against its own range.
+            #[allow(dead_code, reason = "a group may have no ranges")]
             pub(crate) fn check_ranges(&self) -> $crate::Result<()> {
                 $($(
                     let allowed = $crate::options!(@range $low $(to $high)? $(or $more)? $($note)?);

@@ -3,8 +3,8 @@
 use base64::Engine;
 use base64::engine::general_purpose::STANDARD;
 use serde_json::{Value, json};
-use snake_core::{Control, Detection, Field, MeshOptions, Model, Options, Result, cluster_hint};
-use snake_geometry::{Cloud, Mesh, Normalization, Point, add_origin};
+use snake_core::{Chosen, Control, Detection, Field, MeshOptions, Result, cluster_hint};
+use snake_geometry::{Mesh, Normalization, Point, add_origin};
 use snake_io as io;
 
 use crate::vertices::Vertices;
@@ -35,18 +35,18 @@ pub struct ShownCloud {
 }
 
 impl ShownCloud {
-    /// Encodes a cloud, detects its keypoints and computes everything that the page shows of it.
+    /// Encodes a cloud by its model, detects its keypoints and computes everything that the page shows of it.
     ///
     /// # Errors
-    /// The errors of [`Model::encode`] and [`Model::detect`](Model::detect).
-    pub fn detect(model: &Model, options: &Options, name: String, cloud: &Cloud, control: &Control) -> Result<Self> {
-        let field = model.encode_with(&cloud.points, &options.encode, control)?;
-        let detection = field.detect_with(&options.detect, control)?;
+    /// The errors of [`Chosen::detect`].
+    pub fn detect(chosen: &Chosen, name: String, control: &Control) -> Result<Self> {
+        let field = chosen.encode(control)?;
+        let detection = field.detect_with(&chosen.options.detect, control)?;
         let points = field.points();
         let shown = subsample(points);
         let surface = surface(&field, control)?;
         let saliency = [field.saliency(&shown)?, field.saliency(&surface.vertices)?];
-        Ok(Self { name, origin: cloud.origin, field, shown, surface, saliency, detection })
+        Ok(Self { name, origin: chosen.origin, field, shown, surface, saliency, detection })
     }
 
     /// The positions of the keypoints, relative to the origin.

@@ -172,8 +172,8 @@ def finite_points(points, name):
     """The finite points (N, 3) of an array that may have further columns, near zero and without outliers."""
     if points.dtype.kind not in "fiu" or points.ndim != 2 or points.shape[1] < 3:
         raise ShapeError(f"{name}: expected (N, 3) numbers, found {points.dtype} {points.shape}")
-    if len(points) <= 4 < points.shape[1]:
-        raise ShapeError(f"{name}: expected (N, 3), found {points.shape}: transpose it")
+    if len(points) in (3, 4) and points.shape[1] > 16:
+        raise ShapeError(f"{name}: a point is a row, so transpose {points.shape[1]} points in {len(points)} rows")
     points = points[:, :3].astype(np.float64)
     points = near_zero(points[np.isfinite(points).all(axis=1)]).astype(np.float32)
     if len(points) < 2 or (points == points[0]).all():

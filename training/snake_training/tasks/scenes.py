@@ -8,6 +8,7 @@ import torch
 
 from ..augment import local_grid, random_rotation
 from ..data.solids import about_axis
+from ..device import has_fast_unet
 from ..losses import saliency_log_odds
 from ..model import NetworkConfig, SnakeNetwork
 from ..scene_model import SceneConfig, SceneNetwork
@@ -81,10 +82,9 @@ class Scenes:
     def teacher_log_odds(self, batch):
         """What the teacher says of the clean surface at the queries: (B, Q)."""
         queries = batch["surface_queries"]
-        self.teacher.to(queries.device)
-        _, saliency = self.teacher(
-            batch["surface_points"], batch["surface_owner"], queries, self.settings.side, self.settings.bf16
-        )
+        autocast = self.settings.bf16 and has_fast_unet(queries.device, self.teacher.config)
+        points, owner = batch["surface_points"], batch["surface_owner"]
+        _, saliency = self.teacher.to(queries.device)(points, owner, queries, self.settings.side, autocast)
         return saliency_log_odds(saliency)
 
     def answer(self, model, batch, autocast):
@@ -93,7 +93,7 @@ class Scenes:
         fields = model(batch["points"], batch["owner"], batch["queries"].flatten(0, 1), self.settings.side, autocast)
         return tuple(field.unflatten(0, (size, 2)) for field in fields)
 
-    def validate(self, network, device):
+    def validate(self, network, device, autocast):
         """Nothing: `snake-cli eval` measures scenes."""
         return {}
 

@@ -30,7 +30,7 @@ pub fn run(arguments: &AlignArguments) -> Result<ExitCode> {
     let files = InputFiles::new(inputs.iter().chain(&arguments.compute.model));
     output.iter().chain(merged).try_for_each(|path| files.refuse_as_output(path))?;
     let (mut options, align_options) = arguments.options()?;
-    let models = arguments.compute.load_for_registration(&options)?;
+    let chooser = arguments.compute.chooser_of_registration(&options)?;
     terminal::detail("options", || serde_json::to_string(&(&options, &align_options)).unwrap_or_default());
     let progress = Progress::default();
     let bar = terminal::stages(&progress)?;
@@ -47,8 +47,9 @@ pub fn run(arguments: &AlignArguments) -> Result<ExitCode> {
     for (input, points) in inputs.iter().zip(&points) {
         Normalization::of(points, NormalizationMethod::UnitSphere).with_context(|| input.display().to_string())?;
     }
-    let first = points.first().copied().unwrap_or_default();
-    let model = models.as_ref().map(|models| &models.for_cloud(first).model);
+    let first = chooser.as_ref().zip(clouds.first());
+    let chosen = first.map(|(chooser, first)| chooser.for_cloud(first)).transpose()?;
+    let model = chosen.as_ref().map(|chosen| &chosen.model);
     let near = align_with(&points, &viewpoints, model, &options, &align_options, &control)
         .context("cannot align the clouds")?;
     bar.finish();

@@ -2,14 +2,14 @@
 
 use std::path::PathBuf;
 
-use anyhow::Result;
 use clap::Args;
-use snake_core::{DetectOptions, Options};
+use serde_json::{Map, Value};
+use snake_core::DetectOptions;
 use snake_io::KeypointFormat;
 
 use crate::flags::OptionFlags;
 use crate::inputs::{InputArguments, ListArgument};
-use crate::setup::{ComputeArguments, EncodeFlags, Loaded, Suits, named};
+use crate::setup::{ComputeArguments, EncodeFlags, named};
 
 #[derive(Args)]
 pub struct DetectArguments {
@@ -80,18 +80,13 @@ pub struct DetectFlags {
 }
 
 impl DetectFlags {
-    /// What the options say of the model where none is named.
-    pub fn suits(&self) -> Suits {
-        self.encode.suits()
-    }
-
     /// Whether an option is given.
     pub fn has(&self, option: &str) -> bool {
         self.detect.given().contains_key(option) || self.encode.given().contains_key(option)
     }
 
-    /// The options of a run: the options of the preset or the model, with those of the command line in their place.
-    pub fn resolve(&self, loaded: &Loaded) -> Result<Options> {
-        Ok(self.encode.resolve(loaded)?.with_values(&self.detect.given())?)
+    /// The options of the command line by name, with the preset.
+    pub fn values(&self) -> Map<String, Value> {
+        self.encode.values().into_iter().chain(self.detect.given()).collect()
     }
 }

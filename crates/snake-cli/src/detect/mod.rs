@@ -14,12 +14,12 @@ use std::time::Instant;
 
 use anyhow::{Context, Result, anyhow, bail};
 use serde_json::{Value, json};
-use snake_core::{Control, Detection, Progress, add_origin, cluster_hint, scale_hint, side_by_side};
-use snake_io::{self as io, Cloud, Contents, KeypointFormat, KeypointSource};
+use snake_core::{Chooser, ChosenBy, Control, Detection, Progress, add_origin, parallel_map};
+use snake_io::{self as io, Contents, KeypointFormat, KeypointSource};
 
 use crate::inputs::{DASH, check_inputs, expand, missing_returns, output_origin};
 use crate::output::{InputFiles, in_folder};
-use crate::setup::{Loaded, Models, Suits};
+use crate::setup::detail_of;
 use crate::terminal::{self, Bar, Report};
 use crate::timing::{STAGES, Seconds};
 use args::DetectArguments;
@@ -31,21 +31,20 @@ const TABLE_ROWS: usize = 10;
 /// Processes every input. A failed input is reported, and the run continues.
 pub fn run(arguments: &DetectArguments) -> Result<ExitCode> {
     arguments.compute.start_threads()?;
-    let loading = Instant::now();
-    let progress = Progress::default();
-    let suits = if arguments.tiles.tile.is_some() { Suits::Scenes } else { arguments.options.suits() };
-    let models = arguments.compute.load_models(suits, |loaded| arguments.options.resolve(loaded))?;
-    let control = Control::new().progress(&progress);
-    let load_model = loading.elapsed().as_secs_f64();
     let inputs = expand(&arguments.list.extend(&arguments.inputs)?, arguments.input.input_format, io::is_recording)?;
     check_inputs(&inputs)?;
-    let job = Job { models: &models, arguments, control: &control, hinted: &Mutex::default() };
-    if recording::is_given(arguments, &inputs)? {
-        return recording::run(&job, &inputs[0], terminal::stages(&progress)?, load_model);
-    }
+    let is_recording = recording::is_given(arguments, &inputs)?;
     if let (Some(side), Some(output)) = (arguments.tiles.tile, &arguments.output) {
-        let Loaded { model, options, .. } = models.first();
-        return tiled::run(arguments, model, *options, &inputs, side, output);
+        return tiled::run(arguments, &inputs, side, output);
+    }
+    let progress = Progress::default();
+    let loading = Instant::now();
+    let chooser = arguments.compute.chooser(&arguments.options.values())?;
+    let load_model = loading.elapsed().as_secs_f64();
+    let control = Control::new().progress(&progress);
+    let job = Job { chooser: &chooser, arguments, control: &control, hinted: &Mutex::default() };
+    if is_recording {
+        return recording::run(&job, &inputs[0], terminal::stages(&progress)?, load_model);
     }
     let outputs = outputs(arguments, &inputs)?;
     let is_parallel = inputs.iter().all(|input| is_small(input));
@@ -70,11 +69,12 @@ pub fn run(arguments: &DetectArguments) -> Result<ExitCode> {
         if is_needed { Ok(()) } else { Err(snake_core::Error::Cancelled) }
     };
     // The only error says that no more results are needed.
-    let _ended = match is_parallel {
-        true => side_by_side(inputs.len(), process).map(drop),
-        false => (0..inputs.len()).try_for_each(process),
+    let _ended = if is_parallel {
+        parallel_map(inputs.len(), process).map(drop)
+    } else {
+        (0..inputs.len()).try_for_each(process)
     };
-    reports.into_inner().unwrap_or_else(PoisonError::into_inner).finish(load_model)
+    reports.into_inner().unwrap_or_else(PoisonError::into_inner).finish(load_model + chooser.load_seconds())
 }
 
 /// Clouds of files up to this many bytes are processed side by side, one on each thread. Larger clouds are processed one
@@ -119,10 +119,10 @@ fn outputs(arguments: &DetectArguments, inputs: &[PathBuf]) -> Result<Vec<Result
 /// What all clouds of a run share.
 #[derive(Clone, Copy)]
 struct Job<'a> {
-    models: &'a Models,
+    chooser: &'a Chooser,
     arguments: &'a DetectArguments,
     control: &'a Control,
-    /// The hints that were printed.
+    /// The hints that were printed, and the models.
     hinted: &'a Mutex<BTreeSet<String>>,
 }
 
@@ -145,8 +145,13 @@ impl Job<'_> {
     /// Processes one input from file to file.
     fn process_file(&self, input: &Path, name: &str, output: Option<&Path>, bar: &Bar) -> Result<Processed> {
         let start = Instant::now();
-        let contents = self.arguments.input.read_without_hint(input, self.models.first().options.encode.seed)?;
+        let contents = self.arguments.input.read_without_hint(input, self.chooser.seed())?;
         self.process(Item { input, name, output, recorded: None, contents, start, bar })
+    }
+
+    /// Whether a text is printed for the first time.
+    fn is_new(&self, text: &str) -> bool {
+        self.hinted.lock().unwrap_or_else(PoisonError::into_inner).insert(text.to_owned())
     }
 
     /// Detects the keypoints of a cloud and writes them.
@@ -155,25 +160,24 @@ impl Job<'_> {
         let missing_returns = missing_returns(&contents);
         let Contents { cloud, crs, .. } = contents;
         let Self { arguments, control, .. } = *self;
-        let Cloud { points, origin } = cloud.for_normalization(self.models.first().options.encode.normalization);
-        let Loaded { model, name: model_name, options } = self.models.for_cloud(&points);
         let read = start.elapsed().as_secs_f64();
+        let chosen = self.chooser.for_cloud(&cloud).with_context(|| name.to_owned())?;
+        let (origin, num_points) = (chosen.origin, cloud.points.len());
+        if self.is_new(&chosen.name) {
+            bar.suspend(|| detail_of(&chosen));
+        }
         // Before the detection, which may take minutes at the wrong scale.
         let mut hints: Vec<String> = Vec::new();
-        let mut add_hint = |hint: Option<String>| {
-            if let Some(hint) = hint {
-                // Once a run, with the first cloud, whatever its numbers; `--json` has it for each.
-                let words = hint.replace(|c: char| c.is_ascii_digit() || c == '.', "");
-                if self.hinted.lock().unwrap_or_else(PoisonError::into_inner).insert(words) {
-                    bar.suspend(|| terminal::hint(&format!("{name}: {hint}")));
-                }
-                hints.push(hint);
+        let mut add_hint = |hint: String| {
+            // Once a run, with the first cloud, whatever its numbers; `--json` has it for each.
+            if self.is_new(&hint.replace(|c: char| c.is_ascii_digit() || c == '.', "")) {
+                bar.suspend(|| terminal::hint(&format!("{name}: {hint}")));
             }
+            hints.push(hint);
         };
-        add_hint(missing_returns);
-        add_hint(scale_hint(&points, model.config(), options));
-        let detection = model.detect_with(&points, options, control).with_context(|| name.to_owned())?;
-        add_hint(cluster_hint(&points, &detection.keypoints));
+        missing_returns.into_iter().chain(chosen.notes()).for_each(&mut add_hint);
+        let detection = chosen.detect(control).with_context(|| name.to_owned())?;
+        chosen.cluster_hint(&detection).into_iter().for_each(&mut add_hint);
         let mut origin_to_add = [0.0; 3];
         if let Some(output) = output {
             let source = KeypointSource { crs, ..KeypointSource::new(input, origin) };
@@ -184,20 +188,20 @@ impl Job<'_> {
         let seconds = [read, timing.encode, timing.occupancy, timing.refine, timing.nms, total];
         let report = if arguments.json {
             let origins = [origin, origin_to_add];
-            let mut line = json_line(input, output, points.len(), origins, &detection, &seconds, &hints);
+            let mut line = json_line(input, output, num_points, origins, &detection, &seconds, &hints);
             if let Some(line) = line.as_object_mut() {
-                line.insert("model".into(), model_name.clone().into());
+                line.insert("model".into(), chosen.name.clone().into());
                 line.extend(recorded.map(|recorded| ("recorded".into(), recorded)));
             }
             Report::json(&line)?
         } else {
-            let mut report = table(name, output, points.len(), origin, &detection, total)?;
-            if self.models.are_chosen() {
-                report.line(format!("model: {model_name}, as the cloud looks; --model NAME names another"));
+            let mut report = table(name, output, num_points, origin, &detection, total)?;
+            if chosen.by == ChosenBy::Cloud {
+                report.line(format!("model: {}, as the cloud looks; --model NAME names another", chosen.name));
             }
             report
         };
-        Ok(Processed { report, seconds, num_points: points.len(), num_keypoints: detection.keypoints.len() })
+        Ok(Processed { report, seconds, num_points, num_keypoints: detection.keypoints.len() })
     }
 }
 

@@ -61,7 +61,7 @@ pub fn run(job: &Job, input: &Path, bar: Bar, load_model: f64) -> Result<ExitCod
         }
         start = Instant::now();
     }
-    reports.finish(load_model)
+    reports.finish(load_model + job.chooser.load_seconds())
 }
 
 /// The name of the results: that of the file without its extension, or that of the folder.

@@ -6,7 +6,7 @@ use std::process::ExitCode;
 use std::time::Instant;
 
 use anyhow::{Result, anyhow, bail};
-use snake_core::{Control, Detection, Model, Options, Progress, TileDetector};
+use snake_core::{Control, Detection, Progress, TileDetector};
 use snake_io::{KeypointFormat, KeypointSource};
 use snake_tiles::{Error, Tile, TiledRun};
 
@@ -16,20 +16,15 @@ use crate::output::InputFiles;
 use crate::terminal::{self, Bar, Report};
 
 /// Detects the keypoints of one large cloud. Files and tiles that cannot be read are reported, and the run continues.
-pub fn run(
-    arguments: &DetectArguments,
-    model: &Model,
-    mut options: Options,
-    inputs: &[PathBuf],
-    side: f64,
-    output: &Path,
-) -> Result<ExitCode> {
+pub fn run(arguments: &DetectArguments, inputs: &[PathBuf], side: f64, output: &Path) -> Result<ExitCode> {
     let start = Instant::now();
     check(arguments, inputs, output)?;
+    let model = arguments.compute.load_model_of_tiles()?;
+    let mut options = model.options.resolve(&arguments.options.values())?;
     if !arguments.options.has("max_keypoints") {
         options.detect.max_keypoints = usize::MAX;
     }
-    let detector = TileDetector::new(model, &options)?;
+    let detector = TileDetector::new(&model.model, &options)?;
     let sample = arguments.input.sample.map(|number| number as usize);
     let read = arguments.input.columns.options().with_sample(sample).with_seed(options.encode.seed);
     let folder = arguments.tiles.tile_folder.clone().unwrap_or_else(|| with_suffix(output, ".tiles"));

@@ -4,11 +4,11 @@ use std::path::PathBuf;
 
 use anyhow::Result;
 use clap::{Args, Subcommand, ValueEnum};
-use snake_core::{Length, Model, Options};
+use snake_core::{Length, Model, NamedModel, Options};
 use snake_registration::{Descriptor, Detector};
 
 use crate::inputs::ColumnArguments;
-use crate::setup::{ComputeArguments, EncodeFlags, Loaded, load, named};
+use crate::setup::{ComputeArguments, EncodeFlags, load, named};
 
 #[derive(Subcommand)]
 pub enum Eval {
@@ -226,7 +226,7 @@ pub struct RunArguments {
 
 impl RunArguments {
     /// Loads the models to evaluate, with the options that follow from those of `start`.
-    pub fn load_models(&self, start: impl Fn(&Model) -> Options) -> Result<Vec<Loaded>> {
+    pub fn load_models(&self, start: impl Fn(&Model) -> Options) -> Result<Vec<NamedModel>> {
         match &self.models[..] {
             [] => Ok(vec![self.compute.load_model(start)?]),
             models => models.iter().map(|model| load(Some(model), &start)).collect(),

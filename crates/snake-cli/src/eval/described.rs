@@ -5,7 +5,7 @@ use std::collections::hash_map::Entry;
 use std::path::PathBuf;
 
 use anyhow::{Context, Result, anyhow, bail};
-use snake_core::Control;
+use snake_core::{Control, NamedModel};
 use snake_eval::ExternalKeypoints;
 use snake_eval::datasets::{ScenePair, Scenes};
 use snake_eval::reports::registration::Method;
@@ -16,7 +16,7 @@ use snake_registration::{Descriptor, Detector};
 use super::args::RegistrationArguments;
 use super::methods::check_distinct;
 use crate::inputs::ColumnArguments;
-use crate::setup::{Loaded, named, none_if_zero};
+use crate::setup::{named, none_if_zero};
 
 /// Size of the voxels to which clouds are downsampled, in metres.
 pub const VOXEL_SIZE: f64 = 0.03;
@@ -32,7 +32,7 @@ const PAPER: (&str, Length) = ("3dmatch", Length::Units(0.05));
 
 /// The detectors and descriptors to evaluate, and the models that they use.
 pub struct Methods<'a> {
-    pub models: Vec<Loaded>,
+    pub models: Vec<NamedModel>,
     combinations: Vec<Combination>,
     external: &'a [(String, PathBuf)],
     columns: &'a ColumnArguments,
@@ -63,8 +63,8 @@ impl<'a> Methods<'a> {
         let models = arguments.run.load_models(|model| VoxelCloud::default_options(model, VOXEL_SIZE))?;
         let is_preset = options.preset() == Some(PAPER.0) && !options.given().contains_key("nms_radius");
         let paper = is_preset.then_some(PAPER.1);
-        let resolve = |mut loaded: Loaded| -> Result<Loaded> {
-            loaded.options = options.resolve(&loaded)?;
+        let resolve = |mut loaded: NamedModel| -> Result<NamedModel> {
+            loaded.options = loaded.options.resolve(&options.values())?;
             if let Some(radius) = nms_radius.or(paper) {
                 loaded.options.detect.nms_radius = none_if_zero(radius);
             }
@@ -150,7 +150,7 @@ impl<'a> Methods<'a> {
     fn cloud(&self, scenes: &Scenes, index: usize, seed: u64) -> Result<DescribedCloud> {
         let Cloud { points, origin } = self.columns.read(&scenes.clouds[index])?;
         let control = Control::default();
-        let voxels = |loaded: &Loaded| -> Result<VoxelCloud> {
+        let voxels = |loaded: &NamedModel| -> Result<VoxelCloud> {
             Ok(VoxelCloud::new(&points, &LENGTHS, &control)?.with_model(&loaded.model, loaded.options))
         };
         let clouds: Vec<VoxelCloud> = self.models.iter().map(voxels).collect::<Result<_>>()?;

@@ -5,13 +5,13 @@ use std::path::PathBuf;
 
 use anyhow::{Context, Result, bail};
 use serde_json::{Value, json};
-use snake_core::{Length, Model, Options, Point};
+use snake_core::{Length, Model, NamedModel, Options, Point};
 use snake_eval::ExternalKeypoints;
 use snake_geometry::suppress_ranked;
 use snake_registration::detectors::{Detector, Protocol};
 
 use super::args::{EvalArguments, ProtocolName};
-use crate::setup::{Loaded, none_if_zero, recommended};
+use crate::setup::{none_if_zero, recommended};
 
 /// A detector with its options. It maps a cloud to the positions of its best keypoints.
 pub struct Method {
@@ -176,8 +176,8 @@ impl Method {
 impl Source {
     /// The network, by each of the models.
     fn of_models(rotations: Option<usize>, arguments: &EvalArguments, spacing: Spacing) -> Result<Vec<Self>> {
-        let of = |loaded: Loaded| {
-            let mut options = arguments.options.resolve(&loaded)?;
+        let source = |loaded: NamedModel| -> Result<Self> {
+            let mut options = loaded.options.resolve(&arguments.options.values())?;
             options.encode.rotations = rotations.unwrap_or(options.encode.rotations);
             options.detect.max_keypoints = arguments.max_keypoints;
             match spacing {
@@ -188,7 +188,7 @@ impl Source {
             }
             Ok(Self::Snake { model: Box::new(loaded.model), options })
         };
-        arguments.run.load_models(recommended)?.into_iter().map(of).collect()
+        arguments.run.load_models(recommended)?.into_iter().map(source).collect()
     }
 }
 

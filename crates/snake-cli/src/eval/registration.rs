@@ -4,6 +4,7 @@ use std::path::PathBuf;
 
 use anyhow::{Context, Result, bail};
 use serde_json::{Value, json};
+use snake_core::NamedModel;
 use snake_core::Point;
 use snake_eval::datasets::{ScenePair, Scenes};
 use snake_eval::reports::registration::{Cases, INLIER_RATIO, RMSE, Report, Row};
@@ -16,7 +17,6 @@ use super::described::{Clouds, DescribedCloud, Methods, VOXEL_SIZE};
 use super::files;
 use super::record::Record;
 use super::schedule::{Schedule, Task};
-use crate::setup::Loaded;
 use crate::terminal;
 
 // Settings that the benchmark fixes; lengths are in metres.
@@ -60,7 +60,7 @@ pub fn run(arguments: &RegistrationArguments) -> Result<()> {
 
 /// All settings that the figures depend on, without the content of the data.
 fn settings(arguments: &RegistrationArguments, methods: &Methods) -> Value {
-    let model = |loaded: &Loaded| json!({"model": loaded.model.metadata(), "options": loaded.options});
+    let model = |loaded: &NamedModel| json!({"model": loaded.model.metadata(), "options": loaded.options});
     json!({
         "metric": "registration",
         "data": arguments.data,

@@ -6,12 +6,12 @@ use std::path::Path;
 
 use anyhow::{Context, Result, bail};
 use serde_json::json;
-use snake_core::{Cloud, Control, Field, Grid, Progress, add_origin};
+use snake_core::{Control, Field, Grid, Progress, add_origin};
 use snake_io as io;
 
 use crate::output::InputFiles;
 use crate::render::figure::{Panel, PanelAxis, figure};
-use crate::setup::Loaded;
+use crate::setup::detail_of;
 use crate::terminal;
 use args::{FieldArguments, Quantity, Slice};
 
@@ -29,16 +29,19 @@ pub fn run(arguments: &FieldArguments) -> Result<()> {
     };
     let progress = Progress::default();
     let encode = &arguments.encode;
-    let models = arguments.compute.load_models(encode.suits(), |loaded| encode.resolve(loaded))?;
+    let chooser = arguments.compute.chooser(&encode.values())?;
     let control = Control::new().progress(&progress);
-    let first = &models.first().options.encode;
     let bar = terminal::stages(&progress)?;
     bar.set_message(input.display().to_string());
-    let Cloud { points, origin } = arguments.reading.read(input, first.seed)?.for_normalization(first.normalization);
-    let Loaded { model, options, .. } = models.for_cloud(&points);
-    let field = model.encode_with(&points, &options.encode, &control).with_context(|| input.display().to_string())?;
+    let cloud = arguments.reading.read(input, chooser.seed())?;
+    let name = input.display().to_string();
+    let chosen = chooser.for_cloud(&cloud).with_context(|| name.clone())?;
+    detail_of(&chosen);
+    let origin = chosen.origin;
+    let field = chosen.encode(&control).with_context(|| name.clone())?;
     bar.finish();
-    terminal::hint_outliers(&input.display().to_string(), &field);
+    terminal::hints(&name, &chosen.note);
+    terminal::hint_outliers(&name, &field);
     let grid = field.grid(*resolution)?;
     match one_quantity {
         Some(quantity) => write_volume(output, &field, &grid, quantity)?,
@@ -106,7 +109,7 @@ fn write_picture(
             };
             let within = Grid::plane_axes(axis);
             let axes = within.map(|axis| PanelAxis { label: NAMES[axis], low: low[axis], high: high[axis] });
-            let points = if arguments.no_points { Vec::new() } else { dots(field, grid, origin, axis, position) };
+            let points = if arguments.no_points { Vec::new() } else { dots(field, origin, axis, position) };
             Ok(Panel { title, values, columns: grid.resolution, axes, points })
         };
         rows.push(arguments.axis.iter().map(panel).collect::<Result<Vec<_>>>()?);
@@ -154,11 +157,8 @@ fn position(slice: Slice, axis: usize, [low, high]: [f64; 2]) -> Result<f64> {
 
 /// The cloud's points projected along an axis. For a slice, only the points at most one voxel of the network's volume
 /// away.
-fn dots(field: &Field, grid: &Grid, origin: [f64; 3], axis: usize, position: Option<f32>) -> Vec<[f64; 2]> {
-    let voxel = match field.volume().frame() {
-        Some(frame) => (grid.high[axis] - grid.low[axis]) / frame.resolution[axis] as f32,
-        None => field.voxel_size(),
-    };
+fn dots(field: &Field, origin: [f64; 3], axis: usize, position: Option<f32>) -> Vec<[f64; 2]> {
+    let voxel = field.voxel_size_along(axis);
     let is_near = |point: &&[f32; 3]| position.is_none_or(|position| (point[axis] - position).abs() <= voxel);
     let within = Grid::plane_axes(axis);
     let dot = |&point: &[f32; 3]| within.map(|axis| add_origin(point, origin)[axis]);

@@ -31,7 +31,7 @@ pub fn run(arguments: &RegisterArguments) -> Result<ExitCode> {
     let progress = Progress::default();
     let control = Control::new().progress(&progress);
     let (mut options, mut pair) = arguments.options()?;
-    let models = arguments.compute.load_for_registration(&options)?;
+    let chooser = arguments.compute.chooser_of_registration(&options)?;
     terminal::detail("options", || serde_json::to_string(&(&options, &pair)).unwrap_or_default());
     let bar = terminal::stages(&progress)?;
     bar.set_message(format!("{} to {}", source.display(), target.display()));
@@ -43,7 +43,9 @@ pub fn run(arguments: &RegisterArguments) -> Result<ExitCode> {
     terminal::detail("points", || format!("{} and {}", source_cloud.points.len(), target_cloud.points.len()));
     pair.initial = arguments.initial.as_deref().map(io::read_transform).transpose()?;
     pair.place(&mut options, source_cloud.origin, target_cloud.origin);
-    let model = models.as_ref().map(|models| &models.for_cloud(&target_cloud.points).model);
+    let chosen = chooser.as_ref().map(|chooser| chooser.for_cloud(&target_cloud));
+    let chosen = chosen.transpose().with_context(|| target.display().to_string())?;
+    let model = chosen.as_ref().map(|chosen| &chosen.model);
     let tried = register_with(&source_cloud.points, &target_cloud.points, model, &options, &pair, &control);
     let fits_none = matches!(tried, Err(Error::NoTransform { .. }));
     let tried = tried.with_context(|| format!("cannot register {} to {}", source.display(), target.display()));

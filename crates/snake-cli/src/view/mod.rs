@@ -5,13 +5,13 @@ pub mod args;
 use std::path::PathBuf;
 
 use anyhow::{Context, Result, bail};
-use snake_core::{Cloud, Control, Error, Progress};
+use snake_core::{Chosen, Control, Error, Progress};
 use snake_io as io;
 use snake_view::{Page, Pair, ShownCloud};
 
 use crate::inputs::check_inputs;
 use crate::output::{InputFiles, check_page_path, write_page};
-use crate::setup::Loaded;
+use crate::setup::detail_of;
 use crate::terminal::{self, Report};
 use args::ViewArguments;
 
@@ -28,26 +28,30 @@ pub fn run(arguments: &ViewArguments) -> Result<()> {
     InputFiles::new(inputs).refuse_as_output(output)?;
     let t_first_second = transform.as_deref().map(io::read_transform).transpose()?;
     let progress = Progress::default();
-    let models =
-        arguments.compute.load_models(arguments.options.suits(), |loaded| arguments.options.resolve(loaded))?;
+    let chooser = arguments.compute.chooser(&arguments.options.values())?;
     let control = Control::new().progress(&progress);
     let bar = terminal::stages(&progress)?;
-    let read = |input: &PathBuf| -> Result<Cloud> {
-        let encode = &models.first().options.encode;
-        Ok(arguments.reading.read(input, encode.seed)?.for_normalization(encode.normalization))
-    };
-    // Both clouds of a pair have the model that suits the first.
+    let read = |input: &PathBuf| arguments.reading.read(input, chooser.seed());
+    let name = |input: &PathBuf| input.display().to_string();
     let first_cloud = read(input)?;
-    let Loaded { model, name: model_name, options } = models.for_cloud(&first_cloud.points);
+    let first = chooser.for_cloud(&first_cloud).with_context(|| name(input))?;
+    bar.suspend(|| {
+        detail_of(&first);
+        terminal::hints(&name(input), &first.note);
+    });
     let second_cloud = second.as_ref().map(read).transpose()?;
     let mut clouds: Vec<ShownCloud> = Vec::new();
-    for (input, cloud) in [(input, first_cloud)].into_iter().chain(second.iter().zip(second_cloud)) {
-        let name = input.display().to_string();
-        bar.set_message(name.clone());
-        let shown = ShownCloud::detect(model, options, name.clone(), &cloud, &control);
-        let shown = shown.with_context(|| name.clone())?;
-        bar.suspend(|| terminal::hint_outliers(&name, &shown.field));
+    let mut add = |input: &PathBuf, chosen: &Chosen| -> Result<()> {
+        bar.set_message(name(input));
+        let shown = ShownCloud::detect(chosen, name(input), &control).with_context(|| name(input))?;
+        bar.suspend(|| terminal::hint_outliers(&shown.name, &shown.field));
         clouds.push(shown);
+        Ok(())
+    };
+    add(input, &first)?;
+    if let (Some(input), Some(cloud)) = (second, &second_cloud) {
+        // Both clouds of a pair have the model that suits the first.
+        add(input, &first.with_cloud(cloud).with_context(|| name(input))?)?;
     }
     bar.set_message("registration");
     let pair = match &clouds[..] {
@@ -60,7 +64,7 @@ pub fn run(arguments: &ViewArguments) -> Result<()> {
     bar.finish();
     let mut report: Report = clouds.iter().map(ShownCloud::summary).chain(pair.as_ref().map(Pair::summary)).collect();
     let colors = std::array::from_fn(|i| arguments.colormap.color(i as f32 / 255.0));
-    let page = Page { clouds, pair, options: *options, model_name: model_name.clone(), colors };
+    let page = Page { clouds, pair, options: first.options, model_name: first.name.clone(), colors };
     let html = page.html()?;
     write_page(output, &html)?;
     report.line(format!("written to {}", output.display()));

@@ -30,6 +30,47 @@ fn a_cloud_far_from_the_scale_of_the_model_has_a_note() {
     assert_eq!(json_lines(&scenes)[0]["notes"], serde_json::json!([]));
 }
 
+/// A sample of a made room.
+fn room() -> String {
+    let folder = root().join("samples/room");
+    let mut files: Vec<_> = folder.read_dir().unwrap().map(|entry| entry.unwrap().path()).collect();
+    files.sort();
+    files[0].display().to_string()
+}
+
+#[test]
+fn option_that_changes_the_model_of_a_cloud_has_a_note() {
+    let detect = |path: &str, extra: &[&str]| {
+        let run = snake(&[&["detect", path, "--json", "--max-keypoints", "5"], extra].concat());
+        assert!(run.status.success(), "{}", stderr(&run));
+        let line = json_lines(&run)[0].clone();
+        let note = line["notes"].as_array().unwrap().iter().map(|note| note.as_str().unwrap().to_owned());
+        let note = note.into_iter().find(|note| note.contains("so the model is")).unwrap_or_default();
+        assert!(stderr(&run).contains(&note));
+        (line["model"].as_str().unwrap().to_owned(), note)
+    };
+    let none = String::new;
+    assert_eq!(detect(&room(), &[]), ("scenes, built-in".into(), none()));
+    assert_eq!(detect(&sample(), &["--rotations", "2"]), ("compact, built-in".into(), none()));
+    for (path, option, value, model, suited) in [
+        (room(), "rotations", "2", "compact", "scenes"),
+        (room(), "preset", "standard", "compact", "scenes"),
+        (sample(), "voxel_size", "3r", "scenes", "compact"),
+    ] {
+        let (name, note) = detect(&path, &[&format!("--{}", option.replace('_', "-")), value]);
+        assert_eq!(name, format!("{model}, built-in"));
+        let expected = format!("so the model is `{model}`; without it this cloud has `{suited}`");
+        assert!(note.starts_with(&format!("option `{option}` ")) && note.ends_with(&expected), "{note}");
+    }
+}
+
+#[test]
+fn verbose_options_are_those_of_the_model_of_the_cloud() {
+    let said = stderr(&snake(&["detect", &room(), "-v"]));
+    assert!(said.contains("scenes, built-in") && !said.contains("compact"), "{said}");
+    assert!(said.contains(r#""nms_radius":"6.5v""#), "{said}");
+}
+
 #[test]
 fn keypoints_that_cluster_have_a_note() {
     let run = |radius: &str| snake(&["detect", &sample(), "--json", "--max-keypoints", "24", "--nms-radius", radius]);

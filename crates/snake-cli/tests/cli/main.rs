@@ -14,7 +14,6 @@ mod inputs;
 mod mistakes;
 mod model;
 mod options;
-mod options_in_python;
 mod origins_and_columns;
 mod outputs;
 mod printing;

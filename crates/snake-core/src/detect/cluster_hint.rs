@@ -4,16 +4,17 @@ use rand::SeedableRng;
 use rand::seq::index::sample;
 use rand_chacha::ChaCha8Rng;
 
-use snake_geometry::{FinitePoints, Keypoint, Neighbors, Point, vector};
+use snake_geometry::{Keypoint, Neighbors, Point, vector};
 
-/// Fewer keypoints say nothing.
-const FEWEST: usize = 8;
-/// The most points that are measured.
-const MOST_POINTS: usize = 1000;
-/// From here on keypoints cluster: how many times as far points lie from them as from as many random points.
+/// Minimum number of keypoints for a hint.
+const MIN_KEYPOINTS: usize = 8;
+/// Maximum number of points whose distances are measured.
+const MAX_POINTS: usize = 1000;
+/// Keypoints are clustered if the mean distance from a point to its nearest keypoint is at least this multiple of that to as
+/// many random points.
 const CLUSTERED: f64 = 2.0;
 
-/// One sentence for the user if keypoints cluster in a part of their cloud `(N, 3)`: the mean distance from its points to the
+/// One sentence for the user if keypoints cluster in a part of their cloud `(N, 3)`, of which only points that are used are given ([`Field::points`](crate::Field::points)): the mean distance from its points to the
 /// nearest keypoint is at least twice that to as many random points. `None` if they do not, if there are fewer than eight, or
 /// if the cloud cannot be used at all. The sentence is always the same.
 ///
@@ -25,13 +26,12 @@ const CLUSTERED: f64 = 2.0;
 /// assert!(cluster_hint(&points, &clump).is_some());
 /// ```
 pub fn cluster_hint(points: &[Point], keypoints: &[Keypoint]) -> Option<String> {
-    let points = FinitePoints::of("points", points).ok()?.points;
-    if keypoints.len() < FEWEST || points.len() < keypoints.len() {
+    if keypoints.len() < MIN_KEYPOINTS || points.len() < keypoints.len() {
         return None;
     }
     let mut rng = ChaCha8Rng::seed_from_u64(0);
     let mut draw = |number| sample(&mut rng, points.len(), number).iter().map(|i| points[i]).collect::<Vec<_>>();
-    let (random, measured) = (draw(keypoints.len()), draw(MOST_POINTS.min(points.len())));
+    let (random, measured) = (draw(keypoints.len()), draw(MAX_POINTS.min(points.len())));
     let distance_to = |places: Vec<Point>| {
         let neighbors = Neighbors::new(places.into_iter().map(vector).collect()).ok()?;
         Some(measured.iter().map(|&p| neighbors.distance(&vector(p))).sum::<f64>() / measured.len() as f64)

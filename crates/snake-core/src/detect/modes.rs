@@ -23,8 +23,6 @@ const STARTS: usize = 48;
 
 /// Candidates that moved to modes, by falling saliency of where they started.
 pub(crate) struct Modes {
-    /// Indices of the candidates.
-    pub(crate) starts: Scratch<usize>,
     /// Their new positions.
     pub(crate) positions: Scratch<Point>,
     /// The mean of the saliency where a candidate started and of the highest one where it ended. The latter tells modes on
@@ -43,10 +41,14 @@ pub(crate) struct Modes {
 /// [`crate::Error::Input`] when a position is not finite.
 pub(crate) fn seek_modes(positions: &[Point], scores: &[f32], radius: f32, max_keypoints: usize) -> Result<Modes> {
     let cells = RadiusCells::new(positions, radius)?;
-    let most = STARTS.saturating_mul(max_keypoints.max(64));
-    let starts = keep_in_order(&cells, &by_falling_score(scores), radius / 2.0, most);
-    let (positions, scores) = moved(&cells, scores, &starts);
-    Ok(Modes { starts, positions, scores })
+    let (positions, scores) = shift(&cells, scores, &starts(&cells, scores, max_keypoints));
+    Ok(Modes { positions, scores })
+}
+
+/// The indices of the candidates that are moved, by falling saliency.
+fn starts(cells: &RadiusCells, scores: &[f32], max_keypoints: usize) -> Scratch<usize> {
+    let max_number = STARTS.saturating_mul(max_keypoints.max(64));
+    keep_in_order(cells, &by_falling_score(scores), cells.radius() / 2.0, max_number)
 }
 
 /// The modes of some candidates with their scores, see [`seek_modes`].
@@ -56,10 +58,10 @@ pub(crate) fn modes_of(
     radius: f32,
     starts: &[usize],
 ) -> Result<(Scratch<Point>, Scratch<f32>)> {
-    Ok(moved(&RadiusCells::new(positions, radius)?, scores, starts))
+    Ok(shift(&RadiusCells::new(positions, radius)?, scores, starts))
 }
 
-fn moved(cells: &RadiusCells, scores: &[f32], starts: &[usize]) -> (Scratch<Point>, Scratch<f32>) {
+fn shift(cells: &RadiusCells, scores: &[f32], starts: &[usize]) -> (Scratch<Point>, Scratch<f32>) {
     let radius = cells.radius();
     let weights = STEPS.map(|(_, power)| Scratch::collect(scores.len(), scores.iter().map(|score| score.powi(power))));
     let mut modes = Scratch::collect(starts.len(), starts.iter().map(|&start| cells.points()[start]));
@@ -118,8 +120,10 @@ mod tests {
     fn modes_are_those_of_the_plain_mean_shift() {
         let (positions, scores) = candidates();
         let modes = seek_modes(&positions, &scores, 0.3, 100).unwrap();
-        assert!(modes.starts.len() > 10 && modes.starts.is_sorted_by(|&a, &b| scores[a] >= scores[b]));
-        for (i, &start) in modes.starts.iter().enumerate() {
+        let starts = starts(&RadiusCells::new(&positions, 0.3).unwrap(), &scores, 100);
+        assert!(starts.len() > 10 && starts.is_sorted_by(|&a, &b| scores[a] >= scores[b]));
+        assert_eq!(starts.len(), modes.positions.len());
+        for (i, &start) in starts.iter().enumerate() {
             let (expected, score) = plain(&positions, &scores, start, 0.3);
             let mode = modes.positions[i];
             assert!((0..3).all(|axis| (mode[axis] - expected[axis]).abs() < 1e-5), "{mode:?} {expected:?}");
@@ -141,11 +145,11 @@ mod tests {
     #[test]
     fn modes_of_no_candidates_one_candidate_and_scores_of_zero() {
         let modes = |positions: &[Point], scores: &[f32]| {
-            let Modes { starts, positions, scores } = seek_modes(positions, scores, 0.1, 9).unwrap();
-            (starts.to_vec(), positions.to_vec(), scores.to_vec())
+            let Modes { positions, scores } = seek_modes(positions, scores, 0.1, 9).unwrap();
+            (positions.to_vec(), scores.to_vec())
         };
-        assert_eq!(modes(&[], &[]), (vec![], vec![], vec![]));
-        assert_eq!(modes(&[[1.0, 2.0, 3.0]], &[0.5]), (vec![0], vec![[1.0, 2.0, 3.0]], vec![0.5]));
-        assert_eq!(modes(&[[1.0, 2.0, 3.0]], &[0.0]), (vec![0], vec![[1.0, 2.0, 3.0]], vec![0.0]));
+        assert_eq!(modes(&[], &[]), (vec![], vec![]));
+        assert_eq!(modes(&[[1.0, 2.0, 3.0]], &[0.5]), (vec![[1.0, 2.0, 3.0]], vec![0.5]));
+        assert_eq!(modes(&[[1.0, 2.0, 3.0]], &[0.0]), (vec![[1.0, 2.0, 3.0]], vec![0.0]));
     }
 }

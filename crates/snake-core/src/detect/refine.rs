@@ -2,26 +2,16 @@
 
 use rayon::prelude::*;
 
+use super::occupied::Occupied;
 use crate::Result;
-use crate::call::control::{Control, Counter};
-use crate::call::span::span;
-use crate::detect::options::{DetectOptions, RefineMethod, Selection};
-use crate::detect::query_grid::Occupied;
+use crate::control::span;
+use crate::control::{Control, Counter};
 use crate::field::{Field, Quantity};
+use crate::lattice::Refined;
 use crate::network::layers::TILE;
+use crate::options::{DetectOptions, RefineMethod, Selection};
 use snake_geometry::Point;
-use snake_kernels::{Scratch, scratch_elements};
-
-/// A refined query.
-#[derive(Debug, Clone, Copy, PartialEq, Default)]
-pub(crate) struct Refined {
-    /// In the network's frame.
-    pub(crate) position: Point,
-    /// Saliency. It is 0 unless saliency and occupancy are above their thresholds.
-    pub(crate) score: f32,
-}
-
-scratch_elements!(Refined);
+use snake_kernels::Scratch;
 
 /// Moves each query by `refine_steps` steps and selects a position and a score for it.
 ///
@@ -113,12 +103,12 @@ fn refine_tile(
 /// For each query of a tile, the most salient position of its trajectory that lies on the surface; the first of several.
 ///
 /// Occupancy is evaluated by falling saliency, until a position lies on the surface or its saliency is too low for a
-/// keypoint. The result is the same as with the occupancy of all positions, and most queries need none. `of_starts` is the
+/// keypoint. The result is the same as with the occupancy of all positions, and most queries need none. `start_occupancy` is the
 /// occupancy of the first positions, or empty.
 fn best_on_surface(
     field: &Field,
     trajectory: &Trajectory,
-    of_starts: &[f32],
+    start_occupancy: &[f32],
     options: &DetectOptions,
     best: &mut [Refined],
 ) {
@@ -135,7 +125,7 @@ fn best_on_surface(
         ranked[..counts[query]].sort_unstable_by(|&a, &b| saliency(b).total_cmp(&saliency(a)).then(a.cmp(&b)));
     }
     // Positions are numbered as in the trajectory, so that those of the starts come first.
-    let is_unknown = |place: &usize| options.surface_threshold > 0.0 && *place >= of_starts.len();
+    let is_unknown = |place: &usize| options.surface_threshold > 0.0 && *place >= start_occupancy.len();
     for rank in 0..num_steps {
         let is_open = |query: &usize| counts[*query] > rank;
         let open = Scratch::collect(best.len(), (0..best.len()).filter(is_open));
@@ -146,7 +136,7 @@ fn best_on_surface(
         let mut evaluated = evaluated.iter();
         for &query in open.iter() {
             let place = place(query);
-            let occupancy = of_starts.get(place).or_else(|| evaluated.next());
+            let occupancy = start_occupancy.get(place).or_else(|| evaluated.next());
             if occupancy.is_none_or(|occupancy| *occupancy > options.surface_threshold) {
                 best[query] = Refined { position: positions[place], score: saliency[place] };
                 counts[query] = 0;
@@ -253,8 +243,8 @@ mod tests {
             let occupancy = field.tile_values(Quantity::Occupancy, &queries);
             for occupancy in [Scratch::default(), occupancy] {
                 let queries = Occupied { positions: Scratch::copy_of(&queries), occupancy };
-                let found = refine(&field, &queries, &options, &Control::default()).unwrap();
-                assert_eq!(found[..], expected, "{refine_steps} {saliency_threshold}");
+                let refined = refine(&field, &queries, &options, &Control::default()).unwrap();
+                assert_eq!(refined[..], expected, "{refine_steps} {saliency_threshold}");
             }
             expected.iter().for_each(|refined| outcomes[usize::from(refined.score > 0.0)] += 1);
         }

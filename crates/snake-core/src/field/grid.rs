@@ -101,9 +101,7 @@ impl Field {
         if !(2..=512).contains(&resolution) {
             return Err(Error::Option { name: "resolution", value: resolution.to_string(), allowed: "2 to 512" });
         }
-        let bounds = self.volume().grid.bounds();
-        let corner = |end: usize| self.normalization().to_cloud(bounds.map(|ends| ends[end]));
-        Ok(Grid { resolution, low: corner(0), high: corner(1) })
+        Ok(Grid { resolution, low: self.corner(0), high: self.corner(1) })
     }
 }
 

@@ -1,33 +1,35 @@
 //! The field of one cloud: encode once, query many times.
 
-pub(crate) mod grid;
-pub(crate) mod surface;
+mod copies;
+mod grid;
+mod surface;
 mod values;
-mod views;
 
+pub(crate) use self::copies::{FieldMemory, check_number_of_points};
 pub use self::grid::Grid;
 pub use self::values::Quantity;
 pub(crate) use self::values::log_odds;
-pub(crate) use self::views::FieldMemory;
 
 use std::sync::Arc;
 
 use rayon::prelude::*;
 
+use self::copies::{Placement, RotatedCopy, encode_rotated_copies};
 use self::values::rotated;
-use self::views::View;
-use crate::call::control::Control;
-use crate::call::span::span;
-use crate::detect::options::{EncodeOptions, Options};
+use crate::Result;
+use crate::cloud::UsedCloud;
+use crate::control::{Control, span};
+use crate::lattice::{Lattice, Queries};
 use crate::network::Network;
-use crate::network::budget::{most_blocks, volume_bytes};
+use crate::network::check::{max_blocks, volume_bytes};
 use crate::network::config::ModelConfig;
 use crate::network::layers::TILE;
-use crate::network::scene::voxel_size;
 use crate::network::volume::Volume;
-use crate::{Error, Result};
+use crate::options::{DetectOptions, EncodeOptions, Options};
 use snake_geometry::{
-    FinitePoints, Normalization, NormalizationMethod, Outliers, Point, PointSource, check_points, rotations,
+    FinitePoints, Normalization, Outliers, Point, PointSource, check_points,
+    rotations::{self, rotate},
+    sample,
 };
 use snake_kernels::Scratch;
 
@@ -35,39 +37,51 @@ use snake_kernels::Scratch;
 #[derive(Debug, Clone)]
 pub struct Field {
     network: Arc<Network>,
-    views: Vec<View>,
+    copies: Vec<RotatedCopy>,
     normalization: Normalization,
     points: FinitePoints<'static>,
     num_skipped: usize,
     num_encoded: usize,
 }
 
-/// Refuses more points than 32-bit indices can count.
-pub(crate) fn check_number_of_points(number: usize) -> Result<()> {
-    match u32::try_from(number) {
-        Ok(_) => Ok(()),
-        Err(_) => {
-            let reason = format!("{number} points, at most {} can be encoded; set max_points", u32::MAX);
-            Err(Error::Input { what: "points", reason })
-        }
-    }
-}
-
 impl Field {
-    /// The field of a cloud. The options are valid for the network.
+    /// The field of a cloud in the memory of an earlier field. The options are valid for the network.
     pub(crate) fn new(
         network: Arc<Network>,
-        points: &[Point],
+        cloud: UsedCloud<'_>,
         options: &EncodeOptions,
+        memory: &mut FieldMemory,
         control: &Control,
     ) -> Result<Self> {
-        control.get_limits().check_points(points.len())?;
-        let finite = FinitePoints::of("points", points)?;
-        Self::of_finite(network, finite, points.len(), options, &mut FieldMemory::default(), control)
+        span!("encode");
+        let limits = control.get_limits();
+        limits.check_points(cloud.num_given())?;
+        limits.check_volume_bytes(volume_bytes(&network.config, options.rotations))?;
+        let (normalization, orientation) =
+            network.config.volume.place(&cloud, options, max_blocks(network.config.c_dim))?;
+        let placement = Placement { normalization, orientation, rotations: options.rotations };
+        let points = cloud.points();
+        let drawn = options.max_points.filter(|&number| number < points.len());
+        let drawn: Option<Scratch<Point>> = drawn.map(|number| sample(points, number, options.seed));
+        let encoded = drawn.as_deref().unwrap_or(points);
+        let mut copies = encode_rotated_copies(&network, encoded, &placement, memory, control)?;
+        if drawn.is_some() {
+            // Queries start at all points, also at those that were not drawn.
+            let in_network = points.iter().map(|&point| normalization.to_network(point));
+            copies[0].volume.lattice.set_cells(in_network);
+        }
+        Ok(Self {
+            copies,
+            normalization,
+            num_skipped: cloud.num_given() - points.len(),
+            num_encoded: encoded.len(),
+            points: cloud.into_finite().into_owned(),
+            network,
+        })
     }
 
-    /// The field of a cloud in the memory of an earlier field. The options are valid for the network.
-    pub(crate) fn of_source(
+    /// The field of a source of points, see [`Field::new`].
+    pub(crate) fn from_source(
         network: Arc<Network>,
         source: &(impl PointSource + ?Sized),
         options: &EncodeOptions,
@@ -78,43 +92,7 @@ impl Field {
         control.get_limits().check_points(number)?;
         let buffers = (std::mem::take(&mut memory.points), std::mem::take(&mut memory.indices));
         let finite = FinitePoints::copied("points", (0..number).map(|index| source.point(index)), buffers)?;
-        Self::of_finite(network, finite, number, options, memory, control)
-    }
-
-    /// The field of the finite points of a cloud of `num_given` points.
-    fn of_finite(
-        network: Arc<Network>,
-        finite: FinitePoints<'_>,
-        num_given: usize,
-        options: &EncodeOptions,
-        memory: &mut FieldMemory,
-        control: &Control,
-    ) -> Result<Self> {
-        span!("encode");
-        control.get_limits().check_volume_bytes(volume_bytes(&network.config, options.rotations))?;
-        let points = &finite.points;
-        let is_scene = network.config.frame().is_none();
-        let normalization = match is_scene {
-            true => Normalization {
-                center: [0.0; 3],
-                scale: voxel_size(options.voxel_size, points, most_blocks(network.config.c_dim))?,
-            },
-            false => Normalization::of_finite(points, options.normalization)?,
-        };
-        let orientation = match options.normalization {
-            NormalizationMethod::PrincipalAxes if !is_scene => rotations::principal_axes(points, normalization.center),
-            _ => rotations::IDENTITY,
-        };
-        let sample = options.sample(points);
-        let encoded = sample.as_deref().unwrap_or(points);
-        Ok(Self {
-            views: View::all(&network, encoded, normalization, &orientation, options.rotations, memory, control)?,
-            normalization,
-            num_skipped: num_given - points.len(),
-            num_encoded: encoded.len(),
-            points: finite.into_owned(),
-            network,
-        })
+        Self::new(network, UsedCloud::from_finite(finite, number), options, memory, control)
     }
 
     /// The field of a cloud of finite points as it lies, with a given normalisation.
@@ -122,12 +100,11 @@ impl Field {
         network: Arc<Network>,
         points: Vec<Point>,
         normalization: Normalization,
-        rotations: usize,
         control: &Control,
     ) -> Result<Self> {
-        let memory = &mut FieldMemory::default();
+        let placement = Placement { normalization, orientation: rotations::IDENTITY, rotations: 1 };
         Ok(Self {
-            views: View::all(&network, &points, normalization, &rotations::IDENTITY, rotations, memory, control)?,
+            copies: encode_rotated_copies(&network, &points, &placement, &mut FieldMemory::default(), control)?,
             normalization,
             num_skipped: 0,
             num_encoded: points.len(),
@@ -137,11 +114,22 @@ impl Field {
     }
 
     /// Leaves its memory to the next field.
-    pub(crate) fn leave_to(self, memory: &mut FieldMemory) {
-        let Self { mut views, points, .. } = self;
-        views.clear();
-        memory.views = views;
+    pub(crate) fn recycle_into(self, memory: &mut FieldMemory) {
+        let Self { mut copies, points, .. } = self;
+        copies.clear();
+        memory.copies = copies;
         (memory.points, memory.indices) = points.into_buffers();
+    }
+
+    /// The queries from which detection starts.
+    pub(crate) fn queries(&self, options: &DetectOptions) -> Queries {
+        let in_volume = |&point: &Point| rotate(self.orientation(), self.normalization.to_network(point));
+        self.lattice().queries(self.points().iter().map(in_volume), self.orientation(), options)
+    }
+
+    /// Where the voxels of [`Field::volume`] lie.
+    pub(crate) fn lattice(&self) -> &Lattice {
+        &self.volume().lattice
     }
 
     /// The normalisation in use: `network = (cloud - center) / scale`.
@@ -151,10 +139,18 @@ impl Field {
 
     /// The size of a voxel of the volume, in cloud units; along x, should the axes differ.
     pub fn voxel_size(&self) -> f32 {
-        match self.volume().frame() {
-            Some(frame) => frame.voxel_size(self.normalization.scale),
-            None => self.normalization.scale,
-        }
+        self.lattice().voxel_size(self.normalization.scale)
+    }
+
+    /// The size of a voxel of the volume along an axis, in cloud units.
+    pub fn voxel_size_along(&self, axis: usize) -> f32 {
+        let ends = [0, 1].map(|end| self.corner(end)[axis]);
+        self.lattice().voxel_size_along(axis, ends, self.normalization.scale)
+    }
+
+    /// The lower (0) or the upper (1) corner of the volume's box, in the cloud's frame.
+    fn corner(&self, end: usize) -> Point {
+        self.normalization.to_cloud(self.lattice().bounds().map(|ends| ends[end]))
     }
 
     /// The points of the cloud that are used, in the order they were given: the finite ones without outliers.
@@ -194,18 +190,18 @@ impl Field {
 
     /// Number of rotated copies of the cloud that were encoded.
     pub(crate) fn num_rotations(&self) -> usize {
-        self.views.len()
+        self.copies.len()
     }
 
     /// The rotation of [`Field::volume`], row by row: `volume = R network`. It is the identity, save with
     /// [`NormalizationMethod::PrincipalAxes`].
     pub fn orientation(&self) -> &[Point; 3] {
-        &self.views[0].rotation
+        &self.copies[0].rotation
     }
 
     /// The feature volume of the cloud in its [`Field::orientation`]. Each further rotation has a volume of its own.
     pub fn volume(&self) -> &Volume {
-        &self.views[0].volume
+        &self.copies[0].volume
     }
 
     /// Occupancy of each query `(Q, 3)`, in [0, 1]: the probability of a surface (SNAKE eq. 1).
@@ -260,11 +256,11 @@ impl Field {
         let queries = self.to_network(queries)?;
         let mut features = vec![0.0; queries.len() * channels];
         features.par_chunks_mut(TILE * channels).zip(queries.par_chunks(TILE)).for_each(|(features, queries)| {
-            let mut of_view = Scratch::zeros(features.len());
-            for View { rotation, volume } in &self.views {
+            let mut copy_features = Scratch::zeros(features.len());
+            for RotatedCopy { rotation, volume } in &self.copies {
                 let rotated = rotated(rotation, queries);
-                volume.interpolate(&volume.grid, &rotated, &mut of_view);
-                features.iter_mut().zip(of_view.iter()).for_each(|(sum, f)| *sum += f);
+                volume.interpolate(&volume.lattice, &rotated, &mut copy_features);
+                features.iter_mut().zip(copy_features.iter()).for_each(|(sum, f)| *sum += f);
             }
             for feature in features.chunks_exact_mut(channels) {
                 let norm = feature.iter().map(|f| f * f).sum::<f32>().sqrt().max(f32::MIN_POSITIVE);
@@ -294,9 +290,9 @@ impl Field {
         let (mut values, mut gradients) = (vec![0.0; queries.len()], vec![[0.0; 3]; queries.len()]);
         let tiles = values.par_chunks_mut(TILE).zip(gradients.par_chunks_mut(TILE)).zip(queries.par_chunks(TILE));
         tiles.for_each(|((values, gradients), tile)| {
-            let of_tile = self.tile_values_and_gradients(quantity, tile);
-            values.copy_from_slice(&of_tile.0);
-            gradients.iter_mut().zip(of_tile.1.iter()).for_each(|(to, g)| *to = g.map(|v| v * per_cloud_unit));
+            let tile_results = self.tile_values_and_gradients(quantity, tile);
+            values.copy_from_slice(&tile_results.0);
+            gradients.iter_mut().zip(tile_results.1.iter()).for_each(|(to, g)| *to = g.map(|v| v * per_cloud_unit));
         });
         Ok((values, gradients))
     }

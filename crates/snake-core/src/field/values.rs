@@ -1,11 +1,12 @@
-//! What a field answers: values and gradients of a tile of queries, of one view or the average of several.
+//! What a field answers: values and gradients of a tile of queries, of one rotated copy or the average of several.
 
 use std::borrow::Cow;
 
 use super::Field;
-use super::views::View;
+use super::copies::RotatedCopy;
+use crate::lattice::Lattice;
 use crate::network::decoder::Decoder;
-use crate::network::volume::{Volume, VolumeFrame, VolumeGrid};
+use crate::network::volume::Volume;
 use snake_geometry::{
     Point,
     rotations::{Rotation, rotate, rotate_inverse},
@@ -23,30 +24,24 @@ pub enum Quantity {
 
 impl Field {
     /// A decoder, and the voxels of a volume as it sees them.
-    fn decoder<'a>(&'a self, volume: &'a Volume, quantity: Quantity) -> (&'a Decoder, Cow<'a, VolumeGrid>) {
-        match (quantity, &volume.grid) {
-            (Quantity::Occupancy, grid) => (&self.network.occupancy, Cow::Borrowed(grid)),
-            // In the released code only the occupancy decoder uses the z bounds; the saliency decoder assumes ±0.5. All
-            // published networks have these bounds.
-            (Quantity::Saliency, VolumeGrid::Cube(frame)) => {
-                let frame = VolumeFrame { z_bounds: [-0.5, 0.5], ..*frame };
-                (&self.network.saliency, Cow::Owned(VolumeGrid::Cube(frame)))
-            }
-            (Quantity::Saliency, grid) => (&self.network.saliency, Cow::Borrowed(grid)),
+    fn decoder<'a>(&'a self, volume: &'a Volume, quantity: Quantity) -> (&'a Decoder, Cow<'a, Lattice>) {
+        match quantity {
+            Quantity::Occupancy => (&self.network.occupancy, Cow::Borrowed(&volume.lattice)),
+            Quantity::Saliency => (&self.network.saliency, volume.lattice.for_saliency()),
         }
     }
 
     /// One tile of queries in the network's frame, on the calling thread.
     pub(crate) fn tile_values(&self, quantity: Quantity, queries: &[Point]) -> Scratch<f32> {
-        if let [view] = &self.views[..] {
-            return self.view_values(view, quantity, queries);
+        if let [copy] = &self.copies[..] {
+            return self.copy_values(copy, quantity, queries);
         }
         let mut sums = Scratch::zeros(queries.len());
-        for view in &self.views {
-            let values = self.view_values(view, quantity, queries);
+        for copy in &self.copies {
+            let values = self.copy_values(copy, quantity, queries);
             sums.iter_mut().zip(values.iter()).for_each(|(sum, &value)| *sum += log_odds(value));
         }
-        sums.iter_mut().for_each(|sum| *sum = probability(*sum / self.views.len() as f32));
+        sums.iter_mut().for_each(|sum| *sum = probability(*sum / self.copies.len() as f32));
         sums
     }
 
@@ -56,72 +51,74 @@ impl Field {
         quantity: Quantity,
         queries: &[Point],
     ) -> (Scratch<f32>, Scratch<Point>) {
-        if let [view] = &self.views[..] {
-            return self.view_values_and_gradients(view, quantity, queries);
+        if let [copy] = &self.copies[..] {
+            return self.copy_values_and_gradients(copy, quantity, queries);
         }
         let mut sums = Scratch::zeros(queries.len());
         let mut gradients = Scratch::<Point>::zeros(queries.len());
-        for view in &self.views {
-            let of_view = self.view_values_and_gradients(view, quantity, queries);
-            let of_view = of_view.0.iter().zip(of_view.1.iter());
-            for ((sum, gradient), (&value, &of_value)) in sums.iter_mut().zip(gradients.iter_mut()).zip(of_view) {
-                let value = value.clamp(LEAST, 1.0 - LEAST);
-                let of_log_odds = of_value.map(|v| v / (value * (1.0 - value)));
+        for copy in &self.copies {
+            let copy_values = self.copy_values_and_gradients(copy, quantity, queries);
+            let copy_values = copy_values.0.iter().zip(copy_values.1.iter());
+            for ((sum, gradient), (&value, &value_gradient)) in
+                sums.iter_mut().zip(gradients.iter_mut()).zip(copy_values)
+            {
+                let value = value.clamp(MIN_PROBABILITY, 1.0 - MIN_PROBABILITY);
+                let log_odds_gradient = value_gradient.map(|v| v / (value * (1.0 - value)));
                 *sum += log_odds(value);
-                *gradient = std::array::from_fn(|axis| gradient[axis] + of_log_odds[axis]);
+                *gradient = std::array::from_fn(|axis| gradient[axis] + log_odds_gradient[axis]);
             }
         }
-        let views = self.views.len() as f32;
+        let number = self.copies.len() as f32;
         for (gradient, sum) in gradients.iter_mut().zip(sums.iter_mut()) {
-            let value = probability(*sum / views);
-            *gradient = gradient.map(|v| v * value * (1.0 - value) / views);
+            let value = probability(*sum / number);
+            *gradient = gradient.map(|v| v * value * (1.0 - value) / number);
             *sum = value;
         }
         (sums, gradients)
     }
 
-    /// Values of one view.
-    fn view_values(&self, view: &View, quantity: Quantity, queries: &[Point]) -> Scratch<f32> {
-        let (decoder, grid) = self.decoder(&view.volume, quantity);
-        let queries = &rotated(&view.rotation, queries);
-        let mut features = Scratch::arbitrary(queries.len() * view.volume.channels);
-        view.volume.interpolate(&grid, queries, &mut features);
+    /// Values of one copy.
+    fn copy_values(&self, copy: &RotatedCopy, quantity: Quantity, queries: &[Point]) -> Scratch<f32> {
+        let (decoder, lattice) = self.decoder(&copy.volume, quantity);
+        let queries = &rotated(&copy.rotation, queries);
+        let mut features = Scratch::arbitrary(queries.len() * copy.volume.channels);
+        copy.volume.interpolate(&lattice, queries, &mut features);
         decoder.values(queries, &features)
     }
 
-    /// [`Field::view_values`] with gradients: the decoder's derivative with respect to the query, plus the derivative
+    /// [`Field::copy_values`] with gradients: the decoder's derivative with respect to the query, plus the derivative
     /// through the interpolated feature.
-    fn view_values_and_gradients(
+    fn copy_values_and_gradients(
         &self,
-        view: &View,
+        copy: &RotatedCopy,
         quantity: Quantity,
         queries: &[Point],
     ) -> (Scratch<f32>, Scratch<Point>) {
-        let (decoder, grid) = self.decoder(&view.volume, quantity);
-        let queries = &rotated(&view.rotation, queries);
-        let mut features = Scratch::arbitrary(queries.len() * view.volume.channels);
-        let corners = view.volume.interpolate(&grid, queries, &mut features);
+        let (decoder, lattice) = self.decoder(&copy.volume, quantity);
+        let queries = &rotated(&copy.rotation, queries);
+        let mut features = Scratch::arbitrary(queries.len() * copy.volume.channels);
+        let corners = copy.volume.interpolate(&lattice, queries, &mut features);
         let decoded = decoder.values_and_gradients(queries, &features);
-        let mut gradients = view.volume.interpolate_backward(&corners, &decoded.in_feature);
+        let mut gradients = copy.volume.interpolate_backward(&corners, &decoded.in_feature);
         let (in_query, _) = decoded.in_query.as_chunks::<3>();
         for ((gradient, &query), in_query) in gradients.iter_mut().zip(queries.iter()).zip(in_query) {
-            let voxels_per_unit = grid.voxels_per_unit(query);
-            let turned = std::array::from_fn(|axis| in_query[axis] + gradient[axis] * voxels_per_unit[axis]);
-            *gradient = rotate_inverse(&view.rotation, turned);
+            let voxels_per_unit = lattice.voxels_per_unit(query);
+            let in_copy = std::array::from_fn(|axis| in_query[axis] + gradient[axis] * voxels_per_unit[axis]);
+            *gradient = rotate_inverse(&copy.rotation, in_copy);
         }
         (decoded.values, gradients)
     }
 }
 
 /// Probabilities are clamped to this distance from 0 and 1 before they are averaged as log-odds.
-const LEAST: f32 = 1e-6;
+const MIN_PROBABILITY: f32 = 1e-6;
 
 pub(crate) fn log_odds(probability: f32) -> f32 {
-    let probability = probability.clamp(LEAST, 1.0 - LEAST);
+    let probability = probability.clamp(MIN_PROBABILITY, 1.0 - MIN_PROBABILITY);
     (probability / (1.0 - probability)).ln()
 }
 
-/// Queries of one tile in the orientation of a view.
+/// Queries of one tile in the orientation of a copy.
 pub(super) fn rotated(rotation: &Rotation, queries: &[Point]) -> Scratch<Point> {
     Scratch::collect(queries.len(), queries.iter().map(|&query| rotate(rotation, query)))
 }
@@ -179,7 +176,7 @@ mod tests {
     }
 
     #[test]
-    fn a_field_in_principal_axes_is_that_of_the_turned_cloud() {
+    fn field_in_principal_axes_is_that_of_the_rotated_cloud() {
         let points: Vec<Point> = (0..3000)
             .map(|i| {
                 let angle = i as f32 * 0.1;
@@ -192,12 +189,15 @@ mod tests {
         };
         let field = encode(&points, NormalizationMethod::PrincipalAxes);
         let turn = |point: &Point| rotate(field.orientation(), *point);
-        let turned = encode(&points.iter().map(turn).collect::<Vec<_>>(), NormalizationMethod::UnitSphere);
-        assert_eq!((turned.orientation(), field.orientation() == turned.orientation()), (&rotations::IDENTITY, false));
+        let rotated = encode(&points.iter().map(turn).collect::<Vec<_>>(), NormalizationMethod::UnitSphere);
+        assert_eq!(
+            (rotated.orientation(), field.orientation() == rotated.orientation()),
+            (&rotations::IDENTITY, false)
+        );
         let (values, gradients) = field.saliency_and_gradient(&points[..99]).unwrap();
-        let expected = turned.saliency_and_gradient(&points[..99].iter().map(turn).collect::<Vec<_>>()).unwrap();
-        for ((value, gradient), (same, turned)) in values.iter().zip(gradients).zip(expected.0.iter().zip(expected.1)) {
-            let back = rotate_inverse(field.orientation(), turned);
+        let expected = rotated.saliency_and_gradient(&points[..99].iter().map(turn).collect::<Vec<_>>()).unwrap();
+        for ((value, gradient), (same, there)) in values.iter().zip(gradients).zip(expected.0.iter().zip(expected.1)) {
+            let back = rotate_inverse(field.orientation(), there);
             assert!((value - same).abs() < 1e-4, "{value} {same}");
             assert!(gradient.iter().zip(back).all(|(a, b)| (a - b).abs() < 1e-2), "{gradient:?} {back:?}");
         }

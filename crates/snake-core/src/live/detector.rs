@@ -1,13 +1,13 @@
 //! Detection in clouds that come one after another.
 
 use crate::Keypoint;
+use crate::Model;
 use crate::Result;
-use crate::call::clock::Instant;
-use crate::call::control::Control;
+use crate::control::Control;
+use crate::control::clock::Instant;
 use crate::detect::Detection;
-use crate::detect::options::Options;
 use crate::field::{Field, FieldMemory};
-use crate::models::Model;
+use crate::options::Options;
 use snake_geometry::PointSource;
 
 /// A model with its options, for clouds that come one after another, such as the sweeps of a laser scanner. Memory of one
@@ -77,12 +77,12 @@ impl Detector {
         let Options { encode, detect } = &self.options;
         control.get_limits().check_evaluations(&detect.evaluations(encode.rotations))?;
         let start = Instant::now();
-        let field = Field::of_source(self.model.network().clone(), source, encode, &mut self.memory, control)?;
+        let field = Field::from_source(self.model.network().clone(), source, encode, &mut self.memory, control)?;
         let seconds = start.elapsed().as_secs_f64();
-        let found = field.detect_in(detect, std::mem::take(&mut self.keypoints), control)?;
-        self.keypoints = std::mem::replace(detection, found).keypoints;
+        let new = field.detect_in(detect, std::mem::take(&mut self.keypoints), control)?;
+        self.keypoints = std::mem::replace(detection, new).keypoints;
         detection.timing.encode = seconds;
-        field.leave_to(&mut self.memory);
+        field.recycle_into(&mut self.memory);
         Ok(())
     }
 }
@@ -106,14 +106,14 @@ mod tests {
         let model = Model::builtin(Builtin::Compact);
         let options = *model.recommended();
         let mut detector = Detector::new(model.clone(), options).unwrap();
-        let mut found = Detection::default();
+        let mut detection = Detection::default();
         for points in [cloud(0.5, |_| false), cloud(0.9, |i| i % 3 == 0), cloud(0.1, |i| i == 1499)] {
             let [x, y, z] = [0, 1, 2].map(|axis| points.iter().map(|p| p[axis]).collect::<Vec<f32>>());
-            detector.detect_into(&SeparateAxes::new(&x, &y, &z).unwrap(), &mut found).unwrap();
+            detector.detect_into(&SeparateAxes::new(&x, &y, &z).unwrap(), &mut detection).unwrap();
             let expected = model.detect(&points, &options).unwrap();
             assert!(!expected.keypoints.is_empty());
-            found.timing = expected.timing;
-            assert_eq!(found, expected);
+            detection.timing = expected.timing;
+            assert_eq!(detection, expected);
         }
     }
 
@@ -122,17 +122,17 @@ mod tests {
         let model = Model::builtin(Builtin::Compact);
         let options = *model.recommended();
         let mut detector = Detector::new(model, options).unwrap();
-        let mut found = Detection::default();
+        let mut detection = Detection::default();
         let points = cloud(0.5, |_| false);
-        detector.detect_into(&points, &mut found).unwrap();
-        let kept = found.clone();
-        let error = detector.detect_into(&[[f32::NAN; 3]; 4][..], &mut found).unwrap_err().to_string();
+        detector.detect_into(&points, &mut detection).unwrap();
+        let kept = detection.clone();
+        let error = detector.detect_into(&[[f32::NAN; 3]; 4][..], &mut detection).unwrap_err().to_string();
         assert_eq!(error, "points: none of the 4 points is finite");
         let control = Control::new().limits(Limits::default().with_max_points(Some(100)));
-        let refused = detector.detect_into_with(&points, &mut found, &control);
+        let refused = detector.detect_into_with(&points, &mut detection, &control);
         assert!(matches!(refused, Err(Error::LimitExceeded { what: "points", number: 1500, limit: 100 })));
-        assert_eq!(found, kept);
-        detector.detect_into(&points, &mut found).unwrap();
-        assert_eq!(found.keypoints, kept.keypoints);
+        assert_eq!(detection, kept);
+        detector.detect_into(&points, &mut detection).unwrap();
+        assert_eq!(detection.keypoints, kept.keypoints);
     }
 }

@@ -2,10 +2,11 @@
 
 use std::time::{Duration, Instant};
 
+use crate::Model;
 use crate::detect::Detection;
-use crate::detect::options::Options;
+use crate::lattice::TimeBudget;
 use crate::live::detector::Detector;
-use crate::models::Model;
+use crate::options::Options;
 use crate::{Error, Result};
 use snake_geometry::{Length, NormalizationMethod, Point};
 
@@ -16,11 +17,11 @@ const SAMPLES: [usize; 2] = [2048, 16_384];
 /// Sizes of a voxel of a scene model, in resolutions of the cloud.
 const VOXELS: [f64; 11] = [1.25, 1.6, 2.0, 2.5, 3.15, 4.0, 5.0, 6.3, 8.0, 10.0, 12.5];
 /// A finer query grid is not worth fewer points than this.
-const FEW: usize = 8192;
+const MIN_POINTS: usize = 8192;
 /// Numbers of points are rounded down to a multiple of this.
 const STEP: usize = 1024;
 /// The most points of the made cloud, which takes 12 bytes a point.
-const MOST: usize = 100_000_000;
+const MAX_POINTS: usize = 100_000_000;
 /// Detections beside the first one that are measured; the median counts.
 const REPEATS: usize = 5;
 /// The part of the target that the budget uses. The rest is for clouds that are harder than the measured one.
@@ -47,24 +48,29 @@ impl Model {
         if target.is_zero() {
             return Err(Error::Option { name: "target", value: "0".into(), allowed: "above 0 (seconds)" });
         }
-        if !(2..=MOST).contains(&num_points) {
+        if !(2..=MAX_POINTS).contains(&num_points) {
             let allowed = "2 to 100000000";
             return Err(Error::Option { name: "num_points", value: num_points.to_string(), allowed });
         }
         let cloud = room(num_points);
         let seconds_of_budget = target.as_secs_f64() * SHARE;
-        if self.config().frame().is_none() {
-            return self.voxels_within(&cloud, seconds_of_budget);
+        match self.config().volume.time_budget() {
+            TimeBudget::VoxelSize => self.largest_voxels(&cloud, seconds_of_budget),
+            TimeBudget::PointsAndQueries => self.most_points(&cloud, seconds_of_budget),
         }
+    }
+
+    /// The options with the finest query grid for which enough points can be encoded in so many seconds.
+    fn most_points(&self, cloud: &[Point], seconds_of_budget: f64) -> Result<Options> {
         let mut best = None;
         for query_resolution in RESOLUTIONS {
             let mut seconds = [0.0; 2];
             for (seconds, max_points) in seconds.iter_mut().zip(SAMPLES) {
-                *seconds = self.median_seconds(&cloud, self.budget(query_resolution, max_points))?;
+                *seconds = self.median_seconds(cloud, self.budget(query_resolution, max_points))?;
             }
             let points = affordable_points(seconds, seconds_of_budget);
             best = Some(self.budget(query_resolution, points));
-            if points >= FEW {
+            if points >= MIN_POINTS {
                 break;
             }
         }
@@ -72,7 +78,7 @@ impl Model {
     }
 
     /// The options of a scene model with the smallest voxels that take at most so many seconds.
-    fn voxels_within(&self, cloud: &[Point], seconds: f64) -> Result<Options> {
+    fn largest_voxels(&self, cloud: &[Point], seconds: f64) -> Result<Options> {
         let recommended = *self.recommended();
         let with = |voxel_size| recommended.with_encode(recommended.encode.with_voxel_size(voxel_size));
         let mut budget = recommended;
@@ -157,13 +163,13 @@ mod tests {
         let cloud = room(5000);
         for milliseconds in [1, 200] {
             let options = model.realtime_options(Duration::from_millis(milliseconds), cloud.len()).unwrap();
-            let found = model.detect(&cloud, &options).unwrap();
-            assert!(found.num_encoded <= options.encode.max_points.unwrap());
+            let detection = model.detect(&cloud, &options).unwrap();
+            assert!(detection.num_encoded <= options.encode.max_points.unwrap());
             assert_eq!(options.encode.normalization, NormalizationMethod::UnitSphere);
             let read: Options = serde_json::from_str(&serde_json::to_string(&options).unwrap()).unwrap();
             let one_thread = rayon::ThreadPoolBuilder::new().num_threads(1).build().unwrap();
             let again = one_thread.install(|| model.detect(&cloud, &read)).unwrap();
-            assert_eq!((again.keypoints, again.counts), (found.keypoints, found.counts));
+            assert_eq!((again.keypoints, again.counts), (detection.keypoints, detection.counts));
         }
     }
 
@@ -175,9 +181,9 @@ mod tests {
         assert_eq!(size(Duration::from_secs(1000)), None);
         assert_eq!(size(Duration::from_nanos(1)), Some(Length::Resolutions(12.5)));
         let options = model.realtime_options(Duration::from_nanos(1), cloud.len()).unwrap();
-        let found = model.detect(&cloud, &options).unwrap();
-        assert_eq!(found.num_encoded, cloud.len());
-        assert!(found.voxel_size > model.detect(&cloud, model.recommended()).unwrap().voxel_size);
+        let detection = model.detect(&cloud, &options).unwrap();
+        assert_eq!(detection.num_encoded, cloud.len());
+        assert!(detection.voxel_size > model.detect(&cloud, model.recommended()).unwrap().voxel_size);
     }
 
     #[test]

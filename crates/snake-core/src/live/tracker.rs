@@ -4,31 +4,18 @@ use nalgebra::Vector3;
 use serde::{Deserialize, Serialize};
 
 use crate::Keypoint;
-use crate::{Error, Result, RigidTransform, setters};
-use snake_geometry::{Neighbors, Point};
+use crate::{Error, Result, RigidTransform};
+use snake_geometry::{Neighbors, Point, options};
 
-/// Options of a [`Tracker`].
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
-#[serde(default, deny_unknown_fields)]
-#[non_exhaustive]
-pub struct TrackerOptions {
-    /// Maximum distance of a keypoint from the position where its track is expected, in cloud units.
-    pub max_distance: f64,
-    /// Minimum cosine of the angle between the descriptors of a keypoint and of its track, -1 to 1.
-    pub min_similarity: f32,
-    /// Number of clouds without the keypoint after which a track ends.
-    pub max_missed: usize,
-}
-
-setters!(TrackerOptions {
-    max_distance: f64 => with_max_distance,
-    min_similarity: f32 => with_min_similarity,
-    max_missed: usize => with_max_missed,
-});
-
-impl Default for TrackerOptions {
-    fn default() -> Self {
-        Self { max_distance: 1.0, min_similarity: 0.8, max_missed: 3 }
+options! {
+    /// Options of a [`Tracker`].
+    pub struct TrackerOptions {
+        /// Maximum distance of a keypoint from the position where its track is expected, in cloud units; above 0.
+        max_distance, with_max_distance: f64 = 1.0, from 0 or more " (cloud units)";
+        /// Minimum cosine of the angle between the descriptors of a keypoint and of its track.
+        min_similarity, with_min_similarity: f32 = 0.8, from -1 to 1;
+        /// Number of clouds without the keypoint after which a track ends.
+        max_missed, with_max_missed: usize = 3;
     }
 }
 
@@ -74,13 +61,9 @@ impl Tracker {
     /// # Errors
     /// [`Error::Option`] when an option is out of its range.
     pub fn new(options: TrackerOptions) -> Result<Self> {
-        if !(options.max_distance > 0.0 && options.max_distance.is_finite()) {
-            let value = options.max_distance.to_string();
-            return Err(Error::Option { name: "max_distance", value, allowed: "above 0 (cloud units)" });
-        }
-        if !(-1.0..=1.0).contains(&options.min_similarity) {
-            let value = options.min_similarity.to_string();
-            return Err(Error::Option { name: "min_similarity", value, allowed: "-1 to 1" });
+        options.check_ranges()?;
+        if options.max_distance == 0.0 {
+            return Err(Error::Option { name: "max_distance", value: "0".into(), allowed: "above 0 (cloud units)" });
         }
         Ok(Self { options, tracks: Vec::new(), next_id: 0 })
     }
@@ -136,9 +119,12 @@ impl Tracker {
             return Err(Error::Input { what: "keypoints", reason: "a position is not finite".into() });
         }
         let width = descriptors.len().checked_div(keypoints.len()).unwrap_or(0);
-        let known = self.tracks.first().map_or(width, |track| track.descriptor.len());
-        if width * keypoints.len() != descriptors.len() || (!keypoints.is_empty() && (width == 0 || width != known)) {
-            let reason = format!("{} values for {} keypoints of width {known}", descriptors.len(), keypoints.len());
+        let known_width = self.tracks.first().map_or(width, |track| track.descriptor.len());
+        if width * keypoints.len() != descriptors.len()
+            || (!keypoints.is_empty() && (width == 0 || width != known_width))
+        {
+            let reason =
+                format!("{} values for {} keypoints of width {known_width}", descriptors.len(), keypoints.len());
             return Err(Error::Input { what: "descriptors", reason });
         }
         Ok(width)

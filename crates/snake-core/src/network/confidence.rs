@@ -4,7 +4,7 @@ use crate::Result;
 use crate::network::weights::{self, Weights};
 
 /// Knots, at most.
-const MOST_KNOTS: usize = 64;
+const MAX_KNOTS: usize = 64;
 
 /// A piecewise linear, non-decreasing map from scores to probabilities, fitted by `snake_training.confidence`.
 #[derive(Debug, Clone)]
@@ -22,7 +22,7 @@ impl ConfidenceMap {
             weights::error("confidence", expected, found)
         };
         let knots: Vec<[f32; 2]> = serde_json::from_str(json).map_err(|error| refused(error.to_string()))?;
-        let is_map = (2..=MOST_KNOTS).contains(&knots.len())
+        let is_map = (2..=MAX_KNOTS).contains(&knots.len())
             && knots.iter().all(|[score, probability]| score.is_finite() && (0.0..=1.0).contains(probability))
             && knots.is_sorted_by(|a, b| a[0] < b[0] && a[1] <= b[1]);
         if is_map { Ok(Some(Self { knots })) } else { Err(refused(json.clone())) }

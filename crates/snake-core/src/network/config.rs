@@ -1,7 +1,7 @@
 //! The configuration of a network.
 
 use crate::Result;
-use crate::network::volume::VolumeFrame;
+use crate::lattice::{VolumeFrame, VolumeShape};
 use crate::network::weights::{self, Weights};
 
 /// How the encoder scatters the features of points to voxels.
@@ -25,40 +25,6 @@ impl Scatter {
     }
 }
 
-/// How the encoder computes the features of points.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
-pub enum PointEncoder {
-    /// PointNet with maxima over the points of a voxel, as in the authors' network.
-    #[default]
-    PointNet,
-    /// PointNet++ (Qi et al. 2017): maxima over the points of balls of two sizes.
-    PointNet2,
-}
-
-impl PointEncoder {
-    /// The name in a weight file's metadata: `pointnet` or `pointnet2`.
-    pub fn name(self) -> &'static str {
-        match self {
-            Self::PointNet => "pointnet",
-            Self::PointNet2 => "pointnet2",
-        }
-    }
-}
-
-/// The extent of a network's feature volume.
-#[derive(Debug, Clone, Copy, PartialEq)]
-#[non_exhaustive]
-pub enum VolumeShape {
-    /// A cube to which every cloud is scaled, as in the paper.
-    Cube(VolumeFrame),
-    /// Voxels of a given size wherever the points of a scene reach
-    /// ([`EncodeOptions::voxel_size`](crate::EncodeOptions::voxel_size)).
-    Scene {
-        /// The total weight of points below which a voxel counts their features less.
-        scatter_mass: f32,
-    },
-}
-
 /// The configuration of a network, from the weight file's metadata.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct ModelConfig {
@@ -80,17 +46,12 @@ pub struct ModelConfig {
     pub group_norm_groups: usize,
     /// How features are scattered to voxels; hard if the file does not say.
     pub scatter: Scatter,
-    /// How the features of points are computed; by PointNet if the file does not say.
-    pub point_encoder: PointEncoder,
 }
 
 impl ModelConfig {
     /// The frame of the feature volume; `None` for a scene model, whose volume follows the cloud.
     pub fn frame(&self) -> Option<VolumeFrame> {
-        match self.volume {
-            VolumeShape::Cube(frame) => Some(frame),
-            VolumeShape::Scene { .. } => None,
-        }
+        self.volume.frame()
     }
 
     pub(crate) fn from_weights(file: &Weights) -> Result<Self> {
@@ -103,6 +64,9 @@ impl ModelConfig {
             Some("voxel") => VolumeShape::Scene { scatter_mass: file.number("scatter_mass")? },
             Some(other) => return Err(weights::error("coordinates", "cloud or voxel", other.into())),
         };
+        if let Some(other) = file.metadata.get("point_encoder").filter(|name| *name != "pointnet") {
+            return Err(weights::error("point_encoder", "pointnet", other.into()));
+        }
         let config = Self {
             volume,
             c_dim: whole("c_dim", 1024)?,
@@ -119,11 +83,6 @@ impl ModelConfig {
                 None | Some("hard") => Scatter::Hard,
                 Some("soft") => Scatter::Soft,
                 Some(other) => return Err(weights::error("scatter", "hard or soft", other.into())),
-            },
-            point_encoder: match file.metadata.get("point_encoder").map(String::as_str) {
-                None | Some("pointnet") => PointEncoder::PointNet,
-                Some("pointnet2") => PointEncoder::PointNet2,
-                Some(other) => return Err(weights::error("point_encoder", "pointnet or pointnet2", other.into())),
             },
         };
         match volume {
@@ -158,8 +117,8 @@ fn check_cube(frame: &VolumeFrame, config: &ModelConfig) -> Result<()> {
     }
     let z_extent = z_max - z_min;
     if !((0.0..=10.0).contains(&padding) && z_extent > 0.0 && z_extent < 1e3) {
-        let found = format!("padding {padding}, z from {z_min} to {z_max}");
-        return Err(weights::error("padding", "0 to 10, and z_min below z_max", found));
+        let actual = format!("padding {padding}, z from {z_min} to {z_max}");
+        return Err(weights::error("padding", "0 to 10, and z_min below z_max", actual));
     }
     Ok(())
 }
@@ -168,9 +127,8 @@ fn check_scene(scatter_mass: f32, config: &ModelConfig) -> Result<()> {
     if !(scatter_mass > 0.0 && scatter_mass < 1e6) {
         return Err(weights::error("scatter_mass", "a positive number below 1e6", scatter_mass.to_string()));
     }
-    if config.scatter != Scatter::Soft || config.point_encoder != PointEncoder::PointNet {
-        let found = format!("scatter {} and point_encoder {}", config.scatter.name(), config.point_encoder.name());
-        return Err(weights::error("coordinates", "with voxel: scatter soft and point_encoder pointnet", found));
+    if config.scatter != Scatter::Soft {
+        return Err(weights::error("coordinates", "with voxel: scatter soft", config.scatter.name().into()));
     }
     Ok(())
 }

@@ -1,6 +1,6 @@
 //! The implicit decoder: a residual MLP on the query with the interpolated feature as input of every block.
 
-use crate::network::config::VolumeShape;
+use crate::lattice::VolumeShape;
 use crate::network::layers::{Linear, ResnetBlockFc};
 use crate::network::weights::Scope;
 use crate::{ModelConfig, Result};

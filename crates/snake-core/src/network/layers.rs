@@ -166,11 +166,11 @@ impl SingleConv {
         let weight = scope.tensor("conv.weight", &[outputs, inputs, 3, 3, 3])?;
         let groups = if inputs < groups { 1 } else { groups };
         if !inputs.is_multiple_of(groups) {
-            let found = format!("{inputs} channels at a normalisation");
+            let actual = format!("{inputs} channels at a normalisation");
             return Err(crate::network::weights::error(
                 "group_norm_groups",
                 "a divisor of every layer's channels",
-                found,
+                actual,
             ));
         }
         let (weight_of_norm, bias) =

@@ -62,8 +62,8 @@ impl<'data> Weights<'data> {
             1 if !is_scene => Ok(weights),
             2 if is_scene => Ok(weights),
             other => {
-                let found = format!("{other}; use a newer snake-rs");
-                Err(error("format_version", "1, or 2 with `coordinates` voxel", found))
+                let actual = format!("{other}; use a newer snake-rs");
+                Err(error("format_version", "1, or 2 with `coordinates` voxel", actual))
             }
         }
     }

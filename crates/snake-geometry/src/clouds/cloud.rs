@@ -149,14 +149,14 @@ mod tests {
             [500_010.789, 5_400_003.001, f64::NAN],
             [500_020.5, 5_400_007.0, 210.0],
         ];
-        let found = cloud(&far);
-        assert!(found.points[1][2].is_nan());
-        for (point, expected) in found.points.iter().zip(far) {
-            for (back, expected) in add_origin(*point, found.origin).into_iter().zip(expected) {
+        let converted = cloud(&far);
+        assert!(converted.points[1][2].is_nan());
+        for (point, expected) in converted.points.iter().zip(far) {
+            for (back, expected) in add_origin(*point, converted.origin).into_iter().zip(expected) {
                 assert!((back - expected).abs() < 2e-6 || expected.is_nan(), "{back} {expected}");
             }
         }
-        assert_eq!(found.into_points()[0], far[0].map(|v| v as f32));
+        assert_eq!(converted.into_points()[0], far[0].map(|v| v as f32));
         // One outlier far away does not cost the other points their digits.
         let outlier = cloud(&[[1e30, 0.0, 0.0], [0.1, 0.2, 0.3], [0.4, 0.5, 0.6]]);
         assert_eq!((outlier.origin, outlier.points[1]), ([0.0; 3], [0.1, 0.2, 0.3]));
@@ -173,12 +173,12 @@ mod tests {
         assert!(clean.origin[1] > 5e6);
         // Missing returns at zero, and a point beyond the earth.
         for outlier in [[0.0; 3], [1e30, 0.0, 0.0], [f64::MAX, 0.0, f64::MIN], [f64::NAN, 0.0, 0.0]] {
-            let found = Cloud::from_positions(std::iter::once(outlier).chain(room.clone()));
-            assert_eq!((found.origin, &found.points[1..]), (clean.origin, &clean.points[..]), "{outlier:?}");
+            let converted = Cloud::from_positions(std::iter::once(outlier).chain(room.clone()));
+            assert_eq!((converted.origin, &converted.points[1..]), (clean.origin, &clean.points[..]), "{outlier:?}");
         }
         let near = (0..900).map(|i| [f64::from(i % 30) * 0.1, f64::from(i / 30) * 0.1, 1.0]);
-        let found = Cloud::from_positions(std::iter::once([5e6, 5e6, 0.0]).chain(near));
-        assert_eq!((found.origin, found.points[31]), ([0.0; 3], [0.0, 0.1, 1.0]));
+        let converted = Cloud::from_positions(std::iter::once([5e6, 5e6, 0.0]).chain(near));
+        assert_eq!((converted.origin, converted.points[31]), ([0.0; 3], [0.0, 0.1, 1.0]));
     }
 
     #[test]

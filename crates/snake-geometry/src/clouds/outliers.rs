@@ -12,7 +12,7 @@ const TIMES: f64 = 5.0;
 /// Number of points that are measured. They fit on the stack.
 const MEASURED: usize = 1024;
 /// Clouds with fewer points have no outliers.
-const FEWEST: usize = 20;
+const MIN_POINTS: usize = 20;
 
 /// The ball in which the points of a cloud lie, save for outliers.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -28,7 +28,7 @@ impl Reach {
     /// `None` for clouds that are too small or too often one point to have outliers. The iterator is run twice.
     pub fn of(positions: impl Iterator<Item = [f64; 3]> + Clone) -> Option<Self> {
         let number = positions.clone().count();
-        if number < FEWEST {
+        if number < MIN_POINTS {
             return None;
         }
         let mut memory = [[0.0; 3]; MEASURED];
@@ -125,8 +125,8 @@ mod tests {
                 for start in [0, number / 2, number] {
                     let mut points = sheet(number);
                     points.splice(start..start, std::iter::repeat_n([distance, 0.5, 0.0], count));
-                    let found = outliers(&points).unwrap();
-                    assert_eq!((found.number, found.num_points), (count, number + count), "{start} {distance}");
+                    let left_out = outliers(&points).unwrap();
+                    assert_eq!((left_out.number, left_out.num_points), (count, number + count), "{start} {distance}");
                 }
             }
         }

@@ -17,7 +17,7 @@ pub enum NormalizationMethod {
     #[default]
     UnitSphere,
     /// As [`NormalizationMethod::UnitSphere`], and encoded in the cloud's principal axes, so that the field and its
-    /// keypoints hardly depend on how the cloud is turned. Each axis points to the side of positive skewness.
+    /// keypoints hardly depend on the orientation of the cloud. Each axis points to the side of positive skewness.
     PrincipalAxes,
     /// Subtract the mean, divide by twice the largest absolute coordinate: the cloud touches the cube ±0.5.
     UnitCube,
@@ -26,7 +26,7 @@ pub enum NormalizationMethod {
 }
 
 impl NormalizationMethod {
-    /// Whether the cloud stays within the volume however it is turned.
+    /// Whether the cloud stays within the volume in any orientation.
     pub fn allows_rotations(self) -> bool {
         matches!(self, Self::UnitSphere | Self::PrincipalAxes)
     }
@@ -55,10 +55,8 @@ impl Normalization {
     pub fn of_finite(points: &[Point], method: NormalizationMethod) -> Result<Self> {
         if method == NormalizationMethod::None {
             let largest = points.as_flattened().iter().fold(0.0, |m: f32, v| m.max(v.abs()));
-            return match largest <= 1e15 {
-                true => Ok(Self { center: [0.0; 3], scale: 1.0 }),
-                false => Err(outside(f64::from(largest))),
-            };
+            let unscaled = Self { center: [0.0; 3], scale: 1.0 };
+            return if largest <= 1e15 { Ok(unscaled) } else { Err(outside(f64::from(largest))) };
         }
         // The sums are in f64, so that a mean over millions of points far from the origin keeps its digits.
         let mean: [f64; 3] =

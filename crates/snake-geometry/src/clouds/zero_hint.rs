@@ -3,7 +3,7 @@
 use crate::Cloud;
 
 /// The fewest points at 0 0 0, and their smallest share, that cannot be there by chance.
-const FEWEST: usize = 10;
+const MIN_ZEROS: usize = 10;
 const SHARE: f64 = 0.01;
 
 /// One sentence for the user if many points of a cloud are exactly 0 0 0, as scanners write rays without a return.
@@ -18,7 +18,7 @@ pub fn zero_hint(cloud: &Cloud) -> Option<String> {
     let zero = cloud.origin.map(|v| -v as f32);
     let (number, total) = (cloud.points.iter().filter(|&&point| point == zero).count(), cloud.points.len());
     let share = number as f64 / total as f64;
-    (number >= FEWEST && share >= SHARE).then(|| {
+    (number >= MIN_ZEROS && share >= SHARE).then(|| {
         format!(
             "{number} of {total} points ({:.0} %) are exactly 0 0 0: if they are rays without a return, leave them out or \
              write them as nan, else they count as a surface",

@@ -55,16 +55,16 @@ impl<T: RealField + Copy + Into<f64>> KdTree<T> {
         Ok(Self { tree, rotation, distinct, extent, starts, indices })
     }
 
-    /// Calls `found` with the index and squared distance of each point at a squared distance of at most `most`, in no
+    /// Calls `visit` with the index and squared distance of each point at a squared distance of at most `most`, in no
     /// fixed order.
-    pub fn within(&self, query: &[T; 3], most: T, mut found: impl FnMut(usize, T)) {
+    pub fn within(&self, query: &[T; 3], most: T, mut visit: impl FnMut(usize, T)) {
         let Some(tree) = &self.tree else { return };
         let radius = self.reach(query, most.into().sqrt());
         let rotated = rotate(&self.rotation, query);
         tree.query(&rotated).within::<SquaredEuclidean<f64>>(radius * radius).unsorted().visit(|entry| {
             let distance = squared_distance(query, &self.distinct[entry.item as usize]);
             if distance <= most {
-                self.equal(entry.item as usize).for_each(|index| found(index, distance));
+                self.equal(entry.item as usize).for_each(|index| visit(index, distance));
             }
         });
     }
@@ -72,14 +72,14 @@ impl<T: RealField + Copy + Into<f64>> KdTree<T> {
     /// The nearest `number` points as indices and squared distances, nearest first; ties are ordered by index.
     pub fn nearest(&self, query: &[T; 3], number: NonZeroUsize) -> Vec<(usize, T)> {
         let near = self.near(query, number);
-        let mut found: Vec<(usize, T)> = Vec::with_capacity(number.get().min(self.indices.len()));
+        let mut entries: Vec<(usize, T)> = Vec::with_capacity(number.get().min(self.indices.len()));
         for (distinct, distance) in near {
-            found.extend(self.equal(distinct).take(number.get()).map(|index| (index, distance)));
+            entries.extend(self.equal(distinct).take(number.get()).map(|index| (index, distance)));
         }
         let order = |a: &(usize, T), b: &(usize, T)| a.1.partial_cmp(&b.1).unwrap_or(std::cmp::Ordering::Equal);
-        found.sort_unstable_by(|a, b| order(a, b).then(a.0.cmp(&b.0)));
-        found.truncate(number.get());
-        found
+        entries.sort_unstable_by(|a, b| order(a, b).then(a.0.cmp(&b.0)));
+        entries.truncate(number.get());
+        entries
     }
 
     /// The distinct points, in ascending order.
@@ -163,10 +163,10 @@ mod tests {
                     assert_eq!(tree.nearest(&query, NonZeroUsize::new(number).unwrap()), expected);
                 }
                 for most in [0.0, 1.0, 9.0, 1e6] {
-                    let mut found = Vec::new();
-                    tree.within(&query, most, |index, distance| found.push((index, distance)));
-                    found.sort_by(|a, b| a.1.total_cmp(&b.1).then(a.0.cmp(&b.0)));
-                    assert_eq!(found, &sorted[..sorted.partition_point(|entry| entry.1 <= most)]);
+                    let mut entries = Vec::new();
+                    tree.within(&query, most, |index, distance| entries.push((index, distance)));
+                    entries.sort_by(|a, b| a.1.total_cmp(&b.1).then(a.0.cmp(&b.0)));
+                    assert_eq!(entries, &sorted[..sorted.partition_point(|entry| entry.1 <= most)]);
                 }
             }
         }

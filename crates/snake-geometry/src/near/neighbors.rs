@@ -66,9 +66,9 @@ impl Neighbors {
 
     /// The nearest `number` points as indices and distances, nearest first; ties are ordered by index.
     pub fn nearest(&self, query: &Vector, number: NonZeroUsize) -> Vec<(usize, f64)> {
-        let mut found = self.tree.nearest(&(*query).into(), number);
-        found.iter_mut().for_each(|(_, distance)| *distance = distance.sqrt());
-        found
+        let mut nearest = self.tree.nearest(&(*query).into(), number);
+        nearest.iter_mut().for_each(|(_, distance)| *distance = distance.sqrt());
+        nearest
     }
 
     /// Distance to the nearest point.
@@ -81,9 +81,10 @@ impl Neighbors {
         // In the given order where no points are equal, which keeps the sum's bits.
         let are_distinct = self.tree.distinct().len() == self.points.len();
         let gap = |point: &[f64; 3]| self.tree.nearest_other(point).map_or(0.0, f64::sqrt);
-        let nearest: Vec<f64> = match are_distinct {
-            true => self.points.par_iter().map(|&point| gap(&point.into())).collect(),
-            false => self.tree.distinct().par_iter().map(gap).collect(),
+        let nearest: Vec<f64> = if are_distinct {
+            self.points.par_iter().map(|&point| gap(&point.into())).collect()
+        } else {
+            self.tree.distinct().par_iter().map(gap).collect()
         };
         nearest.iter().sum::<f64>() / nearest.len() as f64
     }
@@ -142,11 +143,11 @@ mod tests {
             let mut sorted = distances.clone();
             sorted.sort_by(f64::total_cmp);
             for number in [1, 25, 300, 1000] {
-                let found = neighbors.nearest(&query, NonZeroUsize::new(number).unwrap());
-                assert!(found.iter().all(|&(index, distance)| (distances[index] - distance).abs() < 1e-12));
-                let found: Vec<f64> = found.into_iter().map(|(_, distance)| distance).collect();
-                assert_eq!(found.len(), number.min(300));
-                assert!(found.iter().zip(&sorted).all(|(a, b)| (a - b).abs() < 1e-12));
+                let entries = neighbors.nearest(&query, NonZeroUsize::new(number).unwrap());
+                assert!(entries.iter().all(|&(index, distance)| (distances[index] - distance).abs() < 1e-12));
+                let distances: Vec<f64> = entries.into_iter().map(|(_, distance)| distance).collect();
+                assert_eq!(distances.len(), number.min(300));
+                assert!(distances.iter().zip(&sorted).all(|(a, b)| (a - b).abs() < 1e-12));
             }
             assert!((neighbors.distance(&query) - sorted[0]).abs() < 1e-12);
         }

@@ -87,9 +87,10 @@ fn split(nodes: &mut [Node]) -> u32 {
     let axis = (1..3).fold(0, |widest, axis| if extents[axis] > extents[widest] { axis } else { widest });
     let (before, middle, after) =
         nodes.select_nth_unstable_by(nodes.len() / 2, |a, b| a.point[axis].total_cmp(&b.point[axis]));
-    let [first, last] = match before.len() < PART {
-        true => [split(before), split(after)],
-        false => <[u32; 2]>::from(rayon::join(|| split(before), || split(after))),
+    let [first, last] = if before.len() < PART {
+        [split(before), split(after)]
+    } else {
+        <[u32; 2]>::from(rayon::join(|| split(before), || split(after)))
     };
     middle.axis = axis as u32;
     middle.lowest = middle.index.min(first).min(last);

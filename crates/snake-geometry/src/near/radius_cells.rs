@@ -66,9 +66,9 @@ impl<'a> RadiusCells<'a> {
         self.radius
     }
 
-    /// Calls `found` with the index of each point at most `radius` from a position, in an order that depends on the points
+    /// Calls `visit` with the index of each point at most `radius` from a position, in an order that depends on the points
     /// alone. The radius is at most that of the cells.
-    pub fn within(&self, position: &Point, radius: f32, mut found: impl FnMut(usize)) {
+    pub fn within(&self, position: &Point, radius: f32, mut visit: impl FnMut(usize)) {
         let [xs, ys, zs] = position.map(|value| self.reached(value, radius));
         for [y, z] in zs.into_iter().flatten().flat_map(|z| ys.into_iter().flatten().map(move |y| [y, z])) {
             for cell in xs.into_iter().flatten().map(|x| key([x, y, z])) {
@@ -78,7 +78,7 @@ impl<'a> RadiusCells<'a> {
                     let other = &self.points[index as usize];
                     let [x, y, z]: Point = std::array::from_fn(|axis| position[axis] - other[axis]);
                     if x * x + y * y + z * z <= radius * radius {
-                        found(index as usize);
+                        visit(index as usize);
                     }
                 }
             }
@@ -150,11 +150,11 @@ mod tests {
                 let cells = RadiusCells::new(&points, radius).unwrap();
                 for query in points.iter().chain(&[[0.5; 3], [-9.0, 0.0, 0.0], [3e38, 0.0, -3e38]]) {
                     for radius in [radius, 0.85 * radius, 0.5 * radius] {
-                        let mut found = Vec::new();
-                        cells.within(query, radius, |index| found.push(index));
-                        found.sort_unstable();
+                        let mut inside = Vec::new();
+                        cells.within(query, radius, |index| inside.push(index));
+                        inside.sort_unstable();
                         let is_near = |&index: &usize| squared(query, &points[index]) <= radius * radius;
-                        assert_eq!(found, (0..points.len()).filter(is_near).collect::<Vec<_>>(), "{query:?} {radius}");
+                        assert_eq!(inside, (0..points.len()).filter(is_near).collect::<Vec<_>>(), "{query:?} {radius}");
                     }
                 }
             }

@@ -42,10 +42,9 @@ impl PointSource for ArrowPoints<'_> {
             return [f32::NAN; 3];
         }
         let start = self.list.value_offset_at(index);
-        std::array::from_fn(|axis| match self.values.is_null(start + axis) {
-            true => f32::NAN,
-            false => self.values.value(start + axis),
-        })
+        std::array::from_fn(
+            |axis| if self.values.is_null(start + axis) { f32::NAN } else { self.values.value(start + axis) },
+        )
     }
 }
 
@@ -59,9 +58,9 @@ mod tests {
     fn nulls_are_not_finite_and_slices_keep_their_place() {
         let points = [Some(vec![Some(1.0), Some(2.0), Some(3.0)]), None, Some(vec![Some(4.0), None, Some(6.0)])];
         let array = FixedSizeListArray::from_iter_primitive::<Float32Type, _, _>(points, 3);
-        let found = ArrowPoints::new(&array).unwrap().to_points();
-        assert_eq!((found.len(), found[0], found[1][0].is_nan()), (3, [1.0, 2.0, 3.0], true));
-        assert!(found[2][0] == 4.0 && found[2][1].is_nan());
+        let points = ArrowPoints::new(&array).unwrap().to_points();
+        assert_eq!((points.len(), points[0], points[1][0].is_nan()), (3, [1.0, 2.0, 3.0], true));
+        assert!(points[2][0] == 4.0 && points[2][1].is_nan());
         let slice = array.slice(2, 1);
         assert_eq!(ArrowPoints::new(&slice).unwrap().point(0)[2], 6.0);
     }

@@ -135,12 +135,12 @@ fn row_step(layout: &PointCloud2Layout, length: usize) -> Result<usize> {
 /// The offset and the type of a coordinate.
 fn axis(name: &'static str, fields: &[PointField], point_step: usize) -> Result<(usize, u8)> {
     let refuse = |reason| Err(Error::Input { what: name, reason });
-    let mut found = fields.iter().filter(|field| field.name == name);
-    let Some(field) = found.next() else {
+    let mut named = fields.iter().filter(|field| field.name == name);
+    let Some(field) = named.next() else {
         let names: Vec<&str> = fields.iter().map(|field| field.name).collect();
         return refuse(format!("the cloud has no such field; its fields are {}", names.join(", ")));
     };
-    if found.next().is_some() {
+    if named.next().is_some() {
         return refuse("the cloud has two such fields".into());
     }
     if field.count > 1 {
@@ -184,10 +184,8 @@ mod tests {
                 data.extend([9, 9]);
                 let base = f64::from(10 * row + column);
                 for value in [base + 0.75, base + 0.25, base + 0.5] {
-                    let mut bytes = match is_double {
-                        true => value.to_le_bytes().to_vec(),
-                        false => (value as f32).to_le_bytes().to_vec(),
-                    };
+                    let mut bytes =
+                        if is_double { value.to_le_bytes().to_vec() } else { (value as f32).to_le_bytes().to_vec() };
                     if is_bigendian {
                         bytes.reverse();
                     }
@@ -293,8 +291,12 @@ mod tests {
                 PointCloud2Layout { height: 1, width: 2, point_step: 3 * size, row_step: 0, is_bigendian: false };
             let Cloud { points, origin } = PointCloud2View::new(layout, &fields, &data).unwrap().to_cloud();
             let far = if datatype == 8 { 5e6 + 0.125 } else { 0.0 };
-            let found: Vec<_> = points.into_iter().map(|point| crate::add_origin(point, origin)).collect();
-            assert_eq!(found, [[100.0, 101.0, 102.0], [110.0, 111.0, 112.0]].map(|p| p.map(|v| v + far)), "{datatype}");
+            let positions: Vec<_> = points.into_iter().map(|point| crate::add_origin(point, origin)).collect();
+            assert_eq!(
+                positions,
+                [[100.0, 101.0, 102.0], [110.0, 111.0, 112.0]].map(|p| p.map(|v| v + far)),
+                "{datatype}"
+            );
         }
     }
 

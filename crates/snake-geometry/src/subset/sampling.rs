@@ -25,8 +25,8 @@ mod tests {
         let drawn = |number| sample(&points, number, 7).iter().map(|point| point[0] as usize).collect::<Vec<_>>();
         assert_eq!(drawn(200)[..12], [7, 17, 19, 23, 30, 41, 46, 50, 62, 66, 67, 69]);
         for number in [0, 1, 200, 1000] {
-            let found = drawn(number);
-            assert!(found.len() == number && found.is_sorted_by(|a, b| a < b));
+            let sample_indices = drawn(number);
+            assert!(sample_indices.len() == number && sample_indices.is_sorted_by(|a, b| a < b));
         }
     }
 }

@@ -38,8 +38,8 @@ pub fn suppress_to_count(points: &[Point], count: usize) -> Result<(Vec<usize>, 
     // One more than `most` tells that the radius is too small.
     // A tree serves all radii.
     let kept_by = |radius: f32| {
-        keep_apart(&order(), most + 1, |index, found| {
-            tree.within(&points[index], radius * radius, |other, _| found(other));
+        keep_apart(&order(), most + 1, |index, visit| {
+            tree.within(&points[index], radius * radius, |other, _| visit(other));
         })
     };
     let mut kept = (order(), 0.0);
@@ -50,12 +50,12 @@ pub fn suppress_to_count(points: &[Point], count: usize) -> Result<(Vec<usize>, 
         if middle as f32 <= 0.0 {
             break;
         }
-        let found = kept_by(middle as f32);
-        if found.len() < count {
+        let trial = kept_by(middle as f32);
+        if trial.len() < count {
             high = middle;
         } else {
             low = middle;
-            kept = (found.to_vec(), middle as f32);
+            kept = (trial.to_vec(), middle as f32);
         }
     }
     kept.0.truncate(count);

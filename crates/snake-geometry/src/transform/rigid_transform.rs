@@ -230,8 +230,8 @@ mod tests {
     #[test]
     fn the_angle_between_equal_rotations_is_a_number() {
         for i in 0..200 {
-            let turned = |by: f64| Rotation3::from_euler_angles(0.1 + by, 0.7 * f64::from(i), -0.3 * f64::from(i));
-            let transform = |by| RigidTransform(IsometryMatrix3::from_parts(Translation3::identity(), turned(by)));
+            let rotation = |by: f64| Rotation3::from_euler_angles(0.1 + by, 0.7 * f64::from(i), -0.3 * f64::from(i));
+            let transform = |by| RigidTransform(IsometryMatrix3::from_parts(Translation3::identity(), rotation(by)));
             let (angle, _) = transform(0.0).angle_and_distance_to(&transform(1e-12));
             assert!(angle < 1e-7, "{i}: {angle}");
         }

@@ -94,24 +94,24 @@ mod tests {
     #[test]
     fn principal_axes_turn_with_the_cloud_and_fall_along_x_y_z() {
         let cloud: Vec<Point> = (0..3000).map(lopsided).collect();
-        let turned = |rotation: &Rotation| {
+        let axes_and_points = |rotation: &Rotation| {
             let cloud: Vec<Point> = cloud.iter().map(|&p| rotate(rotation, p)).collect();
             let mean = std::array::from_fn(|axis| cloud.iter().map(|p| p[axis]).sum::<f32>() / cloud.len() as f32);
             let axes = principal_axes(&cloud, mean);
             let along: Vec<Point> = cloud.iter().map(|p| rotate(&axes, [0, 1, 2].map(|i| p[i] - mean[i]))).collect();
             (axes, along)
         };
-        let (axes, along) = turned(&IDENTITY);
+        let (axes, along) = axes_and_points(&IDENTITY);
         let moment =
             |power: i32| [0, 1, 2].map(|axis| along.iter().map(|p| f64::from(p[axis]).powi(power)).sum::<f64>());
         assert!(moment(2).is_sorted_by(|a, b| a > b), "{:?}", moment(2));
         let positive = moment(3).iter().filter(|sum| **sum > 0.0).count();
         assert!(positive >= 2, "{:?}", moment(3));
         for rotation in super_fibonacci(9).skip(1) {
-            let (turned_axes, turned_along) = turned(&rotation);
-            let product = compose(&turned_axes, &rotation);
+            let (rotated_axes, rotated_along) = axes_and_points(&rotation);
+            let product = compose(&rotated_axes, &rotation);
             assert!(axes.as_flattened().iter().zip(product.as_flattened()).all(|(a, b)| (a - b).abs() < 1e-3));
-            for (a, b) in along.iter().zip(&turned_along) {
+            for (a, b) in along.iter().zip(&rotated_along) {
                 assert!(a.iter().zip(b).all(|(a, b)| (a - b).abs() < 1e-2), "{a:?} {b:?}");
             }
         }

@@ -18,18 +18,16 @@ use std::sync::Arc;
 
 use serde::{Deserialize, Serialize};
 
-use crate::call::clock::Instant;
-use crate::call::control::Control;
-use crate::detect::cell_means::cell_means;
-use crate::detect::modes::{SHIFT, modes_of};
-use crate::detect::options::{Options, Radii};
-use crate::detect::{Candidates, Counts};
+use super::modes::{SHIFT, modes_of};
+use super::{Candidates, Counts, candidates};
+use crate::cloud::UsedCloud;
+use crate::control::Control;
 use crate::field::{Field, check_number_of_points};
-use crate::models::Model;
+use crate::lattice::{Queries, voxel_size};
 use crate::network::Network;
-use crate::network::scene::voxel_size;
+use crate::options::{DetectOptions, Options, Radii};
 use crate::{Error, Result};
-use snake_geometry::{Fate, FinitePoints, Length, Normalization, Point, by_falling_score, check_points, suppress_seen};
+use snake_geometry::{Fate, Length, Normalization, Point, by_falling_score, check_points, suppress_seen};
 use snake_kernels::BLOCK_SIDE;
 
 /// Columns around a tile whose points its voxels depend on.
@@ -60,43 +58,22 @@ pub struct TileSettings {
 }
 
 impl TileDetector {
-    /// A detector of tiles. Without a voxel size it needs [`TileDetector::choose_voxel_size`], with lengths in `r`
-    /// [`TileDetector::set_resolution`], both for the whole cloud.
-    ///
-    /// # Errors
-    /// [`Error::Option`] when the model is none of scenes, or when an option is out of its range or needs the whole cloud: a
-    /// length in `%`, a voxel size in `r`, `max_points`, `refine_steps` or `snap`.
-    pub fn new(model: &Model, options: &Options) -> Result<Self> {
-        let refused = |name, value: String, allowed| Err(Error::Option { name, value, allowed });
-        if model.config().frame().is_some() {
-            let name = model.metadata().get("name").map_or("a model of objects", String::as_str);
-            return refused("model", name.into(), "`scenes` or another scene model in tiles");
-        }
-        model.network().check(options)?;
-        if let Some(number) = options.encode.max_points {
-            return refused("max_points", number.to_string(), "none in tiles");
-        }
-        if options.detect.refine_steps > 0 {
-            return refused("refine_steps", options.detect.refine_steps.to_string(), "0 in tiles");
-        }
-        if options.detect.snap {
-            return refused("snap", "true".into(), "false in tiles");
-        }
-        for (name, length) in [("nms_radius", options.detect.nms_radius), ("mode_radius", options.detect.mode_radius)] {
-            if let Some(length @ Length::Percent(_)) = length {
-                let allowed = "a length in cloud units, in voxels as in `6v` or in resolutions as in `3r` in tiles";
-                return refused(name, length.to_string(), allowed);
-            }
-        }
+    /// A detector of tiles of a network, see [`TileDetector::new`].
+    pub(crate) fn for_network(network: Arc<Network>, options: &Options) -> Result<Self> {
+        let name = network.metadata.get("name").map_or("a model of objects", String::as_str);
+        network.config.volume.check_tiles(name)?;
+        network.check(options)?;
+        check_parts(&options.detect, options.encode.max_points)?;
         let voxel_size = match options.encode.voxel_size {
             None => 0.0,
             Some(length @ Length::Units(_)) => length.in_units("voxel_size", &[])? as f32,
             Some(other) => {
-                return refused("voxel_size", other.to_string(), "a length in cloud units in tiles, such as `0.1`");
+                let allowed = "a length in cloud units in tiles, such as `0.1`";
+                return Err(Error::Option { name: "voxel_size", value: other.to_string(), allowed });
             }
         };
         let radii = Radii { nms: 0.0, mode: None };
-        let mut detector = Self { network: model.network().clone(), options: *options, voxel_size, radii };
+        let mut detector = Self { network, options: *options, voxel_size, radii };
         detector.radii = detector.radii_of(0.0)?;
         Ok(detector)
     }
@@ -111,7 +88,7 @@ impl TileDetector {
     /// # Errors
     /// [`Error::Input`] for a cloud without extent.
     pub fn choose_voxel_size(&mut self, points: &[Point]) -> Result<()> {
-        self.voxel_size = voxel_size(None, &FinitePoints::of("points", points)?.points, usize::MAX)?;
+        self.voxel_size = voxel_size(None, &UsedCloud::new(points)?, usize::MAX)?;
         self.options.encode.voxel_size = Some(Length::Units(self.voxel_size.into()));
         self.radii = self.radii_of(0.0)?;
         Ok(())
@@ -183,14 +160,12 @@ impl TileDetector {
     /// [`Error::Option`] when the point is too far from the origin for the size of a voxel.
     fn voxel(&self, point: &Point) -> Result<[i32; 3]> {
         let voxel = self.normalization().to_network(*point).map(f32::floor);
-        match voxel.iter().all(|v| v.abs() < (1 << 20) as f32) {
-            true => Ok(voxel.map(|v| v as i32)),
-            false => Err(Error::Option {
-                name: "voxel_size",
-                value: format!("{}, too small for the point {point:?}", self.voxel_size),
-                allowed: "at least a millionth of the largest coordinate",
-            }),
+        if voxel.iter().all(|v| v.abs() < (1 << 20) as f32) {
+            return Ok(voxel.map(|v| v as i32));
         }
+        let value = format!("{}, too small for the point {point:?}", self.voxel_size);
+        let allowed = "at least a millionth of the largest coordinate";
+        Err(Error::Option { name: "voxel_size", value, allowed })
     }
 
     /// The column of a finite point, along x and y.
@@ -239,23 +214,25 @@ impl TileDetector {
         }
         check_points("points", points)?;
         check_number_of_points(points.len())?;
-        let field = Field::normalized(self.network.clone(), points.to_vec(), self.normalization(), 1, control);
+        let field = Field::normalized(self.network.clone(), points.to_vec(), self.normalization(), control);
         let field = field.map_err(advised)?;
         let near = tile.clone().map(|range| range.start.saturating_sub(margin)..range.end.saturating_add(margin));
-        let cells = cell_means(&field);
-        let found = |is_own: bool| -> Result<(Vec<Candidate>, Counts)> {
+        let owned_candidates = |is_own: bool| -> Result<(Vec<Candidate>, Counts)> {
             let owns = |point: &Point| self.is_in(point, &near) && self.is_in(point, tile) == is_own;
+            let cells = field.lattice().cell_means().iter().copied();
+            let cells: Vec<Point> = cells.filter(|cell| owns(&field.normalization().to_cloud(*cell))).collect();
+            let queries = Queries::cells(cells.into_iter());
             let Candidates { positions, scores, counts, .. } =
-                Candidates::of_cells(&field, &cells, owns, &self.options.detect, Instant::now(), control)?;
+                candidates(&field, &queries, &self.options.detect, control)?;
             let candidate = |(&position, &saliency)| {
                 let cell = self.voxel(&position)?;
                 Ok(Candidate { position, saliency, occupancy: 0.0, start: saliency, cell })
             };
             Ok((positions.iter().zip(scores.iter()).map(candidate).collect::<Result<_>>()?, counts))
         };
-        let (mut candidates, counts) = found(true)?;
+        let (mut candidates, counts) = owned_candidates(true)?;
         if let Some(radius) = self.radii.mode {
-            candidates.extend(found(false)?.0);
+            candidates.extend(owned_candidates(false)?.0);
             candidates.sort_by_key(by_place);
             let Some(modes) = self.modes(&candidates, radius, tile, (!is_whole).then_some(&near))? else {
                 return Ok(None);
@@ -299,8 +276,8 @@ impl TileDetector {
             return Ok(None);
         }
         let starts: Vec<usize> = own().filter(|(_, fate)| **fate == Fate::Kept).map(|(index, _)| *index).collect();
-        let (moved, of_modes) = modes_of(&positions, &scores, radius, &starts)?;
-        let modes = starts.iter().zip(moved.iter().zip(of_modes.iter()));
+        let (moved, mode_scores) = modes_of(&positions, &scores, radius, &starts)?;
+        let modes = starts.iter().zip(moved.iter().zip(mode_scores.iter()));
         let mut modes: Vec<Candidate> = modes
             .map(|(&start, (&position, &saliency))| Candidate { position, saliency, ..candidates[start] })
             .collect();
@@ -313,7 +290,7 @@ impl TileDetector {
         (0..2).all(|axis| {
             let at = f64::from(point[axis]);
             let [low, high] = [columns[axis].start, columns[axis].end].map(|c| f64::from(c) * self.column_side());
-            // The column of a point is found in `f32`.
+            // The column of a point is computed in `f32`.
             let reach = reach + 1e-6 * at.abs();
             at - reach > low && at + reach < high
         })
@@ -333,11 +310,32 @@ impl TileDetector {
         let mut order: Vec<usize> = (0..candidates.len()).collect();
         order.sort_by(|&a, &b| by_rank(&candidates[a], &candidates[b]));
         let ranked: Vec<Point> = order.iter().map(|&index| candidates[index].position).collect();
-        let of_ranked = suppress_seen(&ranked, self.radii.nms, |rank| sees_all(&candidates[order[rank]]))?;
+        let ranked_fates = suppress_seen(&ranked, self.radii.nms, |rank| sees_all(&candidates[order[rank]]))?;
         let mut fates = vec![Fate::Unknown; candidates.len()];
-        order.iter().zip(of_ranked).for_each(|(&index, fate)| fates[index] = fate);
+        order.iter().zip(ranked_fates).for_each(|(&index, fate)| fates[index] = fate);
         Ok(fates)
     }
+}
+
+/// Refuses options that need the whole cloud.
+fn check_parts(detect: &DetectOptions, max_points: Option<usize>) -> Result<()> {
+    let refused = |name, value: String, allowed| Err(Error::Option { name, value, allowed });
+    if let Some(number) = max_points {
+        return refused("max_points", number.to_string(), "none in tiles");
+    }
+    if detect.refine_steps > 0 {
+        return refused("refine_steps", detect.refine_steps.to_string(), "0 in tiles");
+    }
+    if detect.snap {
+        return refused("snap", "true".into(), "false in tiles");
+    }
+    for (name, length) in [("nms_radius", detect.nms_radius), ("mode_radius", detect.mode_radius)] {
+        if let Some(length @ Length::Percent(_)) = length {
+            let allowed = "a length in cloud units, in voxels as in `6v` or in resolutions as in `3r` in tiles";
+            return refused(name, length.to_string(), allowed);
+        }
+    }
+    Ok(())
 }
 
 /// A volume that is too large for a voxel size has room in smaller tiles.

@@ -3,7 +3,7 @@
 use std::collections::BTreeSet;
 
 use super::*;
-use crate::{Builtin, Keypoint};
+use crate::{Builtin, Keypoint, Model};
 use snake_geometry::resolution;
 
 /// A strip of floor, 16 by 1.5, with walls and posts: it is longer than a tile with its halo.
@@ -51,17 +51,17 @@ fn by_tiles(
     let mut all = TileCandidates::default();
     for tile in tiles {
         let mut margin = detector.margin();
-        let found = loop {
+        let candidates = loop {
             let near = widen(tile, margin + halo);
             let near: Vec<Point> = points.iter().filter(|point| detector.is_in(point, &near)).copied().collect();
             let is_whole = margin > 99;
-            if let Some(found) = detector.detect(&near, tile, margin, is_whole, &Control::default()).unwrap() {
-                break found;
+            if let Some(candidates) = detector.detect(&near, tile, margin, is_whole, &Control::default()).unwrap() {
+                break candidates;
             }
             margin *= 2;
         };
-        all.counts.add(&found.counts);
-        all.candidates.extend(found.candidates);
+        all.counts.add(&candidates.counts);
+        all.candidates.extend(candidates.candidates);
     }
     let fates = detector.fates(&all.candidates, |_| true).unwrap();
     let fates = all.candidates.iter().zip(fates);
@@ -95,8 +95,8 @@ fn tiles_of_any_size_give_the_bits_of_the_whole_cloud() {
             let tiles = tiles(&detector, &points, side, offset);
             let (kept, counts) = by_tiles(&detector, &points, &tiles, detector.halo());
             assert!(is_equal(&kept, &whole.keypoints), "{side} {offset} {mode_radius:?}");
-            let of = |counts: &Counts| [counts.queries, counts.occupied, counts.above_threshold];
-            assert_eq!(of(&counts), of(&whole.counts));
+            let numbers = |counts: &Counts| [counts.queries, counts.occupied, counts.above_threshold];
+            assert_eq!(numbers(&counts), numbers(&whole.counts));
         }
     }
 }

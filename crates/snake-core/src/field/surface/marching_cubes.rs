@@ -27,10 +27,10 @@ impl Surface {
     pub(super) fn of(samples: &Samples) -> Self {
         let known = samples.known();
         let crossings: Vec<Crossing> = known.par_iter().flat_map_iter(|&block| crossings(samples, block)).collect();
-        let of_case = cube::triangles();
+        let case_triangles = cube::triangles();
         let triangles = known.par_iter().flat_map_iter(|&block| {
-            let cells = samples.of_block(block).flat_map(|low| {
-                of_case[case(samples, low)]
+            let cells = samples.block_samples(block).flat_map(|low| {
+                case_triangles[case(samples, low)]
                     .iter()
                     .map(move |triangle| triangle.map(|(corner, axis)| samples.edge(place(low, corner), axis)))
             });
@@ -49,7 +49,7 @@ pub(super) fn vertex(crossings: &[Crossing], edge: u32) -> u32 {
 /// The crossings of the edges that begin in a block, in the order of the edges.
 fn crossings(samples: &Samples, block: usize) -> Vec<Crossing> {
     let mut crossings = Vec::new();
-    for low in samples.of_block(block) {
+    for low in samples.block_samples(block) {
         let value = samples.value(low);
         for axis in 0..3 {
             let high = samples.value(place(low, 1 << axis));

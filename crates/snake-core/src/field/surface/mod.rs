@@ -10,11 +10,11 @@ mod tests;
 use rayon::prelude::*;
 
 use crate::Result;
-use crate::call::control::Control;
-use crate::detect::options::MeshOptions;
+use crate::control::Control;
 use crate::field::grid::coordinate;
 use crate::field::{Field, Quantity, log_odds};
 use crate::network::layers::TILE;
+use crate::options::MeshOptions;
 use snake_geometry::{Mesh, Point, unit};
 
 use marching_cubes::{Crossing, Surface};
@@ -72,8 +72,7 @@ struct Grid<'a> {
 impl<'a> Grid<'a> {
     fn new(field: &'a Field, resolution: usize) -> Self {
         let coordinates = field
-            .volume()
-            .grid
+            .lattice()
             .bounds()
             .map(|[low, high]| (0..resolution).map(|index| coordinate(low, high, resolution, index)).collect());
         Self { field, coordinates }

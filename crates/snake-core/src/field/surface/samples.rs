@@ -3,7 +3,7 @@
 use rayon::prelude::*;
 
 use crate::Result;
-use crate::call::control::{Control, Counter};
+use crate::control::{Control, Counter};
 
 /// Samples per axis of a block.
 const SIDE: usize = 4;
@@ -52,8 +52,8 @@ impl Samples {
             let blocks = tile * VOLUME..number.min((tile + 1) * VOLUME);
             let values = value(&blocks.clone().map(middle).collect::<Vec<_>>());
             counter.add(blocks.len());
-            let found = blocks.zip(values).filter(|&(block, value)| value > level || is_likely[block]);
-            Ok(found.map(|(block, _)| block).collect())
+            let near = blocks.zip(values).filter(|&(block, value)| value > level || is_likely[block]);
+            Ok(near.map(|(block, _)| block).collect())
         };
         let tiles = (0..number.div_ceil(VOLUME)).into_par_iter().map(search);
         let mut wanted = tiles.collect::<Result<Vec<_>>>()?.concat();
@@ -77,7 +77,7 @@ impl Samples {
             counter.check()?;
             // The last block along an axis can extend beyond the grid.
             let inside = |sample: &Sample| sample.iter().all(|&i| i < self.resolution);
-            let asked: Vec<Sample> = self.of_block(block).filter(inside).collect();
+            let asked: Vec<Sample> = self.block_samples(block).filter(inside).collect();
             let mut values = [f32::NEG_INFINITY; VOLUME];
             counter.add(1);
             for (&sample, value) in asked.iter().zip(value(&asked)) {
@@ -95,18 +95,18 @@ impl Samples {
     }
 
     fn unknown_beside_occupied(&self, block: usize) -> Vec<usize> {
-        let mut found = Vec::new();
-        for sample in self.of_block(block).filter(|&sample| self.occupied(sample)) {
+        let mut unknown = Vec::new();
+        for sample in self.block_samples(block).filter(|&sample| self.occupied(sample)) {
             // An occupied sample is not on the border.
             for step in 0..27 {
                 let neighbour = [sample[0] + step % 3 - 1, sample[1] + step / 3 % 3 - 1, sample[2] + step / 9 - 1];
                 let (beside, _) = self.place(neighbour);
-                if self.slots[beside].is_none() && !found.contains(&beside) {
-                    found.push(beside);
+                if self.slots[beside].is_none() && !unknown.contains(&beside) {
+                    unknown.push(beside);
                 }
             }
         }
-        found
+        unknown
     }
 
     /// The known blocks, in the order of the grid.
@@ -115,7 +115,7 @@ impl Samples {
     }
 
     /// The samples of a block, x fastest.
-    pub(super) fn of_block(&self, block: usize) -> impl Iterator<Item = Sample> {
+    pub(super) fn block_samples(&self, block: usize) -> impl Iterator<Item = Sample> {
         (0..VOLUME).map(move |place| self.sample(block, place))
     }
 

@@ -85,8 +85,8 @@ fn sphere_and_torus_have_their_area_volume_and_euler_characteristic() {
         (4.0 * PI * 400.0, 4.0 / 3.0 * PI * 8000.0, 2),
         (4.0 * PI * PI * big * small, 2.0 * PI * PI * big * small * small, 0),
     ];
-    let found = [samples(49, true, sphere), samples(49, true, torus)];
-    for (samples, (area, inside, euler)) in found.iter().zip(exact) {
+    let surfaces = [samples(49, true, sphere), samples(49, true, torus)];
+    for (samples, (area, inside, euler)) in surfaces.iter().zip(exact) {
         let mesh = mesh(samples, &Surface::of(samples));
         // Chords instead of arcs: both are a little small.
         assert!((0.995..1.0).contains(&(mesh.area() / area)), "{} {area}", mesh.area());
@@ -226,33 +226,33 @@ fn the_mesh_of_a_field_is_that_of_all_samples_at_the_level_and_faces_out() {
     let (points, field) = crate::detect::tests::cylinder();
     for (resolution, level, outer) in [(50, 0.4, false), (64, 0.8, true)] {
         let options = MeshOptions { resolution, level, outer };
-        let found = field.mesh(&options).unwrap();
+        let mesh = field.mesh(&options).unwrap();
         assert_eq!(
-            found,
+            mesh,
             Grid::new(&field, resolution).mesh(&options, every_sample(resolution), &Control::default()).unwrap()
         );
-        euler_characteristic(&found);
+        euler_characteristic(&mesh);
         let threads = rayon::ThreadPoolBuilder::new().num_threads(3).build().unwrap();
-        assert_eq!(found, threads.install(|| field.mesh(&options)).unwrap());
+        assert_eq!(mesh, threads.install(|| field.mesh(&options)).unwrap());
 
         let mut errors: Vec<f32> =
-            field.occupancy(&found.vertices).unwrap().into_iter().map(|value| (value - level).abs()).collect();
+            field.occupancy(&mesh.vertices).unwrap().into_iter().map(|value| (value - level).abs()).collect();
         errors.sort_by(f32::total_cmp);
         // The occupancy rises within a sample or two.
         assert!(errors[errors.len() / 2] < 0.15, "{}", errors[errors.len() / 2]);
         let agree = |&triangle: &[u32; 3]| {
-            let cross = found.area_vector(triangle);
+            let cross = mesh.area_vector(triangle);
             let dot = |normal: [f32; 3]| (0..3).map(|axis| cross[axis] * f64::from(normal[axis])).sum::<f64>();
-            triangle.iter().all(|&vertex| dot(found.normals[vertex as usize]) > 0.0)
+            triangle.iter().all(|&vertex| dot(mesh.normals[vertex as usize]) > 0.0)
         };
-        let agreeing = found.triangles.iter().filter(|triangle| agree(triangle)).count();
-        assert!(agreeing * 10 > found.triangles.len() * 9, "{agreeing} of {}", found.triangles.len());
-        assert!(found.normals.iter().all(|n| (n.iter().map(|v| v * v).sum::<f32>() - 1.0).abs() < 1e-5));
+        let agreeing = mesh.triangles.iter().filter(|triangle| agree(triangle)).count();
+        assert!(agreeing * 10 > mesh.triangles.len() * 9, "{agreeing} of {}", mesh.triangles.len());
+        assert!(mesh.normals.iter().all(|n| (n.iter().map(|v| v * v).sum::<f32>() - 1.0).abs() < 1e-5));
         // Three voxels of the 32³ volume.
         let far = 0.105 * field.normalization().scale;
         let distance = |a: Point, b: Point| (0..3).map(|axis| (a[axis] - b[axis]).powi(2)).sum::<f32>().sqrt();
         let nearest = |vertex: Point| points.iter().map(|&p| distance(p, vertex)).fold(f32::INFINITY, f32::min);
-        assert!(found.vertices.iter().all(|&vertex| nearest(vertex) < far));
+        assert!(mesh.vertices.iter().all(|&vertex| nearest(vertex) < far));
     }
 }
 

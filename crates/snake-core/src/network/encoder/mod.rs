@@ -1,37 +1,28 @@
-//! The encoder, from points to a volume: PointNet with local max-pooling or PointNet++, scattering, 3-D U-Net (SNAKE 3.1,
-//! ConvONet).
+//! The encoder, from points to a volume: PointNet with local max-pooling, scattering, 3-D U-Net (SNAKE 3.1, ConvONet).
 
-mod point_features;
+mod blocks;
+mod dense;
 mod pointnet;
-mod pointnet2;
 mod pointnet_blocks;
-mod scatter;
-mod unet;
-mod voxel_groups;
+mod scatter_blocks;
+mod scatter_dense;
+#[cfg(test)]
+mod tests;
+mod unet_blocks;
+mod unet_dense;
+mod voxel_sums;
 
-use rayon::prelude::*;
+pub(crate) use self::dense::aggregated;
 
-pub(crate) use self::point_features::PointFeatures;
-use self::unet::UNet3d;
-pub(crate) use self::voxel_groups::VoxelGroups;
+use self::blocks::BlockEncoder;
+use self::dense::DenseEncoder;
 use crate::Result;
-use crate::call::control::Counter;
-use crate::call::span::span;
-use crate::network::config::{ModelConfig, Scatter};
-use crate::network::layers::Tensor;
-use crate::network::volume::{Volume, VolumeFrame, VolumeGrid};
+use crate::control::{Counter, Limits};
+use crate::lattice::{VolumeShape, VoxelGroups};
+use crate::network::config::ModelConfig;
+use crate::network::volume::Volume;
 use crate::network::weights::Scope;
 use snake_geometry::Point;
-use snake_kernels::{ConstantRegion, channel_sums};
-
-/// The encoder of a model.
-#[derive(Debug)]
-pub(crate) struct Encoder {
-    frame: VolumeFrame,
-    scatter: Scatter,
-    pub(crate) points: PointFeatures,
-    unet: UNet3d,
-}
 
 /// The memory for the points of a cloud, in voxels of a cube or cells of a scene, which the next cloud uses again.
 #[derive(Debug, Clone, Default)]
@@ -41,126 +32,53 @@ pub(crate) struct EncoderMemory {
     pub(crate) sums: Vec<f32>,
 }
 
+/// The encoder of a network, by the shape of its volume.
+#[derive(Debug)]
+pub(crate) enum Encoder {
+    Dense(Box<DenseEncoder>),
+    Blocks(Box<BlockEncoder>),
+}
+
 impl Encoder {
-    pub(crate) fn load(scope: &Scope, config: &ModelConfig, frame: VolumeFrame) -> Result<Self> {
-        Ok(Self {
-            frame,
-            scatter: config.scatter,
-            points: PointFeatures::load(scope, config)?,
-            unet: UNet3d::load(&scope.at("unet3d"), config, frame)?,
+    pub(crate) fn load(scope: &Scope, config: &ModelConfig) -> Result<Self> {
+        Ok(match config.volume {
+            VolumeShape::Cube(frame) => Self::Dense(Box::new(DenseEncoder::load(scope, config, frame)?)),
+            VolumeShape::Scene { scatter_mass } => {
+                Self::Blocks(Box::new(BlockEncoder::load(scope, config, scatter_mass)?))
+            }
         })
     }
 
-    /// The progress units of [`Encoder::encode`]: each point once for grouping and once per layer of the point encoder,
-    /// and the voxels of the U-Net. All take similar times.
+    /// The progress units of [`Encoder::encode`] for so many points; 0 if it knows them only from the points, and then sets them.
     pub(crate) fn work(&self, num_points: usize) -> usize {
-        num_points + self.points.work(num_points) + self.unet.work(self.frame.size())
+        match self {
+            Self::Dense(encoder) => encoder.work(num_points),
+            Self::Blocks(_) => 0,
+        }
     }
 
-    /// Encodes `num_points` points, given by `point` in the network's frame, to the feature volume.
+    /// Encodes `num_points` points, given by `point` in the network's frame, to the feature volume. Its memory is within the limits.
     pub(crate) fn encode(
         &self,
         num_points: usize,
         point: impl Fn(usize) -> Point + Sync,
         memory: &mut EncoderMemory,
+        limits: &Limits,
         counter: &Counter,
     ) -> Result<Volume> {
-        let volume = self.point_volume(num_points, point, memory, counter)?;
-        span!("unet");
-        let grid = VolumeGrid::Cube(self.frame);
-        Ok(Volume { grid, channels: volume.channels, values: self.unet.forward(volume, counter)? })
-    }
-
-    /// The input of the U-Net: the scattered features of the points.
-    fn point_volume(
-        &self,
-        num_points: usize,
-        point: impl Fn(usize) -> Point + Sync,
-        memory: &mut EncoderMemory,
-        counter: &Counter,
-    ) -> Result<Tensor> {
-        span!("pointnet");
-        memory.groups.fill(num_points, &point, &self.frame);
-        counter.add(num_points);
-        counter.check()?;
-        match self.scatter {
-            Scatter::Hard => {
-                self.points.voxel_means(&memory.groups, &point, &mut memory.sums, counter)?;
-                Ok(self.scatter(&memory.sums, &memory.groups))
-            }
-            Scatter::Soft => self.scatter_soft(memory, &point, counter),
-        }
-    }
-
-    /// Scatters the mean features to the occupied voxels; voxels without points are zero.
-    pub(crate) fn scatter(&self, means: &[f32], groups: &VoxelGroups) -> Tensor {
-        let (size, channels) = (self.frame.size(), self.points.channels());
-        let mut values = self.unet.pool.take(size.iter().product::<usize>() * channels);
-        values.par_chunks_mut(size[1] * size[2] * channels).for_each(|plane| plane.fill(0.0));
-        write_rows(means, groups, channels, &mut values);
-        let constant = Some(ConstantRegion::around(size, groups.voxels()));
-        Tensor { size, channels, values, sums: channel_sums(means, channels), constant }
-    }
-
-    /// Scatters the features of the points to their eight nearest voxels ([`Scatter::Soft`]); voxels without mass are zero.
-    fn scatter_soft(
-        &self,
-        EncoderMemory { groups, sums: slots }: &mut EncoderMemory,
-        point: impl Fn(usize) -> Point + Sync,
-        counter: &Counter,
-    ) -> Result<Tensor> {
-        let (size, channels) = (self.frame.size(), self.points.channels());
-        let spread =
-            |point: Point, feature: &[f32], slots: &mut [f32]| scatter::spread(&self.frame, point, feature, slots);
-        self.points.voxel_sums(groups, point, scatter::slots_width(channels), spread, slots, counter)?;
-        let mut values = self.unet.pool.take(size.iter().product::<usize>() * channels);
-        values.par_chunks_mut(size[1] * size[2] * channels).for_each(|plane| plane.fill(0.0));
-        counter.check()?;
-        let touched = scatter::gather(&self.frame, groups, slots, &mut values, counter)?;
-        let sums = channel_sums(&values, channels);
-        counter.check()?;
-        Ok(Tensor {
-            size,
-            channels,
-            values,
-            sums,
-            constant: Some(ConstantRegion::around(size, touched.iter().copied())),
-        })
-    }
-}
-
-/// Writes the rows `(voxels, channels)` of the occupied voxels into a volume `[z][y][x][channel]`.
-fn write_rows(rows: &[f32], groups: &VoxelGroups, channels: usize, volume: &mut [f32]) {
-    for (voxel, row) in groups.voxels().zip(rows.chunks_exact(channels)) {
-        volume[voxel * channels..][..channels].copy_from_slice(row);
-    }
-}
-
-/// Aggregates given features in a zeroed volume `[z][y][x][channel]`. `feature` returns a grouped point with its feature.
-pub(crate) fn aggregated<'a>(
-    scatter: Scatter,
-    frame: &VolumeFrame,
-    groups: &VoxelGroups,
-    feature: impl Fn(usize) -> (Point, &'a [f32]),
-    values: &mut [f32],
-) -> Result<()> {
-    let channels = values.len() / frame.resolution.iter().product::<usize>();
-    let width = if scatter == Scatter::Hard { channels } else { scatter::slots_width(channels) };
-    let mut sums = vec![0.0; groups.num_voxels() * width];
-    for (voxel, sums) in sums.chunks_exact_mut(width).enumerate() {
-        for (point, feature) in groups.members(voxel..voxel + 1).map(&feature) {
-            match scatter {
-                Scatter::Hard => point_features::add(point, feature, sums),
-                Scatter::Soft => scatter::spread(frame, point, feature, sums),
+        match self {
+            Self::Dense(encoder) => encoder.encode(num_points, point, memory, counter),
+            Self::Blocks(encoder) => {
+                let points: Vec<Point> = (0..num_points).map(point).collect();
+                encoder.encode(&points, memory, limits, counter)
             }
         }
     }
-    match scatter {
-        Scatter::Hard => {
-            point_features::divide_by_counts(&mut sums, groups, channels);
-            write_rows(&sums, groups, channels, values);
-        }
-        Scatter::Soft => drop(scatter::gather(frame, groups, &sums, values, &Counter::default())?),
+
+    /// The encoder of a cube, for tests of its stages.
+    #[cfg(test)]
+    pub(crate) fn dense(&self) -> &DenseEncoder {
+        let Self::Dense(encoder) = self else { panic!("this is a scene model") };
+        encoder
     }
-    Ok(())
 }

@@ -6,9 +6,9 @@
 use rayon::prelude::*;
 
 use super::pointnet_blocks::{FirstBlock, PooledBlock, VoxelTerms};
-use super::voxel_groups::VoxelGroups;
 use crate::Result;
-use crate::call::control::Counter;
+use crate::control::Counter;
+use crate::lattice::VoxelGroups;
 use crate::network::config::ModelConfig;
 use crate::network::layers::{Linear, TILE};
 use crate::network::weights::Scope;
@@ -121,7 +121,7 @@ impl PointNet {
     ) -> Result<()> {
         let mut terms = Vec::with_capacity(self.blocks.len());
         for block in &self.blocks {
-            let of_chunk = |chunk: &[Point]| {
+            let chunk_maxima = |chunk: &[Point]| {
                 counter.check()?;
                 let mut most = vec![f32::NEG_INFINITY; self.hidden];
                 for tile in chunk.chunks(TILE) {
@@ -131,11 +131,11 @@ impl PointNet {
                 counter.add(chunk.len());
                 Ok(most)
             };
-            let of_chunks: Vec<Vec<f32>> = points.par_chunks(CHUNK).map(of_chunk).collect::<Result<_>>()?;
+            let maxima_by_chunk: Vec<Vec<f32>> = points.par_chunks(CHUNK).map(chunk_maxima).collect::<Result<_>>()?;
             let mut most = vec![f32::NEG_INFINITY; self.hidden];
-            of_chunks
+            maxima_by_chunk
                 .iter()
-                .for_each(|of_chunk| max_rows(SimdLevel::current(), of_chunk, self.hidden, &[0], &mut most));
+                .for_each(|chunk_maxima| max_rows(SimdLevel::current(), chunk_maxima, self.hidden, &[0], &mut most));
             terms.push(block.voxel_terms(&most));
         }
         for points in points.chunks(LARGE) {
@@ -171,7 +171,7 @@ mod tests {
     use rand_chacha::ChaCha8Rng;
 
     use super::*;
-    use crate::network::volume::VolumeFrame;
+    use crate::lattice::VolumeFrame;
     use crate::{Builtin, Model};
 
     /// Combines each row of `features` with the row `target` of `pooled`, in order.
@@ -214,7 +214,7 @@ mod tests {
     #[test]
     fn voxels_of_any_size_have_the_bits_of_the_textbook() {
         let model = Model::builtin(Builtin::Compact);
-        let (encoder, frame) = (&model.network().encoder.cube().points, model.config().frame().unwrap());
+        let (encoder, frame) = (&model.network().encoder.dense().points, model.config().frame().unwrap());
         let mut random = ChaCha8Rng::seed_from_u64(1);
         // Clusters in a few voxels, as in a scan with an outlier, and points all over the volume.
         for (crowd, others) in
@@ -225,7 +225,7 @@ mod tests {
             let (mut groups, mut means) = (VoxelGroups::default(), vec![f32::NAN; 3]);
             groups.fill(points.len(), |index| points[index], &frame);
             encoder.voxel_means(&groups, |index| points[index], &mut means, &Counter::default()).unwrap();
-            assert_eq!(means, encoder.pointnet().plain(&points, &frame)[1], "{crowd} and {others}");
+            assert_eq!(means, encoder.plain(&points, &frame)[1], "{crowd} and {others}");
         }
     }
 }

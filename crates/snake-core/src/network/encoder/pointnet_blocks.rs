@@ -30,14 +30,14 @@ impl FirstBlock {
             row.iter().enumerate().map(|(k, w)| f64::from(*w) * f64::from(value(k))).sum::<f64>() as f32
         };
         let rows = shortcut.chunks_exact(width);
-        let of_position: Vec<f32> =
+        let position_product: Vec<f32> =
             rows.clone().flat_map(|row| [0, 1, 2].map(|axis| product(row, &|k| weight[3 * k + axis]))).collect();
-        let of_bias: Vec<f32> = rows.map(|row| product(row, &|k| bias[k])).collect();
+        let bias_product: Vec<f32> = rows.map(|row| product(row, &|k| bias[k])).collect();
         Ok(Self {
             fc_pos: Linear::new(3, width, &weight, &bias),
             fc_0: Linear::load(&block.at("fc_0"), width, hidden)?,
             fc_1: Linear::load(&block.at("fc_1"), hidden, hidden)?,
-            shortcut: Linear::new(3, hidden, &of_position, &of_bias),
+            shortcut: Linear::new(3, hidden, &position_product, &bias_product),
         })
     }
 
@@ -55,8 +55,8 @@ impl FirstBlock {
 /// A layer of a point's feature and of the maximum over its voxel, as two layers whose outputs are added.
 #[derive(Debug)]
 struct SplitLinear {
-    of_point: Linear,
-    of_voxel: Linear,
+    point: Linear,
+    voxel: Linear,
 }
 
 impl SplitLinear {
@@ -66,8 +66,8 @@ impl SplitLinear {
             weight.chunks_exact(2 * hidden).flat_map(|row| &row[first..first + hidden]).copied().collect()
         };
         Self {
-            of_point: Linear::new(hidden, hidden, &half(0), &[]),
-            of_voxel: Linear::new(hidden, hidden, &half(hidden), bias),
+            point: Linear::new(hidden, hidden, &half(0), &[]),
+            voxel: Linear::new(hidden, hidden, &half(hidden), bias),
         }
     }
 }
@@ -105,23 +105,23 @@ impl PooledBlock {
         relu(SimdLevel::current(), maxima, &mut input);
         let mut terms =
             VoxelTerms { fc_0: Scratch::arbitrary(maxima.len()), shortcut: Scratch::arbitrary(maxima.len()) };
-        self.fc_0.of_voxel.forward(&input, &mut terms.fc_0, Epilogue::Store);
-        self.shortcut.of_voxel.forward(maxima, &mut terms.shortcut, Epilogue::Store);
+        self.fc_0.voxel.forward(&input, &mut terms.fc_0, Epilogue::Store);
+        self.shortcut.voxel.forward(maxima, &mut terms.shortcut, Epilogue::Store);
         terms
     }
 
     /// Replaces the features `(points, hidden)` by the block's output. `voxels` holds each point's row of the terms.
     pub(super) fn forward(&self, terms: &VoxelTerms, voxels: &[usize], features: &mut [f32]) {
-        let of_points = |terms: &[f32]| {
+        let rows_of_terms = |terms: &[f32]| {
             let mut rows = Scratch::empty(features.len());
             voxels.iter().for_each(|voxel| rows.extend_from_slice(&terms[voxel * self.hidden..][..self.hidden]));
             rows
         };
-        let (mut hidden, mut output) = (of_points(&terms.fc_0), of_points(&terms.shortcut));
+        let (mut hidden, mut output) = (rows_of_terms(&terms.fc_0), rows_of_terms(&terms.shortcut));
         let (mut input, mut rectified) = (Scratch::arbitrary(features.len()), Scratch::arbitrary(features.len()));
         relu(SimdLevel::current(), features, &mut input);
-        self.fc_0.of_point.forward(&input, &mut hidden, Epilogue::AddAndRelu(&mut rectified));
-        self.shortcut.of_point.forward(features, &mut output, Epilogue::Add);
+        self.fc_0.point.forward(&input, &mut hidden, Epilogue::AddAndRelu(&mut rectified));
+        self.shortcut.point.forward(features, &mut output, Epilogue::Add);
         self.fc_1.forward(&rectified, &mut output, Epilogue::Add);
         features.copy_from_slice(&output);
     }

@@ -1,0 +1,340 @@
+//! The choice of a model for each cloud.
+
+use serde_json::{Map, Value};
+
+use super::model_choice::{BuiltinModels, ModelChoice, NamedModel};
+use super::rule::{by_cloud, by_options};
+use super::scale_hint;
+use crate::cloud::UsedCloud;
+use crate::control::Control;
+use crate::{Builtin, Detection, Field, Model, Options, Result, cluster_hint};
+use snake_geometry::{Cloud, NormalizationMethod, Point};
+
+/// Chooses model and options for each cloud of a run, as `snake-cli`, Python and C do.
+///
+/// A named model is used for all clouds. Without one, options that only one kind of model has name it: `voxel_size` scenes, and
+/// `preset`, `normalization` and several `rotations` objects. Else the cloud decides ([`Builtin::for_cloud`]).
+///
+/// ```
+/// use snake_core::{Chooser, Control, ModelChoice};
+/// # let points: Vec<[f32; 3]> = (0..500).map(|i| { let a = i as f32 * 0.1; [a.cos(), a.sin(), (a * 0.3).sin()] }).collect();
+/// let values = serde_json::json!({ "max_keypoints": 20 });
+/// let chooser = Chooser::new(ModelChoice::default(), values.as_object().unwrap())?;
+/// let chosen = chooser.for_points(&points)?;
+/// let detection = chosen.detect(&Control::default())?;
+/// println!("{}: {} keypoints", chosen.name, detection.keypoints.len());
+/// # assert_eq!(chosen.name, "compact, built-in");
+/// # Ok::<(), snake_core::Error>(())
+/// ```
+#[derive(Debug, Clone)]
+pub struct Chooser(Candidates);
+
+#[derive(Debug, Clone)]
+enum Candidates {
+    Named(NamedModel),
+    /// The option that names a built-in model, and its options.
+    ByOption(BuiltinModels, &'static str, Builtin, Options),
+    /// Options of each built-in model.
+    ByCloud(BuiltinModels, [Options; Builtin::ALL.len()]),
+}
+
+impl Default for Chooser {
+    fn default() -> Self {
+        let models = BuiltinModels::default();
+        let options = Builtin::ALL.map(|which| *models.options(which));
+        Self(Candidates::ByCloud(models, options))
+    }
+}
+
+impl Chooser {
+    /// A chooser for given values of options, by name as in [`Options::with_values`]. The value `preset` names a set of options
+    /// to begin with ([`Preset`](crate::Preset), or `standard`); else each model begins with its own.
+    ///
+    /// # Errors
+    /// [`Error::Input`](crate::Error::Input) for an unknown name and for a value of another type;
+    /// [`Error::Option`](crate::Error::Option) for an unknown preset.
+    pub fn new(choice: ModelChoice, values: &Map<String, Value>) -> Result<Self> {
+        Ok(Self(match choice {
+            ModelChoice::Named(named) => {
+                let options = named.options.resolve(values)?;
+                Candidates::Named(named.with_options(options))
+            }
+            ModelChoice::Auto(models) => match by_options(values) {
+                Some((option, which)) => {
+                    let options = models.options(which).resolve(values)?;
+                    Candidates::ByOption(models, option, which, options)
+                }
+                None => {
+                    let [compact, scenes] = Builtin::ALL.map(|which| models.options(which).resolve(values));
+                    Candidates::ByCloud(models, [compact?, scenes?])
+                }
+            },
+        }))
+    }
+
+    /// The seed of the options, for what is drawn before a cloud is known.
+    pub fn seed(&self) -> u64 {
+        let (Candidates::Named(NamedModel { options, .. })
+        | Candidates::ByOption(_, _, _, options)
+        | Candidates::ByCloud(_, [options, _])) = &self.0;
+        options.encode.seed
+    }
+
+    /// The model and the options for a cloud.
+    ///
+    /// # Errors
+    /// [`Error::Input`](crate::Error::Input) for a cloud without finite points.
+    pub fn for_cloud<'a>(&self, cloud: &'a Cloud) -> Result<Chosen<'a>> {
+        self.choose(&cloud.points, cloud.origin)
+    }
+
+    /// The model and the options for a cloud `(N, 3)` near zero.
+    ///
+    /// # Errors
+    /// [`Error::Input`](crate::Error::Input) for a cloud without finite points.
+    pub fn for_points<'a>(&self, points: &'a [Point]) -> Result<Chosen<'a>> {
+        self.choose(points, [0.0; 3])
+    }
+
+    /// Seconds that loading of built-in models took so far.
+    pub fn load_seconds(&self) -> f64 {
+        match &self.0 {
+            Candidates::Named(_) => 0.0,
+            Candidates::ByOption(models, ..) | Candidates::ByCloud(models, _) => models.load_seconds(),
+        }
+    }
+
+    fn choose<'a>(&self, points: &'a [Point], origin: [f64; 3]) -> Result<Chosen<'a>> {
+        let cloud = UsedCloud::new(points)?;
+        let builtin = |which: Builtin| format!("{}, built-in", which.name());
+        let (model, name, options, by) = match &self.0 {
+            Candidates::Named(NamedModel { model, name, options }) => {
+                (model.clone(), name.clone(), *options, ChosenBy::Name)
+            }
+            Candidates::ByOption(models, option, which, options) => {
+                (models.get(*which).clone(), builtin(*which), *options, ChosenBy::Option(option))
+            }
+            Candidates::ByCloud(models, options) => {
+                let which = by_cloud(&cloud);
+                (models.get(which).clone(), builtin(which), options[which as usize], ChosenBy::Cloud)
+            }
+        };
+        let note = match &self.0 {
+            Candidates::ByOption(_, option, which, _) => note_of_option(option, *which, by_cloud(&cloud)),
+            _ => None,
+        };
+        let (cloud, origin) = placed(cloud, points, origin, options.encode.normalization)?;
+        Ok(Chosen { model, name, options, by, note, cloud, origin })
+    }
+}
+
+/// A cloud in the frame that a normalisation asks for. Without one coordinates are those of the network's frame, so the origin
+/// belongs to them.
+fn placed<'a>(
+    cloud: UsedCloud<'a>,
+    points: &[Point],
+    origin: [f64; 3],
+    method: NormalizationMethod,
+) -> Result<(UsedCloud<'a>, [f64; 3])> {
+    if method != NormalizationMethod::None || origin == [0.0; 3] {
+        return Ok((cloud, origin));
+    }
+    let points = Cloud { points: points.to_vec(), origin }.into_points();
+    Ok((UsedCloud::new(&points)?.into_owned(), [0.0; 3]))
+}
+
+/// What to say of a model that an option named, if the cloud would have another one.
+fn note_of_option(option: &str, which: Builtin, suited: Builtin) -> Option<String> {
+    let kind = match which {
+        Builtin::Compact => "objects",
+        Builtin::Scenes => "scenes",
+    };
+    (which != suited).then(|| {
+        let [name, other] = [which, suited].map(Builtin::name);
+        format!("option `{option}` is for {kind}, so the model is `{name}`; without it this cloud has `{other}`")
+    })
+}
+
+/// What decided the model of a cloud.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[non_exhaustive]
+pub enum ChosenBy {
+    /// The caller named it.
+    Name,
+    /// An option that only its kind of models has.
+    Option(&'static str),
+    /// What the cloud looks like.
+    Cloud,
+}
+
+/// A cloud with the model and the options that it has.
+#[derive(Debug, Clone)]
+#[non_exhaustive]
+pub struct Chosen<'a> {
+    /// The model.
+    pub model: Model,
+    /// The name of the model in reports.
+    pub name: String,
+    /// The options.
+    pub options: Options,
+    /// What decided.
+    pub by: ChosenBy,
+    /// A text for the user if an option changed the model from what the cloud would have.
+    pub note: Option<String>,
+    /// The cloud, in the frame that the options ask for.
+    pub cloud: UsedCloud<'a>,
+    /// To be added to all positions.
+    pub origin: [f64; 3],
+}
+
+impl Chosen<'_> {
+    /// Another cloud with the same model and options.
+    ///
+    /// # Errors
+    /// [`Error::Input`](crate::Error::Input) for a cloud without finite points.
+    pub fn with_cloud<'b>(&self, cloud: &'b Cloud) -> Result<Chosen<'b>> {
+        let used = UsedCloud::new(&cloud.points)?;
+        let (used, origin) = placed(used, &cloud.points, cloud.origin, self.options.encode.normalization)?;
+        let Self { model, name, options, by, .. } = self;
+        Ok(Chosen {
+            model: model.clone(),
+            name: name.clone(),
+            options: *options,
+            by: *by,
+            note: None,
+            cloud: used,
+            origin,
+        })
+    }
+
+    /// What a user should know before detection: [`Chosen::note`] and [`scale_hint`].
+    pub fn notes(&self) -> Vec<String> {
+        let scale = scale_hint(&self.cloud, self.model.config(), &self.options);
+        self.note.iter().cloned().chain(scale).collect()
+    }
+
+    /// [`Model::detect`] in the cloud.
+    ///
+    /// # Errors
+    /// The errors of [`Model::detect_with`].
+    pub fn detect(&self, control: &Control) -> Result<Detection> {
+        self.model.detect_cloud(&self.cloud, &self.options, control)
+    }
+
+    /// [`Model::encode`] of the cloud.
+    ///
+    /// # Errors
+    /// The errors of [`Model::encode_with`].
+    pub fn encode(&self, control: &Control) -> Result<Field> {
+        self.model.encode_cloud(&self.cloud, &self.options.encode, control)
+    }
+
+    /// [`cluster_hint`] of the cloud's keypoints.
+    pub fn cluster_hint(&self, detection: &Detection) -> Option<String> {
+        cluster_hint(self.cloud.points(), &detection.keypoints)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn values(json: &str) -> Map<String, Value> {
+        serde_json::from_str(json).unwrap()
+    }
+
+    fn chooser(json: &str) -> Chooser {
+        Chooser::new(ModelChoice::default(), &values(json)).unwrap()
+    }
+
+    /// A bumpy ball.
+    fn object() -> Vec<Point> {
+        let point = |i: usize| {
+            let z = 2.0 * (i as f32 + 0.5) / 3000.0 - 1.0;
+            let (sin, cos) = (i as f32 * 2.4).sin_cos();
+            let (flat, radius) = ((1.0 - z * z).sqrt(), 1.0 + 0.2 * (5.0 * z).sin());
+            [radius * flat * cos, radius * flat * sin, radius * z]
+        };
+        (0..3000).map(point).collect()
+    }
+
+    /// A floor and two walls.
+    fn room() -> Vec<Point> {
+        let at = |i: usize, step: f32| (i as f32 * step).fract();
+        let point = |i: usize| match i % 3 {
+            0 => [4.0 * at(i, 0.618_034), 3.0 * at(i, 0.754_878), 0.0],
+            1 => [4.0 * at(i, 0.618_034), 0.0, 2.4 * at(i, 0.569_84)],
+            _ => [0.0, 3.0 * at(i, 0.754_878), 2.4 * at(i, 0.569_84)],
+        };
+        (0..9000).map(point).collect()
+    }
+
+    #[test]
+    fn options_of_one_kind_of_model_name_it_and_else_the_cloud_decides() {
+        for (json, on_object, on_room) in [
+            ("{}", "compact", "scenes"),
+            (r#"{"max_keypoints": 5, "rotations": 1, "voxel_size": null, "preset": null}"#, "compact", "scenes"),
+            (r#"{"voxel_size": 0}"#, "compact", "scenes"),
+            (r#"{"voxel_size": 0.1, "rotations": 4}"#, "scenes", "scenes"),
+            (r#"{"voxel_size": "3r"}"#, "scenes", "scenes"),
+            (r#"{"rotations": 4}"#, "compact", "compact"),
+            (r#"{"normalization": "unit-sphere"}"#, "compact", "compact"),
+            (r#"{"preset": "3dmatch"}"#, "compact", "compact"),
+        ] {
+            let chooser = chooser(json);
+            for (points, expected) in [(object(), on_object), (room(), on_room)] {
+                let chosen = chooser.for_points(&points).unwrap();
+                assert_eq!(chosen.name, format!("{expected}, built-in"), "{json}");
+                let suited = Builtin::for_cloud(&points).name();
+                assert_eq!(chosen.note.is_some(), suited != expected, "{json}: {:?}", chosen.note);
+            }
+        }
+    }
+
+    #[test]
+    fn only_the_model_that_is_chosen_is_loaded() {
+        let models = BuiltinModels::default();
+        let chooser = Chooser::new(ModelChoice::Auto(models.clone()), &Map::new()).unwrap();
+        assert!(Builtin::ALL.iter().all(|&which| !models.is_loaded(which)));
+        chooser.for_points(&room()).unwrap();
+        assert_eq!(Builtin::ALL.map(|which| models.is_loaded(which)), [false, true]);
+    }
+
+    #[test]
+    fn a_named_model_begins_with_its_own_options_and_a_preset_replaces_them() {
+        let named = NamedModel::new(Model::builtin(Builtin::Compact), "mine");
+        let started = named.clone().with_options(named.options.with_values(&values(r#"{"snap": true}"#)).unwrap());
+        let options = |json: &str| {
+            let chooser = Chooser::new(started.clone().into(), &values(json)).unwrap();
+            let points = object();
+            let chosen = chooser.for_points(&points).unwrap();
+            assert_eq!((&chosen.name[..], chosen.by), ("mine", ChosenBy::Name));
+            chosen.options
+        };
+        let given = options(r#"{"max_keypoints": 7}"#).detect;
+        assert_eq!((given.snap, given.max_keypoints), (true, 7));
+        let preset = options(r#"{"preset": "keypointnet", "max_keypoints": 7}"#);
+        assert_eq!((preset.detect.snap, preset.encode.max_points), (false, Some(2048)));
+        assert_eq!(options(r#"{"preset": "standard"}"#).encode.rotations, 4);
+    }
+
+    #[test]
+    fn wrong_values_are_refused_before_a_cloud_is_there() {
+        let error = |json: &str| Chooser::new(ModelChoice::default(), &values(json)).unwrap_err().to_string();
+        assert!(error(r#"{"max_keypoints": "many"}"#).contains("option `max_keypoints`"));
+        assert!(error(r#"{"keypoints": 3}"#).contains("unknown option `keypoints`"));
+        assert!(error(r#"{"preset": "scannet"}"#).contains("modelnet40"));
+    }
+
+    #[test]
+    fn the_frame_of_a_cloud_is_that_of_its_own_model() {
+        let cloud = Cloud { points: object(), origin: [100.0, 0.0, 0.0] };
+        let moved = chooser(r#"{"normalization": "none"}"#);
+        let chosen = moved.for_cloud(&cloud).unwrap();
+        assert_eq!((chosen.origin, chosen.cloud.points()[0][0]), ([0.0; 3], cloud.points[0][0] + 100.0));
+        let chooser = Chooser::default();
+        let chosen = chooser.for_cloud(&cloud).unwrap();
+        assert_eq!((chosen.origin, chosen.cloud.points()), (cloud.origin, &cloud.points[..]));
+        assert!(chooser.for_points(&[]).is_err());
+    }
+}

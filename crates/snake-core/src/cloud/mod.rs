@@ -1,0 +1,82 @@
+//! A cloud as it is used: its finite points without outliers, and what is measured of it, each once.
+
+mod samples;
+mod scene_signs;
+mod sweep;
+
+pub use self::scene_signs::{NUM_SIGNS, scene_signs};
+
+use std::sync::OnceLock;
+
+use crate::Result;
+use snake_geometry::{FinitePoints, Outliers, Point};
+
+/// A cloud as it is used. Its finite points are found once, and each question about it is answered once, so that choice of a
+/// model, encoding and hints share the work.
+///
+/// ```
+/// use snake_core::{Builtin, Control, Model, UsedCloud};
+/// # let points: Vec<[f32; 3]> = (0..500).map(|i| { let a = i as f32 * 0.1; [a.cos(), a.sin(), (a * 0.3).sin()] }).collect();
+/// let cloud = UsedCloud::new(&points)?;
+/// let model = Model::builtin(if cloud.is_sweep() { Builtin::Scenes } else { Builtin::Compact });
+/// let detection = model.detect_cloud(&cloud, model.recommended(), &Control::default())?;
+/// # assert!(!detection.keypoints.is_empty());
+/// # Ok::<(), snake_core::Error>(())
+/// ```
+#[derive(Debug, Clone)]
+pub struct UsedCloud<'a> {
+    finite: FinitePoints<'a>,
+    num_given: usize,
+    is_sweep: OnceLock<bool>,
+    scene_signs: OnceLock<Option<[f64; NUM_SIGNS]>>,
+}
+
+impl<'a> UsedCloud<'a> {
+    /// The used points of a cloud `(N, 3)`: the finite ones without outliers. They are copied only if some are left out.
+    ///
+    /// # Errors
+    /// [`Error::Input`](crate::Error::Input) for a cloud without finite points.
+    pub fn new(points: &'a [Point]) -> Result<Self> {
+        Ok(Self::from_finite(FinitePoints::of("points", points)?, points.len()))
+    }
+
+    /// The used points of a cloud of `num_given` points.
+    pub(crate) fn from_finite(finite: FinitePoints<'a>, num_given: usize) -> Self {
+        Self { finite, num_given, is_sweep: OnceLock::new(), scene_signs: OnceLock::new() }
+    }
+
+    /// The points that are used, in the order they were given.
+    pub fn points(&self) -> &[Point] {
+        &self.finite.points
+    }
+
+    /// Number of points of the cloud, those that are not used included.
+    pub fn num_given(&self) -> usize {
+        self.num_given
+    }
+
+    /// The points far beyond all others, which are left out, if there are any.
+    pub fn outliers(&self) -> Option<Outliers> {
+        self.finite.outliers()
+    }
+
+    /// Whether it looks like the sweep of a sensor in its midst.
+    pub fn is_sweep(&self) -> bool {
+        *self.is_sweep.get_or_init(|| sweep::is_sweep(self.points()))
+    }
+
+    /// Its [`scene_signs`].
+    pub fn scene_signs(&self) -> Option<[f64; NUM_SIGNS]> {
+        *self.scene_signs.get_or_init(|| scene_signs(self.points()))
+    }
+
+    /// The same cloud, copied if it is borrowed.
+    pub fn into_owned(self) -> UsedCloud<'static> {
+        let Self { finite, num_given, is_sweep, scene_signs } = self;
+        UsedCloud { finite: finite.into_owned(), num_given, is_sweep, scene_signs }
+    }
+
+    pub(crate) fn into_finite(self) -> FinitePoints<'a> {
+        self.finite
+    }
+}

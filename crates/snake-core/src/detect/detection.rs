@@ -1,0 +1,64 @@
+//! The result of a detection.
+
+use serde::{Deserialize, Serialize};
+
+use snake_geometry::{Keypoint, Normalization};
+
+/// The result of a detection: keypoints, counts and run times.
+#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
+#[non_exhaustive]
+pub struct Detection {
+    /// The keypoints, by falling saliency.
+    pub keypoints: Vec<Keypoint>,
+    /// Number of points of the cloud that were skipped because they are not finite, or are outliers.
+    pub num_skipped: usize,
+    /// Number of points that were encoded.
+    pub num_encoded: usize,
+    /// The normalisation of the cloud; `None` before the first detection.
+    pub normalization: Option<Normalization>,
+    /// The size of a voxel of the volume in cloud units; `None` before the first detection.
+    #[serde(default)]
+    pub voxel_size: Option<f32>,
+    /// Number of queries after each step.
+    pub counts: Counts,
+    /// Run time of each step; `timing_seconds` in JSON.
+    #[serde(rename = "timing_seconds")]
+    pub timing: Timing,
+}
+
+/// Number of queries after each step of [`Field::detect`](crate::Field::detect).
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
+#[non_exhaustive]
+pub struct Counts {
+    /// Queries of the query grid.
+    pub queries: usize,
+    /// Queries above the occupancy threshold.
+    pub occupied: usize,
+    /// Queries above the saliency threshold after refinement.
+    pub above_threshold: usize,
+    /// Keypoints after suppression.
+    pub keypoints: usize,
+}
+
+impl Counts {
+    /// Adds the counts of another tile.
+    pub fn add(&mut self, other: &Self) {
+        self.queries += other.queries;
+        self.occupied += other.occupied;
+        self.above_threshold += other.above_threshold;
+    }
+}
+
+/// Run time of each step of detection, in seconds.
+#[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
+#[non_exhaustive]
+pub struct Timing {
+    /// Encoding; 0 for [`Field::detect`](crate::Field::detect), which starts from a field.
+    pub encode: f64,
+    /// Occupancy of the query grid.
+    pub occupancy: f64,
+    /// Refinement.
+    pub refine: f64,
+    /// Threshold, suppression, nearest points.
+    pub nms: f64,
+}

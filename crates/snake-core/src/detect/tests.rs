@@ -1,0 +1,131 @@
+//! Detection as a whole.
+
+use super::*;
+use crate::{Builtin, EncodeOptions, Model};
+use snake_geometry::{
+    Length, NormalizationMethod,
+    rotations::{rotate, rotate_inverse, super_fibonacci},
+};
+
+/// A cylinder's points and its field by the built-in model.
+pub(crate) fn cylinder() -> (Vec<Point>, Field) {
+    let points: Vec<Point> = (0..2000)
+        .map(|i| {
+            let angle = i as f32 * 0.1;
+            [angle.cos(), angle.sin(), (i % 40) as f32 * 0.02]
+        })
+        .collect();
+    let field = Model::builtin(Builtin::Compact).encode(&points, &EncodeOptions::default()).unwrap();
+    (points, field)
+}
+
+#[test]
+fn detections_read_back_from_json() {
+    let (points, _) = cylinder();
+    let model = Model::builtin(Builtin::Compact);
+    let detection = model.detect(&points, model.recommended()).unwrap();
+    let text = serde_json::to_string(&detection).unwrap();
+    assert_eq!(serde_json::from_str::<Detection>(&text).unwrap(), detection);
+    let value: serde_json::Value = serde_json::from_str(&text).unwrap();
+    let keys: Vec<&String> = value["keypoints"][0].as_object().unwrap().keys().collect();
+    assert_eq!(keys, ["confidence", "nearest_index", "occupancy", "saliency", "x", "y", "z"]);
+    assert!(value["timing_seconds"]["encode"].as_f64().unwrap() > 0.0);
+}
+
+#[test]
+fn rotated_cloud_has_rotated_keypoints_in_principal_axes() {
+    let points: Vec<Point> = (0..4000)
+        .map(|i| {
+            let (angle, height) = (i as f32 * 0.7, (i % 97) as f32 / 97.0);
+            let radius = 0.15 + 0.2 * height * height;
+            [radius * angle.cos() + 0.3 * height * height, 0.7 * radius * angle.sin(), 2.0 * height]
+        })
+        .collect();
+    let model = Model::builtin(Builtin::Compact);
+    let shares = [NormalizationMethod::UnitSphere, NormalizationMethod::PrincipalAxes].map(|normalization| {
+        let mut options = *model.recommended();
+        options.encode.normalization = normalization;
+        let detect = |points: &[Point]| model.detect(points, &options).unwrap().keypoints;
+        let keypoints = detect(&points);
+        let rotation = &super_fibonacci(5).nth(3).unwrap();
+        let rotated = detect(&points.iter().map(|&p| rotate(rotation, p)).collect::<Vec<_>>());
+        let again = |keypoint: &&Keypoint| {
+            let squared = |other: &Keypoint| {
+                let other = rotate_inverse(rotation, other.position);
+                (0..3).map(|axis| (keypoint.position[axis] - other[axis]).powi(2)).sum::<f32>()
+            };
+            rotated.iter().map(squared).any(|squared| squared < 0.005 * 0.005)
+        };
+        assert!(keypoints.len() > 20);
+        keypoints.iter().filter(again).count() as f32 / keypoints.len() as f32
+    });
+    assert!(shares[0] < 0.6 && shares[1] > 0.9, "{shares:?}");
+}
+
+#[test]
+fn modes_are_suppressed() {
+    let (_, field) = cylinder();
+    let detect = |mode_radius, nms_radius: f64| {
+        let options = DetectOptions {
+            mode_radius,
+            nms_radius: Some(nms_radius.into()),
+            refine_steps: 0,
+            saliency_threshold: 0.0,
+            ..Default::default()
+        };
+        field.detect(&options).unwrap().keypoints
+    };
+    let modes = detect(Some(Length::Units(0.1)), 0.1);
+    assert!(modes.len() > 5 && modes != detect(None, 0.1));
+    assert!(modes.is_sorted_by(|a, b| a.saliency >= b.saliency));
+    for (i, a) in modes.iter().enumerate() {
+        for b in &modes[..i] {
+            let squared: f32 = (0..3).map(|axis| (a.position[axis] - b.position[axis]).powi(2)).sum();
+            assert!(squared > 0.1 * 0.1, "{a:?} {b:?}");
+        }
+    }
+}
+
+#[test]
+fn a_suppression_radius_may_be_a_multiple_of_the_resolution() {
+    let (points, field) = cylinder();
+    let detect = |radius: Length| {
+        let nms_radius = Some(radius);
+        let options = DetectOptions { nms_radius, saliency_threshold: 0.0, max_keypoints: 1000, ..Default::default() };
+        field.detect(&options).map(|detection| detection.keypoints)
+    };
+    let multiple = Length::Resolutions(5.0);
+    let radius = multiple.in_units("nms_radius", &points).unwrap();
+    assert_eq!(detect(multiple).unwrap(), detect(Length::Units(radius)).unwrap());
+    assert!(detect(multiple).unwrap().len() < detect(Length::Units(0.0)).unwrap().len());
+    for wrong in [Length::Resolutions(0.0), Length::Resolutions(-1.0), Length::Units(-1.0), Length::Units(1e60)] {
+        assert!(detect(wrong).unwrap_err().to_string().contains("nms_radius"), "{wrong}");
+    }
+}
+
+#[test]
+fn points_that_are_not_finite_are_skipped_and_indices_are_those_of_the_whole_cloud() {
+    let (clean, _) = cylinder();
+    // Each third point is missing.
+    let mut whole = Vec::new();
+    for pair in clean.chunks(2) {
+        whole.extend(pair);
+        whole.push([pair[0][0], f32::NAN, f32::INFINITY]);
+    }
+    let model = Model::builtin(Builtin::Compact);
+    for max_points in [None, Some(700)] {
+        let mut preset = *model.recommended();
+        preset.encode.max_points = max_points;
+        let (whole_detection, clean_detection) =
+            (model.detect(&whole, &preset).unwrap(), model.detect(&clean, &preset).unwrap());
+        assert_eq!((whole_detection.num_skipped, clean_detection.num_skipped), (1000, 0));
+        assert!(whole_detection.keypoints.len() > 5);
+        let mapped = clean_detection
+            .keypoints
+            .iter()
+            .map(|k| Keypoint { nearest_index: k.nearest_index / 2 * 3 + k.nearest_index % 2, ..*k });
+        assert_eq!(whole_detection.keypoints, mapped.collect::<Vec<_>>());
+    }
+    let error = model.detect(&[[f32::NAN; 3]; 9], model.recommended()).unwrap_err().to_string();
+    assert_eq!(error, "points: none of the 9 points is finite");
+}

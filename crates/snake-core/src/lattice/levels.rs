@@ -1,0 +1,89 @@
+//! The blocks of each level of the U-Net.
+
+use rayon::prelude::*;
+use snake_kernels::BLOCK_SIDE;
+
+use super::blocks::{BlockGrid, children, half_of_parent, places_between};
+
+/// Nodes from the points, or from the next finer level's blocks, up to which a level has blocks: two convolutions reach so
+/// far, so whatever the encoder makes of the points lies in them.
+const REACH: i32 = 2;
+
+/// The same for the near blocks: what one convolution makes of the points lies in them.
+const NEAR: i32 = 1;
+
+/// One level: its blocks and where their neighbours are stored.
+#[derive(Debug, Default)]
+pub(crate) struct Level {
+    pub(crate) grid: BlockGrid,
+    /// The blocks near the points, which have the lowest numbers; of coarser levels all blocks. The first convolution of the
+    /// encoder and the last of the decoder make only these.
+    pub(crate) near: BlockGrid,
+    /// For each block the blocks about it.
+    pub(crate) neighbors: Vec<[u32; 27]>,
+    /// For each block the blocks of the next coarser level about the one that covers it, and its half of that one.
+    pub(crate) coarser: Vec<[u32; 27]>,
+    pub(crate) halves: Vec<u8>,
+    /// For each block the eight blocks of the next finer level that it covers.
+    pub(crate) children: Vec<[u32; 8]>,
+}
+
+/// The blocks of the finest level over cells given by their lowest nodes: those near the cells, and all.
+#[derive(Debug)]
+pub(crate) struct FinestLevel {
+    pub(crate) near: BlockGrid,
+    pub(crate) all: BlockGrid,
+}
+
+impl FinestLevel {
+    /// `None` for more blocks than `max`. The memory grows with the number of cells, and not with that of too many blocks.
+    pub(crate) fn new(cells: impl Iterator<Item = [i32; 3]> + Clone, max: usize) -> Option<Self> {
+        let own = BlockGrid::new(cells.clone().map(|cell| cell.map(|i| i.div_euclid(BLOCK_SIDE as i32))));
+        if own.len() > max {
+            return None;
+        }
+        let about_cells = |reach: i32| {
+            let about_cell = move |cell: [i32; 3]| places_between(cell.map(|i| i - reach), cell.map(|i| i + 1 + reach));
+            BlockGrid::new(cells.clone().flat_map(about_cell))
+        };
+        let near = about_cells(NEAR);
+        let all = near.with(&about_cells(REACH));
+        (all.len() <= max).then_some(Self { near, all })
+    }
+
+    /// The number of blocks.
+    pub(crate) fn len(&self) -> usize {
+        self.all.len()
+    }
+}
+
+/// The levels of the U-Net from the finest on.
+pub(crate) fn levels(number: usize, FinestLevel { near, all }: FinestLevel) -> Vec<Level> {
+    let mut grids = vec![all];
+    for level in 1..number {
+        let half = BLOCK_SIDE as i32 / 2;
+        let about_block = |place: [i32; 3]| {
+            places_between(place.map(|i| half * i - REACH), place.map(|i| half * i + half - 1 + REACH))
+        };
+        grids.push(BlockGrid::new(grids[level - 1].places().flat_map(about_block)));
+    }
+    let mut levels: Vec<Level> = Vec::with_capacity(number);
+    for (level, grid) in grids.iter().enumerate() {
+        let about = |grid: &BlockGrid, shift: u32| {
+            let places: Vec<_> = grids[level].places().collect();
+            places.par_iter().map(|place| grid.about(place.map(|i| i >> shift))).collect()
+        };
+        levels.push(Level {
+            neighbors: about(grid, 0),
+            coarser: grids.get(level + 1).map(|coarser| about(coarser, 1)).unwrap_or_default(),
+            halves: grid.places().map(half_of_parent).collect(),
+            children: match level.checked_sub(1) {
+                Some(finer) => grid.places().map(|place| children(&grids[finer], place)).collect(),
+                None => Vec::new(),
+            },
+            near: if level == 0 { near.clone() } else { grid.clone() },
+            grid: grid.clone(),
+        });
+    }
+    levels
+}

@@ -1,0 +1,151 @@
+//! Where the voxels of a volume lie: in a cube that every cloud is scaled to, or in blocks about the points of a scene.
+//!
+//! This folder is the only place that knows one from the other. It answers for both: which frame a cloud is put into, where
+//! detection starts its queries, what it corrects afterwards, and which options make sense.
+//!
+//! Node `i` of a scene's lattice lies at the coordinate `i` of the network's frame, whose unit is the voxel. A cell is the
+//! space between eight nodes. Far from all points every layer of the network has a constant value, so blocks without points
+//! nearby need neither memory nor time.
+
+mod blocks;
+mod cells;
+mod cube;
+mod levels;
+mod queries;
+mod query_grid;
+mod rims;
+mod shape;
+mod voxel_groups;
+mod voxel_size;
+
+pub(crate) use self::blocks::{BlockGrid, MAX_NODE};
+pub(crate) use self::cells::Cells;
+pub use self::cube::VolumeFrame;
+pub(crate) use self::levels::{FinestLevel, Level, levels};
+pub(crate) use self::queries::{Queries, Refined};
+pub(crate) use self::shape::TimeBudget;
+pub use self::shape::VolumeShape;
+pub(crate) use self::voxel_groups::VoxelGroups;
+pub(crate) use self::voxel_size::voxel_size;
+
+use std::borrow::Cow;
+
+use crate::Result;
+use crate::options::DetectOptions;
+use snake_geometry::Point;
+use snake_geometry::rotations::Rotation;
+use snake_kernels::{BLOCK_SIDE, Corners};
+
+/// The positions of a volume's voxels.
+#[derive(Debug, Clone)]
+pub(crate) enum Lattice {
+    /// All voxels of a cube.
+    Cube(VolumeFrame),
+    /// The voxels of a scene's blocks, and the cells that hold its points.
+    Blocks(BlockGrid, Cells),
+}
+
+impl Lattice {
+    /// The eight voxels around a query.
+    pub(crate) fn corners(&self, query: Point) -> Corners {
+        match self {
+            Self::Cube(frame) => frame.corners(query),
+            Self::Blocks(blocks, _) => blocks.corners(query),
+        }
+    }
+
+    /// Voxels per network unit along each axis at a query.
+    pub(crate) fn voxels_per_unit(&self, query: Point) -> Point {
+        match self {
+            Self::Cube(frame) => frame.voxels_per_unit(query),
+            Self::Blocks(..) => [1.0; 3],
+        }
+    }
+
+    /// Lower and upper end of the volume along each axis, in the network's frame.
+    pub(crate) fn bounds(&self) -> [[f32; 2]; 3] {
+        match self {
+            Self::Cube(frame) => frame.bounds(),
+            Self::Blocks(blocks, _) => blocks.bounds().map(|ends| ends.map(|end| end as f32)),
+        }
+    }
+
+    /// D, H, W. The blocks of a scene lie one after another along z, the block for all missing ones first.
+    pub(crate) fn size(&self) -> [usize; 3] {
+        match self {
+            Self::Cube(frame) => frame.size(),
+            Self::Blocks(blocks, _) => [(blocks.len() + 1) * BLOCK_SIDE, BLOCK_SIDE, BLOCK_SIDE],
+        }
+    }
+
+    /// The positions of a cube's voxels.
+    pub(crate) fn frame(&self) -> Option<VolumeFrame> {
+        match self {
+            Self::Cube(frame) => Some(*frame),
+            Self::Blocks(..) => None,
+        }
+    }
+
+    /// The size of a voxel along an axis, of a cloud with so many units in one network unit whose volume ends there.
+    pub(crate) fn voxel_size_along(&self, axis: usize, [low, high]: [f32; 2], scale: f32) -> f32 {
+        match self {
+            Self::Cube(frame) => (high - low) / frame.resolution[axis] as f32,
+            Self::Blocks(..) => scale,
+        }
+    }
+
+    /// The size of a voxel, along x should the axes differ, of a cloud with so many units in one network unit.
+    pub(crate) fn voxel_size(&self, scale: f32) -> f32 {
+        match self {
+            Self::Cube(frame) => frame.voxel_size(scale),
+            Self::Blocks(..) => scale,
+        }
+    }
+
+    /// The voxels as the saliency decoder sees them. In the released code only the occupancy decoder uses the z bounds; the
+    /// saliency decoder assumes ±0.5. All published networks have these bounds.
+    pub(crate) fn for_saliency(&self) -> Cow<'_, Self> {
+        match self {
+            Self::Cube(frame) => Cow::Owned(Self::Cube(VolumeFrame { z_bounds: [-0.5, 0.5], ..*frame })),
+            Self::Blocks(..) => Cow::Borrowed(self),
+        }
+    }
+
+    /// The queries from which detection starts: a grid over the cube, or the mean of the points of each cell of a scene.
+    /// `points` are those of the cloud in the frame of the volume, which `orientation` rotates.
+    pub(crate) fn queries(
+        &self,
+        points: impl Iterator<Item = Point>,
+        orientation: &Rotation,
+        options: &DetectOptions,
+    ) -> Queries {
+        match self {
+            Self::Cube(frame) => Queries::grid(frame, points, orientation, options),
+            Self::Blocks(_, cells) => Queries::cells(cells.means().iter().copied()),
+        }
+    }
+
+    /// The mean of the points of each cell of a scene; a cube has none.
+    pub(crate) fn cell_means(&self) -> &[Point] {
+        match self {
+            Self::Cube(_) => &[],
+            Self::Blocks(_, cells) => cells.means(),
+        }
+    }
+
+    /// Takes the cells of these points, in the network's frame, instead of those that were encoded.
+    pub(crate) fn set_cells(&mut self, points: impl Iterator<Item = Point>) {
+        match self {
+            Self::Cube(_) => (),
+            Self::Blocks(_, cells) => *cells = Cells::from_points(&points.collect::<Vec<_>>()),
+        }
+    }
+
+    /// Corrects the scores of refined queries: of a scene those near the rims of what was seen.
+    pub(crate) fn adjust(&self, refined: &mut [Refined]) -> Result<()> {
+        match self {
+            Self::Cube(_) => Ok(()),
+            Self::Blocks(_, cells) => rims::lower_rims(refined, cells.means()),
+        }
+    }
+}

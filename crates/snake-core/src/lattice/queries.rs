@@ -1,0 +1,81 @@
+//! The starting queries of a detection, and what becomes of them.
+
+use super::cube::VolumeFrame;
+use super::query_grid::QueryGrid;
+use crate::Result;
+use crate::options::DetectOptions;
+use snake_geometry::Point;
+use snake_geometry::rotations::Rotation;
+use snake_kernels::{Scratch, scratch_elements};
+
+/// A query after refinement.
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
+pub(crate) struct Refined {
+    /// In the network's frame.
+    pub(crate) position: Point,
+    /// Saliency. It is 0 unless saliency and occupancy are above their thresholds.
+    pub(crate) score: f32,
+}
+
+scratch_elements!(Refined);
+
+/// Minimum number of queries of a batch, enough for many threads.
+const MIN_BATCH: usize = 16_384;
+
+/// Starting queries in the network's frame.
+#[derive(Debug)]
+pub(crate) struct Queries(Kind);
+
+#[derive(Debug)]
+enum Kind {
+    Grid(QueryGrid),
+    Cells(Scratch<Point>),
+}
+
+impl Queries {
+    /// The grid over the cube ±0.5.
+    pub(super) fn grid(
+        frame: &VolumeFrame,
+        points: impl Iterator<Item = Point>,
+        orientation: &Rotation,
+        options: &DetectOptions,
+    ) -> Self {
+        Self(Kind::Grid(QueryGrid::new(frame, points, orientation, options)))
+    }
+
+    /// One query in each of some cells.
+    pub(crate) fn cells(means: impl ExactSizeIterator<Item = Point>) -> Self {
+        Self(Kind::Cells(Scratch::collect(means.len(), means)))
+    }
+
+    /// The number of queries, those included that are dropped without evaluation.
+    pub(crate) fn len(&self) -> usize {
+        match &self.0 {
+            Kind::Grid(grid) => grid.resolution().pow(3),
+            Kind::Cells(cells) => cells.len(),
+        }
+    }
+
+    /// Calls a function with all queries, batch by batch, and with the number that each batch stands for. The planes of a grid
+    /// come in batches, to save memory: x slowest and z fastest.
+    pub(crate) fn for_each_batch(&self, mut batch: impl FnMut(&[Point], usize) -> Result<()>) -> Result<()> {
+        match &self.0 {
+            Kind::Cells(cells) => batch(cells, cells.len()),
+            Kind::Grid(grid) => {
+                let resolution = grid.resolution();
+                let plane = resolution * resolution;
+                let mut queries = Scratch::empty(MIN_BATCH + plane);
+                let mut first = 0;
+                for x in 0..resolution {
+                    grid.append_plane(x, &mut queries);
+                    if queries.len() >= MIN_BATCH || x + 1 == resolution {
+                        batch(&queries, (x + 1 - first) * plane)?;
+                        queries.clear();
+                        first = x + 1;
+                    }
+                }
+                Ok(())
+            }
+        }
+    }
+}

@@ -1,0 +1,139 @@
+//! The shape of a model's volume, before a cloud is known.
+
+use std::fmt;
+
+use super::cube::VolumeFrame;
+use super::voxel_size::voxel_size;
+use crate::cloud::UsedCloud;
+use crate::options::EncodeOptions;
+use crate::{Error, Result};
+use snake_geometry::rotations::{self, Rotation};
+use snake_geometry::{Length, Normalization, NormalizationMethod, Point};
+
+/// The extent of a network's feature volume.
+#[derive(Debug, Clone, Copy, PartialEq)]
+#[non_exhaustive]
+pub enum VolumeShape {
+    /// A cube to which every cloud is scaled, as in the paper.
+    Cube(VolumeFrame),
+    /// Voxels of a given size wherever the points of a scene reach
+    /// ([`EncodeOptions::voxel_size`](crate::EncodeOptions::voxel_size)).
+    Scene {
+        /// The total weight of points below which a voxel counts their features less.
+        scatter_mass: f32,
+    },
+}
+
+/// What a detection is made cheaper by.
+pub(crate) enum TimeBudget {
+    /// Fewer points and fewer queries.
+    PointsAndQueries,
+    /// Larger voxels.
+    VoxelSize,
+}
+
+impl VolumeShape {
+    /// The frame of a cube; `None` for a scene model, whose volume follows the cloud.
+    pub fn frame(&self) -> Option<VolumeFrame> {
+        match self {
+            Self::Cube(frame) => Some(*frame),
+            Self::Scene { .. } => None,
+        }
+    }
+
+    /// The frame of a cube.
+    ///
+    /// # Errors
+    /// [`Error::Input`] for a scene model.
+    pub(crate) fn cube(&self) -> Result<VolumeFrame> {
+        let reason = "a scene model has no volume of its own: it follows the cloud";
+        self.frame().ok_or_else(|| Error::Input { what: "model", reason: reason.into() })
+    }
+
+    /// The number of voxels; 0 for a scene model, where the cloud decides.
+    pub(crate) fn num_voxels(&self) -> usize {
+        self.frame().map_or(0, |frame| frame.resolution.iter().product())
+    }
+
+    /// Refuses options that this shape does not have.
+    pub(crate) fn check(&self, options: &EncodeOptions) -> Result<()> {
+        let refused = |name, value: String, allowed| Err(Error::Option { name, value, allowed });
+        match (self, options.voxel_size) {
+            (Self::Cube(_), None) => Ok(()),
+            (Self::Cube(_), Some(size)) => {
+                let allowed = "none with this model, whose volume is scaled to the cloud; use a scene model";
+                refused("voxel_size", size.to_string(), allowed)
+            }
+            (Self::Scene { .. }, _) if options.rotations > 1 => {
+                refused("rotations", options.rotations.to_string(), "1 for a scene model")
+            }
+            (Self::Scene { .. }, Some(size @ Length::Voxels(_))) => {
+                refused("voxel_size", size.to_string(), "a length in cloud units, or as in `3r` resolutions")
+            }
+            (Self::Scene { .. }, _) => Ok(()),
+        }
+    }
+
+    /// Refuses a volume that cannot be made tile by tile, of a model of this name.
+    pub(crate) fn check_tiles(&self, name: &str) -> Result<()> {
+        match self {
+            Self::Cube(_) => {
+                let allowed = "`scenes` or another scene model in tiles";
+                Err(Error::Option { name: "model", value: name.into(), allowed })
+            }
+            Self::Scene { .. } => Ok(()),
+        }
+    }
+
+    /// The map of a cloud to the network's frame, and the rotation of the volume in it. A scene has at most so many blocks, if its
+    /// voxel size is chosen.
+    pub(crate) fn place(
+        &self,
+        cloud: &UsedCloud,
+        options: &EncodeOptions,
+        max_blocks: usize,
+    ) -> Result<(Normalization, Rotation)> {
+        match self {
+            Self::Cube(_) => {
+                let normalization = Normalization::of_finite(cloud.points(), options.normalization)?;
+                let orientation = match options.normalization {
+                    NormalizationMethod::PrincipalAxes => {
+                        rotations::principal_axes(cloud.points(), normalization.center)
+                    }
+                    _ => rotations::IDENTITY,
+                };
+                Ok((normalization, orientation))
+            }
+            Self::Scene { .. } => {
+                let scale = voxel_size(options.voxel_size, cloud, max_blocks)?;
+                Ok((Normalization { center: [0.0; 3], scale }, rotations::IDENTITY))
+            }
+        }
+    }
+
+    /// The sphere to which finite points are scaled; `None` if they keep their scale, or have none.
+    pub(crate) fn scaled_sphere(&self, points: &[Point], method: NormalizationMethod) -> Option<Normalization> {
+        match (self, method) {
+            (Self::Scene { .. }, _) | (_, NormalizationMethod::None) => None,
+            (Self::Cube(_), _) => Normalization::of_finite(points, NormalizationMethod::UnitSphere).ok(),
+        }
+    }
+
+    /// What a detection is made cheaper by.
+    pub(crate) fn time_budget(&self) -> TimeBudget {
+        match self {
+            Self::Cube(_) => TimeBudget::PointsAndQueries,
+            Self::Scene { .. } => TimeBudget::VoxelSize,
+        }
+    }
+}
+
+/// Such as `32 x 32 x 32 voxels`.
+impl fmt::Display for VolumeShape {
+    fn fmt(&self, f: &mut fmt::Formatter) -> fmt::Result {
+        match self {
+            Self::Cube(VolumeFrame { resolution: [x, y, z], .. }) => write!(f, "{x} x {y} x {z} voxels"),
+            Self::Scene { .. } => f.write_str("voxels where the points reach (a scene model)"),
+        }
+    }
+}

@@ -1,0 +1,141 @@
+//! Groups points by voxel.
+
+use std::ops::Range;
+
+use rayon::prelude::*;
+
+use super::cube::VolumeFrame;
+use crate::Result;
+use snake_geometry::Point;
+use snake_kernels::Scratch;
+
+/// The points of a cloud, grouped by the voxel that contains them, in eight bytes per point.
+#[derive(Debug, Clone, Default)]
+pub(crate) struct VoxelGroups {
+    /// The flat index of each point's voxel.
+    voxel_of_point: Vec<u32>,
+    /// The indices of the points: voxel by voxel, ascending within a voxel.
+    members: Vec<u32>,
+    /// The flat indices of the occupied voxels, ascending.
+    voxels: Vec<u32>,
+    /// The start of each occupied voxel in `members`, and the end.
+    starts: Vec<u32>,
+}
+
+impl VoxelGroups {
+    /// Groups `num_points` points, at most [`u32::MAX`], given by `point` in the network's frame, instead of those that
+    /// were grouped before.
+    pub(crate) fn fill(&mut self, num_points: usize, point: impl Fn(usize) -> Point + Sync, frame: &VolumeFrame) {
+        let Self { voxel_of_point, members, voxels, starts } = self;
+        let voxel = |index: usize| frame.voxel(point(index)) as u32;
+        (0..num_points).into_par_iter().map(voxel).collect_into_vec(voxel_of_point);
+        // A counting sort. The place of the next point of each voxel, at first their number.
+        let mut next: Scratch<u32> = Scratch::zeros(frame.resolution.iter().product());
+        voxel_of_point.iter().for_each(|voxel| next[*voxel as usize] += 1);
+        voxels.clear();
+        starts.clear();
+        let most = num_points.min(next.len());
+        voxels.reserve(most);
+        starts.reserve(most + 1);
+        let mut end = 0;
+        for (voxel, next) in (0..).zip(next.iter_mut()).filter(|(_, number)| **number > 0) {
+            voxels.push(voxel);
+            starts.push(end);
+            (*next, end) = (end, end + *next);
+        }
+        starts.push(end);
+        members.resize(num_points, 0);
+        for (index, voxel) in (0..).zip(voxel_of_point.iter()) {
+            let next = &mut next[*voxel as usize];
+            members[*next as usize] = index;
+            *next += 1;
+        }
+    }
+
+    /// Groups points by the cell of a lattice of unit spacing that contains them, instead of those that were grouped before.
+    /// Coordinates are within ±2^20. Returns the lowest node of each occupied cell, by z, then y, then x.
+    pub(crate) fn fill_sparse(&mut self, points: &[Point]) -> Vec<[i32; 3]> {
+        const MIDDLE: i32 = 1 << 20;
+        let key = |point: &Point| {
+            let [x, y, z] = point.map(|v| (v.floor() as i32 + MIDDLE) as u64);
+            (z << 42) | (y << 21) | x
+        };
+        let mut order = Scratch::collect(points.len(), points.iter().map(key).zip(0..));
+        order.par_sort_unstable();
+        self.voxel_of_point.clear();
+        self.voxels.clear();
+        self.starts.clear();
+        self.members.clear();
+        self.members.extend(order.iter().map(|&(_, index)| index));
+        let mut cells = Vec::new();
+        let mut last = None;
+        for (place, &(key, _)) in (0..).zip(order.iter()) {
+            if last.replace(key) != Some(key) {
+                self.voxels.push(self.voxels.len() as u32);
+                self.starts.push(place);
+                cells.push([key, key >> 21, key >> 42].map(|bits| (bits & ((1 << 21) - 1)) as i32 - MIDDLE));
+            }
+        }
+        self.starts.push(points.len() as u32);
+        cells
+    }
+
+    /// The number of occupied voxels.
+    pub(crate) fn num_voxels(&self) -> usize {
+        self.voxels.len()
+    }
+
+    /// The flat indices of the occupied voxels, ascending.
+    pub(crate) fn voxels(&self) -> impl Iterator<Item = usize> {
+        self.voxels.iter().map(|&voxel| voxel as usize)
+    }
+
+    /// Runs a task on ranges of occupied voxels with their rows of `sums`: on at most `most` points, or on a single voxel.
+    pub(crate) fn in_parts(
+        &self,
+        most: usize,
+        sums: &mut [f32],
+        task: &(impl Fn(Range<usize>, &mut [f32]) -> Result<()> + Sync),
+    ) -> Result<()> {
+        self.range_in_parts(0..self.num_voxels(), most, sums, task)
+    }
+
+    fn range_in_parts(
+        &self,
+        voxels: Range<usize>,
+        most: usize,
+        sums: &mut [f32],
+        task: &(impl Fn(Range<usize>, &mut [f32]) -> Result<()> + Sync),
+    ) -> Result<()> {
+        if voxels.len() == 1 || self.num_points(voxels.clone()) <= most {
+            return task(voxels, sums);
+        }
+        let width = sums.len() / voxels.len();
+        let [first, rest] = self.halves(voxels);
+        let (first_sums, rest_sums) = sums.split_at_mut(first.len() * width);
+        let (first, rest) = rayon::join(
+            || self.range_in_parts(first, most, first_sums, task),
+            || self.range_in_parts(rest, most, rest_sums, task),
+        );
+        first.and(rest)
+    }
+
+    /// Divides a range of at least two occupied voxels into two, each with about half of the points.
+    fn halves(&self, voxels: Range<usize>) -> [Range<usize>; 2] {
+        let half = u32::midpoint(self.starts[voxels.start], self.starts[voxels.end]);
+        let inner = &self.starts[voxels.start + 1..voxels.end - 1];
+        let middle = voxels.start + 1 + inner.partition_point(|start| *start < half);
+        [voxels.start..middle, middle..voxels.end]
+    }
+
+    /// The number of points in a range of occupied voxels.
+    pub(crate) fn num_points(&self, voxels: Range<usize>) -> usize {
+        (self.starts[voxels.end] - self.starts[voxels.start]) as usize
+    }
+
+    /// The indices of the points of a range of occupied voxels: voxel by voxel, ascending within a voxel.
+    pub(crate) fn members(&self, voxels: Range<usize>) -> impl Iterator<Item = usize> {
+        let [start, end] = [voxels.start, voxels.end].map(|voxel| self.starts[voxel] as usize);
+        self.members[start..end].iter().map(|&index| index as usize)
+    }
+}

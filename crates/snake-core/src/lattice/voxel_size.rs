@@ -1,0 +1,172 @@
+//! The voxel size of a scene, where none is given.
+//!
+//! The rule asks how much the cloud shows. It takes the smallest size of the series 1, 1.25, 1.6, 2, 2.5, 3.15, 4, 5, 6.3, 8
+//! (times any power of ten) at which
+//!
+//! - at most 80 % as many voxels hold points as there are different points: a voxel is then a little larger than the
+//!   distance between neighbouring points. Of a sweep, whose points lie far apart where there is something to see, 95 %
+//!   ([`UsedCloud::is_sweep`]); and
+//! - at most [`MAX_VOXELS`] voxels hold points, which bounds the time of a dense cloud.
+//!
+//! Two clouds of one sensor so have the same size more often than by a rule without steps, and a room in millimetres has
+//! a thousand times the size of the room in metres.
+
+use rayon::prelude::*;
+use snake_kernels::Scratch;
+
+use super::blocks::MAX_NODE;
+use super::levels::FinestLevel;
+use crate::cloud::UsedCloud;
+use crate::{Error, Result};
+use snake_geometry::{Length, Point};
+
+/// Voxels with points, at most: about as many as a sweep of 120 000 points has at 0.28 m.
+const MAX_VOXELS: usize = 32_000;
+
+/// Voxels with points, at most, for each different point; of a sweep the second.
+const SHARES: [f64; 2] = [0.8, 0.95];
+
+/// Steps of the series in a factor of ten.
+const STEPS: i32 = 10;
+
+/// The voxel size in cloud units: the given one, or the one of the rule for a cloud whose volume has at most so many blocks.
+pub(crate) fn voxel_size(given: Option<Length>, cloud: &UsedCloud, max_blocks: usize) -> Result<f32> {
+    match given {
+        Some(size) => Ok(size.in_units("voxel_size", cloud.points())? as f32),
+        None => chosen(cloud, max_blocks).map(|size| size as f32),
+    }
+}
+
+fn chosen(cloud: &UsedCloud, max_blocks: usize) -> Result<f64> {
+    let points = cloud.points();
+    let extent = (0..3).map(|axis| {
+        let ends = points.iter().fold([f32::MAX, f32::MIN], |[low, high], p| [low.min(p[axis]), high.max(p[axis])]);
+        f64::from(ends[1]) - f64::from(ends[0])
+    });
+    let extent = extent.fold(0.0, f64::max);
+    if !(1e-15..1e15).contains(&extent) {
+        let reason = format!("extent {extent:.1e}: a voxel size cannot be chosen; a cloud needs two different points");
+        return Err(Error::Input { what: "points", reason });
+    }
+    let largest = step_of(extent);
+    let distinct = num_voxels(points, size_of(largest - 6 * STEPS));
+    let share = SHARES[usize::from(cloud.is_sweep())];
+    let most = MAX_VOXELS.min((share * distinct as f64) as usize).max(1);
+    // The smallest step that has few enough voxels; one voxel as large as the cloud is always few enough.
+    let (mut too_small, mut fits) = (largest - 6 * STEPS, largest + 1);
+    while fits - too_small > 1 {
+        let middle = too_small + (fits - too_small) / 2;
+        if num_voxels(points, size_of(middle)) <= most { fits = middle } else { too_small = middle }
+    }
+    // Voxels that stand alone have many blocks: those of a dense part in the midst of a wide cloud.
+    while fits <= largest && !is_within_budget(points, size_of(fits), max_blocks) {
+        fits += 1;
+    }
+    Ok(size_of(fits))
+}
+
+/// Whether the volume of a cloud in voxels of a size has at most so many blocks.
+fn is_within_budget(points: &[Point], size: f64, max_blocks: usize) -> bool {
+    if max_blocks == usize::MAX {
+        return true;
+    }
+    if points.iter().flatten().any(|v| (f64::from(*v) / size).abs() >= f64::from(MAX_NODE)) {
+        return false;
+    }
+    let mut keys: Vec<u64> = points.iter().map(|point| key(point, size)).collect();
+    keys.par_sort_unstable();
+    keys.dedup();
+    // The lowest 21 bits of a place, with its sign.
+    let place = |bits: u64| ((bits << 43) as i64 >> 43) as i32;
+    let cells = keys.iter().map(|&key| [key, key >> 21, key >> 42].map(place));
+    FinestLevel::new(cells, max_blocks).is_some()
+}
+
+/// The first step of the series that is not below a size.
+fn step_of(size: f64) -> i32 {
+    (size.log10() * f64::from(STEPS)).ceil() as i32
+}
+
+/// The size of a step, in the rounding of the series.
+fn size_of(step: i32) -> f64 {
+    const SERIES: [f64; STEPS as usize] = [1.0, 1.25, 1.6, 2.0, 2.5, 3.15, 4.0, 5.0, 6.3, 8.0];
+    let (tens, place) = (step.div_euclid(STEPS), step.rem_euclid(STEPS) as usize);
+    // A division is exact where a product with a negative power of ten is not.
+    if tens < 0 { SERIES[place] / 10_f64.powi(-tens) } else { SERIES[place] * 10_f64.powi(tens) }
+}
+
+/// The number of voxels of a size that hold points.
+fn num_voxels(points: &[Point], size: f64) -> usize {
+    let mut keys = Scratch::collect(points.len(), points.iter().map(|point| (key(point, size), 0)));
+    keys.par_sort_unstable();
+    1 + keys.windows(2).filter(|pair| pair[0] != pair[1]).count()
+}
+
+/// The place of a point's voxel: 21 bits each of z, y and x.
+fn key(point: &Point, size: f64) -> u64 {
+    let [x, y, z] = point.map(|v| (f64::from(v) / size).floor() as i64 as u64 & 0x1F_FFFF);
+    (z << 42) | (y << 21) | x
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use snake_geometry::FinitePoints;
+
+    /// The blocks of a gibibyte of the built-in model.
+    const MAX_BLOCKS: usize = 1 << 17;
+
+    /// A square of n x n points, `spacing` apart.
+    fn square(n: usize, spacing: f32) -> Vec<Point> {
+        let at = |i: usize| (i as f32 + 0.5) * spacing;
+        (0..n * n).map(|i| [at(i % n), at(i / n), 0.0]).collect()
+    }
+
+    fn size(points: &[Point]) -> f64 {
+        chosen(&UsedCloud::new(points).unwrap(), MAX_BLOCKS).unwrap()
+    }
+
+    #[test]
+    fn a_voxel_is_as_large_as_the_points_are_apart_and_larger_in_dense_clouds() {
+        // 100 x 100 points 0.02 apart: 80 % of the voxels at 0.0224.
+        assert_eq!(size(&square(100, 0.02)), 0.025);
+        assert_eq!(size(&square(100, 20.0)), 25.0);
+        // 600 x 600 points 0.001 apart are 0.36 square units: 32 000 voxels of 0.0034.
+        assert_eq!(size(&square(600, 0.001)), 0.004);
+        assert_eq!(size(&square(100, 0.02).repeat(3)), 0.025);
+    }
+
+    #[test]
+    fn the_series_has_its_decimals() {
+        assert_eq!([-11, -10, -4, 0, 1, 9, 10, 25].map(size_of), [0.08, 0.1, 0.4, 1.0, 1.25, 8.0, 10.0, 315.0]);
+        assert!([0.3, 1.0, 7.9, 1e-3, 123.0].iter().all(|&size| size_of(step_of(size)) >= 0.999 * size));
+    }
+
+    #[test]
+    fn clouds_without_extent_are_refused() {
+        assert!(chosen(&UsedCloud::new(&[[1.0; 3]; 9]).unwrap(), MAX_BLOCKS).is_err());
+        assert!(size(&[[0.0; 3], [1e-3, 0.0, 0.0]]) > 0.0);
+    }
+
+    #[test]
+    fn the_default_fits_its_budget_whatever_the_distances_of_the_points() {
+        let power = |i: usize, step: f32| 10_f32.powf(8.0 * (i as f32 * step).fract() - 4.0);
+        let all_scales: Vec<Point> = (0..60_000)
+            .map(|i| {
+                let scale = power(i, 0.618_034);
+                [0.754_877_7, 0.569_840_3, 0.324_718].map(|step| (i as f32 * step).fract() * scale)
+            })
+            .collect();
+        // A statue of 0.1 in terrain of 200 x 200.
+        let statue = square(250, 4e-4).into_iter().map(|[x, y, z]| [x + 100.0, y + 100.0, z]);
+        let terrain = (0..20_000).map(|i| [0.618_034, 0.754_877_7].map(|step: f32| (i as f32 * step).fract() * 200.0));
+        let mixed: Vec<Point> = terrain.map(|[x, y]| [x, y, 0.0]).chain(statue).collect();
+        for points in [all_scales, mixed] {
+            let size =
+                chosen(&UsedCloud::from_finite(FinitePoints::all((&points[..]).into()), points.len()), MAX_BLOCKS)
+                    .unwrap();
+            assert!(is_within_budget(&points, size, MAX_BLOCKS), "{size}");
+            assert!(!is_within_budget(&points, size / 100.0, MAX_BLOCKS), "{size}");
+        }
+    }
+}

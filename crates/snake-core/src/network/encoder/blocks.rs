@@ -1,0 +1,114 @@
+//! The encoder to blocks: PointNet within cells, scattering to the nodes, U-Net on blocks.
+
+use snake_kernels::BLOCK_VOXELS;
+
+use super::EncoderMemory;
+use super::pointnet::PointNet;
+use super::scatter_blocks as scatter;
+use super::unet_blocks::BlockUnet;
+use crate::control::{Counter, Limits, span};
+use crate::lattice::{Cells, FinestLevel, Lattice, Level, MAX_NODE, VoxelGroups, levels};
+use crate::network::check;
+use crate::network::config::ModelConfig;
+use crate::network::volume::Volume;
+use crate::network::weights::Scope;
+use crate::{Error, Result};
+use snake_geometry::Point;
+
+/// The encoder of a scene model.
+#[derive(Debug)]
+pub(crate) struct BlockEncoder {
+    pub(crate) points: PointNet,
+    unet: BlockUnet,
+    /// A node with less mass than this counts its features less.
+    scatter_mass: f32,
+}
+
+impl BlockEncoder {
+    pub(crate) fn load(scope: &Scope, config: &ModelConfig, scatter_mass: f32) -> Result<Self> {
+        Ok(Self {
+            points: PointNet::load(scope, config)?,
+            unet: BlockUnet::load(&scope.at("unet3d"), config)?,
+            scatter_mass,
+        })
+    }
+
+    /// Encodes points, given in voxels.
+    pub(crate) fn encode(
+        &self,
+        points: &[Point],
+        memory: &mut EncoderMemory,
+        limits: &Limits,
+        counter: &Counter,
+    ) -> Result<Volume> {
+        self.encode_also(points, &[], memory, limits, counter)
+    }
+
+    /// [`BlockEncoder::encode`] with blocks also about more cells, which hold no points.
+    pub(super) fn encode_also(
+        &self,
+        points: &[Point],
+        more: &[[i32; 3]],
+        memory: &mut EncoderMemory,
+        limits: &Limits,
+        counter: &Counter,
+    ) -> Result<Volume> {
+        let cells = self.cells(points, &mut memory.groups)?;
+        let channels = self.points.channels();
+        let finest = finest_level(cells.iter().chain(more).copied(), channels)?;
+        limits.check_volume_bytes(check::scene_bytes(finest.len(), channels))?;
+        counter.check()?;
+        let levels = levels(self.unet.num_levels(), finest);
+        counter.check()?;
+        counter.set_total(self.points.work(points.len()) + self.unet.work(&levels));
+        let offset = |index: usize| points[index].map(|v| v - v.floor() - 0.5);
+        span!("pointnet");
+        let width = scatter::slots_width(channels);
+        self.points.voxel_sums(&memory.groups, offset, width, scatter::spread, &mut memory.sums, counter)?;
+        counter.check()?;
+        let nodes = self.nodes(&levels[0], &cells, &memory.sums);
+        span!("unet");
+        let values = self.unet.forward(&levels, nodes, counter)?;
+        let grid = levels.into_iter().next().map(|level| level.near).unwrap_or_default();
+        let cells = Cells::from_groups(points, &memory.groups, &cells);
+        Ok(Volume { lattice: Lattice::Blocks(grid, cells), channels, values })
+    }
+
+    /// Groups points by cell. Returns the lowest node of each cell with points.
+    fn cells(&self, points: &[Point], groups: &mut VoxelGroups) -> Result<Vec<[i32; 3]>> {
+        if let Some(point) = points.iter().find(|point| !point.iter().all(|v| v.abs() < MAX_NODE)) {
+            let allowed = "at least a millionth of the largest coordinate";
+            let value = format!(
+                "so small that a point is {:.0} voxels from the origin",
+                point.iter().fold(0.0, |m: f32, v| m.max(v.abs()))
+            );
+            return Err(Error::Option { name: "voxel_size", value, allowed });
+        }
+        Ok(groups.fill_sparse(points))
+    }
+
+    /// The input of the U-Net: the near blocks, with the missing block 0.
+    fn nodes(&self, level: &Level, cells: &[[i32; 3]], sums: &[f32]) -> snake_kernels::Buffer {
+        let channels = self.points.channels();
+        let block = BLOCK_VOXELS * channels;
+        let mut nodes = self.unet.pool.take((level.near.len() + 1) * block);
+        nodes[..block].fill(0.0);
+        let block_nodes = &mut nodes[block..];
+        scatter::gather(&level.near, &level.neighbors, cells, sums, self.scatter_mass, channels, block_nodes);
+        nodes
+    }
+}
+
+/// The finest level over cells. A volume that would need too much memory is refused, with a voxel size that fits.
+fn finest_level(cells: impl Iterator<Item = [i32; 3]> + Clone, channels: usize) -> Result<FinestLevel> {
+    let max = check::max_blocks(channels);
+    if let Some(level) = FinestLevel::new(cells.clone(), max) {
+        return Ok(level);
+    }
+    let fits = |halvings: &u32| FinestLevel::new(cells.clone().map(|cell| cell.map(|i| i >> halvings)), max).is_some();
+    // All cells lie within 2^20 nodes of zero, and are few after as many halvings.
+    let factor = 1 << (1..20).find(fits).unwrap_or(20);
+    let value =
+        format!("so small that more than {max} blocks of 4 x 4 x 4 voxels are needed; {factor} times this size fits");
+    Err(Error::Option { name: "voxel_size", value, allowed: "a size that needs at most a gibibyte of features" })
+}

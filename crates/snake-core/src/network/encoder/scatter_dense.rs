@@ -1,0 +1,161 @@
+//! Soft scattering: each point's feature is added to the eight nearest voxels.
+//!
+//! The weights w are those of trilinear interpolation at the point. A voxel of mass m = Σ w holds
+//! Σ w · feature / max(m, typical mass), where the typical mass is the mean over the cloud's voxels with mass. This is a
+//! weighted mean where points are many, and less where they only touch the voxel's border. The volume therefore changes
+//! smoothly as the cloud moves through the voxels.
+//!
+//! The points of one voxel contribute to it and its neighbours: 27 slots of feature and mass. Slots are first summed over
+//! a voxel's points. Then each voxel adds the slots of its neighbours that reach it. Memory does not grow with the number
+//! of points, and the bits do not depend on the number of threads.
+
+use rayon::prelude::*;
+
+use crate::Result;
+use crate::control::Counter;
+use crate::lattice::VolumeFrame;
+use crate::lattice::VoxelGroups;
+use snake_geometry::Point;
+use snake_kernels::{Corners, Scratch, SimdLevel, add_weighted};
+
+/// Number of voxels that the points of one voxel contribute to: itself and its neighbours, x fastest.
+const SLOTS: usize = 27;
+
+/// The slots of a query's corners from the first on, in the order of [`Corners`].
+const CORNER_SLOTS: [usize; 8] = [0, 1, 3, 4, 9, 10, 12, 13];
+
+/// Number of values of a voxel's slots, each of `channels` feature sums and a mass.
+pub(super) fn slots_width(channels: usize) -> usize {
+    SLOTS * (channels + 1)
+}
+
+/// Adds the feature of a point to the slots of its voxel.
+pub(super) fn spread(frame: &VolumeFrame, point: Point, feature: &[f32], slots: &mut [f32]) {
+    let mut first = 0;
+    let mut fraction = [0.0; 3];
+    for (axis, stride) in [1, 3, 9].into_iter().enumerate() {
+        let (low, from_low) = frame.cell_along(axis, point[axis]);
+        first += (low + 1 - frame.place_along(axis, point[axis])) * stride;
+        fraction[axis] = from_low;
+    }
+    let weights = Corners { fraction, ..Corners::default() }.weights();
+    add_weighted(SimdLevel::current(), feature, &weights, &CORNER_SLOTS.map(|slot| first + slot), slots);
+}
+
+/// Writes the volume `[z][y][x][channel]` of the slots `(voxels, slots_width)` of the occupied voxels into zeroed values.
+/// Returns the voxels with mass, ascending.
+pub(super) fn gather(
+    frame: &VolumeFrame,
+    groups: &VoxelGroups,
+    slots: &[f32],
+    values: &mut [f32],
+    counter: &Counter,
+) -> Result<Scratch<usize>> {
+    let num_voxels: usize = frame.resolution.iter().product();
+    let channels = values.len() / num_voxels;
+    // One more than the row of each occupied voxel, in a volume with a border of one empty voxel on each side.
+    let [width, height, depth] = frame.resolution;
+    let (pitch, plane_pitch) = (width + 2, (width + 2) * (height + 2));
+    let mut rows: Scratch<u32> = Scratch::zeros(plane_pitch * (depth + 2));
+    let corner = |voxel: usize| {
+        let [x, y, z] = coordinates(frame, voxel);
+        x + pitch * y + plane_pitch * z
+    };
+    (1..).zip(groups.voxels()).for_each(|(row, voxel)| rows[corner(voxel) + 1 + pitch + plane_pitch] = row);
+    // From the corner of a voxel's neighbourhood to the voxel whose points reach it by each slot.
+    let steps: [usize; SLOTS] =
+        std::array::from_fn(|slot| (2 - slot % 3) + pitch * (2 - slot / 3 % 3) + plane_pitch * (2 - slot / 9));
+    // The slots that reach a voxel, in a fixed order.
+    let reaching = |voxel: usize| {
+        let neighbors = &rows[corner(voxel)..];
+        steps.iter().enumerate().filter(|&(_, &step)| neighbors[step] > 0).map(|(slot, &step)| {
+            let row = neighbors[step] as usize - 1;
+            &slots[(row * SLOTS + slot) * (channels + 1)..][..channels + 1]
+        })
+    };
+    let plane = num_voxels / depth;
+    let mut masses: Scratch<f32> = Scratch::zeros(num_voxels);
+    masses.par_chunks_mut(plane).enumerate().try_for_each(|(z, masses)| {
+        let mass = |voxel: usize| reaching(voxel).map(|slot| slot[channels]).sum();
+        masses.iter_mut().enumerate().for_each(|(i, voxel_mass)| *voxel_mass = mass(z * plane + i));
+        counter.check()
+    })?;
+    let touched = Scratch::collect(num_voxels, (0..num_voxels).filter(|&voxel| masses[voxel] > 0.0));
+    let total: f64 = touched.iter().map(|&voxel| f64::from(masses[voxel])).sum();
+    let typical = (total / touched.len().max(1) as f64) as f32;
+    values.par_chunks_mut(plane * channels).enumerate().try_for_each(|(z, values)| {
+        for (i, values) in values.chunks_exact_mut(channels).enumerate() {
+            let voxel = z * plane + i;
+            if masses[voxel] > 0.0 {
+                for slot in reaching(voxel) {
+                    values.iter_mut().zip(slot).for_each(|(value, sum)| *value += sum);
+                }
+                let divisor = masses[voxel].max(typical);
+                values.iter_mut().for_each(|value| *value /= divisor);
+            }
+        }
+        counter.check()
+    })?;
+    Ok(touched)
+}
+
+/// A voxel's index along x, y and z.
+fn coordinates(frame: &VolumeFrame, voxel: usize) -> [usize; 3] {
+    let [width, height, _] = frame.resolution;
+    [voxel % width, voxel / width % height, voxel / (width * height)]
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const FRAME: VolumeFrame = VolumeFrame { resolution: [5, 4, 3], padding: 0.125, z_bounds: [-0.5, 0.5] };
+
+    /// The formula in one pass over points and corners.
+    fn plain(points: &[Point], features: &[f32], channels: usize) -> Vec<f32> {
+        let (mut mass, mut sum) = (vec![0.0; 60], vec![0.0; 60 * channels]);
+        for (point, feature) in points.iter().zip(features.chunks(channels)) {
+            let corners = FRAME.corners(*point);
+            for (&voxel, weight) in corners.voxels.iter().zip(corners.weights()) {
+                mass[voxel as usize] += weight;
+                for (sum, f) in sum[voxel as usize * channels..].iter_mut().zip(feature) {
+                    *sum += weight * f;
+                }
+            }
+        }
+        let with_mass = mass.iter().filter(|&&m| m > 0.0).count();
+        let typical = mass.iter().sum::<f32>() / with_mass as f32;
+        sum.chunks_mut(channels).zip(&mass).for_each(|(sum, m)| sum.iter_mut().for_each(|s| *s /= m.max(typical)));
+        sum
+    }
+
+    /// The volume by slots, and the voxels with mass.
+    fn soft(points: &[Point], features: &[f32], channels: usize) -> (Vec<f32>, Vec<usize>) {
+        let mut groups = VoxelGroups::default();
+        groups.fill(points.len(), |index| points[index], &FRAME);
+        let mut slots = vec![0.0; groups.num_voxels() * slots_width(channels)];
+        for (row, slots) in slots.chunks_mut(slots_width(channels)).enumerate() {
+            for index in groups.members(row..row + 1).collect::<Vec<_>>() {
+                spread(&FRAME, points[index], &features[index * channels..][..channels], slots);
+            }
+        }
+        let mut values = vec![0.0; 60 * channels];
+        let touched = gather(&FRAME, &groups, &slots, &mut values, &Counter::default()).unwrap();
+        (values, touched.to_vec())
+    }
+
+    #[test]
+    fn slots_give_the_formula_for_any_number_of_points() {
+        let at = |i: usize, k: usize| ((i * k) % 101) as f32 / 101.0 * 1.4 - 0.7; // some lie beyond the volume
+        for number in [1, 2, 7, 8, 9, 500] {
+            let points: Vec<Point> = (0..number).map(|i| [at(i, 37), at(i, 59), at(i, 83)]).collect();
+            let features: Vec<f32> = (0..number * 3).map(|i| (i as f32).sin()).collect();
+            let (volume, touched) = soft(&points, &features, 3);
+            for (ours, theirs) in volume.iter().zip(plain(&points, &features, 3)) {
+                assert!((ours - theirs).abs() < 1e-5, "{number} points: {ours} and {theirs}");
+            }
+            let filled = |voxel: &usize| volume[voxel * 3..][..3].iter().any(|&v| v != 0.0);
+            assert_eq!(touched, (0..60).filter(filled).collect::<Vec<_>>());
+        }
+    }
+}

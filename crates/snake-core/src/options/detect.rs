@@ -1,0 +1,133 @@
+//! Options of detection.
+
+use serde::{Deserialize, Serialize};
+
+use super::none_if_zero;
+use crate::Result;
+use snake_geometry::{Length, Point, options};
+
+/// The method that moves queries up the saliency field.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum RefineMethod {
+    /// Adam on one minus the mean saliency of all queries, as in the released code. Because of its ε, steps where the
+    /// saliency is nearly constant depend slightly on the number of queries.
+    #[default]
+    Adam,
+    /// Algorithm 1 as printed, with each query's own gradient; the gradient of the mean would be far too small.
+    GradientDescent,
+}
+
+/// The position and score of a refined query. A score is the saliency where the occupancy is above the surface
+/// threshold, else 0.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Selection {
+    /// The best score of the trajectory, from the start to the position after the last step, and its position.
+    #[default]
+    BestPosition,
+    /// As in the released code: the position after the last step, with the best score before each of the steps.
+    ReferenceFinalPosition,
+}
+
+options! {
+    /// Options of [`Field::detect`](crate::Field::detect); the defaults are the paper's for ModelNet40.
+    pub struct DetectOptions {
+        /// Number of queries along each axis of the query grid.
+        ///
+        /// The grid covers the network's cube ±0.5. The number of queries times `refine_steps + 1` times
+        /// [`EncodeOptions::rotations`] is at most 2^28.
+        query_resolution, with_query_resolution: usize = 64, from 1 to 256;
+        /// Largest distance of a query from a voxel with input points, in voxels along each axis; 0: all queries are
+        /// evaluated. Farther queries are dropped without evaluation: there are many of them, and hardly ever a surface.
+        query_band, with_query_band: usize = 0, from 0 to 1024 " (voxels)";
+        /// Occupancy above which a query is refined.
+        ///
+        /// 1 − thr_o of the paper.
+        occupancy_threshold, with_occupancy_threshold: f32 = 0.5, from 0 to 1;
+        /// Number of refinement steps.
+        ///
+        /// J of the paper.
+        refine_steps, with_refine_steps: usize = 10, from 0 to 10000;
+        /// Step size of refinement.
+        ///
+        /// λ of the paper.
+        refine_step_size, with_refine_step_size: f32 = 1e-3, from 0 to 1 " (network units)";
+        /// Method that moves queries up the saliency field.
+        refine_method, with_refine_method: RefineMethod = RefineMethod::Adam;
+        /// Position and score of a refined query: the best of its trajectory, or those of the released code.
+        selection, with_selection: Selection = Selection::BestPosition;
+        /// Occupancy above which a position lies on the surface.
+        ///
+        /// The default is the released code's.
+        surface_threshold, with_surface_threshold: f32 = 0.8, from 0 to 1;
+        /// Saliency above which a position is a keypoint.
+        ///
+        /// thr_s of the paper.
+        saliency_threshold, with_saliency_threshold: f32 = 0.7, from 0 to 1, flag "SALIENCY";
+        /// Least confidence of a keypoint: the probability that another view finds it again, for models whose file has a map
+        /// from saliency to it.
+        ///
+        /// It is [`Keypoint::confidence`](crate::Keypoint::confidence).
+        #[serde(deserialize_with = "none_if_zero")]
+        min_confidence, with_min_confidence: Option<f32> = None, none "no limit", from 0 to 1, flag "PROBABILITY";
+        /// Radius within which keypoints move to the mean of the candidates before suppression, which is more precise than the
+        /// best single query.
+        ///
+        /// Three steps of mean shift move them to the weighted mean within this radius, then 0.85 and 0.7 of it.
+        #[serde(deserialize_with = "none_if_zero")]
+        mode_radius, with_mode_radius: Option<Length> = None, none "keypoints stay, as in the paper",
+            from 0 or more " (cloud units, or as in `3r` resolutions)";
+        /// Least distance of keypoints: in cloud units, in multiples of the cloud's resolution, the mean distance between
+        /// nearest points (`3r`), in per cent of the cloud's radius (`10%`), or in voxels (`4v`). Of those that are closer the
+        /// best is kept.
+        #[serde(deserialize_with = "none_if_zero")]
+        nms_radius, with_nms_radius: Option<Length> = Some(Length::Units(0.01)), none "no suppression",
+            from 0 or more " (cloud units, or as in `3r` resolutions)", flag "LENGTH";
+        /// Largest number of keypoints; those with the highest saliency are kept.
+        ///
+        /// `usize::MAX` is no limit.
+        #[serde(deserialize_with = "most_if_null")]
+        max_keypoints, with_max_keypoints: usize = 64, none "no limit", flag "NUMBER";
+        /// Whether each keypoint moves to its nearest input point. Several keypoints can then coincide, as in the paper.
+        snap, with_snap: bool = false;
+    }
+}
+
+impl DetectOptions {
+    /// The factors of the number of evaluations of the decoders, at most, for a field of so many rotations.
+    pub(crate) fn evaluations(&self, rotations: usize) -> [usize; 5] {
+        let Self { query_resolution: queries, refine_steps, .. } = *self;
+        [queries, queries, queries, refine_steps.saturating_add(1), rotations]
+    }
+
+    /// The radii of suppression and of mode seeking in cloud units, of a cloud in voxels of this size.
+    pub(crate) fn radii(&self, points: &[Point], voxel_size: f32) -> Result<Radii> {
+        let units = |name, length: Length| match length {
+            Length::Units(radius) => Ok(radius as f32),
+            Length::Voxels(number) => Ok(number as f32 * voxel_size),
+            multiple => multiple.in_units(name, points).map(|radius| radius as f32),
+        };
+        Ok(Radii {
+            nms: self.nms_radius.map_or(Ok(0.0), |length| units("nms_radius", length))?,
+            mode: self
+                .mode_radius
+                .map(|length| units("mode_radius", length))
+                .transpose()?
+                .filter(|radius| *radius > 0.0),
+        })
+    }
+}
+
+/// Lengths of [`DetectOptions`] in cloud units.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Radii {
+    /// 0 for no suppression.
+    pub(crate) nms: f32,
+    pub(crate) mode: Option<f32>,
+}
+
+/// A number, or the largest for null.
+fn most_if_null<'de, D: serde::Deserializer<'de>>(deserializer: D) -> std::result::Result<usize, D::Error> {
+    Ok(Option::<usize>::deserialize(deserializer)?.unwrap_or(usize::MAX))
+}

@@ -1,0 +1,90 @@
+//! Options of encoding, detection and meshes, with their ranges.
+
+mod by_name;
+mod detect;
+mod encode;
+mod mesh;
+mod presets;
+
+#[doc(hidden)]
+pub use self::by_name::in_words;
+pub use self::by_name::option_names;
+pub use self::by_name::with_named_values;
+pub(crate) use self::detect::Radii;
+pub use self::detect::{DetectOptions, RefineMethod, Selection};
+pub use self::encode::EncodeOptions;
+pub use self::mesh::MeshOptions;
+pub use self::presets::Preset;
+
+use serde::{Deserialize, Serialize};
+use snake_geometry::{Ranged, setters};
+
+/// All options of [`Model::detect`](crate::Model::detect).
+#[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+#[non_exhaustive]
+pub struct Options {
+    /// Options of encoding.
+    pub encode: EncodeOptions,
+    /// Options of detection.
+    pub detect: DetectOptions,
+}
+
+setters!(Options {
+    encode: EncodeOptions => with_encode,
+    detect: DetectOptions => with_detect,
+});
+
+/// An option, or `None` for 0 and null.
+fn none_if_zero<'de, T, D>(deserializer: D) -> std::result::Result<Option<T>, D::Error>
+where
+    T: Deserialize<'de> + Ranged,
+    D: serde::Deserializer<'de>,
+{
+    Ok(Option::<T>::deserialize(deserializer)?.filter(|value| value.outside(0.0, 0.0).is_some()))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use snake_geometry::Length;
+
+    #[test]
+    fn a_mode_radius_is_a_length_and_0_is_off() {
+        let with = |mode_radius| DetectOptions { mode_radius, ..Default::default() }.check_ranges();
+        for right in [None, Some(Length::Units(0.06)), Some(Length::Resolutions(2.0)), Some(Length::Percent(8.0))] {
+            assert!(with(right).is_ok(), "{right:?}");
+        }
+        for wrong in [-1.0, f64::NAN, 1e60] {
+            assert!(with(Some(Length::Units(wrong))).unwrap_err().to_string().contains("mode_radius"), "{wrong}");
+        }
+        let off = DetectOptions { mode_radius: Some(Length::Units(0.0)), ..Default::default() };
+        assert!(off.check_ranges().is_ok() && off.radii(&[], 1.0).unwrap().mode.is_none());
+    }
+
+    #[test]
+    fn a_radius_of_0_is_none() {
+        let read = |json: &str| serde_json::from_str::<Options>(json).unwrap();
+        for off in ["0", "0.0", "null"] {
+            assert_eq!(read(&format!("{{\"detect\":{{\"nms_radius\":{off}}}}}")).detect.nms_radius, None, "{off}");
+            assert_eq!(read(&format!("{{\"detect\":{{\"mode_radius\":{off}}}}}")).detect.mode_radius, None, "{off}");
+        }
+        assert_eq!(read(r#"{"detect":{"nms_radius":"3r"}}"#).detect.nms_radius, Some(Length::Resolutions(3.0)));
+        assert!(serde_json::from_str::<Options>(r#"{"window":{}}"#).is_err());
+    }
+
+    #[test]
+    fn options_are_read_as_they_are_written() {
+        for preset in Preset::ALL {
+            let options = preset.options();
+            assert_eq!(Preset::named(preset.name()).unwrap(), preset);
+            assert_eq!(serde_json::from_str::<Options>(&serde_json::to_string(&options).unwrap()).unwrap(), options);
+        }
+        let mut options = Options::default();
+        options.detect.mode_radius = Some(Length::Resolutions(40.0));
+        options.detect.nms_radius = None;
+        assert_eq!(serde_json::from_str::<Options>(&serde_json::to_string(&options).unwrap()).unwrap(), options);
+        let error = Preset::named("scannet").unwrap_err().to_string();
+        assert!(Preset::ALL.iter().all(|preset| error.contains(preset.name())), "{error}");
+    }
+}
