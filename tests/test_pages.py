@@ -77,7 +77,7 @@ def stand_in(path: Path) -> None:
     elif suffix == ".npy":
         np.save(path, points)
     elif suffix == ".csv":
-        np.savetxt(path, np.hstack([points, points]), delimiter=",", header="lat,lon,alt,x,y,z", comments="")
+        np.savetxt(path, np.hstack([points, points]), delimiter=",", header="e,n,h,x,y,z", comments="")
     elif suffix in (".las", ".laz"):
         snake_rs.detect(points, max_keypoints=None, nms_radius=None).save(path.with_suffix(".laz"))
         path.with_suffix(".laz").rename(path)

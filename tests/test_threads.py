@@ -211,6 +211,8 @@ CALLS = {
     "encode": "model.encode(many, rotations=64)",
     "detect of a field": "field.detect(query_resolution=128, refine_steps=100, occupancy_threshold=0.01)",
     "mesh": "field.mesh(resolution=512)",
+    "iss": "snake_rs.baselines.iss(many, salient_radius=1.0)",
+    "geodesics": "snake_rs.metrics.geodesic_distances(many, np.arange(5000))",
     "register": "snake_rs.register(many, many + 1, voxel_size=1e-4, max_keypoints=10**6)",
 }
 

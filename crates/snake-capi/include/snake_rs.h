@@ -13,9 +13,9 @@ typedef enum SnakeStatus {
   SNAKE_STATUS_OK = 0,
   /// A pointer is null or misaligned, a text is not UTF-8, or a length is impossible.
   SNAKE_STATUS_ARGUMENT = 1,
-  /// A cloud that cannot be used: without finite points, or without extent; or text of options that is not JSON.
+  /// A cloud that cannot be used, without finite points or without extent; or clouds that no transform fits.
   SNAKE_STATUS_INPUT = 2,
-  /// An option is outside its range.
+  /// Options that cannot be used: no JSON object, an unknown name, or a value of another type or out of its range.
   SNAKE_STATUS_OPTION = 3,
   /// A weight file does not hold the network that it names.
   SNAKE_STATUS_WEIGHTS = 4,
@@ -28,7 +28,7 @@ typedef enum SnakeStatus {
 /// The keypoints of a cloud.
 typedef struct SnakeDetection SnakeDetection;
 
-/// A network with its weights. Several threads may use one at the same time.
+/// A network with its weights, or the choice between those that are built in. Several threads may use one at the same time.
 typedef struct SnakeModel SnakeModel;
 
 /// A cloud of the caller, which is read where it is.
@@ -63,6 +63,8 @@ typedef struct SnakeRegistration {
   double confidence;
   /// Whether the transform can be relied on: `confidence` is at least 0.5.
   bool is_reliable;
+  /// Whether the clouds leave more than one answer, as a plane or a periodic structure does; then it is not reliable.
+  bool is_ambiguous;
   /// Number of matches.
   size_t num_matches;
   /// Number of matches on which the transform was built.
@@ -81,7 +83,8 @@ extern "C" {
 /// A cloud without finite points is an error.
 ///
 /// `options` is null for what the model recommends, or a JSON object of values that replace those, such as
-/// `{"max_keypoints": 20, "nms_radius": "3r"}`. `*detection` is null after an error.
+/// `{"max_keypoints": 20, "nms_radius": "3r"}`; `"preset"` names a set of options to begin with. `*detection` is null after an
+/// error.
 ///
 /// # Safety
 /// `model` is null or a model that is not freed yet; `cloud` has as many points as it says; `options` is null or a text
@@ -103,11 +106,40 @@ size_t snake_detection_num_keypoints(const struct SnakeDetection *detection);
 /// `detection` is null or a detection that is not freed yet.
 const struct SnakeKeypoint *snake_detection_keypoints(const struct SnakeDetection *detection);
 
+/// The name of the model that found the keypoints, such as "scenes, built-in", valid until the detection is freed; null for null.
+///
+/// # Safety
+/// `detection` is null or a detection that is not freed yet.
+const char *snake_detection_model(const struct SnakeDetection *detection);
+
+/// The size of a voxel of the model's volume, in cloud units; NaN for null.
+///
+/// # Safety
+/// `detection` is null or a detection that is not freed yet.
+float snake_detection_voxel_size(const struct SnakeDetection *detection);
+
+/// A sentence that a user should know: of the choice of the model, the cloud's scale, outliers, or keypoints that cluster. `index`
+/// counts from 0; null after the last one. It is UTF-8 and valid until the detection is freed.
+///
+/// # Safety
+/// `detection` is null or a detection that is not freed yet.
+const char *snake_detection_note(const struct SnakeDetection *detection,
+                                 size_t index);
+
 /// Frees a detection; null is allowed.
 ///
 /// # Safety
 /// `detection` is null or a detection of this library that is not freed yet.
 void snake_detection_free(struct SnakeDetection *detection);
+
+/// The built-in model that suits each cloud, chosen anew by every call, as `snake-cli` does without `--model`. Options that only
+/// one kind of model has name it: `voxel_size` "scenes", and `preset`, `normalization` and several `rotations` "compact". Else it
+/// is "scenes" for a cloud that looks like a room, a sweep or terrain, and "compact" for others. Each is loaded when it is
+/// first used. `*model` is null after an error.
+///
+/// # Safety
+/// `model` is null or valid for a write.
+enum SnakeStatus snake_model_auto(struct SnakeModel **model);
 
 /// A built-in model: "compact" or "standard" for objects, "scenes" for rooms, sweeps and terrain. `*model` is null after an error.
 ///
@@ -134,11 +166,6 @@ enum SnakeStatus snake_model_from_bytes(const uint8_t *bytes, size_t length, str
 /// `model` is null or a model of this library that is not freed yet.
 void snake_model_free(struct SnakeModel *model);
 
-/// Sets the number of threads of all calls; 0: one for each core. At most 256, or the number of cores. It must be called before
-/// the first other call that computes, and once; a call that is refused does not count. The environment variable
-/// `RAYON_NUM_THREADS` does the same.
-enum SnakeStatus snake_set_num_threads(size_t num_threads);
-
 /// The version of the library, such as "0.1.0".
 const char *snake_version(void);
 
@@ -161,6 +188,10 @@ enum SnakeStatus snake_register(const struct SnakeModel *model,
 /// The reason of the last error of this thread, or an empty text. It is UTF-8 and valid until the next function of this
 /// library that this thread calls.
 const char *snake_last_error(void);
+
+/// Sets the number of threads of all calls, from the next one on; 0: one for each core. At most 256, or the number of cores.
+/// The environment variable `RAYON_NUM_THREADS` does the same. A child after a fork keeps the number and has threads of its own.
+enum SnakeStatus snake_set_num_threads(size_t num_threads);
 
 #ifdef __cplusplus
 }  // extern "C"

@@ -196,7 +196,7 @@ fn every_option_of_a_table_is_known_by_its_name() {
     }
     let mut found = unsafe { std::mem::zeroed() };
     let status = unsafe { snake_register(model, cloud, cloud, c"{\"radius\": 1}".as_ptr(), &mut found) };
-    assert_eq!(status, SnakeStatus::Input);
+    assert_eq!(status, SnakeStatus::Option);
     assert!(last_error().contains("unknown option `radius`; the options are "), "{}", last_error());
     unsafe { snake_model_free(model) };
 }

@@ -21,6 +21,7 @@ use crate::view::args::ViewArguments;
 #[derive(Parser)]
 #[command(
     version,
+    name = "snake-cli",
     bin_name = "snake-cli",
     arg_required_else_help = true,
     after_help = "Start here:

@@ -92,7 +92,7 @@ mod tests {
             paths.iter().map(name).collect::<Vec<_>>()
         };
         assert_eq!(found("**/*.npy"), ["a/b/y.npy", "x.npy"]);
-        assert_eq!(found("*/*/*.npy"), ["a/b/y.npy", "a/back/x.npy"]);
+        assert_eq!(found("*/*/*.npy"), ["a/b/y.npy", "a/back/again.npy"]);
         assert_eq!(found("**/b/*"), ["a/b/y.npy"]);
         assert_eq!(found("*.npy"), ["x.npy"]);
     }

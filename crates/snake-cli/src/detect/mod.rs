@@ -201,7 +201,7 @@ impl Job<'_> {
             }
             report
         };
-        Ok(Processed { report, seconds, num_points, num_keypoints: detection.keypoints.len() })
+        Ok(Processed { report, seconds, num_points, counts: detection.counts })
     }
 }
 
@@ -277,10 +277,9 @@ fn table(
         write!(first, " ({} encoded)", detection.num_encoded)?;
     }
     report.line(format!("{first} in {total:.3} s"));
-    let (queries, occupied, above) = (counts.queries, counts.occupied, counts.above_threshold);
-    report.line(format!("{queries} queries, {occupied} occupied, {above} above the saliency threshold"));
     if keypoints.is_empty() {
-        let advice = if occupied == 0 { "--set occupancy_threshold=0.3" } else { "a lower --saliency-threshold" };
+        let advice =
+            if counts.occupied == 0 { "--set occupancy_threshold=0.3" } else { "a lower --saliency-threshold" };
         report.line(format!("no keypoints: try {advice}"));
     } else {
         let [x, y, z] = ["x", "y", "z"];

@@ -6,6 +6,7 @@ use std::process::ExitCode;
 use std::time::Instant;
 
 use anyhow::{Error, Result, anyhow};
+use snake_core::Counts;
 
 use super::args::DetectArguments;
 use crate::inputs::DASH;
@@ -23,7 +24,7 @@ pub struct Processed {
     pub report: Report,
     pub seconds: Seconds,
     pub num_points: usize,
-    pub num_keypoints: usize,
+    pub counts: Counts,
 }
 
 /// The sum of the results of a run.
@@ -131,11 +132,15 @@ impl<'a> Reports<'a> {
 
     fn report(&mut self, (print, input, result): Named) {
         let printed = self.bar.suspend(|| match result {
-            Ok(Processed { report, seconds, num_points, num_keypoints }) => {
+            Ok(Processed { report, seconds, num_points, counts }) => {
+                let Counts { queries, occupied, above_threshold, .. } = counts;
+                terminal::detail("queries", || {
+                    format!("{queries}, {occupied} occupied, {above_threshold} above the saliency threshold")
+                });
                 terminal::detail("seconds", || timing::line(&seconds));
                 self.timings.push(seconds);
                 match &mut self.summary {
-                    Some(summary) => summary.add(input, num_points, num_keypoints),
+                    Some(summary) => summary.add(input, num_points, counts.keypoints),
                     None => return print(&report),
                 }
                 Ok(())

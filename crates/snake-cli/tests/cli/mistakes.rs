@@ -50,7 +50,7 @@ fn each_mistake_gets_one_line_with_advice() {
         (&["detect", &nothing], "none: No such file or directory"),
         (&["detect", "scans/"], "scans/: No such file or directory"),
         (&["align", "scans/"], "scans/: No such file or directory"),
-        (&["view", "scans"], "scans: No such file or directory"),
+        (&["view", "scans", "-o", "v.html"], "scans: No such file or directory"),
         (&["register", &sample()], "<TARGET>"),
         (&["register", "nowhere.ply", &sample()], "nowhere.ply"),
         (&["register", &sample(), &one], "at least two different"),

@@ -148,11 +148,11 @@ fn columns_can_be_chosen_in_every_command() {
     let clouds = Clouds::new();
     let (told, untold) = (clouds.path("paraview.csv"), clouds.path("untold.csv"));
     table(&told, "\"ring\",\"range\",\"Points:0\",\"Points:1\",\"Points:2\"", |[x, y, z]| format!("1,2,{x},{y},{z}"));
-    table(&untold, "time,lat,lon,alt", |[x, y, z]| format!("9,{x},{y},{z}"));
+    table(&untold, "time,e,n,h", |[x, y, z]| format!("9,{x},{y},{z}"));
     let near = clouds.path("near.npy");
     let (expected, _) = report(&["detect", &near, "--json"]);
     assert_eq!(report(&["detect", &told, "--json"]).0["keypoints"], expected["keypoints"]);
-    for columns in ["lat,lon,alt", "2,3,4"] {
+    for columns in ["e,n,h", "2,3,4"] {
         assert_eq!(report(&["detect", &untold, "--json", "--columns", columns]).0["keypoints"], expected["keypoints"]);
     }
     let page = clouds.path("page.html");
@@ -167,7 +167,7 @@ fn columns_can_be_chosen_in_every_command() {
     ] {
         let refused = snake(command);
         let said = String::from_utf8_lossy(&refused.stderr).into_owned() + &String::from_utf8_lossy(&refused.stdout);
-        assert!(!refused.status.success() && said.contains("--columns x,y,z") && said.contains("2 `lat`"), "{said}");
+        assert!(!refused.status.success() && said.contains("--columns x,y,z") && said.contains("2 `e`"), "{said}");
     }
     for command in [
         &["register", &untold, &untold][..],
@@ -176,10 +176,10 @@ fn columns_can_be_chosen_in_every_command() {
         &["view", &untold, "-o", &page],
         &["eval", "repeatability", &untold, "--methods", "random", "--downsample", "1", "--noise", "0"],
     ] {
-        let output = snake(&[command, &["--columns", "lat,lon,alt"]].concat());
+        let output = snake(&[command, &["--columns", "e,n,h"]].concat());
         assert!(output.status.success(), "{command:?}: {}", String::from_utf8_lossy(&output.stderr));
     }
-    for (columns, expected) in [("lat,lon,up", "no column `up`"), ("1,2", "three names"), ("0,1,2", "begin at 1")] {
+    for (columns, expected) in [("e,n,up", "no column `up`"), ("1,2", "three names"), ("0,1,2", "begin at 1")] {
         let output = snake(&["detect", &untold, "--columns", columns]);
         let said = String::from_utf8_lossy(&output.stderr).into_owned();
         assert!(!output.status.success() && said.contains(expected), "{said}");

@@ -100,12 +100,19 @@ fn mistakes_with_recordings_are_named() {
         (&["detect", &drive, "--sample", "9"], "not for a recording"),
         (&["view", &drive, "-o", &page], "snake-cli detect FILE.mcap --topic /TOPIC"),
         (&["detect", "none.mcap"], "none.mcap"),
-        (&["detect", &renamed("bag")], "mcap convert FILE.bag FILE.mcap"),
+        (&["detect", &renamed("bag")], "old.bag: No such file"),
         (&["detect", &renamed("db3")], "old.db3: "),
-        (&["view", &renamed("db3"), "-o", &page], "snake-cli detect FILE.db3 --topic /TOPIC"),
+        (&["view", &renamed("db3"), "-o", &page], "old.db3: No such file"),
     ] {
         let done = snake(arguments);
         assert!(!done.status.success() && stderr(&done).contains(expected), "{arguments:?}: {}", stderr(&done));
     }
     assert!(folder.path().read_dir().unwrap().next().is_none());
+    for (extension, expected) in
+        [("bag", "mcap convert FILE.bag FILE.mcap"), ("db3", "snake-cli detect FILE.db3 --topic /TOPIC")]
+    {
+        std::fs::write(renamed(extension), "of another program").unwrap();
+        let said = stderr(&snake(&["view", &renamed(extension), "-o", &page]));
+        assert!(said.contains(expected), "{said}");
+    }
 }

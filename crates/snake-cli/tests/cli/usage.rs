@@ -156,6 +156,7 @@ fn verbose_reports_settings_and_changes_no_result() {
         &format!("threads: 3, SIMD {simd}\n"),
         "model: compact, built-in, ",
         "\"nms_radius\":\"4r\"",
+        "queries: 262144, ",
         "seconds: read 0.",
         "total ",
     ] {
@@ -348,9 +349,20 @@ fn an_interrupt_leaves_only_complete_files() {
 
 #[test]
 fn every_option_with_a_value_shows_its_default() {
-    // Files are written only if they are named, and these two begin another way of working.
-    const WITHOUT: [&str; 10] =
-        ["output", "aligned", "view", "merged", "initial", "transform", "tile", "set", "external", "coverage"];
+    // Files are read or written only if they are named, and these two begin another way of working.
+    const WITHOUT: [&str; 11] = [
+        "output",
+        "aligned",
+        "view",
+        "merged",
+        "initial",
+        "transform",
+        "tile",
+        "set",
+        "external",
+        "coverage",
+        "input-list",
+    ];
     for (name, help) in helps(&[]) {
         for entry in help.split("\n      --").skip(1) {
             let entry = entry.split("\n  -").next().unwrap();

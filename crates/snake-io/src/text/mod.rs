@@ -394,12 +394,12 @@ mod tests {
     #[test]
     fn columns_can_be_chosen() {
         let read = |text: &str, columns: &str| points(super::read(text.as_bytes(), Some(&columns.parse().unwrap())));
-        let table = "t,lat,lon,alt\n9,1,2,3\n9,-.5,1e-3,7\n";
-        assert_eq!(read(table, "lat,lon,alt").unwrap(), TWO);
+        let table = "t,e,n,h\n9,1,2,3\n9,-.5,1e-3,7\n";
+        assert_eq!(read(table, "e,n,h").unwrap(), TWO);
         assert_eq!(read(table, "2,3,4").unwrap(), TWO);
         assert_eq!(read("9 3 2 1\n9 7 1e-3 -.5\n", "4,3,2").unwrap(), TWO);
         assert_eq!(read("# t a b c\n9 1 2 3\n9 -.5 1e-3 7\n", "a,b,c").unwrap(), TWO);
-        assert!(read(table, "x,y,z").unwrap_err().contains("no column `x`; the columns are 1 `t`, 2 `lat`"));
+        assert!(read(table, "x,y,z").unwrap_err().contains("no column `x`; the columns are 1 `t`, 2 `e`"));
         assert!(read("1 2 3\n", "x,y,z").unwrap_err().contains("no header"));
         assert!(read("1 2 3\n", "2,3,4").unwrap_err().starts_with("line 1: no three coordinates"));
     }
