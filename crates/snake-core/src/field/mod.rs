@@ -194,7 +194,7 @@ impl Field {
     }
 
     /// The rotation of [`Field::volume`], row by row: `volume = R network`. It is the identity, save with
-    /// [`NormalizationMethod::PrincipalAxes`].
+    /// [`NormalizationMethod::PrincipalAxes`](crate::NormalizationMethod::PrincipalAxes).
     pub fn orientation(&self) -> &[Point; 3] {
         &self.copies[0].rotation
     }
@@ -217,7 +217,7 @@ impl Field {
     /// ```
     ///
     /// # Errors
-    /// [`Error::Input`] when a query is not finite.
+    /// [`Error::Input`](crate::Error::Input) when a query is not finite.
     pub fn occupancy(&self, queries: &[Point]) -> Result<Vec<f32>> {
         self.values(Quantity::Occupancy, queries)
     }
@@ -225,7 +225,7 @@ impl Field {
     /// Saliency of each query `(Q, 3)`, in [0, 1) (SNAKE eq. 1).
     ///
     /// # Errors
-    /// [`Error::Input`] when a query is not finite.
+    /// [`Error::Input`](crate::Error::Input) when a query is not finite.
     pub fn saliency(&self, queries: &[Point]) -> Result<Vec<f32>> {
         self.values(Quantity::Saliency, queries)
     }
@@ -233,7 +233,7 @@ impl Field {
     /// Occupancy and its gradient `(Q, 3)`, per cloud unit.
     ///
     /// # Errors
-    /// [`Error::Input`] when a query is not finite.
+    /// [`Error::Input`](crate::Error::Input) when a query is not finite.
     pub fn occupancy_and_gradient(&self, queries: &[Point]) -> Result<(Vec<f32>, Vec<Point>)> {
         self.values_and_gradients(Quantity::Occupancy, queries)
     }
@@ -241,7 +241,7 @@ impl Field {
     /// Saliency and its gradient `(Q, 3)`, per cloud unit.
     ///
     /// # Errors
-    /// [`Error::Input`] when a query is not finite.
+    /// [`Error::Input`](crate::Error::Input) when a query is not finite.
     pub fn saliency_and_gradient(&self, queries: &[Point]) -> Result<(Vec<f32>, Vec<Point>)> {
         self.values_and_gradients(Quantity::Saliency, queries)
     }
@@ -250,7 +250,7 @@ impl Field {
     /// [`EncodeOptions::rotations`] and then L2-normalised.
     ///
     /// # Errors
-    /// [`Error::Input`] when a query is not finite.
+    /// [`Error::Input`](crate::Error::Input) when a query is not finite.
     pub fn descriptors(&self, queries: &[Point]) -> Result<Vec<f32>> {
         let channels = self.volume().channels;
         let queries = self.to_network(queries)?;

@@ -24,7 +24,7 @@ impl MeshOptions {
     /// Refuses options that [`Field::mesh`](crate::Field::mesh) would refuse, before any work is done.
     ///
     /// # Errors
-    /// [`Error::Option`] when an option is out of its range.
+    /// [`Error::Option`](crate::Error::Option) when an option is out of its range.
     pub fn check(&self) -> Result<()> {
         Ok(self.check_ranges()?)
     }

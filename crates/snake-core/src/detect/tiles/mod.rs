@@ -83,7 +83,7 @@ impl TileDetector {
         self.options.encode.voxel_size.is_none()
     }
 
-    /// Chooses the voxel size for all finite points of the cloud, as [`Model::encode`] does. It then stands in the options.
+    /// Chooses the voxel size for all finite points of the cloud, as [`Model::encode`](crate::Model::encode) does. It then stands in the options.
     ///
     /// # Errors
     /// [`Error::Input`] for a cloud without extent.
@@ -200,7 +200,7 @@ impl TileDetector {
     /// of the whole cloud. More points do no harm. `is_whole` says that no points of the cloud are farther than the margin.
     ///
     /// # Errors
-    /// The errors of [`Model::detect_with`].
+    /// The errors of [`Model::detect_with`](crate::Model::detect_with).
     pub fn detect(
         &self,
         points: &[Point],
