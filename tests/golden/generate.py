@@ -37,8 +37,8 @@ class Tolerance:
 # value; some tens of layers and sums of hundreds of terms leave about 1e-5 of values of order one.
 EXACT = Tolerance(0.0)
 FEATURES = Tolerance(1e-4, 1e-4)  # unbounded values, up to about 10
-# The volume of the paper's network differs by 4e-5 between processors with AVX2 and AVX-512.
-PROBABILITIES = Tolerance(4e-5)
+# With AVX2 alone the paper's network differs by up to 1.5e-5. The Rust test allows the same 2e-5.
+PROBABILITIES = Tolerance(2e-5)
 # Slopes of up to some tens, and a query whose ReLU or voxel boundary falls the other way has another slope entirely.
 GRADIENTS = Tolerance(1e-3, 1e-3, quantile=0.99)
 # Adam divides by the gradient's own size: where that is near zero, rounding decides a step of 1e-3 (the learning

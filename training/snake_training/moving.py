@@ -1,6 +1,6 @@
 """A recipe's run on another machine: the weights of its training stages in float16, in pieces below 5 MB, which can be committed.
 
-Checkpoints with Adam's moments are ten times as large, and made files (crops, targets) are made again.
+Checkpoints with Adam's moments are eight times as large, and made files (crops, targets) are made again.
 """
 
 import hashlib

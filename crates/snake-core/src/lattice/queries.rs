@@ -1,4 +1,4 @@
-//! The starting queries of a detection, and what becomes of them.
+//! The starting queries of a detection, and their refined positions.
 
 use super::cube::VolumeFrame;
 use super::query_grid::QueryGrid;
