@@ -88,7 +88,7 @@ class TrainConfig(LoopSettings):
         "weights to start from: a safetensors export, checkpoint or run; also the network's shape where it is not given",
     )
     fresh_saliency: bool = setting(
-        False, "with init: start the saliency decoder anew, with a draw that begins highest at corners and tips"
+        False, "with init: start the saliency decoder anew, at the corners and tips of made shapes"
     )
 
     resolution: int = setting(32, "voxels along each axis of the volume")

@@ -16,8 +16,11 @@ PIECE = 4_900_000  # bytes
 LIST = "pieces.json"
 
 
-def pack(run_dir, folder):
-    """Writes what moves of a run to `folder`, which is made anew: of each training stage its result, or how far it came."""
+def pack(run_dir, folder, unneeded=()):
+    """Writes what moves of a run to `folder`, which is made anew: of each training stage its result, or how far it came.
+
+    Of the stages named as unneeded, only that they are done.
+    """
     if not run_dir.is_dir():
         raise ValueError(f"{run_dir}: no such run folder")
     if folder.exists() and any(folder.iterdir()) and not (folder / LIST).exists():
@@ -27,6 +30,9 @@ def pack(run_dir, folder):
     digests = {}
     for stage in sorted(path for path in run_dir.iterdir() if path.is_dir()):
         last, weights, done = stage / "last.pt", stage / "weights.safetensors", stage / "done.json"
+        if done.exists() and stage.name in unneeded:
+            put(folder, digests, f"{stage.name}/done.json", done.read_bytes())
+            continue
         if done.exists() and weights.exists():
             network = load_network(weights)
             name = f"{stage.name}/weights.safetensors"
@@ -36,6 +42,9 @@ def pack(run_dir, folder):
         elif last.exists():
             name, written = f"{stage.name}/{Moved.NAME}", folder / "whole"
             Moved(load_network(last), read_state(last)["step"]).write(written)
+        elif (stage / Moved.NAME).exists():  # taken up, and not gone on with
+            put(folder, digests, f"{stage.name}/{Moved.NAME}", (stage / Moved.NAME).read_bytes())
+            continue
         else:
             continue
         put(folder, digests, name, written.read_bytes())

@@ -40,7 +40,7 @@ from .command_line import with_start
 from .config import NETWORK_SHAPE, SceneTraining, TrainConfig, check, from_table
 from .data import Procedural, drives, frames, write_corpus
 from .data.crops import Crops, write_part
-from .export import load_network, replacing, weights_of, write_weights
+from .export import Moved, load_network, replacing, weights_of, write_weights
 from .tasks.objects import Objects
 from .tasks.scenes import Scenes
 from .teacher import TeacherSettings, make_targets
@@ -114,9 +114,10 @@ class ObjectStage(Stage):
 
     def run(self, recipe, folder):
         """From its checkpoint if it has one."""
+        moved = folder / Moved.NAME
+        init = moved if moved.exists() else recipe.weights(self.init) if self.init else ""
         config = replace(
-            self.settings, run_dir=str(folder), data=recipe.data, validation_data=recipe.validation_data,
-            init=str(recipe.weights(self.init)) if self.init else "",
+            self.settings, run_dir=str(folder), data=recipe.data, validation_data=recipe.validation_data, init=str(init),
             targets=tuple(str(recipe.run_dir / name / "targets.safetensors") for name in self.targets),
         )  # fmt: skip
         given = {*self.given, "resolution"} if recipe.smoke else set(self.given)
@@ -136,7 +137,8 @@ class TeacherStage(Stage):
         """The shapes of the data and procedural ones."""
         settings = replace(self.settings, **SMOKE_TEACHER) if recipe.smoke else self.settings
         device = recipe.device if recipe.device != "auto" else "cpu"
-        make_targets(folder / "targets.safetensors", recipe.weights(self.of), recipe.data, settings, device)
+        settings = replace(settings, engine="torch") if device == "cuda" else settings
+        make_targets(folder / "targets.safetensors", recipe.weights(self.of), recipe.data, settings, device, recipe.workers)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -346,6 +348,16 @@ class Recipe:
                 temporary.write_text(json.dumps(made | {"seconds": seconds, "processor": processor()}))
             self.log(f"{stage.name}: {seconds} s")
 
+    def unneeded(self):
+        """The names of the stages that no stage reads any more: those that do have begun."""
+        used = {name for stage in self.stages.values() if not self.has_begun(stage.name) for name in stage.uses()}
+        read = {name for stage in self.stages.values() for name in stage.uses()}
+        return read - used
+
+    def has_begun(self, name):
+        """Whether a stage is done, or has weights to go on from."""
+        return any((self.run_dir / name / file).exists() for file in ("done.json", "last.pt", Moved.NAME))
+
     def in_time(self, name):
         """The minutes that are left, 0 if there is no limit; a TimeSpent if none is."""
         left = 0.0 if self.deadline is None else (self.deadline - time.monotonic()) / 60
@@ -439,8 +451,10 @@ def main(argv=None):
                 recipe.run()
             except TimeSpent as error:
                 print(error)
+            except ModuleNotFoundError as error:  # of snake_rs, on a machine that is there for its GPU
+                print(f"{error}: the stages that are left need it; the same command goes on where it is installed")
             if given.pack and run_dir.is_dir():
-                moving.pack(run_dir, Path(given.pack) / path.stem)
+                moving.pack(run_dir, Path(given.pack) / path.stem, recipe.unneeded())
     except (OSError, ValueError) as error:
         parser.error(str(error))
 

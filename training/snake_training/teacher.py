@@ -16,6 +16,7 @@ import numpy as np
 import torch
 from safetensors import SafetensorError, safe_open
 from safetensors.numpy import load_file, save_file
+from torch.utils.data import DataLoader, Dataset
 from tqdm import tqdm
 
 from .augment import BOUND, choose, normalize, random_rotation
@@ -138,21 +139,39 @@ class Targets:
         return points, queries, self.target[row].astype(np.float32)
 
 
-def write_targets(path, teacher, shapes, settings):
-    """Targets of all shapes, clouds (M, 3), each with its own seed, to a safetensors file (temporary name, then rename)."""
+class Draws(Dataset):
+    """What the teacher is asked of each shape: (cloud (N, 3), queries (Q, 3), clouds (K, N, 3), rotations (K, 3, 3))."""
+
+    def __init__(self, shapes, settings):
+        self.shapes, self.settings = shapes, settings
+
+    def __len__(self):
+        return len(self.shapes)
+
+    def __getitem__(self, row):
+        settings = self.settings
+        rng = np.random.default_rng([settings.seed, row])
+        shape = normalize(self.shapes[row])[0]
+        cloud = choose(rng, shape, settings.points)
+        queries = sample_queries(cloud, settings.queries, rng)
+        rotations = np.stack([random_rotation(rng) for _ in range(settings.rotations)])
+        return cloud, queries, copies(shape, settings.rotations, settings.points, rng), rotations
+
+
+def write_targets(path, teacher, shapes, settings, workers=0):
+    """Targets of all shapes, clouds (M, 3), each with its own seed, to a safetensors file (temporary name, then rename).
+
+    So many worker processes draw ahead of the teacher; 0: none.
+    """
     stored = {
         "points": np.empty((len(shapes), settings.points, 3), np.int16),
         "queries": np.empty((len(shapes), settings.queries, 3), np.int16),
         "target": np.empty((len(shapes), settings.queries), np.float16),
     }
     surfaces = 0
-    for row in tqdm(range(len(shapes)), unit="shape", mininterval=2 if sys.stderr.isatty() else 60):
-        rng = np.random.default_rng([settings.seed, row])
-        shape = normalize(shapes[row])[0]
-        cloud = choose(rng, shape, settings.points)
-        queries = sample_queries(cloud, settings.queries, rng)
-        rotations = np.stack([random_rotation(rng) for _ in range(settings.rotations)])
-        clouds = copies(shape, settings.rotations, settings.points, rng)
+    drawn = DataLoader(Draws(shapes, settings), batch_size=None, num_workers=workers, collate_fn=tuple)
+    bar = tqdm(drawn, unit="shape", mininterval=2 if sys.stderr.isatty() else 60)
+    for row, (cloud, queries, clouds, rotations) in enumerate(bar):
         log_odds, occupancy = averaged_fields(teacher, clouds, queries, rotations)
         surfaces += bool((occupancy > 0.5).any())
         stored["points"][row], stored["queries"][row] = ((a / QUANTUM).round() for a in (cloud, queries))
@@ -163,7 +182,7 @@ def write_targets(path, teacher, shapes, settings):
         save_file(stored, temporary, metadata=FORMAT | {"settings": json.dumps(vars(settings))})
 
 
-def make_targets(path, weights, data, settings, device="cpu"):
+def make_targets(path, weights, data, settings, device="cpu", workers=0):
     """Targets of the shapes of the data folders and procedural ones, by the network in a weight file, checkpoint or run."""
     shapes = Mixture([*open_all(data, ()), Procedural(settings.procedural)], 0.0)
     if len(shapes) == 0:
@@ -172,7 +191,7 @@ def make_targets(path, weights, data, settings, device="cpu"):
         teacher = snake_rs_teacher(weights)
     else:
         teacher = torch_teacher(load_network(weights, device))
-    write_targets(path, teacher, shapes, settings)
+    write_targets(path, teacher, shapes, settings, workers)
 
 
 def main(argv=None):
