@@ -63,8 +63,12 @@ def test_bad_arguments_are_refused(scans):
         snake_rs.align([clouds[0], np.zeros((5, 3))])
     with pytest.raises(ValueError, match="viewpoints"):
         snake_rs.align(clouds, viewpoints=[None])
-    with pytest.raises(ValueError, match="hypotheses"):
-        snake_rs.align(clouds, hypotheses=3)
+    # What is known of one pair is no option of many clouds.
+    for option in ("hypotheses", "initial", "source_viewpoint"):
+        with pytest.raises(TypeError, match=rf"align\(\) got an unexpected keyword argument '{option}'.*max_partners"):
+            snake_rs.align(clouds, **{option: 3})
+    with pytest.raises(ValueError, match="max_partners"):
+        snake_rs.align(clouds, max_partners=0)
     with pytest.raises(TypeError, match="sharpness"):
         snake_rs.align(clouds, sharpness=3)
     assert snake_rs.align(clouds, max_partners=1, viewpoints=[(9, 9, 9), None, (9, 0, 0)], seed=3).num_pairs >= 2

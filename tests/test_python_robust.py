@@ -67,7 +67,7 @@ def test_outliers_in_either_cloud_change_no_transform(outliers):
     expected = snake_rs.register(source, target)
     found = snake_rs.register(mixed(source, outliers), target)
     assert np.array_equal(found.t_target_source, expected.t_target_source)
-    assert any(note.startswith(f"source: {len(outliers)} of") for note in found.notes)
+    assert any(note.startswith(f"source: {len(outliers)} of") for note in found.verdict.notes)
     both = snake_rs.register(mixed(source, outliers), mixed(target, outliers))
     assert np.array_equal(both.t_target_source, expected.t_target_source)
 

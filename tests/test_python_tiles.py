@@ -251,7 +251,7 @@ def test_a_cluster_registers_pairs_as_one_machine(cluster, tmp_path):
     good, bad = sorted(found, key=lambda row: row["error"] is not None)
     here = snake_rs.register(source, target, seed=3)
     assert np.array_equal(np.reshape(good["t_target_source"], (4, 4)), here.t_target_source)
-    assert (good["confidence"], good["is_reliable"]) == (here.confidence, here.is_reliable)
+    assert (good["confidence"], good["is_reliable"]) == (here.verdict.confidence, here.verdict.is_reliable)
     assert "FileNotFoundError" in bad["error"] and bad["t_target_source"] is None and bad["is_reliable"] is None
 
 

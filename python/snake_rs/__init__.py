@@ -16,8 +16,8 @@
     keypoints = field.detect(nms_radius=0.05, max_keypoints=128)
     mesh = field.mesh(outer=True)              # vertices, normals (V, 3), triangles (T, 3)
 
-    found = snake_rs.register(source, target)  # rigid registration of two clouds
-    found.t_target_source, found.num_inliers   # (4, 4): p_target = R p_source + t
+    result = snake_rs.register(source, target)  # rigid registration of two clouds
+    result.t_target_source, result.verdict.is_reliable  # (4, 4): p_target = R p_source + t
     pairs = snake_rs.match(snake_rs.detect(source), snake_rs.detect(target))  # (M, 2), by keypoints.descriptors
 
     for cloud in snake_rs.read_recording("drive.mcap", topic="/points"):
@@ -36,16 +36,20 @@ from . import baselines, metrics, steps
 from ._core import (
     Alignment,
     AlignmentEdge,
+    CloudReport,
     DetectedTiles,
     Field,
+    Fit,
     Keypoint,
     Keypoints,
+    Matches,
     Mesh,
     Model,
     RecordedCloud,
     Recording,
     Registration,
     Tiles,
+    Verdict,
     __version__,
     align,
     detect,
@@ -64,16 +68,20 @@ from ._view import View, view
 __all__ = [
     "Alignment",
     "AlignmentEdge",
+    "CloudReport",
     "DetectedTiles",
     "Field",
+    "Fit",
     "Keypoint",
     "Keypoints",
+    "Matches",
     "Mesh",
     "Model",
     "RecordedCloud",
     "Recording",
     "Registration",
     "Tiles",
+    "Verdict",
     "View",
     "__version__",
     "align",

@@ -12,16 +12,20 @@ from typing_extensions import Self, Unpack
 __all__ = [
     "Alignment",
     "AlignmentEdge",
+    "CloudReport",
     "DetectedTiles",
     "Field",
+    "Fit",
     "Keypoint",
     "Keypoints",
+    "Matches",
     "Mesh",
     "Model",
     "RecordedCloud",
     "Recording",
     "Registration",
     "Tiles",
+    "Verdict",
     "__version__",
     "aggregate",
     "align",
@@ -130,8 +134,8 @@ class _DetectOptions(_Preset, total=False):
 class _Options(_EncodeOptions, _DetectOptions, total=False): ...
 
 @type_check_only
-class _RegisterOptions(TypedDict, total=False):
-    detector: Literal["voxels", "snake", "iss", "harris3d", "sift3d", "fps", "random"]
+class _RegistrationOptions(TypedDict, total=False):
+    detector: Literal["voxels", "snake", "iss", "harris3d", "sift3d", "surface-variation", "fps", "random"]
     descriptor: Literal["fpfh", "field"]
     max_keypoints: int
     num_keypoints: int | None
@@ -141,13 +145,49 @@ class _RegisterOptions(TypedDict, total=False):
     feature_radius: float | str | None
     inlier_distance: float | str | None
     use_viewpoints: bool
+    gravity: Literal["x", "y", "z"] | None
+    seed: int
+    icp_steps: int
+
+@type_check_only
+class _RegisterOptions(_RegistrationOptions, total=False):
     source_viewpoint: ArrayLike | None
     target_viewpoint: ArrayLike | None
-    gravity: Literal["x", "y", "z"] | None
     initial: ArrayLike | None
     hypotheses: int
-    seed: int
-    refine_steps: int
+
+@type_check_only
+class _AlignOptions(_RegistrationOptions, total=False):
+    max_partners: int
+
+@type_check_only
+class _IssOptions(TypedDict, total=False):
+    salient_radius: float | str
+    non_max_radius: float | str
+    gamma_21: float
+    gamma_32: float
+    min_neighbors: int
+    covariance: Literal["about-mean", "about-point"]
+
+@type_check_only
+class _Harris3dOptions(TypedDict, total=False):
+    radius: float | str
+    threshold: float
+    non_max: bool
+
+@type_check_only
+class _Sift3dOptions(TypedDict, total=False):
+    min_scale: float | str
+    octaves: int
+    scales_per_octave: int
+    min_contrast: float
+    field: Literal["curvature", "y"]
+    curvature_radius: float | str
+
+@type_check_only
+class _SurfaceVariationOptions(TypedDict, total=False):
+    radius: float | str
+    non_max_radius: float | str
 
 @type_check_only
 class _MeshOptions(TypedDict, total=False):
@@ -189,9 +229,8 @@ def align(
     clouds: Sequence[_Points],
     model: _Model | None = None,
     *,
-    max_partners: int = 20,
     viewpoints: Sequence[Sequence[float] | None] | None = None,
-    **options: Unpack[_RegisterOptions],
+    **options: Unpack[_AlignOptions],
 ) -> Alignment: ...
 def page(
     points: _Points,
@@ -396,47 +435,34 @@ class Mesh:
 def iss(
     points: _Points,
     *,
-    salient_radius: float | str = "6r",
-    non_max_radius: float | str = "4r",
-    gamma_21: float = 0.975,
-    gamma_32: float = 0.975,
-    min_neighbors: int = 5,
-    covariance: Literal["about-mean", "about-point"] = "about-mean",
     count: int | None = None,
     protocol: Literal["ranked", "paper"] = "ranked",
     seed: int = 0,
+    **options: Unpack[_IssOptions],
 ) -> tuple[NDArray[np.int64], NDArray[np.float64]]: ...
 def harris3d(
     points: _Points,
     *,
-    radius: float | str = "6r",
-    threshold: float = 0.0,
-    non_max: bool = True,
     count: int | None = None,
     protocol: Literal["ranked", "paper"] = "ranked",
     seed: int = 0,
+    **options: Unpack[_Harris3dOptions],
 ) -> tuple[NDArray[np.int64], NDArray[np.float64]]: ...
 def sift3d(
     points: _Points,
     *,
-    min_scale: float | str = "2r",
-    octaves: int = 4,
-    scales_per_octave: int = 8,
-    min_contrast: float = 0.0,
-    field: Literal["curvature", "y"] = "curvature",
-    curvature_radius: float | str = "6r",
     count: int | None = None,
     protocol: Literal["ranked", "paper"] = "ranked",
     seed: int = 0,
+    **options: Unpack[_Sift3dOptions],
 ) -> tuple[NDArray[np.int64], NDArray[np.float64]]: ...
 def surface_variation(
     points: _Points,
     *,
-    radius: float | str = "30%",
-    non_max_radius: float | str = "4r",
     count: int | None = None,
     protocol: Literal["ranked", "paper"] = "ranked",
     seed: int = 0,
+    **options: Unpack[_SurfaceVariationOptions],
 ) -> tuple[NDArray[np.int64], NDArray[np.float64]]: ...
 def farthest_points(points: _Points, count: int) -> tuple[NDArray[np.int64], NDArray[np.float64]]: ...
 def random_points(points: _Points, count: int, seed: int = 0) -> tuple[NDArray[np.int64], NDArray[np.float64]]: ...
@@ -532,31 +558,28 @@ class Registration:
     @property
     def t_target_source(self) -> NDArray[np.float64]: ...
     @property
+    def verdict(self) -> Verdict: ...
+    @property
+    def fit(self) -> Fit: ...
+    @property
+    def matches(self) -> Matches: ...
+    @property
+    def clouds(self) -> tuple[CloudReport, CloudReport]: ...
+    @property
+    def hypotheses(self) -> list[NDArray[np.float64]]: ...
+    @property
+    def seconds(self) -> float: ...
+
+@final
+class Verdict:
+    @property
     def confidence(self) -> float: ...
     @property
     def is_reliable(self) -> bool: ...
     @property
     def is_ambiguous(self) -> bool: ...
     @property
-    def num_inliers(self) -> int: ...
-    @property
-    def num_agreeing(self) -> int: ...
-    @property
-    def num_rival_agreeing(self) -> int: ...
-    @property
-    def num_correspondences(self) -> int: ...
-    @property
-    def rmse(self) -> float: ...
-    @property
-    def inlier_distance(self) -> float: ...
-    @property
-    def fitness(self) -> float: ...
-    @property
-    def fitness_rmse(self) -> float: ...
-    @property
-    def free_space_violation(self) -> float: ...
-    @property
-    def match_spread(self) -> float: ...
+    def notes(self) -> list[str]: ...
     @property
     def weakest_constraint(self) -> float: ...
     @property
@@ -564,17 +587,40 @@ class Registration:
     @property
     def repeat_fit(self) -> float: ...
     @property
+    def free_space_violation(self) -> float: ...
+
+@final
+class Fit:
+    @property
+    def fitness(self) -> float: ...
+    @property
+    def rmse(self) -> float: ...
+    @property
+    def inlier_distance(self) -> float: ...
+    @property
     def information(self) -> NDArray[np.float64]: ...
+
+@final
+class Matches:
     @property
-    def hypotheses(self) -> list[NDArray[np.float64]]: ...
+    def num_matches(self) -> int: ...
     @property
-    def viewpoints(self) -> tuple[str, str]: ...
+    def num_inliers(self) -> int: ...
     @property
-    def notes(self) -> list[str]: ...
+    def rmse(self) -> float: ...
     @property
-    def num_skipped(self) -> tuple[int, int]: ...
+    def num_agreeing(self) -> int: ...
     @property
-    def seconds(self) -> float: ...
+    def num_rival_agreeing(self) -> int: ...
+    @property
+    def spread(self) -> float: ...
+
+@final
+class CloudReport:
+    @property
+    def viewpoint(self) -> Literal["given", "origin", "none"]: ...
+    @property
+    def num_skipped(self) -> int: ...
 
 def aggregate(model: Model, points: _Points, features: ArrayLike) -> NDArray[np.float32]: ...
 def interpolate(model: Model, volume: ArrayLike, queries: _Points) -> NDArray[np.float32]: ...

@@ -173,8 +173,8 @@ class RegisterPairs:
                 copies.enter_context(_local_file(path, self.storage_options)) for path in (source, target)
             )
             found = register(source, target, self.model, **self.options)
-        matrix = found.t_target_source.ravel().tolist()
-        return {"t_target_source": matrix, "confidence": found.confidence, "is_reliable": found.is_reliable}
+        matrix, verdict = found.t_target_source.ravel().tolist(), found.verdict
+        return {"t_target_source": matrix, "confidence": verdict.confidence, "is_reliable": verdict.is_reliable}
 
 
 def _loaded(model: Model | str) -> Model:

@@ -45,7 +45,7 @@ pub struct AlignmentEdge {
     belief: f64,
     /// Root mean square distance between tangent planes of the pair and of the poses, in cloud units.
     residual: f64,
-    /// Information matrix (6, 6) float64, as that of `Registration`.
+    /// Information matrix (6, 6) float64, as that of `Fit`.
     information: Py<PyArray2<f64>>,
 }
 
@@ -115,33 +115,33 @@ fn attributes<'py>(object: &Bound<'py, PyAny>, names: [&str; 7]) -> PyResult<Bou
 /// descriptors are registered as by `register`. A transform counts if it is reliable or if loops of three transforms prove
 /// it. The poses fit these transforms, and transforms that contradict the others lose their weight.
 ///
-/// Each cloud is registered to about `max_partners` others. `viewpoints` has the sensor's position (3,) in the frame of
-/// each cloud, or None where it is not known. `options` are those of `register`, but `source_viewpoint`,
-/// `target_viewpoint`, `initial` and `hypotheses`.
+/// `viewpoints` has the sensor's position (3,) in the frame of each cloud, or None where it is not known. The options are
+/// those of every registration (see `register`) and:
+///
+#[doc = include_str!("help/align.txt")]
+///
 /// Raises ValueError for invalid arrays or values, TypeError for an unknown option.
 #[pyfunction]
-#[pyo3(signature = (clouds, model=None, *, max_partners=20, viewpoints=None, **options))]
+#[pyo3(signature = (clouds, model=None, *, viewpoints=None, **options))]
 pub fn align(
     py: Python<'_>,
     clouds: Vec<Bound<'_, PyAny>>,
     model: Option<&Bound<'_, PyAny>>,
-    max_partners: usize,
     viewpoints: Option<Vec<Option<[f64; 3]>>>,
     options: Option<&Bound<'_, PyDict>>,
 ) -> PyResult<Alignment> {
-    let register: core::RegisterOptions = options::of("align", options)?;
-    let mut options = core::AlignOptions::default()
-        .with_register(register)
-        .with_max_partners(max_partners)
-        .with_viewpoints(viewpoints.unwrap_or_default());
+    let (mut options, align_options): (core::RegisterOptions, core::AlignOptions) = options::of("align", options)?;
     let read = clouds.iter().map(|cloud| Ok(arrays::cloud("clouds", cloud)?.0));
     let clouds: Vec<snake_core::Cloud> = read.collect::<PyResult<_>>()?;
-    let model = model::of_registration(py, model, &options.register, clouds.first())?;
+    let model = model::of_registration(py, model, &options, clouds.first())?;
     let origins: Vec<[f64; 3]> = clouds.iter().map(|cloud| cloud.origin).collect();
-    options.place(&origins);
+    let mut viewpoints = viewpoints.unwrap_or_else(|| vec![None; origins.len()]);
+    options.place_viewpoints(&mut viewpoints, &origins);
     let points: Vec<_> = clouds.into_iter().map(|cloud| cloud.points).collect();
-    let near = threads::run_with_signals(py, |control| core::align_with(&points, model.as_ref(), &options, control))?;
-    let found = near.between_origins(&origins);
+    let near = threads::run_with_signals(py, |control| {
+        core::align_with(&points, &viewpoints, model.as_ref(), &options, &align_options, control)
+    })?;
+    let alignment = near.between_origins(&origins);
     let edge = |edge: &core::Edge| {
         let t_target_source = matrix(py, edge.t_target_source.to_matrix())?;
         let information = matrix(py, edge.information)?;
@@ -149,12 +149,12 @@ pub fn align(
         Py::new(py, AlignmentEdge { source, target, t_target_source, confidence, belief, residual, information })
     };
     Ok(Alignment {
-        poses: found.poses.iter().map(|pose| matrix(py, pose.t_part_cloud.to_matrix())).collect::<PyResult<_>>()?,
-        parts: found.parts,
-        covariances: found.poses.iter().map(|pose| matrix(py, pose.covariance)).collect::<PyResult<_>>()?,
-        edges: found.edges.iter().map(edge).collect::<PyResult<_>>()?,
-        num_pairs: found.num_pairs,
-        num_skipped: found.num_skipped,
-        seconds: found.seconds,
+        poses: alignment.poses.iter().map(|pose| matrix(py, pose.t_part_cloud.to_matrix())).collect::<PyResult<_>>()?,
+        parts: alignment.parts,
+        covariances: alignment.poses.iter().map(|pose| matrix(py, pose.covariance)).collect::<PyResult<_>>()?,
+        edges: alignment.edges.iter().map(edge).collect::<PyResult<_>>()?,
+        num_pairs: alignment.num_pairs,
+        num_skipped: alignment.num_skipped,
+        seconds: alignment.seconds,
     })
 }

@@ -9,7 +9,7 @@ use pyo3::prelude::*;
 use pyo3::types::{IntoPyDict, PyDict, PyIterator, PyList, PySlice, PyTuple};
 use snake_core::{self as core, Chosen, Cloud, Counts, Detection, Point};
 use snake_io::{KeypointSource, read_keypoints, write_keypoints};
-use snake_registration::{FPFH_DIMENSION, describe};
+use snake_registration::{FPFH_DIMENSION, describe_keypoints};
 
 use crate::arrays::{self, Positions, Precision};
 use crate::error::file_error;
@@ -224,7 +224,7 @@ impl Keypoints {
             return Err(PyValueError::new_err(reason));
         };
         let points = arrays::given_rows("points", &self.points.bind(py))?.relative_to(cloud.origin)?;
-        let flat = threads::run_with_signals(py, |control| describe(&cloud.points, &points, control))?;
+        let flat = threads::run_with_signals(py, |control| describe_keypoints(&cloud.points, &points, control))?;
         let made = arrays::rows(py, flat, FPFH_DIMENSION)?.unbind();
         Ok(self.descriptors.get_or_init(|| made).clone_ref(py))
     }

@@ -3,11 +3,11 @@
 
 use pyo3::exceptions::{PyTypeError, PyValueError};
 use pyo3::prelude::*;
-use pyo3::types::{PyDict, PyString};
+use pyo3::types::{PyDict, PyList, PyString};
 use serde::Serialize;
 use serde::de::DeserializeOwned;
 use serde_json::{Map, Number, Value};
-use snake_core::{Options, in_words};
+use snake_core::{Options, in_words, option_names};
 
 use crate::error::py_error;
 
@@ -58,17 +58,18 @@ fn options_of<'a>(tree: &'a Value, part: &str) -> impl Iterator<Item = &'a Strin
     entries.filter(|(_, value)| !value.is_object()).map(|(name, _)| name)
 }
 
-/// The options of a function without presets: the defaults, overridden by the keywords.
+/// The options of a function without presets: the defaults, overridden by the keywords. They may be a pair of structs.
 pub fn of<T: Default + Serialize + DeserializeOwned>(function: &str, given: Option<&Bound<PyDict>>) -> PyResult<T> {
     let mut options = T::default();
     let mut tree = serde_json::to_value(&options).map_err(|e| PyValueError::new_err(e.to_string()))?;
     for (name, value) in given.into_iter().flatten() {
         let name: String = name.extract()?;
-        if tree.get(&name).is_none() {
-            let known = tree.as_object().into_iter().flatten().map(|(name, _)| name.as_str());
-            return Err(unexpected(function, &name, known));
-        }
-        options = set(&mut tree, &format!("/{name}"), &name, &value)?;
+        let known = option_names(&tree);
+        let Some((group, _)) = known.iter().find(|(_, option)| *option == name) else {
+            return Err(unexpected(function, &name, known.iter().map(|(_, option)| *option)));
+        };
+        let place = format!("{group}/{name}");
+        options = set(&mut tree, &place, &name, &value)?;
     }
     Ok(options)
 }
@@ -106,6 +107,45 @@ pub fn flat<'py>(py: Python<'py>, preset: &Options) -> PyResult<Bound<'py, PyDic
 
 fn tree(preset: &Options) -> PyResult<Value> {
     serde_json::to_value(preset).map_err(|e| PyValueError::new_err(e.to_string()))
+}
+
+/// JSON as Python's objects. Numbers keep their bits.
+pub fn to_python<'py>(py: Python<'py>, value: &Value) -> PyResult<Bound<'py, PyAny>> {
+    Ok(match value {
+        Value::Null => py.None().into_bound(py),
+        Value::Bool(flag) => flag.into_pyobject(py)?.to_owned().into_any(),
+        Value::Number(number) => match (number.as_u64(), number.as_f64()) {
+            (Some(whole), _) => whole.into_pyobject(py)?.into_any(),
+            (None, number) => number.into_pyobject(py)?.into_any(),
+        },
+        Value::String(text) => text.into_pyobject(py)?.into_any(),
+        Value::Array(items) => {
+            let items: Vec<_> = items.iter().map(|item| to_python(py, item)).collect::<PyResult<_>>()?;
+            PyList::new(py, items)?.into_any()
+        }
+        Value::Object(entries) => {
+            let dict = PyDict::new(py);
+            for (name, value) in entries {
+                dict.set_item(name, to_python(py, value)?)?;
+            }
+            dict.into_any()
+        }
+    })
+}
+
+/// The JSON that [`to_python`] converted, nested at most `depth` times; `None` for any other value.
+pub fn from_python(value: &Bound<PyAny>, depth: usize) -> Option<Value> {
+    if let Ok(dict) = value.cast::<PyDict>() {
+        let depth = depth.checked_sub(1)?;
+        let entry =
+            |(name, value): (Bound<PyAny>, Bound<PyAny>)| Some((name.extract().ok()?, from_python(&value, depth)?));
+        return dict.iter().map(entry).collect::<Option<Map<String, Value>>>().map(Value::Object);
+    }
+    if let Ok(list) = value.cast::<PyList>() {
+        let depth = depth.checked_sub(1)?;
+        return list.iter().map(|item| from_python(&item, depth)).collect();
+    }
+    json(value, 0)
 }
 
 /// The number of items that a sequence can have: a matrix has four rows of four.

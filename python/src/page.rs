@@ -5,10 +5,29 @@ use std::path::PathBuf;
 use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
+use snake_core::Length;
 use snake_view::{Page, Pair, ShownCloud, viridis};
 
-use crate::baselines::LengthLike;
+use crate::error::py_error;
 use crate::{arrays, metrics, model, options, threads};
+
+/// A length in Python: a number of cloud units, or text such as "6r".
+#[derive(FromPyObject)]
+pub enum LengthLike {
+    /// In the cloud's units.
+    Units(f64),
+    /// Text that the core parses.
+    Text(String),
+}
+
+impl LengthLike {
+    fn length(self) -> PyResult<Length> {
+        match self {
+            Self::Units(length) => Ok(Length::Units(length)),
+            Self::Text(text) => text.parse().map_err(py_error),
+        }
+    }
+}
 
 /// The page that shows a cloud, or two, with their keypoints, as HTML. Arguments are those of `view`.
 #[pyfunction]

@@ -1,129 +1,164 @@
 //! `snake_rs.register`, `estimate_normals` and `fpfh`.
 
 use numpy::{PyArray1, PyArray2, PyArrayMethods};
+use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
-use snake_core::{Cloud, RigidTransform};
+use snake_core::Cloud;
 use snake_registration as core;
 
 use crate::model;
 use crate::{arrays, options, threads};
 
 /// A rigid transform between two clouds, with a verdict and figures of its quality. It can be pickled.
+#[pyclass(frozen, module = "snake_rs")]
+pub struct Registration(core::Registration);
+
+/// Whether a transform can be relied on, with the evidence beside `fit` and `matches`.
 #[pyclass(frozen, get_all, module = "snake_rs")]
-pub struct Registration {
-    /// Maps source points into the target's frame, (4, 4) float64: `p_target = R p_source + t`.
-    t_target_source: Py<PyArray2<f64>>,
+pub struct Verdict {
     /// How likely the transform is right, in [0, 1].
     confidence: f64,
     /// Whether the transform can be relied on: `confidence` is at least 0.5.
     is_reliable: bool,
     /// Whether the clouds leave more than one answer; `notes` say why. An ambiguous transform is not reliable.
     is_ambiguous: bool,
-    /// Number of matches that the transform brings within `inlier_distance` before ICP.
-    num_inliers: usize,
-    /// Number of matches that agree with the refined transform.
-    num_agreeing: usize,
-    /// The same for the best other transform; 0 without one.
-    num_rival_agreeing: usize,
-    /// Number of matches of keypoints.
-    num_correspondences: usize,
-    /// Root mean square distance of the inliers before ICP, in cloud units.
-    rmse: f64,
-    /// Distance up to which a match is an inlier, in cloud units.
-    inlier_distance: f64,
-    /// Share of the source's voxels within `inlier_distance` of the target's under `t_target_source`, in [0, 1].
-    fitness: f64,
-    /// Root mean square distance of these voxels to the target's, in cloud units.
-    fitness_rmse: f64,
-    /// Share of the voxels of both clouds that lie where the other cloud's sensor saw through, in [0, 1].
-    free_space_violation: f64,
-    /// Standard deviation of the matches that agree in the direction in which they are spread least, in cloud units.
-    match_spread: f64,
-    /// How well the overlap fixes the direction of motion that it fixes least: 0 if the source can slide or turn.
+    /// What may be wrong with the clouds or the transform.
+    notes: Vec<String>,
+    /// How well the overlap fixes the direction of motion that it fixes least: 0 if the source can slide or rotate.
     weakest_constraint: f64,
     /// By how much the overlap exceeds that of slides along the direction that is fixed least; below 0 if one fits better.
     slide_margin: f64,
-    /// Share of the patches that agree where the target looks alike, such as a period farther along equal pillars; 0 if nowhere.
+    /// Share of the patches that also fit after a shift along a repeating structure, such as equal pillars; 0 if there is none.
     repeat_fit: f64,
+    /// Share of the voxels of both clouds that lie where the other cloud's sensor saw through, in [0, 1].
+    free_space_violation: f64,
+}
+
+/// How well two clouds fit under a transform.
+#[pyclass(frozen, get_all, module = "snake_rs")]
+pub struct Fit {
+    /// Share of the source's voxels within `inlier_distance` of the target's, in [0, 1].
+    fitness: f64,
+    /// Root mean square distance of these voxels to the target's, in cloud units.
+    rmse: f64,
+    /// Distance below which voxels overlap and matches agree, in cloud units.
+    inlier_distance: f64,
     /// Information matrix (6, 6) float64 of a small rotation (radians), then translation, in the target's frame.
     information: Py<PyArray2<f64>>,
-    /// The best distinct transforms (4, 4), best first: `hypotheses` of them at most.
-    hypotheses: Vec<Py<PyArray2<f64>>>,
-    /// Which viewpoints were used for source and target: "given", "origin" or "none".
-    viewpoints: (String, String),
-    /// What may be wrong with the clouds.
-    notes: Vec<String>,
-    /// Numbers of points of source and target that were skipped because they are not finite or stand for missing returns.
-    num_skipped: (usize, usize),
-    /// Seconds that the registration took.
-    seconds: f64,
 }
 
-/// Names the attributes, and reads all of them from a dict.
-macro_rules! attributes {
-    ($($name:ident),* $(,)?) => {
-        impl Registration {
-            const NAMES: &[&str] = &[$(stringify!($name)),*];
-
-            fn of_state(state: &Bound<'_, PyDict>) -> PyResult<Self> {
-                Ok(Self { $($name: state.as_any().get_item(stringify!($name))?.extract()?),* })
-            }
-        }
-    };
+/// The matches of keypoints, and how many agree with a transform.
+#[pyclass(frozen, get_all, module = "snake_rs")]
+pub struct Matches {
+    /// Number of matches.
+    num_matches: usize,
+    /// Number of matches that the transform brings within the inlier distance before ICP.
+    num_inliers: usize,
+    /// Root mean square distance of the inliers before ICP, in cloud units.
+    rmse: f64,
+    /// Number of matches that agree with the refined transform.
+    num_agreeing: usize,
+    /// Number of matches that agree with the best other transform; 0 without one.
+    num_rival_agreeing: usize,
+    /// Standard deviation of the matches that agree in the direction in which they are spread least, in cloud units.
+    spread: f64,
 }
-attributes!(
-    t_target_source,
-    confidence,
-    is_reliable,
-    is_ambiguous,
-    num_inliers,
-    num_agreeing,
-    num_rival_agreeing,
-    num_correspondences,
-    rmse,
-    inlier_distance,
-    fitness,
-    fitness_rmse,
-    free_space_violation,
-    match_spread,
-    weakest_constraint,
-    slide_margin,
-    repeat_fit,
-    information,
-    hypotheses,
-    viewpoints,
-    notes,
-    num_skipped,
-    seconds,
-);
+
+/// What was used of a cloud.
+#[pyclass(frozen, get_all, module = "snake_rs")]
+pub struct CloudReport {
+    /// Viewpoint that gave the normals their signs: "given", "origin" or "none".
+    viewpoint: &'static str,
+    /// Number of points that were skipped because they are not finite, are outliers or stand for missing returns.
+    num_skipped: usize,
+}
 
 #[pymethods]
 impl Registration {
-    /// The registration that a pickle holds: a dict of all attributes.
+    /// The registration that a pickle holds: a dict with the content of `snake-cli register --json`.
     #[new]
     fn new(state: &Bound<'_, PyDict>) -> PyResult<Self> {
-        Self::of_state(state)
+        let refused = || PyValueError::new_err("expected the state of a registration");
+        let state = options::from_python(state, 6).ok_or_else(refused)?;
+        serde_json::from_value(state).map(Self).map_err(|_| refused())
     }
 
-    fn __getnewargs__<'py>(this: &Bound<'py, Self>) -> PyResult<(Bound<'py, PyDict>,)> {
-        let state = PyDict::new(this.py());
-        for name in Self::NAMES {
-            state.set_item(name, this.getattr(name)?)?;
+    fn __getnewargs__<'py>(&self, py: Python<'py>) -> PyResult<(Bound<'py, PyAny>,)> {
+        let state = serde_json::to_value(&self.0).map_err(|error| PyValueError::new_err(error.to_string()))?;
+        Ok((options::to_python(py, &state)?,))
+    }
+
+    /// Maps source points into the target's frame, (4, 4) float64: `p_target = R p_source + t`.
+    #[getter]
+    fn t_target_source(&self, py: Python<'_>) -> PyResult<Py<PyArray2<f64>>> {
+        matrix(py, self.0.t_target_source.to_matrix())
+    }
+
+    /// Whether the transform can be relied on, and why or why not.
+    #[getter]
+    fn verdict(&self) -> Verdict {
+        let core::Verdict { confidence, is_reliable, is_ambiguous, .. } = self.0.verdict;
+        let core::Verdict { weakest_constraint, slide_margin, repeat_fit, free_space_violation, .. } = self.0.verdict;
+        Verdict {
+            confidence,
+            is_reliable,
+            is_ambiguous,
+            notes: self.0.verdict.notes.clone(),
+            weakest_constraint,
+            slide_margin,
+            repeat_fit,
+            free_space_violation,
         }
-        Ok((state,))
+    }
+
+    /// How well the clouds fit under the transform.
+    #[getter]
+    fn fit(&self, py: Python<'_>) -> PyResult<Fit> {
+        let core::Fit { fitness, rmse, inlier_distance, information, .. } = self.0.fit;
+        Ok(Fit { fitness, rmse, inlier_distance, information: matrix(py, information)? })
+    }
+
+    /// The matches of keypoints, and how many agree with the transform.
+    #[getter]
+    fn matches(&self) -> Matches {
+        let core::Matches { num_matches, num_inliers, rmse, .. } = self.0.matches;
+        let core::Matches { num_agreeing, num_rival_agreeing, spread, .. } = self.0.matches;
+        Matches { num_matches, num_inliers, rmse, num_agreeing, num_rival_agreeing, spread }
+    }
+
+    /// What was used of source and target.
+    #[getter]
+    fn clouds(&self) -> (CloudReport, CloudReport) {
+        let report = |cloud: &core::CloudReport| CloudReport {
+            viewpoint: cloud.viewpoint.name(),
+            num_skipped: cloud.num_skipped,
+        };
+        let [source, target] = &self.0.clouds;
+        (report(source), report(target))
+    }
+
+    /// The best distinct transforms (4, 4), best first: `hypotheses` of them at most.
+    #[getter]
+    fn hypotheses(&self, py: Python<'_>) -> PyResult<Vec<Py<PyArray2<f64>>>> {
+        self.0.hypotheses.iter().map(|hypothesis| matrix(py, hypothesis.t_target_source.to_matrix())).collect()
+    }
+
+    /// Seconds that the registration took.
+    #[getter]
+    fn seconds(&self) -> f64 {
+        self.0.seconds
     }
 
     fn __repr__(&self) -> String {
-        let Self { confidence, num_inliers, num_correspondences, fitness, seconds, .. } = self;
-        let verdict = match (self.is_reliable, self.is_ambiguous) {
-            (true, _) => "reliable",
-            (false, true) => "ambiguous",
-            (false, false) => "not reliable",
-        };
+        let core::Registration { verdict, fit, matches, seconds, .. } = &self.0;
         format!(
-            "Registration({verdict}, confidence {confidence:.2}; {num_inliers} of {num_correspondences} matches; \
-             fitness {fitness:.3}; {seconds:.3} s)"
+            "Registration({}, confidence {:.2}; {} of {} matches; fitness {:.3}; {seconds:.3} s)",
+            verdict.word(),
+            verdict.confidence,
+            matches.num_inliers,
+            matches.num_matches,
+            fit.fitness
         )
     }
 }
@@ -132,8 +167,8 @@ impl Registration {
 ///
 /// `source` (N, 3) and `target` (M, 3) have the same forms as in `detect` and the same units. They may overlap only
 /// partly. Points that are not finite are skipped. Descriptors of the downsampled clouds are matched, transforms on
-/// which many matches agree are compared on the clouds, and point-to-plane ICP refines the best. `confidence` and
-/// `is_reliable` say whether to trust it. Only the detector "snake" and the descriptor "field" run a `model` (default: the
+/// which many matches agree are compared on the clouds, and point-to-plane ICP refines the best. `verdict` says whether
+/// to trust it. Only the detector "snake" and the descriptor "field" run a `model` (default: the
 /// built-in one that suits the target, as in `detect`); no other loads one.
 ///
 /// Raises ValueError for invalid arrays or values and when no transform fits, TypeError for an unknown option. Lengths are in
@@ -150,41 +185,15 @@ pub fn register(
     model: Option<&Bound<'_, PyAny>>,
     options: Option<&Bound<'_, PyDict>>,
 ) -> PyResult<Registration> {
-    let mut options: core::RegisterOptions = options::of("register", options)?;
+    let (mut options, mut pair): (core::RegisterOptions, core::PairOptions) = options::of("register", options)?;
     let ((source, _), (target, _)) = (arrays::cloud("source", source)?, arrays::cloud("target", target)?);
     let model = model::of_registration(py, model, &options, Some(&target))?;
-    options.place(source.origin, target.origin);
+    pair.place(&mut options, source.origin, target.origin);
     let (from, to) = (&source.points, &target.points);
-    let near =
-        threads::run_with_signals(py, |control| core::register_with(from, to, model.as_ref(), &options, control))?;
-    let found = near.between_origins(source.origin, target.origin);
-    let transform = |transform: RigidTransform| matrix(py, transform.to_matrix());
-    let hypotheses = found.hypotheses.iter().map(|hypothesis| transform(hypothesis.t_target_source));
-    Ok(Registration {
-        t_target_source: transform(found.t_target_source)?,
-        confidence: found.confidence,
-        is_reliable: found.is_reliable,
-        is_ambiguous: found.is_ambiguous,
-        num_inliers: found.num_inliers,
-        num_agreeing: found.num_agreeing,
-        num_rival_agreeing: found.num_rival_agreeing,
-        num_correspondences: found.num_correspondences,
-        rmse: found.rmse,
-        inlier_distance: found.inlier_distance,
-        fitness: found.fitness,
-        fitness_rmse: found.fitness_rmse,
-        free_space_violation: found.free_space_violation,
-        match_spread: found.match_spread,
-        weakest_constraint: found.weakest_constraint,
-        slide_margin: found.slide_margin,
-        repeat_fit: found.repeat_fit,
-        information: matrix(py, found.information)?,
-        hypotheses: hypotheses.collect::<PyResult<_>>()?,
-        viewpoints: found.viewpoints.map(|used| used.name().to_string()).into(),
-        notes: found.notes,
-        num_skipped: found.num_skipped.into(),
-        seconds: found.seconds,
-    })
+    let near = threads::run_with_signals(py, |control| {
+        core::register_with(from, to, model.as_ref(), &options, &pair, control)
+    })?;
+    Ok(Registration(near.between_origins(source.origin, target.origin)))
 }
 
 pub(crate) fn matrix<const N: usize>(py: Python<'_>, rows: [[f64; N]; N]) -> PyResult<Py<PyArray2<f64>>> {
@@ -201,7 +210,7 @@ pub fn estimate_normals<'py>(points: &Bound<'py, PyAny>, radius: f64) -> PyResul
 }
 
 /// FPFH descriptors (N, 33) float32 of a cloud (N, 3) with unit normals (N, 3), from the points nearer than `radius`,
-/// as in Open3D.
+/// as in Open3D. A pair of points whose angle is next to the edge of a bin may be in the other bin.
 #[pyfunction]
 pub fn fpfh<'py>(
     points: &Bound<'py, PyAny>,

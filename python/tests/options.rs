@@ -7,7 +7,8 @@ use serde_json::Value;
 use snake_core::{
     Builtin, DetectOptions, EncodeOptions, MeshOptions, OptionGroup, OptionInfo, OptionKind, Options, Preset,
 };
-use snake_registration::RegisterOptions;
+use snake_registration::detectors::{Harris3dOptions, IssOptions, Sift3dOptions, SurfaceVariationOptions};
+use snake_registration::{AlignOptions, PairOptions, RegisterOptions};
 
 const COMMAND: &str = "SNAKE_WRITE_OPTIONS=1 cargo test --release -p snake-rs-python --test options";
 
@@ -19,7 +20,12 @@ fn docstrings_have_every_option_with_its_default() {
         ("encode", entries(&encode)),
         ("detect", entries(&detect)),
         ("mesh", entries(&MeshOptions::default())),
-        ("register", entries(&RegisterOptions::default())),
+        ("register", [entries(&RegisterOptions::default()), entries(&PairOptions::default())].concat()),
+        ("align", entries(&AlignOptions::default())),
+        ("iss", entries(&IssOptions::default())),
+        ("harris3d", entries(&Harris3dOptions::default())),
+        ("sift3d", entries(&Sift3dOptions::default())),
+        ("surface_variation", entries(&SurfaceVariationOptions::default())),
         ("preset", preset),
     ] {
         check(&folder().join(format!("src/help/{name}.txt")), &text);
@@ -39,7 +45,13 @@ fn the_stub_has_every_option_with_its_type() {
         class("_EncodeOptions", "_Preset", &types(EncodeOptions::OPTIONS)),
         class("_DetectOptions", "_Preset", &types(DetectOptions::OPTIONS)),
         "@type_check_only\nclass _Options(_EncodeOptions, _DetectOptions, total=False): ...\n".into(),
-        class("_RegisterOptions", "TypedDict", &types(RegisterOptions::OPTIONS)),
+        class("_RegistrationOptions", "TypedDict", &types(RegisterOptions::OPTIONS)),
+        class("_RegisterOptions", "_RegistrationOptions", &types(PairOptions::OPTIONS)),
+        class("_AlignOptions", "_RegistrationOptions", &types(AlignOptions::OPTIONS)),
+        class("_IssOptions", "TypedDict", &types(IssOptions::OPTIONS)),
+        class("_Harris3dOptions", "TypedDict", &types(Harris3dOptions::OPTIONS)),
+        class("_Sift3dOptions", "TypedDict", &types(Sift3dOptions::OPTIONS)),
+        class("_SurfaceVariationOptions", "TypedDict", &types(SurfaceVariationOptions::OPTIONS)),
         class("_MeshOptions", "TypedDict", &types(MeshOptions::OPTIONS)),
     ];
     check(&path, &format!("{before}{begin}{}{end}{after}", classes.join("\n")));

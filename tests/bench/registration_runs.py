@@ -39,12 +39,13 @@ def run_ours(source: np.ndarray, target: np.ndarray) -> dict:
     except ValueError:
         return {"refined": np.eye(4).tolist(), "score": 0.0, "seconds": time.perf_counter() - start}
     seconds = time.perf_counter() - start
-    names = ("num_agreeing", "num_rival_agreeing", "slide_margin", "free_space_violation", "is_ambiguous", "fitness")
-    names += ("weakest_constraint", "repeat_fit")
-    evidence = {name: getattr(found, name) for name in names}
-    evidence["match_spread"] = found.match_spread / found.inlier_distance
+    verdict, fit, matches = found.verdict, found.fit, found.matches
+    names = ("slide_margin", "free_space_violation", "is_ambiguous", "weakest_constraint", "repeat_fit")
+    evidence = {name: getattr(verdict, name) for name in names}
+    evidence |= {name: getattr(matches, name) for name in ("num_agreeing", "num_rival_agreeing")}
+    evidence |= {"fitness": fit.fitness, "match_spread": matches.spread / fit.inlier_distance}
     transform = found.t_target_source.tolist()
-    return {"refined": transform, "score": found.confidence, "seconds": seconds, "evidence": evidence}
+    return {"refined": transform, "score": verdict.confidence, "seconds": seconds, "evidence": evidence}
 
 
 def run(method: str, source: np.ndarray, target: np.ndarray) -> dict:

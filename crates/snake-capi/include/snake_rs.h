@@ -66,7 +66,7 @@ typedef struct SnakeRegistration {
   /// Whether the clouds leave more than one answer, as a plane or a periodic structure does; then it is not reliable.
   bool is_ambiguous;
   /// Number of matches.
-  size_t num_correspondences;
+  size_t num_matches;
   /// Number of matches on which the transform was built.
   size_t num_inliers;
   /// Share of the source on the target, 0 to 1.

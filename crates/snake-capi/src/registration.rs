@@ -4,7 +4,7 @@ use std::ffi::c_char;
 
 use serde_json::Map;
 use snake_core::{Chooser, Control, ModelChoice, with_named_values};
-use snake_registration::{RegisterOptions, Registration, register_with};
+use snake_registration::{PairOptions, RegisterOptions, Registration, register_with};
 
 use crate::arguments::{SnakeCloud, check_output, optional, options as parse_options};
 use crate::model::SnakeModel;
@@ -24,7 +24,7 @@ pub struct SnakeRegistration {
     /// Whether the clouds leave more than one answer, as a plane or a periodic structure does; then it is not reliable.
     pub is_ambiguous: bool,
     /// Number of matches.
-    pub num_correspondences: usize,
+    pub num_matches: usize,
     /// Number of matches on which the transform was built.
     pub num_inliers: usize,
     /// Share of the source on the target, 0 to 1.
@@ -34,18 +34,19 @@ pub struct SnakeRegistration {
 }
 
 impl From<&Registration> for SnakeRegistration {
-    fn from(found: &Registration) -> Self {
+    fn from(registration: &Registration) -> Self {
+        let Registration { verdict, fit, matches, .. } = registration;
         let mut t_target_source = [0.0; 16];
-        t_target_source.copy_from_slice(found.t_target_source.to_matrix().as_flattened());
+        t_target_source.copy_from_slice(registration.t_target_source.to_matrix().as_flattened());
         Self {
             t_target_source,
-            confidence: found.confidence,
-            is_reliable: found.is_reliable,
-            is_ambiguous: found.is_ambiguous,
-            num_correspondences: found.num_correspondences,
-            num_inliers: found.num_inliers,
-            fitness: found.fitness,
-            fitness_rmse: found.fitness_rmse,
+            confidence: verdict.confidence,
+            is_reliable: verdict.is_reliable,
+            is_ambiguous: verdict.is_ambiguous,
+            num_matches: matches.num_matches,
+            num_inliers: matches.num_inliers,
+            fitness: fit.fitness,
+            fitness_rmse: fit.rmse,
         }
     }
 }
@@ -76,18 +77,19 @@ pub unsafe extern "C" fn snake_register(
         let model = unsafe { optional("model", model) }?;
         // SAFETY: the caller vouches for the text.
         let values = unsafe { parse_options(options) }?;
-        let options = with_named_values(&RegisterOptions::default(), &values)?;
+        let defaults = (RegisterOptions::default(), PairOptions::default());
+        let (options, pair_options) = with_named_values(&defaults, &values)?;
         let is_used = |model: &&SnakeModel| options.needs_model() || matches!(model.choice, ModelChoice::Named(_));
         let model = model.filter(is_used);
-        let found = run(|| {
+        let result = run(|| {
             let choose = |model: &SnakeModel| Chooser::new(model.choice.clone(), &Map::new())?.for_points(&target);
             let chosen = model.map(choose).transpose()?;
             let model = chosen.as_ref().map(|chosen| &chosen.model);
-            Ok(register_with(&source, &target, model, &options, &Control::default())?)
+            Ok(register_with(&source, &target, model, &options, &pair_options, &Control::default())?)
         })?;
-        let found = SnakeRegistration::from(&found);
+        let result = SnakeRegistration::from(&result);
         // SAFETY: the place is neither null nor misaligned; the caller vouches for the rest.
-        unsafe { registration.write(found) };
+        unsafe { registration.write(result) };
         Ok(())
     })
 }

@@ -246,7 +246,7 @@ fn clouds_are_registered() {
         confidence: -1.0,
         is_reliable: false,
         is_ambiguous: false,
-        num_correspondences: 0,
+        num_matches: 0,
         num_inliers: 0,
         fitness: 0.0,
         fitness_rmse: 0.0,
@@ -265,7 +265,7 @@ fn clouds_are_registered() {
     assert_eq!(register(source, target, null(), &mut found), SnakeStatus::Ok, "{}", last_error());
     let expected = [0.0, -1.0, 0.0, 3.0, 1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 0.0, 1.0];
     assert!(found.t_target_source.iter().zip(expected).all(|(a, b)| (a - b).abs() < 0.02), "{found:?}");
-    assert!(found.is_reliable && found.num_correspondences >= found.num_inliers && found.fitness > 0.9, "{found:?}");
+    assert!(found.is_reliable && found.num_matches >= found.num_inliers && found.fitness > 0.9, "{found:?}");
     let options = c"{\"detector\": \"snake\"}".as_ptr();
     let before = found;
     assert_eq!(register(source, target, options, &mut found), SnakeStatus::Option);

@@ -5,7 +5,7 @@ use clap::Args;
 use serde::Serialize;
 use serde_json::{Map, Value};
 use snake_core::{Builtin, DetectOptions, EncodeOptions, OptionGroup, OptionInfo};
-use snake_registration::RegisterOptions;
+use snake_registration::{AlignOptions, PairOptions, RegisterOptions};
 
 use crate::terminal::{self, Report};
 
@@ -47,6 +47,10 @@ pub fn list() -> Result<()> {
     rows(&mut report, DetectOptions::OPTIONS, &[values_of(&compact.detect), values_of(&scenes.detect)]);
     report.heading(format!("{:<22} {:>16}", "registration", "default"));
     rows(&mut report, RegisterOptions::OPTIONS, &[values_of(&RegisterOptions::default())]);
+    report.heading(format!("{:<22} {:>16}", "register", "default"));
+    rows(&mut report, PairOptions::OPTIONS, &[values_of(&PairOptions::default())]);
+    report.heading(format!("{:<22} {:>16}", "align", "default"));
+    rows(&mut report, AlignOptions::OPTIONS, &[values_of(&AlignOptions::default())]);
     terminal::print(&report)
 }
 
@@ -80,7 +84,13 @@ pub fn instead_of(flag: &str) -> Option<String> {
     if ["count", "keypoints"].contains(&&name[..]) {
         return Some("type --max-keypoints NUMBER".into());
     }
-    let tables = [EncodeOptions::OPTIONS, DetectOptions::OPTIONS, RegisterOptions::OPTIONS];
+    let tables = [
+        EncodeOptions::OPTIONS,
+        DetectOptions::OPTIONS,
+        RegisterOptions::OPTIONS,
+        PairOptions::OPTIONS,
+        AlignOptions::OPTIONS,
+    ];
     let is_option = tables.into_iter().flatten().any(|option| option.name == name);
     is_option.then(|| format!("type --set {name}=VALUE"))
 }

@@ -72,6 +72,8 @@ pub use model::Model;
 pub use network::{ModelConfig, Scatter, Volume, read_weight_file};
 #[doc(hidden)]
 pub use options::in_words;
+#[doc(hidden)]
+pub use options::option_names;
 pub use options::{
     DetectOptions, EncodeOptions, MeshOptions, Options, Preset, RefineMethod, Selection, with_named_values,
 };

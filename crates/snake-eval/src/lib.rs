@@ -14,6 +14,7 @@
 //! keypoints of a shape + annotations ─────→ semantic_counts → MatchCounts::iou
 //! keypoints of a body in two poses ───────→ smpl_pair_counts → smpl_iou
 //! correspondences + t_target_source ──────→ inlier_ratio → feature_matching_recall
+//! correspondences ────────────────────────→ ransac → estimated transforms
 //! estimated and true transforms ──────────→ squared_registration_error → registration_recall
 //! ```
 //!
@@ -41,6 +42,7 @@ pub mod datasets;
 mod error;
 #[cfg(feature = "datasets")]
 mod external;
+mod protocols;
 mod registration;
 mod repeatability;
 #[cfg(feature = "datasets")]
@@ -59,6 +61,7 @@ pub use coverage::{RankedKeypoints, radius_of_coverage};
 pub use error::Error;
 #[cfg(feature = "datasets")]
 pub use external::ExternalKeypoints;
+pub use protocols::{Consensus, RansacOptions, ransac};
 pub use registration::{
     RegistrationOutcome, feature_matching_recall, information_matrix, inlier_ratio, overlap, registration_recall,
     squared_registration_error,

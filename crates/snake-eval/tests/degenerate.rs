@@ -89,7 +89,7 @@ fn registrations_are_finite_or_refused() {
         if let Some(found) = found {
             assert!(
                 found.t_target_source.to_matrix().as_flattened().iter().all(|v| v.is_finite())
-                    && found.rmse.is_finite(),
+                    && found.matches.rmse.is_finite(),
                 "{name}"
             );
         }
@@ -104,12 +104,12 @@ fn registrations_are_finite_or_refused() {
 #[test]
 fn classical_keypoints_are_points_of_the_cloud_or_refused() {
     for (name, _, cloud) in clouds() {
-        let cases = Detector::NAMES
-            .into_iter()
-            .flat_map(|detector| [(detector, Protocol::Ranked), (detector, Protocol::Paper)]);
+        let cases = Detector::CLASSICAL
+            .iter()
+            .flat_map(|&detector| [(detector, Protocol::Ranked), (detector, Protocol::Paper)]);
         for (detector, protocol) in cases {
-            let what = format!("{detector}, {name}");
-            let found = Detector::named(detector, protocol).unwrap().keypoints(&cloud, 16, protocol, 0);
+            let what = format!("{}, {name}", detector.name());
+            let found = detector.keypoints(&cloud, 16, protocol, 0);
             let found = usable(&what, found).unwrap_or_default();
             assert!(found.len() <= 16, "{what}");
             let is_usable = |index: usize, score: f64| is_finite(&[cloud[index]]) && score.is_finite();

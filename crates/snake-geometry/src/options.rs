@@ -209,6 +209,10 @@ impl<'de> Deserializer<'de> for Probe<'_> {
         self.note(OptionKind::Number)
     }
 
+    fn deserialize_f64<V: Visitor<'de>>(self, _: V) -> std::result::Result<V::Value, Refused> {
+        self.note(OptionKind::Number)
+    }
+
     fn deserialize_option<V: Visitor<'de>>(self, visitor: V) -> std::result::Result<V::Value, Refused> {
         visitor.visit_some(self)
     }
@@ -227,7 +231,7 @@ impl<'de> Deserializer<'de> for Probe<'_> {
     }
 
     forward_to_deserialize_any! {
-        i8 i16 i32 i64 u8 u16 u32 f64 char str string bytes byte_buf unit unit_struct newtype_struct seq tuple_struct map
+        i8 i16 i32 i64 u8 u16 u32 char str string bytes byte_buf unit unit_struct newtype_struct seq tuple_struct map
         struct identifier ignored_any
     }
 }
@@ -301,6 +305,8 @@ mod tests {
             number, with_number: usize = 3, from 2 or more;
             /// A share.
             share, with_share: Option<f32> = None, none "off", from 0.001 to 0.999 " (of all)", flag "SHARE";
+            /// A ratio.
+            ratio, with_ratio: f64 = 0.975, from 0 to 1;
             /// A radius.
             radius, with_radius: Option<Length> = None, none "no limit", from 0 or more;
             /// A switch.
@@ -334,9 +340,10 @@ mod tests {
             (of("radius").limits(""), of("switch").limits("null")),
             ("allowed: 0 or more".into(), String::new())
         );
-        let kinds = ["number", "share", "radius", "switch", "place", "transform"].map(|name| (of(name).kind)());
+        let kinds =
+            ["number", "share", "ratio", "radius", "switch", "place", "transform"].map(|name| (of(name).kind)());
         use OptionKind::{Flag, Length, List, Number, Whole};
-        assert_eq!(kinds, [Whole, Number, Length, Flag, List, List]);
+        assert_eq!(kinds, [Whole, Number, Number, Length, Flag, List, List]);
     }
 
     #[test]
@@ -351,6 +358,9 @@ mod tests {
         for share in [0.0, 1.0, f32::NAN] {
             let expected = format!("option `share` is {share}: allowed is 0.001 to 0.999 (of all)");
             assert_eq!(refused(good.with_share(Some(share))), expected);
+        }
+        for ratio in [-0.1, 1.1, f64::NAN] {
+            assert!(refused(good.with_ratio(ratio)).contains("`ratio`"), "{ratio}");
         }
         for radius in [-1.0, f64::NAN, f64::INFINITY] {
             assert!(refused(good.with_radius(Some(Length::Percent(radius)))).contains("`radius`"), "{radius}");

@@ -1,4 +1,5 @@
-//! The rigid transform between two clouds: `cargo run --release --example register -- scan2.ply scan1.ply`.
+//! The rigid transform between two clouds:
+//! `cargo run --release --example register -- scan2.ply scan1.ply`.
 
 use std::path::Path;
 
@@ -12,9 +13,10 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     let source = snake_io::read_points(Path::new(&source))?;
     let target = snake_io::read_points(Path::new(&target))?;
 
-    let found = register(&source, &target, &RegisterOptions::default())?;
+    let registration = register(&source, &target, &RegisterOptions::default())?;
     // A point of the source in the target's frame: p_target = R p_source + t.
-    println!("{:?}", found.t_target_source);
-    println!("{:.1} % of the source lies on the target", 100.0 * found.fitness);
+    println!("{:?}", registration.t_target_source);
+    println!("{}: confidence {:.2}", registration.verdict.word(), registration.verdict.confidence);
+    println!("{:.1} % of the source lies on the target", 100.0 * registration.fit.fitness);
     Ok(())
 }

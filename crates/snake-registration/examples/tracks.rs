@@ -8,7 +8,8 @@ use std::path::Path;
 use snake_core::{Builtin, Keypoint, Model, Point, RigidTransform, Tracker, TrackerOptions};
 use snake_registration::detectors::{IssOptions, iss};
 
-/// Maximum distance between a keypoint and its track, in metres; a keypoint is at the same place within half of it.
+/// Maximum distance between a keypoint and its track, in metres; a keypoint is at the same place
+/// within half of it.
 const MAX_DISTANCE: f64 = 1.0;
 
 type Result<T> = std::result::Result<T, Box<dyn std::error::Error>>;
@@ -24,10 +25,10 @@ fn main() -> Result<()> {
         std::env::args().nth(1).ok_or("usage: tracks DRIVES, a folder that snake_training.data.drives wrote")?;
     let (mut shares, drives) = ([0.0; 2], drives(Path::new(&folder))?);
     for (name, drive) in &drives {
-        let of_field = tracks_of_field(drive)?;
-        let count = of_field[0].len();
+        let field = field_tracks(drive)?;
+        let count = field[0].len();
         for ((method, frames), sum) in
-            [("scenes", of_field), ("ISS", tracks_of_iss(drive, count)?)].into_iter().zip(&mut shares)
+            [("scenes", field), ("ISS", iss_tracks(drive, count)?)].into_iter().zip(&mut shares)
         {
             let share = kept(&frames);
             println!("{name}: {:3.0} % of the ids of {method} are kept over {} sweeps", 100.0 * share, drive.len() - 1);
@@ -63,7 +64,7 @@ fn drives(folder: &Path) -> Result<BTreeMap<String, Drive>> {
 }
 
 /// Keypoints of `scenes` with their descriptors.
-fn tracks_of_field(drive: &Drive) -> Result<Vec<Vec<Tracked>>> {
+fn field_tracks(drive: &Drive) -> Result<Vec<Vec<Tracked>>> {
     let model = Model::builtin(Builtin::Scenes);
     tracks(drive, |points| {
         let field = model.encode(points, &model.recommended().encode)?;
@@ -75,7 +76,7 @@ fn tracks_of_field(drive: &Drive) -> Result<Vec<Vec<Tracked>>> {
 }
 
 /// The best `count` keypoints of ISS, whose tracks go on by position alone.
-fn tracks_of_iss(drive: &Drive, count: usize) -> Result<Vec<Vec<Tracked>>> {
+fn iss_tracks(drive: &Drive, count: usize) -> Result<Vec<Vec<Tracked>>> {
     tracks(drive, |points| {
         let best = iss(points, &IssOptions::default())?;
         let keypoint = |nearest_index: usize| Keypoint {
@@ -91,7 +92,8 @@ fn tracks_of_iss(drive: &Drive, count: usize) -> Result<Vec<Vec<Tracked>>> {
     })
 }
 
-/// The ids of keypoints and their positions, sweep by sweep. The motion is given, as odometry gives it.
+/// The ids of keypoints and their positions, sweep by sweep. The motion is given, as odometry gives
+/// it.
 fn tracks(
     drive: &Drive,
     mut detect: impl FnMut(&[Point]) -> Result<(Vec<Keypoint>, Vec<f32>)>,

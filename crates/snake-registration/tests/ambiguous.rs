@@ -1,4 +1,5 @@
-//! Clouds without a unique answer: planes, spheres, cylinders, mirror images, periodic structures, different units.
+//! Clouds without a unique answer: planes, spheres, cylinders, mirror images, periodic structures,
+//! different units.
 
 use std::f32::consts::TAU;
 
@@ -26,7 +27,7 @@ fn cylinder(rng: &mut ChaCha8Rng) -> Point {
 }
 
 /// A point of the surface of a box from 0 to `size`.
-fn of_box(rng: &mut ChaCha8Rng, size: Point) -> Point {
+fn box_point(rng: &mut ChaCha8Rng, size: Point) -> Point {
     let mut point: Point = size.map(|side| rng.random_range(0.0..side));
     let areas = [size[1] * size[2], size[0] * size[2], size[0] * size[1]];
     let at = rng.random_range(0.0..areas.iter().sum::<f32>());
@@ -36,7 +37,7 @@ fn of_box(rng: &mut ChaCha8Rng, size: Point) -> Point {
 }
 
 fn cube(rng: &mut ChaCha8Rng) -> Point {
-    of_box(rng, [2.0; 3])
+    box_point(rng, [2.0; 3])
 }
 
 /// Eight equal pillars in a row on a floor.
@@ -45,7 +46,7 @@ fn pillars(rng: &mut ChaCha8Rng) -> Point {
     match rng.random_range(0..3) {
         0 => [rng.random_range(0.0..8.0), rng.random_range(-1.0..1.0), 0.0],
         _ => {
-            let [x, y, z] = of_box(rng, [0.4, 0.4, 1.0]);
+            let [x, y, z] = box_point(rng, [0.4, 0.4, 1.0]);
             [x + pillar + 0.3, y - 0.2, z]
         }
     }
@@ -59,14 +60,14 @@ fn room(rng: &mut ChaCha8Rng) -> Point {
         6 => ([0.7, 0.5, 0.0], [0.5, 1.2, 1.2]),
         _ => ([-1.8, 1.0, 0.0], [0.6, 0.8, 0.5]),
     };
-    let point = of_box(rng, size);
+    let point = box_point(rng, size);
     [0, 1, 2].map(|axis| point[axis] + low[axis])
 }
 
-fn sample(of: Sampler, count: usize, seed: u64, noise: f32) -> Vec<Point> {
+fn sample(surface: Sampler, count: usize, seed: u64, noise: f32) -> Vec<Point> {
     let mut rng = ChaCha8Rng::seed_from_u64(seed);
     let noisy =
-        |rng: &mut ChaCha8Rng| of(rng).map(|v| if noise > 0.0 { v + rng.random_range(-noise..noise) } else { v });
+        |rng: &mut ChaCha8Rng| surface(rng).map(|v| if noise > 0.0 { v + rng.random_range(-noise..noise) } else { v });
     (0..count).map(|_| noisy(&mut rng)).collect()
 }
 
@@ -74,27 +75,33 @@ fn run(source: &[Point], target: &[Point]) -> Result<Registration> {
     register(source, target, &RegisterOptions::default())
 }
 
-/// Two samples of a surface. The target is turned by 1 about x.
-fn two_samples(of: Sampler, count: usize, noise: f32) -> Result<Registration> {
+/// Two samples of a surface. The target is rotated by 1 about x.
+fn two_samples(surface: Sampler, count: usize, noise: f32) -> Result<Registration> {
     let (sin, cos) = 1.0_f32.sin_cos();
-    let turned = sample(of, count, 2, noise).into_iter().map(|[x, y, z]| [x, cos * y - sin * z, sin * y + cos * z]);
-    run(&sample(of, count, 1, noise), &turned.collect::<Vec<_>>())
+    let rotated =
+        sample(surface, count, 2, noise).into_iter().map(|[x, y, z]| [x, cos * y - sin * z, sin * y + cos * z]);
+    run(&sample(surface, count, 1, noise), &rotated.collect::<Vec<_>>())
 }
 
 #[test]
 fn open_directions_are_named() {
     // The axes are in the target's frame. Edges of a plane may give no matches at all.
-    for (name, of, names) in [
+    for (name, surface, names) in [
         ("plane", plane as Sampler, "(0.00, -0.84, 0.54)"),
         ("sphere", sphere, "any rotation"),
         ("cylinder", cylinder, "translation along (0.00, -0.84, 0.54), rotation about (0.00, -0.84, 0.54)"),
     ] {
         // The largest component of a named axis is positive.
         let names = names.replace("-0.84, 0.54", "0.84, -0.54");
-        match two_samples(of, 20_000, 0.0) {
-            Ok(found) => {
-                assert!(found.is_ambiguous && !found.is_reliable && found.confidence == 0.0, "{name}: {found:?}");
-                assert!(found.notes[0].contains(&names), "{name}: {:?}", found.notes);
+        match two_samples(surface, 20_000, 0.0) {
+            Ok(registration) => {
+                assert!(
+                    registration.verdict.is_ambiguous
+                        && !registration.verdict.is_reliable
+                        && registration.verdict.confidence == 0.0,
+                    "{name}: {registration:?}"
+                );
+                assert!(registration.verdict.notes[0].contains(&names), "{name}: {:?}", registration.verdict.notes);
             }
             Err(error) => assert!(error.to_string().contains("can move along its own surface"), "{name}: {error}"),
         }
@@ -103,27 +110,39 @@ fn open_directions_are_named() {
 
 #[test]
 fn symmetric_and_periodic_clouds_are_ambiguous() {
-    for (name, of, noise) in [
+    for (name, surface, noise) in [
         ("cube", cube as Sampler, 0.0),
         ("pillars", pillars, 0.0),
         ("noisy pillars", pillars, 0.01),
         ("noisy sphere", sphere, 0.01),
         ("noisy cylinder", cylinder, 0.01),
     ] {
-        let found = two_samples(of, 8000, noise).unwrap();
-        assert!(found.is_ambiguous && !found.is_reliable && found.confidence < 0.5, "{name}: {found:?}");
-        assert!(found.notes.iter().any(|note| note.starts_with("ambiguous")), "{name}: {:?}", found.notes);
+        let registration = two_samples(surface, 8000, noise).unwrap();
+        assert!(
+            registration.verdict.is_ambiguous
+                && !registration.verdict.is_reliable
+                && registration.verdict.confidence < 0.5,
+            "{name}: {registration:?}"
+        );
+        assert!(
+            registration.verdict.notes.iter().any(|note| note.starts_with("ambiguous")),
+            "{name}: {:?}",
+            registration.verdict.notes
+        );
     }
 }
 
 #[test]
 fn a_mirror_image_has_no_reliable_transform_and_the_room_itself_has_one() {
     let (source, target) = (sample(room, 8000, 1, 0.0), sample(room, 8000, 2, 0.0));
-    let found = run(&source, &target).unwrap();
-    assert!(found.is_reliable && !found.is_ambiguous && found.notes.is_empty(), "{found:?}");
+    let registration = run(&source, &target).unwrap();
+    assert!(
+        registration.verdict.is_reliable && !registration.verdict.is_ambiguous && registration.verdict.notes.is_empty(),
+        "{registration:?}"
+    );
     let mirrored: Vec<Point> = target.iter().map(|[x, y, z]| [-x, *y, *z]).collect();
-    let found = run(&source, &mirrored).unwrap();
-    assert!(!found.is_reliable && found.confidence < 0.4, "{found:?}");
+    let registration = run(&source, &mirrored).unwrap();
+    assert!(!registration.verdict.is_reliable && registration.verdict.confidence < 0.4, "{registration:?}");
 }
 
 #[test]
@@ -132,7 +151,9 @@ fn millimetres_beside_metres_are_asked_about() {
     let millimetres: Vec<Point> = source.iter().map(|point| point.map(|v| 1000.0 * v)).collect();
     for (from, to) in [(&millimetres, &target), (&target, &millimetres)] {
         match run(from, to) {
-            Ok(found) => assert!(found.notes.iter().any(|note| note.contains("units")), "{found:?}"),
+            Ok(registration) => {
+                assert!(registration.verdict.notes.iter().any(|note| note.contains("units")), "{registration:?}")
+            }
             Err(error) => assert!(error.to_string().contains("times as large"), "{error}"),
         }
     }

@@ -3,7 +3,8 @@
 use std::time::{Duration, Instant};
 
 use snake_core::{CancelFlag, Control, Error, Point, Progress};
-use snake_registration::{Descriptor, RegisterOptions, Registration, Scan, register, register_with};
+use snake_registration::steps::{Lengths, VoxelCloud};
+use snake_registration::{Descriptor, PairOptions, RegisterOptions, Registration, register, register_with};
 
 fn plane() -> Vec<Point> {
     let path = concat!(env!("CARGO_MANIFEST_DIR"), "/../../samples/plane.ply");
@@ -21,22 +22,23 @@ fn stages_are_counted_to_their_ends_and_change_no_result() {
     let points = plane();
     let progress = Progress::default();
     let control = Control::new().progress(&progress);
-    let scan = Scan::new_with(&points, 0.05, &control).unwrap();
+    let voxels = VoxelCloud::new(&points, &Lengths::from_spacing(0.05, 0.05), &control).unwrap();
     assert_complete(&progress, "normals");
-    scan.descriptors_with(&points[..3], Descriptor::Fpfh, &control).unwrap();
+    voxels.descriptors(&points[..3], Descriptor::Fpfh, &control).unwrap();
     assert_complete(&progress, "FPFH");
     let options = RegisterOptions::default().with_max_keypoints(200);
-    let found = register(&points[..2048], &points[2048..], &options).unwrap();
-    let watched = register_with(&points[..2048], &points[2048..], None, &options, &control).unwrap();
-    let text = serde_json::to_string(&found).unwrap();
-    let mut written = found.clone();
-    written.matches.clear(); // they are not in files
+    let quiet = register(&points[..2048], &points[2048..], &options).unwrap();
+    let watched =
+        register_with(&points[..2048], &points[2048..], None, &options, &PairOptions::default(), &control).unwrap();
+    let text = serde_json::to_string(&quiet).unwrap();
+    let mut written = quiet.clone();
+    written.matches.pairs.clear(); // they are not in files
     assert_eq!(serde_json::from_str::<Registration>(&text).unwrap(), written);
-    let same_seconds = |mut found: Registration| {
-        found.seconds = 0.0;
-        found
+    let same_seconds = |mut registration: Registration| {
+        registration.seconds = 0.0;
+        registration
     };
-    assert_eq!(same_seconds(watched), same_seconds(found));
+    assert_eq!(same_seconds(watched), same_seconds(quiet));
     assert_complete(&progress, "ICP");
 }
 
@@ -46,8 +48,9 @@ fn a_cancelled_registration_ends_soon() {
     let points = plane();
     let options = RegisterOptions::default().with_max_keypoints(500);
     let call = |control: &Control| {
-        let found = register_with(&points[..2048], &points[2048..], None, &options, control);
-        found.map(|found| found.t_target_source)
+        let registration =
+            register_with(&points[..2048], &points[2048..], None, &options, &PairOptions::default(), control);
+        registration.map(|registration| registration.t_target_source)
     };
     let start = Instant::now();
     let expected = call(&Control::default()).unwrap();
@@ -61,7 +64,7 @@ fn a_cancelled_registration_ends_soon() {
             let cancelled = Instant::now();
             flag.cancel();
             match running.join().unwrap() {
-                (Ok(found), _) => assert!(found == expected),
+                (Ok(registration), _) => assert!(registration == expected),
                 (Err(Error::Cancelled), end) => delays.push(end.saturating_duration_since(cancelled)),
                 (Err(error), _) => panic!("{error}"),
             }

@@ -1,15 +1,15 @@
-//! Registration of the real scene pairs of `../shared/data/scenes` (3DMatch fragments, see the README there), as
-//! `register` does it by default.
+//! Registration of the real scene pairs of `../shared/data/scenes` (3DMatch fragments, see the
+//! README there), as `register` does it by default.
 
 use std::path::{Path, PathBuf};
 
 use serde_json::Value;
 use snake_core::{Builtin, Control, Model, RigidTransform};
 use snake_io as io;
-use snake_registration::{RegisterOptions, Registration, register_with};
+use snake_registration::{PairOptions, RegisterOptions, Registration, register_with};
 
 /// A registration is right up to this many degrees and metres.
-const MOST: (f64, f64) = (15.0, 0.3);
+const MAX_ERROR: (f64, f64) = (15.0, 0.3);
 
 struct Pair {
     source: PathBuf,
@@ -17,7 +17,8 @@ struct Pair {
     t_target_source: RigidTransform,
 }
 
-/// The pairs of a split with at least half of the points of each cloud in common, both ways round; `None` without data.
+/// The pairs of a split with at least half of the points of each cloud in common, both ways round;
+/// `None` without data.
 fn pairs(split: &str) -> Option<Vec<Pair>> {
     let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../../shared/data/scenes").join(split);
     let Ok(text) = std::fs::read(folder.join("pairs.json")) else {
@@ -44,17 +45,18 @@ fn recall(name: &str, pairs: &[Pair], options: &RegisterOptions) -> f64 {
     let mut seconds = Vec::new();
     for pair in pairs {
         let [source, target] = [&pair.source, &pair.target].map(|path| io::read_points(path).unwrap());
-        let found: Registration =
-            register_with(&source, &target, model.as_ref(), options, &Control::default()).unwrap();
-        let (angle, distance) = found.t_target_source.angle_and_distance_to(&pair.t_target_source);
+        let registration: Registration =
+            register_with(&source, &target, model.as_ref(), options, &PairOptions::default(), &Control::default())
+                .unwrap();
+        let (angle, distance) = registration.t_target_source.angle_and_distance_to(&pair.t_target_source);
         errors.push((angle.to_degrees(), distance));
-        seconds.push(found.seconds);
+        seconds.push(registration.seconds);
     }
     let share = |degrees, distance| {
         errors.iter().filter(|(a, b)| *a <= degrees && *b <= distance).count() as f64 / errors.len() as f64
     };
     seconds.sort_by(f64::total_cmp);
-    let (right, fine) = (share(MOST.0, MOST.1), share(5.0, 0.1));
+    let (right, fine) = (share(MAX_ERROR.0, MAX_ERROR.1), share(5.0, 0.1));
     let (median, longest) = (seconds[seconds.len() / 2], seconds[seconds.len() - 1]);
     let count = pairs.len();
     println!(
@@ -72,7 +74,8 @@ fn most_of_the_real_pairs_are_recovered() {
     assert!(recall("val, a fourth", &some, &RegisterOptions::default()) >= 0.85);
 }
 
-/// Recall under several options: `cargo test --release --test registration -- --ignored --nocapture`.
+/// Recall under several options:
+/// `cargo test --release --test registration -- --ignored --nocapture`.
 #[test]
 #[ignore = "takes minutes"]
 fn table() {
@@ -82,7 +85,7 @@ fn table() {
     assert!(recall("val", &val, &default) >= 0.85);
     recall("val, seed 1", &val, &default.with_seed(1));
     recall("val, 1000 keypoints", &val, &default.with_max_keypoints(1000));
-    recall("val, without ICP", &val, &default.with_refine_steps(0));
+    recall("val, without ICP", &val, &default.with_icp_steps(0));
     recall("val, field descriptors", &val, &default.with_descriptor(Field));
     let train: Vec<Pair> = pairs("train").unwrap().into_iter().step_by(9).collect();
     recall("train, a ninth", &train, &default);

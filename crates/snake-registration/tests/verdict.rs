@@ -1,5 +1,5 @@
-//! Answers that a verdict must not call reliable: what slides, turns, repeats itself or is not there, and missing returns.
-//! Clouds are views of made scenes, so that the right answer is known.
+//! Answers that a verdict must not call reliable: what slides, turns, repeats itself or is not
+//! there, and missing returns. Clouds are views of made scenes, so that the right answer is known.
 
 use std::f64::consts::TAU;
 use std::time::Instant;
@@ -7,11 +7,12 @@ use std::time::Instant;
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use snake_core::Point;
-use snake_registration::{AlignOptions, RegisterOptions, Registration, align, register};
+use snake_registration::{RegisterOptions, Registration, align, register};
 
 type Vec3 = [f64; 3];
 
-/// Boxes, and rooms that are seen from inside: low and high corner. Tunnels along x have a radius about y = z = 0.
+/// Boxes, and rooms that are seen from inside: low and high corner. Tunnels along x have a radius
+/// about y = z = 0.
 #[derive(Default)]
 struct Scene {
     boxes: Vec<[Vec3; 2]>,
@@ -30,17 +31,18 @@ impl Scene {
             }
             (near, far)
         };
-        let of_boxes = self.boxes.iter().map(crossings).filter(|(near, far)| *near > 0.0 && near <= far);
-        let of_rooms = self.rooms.iter().map(crossings).map(|(_, far)| far);
-        let of_tunnel = self.tunnel.map(|radius| {
+        let box_ranges = self.boxes.iter().map(crossings).filter(|(near, far)| *near > 0.0 && near <= far);
+        let room_ranges = self.rooms.iter().map(crossings).map(|(_, far)| far);
+        let tunnel_range = self.tunnel.map(|radius| {
             let (a, b) = (ray[1].powi(2) + ray[2].powi(2), ray[1] * at[1] + ray[2] * at[2]);
             let c = at[1].powi(2) + at[2].powi(2) - radius * radius;
             ((b * b - a * c).sqrt() - b) / a
         });
-        of_boxes.map(|(near, _)| near).chain(of_rooms).chain(of_tunnel).fold(f64::INFINITY, f64::min)
+        box_ranges.map(|(near, _)| near).chain(room_ranges).chain(tunnel_range).fold(f64::INFINITY, f64::min)
     }
 
-    /// What a sensor at a place sees within `most`, in its frame, whose axes are those of the scene.
+    /// What a sensor at a place sees within `most`, in its frame, whose axes are those of the
+    /// scene.
     fn seen(&self, at: Vec3, rays: &[Vec3], most: f64, noise: f64, seed: u64) -> Vec<Point> {
         let mut rng = ChaCha8Rng::seed_from_u64(seed);
         let hit = |ray: &Vec3| {
@@ -51,7 +53,7 @@ impl Scene {
     }
 }
 
-/// A depth camera that looks along x, turned by `yaw` (radians).
+/// A depth camera that looks along x, rotated by `yaw` (radians).
 fn camera(yaw: f64) -> Vec<Vec3> {
     let pixel = |i: i32| {
         let (y, z) = (f64::from(i % 120 - 60) / 85.0, f64::from(i / 120 - 45) / 85.0);
@@ -130,10 +132,13 @@ fn corridors_and_tunnels_are_open_along_their_axis() {
             let height = if scene.tunnel.is_some() { -0.4 } else { 1.4 };
             let (a, b) = ([0.0, 0.0, height], [along, 0.1, height]);
             let (source, target) = (scene.seen(a, &rays, most, noise, 1), scene.seen(b, &rays, most, noise, 2));
-            let Some(found) = run(&source, &target) else { continue };
-            assert!(found.confidence == 0.0 && found.is_ambiguous, "{name}, {along}: {found:?}");
-            let note = found.notes.iter().any(|note| note.contains("translation along (1.00,"));
-            assert!(note, "{name}, {along}: {:?}", found.notes);
+            let Some(registration) = run(&source, &target) else { continue };
+            assert!(
+                registration.verdict.confidence == 0.0 && registration.verdict.is_ambiguous,
+                "{name}, {along}: {registration:?}"
+            );
+            let note = registration.verdict.notes.iter().any(|note| note.contains("translation along (1.00,"));
+            assert!(note, "{name}, {along}: {:?}", registration.verdict.notes);
         }
     }
 }
@@ -153,14 +158,17 @@ fn a_row_of_pillars_is_not_left_by_one_period() {
             [("ahead", camera(0.0), 12.0), ("aside", camera(0.35), 12.0), ("LiDAR", lidar(-0.5, 0.5), 20.0)]
         {
             let seen = |x: f64, seed| scene.seen([x, 0.0, 1.4], &rays, most, 0.005, seed);
-            let found = run(&seen(0.7, 1), &seen(0.7 + period, 2)).unwrap();
-            assert!(!found.is_reliable && found.is_ambiguous, "{period} {half}, {name}: {found:?}");
+            let registration = run(&seen(0.7, 1), &seen(0.7 + period, 2)).unwrap();
+            assert!(
+                !registration.verdict.is_reliable && registration.verdict.is_ambiguous,
+                "{period} {half}, {name}: {registration:?}"
+            );
         }
     }
 }
 
-/// Clouds whose 16 nearest points are nowhere a planar patch: a curve wound around a torus with a dent, points in a bulky
-/// volume, wires, and a thin fence.
+/// Clouds whose 16 nearest points are nowhere a planar patch: a curve wound around a torus with a
+/// dent, points in a bulky volume, wires, and a thin fence.
 fn clouds_without_patches() -> [(&'static str, Vec<Point>); 4] {
     let torus = |i: i32| {
         let (u, v) = (0.1 * i as f32, 0.7 * i as f32);
@@ -200,10 +208,13 @@ fn clouds_without_patches() -> [(&'static str, Vec<Point>); 4] {
 fn exact_copies_of_clouds_without_planar_patches_are_reliable() {
     for (name, source) in clouds_without_patches() {
         let target: Vec<Point> = source.iter().map(|[x, y, z]| [3.0 - y, *x, *z]).collect();
-        let found = run(&source, &target).unwrap();
-        let t = found.t_target_source.to_matrix();
+        let registration = run(&source, &target).unwrap();
+        let t = registration.t_target_source.to_matrix();
         let error = (0..3).map(|axis| (t[axis][3] - [3.0, 0.0, 0.0][axis]).abs()).fold(0.0, f64::max);
-        assert!(found.is_reliable && error < 1e-3 && (t[1][0] - 1.0).abs() < 1e-3, "{name}: {found:?}");
+        assert!(
+            registration.verdict.is_reliable && error < 1e-3 && (t[1][0] - 1.0).abs() < 1e-3,
+            "{name}: {registration:?}"
+        );
     }
 }
 
@@ -219,8 +230,8 @@ fn few_matches_of_balls_are_never_enough() {
         (0..5000).map(|_| point()).collect()
     };
     for seed in 0..10 {
-        if let Some(found) = run(&ball(seed), &ball(100 + seed)) {
-            assert!(!found.is_reliable, "{seed}: {found:?}");
+        if let Some(registration) = run(&ball(seed), &ball(100 + seed)) {
+            assert!(!registration.verdict.is_reliable, "{seed}: {registration:?}");
         }
     }
 }
@@ -234,8 +245,8 @@ fn things_that_are_not_there_are_not_found_and_not_joined() {
         })
         .collect();
     for seed in 0..6 {
-        if let Some(found) = run(&object(4000, seed), &views[seed as usize % 2]) {
-            assert!(!found.is_reliable, "{seed}: {found:?}");
+        if let Some(registration) = run(&object(4000, seed), &views[seed as usize % 2]) {
+            assert!(!registration.verdict.is_reliable, "{seed}: {registration:?}");
         }
     }
     let ground = [[-150.0, -150.0, -1.0], [150.0, 150.0, 0.0]];
@@ -246,11 +257,14 @@ fn things_that_are_not_there_are_not_found_and_not_joined() {
     let street = Scene { boxes: houses.chain([ground]).collect(), ..Default::default() };
     let street = street.seen([0.0, 0.5, 1.8], &lidar(-0.43, 0.1), 80.0, 0.02, 5);
     let clouds = [views[0].clone(), views[1].clone(), object(4000, 1), object(4000, 2), street];
-    let found = align(&clouds, &AlignOptions::default()).unwrap();
+    let registration = align(&clouds, &RegisterOptions::default()).unwrap();
     let kind = |cloud: usize| [0, 0, 1, 1, 2][cloud];
-    assert!(found.parts.iter().all(|part| part.iter().all(|&cloud| kind(cloud) == kind(part[0]))), "{found:?}");
+    assert!(
+        registration.parts.iter().all(|part| part.iter().all(|&cloud| kind(cloud) == kind(part[0]))),
+        "{registration:?}"
+    );
     // Clouds of one kind have the voxels of their size.
-    assert_eq!(found.parts.len(), 3, "{:?}", found.parts);
+    assert_eq!(registration.parts.len(), 3, "{:?}", registration.parts);
 }
 
 #[test]
@@ -261,17 +275,22 @@ fn missing_returns_make_no_wrong_answer_reliable() {
         let seen = |at: Vec3, seed| {
             let points = room().seen(at, &camera(0.6), 12.0, 0.003, seed).into_iter().zip(camera(0.6));
             let lost = |i: usize| (30..80).contains(&(i % 120)) && (20..60).contains(&(i / 120));
-            let points = points.enumerate().map(|(i, (point, ray))| match lost(i) {
-                true => ray.map(|v| (distance * v) as f32),
-                false => point,
-            });
+            let points = points.enumerate().map(
+                |(i, (point, ray))| {
+                    if lost(i) { ray.map(|v| (distance * v) as f32) } else { point }
+                },
+            );
             points.collect::<Vec<Point>>()
         };
-        let found = run(&seen(at, 1), &seen(b, 2)).unwrap();
-        let t = found.t_target_source.to_matrix();
+        let registration = run(&seen(at, 1), &seen(b, 2)).unwrap();
+        let t = registration.t_target_source.to_matrix();
         let error = (0..3).map(|axis| (t[axis][3] - truth[axis]).powi(2)).sum::<f64>().sqrt();
-        assert!(found.is_reliable && error < 0.05, "{distance}: {error} {found:?}");
-        assert!(found.notes[0].contains("2000 of 10800 points") && found.num_skipped == [2000; 2], "{found:?}");
+        assert!(registration.verdict.is_reliable && error < 0.05, "{distance}: {error} {registration:?}");
+        assert!(
+            registration.verdict.notes[0].contains("2000 of 10800 points")
+                && registration.clouds.iter().all(|cloud| cloud.num_skipped == 2000),
+            "{registration:?}"
+        );
     }
 }
 
@@ -283,7 +302,7 @@ fn sparse_clouds_take_no_longer_than_others() {
     for count in [2, 30, 100] {
         let sparse: Vec<Point> = dense.iter().step_by(dense.len() / count).copied().collect();
         for (source, target) in [(&sparse, &dense), (&dense, &sparse)] {
-            assert!(run(source, target).is_none_or(|found| !found.is_reliable), "{count}");
+            assert!(run(source, target).is_none_or(|registration| !registration.verdict.is_reliable), "{count}");
         }
     }
     // It took minutes each.
@@ -307,9 +326,12 @@ fn sweeps_are_refined_on_their_points() {
     let scene = Scene { boxes: houses.chain(cars).chain([ground]).collect(), ..Default::default() };
     let rays = lidar(-0.43, 0.1);
     let (a, b) = ([0.0, 0.3, 1.8], [5.0, -0.4, 1.9]);
-    let found = run(&scene.seen(a, &rays, 80.0, 0.02, 1), &scene.seen(b, &rays, 80.0, 0.02, 2)).unwrap();
-    let t = found.t_target_source.to_matrix();
+    let registration = run(&scene.seen(a, &rays, 80.0, 0.02, 1), &scene.seen(b, &rays, 80.0, 0.02, 2)).unwrap();
+    let t = registration.t_target_source.to_matrix();
     let moved = (0..3).map(|axis| (t[axis][3] - (a[axis] - b[axis])).powi(2)).sum::<f64>().sqrt();
     let angle = ((t[0][0] + t[1][1] + t[2][2] - 1.0) / 2.0).clamp(-1.0, 1.0).acos().to_degrees();
-    assert!(found.is_reliable && moved < 0.01 && angle < 0.03, "{moved} m, {angle} degrees: {found:?}");
+    assert!(
+        registration.verdict.is_reliable && moved < 0.01 && angle < 0.03,
+        "{moved} m, {angle} degrees: {registration:?}"
+    );
 }

@@ -4,7 +4,7 @@ use serde_json::{Value, json};
 use snake_core::{Control, Result};
 use snake_eval::repeated_keypoints;
 use snake_geometry::{Length, Normalization, NormalizationMethod, RigidTransform};
-use snake_registration::{RegisterOptions, Registration, register_with};
+use snake_registration::{PairOptions, RegisterOptions, Registration, register_with};
 
 use crate::shown_cloud::ShownCloud;
 
@@ -44,8 +44,9 @@ impl Pair {
             Some(transform) => (transform.subtract_origins(second.origin, first.origin), None),
             None => {
                 let (source, target) = (second.field.points(), first.field.points());
-                let found = register_with(source, target, None, &RegisterOptions::default(), control)?;
-                (found.t_target_source, Some(found))
+                let (options, pair_options) = (RegisterOptions::default(), PairOptions::default());
+                let registration = register_with(source, target, None, &options, &pair_options, control)?;
+                (registration.t_target_source, Some(registration))
             }
         };
         Self::new(first, second, &near, registration, epsilon)
@@ -79,8 +80,8 @@ impl Pair {
         let repeated =
             format!("{} of {} keypoints repeat within {:.4}", self.repeated(), self.partners.len(), self.epsilon);
         match &self.registration {
-            Some(Registration { num_inliers, num_correspondences, .. }) => {
-                format!("{repeated}; {num_inliers} of {num_correspondences} matches agree")
+            Some(Registration { matches, .. }) => {
+                format!("{repeated}; {} of {} matches agree", matches.num_inliers, matches.num_matches)
             }
             None => repeated,
         }
@@ -92,7 +93,9 @@ impl Pair {
             links.filter_map(|(first, partner)| partner.map(|(second, distance)| json!([first, second, distance])));
         json!({
             "t_first_second": self.t_first_second,
-            "registration": self.registration.as_ref().map(|found| [found.num_inliers, found.num_correspondences]),
+            "registration": self.registration.as_ref().map(|registration| {
+                [registration.matches.num_inliers, registration.matches.num_matches]
+            }),
             "epsilon": self.epsilon,
             "links": links.collect::<Vec<_>>(),
         })

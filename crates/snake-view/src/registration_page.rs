@@ -5,7 +5,7 @@ use base64::engine::general_purpose::STANDARD;
 use serde_json::{Value, json};
 use snake_core::Result;
 use snake_geometry::{Cloud, FinitePoints, Normalization, NormalizationMethod, Point, add_origin};
-use snake_registration::{RegisterOptions, Registration, transform_points};
+use snake_registration::{PairOptions, RegisterOptions, Registration, Verdict, transform_points};
 
 use crate::page::document;
 use crate::shown_cloud::subsample;
@@ -24,6 +24,8 @@ pub struct RegistrationPage<'a> {
     pub registration: &'a Registration,
     /// The options that it ran with.
     pub options: RegisterOptions,
+    /// The options of the pair.
+    pub pair_options: PairOptions,
 }
 
 impl RegistrationPage<'_> {
@@ -36,11 +38,12 @@ impl RegistrationPage<'_> {
     }
 
     fn data(&self) -> Result<Value> {
-        let found = self.registration;
-        let ends = |end: usize| found.matches.iter().map(|pair| pair[end]).collect::<Vec<Point>>();
+        let Registration { t_target_source, verdict, fit, matches, .. } = self.registration;
+        let Verdict { confidence, is_reliable, is_ambiguous, notes, .. } = verdict;
+        let ends = |end: usize| matches.pairs.iter().map(|pair| pair[end]).collect::<Vec<Point>>();
         let (source, target) = (ends(0), ends(1));
         let [target_cloud, source_cloud] = self.clouds;
-        let near = found.t_target_source.subtract_origins(source_cloud.origin, target_cloud.origin);
+        let near = t_target_source.subtract_origins(source_cloud.origin, target_cloud.origin);
         let links: Vec<Value> = transform_points(&near, &source)
             .iter()
             .zip(&target)
@@ -54,20 +57,20 @@ impl RegistrationPage<'_> {
             "kind": "registration",
             "clouds": [self.cloud(0, &target)?, self.cloud(1, &source)?],
             "pair": {
-                "t_first_second": found.t_target_source,
+                "t_first_second": t_target_source,
                 "links": links,
                 "verdict": {
-                    "confidence": found.confidence,
-                    "is_reliable": found.is_reliable,
-                    "is_ambiguous": found.is_ambiguous,
-                    "num_correspondences": found.num_correspondences,
-                    "inlier_distance": found.inlier_distance,
-                    "fitness": found.fitness,
-                    "notes": found.notes,
+                    "confidence": confidence,
+                    "is_reliable": is_reliable,
+                    "is_ambiguous": is_ambiguous,
+                    "num_matches": matches.num_matches,
+                    "inlier_distance": fit.inlier_distance,
+                    "fitness": fit.fitness,
+                    "notes": notes,
                 },
             },
             "colors": STANDARD.encode(color_table().as_flattened()),
-            "options": self.options,
+            "options": options(&self.options, &self.pair_options),
             "version": env!("CARGO_PKG_VERSION"),
         }))
     }
@@ -93,6 +96,12 @@ impl RegistrationPage<'_> {
             "normalization": { "center": add_origin(center, cloud.origin), "scale": scale },
         }))
     }
+}
+
+/// All options of a registration as one object.
+fn options(options: &RegisterOptions, pair_options: &PairOptions) -> Value {
+    let groups = [json!(options), json!(pair_options)];
+    groups.iter().filter_map(Value::as_object).flatten().map(|(name, value)| (name.clone(), value.clone())).collect()
 }
 
 /// Colours for values from 0, the target, to 1, the source.

@@ -4,8 +4,9 @@ use std::path::PathBuf;
 
 use anyhow::Result;
 use clap::Args;
-use snake_registration::AlignOptions;
+use snake_registration::{AlignOptions, RegisterOptions};
 
+use crate::flags::OptionFlags;
 use crate::inputs::{InputArguments, ListArgument};
 use crate::register::args::RegisterFlags;
 use crate::setup::ComputeArguments;
@@ -27,10 +28,8 @@ pub struct AlignArguments {
     /// Exit with code 1 if the clouds are in more than one part. Files are written all the same.
     #[arg(long)]
     pub require_connected: bool,
-    /// Register each cloud to about this many others: those with the most similar descriptors, and its neighbours in the
-    /// order of the inputs [default: 20].
-    #[arg(long, value_name = "N")]
-    max_partners: Option<usize>,
+    #[command(flatten)]
+    flags: OptionFlags<AlignOptions>,
     #[command(flatten)]
     pub input: InputArguments,
     /// Print one JSON object on one line instead of text.
@@ -44,9 +43,7 @@ pub struct AlignArguments {
 
 impl AlignArguments {
     /// The defaults, overridden by the command line.
-    pub fn options(&self) -> Result<AlignOptions> {
-        let mut options = AlignOptions::default().with_register(self.register.resolve()?);
-        options.max_partners = self.max_partners.unwrap_or(options.max_partners);
-        Ok(options)
+    pub fn options(&self) -> Result<(RegisterOptions, AlignOptions)> {
+        self.register.resolve(self.flags.given())
     }
 }

@@ -30,18 +30,18 @@ pub fn run(arguments: &AlignArguments) -> Result<ExitCode> {
     check_inputs(&inputs)?;
     let files = InputFiles::new(inputs.iter().chain(&arguments.compute.model));
     output.iter().chain(merged).try_for_each(|path| files.refuse_as_output(path))?;
-    let mut options = arguments.options()?;
-    let chooser = arguments.compute.chooser_of_registration(&options.register)?;
-    terminal::detail("options", || serde_json::to_string(&options).unwrap_or_default());
+    let (mut options, align_options) = arguments.options()?;
+    let chooser = arguments.compute.chooser_of_registration(&options)?;
+    terminal::detail("options", || serde_json::to_string(&(&options, &align_options)).unwrap_or_default());
     let progress = Progress::default();
     let bar = terminal::stages(&progress)?;
     bar.set_message(format!("{} clouds", inputs.len()));
-    let read = |path: &PathBuf| arguments.input.read_contents(path, options.register.seed);
+    let read = |path: &PathBuf| arguments.input.read_contents(path, options.seed);
     let contents = inputs.iter().map(read).collect::<Result<Vec<_>>>()?;
-    options.viewpoints = contents.iter().map(|contents| contents.viewpoint).collect();
+    let mut viewpoints: Vec<_> = contents.iter().map(|contents| contents.viewpoint).collect();
     let clouds: Vec<Cloud> = contents.into_iter().map(|contents| contents.cloud).collect();
     let origins: Vec<[f64; 3]> = clouds.iter().map(|cloud| cloud.origin).collect();
-    options.place(&origins);
+    options.place_viewpoints(&mut viewpoints, &origins);
     let points: Vec<&[Point]> = clouds.iter().map(|cloud| &cloud.points[..]).collect();
     let control = Control::new().progress(&progress);
     // The same check as that of the clouds of `align_with`, which knows them by number only.
@@ -51,7 +51,8 @@ pub fn run(arguments: &AlignArguments) -> Result<ExitCode> {
     let first = chooser.as_ref().zip(clouds.first());
     let chosen = first.map(|(chooser, first)| chooser.for_cloud(first)).transpose()?;
     chosen.iter().for_each(detail_of);
-    let near = align_with(&points, chosen.as_ref().map(|chosen| &chosen.model), &options, &control)
+    let model = chosen.as_ref().map(|chosen| &chosen.model);
+    let near = align_with(&points, &viewpoints, model, &options, &align_options, &control)
         .context("cannot align the clouds")?;
     bar.finish();
 
@@ -61,8 +62,8 @@ pub fn run(arguments: &AlignArguments) -> Result<ExitCode> {
         io::write_points(path, &merge(&near, &points), origins[first])?;
         merged_origin = output_origin(path, io::adds_origin(path), origins[first]);
     }
-    let found = near.between_origins(&origins);
-    let object = object(&found, &inputs, merged_origin)?;
+    let alignment = near.between_origins(&origins);
+    let object = object(&alignment, &inputs, merged_origin)?;
     if let Some(path) = output {
         let write = |file: &mut dyn Write| writeln!(file, "{object}");
         io::write_atomically(path, write).with_context(|| format!("cannot write {}", path.display()))?;
@@ -71,24 +72,24 @@ pub fn run(arguments: &AlignArguments) -> Result<ExitCode> {
         terminal::print_json(&object)?;
     } else {
         let written: Vec<&Path> = output.iter().chain(merged).map(AsRef::as_ref).collect();
-        terminal::print_report(&report(&found, &inputs, &written))?;
+        terminal::print_report(&report(&alignment, &inputs, &written))?;
     }
-    if arguments.require_connected && found.parts.len() > 1 {
-        terminal::warn(&format!("the clouds are in {} parts, which nothing reliable connects", found.parts.len()));
+    if arguments.require_connected && alignment.parts.len() > 1 {
+        terminal::warn(&format!("the clouds are in {} parts, which nothing reliable connects", alignment.parts.len()));
         return Ok(ExitCode::FAILURE);
     }
     Ok(ExitCode::SUCCESS)
 }
 
 /// The points of the largest part in its frame.
-fn merge(found: &Alignment, clouds: &[&[Point]]) -> Vec<Point> {
-    let moved = |&cloud: &usize| transform_points(&found.poses[cloud].t_part_cloud, clouds[cloud]);
-    found.parts[0].iter().flat_map(moved).collect()
+fn merge(alignment: &Alignment, clouds: &[&[Point]]) -> Vec<Point> {
+    let moved = |&cloud: &usize| transform_points(&alignment.poses[cloud].t_part_cloud, clouds[cloud]);
+    alignment.parts[0].iter().flat_map(moved).collect()
 }
 
 /// The alignment with the names of the clouds.
-fn object(found: &Alignment, inputs: &[PathBuf], merged_origin: [f64; 3]) -> Result<Value> {
-    let mut object = serde_json::to_value(found)?;
+fn object(alignment: &Alignment, inputs: &[PathBuf], merged_origin: [f64; 3]) -> Result<Value> {
+    let mut object = serde_json::to_value(alignment)?;
     object["clouds"] = inputs.iter().map(|input| input.display().to_string()).collect();
     if merged_origin != [0.0; 3] {
         object["merged_origin"] = json!(merged_origin);
@@ -96,8 +97,8 @@ fn object(found: &Alignment, inputs: &[PathBuf], merged_origin: [f64; 3]) -> Res
     Ok(object)
 }
 
-fn report(found: &Alignment, inputs: &[PathBuf], written: &[&Path]) -> Report {
-    let Alignment { parts, edges, poses, num_pairs, num_skipped, seconds, .. } = found;
+fn report(alignment: &Alignment, inputs: &[PathBuf], written: &[&Path]) -> Report {
+    let Alignment { parts, edges, poses, num_pairs, num_skipped, seconds, .. } = alignment;
     let mut report = Report::default();
     let connected = if parts.len() == 1 { "one part".into() } else { format!("{} parts", parts.len()) };
     report.line(format!("{} clouds in {connected}, by {} of {num_pairs} pairs", inputs.len(), edges.len()));

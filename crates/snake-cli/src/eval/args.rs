@@ -5,8 +5,7 @@ use std::path::PathBuf;
 use anyhow::Result;
 use clap::{Args, Subcommand, ValueEnum};
 use snake_core::{Length, Model, NamedModel, Options};
-use snake_registration::detectors::Detector;
-use snake_registration::{Descriptor, KeypointDetector};
+use snake_registration::{Descriptor, Detector};
 
 use crate::inputs::ColumnArguments;
 use crate::setup::{ComputeArguments, EncodeFlags, load, named};
@@ -84,12 +83,7 @@ pub enum Eval {
 
 /// The network and all classical detectors.
 fn methods() -> impl Iterator<Item = &'static str> {
-    std::iter::once("snake").chain(Detector::NAMES)
-}
-
-/// Those of them that registration has.
-fn registration_detectors() -> impl Iterator<Item = &'static str> {
-    methods().filter(|name| named::<KeypointDetector>(name).is_ok())
+    std::iter::once("snake").chain(Detector::CLASSICAL.iter().map(|detector| detector.name()))
 }
 
 #[derive(Args)]
@@ -97,9 +91,8 @@ pub struct RegistrationArguments {
     /// The data set.
     pub data: PathBuf,
     /// Detectors to evaluate; all of them by default.
-    #[arg(long, value_delimiter = ',', value_parser = named::<KeypointDetector>,
-        default_values = registration_detectors())]
-    pub detectors: Vec<KeypointDetector>,
+    #[arg(long, value_delimiter = ',', value_parser = named::<Detector>, default_values = methods())]
+    pub detectors: Vec<Detector>,
     /// Descriptors to evaluate: field, fpfh, or the name of an --external, whose descriptor of a keypoint is that of the nearest
     /// point in the file.
     #[arg(long, value_delimiter = ',', default_value = "field,fpfh")]
@@ -243,8 +236,7 @@ impl RunArguments {
 
 fn external(text: &str) -> std::result::Result<(String, PathBuf), String> {
     let (name, folder) = text.split_once('=').filter(|(name, _)| !name.is_empty()).ok_or("expected NAME=FOLDER")?;
-    let is_detector = Detector::NAMES.contains(&name) || named::<KeypointDetector>(name).is_ok();
-    if is_detector || named::<Descriptor>(name).is_ok() || name.starts_with("snake") {
+    if named::<Detector>(name).is_ok() || named::<Descriptor>(name).is_ok() || name.starts_with("snake") {
         return Err(format!("{name} is a method of its own"));
     }
     Ok((name.into(), folder.into()))

@@ -5,12 +5,13 @@ use std::collections::hash_map::Entry;
 use std::path::PathBuf;
 
 use anyhow::{Context, Result, anyhow, bail};
-use snake_core::NamedModel;
+use snake_core::{Control, NamedModel};
 use snake_eval::ExternalKeypoints;
 use snake_eval::datasets::{ScenePair, Scenes};
 use snake_eval::reports::registration::Method;
 use snake_geometry::{Cloud, Length, Point, suppress_ranked};
-use snake_registration::{Descriptor, KeypointDetector, Scan};
+use snake_registration::steps::{Lengths, VoxelCloud};
+use snake_registration::{Descriptor, Detector};
 
 use super::args::RegistrationArguments;
 use super::methods::check_distinct;
@@ -19,13 +20,20 @@ use crate::setup::{named, none_if_zero};
 
 /// Size of the voxels to which clouds are downsampled, in metres.
 pub const VOXEL_SIZE: f64 = 0.03;
+/// The lengths of normals and descriptors; no inlier distance takes part.
+const LENGTHS: Lengths = Lengths {
+    voxel_size: VOXEL_SIZE,
+    normal_radius: 2.0 * VOXEL_SIZE,
+    feature_radius: 7.0 * VOXEL_SIZE,
+    inlier_distance: VOXEL_SIZE,
+};
 /// The preset with the paper's settings, and its radius of suppression in metres; the released code has 0.04.
 const PAPER: (&str, Length) = ("3dmatch", Length::Units(0.05));
 
 /// The detectors and descriptors to evaluate, and the models that they use.
 pub struct Methods<'a> {
     pub models: Vec<NamedModel>,
-    detectors: Vec<Detector>,
+    combinations: Vec<Combination>,
     external: &'a [(String, PathBuf)],
     columns: &'a ColumnArguments,
     /// The largest number of keypoints of a cloud.
@@ -42,8 +50,8 @@ enum Source<T> {
 }
 
 /// A detector by one of the models, with its descriptors, each by one of the models.
-struct Detector {
-    source: Source<KeypointDetector>,
+struct Combination {
+    source: Source<Detector>,
     model: usize,
     descriptors: Vec<(Source<Descriptor>, usize)>,
 }
@@ -52,30 +60,30 @@ impl<'a> Methods<'a> {
     /// The methods of the command line, whose models start from the options of registration.
     pub fn new(arguments: &'a RegistrationArguments, scenes: &Scenes) -> Result<Self> {
         let RegistrationArguments { external, nms_radius, options, .. } = arguments;
-        let models = arguments.run.load_models(|model| Scan::default_options(model, VOXEL_SIZE))?;
-        let is_of_paper = options.preset() == Some(PAPER.0) && !options.given().contains_key("nms_radius");
-        let of_paper = is_of_paper.then_some(PAPER.1);
+        let models = arguments.run.load_models(|model| VoxelCloud::default_options(model, VOXEL_SIZE))?;
+        let is_preset = options.preset() == Some(PAPER.0) && !options.given().contains_key("nms_radius");
+        let paper = is_preset.then_some(PAPER.1);
         let resolve = |mut loaded: NamedModel| -> Result<NamedModel> {
             loaded.options = loaded.options.resolve(&options.values())?;
-            if let Some(radius) = nms_radius.or(of_paper) {
+            if let Some(radius) = nms_radius.or(paper) {
                 loaded.options.detect.nms_radius = none_if_zero(radius);
             }
             Ok(loaded)
         };
         let mut methods = Self {
             models: models.into_iter().map(resolve).collect::<Result<_>>()?,
-            detectors: Vec::new(),
+            combinations: Vec::new(),
             external,
             columns: &arguments.run.columns,
             most: arguments.max_keypoints.iter().copied().max().unwrap_or_default(),
-            spacing: [*nms_radius, nms_radius.or(of_paper)],
+            spacing: [*nms_radius, nms_radius.or(paper)],
         };
-        methods.detectors = methods.combine(arguments, scenes)?;
+        methods.combinations = methods.combine(arguments, scenes)?;
         Ok(methods)
     }
 
     /// All combinations, in the order of the command line. Keypoints of files also have the descriptors of their own files.
-    fn combine(&self, arguments: &RegistrationArguments, scenes: &Scenes) -> Result<Vec<Detector>> {
+    fn combine(&self, arguments: &RegistrationArguments, scenes: &Scenes) -> Result<Vec<Combination>> {
         let names = arguments.detectors.iter().map(name_of).collect::<Vec<_>>();
         check_distinct("--detectors and --external", names.iter().chain(self.external.iter().map(|(name, _)| name)))?;
         check_distinct("--descriptors", arguments.descriptors.iter())?;
@@ -89,13 +97,13 @@ impl<'a> Methods<'a> {
             };
             models.map(move |model| (source, model))
         };
-        let mut detectors = Vec::new();
+        let mut combinations = Vec::new();
         for &detector in &arguments.detectors {
-            let is_model = detector == KeypointDetector::Snake;
+            let is_model = detector == Detector::Snake;
             for model in 0..if is_model { self.models.len() } else { 1 } {
                 let descriptors = descriptors.iter().flat_map(|&source| with_models(source, is_model.then_some(model)));
                 let descriptors = descriptors.collect();
-                detectors.push(Detector { source: Source::Builtin(detector), model, descriptors });
+                combinations.push(Combination { source: Source::Builtin(detector), model, descriptors });
             }
         }
         for file in 0..self.external.len() {
@@ -105,9 +113,9 @@ impl<'a> Methods<'a> {
                 all.push(Source::Files(file));
             }
             let descriptors = all.into_iter().flat_map(|source| with_models(source, None)).collect();
-            detectors.push(Detector { source: Source::Files(file), model: 0, descriptors });
+            combinations.push(Combination { source: Source::Files(file), model: 0, descriptors });
         }
-        Ok(detectors)
+        Ok(combinations)
     }
 
     fn descriptor(&self, name: &str) -> Result<Source<Descriptor>> {
@@ -122,7 +130,7 @@ impl<'a> Methods<'a> {
     pub fn rows(&self) -> Vec<Method> {
         let file = |file: usize| self.external[file].0.clone();
         let mut rows = Vec::new();
-        for Detector { source, descriptors, .. } in &self.detectors {
+        for Combination { source, descriptors, .. } in &self.combinations {
             let detector = match source {
                 Source::Builtin(detector) => name_of(detector),
                 Source::Files(number) => file(*number),
@@ -141,17 +149,20 @@ impl<'a> Methods<'a> {
     /// Reads a cloud and computes the keypoints of each detector with their descriptors.
     fn cloud(&self, scenes: &Scenes, index: usize, seed: u64) -> Result<DescribedCloud> {
         let Cloud { points, origin } = self.columns.read(&scenes.clouds[index])?;
-        let scan = |loaded: &NamedModel| Ok(Scan::new(&points, VOXEL_SIZE)?.with_model(&loaded.model, loaded.options));
-        let scans: Vec<Scan> = self.models.iter().map(scan).collect::<Result<_>>()?;
+        let control = Control::default();
+        let voxels = |loaded: &NamedModel| -> Result<VoxelCloud> {
+            Ok(VoxelCloud::new(&points, &LENGTHS, &control)?.with_model(&loaded.model, loaded.options))
+        };
+        let clouds: Vec<VoxelCloud> = self.models.iter().map(voxels).collect::<Result<_>>()?;
         let read = |file| self.read(file, scenes, index, origin);
         let files: Vec<ExternalKeypoints> = (0..self.external.len()).map(read).collect::<Result<_>>()?;
         // The random keypoints of two clouds must be independent.
         let seed = seed.wrapping_add(index as u64);
         let mut features = Vec::new();
-        for Detector { source, model, descriptors } in &self.detectors {
+        for Combination { source, model, descriptors } in &self.combinations {
             let ranked = match source {
                 Source::Builtin(detector) => {
-                    scans[*model].keypoints(*detector, self.candidates(*detector, &points), seed)?
+                    clouds[*model].keypoints(*detector, self.candidates(*detector, &points), seed, &control)?
                 }
                 Source::Files(file) => files[*file].positions.clone(),
             };
@@ -159,9 +170,10 @@ impl<'a> Methods<'a> {
             for (descriptor, model) in descriptors {
                 let (descriptors, dimension) = match descriptor {
                     Source::Builtin(descriptor) => {
-                        (scans[*model].descriptors(&keypoints, *descriptor)?, scans[*model].dimension(*descriptor)?)
+                        let rows = clouds[*model].descriptors(&keypoints, *descriptor, &control)?;
+                        (rows, clouds[*model].dimension(*descriptor)?)
                     }
-                    Source::Files(file) => self.of_files(*file, &files[*file], &keypoints)?,
+                    Source::Files(file) => self.file_descriptors(*file, &files[*file], &keypoints)?,
                 };
                 features.push(Features { keypoints: keypoints.clone(), descriptors, dimension });
             }
@@ -170,15 +182,15 @@ impl<'a> Methods<'a> {
     }
 
     /// The number of keypoints to find before suppression, which the model does itself.
-    fn candidates(&self, detector: KeypointDetector, points: &[Point]) -> usize {
-        let suppresses = detector == KeypointDetector::Snake || self.spacing[0].is_none();
+    fn candidates(&self, detector: Detector, points: &[Point]) -> usize {
+        let suppresses = detector == Detector::Snake || self.spacing[0].is_none();
         if suppresses { self.most } else { points.len() }
     }
 
     /// The best keypoints, farther apart than the radius of suppression.
-    fn apart(&self, ranked: Vec<Point>, source: Source<KeypointDetector>, points: &[Point]) -> Result<Vec<Point>> {
+    fn apart(&self, ranked: Vec<Point>, source: Source<Detector>, points: &[Point]) -> Result<Vec<Point>> {
         let spacing = match source {
-            Source::Builtin(KeypointDetector::Snake) => None,
+            Source::Builtin(Detector::Snake) => None,
             Source::Builtin(_) => self.spacing[0],
             Source::Files(_) => self.spacing[1],
         };
@@ -190,7 +202,12 @@ impl<'a> Methods<'a> {
     }
 
     /// Descriptors of keypoints from one of the files, and their length.
-    fn of_files(&self, file: usize, found: &ExternalKeypoints, keypoints: &[Point]) -> Result<(Vec<f32>, usize)> {
+    fn file_descriptors(
+        &self,
+        file: usize,
+        found: &ExternalKeypoints,
+        keypoints: &[Point],
+    ) -> Result<(Vec<f32>, usize)> {
         if found.descriptors.is_empty() && !keypoints.is_empty() {
             bail!("--external {}: no `descriptors` in the file, or no keypoint has one", self.external[file].0);
         }

@@ -84,7 +84,7 @@ impl Method {
                 }
                 None => {
                     let spacing = if protocol == Protocol::Ranked { spacing } else { Spacing::Own };
-                    let source = Source::Classical { detector: Detector::named(name, protocol)?, protocol };
+                    let source = Source::Classical { detector: Detector::classical(name)?, protocol };
                     methods.push(of(name, source, spacing));
                 }
             }

@@ -9,8 +9,8 @@ use snake_core::Point;
 use snake_eval::datasets::{ScenePair, Scenes};
 use snake_eval::reports::registration::{Cases, INLIER_RATIO, RMSE, Report, Row};
 use snake_eval::tables::paper::THREE_D_MATCH;
-use snake_eval::{information_matrix, inlier_ratio, overlap, squared_registration_error};
-use snake_registration::{RansacOptions, mutual_nearest, ransac};
+use snake_eval::{RansacOptions, information_matrix, inlier_ratio, overlap, ransac, squared_registration_error};
+use snake_registration::mutual_nearest;
 
 use super::args::RegistrationArguments;
 use super::described::{Clouds, DescribedCloud, Methods, VOXEL_SIZE};
@@ -107,9 +107,9 @@ fn rows(
             let matches = mutual_nearest(source_rows, target_rows, dimension)?;
             let from: Vec<Point> = matches.iter().map(|&[row, _]| source_points[row]).collect();
             let to: Vec<Point> = matches.iter().map(|&[_, row]| target_points[row]).collect();
-            let found = ransac(&from, &to, &ransac_options(seed))?;
+            let consensus = ransac(&from, &to, &ransac_options(seed))?;
             let squared_error =
-                found.map(|found| squared_registration_error(truth, &found.t_target_source, &information));
+                consensus.map(|consensus| squared_registration_error(truth, &consensus.t_target_source, &information));
             rows.push(Row {
                 found: (source_points.len() + target_points.len()) as f64 / 2.0,
                 correspondences: matches.len(),

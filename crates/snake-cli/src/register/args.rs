@@ -4,8 +4,9 @@ use std::path::PathBuf;
 
 use anyhow::Result;
 use clap::Args;
-use snake_core::with_named_values;
-use snake_registration::RegisterOptions;
+use serde_json::{Map, Value};
+use snake_core::{OptionGroup, with_named_values};
+use snake_registration::{PairOptions, RegisterOptions};
 
 use crate::flags::{OF_REGISTRATION, OptionFlags};
 use crate::inputs::InputArguments;
@@ -41,10 +42,17 @@ pub struct RegisterArguments {
     #[command(flatten)]
     pub compute: ComputeArguments,
     #[command(flatten)]
-    pub options: RegisterFlags,
+    options: RegisterFlags,
 }
 
-/// Options of registration; an option that is not given keeps its default.
+impl RegisterArguments {
+    /// The defaults, with the options of the command line in their place.
+    pub fn options(&self) -> Result<(RegisterOptions, PairOptions)> {
+        self.options.resolve(Map::new())
+    }
+}
+
+/// Options of registration, of one pair or of many clouds; an option that is not given keeps its default.
 #[derive(Args)]
 #[command(next_help_heading = OF_REGISTRATION)]
 pub struct RegisterFlags {
@@ -55,9 +63,9 @@ pub struct RegisterFlags {
 }
 
 impl RegisterFlags {
-    /// The defaults, with the options of the command line in their place.
-    pub fn resolve(&self) -> Result<RegisterOptions> {
-        let given = self.flags.given().into_iter().chain(self.set.given()).collect();
-        Ok(with_named_values(&RegisterOptions::default(), &given)?)
+    /// The defaults, and those of a second group with its flags, with the options of the command line in their place.
+    pub fn resolve<T: OptionGroup + Clone>(&self, flags: Map<String, Value>) -> Result<(RegisterOptions, T)> {
+        let given = self.flags.given().into_iter().chain(flags).chain(self.set.given()).collect();
+        Ok(with_named_values(&(RegisterOptions::default(), T::default()), &given)?)
     }
 }

@@ -31,24 +31,24 @@ pub fn run(arguments: &RegisterArguments) -> Result<ExitCode> {
     output.iter().chain(aligned).chain(view).try_for_each(|path| inputs.refuse_as_output(path))?;
     let progress = Progress::default();
     let control = Control::new().progress(&progress);
-    let mut options = arguments.options.resolve()?;
+    let (mut options, mut pair) = arguments.options()?;
     let chooser = arguments.compute.chooser_of_registration(&options)?;
-    terminal::detail("options", || serde_json::to_string(&options).unwrap_or_default());
+    terminal::detail("options", || serde_json::to_string(&(&options, &pair)).unwrap_or_default());
     let bar = terminal::stages(&progress)?;
     bar.set_message(format!("{} to {}", source.display(), target.display()));
     let read = |path| arguments.input.read_contents(path, options.seed);
     let (source_contents, target_contents) = (read(source)?, read(target)?);
-    options.source_viewpoint = options.source_viewpoint.or(source_contents.viewpoint);
-    options.target_viewpoint = options.target_viewpoint.or(target_contents.viewpoint);
+    pair.source_viewpoint = pair.source_viewpoint.or(source_contents.viewpoint);
+    pair.target_viewpoint = pair.target_viewpoint.or(target_contents.viewpoint);
     let (source_cloud, target_cloud) = (source_contents.cloud, target_contents.cloud);
     terminal::detail("points", || format!("{} and {}", source_cloud.points.len(), target_cloud.points.len()));
-    options.initial = arguments.initial.as_deref().map(io::read_transform).transpose()?;
-    options.place(source_cloud.origin, target_cloud.origin);
+    pair.initial = arguments.initial.as_deref().map(io::read_transform).transpose()?;
+    pair.place(&mut options, source_cloud.origin, target_cloud.origin);
     let chosen = chooser.as_ref().map(|chooser| chooser.for_cloud(&target_cloud));
     let chosen = chosen.transpose().with_context(|| target.display().to_string())?;
     chosen.iter().for_each(detail_of);
     let model = chosen.as_ref().map(|chosen| &chosen.model);
-    let tried = register_with(&source_cloud.points, &target_cloud.points, model, &options, &control);
+    let tried = register_with(&source_cloud.points, &target_cloud.points, model, &options, &pair, &control);
     let fits_none = matches!(tried, Err(Error::NoTransform { .. }));
     let tried = tried.with_context(|| format!("cannot register {} to {}", source.display(), target.display()));
     bar.finish();
@@ -60,9 +60,9 @@ pub fn run(arguments: &RegisterArguments) -> Result<ExitCode> {
         tried => tried?,
     };
     let t_near = near.t_target_source;
-    let found = near.between_origins(source_cloud.origin, target_cloud.origin);
+    let registration = near.between_origins(source_cloud.origin, target_cloud.origin);
     if let Some(path) = output {
-        io::write_registration(path, &found.t_target_source, &found)?;
+        io::write_registration(path, &registration.t_target_source, &registration)?;
     }
     let mut aligned_origin = [0.0; 3];
     if let Some(path) = aligned {
@@ -72,61 +72,57 @@ pub fn run(arguments: &RegisterArguments) -> Result<ExitCode> {
     }
     if let Some(path) = view {
         let names = [target, source].map(|path| path.display().to_string());
-        let page = RegistrationPage { names, clouds: [&target_cloud, &source_cloud], registration: &found, options };
+        let clouds = [&target_cloud, &source_cloud];
+        let page = RegistrationPage { names, clouds, registration: &registration, options, pair_options: pair };
         write_page(path, &page.html()?)?;
     }
     let written: Vec<&Path> = output.iter().chain(aligned).chain(view).map(AsRef::as_ref).collect();
     if arguments.json {
-        let mut object = serde_json::to_value(&found)?;
+        let mut object = serde_json::to_value(&registration)?;
         if aligned_origin != [0.0; 3] {
             object["aligned_origin"] = json!(aligned_origin);
         }
         terminal::print_json(&object)?;
     } else {
-        terminal::print_report(&report(&found, &written))?;
+        terminal::print_report(&report(&registration, &written))?;
     }
-    if found.is_reliable {
+    let verdict = &registration.verdict;
+    if verdict.is_reliable {
         return Ok(ExitCode::SUCCESS);
     }
-    terminal::warn(&format!("the transform is not reliable: its confidence is {:.2}", found.confidence));
+    terminal::warn(&format!("the transform is not reliable: its confidence is {:.2}", verdict.confidence));
     Ok(if arguments.require_reliable { ExitCode::FAILURE } else { ExitCode::SUCCESS })
 }
 
-fn report(found: &Registration, written: &[&Path]) -> Report {
-    let Registration { t_target_source, num_inliers, num_correspondences, num_skipped, .. } = found;
-    let Registration { inlier_distance: near, fitness, seconds, .. } = found;
+fn report(registration: &Registration, written: &[&Path]) -> Report {
+    let Registration { t_target_source, verdict, fit, matches, clouds, hypotheses, seconds, .. } = registration;
+    let (near, [source, target]) = (fit.inlier_distance, clouds);
     let mut report = Report::default();
-    let verdict = match (found.is_reliable, found.is_ambiguous) {
-        (true, _) => "reliable",
-        (false, true) => "ambiguous",
-        (false, false) => "not reliable",
-    };
-    report.line(format!("{verdict}: confidence {:.2}", found.confidence));
-    for note in &found.notes {
+    report.line(format!("{}: confidence {:.2}", verdict.word(), verdict.confidence));
+    for note in &verdict.notes {
         report.line(note);
     }
     report.line("t_target_source:");
     matrix(&mut report, t_target_source);
-    report.line(format!("matches: {num_inliers} of {num_correspondences} within {near:.5} before ICP"));
-    report.line(format!("result: {:.1} % of the source's voxels within {near:.5} of the target's", 100.0 * fitness));
-    report.line(match found.viewpoints {
-        [ViewpointUsed::None, _] => "viewpoints: unknown".into(),
-        [source, target] => {
-            let name = |used| if used == ViewpointUsed::Given { "given" } else { "the origin" };
-            let violation = 100.0 * found.free_space_violation;
-            format!("viewpoints: {} and {}; {violation:.1} % of the voxels in free space", name(source), name(target))
-        }
-    });
-    for (rank, other) in found.hypotheses.iter().enumerate().skip(1) {
+    report.line(format!("matches: {} of {} within {near:.5} before ICP", matches.num_inliers, matches.num_matches));
+    report
+        .line(format!("result: {:.1} % of the source's voxels within {near:.5} of the target's", 100.0 * fit.fitness));
+    if source.viewpoint == ViewpointUsed::None {
+        report.line("viewpoints: unknown");
+    } else {
+        let name = |used| if used == ViewpointUsed::Given { "given" } else { "the origin" };
+        let (violation, used) = (100.0 * verdict.free_space_violation, clouds.map(|cloud| name(cloud.viewpoint)));
+        report.line(format!("viewpoints: {} and {}; {violation:.1} % of the voxels in free space", used[0], used[1]));
+    }
+    for (rank, other) in hypotheses.iter().enumerate().skip(1) {
         report.line(format!("{}. {} matches, score {:.3}:", rank + 1, other.num_inliers, other.score));
         matrix(&mut report, &other.t_target_source);
     }
     report.line(format!("{seconds:.3} s"));
-    let [of_source, of_target] = num_skipped;
-    if of_source + of_target > 0 {
+    if source.num_skipped + target.num_skipped > 0 {
         report.line(format!(
-            "skipped {of_source} points of the source and {of_target} of the target, which are not finite, outliers or missing \
-             returns"
+            "skipped {} points of the source and {} of the target, which are not finite, outliers or missing returns",
+            source.num_skipped, target.num_skipped
         ));
     }
     for path in written {

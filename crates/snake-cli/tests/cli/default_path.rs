@@ -51,9 +51,9 @@ fn found() -> Value {
     let output = snake(&["register", &file("a.ply"), &file("b.ply"), "--json"]);
     assert!(output.status.success(), "{}", stderr(&output));
     let report = &json_lines(&output)[0];
-    assert_eq!(report["is_reliable"], true, "{report}");
+    assert_eq!(report["verdict"]["is_reliable"], true, "{report}");
     found.insert("transform".into(), report["t_target_source"].clone());
-    found.insert("confidence".into(), report["confidence"].clone());
+    found.insert("confidence".into(), report["verdict"]["confidence"].clone());
     Value::Object(found)
 }
 

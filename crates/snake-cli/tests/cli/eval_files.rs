@@ -5,8 +5,9 @@ use std::process::Output;
 
 use nalgebra::{IsometryMatrix3, Vector3};
 use serde_json::Value;
-use snake_core::{Point, RigidTransform};
-use snake_registration::{Descriptor, KeypointDetector, Scan};
+use snake_core::{Control, Point, RigidTransform};
+use snake_registration::steps::{Lengths, VoxelCloud};
+use snake_registration::{Descriptor, Detector};
 
 use super::eval_registration::{between, fragments, scenes};
 use super::{snake, stderr, write_npz};
@@ -16,9 +17,12 @@ const COUNT: usize = 60;
 
 /// Farthest points of a fragment with FPFH, as `eval registration` computes them.
 fn described(points: &[Point]) -> (Vec<Point>, Vec<f32>) {
-    let scan = Scan::new(points, 0.03).unwrap();
-    let keypoints = scan.keypoints(KeypointDetector::Fps, COUNT, 0).unwrap();
-    let descriptors = scan.descriptors(&keypoints, Descriptor::Fpfh).unwrap();
+    let size = 0.03;
+    let lengths =
+        Lengths { voxel_size: size, normal_radius: 2.0 * size, feature_radius: 7.0 * size, inlier_distance: 0.05 };
+    let cloud = VoxelCloud::new(points, &lengths, &Control::default()).unwrap();
+    let keypoints = cloud.keypoints(Detector::Fps, COUNT, 0, &Control::default()).unwrap();
+    let descriptors = cloud.descriptors(&keypoints, Descriptor::Fpfh, &Control::default()).unwrap();
     (keypoints, descriptors)
 }
 

@@ -241,9 +241,9 @@ fn a_registration_is_shown_with_its_matches() {
         (Some(&*second), Some(&*sample()))
     );
     assert_eq!(data["pair"]["t_first_second"], found["t_target_source"]);
-    assert_eq!(data["pair"]["verdict"]["confidence"], found["confidence"]);
+    assert_eq!(data["pair"]["verdict"]["confidence"], found["verdict"]["confidence"]);
     let links = data["pair"]["links"].as_array().unwrap();
-    assert_eq!(links.len() as u64, found["num_agreeing"].as_u64().unwrap());
+    assert_eq!(links.len() as u64, found["matches"]["num_agreeing"].as_u64().unwrap());
     let t: RigidTransform = serde_json::from_value(found["t_target_source"].clone()).unwrap();
     let end = |cloud: usize, link: &Value| -> Point {
         let keypoint = &data["clouds"][cloud]["keypoints"][link[cloud].as_u64().unwrap() as usize];
@@ -253,7 +253,7 @@ fn a_registration_is_shown_with_its_matches() {
         let (a, b) = (end(0, link), transform_points(&t, &[end(1, link)])[0]);
         let distance = (0..3).map(|axis| (a[axis] - b[axis]).powi(2)).sum::<f32>().sqrt();
         assert!((f64::from(distance) - link[2].as_f64().unwrap()).abs() < 1e-4, "{link}");
-        assert!(f64::from(distance) < 1.001 * found["inlier_distance"].as_f64().unwrap());
+        assert!(f64::from(distance) < 1.001 * found["fit"]["inlier_distance"].as_f64().unwrap());
     }
     let html = std::fs::read_to_string(&page).unwrap();
     assert!(html.starts_with("<!doctype html>") && html.contains(": registration</title>"));

@@ -1,15 +1,20 @@
 //! Options: each is a row of a table of the core, and every interface follows from it.
 
 use snake_core::{DetectOptions, EncodeOptions, OptionGroup, OptionInfo};
-use snake_registration::RegisterOptions;
+use snake_registration::{AlignOptions, PairOptions, RegisterOptions};
 
 use super::usage::{helps, keypoints, snake, snake_with, stdout};
 use super::{sample, stderr};
 
-/// The options of detection and of registration.
-fn tables() -> [(&'static str, Vec<&'static OptionInfo>); 2] {
+/// The options of detection, and of registration of a pair and of many clouds.
+fn tables() -> [(&'static str, Vec<&'static OptionInfo>); 3] {
     let detection = EncodeOptions::OPTIONS.iter().chain(DetectOptions::OPTIONS).collect();
-    [("detect", detection), ("register", RegisterOptions::OPTIONS.iter().collect())]
+    let registration = |more: &'static [OptionInfo]| RegisterOptions::OPTIONS.iter().chain(more).collect();
+    [
+        ("detect", detection),
+        ("register", registration(PairOptions::OPTIONS)),
+        ("align", registration(AlignOptions::OPTIONS)),
+    ]
 }
 
 #[test]
@@ -86,7 +91,8 @@ fn an_old_flag_names_the_option_and_the_help_is_short() {
     let listed = stdout(&snake(&["options"]));
     let line = |name: &str| listed.lines().find(|line| line.starts_with(name)).unwrap().split_whitespace().skip(1);
     assert_eq!(line("nms_radius").take(2).collect::<Vec<_>>(), ["10%", "6.5v"]);
-    for (flag, name) in [("--refine-steps", "refine_steps"), ("--hypotheses=3", "hypotheses")] {
+    let old = [("--refine-steps", "refine_steps"), ("--icp-steps", "icp_steps"), ("--hypotheses=3", "hypotheses")];
+    for (flag, name) in old {
         let said = stderr(&snake(&["detect", &sample(), flag, "3"]));
         assert!(said.contains(&format!("type --set {name}=VALUE")), "{said}");
     }

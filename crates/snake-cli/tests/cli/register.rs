@@ -41,25 +41,21 @@ fn register_prints_and_writes_the_transform() {
     let output = snake(&["register", &sample(), &turned, "--json", "-o", &text, "--aligned", &aligned]);
     assert!(output.status.success(), "{}", stderr(&output));
     let report = &json_lines(&output)[0];
-    let keys: Vec<&String> = report.as_object().unwrap().keys().collect();
-    let verdict = ["confidence", "fitness", "fitness_rmse", "free_space_violation", "hypotheses", "information"];
-    let figures = [
-        "inlier_distance",
-        "is_ambiguous",
-        "is_reliable",
-        "match_spread",
-        "notes",
-        "num_agreeing",
-        "num_correspondences",
-        "num_inliers",
-    ];
-    let more = ["num_rival_agreeing", "num_skipped", "repeat_fit", "rmse", "seconds", "slide_margin"];
-    let others = ["t_target_source", "viewpoints", "weakest_constraint"];
-    assert_eq!(keys, [&verdict[..], &figures, &more, &others].concat());
-    let number = |key: &str| report[key].as_f64().unwrap();
-    assert!(number("fitness") > 0.95 && number("fitness_rmse") < 0.03 && number("inlier_distance") > 0.02, "{report}");
-    let (inliers, all) = (report["num_inliers"].as_u64().unwrap(), report["num_correspondences"].as_u64().unwrap());
-    assert!(3 <= inliers && inliers <= all && report["rmse"].as_f64().unwrap() < 0.1);
+    let keys = |value: &Value| value.as_object().unwrap().keys().cloned().collect::<Vec<_>>();
+    let groups = ["clouds", "fit", "hypotheses", "matches", "seconds", "t_target_source", "verdict"];
+    assert_eq!(keys(report), groups);
+    assert_eq!(keys(&report["fit"]), ["fitness", "information", "inlier_distance", "rmse"]);
+    let (verdict, matches) = (keys(&report["verdict"]), keys(&report["matches"]));
+    let evidence = ["free_space_violation", "repeat_fit", "slide_margin", "weakest_constraint"];
+    assert!(evidence.iter().chain(&["confidence", "is_reliable", "notes"]).all(|key| verdict.contains(&(*key).into())));
+    let counts = ["num_agreeing", "num_inliers", "num_matches", "num_rival_agreeing", "rmse", "spread"];
+    assert_eq!(matches, counts);
+    assert_eq!(report["clouds"][1], serde_json::json!({"num_skipped": 0, "viewpoint": "none"}));
+    let fit = |key: &str| report["fit"][key].as_f64().unwrap();
+    assert!(fit("fitness") > 0.95 && fit("rmse") < 0.03 && fit("inlier_distance") > 0.02, "{report}");
+    let count = |key: &str| report["matches"][key].as_u64().unwrap();
+    let (inliers, all) = (count("num_inliers"), count("num_matches"));
+    assert!(3 <= inliers && inliers <= all && report["matches"]["rmse"].as_f64().unwrap() < 0.1);
 
     let rows: Vec<Vec<f64>> = serde_json::from_value(report["t_target_source"].clone()).unwrap();
     let expected = [[0.0, -1.0, 0.0, 3.0], [1.0, 0.0, 0.0, 0.0], [0.0, 0.0, 1.0, -1.0], [0.0, 0.0, 0.0, 1.0]];
@@ -82,14 +78,15 @@ fn register_prints_and_writes_the_transform() {
     }
 
     let output =
-        snake(&["register", &sample(), &turned, "-o", &json, "--set", "max_keypoints=400", "--set", "refine_steps=5"]);
+        snake(&["register", &sample(), &turned, "-o", &json, "--set", "max_keypoints=400", "--set", "icp_steps=5"]);
     let printed = String::from_utf8_lossy(&output.stdout).into_owned();
     let report: Value = serde_json::from_slice(&std::fs::read(&json).unwrap()).unwrap();
     assert!(printed.contains("t_target_source") && printed.contains(&json), "{printed}");
     // What each number is of.
-    let inliers = format!("matches: {} of {} within", report["num_inliers"], report["num_correspondences"]);
+    let inliers =
+        format!("matches: {} of {} within", report["matches"]["num_inliers"], report["matches"]["num_matches"]);
     assert!(printed.contains(&inliers) && printed.contains("% of the source's voxels within"), "{printed}");
-    assert!(report["num_correspondences"].as_u64().unwrap() < all.min(801));
+    assert!(report["matches"]["num_matches"].as_u64().unwrap() < all.min(801));
 }
 
 #[test]
@@ -118,12 +115,12 @@ fn register_takes_a_guess_an_axis_and_a_verdict() {
     std::fs::write(path("wrong.txt"), "1 0 0 50\n0 1 0 50\n0 0 1 50\n0 0 0 1").unwrap();
     let wrong = report(&["--initial", &path("wrong.txt")]);
     assert!(stderr(&run(&["--initial", &path("wrong.txt")])).contains("not reliable"));
-    assert!(wrong["is_reliable"] == false && number(&wrong, 0, 3) == 50.0, "{wrong}");
+    assert!(wrong["verdict"]["is_reliable"] == false && number(&wrong, 0, 3) == 50.0, "{wrong}");
     let refused = run(&["--initial", &path("wrong.txt"), "--require-reliable"]);
     assert!(refused.status.code() == Some(1) && stderr(&refused).contains("not reliable"), "{}", stderr(&refused));
     assert_eq!(json_lines(&refused).len(), 1);
     let given = report(&["--set", "source_viewpoint=[-9,0,0]", "--set", "target_viewpoint=[0,-9,0]"]);
-    assert_eq!(given["viewpoints"], serde_json::json!(["given", "given"]));
+    assert!(given["clouds"].as_array().unwrap().iter().all(|cloud| cloud["viewpoint"] == "given"), "{given}");
     for (extra, message) in
         [(["--gravity", "w"], "gravity"), (["--set", "source_viewpoint=[1,2]"], "array of length 3")]
     {
@@ -142,12 +139,12 @@ fn normals_that_contradict_the_origin_as_viewpoint_lose_their_signs() {
         |more: &[&str]| json_lines(&snake(&[&["register", &half, &turned, "--json"], more].concat()))[0].clone();
     // Most of the aeroplane is visible from its centre, but no sensor was there.
     let (guessed, unsigned) = (report(&[]), report(&["--set", "use_viewpoints=false"]));
-    assert_eq!(guessed["viewpoints"], serde_json::json!(["none", "none"]));
+    assert!(guessed["clouds"].as_array().unwrap().iter().all(|cloud| cloud["viewpoint"] == "none"), "{guessed}");
     assert_eq!(guessed["t_target_source"], unsigned["t_target_source"]);
-    assert!(guessed["is_reliable"] == true, "{guessed}");
+    assert!(guessed["verdict"]["is_reliable"] == true, "{guessed}");
     let given = report(&["--set", "source_viewpoint=[0,0,0]", "--set", "target_viewpoint=[0,0,0]"]);
-    assert_eq!(given["viewpoints"], serde_json::json!(["given", "given"]));
-    assert_ne!(given["num_agreeing"], guessed["num_agreeing"]);
+    assert!(given["clouds"].as_array().unwrap().iter().all(|cloud| cloud["viewpoint"] == "given"), "{given}");
+    assert_ne!(given["matches"]["num_agreeing"], guessed["matches"]["num_agreeing"]);
 }
 
 #[test]
@@ -159,7 +156,7 @@ fn few_keypoints_suffice() {
     assert!(few.status.success(), "{}", stderr(&few));
     let few = &json_lines(&few)[0];
     assert!((few["t_target_source"][0][3].as_f64().unwrap() - 3.0).abs() < 0.05, "{few}");
-    assert!(few["num_correspondences"].as_u64().unwrap() <= 500, "{few}");
+    assert!(few["matches"]["num_matches"].as_u64().unwrap() <= 500, "{few}");
     let refused = run(&["--set", "num_keypoints=2"]);
     assert!(refused.status.code() == Some(2) && stderr(&refused).contains("3 or more"), "{}", stderr(&refused));
 }
@@ -209,13 +206,14 @@ fn registration_depends_on_its_options_and_not_on_threads() {
     assert_eq!(one, report(&["--threads", "5"]));
     for extra in [
         ["--detector", "fps"],
+        ["--detector", "surface-variation"],
         ["--detector", "random"],
         ["--set", "descriptor=field"],
         ["--voxel-size", "0.1"],
         ["--set", "normal_radius=0.2"],
         ["--set", "feature_radius=0.5"],
         ["--set", "inlier_distance=0.2"],
-        ["--set", "refine_steps=0"],
+        ["--set", "icp_steps=0"],
     ] {
         assert_ne!(one, report(&extra), "{extra:?}");
     }

@@ -27,7 +27,8 @@ impl Options {
     }
 }
 
-/// Options of any kind with some of them replaced by name, as [`Options::with_values`] does.
+/// Options of any kind with some of them replaced by name, as [`Options::with_values`] does. Options in groups, such as those
+/// of [`Options`] or of a pair of structs, have their names without the group's.
 ///
 /// # Errors
 /// [`Error::Input`] for an unknown name, with all names, and for a value of another type.
@@ -39,11 +40,11 @@ pub fn with_named_values<T: Clone + Serialize + DeserializeOwned>(
     let mut tree = serde_json::to_value(options).map_err(|error| refused(error.to_string()))?;
     let mut replaced = options.clone();
     for (name, value) in values {
-        let places = ["/encode/", "/detect/", "/"].map(|part| format!("{part}{name}"));
-        let is_option = |place: &&String| tree.pointer(place).is_some_and(|value| !value.is_object());
-        let Some(place) = places.iter().find(is_option) else {
-            return Err(refused(format!("unknown option `{name}`; the options are {}", names(&tree).join(", "))));
+        let Some((group, _)) = option_names(&tree).into_iter().find(|(_, option)| option == name) else {
+            let known: Vec<&str> = option_names(&tree).into_iter().map(|(_, option)| option).collect();
+            return Err(refused(format!("unknown option `{name}`; the options are {}", known.join(", "))));
         };
+        let place = &format!("{group}/{name}");
         if let Some(slot) = tree.pointer_mut(place) {
             *slot = value.clone();
         }
@@ -67,11 +68,21 @@ pub fn in_words(error: &serde_json::Error) -> String {
     in_words.unwrap_or(text)
 }
 
-/// The names of all options.
-fn names(tree: &Value) -> Vec<&str> {
-    let groups = [tree.get("encode"), tree.get("detect"), Some(tree)];
-    let fields = groups.into_iter().flatten().filter_map(Value::as_object).flatten();
-    fields.filter(|(_, value)| !value.is_object()).map(|(name, _)| name.as_str()).collect()
+/// All options, each as the place of its group and its name: those in groups, then the others.
+#[doc(hidden)]
+pub fn option_names(tree: &Value) -> Vec<(String, &str)> {
+    let groups: Vec<(String, &Value)> = match tree {
+        Value::Array(groups) => groups.iter().enumerate().map(|(at, group)| (format!("/{at}"), group)).collect(),
+        // By falling name, as the groups of [`Options`] are used: encode, detect.
+        Value::Object(groups) => groups.iter().rev().map(|(name, group)| (format!("/{name}"), group)).collect(),
+        _ => Vec::new(),
+    };
+    let groups = groups.into_iter().filter(|(_, group)| group.is_object()).chain([(String::new(), tree)]);
+    let options = groups.flat_map(|(place, group)| {
+        let options = group.as_object().into_iter().flatten().filter(|(_, value)| !value.is_object());
+        options.map(move |(name, _)| (place.clone(), name.as_str()))
+    });
+    options.collect()
 }
 
 #[cfg(test)]
@@ -83,6 +94,20 @@ mod tests {
         let values = serde_json::json!({ "max_keypoints": null });
         let options = Options::default().with_values(values.as_object().unwrap()).unwrap();
         assert_eq!(options.detect.max_keypoints, usize::MAX);
+    }
+
+    #[test]
+    fn options_of_two_structs_are_found_by_name() {
+        let both = (Options::default().encode, crate::MeshOptions::default());
+        let values = serde_json::json!({ "seed": 7, "resolution": 99 });
+        let (encode, mesh) = with_named_values(&both, values.as_object().unwrap()).unwrap();
+        assert_eq!((encode.seed, mesh.resolution), (7, 99));
+        let values = serde_json::json!({ "snap": true });
+        let error = with_named_values(&both, values.as_object().unwrap()).unwrap_err().to_string();
+        assert!(
+            error.contains("unknown option `snap`") && error.contains("seed") && error.contains("level"),
+            "{error}"
+        );
     }
 
     #[test]

@@ -8,6 +8,7 @@ mod presets;
 
 #[doc(hidden)]
 pub use self::by_name::in_words;
+pub use self::by_name::option_names;
 pub use self::by_name::with_named_values;
 pub(crate) use self::detect::Radii;
 pub use self::detect::{DetectOptions, RefineMethod, Selection};

@@ -6,13 +6,15 @@ use snake_geometry::Point;
 
 /// At most `count` points; each is the farthest from all points before it.
 ///
-/// The first is the farthest from the mean, so the selection rotates with the cloud. Among equally far points the
-/// lowest index is taken. Fewer points are returned when the rest are duplicates.
+/// The first is the farthest from the mean, so the selection rotates with the cloud. Among equally
+/// far points the lowest index is taken. Fewer points are returned when the rest are duplicates.
 ///
-/// The score is the distance to the nearest earlier point; the first point has the score of the second.
+/// The score is the distance to the nearest earlier point; the first point has the score of the
+/// second.
 ///
 /// # Errors
-/// [`Error::Input`](snake_core::Error::Input) when the cloud has no finite points or is one point repeated.
+/// [`Error::Input`](snake_core::Error::Input) when the cloud has no finite points or is one point
+/// repeated.
 pub fn farthest_points(points: &[Point], count: usize) -> Result<Vec<Response>> {
     among_finite(points, |points| find(points, count))
 }
@@ -21,10 +23,10 @@ pub fn farthest_points(points: &[Point], count: usize) -> Result<Vec<Response>> 
 fn find(points: &[Point], count: usize) -> Result<Vec<Response>> {
     check_distinct(points)?;
     // The first point takes its score from the second.
-    let found = snake_geometry::farthest_points(points, count.max(2), || Result::Ok(()))?;
-    let scores = found.iter().map(|(_, squared)| squared.sqrt()).collect::<Vec<_>>();
+    let keypoints = snake_geometry::farthest_points(points, count.max(2), || Result::Ok(()))?;
+    let scores = keypoints.iter().map(|(_, squared)| squared.sqrt()).collect::<Vec<_>>();
     let response = |(place, &(index, _)): (usize, &(usize, f64))| Response { index, score: scores[place.max(1)] };
-    Ok(found.iter().enumerate().take(count).map(response).collect())
+    Ok(keypoints.iter().enumerate().take(count).map(response).collect())
 }
 
 #[cfg(test)]
@@ -33,18 +35,19 @@ mod tests {
 
     #[test]
     fn points_on_a_line_by_hand() {
-        // The mean is 4.2; 10 is the farthest from it, then 0, then 4 (4 from 0, 6 from 10), then 6 (2 from 4), 1.
+        // The mean is 4.2; 10 is the farthest from it, then 0, then 4 (4 from 0, 6 from 10), then 6
+        // (2 from 4), 1.
         let points = [0.0, 1.0, 4.0, 6.0, 10.0].map(|x| [x, 0.0, 0.0]);
-        let found = farthest_points(&points, 99).unwrap();
+        let keypoints = farthest_points(&points, 99).unwrap();
         let expected = [(4, 10.0), (0, 10.0), (2, 4.0), (3, 2.0), (1, 1.0)];
-        assert_eq!(found.iter().map(|r| (r.index, r.score)).collect::<Vec<_>>(), expected);
-        assert_eq!(farthest_points(&points, 3).unwrap(), found[..3]);
+        assert_eq!(keypoints.iter().map(|r| (r.index, r.score)).collect::<Vec<_>>(), expected);
+        assert_eq!(farthest_points(&points, 3).unwrap(), keypoints[..3]);
     }
 
     #[test]
     fn duplicates_are_not_chosen_and_ties_go_to_the_first() {
         let points = [[1.0, 0.0, 0.0], [0.0; 3], [1.0, 0.0, 0.0], [0.0; 3]];
-        let found = farthest_points(&points, 9).unwrap();
-        assert_eq!(found.iter().map(|r| (r.index, r.score)).collect::<Vec<_>>(), [(0, 1.0), (1, 1.0)]);
+        let keypoints = farthest_points(&points, 9).unwrap();
+        assert_eq!(keypoints.iter().map(|r| (r.index, r.score)).collect::<Vec<_>>(), [(0, 1.0), (1, 1.0)]);
     }
 }

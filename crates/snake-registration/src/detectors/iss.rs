@@ -4,7 +4,7 @@ use serde::{Deserialize, Serialize};
 
 use super::{Response, among_distinct, each_point, index_cloud, local_maxima};
 use snake_core::{Control, Error, Result};
-use snake_geometry::{Length, Point, Vector, eigen, setters};
+use snake_geometry::{Length, Point, Vector, eigen, options};
 
 /// The matrix whose eigenvalues are used.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
@@ -17,68 +17,57 @@ pub enum Covariance {
     AboutPoint,
 }
 
-/// Options of [`iss`]; the defaults are Open3D's.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
-#[serde(default, deny_unknown_fields)]
-#[non_exhaustive]
-pub struct IssOptions {
-    /// Radius of the neighbourhood for the eigenvalues.
-    pub salient_radius: Length,
-    /// Radius of non-maximum suppression: a keypoint's saliency is the largest within this radius.
-    pub non_max_radius: Length,
-    /// Upper limit of the ratio of the second to the first eigenvalue.
-    pub gamma_21: f64,
-    /// Upper limit of the ratio of the third to the second eigenvalue.
-    pub gamma_32: f64,
-    /// Minimum number of points in each of the two neighbourhoods, the point itself included.
-    pub min_neighbors: usize,
-    /// The matrix whose eigenvalues are used.
-    pub covariance: Covariance,
-}
-
-setters!(IssOptions {
-    salient_radius: Length => with_salient_radius,
-    non_max_radius: Length => with_non_max_radius,
-    gamma_21: f64 => with_gamma_21,
-    gamma_32: f64 => with_gamma_32,
-    min_neighbors: usize => with_min_neighbors,
-    covariance: Covariance => with_covariance,
-});
-
-impl Default for IssOptions {
-    fn default() -> Self {
-        Self {
-            salient_radius: Length::Resolutions(6.0),
-            non_max_radius: Length::Resolutions(4.0),
-            gamma_21: 0.975,
-            gamma_32: 0.975,
-            min_neighbors: 5,
-            covariance: Covariance::AboutMean,
-        }
+options! {
+    /// Options of [`iss`]; the defaults are Open3D's.
+    pub struct IssOptions {
+        /// Radius of the neighbourhood for the eigenvalues.
+        salient_radius, with_salient_radius: Length = Length::Resolutions(6.0);
+        /// Radius of non-maximum suppression: a keypoint's saliency is the largest within this
+        /// radius.
+        non_max_radius, with_non_max_radius: Length = Length::Resolutions(4.0);
+        /// Upper limit of the ratio of the second to the first eigenvalue, above 0.
+        gamma_21, with_gamma_21: f64 = 0.975;
+        /// Upper limit of the ratio of the third to the second eigenvalue, above 0.
+        gamma_32, with_gamma_32: f64 = 0.975;
+        /// Minimum number of points in each of the two neighbourhoods, the point itself included.
+        min_neighbors, with_min_neighbors: usize = 5;
+        /// Matrix whose eigenvalues are used: about-mean (the covariance, as in Open3D) or
+        /// about-point (the sum, as in PCL).
+        covariance, with_covariance: Covariance = Covariance::AboutMean;
     }
 }
 
-/// ISS keypoints, by falling score. The score is the smallest eigenvalue, in squared cloud units: the variance in the
-/// direction of least variance.
+/// ISS keypoints, by falling score. The score is the smallest eigenvalue, in squared cloud units:
+/// the variance in the direction of least variance.
 ///
-/// The default options give the keypoints of Open3D's `compute_iss_keypoints`, except where that depends on rounding.
-/// Points with the same neighbours have equal saliency: all are kept here and one is kept there. An exactly flat
-/// neighbourhood has no keypoint here and may have one there.
+/// The default options give the keypoints of Open3D's `compute_iss_keypoints`, except where that
+/// depends on rounding. Points with the same neighbours have equal saliency: all are kept here and
+/// one is kept there. An exactly flat neighbourhood has no keypoint here and may have one there.
 ///
 /// # Errors
-/// [`Error::Input`] when the cloud has no finite points or is one point repeated;
-/// [`Error::Option`] when an option is outside its range.
+/// [`Error::Input`] when the cloud has no finite points or is one point repeated; [`Error::Option`]
+/// when an option is outside its range.
 pub fn iss(points: &[Point], options: &IssOptions) -> Result<Vec<Response>> {
-    among_distinct(points, |points| find(points, options, &Control::default()))
+    iss_with(points, options, &Control::default())
+}
+
+/// [`iss`] with cancellation and a deadline.
+///
+/// # Errors
+/// The errors of [`iss`]; [`Error::Cancelled`](snake_core::Error::Cancelled) and
+/// [`Error::DeadlineExceeded`](snake_core::Error::DeadlineExceeded).
+pub fn iss_with(points: &[Point], options: &IssOptions, control: &Control) -> Result<Vec<Response>> {
+    among_distinct(points, |points| find(points, options, control))
 }
 
 /// [`iss`] of finite, distinct points.
-pub(super) fn find(points: &[Point], options: &IssOptions, control: &Control) -> Result<Vec<Response>> {
+fn find(points: &[Point], options: &IssOptions, control: &Control) -> Result<Vec<Response>> {
     for (name, gamma) in [("gamma_21", options.gamma_21), ("gamma_32", options.gamma_32)] {
         if gamma.is_nan() || gamma <= 0.0 {
             return Err(Error::Option { name, value: gamma.to_string(), allowed: "above 0" });
         }
     }
+    options.check_ranges()?;
     let cloud = index_cloud(points)?;
     let salient_radius = options.salient_radius.resolve("salient_radius", || cloud.resolution())?;
     let non_max_radius = options.non_max_radius.resolve("non_max_radius", || cloud.resolution())?;
@@ -120,8 +109,9 @@ mod tests {
                 covariance,
                 ..Default::default()
             };
-            let found = iss(&points, &options).unwrap();
-            let mut corners: Vec<_> = found[..8].iter().filter_map(|response| corner(points[response.index])).collect();
+            let keypoints = iss(&points, &options).unwrap();
+            let mut corners: Vec<_> =
+                keypoints[..8].iter().filter_map(|response| corner(points[response.index])).collect();
             corners.sort_unstable();
             assert_eq!(corners, [0, 1, 2, 3, 4, 5, 6, 7], "{covariance:?}");
         }
@@ -129,7 +119,8 @@ mod tests {
 
     #[test]
     fn saliencies_by_hand() {
-        // Two points on each axis, at 1, 2 and 3; with the point itself seven. Sums: 2, 8, 18; means: a seventh.
+        // Two points on each axis, at 1, 2 and 3; with the point itself seven. Sums: 2, 8, 18;
+        // means: a seventh.
         let mut points = vec![[0.0; 3]];
         for (axis, offset) in [1.0, 2.0, 3.0].into_iter().enumerate() {
             for sign in [-1.0, 1.0] {
@@ -148,9 +139,14 @@ mod tests {
         assert!((score(&options).unwrap().score - 2.0 / 7.0).abs() < 1e-12);
         let sum = IssOptions { covariance: Covariance::AboutPoint, ..options };
         assert!((score(&sum).unwrap().score - 2.0).abs() < 1e-12);
-        // The shares are 8 / 18 and 2 / 8; limits are strict, and neighbours count the point itself.
-        for (gamma_21, gamma_32, found) in [(0.45, 0.26, true), (0.44, 0.26, false), (0.45, 0.25, false)] {
-            assert_eq!(score(&IssOptions { gamma_21, gamma_32, ..options }).is_some(), found, "{gamma_21} {gamma_32}");
+        // The shares are 8 / 18 and 2 / 8; limits are strict, and neighbours count the point
+        // itself.
+        for (gamma_21, gamma_32, is_kept) in [(0.45, 0.26, true), (0.44, 0.26, false), (0.45, 0.25, false)] {
+            assert_eq!(
+                score(&IssOptions { gamma_21, gamma_32, ..options }).is_some(),
+                is_kept,
+                "{gamma_21} {gamma_32}"
+            );
         }
         assert_eq!(score(&IssOptions { min_neighbors: 2, ..options }), None);
         let wide = IssOptions { non_max_radius: Length::Units(3.1), ..options };
@@ -185,10 +181,10 @@ mod tests {
         let expected: Vec<Vec<usize>> = serde_json::from_str(&std::fs::read_to_string(path).unwrap()).unwrap();
         let mut without_ties = 0;
         for (seed, expected) in (0..).zip(expected) {
-            let found = iss(&noisy_box(seed), &IssOptions::default()).unwrap();
+            let keypoints = iss(&noisy_box(seed), &IssOptions::default()).unwrap();
             // Among keypoints of equal saliency Open3D's rounding keeps one.
             let tie = |a: &Response, b: &Response| (a.score / b.score - 1.0).abs() < 1e-9;
-            let (same, extra): (Vec<_>, Vec<_>) = found.iter().partition(|r| expected.contains(&r.index));
+            let (same, extra): (Vec<_>, Vec<_>) = keypoints.iter().partition(|r| expected.contains(&r.index));
             assert_eq!(same.len(), expected.len(), "cloud {seed}");
             assert!(extra.iter().all(|e| same.iter().any(|s| tie(e, s))), "cloud {seed}");
             without_ties += usize::from(extra.is_empty());

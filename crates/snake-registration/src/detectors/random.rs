@@ -6,11 +6,12 @@ use super::{Response, among_finite, by_falling_score, index_cloud};
 use snake_core::Result;
 use snake_geometry::Point;
 
-/// `count` points of the cloud, or all if it has fewer, drawn without replacement. Every point gets a random score in
-/// [0, 1), and the highest scores are taken.
+/// `count` points of the cloud, or all if it has fewer, drawn without replacement. Every point gets
+/// a random score in [0, 1), and the highest scores are taken.
 ///
 /// # Errors
-/// [`Error::Input`](snake_core::Error::Input) when the cloud has no finite points or is one point repeated.
+/// [`Error::Input`](snake_core::Error::Input) when the cloud has no finite points or is one point
+/// repeated.
 pub fn random_points(points: &[Point], count: usize, seed: u64) -> Result<Vec<Response>> {
     among_finite(points, |points| find(points, count, seed))
 }

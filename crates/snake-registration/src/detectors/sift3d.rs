@@ -6,8 +6,8 @@ use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
 use super::{Response, among_distinct, by_falling_score, each_point, index_cloud};
-use snake_core::{Control, Error, Result};
-use snake_geometry::{Length, Neighbors, Point, Vector, eigen, setters};
+use snake_core::{Control, Result};
+use snake_geometry::{Length, Neighbors, Point, Vector, eigen, options};
 
 /// The search ends at an octave with fewer points.
 const MIN_OCTAVE_POINTS: usize = 25;
@@ -15,80 +15,68 @@ const MIN_OCTAVE_POINTS: usize = 25;
 const EXTREMUM_NEIGHBORS: NonZeroUsize = NonZeroUsize::MIN.saturating_add(24);
 
 /// The scalar field whose extrema are searched.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum SiftField {
-    /// Surface variation within this radius: the smallest eigenvalue of the covariance divided by the sum of the three,
-    /// 0 to 1/3. It is invariant to rotation.
-    Curvature(Length),
-    /// The y coordinate, as in the wrapper behind the paper's tables. It is not invariant to rotation.
+    /// Surface variation: the smallest eigenvalue of the covariance divided by the sum of the
+    /// three, 0 to 1/3. It is invariant to rotation.
+    #[default]
+    Curvature,
+    /// The y coordinate, as in the wrapper behind the paper's tables. It is not invariant to
+    /// rotation.
     Y,
 }
 
-/// Options of [`sift3d`].
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
-#[serde(default, deny_unknown_fields)]
-#[non_exhaustive]
-pub struct Sift3dOptions {
-    /// Standard deviation of the first octave's second Gaussian, and side of its voxels; both double with each octave.
-    pub min_scale: Length,
-    /// Maximum number of octaves.
-    pub octaves: usize,
-    /// Number of differences of Gaussians per octave that are searched for extrema.
-    pub scales_per_octave: usize,
-    /// Minimum absolute difference of Gaussians of an extremum, in the field's units.
-    pub min_contrast: f64,
-    /// The field.
-    pub field: SiftField,
-}
-
-setters!(Sift3dOptions {
-    min_scale: Length => with_min_scale,
-    octaves: usize => with_octaves,
-    scales_per_octave: usize => with_scales_per_octave,
-    min_contrast: f64 => with_min_contrast,
-    field: SiftField => with_field,
-});
-
-impl Default for Sift3dOptions {
-    fn default() -> Self {
-        Self {
-            min_scale: Length::Resolutions(2.0),
-            octaves: 4,
-            scales_per_octave: 8,
-            min_contrast: 0.0,
-            field: SiftField::Curvature(Length::Resolutions(6.0)),
-        }
+options! {
+    /// Options of [`sift3d`].
+    pub struct Sift3dOptions {
+        /// Standard deviation of the first octave's second Gaussian, and side of its voxels; both
+        /// double with each octave.
+        min_scale, with_min_scale: Length = Length::Resolutions(2.0);
+        /// Maximum number of octaves.
+        octaves, with_octaves: usize = 4, from 1 to 64;
+        /// Number of differences of Gaussians per octave that are searched for extrema.
+        scales_per_octave, with_scales_per_octave: usize = 8, from 1 to 64;
+        /// Minimum absolute difference of Gaussians of an extremum, in the field's units.
+        min_contrast, with_min_contrast: f64 = 0.0, from 0 or more;
+        /// Scalar field: curvature (surface variation) or y (the coordinate, as in the paper's
+        /// baseline).
+        field, with_field: SiftField = SiftField::Curvature;
+        /// Radius of the neighbourhood for the surface variation.
+        curvature_radius, with_curvature_radius: Length = Length::Resolutions(6.0);
     }
 }
 
-/// SIFT 3D keypoints, by falling score. The score is the absolute difference of Gaussians, in the field's units.
+/// SIFT 3D keypoints, by falling score. The score is the absolute difference of Gaussians, in the
+/// field's units.
 ///
-/// Each octave reduces the previous octave's cloud to voxel means and blurs the field at `scales_per_octave + 3` scales.
-/// An extremum is a difference between neighbouring scales that is extreme among the 25 nearest points and exceeds both
-/// adjacent scales. A keypoint is the input point nearest to an extremum; the strongest of several extrema counts.
+/// Each octave reduces the previous octave's cloud to voxel means and blurs the field at
+/// `scales_per_octave + 3` scales. An extremum is a difference between neighbouring scales that is
+/// extreme among the 25 nearest points and exceeds both adjacent scales. A keypoint is the input
+/// point nearest to an extremum; the strongest of several extrema counts.
 ///
 /// # Errors
-/// [`Error::Input`] when the cloud has no finite points or is one point repeated;
-/// [`Error::Option`] when an option is outside its range.
+/// [`Error::Input`](snake_core::Error::Input) when the cloud has no finite points or is one point
+/// repeated; [`Error::Option`](snake_core::Error::Option) when an option is outside its range.
 pub fn sift3d(points: &[Point], options: &Sift3dOptions) -> Result<Vec<Response>> {
-    among_distinct(points, |points| find(points, options, &Control::default()))
+    sift3d_with(points, options, &Control::default())
+}
+
+/// [`sift3d`] with cancellation and a deadline.
+///
+/// # Errors
+/// The errors of [`sift3d`]; [`Error::Cancelled`](snake_core::Error::Cancelled) and
+/// [`Error::DeadlineExceeded`](snake_core::Error::DeadlineExceeded).
+pub fn sift3d_with(points: &[Point], options: &Sift3dOptions, control: &Control) -> Result<Vec<Response>> {
+    among_distinct(points, |points| find(points, options, control))
 }
 
 /// [`sift3d`] of finite, distinct points.
-pub(super) fn find(points: &[Point], options: &Sift3dOptions, control: &Control) -> Result<Vec<Response>> {
-    for (name, value) in [("octaves", options.octaves), ("scales_per_octave", options.scales_per_octave)] {
-        if !(1..=64).contains(&value) {
-            return Err(Error::Option { name, value: value.to_string(), allowed: "1 to 64" });
-        }
-    }
-    if options.min_contrast.is_nan() || options.min_contrast < 0.0 {
-        let value = options.min_contrast.to_string();
-        return Err(Error::Option { name: "min_contrast", value, allowed: "0 or more" });
-    }
+fn find(points: &[Point], options: &Sift3dOptions, control: &Control) -> Result<Vec<Response>> {
+    options.check_ranges()?;
     let input = index_cloud(points)?;
     let min_scale = options.min_scale.resolve("min_scale", || input.resolution())?;
-    let (mut positions, mut field) = (input.points.clone(), values(&input, options.field, control)?);
+    let (mut positions, mut field) = (input.points.clone(), values(&input, options, control)?);
     let mut strongest = vec![f64::NEG_INFINITY; points.len()];
     for octave in 0..options.octaves {
         let scale = min_scale * 2_f64.powi(octave as i32);
@@ -109,9 +97,11 @@ pub(super) fn find(points: &[Point], options: &Sift3dOptions, control: &Control)
 }
 
 /// The field at each point.
-fn values(cloud: &Neighbors, field: SiftField, control: &Control) -> Result<Vec<f64>> {
-    let SiftField::Curvature(radius) = field else { return Ok(cloud.points.iter().map(|p| p.y).collect()) };
-    let radius = radius.resolve("curvature_radius", || cloud.resolution())?;
+fn values(cloud: &Neighbors, options: &Sift3dOptions, control: &Control) -> Result<Vec<f64>> {
+    if options.field == SiftField::Y {
+        return Ok(cloud.points.iter().map(|p| p.y).collect());
+    }
+    let radius = options.curvature_radius.resolve("curvature_radius", || cloud.resolution())?;
     cloud.check_density("curvature_radius", radius)?;
     let variation = |point: &Vector| {
         let (eigenvalues, _) = eigen(cloud.covariance(&cloud.within(point, radius)));
@@ -121,7 +111,8 @@ fn values(cloud: &Neighbors, field: SiftField, control: &Control) -> Result<Vec<
     each_point(cloud, control, variation)
 }
 
-/// The mean point and the mean of the field in every occupied voxel; voxels lie on multiples of `edge`.
+/// The mean point and the mean of the field in every occupied voxel; voxels lie on multiples of
+/// `edge`.
 fn thin(points: &[Vector], field: &[f64], edge: f64) -> (Vec<Vector>, Vec<f64>) {
     let voxel = |p: &Vector| -> [i64; 3] { (p / edge).map(|v| v.floor() as i64).into() };
     let mut order: Vec<([i64; 3], usize)> = points.iter().map(voxel).zip(0..).collect();
@@ -134,7 +125,8 @@ fn thin(points: &[Vector], field: &[f64], edge: f64) -> (Vec<Vector>, Vec<f64>) 
     order.chunk_by(|a, b| a.0 == b.0).map(mean).unzip()
 }
 
-/// The differences of the field between neighbouring scales of an octave, `[point][scale]`; Gaussians end at 3 sigma.
+/// The differences of the field between neighbouring scales of an octave, `[point][scale]`;
+/// Gaussians end at 3 sigma.
 fn differences_of_gaussians(
     cloud: &Neighbors,
     field: &[f64],
@@ -144,7 +136,7 @@ fn differences_of_gaussians(
 ) -> Result<Vec<Vec<f64>>> {
     let sigmas: Vec<f64> = (0..scales + 3).map(|i| base * 2_f64.powf((i as f64 - 1.0) / scales as f64)).collect();
     let reach = 3.0 * sigmas[scales + 2];
-    let of_point = |point: &Vector| {
+    let differences = |point: &Vector| {
         let neighbors: Vec<(f64, f64)> = cloud
             .within(point, reach)
             .into_iter()
@@ -161,12 +153,12 @@ fn differences_of_gaussians(
         });
         blurred.collect::<Vec<_>>().windows(2).map(|pair| pair[1] - pair[0]).collect()
     };
-    each_point(cloud, control, of_point)
+    each_point(cloud, control, differences)
 }
 
 /// Positions of the extrema and their absolute values.
 fn extrema(cloud: &Neighbors, differences: &[Vec<f64>], min_contrast: f64) -> Vec<(Vector, f64)> {
-    let of_point = |index: usize| {
+    let extrema = |index: usize| {
         let neighbors = cloud.nearest(&cloud.points[index], EXTREMUM_NEIGHBORS);
         let is_maximum = |sign: f64, scale: usize| {
             let value = sign * differences[index][scale];
@@ -181,7 +173,7 @@ fn extrema(cloud: &Neighbors, differences: &[Vec<f64>], min_contrast: f64) -> Ve
             .map(|scale| (cloud.points[index], contrast(scale)))
             .collect::<Vec<_>>()
     };
-    (0..cloud.points.len()).into_par_iter().flat_map_iter(of_point).collect()
+    (0..cloud.points.len()).into_par_iter().flat_map_iter(extrema).collect()
 }
 
 #[cfg(test)]
@@ -202,17 +194,18 @@ mod tests {
 
     #[test]
     fn differences_of_gaussians_by_hand() {
-        // With one scale per octave the standard deviations are half the base, the base, twice and four times the base.
-        // The neighbour is 2 away: beyond 3 sigma of the first Gaussian and within 3 sigma of the others.
+        // With one scale per octave the standard deviations are half the base, the base, twice and
+        // four times the base. The neighbour is 2 away: beyond 3 sigma of the first Gaussian and
+        // within 3 sigma of the others.
         let cloud = Neighbors::new(on_line(&[0.0, 2.0])).unwrap();
-        let found = differences_of_gaussians(&cloud, &[0.0, 1.0], 1.0, 1, &Control::default()).unwrap();
+        let differences = differences_of_gaussians(&cloud, &[0.0, 1.0], 1.0, 1, &Control::default()).unwrap();
         let blurred = |sigma: f64| {
             let weight = (-0.5 * (2.0 / sigma).powi(2)).exp();
             weight / (1.0 + weight)
         };
         let expected = [blurred(1.0) - 0.0, blurred(2.0) - blurred(1.0), blurred(4.0) - blurred(2.0)];
-        assert!(found[0].iter().zip(expected).all(|(a, b)| (a - b).abs() < 1e-12), "{found:?}");
-        assert!(found[1].iter().zip(expected).all(|(a, b)| (a + b).abs() < 1e-12), "{found:?}");
+        assert!(differences[0].iter().zip(expected).all(|(a, b)| (a - b).abs() < 1e-12), "{differences:?}");
+        assert!(differences[1].iter().zip(expected).all(|(a, b)| (a + b).abs() < 1e-12), "{differences:?}");
     }
 
     #[test]
@@ -222,8 +215,7 @@ mod tests {
         let mut differences = vec![vec![0.0; 4]; 30];
         differences[0] = vec![0.5, 2.0, 1.0, 0.0]; // a maximum at scale 1
         differences[29] = vec![0.0, 0.0, -3.0, -4.0]; // the minimum of its scale, but smaller at the next
-        let found = extrema(&cloud, &differences, 0.0);
-        assert_eq!(found, [(cloud.points[0], 2.0)]);
+        assert_eq!(extrema(&cloud, &differences, 0.0), [(cloud.points[0], 2.0)]);
         differences[29][3] = 0.0;
         assert_eq!(extrema(&cloud, &differences, 0.0), [(cloud.points[0], 2.0), (cloud.points[29], 3.0)]);
         assert_eq!(extrema(&cloud, &differences, 2.5), [(cloud.points[29], 3.0)]);
@@ -248,18 +240,18 @@ mod tests {
     fn fields_options_and_octaves_matter() {
         let wave = |i: u32| [(i % 60) as f32 * 0.1, (i / 60) as f32 * 0.1, ((i % 60) as f32 * 0.4).sin()];
         let points: Vec<Point> = (0..3600).map(wave).collect();
-        let found = |options: Sift3dOptions| sift3d(&points, &options).unwrap();
+        let keypoints = |options: Sift3dOptions| sift3d(&points, &options).unwrap();
         let default = Sift3dOptions::default();
-        let all = found(default);
+        let all = keypoints(default);
         assert!(all.len() > 10);
-        assert_ne!(found(Sift3dOptions { field: SiftField::Y, ..default }), all);
-        assert_ne!(found(Sift3dOptions { min_scale: Length::Resolutions(3.0), ..default }), all);
-        assert_ne!(found(Sift3dOptions { scales_per_octave: 3, ..default }), all);
-        assert!(found(Sift3dOptions { octaves: 1, ..default }).len() < all.len());
+        assert_ne!(keypoints(Sift3dOptions { field: SiftField::Y, ..default }), all);
+        assert_ne!(keypoints(Sift3dOptions { min_scale: Length::Resolutions(3.0), ..default }), all);
+        assert_ne!(keypoints(Sift3dOptions { scales_per_octave: 3, ..default }), all);
+        assert!(keypoints(Sift3dOptions { octaves: 1, ..default }).len() < all.len());
         let median = all[all.len() / 2].score;
         let strong: Vec<_> = all.iter().copied().filter(|response| response.score >= median).collect();
-        assert_eq!(found(Sift3dOptions { min_contrast: median, ..default }), strong);
+        assert_eq!(keypoints(Sift3dOptions { min_contrast: median, ..default }), strong);
         // Fewer than 25 voxels end the search.
-        assert_eq!(found(Sift3dOptions { min_scale: Length::Units(100.0), ..default }), []);
+        assert_eq!(keypoints(Sift3dOptions { min_scale: Length::Units(100.0), ..default }), []);
     }
 }

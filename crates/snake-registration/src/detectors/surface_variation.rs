@@ -4,44 +4,48 @@ use serde::{Deserialize, Serialize};
 
 use super::{Response, among_distinct, each_point, index_cloud, local_maxima};
 use snake_core::{Control, Result};
-use snake_geometry::{Length, Point, Vector, eigen, setters};
+use snake_geometry::{Length, Point, Vector, eigen, options};
 
-/// Options of [`surface_variation`].
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
-#[serde(default, deny_unknown_fields)]
-#[non_exhaustive]
-pub struct SurfaceVariationOptions {
-    /// Radius of the neighbourhood for the eigenvalues.
-    pub radius: Length,
-    /// Radius of non-maximum suppression: a keypoint's surface variation is the largest within this radius.
-    pub non_max_radius: Length,
-}
-
-setters!(SurfaceVariationOptions {
-    radius: Length => with_radius,
-    non_max_radius: Length => with_non_max_radius,
-});
-
-impl Default for SurfaceVariationOptions {
-    fn default() -> Self {
-        Self { radius: Length::Percent(30.0), non_max_radius: Length::Resolutions(4.0) }
+options! {
+    /// Options of [`surface_variation`].
+    pub struct SurfaceVariationOptions {
+        /// Radius of the neighbourhood for the eigenvalues.
+        radius, with_radius: Length = Length::Percent(30.0);
+        /// Radius of non-maximum suppression: a keypoint's surface variation is the largest within
+        /// this radius.
+        non_max_radius, with_non_max_radius: Length = Length::Resolutions(4.0);
     }
 }
 
 /// Keypoints of the largest surface variation, by falling score.
 ///
-/// The score is the smallest eigenvalue of the covariance of the points nearer than `radius`, divided by the sum of the
-/// three: 0 on a plane, at most 1/3. An exactly flat neighbourhood has no keypoint.
+/// The score is the smallest eigenvalue of the covariance of the points nearer than `radius`,
+/// divided by the sum of the three: 0 on a plane, at most 1/3. An exactly flat neighbourhood has no
+/// keypoint.
 ///
 /// # Errors
-/// [`Error::Input`](snake_core::Error::Input) when the cloud has no finite points or is one point repeated;
-/// [`Error::Option`](snake_core::Error::Option) when an option is outside its range.
+/// [`Error::Input`](snake_core::Error::Input) when the cloud has no finite points or is one point
+/// repeated; [`Error::Option`](snake_core::Error::Option) when an option is outside its range.
 pub fn surface_variation(points: &[Point], options: &SurfaceVariationOptions) -> Result<Vec<Response>> {
-    among_distinct(points, |points| find(points, options, &Control::default()))
+    surface_variation_with(points, options, &Control::default())
+}
+
+/// [`surface_variation`] with cancellation and a deadline.
+///
+/// # Errors
+/// The errors of [`surface_variation`]; [`Error::Cancelled`](snake_core::Error::Cancelled) and
+/// [`Error::DeadlineExceeded`](snake_core::Error::DeadlineExceeded).
+pub fn surface_variation_with(
+    points: &[Point],
+    options: &SurfaceVariationOptions,
+    control: &Control,
+) -> Result<Vec<Response>> {
+    among_distinct(points, |points| find(points, options, control))
 }
 
 /// [`surface_variation`] of finite, distinct points.
-pub(super) fn find(points: &[Point], options: &SurfaceVariationOptions, control: &Control) -> Result<Vec<Response>> {
+fn find(points: &[Point], options: &SurfaceVariationOptions, control: &Control) -> Result<Vec<Response>> {
+    options.check_ranges()?;
     let cloud = index_cloud(points)?;
     let radius = options.radius.in_units("radius", points)?;
     let non_max_radius = options.non_max_radius.in_units("non_max_radius", points)?;
@@ -67,8 +71,8 @@ mod tests {
     fn the_corners_of_a_cube_are_the_strongest() {
         let options = SurfaceVariationOptions::default().with_non_max_radius(Length::Units(0.3));
         let points = cube(11);
-        let found = surface_variation(&points, &options).unwrap();
-        let mut corners: Vec<_> = found[..8].iter().filter_map(|response| corner(points[response.index])).collect();
+        let keypoints = surface_variation(&points, &options).unwrap();
+        let mut corners: Vec<_> = keypoints[..8].iter().filter_map(|response| corner(points[response.index])).collect();
         corners.sort_unstable();
         assert_eq!(corners, [0, 1, 2, 3, 4, 5, 6, 7]);
     }
@@ -88,12 +92,12 @@ mod tests {
         let options = SurfaceVariationOptions::default()
             .with_radius(Length::Units(radius))
             .with_non_max_radius(Length::Units(0.2));
-        let found = surface_variation(&points, &options).unwrap();
-        for response in &found {
+        let keypoints = surface_variation(&points, &options).unwrap();
+        for response in &keypoints {
             assert!((response.score - variation(points[response.index])).abs() < 1e-9, "{}", response.score);
         }
         let highest = points.iter().map(|&point| variation(point)).fold(0.0, f64::max);
-        assert!((found[0].score - highest).abs() < 1e-9);
+        assert!((keypoints[0].score - highest).abs() < 1e-9);
     }
 
     #[test]

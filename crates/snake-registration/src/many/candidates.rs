@@ -4,19 +4,14 @@ use rayon::prelude::*;
 
 use snake_core::{Control, Result};
 
-use crate::pair::prepared::Prepared;
+use super::TUNING;
+use crate::steps::PreparedCloud;
+use crate::steps::describe::{Rows, describe_cloud};
 
-/// Number of visual words: groups of similar descriptors.
-const WORDS: usize = 64;
-/// Descriptors of all clouds that the words are made from.
-const SAMPLES: usize = 16_000;
-/// Rounds of k-means.
-const ROUNDS: usize = 10;
-
-/// At most about `count` partners of each cloud as pairs `[source, target]`, source above target, ordered: the clouds
-/// whose descriptors are most alike, and the next cloud in the given order, because scans are often in sequence. All
-/// pairs if there are no more.
-pub(super) fn pairs(clouds: &[Prepared], count: usize, control: &Control) -> Result<Vec<[usize; 2]>> {
+/// The pairs `[source, target]` that are worth a registration, source above target, ordered. Each
+/// cloud is paired with the `count` clouds whose descriptors are most similar, and with the next
+/// cloud, because scans are often in sequence. Few clouds are all paired.
+pub(super) fn pairs(clouds: &[PreparedCloud], count: usize, control: &Control) -> Result<Vec<[usize; 2]>> {
     let all = (1..clouds.len()).flat_map(|source| (0..source).map(move |target| [source, target]));
     if clouds.len().saturating_sub(1) <= count {
         return Ok(all.collect());
@@ -34,10 +29,12 @@ pub(super) fn pairs(clouds: &[Prepared], count: usize, control: &Control) -> Res
 }
 
 /// The cosines between the clouds' vectors of residuals to the words (VLAD, Jégou et al. 2010).
-fn similarities(clouds: &[Prepared], control: &Control) -> Result<Vec<Vec<f32>>> {
+fn similarities(clouds: &[PreparedCloud], control: &Control) -> Result<Vec<Vec<f32>>> {
     let signed = clouds.iter().all(|cloud| cloud.viewpoint.is_some());
-    let dimension = clouds[0].dimension;
-    let rows: Vec<&[f32]> = clouds.iter().map(|cloud| cloud.descriptors(signed, control)).collect::<Result<_>>()?;
+    let described: Vec<Rows> =
+        clouds.iter().map(|cloud| describe_cloud(cloud, signed, control)).collect::<Result<_>>()?;
+    let dimension = described[0].dimension();
+    let rows: Vec<&[f32]> = described.iter().map(Rows::values).collect();
     let words = words(&rows, dimension, control)?;
     let vectors: Vec<Vec<f32>> = rows.par_iter().map(|rows| aggregate(rows, &words, dimension)).collect();
     let product = |a: &[f32], b: &[f32]| a.iter().zip(b).map(|(a, b)| a * b).sum::<f32>();
@@ -50,14 +47,14 @@ fn nearest(row: &[f32], words: &[f32], dimension: usize) -> usize {
     distances.min_by(|a, b| a.1.total_cmp(&b.1)).map_or(0, |(index, _)| index)
 }
 
-/// The means of k-means on a sample of the descriptors, `(WORDS, dimension)`.
+/// The means of k-means on a sample of the descriptors, `(words, dimension)`.
 fn words(rows: &[&[f32]], dimension: usize, control: &Control) -> Result<Vec<f32>> {
     let total: usize = rows.iter().map(|rows| rows.len() / dimension).sum();
     let all = rows.iter().flat_map(|rows| rows.chunks_exact(dimension));
-    let sample: Vec<&[f32]> = all.step_by(total.div_ceil(SAMPLES).max(1)).collect();
-    let first = sample.iter().step_by(sample.len().div_ceil(WORDS).max(1));
+    let sample: Vec<&[f32]> = all.step_by(total.div_ceil(TUNING.samples).max(1)).collect();
+    let first = sample.iter().step_by(sample.len().div_ceil(TUNING.words).max(1));
     let mut words: Vec<f32> = first.flat_map(|row| row.iter().copied()).collect();
-    for _ in 0..ROUNDS {
+    for _ in 0..TUNING.word_rounds {
         control.check()?;
         let members: Vec<usize> = sample.par_iter().map(|row| nearest(row, &words, dimension)).collect();
         let mut sums = vec![0.0_f32; words.len()];

@@ -6,28 +6,30 @@ use nalgebra::IsometryMatrix3;
 
 use snake_geometry::Vector;
 
-use crate::pair::consistency::displacement;
+use super::TUNING;
+use crate::rigid::displacement;
 
-/// The confidence from which on a transform is a witness for others.
-const RELIABLE: f64 = 0.5;
-
-/// A transform between two clouds and the probability, 0 to 1, that it is right by its own evidence.
+/// A transform between two clouds and the probability, 0 to 1, that it is right by its own
+/// evidence.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Witness {
     pub(super) source: usize,
     pub(super) target: usize,
     pub(super) t_target_source: IsometryMatrix3<f64>,
     pub(super) confidence: f64,
-    /// A loop is closed if it moves points by less than this (root mean square), or that of another of its transforms.
+    /// A loop is closed if it moves points by less than this (root mean square), or that of another
+    /// of its transforms.
     pub(super) distance: f64,
 }
 
-/// The probability that each transform is wrong in spite of its own evidence and the loops of three that it closes.
+/// The probability that each transform is wrong in spite of its own evidence and the loops of three
+/// that it closes.
 ///
-/// Two right transforms and a third that closes their loop prove each other. Wrong transforms close a loop by chance
-/// only: `(1 - own) Π (1 - a b)` over the closed loops, with the own probabilities a and b of the other two. These are reliable
-/// by themselves: two clouds of one thing fit a third that lacks it in the same wrong way, which closes a loop of doubtful
-/// transforms. A loop is closed if it moves the points of `probes[cloud]` little.
+/// Two right transforms and a third that closes their loop prove each other. Wrong transforms close
+/// a loop by chance only: `(1 - own) Π (1 - a b)` over the closed loops, with the own probabilities
+/// a and b of the other two. These are reliable by themselves: two clouds of one thing fit a third
+/// that lacks it in the same wrong way, which closes a loop of doubtful transforms. A loop is
+/// closed if it moves the points of `probes[cloud]` little.
 pub(super) fn doubts(witnesses: &[Witness], probes: &[Vec<Vector>]) -> Vec<f64> {
     let mut by_cloud: Vec<HashMap<usize, usize>> = vec![HashMap::new(); probes.len()];
     for (index, witness) in witnesses.iter().enumerate() {
@@ -48,7 +50,7 @@ pub(super) fn doubts(witnesses: &[Witness], probes: &[Vec<Vector>]) -> Vec<f64> 
             let Some(&last) = by_cloud[target].get(&third) else { continue };
             let first = by_cloud[source][&third];
             let others = [&witnesses[first], &witnesses[last]];
-            if others.iter().any(|other| other.confidence < RELIABLE) {
+            if others.iter().any(|other| other.confidence < TUNING.reliable) {
                 continue;
             }
             let distance = others.iter().map(|other| other.distance).fold(witness.distance, f64::max);
@@ -68,7 +70,7 @@ mod tests {
     use rand_chacha::ChaCha8Rng;
 
     use super::*;
-    use crate::parts::rigid::tests::random_transform;
+    use crate::rigid::tests::random_transform;
 
     #[test]
     fn closed_loops_lower_a_doubt_and_open_ones_leave_it() {
@@ -83,16 +85,16 @@ mod tests {
         };
         let mut witnesses = vec![witness(0, 1, 0.9), witness(2, 1, 0.8), witness(0, 2, 0.1), witness(3, 0, 0.3)];
         let probes = vec![vec![Vector::x(), Vector::y(), Vector::zeros()]; 4];
-        let found = doubts(&witnesses, &probes);
-        assert!((found[2] - 0.9 * (1.0 - 0.72)).abs() < 1e-12, "{found:?}");
-        assert!(found[0] < 0.1 && found[1] < 0.2);
-        assert_eq!(found[3], 1.0 - 0.3);
+        let doubtful = doubts(&witnesses, &probes);
+        assert!((doubtful[2] - 0.9 * (1.0 - 0.72)).abs() < 1e-12, "{doubtful:?}");
+        assert!(doubtful[0] < 0.1 && doubtful[1] < 0.2);
+        assert_eq!(doubtful[3], 1.0 - 0.3);
         // A wrong transform closes no loop.
         witnesses[2].t_target_source.translation.vector.x += 0.2;
-        let found = doubts(&witnesses, &probes);
+        let doubtful = doubts(&witnesses, &probes);
         assert!(
-            found.iter().zip(&witnesses).all(|(found, own)| (1.0 - found - own.confidence).abs() < 1e-12),
-            "{found:?}"
+            doubtful.iter().zip(&witnesses).all(|(doubt, own)| (1.0 - doubt - own.confidence).abs() < 1e-12),
+            "{doubtful:?}"
         );
     }
 }

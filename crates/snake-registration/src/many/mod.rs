@@ -1,8 +1,8 @@
 //! The poses of many clouds: registrations of pairs, checked by loops, in a robust pose graph.
 
 mod candidates;
+mod graph;
 mod loops;
-mod parts;
 mod pose_graph;
 mod refine;
 mod result;
@@ -18,101 +18,134 @@ use rayon::prelude::*;
 use snake_core::{Control, Error, Model, Result};
 use snake_geometry::{Point, RigidTransform};
 
-use super::result::Registration;
-use crate::pair::Pair;
-use crate::pair::prepared::Prepared;
-use parts::Part;
-pub use result::{AlignOptions, Alignment, Edge, Pose};
+use crate::options::{AlignOptions, PairOptions, RegisterOptions, check_viewpoint};
+use crate::register::register_pair;
+use crate::result::Registration;
+use crate::steps::describe::describe_cloud;
+use crate::steps::{Pair, PreparedCloud};
+use crate::tuning::tuning;
+pub use result::{Alignment, Edge, Pose};
 use scales::Scales;
-use solved::{Solved, solve};
+use solved::solve;
+
+tuning! {
+    /// Number of clouds, at most: the poses are solved for in one dense matrix.
+    max_clouds: usize = 500, unit "clouds", from "set by hand in 595368d";
+    /// Number of visual words: groups of similar descriptors.
+    words: usize = 64, unit "words", from "set by hand in 595368d";
+    /// Number of descriptors of all clouds from which the words are made, at most.
+    samples: usize = 16_000, unit "descriptors", from "set by hand in 595368d";
+    /// Number of rounds of k-means.
+    word_rounds: usize = 10, unit "rounds", from "set by hand in 595368d";
+    /// Voxel size of one scale beside that of the next. Clouds of half to twice the usual size share
+    /// a scale.
+    scale_ratio: f64 = 4.0, unit "ratio of lengths", from "set by hand in b0e7886";
+    /// A transform with this confidence is a witness for others.
+    reliable: f64 = 0.5, unit "probability", from "the confidence from which a verdict is reliable";
+    /// Number of points of a cloud that tell whether a loop is closed, and whether clouds overlap.
+    probes: usize = 50, unit "points", from "set by hand in 595368d";
+    /// A loop of three transforms is closed if it moves points by less than this.
+    loop_distance: f64 = 3.0, unit "inlier distances", from "set by hand in 595368d";
+    /// A transform takes part in the pose graph if its probability of being wrong is at most this.
+    max_doubt: f64 = 0.5, unit "probability", from "set by hand in c6a0685";
+    /// Links that contradict the others are dropped at once if their error is above this share of
+    /// the greatest.
+    dropped: f64 = 0.5, unit "share of the greatest error", from "set by hand in c6a0685";
+    /// Number of steps with one set of robust weights.
+    pose_steps: usize = 8, unit "steps", from "set by hand in 595368d";
+    /// A link with a larger squared error has no weight; it is also the widest kernel. The poses
+    /// start from the most reliable links, and without the limit some wrong links that agree with
+    /// each other outvote them.
+    widest: f64 = 100.0, unit "squared thresholds", from "set by hand in c6a0685";
+    /// Factor by which the kernel narrows from one round to the next.
+    narrowing: f64 = 1.6, unit "ratio of widths", from "set by hand in 595368d";
+    /// A smaller step ends the round.
+    pose_tolerance: f64 = 1e-7, unit "radians, and inlier distances", from "set by hand in 595368d";
+    /// Damping of directions that no link fixes.
+    min_damping: f64 = 1e-9, unit "share of the diagonal", from "set by hand in 595368d";
+    /// Number of rounds of the last refinement, at most; each measures every pair of clouds again.
+    refine_rounds: usize = 30, unit "rounds", from "set by hand in c6a0685";
+    /// The last refinement ends when no cloud moves by more than this.
+    refine_tolerance: f64 = 0.01, unit "inlier distances", from "set by hand in c6a0685";
+    /// Clouds are registered from their poses if this share of the probes is close to the other
+    /// cloud.
+    min_overlap: f64 = 0.2, unit "share of the probes", from "set by hand in f9a1dee";
+    /// Clouds refine the poses if this share of the probes is close to the other cloud.
+    min_common: f64 = 0.1, unit "share of the probes", from "set by hand in c6a0685";
+    /// Points are close if they are nearer than this.
+    overlap_distance: f64 = 2.0, unit "inlier distances", from "set by hand in f9a1dee";
+}
 
 /// Finds the poses of clouds `(N, 3)` that overlap in part, without initial guesses.
 ///
-/// All clouds have the same units. Pairs with similar descriptors are registered as by [`register`](crate::register()). A
-/// transform counts if it is reliable, or if loops of three transforms prove it. The poses fit these transforms, each
-/// weighed by its information matrix; those that contradict the others lose their weight. Clouds that no chain of
-/// transforms links are in different parts. A detector or descriptor that runs a model gets it from [`align_with`].
+/// All clouds have the same units. Pairs with similar descriptors are registered as by
+/// [`register`](crate::register()). A transform counts if it is reliable, or if loops of three
+/// transforms prove it. The poses fit these transforms, each weighed by its information matrix;
+/// those that contradict the others lose their weight. Clouds that no chain of transforms links are
+/// in different parts. A detector or descriptor that runs a model gets it from [`align_with`].
 ///
 /// ```
 /// use snake_core::RigidTransform;
-/// use snake_registration::{AlignOptions, align, transform_points};
+/// use snake_registration::{RegisterOptions, align, transform_points};
 /// # let whole = snake_io::read_points(concat!(env!("CARGO_MANIFEST_DIR"), "/../../samples/plane.ply").as_ref())?;
 /// let rows = [[0.0, -1.0, 0.0, 3.0], [1.0, 0.0, 0.0, 0.0], [0.0, 0.0, 1.0, 0.0], [0.0, 0.0, 0.0, 1.0]];
 /// let t_second_first = RigidTransform::from_matrix(rows)?;
 /// let first = whole[..2048].to_vec();
 /// let second = transform_points(&t_second_first, &whole[2048..]);
-/// let found = align(&[first, second], &AlignOptions::default())?;
-/// let (angle, distance) = found.poses[1].t_part_cloud.angle_and_distance_to(&t_second_first.inverse());
-/// assert!(found.parts == [[0, 1]] && angle < 0.05 && distance < 0.05);
+/// let alignment = align(&[first, second], &RegisterOptions::default())?;
+/// let (angle, distance) = alignment.poses[1].t_part_cloud.angle_and_distance_to(&t_second_first.inverse());
+/// assert!(alignment.parts == [[0, 1]] && angle < 0.05 && distance < 0.05);
 /// # Ok::<(), Box<dyn std::error::Error>>(())
 /// ```
 ///
 /// # Errors
-/// [`Error::Input`] for fewer than 2 or more than 500 clouds, and for a cloud without finite points or without extent;
-/// [`Error::Option`] when an option is outside its range or needs a model. Clouds that fit no other cloud are no error.
-pub fn align(clouds: &[impl AsRef<[Point]> + Sync], options: &AlignOptions) -> Result<Alignment> {
-    align_with(clouds, None, options, &Control::default())
+/// [`Error::Input`] for fewer than 2 or more than 500 clouds, and for a cloud without finite points
+/// or without extent; [`Error::Option`] when an option is outside its range or needs a model.
+/// Clouds that fit no other cloud are no error.
+pub fn align(clouds: &[impl AsRef<[Point]> + Sync], options: &RegisterOptions) -> Result<Alignment> {
+    align_with(clouds, &[], None, options, &AlignOptions::default(), &Control::default())
 }
 
-/// [`align`] with the model of the detector `snake` or the descriptor `field`, progress and cancellation; a classical detector is not interrupted.
+/// [`align`] with the sensor's position in the frame of each cloud, where it is known (`viewpoints`
+/// has one for each cloud, or none), with the model of the detector `snake` or the descriptor
+/// `field`, and with progress and cancellation.
 ///
 /// # Errors
 /// The errors of [`align`]; [`Error::Cancelled`] and [`Error::DeadlineExceeded`].
 pub fn align_with(
     clouds: &[impl AsRef<[Point]> + Sync],
+    viewpoints: &[Option<[f64; 3]>],
     model: Option<&Model>,
-    options: &AlignOptions,
+    options: &RegisterOptions,
+    align_options: &AlignOptions,
     control: &Control,
 ) -> Result<Alignment> {
     let start = Instant::now();
-    let viewpoints = options.checked_viewpoints(clouds.len())?;
+    options.check_ranges()?;
+    align_options.check_ranges()?;
+    check_clouds(clouds.len(), viewpoints)?;
     let inner = control.without_progress();
     control.begin("clouds", 0).check()?;
     let points: Vec<&[Point]> = clouds.iter().map(AsRef::as_ref).collect();
-    let scales = Scales::new(&points, &viewpoints, model, &options.register, &inner)?;
+    let scales = Scales::new(&points, viewpoints, model, options, &inner)?;
     let clouds = scales.usual();
-    describe(clouds, control)?;
-    let pairs = candidates::pairs(clouds, options.max_partners, &inner)?;
+    describe_all(clouds, control)?;
+    let pairs = candidates::pairs(clouds, align_options.max_partners, &inner)?;
     let free: Vec<Trial> = pairs.into_iter().map(|pair| (pair, None)).collect();
-    let found = register_pairs(&scales, &free, options, control)?;
-    let first = solve(&scales, found, options, control)?;
+    let registered = register_pairs(&scales, &free, options, control)?;
+    let first = solve(&scales, registered, options, control)?;
     // The poses say which other clouds overlap, and where.
     let guided = first.guesses(&scales);
     let more = register_pairs(&scales, &guided, options, control)?;
-    let Solved { found, kept, doubts, links, parts } = match more.iter().any(|(_, found)| found.is_reliable) {
-        true => solve(&scales, first.with_reliable(more), options, control)?,
-        false => first,
+    let solved = if more.iter().any(|(_, registration)| registration.verdict.is_reliable) {
+        solve(&scales, first.with_reliable(more), options, control)?
+    } else {
+        first
     };
-
-    let edge = |(at, residual): &(usize, f64)| {
-        let ([source, target], registration) = &found[kept[*at]];
-        Edge {
-            source: *source,
-            target: *target,
-            t_target_source: registration.t_target_source,
-            confidence: registration.confidence,
-            belief: 1.0 - doubts[*at],
-            residual: *residual,
-            information: registration.information,
-        }
-    };
-    let mut edges: Vec<Edge> = parts.iter().flat_map(|part| part.links.iter().map(edge)).collect();
-    edges.sort_by_key(|edge| (edge.source, edge.target));
-    let variance = |part: &Part| {
-        let squared = part.links.iter().map(|(at, _)| found[kept[*at]].1.fitness_rmse.powi(2));
-        squared.sum::<f64>() / part.links.len().max(1) as f64
-    };
-    let mut poses: Vec<Option<Pose>> = vec![None; clouds.len()];
-    for (index, part) in parts.iter().enumerate() {
-        let covariances = part.covariances(&links, variance(part));
-        for ((&cloud, pose), covariance) in part.clouds.iter().zip(&part.poses).zip(covariances) {
-            let covariance = std::array::from_fn(|row| std::array::from_fn(|column| covariance[(row, column)]));
-            poses[cloud] = Some(Pose { part: index, t_part_cloud: (*pose).into(), covariance });
-        }
-    }
+    let (edges, poses) = (solved.edges(), solved.poses());
     Ok(Alignment {
-        poses: poses.into_iter().flatten().collect(),
-        parts: parts.into_iter().map(|part| part.clouds).collect(),
+        poses,
+        parts: solved.parts.into_iter().map(|part| part.clouds).collect(),
         edges,
         num_pairs: free.len() + guided.len(),
         num_skipped: clouds.iter().map(|cloud| cloud.num_skipped).collect(),
@@ -120,13 +153,28 @@ pub fn align_with(
     })
 }
 
+/// Refuses too few or too many clouds, and viewpoints that are not one for each cloud.
+fn check_clouds(count: usize, viewpoints: &[Option<[f64; 3]>]) -> Result<()> {
+    if !(2..=TUNING.max_clouds).contains(&count) {
+        return Err(Error::Input {
+            what: "clouds",
+            reason: format!("{count} of them; needed are 2 to {}", TUNING.max_clouds),
+        });
+    }
+    if ![0, count].contains(&viewpoints.len()) {
+        let (value, allowed) = (format!("{} of them", viewpoints.len()), "one for each cloud, or none");
+        return Err(Error::Option { name: "viewpoints", value, allowed });
+    }
+    viewpoints.iter().try_for_each(|viewpoint| check_viewpoint("viewpoints", *viewpoint))
+}
+
 /// Computes the descriptors of every cloud that its pairs will need.
-fn describe(clouds: &[Prepared], control: &Control) -> Result<()> {
+fn describe_all(clouds: &[PreparedCloud], control: &Control) -> Result<()> {
     let counter = control.begin("descriptors", clouds.len());
     let inner = control.without_progress();
     clouds.par_iter().try_for_each(|cloud| {
         counter.check()?;
-        cloud.descriptors(cloud.viewpoint.is_some(), &inner)?;
+        describe_cloud(cloud, cloud.viewpoint.is_some(), &inner)?;
         counter.add(1);
         Ok(())
     })
@@ -134,26 +182,32 @@ fn describe(clouds: &[Prepared], control: &Control) -> Result<()> {
 
 /// Source and target with the transform to start from, if there is one.
 type Trial = ([usize; 2], Option<RigidTransform>);
-type Found = ([usize; 2], Registration);
+/// Source and target with their registration.
+type Registered = ([usize; 2], Registration);
 
 /// The registrations of all pairs for which there is a transform.
-fn register_pairs(scales: &Scales, pairs: &[Trial], options: &AlignOptions, control: &Control) -> Result<Vec<Found>> {
+fn register_pairs(
+    scales: &Scales,
+    pairs: &[Trial],
+    options: &RegisterOptions,
+    control: &Control,
+) -> Result<Vec<Registered>> {
     let counter = control.begin("pairs", pairs.len());
     let inner = control.without_progress();
     let register = |&([source, target], guess): &Trial| {
         counter.check()?;
         let scale = scales.common(&[source, target]);
         let [from, to] = [source, target].map(|cloud| scales.cloud(cloud, scale));
-        let options = options.register.with_initial(guess);
-        let found = Pair::new(from, to, scales.inlier_distance(scale)).register(&options, &inner);
+        let pair = Pair::new(from, to, options.gravity);
+        let registration = register_pair(&pair, options, &PairOptions::default().with_initial(guess), &inner);
         counter.add(1);
-        match found {
-            Ok(found) => Ok(Some(([source, target], found))),
+        match registration {
+            Ok(registration) => Ok(Some(([source, target], registration))),
             // No three matches agree: these clouds do not fit.
             Err(Error::NoTransform { .. }) => Ok(None),
             Err(other) => Err(other),
         }
     };
-    let found: Vec<Option<Found>> = pairs.par_iter().map(register).collect::<Result<_>>()?;
-    Ok(found.into_iter().flatten().collect())
+    let registered: Vec<Option<Registered>> = pairs.par_iter().map(register).collect::<Result<_>>()?;
+    Ok(registered.into_iter().flatten().collect())
 }

@@ -1,25 +1,14 @@
 //! Robust least squares over poses that are linked by measured transforms.
 //!
-//! This is a dense Levenberg-Marquardt of one page. The factor-graph crates that were looked at bring a second version of
-//! nalgebra and about a hundred crates, for graphs far larger than ours.
+//! This is a dense Levenberg-Marquardt of one page. The factor-graph crates that were looked at
+//! bring a second version of nalgebra and about a hundred crates, for graphs far larger than ours.
 
 use nalgebra::{DMatrix, DVector, IsometryMatrix3, Matrix3, Matrix6, Rotation3, Translation3, Vector6};
 
-use crate::parts::rigid::rotation_vector;
+use super::TUNING;
+use crate::rigid::rotation_vector;
 use snake_core::{Counter, Result};
 use snake_geometry::Vector;
-
-/// Steps with one set of robust weights.
-const STEPS: usize = 8;
-/// The squared error, in squared thresholds, beyond which a link has no weight, and the widest kernel. The poses start from
-/// the links that are believed most: without the limit, some wrong links that agree with each other outvote them.
-const WIDEST: f64 = 100.0;
-/// The factor by which the kernel narrows from one round to the next.
-const NARROWING: f64 = 1.6;
-/// A step below this (radians, and inlier distances) ends the round.
-const TOLERANCE: f64 = 1e-7;
-/// Damping of directions that no link fixes, relative to the diagonal.
-const LEAST_DAMPING: f64 = 1e-9;
 
 /// A measured transform between two poses.
 #[derive(Debug, Clone)]
@@ -27,30 +16,33 @@ pub(super) struct Link {
     pub(super) source: usize,
     pub(super) target: usize,
     pub(super) t_target_source: IsometryMatrix3<f64>,
-    /// Of a small rotation and then translation in the target frame: the sum over `count` pairs of points.
+    /// Of a small rotation and then translation in the target frame: the sum over `count` pairs of
+    /// points.
     pub(super) information: Matrix6<f64>,
 }
 
 impl Link {
-    /// The error `(rotation vector, translation)` of two poses: it moves the measured transform to that of the poses.
+    /// The error `(rotation vector, translation)` of two poses: it moves the measured transform to
+    /// that of the poses.
     fn residual(&self, poses: &[IsometryMatrix3<f64>]) -> Vector6<f64> {
         let error = poses[self.target].inverse() * poses[self.source] * self.t_target_source.inverse();
         let (rotation, translation) = (rotation_vector(&error.rotation), error.translation.vector);
         Vector6::new(rotation.x, rotation.y, rotation.z, translation.x, translation.y, translation.z)
     }
 
-    /// The derivatives of the residual by a small motion of source and target, each in its own frame.
+    /// The derivatives of the residual by a small motion of source and target, each in its own
+    /// frame.
     fn jacobians(&self, residual: &Vector6<f64>) -> [Matrix6<f64>; 2] {
         let rotation: Vector = residual.fixed_rows::<3>(0).into();
         let translation: Vector = residual.fixed_rows::<3>(3).into();
-        let turn = Rotation3::new(rotation).into_inner();
+        let rotate = Rotation3::new(rotation).into_inner();
         let measured = self.t_target_source.rotation.matrix();
         // Source: error · M Exp(δ) M⁻¹, where M is the measured transform.
         let mut source = Matrix6::zeros();
         source.fixed_view_mut::<3, 3>(0, 0).copy_from(&(inverse_right_jacobian(&rotation) * measured));
         let lever = self.t_target_source.translation.vector.cross_matrix() * measured;
-        source.fixed_view_mut::<3, 3>(3, 0).copy_from(&(turn * lever));
-        source.fixed_view_mut::<3, 3>(3, 3).copy_from(&(turn * measured));
+        source.fixed_view_mut::<3, 3>(3, 0).copy_from(&(rotate * lever));
+        source.fixed_view_mut::<3, 3>(3, 3).copy_from(&(rotate * measured));
         // Target: Exp(-δ) · error.
         let mut target = Matrix6::zeros();
         target.fixed_view_mut::<3, 3>(0, 0).copy_from(&-inverse_right_jacobian(&-rotation));
@@ -59,8 +51,8 @@ impl Link {
         [source, target]
     }
 
-    /// The mean squared distance to the tangent planes by which the poses move the pairs of points: comparable between
-    /// links, in squared cloud units.
+    /// The mean squared distance to the tangent planes by which the poses move the pairs of points:
+    /// comparable between links, in squared cloud units.
     pub(super) fn squared_error(&self, poses: &[IsometryMatrix3<f64>]) -> f64 {
         let residual = self.residual(poses);
         (self.information * residual).dot(&residual) / self.count()
@@ -80,9 +72,10 @@ fn inverse_right_jacobian(rotation: &Vector) -> Matrix3<f64> {
     Matrix3::identity() + 0.5 * cross + second * cross * cross
 }
 
-/// Optimises the poses; the first stays. The weights of links whose error exceeds `threshold` (cloud units) fall towards
-/// zero (kernel of Geman and McClure), after rounds with wider kernels (graduated non-convexity, Yang et al. 2020). Links far
-/// from the poses have no weight unless a round brings them closer.
+/// Optimises the poses; the first stays. The weights of links whose error exceeds `threshold`
+/// (cloud units) fall towards zero (kernel of Geman and McClure), after rounds with wider kernels
+/// (graduated non-convexity, Yang et al. 2020). Links far from the poses have no weight unless a
+/// round brings them closer.
 pub(super) fn optimize(
     poses: &mut [IsometryMatrix3<f64>],
     links: &[Link],
@@ -91,10 +84,10 @@ pub(super) fn optimize(
 ) -> Result<()> {
     let squared = threshold * threshold;
     let largest = links.iter().map(|link| link.squared_error(poses)).fold(0.0, f64::max);
-    let mut width = (2.0 * largest / squared).clamp(1.0, WIDEST);
+    let mut width = (2.0 * largest / squared).clamp(1.0, TUNING.widest);
     loop {
         let weight = |link: &Link| match link.squared_error(poses) {
-            error if error > WIDEST * squared => 0.0,
+            error if error > TUNING.widest * squared => 0.0,
             error => (width * squared / (error + width * squared)).powi(2),
         };
         let weights: Vec<f64> = links.iter().map(weight).collect();
@@ -102,7 +95,7 @@ pub(super) fn optimize(
         if width == 1.0 {
             return Ok(());
         }
-        width = (width / NARROWING).max(1.0);
+        width = (width / TUNING.narrowing).max(1.0);
     }
 }
 
@@ -119,7 +112,7 @@ pub(super) fn least_squares(
         costs.sum()
     };
     let (mut damping, mut best) = (1e-6, cost(poses));
-    for _ in 0..STEPS {
+    for _ in 0..TUNING.pose_steps {
         counter.check()?;
         let (normal, gradient) = normal_equations(poses, links, weights);
         let Some(inverse) = damped(&normal, damping).cholesky() else {
@@ -134,14 +127,14 @@ pub(super) fn least_squares(
                 |(i, pose)| if i == 0 { *pose } else { pose * small_motion(&step.fixed_rows::<6>(6 * (i - 1)).into()) },
             )
             .collect();
-        let found = cost(&moved);
-        if found > best {
+        let moved_cost = cost(&moved);
+        if moved_cost > best {
             damping *= 10.0;
             continue;
         }
         poses.copy_from_slice(&moved);
-        (best, damping) = (found, (damping / 10.0).max(LEAST_DAMPING));
-        if step.amax() < TOLERANCE * scale.min(1.0) {
+        (best, damping) = (moved_cost, (damping / 10.0).max(TUNING.min_damping));
+        if step.amax() < TUNING.pose_tolerance * scale.min(1.0) {
             break;
         }
     }
@@ -162,13 +155,13 @@ fn normal_equations(poses: &[IsometryMatrix3<f64>], links: &[Link], weights: &[f
         let information = *weight * link.information;
         let jacobians = link.jacobians(&residual);
         let ends = [(link.source, jacobians[0]), (link.target, jacobians[1])];
-        for (row, of_row) in ends.iter().filter(|(pose, _)| *pose > 0) {
-            let left = of_row.transpose() * information;
+        for (row, row_jacobian) in ends.iter().filter(|(pose, _)| *pose > 0) {
+            let left = row_jacobian.transpose() * information;
             let mut part = gradient.fixed_rows_mut::<6>(6 * (row - 1));
             part += left * residual;
-            for (column, of_column) in ends.iter().filter(|(pose, _)| *pose > 0) {
+            for (column, column_jacobian) in ends.iter().filter(|(pose, _)| *pose > 0) {
                 let mut block = normal.fixed_view_mut::<6, 6>(6 * (row - 1), 6 * (column - 1));
-                block += left * of_column;
+                block += left * column_jacobian;
             }
         }
     }
@@ -178,34 +171,35 @@ fn normal_equations(poses: &[IsometryMatrix3<f64>], links: &[Link], weights: &[f
 /// The matrix with its diagonal raised, and no entry there next to zero.
 fn damped(normal: &DMatrix<f64>, damping: f64) -> DMatrix<f64> {
     let mut damped = normal.clone();
-    let least = LEAST_DAMPING * normal.diagonal().max();
+    let least = TUNING.min_damping * normal.diagonal().max();
     for i in 0..damped.nrows() {
         damped[(i, i)] = (damped[(i, i)] * (1.0 + damping)).max(least).max(f64::MIN_POSITIVE);
     }
     damped
 }
 
-/// The covariances of the poses relative to the first, each of a small rotation and then translation in the pose's own
-/// frame. `variance` is that of one distance to a plane, at least; if loops disagree more, that counts. Directions that
-/// the links leave open have a covariance that is large, but finite.
+/// The covariances of the poses relative to the first, each of a small rotation and then
+/// translation in the pose's own frame. `variance` is that of one distance to a plane, at least; if
+/// loops disagree more, that counts. Directions that the links leave open have a covariance that is
+/// large, but finite.
 pub(super) fn covariances(poses: &[IsometryMatrix3<f64>], links: &[Link], variance: f64) -> Vec<Matrix6<f64>> {
     let (normal, _) = normal_equations(poses, links, &vec![1.0; links.len()]);
-    let mut damping = LEAST_DAMPING;
+    let mut damping = TUNING.min_damping;
     let inverse = loop {
         // Enough damping makes any matrix of a sum of squares positive definite.
         match damped(&normal, damping).cholesky() {
-            Some(found) => break found.inverse(),
+            Some(decomposed) => break decomposed.inverse(),
             None => damping *= 10.0,
         }
     };
     let freedom = 6.0 * (links.len() as f64 - (poses.len() as f64 - 1.0));
     let cost: f64 = links.iter().map(|link| link.count() * link.squared_error(poses)).sum();
     let variance = if freedom > 0.0 { variance.max(cost / freedom) } else { variance };
-    let of = |i: usize| match i {
+    let covariance = |i: usize| match i {
         0 => Matrix6::zeros(),
         _ => variance * inverse.fixed_view::<6, 6>(6 * (i - 1), 6 * (i - 1)),
     };
-    (0..poses.len()).map(of).collect()
+    (0..poses.len()).map(covariance).collect()
 }
 
 #[cfg(test)]
@@ -214,7 +208,7 @@ mod tests {
     use rand_chacha::ChaCha8Rng;
 
     use super::*;
-    use crate::parts::rigid::tests::random_transform;
+    use crate::rigid::tests::random_transform;
 
     fn noise(rng: &mut ChaCha8Rng, size: f64) -> IsometryMatrix3<f64> {
         small_motion(&Vector6::from_fn(|_, _| size * rng.random_range(-1.0..1.0)))
@@ -289,7 +283,8 @@ mod tests {
     fn wrong_links_do_not_pull() {
         for wrong in 0..12 {
             let (truth, links) = ring(6, 1e-3, Some(wrong));
-            // The start follows links 0, 2, 4, .., the ring; with a wrong link in it, the other ones.
+            // The start follows links 0, 2, 4, .., the ring; with a wrong link in it, the other
+            // ones.
             let mut poses = vec![truth[0]];
             for i in 1..6 {
                 let link = if wrong % 2 == 0 && wrong / 2 == i - 1 { None } else { Some(&links[2 * (i - 1)]) };
@@ -309,19 +304,20 @@ mod tests {
     fn poses_far_along_a_chain_are_less_certain() {
         let (truth, links) = ring(6, 0.0, None);
         let chain: Vec<Link> = links.into_iter().step_by(2).take(5).collect();
-        let found = covariances(&truth, &chain, 1e-4);
-        assert_eq!(found[0], Matrix6::zeros());
-        let volume = |i: usize| found[i].determinant();
+        let narrow = covariances(&truth, &chain, 1e-4);
+        assert_eq!(narrow[0], Matrix6::zeros());
+        let volume = |i: usize| narrow[i].determinant();
         assert!((2..6).all(|i| volume(i) > volume(i - 1)));
-        // One link from the first pose: the inverse of its information, which is in the target's frame.
+        // One link from the first pose: the inverse of its information, which is in the target's
+        // frame.
         let expected = 1e-4 * chain[0].information.try_inverse().unwrap();
-        assert!((found[1] - expected).norm() < 1e-6 * expected.norm());
+        assert!((narrow[1] - expected).norm() < 1e-6 * expected.norm());
         // A pose that a link leaves open in one direction is uncertain there, and finite.
         let mut open = chain;
         open[4].information.row_mut(5).fill(0.0);
         open[4].information.column_mut(5).fill(0.0);
         let wide = covariances(&truth, &open, 1e-4);
-        assert!(wide[5].trace() > 1e3 * found[5].trace() && wide[5].iter().all(|v| v.is_finite()));
-        assert!((wide[4] - found[4]).norm() < 1e-6 * found[4].norm());
+        assert!(wide[5].trace() > 1e3 * narrow[5].trace() && wide[5].iter().all(|v| v.is_finite()));
+        assert!((wide[4] - narrow[4]).norm() < 1e-6 * narrow[4].norm());
     }
 }

@@ -5,23 +5,19 @@ use rayon::prelude::*;
 use snake_core::{Counter, Result};
 use snake_geometry::Vector;
 
-use super::parts::Part;
+use super::TUNING;
+use super::graph::Part;
 use super::pose_graph::{Link, least_squares};
-use crate::pair::consistency::displacement;
-use crate::pair::icp::remeasure;
-use crate::pair::surface::{Surface, coarse_step};
+use crate::cloud::surface::{Surface, coarse_step};
+use crate::rigid::displacement;
+use crate::steps::refine::icp::remeasure;
 
-/// Rounds at most; each measures every pair of clouds again.
-const ROUNDS: usize = 30;
-/// The refinement ends when no cloud moves by more than this share of the inlier distance.
-const TOLERANCE: f64 = 0.01;
-
-/// Refines the poses of a part on the points of the pairs of clouds that overlap, given by their places in the part, as are
-/// `surfaces`.
+/// Refines the poses of a part on the points of the pairs of clouds that overlap, given by their
+/// places in the part, as are `surfaces`.
 ///
-/// Each round pairs some of the points by the poses, takes one step of ICP for every pair of clouds and fits the poses to these
-/// steps. A transform that was measured from two clouds alone bends to where their own distortions fit best; here each cloud
-/// lies between all that it overlaps.
+/// Each round pairs some of the points by the poses, takes one step of ICP for every pair of clouds
+/// and fits the poses to these steps. A transform that was measured from two clouds alone bends to
+/// where their own distortions fit best; here each cloud lies between all that it overlaps.
 pub(super) fn refine(
     part: &mut Part,
     pairs: &[[usize; 2]],
@@ -31,13 +27,13 @@ pub(super) fn refine(
     counter: &Counter,
 ) -> Result<()> {
     let Part { clouds, poses, .. } = part;
-    for _ in 0..ROUNDS {
+    for _ in 0..TUNING.refine_rounds {
         counter.check()?;
         let measure = |&[source, target]: &[usize; 2]| {
-            let of_pair = [source, target].map(|at| &surfaces[at]);
-            let step = coarse_step(of_pair.map(|surface| surface.points.len()).into_iter().max()?);
+            let pair = [source, target].map(|at| &surfaces[at]);
+            let step = coarse_step(pair.map(|surface| surface.points.len()).into_iter().max()?);
             let by_poses = poses[target].inverse() * poses[source];
-            let (t_target_source, information) = remeasure(of_pair, &by_poses, gravity, step)?;
+            let (t_target_source, information) = remeasure(pair, &by_poses, gravity, step)?;
             Some(Link { source, target, t_target_source, information })
         };
         let links: Vec<Link> = pairs.par_iter().filter_map(measure).collect();
@@ -49,7 +45,7 @@ pub(super) fn refine(
         least_squares(poses, &links, &vec![1.0; links.len()], distance, counter)?;
         let moved = clouds.iter().zip(before.iter().zip(&*poses));
         let moved = moved.map(|(&cloud, (before, after))| displacement(before, after, &probes[cloud]));
-        if moved.fold(0.0, f64::max) < TOLERANCE * distance {
+        if moved.fold(0.0, f64::max) < TUNING.refine_tolerance * distance {
             break;
         }
     }
@@ -63,19 +59,20 @@ mod tests {
     use rand_chacha::ChaCha8Rng;
 
     use super::*;
-    use crate::parts::rigid::moved;
-    use crate::parts::rigid::tests::{random_points, random_transform};
+    use crate::rigid::moved;
+    use crate::rigid::tests::{random_points, random_transform};
     use snake_geometry::vector;
 
     type PointsAndNormals = (Vec<Vector>, Vec<Vector>);
 
-    /// Five clouds along a corridor x = -3 to 3 with a step in its floor, each 3 long: points, normals and the true poses.
+    /// Five clouds along a corridor x = -3 to 3 with a step in its floor, each 3 long: points,
+    /// normals and the true poses.
     fn corridor() -> (Vec<PointsAndNormals>, Vec<IsometryMatrix3<f64>>) {
         let mut rng = ChaCha8Rng::seed_from_u64(7);
         let poses: Vec<_> = (0..5).map(|_| random_transform(&mut rng)).collect();
         let cloud = |(i, pose): (usize, &IsometryMatrix3<f64>)| {
             let middle = 0.75 * (i as f64 - 2.0);
-            let of = |(i, p): (usize, Vector)| {
+            let on_wall = |(i, p): (usize, Vector)| {
                 let x = middle + 1.5 * p.x;
                 match i % 4 {
                     0 => (Vector::new(x, p.y, -1.0 + 0.1 * x.floor()), Vector::z()),
@@ -86,7 +83,7 @@ mod tests {
             };
             let points = random_points(&mut ChaCha8Rng::seed_from_u64(i as u64), 3000).into_iter().map(vector);
             let inverse = pose.inverse();
-            points.enumerate().map(of).map(|(p, n)| (moved(&inverse, &p), inverse.rotation * n)).unzip()
+            points.enumerate().map(on_wall).map(|(p, n)| (moved(&inverse, &p), inverse.rotation * n)).unzip()
         };
         (poses.iter().enumerate().map(cloud).collect(), poses)
     }

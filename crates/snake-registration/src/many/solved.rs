@@ -8,55 +8,53 @@ use rayon::prelude::*;
 use snake_core::{Control, Result};
 use snake_geometry::Vector;
 
+use super::TUNING;
+use super::graph::{Part, split};
 use super::loops::{Witness, doubts};
-use super::parts::{Part, split};
 use super::pose_graph::Link;
 use super::refine::refine;
 use super::scales::Scales;
-use super::{AlignOptions, Found, Trial};
-use crate::pair::prepared::Prepared;
-use crate::pair::surface::Surface;
-use crate::parts::rigid::moved;
+use super::{Edge, Pose, Registered, Trial};
+use crate::cloud::surface::Surface;
+use crate::options::RegisterOptions;
 use crate::result::Registration;
-
-/// Number of points of a cloud that tell whether a loop is closed, and whether clouds overlap.
-const PROBES: usize = 50;
-/// A loop of three transforms is closed if it moves points by less than this many inlier distances.
-const LOOP_DISTANCE: f64 = 3.0;
-/// Transforms with at most this probability of being wrong take part in the pose graph.
-const MOST_DOUBT: f64 = 0.5;
-/// Clouds overlap enough for a registration if this share of the probes is close to the other cloud by the poses,
-const LEAST_OVERLAP: f64 = 0.2;
-/// and enough to refine the poses if this share is,
-const LEAST_COMMON: f64 = 0.1;
-/// closer than this many inlier distances.
-const OVERLAP_DISTANCE: f64 = 2.0;
+use crate::rigid::moved;
+use crate::steps::PreparedCloud;
 
 /// Poses that follow registrations.
 pub(super) struct Solved {
-    pub(super) found: Vec<Found>,
-    /// Indices of the registrations that take part, with the probabilities that they are wrong and as links.
-    pub(super) kept: Vec<usize>,
-    pub(super) doubts: Vec<f64>,
-    pub(super) links: Vec<Link>,
+    registered: Vec<Registered>,
+    /// Indices of the registrations that take part.
+    kept: Vec<usize>,
+    /// Their probabilities of being wrong.
+    doubts: Vec<f64>,
+    /// The same registrations as links of the pose graph.
+    links: Vec<Link>,
     pub(super) parts: Vec<Part>,
 }
 
 /// Believes registrations by their own evidence and by loops, and fits the poses to them.
-pub(super) fn solve(scales: &Scales, found: Vec<Found>, options: &AlignOptions, control: &Control) -> Result<Solved> {
-    let gravity = options.register.gravity.map(|axis| axis.unit());
+pub(super) fn solve(
+    scales: &Scales,
+    registered: Vec<Registered>,
+    options: &RegisterOptions,
+    control: &Control,
+) -> Result<Solved> {
+    let gravity = options.gravity.map(|axis| axis.unit());
     let counter = control.begin("poses", 0);
     let probes: Vec<Vec<Vector>> = (0..scales.len()).map(|cloud| probes(scales.own(cloud))).collect();
     let distance = |pair: &[usize; 2]| scales.inlier_distance(scales.common(pair));
-    let witnesses: Vec<Witness> =
-        found.iter().map(|(pair, found)| witness(*pair, found, LOOP_DISTANCE * distance(pair))).collect();
+    let witnesses: Vec<Witness> = registered
+        .iter()
+        .map(|(pair, registration)| witness(*pair, registration, TUNING.loop_distance * distance(pair)))
+        .collect();
     let all = doubts(&witnesses, &probes);
-    let kept: Vec<usize> = (0..found.len()).filter(|&i| all[i] <= MOST_DOUBT).collect();
-    let links: Vec<Link> = kept.iter().map(|&i| link(found[i].0, &found[i].1)).collect();
+    let kept: Vec<usize> = (0..registered.len()).filter(|&i| all[i] <= TUNING.max_doubt).collect();
+    let links: Vec<Link> = kept.iter().map(|&i| link(registered[i].0, &registered[i].1)).collect();
     let doubts: Vec<f64> = kept.iter().map(|&i| all[i]).collect();
-    let thresholds: Vec<f64> = kept.iter().map(|&i| distance(&found[i].0)).collect();
+    let thresholds: Vec<f64> = kept.iter().map(|&i| distance(&registered[i].0)).collect();
     let mut parts = split(scales.len(), &links, &doubts, &thresholds, &counter)?;
-    if options.register.refine_steps > 0 {
+    if options.icp_steps > 0 {
         for part in &mut parts {
             let scale = scales.common(&part.clouds);
             let surface = |&cloud: &usize| {
@@ -64,12 +62,12 @@ pub(super) fn solve(scales: &Scales, found: Vec<Found>, options: &AlignOptions, 
                 cloud.surface(cloud.viewpoint.is_some(), scales.inlier_distance(scale))
             };
             let surfaces: Vec<Surface> = part.clouds.par_iter().map(surface).collect();
-            let pairs = overlapping(part, scales, LEAST_COMMON);
+            let pairs = overlapping(part, scales, TUNING.min_common);
             refine(part, &pairs, &surfaces, &probes, gravity, &counter)?;
             part.measure_errors(&links);
         }
     }
-    Ok(Solved { found, kept, doubts, links, parts })
+    Ok(Solved { registered, kept, doubts, links, parts })
 }
 
 impl Solved {
@@ -79,7 +77,7 @@ impl Solved {
         let linked: HashSet<[usize; 2]> = used.map(|link| [link.source, link.target]).collect();
         let mut guesses: Vec<Trial> = Vec::new();
         for part in &self.parts {
-            for [at, before] in overlapping(part, scales, LEAST_OVERLAP) {
+            for [at, before] in overlapping(part, scales, TUNING.min_overlap) {
                 let pair = [part.clouds[at], part.clouds[before]];
                 if !linked.contains(&pair) {
                     let guess = part.poses[before].inverse() * part.poses[at];
@@ -91,11 +89,50 @@ impl Solved {
         guesses
     }
 
+    /// The registrations that the poses follow, ordered by their clouds.
+    pub(super) fn edges(&self) -> Vec<Edge> {
+        let edge = |(at, residual): &(usize, f64)| {
+            let ([source, target], registration) = &self.registered[self.kept[*at]];
+            Edge {
+                source: *source,
+                target: *target,
+                t_target_source: registration.t_target_source,
+                confidence: registration.verdict.confidence,
+                belief: 1.0 - self.doubts[*at],
+                residual: *residual,
+                information: registration.fit.information,
+            }
+        };
+        let mut edges: Vec<Edge> = self.parts.iter().flat_map(|part| part.links.iter().map(edge)).collect();
+        edges.sort_by_key(|edge| (edge.source, edge.target));
+        edges
+    }
+
+    /// The pose of each cloud.
+    pub(super) fn poses(&self) -> Vec<Pose> {
+        let variance = |part: &Part| {
+            let squared = part.links.iter().map(|(at, _)| self.registered[self.kept[*at]].1.fit.rmse.powi(2));
+            squared.sum::<f64>() / part.links.len().max(1) as f64
+        };
+        let mut poses: Vec<(usize, Pose)> = Vec::new();
+        for (index, part) in self.parts.iter().enumerate() {
+            let covariances = part.covariances(&self.links, variance(part));
+            for ((&cloud, pose), covariance) in part.clouds.iter().zip(&part.poses).zip(covariances) {
+                let covariance = std::array::from_fn(|row| std::array::from_fn(|column| covariance[(row, column)]));
+                poses.push((cloud, Pose { part: index, t_part_cloud: (*pose).into(), covariance }));
+            }
+        }
+        poses.sort_by_key(|(cloud, _)| *cloud);
+        poses.into_iter().map(|(_, pose)| pose).collect()
+    }
+
     /// The registrations, in which `more` that are reliable replace those of the same pairs.
-    pub(super) fn with_reliable(self, more: Vec<Found>) -> Vec<Found> {
-        let more: Vec<Found> = more.into_iter().filter(|(_, found)| found.is_reliable).collect();
+    pub(super) fn with_reliable(self, more: Vec<Registered>) -> Vec<Registered> {
+        let more: Vec<Registered> =
+            more.into_iter().filter(|(_, registration)| registration.verdict.is_reliable).collect();
         let replaced: HashSet<[usize; 2]> = more.iter().map(|(pair, _)| *pair).collect();
-        let mut all: Vec<Found> = self.found.into_iter().filter(|(pair, _)| !replaced.contains(pair)).collect();
+        let mut all: Vec<Registered> =
+            self.registered.into_iter().filter(|(pair, _)| !replaced.contains(pair)).collect();
         all.extend(more);
         all.sort_by_key(|(pair, _)| *pair);
         all
@@ -103,32 +140,32 @@ impl Solved {
 }
 
 /// The pairs `[source, target]` of clouds, by their places in the part, that overlap by its poses.
-fn overlapping(part: &Part, scales: &Scales, least: f64) -> Vec<[usize; 2]> {
+fn overlapping(part: &Part, scales: &Scales, min_overlap: f64) -> Vec<[usize; 2]> {
     let all = (1..part.clouds.len()).flat_map(|at| (0..at).map(move |before| [at, before])).collect::<Vec<_>>();
     let scale = scales.common(&part.clouds);
     let inlier_distance = scales.inlier_distance(scale);
     let overlap = |&[at, before]: &[usize; 2]| {
         let transform = part.poses[before].inverse() * part.poses[at];
-        let target = &scales.cloud(part.clouds[before], scale).scan.voxels;
+        let target = &scales.cloud(part.clouds[before], scale).voxels.voxels;
         let probes = probes(scales.cloud(part.clouds[at], scale));
         let is_close =
-            |probe: &&Vector| target.distance(&moved(&transform, probe)) < OVERLAP_DISTANCE * inlier_distance;
-        probes.iter().filter(is_close).count() as f64 >= least * probes.len() as f64
+            |probe: &&Vector| target.distance(&moved(&transform, probe)) < TUNING.overlap_distance * inlier_distance;
+        probes.iter().filter(is_close).count() as f64 >= min_overlap * probes.len() as f64
     };
     all.into_par_iter().filter(overlap).collect()
 }
 
-fn probes(cloud: &Prepared) -> Vec<Vector> {
-    let points = &cloud.scan.voxels.points;
-    points.iter().step_by(points.len().div_ceil(PROBES).max(1)).copied().collect()
+fn probes(cloud: &PreparedCloud) -> Vec<Vector> {
+    let points = &cloud.voxels.voxels.points;
+    points.iter().step_by(points.len().div_ceil(TUNING.probes).max(1)).copied().collect()
 }
 
-fn witness([source, target]: [usize; 2], found: &Registration, distance: f64) -> Witness {
-    let t_target_source = *found.t_target_source.isometry();
-    Witness { source, target, t_target_source, confidence: found.confidence, distance }
+fn witness([source, target]: [usize; 2], registration: &Registration, distance: f64) -> Witness {
+    let t_target_source = *registration.t_target_source.isometry();
+    Witness { source, target, t_target_source, confidence: registration.verdict.confidence, distance }
 }
 
-fn link([source, target]: [usize; 2], found: &Registration) -> Link {
-    let information = Matrix6::from_fn(|row, column| found.information[row][column]);
-    Link { source, target, t_target_source: *found.t_target_source.isometry(), information }
+fn link([source, target]: [usize; 2], registration: &Registration) -> Link {
+    let information = Matrix6::from_fn(|row, column| registration.fit.information[row][column]);
+    Link { source, target, t_target_source: *registration.t_target_source.isometry(), information }
 }

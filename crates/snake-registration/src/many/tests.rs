@@ -4,9 +4,9 @@ use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
 
 use super::*;
-use crate::parts::rigid::tests::{random_points, random_transform};
-use crate::parts::rigid::transform_points;
-use crate::{KeypointDetector, RegisterOptions};
+use crate::Detector;
+use crate::rigid::tests::{random_points, random_transform};
+use crate::rigid::transform_points;
 use snake_core::CancelFlag;
 use snake_geometry::Vector;
 
@@ -23,31 +23,31 @@ fn clouds() -> (Vec<Vec<Point>>, Vec<RigidTransform>) {
     (all.iter().zip(&poses).map(|(points, pose)| transform_points(pose, points)).collect(), poses)
 }
 
-fn run(clouds: &[Vec<Point>], options: &AlignOptions) -> Result<Alignment> {
-    align(clouds, options)
+fn run(clouds: &[Vec<Point>], align_options: &AlignOptions) -> Result<Alignment> {
+    align_with(clouds, &[], None, &RegisterOptions::default(), align_options, &Control::default())
 }
 
 #[test]
 fn clouds_of_one_shape_are_one_part_and_others_another() {
     let (clouds, poses) = clouds();
-    let found = run(&clouds, &AlignOptions::default()).unwrap();
-    assert_eq!(found.parts, [vec![0, 2, 3], vec![1]]);
-    assert_eq!(found.num_pairs, 6);
-    assert_eq!(found.poses[0].t_part_cloud, RigidTransform::identity());
-    assert_eq!(found.poses[1].t_part_cloud, RigidTransform::identity());
+    let alignment = run(&clouds, &AlignOptions::default()).unwrap();
+    assert_eq!(alignment.parts, [vec![0, 2, 3], vec![1]]);
+    assert_eq!(alignment.num_pairs, 6);
+    assert_eq!(alignment.poses[0].t_part_cloud, RigidTransform::identity());
+    assert_eq!(alignment.poses[1].t_part_cloud, RigidTransform::identity());
     for cloud in [2, 3] {
         let truth = poses[0] * poses[cloud].inverse();
-        let (angle, _) = found.poses[cloud].t_part_cloud.angle_and_distance_to(&truth);
+        let (angle, _) = alignment.poses[cloud].t_part_cloud.angle_and_distance_to(&truth);
         let residuals = clouds[cloud].iter().map(|&p| {
-            let (a, b) = (found.poses[cloud].t_part_cloud.apply(p), truth.apply(p));
+            let (a, b) = (alignment.poses[cloud].t_part_cloud.apply(p), truth.apply(p));
             (0..3).map(|axis| (a[axis] - b[axis]).abs()).fold(0.0, f32::max)
         });
-        assert!(angle < 0.02 && residuals.fold(0.0, f32::max) < 0.03, "{found:?}");
-        assert!(found.poses[cloud].covariance[3][3] > 0.0 && found.poses[cloud].part == 0);
+        assert!(angle < 0.02 && residuals.fold(0.0, f32::max) < 0.03, "{alignment:?}");
+        assert!(alignment.poses[cloud].covariance[3][3] > 0.0 && alignment.poses[cloud].part == 0);
     }
-    let pairs: Vec<_> = found.edges.iter().map(|edge| (edge.source, edge.target)).collect();
+    let pairs: Vec<_> = alignment.edges.iter().map(|edge| (edge.source, edge.target)).collect();
     assert_eq!(pairs, [(2, 0), (3, 0), (3, 2)]);
-    assert!(found.edges.iter().all(|edge| edge.belief >= edge.confidence && edge.residual < 0.05));
+    assert!(alignment.edges.iter().all(|edge| edge.belief >= edge.confidence && edge.residual < 0.05));
 }
 
 #[test]
@@ -66,45 +66,44 @@ fn threads_do_not_matter() {
 #[test]
 fn origins_far_from_zero_are_added_to_the_transforms() {
     let (clouds, _) = clouds();
-    let found = run(&clouds, &AlignOptions::default()).unwrap();
+    let alignment = run(&clouds, &AlignOptions::default()).unwrap();
     let origins: Vec<[f64; 3]> = (0..4).map(|i| [1e5 * f64::from(i), 2e6, -3.0]).collect();
-    let far = found.clone().between_origins(&origins);
+    let far = alignment.clone().between_origins(&origins);
     let at = |cloud: usize, point: [f64; 3]| {
         let whole = std::array::from_fn(|axis| point[axis] + origins[cloud][axis]);
         far.poses[cloud].t_part_cloud.apply_vector(&Vector::from(whole))
     };
-    let near = found.poses[2].t_part_cloud.apply_vector(&Vector::new(0.1, 0.2, 0.3));
+    let near = alignment.poses[2].t_part_cloud.apply_vector(&Vector::new(0.1, 0.2, 0.3));
     assert!((at(2, [0.1, 0.2, 0.3]) - (near + Vector::from(origins[0]))).norm() < 1e-6);
 }
 
 #[test]
 fn bad_clouds_and_options_are_refused() {
     let (clouds, _) = clouds();
-    let refused = |clouds: &[Vec<Point>], options: &AlignOptions| run(clouds, options).unwrap_err().to_string();
-    let default = AlignOptions::default();
-    assert!(refused(&clouds[..1], &default).contains("2 to 500"));
+    let refused = |clouds: &[Vec<Point>], viewpoints: &[Option<[f64; 3]>], options: &RegisterOptions| {
+        let align_options = AlignOptions::default();
+        let alignment = align_with(clouds, viewpoints, None, options, &align_options, &Control::default());
+        alignment.unwrap_err().to_string()
+    };
+    let default = RegisterOptions::default();
+    assert!(refused(&clouds[..1], &[], &default).contains("2 to 500"));
     for (bad, reason) in
         [(vec![], "no points"), (vec![[f32::NAN; 3]; 3], "finite"), (vec![[1.0; 3]; 3], "two different")]
     {
-        let error = refused(&[clouds[0].clone(), clouds[1].clone(), bad], &default);
+        let error = refused(&[clouds[0].clone(), clouds[1].clone(), bad], &[], &default);
         assert!(error.contains("cloud 2 (from 0)") && error.contains(reason), "{error}");
     }
-    let register = RegisterOptions::default();
-    for (options, name) in [
-        (default.clone().with_max_partners(0), "max_partners"),
-        (default.clone().with_viewpoints(vec![None]), "viewpoints"),
-        (default.clone().with_viewpoints(vec![Some([f64::NAN; 3]); 4]), "-1e15 to 1e15"),
-        (default.clone().with_viewpoints(vec![None, Some([0.0, 0.0, 1e200]), None, None]), "-1e15 to 1e15"),
-        (default.clone().with_register(register.with_initial(Some(RigidTransform::identity()))), "initial"),
-        (default.clone().with_register(register.with_source_viewpoint(Some([0.0; 3]))), "source_viewpoint"),
-        (default.clone().with_register(register.with_hypotheses(2)), "hypotheses"),
-        (default.clone().with_register(register.with_max_matches(1)), "max_matches"),
-        (default.clone().with_register(register.with_detector(KeypointDetector::Snake)), "model"),
-    ] {
-        assert!(refused(&clouds, &options).contains(name), "{name}");
-    }
+    assert!(refused(&clouds, &[None], &default).contains("viewpoints"));
+    assert!(refused(&clouds, &[Some([f64::NAN; 3]); 4], &default).contains("-1e15 to 1e15"));
+    let far = [None, Some([0.0, 0.0, 1e200]), None, None];
+    assert!(refused(&clouds, &far, &default).contains("-1e15 to 1e15"));
+    assert!(refused(&clouds, &[], &default.with_max_matches(1)).contains("max_matches"));
+    assert!(refused(&clouds, &[], &default.with_detector(Detector::Snake)).contains("model"));
+    let none = run(&clouds, &AlignOptions::default().with_max_partners(0)).unwrap_err().to_string();
+    assert!(none.contains("max_partners"), "{none}");
     let flag = CancelFlag::default();
     flag.cancel();
-    let stopped = align_with(&clouds, None, &default, &Control::new().cancel(&flag));
+    let control = Control::new().cancel(&flag);
+    let stopped = align_with(&clouds, &[], None, &default, &AlignOptions::default(), &control);
     assert!(matches!(stopped, Err(Error::Cancelled)));
 }

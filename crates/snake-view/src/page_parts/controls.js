@@ -201,9 +201,9 @@ const matrixText = (rows) => rows.map((row) => row.map((v) => v.toFixed(4).padSt
 
 /** The verdict of a registration: the first cloud is its target. */
 function registrationFacts({ links: found, verdict, t_first_second }) {
-  const { confidence, is_reliable, is_ambiguous, num_correspondences, inlier_distance, fitness, notes } = verdict;
+  const { confidence, is_reliable, is_ambiguous, num_matches, inlier_distance, fitness, notes } = verdict;
   const name = is_reliable ? "reliable" : is_ambiguous ? "ambiguous" : "not reliable";
-  const what = `confidence ${confidence.toFixed(2)}; ${found.length} of ${num_correspondences} matches agree after ICP; ` +
+  const what = `confidence ${confidence.toFixed(2)}; ${found.length} of ${num_matches} matches agree after ICP; ` +
     `${Math.round(100 * fitness)} % of the voxels of B within ${number(inlier_distance, 3)} of A`;
   return [element("p", [name, element("small", what)], { className: "share" }),
     ...notes.map((note) => element("p", note)),

@@ -1,0 +1,156 @@
+//! Planar patches of the clouds as they were measured, in fine voxels, and what two clouds share of
+//! them.
+
+use std::num::NonZeroUsize;
+use std::sync::OnceLock;
+
+use nalgebra::IsometryMatrix3;
+use rayon::prelude::*;
+
+use crate::cloud::planes::PlanePair;
+use crate::cloud::voxels::voxel_means;
+use crate::rigid::moved;
+use crate::tuning::tuning;
+use snake_core::{Counter, Result};
+use snake_geometry::{Neighbors, Point, Vector, eigen};
+
+tuning! {
+    /// Smallest side of a fine voxel.
+    min_side: f64 = 0.125, unit "voxels", from "set by hand in b0e7886";
+    /// A cloud has about this many fine voxels at most; their side follows.
+    max_voxels: f64 = 60_000.0, unit "fine voxels", from "set by hand in b0e7886";
+    /// A cloud is finer than its voxels if it has this many fine voxels for each; below, a
+    /// refinement on them is not worth its time.
+    min_ratio: usize = 4, unit "fine voxels per voxel", from "set by hand in b0e7886";
+    /// Number of nearest fine voxels whose covariance gives a normal.
+    neighbors: NonZeroUsize = NonZeroUsize::new(16).unwrap(), unit "fine voxels", from "set by hand in b0e7886";
+    /// Largest ratio of the variance across a planar patch to the smaller variance along it.
+    max_thickness: f64 = 0.15, unit "ratio of variances", from "set by hand in b0e7886";
+    /// Smallest ratio of the smaller variance along a planar patch to its squared radius. A filled
+    /// disc has 0.25. Points where a beam crosses an edge have less: they lie on a plane that is no
+    /// part of the surface.
+    min_width: f64 = 0.1, unit "ratio of variances", from "set by hand in b0e7886";
+    /// The normals of two patches agree if their cosine is above this.
+    agreeing_cosine: f64 = 0.9, unit "cosine", from "set by hand in b0e7886";
+    /// Number of the source's fine voxels that are paired, at most.
+    samples: usize = 2500, unit "fine voxels", from "set for time in 8e0d76d (0.08 instead of 0.11 s of CPU for a pair of made streets)";
+    /// Largest side of a fine voxel whose points can show that two surfaces lie apart.
+    max_side: f64 = 0.2, unit "voxels", from "set by hand in e823698";
+    /// Patches tell what the overlap leaves open if they make up this share of it.
+    min_planar: f64 = 0.5, unit "share of the overlap",
+        from "corridors, tunnels and balls have 0.7 and more, wires and rough things less (190fc07)";
+    /// Two patches coincide if their distance is below this many of their joint thicknesses.
+    coinciding: f64 = 2.0, unit "standard deviations", from "set by hand in e823698";
+    /// Fewer patches do not show whether the surfaces coincide.
+    min_pairs: usize = 100, unit "patches", from "set by hand in b0e7886";
+}
+
+/// The normal of a planar patch, without a sign, and the standard deviation across it.
+#[derive(Clone, Copy)]
+struct Patch {
+    normal: Vector,
+    thickness: f64,
+}
+
+/// A cloud in fine voxels, with normals that are computed when they are needed.
+pub(crate) struct FineCloud {
+    cloud: Neighbors,
+    patches: Vec<OnceLock<Option<Patch>>>,
+    /// Side of a fine voxel, in cloud units.
+    pub(crate) side: f64,
+    /// Whether the cloud is much finer than its voxels.
+    pub(crate) is_finer: bool,
+}
+
+impl FineCloud {
+    /// A cloud that has `count` voxels of side `voxel_size`.
+    pub(crate) fn new(points: &[Point], voxel_size: f64, count: usize) -> Result<Self> {
+        // The number of voxels of a surface follows from the square of their side.
+        let side = voxel_size * TUNING.min_side.max((count as f64 / TUNING.max_voxels).sqrt());
+        let means = voxel_means(points, side, &Counter::default())?;
+        let patches = (0..means.len()).map(|_| OnceLock::new()).collect();
+        let is_finer = means.len() >= TUNING.min_ratio * count;
+        Ok(Self { cloud: Neighbors::new(means)?, patches, side, is_finer })
+    }
+
+    /// The planar patch around a point.
+    fn patch(&self, index: usize) -> Option<Patch> {
+        *self.patches[index].get_or_init(|| {
+            let near = self.cloud.nearest(&self.cloud.points[index], TUNING.neighbors);
+            let (_, radius) = *near.last()?;
+            let near: Vec<usize> = near.into_iter().map(|(index, _)| index).collect();
+            let ([across, width, _], normal) = eigen(self.cloud.covariance(&near));
+            (across < TUNING.max_thickness * width && width > TUNING.min_width * radius * radius)
+                .then(|| Patch { normal, thickness: across.max(0.0).sqrt() })
+        })
+    }
+
+    /// The point nearest to a place, if it is closer than `max_distance` and on a planar patch with
+    /// about this normal whose plane passes the place within `tolerance`.
+    pub(crate) fn patch_at(
+        &self,
+        place: &Vector,
+        normal: &Vector,
+        max_distance: f64,
+        tolerance: f64,
+    ) -> Option<Vector> {
+        let (nearest, distance) = *self.cloud.nearest(place, NonZeroUsize::MIN).first()?;
+        let point = self.cloud.points[nearest];
+        let is_on = distance < max_distance && normal.dot(&(point - place)).abs() < tolerance;
+        (is_on && self.patch(nearest)?.normal.dot(normal).abs() > TUNING.agreeing_cosine).then_some(point)
+    }
+}
+
+/// Planar patches that both clouds have.
+pub(crate) struct Overlap {
+    /// Points of the source, each with the plane between its patch and that of the nearest target
+    /// point.
+    pub(crate) patches: Vec<PlanePair>,
+    /// The share of the patches that coincide within their thickness.
+    coinciding: f64,
+    /// The share of the source's points on the target that lie on patches of both.
+    planar: f64,
+}
+
+/// A sample of the patches that the clouds share under a transform: at most `max_distance` apart.
+pub(crate) fn overlap(
+    [source, target]: [&FineCloud; 2],
+    transform: &IsometryMatrix3<f64>,
+    max_distance: f64,
+) -> Overlap {
+    let near = |index: usize| {
+        let point = moved(transform, &source.cloud.points[index]);
+        let (nearest, distance) = *target.cloud.nearest(&point, NonZeroUsize::MIN).first()?;
+        (distance <= max_distance).then_some((index, point, nearest))
+    };
+    let pair = |(index, point, nearest): (usize, Vector, usize)| {
+        let source_patch = source.patch(index)?;
+        let target_patch = target.patch(nearest)?;
+        let (a, b) = (transform.rotation * source_patch.normal, target_patch.normal);
+        let cosine = a.dot(&b);
+        let normal = (if cosine < 0.0 { b - a } else { a + b }).normalize();
+        let distance = normal.dot(&(target.cloud.points[nearest] - point));
+        let coincides = distance.abs() < TUNING.coinciding * source_patch.thickness.hypot(target_patch.thickness);
+        (cosine.abs() > TUNING.agreeing_cosine).then_some((PlanePair { point, normal, distance }, coincides))
+    };
+    let step = source.cloud.points.len().div_ceil(TUNING.samples);
+    let indices = (0..source.cloud.points.len()).into_par_iter().step_by(step);
+    let pairs: Vec<Option<(PlanePair, bool)>> = indices.filter_map(near).map(pair).collect();
+    let count = pairs.len().max(1) as f64;
+    let (patches, coincide): (Vec<PlanePair>, Vec<bool>) = pairs.into_iter().flatten().unzip();
+    let coinciding = coincide.iter().filter(|coincides| **coincides).count() as f64 / patches.len().max(1) as f64;
+    Overlap { coinciding, planar: patches.len() as f64 / count, patches }
+}
+
+impl Overlap {
+    /// Whether planar patches make up enough of the overlap to tell what it leaves open.
+    pub(crate) fn is_planar(&self) -> bool {
+        self.planar >= TUNING.min_planar
+    }
+
+    /// The share of the patches that coincide; `None` where the points are too coarse to show it.
+    pub(crate) fn coinciding(&self, clouds: [&FineCloud; 2], voxel_size: f64) -> Option<f64> {
+        let is_fine = |cloud: &&FineCloud| cloud.is_finer && cloud.side < TUNING.max_side * voxel_size;
+        (self.patches.len() >= TUNING.min_pairs && clouds.iter().all(is_fine)).then_some(self.coinciding)
+    }
+}

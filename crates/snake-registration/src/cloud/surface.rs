@@ -1,0 +1,167 @@
+//! How well two surfaces fit under a transform.
+
+use nalgebra::IsometryMatrix3;
+use rayon::prelude::*;
+
+use crate::cloud::depth_image::{COARSE, DepthImage, FINE, Sight};
+use crate::cloud::near_grid::NearGrid;
+use crate::rigid::moved;
+use crate::tuning::tuning;
+use snake_geometry::Vector;
+
+tuning! {
+    /// Two normals agree if their cosine is above this.
+    agreeing_cosine: f64 = 0.7, unit "cosine", from "set by hand in 3738705";
+    /// Tolerance of a coarse depth image.
+    depth_margin: f64 = 1.5, unit "inlier distances", from "set by hand in 3738705";
+    /// Weight of violated free space beside the overlap in the score of a transform.
+    violation_weight: f64 = 2.0, unit "overlap per share of violated free space",
+        from "chosen on pairs of indoor scans in 3738705";
+    /// Weight of an inlier beside the overlap in the score of a transform.
+    inlier_weight: f64 = 0.005, unit "overlap per inlier", from "chosen on pairs of indoor scans in 3738705";
+    /// Largest share of opposite normals on the overlap if the sensors were at the origins.
+    max_opposed: f64 = 0.15, unit "share of the overlap",
+        from "scans have 0.05 and less, simulated sweeps 0.14, objects around the origin 0.2 to 0.5 (042ae1b)";
+    /// Number of the source's voxels that compare transforms coarsely, at most.
+    coarse_voxels: usize = 700, unit "voxels", from "set by hand in 3738705";
+}
+
+/// The voxels of a cloud, indexed for the comparison with another cloud.
+pub(crate) struct Surface<'a> {
+    pub(crate) points: &'a [Vector],
+    pub(crate) normals: &'a [Vector],
+    /// Finds voxels within the inlier distance.
+    pub(crate) grid: NearGrid,
+    /// What the sensor saw; `None` if normals have no sign.
+    image: Option<DepthImage>,
+}
+
+/// How well a source fits a target under a transform.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(crate) struct Agreement {
+    /// Share of the source's points on the target with agreeing normals.
+    pub(crate) overlap: f64,
+    /// Share of the points of both clouds in space that the other cloud's sensor saw through.
+    pub(crate) violation: f64,
+}
+
+impl Agreement {
+    /// The score that ranks transforms. Planes overlap under many wrong transforms, so the inliers
+    /// count too.
+    pub(crate) fn score(&self, num_inliers: usize) -> f64 {
+        self.fit() + TUNING.inlier_weight * num_inliers as f64
+    }
+
+    /// The overlap less the violated free space.
+    pub(crate) fn fit(&self) -> f64 {
+        self.overlap - TUNING.violation_weight * self.violation
+    }
+}
+
+/// A coarse comparison takes every so many voxels of a cloud with this many.
+pub(crate) fn coarse_step(voxels: usize) -> usize {
+    voxels.div_ceil(TUNING.coarse_voxels)
+}
+
+impl<'a> Surface<'a> {
+    pub(crate) fn new(
+        points: &'a [Vector],
+        normals: &'a [Vector],
+        viewpoint: Option<Vector>,
+        inlier_distance: f64,
+    ) -> Self {
+        let margin = TUNING.depth_margin * inlier_distance;
+        let image = viewpoint.map(|viewpoint| DepthImage::new(points, viewpoint, margin, COARSE));
+        Self { points, normals, grid: NearGrid::new(points, inlier_distance), image }
+    }
+
+    /// Whether normals point to the sensor.
+    pub(crate) fn is_signed(&self) -> bool {
+        self.image.is_some()
+    }
+
+    /// Whether two normals agree; normals without a sign may be opposite.
+    fn agree(&self, a: &Vector, b: &Vector) -> bool {
+        let cosine = a.dot(b);
+        (if self.is_signed() { cosine } else { cosine.abs() }) > TUNING.agreeing_cosine
+    }
+
+    /// The unit vector between two normals that agree.
+    pub(crate) fn common_normal(&self, a: &Vector, b: &Vector) -> Option<Vector> {
+        self.agree(a, b).then(|| (if a.dot(b) < 0.0 { b - a } else { a + b }).normalize())
+    }
+
+    /// Compares every `step`-th point of the source, and as many of the target, with the other
+    /// surface.
+    pub(crate) fn agreement(source: &Self, target: &Self, transform: &IsometryMatrix3<f64>, step: usize) -> Agreement {
+        let on_target = |index: &usize| source.is_on(*index, target, transform);
+        let indices = |surface: &Self, step| (0..surface.points.len()).into_par_iter().step_by(step);
+        let source_count = source.points.len().div_ceil(step);
+        let overlapping = indices(source, step).filter(on_target).count();
+        let target_step = target.points.len().div_ceil(source_count);
+        let target_count = target.points.len().div_ceil(target_step);
+        let inverse = transform.inverse();
+        let violating = indices(source, step).filter(|&i| target.saw_through(&moved(transform, &source.points[i])));
+        let seen_through =
+            indices(target, target_step).filter(|&i| source.saw_through(&moved(&inverse, &target.points[i])));
+        Agreement {
+            overlap: overlapping as f64 / source_count as f64,
+            violation: (violating.count() + seen_through.count()) as f64 / (source_count + target_count) as f64,
+        }
+    }
+
+    /// Whether the transform brings a point to the target, with normals that agree.
+    pub(crate) fn is_on(&self, index: usize, target: &Self, transform: &IsometryMatrix3<f64>) -> bool {
+        let normal = transform.rotation * self.normals[index];
+        let nearest = target.grid.nearest(&moved(transform, &self.points[index]));
+        nearest.is_some_and(|(other, _)| target.agree(&normal, &target.normals[other]))
+    }
+
+    pub(crate) fn viewpoint(&self) -> Option<Vector> {
+        self.image.as_ref().map(|image| image.viewpoint)
+    }
+
+    /// Whether the sensor would see a surface here; of a cloud without a known sensor, everywhere.
+    pub(crate) fn sees(&self, point: &Vector) -> bool {
+        self.image.as_ref().is_none_or(|image| matches!(image.sight(point), Sight::Free | Sight::Surface))
+    }
+
+    /// Share of opposite normals among the source's points on the target with parallel normals; 0
+    /// without any.
+    pub(crate) fn opposed(source: &Self, target: &Self, transform: &IsometryMatrix3<f64>) -> f64 {
+        let cosine = |index: usize| {
+            let (other, _) = target.grid.nearest(&moved(transform, &source.points[index]))?;
+            Some((transform.rotation * source.normals[index]).dot(&target.normals[other]))
+        };
+        let cosines = (0..source.points.len()).into_par_iter().filter_map(cosine);
+        let parallel: Vec<f64> = cosines.filter(|cosine| cosine.abs() > TUNING.agreeing_cosine).collect();
+        parallel.iter().filter(|cosine| **cosine < 0.0).count() as f64 / parallel.len().max(1) as f64
+    }
+
+    /// Share of the points of both clouds in space that a fine depth image of the other shows to be
+    /// free; 0 if the viewpoints are not known.
+    pub(crate) fn fine_violation([source, target]: &[Self; 2], transform: &IsometryMatrix3<f64>) -> f64 {
+        let free = |points: &Self, seen: &Self, transform: &IsometryMatrix3<f64>| {
+            let Some(coarse) = &seen.image else { return 0 };
+            let image = DepthImage::new(seen.points, coarse.viewpoint, seen.grid.distance(), FINE);
+            points.points.par_iter().filter(|point| image.sight(&moved(transform, point)) == Sight::Free).count()
+        };
+        let count = free(source, target, transform) + free(target, source, &transform.inverse());
+        count as f64 / (source.points.len() + target.points.len()) as f64
+    }
+
+    fn saw_through(&self, point: &Vector) -> bool {
+        self.image.as_ref().is_some_and(|image| image.sight(point) == Sight::Free)
+    }
+}
+
+/// The quality of a transform, as in Open3D's `evaluate_registration`: the share of source points
+/// closer than the grid's distance to the target, and the root mean square distance of these
+/// points; 0 without any.
+pub(crate) fn fitness(source: &[Vector], target: &NearGrid, transform: &IsometryMatrix3<f64>) -> (f64, f64) {
+    let squared = |point: &Vector| target.nearest(&moved(transform, point)).map(|(_, squared)| squared);
+    let squared: Vec<f64> = source.par_iter().filter_map(squared).collect();
+    let count = squared.len() as f64;
+    let sum = squared.iter().fold(0.0, |sum, squared| sum + squared);
+    (count / source.len().max(1) as f64, (sum / count.max(1.0)).sqrt())
+}

@@ -1,0 +1,94 @@
+//! Registration of two clouds.
+
+use std::time::Instant;
+
+use snake_core::{Control, Model, Result};
+use snake_geometry::Point;
+
+use crate::options::{PairOptions, RegisterOptions};
+use crate::result::Registration;
+use crate::steps::prepare::prepare_named;
+use crate::steps::{self, Pair, approach, consensus, describe, judge, match_rows, refine};
+
+/// Finds the rigid transform from `source` `(N, 3)` to `target` `(M, 3)` without an initial guess.
+///
+/// Both clouds are in the same units; they may overlap only in part. [`register_with`] takes what
+/// is known of the pair, such as a guess, and the model of a detector or descriptor that runs one.
+///
+/// ```
+/// use snake_core::RigidTransform;
+/// use snake_registration::{RegisterOptions, register, transform_points};
+/// # let source = snake_io::read_points(concat!(env!("CARGO_MANIFEST_DIR"), "/../../samples/plane.ply").as_ref())?;
+/// let rows = [[0.0, -1.0, 0.0, 3.0], [1.0, 0.0, 0.0, 0.0], [0.0, 0.0, 1.0, 0.0], [0.0, 0.0, 0.0, 1.0]];
+/// let t_target_source = RigidTransform::from_matrix(rows)?;
+/// let target = transform_points(&t_target_source, &source);
+/// let registration = register(&source, &target, &RegisterOptions::default())?;
+/// let (angle, distance) = registration.t_target_source.angle_and_distance_to(&t_target_source);
+/// assert!(angle < 0.05 && distance < 0.05 && registration.verdict.is_reliable);
+/// # Ok::<(), Box<dyn std::error::Error>>(())
+/// ```
+///
+/// # Errors
+/// [`Error::Input`](snake_core::Error::Input) for a cloud without finite points or without extent;
+/// [`Error::NoTransform`](snake_core::Error::NoTransform) when no three matches fit a rigid
+/// transform; [`Error::Option`](snake_core::Error::Option) when an option is outside its range or
+/// needs a model.
+pub fn register(source: &[Point], target: &[Point], options: &RegisterOptions) -> Result<Registration> {
+    register_with(source, target, None, options, &PairOptions::default(), &Control::default())
+}
+
+/// [`register`] with what is known of the pair, with the model of the detector `snake` or the
+/// descriptor `field`, and with progress and cancellation.
+///
+/// # Errors
+/// The errors of [`register`]; [`Error::Cancelled`](snake_core::Error::Cancelled) and
+/// [`Error::DeadlineExceeded`](snake_core::Error::DeadlineExceeded).
+pub fn register_with(
+    source: &[Point],
+    target: &[Point],
+    model: Option<&Model>,
+    options: &RegisterOptions,
+    pair_options: &PairOptions,
+    control: &Control,
+) -> Result<Registration> {
+    let start = Instant::now();
+    options.check_ranges()?;
+    pair_options.check()?;
+    let viewpoints = pair_options.viewpoints();
+    let prepared = prepare_named(&[source, target], &["source", "target"], &viewpoints, model, options, control)?;
+    let pair = Pair::new(&prepared.clouds[0], &prepared.clouds[1], options.gravity);
+    let registration = register_pair(&pair, options, pair_options, control)?;
+    Ok(Registration { seconds: start.elapsed().as_secs_f64(), ..registration })
+}
+
+/// Registers two prepared clouds, such as a scan and a map that is kept. The viewpoints of the
+/// options are not used: they are part of the preparation.
+///
+/// # Errors
+/// The errors of [`register_with`].
+pub fn register_pair(
+    pair: &Pair,
+    options: &RegisterOptions,
+    pair_options: &PairOptions,
+    control: &Control,
+) -> Result<Registration> {
+    let start = Instant::now();
+    options.check_ranges()?;
+    pair_options.check()?;
+    let rows = describe(pair, control)?;
+    let matches = pair.matches(&match_rows(&rows[0], &rows[1], options.max_matches, control)?)?;
+    let guesses = match &pair_options.initial {
+        Some(guess) => vec![approach(pair, guess, options.icp_steps, control)?],
+        None => consensus(&matches, pair.criteria(), steps::consensus::TUNING.candidates, control)?,
+    };
+    let candidates = refine(pair, &matches, &guesses, options.icp_steps, pair_options.hypotheses, control)?;
+    if candidates.first().is_some_and(|best| pair.contradicts_viewpoints(&best.t_target_source)) {
+        return register_pair(&pair.without_signs(), options, pair_options, control);
+    }
+    let mut registration = judge(pair, &matches, &candidates)?;
+    registration.hypotheses.truncate(pair_options.hypotheses);
+    Ok(Registration { seconds: start.elapsed().as_secs_f64(), ..registration })
+}
+
+#[cfg(test)]
+mod tests;

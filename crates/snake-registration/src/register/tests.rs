@@ -1,0 +1,321 @@
+//! Tests of registration as a whole.
+
+use nalgebra::IsometryMatrix3;
+use rand::SeedableRng;
+use rand_chacha::ChaCha8Rng;
+
+use super::*;
+use crate::detectors::Detector;
+use crate::options::Descriptor;
+use crate::rigid::tests::random_transform;
+use crate::rigid::transform_points;
+use snake_core::Builtin;
+use snake_geometry::{Length, RigidTransform, resolution};
+
+fn sample() -> Vec<Point> {
+    let path = concat!(env!("CARGO_MANIFEST_DIR"), "/../../samples/plane.ply");
+    snake_io::read_points(path.as_ref()).unwrap()
+}
+
+fn options() -> RegisterOptions {
+    RegisterOptions { max_keypoints: 500, ..Default::default() }
+}
+
+fn run(source: &[Point], target: &[Point], options: &RegisterOptions) -> Result<Registration> {
+    let model = options.needs_model().then(|| Model::builtin(Builtin::Compact));
+    register_with(source, target, model.as_ref(), options, &PairOptions::default(), &Control::default())
+}
+
+/// The largest coordinate difference between the points under two transforms.
+fn difference(points: &[Point], a: &RigidTransform, b: &RigidTransform) -> f32 {
+    let (a, b) = (transform_points(a, points), transform_points(b, points));
+    a.as_flattened().iter().zip(b.as_flattened()).map(|(a, b)| (a - b).abs()).fold(0.0, f32::max)
+}
+
+#[test]
+fn two_samplings_are_registered_for_any_rotation() {
+    let points = sample();
+    // The second sampling lacks the end of a wing.
+    let source = &points[..2048];
+    let part: Vec<Point> = points[2048..].iter().copied().filter(|p| p[0] < 0.5).collect();
+    for seed in 0..4 {
+        let truth = RigidTransform::from(random_transform(&mut ChaCha8Rng::seed_from_u64(seed)));
+        let registration = run(source, &transform_points(&truth, &part), &options()).unwrap();
+        assert!(difference(&points, &registration.t_target_source, &truth) < 0.05, "seed {seed}: {registration:?}");
+        assert!(
+            registration.matches.num_inliers >= 3
+                && registration.matches.num_matches > registration.matches.num_inliers,
+            "{registration:?}"
+        );
+        assert!(registration.hypotheses[0].t_target_source == registration.t_target_source, "{registration:?}");
+        assert!(
+            registration.matches.rmse > 0.0 && registration.matches.rmse < 0.1 && registration.seconds > 0.0,
+            "{registration:?}"
+        );
+    }
+}
+
+#[test]
+fn field_descriptors_and_refinement_do_their_part() {
+    let points = sample();
+    let truth = RigidTransform::from(IsometryMatrix3::translation(0.3, -4.0, 1.0));
+    let (source, target) = (&points[..2048], transform_points(&truth, &points[2048..]));
+    let options = RegisterOptions { descriptor: Descriptor::Field, ..options() };
+    let error =
+        |options: RegisterOptions| difference(source, &run(source, &target, &options).unwrap().t_target_source, &truth);
+    let (refined, rough) = (error(options), error(RegisterOptions { icp_steps: 0, ..options }));
+    assert!(refined < 0.02 && rough > refined, "{refined} {rough}");
+}
+
+#[test]
+fn options_that_run_a_model_need_one_before_anything_is_computed() {
+    let points = sample();
+    let snake = options().with_detector(Detector::Snake);
+    for options in [snake, options().with_descriptor(Descriptor::Field), snake.with_num_keypoints(Some(9))] {
+        let error = register(&points, &points, &options).unwrap_err().to_string();
+        assert!(error.contains("`model` is none") && error.contains("snake"), "{error}");
+        // No point of these clouds can be used.
+        assert_eq!(register(&[], &[], &options).unwrap_err().to_string(), error);
+    }
+}
+
+#[test]
+fn inliers_are_those_before_icp_and_fitness_is_that_of_the_result() {
+    let points = sample();
+    let truth = RigidTransform::from(random_transform(&mut ChaCha8Rng::seed_from_u64(7)));
+    let (source, target) = (&points[..2048], transform_points(&truth, &points[2048..]));
+    let registration = run(source, &target, &options()).unwrap();
+    let rough = run(source, &target, &RegisterOptions { icp_steps: 0, ..options() }).unwrap();
+    assert!(
+        registration.matches.num_inliers >= 3
+            && registration.matches.rmse > 0.0
+            && registration.matches.rmse < registration.fit.inlier_distance,
+        "{registration:?}"
+    );
+    assert_eq!(registration.fit.inlier_distance, rough.fit.inlier_distance);
+    // These are two samplings of one surface, and the rough transform puts a part of it out of
+    // reach.
+    assert!(
+        registration.fit.fitness > 0.95 && registration.fit.fitness > rough.fit.fitness + 0.02,
+        "{registration:?} {rough:?}"
+    );
+    assert!(registration.fit.rmse < rough.fit.rmse, "{registration:?} {rough:?}");
+}
+
+#[test]
+fn keypoints_of_other_detectors_register_too() {
+    use Detector::{Fps, Iss, Random, SurfaceVariation};
+    let points = sample();
+    let truth = RigidTransform::from(random_transform(&mut ChaCha8Rng::seed_from_u64(1)));
+    let (source, target) = (&points[..2048], transform_points(&truth, &points[2048..]));
+    for detector in [Fps, Random] {
+        let registration = run(source, &target, &RegisterOptions { detector, ..options() }).unwrap();
+        assert!(difference(source, &registration.t_target_source, &truth) < 0.05, "{detector:?}: {registration:?}");
+    }
+    // Surface variation has few keypoints, which two samplings do not share.
+    let variation = run(&points, &points, &options().with_detector(SurfaceVariation)).unwrap();
+    assert!(difference(&points, &variation.t_target_source, &RigidTransform::identity()) < 0.01, "{variation:?}");
+    let iss = run(&points, &points, &options().with_detector(Iss)).unwrap();
+    assert!(variation.matches.num_matches > 3 && variation.matches != iss.matches, "{variation:?}");
+    // The cloud is registered to itself: its random points are not those of the target.
+    let few = RegisterOptions { detector: Random, max_keypoints: 200, ..options() };
+    let twice = run(source, source, &few).unwrap();
+    assert!(twice.matches.rmse > 0.0, "{twice:?}");
+    assert_ne!(
+        twice,
+        Registration { seconds: twice.seconds, ..run(source, source, &RegisterOptions { seed: 5, ..few }).unwrap() }
+    );
+}
+
+#[test]
+fn few_spread_keypoints_register_and_their_matches_agree() {
+    let points = sample();
+    let truth = RigidTransform::from(random_transform(&mut ChaCha8Rng::seed_from_u64(3)));
+    let (source, target) = (&points[..2048], transform_points(&truth, &points[2048..]));
+    for detector in [Detector::Voxels, Detector::Snake] {
+        let few = RegisterOptions { detector, num_keypoints: Some(250), ..options() };
+        let registration = run(source, &target, &few).unwrap();
+        assert!(difference(source, &registration.t_target_source, &truth) < 0.05, "{detector:?}: {registration:?}");
+        assert!(registration.matches.num_matches <= 500, "{registration:?}");
+        assert_eq!(registration.matches.pairs.len(), registration.matches.num_agreeing);
+        for [from, to] in &registration.matches.pairs {
+            let moved = transform_points(&registration.t_target_source, &[*from])[0];
+            let squared: f32 = (0..3).map(|axis| (moved[axis] - to[axis]).powi(2)).sum();
+            assert!(f64::from(squared.sqrt()) < 1.001 * registration.fit.inlier_distance);
+        }
+    }
+}
+
+#[test]
+fn threads_do_not_matter() {
+    let points = sample();
+    let run = |threads| {
+        let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
+        let registration = pool.install(|| run(&points[..2000], &points[2000..], &options()).unwrap());
+        Registration { seconds: 0.0, ..registration }
+    };
+    assert_eq!(run(1), run(3));
+}
+
+#[test]
+fn clouds_that_cannot_be_registered_are_refused() {
+    let good = sample();
+    let line: Vec<Point> = (0..500).map(|i| [0.01 * i as f32, 0.0, 0.0]).collect();
+    let plane: Vec<Point> = (0..900).map(|i| [(i % 30) as f32, (i / 30) as f32, 0.0]).collect();
+    for (bad, expected) in [
+        (vec![], "no points"),
+        (vec![[1.0; 3]], "two different"),
+        (vec![[1.0; 3]; 99], "two different"),
+        (vec![[f32::NAN; 3]; 9], "none of the 9 points is finite"),
+    ] {
+        let error = run(&bad, &good, &options()).unwrap_err().to_string();
+        assert!(error.starts_with("source: ") && error.contains(expected), "{error}");
+        let error = run(&good, &bad, &options()).unwrap_err().to_string();
+        assert!(error.starts_with("target: ") && error.contains(expected), "{error}");
+    }
+    // Clouds that determine no rotation, or that do not match, give few inliers or an error, but
+    // never a panic.
+    for poor in [line, plane, good[..2].to_vec(), good[..5].to_vec()] {
+        for (source, target) in [(&poor, &good), (&good, &poor), (&poor, &poor)] {
+            match run(source, target, &options()) {
+                Ok(registration) => {
+                    assert!(registration.t_target_source.to_matrix().as_flattened().iter().all(|v| v.is_finite()))
+                }
+                Err(error) => assert!(error.to_string().contains("correspondences"), "{error}"),
+            }
+        }
+    }
+}
+
+#[test]
+fn lengths_may_be_multiples_of_the_coarser_clouds_resolution() {
+    let points = sample();
+    let (fine, coarse) = (&points[..3000], &points[3000..]);
+    let spacing = resolution("points", coarse).unwrap();
+    assert!(spacing > resolution("points", fine).unwrap());
+    let lengths = |unit: fn(f64) -> Length, scale: f64| RegisterOptions {
+        voxel_size: Some(unit(scale)),
+        normal_radius: Some(unit(3.0 * scale)),
+        feature_radius: Some(unit(8.0 * scale)),
+        inlier_distance: Some(unit(2.0 * scale)),
+        ..options()
+    };
+    let registration = |options| Registration { seconds: 0.0, ..run(fine, coarse, &options).unwrap() };
+    assert_eq!(registration(lengths(Length::Resolutions, 1.0)), registration(lengths(Length::Units, spacing)));
+}
+
+#[test]
+fn points_that_are_not_finite_are_skipped() {
+    let points = sample();
+    let (source, target) = (&points[..1500], &points[1500..3000]);
+    let nan = [source, &[[f32::NAN; 3]; 7], &[[0.0, 0.0, f32::INFINITY]]].concat();
+    let (expected, registration) = (run(source, target, &options()).unwrap(), run(&nan, target, &options()).unwrap());
+    assert_eq!(registration.clouds.map(|cloud| cloud.num_skipped), [8, 0]);
+    assert_eq!(registration, Registration { clouds: registration.clouds, seconds: registration.seconds, ..expected });
+}
+
+#[test]
+fn options_outside_their_range_are_named() {
+    let points = &sample()[..500];
+    for (options, name) in [
+        (RegisterOptions { max_keypoints: 2, ..options() }, "max_keypoints"),
+        (RegisterOptions { voxel_size: Some(Length::Units(0.0)), ..options() }, "voxel_size"),
+        (RegisterOptions { normal_radius: Some(Length::Resolutions(-1.0)), ..options() }, "normal_radius"),
+        (RegisterOptions { feature_radius: Some(Length::Units(f64::NAN)), ..options() }, "feature_radius"),
+        (RegisterOptions { inlier_distance: Some(Length::Units(f64::INFINITY)), ..options() }, "inlier_distance"),
+        (RegisterOptions { num_keypoints: Some(2), ..options() }, "num_keypoints"),
+        (RegisterOptions { max_matches: 2, ..options() }, "max_matches"),
+    ] {
+        let error = run(points, points, &options).unwrap_err().to_string();
+        assert!(error.contains(name), "{error}");
+    }
+    for (pair_options, name) in [
+        (PairOptions { hypotheses: 0, ..Default::default() }, "hypotheses"),
+        (PairOptions { source_viewpoint: Some([f64::NAN; 3]), ..Default::default() }, "source_viewpoint"),
+        (PairOptions { target_viewpoint: Some([f64::INFINITY; 3]), ..Default::default() }, "target_viewpoint"),
+    ] {
+        let error = register_with(points, points, None, &options(), &pair_options, &Control::default()).unwrap_err();
+        assert!(error.to_string().contains(name), "{error}");
+    }
+    // Each cloud is reduced to one voxel.
+    let options = RegisterOptions { voxel_size: Some(Length::Units(1e3)), ..options() };
+    assert!(run(points, points, &options).unwrap_err().to_string().contains("correspondences"));
+}
+
+#[test]
+fn a_scan_registers_to_a_map_that_is_kept() {
+    let points = sample();
+    let truth = RigidTransform::from(random_transform(&mut ChaCha8Rng::seed_from_u64(5)));
+    let (first, second, map) = (&points[..1500], &points[1500..2500], transform_points(&truth, &points[2500..]));
+    let control = Control::default();
+    // The map alone decides the lengths.
+    let map = steps::prepare(&[&map], &[], None, &options(), &control).unwrap();
+    for scan in [first, second] {
+        let scan = steps::PreparedCloud::new(scan, None, &map.lengths, None, &options(), &control).unwrap();
+        let pair = Pair::new(&scan, &map.clouds[0], None);
+        let registration = register_pair(&pair, &options(), &PairOptions::default(), &control).unwrap();
+        assert!(difference(&points, &registration.t_target_source, &truth) < 0.05, "{registration:?}");
+    }
+    let error = steps::PreparedCloud::new(&[], None, &map.lengths, None, &options(), &control).err().unwrap();
+    assert!(error.to_string().starts_with("points: no points"), "{error}");
+    let none = steps::Lengths { inlier_distance: 0.0, ..map.lengths };
+    let error = steps::PreparedCloud::new(first, None, &none, None, &options(), &control).err().unwrap();
+    assert!(error.to_string().contains("inlier_distance"), "{error}");
+}
+
+#[test]
+fn own_keypoints_and_descriptors_register_too() {
+    let points = sample();
+    let truth = RigidTransform::from(random_transform(&mut ChaCha8Rng::seed_from_u64(8)));
+    let target = transform_points(&truth, &points);
+    let control = Control::default();
+    let prepared = steps::prepare(&[&points, &target], &[], None, &options(), &control).unwrap();
+    let own = |cloud: &[Point]| cloud.iter().step_by(20).copied().collect::<Vec<Point>>();
+    let mut clouds = prepared.clouds.into_iter();
+    let [source, target] = [&points, &target].map(|points| {
+        let cloud = clouds.next().unwrap();
+        assert!(cloud.lengths().voxel_size > 0.0 && cloud.voxels().points().len() == cloud.voxels().normals().len());
+        let cloud = cloud.with_keypoints(&own(points)).unwrap();
+        assert_eq!(cloud.keypoints(), own(points));
+        cloud
+    });
+    let pair = Pair::new(&source, &target, None);
+    // A row that says which keypoint it is, of which a tenth is wrong.
+    let rows = |step: usize| -> Vec<f32> {
+        let name = |row: usize| if row % 10 == 0 { row * step % 200 } else { row };
+        (0..own(&points).len()).map(|row| name(row) as f32).collect()
+    };
+    let [source_rows, target_rows] = [rows(1), rows(7)].map(|values| steps::Rows::new(values, 1).unwrap());
+    let indices = match_rows(&source_rows, &target_rows, 2000, &control).unwrap();
+    let matches = pair.matches(&indices).unwrap();
+    let transforms = consensus(&matches, pair.criteria(), 1, &control).unwrap();
+    assert!(difference(&points, &transforms[0], &truth) < 1e-3, "{transforms:?}");
+    assert!(target.with_keypoints(&[[f32::NAN; 3]]).is_err());
+}
+
+#[test]
+fn register_runs_the_public_steps() {
+    let points = sample();
+    let truth = RigidTransform::from(random_transform(&mut ChaCha8Rng::seed_from_u64(6)));
+    let (source, target) = (&points[..2048], transform_points(&truth, &points[2048..]));
+    let (options, control) = (options(), Control::default());
+    let prepared = steps::prepare(&[source, &target], &[], None, &options, &control).unwrap();
+    let pair = Pair::new(&prepared.clouds[0], &prepared.clouds[1], options.gravity);
+    let pair = pair.without_signs();
+    let rows = describe(&pair, &control).unwrap();
+    let matches = pair.matches(&match_rows(&rows[0], &rows[1], options.max_matches, &control).unwrap()).unwrap();
+    let guesses = consensus(&matches, pair.criteria(), steps::consensus::TUNING.candidates, &control).unwrap();
+    let candidates = refine(&pair, &matches, &guesses, options.icp_steps, 1, &control).unwrap();
+    let judged = judge(&pair, &matches, &candidates).unwrap();
+    let unsigned = run(source, &target, &options.with_use_viewpoints(false)).unwrap();
+    assert_eq!((judged.t_target_source, judged.verdict), (unsigned.t_target_source, unsigned.verdict));
+    // A transform of another origin is measured, refined and judged in the same way.
+    let own = steps::icp(&pair, &truth, options.icp_steps, &control).unwrap();
+    let own = steps::Candidate::measure(&pair, &matches, &own);
+    assert!(own.overlap() > candidates[0].overlap() - 0.05 && own.free_space_violation() == 0.0, "{own:?}");
+    assert!(own.num_inliers > 10 && own.score() > own.overlap(), "{own:?}");
+    assert!(judge(&pair, &matches, &[own]).unwrap().verdict.is_reliable);
+    let error = judge(&pair, &matches, &[]).unwrap_err();
+    assert!(matches!(error, snake_core::Error::NoTransform { .. }), "{error}");
+    assert!(pair.matches(&[[0, 999_999]]).unwrap_err().to_string().contains("999999"));
+}

@@ -1,0 +1,252 @@
+//! Step 4: transforms on which many matches agree, from a graph of compatible matches.
+//!
+//! Two matches are compatible if one rigid transform can satisfy both: their points are equally far
+//! apart in both clouds, and their normals have the same angles with each other and with the line
+//! between the points. Right matches are compatible with each other, and wrong ones by chance only.
+//! Two matches therefore belong together if many others are compatible with both (second-order
+//! consistency, SC²-PCR, Chen et al. 2022).
+
+mod graph;
+
+use nalgebra::IsometryMatrix3;
+use rayon::prelude::*;
+
+use crate::rigid::{best_fit, best_fit_about, displacement};
+use crate::steps::matches::{Criteria, Match};
+use crate::tuning::tuning;
+use graph::Graph;
+use snake_core::{Control, Error, Result};
+use snake_geometry::{RigidTransform, Vector};
+
+tuning! {
+    /// Number of transforms that `register` compares on the clouds, at most.
+    candidates: usize = 20, unit "transforms", from "set by hand in 3738705";
+    /// Number of matches that are compared, at most: the graph has a bit for every pair of them.
+    max_matches: usize = 20_000, unit "matches", from "the range of the option `max_matches`: 50 MB";
+    /// Number of matches from which transforms are estimated: those with the most support in the
+    /// graph.
+    max_seeds: usize = 200, unit "matches", from "set by hand in 3738705";
+    /// Number of neighbours in the graph to which a seed's first transform is fitted.
+    group: usize = 20, unit "matches", from "set by hand in 3738705";
+    /// Number of least-squares fits to the inliers, at most.
+    max_refits: usize = 5, unit "fits", from "set by hand in 3738705";
+    /// Number of points that tell whether two transforms differ.
+    probes: usize = 50, unit "points", from "set by hand in 3738705";
+    /// Two transforms differ if they move these points farther apart than this (root mean square).
+    min_difference: f64 = 2.0, unit "inlier distances", from "set by hand in 3738705";
+    /// Two matches are incompatible if a cosine between normals and their connecting line differs
+    /// by this between the clouds.
+    cosine_tolerance: f32 = 0.3, unit "cosine", from "set by hand in 3738705";
+    /// Two matches whose points are closer are incompatible: they agree on any transform.
+    min_edge: f32 = 2.0, unit "inlier distances", from "set by hand in 3738705";
+}
+
+/// A transform with the support of the matches.
+#[derive(Debug, Clone, Copy)]
+struct Supported {
+    transform: IsometryMatrix3<f64>,
+    /// The sum over the inliers of `1 - d²/τ²`, with the inlier distance τ.
+    support: f64,
+}
+
+/// At most `count` distinct transforms on which matches agree, the best supported first; none if no
+/// three matches fit one.
+///
+/// # Errors
+/// [`Error::Input`] when there are more matches than the graph can hold, or one is not finite;
+/// [`Error::Cancelled`] and [`Error::DeadlineExceeded`].
+pub fn consensus(
+    matches: &[Match],
+    criteria: &Criteria,
+    count: usize,
+    control: &Control,
+) -> Result<Vec<RigidTransform>> {
+    check_matches(matches)?;
+    let counter = control.begin("consistency", matches.len());
+    let graph = Graph::new(matches, criteria, &counter)?;
+    let seeds = graph.seeds(TUNING.max_seeds);
+    let supported = seeds.par_iter().map(|&seed| {
+        counter.check()?;
+        Ok(fit_group(&graph.group(seed, TUNING.group), matches, criteria))
+    });
+    let mut supported: Vec<Supported> = supported.collect::<Result<Vec<_>>>()?.into_iter().flatten().collect();
+    // The order of the seeds decides between equals.
+    supported.sort_by(|a, b| b.support.total_cmp(&a.support));
+    let distinct = distinct(&supported, matches, criteria.inlier_distance, count);
+    Ok(distinct.into_iter().map(RigidTransform::from).collect())
+}
+
+/// Refuses matches of which there are too many, or of which one is not finite.
+fn check_matches(matches: &[Match]) -> Result<()> {
+    let refused = |reason| Err(Error::Input { what: "matches", reason });
+    if matches.len() > TUNING.max_matches {
+        return refused(format!("{} of them; at most {} can be compared", matches.len(), TUNING.max_matches));
+    }
+    let is_finite = |matched: &Match| {
+        let vectors = [matched.source, matched.target, matched.source_normal, matched.target_normal];
+        vectors.iter().flatten().all(|v| v.is_finite())
+    };
+    match matches.iter().position(|matched| !is_finite(matched)) {
+        Some(bad) => refused(format!("match {bad} is not finite")),
+        None => Ok(()),
+    }
+}
+
+/// The transform of a group of matches, fitted to all inliers while that improves it.
+fn fit_group(group: &[usize], matches: &[Match], criteria: &Criteria) -> Option<Supported> {
+    let fit = |pairs: &[(Vector, Vector)]| match criteria.gravity {
+        Some(axis) => best_fit_about(&axis, pairs),
+        None => best_fit(pairs.iter().copied()),
+    };
+    let pairs: Vec<_> = group.iter().map(|&i| (matches[i].source, matches[i].target)).collect();
+    let (mut best, mut inliers) = Supported::new(fit(&pairs)?, matches, criteria);
+    for _ in 0..TUNING.max_refits {
+        let Some(transform) = fit(&inliers) else { break };
+        let (refitted, refitted_inliers) = Supported::new(transform, matches, criteria);
+        if refitted.support <= best.support {
+            break;
+        }
+        (best, inliers) = (refitted, refitted_inliers);
+    }
+    Some(best)
+}
+
+impl Supported {
+    /// The support of a transform, and its inliers as pairs of points.
+    fn new(transform: IsometryMatrix3<f64>, matches: &[Match], criteria: &Criteria) -> (Self, Vec<(Vector, Vector)>) {
+        let (mut support, mut inliers) = (0.0, Vec::new());
+        for matched in matches {
+            if let Some(squared) = matched.squared_residual(&transform, criteria) {
+                support += 1.0 - squared / criteria.inlier_distance.powi(2);
+                inliers.push((matched.source, matched.target));
+            }
+        }
+        (Self { transform, support }, inliers)
+    }
+}
+
+/// The first `count` transforms that differ in where they move the matches' points.
+fn distinct(
+    supported: &[Supported],
+    matches: &[Match],
+    inlier_distance: f64,
+    count: usize,
+) -> Vec<IsometryMatrix3<f64>> {
+    let probes: Vec<Vector> =
+        matches.iter().step_by(matches.len().div_ceil(TUNING.probes).max(1)).map(|m| m.source).collect();
+    let mut kept: Vec<IsometryMatrix3<f64>> = Vec::new();
+    for Supported { transform, .. } in supported {
+        if kept.len() == count {
+            break;
+        }
+        if kept.iter().all(|other| displacement(transform, other, &probes) > TUNING.min_difference * inlier_distance) {
+            kept.push(*transform);
+        }
+    }
+    kept
+}
+
+#[cfg(test)]
+mod tests {
+    use rand::{RngExt, SeedableRng};
+    use rand_chacha::ChaCha8Rng;
+
+    use super::*;
+    use crate::rigid::moved;
+    use crate::rigid::tests::{random_points, random_transform};
+    use snake_geometry::vector;
+
+    const CRITERIA: Criteria = Criteria { inlier_distance: 0.03, signed: true, gravity: None };
+
+    /// `inliers` right matches with noise of 0.005, then random ones; normals too.
+    fn problem(seed: u64, inliers: usize, outliers: usize, truth: &IsometryMatrix3<f64>) -> Vec<Match> {
+        let mut rng = ChaCha8Rng::seed_from_u64(seed);
+        let mut vectors = |count| random_points(&mut rng, count).into_iter().map(vector).collect::<Vec<Vector>>();
+        let count = inliers + outliers;
+        let (source, normals, noise, elsewhere, other_normals) =
+            (vectors(count), vectors(count), vectors(count), vectors(count), vectors(count));
+        let one = |i: usize| {
+            let (source, source_normal) = (source[i], normals[i].normalize());
+            let (target, target_normal) = if i < inliers {
+                (moved(truth, &source) + 0.005 * noise[i], truth.rotation * source_normal)
+            } else {
+                (moved(truth, &elsewhere[i]), other_normals[i].normalize())
+            };
+            Match { source, target, source_normal, target_normal }
+        };
+        (0..count).map(one).collect()
+    }
+
+    fn error(a: &IsometryMatrix3<f64>, b: &IsometryMatrix3<f64>) -> f64 {
+        displacement(a, b, &[Vector::new(0.5, -0.5, 0.7), Vector::new(-0.9, 0.1, 0.0), Vector::y()])
+    }
+
+    #[test]
+    fn three_percent_of_right_matches_are_enough() {
+        for seed in 0..10 {
+            let truth = random_transform(&mut ChaCha8Rng::seed_from_u64(100 + seed));
+            let matches = problem(seed, 24, 800, &truth);
+            let transforms = consensus(&matches, &CRITERIA, 5, &Control::default()).unwrap();
+            assert!(error(transforms[0].isometry(), &truth) < 0.01, "seed {seed}");
+            let unsigned = Criteria { signed: false, ..CRITERIA };
+            let flipped: Vec<Match> = matches
+                .iter()
+                .enumerate()
+                .map(|(i, m)| if i % 2 == 0 { Match { source_normal: -m.source_normal, ..*m } } else { *m })
+                .collect();
+            let transforms = consensus(&flipped, &unsigned, 5, &Control::default()).unwrap();
+            assert!(error(transforms[0].isometry(), &truth) < 0.01, "seed {seed}");
+        }
+    }
+
+    #[test]
+    fn a_known_axis_is_kept() {
+        let truth = IsometryMatrix3::new(Vector::new(1.0, 2.0, 3.0), Vector::new(0.0, 0.0, 2.5));
+        let matches = problem(3, 10, 800, &truth);
+        let criteria = Criteria { gravity: Some(Vector::z()), ..CRITERIA };
+        let transforms = consensus(&matches, &criteria, 1, &Control::default()).unwrap();
+        assert!(error(transforms[0].isometry(), &truth) < 0.02);
+        assert!((transforms[0].isometry().rotation * Vector::z() - Vector::z()).norm() < 1e-12);
+    }
+
+    #[test]
+    fn transforms_are_distinct_and_do_not_depend_on_threads() {
+        let mut rng = ChaCha8Rng::seed_from_u64(9);
+        let [first, second] = [(); 2].map(|()| random_transform(&mut rng));
+        let mut matches = problem(1, 60, 200, &first);
+        matches.extend(problem(2, 40, 0, &second));
+        let run = |threads| {
+            let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
+            pool.install(|| consensus(&matches, &CRITERIA, 2, &Control::default()).unwrap())
+        };
+        let transforms = run(1);
+        assert!(
+            transforms.len() == 2
+                && error(transforms[0].isometry(), &first) < 0.01
+                && error(transforms[1].isometry(), &second) < 0.01
+        );
+        assert_eq!(transforms, run(3));
+    }
+
+    #[test]
+    fn few_or_degenerate_matches_are_no_panic() {
+        let run = |matches: &[Match]| consensus(matches, &CRITERIA, 3, &Control::default()).unwrap().len();
+        let matches = problem(0, 2, 0, &IsometryMatrix3::identity());
+        assert_eq!((run(&[]), run(&matches[..1]), run(&matches)), (0, 0, 0));
+        assert_eq!(run(&[matches[0]; 30]), 0);
+        let refused =
+            |matches: &[Match]| consensus(matches, &CRITERIA, 3, &Control::default()).unwrap_err().to_string();
+        let bad = Match { target: Vector::repeat(f64::NAN), ..matches[0] };
+        assert!(refused(&[matches[0], bad]).contains("match 1 is not finite"));
+        assert!(refused(&vec![matches[0]; 20_001]).contains("20001 of them"));
+        let line = |i: usize| Match {
+            source: 0.1 * i as f64 * Vector::x(),
+            target: 0.1 * i as f64 * Vector::y(),
+            ..matches[0]
+        };
+        let line: Vec<Match> =
+            (0..30).map(|i| Match { source_normal: Vector::z(), target_normal: Vector::z(), ..line(i) }).collect();
+        assert_eq!(run(&line), 0);
+        let _ = ChaCha8Rng::seed_from_u64(0).random::<u8>();
+    }
+}

@@ -1,0 +1,203 @@
+//! Evidence about a transform, and the confidence that follows from it.
+
+use super::TUNING;
+use crate::cloud::surface::Agreement;
+use crate::result::{Fit, Matches};
+
+/// What is known of the best transform beside [`Fit`] and [`Matches`].
+#[derive(Debug, Clone, PartialEq)]
+pub(super) struct Evidence<'a> {
+    pub(super) fit: &'a Fit,
+    pub(super) matches: &'a Matches,
+    /// See [`Verdict::free_space_violation`](crate::Verdict::free_space_violation).
+    pub(super) violation: f64,
+    /// See [`Verdict::slide_margin`](crate::Verdict::slide_margin).
+    pub(super) slide_margin: f64,
+    /// Number of directions of motion that the overlap leaves open.
+    pub(super) num_open: usize,
+    /// The open motions in words.
+    pub(super) open_motions: String,
+    /// See [`Verdict::weakest_constraint`](crate::Verdict::weakest_constraint).
+    pub(super) weakest_constraint: f64,
+    /// See [`Verdict::repeat_fit`](crate::Verdict::repeat_fit).
+    pub(super) repeat_fit: f64,
+    /// Share of the patches of both clouds that coincide, where the points are fine enough to show
+    /// it.
+    pub(super) coinciding: Option<f64>,
+    /// Whether another transform fits the surfaces and the matches about as well.
+    pub(super) has_rival: bool,
+}
+
+/// Whether a transform fits about as well as the best; each comes with the number of matches that
+/// agree.
+pub(super) fn is_rival(other: (&Agreement, usize), best: (&Agreement, usize)) -> bool {
+    let matched = (1 + other.1) as f64 >= TUNING.rival_agreeing * (1 + best.1) as f64;
+    matched && other.0.fit() > TUNING.rival_fit * best.0.fit()
+}
+
+impl Evidence<'_> {
+    /// Whether other transforms fit as well or about as well.
+    pub(super) fn is_ambiguous(&self) -> bool {
+        self.num_open > 0 || self.has_rival || self.is_repeated()
+    }
+
+    fn is_repeated(&self) -> bool {
+        self.repeat_fit > TUNING.repeated && self.fit.fitness > TUNING.repeated_fitness
+    }
+
+    fn has_few_matches(&self) -> bool {
+        self.matches.num_agreeing < TUNING.min_agreeing
+    }
+
+    fn lies_apart(&self) -> bool {
+        self.coinciding.is_some_and(|share| share < TUNING.min_coinciding)
+    }
+
+    fn has_flat_matches(&self) -> bool {
+        self.match_spread() < TUNING.min_match_spread
+    }
+
+    /// The spread of the matches that agree, in inlier distances.
+    fn match_spread(&self) -> f64 {
+        self.matches.spread / self.fit.inlier_distance
+    }
+
+    /// From 0 to 1; 0.5 and more is reliable. It is 0 where the overlap leaves a direction open,
+    /// and falls towards it. Another transform that fits about as well halves it, and keeps it
+    /// below 0.5.
+    pub(super) fn confidence(&self) -> f64 {
+        if self.num_open > 0 {
+            return 0.0;
+        }
+        let log = |count: usize| (1.0 + count as f64).ln();
+        let (agreeing, rival) = (log(self.matches.num_agreeing), log(self.matches.num_rival_agreeing));
+        let sum = TUNING.bias
+            + TUNING.log_agreeing_weight * agreeing.min(TUNING.max_agreeing.ln())
+            + TUNING.log_ratio_weight * (agreeing - rival).clamp(-TUNING.max_log_ratio, TUNING.max_log_ratio)
+            + TUNING.slide_margin_weight * self.slide_margin.clamp(-TUNING.max_slide_margin, TUNING.max_slide_margin)
+            + TUNING.match_spread_weight * self.match_spread().min(TUNING.max_match_spread)
+            + TUNING.violation_weight * self.violation;
+        let unrivalled = (self.weakest_constraint / TUNING.doubtful_constraint).min(1.0) / (1.0 + (-sum).exp());
+        if self.has_rival || self.is_repeated() {
+            (unrivalled / 2.0).min(TUNING.max_doubtful)
+        } else if self.has_few_matches() || self.has_flat_matches() || self.lies_apart() {
+            unrivalled.min(TUNING.max_doubtful)
+        } else {
+            unrivalled
+        }
+    }
+
+    /// What may be wrong with the transform, in sentences.
+    pub(super) fn notes(&self) -> Vec<String> {
+        let mut notes = Vec::new();
+        if self.num_open > 0 {
+            notes.push(format!(
+                "ambiguous: the overlap lies on a surface such as a plane, a cylinder or a sphere, which leaves {} of 6 \
+                 directions of motion open: {}",
+                self.num_open, self.open_motions
+            ));
+        }
+        if self.has_rival {
+            notes.push("ambiguous: another transform fits about as well".into());
+        }
+        if self.is_repeated() {
+            notes.push(
+                "ambiguous: the target repeats itself, as a row of equal pillars does, and fits there as well".into(),
+            );
+        }
+        if self.has_few_matches() {
+            notes.push(format!(
+                "only {} matches agree; fewer than {} are never reliable",
+                self.matches.num_agreeing, TUNING.min_agreeing
+            ));
+        }
+        if self.has_flat_matches() && !self.has_few_matches() {
+            notes.push("the matches that agree lie on one plane or line, which does not fix a transform".into());
+        }
+        if self.lies_apart() {
+            notes.push("the surfaces lie apart: the points are finer than the distance between them".into());
+        }
+        notes
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Changes the evidence of a transform that is reliable.
+    fn changed(change: impl Fn(&mut Fit, &mut Matches, &mut Evidence)) -> (f64, Vec<String>) {
+        let mut fit = Fit { fitness: 0.9, rmse: 0.01, inlier_distance: 0.1, information: [[0.0; 6]; 6] };
+        let mut matches = Matches {
+            num_matches: 500,
+            num_inliers: 90,
+            rmse: 0.02,
+            num_agreeing: 100,
+            num_rival_agreeing: 10,
+            spread: 0.2,
+            pairs: Vec::new(),
+        };
+        let (same_fit, same_matches) = (fit, matches.clone());
+        let mut evidence = Evidence {
+            fit: &same_fit,
+            matches: &same_matches,
+            violation: 0.002,
+            slide_margin: 0.1,
+            num_open: 0,
+            open_motions: String::new(),
+            weakest_constraint: 0.03,
+            repeat_fit: 0.0,
+            coinciding: None,
+            has_rival: false,
+        };
+        change(&mut fit, &mut matches, &mut evidence);
+        let evidence = Evidence { fit: &fit, matches: &matches, ..evidence };
+        (evidence.confidence(), evidence.notes())
+    }
+
+    #[test]
+    fn matches_free_space_and_slides_make_a_transform_reliable() {
+        let (usual, _) = changed(|_, _, _| ());
+        assert!(usual > 0.9, "{usual}");
+        type Change = fn(&mut Fit, &mut Matches, &mut Evidence);
+        let worse: [(&str, Change); 9] = [
+            ("few matches", |_, m, e| {
+                (m.num_agreeing, m.spread, e.slide_margin) = (9, 0.9, 9.0);
+            }),
+            ("weak constraint", |_, m, e| (m.num_agreeing, e.weakest_constraint) = (9999, 8e-5)),
+            ("repeated", |_, m, e| (m.num_agreeing, e.repeat_fit) = (9999, 0.95)),
+            ("apart", |_, m, e| (m.num_agreeing, e.coinciding) = (9999, Some(0.7))),
+            ("rival matches", |_, m, e| (m.num_agreeing, m.num_rival_agreeing, e.slide_margin) = (20, 40, 0.0)),
+            ("free space", |_, _, e| e.violation = 0.2),
+            ("a better slide", |_, m, e| (m.num_agreeing, e.slide_margin) = (15, -0.1)),
+            ("open", |_, _, e| e.num_open = 1),
+            ("rival", |_, _, e| (e.has_rival, e.slide_margin) = (true, 9.0)),
+        ];
+        for (name, change) in worse {
+            let (confidence, _) = changed(change);
+            assert!(confidence < 0.5, "{name}: {confidence}");
+        }
+        assert!(changed(|_, m, _| m.num_rival_agreeing = 99).0 < usual);
+        assert!(changed(|_, m, _| m.spread = 0.0).0 < usual);
+    }
+
+    #[test]
+    fn rivals_fit_the_surfaces_and_the_matches() {
+        let fit = |overlap: f64| Agreement { overlap, violation: 0.0 };
+        assert!(is_rival((&fit(0.58), 60), (&fit(0.6), 100)));
+        assert!(!is_rival((&fit(0.5), 60), (&fit(0.6), 100)));
+        assert!(!is_rival((&fit(0.6), 20), (&fit(0.6), 100)));
+    }
+
+    #[test]
+    fn notes_name_open_directions_rivals_and_matches() {
+        assert!(changed(|_, _, _| ()).1.is_empty());
+        let note = |change: fn(&mut Fit, &mut Matches, &mut Evidence)| changed(change).1.remove(0);
+        assert!(note(|_, _, e| e.num_open = 3).contains("3 of 6"));
+        assert!(note(|_, _, e| e.has_rival = true).contains("another transform"));
+        assert!(note(|_, _, e| e.repeat_fit = 0.95).contains("repeats itself"));
+        assert!(note(|_, m, _| m.num_agreeing = 9).contains("only 9 matches"));
+        assert!(note(|_, m, _| m.spread = 0.01).contains("one plane or line"));
+        assert!(note(|_, _, e| e.coinciding = Some(0.7)).contains("lie apart"));
+    }
+}

@@ -1,0 +1,310 @@
+//! Step 6: whether the best transform can be relied on.
+
+mod constraint;
+mod evidence;
+mod open_motions;
+mod repeats;
+mod slide;
+
+use nalgebra::{IsometryMatrix3, Matrix6};
+
+use crate::cloud::patches::overlap;
+use crate::cloud::planes::{information, plane_pairs};
+use crate::cloud::spread::least_spread;
+use crate::cloud::surface::{Surface, fitness};
+use crate::result::{CloudReport, Fit, Hypothesis, Matches, Registration, Verdict};
+use crate::steps::matches::{Match, inliers};
+use crate::steps::pair::Pair;
+use crate::steps::refine::Candidate;
+use crate::tuning::tuning;
+use constraint::Constraint;
+use evidence::{Evidence, is_rival};
+use repeats::repeated_share;
+use slide::slide_margin;
+use snake_core::{Error, Result};
+use snake_geometry::RigidTransform;
+
+tuning! {
+    /// A transform is reliable from this confidence on.
+    reliable: f64 = 0.5, unit "probability", from "by the definition of the bias, a probability of about 0.95";
+    /// Number of other transforms that may be rivals of the best, at most.
+    rivals: usize = 2, unit "transforms", from "as many as `refine` refines beside the best (3738705)";
+    /// Another transform is a rival if its fit of the surfaces is above this share of the best fit.
+    rival_fit: f64 = 0.9, unit "share of the best fit", from "set by hand in c29aabe";
+    /// A rival has this share of the matches that agree with the best, each count raised by one.
+    rival_agreeing: f64 = 0.4, unit "share of the matches", from "set by hand in c29aabe";
+    /// Patches of both clouds that are closer are one.
+    patch_distance: f64 = 0.5, unit "inlier distances", from "set by hand in b0e7886";
+
+    /// A patch constrains a motion whose cosine to its normal is above this: about 75 degrees.
+    /// Normals of planar patches are better than that, those of slopes that a voxel does not show
+    /// are not.
+    min_motion_cosine: f64 = 0.25, unit "cosine", from "set by hand in b0e7886";
+    /// A direction of motion is open if patches resist at most this share of their squared motion.
+    open_direction: f64 = 5e-5, unit "share of the squared motion", from "set by hand in 40795b4; rooms and streets have 0.03 to 0.2";
+    /// Where few points lie on patches, the overlap fixes all motions if slides fit worse by this.
+    fixed_margin: f64 = 0.07, unit "overlap",
+        from "slides fit worse by up to 0.04 in corridors and tunnels whose patches noise hides (190fc07)";
+    /// A motion with a smaller rotation part is named a translation.
+    no_rotation: f64 = 0.1, unit "length of the rotation part", from "set by hand in c29aabe";
+    /// Distances by which the source slides to either side.
+    slides: [f64; 6] = [2.0, 3.0, 4.0, 6.0, 9.0, 12.0], unit "inlier distances", from "set by hand in 098e659";
+
+    /// A patch tells whether a shift is right if the cosine between its normal and the shift is
+    /// above this: a floor agrees with all shifts along it.
+    repeat_cosine: f64 = 0.5, unit "cosine", from "set by hand in b0e7886";
+    /// Number of patches that are compared for a shift, at most.
+    repeat_patches: usize = 40, unit "patches", from "set by hand in 789af6c";
+    /// Number of patches that a shift needs.
+    min_repeat_patches: usize = 7, unit "patches", from "set by hand in 8e0d76d";
+    /// Distance between the shifts from which the search starts.
+    repeat_step: f64 = 0.5, unit "inlier distances", from "set by hand in 9784128";
+    /// Patches of one face are thinned to this distance.
+    repeat_thinning: f64 = 0.5, unit "inlier distances", from "set for time in 8e0d76d";
+    /// Shifts that settle closer to each other are one.
+    repeat_settled: f64 = 0.1, unit "inlier distances", from "set for time in 8e0d76d";
+    /// A shifted patch agrees with a patch whose point is closer than this.
+    repeat_near: f64 = 0.5, unit "inlier distances", from "set by hand in 9784128";
+    /// A shifted patch agrees with a patch whose plane is closer than this.
+    repeat_tolerance: f64 = 0.12, unit "inlier distances", from "set by hand in b0e7886";
+    /// A shift is dropped early if too few of every so many patches are near other patches.
+    repeat_probe: usize = 4, unit "patches", from "set for time in 789af6c";
+    /// Number of least-squares steps by which a shift settles.
+    repeat_steps: usize = 2, unit "steps", from "set for time in 8e0d76d";
+    /// Length of the shortest shift.
+    min_repeat: f64 = 1.0, unit "inlier distances", from "set by hand in 9784128";
+    /// Length of the longest shift.
+    max_repeat: f64 = 10.0, unit "inlier distances", from "set for time in 8e0d76d";
+    /// Share of the patches that must agree with a shift; the others may have left the view.
+    min_repeat_share: f64 = 0.2, unit "share of the patches", from "set by hand in b0e7886";
+    /// Shares of the patches up to this are treated as zero.
+    min_repeat_fit: f64 = 0.3, unit "share of the patches in view", from "set by hand in 9784128";
+    /// Parts of a shift at one of which the surfaces must fit worse.
+    repeat_parts: [f64; 3] = [0.35, 0.5, 0.65], unit "share of the shift", from "set by hand in 9784128";
+    /// Surfaces fit worse part of the way if less than this share of the agreement is left.
+    repeat_valley: f64 = 0.6, unit "share of the agreement", from "set by hand in b0e7886";
+    /// Two normals are parallel if their cosine is above this.
+    repeat_parallel: f64 = 0.98, unit "cosine", from "set by hand in 9784128";
+    /// Number of normals among which the most frequent directions are searched, at most.
+    repeat_normals: usize = 50, unit "normals", from "set by hand in 9784128";
+    /// A normal lies across another if this much of it is left without the other's direction.
+    min_across: f64 = 0.5, unit "length", from "set by hand in 9784128";
+    /// The target repeats itself if more than this share of the patches agrees after a shift.
+    repeated: f64 = 0.45, unit "share of the patches in view",
+        from "set in 00e891e: of 162 made rows of pillars 3 are left by one period";
+    /// The source may belong to the other place if its fitness is above this: with less overlap, a
+    /// place with more would fit better.
+    repeated_fitness: f64 = 0.8, unit "share of the voxels", from "set by hand in 40795b4";
+
+    /// A weaker constraint is doubtful, however many matches agree.
+    doubtful_constraint: f64 = 2e-4, unit "share of the squared motion", from "set by hand in 40795b4";
+    /// Fewer matches that agree are never enough, however well the surfaces fit.
+    min_agreeing: usize = 10, unit "matches", from "set by hand in b0e7886";
+    /// Matches with a smaller spread lie on one plane or line and do not fix a transform, however
+    /// many agree.
+    min_match_spread: f64 = 0.25, unit "inlier distances", from "set by hand in 40795b4";
+    /// Share of the patches that coincide under a right transform.
+    min_coinciding: f64 = 0.8, unit "share of the patches",
+        from "right transforms of sweeps have 0.85 and more, wrong ones 0.75 and less (e823698)";
+    /// Greatest confidence of a transform that is ambiguous, has few matches or leaves the surfaces
+    /// apart.
+    max_doubtful: f64 = 0.49, unit "probability", from "just below `reliable`";
+
+    /// Bias of the logistic regression.
+    bias: f64 = -8.5, unit "log-odds",
+        from "3.2 below that of the fit by tests/bench/fit_verdict.py (00e891e), so that 0.5 is a probability of about 0.95";
+    /// Weight of the logarithm of one more than the matches that agree.
+    log_agreeing_weight: f64 = 1.88, unit "log-odds", from "tests/bench/fit_verdict.py on 785 pairs (e823698)";
+    /// Weight of the logarithm of their ratio to those of the best rival.
+    log_ratio_weight: f64 = 0.43, unit "log-odds", from "tests/bench/fit_verdict.py on 785 pairs (e823698)";
+    /// Weight of the slide margin.
+    slide_margin_weight: f64 = 22.5, unit "log-odds per overlap", from "tests/bench/fit_verdict.py on 785 pairs (e823698)";
+    /// Weight of the spread of the matches that agree.
+    match_spread_weight: f64 = 3.0, unit "log-odds per inlier distance",
+        from "tests/bench/fit_verdict.py on 785 pairs (e823698)";
+    /// Weight of the violated free space.
+    violation_weight: f64 = -302.0, unit "log-odds per share of the voxels",
+        from "tests/bench/fit_verdict.py on 785 pairs (e823698)";
+    /// Matches that agree count up to this number.
+    max_agreeing: f64 = 200.0, unit "matches", from "set by hand in 789af6c, so that no evidence outvotes the others";
+    /// The logarithm of the ratio to the best rival counts up to this.
+    max_log_ratio: f64 = 1.5, unit "logarithm", from "set by hand in b0e7886";
+    /// The slide margin counts up to this.
+    max_slide_margin: f64 = 0.1, unit "overlap", from "set by hand in b0e7886";
+    /// The spread of the matches counts up to this.
+    max_match_spread: f64 = 1.0, unit "inlier distances", from "set by hand in b0e7886";
+    /// Clouds whose diameters differ by more than this factor are probably in different units.
+    unit_ratio: f64 = 30.0, unit "ratio of diameters", from "set by hand in c29aabe";
+}
+
+/// The registration by the best of the candidates, which come best first: how well it fits, and
+/// whether it can be relied on given the others.
+///
+/// # Errors
+/// [`Error::NoTransform`] when there is no candidate.
+pub fn judge(pair: &Pair, matches: &[Match], candidates: &[Candidate]) -> Result<Registration> {
+    let Some(best) = candidates.first() else { return Err(no_transform(pair, matches.len())?) };
+    let fit = Fit::measure(pair, &best.t_target_source);
+    let counts = Matches::count(pair, matches, candidates);
+    let verdict = verdict(pair, matches, candidates, &fit, &counts)?;
+    let hypothesis = |candidate: &Candidate| Hypothesis {
+        t_target_source: candidate.t_target_source,
+        score: candidate.score(),
+        num_inliers: candidate.num_inliers,
+        free_space_violation: candidate.free_space_violation(),
+    };
+    let viewpoints = pair.viewpoints_used();
+    let report =
+        |place: usize| CloudReport { viewpoint: viewpoints[place], num_skipped: pair.clouds()[place].num_skipped };
+    Ok(Registration {
+        t_target_source: best.t_target_source,
+        verdict,
+        fit,
+        matches: counts,
+        clouds: [report(0), report(1)],
+        hypotheses: candidates.iter().map(hypothesis).collect(),
+        seconds: 0.0,
+    })
+}
+
+/// The verdict about the best candidate.
+fn verdict(pair: &Pair, matches: &[Match], candidates: &[Candidate], fit: &Fit, counts: &Matches) -> Result<Verdict> {
+    let best = &candidates[0];
+    let transform = best.t_target_source.isometry();
+    let surfaces = pair.surfaces();
+    let fine = pair.fine()?;
+    let overlap = overlap(fine, transform, TUNING.patch_distance * fit.inlier_distance);
+    let information = Matrix6::from_fn(|row, column| fit.information[row][column]);
+    let slide_margin = slide_margin(surfaces, transform, &best.agreement, &information, fit.inlier_distance);
+    let constraint = Constraint::from_overlap(&overlap, slide_margin);
+    let is_repeatable = fit.fitness > TUNING.repeated_fitness;
+    let mut rivals = candidates[1..].iter().take(TUNING.rivals);
+    let agreeing = |rival: &Candidate| inliers(matches, rival.t_target_source.isometry(), pair.criteria()).0;
+    let is_rival =
+        |rival: &Candidate| is_rival((&rival.agreement, agreeing(rival)), (&best.agreement, counts.num_agreeing));
+    let evidence = Evidence {
+        fit,
+        matches: counts,
+        violation: Surface::fine_violation(surfaces, transform),
+        slide_margin,
+        num_open: constraint.open.ncols(),
+        open_motions: open_motions::names(&constraint.open),
+        weakest_constraint: constraint.weakest,
+        repeat_fit: if is_repeatable { repeated_share(&overlap.patches, fine[1], &surfaces[1]) } else { 0.0 },
+        coinciding: overlap.coinciding(fine, pair.clouds()[0].voxels.voxel_size),
+        has_rival: rivals.any(is_rival),
+    };
+    let confidence = evidence.confidence();
+    Ok(Verdict {
+        confidence,
+        is_reliable: confidence >= TUNING.reliable,
+        is_ambiguous: evidence.is_ambiguous(),
+        notes: missing_notes(pair)
+            .chain(evidence.notes())
+            .chain(units_note(pair.diameters()))
+            .chain(outlier_notes(pair))
+            .collect(),
+        weakest_constraint: evidence.weakest_constraint,
+        slide_margin: evidence.slide_margin,
+        repeat_fit: evidence.repeat_fit,
+        free_space_violation: evidence.violation,
+    })
+}
+
+impl Fit {
+    /// Measures how well the clouds of a pair fit under a transform.
+    pub fn measure(pair: &Pair, t_target_source: &RigidTransform) -> Self {
+        let [source, target] = pair.surfaces();
+        let transform = t_target_source.isometry();
+        let information = information(plane_pairs(source.points, target, transform).iter());
+        let (fitness, rmse) = fitness(source.points, &target.grid, transform);
+        Self {
+            fitness,
+            rmse,
+            inlier_distance: pair.criteria().inlier_distance,
+            information: std::array::from_fn(|row| std::array::from_fn(|column| information[(row, column)])),
+        }
+    }
+}
+
+impl Matches {
+    /// Counts the matches that agree with the best candidate and with its rivals.
+    fn count(pair: &Pair, matches: &[Match], candidates: &[Candidate]) -> Self {
+        let best = &candidates[0];
+        let agreeing: Vec<&Match> =
+            matches.iter().filter(|matched| matched.agrees(&best.t_target_source, pair.criteria())).collect();
+        let targets: Vec<_> = agreeing.iter().map(|matched| matched.target).collect();
+        let rivals = candidates[1..].iter().take(TUNING.rivals);
+        let counts = rivals.map(|rival| inliers(matches, rival.t_target_source.isometry(), pair.criteria()).0);
+        let ends = |matched: &&Match| [matched.source, matched.target].map(|end| end.map(|v| v as f32).into());
+        Self {
+            num_matches: matches.len(),
+            num_inliers: best.num_inliers,
+            rmse: best.rmse,
+            num_agreeing: agreeing.len(),
+            num_rival_agreeing: counts.max().unwrap_or(0),
+            spread: least_spread(&targets),
+            pairs: agreeing.iter().map(ends).collect(),
+        }
+    }
+}
+
+/// Notes on missing returns, which were left out of the clouds.
+fn missing_notes(pair: &Pair) -> impl Iterator<Item = String> {
+    let named = pair.clouds().into_iter().zip(["source", "target"]);
+    named.flat_map(|(cloud, name)| cloud.missing.iter().map(move |words| format!("{name}: {words}; they are left out")))
+}
+
+/// Notes on the outliers of the clouds, which were left out.
+fn outlier_notes(pair: &Pair) -> impl Iterator<Item = String> {
+    let named = pair.clouds().into_iter().zip(["source", "target"]);
+    named.filter_map(|(cloud, name)| cloud.outliers.map(|outliers| format!("{name}: {outliers}")))
+}
+
+/// A question about the units, if the clouds' sizes differ much.
+fn units_note(diameters: [f64; 2]) -> Option<String> {
+    let ratio = diameters[0].max(diameters[1]) / diameters[0].min(diameters[1]);
+    (ratio > TUNING.unit_ratio)
+        .then(|| format!("one cloud is {ratio:.0} times as large as the other; are the units the same?"))
+}
+
+/// The error of a pair without a transform.
+fn no_transform(pair: &Pair, num_matches: usize) -> Result<Error> {
+    let [source, target] = pair.clouds().map(|cloud| cloud.voxels.voxels.points.len());
+    let [source_diameter, target_diameter] = pair.diameters();
+    let mut reason = format!(
+        "no three of the {num_matches} correspondences, of {source} and {target} voxels, fit a rigid transform; do \
+         the clouds overlap, and in the same units? their diameters are {source_diameter:.4} and {target_diameter:.4}"
+    );
+    // The voxels of clouds in different units are too large for normals. One note is enough: an
+    // error is one short line.
+    let note = units_note(pair.diameters()).map_or_else(|| open_alone(pair), |note| Ok(Some(note)))?;
+    if let Some(note) = note {
+        reason += &format!("; {note}");
+    }
+    Ok(Error::NoTransform { reason })
+}
+
+/// A note on the first of the clouds that can move along its own surface.
+fn open_alone(pair: &Pair) -> Result<Option<String>> {
+    let distance = TUNING.patch_distance * pair.criteria().inlier_distance;
+    for (fine, name) in pair.fine()?.into_iter().zip(["source", "target"]) {
+        let overlap = overlap([fine, fine], &IsometryMatrix3::identity(), distance);
+        let open = Constraint::from_patches(&overlap.patches).open;
+        if open.ncols() > 0 {
+            return Ok(Some(format!("the {name} can move along its own surface ({})", open_motions::names(&open))));
+        }
+    }
+    Ok(None)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn clouds_of_very_different_size_are_asked_about_their_units() {
+        assert!(units_note([4000.0, 4.0]).unwrap().contains("1000 times"));
+        assert_eq!(units_note([4.0, 3.0]), None);
+    }
+}

@@ -1,0 +1,93 @@
+//! Names of the motions that an overlap leaves open.
+
+use nalgebra::{Matrix3xX, Matrix6xX};
+
+use super::TUNING;
+use snake_geometry::Vector;
+
+/// The motions in words, such as "translation along (1.00, 0.00, 0.00), any rotation"; empty
+/// without any. The columns are orthonormal: a rotation about the overlap's middle, scaled to
+/// lengths by its extent, and then a translation.
+pub(super) fn names(open: &Matrix6xX<f64>) -> String {
+    if open.ncols() == 0 {
+        return String::new();
+    }
+    let rotations: Matrix3xX<f64> = open.fixed_rows::<3>(0).into_owned();
+    let combinations = (rotations.transpose() * &rotations).symmetric_eigen();
+    let (mut turns, mut slides) = (Vec::new(), Vec::new());
+    for (combination, squared) in combinations.eigenvectors.column_iter().zip(combinations.eigenvalues.iter()) {
+        let motion = open * combination;
+        let (turn, slide): (Vector, Vector) = (motion.fixed_rows::<3>(0).into(), motion.fixed_rows::<3>(3).into());
+        if *squared < TUNING.no_rotation.powi(2) {
+            slides.push(slide.normalize());
+        } else {
+            turns.push(turn.normalize());
+        }
+    }
+    let slides = name("translation", "along", "across", &slides);
+    let turns = name("rotation", "about", "about all axes across", &turns);
+    [slides, turns].into_iter().flatten().collect::<Vec<_>>().join(", ")
+}
+
+/// One direction by itself, two by the direction across both.
+fn name(what: &str, one: &str, two: &str, directions: &[Vector]) -> Option<String> {
+    match directions {
+        [] => None,
+        [direction] => Some(format!("{what} {one} {}", axis(direction))),
+        [first, second] => Some(format!("{what} {two} {}", axis(&first.cross(second).normalize()))),
+        _ => Some(format!("any {what}")),
+    }
+}
+
+/// An axis, whose sign means nothing: the largest component is positive.
+fn axis(direction: &Vector) -> String {
+    let direction = direction * direction[direction.iamax()].signum();
+    // Adding zero removes the sign of zeros.
+    let [x, y, z] = [0, 1, 2].map(|i| (100.0 * direction[i]).round() / 100.0 + 0.0);
+    format!("({x:.2}, {y:.2}, {z:.2})")
+}
+
+#[cfg(test)]
+mod tests {
+    use nalgebra::{Matrix6, Vector6};
+
+    use super::*;
+
+    /// The names for a surface of points with normals, by the motions that change no distance.
+    fn names_of_surface(points_and_normals: &[(Vector, Vector)]) -> String {
+        let row = |(point, normal): &(Vector, Vector)| {
+            let lever = point.cross(normal);
+            Vector6::new(lever.x, lever.y, lever.z, normal.x, normal.y, normal.z)
+        };
+        let sum = points_and_normals.iter().map(row).fold(Matrix6::zeros(), |sum, row| sum + row * row.transpose());
+        let eigen = sum.symmetric_eigen();
+        let open: Vec<Vector6<f64>> = (0..6)
+            .filter(|&i| eigen.eigenvalues[i] < 1e-9)
+            .map(|i| eigen.eigenvectors.column(i).into_owned())
+            .collect();
+        names(&Matrix6xX::from_columns(&open))
+    }
+
+    #[test]
+    fn planes_cylinders_and_spheres_have_their_motions() {
+        let circle = (0..12).map(|i| Vector::new(f64::from(i).cos(), f64::from(i).sin(), 0.0));
+        let directions: Vec<Vector> = circle.collect();
+        let plane: Vec<_> = directions.iter().map(|p| (*p, Vector::z())).collect();
+        assert_eq!(
+            names_of_surface(&plane),
+            "translation across (0.00, 0.00, 1.00), rotation about (0.00, 0.00, 1.00)"
+        );
+        let height = |i: usize| Vector::z() * (i % 3) as f64;
+        let cylinder: Vec<_> = directions.iter().enumerate().map(|(i, p)| (p + height(i), *p)).collect();
+        assert_eq!(
+            names_of_surface(&cylinder),
+            "translation along (0.00, 0.00, 1.00), rotation about (0.00, 0.00, 1.00)"
+        );
+        let sphere: Vec<_> = directions.iter().enumerate().map(|(i, p)| (p + height(i)).normalize()).collect();
+        assert_eq!(names_of_surface(&sphere.iter().map(|p| (*p, *p)).collect::<Vec<_>>()), "any rotation");
+        assert_eq!(names(&Matrix6xX::zeros(0)), "");
+        let corridor: Vec<_> =
+            directions.iter().flat_map(|p| [(*p, Vector::z()), (p + height(2), Vector::y())]).collect();
+        assert_eq!(names_of_surface(&corridor), "translation along (1.00, 0.00, 0.00)");
+    }
+}

@@ -1,0 +1,147 @@
+//! The two nearest rows of descriptors in both directions, by products of matrices.
+
+use nalgebra::{DMatrix, DMatrixView};
+use rayon::prelude::*;
+
+use snake_core::{Counter, Result};
+
+/// Source rows of one product.
+const ROWS_PER_TILE: usize = 64;
+/// Products that are computed in parallel.
+const TILES_PER_ROUND: usize = 32;
+
+/// The nearest row and the squared distances to it and to the second nearest.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(super) struct NearestRow {
+    pub(super) row: usize,
+    squared: f32,
+    second_squared: f32,
+}
+
+impl NearestRow {
+    /// Ratio of the two distances, 0 to 1: the smaller, the more distinctive is the match.
+    pub(super) fn ratio(&self) -> f32 {
+        if self.second_squared > 0.0 { (self.squared / self.second_squared).sqrt().min(1.0) } else { 1.0 }
+    }
+}
+
+/// The greatest two scores and the row of the greatest. The score of rows a and b is
+/// `a·b - |b|²/2`; it is greatest for the b nearest to a, because
+/// `|a - b|² = |a|² - 2 (a·b - |b|²/2)`.
+#[derive(Clone, Copy)]
+struct BestTwo {
+    row: u32,
+    best: f32,
+    second: f32,
+}
+
+impl BestTwo {
+    const NONE: Self = Self { row: 0, best: f32::NEG_INFINITY, second: f32::NEG_INFINITY };
+
+    /// Of equal scores the first counts.
+    #[inline]
+    fn insert(&mut self, row: u32, score: f32) {
+        if score > self.second {
+            if score > self.best {
+                *self = Self { row, best: score, second: self.best };
+            } else {
+                self.second = score;
+            }
+        }
+    }
+
+    fn nearest(&self, squared_norm: f32) -> NearestRow {
+        let squared = |score: f32| (squared_norm - 2.0 * score).max(0.0);
+        NearestRow { row: self.row as usize, squared: squared(self.best), second_squared: squared(self.second) }
+    }
+}
+
+/// For each row of `source` `(N, dimension)` the nearest of `target` `(M, dimension)`, and for each
+/// of `target` the nearest of `source`. Both are empty if one of the arrays is.
+pub(super) fn nearest_both(
+    source: &[f32],
+    target: &[f32],
+    dimension: usize,
+    counter: &Counter,
+) -> Result<[Vec<NearestRow>; 2]> {
+    if source.is_empty() || target.is_empty() {
+        return Ok([Vec::new(), Vec::new()]);
+    }
+    let [source_norms, target_norms] = [source, target].map(|rows| squared_norms(rows, dimension));
+    let count = target_norms.len();
+    let transposed = DMatrixView::from_slice(target, dimension, count).transpose();
+    let tile = |(tile, rows): (usize, &[f32])| {
+        counter.check()?;
+        let in_tile = rows.len() / dimension;
+        counter.add(in_tile);
+        let mut products = DMatrix::<f32>::zeros(count, in_tile);
+        products.gemm(1.0, &transposed, &DMatrixView::from_slice(rows, dimension, in_tile), 0.0);
+        let (mut row_best, mut column_best) = (vec![BestTwo::NONE; in_tile], vec![BestTwo::NONE; count]);
+        let rows = tile * ROWS_PER_TILE..;
+        for ((row, best), products) in rows.zip(&mut row_best).zip(products.as_slice().chunks_exact(count)) {
+            let half_norm = 0.5 * source_norms[row];
+            for (other, product) in products.iter().enumerate() {
+                best.insert(other as u32, product - 0.5 * target_norms[other]);
+                column_best[other].insert(row as u32, product - half_norm);
+            }
+        }
+        Ok((row_best, column_best))
+    };
+    let (mut source_best, mut target_best) = (Vec::new(), vec![BestTwo::NONE; count]);
+    let tiles: Vec<(usize, &[f32])> = source.chunks(ROWS_PER_TILE * dimension).enumerate().collect();
+    // The results of a round are held in memory; the number of threads does not matter.
+    for round in tiles.chunks(TILES_PER_ROUND) {
+        for (rows, columns) in round.par_iter().map(|&rows| tile(rows)).collect::<Result<Vec<_>>>()? {
+            source_best.extend(rows);
+            for (all, BestTwo { row, best, second }) in target_best.iter_mut().zip(columns) {
+                all.insert(row, best);
+                all.insert(row, second);
+            }
+        }
+    }
+    let nearest = |best: Vec<BestTwo>, norms: &[f32]| best.iter().zip(norms).map(|(b, &n)| b.nearest(n)).collect();
+    Ok([nearest(source_best, &source_norms), nearest(target_best, &target_norms)])
+}
+
+fn squared_norms(rows: &[f32], dimension: usize) -> Vec<f32> {
+    rows.chunks_exact(dimension).map(|row| row.iter().map(|v| v * v).sum()).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use rand::{RngExt, SeedableRng};
+    use rand_chacha::ChaCha8Rng;
+
+    use super::*;
+
+    /// The plain loop: index of the nearest row, and the two least squared distances.
+    fn plain(query: &[f32], rows: &[f32], dimension: usize) -> (usize, [f64; 2]) {
+        let square = |(a, b): (&f32, &f32)| f64::from(a - b).powi(2);
+        let distances = rows.chunks_exact(dimension).map(|row| row.iter().zip(query).map(square).sum::<f64>());
+        let mut sorted: Vec<(f64, usize)> = distances.zip(0..).collect();
+        sorted.sort_by(|a, b| a.partial_cmp(b).unwrap());
+        (sorted[0].1, [sorted[0].0, sorted.get(1).map_or(f64::INFINITY, |second| second.0)])
+    }
+
+    #[test]
+    fn rows_and_distances_are_those_of_the_plain_loop() {
+        let mut rng = ChaCha8Rng::seed_from_u64(0);
+        for (n, m, dimension) in [(1, 1, 1), (1, 5, 33), (64, 63, 33), (65, 130, 32), (2100, 3, 7)] {
+            let mut rows = |count: usize| (0..count * dimension).map(|_| rng.random::<f32>()).collect::<Vec<f32>>();
+            let (source, target) = (rows(n), rows(m));
+            let [forth, back] = nearest_both(&source, &target, dimension, &Counter::default()).unwrap();
+            assert_eq!((forth.len(), back.len()), (n, m));
+            for (nearest, queries, rows) in [(forth, &source, &target), (back, &target, &source)] {
+                for (nearest, query) in nearest.iter().zip(queries.chunks_exact(dimension)) {
+                    let (row, [squared, second]) = plain(query, rows, dimension);
+                    assert_eq!(nearest.row, row);
+                    // The difference of products loses digits of distances below 1.
+                    assert!((f64::from(nearest.squared) - squared).abs() < 1e-4);
+                    assert!(second.is_infinite() || (f64::from(nearest.second_squared) - second).abs() < 1e-4);
+                    assert!((0.0..=1.0).contains(&nearest.ratio()));
+                }
+            }
+        }
+        assert_eq!(nearest_both(&[], &[1.0], 1, &Counter::default()).unwrap(), [vec![], vec![]]);
+    }
+}

@@ -1,0 +1,188 @@
+//! A cloud with everything that pairs need of it.
+
+use std::borrow::Cow;
+use std::sync::OnceLock;
+
+use rayon::prelude::*;
+
+use super::lengths::Lengths;
+use super::sentinels::without_sentinels;
+use super::viewpoint::viewpoint;
+use super::voxel_cloud::VoxelCloud;
+use super::{name_cloud, voxel_size};
+use crate::cloud::normals::Orientation;
+use crate::cloud::patches::FineCloud;
+use crate::cloud::surface::Surface;
+use crate::cloud::voxels::downsample;
+use crate::options::{Descriptor, RegisterOptions};
+use crate::result::ViewpointUsed;
+use snake_core::{Control, Model, Result};
+use snake_geometry::{
+    FinitePoints, Neighbors, Normalization, NormalizationMethod, Outliers, Point, Vector, check_points,
+};
+
+/// A cloud with its voxels, normals, sensor and keypoints. Descriptors and planar patches are
+/// computed when they are first needed, and kept.
+pub struct PreparedCloud {
+    pub(crate) voxels: VoxelCloud,
+    pub(crate) lengths: Lengths,
+    pub(crate) diameter: f64,
+    /// Number of points that are not finite or stand for missing returns.
+    pub(crate) num_skipped: usize,
+    pub(crate) outliers: Option<Outliers>,
+    /// The missing returns that were left out, in words.
+    pub(crate) missing: Vec<String>,
+    /// The sensor's position, if it is known.
+    pub(crate) viewpoint: Option<(Vector, ViewpointUsed)>,
+    /// Keypoints, each with the index of the nearest voxel.
+    pub(crate) keypoints: Vec<(Point, usize)>,
+    pub(crate) descriptor: Descriptor,
+    /// Descriptors of the keypoints: of normals without a sign, and with one.
+    pub(crate) rows: [OnceLock<Vec<f32>>; 2],
+    fine: OnceLock<FineCloud>,
+}
+
+impl PreparedCloud {
+    /// Prepares one cloud `(N, 3)` with the lengths of others, such as those of a map that is kept.
+    /// `viewpoint` is the sensor's position in the cloud's frame, if it is known. Clouds that are
+    /// registered with each other need different seeds in their options if their keypoints are
+    /// random.
+    ///
+    /// # Errors
+    /// The errors of [`prepare`](crate::steps::prepare()).
+    pub fn new(
+        points: &[Point],
+        viewpoint: Option<[f64; 3]>,
+        lengths: &Lengths,
+        model: Option<&Model>,
+        options: &RegisterOptions,
+        control: &Control,
+    ) -> Result<Self> {
+        let model = options.model_to_run(model)?;
+        lengths.check()?;
+        let prepare = || {
+            let mut used = UsedPoints::new_all(&[points], |_| viewpoint).map_err(|(_, error)| error)?;
+            let used = used.remove(0);
+            let voxels = downsample(&used.points, lengths.voxel_size, control)?;
+            used.prepare(voxels, used.diameter()?, viewpoint, lengths, model, options, control)
+        };
+        prepare().map_err(|error| name_cloud(error, 0, &["points"]))
+    }
+
+    /// The same cloud with other keypoints `(K, 3)` in its frame. A match takes the normal of the
+    /// voxel nearest to a keypoint.
+    ///
+    /// # Errors
+    /// [`Error::Input`](snake_core::Error::Input) when there are no keypoints or one is not finite.
+    pub fn with_keypoints(mut self, keypoints: &[Point]) -> Result<Self> {
+        check_points("keypoints", keypoints)?;
+        self.keypoints = keypoints.iter().map(|&point| (point, self.voxels.nearest_voxel(point))).collect();
+        self.rows = Default::default();
+        Ok(self)
+    }
+
+    /// The keypoints `(K, 3)` in the cloud's frame. Row i of the descriptors is that of keypoint i.
+    pub fn keypoints(&self) -> Vec<Point> {
+        self.keypoints.iter().map(|(point, _)| *point).collect()
+    }
+
+    /// The lengths with which the cloud was prepared.
+    pub fn lengths(&self) -> &Lengths {
+        &self.lengths
+    }
+
+    /// The downsampled cloud.
+    pub fn voxels(&self) -> &VoxelCloud {
+        &self.voxels
+    }
+
+    /// The voxel size for a pair of clouds of this size.
+    pub(crate) fn default_voxel_size(&self) -> f64 {
+        voxel_size(self.diameter)
+    }
+
+    /// The voxels, for pairs closer than `distance`; `signed` normals point to the sensor.
+    pub(crate) fn surface(&self, signed: bool, distance: f64) -> Surface<'_> {
+        let viewpoint = self.viewpoint.filter(|_| signed).map(|(viewpoint, _)| viewpoint);
+        Surface::new(&self.voxels.voxels.points, &self.voxels.normals, viewpoint, distance)
+    }
+
+    /// The points in fine voxels.
+    pub(crate) fn fine(&self) -> Result<&FineCloud> {
+        if let Some(fine) = self.fine.get() {
+            return Ok(fine);
+        }
+        let VoxelCloud { points, voxel_size, voxels, .. } = &self.voxels;
+        let fine = FineCloud::new(points, *voxel_size, voxels.points.len())?;
+        Ok(self.fine.get_or_init(|| fine))
+    }
+}
+
+/// The points of a cloud that count: finite, without missing returns.
+pub(super) struct UsedPoints<'a> {
+    pub(super) points: Cow<'a, [Point]>,
+    num_skipped: usize,
+    outliers: Option<Outliers>,
+    missing: Vec<String>,
+}
+
+impl<'a> UsedPoints<'a> {
+    /// The points of all clouds; an error comes with the index of its cloud.
+    pub(super) fn new_all(
+        clouds: &[&'a [Point]],
+        viewpoint: impl Fn(usize) -> Option<[f64; 3]> + Sync,
+    ) -> std::result::Result<Vec<Self>, (usize, snake_core::Error)> {
+        let finite = |(index, points)| FinitePoints::of("points", points).map_err(|error| (index, error.into()));
+        let finite: Vec<FinitePoints> =
+            clouds.iter().copied().enumerate().map(finite).collect::<std::result::Result<_, _>>()?;
+        let used = finite.into_par_iter().enumerate().map(|(index, finite)| {
+            let outliers = finite.outliers();
+            let (points, missing) = without_sentinels(finite.points, viewpoint(index).unwrap_or_default());
+            Self { num_skipped: clouds[index].len() - points.len(), points, outliers, missing }
+        });
+        Ok(used.collect())
+    }
+
+    /// Twice the largest distance from the mean.
+    pub(super) fn diameter(&self) -> Result<f64> {
+        diameter(&self.points)
+    }
+
+    /// The prepared cloud of these points and their voxels.
+    #[expect(clippy::too_many_arguments, reason = "what one cloud has, and what all have")]
+    pub(super) fn prepare(
+        &self,
+        voxels: Neighbors,
+        diameter: f64,
+        given: Option<[f64; 3]>,
+        lengths: &Lengths,
+        model: Option<&Model>,
+        options: &RegisterOptions,
+        control: &Control,
+    ) -> Result<PreparedCloud> {
+        let viewpoint = viewpoint(&voxels.points, given, options, lengths.inlier_distance);
+        let orientation = viewpoint.map_or(Orientation::Unsigned, |(at, _)| Orientation::Viewpoint(at));
+        let mut voxels = VoxelCloud::from_voxels(&self.points, voxels, lengths, orientation, control)?;
+        if let Some(model) = model {
+            voxels = voxels.with_model(model, VoxelCloud::default_options(model, lengths.voxel_size));
+        }
+        Ok(PreparedCloud {
+            keypoints: voxels.anchored_keypoints(options, control)?,
+            voxels,
+            lengths: *lengths,
+            diameter,
+            num_skipped: self.num_skipped,
+            outliers: self.outliers,
+            missing: self.missing.clone(),
+            viewpoint,
+            descriptor: options.descriptor,
+            rows: Default::default(),
+            fine: OnceLock::new(),
+        })
+    }
+}
+
+/// Twice the largest distance from the mean.
+pub(crate) fn diameter(points: &[Point]) -> Result<f64> {
+    Ok(Normalization::of(points, NormalizationMethod::UnitSphere)?.scale.into())
+}

@@ -1,0 +1,129 @@
+//! The lengths of a registration: those that are given, and those that follow from the clouds.
+
+use std::borrow::Cow;
+
+use rayon::prelude::*;
+
+use crate::cloud::normals::check_radius;
+use crate::options::RegisterOptions;
+use crate::steps::prepare::{TUNING, voxel_size as default_voxel_size};
+use snake_core::Result;
+use snake_geometry::{Length, Neighbors, Point, resolution};
+
+/// The lengths with which clouds are prepared, in cloud units. Clouds that are registered with each
+/// other share them.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Lengths {
+    /// Side of the voxels.
+    pub voxel_size: f64,
+    /// Radius of the neighbourhood of a normal.
+    pub normal_radius: f64,
+    /// Radius of the neighbourhood of FPFH.
+    pub feature_radius: f64,
+    /// Distance within which a match agrees with a transform, and voxels overlap.
+    pub inlier_distance: f64,
+}
+
+impl Lengths {
+    /// The default lengths of clouds whose neighbouring voxels are about `spacing` apart.
+    pub fn from_spacing(voxel_size: f64, spacing: f64) -> Self {
+        Self {
+            voxel_size,
+            normal_radius: TUNING.normal_spacings * spacing,
+            feature_radius: TUNING.feature_spacings * spacing,
+            inlier_distance: TUNING.inlier_spacings * spacing,
+        }
+    }
+
+    /// Refuses lengths that are not positive.
+    pub(super) fn check(&self) -> Result<()> {
+        check_radius("voxel_size", self.voxel_size)?;
+        check_radius("normal_radius", self.normal_radius)?;
+        check_radius("feature_radius", self.feature_radius)?;
+        check_radius("inlier_distance", self.inlier_distance)
+    }
+}
+
+/// The lengths that options set, in cloud units.
+pub(super) struct GivenLengths {
+    voxel_size: Option<f64>,
+    normal_radius: Option<f64>,
+    feature_radius: Option<f64>,
+    inlier_distance: Option<f64>,
+}
+
+impl GivenLengths {
+    /// Resolves the lengths of the options; multiples of a resolution refer to the coarser cloud.
+    pub(super) fn new(options: &RegisterOptions, clouds: &[Cow<[Point]>]) -> Result<Self> {
+        let given = [options.voxel_size, options.normal_radius, options.feature_radius, options.inlier_distance];
+        let is_multiple = |length: &Option<Length>| matches!(length, Some(Length::Resolutions(_)));
+        let coarser = if given.iter().any(is_multiple) {
+            let resolutions = clouds.iter().map(|points| resolution("points", points));
+            upper_median(&resolutions.collect::<std::result::Result<Vec<f64>, _>>()?)
+        } else {
+            0.0
+        };
+        let resolve = |name, length: Option<Length>| -> Result<Option<f64>> {
+            Ok(length.map(|length| length.resolve(name, || coarser)).transpose()?)
+        };
+        Ok(Self {
+            voxel_size: resolve("voxel_size", options.voxel_size)?,
+            normal_radius: resolve("normal_radius", options.normal_radius)?,
+            feature_radius: resolve("feature_radius", options.feature_radius)?,
+            inlier_distance: resolve("inlier_distance", options.inlier_distance)?,
+        })
+    }
+
+    /// Downsamples clouds with the voxel size that is given or suits the smaller cloud, and
+    /// completes the lengths by the spacing of the voxels. `downsample` makes the voxels of all
+    /// clouds.
+    pub(super) fn downsample(
+        &self,
+        diameters: &[f64],
+        downsample: impl Fn(f64) -> Result<Vec<Neighbors>>,
+    ) -> Result<(Vec<Neighbors>, Lengths)> {
+        let mut voxel_size = self.voxel_size.unwrap_or(default_voxel_size(lower_median(diameters)));
+        let mut voxels = downsample(voxel_size)?;
+        let mut spacing = spacing(&voxels, voxel_size);
+        // The radii follow from the spacing: in a cloud that is much denser, they would hold
+        // thousands of voxels.
+        if spacing > TUNING.max_spacing * voxel_size {
+            voxel_size = spacing / 2.0;
+            voxels = downsample(voxel_size)?;
+            spacing = self::spacing(&voxels, voxel_size);
+        }
+        let default = Lengths::from_spacing(voxel_size, spacing);
+        let lengths = Lengths {
+            voxel_size,
+            normal_radius: self.normal_radius.unwrap_or(default.normal_radius),
+            feature_radius: self.feature_radius.unwrap_or(default.feature_radius),
+            inlier_distance: self.inlier_distance.unwrap_or(default.inlier_distance),
+        };
+        Ok((voxels, lengths))
+    }
+}
+
+/// The distance between neighbouring voxels. In a sparse cloud most voxels hold one point, and it
+/// exceeds the voxel size.
+fn spacing(voxels: &[Neighbors], voxel_size: f64) -> f64 {
+    let resolutions: Vec<f64> = voxels.par_iter().map(Neighbors::resolution).collect();
+    voxel_size.max(upper_median(&resolutions))
+}
+
+/// The median of at least one number; of an even count the lower of the middle two, as of two
+/// clouds the smaller.
+fn lower_median(values: &[f64]) -> f64 {
+    sorted(values)[(values.len() - 1) / 2]
+}
+
+/// The median of at least one number; of an even count the upper of the middle two, as of two
+/// clouds the coarser.
+fn upper_median(values: &[f64]) -> f64 {
+    sorted(values)[values.len() / 2]
+}
+
+fn sorted(values: &[f64]) -> Vec<f64> {
+    let mut sorted = values.to_vec();
+    sorted.sort_by(f64::total_cmp);
+    sorted
+}

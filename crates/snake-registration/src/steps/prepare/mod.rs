@@ -1,0 +1,133 @@
+//! Step 1: clouds are downsampled and measured once, for all pairs that they are part of.
+
+mod cloud;
+mod keypoints;
+mod lengths;
+mod sentinels;
+mod viewpoint;
+mod voxel_cloud;
+
+use std::borrow::Cow;
+
+use rayon::prelude::*;
+
+pub use cloud::PreparedCloud;
+pub(crate) use cloud::diameter;
+pub use lengths::Lengths;
+pub use voxel_cloud::VoxelCloud;
+
+use crate::cloud::voxels::downsample;
+use crate::options::RegisterOptions;
+use crate::tuning::tuning;
+use cloud::UsedPoints;
+use lengths::GivenLengths;
+use snake_core::{Control, Error, Model, Result};
+use snake_geometry::{Neighbors, Point};
+
+tuning! {
+    /// Number of voxels along the diameter of the smaller cloud, unless the voxel size is given.
+    voxels_per_diameter: f64 = 80.0, unit "voxels", from "set by hand in 5d56655";
+    /// Voxels are made larger for clouds whose neighbouring voxels are farther apart than this.
+    max_spacing: f64 = 6.0, unit "voxels", from "set by hand in b0e7886, for the time of sparse clouds beside dense ones";
+    /// Radius of the neighbourhood of a normal, unless it is given.
+    normal_spacings: f64 = 2.0, unit "spacings of the voxels", from "set by hand in 5d56655";
+    /// Radius of the neighbourhood of FPFH, unless it is given.
+    feature_spacings: f64 = 5.0, unit "spacings of the voxels", from "set by hand in 3738705";
+    /// Inlier distance, unless it is given.
+    inlier_spacings: f64 = 1.5, unit "spacings of the voxels", from "set by hand in 5d56655";
+    /// The frame's origin is taken for the sensor's position if this share of the cloud is visible
+    /// from there.
+    min_visible: f64 = 0.65, unit "share of the voxels",
+        from "scans have 0.7 and more even if the sensor moved, whole objects about half (3738705)";
+    /// Missing returns are at least this many points of a cloud.
+    min_missing_points: usize = 50, unit "points", from "set by hand in b0e7886";
+    /// Missing returns are at least this share of a cloud.
+    min_missing_share: f64 = 0.01, unit "share of the points", from "set by hand in b0e7886";
+    /// Distances and depths that differ by less are equal. No surface is so exactly a sphere around
+    /// the sensor, and text files round.
+    missing_tolerance: f64 = 1e-4, unit "share of the distance", from "set by hand in b0e7886";
+    /// Points at one distance are missing returns if their smallest spread is above this: they
+    /// surround the sensor, where a beam on a level floor draws a circle.
+    min_missing_spread: f64 = 1e-3, unit "share of the distance", from "set by hand in b0e7886";
+    /// A plane of missing returns is farther than this from the sensor.
+    min_missing_depth: f64 = 1.5, unit "distances of the farthest other point", from "set by hand in b0e7886";
+    /// A cloud of which less would be left keeps its points: a ball around the origin is a ball.
+    min_left: f64 = 0.05, unit "share of the points", from "set by hand in b0e7886";
+    /// Number of kinds of missing returns in one cloud, at most.
+    max_missing_kinds: usize = 4, unit "kinds", from "set by hand in b0e7886";
+}
+
+/// The default voxel size of a cloud of this diameter.
+pub(crate) fn voxel_size(diameter: f64) -> f64 {
+    diameter / TUNING.voxels_per_diameter
+}
+
+/// Clouds that are prepared with the same lengths.
+pub struct PreparedClouds {
+    /// The clouds, in the given order.
+    pub clouds: Vec<PreparedCloud>,
+    /// The lengths that all of them have.
+    pub lengths: Lengths,
+}
+
+/// Prepares clouds `(N, 3)` that will be registered with each other: voxels, normals and keypoints,
+/// with lengths that follow from the options and all of the clouds. `viewpoints` has the sensor's
+/// position in the frame of each cloud, where it is known. [`PreparedCloud::new`] prepares one
+/// cloud with the lengths of others, such as a scan that is registered to a map.
+///
+/// # Errors
+/// [`Error::Input`] for a cloud without finite points or without extent, by its index;
+/// [`Error::Option`] when a length is not positive or the detector or the descriptor runs a model
+/// and there is none; [`Error::Cancelled`] and [`Error::DeadlineExceeded`].
+pub fn prepare(
+    clouds: &[&[Point]],
+    viewpoints: &[Option<[f64; 3]>],
+    model: Option<&Model>,
+    options: &RegisterOptions,
+    control: &Control,
+) -> Result<PreparedClouds> {
+    prepare_named(clouds, &[], viewpoints, model, options, control)
+}
+
+/// [`prepare`], whose errors name a cloud by `names`, or by its index where it has none.
+pub(crate) fn prepare_named(
+    clouds: &[&[Point]],
+    names: &[&'static str],
+    viewpoints: &[Option<[f64; 3]>],
+    model: Option<&Model>,
+    options: &RegisterOptions,
+    control: &Control,
+) -> Result<PreparedClouds> {
+    let model = options.model_to_run(model)?;
+    let viewpoint = |index: usize| viewpoints.get(index).copied().flatten();
+    let named = |index: usize| move |error| name_cloud(error, index, names);
+    let used = UsedPoints::new_all(clouds, viewpoint).map_err(|(index, error)| named(index)(error))?;
+    let points: Vec<Cow<[Point]>> = used.iter().map(|used| Cow::Borrowed(&used.points[..])).collect();
+    let given = GivenLengths::new(options, &points)?;
+    let each = || used.par_iter().enumerate();
+    let diameters = each().map(|(index, used)| used.diameter().map_err(named(index)));
+    let diameters: Vec<f64> = diameters.collect::<Result<_>>()?;
+    let (voxels, lengths) = given.downsample(&diameters, |voxel_size| {
+        each().map(|(index, used)| downsample(&used.points, voxel_size, control).map_err(named(index))).collect()
+    })?;
+    let prepare = |(index, (used, voxels)): (usize, (&UsedPoints, Neighbors))| {
+        // The clouds get different random keypoints. With one seed, equal clouds would have a
+        // partner for every keypoint.
+        let options = options.with_seed(options.seed.wrapping_add(index as u64));
+        used.prepare(voxels, diameters[index], viewpoint(index), &lengths, model, &options, control)
+            .map_err(named(index))
+    };
+    let clouds = used.par_iter().zip(voxels).enumerate().map(prepare).collect::<Result<_>>()?;
+    Ok(PreparedClouds { clouds, lengths })
+}
+
+/// An error in a cloud says which cloud.
+fn name_cloud(error: Error, index: usize, names: &[&'static str]) -> Error {
+    match (error, names.get(index)) {
+        (Error::Input { reason, .. }, Some(name)) => Error::Input { what: name, reason },
+        (Error::Input { reason, .. }, None) => {
+            Error::Input { what: "clouds", reason: format!("cloud {index} (from 0): {reason}") }
+        }
+        (other, _) => other,
+    }
+}

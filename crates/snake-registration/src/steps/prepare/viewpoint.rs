@@ -1,0 +1,24 @@
+//! The sensor's position.
+
+use super::TUNING;
+use crate::cloud::depth_image::{COARSE, DepthImage};
+use crate::options::RegisterOptions;
+use crate::result::ViewpointUsed;
+use snake_geometry::Vector;
+
+/// The viewpoint of a cloud and its origin; `None` if it is not known.
+pub(super) fn viewpoint(
+    voxels: &[Vector],
+    given: Option<[f64; 3]>,
+    options: &RegisterOptions,
+    inlier_distance: f64,
+) -> Option<(Vector, ViewpointUsed)> {
+    if !options.use_viewpoints {
+        return None;
+    }
+    if let Some(given) = given {
+        return Some((given.into(), ViewpointUsed::Given));
+    }
+    let image = DepthImage::new(voxels, Vector::zeros(), inlier_distance, COARSE);
+    (image.visible_share(voxels) >= TUNING.min_visible).then_some((Vector::zeros(), ViewpointUsed::Origin))
+}

@@ -1,0 +1,43 @@
+//! The last refinement, on the planar patches of clouds that are much finer than their voxels.
+
+use nalgebra::IsometryMatrix3;
+
+use super::TUNING;
+use super::icp::iterate;
+use crate::cloud::patches::{FineCloud, overlap};
+use crate::cloud::planes::PlanePair;
+use snake_core::{Counter, Result};
+use snake_geometry::Vector;
+
+/// Refines a transform on the planar patches of both clouds; clouds that are hardly finer than
+/// their voxels keep it.
+pub(super) fn refine_on_patches(
+    clouds: [&FineCloud; 2],
+    rough: IsometryMatrix3<f64>,
+    gravity: Option<Vector>,
+    counter: &Counter,
+) -> Result<IsometryMatrix3<f64>> {
+    if !clouds.iter().all(|cloud| cloud.is_finer) {
+        return Ok(rough);
+    }
+    let mut transform = rough;
+    for (factor, steps) in TUNING.patch_rounds {
+        let distance = factor * clouds[0].side.max(clouds[1].side);
+        let pairs = |transform: &IsometryMatrix3<f64>| without_far(overlap(clouds, transform, distance).patches);
+        transform = iterate(pairs, transform, gravity, (steps, distance), counter)?;
+    }
+    Ok(transform)
+}
+
+/// The pairs whose planes are not much farther than the median; none if there are too few pairs.
+fn without_far(mut pairs: Vec<PlanePair>) -> Vec<PlanePair> {
+    if pairs.len() < TUNING.min_patch_pairs {
+        return Vec::new();
+    }
+    let mut distances: Vec<f64> = pairs.iter().map(|pair| pair.distance.abs()).collect();
+    let middle = distances.len() / 2;
+    let (_, median, _) = distances.select_nth_unstable_by(middle, f64::total_cmp);
+    let limit = TUNING.max_medians * *median;
+    pairs.retain(|pair| pair.distance.abs() <= limit);
+    pairs
+}
