@@ -196,14 +196,14 @@ def test_clouds_that_cannot_be_used_are_refused(name):
     [
         ("iss", "salient_radius", 0, "^option `salient_radius` is 0: allowed is a positive length"),
         ("iss", "non_max_radius", "-4r", "^option `non_max_radius` is -4r: allowed is a positive length"),
-        ("iss", "salient_radius", "wide", "^option `length` is wide: allowed is a number of cloud units"),
-        ("iss", "gamma_21", float("nan"), "^option `gamma_21` is NaN: allowed is above 0"),
-        ("iss", "covariance", "pcl", "^option `covariance` is pcl: allowed is about-mean or about-point"),
+        ("iss", "salient_radius", "wide", "^option `salient_radius` is wide: .*expected a number of cloud units"),
+        ("iss", "gamma_21", float("nan"), "^option `gamma_21` is nan: expected finite numbers"),
+        ("iss", "covariance", "pcl", "^option `covariance` is pcl: .*expected `about-mean` or `about-point`"),
         ("iss", "protocol", "best", "^option `protocol` is best: allowed is ranked or paper"),
         ("iss", "protocol", "paper", "^option `count` is None: protocol paper needs a number"),
         ("harris3d", "radius", float("inf"), "^option `radius` is inf"),
         ("sift3d", "octaves", 0, "^option `octaves` is 0: allowed is 1 to 64"),
-        ("sift3d", "field", "z", "^option `field` is z: allowed is curvature or y"),
+        ("sift3d", "field", "z", "^option `field` is z: .*expected `curvature` or `y`"),
         ("sift3d", "curvature_radius", -1.0, "^option `curvature_radius` is -1: allowed is a positive length"),
     ],
 )

@@ -349,14 +349,18 @@ class Recipe:
             self.log(f"{stage.name}: {seconds} s")
 
     def unneeded(self):
-        """The names of the stages that no stage reads any more: those that do have begun."""
-        used = {name for stage in self.stages.values() if not self.has_begun(stage.name) for name in stage.uses()}
-        read = {name for stage in self.stages.values() for name in stage.uses()}
-        return read - used
+        """The names of the stages whose results no stage reads any more, on another machine either, where only training moves."""
+        names = set()
+        for name in reversed(self.stages):
+            readers = [stage for stage in self.stages.values() if name in stage.uses()]
+            if readers and all(stage.name in names or self.has_read(stage, name) for stage in readers):
+                names.add(name)
+        return names
 
-    def has_begun(self, name):
-        """Whether a stage is done, or has weights to go on from."""
-        return any((self.run_dir / name / file).exists() for file in ("done.json", "last.pt", Moved.NAME))
+    def has_read(self, stage, name):
+        """Whether a training stage needs another one no more: it is done, or has weights of its own and that was its start."""
+        has = [(self.run_dir / stage.name / file).exists() for file in ("done.json", "last.pt", Moved.NAME)]
+        return isinstance(stage, ObjectStage | SceneStage) and (has[0] or (stage.init == name and any(has)))
 
     def in_time(self, name):
         """The minutes that are left, 0 if there is no limit; a TimeSpent if none is."""

@@ -172,6 +172,8 @@ def test_a_list_gives_the_shapes_in_its_order(tmp_path):
     assert [path.stem for path in shapes.files] == ["0abc", "2abc"]
     assert np.allclose(shapes[1], shape(2), atol=1e-5)
     assert len(open_shapes(data)) == 3  # without a list, all
+    split.write_text("\ufeff" + split.read_text(), encoding="utf-8")  # as editors of Windows write it
+    assert open_shapes(data, split).files == shapes.files
 
 
 def test_arrays_of_evaluation_are_no_shapes(tmp_path):

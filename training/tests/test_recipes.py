@@ -107,11 +107,19 @@ def test_minutes_end_a_recipe_and_what_it_reached_goes_on_elsewhere(tmp_path, ca
     assert "the minutes are over within surface" in capsys.readouterr().out
     files = sorted(path for path in (pieces / "compact").iterdir() if path.name != moving.LIST)
     assert len(files) > 3 and all(path.stat().st_size <= 100_000 for path in files)
+    # What was taken up and not gone on with is packed again.
+    recipe = Recipe(RECIPES / "compact.toml", tmp_path / "between/compact", smoke=True)
+    moving.unpack(pieces / "compact", recipe.run_dir)
+    moving.pack(recipe.run_dir, tmp_path / "again", recipe.unneeded())
+    assert {path.name for path in (tmp_path / "again").iterdir()} >= {path.name for path in files}
     main([*words, "--run-dir", str(there), "--unpack", str(pieces), "--pack", str(pieces)])
     state = torch.load(there / "compact/surface/last.pt", weights_only=True)
     assert (state["step"], state["began"]) == (2, 1)
     assert load_network(there / "compact/compact.safetensors")
-    # What is done moves too: nothing is trained again.
+    # What is done moves too: nothing is trained again. Of a start of a network that has begun, that it is done.
+    moved = json.loads((pieces / "compact" / moving.LIST).read_text())
+    assert "field/done.json" in moved and "field/weights.safetensors" not in moved
+    assert "student/weights.safetensors" in moved
     main([*words, "--run-dir", str(tmp_path / "third"), "--unpack", str(pieces)])
     assert not list((tmp_path / "third").rglob("last.pt"))
     files = sorted(path for path in (pieces / "compact").iterdir() if path.name != moving.LIST)

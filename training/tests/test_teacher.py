@@ -217,7 +217,7 @@ def test_losses_vanish_for_a_network_that_is_its_own_target(file, network):
 def test_a_run_learns_the_targets(file, tiny, tmp_path, network):
     weights = tmp_path / "teacher.safetensors"
     write_weights(weights, network.config, network.state_dict())
-    config = tiny(targets=(str(file),), init=str(weights), fresh_saliency=True, steps=30, learning_rate=1e-2, batch=4)
+    config = tiny(targets=(str(file),), init=str(weights), fresh_saliency=True, steps=60, learning_rate=1e-2, batch=4)
     train(config, "cpu")
     batch = make_batch(Targets(file), dataclasses.replace(config, seed=9), 0, 8)
     after = judged(load_network(config.run_dir), batch)[0]["distillation"].item()

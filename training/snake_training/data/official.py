@@ -27,7 +27,7 @@ def clouds_below(folder):
 
 def clouds_of_split(folder, split):
     """The files of the shapes that a list names, one a line, in its order."""
-    names = [line.strip() for line in Path(split).read_text().splitlines() if line.strip()]
+    names = [line.strip() for line in Path(split).read_text(encoding="utf-8-sig").splitlines() if line.strip()]
     if not names:
         raise ValueError(f"{split}: an empty list")
     roots = [root for root in (Path(folder), Path(folder) / "pcds") if root.is_dir()]
