@@ -1,7 +1,9 @@
-"""The weights by which a cloud is taken for a scene or for an object (`models/builtin.rs` in snake-core has them, `models/signs.rs` their meaning).
+"""The weights by which a cloud is taken for a scene or for an object (`choose/rule.rs` in snake-core has them, `cloud/scene_signs.rs` the
+signs that they weigh).
 
-`python -m snake_training.cloud_kind --objects CORPUS/objects/train --scenes CORPUS/scenes/train` fits them to made clouds of
-scenes and those of the corpus, and prints them, with the shares of clouds that they take for scenes.
+`python -m snake_training.cloud_kind --objects CORPUS/objects/train --scenes CORPUS/scenes/train --leave-out SCENE` fits them to made
+clouds of scenes and those of the corpus, parts of rooms included, and prints them, with the shares of clouds that they take for scenes,
+also of the scenes that are left out.
 """
 
 import argparse
@@ -14,7 +16,7 @@ from snake_rs._core import scene_signs
 
 from .data.kinds import scene_cloud
 
-MARGIN = 1.0  # an object is more often taken for a scene than a scene for an object where the score is near 0
+KEPT = 0.99  # share of the scenes of the corpus that are taken for scenes: a scene taken for an object costs far more than the reverse
 
 
 def signs(clouds):
@@ -40,34 +42,52 @@ def torus(rng, number=4000):
     return np.column_stack([out * np.cos(one), out * np.sin(one), rng.uniform(0.1, 0.6) * np.sin(other)])
 
 
-def fragments(folder):
-    """The clouds of a folder of scenes."""
-    for row in json.loads((folder / "index.json").read_text()):
-        yield np.load(folder / f"{row['name']}.npy")
+def fragments(folder, left_out, rng):
+    """The clouds of a folder of scenes and 0.4 of every other one, cut by a plane: by whether they are left out."""
+    clouds = {False: [], True: []}
+    for index, row in enumerate(json.loads((folder / "index.json").read_text())):
+        cloud = np.load(folder / f"{row['name']}.npy")
+        kept = clouds[row["scene"] in left_out]
+        kept.append(cloud)
+        if index % 2:
+            depth = cloud @ rng.normal(size=3)
+            kept.append(cloud[depth < np.quantile(depth, 0.4)])
+    return clouds
 
 
-def fit(groups, penalty=1e-3):
-    """The weights (8 and one) of the log-odds that a cloud is a scene, each class as important as the other."""
-    rows = np.concatenate([rows for rows, _ in groups])
+def columns(rows):
+    """What is weighed: the signs (N, 8) and their squares, (N, 16)."""
+    return np.column_stack([rows, rows**2])
+
+
+def fit(groups, penalty=1e-2):
+    """The weights (16 and one) of the log-odds that a cloud is a scene, each class as important as the other."""
+    rows = columns(np.concatenate([rows for rows, _ in groups]))
     truth = np.concatenate([np.full(len(rows), is_scene) for rows, is_scene in groups])
     mean, deviation = rows.mean(0), rows.std(0)
-    columns = np.column_stack([(rows - mean) / deviation, np.ones(len(rows))])
+    scaled = np.column_stack([(rows - mean) / deviation, np.ones(len(rows))])
     importance = np.where(truth, 0.5 / truth.mean(), 0.5 / (1 - truth.mean()))
     pull = penalty * len(rows) * np.r_[np.ones(rows.shape[1]), 0]
-    weights = np.zeros(columns.shape[1])
+    weights = np.zeros(scaled.shape[1])
     for _ in range(30):
-        chance = 1 / (1 + np.exp(-columns @ weights))
-        slope = columns.T @ (importance * (chance - truth)) + pull * weights
-        curve = (columns * (importance * chance * (1 - chance))[:, None]).T @ columns + np.diag(pull)
+        chance = 1 / (1 + np.exp(-scaled @ weights))
+        slope = scaled.T @ (importance * (chance - truth)) + pull * weights
+        curve = (scaled * (importance * chance * (1 - chance))[:, None]).T @ scaled + np.diag(pull)
         weights -= np.linalg.solve(curve, slope)
-    scaled = weights[:-1] / deviation
-    return np.r_[scaled, weights[-1] - scaled @ mean - MARGIN]
+    unscaled = weights[:-1] / deviation
+    return np.r_[unscaled, weights[-1] - unscaled @ mean]
+
+
+def score(rows, weights):
+    """Above 0 a cloud is a scene: (N,) of signs (N, 8)."""
+    return columns(rows) @ weights[:-1] + weights[-1]
 
 
 def main(argv=None):
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--objects", type=Path, required=True)
     parser.add_argument("--scenes", type=Path, nargs="*", default=[], help="folders with index.json")
+    parser.add_argument("--leave-out", nargs="*", default=[], metavar="SCENE", help="scenes to judge the weights by")
     parser.add_argument("--made", type=int, default=200, help="made scenes")
     parser.add_argument("--step", type=int, default=2, help="take every so many of the objects")
     parser.add_argument("--seed", type=int, default=1)
@@ -81,12 +101,18 @@ def main(argv=None):
     rounded = [torus(rng) for _ in range(arguments.made // 4)]
     groups["rings"] = (signs(rounded), False)
     groups |= {kind: (signs(clouds), True) for kind, clouds in sorted(made.items())}
-    groups |= {str(folder): (signs(fragments(folder)), True) for folder in arguments.scenes}
+    judging = {}
+    for folder in arguments.scenes:
+        clouds = fragments(folder, arguments.leave_out, rng)
+        groups[str(folder)] = (signs(clouds[False]), True)
+        judging |= {f"{folder}, left out": (signs(clouds[True]), True)} if clouds[True] else {}
     weights = fit(list(groups.values()))
+    scenes = [rows for name, (rows, _) in groups.items() if name in map(str, arguments.scenes)]
+    scores = score(np.concatenate(scenes or [rows for rows, is_scene in groups.values() if is_scene]), weights)
+    weights[-1] -= np.quantile(scores, 1 - KEPT)
     print("[" + ", ".join(f"{weight:.4g}" for weight in weights) + "]")
-    for name, (rows, _) in groups.items():
-        score = rows @ weights[:-1] + weights[-1]
-        print(f"{name}: {np.mean(score > 0):.3f} of {len(rows)} are taken for scenes")
+    for name, (rows, _) in (groups | judging).items():
+        print(f"{name}: {np.mean(score(rows, weights) > 0):.3f} of {len(rows)} are taken for scenes")
 
 
 if __name__ == "__main__":

@@ -138,7 +138,9 @@ class TeacherStage(Stage):
         settings = replace(self.settings, **SMOKE_TEACHER) if recipe.smoke else self.settings
         device = recipe.device if recipe.device != "auto" else "cpu"
         settings = replace(settings, engine="torch") if device == "cuda" else settings
-        make_targets(folder / "targets.safetensors", recipe.weights(self.of), recipe.data, settings, device, recipe.workers)
+        make_targets(
+            folder / "targets.safetensors", recipe.weights(self.of), recipe.data, settings, device, recipe.workers
+        )
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -1,9 +1,8 @@
 """The fit of the rule that chooses between the models of objects and of scenes."""
 
 import numpy as np
-import pytest
 
-from snake_training.cloud_kind import MARGIN, fit, signs, torus
+from snake_training.cloud_kind import fit, score, signs, torus
 from snake_training.data.kinds import KINDS, scene_cloud
 
 
@@ -11,11 +10,11 @@ def test_the_fit_finds_the_log_odds():
     """Two normal distributions of one variance, 2 apart along the first axis: the log-odds are 2 x there, and 0 in between."""
     rng = np.random.default_rng(0)
     things, scenes = (rng.normal(size=(20000, 3)) + (shift, 0, 0) for shift in (-1, 1))
-    *weights, constant = fit([(things, False), (scenes, True)], penalty=0)
-    assert np.allclose(weights, (2, 0, 0), atol=0.1) and constant == pytest.approx(-MARGIN, abs=0.1)
+    weights = fit([(things, False), (scenes, True)], penalty=0)
+    assert np.allclose(weights, (2, *np.zeros(6)), atol=0.1)  # of three signs, their squares and one
     # Each class is as important as the other, however many clouds it has.
-    fewer = fit([(things[:2000], False), (scenes, True)], penalty=0)
-    assert np.allclose(fewer[:3], (2, 0, 0), atol=0.3) and fewer[3] == pytest.approx(-MARGIN, abs=0.3)
+    assert np.allclose(fit([(things[:2000], False), (scenes, True)], penalty=0), (2, *np.zeros(6)), atol=0.3)
+    assert np.allclose(score(things[:5], weights), 2 * things[:5, 0], atol=0.5)
 
 
 def test_made_scenes_are_of_all_kinds_and_have_signs():

@@ -61,6 +61,9 @@ pub fn register_with(
     Ok(Registration { seconds: start.elapsed().as_secs_f64(), ..registration })
 }
 
+/// A guess whose rotation is off by more has too few digits, about which a note is due.
+const ROUNDED: f64 = 1e-6;
+
 /// Registers two prepared clouds, such as a scan and a map that is kept. The viewpoints of the
 /// options are not used: they are part of the preparation.
 ///
@@ -78,7 +81,7 @@ pub fn register_pair(
     let rows = describe(pair, control)?;
     let matches = pair.matches(&match_rows(&rows[0], &rows[1], options.max_matches, control)?)?;
     let guesses = match &pair_options.initial {
-        Some(guess) => vec![approach(pair, guess, options.icp_steps, control)?],
+        Some(guess) => vec![approach(pair, &guess.with_exact_rotation(), options.icp_steps, control)?],
         None => consensus(&matches, pair.criteria(), steps::consensus::TUNING.candidates, control)?,
     };
     let candidates = refine(pair, &matches, &guesses, options.icp_steps, pair_options.hypotheses, control)?;
@@ -87,6 +90,9 @@ pub fn register_pair(
     }
     let mut registration = judge(pair, &matches, &candidates)?;
     registration.hypotheses.truncate(pair_options.hypotheses);
+    if pair_options.initial.is_some_and(|guess| guess.rotation_error() > ROUNDED) {
+        registration.verdict.notes.push("`initial` has a rounded rotation: the nearest exact one was taken".into());
+    }
     Ok(Registration { seconds: start.elapsed().as_secs_f64(), ..registration })
 }
 

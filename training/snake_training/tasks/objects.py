@@ -114,7 +114,7 @@ def start_saliency(network, shapes=6, steps=400):
     wanted, weight = 0.02 + 0.9 * torch.exp(-(near**2)), torch.where(near < 2, 4.0, 1.0)
     adam = torch.optim.Adam(network.decoder_keypoint.parameters(), lr=2e-3)
     for _ in range(steps):
-        row, column = torch.randint(len(clouds), (8,)), torch.randint(clouds.shape[1], (1024,))
+        row, column = torch.randint(len(clouds), (8,)), torch.randint(clouds.shape[1], (256,))
         of = [part[row][:, column] for part in (clouds, wanted, weight)]
         loss = F.binary_cross_entropy(network.saliency(volumes[row], of[0]), *of[1:])
         adam.zero_grad()

@@ -111,6 +111,14 @@ fn register_takes_a_guess_an_axis_and_a_verdict() {
         );
     }
     assert_eq!(number(&report(&["--gravity", "z"]), 2, 2), 1.0);
+    // Of a guess with few digits the nearest rotation is taken, and a note says so.
+    std::fs::write(path("rounded.txt"), "0.004 -1 0.0005 3\n1 0.004 0 0\n0 0 1 -1\n0 0 0 1").unwrap();
+    let guessed = report(&["--initial", &path("rounded.txt")]);
+    for (i, j) in [(0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2)] {
+        let product: f64 = (0..3).map(|column| number(&guessed, i, column) * number(&guessed, j, column)).sum();
+        assert!((product - f64::from(u8::from(i == j))).abs() < 1e-9, "{i} {j}: {product}");
+    }
+    assert!(guessed["verdict"]["notes"].to_string().contains("rounded rotation"), "{guessed}");
     // A wrong guess is kept, and not reliable.
     std::fs::write(path("wrong.txt"), "1 0 0 50\n0 1 0 50\n0 0 1 50\n0 0 0 1").unwrap();
     let wrong = report(&["--initial", &path("wrong.txt")]);

@@ -3,7 +3,7 @@
 use serde_json::{Map, Value};
 
 use super::model_choice::{BuiltinModels, ModelChoice, NamedModel};
-use super::rule::{by_cloud, by_options};
+use super::rule::{by_cloud, by_options, note_of_doubt};
 use super::scale_hint;
 use crate::cloud::UsedCloud;
 use crate::control::Control;
@@ -121,6 +121,7 @@ impl Chooser {
         };
         let note = match &self.0 {
             Candidates::ByOption(_, option, which, _) => note_of_option(option, *which, by_cloud(&cloud)),
+            Candidates::ByCloud(..) => note_of_doubt(&cloud),
             _ => None,
         };
         let (cloud, origin) = placed(cloud, points, origin, options.encode.normalization)?;
@@ -179,7 +180,8 @@ pub struct Chosen<'a> {
     pub options: Options,
     /// What decided.
     pub by: ChosenBy,
-    /// A text for the user if an option changed the model from what the cloud would have.
+    /// A text for the user if an option changed the model from what the cloud would have, or if the cloud could be of
+    /// either kind.
     pub note: Option<String>,
     /// The cloud, in the frame that the options ask for.
     pub cloud: UsedCloud<'a>,

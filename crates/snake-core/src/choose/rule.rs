@@ -6,8 +6,15 @@ use crate::Builtin;
 use crate::cloud::{NUM_SIGNS, UsedCloud};
 use snake_geometry::Point;
 
-/// The weight of each of [`scene_signs`](crate::scene_signs), and that of one.
-const WEIGHTS: [f64; NUM_SIGNS + 1] = [-187.6, -9.776, 2.844, -7.656, 0.5591, 5.274, 6.212, -38.05, -8.389];
+/// The weight of each of [`scene_signs`](crate::scene_signs), of the square of each, and that of one.
+const WEIGHTS: ([f64; NUM_SIGNS], [f64; NUM_SIGNS], f64) = (
+    [-86.96, 3.891, 2.17, -0.8084, 0.3162, 2.218, 3.539, 5.455],
+    [-237.1, -8.616, -0.1577, -3.168, -0.00183, 0.5537, 0.6767, -256.3],
+    -8.523,
+);
+
+/// Scores within this of 0 are doubtful: the log-odds that a cloud is a scene.
+const DOUBT: f64 = 0.5;
 
 /// A wire or a curve is no scene: the surroundings of its cells are less broad than this.
 const CURVE: f64 = 0.2;
@@ -29,16 +36,34 @@ pub(super) fn by_options(values: &Map<String, Value>) -> Option<(&'static str, B
 
 /// The built-in model for a cloud.
 pub(super) fn by_cloud(cloud: &UsedCloud) -> Builtin {
-    if cloud.is_sweep() || looks_like_scene(cloud) { Builtin::Scenes } else { Builtin::Compact }
+    if cloud.is_sweep() || scene_score(cloud) > 0.0 { Builtin::Scenes } else { Builtin::Compact }
 }
 
-/// Whether a cloud looks like a scene and not like one object.
-fn looks_like_scene(cloud: &UsedCloud) -> bool {
-    cloud.scene_signs().is_some_and(|signs| {
-        let [weights @ .., constant] = &WEIGHTS;
-        let [_, broad, ..] = signs;
-        broad > CURVE && signs.iter().zip(weights).map(|(sign, weight)| sign * weight).sum::<f64>() + constant > 0.0
-    })
+/// What to say of a cloud that looks about as much like a scene as like an object.
+pub(super) fn note_of_doubt(cloud: &UsedCloud) -> Option<String> {
+    if cloud.is_sweep() || scene_score(cloud).abs() > DOUBT {
+        return None;
+    }
+    let (kind, other, named) = match by_cloud(cloud) {
+        Builtin::Scenes => ("a scene", "one object", Builtin::Compact),
+        Builtin::Compact => ("one object", "a scene", Builtin::Scenes),
+    };
+    Some(format!(
+        "the cloud is taken for {kind}, though not clearly; if it is {other}, name the model `{}`",
+        named.name()
+    ))
+}
+
+/// By how much a cloud looks like a scene and not like one object: the log-odds, negative for objects.
+fn scene_score(cloud: &UsedCloud) -> f64 {
+    let Some(signs) = cloud.scene_signs() else { return f64::NEG_INFINITY };
+    let [_, broad, ..] = &signs;
+    if *broad <= CURVE {
+        return f64::NEG_INFINITY;
+    }
+    let (linear, square, constant) = &WEIGHTS;
+    let weighed = signs.iter().zip(linear).zip(square).map(|((sign, linear), square)| sign * (linear + sign * square));
+    weighed.sum::<f64>() + constant
 }
 
 impl Builtin {
@@ -55,7 +80,7 @@ pub(super) mod tests {
     use super::*;
 
     fn is_scene(points: &[Point]) -> bool {
-        looks_like_scene(&UsedCloud::new(points).unwrap())
+        scene_score(&UsedCloud::new(points).unwrap()) > 0.0
     }
 
     /// Points on a box about the origin, of any half size.

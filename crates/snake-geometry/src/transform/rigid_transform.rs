@@ -56,6 +56,20 @@ impl RigidTransform {
         Ok(Self(IsometryMatrix3::from_parts(translation, Rotation3::from_matrix_unchecked(rotation))))
     }
 
+    /// The transform with the rotation that is nearest to its own, which a file may have rounded. The translation stays.
+    #[must_use]
+    pub fn with_exact_rotation(&self) -> Self {
+        let decomposed = self.0.rotation.matrix().svd(true, true);
+        let (Some(u), Some(v_transposed)) = (decomposed.u, decomposed.v_t) else { return *self };
+        Self(IsometryMatrix3::from_parts(self.0.translation, Rotation3::from_matrix_unchecked(u * v_transposed)))
+    }
+
+    /// The largest difference of an entry of `RᵀR` from the identity, at most [`RigidTransform::TOLERANCE`].
+    pub fn rotation_error(&self) -> f64 {
+        let rotation = self.0.rotation.matrix();
+        (rotation.transpose() * rotation - Matrix3::identity()).amax()
+    }
+
     /// The 4×4 matrix, row by row.
     pub fn to_matrix(&self) -> [[f64; 4]; 4] {
         let matrix = self.0.to_homogeneous();
@@ -180,6 +194,17 @@ mod tests {
             assert_eq!(text, serde_json::to_string(&rows).unwrap());
             assert_eq!(serde_json::from_str::<RigidTransform>(&text).unwrap(), transform);
         }
+    }
+
+    #[test]
+    fn rounded_rotation_is_made_exact() {
+        let rounded = general().to_matrix().map(|row| row.map(|v| (v * 1e4).round() / 1e4));
+        let transform = RigidTransform::from_matrix(rounded).unwrap();
+        assert!(transform.rotation_error() > 1e-6);
+        let exact = transform.with_exact_rotation();
+        assert!(exact.rotation_error() < 1e-14);
+        let (angle, distance) = exact.angle_and_distance_to(&general());
+        assert!(angle < 1e-3 && distance < 1e-9, "{angle} {distance}");
     }
 
     #[test]

@@ -282,7 +282,7 @@ fn own_keypoints_and_descriptors_register_too() {
     let pair = Pair::new(&source, &target, None);
     // A row that says which keypoint it is, of which a tenth is wrong.
     let rows = |step: usize| -> Vec<f32> {
-        let name = |row: usize| if row % 10 == 0 { row * step % 200 } else { row };
+        let name = |row: usize| if row.is_multiple_of(10) { row * step % 200 } else { row };
         (0..own(&points).len()).map(|row| name(row) as f32).collect()
     };
     let [source_rows, target_rows] = [rows(1), rows(7)].map(|values| steps::Rows::new(values, 1).unwrap());
