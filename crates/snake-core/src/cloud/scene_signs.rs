@@ -3,8 +3,8 @@
 //! A scene is seen from within or from one side, and much of it is flat; an object is seen from all around. The signs are
 //! measured on the mean points of the cells of a coarse grid, which do not depend on how densely the sensor samples what is
 //! near. `python -m snake_training.cloud_kind` fits the weights in `choose/rule.rs`. By them 99 % of
-//! the fragments, parts of fragments and tables that chose nothing are taken for scenes, and 12 % of the validation objects, of which every
-//! other is few noisy points: an object taken for a scene costs little.
+//! the fragments, parts of fragments and tables that chose nothing are taken for scenes, and 16 % of the whole validation
+//! objects: an object taken for a scene costs little.
 
 use nalgebra::Matrix3;
 
