@@ -173,7 +173,7 @@ def test_a_cluster_detects_small_clouds_as_one_machine(cluster, tmp_path):
         if row["name"] == 200:
             assert "points" in row["error"] and row["keypoints"] is None
             continue
-        here = snake_rs.detect(cloud(row["name"]), **options)
+        here = snake_rs.detect(cloud(row["name"]), snake_rs.Model.builtin(), **options)
         assert row["error"] is None and len(here) > 0
         for name, column in here.to_dict().items():
             assert np.array_equal(np.array([k[name] for k in row["keypoints"]], column.dtype), column)
