@@ -42,7 +42,7 @@ def pack(run_dir, folder, unneeded=()):
         elif last.exists():
             name, written = f"{stage.name}/{Moved.NAME}", folder / "whole"
             Moved(load_network(last), read_state(last)["step"]).write(written)
-        elif (stage / Moved.NAME).exists():  # taken up, and not gone on with
+        elif (stage / Moved.NAME).exists():  # unpacked here, not trained further
             put(folder, digests, f"{stage.name}/{Moved.NAME}", (stage / Moved.NAME).read_bytes())
             continue
         else:

@@ -107,7 +107,7 @@ def test_minutes_end_a_recipe_and_what_it_reached_goes_on_elsewhere(tmp_path, ca
     assert "the minutes are over within surface" in capsys.readouterr().out
     files = sorted(path for path in (pieces / "compact").iterdir() if path.name != moving.LIST)
     assert len(files) > 3 and all(path.stat().st_size <= 100_000 for path in files)
-    # What was taken up and not gone on with is packed again.
+    # Weights that were unpacked and not trained further are packed again.
     recipe = Recipe(RECIPES / "compact.toml", tmp_path / "between/compact", smoke=True)
     moving.unpack(pieces / "compact", recipe.run_dir)
     moving.pack(recipe.run_dir, tmp_path / "again", recipe.unneeded())
