@@ -40,7 +40,7 @@ pub(crate) enum Role {
 impl Header {
     /// Parses a header. The rest of the lines is the data.
     pub(crate) fn parse(bytes: &[u8]) -> Result<(Self, Lines<'_>), String> {
-        let mut lines = Lines::of_header(bytes);
+        let mut lines = Lines::from_header(bytes);
         if lines.next().is_none_or(|(_, line)| !line.trim_ascii().eq_ignore_ascii_case(b"ply")) {
             return Err("not a PLY file: it does not begin with a line `ply`".into());
         }
