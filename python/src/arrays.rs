@@ -277,6 +277,6 @@ pub fn named<T: Copy>(option: &str, name: &str, known: [(&str, T); 2]) -> PyResu
     let found = known.iter().find(|(known, _)| *known == name).map(|(_, value)| *value);
     found.ok_or_else(|| {
         let [(first, _), (second, _)] = known;
-        PyValueError::new_err(format!("option `{option}` is {name}: allowed is {first} or {second}"))
+        value_error(&format!("option `{option}` is {name}: allowed is {first} or {second}"))
     })
 }

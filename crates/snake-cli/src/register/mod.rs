@@ -67,7 +67,8 @@ pub fn run(arguments: &RegisterArguments) -> Result<ExitCode> {
     let mut aligned_origin = [0.0; 3];
     if let Some(path) = aligned {
         let moved = transform_points(&t_near, &source_cloud.points);
-        io::write_points(path, &moved, target_cloud.origin)?;
+        let attributes = arguments.input.read_attributes(source, &source_cloud)?.transformed(&t_near);
+        io::write_cloud(path, &moved, &attributes, target_cloud.origin)?;
         aligned_origin = output_origin(path, io::adds_origin(path), target_cloud.origin);
     }
     if let Some(path) = view {
