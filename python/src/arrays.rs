@@ -274,8 +274,8 @@ pub fn rows<T: numpy::Element>(py: Python<'_>, flat: Vec<T>, columns: usize) -> 
 
 /// The value with the given name among `known`.
 pub fn named<T: Copy>(option: &str, name: &str, known: [(&str, T); 2]) -> PyResult<T> {
-    let found = known.iter().find(|(known, _)| *known == name).map(|(_, value)| *value);
-    found.ok_or_else(|| {
+    let value = known.iter().find(|(known, _)| *known == name).map(|(_, value)| *value);
+    value.ok_or_else(|| {
         let [(first, _), (second, _)] = known;
         value_error(&format!("option `{option}` is {name}: allowed is {first} or {second}"))
     })

@@ -70,7 +70,7 @@ pub fn chooser(
 }
 
 /// The model for a registration to a cloud: the given one, or the one that the cloud has if the options run one.
-pub fn of_registration(
+pub fn for_registration(
     py: Python<'_>,
     model: Option<&Bound<'_, PyAny>>,
     options: &RegisterOptions,

@@ -187,7 +187,7 @@ pub fn register(
 ) -> PyResult<Registration> {
     let (mut options, mut pair): (core::RegisterOptions, core::PairOptions) = options::of("register", options)?;
     let ((source, _), (target, _)) = (arrays::cloud("source", source)?, arrays::cloud("target", target)?);
-    let model = model::of_registration(py, model, &options, Some(&target))?;
+    let model = model::for_registration(py, model, &options, Some(&target))?;
     pair.place(&mut options, source.origin, target.origin);
     let (from, to) = (&source.points, &target.points);
     let near = threads::run_with_signals(py, |control| {

@@ -313,8 +313,8 @@ mod tests {
         }
         let files = |format: &str| -> Result<Vec<String>> {
             let format = PointFormat::from_extension(format);
-            let found = expand(&[folder.path().to_owned()], format, |_| false)?;
-            Ok(found.iter().map(|path| path.file_name().unwrap().to_string_lossy().into_owned()).collect())
+            let paths = expand(&[folder.path().to_owned()], format, |_| false)?;
+            Ok(paths.iter().map(|path| path.file_name().unwrap().to_string_lossy().into_owned()).collect())
         };
         assert_eq!(files("kitti").unwrap(), ["0.BIN", "1.bin"]);
         assert_eq!(files("nuscenes").unwrap(), ["0.BIN", "1.bin"]);

@@ -67,7 +67,7 @@ impl Attributes {
             let bits = columns(["rgb"; 3]).or_else(|| columns(["rgba"; 3]))?;
             Some(bits.iter().map(|[bits, ..]| [16, 8, 0].map(|shift| (*bits as u32 >> shift) as u8)).collect())
         };
-        let colors = any(&COLORS).map(|rows| bytes_of(&rows));
+        let colors = any(&COLORS).map(|rows| to_bytes(&rows));
         let intensity = INTENSITIES.iter().find_map(|name| columns([name; 3]));
         Self {
             colors: colors.or_else(packed),
@@ -121,7 +121,7 @@ impl Attributes {
 }
 
 /// Colours as bytes: of 16 bits the upper ones, and of numbers up to 1 their share.
-pub(crate) fn bytes_of(rows: &[[f64; 3]]) -> Vec<[u8; 3]> {
+pub(crate) fn to_bytes(rows: &[[f64; 3]]) -> Vec<[u8; 3]> {
     let most = rows.as_flattened().iter().fold(0.0, |most: f64, value| most.max(*value));
     let is_share = most <= 1.0 && rows.as_flattened().iter().any(|value| value.fract() != 0.0);
     let factor = if is_share {
@@ -176,9 +176,9 @@ mod tests {
         std::fs::write(&path, [1.0_f32, 2.0, 3.0, 0.5, 4.0, 5.0, 6.0, 0.25].map(f32::to_le_bytes).as_flattened())
             .unwrap();
         assert_eq!(read_attributes(&path, None, 2).unwrap().intensity, Some(vec![0.5, 0.25]));
-        assert_eq!(bytes_of(&[[65280.0, 256.0, 0.0]]), [[255, 1, 0]]);
-        assert_eq!(bytes_of(&[[1.0, 0.5, 0.0]]), [[255, 127, 0]]);
-        assert_eq!(bytes_of(&[[255.0, 1.0, 0.0]]), [[255, 1, 0]]);
+        assert_eq!(to_bytes(&[[65280.0, 256.0, 0.0]]), [[255, 1, 0]]);
+        assert_eq!(to_bytes(&[[1.0, 0.5, 0.0]]), [[255, 127, 0]]);
+        assert_eq!(to_bytes(&[[255.0, 1.0, 0.0]]), [[255, 1, 0]]);
     }
 
     #[test]

@@ -79,7 +79,7 @@ impl Method {
                 Some(rotations) => {
                     // The detection suppresses by a radius itself.
                     let after = if matches!(spacing, Spacing::Coverage) { spacing } else { Spacing::Own };
-                    let sources = Source::of_models(rotations, arguments, spacing)?;
+                    let sources = Source::for_models(rotations, arguments, spacing)?;
                     methods.extend(sources.into_iter().map(|source| of(name, source, after)));
                 }
                 None => {
@@ -154,8 +154,8 @@ impl Method {
             }
             Source::Classical { detector, protocol } => {
                 let candidates = if matches!(self.spacing, Spacing::Own) { self.count } else { points.len() };
-                let found = detector.keypoints(points, candidates, *protocol, seed)?;
-                found.iter().map(|response| points[response.index]).collect()
+                let responses = detector.keypoints(points, candidates, *protocol, seed)?;
+                responses.iter().map(|response| points[response.index]).collect()
             }
             Source::External { folder } => {
                 let Some(InFile { name, origin }) = file else {
@@ -175,7 +175,7 @@ impl Method {
 
 impl Source {
     /// The network, by each of the models.
-    fn of_models(rotations: Option<usize>, arguments: &EvalArguments, spacing: Spacing) -> Result<Vec<Self>> {
+    fn for_models(rotations: Option<usize>, arguments: &EvalArguments, spacing: Spacing) -> Result<Vec<Self>> {
         let source = |loaded: NamedModel| -> Result<Self> {
             let mut options = loaded.options.resolve(&arguments.options.values())?;
             options.encode.rotations = rotations.unwrap_or(options.encode.rotations);

@@ -6,7 +6,7 @@ use serde_json::Value;
 
 use super::{json_lines, sample, snake, stderr, write_npy};
 
-/// Two samplings of the sample that share half of their points, the second turned by a quarter about z and moved by (3, 0, -1), and a cube, as files in
+/// Two samplings of the sample that share half of their points, the second rotated by a quarter about z and moved by (3, 0, -1), and a cube, as files in
 /// `folder/scans`.
 fn scans(folder: &Path) -> String {
     let points = snake_io::read_points(Path::new(&sample())).unwrap();
@@ -41,8 +41,8 @@ fn align_writes_poses_and_the_merged_cloud() {
     let expected = [[0.0, 1.0, 0.0, 0.0], [-1.0, 0.0, 0.0, 3.0], [0.0, 0.0, 1.0, 1.0], [0.0, 0.0, 0.0, 1.0]];
     for (row, expected) in expected.iter().enumerate() {
         for (column, expected) in expected.iter().enumerate() {
-            let found = report["poses"][1]["t_part_cloud"][row][column].as_f64().unwrap();
-            assert!((found - expected).abs() < 0.03, "{report}");
+            let value = report["poses"][1]["t_part_cloud"][row][column].as_f64().unwrap();
+            assert!((value - expected).abs() < 0.03, "{report}");
         }
     }
     // The two samplings lie on each other again.

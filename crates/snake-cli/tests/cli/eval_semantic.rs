@@ -12,12 +12,12 @@ use super::{root, sample, snake, stderr, write_npy};
 pub(super) fn keypointnet() -> TempDir {
     let folder = tempfile::tempdir().unwrap();
     let points = &snake_io::read_points(Path::new(&sample())).unwrap()[..600];
-    let found: Vec<usize> = snake_registration::detectors::farthest_points(points, 5)
+    let farthest: Vec<usize> = snake_registration::detectors::farthest_points(points, 5)
         .unwrap()
         .iter()
         .map(|response| response.index)
         .collect();
-    let other = (0..600).find(|index| !found.contains(index)).unwrap();
+    let other = (0..600).find(|index| !farthest.contains(index)).unwrap();
     let rows: String = points.iter().map(|[x, y, z]| format!("{x} {y} {z} 1\n")).collect();
     let header = "FIELDS x y z rgb\nSIZE 4 4 4 4\nTYPE F F F F\nWIDTH 600\nHEIGHT 1\nPOINTS 600\nDATA ascii\n";
     let annotation = |class: &str, model: &str, marked: &[usize]| {
@@ -32,7 +32,7 @@ pub(super) fn keypointnet() -> TempDir {
     };
     let annotations = folder.path().join("annotations");
     std::fs::create_dir(&annotations).unwrap();
-    let chairs = [annotation("03", "a", &found), annotation("03", "b", &found)];
+    let chairs = [annotation("03", "a", &farthest), annotation("03", "b", &farthest)];
     std::fs::write(annotations.join("chair.json"), serde_json::to_string(&chairs).unwrap()).unwrap();
     let tables = [annotation("04", "c", &[other, other])];
     std::fs::write(annotations.join("table.json"), serde_json::to_string(&tables).unwrap()).unwrap();
@@ -107,9 +107,9 @@ fn keypoints_are_compared_with_annotations() {
 fn bodies_are_compared_point_by_point() {
     let folder = tempfile::tempdir().unwrap();
     let points = snake_io::read_points(Path::new(&sample())).unwrap();
-    let turned: Vec<[f32; 3]> = points.iter().map(|[x, y, z]| [-y, *x, *z]).collect();
+    let rotated: Vec<[f32; 3]> = points.iter().map(|[x, y, z]| [-y, *x, *z]).collect();
     write_npy(&folder.path().join("body_1.npy"), &[2, 500, 3], points[..1000].as_flattened());
-    write_npy(&folder.path().join("body_2.npy"), &[2, 500, 3], turned[..1000].as_flattened());
+    write_npy(&folder.path().join("body_2.npy"), &[2, 500, 3], rotated[..1000].as_flattened());
     let run = |extra: &[&str]| {
         let data = folder.path().display().to_string();
         snake(&[&["eval", "semantic", &data, "--methods", "fps,random", "--threshold", "0.001,100"], extra].concat())
@@ -122,12 +122,12 @@ fn bodies_are_compared_point_by_point() {
         let shares = row.split_whitespace().skip(1).filter(|cell| !cell.starts_with('±'));
         shares.map(|cell| cell.parse().unwrap()).collect()
     };
-    // Farthest points are those of the turned body, random ones others.
+    // Farthest points are those of the rotated body, random ones others.
     assert!(cells("fps")[0] > 0.8 && cells("random")[0] < 0.2 && cells("random")[1] == 1.0, "{text}");
     assert!(stderr(&run(&["--split", "x.txt"])).contains("the split is for KeypointNet"));
-    write_npy(&folder.path().join("body_2.npy"), &[1, 500, 3], turned[..500].as_flattened());
+    write_npy(&folder.path().join("body_2.npy"), &[1, 500, 3], rotated[..500].as_flattened());
     assert!(stderr(&run(&[])).contains("2 bodies in body_1.npy, 1 in body_2.npy"));
-    write_npy(&folder.path().join("body_2.npy"), &[2, 400, 3], turned[..800].as_flattened());
+    write_npy(&folder.path().join("body_2.npy"), &[2, 400, 3], rotated[..800].as_flattened());
     assert!(stderr(&run(&[])).contains("pair 0: body_2: 400 samples, but body_1 has 500"));
 }
 

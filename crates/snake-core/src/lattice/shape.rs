@@ -97,7 +97,7 @@ impl VolumeShape {
     ) -> Result<(Normalization, Rotation)> {
         match self {
             Self::Cube(_) => {
-                let normalization = Normalization::of_finite(cloud.points(), options.normalization)?;
+                let normalization = Normalization::from_finite(cloud.points(), options.normalization)?;
                 let orientation = match options.normalization {
                     NormalizationMethod::PrincipalAxes => {
                         rotations::principal_axes(cloud.points(), normalization.center)
@@ -117,7 +117,7 @@ impl VolumeShape {
     pub(crate) fn scaled_sphere(&self, points: &[Point], method: NormalizationMethod) -> Option<Normalization> {
         match (self, method) {
             (Self::Scene { .. }, _) | (_, NormalizationMethod::None) => None,
-            (Self::Cube(_), _) => Normalization::of_finite(points, NormalizationMethod::UnitSphere).ok(),
+            (Self::Cube(_), _) => Normalization::from_finite(points, NormalizationMethod::UnitSphere).ok(),
         }
     }
 

@@ -89,7 +89,7 @@ struct Figures {
 
 impl Figures {
     /// The figures of one scene, from its pairs.
-    fn of_scene(pairs: &[(&ScenePair, &Row)]) -> Result<Self> {
+    fn for_scene(pairs: &[(&ScenePair, &Row)]) -> Result<Self> {
         let ratios: Vec<f64> = pairs.iter().map(|(_, row)| row.inlier_ratio).collect();
         let outcome = |(pair, row): &(&ScenePair, &Row)| {
             let [first, second] = pair.fragments;
@@ -157,25 +157,25 @@ impl<'a> Report<'a> {
                 scenes.push(&pair.scene);
             }
         }
-        let of_scene = |scene: &str, rows: &[Pair<Row>], case: usize| {
+        let scene_figures = |scene: &str, rows: &[Pair<Row>], case: usize| {
             let rows = pairs.iter().zip(rows).filter(|(pair, _)| pair.scene == scene);
-            Figures::of_scene(&rows.map(|(pair, rows)| (*pair, &rows.rows[case])).collect::<Vec<_>>())
+            Figures::for_scene(&rows.map(|(pair, rows)| (*pair, &rows.rows[case])).collect::<Vec<_>>())
         };
         let summary = |group: &[usize], column: usize| {
             let places = group.iter().map(|method| method * cases.keypoints.len() + column);
-            let mut of_runs = Vec::new();
+            let mut per_run = Vec::new();
             for (rows, case) in runs.iter().flat_map(|rows| places.clone().map(move |case| (rows, case))) {
-                of_runs.push(scenes.iter().map(|scene| of_scene(scene, rows, case)).collect::<Result<Vec<_>>>()?);
+                per_run.push(scenes.iter().map(|scene| scene_figures(scene, rows, case)).collect::<Result<Vec<_>>>()?);
             }
-            let means: Vec<Figures> = of_runs.iter().map(|scenes| Figures::mean(scenes)).collect();
+            let means: Vec<Figures> = per_run.iter().map(|scenes| Figures::mean(scenes)).collect();
             let over_runs =
-                |scene: usize| Figures::mean(&of_runs.iter().map(|scenes| scenes[scene].clone()).collect::<Vec<_>>());
+                |scene: usize| Figures::mean(&per_run.iter().map(|scenes| scenes[scene].clone()).collect::<Vec<_>>());
             Ok(Summary {
                 method: cases.methods[group[0]].clone(),
                 keypoints: cases.keypoints[column],
                 scenes: (0..scenes.len()).map(over_runs).collect(),
                 mean: Figures::mean(&means),
-                deviation: Deviations::new(&means, &of_runs[0]),
+                deviation: Deviations::new(&means, &per_run[0]),
             })
         };
         let groups = alike(cases.methods, |a, b| a == b);

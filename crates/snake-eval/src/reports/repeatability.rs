@@ -138,7 +138,7 @@ impl<'a> Report<'a> {
     fn panels(&self) -> Vec<Panel> {
         let Sweeps { epsilon, table_epsilon, conditions } = self.sweeps;
         let ours = |s: &Summary| Line::new(&s.method, s.repeatability.iter().map(|share| Some(share.mean)).collect());
-        let theirs = self.paper.into_iter().flat_map(|paper| Line::of_paper(&paper.epsilon, epsilon));
+        let theirs = self.paper.into_iter().flat_map(|paper| Line::from_paper(&paper.epsilon, epsilon));
         let over_epsilon = Panel {
             x_label: "ε".into(),
             ticks: epsilon.iter().map(|epsilon| (*epsilon, epsilon.to_string())).collect(),
@@ -162,7 +162,7 @@ impl<'a> Report<'a> {
         let line = |i, first: &Summary| Line::new(&first.method, swept.iter().map(|c| share(c, i)).collect());
         let ours = self.under(self.sweeps.conditions[0]).enumerate().map(|(i, first)| line(i, first));
         let theirs = self.paper_sweep(swept, sweep);
-        ours.chain(theirs.into_iter().flat_map(|(table, column_values)| Line::of_paper(table, &column_values)))
+        ours.chain(theirs.into_iter().flat_map(|(table, column_values)| Line::from_paper(table, &column_values)))
             .collect()
     }
 

@@ -66,14 +66,14 @@ impl Figure {
         let at = |threshold: usize, cell: Cell| {
             let is_paper = cell == Cell::Iou { is_paper: true };
             let counts = |row: &&Row| if is_paper { row.paper[threshold] } else { row.strict[threshold] };
-            let of_part = |counts: MatchCounts| if cell == Cell::Recall { counts.recall() } else { counts.iou() };
-            let of_class = |rows: &Vec<&Row>| {
+            let score = |counts: MatchCounts| if cell == Cell::Recall { counts.recall() } else { counts.iou() };
+            let class_score = |rows: &Vec<&Row>| {
                 let counts: Vec<MatchCounts> = rows.iter().map(counts).collect();
                 if cell == Cell::Recall { Ok(sum(&counts).recall()) } else { iou(&counts, is_paper) }
             };
-            let of_run = |classes: &Classes| Ok(mean(&classes.iter().map(of_class).collect::<Result<Vec<_>>>()?));
-            let parts: Vec<f64> = runs[0].iter().flatten().map(|row| of_part(counts(row))).collect();
-            Ok(Statistic::over_seeds(&runs.iter().map(of_run).collect::<Result<Vec<_>>>()?, &parts))
+            let run_score = |classes: &Classes| Ok(mean(&classes.iter().map(class_score).collect::<Result<Vec<_>>>()?));
+            let parts: Vec<f64> = runs[0].iter().flatten().map(|row| score(counts(row))).collect();
+            Ok(Statistic::over_seeds(&runs.iter().map(run_score).collect::<Result<Vec<_>>>()?, &parts))
         };
         let first = runs[0][0][0];
         let all = |cell| (0..first.strict.len()).map(|threshold| at(threshold, cell)).collect::<Result<_>>();
@@ -113,14 +113,14 @@ impl<'a> Report<'a> {
         let methods = alike(runs[0].first().map_or(&[][..], |shape| &shape.rows), |a, b| a.method == b.method);
         for method in &methods {
             let figure = |chosen: &[Option<&str>], class, iou| {
-                let of_class = |run: usize, row: usize, class: &Option<&str>| -> Vec<&Row> {
+                let class_rows = |run: usize, row: usize, class: &Option<&str>| -> Vec<&Row> {
                     let belongs = runs[run].iter().zip(classes).filter(|(_, other)| *other == class);
                     belongs.map(|(shape, _)| &shape.rows[row]).collect()
                 };
-                let of_run = |(run, row)| chosen.iter().map(|class| of_class(run, row, class)).collect();
+                let run_classes = |(run, row)| chosen.iter().map(|class| class_rows(run, row, class)).collect();
                 let places = (0..runs.len()).flat_map(|run| method.iter().map(move |&row| (run, row)));
-                let of_runs: Vec<Classes> = places.map(of_run).collect();
-                Figure::new(&of_runs, class, iou)
+                let per_run: Vec<Classes> = places.map(run_classes).collect();
+                Figure::new(&per_run, class, iou)
             };
             figures.push(figure(&distinct, None, if num_classes > 0 { class_iou } else { pairs_iou })?);
             for class in distinct.iter().filter(|class| class.is_some()) {
@@ -181,7 +181,7 @@ impl<'a> Report<'a> {
         let panel = |rule: &str, of: fn(&Figure) -> &[Statistic], paper: Option<&PaperTable>| {
             let ours =
                 |figure: &Figure| Line::new(&figure.method, of(figure).iter().map(|iou| Some(iou.mean)).collect());
-            let theirs = paper.into_iter().flat_map(|paper| Line::of_paper(paper, self.threshold));
+            let theirs = paper.into_iter().flat_map(|paper| Line::from_paper(paper, self.threshold));
             Panel {
                 x_label: format!("threshold ({rule})"),
                 ticks: self.threshold.iter().map(|threshold| (*threshold, threshold.to_string())).collect(),

@@ -66,8 +66,8 @@ impl BodyModel {
             vec![2, num_joints],
             vec![faces.items.len() / 3, 3],
         ];
-        let found = [&template, &shape, &pose, &weights, &regressor, &tree, &faces];
-        for ((name, array), expected) in NAMES.iter().zip(found).zip(&expected) {
+        let arrays = [&template, &shape, &pose, &weights, &regressor, &tree, &faces];
+        for ((name, array), expected) in NAMES.iter().zip(arrays).zip(&expected) {
             if &array.shape != expected {
                 return Err(format!("`{name}` has the shape {:?}, expected {expected:?}", array.shape));
             }
@@ -198,9 +198,9 @@ mod tests {
     }
 
     fn assert_vertices(model: &BodyModel, pose: [[f64; 3]; 2], betas: &[f64], expected: [[f64; 3]; 3]) {
-        let found = model.vertices(&pose.map(Vector3::from), betas);
-        for (vertex, expected) in found.iter().zip(expected) {
-            assert!((vertex - Point3::from(expected)).norm() < 1e-12, "{found:?}");
+        let vertices = model.vertices(&pose.map(Vector3::from), betas);
+        for (vertex, expected) in vertices.iter().zip(expected) {
+            assert!((vertex - Point3::from(expected)).norm() < 1e-12, "{vertices:?}");
         }
     }
 
@@ -247,9 +247,9 @@ mod tests {
             <[Array; 3]>::try_from(io::read_arrays(&sample("posed.npz"), &["pose", "betas", "vertices"]).unwrap())
                 .unwrap();
         let pose: Vec<Vector3<f64>> = pose.items.as_chunks::<3>().0.iter().map(|&rotation| rotation.into()).collect();
-        let found = BodyModel::open(&sample("model.npz")).unwrap().vertices(&pose, &betas.items);
-        assert_eq!(found.len() * 3, vertices.items.len());
-        for (vertex, &expected) in found.iter().zip(vertices.items.as_chunks::<3>().0) {
+        let posed = BodyModel::open(&sample("model.npz")).unwrap().vertices(&pose, &betas.items);
+        assert_eq!(posed.len() * 3, vertices.items.len());
+        for (vertex, &expected) in posed.iter().zip(vertices.items.as_chunks::<3>().0) {
             assert!((vertex - Point3::from(expected)).norm() < 1e-12, "{vertex} {expected:?}");
         }
     }

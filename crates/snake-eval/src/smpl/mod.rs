@@ -124,8 +124,8 @@ fn parameters(model: &BodyModel, poses: &PathBuf, betas: &PathBuf) -> Result<[Ar
     let arrays = [io::read_array(poses)?, io::read_array(betas)?];
     let pairs = arrays[0].shape.first().copied().unwrap_or(0);
     for ((path, array), count) in [poses, betas].into_iter().zip(&arrays).zip([3 * model.num_joints(), BETAS]) {
-        let of_pairs = array.shape.starts_with(&[pairs, 2]) && array.items.len() == pairs * 2 * count;
-        if pairs == 0 || !of_pairs || !array.items.iter().all(|item| item.is_finite()) {
+        let has_pairs_shape = array.shape.starts_with(&[pairs, 2]) && array.items.len() == pairs * 2 * count;
+        if pairs == 0 || !has_pairs_shape || !array.items.iter().all(|item| item.is_finite()) {
             let shape = &array.shape;
             let reason = format!("shape {shape:?}; expected {count} numbers for each of two bodies of each pair");
             return Err(Error::layout(path, reason));

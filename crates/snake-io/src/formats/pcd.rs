@@ -33,7 +33,7 @@ pub(crate) fn origin(bytes: &[u8]) -> [f64; 3] {
 
 /// The position of the sensor in a header, if it is not zero. The orientation after it is not read.
 pub(crate) fn viewpoint(bytes: &[u8]) -> Option<[f64; 3]> {
-    let lines = Lines::of_header(bytes).take_while(|(_, line)| !line.starts_with(b"DATA"));
+    let lines = Lines::from_header(bytes).take_while(|(_, line)| !line.starts_with(b"DATA"));
     let line = lines.map(|(_, line)| text(line)).find(|line| line.starts_with("VIEWPOINT"))?;
     let numbers =
         line.split_whitespace().skip(1).take(3).map(|number| number.parse().ok().filter(|v: &f64| v.is_finite()));
@@ -93,7 +93,7 @@ impl Header {
     fn parse<'a>(bytes: &'a [u8], names: &[&str; 3]) -> Result<(Self, Lines<'a>), String> {
         let (mut fields, mut sizes, mut types, mut counts) = (Vec::new(), Vec::new(), Vec::new(), None);
         let (mut points, mut width, mut height, mut origin) = (None, None, None, None);
-        let mut lines = Lines::of_header(bytes);
+        let mut lines = Lines::from_header(bytes);
         while let Some((line_number, line)) = lines.next() {
             if line.starts_with(b"#") {
                 origin = origin.or_else(|| parse_origin(line));
@@ -228,7 +228,7 @@ fn axes(
         return Err("header: FIELDS, SIZE, TYPE and COUNT differ in length".into());
     }
     let (mut offset, mut column) = (0_usize, 0_usize);
-    let mut found: [Option<Field>; 3] = [None, None, None];
+    let mut xyz: [Option<Field>; 3] = [None, None, None];
     for (((&name, size), kind), count) in fields.iter().zip(sizes).zip(types).zip(counts) {
         let unusable = || {
             format!(
@@ -242,18 +242,18 @@ fn axes(
         let (size, number) = size.parse().ok().zip(count.parse::<usize>().ok()).ok_or_else(unusable)?;
         let end = usize::checked_mul(size, number).and_then(|bytes| offset.checked_add(bytes)).ok_or_else(unusable)?;
         if let Some(axis) = names.iter().position(|axis| *axis == name) {
-            if number != 1 || found[axis].is_some() {
+            if number != 1 || xyz[axis].is_some() {
                 return Err(format!("header: more than one `{name}`"));
             }
             let is_packed_float = PACKED.contains(&name) && kind.eq_ignore_ascii_case("F");
             let kind = if is_packed_float { "u".into() } else { kind.to_ascii_lowercase() };
             let dtype = Dtype::parse(&format!("<{kind}{size}")).ok_or_else(unusable)?;
-            found[axis] = Some(Field { is_packed_float, dtype, offset, column });
+            xyz[axis] = Some(Field { is_packed_float, dtype, offset, column });
         }
         (offset, column) = (end, column.saturating_add(number));
     }
     // One name can stand for all three.
-    match names.map(|name| names.iter().position(|other| *other == name).and_then(|axis| found[axis])) {
+    match names.map(|name| names.iter().position(|other| *other == name).and_then(|axis| xyz[axis])) {
         [Some(x), Some(y), Some(z)] => Ok(([x, y, z], offset, column)),
         _ => Err("header: FIELDS lacks x, y or z".into()),
     }

@@ -41,7 +41,7 @@ pub(crate) enum Role {
 impl Header {
     /// Parses a header, in which the three values that are read of a vertex have these names. The rest of the lines is the data.
     pub(crate) fn parse<'a>(bytes: &'a [u8], axes: &[&str; 3]) -> Result<(Self, Lines<'a>), String> {
-        let mut lines = Lines::of_header(bytes);
+        let mut lines = Lines::from_header(bytes);
         if lines.next().is_none_or(|(_, line)| !line.trim_ascii().eq_ignore_ascii_case(b"ply")) {
             return Err("not a PLY file: it does not begin with a line `ply`".into());
         }

@@ -14,7 +14,7 @@ use laz::record::{LayeredPointRecordDecompressor, RecordDecompressor, Sequential
 use laz::{DecompressionSelection, LazItem, LazItemType, LazVlr};
 
 use crate::MAX_EXPANSION;
-use crate::attributes::{Attributes, bytes_of};
+use crate::attributes::{Attributes, to_bytes};
 use crate::crs::Crs;
 use crate::formats::shape::{Position, Shape};
 use crate::las::gps_time::GpsTimes;
@@ -54,7 +54,7 @@ pub(crate) fn attributes(bytes: &[u8]) -> Result<Attributes, String> {
     let mut attributes = Attributes::default();
     // Writers without a sensor leave zeros.
     attributes.intensity = Some(intensity).filter(|values| values.iter().any(|value| *value > 0.0));
-    attributes.colors = Some(bytes_of(&colors)).filter(|values| values.as_flattened().iter().any(|value| *value > 0));
+    attributes.colors = Some(to_bytes(&colors)).filter(|values| values.as_flattened().iter().any(|value| *value > 0));
     Ok(attributes)
 }
 
@@ -249,18 +249,18 @@ impl Header {
     pub(crate) fn laszip_record<'a>(&self, head: &'a [u8]) -> Option<&'a [u8]> {
         let is_laszip =
             |user: &[u8], number| user.starts_with(LazVlr::USER_ID.as_bytes()) && number == LazVlr::RECORD_ID;
-        let mut found = self.records(head).filter(|(user, number, _)| is_laszip(user, *number));
-        found.next().map(|(.., record)| record).filter(|record| record.len() >= 2)
+        let mut records = self.records(head).filter(|(user, number, _)| is_laszip(user, *number));
+        records.next().map(|(.., record)| record).filter(|record| record.len() >= 2)
     }
 
     /// The coordinate reference system, as text or as the keys of GeoTIFF.
     pub(crate) fn crs(&self, head: &[u8]) -> Option<Crs> {
-        let of_number = |wanted: u16| {
-            let mut found = self.records(head).filter(|(user, ..)| user.starts_with(b"LASF_Projection"));
-            found.find(|(_, number, _)| *number == wanted).map(|(.., record)| record)
+        let projection_record = |wanted: u16| {
+            let mut records = self.records(head).filter(|(user, ..)| user.starts_with(b"LASF_Projection"));
+            records.find(|(_, number, _)| *number == wanted).map(|(.., record)| record)
         };
-        let text = of_number(2112).map(|record| Crs::from_wkt(&String::from_utf8_lossy(record)));
-        text.or_else(|| of_number(34735).and_then(Crs::from_geo_keys))
+        let text = projection_record(2112).map(|record| Crs::from_wkt(&String::from_utf8_lossy(record)));
+        text.or_else(|| projection_record(34735).and_then(Crs::from_geo_keys))
     }
 
     /// Decodes points one after another, with a new decoder every `chunk_size` points.

@@ -43,7 +43,7 @@ impl Kind {
         }
     }
 
-    pub(crate) fn of_ply(name: &str) -> Option<Self> {
+    pub(crate) fn from_ply_type(name: &str) -> Option<Self> {
         [Self::Float, Self::Double, Self::Byte, Self::Int].into_iter().find(|kind| kind.in_ply() == name)
     }
 
