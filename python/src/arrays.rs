@@ -9,6 +9,7 @@ use pyo3::types::{PyList, PyString, PyTuple};
 use snake_core::{Cloud, Point, add_origin, excerpt, subtract_origin};
 use snake_io::ReadOptions;
 
+use crate::error::value_error;
 use crate::files;
 
 /// Rows `(N, 3)` of an array. They are `float32` for arrays of `float32` or `float16`, else `float64`, which holds the

@@ -7,7 +7,7 @@ use pyo3::types::{PyDict, PyList, PyString};
 use serde::Serialize;
 use serde::de::DeserializeOwned;
 use serde_json::{Map, Number, Value};
-use snake_core::{Options, in_words, option_names};
+use snake_core::{Options, in_words, option_names, shortened};
 
 use crate::error::{py_error, value_error};
 

@@ -106,8 +106,14 @@ fn report(registration: &Registration, written: &[&Path]) -> Report {
     report.line("t_target_source:");
     matrix(&mut report, t_target_source);
     report.line(format!("matches: {} of {} within {near:.5} before ICP", matches.num_inliers, matches.num_matches));
-    report
-        .line(format!("result: {:.1} % of the source's voxels within {near:.5} of the target's", 100.0 * fit.fitness));
+    report.line(format!(
+        "result: {:.1} % of the source's voxels within {near:.5} of the target's, {:.5} off by root mean square: {:.2} \
+         voxels of {:.5}",
+        100.0 * fit.fitness,
+        fit.rmse,
+        fit.rmse / fit.voxel_size,
+        fit.voxel_size
+    ));
     if source.viewpoint == ViewpointUsed::None {
         report.line("viewpoints: unknown");
     } else {
