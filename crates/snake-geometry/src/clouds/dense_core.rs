@@ -40,7 +40,7 @@ pub(super) fn dense_core(points: &[[f64; 3]]) -> Option<([f64; 3], f64)> {
     let distance = |point: &[f64; 3]| squared_distance(point, &center).sqrt();
     let farthest = points.iter().map(distance).fold(0.0, f64::max);
     let within = |radius: f64| points.iter().filter(|point| distance(point) <= radius).count() as f64;
-    if within(farthest / SUSPICIOUS) < MIN_SHARE * points.len() as f64 {
+    if !farthest.is_finite() || within(farthest / SUSPICIOUS) < MIN_SHARE * points.len() as f64 {
         return None;
     }
     let distances: Vec<f64> = points.iter().map(distance).collect();
@@ -253,6 +253,8 @@ mod tests {
             vec![[1.0; 3]; 500],
             zeros(500).chain((0..500).map(|i| direction(i).map(|v| v * 50.0))).collect(),
             scene(500).into_iter().chain([[f64::MAX, 0.0, f64::MIN], [1e200; 3]]).collect(),
+            // Squares of their distances overflow.
+            (0..500).map(|i| direction(i).map(|v| v * 1e200)).collect(),
         ] {
             assert_eq!(dense_core(&points), None, "{:?}", points.last());
         }
