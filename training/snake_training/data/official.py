@@ -108,7 +108,9 @@ BODY_ARRAYS = "v_template", "shapedirs", "posedirs", "weights", "J_regressor", "
 def body_arrays(path):
     """The arrays of a body model of SMPL, SMPL+H or SMPL-X by name, from its pickle or its .npz file."""
     try:
-        stored = np.load(path) if Path(path).suffix == ".npz" else BodyUnpickler(BytesIO(Path(path).read_bytes())).load()
+        stored = (
+            np.load(path) if Path(path).suffix == ".npz" else BodyUnpickler(BytesIO(Path(path).read_bytes())).load()
+        )
         return {name: dense(stored[name]) for name in BODY_ARRAYS}
     except (OSError, KeyError, ValueError, EOFError, pickle.UnpicklingError, AttributeError, IndexError) as error:
         raise ValueError(f"{path}: not a body model ({error})") from error
