@@ -7,7 +7,7 @@ use std::sync::Once;
 use anyhow::{Context, Result, bail};
 use clap::Args;
 use snake_core::zero_hint;
-use snake_io::{self as io, Cloud, Columns, Contents, POINT_EXTENSIONS, PointFormat, ReadOptions};
+use snake_io::{self as io, Attributes, Cloud, Columns, Contents, POINT_EXTENSIONS, PointFormat, ReadOptions};
 
 use crate::patterns::{each_once, matching};
 use crate::terminal;
@@ -94,6 +94,15 @@ impl InputArguments {
             terminal::hint(&format!("{}: {hint}", path.display()));
         }
         Ok(contents)
+    }
+
+    /// The colours, intensity and normals of a cloud that was read from a file, for a copy of it. Samples of a mesh and the
+    /// standard input have none.
+    pub fn read_attributes(&self, path: &Path, cloud: &Cloud) -> Result<Attributes> {
+        if self.sample.is_some() || path == Path::new(DASH) {
+            return Ok(Attributes::default());
+        }
+        Ok(io::read_attributes(path, self.input_format, cloud.points.len())?)
     }
 
     /// [`InputArguments::read_contents`] for callers that print [`missing_returns`] themselves.

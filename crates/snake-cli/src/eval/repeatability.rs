@@ -77,7 +77,9 @@ fn objects(files: Vec<PathBuf>, columns: &ColumnArguments) -> Result<(ViewPairs,
         match data.clouds(index, &columns.options()) {
             Ok(_) => used.push(file),
             Err(error) => {
-                terminal::warn(&format!("{} is left out: {error}", file.display()));
+                let (name, error) = (file.display().to_string(), error.to_string());
+                let reason = error.strip_prefix(&format!("{name}: ")).unwrap_or(&error);
+                terminal::warn(&format!("{name} is left out: {reason}"));
                 left_out.push(file);
             }
         }

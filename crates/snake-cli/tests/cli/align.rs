@@ -27,6 +27,41 @@ fn scans(folder: &Path) -> String {
 }
 
 #[test]
+fn merged_and_aligned_clouds_keep_colours_intensity_and_rotated_normals() {
+    let folder = tempfile::tempdir().unwrap();
+    let file = |name: &str| folder.path().join(name).display().to_string();
+    let points = snake_io::read_points(Path::new(&sample())).unwrap();
+    let attributes = |normal: [f32; 3]| {
+        let mut attributes = snake_io::Attributes::default();
+        attributes.colors = Some((0..points.len()).map(|i| [(i % 256) as u8, 2, 3]).collect());
+        attributes.intensity = Some((0..points.len()).map(|i| i as f32).collect());
+        attributes.normals = Some(vec![normal; points.len()]);
+        attributes
+    };
+    let turned: Vec<_> = points.iter().map(|p| [3.0 - p[1], p[0], p[2] - 1.0]).collect();
+    let [target, source] = [file("target.ply"), file("source.pcd")];
+    // The normal of the source is x there, which is -y in the target's frame.
+    snake_io::write_cloud(target.as_ref(), &points, &attributes([0.0, 0.0, 1.0]), [0.0; 3]).unwrap();
+    snake_io::write_cloud(source.as_ref(), &turned, &attributes([1.0, 0.0, 0.0]), [0.0; 3]).unwrap();
+    let is_right = |normal: &[f32; 3]| (normal[1] + 1.0).abs() < 0.01 && normal[0].abs() < 0.1;
+    for aligned in ["aligned.ply", "aligned.pcd", "aligned.csv"].map(file) {
+        let output = snake(&["register", &source, &target, "--aligned", &aligned]);
+        assert!(output.status.success(), "{}", stderr(&output));
+        let kept = snake_io::read_attributes(aligned.as_ref(), None, points.len()).unwrap();
+        assert_eq!((&kept.colors, &kept.intensity), (&attributes([0.0; 3]).colors, &attributes([0.0; 3]).intensity));
+        assert!(kept.normals.unwrap().iter().all(is_right), "{aligned}");
+    }
+    let merged = file("merged.ply");
+    let output = snake(&["align", &target, &source, "--merged", &merged]);
+    assert!(output.status.success(), "{}", stderr(&output));
+    let kept = snake_io::read_attributes(merged.as_ref(), None, 2 * points.len()).unwrap();
+    let normals = kept.normals.unwrap();
+    assert!(normals[0] == [0.0, 0.0, 1.0] && is_right(&normals[points.len()]), "{:?}", normals[points.len()]);
+    assert_eq!(kept.intensity.unwrap()[points.len() + 7], 7.0);
+    assert_eq!(kept.colors.unwrap().len(), 2 * points.len());
+}
+
+#[test]
 fn align_writes_poses_and_the_merged_cloud() {
     let folder = tempfile::tempdir().unwrap();
     let scans = scans(folder.path());

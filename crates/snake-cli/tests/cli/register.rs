@@ -86,6 +86,10 @@ fn register_prints_and_writes_the_transform() {
     let inliers =
         format!("matches: {} of {} within", report["matches"]["num_inliers"], report["matches"]["num_matches"]);
     assert!(printed.contains(&inliers) && printed.contains("% of the source's voxels within"), "{printed}");
+    let side = report["fit"]["voxel_size"].as_f64().unwrap();
+    let residual = report["fit"]["rmse"].as_f64().unwrap();
+    let told = format!("{residual:.5} off by root mean square: {:.2} voxels of {side:.5}", residual / side);
+    assert!(side > 0.0 && printed.contains(&told), "{printed}");
     assert!(report["matches"]["num_matches"].as_u64().unwrap() < all.min(801));
 }
 

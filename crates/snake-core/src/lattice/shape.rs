@@ -5,6 +5,7 @@ use std::fmt;
 use super::cube::VolumeFrame;
 use super::voxel_size::voxel_size;
 use crate::cloud::UsedCloud;
+use crate::control::Control;
 use crate::options::EncodeOptions;
 use crate::{Error, Result};
 use snake_geometry::rotations::{self, Rotation};
@@ -92,6 +93,7 @@ impl VolumeShape {
         cloud: &UsedCloud,
         options: &EncodeOptions,
         max_blocks: usize,
+        control: &Control,
     ) -> Result<(Normalization, Rotation)> {
         match self {
             Self::Cube(_) => {
@@ -105,7 +107,7 @@ impl VolumeShape {
                 Ok((normalization, orientation))
             }
             Self::Scene { .. } => {
-                let scale = voxel_size(options.voxel_size, cloud, max_blocks)?;
+                let scale = voxel_size(options.voxel_size, cloud, max_blocks, control)?;
                 Ok((Normalization { center: [0.0; 3], scale }, rotations::IDENTITY))
             }
         }

@@ -218,6 +218,22 @@ pub fn check_points<T: Copy + Into<f64>>(what: &'static str, points: &[[T; 3]]) 
     Ok(())
 }
 
+/// Refuses matched points that differ in number or have a coordinate that is not finite; empty arrays are accepted.
+///
+/// # Errors
+/// [`Error::Input`] for the array at fault, `source` or `target`.
+pub fn check_pairs<T: Copy + Into<f64>>(source: &[[T; 3]], target: &[[T; 3]]) -> Result<()> {
+    if source.len() != target.len() {
+        let reason = format!("{} points, but the source has {}; row i matches row i", target.len(), source.len());
+        return Err(Error::Input { what: "target", reason });
+    }
+    if source.is_empty() {
+        return Ok(());
+    }
+    check_points("source", source)?;
+    check_points("target", target)
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
