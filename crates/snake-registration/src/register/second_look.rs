@@ -1,4 +1,4 @@
-//! The second look at a pair whose first answer is not reliable: the same steps on finer voxels.
+//! The second look at a pair whose first result is not reliable: the same steps on finer voxels.
 
 use snake_core::{Control, Error, Model, Result};
 use snake_geometry::{Length, Point, RigidTransform};
@@ -14,7 +14,7 @@ use crate::tuning::tuning;
 tuning! {
     /// Voxels of the first look beside those of the second.
     finer: f64 = 3.0, unit "ratio of sides",
-        from "the time: twice that of the first look, where a third of the side takes four times as long";
+        from "of 24 pairs of made sweeps 13 and 17 m apart 11 are reliable, 5 without a second look (`sweeps` in tests/verdict.rs)";
 }
 
 /// Two clouds `(N, 3)` as they were given.
@@ -60,6 +60,7 @@ impl Given<'_> {
         }
     }
 
+    /// Whether a length is given.
     fn has_lengths(&self) -> bool {
         let RegisterOptions { voxel_size, normal_radius, feature_radius, inlier_distance, .. } = self.options;
         [voxel_size, normal_radius, feature_radius, inlier_distance].iter().any(|length| length.is_some())
@@ -79,8 +80,8 @@ fn is_finer(prepared: &PreparedClouds) -> Result<bool> {
     Ok(true)
 }
 
-/// A result whose confidence knows that it is the better of two: by chance, twice as many wrong ones
-/// look as good.
+/// The result of a second try, with a lower confidence: of two wrong results, one looks right by
+/// chance twice as often.
 fn of_two(mut registration: Registration) -> Registration {
     let verdict = &mut registration.verdict;
     verdict.confidence /= 2.0 - verdict.confidence;
