@@ -117,7 +117,7 @@ def test_guess_axis_and_viewpoints(cloud, found):
         cloud[:2048], shifted, gravity="z", source_viewpoint=(0, 0, 9), target_viewpoint=[1, 2, 12]
     )
     assert [cloud.viewpoint for cloud in upright.clouds] == ["given", "given"]
-    assert np.allclose(upright.t_target_source[2, :3], [0, 0, 1]) and 0 <= upright.verdict.confidence <= 1
+    assert np.allclose(upright.t_target_source[2, :3], [0, 0, 1], atol=0.02) and 0 <= upright.verdict.confidence <= 1
 
 
 @pytest.mark.parametrize(

@@ -48,8 +48,9 @@ options! {
         /// Whether normals point to the sensor. Without, they have no sign, and the space between
         /// the sensor and the points is not known to be free.
         use_viewpoints, with_use_viewpoints: bool = true;
-        /// Axis that points up in both clouds: the transform is a rotation about it and a
-        /// translation.
+        /// Axis that points up in both clouds, to within 5 degrees: no sensor is quite level.
+        ///
+        /// Transforms that tilt it more are not searched for.
         gravity, with_gravity: Option<Axis> = None, none "any rotation", flag "AXIS";
         /// Seed of random keypoints.
         seed, with_seed: u64 = 0;

@@ -1,14 +1,17 @@
 //! Registration of two clouds.
 
+mod second_look;
+
 use std::time::Instant;
 
-use snake_core::{Control, Model, Result};
-use snake_geometry::Point;
+use snake_core::{Control, Error, Model, Result};
+use snake_geometry::{Point, RigidTransform};
 
 use crate::options::{PairOptions, RegisterOptions};
 use crate::result::Registration;
 use crate::steps::prepare::prepare_named;
-use crate::steps::{self, Pair, approach, consensus, describe, judge, match_rows, refine};
+use crate::steps::{self, Pair, PreparedClouds, approach, consensus, describe, judge, match_rows, refine};
+use second_look::{Given, NAMES, better};
 
 /// Finds the rigid transform from `source` `(N, 3)` to `target` `(M, 3)` without an initial guess.
 ///
@@ -54,15 +57,24 @@ pub fn register_with(
     let start = Instant::now();
     options.check_ranges()?;
     pair_options.check()?;
-    let viewpoints = pair_options.viewpoints();
-    let prepared = prepare_named(&[source, target], &["source", "target"], &viewpoints, model, options, control)?;
-    let pair = Pair::new(&prepared.clouds[0], &prepared.clouds[1], options.gravity);
-    let registration = register_checked(&pair, options, pair_options, control)?;
+    let given = Given { clouds: [source, target], model, options, pair_options };
+    let prepared = prepare_named(&given.clouds, &NAMES, &pair_options.viewpoints(), model, options, control)?;
+    let first = register_prepared(&prepared, options, pair_options, &[], control);
+    let registration = given.look_again(&prepared, first, control)?;
     Ok(Registration { seconds: start.elapsed().as_secs_f64(), ..registration })
 }
 
-/// A guess whose rotation is off by more has too few digits, about which a note is due.
-const ROUNDED: f64 = 1e-6;
+/// [`register_pair`] of the first two clouds, with `guesses` beside those that are searched for.
+fn register_prepared(
+    prepared: &PreparedClouds,
+    options: &RegisterOptions,
+    pair_options: &PairOptions,
+    guesses: &[RigidTransform],
+    control: &Control,
+) -> Result<Registration> {
+    let pair = Pair::new(&prepared.clouds[0], &prepared.clouds[1], options.gravity);
+    register_guessed(&pair, options, pair_options, guesses, control)
+}
 
 /// Registers two prepared clouds, such as a scan and a map that is kept. The viewpoints of the
 /// options are not used: they are part of the preparation.
@@ -77,33 +89,70 @@ pub fn register_pair(
 ) -> Result<Registration> {
     options.check_ranges()?;
     pair_options.check()?;
-    register_checked(pair, options, pair_options, control)
+    register_guessed(pair, options, pair_options, &[], control)
 }
 
-/// [`register_pair`] with options within their ranges.
-fn register_checked(
+/// [`register_pair`] of options within their ranges, with `guesses` beside those that are searched
+/// for.
+fn register_guessed(
     pair: &Pair,
     options: &RegisterOptions,
     pair_options: &PairOptions,
+    guesses: &[RigidTransform],
     control: &Control,
 ) -> Result<Registration> {
     let start = Instant::now();
+    let mut registration = match search(pair, options, pair_options, guesses, control) {
+        // Without viewpoints, these clouds would have had no signs.
+        Ok(first) if !first.verdict.is_reliable && pair.has_doubtful_signs() => {
+            match search(&pair.without_signs(), options, pair_options, guesses, control) {
+                Ok(unsigned) => better(first, unsigned),
+                Err(Error::NoTransform { .. }) => first,
+                Err(error) => return Err(error),
+            }
+        }
+        other => other?,
+    };
+    note_rounding(&mut registration, pair_options);
+    Ok(Registration { seconds: start.elapsed().as_secs_f64(), ..registration })
+}
+
+/// The six steps for two prepared clouds, without signs of normals where they prove wrong.
+fn search(
+    pair: &Pair,
+    options: &RegisterOptions,
+    pair_options: &PairOptions,
+    more: &[RigidTransform],
+    control: &Control,
+) -> Result<Registration> {
     let rows = describe(pair, control)?;
     let matches = pair.matches(&match_rows(&rows[0], &rows[1], options.max_matches, control)?)?;
-    let guesses = match &pair_options.initial {
+    let mut guesses = match &pair_options.initial {
         Some(guess) => vec![approach(pair, &guess.with_exact_rotation(), options.icp_steps, control)?],
         None => consensus(&matches, pair.criteria(), steps::consensus::TUNING.candidates, control)?,
     };
+    guesses.extend_from_slice(more);
     let candidates = refine(pair, &matches, &guesses, options.icp_steps, pair_options.hypotheses, control)?;
     if candidates.first().is_some_and(|best| pair.contradicts_viewpoints(&best.t_target_source)) {
+<<<<<<< HEAD
         return register_checked(&pair.without_signs(), options, pair_options, control);
+=======
+        return search(&pair.without_signs(), options, pair_options, more, control);
+>>>>>>> seek
     }
     let mut registration = judge(pair, &matches, &candidates)?;
     registration.hypotheses.truncate(pair_options.hypotheses);
+    Ok(registration)
+}
+
+/// A guess whose rotation is off by more has too few digits, about which a note is due.
+const ROUNDED: f64 = 1e-6;
+
+/// Notes that the guess was not quite a rotation.
+fn note_rounding(registration: &mut Registration, pair_options: &PairOptions) {
     if pair_options.initial.is_some_and(|guess| guess.rotation_error() > ROUNDED) {
         registration.verdict.notes.push("`initial` has a rounded rotation: the nearest exact one was taken".into());
     }
-    Ok(Registration { seconds: start.elapsed().as_secs_f64(), ..registration })
 }
 
 #[cfg(test)]

@@ -4,10 +4,12 @@
 use std::f64::consts::TAU;
 use std::time::Instant;
 
+use nalgebra::{IsometryMatrix3, Rotation3, Vector3};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
-use snake_core::Point;
-use snake_registration::{RegisterOptions, Registration, align, register};
+use snake_core::{Control, Length, Point, RigidTransform};
+use snake_registration::steps::prepare;
+use snake_registration::{Axis, PairOptions, RegisterOptions, Registration, align, register, register_with};
 
 type Vec3 = [f64; 3];
 
@@ -292,6 +294,94 @@ fn missing_returns_make_no_wrong_answer_reliable() {
             "{registration:?}"
         );
     }
+}
+
+/// Two sweeps in a street with houses, cars and poles, so far apart (metres), and their transform. Both
+/// sensors have any heading and are up to 2 degrees out of level.
+fn sweeps(apart: f64, seed: u64) -> ([Vec<Point>; 2], RigidTransform) {
+    let mut rng = ChaCha8Rng::seed_from_u64(seed);
+    let mut boxes = vec![[[-150.0, -150.0, -1.0], [150.0, 150.0, 0.0]]];
+    for side in [-1.0, 1.0] {
+        let mut part = |x: f64, y: f64, size: Vec3| {
+            let (near, far) = (side * y, side * (y + size[1]));
+            boxes.push([[x, near.min(far), 0.0], [x + size[0], near.max(far), size[2]]]);
+        };
+        let mut x = -90.0;
+        while x < 90.0 {
+            let size = [rng.random_range(8.0..25.0), rng.random_range(6.0..15.0), rng.random_range(4.0..18.0)];
+            part(x, rng.random_range(6.0..12.0), size);
+            x += size[0] + rng.random_range(0.0..8.0);
+        }
+        for _ in 0..12 {
+            part(rng.random_range(-80.0..80.0), rng.random_range(3.0..4.0), [4.2, 1.8, 1.5]);
+            part(rng.random_range(-80.0..80.0), 5.3, [0.3, 0.3, 6.0]);
+        }
+    }
+    let scene = Scene { boxes, ..Default::default() };
+    let rays = lidar(-0.43, 0.05);
+    let mut sweep = |x: f64, seed| {
+        let heading = Vector3::z() * rng.random_range(-3.1..3.1);
+        let tilt = [(); 2].map(|()| rng.random_range(-2.0..2.0_f64).to_radians());
+        let place = Vector3::new(x, rng.random_range(-1.5..1.5), 1.8);
+        let rotation = Rotation3::new(heading) * Rotation3::new(Vector3::new(tilt[0], tilt[1], 0.0));
+        let in_scene: Vec<Vec3> = rays.iter().map(|ray| (rotation * Vector3::from(*ray)).into()).collect();
+        let seen = scene.seen(place.into(), &in_scene, 80.0, 0.02, seed).into_iter();
+        let points = seen.map(|p| (rotation.inverse() * Vector3::from(p.map(f64::from))).map(|v| v as f32).into());
+        (points.collect(), IsometryMatrix3::from_parts(place.into(), rotation))
+    };
+    let ((source, source_pose), (target, target_pose)) = (sweep(0.0, seed + 100), sweep(apart, seed + 200));
+    ([source, target], (target_pose.inverse() * source_pose).into())
+}
+
+#[test]
+fn what_is_known_of_sweeps_only_helps() {
+    for (apart, seed) in [(6.0, 1), (10.0, 2), (15.0, 3), (20.0, 4), (20.0, 5)] {
+        let ([source, target], truth) = sweeps(apart, seed);
+        let known = |options: RegisterOptions, pair_options: PairOptions| {
+            let found = register_with(&source, &target, None, &options, &pair_options, &Control::default()).unwrap();
+            let (angle, metres) = found.t_target_source.angle_and_distance_to(&truth);
+            (angle.to_degrees(), metres, found.verdict.is_reliable)
+        };
+        let (default, at_origin) = (RegisterOptions::default(), Some([0.0; 3]));
+        let nothing = known(default, PairOptions::default());
+        for (name, known) in [
+            ("gravity", known(default.with_gravity(Some(Axis::Z)), PairOptions::default())),
+            (
+                "viewpoints",
+                known(
+                    default,
+                    PairOptions::default().with_source_viewpoint(at_origin).with_target_viewpoint(at_origin),
+                ),
+            ),
+            ("initial", known(default, PairOptions::default().with_initial(Some(truth)))),
+        ] {
+            let is_right = |(angle, metres, _): (f64, f64, bool)| angle < 0.2 && metres < 0.1;
+            assert!(is_right(known) || !is_right(nothing), "{name}, {apart} m: {known:?}, without {nothing:?}");
+            assert!(known.2 || !nothing.2, "{name}, {apart} m: {known:?}, without {nothing:?}");
+        }
+    }
+}
+
+#[test]
+fn a_second_look_at_sweeps_finds_more_and_leaves_reliable_answers() {
+    let mut counts = [0; 2];
+    for seed in 12..18 {
+        let ([source, target], truth) = sweeps(13.0, seed);
+        let default = RegisterOptions::default();
+        let found = register(&source, &target, &default).unwrap();
+        // A length that is given is kept: there is no second look.
+        let size = prepare(&[&source, &target], &[], None, &default, &Control::default()).unwrap().lengths.voxel_size;
+        let first = register(&source, &target, &default.with_voxel_size(Some(Length::Units(size)))).unwrap();
+        if first.verdict.is_reliable {
+            assert_eq!(found.t_target_source, first.t_target_source);
+        }
+        for (count, result) in counts.iter_mut().zip([&first, &found]) {
+            let (_, metres) = result.t_target_source.angle_and_distance_to(&truth);
+            assert!(metres < 0.3 || !result.verdict.is_reliable, "{seed}: {result:?}");
+            *count += usize::from(result.verdict.is_reliable);
+        }
+    }
+    assert!(counts[1] > counts[0] + 1, "{counts:?}");
 }
 
 #[test]

@@ -114,7 +114,7 @@ fn register_takes_a_guess_an_axis_and_a_verdict() {
             "{extra:?}"
         );
     }
-    assert_eq!(number(&report(&["--gravity", "z"]), 2, 2), 1.0);
+    assert!(number(&report(&["--gravity", "z"]), 2, 2) > 0.999);
     // Of a guess with few digits the nearest rotation is taken, and a note says so.
     std::fs::write(path("rounded.txt"), "0.004 -1 0.0005 3\n1 0.004 0 0\n0 0 1 -1\n0 0 0 1").unwrap();
     let guessed = report(&["--initial", &path("rounded.txt")]);

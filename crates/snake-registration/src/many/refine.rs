@@ -23,7 +23,6 @@ pub(super) fn refine(
     pairs: &[[usize; 2]],
     surfaces: &[Surface],
     probes: &[Vec<Vector>],
-    gravity: Option<Vector>,
     counter: &Counter,
 ) -> Result<()> {
     let Part { clouds, poses, .. } = part;
@@ -33,7 +32,7 @@ pub(super) fn refine(
             let pair = [source, target].map(|at| &surfaces[at]);
             let step = coarse_step(pair.map(|surface| surface.points.len()).into_iter().max()?);
             let by_poses = poses[target].inverse() * poses[source];
-            let (t_target_source, information) = remeasure(pair, &by_poses, gravity, step)?;
+            let (t_target_source, information) = remeasure(pair, &by_poses, step)?;
             Some(Link { source, target, t_target_source, information })
         };
         let links: Vec<Link> = pairs.par_iter().filter_map(measure).collect();
@@ -110,11 +109,11 @@ mod tests {
             errors.fold(0.0, f64::max)
         };
         assert!(error(&part) > 0.04);
-        refine(&mut part, &pairs, &surfaces, &probes, None, &Counter::default()).unwrap();
+        refine(&mut part, &pairs, &surfaces, &probes, &Counter::default()).unwrap();
         assert!(error(&part) < 0.005 && part.poses[0] == poses[0], "{}", error(&part));
         // Without pairs the poses stay.
         let before = part.poses.clone();
-        refine(&mut part, &[], &surfaces, &probes, None, &Counter::default()).unwrap();
+        refine(&mut part, &[], &surfaces, &probes, &Counter::default()).unwrap();
         assert_eq!(part.poses, before);
     }
 }

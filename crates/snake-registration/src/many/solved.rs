@@ -40,7 +40,6 @@ pub(super) fn solve(
     options: &RegisterOptions,
     control: &Control,
 ) -> Result<Solved> {
-    let gravity = options.gravity.map(|axis| axis.unit());
     let counter = control.begin("poses", 0);
     let probes: Vec<Vec<Vector>> = (0..scales.len()).map(|cloud| probes(scales.own(cloud))).collect();
     let distance = |pair: &[usize; 2]| scales.inlier_distance(scales.common(pair));
@@ -63,7 +62,7 @@ pub(super) fn solve(
             };
             let surfaces: Vec<Surface> = part.clouds.par_iter().map(surface).collect();
             let pairs = overlapping(part, scales, TUNING.min_common);
-            refine(part, &pairs, &surfaces, &probes, gravity, &counter)?;
+            refine(part, &pairs, &surfaces, &probes, &counter)?;
             part.measure_errors(&links);
         }
     }

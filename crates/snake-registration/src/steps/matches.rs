@@ -1,9 +1,10 @@
 //! Matches: pairs of points that may correspond, and when a transform brings one together.
 
-use nalgebra::IsometryMatrix3;
+use nalgebra::{IsometryMatrix3, Rotation3};
 
 use crate::cloud::surface;
 use crate::rigid::moved;
+use crate::steps::consensus;
 use snake_geometry::{RigidTransform, Vector};
 
 /// A match: a keypoint and unit normal of the source, with those of its partner in the target.
@@ -26,8 +27,17 @@ pub struct Criteria {
     pub inlier_distance: f64,
     /// Whether the signs of normals are known; without, opposite normals agree.
     pub signed: bool,
-    /// The axis of the rotation, a unit vector, if it is known.
+    /// The axis of the rotation, a unit vector, if it is known. A sensor is not quite level: the
+    /// rotation may tilt the axis by [`max_tilt`](consensus::Tuning::max_tilt).
     pub gravity: Option<Vector>,
+}
+
+impl Criteria {
+    /// Whether a rotation leaves the axis that is known about where it is.
+    pub(crate) fn is_level(&self, rotation: &Rotation3<f64>) -> bool {
+        let is_near = |axis: Vector| (rotation * axis).dot(&axis) >= consensus::TUNING.max_tilt.to_radians().cos();
+        self.gravity.is_none_or(is_near)
+    }
 }
 
 impl Match {

@@ -82,6 +82,12 @@ impl<'a> Pair<'a> {
             && Surface::opposed(source, target, t_target_source.isometry()) > surface::TUNING.max_opposed
     }
 
+    /// Whether the signs of normals and the free space are doubtful: voxels are too coarse for what
+    /// the sensors see, since much of the clouds is hidden from the places where they are said to be.
+    pub(crate) fn has_doubtful_signs(&self) -> bool {
+        self.is_signed() && !self.clouds.iter().all(|cloud| cloud.is_visible())
+    }
+
     pub(crate) fn viewpoints_used(&self) -> [ViewpointUsed; 2] {
         let used = |cloud: &PreparedCloud| cloud.viewpoint.filter(|_| self.is_signed()).map(|(_, used)| used);
         self.clouds.map(|cloud| used(cloud).unwrap_or(ViewpointUsed::None))

@@ -94,7 +94,8 @@ fn compatible(Match32(a): &Match32, Match32(b): &Match32, criteria: &Criteria) -
     }
     if let Some(axis) = criteria.gravity {
         let axis = axis.map(|v| v as f32).into();
-        if (dot(&edges[0], &axis) - dot(&edges[1], &axis)).abs() >= tolerance {
+        let tilted = TUNING.max_tilt.to_radians().sin() as f32 * in_source;
+        if (dot(&edges[0], &axis) - dot(&edges[1], &axis)).abs() >= tolerance + tilted {
             return false;
         }
     }

@@ -39,6 +39,8 @@ tuning! {
     cosine_tolerance: f32 = 0.3, unit "cosine", from "set by hand in 3738705";
     /// Two matches whose points are closer are incompatible: they agree on any transform.
     min_edge: f32 = 2.0, unit "inlier distances", from "set by hand in 3738705";
+    /// The axis that points up in both clouds may differ by this angle: no sensor is quite level.
+    max_tilt: f64 = 5.0, unit "degrees", from "set by hand: KITTI sweeps of one drive differ by up to 1.5";
 }
 
 /// A transform with the support of the matches.
@@ -95,7 +97,9 @@ fn check_matches(matches: &[Match]) -> Result<()> {
 /// The transform of a group of matches, fitted to all inliers while that improves it.
 fn fit_group(group: &[usize], matches: &[Match], criteria: &Criteria) -> Option<Supported> {
     let fit = |pairs: &[(Vector, Vector)]| match criteria.gravity {
-        Some(axis) => best_fit_about(&axis, pairs),
+        Some(axis) => best_fit(pairs.iter().copied())
+            .filter(|transform| criteria.is_level(&transform.rotation))
+            .or_else(|| best_fit_about(&axis, pairs)),
         None => best_fit(pairs.iter().copied()),
     };
     let pairs: Vec<_> = group.iter().map(|&i| (matches[i].source, matches[i].target)).collect();
@@ -206,7 +210,24 @@ mod tests {
         let criteria = Criteria { gravity: Some(Vector::z()), ..CRITERIA };
         let transforms = consensus(&matches, &criteria, 1, &Control::default()).unwrap();
         assert!(error(transforms[0].isometry(), &truth) < 0.02);
-        assert!((transforms[0].isometry().rotation * Vector::z() - Vector::z()).norm() < 1e-12);
+        assert!(criteria.is_level(&transforms[0].isometry().rotation));
+    }
+
+    #[test]
+    fn a_known_axis_has_a_tolerance() {
+        let tilted = |degrees: f64| {
+            let tilt = IsometryMatrix3::rotation(degrees.to_radians() * Vector::x());
+            let truth = tilt * IsometryMatrix3::new(Vector::new(1.0, 2.0, 3.0), Vector::new(0.0, 0.0, 2.5));
+            let matches = problem(3, 30, 800, &truth);
+            let criteria = Criteria { gravity: Some(Vector::z()), ..CRITERIA };
+            let transforms = consensus(&matches, &criteria, 1, &Control::default()).unwrap();
+            (error(transforms[0].isometry(), &truth), criteria.is_level(&transforms[0].isometry().rotation))
+        };
+        // A rotation about the axis alone would be off by 0.05.
+        let (error, is_level) = tilted(3.0);
+        assert!(error < 0.01 && is_level, "{error}");
+        let (error, is_level) = tilted(30.0);
+        assert!(error > 0.1 && is_level, "{error}");
     }
 
     #[test]

@@ -7,7 +7,7 @@ use rayon::prelude::*;
 
 use super::lengths::Lengths;
 use super::sentinels::without_sentinels;
-use super::viewpoint::viewpoint;
+use super::viewpoint::{is_visible, viewpoint};
 use super::voxel_cloud::VoxelCloud;
 use super::{name_cloud, voxel_size};
 use crate::cloud::normals::Orientation;
@@ -99,6 +99,13 @@ impl PreparedCloud {
     /// The voxel size for a pair of clouds of this size.
     pub(crate) fn default_voxel_size(&self) -> f64 {
         voxel_size(self.diameter)
+    }
+
+    /// Whether most of the cloud is visible from its sensor, as far as its voxels can show; not where
+    /// the sensor is not known.
+    pub(crate) fn is_visible(&self) -> bool {
+        let from = |(place, _)| is_visible(&self.voxels.voxels.points, place, self.lengths.inlier_distance);
+        self.viewpoint.is_some_and(from)
     }
 
     /// The voxels, for pairs closer than `distance`; `signed` normals point to the sensor.

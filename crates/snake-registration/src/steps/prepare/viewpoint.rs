@@ -19,6 +19,10 @@ pub(super) fn viewpoint(
     if let Some(given) = given {
         return Some((given.into(), ViewpointUsed::Given));
     }
-    let image = DepthImage::new(voxels, Vector::zeros(), inlier_distance, COARSE);
-    (image.visible_share(voxels) >= TUNING.min_visible).then_some((Vector::zeros(), ViewpointUsed::Origin))
+    is_visible(voxels, Vector::zeros(), inlier_distance).then_some((Vector::zeros(), ViewpointUsed::Origin))
+}
+
+/// Whether most of a cloud is visible from a place, as far as its voxels can show.
+pub(super) fn is_visible(voxels: &[Vector], place: Vector, inlier_distance: f64) -> bool {
+    DepthImage::new(voxels, place, inlier_distance, COARSE).visible_share(voxels) >= TUNING.min_visible
 }

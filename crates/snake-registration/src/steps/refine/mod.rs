@@ -3,11 +3,12 @@
 pub(crate) mod icp;
 mod patches;
 
+use nalgebra::IsometryMatrix3;
 use rayon::prelude::*;
 
 use crate::cloud::surface::{Agreement, Surface, coarse_step};
 use crate::rigid::displacement;
-use crate::steps::matches::{Match, inliers};
+use crate::steps::matches::{Criteria, Match, inliers};
 use crate::steps::pair::Pair;
 use crate::tuning::tuning;
 use icp::{one_way_icp, symmetric_icp};
@@ -106,7 +107,7 @@ pub fn refine(
         counter.add(1);
         let rough = guess.isometry();
         let steps = TUNING.coarse_steps.min(icp_steps);
-        let refined = one_way_icp(&coarse, target, *rough, criteria.gravity, steps, &counter)?;
+        let refined = level(criteria, |gravity| one_way_icp(&coarse, target, *rough, gravity, steps, &counter))?;
         let agreement = Surface::agreement(source, target, &refined, step);
         let (num_inliers, rmse) = inliers(matches, rough, criteria);
         Ok(Candidate { t_target_source: refined.into(), num_inliers, rmse, agreement })
@@ -116,7 +117,7 @@ pub fn refine(
     candidates.truncate(TUNING.min_refined.max(count));
     for candidate in &mut candidates {
         let rough = *candidate.t_target_source.isometry();
-        let refined = symmetric_icp(surfaces, rough, criteria.gravity, icp_steps, &counter)?;
+        let refined = level(criteria, |gravity| symmetric_icp(surfaces, rough, gravity, icp_steps, &counter))?;
         candidate.t_target_source = refined.into();
         candidate.agreement = Surface::agreement(source, target, &refined, 1);
     }
@@ -125,7 +126,8 @@ pub fn refine(
         && icp_steps > 0
     {
         let rough = *best.t_target_source.isometry();
-        let refined = refine_on_patches(pair.fine()?, rough, criteria.gravity, &counter)?;
+        let fine = pair.fine()?;
+        let refined = level(criteria, |gravity| refine_on_patches(fine, rough, gravity, &counter))?;
         if displacement(&refined, &rough, &coarse) < criteria.inlier_distance {
             best.t_target_source = refined.into();
         }
@@ -143,7 +145,9 @@ pub fn approach(pair: &Pair, guess: &RigidTransform, icp_steps: usize, control: 
     for factor in [TUNING.wide, TUNING.wide.sqrt()] {
         let [source, target] = pair.surfaces_within(factor * pair.criteria().inlier_distance);
         let counter = control.begin("ICP", 0);
-        transform = one_way_icp(source.points, &target, transform, pair.criteria().gravity, icp_steps, &counter)?;
+        transform = level(pair.criteria(), |gravity| {
+            one_way_icp(source.points, &target, transform, gravity, icp_steps, &counter)
+        })?;
     }
     Ok(transform.into())
 }
@@ -157,8 +161,18 @@ pub fn approach(pair: &Pair, guess: &RigidTransform, icp_steps: usize, control: 
 /// [`Error::DeadlineExceeded`](snake_core::Error::DeadlineExceeded).
 pub fn icp(pair: &Pair, guess: &RigidTransform, icp_steps: usize, control: &Control) -> Result<RigidTransform> {
     let counter = control.begin("ICP", 0);
-    let gravity = pair.criteria().gravity;
-    Ok(symmetric_icp(pair.surfaces(), *guess.isometry(), gravity, icp_steps, &counter)?.into())
+    let run = |gravity| symmetric_icp(pair.surfaces(), *guess.isometry(), gravity, icp_steps, &counter);
+    Ok(level(pair.criteria(), run)?.into())
+}
+
+/// The transform after ICP with any rotation or, where that tilts a known axis too far, with one
+/// about the axis.
+fn level(
+    criteria: &Criteria,
+    icp: impl Fn(Option<Vector>) -> Result<IsometryMatrix3<f64>>,
+) -> Result<IsometryMatrix3<f64>> {
+    let free = icp(None)?;
+    if criteria.is_level(&free.rotation) { Ok(free) } else { icp(criteria.gravity) }
 }
 
 /// The candidates best first, without those that move the points to about the same places as a
