@@ -8,7 +8,8 @@ use clap::Args;
 use serde::de::DeserializeOwned;
 use serde_json::{Map, Value};
 use snake_core::{
-    Builtin, BuiltinModels, Chooser, Chosen, EncodeOptions, Length, Model, ModelChoice, NamedModel, Options, SimdLevel,
+    Builtin, BuiltinModels, Chooser, Chosen, Cloud, EncodeOptions, Length, Model, ModelChoice, NamedModel, Options,
+    SimdLevel,
 };
 use snake_registration::RegisterOptions;
 
@@ -56,9 +57,24 @@ impl ComputeArguments {
         Ok(())
     }
 
-    /// Loads the model of `--model`, by default `compact`, with the options that follow from those of `start`.
-    pub fn load_model(&self, start: impl Fn(&Model) -> Options) -> Result<NamedModel> {
-        load(self.named()?, start)
+    /// Loads the model of `--model`, by default that of a cloud for given values of options, with the options that follow from
+    /// those of `start`.
+    pub fn load_model(
+        &self,
+        values: &Map<String, Value>,
+        cloud: impl FnOnce() -> Result<Cloud>,
+        start: impl Fn(&Model) -> Options,
+    ) -> Result<NamedModel> {
+        if let Some(path) = self.named()? {
+            return load(Some(path), start);
+        }
+        let (chooser, cloud) = (Chooser::new(ModelChoice::default(), values)?, cloud()?);
+        load(Some(Path::new(builtin_name(&chooser.for_cloud(&cloud)?.name))), start)
+    }
+
+    /// Whether no model is named, so that each cloud or the first one decides.
+    pub fn is_open(&self) -> Result<bool> {
+        Ok(self.named()?.is_none())
     }
 
     /// The model of `--model`, by default `scenes`.
@@ -97,6 +113,11 @@ fn configured_models() -> Result<BuiltinModels> {
     Builtin::ALL.into_iter().try_fold(BuiltinModels::default(), |models, which| {
         Ok(models.with_options(which, config.options_of(Path::new(which.name()), &which.recommended())?))
     })
+}
+
+/// The name of a built-in model without the words that a report adds.
+pub fn builtin_name(name: &str) -> &str {
+    name.trim_end_matches(", built-in")
 }
 
 /// Prints the model and the options of a cloud, with `--verbose`.

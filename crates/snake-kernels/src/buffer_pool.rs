@@ -68,6 +68,13 @@ fn fresh(length: usize) -> Vec<f32> {
 #[cfg(all(target_os = "linux", not(miri)))]
 const HUGE_PAGE: usize = 2 << 20;
 
+impl Buffer {
+    /// Keeps only the first `length` values.
+    pub fn truncate(&mut self, length: usize) {
+        self.values.truncate(length);
+    }
+}
+
 impl Drop for Buffer {
     fn drop(&mut self) {
         if let Some(mut unused) = self.pool.unused()

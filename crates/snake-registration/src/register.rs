@@ -134,11 +134,7 @@ fn search(
     guesses.extend_from_slice(more);
     let candidates = refine(pair, &matches, &guesses, options.icp_steps, pair_options.hypotheses, control)?;
     if candidates.first().is_some_and(|best| pair.contradicts_viewpoints(&best.t_target_source)) {
-<<<<<<< HEAD
-        return register_checked(&pair.without_signs(), options, pair_options, control);
-=======
         return search(&pair.without_signs(), options, pair_options, more, control);
->>>>>>> seek
     }
     let mut registration = judge(pair, &matches, &candidates)?;
     registration.hypotheses.truncate(pair_options.hypotheses);

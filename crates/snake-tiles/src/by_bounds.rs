@@ -46,7 +46,8 @@ impl TiledRun {
             extent.add_crs(file.source().path(), file.crs().cloned())?;
         }
         let Extent { bounds, crs, .. } = extent.checked()?;
-        let mut plan = Plan::new(source, versions, bounds.origin(), crs, Vec::new());
+        let mut plan = Plan::new(source, versions, &bounds, crs, Vec::new());
+        detector.set_lowest_corner(plan.lowest_corner);
         plan.num_points = files.iter().map(Copc::num_points).sum();
         plan.tiles = tiles(&detector, &plan, &files, &bounds)?;
         folder.clear(|name| is_kept(&folder, name, &id))?;

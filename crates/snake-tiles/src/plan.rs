@@ -5,6 +5,7 @@ use std::path::{Path, PathBuf};
 
 use serde::{Deserialize, Serialize};
 use snake_core::TileSettings;
+use snake_geometry::{Bounds, Point, subtract_origin};
 use snake_io::{Copc, Crs, LocalFile, Ranges};
 
 use crate::folder::{PLAN, RunFolder, digest_of};
@@ -104,6 +105,8 @@ pub(crate) struct Plan {
     pub(crate) versions: Vec<Version>,
     /// Added to all points, see [`snake_geometry::Cloud::origin`].
     pub(crate) origin: [f64; 3],
+    /// The lowest corner of the points, relative to the origin.
+    pub(crate) lowest_corner: Point,
     pub(crate) crs: Option<Crs>,
     /// Points of all files, those that are not finite included.
     pub(crate) num_points: u64,
@@ -122,12 +125,25 @@ impl Plan {
     pub(crate) fn new(
         source: Source,
         versions: Vec<Version>,
-        origin: [f64; 3],
+        bounds: &Bounds,
         crs: Option<Crs>,
         failures: Vec<Failure>,
     ) -> Self {
-        let (num_points, num_skipped, tiles, digests) = (0, 0, Vec::new(), Vec::new());
-        Self { source, versions, origin, crs, num_points, num_skipped, failures, resolution: None, tiles, digests }
+        let origin = bounds.origin();
+        let lowest_corner = subtract_origin(bounds.low, origin);
+        Self {
+            source,
+            versions,
+            origin,
+            lowest_corner,
+            crs,
+            num_points: 0,
+            num_skipped: 0,
+            failures,
+            resolution: None,
+            tiles: Vec::new(),
+            digests: Vec::new(),
+        }
     }
 
     /// Whether the points of all tiles are on disk, undamaged. All of them are read.

@@ -71,7 +71,8 @@ impl TiledRun {
         // What is wrong with the inputs is said before anything is removed.
         let Extent { bounds, crs, failures, .. } = extent(files, read)?;
         folder.clear(|name| is_kept(&folder, name, &id))?;
-        let plan = Plan::new(source, versions, bounds.origin(), crs, failures);
+        let plan = Plan::new(source, versions, &bounds, crs, failures);
+        detector.set_lowest_corner(plan.lowest_corner);
         let plan = sort_points(&detector, plan, files, read, &folder)?;
         if self::versions(files)? != plan.versions {
             let reason = "changed while they were read; begin again once they are complete".into();
@@ -90,8 +91,9 @@ impl TiledRun {
         Ok(run)
     }
 
-    /// A run of a plan: lengths in `r` get their value.
+    /// A run of a plan: the lattice begins where the cloud does, and lengths in `r` get their value.
     pub(crate) fn resolved(mut self) -> Result<Self> {
+        self.detector.set_lowest_corner(self.plan.lowest_corner);
         self.plan.resolution.map_or(Ok(()), |resolution| self.detector.set_resolution(resolution))?;
         Ok(self)
     }
@@ -166,8 +168,10 @@ impl TiledRun {
 
     /// The lowest and the highest corner of columns, in the units of the files.
     pub(crate) fn corners(&self, columns: &[Range<i32>; 2]) -> [[f64; 2]; 2] {
-        let at = |axis: usize, column: i32| f64::from(column) * self.detector.column_side() + self.plan.origin[axis];
-        [[at(0, columns[0].start), at(1, columns[1].start)], [at(0, columns[0].end), at(1, columns[1].end)]]
+        [[columns[0].start, columns[1].start], [columns[0].end, columns[1].end]].map(|column| {
+            let corner = self.detector.corner_of_column(column);
+            std::array::from_fn(|axis| corner[axis] + self.plan.origin[axis])
+        })
     }
 
     /// Whether the candidates of a tile are on disk, undamaged and of this run. All of the file is read.

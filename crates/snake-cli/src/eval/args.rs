@@ -4,11 +4,12 @@ use std::path::PathBuf;
 
 use anyhow::Result;
 use clap::{Args, Subcommand, ValueEnum};
-use snake_core::{Length, Model, NamedModel, Options};
+use serde_json::{Map, Value};
+use snake_core::{Chooser, Cloud, Length, Model, NamedModel, Options};
 use snake_registration::{Descriptor, Detector};
 
 use crate::inputs::ColumnArguments;
-use crate::setup::{ComputeArguments, EncodeFlags, load, named};
+use crate::setup::{ComputeArguments, EncodeFlags, load, named, recommended};
 
 #[derive(Subcommand)]
 pub enum Eval {
@@ -225,10 +226,26 @@ pub struct RunArguments {
 }
 
 impl RunArguments {
-    /// Loads the models to evaluate, with the options that follow from those of `start`.
-    pub fn load_models(&self, start: impl Fn(&Model) -> Options) -> Result<Vec<NamedModel>> {
+    /// What chooses the model of each cloud, for given values of options: one chooser for each of `--models`, or else that of
+    /// `--model`.
+    pub fn choosers(&self, values: &Map<String, Value>) -> Result<Vec<Chooser>> {
+        let named = |model: &PathBuf| Ok(Chooser::new(load(Some(model), recommended)?.into(), values)?);
         match &self.models[..] {
-            [] => Ok(vec![self.compute.load_model(start)?]),
+            [] => Ok(vec![self.compute.chooser(values)?]),
+            models => models.iter().map(named).collect(),
+        }
+    }
+
+    /// Loads the models for all clouds of a data set, with the options that follow from those of `start`. Without `--model` and
+    /// `--models`, `first`, a cloud of the data set, decides for given values of options.
+    pub fn load_models(
+        &self,
+        values: &Map<String, Value>,
+        first: impl FnOnce() -> Result<Cloud>,
+        start: impl Fn(&Model) -> Options,
+    ) -> Result<Vec<NamedModel>> {
+        match &self.models[..] {
+            [] => Ok(vec![self.compute.load_model(values, first, start)?]),
             models => models.iter().map(|model| load(Some(model), &start)).collect(),
         }
     }

@@ -16,7 +16,7 @@ use snake_registration::{Descriptor, Detector};
 use super::args::RegistrationArguments;
 use super::methods::check_distinct;
 use crate::inputs::ColumnArguments;
-use crate::setup::{named, none_if_zero};
+use crate::setup::{builtin_name, named, none_if_zero};
 
 /// Size of the voxels to which clouds are downsampled, in metres.
 pub const VOXEL_SIZE: f64 = 0.03;
@@ -33,6 +33,8 @@ const PAPER: (&str, Length) = ("3dmatch", Length::Units(0.05));
 /// The detectors and descriptors to evaluate, and the models that they use.
 pub struct Methods<'a> {
     pub models: Vec<NamedModel>,
+    /// The model that the first cloud has, if none is named.
+    chosen: Option<String>,
     combinations: Vec<Combination>,
     external: &'a [(String, PathBuf)],
     columns: &'a ColumnArguments,
@@ -60,7 +62,11 @@ impl<'a> Methods<'a> {
     /// The methods of the command line, whose models start from the options of registration.
     pub fn new(arguments: &'a RegistrationArguments, scenes: &Scenes) -> Result<Self> {
         let RegistrationArguments { external, nms_radius, options, .. } = arguments;
-        let models = arguments.run.load_models(|model| VoxelCloud::default_options(model, VOXEL_SIZE))?;
+        let first = || Ok(arguments.run.columns.read(&scenes.clouds[scenes.pairs[0].target])?);
+        let models = arguments
+            .run
+            .load_models(&options.values(), first, |model| VoxelCloud::default_options(model, VOXEL_SIZE))?;
+        let is_open = arguments.run.models.is_empty() && arguments.run.compute.is_open()?;
         let is_preset = options.preset() == Some(PAPER.0) && !options.given().contains_key("nms_radius");
         let paper = is_preset.then_some(PAPER.1);
         let resolve = |mut loaded: NamedModel| -> Result<NamedModel> {
@@ -71,6 +77,7 @@ impl<'a> Methods<'a> {
             Ok(loaded)
         };
         let mut methods = Self {
+            chosen: models.first().filter(|_| is_open).map(|loaded| builtin_name(&loaded.name).to_owned()),
             models: models.into_iter().map(resolve).collect::<Result<_>>()?,
             combinations: Vec::new(),
             external,
@@ -132,11 +139,13 @@ impl<'a> Methods<'a> {
         let mut rows = Vec::new();
         for Combination { source, descriptors, .. } in &self.combinations {
             let detector = match source {
+                Source::Builtin(Detector::Snake) => self.with_model(name_of(&Detector::Snake)),
                 Source::Builtin(detector) => name_of(detector),
                 Source::Files(number) => file(*number),
             };
             rows.extend(descriptors.iter().map(|(source, _)| {
                 let descriptor = match source {
+                    Source::Builtin(Descriptor::Field) => self.with_model(name_of(&Descriptor::Field)),
                     Source::Builtin(descriptor) => name_of(descriptor),
                     Source::Files(number) => file(*number),
                 };
@@ -144,6 +153,11 @@ impl<'a> Methods<'a> {
             }));
         }
         rows
+    }
+
+    /// A name with the model that was chosen.
+    fn with_model(&self, name: String) -> String {
+        self.chosen.as_ref().map_or(name.clone(), |model| format!("{name} ({model})"))
     }
 
     /// Reads a cloud and computes the keypoints of each detector with their descriptors.

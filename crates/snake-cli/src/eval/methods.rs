@@ -5,13 +5,14 @@ use std::path::PathBuf;
 
 use anyhow::{Context, Result, bail};
 use serde_json::{Value, json};
-use snake_core::{Length, Model, NamedModel, Options, Point};
+use snake_core::{Chooser, ChosenBy, Control, DetectOptions, Length, NamedModel, Point};
 use snake_eval::ExternalKeypoints;
+use snake_eval::reports::Models;
 use snake_geometry::suppress_ranked;
 use snake_registration::detectors::{Detector, Protocol};
 
 use super::args::{EvalArguments, ProtocolName};
-use crate::setup::{none_if_zero, recommended};
+use crate::setup::{builtin_name, none_if_zero};
 
 /// A detector with its options. It maps a cloud to the positions of its best keypoints.
 pub struct Method {
@@ -24,8 +25,9 @@ pub struct Method {
 
 enum Source {
     Snake {
-        model: Box<Model>,
-        options: Options,
+        chooser: Box<Chooser>,
+        /// The suppression of the detection itself.
+        spacing: Spacing,
     },
     Classical {
         detector: Detector,
@@ -35,6 +37,14 @@ enum Source {
     External {
         folder: PathBuf,
     },
+}
+
+/// Keypoints of a cloud.
+pub struct Ranked {
+    /// Best first.
+    pub positions: Vec<Point>,
+    /// The model that was chosen for the cloud, if none was named.
+    pub model: Option<String>,
 }
 
 /// A cloud by the name that keypoints in files have.
@@ -79,7 +89,7 @@ impl Method {
                 Some(rotations) => {
                     // The detection suppresses by a radius itself.
                     let after = if matches!(spacing, Spacing::Coverage) { spacing } else { Spacing::Own };
-                    let sources = Source::for_models(rotations, arguments, spacing)?;
+                    let sources = Source::networks(rotations, arguments, spacing)?;
                     methods.extend(sources.into_iter().map(|source| of(name, source, after)));
                 }
                 None => {
@@ -120,8 +130,10 @@ impl Method {
             Spacing::Own | Spacing::Coverage => None,
         };
         match &self.source {
-            Source::Snake { model, options } => {
-                json!({"name": self.name, "options": options, "model": model.metadata()})
+            Source::Snake { chooser, .. } => {
+                let model = |named: &NamedModel| json!({"model": named.model.metadata(), "options": named.options});
+                let models = chooser.models().iter().map(model).collect::<Vec<_>>();
+                json!({"name": self.name, "spacing": spacing, "models": models})
             }
             Source::Classical { .. } => json!({"name": self.name, "spacing": spacing}),
             Source::External { folder } => json!({"name": self.name, "spacing": spacing, "folder": folder}),
@@ -130,27 +142,27 @@ impl Method {
 
     /// Positions of the best keypoints of a cloud, best first; `file` finds those in files. The seed determines random choices.
     /// They are suppressed by the radius, in cloud units, or else by the method's own.
-    pub fn keypoints(
-        &self,
-        points: &[Point],
-        file: Option<InFile>,
-        seed: u64,
-        radius: Option<f64>,
-    ) -> Result<Vec<Point>> {
+    pub fn keypoints(&self, points: &[Point], file: Option<InFile>, seed: u64, radius: Option<f64>) -> Result<Ranked> {
         let radius = match (radius, self.spacing) {
             (Some(radius), _) => radius,
             (None, Spacing::Own | Spacing::Coverage | Spacing::Radius(Length::Units(0.0))) => 0.0,
             (None, Spacing::Radius(radius)) => radius.in_units("nms_radius", points)?,
         };
-        let ranked = self.candidates(points, file, seed)?;
-        Ok(suppress_ranked(&ranked, radius as f32, self.count)?.into_iter().map(|index| ranked[index]).collect())
+        let Ranked { positions, model } = self.candidates(points, file, seed)?;
+        let kept = suppress_ranked(&positions, radius as f32, self.count)?;
+        Ok(Ranked { positions: kept.into_iter().map(|index| positions[index]).collect(), model })
     }
 
     /// Positions of all keypoints, best first: before suppression, where it is not the detector's own.
-    pub fn candidates(&self, points: &[Point], file: Option<InFile>, seed: u64) -> Result<Vec<Point>> {
-        Ok(match &self.source {
-            Source::Snake { model, options } => {
-                model.detect(points, options)?.keypoints.iter().map(|keypoint| keypoint.position).collect()
+    pub fn candidates(&self, points: &[Point], file: Option<InFile>, seed: u64) -> Result<Ranked> {
+        let positions = match &self.source {
+            Source::Snake { chooser, spacing } => {
+                let mut chosen = chooser.for_points(points)?;
+                self.set_number(&mut chosen.options.detect, *spacing);
+                let detection = chosen.detect(&Control::default())?;
+                let positions = detection.keypoints.iter().map(|keypoint| keypoint.position).collect();
+                let model = (chosen.by != ChosenBy::Name).then(|| builtin_name(&chosen.name).to_owned());
+                return Ok(Ranked { positions, model });
             }
             Source::Classical { detector, protocol } => {
                 let candidates = if matches!(self.spacing, Spacing::Own) { self.count } else { points.len() };
@@ -164,7 +176,19 @@ impl Method {
                 let file = folder.join(format!("{name}.npz"));
                 ExternalKeypoints::read(&file, origin).with_context(|| format!("--external {}", self.name))?.positions
             }
-        })
+        };
+        Ok(Ranked { positions, model: None })
+    }
+
+    /// Sets how many keypoints a detection finds, and how far apart.
+    fn set_number(&self, options: &mut DetectOptions, spacing: Spacing) {
+        options.max_keypoints = self.count;
+        match spacing {
+            Spacing::Own => (),
+            Spacing::Radius(radius) => options.nms_radius = none_if_zero(radius),
+            // Suppression follows, of all candidates.
+            Spacing::Coverage => (options.nms_radius, options.max_keypoints) = (None, usize::MAX),
+        }
     }
 
     /// The largest number of keypoints of a cloud.
@@ -174,22 +198,20 @@ impl Method {
 }
 
 impl Source {
-    /// The network, by each of the models.
-    fn for_models(rotations: Option<usize>, arguments: &EvalArguments, spacing: Spacing) -> Result<Vec<Self>> {
-        let source = |loaded: NamedModel| -> Result<Self> {
-            let mut options = loaded.options.resolve(&arguments.options.values())?;
-            options.encode.rotations = rotations.unwrap_or(options.encode.rotations);
-            options.detect.max_keypoints = arguments.max_keypoints;
-            match spacing {
-                Spacing::Own => (),
-                Spacing::Radius(radius) => options.detect.nms_radius = none_if_zero(radius),
-                // Suppression follows, of all candidates.
-                Spacing::Coverage => (options.detect.nms_radius, options.detect.max_keypoints) = (None, usize::MAX),
-            }
-            Ok(Self::Snake { model: Box::new(loaded.model), options })
-        };
-        arguments.run.load_models(recommended)?.into_iter().map(source).collect()
+    /// The network, by each of the models or by that of each cloud.
+    fn networks(rotations: Option<usize>, arguments: &EvalArguments, spacing: Spacing) -> Result<Vec<Self>> {
+        let mut values = arguments.options.values();
+        values.extend(rotations.map(|number| ("rotations".to_owned(), number.into())));
+        let choosers = arguments.run.choosers(&values)?;
+        Ok(choosers.into_iter().map(|chooser| Self::Snake { chooser: Box::new(chooser), spacing }).collect())
     }
+}
+
+/// How many clouds each model was chosen for.
+pub fn count_models(ranked: &[Ranked]) -> Models {
+    let mut models = Models::new();
+    ranked.iter().filter_map(|ranked| ranked.model.clone()).for_each(|model| *models.entry(model).or_default() += 1);
+    models
 }
 
 /// Refuses a name that stands twice, because rows of one name are those of several models.

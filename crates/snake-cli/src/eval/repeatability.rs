@@ -15,7 +15,7 @@ use snake_io as io;
 
 use super::args::RepeatabilityArguments;
 use super::files;
-use super::methods::{InFile, Method};
+use super::methods::{InFile, Method, count_models};
 use super::record::Record;
 use super::schedule::{Schedule, Task};
 use crate::inputs::{ColumnArguments, expand};
@@ -189,8 +189,8 @@ impl Plan {
                 let ranked = |(index, clouds): &(usize, PairClouds)| -> Result<RankedKeypoints> {
                     let Views { view_1, seeds, origins, .. } =
                         clouds.views(*condition, self.num_points, seed, *index)?;
-                    let keypoints = method.candidates(&view_1, in_files(data, *index, &origins)[0], seeds[0])?;
-                    Ok(RankedKeypoints { points: view_1, keypoints })
+                    let ranked = method.candidates(&view_1, in_files(data, *index, &origins)[0], seeds[0])?;
+                    Ok(RankedKeypoints { points: view_1, keypoints: ranked.positions })
                 };
                 let ranked = clouds.iter().map(ranked).collect::<Result<Vec<_>>>()?;
                 bar.step();
@@ -220,12 +220,15 @@ impl Plan {
             for (method, radius) in methods.iter().zip(radii) {
                 let keypoints =
                     |view: &[Point], which: usize| method.keypoints(view, files[which], seeds[which], *radius);
-                let (first, second) = (keypoints(&view_1, 0)?, keypoints(&view_2, 1)?);
+                let ranked = [keypoints(&view_1, 0)?, keypoints(&view_2, 1)?];
+                let models = count_models(&ranked);
+                let [first, second] = ranked.map(|ranked| ranked.positions);
                 let repeatability = relative_repeatability(&first, &second, &t_1_2, &self.sweeps.epsilon)?;
                 let coverage = if first.is_empty() { None } else { Some(mean_distance_to_keypoints(&view_1, &first)?) };
                 let keypoints = first.len();
                 rows.push(Row {
                     method: method.name().into(),
+                    models,
                     condition: *condition,
                     keypoints,
                     coverage,

@@ -12,7 +12,7 @@ use snake_eval::{RankedKeypoints, SmplProtocol, Unreachable, radius_of_coverage,
 
 use super::args::{EvalArguments, SemanticArguments};
 use super::files;
-use super::methods::{InFile, Method};
+use super::methods::{InFile, Method, count_models};
 use super::record::Record;
 use super::schedule::{Schedule, Task};
 use crate::terminal;
@@ -91,8 +91,8 @@ fn radii(
                     body_shape(first)
                 }
             };
-            let keypoints = method.candidates(&points, Some(InFile { name: &name, origin }), seed)?;
-            Ok(RankedKeypoints { points, keypoints })
+            let ranked = method.candidates(&points, Some(InFile { name: &name, origin }), seed)?;
+            Ok(RankedKeypoints { points, keypoints: ranked.positions })
         };
         let ranked = schedule.chosen().iter().map(ranked).collect::<Result<Vec<_>>>()?;
         bar.step();
@@ -124,10 +124,13 @@ fn rows(
             let [file_1, file_2] = names.each_ref().map(|name| Some(InFile { name, origin: [0.0; 3] }));
             let on_1 = method.keypoints(body_1, file_1, seed_1, *radius)?;
             let on_2 = method.keypoints(body_2, file_2, seed_2, *radius)?;
+            let ranked = [on_1, on_2];
+            let models = count_models(&ranked);
+            let [on_1, on_2] = ranked.map(|ranked| ranked.positions);
             let counts = |rule| smpl_pair_counts(body_1, body_2, &on_1, &on_2, threshold, rule);
             let paper = counts(SmplProtocol::PaperCompatible { seed: fill_seed })?;
             let strict = counts(SmplProtocol::Strict)?;
-            Ok(Row { method: method.name().into(), keypoints: on_1.len(), strict, paper })
+            Ok(Row { method: method.name().into(), models, keypoints: on_1.len(), strict, paper })
         };
         methods.iter().zip(radii).map(row).collect()
     };
@@ -137,10 +140,12 @@ fn rows(
             let Cloud { points, origin } = arguments.common.run.columns.read(&shapes[shape].cloud)?;
             let name = data.name(shape);
             let row = |(method, radius): (&Method, &Option<f64>)| {
-                let keypoints = method.keypoints(&points, Some(InFile { name: &name, origin }), seed_1, *radius)?;
+                let ranked = [method.keypoints(&points, Some(InFile { name: &name, origin }), seed_1, *radius)?];
+                let models = count_models(&ranked);
+                let [keypoints] = ranked.map(|ranked| ranked.positions);
                 let counts = |rule| semantic_counts(&points, &shapes[shape].keypoints, &keypoints, threshold, rule);
                 let (strict, paper) = (counts(Unreachable::Strict)?, counts(Unreachable::PaperCompatible)?);
-                Ok(Row { method: method.name().into(), keypoints: keypoints.len(), strict, paper })
+                Ok(Row { method: method.name().into(), models, keypoints: keypoints.len(), strict, paper })
             };
             methods.iter().zip(radii).map(row).collect()
         }

@@ -75,3 +75,25 @@ fn registration_is_the_mean_over_models() {
     let without = |row: &Value| row["detector"] == "fps" && row["descriptor"] == "fpfh";
     check("registration", data.path(), &words, figure, without);
 }
+
+#[test]
+fn without_a_model_each_cloud_has_its_own_and_the_table_names_it() {
+    let data = corpus(2, 1000);
+    let words = ["--methods", "snake,iss", "--downsample", "1", "--noise", "0", "--num-points", "900"];
+    let ((chosen, text), (named, named_text)) = (
+        report("repeatability", data.path(), &words),
+        report("repeatability", data.path(), &[&words[..], &["--model", "compact"]].concat()),
+    );
+    assert!(text.contains("snake (compact) ") && !named_text.contains("(compact)"), "{text}\n{named_text}");
+    assert_eq!(chosen, named);
+    let (scenes_by_option, text) =
+        report("repeatability", data.path(), &[&words[..], &["--set", "voxel_size=0.2"]].concat());
+    assert!(text.contains("snake (scenes) "), "{text}");
+    assert_ne!(scenes_by_option[0], named[0]);
+    let shapes = keypointnet();
+    let (_, text) = report("semantic", shapes.path(), &["--methods", "snake,iss", "--threshold", "0.1"]);
+    assert!(text.contains("snake (") && text.contains("iss  "), "{text}");
+    let fragments = scenes(&[[0, 1]]);
+    let (_, text) = report("registration", fragments.path(), &["--detectors", "snake,fps", "--max-keypoints", "30"]);
+    assert!(text.contains("snake (compact) field (compact)") && text.contains("fps fpfh"), "{text}");
+}

@@ -96,6 +96,20 @@ impl Chooser {
         self.choose(points, [0.0; 3])
     }
 
+    /// The models between which it chooses, with the options of each.
+    pub fn models(&self) -> Vec<NamedModel> {
+        let builtin = |models: &BuiltinModels, which: Builtin, options: Options| {
+            NamedModel::new(models.get(which).clone(), which.report_name()).with_options(options)
+        };
+        match &self.0 {
+            Candidates::Named(named) => vec![named.clone()],
+            Candidates::ByOption(models, _, which, options) => vec![builtin(models, *which, *options)],
+            Candidates::ByCloud(models, options) => {
+                Builtin::ALL.iter().zip(options).map(|(which, options)| builtin(models, *which, *options)).collect()
+            }
+        }
+    }
+
     /// Seconds that loading of built-in models took so far.
     pub fn load_seconds(&self) -> f64 {
         match &self.0 {
@@ -106,17 +120,16 @@ impl Chooser {
 
     fn choose<'a>(&self, points: &'a [Point], origin: [f64; 3]) -> Result<Chosen<'a>> {
         let cloud = UsedCloud::new(points)?;
-        let builtin = |which: Builtin| format!("{}, built-in", which.name());
         let (model, name, options, by) = match &self.0 {
             Candidates::Named(NamedModel { model, name, options }) => {
                 (model.clone(), name.clone(), *options, ChosenBy::Name)
             }
             Candidates::ByOption(models, option, which, options) => {
-                (models.get(*which).clone(), builtin(*which), *options, ChosenBy::Option(option))
+                (models.get(*which).clone(), which.report_name(), *options, ChosenBy::Option(option))
             }
             Candidates::ByCloud(models, options) => {
                 let which = by_cloud(&cloud);
-                (models.get(which).clone(), builtin(which), options[which as usize], ChosenBy::Cloud)
+                (models.get(which).clone(), which.report_name(), options[which as usize], ChosenBy::Cloud)
             }
         };
         let note = match &self.0 {
@@ -126,6 +139,13 @@ impl Chooser {
         };
         let (cloud, origin) = placed(cloud, points, origin, options.encode.normalization)?;
         Ok(Chosen { model, name, options, by, note, cloud, origin })
+    }
+}
+
+impl Builtin {
+    /// The name in reports.
+    fn report_name(self) -> String {
+        format!("{}, built-in", self.name())
     }
 }
 
@@ -285,6 +305,23 @@ mod tests {
                 assert_eq!(chosen.note.is_some(), suited != expected, "{json}: {:?}", chosen.note);
             }
         }
+    }
+
+    #[test]
+    fn the_models_of_a_choice_are_those_that_clouds_have() {
+        for (json, expected) in [
+            ("{}", &["compact, built-in", "scenes, built-in"][..]),
+            (r#"{"rotations": 4}"#, &["compact, built-in"]),
+            (r#"{"voxel_size": 0.1}"#, &["scenes, built-in"]),
+        ] {
+            let models = chooser(json).models();
+            assert_eq!(models.iter().map(|model| &model.name[..]).collect::<Vec<_>>(), expected);
+            let points = room();
+            let chosen = chooser(json).for_points(&points).map(|chosen| (chosen.name, chosen.options)).unwrap();
+            assert!(models.iter().any(|model| (&model.name, model.options) == (&chosen.0, chosen.1)), "{json}");
+        }
+        let named = NamedModel::new(Model::builtin(Builtin::Compact), "mine");
+        assert_eq!(Chooser::new(named.into(), &Map::new()).unwrap().models()[0].name, "mine");
     }
 
     #[test]

@@ -12,6 +12,9 @@ const REACH: i32 = 2;
 /// The same for the near blocks: what one convolution makes of the points lies in them.
 const NEAR: i32 = 1;
 
+/// The same for the filled blocks: the features of the points lie in them.
+const FILLED: i32 = 0;
+
 /// One level: its blocks and where their neighbours are stored.
 #[derive(Debug, Default)]
 pub(crate) struct Level {
@@ -19,6 +22,9 @@ pub(crate) struct Level {
     /// The blocks near the points, which have the lowest numbers; of coarser levels all blocks. The first convolution of the
     /// encoder and the last of the decoder make only these.
     pub(crate) near: BlockGrid,
+    /// The blocks that the features of the points lie in, which have the lowest numbers of all; of coarser levels all blocks. The
+    /// encoder reads only these.
+    pub(crate) filled: BlockGrid,
     /// For each block the blocks about it.
     pub(crate) neighbors: Vec<[u32; 27]>,
     /// For each block the blocks of the next coarser level about the one that covers it, and its half of that one.
@@ -28,9 +34,10 @@ pub(crate) struct Level {
     pub(crate) children: Vec<[u32; 8]>,
 }
 
-/// The blocks of the finest level over cells given by their lowest nodes: those near the cells, and all.
+/// The blocks of the finest level over cells given by their lowest nodes: those that hold the cells, those near them, and all.
 #[derive(Debug)]
 pub(crate) struct FinestLevel {
+    pub(crate) filled: BlockGrid,
     pub(crate) near: BlockGrid,
     pub(crate) all: BlockGrid,
 }
@@ -46,9 +53,10 @@ impl FinestLevel {
             let about_cell = move |cell: [i32; 3]| places_between(cell.map(|i| i - reach), cell.map(|i| i + 1 + reach));
             BlockGrid::new(cells.clone().flat_map(about_cell))
         };
-        let near = about_cells(NEAR);
+        let filled = about_cells(FILLED);
+        let near = filled.with(&about_cells(NEAR));
         let all = near.with(&about_cells(REACH));
-        (all.len() <= max).then_some(Self { near, all })
+        (all.len() <= max).then_some(Self { filled, near, all })
     }
 
     /// The number of blocks.
@@ -58,7 +66,7 @@ impl FinestLevel {
 }
 
 /// The levels of the U-Net from the finest on.
-pub(crate) fn levels(number: usize, FinestLevel { near, all }: FinestLevel) -> Vec<Level> {
+pub(crate) fn levels(number: usize, FinestLevel { filled, near, all }: FinestLevel) -> Vec<Level> {
     let mut grids = vec![all];
     for level in 1..number {
         let half = BLOCK_SIDE as i32 / 2;
@@ -82,6 +90,7 @@ pub(crate) fn levels(number: usize, FinestLevel { near, all }: FinestLevel) -> V
                 None => Vec::new(),
             },
             near: if level == 0 { near.clone() } else { grid.clone() },
+            filled: if level == 0 { filled.clone() } else { grid.clone() },
             grid: grid.clone(),
         });
     }

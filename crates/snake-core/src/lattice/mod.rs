@@ -3,12 +3,13 @@
 //! This folder is the only place that knows one from the other. It answers for both: which frame a cloud is put into, where
 //! detection starts its queries, what it corrects afterwards, and which options make sense.
 //!
-//! Node `i` of a scene's lattice lies at the coordinate `i` of the network's frame, whose unit is the voxel. A cell is the
-//! space between eight nodes. Far from all points every layer of the network has a constant value, so blocks without points
+//! Node `i` of a scene's lattice lies at the coordinate `i` of the network's frame, whose unit is the voxel, and which begins below
+//! the lowest corner of the points. A cell is the space between eight nodes. Far from all points every layer of the network has a constant value, so blocks without points
 //! nearby need neither memory nor time.
 
 mod blocks;
 mod cells;
+mod corner;
 mod cube;
 mod levels;
 mod queries;
@@ -20,6 +21,9 @@ mod voxel_size;
 
 pub(crate) use self::blocks::{BlockGrid, MAX_NODE};
 pub(crate) use self::cells::Cells;
+pub(crate) use self::corner::from_corner;
+#[cfg(test)]
+pub(crate) use self::corner::lowest_corner;
 pub use self::cube::VolumeFrame;
 pub(crate) use self::levels::{FinestLevel, Level, levels};
 pub(crate) use self::queries::{Queries, Refined};

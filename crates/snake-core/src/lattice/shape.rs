@@ -2,6 +2,7 @@
 
 use std::fmt;
 
+use super::corner::{from_corner, lowest_corner};
 use super::cube::VolumeFrame;
 use super::voxel_size::voxel_size;
 use crate::cloud::UsedCloud;
@@ -108,7 +109,7 @@ impl VolumeShape {
             }
             Self::Scene { .. } => {
                 let scale = voxel_size(options.voxel_size, cloud, max_blocks, control)?;
-                Ok((Normalization { center: [0.0; 3], scale }, rotations::IDENTITY))
+                Ok((from_corner(lowest_corner(cloud.points()), scale), rotations::IDENTITY))
             }
         }
     }

@@ -15,6 +15,7 @@ use rayon::prelude::*;
 use snake_kernels::Scratch;
 
 use super::blocks::MAX_NODE;
+use super::corner::lowest_corner;
 use super::levels::FinestLevel;
 use crate::cloud::UsedCloud;
 use crate::control::Control;
@@ -45,17 +46,15 @@ pub(crate) fn voxel_size(
 
 fn chosen(cloud: &UsedCloud, max_blocks: usize, control: &Control) -> Result<f64> {
     let points = cloud.points();
-    let extent = (0..3).map(|axis| {
-        let ends = points.iter().fold([f32::MAX, f32::MIN], |[low, high], p| [low.min(p[axis]), high.max(p[axis])]);
-        f64::from(ends[1]) - f64::from(ends[0])
-    });
-    let extent = extent.fold(0.0, f64::max);
+    let lowest = lowest_corner(points);
+    let extent = points.iter().map(|point| offset(point, &lowest).into_iter().fold(0.0, f64::max)).fold(0.0, f64::max);
     if !(1e-15..1e15).contains(&extent) {
         let reason = format!("extent {extent:.1e}: a voxel size cannot be chosen; a cloud needs two different points");
         return Err(Error::Input { what: "points", reason });
     }
     let largest = step_of(extent);
-    let distinct = num_voxels(points, size_of(largest - 6 * STEPS));
+    let num_voxels = |step: i32| num_voxels(points, &lowest, size_of(step));
+    let distinct = num_voxels(largest - 6 * STEPS);
     let share = SHARES[usize::from(cloud.is_sweep())];
     let most = MAX_VOXELS.min((share * distinct as f64) as usize).max(1);
     // The smallest step that has few enough voxels; one voxel as large as the cloud is always few enough.
@@ -63,10 +62,10 @@ fn chosen(cloud: &UsedCloud, max_blocks: usize, control: &Control) -> Result<f64
     while fits - too_small > 1 {
         control.check()?;
         let middle = too_small + (fits - too_small) / 2;
-        if num_voxels(points, size_of(middle)) <= most { fits = middle } else { too_small = middle }
+        if num_voxels(middle) <= most { fits = middle } else { too_small = middle }
     }
     // Voxels that stand alone have many blocks: those of a dense part in the midst of a wide cloud.
-    while fits <= largest && !is_within_budget(points, size_of(fits), max_blocks) {
+    while fits <= largest && !is_within_budget(points, &lowest, size_of(fits), max_blocks) {
         control.check()?;
         fits += 1;
     }
@@ -74,14 +73,14 @@ fn chosen(cloud: &UsedCloud, max_blocks: usize, control: &Control) -> Result<f64
 }
 
 /// Whether the volume of a cloud in voxels of a size has at most so many blocks.
-fn is_within_budget(points: &[Point], size: f64, max_blocks: usize) -> bool {
+fn is_within_budget(points: &[Point], lowest: &Point, size: f64, max_blocks: usize) -> bool {
     if max_blocks == usize::MAX {
         return true;
     }
-    if points.iter().flatten().any(|v| (f64::from(*v) / size).abs() >= f64::from(MAX_NODE)) {
+    if points.iter().any(|point| offset(point, lowest).into_iter().any(|v| v / size + 0.5 >= f64::from(MAX_NODE))) {
         return false;
     }
-    let mut keys: Vec<u64> = points.iter().map(|point| key(point, size)).collect();
+    let mut keys: Vec<u64> = points.iter().map(|point| key(point, lowest, size)).collect();
     keys.par_sort_unstable();
     keys.dedup();
     // The lowest 21 bits of a place, with its sign.
@@ -104,16 +103,21 @@ fn size_of(step: i32) -> f64 {
 }
 
 /// The number of voxels of a size that hold points.
-fn num_voxels(points: &[Point], size: f64) -> usize {
-    let mut keys = Scratch::collect(points.len(), points.iter().map(|point| (key(point, size), 0)));
+fn num_voxels(points: &[Point], lowest: &Point, size: f64) -> usize {
+    let mut keys = Scratch::collect(points.len(), points.iter().map(|point| (key(point, lowest, size), 0)));
     keys.par_sort_unstable();
     1 + keys.windows(2).filter(|pair| pair[0] != pair[1]).count()
 }
 
-/// The place of a point's voxel: 21 bits each of z, y and x.
-fn key(point: &Point, size: f64) -> u64 {
-    let [x, y, z] = point.map(|v| (f64::from(v) / size).floor() as i64 as u64 & 0x1F_FFFF);
+/// The place of a point's voxel, as the [lattice](super::corner) has them: 21 bits each of z, y and x.
+fn key(point: &Point, lowest: &Point, size: f64) -> u64 {
+    let [x, y, z] = offset(point, lowest).map(|v| (v / size + 0.5).floor() as i64 as u64 & 0x1F_FFFF);
     (z << 42) | (y << 21) | x
+}
+
+/// How far a point lies above the lowest corner.
+fn offset(point: &Point, lowest: &Point) -> [f64; 3] {
+    std::array::from_fn(|axis| f64::from(point[axis]) - f64::from(lowest[axis]))
 }
 
 #[cfg(test)]
@@ -172,8 +176,9 @@ mod tests {
         for points in [all_scales, mixed] {
             let cloud = UsedCloud::from_finite(FinitePoints::all((&points[..]).into()), points.len());
             let size = chosen(&cloud, MAX_BLOCKS, &Control::default()).unwrap();
-            assert!(is_within_budget(&points, size, MAX_BLOCKS), "{size}");
-            assert!(!is_within_budget(&points, size / 100.0, MAX_BLOCKS), "{size}");
+            let lowest = lowest_corner(&points);
+            assert!(is_within_budget(&points, &lowest, size, MAX_BLOCKS), "{size}");
+            assert!(!is_within_budget(&points, &lowest, size / 100.0, MAX_BLOCKS), "{size}");
         }
     }
 }

@@ -4,6 +4,8 @@ pub mod registration;
 pub mod repeatability;
 pub mod semantic;
 
+use std::collections::BTreeMap;
+
 use serde::{Deserialize, Serialize};
 
 use crate::tables::plot::{self, Panel};
@@ -39,6 +41,19 @@ pub struct Pair<Row> {
     pub name: String,
     /// The rows, in the same order for every pair.
     pub rows: Vec<Row>,
+}
+
+/// How many clouds each model was chosen for, by its name; empty for a method without models, and where one was named.
+pub type Models = BTreeMap<String, usize>;
+
+/// The name of a method in tables, with the models that were chosen for its clouds.
+fn named_with_models<'a>(method: &str, models: impl Iterator<Item = &'a Models>) -> String {
+    let mut all = Models::new();
+    models.flatten().for_each(|(model, number)| *all.entry(model.clone()).or_default() += number);
+    let several = all.len() > 1;
+    let name = |(model, number): (&String, &usize)| if several { format!("{model} {number}") } else { model.clone() };
+    let names: Vec<String> = all.iter().map(name).collect();
+    if names.is_empty() { method.to_owned() } else { format!("{method} ({})", names.join(", ")) }
 }
 
 /// The places of the rows that belong together, in the order of their first ones: a method that runs several models has a row

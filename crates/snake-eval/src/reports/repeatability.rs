@@ -3,7 +3,7 @@
 use serde::{Deserialize, Serialize};
 use serde_json::{Value, json};
 
-use super::{Pair, Report, alike, num_models};
+use super::{Models, Pair, Report, alike, named_with_models, num_models};
 use crate::tables::paper::{PaperRepeatability, PaperTable};
 use crate::tables::plot::{Line, Panel};
 use crate::tables::{self, Statistic, Table, mean};
@@ -14,6 +14,9 @@ use crate::views::Condition;
 pub struct Row {
     /// The name of the method.
     pub method: String,
+    /// The models that were chosen for the clouds.
+    #[serde(default, skip_serializing_if = "Models::is_empty")]
+    pub models: Models,
     /// The disturbance of the views.
     #[serde(flatten)]
     pub condition: Condition,
@@ -61,7 +64,9 @@ struct Evaluation<'a> {
 
 /// Means over the pairs for one method under one condition.
 struct Summary {
+    /// The name of the method, and with the models that were chosen.
     method: String,
+    title: String,
     condition: Condition,
     keypoints: f64,
     /// Mean over the pairs that have keypoints; `None` if no pair has any.
@@ -83,6 +88,7 @@ impl Summary {
         };
         Self {
             method: method.clone(),
+            title: named_with_models(method, runs.iter().flatten().map(|row| &row.models)),
             condition: *condition,
             keypoints: mean(&keypoints),
             coverage: (!coverage.is_empty()).then(|| mean(&coverage)),
@@ -184,7 +190,7 @@ impl<'a> Evaluation<'a> {
         head.extend(self.sweeps.epsilon.iter().map(|epsilon| format!("ε {epsilon}")));
         head.extend(["keypoints".into(), "coverage".into()]);
         let row = |s: &Summary| {
-            let mut row = vec![s.method.clone()];
+            let mut row = vec![s.title.clone()];
             row.extend(s.repeatability.iter().map(Statistic::cell));
             row.push(format!("{:.1}", s.keypoints));
             row.push(s.coverage.map_or("-".into(), |coverage| format!("{coverage:.4}")));
@@ -202,8 +208,7 @@ impl<'a> Evaluation<'a> {
     fn over(&self, what: &str, sweep: &Sweep, name: fn(&Condition) -> String) -> Option<Table> {
         let swept = self.swept(sweep)?;
         let head = std::iter::once("method".to_owned()).chain(swept.iter().map(name)).collect();
-        let mut rows: Vec<Vec<String>> =
-            self.under(self.sweeps.conditions[0]).map(|s| vec![s.method.clone()]).collect();
+        let mut rows: Vec<Vec<String>> = self.under(self.sweeps.conditions[0]).map(|s| vec![s.title.clone()]).collect();
         for condition in &swept {
             let cells = self.under(*condition).map(|s| s.repeatability[self.table_column()].cell());
             rows.iter_mut().zip(cells).for_each(|(row, cell)| row.push(cell));
@@ -262,7 +267,8 @@ mod tests {
 
     fn row(condition: Condition, keypoints: usize, repeatability: [f64; 2]) -> Row {
         let coverage = (keypoints > 0).then_some(0.25);
-        Row { method: "iss".into(), condition, keypoints, coverage, repeatability: repeatability.into() }
+        let (method, models) = ("iss".into(), Models::new());
+        Row { method, models, condition, keypoints, coverage, repeatability: repeatability.into() }
     }
 
     #[test]
@@ -303,6 +309,22 @@ At ε 0.2, over noise:
             ((0.1, "0.1".to_owned()), vec![Some(1.0), Some(0.25)]),
         ];
         assert_eq!(curves, expected);
+    }
+
+    #[test]
+    fn models_that_were_chosen_are_named_in_the_tables() {
+        let sweeps = Sweeps { epsilon: vec![0.1, 0.2], table_epsilon: 0.2, conditions: vec![CLEAN] };
+        let pair = |models: &[(&str, usize)]| {
+            let models = models.iter().map(|&(model, number)| (model.to_owned(), number)).collect();
+            Pair { name: "a".into(), rows: vec![Row { models, ..row(CLEAN, 4, [0.5, 1.0]) }] }
+        };
+        let first_row = |pairs: &[Pair<Row>]| {
+            let lines = Report::new(&sweeps, &json!({}), &[pairs], None).text_lines();
+            lines.into_iter().find(|line| line.starts_with("iss")).unwrap()
+        };
+        let scenes = pair(&[("scenes", 2)]);
+        assert!(first_row(&[scenes.clone()]).starts_with("iss (scenes) "));
+        assert!(first_row(&[scenes, pair(&[("scenes", 1), ("compact", 1)])]).starts_with("iss (compact 1, scenes 3) "));
     }
 
     #[test]

@@ -4,7 +4,7 @@ use serde::{Deserialize, Serialize};
 use serde_json::{Value, json};
 use snake_core::Result;
 
-use super::{Pair, Report, alike, num_models};
+use super::{Models, Pair, Report, alike, named_with_models, num_models};
 use crate::tables::paper::PaperTable;
 use crate::tables::plot::{Line, Panel};
 use crate::tables::{self, Statistic, Table, mean};
@@ -15,6 +15,9 @@ use crate::{MatchCounts, SmplProtocol, smpl_iou};
 pub struct Row {
     /// The name of the method.
     pub method: String,
+    /// The models that were chosen for the clouds.
+    #[serde(default, skip_serializing_if = "Models::is_empty")]
+    pub models: Models,
     /// Number of keypoints; for a pair of bodies, on the first one.
     pub keypoints: usize,
     /// Counts for each threshold, by the strict rule.
@@ -37,7 +40,9 @@ struct Evaluation<'a> {
 
 /// The figures of one method: of a class, or their means over the classes or over the pairs of bodies.
 struct Figure {
+    /// The name of the method, and with the models that were chosen.
     method: String,
+    title: String,
     class: Option<String>,
     keypoints: f64,
     /// IoU for each threshold, by the strict rule and by the paper's.
@@ -80,6 +85,7 @@ impl Figure {
         let keypoints = |rows: &Vec<&Row>| mean(&rows.iter().map(|row| row.keypoints as f64).collect::<Vec<_>>());
         Ok(Self {
             method: first.method.clone(),
+            title: named_with_models(&first.method, runs.iter().flatten().flatten().map(|row| &row.models)),
             class: class.map(str::to_owned),
             keypoints: mean(&runs.iter().flatten().map(keypoints).collect::<Vec<_>>()),
             strict: all(Cell::Iou { is_paper: false })?,
@@ -156,7 +162,7 @@ impl<'a> Evaluation<'a> {
             head.chain(self.threshold.iter().map(f64::to_string)).chain(["keypoints".into()]).collect();
         let table = |what: &str, rule: &str, of: fn(&Figure) -> &[Statistic], paper: Option<&PaperTable>| {
             let row = |figure: &Figure| {
-                let mut row = vec![figure.method.clone()];
+                let mut row = vec![figure.title.clone()];
                 row.extend(of(figure).iter().map(Statistic::cell));
                 row.push(format!("{:.1}", figure.keypoints));
                 row
@@ -198,7 +204,7 @@ impl<'a> Evaluation<'a> {
         let mut text = String::from(
             "method,class,threshold,strict,strict_deviation,paper,paper_deviation,recall,recall_deviation,keypoints\n",
         );
-        for Figure { method, class, keypoints, strict, paper, recall } in &self.figures {
+        for Figure { method, class, keypoints, strict, paper, recall, .. } in &self.figures {
             for (((threshold, strict), paper), recall) in self.threshold.iter().zip(strict).zip(paper).zip(recall) {
                 let class = class.as_deref().unwrap_or_default();
                 let (strict, paper, recall) = (strict.csv(), paper.csv(), recall.csv());
@@ -209,7 +215,7 @@ impl<'a> Evaluation<'a> {
     }
 
     fn json(&self) -> String {
-        let row = |Figure { method, class, keypoints, strict, paper, recall }: &Figure| {
+        let row = |Figure { method, class, keypoints, strict, paper, recall, .. }: &Figure| {
             let means = |all: &[Statistic]| all.iter().map(|iou| iou.mean).collect::<Vec<_>>();
             let deviations = |all: &[Statistic]| all.iter().map(|iou| iou.deviation).collect::<Vec<_>>();
             json!({
@@ -255,7 +261,8 @@ mod tests {
         let counts = |[ground_truth, false_positives, false_negatives]: [usize; 3]| {
             vec![MatchCounts { ground_truth, false_positives, false_negatives }]
         };
-        let row = Row { method: "iss".into(), keypoints, strict: counts(strict), paper: counts(paper) };
+        let (method, models) = ("iss".into(), Models::new());
+        let row = Row { method, models, keypoints, strict: counts(strict), paper: counts(paper) };
         Pair { name: "a".into(), rows: vec![row] }
     }
 

@@ -1,8 +1,8 @@
 //! Detection of one tile of a cloud that is too large for memory. Tiles give the keypoints of the whole cloud, bit for bit.
 //!
-//! The voxels of a scene lie on a lattice that is fixed in the cloud's coordinates. A tile owns whole columns along x and y, as
-//! wide as a block of the network's coarsest level. What the network makes of a voxel depends on the points of its column
-//! and of [`TileDetector::halo`] columns around it. Mode seeking looks at candidates of some columns more
+//! The voxels of a scene lie on a lattice that begins below the lowest corner of the whole cloud. A tile owns whole columns along
+//! x and y, as wide as a block of the network's coarsest level. What the network makes of a voxel depends on the points of its
+//! column and of [`TileDetector::halo`] columns around it. Mode seeking looks at candidates of some columns more
 //! ([`TileDetector::margin`]). The candidates of all tiles are suppressed together ([`TileDetector::fates`]), which says where a
 //! tile must know more of its neighbours.
 
@@ -23,7 +23,7 @@ use super::{Candidates, Counts, candidates};
 use crate::cloud::UsedCloud;
 use crate::control::Control;
 use crate::field::{Field, check_number_of_points};
-use crate::lattice::{Queries, voxel_size};
+use crate::lattice::{Queries, from_corner, voxel_size};
 use crate::network::Network;
 use crate::options::{DetectOptions, Options, Radii};
 use crate::{Error, Result};
@@ -44,6 +44,8 @@ pub struct TileDetector {
     options: Options,
     /// 0 before [`TileDetector::choose_voxel_size`].
     voxel_size: f32,
+    /// The origin before [`TileDetector::set_lowest_corner`].
+    lowest_corner: Point,
     /// Lengths in `r` are 0 before [`TileDetector::set_resolution`].
     radii: Radii,
 }
@@ -73,7 +75,7 @@ impl TileDetector {
             }
         };
         let radii = Radii { nms: 0.0, mode: None };
-        let mut detector = Self { network, options: *options, voxel_size, radii };
+        let mut detector = Self { network, options: *options, voxel_size, lowest_corner: [0.0; 3], radii };
         detector.radii = detector.radii_of(0.0)?;
         Ok(detector)
     }
@@ -92,6 +94,18 @@ impl TileDetector {
         self.options.encode.voxel_size = Some(Length::Units(self.voxel_size.into()));
         self.radii = self.radii_of(0.0)?;
         Ok(())
+    }
+
+    /// Sets the lowest coordinate of the finite points of the whole cloud along each axis. The lattice begins there, and with it
+    /// the columns.
+    pub fn set_lowest_corner(&mut self, corner: Point) {
+        self.lowest_corner = corner;
+    }
+
+    /// The lowest x and y of a column.
+    pub fn corner_of_column(&self, column: [i32; 2]) -> [f64; 2] {
+        let start = self.normalization().center;
+        std::array::from_fn(|axis| f64::from(start[axis]) + f64::from(column[axis]) * self.column_side())
     }
 
     /// Whether a length of the options is in resolutions of the cloud.
@@ -151,27 +165,27 @@ impl TileDetector {
     }
 
     fn normalization(&self) -> Normalization {
-        Normalization { center: [0.0; 3], scale: self.voxel_size }
+        from_corner(self.lowest_corner, self.voxel_size)
     }
 
     /// The voxel of a finite point.
     ///
     /// # Errors
-    /// [`Error::Option`] when the point is too far from the origin for the size of a voxel.
+    /// [`Error::Option`] when the point is too far from the lowest corner for the size of a voxel.
     fn voxel(&self, point: &Point) -> Result<[i32; 3]> {
         let voxel = self.normalization().to_network(*point).map(f32::floor);
         if voxel.iter().all(|v| v.abs() < (1 << 20) as f32) {
             return Ok(voxel.map(|v| v as i32));
         }
         let value = format!("{}, too small for the point {point:?}", self.voxel_size);
-        let allowed = "at least a millionth of the largest coordinate";
+        let allowed = "at least a millionth of the cloud's extent";
         Err(Error::Option { name: "voxel_size", value, allowed })
     }
 
     /// The column of a finite point, along x and y.
     ///
     /// # Errors
-    /// [`Error::Option`] when the point is too far from the origin for the size of a voxel.
+    /// [`Error::Option`] when the point is too far from the lowest corner for the size of a voxel.
     pub fn column(&self, point: &Point) -> Result<[i32; 2]> {
         let [x, y, _] = self.voxel(point)?;
         Ok(self.column_of(&[x, y, 0]))
@@ -289,7 +303,8 @@ impl TileDetector {
     pub fn is_inside(&self, point: &Point, reach: f64, columns: &[Range<i32>; 2]) -> bool {
         (0..2).all(|axis| {
             let at = f64::from(point[axis]);
-            let [low, high] = [columns[axis].start, columns[axis].end].map(|c| f64::from(c) * self.column_side());
+            let ends = [columns[axis].start, columns[axis].end];
+            let [low, high] = ends.map(|column| self.corner_of_column([column; 2])[axis]);
             // The column of a point is computed in `f32`.
             let reach = reach + 1e-6 * at.abs();
             at - reach > low && at + reach < high

@@ -3,6 +3,7 @@
 use std::collections::BTreeSet;
 
 use super::*;
+use crate::lattice::lowest_corner;
 use crate::{Builtin, Keypoint, Model};
 use snake_geometry::resolution;
 
@@ -27,6 +28,13 @@ fn options(mode_radius: Option<Length>) -> Options {
     options.detect = options.detect.with_saliency_threshold(0.01).with_nms_radius(Some(Length::Voxels(1.5)));
     options.detect = options.detect.with_mode_radius(mode_radius).with_max_keypoints(usize::MAX);
     options
+}
+
+/// A detector of the tiles of a cloud.
+fn detector_of(model: &Model, options: &Options, points: &[Point]) -> TileDetector {
+    let mut detector = TileDetector::new(model, options).unwrap();
+    detector.set_lowest_corner(lowest_corner(points));
+    detector
 }
 
 /// The tiles of `side` columns with points, from `offset` on.
@@ -89,7 +97,7 @@ fn tiles_of_any_size_give_the_bits_of_the_whole_cloud() {
         let options = options(mode_radius);
         let whole = model.detect(&points, &options).unwrap();
         assert!(whole.keypoints.len() > 50, "{}", whole.keypoints.len());
-        let mut detector = TileDetector::new(&model, &options).unwrap();
+        let mut detector = detector_of(&model, &options, &points);
         detector.set_resolution(resolution("points", &points).unwrap()).unwrap();
         for &(side, offset) in tilings {
             let tiles = tiles(&detector, &points, side, offset);
@@ -105,7 +113,7 @@ fn tiles_of_any_size_give_the_bits_of_the_whole_cloud() {
 fn tiles_need_points_of_other_tiles() {
     let model = Model::builtin(Builtin::Scenes);
     let (points, options) = (place(), options(None));
-    let detector = TileDetector::new(&model, &options).unwrap();
+    let detector = detector_of(&model, &options, &points);
     assert_eq!((detector.column_side(), detector.margin()), (16.0 * VOXEL, 0));
     let whole = model.detect(&points, &options).unwrap();
     assert!(!is_equal(&by_tiles(&detector, &points, &tiles(&detector, &points, 1, 0), 0).0, &whole.keypoints));

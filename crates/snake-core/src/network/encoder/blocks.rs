@@ -64,11 +64,15 @@ impl BlockEncoder {
         let offset = |index: usize| points[index].map(|v| v - v.floor() - 0.5);
         span!("pointnet");
         let width = scatter::slots_width(channels);
-        self.points.voxel_sums(&memory.groups, offset, width, scatter::spread, &mut memory.sums, counter)?;
+        let num_sums = cells.len() * width;
+        let mut unet_memory = self.unet.memory(&levels, num_sums);
+        let sums = &mut unet_memory.rest[..num_sums];
+        sums.fill(0.0);
+        self.points.add_to_voxels(&memory.groups, offset, scatter::spread, sums, counter)?;
         counter.check()?;
-        let nodes = self.nodes(&levels[0], &cells, &memory.sums);
+        self.write_nodes(&levels[0], &cells, sums, &mut unet_memory.slot);
         span!("unet");
-        let values = self.unet.forward(&levels, nodes, counter)?;
+        let values = self.unet.forward(&levels, unet_memory, counter)?;
         let grid = levels.into_iter().next().map(|level| level.near).unwrap_or_default();
         let cells = Cells::from_groups(points, &memory.groups, &cells);
         Ok(Volume { lattice: Lattice::Blocks(grid, cells), channels, values })
@@ -77,9 +81,9 @@ impl BlockEncoder {
     /// Groups points by cell. Returns the lowest node of each cell with points.
     fn cells(&self, points: &[Point], groups: &mut VoxelGroups) -> Result<Vec<[i32; 3]>> {
         if let Some(point) = points.iter().find(|point| !point.iter().all(|v| v.abs() < MAX_NODE)) {
-            let allowed = "at least a millionth of the largest coordinate";
+            let allowed = "at least a millionth of the cloud's extent";
             let value = format!(
-                "so small that a point is {:.0} voxels from the origin",
+                "so small that the cloud is {:.0} voxels wide",
                 point.iter().fold(0.0, |m: f32, v| m.max(v.abs()))
             );
             return Err(Error::Option { name: "voxel_size", value, allowed });
@@ -87,15 +91,13 @@ impl BlockEncoder {
         Ok(groups.fill_sparse(points))
     }
 
-    /// The input of the U-Net: the near blocks, with the missing block 0.
-    fn nodes(&self, level: &Level, cells: &[[i32; 3]], sums: &[f32]) -> snake_kernels::Buffer {
+    /// Writes the input of the U-Net: the filled blocks, with the missing block 0.
+    fn write_nodes(&self, level: &Level, cells: &[[i32; 3]], sums: &[f32], nodes: &mut [f32]) {
         let channels = self.points.channels();
         let block = BLOCK_VOXELS * channels;
-        let mut nodes = self.unet.pool.take((level.near.len() + 1) * block);
-        nodes[..block].fill(0.0);
-        let block_nodes = &mut nodes[block..];
-        scatter::gather(&level.near, &level.neighbors, cells, sums, self.scatter_mass, channels, block_nodes);
-        nodes
+        let (missing, nodes) = nodes[..(level.filled.len() + 1) * block].split_at_mut(block);
+        missing.fill(0.0);
+        scatter::gather(&level.filled, &level.neighbors, cells, sums, self.scatter_mass, channels, nodes);
     }
 }
 

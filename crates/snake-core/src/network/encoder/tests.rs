@@ -4,11 +4,11 @@ use std::path::Path;
 use safetensors::SafeTensors;
 
 use super::{Encoder, EncoderMemory};
-use crate::control::{Counter, Limits};
+use crate::control::{Control, Counter, Limits};
 use crate::lattice::Lattice;
 use crate::network::volume::Volume;
 use crate::{Builtin, DetectOptions, EncodeOptions, Field, Keypoint, Length, Model};
-use snake_geometry::Point;
+use snake_geometry::{Cloud, Normalization, Point};
 
 fn folder() -> std::path::PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).join("../../tests/golden/scene")
@@ -45,7 +45,10 @@ fn encode(points: &[Point], voxel_size: f64) -> Field {
 fn volume_and_fields_equal_pytorch() {
     let bytes = bytes();
     let file = SafeTensors::deserialize(&bytes).unwrap();
-    let field = encode(&points(&file, "points"), 0.1);
+    // The lattice of PyTorch begins at the origin.
+    let lattice = Normalization { center: [0.0; 3], scale: 0.1 };
+    let network = model().network().clone();
+    let field = Field::normalized(network, points(&file, "points"), lattice, &Control::default()).unwrap();
     let volume = field.volume();
     let Lattice::Blocks(grid, _) = &volume.lattice else { panic!("a scene") };
     let occupied: HashSet<[i32; 3]> = nodes(&file, "scatter_nodes").into_iter().collect();
@@ -100,21 +103,46 @@ fn detected(points: &[Point], voxel_size: f64) -> Vec<Keypoint> {
 }
 
 #[test]
-fn a_scene_moved_by_whole_blocks_has_the_same_keypoints() {
+fn a_scene_moved_by_any_part_of_a_voxel_has_the_same_keypoints() {
     let voxel = 0.125;
     let here = detected(&room(), voxel);
     assert!(here.len() > 20);
-    // 16 voxels are a block of the coarsest of three levels.
-    let step: Point = [16.0, -32.0, 160.0].map(|voxels| voxels * voxel as f32);
-    let moved = |p: Point| std::array::from_fn(|axis| p[axis] + step[axis]);
-    let there = detected(&room().into_iter().map(moved).collect::<Vec<_>>(), voxel);
-    assert_eq!(there.len(), here.len());
-    for (here, there) in here.iter().zip(&there) {
-        // Positions are rounded after the last step.
-        assert_eq!((here.saliency, here.nearest_index), (there.saliency, there.nearest_index));
-        let back: Point = std::array::from_fn(|axis| there.position[axis] - step[axis]);
-        assert!((0..3).all(|axis| (back[axis] - here.position[axis]).abs() < 1e-5), "{here:?} {there:?}");
+    // Steps in which no coordinate is rounded.
+    for step in [[128, 0, 0], [64, 64, 64], [40, -79, 15], [-2048, 4096 + 51, 1]] {
+        let step: Point = step.map(|i| i as f32 / 1024.0);
+        let moved = |p: Point| std::array::from_fn(|axis| p[axis] + step[axis]);
+        let there = detected(&room().into_iter().map(moved).collect::<Vec<_>>(), voxel);
+        assert_eq!(there.len(), here.len());
+        for (here, there) in here.iter().zip(&there) {
+            // Positions are rounded after the last step.
+            assert_eq!((here.saliency, here.nearest_index), (there.saliency, there.nearest_index));
+            let back: Point = std::array::from_fn(|axis| there.position[axis] - step[axis]);
+            assert!((0..3).all(|axis| (back[axis] - here.position[axis]).abs() < 1e-5), "{here:?} {there:?}");
+        }
     }
+}
+
+#[test]
+fn a_scene_far_from_its_origin_has_the_keypoints_of_the_scene_near_it() {
+    let model = Model::builtin(Builtin::Scenes);
+    let detect = |offset: [f64; 3]| {
+        let positions = room().into_iter().map(|p| std::array::from_fn(|axis| f64::from(p[axis]) + offset[axis]));
+        let cloud = Cloud::from_positions(positions.collect::<Vec<[f64; 3]>>().into_iter());
+        let detection = model.detect(&cloud.points, model.recommended()).unwrap();
+        let place = |k: &Keypoint| -> [f64; 3] {
+            std::array::from_fn(|axis| f64::from(k.position[axis]) + cloud.origin[axis] - offset[axis])
+        };
+        (detection.keypoints.iter().map(place).collect::<Vec<_>>(), detection.voxel_size.unwrap())
+    };
+    let (near, voxel_size) = detect([0.0; 3]);
+    let (far, same_size) = detect([500_000.37, 5_400_000.11, 203.7]);
+    assert_eq!(voxel_size, same_size);
+    let half = f64::from(voxel_size) / 2.0;
+    let is_kept = |place: &&[f64; 3]| {
+        far.iter().any(|other| (0..3).map(|axis| (place[axis] - other[axis]).powi(2)).sum::<f64>() < half * half)
+    };
+    let kept = near.iter().filter(is_kept).count();
+    assert!(near.len() > 20 && kept * 100 >= near.len() * 95, "{kept} of {}", near.len());
 }
 
 #[test]
@@ -172,7 +200,7 @@ fn units_do_not_matter_and_hopeless_sizes_are_refused() {
         let options = EncodeOptions::default().with_voxel_size(Some(size));
         model.encode(&room, &options).unwrap_err().to_string()
     };
-    assert!(refused(Length::Units(1e-9)).contains("voxels from the origin"));
+    assert!(refused(Length::Units(1e-9)).contains("voxels wide"));
     assert!(refused(Length::Voxels(2.0)).contains("voxel_size"));
     let compact = Model::builtin(Builtin::Compact);
     let given = EncodeOptions::default().with_voxel_size(Some(Length::Units(0.1)));

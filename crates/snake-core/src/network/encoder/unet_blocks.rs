@@ -13,9 +13,6 @@ use crate::network::config::ModelConfig;
 use crate::network::layers::{Linear, TILE};
 use crate::network::weights::Scope;
 
-/// Values of all blocks of a level, as differences from the layer's constant; block 0 is zero.
-type Values = Buffer;
-
 /// Convolution with a bias, then ReLU.
 #[derive(Debug)]
 struct BlockConv {
@@ -45,14 +42,13 @@ impl BlockConv {
         })
     }
 
-    fn forward(&self, sources: &[BlockSource], number: usize, pool: &BufferPool, counter: &Counter) -> Result<Values> {
-        let block = BLOCK_VOXELS * self.packed.outputs();
-        let mut values = pool.take((number + 1) * block);
-        values[..block].fill(0.0);
+    /// Writes the values of as many blocks as `values` holds, block 0 included, as differences from the layer's constant.
+    fn forward(&self, sources: &[BlockSource], values: &mut [f32], counter: &Counter) -> Result<()> {
+        let (missing, stored) = values.split_at_mut(BLOCK_VOXELS * self.packed.outputs());
+        missing.fill(0.0);
         let conv = BlockConv3d { layer: &self.packed, sources, bias: &self.bias, constant: &self.constant };
-        conv3d_blocks(SimdLevel::current(), &conv, &|| counter.is_stopped(), &mut values[block..]);
-        counter.check()?;
-        Ok(values)
+        conv3d_blocks(SimdLevel::current(), &conv, &|| counter.is_stopped(), stored);
+        counter.check()
     }
 }
 
@@ -66,8 +62,34 @@ pub(super) struct BlockUnet {
     /// From the finest level on.
     decoders: Vec<DoubleConv>,
     final_conv: Linear,
-    channels: usize,
-    pub(super) pool: BufferPool,
+    channels: Vec<usize>,
+    pool: BufferPool,
+}
+
+/// The memory of one U-Net. Each level has a slot, which holds its input, then what its encoder makes of it, then what its decoder
+/// makes of that. The slots of the coarser levels and the values between two convolutions share the rest.
+pub(super) struct UnetMemory {
+    /// The slot of the finest level. It begins with the nodes of the filled blocks, block 0 included.
+    pub(super) slot: Buffer,
+    pub(super) rest: Buffer,
+}
+
+/// The numbers of values of one level.
+struct Lengths {
+    input: usize,
+    /// Between the convolutions of the encoder.
+    middle: usize,
+    /// What the encoder makes, which the decoder reads too.
+    skip: usize,
+    /// Between the convolutions of the decoder; 0 on the coarsest level.
+    decoded: usize,
+    result: usize,
+}
+
+impl Lengths {
+    fn slot(&self) -> usize {
+        self.input.max(self.skip).max(self.result)
+    }
 }
 
 impl BlockUnet {
@@ -104,7 +126,7 @@ impl BlockUnet {
             *bias += weights.iter().zip(&constant).map(|(w, c)| w * c).sum::<f32>();
         }
         let final_conv = Linear::new(channels[0], config.c_dim, &weight, &bias);
-        Ok(Self { encoders, decoders, final_conv, channels: channels[0], pool: BufferPool::default() })
+        Ok(Self { encoders, decoders, final_conv, channels, pool: BufferPool::default() })
     }
 
     pub(super) fn num_levels(&self) -> usize {
@@ -117,84 +139,121 @@ impl BlockUnet {
         levels.iter().map(nodes).sum::<usize>() + levels[..levels.len() - 1].iter().map(nodes).sum::<usize>()
     }
 
-    /// Maps nodes `[block][z][y][x][c_dim]` of the near blocks of the finest level, block 0 included, to features of the same
-    /// shape. Block 0 of the output has the features far from all points.
-    pub(super) fn forward(&self, levels: &[Level], input: Values, counter: &Counter) -> Result<Buffer> {
-        let made = self.level(levels, &self.encoders, &self.decoders, input, counter)?;
-        let mut output = self.pool.take(made.len() / self.channels * self.final_conv.outputs());
-        let outputs = output.par_chunks_mut(TILE * self.final_conv.outputs());
-        let chunks = made.par_chunks(TILE * self.channels);
-        outputs.zip(chunks).for_each(|(out, input)| self.final_conv.forward(input, out, Epilogue::Store));
+    /// The memory of levels. `rest` has room for `also` values besides.
+    pub(super) fn memory(&self, levels: &[Level], also: usize) -> UnetMemory {
+        let output = num_values(levels[0].near.len(), self.final_conv.outputs());
+        let rest = self.rest(levels, 0).max(output).max(also);
+        UnetMemory { slot: self.pool.take(self.lengths(levels, 0).slot()), rest: self.pool.take(rest) }
+    }
+
+    fn lengths(&self, levels: &[Level], number: usize) -> Lengths {
+        let Level { grid, near, filled, .. } = &levels[number];
+        let inputs = self.inputs(number);
+        let (middle, outputs) = (self.encoders[number][0].packed.outputs(), self.channels[number]);
+        let skip = num_values(grid.len(), outputs);
+        let decoder = self.decoders.get(number);
+        Lengths {
+            input: num_values(filled.len(), inputs),
+            middle: num_values(near.len(), middle),
+            skip,
+            decoded: decoder.map_or(0, |decoder| num_values(grid.len(), decoder[0].packed.outputs())),
+            result: decoder.map_or(skip, |_| num_values(near.len(), outputs)),
+        }
+    }
+
+    /// The channels of the input of a level.
+    fn inputs(&self, number: usize) -> usize {
+        if number == 0 { self.final_conv.outputs() } else { self.channels[number - 1] }
+    }
+
+    /// The values that a level needs besides its slot.
+    fn rest(&self, levels: &[Level], number: usize) -> usize {
+        let Lengths { middle, decoded, .. } = self.lengths(levels, number);
+        if number + 1 == self.num_levels() {
+            return middle;
+        }
+        middle.max(self.lengths(levels, number + 1).slot() + self.rest(levels, number + 1).max(decoded))
+    }
+
+    /// Maps nodes `[block][z][y][x][c_dim]` of the filled blocks of the finest level, with which the slot begins, to features of
+    /// the near blocks. Block 0 of the output has the features far from all points.
+    pub(super) fn forward(&self, levels: &[Level], memory: UnetMemory, counter: &Counter) -> Result<Buffer> {
+        let UnetMemory { mut slot, rest: mut output } = memory;
+        self.level(levels, 0, &mut slot, &mut output, counter)?;
+        let (channels, outputs) = (self.channels[0], self.final_conv.outputs());
+        let made = &slot[..self.lengths(levels, 0).result];
+        output.truncate(made.len() / channels * outputs);
+        let rows = output.par_chunks_mut(TILE * outputs).zip(made.par_chunks(TILE * channels));
+        rows.for_each(|(out, input)| self.final_conv.forward(input, out, Epilogue::Store));
         Ok(output)
     }
 
-    /// One level of the U-Net and all coarser ones.
+    /// One level of the U-Net and all coarser ones, from the input in its slot to the result there.
     fn level(
         &self,
         levels: &[Level],
-        encoders: &[DoubleConv],
-        decoders: &[DoubleConv],
-        input: Values,
+        number: usize,
+        slot: &mut [f32],
+        rest: &mut [f32],
         counter: &Counter,
-    ) -> Result<Values> {
-        let (level, encoder) = (&levels[0], &encoders[0]);
-        let [near, all] = [level.near.len(), level.grid.len()];
-        let skip = self.convolve(encoder, level, [near, all], vec![(input, false)], counter)?;
-        let Some((decoder, decoders)) = decoders.split_first() else { return Ok(skip) };
-        let pooled = self.max_pool(&skip, encoder[1].packed.outputs(), &levels[1]);
-        let coarse = self.level(&levels[1..], &encoders[1..], decoders, pooled, counter)?;
-        self.convolve(decoder, level, [all, near], vec![(skip, false), (coarse, true)], counter)
+    ) -> Result<()> {
+        let (level, lengths) = (&levels[number], self.lengths(levels, number));
+        let work = level.grid.len() * BLOCK_VOXELS;
+        let [first, second] = &self.encoders[number];
+        let middle = &mut rest[..lengths.middle];
+        first.forward(&[own(level, &slot[..lengths.input], self.inputs(number))], middle, counter)?;
+        second.forward(&[own(level, middle, first.packed.outputs())], &mut slot[..lengths.skip], counter)?;
+        counter.add(work);
+        let Some([first, second]) = self.decoders.get(number) else { return Ok(()) };
+        let coarse_lengths = self.lengths(levels, number + 1);
+        let (coarse, rest) = rest.split_at_mut(coarse_lengths.slot());
+        let skip = &slot[..lengths.skip];
+        max_pool(skip, self.channels[number], &levels[number + 1], &mut coarse[..coarse_lengths.input]);
+        self.level(levels, number + 1, coarse, rest, counter)?;
+        let sources = [
+            own(level, skip, self.channels[number]),
+            BlockSource {
+                values: &coarse[..coarse_lengths.result],
+                channels: self.channels[number + 1],
+                neighbors: &level.coarser,
+                halves: Some(&level.halves),
+            },
+        ];
+        let middle = &mut rest[..lengths.decoded];
+        first.forward(&sources, middle, counter)?;
+        second.forward(&[own(level, middle, first.packed.outputs())], &mut slot[..lengths.result], counter)?;
+        counter.add(work);
+        Ok(())
     }
+}
 
-    /// Two convolutions of inputs, each upsampled or not, that make the first so many blocks.
-    fn convolve(
-        &self,
-        [first, second]: &DoubleConv,
-        level: &Level,
-        made: [usize; 2],
-        inputs: Vec<(Values, bool)>,
-        counter: &Counter,
-    ) -> Result<Values> {
-        let sources: Vec<BlockSource> = inputs
-            .iter()
-            .zip(first.packed.sources())
-            .map(|((values, upsampled), channels)| BlockSource {
-                values,
-                channels,
-                neighbors: if *upsampled { &level.coarser } else { &level.neighbors },
-                halves: upsampled.then_some(&level.halves[..]),
-            })
-            .collect();
-        let middle = first.forward(&sources, made[0], &self.pool, counter)?;
-        drop(sources);
-        drop(inputs);
-        let channels = first.packed.outputs();
-        let source = BlockSource { values: &middle, channels, neighbors: &level.neighbors, halves: None };
-        let values = second.forward(&[source], made[1], &self.pool, counter)?;
-        counter.add(level.grid.len() * BLOCK_VOXELS);
-        Ok(values)
-    }
+/// Values of a level as the source of a convolution of the same level.
+fn own<'a>(level: &'a Level, values: &'a [f32], channels: usize) -> BlockSource<'a> {
+    BlockSource { values, channels, neighbors: &level.neighbors, halves: None }
+}
 
-    /// Max-pooling over 2x2x2 nodes, into the blocks of the next coarser level.
-    fn max_pool(&self, values: &Values, channels: usize, coarser: &Level) -> Values {
-        let block = BLOCK_VOXELS * channels;
-        let mut pooled = self.pool.take((coarser.grid.len() + 1) * block);
-        pooled[..block].fill(0.0);
-        pooled[block..].par_chunks_mut(block).zip(&coarser.children).for_each(|(pooled, children)| {
-            for (voxel, out) in pooled.chunks_exact_mut(channels).enumerate() {
-                let [x, y, z] = [voxel % 4, voxel / 4 % 4, voxel / 16];
-                let child = children[(z / 2 * 2 + y / 2) * 2 + x / 2] as usize;
-                out.fill(f32::NEG_INFINITY);
-                for corner in 0..8 {
-                    let [x, y, z] =
-                        [x % 2 * 2 + (corner & 1), y % 2 * 2 + (corner >> 1 & 1), z % 2 * 2 + (corner >> 2)];
-                    let node = child * BLOCK_VOXELS + (z * 4 + y) * 4 + x;
-                    for (most, &value) in out.iter_mut().zip(&values[node * channels..][..channels]) {
-                        *most = if value > *most { value } else { *most };
-                    }
+/// The number of values of so many blocks and block 0.
+fn num_values(num_blocks: usize, channels: usize) -> usize {
+    (num_blocks + 1) * BLOCK_VOXELS * channels
+}
+
+/// Max-pooling over 2x2x2 nodes, into the blocks of the next coarser level.
+fn max_pool(values: &[f32], channels: usize, coarser: &Level, pooled: &mut [f32]) {
+    let block = BLOCK_VOXELS * channels;
+    let (missing, stored) = pooled.split_at_mut(block);
+    missing.fill(0.0);
+    stored.par_chunks_mut(block).zip(&coarser.children).for_each(|(pooled, children)| {
+        for (voxel, out) in pooled.chunks_exact_mut(channels).enumerate() {
+            let [x, y, z] = [voxel % 4, voxel / 4 % 4, voxel / 16];
+            let child = children[(z / 2 * 2 + y / 2) * 2 + x / 2] as usize;
+            out.fill(f32::NEG_INFINITY);
+            for corner in 0..8 {
+                let [x, y, z] = [x % 2 * 2 + (corner & 1), y % 2 * 2 + (corner >> 1 & 1), z % 2 * 2 + (corner >> 2)];
+                let node = child * BLOCK_VOXELS + (z * 4 + y) * 4 + x;
+                for (most, &value) in out.iter_mut().zip(&values[node * channels..][..channels]) {
+                    *most = if value > *most { value } else { *most };
                 }
             }
-        });
-        pooled
-    }
+        }
+    });
 }
