@@ -6,7 +6,7 @@ use rand_chacha::ChaCha8Rng;
 use serde_json::{Value, json};
 use snake_core::{Cloud, Length, Point};
 use snake_eval::datasets::SemanticData;
-use snake_eval::reports::semantic::{Report, Row};
+use snake_eval::reports::semantic::{Row, report};
 use snake_eval::tables::paper;
 use snake_eval::{RankedKeypoints, SmplProtocol, Unreachable, radius_of_coverage, semantic_counts, smpl_pair_counts};
 
@@ -38,7 +38,7 @@ pub fn run(arguments: &SemanticArguments) -> Result<()> {
     });
     let classes: Vec<Option<&str>> = schedule.chosen().iter().map(|&shape| data.class(shape)).collect();
     let runs = schedule.by_seed(record.pairs());
-    let report = Report::new(&arguments.threshold, &settings, &runs, &classes, paper)?;
+    let report = report(&arguments.threshold, &settings, &runs, &classes, paper)?;
     if let Some(output) = &common.run.output {
         files::write(output, "semantic", &report.files())?;
     }

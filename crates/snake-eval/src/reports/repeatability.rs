@@ -3,9 +3,9 @@
 use serde::{Deserialize, Serialize};
 use serde_json::{Value, json};
 
-use super::{Pair, alike, num_models};
+use super::{Pair, Report, alike, num_models};
 use crate::tables::paper::{PaperRepeatability, PaperTable};
-use crate::tables::plot::{self, Line, Panel};
+use crate::tables::plot::{Line, Panel};
 use crate::tables::{self, Statistic, Table, mean};
 use crate::views::Condition;
 
@@ -49,7 +49,7 @@ const DOWN_SAMPLING: Sweep =
 const NOISE: Sweep = Sweep { belongs: |c| c.downsample == 1, column_value: |c| c.noise, paper: |paper| &paper.noise };
 
 /// The figures of every method and condition, as means over all pairs.
-pub struct Report<'a> {
+struct Evaluation<'a> {
     sweeps: &'a Sweeps,
     settings: &'a Value,
     summaries: Vec<Summary>,
@@ -91,13 +91,20 @@ impl Summary {
     }
 }
 
-impl<'a> Report<'a> {
-    /// Summarises the pairs of each seed. All pairs have rows for the same methods and conditions; rows of the same method and
-    /// condition are those of several models. The tables also show the paper's rows, and the JSON has the settings.
-    ///
-    /// # Panics
-    /// When there are no pairs, or when two pairs have rows for different methods or conditions.
-    pub fn new(
+/// The report of the pairs of each seed. All pairs have rows for the same methods and conditions; rows of the same method and
+/// condition are those of several models. The tables also show the paper's rows, and the JSON has the settings.
+///
+/// # Panics
+/// When there are no pairs, or when two pairs have rows for different methods or conditions.
+pub fn report(sweeps: &Sweeps, settings: &Value, runs: &[&[Pair<Row>]], paper: Option<&PaperRepeatability>) -> Report {
+    let evaluation = Evaluation::new(sweeps, settings, runs, paper);
+    let curves = Some(("relative repeatability", evaluation.panels()));
+    Report { tables: evaluation.tables(), curves, csv: evaluation.csv(), json: evaluation.json() }
+}
+
+impl<'a> Evaluation<'a> {
+    /// Summarises the pairs of each seed.
+    fn new(
         sweeps: &'a Sweeps,
         settings: &'a Value,
         runs: &[&[Pair<Row>]],
@@ -113,18 +120,6 @@ impl<'a> Report<'a> {
         let summaries = groups.iter().map(|group| Summary::new(&rows_of(group))).collect();
         let (num_pairs, num_models) = (runs[0].len(), num_models(&groups));
         Self { sweeps, settings, summaries, num_pairs, num_seeds: runs.len(), num_models, paper }
-    }
-
-    /// The tables as lines of plain text.
-    pub fn text_lines(&self) -> Vec<String> {
-        tables::text_lines(&self.tables())
-    }
-
-    /// The report as files: extensions and contents.
-    pub fn files(&self) -> [(&'static str, String); 4] {
-        let markdown = tables::markdown(&self.tables());
-        let svg = plot::svg("relative repeatability", &self.panels());
-        [("csv", self.csv()), ("json", self.json()), ("md", markdown), ("svg", svg)]
     }
 
     /// The paper's three tables: over epsilon, over down-sampling and over noise.
@@ -279,7 +274,7 @@ mod tests {
             Pair { name: "b".into(), rows: vec![row(CLEAN, 8, [0.25, 1.0]), row(BLURRED, 2, [0.0, 0.5])] },
         ];
         let settings = json!({"seed": 0});
-        let report = Report::new(&sweeps, &settings, &[&pairs], None);
+        let report = Evaluation::new(&sweeps, &settings, &[&pairs], None);
         let markdown = "Relative repeatability, mean over 2 pairs ± standard deviation over pairs:
 
 | method | ε 0.1 | ε 0.2 | keypoints | coverage |
@@ -299,7 +294,7 @@ At ε 0.2, over noise:
         let json: Value = serde_json::from_str(&report.json()).unwrap();
         assert_eq!(json["rows"][1]["repeatability"], json!([0.0, 0.25]));
         assert_eq!((json["rows"].as_array().unwrap().len(), &json["settings"]), (2, &settings));
-        assert!(report.text_lines().join("\n").contains("iss             0.375 ±0.177"));
+        assert!(tables::text_lines(&report.tables()).join("\n").contains("iss             0.375 ±0.177"));
         let panels = report.panels();
         let curves: Vec<_> =
             panels.iter().map(|panel| (panel.ticks[1].clone(), panel.lines[0].values.clone())).collect();
@@ -318,7 +313,7 @@ At ε 0.2, over noise:
         let markdown = |table_epsilon| {
             let (epsilon, conditions) = (vec![0.04, 0.3], vec![CLEAN, blurred]);
             let sweeps = Sweeps { epsilon, table_epsilon, conditions };
-            tables::markdown(&Report::new(&sweeps, &settings, &[&pairs], Some(&MODELNET40)).tables())
+            tables::markdown(&Evaluation::new(&sweeps, &settings, &[&pairs], Some(&MODELNET40)).tables())
         };
         let usual = markdown(0.04);
         for row in [
@@ -338,7 +333,7 @@ At ε 0.2, over noise:
         let pair = |shares| Pair { name: "a".into(), rows: vec![row(CLEAN, 4, shares)] };
         let runs = [[pair([0.25, 0.5]), pair([0.5, 0.5])], [pair([0.5, 0.75]), pair([0.75, 0.75])]];
         let settings = json!({});
-        let report = Report::new(&sweeps, &settings, &runs.each_ref().map(|run| &run[..]), None);
+        let report = Evaluation::new(&sweeps, &settings, &runs.each_ref().map(|run| &run[..]), None);
         let markdown = tables::markdown(&report.tables());
         assert!(markdown.starts_with("Relative repeatability, mean over 2 pairs ± standard deviation over 2 seeds:"));
         // Means of 0.375 and 0.625, 0.5 and 0.75.
