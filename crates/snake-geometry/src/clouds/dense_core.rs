@@ -165,7 +165,7 @@ mod tests {
         let point = |i: usize| {
             let at = |row| 2.0 * drawn(i, row) - 1.0;
             let mut point = [at(3), at(4), at(5)];
-            point[i % 3] = if i / 3 % 2 == 0 { 1.0 } else { -1.0 };
+            point[i % 3] = if (i / 3).is_multiple_of(2) { 1.0 } else { -1.0 };
             [point[0], 0.6 * point[1], 0.4 * point[2]]
         };
         (0..number).map(point).collect()
