@@ -44,11 +44,13 @@ pub fn read_attributes(path: &Path, format: Option<PointFormat>, num_points: usi
     let bytes = std::fs::read(path).map_err(|source| Error::Io { path: path.into(), source })?;
     let attributes = match format {
         PointFormat::Ply => Attributes::named(&|names| ply::columns(&bytes, names).ok()),
-        PointFormat::Pcd => Attributes::named(&|names| pcd::columns(&bytes, names).ok()),
-        PointFormat::Text => Attributes::named(&|names| {
-            let columns = Columns(names.map(|name| Column::Name(name.into())));
-            text::read(&bytes, Some(&columns)).ok().map(|shape| shape.points)
-        }),
+        PointFormat::Pcd => {
+            let columns = |names: [&str; 3]| pcd::columns(&bytes, names).ok();
+            let packed = || columns(["rgb"; 3]).or_else(|| columns(["rgba"; 3]));
+            let named = Attributes::named(&columns);
+            Attributes { colors: named.colors.or_else(|| Some(unpacked(&packed()?))), ..named }
+        }
+        PointFormat::Text => Attributes::named(&|names| text_columns(&bytes, names)),
         PointFormat::Kitti | PointFormat::Nuscenes | PointFormat::Sweep(_) => {
             Attributes { intensity: sweep::intensity(&bytes, format), ..Attributes::default() }
         }
@@ -59,18 +61,30 @@ pub fn read_attributes(path: &Path, format: Option<PointFormat>, num_points: usi
     Ok(attributes.for_points(num_points))
 }
 
+/// Three columns of text by name. For one name that stands for all three, its column is read beside two others.
+fn text_columns(bytes: &[u8], names: [&str; 3]) -> Option<Vec<[f64; 3]>> {
+    let read = |columns| text::read(bytes, Some(&Columns(columns))).ok().map(|shape| shape.points);
+    let [first, second, third] = names.map(|name| Column::Name(name.into()));
+    if names[0] != names[1] {
+        return read([first, second, third]);
+    }
+    let others = [[0, 1], [1, 2], [0, 2]].into_iter();
+    others.map(|pair| pair.map(Column::Index)).find_map(|[one, two]| read([first.clone(), one, two]))
+}
+
+/// Colours that stand in the lower bytes of a number.
+fn unpacked(rows: &[[f64; 3]]) -> Vec<[u8; 3]> {
+    rows.iter().map(|[bits, ..]| [16, 8, 0].map(|shift| (*bits as u32 >> shift) as u8)).collect()
+}
+
 impl Attributes {
     /// The attributes of a file whose columns have names.
     fn named(columns: Named) -> Self {
         let any = |sets: &[[&str; 3]]| sets.iter().find_map(|names| columns(*names));
-        let packed = || {
-            let bits = columns(["rgb"; 3]).or_else(|| columns(["rgba"; 3]))?;
-            Some(bits.iter().map(|[bits, ..]| [16, 8, 0].map(|shift| (*bits as u32 >> shift) as u8)).collect())
-        };
         let colors = any(&COLORS).map(|rows| to_bytes(&rows));
         let intensity = INTENSITIES.iter().find_map(|name| columns([name; 3]));
         Self {
-            colors: colors.or_else(packed),
+            colors,
             intensity: intensity.map(|rows| rows.iter().map(|row| row[0] as f32).collect()),
             normals: any(&NORMALS).map(|rows| rows.iter().map(|row| row.map(|v| v as f32)).collect()),
         }

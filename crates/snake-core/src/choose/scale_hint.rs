@@ -16,7 +16,7 @@ const ROOM_RADII: Range<f64> = 1.3..30.0;
 
 /// A text for the user if detection with these options suits another scale than the cloud's: a room that
 /// is detected as one object, or a LiDAR sweep. It also names
-/// [`Outliers`](crate::Outliers), which are left out. `None` if nothing is wrong. Clouds with the same fault have the same
+/// [`Outliers`](crate::Outliers), which are left out, and a haze ([`UsedCloud::haze`]). `None` if nothing is wrong. Clouds with the same fault have the same
 /// text, so that a program can say it once.
 ///
 /// ```
@@ -28,7 +28,14 @@ const ROOM_RADII: Range<f64> = 1.3..30.0;
 /// ```
 pub fn scale_hint(cloud: &UsedCloud, config: &ModelConfig, options: &Options) -> Option<String> {
     let outliers = cloud.outliers().map(|outliers| outliers.to_string());
-    let hints = [outliers, hint_without_outliers(cloud.points(), config, options)];
+    let haze = cloud.haze().map(|share| {
+        format!(
+            "about {:.0} % of the points stand alone, far from their neighbours, as haze and floaters do: keypoints may lie \
+             on them; remove them, for example by a statistical filter",
+            100.0 * share
+        )
+    });
+    let hints = [outliers, haze, hint_without_outliers(cloud.points(), config, options)];
     hints.into_iter().flatten().reduce(|first, second| format!("{first}; {second}"))
 }
 

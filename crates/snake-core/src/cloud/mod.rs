@@ -1,5 +1,6 @@
 //! A cloud as it is used: its finite points without outliers, and what is measured of it, each once.
 
+mod haze;
 mod samples;
 mod scene_signs;
 mod sweep;
@@ -63,6 +64,11 @@ impl<'a> UsedCloud<'a> {
     /// Whether it looks like the sweep of a sensor in its midst.
     pub fn is_sweep(&self) -> bool {
         *self.is_sweep.get_or_init(|| sweep::is_sweep(self.points()))
+    }
+
+    /// The share of its points that stand alone in the air, such as the floaters of splats, if it has such a haze.
+    pub fn haze(&self) -> Option<f64> {
+        haze::haze(self.points())
     }
 
     /// Its [`scene_signs`].

@@ -51,11 +51,10 @@ pub(crate) fn attributes(bytes: &[u8]) -> Result<Attributes, String> {
         let color = header.colors_at().and_then(|at| Some([word(at)?, word(at + 2)?, word(at + 4)?]));
         colors.extend(color.map(|color| color.map(f64::from)));
     })?;
-    let mut attributes = Attributes::default();
     // Writers without a sensor leave zeros.
-    attributes.intensity = Some(intensity).filter(|values| values.iter().any(|value| *value > 0.0));
-    attributes.colors = Some(to_bytes(&colors)).filter(|values| values.as_flattened().iter().any(|value| *value > 0));
-    Ok(attributes)
+    let intensity = Some(intensity).filter(|values| values.iter().any(|value| *value > 0.0));
+    let colors = Some(to_bytes(&colors)).filter(|values| values.as_flattened().iter().any(|value| *value > 0));
+    Ok(Attributes { colors, intensity, normals: None })
 }
 
 /// The coordinate reference system of a file that [`read`] reads.
