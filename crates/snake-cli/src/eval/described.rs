@@ -62,7 +62,7 @@ impl<'a> Methods<'a> {
     /// The methods of the command line, whose models start from the options of registration.
     pub fn new(arguments: &'a RegistrationArguments, scenes: &Scenes) -> Result<Self> {
         let RegistrationArguments { external, nms_radius, options, .. } = arguments;
-        let first = || Ok(arguments.run.columns.read(&scenes.clouds[scenes.pairs[0].target])?);
+        let first = || arguments.run.columns.read(&scenes.clouds[scenes.pairs[0].target]);
         let models = arguments
             .run
             .load_models(&options.values(), first, |model| VoxelCloud::default_options(model, VOXEL_SIZE))?;

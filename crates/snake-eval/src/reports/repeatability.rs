@@ -319,7 +319,7 @@ At ε 0.2, over noise:
             Pair { name: "a".into(), rows: vec![Row { models, ..row(CLEAN, 4, [0.5, 1.0]) }] }
         };
         let first_row = |pairs: &[Pair<Row>]| {
-            let lines = Report::new(&sweeps, &json!({}), &[pairs], None).text_lines();
+            let lines = report(&sweeps, &json!({}), &[pairs], None).text_lines();
             lines.into_iter().find(|line| line.starts_with("iss")).unwrap()
         };
         let scenes = pair(&[("scenes", 2)]);
