@@ -8,7 +8,7 @@ use snake_geometry::Point;
 use crate::options::{PairOptions, RegisterOptions};
 use crate::result::Registration;
 use crate::steps::prepare::prepare_named;
-use crate::steps::{self, Pair, approach, consensus, describe, judge, match_rows, refine};
+use crate::steps::{self, Pair, approach, challenge, consensus, describe, judge, match_rows, refine};
 
 /// Finds the rigid transform from `source` `(N, 3)` to `target` `(M, 3)` without an initial guess.
 ///
@@ -89,6 +89,9 @@ pub fn register_pair(
         return register_pair(&pair.without_signs(), options, pair_options, control);
     }
     let mut registration = judge(pair, &matches, &candidates)?;
+    if pair_options.initial.is_none() {
+        challenge(pair, &matches, &mut registration)?;
+    }
     registration.hypotheses.truncate(pair_options.hypotheses);
     if pair_options.initial.is_some_and(|guess| guess.rotation_error() > ROUNDED) {
         registration.verdict.notes.push("`initial` has a rounded rotation: the nearest exact one was taken".into());
