@@ -10,7 +10,7 @@ use snake_geometry::{Point, RigidTransform};
 use crate::options::{PairOptions, RegisterOptions};
 use crate::result::Registration;
 use crate::steps::prepare::prepare_named;
-use crate::steps::{self, Pair, PreparedClouds, approach, consensus, describe, judge, match_rows, refine};
+use crate::steps::{self, Pair, PreparedClouds, approach, challenge, consensus, describe, judge, match_rows, refine};
 use second_look::{Given, NAMES, better};
 
 /// Finds the rigid transform from `source` `(N, 3)` to `target` `(M, 3)` without an initial guess.
@@ -137,6 +137,9 @@ fn search(
         return search(&pair.without_signs(), options, pair_options, more, control);
     }
     let mut registration = judge(pair, &matches, &candidates)?;
+    if pair_options.initial.is_none() {
+        challenge(pair, &matches, &mut registration)?;
+    }
     registration.hypotheses.truncate(pair_options.hypotheses);
     Ok(registration)
 }

@@ -145,6 +145,24 @@ fn a_mirror_image_has_no_reliable_transform_and_the_room_itself_has_one() {
     assert!(!registration.verdict.is_reliable && registration.verdict.confidence < 0.4, "{registration:?}");
 }
 
+/// The same room with other things in it, which has no corner of its own.
+fn emptied_room(rng: &mut ChaCha8Rng) -> Point {
+    let (low, size) = match rng.random_range(0..8) {
+        0..6 => ([-2.0, -2.0, 0.0], [4.0, 4.0, 2.5]),
+        6 => ([0.2, -1.4, 0.0], [0.7, 0.4, 0.9]),
+        _ => ([-0.6, 0.9, 0.0], [0.5, 0.5, 1.3]),
+    };
+    let point = box_point(rng, size);
+    [0, 1, 2].map(|axis| point[axis] + low[axis])
+}
+
+#[test]
+fn walls_alone_fit_at_four_headings() {
+    let (source, target) = (sample(room, 8000, 1, 0.0), sample(emptied_room, 8000, 2, 0.0));
+    let registration = run(&source, &target).unwrap();
+    assert!(!registration.verdict.is_reliable, "{registration:?}");
+}
+
 #[test]
 fn millimetres_beside_metres_are_asked_about() {
     let (source, target) = (sample(room, 8000, 1, 0.0), sample(room, 8000, 2, 0.0));

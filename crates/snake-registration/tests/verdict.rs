@@ -169,6 +169,48 @@ fn a_row_of_pillars_is_not_left_by_one_period() {
     }
 }
 
+/// A wall at y = 9 with windows before it, every `period` along x, from `start` on.
+fn facade(period: f64, start: f64) -> Scene {
+    let ground = [[-40.0, -15.0, -0.2], [40.0, 15.0, 0.0]];
+    let wall = [[start - 1.0, 8.85, 0.0], [40.0, 9.15, 12.0]];
+    let count = ((40.0 - start) / period) as i32;
+    let windows = (0..count).flat_map(|i| {
+        let x = start + period * f64::from(i);
+        [2.0, 5.0, 8.0].map(|z| [[x, 8.55, z - 0.75], [x + 0.7 * period, 8.85, z + 0.75]])
+    });
+    Scene { boxes: windows.chain([ground, wall]).collect(), ..Default::default() }
+}
+
+#[test]
+fn windows_that_repeat_are_named_and_the_other_places_returned() {
+    let rays = lidar(-0.785, 0.785);
+    for (period, along) in [(4.0, 1.4), (2.5, 3.5)] {
+        let seen = |x: f64, seed| facade(period, -39.0).seen([x, 0.0, 1.4], &rays, 14.0, 0.008, seed);
+        let (source, target) = (seen(0.0, 1), seen(along, 2));
+        let pair_options = PairOptions::default().with_hypotheses(8);
+        let control = Control::default();
+        let options = RegisterOptions::default();
+        let registration = register_with(&source, &target, None, &options, &pair_options, &control).unwrap();
+        let verdict = &registration.verdict;
+        assert!(!verdict.is_reliable && verdict.is_ambiguous && verdict.confidence < 0.5, "{verdict:?}");
+        assert!(verdict.notes[0].contains("repeats itself every"), "{verdict:?}");
+        assert!(registration.hypotheses.len() > 1, "{registration:?}");
+        // A guess decides.
+        let truth = RigidTransform::from_matrix([
+            [1.0, 0.0, 0.0, -along],
+            [0.0, 1.0, 0.0, 0.0],
+            [0.0, 0.0, 1.0, 0.0],
+            [0.0, 0.0, 0.0, 1.0],
+        ]);
+        let guided = PairOptions::default().with_initial(Some(truth.unwrap()));
+        let registration = register_with(&source, &target, None, &options, &guided, &control).unwrap();
+        assert!(
+            registration.verdict.notes.iter().all(|note| !note.contains("repeats itself every")),
+            "{registration:?}"
+        );
+    }
+}
+
 /// Clouds whose 16 nearest points are nowhere a planar patch: a curve wound around a torus with a
 /// dent, points in a bulky volume, wires, and a thin fence.
 fn clouds_without_patches() -> [(&'static str, Vec<Point>); 4] {

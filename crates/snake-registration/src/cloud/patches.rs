@@ -41,6 +41,12 @@ tuning! {
         from "corridors, tunnels and balls have 0.7 and more, wires and rough things less (190fc07)";
     /// Two patches coincide if their distance is below this many of their joint thicknesses.
     coinciding: f64 = 2.0, unit "standard deviations", from "set by hand in e823698";
+    /// A surface farther from a place does not tell whether the place lies on it.
+    near: f64 = 0.5, unit "inlier distances", from "set by hand";
+    /// A place on a planar patch lies on another patch whose plane is closer than this.
+    max_offset: f64 = 0.15, unit "inlier distances", from "set by hand";
+    /// Other places lie on a surface that is closer than this.
+    max_apart: f64 = 0.25, unit "inlier distances", from "set by hand";
     /// Fewer patches do not show whether the surfaces coincide.
     min_pairs: usize = 100, unit "patches", from "set by hand in b0e7886";
 }
@@ -50,6 +56,21 @@ tuning! {
 struct Patch {
     normal: Vector,
     thickness: f64,
+}
+
+/// A point, with the normal of its patch if it is on a planar one.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Place {
+    pub(crate) point: Vector,
+    pub(crate) normal: Option<Vector>,
+}
+
+impl Place {
+    /// The place under a transform.
+    pub(crate) fn moved(&self, transform: &IsometryMatrix3<f64>) -> Self {
+        let normal = self.normal.map(|normal| transform.rotation * normal);
+        Self { point: moved(transform, &self.point), normal }
+    }
 }
 
 /// A cloud in fine voxels, with normals that are computed when they are needed.
@@ -82,6 +103,63 @@ impl FineCloud {
             let ([across, width, _], normal) = eigen(self.cloud.covariance(&near));
             (across < TUNING.max_thickness * width && width > TUNING.min_width * radius * radius)
                 .then(|| Patch { normal, thickness: across.max(0.0).sqrt() })
+        })
+    }
+
+    /// The points of the fine voxels.
+    pub(crate) fn points(&self) -> &[Vector] {
+        &self.cloud.points
+    }
+
+    /// About `count` of the fine voxels.
+    pub(crate) fn sample(&self, count: usize) -> Vec<Place> {
+        self.places_of(count, |_| Some(IsometryMatrix3::identity()))
+    }
+
+    /// About `count` of the fine voxels under a transform, without those that are then farther from
+    /// another cloud than `max_distance`.
+    pub(crate) fn places(
+        &self,
+        transform: &IsometryMatrix3<f64>,
+        other: &Self,
+        max_distance: f64,
+        count: usize,
+    ) -> Vec<Place> {
+        self.places_of(count, |point| {
+            let (_, distance) = *other.cloud.nearest(&moved(transform, point), NonZeroUsize::MIN).first()?;
+            (distance < max_distance).then_some(*transform)
+        })
+    }
+
+    /// About `count` of the fine voxels, each under a transform, if there is one.
+    fn places_of(
+        &self,
+        count: usize,
+        transform: impl Fn(&Vector) -> Option<IsometryMatrix3<f64>> + Sync,
+    ) -> Vec<Place> {
+        let points = &self.cloud.points;
+        let place = |index: usize| {
+            let transform = transform(&points[index])?;
+            let normal = self.patch(index).map(|patch| patch.normal);
+            Some(Place { point: points[index], normal }.moved(&transform))
+        };
+        let step = points.len().div_ceil(count).max(1);
+        (0..points.len()).into_par_iter().step_by(step).filter_map(place).collect()
+    }
+
+    /// Whether a place lies on the surface next to it; `None` where there is none near.
+    pub(crate) fn lies_on(&self, place: &Place, inlier_distance: f64) -> Option<bool> {
+        let (nearest, distance) = *self.cloud.nearest(&place.point, NonZeroUsize::MIN).first()?;
+        if distance > TUNING.near * inlier_distance {
+            return None;
+        }
+        let offset = self.cloud.points[nearest] - place.point;
+        Some(match (&place.normal, self.patch(nearest)) {
+            (Some(normal), Some(patch)) => {
+                patch.normal.dot(normal).abs() > TUNING.agreeing_cosine
+                    && normal.dot(&offset).abs() < TUNING.max_offset * inlier_distance
+            }
+            _ => distance < TUNING.max_apart * inlier_distance,
         })
     }
 

@@ -142,12 +142,17 @@ impl<'a> Surface<'a> {
     /// free; 0 if the viewpoints are not known.
     pub(crate) fn fine_violation([source, target]: &[Self; 2], transform: &IsometryMatrix3<f64>) -> f64 {
         let free = |points: &Self, seen: &Self, transform: &IsometryMatrix3<f64>| {
-            let Some(coarse) = &seen.image else { return 0 };
-            let image = DepthImage::new(seen.points, coarse.viewpoint, seen.grid.distance(), FINE);
+            let Some(image) = seen.fine_image() else { return 0 };
             points.points.par_iter().filter(|point| image.sight(&moved(transform, point)) == Sight::Free).count()
         };
         let count = free(source, target, transform) + free(target, source, &transform.inverse());
         count as f64 / (source.points.len() + target.points.len()) as f64
+    }
+
+    /// A fine depth image of what the sensor saw; `None` if it is not known.
+    pub(crate) fn fine_image(&self) -> Option<DepthImage> {
+        let coarse = self.image.as_ref()?;
+        Some(DepthImage::new(self.points, coarse.viewpoint, self.grid.distance(), FINE))
     }
 
     fn saw_through(&self, point: &Vector) -> bool {

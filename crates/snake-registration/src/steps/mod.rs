@@ -7,7 +7,8 @@
 //! [`prepare()`] downsamples and measures clouds, which can be kept for any number of pairs. A
 //! [`Pair`] of them is described by [`describe()`], matched by [`match_rows()`], and searched for
 //! transforms by [`consensus()`]. [`refine()`] makes candidates of transforms, best first, and
-//! [`judge()`] weighs the best against the others. The constants of a step are one table, such as
+//! [`judge()`] weighs the best against the others, and [`challenge()`] against turns and shifts that
+//! the search need not have met. The constants of a step are one table, such as
 //! [`consensus::TUNING`].
 
 pub mod consensus;
@@ -21,7 +22,7 @@ pub mod refine;
 
 pub use consensus::consensus;
 pub use describe::{Rows, describe};
-pub use judge::judge;
+pub use judge::{challenge, judge};
 pub use match_rows::match_rows;
 pub use matches::{Criteria, Match};
 pub use pair::Pair;

@@ -4,7 +4,10 @@ mod constraint;
 mod evidence;
 mod open_motions;
 mod repeats;
+mod rivals;
+mod shifts;
 mod slide;
+mod turns;
 
 use nalgebra::{IsometryMatrix3, Matrix6};
 
@@ -20,6 +23,7 @@ use crate::tuning::tuning;
 use constraint::Constraint;
 use evidence::{Evidence, is_rival};
 use repeats::repeated_share;
+use rivals::{Rival, rivals};
 use slide::slide_margin;
 use snake_core::{Error, Result};
 use snake_geometry::RigidTransform;
@@ -96,6 +100,69 @@ tuning! {
     /// place with more would fit better.
     repeated_fitness: f64 = 0.8, unit "share of the voxels", from "set by hand in 40795b4";
 
+    /// A voxel faces along an axis if its cosine is above this.
+    turn_cosine: f64 = 0.9, unit "cosine", from "set by hand";
+    /// Number of offsets along each axis at which planes of a turned source are laid on planes.
+    turn_offsets: usize = 3, unit "offsets", from "set by hand";
+    /// A turned source must have this share of the voxels on planes that meet.
+    turn_planes: f64 = 0.75, unit "share of those of the winner", from "set by hand";
+    /// Number of moves that are compared for a turn, at most.
+    turn_tries: usize = 2, unit "transforms", from "set for time";
+    /// A turned source must overlap the target by this.
+    turn_overlap: f64 = 0.7, unit "share of the winner's overlap", from "set by hand";
+    /// Thickness of the cells in which details repeat.
+    relief_depth: f64 = 0.15, unit "inlier distances", from "set by hand";
+    /// Width of the cells in which details repeat, and the step from one shift to the next.
+    relief_side: f64 = 0.25, unit "inlier distances", from "set by hand";
+    /// A place faces along an axis if its cosine is above this.
+    shift_cosine: f64 = 0.8, unit "cosine", from "set by hand";
+    /// Length of the longest shift.
+    max_shift: f64 = 0.5, unit "share of the overlap's extent", from "set by hand";
+    /// A rival moves the source by more than this.
+    min_shift: f64 = 1.25, unit "inlier distances", from "set by hand";
+    /// Share of the details that must be in view after a shift, and fit.
+    min_shift_view: f64 = 0.25, unit "share of the details that fit at rest", from "set by hand";
+    /// Details repeat after a shift if this share of those in view fits.
+    shift_fit: f64 = 0.75, unit "share of that at rest", from "set by hand";
+    /// On the way to a shift the details fit worse than this.
+    shift_valley: f64 = 0.9, unit "share of that after the shift", from "set by hand";
+    /// Number of shifts along one axis, at most.
+    shift_tries: usize = 2, unit "shifts", from "set for time";
+    /// Number of places whose details are compared.
+    shift_places: usize = 1200, unit "places", from "set for time";
+    /// Every so many of them tell where exactly a shift fits.
+    shift_thinning: usize = 6, unit "places", from "set for time";
+    /// Number of steps to either side in which a shift is made exact.
+    shift_steps: i32 = 6, unit "steps", from "set by hand";
+    /// Number of places of each cloud on which two transforms are compared.
+    rival_places: usize = 1000, unit "places", from "set for time";
+    /// Number of ICP steps after a turn.
+    rival_steps: usize = 8, unit "steps", from "set for time";
+    /// A rival's surfaces fit by this.
+    rival_fit_share: f64 = 0.75, unit "share of the winner's fit", from "set by hand";
+    /// A shift is not made exact if fewer of the places lie on the target there, less those that
+    /// contradict it.
+    min_shift_score: f64 = 0.3, unit "share of the places", from "set for time";
+    /// A rival that contradicts more is not refined.
+    hopeless: f64 = 0.5, unit "share of the places that the winner explains", from "set for time";
+    /// A shift explains the clouds about as well if the winner leads by at most this.
+    shift_lead: f64 = 0.1, unit "share of the places that the winner explains",
+        from "made facades and racks have -0.06 to 0.09";
+    /// A shift up to this length is short.
+    short_shift: f64 = 3.5, unit "inlier distances", from "set by hand";
+    /// A short and a longer shift that contradict more of the winner are no rivals.
+    shift_contradicted: [f64; 2] = [0.175, 0.25], unit "shares of the places that the winner explains",
+        from "made facades and racks have 0.05 to 0.17, short shifts of real scans 0.17 to 0.6, longer ones 0.29 and more";
+    /// A turn explains the clouds about as well if the winner leads by at most the first and
+    /// contradicts at most the second, where the sensors are known.
+    turn_signed: [f64; 2] = [0.05, 0.2], unit "shares of the places that the winner explains", from "set by hand";
+    /// The same where the sensors are not known: all that has nothing near it is contradicted.
+    turn_unsigned: [f64; 2] = [0.15, 0.45], unit "shares of the places that the winner explains",
+        from "made rooms whose furniture moved have -0.23 to 0.13, rooms in which none did 0.07 to 0.27";
+    /// A mirror image fits better if it leads by this.
+    mirror_lead: f64 = 0.06, unit "share of the places that the winner explains",
+        from "mirrored boxes have 0.1 and more";
+
     /// A weaker constraint is doubtful, however many matches agree.
     doubtful_constraint: f64 = 2e-4, unit "share of the squared motion", from "set by hand in 40795b4";
     /// Fewer matches that agree are never enough, however well the surfaces fit.
@@ -147,12 +214,6 @@ pub fn judge(pair: &Pair, matches: &[Match], candidates: &[Candidate]) -> Result
     let fit = Fit::measure(pair, &best.t_target_source);
     let counts = Matches::count(pair, matches, candidates);
     let verdict = verdict(pair, matches, candidates, &fit, &counts)?;
-    let hypothesis = |candidate: &Candidate| Hypothesis {
-        t_target_source: candidate.t_target_source,
-        score: candidate.score(),
-        num_inliers: candidate.num_inliers,
-        free_space_violation: candidate.free_space_violation(),
-    };
     let viewpoints = pair.viewpoints_used();
     let report =
         |place: usize| CloudReport { viewpoint: viewpoints[place], num_skipped: pair.clouds()[place].num_skipped };
@@ -162,9 +223,38 @@ pub fn judge(pair: &Pair, matches: &[Match], candidates: &[Candidate]) -> Result
         fit,
         matches: counts,
         clouds: [report(0), report(1)],
-        hypotheses: candidates.iter().map(hypothesis).collect(),
+        hypotheses: candidates.iter().map(Candidate::hypothesis).collect(),
         seconds: 0.0,
     })
+}
+
+/// Tries other answers on purpose beside a transform that is reliable or ambiguous: the turns that
+/// lay the planes of the overlap on planes, and the shifts after which details of the target
+/// repeat. If one explains the clouds about as well, the registration becomes ambiguous and not
+/// reliable, its notes say what repeats, and the others follow the best in `hypotheses`. It is not
+/// reliable either if a mirror image of the source fits better.
+///
+/// # Errors
+/// [`Error::Input`] when the points of a cloud cannot be indexed.
+pub fn challenge(pair: &Pair, matches: &[Match], registration: &mut Registration) -> Result<()> {
+    let verdict = &mut registration.verdict;
+    let is_open = verdict.confidence == 0.0;
+    if is_open || !(verdict.is_reliable || verdict.is_ambiguous) {
+        return Ok(());
+    }
+    let mut equal = rivals(pair, registration.t_target_source.isometry())?;
+    equal.retain(Rival::is_equal);
+    if equal.is_empty() {
+        return Ok(());
+    }
+    verdict.confidence = (verdict.confidence / 2.0).min(TUNING.max_doubtful);
+    verdict.is_reliable = false;
+    verdict.is_ambiguous |= equal.iter().any(|rival| !rival.is_mirrored());
+    verdict.notes.splice(0..0, equal.iter().map(Rival::note));
+    let rigid = equal.iter().filter(|rival| !rival.is_mirrored());
+    let others = rigid.map(|rival| Candidate::measure(pair, matches, &rival.transform.into()).hypothesis());
+    registration.hypotheses.splice(1..1, others);
+    Ok(())
 }
 
 /// The verdict about the best candidate.
@@ -209,6 +299,17 @@ fn verdict(pair: &Pair, matches: &[Match], candidates: &[Candidate], fit: &Fit, 
         repeat_fit: evidence.repeat_fit,
         free_space_violation: evidence.violation,
     })
+}
+
+impl Candidate {
+    fn hypothesis(&self) -> Hypothesis {
+        Hypothesis {
+            t_target_source: self.t_target_source,
+            score: self.score(),
+            num_inliers: self.num_inliers,
+            free_space_violation: self.free_space_violation(),
+        }
+    }
 }
 
 impl Fit {

@@ -33,14 +33,14 @@ pub(super) fn names(open: &Matrix6xX<f64>) -> String {
 fn name(what: &str, one: &str, two: &str, directions: &[Vector]) -> Option<String> {
     match directions {
         [] => None,
-        [direction] => Some(format!("{what} {one} {}", axis(direction))),
-        [first, second] => Some(format!("{what} {two} {}", axis(&first.cross(second).normalize()))),
+        [direction] => Some(format!("{what} {one} {}", axis_name(direction))),
+        [first, second] => Some(format!("{what} {two} {}", axis_name(&first.cross(second).normalize()))),
         _ => Some(format!("any {what}")),
     }
 }
 
 /// An axis, whose sign means nothing: the largest component is positive.
-fn axis(direction: &Vector) -> String {
+pub(super) fn axis_name(direction: &Vector) -> String {
     let direction = direction * direction[direction.iamax()].signum();
     // Adding zero removes the sign of zeros.
     let [x, y, z] = [0, 1, 2].map(|i| (100.0 * direction[i]).round() / 100.0 + 0.0);

@@ -113,7 +113,7 @@ impl<'a> Facing<'a> {
 
 /// The normal that most patches have, that which most have across it, and the direction across
 /// both.
-fn axes(patches: &[PlanePair]) -> [Option<Vector>; 3] {
+pub(super) fn axes(patches: &[PlanePair]) -> [Option<Vector>; 3] {
     let count = |normal: &Vector| {
         patches.iter().filter(|patch| patch.normal.dot(normal).abs() > TUNING.repeat_parallel).count()
     };

@@ -1,7 +1,7 @@
 //! Step 5: ICP refines transforms, and the clouds rank them.
 
 pub(crate) mod icp;
-mod patches;
+pub(crate) mod patches;
 
 use nalgebra::IsometryMatrix3;
 use rayon::prelude::*;

@@ -11,7 +11,7 @@ use snake_geometry::Vector;
 
 /// Refines a transform on the planar patches of both clouds; clouds that are hardly finer than
 /// their voxels keep it.
-pub(super) fn refine_on_patches(
+pub(crate) fn refine_on_patches(
     clouds: [&FineCloud; 2],
     rough: IsometryMatrix3<f64>,
     gravity: Option<Vector>,

@@ -1,0 +1,259 @@
+//! Other answers that are tried on purpose: the winner after a turn, a reflection or a shift under
+//! which the clouds look alike.
+
+use nalgebra::{IsometryMatrix3, Translation3};
+use rayon::prelude::*;
+
+use super::TUNING;
+use super::open_motions::axis_name;
+use super::repeats::axes;
+use super::shifts::shifts;
+use super::turns::{Turn, after_turns, reflections, turns};
+use crate::cloud::depth_image::{DepthImage, Sight};
+use crate::cloud::patches::{FineCloud, Place, overlap};
+use crate::cloud::surface::{Surface, coarse_step};
+use crate::rigid::displacement;
+use crate::steps::pair::Pair;
+use crate::steps::refine::icp::one_way_icp;
+use crate::steps::refine::patches::refine_on_patches;
+use snake_core::{Counter, Result};
+use snake_geometry::Vector;
+
+/// What leads from the winner to its rival.
+#[derive(Debug, Clone, Copy)]
+enum Motion {
+    Turn(Turn),
+    Shift(Vector),
+}
+
+/// Another answer, compared with the winner place by place.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Rival {
+    pub(super) transform: IsometryMatrix3<f64>,
+    motion: Motion,
+    counts: Counts,
+    /// Whether the sensors of both clouds are known, so that free space is.
+    is_signed: bool,
+    inlier_distance: f64,
+}
+
+/// Numbers of places of both clouds.
+#[derive(Debug, Clone, Copy, Default)]
+struct Counts {
+    /// Places that both transforms bring onto the other cloud.
+    both: usize,
+    /// Places that the winner brings onto the other cloud and the rival contradicts.
+    winner: usize,
+    /// The reverse.
+    rival: usize,
+}
+
+impl Counts {
+    /// By how much the winner leads, as a share of the places that it explains.
+    fn lead(&self) -> f64 {
+        (self.winner as f64 - self.rival as f64) / self.explained()
+    }
+
+    /// The share of the places that the winner explains and the rival contradicts.
+    fn contradicted(&self) -> f64 {
+        self.winner as f64 / self.explained()
+    }
+
+    fn explained(&self) -> f64 {
+        (self.both + self.winner).max(1) as f64
+    }
+}
+
+impl Rival {
+    /// Whether the rival is a mirror image of the source, which no rigid motion gives.
+    pub(super) fn is_mirrored(&self) -> bool {
+        matches!(self.motion, Motion::Turn(Turn { degrees: None, .. }))
+    }
+
+    /// Whether the rival explains the clouds about as well as the winner, and contradicts little of
+    /// what that explains; a mirror image must explain them better.
+    pub(super) fn is_equal(&self) -> bool {
+        let [lead, contradicted] = if self.is_signed { TUNING.turn_signed } else { TUNING.turn_unsigned };
+        let (max_lead, max_contradicted) = match self.motion {
+            Motion::Turn(Turn { degrees: None, .. }) => (-TUNING.mirror_lead, contradicted),
+            Motion::Turn(_) => (lead, contradicted),
+            Motion::Shift(shift) => {
+                let is_long = shift.norm() > TUNING.short_shift * self.inlier_distance;
+                (TUNING.shift_lead, TUNING.shift_contradicted[usize::from(is_long)])
+            }
+        };
+        self.counts.lead() <= max_lead && self.counts.contradicted() <= max_contradicted
+    }
+
+    /// What is ambiguous, in a sentence.
+    pub(super) fn note(&self) -> String {
+        match self.motion {
+            Motion::Turn(Turn { degrees: None, .. }) => {
+                "a mirror image of the source fits better: one of the clouds may have a flipped axis".into()
+            }
+            Motion::Turn(Turn { degrees: Some(degrees), axis, .. }) => format!(
+                "ambiguous: the clouds fit about as well after a turn by {degrees} degrees about {}, as the walls of a \
+                 room do",
+                axis_name(&axis)
+            ),
+            Motion::Shift(shift) => format!(
+                "ambiguous: the target repeats itself every {:.3} along {}, and the source fits there about as well",
+                shift.norm(),
+                axis_name(&shift.normalize())
+            ),
+        }
+    }
+}
+
+/// The turns, reflections and shifts of the winner under which the clouds fit, with what tells them
+/// from the winner.
+pub(super) fn rivals(pair: &Pair, winner: &IsometryMatrix3<f64>) -> Result<Vec<Rival>> {
+    let (surfaces, fine) = (pair.surfaces(), pair.fine()?);
+    let distance = pair.criteria().inlier_distance;
+    let patches = overlap(fine, winner, TUNING.patch_distance * distance).patches;
+    let [Some(first), Some(second), Some(third)] = axes(&patches) else { return Ok(Vec::new()) };
+    let frame = [first, second, third];
+    let tried = match pair.criteria().gravity {
+        Some(axis) => turns(&[axis]),
+        None => [turns(&frame), reflections(&frame)].concat(),
+    };
+    let by_turn = after_turns(surfaces, winner, &tried, &frame);
+    let places = fine[0].places(winner, fine[1], distance, TUNING.shift_places);
+    let by_shift = shifts(&places, fine[1], &frame, distance);
+    if by_turn.is_empty() && by_shift.is_empty() {
+        return Ok(Vec::new());
+    }
+    let scene = Scene::new(pair, fine, winner, &places);
+    let turned = by_turn.into_par_iter().map(|(turn, guess)| scene.turned(turn, guess)).collect::<Result<Vec<_>>>()?;
+    let shifted = by_shift.into_par_iter().map(|shift| scene.shifted(shift)).collect::<Result<Vec<_>>>()?;
+    Ok(turned.into_iter().chain(shifted).flatten().collect())
+}
+
+/// The pair with what the comparison of two transforms needs.
+struct Scene<'a, 'b> {
+    pair: &'a Pair<'b>,
+    fine: [&'a FineCloud; 2],
+    winner: &'a IsometryMatrix3<f64>,
+    /// Some voxels of the source.
+    coarse: Vec<Vector>,
+    /// How well they fit with the winner.
+    best_fit: f64,
+    /// Places of the source on the target, in the target's frame.
+    places: &'a [Place],
+    /// Places of both clouds, each with what the winner makes of it.
+    sample: [Vec<(Place, Option<bool>)>; 2],
+    images: [Option<DepthImage>; 2],
+}
+
+impl<'a, 'b> Scene<'a, 'b> {
+    fn new(
+        pair: &'a Pair<'b>,
+        fine: [&'a FineCloud; 2],
+        winner: &'a IsometryMatrix3<f64>,
+        places: &'a [Place],
+    ) -> Self {
+        let surfaces = pair.surfaces();
+        let step = coarse_step(surfaces[0].points.len());
+        let mut scene = Self {
+            pair,
+            fine,
+            winner,
+            coarse: surfaces[0].points.iter().step_by(step).copied().collect(),
+            best_fit: Surface::agreement(&surfaces[0], &surfaces[1], winner, step).fit(),
+            places,
+            sample: Default::default(),
+            images: surfaces.each_ref().map(Surface::fine_image),
+        };
+        scene.sample = std::array::from_fn(|from| {
+            let transform = if from == 0 { *winner } else { winner.inverse() };
+            let with_vote = |place: Place| (place, scene.explains(&place.moved(&transform), 1 - from));
+            fine[from].sample(TUNING.rival_places).into_iter().map(with_vote).collect()
+        });
+        scene
+    }
+
+    /// The rival near a guess that follows from a turn; `None` if it does not fit the surfaces.
+    fn turned(&self, turn: Turn, guess: IsometryMatrix3<f64>) -> Result<Option<Rival>> {
+        let (surfaces, gravity) = (self.pair.surfaces(), self.pair.criteria().gravity);
+        let step = coarse_step(surfaces[0].points.len());
+        let rough = one_way_icp(&self.coarse, &surfaces[1], guess, gravity, TUNING.rival_steps, &Counter::default())?;
+        let fit = Surface::agreement(&surfaces[0], &surfaces[1], &rough, step).fit();
+        if fit < TUNING.rival_fit_share * self.best_fit || self.compare(&rough).contradicted() > TUNING.hopeless {
+            return Ok(None);
+        }
+        self.rival(Motion::Turn(turn), rough)
+    }
+
+    /// The rival near a shift; `None` if it does not fit.
+    fn shifted(&self, shift: Vector) -> Result<Option<Rival>> {
+        let distance = self.pair.criteria().inlier_distance;
+        let places: Vec<&Place> = self.places.iter().step_by(TUNING.shift_thinning).collect();
+        let fit = |part: f64| {
+            let lies = |place: &&Place| {
+                let place = Place { point: place.point + part * shift, ..**place };
+                self.fine[1].lies_on(&place, distance).map_or(0, |is_on| if is_on { 1 } else { -1 })
+            };
+            places.iter().map(lies).sum::<i32>()
+        };
+        if f64::from(fit(1.0)) < TUNING.min_shift_score * places.len() as f64 {
+            return Ok(None);
+        }
+        let unit = 1.5 * TUNING.relief_side * distance / shift.norm() / f64::from(TUNING.shift_steps);
+        let parts = (-TUNING.shift_steps..=TUNING.shift_steps).map(|at| 1.0 + unit * f64::from(at));
+        let tries: Vec<(i32, f64)> = parts.map(|part| (fit(part), part)).collect();
+        let best = tries.iter().map(|(fit, _)| *fit).max().unwrap_or_default();
+        // Of equals the middle one.
+        let equal: Vec<f64> = tries.iter().filter(|(fit, _)| *fit == best).map(|(_, part)| *part).collect();
+        let shift = equal[equal.len() / 2] * shift;
+        let rough = Translation3::from(shift) * self.winner;
+        if self.compare(&rough).contradicted() > TUNING.hopeless {
+            return Ok(None);
+        }
+        let rival = self.rival(Motion::Shift(shift), rough)?;
+        let refined = |rival: &Rival| rival.transform.translation.vector - self.winner.translation.vector;
+        Ok(rival.map(|rival| Rival { motion: Motion::Shift(refined(&rival)), ..rival }))
+    }
+
+    /// The rival near a transform, refined as the winner was; `None` if it is the winner.
+    fn rival(&self, motion: Motion, rough: IsometryMatrix3<f64>) -> Result<Option<Rival>> {
+        let distance = self.pair.criteria().inlier_distance;
+        let gravity = self.pair.criteria().gravity;
+        let refined = refine_on_patches(self.fine, rough, gravity, &Counter::default())?;
+        let is_near = displacement(&refined, &rough, &self.coarse) < 0.5 * distance;
+        let transform = if is_near { refined } else { rough };
+        if displacement(&transform, self.winner, &self.coarse) < TUNING.min_shift * distance {
+            return Ok(None);
+        }
+        Ok(Some(Rival {
+            transform,
+            motion,
+            counts: self.compare(&transform),
+            is_signed: self.pair.is_signed(),
+            inlier_distance: distance,
+        }))
+    }
+
+    /// The winner and another transform, place by place.
+    fn compare(&self, transform: &IsometryMatrix3<f64>) -> Counts {
+        let mut counts = Counts::default();
+        for (from, transform) in [*transform, transform.inverse()].into_iter().enumerate() {
+            for (place, by_winner) in &self.sample[from] {
+                let Some(by_winner) = by_winner else { continue };
+                match (by_winner, self.explains(&place.moved(&transform), 1 - from)) {
+                    (true, Some(true)) => counts.both += 1,
+                    (true, Some(false)) => counts.winner += 1,
+                    (false, Some(true)) => counts.rival += 1,
+                    _ => (),
+                }
+            }
+        }
+        counts
+    }
+
+    /// Whether a place lies on a cloud (1 is the target) or contradicts it; `None` where the cloud
+    /// does not tell. A cloud without a known sensor is taken to show all there is.
+    fn explains(&self, place: &Place, cloud: usize) -> Option<bool> {
+        let is_free = || self.images[cloud].as_ref().is_none_or(|image| image.sight(&place.point) == Sight::Free);
+        self.fine[cloud].lies_on(place, self.pair.criteria().inlier_distance).or_else(|| is_free().then_some(false))
+    }
+}

@@ -1,0 +1,149 @@
+//! Shifts of the source under which details of the target repeat, such as the windows of a wall.
+
+use super::TUNING;
+use crate::cloud::patches::{FineCloud, Place};
+use snake_geometry::Vector;
+
+/// The greatest number of bits of a relief.
+const MAX_CELLS: f64 = 1e8;
+
+/// What a cloud has at each place of a plane: cells along the two axes of the plane and, much
+/// thinner, across it.
+struct Relief {
+    /// The axis across the plane, and the two along it.
+    axes: [usize; 3],
+    low: [f64; 3],
+    sides: [f64; 3],
+    counts: [usize; 3],
+    cells: Vec<u64>,
+    /// Columns across the plane in which there is anything.
+    columns: Vec<u64>,
+}
+
+fn set(bits: &mut [u64], index: usize) {
+    bits[index / 64] |= 1 << (index % 64);
+}
+
+fn get(bits: &[u64], index: usize) -> bool {
+    bits[index / 64] >> (index % 64) & 1 == 1
+}
+
+impl Relief {
+    /// `points` are in the frame of the axes; `None` for a cloud of too many cells.
+    fn new(points: &[Vector], across: usize, distance: f64) -> Option<Self> {
+        let axes = [across, (across + 1) % 3, (across + 2) % 3];
+        let sides = [TUNING.relief_depth * distance, TUNING.relief_side * distance, TUNING.relief_side * distance];
+        let low = points.iter().copied().reduce(|a, b| a.inf(&b))?;
+        let extent = points.iter().copied().reduce(|a, b| a.sup(&b))? - low;
+        let low = std::array::from_fn(|i| low[axes[i]] - sides[i]);
+        let counts: [f64; 3] = std::array::from_fn(|i| (extent[axes[i]] / sides[i]).floor() + 4.0);
+        if counts.iter().product::<f64>() > MAX_CELLS {
+            return None;
+        }
+        let counts = counts.map(|count| count as usize);
+        let size = |cells: usize| vec![0_u64; cells / 64 + 1];
+        let (cells, columns) = (size(counts.iter().product()), size(counts[1] * counts[2]));
+        let mut relief = Self { axes, low, sides, counts, cells, columns };
+        for point in points {
+            let Some([depth, row, column]) = relief.cell(point) else { continue };
+            for depth in depth.saturating_sub(1)..=(depth + 1).min(counts[0] - 1) {
+                let index = relief.index([depth, row, column]);
+                set(&mut relief.cells, index);
+            }
+            set(&mut relief.columns, row * counts[2] + column);
+        }
+        Some(relief)
+    }
+
+    fn cell(&self, point: &Vector) -> Option<[usize; 3]> {
+        let at: [f64; 3] = std::array::from_fn(|i| ((point[self.axes[i]] - self.low[i]) / self.sides[i]).floor());
+        (0..3).all(|i| at[i] >= 0.0 && at[i] < self.counts[i] as f64).then(|| at.map(|v| v as usize))
+    }
+
+    fn index(&self, [depth, row, column]: [usize; 3]) -> usize {
+        (depth * self.counts[1] + row) * self.counts[2] + column
+    }
+
+    /// Whether there is a surface at a place; `None` if there is nothing in its column.
+    fn has(&self, point: &Vector) -> Option<bool> {
+        let at = self.cell(point)?;
+        get(&self.columns, at[1] * self.counts[2] + at[2]).then(|| get(&self.cells, self.index(at)))
+    }
+}
+
+/// The shifts along the axes of `frame` after which the details of `places`, of the source on the
+/// target, are those of the target again.
+pub(super) fn shifts(places: &[Place], target: &FineCloud, frame: &[Vector; 3], distance: f64) -> Vec<Vector> {
+    let into = |point: &Vector| Vector::from_fn(|axis, _| frame[axis].dot(point));
+    let points: Vec<Vector> = target.points().iter().map(into).collect();
+    let reliefs: Option<Vec<Relief>> = (0..3).map(|across| Relief::new(&points, across, distance)).collect();
+    let Some(reliefs) = reliefs else { return Vec::new() };
+    let places: Vec<(Vector, Option<usize>)> = places
+        .iter()
+        .map(|Place { point, normal }| {
+            let facing = normal.map(|normal| into(&normal)).filter(|n| n.amax() > TUNING.shift_cosine);
+            (into(point), facing.map(|normal| normal.iamax()))
+        })
+        .collect();
+    (0..3)
+        .flat_map(|axis| along(&places, &reliefs, axis, distance).into_iter().map(move |by| by * frame[axis]))
+        .collect()
+}
+
+/// The lengths of such shifts along one axis.
+fn along(places: &[(Vector, Option<usize>)], reliefs: &[Relief], axis: usize, distance: f64) -> Vec<f64> {
+    let step = TUNING.relief_side * distance;
+    let (low, high) = places.iter().fold((f64::INFINITY, f64::NEG_INFINITY), |(low, high), (place, _)| {
+        (low.min(place[axis]), high.max(place[axis]))
+    });
+    let reach = (TUNING.max_shift * (high - low) / step) as i64;
+    let min = (TUNING.min_shift * distance / step).ceil() as i64;
+    if reach <= min {
+        return Vec::new();
+    }
+    let count = (2 * reach + 1) as usize;
+    let (mut fits, mut seen) = (vec![0.0; count], vec![0.0; count]);
+    let mut states = vec![None; count];
+    for (place, facing) in places {
+        let relief = &reliefs[facing.unwrap_or((axis + 1) % 3)];
+        let mut moved = *place;
+        for (index, state) in states.iter_mut().enumerate() {
+            moved[axis] = place[axis] + step * (index as i64 - reach) as f64;
+            *state = relief.has(&moved);
+        }
+        // A place that is on the target wherever it is shifted tells nothing.
+        let on = states.iter().filter(|state| **state == Some(true)).count();
+        let in_view = states.iter().filter(|state| state.is_some()).count();
+        let weight = (1.0 - on as f64 / in_view.max(1) as f64).powi(2);
+        for (index, state) in states.iter().enumerate() {
+            if let Some(fit) = state {
+                seen[index] += weight;
+                fits[index] += if *fit { weight } else { 0.0 };
+            }
+        }
+    }
+    peaks(&fits, &seen, reach, min).into_iter().map(|shift| shift as f64 * step).collect()
+}
+
+/// The shifts at which the details fit about as well as at rest, and worse on the way.
+fn peaks(fits: &[f64], seen: &[f64], reach: i64, min: i64) -> Vec<i64> {
+    let share = |shift: i64| {
+        let at = (shift + reach) as usize;
+        if seen[at] > 0.0 { fits[at] / seen[at] } else { 0.0 }
+    };
+    let fit = |shift: i64| fits[(shift + reach) as usize];
+    let at_rest = (-1..=1).map(|shift| share(shift)).fold(0.0, f64::max);
+    let is_peak = |shift: &i64| {
+        let near = (shift - 2).max(-reach)..=(shift + 2).min(reach);
+        let way = if *shift > 0 { 1..*shift } else { shift + 1..0 };
+        shift.abs() >= min
+            && fit(*shift) >= TUNING.min_shift_view * fit(0)
+            && share(*shift) >= TUNING.shift_fit * at_rest
+            && near.into_iter().all(|other| fit(other) <= fit(*shift))
+            && way.map(|other| share(other)).fold(1.0, f64::min) < TUNING.shift_valley * share(*shift)
+    };
+    let mut peaks: Vec<i64> = (-reach..=reach).filter(is_peak).collect();
+    peaks.sort_by(|a, b| share(*b).total_cmp(&share(*a)).then(a.cmp(b)));
+    peaks.truncate(TUNING.shift_tries);
+    peaks
+}

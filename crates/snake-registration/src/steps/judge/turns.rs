@@ -1,0 +1,168 @@
+//! Turns and reflections of the source under which the large planes of the overlap lie on planes
+//! again: the walls of a room fit at two or four headings.
+
+use nalgebra::{IsometryMatrix3, Matrix3, Rotation3, Translation3};
+
+use super::TUNING;
+use crate::cloud::surface::{Surface, coarse_step};
+use crate::rigid::moved;
+use snake_geometry::Vector;
+
+/// A turn or a reflection in the target's frame.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Turn {
+    /// The matrix; that of a reflection is no rotation.
+    matrix: Rotation3<f64>,
+    /// The axis; zero for the reflection in a point.
+    pub(super) axis: Vector,
+    /// The angle in degrees; `None` for a reflection.
+    pub(super) degrees: Option<u32>,
+}
+
+/// The quarter and half turns about the axes.
+pub(super) fn turns(axes: &[Vector]) -> Vec<Turn> {
+    let about = |&axis: &Vector| {
+        [90, 180, 270].map(|degrees| {
+            let matrix = Rotation3::from_scaled_axis(axis * f64::from(degrees).to_radians());
+            Turn { matrix, axis, degrees: Some(degrees) }
+        })
+    };
+    axes.iter().flat_map(about).collect()
+}
+
+/// The reflections across each axis, and that in a point.
+pub(super) fn reflections(axes: &[Vector]) -> Vec<Turn> {
+    let across = |axis: &Vector| (Matrix3::identity() - 2.0 * axis * axis.transpose(), *axis);
+    let all = axes.iter().map(across).chain([(-Matrix3::identity(), Vector::zeros())]);
+    all.map(|(matrix, axis)| Turn { matrix: Rotation3::from_matrix_unchecked(matrix), axis, degrees: None }).collect()
+}
+
+/// How many voxels of a cloud lie on planes at each offset along three axes.
+struct Offsets {
+    /// For each axis, the counts of voxels that face along it and against it, from a first bin on.
+    counts: [[Vec<f64>; 2]; 3],
+    first: [i64; 3],
+}
+
+impl Offsets {
+    /// `places` are points with normals. Without a sign all normals face along the axis.
+    fn new(places: &[(Vector, Vector)], frame: &[Vector; 3], is_signed: bool, side: f64) -> Self {
+        let bin = |point: &Vector, axis: &Vector| (point.dot(axis) / side).floor() as i64;
+        let mut first = [0; 3];
+        let counts = std::array::from_fn(|at| {
+            let axis = &frame[at];
+            let bins = || places.iter().map(|(point, _)| bin(point, axis));
+            first[at] = bins().min().unwrap_or_default();
+            let length = bins().max().map_or(0, |last| (last - first[at] + 1) as usize);
+            let mut counts = [vec![0.0; length], vec![0.0; length]];
+            for (point, normal) in places {
+                let cosine = normal.dot(axis);
+                if cosine.abs() > TUNING.turn_cosine {
+                    counts[usize::from(is_signed && cosine < 0.0)][(bin(point, axis) - first[at]) as usize] += 1.0;
+                }
+            }
+            counts
+        });
+        Self { counts, first }
+    }
+
+    /// The best shifts along an axis, in bins, each with the number of voxels whose planes meet.
+    fn shifts(&self, target: &Self, axis: usize) -> Vec<(i64, f64)> {
+        let [own, other] = [&self.counts[axis], &target.counts[axis]];
+        let mut sums = vec![0.0; own[0].len() + other[0].len() + 1];
+        for (own, other) in own.iter().zip(other) {
+            for (from, count) in own.iter().enumerate().filter(|(_, count)| **count > 0.0) {
+                for (to, limit) in other.iter().enumerate() {
+                    // A plane lies across the border of two bins, so that sums of three are compared.
+                    sums[to + own.len() - from] += f64::min(*count, *limit);
+                }
+            }
+        }
+        let zero = own[0].len() as i64 + self.first[axis] - target.first[axis];
+        let mut shifts: Vec<(i64, f64)> =
+            sums.windows(3).enumerate().map(|(at, sums)| (at as i64 + 1 - zero, sums.iter().sum())).collect();
+        shifts.sort_by(|a, b| b.1.total_cmp(&a.1).then(a.0.cmp(&b.0)));
+        let mut best: Vec<(i64, f64)> = Vec::new();
+        for (shift, sum) in shifts {
+            if best.len() < TUNING.turn_offsets && best.iter().all(|(other, _)| (other - shift).abs() > 2) {
+                best.push((shift, sum));
+            }
+        }
+        best
+    }
+
+    /// The number of voxels whose planes meet as they are.
+    fn meeting(&self, target: &Self) -> f64 {
+        let near = |axis| self.shifts(target, axis).into_iter().filter(|(shift, _)| shift.abs() <= 2);
+        (0..3).flat_map(|axis| near(axis).next()).map(|(_, sum)| sum).sum()
+    }
+}
+
+/// The winner after each of the turns, moved so that planes lie on planes, where about as much of
+/// the source then lies on the target.
+pub(super) fn after_turns(
+    surfaces: &[Surface; 2],
+    winner: &IsometryMatrix3<f64>,
+    turns: &[Turn],
+    frame: &[Vector; 3],
+) -> Vec<(Turn, IsometryMatrix3<f64>)> {
+    let [source, target] = surfaces;
+    let (side, is_signed) = (source.grid.distance(), source.is_signed());
+    let some = |surface: &Surface| (0..surface.points.len()).step_by(2 * coarse_step(surface.points.len()));
+    let offsets = |places: &[(Vector, Vector)]| Offsets::new(places, frame, is_signed, side);
+    let indices: Vec<usize> = some(source).collect();
+    let at_rest: Vec<(Vector, Vector)> =
+        indices.iter().map(|&i| (moved(winner, &source.points[i]), winner.rotation * source.normals[i])).collect();
+    let on_target = offsets(&some(target).map(|i| (target.points[i], target.normals[i])).collect::<Vec<_>>());
+    let min_meeting = TUNING.turn_planes * offsets(&at_rest).meeting(&on_target);
+    let overlap = |transform: &_| indices.iter().filter(|&&i| source.is_on(i, target, transform)).count() as f64;
+    let min_overlap = TUNING.turn_overlap * overlap(winner);
+    let best = |turn: &Turn| {
+        let places: Vec<_> =
+            at_rest.iter().map(|(point, normal)| (turn.matrix * point, turn.matrix * normal)).collect();
+        let own = offsets(&places);
+        let mut moves = vec![(Vector::zeros(), 0.0)];
+        for (at, axis) in frame.iter().enumerate() {
+            let shifts = own.shifts(&on_target, at);
+            let with = |(to, sum): &(Vector, f64)| -> Vec<(Vector, f64)> {
+                shifts.iter().map(|(shift, more)| (to + side * *shift as f64 * axis, sum + more)).collect()
+            };
+            moves = moves.iter().flat_map(with).collect();
+        }
+        moves.retain(|(_, sum)| *sum >= min_meeting);
+        moves.sort_by(|a, b| b.1.total_cmp(&a.1));
+        let tries = moves.into_iter().take(TUNING.turn_tries).map(|(to, _)| {
+            let translation = Translation3::from(turn.matrix * winner.translation.vector + to);
+            let transform = IsometryMatrix3::from_parts(translation, turn.matrix * winner.rotation);
+            (overlap(&transform), transform)
+        });
+        let (overlap, transform) = tries.max_by(|a, b| a.0.total_cmp(&b.0))?;
+        (overlap >= min_overlap).then_some((*turn, transform))
+    };
+    turns.iter().filter_map(best).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn planes_meet_after_the_shift_between_them() {
+        let frame = [Vector::x(), Vector::y(), Vector::z()];
+        let wall = |x: f64, normal: Vector| (0..50).map(move |i| (Vector::new(x, 0.1 * f64::from(i), 0.0), normal));
+        let own: Vec<_> = wall(0.05, Vector::x()).chain(wall(2.05, -Vector::x())).collect();
+        let other: Vec<_> = wall(1.05, Vector::x()).chain(wall(3.05, -Vector::x())).collect();
+        let offsets = |places: &[_]| Offsets::new(places, &frame, true, 0.1);
+        assert_eq!(offsets(&own).shifts(&offsets(&other), 0)[0], (10, 100.0));
+        assert_eq!(offsets(&own).meeting(&offsets(&own)), 100.0);
+        assert_eq!(offsets(&own).meeting(&offsets(&other)), 0.0);
+    }
+
+    #[test]
+    fn turns_are_rotations_and_reflections_are_not() {
+        let frame = [Vector::x(), Vector::y(), Vector::z()];
+        let determinants = |turns: Vec<Turn>| turns.iter().map(|t| t.matrix.matrix().determinant()).collect::<Vec<_>>();
+        assert!(determinants(turns(&frame)).iter().all(|d| (d - 1.0).abs() < 1e-12));
+        assert!(determinants(reflections(&frame)).iter().all(|d| (d + 1.0).abs() < 1e-12));
+    }
+}
