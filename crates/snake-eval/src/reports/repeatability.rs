@@ -323,7 +323,7 @@ At ε 0.2, over noise:
             lines.into_iter().find(|line| line.starts_with("iss")).unwrap()
         };
         let scenes = pair(&[("scenes", 2)]);
-        assert!(first_row(&[scenes.clone()]).starts_with("iss (scenes) "));
+        assert!(first_row(std::slice::from_ref(&scenes)).starts_with("iss (scenes) "));
         assert!(first_row(&[scenes, pair(&[("scenes", 1), ("compact", 1)])]).starts_with("iss (compact 1, scenes 3) "));
     }
 
