@@ -1,6 +1,6 @@
-"""Draws clouds with their keypoints: `python docs/gallery.py OUT.png CLOUD.. [--model NAME]`.
+"""Draws clouds with their keypoints: `python docs/gallery.py OUT.png CLOUD.. [--model MODEL..]`.
 
-Keypoints are those of `snake-cli detect` with its default options: the larger, the higher their confidence. Points have the colour of
+Keypoints are those of `snake-cli detect` with its default options: the larger, the higher their confidence or, without one, their saliency. Points have the colour of
 the saliency at them, of the field that gave the keypoints, from violet (0) to yellow (0.7). Needs snake-cli, snake_rs and Pillow.
 """
 
@@ -26,7 +26,13 @@ def detected(path, model):
     """Keypoints (K, 4), the worst first: x, y, z and confidence; and the name of the model that found them."""
     command = ["snake-cli", "detect", path, "--json", *(["--model", model] if model else [])]
     found = json.loads(subprocess.run(command, capture_output=True, text=True, check=True).stdout)
-    rows = [[keypoint[key] for key in ("x", "y", "z", "confidence")] for keypoint in found["keypoints"]]
+    rows = [
+        [
+            *(keypoint[key] for key in "xyz"),
+            keypoint["saliency"] if keypoint["confidence"] is None else keypoint["confidence"],
+        ]
+        for keypoint in found["keypoints"]
+    ]
     return np.array(rows, float).reshape(-1, 4)[::-1], found["model"].split(",")[0]
 
 
@@ -44,15 +50,16 @@ def colours(saliency):
     return np.stack([np.interp(saliency, stops, channel) for channel in zip(*VIRIDIS)], axis=1).astype(np.uint8)
 
 
-def panel(path, arguments, turn, width):
-    """The picture of a cloud, `width` pixels wide."""
+def panel(path, named, arguments, turn, width):
+    """The picture of a cloud by the named model, or by that of the cloud; `width` pixels wide."""
     from PIL import Image, ImageDraw, ImageFont
 
     import snake_rs
 
     points = np.asarray(snake_rs.read_points(path))
-    found, model = detected(path, arguments.model)
-    saliency = snake_rs.Model.builtin(model).encode(points).saliency(points)
+    found, model = detected(path, named)
+    field = snake_rs.Model.load(named) if named and Path(named).is_file() else snake_rs.Model.builtin(model)
+    saliency = field.encode(points).saliency(points)
     middle = np.median(points, axis=0)
     shown, near = (np.linalg.norm(cloud[:, :3] - middle, axis=1) < arguments.radius for cloud in (points, found))
     seen, marks = points[shown] @ turn.T, found[near, :3] @ turn.T
@@ -75,7 +82,7 @@ def panel(path, arguments, turn, width):
         radius = width * (0.003 + 0.014 * confidence)
         box = (x - radius, y - radius, x + radius, y + radius)
         draw.ellipse(box, fill="#e5484d", outline="white" if radius > 3 else None, width=1)
-    title = f"{Path(path).stem}: {len(found)}"
+    title = f"{Path(path).stem}{f', {Path(named).stem}' if named else ''}: {len(found)}"
     draw.text((width / 2, TITLE / 2), title, fill="black", font=ImageFont.load_default(15), anchor="mm")
     return image
 
@@ -85,7 +92,7 @@ def main():
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("output")
     parser.add_argument("clouds", nargs="+")
-    parser.add_argument("--model", help="default: as the cloud looks")
+    parser.add_argument("--model", nargs="+", default=[None], help="for all or for each; default: as the cloud looks")
     parser.add_argument("--columns", type=int, default=4)
     parser.add_argument("--view", type=float, nargs=2, default=(35, 25), help="azimuth and elevation, degrees")
     parser.add_argument(
@@ -98,7 +105,8 @@ def main():
 
     up, width = itertools.cycle(arguments.up), WIDTH // arguments.columns
     turns = (rotation(*arguments.view) @ UPRIGHT[axis] for axis in up)
-    panels = [panel(path, arguments, turn, width) for path, turn in zip(arguments.clouds, turns)]
+    models = itertools.cycle(arguments.model)
+    panels = [panel(path, model, arguments, turn, width) for path, model, turn in zip(arguments.clouds, models, turns)]
     rows = [panels[i : i + arguments.columns] for i in range(0, len(panels), arguments.columns)]
     heights = [max(image.height for image in row) for row in rows]
     picture = Image.new("RGB", (WIDTH, sum(heights)), "white")

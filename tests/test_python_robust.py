@@ -44,6 +44,36 @@ def test_outliers_are_named_and_change_no_keypoint(outliers):
     assert np.array_equal(dirty[found.nearest_index], clean[expected.nearest_index])
 
 
+def sky(kind: str, seed: int = 0) -> np.ndarray:
+    """What splats and photogrammetry have about a scene of size 1."""
+    rng = np.random.default_rng(seed)
+    directions = rng.normal(size=(20_000, 3))
+    directions /= np.linalg.norm(directions, axis=1)[:, None]
+    upper, corner = directions[directions[:, 2] > 0], directions[(directions > 0.1).all(axis=1)]
+    jitter = rng.uniform(0.9, 1.1, (len(directions), 1))
+    return {
+        "dome": upper[:1250] * 100 * jitter[:1250],
+        "large dome": upper[:7000] * 20 * jitter[:7000],
+        "part of a dome": corner[:1500] * 50 * jitter[:1500],
+        "shells": directions[:1500] * np.repeat([10, 30, 100], 500)[:, None] * jitter[:1500],
+        "tails": directions[:1250] * np.exp(rng.uniform(0.5, 6, (1250, 1))),
+        "power law": directions[:1250] * rng.uniform(0, 1, (1250, 1)) ** -2,
+        "dome and tails": np.r_[upper[:1200] * 80, directions[:600] * np.exp(rng.uniform(0.5, 5, (600, 1)))],
+    }[kind]
+
+
+@pytest.mark.parametrize(
+    "kind", ["dome", "large dome", "part of a dome", "shells", "tails", "power law", "dome and tails"]
+)
+def test_keypoints_are_on_the_scene_below_its_sky_and_floaters(kind):
+    clean = bowl()
+    dirty = np.random.default_rng(1).permutation(np.r_[clean, sky(kind)])
+    with pytest.warns(UserWarning, match="sky, floaters or other outliers, left out"):
+        found = snake_rs.detect(dirty, "compact")
+    distances = np.linalg.norm(found.points[:, None] - clean[None], axis=2).min(axis=1)
+    assert len(found) > 10 and (distances < 0.05).mean() > 0.9
+
+
 def test_outliers_change_no_field_and_no_mesh(outliers):
     clean = snake_rs.Model.builtin().encode(bowl())
     with pytest.warns(UserWarning, match="left out"):

@@ -133,7 +133,7 @@ pub fn align(
     let (mut options, align_options): (core::RegisterOptions, core::AlignOptions) = options::of("align", options)?;
     let read = clouds.iter().map(|cloud| Ok(arrays::cloud("clouds", cloud)?.0));
     let clouds: Vec<snake_core::Cloud> = read.collect::<PyResult<_>>()?;
-    let model = model::of_registration(py, model, &options, clouds.first())?;
+    let model = model::for_registration(py, model, &options, clouds.first())?;
     let origins: Vec<[f64; 3]> = clouds.iter().map(|cloud| cloud.origin).collect();
     let mut viewpoints = viewpoints.unwrap_or_else(|| vec![None; origins.len()]);
     options.place_viewpoints(&mut viewpoints, &origins);

@@ -9,6 +9,7 @@ use pyo3::types::{PyList, PyString, PyTuple};
 use snake_core::{Cloud, Point, add_origin, excerpt, subtract_origin};
 use snake_io::ReadOptions;
 
+use crate::error::value_error;
 use crate::files;
 
 /// Rows `(N, 3)` of an array. They are `float32` for arrays of `float32` or `float16`, else `float64`, which holds the
@@ -274,9 +275,9 @@ pub fn rows<T: numpy::Element>(py: Python<'_>, flat: Vec<T>, columns: usize) -> 
 
 /// The value with the given name among `known`.
 pub fn named<T: Copy>(option: &str, name: &str, known: [(&str, T); 2]) -> PyResult<T> {
-    let found = known.iter().find(|(known, _)| *known == name).map(|(_, value)| *value);
-    found.ok_or_else(|| {
+    let value = known.iter().find(|(known, _)| *known == name).map(|(_, value)| *value);
+    value.ok_or_else(|| {
         let [(first, _), (second, _)] = known;
-        PyValueError::new_err(format!("option `{option}` is {name}: allowed is {first} or {second}"))
+        value_error(&format!("option `{option}` is {name}: allowed is {first} or {second}"))
     })
 }

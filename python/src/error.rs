@@ -4,14 +4,19 @@ use std::path::PathBuf;
 
 use pyo3::PyErr;
 use pyo3::exceptions::{PyOSError, PyValueError};
-use snake_core::Error;
+use snake_core::{Error, shortened, shortened_value};
+
+/// A ValueError with a text of bounded length.
+pub fn value_error(text: &str) -> PyErr {
+    PyValueError::new_err(shortened(text).into_owned())
+}
 
 /// The exception for an error of the core. `Io` becomes an OSError with errno and file name, which gives
 /// FileNotFoundError and similar subclasses. Any other error becomes a ValueError.
 pub fn py_error(error: impl Into<Error>) -> PyErr {
     match error.into() {
         Error::Io { path, source } => os_error(path, &source),
-        other => PyValueError::new_err(other.to_string()),
+        other => value_error(&other.to_string()),
     }
 }
 
@@ -19,7 +24,7 @@ pub fn py_error(error: impl Into<Error>) -> PyErr {
 pub fn file_error(error: snake_io::Error) -> PyErr {
     match error {
         snake_io::Error::Io { path, source } => os_error(path, &source),
-        other => PyValueError::new_err(other.to_string()),
+        other => value_error(&other.to_string()),
     }
 }
 
@@ -30,12 +35,12 @@ pub fn tiles_error(error: snake_tiles::Error) -> PyErr {
         snake_tiles::Error::Input(error) => file_error(error),
         snake_tiles::Error::File { path, source } => os_error(path, &source),
         error @ snake_tiles::Error::InUse { .. } => PyOSError::new_err(error.to_string()),
-        other => PyValueError::new_err(other.to_string()),
+        other => value_error(&other.to_string()),
     }
 }
 
 fn os_error(path: PathBuf, source: &std::io::Error) -> PyErr {
     let text = source.to_string();
     let reason = text.split(" (os error").next().unwrap_or_default().to_owned();
-    PyOSError::new_err((source.raw_os_error(), reason, path.into_os_string()))
+    PyOSError::new_err((source.raw_os_error(), reason, shortened_value(&path.display())))
 }

@@ -10,7 +10,6 @@ use snake_core::{self as core, Point};
 use crate::arrays::{Positions, Precision};
 use crate::keypoints::Keypoints;
 use crate::mesh::Mesh;
-use crate::model::Model;
 use crate::{arrays, options, threads};
 
 /// Values and gradients of Q queries.
@@ -28,6 +27,8 @@ pub struct Field {
     core: core::Field,
     /// The model and the options that encoded the cloud: a field is restored by encoding it again.
     model: Py<PyAny>,
+    /// The model's name in results.
+    model_name: String,
     options: core::EncodeOptions,
     /// Offset to add to all positions of the core's field.
     origin: [f64; 3],
@@ -36,17 +37,24 @@ pub struct Field {
 }
 
 impl Field {
-    /// Encodes a cloud whose array had the given precision. `model` is the Python object of the core's model.
+    /// Encodes a cloud whose array had the given precision. `model` is the Python object of the named model.
     pub fn new(
         model: &Bound<PyAny>,
-        core: &core::Model,
+        named: core::NamedModel,
         cloud: &core::Cloud,
         options: core::EncodeOptions,
         precision: Precision,
     ) -> PyResult<Self> {
-        let encode = |control: &core::Control| core.encode_with(&cloud.points, &options, control);
+        let encode = |control: &core::Control| named.model.encode_with(&cloud.points, &options, control);
         let core = threads::run_with_signals(model.py(), encode)?;
-        Ok(Self { core, model: model.clone().unbind(), options, origin: cloud.origin, precision })
+        Ok(Self {
+            core,
+            model: model.clone().unbind(),
+            model_name: named.name,
+            options,
+            origin: cloud.origin,
+            precision,
+        })
     }
 
     /// What was left out because it lies far beyond all others.
@@ -155,8 +163,7 @@ impl Field {
         let preset = options::resolve("detect", &options::DETECT, self.core.recommended(), options)?;
         let detection = threads::run_with_signals(py, |control| self.core.detect_with(&preset.detect, control))?;
         let cloud = core::Cloud { points: self.core.points().to_vec(), origin: self.origin };
-        let model = self.model.bind(py).cast::<Model>()?.get().named().name;
-        let source = (Some(model), self.outliers().into_iter().collect());
+        let source = (Some(self.model_name.clone()), self.outliers().into_iter().collect());
         Keypoints::from_detection(py, detection, self.origin, self.precision, Some(cloud), source)
     }
 

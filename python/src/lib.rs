@@ -140,8 +140,8 @@ fn match_keypoints<'py>(
     let rows = |keypoints: &Bound<'py, Keypoints>| -> PyResult<Vec<f32>> {
         Ok(keypoints.get().descriptors(py)?.bind(py).try_readonly()?.as_slice()?.to_vec())
     };
-    let (of_a, of_b) = (rows(a)?, rows(b)?);
-    let pairs = threads::run(py, || mutual_nearest(&of_a, &of_b, FPFH_DIMENSION))?;
+    let (rows_a, rows_b) = (rows(a)?, rows(b)?);
+    let pairs = threads::run(py, || mutual_nearest(&rows_a, &rows_b, FPFH_DIMENSION))?;
     arrays::rows(py, pairs.into_flattened().into_iter().map(|index| index as i64).collect(), 2)
 }
 

@@ -7,7 +7,7 @@ use snake_core::RigidTransform;
 use snake_eval::{self as core, MatchCounts, RegistrationOutcome, SmplProtocol, Unreachable};
 
 use crate::arrays::{self, named};
-use crate::error::py_error;
+use crate::error::{py_error, value_error};
 use crate::threads;
 
 /// One number for each threshold, in the shape of the thresholds.
@@ -24,7 +24,7 @@ where
     T: for<'a, 'py> FromPyObject<'a, 'py>,
 {
     let list = value.py().import("numpy")?.call_method1("asarray", (value,))?.call_method0("tolist")?;
-    list.extract().map_err(|_| PyValueError::new_err(format!("{what}: expected {expected}, found {value}")))
+    list.extract().map_err(|_| value_error(&format!("{what}: expected {expected}, found {value}")))
 }
 
 pub fn transform(what: &str, value: &Bound<PyAny>) -> PyResult<RigidTransform> {

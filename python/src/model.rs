@@ -11,7 +11,7 @@ use snake_core as core;
 use snake_registration::RegisterOptions;
 
 use crate::arrays::Precision;
-use crate::error::py_error;
+use crate::error::{py_error, value_error};
 use crate::field::Field;
 use crate::{arrays, options, threads, warn};
 
@@ -70,7 +70,7 @@ pub fn chooser(
 }
 
 /// The model for a registration to a cloud: the given one, or the one that the cloud has if the options run one.
-pub fn of_registration(
+pub fn for_registration(
     py: Python<'_>,
     model: Option<&Bound<'_, PyAny>>,
     options: &RegisterOptions,
@@ -108,12 +108,12 @@ pub fn given<'py>(py: Python<'py>, model: &Bound<'py, PyAny>) -> PyResult<Bound<
         None if path.extension().is_none() && !path.exists() => {
             let names = core::Model::NAMES.join(", ");
             let reason = format!("model: no built-in model {}; known are {names}", path.display());
-            return Err(PyValueError::new_err(reason));
+            return Err(value_error(&reason));
         }
         None if !is_weight_file(&path) => {
             let reason =
                 format!("model: {} is neither a built-in model nor a weight file (.safetensors)", path.display());
-            return Err(PyValueError::new_err(reason));
+            return Err(value_error(&reason));
         }
         None => Model::load(py, path)?,
     };
@@ -207,11 +207,11 @@ impl Model {
     #[doc = include_str!("help/preset.txt")]
     #[pyo3(signature = (points, **options))]
     fn encode(slf: &Bound<Self>, points: &Bound<PyAny>, options: Option<&Bound<PyDict>>) -> PyResult<Field> {
-        let core = slf.get().core();
-        let preset = options::resolve("encode", &options::ENCODE, core.recommended(), options)?;
+        let named = slf.get().named();
+        let preset = options::resolve("encode", &options::ENCODE, named.model.recommended(), options)?;
         let (cloud, precision) = arrays::cloud("points", points)?;
         let cloud = cloud.for_normalization(preset.encode.normalization);
-        let field = Field::new(slf, core, &cloud, preset.encode, precision)?;
+        let field = Field::new(slf, named, &cloud, preset.encode, precision)?;
         field.outliers().map_or(Ok(()), |text| warn(slf.py(), &text))?;
         Ok(field)
     }
@@ -227,7 +227,7 @@ impl Model {
         let options = serde_json::from_str(options).map_err(|error| PyValueError::new_err(error.to_string()))?;
         let precision = if is_single { Precision::Single } else { Precision::Double };
         let cloud = core::Cloud { points: arrays::points("points", points)?, origin };
-        Field::new(slf, slf.get().core(), &cloud, options, precision)
+        Field::new(slf, slf.get().named(), &cloud, options, precision)
     }
 
     fn __reduce__<'py>(slf: &Bound<'py, Self>) -> PyResult<(Bound<'py, PyAny>, Bound<'py, PyTuple>)> {

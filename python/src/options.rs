@@ -7,9 +7,9 @@ use pyo3::types::{PyDict, PyList, PyString};
 use serde::Serialize;
 use serde::de::DeserializeOwned;
 use serde_json::{Map, Number, Value};
-use snake_core::{Options, in_words, option_names};
+use snake_core::{Options, in_words, option_names, shortened};
 
-use crate::error::py_error;
+use crate::error::{py_error, value_error};
 
 /// The part of [`Options`] that `Model.encode` takes.
 pub const ENCODE: [&str; 1] = ["/encode"];
@@ -77,12 +77,12 @@ pub fn of<T: Default + Serialize + DeserializeOwned>(function: &str, given: Opti
 fn unexpected<'a>(function: &str, name: &str, known: impl Iterator<Item = &'a str>) -> PyErr {
     let known = known.collect::<Vec<_>>().join(", ");
     let reason = format!("{function}() got an unexpected keyword argument '{name}'; its options are {known}");
-    PyTypeError::new_err(reason)
+    PyTypeError::new_err(shortened(&reason).into_owned())
 }
 
 /// Sets one option and returns all options. Options are set one at a time, so that an error can name the option.
 fn set<T: DeserializeOwned>(tree: &mut Value, pointer: &str, name: &str, value: &Bound<PyAny>) -> PyResult<T> {
-    let refused = |reason: String| PyValueError::new_err(format!("option `{name}` is {value}: {reason}"));
+    let refused = |reason: String| value_error(&format!("option `{name}` is {value}: {reason}"));
     let given = json(value, 2).ok_or_else(|| refused("expected finite numbers, a string or a bool".into()))?;
     if let Some(slot) = tree.pointer_mut(pointer) {
         *slot = given;

@@ -44,6 +44,8 @@ pub struct Fit {
     rmse: f64,
     /// Distance below which voxels overlap and matches agree, in cloud units.
     inlier_distance: f64,
+    /// Side of the voxels, in cloud units.
+    voxel_size: f64,
     /// Information matrix (6, 6) float64 of a small rotation (radians), then translation, in the target's frame.
     information: Py<PyArray2<f64>>,
 }
@@ -115,8 +117,8 @@ impl Registration {
     /// How well the clouds fit under the transform.
     #[getter]
     fn fit(&self, py: Python<'_>) -> PyResult<Fit> {
-        let core::Fit { fitness, rmse, inlier_distance, information, .. } = self.0.fit;
-        Ok(Fit { fitness, rmse, inlier_distance, information: matrix(py, information)? })
+        let core::Fit { fitness, rmse, inlier_distance, voxel_size, information, .. } = self.0.fit;
+        Ok(Fit { fitness, rmse, inlier_distance, voxel_size, information: matrix(py, information)? })
     }
 
     /// The matches of keypoints, and how many agree with the transform.
@@ -187,7 +189,7 @@ pub fn register(
 ) -> PyResult<Registration> {
     let (mut options, mut pair): (core::RegisterOptions, core::PairOptions) = options::of("register", options)?;
     let ((source, _), (target, _)) = (arrays::cloud("source", source)?, arrays::cloud("target", target)?);
-    let model = model::of_registration(py, model, &options, Some(&target))?;
+    let model = model::for_registration(py, model, &options, Some(&target))?;
     pair.place(&mut options, source.origin, target.origin);
     let (from, to) = (&source.points, &target.points);
     let near = threads::run_with_signals(py, |control| {

@@ -119,10 +119,10 @@ pub fn decode<'py>(
     let (py, core) = (queries.py(), model.get().core());
     let queries = arrays::points("queries", queries)?;
     let (features, _) = values("features", features, &[queries.len() as isize, core.config().c_dim as isize])?;
-    let found = threads::run(py, || steps::decode(core, quantity, &queries, &features))?;
-    let in_queries = arrays::rows(py, found.in_queries.into_flattened(), 3)?;
-    let in_features = arrays::rows(py, found.in_features, core.config().c_dim)?;
-    Ok((arrays::values(py, found.values), in_queries, in_features))
+    let decoded = threads::run(py, || steps::decode(core, quantity, &queries, &features))?;
+    let in_queries = arrays::rows(py, decoded.in_queries.into_flattened(), 3)?;
+    let in_features = arrays::rows(py, decoded.in_features, core.config().c_dim)?;
+    Ok((arrays::values(py, decoded.values), in_queries, in_features))
 }
 
 /// Refinement: the positions (Q, 3) float32 of `queries` (Q, 3) after a step up each of the `gradients` (S, Q, 3) of their

@@ -168,10 +168,10 @@ impl Tiles {
     /// The keypoints of the whole cloud, with the bits of `detect`. `timing_seconds` are 0. Raises ValueError when tiles are
     /// missing, and as `detect`.
     fn finish(&self, py: Python<'_>) -> PyResult<Keypoints> {
-        let found = threads::run_with_signals(py, |control| Ok(self.run.finish(control)))?.map_err(tiles_error)?;
+        let finished = threads::run_with_signals(py, |control| Ok(self.run.finish(control)))?.map_err(tiles_error)?;
         let mut detection = Detection::default();
-        detection.keypoints = found.keypoints.iter().map(|keypoint| keypoint.keypoint).collect();
-        detection.counts = found.counts;
+        detection.keypoints = finished.keypoints.iter().map(|keypoint| keypoint.keypoint).collect();
+        detection.counts = finished.counts;
         detection.num_skipped = self.run.num_points().1 as usize;
         if let Some(Length::Units(size)) = self.run.options().encode.voxel_size {
             detection.voxel_size = Some(size as f32);
@@ -244,24 +244,24 @@ impl DetectedTiles {
     /// `Tiles.finish`, which also limits their number. Raises as `Tiles.detect`.
     fn keypoints<'py>(&self, py: Python<'py>, tile: usize) -> PyResult<Bound<'py, PyDict>> {
         let tile = nth(&self.run, tile)?;
-        let found = threads::run_with_signals(py, |control| Ok(self.run.keypoints(tile, &self.detected, control)))?;
-        let found = found.map_err(tiles_error)?;
+        let keypoints = threads::run_with_signals(py, |control| Ok(self.run.keypoints(tile, &self.detected, control)))?;
+        let keypoints = keypoints.map_err(tiles_error)?;
         let positions: Vec<[f64; 3]> =
-            found.iter().map(|found| add_origin(found.keypoint.position, self.run.origin())).collect();
+            keypoints.iter().map(|tiled| add_origin(tiled.keypoint.position, self.run.origin())).collect();
         let columns = PyDict::new(py);
         for (axis, name) in ["x", "y", "z"].into_iter().enumerate() {
             columns.set_item(name, arrays::values(py, positions.iter().map(|position| position[axis]).collect()))?;
         }
-        let scores = |of: fn(&TiledKeypoint) -> f32| arrays::values(py, found.iter().map(of).collect());
-        columns.set_item("saliency", scores(|found| found.keypoint.saliency))?;
-        columns.set_item("occupancy", scores(|found| found.keypoint.occupancy))?;
-        let nearest = found.iter().map(|found| found.keypoint.nearest_index as i64).collect();
+        let scores = |of: fn(&TiledKeypoint) -> f32| arrays::values(py, keypoints.iter().map(of).collect());
+        columns.set_item("saliency", scores(|tiled| tiled.keypoint.saliency))?;
+        columns.set_item("occupancy", scores(|tiled| tiled.keypoint.occupancy))?;
+        let nearest = keypoints.iter().map(|tiled| tiled.keypoint.nearest_index as i64).collect();
         columns.set_item("nearest_index", arrays::values(py, nearest))?;
-        let confidence = found.iter().map(|found| found.keypoint.confidence.unwrap_or(f32::NAN)).collect();
+        let confidence = keypoints.iter().map(|tiled| tiled.keypoint.confidence.unwrap_or(f32::NAN)).collect();
         columns.set_item("confidence", arrays::values(py, confidence))?;
-        columns.set_item("start", arrays::values(py, found.iter().map(|found| found.start).collect()))?;
+        columns.set_item("start", arrays::values(py, keypoints.iter().map(|tiled| tiled.start).collect()))?;
         for (axis, name) in [(2, "cell_z"), (1, "cell_y"), (0, "cell_x")] {
-            columns.set_item(name, arrays::values(py, found.iter().map(|found| found.cell[axis]).collect()))?;
+            columns.set_item(name, arrays::values(py, keypoints.iter().map(|tiled| tiled.cell[axis]).collect()))?;
         }
         Ok(columns)
     }

@@ -61,12 +61,17 @@ def columns(rows):
 
 
 def fit(groups, penalty=1e-2):
-    """The weights (16 and one) of the log-odds that a cloud is a scene, each class as important as the other."""
+    """The weights (16 and one) of the log-odds that a cloud is a scene.
+
+    Each class is as important as the other, and a group of a class counts by the root of its number of clouds.
+    """
     rows = columns(np.concatenate([rows for rows, _ in groups]))
     truth = np.concatenate([np.full(len(rows), is_scene) for rows, is_scene in groups])
     mean, deviation = rows.mean(0), rows.std(0)
     scaled = np.column_stack([(rows - mean) / deviation, np.ones(len(rows))])
-    importance = np.where(truth, 0.5 / truth.mean(), 0.5 / (1 - truth.mean()))
+    importance = np.concatenate([np.full(len(rows), len(rows) ** -0.5) for rows, _ in groups])
+    for is_scene in (False, True):
+        importance[truth == is_scene] *= 0.5 * len(rows) / importance[truth == is_scene].sum()
     pull = penalty * len(rows) * np.r_[np.ones(rows.shape[1]), 0]
     weights = np.zeros(scaled.shape[1])
     for _ in range(30):

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from conftest import FOLDER
+from snake_training import body_model
 from snake_training.command_line import parse_arguments
 from snake_training.data import ShapeError, open_all, open_shapes
 from snake_training.data.official import Bodies, clouds_below
@@ -200,6 +201,15 @@ def test_bodies_are_posed_as_by_the_definition(name):
     posed = np.load(SMPL / "posed.npz")
     found = Bodies(SMPL / name).vertices(posed["pose"], posed["betas"])
     assert np.abs(found - posed["vertices"]).max() < 1e-12
+
+
+@pytest.mark.parametrize("name", ["model.pkl", "model_py3.pkl", "model_py3_protocol5.pkl"])
+def test_a_pickled_body_becomes_the_npz_with_the_same_arrays(name, tmp_path):
+    body_model.main([str(SMPL / name), str(tmp_path / "model.npz")])
+    found, expected = np.load(tmp_path / "model.npz"), np.load(SMPL / "model.npz")
+    assert set(found) == set(expected) and all(np.array_equal(found[name], expected[name]) for name in expected)
+    with pytest.raises(SystemExit, match="not a body model"):
+        body_model.main([__file__, str(tmp_path / "other.npz")])
 
 
 def test_bodies_lie_on_their_surface():

@@ -5,7 +5,7 @@ use std::cell::RefCell;
 use std::ffi::{CString, c_char};
 use std::panic::{AssertUnwindSafe, catch_unwind};
 
-use snake_core::{Error, printable};
+use snake_core::{Error, printable, shortened};
 
 /// What a function returns. `snake_last_error` has the reason as text.
 #[repr(C)]
@@ -38,7 +38,7 @@ impl Failure {
         Self { status, text: text.into() }
     }
 
-    fn of_panic(panic: &(dyn Any + Send)) -> Self {
+    fn from_panic(panic: &(dyn Any + Send)) -> Self {
         let reason = panic.downcast_ref::<String>().map(String::as_str).or(panic.downcast_ref::<&str>().copied());
         Self::new(SnakeStatus::Internal, format!("panic: {}", reason.unwrap_or("without a text")))
     }
@@ -68,10 +68,10 @@ pub(crate) fn guarded(body: impl FnOnce() -> Result<()>) -> SnakeStatus {
     let failure = match catch_unwind(AssertUnwindSafe(body)) {
         Ok(Ok(())) => return SnakeStatus::Ok,
         Ok(Err(failure)) => failure,
-        Err(panic) => Failure::of_panic(&*panic),
+        Err(panic) => Failure::from_panic(&*panic),
     };
-    // Without zeros, which would end it, and without characters that control a terminal.
-    let text = CString::new(printable(&failure.text).as_bytes()).unwrap_or_default();
+    // Of bounded length, without zeros, which would end it, and without characters that control a terminal.
+    let text = CString::new(printable(&shortened(&failure.text)).as_bytes()).unwrap_or_default();
     // A thread that is ending has no text any more; the status remains.
     let _ = LAST_ERROR.try_with(|last| last.replace(text));
     failure.status

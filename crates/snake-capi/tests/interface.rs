@@ -39,17 +39,17 @@ fn detect(
     options: Option<&str>,
 ) -> Result<Vec<SnakeKeypoint>, (SnakeStatus, String)> {
     let options = options.map(|text| CString::new(text).unwrap());
-    let mut found = std::ptr::dangling_mut();
+    let mut detection = std::ptr::dangling_mut();
     unsafe {
-        match snake_detect(model, cloud, options.as_ref().map_or(null(), |text| text.as_ptr()), &mut found) {
+        match snake_detect(model, cloud, options.as_ref().map_or(null(), |text| text.as_ptr()), &mut detection) {
             SnakeStatus::Ok => {
-                let number = snake_detection_num_keypoints(found);
-                let keypoints = std::slice::from_raw_parts(snake_detection_keypoints(found), number).to_vec();
-                snake_detection_free(found);
+                let number = snake_detection_num_keypoints(detection);
+                let keypoints = std::slice::from_raw_parts(snake_detection_keypoints(detection), number).to_vec();
+                snake_detection_free(detection);
                 Ok(keypoints)
             }
             status => {
-                assert!(found.is_null());
+                assert!(detection.is_null());
                 Err((status, last_error()))
             }
         }
@@ -59,18 +59,18 @@ fn detect(
 #[test]
 fn keypoints_are_those_of_the_core_packed_and_padded() {
     let (points, model) = (torus(), compact());
-    let of_core = Model::named("compact").unwrap();
-    let expected = of_core.detect(&points, of_core.recommended()).unwrap();
-    let found = detect(model, packed(&points), None).unwrap();
-    assert!(found.len() > 3 && found.len() == expected.keypoints.len());
-    for (found, expected) in found.iter().zip(&expected.keypoints) {
-        assert_eq!((found.position, found.saliency), (expected.position, expected.saliency));
-        assert_eq!((found.occupancy, found.nearest_index), (expected.occupancy, expected.nearest_index));
+    let core_model = Model::named("compact").unwrap();
+    let expected = core_model.detect(&points, core_model.recommended()).unwrap();
+    let keypoints = detect(model, packed(&points), None).unwrap();
+    assert!(keypoints.len() > 3 && keypoints.len() == expected.keypoints.len());
+    for (keypoint, expected) in keypoints.iter().zip(&expected.keypoints) {
+        assert_eq!((keypoint.position, keypoint.saliency), (expected.position, expected.saliency));
+        assert_eq!((keypoint.occupancy, keypoint.nearest_index), (expected.occupancy, expected.nearest_index));
     }
     let wide: Vec<[f32; 4]> = points.iter().map(|[x, y, z]| [*x, *y, *z, f32::NAN]).collect();
     let padded = SnakeCloud { points: wide.as_ptr().cast(), num_points: wide.len(), stride: 4 };
-    assert_eq!(detect(model, padded, None).unwrap(), found);
-    assert_eq!(detect(model, padded, Some("{\"max_keypoints\": 2}")).unwrap(), found[..2]);
+    assert_eq!(detect(model, padded, None).unwrap(), keypoints);
+    assert_eq!(detect(model, padded, Some("{\"max_keypoints\": 2}")).unwrap(), keypoints[..2]);
     unsafe { snake_model_free(model) };
 }
 
@@ -96,13 +96,13 @@ fn an_automatic_model_is_that_of_each_cloud_and_a_detection_says_which() {
     let (torus, room, mut model) = (torus(), room(), null_mut());
     assert_eq!(unsafe { snake_model_auto(&mut model) }, SnakeStatus::Ok);
     let detected = |points: &[[f32; 3]], options: &CStr| unsafe {
-        let mut found = null_mut();
-        assert_eq!(snake_detect(model, packed(points), options.as_ptr(), &mut found), SnakeStatus::Ok);
+        let mut detection = null_mut();
+        assert_eq!(snake_detect(model, packed(points), options.as_ptr(), &mut detection), SnakeStatus::Ok);
         let text = |text: *const std::ffi::c_char| (!text.is_null()).then(|| CStr::from_ptr(text).to_str().unwrap());
-        let name = text(snake_detection_model(found)).unwrap().to_owned();
-        let note = text(snake_detection_note(found, 0)).map(str::to_owned).unwrap_or_default();
-        assert!(snake_detection_voxel_size(found) > 0.0 && snake_detection_note(found, 99).is_null());
-        snake_detection_free(found);
+        let name = text(snake_detection_model(detection)).unwrap().to_owned();
+        let note = text(snake_detection_note(detection, 0)).map(str::to_owned).unwrap_or_default();
+        assert!(snake_detection_voxel_size(detection) > 0.0 && snake_detection_note(detection, 99).is_null());
+        snake_detection_free(detection);
         (name, note)
     };
     assert_eq!(detected(&torus, c"{}").0, "compact, built-in");
@@ -111,9 +111,9 @@ fn an_automatic_model_is_that_of_each_cloud_and_a_detection_says_which() {
     assert_eq!(name, "compact, built-in");
     assert!(note.starts_with("option `rotations` is for objects, so the model is `compact`"), "{note}");
     unsafe {
-        let mut found = std::mem::zeroed();
+        let mut registration = std::mem::zeroed();
         let options = c"{\"detector\": \"snake\"}";
-        let status = snake_register(model, packed(&torus), packed(&torus), options.as_ptr(), &mut found);
+        let status = snake_register(model, packed(&torus), packed(&torus), options.as_ptr(), &mut registration);
         assert_eq!(status, SnakeStatus::Ok, "{}", last_error());
         snake_model_free(model);
         assert!(snake_detection_model(null()).is_null() && snake_detection_note(null(), 0).is_null());
@@ -124,18 +124,20 @@ fn an_automatic_model_is_that_of_each_cloud_and_a_detection_says_which() {
 #[test]
 fn points_that_are_not_finite_or_far_from_all_others_are_left_out() {
     let (points, model) = (torus(), compact());
-    let found = detect(model, packed(&points), None).unwrap();
+    let keypoints = detect(model, packed(&points), None).unwrap();
     let bad = [[f32::NAN, 0.0, 0.0], [0.0, f32::INFINITY, 0.0], [1e6, 0.0, 0.0]];
     let with_bad = [&bad, &points[..]].concat();
     // The index counts all points.
-    let expected: Vec<_> =
-        found.iter().map(|keypoint| SnakeKeypoint { nearest_index: keypoint.nearest_index + 3, ..*keypoint }).collect();
+    let expected: Vec<_> = keypoints
+        .iter()
+        .map(|keypoint| SnakeKeypoint { nearest_index: keypoint.nearest_index + 3, ..*keypoint })
+        .collect();
     assert_eq!(detect(model, packed(&with_bad), None).unwrap(), expected);
     let transform = |source: &[[f32; 3]]| unsafe {
-        let mut found = std::mem::zeroed();
-        let status = snake_register(model, packed(source), packed(&points), null(), &mut found);
+        let mut registration = std::mem::zeroed();
+        let status = snake_register(model, packed(source), packed(&points), null(), &mut registration);
         assert_eq!(status, SnakeStatus::Ok);
-        found.t_target_source
+        registration.t_target_source
     };
     assert_eq!(transform(&with_bad), transform(&points));
     unsafe { snake_model_free(model) };
@@ -171,8 +173,8 @@ fn bad_clouds_and_options_are_errors() {
     assert_eq!(detect(null(), good, None).unwrap_err(), (Argument, "model: null".into()));
     assert_eq!(unsafe { snake_detect(model, good, null(), null_mut()) }, Argument);
     let not_utf8 = c"\xff";
-    let mut found = null_mut();
-    assert_eq!(unsafe { snake_detect(model, good, not_utf8.as_ptr(), &mut found) }, Argument);
+    let mut detection = null_mut();
+    assert_eq!(unsafe { snake_detect(model, good, not_utf8.as_ptr(), &mut detection) }, Argument);
     assert_eq!(last_error(), "options: not UTF-8");
     unsafe {
         snake_detection_free(null_mut());
@@ -197,11 +199,11 @@ fn every_option_of_a_table_is_known_by_its_name() {
     }
     for option in RegisterOptions::OPTIONS {
         let text = CString::new(format!("{{\"{}\": {{}}}}", option.name)).unwrap();
-        let mut found = unsafe { std::mem::zeroed() };
-        refused(option.name, unsafe { snake_register(model, cloud, cloud, text.as_ptr(), &mut found) });
+        let mut registration = unsafe { std::mem::zeroed() };
+        refused(option.name, unsafe { snake_register(model, cloud, cloud, text.as_ptr(), &mut registration) });
     }
-    let mut found = unsafe { std::mem::zeroed() };
-    let status = unsafe { snake_register(model, cloud, cloud, c"{\"radius\": 1}".as_ptr(), &mut found) };
+    let mut registration = unsafe { std::mem::zeroed() };
+    let status = unsafe { snake_register(model, cloud, cloud, c"{\"radius\": 1}".as_ptr(), &mut registration) };
     assert_eq!(status, SnakeStatus::Option);
     assert!(last_error().contains("unknown option `radius`; the options are "), "{}", last_error());
     unsafe { snake_model_free(model) };
@@ -241,7 +243,7 @@ fn clouds_are_registered() {
     // A quarter turn about z, and a shift. The dent tells the directions apart.
     let dented: Vec<[f32; 3]> = points.iter().map(|&[x, y, z]| [x, y, z + (x - 0.4 * y).max(0.5)]).collect();
     let target: Vec<[f32; 3]> = dented.iter().map(|&[x, y, z]| [3.0 - y, x, z]).collect();
-    let mut found = SnakeRegistration {
+    let mut registration = SnakeRegistration {
         t_target_source: [0.0; 16],
         confidence: -1.0,
         is_reliable: false,
@@ -251,27 +253,30 @@ fn clouds_are_registered() {
         fitness: 0.0,
         fitness_rmse: 0.0,
     };
-    let before = found;
-    let register = |source, target, options: *const _, found: &mut _| unsafe {
-        snake_register(null(), source, target, options, found)
+    let before = registration;
+    let register = |source, target, options: *const _, registration: &mut _| unsafe {
+        snake_register(null(), source, target, options, registration)
     };
     let (source, target) = (packed(&dented), packed(&target));
     let empty = SnakeCloud { num_points: 0, ..source };
-    assert_eq!(register(empty, target, null(), &mut found), SnakeStatus::Input);
+    assert_eq!(register(empty, target, null(), &mut registration), SnakeStatus::Input);
     assert_eq!(last_error(), "source: no points");
-    assert_eq!(register(source, target, c"{\"gravity\": 3}".as_ptr(), &mut found), SnakeStatus::Option);
-    assert_eq!(found, before);
+    assert_eq!(register(source, target, c"{\"gravity\": 3}".as_ptr(), &mut registration), SnakeStatus::Option);
+    assert_eq!(registration, before);
     assert_eq!(unsafe { snake_register(model, source, target, null(), null_mut()) }, SnakeStatus::Argument);
-    assert_eq!(register(source, target, null(), &mut found), SnakeStatus::Ok, "{}", last_error());
+    assert_eq!(register(source, target, null(), &mut registration), SnakeStatus::Ok, "{}", last_error());
     let expected = [0.0, -1.0, 0.0, 3.0, 1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 0.0, 1.0];
-    assert!(found.t_target_source.iter().zip(expected).all(|(a, b)| (a - b).abs() < 0.02), "{found:?}");
-    assert!(found.is_reliable && found.num_matches >= found.num_inliers && found.fitness > 0.9, "{found:?}");
+    assert!(registration.t_target_source.iter().zip(expected).all(|(a, b)| (a - b).abs() < 0.02), "{registration:?}");
+    assert!(
+        registration.is_reliable && registration.num_matches >= registration.num_inliers && registration.fitness > 0.9,
+        "{registration:?}"
+    );
     let options = c"{\"detector\": \"snake\"}".as_ptr();
-    let before = found;
-    assert_eq!(register(source, target, options, &mut found), SnakeStatus::Option);
+    let before = registration;
+    assert_eq!(register(source, target, options, &mut registration), SnakeStatus::Option);
     assert!(last_error().contains("`model` is none"), "{}", last_error());
-    assert_eq!(found, before);
-    assert_eq!(unsafe { snake_register(model, source, target, options, &mut found) }, SnakeStatus::Ok);
+    assert_eq!(registration, before);
+    assert_eq!(unsafe { snake_register(model, source, target, options, &mut registration) }, SnakeStatus::Ok);
     unsafe { snake_model_free(model) };
 }
 

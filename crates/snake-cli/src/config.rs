@@ -92,10 +92,10 @@ impl Config {
 
     /// The options of a model, overridden by those for every model and then by those for this one.
     pub fn options_of(&self, model: &Path, recommended: &Options) -> Result<Options> {
-        let of_all = recommended.with_values(&self.options.0)?;
+        let shared = recommended.with_values(&self.options.0)?;
         match model.to_str().and_then(|name| self.models.get(name)) {
-            Some(of_model) => Ok(of_all.with_values(&of_model.0)?),
-            None => Ok(of_all),
+            Some(own) => Ok(shared.with_values(&own.0)?),
+            None => Ok(shared),
         }
     }
 }
@@ -110,9 +110,9 @@ mod tests {
                     [models.scenes]\nmax_keypoints = 7\nrotations = 4\n[models.'my/weights.safetensors']\nsnap = true\n";
         let config = Config::parse(text).unwrap();
         let options = |model: &str| config.options_of(Path::new(model), &Options::default()).unwrap();
-        let found = options("scenes");
-        assert_eq!((found.detect.max_keypoints, found.encode.rotations), (7, 4));
-        assert_eq!(found.detect.nms_radius.unwrap().to_string(), "3r");
+        let scenes = options("scenes");
+        assert_eq!((scenes.detect.max_keypoints, scenes.encode.rotations), (7, 4));
+        assert_eq!(scenes.detect.nms_radius.unwrap().to_string(), "3r");
         assert_eq!((options("compact").detect.max_keypoints, options("compact").detect.snap), (9, false));
         assert!(options("my/weights.safetensors").detect.snap);
     }

@@ -7,7 +7,7 @@ use std::sync::Once;
 use anyhow::{Context, Result, bail};
 use clap::Args;
 use snake_core::zero_hint;
-use snake_io::{self as io, Cloud, Columns, Contents, POINT_EXTENSIONS, PointFormat, ReadOptions};
+use snake_io::{self as io, Attributes, Cloud, Columns, Contents, POINT_EXTENSIONS, PointFormat, ReadOptions};
 
 use crate::patterns::{each_once, matching};
 use crate::terminal;
@@ -94,6 +94,15 @@ impl InputArguments {
             terminal::hint(&format!("{}: {hint}", path.display()));
         }
         Ok(contents)
+    }
+
+    /// The colours, intensity and normals of a cloud that was read from a file, for a copy of it. Samples of a mesh and the
+    /// standard input have none.
+    pub fn read_attributes(&self, path: &Path, cloud: &Cloud) -> Result<Attributes> {
+        if self.sample.is_some() || path == Path::new(DASH) {
+            return Ok(Attributes::default());
+        }
+        Ok(io::read_attributes(path, self.input_format, cloud.points.len())?)
     }
 
     /// [`InputArguments::read_contents`] for callers that print [`missing_returns`] themselves.
@@ -304,8 +313,8 @@ mod tests {
         }
         let files = |format: &str| -> Result<Vec<String>> {
             let format = PointFormat::from_extension(format);
-            let found = expand(&[folder.path().to_owned()], format, |_| false)?;
-            Ok(found.iter().map(|path| path.file_name().unwrap().to_string_lossy().into_owned()).collect())
+            let paths = expand(&[folder.path().to_owned()], format, |_| false)?;
+            Ok(paths.iter().map(|path| path.file_name().unwrap().to_string_lossy().into_owned()).collect())
         };
         assert_eq!(files("kitti").unwrap(), ["0.BIN", "1.bin"]);
         assert_eq!(files("nuscenes").unwrap(), ["0.BIN", "1.bin"]);

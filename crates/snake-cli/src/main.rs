@@ -32,7 +32,7 @@ use clap::error::{ContextKind, ContextValue, ErrorKind};
 use clap::{Arg, CommandFactory, FromArgMatches};
 
 use args::{Arguments, Command};
-use snake_core::printable;
+use snake_core::{printable, shortened};
 
 fn main() -> ExitCode {
     let arguments = match parsed(std::env::args_os()) {
@@ -104,14 +104,15 @@ fn explain(error: clap::Error) -> ExitCode {
     code
 }
 
-/// The same error with the arguments in printable form. The error quotes the arguments in several places, and a line
+/// The same error with the arguments in printable form, of bounded length. The error quotes the arguments in several places, and a line
 /// break in an argument would look like a line of clap's own text.
 fn with_printable_arguments(error: clap::Error) -> clap::Error {
-    let arguments = std::env::args_os().map(|argument| printable(&argument.to_string_lossy()).into_owned());
+    let shown = |text: &str| printable(&shortened(text)).into_owned();
+    let arguments = std::env::args_os().map(|argument| shown(&argument.to_string_lossy()));
     let mut error = parsed(arguments).err().unwrap_or(error);
     // The value of an environment variable is not among the arguments.
     if let Some(ContextValue::String(value)) = error.get(ContextKind::InvalidValue) {
-        let value = printable(value).into_owned();
+        let value = shown(value);
         error.insert(ContextKind::InvalidValue, ContextValue::String(value));
     }
     error

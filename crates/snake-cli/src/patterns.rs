@@ -86,14 +86,14 @@ mod tests {
         symlink("a/b", root.join("A")).unwrap();
         symlink("x.npy", root.join("again.npy")).unwrap();
         symlink("nowhere", root.join("dangling")).unwrap();
-        let found = |pattern: &str| {
+        let names = |pattern: &str| {
             let paths = each_once(matching(&root.join(pattern)).unwrap());
             let name = |path: &PathBuf| path.strip_prefix(&root).unwrap().display().to_string();
             paths.iter().map(name).collect::<Vec<_>>()
         };
-        assert_eq!(found("**/*.npy"), ["a/b/y.npy", "x.npy"]);
-        assert_eq!(found("*/*/*.npy"), ["a/b/y.npy", "a/back/again.npy"]);
-        assert_eq!(found("**/b/*"), ["a/b/y.npy"]);
-        assert_eq!(found("*.npy"), ["x.npy"]);
+        assert_eq!(names("**/*.npy"), ["a/b/y.npy", "x.npy"]);
+        assert_eq!(names("*/*/*.npy"), ["a/b/y.npy", "a/back/again.npy"]);
+        assert_eq!(names("**/b/*"), ["a/b/y.npy"]);
+        assert_eq!(names("*.npy"), ["x.npy"]);
     }
 }

@@ -13,7 +13,7 @@ use anyhow::{Context, Result};
 use console::{Term, style};
 use indicatif::{HumanDuration, ProgressBar, ProgressDrawTarget, ProgressStyle};
 use serde::Serialize;
-use snake_core::{Field, Progress, Stage, is_harmful, printable};
+use snake_core::{Field, Progress, Stage, is_harmful, printable, shortened};
 
 /// How much is printed.
 #[derive(Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Default)]
@@ -143,7 +143,7 @@ pub fn error(error: &anyhow::Error) {
 }
 
 fn say_error(text: &str) {
-    say(style("error:").for_stderr().red().bold(), text);
+    say(style("error:").for_stderr().red().bold(), &shortened(text));
 }
 
 /// Prints an error in the command line, with advice below it.
@@ -156,13 +156,13 @@ pub fn usage_error(text: &str) {
 
 /// Prints information for a waiting user.
 fn note(text: &str) {
-    say(style("note:").for_stderr().bold(), text);
+    say(style("note:").for_stderr().bold(), &shortened(text));
 }
 
 /// Prints a warning; nothing with `--quiet`.
 pub fn warn(text: &str) {
     if verbosity() > Verbosity::Quiet {
-        say(style("warning:").for_stderr().yellow().bold(), text);
+        say(style("warning:").for_stderr().yellow().bold(), &shortened(text));
     }
 }
 

@@ -18,16 +18,16 @@ fn torus() -> Vec<Vec3> {
 
 fn main() -> Result<(), Box<dyn Error>> {
     let model = Model::builtin(Builtin::Compact);
-    let of_glam: Vec<Vec3> = torus();
+    let glam_points: Vec<Vec3> = torus();
 
     // Types of three floats in a row are cast. `try_cast_slice` returns an error for another layout, such as Vec3A.
-    let points: &[Point] = bytemuck::try_cast_slice(&of_glam).map_err(|error| error.to_string())?;
+    let points: &[Point] = bytemuck::try_cast_slice(&glam_points).map_err(|error| error.to_string())?;
     let detection = model.detect(points, model.recommended())?;
     let keypoints: Vec<Vec3> = detection.keypoints.iter().map(|keypoint| Vec3::from(keypoint.position)).collect();
     println!("{} keypoints, the first at {}", keypoints.len(), keypoints[0]);
 
-    let of_nalgebra: Vec<Point3<f32>> = of_glam.iter().map(|p| Point3::new(p.x, p.y, p.z)).collect();
-    let points: &[Point] = bytemuck::try_cast_slice(&of_nalgebra).map_err(|error| error.to_string())?;
+    let nalgebra_points: Vec<Point3<f32>> = glam_points.iter().map(|p| Point3::new(p.x, p.y, p.z)).collect();
+    let points: &[Point] = bytemuck::try_cast_slice(&nalgebra_points).map_err(|error| error.to_string())?;
     let again = model.detect(points, model.recommended())?;
     println!("the same with nalgebra: {}", again.keypoints == detection.keypoints);
     Ok(())

@@ -17,11 +17,11 @@ fn percentile(sorted: &[f64], share: f64) -> f64 {
 /// Processor time of this process so far, in milliseconds, where the system tells it (Linux).
 fn processor_milliseconds() -> Option<f64> {
     let schedule = std::fs::read_dir("/proc/self/task").ok()?;
-    let of_thread = |entry: std::fs::DirEntry| -> Option<f64> {
+    let run_seconds = |entry: std::fs::DirEntry| -> Option<f64> {
         let text = std::fs::read_to_string(entry.path().join("schedstat")).ok()?;
         text.split(' ').next()?.parse().ok()
     };
-    Some(schedule.flatten().filter_map(of_thread).sum::<f64>() / 1e6)
+    Some(schedule.flatten().filter_map(run_seconds).sum::<f64>() / 1e6)
 }
 
 fn main() -> Result<(), Box<dyn Error>> {

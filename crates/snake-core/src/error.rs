@@ -2,12 +2,14 @@
 
 use std::path::PathBuf;
 
+use snake_geometry::{shortened, shortened_value};
+
 /// An error. Its text says what to do about it.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum Error {
     /// A file could not be opened, read or written.
-    #[error("{}: {source}", path.display())]
+    #[error("{}: {source}", shortened_value(&path.display()))]
     Io {
         /// The file.
         path: PathBuf,
@@ -25,7 +27,7 @@ pub enum Error {
         found: String,
     },
     /// An argument cannot be used.
-    #[error("{what}: {reason}")]
+    #[error("{what}: {}", shortened(reason))]
     Input {
         /// The name of the argument.
         what: &'static str,
@@ -33,13 +35,13 @@ pub enum Error {
         reason: String,
     },
     /// No rigid transform fits two clouds: they do not overlap, or are in different units.
-    #[error("source and target: {reason}")]
+    #[error("source and target: {}", shortened(reason))]
     NoTransform {
         /// What was tried, and what may be wrong.
         reason: String,
     },
     /// An option is outside its range.
-    #[error("option `{name}` is {value}: allowed is {allowed}")]
+    #[error("option `{name}` is {}: allowed is {allowed}", shortened(value))]
     Option {
         /// The name of the option in the options struct.
         name: &'static str,

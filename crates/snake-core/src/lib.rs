@@ -85,7 +85,7 @@ pub use snake_geometry::{
     SeparateAxes, add_origin, subtract_origin, zero_hint,
 };
 #[doc(hidden)]
-pub use snake_geometry::{excerpt, is_harmful, printable, setters};
+pub use snake_geometry::{excerpt, is_harmful, printable, setters, shortened, shortened_value};
 pub use snake_kernels::SimdLevel;
 
 /// The README's example runs as a test.

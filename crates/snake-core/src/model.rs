@@ -134,7 +134,7 @@ impl Model {
 
     /// The keypoints of a cloud. The options are valid.
     fn detect_used(&self, cloud: UsedCloud, options: &Options, control: &Control) -> Result<Detection> {
-        control.get_limits().check_evaluations(&options.detect.evaluations(options.encode.rotations))?;
+        self.network.check_evaluations(options, control.get_limits())?;
         let start = Instant::now();
         let field = self.field(cloud, &options.encode, control)?;
         let encode = start.elapsed().as_secs_f64();

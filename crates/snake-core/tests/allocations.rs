@@ -45,7 +45,7 @@ fn street(num_points: usize, ahead: f32) -> Vec<Point> {
 
 /// Allocations and bytes of each of twelve frames of about so many points, with a few that are not finite. The first three
 /// frames are a tenth larger than the others: a cloud larger than all before needs more memory.
-fn of_frames(num_points: usize, threads: usize, options: Options) -> Vec<[usize; 2]> {
+fn allocations_of_frames(num_points: usize, threads: usize, options: Options) -> Vec<[usize; 2]> {
     let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
     let mut detector = Detector::new(Model::builtin(Builtin::Compact), options).unwrap();
     let mut detection = Detection::default();
@@ -92,24 +92,24 @@ fn frames_use_the_memory_of_earlier_frames() {
     // A frame of the first release made 22 000 allocations of 274 MB.
     let options = *Model::builtin(Builtin::Compact).recommended();
     for num_points in [8000, 64_000] {
-        let used = of_frames(num_points, 1, options);
+        let used = allocations_of_frames(num_points, 1, options);
         println!("[allocations, bytes] of each frame of {num_points} points on one thread: {used:?}");
         assert_eq!(used[3..], [[0; 2]; 9]);
     }
     for (name, options) in variants(options) {
-        let used = of_frames(20_000, 1, options);
+        let used = allocations_of_frames(20_000, 1, options);
         println!("[allocations, bytes] of each frame of 20 000 points with {name}: {used:?}");
         // The draw of a sample is that of the crate `rand`, which takes memory of its own.
         let most = if options.encode.max_points.is_some() { 2 } else { 0 };
         assert!(used[3..].iter().all(|used| used[0] <= most), "{name}");
     }
     // With more threads, chance decides which of them does a part of the work for the first time and needs memory for it.
-    let used = of_frames(8000, 2, options);
+    let used = allocations_of_frames(8000, 2, options);
     println!("[allocations, bytes] of each frame of 8000 points on two threads: {used:?}");
     assert!(used[3..].iter().all(|used| used[0] <= 40) && used[3..].contains(&[0; 2]), "{used:?}");
 
-    let bytes = |num_points| of_frames(num_points, 1, options).iter().map(|used| used[1]).sum::<usize>();
-    let of_point = (bytes(100_000) - bytes(30_000)) as f64 / (1.1 * 70_000.0);
-    println!("{of_point:.1} bytes a point");
-    assert!(of_point < 60.0);
+    let bytes = |num_points| allocations_of_frames(num_points, 1, options).iter().map(|used| used[1]).sum::<usize>();
+    let bytes_per_point = (bytes(100_000) - bytes(30_000)) as f64 / (1.1 * 70_000.0);
+    println!("{bytes_per_point:.1} bytes a point");
+    assert!(bytes_per_point < 60.0);
 }

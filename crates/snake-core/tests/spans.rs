@@ -36,6 +36,6 @@ fn every_step_of_a_detection_is_a_span() {
     let names = Names::default();
     let model = Model::builtin(Builtin::Compact);
     tracing::subscriber::with_default(names.clone(), || model.detect(&points, model.recommended()).unwrap());
-    let found = names.0.lock().unwrap().clone();
-    assert_eq!(found, ["encode", "pointnet", "unet", "occupancy", "refine", "suppress"]);
+    let entered = names.0.lock().unwrap().clone();
+    assert_eq!(entered, ["encode", "pointnet", "unet", "occupancy", "refine", "suppress"]);
 }

@@ -9,8 +9,8 @@ fn loading_and_one_thread_start_no_pool() {
     let model = Model::builtin(Builtin::Compact);
     let pool = rayon::ThreadPoolBuilder::new().num_threads(1).use_current_thread().build().unwrap();
     let points: Vec<Point> = (0..500).map(|i| [(i % 20) as f32, (i / 20) as f32, ((i * i) % 17) as f32]).collect();
-    let found = model.detect(&points, model.recommended()).unwrap();
-    assert!(!found.keypoints.is_empty());
+    let detection = model.detect(&points, model.recommended()).unwrap();
+    assert!(!detection.keypoints.is_empty());
     assert_eq!(pool.install(|| std::thread::current().id()), own);
     // Nothing has started the global pool: it can still be configured.
 

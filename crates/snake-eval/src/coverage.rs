@@ -41,14 +41,14 @@ pub fn radius_of_coverage(clouds: &[RankedKeypoints], count: usize, coverage: f6
     if with_keypoints.count() == 0 {
         return Ok(0.0);
     }
-    let found = |radius: f64| mean_coverage(clouds, count, radius);
-    if found(0.0)? <= coverage {
+    let reached = |radius: f64| mean_coverage(clouds, count, radius);
+    if reached(0.0)? <= coverage {
         return Ok(0.0);
     }
     let radii = (0..STEPS).map(|step| 0.01 * coverage * STEP.powi(step));
     let (mut best, mut least) = (0.0, f64::INFINITY);
     for radius in radii {
-        let covered = found(radius)?;
+        let covered = reached(radius)?;
         if covered < least {
             (best, least) = (radius, covered);
         }
@@ -66,7 +66,7 @@ pub fn radius_of_coverage(clouds: &[RankedKeypoints], count: usize, coverage: f6
     let (mut too_small, mut enough) = (best / STEP, best);
     for _ in 0..HALVINGS {
         let middle = f64::midpoint(too_small, enough);
-        if found(middle)? <= coverage { enough = middle } else { too_small = middle }
+        if reached(middle)? <= coverage { enough = middle } else { too_small = middle }
     }
     Ok(enough)
 }
@@ -108,8 +108,8 @@ mod tests {
     #[test]
     fn where_nothing_covers_as_far_the_best_radius_is_taken() {
         let radius = radius_of_coverage(&[line()], 10, 0.5).unwrap();
-        let found = mean_coverage(&[line()], 10, radius).unwrap();
-        assert!((2.0..3.0).contains(&found), "{radius} {found}");
+        let reached = mean_coverage(&[line()], 10, radius).unwrap();
+        assert!((2.0..3.0).contains(&reached), "{radius} {reached}");
         let none = RankedKeypoints { keypoints: Vec::new(), ..line() };
         assert_eq!(radius_of_coverage(std::slice::from_ref(&none), 10, 0.5).unwrap(), 0.0);
         assert!(radius_of_coverage(&[line()], 10, 0.0).is_err());

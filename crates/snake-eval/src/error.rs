@@ -2,12 +2,14 @@
 
 use std::path::{Path, PathBuf};
 
+use snake_geometry::{shortened, shortened_value};
+
 /// The reason why a data set cannot be opened or a view cannot be drawn.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum Error {
     /// A file or a folder of a data set cannot be read.
-    #[error("cannot read {}: {source}", path.display())]
+    #[error("cannot read {}: {source}", shortened_value(&path.display()))]
     Io {
         /// The file or the folder.
         path: PathBuf,
@@ -15,7 +17,7 @@ pub enum Error {
         source: std::io::Error,
     },
     /// A file or a folder does not follow the layout of its data set.
-    #[error("{}: {reason}", path.display())]
+    #[error("{}: {}", shortened_value(&path.display()), shortened(reason))]
     Layout {
         /// The file or the folder.
         path: PathBuf,
@@ -23,7 +25,7 @@ pub enum Error {
         reason: String,
     },
     /// An argument cannot be used.
-    #[error("{what}: {reason}")]
+    #[error("{what}: {}", shortened(reason))]
     Input {
         /// The name of the argument.
         what: &'static str,

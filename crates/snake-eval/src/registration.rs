@@ -205,8 +205,8 @@ mod tests {
         };
         let expected = points.iter().map(displacement).sum::<f64>() / points.len() as f64;
         let information = information_matrix(&points).unwrap();
-        let found = squared_registration_error(&gt, &estimate, &information).unwrap();
-        assert!((found / expected - 1.0).abs() < 0.01, "{found} {expected}");
+        let error = squared_registration_error(&gt, &estimate, &information).unwrap();
+        assert!((error / expected - 1.0).abs() < 0.01, "{error} {expected}");
     }
 
     #[test]

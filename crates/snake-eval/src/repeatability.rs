@@ -129,10 +129,10 @@ mod tests {
 
     #[test]
     fn the_share_strictly_within_epsilon_by_hand() {
-        let found =
+        let shares =
             relative_repeatability(&VIEW_1, &VIEW_2, &RigidTransform::identity(), &[0.25, 0.26, 0.5, 0.51, 100.0])
                 .unwrap();
-        assert_eq!(found, [0.0, 0.25, 0.25, 0.5, 1.0]);
+        assert_eq!(shares, [0.0, 0.25, 0.25, 0.5, 1.0]);
     }
 
     #[test]
@@ -172,8 +172,8 @@ mod tests {
 
     #[test]
     fn partners_are_the_nearest_and_as_many_as_the_share_says() {
-        let found = repeated_keypoints(&VIEW_1, &VIEW_2, &RigidTransform::identity(), 0.51).unwrap();
-        assert_eq!(found, [Some((0, 0.25)), Some((1, 0.5)), None, None]);
+        let repeated = repeated_keypoints(&VIEW_1, &VIEW_2, &RigidTransform::identity(), 0.51).unwrap();
+        assert_eq!(repeated, [Some((0, 0.25)), Some((1, 0.5)), None, None]);
         assert_eq!(
             repeated_keypoints(&VIEW_1, &VIEW_2, &RigidTransform::identity(), 0.25).unwrap(),
             [None; 4],

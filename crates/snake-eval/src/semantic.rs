@@ -17,9 +17,9 @@ use snake_geometry::{Neighbors, Point, check_points, nearest_points, vector};
 /// Number of neighbours of a point in the graph of geodesic distances (SNAKE section 4.1, KeypointNet).
 const GRAPH_NEIGHBORS: usize = 20;
 /// The most edges of that graph, at about 50 bytes an edge.
-const MOST_EDGES: usize = 50_000_000;
+const MAX_EDGES: usize = 50_000_000;
 /// The most geodesic distances that are returned, 2 GiB.
-const MOST_DISTANCES: usize = 1 << 28;
+const MAX_DISTANCES: usize = 1 << 28;
 /// Number of keypoints per body in the SMPL protocol.
 const SMPL_KEYPOINTS: usize = 20;
 
@@ -112,7 +112,7 @@ pub fn geodesic_distances_with<T: Coordinate>(
 ) -> Result<Vec<Vec<f64>>> {
     check_points("points", points)?;
     check_indices("sources", sources, points.len())?;
-    if sources.len().saturating_mul(points.len()) > MOST_DISTANCES {
+    if sources.len().saturating_mul(points.len()) > MAX_DISTANCES {
         let reason = format!("{} times {} points are more than 2^28 distances", sources.len(), points.len());
         return Err(Error::Input { what: "sources", reason });
     }
@@ -250,7 +250,7 @@ type Graph = Vec<Vec<(usize, f64)>>;
 
 fn neighbor_graph<T: Coordinate>(points: &[[T; 3]], neighbors: usize) -> Result<Graph> {
     let others = neighbors.min(points.len());
-    let is_small = points.len().saturating_mul(others) <= MOST_EDGES;
+    let is_small = points.len().saturating_mul(others) <= MAX_EDGES;
     let Some(with_itself) = NonZeroUsize::new(others).filter(|_| is_small).and_then(|n| n.checked_add(1)) else {
         let allowed = "1 or more, and at most 50000000 neighbours of all points together";
         return Err(Error::Option { name: "neighbors", value: neighbors.to_string(), allowed });
@@ -358,9 +358,9 @@ mod tests {
         let points = rows(30);
         let ground_truth = [10, 5, 10];
         // The keypoints snap to points 5, 12, 12 and, in the other component, 40.
-        let found = [[5.2, 0.0, 0.0], [12.4, 0.0, 0.0], [11.8, 1.0, 0.0], [10.0, 1e4, 0.0]];
+        let detected = [[5.2, 0.0, 0.0], [12.4, 0.0, 0.0], [11.8, 1.0, 0.0], [10.0, 1e4, 0.0]];
         let call =
-            |unreachable| semantic_counts(&points, &ground_truth, &found, &[0.0, 1.9, 2.0], unreachable).unwrap();
+            |unreachable| semantic_counts(&points, &ground_truth, &detected, &[0.0, 1.9, 2.0], unreachable).unwrap();
         let strict = call(Unreachable::Strict);
         assert_eq!(strict, [counts(2, 3, 1), counts(2, 3, 1), counts(2, 1, 0)]);
         assert_eq!(strict[2].iou(), 2.0 / 3.0);

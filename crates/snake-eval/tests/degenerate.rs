@@ -61,9 +61,9 @@ fn keypoints_are_finite_or_refused() {
             // Cubes as well, and radii in proportion.
             let extent = cloud.as_flattened().iter().fold(0.0, |m: f32, v| m.max(v.abs())).min(1e20);
             preset.detect.nms_radius = Some(Length::Units(f64::from(extent) / 50.0));
-            let found = usable(name, model.detect(&cloud, &preset));
-            assert_eq!(found.is_some(), can_be_encoded, "{name}");
-            for keypoint in found.iter().flat_map(|found| &found.keypoints) {
+            let detection = usable(name, model.detect(&cloud, &preset));
+            assert_eq!(detection.is_some(), can_be_encoded, "{name}");
+            for keypoint in detection.iter().flat_map(|detection| &detection.keypoints) {
                 assert!(is_finite(&[keypoint.position]) && keypoint.saliency.is_finite(), "{name}: {keypoint:?}");
                 let nearest = cloud[keypoint.nearest_index];
                 let squared = |p: &Point| (0..3).map(|axis| (p[axis] - keypoint.position[axis]).powi(2)).sum::<f32>();
@@ -84,12 +84,12 @@ fn keypoints_are_finite_or_refused() {
 fn registrations_are_finite_or_refused() {
     let options = RegisterOptions::default().with_max_keypoints(50);
     for (name, can_be_encoded, cloud) in clouds() {
-        let found = usable(name, register(&cloud, &cloud, &options));
-        assert!(can_be_encoded || found.is_none(), "{name}");
-        if let Some(found) = found {
+        let registration = usable(name, register(&cloud, &cloud, &options));
+        assert!(can_be_encoded || registration.is_none(), "{name}");
+        if let Some(registration) = registration {
             assert!(
-                found.t_target_source.to_matrix().as_flattened().iter().all(|v| v.is_finite())
-                    && found.matches.rmse.is_finite(),
+                registration.t_target_source.to_matrix().as_flattened().iter().all(|v| v.is_finite())
+                    && registration.matches.rmse.is_finite(),
                 "{name}"
             );
         }
@@ -109,11 +109,11 @@ fn classical_keypoints_are_points_of_the_cloud_or_refused() {
             .flat_map(|&detector| [(detector, Protocol::Ranked), (detector, Protocol::Paper)]);
         for (detector, protocol) in cases {
             let what = format!("{}, {name}", detector.name());
-            let found = detector.keypoints(&cloud, 16, protocol, 0);
-            let found = usable(&what, found).unwrap_or_default();
-            assert!(found.len() <= 16, "{what}");
+            let responses = detector.keypoints(&cloud, 16, protocol, 0);
+            let responses = usable(&what, responses).unwrap_or_default();
+            assert!(responses.len() <= 16, "{what}");
             let is_usable = |index: usize, score: f64| is_finite(&[cloud[index]]) && score.is_finite();
-            assert!(found.iter().all(|response| is_usable(response.index, response.score)), "{what}");
+            assert!(responses.iter().all(|response| is_usable(response.index, response.score)), "{what}");
         }
     }
 }

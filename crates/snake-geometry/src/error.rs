@@ -1,11 +1,13 @@
 //! The error type of the crate.
 
+use crate::shortened;
+
 /// An error. Its text says what to do about it.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum Error {
     /// An argument cannot be used.
-    #[error("{what}: {reason}")]
+    #[error("{what}: {}", shortened(reason))]
     Input {
         /// The name of the argument.
         what: &'static str,
@@ -13,7 +15,7 @@ pub enum Error {
         reason: String,
     },
     /// An option is outside its range.
-    #[error("option `{name}` is {value}: allowed is {allowed}")]
+    #[error("option `{name}` is {}: allowed is {allowed}", shortened(value))]
     Option {
         /// The name of the option in the options struct.
         name: &'static str,

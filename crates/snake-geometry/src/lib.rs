@@ -30,7 +30,7 @@ mod transform;
 
 pub use clouds::{
     Bounds, Cloud, FinitePoints, Keypoint, Length, Mesh, Normalization, NormalizationMethod, Outliers, Point, Reach,
-    add_origin, check_points, gaps, resolution, subtract_origin, unit, zero_hint,
+    add_origin, check_pairs, check_points, gaps, resolution, subtract_origin, unit, zero_hint,
 };
 pub use error::{Error, Result};
 pub use near::{KdTree, Neighbors, PointTree, RadiusCells, Vector, eigen, vector};
@@ -45,5 +45,5 @@ pub use subset::{
     suppress, suppress_ranked, suppress_seen, suppress_to_count,
 };
 #[doc(hidden)]
-pub use text::{excerpt, is_harmful, printable};
+pub use text::{excerpt, is_harmful, printable, shortened, shortened_value};
 pub use transform::{RigidTransform, rotations};

@@ -2,12 +2,14 @@
 
 use std::path::PathBuf;
 
+use snake_geometry::{shortened, shortened_value};
+
 /// The reason why a file cannot be read or written.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum Error {
     /// A file could not be opened, read or written.
-    #[error("{}: {source}", path.display())]
+    #[error("{}: {source}", shortened_value(&path.display()))]
     Io {
         /// The file.
         path: PathBuf,
@@ -15,7 +17,7 @@ pub enum Error {
         source: std::io::Error,
     },
     /// The content of a file does not follow its format, or the extension names no known format.
-    #[error("{}: {reason}", path.display())]
+    #[error("{}: {}", shortened_value(&path.display()), shortened(reason))]
     Format {
         /// The file.
         path: PathBuf,
@@ -23,7 +25,7 @@ pub enum Error {
         reason: String,
     },
     /// An argument cannot be used.
-    #[error("{what}: {reason}")]
+    #[error("{what}: {}", shortened(reason))]
     Input {
         /// The name of the argument.
         what: &'static str,

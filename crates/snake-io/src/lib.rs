@@ -56,6 +56,7 @@
 
 mod arrays;
 mod atomic;
+mod attributes;
 mod clouds;
 mod crs;
 mod error;
@@ -77,6 +78,7 @@ pub use arrays::array::Array;
 pub use arrays::array_files::{find_arrays, read_arrays};
 pub use arrays::array_files::{read_array, write_volume};
 pub use atomic::{TEMPORARY, hold_writes, sync_folder, write_atomically};
+pub use attributes::{Attributes, read_attributes};
 pub use clouds::{
     Contents, ReadOptions, for_each_position, parse_cloud, parse_contents, read_cloud, read_clouds, read_contents,
     read_points,
@@ -97,7 +99,7 @@ pub use transform::{
 pub use write::json::keypoint_json;
 pub use write::keypoint_source::KeypointSource;
 pub use write::mesh::{MESH_EXTENSIONS, check_mesh_path, write_mesh};
-pub use write::{adds_origin, write_keypoints, write_points};
+pub use write::{adds_origin, write_cloud, write_keypoints, write_points};
 
 /// The limit of the unpacked size, in sizes of the packed file. No scan exceeds it; a file made to exceed it would take
 /// all memory.

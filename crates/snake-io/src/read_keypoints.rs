@@ -140,7 +140,9 @@ fn ply(bytes: &[u8]) -> std::result::Result<Vec<Row>, String> {
     for words in words {
         match words[..] {
             ["element", "vertex", number] => num_rows = number.parse().map_err(|_| "the number of vertices")?,
-            ["property", kind, name] => columns.push((name, Kind::of_ply(kind).ok_or(format!("type `{kind}`"))?)),
+            ["property", kind, name] => {
+                columns.push((name, Kind::from_ply_type(kind).ok_or(format!("type `{kind}`"))?))
+            }
             _ => {}
         }
     }

@@ -192,9 +192,9 @@ fn a_damaged_part_costs_no_other() {
         &metadata(&["drive_0.db3", "drive_1.db3", "drive_2.db3"]),
     );
     std::fs::write(folder.join("drive_1.db3"), "no bag").unwrap();
-    let found: Vec<_> = read_recording(&folder, None).unwrap().map(|cloud| cloud.map_err(|e| e.to_string())).collect();
-    assert!(found.len() == 5 && found.iter().filter(|cloud| cloud.is_ok()).count() == 4, "{found:?}");
-    assert!(found[2].as_ref().unwrap_err().contains("drive_1.db3"), "{found:?}");
+    let clouds: Vec<_> = read_recording(&folder, None).unwrap().map(|cloud| cloud.map_err(|e| e.to_string())).collect();
+    assert!(clouds.len() == 5 && clouds.iter().filter(|cloud| cloud.is_ok()).count() == 4, "{clouds:?}");
+    assert!(clouds[2].as_ref().unwrap_err().contains("drive_1.db3"), "{clouds:?}");
 }
 
 #[test]
@@ -204,8 +204,8 @@ fn a_damaged_message_costs_no_other() {
         ["UPDATE messages SET data = x'00010000' WHERE id = 1", "UPDATE messages SET data = 7 WHERE id = 1"]
     {
         let path = changed(folder.path(), statement);
-        let found: Vec<_> = read_recording(&path, None).unwrap().collect();
-        assert!(found.len() == 2 && found[0].is_err() && found[1].is_ok(), "{statement}: {found:?}");
+        let clouds: Vec<_> = read_recording(&path, None).unwrap().collect();
+        assert!(clouds.len() == 2 && clouds[0].is_err() && clouds[1].is_ok(), "{statement}: {clouds:?}");
     }
 }
 

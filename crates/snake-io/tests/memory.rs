@@ -53,12 +53,12 @@ fn memory_grows_by_few_bytes_for_each_point() {
         ("with 1000 keypoints", many_keypoints, false),
     ] {
         let detect = |options: &Options, points: &[Point]| model.detect(points, options).unwrap().counts.keypoints;
-        let of_size = |num_points| {
+        let measure = |num_points| {
             let points = cloud(num_points, with_outlier);
             peak(|| detect(&options, &points)).1
         };
-        of_size(SIZES[0]);
-        let bytes = bytes_per_point(SIZES.map(of_size));
+        measure(SIZES[0]);
+        let bytes = bytes_per_point(SIZES.map(measure));
         assert!(bytes <= BYTES_PER_POINT, "{name}: {bytes} bytes a point");
     }
     let folder = tempfile::tempdir().unwrap();

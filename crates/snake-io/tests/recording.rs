@@ -84,9 +84,9 @@ fn the_clouds_of_a_topic_are_read_in_order() {
         &[("/points", SCHEMA, message()), ("/pose", "geometry_msgs/msg/Pose", vec![]), ("/points", SCHEMA, message())],
     );
     for topic in [None, Some("/points")] {
-        let found = read(&path, topic).unwrap();
-        assert_eq!((found.len(), found[1].log_time, found[0].frame_id.as_str()), (2, 102, "lidar"));
-        let points = &found[0].cloud.points;
+        let messages = read(&path, topic).unwrap();
+        assert_eq!((messages.len(), messages[1].log_time, messages[0].frame_id.as_str()), (2, 102, "lidar"));
+        let points = &messages[0].cloud.points;
         assert!(points[0] == [1.0, 2.0, 3.0] && points[1][1] == 5.0 && points[1][2].is_nan());
     }
 }
@@ -114,8 +114,11 @@ fn recordings_of_ros_1_are_read() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("drive.mcap");
     record(&path, &[("/velodyne", "sensor_msgs/PointCloud2", encoded(false))]);
-    let found = read(&path, None).unwrap();
-    assert_eq!((found.len(), found[0].frame_id.as_str(), found[0].cloud.points[0]), (1, "lidar", [1.0, 2.0, 3.0]));
+    let messages = read(&path, None).unwrap();
+    assert_eq!(
+        (messages.len(), messages[0].frame_id.as_str(), messages[0].cloud.points[0]),
+        (1, "lidar", [1.0, 2.0, 3.0])
+    );
     for length in 0..encoded(false).len() - 1 {
         record(&path, &[("/velodyne", "sensor_msgs/PointCloud2", encoded(false)[..length].to_vec())]);
         let text = read(&path, None).unwrap_err().to_string();

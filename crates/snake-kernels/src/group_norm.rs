@@ -82,9 +82,9 @@ mod tests {
             let volume = random.values(voxels * channels);
             let expected = naive::group_norm(groups, &norm.weight, &norm.bias, GroupNorm::EPSILON, &volume);
             let [scale, shift] = norm.scale_and_shift(&channel_sums(&volume, channels), voxels);
-            let found: Vec<f32> =
+            let normalized: Vec<f32> =
                 volume.iter().enumerate().map(|(i, v)| v * scale[i % channels] + shift[i % channels]).collect();
-            naive::assert_close(&found, &expected, 1e-5, &format!("{voxels} {channels} {groups}"));
+            naive::assert_close(&normalized, &expected, 1e-5, &format!("{voxels} {channels} {groups}"));
         }
     }
 }

@@ -112,15 +112,15 @@ mod tests {
                 sums[corner * (width + 1) + width] += weight;
             }
             for level in SimdLevel::available() {
-                let mut found = start.clone();
-                max_rows(level, &features, width, &targets, &mut found);
-                assert_eq!(found, maxima, "{level:?} {width}");
-                let mut found = vec![0.0; sums.len()];
-                add_weighted(level, &features[..width], &weights, &corners, &mut found);
-                assert_eq!(found, sums, "{level:?} {width}");
-                let mut found = vec![f32::NAN; features.len()];
-                relu(level, &features, &mut found);
-                assert_eq!(found, features.iter().map(|v| v.max(0.0)).collect::<Vec<_>>(), "{level:?} {width}");
+                let mut result = start.clone();
+                max_rows(level, &features, width, &targets, &mut result);
+                assert_eq!(result, maxima, "{level:?} {width}");
+                let mut result = vec![0.0; sums.len()];
+                add_weighted(level, &features[..width], &weights, &corners, &mut result);
+                assert_eq!(result, sums, "{level:?} {width}");
+                let mut result = vec![f32::NAN; features.len()];
+                relu(level, &features, &mut result);
+                assert_eq!(result, features.iter().map(|v| v.max(0.0)).collect::<Vec<_>>(), "{level:?} {width}");
             }
         }
     }

@@ -57,7 +57,7 @@ pub fn register_with(
     let viewpoints = pair_options.viewpoints();
     let prepared = prepare_named(&[source, target], &["source", "target"], &viewpoints, model, options, control)?;
     let pair = Pair::new(&prepared.clouds[0], &prepared.clouds[1], options.gravity);
-    let registration = register_pair(&pair, options, pair_options, control)?;
+    let registration = register_checked(&pair, options, pair_options, control)?;
     Ok(Registration { seconds: start.elapsed().as_secs_f64(), ..registration })
 }
 
@@ -75,9 +75,19 @@ pub fn register_pair(
     pair_options: &PairOptions,
     control: &Control,
 ) -> Result<Registration> {
-    let start = Instant::now();
     options.check_ranges()?;
     pair_options.check()?;
+    register_checked(pair, options, pair_options, control)
+}
+
+/// [`register_pair`] with options within their ranges.
+fn register_checked(
+    pair: &Pair,
+    options: &RegisterOptions,
+    pair_options: &PairOptions,
+    control: &Control,
+) -> Result<Registration> {
+    let start = Instant::now();
     let rows = describe(pair, control)?;
     let matches = pair.matches(&match_rows(&rows[0], &rows[1], options.max_matches, control)?)?;
     let guesses = match &pair_options.initial {
@@ -86,7 +96,7 @@ pub fn register_pair(
     };
     let candidates = refine(pair, &matches, &guesses, options.icp_steps, pair_options.hypotheses, control)?;
     if candidates.first().is_some_and(|best| pair.contradicts_viewpoints(&best.t_target_source)) {
-        return register_pair(&pair.without_signs(), options, pair_options, control);
+        return register_checked(&pair.without_signs(), options, pair_options, control);
     }
     let mut registration = judge(pair, &matches, &candidates)?;
     registration.hypotheses.truncate(pair_options.hypotheses);

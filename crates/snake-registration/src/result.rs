@@ -75,6 +75,8 @@ pub struct Fit {
     pub rmse: f64,
     /// The distance below which voxels overlap and matches agree, in cloud units.
     pub inlier_distance: f64,
+    /// Side of the voxels, in cloud units.
+    pub voxel_size: f64,
     /// Information matrix (inverse covariance up to the noise) of the transform, for a pose graph:
     /// of a small rotation (radians) and then a small translation (cloud units) of the source in
     /// the target frame.

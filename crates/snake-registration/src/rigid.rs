@@ -5,7 +5,7 @@ use nalgebra::{
 };
 
 use snake_core::{Error, Result};
-use snake_geometry::{Point, RigidTransform, Vector, check_points, vector};
+use snake_geometry::{Point, RigidTransform, Vector, check_pairs, vector};
 
 /// The least-squares rigid transform `t_target_source` from `source` `(N, 3)` to `target` `(N, 3)`,
 /// row i to row i.
@@ -35,19 +35,6 @@ pub fn kabsch(source: &[Point], target: &[Point]) -> Result<RigidTransform> {
 /// Points `(N, 3)` under a transform, computed in f64.
 pub fn transform_points(transform: &RigidTransform, points: &[Point]) -> Vec<Point> {
     points.iter().map(|&point| transform.apply(point)).collect()
-}
-
-/// Refuses matched points that differ in number or are not finite; empty arrays are accepted.
-pub(crate) fn check_pairs(source: &[Point], target: &[Point]) -> Result<()> {
-    if source.len() != target.len() {
-        let reason = format!("{} points, but the source has {}; row i matches row i", target.len(), source.len());
-        return Err(Error::Input { what: "target", reason });
-    }
-    if !source.is_empty() {
-        check_points("source", source)?;
-        check_points("target", target)?;
-    }
-    Ok(())
 }
 
 /// [`kabsch`] of pairs (source, target); `None` if the points of either are collinear.

@@ -30,7 +30,7 @@ impl TiledRun {
         let columns = columns_of(&detector, side)?;
         let (_one_at_a_time, folder) = (RunFolder::begin(), RunFolder::claim(folder)?);
         let versions = files.iter().map(|file| version(file.source())).collect::<Result<_>>()?;
-        let source = Source::of_copc(&files, columns, detector.settings());
+        let source = Source::from_copc(&files, columns, detector.settings());
         let id = source.id()?;
         if let Some(mut plan) = Plan::read(&folder, &source) {
             folder.mend(plan.names())?;
@@ -60,7 +60,7 @@ impl TiledRun {
     /// As [`TiledRun::open`], and [`crate::Error::Damaged`] when a file has changed.
     pub fn open_copc(detector: TileDetector, files: Vec<Copc>, folder: &Path) -> Result<Self> {
         let folder = RunFolder::join(folder)?;
-        let plan = Plan::of_settings(&folder, &detector.settings())?;
+        let plan = Plan::from_settings(&folder, &detector.settings())?;
         plan.check_files(&folder, &files)?;
         Self { detector, id: plan.source.id()?, plan, folder, copc: files }.resolved()
     }

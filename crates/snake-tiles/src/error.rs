@@ -2,6 +2,8 @@
 
 use std::path::{Path, PathBuf};
 
+use snake_geometry::{shortened, shortened_value};
+
 use crate::plan::Tile;
 
 /// An error. Its text says what to do about it.
@@ -15,7 +17,7 @@ pub enum Error {
     #[error(transparent)]
     Input(#[from] snake_io::Error),
     /// A file of the run's folder cannot be read or written.
-    #[error("{}: {source}", path.display())]
+    #[error("{}: {source}", shortened_value(&path.display()))]
     File {
         /// The file.
         path: PathBuf,
@@ -23,7 +25,7 @@ pub enum Error {
         source: std::io::Error,
     },
     /// A file of the run's folder has another content than was written.
-    #[error("{}: {reason}", path.display())]
+    #[error("{}: {}", shortened_value(&path.display()), shortened(reason))]
     Damaged {
         /// The file.
         path: PathBuf,
@@ -49,7 +51,7 @@ pub enum Error {
         total: usize,
     },
     /// The cloud or the tiles cannot be used.
-    #[error("{what}: {reason}")]
+    #[error("{what}: {}", shortened(reason))]
     Refused {
         /// The name of the argument.
         what: &'static str,

@@ -253,9 +253,9 @@ impl RunFolder {
             for entry in full.read_dir().map_err(Error::file(&full))? {
                 let entry = entry.map_err(Error::file(&full))?;
                 let (name, kind) = (folder.join(entry.file_name()), entry.file_type().map_err(Error::file(&full))?);
-                let of_run = name.components().map(Component::as_os_str).map(|part| part.to_str());
-                let of_run = of_run.collect::<Option<Vec<_>>>().map(|parts| parts.join("/"));
-                match of_run {
+                let relative = name.components().map(Component::as_os_str).map(|part| part.to_str());
+                let relative = relative.collect::<Option<Vec<_>>>().map(|parts| parts.join("/"));
+                match relative {
                     Some(name) if kind.is_file() && [MARKER, LOCK].contains(&&*name) => (),
                     Some(name) if kind.is_file() && (listed.contains(&name) || is_temporary(&name)) => own.push(name),
                     _ if kind.is_dir() => open.push(name),

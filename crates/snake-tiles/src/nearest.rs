@@ -27,9 +27,9 @@ impl TiledRun {
                 let (points, indices) = self.points(&columns)?;
                 let is_whole = self.plan.is_inside(&columns);
                 let queries: Vec<Point> = open.iter().map(|&index| positions[index]).collect();
-                let found = if points.is_empty() { Vec::new() } else { nearest_points(&points, &queries)? };
+                let nearest_indices = if points.is_empty() { Vec::new() } else { nearest_points(&points, &queries)? };
                 let mut is_known = vec![false; open.len()];
-                for (rank, &point) in found.iter().enumerate() {
+                for (rank, &point) in nearest_indices.iter().enumerate() {
                     nearest[open[rank]] = indices[point];
                     is_known[rank] = is_whole || self.is_inside(&queries[rank], &points[point], &columns);
                 }

@@ -42,7 +42,7 @@ impl Source {
     }
 
     /// The source of a run that reads COPC files by bounds.
-    pub(crate) fn of_copc(files: &[Copc], columns: i32, settings: TileSettings) -> Self {
+    pub(crate) fn from_copc(files: &[Copc], columns: i32, settings: TileSettings) -> Self {
         let files = files.iter().map(|file| content(file.source())).collect();
         Self {
             version: env!("CARGO_PKG_VERSION").into(),
@@ -159,7 +159,7 @@ impl Plan {
     }
 
     /// The plan in a folder, whatever its inputs were. It must have the settings.
-    pub(crate) fn of_settings(folder: &RunFolder, settings: &TileSettings) -> Result<Self> {
+    pub(crate) fn from_settings(folder: &RunFolder, settings: &TileSettings) -> Result<Self> {
         let bytes = folder.read(PLAN)?;
         let damaged = |reason| Error::Damaged { path: folder.path().join(PLAN), reason };
         let plan: Self = serde_json::from_slice(&bytes).map_err(|error| damaged(error.to_string()))?;

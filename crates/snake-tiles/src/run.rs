@@ -105,7 +105,7 @@ impl TiledRun {
     /// [`Error::File`] without such a run; [`Error::Damaged`] for another model, other options or another version.
     pub fn open(detector: TileDetector, folder: &Path) -> Result<Self> {
         let folder = RunFolder::join(folder)?;
-        let plan = Plan::of_settings(&folder, &detector.settings())?;
+        let plan = Plan::from_settings(&folder, &detector.settings())?;
         if !plan.source.by_bounds {
             return Self { detector, id: plan.source.id()?, plan, folder, copc: Vec::new() }.resolved();
         }
@@ -195,26 +195,26 @@ impl TiledRun {
         }
         let columns = self.plan.columns(tile.place);
         let mut margin = self.detector.margin();
-        let found = loop {
+        let candidates = loop {
             let near = widen(&columns, margin);
             let (points, _) = self.points(&widen(&near, self.detector.halo()))?;
             let is_whole = self.plan.is_inside(&near);
-            if let Some(found) = self.detector.detect(&points, &columns, margin, is_whole, control)? {
-                break found;
+            if let Some(candidates) = self.detector.detect(&points, &columns, margin, is_whole, control)? {
+                break candidates;
             }
             margin = margin.saturating_mul(2);
         };
         self.plan.check_folder(&self.folder)?;
-        candidates::write(&self.folder, &self.id, tile.place, &found)
+        candidates::write(&self.folder, &self.id, tile.place, &candidates)
     }
 
     /// The points in columns, in the order of the cloud, and their indices.
     pub(crate) fn points(&self, columns: &[Range<i32>; 2]) -> Result<(Vec<Point>, Vec<u64>)> {
-        let mut found = Vec::new();
+        let mut inside = Vec::new();
         let mut add = |point: Point, index: u64| {
             let is_inside = |[x, y]: [i32; 2]| columns[0].contains(&x) && columns[1].contains(&y);
             if self.detector.column(&point).is_ok_and(is_inside) {
-                found.push((index, point));
+                inside.push((index, point));
             }
         };
         if !self.copc.is_empty() {
@@ -224,8 +224,8 @@ impl TiledRun {
                 for_each_point(&self.folder, tile.place, digest, &mut add)?;
             }
         }
-        found.sort_unstable_by_key(|(index, _)| *index);
-        Ok(found.into_iter().map(|(index, point)| (point, index)).unzip())
+        inside.sort_unstable_by_key(|(index, _)| *index);
+        Ok(inside.into_iter().map(|(index, point)| (point, index)).unzip())
     }
 }
 

@@ -38,26 +38,26 @@ fn prepare(scan: &Path, tiles: &Path) -> snake_tiles::Result<TiledRun> {
 
 fn finish(run: &TiledRun) -> Vec<TiledKeypoint> {
     run.tiles().iter().for_each(|tile| run.detect(tile, &Control::default()).unwrap());
-    let found = run.finish(&Control::default()).unwrap().keypoints;
-    assert!(found.len() > 10);
-    found
+    let keypoints = run.finish(&Control::default()).unwrap().keypoints;
+    assert!(keypoints.len() > 10);
+    keypoints
 }
 
 /// All files below a folder with their contents, links by their targets.
 fn content(folder: &Path) -> BTreeMap<PathBuf, Vec<u8>> {
-    let mut found = BTreeMap::new();
+    let mut contents = BTreeMap::new();
     for entry in fs::read_dir(folder).unwrap() {
         let path = entry.unwrap().path();
         if path.is_symlink() {
-            found.insert(path.clone(), fs::read_link(&path).unwrap().into_os_string().into_encoded_bytes());
+            contents.insert(path.clone(), fs::read_link(&path).unwrap().into_os_string().into_encoded_bytes());
         } else if path.is_dir() {
-            found.insert(path.clone(), Vec::new());
-            found.extend(content(&path));
+            contents.insert(path.clone(), Vec::new());
+            contents.extend(content(&path));
         } else {
-            found.insert(path.clone(), fs::read(&path).unwrap());
+            contents.insert(path.clone(), fs::read(&path).unwrap());
         }
     }
-    found
+    contents
 }
 
 #[test]
@@ -172,12 +172,12 @@ fn damages(bytes: &[u8]) -> Vec<Option<Vec<u8>>> {
         bytes
     };
     let number = bytes.len();
-    let mut found: Vec<_> = (0..4).map(|part| Some(flipped((number - 1) * part / 3))).collect();
+    let mut damaged: Vec<_> = (0..4).map(|part| Some(flipped((number - 1) * part / 3))).collect();
     let half = number / 2;
     let zeros = [&bytes[..half], &vec![0; number - half][..]].concat();
-    found.extend([Some(zeros), Some(vec![0; number]), Some(Vec::new()), Some(bytes[..half].to_vec()), None]);
-    found.push(Some([bytes, b"x"].concat()));
-    found
+    damaged.extend([Some(zeros), Some(vec![0; number]), Some(Vec::new()), Some(bytes[..half].to_vec()), None]);
+    damaged.push(Some([bytes, b"x"].concat()));
+    damaged
 }
 
 #[test]
@@ -239,7 +239,7 @@ fn other_weights_and_other_inputs_of_the_same_metadata_begin_anew() {
     let error = run.detect(&run.tiles()[0], &Control::default()).unwrap_err().to_string();
     assert!(error.contains("another run"), "{error}");
 
-    let found = finish(&begin(&first));
+    let before = finish(&begin(&first));
     let mut bytes = fs::read(&scan).unwrap();
     let time = scan.metadata().unwrap().modified().unwrap();
     let last = bytes.len() - 8;
@@ -250,7 +250,7 @@ fn other_weights_and_other_inputs_of_the_same_metadata_begin_anew() {
     assert!(!changed.tiles().iter().any(|tile| changed.is_detected(tile)));
     bytes[last] ^= 1;
     fs::write(&scan, &bytes).unwrap();
-    assert_eq!(finish(&begin(&first)), found);
+    assert_eq!(finish(&begin(&first)), before);
 
     // A mistake in the inputs is told before anything is removed.
     let broken = folder.path().join("broken.las");

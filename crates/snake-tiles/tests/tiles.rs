@@ -65,8 +65,8 @@ fn five_tilings_an_interrupted_run_and_split_files_give_the_bits_of_the_whole_cl
     };
     let opened = open(options()).unwrap();
     let detected = opened.detected();
-    let of_tile = |tile| opened.keypoints(tile, &detected, &Control::default()).unwrap();
-    let mut keypoints: Vec<_> = opened.tiles().iter().flat_map(of_tile).collect();
+    let tile_keypoints = |tile| opened.keypoints(tile, &detected, &Control::default()).unwrap();
+    let mut keypoints: Vec<_> = opened.tiles().iter().flat_map(tile_keypoints).collect();
     let by_place = |found: &TiledKeypoint| [found.cell[2], found.cell[1], found.cell[0]];
     keypoints.sort_by(|a, b| {
         b.keypoint
@@ -206,11 +206,11 @@ fn damaged_copc_files_are_errors() {
         bytes[at..at + replacement.len()].copy_from_slice(replacement);
         fs::write(&scan, bytes).unwrap();
         let source = std::sync::Arc::new(snake_io::LocalFile::new(&scan).unwrap());
-        let found = snake_io::Copc::open(source).and_then(|file| match file {
+        let outcome = snake_io::Copc::open(source).and_then(|file| match file {
             Some(file) => file.for_each_position_in([[-1e9; 2], [1e9; 2]], &mut |_, _| ()).map(|()| "read"),
             None => Ok("not COPC"),
         });
-        found.map_or_else(|error| error.to_string(), Into::into)
+        outcome.map_or_else(|error| error.to_string(), Into::into)
     };
     assert_eq!(outcome(0, b"LASF"), "read");
     assert_eq!(outcome(377, b"none"), "not COPC");
@@ -228,8 +228,8 @@ fn damaged_copc_files_are_errors() {
         (179, &691_010.0_f64.to_le_bytes(), "outside of its node"),
         (179, &f64::INFINITY.to_le_bytes(), "not finite"),
     ] {
-        let found = outcome(at, replacement);
-        assert!(found.contains(expected), "{expected}: {found}");
+        let text = outcome(at, replacement);
+        assert!(text.contains(expected), "{expected}: {text}");
     }
 
     // The first page of the octree leads to itself.

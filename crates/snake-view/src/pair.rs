@@ -64,8 +64,8 @@ impl Pair {
         registration: Option<Registration>,
         epsilon: f64,
     ) -> Result<Self> {
-        let [of_first, of_second] = [first, second].map(ShownCloud::keypoint_positions);
-        let partners = repeated_keypoints(&of_first, &of_second, near, epsilon)?;
+        let [first_positions, second_positions] = [first, second].map(ShownCloud::keypoint_positions);
+        let partners = repeated_keypoints(&first_positions, &second_positions, near, epsilon)?;
         let t_first_second = near.add_origins(second.origin, first.origin);
         Ok(Self { t_first_second, registration, epsilon, partners })
     }

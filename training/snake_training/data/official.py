@@ -54,16 +54,8 @@ def refuse(folder, split, name):
 class Bodies:
     """Bodies of SMPL in random poses and shapes, (5000, 3), as the released code draws them for training."""
 
-    ARRAYS = "v_template", "shapedirs", "posedirs", "weights", "J_regressor", "kintree_table", "f"
-
     def __init__(self, path, number=1000, points=5000):
-        try:
-            stored = (
-                np.load(path) if Path(path).suffix == ".npz" else BodyUnpickler(BytesIO(Path(path).read_bytes())).load()
-            )
-            arrays = {name: dense(stored[name]) for name in self.ARRAYS}
-        except (OSError, KeyError, ValueError, EOFError, pickle.UnpicklingError, AttributeError, IndexError) as error:
-            raise ValueError(f"{path}: not a body model ({error})") from error
+        arrays = body_arrays(path)
         self.template, self.shape, self.pose, self.weights, self.regressor, tree, faces = arrays.values()
         self.faces = faces.astype(int)
         names = tree[1].astype(np.int64).tolist()
@@ -108,6 +100,20 @@ def rotation_matrix(vector):
     x, y, z = vector / max(angle, 1e-12)
     cross = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
     return np.eye(3) + np.sin(angle) * cross + (1 - np.cos(angle)) * cross @ cross
+
+
+BODY_ARRAYS = "v_template", "shapedirs", "posedirs", "weights", "J_regressor", "kintree_table", "f"
+
+
+def body_arrays(path):
+    """The arrays of a body model of SMPL, SMPL+H or SMPL-X by name, from its pickle or its .npz file."""
+    try:
+        stored = (
+            np.load(path) if Path(path).suffix == ".npz" else BodyUnpickler(BytesIO(Path(path).read_bytes())).load()
+        )
+        return {name: dense(stored[name]) for name in BODY_ARRAYS}
+    except (OSError, KeyError, ValueError, EOFError, pickle.UnpicklingError, AttributeError, IndexError) as error:
+        raise ValueError(f"{path}: not a body model ({error})") from error
 
 
 class Held:

@@ -22,7 +22,8 @@ pub struct AlignArguments {
     /// Write the poses to this file (.json, with the same content as --json).
     #[arg(short, long)]
     pub output: Option<PathBuf>,
-    /// Write the points of all clouds of the largest part, in its frame, to this file (.ply, .pcd, .npy, .xyz or .csv).
+    /// Write the points of all clouds of the largest part, in its frame, to this file (.ply, .pcd, .npy, .xyz or .csv). The
+    /// first two and .csv keep colours, intensity and normals that all clouds have.
     #[arg(long, value_name = "FILE")]
     pub merged: Option<PathBuf>,
     /// Exit with code 1 if the clouds are in more than one part. Files are written all the same.

@@ -9,7 +9,7 @@ use std::process::ExitCode;
 use anyhow::{Context, Result, bail};
 use serde_json::{Value, json};
 use snake_core::{Control, Normalization, NormalizationMethod, Point, Progress};
-use snake_io::{self as io, Cloud, CloudFormat};
+use snake_io::{self as io, Attributes, Cloud, CloudFormat};
 use snake_registration::{Alignment, align_with, transform_points};
 
 use crate::inputs::{check_inputs, expand, output_origin};
@@ -59,7 +59,12 @@ pub fn run(arguments: &AlignArguments) -> Result<ExitCode> {
     let mut merged_origin = [0.0; 3];
     if let Some(path) = merged {
         let first = near.parts[0][0];
-        io::write_points(path, &merge(&near, &points), origins[first])?;
+        let attributes = |&cloud: &usize| {
+            let attributes = arguments.input.read_attributes(&inputs[cloud], &clouds[cloud])?;
+            Ok(attributes.transformed(&near.poses[cloud].t_part_cloud))
+        };
+        let attributes: Vec<Attributes> = near.parts[0].iter().map(attributes).collect::<Result<_>>()?;
+        io::write_cloud(path, &merge(&near, &points), &Attributes::joined(&attributes), origins[first])?;
         merged_origin = output_origin(path, io::adds_origin(path), origins[first]);
     }
     let alignment = near.between_origins(&origins);

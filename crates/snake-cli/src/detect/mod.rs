@@ -259,6 +259,11 @@ fn json_line(
     })
 }
 
+/// A confidence in a table. Low ones hardly differ, and do not order keypoints as the saliency does.
+fn shown_confidence(probability: f32) -> String {
+    if probability < 0.5 { "below 0.5".into() } else { format!("{probability:.2}") }
+}
+
 fn table(
     name: &str,
     output: Option<&Path>,
@@ -292,7 +297,7 @@ fn table(
         let [x, y, z] = add_origin(k.position, origin);
         let (saliency, occupancy, nearest) = (k.saliency, k.occupancy, k.nearest_index);
         let rank = rank + 1;
-        let confidence = k.confidence.map_or("-".into(), |probability| format!("{probability:.2}"));
+        let confidence = k.confidence.map_or("-".into(), shown_confidence);
         report.line(format!(
             "{rank:>4} {x:>12.5} {y:>12.5} {z:>12.5} {saliency:>9.4} {confidence:>10} {occupancy:>9.4} {nearest:>8}"
         ));

@@ -40,22 +40,22 @@ pub fn run(arguments: &DetectArguments, inputs: &[PathBuf], side: f64, output: &
     let bar = terminal::stages(&progress)?;
     bar.set_message(output.display().to_string());
     let detected = run.detected();
-    let found = run.finish_detected(&detected, &Control::new().progress(&progress))?;
+    let finished = run.finish_detected(&detected, &Control::new().progress(&progress))?;
     for tile in detected.missing.iter().filter(|tile| !failed.contains(&tile.place)) {
         report(&bar, &run, tile, anyhow!("its candidates in {} were lost meanwhile", folder.display()));
     }
     failed.extend(detected.missing.iter().map(|tile| tile.place));
     bar.finish();
     let mut detection = Detection::default();
-    detection.keypoints = found.keypoints.iter().map(|keypoint| keypoint.keypoint).collect();
+    detection.keypoints = finished.keypoints.iter().map(|keypoint| keypoint.keypoint).collect();
     let source = KeypointSource {
         crs: run.crs().cloned(),
-        tiles: found.keypoints.iter().map(|keypoint| keypoint.tile).collect(),
+        tiles: finished.keypoints.iter().map(|keypoint| keypoint.tile).collect(),
         ..KeypointSource::new(&inputs[0], run.origin())
     };
     super::write(output, arguments.format, &detection, &source)?;
     output_origin(output, super::adds_origin(output, arguments.format), run.origin());
-    let ((num_points, num_skipped), counts) = (run.num_points(), found.counts);
+    let ((num_points, num_skipped), counts) = (run.num_points(), finished.counts);
     let mut report = Report::default();
     report.line(format!(
         "{} keypoints from {num_points} points ({num_skipped} not finite) in {} tiles in {:.1} s",

@@ -66,8 +66,8 @@ pub enum Eval {
     /// all.json is ignored. Distances are geodesic, and the figure is the mean IoU over the classes. For the paper's
     /// 630 shapes, set --split to the first 630 lines of the released code's list.
     ///
-    /// SMPL: a downloaded body model of SMPL, SMPL+H or SMPL-X. DATA is its file, .npz or .pkl (no code in it is
-    /// executed), or a folder with model.npz or model.pkl. The model is posed at random as 100 pairs of bodies with
+    /// SMPL: a downloaded body model of SMPL, SMPL+H or SMPL-X. DATA is its .npz file (`python -m
+    /// snake_training.body_model` converts a .pkl), or a folder with model.npz. The model is posed at random as 100 pairs of bodies with
     /// 2048 points each, or with the parameters in pose_test_100.npy and beta_test_100.npy of that folder, as in the
     /// released code. A folder may also hold posed bodies: body_1.npy and body_2.npy of shape (S, N, 3) have S pairs
     /// with the same N points of the surface in two poses. Distances are Euclidean, and the best 20 keypoints are used.
@@ -77,7 +77,7 @@ pub enum Eval {
     /// without a path always match, random points fill a body up to 20 keypoints, and the running IoU is averaged.
     #[command(after_help = "Examples:
   snake-cli eval semantic keypointnet/ --split test_630.txt --paper -o results/
-  snake-cli eval semantic SMPL_NEUTRAL.pkl --paper
+  snake-cli eval semantic SMPL_NEUTRAL.npz --paper
   snake-cli eval semantic bodies/ --methods snake,iss,random")]
     Semantic(Box<SemanticArguments>),
 }

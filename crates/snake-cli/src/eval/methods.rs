@@ -166,8 +166,8 @@ impl Method {
             }
             Source::Classical { detector, protocol } => {
                 let candidates = if matches!(self.spacing, Spacing::Own) { self.count } else { points.len() };
-                let found = detector.keypoints(points, candidates, *protocol, seed)?;
-                found.iter().map(|response| points[response.index]).collect()
+                let responses = detector.keypoints(points, candidates, *protocol, seed)?;
+                responses.iter().map(|response| points[response.index]).collect()
             }
             Source::External { folder } => {
                 let Some(InFile { name, origin }) = file else {

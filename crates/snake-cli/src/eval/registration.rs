@@ -7,7 +7,7 @@ use serde_json::{Value, json};
 use snake_core::NamedModel;
 use snake_core::Point;
 use snake_eval::datasets::{ScenePair, Scenes};
-use snake_eval::reports::registration::{Cases, INLIER_RATIO, RMSE, Report, Row};
+use snake_eval::reports::registration::{Cases, INLIER_RATIO, RMSE, Row, report};
 use snake_eval::tables::paper::THREE_D_MATCH;
 use snake_eval::{RansacOptions, information_matrix, inlier_ratio, overlap, ransac, squared_registration_error};
 use snake_registration::mutual_nearest;
@@ -51,7 +51,7 @@ pub fn run(arguments: &RegistrationArguments) -> Result<()> {
     let pairs: Vec<&ScenePair> = schedule.chosen().iter().map(|&pair| &scenes.pairs[pair]).collect();
     let paper = arguments.run.paper.then_some(&THREE_D_MATCH);
     let cases = Cases { methods: &methods.rows(), keypoints: &arguments.max_keypoints };
-    let report = Report::new(&cases, &settings, &pairs, &schedule.by_seed(record.pairs()), paper)?;
+    let report = report(&cases, &settings, &pairs, &schedule.by_seed(record.pairs()), paper)?;
     if let Some(output) = output {
         files::write(output, "registration", &report.files())?;
     }

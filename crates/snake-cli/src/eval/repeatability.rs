@@ -7,7 +7,7 @@ use anyhow::{Context, Result, bail};
 use serde_json::{Value, json};
 use snake_core::Point;
 use snake_eval::datasets::{Scale, ViewPairs};
-use snake_eval::reports::repeatability::{Report, Row, Sweeps};
+use snake_eval::reports::repeatability::{Row, Sweeps, report};
 use snake_eval::tables::paper;
 use snake_eval::views::{Condition, PairClouds, Views};
 use snake_eval::{RankedKeypoints, mean_distance_to_keypoints, radius_of_coverage, relative_repeatability};
@@ -43,7 +43,7 @@ pub fn run(arguments: &RepeatabilityArguments) -> Result<ExitCode> {
         Scale::Room => Some(&paper::REDWOOD),
         Scale::Object => Some(&paper::MODELNET40),
     };
-    let report = Report::new(&plan.sweeps, &settings, &schedule.by_seed(record.pairs()), paper);
+    let report = report(&plan.sweeps, &settings, &schedule.by_seed(record.pairs()), paper);
     if let Some(output) = &common.run.output {
         files::write(output, "repeatability", &report.files())?;
     }
@@ -77,7 +77,9 @@ fn objects(files: Vec<PathBuf>, columns: &ColumnArguments) -> Result<(ViewPairs,
         match data.clouds(index, &columns.options()) {
             Ok(_) => used.push(file),
             Err(error) => {
-                terminal::warn(&format!("{} is left out: {error}", file.display()));
+                let (name, error) = (file.display().to_string(), error.to_string());
+                let reason = error.strip_prefix(&format!("{name}: ")).unwrap_or(&error);
+                terminal::warn(&format!("{name} is left out: {reason}"));
                 left_out.push(file);
             }
         }

@@ -6,7 +6,7 @@ use rand_chacha::ChaCha8Rng;
 use serde_json::{Value, json};
 use snake_core::{Cloud, Length, Point};
 use snake_eval::datasets::SemanticData;
-use snake_eval::reports::semantic::{Report, Row};
+use snake_eval::reports::semantic::{Row, report};
 use snake_eval::tables::paper;
 use snake_eval::{RankedKeypoints, SmplProtocol, Unreachable, radius_of_coverage, semantic_counts, smpl_pair_counts};
 
@@ -38,7 +38,7 @@ pub fn run(arguments: &SemanticArguments) -> Result<()> {
     });
     let classes: Vec<Option<&str>> = schedule.chosen().iter().map(|&shape| data.class(shape)).collect();
     let runs = schedule.by_seed(record.pairs());
-    let report = Report::new(&arguments.threshold, &settings, &runs, &classes, paper)?;
+    let report = report(&arguments.threshold, &settings, &runs, &classes, paper)?;
     if let Some(output) = &common.run.output {
         files::write(output, "semantic", &report.files())?;
     }
@@ -79,16 +79,16 @@ fn radii(
     let of = |method: &Method| {
         let ranked = |&index: &usize| {
             let (mut rng, [seed, ..]) = draws(Task { seed, index });
-            let of_body = |points| (points, [0.0; 3], body_name(1, index));
+            let body_shape = |points| (points, [0.0; 3], body_name(1, index));
             let (points, origin, name) = match data {
                 SemanticData::KeypointNet(shapes) => {
                     let Cloud { points, origin } = arguments.run.columns.read(&shapes[index].cloud)?;
                     (points, origin, data.name(index))
                 }
-                SemanticData::Bodies([first, _]) => of_body(first[index].clone()),
+                SemanticData::Bodies([first, _]) => body_shape(first[index].clone()),
                 SemanticData::BodyModel(pairs) => {
                     let [first, _] = pairs.bodies(index, &mut rng)?;
-                    of_body(first)
+                    body_shape(first)
                 }
             };
             let ranked = method.candidates(&points, Some(InFile { name: &name, origin }), seed)?;
@@ -118,7 +118,7 @@ fn rows(
 ) -> Result<Vec<Row>> {
     let (mut rng, [seed_1, seed_2, fill_seed]) = draws(task);
     let (shape, threshold) = (task.index, &arguments.threshold);
-    let of_bodies = |body_1: &[Point], body_2: &[Point]| {
+    let compare_bodies = |body_1: &[Point], body_2: &[Point]| {
         let row = |(method, radius): (&Method, &Option<f64>)| {
             let names = [1, 2].map(|which| body_name(which, shape));
             let [file_1, file_2] = names.each_ref().map(|name| Some(InFile { name, origin: [0.0; 3] }));
@@ -142,17 +142,17 @@ fn rows(
             let row = |(method, radius): (&Method, &Option<f64>)| {
                 let ranked = [method.keypoints(&points, Some(InFile { name: &name, origin }), seed_1, *radius)?];
                 let models = count_models(&ranked);
-                let [found] = ranked.map(|ranked| ranked.positions);
-                let counts = |rule| semantic_counts(&points, &shapes[shape].keypoints, &found, threshold, rule);
+                let [keypoints] = ranked.map(|ranked| ranked.positions);
+                let counts = |rule| semantic_counts(&points, &shapes[shape].keypoints, &keypoints, threshold, rule);
                 let (strict, paper) = (counts(Unreachable::Strict)?, counts(Unreachable::PaperCompatible)?);
-                Ok(Row { method: method.name().into(), models, keypoints: found.len(), strict, paper })
+                Ok(Row { method: method.name().into(), models, keypoints: keypoints.len(), strict, paper })
             };
             methods.iter().zip(radii).map(row).collect()
         }
-        SemanticData::Bodies([first, second]) => of_bodies(&first[shape], &second[shape]),
+        SemanticData::Bodies([first, second]) => compare_bodies(&first[shape], &second[shape]),
         SemanticData::BodyModel(pairs) => {
             let [body_1, body_2] = pairs.bodies(shape, &mut rng)?;
-            of_bodies(&body_1, &body_2)
+            compare_bodies(&body_1, &body_2)
         }
     }
 }

@@ -22,7 +22,8 @@ pub struct RegisterArguments {
     /// Write the result to this file: .json has the same content as --json, .txt has the four rows of the matrix.
     #[arg(short, long)]
     pub output: Option<PathBuf>,
-    /// Write the source's points in the target's frame to this file (.ply, .pcd, .npy, .xyz or .csv).
+    /// Write the source's points in the target's frame to this file (.ply, .pcd, .npy, .xyz or .csv). The first two and .csv keep
+    /// colours, intensity and normals.
     #[arg(long)]
     pub aligned: Option<PathBuf>,
     /// Write a page to this file (.html) that shows the source moved onto the target, with the matches that agree as lines.

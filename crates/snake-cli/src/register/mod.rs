@@ -67,7 +67,8 @@ pub fn run(arguments: &RegisterArguments) -> Result<ExitCode> {
     let mut aligned_origin = [0.0; 3];
     if let Some(path) = aligned {
         let moved = transform_points(&t_near, &source_cloud.points);
-        io::write_points(path, &moved, target_cloud.origin)?;
+        let attributes = arguments.input.read_attributes(source, &source_cloud)?.transformed(&t_near);
+        io::write_cloud(path, &moved, &attributes, target_cloud.origin)?;
         aligned_origin = output_origin(path, io::adds_origin(path), target_cloud.origin);
     }
     if let Some(path) = view {
@@ -105,8 +106,14 @@ fn report(registration: &Registration, written: &[&Path]) -> Report {
     report.line("t_target_source:");
     matrix(&mut report, t_target_source);
     report.line(format!("matches: {} of {} within {near:.5} before ICP", matches.num_inliers, matches.num_matches));
-    report
-        .line(format!("result: {:.1} % of the source's voxels within {near:.5} of the target's", 100.0 * fit.fitness));
+    report.line(format!(
+        "result: {:.1} % of the source's voxels within {near:.5} of the target's, {:.5} off by root mean square: {:.2} \
+         voxels of {:.5}",
+        100.0 * fit.fitness,
+        fit.rmse,
+        fit.rmse / fit.voxel_size,
+        fit.voxel_size
+    ));
     if source.viewpoint == ViewpointUsed::None {
         report.line("viewpoints: unknown");
     } else {

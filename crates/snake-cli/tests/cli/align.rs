@@ -6,7 +6,7 @@ use serde_json::Value;
 
 use super::{json_lines, sample, snake, stderr, write_npy};
 
-/// Two samplings of the sample that share half of their points, the second turned by a quarter about z and moved by (3, 0, -1), and a cube, as files in
+/// Two samplings of the sample that share half of their points, the second rotated by a quarter about z and moved by (3, 0, -1), and a cube, as files in
 /// `folder/scans`.
 fn scans(folder: &Path) -> String {
     let points = snake_io::read_points(Path::new(&sample())).unwrap();
@@ -27,6 +27,41 @@ fn scans(folder: &Path) -> String {
 }
 
 #[test]
+fn merged_and_aligned_clouds_keep_colours_intensity_and_rotated_normals() {
+    let folder = tempfile::tempdir().unwrap();
+    let file = |name: &str| folder.path().join(name).display().to_string();
+    let points = snake_io::read_points(Path::new(&sample())).unwrap();
+    let attributes = |normal: [f32; 3]| {
+        let mut attributes = snake_io::Attributes::default();
+        attributes.colors = Some((0..points.len()).map(|i| [(i % 256) as u8, 2, 3]).collect());
+        attributes.intensity = Some((0..points.len()).map(|i| i as f32).collect());
+        attributes.normals = Some(vec![normal; points.len()]);
+        attributes
+    };
+    let turned: Vec<_> = points.iter().map(|p| [3.0 - p[1], p[0], p[2] - 1.0]).collect();
+    let [target, source] = [file("target.ply"), file("source.pcd")];
+    // The normal of the source is x there, which is -y in the target's frame.
+    snake_io::write_cloud(target.as_ref(), &points, &attributes([0.0, 0.0, 1.0]), [0.0; 3]).unwrap();
+    snake_io::write_cloud(source.as_ref(), &turned, &attributes([1.0, 0.0, 0.0]), [0.0; 3]).unwrap();
+    let is_right = |normal: &[f32; 3]| (normal[1] + 1.0).abs() < 0.01 && normal[0].abs() < 0.1;
+    for aligned in ["aligned.ply", "aligned.pcd", "aligned.csv"].map(file) {
+        let output = snake(&["register", &source, &target, "--aligned", &aligned]);
+        assert!(output.status.success(), "{}", stderr(&output));
+        let kept = snake_io::read_attributes(aligned.as_ref(), None, points.len()).unwrap();
+        assert_eq!((&kept.colors, &kept.intensity), (&attributes([0.0; 3]).colors, &attributes([0.0; 3]).intensity));
+        assert!(kept.normals.unwrap().iter().all(is_right), "{aligned}");
+    }
+    let merged = file("merged.ply");
+    let output = snake(&["align", &target, &source, "--merged", &merged]);
+    assert!(output.status.success(), "{}", stderr(&output));
+    let kept = snake_io::read_attributes(merged.as_ref(), None, 2 * points.len()).unwrap();
+    let normals = kept.normals.unwrap();
+    assert!(normals[0] == [0.0, 0.0, 1.0] && is_right(&normals[points.len()]), "{:?}", normals[points.len()]);
+    assert_eq!(kept.intensity.unwrap()[points.len() + 7], 7.0);
+    assert_eq!(kept.colors.unwrap().len(), 2 * points.len());
+}
+
+#[test]
 fn align_writes_poses_and_the_merged_cloud() {
     let folder = tempfile::tempdir().unwrap();
     let scans = scans(folder.path());
@@ -41,8 +76,8 @@ fn align_writes_poses_and_the_merged_cloud() {
     let expected = [[0.0, 1.0, 0.0, 0.0], [-1.0, 0.0, 0.0, 3.0], [0.0, 0.0, 1.0, 1.0], [0.0, 0.0, 0.0, 1.0]];
     for (row, expected) in expected.iter().enumerate() {
         for (column, expected) in expected.iter().enumerate() {
-            let found = report["poses"][1]["t_part_cloud"][row][column].as_f64().unwrap();
-            assert!((found - expected).abs() < 0.03, "{report}");
+            let value = report["poses"][1]["t_part_cloud"][row][column].as_f64().unwrap();
+            assert!((value - expected).abs() < 0.03, "{report}");
         }
     }
     // The two samplings lie on each other again.

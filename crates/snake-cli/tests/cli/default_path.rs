@@ -31,30 +31,30 @@ fn scan(seed: u32) -> Vec<[f32; 3]> {
     points.iter().map(|point| point.map(|v| v + 0.012 * noise())).collect()
 }
 
-fn found() -> Value {
+fn current_results() -> Value {
     let folder = tempfile::tempdir().unwrap();
     let sample = root().join("samples/plane.ply").display().to_string();
-    let of_model = |model: &str| {
+    let model_results = |model: &str| {
         let output = snake(&["detect", &sample, "--model", model, "--json"]);
         assert!(output.status.success(), "{}", stderr(&output));
         let keypoints = json_lines(&output)[0]["keypoints"].as_array().unwrap().clone();
         let row = |k: &Value| json!([k["x"], k["y"], k["z"], k["saliency"]]);
         (model.to_owned(), keypoints.iter().map(row).collect::<Value>())
     };
-    let mut found: serde_json::Map<String, Value> =
-        ["compact", "standard", "scenes"].map(of_model).into_iter().collect();
+    let mut results: serde_json::Map<String, Value> =
+        ["compact", "standard", "scenes"].map(model_results).into_iter().collect();
     let file = |name: &str| folder.path().join(name).display().to_string();
     // A quarter turn about z, and a step aside.
-    let turned: Vec<[f32; 3]> = scan(7).iter().map(|[x, y, z]| [2.0 - y, x + 0.5, z - 0.1]).collect();
+    let rotated: Vec<[f32; 3]> = scan(7).iter().map(|[x, y, z]| [2.0 - y, x + 0.5, z - 0.1]).collect();
     snake_io::write_points(file("a.ply").as_ref(), &scan(3), [0.0; 3]).unwrap();
-    snake_io::write_points(file("b.ply").as_ref(), &turned, [0.0; 3]).unwrap();
+    snake_io::write_points(file("b.ply").as_ref(), &rotated, [0.0; 3]).unwrap();
     let output = snake(&["register", &file("a.ply"), &file("b.ply"), "--json"]);
     assert!(output.status.success(), "{}", stderr(&output));
     let report = &json_lines(&output)[0];
     assert_eq!(report["verdict"]["is_reliable"], true, "{report}");
-    found.insert("transform".into(), report["t_target_source"].clone());
-    found.insert("confidence".into(), report["verdict"]["confidence"].clone());
-    Value::Object(found)
+    results.insert("transform".into(), report["t_target_source"].clone());
+    results.insert("confidence".into(), report["verdict"]["confidence"].clone());
+    Value::Object(results)
 }
 
 /// Whether two values have the same numbers, nearly.
@@ -73,15 +73,15 @@ fn are_near(one: &Value, other: &Value) -> bool {
 #[test]
 fn the_default_path_gives_what_it_gave() {
     let path = root().join("tests/golden/default_path.json");
-    let found = found();
+    let results = current_results();
     if std::env::var_os("SNAKE_WRITE_GOLDEN").is_some() {
-        std::fs::write(&path, format!("{found}\n")).unwrap();
+        std::fs::write(&path, format!("{results}\n")).unwrap();
     }
     let golden: Value = serde_json::from_str(&std::fs::read_to_string(&path).unwrap()).unwrap();
-    let rows = found.as_object().unwrap();
+    let rows = results.as_object().unwrap();
     assert_eq!(rows.len(), golden.as_object().unwrap().len());
-    for (name, found) in rows {
-        assert!(are_near(found, &golden[name]), "{name}: {found}\nwas {}", golden[name]);
+    for (name, results) in rows {
+        assert!(are_near(results, &golden[name]), "{name}: {results}\nwas {}", golden[name]);
     }
     assert!(["compact", "standard", "scenes"].iter().all(|model| rows[*model].as_array().unwrap().len() > 20));
 }

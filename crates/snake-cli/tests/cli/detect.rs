@@ -122,10 +122,10 @@ fn timing_is_printed_to_stderr() {
     };
     let one = snake(&["detect", &sample(), "--json", "--timing"]);
     let timing = &json_lines(&one)[0]["timing_seconds"];
-    let found = rows(&one);
-    let names: Vec<&str> = found.iter().map(|(name, _)| name.as_str()).collect();
+    let cells_by_name = rows(&one);
+    let names: Vec<&str> = cells_by_name.iter().map(|(name, _)| name.as_str()).collect();
     assert_eq!(names, ["load model", "read", "encode", "occupancy", "refine", "nms", "total"]);
-    for (name, cells) in &found[1..] {
+    for (name, cells) in &cells_by_name[1..] {
         assert_eq!(cells.len(), 1);
         assert!((cells[0] - timing[name].as_f64().unwrap()).abs() <= 5.1e-5, "{name}");
     }
@@ -421,9 +421,9 @@ fn missing_returns_have_a_note_with_their_share() {
     write_npy(&path, &[8192, 3], &points);
     let path = path.display().to_string();
     let note = "4096 of 8192 points (50 %) are exactly 0 0 0";
-    let found = snake(&["detect", &path, "--json"]);
-    assert!(json_lines(&found)[0]["notes"][0].as_str().unwrap().starts_with(note));
-    assert_eq!(stderr(&found).matches(note).count(), 1, "{}", stderr(&found));
+    let detected = snake(&["detect", &path, "--json"]);
+    assert!(json_lines(&detected)[0]["notes"][0].as_str().unwrap().starts_with(note));
+    assert_eq!(stderr(&detected).matches(note).count(), 1, "{}", stderr(&detected));
     let registered = snake(&["register", &path, &sample()]);
     assert_eq!(stderr(&registered).matches(note).count(), 1, "{}", stderr(&registered));
     assert!(!stderr(&snake(&["detect", &path, "--quiet"])).contains(note));
@@ -439,10 +439,10 @@ fn a_folder_of_sweeps_is_read_in_the_given_format() {
     }
     std::fs::write(folder.path().join("calib.txt"), "P0: 1 2 3").unwrap();
     let path = folder.path().display().to_string();
-    let found = snake(&["detect", &path, "--input-format", "kitti", "--json"]);
-    assert!(found.status.success() && json_lines(&found).len() == 2, "{}", stderr(&found));
-    assert_eq!(json_lines(&found)[0]["num_points"], 4096);
-    assert!(stderr(&found).contains("1 of 3 files is not read: calib.txt"), "{}", stderr(&found));
+    let detected = snake(&["detect", &path, "--input-format", "kitti", "--json"]);
+    assert!(detected.status.success() && json_lines(&detected).len() == 2, "{}", stderr(&detected));
+    assert_eq!(json_lines(&detected)[0]["num_points"], 4096);
+    assert!(stderr(&detected).contains("1 of 3 files is not read: calib.txt"), "{}", stderr(&detected));
     std::fs::remove_file(folder.path().join("calib.txt")).unwrap();
     let refused = snake(&["detect", &path]);
     let expected = "2 other files: 000.bin, 001.bin; .bin files need --input-format kitti";
@@ -480,21 +480,21 @@ fn many_clouds_that_are_written_end_with_a_summary() {
 #[test]
 fn min_confidence_keeps_the_good_keypoints() {
     let sample = root().join("samples/plane.ply").display().to_string();
-    let found = |arguments: &[&str]| {
+    let detect = |arguments: &[&str]| {
         let output = snake(&[&["detect", &sample, "--json"], arguments].concat());
         assert!(output.status.success(), "{}", stderr(&output));
         json_lines(&output)[0]["keypoints"].as_array().unwrap().clone()
     };
-    let all = found(&["--model", "compact"]);
+    let all = detect(&["--model", "compact"]);
     let confidence = |keypoint: &Value| keypoint["confidence"].as_f64().unwrap();
     assert!(all.is_sorted_by(|a, b| confidence(a) >= confidence(b)));
     let good: Vec<Value> = all.iter().filter(|keypoint| confidence(keypoint) >= 0.75).cloned().collect();
     assert!(!good.is_empty() && good.len() < all.len());
-    assert_eq!(found(&["--model", "compact", "--min-confidence", "0.75"]), good);
-    assert_eq!(found(&["--model", "compact", "--set", "min_confidence=0.75"]), good);
-    assert_eq!(found(&["--model", "compact", "--min-confidence", "0"]), all);
+    assert_eq!(detect(&["--model", "compact", "--min-confidence", "0.75"]), good);
+    assert_eq!(detect(&["--model", "compact", "--set", "min_confidence=0.75"]), good);
+    assert_eq!(detect(&["--model", "compact", "--min-confidence", "0"]), all);
     let golden = root().join("tests/golden/tiny/weights.safetensors").display().to_string();
-    assert!(found(&["--model", &golden]).iter().all(|keypoint| keypoint["confidence"].is_null()));
+    assert!(detect(&["--model", &golden]).iter().all(|keypoint| keypoint["confidence"].is_null()));
     let refused = snake(&["detect", &sample, "--model", &golden, "--min-confidence", "0.5"]);
     assert!(!refused.status.success() && stderr(&refused).contains("no map of confidences"), "{}", stderr(&refused));
 }

@@ -36,9 +36,10 @@ fn write(folder: &Path, fragment: usize, keypoints: &[Point], descriptors: Optio
     let all = descriptors.unwrap_or_default();
     let length = all.len() / number;
     let rows: Vec<f64> = order.iter().flat_map(|&i| &all[i * length..(i + 1) * length]).map(|&v| v.into()).collect();
-    let (of_points, of_rows) = ([number, 3], [number, length]);
-    let mut arrays = vec![("keypoints", &of_points[..], mixed.as_flattened()), ("scores", &of_points[..1], &scores)];
-    arrays.extend(descriptors.map(|_| ("descriptors", &of_rows[..], &rows[..])));
+    let (point_shape, row_shape) = ([number, 3], [number, length]);
+    let mut arrays =
+        vec![("keypoints", &point_shape[..], mixed.as_flattened()), ("scores", &point_shape[..1], &scores)];
+    arrays.extend(descriptors.map(|_| ("descriptors", &row_shape[..], &rows[..])));
     write_npz(&folder.join(format!("room__{fragment:02}.npz")), &arrays);
 }
 
@@ -65,12 +66,12 @@ fn rows(data: &Path, words: &[&str]) -> Vec<(String, Value)> {
 #[test]
 fn fpfh_from_files_has_the_row_of_the_built_in() {
     let data = scenes(&[[0, 1], [0, 2], [1, 3]]);
-    let found = data.path().join("found");
+    let folder = data.path().join("found");
     for (fragment, points) in fragments().iter().enumerate() {
         let (keypoints, descriptors) = described(points);
-        write(&found, fragment, &keypoints, Some(&descriptors), [0.0; 3]);
+        write(&folder, fragment, &keypoints, Some(&descriptors), [0.0; 3]);
     }
-    let external = format!("mine={}", found.display());
+    let external = format!("mine={}", folder.display());
     let all = rows(data.path(), &["--detectors", "fps", "--descriptors", "fpfh,mine", "--external", &external]);
     let names: Vec<&str> = all.iter().map(|(name, _)| &name[..]).collect();
     let expected = ["fps fpfh", "fps mine", "mine fpfh", "mine mine"].map(|name| [name; 2]);
@@ -107,8 +108,8 @@ fn files_of_far_clouds_are_in_the_frame_of_the_clouds() {
     std::fs::write(far.path().join("pairs.json"), pairs.to_string()).unwrap();
     let figures = |data: &Path| {
         let external = format!("mine={}", data.join("found").display());
-        let found = rows(data, &["--detectors", "fps", "--descriptors", "fpfh", "--external", &external]);
-        found.iter().map(|(_, figures)| figures[1]["inlier_ratio"].as_f64().unwrap()).collect::<Vec<_>>()
+        let rows_of_files = rows(data, &["--detectors", "fps", "--descriptors", "fpfh", "--external", &external]);
+        rows_of_files.iter().map(|(_, figures)| figures[1]["inlier_ratio"].as_f64().unwrap()).collect::<Vec<_>>()
     };
     let (near, far) = (figures(near.path()), figures(far.path()));
     // The voxels of a moved cloud are others; what comes from files is the same.
@@ -118,9 +119,9 @@ fn files_of_far_clouds_are_in_the_frame_of_the_clouds() {
 #[test]
 fn files_that_cannot_be_used_are_named_with_the_reason() {
     let data = scenes(&[[0, 2]]);
-    let found = data.path().join("found");
+    let folder = data.path().join("found");
     let described = fragments().map(|points| described(&points));
-    let external = format!("mine={}", found.display());
+    let external = format!("mine={}", folder.display());
     let refused = |words: &[&str], message: &str| {
         let output = run(data.path(), &[&["--detectors", "fps"], words].concat());
         assert_eq!(output.status.code(), Some(2), "{message}");
@@ -133,15 +134,15 @@ fn files_that_cannot_be_used_are_named_with_the_reason() {
     refused(&["--descriptors", "fpfh,fpfh"], "name fpfh twice");
     refused(&["--external", "fpfh=x"], "fpfh is a method of its own");
     for fragment in [0, 2] {
-        write(&found, fragment, &described[fragment].0, None, [0.0; 3]);
+        write(&folder, fragment, &described[fragment].0, None, [0.0; 3]);
     }
     refused(&["--descriptors", "mine", "--external", &external], "--external mine: no `descriptors` in the file");
     // One cloud with descriptors and one without, then of other lengths.
-    write(&found, 2, &described[2].0, Some(&described[2].1), [0.0; 3]);
+    write(&folder, 2, &described[2].0, Some(&described[2].1), [0.0; 3]);
     refused(&with, "no `descriptors` in the file");
-    write(&found, 0, &described[0].0, Some(&described[0].1[..COUNT * 10]), [0.0; 3]);
+    write(&folder, 0, &described[0].0, Some(&described[0].1[..COUNT * 10]), [0.0; 3]);
     refused(&with, "descriptors of 33 numbers and of 10");
-    let npz = found.join("room__00.npz");
+    let npz = folder.join("room__00.npz");
     let points: Vec<f64> = described[0].0.as_flattened().iter().map(|&v| v.into()).collect();
     let points = &points[..];
     for (arrays, message) in [
@@ -162,7 +163,7 @@ fn files_that_cannot_be_used_are_named_with_the_reason() {
     }
     // A cloud without keypoints has no matches, which is no error.
     for fragment in [0, 2] {
-        let npz = found.join(format!("room__{fragment:02}.npz"));
+        let npz = folder.join(format!("room__{fragment:02}.npz"));
         write_npz(&npz, &[("keypoints", &[0, 3], &[]), ("descriptors", &[0, 33], &[])]);
         let none = rows(data.path(), &[&["--detectors", "fps"], &with[..]].concat());
         assert!(none.len() == 6 && none[5].0 == "mine mine" && none[5].1[1]["correspondences"] == 0.0, "{none:?}");
@@ -172,11 +173,11 @@ fn files_that_cannot_be_used_are_named_with_the_reason() {
 #[test]
 fn the_preset_has_the_papers_values() {
     let data = scenes(&[[0, 2]]);
-    let found = data.path().join("found");
+    let folder = data.path().join("found");
     for (fragment, points) in fragments().iter().enumerate() {
-        write(&found, fragment, &described(points).0, None, [0.0; 3]);
+        write(&folder, fragment, &described(points).0, None, [0.0; 3]);
     }
-    let external = format!("mine={}", found.display());
+    let external = format!("mine={}", folder.display());
     let settings = |words: &[&str]| -> (Value, Vec<(String, Value)>) {
         let results = tempfile::tempdir().unwrap();
         let output = ["--detectors", "snake,fps", "--descriptors", "fpfh", "-o", &results.path().display().to_string()];
@@ -184,10 +185,10 @@ fn the_preset_has_the_papers_values() {
         assert!(output.status.success(), "{}", stderr(&output));
         let report = std::fs::read(results.path().join("registration.json")).unwrap();
         let report: Value = serde_json::from_slice(&report).unwrap();
-        let found = |row: &Value| (row["detector"].to_string(), row["mean"]["found"].clone());
+        let counts = |row: &Value| (row["detector"].to_string(), row["mean"]["found"].clone());
         (
             report["settings"]["models"][0]["options"].clone(),
-            report["rows"].as_array().unwrap().iter().map(found).collect(),
+            report["rows"].as_array().unwrap().iter().map(counts).collect(),
         )
     };
     let (own, paper) = (settings(&[]), settings(&["--preset", "3dmatch"]));

@@ -10,7 +10,7 @@ use tempfile::TempDir;
 
 use super::{sample, snake, stderr};
 
-/// From the sample to fragment k of a scene: turned about z and moved.
+/// From the sample to fragment k of a scene: rotated about z and moved.
 fn pose(k: usize) -> RigidTransform {
     IsometryMatrix3::new(Vector3::new(k as f64, 0.0, -0.5), Vector3::z() * 0.1 * k as f64).into()
 }
@@ -128,8 +128,8 @@ fn scenes_of_the_benchmark_are_evaluated_by_its_ground_truth() {
     let figures = |path: &Path| -> Value {
         let results = tempfile::tempdir().unwrap();
         let output = results.path().display().to_string();
-        let found = eval_scenes(path, &["--detectors", "fps", "--descriptors", "fpfh", "-o", &output]);
-        assert!(found.status.success(), "{}", stderr(&found));
+        let output_of_eval = eval_scenes(path, &["--detectors", "fps", "--descriptors", "fpfh", "-o", &output]);
+        assert!(output_of_eval.status.success(), "{}", stderr(&output_of_eval));
         serde_json::from_slice(&std::fs::read(results.path().join("registration.json")).unwrap()).unwrap()
     };
     let both = figures(data.path());

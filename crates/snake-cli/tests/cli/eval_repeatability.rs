@@ -92,8 +92,8 @@ fn real_pairs_are_evaluated_in_their_units() {
     let all_points =
         ["--methods", "iss,fps", "--num-points", "99999", "--downsample", "1", "--noise", "0", "--epsilon", "0.001"];
     let data = folder.path().display().to_string();
-    let found = snake(&[&["eval", "repeatability", &data, "-o", &output], &all_points[..]].concat());
-    assert!(found.status.success(), "{}", stderr(&found));
+    let evaluated = snake(&[&["eval", "repeatability", &data, "-o", &output], &all_points[..]].concat());
+    assert!(evaluated.status.success(), "{}", stderr(&evaluated));
     let csv = std::fs::read_to_string(results.path().join("repeatability.csv")).unwrap();
     // All points of both views, so the same keypoints, but for the rounding of the shifted coordinates.
     let shares = csv.lines().skip(1).map(|line| line.split(',').nth(4).unwrap().parse::<f64>().unwrap());
@@ -145,27 +145,27 @@ fn two_clouds_and_a_transform_are_a_pair() {
     assert!(stderr(&one).contains("--transform needs two clouds"), "{}", stderr(&one));
 }
 
-/// The points of the sample in a frame of their own: turned by a quarter about z, moved by (3, 0, -1), with the 3x4
+/// The points of the sample in a frame of their own: rotated by a quarter about z, moved by (3, 0, -1), with the 3x4
 /// transform that takes them back.
 fn rotated_view() -> (Vec<[f32; 3]>, [f32; 12]) {
     let points = snake_io::read_points(Path::new(&sample())).unwrap();
-    let turned = points.iter().map(|p| [3.0 - p[1], p[0], p[2] - 1.0]).collect();
-    (turned, [0.0, 1.0, 0.0, 0.0, -1.0, 0.0, 0.0, 3.0, 0.0, 0.0, 1.0, 1.0])
+    let rotated = points.iter().map(|p| [3.0 - p[1], p[0], p[2] - 1.0]).collect();
+    (rotated, [0.0, 1.0, 0.0, 0.0, -1.0, 0.0, 0.0, 3.0, 0.0, 0.0, 1.0, 1.0])
 }
 
 #[test]
 fn layouts_of_usip_are_read_as_pairs() {
     let folder = tempfile::tempdir().unwrap();
     let points = snake_io::read_points(Path::new(&sample())).unwrap();
-    let (turned, back) = rotated_view();
+    let (rotated, back) = rotated_view();
     let shape = [points.len(), 3];
     let (modelnet, redwood) = (folder.path().join("modelnet"), folder.path().join("redwood"));
     for i in 0..2 {
         write_npy(&modelnet.join(format!("original/{i}.npy")), &shape, points.as_flattened());
-        write_npy(&modelnet.join(format!("rotated/{i}.npy")), &shape, turned.as_flattened());
+        write_npy(&modelnet.join(format!("rotated/{i}.npy")), &shape, rotated.as_flattened());
     }
     write_npy(&redwood.join("office1/4.npy"), &shape, points.as_flattened());
-    write_npy(&redwood.join("office1/5.npy"), &shape, turned.as_flattened());
+    write_npy(&redwood.join("office1/5.npy"), &shape, rotated.as_flattened());
     std::fs::write(redwood.join("redwood_pair.txt"), "office1 4 5\noffice1 5 4\n").unwrap();
     // The second pair's transform is wrong: nothing may be found again there.
     let mut two = [back, back].concat();
@@ -175,15 +175,15 @@ fn layouts_of_usip_are_read_as_pairs() {
         let output = folder.path().join("results");
         let all = ["--methods", "fps", "--num-points", "99999", "--downsample", "1", "--noise", "0", "--paper", "-o"];
         let (data, out) = (data.display().to_string(), output.display().to_string());
-        let found = snake(&[&["eval", "repeatability", &data], &all[..], &[&out]].concat());
-        assert!(found.status.success(), "{}", stderr(&found));
+        let evaluated = snake(&[&["eval", "repeatability", &data], &all[..], &[&out]].concat());
+        assert!(evaluated.status.success(), "{}", stderr(&evaluated));
         let record = std::fs::read_to_string(output.join("repeatability.jsonl")).unwrap();
         let pairs: Vec<Value> = record.lines().skip(1).map(|line| serde_json::from_str(line).unwrap()).collect();
         let share = |pair: usize| pairs[pair]["rows"][0]["repeatability"][7].as_f64().unwrap();
         assert!(share(0) > 0.9 && share(1) == 0.0, "{record}");
         std::fs::remove_dir_all(&output).unwrap();
         let (epsilon, paper) = if data.ends_with("modelnet") { ("ε 0.04", "0.864") } else { ("ε 0.2", "0.393") };
-        let text = String::from_utf8_lossy(&found.stdout);
+        let text = String::from_utf8_lossy(&evaluated.stdout);
         assert!(text.contains(epsilon) && text.contains(paper), "{text}");
     }
     let refused = |message: &str| {

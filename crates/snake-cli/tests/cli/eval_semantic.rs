@@ -12,12 +12,12 @@ use super::{root, sample, snake, stderr, write_npy};
 pub(super) fn keypointnet() -> TempDir {
     let folder = tempfile::tempdir().unwrap();
     let points = &snake_io::read_points(Path::new(&sample())).unwrap()[..600];
-    let found: Vec<usize> = snake_registration::detectors::farthest_points(points, 5)
+    let farthest: Vec<usize> = snake_registration::detectors::farthest_points(points, 5)
         .unwrap()
         .iter()
         .map(|response| response.index)
         .collect();
-    let other = (0..600).find(|index| !found.contains(index)).unwrap();
+    let other = (0..600).find(|index| !farthest.contains(index)).unwrap();
     let rows: String = points.iter().map(|[x, y, z]| format!("{x} {y} {z} 1\n")).collect();
     let header = "FIELDS x y z rgb\nSIZE 4 4 4 4\nTYPE F F F F\nWIDTH 600\nHEIGHT 1\nPOINTS 600\nDATA ascii\n";
     let annotation = |class: &str, model: &str, marked: &[usize]| {
@@ -32,7 +32,7 @@ pub(super) fn keypointnet() -> TempDir {
     };
     let annotations = folder.path().join("annotations");
     std::fs::create_dir(&annotations).unwrap();
-    let chairs = [annotation("03", "a", &found), annotation("03", "b", &found)];
+    let chairs = [annotation("03", "a", &farthest), annotation("03", "b", &farthest)];
     std::fs::write(annotations.join("chair.json"), serde_json::to_string(&chairs).unwrap()).unwrap();
     let tables = [annotation("04", "c", &[other, other])];
     std::fs::write(annotations.join("table.json"), serde_json::to_string(&tables).unwrap()).unwrap();
@@ -107,9 +107,9 @@ fn keypoints_are_compared_with_annotations() {
 fn bodies_are_compared_point_by_point() {
     let folder = tempfile::tempdir().unwrap();
     let points = snake_io::read_points(Path::new(&sample())).unwrap();
-    let turned: Vec<[f32; 3]> = points.iter().map(|[x, y, z]| [-y, *x, *z]).collect();
+    let rotated: Vec<[f32; 3]> = points.iter().map(|[x, y, z]| [-y, *x, *z]).collect();
     write_npy(&folder.path().join("body_1.npy"), &[2, 500, 3], points[..1000].as_flattened());
-    write_npy(&folder.path().join("body_2.npy"), &[2, 500, 3], turned[..1000].as_flattened());
+    write_npy(&folder.path().join("body_2.npy"), &[2, 500, 3], rotated[..1000].as_flattened());
     let run = |extra: &[&str]| {
         let data = folder.path().display().to_string();
         snake(&[&["eval", "semantic", &data, "--methods", "fps,random", "--threshold", "0.001,100"], extra].concat())
@@ -122,37 +122,36 @@ fn bodies_are_compared_point_by_point() {
         let shares = row.split_whitespace().skip(1).filter(|cell| !cell.starts_with('±'));
         shares.map(|cell| cell.parse().unwrap()).collect()
     };
-    // Farthest points are those of the turned body, random ones others.
+    // Farthest points are those of the rotated body, random ones others.
     assert!(cells("fps")[0] > 0.8 && cells("random")[0] < 0.2 && cells("random")[1] == 1.0, "{text}");
     assert!(stderr(&run(&["--split", "x.txt"])).contains("the split is for KeypointNet"));
-    write_npy(&folder.path().join("body_2.npy"), &[1, 500, 3], turned[..500].as_flattened());
+    write_npy(&folder.path().join("body_2.npy"), &[1, 500, 3], rotated[..500].as_flattened());
     assert!(stderr(&run(&[])).contains("2 bodies in body_1.npy, 1 in body_2.npy"));
-    write_npy(&folder.path().join("body_2.npy"), &[2, 400, 3], turned[..800].as_flattened());
+    write_npy(&folder.path().join("body_2.npy"), &[2, 400, 3], rotated[..800].as_flattened());
     assert!(stderr(&run(&[])).contains("pair 0: body_2: 400 samples, but body_1 has 500"));
 }
 
 #[test]
 fn body_models_are_posed_and_sampled() {
     let folder = tempfile::tempdir().unwrap();
-    let model = root().join("tests/data/smpl/model.pkl");
+    let model = root().join("tests/data/smpl/model.npz");
     let run = |data: &Path, extra: &[&str]| {
         let data = data.display().to_string();
         let small = ["--methods", "fps,random", "--threshold", "0,0.1,100", "--limit", "3"];
         snake(&[&["eval", "semantic", &data], &small[..], extra].concat())
     };
-    let pickled = run(&model, &["--paper"]);
-    let text = String::from_utf8_lossy(&pickled.stdout).into_owned();
-    assert!(text.contains("mIoU over 3 pairs") && text.contains("ukpgan (paper)"), "{text}{}", stderr(&pickled));
+    let posed = run(&model, &["--paper"]);
+    let text = String::from_utf8_lossy(&posed.stdout).into_owned();
+    assert!(text.contains("mIoU over 3 pairs") && text.contains("ukpgan (paper)"), "{text}{}", stderr(&posed));
     // Bodies of a few metres whose poses are near each other, but not the same.
     let random = text.lines().find(|line| line.starts_with("random")).unwrap();
     let shares: Vec<&str> = random.split_whitespace().filter(|cell| !cell.starts_with('±')).collect();
     assert!(shares[1] < "0.100" && shares[3] == "1.000" && !random.contains("0.000 ±0.000"), "{text}");
-    assert_eq!(run(&model.with_extension("npz"), &["--paper"]).stdout, pickled.stdout);
-    assert!(run(&model, &["--paper", "--seed", "1"]).stdout != pickled.stdout);
+    assert!(run(&model, &["--paper", "--seed", "1"]).stdout != posed.stdout);
 
     // A folder; the parameters of the released code: of two equal bodies all keypoints are the same.
-    std::fs::copy(&model, folder.path().join("model.pkl")).unwrap();
-    assert_eq!(run(folder.path(), &["--paper"]).stdout, pickled.stdout);
+    std::fs::copy(&model, folder.path().join("model.npz")).unwrap();
+    assert_eq!(run(folder.path(), &["--paper"]).stdout, posed.stdout);
     write_npy(&folder.path().join("pose_test_100.npy"), &[2, 2, 3, 3], &[0.7; 36]);
     write_npy(&folder.path().join("beta_test_100.npy"), &[2, 2, 10], &[0.2; 40]);
     let equal = String::from_utf8_lossy(&run(folder.path(), &[]).stdout).into_owned();
@@ -161,17 +160,19 @@ fn body_models_are_posed_and_sampled() {
     write_npy(&folder.path().join("beta_test_100.npy"), &[2, 2, 9], &[0.2; 36]);
     assert!(stderr(&run(folder.path(), &[])).contains("expected 10 numbers"));
 
-    for (pickle, message) in [
-        (&b"cos\nsystem\n(S'false'\ntR."[..], "model.pkl: byte 0: `os.system` is not a class of body models"),
-        (b"}.", "model.pkl: not a body model: `v_template` is missing"),
-        (b"\x80\x02}U\nv_templateK\x01s.", "`v_template` is not an array"),
-        (b"\x80\x02}q\x00", "cut short"),
-    ] {
-        std::fs::write(folder.path().join("model.pkl"), pickle).unwrap();
+    let refused = |name: &str, content: &[u8], message: &str| {
+        std::fs::write(folder.path().join(name), content).unwrap();
         let output = run(folder.path(), &[]);
         assert_eq!(output.status.code(), Some(2));
         assert!(stderr(&output).contains(message), "{}", stderr(&output));
-    }
+    };
+    refused("model.npz", b"PK", "model.npz: ");
+    std::fs::remove_file(folder.path().join("model.npz")).unwrap();
+    refused(
+        "model.pkl",
+        b"}.",
+        "model.pkl: body models are read from .npz; `python -m snake_training.body_model FILE model.npz`",
+    );
 }
 
 #[test]
@@ -202,5 +203,5 @@ fn invalid_options_and_data_sets_are_refused() {
     }
     refused(&[], "no annotated shapes");
     std::fs::remove_dir_all(&annotations).unwrap();
-    refused(&[], "neither annotations/ (KeypointNet) nor model.pkl");
+    refused(&[], "neither annotations/ (KeypointNet) nor model.npz");
 }

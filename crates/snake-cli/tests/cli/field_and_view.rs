@@ -180,9 +180,9 @@ fn page_data(path: &str) -> Value {
 const SHIFTED_TURN: [[f64; 4]; 4] =
     [[0.0, -1.0, 0.0, 5.0], [1.0, 0.0, 0.0, 0.0], [0.0, 0.0, 1.0, 1.0], [0.0, 0.0, 0.0, 1.0]];
 
-/// The sample, turned and moved.
-fn turned(folder: &TempDir) -> String {
-    let path = folder.path().join("turned.ply");
+/// The sample, rotated and moved.
+fn rotated(folder: &TempDir) -> String {
+    let path = folder.path().join("rotated.ply");
     let points = io::read_points(Path::new(&sample())).unwrap();
     io::write_points(&path, &transform_points(&RigidTransform::from_matrix(SHIFTED_TURN).unwrap(), &points), [0.0; 3])
         .unwrap();
@@ -193,7 +193,7 @@ fn turned(folder: &TempDir) -> String {
 fn keypoints_within_epsilon_are_linked() {
     let folder = tempfile::tempdir().unwrap();
     let (page, given, json) = (file(&folder, "pair.html"), file(&folder, "given.html"), file(&folder, "t.json"));
-    let second = turned(&folder);
+    let second = rotated(&folder);
     let options = ["--max-keypoints", "20", "--epsilon", "0.05"];
     let printed = succeed(&[&["view", &sample(), &second, "-o", &page], &options[..]].concat());
     let data = page_data(&page);
@@ -216,7 +216,7 @@ fn keypoints_within_epsilon_are_linked() {
     let links: Vec<[usize; 2]> =
         pair["links"].as_array().unwrap().iter().map(|l| [0, 1].map(|end| l[end].as_u64().unwrap() as usize)).collect();
     assert_eq!(links, expected);
-    assert!(links.len() > 5, "a turned copy has keypoints at the same places");
+    assert!(links.len() > 5, "a rotated copy has keypoints at the same places");
     assert!(printed.contains(&format!("{} of 20 keypoints repeat within 0.0500", links.len())), "{printed}");
 
     // The transform that `register` writes is the one that `view` finds.
@@ -230,21 +230,21 @@ fn keypoints_within_epsilon_are_linked() {
 #[test]
 fn a_registration_is_shown_with_its_matches() {
     let folder = tempfile::tempdir().unwrap();
-    let (page, json, second) = (file(&folder, "r.html"), file(&folder, "t.json"), turned(&folder));
+    let (page, json, second) = (file(&folder, "r.html"), file(&folder, "t.json"), rotated(&folder));
     let printed = succeed(&["register", &sample(), &second, "--view", &page, "-o", &json]);
     assert!(printed.contains(&page), "{printed}");
-    let found: Value = serde_json::from_slice(&std::fs::read(&json).unwrap()).unwrap();
+    let registration: Value = serde_json::from_slice(&std::fs::read(&json).unwrap()).unwrap();
     let data = page_data(&page);
     // The target comes first, and the scene is in its frame.
     assert_eq!(
         (data["clouds"][0]["name"].as_str(), data["clouds"][1]["name"].as_str()),
         (Some(&*second), Some(&*sample()))
     );
-    assert_eq!(data["pair"]["t_first_second"], found["t_target_source"]);
-    assert_eq!(data["pair"]["verdict"]["confidence"], found["verdict"]["confidence"]);
+    assert_eq!(data["pair"]["t_first_second"], registration["t_target_source"]);
+    assert_eq!(data["pair"]["verdict"]["confidence"], registration["verdict"]["confidence"]);
     let links = data["pair"]["links"].as_array().unwrap();
-    assert_eq!(links.len() as u64, found["matches"]["num_agreeing"].as_u64().unwrap());
-    let t: RigidTransform = serde_json::from_value(found["t_target_source"].clone()).unwrap();
+    assert_eq!(links.len() as u64, registration["matches"]["num_agreeing"].as_u64().unwrap());
+    let t: RigidTransform = serde_json::from_value(registration["t_target_source"].clone()).unwrap();
     let end = |cloud: usize, link: &Value| -> Point {
         let keypoint = &data["clouds"][cloud]["keypoints"][link[cloud].as_u64().unwrap() as usize];
         ["x", "y", "z"].map(|axis| keypoint[axis].as_f64().unwrap() as f32)
@@ -253,7 +253,7 @@ fn a_registration_is_shown_with_its_matches() {
         let (a, b) = (end(0, link), transform_points(&t, &[end(1, link)])[0]);
         let distance = (0..3).map(|axis| (a[axis] - b[axis]).powi(2)).sum::<f32>().sqrt();
         assert!((f64::from(distance) - link[2].as_f64().unwrap()).abs() < 1e-4, "{link}");
-        assert!(f64::from(distance) < 1.001 * found["fit"]["inlier_distance"].as_f64().unwrap());
+        assert!(f64::from(distance) < 1.001 * registration["fit"]["inlier_distance"].as_f64().unwrap());
     }
     let html = std::fs::read_to_string(&page).unwrap();
     assert!(html.starts_with("<!doctype html>") && html.contains(": registration</title>"));
@@ -263,8 +263,8 @@ fn a_registration_is_shown_with_its_matches() {
 fn a_page_is_complete_and_identical_for_any_number_of_threads() {
     let folder = tempfile::tempdir().unwrap();
     let (one, two) = (file(&folder, "one.html"), file(&folder, "two.html"));
-    succeed(&["view", &sample(), &turned(&folder), "-o", &one, "--threads", "1"]);
-    succeed(&["view", &sample(), &turned(&folder), "-o", &two, "--threads", "3"]);
+    succeed(&["view", &sample(), &rotated(&folder), "-o", &one, "--threads", "1"]);
+    succeed(&["view", &sample(), &rotated(&folder), "-o", &two, "--threads", "3"]);
     let page = std::fs::read_to_string(&one).unwrap();
     assert_eq!(page, std::fs::read_to_string(&two).unwrap());
     for network in ["http:", "https:", "src=", "@import", "fetch("] {
@@ -306,11 +306,11 @@ fn pages_stay_small() {
 fn chromium() -> Option<PathBuf> {
     let names = ["chromium", "chromium-browser", "google-chrome"];
     let folders: Vec<PathBuf> = std::env::split_paths(&std::env::var_os("PATH").unwrap_or_default()).collect();
-    let found = folders.iter().flat_map(|folder| names.map(|name| folder.join(name))).find(|path| path.is_file());
-    if found.is_none() {
+    let browser = folders.iter().flat_map(|folder| names.map(|name| folder.join(name))).find(|path| path.is_file());
+    if browser.is_none() {
         eprintln!("skipped: no Chromium to open the page in");
     }
-    found
+    browser
 }
 
 /// Opens a page with a script appended; its elements once that ran. The console must stay empty. The window is about as
@@ -373,9 +373,9 @@ fn outliers_are_named_by_every_command_and_change_no_result() {
             assert!(done.status.success(), "{command}: {said}");
             (said, std::fs::read(result).unwrap())
         });
-        let [(of_clean, expected), (of_dirty, found)] = results;
+        let [(clean_output, expected), (dirty_output, found)] = results;
         let named = format!("1 of {} points is ", cloud.len() + 1);
-        assert!(of_dirty.contains(&named) && !of_clean.contains("left out"), "{command}: {of_dirty}");
+        assert!(dirty_output.contains(&named) && !clean_output.contains("left out"), "{command}: {dirty_output}");
         assert!(command == "view" || found == expected, "{command}");
     }
 }
@@ -403,7 +403,7 @@ fn pages_suit_the_window_and_hide_the_far_side_of_sparse_clouds() {
     let points: Vec<_> = io::read_points(sample().as_ref()).unwrap().into_iter().step_by(8).collect();
     io::write_points(sparse.as_ref(), &points, [0.0; 3]).unwrap();
     succeed(&["view", &sparse, "-o", &one]);
-    succeed(&["view", &sample(), &turned(&folder), "-o", &two]);
+    succeed(&["view", &sample(), &rotated(&folder), "-o", &two]);
     let measured = |page: &str, window: &str| {
         let seen = open_in(&chromium, &folder, page, MEASURE, window);
         ["data-ink", "data-dots", "data-bottom"].map(|name| attribute(&seen, name).unwrap())
@@ -422,7 +422,7 @@ fn pages_open_in_chromium_without_errors() {
     let folder = tempfile::tempdir().unwrap();
     let (one, two) = (file(&folder, "one.html"), file(&folder, "two.html"));
     succeed(&["view", &sample(), "-o", &one]);
-    succeed(&["view", &sample(), &turned(&folder), "-o", &two, "--nms-radius", "0.05"]);
+    succeed(&["view", &sample(), &rotated(&folder), "-o", &two, "--nms-radius", "0.05"]);
     for (page, words) in [
         (&one, vec!["triangles", "keypoint, larger with its confidence"]),
         (&two, vec!["repeat in B within", "keypoint of one cloud only"]),

@@ -69,6 +69,8 @@ fn an_evaluation_leaves_out_files_without_a_cloud_and_says_so() {
     for expected in ["b.xyz is left out: ", "potato", "d.xyz is left out: "] {
         assert!(stderr(&output).contains(expected), "{}", stderr(&output));
     }
+    // Each name once.
+    assert_eq!(["b.xyz", "d.xyz"].map(|name| stderr(&output).matches(name).count()), [1, 1], "{}", stderr(&output));
     std::fs::remove_file(folder.path().join("a.ply")).unwrap();
     std::fs::remove_file(folder.path().join("c.ply")).unwrap();
     assert!(stderr(&eval(folder.path())).contains("none of the 2 files has a cloud"));

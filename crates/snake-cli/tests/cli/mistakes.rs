@@ -3,6 +3,33 @@
 use super::{sample, snake, stderr};
 
 #[test]
+fn names_and_values_of_any_length_are_told_in_a_short_line() {
+    let long = format!("begin{}end", "é".repeat(50_000));
+    let folder = tempfile::tempdir().unwrap();
+    let list = folder.path().join("list.txt");
+    std::fs::write(&list, "é".repeat(5_000_000) + ".ply").unwrap();
+    let list = list.display().to_string();
+    let cases: &[&[&str]] = &[
+        &["detect", &long],
+        &["detect", &format!("{long}.ply")],
+        &["detect", &sample(), "--model", &long],
+        &["detect", &sample(), "--set", &format!("{long}=1")],
+        &["detect", &sample(), "--set", &format!("nms_radius={long}")],
+        &["detect", &sample(), &format!("--{long}")],
+        &["detect", &sample(), "-o", &format!("{long}.ply")],
+        &["detect", "--input-list", &list],
+        &["register", &long, &sample()],
+        &["eval", "repeatability", &long],
+    ];
+    for arguments in cases {
+        let output = snake(arguments);
+        let said = stderr(&output);
+        assert!(!output.status.success() && said.len() < 8000, "{}: {}", arguments[0], said.len());
+        assert!(said.contains('…') && (said.contains("end") || said.contains("é.ply")), "{said}");
+    }
+}
+
+#[test]
 fn each_mistake_gets_one_line_with_advice() {
     let folder = tempfile::tempdir().unwrap();
     let file = |name: &str, content: &str| {
@@ -25,6 +52,11 @@ fn each_mistake_gets_one_line_with_advice() {
         (&["detect", &same, "--sample", "100"], "no faces"),
         (&["detect", &sample(), "--sample", "0"], "1..=100000000"),
         (&["detect", &sample(), "--input-format", "doc"], "known are ply"),
+        (&["detect", &file("a.spz", "x")], "splat-transform FILE FILE.ply"),
+        (&["detect", &file("a.splat", "x")], "splat-transform FILE FILE.ply"),
+        (&["detect", &file("a.3mf", "x")], "assimp export FILE FILE.ply"),
+        (&["detect", &file("a.ply.gz", "x")], "gunzip --keep FILE"),
+        (&["detect", &file("a.lvx", "x")], "Livox Viewer"),
         (&["detect", &sample(), &sample(), "-o", "-"], "one input only"),
         (&["detect", "-", "-"], "only once"),
         (&["detect", "-"], "give --input-format"),

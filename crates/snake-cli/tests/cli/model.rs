@@ -24,8 +24,8 @@ fn models_are_found_by_name() {
     assert!(stderr(&missing).contains("no model `mine`") && stderr(&missing).contains(&place), "{}", stderr(&missing));
     std::fs::copy(root().join("tests/golden/tiny/weights.safetensors"), folder.path().join("mine.safetensors"))
         .unwrap();
-    let found = named("mine");
-    assert!(String::from_utf8_lossy(&found.stdout).contains("volume: 16 x 16 x 16 voxels"), "{}", stderr(&found));
+    let mine = named("mine");
+    assert!(String::from_utf8_lossy(&mine.stdout).contains("volume: 16 x 16 x 16 voxels"), "{}", stderr(&mine));
     // The built-in models have names too, and a path is no name.
     assert_eq!(named("compact").stdout, snake(&["model"]).stdout);
     assert!(String::from_utf8_lossy(&named("scenes").stdout).starts_with("scenes, built-in: 343266 parameters"));

@@ -71,7 +71,7 @@ fn general_options_stand_below_the_general_heading() {
 fn zero_turns_an_option_off_by_flag_by_name_and_in_the_configuration() {
     let folder = tempfile::tempdir().unwrap();
     let config = folder.path().join("snake.toml").display().to_string();
-    let found = |arguments: &[&str], text: &str| {
+    let detect = |arguments: &[&str], text: &str| {
         std::fs::write(&config, text).unwrap();
         let sample = sample();
         let arguments = [&["detect", &sample, "--json", "--model", "compact"], arguments].concat();
@@ -79,10 +79,10 @@ fn zero_turns_an_option_off_by_flag_by_name_and_in_the_configuration() {
     };
     for (name, strict) in [("min_confidence", "0.9"), ("nms_radius", "20%"), ("voxel_size", "0.1")] {
         let (flag, zero) = (format!("--{}", name.replace('_', "-")), format!("{name}=0"));
-        let off = found(&[&flag, "0"], "");
-        assert_eq!(off, found(&["--set", &zero], ""), "{name}");
-        assert_eq!(off, found(&[], &format!("[options]\n{name} = 0\n")), "{name}");
-        assert_eq!(off, found(&[&flag, "0"], &format!("[options]\n{name} = '{strict}'\n").replace("'0.9'", "0.9")));
+        let off = detect(&[&flag, "0"], "");
+        assert_eq!(off, detect(&["--set", &zero], ""), "{name}");
+        assert_eq!(off, detect(&[], &format!("[options]\n{name} = 0\n")), "{name}");
+        assert_eq!(off, detect(&[&flag, "0"], &format!("[options]\n{name} = '{strict}'\n").replace("'0.9'", "0.9")));
     }
 }
 

@@ -97,9 +97,9 @@ fn every_command_keeps_the_precision_of_far_clouds() {
         let options = ["--resolution", "16", "--axis", "y", "--slice", slice, "--json"];
         report(&[&["field", input, "-o", &picture], &options[..]].concat()).0
     };
-    let (of_near, of_far) = (field(&near, "0"), field(&far, "5336000"));
-    assert_moved(numbers(&of_near["low"]), numbers(&of_far["low"]), FAR);
-    assert_moved(numbers(&of_near["high"]), numbers(&of_far["high"]), FAR);
+    let (near_field, far_field) = (field(&near, "0"), field(&far, "5336000"));
+    assert_moved(numbers(&near_field["low"]), numbers(&far_field["low"]), FAR);
+    assert_moved(numbers(&near_field["high"]), numbers(&far_field["high"]), FAR);
 
     let page = clouds.path("page.html");
     let output = snake(&["view", &near, &far, "-o", &page, "--max-keypoints", "40"]);

@@ -6,7 +6,7 @@ use std::process::{Command, Output, Stdio};
 use serde_json::Value;
 use tempfile::TempDir;
 
-use super::sample;
+use super::{root, sample};
 
 fn snake() -> Command {
     Command::new(env!("CARGO_BIN_EXE_snake-cli"))
@@ -231,4 +231,14 @@ fn a_progress_bar_prints_no_control_characters() {
     child.kill().unwrap();
     child.wait().unwrap();
     assert!(shown.contains("x\\u{1b}[35my\\u{202e}.ply"), "{shown:?}");
+}
+
+#[test]
+fn low_confidences_of_a_scene_are_no_order_in_the_table() {
+    let room = root().join("samples/room/1.ply");
+    let output = snake().arg("detect").arg(room).args(["--max-keypoints", "9"]).output().unwrap();
+    let text = String::from_utf8_lossy(&output.stdout).into_owned();
+    assert!(text.contains(" below 0.5 "), "{text}");
+    // Words of the network are for those who ask.
+    assert!(["queries", "occupied", "scale", "center"].iter().all(|word| !text.contains(word)), "{text}");
 }

@@ -34,8 +34,8 @@ fn a_bag_of_ros_2_has_the_keypoints_of_the_same_drive_in_mcap() {
         assert!(done.status.success(), "{}", stderr(&done));
         json_lines(&done).iter().map(|line| line["keypoints"].clone()).collect::<Vec<_>>()
     };
-    let found = keypoints("drive.db3");
-    assert!(found.len() == 2 && found == keypoints("drive.mcap"));
+    let keypoints_of_drive = keypoints("drive.db3");
+    assert!(keypoints_of_drive.len() == 2 && keypoints_of_drive == keypoints("drive.mcap"));
 }
 
 #[test]

@@ -6,12 +6,12 @@ use serde_json::Value;
 
 use super::{json_lines, sample, snake, stderr};
 
-/// The sample, turned by a quarter about z and moved by (3, 0, -1), as a file; every second point of it.
+/// The sample, rotated by a quarter about z and moved by (3, 0, -1), as a file; every second point of it.
 fn rotated_sample(folder: &Path) -> String {
     let points = snake_io::read_points(Path::new(&sample())).unwrap();
-    let turned: Vec<_> = points.iter().step_by(2).map(|p| [3.0 - p[1], p[0], p[2] - 1.0]).collect();
-    let path = folder.join("turned.ply");
-    snake_io::write_points(&path, &turned, [0.0; 3]).unwrap();
+    let rotated: Vec<_> = points.iter().step_by(2).map(|p| [3.0 - p[1], p[0], p[2] - 1.0]).collect();
+    let path = folder.join("rotated.ply");
+    snake_io::write_points(&path, &rotated, [0.0; 3]).unwrap();
     path.display().to_string()
 }
 
@@ -35,10 +35,10 @@ fn no_model_is_loaded_unless_the_options_run_one_or_it_is_named() {
 #[test]
 fn register_prints_and_writes_the_transform() {
     let folder = tempfile::tempdir().unwrap();
-    let turned = rotated_sample(folder.path());
+    let rotated = rotated_sample(folder.path());
     let file = |name: &str| folder.path().join(name).display().to_string();
     let (text, aligned, json) = (file("t.txt"), file("aligned.ply"), file("t.json"));
-    let output = snake(&["register", &sample(), &turned, "--json", "-o", &text, "--aligned", &aligned]);
+    let output = snake(&["register", &sample(), &rotated, "--json", "-o", &text, "--aligned", &aligned]);
     assert!(output.status.success(), "{}", stderr(&output));
     let report = &json_lines(&output)[0];
     let keys = |value: &Value| value.as_object().unwrap().keys().cloned().collect::<Vec<_>>();
@@ -78,7 +78,7 @@ fn register_prints_and_writes_the_transform() {
     }
 
     let output =
-        snake(&["register", &sample(), &turned, "-o", &json, "--set", "max_keypoints=400", "--set", "icp_steps=5"]);
+        snake(&["register", &sample(), &rotated, "-o", &json, "--set", "max_keypoints=400", "--set", "icp_steps=5"]);
     let printed = String::from_utf8_lossy(&output.stdout).into_owned();
     let report: Value = serde_json::from_slice(&std::fs::read(&json).unwrap()).unwrap();
     assert!(printed.contains("t_target_source") && printed.contains(&json), "{printed}");
@@ -86,15 +86,19 @@ fn register_prints_and_writes_the_transform() {
     let inliers =
         format!("matches: {} of {} within", report["matches"]["num_inliers"], report["matches"]["num_matches"]);
     assert!(printed.contains(&inliers) && printed.contains("% of the source's voxels within"), "{printed}");
+    let side = report["fit"]["voxel_size"].as_f64().unwrap();
+    let residual = report["fit"]["rmse"].as_f64().unwrap();
+    let told = format!("{residual:.5} off by root mean square: {:.2} voxels of {side:.5}", residual / side);
+    assert!(side > 0.0 && printed.contains(&told), "{printed}");
     assert!(report["matches"]["num_matches"].as_u64().unwrap() < all.min(801));
 }
 
 #[test]
 fn register_takes_a_guess_an_axis_and_a_verdict() {
     let folder = tempfile::tempdir().unwrap();
-    let turned = rotated_sample(folder.path());
+    let rotated = rotated_sample(folder.path());
     let path = |name: &str| folder.path().join(name).display().to_string();
-    let run = |extra: &[&str]| snake(&[&["register", &sample(), &turned, "--json"], extra].concat());
+    let run = |extra: &[&str]| snake(&[&["register", &sample(), &rotated, "--json"], extra].concat());
     let report = |extra: &[&str]| {
         let output = run(extra);
         assert!(output.status.success(), "{}", stderr(&output));
@@ -104,9 +108,9 @@ fn register_takes_a_guess_an_axis_and_a_verdict() {
     assert!((1..=3).contains(&free["hypotheses"].as_array().unwrap().len()));
     let number = |value: &Value, row: usize, column: usize| value["t_target_source"][row][column].as_f64().unwrap();
     for extra in [&["--initial", &path("t.json")][..], &["--gravity", "z"], &["--set", "use_viewpoints=false"]] {
-        let found = report(extra);
+        let initial = report(extra);
         assert!(
-            (0..12).all(|i| (number(&found, i / 4, i % 4) - number(&free, i / 4, i % 4)).abs() < 0.05),
+            (0..12).all(|i| (number(&initial, i / 4, i % 4) - number(&free, i / 4, i % 4)).abs() < 0.05),
             "{extra:?}"
         );
     }
@@ -139,12 +143,12 @@ fn register_takes_a_guess_an_axis_and_a_verdict() {
 #[test]
 fn normals_that_contradict_the_origin_as_viewpoint_lose_their_signs() {
     let folder = tempfile::tempdir().unwrap();
-    let turned = rotated_sample(folder.path());
+    let rotated = rotated_sample(folder.path());
     let half = folder.path().join("half.ply").display().to_string();
     let points: Vec<_> = snake_io::read_points(Path::new(&sample())).unwrap().into_iter().skip(1).step_by(2).collect();
     snake_io::write_points(Path::new(&half), &points, [0.0; 3]).unwrap();
     let report =
-        |more: &[&str]| json_lines(&snake(&[&["register", &half, &turned, "--json"], more].concat()))[0].clone();
+        |more: &[&str]| json_lines(&snake(&[&["register", &half, &rotated, "--json"], more].concat()))[0].clone();
     // Most of the aeroplane is visible from its centre, but no sensor was there.
     let (guessed, unsigned) = (report(&[]), report(&["--set", "use_viewpoints=false"]));
     assert!(guessed["clouds"].as_array().unwrap().iter().all(|cloud| cloud["viewpoint"] == "none"), "{guessed}");
@@ -158,8 +162,8 @@ fn normals_that_contradict_the_origin_as_viewpoint_lose_their_signs() {
 #[test]
 fn few_keypoints_suffice() {
     let folder = tempfile::tempdir().unwrap();
-    let turned = rotated_sample(folder.path());
-    let run = |extra: &[&str]| snake(&[&["register", &sample(), &turned, "--json"], extra].concat());
+    let rotated = rotated_sample(folder.path());
+    let run = |extra: &[&str]| snake(&[&["register", &sample(), &rotated, "--json"], extra].concat());
     let few = run(&["--set", "num_keypoints=250", "--require-reliable"]);
     assert!(few.status.success(), "{}", stderr(&few));
     let few = &json_lines(&few)[0];
@@ -200,10 +204,10 @@ fn clouds_without_one_answer_exit_with_1_if_a_reliable_one_is_required() {
 #[test]
 fn registration_depends_on_its_options_and_not_on_threads() {
     let folder = tempfile::tempdir().unwrap();
-    let turned = rotated_sample(folder.path());
+    let rotated = rotated_sample(folder.path());
     let report = |extra: &[&str]| {
         let output =
-            snake(&[&["register", &sample(), &turned, "--json", "--set", "max_keypoints=300"], extra].concat());
+            snake(&[&["register", &sample(), &rotated, "--json", "--set", "max_keypoints=300"], extra].concat());
         assert!(output.status.success(), "{}", stderr(&output));
         let mut report = json_lines(&output).remove(0);
         report["seconds"] = Value::Null;
@@ -251,7 +255,7 @@ fn georeferenced_clouds_keep_full_precision() {
     }
     let moved = snake_io::read_cloud(Path::new(&aligned), &Default::default()).unwrap();
     for axis in 0..3 {
-        let found = f64::from(moved.points[7][axis]) + moved.origin[axis];
-        assert!((found - f64::from(points[7][axis]) - far[axis]).abs() < 0.01, "{found}");
+        let coordinate = f64::from(moved.points[7][axis]) + moved.origin[axis];
+        assert!((coordinate - f64::from(points[7][axis]) - far[axis]).abs() < 0.01, "{coordinate}");
     }
 }

@@ -213,14 +213,14 @@ fn lengths_can_be_multiples_of_the_resolution() {
         let length = snake_core::Length::Resolutions(multiple).in_units("length", &points).unwrap();
         length.to_string()
     };
-    let found = |radius: &str| keypoints(&snake(&["detect", &sample(), "--json", "--nms-radius", radius]));
-    assert_eq!(found("6r"), found(&in_units(6.0)));
-    assert_ne!(found("6r"), found("0"));
+    let detected = |radius: &str| keypoints(&snake(&["detect", &sample(), "--json", "--nms-radius", radius]));
+    assert_eq!(detected("6r"), detected(&in_units(6.0)));
+    assert_ne!(detected("6r"), detected("0"));
     let registered = |voxel: &str, inlier: &str| {
         let fixed = ["register", &sample(), &sample(), "--json", "--set", "max_keypoints=200"];
         let lengths = ["--voxel-size", voxel, "--set", &format!("inlier_distance={inlier}")];
-        let found: Value = serde_json::from_str(&stdout(&snake(&[&fixed[..], &lengths].concat()))).unwrap();
-        (found["t_target_source"].clone(), found["matches"].clone())
+        let result: Value = serde_json::from_str(&stdout(&snake(&[&fixed[..], &lengths].concat()))).unwrap();
+        (result["t_target_source"].clone(), result["matches"].clone())
     };
     assert_eq!(registered("2r", "3r"), registered(&in_units(2.0), &in_units(3.0)));
     for option in [["--voxel-size", "3x"], ["--set", "normal_radius=3x"], ["--set", "inlier_distance=3x"]] {
@@ -394,9 +394,9 @@ fn the_schema_has_the_keys_of_the_report() {
     ] {
         assert_eq!(keys(described), keys(found));
     }
-    let of_file = &json_lines(&snake(&["detect", &sample(), "--json"]))[0];
-    assert!(schema["required"].as_array().unwrap().iter().all(|key| of_file.get(key.as_str().unwrap()).is_some()));
-    assert!(of_file.get("recorded").is_none());
+    let report = &json_lines(&snake(&["detect", &sample(), "--json"]))[0];
+    assert!(schema["required"].as_array().unwrap().iter().all(|key| report.get(key.as_str().unwrap()).is_some()));
+    assert!(report.get("recorded").is_none());
 }
 
 #[test]

@@ -8,9 +8,9 @@ use snake_geometry::Point;
 
 /// The weight of each of [`scene_signs`](crate::scene_signs), of the square of each, and that of one.
 const WEIGHTS: ([f64; NUM_SIGNS], [f64; NUM_SIGNS], f64) = (
-    [-86.96, 3.891, 2.17, -0.8084, 0.3162, 2.218, 3.539, 5.455],
-    [-237.1, -8.616, -0.1577, -3.168, -0.00183, 0.5537, 0.6767, -256.3],
-    -8.523,
+    [-89.77, 4.125, 2.205, -0.1206, 0.115, 2.464, 4.026, 11.63],
+    [-239.3, -8.409, -0.1345, -2.65, -0.01655, 0.7707, 0.8337, -248.5],
+    -8.718,
 );
 
 /// Scores within this of 0 are doubtful: the log-odds that a cloud is a scene.

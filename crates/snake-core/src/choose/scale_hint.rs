@@ -94,12 +94,20 @@ mod tests {
     #[test]
     fn far_points_and_sweeps_have_a_hint() {
         let mut sweep = sphere(900, 5.0);
-        sweep.extend(sphere(100, 80.0));
+        sweep.extend(sphere(100, 30.0));
         assert!(hint(&sweep).starts_with("half of the points lie within 0.2"), "{}", hint(&sweep));
-        sweep.push([81.0, 0.0, 0.0]);
+        sweep.push([31.0, 0.0, 0.0]);
         let mut other = sweep.clone();
-        other.push([95.0, 0.0, 0.0]);
+        other.push([33.0, 0.0, 0.0]);
         assert_eq!(hint(&sweep), hint(&other));
+    }
+
+    #[test]
+    fn sky_about_an_object_is_named() {
+        let mut splats = sphere(6000, 1.0);
+        splats.extend(sphere(1500, 100.0));
+        let text = hint(&splats);
+        assert!(text.starts_with("1500 of 7500 points are up to ") && text.contains("sky, floaters"), "{text}");
     }
 
     #[test]

@@ -15,7 +15,8 @@ options! {
         /// encodes one. Of a scene they are known once its blocks are counted, before they are made.
         max_volume_bytes, with_max_volume_bytes: Option<usize> = None, none "only the limits that hold for every call";
         /// Evaluations of the decoders: for detection the queries times the refinement steps and one, times
-        /// the rotations; for a mesh the samples of its grid times the rotations.
+        /// the rotations; for a mesh the samples of its grid times the rotations. Of a scene each cell with points is a query:
+        /// they are known once it is encoded.
         max_evaluations, with_max_evaluations: Option<usize> = None, none "only the limits that hold for every call";
     }
 }
@@ -69,6 +70,22 @@ mod tests {
         let Some(("bytes of feature volumes", needed, 1000)) = refused(encode(1000)) else { panic!("not refused") };
         assert!(encode(needed).unwrap().volume().values.len() * size_of::<f32>() <= needed);
         assert_eq!(refused(encode(needed - 1)), Some(("bytes of feature volumes", needed, needed - 1)));
+    }
+
+    #[test]
+    fn a_scene_counts_a_query_for_each_cell_with_points() {
+        let (points, _) = cylinder();
+        let model = Model::builtin(Builtin::Scenes);
+        let options = *model.recommended();
+        let detect = |limit: Option<usize>| {
+            let limits = Limits::default().with_max_evaluations(limit);
+            model.detect_with(&points, &options, &Control::new().limits(limits))
+        };
+        let queries = detect(None).unwrap().counts.queries;
+        let needed = queries * (options.detect.refine_steps + 1);
+        assert!(queries > 100 && queries < points.len());
+        assert_eq!(refused(detect(Some(needed))), None);
+        assert_eq!(refused(detect(Some(needed - 1))), Some(("evaluations", needed, needed - 1)));
     }
 
     #[test]

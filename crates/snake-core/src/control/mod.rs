@@ -239,6 +239,17 @@ mod tests {
         assert_checked_often(|control| drop(field.mesh_with(&MeshOptions::default(), control).unwrap()));
     }
 
+    /// The same of a scene, whose voxel size is chosen, and whose blocks are made.
+    #[test]
+    fn a_scene_is_checked_at_least_every_50_ms() {
+        let at = |i: usize, step: f32| (i as f32 * step).fract();
+        let floor = |i: usize| [4.0 * at(i, 0.618_034), 4.0 * at(i, 0.754_878), 0.0];
+        let wall = |i: usize| [4.0 * at(i, 0.618_034), 0.0, 2.0 * at(i, 0.754_878)];
+        let points: Vec<_> = (0..20_000).map(|i| if i % 3 == 0 { wall(i) } else { floor(i) }).collect();
+        let model = Model::builtin(Builtin::Scenes);
+        assert_checked_often(|control| drop(model.detect_with(&points, model.recommended(), control).unwrap()));
+    }
+
     /// The built-in weights in a volume of 64³ voxels.
     fn model_of_64() -> Model {
         let file = safetensors::SafeTensors::deserialize(include_bytes!("../../models/compact.safetensors")).unwrap();

@@ -52,11 +52,10 @@ impl Field {
     /// [`Error::DeadlineExceeded`](crate::Error::DeadlineExceeded) and [`Error::LimitExceeded`](crate::Error::LimitExceeded).
     pub fn detect_with(&self, options: &DetectOptions, control: &Control) -> Result<Detection> {
         self.network().check_detect(options, self.num_rotations())?;
-        control.get_limits().check_evaluations(&options.evaluations(self.num_rotations()))?;
         self.detect_in(options, Vec::new(), control)
     }
 
-    /// [`Field::detect_with`] with memory for the keypoints. The options are valid for the network, and within the limits.
+    /// [`Field::detect_with`] with memory for the keypoints. The options are valid for the network.
     pub(crate) fn detect_in(
         &self,
         options: &DetectOptions,
@@ -65,6 +64,7 @@ impl Field {
     ) -> Result<Detection> {
         let radii = options.radii(self.points(), self.voxel_size())?;
         let queries = self.queries(options);
+        control.get_limits().check_evaluations(&options.evaluations(queries.len(), self.num_rotations()))?;
         let candidates = candidates(self, &queries, options, control)?;
         control.begin("suppression", 0).check()?;
         finish(self, candidates, radii, options, memory)
@@ -77,6 +77,7 @@ fn candidates(field: &Field, queries: &Queries, options: &DetectOptions, control
     let occupied = above_occupancy(field, queries, options.occupancy_threshold, control)?;
     let occupancy_seconds = start.elapsed().as_secs_f64();
     let mut refined = refine(field, &occupied, options, control)?;
+    control.check()?;
     field.lattice().adjust(&mut refined)?;
     let mut candidates = above_saliency(field, &refined, options.saliency_threshold);
     candidates.timing.occupancy = occupancy_seconds;

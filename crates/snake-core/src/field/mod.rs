@@ -58,7 +58,7 @@ impl Field {
         limits.check_points(cloud.num_given())?;
         limits.check_volume_bytes(volume_bytes(&network.config, options.rotations))?;
         let (normalization, orientation) =
-            network.config.volume.place(&cloud, options, max_blocks(network.config.c_dim))?;
+            network.config.volume.place(&cloud, options, max_blocks(network.config.c_dim), control)?;
         let placement = Placement { normalization, orientation, rotations: options.rotations };
         let points = cloud.points();
         let drawn = options.max_points.filter(|&number| number < points.len());

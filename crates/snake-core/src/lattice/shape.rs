@@ -6,6 +6,7 @@ use super::corner::{from_corner, lowest_corner};
 use super::cube::VolumeFrame;
 use super::voxel_size::voxel_size;
 use crate::cloud::UsedCloud;
+use crate::control::Control;
 use crate::options::EncodeOptions;
 use crate::{Error, Result};
 use snake_geometry::rotations::{self, Rotation};
@@ -93,10 +94,11 @@ impl VolumeShape {
         cloud: &UsedCloud,
         options: &EncodeOptions,
         max_blocks: usize,
+        control: &Control,
     ) -> Result<(Normalization, Rotation)> {
         match self {
             Self::Cube(_) => {
-                let normalization = Normalization::of_finite(cloud.points(), options.normalization)?;
+                let normalization = Normalization::from_finite(cloud.points(), options.normalization)?;
                 let orientation = match options.normalization {
                     NormalizationMethod::PrincipalAxes => {
                         rotations::principal_axes(cloud.points(), normalization.center)
@@ -106,7 +108,7 @@ impl VolumeShape {
                 Ok((normalization, orientation))
             }
             Self::Scene { .. } => {
-                let scale = voxel_size(options.voxel_size, cloud, max_blocks)?;
+                let scale = voxel_size(options.voxel_size, cloud, max_blocks, control)?;
                 Ok((from_corner(lowest_corner(cloud.points()), scale), rotations::IDENTITY))
             }
         }
@@ -116,7 +118,7 @@ impl VolumeShape {
     pub(crate) fn scaled_sphere(&self, points: &[Point], method: NormalizationMethod) -> Option<Normalization> {
         match (self, method) {
             (Self::Scene { .. }, _) | (_, NormalizationMethod::None) => None,
-            (Self::Cube(_), _) => Normalization::of_finite(points, NormalizationMethod::UnitSphere).ok(),
+            (Self::Cube(_), _) => Normalization::from_finite(points, NormalizationMethod::UnitSphere).ok(),
         }
     }
 

@@ -18,6 +18,7 @@ use super::blocks::MAX_NODE;
 use super::corner::lowest_corner;
 use super::levels::FinestLevel;
 use crate::cloud::UsedCloud;
+use crate::control::Control;
 use crate::{Error, Result};
 use snake_geometry::{Length, Point};
 
@@ -31,14 +32,19 @@ const SHARES: [f64; 2] = [0.8, 0.95];
 const STEPS: i32 = 10;
 
 /// The voxel size in cloud units: the given one, or the one of the rule for a cloud whose volume has at most so many blocks.
-pub(crate) fn voxel_size(given: Option<Length>, cloud: &UsedCloud, max_blocks: usize) -> Result<f32> {
+pub(crate) fn voxel_size(
+    given: Option<Length>,
+    cloud: &UsedCloud,
+    max_blocks: usize,
+    control: &Control,
+) -> Result<f32> {
     match given {
         Some(size) => Ok(size.in_units("voxel_size", cloud.points())? as f32),
-        None => chosen(cloud, max_blocks).map(|size| size as f32),
+        None => chosen(cloud, max_blocks, control).map(|size| size as f32),
     }
 }
 
-fn chosen(cloud: &UsedCloud, max_blocks: usize) -> Result<f64> {
+fn chosen(cloud: &UsedCloud, max_blocks: usize, control: &Control) -> Result<f64> {
     let points = cloud.points();
     let lowest = lowest_corner(points);
     let extent = points.iter().map(|point| offset(point, &lowest).into_iter().fold(0.0, f64::max)).fold(0.0, f64::max);
@@ -54,11 +60,13 @@ fn chosen(cloud: &UsedCloud, max_blocks: usize) -> Result<f64> {
     // The smallest step that has few enough voxels; one voxel as large as the cloud is always few enough.
     let (mut too_small, mut fits) = (largest - 6 * STEPS, largest + 1);
     while fits - too_small > 1 {
+        control.check()?;
         let middle = too_small + (fits - too_small) / 2;
         if num_voxels(middle) <= most { fits = middle } else { too_small = middle }
     }
     // Voxels that stand alone have many blocks: those of a dense part in the midst of a wide cloud.
     while fits <= largest && !is_within_budget(points, &lowest, size_of(fits), max_blocks) {
+        control.check()?;
         fits += 1;
     }
     Ok(size_of(fits))
@@ -127,7 +135,7 @@ mod tests {
     }
 
     fn size(points: &[Point]) -> f64 {
-        chosen(&UsedCloud::new(points).unwrap(), MAX_BLOCKS).unwrap()
+        chosen(&UsedCloud::new(points).unwrap(), MAX_BLOCKS, &Control::default()).unwrap()
     }
 
     #[test]
@@ -148,7 +156,7 @@ mod tests {
 
     #[test]
     fn clouds_without_extent_are_refused() {
-        assert!(chosen(&UsedCloud::new(&[[1.0; 3]; 9]).unwrap(), MAX_BLOCKS).is_err());
+        assert!(chosen(&UsedCloud::new(&[[1.0; 3]; 9]).unwrap(), MAX_BLOCKS, &Control::default()).is_err());
         assert!(size(&[[0.0; 3], [1e-3, 0.0, 0.0]]) > 0.0);
     }
 
@@ -166,9 +174,8 @@ mod tests {
         let terrain = (0..20_000).map(|i| [0.618_034, 0.754_877_7].map(|step: f32| (i as f32 * step).fract() * 200.0));
         let mixed: Vec<Point> = terrain.map(|[x, y]| [x, y, 0.0]).chain(statue).collect();
         for points in [all_scales, mixed] {
-            let size =
-                chosen(&UsedCloud::from_finite(FinitePoints::all((&points[..]).into()), points.len()), MAX_BLOCKS)
-                    .unwrap();
+            let cloud = UsedCloud::from_finite(FinitePoints::all((&points[..]).into()), points.len());
+            let size = chosen(&cloud, MAX_BLOCKS, &Control::default()).unwrap();
             let lowest = lowest_corner(&points);
             assert!(is_within_budget(&points, &lowest, size, MAX_BLOCKS), "{size}");
             assert!(!is_within_budget(&points, &lowest, size / 100.0, MAX_BLOCKS), "{size}");

@@ -74,8 +74,8 @@ impl Detector {
         detection: &mut Detection,
         control: &Control,
     ) -> Result<()> {
+        self.model.network().check_evaluations(&self.options, control.get_limits())?;
         let Options { encode, detect } = &self.options;
-        control.get_limits().check_evaluations(&detect.evaluations(encode.rotations))?;
         let start = Instant::now();
         let field = Field::from_source(self.model.network().clone(), source, encode, &mut self.memory, control)?;
         let seconds = start.elapsed().as_secs_f64();

@@ -2,6 +2,7 @@
 //! file could use all memory or run for hours, although each option is within its range.
 
 use super::{ModelConfig, Network, weights};
+use crate::control::Limits;
 use crate::options::{DetectOptions, EncodeOptions, Options};
 use crate::{Error, Result};
 
@@ -10,6 +11,13 @@ impl Network {
     pub(crate) fn check(&self, options: &Options) -> Result<()> {
         self.check_encode(&options.encode)?;
         self.check_detect(&options.detect, options.encode.rotations)
+    }
+
+    /// Refuses more evaluations of the decoders than one call may have. Those of a scene are known once its cells are counted.
+    pub(crate) fn check_evaluations(&self, options: &Options, limits: &Limits) -> Result<()> {
+        let Options { encode, detect } = options;
+        let queries = self.config.frame().map_or(0, |_| detect.query_resolution.saturating_pow(3));
+        limits.check_evaluations(&detect.evaluations(queries, encode.rotations))
     }
 
     /// [`Network::check`] for options of encoding.

@@ -95,10 +95,9 @@ options! {
 }
 
 impl DetectOptions {
-    /// The factors of the number of evaluations of the decoders, at most, for a field of so many rotations.
-    pub(crate) fn evaluations(&self, rotations: usize) -> [usize; 5] {
-        let Self { query_resolution: queries, refine_steps, .. } = *self;
-        [queries, queries, queries, refine_steps.saturating_add(1), rotations]
+    /// The factors of the number of evaluations of the decoders, at most, for so many queries of a field of so many rotations.
+    pub(crate) fn evaluations(&self, queries: usize, rotations: usize) -> [usize; 3] {
+        [queries, self.refine_steps.saturating_add(1), rotations]
     }
 
     /// The radii of suppression and of mode seeking in cloud units, of a cloud in voxels of this size.

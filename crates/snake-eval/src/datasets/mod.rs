@@ -38,8 +38,8 @@ fn read_json<T: DeserializeOwned>(path: &Path) -> Result<T> {
 fn find_cloud(path: &Path) -> Result<PathBuf> {
     let with = |extension: &&str| PathBuf::from(format!("{}.{extension}", path.display()));
     let named = std::iter::once(path.to_path_buf()).chain(POINT_EXTENSIONS.iter().map(with));
-    let found = named.into_iter().find(|path| path.is_file());
-    found.ok_or_else(|| Error::layout(path, format!("no such cloud (looked for .{})", POINT_EXTENSIONS.join(", ."))))
+    let file = named.into_iter().find(|path| path.is_file());
+    file.ok_or_else(|| Error::layout(path, format!("no such cloud (looked for .{})", POINT_EXTENSIONS.join(", ."))))
 }
 
 /// The name of a cloud's file without the extension of a known format.

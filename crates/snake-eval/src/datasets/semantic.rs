@@ -60,7 +60,7 @@ impl SemanticData {
     /// | layout | content |
     /// |---|---|
     /// | KeypointNet | `annotations/CLASS.json` and the clouds `CLASS_ID/MODEL_ID.pcd`, in `pcds/` or in the folder itself |
-    /// | body model | a file `.npz` or `.pkl`, or a folder with `model.npz` or `model.pkl`, see [`BodyPairs::open`] |
+    /// | body model | a file `.npz`, or a folder with `model.npz`, see [`BodyPairs::open`] |
     /// | bodies | `body_1.npy` and `body_2.npy` `(S, N, 3)` |
     ///
     /// # Errors
@@ -80,7 +80,7 @@ impl SemanticData {
         if !first.exists() || !second.exists() {
             return Err(Error::layout(
                 folder,
-                "neither annotations/ (KeypointNet) nor model.pkl, model.npz, or body_1.npy and body_2.npy (SMPL)",
+                "neither annotations/ (KeypointNet) nor model.npz, or body_1.npy and body_2.npy (SMPL)",
             ));
         }
         let bodies = [io::read_clouds(&first)?, io::read_clouds(&second)?];

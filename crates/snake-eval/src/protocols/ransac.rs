@@ -6,7 +6,7 @@ use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
 use snake_core::{Error, Result};
-use snake_geometry::{Point, RigidTransform, Vector, check_points, options, vector};
+use snake_geometry::{Point, RigidTransform, Vector, check_pairs, options, vector};
 use snake_registration::kabsch;
 
 /// Samples of one random stream; a stream is drawn by one thread.
@@ -126,14 +126,7 @@ impl Hypothesis {
 
 impl<'a> Problem<'a> {
     fn new(source: &'a [Point], target: &'a [Point], options: &'a RansacOptions) -> Result<Self> {
-        if source.len() != target.len() {
-            let reason = format!("{} points, but the source has {}; row i matches row i", target.len(), source.len());
-            return Err(Error::Input { what: "target", reason });
-        }
-        if !source.is_empty() {
-            check_points("source", source)?;
-            check_points("target", target)?;
-        }
+        check_pairs(source, target)?;
         let pairs = source.iter().zip(target).map(|(&s, &t)| (vector(s), vector(t))).collect();
         Ok(Self { source, target, pairs, options })
     }

@@ -8,6 +8,32 @@ use std::collections::BTreeMap;
 
 use serde::{Deserialize, Serialize};
 
+use crate::tables::plot::{self, Panel};
+use crate::tables::{self, Table};
+
+/// The figures of an evaluation, to print and to write.
+pub struct Report {
+    tables: Vec<Table>,
+    /// The label of the vertical axis, and the curves; `None` where a report has none.
+    curves: Option<(&'static str, Vec<Panel>)>,
+    csv: String,
+    json: String,
+}
+
+impl Report {
+    /// The tables as lines of plain text.
+    pub fn text_lines(&self) -> Vec<String> {
+        tables::text_lines(&self.tables)
+    }
+
+    /// The report as files: extensions and contents.
+    pub fn files(&self) -> Vec<(&'static str, String)> {
+        let text = [("csv", self.csv.clone()), ("json", self.json.clone()), ("md", tables::markdown(&self.tables))];
+        let curves = self.curves.as_ref().map(|(label, panels)| ("svg", plot::svg(label, panels)));
+        text.into_iter().chain(curves).collect()
+    }
+}
+
 /// The figures of one pair of clouds, or of one shape.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Pair<Row> {

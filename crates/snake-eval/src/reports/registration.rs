@@ -4,7 +4,7 @@ use serde::{Deserialize, Serialize};
 use serde_json::{Value, json};
 use snake_core::Result;
 
-use super::{Pair, alike, num_models};
+use super::{Pair, Report, alike, num_models};
 use crate::datasets::ScenePair;
 use crate::tables::paper::{PaperRegistration, PaperTable};
 use crate::tables::{self, Statistic, Table, mean};
@@ -47,7 +47,7 @@ pub struct Cases<'a> {
 }
 
 /// The figures of every case: a detector, a descriptor and a number of keypoints.
-pub struct Report<'a> {
+struct Evaluation<'a> {
     settings: &'a Value,
     keypoints: &'a [usize],
     scenes: Vec<&'a str>,
@@ -89,7 +89,7 @@ struct Figures {
 
 impl Figures {
     /// The figures of one scene, from its pairs.
-    fn of_scene(pairs: &[(&ScenePair, &Row)]) -> Result<Self> {
+    fn for_scene(pairs: &[(&ScenePair, &Row)]) -> Result<Self> {
         let ratios: Vec<f64> = pairs.iter().map(|(_, row)| row.inlier_ratio).collect();
         let outcome = |(pair, row): &(&ScenePair, &Row)| {
             let [first, second] = pair.fragments;
@@ -135,16 +135,28 @@ impl Deviations {
     }
 }
 
-impl<'a> Report<'a> {
-    /// Summarises the rows of all pairs, seed by seed. There is at least one pair. The tables also show the paper's
-    /// rows, and the JSON has the settings.
-    ///
-    /// # Errors
-    /// [`Error::Input`](snake_core::Error::Input) when a scene has no pairs.
-    ///
-    /// # Panics
-    /// When a pair does not have a row for each of the cases.
-    pub fn new(
+/// The report of the rows of all pairs, seed by seed. There is at least one pair. The tables also show the paper's
+/// rows, and the JSON has the settings.
+///
+/// # Errors
+/// [`Error::Input`](snake_core::Error::Input) when a scene has no pairs.
+///
+/// # Panics
+/// When a pair does not have a row for each of the cases.
+pub fn report(
+    cases: &Cases,
+    settings: &Value,
+    pairs: &[&ScenePair],
+    runs: &[&[Pair<Row>]],
+    paper: Option<&PaperRegistration>,
+) -> Result<Report> {
+    let evaluation = Evaluation::new(cases, settings, pairs, runs, paper)?;
+    Ok(Report { tables: evaluation.tables(), curves: None, csv: evaluation.csv(), json: evaluation.json() })
+}
+
+impl<'a> Evaluation<'a> {
+    /// Summarises the rows of all pairs, seed by seed.
+    fn new(
         cases: &Cases<'a>,
         settings: &'a Value,
         pairs: &[&'a ScenePair],
@@ -157,25 +169,25 @@ impl<'a> Report<'a> {
                 scenes.push(&pair.scene);
             }
         }
-        let of_scene = |scene: &str, rows: &[Pair<Row>], case: usize| {
+        let scene_figures = |scene: &str, rows: &[Pair<Row>], case: usize| {
             let rows = pairs.iter().zip(rows).filter(|(pair, _)| pair.scene == scene);
-            Figures::of_scene(&rows.map(|(pair, rows)| (*pair, &rows.rows[case])).collect::<Vec<_>>())
+            Figures::for_scene(&rows.map(|(pair, rows)| (*pair, &rows.rows[case])).collect::<Vec<_>>())
         };
         let summary = |group: &[usize], column: usize| {
             let places = group.iter().map(|method| method * cases.keypoints.len() + column);
-            let mut of_runs = Vec::new();
+            let mut per_run = Vec::new();
             for (rows, case) in runs.iter().flat_map(|rows| places.clone().map(move |case| (rows, case))) {
-                of_runs.push(scenes.iter().map(|scene| of_scene(scene, rows, case)).collect::<Result<Vec<_>>>()?);
+                per_run.push(scenes.iter().map(|scene| scene_figures(scene, rows, case)).collect::<Result<Vec<_>>>()?);
             }
-            let means: Vec<Figures> = of_runs.iter().map(|scenes| Figures::mean(scenes)).collect();
+            let means: Vec<Figures> = per_run.iter().map(|scenes| Figures::mean(scenes)).collect();
             let over_runs =
-                |scene: usize| Figures::mean(&of_runs.iter().map(|scenes| scenes[scene].clone()).collect::<Vec<_>>());
+                |scene: usize| Figures::mean(&per_run.iter().map(|scenes| scenes[scene].clone()).collect::<Vec<_>>());
             Ok(Summary {
                 method: cases.methods[group[0]].clone(),
                 keypoints: cases.keypoints[column],
                 scenes: (0..scenes.len()).map(over_runs).collect(),
                 mean: Figures::mean(&means),
-                deviation: Deviations::new(&means, &of_runs[0]),
+                deviation: Deviations::new(&means, &per_run[0]),
             })
         };
         let groups = alike(cases.methods, |a, b| a == b);
@@ -184,16 +196,6 @@ impl<'a> Report<'a> {
         let summaries = all.collect::<Result<_>>()?;
         let (num_pairs, num_seeds, num_models) = (pairs.len(), runs.len(), num_models(&groups));
         Ok(Self { settings, keypoints: cases.keypoints, scenes, num_pairs, num_seeds, num_models, summaries, paper })
-    }
-
-    /// The tables as lines of plain text.
-    pub fn text_lines(&self) -> Vec<String> {
-        tables::text_lines(&self.tables())
-    }
-
-    /// The report as files: extensions and contents.
-    pub fn files(&self) -> [(&'static str, String); 3] {
-        [("csv", self.csv()), ("json", self.json()), ("md", tables::markdown(&self.tables()))]
     }
 
     /// One table for each figure, with a row for each detector and descriptor and a column for each number of keypoints.
@@ -303,7 +305,7 @@ mod tests {
         let pairs = [pair("a", [0, 1]), pair("a", [0, 2]), pair("a", [0, 3]), pair("b", [4, 5])];
         let rows = [row(0.5, None), row(0.04, Some(0.03)), row(0.06, None), row(0.0, Some(0.0))];
         let settings = json!({"seed": 0});
-        let report = Report::new(&cases, &settings, &pairs.each_ref(), &[&rows], Some(&THREE_D_MATCH)).unwrap();
+        let report = Evaluation::new(&cases, &settings, &pairs.each_ref(), &[&rows], Some(&THREE_D_MATCH)).unwrap();
         let csv = report.csv();
         let lines: Vec<&str> = csv.lines().skip(1).collect();
         let a = format!("iss,fpfh,100,\"a\",{},{},0.5,50,10", 2.0 / 3.0, (0.5 + 0.04 + 0.06) / 3.0);

@@ -3,9 +3,9 @@
 use serde::{Deserialize, Serialize};
 use serde_json::{Value, json};
 
-use super::{Models, Pair, alike, named_with_models, num_models};
+use super::{Models, Pair, Report, alike, named_with_models, num_models};
 use crate::tables::paper::{PaperRepeatability, PaperTable};
-use crate::tables::plot::{self, Line, Panel};
+use crate::tables::plot::{Line, Panel};
 use crate::tables::{self, Statistic, Table, mean};
 use crate::views::Condition;
 
@@ -52,7 +52,7 @@ const DOWN_SAMPLING: Sweep =
 const NOISE: Sweep = Sweep { belongs: |c| c.downsample == 1, column_value: |c| c.noise, paper: |paper| &paper.noise };
 
 /// The figures of every method and condition, as means over all pairs.
-pub struct Report<'a> {
+struct Evaluation<'a> {
     sweeps: &'a Sweeps,
     settings: &'a Value,
     summaries: Vec<Summary>,
@@ -97,13 +97,20 @@ impl Summary {
     }
 }
 
-impl<'a> Report<'a> {
-    /// Summarises the pairs of each seed. All pairs have rows for the same methods and conditions; rows of the same method and
-    /// condition are those of several models. The tables also show the paper's rows, and the JSON has the settings.
-    ///
-    /// # Panics
-    /// When there are no pairs, or when two pairs have rows for different methods or conditions.
-    pub fn new(
+/// The report of the pairs of each seed. All pairs have rows for the same methods and conditions; rows of the same method and
+/// condition are those of several models. The tables also show the paper's rows, and the JSON has the settings.
+///
+/// # Panics
+/// When there are no pairs, or when two pairs have rows for different methods or conditions.
+pub fn report(sweeps: &Sweeps, settings: &Value, runs: &[&[Pair<Row>]], paper: Option<&PaperRepeatability>) -> Report {
+    let evaluation = Evaluation::new(sweeps, settings, runs, paper);
+    let curves = Some(("relative repeatability", evaluation.panels()));
+    Report { tables: evaluation.tables(), curves, csv: evaluation.csv(), json: evaluation.json() }
+}
+
+impl<'a> Evaluation<'a> {
+    /// Summarises the pairs of each seed.
+    fn new(
         sweeps: &'a Sweeps,
         settings: &'a Value,
         runs: &[&[Pair<Row>]],
@@ -121,18 +128,6 @@ impl<'a> Report<'a> {
         Self { sweeps, settings, summaries, num_pairs, num_seeds: runs.len(), num_models, paper }
     }
 
-    /// The tables as lines of plain text.
-    pub fn text_lines(&self) -> Vec<String> {
-        tables::text_lines(&self.tables())
-    }
-
-    /// The report as files: extensions and contents.
-    pub fn files(&self) -> [(&'static str, String); 4] {
-        let markdown = tables::markdown(&self.tables());
-        let svg = plot::svg("relative repeatability", &self.panels());
-        [("csv", self.csv()), ("json", self.json()), ("md", markdown), ("svg", svg)]
-    }
-
     /// The paper's three tables: over epsilon, over down-sampling and over noise.
     fn tables(&self) -> Vec<Table> {
         let down_sampling = self.over("down-sampling", &DOWN_SAMPLING, |c| format!("1 in {}", c.downsample));
@@ -144,7 +139,7 @@ impl<'a> Report<'a> {
     fn panels(&self) -> Vec<Panel> {
         let Sweeps { epsilon, table_epsilon, conditions } = self.sweeps;
         let ours = |s: &Summary| Line::new(&s.method, s.repeatability.iter().map(|share| Some(share.mean)).collect());
-        let theirs = self.paper.into_iter().flat_map(|paper| Line::of_paper(&paper.epsilon, epsilon));
+        let theirs = self.paper.into_iter().flat_map(|paper| Line::from_paper(&paper.epsilon, epsilon));
         let over_epsilon = Panel {
             x_label: "ε".into(),
             ticks: epsilon.iter().map(|epsilon| (*epsilon, epsilon.to_string())).collect(),
@@ -168,7 +163,7 @@ impl<'a> Report<'a> {
         let line = |i, first: &Summary| Line::new(&first.method, swept.iter().map(|c| share(c, i)).collect());
         let ours = self.under(self.sweeps.conditions[0]).enumerate().map(|(i, first)| line(i, first));
         let theirs = self.paper_sweep(swept, sweep);
-        ours.chain(theirs.into_iter().flat_map(|(table, column_values)| Line::of_paper(table, &column_values)))
+        ours.chain(theirs.into_iter().flat_map(|(table, column_values)| Line::from_paper(table, &column_values)))
             .collect()
     }
 
@@ -285,7 +280,7 @@ mod tests {
             Pair { name: "b".into(), rows: vec![row(CLEAN, 8, [0.25, 1.0]), row(BLURRED, 2, [0.0, 0.5])] },
         ];
         let settings = json!({"seed": 0});
-        let report = Report::new(&sweeps, &settings, &[&pairs], None);
+        let report = Evaluation::new(&sweeps, &settings, &[&pairs], None);
         let markdown = "Relative repeatability, mean over 2 pairs ± standard deviation over pairs:
 
 | method | ε 0.1 | ε 0.2 | keypoints | coverage |
@@ -305,7 +300,7 @@ At ε 0.2, over noise:
         let json: Value = serde_json::from_str(&report.json()).unwrap();
         assert_eq!(json["rows"][1]["repeatability"], json!([0.0, 0.25]));
         assert_eq!((json["rows"].as_array().unwrap().len(), &json["settings"]), (2, &settings));
-        assert!(report.text_lines().join("\n").contains("iss             0.375 ±0.177"));
+        assert!(tables::text_lines(&report.tables()).join("\n").contains("iss             0.375 ±0.177"));
         let panels = report.panels();
         let curves: Vec<_> =
             panels.iter().map(|panel| (panel.ticks[1].clone(), panel.lines[0].values.clone())).collect();
@@ -324,7 +319,8 @@ At ε 0.2, over noise:
             Pair { name: "a".into(), rows: vec![Row { models, ..row(CLEAN, 4, [0.5, 1.0]) }] }
         };
         let first_row = |pairs: &[Pair<Row>]| {
-            let lines = Report::new(&sweeps, &json!({}), &[pairs], None).text_lines();
+            let settings = json!({});
+            let lines = tables::text_lines(&Evaluation::new(&sweeps, &settings, &[pairs], None).tables());
             lines.into_iter().find(|line| line.starts_with("iss")).unwrap()
         };
         let scenes = pair(&[("scenes", 2)]);
@@ -340,7 +336,7 @@ At ε 0.2, over noise:
         let markdown = |table_epsilon| {
             let (epsilon, conditions) = (vec![0.04, 0.3], vec![CLEAN, blurred]);
             let sweeps = Sweeps { epsilon, table_epsilon, conditions };
-            tables::markdown(&Report::new(&sweeps, &settings, &[&pairs], Some(&MODELNET40)).tables())
+            tables::markdown(&Evaluation::new(&sweeps, &settings, &[&pairs], Some(&MODELNET40)).tables())
         };
         let usual = markdown(0.04);
         for row in [
@@ -360,7 +356,7 @@ At ε 0.2, over noise:
         let pair = |shares| Pair { name: "a".into(), rows: vec![row(CLEAN, 4, shares)] };
         let runs = [[pair([0.25, 0.5]), pair([0.5, 0.5])], [pair([0.5, 0.75]), pair([0.75, 0.75])]];
         let settings = json!({});
-        let report = Report::new(&sweeps, &settings, &runs.each_ref().map(|run| &run[..]), None);
+        let report = Evaluation::new(&sweeps, &settings, &runs.each_ref().map(|run| &run[..]), None);
         let markdown = tables::markdown(&report.tables());
         assert!(markdown.starts_with("Relative repeatability, mean over 2 pairs ± standard deviation over 2 seeds:"));
         // Means of 0.375 and 0.625, 0.5 and 0.75.

@@ -4,9 +4,9 @@ use serde::{Deserialize, Serialize};
 use serde_json::{Value, json};
 use snake_core::Result;
 
-use super::{Models, Pair, alike, named_with_models, num_models};
+use super::{Models, Pair, Report, alike, named_with_models, num_models};
 use crate::tables::paper::PaperTable;
-use crate::tables::plot::{self, Line, Panel};
+use crate::tables::plot::{Line, Panel};
 use crate::tables::{self, Statistic, Table, mean};
 use crate::{MatchCounts, SmplProtocol, smpl_iou};
 
@@ -27,7 +27,7 @@ pub struct Row {
 }
 
 /// The figures of all methods.
-pub struct Report<'a> {
+struct Evaluation<'a> {
     threshold: &'a [f64],
     settings: &'a Value,
     figures: Vec<Figure>,
@@ -71,14 +71,14 @@ impl Figure {
         let at = |threshold: usize, cell: Cell| {
             let is_paper = cell == Cell::Iou { is_paper: true };
             let counts = |row: &&Row| if is_paper { row.paper[threshold] } else { row.strict[threshold] };
-            let of_part = |counts: MatchCounts| if cell == Cell::Recall { counts.recall() } else { counts.iou() };
-            let of_class = |rows: &Vec<&Row>| {
+            let score = |counts: MatchCounts| if cell == Cell::Recall { counts.recall() } else { counts.iou() };
+            let class_score = |rows: &Vec<&Row>| {
                 let counts: Vec<MatchCounts> = rows.iter().map(counts).collect();
                 if cell == Cell::Recall { Ok(sum(&counts).recall()) } else { iou(&counts, is_paper) }
             };
-            let of_run = |classes: &Classes| Ok(mean(&classes.iter().map(of_class).collect::<Result<Vec<_>>>()?));
-            let parts: Vec<f64> = runs[0].iter().flatten().map(|row| of_part(counts(row))).collect();
-            Ok(Statistic::over_seeds(&runs.iter().map(of_run).collect::<Result<Vec<_>>>()?, &parts))
+            let run_score = |classes: &Classes| Ok(mean(&classes.iter().map(class_score).collect::<Result<Vec<_>>>()?));
+            let parts: Vec<f64> = runs[0].iter().flatten().map(|row| score(counts(row))).collect();
+            Ok(Statistic::over_seeds(&runs.iter().map(run_score).collect::<Result<Vec<_>>>()?, &parts))
         };
         let first = runs[0][0][0];
         let all = |cell| (0..first.strict.len()).map(|threshold| at(threshold, cell)).collect::<Result<_>>();
@@ -95,16 +95,29 @@ impl Figure {
     }
 }
 
-impl<'a> Report<'a> {
-    /// Summarises the shapes with their classes, or the pairs of bodies without classes, seed by seed. Rows of the same method
-    /// are those of several models. The tables also show the paper's rows, and the JSON has the settings.
-    ///
-    /// # Errors
-    /// [`Error::Input`](snake_core::Error::Input) when a row has no counts.
-    ///
-    /// # Panics
-    /// When there are no shapes, or when two shapes have rows for different methods or thresholds.
-    pub fn new(
+/// The report of the shapes with their classes, or the pairs of bodies without classes, seed by seed. Rows of the same method
+/// are those of several models. The tables also show the paper's rows, and the JSON has the settings.
+///
+/// # Errors
+/// [`Error::Input`](snake_core::Error::Input) when a row has no counts.
+///
+/// # Panics
+/// When there are no shapes, or when two shapes have rows for different methods or thresholds.
+pub fn report(
+    threshold: &[f64],
+    settings: &Value,
+    runs: &[&[Pair<Row>]],
+    classes: &[Option<&str>],
+    paper: Option<&PaperTable>,
+) -> Result<Report> {
+    let evaluation = Evaluation::new(threshold, settings, runs, classes, paper)?;
+    let curves = Some(("mIoU", evaluation.panels()));
+    Ok(Report { tables: evaluation.tables(), curves, csv: evaluation.csv(), json: evaluation.json() })
+}
+
+impl<'a> Evaluation<'a> {
+    /// Summarises the shapes, seed by seed.
+    fn new(
         threshold: &'a [f64],
         settings: &'a Value,
         runs: &[&[Pair<Row>]],
@@ -119,14 +132,14 @@ impl<'a> Report<'a> {
         let methods = alike(runs[0].first().map_or(&[][..], |shape| &shape.rows), |a, b| a.method == b.method);
         for method in &methods {
             let figure = |chosen: &[Option<&str>], class, iou| {
-                let of_class = |run: usize, row: usize, class: &Option<&str>| -> Vec<&Row> {
+                let class_rows = |run: usize, row: usize, class: &Option<&str>| -> Vec<&Row> {
                     let belongs = runs[run].iter().zip(classes).filter(|(_, other)| *other == class);
                     belongs.map(|(shape, _)| &shape.rows[row]).collect()
                 };
-                let of_run = |(run, row)| chosen.iter().map(|class| of_class(run, row, class)).collect();
+                let run_classes = |(run, row)| chosen.iter().map(|class| class_rows(run, row, class)).collect();
                 let places = (0..runs.len()).flat_map(|run| method.iter().map(move |&row| (run, row)));
-                let of_runs: Vec<Classes> = places.map(of_run).collect();
-                Figure::new(&of_runs, class, iou)
+                let per_run: Vec<Classes> = places.map(run_classes).collect();
+                Figure::new(&per_run, class, iou)
             };
             figures.push(figure(&distinct, None, if num_classes > 0 { class_iou } else { pairs_iou })?);
             for class in distinct.iter().filter(|class| class.is_some()) {
@@ -135,17 +148,6 @@ impl<'a> Report<'a> {
         }
         let (num_shapes, num_seeds, num_models) = (classes.len(), runs.len(), num_models(&methods));
         Ok(Self { threshold, settings, figures, num_shapes, num_classes, num_seeds, num_models, paper })
-    }
-
-    /// The tables as lines of plain text.
-    pub fn text_lines(&self) -> Vec<String> {
-        tables::text_lines(&self.tables())
-    }
-
-    /// The report as files: extensions and contents.
-    pub fn files(&self) -> [(&'static str, String); 4] {
-        let (markdown, svg) = (tables::markdown(&self.tables()), plot::svg("mIoU", &self.panels()));
-        [("csv", self.csv()), ("json", self.json()), ("md", markdown), ("svg", svg)]
     }
 
     /// The means over classes or pairs.
@@ -187,7 +189,7 @@ impl<'a> Report<'a> {
         let panel = |rule: &str, of: fn(&Figure) -> &[Statistic], paper: Option<&PaperTable>| {
             let ours =
                 |figure: &Figure| Line::new(&figure.method, of(figure).iter().map(|iou| Some(iou.mean)).collect());
-            let theirs = paper.into_iter().flat_map(|paper| Line::of_paper(paper, self.threshold));
+            let theirs = paper.into_iter().flat_map(|paper| Line::from_paper(paper, self.threshold));
             Panel {
                 x_label: format!("threshold ({rule})"),
                 ticks: self.threshold.iter().map(|threshold| (*threshold, threshold.to_string())).collect(),
@@ -269,7 +271,7 @@ mod tests {
         let shapes = [shape(4, [4, 0, 0], [4, 0, 0]), shape(6, [4, 4, 4], [4, 0, 0]), shape(1, [2, 2, 1], [2, 0, 1])];
         let classes = [Some("chair"), Some("chair"), Some("airplane")];
         let settings = json!({});
-        let report = Report::new(&[0.1], &settings, &[&shapes], &classes, Some(&KEYPOINTNET)).unwrap();
+        let report = Evaluation::new(&[0.1], &settings, &[&shapes], &classes, Some(&KEYPOINTNET)).unwrap();
         // By the strict rule the chair has (8 - 4) / (8 + 4), the airplane 1 / 4; by the released code 1 and 1 / 2.
         let markdown = tables::markdown(&report.tables());
         // The single shapes have 1, 0 and 1 / 4 by the strict rule; by the released code 1, 1 and 1 / 2.
@@ -307,14 +309,13 @@ mIoU over 3 shapes of 2 classes at each threshold ± standard deviation over sha
     fn pairs_are_averaged_by_the_rule() {
         let shapes = [shape(4, [4, 0, 0], [4, 0, 0]), shape(6, [4, 4, 4], [4, 4, 4])];
         let settings = json!({});
-        let report = Report::new(&[0.1], &settings, &[&shapes], &[None, None], None).unwrap();
+        let report = Evaluation::new(&[0.1], &settings, &[&shapes], &[None, None], None).unwrap();
         let [figure] = &report.figures[..] else { panic!("one method") };
         assert_eq!((figure.strict[0].mean, figure.keypoints), (0.5, 5.0));
         // The running IoU is 4 / 4, then 4 / 12.
         assert!((figure.paper[0].mean - (1.0 + 1.0 / 3.0) / 2.0).abs() < 1e-12);
         assert!(
-            report
-                .text_lines()
+            tables::text_lines(&report.tables())
                 .join("\n")
                 .contains("mIoU over 2 pairs at each threshold ± standard deviation over pairs, strict")
         );
@@ -327,7 +328,7 @@ mIoU over 3 shapes of 2 classes at each threshold ± standard deviation over sha
         let second = [shape(6, [4, 4, 4], [4, 0, 0]), shape(2, [2, 2, 1], [2, 0, 1])];
         let settings = json!({});
         let classes = [Some("chair"), Some("airplane")];
-        let report = Report::new(&[0.1], &settings, &[&first, &second], &classes, None).unwrap();
+        let report = Evaluation::new(&[0.1], &settings, &[&first, &second], &classes, None).unwrap();
         let markdown = tables::markdown(&report.tables());
         assert!(markdown.contains("± standard deviation over 2 seeds, strict"), "{markdown}");
         // Means of 0.625 and 0.125.

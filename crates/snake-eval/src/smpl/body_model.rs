@@ -7,8 +7,6 @@ use std::path::Path;
 use nalgebra::{Isometry3, Matrix3, Point3, Rotation3, Translation3, UnitQuaternion, Vector3};
 use snake_io::{self as io, Array};
 
-use super::pickle::Pickle;
-use super::pickled_arrays;
 use crate::error::{Error, Result};
 
 /// The arrays in a file of a body model.
@@ -35,18 +33,18 @@ pub struct BodyModel {
 }
 
 impl BodyModel {
-    /// Reads a model from an `.npz` file, or from a pickle with any other extension. No code in a pickle is executed.
+    /// Reads a model from an `.npz` file. `python -m snake_training.body_model` makes one of a pickle, as SMPL is distributed.
     ///
     /// # Errors
-    /// [`Error::Io`] and [`Error::File`] when the file cannot be read; [`Error::Layout`] when it is no body model.
+    /// [`Error::File`] when the file cannot be read; [`Error::Layout`] when it is no body model, or a file of another
+    /// extension.
     pub fn open(path: &Path) -> Result<Self> {
-        let arrays = if path.extension().is_some_and(|extension| extension.eq_ignore_ascii_case("npz")) {
-            io::read_arrays(path, &NAMES)?
-        } else {
-            let bytes = std::fs::read(path).map_err(|source| Error::io(path, source))?;
-            pickled(&bytes).map_err(|reason| Error::layout(path, reason))?
-        };
-        Self::new(arrays).map_err(|reason| Error::layout(path, reason))
+        if path.extension().is_none_or(|extension| !extension.eq_ignore_ascii_case("npz")) {
+            let reason = "body models are read from .npz; `python -m snake_training.body_model FILE model.npz` converts a \
+                          pickle, as SMPL is distributed";
+            return Err(Error::layout(path, reason));
+        }
+        Self::new(io::read_arrays(path, &NAMES)?).map_err(|reason| Error::layout(path, reason))
     }
 
     /// A model from the arrays of [`NAMES`], in that order.
@@ -68,8 +66,8 @@ impl BodyModel {
             vec![2, num_joints],
             vec![faces.items.len() / 3, 3],
         ];
-        let found = [&template, &shape, &pose, &weights, &regressor, &tree, &faces];
-        for ((name, array), expected) in NAMES.iter().zip(found).zip(&expected) {
+        let arrays = [&template, &shape, &pose, &weights, &regressor, &tree, &faces];
+        for ((name, array), expected) in NAMES.iter().zip(arrays).zip(&expected) {
             if &array.shape != expected {
                 return Err(format!("`{name}` has the shape {:?}, expected {expected:?}", array.shape));
             }
@@ -159,16 +157,6 @@ impl BodyModel {
     }
 }
 
-/// The arrays of a pickled model.
-fn pickled(bytes: &[u8]) -> std::result::Result<Vec<Array>, String> {
-    let pickle = Pickle::parse(bytes)?;
-    let array = |name: &str| {
-        let node = pickle.get(pickle.root(), name).ok_or_else(|| format!("not a body model: `{name}` is missing"))?;
-        pickled_arrays::array(&pickle, node).map_err(|reason| format!("`{name}` {reason}"))
-    };
-    NAMES.iter().map(|name| array(name)).collect()
-}
-
 /// The index of the parent of each joint except the first. The two rows of `kintree_table` are the names of the parents
 /// and the names of the joints.
 fn parents(tree: &[f64]) -> std::result::Result<Vec<usize>, String> {
@@ -210,9 +198,9 @@ mod tests {
     }
 
     fn assert_vertices(model: &BodyModel, pose: [[f64; 3]; 2], betas: &[f64], expected: [[f64; 3]; 3]) {
-        let found = model.vertices(&pose.map(Vector3::from), betas);
-        for (vertex, expected) in found.iter().zip(expected) {
-            assert!((vertex - Point3::from(expected)).norm() < 1e-12, "{found:?}");
+        let vertices = model.vertices(&pose.map(Vector3::from), betas);
+        for (vertex, expected) in vertices.iter().zip(expected) {
+            assert!((vertex - Point3::from(expected)).norm() < 1e-12, "{vertices:?}");
         }
     }
 
@@ -242,12 +230,14 @@ mod tests {
     }
 
     #[test]
-    fn the_same_model_from_every_kind_of_file() {
+    fn a_model_is_read_from_npz_and_a_pickle_names_its_converter() {
         let model = BodyModel::open(&sample("model.npz")).unwrap();
         assert_eq!((model.template.len(), model.faces.len(), model.num_betas), (16, 28, 10));
         assert_eq!(model.parents, [0, 1]);
-        for name in ["model.pkl", "model_py3.pkl", "model_py3_protocol5.pkl"] {
-            assert_eq!(BodyModel::open(&sample(name)).unwrap(), model, "{name}");
+        for name in ["model.pkl", "model"] {
+            let error = BodyModel::open(&sample(name)).unwrap_err().to_string();
+            assert!(error.contains(&format!("{name}: body models are read from .npz")), "{error}");
+            assert!(error.contains("python -m snake_training.body_model FILE model.npz"), "{error}");
         }
     }
 
@@ -257,30 +247,11 @@ mod tests {
             <[Array; 3]>::try_from(io::read_arrays(&sample("posed.npz"), &["pose", "betas", "vertices"]).unwrap())
                 .unwrap();
         let pose: Vec<Vector3<f64>> = pose.items.as_chunks::<3>().0.iter().map(|&rotation| rotation.into()).collect();
-        let found = BodyModel::open(&sample("model.npz")).unwrap().vertices(&pose, &betas.items);
-        assert_eq!(found.len() * 3, vertices.items.len());
-        for (vertex, &expected) in found.iter().zip(vertices.items.as_chunks::<3>().0) {
+        let posed = BodyModel::open(&sample("model.npz")).unwrap().vertices(&pose, &betas.items);
+        assert_eq!(posed.len() * 3, vertices.items.len());
+        for (vertex, &expected) in posed.iter().zip(vertices.items.as_chunks::<3>().0) {
             assert!((vertex - Point3::from(expected)).norm() < 1e-12, "{vertex} {expected:?}");
         }
-    }
-
-    #[test]
-    fn a_damaged_pickle_is_an_error_wherever_it_is_damaged() {
-        let bytes = std::fs::read(sample("model.pkl")).unwrap();
-        assert!(pickled(&bytes).is_ok());
-        for length in 0..bytes.len() {
-            pickled(&bytes[..length]).unwrap_err();
-        }
-        let mut refused = 0;
-        for at in (0..bytes.len()).filter(|at| bytes.len() - at < 900 || *at < 900) {
-            for value in [0, 1, 0x7f, 0xff, b'.', b'R', b'b', b'h'] {
-                let mut damaged = bytes.clone();
-                damaged[at] = value;
-                // Any content is parsed or refused in finite time.
-                refused += usize::from(pickled(&damaged).and_then(BodyModel::new).is_err());
-            }
-        }
-        assert!(refused > 5000, "{refused}");
     }
 
     #[test]

@@ -2,8 +2,6 @@
 //! section 4.1).
 
 mod body_model;
-mod pickle;
-mod pickled_arrays;
 
 use std::path::{Path, PathBuf};
 
@@ -38,7 +36,7 @@ pub struct BodyPairs {
 }
 
 impl BodyPairs {
-    /// Opens a model file of SMPL, SMPL+H or SMPL-X, or a folder with `model.npz` or `model.pkl`. Other folders give
+    /// Opens a model file of SMPL, SMPL+H or SMPL-X, or a folder with `model.npz`. Other folders give
     /// `None`. A folder may also hold the released code's parameters, `pose_test_100.npy` `(S, 2, K, 3)` and
     /// `beta_test_100.npy` `(S, 2, 10)`. Without them there are 100 pairs with random parameters.
     ///
@@ -49,6 +47,7 @@ impl BodyPairs {
         let file = if data.is_file() {
             data.to_owned()
         } else {
+            // A pickle is refused with the name of its converter.
             let known = ["model.npz", "model.pkl"].map(named);
             let Some(file) = known.into_iter().find(|file| file.is_file()) else { return Ok(None) };
             file
@@ -125,8 +124,8 @@ fn parameters(model: &BodyModel, poses: &PathBuf, betas: &PathBuf) -> Result<[Ar
     let arrays = [io::read_array(poses)?, io::read_array(betas)?];
     let pairs = arrays[0].shape.first().copied().unwrap_or(0);
     for ((path, array), count) in [poses, betas].into_iter().zip(&arrays).zip([3 * model.num_joints(), BETAS]) {
-        let of_pairs = array.shape.starts_with(&[pairs, 2]) && array.items.len() == pairs * 2 * count;
-        if pairs == 0 || !of_pairs || !array.items.iter().all(|item| item.is_finite()) {
+        let has_pairs_shape = array.shape.starts_with(&[pairs, 2]) && array.items.len() == pairs * 2 * count;
+        if pairs == 0 || !has_pairs_shape || !array.items.iter().all(|item| item.is_finite()) {
             let shape = &array.shape;
             let reason = format!("shape {shape:?}; expected {count} numbers for each of two bodies of each pair");
             return Err(Error::layout(path, reason));

@@ -204,10 +204,10 @@ mod tests {
 
     #[test]
     fn every_row_has_a_figure_for_every_column() {
-        let of_repeatability = [&MODELNET40, &REDWOOD].map(|set| [&set.epsilon, &set.downsample, &set.noise]);
+        let repeatability_tables = [&MODELNET40, &REDWOOD].map(|set| [&set.epsilon, &set.downsample, &set.noise]);
         let registration =
             [&THREE_D_MATCH.feature_matching_recall, &THREE_D_MATCH.inlier_ratio, &THREE_D_MATCH.registration_recall];
-        let tables = of_repeatability.into_iter().chain([[&KEYPOINTNET, &SMPL, &SMPL], registration]).flatten();
+        let tables = repeatability_tables.into_iter().chain([[&KEYPOINTNET, &SMPL, &SMPL], registration]).flatten();
         for PaperTable { column_values, rows } in tables {
             assert!(rows.iter().all(|(_, figures)| figures.len() == column_values.len()));
             assert!(rows.iter().all(|(_, figures)| figures.iter().all(|figure| (0.0..1.0).contains(figure))));

@@ -32,7 +32,7 @@ impl Line {
     }
 
     /// One line for each row of a table of the paper, with the figures for the given column values.
-    pub fn of_paper(table: &PaperTable, column_values: &[f64]) -> Vec<Self> {
+    pub fn from_paper(table: &PaperTable, column_values: &[f64]) -> Vec<Self> {
         let line = |(method, values): (&str, _)| Self { method: method.into(), values, is_paper: true };
         table.at(column_values).into_iter().map(line).collect()
     }
@@ -129,8 +129,8 @@ fn curve(points: &[(f64, f64)], color: &str, dashed: bool) -> String {
 
 /// Pixels from the left edge of the diagram. The outer ticks lie a little inside it, and a single tick in the middle.
 fn across(panel: &Panel, x: f64) -> f64 {
-    let of_ticks = |choose: fn(f64, f64) -> f64, start| panel.ticks.iter().map(|(x, _)| *x).fold(start, choose);
-    let (least, most) = (of_ticks(f64::min, f64::INFINITY), of_ticks(f64::max, f64::NEG_INFINITY));
+    let fold_ticks = |choose: fn(f64, f64) -> f64, start| panel.ticks.iter().map(|(x, _)| *x).fold(start, choose);
+    let (least, most) = (fold_ticks(f64::min, f64::INFINITY), fold_ticks(f64::max, f64::NEG_INFINITY));
     let share = if most > least { (x - least) / (most - least) } else { 0.5 };
     WIDTH * (0.05 + 0.9 * share)
 }

@@ -1,6 +1,7 @@
 //! Points in the units of their cloud, and what is found on it.
 
 mod cloud;
+mod dense_core;
 mod keypoint;
 mod length;
 mod mesh;
@@ -13,5 +14,5 @@ pub use keypoint::Keypoint;
 pub use length::{Length, gaps, resolution};
 pub use mesh::{Mesh, unit};
 pub use outliers::{Outliers, Reach};
-pub use points::{FinitePoints, Normalization, NormalizationMethod, Point, check_points};
+pub use points::{FinitePoints, Normalization, NormalizationMethod, Point, check_pairs, check_points};
 pub use zero_hint::zero_hint;

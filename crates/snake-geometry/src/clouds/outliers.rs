@@ -2,6 +2,7 @@
 
 use std::fmt;
 
+use super::dense_core::dense_core;
 use crate::Point;
 
 /// The share of the points that decides how far a cloud reaches. Fewer points than one in twenty can be outliers.
@@ -17,10 +18,12 @@ const MIN_POINTS: usize = 20;
 /// The ball in which the points of a cloud lie, save for outliers.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Reach {
-    /// The median of each coordinate.
+    /// The median of each coordinate, or the middle of the dense core.
     center: [f64; 3],
-    /// The distance from the middle within which [`SHARE`] of the points lie.
+    /// The distance from the middle within which [`SHARE`] of the points lie, or the radius of the dense core.
     common: f64,
+    /// The points that are farther from the middle are outliers.
+    limit: f64,
 }
 
 impl Reach {
@@ -42,6 +45,9 @@ impl Reach {
             *slot = places.by_ref().nth(place - next)?.1;
             (next, filled) = (place + 1, filled + 1);
         }
+        if let Some((center, radius)) = dense_core(measured) {
+            return Some(Self { center, common: radius, limit: radius });
+        }
         let middle = measured.len() / 2;
         let center = std::array::from_fn(|axis| {
             measured.select_nth_unstable_by(middle, |a, b| a[axis].total_cmp(&b[axis])).1[axis]
@@ -49,18 +55,18 @@ impl Reach {
         let rank = (SHARE * measured.len() as f64).ceil() as usize - 1;
         let squared = |position: &[f64; 3]| squared_distance(position, &center);
         let common = squared(measured.select_nth_unstable_by(rank, |a, b| squared(a).total_cmp(&squared(b))).1).sqrt();
-        (common > 0.0 && common.is_finite()).then_some(Self { center, common })
+        (common > 0.0 && common.is_finite()).then_some(Self { center, common, limit: TIMES * common })
     }
 
     /// Whether a finite position is no outlier.
     pub fn holds(&self, position: [f64; 3]) -> bool {
-        squared_distance(&position, &self.center) <= (TIMES * self.common).powi(2)
+        squared_distance(&position, &self.center) <= self.limit.powi(2)
     }
 
     /// The outliers among finite points, if there are any.
     pub fn outliers(&self, points: &[Point]) -> Option<Outliers> {
         let squared = points.iter().map(|point| squared_distance(&point.map(f64::from), &self.center));
-        let limit = (TIMES * self.common).powi(2);
+        let limit = self.limit.powi(2);
         let (number, farthest) = squared
             .filter(|squared| *squared > limit)
             .fold((0, 0.0), |(number, farthest): (usize, f64), squared| (number + 1, farthest.max(squared)));
@@ -68,19 +74,21 @@ impl Reach {
     }
 }
 
-fn squared_distance(a: &[f64; 3], b: &[f64; 3]) -> f64 {
+pub(super) fn squared_distance(a: &[f64; 3], b: &[f64; 3]) -> f64 {
     (0..3).map(|axis| (a[axis] - b[axis]).powi(2)).sum()
 }
 
-/// The few points of a cloud that are far beyond all others: fewer than one in twenty, and more than five times as far from
-/// the middle. They would decide the cloud's size, so they are left out. The text says so in one sentence.
+/// The points of a cloud that are far beyond all others: fewer than one in twenty, and more than five times as far from the
+/// middle; or the sparse points about a dense core, such as a dome of sky or the floaters of splats, up to seven in ten. They
+/// would decide the cloud's size, so they are left out. The text says so in one sentence.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Outliers {
     /// Number of points that are left out.
     pub number: usize,
     /// Number of finite points.
     pub num_points: usize,
-    /// The distance of the farthest from the middle, in distances within which 0.95 of the points lie.
+    /// The distance of the farthest from the middle, in distances within which 0.95 of the points lie, or in radii of the dense
+    /// core.
     pub times: f64,
 }
 
@@ -94,11 +102,14 @@ impl fmt::Display for Outliers {
                 f,
                 "1 of {num_points} points is {times} times as far from the middle as the others: an outlier, left out"
             ),
-            _ => write!(
-                f,
-                "{number} of {num_points} points are up to {times} times as far from the middle as the others: outliers, \
-                 left out"
-            ),
+            _ => {
+                let kind = if number * 20 > num_points { "sky, floaters or other outliers" } else { "outliers" };
+                write!(
+                    f,
+                    "{number} of {num_points} points are up to {times} times as far from the middle as the others: {kind}, \
+                     left out"
+                )
+            }
         }
     }
 }

@@ -48,11 +48,11 @@ impl Normalization {
     /// [`Error::Input`] when the cloud has no finite points, is one point repeated, or has an extent outside 1e-15 to
     /// 1e15: squared distances must neither vanish nor overflow in `f32`.
     pub fn of(points: &[Point], method: NormalizationMethod) -> Result<Self> {
-        Self::of_finite(&FinitePoints::of("points", points)?.points, method)
+        Self::from_finite(&FinitePoints::of("points", points)?.points, method)
     }
 
     /// [`Normalization::of`] for points that are all used, at least one.
-    pub fn of_finite(points: &[Point], method: NormalizationMethod) -> Result<Self> {
+    pub fn from_finite(points: &[Point], method: NormalizationMethod) -> Result<Self> {
         if method == NormalizationMethod::None {
             let largest = points.as_flattened().iter().fold(0.0, |m: f32, v| m.max(v.abs()));
             let unscaled = Self { center: [0.0; 3], scale: 1.0 };
@@ -216,6 +216,22 @@ pub fn check_points<T: Copy + Into<f64>>(what: &'static str, points: &[[T; 3]]) 
         return Err(Error::Input { what, reason });
     }
     Ok(())
+}
+
+/// Refuses matched points that differ in number or have a coordinate that is not finite; empty arrays are accepted.
+///
+/// # Errors
+/// [`Error::Input`] for the array at fault, `source` or `target`.
+pub fn check_pairs<T: Copy + Into<f64>>(source: &[[T; 3]], target: &[[T; 3]]) -> Result<()> {
+    if source.len() != target.len() {
+        let reason = format!("{} points, but the source has {}; row i matches row i", target.len(), source.len());
+        return Err(Error::Input { what: "target", reason });
+    }
+    if source.is_empty() {
+        return Ok(());
+    }
+    check_points("source", source)?;
+    check_points("target", target)
 }
 
 #[cfg(test)]

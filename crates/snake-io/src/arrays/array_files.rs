@@ -38,8 +38,8 @@ pub fn read_array(path: &Path) -> Result<Array> {
 #[cfg(feature = "npz")]
 pub fn read_arrays(path: &Path, names: &[&str]) -> Result<Vec<Array>> {
     let lacking = |name: &&str| Error::Format { path: path.into(), reason: format!("array `{name}`: not in the file") };
-    let found = find_arrays(path, names)?.into_iter().zip(names);
-    found.map(|(array, name)| array.ok_or_else(|| lacking(name))).collect()
+    let arrays = find_arrays(path, names)?.into_iter().zip(names);
+    arrays.map(|(array, name)| array.ok_or_else(|| lacking(name))).collect()
 }
 
 /// [`read_arrays`] with `None` for an array that the archive does not have.

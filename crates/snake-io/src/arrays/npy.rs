@@ -32,7 +32,7 @@ pub(crate) fn positions<'a>(
         array.check_shape(data)?;
     }
     check_left_over(&data[array.rows * array.columns * array.dtype.size..], array.rows)?;
-    let indices = columns.map_or(Ok([0, 1, 2]), Columns::of_array)?;
+    let indices = columns.map_or(Ok([0, 1, 2]), Columns::in_array)?;
     if let Some(missing) = indices.iter().find(|&&index| index >= array.columns) {
         return Err(format!("no column {}; the array has {}", missing.saturating_add(1), array.columns));
     }

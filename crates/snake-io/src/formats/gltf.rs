@@ -13,7 +13,7 @@ use crate::formats::shape::{Position, Shape, add_polygon};
 /// Reads the vertices of all meshes of the default scene, in the scene's frame (y points up), and their triangles.
 pub(crate) fn read(bytes: &[u8]) -> Result<Shape, String> {
     let (document, binary) = Document::parse(bytes)?;
-    let most = bytes.len().saturating_mul(MAX_EXPANSION).max(LEAST_BYTES) / size_of::<Position>();
+    let most = bytes.len().saturating_mul(MAX_EXPANSION).max(MIN_BYTES) / size_of::<Position>();
     let mut scene = SceneReader {
         data: Data::new(&document, binary),
         document: &document,
@@ -37,7 +37,7 @@ pub(crate) fn read(bytes: &[u8]) -> Result<Shape, String> {
 }
 
 /// The bytes of points that any file may make. A small file may have many instances.
-const LEAST_BYTES: usize = 64 << 20;
+const MIN_BYTES: usize = 64 << 20;
 
 /// Column by column, as in the file.
 type Matrix = [[f64; 4]; 4];
@@ -368,9 +368,9 @@ mod tests {
 
     #[test]
     fn rotations_of_any_length_do_not_scale_and_files_without_scenes_have_roots() {
-        let turned = r#"[{"mesh": 0, "rotation": [0, 0, 3, 3]}]"#;
+        let rotated = r#"[{"mesh": 0, "rotation": [0, 0, 3, 3]}]"#;
         let near = |found: &[f32; 3], expected: [f32; 3]| found.iter().zip(expected).all(|(a, b)| (a - b).abs() < 1e-6);
-        assert!(near(&read(&scene(turned, "")).unwrap()[0], [-2.0, 1.0, 3.0]));
+        assert!(near(&read(&scene(rotated, "")).unwrap()[0], [-2.0, 1.0, 3.0]));
         let zero = r#"[{"mesh": 0, "rotation": [0, 0, 0, 0]}]"#;
         assert_eq!(read(&scene(zero, "")).unwrap(), [[1.0, 2.0, 3.0]]);
         let nodes = r#"[{"mesh": 0}, {"children": [0], "translation": [10, 0, 0]}]"#;

@@ -9,7 +9,7 @@ use snake_geometry::excerpt;
 pub(crate) fn read(bytes: &[u8]) -> Result<Shape, String> {
     let mut shape = Shape::default();
     let mut begun = String::new();
-    for (number, line) in Lines::of_text(bytes)? {
+    for (number, line) in Lines::from_text(bytes)? {
         let line = text(line);
         let line = without_comment(&line);
         match line.strip_suffix('\\') {

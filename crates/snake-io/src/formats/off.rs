@@ -11,7 +11,7 @@ const KEYWORDS: [&str; 6] = ["STOFF", "CNOFF", "STCOFF", "COFF", "NOFF", "OFF"];
 ///
 /// The counts may follow the keyword on the same line, even without a space, as in some files of ModelNet40.
 pub(crate) fn read(bytes: &[u8]) -> Result<Shape, String> {
-    let lines = Lines::of_text(bytes)?.map(|(number, line)| (number, without_comment(&text(line)).to_string()));
+    let lines = Lines::from_text(bytes)?.map(|(number, line)| (number, without_comment(&text(line)).to_string()));
     let mut lines = lines.filter(|(_, line)| !line.is_empty());
     let (number, first) = lines.next().ok_or("not an OFF file: it is empty")?;
     let keyword = KEYWORDS.iter().find_map(|keyword| {

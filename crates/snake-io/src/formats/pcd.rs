@@ -33,7 +33,7 @@ pub(crate) fn origin(bytes: &[u8]) -> [f64; 3] {
 
 /// The position of the sensor in a header, if it is not zero. The orientation after it is not read.
 pub(crate) fn viewpoint(bytes: &[u8]) -> Option<[f64; 3]> {
-    let lines = Lines::of_header(bytes).take_while(|(_, line)| !line.starts_with(b"DATA"));
+    let lines = Lines::from_header(bytes).take_while(|(_, line)| !line.starts_with(b"DATA"));
     let line = lines.map(|(_, line)| text(line)).find(|line| line.starts_with("VIEWPOINT"))?;
     let numbers =
         line.split_whitespace().skip(1).take(3).map(|number| number.parse().ok().filter(|v: &f64| v.is_finite()));
@@ -44,26 +44,34 @@ pub(crate) fn viewpoint(bytes: &[u8]) -> Option<[f64; 3]> {
 /// Reads the fields x, y, z of any scalar type, and adds the origin that a file of this crate states. `nan`, which
 /// marks missing points in organised clouds, is kept.
 pub(crate) fn read(bytes: &[u8]) -> Result<Shape, String> {
-    let (header, lines) = Header::parse(bytes)?;
-    let mut points = match header.encoding {
-        Encoding::Ascii => header.ascii(lines),
-        Encoding::Binary => header.binary(lines.rest()),
-        Encoding::BinaryCompressed => header.compressed(lines.rest()),
-    }?;
+    let (header, lines) = Header::parse(bytes, &AXES)?;
+    let mut points = header.points(lines)?;
     if let Some(origin) = header.origin {
         points.iter_mut().for_each(|point| *point = std::array::from_fn(|axis| point[axis] + origin[axis]));
     }
     Ok(points.into())
 }
 
+/// Three fields of all points by name. One name can stand for all three. Packed colours are the number of their bits.
+pub(crate) fn columns(bytes: &[u8], names: [&str; 3]) -> Result<Vec<Position>, String> {
+    let (header, lines) = Header::parse(bytes, &names)?;
+    header.points(lines)
+}
+
+/// Fields that hold a colour in the bits of a number.
+const PACKED: [&str; 2] = ["rgb", "rgba"];
+
+#[derive(Clone, Copy)]
 enum Encoding {
     Ascii,
     Binary,
     BinaryCompressed,
 }
 
-/// An axis: its type and its position within a point, in bytes and in columns of text.
+/// An axis: whether its bits are meant, its type and its position within a point, in bytes and in columns of text.
+#[derive(Clone, Copy)]
 struct Field {
+    is_packed_float: bool,
     dtype: Dtype,
     offset: usize,
     column: usize,
@@ -82,10 +90,10 @@ struct Header {
 
 impl Header {
     /// Parses the header, up to its line DATA. The rest of the lines is the data.
-    fn parse(bytes: &[u8]) -> Result<(Self, Lines<'_>), String> {
+    fn parse<'a>(bytes: &'a [u8], names: &[&str; 3]) -> Result<(Self, Lines<'a>), String> {
         let (mut fields, mut sizes, mut types, mut counts) = (Vec::new(), Vec::new(), Vec::new(), None);
         let (mut points, mut width, mut height, mut origin) = (None, None, None, None);
-        let mut lines = Lines::of_header(bytes);
+        let mut lines = Lines::from_header(bytes);
         while let Some((line_number, line)) = lines.next() {
             if line.starts_with(b"#") {
                 origin = origin.or_else(|| parse_origin(line));
@@ -119,7 +127,7 @@ impl Header {
                     let area = width.zip(height).and_then(|(width, height)| width.checked_mul(height));
                     let num_points = points.or(area).ok_or("header: neither POINTS nor WIDTH and HEIGHT")?;
                     let counts = counts.unwrap_or_else(|| vec!["1"; fields.len()]);
-                    let (axes, size, columns) = axes(&fields, &sizes, &types, &counts)?;
+                    let (axes, size, columns) = axes(names, &fields, &sizes, &types, &counts)?;
                     return Ok((Self { axes, size, columns, num_points, encoding, origin }, lines));
                 }
                 "VERSION" | "VIEWPOINT" => {}
@@ -127,6 +135,14 @@ impl Header {
             }
         }
         Err("no line DATA: not a PCD file, or cut short within its header".into())
+    }
+
+    fn points(&self, lines: Lines) -> Result<Vec<Position>, String> {
+        match self.encoding {
+            Encoding::Ascii => self.ascii(lines),
+            Encoding::Binary => self.binary(lines.rest()),
+            Encoding::BinaryCompressed => self.compressed(lines.rest()),
+        }
     }
 
     fn binary(&self, data: &[u8]) -> Result<Vec<Position>, String> {
@@ -169,8 +185,8 @@ impl Header {
             let line = text(line);
             let (mut point, mut columns) = ([None; 3], 0);
             for word in line.split_ascii_whitespace() {
-                if let Some(axis) = self.axes.iter().position(|field| field.column == columns) {
-                    point[axis] = number(word);
+                for (value, field) in point.iter_mut().zip(&self.axes).filter(|(_, field)| field.column == columns) {
+                    *value = number(word).map(|number| field.in_text(number));
                 }
                 columns += 1;
             }
@@ -193,8 +209,16 @@ impl Header {
     }
 }
 
-/// The three axes, and the bytes and columns of all fields of a point.
+impl Field {
+    /// The value of a number in ascii data: packed colours stand there as the float with their bits, or as the integer.
+    fn in_text(&self, number: f64) -> f64 {
+        if self.is_packed_float { f64::from((number as f32).to_bits()) } else { number }
+    }
+}
+
+/// The three axes of these names, and the bytes and columns of all fields of a point.
 fn axes(
+    names: &[&str; 3],
     fields: &[&str],
     sizes: &[&str],
     types: &[&str],
@@ -204,7 +228,7 @@ fn axes(
         return Err("header: FIELDS, SIZE, TYPE and COUNT differ in length".into());
     }
     let (mut offset, mut column) = (0_usize, 0_usize);
-    let mut found: [Option<Field>; 3] = [None, None, None];
+    let mut xyz: [Option<Field>; 3] = [None, None, None];
     for (((&name, size), kind), count) in fields.iter().zip(sizes).zip(types).zip(counts) {
         let unusable = || {
             format!(
@@ -217,16 +241,19 @@ fn axes(
         };
         let (size, number) = size.parse().ok().zip(count.parse::<usize>().ok()).ok_or_else(unusable)?;
         let end = usize::checked_mul(size, number).and_then(|bytes| offset.checked_add(bytes)).ok_or_else(unusable)?;
-        if let Some(axis) = AXES.iter().position(|axis| *axis == name) {
-            if number != 1 || found[axis].is_some() {
+        if let Some(axis) = names.iter().position(|axis| *axis == name) {
+            if number != 1 || xyz[axis].is_some() {
                 return Err(format!("header: more than one `{name}`"));
             }
-            let dtype = Dtype::parse(&format!("<{}{size}", kind.to_ascii_lowercase())).ok_or_else(unusable)?;
-            found[axis] = Some(Field { dtype, offset, column });
+            let is_packed_float = PACKED.contains(&name) && kind.eq_ignore_ascii_case("F");
+            let kind = if is_packed_float { "u".into() } else { kind.to_ascii_lowercase() };
+            let dtype = Dtype::parse(&format!("<{kind}{size}")).ok_or_else(unusable)?;
+            xyz[axis] = Some(Field { is_packed_float, dtype, offset, column });
         }
         (offset, column) = (end, column.saturating_add(number));
     }
-    match found {
+    // One name can stand for all three.
+    match names.map(|name| names.iter().position(|other| *other == name).and_then(|axis| xyz[axis])) {
         [Some(x), Some(y), Some(z)] => Ok(([x, y, z], offset, column)),
         _ => Err("header: FIELDS lacks x, y or z".into()),
     }

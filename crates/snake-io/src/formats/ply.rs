@@ -1,6 +1,6 @@
 //! Reads PLY, ascii and binary.
 
-use crate::formats::ply_header::{Element, Header, Property, Role};
+use crate::formats::ply_header::{AXES, Element, Header, Property, Role};
 use crate::formats::shape::{Position, Shape, add_polygon, check_left_over};
 use crate::text::lines::{Lines, advice, text};
 use crate::text::number::number;
@@ -12,7 +12,7 @@ use snake_geometry::excerpt;
 /// Other properties and elements are ignored, whether or not their values fit their types. Faces that were not asked for
 /// may be damaged or cut short.
 pub(crate) fn read(bytes: &[u8], with_faces: bool) -> Result<Shape, String> {
-    let (header, lines) = Header::parse(bytes)?;
+    let (header, lines) = Header::parse(bytes, &AXES)?;
     let mut payload = if header.is_ascii { Payload::Ascii(lines) } else { Payload::Binary(lines.rest()) };
     // Elements without properties take no bytes, so the file's length does not limit their number.
     let elements: Vec<&Element> = header.elements.iter().filter(|element| !element.properties.is_empty()).collect();
@@ -40,6 +40,19 @@ pub(crate) fn read(bytes: &[u8], with_faces: bool) -> Result<Shape, String> {
     }
     shape.check_triangles()?;
     Ok(shape)
+}
+
+/// Three properties of all vertices by name. One name can stand for all three; the first value is then meant.
+pub(crate) fn columns(bytes: &[u8], names: [&str; 3]) -> Result<Vec<Position>, String> {
+    let (header, lines) = Header::parse(bytes, &names)?;
+    let mut payload = if header.is_ascii { Payload::Ascii(lines) } else { Payload::Binary(lines.rest()) };
+    for element in header.elements.iter().filter(|element| !element.properties.is_empty()) {
+        match element.name.as_str() {
+            "vertex" => return payload.points(element),
+            _ => payload.skip(element)?,
+        }
+    }
+    Err("no element `vertex`".into())
 }
 
 /// The data that is not yet read.

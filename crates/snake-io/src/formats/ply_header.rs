@@ -4,7 +4,8 @@ use crate::arrays::dtype::Dtype;
 use crate::text::lines::{Lines, text};
 use snake_geometry::excerpt;
 
-const AXES: [&str; 3] = ["x", "y", "z"];
+/// The names of a vertex's coordinates.
+pub(crate) const AXES: [&str; 3] = ["x", "y", "z"];
 
 /// Names of the property with the corners of a face or of strips of triangles.
 const CORNERS: [&str; 2] = ["vertex_indices", "vertex_index"];
@@ -38,9 +39,9 @@ pub(crate) enum Role {
 }
 
 impl Header {
-    /// Parses a header. The rest of the lines is the data.
-    pub(crate) fn parse(bytes: &[u8]) -> Result<(Self, Lines<'_>), String> {
-        let mut lines = Lines::of_header(bytes);
+    /// Parses a header, in which the three values that are read of a vertex have these names. The rest of the lines is the data.
+    pub(crate) fn parse<'a>(bytes: &'a [u8], axes: &[&str; 3]) -> Result<(Self, Lines<'a>), String> {
+        let mut lines = Lines::from_header(bytes);
         if lines.next().is_none_or(|(_, line)| !line.trim_ascii().eq_ignore_ascii_case(b"ply")) {
             return Err("not a PLY file: it does not begin with a line `ply`".into());
         }
@@ -54,7 +55,7 @@ impl Header {
                 ["end_header"] => {
                     let order: &str = order.ok_or("header: no line `format`")?;
                     let elements =
-                        elements.into_iter().map(|element| element.typed(order)).collect::<Result<_, _>>()?;
+                        elements.into_iter().map(|element| element.typed(order, axes)).collect::<Result<_, _>>()?;
                     let header = Self { is_ascii: order.is_empty(), elements };
                     return header.checked(lines.rest().len()).map(|header| (header, lines));
                 }
@@ -127,14 +128,14 @@ struct Declared {
 }
 
 impl Declared {
-    fn typed(self, order: &str) -> Result<Element, String> {
+    fn typed(self, order: &str, axes: &[&str; 3]) -> Result<Element, String> {
         let Self { name, count, properties } = self;
         let is_vertex = name == "vertex";
         // Some scanners write the axes in upper case.
-        let any_case = !properties.iter().any(|[_, _, name]| AXES.contains(&name.as_str()));
+        let any_case = !properties.iter().any(|[_, _, name]| axes.contains(&name.as_str()));
         let axis = |name: &str| {
             let name = if any_case { name.to_ascii_lowercase() } else { name.into() };
-            AXES.iter().position(|axis| is_vertex && name == *axis)
+            axes.iter().position(|axis| is_vertex && name == *axis)
         };
         let typed = |[length, item, name]: &[String; 3]| {
             let type_of = |word: &str| dtype(word, order).ok_or_else(|| unknown_type(word, name));
@@ -147,7 +148,9 @@ impl Declared {
             Ok(Property { role, length, item: type_of(item)? })
         };
         let typed = properties.iter().map(typed).collect::<Result<Vec<_>, String>>()?;
-        for (axis, axis_name) in AXES.iter().enumerate().filter(|_| is_vertex) {
+        for axis_name in axes.iter().filter(|_| is_vertex) {
+            // One name can stand for all three.
+            let axis = axis(axis_name).unwrap_or_default();
             match typed.iter().filter(|property| property.role == Role::Axis(axis)).count() {
                 1 => {}
                 0 => return Err(no_axis(axis_name, &properties)),

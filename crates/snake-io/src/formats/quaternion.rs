@@ -29,9 +29,9 @@ mod tests {
     fn the_length_of_a_quaternion_does_not_matter() {
         let turn = [[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]];
         for length in [1.0, 0.707, 3.0, 1e200, 1e-200] {
-            let found = rotation([length, 0.0, 0.0, length]).unwrap();
-            for (found, expected) in found.as_flattened().iter().zip(turn.as_flattened()) {
-                assert!((found - expected).abs() < 1e-15, "{length}: {found}");
+            let matrix = rotation([length, 0.0, 0.0, length]).unwrap();
+            for (matrix, expected) in matrix.as_flattened().iter().zip(turn.as_flattened()) {
+                assert!((matrix - expected).abs() < 1e-15, "{length}: {matrix}");
             }
         }
         assert_eq!(rotation([0.0; 4]).unwrap(), rotation([1.0, 0.0, 0.0, 0.0]).unwrap());

@@ -31,7 +31,7 @@ pub(crate) fn read(bytes: &[u8]) -> Result<Shape, String> {
 /// Whether a file begins with `solid` and has one of the other words of the format near its beginning, which the title of
 /// a binary file does not have.
 fn is_ascii(bytes: &[u8]) -> bool {
-    let Some((_, line)) = Lines::of_header(bytes).next() else { return false };
+    let Some((_, line)) = Lines::from_header(bytes).next() else { return false };
     let begins = text(line).trim_start().get(..5).is_some_and(|word| word.eq_ignore_ascii_case("solid"));
     let head = bytes[..bytes.len().min(MAX_TITLE_BYTES)].to_ascii_lowercase();
     let has = |word: &[u8]| head.windows(word.len()).any(|piece| piece == word);
@@ -60,7 +60,7 @@ fn binary(data: &[u8], count: usize) -> Result<Shape, String> {
 fn ascii(bytes: &[u8]) -> Result<Shape, String> {
     let (mut soup, mut is_ended) = (Soup::default(), false);
     let (mut begun, mut last): (Option<Vec<f64>>, _) = (None, (0, &bytes[..0]));
-    for (line_number, line) in Lines::of_text(bytes)? {
+    for (line_number, line) in Lines::from_text(bytes)? {
         last = (line_number, line);
         let line = text(line);
         // A title may contain any words. It ends with its line or before the first facet.

@@ -1,5 +1,6 @@
 //! Sweeps of laser scanners as plain little-endian float32 values, as the data sets KITTI and nuScenes store them.
 
+use crate::format::PointFormat;
 use crate::formats::shape::{Position, Shape};
 
 /// Numbers of values a point that files are checked for.
@@ -27,6 +28,18 @@ pub(crate) fn read(bytes: &[u8], num_values: usize) -> Result<Shape, String> {
     };
     let position = |point: &[u8]| -> Position { std::array::from_fn(|axis| value(point, axis)) };
     Ok(bytes.chunks_exact(size).map(position).collect::<Vec<_>>().into())
+}
+
+/// The fourth value of each point, the intensity, if points of this format have one.
+pub(crate) fn intensity(bytes: &[u8], format: PointFormat) -> Option<Vec<f32>> {
+    let num_values = match format {
+        PointFormat::Nuscenes => 5,
+        PointFormat::Sweep(values) => values.into(),
+        _ => 4,
+    };
+    let (values, _) = bytes.as_chunks::<4>();
+    let fourth = values.chunks_exact(num_values).map(|point| point.get(3).map(|value| f32::from_le_bytes(*value)));
+    fourth.collect()
 }
 
 /// [`read`] if the content can have `num_values` values a point, which the name of the file only suggests.

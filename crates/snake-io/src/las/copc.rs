@@ -181,7 +181,8 @@ impl Copc {
             let chunk = read(&*self.source, node.offset..node.offset + node.size)?;
             let (mut index, mut outside) = (node.first, None);
             let (header, first) = (&*self.header, node.first as usize);
-            let decoded = header.chunk(&self.items, first, chunk.len(), &mut &chunk[..], &mut |position| {
+            let decoded = header.chunk(&self.items, first, chunk.len(), &mut &chunk[..], &mut |record| {
+                let position = header.position(record);
                 if !(contains(&bounds, position) && contains(&all, position)) {
                     outside = Some(position);
                 }

@@ -129,10 +129,10 @@ mod tests {
             let source = KeypointSource { origin, crs: Some(crs.clone()), ..KeypointSource::default() };
             let mut bytes = Vec::new();
             write(&mut bytes, keypoints, &source).unwrap();
-            let mut found = Vec::new();
-            let known = for_each_position(Cursor::new(&bytes), &mut |position| found.push(position)).unwrap();
-            assert_eq!((known, found.len()), (Some(crs.clone()), keypoints.len()));
-            for (position, keypoint) in found.iter().zip(keypoints) {
+            let mut positions = Vec::new();
+            let known = for_each_position(Cursor::new(&bytes), &mut |position| positions.push(position)).unwrap();
+            assert_eq!((known, positions.len()), (Some(crs.clone()), keypoints.len()));
+            for (position, keypoint) in positions.iter().zip(keypoints) {
                 let expected = add_origin(keypoint.position, origin);
                 assert!((0..3).all(|axis| (position[axis] - expected[axis]).abs() < 1e-6), "{position:?} {expected:?}");
             }

@@ -14,6 +14,7 @@ use laz::record::{LayeredPointRecordDecompressor, RecordDecompressor, Sequential
 use laz::{DecompressionSelection, LazItem, LazItemType, LazVlr};
 
 use crate::MAX_EXPANSION;
+use crate::attributes::{Attributes, to_bytes};
 use crate::crs::Crs;
 use crate::formats::shape::{Position, Shape};
 use crate::las::gps_time::GpsTimes;
@@ -36,14 +37,25 @@ pub(crate) fn for_each_position(
 ) -> Result<Option<Crs>, String> {
     let length = source.seek(SeekFrom::End(0)).map_err(|e| e.to_string())?;
     let header = Header::parse(&start(&mut source, HEADER_SIZE)?)?;
-    let data_offset = header.data_offset as u64;
-    let data_length = length.checked_sub(data_offset).ok_or("cut short before the points")? as usize;
-    let head = start(&mut source, data_offset)?;
-    match header.is_compressed {
-        true => header.compressed(&head, data_length, &mut source, found)?,
-        false => header.plain(data_length, &mut source, found)?,
-    }
+    let head = header.for_each_record(&mut source, length, &mut |record| found(header.position(record)))?;
     Ok(header.crs(&head))
+}
+
+/// Intensity and colours of the points of a file that [`read`] reads.
+pub(crate) fn attributes(bytes: &[u8]) -> Result<Attributes, String> {
+    let header = Header { with_attributes: true, ..Header::parse(bytes)? };
+    let (mut intensity, mut colors) = (Vec::new(), Vec::new());
+    header.for_each_record(&mut Cursor::new(bytes), bytes.len() as u64, &mut |record| {
+        let word = |at: usize| field(record, at).map(u16::from_le_bytes);
+        intensity.extend(word(12).map(f32::from));
+        let color = header.colors_at().and_then(|at| Some([word(at)?, word(at + 2)?, word(at + 4)?]));
+        colors.extend(color.map(|color| color.map(f64::from)));
+    })?;
+    let mut attributes = Attributes::default();
+    // Writers without a sensor leave zeros.
+    attributes.intensity = Some(intensity).filter(|values| values.iter().any(|value| *value > 0.0));
+    attributes.colors = Some(to_bytes(&colors)).filter(|values| values.as_flattened().iter().any(|value| *value > 0));
+    Ok(attributes)
 }
 
 /// The coordinate reference system of a file that [`read`] reads.
@@ -65,6 +77,9 @@ pub(crate) struct Header {
     /// Bytes per point.
     pub(crate) record_length: usize,
     pub(crate) is_compressed: bool,
+    point_format: u8,
+    /// Whether intensity and colours are decoded too, which takes time.
+    with_attributes: bool,
     /// Whether other data follow the points: waveforms, or extended records.
     has_other_data: bool,
     pub(crate) data_offset: usize,
@@ -96,6 +111,8 @@ impl Header {
                 record_length: u16::from_le_bytes(field(bytes, 105)?).into(),
                 // The upper bits of the point format mark compression.
                 is_compressed: point_format & 0xc0 != 0,
+                point_format: point_format & 0x3f,
+                with_attributes: false,
                 has_other_data: (minor >= 3 && begins(227)?) || (minor >= 4 && begins(235)?),
                 data_offset: u32::from_le_bytes(field(bytes, 96)?) as usize,
                 records_offset: u16::from_le_bytes(field(bytes, 94)?).into(),
@@ -120,7 +137,35 @@ impl Header {
         Ok(header)
     }
 
-    fn plain(&self, data_length: usize, source: &mut impl Read, found: &mut dyn FnMut(Position)) -> Result<(), String> {
+    /// Calls `found` with each point record. Returns the bytes before the points.
+    fn for_each_record(
+        &self,
+        source: &mut (impl BufRead + Seek),
+        length: u64,
+        found: &mut dyn FnMut(&[u8]),
+    ) -> Result<Vec<u8>, String> {
+        let data_offset = self.data_offset as u64;
+        let data_length = length.checked_sub(data_offset).ok_or("cut short before the points")? as usize;
+        let head = start(source, data_offset)?;
+        if self.is_compressed {
+            self.compressed(&head, data_length, source, found)?;
+        } else {
+            self.plain(data_length, source, found)?;
+        }
+        Ok(head)
+    }
+
+    /// The place of red in a point record; green and blue follow.
+    fn colors_at(&self) -> Option<usize> {
+        match self.point_format {
+            2 => Some(20),
+            3 | 5 => Some(28),
+            7 | 8 | 10 => Some(30),
+            _ => None,
+        }
+    }
+
+    fn plain(&self, data_length: usize, source: &mut impl Read, found: &mut dyn FnMut(&[u8])) -> Result<(), String> {
         let Self { num_points, record_length, .. } = self;
         // This check comes before any allocation, because a header can claim any number.
         if *num_points > data_length / record_length {
@@ -136,13 +181,13 @@ impl Header {
         let mut record = vec![0; *record_length];
         for num_read in 0..*num_points {
             source.read_exact(&mut record).map_err(|e| self.cut_short(num_read, &e))?;
-            found(self.position(&record));
+            found(&record);
         }
         Ok(())
     }
 
     /// The position in a point record. LAS records and decoded LAZ records begin with the coordinates.
-    fn position(&self, record: &[u8]) -> Position {
+    pub(crate) fn position(&self, record: &[u8]) -> Position {
         let (axes, _) = record.as_chunks::<4>();
         std::array::from_fn(|axis| f64::from(i32::from_le_bytes(axes[axis])) * self.scale[axis] + self.offset[axis])
     }
@@ -152,7 +197,7 @@ impl Header {
         head: &[u8],
         data_length: usize,
         source: &mut (impl BufRead + Seek),
-        found: &mut dyn FnMut(Position),
+        found: &mut dyn FnMut(&[u8]),
     ) -> Result<(), String> {
         let Self { num_points, record_length, .. } = self;
         if num_points.checked_mul(*record_length).is_none_or(|size| size / MAX_EXPANSION > data_length) {
@@ -204,18 +249,18 @@ impl Header {
     pub(crate) fn laszip_record<'a>(&self, head: &'a [u8]) -> Option<&'a [u8]> {
         let is_laszip =
             |user: &[u8], number| user.starts_with(LazVlr::USER_ID.as_bytes()) && number == LazVlr::RECORD_ID;
-        let mut found = self.records(head).filter(|(user, number, _)| is_laszip(user, *number));
-        found.next().map(|(.., record)| record).filter(|record| record.len() >= 2)
+        let mut records = self.records(head).filter(|(user, number, _)| is_laszip(user, *number));
+        records.next().map(|(.., record)| record).filter(|record| record.len() >= 2)
     }
 
     /// The coordinate reference system, as text or as the keys of GeoTIFF.
     pub(crate) fn crs(&self, head: &[u8]) -> Option<Crs> {
-        let of_number = |wanted: u16| {
-            let mut found = self.records(head).filter(|(user, ..)| user.starts_with(b"LASF_Projection"));
-            found.find(|(_, number, _)| *number == wanted).map(|(.., record)| record)
+        let projection_record = |wanted: u16| {
+            let mut records = self.records(head).filter(|(user, ..)| user.starts_with(b"LASF_Projection"));
+            records.find(|(_, number, _)| *number == wanted).map(|(.., record)| record)
         };
-        let text = of_number(2112).map(|record| Crs::from_wkt(&String::from_utf8_lossy(record)));
-        text.or_else(|| of_number(34735).and_then(Crs::from_geo_keys))
+        let text = projection_record(2112).map(|record| Crs::from_wkt(&String::from_utf8_lossy(record)));
+        text.or_else(|| projection_record(34735).and_then(Crs::from_geo_keys))
     }
 
     /// Decodes points one after another, with a new decoder every `chunk_size` points.
@@ -224,7 +269,7 @@ impl Header {
         items: &Vec<LazItem>,
         chunk_size: usize,
         source: &mut (impl BufRead + Seek),
-        found: &mut dyn FnMut(Position),
+        found: &mut dyn FnMut(&[u8]),
     ) -> Result<(), String> {
         let (mut num_read, mut record) = (0, vec![0; self.record_length]);
         while num_read < self.num_points {
@@ -240,7 +285,7 @@ impl Header {
             }
             for _ in 0..chunk_size.min(self.num_points - num_read) {
                 decoder.decompress_next(&mut record).map_err(|e| self.cut_short(num_read, &e))?;
-                found(self.position(&record));
+                found(&record);
                 num_read += 1;
             }
         }
@@ -263,7 +308,7 @@ impl Header {
         items: &Vec<LazItem>,
         mut length: usize,
         source: &mut impl Read,
-        found: &mut dyn FnMut(Position),
+        found: &mut dyn FnMut(&[u8]),
     ) -> Result<(), String> {
         let mut num_read = 0;
         while num_read < self.num_points {
@@ -282,7 +327,7 @@ impl Header {
         num_read: usize,
         length: usize,
         source: &mut impl Read,
-        found: &mut dyn FnMut(Position),
+        found: &mut dyn FnMut(&[u8]),
     ) -> Result<(usize, usize), String> {
         let num_layers: usize = items.iter().map(num_layers).sum();
         let sizes_at = self.record_length + 4;
@@ -310,10 +355,12 @@ impl Header {
         }
         let mut decoder = LayeredPointRecordDecompressor::new(Cursor::new(&chunk[..]));
         decoder.set_fields_from(items).map_err(|e| format!("compression: {e}"))?;
-        decoder.set_selection(DecompressionSelection::xy_returns_channel().decompress_z());
+        if !self.with_attributes {
+            decoder.set_selection(DecompressionSelection::xy_returns_channel().decompress_z());
+        }
         for index in 0..count {
             decoder.decompress_next(&mut record).map_err(|e| self.cut_short(num_read + index, &e))?;
-            found(self.position(&record));
+            found(&record);
         }
         Ok((count, end))
     }

@@ -60,32 +60,32 @@ impl Bag {
 
     /// The messages of a topic, by time. Where the table is damaged, those that can be found come before the error.
     pub(crate) fn messages(self, topic: &str) -> Result<Messages> {
-        let mut found: Vec<(i64, i64)> = Vec::new();
+        let mut times: Vec<(i64, i64)> = Vec::new();
         let mut read = || -> rusqlite::Result<()> {
             let mut query = self.database.connection.prepare(
                 "SELECT timestamp, id FROM messages WHERE topic_id IN (SELECT id FROM topics WHERE name = ?1)",
             )?;
             let mut rows = query.query([topic])?;
             while let Some(row) = rows.next()? {
-                found.push((row.get(0)?, row.get(1)?));
+                times.push((row.get(0)?, row.get(1)?));
             }
             Ok(())
         };
         let damage = read().err().map(|error| Err(refused(&self.path, error)));
-        found.sort_unstable();
+        times.sort_unstable();
         // All messages are compressed, or none.
-        if let Some(&(_, first)) = found.first()
+        if let Some(&(_, first)) = times.first()
             && self.message(first).is_ok_and(|message| message.data.starts_with(ZSTD_MAGIC))
         {
             return Err(Error::Format { path: self.path, reason: COMPRESSED.into() });
         }
-        Ok(Box::new(found.into_iter().map(move |(_, number)| self.message(number)).chain(damage)))
+        Ok(Box::new(times.into_iter().map(move |(_, number)| self.message(number)).chain(damage)))
     }
 
     fn message(&self, number: i64) -> Result<Message> {
         let sql = |error| refused(&self.path, error);
         let wrong = |reason: String| Error::Format { path: self.path.clone(), reason };
-        let of_type = |error: FromSqlError| wrong(format!("message {number}: {error}"));
+        let type_error = |error: FromSqlError| wrong(format!("message {number}: {error}"));
         let mut query = self
             .database
             .connection
@@ -97,8 +97,8 @@ impl Bag {
         let mut rows = query.query([number]).map_err(sql)?;
         let row = rows.next().map_err(sql)?.ok_or_else(|| wrong(format!("message {number} is missing")))?;
         let value = |column: usize| row.get_ref(column).map_err(sql);
-        let (time, encoding) = (value(0)?.as_i64().map_err(of_type)?, value(1)?.as_str().map_err(of_type)?);
-        let data = value(2)?.as_blob().map_err(of_type)?;
+        let (time, encoding) = (value(0)?.as_i64().map_err(type_error)?, value(1)?.as_str().map_err(type_error)?);
+        let data = value(2)?.as_blob().map_err(type_error)?;
         Ok(Message { log_time: u64::try_from(time).unwrap_or(0), encoding: encoding.into(), data: data.into() })
     }
 }

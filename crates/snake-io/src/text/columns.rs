@@ -74,12 +74,12 @@ impl FromStr for Columns {
 
 impl Columns {
     /// Finds the columns of an array, which has no names.
-    pub(crate) fn of_array(&self) -> Result<Indices, String> {
+    pub(crate) fn in_array(&self) -> Result<Indices, String> {
         self.indices(|name| Err(format!("an array has no column `{}`; choose columns by numbers", excerpt(name, 40))))
     }
 
     /// Finds the columns of text; `names` is empty without a header. Degrees are refused also if they are chosen.
-    pub(crate) fn of_text(&self, names: &[String]) -> Result<Indices, String> {
+    pub(crate) fn in_text(&self, names: &[String]) -> Result<Indices, String> {
         let [x, y, z] = self.in_header(names)?;
         let is_degrees = |column: usize| names.get(column).is_some_and(|name| DEGREES.contains(&&plain(name)[..]));
         if is_degrees(x) && is_degrees(y) { Err(degrees(names)) } else { Ok([x, y, z]) }
@@ -109,9 +109,9 @@ impl Columns {
         !self.are_numbers() && self.in_header(names).is_ok()
     }
 
-    fn indices(&self, of_name: impl Fn(&str) -> Result<usize, String>) -> Result<Indices, String> {
+    fn indices(&self, index_of: impl Fn(&str) -> Result<usize, String>) -> Result<Indices, String> {
         let index = |column: &Column| match column {
-            Column::Name(name) => of_name(name),
+            Column::Name(name) => index_of(name),
             Column::Index(index) => Ok(*index),
         };
         let [x, y, z] = self.0.each_ref().map(index);
@@ -208,25 +208,25 @@ mod tests {
     #[test]
     fn chosen_columns_are_found_or_the_columns_are_listed() {
         let header = names(&["t", "X (m)", "Y (m)", "height", "height"]);
-        let of = |text: &str| text.parse::<Columns>().unwrap().of_text(&header);
+        let of = |text: &str| text.parse::<Columns>().unwrap().in_text(&header);
         assert_eq!(of("x,Y (m),1").unwrap(), [1, 2, 0]);
         assert_eq!(of("3,2,5").unwrap(), [2, 1, 4]);
         assert!(of("x,y,up").unwrap_err().contains("no column `up`; the columns are 1 `t`, 2 `X (m)`, 3 `Y (m)`"));
         assert!(of("x,y,height").unwrap_err().contains("several columns `height`"));
         assert!(of("x,2,y").unwrap_err().contains("twice"));
         let columns: Columns = "x,y,z".parse().unwrap();
-        assert!(columns.of_text(&[]).unwrap_err().contains("no header") && columns.of_array().is_err());
-        assert_eq!("4,5,6".parse::<Columns>().unwrap().of_array().unwrap(), [3, 4, 5]);
+        assert!(columns.in_text(&[]).unwrap_err().contains("no header") && columns.in_array().is_err());
+        assert_eq!("4,5,6".parse::<Columns>().unwrap().in_array().unwrap(), [3, 4, 5]);
     }
 
     #[test]
     fn chosen_degrees_are_refused() {
         let header = names(&["Lon", "lat (deg)", "alt", "x", "y"]);
         for text in ["lon,lat,alt", "lat,lon,alt", "1,2,3"] {
-            let error = text.parse::<Columns>().unwrap().of_text(&header).unwrap_err();
+            let error = text.parse::<Columns>().unwrap().in_text(&header).unwrap_err();
             assert!(error.contains("degrees and no lengths"), "{text}: {error}");
         }
-        assert_eq!("x,y,alt".parse::<Columns>().unwrap().of_text(&header).unwrap(), [3, 4, 2]);
+        assert_eq!("x,y,alt".parse::<Columns>().unwrap().in_text(&header).unwrap(), [3, 4, 2]);
     }
 
     #[test]

@@ -71,7 +71,7 @@ impl Header {
     pub(crate) fn among(comments: &[&[u8]], row: &str, columns: Option<&Columns>) -> Result<Option<Self>, String> {
         let separator = Separator::of(row, b";,|");
         let width = separator.fields(row).count();
-        let headers = || comments.iter().rev().filter_map(|comment| Self::of_comment(&text(comment)));
+        let headers = || comments.iter().rev().filter_map(|comment| Self::from_comment(&text(comment)));
         let is_of_row = |header: &Self| {
             let is_told = match columns {
                 Some(columns) => columns.in_header(&header.names).is_ok(),
@@ -98,7 +98,7 @@ impl Header {
     }
 
     /// The names in a comment, below its marks and after the colon of `columns: x y z`.
-    fn of_comment(comment: &str) -> Option<Self> {
+    fn from_comment(comment: &str) -> Option<Self> {
         let text = comment.trim_start_matches(COMMENT_MARKS).trim();
         Self::of(text.rsplit_once(": ").map_or(text, |(_, names)| names))
     }

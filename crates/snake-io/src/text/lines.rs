@@ -32,17 +32,17 @@ enum Ends {
 
 impl<'a> Lines<'a> {
     /// The lines of a text. Zeros and the end mark of DOS after the last line are dropped.
-    pub(crate) fn of_text(bytes: &'a [u8]) -> Result<Self, String> {
+    pub(crate) fn from_text(bytes: &'a [u8]) -> Result<Self, String> {
         if is_utf_16(bytes) {
             return Err("UTF-16 text; convert it to UTF-8: iconv -f UTF-16 -t UTF-8 FILE > NEW".into());
         }
         let is_text = |byte: &u8| !matches!(byte, 0 | 0x1a | b'\n' | b'\r' | b' ');
         let length = bytes.iter().rposition(is_text).map_or(0, |last| last + 1);
-        Ok(Self::of_header(&bytes[..length]))
+        Ok(Self::from_header(&bytes[..length]))
     }
 
     /// The lines of a header, before [`Lines::rest`].
-    pub(crate) fn of_header(bytes: &'a [u8]) -> Self {
+    pub(crate) fn from_header(bytes: &'a [u8]) -> Self {
         let rest = bytes.strip_prefix(BYTE_ORDER_MARK).unwrap_or(bytes);
         let first = rest.iter().position(is_end).map_or(&[][..], |end| &rest[end..]);
         let ends = match first {
@@ -145,7 +145,7 @@ mod tests {
     fn every_line_end_and_what_surrounds_a_text() {
         let lines = |source: &str| -> Vec<(usize, String)> {
             let text = |(number, line)| (number, super::text(line).trim_end().to_string());
-            Lines::of_text(source.as_bytes()).unwrap().map(text).collect()
+            Lines::from_text(source.as_bytes()).unwrap().map(text).collect()
         };
         let expected = |numbers: [usize; 2]| vec![(numbers[0], "a b".into()), (numbers[1], "c".into())];
         for end in ["\n", "\r\n", "\r", "\n\r"] {
@@ -164,7 +164,7 @@ mod tests {
             {
                 let header = ["a", "end", ""].join(end).into_bytes();
                 let bytes = [&header, data].concat();
-                let mut lines = Lines::of_header(&bytes);
+                let mut lines = Lines::from_header(&bytes);
                 assert_eq!((lines.by_ref().nth(1), lines.rest()), (Some((2, &b"end"[..])), data), "{end:?}");
             }
         }
@@ -175,7 +175,7 @@ mod tests {
         assert_eq!(text(b"Stra\xdfe\xa01"), "Stra\u{df}e 1");
         assert_eq!(text("1\u{a0}\u{2212}2\u{3000}\u{fc}".as_bytes()), "1 -2 \u{fc}");
         for bytes in [&b"\xff\xfe1\0"[..], b"\xfe\xff\x001", b"x\0,\0y\0", b"\0x\0,"] {
-            assert!(Lines::of_text(bytes).is_err_and(|reason| reason.contains("iconv")), "{bytes:?}");
+            assert!(Lines::from_text(bytes).is_err_and(|reason| reason.contains("iconv")), "{bytes:?}");
         }
     }
 }

@@ -46,7 +46,7 @@ pub(crate) fn matrix(bytes: &[u8]) -> Option<[[f64; 4]; 4]> {
         let numbers: Option<Vec<f64>> = text(line).split_whitespace().map(number).collect();
         numbers?.try_into().ok()
     };
-    let rows: Option<Vec<_>> = Lines::of_text(bytes).ok()?.take(5).map(row).collect();
+    let rows: Option<Vec<_>> = Lines::from_text(bytes).ok()?.take(5).map(row).collect();
     rows?.try_into().ok()
 }
 
@@ -59,7 +59,7 @@ pub(crate) fn write_rows(out: &mut dyn Write, transform: &RigidTransform) -> io:
 }
 
 fn read_rows(bytes: &[u8], columns: Option<&Columns>, in_blocks: bool) -> Result<Vec<Position>, String> {
-    let mut lines = Lines::of_text(bytes)?;
+    let mut lines = Lines::from_text(bytes)?;
     let mut above = Above { columns, comments: Vec::new(), header: None };
     let (mut layout, mut blocks): (Option<Layout>, _) = (None, Blocks::default());
     let (mut points, mut decimal_commas, mut first_line) = (Vec::new(), DecimalCommas::default(), 0);
@@ -191,7 +191,7 @@ impl Above<'_> {
         }
         let names = header.as_ref().map_or(&[][..], |header| &header.names);
         let indices = match self.columns {
-            Some(columns) => columns.of_text(names)?,
+            Some(columns) => columns.in_text(names)?,
             None if header.is_none() => [0, 1, 2],
             None => columns::known(names).ok_or_else(|| match names.len() < 3 {
                 true => doubts::no_header(names, row),

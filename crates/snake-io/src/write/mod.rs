@@ -12,8 +12,8 @@ use std::path::Path;
 
 use crate::format::{CloudFormat, KeypointFormat, extension};
 use crate::write::keypoint_source::KeypointSource;
-use crate::write::table::{Kind, Table};
-use crate::{Error, Result, write_atomically};
+use crate::write::table::{Column, Kind, Table};
+use crate::{Attributes, Error, Result, write_atomically};
 use snake_geometry::{Keypoint, Point, add_origin};
 
 impl KeypointFormat {
@@ -46,10 +46,7 @@ impl KeypointFormat {
                 let rows = keypoints.iter().map(|keypoint| {
                     let ([x, y, z], [saliency, occupancy, index, confidence]) =
                         (keypoint.position.map(f64::from), values(keypoint));
-                    let [red, green, blue] = color(keypoint.saliency);
-                    // PCL stores the bytes of a colour as the bits of a float.
-                    let rgb = f32::from_bits(u32::from_be_bytes([0, red, green, blue]));
-                    [x, y, z, rgb.into(), saliency, occupancy, index, confidence]
+                    [x, y, z, packed(color(keypoint.saliency)), saliency, occupancy, index, confidence]
                 });
                 let columns = [x, y, z, ("rgb", Kind::Float), saliency, occupancy, index, confidence];
                 Table { columns, num_rows, rows }.write_pcd(out, source.origin)
@@ -73,25 +70,68 @@ impl KeypointFormat {
 }
 
 impl CloudFormat {
-    /// Writes points `(N, 3)` and adds the origin, except in PCD, whose coordinates have four bytes.
+    /// Writes points `(N, 3)` with their attributes and adds the origin, except in PCD, whose coordinates have four bytes. NPY
+    /// and text without a header hold coordinates only.
     ///
     /// # Errors
     /// The errors of `out`.
-    pub fn write(self, out: &mut dyn Write, points: &[Point], origin: [f64; 3]) -> io::Result<()> {
+    pub fn write(
+        self,
+        out: &mut dyn Write,
+        points: &[Point],
+        attributes: &Attributes,
+        origin: [f64; 3],
+    ) -> io::Result<()> {
         let num_rows = points.len();
-        let rows = points.iter().map(|&point| add_origin(point, origin));
-        let table = Table { columns: axes(origin), num_rows, rows };
+        let positions = points.iter().map(|&point| add_origin(point, origin));
         match self {
-            Self::Ply => table.write_ply(out),
-            Self::Pcd => {
-                let rows = points.iter().map(|point| point.map(f64::from));
-                Table { columns: axes([0.0; 3]), num_rows, rows }.write_pcd(out, origin)
+            Self::Npy => Table { columns: axes(origin), num_rows, rows: positions }.write_npy(out),
+            Self::Xyz => Table { columns: axes(origin), num_rows, rows: positions }.write_lines(out, " "),
+            Self::Ply | Self::Csv => {
+                let columns = [&axes(origin)[..], &self.attribute_columns(attributes)].concat();
+                let rows = positions.enumerate().map(|(index, position)| self.row(position, attributes, index));
+                let table = Table { columns, num_rows, rows };
+                if self == Self::Ply { table.write_ply(out) } else { table.write_csv(out) }
             }
-            Self::Npy => table.write_npy(out),
-            Self::Xyz => table.write_lines(out, " "),
-            Self::Csv => table.write_csv(out),
+            Self::Pcd => {
+                let columns = [&axes([0.0; 3])[..], &self.attribute_columns(attributes)].concat();
+                let near = points.iter().map(|point| point.map(f64::from)).enumerate();
+                let rows = near.map(|(index, position)| self.row(position, attributes, index));
+                Table { columns, num_rows, rows }.write_pcd(out, origin)
+            }
         }
     }
+
+    /// The columns after the coordinates.
+    fn attribute_columns(self, attributes: &Attributes) -> Vec<Column> {
+        let Attributes { colors, intensity, normals } = attributes;
+        let (normal_names, color_columns): ([&str; 3], &[Column]) = match self {
+            Self::Pcd => (["normal_x", "normal_y", "normal_z"], &[("rgb", Kind::Float)]),
+            _ => (["nx", "ny", "nz"], &[("red", Kind::Byte), ("green", Kind::Byte), ("blue", Kind::Byte)]),
+        };
+        let normal_columns = normals.iter().flat_map(|_| normal_names.map(|name| (name, Kind::Float)));
+        let color_columns = colors.iter().flat_map(|_| color_columns.iter().copied());
+        normal_columns.chain(color_columns).chain(intensity.iter().map(|_| ("intensity", Kind::Float))).collect()
+    }
+
+    /// The values of a point, in the order of the columns.
+    fn row(self, position: [f64; 3], attributes: &Attributes, index: usize) -> Vec<f64> {
+        let Attributes { colors, intensity, normals } = attributes;
+        let mut row = position.to_vec();
+        row.extend(normals.iter().flat_map(|normals| normals[index].map(f64::from)));
+        match colors.as_ref().map(|colors| colors[index]) {
+            Some(color) if self == Self::Pcd => row.push(packed(color)),
+            Some(color) => row.extend(color.map(f64::from)),
+            None => (),
+        }
+        row.extend(intensity.iter().map(|intensity| f64::from(intensity[index])));
+        row
+    }
+}
+
+/// A colour as PCL stores it: its bytes are the bits of a float.
+fn packed([red, green, blue]: [u8; 3]) -> f64 {
+    f32::from_bits(u32::from_be_bytes([0, red, green, blue])).into()
 }
 
 /// The columns of the coordinates. Coordinates with an origin need eight bytes.
@@ -137,8 +177,20 @@ pub fn adds_origin(path: &Path) -> bool {
 /// [`Error::Format`] when the extension is not among [`CLOUD_EXTENSIONS`](crate::CLOUD_EXTENSIONS); [`Error::Io`] when the file cannot be
 /// written.
 pub fn write_points(path: &Path, points: &[Point], origin: [f64; 3]) -> Result<()> {
+    write_cloud(path, points, &Attributes::default(), origin)
+}
+
+/// [`write_points`] with the attributes of the points. PLY, PCD and CSV hold them; other formats hold coordinates only.
+///
+/// # Errors
+/// As [`write_points`]; [`Error::Input`] when an attribute has another number of values than there are points.
+pub fn write_cloud(path: &Path, points: &[Point], attributes: &Attributes, origin: [f64; 3]) -> Result<()> {
     let format = CloudFormat::from_path(path)?;
-    write_atomically(path, |file| format.write(file, points, origin))
+    if let Some(number) = attributes.numbers().find(|number| *number != points.len()) {
+        let reason = format!("{number} values for {} points", points.len());
+        return Err(Error::Input { what: "attributes", reason });
+    }
+    write_atomically(path, |file| format.write(file, points, attributes, origin))
         .map_err(|source| Error::Io { path: path.into(), source })
 }
 
@@ -195,7 +247,7 @@ mod tests {
         let (points, origin) = ([[0.5, 0.25, -1.0], [0.1, 2.0, 3.0]], [500_000.0, 5_400_000.0, 0.0]);
         let text = |format: CloudFormat, origin| {
             let mut bytes = Vec::new();
-            format.write(&mut bytes, &points, origin).unwrap();
+            format.write(&mut bytes, &points, &Attributes::default(), origin).unwrap();
             String::from_utf8_lossy(&bytes).into_owned()
         };
         assert_eq!(text(CloudFormat::Xyz, [0.0; 3]), "0.5 0.25 -1\n0.1 2 3\n");

@@ -14,9 +14,12 @@ pub(crate) enum Kind {
     Int,
 }
 
+/// The name of a column and its type.
+pub(crate) type Column = (&'static str, Kind);
+
 /// Named columns and their rows, in f64, which represents every type exactly.
-pub(crate) struct Table<const N: usize, R> {
-    pub(crate) columns: [(&'static str, Kind); N],
+pub(crate) struct Table<C, R> {
+    pub(crate) columns: C,
     pub(crate) num_rows: usize,
     pub(crate) rows: R,
 }
@@ -40,7 +43,7 @@ impl Kind {
         }
     }
 
-    pub(crate) fn of_ply(name: &str) -> Option<Self> {
+    pub(crate) fn from_ply_type(name: &str) -> Option<Self> {
         [Self::Float, Self::Double, Self::Byte, Self::Int].into_iter().find(|kind| kind.in_ply() == name)
     }
 
@@ -68,11 +71,11 @@ impl Kind {
     }
 }
 
-impl<const N: usize, R: Iterator<Item = [f64; N]>> Table<N, R> {
+impl<C: AsRef<[Column]>, R: Iterator<Item: AsRef<[f64]>>> Table<C, R> {
     /// Writes binary little-endian vertices.
     pub(crate) fn write_ply(self, out: &mut dyn Write) -> io::Result<()> {
         write!(out, "ply\nformat binary_little_endian 1.0\nelement vertex {}\n", self.num_rows)?;
-        for (name, kind) in self.columns {
+        for (name, kind) in self.columns.as_ref() {
             writeln!(out, "property {} {name}", kind.in_ply())?;
         }
         writeln!(out, "end_header")?;
@@ -81,14 +84,15 @@ impl<const N: usize, R: Iterator<Item = [f64; N]>> Table<N, R> {
 
     /// Writes a binary unorganised cloud. A comment states the origin of its points, if there is one.
     pub(crate) fn write_pcd(self, out: &mut dyn Write, origin: [f64; 3]) -> io::Result<()> {
-        let words = |of: fn(&(&'static str, Kind)) -> String| self.columns.each_ref().map(of).join(" ");
+        let columns = self.columns.as_ref();
+        let words = |of: fn(&Column) -> String| columns.iter().map(of).collect::<Vec<_>>().join(" ");
         let kinds = words(|(_, kind)| match kind {
             Kind::Float | Kind::Double => "F".into(),
             Kind::Byte => "U".into(),
             Kind::Int => "I".into(),
         });
         let (names, sizes) = (words(|(name, _)| name.to_string()), words(|(_, kind)| kind.size().to_string()));
-        let (counts, rows) = (["1"; N].join(" "), self.num_rows);
+        let (counts, rows) = (vec!["1"; columns.len()].join(" "), self.num_rows);
         writeln!(out, "# .PCD v0.7 - Point Cloud Data file format")?;
         if origin != [0.0; 3] {
             writeln!(out, "{}", pcd::origin_comment(origin))?;
@@ -101,33 +105,35 @@ impl<const N: usize, R: Iterator<Item = [f64; N]>> Table<N, R> {
 
     fn write_binary(self, out: &mut dyn Write) -> io::Result<()> {
         for row in self.rows {
-            self.columns.iter().zip(row).try_for_each(|((_, kind), value)| kind.write(out, value))?;
+            let values = self.columns.as_ref().iter().zip(row.as_ref());
+            values.into_iter().try_for_each(|((_, kind), value)| kind.write(out, *value))?;
         }
         Ok(())
     }
 
     /// Writes an array `(rows, columns)` of `<f8`, because an index above 2^24 is not exact in `<f4`.
     pub(crate) fn write_npy(self, out: &mut dyn Write) -> io::Result<()> {
-        npy::write_header(out, "<f8", &format!("{}, {N}", self.num_rows))?;
+        npy::write_header(out, "<f8", &format!("{}, {}", self.num_rows, self.columns.as_ref().len()))?;
         for row in self.rows {
-            row.iter().try_for_each(|value| out.write_all(&value.to_le_bytes()))?;
+            row.as_ref().iter().try_for_each(|value| out.write_all(&value.to_le_bytes()))?;
         }
         Ok(())
     }
 
     /// Writes a line with the names and a line for each row.
     pub(crate) fn write_csv(self, out: &mut dyn Write) -> io::Result<()> {
-        writeln!(out, "{}", self.columns.map(|(name, _)| name).join(","))?;
+        let names: Vec<&str> = self.columns.as_ref().iter().map(|(name, _)| *name).collect();
+        writeln!(out, "{}", names.join(","))?;
         self.write_lines(out, ",")
     }
 
     /// Writes a line for each row, every number in its shortest exact form.
     pub(crate) fn write_lines(self, out: &mut dyn Write, separator: &str) -> io::Result<()> {
         for row in self.rows {
-            for (column, ((_, kind), value)) in self.columns.iter().zip(row).enumerate() {
+            for (column, ((_, kind), value)) in self.columns.as_ref().iter().zip(row.as_ref()).enumerate() {
                 let separator = if column == 0 { "" } else { separator };
                 match kind {
-                    Kind::Float => write!(out, "{separator}{}", value as f32)?,
+                    Kind::Float => write!(out, "{separator}{}", *value as f32)?,
                     _ => write!(out, "{separator}{value}")?,
                 }
             }

@@ -48,8 +48,8 @@ pub fn load_model(bytes: &[u8]) {
     let Ok(field) = model.encode(&points, &encode) else { return };
     let options = model.recommended().detect.with_query_resolution(4).with_nms_radius(Some(0.1.into()));
     let options = options.with_refine_steps(options.refine_steps.min(3));
-    let found = field.detect(&options).expect("the options were checked when the model was loaded");
-    assert!(found.keypoints.iter().all(|k| k.position.iter().chain([&k.saliency]).all(|v| v.is_finite())));
+    let detection = field.detect(&options).expect("the options were checked when the model was loaded");
+    assert!(detection.keypoints.iter().all(|k| k.position.iter().chain([&k.saliency]).all(|v| v.is_finite())));
 }
 
 /// Bytes of memory that a byte of a file may take. A point takes some 60 while it is read, and at least 3 of its file.

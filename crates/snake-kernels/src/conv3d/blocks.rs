@@ -285,8 +285,9 @@ mod tests {
                 .collect();
             let joined = naive::normalized([side; 3], &sources, &volumes, &[vec![1.0; inputs], vec![0.0; inputs]]);
             let convolved = naive::conv3d([side; 3], inputs, outputs, &weight, &joined);
-            let of_channel = bias.iter().zip(&constant).cycle();
-            let expected: Vec<f32> = convolved.iter().zip(of_channel).map(|(v, (b, c))| (v + b).max(0.0) - c).collect();
+            let channel_terms = bias.iter().zip(&constant).cycle();
+            let expected: Vec<f32> =
+                convolved.iter().zip(channel_terms).map(|(v, (b, c))| (v + b).max(0.0) - c).collect();
             let expected = of(false).blocked(outputs, &expected)[BLOCK_VOXELS * outputs..].to_vec();
             let halves: Vec<u8> =
                 of(false).places().map(|p| (0..3).map(|axis| ((p[axis] & 1) << axis) as u8).sum()).collect();

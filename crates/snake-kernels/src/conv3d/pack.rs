@@ -42,21 +42,20 @@ fn transform_axis(n: usize, [a, b, c]: [&Tap; 3], values: &mut [Tap], step: usiz
     // The filter's polynomial at a point is divided by the distances of this point from the other finite points.
     const NEAR_2: f64 = NEAR * NEAR;
     const FAR_2: f64 = FAR * FAR;
-    const OF_ZERO: f64 = 1.0 / (NEAR_2 * FAR_2);
-    const OF_NEAR: f64 = 1.0 / (2.0 * NEAR_2 * (NEAR_2 - FAR_2));
-    const OF_FAR: f64 = 1.0 / (2.0 * FAR_2 * (FAR_2 - NEAR_2));
+    const SCALE_ZERO: f64 = 1.0 / (NEAR_2 * FAR_2);
+    const SCALE_NEAR: f64 = 1.0 / (2.0 * NEAR_2 * (NEAR_2 - FAR_2));
+    const SCALE_FAR: f64 = 1.0 / (2.0 * FAR_2 * (FAR_2 - NEAR_2));
     for lane in 0..LANES {
         let [a, b, c] = [a[lane], b[lane], c[lane]];
-        let at_pair =
-            |even: f64, odd: f64, of_distances: f64| [(even + odd) * of_distances, (even - odd) * of_distances];
+        let at_pair = |even: f64, odd: f64, factor: f64| [(even + odd) * factor, (even - odd) * factor];
         values[0][lane] = a;
         values[(n - 1) * step][lane] = c;
         if n == 4 {
             [values[step][lane], values[2 * step][lane]] = at_pair(a + c, b, 0.5);
         } else {
-            values[0][lane] *= OF_ZERO;
-            [values[step][lane], values[2 * step][lane]] = at_pair(a + NEAR_2 * c, NEAR * b, OF_NEAR);
-            [values[3 * step][lane], values[4 * step][lane]] = at_pair(a + FAR_2 * c, FAR * b, OF_FAR);
+            values[0][lane] *= SCALE_ZERO;
+            [values[step][lane], values[2 * step][lane]] = at_pair(a + NEAR_2 * c, NEAR * b, SCALE_NEAR);
+            [values[3 * step][lane], values[4 * step][lane]] = at_pair(a + FAR_2 * c, FAR * b, SCALE_FAR);
         }
     }
 }
@@ -112,11 +111,11 @@ impl PackedConv3d {
                 // On this thread alone: loading a model must not start Rayon's global pool.
                 let filters = output_blocks * width;
                 let mut weights = vec![[0.0; LANES]; points(n, upsampled).count() * filters];
-                let mut of_points = [[0.0; LANES]; 216];
+                let mut transformed = [[0.0; LANES]; 216];
                 for filter in 0..filters {
-                    transform_filters(n, &taps(filter / width, before + first + filter % width), &mut of_points);
+                    transform_filters(n, &taps(filter / width, before + first + filter % width), &mut transformed);
                     for (k, p) in points(n, upsampled).enumerate() {
-                        weights[k * filters + filter] = of_points[p];
+                        weights[k * filters + filter] = transformed[p];
                     }
                 }
                 blocks.push(Block { source, first: [first, before + first], channels: width, weights, upsampled });

@@ -37,8 +37,8 @@ fn every_level_equals_the_textbook() {
             // Sums of up to 1296 products of values below 2.
             naive::assert_close(&output, &expected, 4e-4, &case);
             for (channel, sums) in sums.iter().enumerate() {
-                let found = output.iter().skip(channel).step_by(outputs).map(|&v| f64::from(v));
-                let expected = [found.clone().sum::<f64>(), found.map(|v| v * v).sum::<f64>()];
+                let values = output.iter().skip(channel).step_by(outputs).map(|&v| f64::from(v));
+                let expected = [values.clone().sum::<f64>(), values.map(|v| v * v).sum::<f64>()];
                 for (sum, expected) in sums.iter().zip(expected) {
                     assert!((sum - expected).abs() <= 1e-5 * expected.abs().max(1.0), "{case}: {sum} {expected}");
                 }

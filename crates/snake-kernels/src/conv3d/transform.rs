@@ -231,13 +231,13 @@ pub(super) fn outputs_of_axis<L: Lanes, const N: usize>(m: [L; N]) -> [L; MAX_TI
     let (far_sum, far_difference) = (m[3].add(m[4]), m[3].sub(m[4]));
     let mut y = [m[0].add(near_sum).add(far_sum), zero, zero, m[5]];
     let [mut near, mut far] = [1.0; 2];
-    for (value, [of_near, of_far]) in y[1..].iter_mut().zip([
+    for (value, [near_part, far_part]) in y[1..].iter_mut().zip([
         [near_difference, far_difference],
         [near_sum, far_sum],
         [near_difference, far_difference],
     ]) {
         (near, far) = (near * NEAR as f32, far * FAR as f32);
-        *value = of_near.multiply_add(L::splat(token, near), of_far.multiply_add(L::splat(token, far), *value));
+        *value = near_part.multiply_add(L::splat(token, near), far_part.multiply_add(L::splat(token, far), *value));
     }
     y
 }

@@ -127,7 +127,8 @@ mod tests {
 
     /// Changes the evidence of a transform that is reliable.
     fn changed(change: impl Fn(&mut Fit, &mut Matches, &mut Evidence)) -> (f64, Vec<String>) {
-        let mut fit = Fit { fitness: 0.9, rmse: 0.01, inlier_distance: 0.1, information: [[0.0; 6]; 6] };
+        let mut fit =
+            Fit { fitness: 0.9, rmse: 0.01, inlier_distance: 0.1, voxel_size: 0.06, information: [[0.0; 6]; 6] };
         let mut matches = Matches {
             num_matches: 500,
             num_inliers: 90,

@@ -222,6 +222,7 @@ impl Fit {
             fitness,
             rmse,
             inlier_distance: pair.criteria().inlier_distance,
+            voxel_size: pair.clouds()[1].lengths.voxel_size,
             information: std::array::from_fn(|row| std::array::from_fn(|column| information[(row, column)])),
         }
     }

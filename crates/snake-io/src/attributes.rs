@@ -1,0 +1,193 @@
+//! What points have besides positions, and what moves with them: colours, intensity, normals.
+
+use std::path::Path;
+
+use crate::format::PointFormat;
+use crate::formats::{pcd, ply, sweep};
+#[cfg(feature = "laz")]
+use crate::las;
+use crate::text::columns::{Column, Columns};
+use crate::{Error, Result, text};
+use snake_geometry::RigidTransform;
+
+/// Colours, intensity and normals of a cloud's points, each for all of them or for none.
+#[derive(Debug, Clone, PartialEq, Default)]
+#[non_exhaustive]
+pub struct Attributes {
+    /// Red, green and blue `(N, 3)`.
+    pub colors: Option<Vec<[u8; 3]>>,
+    /// Intensity `(N,)`, in the file's unit.
+    pub intensity: Option<Vec<f32>>,
+    /// Normals `(N, 3)`, in the cloud's frame.
+    pub normals: Option<Vec<[f32; 3]>>,
+}
+
+/// The columns of a file under three names, as numbers in f64. `None` if it lacks one of them.
+type Named<'a> = &'a dyn Fn([&str; 3]) -> Option<Vec<[f64; 3]>>;
+
+const COLORS: [[&str; 3]; 4] =
+    [["red", "green", "blue"], ["diffuse_red", "diffuse_green", "diffuse_blue"], ["r", "g", "b"], ["R", "G", "B"]];
+const NORMALS: [[&str; 3]; 4] =
+    [["nx", "ny", "nz"], ["normal_x", "normal_y", "normal_z"], ["normalx", "normaly", "normalz"], ["Nx", "Ny", "Nz"]];
+const INTENSITIES: [&str; 6] =
+    ["intensity", "Intensity", "scalar_intensity", "scalar_Intensity", "reflectance", "reflectivity"];
+
+/// Reads the attributes of a file's points, in the order of the points. Files that cannot hold them have none, and what is
+/// damaged or has another number of values than there are points is left out.
+///
+/// PLY, PCD, text with a header, LAS, LAZ and the sweeps of KITTI and nuScenes are read.
+///
+/// # Errors
+/// [`Error::Io`] when the file cannot be read; [`Error::Format`] when the extension is not known.
+pub fn read_attributes(path: &Path, format: Option<PointFormat>, num_points: usize) -> Result<Attributes> {
+    let format = format.map_or_else(|| PointFormat::from_path(path), Ok)?;
+    let bytes = std::fs::read(path).map_err(|source| Error::Io { path: path.into(), source })?;
+    let attributes = match format {
+        PointFormat::Ply => Attributes::named(&|names| ply::columns(&bytes, names).ok()),
+        PointFormat::Pcd => Attributes::named(&|names| pcd::columns(&bytes, names).ok()),
+        PointFormat::Text => Attributes::named(&|names| {
+            let columns = Columns(names.map(|name| Column::Name(name.into())));
+            text::read(&bytes, Some(&columns)).ok().map(|shape| shape.points)
+        }),
+        PointFormat::Kitti | PointFormat::Nuscenes | PointFormat::Sweep(_) => {
+            Attributes { intensity: sweep::intensity(&bytes, format), ..Attributes::default() }
+        }
+        #[cfg(feature = "laz")]
+        PointFormat::Las => las::attributes(&bytes).unwrap_or_default(),
+        _ => Attributes::default(),
+    };
+    Ok(attributes.for_points(num_points))
+}
+
+impl Attributes {
+    /// The attributes of a file whose columns have names.
+    fn named(columns: Named) -> Self {
+        let any = |sets: &[[&str; 3]]| sets.iter().find_map(|names| columns(*names));
+        let packed = || {
+            let bits = columns(["rgb"; 3]).or_else(|| columns(["rgba"; 3]))?;
+            Some(bits.iter().map(|[bits, ..]| [16, 8, 0].map(|shift| (*bits as u32 >> shift) as u8)).collect())
+        };
+        let colors = any(&COLORS).map(|rows| to_bytes(&rows));
+        let intensity = INTENSITIES.iter().find_map(|name| columns([name; 3]));
+        Self {
+            colors: colors.or_else(packed),
+            intensity: intensity.map(|rows| rows.iter().map(|row| row[0] as f32).collect()),
+            normals: any(&NORMALS).map(|rows| rows.iter().map(|row| row.map(|v| v as f32)).collect()),
+        }
+    }
+
+    /// Without those whose number of values is another.
+    fn for_points(self, num_points: usize) -> Self {
+        Self {
+            colors: self.colors.filter(|values| values.len() == num_points),
+            intensity: self.intensity.filter(|values| values.len() == num_points),
+            normals: self.normals.filter(|values| values.len() == num_points),
+        }
+    }
+
+    /// The number of values of each attribute that there is.
+    pub(crate) fn numbers(&self) -> impl Iterator<Item = usize> {
+        let Self { colors, intensity, normals } = self;
+        let numbers = [colors.as_ref().map(Vec::len), intensity.as_ref().map(Vec::len), normals.as_ref().map(Vec::len)];
+        numbers.into_iter().flatten()
+    }
+
+    /// The attributes of the points under a transform, which rotates the normals.
+    #[must_use]
+    pub fn transformed(mut self, transform: &RigidTransform) -> Self {
+        let rows = transform.to_matrix();
+        let rotated = |normal: [f32; 3]| -> [f32; 3] {
+            std::array::from_fn(|row| (0..3).map(|axis| rows[row][axis] * f64::from(normal[axis])).sum::<f64>() as f32)
+        };
+        self.normals.iter_mut().flatten().for_each(|normal| *normal = rotated(*normal));
+        self
+    }
+
+    /// Those of several clouds one after another: what all of them have.
+    pub fn joined(parts: &[Self]) -> Self {
+        fn all<T: Clone>(parts: &[Attributes], of: impl Fn(&Attributes) -> Option<&Vec<T>>) -> Option<Vec<T>> {
+            parts
+                .iter()
+                .map(of)
+                .collect::<Option<Vec<_>>>()
+                .map(|values| values.into_iter().flatten().cloned().collect())
+        }
+        Self {
+            colors: all(parts, |part| part.colors.as_ref()),
+            intensity: all(parts, |part| part.intensity.as_ref()),
+            normals: all(parts, |part| part.normals.as_ref()),
+        }
+    }
+}
+
+/// Colours as bytes: of 16 bits the upper ones, and of numbers up to 1 their share.
+pub(crate) fn to_bytes(rows: &[[f64; 3]]) -> Vec<[u8; 3]> {
+    let most = rows.as_flattened().iter().fold(0.0, |most: f64, value| most.max(*value));
+    let is_share = most <= 1.0 && rows.as_flattened().iter().any(|value| value.fract() != 0.0);
+    let factor = if is_share {
+        255.0
+    } else if most > 255.0 {
+        1.0 / 256.0
+    } else {
+        1.0
+    };
+    rows.iter().map(|row| row.map(|value| (value * factor).clamp(0.0, 255.0) as u8)).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::{read_cloud, write_cloud};
+
+    fn attributes(number: usize) -> Attributes {
+        Attributes {
+            colors: Some((0..number).map(|i| [i as u8, 255, 7]).collect()),
+            intensity: Some((0..number).map(|i| i as f32 * 0.5).collect()),
+            normals: Some((0..number).map(|i| if i % 2 == 0 { [1.0, 0.0, 0.0] } else { [0.0, 0.6, 0.8] }).collect()),
+        }
+    }
+
+    #[test]
+    fn every_format_that_can_hold_attributes_gives_them_back() {
+        let folder = tempfile::tempdir().unwrap();
+        let points: Vec<[f32; 3]> = (0..20).map(|i| [i as f32, 0.25, -1.5]).collect();
+        for (name, origin) in
+            [("a.ply", [0.0; 3]), ("b.ply", [5e6, 0.0, 0.0]), ("c.pcd", [0.0; 3]), ("d.csv", [0.0; 3])]
+        {
+            let path = folder.path().join(name);
+            write_cloud(&path, &points, &attributes(20), origin).unwrap();
+            assert_eq!(read_attributes(&path, None, 20).unwrap(), attributes(20), "{name}");
+            assert_eq!(read_cloud(&path, &Default::default()).unwrap().points.len(), 20);
+            assert_eq!(read_attributes(&path, None, 19).unwrap(), Attributes::default());
+        }
+        for name in ["e.npy", "f.xyz"] {
+            let path = folder.path().join(name);
+            write_cloud(&path, &points, &attributes(20), [0.0; 3]).unwrap();
+            assert_eq!(read_cloud(&path, &Default::default()).unwrap().points, points);
+            assert_eq!(read_attributes(&path, None, 20).unwrap(), Attributes::default());
+        }
+    }
+
+    #[test]
+    fn sweeps_have_an_intensity_and_colours_of_16_bits_or_shares_become_bytes() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("velodyne").join("0.bin");
+        std::fs::create_dir_all(path.parent().unwrap()).unwrap();
+        std::fs::write(&path, [1.0_f32, 2.0, 3.0, 0.5, 4.0, 5.0, 6.0, 0.25].map(f32::to_le_bytes).as_flattened())
+            .unwrap();
+        assert_eq!(read_attributes(&path, None, 2).unwrap().intensity, Some(vec![0.5, 0.25]));
+        assert_eq!(to_bytes(&[[65280.0, 256.0, 0.0]]), [[255, 1, 0]]);
+        assert_eq!(to_bytes(&[[1.0, 0.5, 0.0]]), [[255, 127, 0]]);
+        assert_eq!(to_bytes(&[[255.0, 1.0, 0.0]]), [[255, 1, 0]]);
+    }
+
+    #[test]
+    fn normals_rotate_and_clouds_are_joined_by_what_all_have() {
+        let rows = [[0.0, -1.0, 0.0, 3.0], [1.0, 0.0, 0.0, 0.0], [0.0, 0.0, 1.0, 0.0], [0.0, 0.0, 0.0, 1.0]];
+        let moved = attributes(2).transformed(&RigidTransform::from_matrix(rows).unwrap());
+        assert_eq!(moved.normals, Some(vec![[0.0, 1.0, 0.0], [-0.6, 0.0, 0.8]]));
+        let joined = Attributes::joined(&[moved, Attributes { colors: None, ..attributes(1) }]);
+        assert_eq!((joined.colors, joined.intensity.map(|values| values.len())), (None, Some(3)));
+        assert_eq!(Attributes::joined(&[]).intensity, Some(vec![]));
+    }
+}

@@ -1,0 +1,34 @@
+"""The words of the code are those of the field, and not a dialect of its own: `docs/words.md`."""
+
+import re
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[1]
+
+# The number that is reached, for each habit that ends. It only falls.
+MOST = {
+    r"\blet (mut )?found\b": 2,
+    r"\bof_[a-z_]+\b": 0,
+    r"\bconst (LEAST|MOST)_": 0,
+    r"\bmatch [^{;]*\{\s*(true|false) =>": 29,
+    r"\bturned": 4,
+}
+
+
+@pytest.fixture(scope="module")
+def sources():
+    folders = ROOT / "crates", ROOT / "python" / "src"
+    return [path.read_text() for folder in folders for path in sorted(folder.rglob("*.rs"))]
+
+
+@pytest.mark.parametrize("habit", MOST)
+def test_words_of_the_dialect_do_not_come_back(sources, habit):
+    assert sum(len(re.findall(habit, text)) for text in sources) <= MOST[habit]
+
+
+def test_the_page_of_words_is_short_and_names_what_is_counted():
+    page = (ROOT / "docs" / "words.md").read_text()
+    assert len(page.splitlines()) <= 40
+    assert all(word in page for word in ("found", "of_", "LEAST_", "MOST_", "turned", "match condition"))
