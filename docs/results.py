@@ -168,8 +168,9 @@ def main() -> None:
         parser.error("give --objects FOLDER, --landmarks FOLDER, --scenes FOLDER, or several of them")
     parts, undisturbed = {}, ["--downsample", "1", "--noise", "0"]
     methods = ["--methods", f"snake,snakex4,{CLASSICAL}"]
+    compact = ["--model", "compact"]
     if arguments.objects:
-        objects = [arguments.objects, *(["--limit", str(arguments.limit)] if arguments.limit else [])]
+        objects = [arguments.objects, *compact, *(["--limit", str(arguments.limit)] if arguments.limit else [])]
         views = ["--epsilon", "0.02,0.04,0.1", "--downsample", "1,8", "--noise", "0,0.06"]
         alike = evaluate("objects", "repeatability", *objects, *methods, *views, "--coverage", OBJECT_COVERAGE)
         few = [*methods, "--epsilon", "0.04", "--downsample", "1,8", "--noise", "0,0.06", "--paper"]
@@ -178,7 +179,7 @@ def main() -> None:
         shutil.copy(RUNS / "objects/repeatability.svg", PAGE.with_name("repeatability.svg"))
     if arguments.landmarks:
         few = [*methods, "--coverage", OBJECT_COVERAGE, "--threshold", "0.05,0.1"]
-        parts["Landmarks"] = landmarks_part(evaluate("landmarks", "semantic", arguments.landmarks, *few)[1])
+        parts["Landmarks"] = landmarks_part(evaluate("landmarks", "semantic", arguments.landmarks, *compact, *few)[1])
     if arguments.scenes:
         scenes = ["--model", "scenes"]
         pairs = [

@@ -46,10 +46,16 @@ pub struct Pair<Row> {
 /// How many clouds each model was chosen for, by its name; empty for a method without models, and where one was named.
 pub type Models = BTreeMap<String, usize>;
 
-/// The name of a method in tables, with the models that were chosen for its clouds.
-fn named_with_models<'a>(method: &str, models: impl Iterator<Item = &'a Models>) -> String {
+/// The numbers of clouds of several rows together.
+fn summed<'a>(models: impl Iterator<Item = &'a Models>) -> Models {
     let mut all = Models::new();
     models.flatten().for_each(|(model, number)| *all.entry(model.clone()).or_default() += number);
+    all
+}
+
+/// The name of a method in tables, with the models that were chosen for its clouds.
+fn named_with_models<'a>(method: &str, models: impl Iterator<Item = &'a Models>) -> String {
+    let all = summed(models);
     let several = all.len() > 1;
     let name = |(model, number): (&String, &usize)| if several { format!("{model} {number}") } else { model.clone() };
     let names: Vec<String> = all.iter().map(name).collect();

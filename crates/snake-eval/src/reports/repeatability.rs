@@ -3,7 +3,7 @@
 use serde::{Deserialize, Serialize};
 use serde_json::{Value, json};
 
-use super::{Models, Pair, Report, alike, named_with_models, num_models};
+use super::{Models, Pair, Report, alike, named_with_models, num_models, summed};
 use crate::tables::paper::{PaperRepeatability, PaperTable};
 use crate::tables::plot::{Line, Panel};
 use crate::tables::{self, Statistic, Table, mean};
@@ -64,9 +64,8 @@ struct Evaluation<'a> {
 
 /// Means over the pairs for one method under one condition.
 struct Summary {
-    /// The name of the method, and with the models that were chosen.
     method: String,
-    title: String,
+    models: Models,
     condition: Condition,
     keypoints: f64,
     /// Mean over the pairs that have keypoints; `None` if no pair has any.
@@ -88,7 +87,7 @@ impl Summary {
         };
         Self {
             method: method.clone(),
-            title: named_with_models(method, runs.iter().flatten().map(|row| &row.models)),
+            models: summed(runs.iter().flatten().map(|row| &row.models)),
             condition: *condition,
             keypoints: mean(&keypoints),
             coverage: (!coverage.is_empty()).then(|| mean(&coverage)),
@@ -190,7 +189,7 @@ impl<'a> Evaluation<'a> {
         head.extend(self.sweeps.epsilon.iter().map(|epsilon| format!("ε {epsilon}")));
         head.extend(["keypoints".into(), "coverage".into()]);
         let row = |s: &Summary| {
-            let mut row = vec![s.title.clone()];
+            let mut row = vec![named_with_models(&s.method, std::iter::once(&s.models))];
             row.extend(s.repeatability.iter().map(Statistic::cell));
             row.push(format!("{:.1}", s.keypoints));
             row.push(s.coverage.map_or("-".into(), |coverage| format!("{coverage:.4}")));
@@ -208,7 +207,11 @@ impl<'a> Evaluation<'a> {
     fn over(&self, what: &str, sweep: &Sweep, name: fn(&Condition) -> String) -> Option<Table> {
         let swept = self.swept(sweep)?;
         let head = std::iter::once("method".to_owned()).chain(swept.iter().map(name)).collect();
-        let mut rows: Vec<Vec<String>> = self.under(self.sweeps.conditions[0]).map(|s| vec![s.title.clone()]).collect();
+        let first_cell = |(i, first): (usize, &Summary)| {
+            let models = swept.iter().filter_map(|condition| self.under(*condition).nth(i)).map(|s| &s.models);
+            vec![named_with_models(&first.method, models)]
+        };
+        let mut rows: Vec<Vec<String>> = self.under(self.sweeps.conditions[0]).enumerate().map(first_cell).collect();
         for condition in &swept {
             let cells = self.under(*condition).map(|s| s.repeatability[self.table_column()].cell());
             rows.iter_mut().zip(cells).for_each(|(row, cell)| row.push(cell));
@@ -325,6 +328,17 @@ At ε 0.2, over noise:
         let scenes = pair(&[("scenes", 2)]);
         assert!(first_row(std::slice::from_ref(&scenes)).starts_with("iss (scenes) "));
         assert!(first_row(&[scenes, pair(&[("scenes", 1), ("compact", 1)])]).starts_with("iss (compact 1, scenes 3) "));
+        // A table over noise counts the clouds under all of it.
+        let sweeps = Sweeps { conditions: vec![CLEAN, BLURRED], ..sweeps.clone() };
+        let by = |model: &str| Models::from([(model.to_owned(), 2)]);
+        let rows = vec![
+            Row { models: by("scenes"), ..row(CLEAN, 4, [0.5, 1.0]) },
+            Row { models: by("compact"), ..row(BLURRED, 4, [0.5, 1.0]) },
+        ];
+        let pairs = [Pair { name: "a".into(), rows }];
+        let settings = json!({});
+        let tables = tables::markdown(&Evaluation::new(&sweeps, &settings, &[&pairs], None).tables());
+        assert!(tables.contains("| iss (scenes) |") && tables.contains("| iss (compact 2, scenes 2) |"), "{tables}");
     }
 
     #[test]
