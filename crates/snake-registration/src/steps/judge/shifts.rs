@@ -132,7 +132,7 @@ fn peaks(fits: &[f64], seen: &[f64], reach: i64, min: i64) -> Vec<i64> {
         if seen[at] > 0.0 { fits[at] / seen[at] } else { 0.0 }
     };
     let fit = |shift: i64| fits[(shift + reach) as usize];
-    let at_rest = (-1..=1).map(&share).fold(0.0, f64::max);
+    let at_rest = (-1..=1).map(share).fold(0.0, f64::max);
     let is_peak = |shift: &i64| {
         let near = (shift - 2).max(-reach)..=(shift + 2).min(reach);
         let way = if *shift > 0 { 1..*shift } else { shift + 1..0 };
@@ -140,7 +140,7 @@ fn peaks(fits: &[f64], seen: &[f64], reach: i64, min: i64) -> Vec<i64> {
             && fit(*shift) >= TUNING.min_shift_view * fit(0)
             && share(*shift) >= TUNING.shift_fit * at_rest
             && near.into_iter().all(|other| fit(other) <= fit(*shift))
-            && way.map(&share).fold(1.0, f64::min) < TUNING.shift_valley * share(*shift)
+            && way.map(share).fold(1.0, f64::min) < TUNING.shift_valley * share(*shift)
     };
     let mut peaks: Vec<i64> = (-reach..=reach).filter(is_peak).collect();
     peaks.sort_by(|a, b| share(*b).total_cmp(&share(*a)).then(a.cmp(b)));
