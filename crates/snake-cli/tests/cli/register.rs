@@ -44,7 +44,7 @@ fn register_prints_and_writes_the_transform() {
     let keys = |value: &Value| value.as_object().unwrap().keys().cloned().collect::<Vec<_>>();
     let groups = ["clouds", "fit", "hypotheses", "matches", "seconds", "t_target_source", "verdict"];
     assert_eq!(keys(report), groups);
-    assert_eq!(keys(&report["fit"]), ["fitness", "information", "inlier_distance", "rmse"]);
+    assert_eq!(keys(&report["fit"]), ["fitness", "information", "inlier_distance", "rmse", "voxel_size"]);
     let (verdict, matches) = (keys(&report["verdict"]), keys(&report["matches"]));
     let evidence = ["free_space_violation", "repeat_fit", "slide_margin", "weakest_constraint"];
     assert!(evidence.iter().chain(&["confidence", "is_reliable", "notes"]).all(|key| verdict.contains(&(*key).into())));

@@ -250,6 +250,7 @@ pub fn challenge(pair: &Pair, matches: &[Match], registration: &mut Registration
     verdict.confidence = (verdict.confidence / 2.0).min(TUNING.max_doubtful);
     verdict.is_reliable = false;
     verdict.is_ambiguous |= equal.iter().any(|rival| !rival.is_mirrored());
+    verdict.repeat_fit = equal.iter().map(Rival::repeat_fit).fold(verdict.repeat_fit, f64::max);
     verdict.notes.splice(0..0, equal.iter().map(Rival::note));
     let rigid = equal.iter().filter(|rival| !rival.is_mirrored());
     let others = rigid.map(|rival| Candidate::measure(pair, matches, &rival.transform.into()).hypothesis());

@@ -85,6 +85,15 @@ impl Rival {
         self.counts.lead() <= max_lead && self.counts.contradicted() <= max_contradicted
     }
 
+    /// Of the places that the winner explains, the share that this shift of it explains too; 0 for
+    /// turns.
+    pub(super) fn repeat_fit(&self) -> f64 {
+        match self.motion {
+            Motion::Shift(_) => self.counts.both as f64 / (self.counts.both + self.counts.winner).max(1) as f64,
+            Motion::Turn(_) => 0.0,
+        }
+    }
+
     /// What is ambiguous, in a sentence.
     pub(super) fn note(&self) -> String {
         match self.motion {

@@ -79,11 +79,11 @@ impl Offsets {
             }
         }
         let zero = own[0].len() as i64 + self.first[axis] - target.first[axis];
-        let mut shifts: Vec<(i64, f64)> =
-            sums.windows(3).enumerate().map(|(at, sums)| (at as i64 + 1 - zero, sums.iter().sum())).collect();
-        shifts.sort_by(|a, b| b.1.total_cmp(&a.1).then(a.0.cmp(&b.0)));
+        let ranked = |(at, sums): (usize, &[f64])| (at as i64 + 1 - zero, sums.iter().sum(), sums[1]);
+        let mut shifts: Vec<(i64, f64, f64)> = sums.windows(3).enumerate().map(ranked).collect();
+        shifts.sort_by(|a, b| b.1.total_cmp(&a.1).then(b.2.total_cmp(&a.2)).then(a.0.cmp(&b.0)));
         let mut best: Vec<(i64, f64)> = Vec::new();
-        for (shift, sum) in shifts {
+        for (shift, sum, _) in shifts {
             if best.len() < TUNING.turn_offsets && best.iter().all(|(other, _)| (other - shift).abs() > 2) {
                 best.push((shift, sum));
             }
