@@ -17,7 +17,8 @@ use snake_geometry::{Cloud, NormalizationMethod, Point};
 ///
 /// ```
 /// use snake_core::{Chooser, Control, ModelChoice};
-/// # let points: Vec<[f32; 3]> = (0..500).map(|i| { let a = i as f32 * 0.1; [a.cos(), a.sin(), (a * 0.3).sin()] }).collect();
+/// # let ring = |a: f32, b: f32| [(1.0 + 0.4 * b.cos()) * a.cos(), (1.0 + 0.4 * b.cos()) * a.sin(), 0.4 * b.sin()];
+/// # let points: Vec<[f32; 3]> = (0..500).map(|i| ring(i as f32 * 0.1, i as f32 * 2.4)).collect();
 /// let values = serde_json::json!({ "max_keypoints": 20 });
 /// let chooser = Chooser::new(ModelChoice::default(), values.as_object().unwrap())?;
 /// let chosen = chooser.for_points(&points)?;
