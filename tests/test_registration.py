@@ -66,7 +66,7 @@ def test_results_can_be_pickled(cloud, found):
     many = snake_rs.register(cloud[:2048], moved(transform(), cloud[2048:]), hypotheses=5)
     for result in (found, many):
         assert values(pickle.loads(pickle.dumps(result))) == values(result)
-    assert len(values(found)) == 24
+    assert len(values(found)) == 25
     for state in ({}, {"verdict": 1}, {"t_target_source": [[[[[[[1]]]]]]]}):
         with pytest.raises(ValueError, match="the state of a registration"):
             snake_rs.Registration(state)

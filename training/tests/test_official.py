@@ -113,9 +113,9 @@ def match3d(folder):
 
 
 def smpl(folder):
-    """The body model of the tests with parameters of two pairs."""
+    """The body model of the tests, converted, with parameters of two pairs."""
     folder.mkdir()
-    (folder / "model.pkl").write_bytes((SMPL / "model.pkl").read_bytes())
+    body_model.main([str(SMPL / "model.pkl"), str(folder / "model.npz")])
     rng = np.random.default_rng(0)
     np.save(folder / "pose_test_100.npy", rng.random((2, 2, 3, 3)))
     np.save(folder / "beta_test_100.npy", rng.random((2, 2, 10)))

@@ -380,9 +380,10 @@ fn what_is_known_of_sweeps_only_helps() {
     for (apart, seed) in [(6.0, 1), (10.0, 2), (15.0, 3), (20.0, 4), (20.0, 5)] {
         let ([source, target], truth) = sweeps(apart, seed);
         let known = |options: RegisterOptions, pair_options: PairOptions| {
-            let found = register_with(&source, &target, None, &options, &pair_options, &Control::default()).unwrap();
-            let (angle, metres) = found.t_target_source.angle_and_distance_to(&truth);
-            (angle.to_degrees(), metres, found.verdict.is_reliable)
+            let registration =
+                register_with(&source, &target, None, &options, &pair_options, &Control::default()).unwrap();
+            let (angle, metres) = registration.t_target_source.angle_and_distance_to(&truth);
+            (angle.to_degrees(), metres, registration.verdict.is_reliable)
         };
         let (default, at_origin) = (RegisterOptions::default(), Some([0.0; 3]));
         let nothing = known(default, PairOptions::default());
@@ -410,14 +411,14 @@ fn a_second_look_at_sweeps_finds_more_and_leaves_reliable_answers() {
     for seed in 12..18 {
         let ([source, target], truth) = sweeps(13.0, seed);
         let default = RegisterOptions::default();
-        let found = register(&source, &target, &default).unwrap();
+        let second = register(&source, &target, &default).unwrap();
         // A length that is given is kept: there is no second look.
         let size = prepare(&[&source, &target], &[], None, &default, &Control::default()).unwrap().lengths.voxel_size;
         let first = register(&source, &target, &default.with_voxel_size(Some(Length::Units(size)))).unwrap();
         if first.verdict.is_reliable {
-            assert_eq!(found.t_target_source, first.t_target_source);
+            assert_eq!(second.t_target_source, first.t_target_source);
         }
-        for (count, result) in counts.iter_mut().zip([&first, &found]) {
+        for (count, result) in counts.iter_mut().zip([&first, &second]) {
             let (_, metres) = result.t_target_source.angle_and_distance_to(&truth);
             assert!(metres < 0.3 || !result.verdict.is_reliable, "{seed}: {result:?}");
             *count += usize::from(result.verdict.is_reliable);

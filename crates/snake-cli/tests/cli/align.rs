@@ -38,11 +38,11 @@ fn merged_and_aligned_clouds_keep_colours_intensity_and_rotated_normals() {
         attributes.normals = Some(vec![normal; points.len()]);
         attributes
     };
-    let turned: Vec<_> = points.iter().map(|p| [3.0 - p[1], p[0], p[2] - 1.0]).collect();
+    let rotated: Vec<_> = points.iter().map(|p| [3.0 - p[1], p[0], p[2] - 1.0]).collect();
     let [target, source] = [file("target.ply"), file("source.pcd")];
     // The normal of the source is x there, which is -y in the target's frame.
     snake_io::write_cloud(target.as_ref(), &points, &attributes([0.0, 0.0, 1.0]), [0.0; 3]).unwrap();
-    snake_io::write_cloud(source.as_ref(), &turned, &attributes([1.0, 0.0, 0.0]), [0.0; 3]).unwrap();
+    snake_io::write_cloud(source.as_ref(), &rotated, &attributes([1.0, 0.0, 0.0]), [0.0; 3]).unwrap();
     let is_right = |normal: &[f32; 3]| (normal[1] + 1.0).abs() < 0.01 && normal[0].abs() < 0.1;
     for aligned in ["aligned.ply", "aligned.pcd", "aligned.csv"].map(file) {
         let output = snake(&["register", &source, &target, "--aligned", &aligned]);

@@ -17,8 +17,8 @@ fn a_list_names_inputs_in_a_file_or_at_the_standard_input() {
     std::fs::write(path("list.txt"), &list).unwrap();
     let few = ["--json", "--max-keypoints", "3"];
     let inputs = |output| json_lines(&output).iter().map(|line| line["input"].clone()).collect::<Vec<_>>();
-    let found = inputs(snake(&[&["detect", &sample(), "--input-list", &path("list.txt")], &few[..]].concat()));
-    assert_eq!(found, [sample(), path("b.ply"), path("a.ply")]);
+    let kept = inputs(snake(&[&["detect", &sample(), "--input-list", &path("list.txt")], &few[..]].concat()));
+    assert_eq!(kept, [sample(), path("b.ply"), path("a.ply")]);
     let mut command = Command::cargo_bin("snake-cli").unwrap();
     let run = command.args(["detect", "--input-list", "-"]).args(few).write_stdin(list).output().unwrap();
     assert_eq!(inputs(run), [path("b.ply"), path("a.ply")]);

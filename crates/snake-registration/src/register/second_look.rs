@@ -52,7 +52,7 @@ impl Given<'_> {
             prepared.and_then(|prepared| register_prepared(&prepared, &options, self.pair_options, &guesses, control));
         match second {
             Ok(second) => {
-                let second = of_two(second);
+                let second = less_confident(second);
                 Ok(if let Ok(first) = first { better(first, second) } else { second })
             }
             Err(error @ (Error::Cancelled | Error::DeadlineExceeded)) => Err(error),
@@ -82,7 +82,7 @@ fn is_finer(prepared: &PreparedClouds) -> Result<bool> {
 
 /// The result of a second try, with a lower confidence: of two wrong results, one looks right by
 /// chance twice as often.
-fn of_two(mut registration: Registration) -> Registration {
+fn less_confident(mut registration: Registration) -> Registration {
     let verdict = &mut registration.verdict;
     verdict.confidence /= 2.0 - verdict.confidence;
     verdict.is_reliable = verdict.confidence >= judge::TUNING.reliable;

@@ -102,13 +102,13 @@ tuning! {
 
     /// A voxel faces along an axis if its cosine is above this.
     turn_cosine: f64 = 0.9, unit "cosine", from "set by hand";
-    /// Number of offsets along each axis at which planes of a turned source are laid on planes.
+    /// Number of offsets along each axis at which planes of a rotated source are laid on planes.
     turn_offsets: usize = 3, unit "offsets", from "set by hand";
-    /// A turned source must have this share of the voxels on planes that meet.
+    /// A rotated source must have this share of the voxels on planes that meet.
     turn_planes: f64 = 0.75, unit "share of those of the winner", from "set by hand";
     /// Number of moves that are compared for a turn, at most.
     turn_tries: usize = 2, unit "transforms", from "set for time";
-    /// A turned source must overlap the target by this.
+    /// A rotated source must overlap the target by this.
     turn_overlap: f64 = 0.7, unit "share of the winner's overlap", from "set by hand";
     /// Thickness of the cells in which details repeat.
     relief_depth: f64 = 0.15, unit "inlier distances", from "set by hand";

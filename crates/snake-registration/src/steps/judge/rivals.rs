@@ -133,9 +133,10 @@ pub(super) fn rivals(pair: &Pair, winner: &IsometryMatrix3<f64>) -> Result<Vec<R
         return Ok(Vec::new());
     }
     let scene = Scene::new(pair, fine, winner, &places);
-    let turned = by_turn.into_par_iter().map(|(turn, guess)| scene.turned(turn, guess)).collect::<Result<Vec<_>>>()?;
+    let rotated =
+        by_turn.into_par_iter().map(|(turn, guess)| scene.rotated(turn, guess)).collect::<Result<Vec<_>>>()?;
     let shifted = by_shift.into_par_iter().map(|shift| scene.shifted(shift)).collect::<Result<Vec<_>>>()?;
-    Ok(turned.into_iter().chain(shifted).flatten().collect())
+    Ok(rotated.into_iter().chain(shifted).flatten().collect())
 }
 
 /// The pair with what the comparison of two transforms needs.
@@ -182,7 +183,7 @@ impl<'a, 'b> Scene<'a, 'b> {
     }
 
     /// The rival near a guess that follows from a turn; `None` if it does not fit the surfaces.
-    fn turned(&self, turn: Turn, guess: IsometryMatrix3<f64>) -> Result<Option<Rival>> {
+    fn rotated(&self, turn: Turn, guess: IsometryMatrix3<f64>) -> Result<Option<Rival>> {
         let (surfaces, gravity) = (self.pair.surfaces(), self.pair.criteria().gravity);
         let step = coarse_step(surfaces[0].points.len());
         let rough = one_way_icp(&self.coarse, &surfaces[1], guess, gravity, TUNING.rival_steps, &Counter::default())?;
