@@ -55,7 +55,7 @@ pub fn read_attributes(path: &Path, format: Option<PointFormat>, num_points: usi
             Attributes { intensity: sweep::intensity(&bytes, format), ..Attributes::default() }
         }
         #[cfg(feature = "laz")]
-        PointFormat::Las => las::attributes(&bytes).unwrap_or_default(),
+        PointFormat::Las => scanned(las::intensities_and_colors(&bytes).unwrap_or_default()),
         _ => Attributes::default(),
     };
     Ok(attributes.for_points(num_points))
@@ -70,6 +70,14 @@ fn text_columns(bytes: &[u8], names: [&str; 3]) -> Option<Vec<[f64; 3]>> {
     }
     let others = [[0, 1], [1, 2], [0, 2]].into_iter();
     others.map(|pair| pair.map(Column::Index)).find_map(|[one, two]| read([first.clone(), one, two]))
+}
+
+/// The intensities and colours of a laser scan. Writers without a sensor for one leave zeros.
+#[cfg(feature = "laz")]
+fn scanned((intensity, colors): (Vec<f32>, Vec<[f64; 3]>)) -> Attributes {
+    let intensity = Some(intensity).filter(|values| values.iter().any(|value| *value > 0.0));
+    let colors = Some(to_bytes(&colors)).filter(|values| values.as_flattened().iter().any(|value| *value > 0));
+    Attributes { colors, intensity, normals: None }
 }
 
 /// Colours that stand in the lower bytes of a number.
@@ -135,7 +143,7 @@ impl Attributes {
 }
 
 /// Colours as bytes: of 16 bits the upper ones, and of numbers up to 1 their share.
-pub(crate) fn to_bytes(rows: &[[f64; 3]]) -> Vec<[u8; 3]> {
+fn to_bytes(rows: &[[f64; 3]]) -> Vec<[u8; 3]> {
     let most = rows.as_flattened().iter().fold(0.0, |most: f64, value| most.max(*value));
     let is_share = most <= 1.0 && rows.as_flattened().iter().any(|value| value.fract() != 0.0);
     let factor = if is_share {

@@ -4,8 +4,6 @@
 //! dome of sky, several shells, or tails of floaters at all distances. A sweep, terrain about a statue or a second building
 //! is far too, but as dense, or a surface: the next direction has nearly the same distance.
 
-use super::outliers::squared_distance;
-
 /// The share of the points that a core holds at least.
 const MIN_SHARE: f64 = 0.3;
 /// A cloud is looked at if its farthest point is this many times as far from the middle of the core as [`MIN_SHARE`] of the
@@ -69,6 +67,10 @@ pub(super) fn dense_core(points: &[[f64; 3]]) -> Option<([f64; 3], f64)> {
         beyond.map(|point| std::array::from_fn(|axis| point[axis] - center[axis])).collect::<Vec<[f64; 3]>>()
     };
     (is_far && (are_shells(&sorted[far..]) || are_scattered(&offsets()))).then_some((center, MARGIN * radius))
+}
+
+pub(super) fn squared_distance(a: &[f64; 3], b: &[f64; 3]) -> f64 {
+    (0..3).map(|axis| (a[axis] - b[axis]).powi(2)).sum()
 }
 
 /// The candidate about which [`MIN_SHARE`] of the candidates lie closest.

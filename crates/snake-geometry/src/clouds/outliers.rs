@@ -2,7 +2,7 @@
 
 use std::fmt;
 
-use super::dense_core::dense_core;
+use super::dense_core::{dense_core, squared_distance};
 use crate::Point;
 
 /// The share of the points that decides how far a cloud reaches. Fewer points than one in twenty can be outliers.
@@ -72,10 +72,6 @@ impl Reach {
             .fold((0, 0.0), |(number, farthest): (usize, f64), squared| (number + 1, farthest.max(squared)));
         (number > 0).then(|| Outliers { number, num_points: points.len(), times: farthest.sqrt() / self.common })
     }
-}
-
-pub(super) fn squared_distance(a: &[f64; 3], b: &[f64; 3]) -> f64 {
-    (0..3).map(|axis| (a[axis] - b[axis]).powi(2)).sum()
 }
 
 /// The points of a cloud that are far beyond all others: fewer than one in twenty, and more than five times as far from the

@@ -14,7 +14,6 @@ use laz::record::{LayeredPointRecordDecompressor, RecordDecompressor, Sequential
 use laz::{DecompressionSelection, LazItem, LazItemType, LazVlr};
 
 use crate::MAX_EXPANSION;
-use crate::attributes::{Attributes, to_bytes};
 use crate::crs::Crs;
 use crate::formats::shape::{Position, Shape};
 use crate::las::gps_time::GpsTimes;
@@ -41,8 +40,8 @@ pub(crate) fn for_each_position(
     Ok(header.crs(&head))
 }
 
-/// Intensity and colours of the points of a file that [`read`] reads.
-pub(crate) fn attributes(bytes: &[u8]) -> Result<Attributes, String> {
+/// Intensities and colours of 16 bits of the points of a file that [`read`] reads.
+pub(crate) fn intensities_and_colors(bytes: &[u8]) -> Result<(Vec<f32>, Vec<[f64; 3]>), String> {
     let header = Header { with_attributes: true, ..Header::parse(bytes)? };
     let (mut intensity, mut colors) = (Vec::new(), Vec::new());
     header.for_each_record(&mut Cursor::new(bytes), bytes.len() as u64, &mut |record| {
@@ -51,10 +50,7 @@ pub(crate) fn attributes(bytes: &[u8]) -> Result<Attributes, String> {
         let color = header.colors_at().and_then(|at| Some([word(at)?, word(at + 2)?, word(at + 4)?]));
         colors.extend(color.map(|color| color.map(f64::from)));
     })?;
-    // Writers without a sensor leave zeros.
-    let intensity = Some(intensity).filter(|values| values.iter().any(|value| *value > 0.0));
-    let colors = Some(to_bytes(&colors)).filter(|values| values.as_flattened().iter().any(|value| *value > 0));
-    Ok(Attributes { colors, intensity, normals: None })
+    Ok((intensity, colors))
 }
 
 /// The coordinate reference system of a file that [`read`] reads.

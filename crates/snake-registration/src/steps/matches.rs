@@ -4,8 +4,13 @@ use nalgebra::{IsometryMatrix3, Rotation3};
 
 use crate::cloud::surface;
 use crate::rigid::moved;
-use crate::steps::consensus;
+use crate::tuning::tuning;
 use snake_geometry::{RigidTransform, Vector};
+
+tuning! {
+    /// The axis that points up in both clouds may differ by this angle: no sensor is quite level.
+    max_tilt: f64 = 5.0, unit "degrees", from "set by hand: KITTI sweeps of one drive differ by up to 1.5";
+}
 
 /// A match: a keypoint and unit normal of the source, with those of its partner in the target.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -28,14 +33,14 @@ pub struct Criteria {
     /// Whether the signs of normals are known; without, opposite normals agree.
     pub signed: bool,
     /// The axis of the rotation, a unit vector, if it is known. A sensor is not quite level: the
-    /// rotation may tilt the axis by [`max_tilt`](consensus::Tuning::max_tilt).
+    /// rotation may tilt the axis by up to 5 degrees.
     pub gravity: Option<Vector>,
 }
 
 impl Criteria {
     /// Whether a rotation leaves the axis that is known about where it is.
     pub(crate) fn is_level(&self, rotation: &Rotation3<f64>) -> bool {
-        let is_near = |axis: Vector| (rotation * axis).dot(&axis) >= consensus::TUNING.max_tilt.to_radians().cos();
+        let is_near = |axis: Vector| (rotation * axis).dot(&axis) >= TUNING.max_tilt.to_radians().cos();
         self.gravity.is_none_or(is_near)
     }
 }

@@ -5,7 +5,7 @@ use std::cmp::Reverse;
 use rayon::prelude::*;
 
 use super::TUNING;
-use crate::steps::matches::{Criteria, Match};
+use crate::steps::matches::{self, Criteria, Match};
 use snake_core::{Counter, Result};
 
 /// The adjacency of the graph, a row of bits for each match.
@@ -94,7 +94,7 @@ fn compatible(Match32(a): &Match32, Match32(b): &Match32, criteria: &Criteria) -
     }
     if let Some(axis) = criteria.gravity {
         let axis = axis.map(|v| v as f32).into();
-        let tilted = TUNING.max_tilt.to_radians().sin() as f32 * in_source;
+        let tilted = matches::TUNING.max_tilt.to_radians().sin() as f32 * in_source;
         if (dot(&edges[0], &axis) - dot(&edges[1], &axis)).abs() >= tolerance + tilted {
             return false;
         }

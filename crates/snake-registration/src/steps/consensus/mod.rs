@@ -39,8 +39,6 @@ tuning! {
     cosine_tolerance: f32 = 0.3, unit "cosine", from "set by hand in 3738705";
     /// Two matches whose points are closer are incompatible: they agree on any transform.
     min_edge: f32 = 2.0, unit "inlier distances", from "set by hand in 3738705";
-    /// The axis that points up in both clouds may differ by this angle: no sensor is quite level.
-    max_tilt: f64 = 5.0, unit "degrees", from "set by hand: KITTI sweeps of one drive differ by up to 1.5";
 }
 
 /// A transform with the support of the matches.
