@@ -212,6 +212,9 @@ CALLS = {
     "detect of a field": "field.detect(query_resolution=128, refine_steps=100, occupancy_threshold=0.01)",
     "mesh": "field.mesh(resolution=512)",
     "iss": "snake_rs.baselines.iss(many, salient_radius=1.0)",
+    "fpfh": "snake_rs.fpfh(many, np.ones_like(many), 0.5)",
+    "normals": "snake_rs.estimate_normals(many, 0.5)",
+    "saliency": "field.saliency(np.tile(many, (400, 1)))",
     "geodesics": "snake_rs.metrics.geodesic_distances(many, np.arange(5000))",
     "register": "snake_rs.register(many, many + 1, voxel_size=1e-4, max_keypoints=10**6)",
 }

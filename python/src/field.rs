@@ -12,6 +12,9 @@ use crate::keypoints::Keypoints;
 use crate::mesh::Mesh;
 use crate::{arrays, options, threads};
 
+/// Queries between two looks at signals: some hundredths of a second.
+const QUERIES_PER_PART: usize = 1 << 14;
+
 /// Values and gradients of Q queries.
 type Pairs = (Vec<f32>, Vec<Point>);
 /// Values and gradients as arrays `(Q,)` and `(Q, 3)`.
@@ -75,26 +78,35 @@ impl Field {
         arrays::given_rows("queries", queries)?.relative_to(self.origin)
     }
 
-    /// One value per query, computed without the GIL.
+    /// The answers to all queries, part by part without the GIL: a signal ends the call after a part.
+    fn answers<T: Send>(
+        &self,
+        queries: &Bound<PyAny>,
+        answer: fn(&core::Field, &[Point]) -> core::Result<T>,
+    ) -> PyResult<Vec<T>> {
+        let (py, queries) = (queries.py(), self.queries(queries)?);
+        threads::run_with_signals(py, |control| {
+            let parts = queries.chunks(QUERIES_PER_PART);
+            parts.map(|part| control.check().and_then(|()| answer(&self.core, part))).collect()
+        })
+    }
+
     fn values<'py>(
         &self,
         queries: &Bound<'py, PyAny>,
         of: fn(&core::Field, &[Point]) -> core::Result<Vec<f32>>,
     ) -> PyResult<Bound<'py, PyArray1<f32>>> {
-        let (py, queries) = (queries.py(), self.queries(queries)?);
-        let values = threads::run(py, || of(&self.core, &queries))?;
-        Ok(arrays::values(py, values))
+        Ok(arrays::values(queries.py(), self.answers(queries, of)?.concat()))
     }
 
-    /// One value and gradient per query, computed without the GIL.
     fn values_and_gradients<'py>(
         &self,
         queries: &Bound<'py, PyAny>,
         of: fn(&core::Field, &[Point]) -> core::Result<Pairs>,
     ) -> PyResult<ValuesAndGradients<'py>> {
-        let (py, queries) = (queries.py(), self.queries(queries)?);
-        let (values, gradients) = threads::run(py, || of(&self.core, &queries))?;
-        Ok((arrays::values(py, values), arrays::rows(py, gradients.into_flattened(), 3)?))
+        let (values, gradients): (Vec<_>, Vec<_>) = self.answers(queries, of)?.into_iter().unzip();
+        let (py, gradients) = (queries.py(), gradients.concat());
+        Ok((arrays::values(py, values.concat()), arrays::rows(py, gradients.into_flattened(), 3)?))
     }
 }
 
@@ -122,9 +134,8 @@ impl Field {
 
     /// Descriptors (Q, c_dim) float32: the L2-normalised feature of each query.
     fn descriptors<'py>(&self, queries: &Bound<'py, PyAny>) -> PyResult<Bound<'py, PyArray2<f32>>> {
-        let (py, queries) = (queries.py(), self.queries(queries)?);
-        let flat = threads::run(py, || self.core.descriptors(&queries))?;
-        arrays::rows(py, flat, self.core.config().c_dim)
+        let flat = self.answers(queries, core::Field::descriptors)?.concat();
+        arrays::rows(queries.py(), flat, self.core.config().c_dim)
     }
 
     /// A copy of the feature volume, (C, D, H, W) float32, with D, H and W along z, y and x.
@@ -195,9 +206,10 @@ impl Field {
 
     fn __repr__(&self) -> String {
         let core::Normalization { center, scale } = self.core.normalization();
-        let center = match self.origin == [0.0; 3] {
-            true => format!("{center:?}"),
-            false => format!("{:?}", core::add_origin(center, self.origin)),
+        let center = if self.origin == [0.0; 3] {
+            format!("{center:?}")
+        } else {
+            format!("{:?}", core::add_origin(center, self.origin))
         };
         let (encoded, points) = (self.core.num_encoded(), self.core.points().len());
         format!("Field({encoded} of {points} points encoded, center {center}, scale {scale})")

@@ -207,7 +207,7 @@ pub(crate) fn matrix<const N: usize>(py: Python<'_>, rows: [[f64; N]; N]) -> PyR
 #[pyfunction]
 pub fn estimate_normals<'py>(points: &Bound<'py, PyAny>, radius: f64) -> PyResult<Bound<'py, PyArray2<f32>>> {
     let (py, (Cloud { points, .. }, _)) = (points.py(), arrays::cloud("points", points)?);
-    let normals = threads::run(py, || core::estimate_normals(&points, radius))?;
+    let normals = threads::run_with_signals(py, |control| core::estimate_normals_with(&points, radius, control))?;
     arrays::rows(py, normals.into_flattened(), 3)
 }
 
@@ -221,6 +221,6 @@ pub fn fpfh<'py>(
 ) -> PyResult<Bound<'py, PyArray2<f32>>> {
     let py = points.py();
     let ((Cloud { points, .. }, _), normals) = (arrays::cloud("points", points)?, arrays::points("normals", normals)?);
-    let flat = threads::run(py, || core::fpfh(&points, &normals, radius))?;
+    let flat = threads::run_with_signals(py, |control| core::fpfh_with(&points, &normals, radius, control))?;
     arrays::rows(py, flat, core::FPFH_DIMENSION)
 }

@@ -45,7 +45,7 @@ mod rigid;
 pub mod steps;
 mod tuning;
 
-pub use cloud::normals::estimate_normals;
+pub use cloud::normals::{estimate_normals, estimate_normals_with};
 pub use detectors::Detector;
 pub use many::{Alignment, Edge, Pose, align, align_with};
 pub use options::{AlignOptions, Axis, Descriptor, PairOptions, RegisterOptions};
@@ -53,5 +53,5 @@ pub use register::{register, register_pair, register_with};
 pub use result::{CloudReport, Fit, Hypothesis, Matches, Registration, Verdict, ViewpointUsed};
 pub use rigid::{kabsch, transform_points};
 pub use steps::describe::describe_keypoints;
-pub use steps::describe::fpfh::{FPFH_DIMENSION, fpfh};
+pub use steps::describe::fpfh::{FPFH_DIMENSION, fpfh, fpfh_with};
 pub use steps::match_rows::mutual_nearest;

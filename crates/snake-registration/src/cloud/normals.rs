@@ -15,11 +15,19 @@ use snake_geometry::{Neighbors, Point, Vector, check_points, vector};
 /// [`Error::Input`] when the cloud is empty or has a coordinate that is not finite;
 /// [`Error::Option`] when the radius is not positive.
 pub fn estimate_normals(points: &[Point], radius: f64) -> Result<Vec<Point>> {
+    estimate_normals_with(points, radius, &Control::default())
+}
+
+/// Like [`estimate_normals`], under `control`.
+///
+/// # Errors
+/// As [`estimate_normals`], and what `control` ends with.
+pub fn estimate_normals_with(points: &[Point], radius: f64, control: &Control) -> Result<Vec<Point>> {
     check_points("points", points)?;
     check_radius("radius", radius)?;
     let cloud = Neighbors::new(points.iter().copied().map(vector).collect())?;
     cloud.check_density("radius", radius)?;
-    Ok(normals(&cloud, radius, Orientation::Mean, &Control::default())?
+    Ok(normals(&cloud, radius, Orientation::Mean, control)?
         .into_iter()
         .map(|normal| normal.map(|v| v as f32).into())
         .collect())

@@ -31,6 +31,14 @@ type Histograms = [f32; FPFH_DIMENSION];
 /// [`Error::Input`] when there are no points, a number is not finite, or the numbers of points and
 /// normals differ; [`Error::Option`] when the radius is not positive.
 pub fn fpfh(points: &[Point], normals: &[Point], radius: f64) -> Result<Vec<f32>> {
+    fpfh_with(points, normals, radius, &Control::default())
+}
+
+/// Like [`fpfh`], under `control`.
+///
+/// # Errors
+/// As [`fpfh`], and what `control` ends with.
+pub fn fpfh_with(points: &[Point], normals: &[Point], radius: f64, control: &Control) -> Result<Vec<f32>> {
     check_points("points", points)?;
     check_points("normals", normals)?;
     if points.len() != normals.len() {
@@ -41,7 +49,7 @@ pub fn fpfh(points: &[Point], normals: &[Point], radius: f64) -> Result<Vec<f32>
     let cloud = Neighbors::new(points.iter().copied().map(vector).collect())?;
     cloud.check_density("radius", radius)?;
     let normals: Vec<Vector> = normals.iter().copied().map(vector).collect();
-    descriptors(&cloud.points, &normals, true, radius, &Control::default())
+    descriptors(&cloud.points, &normals, true, radius, control)
 }
 
 /// [`fpfh`] of points that were checked.
