@@ -120,9 +120,10 @@ pub fn given_rows<'py>(what: &str, value: &Bound<'py, PyAny>) -> PyResult<Rows<'
     let dtype = if kind == b'f' && size <= 4 { "float32" } else { "float64" };
     let columns = given.get_item((pyo3::types::PySlice::full(py), pyo3::types::PySlice::new(py, 0, 3, 1)))?;
     let is_masked = given.is_instance(&numpy.getattr("ma")?.getattr("MaskedArray")?)?;
-    let filled = match is_masked {
-        true => columns.call_method1("astype", (dtype,))?.call_method1("filled", (f64::NAN,))?,
-        false => columns,
+    let filled = if is_masked {
+        columns.call_method1("astype", (dtype,))?.call_method1("filled", (f64::NAN,))?
+    } else {
+        columns
     };
     let required = numpy.call_method1("require", (filled, dtype, "CA"))?;
     Ok(match dtype {
@@ -216,10 +217,8 @@ fn columns_of_frame<'py>(what: &str, value: &Bound<'py, PyAny>) -> PyResult<Opti
         return Err(PyValueError::new_err(reason));
     }
     let axes = PyList::new(value.py(), AXES)?;
-    let chosen = match value.hasattr("select")? {
-        true => value.call_method1("select", (axes,))?,
-        false => value.get_item(axes)?,
-    };
+    let chosen =
+        if value.hasattr("select")? { value.call_method1("select", (axes,))? } else { value.get_item(axes)? };
     Ok(Some(chosen))
 }
 
@@ -241,10 +240,8 @@ fn with_columns<'py>(numpy: &Bound<'py, PyModule>, array: Bound<'py, PyAny>) -> 
 /// passed on unchanged. An exception from numpy becomes a ValueError that begins with `what`.
 fn converted<'py>(numpy: &Bound<'py, PyModule>, what: &str, value: &Bound<'py, PyAny>) -> PyResult<Bound<'py, PyAny>> {
     // A tensor that records its gradient, or lies on another device, has no array.
-    let tensor = match value.hasattr("requires_grad")? {
-        true => &value.call_method0("detach")?.call_method0("cpu")?,
-        false => value,
-    };
+    let tensor =
+        if value.hasattr("requires_grad")? { &value.call_method0("detach")?.call_method0("cpu")? } else { value };
     let value = tensor;
     if value.hasattr("__array__")? {
         let masked = numpy.getattr("ma")?.getattr("MaskedArray")?;

@@ -137,9 +137,10 @@ impl Ranges for RemoteFile {
         Python::attach(|py| {
             let bytes = self.object.bind(py).call_method1("read", (range.start, range.end));
             bytes.and_then(|bytes| bytes.extract::<Vec<u8>>()).map_err(|error| {
-                let kind = match error.is_instance_of::<PyFileNotFoundError>(py) {
-                    true => io::ErrorKind::NotFound,
-                    false => io::ErrorKind::Other,
+                let kind = if error.is_instance_of::<PyFileNotFoundError>(py) {
+                    io::ErrorKind::NotFound
+                } else {
+                    io::ErrorKind::Other
                 };
                 io::Error::new(kind, error.to_string())
             })

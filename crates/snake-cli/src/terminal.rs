@@ -45,10 +45,7 @@ pub struct Report(String);
 impl Report {
     /// A JSON value on one line. Harmful characters become JSON escapes, so that the value stays the same.
     pub fn json(value: &impl Serialize) -> Result<Self> {
-        let escape = |c: char| match is_harmful(c) {
-            true => format!("\\u{:04x}", u32::from(c)),
-            false => c.to_string(),
-        };
+        let escape = |c: char| if is_harmful(c) { format!("\\u{:04x}", u32::from(c)) } else { c.to_string() };
         let text = serde_json::to_string(value)?;
         let text = if text.contains(is_harmful) { text.chars().map(escape).collect() } else { text };
         Ok(Self(text + "\n"))

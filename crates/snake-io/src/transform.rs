@@ -75,12 +75,13 @@ pub fn read_transform(path: &Path) -> Result<RigidTransform> {
 pub fn write_registration(path: &Path, t_target_source: &RigidTransform, record: &impl Serialize) -> Result<()> {
     check_registration_path(path)?;
     let is_json = extension(path) == "json";
-    let write = |file: &mut dyn Write| match is_json {
-        true => {
+    let write = |file: &mut dyn Write| {
+        if is_json {
             serde_json::to_writer(&mut *file, record)?;
             writeln!(file)
+        } else {
+            write_rows(file, t_target_source)
         }
-        false => write_rows(file, t_target_source),
     };
     write_atomically(path, write).map_err(|source| Error::Io { path: path.into(), source })
 }
@@ -90,9 +91,10 @@ pub fn write_registration(path: &Path, t_target_source: &RigidTransform, record:
 /// # Errors
 /// [`Error::Format`] when the extension is not among [`REGISTRATION_EXTENSIONS`].
 pub fn check_registration_path(path: &Path) -> Result<()> {
-    match REGISTRATION_EXTENSIONS.contains(&extension(path).as_str()) {
-        true => Ok(()),
-        false => Err(unknown_extension(path, "written", REGISTRATION_EXTENSIONS)),
+    if REGISTRATION_EXTENSIONS.contains(&extension(path).as_str()) {
+        Ok(())
+    } else {
+        Err(unknown_extension(path, "written", REGISTRATION_EXTENSIONS))
     }
 }
 

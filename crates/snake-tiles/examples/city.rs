@@ -12,8 +12,9 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     let [path, lots, points] = &arguments[..] else { return Err("usage: city FILE.las LOTS POINTS_PER_LOT".into()) };
     let mut file = BufWriter::new(File::create(path)?);
     let points = city::city(lots.parse()?, points.parse()?);
-    match path.ends_with(".copc.laz") {
-        true => Ok(city::copc::write_copc(&mut file, points, 1000)?),
-        false => Ok(city::write_las(&mut file, points)?),
+    if path.ends_with(".copc.laz") {
+        Ok(city::copc::write_copc(&mut file, points, 1000)?)
+    } else {
+        Ok(city::write_las(&mut file, points)?)
     }
 }

@@ -64,9 +64,10 @@ impl Source {
 /// The name and the content of a file. A file that cannot be read is a failure of the run, which its plan names.
 fn content(file: &dyn Ranges) -> (PathBuf, String) {
     let path = file.path().to_owned();
-    let content = match path.is_file() {
-        true => digest_of(&path),
-        false => file.length().and_then(|length| Ok(format!("{length} bytes, {}", file.version()?))),
+    let content = if path.is_file() {
+        digest_of(&path)
+    } else {
+        file.length().and_then(|length| Ok(format!("{length} bytes, {}", file.version()?)))
     };
     (path, content.unwrap_or_else(|error| error.to_string()))
 }

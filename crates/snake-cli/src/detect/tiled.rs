@@ -148,12 +148,13 @@ fn is_full(error: &Error) -> bool {
 fn explained(error: Error, folder: &Path) -> anyhow::Error {
     let is_full = is_full(&error);
     let error = anyhow::Error::from(error);
-    match is_full {
-        true => error.context(format!(
+    if is_full {
+        error.context(format!(
             "the disk is full; the tiles in {} stay, and once there is room the same command continues",
             folder.display()
-        )),
-        false => error,
+        ))
+    } else {
+        error
     }
 }
 

@@ -75,9 +75,9 @@ pub fn run(arguments: &ViewArguments) -> Result<()> {
 fn not_aligned(error: Error, first: &ShownCloud, second: &ShownCloud) -> anyhow::Error {
     let is_no_transform = matches!(error, Error::NoTransform { .. });
     let error = anyhow::Error::from(error);
-    match is_no_transform {
-        true => error
-            .context(format!("cannot register {} to {}; --transform FILE gives their poses", second.name, first.name)),
-        false => error,
+    if is_no_transform {
+        error.context(format!("cannot register {} to {}; --transform FILE gives their poses", second.name, first.name))
+    } else {
+        error
     }
 }

@@ -70,9 +70,12 @@ pub(crate) fn read_transforms(bytes: &[u8]) -> Result<Vec<RigidTransform>, Strin
     let (array, data) = open(bytes)?;
     let plain = matches!((array.rows, array.columns), (3 | 4, 4)) && !array.fortran_order;
     let transforms = array.clouds.filter(|_| plain).ok_or("expected (S, 3, 4) or (S, 4, 4) in C order")?;
-    let row = |data: &[u8], row: usize| match row < array.rows {
-        true => std::array::from_fn(|column| array.item(data, row, column)),
-        false => [0.0, 0.0, 0.0, 1.0],
+    let row = |data: &[u8], row: usize| {
+        if row < array.rows {
+            std::array::from_fn(|column| array.item(data, row, column))
+        } else {
+            [0.0, 0.0, 0.0, 1.0]
+        }
     };
     let one = |transform| {
         let data = array.data_of(data, transform);
@@ -165,14 +168,11 @@ impl Described {
             let fortran_order = value(&header, "fortran_order")?.starts_with("True");
             Some(Self { descr: descr.into(), fortran_order, shape: shape.into() })
         };
-        fields().ok_or_else(|| match value(&header, "descr").is_some_and(|descr| descr.starts_with('[')) {
-            true => format!(
+        fields().ok_or_else(|| if value(&header, "descr").is_some_and(|descr| descr.starts_with('[')) { format!(
                 "a structured array, {}; save its coordinates: numpy.save(\"cloud.npy\", numpy.stack([a[\"x\"], a[\"y\"], \
                  a[\"z\"]], axis=1))",
                 excerpt(&header, 100)
-            ),
-            false => format!("no plain array is described by the header `{}`", excerpt(&header, 100)),
-        })
+            )} else { format!("no plain array is described by the header `{}`", excerpt(&header, 100))})
     }
 }
 
@@ -201,9 +201,10 @@ impl ArrayHeader {
             ));
         }
         let last_row = || std::array::from_fn(|column| self.item(data, 3, column));
-        match (rows, columns) == (4, 4) && last_row() == [0.0, 0.0, 0.0, 1.0] {
-            true => Err("the 4 x 4 matrix of a transform and no cloud".into()),
-            false => Ok(()),
+        if (rows, columns) == (4, 4) && last_row() == [0.0, 0.0, 0.0, 1.0] {
+            Err("the 4 x 4 matrix of a transform and no cloud".into())
+        } else {
+            Ok(())
         }
     }
 

@@ -13,10 +13,7 @@ pub(crate) fn decompress(data: &[u8], length: usize) -> Result<Vec<u8>, String> 
     while !rest.is_empty() {
         rest = step(rest, &mut out).filter(|_| out.len() <= length).ok_or("the compressed data is damaged")?;
     }
-    match out.len() == length {
-        true => Ok(out),
-        false => Err(format!("{} bytes were unpacked, {length} promised", out.len())),
-    }
+    if out.len() == length { Ok(out) } else { Err(format!("{} bytes were unpacked, {length} promised", out.len())) }
 }
 
 /// Decompresses one run and returns the data after it.

@@ -19,9 +19,10 @@ pub(crate) fn read(bytes: &[u8]) -> Result<Shape, String> {
         start.eq_ignore_ascii_case(keyword).then_some(counts)
     });
     let counts = keyword.ok_or_else(|| format!("not an OFF file: it begins with `{}`", excerpt(&first, 40)))?.trim();
-    let (number, counts) = match counts.is_empty() {
-        true => lines.next().ok_or("cut short: no counts after OFF")?,
-        false => (number, counts.to_string()),
+    let (number, counts) = if counts.is_empty() {
+        lines.next().ok_or("cut short: no counts after OFF")?
+    } else {
+        (number, counts.to_string())
     };
     let mut words = counts.split_whitespace().map(|word| word.parse::<u64>().ok());
     let (Some(Some(num_points)), Some(Some(num_faces))) = (words.next(), words.next()) else {

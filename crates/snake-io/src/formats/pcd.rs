@@ -202,9 +202,10 @@ impl Header {
                 }
             }
         }
-        match points.len() == self.num_points {
-            true => Ok(points),
-            false => Err(format!("the header promises {} points, {} follow", self.num_points, points.len())),
+        if points.len() == self.num_points {
+            Ok(points)
+        } else {
+            Err(format!("the header promises {} points, {} follow", self.num_points, points.len()))
         }
     }
 }

@@ -163,9 +163,10 @@ impl Declared {
 
 fn no_axis(axis: &str, properties: &[[String; 3]]) -> String {
     let names: Vec<&str> = properties.iter().map(|[_, _, name]| name.as_str()).collect();
-    let hint = match names.iter().any(|name| name.starts_with("packed_")) {
-        true => "; it holds packed splats, which splat-transform FILE.ply NEW.ply unpacks",
-        false => "",
+    let hint = if names.iter().any(|name| name.starts_with("packed_")) {
+        "; it holds packed splats, which splat-transform FILE.ply NEW.ply unpacks"
+    } else {
+        ""
     };
     format!("header: element `vertex` has no scalar property `{axis}`, only {}{hint}", excerpt(&names.join(", "), 200))
 }

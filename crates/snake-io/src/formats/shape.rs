@@ -91,12 +91,13 @@ impl From<Vec<Position>> for Shape {
 /// Refuses bytes after the last point if they can mean that every point has more bytes than the file says: at least one
 /// for each point, and not all zero.
 pub(crate) fn check_left_over(rest: &[u8], num_points: usize) -> Result<(), String> {
-    match rest.len() >= num_points && rest.iter().any(|&byte| byte != 0) {
-        true => Err(format!(
+    if rest.len() >= num_points && rest.iter().any(|&byte| byte != 0) {
+        Err(format!(
             "{} bytes are left over after {num_points} points: what the header says does not fit the data; export the file again",
             rest.len()
-        )),
-        false => Ok(()),
+        ))
+    } else {
+        Ok(())
     }
 }
 

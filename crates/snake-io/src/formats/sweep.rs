@@ -75,10 +75,11 @@ fn other_stride(values: &[f64], num_values: usize) -> Option<usize> {
     let shares: Vec<(usize, f64)> = STRIDES.map(|stride| (stride, explained(&logs, stride))).collect();
     let most = shares.iter().fold(0.0_f64, |most, &(_, share)| most.max(share));
     let &(stride, share) = shares.iter().find(|(_, share)| *share >= 0.9 * most)?;
-    let is_other = match stride.is_multiple_of(num_values) {
+    let is_other = if stride.is_multiple_of(num_values) {
         // The points of scanners can differ by turns, but not so much that a coordinate is constant in every second one.
-        true => stride != num_values && share > own + 0.05 && has_constant(values, num_values, stride),
-        false => share > 0.03 && share > 4.0 * own,
+        stride != num_values && share > own + 0.05 && has_constant(values, num_values, stride)
+    } else {
+        share > 0.03 && share > 4.0 * own
     };
     (is_other && values.len() >= 64 * stride).then_some(stride)
 }

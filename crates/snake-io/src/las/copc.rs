@@ -229,9 +229,10 @@ fn format_error(source: &dyn Ranges) -> impl Fn(String) -> Error {
 fn read(source: &dyn Ranges, range: Range<u64>) -> Result<Vec<u8>> {
     let length = range.end - range.start;
     let bytes = source.read(range).map_err(io_error(source))?;
-    match bytes.len() as u64 == length {
-        true => Ok(bytes),
-        false => Err(format_error(source)(format!("{length} bytes were asked for and {} came", bytes.len()))),
+    if bytes.len() as u64 == length {
+        Ok(bytes)
+    } else {
+        Err(format_error(source)(format!("{length} bytes were asked for and {} came", bytes.len())))
     }
 }
 
@@ -244,9 +245,10 @@ fn items(header: &Header, head: &[u8], length: u64) -> std::result::Result<Vec<L
     let record = header.laszip_record(head).ok_or("no record says how the points are compressed")?;
     let vlr = LazVlr::from_buffer(record).map_err(|e| format!("compression: {e}"))?;
     check_items(vlr.items(), header.record_length)?;
-    match vlr.items()[0].version() >= 3 {
-        true => Ok(vlr.items().clone()),
-        false => Err("compression: the points are not in layers".into()),
+    if vlr.items()[0].version() >= 3 {
+        Ok(vlr.items().clone())
+    } else {
+        Err("compression: the points are not in layers".into())
     }
 }
 
@@ -309,8 +311,9 @@ fn in_order(mut nodes: Vec<Node>, length: u64, num_points: u64) -> std::result::
         node.first = first;
         first += node.num_points;
     }
-    match first == num_points {
-        true => Ok(nodes),
-        false => Err(format!("the octree has {first} points and the header {num_points}")),
+    if first == num_points {
+        Ok(nodes)
+    } else {
+        Err(format!("the octree has {first} points and the header {num_points}"))
     }
 }

@@ -206,9 +206,12 @@ impl Header {
         compressor.copy_from_slice(&record[..2]);
         let layered = items[0].version() >= 3;
         // Chunked data begins with eight bytes: the offset of the chunk table.
-        let mut to_chunks = || match data_length >= 8 {
-            true => source.seek_relative(8).map_err(|e| e.to_string()),
-            false => Err("cut short before the points".into()),
+        let mut to_chunks = || {
+            if data_length >= 8 {
+                source.seek_relative(8).map_err(|e| e.to_string())
+            } else {
+                Err("cut short before the points".into())
+            }
         };
         match (u16::from_le_bytes(compressor), layered) {
             (kind, false) if kind == CompressorType::PointWise as u16 => {
@@ -402,9 +405,10 @@ pub(crate) fn check_items(items: &[LazItem], record_length: usize) -> Result<(),
     let begins_with_a_point =
         items.first().is_some_and(|item| matches!(item.item_type(), LazItemType::Point10 | LazItemType::Point14));
     let length: usize = items.iter().map(|item| usize::from(item.size())).sum();
-    match begins_with_a_point && items.iter().all(is_known) && length == record_length {
-        true => Ok(()),
-        false => Err("compression: its parts do not make up a point".into()),
+    if begins_with_a_point && items.iter().all(is_known) && length == record_length {
+        Ok(())
+    } else {
+        Err("compression: its parts do not make up a point".into())
     }
 }
 

@@ -10,9 +10,12 @@ pub(crate) const COMMAS: &str = "export them with decimal points, or with semico
 pub(crate) fn commas(row: &str) -> Option<String> {
     let separators = [Separator::Char(b';'), Separator::Char(b'\t'), Separator::WhiteSpace, Separator::Char(b',')];
     let has = |separator: &Separator, decimal: bool| {
-        let repaired = |field: &str| match decimal {
-            true => number(&field.trim_end_matches(',').replacen(',', ".", 1)).is_some(),
-            false => field.contains('.') && number(&field.replace([',', '\''], "")).is_some(),
+        let repaired = |field: &str| {
+            if decimal {
+                number(&field.trim_end_matches(',').replacen(',', ".", 1)).is_some()
+            } else {
+                field.contains('.') && number(&field.replace([',', '\''], "")).is_some()
+            }
         };
         let is_unread = |field: &str| number(field).is_none() && field.trim_end_matches(',').contains([',', '\'']);
         separator.fields(row).any(is_unread) && separator.fields(row).filter(|field| repaired(field)).count() >= 3

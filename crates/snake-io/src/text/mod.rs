@@ -193,9 +193,8 @@ impl Above<'_> {
         let indices = match self.columns {
             Some(columns) => columns.in_text(names)?,
             None if header.is_none() => [0, 1, 2],
-            None => columns::known(names).ok_or_else(|| match names.len() < 3 {
-                true => doubts::no_header(names, row),
-                false => columns::cannot_tell(names),
+            None => columns::known(names).ok_or_else(|| {
+                if names.len() < 3 { doubts::no_header(names, row) } else { columns::cannot_tell(names) }
             })?,
         };
         let has_tabs = header.as_ref().is_some_and(|header| header.separator == Separator::Char(b'\t'));
@@ -275,17 +274,19 @@ impl Layout {
     fn check_width(&self, row: &str, width: usize) -> Result<(), String> {
         let Some(header) = &self.header else {
             let numbers = leading_numbers(row, self.separator);
-            return match numbers == self.num_numbers {
-                true => Ok(()),
-                false => Err(format!("{}, {} in the first row,", count(numbers, "number"), self.num_numbers)),
+            return if numbers == self.num_numbers {
+                Ok(())
+            } else {
+                Err(format!("{}, {} in the first row,", count(numbers, "number"), self.num_numbers))
             };
         };
         let is_number = |field: &str| number(field).is_some();
         let has_more = self.separator.fields(row).skip(self.width).any(is_number) && !header.is_open;
         let has_less = width < self.width && self.separator == Separator::WhiteSpace;
-        match has_more || has_less {
-            true => Err(format!("{} below {}", count(width, "column"), count(self.width, "name"))),
-            false => Ok(()),
+        if has_more || has_less {
+            Err(format!("{} below {}", count(width, "column"), count(self.width, "name")))
+        } else {
+            Ok(())
         }
     }
 

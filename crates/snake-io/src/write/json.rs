@@ -53,9 +53,10 @@ pub(crate) fn write_keypointnet(
 }
 
 fn position(keypoint: &Keypoint, origin: [f64; 3]) -> [Option<Number>; 3] {
-    match origin == [0.0; 3] {
-        true => keypoint.position.map(number),
-        false => add_origin(keypoint.position, origin).map(Number::from_f64),
+    if origin == [0.0; 3] {
+        keypoint.position.map(number)
+    } else {
+        add_origin(keypoint.position, origin).map(Number::from_f64)
     }
 }
 

@@ -66,9 +66,12 @@ impl Lanes for PortableLanes {
 
     #[inline(always)]
     fn multiply_add(self, factor: Self, addend: Self) -> Self {
-        Self(std::array::from_fn(|lane| match Self::FUSED {
-            true => self.0[lane].mul_add(factor.0[lane], addend.0[lane]),
-            false => self.0[lane] * factor.0[lane] + addend.0[lane],
+        Self(std::array::from_fn(|lane| {
+            if Self::FUSED {
+                self.0[lane].mul_add(factor.0[lane], addend.0[lane])
+            } else {
+                self.0[lane] * factor.0[lane] + addend.0[lane]
+            }
         }))
     }
 
