@@ -8,7 +8,7 @@ mod eval_models;
 mod eval_registration;
 mod eval_repeatability;
 mod eval_semantic;
-mod field_and_view;
+mod field;
 mod hostile_files;
 mod inputs;
 mod mistakes;
@@ -23,6 +23,7 @@ mod register;
 mod tile_folders;
 mod tiles;
 mod usage;
+mod view;
 
 use std::io::Write;
 use std::path::{Path, PathBuf};
@@ -30,6 +31,7 @@ use std::process::Output;
 
 use assert_cmd::Command;
 use serde_json::Value;
+use tempfile::TempDir;
 
 fn root() -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).join("../..")
@@ -41,6 +43,18 @@ fn sample() -> String {
 
 fn snake(arguments: &[&str]) -> Output {
     Command::cargo_bin("snake-cli").unwrap().args(arguments).output().unwrap()
+}
+
+/// Runs a command that must succeed; what it printed.
+fn succeed(arguments: &[&str]) -> String {
+    let output = snake(arguments);
+    assert!(output.status.success(), "{arguments:?}: {}", String::from_utf8_lossy(&output.stderr));
+    String::from_utf8(output.stdout).unwrap()
+}
+
+/// The path of a new file in a folder, as text.
+fn file(folder: &TempDir, name: &str) -> String {
+    folder.path().join(name).display().to_string()
 }
 
 fn json_lines(output: &Output) -> Vec<Value> {
