@@ -1,0 +1,72 @@
+"""A prior that is true never makes a registration worse: made scans, and the real sweeps of `../shared/data` where they are."""
+
+import importlib.util
+import itertools
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import snake_rs
+
+ROOT = Path(__file__).parents[1]
+SWEEPS = ROOT.parent / "shared" / "data" / "sweeps"
+
+
+def made_pairs():
+    """Pairs of scans of two furnished rooms: source, target, and the true `t_target_source` (4, 4). Up is z, the sensor the origin."""
+    spec = importlib.util.spec_from_file_location("generate", ROOT / "samples" / "generate.py")
+    generate = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(generate)
+    rays = generate.directions(np.linspace(-60, 40, 60), 180)
+    pairs = []
+    for seed in range(2):
+        rng = np.random.default_rng(seed)
+        room, scans = generate.furnished_room(rng), []
+        for origin, degrees in (([1.0, 2.6, 1.5], 20), ([2.6, 2.9, 1.4], 130), ([3.9, 2.6, 1.6], 250)):
+            pose = np.eye(4)
+            c, s = np.cos(np.radians(degrees)), np.sin(np.radians(degrees))
+            pose[:2, :2], pose[:3, 3] = [[c, -s], [s, c]], origin
+            scans.append((generate.scan(room, origin, degrees, rays, 8, 0.004, rng).astype(np.float32), pose))
+        for (source, from_source), (target, from_target) in itertools.combinations(scans, 2):
+            pairs.append((source, target, np.linalg.inv(from_target) @ from_source))
+    return pairs
+
+
+def real_pairs():
+    if not SWEEPS.is_dir():
+        pytest.skip(f"{SWEEPS} is missing: real sweeps are not tested")
+    cloud = {path.stem: np.load(path) for path in SWEEPS.glob("*.npy")}
+    rows = json.loads((SWEEPS / "pairs.json").read_text())
+    return [(cloud[row["source"]], cloud[row["target"]], np.array(row["T"])) for row in rows]
+
+
+PRIORS = {
+    "gravity": {"gravity": "z"},
+    "viewpoints": {"source_viewpoint": [0, 0, 0], "target_viewpoint": [0, 0, 0]},
+}
+
+
+def counts(pairs, limit, prior):
+    """Of the pairs: those that are right, within a limit (metres) and 5 degrees, and those of them that are reliable."""
+    right = reliable = 0
+    for source, target, truth in pairs:
+        result = snake_rs.register(source, target, **prior)
+        error = result.t_target_source @ np.linalg.inv(truth)
+        degrees = np.degrees(np.arccos(np.clip((np.trace(error[:3, :3]) - 1) / 2, -1, 1)))
+        is_right = degrees < 5 and np.linalg.norm(error[:3, 3]) < limit
+        right += is_right
+        reliable += is_right and result.verdict.is_reliable
+        assert is_right or not result.verdict.is_reliable
+    return right, reliable
+
+
+@pytest.mark.parametrize("pairs, limit", [(made_pairs, 0.1), (real_pairs, 0.6)], ids=["made rooms", "real sweeps"])
+def test_pairs_with_a_true_prior_are_right_no_less_often(pairs, limit):
+    pairs = pairs()
+    without = counts(pairs, limit, {})
+    assert without[0] > 0
+    for name, prior in PRIORS.items():
+        right, reliable = counts(pairs, limit, prior)
+        assert right >= without[0] and reliable >= without[1], f"{name}: {right}, {reliable}; without {without}"
