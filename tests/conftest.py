@@ -1,5 +1,6 @@
 """Fixtures of the tests of the Python module: a cloud, a golden network, its field and its keypoints; and what tests run."""
 
+import importlib.util
 import os
 import re
 import subprocess
@@ -35,6 +36,15 @@ def field(model, points):
 @pytest.fixture(scope="session")
 def keypoints(field):
     return field.detect(**EASY, max_keypoints=10**6, nms_radius=0.3)
+
+
+@pytest.fixture(scope="session")
+def generate():
+    """The script `samples/generate.py`, which casts rays at boxes."""
+    spec = importlib.util.spec_from_file_location("generate", Path(__file__).parents[1] / "samples" / "generate.py")
+    script = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(script)
+    return script
 
 
 @pytest.fixture(scope="session")

@@ -6,15 +6,19 @@ data. Of commands that take minutes (training, make, cargo) the target, module, 
 not run.
 """
 
-import importlib.util
+import contextlib
+import io
 import itertools
 import re
+import runpy
 import shlex
 import shutil
 import subprocess
 import sys
+import warnings
 from functools import cache
 from pathlib import Path
+from unittest import mock
 
 import numpy as np
 import pytest
@@ -134,12 +138,9 @@ def test_commands_of_the_readme_run_as_they_stand(compiled, tmp_path):
         )
 
 
-def test_the_samples_are_small_and_their_script_makes_them(tmp_path, monkeypatch):
-    spec = importlib.util.spec_from_file_location("generate", ROOT / "samples/generate.py")
-    script = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(script)
-    monkeypatch.setattr(script, "FOLDER", tmp_path)
-    script.main()
+def test_the_samples_are_small_and_their_script_makes_them(tmp_path, monkeypatch, generate):
+    monkeypatch.setattr(generate, "FOLDER", tmp_path)
+    generate.main()
     made = {path.relative_to(tmp_path): path for path in tmp_path.rglob("*.ply")}
     assert len(made) == 4
     for name, path in made.items():
@@ -155,9 +156,18 @@ def test_target_exists(command):
 
 
 @cache
-def help_of(*program: str) -> str:
-    command = [sys.executable, *program, "--help"]
-    return subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=True).stdout
+def help_of(program: str) -> str:
+    """The help of a module or of the script of a path, in this process: each process would import PyTorch again."""
+    run = runpy.run_path if program.endswith(".py") else runpy.run_module
+    with (
+        mock.patch.object(sys, "argv", [program, "--help"]),
+        mock.patch.object(sys, "path", [str(Path(program).parent), *sys.path]),  # as Python does for a script
+        contextlib.redirect_stdout(io.StringIO()) as printed,
+        warnings.catch_warnings(action="ignore", category=RuntimeWarning),  # the module is imported already
+        pytest.raises(SystemExit, match=r"^(0|None)$"),
+    ):
+        run(program, run_name="__main__")
+    return printed.getvalue()
 
 
 @pytest.mark.parametrize("command", of("python", "python3"))
@@ -166,13 +176,12 @@ def test_options_of_python_exist(command):
     flags = [word.split("=")[0] for word in words[2:] if word.startswith("--")]
     if words[1] == "-m" and words[2].startswith("snake_training"):
         pytest.importorskip("snake_training", reason="pip install ./training")
-        program = words[1:3] + [word for word in words[3:4] if re.fullmatch("[a-z]+", word) and "slices" in words[2]]
+        program = words[2]
     else:
-        program = words[1:2]
-        found = [path for path in ROOT.glob(f"**/{program[0]}") if "target" not in path.parts]
-        assert found, f"{program[0]} is not in the repository"
-        program = [str(found[0])]
-    assert not flags or not (unknown := [flag for flag in flags if flag not in help_of(*program)]), unknown
+        found = [folder / words[1] for folder in (ROOT, ROOT / "training") if (folder / words[1]).is_file()]
+        assert found, f"{words[1]} is not in the repository"
+        program = str(found[0])
+    assert not flags or not (unknown := [flag for flag in flags if flag not in help_of(program)]), unknown
 
 
 CHECKED = ("snake-cli", "make", "python", "python3", "cargo", "pip")
@@ -197,7 +206,7 @@ def known_options(compiled) -> set[str]:
         for words in (["detect"], ["register"], ["align"], ["reconstruct"], ["field"], ["view"], ["eval", "repeatability"],
                       ["eval", "semantic"], ["eval", "registration"])
     ]  # fmt: skip
-    helps += [help_of("-m", f"snake_training.{name}") for name in TRAINING]
+    helps += [help_of(f"snake_training.{name}") for name in TRAINING]
     return set(re.findall(r"(?<![\w-])--[a-z][\w-]*", "\n".join(helps)))
 
 

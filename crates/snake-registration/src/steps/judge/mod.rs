@@ -122,8 +122,8 @@ tuning! {
     min_shift: f64 = 1.25, unit "inlier distances", from "set by hand";
     /// Share of the details that must be in view after a shift, and fit.
     min_shift_view: f64 = 0.25, unit "share of the details that fit at rest", from "set by hand";
-    /// Details repeat after a shift if this share of those in view fits.
-    shift_fit: f64 = 0.75, unit "share of that at rest", from "set by hand";
+    /// Details repeat after a shift if of those in view this share more fits than after most shifts.
+    shift_fit: f64 = 0.5, unit "share of the same beside rest", from "set by hand on a wall with windows every 1.5 m";
     /// On the way to a shift the details fit worse than this.
     shift_valley: f64 = 0.9, unit "share of that after the shift", from "set by hand";
     /// Number of shifts along one axis, at most.
@@ -145,9 +145,6 @@ tuning! {
     min_shift_score: f64 = 0.3, unit "share of the places", from "set for time";
     /// A rival that contradicts more is not refined.
     hopeless: f64 = 0.5, unit "share of the places that the winner explains", from "set for time";
-    /// A shift explains the clouds about as well if the winner leads by at most this.
-    shift_lead: f64 = 0.1, unit "share of the places that the winner explains",
-        from "made facades and racks have -0.06 to 0.09";
     /// A shift up to this length is short.
     short_shift: f64 = 3.5, unit "inlier distances", from "set by hand";
     /// A short and a longer shift that contradict more of the winner are no rivals.

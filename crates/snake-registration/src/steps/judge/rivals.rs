@@ -72,6 +72,9 @@ impl Rival {
 
     /// Whether the rival explains the clouds about as well as the winner, and contradicts little of
     /// what that explains; a mirror image must explain them better.
+    ///
+    /// Of a shift only what it contradicts counts: clouds of one pattern of rays coincide point by
+    /// point wherever they are a period apart, so the winner leads by the whole of that.
     pub(super) fn is_equal(&self) -> bool {
         let [lead, contradicted] = if self.is_signed { TUNING.turn_signed } else { TUNING.turn_unsigned };
         let (max_lead, max_contradicted) = match self.motion {
@@ -79,7 +82,7 @@ impl Rival {
             Motion::Turn(_) => (lead, contradicted),
             Motion::Shift(shift) => {
                 let is_long = shift.norm() > TUNING.short_shift * self.inlier_distance;
-                (TUNING.shift_lead, TUNING.shift_contradicted[usize::from(is_long)])
+                (f64::INFINITY, TUNING.shift_contradicted[usize::from(is_long)])
             }
         };
         self.counts.lead() <= max_lead && self.counts.contradicted() <= max_contradicted

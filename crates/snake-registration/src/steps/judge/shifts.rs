@@ -125,20 +125,25 @@ fn along(places: &[(Vector, Option<usize>)], reliefs: &[Relief], axis: usize, di
     peaks(&fits, &seen, reach, min).into_iter().map(|shift| shift as f64 * step).collect()
 }
 
-/// The shifts at which the details fit about as well as at rest, and worse on the way.
+/// The shifts at which the details fit about as well as beside rest, and worse on the way.
 fn peaks(fits: &[f64], seen: &[f64], reach: i64, min: i64) -> Vec<i64> {
     let share = |shift: i64| {
         let at = (shift + reach) as usize;
         if seen[at] > 0.0 { fits[at] / seen[at] } else { 0.0 }
     };
     let fit = |shift: i64| fits[(shift + reach) as usize];
-    let at_rest = (-1..=1).map(share).fold(0.0, f64::max);
+    // Beside rest: clouds of one pattern of rays a period apart coincide at rest point by point.
+    let at_rest = share(-1).max(share(1));
+    let mut shares: Vec<f64> = (-reach..=reach).map(share).collect();
+    shares.sort_by(f64::total_cmp);
+    let elsewhere = shares[shares.len() / 2];
+    let min_share = elsewhere + TUNING.shift_fit * (at_rest - elsewhere);
     let is_peak = |shift: &i64| {
         let near = (shift - 2).max(-reach)..=(shift + 2).min(reach);
         let way = if *shift > 0 { 1..*shift } else { shift + 1..0 };
         shift.abs() >= min
             && fit(*shift) >= TUNING.min_shift_view * fit(0)
-            && share(*shift) >= TUNING.shift_fit * at_rest
+            && share(*shift) >= min_share
             && near.into_iter().all(|other| fit(other) <= fit(*shift))
             && way.map(share).fold(1.0, f64::min) < TUNING.shift_valley * share(*shift)
     };
