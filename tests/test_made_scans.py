@@ -68,11 +68,24 @@ def test_pairs_with_a_true_prior_are_right_no_less_often(pairs, limit, generate)
         assert right >= without[0] and reliable >= without[1], f"{name}: {right}, {reliable}; without {without}"
 
 
-@pytest.mark.parametrize("metres", [1.05, 1.5, 3.0])
-def test_a_wall_whose_windows_repeat_is_ambiguous_wherever_the_sensor_stood(metres, generate):
-    boxes = [generate.box([0, 0, -0.1], [80, 30, 0.2]), generate.box([0, 9, 6], [80, 0.3, 12])]
-    boxes += [generate.box([x, 8.7, z], [1.2, 0.3, 1.5]) for x in np.arange(-19.5, 21, 1.5) for z in (2, 5, 8)]
-    rays, rng = generate.directions(np.linspace(-45, 45, 48), 500), np.random.default_rng(0)
+def windows(box):
+    """A wall with windows every 1.5 m, and ground."""
+    columns = itertools.product(np.arange(-19.5, 21, 1.5), (2, 5, 8))
+    return [box([0, 9, 6], [80, 0.3, 12])] + [box([x, 8.7, z], [1.2, 0.3, 1.5]) for x, z in columns]
+
+
+def fence(box):
+    """A fence with posts every 2 m, and ground."""
+    posts = [box([x, 4, 0.9], [0.2, 0.2, 1.8]) for x in np.arange(-19, 20, 2)]
+    return posts + [box([0, 4, z], [80, 0.06, 0.1]) for z in (0.5, 1.5)]
+
+
+@pytest.mark.parametrize(
+    "place, columns, metres", [(windows, 500, 1.05), (windows, 500, 1.5), (windows, 500, 3.0), (fence, 800, 2.65)]
+)
+def test_places_that_repeat_are_ambiguous_wherever_the_sensor_stood(place, columns, metres, generate):
+    boxes = [generate.box([0, 0, -0.1], [80, 30, 0.2]), *place(generate.box)]
+    rays, rng = generate.directions(np.linspace(-45, 45, 48), columns), np.random.default_rng(0)
     source, target = (generate.scan(boxes, [x, 0, 1.4], 0, rays, 14, 0.008, rng) for x in (0, metres))
     result = snake_rs.register(source, target)
     assert not result.verdict.is_reliable and result.verdict.is_ambiguous

@@ -150,6 +150,8 @@ tuning! {
     /// A short and a longer shift that contradict more of the winner are no rivals.
     shift_contradicted: [f64; 2] = [0.175, 0.25], unit "shares of the places that the winner explains",
         from "made facades and racks have 0.05 to 0.17, short shifts of real scans 0.17 to 0.6, longer ones 0.29 and more";
+    /// A shift after which the details fit better than at rest may contradict this much.
+    better_contradicted: f64 = 0.4, unit "share of the places that the winner explains", from "set by hand on made fences";
     /// A turn explains the clouds about as well if the winner leads by at most the first and
     /// contradicts at most the second, where the sensors are known.
     turn_signed: [f64; 2] = [0.05, 0.2], unit "shares of the places that the winner explains", from "set by hand";

@@ -114,21 +114,25 @@ impl<'a> Facing<'a> {
 /// The normal that most patches have, that which most have across it, and the direction across
 /// both.
 pub(super) fn axes(patches: &[PlanePair]) -> [Option<Vector>; 3] {
-    let count = |normal: &Vector| {
-        patches.iter().filter(|patch| patch.normal.dot(normal).abs() > TUNING.repeat_parallel).count()
-    };
-    let normals =
-        patches.iter().step_by(patches.len().div_ceil(TUNING.repeat_normals).max(1)).map(|patch| patch.normal);
-    let first = normals.clone().max_by_key(count);
+    let first = most_frequent(&patches.iter().map(|patch| patch.normal).collect::<Vec<_>>());
     let across = |first: Vector| {
-        normals
-            .map(move |normal| normal - first * normal.dot(&first))
-            .filter(|n| n.norm() > TUNING.min_across)
-            .map(|n| n.normalize())
-            .max_by_key(count)
+        let across = patches.iter().map(|patch| patch.normal - first * patch.normal.dot(&first));
+        let across = across.filter(|normal| normal.norm() > TUNING.min_across).map(|normal| normal.normalize());
+        most_frequent(&across.collect::<Vec<_>>())
     };
     let second = first.and_then(across);
     [first, second, first.zip(second).map(|(first, second)| first.cross(&second))]
+}
+
+/// The mean of the unit normals about that which has the most others about it, of either sign: one
+/// normal alone is some degrees off.
+fn most_frequent(normals: &[Vector]) -> Option<Vector> {
+    let is_near = |normal: &Vector, other: &Vector| normal.dot(other).abs() > TUNING.repeat_parallel;
+    let count = |normal: &&Vector| normals.iter().filter(|other| is_near(normal, other)).count();
+    let tried = normals.iter().step_by(normals.len().div_ceil(TUNING.repeat_normals).max(1));
+    let most = tried.max_by_key(count)?;
+    let near = normals.iter().filter(|normal| is_near(normal, most));
+    Some(near.map(|normal| normal * normal.dot(most).signum()).sum::<Vector>().normalize())
 }
 
 /// The share of patches that a slide moves onto the target's patches, among those that end where

@@ -7,7 +7,7 @@ use rayon::prelude::*;
 use super::TUNING;
 use super::open_motions::axis_name;
 use super::repeats::axes;
-use super::shifts::shifts;
+use super::shifts::{Shift, shifts};
 use super::turns::{Turn, after_turns, reflections, turns};
 use crate::cloud::depth_image::{DepthImage, Sight};
 use crate::cloud::patches::{FineCloud, Place, overlap};
@@ -23,7 +23,7 @@ use snake_geometry::Vector;
 #[derive(Debug, Clone, Copy)]
 enum Motion {
     Turn(Turn),
-    Shift(Vector),
+    Shift(Shift),
 }
 
 /// Another answer, compared with the winner place by place.
@@ -80,8 +80,9 @@ impl Rival {
         let (max_lead, max_contradicted) = match self.motion {
             Motion::Turn(Turn { degrees: None, .. }) => (-TUNING.mirror_lead, contradicted),
             Motion::Turn(_) => (lead, contradicted),
-            Motion::Shift(shift) => {
-                let is_long = shift.norm() > TUNING.short_shift * self.inlier_distance;
+            Motion::Shift(Shift { is_better: true, .. }) => (f64::INFINITY, TUNING.better_contradicted),
+            Motion::Shift(Shift { by, .. }) => {
+                let is_long = by.norm() > TUNING.short_shift * self.inlier_distance;
                 (f64::INFINITY, TUNING.shift_contradicted[usize::from(is_long)])
             }
         };
@@ -108,10 +109,10 @@ impl Rival {
                  room do",
                 axis_name(&axis)
             ),
-            Motion::Shift(shift) => format!(
+            Motion::Shift(Shift { by, .. }) => format!(
                 "ambiguous: the target repeats itself every {:.3} along {}, and the source fits there about as well",
-                shift.norm(),
-                axis_name(&shift.normalize())
+                by.norm(),
+                axis_name(&by.normalize())
             ),
         }
     }
@@ -198,7 +199,7 @@ impl<'a, 'b> Scene<'a, 'b> {
     }
 
     /// The rival near a shift; `None` if it does not fit.
-    fn shifted(&self, shift: Vector) -> Result<Option<Rival>> {
+    fn shifted(&self, Shift { by: shift, is_better }: Shift) -> Result<Option<Rival>> {
         let distance = self.pair.criteria().inlier_distance;
         let places: Vec<&Place> = self.places.iter().step_by(TUNING.shift_thinning).collect();
         let fit = |part: f64| {
@@ -222,9 +223,9 @@ impl<'a, 'b> Scene<'a, 'b> {
         if self.compare(&rough).contradicted() > TUNING.hopeless {
             return Ok(None);
         }
-        let rival = self.rival(Motion::Shift(shift), rough)?;
+        let rival = self.rival(Motion::Shift(Shift { by: shift, is_better }), rough)?;
         let refined = |rival: &Rival| rival.transform.translation.vector - self.winner.translation.vector;
-        Ok(rival.map(|rival| Rival { motion: Motion::Shift(refined(&rival)), ..rival }))
+        Ok(rival.map(|rival| Rival { motion: Motion::Shift(Shift { by: refined(&rival), is_better }), ..rival }))
     }
 
     /// The rival near a transform, refined as the winner was; `None` if it is the winner.

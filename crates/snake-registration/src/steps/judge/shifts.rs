@@ -71,9 +71,17 @@ impl Relief {
     }
 }
 
+/// A shift after which details of the target repeat.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Shift {
+    pub(super) by: Vector,
+    /// Whether the details fit better there than at rest.
+    pub(super) is_better: bool,
+}
+
 /// The shifts along the axes of `frame` after which the details of `places`, of the source on the
 /// target, are those of the target again.
-pub(super) fn shifts(places: &[Place], target: &FineCloud, frame: &[Vector; 3], distance: f64) -> Vec<Vector> {
+pub(super) fn shifts(places: &[Place], target: &FineCloud, frame: &[Vector; 3], distance: f64) -> Vec<Shift> {
     let into = |point: &Vector| Vector::from_fn(|axis, _| frame[axis].dot(point));
     let points: Vec<Vector> = target.points().iter().map(into).collect();
     let reliefs: Option<Vec<Relief>> = (0..3).map(|across| Relief::new(&points, across, distance)).collect();
@@ -86,12 +94,14 @@ pub(super) fn shifts(places: &[Place], target: &FineCloud, frame: &[Vector; 3], 
         })
         .collect();
     (0..3)
-        .flat_map(|axis| along(&places, &reliefs, axis, distance).into_iter().map(move |by| by * frame[axis]))
+        .flat_map(|axis| along(&places, &reliefs, axis, distance).into_iter().map(move |peak| (frame[axis], peak)))
+        .map(|(axis, (length, is_better))| Shift { by: length * axis, is_better })
         .collect()
 }
 
-/// The lengths of such shifts along one axis.
-fn along(places: &[(Vector, Option<usize>)], reliefs: &[Relief], axis: usize, distance: f64) -> Vec<f64> {
+/// The lengths of such shifts along one axis, each with whether the details fit better there than
+/// at rest.
+fn along(places: &[(Vector, Option<usize>)], reliefs: &[Relief], axis: usize, distance: f64) -> Vec<(f64, bool)> {
     let step = TUNING.relief_side * distance;
     let (low, high) = places.iter().fold((f64::INFINITY, f64::NEG_INFINITY), |(low, high), (place, _)| {
         (low.min(place[axis]), high.max(place[axis]))
@@ -122,11 +132,12 @@ fn along(places: &[(Vector, Option<usize>)], reliefs: &[Relief], axis: usize, di
             }
         }
     }
-    peaks(&fits, &seen, reach, min).into_iter().map(|shift| shift as f64 * step).collect()
+    peaks(&fits, &seen, reach, min).into_iter().map(|(shift, is_better)| (shift as f64 * step, is_better)).collect()
 }
 
-/// The shifts at which the details fit about as well as beside rest, and worse on the way.
-fn peaks(fits: &[f64], seen: &[f64], reach: i64, min: i64) -> Vec<i64> {
+/// The shifts at which the details fit about as well as beside rest, and worse on the way; each with
+/// whether they fit better than at rest.
+fn peaks(fits: &[f64], seen: &[f64], reach: i64, min: i64) -> Vec<(i64, bool)> {
     let share = |shift: i64| {
         let at = (shift + reach) as usize;
         if seen[at] > 0.0 { fits[at] / seen[at] } else { 0.0 }
@@ -150,5 +161,6 @@ fn peaks(fits: &[f64], seen: &[f64], reach: i64, min: i64) -> Vec<i64> {
     let mut peaks: Vec<i64> = (-reach..=reach).filter(is_peak).collect();
     peaks.sort_by(|a, b| share(*b).total_cmp(&share(*a)).then(a.cmp(b)));
     peaks.truncate(TUNING.shift_tries);
-    peaks
+    let at_rest = share(0).max(at_rest);
+    peaks.into_iter().map(|shift| (shift, share(shift) > at_rest)).collect()
 }
