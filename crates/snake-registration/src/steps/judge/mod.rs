@@ -119,11 +119,14 @@ tuning! {
     /// Length of the longest shift.
     max_shift: f64 = 0.5, unit "share of the overlap's extent", from "set by hand";
     /// A rival moves the source by more than this.
-    min_shift: f64 = 1.25, unit "inlier distances", from "set by hand";
+    min_shift: f64 = 2.25, unit "inlier distances", from "details of real rooms repeat after 1.4 and 2.1";
     /// Share of the details that must be in view after a shift, and fit.
     min_shift_view: f64 = 0.25, unit "share of the details that fit at rest", from "set by hand";
     /// Details repeat after a shift if of those in view this share more fits than after most shifts.
     shift_fit: f64 = 0.5, unit "share of the same beside rest", from "set by hand on a wall with windows every 1.5 m";
+    /// After a short shift this share of them fits.
+    min_short_fit: f64 = 0.4, unit "share of the details in view",
+        from "0.41 to 0.8 on a made wall, 0.2 to 0.35 in most real rooms";
     /// On the way to a shift the details fit worse than this.
     shift_valley: f64 = 0.9, unit "share of that after the shift", from "set by hand";
     /// Number of shifts along one axis, at most.
@@ -146,7 +149,7 @@ tuning! {
     /// A rival that contradicts more is not refined.
     hopeless: f64 = 0.5, unit "share of the places that the winner explains", from "set for time";
     /// A shift up to this length is short.
-    short_shift: f64 = 3.5, unit "inlier distances", from "set by hand";
+    short_shift: f64 = 4.0, unit "inlier distances", from "set by hand";
     /// A short and a longer shift that contradict more of the winner are no rivals.
     shift_contradicted: [f64; 2] = [0.175, 0.25], unit "shares of the places that the winner explains",
         from "made facades and racks have 0.05 to 0.17, short shifts of real scans 0.17 to 0.6, longer ones 0.29 and more";

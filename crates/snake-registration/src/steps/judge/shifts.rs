@@ -148,18 +148,23 @@ fn peaks(fits: &[f64], seen: &[f64], reach: i64, min: i64) -> Vec<(i64, bool)> {
     let mut shares: Vec<f64> = (-reach..=reach).map(share).collect();
     shares.sort_by(f64::total_cmp);
     let elsewhere = shares[shares.len() / 2];
-    let min_share = elsewhere + TUNING.shift_fit * (at_rest - elsewhere);
+    let min_share = |shift: i64| {
+        let is_short = shift.abs() as f64 * TUNING.relief_side <= TUNING.short_shift;
+        let least = elsewhere + TUNING.shift_fit * (at_rest - elsewhere);
+        if is_short { least.max(TUNING.min_short_fit) } else { least }
+    };
     let is_peak = |shift: &i64| {
         let near = (shift - 2).max(-reach)..=(shift + 2).min(reach);
         let way = if *shift > 0 { 1..*shift } else { shift + 1..0 };
         shift.abs() >= min
             && fit(*shift) >= TUNING.min_shift_view * fit(0)
-            && share(*shift) >= min_share
+            && share(*shift) >= min_share(*shift)
             && near.into_iter().all(|other| fit(other) <= fit(*shift))
             && way.map(share).fold(1.0, f64::min) < TUNING.shift_valley * share(*shift)
     };
     let mut peaks: Vec<i64> = (-reach..=reach).filter(is_peak).collect();
-    peaks.sort_by(|a, b| share(*b).total_cmp(&share(*a)).then(a.cmp(b)));
+    // Those at which most details are in view and fit.
+    peaks.sort_by(|a, b| fit(*b).total_cmp(&fit(*a)).then(a.cmp(b)));
     peaks.truncate(TUNING.shift_tries);
     let at_rest = share(0).max(at_rest);
     peaks.into_iter().map(|shift| (shift, share(shift) > at_rest)).collect()
