@@ -106,14 +106,16 @@ fn initial_poses_are_read_and_what_contradicts_them_is_left_out() {
     assert!(output.status.success() && stderr(&output).contains("no pose of 1 of 3 clouds"), "{}", stderr(&output));
     let report = &json_lines(&output)[0];
     assert!(report["parts"] == serde_json::json!([[0, 1], [2]]) && report["contradictions"] == serde_json::json!([]));
-    // By these, the second is elsewhere.
-    std::fs::write(&trajectory, "1 0 0 0 0 1 0 0 0 0 1 0\n1 0 0 9 0 1 0 0 0 0 1 0\n1 0 0 0 0 1 0 0 0 0 1 5\n").unwrap();
-    let output = snake(&["align", &scans, "--initial-poses", &trajectory, "--set", "pose_tolerance=20"]);
-    assert!(String::from_utf8_lossy(&output.stdout).contains("in 2 parts"), "{}", stderr(&output));
-    std::fs::write(&trajectory, "1 0 0 0 0 1 0 0 0 0 1 0\n1 0 0 1 0 1 0 0 0 0 1 0\n1 0 0 0 0 1 0 0 0 0 1 5\n").unwrap();
-    let output = snake(&["align", &scans, "--initial-poses", &trajectory]);
-    let printed = String::from_utf8_lossy(&output.stdout).into_owned();
-    assert!(printed.contains("in 3 parts") && printed.contains("left out: ") && printed.contains("b.npy"), "{printed}");
+    // By these, the second is 1 higher.
+    std::fs::write(&trajectory, "1 0 0 0 0 1 0 0 0 0 1 0\n0 1 0 0 -1 0 0 3 0 0 1 2\n1 0 0 0 0 1 0 0 0 0 1 5\n")
+        .unwrap();
+    let report = |options: &[&str]| {
+        let output = snake(&[&["align", &scans, "--initial-poses", &trajectory], options].concat());
+        String::from_utf8(output.stdout).unwrap()
+    };
+    let (left_out, allowed) = (report(&[]), report(&["--pose-tolerance", "2"]));
+    let is_named = left_out.contains("left out: ") && left_out.contains("b.npy to ");
+    assert!(is_named && left_out.contains("in 3 parts") && allowed.contains("in 2 parts"), "{left_out}{allowed}");
     std::fs::write(&broken, "1 2 3\n").unwrap();
     for (name, message) in [(&broken, "line 1: expected"), (&file("poses.csv"), ".json, .txt, .tum")] {
         let output = snake(&["align", &scans, "--initial-poses", name]);

@@ -149,13 +149,13 @@ pub fn align_with(
     let pairs = priors.choose(candidates::pairs(clouds, count, &inner)?, count);
     let free: Vec<Trial> = pairs.into_iter().map(|pair| (pair, None)).collect();
     let mut contradictions = HashMap::new();
-    let registered = priors.filter(register_pairs(&given, &scales, &priors, &free, control)?, &mut contradictions);
+    let registered = priors.filter(register_pairs(&scales, &priors, &free, options, control)?, &mut contradictions);
     let mut solved = solve(&scales, registered, options, control)?;
     let closer = priors.filter(look_again(&scales, &solved, options, control)?, &mut contradictions);
     solved = solved.with(closer, &scales, options, control)?;
     // The poses say which other clouds overlap, and where.
     let guided = solved.guesses(&scales);
-    let more = register_pairs(&given, &scales, &priors, &guided, control)?;
+    let more = register_pairs(&scales, &priors, &guided, options, control)?;
     solved = solved.with(priors.filter(more, &mut contradictions), &scales, options, control)?;
     let (edges, poses) = (solved.edges(), solved.poses());
     let mut contradictions: Vec<Contradiction> = contradictions.into_values().collect();
@@ -202,13 +202,12 @@ type Registered = ([usize; 2], Registration);
 
 /// The registrations of all pairs for which there is a transform.
 fn register_pairs(
-    given: &Given,
     scales: &Scales,
     priors: &Priors,
     pairs: &[Trial],
+    options: &RegisterOptions,
     control: &Control,
 ) -> Result<Vec<Registered>> {
-    let options = given.options;
     let counter = control.begin("pairs", pairs.len());
     let inner = control.without_progress();
     let register = |&([source, target], guess): &Trial| {
@@ -218,7 +217,7 @@ fn register_pairs(
         let pair = Pair::new(from, to, options.gravity);
         let registration = match guess {
             Some(_) => register_pair(&pair, options, &PairOptions::default().with_initial(guess), &inner),
-            None => priors.register([source, target], &pair, given, &inner),
+            None => priors.register([source, target], &pair, options, &inner),
         };
         counter.add(1);
         match registration {

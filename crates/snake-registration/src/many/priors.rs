@@ -11,7 +11,7 @@ use super::scales::{Given, Scales};
 use super::solved::probes;
 use super::{Contradiction, Registered, TUNING};
 use crate::cloud::spread::least_spread;
-use crate::options::PairOptions;
+use crate::options::{PairOptions, RegisterOptions};
 use crate::register::{register_guessed, register_pair};
 use crate::result::Registration;
 use crate::rigid::{displacement, moved};
@@ -97,10 +97,9 @@ impl Priors {
         &self,
         clouds: [usize; 2],
         pair: &Pair,
-        given: &Given,
+        options: &RegisterOptions,
         control: &Control,
     ) -> Result<Registration> {
-        let options = given.options;
         let free = PairOptions::default();
         let Some(prior) = self.t_target_source(clouds).map(RigidTransform::from) else {
             return register_pair(pair, options, &free, control);
