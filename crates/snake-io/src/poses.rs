@@ -105,13 +105,13 @@ fn read_json(bytes: &[u8]) -> std::result::Result<Poses, String> {
     if clouds.len() != poses.len() {
         return Err(format!("{} poses of {} clouds", poses.len(), clouds.len()));
     }
-    let of_largest = clouds.into_iter().zip(poses).filter(|(_, pose)| pose.part == 0);
+    let largest = clouds.into_iter().zip(poses).filter(|(_, pose)| pose.part == 0);
     let checked = |(name, pose): (String, WrittenPose)| {
         let pose = RigidTransform::from_matrix(pose.t_part_cloud)
             .map_err(|error| format!("{}: {error}", excerpt(&name, 60)))?;
         Ok((name, pose))
     };
-    Ok(Poses::Named(of_largest.map(checked).collect::<std::result::Result<_, String>>()?))
+    Ok(Poses::Named(largest.map(checked).collect::<std::result::Result<_, String>>()?))
 }
 
 fn read_text(bytes: &[u8]) -> std::result::Result<Poses, String> {

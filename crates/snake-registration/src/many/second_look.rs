@@ -35,6 +35,6 @@ pub(super) fn look_again(
             Err(error) => Err(error),
         }
     };
-    let found: Vec<Option<Registered>> = joining.par_iter().map(register).collect::<Result<_>>()?;
-    Ok(found.into_iter().flatten().collect())
+    let second: Vec<Option<Registered>> = joining.par_iter().map(register).collect::<Result<_>>()?;
+    Ok(second.into_iter().flatten().collect())
 }
