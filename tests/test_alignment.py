@@ -1,5 +1,6 @@
 """snake_rs.align (`pytest tests/test_alignment.py`)."""
 
+import pickle
 from pathlib import Path
 
 import numpy as np
@@ -55,8 +56,26 @@ def test_far_coordinates_keep_their_digits(scans):
     assert np.abs(moved - truth).max() < 0.05
 
 
+def test_initial_poses_leave_out_what_contradicts_them(scans):
+    clouds, poses = scans
+    truth = [np.linalg.inv(poses[0]), None, np.linalg.inv(poses[1])]
+    near = snake_rs.align(clouds, initial_poses=truth)
+    assert near.parts == [[0, 2], [1]] and near.contradictions == []
+    elsewhere = np.array(truth[2])
+    elsewhere[:3, 3] += 1
+    far = snake_rs.align(clouds, initial_poses=[truth[0], None, elsewhere])
+    ((source, target, distance, tolerance),) = far.contradictions
+    assert far.parts == [[0], [1], [2]] and (source, target) == (2, 0) and distance > 1.5 > tolerance
+    assert pickle.loads(pickle.dumps(far)).contradictions == far.contradictions
+    assert snake_rs.align(clouds, initial_poses=[truth[0], None, elsewhere], pose_tolerance=2).parts == [[0, 2], [1]]
+
+
 def test_bad_arguments_are_refused(scans):
     clouds, _ = scans
+    with pytest.raises(ValueError, match="initial_poses"):
+        snake_rs.align(clouds, initial_poses=[None])
+    with pytest.raises(ValueError, match="initial_poses"):
+        snake_rs.align(clouds, initial_poses=[None, None, np.eye(3)])
     with pytest.raises(ValueError, match="2 to 500"):
         snake_rs.align(clouds[:1])
     with pytest.raises(ValueError, match="cloud 1"):

@@ -159,6 +159,7 @@ class _RegisterOptions(_RegistrationOptions, total=False):
 @type_check_only
 class _AlignOptions(_RegistrationOptions, total=False):
     max_partners: int
+    pose_tolerance: float | str | None
 
 @type_check_only
 class _IssOptions(TypedDict, total=False):
@@ -230,6 +231,7 @@ def align(
     model: _Model | None = None,
     *,
     viewpoints: Sequence[Sequence[float] | None] | None = None,
+    initial_poses: Sequence[ArrayLike | None] | None = None,
     **options: Unpack[_AlignOptions],
 ) -> Alignment: ...
 def page(
@@ -506,6 +508,7 @@ class Alignment:
         parts: list[list[int]],
         covariances: list[NDArray[np.float64]],
         edges: list[AlignmentEdge],
+        contradictions: list[tuple[int, int, float, float]],
         num_pairs: int,
         num_skipped: list[int],
         seconds: float,
@@ -518,6 +521,8 @@ class Alignment:
     def covariances(self) -> list[NDArray[np.float64]]: ...
     @property
     def edges(self) -> list[AlignmentEdge]: ...
+    @property
+    def contradictions(self) -> list[tuple[int, int, float, float]]: ...
     @property
     def num_pairs(self) -> int: ...
     @property

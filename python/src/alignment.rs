@@ -7,7 +7,7 @@ use snake_registration as core;
 
 use crate::model;
 use crate::registration::matrix;
-use crate::{arrays, options, threads};
+use crate::{arrays, metrics, options, threads};
 
 /// The poses of many clouds. They can be pickled.
 #[pyclass(frozen, get_all, module = "snake_rs")]
@@ -22,6 +22,9 @@ pub struct Alignment {
     covariances: Vec<Py<PyArray2<f64>>>,
     /// The registrations of pairs that the poses follow.
     edges: Vec<Py<AlignmentEdge>>,
+    /// The reliable registrations that were left out because they contradict the initial poses: source, target, the distance
+    /// of the source's points from where these put them, and the largest distance that does not contradict them.
+    contradictions: Vec<(usize, usize, f64, f64)>,
     /// Number of pairs that were registered.
     num_pairs: usize,
     /// Number of points of each cloud that were skipped because they are not finite.
@@ -52,21 +55,24 @@ pub struct AlignmentEdge {
 #[pymethods]
 impl Alignment {
     #[new]
+    #[expect(clippy::too_many_arguments, reason = "what a pickle holds")]
     fn new(
         poses: Vec<Py<PyArray2<f64>>>,
         parts: Vec<Vec<usize>>,
         covariances: Vec<Py<PyArray2<f64>>>,
         edges: Vec<Py<AlignmentEdge>>,
+        contradictions: Vec<(usize, usize, f64, f64)>,
         num_pairs: usize,
         num_skipped: Vec<usize>,
         seconds: f64,
     ) -> Self {
-        Self { poses, parts, covariances, edges, num_pairs, num_skipped, seconds }
+        Self { poses, parts, covariances, edges, contradictions, num_pairs, num_skipped, seconds }
     }
 
     /// What a pickle holds: all attributes.
     fn __getnewargs__<'py>(this: &Bound<'py, Self>) -> PyResult<Bound<'py, PyTuple>> {
-        attributes(this, ["poses", "parts", "covariances", "edges", "num_pairs", "num_skipped", "seconds"])
+        let names = ["poses", "parts", "covariances", "edges", "contradictions", "num_pairs", "num_skipped", "seconds"];
+        attributes(this, names)
     }
 
     fn __repr__(&self) -> String {
@@ -104,7 +110,7 @@ impl AlignmentEdge {
 }
 
 /// The attributes of an object by name.
-fn attributes<'py>(object: &Bound<'py, PyAny>, names: [&str; 7]) -> PyResult<Bound<'py, PyTuple>> {
+fn attributes<'py, const N: usize>(object: &Bound<'py, PyAny>, names: [&str; N]) -> PyResult<Bound<'py, PyTuple>> {
     let values = names.iter().map(|name| object.getattr(*name)).collect::<PyResult<Vec<_>>>()?;
     PyTuple::new(object.py(), values)
 }
@@ -115,31 +121,37 @@ fn attributes<'py>(object: &Bound<'py, PyAny>, names: [&str; 7]) -> PyResult<Bou
 /// descriptors are registered as by `register`. A transform counts if it is reliable or if loops of three transforms prove
 /// it. The poses fit these transforms, and transforms that contradict the others lose their weight.
 ///
-/// `viewpoints` has the sensor's position (3,) in the frame of each cloud, or None where it is not known. The options are
-/// those of every registration (see `register`) and:
+/// `viewpoints` has the sensor's position (3,) in the frame of each cloud, or None where it is not known. `initial_poses` has
+/// an approximate pose (4, 4) of each cloud in one common frame, or None where it is not known: pairs start from them beside
+/// the search, and a transform that contradicts them is left out (`contradictions`). The options are those of every registration (see `register`) and:
 ///
 #[doc = include_str!("help/align.txt")]
 ///
 /// Raises ValueError for invalid arrays or values, TypeError for an unknown option.
 #[pyfunction]
-#[pyo3(signature = (clouds, model=None, *, viewpoints=None, **options))]
+#[pyo3(signature = (clouds, model=None, *, viewpoints=None, initial_poses=None, **options))]
 pub fn align(
     py: Python<'_>,
     clouds: Vec<Bound<'_, PyAny>>,
     model: Option<&Bound<'_, PyAny>>,
     viewpoints: Option<Vec<Option<[f64; 3]>>>,
+    initial_poses: Option<Vec<Option<Bound<'_, PyAny>>>>,
     options: Option<&Bound<'_, PyDict>>,
 ) -> PyResult<Alignment> {
     let (mut options, align_options): (core::RegisterOptions, core::AlignOptions) = options::of("align", options)?;
     let read = clouds.iter().map(|cloud| Ok(arrays::cloud("clouds", cloud)?.0));
     let clouds: Vec<snake_core::Cloud> = read.collect::<PyResult<_>>()?;
     let model = model::for_registration(py, model, &options, clouds.first())?;
+    let pose = |pose: Option<Bound<'_, PyAny>>| pose.map(|pose| metrics::transform("initial_poses", &pose)).transpose();
+    let initial_poses = initial_poses.into_iter().flatten().map(pose).collect::<PyResult<_>>()?;
     let origins: Vec<[f64; 3]> = clouds.iter().map(|cloud| cloud.origin).collect();
-    let mut viewpoints = viewpoints.unwrap_or_else(|| vec![None; origins.len()]);
-    options.place_viewpoints(&mut viewpoints, &origins);
+    let mut known = core::AlignPriors::default()
+        .with_viewpoints(viewpoints.unwrap_or_else(|| vec![None; origins.len()]))
+        .with_initial_poses(initial_poses);
+    known.place(&mut options, &origins);
     let points: Vec<_> = clouds.into_iter().map(|cloud| cloud.points).collect();
     let near = threads::run_with_signals(py, |control| {
-        core::align_with(&points, &viewpoints, model.as_ref(), &options, &align_options, control)
+        core::align_with(&points, &known, model.as_ref(), &options, &align_options, control)
     })?;
     let alignment = near.between_origins(&origins);
     let edge = |edge: &core::Edge| {
@@ -152,6 +164,11 @@ pub fn align(
         poses: alignment.poses.iter().map(|pose| matrix(py, pose.t_part_cloud.to_matrix())).collect::<PyResult<_>>()?,
         parts: alignment.parts,
         covariances: alignment.poses.iter().map(|pose| matrix(py, pose.covariance)).collect::<PyResult<_>>()?,
+        contradictions: alignment
+            .contradictions
+            .iter()
+            .map(|at| (at.source, at.target, at.distance, at.tolerance))
+            .collect(),
         edges: alignment.edges.iter().map(edge).collect::<PyResult<_>>()?,
         num_pairs: alignment.num_pairs,
         num_skipped: alignment.num_skipped,

@@ -40,7 +40,7 @@
 //! | `keypointnet.json` | | | annotations in the format of KeypointNet |
 //!
 //! Meshes are written as binary `ply`, as binary `stl` or as `obj`. Registrations are written as `json`, or as `txt`
-//! with the four rows of the matrix. The readers ignore colours, normals and other fields.
+//! with the four rows of the matrix; [`read_poses`] reads those of many clouds. The readers ignore colours, normals and other fields.
 //!
 //! Coordinates are read as `f64` and stored as `f32`. Georeferenced scans lie far from zero and would lose digits (at
 //! 5e6 m one `f32` step is 0.5 m). Their points are therefore stored relative to a [`Cloud::origin`]. The writers add
@@ -66,6 +66,7 @@ mod formats;
 mod las;
 #[cfg(feature = "mcap")]
 mod logs;
+mod poses;
 mod read_keypoints;
 #[cfg(test)]
 mod tests;
@@ -90,6 +91,7 @@ pub use format::{CLOUD_EXTENSIONS, CloudFormat, KEYPOINT_EXTENSIONS, KeypointFor
 pub use las::copc::{Copc, LocalFile, Ranges};
 #[cfg(feature = "mcap")]
 pub use logs::recording::{RecordedCloud, Recording, is_recording, read_recording};
+pub use poses::{POSE_EXTENSIONS, Poses, read_poses};
 pub use read_keypoints::read_keypoints;
 pub use snake_geometry::Cloud;
 pub use text::columns::{Column, Columns};

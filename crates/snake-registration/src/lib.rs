@@ -47,8 +47,8 @@ mod tuning;
 
 pub use cloud::normals::{estimate_normals, estimate_normals_with};
 pub use detectors::Detector;
-pub use many::{Alignment, Edge, Pose, align, align_with};
-pub use options::{AlignOptions, Axis, Descriptor, PairOptions, RegisterOptions};
+pub use many::{Alignment, Contradiction, Edge, Pose, align, align_with};
+pub use options::{AlignOptions, AlignPriors, Axis, Descriptor, PairOptions, RegisterOptions};
 pub use register::{register, register_pair, register_with};
 pub use result::{CloudReport, Fit, Hypothesis, Matches, Registration, Verdict, ViewpointUsed};
 pub use rigid::{kabsch, transform_points};

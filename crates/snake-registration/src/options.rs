@@ -3,7 +3,7 @@
 use serde::{Deserialize, Serialize};
 
 use snake_core::{Error, Model, Result};
-use snake_geometry::{Length, RigidTransform, Vector, options};
+use snake_geometry::{Length, RigidTransform, Vector, options, setters};
 
 use crate::detectors::Detector;
 
@@ -84,8 +84,31 @@ options! {
         /// Approximate number of other clouds to which each cloud is registered: those with the most
         /// similar descriptors, and its neighbours in the given order.
         max_partners, with_max_partners: usize = 20, from 1 or more, flag "NUMBER";
+        /// Distance by which a transform may move the source away from where the initial poses put it,
+        /// root mean square over its points. What moves it farther is left out.
+        pose_tolerance, with_pose_tolerance: Option<Length> = None,
+            none "1.5 standard deviations of the smaller cloud along its thinnest direction, less than the height of a storey",
+            flag "LENGTH";
     }
 }
+
+/// What is known of the clouds that [`align_with`](crate::align_with) aligns, beside their points.
+#[derive(Debug, Clone, Default, PartialEq)]
+#[non_exhaustive]
+pub struct AlignPriors {
+    /// The sensor's position in the frame of each cloud, where it is known: one for each cloud, or
+    /// none at all.
+    pub viewpoints: Vec<Option<[f64; 3]>>,
+    /// An approximate pose of each cloud in one common frame, where it is known: one for each cloud,
+    /// or none at all. Pairs of clouds with poses start from them beside the search, and a transform
+    /// that contradicts them is left out.
+    pub initial_poses: Vec<Option<RigidTransform>>,
+}
+
+setters!(AlignPriors {
+    viewpoints: Vec<Option<[f64; 3]>> => with_viewpoints,
+    initial_poses: Vec<Option<RigidTransform>> => with_initial_poses
+});
 
 /// The descriptor that matches keypoints.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
@@ -122,6 +145,12 @@ impl Axis {
 }
 
 impl RegisterOptions {
+    /// Whether a length is given.
+    pub(crate) fn has_lengths(&self) -> bool {
+        let Self { voxel_size, normal_radius, feature_radius, inlier_distance, .. } = self;
+        [voxel_size, normal_radius, feature_radius, inlier_distance].iter().any(|length| length.is_some())
+    }
+
     /// Whether the detector or the descriptor runs a model.
     pub fn needs_model(&self) -> bool {
         self.detector == Detector::Snake || self.descriptor == Descriptor::Field
@@ -146,6 +175,30 @@ impl RegisterOptions {
                 None => self.use_viewpoints &= *origin == [0.0; 3],
             }
         }
+    }
+}
+
+impl AlignPriors {
+    /// Converts viewpoints and poses to points relative to the clouds' origins, and the common frame
+    /// to the origin of the first cloud; see [`RegisterOptions::place_viewpoints`].
+    pub fn place(&mut self, options: &mut RegisterOptions, origins: &[[f64; 3]]) {
+        self.viewpoints.resize(origins.len(), None);
+        options.place_viewpoints(&mut self.viewpoints, origins);
+        let frame = origins.first().copied().unwrap_or_default();
+        for (pose, origin) in self.initial_poses.iter_mut().zip(origins) {
+            *pose = pose.map(|pose| pose.subtract_origins(*origin, frame));
+        }
+    }
+
+    /// Refuses viewpoints and poses that are not one for each cloud, and viewpoints that are too far.
+    pub(crate) fn check(&self, count: usize) -> Result<()> {
+        for (name, given) in [("viewpoints", self.viewpoints.len()), ("initial_poses", self.initial_poses.len())] {
+            if ![0, count].contains(&given) {
+                let (value, allowed) = (format!("{given} of them"), "one for each cloud, or none");
+                return Err(Error::Option { name, value, allowed });
+            }
+        }
+        self.viewpoints.iter().try_for_each(|viewpoint| check_viewpoint("viewpoints", *viewpoint))
     }
 }
 

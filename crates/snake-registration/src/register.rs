@@ -1,6 +1,6 @@
 //! Registration of two clouds.
 
-mod second_look;
+pub(crate) mod second_look;
 
 use std::time::Instant;
 
@@ -94,7 +94,7 @@ pub fn register_pair(
 
 /// [`register_pair`] of options within their ranges, with `guesses` beside those that are searched
 /// for.
-fn register_guessed(
+pub(crate) fn register_guessed(
     pair: &Pair,
     options: &RegisterOptions,
     pair_options: &PairOptions,

@@ -29,6 +29,10 @@ pub struct AlignArguments {
     /// Exit with code 1 if the clouds are in more than one part. Files are written all the same.
     #[arg(long)]
     pub require_connected: bool,
+    /// Start from the poses in this file beside the search, and leave out what contradicts them: .json as `align -o` writes it,
+    /// or a trajectory of TUM or KITTI (.txt, .tum). It need not have all clouds.
+    #[arg(long, value_name = "FILE")]
+    pub initial_poses: Option<PathBuf>,
     #[command(flatten)]
     flags: OptionFlags<AlignOptions>,
     #[command(flatten)]

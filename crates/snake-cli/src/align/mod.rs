@@ -8,9 +8,9 @@ use std::process::ExitCode;
 
 use anyhow::{Context, Result, bail};
 use serde_json::{Value, json};
-use snake_core::{Control, Normalization, NormalizationMethod, Point, Progress};
+use snake_core::{Control, Normalization, NormalizationMethod, Point, Progress, RigidTransform};
 use snake_io::{self as io, Attributes, Cloud, CloudFormat};
-use snake_registration::{Alignment, align_with, transform_points};
+use snake_registration::{AlignPriors, Alignment, Contradiction, align_with, transform_points};
 
 use crate::inputs::{check_inputs, expand, output_origin};
 use crate::output::InputFiles;
@@ -28,9 +28,10 @@ pub fn run(arguments: &AlignArguments) -> Result<ExitCode> {
     merged.as_deref().map(CloudFormat::from_path).transpose()?;
     let inputs = expand(&arguments.list.extend(&arguments.inputs)?, arguments.input.input_format, |_| false)?;
     check_inputs(&inputs)?;
-    let files = InputFiles::new(inputs.iter().chain(&arguments.compute.model));
+    let files = InputFiles::new(inputs.iter().chain(&arguments.compute.model).chain(&arguments.initial_poses));
     output.iter().chain(merged).try_for_each(|path| files.refuse_as_output(path))?;
     let (mut options, align_options) = arguments.options()?;
+    let initial_poses = read_initial_poses(arguments.initial_poses.as_deref(), &inputs)?;
     let chooser = arguments.compute.chooser_of_registration(&options)?;
     terminal::detail("options", || serde_json::to_string(&(&options, &align_options)).unwrap_or_default());
     let progress = Progress::default();
@@ -38,10 +39,11 @@ pub fn run(arguments: &AlignArguments) -> Result<ExitCode> {
     bar.set_message(format!("{} clouds", inputs.len()));
     let read = |path: &PathBuf| arguments.input.read_contents(path, options.seed);
     let contents = inputs.iter().map(read).collect::<Result<Vec<_>>>()?;
-    let mut viewpoints: Vec<_> = contents.iter().map(|contents| contents.viewpoint).collect();
+    let viewpoints = contents.iter().map(|contents| contents.viewpoint).collect();
+    let mut known = AlignPriors::default().with_viewpoints(viewpoints).with_initial_poses(initial_poses);
     let clouds: Vec<Cloud> = contents.into_iter().map(|contents| contents.cloud).collect();
     let origins: Vec<[f64; 3]> = clouds.iter().map(|cloud| cloud.origin).collect();
-    options.place_viewpoints(&mut viewpoints, &origins);
+    known.place(&mut options, &origins);
     let points: Vec<&[Point]> = clouds.iter().map(|cloud| &cloud.points[..]).collect();
     let control = Control::new().progress(&progress);
     // The same check as that of the clouds of `align_with`, which knows them by number only.
@@ -52,8 +54,8 @@ pub fn run(arguments: &AlignArguments) -> Result<ExitCode> {
     let chosen = first.map(|(chooser, first)| chooser.for_cloud(first)).transpose()?;
     chosen.iter().for_each(detail_of);
     let model = chosen.as_ref().map(|chosen| &chosen.model);
-    let near = align_with(&points, &viewpoints, model, &options, &align_options, &control)
-        .context("cannot align the clouds")?;
+    let near =
+        align_with(&points, &known, model, &options, &align_options, &control).context("cannot align the clouds")?;
     bar.finish();
 
     let mut merged_origin = [0.0; 3];
@@ -86,6 +88,17 @@ pub fn run(arguments: &AlignArguments) -> Result<ExitCode> {
     Ok(ExitCode::SUCCESS)
 }
 
+/// The poses of the clouds in a file; without one, none.
+fn read_initial_poses(file: Option<&Path>, clouds: &[PathBuf]) -> Result<Vec<Option<RigidTransform>>> {
+    let Some(file) = file else { return Ok(Vec::new()) };
+    let poses = io::read_poses(file)?.for_clouds(file, clouds)?;
+    let missing = poses.iter().filter(|pose| pose.is_none()).count();
+    if missing > 0 {
+        terminal::hint(&format!("{}: no pose of {missing} of {} clouds", file.display(), clouds.len()));
+    }
+    Ok(poses)
+}
+
 /// The points of the largest part in its frame.
 fn merge(alignment: &Alignment, clouds: &[&[Point]]) -> Vec<Point> {
     let moved = |&cloud: &usize| transform_points(&alignment.poses[cloud].t_part_cloud, clouds[cloud]);
@@ -103,7 +116,7 @@ fn object(alignment: &Alignment, inputs: &[PathBuf], merged_origin: [f64; 3]) ->
 }
 
 fn report(alignment: &Alignment, inputs: &[PathBuf], written: &[&Path]) -> Report {
-    let Alignment { parts, edges, poses, num_pairs, num_skipped, seconds, .. } = alignment;
+    let Alignment { parts, edges, contradictions, poses, num_pairs, num_skipped, seconds, .. } = alignment;
     let mut report = Report::default();
     let connected = if parts.len() == 1 { "one part".into() } else { format!("{} parts", parts.len()) };
     report.line(format!("{} clouds in {connected}, by {} of {num_pairs} pairs", inputs.len(), edges.len()));
@@ -117,6 +130,12 @@ fn report(alignment: &Alignment, inputs: &[PathBuf], written: &[&Path]) -> Repor
             let name = inputs[cloud].display();
             report.line(format!("{x:>12.4} {y:>12.4} {z:>12.4}  ± {:<8.4} {links:>3} edges  {name}", variance.sqrt()));
         }
+    }
+    for Contradiction { source, target, distance, tolerance, .. } in contradictions {
+        let [source, target] = [source, target].map(|&cloud| inputs[cloud].display());
+        report.line(format!(
+            "left out: {source} to {target} is {distance:.3} from the initial poses, more than {tolerance:.3} (pose_tolerance)"
+        ));
     }
     report.line(format!("{seconds:.3} s"));
     let skipped: usize = num_skipped.iter().sum();

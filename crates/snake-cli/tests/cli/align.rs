@@ -95,6 +95,35 @@ fn align_writes_poses_and_the_merged_cloud() {
 }
 
 #[test]
+fn initial_poses_are_read_and_what_contradicts_them_is_left_out() {
+    let folder = tempfile::tempdir().unwrap();
+    let scans = scans(folder.path());
+    let file = |name: &str| folder.path().join(name).display().to_string();
+    let (poses, trajectory, broken) = (file("poses.json"), file("poses.txt"), file("broken.txt"));
+    assert!(snake(&["align", &scans, "-o", &poses]).status.success());
+    // The poses of an earlier run: the cube is in a part of its own.
+    let output = snake(&["align", &scans, "--initial-poses", &poses, "--json"]);
+    assert!(output.status.success() && stderr(&output).contains("no pose of 1 of 3 clouds"), "{}", stderr(&output));
+    let report = &json_lines(&output)[0];
+    assert!(report["parts"] == serde_json::json!([[0, 1], [2]]) && report["contradictions"] == serde_json::json!([]));
+    // By these, the second is 1 higher.
+    std::fs::write(&trajectory, "1 0 0 0 0 1 0 0 0 0 1 0\n0 1 0 0 -1 0 0 3 0 0 1 2\n1 0 0 0 0 1 0 0 0 0 1 5\n")
+        .unwrap();
+    let report = |options: &[&str]| {
+        let output = snake(&[&["align", &scans, "--initial-poses", &trajectory], options].concat());
+        String::from_utf8(output.stdout).unwrap()
+    };
+    let (left_out, allowed) = (report(&[]), report(&["--pose-tolerance", "2"]));
+    let is_named = left_out.contains("left out: ") && left_out.contains("b.npy to ");
+    assert!(is_named && left_out.contains("in 3 parts") && allowed.contains("in 2 parts"), "{left_out}{allowed}");
+    std::fs::write(&broken, "1 2 3\n").unwrap();
+    for (name, message) in [(&broken, "line 1: expected"), (&file("poses.csv"), ".json, .txt, .tum")] {
+        let output = snake(&["align", &scans, "--initial-poses", name]);
+        assert!(output.status.code() == Some(2) && stderr(&output).contains(message), "{}", stderr(&output));
+    }
+}
+
+#[test]
 fn align_refuses_bad_arguments_before_any_work() {
     let folder = tempfile::tempdir().unwrap();
     let scans = scans(folder.path());

@@ -4,13 +4,16 @@ mod candidates;
 mod graph;
 mod loops;
 mod pose_graph;
+mod priors;
 mod refine;
 mod result;
 mod scales;
+mod second_look;
 mod solved;
 #[cfg(test)]
 mod tests;
 
+use std::collections::HashMap;
 use std::time::Instant;
 
 use rayon::prelude::*;
@@ -18,14 +21,16 @@ use rayon::prelude::*;
 use snake_core::{Control, Error, Model, Result};
 use snake_geometry::{Point, RigidTransform};
 
-use crate::options::{AlignOptions, PairOptions, RegisterOptions, check_viewpoint};
+use crate::options::{AlignOptions, AlignPriors, PairOptions, RegisterOptions};
 use crate::register::register_pair;
 use crate::result::Registration;
 use crate::steps::describe::describe_cloud;
 use crate::steps::{Pair, PreparedCloud};
 use crate::tuning::tuning;
-pub use result::{Alignment, Edge, Pose};
-use scales::Scales;
+use priors::Priors;
+pub use result::{Alignment, Contradiction, Edge, Pose};
+use scales::{Given, Scales};
+use second_look::look_again;
 use solved::solve;
 
 tuning! {
@@ -72,6 +77,14 @@ tuning! {
     min_overlap: f64 = 0.2, unit "share of the probes", from "set by hand in f9a1dee";
     /// Clouds refine the poses if this share of the probes is close to the other cloud.
     min_common: f64 = 0.1, unit "share of the probes", from "set by hand in c6a0685";
+    /// Number of pairs without a reliable transform that get a second look, for each part that they
+    /// would join to others.
+    second_looks: usize = 3, unit "pairs", from "set for time";
+    /// A transform contradicts initial poses if it moves the source farther from where they put it.
+    /// A thing has at least twice its standard deviation in height, so that a storey is higher.
+    prior_tolerance: f64 = 1.5, unit "least standard deviations of a cloud", from "set by hand";
+    /// The same for thin clouds.
+    min_prior_tolerance: f64 = 2.0, unit "inlier distances", from "as two candidates of `refine` differ";
     /// Points are close if they are nearer than this.
     overlap_distance: f64 = 2.0, unit "inlier distances", from "set by hand in f9a1dee";
 }
@@ -103,18 +116,17 @@ tuning! {
 /// or without extent; [`Error::Option`] when an option is outside its range or needs a model.
 /// Clouds that fit no other cloud are no error.
 pub fn align(clouds: &[impl AsRef<[Point]> + Sync], options: &RegisterOptions) -> Result<Alignment> {
-    align_with(clouds, &[], None, options, &AlignOptions::default(), &Control::default())
+    align_with(clouds, &AlignPriors::default(), None, options, &AlignOptions::default(), &Control::default())
 }
 
-/// [`align`] with the sensor's position in the frame of each cloud, where it is known (`viewpoints`
-/// has one for each cloud, or none), with the model of the detector `snake` or the descriptor
-/// `field`, and with progress and cancellation.
+/// [`align`] with what is known of the clouds, with the model of the detector `snake` or the
+/// descriptor `field`, and with progress and cancellation.
 ///
 /// # Errors
 /// The errors of [`align`]; [`Error::Cancelled`] and [`Error::DeadlineExceeded`].
 pub fn align_with(
     clouds: &[impl AsRef<[Point]> + Sync],
-    viewpoints: &[Option<[f64; 3]>],
+    known: &AlignPriors,
     model: Option<&Model>,
     options: &RegisterOptions,
     align_options: &AlignOptions,
@@ -123,49 +135,52 @@ pub fn align_with(
     let start = Instant::now();
     options.check_ranges()?;
     align_options.check_ranges()?;
-    check_clouds(clouds.len(), viewpoints)?;
+    check_count(clouds.len())?;
+    known.check(clouds.len())?;
     let inner = control.without_progress();
     control.begin("clouds", 0).check()?;
-    let points: Vec<&[Point]> = clouds.iter().map(AsRef::as_ref).collect();
-    let scales = Scales::new(&points, viewpoints, model, options, &inner)?;
+    let points = clouds.iter().map(AsRef::as_ref).collect();
+    let given = Given { points, viewpoints: &known.viewpoints, model, options };
+    let scales = Scales::new(&given, &inner)?;
+    let priors = Priors::new(&known.initial_poses, align_options.pose_tolerance, &given, &scales)?;
     let clouds = scales.usual();
     describe_all(clouds, control)?;
-    let pairs = candidates::pairs(clouds, align_options.max_partners, &inner)?;
+    let count = align_options.max_partners;
+    let pairs = priors.choose(candidates::pairs(clouds, count, &inner)?, count);
     let free: Vec<Trial> = pairs.into_iter().map(|pair| (pair, None)).collect();
-    let registered = register_pairs(&scales, &free, options, control)?;
-    let first = solve(&scales, registered, options, control)?;
+    let mut contradictions = HashMap::new();
+    let registered = priors.filter(register_pairs(&scales, &priors, &free, options, control)?, &mut contradictions);
+    let mut solved = solve(&scales, registered, options, control)?;
+    let closer = priors.filter(look_again(&scales, &solved, options, control)?, &mut contradictions);
+    solved = solved.with(closer, &scales, options, control)?;
     // The poses say which other clouds overlap, and where.
-    let guided = first.guesses(&scales);
-    let more = register_pairs(&scales, &guided, options, control)?;
-    let solved = if more.iter().any(|(_, registration)| registration.verdict.is_reliable) {
-        solve(&scales, first.with_reliable(more), options, control)?
-    } else {
-        first
-    };
+    let guided = solved.guesses(&scales);
+    let more = register_pairs(&scales, &priors, &guided, options, control)?;
+    solved = solved.with(priors.filter(more, &mut contradictions), &scales, options, control)?;
     let (edges, poses) = (solved.edges(), solved.poses());
+    let mut contradictions: Vec<Contradiction> = contradictions.into_values().collect();
+    contradictions.retain(|at| edges.iter().all(|edge| (edge.source, edge.target) != (at.source, at.target)));
+    contradictions.sort_by_key(|contradiction| (contradiction.source, contradiction.target));
     Ok(Alignment {
         poses,
         parts: solved.parts.into_iter().map(|part| part.clouds).collect(),
         edges,
+        contradictions,
         num_pairs: free.len() + guided.len(),
         num_skipped: clouds.iter().map(|cloud| cloud.num_skipped).collect(),
         seconds: start.elapsed().as_secs_f64(),
     })
 }
 
-/// Refuses too few or too many clouds, and viewpoints that are not one for each cloud.
-fn check_clouds(count: usize, viewpoints: &[Option<[f64; 3]>]) -> Result<()> {
+/// Refuses too few or too many clouds.
+fn check_count(count: usize) -> Result<()> {
     if !(2..=TUNING.max_clouds).contains(&count) {
         return Err(Error::Input {
             what: "clouds",
             reason: format!("{count} of them; needed are 2 to {}", TUNING.max_clouds),
         });
     }
-    if ![0, count].contains(&viewpoints.len()) {
-        let (value, allowed) = (format!("{} of them", viewpoints.len()), "one for each cloud, or none");
-        return Err(Error::Option { name: "viewpoints", value, allowed });
-    }
-    viewpoints.iter().try_for_each(|viewpoint| check_viewpoint("viewpoints", *viewpoint))
+    Ok(())
 }
 
 /// Computes the descriptors of every cloud that its pairs will need.
@@ -188,6 +203,7 @@ type Registered = ([usize; 2], Registration);
 /// The registrations of all pairs for which there is a transform.
 fn register_pairs(
     scales: &Scales,
+    priors: &Priors,
     pairs: &[Trial],
     options: &RegisterOptions,
     control: &Control,
@@ -199,7 +215,10 @@ fn register_pairs(
         let scale = scales.common(&[source, target]);
         let [from, to] = [source, target].map(|cloud| scales.cloud(cloud, scale));
         let pair = Pair::new(from, to, options.gravity);
-        let registration = register_pair(&pair, options, &PairOptions::default().with_initial(guess), &inner);
+        let registration = match guess {
+            Some(_) => register_pair(&pair, options, &PairOptions::default().with_initial(guess), &inner),
+            None => priors.register([source, target], &pair, options, &inner),
+        };
         counter.add(1);
         match registration {
             Ok(registration) => Ok(Some(([source, target], registration))),

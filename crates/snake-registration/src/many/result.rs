@@ -16,6 +16,8 @@ pub struct Alignment {
     pub parts: Vec<Vec<usize>>,
     /// The registrations of pairs that the poses follow.
     pub edges: Vec<Edge>,
+    /// The reliable registrations that were left out because they contradict the initial poses.
+    pub contradictions: Vec<Contradiction>,
     /// Number of pairs that were registered.
     pub num_pairs: usize,
     /// Number of points of each cloud that were skipped because they are not finite, or are
@@ -61,6 +63,23 @@ pub struct Edge {
     pub residual: f64,
     /// The information matrix of the pair, as [`Fit::information`](crate::Fit::information).
     pub information: [[f64; 6]; 6],
+}
+
+/// A reliable registration that contradicts the initial poses, such as that of two storeys with one
+/// floor plan.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[non_exhaustive]
+pub struct Contradiction {
+    /// Index of the source.
+    pub source: usize,
+    /// Index of the target.
+    pub target: usize,
+    /// The root mean square distance of the source's points from where the initial poses put them, in
+    /// cloud units.
+    pub distance: f64,
+    /// The largest distance that does not contradict them; see
+    /// [`AlignOptions::pose_tolerance`](crate::AlignOptions::pose_tolerance).
+    pub tolerance: f64,
 }
 
 impl Alignment {

@@ -1,6 +1,6 @@
 //! From registrations of pairs to poses, and from poses to further pairs.
 
-use std::collections::HashSet;
+use std::collections::{HashMap, HashSet};
 
 use nalgebra::Matrix6;
 use rayon::prelude::*;
@@ -19,7 +19,7 @@ use crate::cloud::surface::Surface;
 use crate::options::RegisterOptions;
 use crate::result::Registration;
 use crate::rigid::moved;
-use crate::steps::PreparedCloud;
+use crate::steps::{PreparedCloud, judge};
 
 /// Poses that follow registrations.
 pub(super) struct Solved {
@@ -56,17 +56,26 @@ pub(super) fn solve(
     if options.icp_steps > 0 {
         for part in &mut parts {
             let scale = scales.common(&part.clouds);
-            let surface = |&cloud: &usize| {
-                let cloud = scales.cloud(cloud, scale);
-                cloud.surface(cloud.viewpoint.is_some(), scales.inlier_distance(scale))
-            };
-            let surfaces: Vec<Surface> = part.clouds.par_iter().map(surface).collect();
             let pairs = overlapping(part, scales, TUNING.min_common);
-            refine(part, &pairs, &surfaces, &probes, &counter)?;
+            let usual = |cloud| scales.cloud(cloud, scale);
+            let finer = |cloud| scales.finer(cloud, scale).unwrap_or(usual(cloud));
+            refine(part, &pairs, &surfaces(part, usual), &probes, &counter)?;
+            if part.clouds.iter().any(|&cloud| scales.finer(cloud, scale).is_some()) {
+                refine(part, &pairs, &surfaces(part, finer), &probes, &counter)?;
+            }
             part.measure_errors(&links);
         }
     }
     Ok(Solved { registered, kept, doubts, links, parts })
+}
+
+/// The surfaces of the clouds of a part.
+fn surfaces<'a>(part: &Part, cloud: impl Fn(usize) -> &'a PreparedCloud + Sync) -> Vec<Surface<'a>> {
+    let surface = |&index: &usize| {
+        let cloud = cloud(index);
+        cloud.surface(cloud.viewpoint.is_some(), cloud.lengths.inlier_distance)
+    };
+    part.clouds.par_iter().map(surface).collect()
 }
 
 impl Solved {
@@ -86,6 +95,32 @@ impl Solved {
         }
         guesses.sort_by_key(|(pair, _)| *pair);
         guesses
+    }
+
+    /// The registrations that are not reliable and would join two parts, the most confident first: at
+    /// most `count` for each part, and more where the other part has fewer. What repeats itself does
+    /// so at any size of voxels.
+    pub(super) fn joining(&self, count: usize) -> Vec<&Registered> {
+        let mut part_of = HashMap::new();
+        for (index, part) in self.parts.iter().enumerate() {
+            part_of.extend(part.clouds.iter().map(|&cloud| (cloud, index)));
+        }
+        let is_open = |(pair, registration): &&Registered| {
+            let verdict = &registration.verdict;
+            let repeats = verdict.repeat_fit > judge::TUNING.repeated;
+            !verdict.is_reliable && !repeats && part_of[&pair[0]] != part_of[&pair[1]]
+        };
+        let mut open: Vec<&Registered> = self.registered.iter().filter(is_open).collect();
+        // The sort is stable, and the registrations are ordered by their clouds.
+        open.sort_by(|(_, a), (_, b)| b.verdict.confidence.total_cmp(&a.verdict.confidence));
+        let mut counts = vec![0; self.parts.len()];
+        open.retain(|(pair, _)| {
+            let parts = pair.map(|cloud| part_of[&cloud]);
+            let is_kept = parts.iter().any(|&part| counts[part] < count);
+            parts.iter().filter(|_| is_kept).for_each(|&part| counts[part] += 1);
+            is_kept
+        });
+        open
     }
 
     /// The registrations that the poses follow, ordered by their clouds.
@@ -125,16 +160,24 @@ impl Solved {
         poses.into_iter().map(|(_, pose)| pose).collect()
     }
 
-    /// The registrations, in which `more` that are reliable replace those of the same pairs.
-    pub(super) fn with_reliable(self, more: Vec<Registered>) -> Vec<Registered> {
-        let more: Vec<Registered> =
-            more.into_iter().filter(|(_, registration)| registration.verdict.is_reliable).collect();
+    /// The poses of these registrations, in which the reliable ones of `more` replace those of the same
+    /// pairs.
+    pub(super) fn with(
+        self,
+        mut more: Vec<Registered>,
+        scales: &Scales,
+        options: &RegisterOptions,
+        control: &Control,
+    ) -> Result<Self> {
+        more.retain(|(_, registration)| registration.verdict.is_reliable);
+        if more.is_empty() {
+            return Ok(self);
+        }
         let replaced: HashSet<[usize; 2]> = more.iter().map(|(pair, _)| *pair).collect();
-        let mut all: Vec<Registered> =
-            self.registered.into_iter().filter(|(pair, _)| !replaced.contains(pair)).collect();
-        all.extend(more);
+        let kept = self.registered.into_iter().filter(|(pair, _)| !replaced.contains(pair));
+        let mut all: Vec<Registered> = kept.chain(more).collect();
         all.sort_by_key(|(pair, _)| *pair);
-        all
+        solve(scales, all, options, control)
     }
 }
 
@@ -154,7 +197,8 @@ fn overlapping(part: &Part, scales: &Scales, min_overlap: f64) -> Vec<[usize; 2]
     all.into_par_iter().filter(overlap).collect()
 }
 
-fn probes(cloud: &PreparedCloud) -> Vec<Vector> {
+/// Points of a cloud that tell how far it moves.
+pub(super) fn probes(cloud: &PreparedCloud) -> Vec<Vector> {
     let points = &cloud.voxels.voxels.points;
     points.iter().step_by(points.len().div_ceil(TUNING.probes).max(1)).copied().collect()
 }

@@ -24,7 +24,7 @@ fn clouds() -> (Vec<Vec<Point>>, Vec<RigidTransform>) {
 }
 
 fn run(clouds: &[Vec<Point>], align_options: &AlignOptions) -> Result<Alignment> {
-    align_with(clouds, &[], None, &RegisterOptions::default(), align_options, &Control::default())
+    align_with(clouds, &AlignPriors::default(), None, &RegisterOptions::default(), align_options, &Control::default())
 }
 
 #[test]
@@ -82,7 +82,8 @@ fn bad_clouds_and_options_are_refused() {
     let (clouds, _) = clouds();
     let refused = |clouds: &[Vec<Point>], viewpoints: &[Option<[f64; 3]>], options: &RegisterOptions| {
         let align_options = AlignOptions::default();
-        let alignment = align_with(clouds, viewpoints, None, options, &align_options, &Control::default());
+        let known = AlignPriors::default().with_viewpoints(viewpoints.to_vec());
+        let alignment = align_with(clouds, &known, None, options, &align_options, &Control::default());
         alignment.unwrap_err().to_string()
     };
     let default = RegisterOptions::default();
@@ -104,6 +105,6 @@ fn bad_clouds_and_options_are_refused() {
     let flag = CancelFlag::default();
     flag.cancel();
     let control = Control::new().cancel(&flag);
-    let stopped = align_with(&clouds, &[], None, &default, &AlignOptions::default(), &control);
+    let stopped = align_with(&clouds, &AlignPriors::default(), None, &default, &AlignOptions::default(), &control);
     assert!(matches!(stopped, Err(Error::Cancelled)));
 }

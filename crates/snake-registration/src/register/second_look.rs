@@ -40,7 +40,7 @@ impl Given<'_> {
             Ok(first) => first.verdict.is_reliable || first.verdict.repeat_fit > judge::TUNING.repeated,
             Err(error) => !matches!(error, Error::NoTransform { .. }),
         };
-        if is_settled || self.has_lengths() || !is_finer(prepared)? {
+        if is_settled || self.options.has_lengths() || !is_finer(prepared)? {
             return first;
         }
         let size = Length::Units(prepared.lengths.voxel_size / TUNING.finer);
@@ -59,12 +59,6 @@ impl Given<'_> {
             Err(_) => first,
         }
     }
-
-    /// Whether a length is given.
-    fn has_lengths(&self) -> bool {
-        let RegisterOptions { voxel_size, normal_radius, feature_radius, inlier_distance, .. } = self.options;
-        [voxel_size, normal_radius, feature_radius, inlier_distance].iter().any(|length| length.is_some())
-    }
 }
 
 /// The names of the clouds in errors.
@@ -82,7 +76,7 @@ fn is_finer(prepared: &PreparedClouds) -> Result<bool> {
 
 /// The result of a second try, with a lower confidence: of two wrong results, one looks right by
 /// chance twice as often.
-fn less_confident(mut registration: Registration) -> Registration {
+pub(crate) fn less_confident(mut registration: Registration) -> Registration {
     let verdict = &mut registration.verdict;
     verdict.confidence /= 2.0 - verdict.confidence;
     verdict.is_reliable = verdict.confidence >= judge::TUNING.reliable;

@@ -1,0 +1,143 @@
+//! Initial poses of clouds: transforms to start from, and the check of what is found.
+
+use std::collections::HashMap;
+
+use nalgebra::IsometryMatrix3;
+
+use snake_core::{Control, Error, Result};
+use snake_geometry::{Length, RigidTransform, Vector, resolution};
+
+use super::scales::{Given, Scales};
+use super::solved::probes;
+use super::{Contradiction, Registered, TUNING};
+use crate::cloud::spread::least_spread;
+use crate::options::{PairOptions, RegisterOptions};
+use crate::register::{register_guessed, register_pair};
+use crate::result::Registration;
+use crate::rigid::{displacement, moved};
+use crate::steps::{Pair, approach};
+
+/// The initial poses of clouds in one frame, with the distances that do not contradict them.
+pub(super) struct Priors {
+    poses: Vec<Option<IsometryMatrix3<f64>>>,
+    tolerances: Vec<f64>,
+    probes: Vec<Vec<Vector>>,
+    /// Half of the clouds' diameters.
+    radii: Vec<f64>,
+}
+
+impl Priors {
+    /// The poses as they are given, none or one for each cloud, and one tolerance for all or that of
+    /// each cloud.
+    pub(super) fn new(
+        poses: &[Option<RigidTransform>],
+        tolerance: Option<Length>,
+        given: &Given,
+        scales: &Scales,
+    ) -> Result<Self> {
+        let poses = |cloud: usize| poses.get(cloud)?.as_ref().map(|pose| *pose.with_exact_rotation().isometry());
+        let mut coarsest = 0.0_f64;
+        if matches!(tolerance, Some(Length::Resolutions(_))) {
+            for points in &given.points {
+                coarsest = coarsest.max(resolution("points", points)?);
+            }
+        }
+        let tolerance = tolerance.map(|length| length.resolve("pose_tolerance", || coarsest)).transpose()?;
+        let clouds = || 0..scales.len();
+        let by_cloud = |cloud: usize| {
+            let least = TUNING.min_prior_tolerance * scales.inlier_distance(scales.common(&[cloud]));
+            least.max(TUNING.prior_tolerance * least_spread(&scales.own(cloud).voxels.voxels.points))
+        };
+        Ok(Self {
+            poses: clouds().map(poses).collect(),
+            tolerances: clouds().map(|cloud| tolerance.unwrap_or_else(|| by_cloud(cloud))).collect(),
+            probes: clouds().map(|cloud| probes(scales.own(cloud))).collect(),
+            radii: clouds().map(|cloud| scales.own(cloud).diameter / 2.0).collect(),
+        })
+    }
+
+    /// The transform of a pair by the poses, if both have one.
+    fn t_target_source(&self, [source, target]: [usize; 2]) -> Option<IsometryMatrix3<f64>> {
+        Some(self.poses[target]?.inverse() * self.poses[source]?)
+    }
+
+    fn tolerance(&self, [source, target]: [usize; 2]) -> f64 {
+        self.tolerances[source].min(self.tolerances[target])
+    }
+
+    /// The pairs that are worth a registration: those of `pairs` that are not too far apart by the
+    /// poses, and the `count` clouds nearest to each.
+    pub(super) fn choose(&self, mut pairs: Vec<[usize; 2]>, count: usize) -> Vec<[usize; 2]> {
+        let centers: Vec<Option<Vector>> = (0..self.poses.len()).map(|cloud| self.center(cloud)).collect();
+        let distance = |a: usize, b: usize| Some((centers[a]? - centers[b]?).norm());
+        for cloud in 0..centers.len() {
+            let others = (0..centers.len()).filter(|&other| other != cloud);
+            let mut near: Vec<(f64, usize)> =
+                others.filter_map(|other| Some((distance(cloud, other)?, other))).collect();
+            near.sort_by(|a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)));
+            pairs.extend(near.iter().take(count).map(|&(_, other)| [cloud.max(other), cloud.min(other)]));
+        }
+        pairs.sort_unstable();
+        pairs.dedup();
+        let reach = |pair: &[usize; 2]| self.radii[pair[0]] + self.radii[pair[1]] + self.tolerance(*pair);
+        pairs.retain(|pair| distance(pair[0], pair[1]).is_none_or(|distance| distance <= reach(pair)));
+        pairs
+    }
+
+    /// The mean of a cloud's points where its pose puts it.
+    fn center(&self, cloud: usize) -> Option<Vector> {
+        let points = &self.probes[cloud];
+        let mean = points.iter().sum::<Vector>() / points.len().max(1) as f64;
+        self.poses[cloud].as_ref().map(|pose| moved(pose, &mean))
+    }
+
+    /// Registers a pair without another guess: by a search and from its poses, if both have one. What
+    /// contradicts the poses gives way to what is found from them alone, if that is reliable.
+    pub(super) fn register(
+        &self,
+        clouds: [usize; 2],
+        pair: &Pair,
+        options: &RegisterOptions,
+        control: &Control,
+    ) -> Result<Registration> {
+        let free = PairOptions::default();
+        let Some(prior) = self.t_target_source(clouds).map(RigidTransform::from) else {
+            return register_pair(pair, options, &free, control);
+        };
+        let start = approach(pair, &prior, options.icp_steps, control)?;
+        let searched = register_guessed(pair, options, &free, &[start], control);
+        let contradicts = |found: &Registration| self.contradiction(clouds, found).is_some();
+        if !searched.as_ref().is_ok_and(contradicts) {
+            return searched;
+        }
+        match register_pair(pair, options, &free.with_initial(Some(prior)), control) {
+            Ok(found) if found.verdict.is_reliable && !contradicts(&found) => Ok(found),
+            Ok(_) | Err(Error::NoTransform { .. }) => searched,
+            Err(error) => Err(error),
+        }
+    }
+
+    /// How a registration contradicts the poses, if it does.
+    fn contradiction(&self, pair: [usize; 2], registration: &Registration) -> Option<Contradiction> {
+        let ([source, target], tolerance) = (pair, self.tolerance(pair));
+        let prior = self.t_target_source(pair)?;
+        let distance = displacement(registration.t_target_source.isometry(), &prior, &self.probes[source]);
+        (distance > tolerance).then_some(Contradiction { source, target, distance, tolerance })
+    }
+
+    /// The registrations that do not contradict the poses. Those that do and are reliable are noted.
+    pub(super) fn filter(
+        &self,
+        registered: Vec<Registered>,
+        noted: &mut HashMap<[usize; 2], Contradiction>,
+    ) -> Vec<Registered> {
+        let agrees = |(pair, registration): &Registered| {
+            let contradiction = self.contradiction(*pair, registration);
+            if let Some(contradiction) = contradiction.filter(|_| registration.verdict.is_reliable) {
+                noted.insert(*pair, contradiction);
+            }
+            contradiction.is_none()
+        };
+        registered.into_iter().filter(agrees).collect()
+    }
+}

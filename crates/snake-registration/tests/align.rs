@@ -1,0 +1,153 @@
+//! Poses of many clouds: sweeps in a made street, and storeys of a made house.
+
+use nalgebra::{IsometryMatrix3, Vector3};
+use rand::{RngExt, SeedableRng};
+use rand_chacha::ChaCha8Rng;
+use snake_core::{Control, Length, Point, RigidTransform};
+use snake_registration::steps::prepare;
+use snake_registration::{AlignOptions, AlignPriors, Alignment, Contradiction, RegisterOptions, align, align_with};
+
+type Vec3 = [f64; 3];
+
+/// The distance to the first of the boxes (low and high corner) along a ray.
+fn range(boxes: &[[Vec3; 2]], at: Vec3, ray: Vec3) -> f64 {
+    let range = |[low, high]: &[Vec3; 2]| {
+        let (mut near, mut far) = (f64::NEG_INFINITY, f64::INFINITY);
+        for axis in 0..3 {
+            let (a, b) = ((low[axis] - at[axis]) / ray[axis], (high[axis] - at[axis]) / ray[axis]);
+            (near, far) = (near.max(a.min(b)), far.min(a.max(b)));
+        }
+        if near > 0.0 && near <= far { near } else { f64::INFINITY }
+    };
+    boxes.iter().map(range).fold(f64::INFINITY, f64::min)
+}
+
+/// A street along x with houses, cars and poles.
+fn street(seed: u64) -> Vec<[Vec3; 2]> {
+    let mut rng = ChaCha8Rng::seed_from_u64(seed);
+    let mut boxes = vec![[[-150.0, -150.0, -1.0], [150.0, 150.0, 0.0]]];
+    for side in [-1.0, 1.0] {
+        let mut add = |x: f64, y: f64, size: Vec3| {
+            let (near, far) = (side * y, side * (y + size[1]));
+            boxes.push([[x, near.min(far), 0.0], [x + size[0], near.max(far), size[2]]]);
+        };
+        let mut x = -90.0;
+        while x < 90.0 {
+            let size = [rng.random_range(8.0..25.0), rng.random_range(6.0..15.0), rng.random_range(4.0..18.0)];
+            add(x, rng.random_range(6.0..12.0), size);
+            x += size[0] + rng.random_range(0.0..8.0);
+        }
+        for _ in 0..12 {
+            add(rng.random_range(-80.0..80.0), rng.random_range(3.0..4.0), [4.2, 1.8, 1.5]);
+            add(rng.random_range(-80.0..80.0), 5.3, [0.3, 0.3, 6.0]);
+        }
+    }
+    boxes
+}
+
+/// Sweeps of a LiDAR with 32 beams at these places of a street, and its poses.
+fn sweeps(places: &[f64], seed: u64) -> (Vec<Vec<Point>>, Vec<IsometryMatrix3<f64>>) {
+    let (boxes, mut rng) = (street(seed), ChaCha8Rng::seed_from_u64(seed + 100));
+    let sweep = |x: &f64| {
+        let place = Vector3::new(*x, rng.random_range(-1.5..1.5), 1.8);
+        let pose = IsometryMatrix3::new(place, Vector3::z() * rng.random_range(-3.1..3.1));
+        let beam = |i: i32| {
+            let elevation = -0.43 + f64::from(i / 720) * 0.48 / 31.0;
+            let azimuth = f64::from(i % 720).to_radians() / 2.0;
+            let ray = Vector3::new(elevation.cos() * azimuth.cos(), elevation.cos() * azimuth.sin(), elevation.sin());
+            let range = range(&boxes, place.into(), (pose.rotation * ray).into()) + 0.02 * rng.random_range(-1.7..1.7);
+            (range < 80.0).then(|| (ray * range).map(|v| v as f32).into())
+        };
+        ((0..32 * 720).filter_map(beam).collect(), pose)
+    };
+    places.iter().map(sweep).unzip()
+}
+
+/// The largest error of a pose in the frame of the first cloud, in metres.
+fn error(alignment: &Alignment, poses: &[IsometryMatrix3<f64>]) -> f64 {
+    let errors = alignment.poses.iter().zip(poses).map(|(pose, truth)| {
+        let truth = RigidTransform::from(poses[0].inverse() * truth);
+        pose.t_part_cloud.angle_and_distance_to(&truth).1
+    });
+    errors.fold(0.0, f64::max)
+}
+
+#[test]
+fn poses_of_sweeps_are_refined_on_their_points() {
+    let (clouds, poses) = sweeps(&[0.0, 5.0, 9.0], 1);
+    let alignment = align(&clouds, &RegisterOptions::default()).unwrap();
+    assert_eq!(alignment.parts, [[0, 1, 2]]);
+    assert!(error(&alignment, &poses) < 0.02, "{} m", error(&alignment, &poses));
+}
+
+#[test]
+fn sweeps_that_the_first_look_leaves_apart_are_joined() {
+    for seed in [9, 15] {
+        let (clouds, poses) = sweeps(&[0.0, 13.0], seed);
+        let joined = align(&clouds, &RegisterOptions::default()).unwrap();
+        assert!(joined.parts.len() == 1 && error(&joined, &poses) < 0.02, "seed {seed}: {joined:?}");
+        // A length that is given is kept: there is no second look.
+        let points: Vec<&[Point]> = clouds.iter().map(Vec::as_slice).collect();
+        let usual = prepare(&points, &[], None, &RegisterOptions::default(), &Control::default()).unwrap();
+        let side = Some(Length::Units(usual.lengths.voxel_size));
+        let apart = align(&clouds, &RegisterOptions::default().with_voxel_size(side)).unwrap();
+        assert_eq!(apart.parts.len(), 2, "seed {seed}");
+    }
+}
+
+/// What a scanner on each of three storeys of a house sees, 3 m apart, with one floor plan; the
+/// poses of the storeys.
+fn storeys() -> (Vec<Vec<Point>>, Vec<IsometryMatrix3<f64>>) {
+    let mut rng = ChaCha8Rng::seed_from_u64(3);
+    let mut boxes: Vec<[Vec3; 2]> = vec![
+        [[-6.0, -4.0, -0.2], [7.0, 4.0, 0.0]],
+        [[-6.0, -4.0, 2.6], [7.0, 4.0, 2.8]],
+        [[-6.2, -4.0, 0.0], [-6.0, 4.0, 2.6]],
+        [[7.0, -4.0, 0.0], [7.2, 4.0, 2.6]],
+        [[-6.0, -4.2, 0.0], [7.0, -4.0, 2.6]],
+        [[-6.0, 4.0, 0.0], [7.0, 4.2, 2.6]],
+        [[1.5, -4.0, 0.0], [1.7, 0.5, 2.6]],
+        [[-3.0, 1.5, 0.0], [-2.8, 4.0, 2.6]],
+        [[3.0, 1.0, 0.0], [4.2, 1.8, 0.8]],
+        [[-5.0, -3.5, 0.0], [-3.0, -2.5, 1.9]],
+        [[-1.0, -1.8, 0.0], [-0.4, -0.6, 1.1]],
+    ];
+    boxes.push([[5.5, -3.8, 0.0], [6.8, -3.0, 2.1]]);
+    let scan = |storey: u32| {
+        let place = Vector3::new(rng.random_range(-0.5..0.5), rng.random_range(-0.3..0.8), 1.5);
+        let heading = Vector3::z() * rng.random_range(-3.1..3.1);
+        let in_storey = IsometryMatrix3::new(place, heading);
+        let beam = |i: u32| {
+            let (elevation, azimuth) =
+                ((f64::from(i / 240) - 50.0) * 0.03, f64::from(i % 240) * std::f64::consts::TAU / 240.0);
+            let ray = Vector3::new(elevation.cos() * azimuth.cos(), elevation.cos() * azimuth.sin(), elevation.sin());
+            let range =
+                range(&boxes, place.into(), (in_storey.rotation * ray).into()) + 0.005 * rng.random_range(-1.7..1.7);
+            (ray * range).map(|v| v as f32).into()
+        };
+        let points = (0..101 * 240).map(beam).collect();
+        (points, IsometryMatrix3::new(place + Vector3::z() * 3.0 * f64::from(storey), heading))
+    };
+    (0..3).map(scan).unzip()
+}
+
+#[test]
+fn initial_poses_keep_storeys_with_one_floor_plan_apart() {
+    let (clouds, poses) = storeys();
+    let run = |poses: Vec<Option<RigidTransform>>, tolerance: Option<f64>| {
+        let known = AlignPriors::default().with_initial_poses(poses);
+        let options = AlignOptions::default().with_pose_tolerance(tolerance.map(Length::Units));
+        align_with(&clouds, &known, None, &RegisterOptions::default(), &options, &Control::default()).unwrap()
+    };
+    // Off by some decimetres and degrees, as of a plan.
+    let rough = IsometryMatrix3::new(Vector3::new(0.3, -0.4, 0.2), Vector3::new(0.0, 0.02, 0.05));
+    let priors: Vec<Option<RigidTransform>> =
+        poses.iter().enumerate().map(|(i, pose)| Some((if i == 1 { pose * rough } else { *pose }).into())).collect();
+    assert_eq!(run(vec![], None).parts, [[0, 1, 2]]);
+    let told = run(priors.clone(), None);
+    assert_eq!(told.parts, [[0], [1], [2]]);
+    let noted = |at: &Contradiction| at.distance > 2.5 && at.tolerance < 2.0 && at.source > at.target;
+    assert!(!told.contradictions.is_empty() && told.contradictions.iter().all(noted), "{:?}", told.contradictions);
+    // A greater tolerance allows them, and clouds without poses are placed by the others.
+    assert_eq!(run(priors, Some(9.0)).parts, [[0, 1, 2]]);
+}
