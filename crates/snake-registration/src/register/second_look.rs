@@ -40,7 +40,7 @@ impl Given<'_> {
             Ok(first) => first.verdict.is_reliable || first.verdict.repeat_fit > judge::TUNING.repeated,
             Err(error) => !matches!(error, Error::NoTransform { .. }),
         };
-        if is_settled || self.has_lengths() || !is_finer(prepared)? {
+        if is_settled || self.pair_options.instances > 1 || self.has_lengths() || !is_finer(prepared)? {
             return first;
         }
         let size = Length::Units(prepared.lengths.voxel_size / TUNING.finer);
@@ -82,7 +82,7 @@ fn is_finer(prepared: &PreparedClouds) -> Result<bool> {
 
 /// The result of a second try, with a lower confidence: of two wrong results, one looks right by
 /// chance twice as often.
-fn less_confident(mut registration: Registration) -> Registration {
+pub(super) fn less_confident(mut registration: Registration) -> Registration {
     let verdict = &mut registration.verdict;
     verdict.confidence /= 2.0 - verdict.confidence;
     verdict.is_reliable = verdict.confidence >= judge::TUNING.reliable;
