@@ -16,6 +16,7 @@ __all__ = [
     "DetectedTiles",
     "Field",
     "Fit",
+    "Instance",
     "Keypoint",
     "Keypoints",
     "Matches",
@@ -155,6 +156,8 @@ class _RegisterOptions(_RegistrationOptions, total=False):
     target_viewpoint: ArrayLike | None
     initial: ArrayLike | None
     hypotheses: int
+    instances: int
+    estimate_scale: bool
 
 @type_check_only
 class _AlignOptions(_RegistrationOptions, total=False):
@@ -563,6 +566,8 @@ class Registration:
     @property
     def t_target_source(self) -> NDArray[np.float64]: ...
     @property
+    def scale(self) -> float: ...
+    @property
     def verdict(self) -> Verdict: ...
     @property
     def fit(self) -> Fit: ...
@@ -573,7 +578,18 @@ class Registration:
     @property
     def hypotheses(self) -> list[NDArray[np.float64]]: ...
     @property
+    def instances(self) -> list[Instance]: ...
+    @property
     def seconds(self) -> float: ...
+
+@final
+class Instance:
+    @property
+    def t_target_source(self) -> NDArray[np.float64]: ...
+    @property
+    def verdict(self) -> Verdict: ...
+    @property
+    def fit(self) -> Fit: ...
 
 @final
 class Verdict:

@@ -67,6 +67,31 @@ pub struct Matches {
     spread: f64,
 }
 
+/// One of several poses of the source in the target.
+#[pyclass(frozen, module = "snake_rs")]
+pub struct Instance(core::Instance);
+
+#[pymethods]
+impl Instance {
+    /// Maps source points into the target's frame, (4, 4) float64: `p_target = R p_source + t`.
+    #[getter]
+    fn t_target_source(&self, py: Python<'_>) -> PyResult<Py<PyArray2<f64>>> {
+        matrix(py, self.0.t_target_source.to_matrix())
+    }
+
+    /// Whether this pose can be relied on, and why or why not.
+    #[getter]
+    fn verdict(&self) -> Verdict {
+        Verdict::new(&self.0.verdict)
+    }
+
+    /// How well the clouds fit under this pose.
+    #[getter]
+    fn fit(&self, py: Python<'_>) -> PyResult<Fit> {
+        Fit::new(py, &self.0.fit)
+    }
+}
+
 /// What was used of a cloud.
 #[pyclass(frozen, get_all, module = "snake_rs")]
 pub struct CloudReport {
@@ -74,6 +99,30 @@ pub struct CloudReport {
     viewpoint: &'static str,
     /// Number of points that were skipped because they are not finite, are outliers or stand for missing returns.
     num_skipped: usize,
+}
+
+impl Verdict {
+    fn new(verdict: &core::Verdict) -> Self {
+        let core::Verdict { confidence, is_reliable, is_ambiguous, .. } = *verdict;
+        let core::Verdict { weakest_constraint, slide_margin, repeat_fit, free_space_violation, .. } = *verdict;
+        Self {
+            confidence,
+            is_reliable,
+            is_ambiguous,
+            notes: verdict.notes.clone(),
+            weakest_constraint,
+            slide_margin,
+            repeat_fit,
+            free_space_violation,
+        }
+    }
+}
+
+impl Fit {
+    fn new(py: Python<'_>, fit: &core::Fit) -> PyResult<Self> {
+        let core::Fit { fitness, rmse, inlier_distance, voxel_size, information, .. } = *fit;
+        Ok(Self { fitness, rmse, inlier_distance, voxel_size, information: matrix(py, information)? })
+    }
 }
 
 #[pymethods]
@@ -91,34 +140,28 @@ impl Registration {
         Ok((options::to_python(py, &state)?,))
     }
 
-    /// Maps source points into the target's frame, (4, 4) float64: `p_target = R p_source + t`.
+    /// Maps source points into the target's frame, (4, 4) float64: `p_target = R (scale p_source) + t`.
     #[getter]
     fn t_target_source(&self, py: Python<'_>) -> PyResult<Py<PyArray2<f64>>> {
         matrix(py, self.0.t_target_source.to_matrix())
     }
 
+    /// Factor by which source points are multiplied first: 1 unless `estimate_scale` is set.
+    #[getter]
+    fn scale(&self) -> f64 {
+        self.0.scale
+    }
+
     /// Whether the transform can be relied on, and why or why not.
     #[getter]
     fn verdict(&self) -> Verdict {
-        let core::Verdict { confidence, is_reliable, is_ambiguous, .. } = self.0.verdict;
-        let core::Verdict { weakest_constraint, slide_margin, repeat_fit, free_space_violation, .. } = self.0.verdict;
-        Verdict {
-            confidence,
-            is_reliable,
-            is_ambiguous,
-            notes: self.0.verdict.notes.clone(),
-            weakest_constraint,
-            slide_margin,
-            repeat_fit,
-            free_space_violation,
-        }
+        Verdict::new(&self.0.verdict)
     }
 
     /// How well the clouds fit under the transform.
     #[getter]
     fn fit(&self, py: Python<'_>) -> PyResult<Fit> {
-        let core::Fit { fitness, rmse, inlier_distance, voxel_size, information, .. } = self.0.fit;
-        Ok(Fit { fitness, rmse, inlier_distance, voxel_size, information: matrix(py, information)? })
+        Fit::new(py, &self.0.fit)
     }
 
     /// The matches of keypoints, and how many agree with the transform.
@@ -144,6 +187,12 @@ impl Registration {
     #[getter]
     fn hypotheses(&self, py: Python<'_>) -> PyResult<Vec<Py<PyArray2<f64>>>> {
         self.0.hypotheses.iter().map(|hypothesis| matrix(py, hypothesis.t_target_source.to_matrix())).collect()
+    }
+
+    /// The poses whose points do not overlap, most confident first: `instances` of them at most. Empty for one.
+    #[getter]
+    fn instances(&self) -> Vec<Instance> {
+        self.0.instances.iter().cloned().map(Instance).collect()
     }
 
     /// Seconds that the registration took.

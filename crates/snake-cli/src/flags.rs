@@ -9,7 +9,7 @@ use snake_core::{
     Builtin, DetectOptions, EncodeOptions, MeshOptions, OptionGroup, OptionInfo, OptionKind, in_words,
     with_named_values,
 };
-use snake_registration::{AlignOptions, RegisterOptions};
+use snake_registration::{AlignOptions, PairOptions, RegisterOptions};
 
 use crate::set::{shown, value, values_of};
 
@@ -51,6 +51,10 @@ impl FlagGroup for MeshOptions {
 }
 
 impl FlagGroup for RegisterOptions {
+    const HEADING: Option<&'static str> = Some(OF_REGISTRATION);
+}
+
+impl FlagGroup for PairOptions {
     const HEADING: Option<&'static str> = Some(OF_REGISTRATION);
 }
 

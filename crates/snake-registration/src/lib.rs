@@ -50,7 +50,7 @@ pub use detectors::Detector;
 pub use many::{Alignment, Contradiction, Edge, Pose, align, align_with};
 pub use options::{AlignOptions, AlignPriors, Axis, Descriptor, PairOptions, RegisterOptions};
 pub use register::{register, register_pair, register_with};
-pub use result::{CloudReport, Fit, Hypothesis, Matches, Registration, Verdict, ViewpointUsed};
+pub use result::{CloudReport, Fit, Hypothesis, Instance, Matches, Registration, Verdict, ViewpointUsed};
 pub use rigid::{kabsch, transform_points};
 pub use steps::describe::describe_keypoints;
 pub use steps::describe::fpfh::{FPFH_DIMENSION, fpfh, fpfh_with};

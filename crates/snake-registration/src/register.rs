@@ -1,5 +1,7 @@
 //! Registration of two clouds.
 
+mod instances;
+mod scales;
 pub(crate) mod second_look;
 
 use std::time::Instant;
@@ -11,6 +13,8 @@ use crate::options::{PairOptions, RegisterOptions};
 use crate::result::Registration;
 use crate::steps::prepare::prepare_named;
 use crate::steps::{self, Pair, PreparedClouds, approach, challenge, consensus, describe, judge, match_rows, refine};
+use instances::register_instances;
+use scales::register_at_scales;
 use second_look::{Given, NAMES, better};
 
 /// Finds the rigid transform from `source` `(N, 3)` to `target` `(M, 3)` without an initial guess.
@@ -58,6 +62,10 @@ pub fn register_with(
     options.check_ranges()?;
     pair_options.check()?;
     let given = Given { clouds: [source, target], model, options, pair_options };
+    if pair_options.estimate_scale {
+        let registration = register_at_scales(&given, control)?;
+        return Ok(Registration { seconds: start.elapsed().as_secs_f64(), ..registration });
+    }
     let prepared = prepare_named(&given.clouds, &NAMES, &pair_options.viewpoints(), model, options, control)?;
     let first = register_prepared(&prepared, options, pair_options, &[], control);
     let registration = given.look_again(&prepared, first, control)?;
@@ -102,6 +110,10 @@ pub(crate) fn register_guessed(
     control: &Control,
 ) -> Result<Registration> {
     let start = Instant::now();
+    if pair_options.instances > 1 {
+        let registration = register_instances(pair, pair_options, control)?;
+        return Ok(Registration { seconds: start.elapsed().as_secs_f64(), ..registration });
+    }
     let mut registration = match search(pair, options, pair_options, guesses, control) {
         // Without viewpoints, these clouds would have had no signs.
         Ok(first) if !first.verdict.is_reliable && pair.has_doubtful_signs() => {

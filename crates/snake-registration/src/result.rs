@@ -8,8 +8,13 @@ use snake_geometry::{Point, RigidTransform};
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[non_exhaustive]
 pub struct Registration {
-    /// Maps source points to the target frame: `p_target = R p_source + t`.
+    /// Maps source points to the target frame: `p_target = R p_source + t`, or
+    /// `R (scale p_source) + t` with `scale`.
     pub t_target_source: RigidTransform,
+    /// Factor by which source points are multiplied before `t_target_source`: 1, and not in JSON,
+    /// unless `estimate_scale` is set.
+    #[serde(default = "one", skip_serializing_if = "is_one")]
+    pub scale: f64,
     /// Whether the transform can be relied on, and why or why not.
     pub verdict: Verdict,
     /// How well the clouds fit under the transform.
@@ -21,8 +26,32 @@ pub struct Registration {
     /// The best distinct transforms, best first, at most as many as asked for. The first is
     /// `t_target_source`.
     pub hypotheses: Vec<Hypothesis>,
+    /// The poses of the source in the target whose points do not overlap, the most confident first;
+    /// empty if one was asked for. The first is `t_target_source`.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub instances: Vec<Instance>,
     /// Run time in seconds.
     pub seconds: f64,
+}
+
+fn one() -> f64 {
+    1.0
+}
+
+fn is_one(scale: &f64) -> bool {
+    *scale == 1.0
+}
+
+/// One of several poses of the source in the target.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[non_exhaustive]
+pub struct Instance {
+    /// Maps source points to the target frame: `p_target = R p_source + t`.
+    pub t_target_source: RigidTransform,
+    /// Whether this pose can be relied on. Poses elsewhere in the target are no rivals of it.
+    pub verdict: Verdict,
+    /// How well the clouds fit under this pose.
+    pub fit: Fit,
 }
 
 /// Whether a transform can be relied on, with the evidence beside [`Fit`] and [`Matches`].
@@ -105,8 +134,8 @@ pub struct Matches {
     /// Standard deviation of the matches that agree, in the direction in which they are spread
     /// least, in cloud units. Matches on one plane, with a spread near 0, do not fix a transform.
     pub spread: f64,
-    /// The matches that agree with the refined transform, as source and target points in cloud
-    /// units, relative to the clouds' origins. They are not part of files.
+    /// The matches that agree with the refined transform, as source points (times `scale`) and
+    /// target points in cloud units, relative to the clouds' origins. They are not part of files.
     #[serde(skip)]
     pub pairs: Vec<[Point; 2]>,
 }
@@ -178,9 +207,13 @@ impl Registration {
     /// is about the same axes, and stays.
     #[must_use]
     pub fn between_origins(mut self, source: [f64; 3], target: [f64; 3]) -> Self {
+        let source = source.map(|v| self.scale * v);
         self.t_target_source = self.t_target_source.add_origins(source, target);
         for hypothesis in &mut self.hypotheses {
             hypothesis.t_target_source = hypothesis.t_target_source.add_origins(source, target);
+        }
+        for instance in &mut self.instances {
+            instance.t_target_source = instance.t_target_source.add_origins(source, target);
         }
         self
     }

@@ -5,8 +5,8 @@ use std::f32::consts::TAU;
 
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
-use snake_core::{Point, Result};
-use snake_registration::{RegisterOptions, Registration, register};
+use snake_core::{Control, Point, Result, RigidTransform};
+use snake_registration::{PairOptions, RegisterOptions, Registration, register, register_with};
 
 /// A surface that is sampled at random.
 type Sampler = fn(&mut ChaCha8Rng) -> Point;
@@ -175,4 +175,40 @@ fn millimetres_beside_metres_are_asked_about() {
             Err(error) => assert!(error.to_string().contains("times as large"), "{error}"),
         }
     }
+}
+
+#[test]
+fn a_source_of_another_scale_is_noted() {
+    let (source, target) = (sample(room, 8000, 1, 0.0), sample(room, 8000, 2, 0.0));
+    for (scale, expected) in [(1.0 / 1.05, Some("1.05")), (1.0 / 0.97, Some("0.97")), (1.0, None)] {
+        let scaled: Vec<Point> = source.iter().map(|point| point.map(|v| scale * v)).collect();
+        let notes = run(&scaled, &target).unwrap().verdict.notes;
+        let note = notes.iter().find(|note| note.contains("times as large"));
+        assert_eq!(note.is_some(), expected.is_some(), "{scale}: {notes:?}");
+        assert!(expected.is_none_or(|factor| note.is_some_and(|note| note.contains(factor))), "{scale}: {notes:?}");
+    }
+}
+
+#[test]
+fn a_source_of_unknown_scale_is_registered() {
+    let (source, target) = (sample(room, 6000, 1, 0.0), sample(room, 6000, 2, 0.0));
+    let scaled: Vec<Point> = source.iter().map(|point| point.map(|v| v / 1.3)).collect();
+    let run = |pair_options| {
+        register_with(&scaled, &target, None, &RegisterOptions::default(), &pair_options, &Control::default())
+    };
+    let unknown = PairOptions::default().with_estimate_scale(true);
+    let registration = run(unknown).unwrap();
+    assert!((registration.scale - 1.3).abs() < 0.01 && registration.verdict.is_reliable, "{registration:?}");
+    let (angle, distance) = registration.t_target_source.angle_and_distance_to(&RigidTransform::identity());
+    assert!(angle < 0.02 && distance < 0.05, "{registration:?}");
+    let written = serde_json::to_value(&registration).unwrap();
+    assert_eq!(written["scale"], registration.scale);
+    // Between points with their origins added the similarity maps as before.
+    let far = registration.clone().between_origins([10.0, 0.0, 0.0], [0.0, 5.0, 0.0]);
+    let [from, near] = [[11.0, 2.0, 3.0], [1.0, 2.0, 3.0]].map(|p: Point| p.map(|v| registration.scale as f32 * v));
+    let [from, near] = [far.t_target_source.apply(from), registration.t_target_source.apply(near)];
+    assert!((0..3).all(|axis| (from[axis] - near[axis] - [0.0, 5.0, 0.0][axis]).abs() < 1e-3), "{from:?} {near:?}");
+    let guess = unknown.with_initial(Some(RigidTransform::identity()));
+    assert!(run(guess).unwrap_err().to_string().contains("`estimate_scale`"));
+    assert!(run(unknown.with_instances(2)).unwrap_err().to_string().contains("`instances`"));
 }

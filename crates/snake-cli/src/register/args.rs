@@ -23,7 +23,7 @@ pub struct RegisterArguments {
     #[arg(short, long)]
     pub output: Option<PathBuf>,
     /// Write the source's points in the target's frame to this file (.ply, .pcd, .npy, .xyz or .csv). The first two and .csv keep
-    /// colours, intensity and normals.
+    /// colours, intensity and normals. Of several instances it has a copy each.
     #[arg(long)]
     pub aligned: Option<PathBuf>,
     /// Write a page to this file (.html) that shows the source moved onto the target, with the matches that agree as lines.
@@ -44,12 +44,14 @@ pub struct RegisterArguments {
     pub compute: ComputeArguments,
     #[command(flatten)]
     options: RegisterFlags,
+    #[command(flatten)]
+    pair: OptionFlags<PairOptions>,
 }
 
 impl RegisterArguments {
     /// The defaults, with the options of the command line in their place.
     pub fn options(&self) -> Result<(RegisterOptions, PairOptions)> {
-        self.options.resolve(Map::new())
+        self.options.resolve(self.pair.given())
     }
 }
 

@@ -5,10 +5,10 @@ pub mod args;
 use std::path::Path;
 use std::process::ExitCode;
 
-use anyhow::{Context, Result};
+use anyhow::{Context, Result, bail};
 use serde_json::json;
-use snake_core::{Control, Error, Progress, RigidTransform};
-use snake_io::{self as io, CloudFormat};
+use snake_core::{Control, Error, Point, Progress, RigidTransform};
+use snake_io::{self as io, Attributes, Cloud, CloudFormat};
 use snake_registration::{Registration, ViewpointUsed, register_with, transform_points};
 use snake_view::RegistrationPage;
 
@@ -32,6 +32,9 @@ pub fn run(arguments: &RegisterArguments) -> Result<ExitCode> {
     let progress = Progress::default();
     let control = Control::new().progress(&progress);
     let (mut options, mut pair) = arguments.options()?;
+    if pair.estimate_scale && output.as_ref().is_some_and(|path| path.extension().is_some_and(|e| e == "txt")) {
+        bail!("four rows of a .txt file do not hold the scale: name a .json file");
+    }
     let chooser = arguments.compute.chooser_of_registration(&options)?;
     terminal::detail("options", || serde_json::to_string(&(&options, &pair)).unwrap_or_default());
     let bar = terminal::stages(&progress)?;
@@ -59,16 +62,23 @@ pub fn run(arguments: &RegisterArguments) -> Result<ExitCode> {
         }
         tried => tried?,
     };
-    let t_near = near.t_target_source;
+    let poses = if near.instances.is_empty() {
+        vec![near.t_target_source]
+    } else {
+        near.instances.iter().map(|instance| instance.t_target_source).collect()
+    };
     let registration = near.between_origins(source_cloud.origin, target_cloud.origin);
+    // From here on the source has the target's scale.
+    let source_cloud = scaled(source_cloud, registration.scale);
     if let Some(path) = output {
         io::write_registration(path, &registration.t_target_source, &registration)?;
     }
     let mut aligned_origin = [0.0; 3];
     if let Some(path) = aligned {
-        let moved = transform_points(&t_near, &source_cloud.points);
-        let attributes = arguments.input.read_attributes(source, &source_cloud)?.transformed(&t_near);
-        io::write_cloud(path, &moved, &attributes, target_cloud.origin)?;
+        let moved: Vec<Point> = poses.iter().flat_map(|pose| transform_points(pose, &source_cloud.points)).collect();
+        let attributes = arguments.input.read_attributes(source, &source_cloud)?;
+        let attributes: Vec<Attributes> = poses.iter().map(|pose| attributes.clone().transformed(pose)).collect();
+        io::write_cloud(path, &moved, &Attributes::joined(&attributes), target_cloud.origin)?;
         aligned_origin = output_origin(path, io::adds_origin(path), target_cloud.origin);
     }
     if let Some(path) = view {
@@ -95,13 +105,28 @@ pub fn run(arguments: &RegisterArguments) -> Result<ExitCode> {
     Ok(if arguments.require_reliable { ExitCode::FAILURE } else { ExitCode::SUCCESS })
 }
 
+/// A cloud whose coordinates, with its origin, are multiplied by a factor.
+fn scaled(mut cloud: Cloud, scale: f64) -> Cloud {
+    for v in cloud.points.as_flattened_mut() {
+        *v = (scale * f64::from(*v)) as f32;
+    }
+    Cloud { origin: cloud.origin.map(|v| scale * v), ..cloud }
+}
+
 fn report(registration: &Registration, written: &[&Path]) -> Report {
-    let Registration { t_target_source, verdict, fit, matches, clouds, hypotheses, seconds, .. } = registration;
+    let Registration { t_target_source, verdict, fit, matches, clouds, hypotheses, instances, seconds, .. } =
+        registration;
     let (near, [source, target]) = (fit.inlier_distance, clouds);
     let mut report = Report::default();
     report.line(format!("{}: confidence {:.2}", verdict.word(), verdict.confidence));
     for note in &verdict.notes {
         report.line(note);
+    }
+    if registration.scale != 1.0 {
+        report.line(format!(
+            "scale: {:.5}, by which the source is multiplied before t_target_source",
+            registration.scale
+        ));
     }
     report.line("t_target_source:");
     matrix(&mut report, t_target_source);
@@ -124,6 +149,11 @@ fn report(registration: &Registration, written: &[&Path]) -> Report {
     for (rank, other) in hypotheses.iter().enumerate().skip(1) {
         report.line(format!("{}. {} matches, score {:.3}:", rank + 1, other.num_inliers, other.score));
         matrix(&mut report, &other.t_target_source);
+    }
+    for (rank, instance) in instances.iter().enumerate().skip(1) {
+        let (word, confidence) = (instance.verdict.word(), instance.verdict.confidence);
+        report.line(format!("instance {}: {word}, confidence {confidence:.2}:", rank + 1));
+        matrix(&mut report, &instance.t_target_source);
     }
     report.line(format!("{seconds:.3} s"));
     if source.num_skipped + target.num_skipped > 0 {

@@ -259,3 +259,39 @@ fn georeferenced_clouds_keep_full_precision() {
         assert!((coordinate - f64::from(points[7][axis]) - far[axis]).abs() < 0.01, "{coordinate}");
     }
 }
+
+#[test]
+fn the_aligned_file_has_the_scale_and_a_copy_of_each_instance() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = |name: &str| folder.path().join(name).display().to_string();
+    let points = snake_io::read_points(Path::new(&sample())).unwrap();
+    let write = |name: &str, points: &[[f32; 3]]| {
+        snake_io::write_points(path(name).as_ref(), points, [0.0; 3]).unwrap();
+        path(name)
+    };
+    let half: Vec<_> = points.iter().step_by(2).copied().collect();
+    let small: Vec<_> = half.iter().map(|p| p.map(|v| v / 1.2)).collect();
+    let run = |source: &str, target: &str, more: &[&str]| {
+        let output = snake(&[&["register", source, target, "--json", "--aligned", &path("out.ply")], more].concat());
+        assert!(output.status.success(), "{}", stderr(&output));
+        (json_lines(&output).remove(0), snake_io::read_points(path("out.ply").as_ref()).unwrap())
+    };
+    let small = write("small.ply", &small);
+    let (report, aligned) = run(&small, &sample(), &["--estimate-scale"]);
+    assert!((report["scale"].as_f64().unwrap() - 1.2).abs() < 0.02, "{report}");
+    let off = aligned.iter().zip(&half).flat_map(|(p, q)| [0, 1, 2].map(|axis| (p[axis] - q[axis]).abs()));
+    assert!(off.fold(0.0, f32::max) < 0.05, "{report}");
+    let text = snake(&["register", &small, &sample(), "--estimate-scale", "-o", &path("t.txt")]);
+    assert!(text.status.code() == Some(2) && stderr(&text).contains(".json"), "{}", stderr(&text));
+
+    let two: Vec<_> = points.iter().flat_map(|p| [*p, [p[1] + 3.0, p[2], p[0]]]).collect();
+    let two = write("two.ply", &two);
+    let (report, aligned) = run(&write("half.ply", &half), &two, &["--instances", "2"]);
+    assert_eq!(report["instances"].as_array().unwrap().len(), 2, "{report}");
+    assert_eq!(report["instances"][0]["t_target_source"], report["t_target_source"]);
+    assert!(
+        report["instances"].as_array().unwrap().iter().all(|one| one["verdict"]["is_reliable"] == true),
+        "{report}"
+    );
+    assert_eq!(aligned.len(), 2 * half.len());
+}

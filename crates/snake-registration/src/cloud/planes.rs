@@ -15,6 +15,7 @@ tuning! {
 }
 
 /// A source point in the target frame and the plane that it belongs to.
+#[derive(Debug, Clone, Copy)]
 pub(crate) struct PlanePair {
     pub(crate) point: Vector,
     pub(crate) normal: Vector,

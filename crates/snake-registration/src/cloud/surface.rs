@@ -32,7 +32,9 @@ pub(crate) struct Surface<'a> {
     pub(crate) normals: &'a [Vector],
     /// Finds voxels within the inlier distance.
     pub(crate) grid: NearGrid,
-    /// What the sensor saw; `None` if normals have no sign.
+    /// Whether normals point to the sensor.
+    signed: bool,
+    /// What the sensor saw; `None` if it is not known.
     image: Option<DepthImage>,
 }
 
@@ -72,12 +74,17 @@ impl<'a> Surface<'a> {
     ) -> Self {
         let margin = TUNING.depth_margin * inlier_distance;
         let image = viewpoint.map(|viewpoint| DepthImage::new(points, viewpoint, margin, COARSE));
-        Self { points, normals, grid: NearGrid::new(points, inlier_distance), image }
+        Self { points, normals, grid: NearGrid::new(points, inlier_distance), signed: image.is_some(), image }
+    }
+
+    /// The same surface, whose normals have no signs.
+    pub(crate) fn without_signs(self) -> Self {
+        Self { signed: false, ..self }
     }
 
     /// Whether normals point to the sensor.
     pub(crate) fn is_signed(&self) -> bool {
-        self.image.is_some()
+        self.signed
     }
 
     /// Whether two normals agree; normals without a sign may be opposite.
@@ -112,9 +119,14 @@ impl<'a> Surface<'a> {
 
     /// Whether the transform brings a point to the target, with normals that agree.
     pub(crate) fn is_on(&self, index: usize, target: &Self, transform: &IsometryMatrix3<f64>) -> bool {
+        self.partner(index, target, transform).is_some()
+    }
+
+    /// The point of the target to which the transform brings a point, if their normals agree.
+    pub(crate) fn partner(&self, index: usize, target: &Self, transform: &IsometryMatrix3<f64>) -> Option<usize> {
         let normal = transform.rotation * self.normals[index];
-        let nearest = target.grid.nearest(&moved(transform, &self.points[index]));
-        nearest.is_some_and(|(other, _)| target.agree(&normal, &target.normals[other]))
+        let (nearest, _) = target.grid.nearest(&moved(transform, &self.points[index]))?;
+        target.agree(&normal, &target.normals[nearest]).then_some(nearest)
     }
 
     pub(crate) fn viewpoint(&self) -> Option<Vector> {

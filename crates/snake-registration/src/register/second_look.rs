@@ -40,7 +40,7 @@ impl Given<'_> {
             Ok(first) => first.verdict.is_reliable || first.verdict.repeat_fit > judge::TUNING.repeated,
             Err(error) => !matches!(error, Error::NoTransform { .. }),
         };
-        if is_settled || self.options.has_lengths() || !is_finer(prepared)? {
+        if is_settled || self.pair_options.instances > 1 || self.options.has_lengths() || !is_finer(prepared)? {
             return first;
         }
         let size = Length::Units(prepared.lengths.voxel_size / TUNING.finer);

@@ -19,6 +19,7 @@ mod matches;
 mod pair;
 pub mod prepare;
 pub mod refine;
+pub(crate) mod votes;
 
 pub use consensus::consensus;
 pub use describe::{Rows, describe};

@@ -5,6 +5,7 @@ mod evidence;
 mod open_motions;
 mod repeats;
 mod rivals;
+mod scale;
 mod shifts;
 mod slide;
 mod turns;
@@ -24,6 +25,8 @@ use constraint::Constraint;
 use evidence::{Evidence, is_rival};
 use repeats::repeated_share;
 use rivals::{Rival, rivals};
+pub(crate) use scale::best_scale;
+use scale::better_scale;
 use slide::slide_margin;
 use snake_core::{Error, Result};
 use snake_geometry::RigidTransform;
@@ -202,6 +205,27 @@ tuning! {
     max_slide_margin: f64 = 0.1, unit "overlap", from "set by hand in b0e7886";
     /// The spread of the matches counts up to this.
     max_match_spread: f64 = 1.0, unit "inlier distances", from "set by hand in b0e7886";
+    /// Number of the source's voxels that tell its scale, at most.
+    scale_points: usize = 1500, unit "voxels", from "set for time";
+    /// A factor that differs from 1 by less after one step is not pursued.
+    scale_gate: f64 = 0.003, unit "ratio", from "set for time";
+    /// Number of steps to the factor, at most.
+    scale_steps: usize = 12, unit "steps", from "set by hand";
+    /// Fewer pairs of voxels do not tell the scale.
+    min_scale_pairs: usize = 100, unit "pairs", from "set by hand";
+    /// Planes tell the scale if this much of their squared distance under a change of scale is left
+    /// after the best rigid motion: three walls of a room fit at any scale.
+    min_scale_share: f64 = 0.02, unit "squared extents of the pairs", from "set by hand";
+    /// A smaller difference from 1 is not noted.
+    min_scale: f64 = 0.01, unit "ratio", from "the smallest that matters";
+    /// A factor differs from 1 if it does by so many of its standard deviations.
+    scale_deviations: f64 = 5.0, unit "standard deviations", from "set by hand";
+    /// The factor is found when a step changes it by less.
+    scale_tolerance: f64 = 1e-4, unit "ratio", from "set by hand";
+    /// With the factor, this share of the squared distances is left at most.
+    scale_gain: f64 = 0.6, unit "share of the squared distances", from "set on 84 training pairs and 30 object pairs";
+    /// The halves of the overlap change the factor by this at most.
+    scale_disagreement: f64 = 0.2, unit "share of the change", from "set on 84 training pairs and 30 object pairs";
     /// Clouds whose diameters differ by more than this factor are probably in different units.
     unit_ratio: f64 = 30.0, unit "ratio of diameters", from "set by hand in c29aabe";
 }
@@ -212,10 +236,24 @@ tuning! {
 /// # Errors
 /// [`Error::NoTransform`] when there is no candidate.
 pub fn judge(pair: &Pair, matches: &[Match], candidates: &[Candidate]) -> Result<Registration> {
-    let Some(best) = candidates.first() else { return Err(no_transform(pair, matches.len())?) };
-    let fit = Fit::measure(pair, &best.t_target_source);
+    if candidates.is_empty() {
+        return Err(no_transform(pair, matches.len())?);
+    }
     let counts = Matches::count(pair, matches, candidates);
-    let verdict = verdict(pair, matches, candidates, &fit, &counts)?;
+    let agreeing = |rival: &Candidate| inliers(matches, rival.t_target_source.isometry(), pair.criteria()).0;
+    judge_counted(pair, candidates, counts, agreeing)
+}
+
+/// [`judge`] of the first of at least one candidate by what agrees with it, counted by the caller.
+pub(crate) fn judge_counted(
+    pair: &Pair,
+    candidates: &[Candidate],
+    counts: Matches,
+    agreeing: impl Fn(&Candidate) -> usize,
+) -> Result<Registration> {
+    let best = &candidates[0];
+    let fit = Fit::measure(pair, &best.t_target_source);
+    let verdict = verdict(pair, candidates, &fit, &counts, agreeing)?;
     let viewpoints = pair.viewpoints_used();
     let report =
         |place: usize| CloudReport { viewpoint: viewpoints[place], num_skipped: pair.clouds()[place].num_skipped };
@@ -226,6 +264,8 @@ pub fn judge(pair: &Pair, matches: &[Match], candidates: &[Candidate]) -> Result
         matches: counts,
         clouds: [report(0), report(1)],
         hypotheses: candidates.iter().map(Candidate::hypothesis).collect(),
+        instances: Vec::new(),
+        scale: 1.0,
         seconds: 0.0,
     })
 }
@@ -261,7 +301,13 @@ pub fn challenge(pair: &Pair, matches: &[Match], registration: &mut Registration
 }
 
 /// The verdict about the best candidate.
-fn verdict(pair: &Pair, matches: &[Match], candidates: &[Candidate], fit: &Fit, counts: &Matches) -> Result<Verdict> {
+fn verdict(
+    pair: &Pair,
+    candidates: &[Candidate],
+    fit: &Fit,
+    counts: &Matches,
+    agreeing: impl Fn(&Candidate) -> usize,
+) -> Result<Verdict> {
     let best = &candidates[0];
     let transform = best.t_target_source.isometry();
     let surfaces = pair.surfaces();
@@ -272,7 +318,6 @@ fn verdict(pair: &Pair, matches: &[Match], candidates: &[Candidate], fit: &Fit, 
     let constraint = Constraint::from_overlap(&overlap, slide_margin);
     let is_repeatable = fit.fitness > TUNING.repeated_fitness;
     let mut rivals = candidates[1..].iter().take(TUNING.rivals);
-    let agreeing = |rival: &Candidate| inliers(matches, rival.t_target_source.isometry(), pair.criteria()).0;
     let is_rival =
         |rival: &Candidate| is_rival((&rival.agreement, agreeing(rival)), (&best.agreement, counts.num_agreeing));
     let evidence = Evidence {
@@ -295,6 +340,7 @@ fn verdict(pair: &Pair, matches: &[Match], candidates: &[Candidate], fit: &Fit, 
         notes: missing_notes(pair)
             .chain(evidence.notes())
             .chain(units_note(pair.diameters()))
+            .chain(better_scale(surfaces, transform).map(scale_note))
             .chain(outlier_notes(pair))
             .collect(),
         weakest_constraint: evidence.weakest_constraint,
@@ -371,6 +417,14 @@ fn units_note(diameters: [f64; 2]) -> Option<String> {
     let ratio = diameters[0].max(diameters[1]) / diameters[0].min(diameters[1]);
     (ratio > TUNING.unit_ratio)
         .then(|| format!("one cloud is {ratio:.0} times as large as the other; are the units the same?"))
+}
+
+/// What to do about clouds of different scales.
+fn scale_note(factor: f64) -> String {
+    format!(
+        "the clouds fit better with the source {factor:.3} times as large: check the calibration and the units, or set \
+         `estimate_scale`"
+    )
 }
 
 /// The error of a pair without a transform.

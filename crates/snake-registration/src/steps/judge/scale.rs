@@ -1,0 +1,139 @@
+//! Whether the clouds fit better with the source larger or smaller.
+
+use nalgebra::{IsometryMatrix3, Matrix6, Rotation3, Translation3, Vector6};
+use rayon::prelude::*;
+
+use super::TUNING;
+use crate::cloud::planes::PlanePair;
+use crate::cloud::surface::Surface;
+use crate::rigid::moved;
+use snake_geometry::Vector;
+
+/// A factor for the source, with the rigid transform that then follows.
+#[derive(Debug, Clone, Copy)]
+struct Similarity {
+    factor: f64,
+    transform: IsometryMatrix3<f64>,
+}
+
+/// The least-squares change of a similarity.
+struct Step {
+    factor: f64,
+    rigid: IsometryMatrix3<f64>,
+    /// Standard deviation of the factor.
+    deviation: f64,
+}
+
+/// The factor by which the source must be enlarged to fit better, if it differs from 1 beyond
+/// doubt: each half of the overlap must say so, since a scan that bends fits better at another
+/// scale too, but in some places only.
+pub(super) fn better_scale(surfaces: &[Surface; 2], transform: &IsometryMatrix3<f64>) -> Option<f64> {
+    let before = Similarity { factor: 1.0, transform: *transform }.pairs(surfaces);
+    if (step(&before)?.factor - 1.0).abs() < TUNING.scale_gate {
+        return None;
+    }
+    let (similarity, deviation) = similarity(surfaces, transform)?;
+    let after = similarity.pairs(surfaces);
+    let change = similarity.factor - 1.0;
+    let is_better = mean_squared(&after) < TUNING.scale_gain * mean_squared(&before);
+    let is_certain = change.abs() > TUNING.min_scale.max(TUNING.scale_deviations * deviation);
+    let agrees = |half: &Vec<PlanePair>| {
+        step(half).is_some_and(|own| (own.factor - 1.0).abs() < TUNING.scale_disagreement * change.abs())
+    };
+    (is_certain && is_better && halves(&after).iter().all(agrees)).then_some(similarity.factor)
+}
+
+/// The factor by which the source must be enlarged to fit best; `None` where the clouds do not tell.
+pub(crate) fn best_scale(surfaces: &[Surface; 2], transform: &IsometryMatrix3<f64>) -> Option<f64> {
+    similarity(surfaces, transform).map(|(similarity, _)| similarity.factor)
+}
+
+/// The similarity near a rigid transform that fits best, with the standard deviation of its factor.
+fn similarity(surfaces: &[Surface; 2], transform: &IsometryMatrix3<f64>) -> Option<(Similarity, f64)> {
+    let mut similarity = Similarity { factor: 1.0, transform: *transform };
+    let mut last = step(&similarity.pairs(surfaces))?;
+    for _ in 0..TUNING.scale_steps {
+        if (last.factor - 1.0).abs() < TUNING.scale_tolerance {
+            break;
+        }
+        similarity = similarity.after(&last);
+        last = step(&similarity.pairs(surfaces))?;
+    }
+    Some((similarity, last.deviation))
+}
+
+/// The mean squared distance to the planes.
+fn mean_squared(pairs: &[PlanePair]) -> f64 {
+    pairs.iter().map(|pair| pair.distance * pair.distance).sum::<f64>() / pairs.len().max(1) as f64
+}
+
+/// The pairs on either side of their mean, along each axis.
+fn halves(pairs: &[PlanePair]) -> Vec<Vec<PlanePair>> {
+    let center = pairs.iter().map(|pair| pair.point).sum::<Vector>() / pairs.len().max(1) as f64;
+    let sides = (0..3).flat_map(|axis| [1.0, -1.0].map(|sign| (axis, sign)));
+    let half = |(axis, sign): (usize, f64)| {
+        pairs.iter().filter(|pair| sign * (pair.point - center)[axis] > 0.0).copied().collect()
+    };
+    sides.map(half).collect()
+}
+
+impl Similarity {
+    /// This similarity, then a step in the target's frame.
+    fn after(&self, step: &Step) -> Self {
+        let Step { factor, rigid, .. } = step;
+        let translation = rigid.translation.vector + rigid.rotation * (*factor * self.transform.translation.vector);
+        let rotation = rigid.rotation * self.transform.rotation;
+        let transform = IsometryMatrix3::from_parts(Translation3::from(translation), rotation);
+        Self { factor: factor * self.factor, transform }
+    }
+
+    /// Points of the source and the planes of the target next to them, where their normals agree.
+    fn pairs(&self, [source, target]: &[Surface; 2]) -> Vec<PlanePair> {
+        let step = source.points.len().div_ceil(TUNING.scale_points);
+        let pair = |index: usize| {
+            let point = moved(&self.transform, &(self.factor * source.points[index]));
+            let (nearest, _) = target.grid.nearest(&point)?;
+            let rotated = self.transform.rotation * source.normals[index];
+            let normal = target.common_normal(&rotated, &target.normals[nearest])?;
+            Some(PlanePair { point, normal, distance: normal.dot(&(target.points[nearest] - point)) })
+        };
+        (0..source.points.len()).into_par_iter().step_by(step).filter_map(pair).collect()
+    }
+}
+
+/// The step onto the planes by a small rigid motion and a change of scale about the mean; `None`
+/// where the planes do not fix it.
+fn step(pairs: &[PlanePair]) -> Option<Step> {
+    let count = pairs.len() as f64;
+    let center = pairs.iter().map(|pair| pair.point).sum::<Vector>() / count.max(1.0);
+    let extent = (pairs.iter().map(|pair| (pair.point - center).norm_squared()).sum::<f64>() / count).sqrt();
+    let (mut information, mut coupling, mut residuals) = (Matrix6::zeros(), Vector6::zeros(), Vector6::zeros());
+    let (mut of_scale, mut along, mut squared) = (0.0, 0.0, 0.0);
+    for PlanePair { point, normal, distance } in pairs {
+        let offset = (point - center) / extent;
+        let lever = offset.cross(normal);
+        let row = Vector6::new(lever.x, lever.y, lever.z, normal.x, normal.y, normal.z);
+        let scale = normal.dot(&offset);
+        information += row * row.transpose();
+        coupling += row * scale;
+        residuals += row * *distance;
+        (of_scale, along, squared) =
+            (of_scale + scale * scale, along + scale * distance, squared + distance * distance);
+    }
+    let inverse = information.try_inverse()?;
+    // What a rigid motion cannot do.
+    let own = of_scale - coupling.dot(&(inverse * coupling));
+    if pairs.len() < TUNING.min_scale_pairs || own < TUNING.min_scale_share * count {
+        return None;
+    }
+    let change = (along - coupling.dot(&(inverse * residuals))) / own;
+    let motion = inverse * (residuals - coupling * change);
+    let after = squared - motion.dot(&residuals) - change * along;
+    let rotation = Rotation3::new(motion.fixed_rows::<3>(0) / extent);
+    let factor = 1.0 + change / extent;
+    // The source is enlarged about its origin, the pairs about their mean.
+    let translation = center - rotation * (factor * center) + motion.fixed_rows::<3>(3);
+    let rigid = IsometryMatrix3::from_parts(Translation3::from(translation), rotation);
+    let deviation = (after.max(0.0) / count / own).sqrt() / extent;
+    Some(Step { factor, rigid, deviation })
+}
