@@ -350,12 +350,13 @@ fn an_interrupt_leaves_only_complete_files() {
 #[test]
 fn every_option_with_a_value_shows_its_default() {
     // Files are read or written only if they are named, and these two begin another way of working.
-    const WITHOUT: [&str; 11] = [
+    const WITHOUT: [&str; 12] = [
         "output",
         "aligned",
         "view",
         "merged",
         "initial",
+        "initial-poses",
         "transform",
         "tile",
         "set",
