@@ -8,9 +8,9 @@ use snake_geometry::Point;
 
 /// The weight of each of [`scene_signs`](crate::scene_signs), of the square of each, and that of one.
 const WEIGHTS: ([f64; NUM_SIGNS], [f64; NUM_SIGNS], f64) = (
-    [-89.77, 4.125, 2.205, -0.1206, 0.115, 2.464, 4.026, 11.63],
-    [-239.3, -8.409, -0.1345, -2.65, -0.01655, 0.7707, 0.8337, -248.5],
-    -8.718,
+    [-123.3, 8.272, 1.518, 0.4191, -0.2706, 3.505, 3.414, -4.734],
+    [-169.3, -4.197, -0.1518, -3.115, -0.04307, 0.5688, 0.5446, -265.7],
+    -6.797,
 );
 
 /// Scores within this of 0 are doubtful: the log-odds that a cloud is a scene.
