@@ -78,8 +78,8 @@ fn registration_is_the_mean_over_models() {
 
 #[test]
 fn without_a_model_each_cloud_has_its_own_and_the_table_names_it() {
-    let data = corpus(2, 1000);
-    let words = ["--methods", "snake,iss", "--downsample", "1", "--noise", "0", "--num-points", "900"];
+    let data = corpus(2, 2000);
+    let words = ["--methods", "snake,iss", "--downsample", "1", "--noise", "0", "--num-points", "1800"];
     let ((chosen, text), (named, named_text)) = (
         report("repeatability", data.path(), &words),
         report("repeatability", data.path(), &[&words[..], &["--model", "compact"]].concat()),
