@@ -13,7 +13,7 @@ import torch
 
 from conftest import FOLDER
 from snake_training.model import NetworkConfig, SnakeNetwork
-from test_official import TINY, fragments, keypointnet, match3d, modelnet40, smpl
+from test_official import SMPL, TINY, fragments, keypointnet, match3d, modelnet40, smpl
 
 PAGE = (FOLDER / "docs/reproduce.md").read_text()
 COMMANDS = [
@@ -45,6 +45,7 @@ def place(tmp_path_factory):
     names.unlink()
     shutil.copy(shutil.move(modelnet40(data / "modelnet40")[1], split), split / "modelnet40_val.txt")
     smpl(data / "smpl_model")
+    shutil.copy(SMPL / "model.pkl", data / "smpl_model")
     shutil.copy(shutil.move(match3d(data)[1], split / "match3d_train_new_40k.txt"), split / "match3d_val.txt")
     (data / "redwood/numpy_gt_normal").mkdir()
     for name in ("room", "transform.npy", "redwood_pair.txt"):

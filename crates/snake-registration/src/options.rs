@@ -190,7 +190,9 @@ impl AlignPriors {
     /// Converts viewpoints and poses to points relative to the clouds' origins, and the common frame
     /// to the origin of the first cloud; see [`RegisterOptions::place_viewpoints`].
     pub fn place(&mut self, options: &mut RegisterOptions, origins: &[[f64; 3]]) {
-        self.viewpoints.resize(origins.len(), None);
+        if self.viewpoints.is_empty() {
+            self.viewpoints = vec![None; origins.len()];
+        }
         options.place_viewpoints(&mut self.viewpoints, origins);
         let frame = origins.first().copied().unwrap_or_default();
         for (pose, origin) in self.initial_poses.iter_mut().zip(origins) {

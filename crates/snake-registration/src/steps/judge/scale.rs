@@ -108,7 +108,7 @@ fn step(pairs: &[PlanePair]) -> Option<Step> {
     let center = pairs.iter().map(|pair| pair.point).sum::<Vector>() / count.max(1.0);
     let extent = (pairs.iter().map(|pair| (pair.point - center).norm_squared()).sum::<f64>() / count).sqrt();
     let (mut information, mut coupling, mut residuals) = (Matrix6::zeros(), Vector6::zeros(), Vector6::zeros());
-    let (mut of_scale, mut along, mut squared) = (0.0, 0.0, 0.0);
+    let (mut scales, mut along, mut squared) = (0.0, 0.0, 0.0);
     for PlanePair { point, normal, distance } in pairs {
         let offset = (point - center) / extent;
         let lever = offset.cross(normal);
@@ -117,12 +117,11 @@ fn step(pairs: &[PlanePair]) -> Option<Step> {
         information += row * row.transpose();
         coupling += row * scale;
         residuals += row * *distance;
-        (of_scale, along, squared) =
-            (of_scale + scale * scale, along + scale * distance, squared + distance * distance);
+        (scales, along, squared) = (scales + scale * scale, along + scale * distance, squared + distance * distance);
     }
     let inverse = information.try_inverse()?;
     // What a rigid motion cannot do.
-    let own = of_scale - coupling.dot(&(inverse * coupling));
+    let own = scales - coupling.dot(&(inverse * coupling));
     if pairs.len() < TUNING.min_scale_pairs || own < TUNING.min_scale_share * count {
         return None;
     }
