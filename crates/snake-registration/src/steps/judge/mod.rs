@@ -223,9 +223,9 @@ tuning! {
     /// The factor is found when a step changes it by less.
     scale_tolerance: f64 = 1e-4, unit "ratio", from "set by hand";
     /// With the factor, this share of the squared distances is left at most.
-    scale_gain: f64 = 0.6, unit "share of the squared distances", from "set on 84 training pairs and 30 object pairs";
+    scale_gain: f64 = 0.6, unit "share of the squared distances", from "set on training scenes and objects of true scale";
     /// The halves of the overlap change the factor by this at most.
-    scale_disagreement: f64 = 0.2, unit "share of the change", from "set on 84 training pairs and 30 object pairs";
+    scale_disagreement: f64 = 0.2, unit "share of the change", from "set on training scenes and objects of true scale";
     /// Clouds whose diameters differ by more than this factor are probably in different units.
     unit_ratio: f64 = 30.0, unit "ratio of diameters", from "set by hand in c29aabe";
 }
