@@ -58,8 +58,8 @@ pub fn read_poses(path: &Path) -> Result<Poses> {
 }
 
 impl Poses {
-    /// The pose of each of the clouds, where there is one. Paths are those of the clouds; without an equal path, the only
-    /// equal file name counts.
+    /// The pose of each cloud, where the file has one. A pose belongs to the cloud of its path. If no path is equal, it
+    /// belongs to the only cloud of its file name.
     ///
     /// # Errors
     /// [`Error::Format`] of the file of poses when none is of these clouds, or when poses without names are not one for
