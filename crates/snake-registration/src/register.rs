@@ -3,6 +3,7 @@
 mod instances;
 mod scales;
 pub(crate) mod second_look;
+mod thorough;
 
 use std::time::Instant;
 
@@ -15,7 +16,8 @@ use crate::steps::prepare::prepare_named;
 use crate::steps::{self, Pair, PreparedClouds, approach, challenge, consensus, describe, judge, match_rows, refine};
 use instances::register_instances;
 use scales::register_at_scales;
-use second_look::{Given, NAMES, better};
+use second_look::{Given, NAMES, better, is_settled};
+use thorough::search_single_matches;
 
 /// Finds the rigid transform from `source` `(N, 3)` to `target` `(M, 3)` without an initial guess.
 ///
@@ -67,9 +69,18 @@ pub fn register_with(
         return Ok(Registration { seconds: start.elapsed().as_secs_f64(), ..registration });
     }
     let prepared = prepare_named(&given.clouds, &NAMES, &pair_options.viewpoints(), model, options, control)?;
-    let first = register_prepared(&prepared, options, pair_options, &[], control);
+    let first = register_prepared(&prepared, options, pair_options, &[], Effort::Thorough, control);
     let registration = given.look_again(&prepared, first, control)?;
     Ok(Registration { seconds: start.elapsed().as_secs_f64(), ..registration })
+}
+
+/// How much is tried.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) enum Effort {
+    /// The transforms on which matches agree.
+    Usual,
+    /// Those of single matches too, if the first result is not reliable.
+    Thorough,
 }
 
 /// [`register_pair`] of the first two clouds, with `guesses` beside those that are searched for.
@@ -78,10 +89,11 @@ fn register_prepared(
     options: &RegisterOptions,
     pair_options: &PairOptions,
     guesses: &[RigidTransform],
+    effort: Effort,
     control: &Control,
 ) -> Result<Registration> {
     let pair = Pair::new(&prepared.clouds[0], &prepared.clouds[1], options.gravity);
-    register_guessed(&pair, options, pair_options, guesses, control)
+    register_guessed(&pair, options, pair_options, guesses, effort, control)
 }
 
 /// Registers two prepared clouds, such as a scan and a map that is kept. The viewpoints of the
@@ -97,7 +109,7 @@ pub fn register_pair(
 ) -> Result<Registration> {
     options.check_ranges()?;
     pair_options.check()?;
-    register_guessed(pair, options, pair_options, &[], control)
+    register_guessed(pair, options, pair_options, &[], Effort::Thorough, control)
 }
 
 /// [`register_pair`] of options within their ranges, with `guesses` beside those that are searched
@@ -107,6 +119,7 @@ pub(crate) fn register_guessed(
     options: &RegisterOptions,
     pair_options: &PairOptions,
     guesses: &[RigidTransform],
+    effort: Effort,
     control: &Control,
 ) -> Result<Registration> {
     let start = Instant::now();
@@ -114,10 +127,10 @@ pub(crate) fn register_guessed(
         let registration = register_instances(pair, pair_options, control)?;
         return Ok(Registration { seconds: start.elapsed().as_secs_f64(), ..registration });
     }
-    let mut registration = match search(pair, options, pair_options, guesses, control) {
+    let mut registration = match search(pair, options, pair_options, guesses, effort, control) {
         // Without viewpoints, these clouds would have had no signs.
         Ok(first) if !first.verdict.is_reliable && pair.has_doubtful_signs() => {
-            match search(&pair.without_signs(), options, pair_options, guesses, control) {
+            match search(&pair.without_signs(), options, pair_options, guesses, effort, control) {
                 Ok(unsigned) => better(first, unsigned),
                 Err(Error::NoTransform { .. }) => first,
                 Err(error) => return Err(error),
@@ -135,10 +148,12 @@ fn search(
     options: &RegisterOptions,
     pair_options: &PairOptions,
     more: &[RigidTransform],
+    effort: Effort,
     control: &Control,
 ) -> Result<Registration> {
     let rows = describe(pair, control)?;
-    let matches = pair.matches(&match_rows(&rows[0], &rows[1], options.max_matches, control)?)?;
+    let indices = match_rows(&rows[0], &rows[1], thorough::num_matches(options.max_matches), control)?;
+    let matches = pair.matches(&indices[..indices.len().min(options.max_matches)])?;
     let mut guesses = match &pair_options.initial {
         Some(guess) => vec![approach(pair, &guess.with_exact_rotation(), options.icp_steps, control)?],
         None => consensus(&matches, pair.criteria(), steps::consensus::TUNING.candidates, control)?,
@@ -146,12 +161,18 @@ fn search(
     guesses.extend_from_slice(more);
     let candidates = refine(pair, &matches, &guesses, options.icp_steps, pair_options.hypotheses, control)?;
     if candidates.first().is_some_and(|best| pair.contradicts_viewpoints(&best.t_target_source)) {
-        return search(&pair.without_signs(), options, pair_options, more, control);
+        return search(&pair.without_signs(), options, pair_options, more, effort, control);
     }
-    let mut registration = judge(pair, &matches, &candidates)?;
+    let mut registration = judge(pair, &matches, &candidates);
     if pair_options.initial.is_none() {
-        challenge(pair, &matches, &mut registration)?;
+        if let Ok(registration) = &mut registration {
+            challenge(pair, &matches, registration)?;
+        }
+        if effort == Effort::Thorough && !is_settled(&registration) {
+            registration = search_single_matches(pair, &matches, &indices, &guesses, options, pair_options, control);
+        }
     }
+    let mut registration = registration?;
     registration.hypotheses.truncate(pair_options.hypotheses);
     Ok(registration)
 }

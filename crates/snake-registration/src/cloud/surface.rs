@@ -152,13 +152,26 @@ impl<'a> Surface<'a> {
 
     /// Share of the points of both clouds in space that a fine depth image of the other shows to be
     /// free; 0 if the viewpoints are not known.
-    pub(crate) fn fine_violation([source, target]: &[Self; 2], transform: &IsometryMatrix3<f64>) -> f64 {
-        let free = |points: &Self, seen: &Self, transform: &IsometryMatrix3<f64>| {
-            let Some(image) = seen.fine_image() else { return 0 };
-            points.points.par_iter().filter(|point| image.sight(&moved(transform, point)) == Sight::Free).count()
+    pub(crate) fn fine_violation(surfaces: &[Self; 2], transform: &IsometryMatrix3<f64>) -> f64 {
+        Self::violation(surfaces, &surfaces.each_ref().map(Self::fine_image), transform, 1)
+    }
+
+    /// Share of every `step`-th point of both clouds in space that the image of the other cloud
+    /// shows to be free.
+    pub(crate) fn violation(
+        [source, target]: &[Self; 2],
+        [source_image, target_image]: &[Option<DepthImage>; 2],
+        transform: &IsometryMatrix3<f64>,
+        step: usize,
+    ) -> f64 {
+        let free = |surface: &Self, image: &Option<DepthImage>, transform: &IsometryMatrix3<f64>| {
+            let Some(image) = image else { return 0 };
+            let points = surface.points.par_iter().step_by(step);
+            points.filter(|point| image.sight(&moved(transform, point)) == Sight::Free).count()
         };
-        let count = free(source, target, transform) + free(target, source, &transform.inverse());
-        count as f64 / (source.points.len() + target.points.len()) as f64
+        let count = free(source, target_image, transform) + free(target, source_image, &transform.inverse());
+        let points = source.points.len().div_ceil(step) + target.points.len().div_ceil(step);
+        count as f64 / points as f64
     }
 
     /// A fine depth image of what the sensor saw; `None` if it is not known.

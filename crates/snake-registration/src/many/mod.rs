@@ -22,7 +22,7 @@ use snake_core::{Control, Error, Model, Result};
 use snake_geometry::{Point, RigidTransform};
 
 use crate::options::{AlignOptions, AlignPriors, PairOptions, RegisterOptions};
-use crate::register::register_pair;
+use crate::register::{Effort, register_guessed};
 use crate::result::Registration;
 use crate::steps::describe::describe_cloud;
 use crate::steps::{Pair, PreparedCloud};
@@ -216,7 +216,10 @@ fn register_pairs(
         let [from, to] = [source, target].map(|cloud| scales.cloud(cloud, scale));
         let pair = Pair::new(from, to, options.gravity);
         let registration = match guess {
-            Some(_) => register_pair(&pair, options, &PairOptions::default().with_initial(guess), &inner),
+            Some(_) => {
+                let guessed = PairOptions::default().with_initial(guess);
+                register_guessed(&pair, options, &guessed, &[], Effort::Usual, &inner)
+            }
             None => priors.register([source, target], &pair, options, &inner),
         };
         counter.add(1);

@@ -12,7 +12,7 @@ use super::solved::probes;
 use super::{Contradiction, Registered, TUNING};
 use crate::cloud::spread::least_spread;
 use crate::options::{PairOptions, RegisterOptions};
-use crate::register::{register_guessed, register_pair};
+use crate::register::{Effort, register_guessed};
 use crate::result::Registration;
 use crate::rigid::{displacement, moved};
 use crate::steps::{Pair, approach};
@@ -102,15 +102,15 @@ impl Priors {
     ) -> Result<Registration> {
         let free = PairOptions::default();
         let Some(prior) = self.t_target_source(clouds).map(RigidTransform::from) else {
-            return register_pair(pair, options, &free, control);
+            return register_guessed(pair, options, &free, &[], Effort::Usual, control);
         };
         let start = approach(pair, &prior, options.icp_steps, control)?;
-        let searched = register_guessed(pair, options, &free, &[start], control);
+        let searched = register_guessed(pair, options, &free, &[start], Effort::Usual, control);
         let contradicts = |found: &Registration| self.contradiction(clouds, found).is_some();
         if !searched.as_ref().is_ok_and(contradicts) {
             return searched;
         }
-        match register_pair(pair, options, &free.with_initial(Some(prior)), control) {
+        match register_guessed(pair, options, &free.with_initial(Some(prior)), &[], Effort::Usual, control) {
             Ok(found) if found.verdict.is_reliable && !contradicts(&found) => Ok(found),
             Ok(_) | Err(Error::NoTransform { .. }) => searched,
             Err(error) => Err(error),

@@ -8,8 +8,8 @@ use super::scales::Scales;
 use super::solved::Solved;
 use super::{Registered, TUNING};
 use crate::options::{PairOptions, RegisterOptions};
-use crate::register::register_guessed;
 use crate::register::second_look::less_confident;
+use crate::register::{Effort, register_guessed};
 use crate::steps::Pair;
 
 /// Registers the most confident of the pairs that are not reliable and would join parts again: a few
@@ -29,7 +29,8 @@ pub(super) fn look_again(
         let scale = scales.common(clouds);
         let [Some(source), Some(target)] = clouds.map(|cloud| scales.finer(cloud, scale)) else { return Ok(None) };
         let pair = Pair::new(source, target, options.gravity);
-        match register_guessed(&pair, options, &PairOptions::default(), &[first.t_target_source], &inner) {
+        match register_guessed(&pair, options, &PairOptions::default(), &[first.t_target_source], Effort::Usual, &inner)
+        {
             Ok(second) => Ok(Some((*clouds, less_confident(second)))),
             Err(Error::NoTransform { .. }) => Ok(None),
             Err(error) => Err(error),

@@ -52,7 +52,7 @@ impl Placed {
         explained.sort_unstable();
         explained.dedup();
         let (t_target_source, num_agreeing) = (transform.into(), votes.agreeing(&transform).count());
-        Self { candidate: Candidate { t_target_source, num_inliers: num_agreeing, rmse: 0.0, agreement }, explained }
+        Self { candidate: Candidate::new(t_target_source, num_agreeing, 0.0, agreement), explained }
     }
 
     fn transform(&self) -> &IsometryMatrix3<f64> {

@@ -1,7 +1,7 @@
 //! A source of unknown scale: registration at several factors.
 
-use super::register_prepared;
 use super::second_look::{Given, NAMES, less_confident};
+use super::{Effort, register_prepared};
 use crate::options::PairOptions;
 use crate::result::Registration;
 use crate::steps::Pair;
@@ -60,7 +60,7 @@ fn at_scale(given: &Given, factor: f64, control: &Control) -> Result<Registratio
         let pair_options = PairOptions { source_viewpoint, estimate_scale: false, ..*given.pair_options };
         let viewpoints = pair_options.viewpoints();
         let prepared = prepare_named(&[&source, target], &NAMES, &viewpoints, given.model, given.options, control)?;
-        let one = match register_prepared(&prepared, given.options, &pair_options, &[], control) {
+        let one = match register_prepared(&prepared, given.options, &pair_options, &[], Effort::Usual, control) {
             Ok(one) => Registration { scale, ..one },
             // Without a transform at the exact factor, that at the rough one stays.
             Err(Error::NoTransform { .. }) if registration.is_some() => break,

@@ -3,7 +3,7 @@
 use snake_core::{Control, Error, Model, Result};
 use snake_geometry::{Length, Point, RigidTransform};
 
-use super::register_prepared;
+use super::{Effort, register_prepared};
 use crate::options::{PairOptions, RegisterOptions};
 use crate::result::Registration;
 use crate::steps::PreparedClouds;
@@ -36,11 +36,7 @@ impl Given<'_> {
         first: Result<Registration>,
         control: &Control,
     ) -> Result<Registration> {
-        let is_settled = match &first {
-            Ok(first) => first.verdict.is_reliable || first.verdict.repeat_fit > judge::TUNING.repeated,
-            Err(error) => !matches!(error, Error::NoTransform { .. }),
-        };
-        if is_settled || self.pair_options.instances > 1 || self.options.has_lengths() || !is_finer(prepared)? {
+        if is_settled(&first) || self.pair_options.instances > 1 || self.options.has_lengths() || !is_finer(prepared)? {
             return first;
         }
         let size = Length::Units(prepared.lengths.voxel_size / TUNING.finer);
@@ -48,16 +44,29 @@ impl Given<'_> {
         let guesses: Vec<RigidTransform> = first.iter().map(|first| first.t_target_source).collect();
         let viewpoints = self.pair_options.viewpoints();
         let prepared = prepare_named(&self.clouds, &NAMES, &viewpoints, self.model, &options, control);
-        let second =
-            prepared.and_then(|prepared| register_prepared(&prepared, &options, self.pair_options, &guesses, control));
+        let second = prepared.and_then(|prepared| {
+            register_prepared(&prepared, &options, self.pair_options, &guesses, Effort::Usual, control)
+        });
         match second {
             Ok(second) => {
                 let second = less_confident(second);
-                Ok(if let Ok(first) = first { better(first, second) } else { second })
+                Ok(match first {
+                    Ok(first) if !second.verdict.is_reliable => first,
+                    _ => second,
+                })
             }
             Err(error @ (Error::Cancelled | Error::DeadlineExceeded)) => Err(error),
             Err(_) => first,
         }
+    }
+}
+
+/// Whether another try would not change a result: it is reliable, the target repeats itself, or it
+/// is another error than that nothing fits.
+pub(super) fn is_settled(first: &Result<Registration>) -> bool {
+    match first {
+        Ok(first) => first.verdict.is_reliable || first.verdict.repeat_fit > judge::TUNING.repeated,
+        Err(error) => !matches!(error, Error::NoTransform { .. }),
     }
 }
 

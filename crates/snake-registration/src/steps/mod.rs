@@ -16,9 +16,11 @@ pub mod describe;
 pub mod judge;
 pub mod match_rows;
 mod matches;
+mod oriented;
 mod pair;
 pub mod prepare;
 pub mod refine;
+pub(crate) mod single_matches;
 pub(crate) mod votes;
 
 pub use consensus::consensus;

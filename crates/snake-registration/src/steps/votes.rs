@@ -8,11 +8,12 @@
 use std::collections::HashSet;
 use std::f64::consts::{PI, TAU};
 
-use nalgebra::{IsometryMatrix3, Matrix3, Rotation3, Translation3};
+use nalgebra::IsometryMatrix3;
 use rayon::prelude::*;
 
 use crate::cloud::near_grid::NearGrid;
 use crate::rigid::displacement;
+use crate::steps::oriented::Oriented;
 use crate::steps::pair::Pair;
 use crate::tuning::tuning;
 use snake_core::{Control, Counter, Result};
@@ -31,13 +32,6 @@ tuning! {
     same_pose: f64 = 0.1, unit "diameters of the source", from "Drost et al. 2010";
     /// Number of points of the source that tell whether two poses are one.
     probes: usize = 12, unit "points", from "set for time";
-}
-
-/// A point with its normal, whose sign does not matter.
-#[derive(Debug, Clone, Copy)]
-struct Oriented {
-    point: Vector,
-    normal: Vector,
 }
 
 /// What no motion changes of a pair of points, and where the second point lies about the normal of
@@ -187,9 +181,10 @@ impl PairTable {
         });
         let best = |(sign, votes): (f64, &Vec<u32>)| {
             let (cell, count) = votes.iter().enumerate().max_by_key(|(cell, count)| (**count, usize::MAX - cell))?;
-            let turn = (0.5 + (cell % steps) as f64) * TAU / steps as f64;
+            let turns = (0.5 + (cell % steps) as f64) / steps as f64;
             let place = &self.points[cell / steps];
-            let (transform, num_pairs) = (laid_on(place, reference, sign, turn), f64::from(*count));
+            let onto = if sign > 0.0 { *reference } else { reference.flipped() };
+            let (transform, num_pairs) = (place.laid_on(&onto, turns), f64::from(*count));
             (*count > 0).then_some(Vote { transform, source: place.point, target: reference.point, num_pairs })
         };
         Ok([1.0, -1.0].into_iter().zip(&votes).filter_map(best).collect())
@@ -214,7 +209,7 @@ fn feature(a: &Oriented, b: &Oriented, step: f64) -> Option<Feature> {
     if (first, second, between) == (across, across, 0) || first == 0 {
         return None;
     }
-    let [y, z] = across_normal(&a.normal);
+    let [y, z] = a.across();
     Some(Feature {
         key: (((length / step) as usize * TUNING.angle_steps + first) * TUNING.angle_steps + second)
             * TUNING.angle_steps
@@ -222,25 +217,6 @@ fn feature(a: &Oriented, b: &Oriented, step: f64) -> Option<Feature> {
         side: (first != across).then_some(cosines[0] > 0.0),
         azimuth: (line.dot(&z).atan2(line.dot(&y)) / TAU) as f32,
     })
-}
-
-/// Two unit vectors across a normal. The first is the same for the opposite normal.
-fn across_normal(normal: &Vector) -> [Vector; 2] {
-    let axis = Vector::ith(normal.iamin(), 1.0);
-    let y = (axis - normal * normal.dot(&axis)).normalize();
-    [y, normal.cross(&y)]
-}
-
-/// The motion that lays a point on another, with the normal along the other's times `sign`, after a
-/// turn about it.
-fn laid_on(from: &Oriented, to: &Oriented, sign: f64, turn: f64) -> IsometryMatrix3<f64> {
-    let frame = |normal: Vector| {
-        let [y, z] = across_normal(&normal);
-        Rotation3::from_matrix_unchecked(Matrix3::from_columns(&[normal, y, z]))
-    };
-    let about = Rotation3::from_scaled_axis(turn * Vector::x());
-    let rotation = frame(sign * to.normal) * about * frame(from.normal).inverse();
-    IsometryMatrix3::from_parts(Translation3::from(to.point - rotation * from.point), rotation)
 }
 
 #[cfg(test)]
@@ -267,7 +243,8 @@ mod tests {
             let [before, after] = [(&a, &b), (&c, &d)].map(|(a, b)| feature(a, b, 0.1).unwrap());
             assert!(before.key == after.key && (before.side == after.side) == (sign > 0.0), "case {case}");
             let turns = sign * f64::from(after.azimuth) - f64::from(before.azimuth);
-            let pose = laid_on(&a, &c, sign, TAU * turns);
+            let onto = if sign > 0.0 { c } else { c.flipped() };
+            let pose = a.laid_on(&onto, turns);
             assert!(displacement(&pose, &truth, &[a.point, b.point, Vector::y()]) < 1e-6, "case {case}");
         }
     }

@@ -26,6 +26,9 @@ pub(super) struct Evidence<'a> {
     pub(super) coinciding: Option<f64>,
     /// Whether another transform fits the surfaces and the matches about as well.
     pub(super) has_rival: bool,
+    /// By how much the transform's score exceeds that of the next, where single matches were
+    /// compared.
+    pub(super) lead: Option<f64>,
 }
 
 /// Whether a transform fits about as well as the best; each comes with the number of matches that
@@ -76,7 +79,8 @@ impl Evidence<'_> {
             + TUNING.log_ratio_weight * (agreeing - rival).clamp(-TUNING.max_log_ratio, TUNING.max_log_ratio)
             + TUNING.slide_margin_weight * self.slide_margin.clamp(-TUNING.max_slide_margin, TUNING.max_slide_margin)
             + TUNING.match_spread_weight * self.match_spread().min(TUNING.max_match_spread)
-            + TUNING.violation_weight * self.violation;
+            + TUNING.violation_weight * self.violation
+            + TUNING.lead_weight * self.lead.unwrap_or_default().clamp(-TUNING.max_lead, TUNING.max_lead);
         let unrivalled = (self.weakest_constraint / TUNING.doubtful_constraint).min(1.0) / (1.0 + (-sum).exp());
         if self.has_rival || self.is_repeated() {
             (unrivalled / 2.0).min(TUNING.max_doubtful)
@@ -150,6 +154,7 @@ mod tests {
             repeat_fit: 0.0,
             coinciding: None,
             has_rival: false,
+            lead: None,
         };
         change(&mut fit, &mut matches, &mut evidence);
         let evidence = Evidence { fit: &fit, matches: &matches, ..evidence };

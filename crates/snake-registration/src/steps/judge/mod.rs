@@ -197,6 +197,13 @@ tuning! {
     /// Weight of the violated free space.
     violation_weight: f64 = -302.0, unit "log-odds per share of the voxels",
         from "tests/bench/fit_verdict.py on 785 pairs (e823698)";
+    /// Weight of the lead over the next transform, where single matches were compared.
+    lead_weight: f64 = 12.0, unit "log-odds per overlap",
+        from "set by hand on pairs of hotel_uc and redkitchen: 0.2 and more if right, 0.1 and less in most wrong ones";
+    /// The lead counts up to this.
+    max_lead: f64 = 0.25, unit "overlap", from "set by hand on the same pairs";
+    /// With a smaller lead the next transform is a rival, where single matches were compared.
+    min_lead: f64 = 0.3, unit "share of the score", from "set by hand on the same pairs";
     /// Matches that agree count up to this number.
     max_agreeing: f64 = 200.0, unit "matches", from "set by hand in 789af6c, so that no evidence outvotes the others";
     /// The logarithm of the ratio to the best rival counts up to this.
@@ -317,9 +324,15 @@ fn verdict(
     let slide_margin = slide_margin(surfaces, transform, &best.agreement, &information, fit.inlier_distance);
     let constraint = Constraint::from_overlap(&overlap, slide_margin);
     let is_repeatable = fit.fitness > TUNING.repeated_fitness;
-    let mut rivals = candidates[1..].iter().take(TUNING.rivals);
-    let is_rival =
-        |rival: &Candidate| is_rival((&rival.agreement, agreeing(rival)), (&best.agreement, counts.num_agreeing));
+    let lead = best.lead(candidates.get(1));
+    let has_rival = match lead {
+        Some(lead) => lead < TUNING.min_lead * best.score(),
+        None => {
+            let winner = (&best.agreement, counts.num_agreeing);
+            let mut rivals = candidates[1..].iter().take(TUNING.rivals);
+            rivals.any(|rival| is_rival((&rival.agreement, agreeing(rival)), winner))
+        }
+    };
     let evidence = Evidence {
         fit,
         matches: counts,
@@ -330,7 +343,8 @@ fn verdict(
         weakest_constraint: constraint.weakest,
         repeat_fit: if is_repeatable { repeated_share(&overlap.patches, fine[1], &surfaces[1]) } else { 0.0 },
         coinciding: overlap.coinciding(fine, pair.clouds()[0].voxels.voxel_size),
-        has_rival: rivals.any(is_rival),
+        has_rival,
+        lead,
     };
     let confidence = evidence.confidence();
     Ok(Verdict {

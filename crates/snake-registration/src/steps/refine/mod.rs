@@ -10,6 +10,7 @@ use crate::cloud::surface::{Agreement, Surface, coarse_step};
 use crate::rigid::displacement;
 use crate::steps::matches::{Criteria, Match, inliers};
 use crate::steps::pair::Pair;
+use crate::steps::single_matches::Voters;
 use crate::tuning::tuning;
 use icp::{one_way_icp, symmetric_icp};
 use patches::refine_on_patches;
@@ -26,6 +27,12 @@ tuning! {
     /// Two candidates are one if the clouds are not moved farther apart than this (root mean
     /// square).
     min_difference: f64 = 2.0, unit "inlier distances", from "set by hand in 3738705";
+    /// Weight of a single match that supports a transform, beside the overlap.
+    support_weight: f64 = 0.002, unit "overlap per transform",
+        from "chosen on pairs of hotel_uc and redkitchen that overlap by 0.1 to 0.3";
+    /// Weight of the violated free space of a finer image, where single matches are compared.
+    fine_violation_weight: f64 = 6.0, unit "overlap per share of violated free space",
+        from "chosen on pairs of hotel_uc and redkitchen that overlap by 0.1 to 0.3";
     /// ICP ends when the translation is below this share of the distance between pairs, and the
     /// rotation below this angle.
     tolerance: f64 = 1e-5, unit "share of the distance, and radians", from "set by hand in 5d56655";
@@ -49,6 +56,8 @@ pub struct Candidate {
     /// Root mean square distance of these matches before ICP, in cloud units; 0 without any.
     pub rmse: f64,
     pub(crate) agreement: Agreement,
+    /// What single matches and the fine free space add to the score, where they were compared.
+    support: Option<f64>,
 }
 
 impl Candidate {
@@ -58,7 +67,11 @@ impl Candidate {
         let transform = t_target_source.isometry();
         let (num_inliers, rmse) = inliers(matches, transform, pair.criteria());
         let agreement = Surface::agreement(source, target, transform, 1);
-        Self { t_target_source: *t_target_source, num_inliers, rmse, agreement }
+        Self::new(*t_target_source, num_inliers, rmse, agreement)
+    }
+
+    pub(crate) fn new(t_target_source: RigidTransform, num_inliers: usize, rmse: f64, agreement: Agreement) -> Self {
+        Self { t_target_source, num_inliers, rmse, agreement, support: None }
     }
 
     /// Share of the source's voxels on the target with agreeing normals, 0 to 1.
@@ -73,9 +86,16 @@ impl Candidate {
     }
 
     /// The score that ranks candidates: the overlap, less twice the violated free space, plus 0.005
-    /// for each inlier.
+    /// for each inlier. Where single matches were compared, those that support the transform add
+    /// 0.002 each, and violations of a finer image of the free space count six times.
     pub fn score(&self) -> f64 {
-        self.agreement.score(self.num_inliers)
+        self.agreement.score(self.num_inliers) + self.support.unwrap_or_default()
+    }
+
+    /// By how much the score exceeds that of the next candidate, where single matches were compared;
+    /// all of it without another.
+    pub(crate) fn lead(&self, next: Option<&Self>) -> Option<f64> {
+        self.support.map(|_| self.score() - next.map_or(0.0, Self::score))
     }
 }
 
@@ -97,6 +117,53 @@ pub fn refine(
     count: usize,
     control: &Control,
 ) -> Result<Vec<Candidate>> {
+    let measure = |guess: &IsometryMatrix3<f64>, refined: &IsometryMatrix3<f64>, step| {
+        let [source, target] = pair.surfaces();
+        let agreement = Surface::agreement(source, target, refined, step);
+        let (num_inliers, rmse) = inliers(matches, guess, pair.criteria());
+        Candidate::new((*refined).into(), num_inliers, rmse, agreement)
+    };
+    refine_by(measure, pair, guesses, icp_steps, count, control)
+}
+
+/// [`refine`] of transforms of single matches beside others. The support of the single matches and a
+/// finer image of the free space rank them too.
+///
+/// # Errors
+/// [`Error::Cancelled`](snake_core::Error::Cancelled) and
+/// [`Error::DeadlineExceeded`](snake_core::Error::DeadlineExceeded).
+pub(crate) fn refine_supported(
+    pair: &Pair,
+    matches: &[Match],
+    voters: &Voters,
+    guesses: &[RigidTransform],
+    icp_steps: usize,
+    count: usize,
+    control: &Control,
+) -> Result<Vec<Candidate>> {
+    let surfaces = pair.surfaces();
+    let images = surfaces.each_ref().map(Surface::fine_image);
+    let measure = |_: &IsometryMatrix3<f64>, refined: &IsometryMatrix3<f64>, step| {
+        let agreement = Surface::agreement(&surfaces[0], &surfaces[1], refined, step);
+        // The angle of a single match is rough: what agrees with its transform shows after ICP.
+        let (num_inliers, rmse) = inliers(matches, refined, pair.criteria());
+        let violation = Surface::violation(surfaces, &images, refined, step);
+        let support = TUNING.support_weight * voters.support(refined) as f64 - TUNING.fine_violation_weight * violation;
+        Candidate { support: Some(support), ..Candidate::new((*refined).into(), num_inliers, rmse, agreement) }
+    };
+    refine_by(measure, pair, guesses, icp_steps, count, control)
+}
+
+/// The best of the transforms after ICP, by what `measure` makes of a guess, its refined transform
+/// and every how manieth voxel to look at.
+fn refine_by(
+    measure: impl Fn(&IsometryMatrix3<f64>, &IsometryMatrix3<f64>, usize) -> Candidate + Sync,
+    pair: &Pair,
+    guesses: &[RigidTransform],
+    icp_steps: usize,
+    count: usize,
+    control: &Control,
+) -> Result<Vec<Candidate>> {
     let surfaces = pair.surfaces();
     let [source, target] = surfaces;
     let criteria = pair.criteria();
@@ -105,23 +172,21 @@ pub fn refine(
     let coarse: Vec<Vector> = source.points.iter().step_by(step).copied().collect();
     let candidates = guesses.par_iter().map(|guess| {
         counter.add(1);
-        let rough = guess.isometry();
+        let guess = guess.isometry();
         let steps = TUNING.coarse_steps.min(icp_steps);
-        let refined = level(criteria, |gravity| one_way_icp(&coarse, target, *rough, gravity, steps, &counter))?;
-        let agreement = Surface::agreement(source, target, &refined, step);
-        let (num_inliers, rmse) = inliers(matches, rough, criteria);
-        Ok(Candidate { t_target_source: refined.into(), num_inliers, rmse, agreement })
+        let refined = level(criteria, |gravity| one_way_icp(&coarse, target, *guess, gravity, steps, &counter))?;
+        Ok((*guess, measure(guess, &refined, step)))
     });
     // Otherwise the best few may all be one transform, and a rival is not seen.
     let mut candidates = distinct(candidates.collect::<Result<_>>()?, &coarse, criteria.inlier_distance);
     candidates.truncate(TUNING.min_refined.max(count));
-    for candidate in &mut candidates {
+    for (guess, candidate) in &mut candidates {
         let rough = *candidate.t_target_source.isometry();
         let refined = level(criteria, |gravity| symmetric_icp(surfaces, rough, gravity, icp_steps, &counter))?;
-        candidate.t_target_source = refined.into();
-        candidate.agreement = Surface::agreement(source, target, &refined, 1);
+        *candidate = measure(guess, &refined, 1);
     }
-    let mut candidates = distinct(candidates, &coarse, criteria.inlier_distance);
+    let candidates = distinct(candidates, &coarse, criteria.inlier_distance);
+    let mut candidates: Vec<Candidate> = candidates.into_iter().map(|(_, candidate)| candidate).collect();
     if let Some(best) = candidates.first_mut()
         && icp_steps > 0
     {
@@ -175,19 +240,22 @@ fn level(
     if criteria.is_level(&free.rotation) { Ok(free) } else { icp(criteria.gravity) }
 }
 
+/// A transform before ICP, and what ICP made of it.
+type Refined = (IsometryMatrix3<f64>, Candidate);
+
 /// The candidates best first, without those that move the points to about the same places as a
 /// better one.
-fn distinct(mut candidates: Vec<Candidate>, points: &[Vector], inlier_distance: f64) -> Vec<Candidate> {
+fn distinct(mut candidates: Vec<Refined>, points: &[Vector], inlier_distance: f64) -> Vec<Refined> {
     // The order decides between equals.
-    candidates.sort_by(|a, b| b.score().total_cmp(&a.score()));
-    let mut distinct: Vec<Candidate> = Vec::new();
-    for candidate in candidates {
+    candidates.sort_by(|(_, a), (_, b)| b.score().total_cmp(&a.score()));
+    let mut distinct: Vec<Refined> = Vec::new();
+    for (guess, candidate) in candidates {
         let transform = candidate.t_target_source.isometry();
-        let differs = |other: &Candidate| {
+        let differs = |(_, other): &Refined| {
             displacement(transform, other.t_target_source.isometry(), points) > TUNING.min_difference * inlier_distance
         };
         if distinct.iter().all(differs) {
-            distinct.push(candidate);
+            distinct.push((guess, candidate));
         }
     }
     distinct

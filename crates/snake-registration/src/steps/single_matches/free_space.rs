@@ -1,0 +1,50 @@
+//! The space through which a sensor looked, in cells.
+
+use rayon::prelude::*;
+
+use crate::cloud::depth_image::{DepthImage, Sight};
+use snake_geometry::Vector;
+
+/// Number of cells of a grid, at most; a cloud of greater extent gets larger cells.
+const MAX_CELLS: f64 = 1e6;
+
+/// A grid of cells around a cloud that tells which are free; without a sensor none is.
+pub(super) struct FreeSpace {
+    corner: Vector,
+    side: f64,
+    sides: [usize; 3],
+    is_free: Vec<bool>,
+}
+
+impl FreeSpace {
+    /// The cells of this side, at least, around finite points.
+    pub(super) fn new(points: &[Vector], image: Option<&DepthImage>, side: f64) -> Self {
+        let Some(image) = image else {
+            return Self { corner: Vector::zeros(), side, sides: [0; 3], is_free: Vec::new() };
+        };
+        let corner = points.iter().copied().reduce(|a, b| a.inf(&b)).unwrap_or_default();
+        let extent = points.iter().copied().reduce(|a, b| a.sup(&b)).unwrap_or_default() - corner;
+        let cells_at = |side: f64| extent.map(|v| (v / side).floor() + 1.0);
+        let mut side = side;
+        while cells_at(side).product() > MAX_CELLS {
+            side *= 1.2;
+        }
+        let sides = <[f64; 3]>::from(cells_at(side)).map(|cells| cells as usize);
+        let center = |cell: usize| {
+            let at = [cell % sides[0], cell / sides[0] % sides[1], cell / sides[0] / sides[1]];
+            corner + side * Vector::from(at.map(|v| v as f64 + 0.5))
+        };
+        let is_free = |cell| image.sight(&center(cell)) == Sight::Free;
+        let is_free = (0..sides.iter().product::<usize>()).into_par_iter().map(is_free).collect();
+        Self { corner, side, sides, is_free }
+    }
+
+    /// Whether the sensor looked through the cell of a point.
+    pub(super) fn contains(&self, point: &Vector) -> bool {
+        let [x, y, z] = <[f64; 3]>::from((point - self.corner) / self.side);
+        let is_within = |(v, cells): (f64, usize)| v >= 0.0 && v < cells as f64;
+        let [columns, rows, _] = self.sides;
+        [x, y, z].into_iter().zip(self.sides).all(is_within)
+            && self.is_free[(z as usize * rows + y as usize) * columns + x as usize]
+    }
+}

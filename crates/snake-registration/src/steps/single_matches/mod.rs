@@ -1,0 +1,150 @@
+//! Transforms from single matches, for pairs of which too few matches are right for a consensus.
+//!
+//! A match of two points with normals leaves one angle open, about the normal. What lies around the
+//! two points tells it: under the right angle surfaces meet surfaces, and none lies where the other
+//! sensor looked through. One right match is then enough, where a consensus needs three, and the
+//! transforms of right matches support each other. (SCVC, IEEE Transactions on Image Processing
+//! 2024, also searches by single matches and lets free space judge.)
+
+mod free_space;
+mod surroundings;
+
+use nalgebra::IsometryMatrix3;
+use rayon::prelude::*;
+
+use crate::cloud::depth_image::{COARSE, DepthImage};
+use crate::cloud::near_grid::NearGrid;
+use crate::cloud::surface;
+use crate::rigid::moved;
+use crate::steps::oriented::Oriented;
+use crate::steps::pair::Pair;
+use crate::tuning::tuning;
+use free_space::FreeSpace;
+use snake_core::{Control, Counter, Result};
+use snake_geometry::{Vector, vector};
+use surroundings::{AZIMUTHS, Scene, Surroundings};
+
+tuning! {
+    /// Radius of the surroundings.
+    radius: f64 = 16.0, unit "inlier distances", from "set by hand";
+    /// Half the height of the surroundings.
+    half_height: f64 = 12.0, unit "inlier distances", from "set by hand";
+    /// Side of the cells that tell free space.
+    free_side: f64 = 1.3, unit "inlier distances", from "set by hand";
+    /// Every so many of a cloud's voxels are looked at.
+    scene_step: usize = 4, unit "voxels", from "set for time: with 1, 2 and 3 as many pairs of scenes are right";
+    /// A voxel faces along the axis if the cosine between the normals is above this.
+    along: f64 = 0.7, unit "cosine", from "set by hand";
+    /// Number of transforms that support each other, at most: those whose surroundings fit best.
+    max_voters: usize = 500, unit "transforms", from "set by hand";
+    /// A transform supports another that brings the points of its match closer than this.
+    support_distance: f64 = 4.0, unit "inlier distances", from "set by hand";
+    /// A transform supports another whose rotation differs by less than this.
+    support_angle: f64 = 20.0, unit "degrees", from "set by hand: a step of the azimuth is 11 degrees";
+}
+
+/// The transform of a match, and its points.
+#[derive(Debug, Clone, Copy)]
+struct Voter {
+    transform: IsometryMatrix3<f64>,
+    source: Vector,
+    target: Vector,
+    /// How well the surroundings of the points fit.
+    score: i32,
+}
+
+/// The transforms of the single matches whose surroundings fit best, best first.
+pub(crate) struct Voters {
+    all: Vec<Voter>,
+    support_distance: f64,
+}
+
+impl Voters {
+    /// The transforms of matches of keypoints by their indices `[source, target]`.
+    ///
+    /// # Errors
+    /// [`Error::Cancelled`](snake_core::Error::Cancelled) and
+    /// [`Error::DeadlineExceeded`](snake_core::Error::DeadlineExceeded).
+    pub(crate) fn new(pair: &Pair, matches: &[[usize; 2]], control: &Control) -> Result<Self> {
+        let counter = control.begin("surroundings", 2 * matches.len());
+        let [source, target] = [0, 1].map(|side| places(pair, side, matches, &counter));
+        let (source, target) = (source?, target?);
+        let vote = |&[from, to]: &[usize; 2]| {
+            Some(best_voters(source[from].as_ref()?, target[to].as_ref()?, pair.is_signed()))
+        };
+        let mut all: Vec<Voter> = matches.par_iter().filter_map(vote).flatten_iter().collect();
+        all.retain(|voter| pair.criteria().is_level(&voter.transform.rotation));
+        // The order of the matches decides between equals.
+        all.sort_by_key(|voter| std::cmp::Reverse(voter.score));
+        all.truncate(TUNING.max_voters);
+        Ok(Self { all, support_distance: TUNING.support_distance * pair.criteria().inlier_distance })
+    }
+
+    /// Number of single matches whose transforms are about this one.
+    pub(crate) fn support(&self, transform: &IsometryMatrix3<f64>) -> usize {
+        self.all.iter().filter(|voter| self.supports(voter, transform)).count()
+    }
+
+    fn supports(&self, voter: &Voter, transform: &IsometryMatrix3<f64>) -> bool {
+        (moved(transform, &voter.source) - voter.target).norm() < self.support_distance
+            && transform.rotation.angle_to(&voter.transform.rotation) < TUNING.support_angle.to_radians()
+    }
+
+    /// At most `count` distinct transforms, that with most support first.
+    pub(crate) fn transforms(&self, count: usize) -> Vec<IsometryMatrix3<f64>> {
+        let support: Vec<usize> = self.all.par_iter().map(|voter| self.support(&voter.transform)).collect();
+        let mut order: Vec<usize> = (0..self.all.len()).collect();
+        // The better score decides between equals.
+        order.sort_by_key(|&voter| std::cmp::Reverse(support[voter]));
+        let mut distinct: Vec<IsometryMatrix3<f64>> = Vec::new();
+        for voter in order.into_iter().map(|voter| &self.all[voter]) {
+            if distinct.len() < count && !distinct.iter().any(|other| self.supports(voter, other)) {
+                distinct.push(voter.transform);
+            }
+        }
+        distinct
+    }
+}
+
+/// A keypoint with its normal and surroundings.
+type Place = (Oriented, Surroundings);
+
+/// The keypoints of source (0) or target (1) that are matched and have a normal, by their index.
+fn places(pair: &Pair, side: usize, matches: &[[usize; 2]], counter: &Counter) -> Result<Vec<Option<Place>>> {
+    let cloud = pair.clouds()[side];
+    let distance = pair.criteria().inlier_distance;
+    let voxels = &cloud.voxels.voxels.points;
+    let margin = surface::TUNING.depth_margin * distance;
+    let image = pair.surfaces()[side].viewpoint().map(|viewpoint| DepthImage::new(voxels, viewpoint, margin, COARSE));
+    let sample: Vec<Vector> = voxels.iter().step_by(TUNING.scene_step).copied().collect();
+    let scene = Scene {
+        normals: cloud.voxels.normals.iter().step_by(TUNING.scene_step).copied().collect(),
+        grid: NearGrid::new(&sample, TUNING.radius * distance),
+        free: FreeSpace::new(voxels, image.as_ref(), TUNING.free_side * distance),
+    };
+    let mut is_matched = vec![false; cloud.keypoints.len()];
+    matches.iter().for_each(|matched| is_matched[matched[side]] = true);
+    let place = |(&(point, voxel), is_matched): (&(_, usize), bool)| {
+        let place = Oriented { point: vector(point), normal: cloud.voxels.normals[voxel] };
+        counter.check()?;
+        if !is_matched || place.normal.norm_squared() < 0.5 {
+            return Ok(None);
+        }
+        let around = Surroundings::new(&place, &scene, distance);
+        Ok(Some((place, if side == 0 { around } else { around.dilated() })))
+    };
+    cloud.keypoints.par_iter().zip(is_matched).map(place).collect()
+}
+
+/// The transform of a match with the best turn about the normal; without signs, also with the
+/// opposite normal.
+fn best_voters((from, around): &Place, (to, target): &Place, is_signed: bool) -> Vec<Voter> {
+    let best = |onto: &Oriented, target: &Surroundings| {
+        let score = |turn: u32| (around.score(target, turn), turn);
+        let (score, turn) = (0..AZIMUTHS).map(score).max_by_key(|&(score, turn)| (score, std::cmp::Reverse(turn)))?;
+        let transform = from.laid_on(onto, f64::from(turn) / f64::from(AZIMUTHS));
+        Some(Voter { transform, source: from.point, target: onto.point, score })
+    };
+    let opposite = if is_signed { None } else { best(&to.flipped(), &target.flipped()) };
+    best(to, target).into_iter().chain(opposite).collect()
+}

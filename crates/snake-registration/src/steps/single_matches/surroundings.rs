@@ -1,0 +1,124 @@
+//! What lies around a point: surfaces and free space in bins of a cylinder about its normal.
+
+use std::f64::consts::TAU;
+
+use super::TUNING;
+use super::free_space::FreeSpace;
+use crate::cloud::near_grid::NearGrid;
+use crate::steps::oriented::Oriented;
+use snake_geometry::Vector;
+
+/// Number of rings around the axis.
+const RINGS: usize = 8;
+/// Number of slabs across the axis; those in the middle hold the tangent plane.
+const SLABS: usize = 12;
+const CELLS: usize = RINGS * SLABS;
+/// Number of steps of the azimuth, the bits of a cell.
+pub(super) const AZIMUTHS: u32 = u32::BITS;
+
+/// The bins of a cylinder about a normal: a cell for each ring and slab, with a bit for each step of
+/// the azimuth. A rotation about the normal rotates the bits.
+#[derive(Clone)]
+pub(super) struct Surroundings {
+    /// Surfaces whose normals lie along the axis.
+    along: [u32; CELLS],
+    /// Other surfaces.
+    across: [u32; CELLS],
+    /// Space through which the sensor looked.
+    free: [u32; CELLS],
+}
+
+/// The voxels of a cloud and the free space between them.
+pub(super) struct Scene {
+    pub(super) normals: Vec<Vector>,
+    /// Finds the voxels within the radius of the surroundings.
+    pub(super) grid: NearGrid,
+    pub(super) free: FreeSpace,
+}
+
+impl Surroundings {
+    /// What lies within `radius` of a place, and as far along its normal as [`TUNING`] has it for
+    /// this inlier distance.
+    pub(super) fn new(place: &Oriented, scene: &Scene, inlier_distance: f64) -> Self {
+        let ring = TUNING.radius * inlier_distance / RINGS as f64;
+        let slab = 2.0 * TUNING.half_height * inlier_distance / SLABS as f64;
+        let [y, z] = place.across();
+        let mut around = Self { along: [0; CELLS], across: [0; CELLS], free: [0; CELLS] };
+        scene.grid.within(&place.point, |voxel, offset, _| {
+            let (u, v) = (offset.dot(&y), offset.dot(&z));
+            let ring = ((u * u + v * v).sqrt() / ring) as usize;
+            let slab = offset.dot(&place.normal) / slab + SLABS as f64 / 2.0;
+            if ring >= RINGS || slab < 0.0 || slab >= SLABS as f64 {
+                return;
+            }
+            let turns = v.atan2(u) / TAU;
+            let azimuth = ((turns - turns.floor()) * f64::from(AZIMUTHS)) as u32 % AZIMUTHS;
+            let is_along = scene.normals[voxel].dot(&place.normal).abs() > TUNING.along;
+            let kind = if is_along { &mut around.along } else { &mut around.across };
+            kind[ring * SLABS + slab as usize] |= 1 << azimuth;
+        });
+        for azimuth in 0..AZIMUTHS {
+            let (sine, cosine) = ((f64::from(azimuth) + 0.5) * TAU / f64::from(AZIMUTHS)).sin_cos();
+            for cell in 0..CELLS {
+                let radius = ring * ((cell / SLABS) as f64 + 0.5);
+                let height = slab * ((cell % SLABS) as f64 + 0.5 - SLABS as f64 / 2.0);
+                let bin = place.point + radius * (cosine * y + sine * z) + height * place.normal;
+                let is_free = scene.free.contains(&bin);
+                around.free[cell] |= u32::from(is_free) << azimuth;
+            }
+        }
+        for cell in 0..CELLS {
+            around.free[cell] &= !around.surface(cell);
+        }
+        around
+    }
+
+    fn surface(&self, cell: usize) -> u32 {
+        self.along[cell] | self.across[cell]
+    }
+
+    /// The surroundings about the opposite normal.
+    pub(super) fn flipped(&self) -> Self {
+        let flip = |cells: &[u32; CELLS]| {
+            std::array::from_fn(|cell| {
+                let (ring, slab) = (cell / SLABS, cell % SLABS);
+                cells[ring * SLABS + SLABS - 1 - slab].reverse_bits()
+            })
+        };
+        Self { along: flip(&self.along), across: flip(&self.across), free: flip(&self.free) }
+    }
+
+    /// The surroundings with surfaces in the next bins too: normals have errors.
+    pub(super) fn dilated(&self) -> Self {
+        let dilate = |cells: &[u32; CELLS]| {
+            std::array::from_fn(|cell| {
+                let slab = cell % SLABS;
+                let below = if slab > 0 { cells[cell - 1] } else { 0 };
+                let above = if slab + 1 < SLABS { cells[cell + 1] } else { 0 };
+                let here = cells[cell];
+                here | here.rotate_left(1) | here.rotate_right(1) | below | above
+            })
+        };
+        Self { along: dilate(&self.along), across: dilate(&self.across), free: self.free }
+    }
+
+    /// The number of bins whose surfaces meet surfaces of the other surroundings after a turn about
+    /// the axis, less those that lie in free space. A tangent plane meets another everywhere, so it
+    /// does not count.
+    pub(super) fn score(&self, other: &Self, turn: u32) -> i32 {
+        let mut score = 0;
+        for cell in 0..CELLS {
+            let rotated = [self.along[cell], self.across[cell], self.free[cell]].map(|bits| bits.rotate_left(turn));
+            let [along, across, free] = rotated;
+            let is_tangent = (SLABS / 2 - 1..=SLABS / 2).contains(&(cell % SLABS));
+            if !is_tangent {
+                let met = (along & other.along[cell]).count_ones() + (across & other.across[cell]).count_ones();
+                score += met as i32;
+            }
+            let violated =
+                ((along | across) & other.free[cell]).count_ones() + (free & other.surface(cell)).count_ones();
+            score -= violated as i32;
+        }
+        score
+    }
+}
