@@ -4,7 +4,7 @@
 
 use serde_json::{Value, json};
 
-use crate::{json_lines, root, snake, stderr};
+use crate::{json_lines, report, root, snake, stderr};
 
 /// Positions and saliencies may differ by this between processors, whose sums have other orders.
 const TOLERANCE: f64 = 2e-4;
@@ -35,9 +35,8 @@ fn current_results() -> Value {
     let folder = tempfile::tempdir().unwrap();
     let sample = root().join("samples/plane.ply").display().to_string();
     let model_results = |model: &str| {
-        let output = snake(&["detect", &sample, "--model", model, "--json"]);
-        assert!(output.status.success(), "{}", stderr(&output));
-        let keypoints = json_lines(&output)[0]["keypoints"].as_array().unwrap().clone();
+        let keypoints =
+            report(&["detect", &sample, "--model", model, "--json"])["keypoints"].as_array().unwrap().clone();
         let row = |k: &Value| json!([k["x"], k["y"], k["z"], k["saliency"]]);
         (model.to_owned(), keypoints.iter().map(row).collect::<Value>())
     };

@@ -6,7 +6,7 @@ use std::process::{Command, Output};
 use assert_cmd::cargo::CommandCargoExt;
 use serde_json::Value;
 
-use super::{json_lines, root, sample, stderr};
+use super::{assert_refused, json_lines, root, sample, stderr};
 
 /// snake-cli with an environment of its own.
 fn command(arguments: &[&str], environment: &[(&str, &str)]) -> Command {
@@ -229,9 +229,7 @@ fn lengths_can_be_multiples_of_the_resolution() {
         assert!(stderr(&output).contains("such as `6r`") && stderr(&output).contains(name), "{}", stderr(&output));
     }
     for wrong in ["3x", "r", "wide"] {
-        let output = snake(&["detect", &sample(), "--nms-radius", wrong]);
-        assert_eq!(output.status.code(), Some(2));
-        assert!(stderr(&output).contains("such as `6r`"), "{wrong}: {}", stderr(&output));
+        assert_refused(&snake(&["detect", &sample(), "--nms-radius", wrong]), "such as `6r`");
     }
 }
 
@@ -253,9 +251,7 @@ fn quoted_patterns_are_expanded() {
         Path::new(&results).read_dir().unwrap().map(|e| e.unwrap().file_name().into_string().unwrap()).collect();
     written.sort();
     assert_eq!(written, ["a.keypoints.csv", "b.keypoints.csv", "c.keypoints.csv"]);
-    let output = snake(&["detect", &pattern("*.xyz")]);
-    assert_eq!(output.status.code(), Some(2));
-    assert!(stderr(&output).contains("*.xyz: no file matches this pattern"), "{}", stderr(&output));
+    assert_refused(&snake(&["detect", &pattern("*.xyz")]), "*.xyz: no file matches this pattern");
 }
 
 /// Long calls on a pseudo-terminal: minutes of work, ended once the expected time is shown.
