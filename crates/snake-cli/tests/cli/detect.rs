@@ -309,7 +309,7 @@ fn stdout_has_only_the_keypoints_in_a_pipe() {
     // The same as from a file to a file, and of text once it is named.
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("k.csv");
-    assert!(snake(&["detect", &sample(), "-o", path.to_str().unwrap()]).status.success());
+    succeed(&["detect", &sample(), "-o", path.to_str().unwrap()]);
     let csv = std::fs::read(&path).unwrap();
     assert_eq!(run(&["--format", "csv", "--json"], &bytes).stdout, csv);
     let points = snake_io::read_points(Path::new(&sample())).unwrap();

@@ -6,7 +6,7 @@ use std::process::Output;
 use serde_json::Value;
 use tempfile::TempDir;
 
-use super::{assert_refused, sample, snake, stderr, write_npy};
+use super::{assert_refused, sample, snake, stderr, succeed, write_npy};
 
 /// A folder in the corpus format: `number` copies of the sample, each of `size` of its points.
 pub(super) fn corpus(number: usize, size: usize) -> TempDir {
@@ -93,8 +93,7 @@ fn real_pairs_are_evaluated_in_their_units() {
     let all_points =
         ["--methods", "iss,fps", "--num-points", "99999", "--downsample", "1", "--noise", "0", "--epsilon", "0.001"];
     let data = folder.path().display().to_string();
-    let evaluated = snake(&[&["eval", "repeatability", &data, "-o", &output], &all_points[..]].concat());
-    assert!(evaluated.status.success(), "{}", stderr(&evaluated));
+    succeed(&[&["eval", "repeatability", &data, "-o", &output], &all_points[..]].concat());
     let csv = std::fs::read_to_string(results.path().join("repeatability.csv")).unwrap();
     // All points of both views, so the same keypoints, but for the rounding of the shifted coordinates.
     let shares = csv.lines().skip(1).map(|line| line.split(',').nth(4).unwrap().parse::<f64>().unwrap());

@@ -4,7 +4,7 @@ use std::path::Path;
 
 use serde_json::Value;
 
-use super::{assert_refused, json_lines, report, sample, snake, stderr};
+use super::{assert_refused, json_lines, report, sample, snake, stderr, succeed};
 
 /// The sample, rotated by a quarter about z and moved by (3, 0, -1), as a file; every second point of it.
 fn rotated_sample(folder: &Path) -> String {
@@ -39,12 +39,10 @@ fn register_prints_and_writes_the_transform() {
     let rotated = rotated_sample(folder.path());
     let file = |name: &str| folder.path().join(name).display().to_string();
     let (text, aligned, json) = (file("t.txt"), file("aligned.ply"), file("t.json"));
-    let output = snake(&["register", &sample(), &rotated, "--json", "-o", &text, "--aligned", &aligned]);
-    assert!(output.status.success(), "{}", stderr(&output));
-    let report = &json_lines(&output)[0];
+    let report = report(&["register", &sample(), &rotated, "--json", "-o", &text, "--aligned", &aligned]);
     let keys = |value: &Value| value.as_object().unwrap().keys().cloned().collect::<Vec<_>>();
     let groups = ["clouds", "fit", "hypotheses", "matches", "seconds", "t_target_source", "verdict"];
-    assert_eq!(keys(report), groups);
+    assert_eq!(keys(&report), groups);
     assert_eq!(keys(&report["fit"]), ["fitness", "information", "inlier_distance", "rmse", "voxel_size"]);
     let (verdict, matches) = (keys(&report["verdict"]), keys(&report["matches"]));
     let evidence = ["free_space_violation", "repeat_fit", "slide_margin", "weakest_constraint"];
@@ -245,8 +243,7 @@ fn georeferenced_clouds_keep_full_precision() {
         assert!((near + far - found).abs() < 1e-3, "{near} {found}");
     }
     let (transform, aligned) = (file("t.json"), file("aligned.csv"));
-    let output = snake(&["register", &sample(), &file("far.pcd"), "-o", &transform, "--aligned", &aligned]);
-    assert!(output.status.success(), "{}", stderr(&output));
+    succeed(&["register", &sample(), &file("far.pcd"), "-o", &transform, "--aligned", &aligned]);
     let value: Value = serde_json::from_slice(&std::fs::read(&transform).unwrap()).unwrap();
     for (axis, far) in far.into_iter().enumerate() {
         assert!((value["t_target_source"][axis][3].as_f64().unwrap() - far).abs() < 0.01, "{value}");
