@@ -24,11 +24,11 @@ CLASSICAL = "surface-variation,iss,harris3d,sift3d,fps,random"
 INTRODUCTION = """# Results
 
 Made by `make results OBJECTS=FOLDER LANDMARKS=FOLDER SCENES="FOLDER .."`: do not edit it (`snake-cli eval repeatability --help` lists the
-layouts of the folders). Rows marked as the paper's are its own figures for its own data.
+layouts of the folders).
 
 Here: the validation split of the corpus (`LIMIT=58`, every third object), which was not trained on, and fragments of the 3DMatch
-benchmark, of whose pairs those count that overlap by at least a tenth and fit within 2 cm under the published transforms. About a
-fifth do not, so these figures do not compare with published ones.
+benchmark. About a fifth of its pairs overlap by less than a tenth, or do not fit within 2 cm under the published transforms. They are
+left out, so these figures do not compare with published ones.
 
 The table of the README:
 
@@ -78,8 +78,7 @@ def objects_part(alike: tuple[dict, str], paper_tables: str) -> str:
 
 Relative repeatability on {report["pairs"]} objects that were not trained on: the share of keypoints of one view that the
 other view, rotated at random and sampled anew, finds again within ε (in units of the object's radius). 5000 points and the
-best 64 keypoints of each view. `snake` is the model `compact` with the options that it recommends. `snakex4` averages it over
-four rotated copies of each view, as the model `standard` does, in three times the time. Coverage is the mean distance
+best 64 keypoints of each view. `snake` is the model `compact`, `snakex4` the model `standard`. Coverage is the mean distance
 from the points of the first view to the nearest keypoint, in the same units.
 
 Each method keeps its keypoints as far apart as makes its coverage {OBJECT_COVERAGE}, so that none gains by keypoints that cluster. Views
@@ -91,7 +90,7 @@ that are thinned (1 in N) or noisy (σ) are at ε 0.04:
 ### The paper's protocol
 
 The paper's suppression of 0.01 lets keypoints cluster at a place, where they find each other again more easily: compare the
-coverage. Its figures are for ModelNet40: other objects, and a network with a 64³ volume.
+coverage. [The paper's own figures](reproduce.md#repeatability) are of other objects.
 
 {joined(paper_tables)}"""
 
@@ -105,8 +104,7 @@ def landmarks_part(tables: str) -> str:
     return f"""## Landmarks
 
 200 procedural shapes that know their corners, tips and ends (`python -m snake_training.data.landmarks`), all methods at the
-coverage {OBJECT_COVERAGE}: the share of these places that have a keypoint within a threshold. The report has the mean IoU of KeypointNet's
-protocol too.
+coverage {OBJECT_COVERAGE}: the share of these places that have a keypoint within a threshold.
 
 {shares(tables)}"""
 
@@ -117,7 +115,7 @@ def registration(report: dict, tables: str) -> str:
         re.search(rf"^{title}.*:\n\n(?:\|.*\n)+", tables, re.MULTILINE) for title in ("Feature", "Registration recall")
     )
     shown = "\n".join(table[0] for table in found if table)
-    return f"""{pairs} pairs of {scenes} scene{"s" * (scenes > 1)}; the reports have inlier ratios and numbers of correspondences too.
+    return f"""{pairs} pairs of {scenes} scene{"s" * (scenes > 1)}; the reports have inlier ratios too.
 
 {shown}"""
 
@@ -142,8 +140,7 @@ its keypoints as far apart as makes its coverage {ROOM_COVERAGE} m.
 By the rules of the 3DMatch benchmark, clouds reduced to voxels of 3 cm: correspondences are mutual nearest neighbours, right
 within 0.1 m; a pair matches with more than 0.05 of them right; RANSAC (0.05 m, edges 0.9, 50 000 samples, no ICP) registers
 it with an RMSE of at most 0.2 m over the overlap. A detector that finds fewer keypoints than a column asks for has its
-figures of all that it finds there. `snake-cli register` matches every voxel instead, and does better
-([registration.md](registration.md)).
+figures of all that it finds there. [`snake-cli register`](registration.md) matches every voxel instead, and does better.
 
 {registration(*registrations[0])}{more}"""
 
@@ -173,7 +170,7 @@ def main() -> None:
         objects = [arguments.objects, *compact, *(["--limit", str(arguments.limit)] if arguments.limit else [])]
         views = ["--epsilon", "0.02,0.04,0.1", "--downsample", "1,8", "--noise", "0,0.06"]
         alike = evaluate("objects", "repeatability", *objects, *methods, *views, "--coverage", OBJECT_COVERAGE)
-        few = [*methods, "--epsilon", "0.04", "--downsample", "1,8", "--noise", "0,0.06", "--paper"]
+        few = [*methods, "--epsilon", "0.04", "--downsample", "1,8", "--noise", "0,0.06"]
         _, paper = evaluate("paper", "repeatability", *objects, *few, "--nms-radius", "0.01")
         parts["Objects"] = objects_part(alike, paper)
         shutil.copy(RUNS / "objects/repeatability.svg", PAGE.with_name("repeatability.svg"))

@@ -4,7 +4,7 @@ use std::fs::File;
 use std::io::Read;
 use std::path::Path;
 
-use snake_geometry::{Cloud, Point};
+use snake_geometry::{Cloud, Point, setters};
 
 use crate::arrays::npy;
 #[cfg(feature = "npz")]
@@ -38,28 +38,11 @@ pub struct ReadOptions {
     pub columns: Option<Columns>,
 }
 
-impl ReadOptions {
-    /// Sets [`ReadOptions::sample`].
-    #[must_use]
-    pub fn with_sample(mut self, sample: Option<usize>) -> Self {
-        self.sample = sample;
-        self
-    }
-
-    /// Sets [`ReadOptions::seed`].
-    #[must_use]
-    pub fn with_seed(mut self, seed: u64) -> Self {
-        self.seed = seed;
-        self
-    }
-
-    /// Sets [`ReadOptions::columns`].
-    #[must_use]
-    pub fn with_columns(mut self, columns: Option<Columns>) -> Self {
-        self.columns = columns;
-        self
-    }
-}
+setters!(ReadOptions {
+    sample: Option<usize> => with_sample,
+    seed: u64 => with_seed,
+    columns: Option<Columns> => with_columns,
+});
 
 /// The content of a file.
 #[derive(Debug, Clone, PartialEq, Default)]

@@ -7,47 +7,13 @@ use snake_core::{Control, Length, Point, RigidTransform};
 use snake_registration::steps::prepare;
 use snake_registration::{AlignOptions, AlignPriors, Alignment, Contradiction, RegisterOptions, align, align_with};
 
-type Vec3 = [f64; 3];
+use self::scenes::{Scene, street};
 
-/// The distance to the first of the boxes (low and high corner) along a ray.
-fn range(boxes: &[[Vec3; 2]], at: Vec3, ray: Vec3) -> f64 {
-    let range = |[low, high]: &[Vec3; 2]| {
-        let (mut near, mut far) = (f64::NEG_INFINITY, f64::INFINITY);
-        for axis in 0..3 {
-            let (a, b) = ((low[axis] - at[axis]) / ray[axis], (high[axis] - at[axis]) / ray[axis]);
-            (near, far) = (near.max(a.min(b)), far.min(a.max(b)));
-        }
-        if near > 0.0 && near <= far { near } else { f64::INFINITY }
-    };
-    boxes.iter().map(range).fold(f64::INFINITY, f64::min)
-}
-
-/// A street along x with houses, cars and poles.
-fn street(seed: u64) -> Vec<[Vec3; 2]> {
-    let mut rng = ChaCha8Rng::seed_from_u64(seed);
-    let mut boxes = vec![[[-150.0, -150.0, -1.0], [150.0, 150.0, 0.0]]];
-    for side in [-1.0, 1.0] {
-        let mut add = |x: f64, y: f64, size: Vec3| {
-            let (near, far) = (side * y, side * (y + size[1]));
-            boxes.push([[x, near.min(far), 0.0], [x + size[0], near.max(far), size[2]]]);
-        };
-        let mut x = -90.0;
-        while x < 90.0 {
-            let size = [rng.random_range(8.0..25.0), rng.random_range(6.0..15.0), rng.random_range(4.0..18.0)];
-            add(x, rng.random_range(6.0..12.0), size);
-            x += size[0] + rng.random_range(0.0..8.0);
-        }
-        for _ in 0..12 {
-            add(rng.random_range(-80.0..80.0), rng.random_range(3.0..4.0), [4.2, 1.8, 1.5]);
-            add(rng.random_range(-80.0..80.0), 5.3, [0.3, 0.3, 6.0]);
-        }
-    }
-    boxes
-}
+mod scenes;
 
 /// Sweeps of a LiDAR with 32 beams at these places of a street, and its poses.
 fn sweeps(places: &[f64], seed: u64) -> (Vec<Vec<Point>>, Vec<IsometryMatrix3<f64>>) {
-    let (boxes, mut rng) = (street(seed), ChaCha8Rng::seed_from_u64(seed + 100));
+    let (scene, mut rng) = (street(&mut ChaCha8Rng::seed_from_u64(seed)), ChaCha8Rng::seed_from_u64(seed + 100));
     let sweep = |x: &f64| {
         let place = Vector3::new(*x, rng.random_range(-1.5..1.5), 1.8);
         let pose = IsometryMatrix3::new(place, Vector3::z() * rng.random_range(-3.1..3.1));
@@ -55,7 +21,7 @@ fn sweeps(places: &[f64], seed: u64) -> (Vec<Vec<Point>>, Vec<IsometryMatrix3<f6
             let elevation = -0.43 + f64::from(i / 720) * 0.48 / 31.0;
             let azimuth = f64::from(i % 720).to_radians() / 2.0;
             let ray = Vector3::new(elevation.cos() * azimuth.cos(), elevation.cos() * azimuth.sin(), elevation.sin());
-            let range = range(&boxes, place.into(), (pose.rotation * ray).into()) + 0.02 * rng.random_range(-1.7..1.7);
+            let range = scene.range(place.into(), (pose.rotation * ray).into()) + 0.02 * rng.random_range(-1.7..1.7);
             (range < 80.0).then(|| (ray * range).map(|v| v as f32).into())
         };
         ((0..32 * 720).filter_map(beam).collect(), pose)
@@ -99,7 +65,7 @@ fn sweeps_that_the_first_look_leaves_apart_are_joined() {
 /// poses of the storeys.
 fn storeys() -> (Vec<Vec<Point>>, Vec<IsometryMatrix3<f64>>) {
     let mut rng = ChaCha8Rng::seed_from_u64(3);
-    let mut boxes: Vec<[Vec3; 2]> = vec![
+    let boxes = [
         [[-6.0, -4.0, -0.2], [7.0, 4.0, 0.0]],
         [[-6.0, -4.0, 2.6], [7.0, 4.0, 2.8]],
         [[-6.2, -4.0, 0.0], [-6.0, 4.0, 2.6]],
@@ -111,8 +77,9 @@ fn storeys() -> (Vec<Vec<Point>>, Vec<IsometryMatrix3<f64>>) {
         [[3.0, 1.0, 0.0], [4.2, 1.8, 0.8]],
         [[-5.0, -3.5, 0.0], [-3.0, -2.5, 1.9]],
         [[-1.0, -1.8, 0.0], [-0.4, -0.6, 1.1]],
+        [[5.5, -3.8, 0.0], [6.8, -3.0, 2.1]],
     ];
-    boxes.push([[5.5, -3.8, 0.0], [6.8, -3.0, 2.1]]);
+    let house = Scene { boxes: boxes.to_vec(), ..Default::default() };
     let scan = |storey: u32| {
         let place = Vector3::new(rng.random_range(-0.5..0.5), rng.random_range(-0.3..0.8), 1.5);
         let heading = Vector3::z() * rng.random_range(-3.1..3.1);
@@ -122,7 +89,7 @@ fn storeys() -> (Vec<Vec<Point>>, Vec<IsometryMatrix3<f64>>) {
                 ((f64::from(i / 240) - 50.0) * 0.03, f64::from(i % 240) * std::f64::consts::TAU / 240.0);
             let ray = Vector3::new(elevation.cos() * azimuth.cos(), elevation.cos() * azimuth.sin(), elevation.sin());
             let range =
-                range(&boxes, place.into(), (in_storey.rotation * ray).into()) + 0.005 * rng.random_range(-1.7..1.7);
+                house.range(place.into(), (in_storey.rotation * ray).into()) + 0.005 * rng.random_range(-1.7..1.7);
             (ray * range).map(|v| v as f32).into()
         };
         let points = (0..101 * 240).map(beam).collect();

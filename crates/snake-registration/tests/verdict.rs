@@ -11,38 +11,11 @@ use snake_core::{Control, Length, Point, RigidTransform};
 use snake_registration::steps::prepare;
 use snake_registration::{Axis, PairOptions, RegisterOptions, Registration, align, register, register_with};
 
-type Vec3 = [f64; 3];
+use self::scenes::{Scene, Vec3, street};
 
-/// Boxes, and rooms that are seen from inside: low and high corner. Tunnels along x have a radius
-/// about y = z = 0.
-#[derive(Default)]
-struct Scene {
-    boxes: Vec<[Vec3; 2]>,
-    rooms: Vec<[Vec3; 2]>,
-    tunnel: Option<f64>,
-}
+mod scenes;
 
 impl Scene {
-    /// The distance to the first surface.
-    fn range(&self, at: Vec3, ray: Vec3) -> f64 {
-        let crossings = |[low, high]: &[Vec3; 2]| {
-            let (mut near, mut far) = (f64::NEG_INFINITY, f64::INFINITY);
-            for axis in 0..3 {
-                let (a, b) = ((low[axis] - at[axis]) / ray[axis], (high[axis] - at[axis]) / ray[axis]);
-                (near, far) = (near.max(a.min(b)), far.min(a.max(b)));
-            }
-            (near, far)
-        };
-        let box_ranges = self.boxes.iter().map(crossings).filter(|(near, far)| *near > 0.0 && near <= far);
-        let room_ranges = self.rooms.iter().map(crossings).map(|(_, far)| far);
-        let tunnel_range = self.tunnel.map(|radius| {
-            let (a, b) = (ray[1].powi(2) + ray[2].powi(2), ray[1] * at[1] + ray[2] * at[2]);
-            let c = at[1].powi(2) + at[2].powi(2) - radius * radius;
-            ((b * b - a * c).sqrt() - b) / a
-        });
-        box_ranges.map(|(near, _)| near).chain(room_ranges).chain(tunnel_range).fold(f64::INFINITY, f64::min)
-    }
-
     /// What a sensor at a place sees within `most`, in its frame, whose axes are those of the
     /// scene.
     fn seen(&self, at: Vec3, rays: &[Vec3], most: f64, noise: f64, seed: u64) -> Vec<Point> {
@@ -342,24 +315,7 @@ fn missing_returns_make_no_wrong_answer_reliable() {
 /// sensors have any heading and are up to 2 degrees out of level.
 fn sweeps(apart: f64, seed: u64) -> ([Vec<Point>; 2], RigidTransform) {
     let mut rng = ChaCha8Rng::seed_from_u64(seed);
-    let mut boxes = vec![[[-150.0, -150.0, -1.0], [150.0, 150.0, 0.0]]];
-    for side in [-1.0, 1.0] {
-        let mut part = |x: f64, y: f64, size: Vec3| {
-            let (near, far) = (side * y, side * (y + size[1]));
-            boxes.push([[x, near.min(far), 0.0], [x + size[0], near.max(far), size[2]]]);
-        };
-        let mut x = -90.0;
-        while x < 90.0 {
-            let size = [rng.random_range(8.0..25.0), rng.random_range(6.0..15.0), rng.random_range(4.0..18.0)];
-            part(x, rng.random_range(6.0..12.0), size);
-            x += size[0] + rng.random_range(0.0..8.0);
-        }
-        for _ in 0..12 {
-            part(rng.random_range(-80.0..80.0), rng.random_range(3.0..4.0), [4.2, 1.8, 1.5]);
-            part(rng.random_range(-80.0..80.0), 5.3, [0.3, 0.3, 6.0]);
-        }
-    }
-    let scene = Scene { boxes, ..Default::default() };
+    let scene = street(&mut rng);
     let rays = lidar(-0.43, 0.05);
     let mut sweep = |x: f64, seed| {
         let heading = Vector3::z() * rng.random_range(-3.1..3.1);

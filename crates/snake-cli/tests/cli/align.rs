@@ -4,7 +4,7 @@ use std::path::Path;
 
 use serde_json::Value;
 
-use super::{json_lines, sample, snake, stderr, write_npy};
+use super::{json_lines, report, sample, snake, stderr, succeed, write_npy};
 
 /// Two samplings of the sample that share half of their points, the second rotated by a quarter about z and moved by (3, 0, -1), and a cube, as files in
 /// `folder/scans`.
@@ -45,15 +45,13 @@ fn merged_and_aligned_clouds_keep_colours_intensity_and_rotated_normals() {
     snake_io::write_cloud(source.as_ref(), &rotated, &attributes([1.0, 0.0, 0.0]), [0.0; 3]).unwrap();
     let is_right = |normal: &[f32; 3]| (normal[1] + 1.0).abs() < 0.01 && normal[0].abs() < 0.1;
     for aligned in ["aligned.ply", "aligned.pcd", "aligned.csv"].map(file) {
-        let output = snake(&["register", &source, &target, "--aligned", &aligned]);
-        assert!(output.status.success(), "{}", stderr(&output));
+        succeed(&["register", &source, &target, "--aligned", &aligned]);
         let kept = snake_io::read_attributes(aligned.as_ref(), None, points.len()).unwrap();
         assert_eq!((&kept.colors, &kept.intensity), (&attributes([0.0; 3]).colors, &attributes([0.0; 3]).intensity));
         assert!(kept.normals.unwrap().iter().all(is_right), "{aligned}");
     }
     let merged = file("merged.ply");
-    let output = snake(&["align", &target, &source, "--merged", &merged]);
-    assert!(output.status.success(), "{}", stderr(&output));
+    succeed(&["align", &target, &source, "--merged", &merged]);
     let kept = snake_io::read_attributes(merged.as_ref(), None, 2 * points.len()).unwrap();
     let normals = kept.normals.unwrap();
     assert!(normals[0] == [0.0, 0.0, 1.0] && is_right(&normals[points.len()]), "{:?}", normals[points.len()]);
@@ -67,10 +65,8 @@ fn align_writes_poses_and_the_merged_cloud() {
     let scans = scans(folder.path());
     let file = |name: &str| folder.path().join(name).display().to_string();
     let (poses, merged) = (file("poses.json"), file("map.ply"));
-    let output = snake(&["align", &scans, "-o", &poses, "--merged", &merged, "--json"]);
-    assert!(output.status.success(), "{}", stderr(&output));
-    let report = &json_lines(&output)[0];
-    assert_eq!(*report, serde_json::from_slice::<Value>(&std::fs::read(&poses).unwrap()).unwrap());
+    let report = report(&["align", &scans, "-o", &poses, "--merged", &merged, "--json"]);
+    assert_eq!(report, serde_json::from_slice::<Value>(&std::fs::read(&poses).unwrap()).unwrap());
     assert_eq!(report["parts"], serde_json::json!([[0, 1], [2]]));
     assert!(report["clouds"][1].as_str().unwrap().ends_with("b.npy"));
     let expected = [[0.0, 1.0, 0.0, 0.0], [-1.0, 0.0, 0.0, 3.0], [0.0, 0.0, 1.0, 1.0], [0.0, 0.0, 0.0, 1.0]];
@@ -100,7 +96,7 @@ fn initial_poses_are_read_and_what_contradicts_them_is_left_out() {
     let scans = scans(folder.path());
     let file = |name: &str| folder.path().join(name).display().to_string();
     let (poses, trajectory, broken) = (file("poses.json"), file("poses.txt"), file("broken.txt"));
-    assert!(snake(&["align", &scans, "-o", &poses]).status.success());
+    succeed(&["align", &scans, "-o", &poses]);
     // The poses of an earlier run: the cube is in a part of its own.
     let output = snake(&["align", &scans, "--initial-poses", &poses, "--json"]);
     assert!(output.status.success() && stderr(&output).contains("no pose of 1 of 3 clouds"), "{}", stderr(&output));

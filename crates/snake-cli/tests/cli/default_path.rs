@@ -4,7 +4,7 @@
 
 use serde_json::{Value, json};
 
-use crate::{json_lines, root, snake, stderr};
+use crate::{report, root};
 
 /// Positions and saliencies may differ by this between processors, whose sums have other orders.
 const TOLERANCE: f64 = 2e-4;
@@ -35,9 +35,8 @@ fn current_results() -> Value {
     let folder = tempfile::tempdir().unwrap();
     let sample = root().join("samples/plane.ply").display().to_string();
     let model_results = |model: &str| {
-        let output = snake(&["detect", &sample, "--model", model, "--json"]);
-        assert!(output.status.success(), "{}", stderr(&output));
-        let keypoints = json_lines(&output)[0]["keypoints"].as_array().unwrap().clone();
+        let keypoints =
+            report(&["detect", &sample, "--model", model, "--json"])["keypoints"].as_array().unwrap().clone();
         let row = |k: &Value| json!([k["x"], k["y"], k["z"], k["saliency"]]);
         (model.to_owned(), keypoints.iter().map(row).collect::<Value>())
     };
@@ -48,9 +47,7 @@ fn current_results() -> Value {
     let rotated: Vec<[f32; 3]> = scan(7).iter().map(|[x, y, z]| [2.0 - y, x + 0.5, z - 0.1]).collect();
     snake_io::write_points(file("a.ply").as_ref(), &scan(3), [0.0; 3]).unwrap();
     snake_io::write_points(file("b.ply").as_ref(), &rotated, [0.0; 3]).unwrap();
-    let output = snake(&["register", &file("a.ply"), &file("b.ply"), "--json"]);
-    assert!(output.status.success(), "{}", stderr(&output));
-    let report = &json_lines(&output)[0];
+    let report = report(&["register", &file("a.ply"), &file("b.ply"), "--json"]);
     assert_eq!(report["verdict"]["is_reliable"], true, "{report}");
     results.insert("transform".into(), report["t_target_source"].clone());
     results.insert("confidence".into(), report["verdict"]["confidence"].clone());

@@ -6,7 +6,7 @@ use std::process::Output;
 use assert_cmd::Command;
 use serde_json::Value;
 
-use super::{json_lines, root, sample, snake, stderr, write_npy};
+use super::{assert_refused, json_lines, report, root, sample, snake, stderr, succeed, write_npy};
 
 #[test]
 fn a_cloud_far_from_the_scale_of_the_model_has_a_note() {
@@ -82,9 +82,7 @@ fn keypoints_that_cluster_have_a_note() {
 
 #[test]
 fn detected_keypoints_lie_on_the_cloud() {
-    let output = snake(&["detect", &sample(), "--json"]);
-    assert!(output.status.success(), "{}", stderr(&output));
-    let report = &json_lines(&output)[0];
+    let report = report(&["detect", &sample(), "--json"]);
     assert_eq!(report["num_points"], 4096);
     let scale = report["normalization"]["scale"].as_f64().unwrap();
     assert!(scale > 0.0 && report["normalization"]["center"].as_array().unwrap().len() == 3);
@@ -142,9 +140,7 @@ fn timing_is_printed_to_stderr() {
 #[test]
 fn options_reach_the_detector() {
     let count = |extra: &[&str], name: &str| {
-        let output = snake(&[&["detect", &sample(), "--json"], extra].concat());
-        assert!(output.status.success(), "{}", stderr(&output));
-        json_lines(&output)[0]["counts"][name].as_u64().unwrap()
+        report(&[&["detect", &sample(), "--json"], extra].concat())["counts"][name].as_u64().unwrap()
     };
     assert_eq!(count(&["--set", "query_resolution=20"], "queries"), 8000);
     assert_eq!(count(&["--max-keypoints", "5"], "keypoints"), 5);
@@ -165,8 +161,7 @@ fn every_output_format_holds_the_keypoints() {
     let folder = tempfile::tempdir().unwrap();
     for (name, is_cloud) in [("k.ply", true), ("k.pcd", true), ("k.npy", true), ("k.csv", true), ("k.json", false)] {
         let path = folder.path().join(name);
-        let output = snake(&["detect", &sample(), "--max-keypoints", "7", "-o", path.to_str().unwrap()]);
-        assert!(output.status.success(), "{}", stderr(&output));
+        succeed(&["detect", &sample(), "--max-keypoints", "7", "-o", path.to_str().unwrap()]);
         if is_cloud {
             assert_eq!(snake_io::read_points(&path).unwrap().len(), 7, "{name}");
         } else {
@@ -202,11 +197,8 @@ fn a_bad_file_does_not_stop_the_others() {
 
 #[test]
 fn keypoints_are_identical_for_any_number_of_threads() {
-    let keypoints = |threads: &str| {
-        let output = snake(&["detect", &sample(), "--json", "--threads", threads]);
-        assert!(output.status.success(), "{}", stderr(&output));
-        json_lines(&output)[0]["keypoints"].to_string()
-    };
+    let keypoints =
+        |threads: &str| report(&["detect", &sample(), "--json", "--threads", threads])["keypoints"].to_string();
     let one = keypoints("1");
     assert!(one.len() > 1000);
     assert_eq!(one, keypoints("2"));
@@ -246,20 +238,14 @@ fn many_files_are_reported_in_order_for_any_number_of_threads() {
 
 #[test]
 fn subsampling_is_seeded_and_reported() {
-    let report = |seed: &str| {
-        let output =
-            snake(&["detect", &sample(), "--json", "--set", "max_points=1500", "--set", &format!("seed={seed}")]);
-        json_lines(&output)[0]["keypoints"].to_string()
+    let sampled = |seed: &str| {
+        report(&["detect", &sample(), "--json", "--set", "max_points=1500", "--set", &format!("seed={seed}")])
     };
-    assert_eq!(report("1"), report("1"));
-    assert_ne!(report("1"), report("2"));
-    let output = snake(&["detect", &sample(), "--set", "max_points=1500"]);
-    assert!(String::from_utf8_lossy(&output.stdout).contains("(1500 encoded)"));
-    let output = snake(&["detect", &sample(), "--set", "max_points=1500", "--json"]);
-    assert_eq!(
-        (&json_lines(&output)[0]["num_encoded"], &json_lines(&output)[0]["num_points"]),
-        (&1500.into(), &4096.into())
-    );
+    let first = sampled("1");
+    assert_eq!(first["keypoints"], sampled("1")["keypoints"]);
+    assert_ne!(first["keypoints"], sampled("2")["keypoints"]);
+    assert_eq!((&first["num_encoded"], &first["num_points"]), (&1500.into(), &4096.into()));
+    assert!(succeed(&["detect", &sample(), "--set", "max_points=1500"]).contains("(1500 encoded)"));
 }
 
 /// 60 MB of coordinates: the file and the cloud are 120 MB, the cloud, a copy and the points by voxels 160 MB, and each
@@ -299,13 +285,14 @@ fn a_voxel_size_that_is_too_small_is_refused_before_its_blocks_are_made() {
         (0..300_000).flat_map(|i| [at(i, 0.618_033_988_7), at(i, 0.754_877_666_2), at(i, 0.569_840_290_9)]).collect();
     write_npy(&path, &[300_000, 3], &values);
     let program = Command::cargo_bin("snake-cli").unwrap();
-    let output = Command::new("sh")
-        .args(["-c", "ulimit -v 1000000; exec \"$0\" detect \"$1\" --model scenes --voxel-size 0.01 --threads 1"])
-        .args([program.get_program(), path.as_os_str()])
-        .output()
-        .unwrap();
-    assert_eq!(output.status.code(), Some(2), "{}", stderr(&output));
-    assert!(stderr(&output).contains("times this size fits"), "{}", stderr(&output));
+    assert_refused(
+        &Command::new("sh")
+            .args(["-c", "ulimit -v 1000000; exec \"$0\" detect \"$1\" --model scenes --voxel-size 0.01 --threads 1"])
+            .args([program.get_program(), path.as_os_str()])
+            .output()
+            .unwrap(),
+        "times this size fits",
+    );
 }
 
 #[test]
@@ -322,7 +309,7 @@ fn stdout_has_only_the_keypoints_in_a_pipe() {
     // The same as from a file to a file, and of text once it is named.
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("k.csv");
-    assert!(snake(&["detect", &sample(), "-o", path.to_str().unwrap()]).status.success());
+    succeed(&["detect", &sample(), "-o", path.to_str().unwrap()]);
     let csv = std::fs::read(&path).unwrap();
     assert_eq!(run(&["--format", "csv", "--json"], &bytes).stdout, csv);
     let points = snake_io::read_points(Path::new(&sample())).unwrap();
@@ -341,11 +328,9 @@ fn sweeps_are_read_by_their_folder_or_by_the_named_format() {
         let point = |p: &[f32; 3]| [&p[..], &vec![0.5; num_values - 3]].concat();
         let bytes: Vec<u8> = points.iter().flat_map(point).flat_map(f32::to_le_bytes).collect();
         std::fs::write(&path, bytes).unwrap();
-        let output = snake(&[&["detect", path.to_str().unwrap(), "--json"], arguments].concat());
-        assert!(output.status.success(), "{name}: {}", stderr(&output));
-        json_lines(&output)[0]["keypoints"].clone()
+        report(&[&["detect", path.to_str().unwrap(), "--json"], arguments].concat())["keypoints"].clone()
     };
-    let expected = json_lines(&snake(&["detect", &sample(), "--json"]))[0]["keypoints"].clone();
+    let expected = report(&["detect", &sample(), "--json"])["keypoints"].clone();
     assert_eq!(keypoints("velodyne/000000.bin", 4, &[]), expected);
     assert_eq!(keypoints("any.bin", 4, &["--input-format", "kitti"]), expected);
     assert_eq!(keypoints("sweep.pcd.bin", 5, &[]), expected);
@@ -362,8 +347,7 @@ fn points_that_are_not_finite_are_skipped_and_counted() {
     let path = folder.path().join("organized.xyz");
     std::fs::write(&path, text).unwrap();
     let path = path.display().to_string();
-    let (clean, with_nan) = (snake(&["detect", &sample(), "--json"]), snake(&["detect", &path, "--json"]));
-    let (clean, with_nan) = (&json_lines(&clean)[0], &json_lines(&with_nan)[0]);
+    let (clean, with_nan) = (report(&["detect", &sample(), "--json"]), report(&["detect", &path, "--json"]));
     assert_eq!((&with_nan["num_points"], &with_nan["num_skipped"]), (&8192.into(), &4096.into()));
     assert_eq!(clean["num_skipped"], 0);
     let pairs = clean["keypoints"].as_array().unwrap().iter().zip(with_nan["keypoints"].as_array().unwrap());
@@ -372,16 +356,9 @@ fn points_that_are_not_finite_are_skipped_and_counted() {
         let index = |keypoint: &Value| keypoint["nearest_index"].as_u64().unwrap();
         assert_eq!(index(with_nan), 2 * index(clean) + 1);
     }
-    assert!(
-        String::from_utf8_lossy(&snake(&["detect", &path]).stdout)
-            .contains("from 8192 points (4096 not finite or outliers, skipped)")
-    );
-    let output = snake(&["register", &path, &sample(), "--set", "max_keypoints=300"]);
-    assert!(
-        String::from_utf8_lossy(&output.stdout).contains("skipped 4096 points of the source"),
-        "{}",
-        stderr(&output)
-    );
+    assert!(succeed(&["detect", &path]).contains("from 8192 points (4096 not finite or outliers, skipped)"));
+    let registered = succeed(&["register", &path, &sample(), "--set", "max_keypoints=300"]);
+    assert!(registered.contains("skipped 4096 points of the source"), "{registered}");
 }
 
 #[test]
@@ -393,11 +370,7 @@ fn meshes_are_sampled_and_keypointnet_is_written() {
     let faces = "4 0 1 3 2\n4 4 5 7 6\n4 0 1 5 4\n4 2 3 7 6\n4 0 2 6 4\n4 1 3 7 5\n";
     std::fs::write(&mesh, format!("OFF\n8 6 12\n{corners}{faces}")).unwrap();
     let (mesh, marks) = (mesh.display().to_string(), marks.display().to_string());
-    let run = |extra: &[&str]| {
-        let output = snake(&[&["detect", &mesh, "--json", "--max-keypoints", "8"], extra].concat());
-        assert!(output.status.success(), "{}", stderr(&output));
-        json_lines(&output).remove(0)
-    };
+    let run = |extra: &[&str]| report(&[&["detect", &mesh, "--json", "--max-keypoints", "8"], extra].concat());
     assert_eq!(run(&[])["num_points"], 8);
     let report = run(&["--sample", "4000", "-o", &marks]);
     assert_eq!(report["num_points"], 4000);
@@ -459,31 +432,24 @@ fn many_clouds_that_are_written_end_with_a_summary() {
     }
     let output = output.display().to_string();
     let [input, one] = [&input, &input.join("a.ply")].map(|path| path.display().to_string());
-    let text = |arguments: &[&str]| {
-        let done = snake(arguments);
-        assert!(done.status.success(), "{}", stderr(&done));
-        String::from_utf8(done.stdout).unwrap()
-    };
-    let summary = text(&["detect", &input, "-o", &output]);
+    let summary = succeed(&["detect", &input, "-o", &output]);
     let lines: Vec<&str> = summary.lines().collect();
     assert_eq!(lines.len(), 2, "{summary}");
     assert!(lines[0].contains(" from 8192 points in 2 clouds in ") && lines[0].contains(" a cloud)"), "{summary}");
     assert_eq!(lines[1], format!("written to {output}"));
-    let empty = text(&["detect", &input, "-o", &output, "--saliency-threshold", "0.999"]);
+    let empty = succeed(&["detect", &input, "-o", &output, "--saliency-threshold", "0.999"]);
     assert!(empty.contains("2 without keypoints: ") && empty.contains("try a lower --saliency-threshold"), "{empty}");
     // Without files the tables are the result, and one cloud has its own.
-    assert!(
-        text(&["detect", &input]).contains("a.ply: ") && text(&["detect", &one, "-o", &output]).contains("a.ply: ")
-    );
+    for arguments in [&["detect", &input][..], &["detect", &one, "-o", &output]] {
+        assert!(succeed(arguments).contains("a.ply: "), "{arguments:?}");
+    }
 }
 
 #[test]
 fn min_confidence_keeps_the_good_keypoints() {
     let sample = root().join("samples/plane.ply").display().to_string();
     let detect = |arguments: &[&str]| {
-        let output = snake(&[&["detect", &sample, "--json"], arguments].concat());
-        assert!(output.status.success(), "{}", stderr(&output));
-        json_lines(&output)[0]["keypoints"].as_array().unwrap().clone()
+        report(&[&["detect", &sample, "--json"], arguments].concat())["keypoints"].as_array().unwrap().clone()
     };
     let all = detect(&["--model", "compact"]);
     let confidence = |keypoint: &Value| keypoint["confidence"].as_f64().unwrap();

@@ -10,7 +10,7 @@ use snake_registration::steps::{Lengths, VoxelCloud};
 use snake_registration::{Descriptor, Detector};
 
 use super::eval_registration::{between, fragments, scenes};
-use super::{snake, stderr, write_npz};
+use super::{assert_refused, snake, stderr, write_npz};
 
 /// The number of keypoints of a fragment.
 const COUNT: usize = 60;
@@ -123,9 +123,7 @@ fn files_that_cannot_be_used_are_named_with_the_reason() {
     let described = fragments().map(|points| described(&points));
     let external = format!("mine={}", folder.display());
     let refused = |words: &[&str], message: &str| {
-        let output = run(data.path(), &[&["--detectors", "fps"], words].concat());
-        assert_eq!(output.status.code(), Some(2), "{message}");
-        assert!(stderr(&output).contains(message), "{message}: {}", stderr(&output));
+        assert_refused(&run(data.path(), &[&["--detectors", "fps"], words].concat()), message);
     };
     let with = ["--descriptors", "fpfh", "--external", &external];
     refused(&with, "room__02.npz");

@@ -8,7 +8,7 @@ use serde_json::Value;
 use snake_core::RigidTransform;
 use tempfile::TempDir;
 
-use super::{sample, snake, stderr};
+use super::{assert_refused, sample, snake, stderr};
 
 /// From the sample to fragment k of a scene: rotated about z and moved.
 fn pose(k: usize) -> RigidTransform {
@@ -153,9 +153,7 @@ fn scenes_of_the_benchmark_are_evaluated_by_its_ground_truth() {
 #[test]
 fn invalid_options_and_scenes_are_refused() {
     let refused = |path: &Path, extra: &[&str], message: &str| {
-        let output = eval_scenes(path, extra);
-        assert_eq!(output.status.code(), Some(2), "{message}");
-        assert!(stderr(&output).contains(message), "{message}: {}", stderr(&output));
+        assert_refused(&eval_scenes(path, extra), message);
     };
     let data = scenes(&[[0, 2]]);
     for (extra, message) in [

@@ -6,7 +6,7 @@ use std::process::Output;
 use serde_json::Value;
 use tempfile::TempDir;
 
-use super::{sample, snake, stderr, write_npy};
+use super::{assert_refused, sample, snake, stderr, succeed, write_npy};
 
 /// A folder in the corpus format: `number` copies of the sample, each of `size` of its points.
 pub(super) fn corpus(number: usize, size: usize) -> TempDir {
@@ -71,9 +71,10 @@ fn an_interrupted_evaluation_continues() {
     std::fs::write(&record, &seeds.1[0][..seeds.1[0].len() * 4 / 5]).unwrap();
     assert_eq!(run("seeds", &["--seeds", "2", "--threads", "1"]), seeds);
 
-    let refused = eval(data.path(), &["--seed", "1", "-o", &results.path().join("whole").display().to_string()]);
-    assert_eq!(refused.status.code(), Some(2));
-    assert!(stderr(&refused).contains("was written with other settings"), "{}", stderr(&refused));
+    assert_refused(
+        &eval(data.path(), &["--seed", "1", "-o", &results.path().join("whole").display().to_string()]),
+        "was written with other settings",
+    );
 }
 
 #[test]
@@ -92,8 +93,7 @@ fn real_pairs_are_evaluated_in_their_units() {
     let all_points =
         ["--methods", "iss,fps", "--num-points", "99999", "--downsample", "1", "--noise", "0", "--epsilon", "0.001"];
     let data = folder.path().display().to_string();
-    let evaluated = snake(&[&["eval", "repeatability", &data, "-o", &output], &all_points[..]].concat());
-    assert!(evaluated.status.success(), "{}", stderr(&evaluated));
+    succeed(&[&["eval", "repeatability", &data, "-o", &output], &all_points[..]].concat());
     let csv = std::fs::read_to_string(results.path().join("repeatability.csv")).unwrap();
     // All points of both views, so the same keypoints, but for the rounding of the shifted coordinates.
     let shares = csv.lines().skip(1).map(|line| line.split(',').nth(4).unwrap().parse::<f64>().unwrap());
@@ -187,9 +187,7 @@ fn layouts_of_usip_are_read_as_pairs() {
         assert!(text.contains(epsilon) && text.contains(paper), "{text}");
     }
     let refused = |message: &str| {
-        let output = eval(&redwood, &[]);
-        assert_eq!(output.status.code(), Some(2));
-        assert!(stderr(&output).contains(message), "{}", stderr(&output));
+        assert_refused(&eval(&redwood, &[]), message);
     };
     write_npy(&redwood.join("transform.npy"), &[1, 3, 4], &back);
     refused("2 pairs in redwood_pair.txt, but 1 transforms");
@@ -217,9 +215,7 @@ fn invalid_options_and_data_sets_are_refused() {
         (&["--epsilon=-1"], "option `epsilon` is -1"),
         (&["--preset", "kitti"], "option `preset` is kitti"),
     ] {
-        let output = eval(data.path(), extra);
-        assert_eq!(output.status.code(), Some(2), "{extra:?}");
-        assert!(stderr(&output).contains(message), "{extra:?}: {}", stderr(&output));
+        assert_refused(&eval(data.path(), extra), message);
     }
     std::fs::write(data.path().join("index.json"), "[]").unwrap();
     let output = eval(data.path(), &[]);

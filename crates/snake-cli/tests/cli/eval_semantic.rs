@@ -5,7 +5,7 @@ use std::path::Path;
 use serde_json::Value;
 use tempfile::TempDir;
 
-use super::{root, sample, snake, stderr, write_npy};
+use super::{assert_refused, root, sample, snake, stderr, write_npy};
 
 /// A folder in the layout of KeypointNet: three shapes of 600 points of the sample; on the two chairs the marked points
 /// are the first five of farthest-point sampling, on the table one that is not among them.
@@ -162,9 +162,7 @@ fn body_models_are_posed_and_sampled() {
 
     let refused = |name: &str, content: &[u8], message: &str| {
         std::fs::write(folder.path().join(name), content).unwrap();
-        let output = run(folder.path(), &[]);
-        assert_eq!(output.status.code(), Some(2));
-        assert!(stderr(&output).contains(message), "{}", stderr(&output));
+        assert_refused(&run(folder.path(), &[]), message);
     };
     refused("model.npz", b"PK", "model.npz: ");
     std::fs::remove_file(folder.path().join("model.npz")).unwrap();
@@ -180,9 +178,7 @@ fn invalid_options_and_data_sets_are_refused() {
     let data = keypointnet();
     let refused = |extra: &[&str], message: &str| {
         let folder = data.path().display().to_string();
-        let output = snake(&[&["eval", "semantic", &folder, "--methods", "random"], extra].concat());
-        assert_eq!(output.status.code(), Some(2), "{extra:?}");
-        assert!(stderr(&output).contains(message), "{extra:?}: {}", stderr(&output));
+        assert_refused(&snake(&[&["eval", "semantic", &folder, "--methods", "random"], extra].concat()), message);
     };
     let split = data.path().join("split.txt").display().to_string();
     std::fs::write(&split, "03-a 03-z").unwrap();

@@ -2,11 +2,10 @@
 
 use std::path::Path;
 
-use serde_json::Value;
 use snake_core::{Builtin, Field, Model, Point};
 use snake_io as io;
 
-use super::{file, sample, snake, succeed};
+use super::{assert_refused, file, report, sample, snake, succeed};
 
 fn sample_field() -> Field {
     let points = io::read_points(Path::new(&sample())).unwrap();
@@ -36,8 +35,7 @@ fn npy(path: &str) -> (String, Vec<f32>) {
 fn a_volume_holds_the_field_at_the_printed_positions() {
     let folder = tempfile::tempdir().unwrap();
     let path = file(&folder, "volume.npy");
-    let printed = succeed(&["field", &sample(), "-o", &path, "--resolution", "20", "--json"]);
-    let printed: Value = serde_json::from_str(&printed).unwrap();
+    let printed = report(&["field", &sample(), "-o", &path, "--resolution", "20", "--json"]);
     let (header, values) = npy(&path);
     assert!(header.contains("'<f4'") && header.contains("(20, 20, 20)") && header.contains("False"), "{header}");
     let place = |axis: usize, index: usize| {
@@ -80,8 +78,7 @@ fn pictures_show_slices_and_largest_values_of_the_volume() {
     let folder = tempfile::tempdir().unwrap();
     let volume = file(&folder, "volume.npy");
     let common = ["--quantity", "occupancy", "--resolution", "40"];
-    let printed = succeed(&[&["field", &sample(), "-o", &volume, "--json"], &common[..]].concat());
-    let printed: Value = serde_json::from_str(&printed).unwrap();
+    let printed = report(&[&["field", &sample(), "-o", &volume, "--json"], &common[..]].concat());
     let (_, values) = npy(&volume);
     // Strides of x, y and z in the volume, and of each axis to look along those of the picture's columns and rows.
     let strides = [1, 40, 1600];
@@ -147,10 +144,7 @@ fn invalid_options_are_refused() {
         (&["view", plane, "nowhere.ply", "-o", &html], "nowhere.ply"),
     ];
     for (arguments, expected) in cases {
-        let output = snake(arguments);
-        let error = String::from_utf8_lossy(&output.stderr);
-        assert_eq!(output.status.code(), Some(2), "{arguments:?}: {error}");
-        assert!(error.contains(expected), "{arguments:?}: {error}");
+        assert_refused(&snake(arguments), expected);
     }
     assert_eq!(folder.path().read_dir().unwrap().count(), 1, "nothing is written");
 }

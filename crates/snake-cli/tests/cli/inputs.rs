@@ -4,7 +4,7 @@ use std::path::Path;
 
 use assert_cmd::Command;
 
-use super::{json_lines, sample, snake, stderr};
+use super::{json_lines, sample, snake, stderr, succeed};
 
 #[test]
 fn a_list_names_inputs_in_a_file_or_at_the_standard_input() {
@@ -22,8 +22,7 @@ fn a_list_names_inputs_in_a_file_or_at_the_standard_input() {
     let mut command = Command::cargo_bin("snake-cli").unwrap();
     let run = command.args(["detect", "--input-list", "-"]).args(few).write_stdin(list).output().unwrap();
     assert_eq!(inputs(run), [path("b.ply"), path("a.ply")]);
-    let output = snake(&["align", "--input-list", &path("list.txt"), "--json"]);
-    assert!(output.status.success(), "{}", stderr(&output));
+    succeed(&["align", "--input-list", &path("list.txt"), "--json"]);
     std::fs::write(path("list.txt"), "\n").unwrap();
     for (arguments, expected) in [
         (["detect", "--input-list", &path("list.txt")], "the list of inputs is empty"),

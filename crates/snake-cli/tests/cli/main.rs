@@ -52,6 +52,16 @@ fn succeed(arguments: &[&str]) -> String {
     String::from_utf8(output.stdout).unwrap()
 }
 
+/// The one JSON object that a command prints, which must succeed.
+fn report(arguments: &[&str]) -> Value {
+    serde_json::from_str(&succeed(arguments)).unwrap()
+}
+
+/// Checks that a command was refused with a text.
+fn assert_refused(output: &Output, expected: &str) {
+    assert!(output.status.code() == Some(2) && stderr(output).contains(expected), "{expected}: {}", stderr(output));
+}
+
 /// The path of a new file in a folder, as text.
 fn file(folder: &TempDir, name: &str) -> String {
     folder.path().join(name).display().to_string()

@@ -1,6 +1,6 @@
 //! Mistakes on the command line and in its files.
 
-use super::{sample, snake, stderr};
+use super::{assert_refused, sample, snake, stderr};
 
 #[test]
 fn names_and_values_of_any_length_are_told_in_a_short_line() {
@@ -102,8 +102,7 @@ fn each_mistake_gets_one_line_with_advice() {
     ];
     for (arguments, expected) in cases {
         let output = snake(arguments);
-        assert_eq!(output.status.code(), Some(2), "{arguments:?}");
-        assert!(stderr(&output).contains(expected), "{arguments:?}: {}", stderr(&output));
+        assert_refused(&output, expected);
         assert!(!stderr(&output).contains("panicked"), "{arguments:?}: {}", stderr(&output));
     }
 }

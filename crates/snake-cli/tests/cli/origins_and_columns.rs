@@ -5,7 +5,7 @@ use snake_core::{Point, add_origin};
 use snake_io::{Cloud, ReadOptions, read_cloud, read_points, write_points};
 use tempfile::TempDir;
 
-use super::{sample, snake};
+use super::{sample, snake, succeed};
 
 /// A whole number of metres, as those of a UTM zone.
 const FAR: [f64; 3] = [691_000.0, 5_336_000.0, 512.0];
@@ -102,8 +102,7 @@ fn every_command_keeps_the_precision_of_far_clouds() {
     assert_moved(numbers(&near_field["high"]), numbers(&far_field["high"]), FAR);
 
     let page = clouds.path("page.html");
-    let output = snake(&["view", &near, &far, "-o", &page, "--max-keypoints", "40"]);
-    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+    succeed(&["view", &near, &far, "-o", &page, "--max-keypoints", "40"]);
     let html = std::fs::read_to_string(&page).unwrap();
     let data = html.split("id=\"data\">").nth(1).unwrap().split("</script>").next().unwrap();
     let data: Value = serde_json::from_str(data).unwrap();
@@ -122,9 +121,7 @@ fn evaluations_keep_the_precision_of_far_clouds() {
     let (near, far) = (clouds.path("near.npy"), clouds.path("far.npy"));
     let table = |source: &str, target: &str, transform: &[&str]| {
         let options = ["--methods", "fps", "--downsample", "1", "--noise", "0", "--max-keypoints", "32"];
-        let output = snake(&[&["eval", "repeatability", source, target], transform, &options[..]].concat());
-        assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
-        String::from_utf8_lossy(&output.stdout).into_owned()
+        succeed(&[&["eval", "repeatability", source, target], transform, &options[..]].concat())
     };
     let same = clouds.path("same.txt");
     std::fs::write(&same, "1 0 0 0\n0 1 0 0\n0 0 1 0\n0 0 0 1\n").unwrap();
@@ -176,8 +173,7 @@ fn columns_can_be_chosen_in_every_command() {
         &["view", &untold, "-o", &page],
         &["eval", "repeatability", &untold, "--methods", "random", "--downsample", "1", "--noise", "0"],
     ] {
-        let output = snake(&[command, &["--columns", "e,n,h"]].concat());
-        assert!(output.status.success(), "{command:?}: {}", String::from_utf8_lossy(&output.stderr));
+        succeed(&[command, &["--columns", "e,n,h"]].concat());
     }
     for (columns, expected) in [("e,n,up", "no column `up`"), ("1,2", "three names"), ("0,1,2", "begin at 1")] {
         let output = snake(&["detect", &untold, "--columns", columns]);

@@ -6,6 +6,8 @@ use std::process::{Command, Output, Stdio};
 use serde_json::Value;
 use tempfile::TempDir;
 
+#[cfg(target_os = "linux")]
+use super::usage::shown_on_terminal;
 use super::{root, sample};
 
 fn snake() -> Command {
@@ -211,25 +213,10 @@ fn names_and_values_print_no_control_characters() {
 #[cfg(target_os = "linux")]
 #[test]
 fn a_progress_bar_prints_no_control_characters() {
-    use std::io::Read;
-    if Command::new("script").arg("--version").output().is_err() {
-        eprintln!("skipped: without `script` there is no terminal to look at");
-        return;
-    }
     let folder = tempfile::tempdir().unwrap();
     std::fs::copy(sample(), folder.path().join("x\u{1b}[35my\u{202e}.ply")).unwrap();
-    let command = format!("{} detect x*.ply --rotations 8 --set refine_steps=10000", env!("CARGO_BIN_EXE_snake-cli"));
-    let mut script = Command::new("script");
-    script.current_dir(folder.path()).args(["-qefc", &command, "/dev/null"]).stdin(Stdio::null());
-    let mut child = script.stdout(Stdio::piped()).spawn().unwrap();
-    let (mut shown, mut bytes) = (String::new(), [0; 4096]);
-    while !shown.contains(".ply") {
-        let length = child.stdout.as_mut().unwrap().read(&mut bytes).unwrap();
-        assert!(length > 0, "ended by itself: {shown:?}");
-        shown += &String::from_utf8_lossy(&bytes[..length]);
-    }
-    child.kill().unwrap();
-    child.wait().unwrap();
+    let command = "detect x*.ply --rotations 8 --set refine_steps=10000";
+    let Some(shown) = shown_on_terminal(command, folder.path(), ".ply") else { return };
     assert!(shown.contains("x\\u{1b}[35my\\u{202e}.ply"), "{shown:?}");
 }
 

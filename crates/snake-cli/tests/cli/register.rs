@@ -4,7 +4,7 @@ use std::path::Path;
 
 use serde_json::Value;
 
-use super::{json_lines, sample, snake, stderr};
+use super::{assert_refused, json_lines, report, sample, snake, stderr, succeed};
 
 /// The sample, rotated by a quarter about z and moved by (3, 0, -1), as a file; every second point of it.
 fn rotated_sample(folder: &Path) -> String {
@@ -26,9 +26,10 @@ fn no_model_is_loaded_unless_the_options_run_one_or_it_is_named() {
         for options in [["--detector", "snake"], ["--set", "descriptor=field"], ["--model", "compact"]] {
             assert!(loaded(command, &options).1, "{command} {options:?}");
         }
-        let output = snake(&[command, &sample(), &sample(), "--model", "missing.safetensors"]);
-        assert_eq!(output.status.code(), Some(2), "{command}");
-        assert!(stderr(&output).contains("missing.safetensors"), "{}", stderr(&output));
+        assert_refused(
+            &snake(&[command, &sample(), &sample(), "--model", "missing.safetensors"]),
+            "missing.safetensors",
+        );
     }
 }
 
@@ -38,12 +39,10 @@ fn register_prints_and_writes_the_transform() {
     let rotated = rotated_sample(folder.path());
     let file = |name: &str| folder.path().join(name).display().to_string();
     let (text, aligned, json) = (file("t.txt"), file("aligned.ply"), file("t.json"));
-    let output = snake(&["register", &sample(), &rotated, "--json", "-o", &text, "--aligned", &aligned]);
-    assert!(output.status.success(), "{}", stderr(&output));
-    let report = &json_lines(&output)[0];
+    let report = report(&["register", &sample(), &rotated, "--json", "-o", &text, "--aligned", &aligned]);
     let keys = |value: &Value| value.as_object().unwrap().keys().cloned().collect::<Vec<_>>();
     let groups = ["clouds", "fit", "hypotheses", "matches", "seconds", "t_target_source", "verdict"];
-    assert_eq!(keys(report), groups);
+    assert_eq!(keys(&report), groups);
     assert_eq!(keys(&report["fit"]), ["fitness", "information", "inlier_distance", "rmse", "voxel_size"]);
     let (verdict, matches) = (keys(&report["verdict"]), keys(&report["matches"]));
     let evidence = ["free_space_violation", "repeat_fit", "slide_margin", "weakest_constraint"];
@@ -147,8 +146,7 @@ fn normals_that_contradict_the_origin_as_viewpoint_lose_their_signs() {
     let half = folder.path().join("half.ply").display().to_string();
     let points: Vec<_> = snake_io::read_points(Path::new(&sample())).unwrap().into_iter().skip(1).step_by(2).collect();
     snake_io::write_points(Path::new(&half), &points, [0.0; 3]).unwrap();
-    let report =
-        |more: &[&str]| json_lines(&snake(&[&["register", &half, &rotated, "--json"], more].concat()))[0].clone();
+    let report = |more: &[&str]| report(&[&["register", &half, &rotated, "--json"], more].concat());
     // Most of the aeroplane is visible from its centre, but no sensor was there.
     let (guessed, unsigned) = (report(&[]), report(&["--set", "use_viewpoints=false"]));
     assert!(guessed["clouds"].as_array().unwrap().iter().all(|cloud| cloud["viewpoint"] == "none"), "{guessed}");
@@ -206,10 +204,8 @@ fn registration_depends_on_its_options_and_not_on_threads() {
     let folder = tempfile::tempdir().unwrap();
     let rotated = rotated_sample(folder.path());
     let report = |extra: &[&str]| {
-        let output =
-            snake(&[&["register", &sample(), &rotated, "--json", "--set", "max_keypoints=300"], extra].concat());
-        assert!(output.status.success(), "{}", stderr(&output));
-        let mut report = json_lines(&output).remove(0);
+        let mut report =
+            report(&[&["register", &sample(), &rotated, "--json", "--set", "max_keypoints=300"], extra].concat());
         report["seconds"] = Value::Null;
         report
     };
@@ -238,7 +234,7 @@ fn georeferenced_clouds_keep_full_precision() {
     let points = snake_io::read_points(Path::new(&sample())).unwrap();
     let far = [691_000.0, 5_336_000.0, 512.0];
     snake_io::write_points(Path::new(&file("far.pcd")), &points, far).unwrap();
-    let report = |input: &str| json_lines(&snake(&["detect", input, "--json"])).remove(0);
+    let report = |input: &str| report(&["detect", input, "--json"]);
     let (near, found) = (report(&sample()), report(&file("far.pcd")));
     let best = |report: &Value| ["x", "y", "z"].map(|axis| report["keypoints"][0][axis].as_f64().unwrap());
     assert!(found["origin"][1].as_f64().unwrap() > 5e6 && near["origin"][1] == 0.0);
@@ -247,8 +243,7 @@ fn georeferenced_clouds_keep_full_precision() {
         assert!((near + far - found).abs() < 1e-3, "{near} {found}");
     }
     let (transform, aligned) = (file("t.json"), file("aligned.csv"));
-    let output = snake(&["register", &sample(), &file("far.pcd"), "-o", &transform, "--aligned", &aligned]);
-    assert!(output.status.success(), "{}", stderr(&output));
+    succeed(&["register", &sample(), &file("far.pcd"), "-o", &transform, "--aligned", &aligned]);
     let value: Value = serde_json::from_slice(&std::fs::read(&transform).unwrap()).unwrap();
     for (axis, far) in far.into_iter().enumerate() {
         assert!((value["t_target_source"][axis][3].as_f64().unwrap() - far).abs() < 0.01, "{value}");
@@ -272,9 +267,8 @@ fn the_aligned_file_has_the_scale_and_a_copy_of_each_instance() {
     let half: Vec<_> = points.iter().step_by(2).copied().collect();
     let small: Vec<_> = half.iter().map(|p| p.map(|v| v / 1.2)).collect();
     let run = |source: &str, target: &str, more: &[&str]| {
-        let output = snake(&[&["register", source, target, "--json", "--aligned", &path("out.ply")], more].concat());
-        assert!(output.status.success(), "{}", stderr(&output));
-        (json_lines(&output).remove(0), snake_io::read_points(path("out.ply").as_ref()).unwrap())
+        let report = report(&[&["register", source, target, "--json", "--aligned", &path("out.ply")], more].concat());
+        (report, snake_io::read_points(path("out.ply").as_ref()).unwrap())
     };
     let small = write("small.ply", &small);
     let (report, aligned) = run(&small, &sample(), &["--estimate-scale"]);

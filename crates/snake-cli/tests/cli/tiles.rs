@@ -2,7 +2,7 @@
 
 use std::fs;
 
-use crate::{snake, stderr};
+use crate::{assert_refused, snake, stderr};
 
 /// A floor of 12 by 9 m with a wall, far from zero.
 fn scan() -> String {
@@ -112,9 +112,7 @@ fn tiles_need_lengths_in_cloud_units_and_files() {
         (&["--voxel-size", "3r"], "voxel_size"),
         (&["--json"], "--json"),
     ] {
-        let refused = snake(&[&["detect", &input, "-o", &output, "--tile", "4"][..], arguments].concat());
-        assert_eq!(refused.status.code(), Some(2));
-        assert!(stderr(&refused).contains(expected), "{}", stderr(&refused));
+        assert_refused(&snake(&[&["detect", &input, "-o", &output, "--tile", "4"][..], arguments].concat()), expected);
     }
     let refused = snake(&["detect", "-", "-o", &output, "--tile", "4"]);
     assert!(stderr(&refused).contains("standard input"), "{}", stderr(&refused));
@@ -123,9 +121,7 @@ fn tiles_need_lengths_in_cloud_units_and_files() {
     for inputs in [&[&drive][..], &[&drive, &input]] {
         let inputs = inputs.iter().map(|input| input.as_str());
         let arguments: Vec<&str> = ["detect"].into_iter().chain(inputs).chain(["-o", &output, "--tile", "4"]).collect();
-        let refused = snake(&arguments);
-        assert_eq!(refused.status.code(), Some(2));
-        assert!(stderr(&refused).contains("recording"), "{}", stderr(&refused));
+        assert_refused(&snake(&arguments), "recording");
     }
     assert!(!std::path::Path::new(&output).exists());
 }

@@ -1,12 +1,12 @@
 //! Use of the command line: help, completions, verbosity, environment, patterns, units, progress, Ctrl-C.
 
 use std::path::Path;
-use std::process::{Command, Output};
+use std::process::{Command, Output, Stdio};
 
 use assert_cmd::cargo::CommandCargoExt;
 use serde_json::Value;
 
-use super::{json_lines, root, sample, stderr};
+use super::{assert_refused, json_lines, root, sample, stderr};
 
 /// snake-cli with an environment of its own.
 fn command(arguments: &[&str], environment: &[(&str, &str)]) -> Command {
@@ -229,9 +229,7 @@ fn lengths_can_be_multiples_of_the_resolution() {
         assert!(stderr(&output).contains("such as `6r`") && stderr(&output).contains(name), "{}", stderr(&output));
     }
     for wrong in ["3x", "r", "wide"] {
-        let output = snake(&["detect", &sample(), "--nms-radius", wrong]);
-        assert_eq!(output.status.code(), Some(2));
-        assert!(stderr(&output).contains("such as `6r`"), "{wrong}: {}", stderr(&output));
+        assert_refused(&snake(&["detect", &sample(), "--nms-radius", wrong]), "such as `6r`");
     }
 }
 
@@ -253,39 +251,41 @@ fn quoted_patterns_are_expanded() {
         Path::new(&results).read_dir().unwrap().map(|e| e.unwrap().file_name().into_string().unwrap()).collect();
     written.sort();
     assert_eq!(written, ["a.keypoints.csv", "b.keypoints.csv", "c.keypoints.csv"]);
-    let output = snake(&["detect", &pattern("*.xyz")]);
-    assert_eq!(output.status.code(), Some(2));
-    assert!(stderr(&output).contains("*.xyz: no file matches this pattern"), "{}", stderr(&output));
+    assert_refused(&snake(&["detect", &pattern("*.xyz")]), "*.xyz: no file matches this pattern");
+}
+
+/// What a command shows on a pseudo-terminal up to `expected`; it is ended then. `None` where there is no `script`.
+#[cfg(target_os = "linux")]
+pub fn shown_on_terminal(command: &str, folder: &Path, expected: &str) -> Option<String> {
+    use std::io::Read;
+    if Command::new("script").arg("--version").output().is_err() {
+        eprintln!("skipped: without `script` there is no terminal to look at");
+        return None;
+    }
+    let command = format!("exec '{}' {command}", env!("CARGO_BIN_EXE_snake-cli"));
+    let mut script = Command::new("script");
+    script.current_dir(folder).args(["-qefc", &command, "/dev/null"]).stdin(Stdio::null());
+    let mut child = Running(script.stdout(Stdio::piped()).spawn().unwrap());
+    let (mut shown, mut bytes) = (String::new(), [0; 4096]);
+    while !shown.contains(expected) {
+        let length = child.0.stdout.as_mut().unwrap().read(&mut bytes).unwrap();
+        assert!(length > 0, "{command}: ended by itself: {shown:?}");
+        shown += &String::from_utf8_lossy(&bytes[..length]);
+    }
+    // Without its terminal the call would continue where hang-ups are ignored, as under `nohup`.
+    Command::new("pkill").args(["-KILL", "-P", &child.0.id().to_string()]).status().ok();
+    Some(shown)
 }
 
 /// Long calls on a pseudo-terminal: minutes of work, ended once the expected time is shown.
 #[cfg(target_os = "linux")]
 #[test]
 fn a_long_call_shows_the_remaining_time() {
-    use std::io::Read;
-    use std::process::Stdio;
-    if Command::new("script").arg("--version").output().is_err() {
-        eprintln!("skipped: without `script` there is no terminal to look at");
-        return;
-    }
     let folder = tempfile::tempdir().unwrap();
-    let (program, cloud) = (env!("CARGO_BIN_EXE_snake-cli"), sample());
-    let output = folder.path().join("page.html").display().to_string();
-    for command in [format!("detect '{cloud}'"), format!("view '{cloud}' -o '{output}'")] {
+    let cloud = sample();
+    for command in [format!("detect '{cloud}'"), format!("view '{cloud}' -o page.html")] {
         let options = "--rotations 8 --set refine_steps=120 --set query_band=0 --set occupancy_threshold=0";
-        let command = format!("exec '{program}' {command} {options}");
-        let mut script = Command::new("script");
-        script.args(["-qefc", &command, "/dev/null"]).stdin(Stdio::null());
-        let mut child = Running(script.stdout(Stdio::piped()).spawn().unwrap());
-        let pid = child.0.id().to_string();
-        let (mut shown, mut bytes) = (String::new(), [0; 4096]);
-        while !shown.contains("refinement (ETA ") {
-            let length = child.0.stdout.as_mut().unwrap().read(&mut bytes).unwrap();
-            assert!(length > 0, "{command}: ended by itself: {shown}");
-            shown += &String::from_utf8_lossy(&bytes[..length]);
-        }
-        // Without its terminal the call would continue where hang-ups are ignored, as under `nohup`.
-        Command::new("pkill").args(["-KILL", "-P", &pid]).status().ok();
+        shown_on_terminal(&format!("{command} {options}"), folder.path(), "refinement (ETA ");
     }
 }
 
@@ -303,7 +303,6 @@ impl Drop for Running {
 #[test]
 fn long_work_has_lines_without_a_terminal() {
     use std::io::{BufRead, BufReader};
-    use std::process::Stdio;
     let options = ["query_resolution=128", "occupancy_threshold=0", "query_band=0", "refine_steps=100"];
     let options = options.into_iter().flat_map(|option| ["--set", option]);
     let mut command = Command::new(env!("CARGO_BIN_EXE_snake-cli"));
@@ -331,7 +330,7 @@ fn an_interrupt_leaves_only_complete_files() {
     // Where the tests themselves run in the background, Ctrl-C may be ignored, and would be here.
     let mut command = Command::new("env");
     command.args(["--default-signal=INT", env!("CARGO_BIN_EXE_snake-cli")]).args(arguments);
-    let mut child = command.stdout(std::process::Stdio::null()).spawn().unwrap();
+    let mut child = command.stdout(Stdio::null()).spawn().unwrap();
     while written() < 5 {
         assert!(child.try_wait().unwrap().is_none(), "ended by itself");
         std::thread::sleep(std::time::Duration::from_millis(5));

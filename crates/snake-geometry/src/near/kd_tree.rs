@@ -132,26 +132,13 @@ fn squared_distance<T: RealField + Copy>(a: &[T; 3], b: &[T; 3]) -> T {
 
 #[cfg(test)]
 mod tests {
+    use super::super::hard_clouds;
     use super::*;
-
-    /// Clouds that are hard for k-d trees, with ties and duplicates.
-    fn clouds() -> Vec<Vec<[f64; 3]>> {
-        let lattice = |i: u32, axis: u32| f64::from(i / 7_u32.pow(axis) % 7);
-        let scattered = |i: u32, axis: usize| f64::from(i * [7919, 104_729, 1_299_709][axis] % 10_007);
-        vec![
-            (0..700).map(|i| std::array::from_fn(|axis| lattice(i, axis as u32))).collect(),
-            (0..1000).map(|i| std::array::from_fn(|axis| scattered(i, axis))).collect(),
-            (0..500).map(|i| [f64::from(i % 100), 0.0, 5.0]).collect(),
-            (0..500).map(|i| if i % 3 == 0 { [1.0; 3] } else { [scattered(i, 0), 2.0, scattered(i, 2)] }).collect(),
-            vec![[3.0, 4.0, 5.0]; 300],
-            vec![[3.0, 4.0, 5.0]],
-            vec![],
-        ]
-    }
 
     #[test]
     fn answers_equal_the_quadratic_loop() {
-        for points in clouds() {
+        for points in hard_clouds::small() {
+            let points: Vec<[f64; 3]> = points.iter().map(|point| point.map(f64::from)).collect();
             let tree = KdTree::new(&points).unwrap();
             let queries = points.iter().step_by(37).copied().chain([[0.5, 1.5, 2.5], [-1e4, 0.0, 0.0]]);
             for query in queries {
@@ -175,17 +162,8 @@ mod tests {
     // This test would take minutes and not a second if each query looked at all points.
     #[test]
     fn every_point_of_a_hard_cloud_finds_its_neighbours() {
-        const NUMBER: u32 = 200_000;
-        let unit = |i: u32, factor: u32| f64::from(i.wrapping_mul(factor) >> 8) / f64::from(1_u32 << 24);
-        let clouds: [fn(f64, f64) -> [f64; 3]; 4] = [
-            |_, _| [1.0; 3],
-            |u, _| [0.0, u, 0.0],
-            |u, v| [u, v, 0.0],
-            |u, v| if u < 0.5 { [0.0; 3] } else { [v, u, 1.0] },
-        ];
-        for cloud in clouds {
-            let point = |i| cloud(unit(i, 2_654_435_761), unit(i, 0x9e37_79b1 ^ 0x0f0f_0f0f));
-            let points: Vec<[f64; 3]> = (0..NUMBER).map(point).collect();
+        for points in hard_clouds::large() {
+            let points: Vec<[f64; 3]> = points.iter().map(|point| point.map(f64::from)).collect();
             let tree = KdTree::new(&points).unwrap();
             for query in &points {
                 let (index, distance) = tree.nearest(query, NonZeroUsize::MIN)[0];

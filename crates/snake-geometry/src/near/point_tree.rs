@@ -130,24 +130,8 @@ fn look<T: Real>(node: &Node, query: &Point, but: Option<usize>, best: &mut Near
 
 #[cfg(test)]
 mod tests {
+    use super::super::hard_clouds::{self, scattered};
     use super::*;
-
-    /// Clouds that are hard for k-d trees, with ties and repeated points.
-    fn clouds() -> Vec<Vec<Point>> {
-        let lattice = |i: u32, axis: u32| (i / 7_u32.pow(axis) % 7) as f32;
-        let scattered = |i: u32, axis: usize| (i.wrapping_mul([7919, 104_729, 1_299_709][axis]) % 10_007) as f32;
-        vec![
-            (0..700).map(|i| std::array::from_fn(|axis| lattice(i, axis as u32))).collect(),
-            (0..1000).map(|i| std::array::from_fn(|axis| scattered(i, axis))).collect(),
-            (0..500).map(|i| [(i % 100) as f32, 0.0, 5.0]).collect(),
-            (0..500).map(|i| if i % 3 == 0 { [1.0; 3] } else { [scattered(i, 0), 2.0, scattered(i, 2)] }).collect(),
-            (0..12_000).map(|i| [scattered(i, 0), scattered(i, 1) * 1e-3, 7.0]).collect(),
-            [[3e38; 3], [-3e38; 3], [0.0; 3], [1e-40; 3]].repeat(9),
-            vec![[3.0, 4.0, 5.0]; 300],
-            vec![[3.0, 4.0, 5.0]],
-            vec![],
-        ]
-    }
 
     fn plain<T: Real>(points: &[Point], query: &Point, but: Option<usize>) -> (T, usize) {
         let mut best = (T::from(f32::INFINITY), u32::MAX as usize);
@@ -163,7 +147,9 @@ mod tests {
 
     #[test]
     fn the_nearest_point_is_that_of_the_plain_loop() {
-        for points in clouds() {
+        let flat = (0..12_000).map(|i| [scattered(i, 0), scattered(i, 1) * 1e-3, 7.0]).collect();
+        let extreme = [[3e38; 3], [-3e38; 3], [0.0; 3], [1e-40; 3]].repeat(9);
+        for points in hard_clouds::small().into_iter().chain([flat, extreme]) {
             let tree = PointTree::new(&points).unwrap();
             let others = [[0.5, 1.5, 2.5], [-1e4, 0.0, 0.0], [3e38, 0.0, -3e38]];
             for query in points.iter().step_by(37).chain(&others) {
@@ -183,17 +169,7 @@ mod tests {
     // This test would take minutes and not a second if each query looked at all points.
     #[test]
     fn every_point_of_a_hard_cloud_finds_its_neighbour() {
-        const NUMBER: u32 = 200_000;
-        let unit = |i: u32, factor: u32| (i.wrapping_mul(factor) >> 8) as f32 / (1_u32 << 24) as f32;
-        let clouds: [fn(f32, f32) -> Point; 4] = [
-            |_, _| [1.0; 3],
-            |u, _| [0.0, u, 0.0],
-            |u, v| [u, v, 0.0],
-            |u, v| if u < 0.5 { [0.0; 3] } else { [v, u, 1.0] },
-        ];
-        for cloud in clouds {
-            let point = |i| cloud(unit(i, 2_654_435_761), unit(i, 0x9e37_79b1 ^ 0x0f0f_0f0f));
-            let points: Vec<Point> = (0..NUMBER).map(point).collect();
+        for points in hard_clouds::large() {
             let tree = PointTree::new(&points).unwrap();
             for (index, query) in points.iter().enumerate() {
                 let (distance, nearest) = tree.nearest::<f32>(query, None);

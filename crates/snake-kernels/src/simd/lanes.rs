@@ -115,6 +115,24 @@ fn mask_positive_512(value: __m512, condition: __m512) -> __m512 {
     _mm512_maskz_mov_ps(_mm512_cmp_ps_mask::<_CMP_GT_OQ>(condition, _mm512_setzero_ps()), value)
 }
 
+/// Defines the operations of [`Lanes`] that combine registers one by one.
+#[cfg(any(target_arch = "x86_64", target_arch = "aarch64"))]
+macro_rules! register_operations {
+    ($(fn $name:ident($($other:ident),*) = $operation:expr;)*) => {
+        $(
+            #[inline(always)]
+            fn $name(self, $($other: Self),*) -> Self {
+                let mut result = self;
+                for i in 0..result.0.len() {
+                    // SAFETY: lanes are made with a token of the level only, so the processor has the instructions.
+                    result.0[i] = unsafe { $operation(self.0[i], $($other.0[i]),*) };
+                }
+                result
+            }
+        )*
+    };
+}
+
 /// Defines a [`Lanes`] of `$count` registers of a level.
 #[cfg(target_arch = "x86_64")]
 macro_rules! x86_lanes {
@@ -167,49 +185,12 @@ macro_rules! x86_lanes {
                 $token(())
             }
 
-            #[inline(always)]
-            fn multiply_add(self, factor: Self, addend: Self) -> Self {
-                let mut result = self;
-                for i in 0..$count {
-                    result.0[i] = unsafe { std::arch::x86_64::$fused(self.0[i], factor.0[i], addend.0[i]) };
-                }
-                result
-            }
-
-            #[inline(always)]
-            fn add(self, other: Self) -> Self {
-                let mut result = self;
-                for i in 0..$count {
-                    result.0[i] = unsafe { std::arch::x86_64::$plus(self.0[i], other.0[i]) };
-                }
-                result
-            }
-
-            #[inline(always)]
-            fn sub(self, other: Self) -> Self {
-                let mut result = self;
-                for i in 0..$count {
-                    result.0[i] = unsafe { std::arch::x86_64::$minus(self.0[i], other.0[i]) };
-                }
-                result
-            }
-
-            #[inline(always)]
-            fn max(self, other: Self) -> Self {
-                let mut result = self;
-                for i in 0..$count {
-                    result.0[i] = unsafe { std::arch::x86_64::$max(self.0[i], other.0[i]) };
-                }
-                result
-            }
-
-            #[inline(always)]
-            fn mask_positive(self, condition: Self) -> Self {
-                let mut result = self;
-                for i in 0..$count {
-                    result.0[i] = unsafe { $mask_positive(self.0[i], condition.0[i]) };
-                }
-                result
+            register_operations! {
+                fn multiply_add(factor, addend) = std::arch::x86_64::$fused;
+                fn add(other) = std::arch::x86_64::$plus;
+                fn sub(other) = std::arch::x86_64::$minus;
+                fn max(other) = std::arch::x86_64::$max;
+                fn mask_positive(condition) = $mask_positive;
             }
 
             #[inline(always)]
@@ -256,24 +237,6 @@ x86_lanes!(
     mask_positive_512
 );
 
-/// Defines the operations of [`NeonLanes`] that combine registers one by one.
-#[cfg(target_arch = "aarch64")]
-macro_rules! neon_operations {
-    ($(fn $name:ident($($other:ident),*) = $operation:expr;)*) => {
-        $(
-            #[inline(always)]
-            fn $name(self, $($other: Self),*) -> Self {
-                let mut result = self;
-                for i in 0..4 {
-                    // SAFETY: every aarch64 processor that this is compiled for has NEON.
-                    result.0[i] = unsafe { $operation(self.0[i], $($other.0[i]),*) };
-                }
-                result
-            }
-        )*
-    };
-}
-
 /// NEON: four registers of four numbers.
 #[cfg(target_arch = "aarch64")]
 #[derive(Clone, Copy)]
@@ -300,7 +263,7 @@ impl Lanes for NeonLanes {
     #[inline(always)]
     fn token(self) {}
 
-    neon_operations! {
+    register_operations! {
         fn multiply_add(factor, addend) = |a, b, c| std::arch::aarch64::vfmaq_f32(c, a, b);
         fn add(other) = std::arch::aarch64::vaddq_f32;
         fn sub(other) = std::arch::aarch64::vsubq_f32;

@@ -1,0 +1,59 @@
+//! Made scenes of boxes, rooms and tunnels, which rays meet.
+
+use rand::RngExt;
+use rand_chacha::ChaCha8Rng;
+
+pub type Vec3 = [f64; 3];
+
+/// Boxes, and rooms that are seen from inside: low and high corner. Tunnels along x have a radius
+/// about y = z = 0.
+#[derive(Default)]
+pub struct Scene {
+    pub boxes: Vec<[Vec3; 2]>,
+    pub rooms: Vec<[Vec3; 2]>,
+    pub tunnel: Option<f64>,
+}
+
+impl Scene {
+    /// The distance to the first surface.
+    pub fn range(&self, at: Vec3, ray: Vec3) -> f64 {
+        let crossings = |[low, high]: &[Vec3; 2]| {
+            let (mut near, mut far) = (f64::NEG_INFINITY, f64::INFINITY);
+            for axis in 0..3 {
+                let (a, b) = ((low[axis] - at[axis]) / ray[axis], (high[axis] - at[axis]) / ray[axis]);
+                (near, far) = (near.max(a.min(b)), far.min(a.max(b)));
+            }
+            (near, far)
+        };
+        let box_ranges = self.boxes.iter().map(crossings).filter(|(near, far)| *near > 0.0 && near <= far);
+        let room_ranges = self.rooms.iter().map(crossings).map(|(_, far)| far);
+        let tunnel_range = self.tunnel.map(|radius| {
+            let (a, b) = (ray[1].powi(2) + ray[2].powi(2), ray[1] * at[1] + ray[2] * at[2]);
+            let c = at[1].powi(2) + at[2].powi(2) - radius * radius;
+            ((b * b - a * c).sqrt() - b) / a
+        });
+        box_ranges.map(|(near, _)| near).chain(room_ranges).chain(tunnel_range).fold(f64::INFINITY, f64::min)
+    }
+}
+
+/// A street along x with houses, cars and poles.
+pub fn street(rng: &mut ChaCha8Rng) -> Scene {
+    let mut boxes = vec![[[-150.0, -150.0, -1.0], [150.0, 150.0, 0.0]]];
+    for side in [-1.0, 1.0] {
+        let mut add = |x: f64, y: f64, size: Vec3| {
+            let (near, far) = (side * y, side * (y + size[1]));
+            boxes.push([[x, near.min(far), 0.0], [x + size[0], near.max(far), size[2]]]);
+        };
+        let mut x = -90.0;
+        while x < 90.0 {
+            let size = [rng.random_range(8.0..25.0), rng.random_range(6.0..15.0), rng.random_range(4.0..18.0)];
+            add(x, rng.random_range(6.0..12.0), size);
+            x += size[0] + rng.random_range(0.0..8.0);
+        }
+        for _ in 0..12 {
+            add(rng.random_range(-80.0..80.0), rng.random_range(3.0..4.0), [4.2, 1.8, 1.5]);
+            add(rng.random_range(-80.0..80.0), 5.3, [0.3, 0.3, 6.0]);
+        }
+    }
+    Scene { boxes, ..Default::default() }
+}
