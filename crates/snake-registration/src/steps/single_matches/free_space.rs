@@ -48,3 +48,29 @@ impl FreeSpace {
             && self.is_free[(z as usize * rows + y as usize) * columns + x as usize]
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::cloud::depth_image::COARSE;
+
+    #[test]
+    fn space_before_a_wall_is_free_and_space_behind_it_or_outside_is_not() {
+        let grid = (-40..40).flat_map(|y| (-40..40).map(move |z| (0.05 * f64::from(y), 0.05 * f64::from(z))));
+        let mut points: Vec<Vector> = grid.map(|(y, z)| Vector::new(3.0, y, z)).collect();
+        points.extend([Vector::zeros(), Vector::new(5.0, 0.0, 0.0)]);
+        let image = DepthImage::new(&points[..6400], Vector::zeros(), 0.1, COARSE);
+        let space = FreeSpace::new(&points, Some(&image), 0.1);
+        let at = |x: f64| space.contains(&Vector::new(x, 0.02, 0.02));
+        assert_eq!([1.5, 3.02, 4.5, -0.5, 9.0, f64::NAN].map(at), [true, false, false, false, false, false]);
+        assert!(!FreeSpace::new(&points, None, 0.1).contains(&Vector::new(1.5, 0.0, 0.0)));
+    }
+
+    #[test]
+    fn grids_of_far_points_have_larger_cells() {
+        let points = [Vector::zeros(), Vector::repeat(1e6)];
+        let image = DepthImage::new(&points, Vector::zeros(), 0.1, COARSE);
+        let space = FreeSpace::new(&points, Some(&image), 0.1);
+        assert!(space.is_free.len() as f64 <= MAX_CELLS && space.side > 1e4);
+    }
+}

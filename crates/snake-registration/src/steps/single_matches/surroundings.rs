@@ -122,3 +122,72 @@ impl Surroundings {
         score
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use rand::{RngExt, SeedableRng};
+    use rand_chacha::ChaCha8Rng;
+
+    use super::*;
+    use crate::rigid::tests::random_points;
+    use snake_geometry::vector;
+
+    fn random(rng: &mut ChaCha8Rng) -> Surroundings {
+        let mut cells = || std::array::from_fn(|_| rng.random::<u32>() & rng.random::<u32>());
+        let (along, across, free): ([u32; CELLS], [u32; CELLS], [u32; CELLS]) = (cells(), cells(), cells());
+        Surroundings { along, across, free: std::array::from_fn(|cell| free[cell] & !along[cell] & !across[cell]) }
+    }
+
+    /// The score bin by bin.
+    fn plain_score(a: &Surroundings, b: &Surroundings, turn: u32) -> i32 {
+        let mut score = 0;
+        for ring in 0..RINGS {
+            for slab in 0..SLABS {
+                for azimuth in 0..AZIMUTHS {
+                    let cell = ring * SLABS + slab;
+                    let bit = |cells: &[u32; CELLS], azimuth: u32| cells[cell] >> (azimuth % AZIMUTHS) & 1 == 1;
+                    let [a_along, a_across, a_free] = [&a.along, &a.across, &a.free].map(|cells| bit(cells, azimuth));
+                    let [b_along, b_across, b_free] =
+                        [&b.along, &b.across, &b.free].map(|cells| bit(cells, azimuth + turn));
+                    if slab + 1 != SLABS / 2 && slab != SLABS / 2 {
+                        score += i32::from(a_along && b_along) + i32::from(a_across && b_across);
+                    }
+                    score -= i32::from((a_along || a_across) && b_free) + i32::from(a_free && (b_along || b_across));
+                }
+            }
+        }
+        score
+    }
+
+    #[test]
+    fn score_is_that_of_the_plain_loop_over_bins() {
+        let mut rng = ChaCha8Rng::seed_from_u64(3);
+        for _ in 0..4 {
+            let (a, b) = (random(&mut rng), random(&mut rng).dilated());
+            for turn in 0..AZIMUTHS {
+                assert_eq!(a.score(&b, turn), plain_score(&a, &b, turn), "turn {turn}");
+            }
+        }
+    }
+
+    #[test]
+    fn surroundings_of_the_opposite_normal_are_flipped() {
+        let mut rng = ChaCha8Rng::seed_from_u64(4);
+        let points: Vec<Vector> = random_points(&mut rng, 500).into_iter().map(vector).collect();
+        let normals = random_points(&mut rng, 500).into_iter().map(|p| vector(p).normalize()).collect();
+        let scene = Scene {
+            normals,
+            grid: NearGrid::new(&points, TUNING.radius * 0.05),
+            free: FreeSpace::new(&points, None, 0.1),
+        };
+        let place = Oriented { point: points[7], normal: Vector::new(0.6, 0.0, -0.8) };
+        let [around, opposite] = [place, place.flipped()].map(|place| Surroundings::new(&place, &scene, 0.05));
+        let flipped = around.flipped();
+        let count = |bits: &[u32; CELLS]| bits.iter().map(|bits| bits.count_ones()).sum::<u32>();
+        let differing = |a: &[u32; CELLS], b: &[u32; CELLS]| count(&std::array::from_fn(|cell| a[cell] ^ b[cell]));
+        assert!(count(&around.along) > 10 && count(&around.across) > 10);
+        // The point itself lies on the border of bins.
+        assert!(differing(&flipped.along, &opposite.along) + differing(&flipped.across, &opposite.across) <= 2);
+        assert!(around.along != opposite.along && flipped.flipped().along == around.along);
+    }
+}
