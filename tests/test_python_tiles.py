@@ -164,13 +164,13 @@ def test_a_cluster_detects_small_clouds_as_one_machine(cluster, tmp_path):
         return (points * [1, 2, 0.3 + rng.uniform()]).astype(np.float32)
 
     options = {"query_resolution": 24, "saliency_threshold": 0.1}
-    rows = [{"name": seed, "points": cloud(seed).ravel()} for seed in range(200)]
-    clouds = cluster.data.from_items([*rows, {"name": 200, "points": np.zeros(4, np.float32)}])
-    steps = {"batch_format": "pyarrow", "concurrency": 2, "num_cpus": 1, "batch_size": 16}
+    rows = [{"name": seed, "points": cloud(seed).ravel()} for seed in range(40)]
+    clouds = cluster.data.from_items([*rows, {"name": 40, "points": np.zeros(4, np.float32)}])
+    steps = {"batch_format": "pyarrow", "concurrency": 2, "num_cpus": 1, "batch_size": 4}
     found = clouds.map_batches(DetectClouds, fn_constructor_kwargs={"model": "compact", **options}, **steps).take_all()
-    assert sorted(row["name"] for row in found) == list(range(201))
+    assert sorted(row["name"] for row in found) == list(range(41))
     for row in found:
-        if row["name"] == 200:
+        if row["name"] == 40:
             assert "points" in row["error"] and row["keypoints"] is None
             continue
         here = snake_rs.detect(cloud(row["name"]), snake_rs.Model.builtin(), **options)

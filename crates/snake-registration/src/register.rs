@@ -163,16 +163,13 @@ fn search(
     if candidates.first().is_some_and(|best| pair.contradicts_viewpoints(&best.t_target_source)) {
         return search(&pair.without_signs(), options, pair_options, more, effort, control);
     }
-    let mut registration = judge(pair, &matches, &candidates);
+    let mut registration = judge(pair, &matches, &candidates)?;
     if pair_options.initial.is_none() {
-        if let Ok(registration) = &mut registration {
-            challenge(pair, &matches, registration)?;
-        }
-        if effort == Effort::Thorough && !is_settled(&registration) {
-            registration = search_single_matches(pair, &matches, &indices, &guesses, options, pair_options, control);
+        challenge(pair, &matches, &mut registration)?;
+        if effort == Effort::Thorough && !is_settled(&registration.verdict) {
+            registration = search_single_matches(pair, &matches, &indices, &guesses, options, pair_options, control)?;
         }
     }
-    let mut registration = registration?;
     registration.hypotheses.truncate(pair_options.hypotheses);
     Ok(registration)
 }

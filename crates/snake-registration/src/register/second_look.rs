@@ -5,7 +5,7 @@ use snake_geometry::{Length, Point, RigidTransform};
 
 use super::{Effort, register_prepared};
 use crate::options::{PairOptions, RegisterOptions};
-use crate::result::Registration;
+use crate::result::{Registration, Verdict};
 use crate::steps::PreparedClouds;
 use crate::steps::judge;
 use crate::steps::prepare::prepare_named;
@@ -36,7 +36,11 @@ impl Given<'_> {
         first: Result<Registration>,
         control: &Control,
     ) -> Result<Registration> {
-        if is_settled(&first) || self.pair_options.instances > 1 || self.options.has_lengths() || !is_finer(prepared)? {
+        let is_settled = match &first {
+            Ok(first) => is_settled(&first.verdict),
+            Err(error) => !matches!(error, Error::NoTransform { .. }),
+        };
+        if is_settled || self.pair_options.instances > 1 || self.options.has_lengths() || !is_finer(prepared)? {
             return first;
         }
         let size = Length::Units(prepared.lengths.voxel_size / TUNING.finer);
@@ -61,13 +65,9 @@ impl Given<'_> {
     }
 }
 
-/// Whether another try would not change a result: it is reliable, the target repeats itself, or it
-/// is another error than that nothing fits.
-pub(super) fn is_settled(first: &Result<Registration>) -> bool {
-    match first {
-        Ok(first) => first.verdict.is_reliable || first.verdict.repeat_fit > judge::TUNING.repeated,
-        Err(error) => !matches!(error, Error::NoTransform { .. }),
-    }
+/// Whether another try would not change a verdict: it is reliable, or the target repeats itself.
+pub(super) fn is_settled(verdict: &Verdict) -> bool {
+    verdict.is_reliable || verdict.repeat_fit > judge::TUNING.repeated
 }
 
 /// The names of the clouds in errors.

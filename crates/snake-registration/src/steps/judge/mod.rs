@@ -198,7 +198,7 @@ tuning! {
     violation_weight: f64 = -302.0, unit "log-odds per share of the voxels",
         from "tests/bench/fit_verdict.py on 785 pairs (e823698)";
     /// Weight of the lead over the next transform, where single matches were compared.
-    lead_weight: f64 = 12.0, unit "log-odds per overlap",
+    lead_weight: f64 = 10.0, unit "log-odds per overlap",
         from "set by hand on pairs of hotel_uc and redkitchen: 0.2 and more if right, 0.1 and less in most wrong ones";
     /// The lead counts up to this.
     max_lead: f64 = 0.25, unit "overlap", from "set by hand on the same pairs";
