@@ -166,7 +166,7 @@ fn search(
     let mut registration = judge(pair, &matches, &candidates)?;
     if pair_options.initial.is_none() {
         challenge(pair, &matches, &mut registration)?;
-        if effort == Effort::Thorough && !is_settled(&registration.verdict) {
+        if effort == Effort::Thorough && pair.is_signed() && !is_settled(&registration.verdict) {
             registration = search_single_matches(pair, &matches, &indices, &guesses, options, pair_options, control)?;
         }
     }

@@ -6,9 +6,9 @@ use snake_geometry::{Length, Point, RigidTransform};
 use super::{Effort, register_prepared};
 use crate::options::{PairOptions, RegisterOptions};
 use crate::result::{Registration, Verdict};
-use crate::steps::PreparedClouds;
 use crate::steps::judge;
 use crate::steps::prepare::prepare_named;
+use crate::steps::{PreparedCloud, PreparedClouds};
 use crate::tuning::tuning;
 
 tuning! {
@@ -40,7 +40,11 @@ impl Given<'_> {
             Ok(first) => is_settled(&first.verdict),
             Err(error) => !matches!(error, Error::NoTransform { .. }),
         };
-        if is_settled || self.pair_options.instances > 1 || self.options.has_lengths() || !is_finer(prepared)? {
+        if is_settled
+            || self.pair_options.instances > 1
+            || self.options.has_lengths()
+            || !is_finer([&prepared.clouds[0], &prepared.clouds[1]])?
+        {
             return first;
         }
         let size = Length::Units(prepared.lengths.voxel_size / TUNING.finer);
@@ -74,13 +78,8 @@ pub(super) fn is_settled(verdict: &Verdict) -> bool {
 pub(super) const NAMES: [&str; 2] = ["source", "target"];
 
 /// Whether both clouds have much more points than voxels.
-fn is_finer(prepared: &PreparedClouds) -> Result<bool> {
-    for cloud in &prepared.clouds {
-        if !cloud.fine()?.is_finer {
-            return Ok(false);
-        }
-    }
-    Ok(true)
+pub(super) fn is_finer(clouds: [&PreparedCloud; 2]) -> Result<bool> {
+    Ok(clouds[0].fine()?.is_finer && clouds[1].fine()?.is_finer)
 }
 
 /// The result of a second try, with a lower confidence: of two wrong results, one looks right by

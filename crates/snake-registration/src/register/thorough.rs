@@ -3,7 +3,7 @@
 use snake_core::{Control, Result};
 use snake_geometry::RigidTransform;
 
-use super::second_look::less_confident;
+use super::second_look::{is_finer, less_confident};
 use crate::options::{PairOptions, RegisterOptions};
 use crate::result::Registration;
 use crate::steps::refine::refine_supported;
@@ -44,5 +44,12 @@ pub(super) fn search_single_matches(
     let candidates = refine_supported(pair, matches, &voters, &guesses, options.icp_steps, count, control)?;
     let mut registration = judge(pair, matches, &candidates)?;
     challenge(pair, matches, &mut registration)?;
-    Ok(less_confident(registration))
+    let mut registration = less_confident(registration);
+    if is_finer(pair.clouds())? {
+        // On voxels so coarse, what fits best may be off: the second look has to confirm it.
+        let verdict = &mut registration.verdict;
+        verdict.confidence = verdict.confidence.min(judge::TUNING.max_doubtful);
+        verdict.is_reliable = false;
+    }
+    Ok(registration)
 }

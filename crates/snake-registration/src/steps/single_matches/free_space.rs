@@ -8,7 +8,7 @@ use snake_geometry::Vector;
 /// Number of cells of a grid, at most; a cloud of greater extent gets larger cells.
 const MAX_CELLS: f64 = 1e6;
 
-/// A grid of cells around a cloud that tells which are free; without a sensor none is.
+/// A grid of cells around a cloud that tells which are free.
 pub(super) struct FreeSpace {
     corner: Vector,
     side: f64,
@@ -18,10 +18,7 @@ pub(super) struct FreeSpace {
 
 impl FreeSpace {
     /// The cells of this side, at least, around finite points.
-    pub(super) fn new(points: &[Vector], image: Option<&DepthImage>, side: f64) -> Self {
-        let Some(image) = image else {
-            return Self { corner: Vector::zeros(), side, sides: [0; 3], is_free: Vec::new() };
-        };
+    pub(super) fn new(points: &[Vector], image: &DepthImage, side: f64) -> Self {
         let corner = points.iter().copied().reduce(|a, b| a.inf(&b)).unwrap_or_default();
         let extent = points.iter().copied().reduce(|a, b| a.sup(&b)).unwrap_or_default() - corner;
         let cells_at = |side: f64| extent.map(|v| (v / side).floor() + 1.0);
@@ -60,17 +57,16 @@ mod tests {
         let mut points: Vec<Vector> = grid.map(|(y, z)| Vector::new(3.0, y, z)).collect();
         points.extend([Vector::zeros(), Vector::new(5.0, 0.0, 0.0)]);
         let image = DepthImage::new(&points[..6400], Vector::zeros(), 0.1, COARSE);
-        let space = FreeSpace::new(&points, Some(&image), 0.1);
+        let space = FreeSpace::new(&points, &image, 0.1);
         let at = |x: f64| space.contains(&Vector::new(x, 0.02, 0.02));
         assert_eq!([1.5, 3.02, 4.5, -0.5, 9.0, f64::NAN].map(at), [true, false, false, false, false, false]);
-        assert!(!FreeSpace::new(&points, None, 0.1).contains(&Vector::new(1.5, 0.0, 0.0)));
     }
 
     #[test]
     fn grids_of_far_points_have_larger_cells() {
         let points = [Vector::zeros(), Vector::repeat(1e6)];
         let image = DepthImage::new(&points, Vector::zeros(), 0.1, COARSE);
-        let space = FreeSpace::new(&points, Some(&image), 0.1);
+        let space = FreeSpace::new(&points, &image, 0.1);
         assert!(space.is_free.len() as f64 <= MAX_CELLS && space.side > 1e4);
     }
 }

@@ -77,17 +77,6 @@ impl Surroundings {
         self.along[cell] | self.across[cell]
     }
 
-    /// The surroundings about the opposite normal.
-    pub(super) fn flipped(&self) -> Self {
-        let flip = |cells: &[u32; CELLS]| {
-            std::array::from_fn(|cell| {
-                let (ring, slab) = (cell / SLABS, cell % SLABS);
-                cells[ring * SLABS + SLABS - 1 - slab].reverse_bits()
-            })
-        };
-        Self { along: flip(&self.along), across: flip(&self.across), free: flip(&self.free) }
-    }
-
     /// The surroundings with surfaces in the next bins too: normals have errors.
     pub(super) fn dilated(&self) -> Self {
         let dilate = |cells: &[u32; CELLS]| {
@@ -129,8 +118,6 @@ mod tests {
     use rand_chacha::ChaCha8Rng;
 
     use super::*;
-    use crate::rigid::tests::random_points;
-    use snake_geometry::vector;
 
     fn random(rng: &mut ChaCha8Rng) -> Surroundings {
         let mut cells = || std::array::from_fn(|_| rng.random::<u32>() & rng.random::<u32>());
@@ -168,26 +155,5 @@ mod tests {
                 assert_eq!(a.score(&b, turn), plain_score(&a, &b, turn), "turn {turn}");
             }
         }
-    }
-
-    #[test]
-    fn surroundings_of_the_opposite_normal_are_flipped() {
-        let mut rng = ChaCha8Rng::seed_from_u64(4);
-        let points: Vec<Vector> = random_points(&mut rng, 500).into_iter().map(vector).collect();
-        let normals = random_points(&mut rng, 500).into_iter().map(|p| vector(p).normalize()).collect();
-        let scene = Scene {
-            normals,
-            grid: NearGrid::new(&points, TUNING.radius * 0.05),
-            free: FreeSpace::new(&points, None, 0.1),
-        };
-        let place = Oriented { point: points[7], normal: Vector::new(0.6, 0.0, -0.8) };
-        let [around, opposite] = [place, place.flipped()].map(|place| Surroundings::new(&place, &scene, 0.05));
-        let flipped = around.flipped();
-        let count = |bits: &[u32; CELLS]| bits.iter().map(|bits| bits.count_ones()).sum::<u32>();
-        let differing = |a: &[u32; CELLS], b: &[u32; CELLS]| count(&std::array::from_fn(|cell| a[cell] ^ b[cell]));
-        assert!(count(&around.along) > 10 && count(&around.across) > 10);
-        // The point itself lies on the border of bins.
-        assert!(differing(&flipped.along, &opposite.along) + differing(&flipped.across, &opposite.across) <= 2);
-        assert!(around.along != opposite.along && flipped.flipped().along == around.along);
     }
 }
