@@ -69,7 +69,8 @@ impl Voters {
     /// [`Error::Cancelled`](snake_core::Error::Cancelled) and
     /// [`Error::DeadlineExceeded`](snake_core::Error::DeadlineExceeded).
     pub(crate) fn new(pair: &Pair, matches: &[[usize; 2]], control: &Control) -> Result<Self> {
-        let counter = control.begin("surroundings", 2 * matches.len());
+        let num_keypoints = pair.clouds().map(|cloud| cloud.keypoints.len());
+        let counter = control.begin("surroundings", num_keypoints.iter().sum());
         let [source, target] = [0, 1].map(|side| places(pair, side, matches, &counter));
         let (source, target) = (source?, target?);
         let vote = |&[from, to]: &[usize; 2]| best_voter(source[from].as_ref()?, target[to].as_ref()?);
@@ -129,6 +130,7 @@ fn places(pair: &Pair, side: usize, matches: &[[usize; 2]], counter: &Counter) -
     let place = |(&(point, voxel), is_matched): (&(_, usize), bool)| {
         let place = Oriented { point: vector(point), normal: cloud.voxels.normals[voxel] };
         counter.check()?;
+        counter.add(1);
         if !is_matched || place.normal.norm_squared() < 0.5 {
             return Ok(None);
         }
