@@ -264,7 +264,8 @@ pub fn shown_on_terminal(command: &str, folder: &Path, expected: &str) -> Option
     }
     let command = format!("exec '{}' {command}", env!("CARGO_BIN_EXE_snake-cli"));
     let mut script = Command::new("script");
-    script.current_dir(folder).args(["-qefc", &command, "/dev/null"]).stdin(Stdio::null());
+    // Without a kind of terminal there are no bars.
+    script.current_dir(folder).env("TERM", "xterm").args(["-qefc", &command, "/dev/null"]).stdin(Stdio::null());
     let mut child = Running(script.stdout(Stdio::piped()).spawn().unwrap());
     let (mut shown, mut bytes) = (String::new(), [0; 4096]);
     while !shown.contains(expected) {
