@@ -166,7 +166,9 @@ fn search(
     let mut registration = judge(pair, &matches, &candidates)?;
     if pair_options.initial.is_none() {
         challenge(pair, &matches, &mut registration)?;
-        if effort == Effort::Thorough && pair.is_signed() && !is_settled(&registration.verdict) {
+        // The angle of a single match is rough: without ICP it is of no use.
+        let is_possible = effort == Effort::Thorough && pair.is_signed() && options.icp_steps > 0;
+        if is_possible && !is_settled(&registration.verdict) {
             registration = search_single_matches(pair, &matches, &indices, &guesses, options, pair_options, control)?;
         }
     }

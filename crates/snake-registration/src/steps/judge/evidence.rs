@@ -183,6 +183,7 @@ mod tests {
             let (confidence, _) = changed(change);
             assert!(confidence < 0.5, "{name}: {confidence}");
         }
+        assert!(changed(|_, _, e| e.lead = Some(0.2)).0 > usual && changed(|_, _, e| e.lead = Some(-0.2)).0 < usual);
         assert!(changed(|_, m, _| m.num_rival_agreeing = 99).0 < usual);
         assert!(changed(|_, m, _| m.spread = 0.0).0 < usual);
     }

@@ -154,8 +154,8 @@ pub(crate) fn refine_supported(
     refine_by(measure, pair, guesses, icp_steps, count, control)
 }
 
-/// The best of the transforms after ICP, by what `measure` makes of a guess, its refined transform
-/// and every how manieth voxel to look at.
+/// The best of the transforms after ICP. `measure` takes a guess, its refined transform and the step
+/// from one voxel that is looked at to the next.
 fn refine_by(
     measure: impl Fn(&IsometryMatrix3<f64>, &IsometryMatrix3<f64>, usize) -> Candidate + Sync,
     pair: &Pair,
