@@ -1,7 +1,7 @@
 //! Tests of registration as a whole.
 
-use nalgebra::IsometryMatrix3;
-use rand::SeedableRng;
+use nalgebra::{IsometryMatrix3, Vector3};
+use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
 use super::*;
@@ -318,4 +318,62 @@ fn register_runs_the_public_steps() {
     let error = judge(&pair, &matches, &[]).unwrap_err();
     assert!(matches!(error, snake_core::Error::NoTransform { .. }), "{error}");
     assert!(pair.matches(&[[0, 999_999]]).unwrap_err().to_string().contains("999999"));
+}
+
+/// Two sectors of a room with boxes at random places, as seen from its middle: 140 degrees of azimuth
+/// each, of which they share 40. The second is rotated.
+fn sectors(seed: u64) -> ([Vec<Point>; 2], RigidTransform) {
+    let mut rng = ChaCha8Rng::seed_from_u64(seed);
+    let mut points: Vec<Point> = Vec::new();
+    let mut face = |corner: [f32; 3], sides: [[f32; 3]; 2]| {
+        let steps = sides.map(|side| (side.iter().map(|v| v.abs()).sum::<f32>() / 0.03) as i32);
+        for (a, b) in (0..steps[0]).flat_map(|a| (0..steps[1]).map(move |b| (a, b))) {
+            let at = [a as f32 / steps[0] as f32, b as f32 / steps[1] as f32];
+            points.push(std::array::from_fn(|k| corner[k] + at[0] * sides[0][k] + at[1] * sides[1][k]));
+        }
+    };
+    face([-2.5, -2.0, -1.2], [[5.0, 0.0, 0.0], [0.0, 4.0, 0.0]]);
+    for (corner, side) in [
+        ([-2.5, -2.0, -1.2], [5.0, 0.0, 0.0]),
+        ([-2.5, 2.0, -1.2], [5.0, 0.0, 0.0]),
+        ([-2.5, -2.0, -1.2], [0.0, 4.0, 0.0]),
+        ([2.5, -2.0, -1.2], [0.0, 4.0, 0.0]),
+    ] {
+        face(corner, [side, [0.0, 0.0, 2.4]]);
+    }
+    for _ in 0..14 {
+        let angle = rng.random_range(-3.1..3.1_f32);
+        let (x, y, radius) = (angle.cos(), angle.sin(), rng.random_range(1.2..1.8));
+        let [width, height]: [f32; 2] = [rng.random_range(0.2..0.6), rng.random_range(0.3..1.4)];
+        let corner = [radius * x, radius * y, -1.2];
+        face(corner, [[-width * y, width * x, 0.0], [0.0, 0.0, height]]);
+        face([corner[0], corner[1], height - 1.2], [[-width * y, width * x, 0.0], [0.4 * x, 0.4 * y, 0.0]]);
+    }
+    let view = |from: f32| -> Vec<Point> {
+        let within = |p: &&Point| (p[1].atan2(p[0]).to_degrees() - from).rem_euclid(360.0) < 140.0;
+        points.iter().filter(within).copied().collect()
+    };
+    let motion = RigidTransform::from(IsometryMatrix3::rotation(Vector3::new(0.2, -0.1, 1.9)));
+    ([view(0.0), transform_points(&motion, &view(100.0))], motion)
+}
+
+#[test]
+fn single_matches_find_more_pairs_of_low_overlap() {
+    let mut right = [0; 2];
+    for seed in [7, 9, 11, 12] {
+        let ([source, target], truth) = sectors(seed);
+        let (options, control) = (RegisterOptions::default(), Control::default());
+        let prepared = prepare_named(&[&source[..], &target], &NAMES, &[], None, &options, &control).unwrap();
+        let pair = Pair::new(&prepared.clouds[0], &prepared.clouds[1], None);
+        let found = [Effort::Usual, Effort::Thorough].map(|effort| {
+            let found = register_guessed(&pair, &options, &PairOptions::default(), &[], effort, &control).unwrap();
+            let (angle, distance) = found.t_target_source.angle_and_distance_to(&truth);
+            let is_right = angle < 0.02 && distance < 0.05;
+            assert!(is_right || !found.verdict.is_reliable, "{seed}: {found:?}");
+            is_right
+        });
+        assert!(found[1] || !found[0], "{seed}");
+        right.iter_mut().zip(found).for_each(|(count, is_right)| *count += usize::from(is_right));
+    }
+    assert_eq!(right, [1, 4]);
 }
