@@ -25,9 +25,8 @@ impl NearestRow {
     }
 }
 
-/// The greatest two scores and the row of the greatest. The score of rows a and b is
-/// `a·b - |b|²/2`; it is greatest for the b nearest to a, because
-/// `|a - b|² = |a|² - 2 (a·b - |b|²/2)`.
+/// The score of rows a and b is `a·b - |b|²/2`; it is greatest for the b nearest to a, because
+/// `|a - b|² = |a|² - 2 (a·b - |b|²/2)`. These are the greatest score, its row, and the second greatest.
 #[derive(Clone, Copy)]
 struct BestTwo {
     row: u32,
@@ -36,23 +35,81 @@ struct BestTwo {
 }
 
 impl BestTwo {
-    const NONE: Self = Self { row: 0, best: f32::NEG_INFINITY, second: f32::NEG_INFINITY };
+    fn nearest(&self, squared_norm: f32) -> NearestRow {
+        let squared = |score: f32| (squared_norm - 2.0 * score).max(0.0);
+        NearestRow { row: self.row as usize, squared: squared(self.best), second_squared: squared(self.second) }
+    }
+}
 
-    /// Of equal scores the first counts.
+/// Number of scores that are compared at once.
+const LANES: usize = 16;
+
+/// The best two scores in each lane. Of equal scores the first counts.
+#[derive(Clone, Copy)]
+struct Lanes {
+    rows: [u32; LANES],
+    best: [f32; LANES],
+    second: [f32; LANES],
+}
+
+impl Lanes {
+    const NONE: Self = Self { rows: [0; LANES], best: [f32::NEG_INFINITY; LANES], second: [f32::NEG_INFINITY; LANES] };
+
+    /// Takes a score in each lane, all of `row`. Without branches it is a few vector instructions.
     #[inline]
-    fn insert(&mut self, row: u32, score: f32) {
-        if score > self.second {
-            if score > self.best {
-                *self = Self { row, best: score, second: self.best };
-            } else {
-                self.second = score;
+    fn insert(&mut self, row: u32, scores: [f32; LANES]) {
+        let Self { rows, best, second } = *self;
+        let less = |lane: usize| if scores[lane] > best[lane] { best[lane] } else { scores[lane] };
+        *self = Self {
+            rows: std::array::from_fn(|lane| if scores[lane] > best[lane] { row } else { rows[lane] }),
+            best: std::array::from_fn(|lane| greater(best[lane], scores[lane])),
+            second: std::array::from_fn(|lane| greater(second[lane], less(lane))),
+        };
+    }
+
+    /// Takes what other lanes have, whose rows come later.
+    fn merge(&mut self, later: &Self) {
+        for (lane, (&row, &best)) in later.rows.iter().zip(&later.best).enumerate() {
+            let second = greater(self.second[lane], later.second[lane]);
+            let less = if best > self.best[lane] { self.best[lane] } else { best };
+            self.second[lane] = greater(second, less);
+            if best > self.best[lane] {
+                (self.rows[lane], self.best[lane]) = (row, best);
             }
         }
     }
 
-    fn nearest(&self, squared_norm: f32) -> NearestRow {
-        let squared = |score: f32| (squared_norm - 2.0 * score).max(0.0);
-        NearestRow { row: self.row as usize, squared: squared(self.best), second_squared: squared(self.second) }
+    fn at(&self, lane: usize) -> BestTwo {
+        BestTwo { row: self.rows[lane], best: self.best[lane], second: self.second[lane] }
+    }
+
+    /// The best two of all lanes, where lane i of row j stands for the row `j * LANES + i`.
+    fn best_of_all(&self) -> BestTwo {
+        let all = (0..LANES).map(|lane| {
+            let found = self.at(lane);
+            BestTwo { row: found.row * LANES as u32 + lane as u32, ..found }
+        });
+        let better = |a: BestTwo, b: BestTwo| {
+            let is_b = b.best > a.best || (b.best == a.best && b.row < a.row);
+            let (first, other) = if is_b { (b, a) } else { (a, b) };
+            BestTwo { second: first.second.max(other.best), ..first }
+        };
+        all.reduce(better).expect("LANES is not 0")
+    }
+}
+
+/// The greater of two numbers, of which none is NaN: one instruction, other than `f32::max`.
+#[inline]
+fn greater(a: f32, b: f32) -> f32 {
+    if a > b { a } else { b }
+}
+
+/// Scores of up to LANES products; lanes without one never count.
+#[inline]
+fn scores(products: &[f32], half_norm: impl Fn(usize) -> f32) -> [f32; LANES] {
+    match <&[f32; LANES]>::try_from(products) {
+        Ok(products) => std::array::from_fn(|lane| products[lane] - half_norm(lane)),
+        Err(_) => std::array::from_fn(|lane| products.get(lane).map_or(f32::NEG_INFINITY, |v| v - half_norm(lane))),
     }
 }
 
@@ -69,6 +126,7 @@ pub(super) fn nearest_both(
     }
     let [source_norms, target_norms] = [source, target].map(|rows| squared_norms(rows, dimension));
     let count = target_norms.len();
+    let half_target_norms: Vec<f32> = target_norms.iter().map(|norm| 0.5 * norm).collect();
     let transposed = DMatrixView::from_slice(target, dimension, count).transpose();
     let tile = |(tile, rows): (usize, &[f32])| {
         counter.check()?;
@@ -76,30 +134,32 @@ pub(super) fn nearest_both(
         counter.add(in_tile);
         let mut products = DMatrix::<f32>::zeros(count, in_tile);
         products.gemm(1.0, &transposed, &DMatrixView::from_slice(rows, dimension, in_tile), 0.0);
-        let (mut row_best, mut column_best) = (vec![BestTwo::NONE; in_tile], vec![BestTwo::NONE; count]);
-        let rows = tile * ROWS_PER_TILE..;
-        for ((row, best), products) in rows.zip(&mut row_best).zip(products.as_slice().chunks_exact(count)) {
+        let mut column_best = vec![Lanes::NONE; count.div_ceil(LANES)];
+        let row_best = (tile * ROWS_PER_TILE..).zip(products.as_slice().chunks_exact(count)).map(|(row, products)| {
             let half_norm = 0.5 * source_norms[row];
-            for (other, product) in products.iter().enumerate() {
-                best.insert(other as u32, product - 0.5 * target_norms[other]);
-                column_best[other].insert(row as u32, product - half_norm);
+            let mut best = Lanes::NONE;
+            let blocks = products.chunks(LANES).zip(half_target_norms.chunks(LANES)).zip(&mut column_best);
+            for (block, ((products, half_norms), column_best)) in blocks.enumerate() {
+                best.insert(block as u32, scores(products, |lane| half_norms[lane]));
+                column_best.insert(row as u32, scores(products, |_| half_norm));
             }
-        }
+            best.best_of_all()
+        });
+        let row_best: Vec<BestTwo> = row_best.collect();
         Ok((row_best, column_best))
     };
-    let (mut source_best, mut target_best) = (Vec::new(), vec![BestTwo::NONE; count]);
+    let (mut source_best, mut target_best) = (Vec::new(), vec![Lanes::NONE; count.div_ceil(LANES)]);
     let tiles: Vec<(usize, &[f32])> = source.chunks(ROWS_PER_TILE * dimension).enumerate().collect();
     // The results of a round are held in memory; the number of threads does not matter.
     for round in tiles.chunks(TILES_PER_ROUND) {
         for (rows, columns) in round.par_iter().map(|&rows| tile(rows)).collect::<Result<Vec<_>>>()? {
             source_best.extend(rows);
-            for (all, BestTwo { row, best, second }) in target_best.iter_mut().zip(columns) {
-                all.insert(row, best);
-                all.insert(row, second);
-            }
+            target_best.iter_mut().zip(&columns).for_each(|(all, later)| all.merge(later));
         }
     }
-    let nearest = |best: Vec<BestTwo>, norms: &[f32]| best.iter().zip(norms).map(|(b, &n)| b.nearest(n)).collect();
+    let target_best = (0..count).map(|column| target_best[column / LANES].at(column % LANES)).collect();
+    let nearest =
+        |best: Vec<BestTwo>, norms: &[f32]| best.iter().zip(norms).map(|(best, &norm)| best.nearest(norm)).collect();
     Ok([nearest(source_best, &source_norms), nearest(target_best, &target_norms)])
 }
 
