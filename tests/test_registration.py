@@ -72,6 +72,22 @@ def test_results_can_be_pickled(cloud, found):
             snake_rs.Registration(state)
 
 
+def test_a_prepared_map_registers_scans_and_can_be_pickled(cloud):
+    lengths = {"voxel_size": 0.05, "normal_radius": 0.1, "feature_radius": 0.25, "inlier_distance": 0.075}
+    scan, floor = moved(transform(), cloud[:2048]), cloud[2048:] + [700_000.0, 5_000_000, 0]
+    prepared = snake_rs.PreparedMap(floor, **lengths)
+    once = snake_rs.register(scan, floor, **lengths)
+    for one in (prepared, pickle.loads(pickle.dumps(prepared))):
+        found = one.register(scan)
+        assert found.verdict.is_reliable and values(found) | {"seconds": 0} == values(once) | {"seconds": 0}
+        assert np.array_equal(found.t_target_source, once.t_target_source)
+    assert prepared.voxel_size == 0.05 and "2048 points" in repr(prepared)
+    with pytest.raises(ValueError, match="`voxel_size` is none"):
+        snake_rs.PreparedMap(floor)
+    with pytest.raises(TypeError, match="'gravity'"):
+        prepared.register(scan, gravity="z")
+
+
 def test_model_and_options_reach_the_core(cloud, found):
     again = {"model": snake_rs.Model.builtin(), "voxel_size": None, "seed": np.int64(0)}
     args = (cloud[:2048], moved(transform(), cloud[2048:]))

@@ -18,6 +18,7 @@
 
     result = snake_rs.register(source, target)  # rigid registration of two clouds
     result.t_target_source, result.verdict.is_reliable  # (4, 4): p_target = R p_source + t
+    floor = snake_rs.PreparedMap(points, voxel_size=0.05)  # a map: described once, for floor.register(scan)
     pairs = snake_rs.match(snake_rs.detect(source), snake_rs.detect(target))  # (M, 2), by keypoints.descriptors
 
     for cloud in snake_rs.read_recording("drive.mcap", topic="/points"):
@@ -46,6 +47,7 @@ from ._core import (
     Matches,
     Mesh,
     Model,
+    PreparedMap,
     RecordedCloud,
     Recording,
     Registration,
@@ -79,6 +81,7 @@ __all__ = [
     "Matches",
     "Mesh",
     "Model",
+    "PreparedMap",
     "RecordedCloud",
     "Recording",
     "Registration",

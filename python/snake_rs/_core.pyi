@@ -22,6 +22,7 @@ __all__ = [
     "Matches",
     "Mesh",
     "Model",
+    "PreparedMap",
     "RecordedCloud",
     "Recording",
     "Registration",
@@ -151,13 +152,16 @@ class _RegistrationOptions(TypedDict, total=False):
     icp_steps: int
 
 @type_check_only
-class _RegisterOptions(_RegistrationOptions, total=False):
+class _PairOptions(TypedDict, total=False):
     source_viewpoint: ArrayLike | None
     target_viewpoint: ArrayLike | None
     initial: ArrayLike | None
     hypotheses: int
     instances: int
     estimate_scale: bool
+
+@type_check_only
+class _RegisterOptions(_RegistrationOptions, _PairOptions, total=False): ...
 
 @type_check_only
 class _AlignOptions(_RegistrationOptions, total=False):
@@ -559,6 +563,20 @@ class AlignmentEdge:
     def residual(self) -> float: ...
     @property
     def information(self) -> NDArray[np.float64]: ...
+
+@final
+class PreparedMap:
+    def __new__(
+        cls,
+        points: _Points,
+        model: _Model | None = None,
+        *,
+        viewpoint: Sequence[float] | None = None,
+        **options: Unpack[_RegistrationOptions],
+    ) -> Self: ...
+    def register(self, source: _Points, **options: Unpack[_PairOptions]) -> Registration: ...
+    @property
+    def voxel_size(self) -> float: ...
 
 @final
 class Registration:

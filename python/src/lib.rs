@@ -35,7 +35,9 @@ use keypoints::{Keypoint, Keypoints};
 use mesh::Mesh;
 use model::Model;
 use recording::{RecordedCloud, Recording, read_recording};
-use registration::{CloudReport, Fit, Instance, Matches, Registration, Verdict, estimate_normals, fpfh, register};
+use registration::{
+    CloudReport, Fit, Instance, Matches, PreparedMap, Registration, Verdict, estimate_normals, fpfh, register,
+};
 use threads::{get_num_threads, set_num_threads};
 use tiled::{DetectedTiles, Tiles, tiles};
 
@@ -164,8 +166,9 @@ mod _core {
     #[pymodule_export]
     use super::{
         Alignment, AlignmentEdge, CloudReport, DetectedTiles, Field, Fit, Instance, Keypoint, Keypoints, Matches, Mesh,
-        Model, RecordedCloud, Recording, Registration, Tiles, Verdict, align, detect, estimate_normals, fpfh,
-        get_num_threads, match_keypoints, read_points, read_recording, register, scene_signs, set_num_threads, tiles,
+        Model, PreparedMap, RecordedCloud, Recording, Registration, Tiles, Verdict, align, detect, estimate_normals,
+        fpfh, get_num_threads, match_keypoints, read_points, read_recording, register, scene_signs, set_num_threads,
+        tiles,
     };
 
     /// Fills what pyo3, numpy and the kernels fill at their first use. While that happens the GIL is released, and a child

@@ -1,9 +1,9 @@
-//! `snake_rs.register`, `estimate_normals` and `fpfh`.
+//! `snake_rs.register`, `PreparedMap`, `estimate_normals` and `fpfh`.
 
 use numpy::{PyArray1, PyArray2, PyArrayMethods};
 use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
-use pyo3::types::PyDict;
+use pyo3::types::{PyDict, PyTuple};
 use snake_core::Cloud;
 use snake_registration as core;
 
@@ -245,6 +245,100 @@ pub fn register(
         core::register_with(from, to, model.as_ref(), &options, &pair, control)
     })?;
     Ok(Registration(near.between_origins(source.origin, target.origin)))
+}
+
+/// A map that many scans are registered to, such as a floor of rooms. It can be pickled.
+///
+/// `points` (M, 3) has the forms of `register`. Its voxels, normals and descriptors are made once and kept.
+/// `voxel_size` has to be given: it follows from the size of the scans, such as 1/80 of their diameter. `viewpoint` (3,) is the
+/// sensor's position in the map's frame, if one sensor saw it all. The other options and `model` are those of `register`; those of a
+/// pair belong to the method.
+///
+/// Raises ValueError for invalid arrays or values, TypeError for an unknown option.
+#[pyclass(frozen, module = "snake_rs")]
+pub struct PreparedMap {
+    map: core::PreparedMap,
+    /// What a pickle holds, from which the map is prepared again.
+    given: Given,
+}
+
+struct Given {
+    cloud: Cloud,
+    model: Option<Py<PyAny>>,
+    viewpoint: Option<[f64; 3]>,
+    options: core::RegisterOptions,
+}
+
+impl PreparedMap {
+    fn prepare(py: Python<'_>, given: Given) -> PyResult<Self> {
+        let Given { cloud, viewpoint, options, .. } = &given;
+        let model = given.model.as_ref().map(|model| model.bind(py));
+        let model = model::for_registration(py, model, options, Some(cloud))?;
+        let map = threads::run_with_signals(py, |control| {
+            core::PreparedMap::new(cloud, *viewpoint, model.as_ref(), options, control)
+        })?;
+        Ok(Self { map, given })
+    }
+}
+
+#[pymethods]
+impl PreparedMap {
+    #[new]
+    #[pyo3(signature = (points, model=None, *, viewpoint=None, **options))]
+    fn new(
+        points: &Bound<'_, PyAny>,
+        model: Option<&Bound<'_, PyAny>>,
+        viewpoint: Option<[f64; 3]>,
+        options: Option<&Bound<'_, PyDict>>,
+    ) -> PyResult<Self> {
+        let options = options::of("PreparedMap", options)?;
+        let (cloud, _) = arrays::cloud("points", points)?;
+        let model = model.map(|model| model.clone().unbind());
+        Self::prepare(points.py(), Given { cloud, model, viewpoint, options })
+    }
+
+    /// Finds the transform from a scan (N, 3) to the map, as `register` does with the map as the target. The options are those
+    /// of `register` for a pair: `source_viewpoint`, `initial`, `hypotheses` and `instances`.
+    #[pyo3(signature = (source, **options))]
+    fn register(&self, source: &Bound<'_, PyAny>, options: Option<&Bound<'_, PyDict>>) -> PyResult<Registration> {
+        let pair: core::PairOptions = options::of("PreparedMap.register", options)?;
+        let (scan, _) = arrays::cloud("source", source)?;
+        let found = threads::run_with_signals(source.py(), |control| self.map.register(&scan, &pair, control))?;
+        Ok(Registration(found))
+    }
+
+    /// Side of the voxels, in cloud units.
+    #[getter]
+    fn voxel_size(&self) -> f64 {
+        self.map.lengths().voxel_size
+    }
+
+    /// Prepares a pickled map again. Its points are relative to the origin.
+    #[staticmethod]
+    fn _restore(
+        points: &Bound<'_, PyAny>,
+        origin: [f64; 3],
+        model: Option<Py<PyAny>>,
+        viewpoint: Option<[f64; 3]>,
+        options: &str,
+    ) -> PyResult<Self> {
+        let options = serde_json::from_str(options).map_err(|error| PyValueError::new_err(error.to_string()))?;
+        let cloud = Cloud { points: arrays::points("points", points)?, origin };
+        Self::prepare(points.py(), Given { cloud, model, viewpoint, options })
+    }
+
+    fn __reduce__<'py>(slf: &Bound<'py, Self>) -> PyResult<(Bound<'py, PyAny>, Bound<'py, PyTuple>)> {
+        let (py, Given { cloud, model, viewpoint, options }) = (slf.py(), &slf.get().given);
+        let points = arrays::rows(py, cloud.points.as_flattened().to_vec(), 3)?;
+        let options = serde_json::to_string(options).map_err(|error| PyValueError::new_err(error.to_string()))?;
+        let arguments = (points, cloud.origin, model, *viewpoint, options).into_pyobject(py)?;
+        Ok((slf.get_type().getattr("_restore")?, arguments))
+    }
+
+    fn __repr__(&self) -> String {
+        let (count, size) = (self.given.cloud.points.len(), self.voxel_size());
+        format!("PreparedMap({count} points, voxels of {size:.3})")
+    }
 }
 
 pub(crate) fn matrix<const N: usize>(py: Python<'_>, rows: [[f64; N]; N]) -> PyResult<Py<PyArray2<f64>>> {

@@ -49,7 +49,7 @@ pub use cloud::normals::{estimate_normals, estimate_normals_with};
 pub use detectors::Detector;
 pub use many::{Alignment, Contradiction, Edge, Pose, align, align_with};
 pub use options::{AlignOptions, AlignPriors, Axis, Descriptor, PairOptions, RegisterOptions};
-pub use register::{register, register_pair, register_with};
+pub use register::{PreparedMap, register, register_pair, register_with};
 pub use result::{CloudReport, Fit, Hypothesis, Instance, Matches, Registration, Verdict, ViewpointUsed};
 pub use rigid::{kabsch, transform_points};
 pub use steps::describe::describe_keypoints;

@@ -1,6 +1,7 @@
 //! Registration of two clouds.
 
 mod instances;
+mod prepared_map;
 mod scales;
 pub(crate) mod second_look;
 mod thorough;
@@ -15,6 +16,7 @@ use crate::result::Registration;
 use crate::steps::prepare::prepare_named;
 use crate::steps::{self, Pair, PreparedClouds, approach, challenge, consensus, describe, judge, match_rows, refine};
 use instances::register_instances;
+pub use prepared_map::PreparedMap;
 use scales::register_at_scales;
 use second_look::{Given, NAMES, better, is_settled};
 use thorough::search_single_matches;

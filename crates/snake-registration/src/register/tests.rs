@@ -9,7 +9,7 @@ use crate::detectors::Detector;
 use crate::options::Descriptor;
 use crate::rigid::tests::random_transform;
 use crate::rigid::transform_points;
-use snake_core::Builtin;
+use snake_core::{Builtin, Cloud};
 use snake_geometry::{Length, RigidTransform, resolution};
 
 fn sample() -> Vec<Point> {
@@ -376,4 +376,47 @@ fn single_matches_find_more_pairs_of_low_overlap() {
         right.iter_mut().zip(found).for_each(|(count, is_right)| *count += usize::from(is_right));
     }
     assert_eq!(right, [1, 4]);
+}
+
+fn cloud(points: &[Point], origin: [f64; 3]) -> Cloud {
+    Cloud { points: points.to_vec(), origin }
+}
+
+#[test]
+fn scans_of_a_prepared_map_have_the_result_of_register() {
+    let points = sample();
+    let lengths = [0.05, 0.1, 0.25, 0.075].map(|length| Some(Length::Units(length)));
+    let options = RegisterOptions::default()
+        .with_voxel_size(lengths[0])
+        .with_normal_radius(lengths[1])
+        .with_feature_radius(lengths[2])
+        .with_inlier_distance(lengths[3]);
+    let (origin, control) = ([691_000.0, 5_336_000.0, 512.0], Control::default());
+    let map = PreparedMap::new(&cloud(&points[2048..], origin), None, None, &options, &control).unwrap();
+    for seed in 0..2 {
+        let truth = RigidTransform::from(random_transform(&mut ChaCha8Rng::seed_from_u64(seed)));
+        let scan = transform_points(&truth, &points[..2048]);
+        // Neither sensor is known: a georeferenced cloud has none at the zero of its frame.
+        let one = register(&scan, &points[2048..], &options.with_use_viewpoints(false)).unwrap();
+        let one = one.between_origins([0.0; 3], origin);
+        let found = map.register(&cloud(&scan, [0.0; 3]), &PairOptions::default(), &control).unwrap();
+        assert!(found.verdict.is_reliable, "{found:?}");
+        assert_eq!(Registration { seconds: 0.0, ..found }, Registration { seconds: 0.0, ..one });
+    }
+}
+
+#[test]
+fn a_map_refuses_what_its_scans_would_have_to_tell() {
+    let (map, control) = (cloud(&sample(), [0.0; 3]), Control::default());
+    let refused = PreparedMap::new(&map, None, None, &RegisterOptions::default(), &control).err().unwrap();
+    assert!(refused.to_string().contains("`voxel_size` is none") && refused.to_string().contains("map"), "{refused}");
+    let options = RegisterOptions::default().with_voxel_size(Some(Length::Units(0.05)));
+    let prepared = PreparedMap::new(&map, None, None, &options, &control).unwrap();
+    for (pair, name) in [
+        (PairOptions::default().with_target_viewpoint(Some([0.0; 3])), "target_viewpoint"),
+        (PairOptions::default().with_estimate_scale(true), "estimate_scale"),
+    ] {
+        let refused = prepared.register(&map, &pair, &control).unwrap_err().to_string();
+        assert!(refused.contains(name), "{refused}");
+    }
 }

@@ -1,0 +1,92 @@
+//! Registration of many scans to one map.
+
+use std::time::Instant;
+
+use snake_core::{Cloud, Control, Error, Model, Result};
+
+use super::{Effort, register_guessed};
+use crate::options::{PairOptions, RegisterOptions, check_viewpoint};
+use crate::result::Registration;
+use crate::steps::{Lengths, Pair, PreparedCloud, prepare};
+use crate::tuning::tuning;
+
+tuning! {
+    /// Number of keypoints of a map, at most.
+    keypoints: usize = 20_000, unit "keypoints",
+        from "tests/bench/maps.py with overlaps of 0.4 and more: 38 of 43 scans are right in 2 times the time of a pair; with 16 000 37, with all no more, in 5 times";
+}
+
+/// A map that scans are registered to, such as a floor of rooms or a street. Its voxels, normals and
+/// descriptors are made once and kept.
+pub struct PreparedMap {
+    prepared: PreparedCloud,
+    origin: [f64; 3],
+    model: Option<Model>,
+    options: RegisterOptions,
+}
+
+impl PreparedMap {
+    /// Prepares a map `(M, 3)`. `viewpoint` is the sensor's position in the map's frame, if one
+    /// sensor saw it all.
+    ///
+    /// `voxel_size` has to be given: it follows from the size of the scans, which the map does not
+    /// tell. [`register`](super::register()) takes 1/80 of a scan's diameter. `max_keypoints` is that of
+    /// a scan; a map has up to 20 000.
+    ///
+    /// # Errors
+    /// [`Error::Option`] without a voxel size; the errors of [`prepare`](crate::steps::prepare()).
+    pub fn new(
+        map: &Cloud,
+        viewpoint: Option<[f64; 3]>,
+        model: Option<&Model>,
+        options: &RegisterOptions,
+        control: &Control,
+    ) -> Result<Self> {
+        options.check_ranges()?;
+        if options.voxel_size.is_none() {
+            let allowed = "a length for a map, such as 1/80 of the diameter of its scans";
+            return Err(Error::Option { name: "voxel_size", value: "none".into(), allowed });
+        }
+        check_viewpoint("viewpoint", viewpoint)?;
+        let (mut of_map, mut viewpoints) = (*options, [viewpoint]);
+        of_map.place_viewpoints(&mut viewpoints, &[map.origin]);
+        // The seed of a pair's target: with that of the source, equal clouds would have equal random
+        // keypoints.
+        let of_map = of_map.with_seed(options.seed.wrapping_add(1)).with_max_keypoints(TUNING.keypoints);
+        let model = options.model_to_run(model)?;
+        let prepared = prepare(&[&map.points], &viewpoints, model, &of_map, control)?.clouds.remove(0);
+        Ok(Self { prepared, origin: map.origin, model: model.cloned(), options: *options })
+    }
+
+    /// The lengths with which the map is prepared, and with which scans are.
+    pub fn lengths(&self) -> &Lengths {
+        self.prepared.lengths()
+    }
+
+    /// Finds the transform from a scan `(N, 3)` to the map, as [`register`](super::register()) does
+    /// with the lengths of the map.
+    ///
+    /// # Errors
+    /// The errors of [`register_with`](super::register_with()); [`Error::Option`] also for a
+    /// `target_viewpoint`, which [`PreparedMap::new`] takes, and for `estimate_scale`, by which the
+    /// lengths would change.
+    pub fn register(&self, scan: &Cloud, pair_options: &PairOptions, control: &Control) -> Result<Registration> {
+        let start = Instant::now();
+        pair_options.check()?;
+        let refused = |name, allowed| Err(Error::Option { name, value: "a value".into(), allowed });
+        if pair_options.target_viewpoint.is_some() {
+            return refused("target_viewpoint", "none: that of the map was given with it");
+        }
+        if pair_options.estimate_scale {
+            return refused("estimate_scale", "false: the lengths of a map are fixed");
+        }
+        let (mut options, mut pair_options) = (self.options, *pair_options);
+        pair_options.place(&mut options, scan.origin, self.origin);
+        let (viewpoint, model) = (pair_options.source_viewpoint, self.model.as_ref());
+        let prepared = PreparedCloud::new(&scan.points, viewpoint, self.lengths(), model, &options, control)?;
+        let pair = Pair::new(&prepared, &self.prepared, options.gravity);
+        let registration = register_guessed(&pair, &options, &pair_options, &[], Effort::Thorough, control)?;
+        let registration = registration.between_origins(scan.origin, self.origin);
+        Ok(Registration { seconds: start.elapsed().as_secs_f64(), ..registration })
+    }
+}
