@@ -42,9 +42,13 @@ quick:  ## after every edit, three minutes: format, lints, kernels, core, comman
 
 # What the tests and the examples need beside the default features. tests/test_embedding.py runs what is compiled here.
 FEATURES := snake-core/arrow,snake-core/ndarray,snake-core/tracing
-test: module  ## all tests: Rust, Python module, training, parity with PyTorch; Copper's task compiles
-	cargo test --release --features $(FEATURES)
-	cargo test --release -p snake-rs-python --test options
+# The Python module is compiled with the tests: by itself it has other features, and every crate would be compiled twice.
+test: export PYO3_BUILD_EXTENSION_MODULE := 1
+test: export PYTHONPATH := $(CURDIR)/python
+test: $(VENV)/ready  ## all tests: Rust, Python module, training, parity with PyTorch; Copper's task compiles
+	cargo build --release --workspace --lib --bins --tests --examples --features $(FEATURES)
+	cp target/release/lib_core.$(if $(filter Darwin,$(shell uname)),dylib,so) python/snake_rs/_core.abi3.so
+	cargo test --release --workspace --features $(FEATURES)
 	cargo check --release --locked --all-targets --manifest-path examples/copper_task/Cargo.toml --target-dir target
 	OMP_NUM_THREADS=1 $(PYTHON) -m pytest -q -rs --numprocesses 2 --dist loadfile tests training/tests
 

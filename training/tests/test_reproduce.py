@@ -1,10 +1,9 @@
 """Every command of docs/reproduce.md runs, on miniature data in the official layouts."""
 
-import os
 import re
+import runpy
 import shlex
 import shutil
-import subprocess
 import sys
 
 import numpy as np
@@ -12,6 +11,7 @@ import pytest
 import torch
 
 from conftest import FOLDER
+from snake_training import ablations
 from snake_training.model import NetworkConfig, SnakeNetwork
 from test_official import SMPL, TINY, fragments, keypointnet, match3d, modelnet40, smpl
 
@@ -70,8 +70,21 @@ def described(scene, folder):
         )
 
 
+# The tiny network of the tests, in place of the paper's that the ablations train.
+SMALL_PRESET = {
+    "resolution": 8,
+    "unet_levels": 2,
+    "unet_base_channels": 8,
+    "num_points": 64,
+    "num_occupancy": 16,
+    "num_grids": 4,
+    "grid_size": 3,
+    "validation_resolution": 6,
+}
+
+
 @pytest.mark.parametrize("command", COMMANDS)
-def test_a_command_of_the_page_runs(place, snake_cli, command):
+def test_a_command_of_the_page_runs(place, snake_cli, command, monkeypatch):
     """In the order of the page: what trains comes first."""
     words = shlex.split(command)
     for name, added in SMALL.items():
@@ -79,26 +92,17 @@ def test_a_command_of_the_page_runs(place, snake_cli, command):
     if words[0] == "snake-cli":
         snake_cli(*words[1:], cwd=place)
         return
-    environment = os.environ | {"PYTHONPATH": os.pathsep.join([str(FOLDER / "training"), str(FOLDER / "python")])}
+    if "--annotated" in words:
+        words += ["--cli", snake_cli.path]
     if "snake_training.ablations" in words:
-        words = small_ablations(words) + (["--cli", snake_cli.path] if "--annotated" in words else [])
-    done = subprocess.run(
-        [sys.executable, *words[1:]], check=False, cwd=place, env=environment, capture_output=True, text=True
-    )
-    assert done.returncode == 0, done.stderr[-2000:]
-
-
-def small_ablations(words):
-    """The ablations with the tiny network of the tests in place of the paper's."""
-    tiny = (
-        "resolution=8, unet_levels=2, unet_base_channels=8, num_points=64, num_occupancy=16, num_grids=4, grid_size=3"
-    )
-    code = (
-        "import sys; from snake_training import ablations; "
-        f"[preset.update(dict({tiny}, validation_resolution=6)) for preset in ablations.PRESETS.values()]; "
-        "ablations.main(sys.argv[1:])"
-    )
-    return [words[0], "-c", code, *words[3:]]
+        for preset in ablations.PRESETS.values():
+            for name, value in SMALL_PRESET.items():
+                monkeypatch.setitem(preset, name, value)
+    assert words[:2] == ["python", "-m"]
+    monkeypatch.chdir(place)
+    monkeypatch.setattr(sys, "argv", ["python", *map(str, words[3:])])
+    # In this process: to import PyTorch takes longer than a command.
+    runpy.run_module(words[2], run_name="__main__")
 
 
 def test_every_table_and_figure_has_a_row():
