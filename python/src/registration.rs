@@ -303,8 +303,8 @@ impl PreparedMap {
     fn register(&self, source: &Bound<'_, PyAny>, options: Option<&Bound<'_, PyDict>>) -> PyResult<Registration> {
         let pair: core::PairOptions = options::of("PreparedMap.register", options)?;
         let (scan, _) = arrays::cloud("source", source)?;
-        let found = threads::run_with_signals(source.py(), |control| self.map.register(&scan, &pair, control))?;
-        Ok(Registration(found))
+        let registration = threads::run_with_signals(source.py(), |control| self.map.register(&scan, &pair, control))?;
+        Ok(Registration(registration))
     }
 
     /// Side of the voxels, in cloud units.

@@ -48,13 +48,13 @@ impl PreparedMap {
             return Err(Error::Option { name: "voxel_size", value: "none".into(), allowed });
         }
         check_viewpoint("viewpoint", viewpoint)?;
-        let (mut of_map, mut viewpoints) = (*options, [viewpoint]);
-        of_map.place_viewpoints(&mut viewpoints, &[map.origin]);
+        let (mut map_options, mut viewpoints) = (*options, [viewpoint]);
+        map_options.place_viewpoints(&mut viewpoints, &[map.origin]);
         // The seed of a pair's target: with that of the source, equal clouds would have equal random
         // keypoints.
-        let of_map = of_map.with_seed(options.seed.wrapping_add(1)).with_max_keypoints(TUNING.keypoints);
+        let map_options = map_options.with_seed(options.seed.wrapping_add(1)).with_max_keypoints(TUNING.keypoints);
         let model = options.model_to_run(model)?;
-        let prepared = prepare(&[&map.points], &viewpoints, model, &of_map, control)?.clouds.remove(0);
+        let prepared = prepare(&[&map.points], &viewpoints, model, &map_options, control)?.clouds.remove(0);
         Ok(Self { prepared, origin: map.origin, model: model.cloned(), options: *options })
     }
 

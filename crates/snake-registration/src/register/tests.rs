@@ -365,15 +365,15 @@ fn single_matches_find_more_pairs_of_low_overlap() {
         let (options, control) = (RegisterOptions::default(), Control::default());
         let prepared = prepare_named(&[&source[..], &target], &NAMES, &[], None, &options, &control).unwrap();
         let pair = Pair::new(&prepared.clouds[0], &prepared.clouds[1], None);
-        let found = [Effort::Usual, Effort::Thorough].map(|effort| {
-            let found = register_guessed(&pair, &options, &PairOptions::default(), &[], effort, &control).unwrap();
-            let (angle, distance) = found.t_target_source.angle_and_distance_to(&truth);
-            let is_right = angle < 0.02 && distance < 0.05;
-            assert!(is_right || !found.verdict.is_reliable, "{seed}: {found:?}");
-            is_right
+        let is_right = [Effort::Usual, Effort::Thorough].map(|effort| {
+            let one = register_guessed(&pair, &options, &PairOptions::default(), &[], effort, &control).unwrap();
+            let (angle, distance) = one.t_target_source.angle_and_distance_to(&truth);
+            let near = angle < 0.02 && distance < 0.05;
+            assert!(near || !one.verdict.is_reliable, "{seed}: {one:?}");
+            near
         });
-        assert!(found[1] || !found[0], "{seed}");
-        right.iter_mut().zip(found).for_each(|(count, is_right)| *count += usize::from(is_right));
+        assert!(is_right[1] || !is_right[0], "{seed}");
+        right.iter_mut().zip(is_right).for_each(|(count, is_right)| *count += usize::from(is_right));
     }
     assert_eq!(right, [1, 4]);
 }
@@ -399,9 +399,9 @@ fn scans_of_a_prepared_map_have_the_result_of_register() {
         // Neither sensor is known: a georeferenced cloud has none at the zero of its frame.
         let one = register(&scan, &points[2048..], &options.with_use_viewpoints(false)).unwrap();
         let one = one.between_origins([0.0; 3], origin);
-        let found = map.register(&cloud(&scan, [0.0; 3]), &PairOptions::default(), &control).unwrap();
-        assert!(found.verdict.is_reliable, "{found:?}");
-        assert_eq!(Registration { seconds: 0.0, ..found }, Registration { seconds: 0.0, ..one });
+        let registration = map.register(&cloud(&scan, [0.0; 3]), &PairOptions::default(), &control).unwrap();
+        assert!(registration.verdict.is_reliable, "{registration:?}");
+        assert_eq!(Registration { seconds: 0.0, ..registration }, Registration { seconds: 0.0, ..one });
     }
 }
 

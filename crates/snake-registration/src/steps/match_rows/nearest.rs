@@ -86,8 +86,8 @@ impl Lanes {
     /// The best two of all lanes, where lane i of row j stands for the row `j * LANES + i`.
     fn best_of_all(&self) -> BestTwo {
         let all = (0..LANES).map(|lane| {
-            let found = self.at(lane);
-            BestTwo { row: found.row * LANES as u32 + lane as u32, ..found }
+            let two = self.at(lane);
+            BestTwo { row: two.row * LANES as u32 + lane as u32, ..two }
         });
         let better = |a: BestTwo, b: BestTwo| {
             let is_b = b.best > a.best || (b.best == a.best && b.row < a.row);
