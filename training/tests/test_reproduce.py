@@ -70,16 +70,11 @@ def described(scene, folder):
         )
 
 
-# The tiny network of the tests, in place of the paper's that the ablations train.
-SMALL_PRESET = {
-    "resolution": 8,
-    "unet_levels": 2,
-    "unet_base_channels": 8,
-    "num_points": 64,
-    "num_occupancy": 16,
-    "num_grids": 4,
-    "grid_size": 3,
-    "validation_resolution": 6,
+# The same as a preset, in place of the paper's, whose network the ablations train.
+TINY_PRESET = {
+    name.removeprefix("--").replace("-", "_"): int(value)
+    for name, value in zip(TINY[::2], TINY[1::2], strict=True)
+    if value.isdigit()
 }
 
 
@@ -96,7 +91,7 @@ def test_a_command_of_the_page_runs(place, snake_cli, command, monkeypatch):
         words += ["--cli", snake_cli.path]
     if "snake_training.ablations" in words:
         for preset in ablations.PRESETS.values():
-            for name, value in SMALL_PRESET.items():
+            for name, value in TINY_PRESET.items():
                 monkeypatch.setitem(preset, name, value)
     assert words[:2] == ["python", "-m"]
     monkeypatch.chdir(place)

@@ -98,8 +98,8 @@ fn register_prepared(
     register_guessed(&pair, options, pair_options, guesses, effort, control)
 }
 
-/// Registers two prepared clouds, such as a scan and a map that is kept. The viewpoints of the
-/// options are not used: they are part of the preparation.
+/// Registers two prepared clouds. The viewpoints of the options are not used: they are part of the
+/// preparation. A map for many scans is a [`PreparedMap`].
 ///
 /// # Errors
 /// The errors of [`register_with`].

@@ -204,4 +204,13 @@ mod tests {
         }
         assert_eq!(nearest_both(&[], &[1.0], 1, &Counter::default()).unwrap(), [vec![], vec![]]);
     }
+
+    #[test]
+    fn the_first_of_equal_rows_counts() {
+        // More than a tile of source rows, and lanes that are not all in use.
+        let rows = vec![0.5; 3 * (2 * ROWS_PER_TILE + 5)];
+        for side in nearest_both(&rows, &rows, 3, &Counter::default()).unwrap() {
+            assert!(side.iter().all(|nearest| nearest.row == 0 && nearest.squared == nearest.second_squared));
+        }
+    }
 }
