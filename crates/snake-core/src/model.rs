@@ -138,7 +138,7 @@ impl Model {
         let start = Instant::now();
         let field = self.field(cloud, &options.encode, control)?;
         let encode = start.elapsed().as_secs_f64();
-        let mut detection = field.detect_in(&options.detect, Vec::new(), control)?;
+        let mut detection = field.detect_in(&options.detect, control)?;
         detection.timing.encode = encode;
         Ok(detection)
     }

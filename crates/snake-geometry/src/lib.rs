@@ -10,8 +10,8 @@
 //! |---|---|
 //! | nearest points, or all within any radius, in f64 or f32 | [`KdTree`] (kiddo's tree) |
 //! | the same in f64, with normals, covariances and the resolution | [`Neighbors`], on that tree |
-//! | all candidates within one radius, with no allocation | [`RadiusCells`], one grid of cells |
-//! | the nearest point, of a cloud or of each keypoint, with no allocation | [`PointTree`] |
+//! | all candidates within one radius | [`RadiusCells`], one grid of cells |
+//! | the nearest point, of a cloud or of each keypoint | [`PointTree`] |
 //! | the nearest point within one distance, for every step of ICP | `NearGrid` of snake-registration, cells of a box |
 //!
 //! Lengths are in the units of the cloud. Results have the same bits for any number of threads.
@@ -41,8 +41,8 @@ pub use options::{Ranged, check_range};
 pub use source::ArrowPoints;
 pub use source::{PointCloud2Layout, PointCloud2View, PointField, PointSource, SeparateAxes};
 pub use subset::{
-    Fate, by_falling_score, farthest_points, keep_apart, keep_in_order, nearest_points, nearest_points_into, sample,
-    suppress, suppress_ranked, suppress_seen, suppress_to_count,
+    Fate, by_falling_score, farthest_points, keep_apart, keep_in_order, nearest_points, sample, suppress,
+    suppress_ranked, suppress_seen, suppress_to_count,
 };
 #[doc(hidden)]
 pub use text::{excerpt, is_harmful, printable, shortened, shortened_value};

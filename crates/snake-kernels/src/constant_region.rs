@@ -9,15 +9,13 @@
 
 use rayon::prelude::*;
 
-use crate::Scratch;
-
 /// The constant voxels of a volume.
 #[derive(Debug, Clone)]
 pub struct ConstantRegion {
     /// Voxels along z, y, x.
     size: [usize; 3],
     /// Whether each voxel is constant, `[z][y][x]`.
-    constant: Scratch<bool>,
+    constant: Vec<bool>,
     /// Voxels from a border up to which values may differ.
     reach: usize,
 }
@@ -28,8 +26,7 @@ impl ConstantRegion {
     /// # Panics
     /// If a voxel lies outside the volume.
     pub fn around(size: [usize; 3], voxels: impl Iterator<Item = usize>) -> Self {
-        let mut constant = Scratch::zeros(size.iter().product());
-        constant.fill(true);
+        let mut constant = vec![true; size.iter().product()];
         voxels.for_each(|voxel| constant[voxel] = false);
         Self { size, constant, reach: 0 }
     }
@@ -52,16 +49,17 @@ impl ConstantRegion {
     /// The constant region after max-pooling over blocks of 2x2x2; an odd last slice is dropped.
     pub fn pooled(&self) -> Self {
         let size = self.size.map(|n| n / 2);
-        let constant = (0..size.iter().product()).map(|voxel| {
+        let is_constant = |voxel| {
             let corner = split(voxel, size).map(|i| 2 * i);
             all_of(self.size, corner, 2, |voxel| self.constant[voxel])
-        });
-        Self { size, constant: Scratch::collect(constant.len(), constant), reach: self.reach.div_ceil(2) }
+        };
+        let constant = (0..size.iter().product()).map(is_constant).collect();
+        Self { size, constant, reach: self.reach.div_ceil(2) }
     }
 
     /// For each constant tile, of `tile` voxels along each axis, the first tile of its kind, which may be itself; `None`
     /// for the other tiles.
-    pub fn originals(&self, tile: usize) -> Scratch<Option<u32>> {
+    pub fn originals(&self, tile: usize) -> Vec<Option<u32>> {
         let tiles = self.size.map(|n| n.div_ceil(tile));
         // All tiles beyond the reach of the borders are of one kind, that of the first of them.
         let kind = |axis: usize, i: usize| {
@@ -69,15 +67,14 @@ impl ConstantRegion {
             if inside { self.reach.div_ceil(tile) } else { i }
         };
         // For each kind, by the place of its first tile, the first constant tile.
-        let mut first: Scratch<Option<u32>> = Scratch::zeros(tiles.iter().product());
+        let mut first = vec![None; tiles.iter().product()];
         let original = |number: usize| {
             let place = split(number, tiles);
             let [z, y, x]: [usize; 3] = std::array::from_fn(|axis| kind(axis, place[axis]));
             all_of(self.size, place.map(|i| i * tile), tile, |voxel| self.constant[voxel])
                 .then(|| *first[(z * tiles[1] + y) * tiles[2] + x].get_or_insert(number as u32))
         };
-        let numbers = 0..tiles.iter().product();
-        Scratch::collect(numbers.len(), numbers.map(original))
+        (0..tiles.iter().product()).map(original).collect()
     }
 }
 
@@ -105,14 +102,14 @@ pub(crate) fn copy_constant_tiles(
     let [_, height, width] = size;
     let tiles = size.map(|n| n.div_ceil(tile));
     // For each tile the number of its copies.
-    let mut counts: Scratch<u32> = Scratch::zeros(originals.len());
+    let mut counts = vec![0_u32; originals.len()];
     for (number, &original) in originals.iter().enumerate() {
         if let Some(original) = original.filter(|&original| original as usize != number) {
             counts[original as usize] += 1;
         }
     }
     // For each tile with copies its place among them.
-    let mut places: Scratch<u32> = Scratch::zeros(originals.len());
+    let mut places = vec![0_u32; originals.len()];
     let mut num_copied = 0;
     for (place, _) in places.iter_mut().zip(counts.iter()).filter(|(_, count)| **count > 0) {
         *place = num_copied;
@@ -120,7 +117,7 @@ pub(crate) fn copy_constant_tiles(
     }
     // The voxels of each tile with copies; voxels beyond the border are zero and add nothing.
     let length = tile.pow(3) * channels;
-    let mut values = Scratch::zeros(num_copied as usize * length);
+    let mut values = vec![0.0; num_copied as usize * length];
     let copied = counts.iter().enumerate().filter(|(_, count)| **count > 0);
     for ((original, &count), values) in copied.zip(values.chunks_exact_mut(length)) {
         let corner = split(original, tiles).map(|i| i * tile);

@@ -2,13 +2,11 @@
 
 use rayon::prelude::*;
 
-use crate::Scratch;
-
 /// The sum and the sum of squares of each channel of a volume `(voxels, channels)`, in float64. Fixed runs of voxels are
 /// summed in parallel and added in order, so the bits do not depend on the number of threads.
-pub fn channel_sums(volume: &[f32], channels: usize) -> Scratch<[f64; 2]> {
+pub fn channel_sums(volume: &[f32], channels: usize) -> Vec<[f64; 2]> {
     const RUN: usize = 4096;
-    let mut partial: Scratch<[f64; 2]> = Scratch::zeros(volume.len().div_ceil(RUN * channels) * channels);
+    let mut partial = vec![[0.0; 2]; volume.len().div_ceil(RUN * channels) * channels];
     volume.par_chunks(RUN * channels).zip(partial.par_chunks_mut(channels)).for_each(|(run, sums)| {
         for voxel in run.chunks_exact(channels) {
             for (sum, &value) in sums.iter_mut().zip(voxel) {
@@ -22,8 +20,8 @@ pub fn channel_sums(volume: &[f32], channels: usize) -> Scratch<[f64; 2]> {
 }
 
 /// Adds the sums of several runs, `(runs, channels)`, first to last.
-pub(crate) fn add_in_order(partial: &[[f64; 2]], channels: usize) -> Scratch<[f64; 2]> {
-    let mut total: Scratch<[f64; 2]> = Scratch::zeros(channels);
+pub(crate) fn add_in_order(partial: &[[f64; 2]], channels: usize) -> Vec<[f64; 2]> {
+    let mut total = vec![[0.0; 2]; channels];
     for sums in partial.chunks_exact(channels) {
         for (total, sum) in total.iter_mut().zip(sums) {
             total[0] += sum[0];
@@ -49,10 +47,10 @@ impl GroupNorm {
 
     /// The scale and the shift of each channel (`normalised = value * scale + shift`), from the sums of
     /// [`channel_sums`] over this many voxels.
-    pub fn scale_and_shift(&self, sums: &[[f64; 2]], voxels: usize) -> [Scratch<f32>; 2] {
+    pub fn scale_and_shift(&self, sums: &[[f64; 2]], voxels: usize) -> [Vec<f32>; 2] {
         let size = sums.len() / self.groups;
         let count = (voxels * size) as f64;
-        let (mut scale, mut shift) = (Scratch::zeros(sums.len()), Scratch::zeros(sums.len()));
+        let (mut scale, mut shift) = (vec![0.0; sums.len()], vec![0.0; sums.len()]);
         for (group, sums) in sums.chunks_exact(size).enumerate() {
             let total = |which: usize| sums.iter().map(|s| s[which]).sum::<f64>();
             let mean = total(0) / count;

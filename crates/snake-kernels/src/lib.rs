@@ -35,7 +35,6 @@ mod linear;
 #[cfg(test)]
 mod naive;
 mod rows;
-mod scratch;
 mod simd;
 mod trilinear;
 
@@ -47,6 +46,5 @@ pub use conv3d::{
 pub use group_norm::{GroupNorm, channel_sums};
 pub use linear::{Epilogue, PackedLinear, linear};
 pub use rows::{add_weighted, max_rows, nearest_row, relu};
-pub use scratch::{Element, Scratch};
 pub use simd::SimdLevel;
 pub use trilinear::{Corners, interpolate, interpolate_backward};

@@ -5,18 +5,16 @@ use super::{Candidates, Detection};
 use crate::Result;
 use crate::control::clock::Instant;
 use crate::control::span;
-use crate::field::{Field, Quantity};
+use crate::field::Field;
 use crate::options::{DetectOptions, Radii};
-use snake_geometry::{Keypoint, nearest_points_into, suppress};
-use snake_kernels::{Element, Scratch};
+use snake_geometry::{Keypoint, nearest_points, suppress};
 
-/// The last steps of a detection. The keypoints replace the content of `memory`.
+/// The last steps of a detection.
 pub(super) fn finish(
     field: &Field,
     candidates: Candidates,
     radii: Radii,
     options: &DetectOptions,
-    memory: Vec<Keypoint>,
 ) -> Result<Detection> {
     span!("suppress");
     let start = Instant::now();
@@ -33,13 +31,11 @@ pub(super) fn finish(
         }
     };
     let points = field.finite_points();
-    let mut nearest = Scratch::zeros(positions.len());
-    nearest_points_into(&points.points, &positions, &mut nearest)?;
+    let nearest = nearest_points(&points.points, &positions)?;
     if options.snap {
         positions = selected(&points.points, &nearest);
     }
-    let mut occupancy = Scratch::zeros(positions.len());
-    field.values_into(Quantity::Occupancy, &positions, &mut occupancy)?;
+    let occupancy = field.occupancy(&positions)?;
     let keypoint = |rank: usize| Keypoint {
         position: positions[rank],
         saliency: scores[rank],
@@ -48,10 +44,7 @@ pub(super) fn finish(
         confidence: field.network().confidence(scores[rank]),
     };
     let is_kept = |keypoint: &Keypoint| options.min_confidence.is_none_or(|min| keypoint.confidence >= Some(min));
-    let mut keypoints = memory;
-    keypoints.clear();
-    keypoints.reserve(positions.len().next_power_of_two());
-    keypoints.extend((0..positions.len()).map(keypoint).filter(is_kept));
+    let keypoints: Vec<Keypoint> = (0..positions.len()).map(keypoint).filter(is_kept).collect();
     counts.keypoints = keypoints.len();
     timing.nms = start.elapsed().as_secs_f64();
     Ok(Detection {
@@ -66,6 +59,6 @@ pub(super) fn finish(
 }
 
 /// The values at these indices.
-fn selected<T: Element>(values: &[T], indices: &[usize]) -> Scratch<T> {
-    Scratch::collect(indices.len(), indices.iter().map(|&index| values[index]))
+fn selected<T: Copy>(values: &[T], indices: &[usize]) -> Vec<T> {
+    indices.iter().map(|&index| values[index]).collect()
 }

@@ -23,8 +23,7 @@ use crate::control::clock::Instant;
 use crate::field::Field;
 use crate::lattice::{Queries, Refined};
 use crate::options::DetectOptions;
-use snake_geometry::{Keypoint, Point};
-use snake_kernels::Scratch;
+use snake_geometry::Point;
 
 impl Field {
     /// Detects the keypoints of the encoded cloud (SNAKE Algorithm 1). A field without surface has none.
@@ -52,22 +51,17 @@ impl Field {
     /// [`Error::DeadlineExceeded`](crate::Error::DeadlineExceeded) and [`Error::LimitExceeded`](crate::Error::LimitExceeded).
     pub fn detect_with(&self, options: &DetectOptions, control: &Control) -> Result<Detection> {
         self.network().check_detect(options, self.num_rotations())?;
-        self.detect_in(options, Vec::new(), control)
+        self.detect_in(options, control)
     }
 
-    /// [`Field::detect_with`] with memory for the keypoints. The options are valid for the network.
-    pub(crate) fn detect_in(
-        &self,
-        options: &DetectOptions,
-        memory: Vec<Keypoint>,
-        control: &Control,
-    ) -> Result<Detection> {
+    /// [`Field::detect_with`] with options that are valid for the network.
+    pub(crate) fn detect_in(&self, options: &DetectOptions, control: &Control) -> Result<Detection> {
         let radii = options.radii(self.points(), self.voxel_size())?;
         let queries = self.queries(options);
         control.get_limits().check_evaluations(&options.evaluations(queries.len(), self.num_rotations()))?;
         let candidates = candidates(self, &queries, options, control)?;
         control.begin("suppression", 0).check()?;
-        finish(self, candidates, radii, options, memory)
+        finish(self, candidates, radii, options)
     }
 }
 
@@ -91,8 +85,8 @@ fn candidates(field: &Field, queries: &Queries, options: &DetectOptions, control
 #[derive(Default)]
 struct Candidates {
     /// In the cloud's frame and units.
-    positions: Scratch<Point>,
-    scores: Scratch<f32>,
+    positions: Vec<Point>,
+    scores: Vec<f32>,
     counts: Counts,
     timing: Timing,
 }
@@ -104,8 +98,7 @@ fn above_saliency(field: &Field, refined: &[Refined], threshold: f32) -> Candida
         .iter()
         .map(|query| Refined { position: field.normalization().to_cloud(query.position), score: query.score });
     let kept = in_cloud.filter(|query| query.score > threshold && query.position.iter().all(|v| v.is_finite()));
-    let positions = Scratch::collect(refined.len(), kept.clone().map(|query| query.position));
-    let scores = Scratch::collect(refined.len(), kept.map(|query| query.score));
+    let (positions, scores): (Vec<_>, Vec<_>) = kept.map(|query| (query.position, query.score)).unzip();
     let counts = Counts { above_threshold: positions.len(), ..Counts::default() };
     Candidates { positions, scores, counts, timing: Timing::default() }
 }

@@ -4,7 +4,6 @@ use rayon::prelude::*;
 
 use crate::Result;
 use snake_geometry::{Point, RadiusCells, by_falling_score, keep_in_order};
-use snake_kernels::Scratch;
 
 /// The steps of the mean shift: the share of the radius within which candidates count, and the power of their saliency that
 /// weighs them. With a power of 8, a candidate a tenth less salient weighs half as much. A mean over a wide neighbourhood lies
@@ -24,10 +23,10 @@ const STARTS: usize = 48;
 /// Candidates that moved to modes, by falling saliency of where they started.
 pub(crate) struct Modes {
     /// Their new positions.
-    pub(crate) positions: Scratch<Point>,
+    pub(crate) positions: Vec<Point>,
     /// The mean of the saliency where a candidate started and of the highest one where it ended. The latter tells modes on
     /// a peak from those that stopped on a ridge; the former tells modes of one peak from each other.
-    pub(crate) scores: Scratch<f32>,
+    pub(crate) scores: Vec<f32>,
 }
 
 /// Moves the most salient candidates, at least half of `radius` apart, to modes by mean shift (Comaniciu and Meer 2002):
@@ -46,7 +45,7 @@ pub(crate) fn seek_modes(positions: &[Point], scores: &[f32], radius: f32, max_k
 }
 
 /// The indices of the candidates that are moved, by falling saliency.
-fn starts(cells: &RadiusCells, scores: &[f32], max_keypoints: usize) -> Scratch<usize> {
+fn starts(cells: &RadiusCells, scores: &[f32], max_keypoints: usize) -> Vec<usize> {
     let max_number = STARTS.saturating_mul(max_keypoints.max(64));
     keep_in_order(cells, &by_falling_score(scores), cells.radius() / 2.0, max_number)
 }
@@ -57,15 +56,15 @@ pub(crate) fn modes_of(
     scores: &[f32],
     radius: f32,
     starts: &[usize],
-) -> Result<(Scratch<Point>, Scratch<f32>)> {
+) -> Result<(Vec<Point>, Vec<f32>)> {
     Ok(shift(&RadiusCells::new(positions, radius)?, scores, starts))
 }
 
-fn shift(cells: &RadiusCells, scores: &[f32], starts: &[usize]) -> (Scratch<Point>, Scratch<f32>) {
+fn shift(cells: &RadiusCells, scores: &[f32], starts: &[usize]) -> (Vec<Point>, Vec<f32>) {
     let radius = cells.radius();
-    let weights = STEPS.map(|(_, power)| Scratch::collect(scores.len(), scores.iter().map(|score| score.powi(power))));
-    let mut modes = Scratch::collect(starts.len(), starts.iter().map(|&start| cells.points()[start]));
-    let mut mode_scores = Scratch::collect(starts.len(), starts.iter().map(|&start| scores[start]));
+    let weights = STEPS.map(|(_, power)| scores.iter().map(|score| score.powi(power)).collect::<Vec<_>>());
+    let mut modes: Vec<Point> = starts.iter().map(|&start| cells.points()[start]).collect();
+    let mut mode_scores: Vec<f32> = starts.iter().map(|&start| scores[start]).collect();
     modes.par_iter_mut().zip(&mut mode_scores[..]).for_each(|(mode, score)| {
         for ((share, _), weights) in STEPS.iter().zip(&weights) {
             *mode = weighted_mean(cells, weights, *mode, share * radius);
@@ -146,7 +145,7 @@ mod tests {
     fn modes_of_no_candidates_one_candidate_and_scores_of_zero() {
         let modes = |positions: &[Point], scores: &[f32]| {
             let Modes { positions, scores } = seek_modes(positions, scores, 0.1, 9).unwrap();
-            (positions.to_vec(), scores.to_vec())
+            (positions, scores)
         };
         assert_eq!(modes(&[], &[]), (vec![], vec![]));
         assert_eq!(modes(&[[1.0, 2.0, 3.0]], &[0.5]), (vec![[1.0, 2.0, 3.0]], vec![0.5]));

@@ -8,24 +8,20 @@ use crate::field::{Field, Quantity};
 use crate::lattice::Queries;
 use crate::network::layers::TILE;
 use snake_geometry::Point;
-use snake_kernels::Scratch;
-
-/// Number of occupied queries that have memory from the start.
-const SPACE: usize = 16_384;
 
 /// Queries in the network's frame, with the occupancy that they were chosen by.
 #[derive(Debug, Default, PartialEq)]
 pub(crate) struct Occupied {
-    pub(crate) positions: Scratch<Point>,
+    pub(crate) positions: Vec<Point>,
     /// Empty without a threshold: it is then evaluated nowhere.
-    pub(crate) occupancy: Scratch<f32>,
+    pub(crate) occupancy: Vec<f32>,
 }
 
 #[cfg(test)]
 impl Occupied {
     /// Queries of unknown occupancy.
     pub(crate) fn of(positions: &[Point]) -> Self {
-        Self { positions: Scratch::copy_of(positions), occupancy: Scratch::default() }
+        Self { positions: positions.to_vec(), occupancy: Vec::new() }
     }
 }
 
@@ -33,8 +29,7 @@ impl Occupied {
 pub(crate) fn above_occupancy(field: &Field, queries: &Queries, threshold: f32, control: &Control) -> Result<Occupied> {
     span!("occupancy");
     let counter = control.begin("occupancy", queries.len());
-    let space = queries.len().min(SPACE);
-    let mut occupied = Occupied { positions: Scratch::empty(space), occupancy: Scratch::empty(space) };
+    let mut occupied = Occupied::default();
     queries.for_each_batch(|batch, number| {
         counter.add(number - batch.len());
         append_occupied(field, batch, threshold, &counter, &mut occupied)
@@ -55,7 +50,7 @@ fn append_occupied(
         occupied.positions.extend_from_slice(queries);
         return counter.check();
     }
-    let mut occupancy = Scratch::zeros(queries.len());
+    let mut occupancy = vec![0.0; queries.len()];
     occupancy.par_chunks_mut(TILE).zip(queries.par_chunks(TILE)).try_for_each(|(occupancy, tile)| {
         counter.check()?;
         occupancy.copy_from_slice(&field.tile_values(Quantity::Occupancy, tile));
@@ -78,7 +73,6 @@ pub(crate) mod tests {
         above_occupancy(field, &field.queries(options), options.occupancy_threshold, &Control::default())
             .unwrap()
             .positions
-            .to_vec()
     }
 
     #[test]

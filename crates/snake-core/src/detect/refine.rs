@@ -11,7 +11,6 @@ use crate::lattice::Refined;
 use crate::network::layers::TILE;
 use crate::options::{DetectOptions, RefineMethod, Selection};
 use snake_geometry::Point;
-use snake_kernels::Scratch;
 
 /// Moves each query by `refine_steps` steps and selects a position and a score for it.
 ///
@@ -22,12 +21,12 @@ pub(crate) fn refine(
     queries: &Occupied,
     options: &DetectOptions,
     control: &Control,
-) -> Result<Scratch<Refined>> {
+) -> Result<Vec<Refined>> {
     span!("refine");
     let Occupied { positions, occupancy } = queries;
     let number = positions.len();
     let counter = control.begin("refinement", number * (options.refine_steps + 1));
-    let mut refined = Scratch::<Refined>::zeros(number);
+    let mut refined = vec![Refined::default(); number];
     let tiles = refined.par_chunks_mut(TILE).zip(positions.par_chunks(TILE)).enumerate();
     tiles.try_for_each(|(place, (refined, positions))| {
         let occupancy = occupancy.get(place * TILE..).unwrap_or_default();
@@ -48,17 +47,14 @@ struct Trajectory {
     /// Number of queries of the tile.
     num_queries: usize,
     /// Step by step, so that query q after s steps stands at `s * num_queries + q`.
-    positions: Scratch<Point>,
-    saliency: Scratch<f32>,
+    positions: Vec<Point>,
+    saliency: Vec<f32>,
 }
 
 impl Trajectory {
-    /// Steps that have memory from the start.
-    const FEW: usize = 64;
-
     fn new(num_queries: usize, num_steps: usize) -> Self {
-        let length = num_queries * num_steps.min(Self::FEW);
-        Self { num_queries, positions: Scratch::empty(length), saliency: Scratch::empty(length) }
+        let length = num_queries * num_steps;
+        Self { num_queries, positions: Vec::with_capacity(length), saliency: Vec::with_capacity(length) }
     }
 
     fn push(&mut self, positions: &[Point], saliency: &[f32]) {
@@ -75,7 +71,7 @@ fn refine_tile(
     counter: &Counter,
     refined: &mut [Refined],
 ) -> Result<()> {
-    let mut positions = Scratch::copy_of(queries);
+    let mut positions = queries.to_vec();
     let mut trajectory = Trajectory::new(queries.len(), options.refine_steps + 1);
     let mut ascent = Ascent::new(queries.len(), num_queries, options);
     for _ in 0..options.refine_steps {
@@ -115,8 +111,7 @@ fn best_on_surface(
     let &Trajectory { num_queries, ref positions, ref saliency } = trajectory;
     let num_steps = positions.len() / num_queries;
     // For each query the number of its salient steps, and these steps by falling saliency.
-    let mut counts = Scratch::zeros(best.len());
-    let mut ranked = Scratch::zeros(best.len() * num_steps);
+    let (mut counts, mut ranked) = (vec![0; best.len()], vec![0; best.len() * num_steps]);
     for (query, (best, ranked)) in best.iter_mut().zip(ranked.chunks_exact_mut(num_steps)).enumerate() {
         *best = Refined { position: positions[query], score: 0.0 };
         let saliency = |step: usize| saliency[step * num_queries + query];
@@ -128,13 +123,13 @@ fn best_on_surface(
     let is_unknown = |place: &usize| options.surface_threshold > 0.0 && *place >= start_occupancy.len();
     for rank in 0..num_steps {
         let is_open = |query: &usize| counts[*query] > rank;
-        let open = Scratch::collect(best.len(), (0..best.len()).filter(is_open));
+        let open: Vec<usize> = (0..best.len()).filter(is_open).collect();
         let place = |query: usize| ranked[query * num_steps + rank] * num_queries + query;
         let unknown = open.iter().map(|&query| place(query)).filter(is_unknown);
-        let unknown = Scratch::collect(open.len(), unknown.map(|place| positions[place]));
+        let unknown: Vec<Point> = unknown.map(|place| positions[place]).collect();
         let evaluated = field.tile_values(Quantity::Occupancy, &unknown);
         let mut evaluated = evaluated.iter();
-        for &query in open.iter() {
+        for query in open {
             let place = place(query);
             let occupancy = start_occupancy.get(place).or_else(|| evaluated.next());
             if occupancy.is_none_or(|occupancy| *occupancy > options.surface_threshold) {
@@ -178,13 +173,13 @@ impl Ascent {
 struct Adam {
     step_size: f32,
     steps: i32,
-    mean: Scratch<f32>,
-    variance: Scratch<f32>,
+    mean: Vec<f32>,
+    variance: Vec<f32>,
 }
 
 impl Adam {
     fn new(num_points: usize, step_size: f32) -> Self {
-        Self { step_size, steps: 0, mean: Scratch::zeros(3 * num_points), variance: Scratch::zeros(3 * num_points) }
+        Self { step_size, steps: 0, mean: vec![0.0; 3 * num_points], variance: vec![0.0; 3 * num_points] }
     }
 
     /// One step down the gradient times `factor`.
@@ -241,8 +236,8 @@ mod tests {
                 DetectOptions { refine_steps, saliency_threshold, refine_step_size: 0.01, ..Default::default() };
             let expected = textbook(&field, &queries, &options);
             let occupancy = field.tile_values(Quantity::Occupancy, &queries);
-            for occupancy in [Scratch::default(), occupancy] {
-                let queries = Occupied { positions: Scratch::copy_of(&queries), occupancy };
+            for occupancy in [Vec::new(), occupancy] {
+                let queries = Occupied { positions: queries.to_vec(), occupancy };
                 let refined = refine(&field, &queries, &options, &Control::default()).unwrap();
                 assert_eq!(refined[..], expected, "{refine_steps} {saliency_threshold}");
             }

@@ -3,7 +3,7 @@
 use super::*;
 use crate::{Builtin, EncodeOptions, Model};
 use snake_geometry::{
-    Length, NormalizationMethod,
+    Keypoint, Length, NormalizationMethod,
     rotations::{rotate, rotate_inverse, super_fibonacci},
 };
 

@@ -32,7 +32,6 @@ pub(super) struct Placement {
 pub(crate) struct FieldMemory {
     pub(super) points: Vec<Point>,
     pub(super) indices: Vec<usize>,
-    pub(super) copies: Vec<RotatedCopy>,
     encoder: EncoderMemory,
 }
 
@@ -47,7 +46,7 @@ pub(super) fn encode_rotated_copies(
     check_number_of_points(points.len())?;
     let Placement { normalization, orientation, rotations } = placement;
     let counter = control.begin("encoding", rotations * network.encoder.work(points.len()));
-    let mut copies = std::mem::take(&mut memory.copies);
+    let mut copies = Vec::with_capacity(*rotations);
     for rotation in rotations::super_fibonacci(*rotations) {
         let rotation = rotations::compose(&rotation, orientation);
         let point = |index: usize| rotate(&rotation, normalization.to_network(points[index]));

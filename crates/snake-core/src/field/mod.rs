@@ -31,7 +31,6 @@ use snake_geometry::{
     rotations::{self, rotate},
     sample,
 };
-use snake_kernels::Scratch;
 
 /// Occupancy and saliency of one cloud at any point of space. Queries and gradients are in the cloud's frame and units.
 #[derive(Debug, Clone)]
@@ -62,7 +61,7 @@ impl Field {
         let placement = Placement { normalization, orientation, rotations: options.rotations };
         let points = cloud.points();
         let drawn = options.max_points.filter(|&number| number < points.len());
-        let drawn: Option<Scratch<Point>> = drawn.map(|number| sample(points, number, options.seed));
+        let drawn = drawn.map(|number| sample(points, number, options.seed));
         let encoded = drawn.as_deref().unwrap_or(points);
         let mut copies = encode_rotated_copies(&network, encoded, &placement, memory, control)?;
         if drawn.is_some() {
@@ -115,10 +114,7 @@ impl Field {
 
     /// Leaves its memory to the next field.
     pub(crate) fn recycle_into(self, memory: &mut FieldMemory) {
-        let Self { mut copies, points, .. } = self;
-        copies.clear();
-        memory.copies = copies;
-        (memory.points, memory.indices) = points.into_buffers();
+        (memory.points, memory.indices) = self.points.into_buffers();
     }
 
     /// The queries from which detection starts.
@@ -256,7 +252,7 @@ impl Field {
         let queries = self.to_network(queries)?;
         let mut features = vec![0.0; queries.len() * channels];
         features.par_chunks_mut(TILE * channels).zip(queries.par_chunks(TILE)).for_each(|(features, queries)| {
-            let mut copy_features = Scratch::zeros(features.len());
+            let mut copy_features = vec![0.0; features.len()];
             for RotatedCopy { rotation, volume } in &self.copies {
                 let rotated = rotated(rotation, queries);
                 volume.interpolate(&volume.lattice, &rotated, &mut copy_features);
@@ -271,17 +267,11 @@ impl Field {
     }
 
     fn values(&self, quantity: Quantity, queries: &[Point]) -> Result<Vec<f32>> {
-        let mut values = vec![0.0; queries.len()];
-        self.values_into(quantity, queries, &mut values)?;
-        Ok(values)
-    }
-
-    /// Writes the values of queries in the cloud's frame.
-    pub(crate) fn values_into(&self, quantity: Quantity, queries: &[Point], values: &mut [f32]) -> Result<()> {
         let queries = self.to_network(queries)?;
+        let mut values = vec![0.0; queries.len()];
         let tiles = values.par_chunks_mut(TILE).zip(queries.par_chunks(TILE));
         tiles.for_each(|(values, tile)| values.copy_from_slice(&self.tile_values(quantity, tile)));
-        Ok(())
+        Ok(values)
     }
 
     fn values_and_gradients(&self, quantity: Quantity, queries: &[Point]) -> Result<(Vec<f32>, Vec<Point>)> {
@@ -297,11 +287,11 @@ impl Field {
         Ok((values, gradients))
     }
 
-    fn to_network(&self, queries: &[Point]) -> Result<Scratch<Point>> {
+    fn to_network(&self, queries: &[Point]) -> Result<Vec<Point>> {
         if !queries.is_empty() {
             check_points("queries", queries)?;
         }
-        Ok(Scratch::collect(queries.len(), queries.iter().map(|&query| self.normalization.to_network(query))))
+        Ok(queries.iter().map(|&query| self.normalization.to_network(query)).collect())
     }
 
     /// The shape of the network that made this field.

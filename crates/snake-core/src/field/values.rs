@@ -11,7 +11,6 @@ use snake_geometry::{
     Point,
     rotations::{Rotation, rotate, rotate_inverse},
 };
-use snake_kernels::Scratch;
 
 /// One of the two decoders.
 #[derive(Debug, Clone, Copy)]
@@ -32,11 +31,11 @@ impl Field {
     }
 
     /// One tile of queries in the network's frame, on the calling thread.
-    pub(crate) fn tile_values(&self, quantity: Quantity, queries: &[Point]) -> Scratch<f32> {
+    pub(crate) fn tile_values(&self, quantity: Quantity, queries: &[Point]) -> Vec<f32> {
         if let [copy] = &self.copies[..] {
             return self.copy_values(copy, quantity, queries);
         }
-        let mut sums = Scratch::zeros(queries.len());
+        let mut sums = vec![0.0; queries.len()];
         for copy in &self.copies {
             let values = self.copy_values(copy, quantity, queries);
             sums.iter_mut().zip(values.iter()).for_each(|(sum, &value)| *sum += log_odds(value));
@@ -46,16 +45,11 @@ impl Field {
     }
 
     /// [`Field::tile_values`] with gradients, per network unit.
-    pub(crate) fn tile_values_and_gradients(
-        &self,
-        quantity: Quantity,
-        queries: &[Point],
-    ) -> (Scratch<f32>, Scratch<Point>) {
+    pub(crate) fn tile_values_and_gradients(&self, quantity: Quantity, queries: &[Point]) -> (Vec<f32>, Vec<Point>) {
         if let [copy] = &self.copies[..] {
             return self.copy_values_and_gradients(copy, quantity, queries);
         }
-        let mut sums = Scratch::zeros(queries.len());
-        let mut gradients = Scratch::<Point>::zeros(queries.len());
+        let (mut sums, mut gradients) = (vec![0.0; queries.len()], vec![[0.0; 3]; queries.len()]);
         for copy in &self.copies {
             let copy_values = self.copy_values_and_gradients(copy, quantity, queries);
             let copy_values = copy_values.0.iter().zip(copy_values.1.iter());
@@ -78,10 +72,10 @@ impl Field {
     }
 
     /// Values of one copy.
-    fn copy_values(&self, copy: &RotatedCopy, quantity: Quantity, queries: &[Point]) -> Scratch<f32> {
+    fn copy_values(&self, copy: &RotatedCopy, quantity: Quantity, queries: &[Point]) -> Vec<f32> {
         let (decoder, lattice) = self.decoder(&copy.volume, quantity);
         let queries = &rotated(&copy.rotation, queries);
-        let mut features = Scratch::arbitrary(queries.len() * copy.volume.channels);
+        let mut features = vec![0.0; queries.len() * copy.volume.channels];
         copy.volume.interpolate(&lattice, queries, &mut features);
         decoder.values(queries, &features)
     }
@@ -93,10 +87,10 @@ impl Field {
         copy: &RotatedCopy,
         quantity: Quantity,
         queries: &[Point],
-    ) -> (Scratch<f32>, Scratch<Point>) {
+    ) -> (Vec<f32>, Vec<Point>) {
         let (decoder, lattice) = self.decoder(&copy.volume, quantity);
         let queries = &rotated(&copy.rotation, queries);
-        let mut features = Scratch::arbitrary(queries.len() * copy.volume.channels);
+        let mut features = vec![0.0; queries.len() * copy.volume.channels];
         let corners = copy.volume.interpolate(&lattice, queries, &mut features);
         let decoded = decoder.values_and_gradients(queries, &features);
         let mut gradients = copy.volume.interpolate_backward(&corners, &decoded.in_feature);
@@ -119,8 +113,8 @@ pub(crate) fn log_odds(probability: f32) -> f32 {
 }
 
 /// Queries of one tile in the orientation of a copy.
-pub(super) fn rotated(rotation: &Rotation, queries: &[Point]) -> Scratch<Point> {
-    Scratch::collect(queries.len(), queries.iter().map(|&query| rotate(rotation, query)))
+pub(super) fn rotated(rotation: &Rotation, queries: &[Point]) -> Vec<Point> {
+    queries.iter().map(|&query| rotate(rotation, query)).collect()
 }
 
 fn probability(log_odds: f32) -> f32 {

@@ -6,7 +6,6 @@ use crate::Result;
 use crate::options::DetectOptions;
 use snake_geometry::Point;
 use snake_geometry::rotations::Rotation;
-use snake_kernels::{Scratch, scratch_elements};
 
 /// A query after refinement.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
@@ -16,8 +15,6 @@ pub(crate) struct Refined {
     /// Saliency. It is 0 unless saliency and occupancy are above their thresholds.
     pub(crate) score: f32,
 }
-
-scratch_elements!(Refined);
 
 /// Minimum number of queries of a batch, enough for many threads.
 const MIN_BATCH: usize = 16_384;
@@ -29,7 +26,7 @@ pub(crate) struct Queries(Kind);
 #[derive(Debug)]
 enum Kind {
     Grid(QueryGrid),
-    Cells(Scratch<Point>),
+    Cells(Vec<Point>),
 }
 
 impl Queries {
@@ -45,7 +42,7 @@ impl Queries {
 
     /// One query in each of some cells.
     pub(crate) fn cells(means: impl ExactSizeIterator<Item = Point>) -> Self {
-        Self(Kind::Cells(Scratch::collect(means.len(), means)))
+        Self(Kind::Cells(means.collect()))
     }
 
     /// The number of queries, those included that are dropped without evaluation.
@@ -64,7 +61,7 @@ impl Queries {
             Kind::Grid(grid) => {
                 let resolution = grid.resolution();
                 let plane = resolution * resolution;
-                let mut queries = Scratch::empty(MIN_BATCH + plane);
+                let mut queries = Vec::with_capacity(MIN_BATCH + plane);
                 let mut first = 0;
                 for x in 0..resolution {
                     grid.append_plane(x, &mut queries);

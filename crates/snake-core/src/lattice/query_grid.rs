@@ -6,16 +6,15 @@ use snake_geometry::{
     Point,
     rotations::{Rotation, rotate_inverse},
 };
-use snake_kernels::Scratch;
 
 /// The query grid of a detection, in the orientation of the volume. A few planes at a time are
 /// generated, to save memory.
 #[derive(Debug)]
 pub(super) struct QueryGrid {
     /// The coordinates of the queries along each axis, each with its part of the flat voxel index.
-    axes: [Scratch<(f32, usize)>; 3],
+    axes: [Vec<(f32, usize)>; 3],
     /// Whether the queries of each voxel are evaluated; `None`: all are.
-    band: Option<Scratch<bool>>,
+    band: Option<Vec<bool>>,
     orientation: Rotation,
 }
 
@@ -34,7 +33,7 @@ impl QueryGrid {
             let [low, high] = if axis < 2 { [-0.5, 0.5] } else { [z_min, z_max] };
             let coordinates = (0..resolution).map(|i| coordinate(low, high, resolution, i));
             let voxels = coordinates.map(|coordinate| (coordinate, frame.voxel_along(axis, coordinate)));
-            Scratch::collect(resolution, voxels)
+            voxels.collect()
         });
         let band = (options.query_band > 0).then(|| voxels_near_points(points, frame, options.query_band));
         Self { axes, band, orientation: *orientation }
@@ -45,7 +44,7 @@ impl QueryGrid {
     }
 
     /// Appends the queries of one plane of the grid across x, z fastest, in the network's frame.
-    pub(super) fn append_plane(&self, x: usize, queries: &mut Scratch<Point>) {
+    pub(super) fn append_plane(&self, x: usize, queries: &mut Vec<Point>) {
         let (x, voxel_x) = self.axes[0][x];
         for &(y, voxel_y) in &self.axes[1][..] {
             let is_near = |voxel_z: usize| self.band.as_ref().is_none_or(|band| band[voxel_x + voxel_y + voxel_z]);
@@ -67,8 +66,8 @@ fn coordinate(low: f32, high: f32, resolution: usize, i: usize) -> f32 {
 }
 
 /// Whether each voxel has a voxel with input points within `reach` voxels along every axis.
-fn voxels_near_points(points: impl Iterator<Item = Point>, frame: &VolumeFrame, reach: usize) -> Scratch<bool> {
-    let mut near = Scratch::zeros(frame.resolution.iter().product());
+fn voxels_near_points(points: impl Iterator<Item = Point>, frame: &VolumeFrame, reach: usize) -> Vec<bool> {
+    let mut near = vec![false; frame.resolution.iter().product()];
     points.for_each(|point| near[frame.voxel(point)] = true);
     let (mut before, mut stride) = (near.clone(), 1);
     for length in frame.resolution {

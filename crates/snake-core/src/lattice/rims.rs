@@ -8,7 +8,6 @@
 use nalgebra::{Matrix3, Vector3};
 use rayon::prelude::*;
 use snake_geometry::{Point, RadiusCells, eigen};
-use snake_kernels::Scratch;
 
 use super::queries::Refined;
 use crate::Result;
@@ -33,7 +32,7 @@ const STEPS: f32 = 256.0;
 /// voxels.
 pub(super) fn lower_rims(refined: &mut [Refined], cells: &[Point]) -> Result<()> {
     let around = RadiusCells::new(cells, NEIGHBOURHOOD)?;
-    let mut is_asked: Scratch<bool> = Scratch::zeros(cells.len());
+    let mut is_asked = vec![false; cells.len()];
     for query in refined.iter().filter(|query| query.score > 0.0) {
         around.within(&query.position, DISTANCE, |cell| is_asked[cell] = true);
     }

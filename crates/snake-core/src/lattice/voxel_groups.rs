@@ -7,7 +7,6 @@ use rayon::prelude::*;
 use super::cube::VolumeFrame;
 use crate::Result;
 use snake_geometry::Point;
-use snake_kernels::Scratch;
 
 /// The points of a cloud, grouped by the voxel that contains them, in eight bytes per point.
 #[derive(Debug, Clone, Default)]
@@ -30,7 +29,7 @@ impl VoxelGroups {
         let voxel = |index: usize| frame.voxel(point(index)) as u32;
         (0..num_points).into_par_iter().map(voxel).collect_into_vec(voxel_of_point);
         // A counting sort. The place of the next point of each voxel, at first their number.
-        let mut next: Scratch<u32> = Scratch::zeros(frame.resolution.iter().product());
+        let mut next = vec![0_u32; frame.resolution.iter().product()];
         voxel_of_point.iter().for_each(|voxel| next[*voxel as usize] += 1);
         voxels.clear();
         starts.clear();
@@ -60,7 +59,7 @@ impl VoxelGroups {
             let [x, y, z] = point.map(|v| (v.floor() as i32 + MIDDLE) as u64);
             (z << 42) | (y << 21) | x
         };
-        let mut order = Scratch::collect(points.len(), points.iter().map(key).zip(0..));
+        let mut order: Vec<(u64, u32)> = points.iter().map(key).zip(0..).collect();
         order.par_sort_unstable();
         self.voxel_of_point.clear();
         self.voxels.clear();

@@ -12,7 +12,6 @@
 //! a thousand times the size of the room in metres.
 
 use rayon::prelude::*;
-use snake_kernels::Scratch;
 
 use super::blocks::MAX_NODE;
 use super::corner::lowest_corner;
@@ -104,7 +103,7 @@ fn size_of(step: i32) -> f64 {
 
 /// The number of voxels of a size that hold points.
 fn num_voxels(points: &[Point], lowest: &Point, size: f64) -> usize {
-    let mut keys = Scratch::collect(points.len(), points.iter().map(|point| (key(point, lowest, size), 0)));
+    let mut keys: Vec<u64> = points.iter().map(|point| key(point, lowest, size)).collect();
     keys.par_sort_unstable();
     1 + keys.windows(2).filter(|pair| pair[0] != pair[1]).count()
 }

@@ -1,6 +1,5 @@
 //! Detection in clouds that come one after another.
 
-use crate::Keypoint;
 use crate::Model;
 use crate::Result;
 use crate::control::Control;
@@ -10,9 +9,8 @@ use crate::field::{Field, FieldMemory};
 use crate::options::Options;
 use snake_geometry::PointSource;
 
-/// A model with its options, for clouds that come one after another, such as the sweeps of a laser scanner. Memory of one
-/// cloud is used again for the next. On one thread it allocates nothing after the third cloud, unless a cloud is larger than
-/// all before, or `max_points` draws a sample of it.
+/// A model with its options, for clouds that come one after another, such as the sweeps of a laser scanner. The volumes of
+/// one cloud, which are most of its memory, are used again for the next.
 ///
 /// ```
 /// use snake_core::{Builtin, Detection, Detector, Model};
@@ -32,8 +30,6 @@ pub struct Detector {
     model: Model,
     options: Options,
     memory: FieldMemory,
-    /// Memory for the keypoints of the next cloud.
-    keypoints: Vec<Keypoint>,
 }
 
 impl Detector {
@@ -43,7 +39,7 @@ impl Detector {
     /// [`Error::Option`](crate::Error::Option) when an option is out of its range.
     pub fn new(model: Model, options: Options) -> Result<Self> {
         model.network().check(&options)?;
-        Ok(Self { model, options, memory: FieldMemory::default(), keypoints: Vec::new() })
+        Ok(Self { model, options, memory: FieldMemory::default() })
     }
 
     /// The model.
@@ -79,8 +75,7 @@ impl Detector {
         let start = Instant::now();
         let field = Field::from_source(self.model.network().clone(), source, encode, &mut self.memory, control)?;
         let seconds = start.elapsed().as_secs_f64();
-        let new = field.detect_in(detect, std::mem::take(&mut self.keypoints), control)?;
-        self.keypoints = std::mem::replace(detection, new).keypoints;
+        *detection = field.detect_in(detect, control)?;
         detection.timing.encode = seconds;
         field.recycle_into(&mut self.memory);
         Ok(())

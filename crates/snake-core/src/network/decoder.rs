@@ -5,7 +5,7 @@ use crate::network::layers::{Linear, ResnetBlockFc};
 use crate::network::weights::Scope;
 use crate::{ModelConfig, Result};
 use snake_geometry::Point;
-use snake_kernels::{Epilogue, Scratch};
+use snake_kernels::Epilogue;
 
 /// The function that maps a decoder's logit to a probability.
 #[derive(Debug, Clone, Copy)]
@@ -49,19 +49,19 @@ struct Stage {
 struct Trace {
     /// ReLU of each block's input and of its first layer's output, `(2 stages, queries, width)`; only of the last block
     /// if no backward pass follows.
-    relus: Scratch<f32>,
+    relus: Vec<f32>,
     /// ReLU of the last block's output.
-    last: Scratch<f32>,
+    last: Vec<f32>,
 }
 
 /// Values of a field at queries, with the derivatives with respect to the query's coordinates (at a constant feature)
 /// and with respect to the feature.
 pub(crate) struct ValuesAndGradients {
-    pub(crate) values: Scratch<f32>,
+    pub(crate) values: Vec<f32>,
     /// `(queries, 3)`.
-    pub(crate) in_query: Scratch<f32>,
+    pub(crate) in_query: Vec<f32>,
     /// `(queries, c_dim)`.
-    pub(crate) in_feature: Scratch<f32>,
+    pub(crate) in_feature: Vec<f32>,
 }
 
 impl Decoder {
@@ -96,23 +96,19 @@ impl Decoder {
     }
 
     /// Probabilities at queries `(queries, 3)` in the network's frame with their features `(queries, c_dim)`.
-    pub(crate) fn values(&self, queries: &[Point], features: &[f32]) -> Scratch<f32> {
-        let mut values = self.logits(queries, features, false).0;
-        values.iter_mut().for_each(|value| *value = self.head.apply(*value).0);
-        values
+    pub(crate) fn values(&self, queries: &[Point], features: &[f32]) -> Vec<f32> {
+        let (logits, _) = self.logits(queries, features, false);
+        logits.into_iter().map(|logit| self.head.apply(logit).0).collect()
     }
 
     /// Probabilities and gradients; the backward pass is hand-written.
     pub(crate) fn values_and_gradients(&self, queries: &[Point], features: &[f32]) -> ValuesAndGradients {
-        let (mut values, trace) = self.logits(queries, features, true);
-        let mut slopes = Scratch::arbitrary(values.len());
-        for (value, slope) in values.iter_mut().zip(slopes.iter_mut()) {
-            (*value, *slope) = self.head.apply(*value);
-        }
+        let (logits, trace) = self.logits(queries, features, true);
+        let (values, slopes): (Vec<f32>, Vec<f32>) = logits.into_iter().map(|logit| self.head.apply(logit)).unzip();
 
         let size = trace.last.len();
-        let (mut gradient, mut in_hidden) = (Scratch::arbitrary(size), Scratch::arbitrary(size));
-        let mut in_feature = Scratch::zeros(features.len());
+        let (mut gradient, mut in_hidden) = (vec![0.0; size], vec![0.0; size]);
+        let mut in_feature = vec![0.0; features.len()];
         self.fc_out.backward(&slopes, &mut gradient, Epilogue::Mask(&trace.last));
         for (stage, relus) in self.stages.iter().zip(trace.relus.chunks_exact(2 * size)).rev() {
             let (input, hidden) = relus.split_at(size);
@@ -120,15 +116,15 @@ impl Decoder {
             stage.block.fc_0.backward(&in_hidden, &mut gradient, Epilogue::AddMasked(input));
             stage.fc_c.backward(&gradient, &mut in_feature, Epilogue::Add);
         }
-        let mut in_query = Scratch::arbitrary(queries.len() * 3);
+        let mut in_query = vec![0.0; queries.len() * 3];
         self.fc_p.backward(&gradient, &mut in_query, Epilogue::Store);
         ValuesAndGradients { values, in_query, in_feature }
     }
 
-    fn logits(&self, queries: &[Point], features: &[f32], traced: bool) -> (Scratch<f32>, Trace) {
+    fn logits(&self, queries: &[Point], features: &[f32], traced: bool) -> (Vec<f32>, Trace) {
         let size = queries.len() * self.fc_p.outputs();
-        let mut state = Scratch::arbitrary(size);
-        let mut relus = Scratch::arbitrary(2 * size * if traced { self.stages.len() } else { 1 });
+        let mut state = vec![0.0; size];
+        let mut relus = vec![0.0; 2 * size * if traced { self.stages.len() } else { 1 }];
         self.fc_p.forward(queries.as_flattened(), &mut state, Epilogue::Store);
         for (number, stage) in self.stages.iter().enumerate() {
             let relus = &mut relus[if traced { 2 * size * number } else { 0 }..][..2 * size];
@@ -138,7 +134,7 @@ impl Decoder {
             stage.block.fc_1.forward(hidden, &mut state, Epilogue::Add);
         }
         state.iter_mut().for_each(|v| *v = v.max(0.0));
-        let mut logits = Scratch::arbitrary(queries.len());
+        let mut logits = vec![0.0; queries.len()];
         self.fc_out.forward(&state, &mut logits, Epilogue::Store);
         (logits, Trace { relus, last: state })
     }

@@ -5,8 +5,8 @@ use rayon::prelude::*;
 use crate::Result;
 use crate::network::weights::Scope;
 use snake_kernels::{
-    Buffer, BufferPool, ConstantRegion, Conv3d, Epilogue, GroupNorm, PackedConv3d, PackedLinear, Scratch, SimdLevel,
-    Source, channel_sums,
+    Buffer, BufferPool, ConstantRegion, Conv3d, Epilogue, GroupNorm, PackedConv3d, PackedLinear, SimdLevel, Source,
+    channel_sums,
 };
 
 /// Rows per task: their features fit the first-level cache.
@@ -73,7 +73,7 @@ pub(crate) struct Tensor {
     pub(crate) channels: usize,
     pub(crate) values: Buffer,
     /// Sum and sum of squares of each channel.
-    pub(crate) sums: Scratch<[f64; 2]>,
+    pub(crate) sums: Vec<[f64; 2]>,
     /// The region of voxels with constant values.
     pub(crate) constant: Option<ConstantRegion>,
 }
@@ -196,7 +196,7 @@ impl SingleConv {
             let repeats = (voxels / input.voxels()) as f64;
             input.sums.iter().map(move |sum| sum.map(|s| s * repeats))
         });
-        let sums = Scratch::collect(self.norm.weight.len(), sums);
+        let sums: Vec<_> = sums.collect();
         let norm = self.norm.scale_and_shift(&sums, voxels);
         let sources = inputs.map(|input| Source {
             values: &input.values,

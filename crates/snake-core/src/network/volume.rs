@@ -2,7 +2,7 @@
 
 use crate::lattice::{Lattice, VolumeFrame};
 use snake_geometry::Point;
-use snake_kernels::{Buffer, Corners, Scratch, SimdLevel, interpolate, interpolate_backward};
+use snake_kernels::{Buffer, Corners, SimdLevel, interpolate, interpolate_backward};
 
 /// The feature volume of one cloud: the output of the encoder and the input of both decoders.
 #[derive(Debug, Clone)]
@@ -38,16 +38,16 @@ impl Volume {
     }
 
     /// Writes trilinear features `(queries, channels)` and returns the corners that were read.
-    pub(crate) fn interpolate(&self, lattice: &Lattice, queries: &[Point], features: &mut [f32]) -> Scratch<Corners> {
-        let corners = Scratch::collect(queries.len(), queries.iter().map(|&query| lattice.corners(query)));
+    pub(crate) fn interpolate(&self, lattice: &Lattice, queries: &[Point], features: &mut [f32]) -> Vec<Corners> {
+        let corners: Vec<Corners> = queries.iter().map(|&query| lattice.corners(query)).collect();
         interpolate(SimdLevel::current(), &self.values, self.channels, &corners, features);
         corners
     }
 
     /// Derivatives `(queries, 3)` per voxel along x, y, z, from the gradient with respect to the features
     /// `(queries, channels)`, at the corners from [`Volume::interpolate`].
-    pub(crate) fn interpolate_backward(&self, corners: &[Corners], in_feature: &[f32]) -> Scratch<Point> {
-        let mut gradients = Scratch::zeros(corners.len());
+    pub(crate) fn interpolate_backward(&self, corners: &[Corners], in_feature: &[f32]) -> Vec<Point> {
+        let mut gradients = vec![[0.0; 3]; corners.len()];
         let level = SimdLevel::current();
         interpolate_backward(level, &self.values, self.channels, corners, in_feature, &mut gradients);
         gradients

@@ -7,7 +7,6 @@ use std::str::FromStr;
 use rayon::prelude::*;
 use serde::de::{self, Deserialize, Deserializer, Visitor};
 use serde::{Serialize, Serializer};
-use snake_kernels::Scratch;
 
 use crate::{Error, FinitePoints, Normalization, NormalizationMethod, Point, PointTree, Result};
 
@@ -128,7 +127,7 @@ fn mean_gap(points: &[Point]) -> Result<Option<f64>> {
 }
 
 /// The distance of each of two or more points to the nearest other one.
-fn distances(points: &[Point]) -> Result<Scratch<f64>> {
+fn distances(points: &[Point]) -> Result<Vec<f64>> {
     let mut distances = PointTree::new(points)?.nearest_others();
     distances.iter_mut().for_each(|distance| *distance = distance.sqrt());
     Ok(distances)

@@ -1,9 +1,8 @@
-//! A k-d tree for nearest points that takes no new memory from cloud to cloud. `KdTree` also finds all points within a radius.
+//! A k-d tree for nearest points, built in parallel. `KdTree` also finds all points within a radius.
 
 use std::ops::{Add, Mul, Sub};
 
 use rayon::prelude::*;
-use snake_kernels::{Scratch, scratch_elements};
 
 use crate::{Error, Point, Result};
 
@@ -24,12 +23,10 @@ struct Node {
     lowest: u32,
 }
 
-scratch_elements!(Node);
-
 /// Finite points, sorted so that the middle of each part splits it along its widest axis.
 ///
 /// Searches are exact, and fast for every arrangement of points: equal points, and points on a line or plane.
-pub struct PointTree(Scratch<Node>);
+pub struct PointTree(Vec<Node>);
 
 /// The nearest point of a search: its squared distance and its index.
 type Nearest<T> = (T, u32);
@@ -48,7 +45,7 @@ impl PointTree {
         let number = u32::try_from(points.len())
             .map_err(|_| Error::Input { what: "points", reason: format!("{} are too many", points.len()) })?;
         let node = |(index, &point): (u32, &Point)| Node { point, index, axis: 0, lowest: index };
-        let mut nodes = Scratch::collect(points.len(), (0..number).zip(points).map(node));
+        let mut nodes = (0..number).zip(points).map(node).collect::<Vec<_>>();
         split(&mut nodes);
         Ok(Self(nodes))
     }
@@ -64,13 +61,11 @@ impl PointTree {
     /// The squared distance of each point to its nearest other one; infinite for one point.
     ///
     /// The points are asked in the order of the tree: near ones follow each other, and what they look at is still in the cache.
-    pub fn nearest_others(&self) -> Scratch<f64> {
-        let mut by_node = Scratch::zeros(self.0.len());
-        by_node.par_iter_mut().zip(&*self.0).for_each(|(distance, node)| {
-            *distance = self.nearest::<f64>(&node.point, Some(node.index as usize)).0;
-        });
-        let mut distances = Scratch::zeros(self.0.len());
-        self.0.iter().zip(&*by_node).for_each(|(node, &distance)| distances[node.index as usize] = distance);
+    pub fn nearest_others(&self) -> Vec<f64> {
+        let distance = |node: &Node| self.nearest::<f64>(&node.point, Some(node.index as usize)).0;
+        let by_node: Vec<f64> = self.0.par_iter().map(distance).collect();
+        let mut distances = vec![0.0; self.0.len()];
+        self.0.iter().zip(by_node).for_each(|(node, distance)| distances[node.index as usize] = distance);
         distances
     }
 }

@@ -3,7 +3,6 @@
 use rayon::prelude::*;
 
 use crate::{Error, Point, Result};
-use snake_kernels::Scratch;
 
 /// Bits of a cell's number along an axis. Cells so many steps apart have the same number, which costs time and no result.
 const BITS: u64 = 21;
@@ -23,9 +22,9 @@ pub struct RadiusCells<'a> {
     radius: f32,
     side: f64,
     /// The cell and the index of each point, ascending.
-    members: Scratch<(u64, u32)>,
+    members: Vec<(u64, u32)>,
     /// The place of each cell's first member, in a hash table with linear probing that is at most half full.
-    firsts: Scratch<u32>,
+    firsts: Vec<u32>,
 }
 
 /// No cell: a slot of the hash table that is free.
@@ -41,10 +40,9 @@ impl<'a> RadiusCells<'a> {
             .map_err(|_| Error::Input { what: "points", reason: format!("{} are too many", points.len()) })?;
         let side = f64::from(radius) * MARGIN;
         let slots = (2 * points.len()).max(2).next_power_of_two();
-        let firsts = Scratch::collect(slots, std::iter::repeat_n(FREE, slots));
-        let mut cells = Self { points, radius, side, members: Scratch::default(), firsts };
-        let members = (0..number).map(|index| (key(cells.cell(&points[index as usize])), index));
-        cells.members = Scratch::collect(points.len(), members);
+        let firsts = vec![FREE; slots];
+        let mut cells = Self { points, radius, side, members: Vec::new(), firsts };
+        cells.members = (0..number).map(|index| (key(cells.cell(&points[index as usize])), index)).collect();
         cells.members.par_sort_unstable();
         for place in 0..number {
             let cell = cells.members[place as usize].0;

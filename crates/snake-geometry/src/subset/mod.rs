@@ -7,8 +7,7 @@ mod spread;
 
 pub use farthest::farthest_points;
 pub use nms::{
-    Fate, by_falling_score, keep_apart, keep_in_order, nearest_points, nearest_points_into, suppress, suppress_ranked,
-    suppress_seen,
+    Fate, by_falling_score, keep_apart, keep_in_order, nearest_points, suppress, suppress_ranked, suppress_seen,
 };
 pub use sampling::sample;
 pub use spread::suppress_to_count;

@@ -5,14 +5,14 @@ use std::collections::HashSet;
 use rayon::prelude::*;
 
 use crate::{KdTree, Point, PointTree, RadiusCells, Result};
-use snake_kernels::{Scratch, SimdLevel};
+use snake_kernels::SimdLevel;
 
 /// Greedy non-maximum suppression: indices of the kept points, best first, each farther than `radius` from all earlier
 /// ones.
 ///
 /// Points are processed by falling score and, for equal scores, by rising index. At most `limit` are kept.
 /// A radius of 0 suppresses only by `limit`.
-pub fn suppress(points: &[Point], scores: &[f32], radius: f32, limit: usize) -> Result<Scratch<usize>> {
+pub fn suppress(points: &[Point], scores: &[f32], radius: f32, limit: usize) -> Result<Vec<usize>> {
     suppress_in_order(points, by_falling_score(scores), radius, limit)
 }
 
@@ -24,41 +24,41 @@ pub fn suppress(points: &[Point], scores: &[f32], radius: f32, limit: usize) -> 
 /// # Errors
 /// [`Error::Input`](crate::Error::Input) for more points than [`u32::MAX`]. The points must be finite.
 pub fn suppress_ranked(points: &[Point], radius: f32, limit: usize) -> Result<Vec<usize>> {
-    let order = Scratch::collect(points.len(), 0..points.len());
-    Ok(suppress_in_order(points, order, radius, limit)?.to_vec())
+    suppress_in_order(points, (0..points.len()).collect(), radius, limit)
 }
 
-fn suppress_in_order(points: &[Point], order: Scratch<usize>, radius: f32, limit: usize) -> Result<Scratch<usize>> {
+fn suppress_in_order(points: &[Point], mut order: Vec<usize>, radius: f32, limit: usize) -> Result<Vec<usize>> {
     if radius <= 0.0 || points.is_empty() {
-        return Ok(Scratch::copy_of(&order[..limit.min(order.len())]));
+        order.truncate(limit);
+        return Ok(order);
     }
     let cells = RadiusCells::new(points, radius)?;
     Ok(keep_in_order(&cells, &order, cells.radius(), limit))
 }
 
 /// Indices by falling score and, for equal scores, rising.
-pub fn by_falling_score(scores: &[f32]) -> Scratch<usize> {
-    let mut order = Scratch::collect(scores.len(), 0..scores.len());
+pub fn by_falling_score(scores: &[f32]) -> Vec<usize> {
+    let mut order: Vec<usize> = (0..scores.len()).collect();
     order.sort_unstable_by(|&a, &b| scores[b].total_cmp(&scores[a]).then(a.cmp(&b)));
     order
 }
 
 /// The points of `order` that suppression keeps, by a radius of at most that of the cells.
-pub fn keep_in_order(cells: &RadiusCells, order: &[usize], radius: f32, limit: usize) -> Scratch<usize> {
+pub fn keep_in_order(cells: &RadiusCells, order: &[usize], radius: f32, limit: usize) -> Vec<usize> {
     keep_apart(order, limit, |index, found| cells.within(&cells.points()[index], radius, found))
 }
 
 /// The points of `order` that suppression keeps. `within` calls its second argument with each point within the radius of a
 /// point.
-pub fn keep_apart(order: &[usize], limit: usize, within: impl Fn(usize, &mut dyn FnMut(usize))) -> Scratch<usize> {
-    let mut suppressed: Scratch<bool> = Scratch::zeros(order.len());
-    let mut kept = Scratch::empty(limit.min(order.len()));
+pub fn keep_apart(order: &[usize], limit: usize, within: impl Fn(usize, &mut dyn FnMut(usize))) -> Vec<usize> {
+    let mut suppressed = vec![false; order.len()];
+    let mut kept = Vec::with_capacity(limit.min(order.len()));
     for &index in order {
         if kept.len() == limit {
             break;
         }
         if !suppressed[index] {
-            kept.extend_from_slice(&[index]);
+            kept.push(index);
             within(index, &mut |other| suppressed[other] = true);
         }
     }
@@ -114,20 +114,11 @@ pub fn suppress_seen(points: &[Point], radius: f32, sees_all: impl Fn(usize) -> 
 
 /// Index of the nearest point `(N, 3)` for each query `(M, 3)`; the lowest index among equally near points.
 pub fn nearest_points(points: &[Point], queries: &[Point]) -> Result<Vec<usize>> {
-    let mut nearest = vec![0; queries.len()];
-    nearest_points_into(points, queries, &mut nearest)?;
-    Ok(nearest)
-}
-
-/// [`nearest_points`] with memory for the indices.
-pub fn nearest_points_into(points: &[Point], queries: &[Point], indices: &mut [usize]) -> Result<()> {
     // For a few hundred queries a linear search is faster than building a tree.
     if queries.len() < 256 {
-        indices.par_iter_mut().zip(queries).for_each(|(index, &query)| *index = nearest_of_all(points, query));
-        return Ok(());
+        return Ok(queries.par_iter().map(|&query| nearest_of_all(points, query)).collect());
     }
-    let none = std::iter::repeat_n((f32::INFINITY, 0), queries.len());
-    let mut nearest = Scratch::collect(queries.len(), none);
+    let mut nearest = vec![(f32::INFINITY, 0); queries.len()];
     for (number, points) in points.chunks(TREE_POINTS).enumerate() {
         let tree = PointTree::new(points)?;
         nearest.par_iter_mut().zip(queries).for_each(|(nearest, query)| {
@@ -137,11 +128,10 @@ pub fn nearest_points_into(points: &[Point], queries: &[Point], indices: &mut [u
             }
         });
     }
-    indices.iter_mut().zip(nearest.iter()).for_each(|(index, (_, nearest))| *index = *nearest);
-    Ok(())
+    Ok(nearest.into_iter().map(|(_, index)| index).collect())
 }
 
-/// Points per tree. Large clouds are searched with several, one at a time, which all use the same memory.
+/// Points per tree. Large clouds are searched with several, one at a time, to save memory.
 const TREE_POINTS: usize = 1 << 16;
 
 fn nearest_of_all(points: &[Point], query: Point) -> usize {
@@ -161,18 +151,17 @@ mod tests {
     /// Suppression in the order given, by one structure for the neighbours.
     type Suppression = fn(&[Point], &[usize], f32, usize) -> Vec<usize>;
 
-    /// The plain definition, and what must equal it: kiddo's tree, and the cells that detection uses because they allocate
-    /// nothing in a frame.
+    /// The plain definition, and what must equal it: kiddo's tree, and the cells that detection uses.
     const SUPPRESSIONS: [(&str, Suppression); 2] = [
         ("tree", |points, order, radius, limit| {
             let tree = KdTree::new(points).unwrap();
             let within = |index: usize, found: &mut dyn FnMut(usize)| {
                 tree.within(&points[index], radius * radius, |other, _| found(other));
             };
-            keep_apart(order, limit, within).to_vec()
+            keep_apart(order, limit, within)
         }),
         ("cells", |points, order, radius, limit| {
-            keep_in_order(&RadiusCells::new(points, radius).unwrap(), order, radius, limit).to_vec()
+            keep_in_order(&RadiusCells::new(points, radius).unwrap(), order, radius, limit)
         }),
     ];
 

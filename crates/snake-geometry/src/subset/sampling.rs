@@ -3,15 +3,14 @@
 use rand::SeedableRng;
 use rand::seq::index;
 use rand_chacha::ChaCha8Rng;
-use snake_kernels::Scratch;
 
 use crate::Point;
 
 /// `number` of the points, drawn at random without replacement, in their order. `number` is at most that of the points.
-pub fn sample(points: &[Point], number: usize, seed: u64) -> Scratch<Point> {
+pub fn sample(points: &[Point], number: usize, seed: u64) -> Vec<Point> {
     let mut drawn = index::sample(&mut ChaCha8Rng::seed_from_u64(seed), points.len(), number).into_vec();
     drawn.sort_unstable();
-    Scratch::collect(number, drawn.into_iter().map(|index| points[index]))
+    drawn.into_iter().map(|index| points[index]).collect()
 }
 
 #[cfg(test)]

@@ -8,7 +8,7 @@ use rayon::prelude::*;
 
 use super::pack::Block;
 use super::transform::{MAX_TILE, Partial, inputs_of_axis, outputs_of_axis, store_inputs};
-use super::{BATCH_4, Buffers, Gather, PackedConv3d, SCRATCH, multiply_tiles};
+use super::{BATCH_4, BUFFERS, Buffers, Gather, PackedConv3d, multiply_tiles};
 use crate::SimdLevel;
 use crate::simd::{LANES, Lanes, load, simd_levels, store};
 
@@ -97,20 +97,20 @@ pub fn conv3d_blocks(level: SimdLevel, conv: &BlockConv3d, stop: &(dyn Fn() -> b
     let batch = BATCH_4 * BLOCK_VOXELS * conv.layer.outputs;
     output.par_chunks_mut(batch).enumerate().for_each(|(number, output)| {
         if !stop() {
-            SCRATCH.with_borrow_mut(|scratch| batch_of_blocks(level, conv, scratch, number * BATCH_4, output));
+            BUFFERS.with_borrow_mut(|buffers| batch_of_blocks(level, conv, buffers, number * BATCH_4, output));
         }
     });
 }
 
 simd_levels! {
-    fn batch_of_blocks(conv: &BlockConv3d, scratch: &mut Buffers, first: usize, output: &mut [f32]) = batch_of_blocks_body
+    fn batch_of_blocks(conv: &BlockConv3d, buffers: &mut Buffers, first: usize, output: &mut [f32]) = batch_of_blocks_body
 }
 
 #[inline(always)]
 fn batch_of_blocks_body<L: Lanes, const ROWS: usize>(
     token: L::Token,
     conv: &BlockConv3d,
-    scratch: &mut Buffers,
+    buffers: &mut Buffers,
     first: usize,
     output: &mut [f32],
 ) {
@@ -118,7 +118,7 @@ fn batch_of_blocks_body<L: Lanes, const ROWS: usize>(
     let number = output.len() / (BLOCK_VOXELS * layer.outputs);
     let gather = BlocksFrom { conv, first, number };
     let (products, pitch) =
-        multiply_tiles::<L, ROWS, N>(token, layer, number, &gather, &mut scratch.inputs, &mut scratch.products);
+        multiply_tiles::<L, ROWS, N>(token, layer, number, &gather, &mut buffers.inputs, &mut buffers.products);
     let output_blocks = layer.outputs.div_ceil(LANES);
     let zero = L::splat(token, 0.0);
     let mut partial = Partial::<L, N>::new(token);

@@ -28,10 +28,10 @@ use std::cell::RefCell;
 
 use rayon::prelude::*;
 
+use crate::SimdLevel;
 use crate::constant_region::copy_constant_tiles;
 use crate::group_norm::add_in_order;
 use crate::simd::{LANES, Lanes, simd_levels};
-use crate::{Scratch, SimdLevel};
 
 pub use self::blocks::{BLOCK_SIDE, BLOCK_VOXELS, BlockConv3d, BlockSource, conv3d_blocks};
 pub use self::pack::PackedConv3d;
@@ -102,7 +102,7 @@ struct Buffers {
     tiles: Vec<[usize; 2]>,
 }
 
-/// The first `length` values of a scratch buffer, which grows where it is shorter. Old contents stay.
+/// The first `length` values of a buffer, which grows where it is shorter. Old contents stay.
 fn first_values(values: &mut Vec<f32>, length: usize) -> &mut [f32] {
     if values.len() < length {
         values.resize(length, 0.0);
@@ -112,7 +112,7 @@ fn first_values(values: &mut Vec<f32>, length: usize) -> &mut [f32] {
 
 thread_local! {
     /// Kept between tasks: fresh memory costs more than the arithmetic on it.
-    static SCRATCH: RefCell<Buffers> = RefCell::default();
+    static BUFFERS: RefCell<Buffers> = RefCell::default();
 }
 
 /// Normalises the sources (`value * scale + shift`), pads them with zeros, convolves and applies the ReLU. `output` is
@@ -123,12 +123,7 @@ thread_local! {
 ///
 /// # Panics
 /// If a slice is shorter than the sizes say.
-pub fn conv3d(
-    level: SimdLevel,
-    conv: &Conv3d,
-    stop: &(dyn Fn() -> bool + Sync),
-    output: &mut [f32],
-) -> Scratch<[f64; 2]> {
+pub fn conv3d(level: SimdLevel, conv: &Conv3d, stop: &(dyn Fn() -> bool + Sync), output: &mut [f32]) -> Vec<[f64; 2]> {
     let &Conv3d { layer, size, originals, .. } = conv;
     let [_, height, width] = size;
     let plane = height * width * layer.outputs;
@@ -139,10 +134,10 @@ pub fn conv3d(
     let rows = (rows_factor * batch / width.div_ceil(layer.tile)).clamp(1, tile_rows);
     let share = layer.tile * rows * width * layer.outputs;
     let tasks_of_plane = tile_rows.div_ceil(rows);
-    let mut partial: Scratch<[f64; 2]> = Scratch::zeros(size[0].div_ceil(layer.tile) * tasks_of_plane * layer.outputs);
+    let mut partial = vec![[0.0; 2]; size[0].div_ceil(layer.tile) * tasks_of_plane * layer.outputs];
     let run = |task: Task, sums: &mut [[f64; 2]]| {
         if !stop() {
-            SCRATCH.with_borrow_mut(|scratch| conv3d_task(level, conv, scratch, task, sums));
+            BUFFERS.with_borrow_mut(|buffers| conv3d_task(level, conv, buffers, task, sums));
         }
     };
     let sums_of_plane = partial.par_chunks_mut(tasks_of_plane * layer.outputs);
@@ -181,20 +176,20 @@ const BATCH_2: usize = 32;
 const BATCH_4: usize = 16;
 
 simd_levels! {
-    fn conv3d_task(conv: &Conv3d, scratch: &mut Buffers, task: Task, sums: &mut [[f64; 2]]) = conv3d_task_body
+    fn conv3d_task(conv: &Conv3d, buffers: &mut Buffers, task: Task, sums: &mut [[f64; 2]]) = conv3d_task_body
 }
 
 #[inline(always)]
 fn conv3d_task_body<L: Lanes, const ROWS: usize>(
     token: L::Token,
     conv: &Conv3d,
-    scratch: &mut Buffers,
+    buffers: &mut Buffers,
     task: Task,
     sums: &mut [[f64; 2]],
 ) {
     match conv.layer.tile {
-        2 => conv3d_tiles::<L, ROWS, 4>(token, conv, scratch, task, sums, BATCH_2),
-        _ => conv3d_tiles::<L, ROWS, 6>(token, conv, scratch, task, sums, BATCH_4),
+        2 => conv3d_tiles::<L, ROWS, 4>(token, conv, buffers, task, sums, BATCH_2),
+        _ => conv3d_tiles::<L, ROWS, 6>(token, conv, buffers, task, sums, BATCH_4),
     }
 }
 
@@ -202,7 +197,7 @@ fn conv3d_task_body<L: Lanes, const ROWS: usize>(
 fn conv3d_tiles<L: Lanes, const ROWS: usize, const N: usize>(
     token: L::Token,
     conv: &Conv3d,
-    scratch: &mut Buffers,
+    buffers: &mut Buffers,
     mut task: Task,
     sums: &mut [[f64; 2]],
     batch: usize,
@@ -210,7 +205,7 @@ fn conv3d_tiles<L: Lanes, const ROWS: usize, const N: usize>(
     let &Conv3d { layer, size, originals, .. } = conv;
     let [tile_rows, tiles_along] = [size[1].div_ceil(N - 2), size[2].div_ceil(N - 2)];
     let rows = (task.planes[0].len() / (size[2] * layer.outputs)).div_ceil(N - 2);
-    let Buffers { inputs, products, tiles } = scratch;
+    let Buffers { inputs, products, tiles } = buffers;
     tiles.clear();
     for row in task.row..task.row + rows {
         for x in 0..tiles_along {

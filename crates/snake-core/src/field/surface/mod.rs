@@ -120,7 +120,7 @@ impl<'a> Grid<'a> {
         let gradients = vertices.par_chunks(TILE).map(|tile| {
             counter.check()?;
             counter.add(tile.len());
-            Ok(self.field.tile_values_and_gradients(Quantity::Occupancy, tile).1.to_vec())
+            Ok(self.field.tile_values_and_gradients(Quantity::Occupancy, tile).1)
         });
         let gradients = gradients.collect::<Result<Vec<Vec<Point>>>>()?.concat();
         let normalization = self.field.normalization();

@@ -13,7 +13,7 @@ use crate::network::config::ModelConfig;
 use crate::network::layers::{Linear, TILE};
 use crate::network::weights::Scope;
 use snake_geometry::Point;
-use snake_kernels::{Epilogue, Scratch, SimdLevel, max_rows};
+use snake_kernels::{Epilogue, SimdLevel, max_rows};
 
 /// Points of the voxels in one task: their features fit the second-level cache.
 const CHUNK: usize = 2048;
@@ -65,13 +65,11 @@ impl PointNet {
         groups.in_parts(CHUNK, sums, &|voxels, sums| {
             counter.check()?;
             let num_points = groups.num_points(voxels.clone());
-            let points = groups.members(voxels.clone()).map(&point);
+            let points: Vec<Point> = groups.members(voxels.clone()).map(&point).collect();
             if num_points > LARGE {
-                // Scratch memory may be twice as long, and is kept.
-                return self.large_voxel_sums(&points.collect::<Vec<_>>(), sums, &add, counter);
+                return self.large_voxel_sums(&points, sums, &add, counter);
             }
-            let points = Scratch::collect(num_points, points);
-            let sizes = Scratch::collect(voxels.len(), voxels.map(|voxel| groups.num_points(voxel..voxel + 1)));
+            let sizes: Vec<usize> = voxels.map(|voxel| groups.num_points(voxel..voxel + 1)).collect();
             self.chunk_sums(&points, &sizes, sums, &add);
             counter.add(self.work(num_points));
             Ok(())
@@ -88,9 +86,9 @@ impl PointNet {
     ) {
         let width = sums.len() / sizes.len();
         let rows = sizes.iter().enumerate().flat_map(|(voxel, &size)| std::iter::repeat_n(voxel, size));
-        let voxel_of_row = Scratch::collect(points.len(), rows);
-        let mut features = Scratch::arbitrary(points.len() * self.hidden);
-        let mut maxima = Scratch::arbitrary(sizes.len() * self.hidden);
+        let voxel_of_row: Vec<usize> = rows.collect();
+        let mut features = vec![0.0; points.len() * self.hidden];
+        let mut maxima = vec![0.0; sizes.len() * self.hidden];
         let tiles = features.chunks_mut(TILE * self.hidden).zip(points.chunks(TILE));
         tiles.for_each(|(features, points)| self.first.forward(points, features));
         for block in &self.blocks {
@@ -102,7 +100,7 @@ impl PointNet {
         }
         let tiles = features.chunks(TILE * self.hidden).zip(points.chunks(TILE)).zip(voxel_of_row.chunks(TILE));
         for ((features, points), voxels) in tiles {
-            let mut output = Scratch::arbitrary(voxels.len() * self.channels());
+            let mut output = vec![0.0; voxels.len() * self.channels()];
             self.fc_c.forward(features, &mut output, Epilogue::Store);
             for ((&point, feature), voxel) in points.iter().zip(output.chunks_exact(self.channels())).zip(voxels) {
                 add(point, feature, &mut sums[voxel * width..][..width]);
@@ -155,8 +153,8 @@ impl PointNet {
 
     /// The features `(points, hidden)` of a tile of points in one voxel, after the first block and one block for each of
     /// the terms of that voxel.
-    fn features_after(&self, terms: &[VoxelTerms], points: &[Point]) -> Scratch<f32> {
-        let mut features = Scratch::arbitrary(points.len() * self.hidden);
+    fn features_after(&self, terms: &[VoxelTerms], points: &[Point]) -> Vec<f32> {
+        let mut features = vec![0.0; points.len() * self.hidden];
         self.first.forward(points, &mut features);
         for (block, terms) in self.blocks.iter().zip(terms) {
             block.forward(terms, &[0; TILE][..points.len()], &mut features);

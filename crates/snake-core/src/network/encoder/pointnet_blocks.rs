@@ -8,7 +8,7 @@ use crate::Result;
 use crate::network::layers::Linear;
 use crate::network::weights::Scope;
 use snake_geometry::Point;
-use snake_kernels::{Epilogue, Scratch, SimdLevel, relu};
+use snake_kernels::{Epilogue, SimdLevel, relu};
 
 /// The first layer and the first block.
 #[derive(Debug)]
@@ -43,9 +43,9 @@ impl FirstBlock {
 
     /// The features `(points, hidden)` of points.
     pub(super) fn forward(&self, points: &[Point], features: &mut [f32]) {
-        let mut input = Scratch::arbitrary(2 * features.len());
+        let mut input = vec![0.0; 2 * features.len()];
         self.fc_pos.forward(points.as_flattened(), &mut input, Epilogue::Relu);
-        let mut hidden = Scratch::arbitrary(features.len());
+        let mut hidden = vec![0.0; features.len()];
         self.fc_0.forward(&input, &mut hidden, Epilogue::Relu);
         self.shortcut.forward(points.as_flattened(), features, Epilogue::Store);
         self.fc_1.forward(&hidden, features, Epilogue::Add);
@@ -83,8 +83,8 @@ pub(super) struct PooledBlock {
 
 /// What the maxima of voxels add to `fc_0` and to the shortcut of their points, each `(voxels, hidden)`.
 pub(super) struct VoxelTerms {
-    fc_0: Scratch<f32>,
-    shortcut: Scratch<f32>,
+    fc_0: Vec<f32>,
+    shortcut: Vec<f32>,
 }
 
 impl PooledBlock {
@@ -101,10 +101,9 @@ impl PooledBlock {
 
     /// The terms of voxels from their maxima `(voxels, hidden)`.
     pub(super) fn voxel_terms(&self, maxima: &[f32]) -> VoxelTerms {
-        let mut input = Scratch::arbitrary(maxima.len());
+        let mut input = vec![0.0; maxima.len()];
         relu(SimdLevel::current(), maxima, &mut input);
-        let mut terms =
-            VoxelTerms { fc_0: Scratch::arbitrary(maxima.len()), shortcut: Scratch::arbitrary(maxima.len()) };
+        let mut terms = VoxelTerms { fc_0: vec![0.0; maxima.len()], shortcut: vec![0.0; maxima.len()] };
         self.fc_0.voxel.forward(&input, &mut terms.fc_0, Epilogue::Store);
         self.shortcut.voxel.forward(maxima, &mut terms.shortcut, Epilogue::Store);
         terms
@@ -113,12 +112,12 @@ impl PooledBlock {
     /// Replaces the features `(points, hidden)` by the block's output. `voxels` holds each point's row of the terms.
     pub(super) fn forward(&self, terms: &VoxelTerms, voxels: &[usize], features: &mut [f32]) {
         let rows_of_terms = |terms: &[f32]| {
-            let mut rows = Scratch::empty(features.len());
+            let mut rows = Vec::with_capacity(features.len());
             voxels.iter().for_each(|voxel| rows.extend_from_slice(&terms[voxel * self.hidden..][..self.hidden]));
             rows
         };
         let (mut hidden, mut output) = (rows_of_terms(&terms.fc_0), rows_of_terms(&terms.shortcut));
-        let (mut input, mut rectified) = (Scratch::arbitrary(features.len()), Scratch::arbitrary(features.len()));
+        let (mut input, mut rectified) = (vec![0.0; features.len()], vec![0.0; features.len()]);
         relu(SimdLevel::current(), features, &mut input);
         self.fc_0.point.forward(&input, &mut hidden, Epilogue::AddAndRelu(&mut rectified));
         self.shortcut.point.forward(features, &mut output, Epilogue::Add);

@@ -16,7 +16,7 @@ use crate::control::Counter;
 use crate::lattice::VolumeFrame;
 use crate::lattice::VoxelGroups;
 use snake_geometry::Point;
-use snake_kernels::{Corners, Scratch, SimdLevel, add_weighted};
+use snake_kernels::{Corners, SimdLevel, add_weighted};
 
 /// Number of voxels that the points of one voxel contribute to: itself and its neighbours, x fastest.
 const SLOTS: usize = 27;
@@ -50,13 +50,13 @@ pub(super) fn gather(
     slots: &[f32],
     values: &mut [f32],
     counter: &Counter,
-) -> Result<Scratch<usize>> {
+) -> Result<Vec<usize>> {
     let num_voxels: usize = frame.resolution.iter().product();
     let channels = values.len() / num_voxels;
     // One more than the row of each occupied voxel, in a volume with a border of one empty voxel on each side.
     let [width, height, depth] = frame.resolution;
     let (pitch, plane_pitch) = (width + 2, (width + 2) * (height + 2));
-    let mut rows: Scratch<u32> = Scratch::zeros(plane_pitch * (depth + 2));
+    let mut rows = vec![0_u32; plane_pitch * (depth + 2)];
     let corner = |voxel: usize| {
         let [x, y, z] = coordinates(frame, voxel);
         x + pitch * y + plane_pitch * z
@@ -74,13 +74,13 @@ pub(super) fn gather(
         })
     };
     let plane = num_voxels / depth;
-    let mut masses: Scratch<f32> = Scratch::zeros(num_voxels);
+    let mut masses = vec![0.0_f32; num_voxels];
     masses.par_chunks_mut(plane).enumerate().try_for_each(|(z, masses)| {
         let mass = |voxel: usize| reaching(voxel).map(|slot| slot[channels]).sum();
         masses.iter_mut().enumerate().for_each(|(i, voxel_mass)| *voxel_mass = mass(z * plane + i));
         counter.check()
     })?;
-    let touched = Scratch::collect(num_voxels, (0..num_voxels).filter(|&voxel| masses[voxel] > 0.0));
+    let touched: Vec<usize> = (0..num_voxels).filter(|&voxel| masses[voxel] > 0.0).collect();
     let total: f64 = touched.iter().map(|&voxel| f64::from(masses[voxel])).sum();
     let typical = (total / touched.len().max(1) as f64) as f32;
     values.par_chunks_mut(plane * channels).enumerate().try_for_each(|(z, values)| {
@@ -141,7 +141,7 @@ mod tests {
         }
         let mut values = vec![0.0; 60 * channels];
         let touched = gather(&FRAME, &groups, &slots, &mut values, &Counter::default()).unwrap();
-        (values, touched.to_vec())
+        (values, touched)
     }
 
     #[test]
