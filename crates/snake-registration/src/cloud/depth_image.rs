@@ -22,6 +22,9 @@ pub(crate) const COARSE: Sharpness = Sharpness { pixel: 0.05, slant: 4.0, reach:
 /// error of the sensor's position does not count: to judge one transform.
 pub(crate) const FINE: Sharpness = Sharpness { pixel: 0.03, slant: 2.0, reach: 1 };
 
+/// Tells the points that one sensor saw from those of several places.
+pub(crate) const SHARP: Sharpness = Sharpness { pixel: 0.01, slant: 2.0, reach: 0 };
+
 /// The least distance from a viewpoint to a cloud in each direction.
 pub(crate) struct DepthImage {
     pub(crate) viewpoint: Vector,

@@ -8,6 +8,7 @@ mod rivals;
 mod scale;
 mod shifts;
 mod slide;
+mod standing;
 mod turns;
 
 use nalgebra::{IsometryMatrix3, Matrix6};
@@ -30,6 +31,7 @@ use scale::better_scale;
 use slide::slide_margin;
 use snake_core::{Error, Result};
 use snake_geometry::RigidTransform;
+use standing::contradicted_at_one_place;
 
 tuning! {
     /// A transform is reliable from this confidence on.
@@ -156,8 +158,19 @@ tuning! {
     /// A short and a longer shift that contradict more of the winner are no rivals.
     shift_contradicted: [f64; 2] = [0.175, 0.25], unit "shares of the places that the winner explains",
         from "made facades and racks have 0.05 to 0.17, short shifts of real scans 0.17 to 0.6, longer ones 0.29 and more";
-    /// A shift after which the details fit better than at rest may contradict this much.
+    /// A shift after which the details fit better than at rest may contradict this much, and any
+    /// shift of a winner that puts both sensors at one place.
     better_contradicted: f64 = 0.4, unit "share of the places that the winner explains", from "set by hand on made fences";
+    /// A cloud was seen from one place if this much of it is visible from there.
+    min_one_view: f64 = 0.98, unit "share of the fine voxels",
+        from "made scans have 0.99 and more, fused fragments of rooms about 0.9";
+    /// Two sensors that are closer are at one place.
+    standing: f64 = 1.0, unit "inlier distances",
+        from "18 of 19 made facades and fences that were wrong and reliable, the last has 1.6";
+    /// Sensors at one place see the same: a greater share of what one sees and the other does not is
+    /// doubtful.
+    max_standing: f64 = 0.2, unit "share of the places in view",
+        from "0.25 to 0.4 at most wrong fences, up to 0.16 in made rooms that one sensor saw before and after half of it moved";
     /// A turn explains the clouds about as well if the winner leads by at most the first and
     /// contradicts at most the second, where the sensors are known.
     turn_signed: [f64; 2] = [0.05, 0.2], unit "shares of the places that the winner explains", from "set by hand";
@@ -281,7 +294,8 @@ pub(crate) fn judge_counted(
 /// lay the planes of the overlap on planes, and the shifts after which details of the target
 /// repeat. If one explains the clouds about as well, the registration becomes ambiguous and not
 /// reliable, its notes say what repeats, and the others follow the best in `hypotheses`. It is not
-/// reliable either if a mirror image of the source fits better.
+/// reliable either if a mirror image of the source fits better, or if it puts the sensors of two
+/// scans at one place from which they would have seen the same and did not.
 ///
 /// # Errors
 /// [`Error::Input`] when the points of a cloud cannot be indexed.
@@ -291,13 +305,17 @@ pub fn challenge(pair: &Pair, matches: &[Match], registration: &mut Registration
     if is_open || !(verdict.is_reliable || verdict.is_ambiguous) {
         return Ok(());
     }
-    let mut equal = rivals(pair, registration.t_target_source.isometry())?;
+    let transform = registration.t_target_source.isometry();
+    let standing = contradicted_at_one_place(pair, transform)?;
+    let contradicted = standing.filter(|share| *share > TUNING.max_standing);
+    let mut equal = rivals(pair, transform, standing.is_some())?;
     equal.retain(Rival::is_equal);
-    if equal.is_empty() {
+    if equal.is_empty() && contradicted.is_none() {
         return Ok(());
     }
     verdict.confidence = (verdict.confidence / 2.0).min(TUNING.max_doubtful);
     verdict.is_reliable = false;
+    verdict.notes.splice(0..0, contradicted.map(standing_note));
     verdict.is_ambiguous |= equal.iter().any(|rival| !rival.is_mirrored());
     verdict.repeat_fit = equal.iter().map(Rival::repeat_fit).fold(verdict.repeat_fit, f64::max);
     verdict.notes.splice(0..0, equal.iter().map(Rival::note));
@@ -412,6 +430,15 @@ impl Matches {
             pairs: agreeing.iter().map(ends).collect(),
         }
     }
+}
+
+/// A note on sensors at one place that see different things.
+fn standing_note(contradicted: f64) -> String {
+    format!(
+        "the sensors would stand at one place, but {:.0} % of what one of them sees the other does not: only the pattern \
+         of their rays may coincide",
+        100.0 * contradicted
+    )
 }
 
 /// Notes on missing returns, which were left out of the clouds.

@@ -34,6 +34,8 @@ pub(super) struct Rival {
     counts: Counts,
     /// Whether the sensors of both clouds are known, so that free space is.
     is_signed: bool,
+    /// Whether the winner puts the sensors of both clouds at one place.
+    is_standing: bool,
     inlier_distance: f64,
 }
 
@@ -80,7 +82,9 @@ impl Rival {
         let (max_lead, max_contradicted) = match self.motion {
             Motion::Turn(Turn { degrees: None, .. }) => (-TUNING.mirror_lead, contradicted),
             Motion::Turn(_) => (lead, contradicted),
-            Motion::Shift(Shift { is_better: true, .. }) => (f64::INFINITY, TUNING.better_contradicted),
+            Motion::Shift(Shift { is_better, .. }) if is_better || self.is_standing => {
+                (f64::INFINITY, TUNING.better_contradicted)
+            }
             Motion::Shift(Shift { by, .. }) => {
                 let is_long = by.norm() > TUNING.short_shift * self.inlier_distance;
                 (f64::INFINITY, TUNING.shift_contradicted[usize::from(is_long)])
@@ -120,7 +124,7 @@ impl Rival {
 
 /// The turns, reflections and shifts of the winner under which the clouds fit, with what tells them
 /// from the winner.
-pub(super) fn rivals(pair: &Pair, winner: &IsometryMatrix3<f64>) -> Result<Vec<Rival>> {
+pub(super) fn rivals(pair: &Pair, winner: &IsometryMatrix3<f64>, is_standing: bool) -> Result<Vec<Rival>> {
     let (surfaces, fine) = (pair.surfaces(), pair.fine()?);
     let distance = pair.criteria().inlier_distance;
     let patches = overlap(fine, winner, TUNING.patch_distance * distance).patches;
@@ -136,7 +140,7 @@ pub(super) fn rivals(pair: &Pair, winner: &IsometryMatrix3<f64>) -> Result<Vec<R
     if by_turn.is_empty() && by_shift.is_empty() {
         return Ok(Vec::new());
     }
-    let scene = Scene::new(pair, fine, winner, &places);
+    let scene = Scene::new(pair, fine, winner, &places, is_standing);
     let rotated =
         by_turn.into_par_iter().map(|(turn, guess)| scene.rotated(turn, guess)).collect::<Result<Vec<_>>>()?;
     let shifted = by_shift.into_par_iter().map(|shift| scene.shifted(shift)).collect::<Result<Vec<_>>>()?;
@@ -152,6 +156,7 @@ struct Scene<'a, 'b> {
     coarse: Vec<Vector>,
     /// How well they fit with the winner.
     best_fit: f64,
+    is_standing: bool,
     /// Places of the source on the target, in the target's frame.
     places: &'a [Place],
     /// Places of both clouds, each with what the winner makes of it.
@@ -165,6 +170,7 @@ impl<'a, 'b> Scene<'a, 'b> {
         fine: [&'a FineCloud; 2],
         winner: &'a IsometryMatrix3<f64>,
         places: &'a [Place],
+        is_standing: bool,
     ) -> Self {
         let surfaces = pair.surfaces();
         let step = coarse_step(surfaces[0].points.len());
@@ -174,6 +180,7 @@ impl<'a, 'b> Scene<'a, 'b> {
             winner,
             coarse: surfaces[0].points.iter().step_by(step).copied().collect(),
             best_fit: Surface::agreement(&surfaces[0], &surfaces[1], winner, step).fit(),
+            is_standing,
             places,
             sample: Default::default(),
             images: surfaces.each_ref().map(Surface::fine_image),
@@ -209,7 +216,7 @@ impl<'a, 'b> Scene<'a, 'b> {
             };
             places.iter().map(lies).sum::<i32>()
         };
-        if f64::from(fit(1.0)) < TUNING.min_shift_score * places.len() as f64 {
+        if !self.is_standing && f64::from(fit(1.0)) < TUNING.min_shift_score * places.len() as f64 {
             return Ok(None);
         }
         let unit = 1.5 * TUNING.relief_side * distance / shift.norm() / f64::from(TUNING.shift_steps);
@@ -243,6 +250,7 @@ impl<'a, 'b> Scene<'a, 'b> {
             motion,
             counts: self.compare(&transform),
             is_signed: self.pair.is_signed(),
+            is_standing: self.is_standing,
             inlier_distance: distance,
         }))
     }

@@ -93,8 +93,14 @@ pub(super) fn shifts(places: &[Place], target: &FineCloud, frame: &[Vector; 3], 
             (into(point), facing.map(|normal| normal.iamax()))
         })
         .collect();
-    (0..3)
-        .flat_map(|axis| along(&places, &reliefs, axis, distance).into_iter().map(move |peak| (frame[axis], peak)))
+    // Details without a normal, such as thin posts, often coincide by the pattern of rays alone.
+    let facing: Vec<(Vector, Option<usize>)> = places.iter().filter(|(_, facing)| facing.is_some()).copied().collect();
+    [&places, &facing]
+        .into_iter()
+        .flat_map(|places| (0..3).map(move |axis| (places, axis)))
+        .flat_map(|(places, axis)| {
+            along(places, &reliefs, axis, distance).into_iter().map(move |peak| (frame[axis], peak))
+        })
         .map(|(axis, (length, is_better))| Shift { by: length * axis, is_better })
         .collect()
 }
