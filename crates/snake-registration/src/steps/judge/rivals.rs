@@ -80,7 +80,7 @@ impl Rival {
     pub(super) fn is_equal(&self) -> bool {
         let [lead, contradicted] = if self.is_signed { TUNING.turn_signed } else { TUNING.turn_unsigned };
         let (max_lead, max_contradicted) = match self.motion {
-            Motion::Turn(Turn { degrees: None, .. }) => (-TUNING.mirror_lead, contradicted),
+            Motion::Turn(Turn { degrees: None, .. }) => (-TUNING.mirror_lead, f64::INFINITY),
             Motion::Turn(_) => (lead, contradicted),
             Motion::Shift(Shift { is_better, .. }) if is_better || self.is_standing => {
                 (f64::INFINITY, TUNING.better_contradicted)
@@ -136,7 +136,7 @@ pub(super) fn rivals(pair: &Pair, winner: &IsometryMatrix3<f64>, is_standing: bo
     };
     let by_turn = after_turns(surfaces, winner, &tried, &frame);
     let places = fine[0].places(winner, fine[1], distance, TUNING.shift_places);
-    let by_shift = shifts(&places, fine[1], &frame, distance);
+    let by_shift = shifts(&places, fine[1], &frame, distance, is_standing);
     if by_turn.is_empty() && by_shift.is_empty() {
         return Ok(Vec::new());
     }
@@ -199,7 +199,9 @@ impl<'a, 'b> Scene<'a, 'b> {
         let step = coarse_step(surfaces[0].points.len());
         let rough = one_way_icp(&self.coarse, &surfaces[1], guess, gravity, TUNING.rival_steps, &Counter::default())?;
         let fit = Surface::agreement(&surfaces[0], &surfaces[1], &rough, step).fit();
-        if fit < TUNING.rival_fit_share * self.best_fit || self.compare(&rough).contradicted() > TUNING.hopeless {
+        let counts = self.compare(&rough);
+        let is_hopeless = counts.contradicted() > TUNING.hopeless && counts.lead() > 0.0;
+        if fit < TUNING.rival_fit_share * self.best_fit || is_hopeless {
             return Ok(None);
         }
         self.rival(Motion::Turn(turn), rough)

@@ -80,8 +80,15 @@ pub(super) struct Shift {
 }
 
 /// The shifts along the axes of `frame` after which the details of `places`, of the source on the
-/// target, are those of the target again.
-pub(super) fn shifts(places: &[Place], target: &FineCloud, frame: &[Vector; 3], distance: f64) -> Vec<Shift> {
+/// target, are those of the target again. If both sensors would stand at one place, the places with
+/// a normal are also compared alone.
+pub(super) fn shifts(
+    places: &[Place],
+    target: &FineCloud,
+    frame: &[Vector; 3],
+    distance: f64,
+    is_standing: bool,
+) -> Vec<Shift> {
     let into = |point: &Vector| Vector::from_fn(|axis, _| frame[axis].dot(point));
     let points: Vec<Vector> = target.points().iter().map(into).collect();
     let reliefs: Option<Vec<Relief>> = (0..3).map(|across| Relief::new(&points, across, distance)).collect();
@@ -93,8 +100,8 @@ pub(super) fn shifts(places: &[Place], target: &FineCloud, frame: &[Vector; 3], 
             (into(point), facing.map(|normal| normal.iamax()))
         })
         .collect();
-    // Details without a normal, such as thin posts, often coincide by the pattern of rays alone.
-    let facing: Vec<(Vector, Option<usize>)> = places.iter().filter(|(_, facing)| facing.is_some()).copied().collect();
+    // What has no normal, such as thin posts, coincides at one place by the pattern of rays alone.
+    let facing: Vec<_> = places.iter().filter(|(_, facing)| is_standing && facing.is_some()).copied().collect();
     [&places, &facing]
         .into_iter()
         .flat_map(|places| (0..3).map(move |axis| (places, axis)))
