@@ -28,8 +28,12 @@ impl BufferPool {
             // The volumes of scenes differ in length: one that is up to twice as long will do.
             let same = unused.iter().position(|values| values.len() == length);
             let place =
-                same.or_else(|| unused.iter().position(|values| (length..=2 * length).contains(&values.capacity())))?;
-            Some(unused.remove(place))
+                same.or_else(|| unused.iter().position(|values| (length..=2 * length).contains(&values.capacity())));
+            if place.is_none() {
+                // A longer one takes the place of those that were nearly long enough.
+                unused.retain(|values| !(length.div_ceil(2)..length).contains(&values.capacity()));
+            }
+            Some(unused.remove(place?))
         });
         let mut values = values.unwrap_or_else(|| fresh(length));
         values.resize(length, 0.0);
@@ -132,6 +136,11 @@ mod tests {
         assert_eq!(*pool.take(1), [0.0]);
         assert_eq!(*pool.take(3), [1.0, 2.0, 3.0]);
         assert_eq!(*pool.take(2), [1.0, 2.0]);
+        // A longer buffer takes the place of one that is nearly as long.
+        let count = || pool.0.lock().unwrap().len();
+        assert_eq!(count(), 2);
+        drop(pool.take(4));
+        assert_eq!(count(), 2);
         drop((0..10).map(|_| pool.take(5)).collect::<Vec<_>>());
         assert_eq!(pool.0.lock().unwrap().iter().filter(|values| values.len() == 5).count(), BufferPool::KEPT);
     }
