@@ -31,7 +31,7 @@ use scale::better_scale;
 use slide::slide_margin;
 use snake_core::{Error, Result};
 use snake_geometry::RigidTransform;
-use standing::contradicted_at_one_place;
+use standing::{contradicted_at_one_place, standing_note};
 
 tuning! {
     /// A transform is reliable from this confidence on.
@@ -151,7 +151,7 @@ tuning! {
     /// A shift is not made exact if fewer of the places lie on the target there, less those that
     /// contradict it.
     min_shift_score: f64 = 0.3, unit "share of the places", from "set for time";
-    /// A rival that contradicts more is not refined.
+    /// A rival that contradicts more, and explains less, is not refined.
     hopeless: f64 = 0.5, unit "share of the places that the winner explains", from "set for time";
     /// A shift up to this length is short.
     short_shift: f64 = 4.0, unit "inlier distances", from "set by hand";
@@ -294,8 +294,7 @@ pub(crate) fn judge_counted(
 /// lay the planes of the overlap on planes, and the shifts after which details of the target
 /// repeat. If one explains the clouds about as well, the registration becomes ambiguous and not
 /// reliable, its notes say what repeats, and the others follow the best in `hypotheses`. It is not
-/// reliable either if a mirror image of the source fits better, or if it puts the sensors of two
-/// scans at one place from which they would have seen the same and did not.
+/// reliable either if a mirror image fits better, or if scans that it puts at one place differ.
 ///
 /// # Errors
 /// [`Error::Input`] when the points of a cloud cannot be indexed.
@@ -430,15 +429,6 @@ impl Matches {
             pairs: agreeing.iter().map(ends).collect(),
         }
     }
-}
-
-/// A note on sensors at one place that see different things.
-fn standing_note(contradicted: f64) -> String {
-    format!(
-        "the sensors would stand at one place, but {:.0} % of what one of them sees the other does not: only the pattern \
-         of their rays may coincide",
-        100.0 * contradicted
-    )
 }
 
 /// Notes on missing returns, which were left out of the clouds.

@@ -73,7 +73,7 @@ impl Rival {
     }
 
     /// Whether the rival explains the clouds about as well as the winner, and contradicts little of
-    /// what that explains; a mirror image must explain them better.
+    /// what that explains; a mirror image must explain them better, whatever it contradicts.
     ///
     /// Of a shift only what it contradicts counts: clouds of one pattern of rays coincide point by
     /// point wherever they are a period apart, so the winner leads by the whole of that.
@@ -279,5 +279,24 @@ impl<'a, 'b> Scene<'a, 'b> {
     fn explains(&self, place: &Place, cloud: usize) -> Option<bool> {
         let is_free = || self.images[cloud].as_ref().is_none_or(|image| image.sight(&place.point) == Sight::Free);
         self.fine[cloud].lies_on(place, self.pair.criteria().inlier_distance).or_else(|| is_free().then_some(false))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_mirror_image_that_explains_more_is_a_rival_whatever_it_contradicts() {
+        let mirrored = |winner, rival| Rival {
+            transform: IsometryMatrix3::identity(),
+            motion: Motion::Turn(reflections(&[Vector::x()])[0]),
+            counts: Counts { both: 200, winner, rival },
+            is_signed: false,
+            is_standing: false,
+            inlier_distance: 0.1,
+        };
+        assert!(mirrored(180, 500).is_equal());
+        assert!(!mirrored(180, 180).is_equal());
     }
 }

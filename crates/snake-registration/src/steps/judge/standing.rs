@@ -44,3 +44,49 @@ fn contradicted(
         .collect();
     in_view.iter().filter(|apart| **apart).count() as f64 / in_view.len().max(1) as f64
 }
+
+/// A note on sensors at one place that see different things.
+pub(super) fn standing_note(contradicted: f64) -> String {
+    format!(
+        "the sensors would stand at one place, but {:.0} % of what one of them sees the other does not: only the pattern \
+         of their rays may coincide",
+        100.0 * contradicted
+    )
+}
+
+#[cfg(test)]
+mod tests {
+    use snake_core::{Control, Point};
+
+    use super::*;
+    use crate::options::RegisterOptions;
+    use crate::steps::prepare;
+
+    /// What a sensor in the middle of a room of 6 x 4 x 3 m sees, `columns` rays around; a third of the
+    /// room is `nearness` times as far away.
+    fn room(columns: u32, nearness: f32) -> Vec<Point> {
+        let rays = (0..60 * columns).map(|ray| {
+            let azimuth = (ray % columns) as f32 / columns as f32 * std::f32::consts::TAU;
+            let elevation = (ray / columns) as f32 * 0.04 - 1.2;
+            let [x, y, z] = [elevation.cos() * azimuth.cos(), elevation.cos() * azimuth.sin(), elevation.sin()];
+            let range = (3.0 / x.abs()).min(2.0 / y.abs()).min(1.5 / z.abs());
+            let range = if azimuth < 2.1 { nearness * range } else { range };
+            [x, y, z].map(|v| v * range)
+        });
+        rays.collect()
+    }
+
+    #[test]
+    fn what_one_of_two_sensors_at_one_place_sees_alone_is_contradicted() {
+        let share = |other: &[Point], transform: IsometryMatrix3<f64>| {
+            let (clouds, options) = ([&room(120, 1.0)[..], other], RegisterOptions::default());
+            let prepared = prepare(&clouds, &[None, None], None, &options, &Control::default()).unwrap();
+            let pair = Pair::new(&prepared.clouds[0], &prepared.clouds[1], None);
+            contradicted_at_one_place(&pair, &transform).unwrap()
+        };
+        let rest = IsometryMatrix3::identity();
+        assert!(share(&room(130, 1.0), rest).unwrap() < 0.1);
+        assert!((0.2..0.6).contains(&share(&room(120, 0.6), rest).unwrap()));
+        assert_eq!(share(&room(130, 1.0), IsometryMatrix3::translation(1.0, 0.0, 0.0)), None);
+    }
+}
