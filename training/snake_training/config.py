@@ -9,6 +9,7 @@ from dataclasses import dataclass
 import torch
 
 from .model import NetworkConfig, SnakeNetwork
+from .scene_model import SceneConfig
 
 NETWORK_SHAPE = "resolution", "unet_levels", "unet_base_channels", "c_dim", "scatter"
 
@@ -30,6 +31,11 @@ class LoopSettings:
     weight_repeatability: float = setting(1.0, "weight of the repeatability loss")
     weight_surface: float = setting(1.0, "weight of the surface loss")
     weight_sparsity: float = setting(1.0, "weight of the sparsity loss")
+    sparsity_ridge: float = setting(
+        0.0,
+        "sparsity loss: only points count whose occupancy is this share of the highest of their local grid; 0: as in the paper, "
+        "where it is cheapest if the saliency peaks in the rim of the surface",
+    )
     weight_distillation: float = setting(1.0, "with targets: weight of the distance to them")
     weight_consistency: float = setting(1.0, "with targets: weight of the distance between the two views")
     steps: int = setting(8000, "optimiser steps of the whole schedule")
@@ -155,6 +161,8 @@ class SceneTraining(LoopSettings):
     warmup: int = 50
     weight_occupancy: float = 0.5
     weight_consistency: float = 0.1
+    unet_base_channels: int = setting(16, "channels of the first level of the U-Net, of a new network")
+    c_dim: int = setting(32, "channels of the volume, of a new network")
     side: int = setting(32, "voxels of the box that a view is cut to; a multiple of the network's period")
     teacher_share: float = setting(0.6, "of the target, where there is a teacher; the rest is the crop's level")
     queries: int = setting(1500, "of the saliency, a crop")
@@ -165,6 +173,11 @@ class SceneTraining(LoopSettings):
     turned_share: float = setting(0.4, "share of the views that are turned in any way, not only about z")
     max_thinning: float = setting(8.0, "half of the views are thinned by up to this")
     max_noise: float = setting(0.5, "a third of the views has noise of a standard deviation of up to this")
+
+    @property
+    def network(self):
+        """The configuration of a new network."""
+        return SceneConfig(c_dim=self.c_dim, unet_base_channels=self.unet_base_channels)
 
 
 def recommended(normalization, max_points, **detect):
@@ -227,7 +240,7 @@ NOT_NEGATIVE = (
     "checkpoint_minutes",
 )  # fmt: skip
 AT_LEAST_ONE = "max_downsampling", "max_thinning"
-SHARES = "procedural_share", "degraded_share", "partial_share", "drop_after", "teacher_share", "turned_share"
+SHARES = "procedural_share", "degraded_share", "partial_share", "drop_after", "teacher_share", "turned_share", "sparsity_ridge"
 RANGES = (
     dict.fromkeys(POSITIVE, ("positive", lambda value: 0 < value < math.inf))
     | dict.fromkeys(NOT_NEGATIVE, ("0 or more", lambda value: 0 <= value < math.inf))

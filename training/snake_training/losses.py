@@ -5,6 +5,8 @@ Occupancy and saliency are probabilities; a local grid is a row of H^3 values. `
 Occupancies are detached wherever they weigh a saliency, so that only the occupancy loss shapes the surface.
 """
 
+from functools import partial
+
 import torch
 import torch.distributed as dist
 import torch.nn.functional as F
@@ -47,27 +49,29 @@ def surface_loss(occupancy, saliency, counted, processes=1):
     return masked_mean((1 - occupancy.detach()) * saliency, counted, processes)
 
 
-def sparsity_loss(occupancy, saliency, inside, processes=1):
+def sparsity_loss(occupancy, saliency, inside, processes=1, ridge=0.0):
     """Eq. 5: one minus (maximum - mean) of the saliency over the occupied points of each local grid (..., G, H^3).
 
     Counts grids that lie over 80 % inside and are occupied in more than 5 % of their points. Occupied are points of
-    occupancy 0.5.
+    occupancy 0.5; with `ridge`, which is not in the paper, those that also have this share of the highest of their grid.
     """
-    occupied = occupancy.detach() >= 0.5
+    occupancy = occupancy.detach()
+    occupied = occupancy >= 0.5
     seen = (inside.float().mean(dim=-1) > 0.8) & (occupied.float().mean(dim=-1) > 0.05)
+    occupied &= occupancy >= ridge * occupancy.amax(dim=-1, keepdim=True)
     on_surface = saliency * occupied
     mean = on_surface.sum(dim=-1) / (occupied.sum(dim=-1) + 1e-5)
     peakedness = on_surface.amax(dim=-1) - mean
     return masked_mean(1 - peakedness, seen, processes)
 
 
-def losses_of(occupancy, saliency, batch, processes=1):
+def losses_of(occupancy, saliency, batch, processes=1, ridge=0.0):
     """The losses of a batch by name, and the share of saturated queries.
 
     occupancy, saliency (B, 2, K + Q): the network's answers for two views of B samples, first at K occupancy queries whose
     `label` (K,) says which lie on the surface. batch holds either `inside` (B, 2, G, H^3), of the local grids that the other
     Q = G H^3 queries are, or their `target` (B, Q), log-odds of the saliency that a student learns. It is one of equal parts
-    if there are several processes.
+    if there are several processes. `ridge` is `sparsity_loss`'s.
     """
     label = batch["label"]
     number = len(label)
@@ -82,7 +86,9 @@ def losses_of(occupancy, saliency, batch, processes=1):
     losses |= {
         "repeatability": repeatability_loss(*grid_saliency.unbind(1), *inside.unbind(1), processes),
         "surface": mean_of_views(surface_loss, occupancy, saliency, counted, processes=processes),
-        "sparsity": mean_of_views(sparsity_loss, grid_occupancy, grid_saliency, inside, processes=processes),
+        "sparsity": mean_of_views(
+            partial(sparsity_loss, ridge=ridge), grid_occupancy, grid_saliency, inside, processes=processes
+        ),
     }
     return losses, saturated(grid_saliency, inside & (grid_occupancy >= 0.5), processes)
 

@@ -82,6 +82,13 @@ def test_sparsity_loss_is_one_minus_peak_over_mean_on_the_surface():
     assert value.item() == pytest.approx(1 - (0.8 - 1.2 / 3), abs=1e-5)
 
 
+def test_sparsity_with_a_ridge_does_not_count_the_rim():
+    occupancy, saliency = torch.tensor([[1.0, 0.95, 0.6, 0.2]]), torch.tensor([[0.5, 0.3, 0.9, 0.0]])
+    everywhere = torch.ones(1, 4, dtype=torch.bool)
+    assert sparsity_loss(occupancy, saliency, everywhere).item() == pytest.approx(1 - (0.9 - 1.7 / 3), abs=1e-4)
+    assert sparsity_loss(occupancy, saliency, everywhere, ridge=0.9).item() == pytest.approx(1 - (0.5 - 0.4), abs=1e-4)
+
+
 @pytest.mark.parametrize(("points_inside", "counts"), [(9, True), (8, False)])
 def test_sparsity_counts_grids_over_eight_tenths_inside(points_inside, counts):
     occupancy, saliency = torch.ones(1, 10), torch.full((1, 10), 0.5)

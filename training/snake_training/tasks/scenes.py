@@ -11,7 +11,7 @@ from ..data.solids import about_axis
 from ..device import has_fast_unet
 from ..losses import saliency_log_odds
 from ..model import NetworkConfig, SnakeNetwork
-from ..scene_model import SceneConfig, SceneNetwork
+from ..scene_model import SHAPES, SceneNetwork
 from .objects import label
 
 
@@ -26,7 +26,7 @@ class Scenes:
 
     def __init__(self, settings, crops, init=None, teacher=None):
         self.settings, self.crops, self.init, self.teacher = settings, crops, init, teacher
-        self.network_config = init.config if init else SceneConfig()
+        self.network_config = init.config if init else settings.network
         if settings.num_grids:
             return
         batches = [
@@ -181,8 +181,8 @@ def moments(parts):
 def started(crops, settings):
     """A new network whose layers have the statistics of made crops for constants, each measured behind those before it."""
     torch.manual_seed(settings.seed)
-    network = SceneNetwork(SceneConfig())
-    fresh = SnakeNetwork(NetworkConfig(unet_levels=3, unet_base_channels=16))
+    network = SceneNetwork(settings.network)
+    fresh = SnakeNetwork(NetworkConfig(**{name: getattr(network.config, name) for name in SHAPES}))
     tensors = fresh.state_dict()
     network.load_state_dict({name: tensors.get(name, value) for name, value in network.state_dict().items()})
     norms = {}
