@@ -108,7 +108,7 @@ def test_minutes_end_a_recipe_and_what_it_reached_goes_on_elsewhere(tmp_path, ca
     with monkeypatch.context() as patched:
         patched.setattr(Recipe, "in_time", lambda *_: 1e-9)
         main([*words, "--run-dir", str(here), "--minutes", "9", "--pack", str(pieces)])
-    assert "the minutes are over within surface" in capsys.readouterr().out
+    assert "the minutes are over within field" in capsys.readouterr().out
     files = sorted(path for path in (pieces / "compact").iterdir() if path.name != moving.LIST)
     assert len(files) > 3 and all(path.stat().st_size <= 100_000 for path in files)
     # Weights that were unpacked and not trained further are packed again.
@@ -117,7 +117,7 @@ def test_minutes_end_a_recipe_and_what_it_reached_goes_on_elsewhere(tmp_path, ca
     moving.pack(recipe.run_dir, tmp_path / "again", recipe.unneeded())
     assert {path.name for path in (tmp_path / "again").iterdir()} >= {path.name for path in files}
     main([*words, "--run-dir", str(there), "--unpack", str(pieces), "--pack", str(pieces)])
-    state = torch.load(there / "compact/surface/last.pt", weights_only=True)
+    state = torch.load(there / "compact/field/last.pt", weights_only=True)
     assert (state["step"], state["began"]) == (2, 1)
     check_end_of_objects(there / "compact", 1_000_000, 16)
     # What is done moves too: nothing is trained again. Of a start of a network that has begun, that it is done.
@@ -156,7 +156,7 @@ def test_moved_weights_are_known_by_their_step(run_dir, tmp_path):
 
 def test_other_settings_than_those_of_the_results_are_refused(run_dir, tmp_path):
     text = (RECIPES / "scenes.toml").read_text()
-    (tmp_path / "other.toml").write_text(text.replace("steps = 8000", "steps = 8001"))
+    (tmp_path / "other.toml").write_text(text.replace("steps = 6000", "steps = 6001"))
     with pytest.raises(ValueError, match="corners was made with other settings"):
         Recipe(tmp_path / "other.toml", run_dir, smoke=True).run()
 
