@@ -240,7 +240,15 @@ NOT_NEGATIVE = (
     "checkpoint_minutes",
 )  # fmt: skip
 AT_LEAST_ONE = "max_downsampling", "max_thinning"
-SHARES = "procedural_share", "degraded_share", "partial_share", "drop_after", "teacher_share", "turned_share", "sparsity_ridge"
+SHARES = (
+    "procedural_share",
+    "degraded_share",
+    "partial_share",
+    "drop_after",
+    "teacher_share",
+    "turned_share",
+    "sparsity_ridge",
+)
 RANGES = (
     dict.fromkeys(POSITIVE, ("positive", lambda value: 0 < value < math.inf))
     | dict.fromkeys(NOT_NEGATIVE, ("0 or more", lambda value: 0 <= value < math.inf))
