@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import torch
 
 from .model import NetworkConfig, SnakeNetwork
-from .scene_model import SceneConfig
+from .scene_model import SHAPES, SceneConfig
 
 NETWORK_SHAPE = "resolution", "unet_levels", "unet_base_channels", "c_dim", "scatter"
 
@@ -271,7 +271,15 @@ def check(config):
         json.loads(config.recommended_options or "{}")
     except ValueError:
         raise ValueError(f"recommended_options must be JSON, got {config.recommended_options}") from None
-    return check_objects(config) if isinstance(config, TrainConfig) else config
+    if isinstance(config, TrainConfig):
+        check_objects(config)
+    shape = {name: getattr(config.network, name) for name in SHAPES}
+    try:
+        with torch.device("meta"):
+            SnakeNetwork(NetworkConfig(**shape))
+    except ValueError as error:
+        raise ValueError(f"c_dim or unet_base_channels does not divide into groups: {error}") from None
+    return config
 
 
 def check_objects(config):
@@ -282,12 +290,6 @@ def check_objects(config):
         raise ValueError("fresh_saliency needs init: without it every part of the network starts anew")
     if config.resolution >> (config.unet_levels - 1) < 1:
         raise ValueError(f"{config.unet_levels} levels do not fit a volume of {config.resolution} voxels a side")
-    try:
-        with torch.device("meta"):
-            SnakeNetwork(config.network)
-    except ValueError as error:
-        raise ValueError(f"c_dim or unet_base_channels does not divide into groups: {error}") from None
-    return config
 
 
 def from_table(kind, table):

@@ -9,11 +9,12 @@ import torch
 from safetensors import safe_open
 
 from snake_training import moving
-from snake_training.config import SceneTraining
+from snake_training.config import SceneTraining, check
 from snake_training.data.crops import Crops
 from snake_training.export import Moved, load_network
 from snake_training.losses import losses_of
 from snake_training.recipes import Recipe, main
+from snake_training.scene_model import SceneConfig
 from snake_training.tasks.scenes import Scenes
 from snake_training.train import run
 
@@ -71,6 +72,13 @@ def test_a_recipe_names_the_released_file(name):
     if recipe.stages[name].digest:
         with safe_open(released, "numpy") as file:
             assert file.metadata()["digest"] == recipe.stages[name].digest
+
+
+def test_a_network_of_scenes_has_the_widths_of_its_settings():
+    task = Scenes(SceneTraining(c_dim=16, unet_base_channels=8, num_grids=1), [])
+    assert task.network_config == SceneConfig(c_dim=16, unet_base_channels=8)
+    with pytest.raises(ValueError, match="c_dim or unet_base_channels does not divide into groups"):
+        check(SceneTraining(c_dim=12))
 
 
 def test_training_goes_on_from_its_checkpoint_bit_for_bit(run_dir, tmp_path):
