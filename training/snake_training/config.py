@@ -241,14 +241,8 @@ NOT_NEGATIVE = (
 )  # fmt: skip
 AT_LEAST_ONE = "max_downsampling", "max_thinning"
 SHARES = (
-    "procedural_share",
-    "degraded_share",
-    "partial_share",
-    "drop_after",
-    "teacher_share",
-    "turned_share",
-    "sparsity_ridge",
-)
+    "procedural_share", "degraded_share", "partial_share", "drop_after", "teacher_share", "turned_share", "sparsity_ridge",
+)  # fmt: skip
 RANGES = (
     dict.fromkeys(POSITIVE, ("positive", lambda value: 0 < value < math.inf))
     | dict.fromkeys(NOT_NEGATIVE, ("0 or more", lambda value: 0 <= value < math.inf))

@@ -221,7 +221,7 @@ def run_until(task, folder, device, minutes, workers, pressed):
         for group in state.optimizer.param_groups:
             group["lr"] = learning_rate(settings, state.step, state.began)
         batch = task.ready({name: tensor.to(device, non_blocking=True) for name, tensor in batch.items()})
-        losses, saturated = losses_of(*task.answer(model, batch, autocast), batch, world, settings.sparsity_ridge)
+        losses, saturated = losses_of(*task.answer(model, batch, autocast), batch, world, ridge=settings.sparsity_ridge)
         state.optimizer.zero_grad()
         total_loss(losses, settings).backward()
         norm = torch.nn.utils.clip_grad_norm_(state.network.parameters(), settings.clip_norm or math.inf)

@@ -23,7 +23,9 @@ from snake_training.data import Mixture, Procedural
 from snake_training.data.landmarks import landmarks
 from snake_training.evaluate import DetectOptions, why_none
 from snake_training.export import Moved, load_network, read_checkpoint, write_weights
+from snake_training.losses import losses_of
 from snake_training.model import SnakeNetwork
+from snake_training.tasks import objects
 from snake_training.tasks.objects import Objects, make_batch, start_saliency
 from snake_training.train import dead_share, learning_rate, train, update_average
 
@@ -114,6 +116,14 @@ def test_training_lowers_the_occupancy_loss(tiny):
     networks = SnakeNetwork(config.network), load_network(config.run_dir)
     before, after = (judged(network, batch)[0]["occupancy"].item() for network in networks)
     assert after < before - 0.05
+
+
+def test_the_ridge_of_the_settings_reaches_training_and_validation(tiny, monkeypatch):
+    given = []
+    for module in (training, objects):
+        monkeypatch.setattr(module, "losses_of", lambda *a, ridge: given.append(ridge) or losses_of(*a, ridge=ridge))
+    train(tiny(sparsity_ridge=0.7, steps=1), "cpu")
+    assert len(given) > 1 and set(given) == {0.7}
 
 
 def test_resuming_continues_bit_for_bit(tiny, tmp_path):

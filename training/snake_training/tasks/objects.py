@@ -66,7 +66,7 @@ class Objects:
             batch = make_batch(self.held_out, config, first, 4, stream=1)
             batch = {name: tensor.to(device) for name, tensor in batch.items()}
             with torch.no_grad():
-                results.append(losses_of(*self.answer(network, batch, autocast), batch))
+                results.append(losses_of(*self.answer(network, batch, autocast), batch, ridge=config.sparsity_ridge))
         figures = {name: float(np.mean([losses[name].item() for losses, _ in results])) for name in LOSSES}
         figures["saturated"] = float(np.mean([share.item() for _, share in results]))
 
