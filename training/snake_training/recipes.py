@@ -4,7 +4,7 @@ stage goes on from its checkpoint, on this machine or, by its weights alone, on 
 A recipe is a TOML file of stages in order. Each has a name, a kind, and the settings of its kind:
 
 objects   a network of objects: init (a stage), targets (of stages), and the settings of `snake_training.train`
-teacher   of (a stage) and the settings of `snake_training.teacher`: the targets of a student
+teacher   of (stages) and the settings of `snake_training.teacher`: the targets of a student
 crops     files: ranges [first seed, number] of files of 25 made crops (`snake_training.data.crops`)
 scenes    a network of scenes: init and teacher (stages), crops, and the settings of `config.SceneTraining`
 export    of (a stage), output, digest, metadata: the weight file; the digest is that of the released file
@@ -43,7 +43,7 @@ from .data.crops import Crops, write_part
 from .export import Moved, load_network, replacing, weights_of, write_weights
 from .tasks.objects import Objects
 from .tasks.scenes import Scenes
-from .teacher import TeacherSettings, make_targets
+from .teacher import TeacherSettings, make_targets, scales_of
 from .train import run
 
 NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_.-]*")  # of a stage or of an output: within the run folder, on every system
@@ -131,16 +131,18 @@ class TeacherStage(Stage):
 
     USES = ("of",)
     SETTINGS = TeacherSettings
-    of: str
+    of: tuple
+
+    def __post_init__(self):
+        scales_of(self.settings, len(self.of))
 
     def run(self, recipe, folder):
         """The shapes of the data and procedural ones."""
         settings = replace(self.settings, **SMOKE_TEACHER) if recipe.smoke else self.settings
         device = recipe.device if recipe.device != "auto" else "cpu"
         settings = replace(settings, engine="torch") if device == "cuda" else settings
-        make_targets(
-            folder / "targets.safetensors", recipe.weights(self.of), recipe.data, settings, device, recipe.workers
-        )
+        weights = [recipe.weights(name) for name in self.of]
+        make_targets(folder / "targets.safetensors", weights, recipe.data, settings, device, recipe.workers)
 
 
 @dataclass(frozen=True, kw_only=True)

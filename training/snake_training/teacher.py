@@ -5,12 +5,14 @@
 in differently turned copies of a cloud are nearly independent: their mean repeats far better than any one of them (SuperPoint,
 DeTone et al. 2018, averages over homographies for the same reason). A third of the copies has noise and a third is thinned, so
 that the mean is what survives both. Still no labels.
+
+Of several networks the target is the highest: one student learns the places of all.
 """
 
 import argparse
 import json
 import sys
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import torch
@@ -41,6 +43,9 @@ class TeacherSettings:
     points: int = setting(4096, "points of a copy")
     seed: int = setting(1, "of queries, turns and noise")
     engine: str = setting("torch", "torch, or snake-rs: faster on a CPU", choices=("torch", "snake-rs"))
+    scales: tuple = setting(
+        (), "of several networks: factors of their log-odds above -3, so that peaks compare; default: 1", type=float
+    )
 
 
 def sample_queries(points, number, rng):
@@ -104,9 +109,18 @@ def averaged_fields(teacher, clouds, queries, rotations):
     return log_odds.mean(axis=0), occupancy[CLEAN].mean(axis=0)
 
 
-def target_of(log_odds, occupancy):
-    """Target log-odds (Q,): the averaged ones, lower off the surface, so that peaks lie on it."""
-    return np.maximum(log_odds + np.log((occupancy + 0.02) / 1.02) - 0.7, LEAST)
+def scales_of(settings, teachers):
+    """The scale of each of so many teachers; a ValueError if the settings have another number of them."""
+    if len(settings.scales) not in (0, teachers):
+        raise ValueError(f"scales must be one for each network, got {len(settings.scales)} for {teachers}")
+    return settings.scales or (1.0,) * teachers
+
+
+def target_of(fields, scales):
+    """Target log-odds (Q,) of the averaged log-odds and occupancy (Q,) of each teacher: the highest of the scaled ones, lower
+    off the surface, so that peaks lie on it."""
+    lowered = [log_odds + np.log((occupancy + 0.02) / 1.02) - 0.7 for log_odds, occupancy in fields]
+    return np.max([LEAST + scale * np.maximum(part - LEAST, 0) for part, scale in zip(lowered, scales, strict=True)], axis=0)
 
 
 class Targets:
@@ -158,7 +172,7 @@ class Draws(Dataset):
         return cloud, queries, copies(shape, settings.rotations, settings.points, rng), rotations
 
 
-def write_targets(path, teacher, shapes, settings, workers=0):
+def write_targets(path, teachers, shapes, settings, workers=0):
     """Targets of all shapes, clouds (M, 3), each with its own seed, to a safetensors file (temporary name, then rename).
 
     So many worker processes draw ahead of the teacher; 0: none.
@@ -168,40 +182,41 @@ def write_targets(path, teacher, shapes, settings, workers=0):
         "queries": np.empty((len(shapes), settings.queries, 3), np.int16),
         "target": np.empty((len(shapes), settings.queries), np.float16),
     }
-    surfaces = 0
+    scales = scales_of(settings, len(teachers))
+    sees_surface = False
     drawn = DataLoader(Draws(shapes, settings), batch_size=None, num_workers=workers, collate_fn=tuple)
     bar = tqdm(drawn, unit="shape", mininterval=2 if sys.stderr.isatty() else 60)
     for row, (cloud, queries, clouds, rotations) in enumerate(bar):
-        log_odds, occupancy = averaged_fields(teacher, clouds, queries, rotations)
-        surfaces += bool((occupancy > 0.5).any())
+        fields = [averaged_fields(teacher, clouds, queries, rotations) for teacher in teachers]
+        sees_surface |= any((occupancy > 0.5).any() for _, occupancy in fields)
         stored["points"][row], stored["queries"][row] = ((a / QUANTUM).round() for a in (cloud, queries))
-        stored["target"][row] = target_of(log_odds, occupancy)
-    if not surfaces:
+        stored["target"][row] = target_of(fields, scales)
+    if not sees_surface:
         raise ValueError("the network sees no surface anywhere: train it first")
     with replacing(path) as temporary:
         save_file(stored, temporary, metadata=FORMAT | {"settings": json.dumps(vars(settings))})
 
 
-def make_targets(path, weights, data, settings, device="cpu", workers=0):
-    """Targets of the shapes of the data folders and procedural ones, by the network in a weight file, checkpoint or run."""
+def make_targets(output, weights, data, settings, device="cpu", workers=0):
+    """Targets of the shapes of the data folders and procedural ones, by the networks in weight files, checkpoints or runs."""
     shapes = Mixture([*open_all(data, ()), Procedural(settings.procedural)], 0.0)
     if len(shapes) == 0:
         raise ValueError("no shapes: give data, or procedural shapes")
     if settings.engine == "snake-rs":
-        teacher = snake_rs_teacher(weights)
+        teachers = [snake_rs_teacher(path) for path in weights]
     else:
-        teacher = torch_teacher(load_network(weights, device))
-    write_targets(path, teacher, shapes, settings, workers)
+        teachers = [torch_teacher(load_network(path, device)) for path in weights]
+    write_targets(output, teachers, shapes, settings, workers)
 
 
 def main(argv=None):
     """Command line."""
     parser = argparse.ArgumentParser(
         prog="python -m snake_training.teacher",
-        description="Write the saliency of a network on shapes, averaged over turned copies, for train --targets.",
+        description="Write the saliency of networks on shapes, averaged over turned copies, for train --targets.",
         formatter_class=argparse.ArgumentDefaultsHelpFormatter,
     )
-    parser.add_argument("weights", help="the teacher: a safetensors export, checkpoint or run folder")
+    parser.add_argument("weights", nargs="+", help="the teachers: safetensors exports, checkpoints or run folders")
     parser.add_argument("-o", "--output", required=True, help="file to write, about 57 kB a shape")
     parser.add_argument("--data", nargs="*", default=[], help="corpus folders, or folders of clouds or shards")
     parser.add_argument("--device", default="cpu", help="torch device, for instance cuda")
@@ -209,6 +224,7 @@ def main(argv=None):
         parser.add_argument(f"--{name}", default=field.default, **{"type": field.type} | dict(field.metadata))
     given = vars(parser.parse_args(argv))
     settings = TeacherSettings(**{name: given[name] for name in TeacherSettings.__dataclass_fields__})
+    settings = replace(settings, scales=tuple(settings.scales))
     for name in ("procedural", "rotations", "queries", "points"):
         if getattr(settings, name) < (name != "procedural"):
             parser.error(f"--{name} must be {int(name != 'procedural')} or more")

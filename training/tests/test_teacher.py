@@ -34,7 +34,7 @@ SMALL = TeacherSettings(rotations=2, queries=64, points=128)
 def file(tmp_path, network):
     """A file of targets of three procedural shapes."""
     path = tmp_path / "targets.safetensors"
-    write_targets(path, torch_teacher(network), Procedural(3, points=200), SMALL)
+    write_targets(path, [torch_teacher(network)], Procedural(3, points=200), SMALL)
     return path
 
 
@@ -85,7 +85,21 @@ def test_of_three_copies_one_is_clean_one_noisy_and_one_thinned():
 
 @pytest.mark.parametrize(("log_odds", "expected"), [(1.5, 1.5 + np.log(0.52 / 1.02) - 0.7), (-9, -3)])
 def test_targets_are_the_mean_lowered_off_the_surface(log_odds, expected):
-    assert target_of(np.full(3, log_odds), np.full(3, 0.5)) == pytest.approx(expected, abs=1e-6)
+    assert target_of([(np.full(3, log_odds), np.full(3, 0.5))], [1]) == pytest.approx(expected, abs=1e-6)
+
+
+def test_of_several_networks_the_highest_is_the_target():
+    everywhere = np.ones(3)
+    one, other = np.float64([5.7, -9, 0.7]), np.float64([-9, 1.7, 0.2])  # 0.7 are taken off
+    found = target_of([(one, everywhere), (other, everywhere)], [0.5, 1])
+    assert found == pytest.approx([-3 + 0.5 * 8, 1, -0.5], abs=1e-6)
+
+
+def test_each_network_has_a_scale(tmp_path, network):
+    settings = dataclasses.replace(SMALL, scales=(0.5,))
+    with pytest.raises(ValueError, match="scales must be one for each network, got 1 for 2"):
+        write_targets(tmp_path / "t", [torch_teacher(network)] * 2, Procedural(1, points=200), settings)
+    assert not list(tmp_path.iterdir())
 
 
 def test_a_file_holds_the_shapes_and_comes_back(file, tmp_path):
@@ -105,7 +119,7 @@ def test_a_file_holds_the_shapes_and_comes_back(file, tmp_path):
 def test_a_network_without_a_surface_is_no_teacher(tmp_path):
     nowhere = lambda points, queries: (np.zeros(queries.shape[:2]), np.zeros(queries.shape[:2]))
     with pytest.raises(ValueError, match="no surface"):
-        write_targets(tmp_path / "t", nowhere, Procedural(1, points=200), SMALL)
+        write_targets(tmp_path / "t", [nowhere], Procedural(1, points=200), SMALL)
     assert not list(tmp_path.iterdir())
 
 
