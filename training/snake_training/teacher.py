@@ -120,7 +120,9 @@ def target_of(fields, scales):
     """Target log-odds (Q,) of the averaged log-odds and occupancy (Q,) of each teacher: the highest of the scaled ones, lower
     off the surface, so that peaks lie on it."""
     lowered = [log_odds + np.log((occupancy + 0.02) / 1.02) - 0.7 for log_odds, occupancy in fields]
-    return np.max([LEAST + scale * np.maximum(part - LEAST, 0) for part, scale in zip(lowered, scales, strict=True)], axis=0)
+    return np.max(
+        [LEAST + scale * np.maximum(part - LEAST, 0) for part, scale in zip(lowered, scales, strict=True)], axis=0
+    )
 
 
 class Targets:
