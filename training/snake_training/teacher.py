@@ -110,7 +110,9 @@ def averaged_fields(teacher, clouds, queries, rotations):
 
 
 def scales_of(settings, teachers):
-    """The scale of each of so many teachers; a ValueError if the settings have another number of them."""
+    """The scale of each of so many teachers; a ValueError if there are none, or the settings have another number of them."""
+    if teachers < 1:
+        raise ValueError("no network to learn from")
     if len(settings.scales) not in (0, teachers):
         raise ValueError(f"scales must be one for each network, got {len(settings.scales)} for {teachers}")
     return settings.scales or (1.0,) * teachers

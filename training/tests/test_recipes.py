@@ -196,6 +196,7 @@ CROPS = '[[stages]]\nname = "c"\nkind = "crops"\nfiles = [[1, 1]]\n'
         ('[[stages]]\nname = "a"\nkind = "scenes"\ninit = "b"\ncrops = "c"', "no stage 'b' before it"),
         ('[[stages]]\nname = "a"\nkind = "export"\nof = "b"\noutput = "x"', "no stage 'b' before it"),
         ('[[stages]]\nname = "a"\nkind = "teacher"\nof = ["b"]\nscales = [1, 2]', "got 2 for 1"),
+        ('[[stages]]\nname = "a"\nkind = "teacher"\nof = []', "no network to learn from"),
         (CROPS + '[[stages]]\nname = "a"\nkind = "export"\nof = "c"\noutput = "/abs/file"', "not the name of a file"),
         (CROPS + '[[stages]]\nname = "a"\nkind = "export"\nof = "c"\noutput = "../up"', "not the name of a file"),
         (CROPS + '[[stages]]\nname = "a"\nkind = "scenes"\ncrops = "c"\nwarmpu = 3', "unknown setting 'warmpu'"),
