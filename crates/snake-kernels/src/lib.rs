@@ -41,7 +41,8 @@ mod trilinear;
 pub use buffer_pool::{Buffer, BufferPool};
 pub use constant_region::ConstantRegion;
 pub use conv3d::{
-    BLOCK_SIDE, BLOCK_VOXELS, BlockConv3d, BlockSource, Conv3d, PackedConv3d, Source, conv3d, conv3d_blocks,
+    BLOCK_SIDE, BLOCK_VOXELS, BlockActivation, BlockConv3d, BlockSource, Conv3d, PackedConv3d, Source, conv3d,
+    conv3d_blocks,
 };
 pub use group_norm::{GroupNorm, channel_sums};
 pub use linear::{Epilogue, PackedLinear, linear};

@@ -3,6 +3,7 @@
 //! A volume stores the differences of its voxels from a constant vector, which every voxel far from the points has. So a
 //! voxel without a block is zero, and the padding beyond the last block is exact. A layer computes
 //! `relu(W x + bias) - constant`, where `bias` holds what the constant of its input adds, and `constant = relu(bias)`.
+//! Of several inputs the sums `W x` are added one after another, so that an input needs no memory while the next is made.
 
 use rayon::prelude::*;
 
@@ -21,7 +22,7 @@ pub const BLOCK_VOXELS: usize = BLOCK_SIDE * BLOCK_SIDE * BLOCK_SIDE;
 /// Values of a tile's input along each axis.
 const N: usize = BLOCK_SIDE + 2;
 
-/// One input volume of a convolution of blocks. The channels of several sources follow each other.
+/// The input volume of a convolution of blocks.
 #[derive(Debug, Clone, Copy)]
 pub struct BlockSource<'a> {
     /// Values `[block][z][y][x][channel]`. Block 0 stands for every missing block and is zero; so do numbers beyond the last
@@ -74,18 +75,27 @@ impl BlockSource<'_> {
 /// The arguments of [`conv3d_blocks`].
 #[derive(Debug, Clone, Copy)]
 pub struct BlockConv3d<'a> {
-    /// Weights of the convolution, with tiles of 4.
+    /// Weights of this input, with tiles of 4.
     pub layer: &'a PackedConv3d,
-    /// Input volumes.
-    pub sources: &'a [BlockSource<'a>],
-    /// Added to each output before the ReLU.
+    /// The input volume.
+    pub source: BlockSource<'a>,
+    /// Whether the output holds the sums of other inputs, to which those of this one are added.
+    pub adds: bool,
+    /// What follows the last input's sums.
+    pub activation: Option<BlockActivation<'a>>,
+}
+
+/// The end of a layer, for each output channel.
+#[derive(Debug, Clone, Copy)]
+pub struct BlockActivation<'a> {
+    /// Added before the ReLU.
     pub bias: &'a [f32],
-    /// Subtracted from each output after the ReLU.
+    /// Subtracted after the ReLU.
     pub constant: &'a [f32],
 }
 
-/// Convolves blocks with their neighbours, adds the bias, applies the ReLU and subtracts the constant. `output` holds the
-/// output blocks `[block][z][y][x][channel]`, without a block for the missing ones.
+/// Convolves blocks with their neighbours, and adds the bias, applies the ReLU and subtracts the constant where they are given.
+/// `output` holds the output blocks `[block][z][y][x][channel]`, without a block for the missing ones.
 ///
 /// `stop` is asked before each batch of blocks. Once it says true, the remaining ones are left out, and the output is not
 /// to be used.
@@ -114,7 +124,7 @@ fn batch_of_blocks_body<L: Lanes, const ROWS: usize>(
     first: usize,
     output: &mut [f32],
 ) {
-    let &BlockConv3d { layer, bias, constant, .. } = conv;
+    let &BlockConv3d { layer, adds, activation, .. } = conv;
     let number = output.len() / (BLOCK_VOXELS * layer.outputs);
     let gather = BlocksFrom { conv, first, number };
     let (products, pitch) =
@@ -126,8 +136,9 @@ fn batch_of_blocks_body<L: Lanes, const ROWS: usize>(
         for out in 0..output_blocks {
             partial.read(&products[out * pitch + block * LANES..], output_blocks * pitch);
             let lanes = LANES.min(layer.outputs - out * LANES);
-            let [bias, constant] =
-                [load::<L>(token, &bias[out * LANES..], lanes), load::<L>(token, &constant[out * LANES..], lanes)];
+            let terms = activation.map(|BlockActivation { bias, constant }| {
+                [bias, constant].map(|terms| load::<L>(token, &terms[out * LANES..], lanes))
+            });
             for y in 0..BLOCK_SIDE {
                 for x in 0..BLOCK_SIDE {
                     let mut column = [zero; N];
@@ -136,8 +147,13 @@ fn batch_of_blocks_body<L: Lanes, const ROWS: usize>(
                     }
                     for (z, value) in outputs_of_axis(column).into_iter().enumerate() {
                         let voxel = (z * BLOCK_SIDE + y) * BLOCK_SIDE + x;
-                        let value = value.add(bias).max(zero).sub(constant);
-                        store(value, &mut output[voxel * layer.outputs + out * LANES..], lanes);
+                        let output = &mut output[voxel * layer.outputs + out * LANES..];
+                        let value = if adds { value.add(load(token, output, lanes)) } else { value };
+                        let value = match terms {
+                            Some([bias, constant]) => value.add(bias).max(zero).sub(constant),
+                            None => value,
+                        };
+                        store(value, output, lanes);
                     }
                 }
             }
@@ -162,7 +178,7 @@ impl Gather for BlocksFrom<'_> {
         to: &mut [f32],
         pitch: usize,
     ) {
-        let source = &self.conv.sources[block.source];
+        let source = &self.conv.source;
         let lanes = LANES.min(block.channels - half * LANES);
         let values = &source.values[block.first[0] + half * LANES..];
         let zero = L::splat(token, 0.0);
@@ -298,21 +314,17 @@ mod tests {
                     (of(up).blocked(channels, volume), of(up).neighbors(u32::from(up), of(false).places()))
                 })
                 .collect();
-            let sources_: Vec<BlockSource> = blocked
-                .iter()
-                .zip(&sources)
-                .map(|((values, neighbors), &(channels, up))| BlockSource {
-                    values,
-                    channels,
-                    neighbors,
-                    halves: up.then_some(&halves[..]),
-                })
-                .collect();
-            let layer = PackedConv3d::new(&sources, outputs, &weight, BLOCK_SIDE);
+            let parts = PackedConv3d::new(&sources, outputs, &weight, BLOCK_SIDE).into_sources();
+            let last = parts.len() - 1;
             for level in SimdLevel::available() {
                 let mut output = vec![f32::NAN; expected.len()];
-                let conv = BlockConv3d { layer: &layer, sources: &sources_, bias: &bias, constant: &constant };
-                conv3d_blocks(level, &conv, &|| false, &mut output);
+                for (part, ((values, neighbors), &(channels, up))) in blocked.iter().zip(&sources).enumerate() {
+                    let source = BlockSource { values, channels, neighbors, halves: up.then_some(&halves[..]) };
+                    let activation = BlockActivation { bias: &bias, constant: &constant };
+                    let activation = (part == last).then_some(activation);
+                    let conv = BlockConv3d { layer: &parts[part], source, adds: part > 0, activation };
+                    conv3d_blocks(level, &conv, &|| false, &mut output);
+                }
                 // Sums of up to 1296 products of values below 2.
                 naive::assert_close(&output, &expected, 4e-4, &format!("{level:?} {blocks} {sources:?} {outputs}"));
             }

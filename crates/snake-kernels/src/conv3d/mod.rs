@@ -33,7 +33,7 @@ use crate::constant_region::copy_constant_tiles;
 use crate::group_norm::add_in_order;
 use crate::simd::{LANES, Lanes, simd_levels};
 
-pub use self::blocks::{BLOCK_SIDE, BLOCK_VOXELS, BlockConv3d, BlockSource, conv3d_blocks};
+pub use self::blocks::{BLOCK_SIDE, BLOCK_VOXELS, BlockActivation, BlockConv3d, BlockSource, conv3d_blocks};
 pub use self::pack::PackedConv3d;
 use self::pack::{BLOCK, Block, points};
 use self::products::multiply;

@@ -125,6 +125,20 @@ impl PackedConv3d {
         Self { outputs, tile, blocks }
     }
 
+    /// One convolution for each source, whose sums are added.
+    pub fn into_sources(self) -> Vec<Self> {
+        let Self { outputs, tile, blocks } = self;
+        let mut parts: Vec<Self> = Vec::new();
+        for block in blocks {
+            if block.source == parts.len() {
+                parts.push(Self { outputs, tile, blocks: Vec::new() });
+            }
+            let part = &mut parts[block.source];
+            part.blocks.push(Block { source: 0, first: [block.first[0]; 2], ..block });
+        }
+        parts
+    }
+
     /// Channels of each source.
     pub fn sources(&self) -> impl Iterator<Item = usize> {
         let number = self.blocks.last().map_or(0, |block| block.source + 1);

@@ -65,12 +65,15 @@ impl BlockEncoder {
         span!("pointnet");
         let width = scatter::slots_width(channels);
         let num_sums = cells.len() * width;
+        let num_nodes = (levels[0].filled.len() + 1) * BLOCK_VOXELS * channels;
         let mut unet_memory = self.unet.memory(&levels, num_sums);
-        let sums = &mut unet_memory.rest[..num_sums];
+        let first_node = unet_memory.len() - num_nodes;
+        let (sums, nodes) = unet_memory.split_at_mut(first_node);
+        let sums = &mut sums[..num_sums];
         sums.fill(0.0);
         self.points.add_to_voxels(&memory.groups, offset, scatter::spread, sums, counter)?;
         counter.check()?;
-        self.write_nodes(&levels[0], &cells, sums, &mut unet_memory.slot);
+        self.write_nodes(&levels[0], &cells, sums, nodes);
         span!("unet");
         let values = self.unet.forward(&levels, unet_memory, counter)?;
         let grid = levels.into_iter().next().map(|level| level.near).unwrap_or_default();
@@ -94,8 +97,7 @@ impl BlockEncoder {
     /// Writes the input of the U-Net: the filled blocks, with the missing block 0.
     fn write_nodes(&self, level: &Level, cells: &[[i32; 3]], sums: &[f32], nodes: &mut [f32]) {
         let channels = self.points.channels();
-        let block = BLOCK_VOXELS * channels;
-        let (missing, nodes) = nodes[..(level.filled.len() + 1) * block].split_at_mut(block);
+        let (missing, nodes) = nodes.split_at_mut(BLOCK_VOXELS * channels);
         missing.fill(0.0);
         scatter::gather(&level.filled, &level.neighbors, cells, sums, self.scatter_mass, channels, nodes);
     }

@@ -2,8 +2,8 @@
 
 use rayon::prelude::*;
 use snake_kernels::{
-    BLOCK_SIDE, BLOCK_VOXELS, BlockConv3d, BlockSource, Buffer, BufferPool, Epilogue, PackedConv3d, SimdLevel,
-    conv3d_blocks,
+    BLOCK_SIDE, BLOCK_VOXELS, BlockActivation, BlockConv3d, BlockSource, Buffer, BufferPool, Epilogue, PackedConv3d,
+    SimdLevel, conv3d_blocks,
 };
 
 use crate::Result;
@@ -16,7 +16,8 @@ use crate::network::weights::Scope;
 /// Convolution with a bias, then ReLU.
 #[derive(Debug)]
 struct BlockConv {
-    packed: PackedConv3d,
+    /// The weights of each input.
+    parts: Vec<PackedConv3d>,
     /// The bias, with what the constant of the input adds to each output.
     bias: Vec<f32>,
     /// The output far from all points.
@@ -36,17 +37,24 @@ impl BlockConv {
         let bias: Vec<f32> =
             bias.iter().zip(constant_outputs).map(|(&b, added)| (f64::from(b) + added) as f32).collect();
         Ok(Self {
-            packed: PackedConv3d::new(sources, outputs, &weight, BLOCK_SIDE),
+            parts: PackedConv3d::new(sources, outputs, &weight, BLOCK_SIDE).into_sources(),
             constant: bias.iter().map(|value| value.max(0.0)).collect(),
             bias,
         })
     }
 
-    /// Writes the values of as many blocks as `values` holds, block 0 included, as differences from the layer's constant.
-    fn forward(&self, sources: &[BlockSource], values: &mut [f32], counter: &Counter) -> Result<()> {
-        let (missing, stored) = values.split_at_mut(BLOCK_VOXELS * self.packed.outputs());
+    fn outputs(&self) -> usize {
+        self.bias.len()
+    }
+
+    /// Adds the sums of one input for as many blocks as `values` holds, block 0 included; the first input begins them. The last
+    /// one ends them: values are then differences from the layer's constant.
+    fn forward(&self, part: usize, source: BlockSource, values: &mut [f32], counter: &Counter) -> Result<()> {
+        let (missing, stored) = values.split_at_mut(BLOCK_VOXELS * self.outputs());
         missing.fill(0.0);
-        let conv = BlockConv3d { layer: &self.packed, sources, bias: &self.bias, constant: &self.constant };
+        let activation = BlockActivation { bias: &self.bias, constant: &self.constant };
+        let activation = (part + 1 == self.parts.len()).then_some(activation);
+        let conv = BlockConv3d { layer: &self.parts[part], source, adds: part > 0, activation };
         conv3d_blocks(SimdLevel::current(), &conv, &|| counter.is_stopped(), stored);
         counter.check()
     }
@@ -66,29 +74,27 @@ pub(super) struct BlockUnet {
     pool: BufferPool,
 }
 
-/// The memory of one U-Net. Each level has a slot, which holds its input, then what its encoder makes of it, then what its decoder
-/// makes of that. The slots of the coarser levels and the values between two convolutions share the rest.
-pub(super) struct UnetMemory {
-    /// The slot of the finest level. It begins with the nodes of the filled blocks, block 0 included.
-    pub(super) slot: Buffer,
-    pub(super) rest: Buffer,
-}
-
 /// The numbers of values of one level.
 struct Lengths {
     input: usize,
     /// Between the convolutions of the encoder.
     middle: usize,
-    /// What the encoder makes, which the decoder reads too.
+    /// What the encoder makes.
     skip: usize,
     /// Between the convolutions of the decoder; 0 on the coarsest level.
     decoded: usize,
     result: usize,
 }
 
-impl Lengths {
-    fn slot(&self) -> usize {
-        self.input.max(self.skip).max(self.result)
+/// The two ends of a level's memory: so many values where its input lies and its result will, and so many at the other end.
+fn ends(memory: &mut [f32], starts: bool, [here, there]: [usize; 2]) -> [&mut [f32]; 2] {
+    let between = memory.len() - here - there;
+    if starts {
+        let (here, rest) = memory.split_at_mut(here);
+        [here, &mut rest[between..]]
+    } else {
+        let (rest, here) = memory.split_at_mut(there + between);
+        [here, &mut rest[..there]]
     }
 }
 
@@ -139,24 +145,25 @@ impl BlockUnet {
         levels.iter().map(nodes).sum::<usize>() + levels[..levels.len() - 1].iter().map(nodes).sum::<usize>()
     }
 
-    /// The memory of levels. `rest` has room for `also` values besides.
-    pub(super) fn memory(&self, levels: &[Level], also: usize) -> UnetMemory {
+    /// The memory of levels. It ends with the nodes of the filled blocks, block 0 included, and has room for `also` values before
+    /// them.
+    pub(super) fn memory(&self, levels: &[Level], also: usize) -> Buffer {
+        let Lengths { input, result, .. } = self.lengths(levels, 0);
         let output = num_values(levels[0].near.len(), self.final_conv.outputs());
-        let rest = self.rest(levels, 0).max(output).max(also);
-        UnetMemory { slot: self.pool.take(self.lengths(levels, 0).slot()), rest: self.pool.take(rest) }
+        self.pool.take(self.needs(levels, 0).max(output + result).max(input + also))
     }
 
     fn lengths(&self, levels: &[Level], number: usize) -> Lengths {
         let Level { grid, near, filled, .. } = &levels[number];
         let inputs = self.inputs(number);
-        let (middle, outputs) = (self.encoders[number][0].packed.outputs(), self.channels[number]);
+        let (middle, outputs) = (self.encoders[number][0].outputs(), self.channels[number]);
         let skip = num_values(grid.len(), outputs);
         let decoder = self.decoders.get(number);
         Lengths {
             input: num_values(filled.len(), inputs),
             middle: num_values(near.len(), middle),
             skip,
-            decoded: decoder.map_or(0, |decoder| num_values(grid.len(), decoder[0].packed.outputs())),
+            decoded: decoder.map_or(0, |decoder| num_values(grid.len(), decoder[0].outputs())),
             result: decoder.map_or(skip, |_| num_values(near.len(), outputs)),
         }
     }
@@ -166,62 +173,68 @@ impl BlockUnet {
         if number == 0 { self.final_conv.outputs() } else { self.channels[number - 1] }
     }
 
-    /// The values that a level needs besides its slot.
-    fn rest(&self, levels: &[Level], number: usize) -> usize {
-        let Lengths { middle, decoded, .. } = self.lengths(levels, number);
+    /// The values that a level and all coarser ones need.
+    fn needs(&self, levels: &[Level], number: usize) -> usize {
+        let Lengths { input, middle, skip, decoded, result } = self.lengths(levels, number);
+        let encoder = middle + input.max(skip);
         if number + 1 == self.num_levels() {
-            return middle;
+            return encoder;
         }
-        middle.max(self.lengths(levels, number + 1).slot() + self.rest(levels, number + 1).max(decoded))
+        let pooled = self.lengths(levels, number + 1).input;
+        encoder.max(skip + pooled + decoded).max(decoded + self.needs(levels, number + 1)).max(decoded + result)
     }
 
-    /// Maps nodes `[block][z][y][x][c_dim]` of the filled blocks of the finest level, with which the slot begins, to features of
+    /// Maps nodes `[block][z][y][x][c_dim]` of the filled blocks of the finest level, with which the memory ends, to features of
     /// the near blocks. Block 0 of the output has the features far from all points.
-    pub(super) fn forward(&self, levels: &[Level], memory: UnetMemory, counter: &Counter) -> Result<Buffer> {
-        let UnetMemory { mut slot, rest: mut output } = memory;
-        self.level(levels, 0, &mut slot, &mut output, counter)?;
+    pub(super) fn forward(&self, levels: &[Level], mut memory: Buffer, counter: &Counter) -> Result<Buffer> {
+        self.level(levels, 0, false, &mut memory, counter)?;
         let (channels, outputs) = (self.channels[0], self.final_conv.outputs());
-        let made = &slot[..self.lengths(levels, 0).result];
-        output.truncate(made.len() / channels * outputs);
-        let rows = output.par_chunks_mut(TILE * outputs).zip(made.par_chunks(TILE * channels));
+        let result = self.lengths(levels, 0).result;
+        let output = result / channels * outputs;
+        let [made, values] = ends(&mut memory, false, [result, output]);
+        let rows = values.par_chunks_mut(TILE * outputs).zip(made.par_chunks(TILE * channels));
         rows.for_each(|(out, input)| self.final_conv.forward(input, out, Epilogue::Store));
-        Ok(output)
+        memory.truncate(output);
+        Ok(memory)
     }
 
-    /// One level of the U-Net and all coarser ones, from the input in its slot to the result there.
+    /// One level of the U-Net and all coarser ones. The input lies at the start of the memory or at its end, and so does the
+    /// result. While the coarser levels are made the other end keeps what the encoder adds to the decoder's sums.
     fn level(
         &self,
         levels: &[Level],
         number: usize,
-        slot: &mut [f32],
-        rest: &mut [f32],
+        starts: bool,
+        memory: &mut [f32],
         counter: &Counter,
     ) -> Result<()> {
         let (level, lengths) = (&levels[number], self.lengths(levels, number));
-        let work = level.grid.len() * BLOCK_VOXELS;
+        let (channels, work) = (self.channels[number], level.grid.len() * BLOCK_VOXELS);
         let [first, second] = &self.encoders[number];
-        let middle = &mut rest[..lengths.middle];
-        first.forward(&[own(level, &slot[..lengths.input], self.inputs(number))], middle, counter)?;
-        second.forward(&[own(level, middle, first.packed.outputs())], &mut slot[..lengths.skip], counter)?;
+        let [input, middle] = ends(memory, starts, [lengths.input, lengths.middle]);
+        first.forward(0, own(level, input, self.inputs(number)), middle, counter)?;
+        let [skip, middle] = ends(memory, starts, [lengths.skip, lengths.middle]);
+        second.forward(0, own(level, middle, first.outputs()), skip, counter)?;
         counter.add(work);
         let Some([first, second]) = self.decoders.get(number) else { return Ok(()) };
-        let coarse_lengths = self.lengths(levels, number + 1);
-        let (coarse, rest) = rest.split_at_mut(coarse_lengths.slot());
-        let skip = &slot[..lengths.skip];
-        max_pool(skip, self.channels[number], &levels[number + 1], &mut coarse[..coarse_lengths.input]);
-        self.level(levels, number + 1, coarse, rest, counter)?;
-        let sources = [
-            own(level, skip, self.channels[number]),
-            BlockSource {
-                values: &coarse[..coarse_lengths.result],
-                channels: self.channels[number + 1],
-                neighbors: &level.coarser,
-                halves: Some(&level.halves),
-            },
-        ];
-        let middle = &mut rest[..lengths.decoded];
-        first.forward(&sources, middle, counter)?;
-        second.forward(&[own(level, middle, first.packed.outputs())], &mut slot[..lengths.result], counter)?;
+        let coarser = self.lengths(levels, number + 1);
+        let rest = memory.len() - lengths.decoded;
+        let [skip, others] = ends(memory, starts, [lengths.skip, lengths.decoded + coarser.input]);
+        let [sums, pooled] = ends(others, !starts, [lengths.decoded, coarser.input]);
+        max_pool(skip, channels, &levels[number + 1], pooled);
+        first.forward(0, own(level, skip, channels), sums, counter)?;
+        let [sums, coarse] = ends(memory, !starts, [lengths.decoded, rest]);
+        self.level(levels, number + 1, !starts, coarse, counter)?;
+        let [made, _] = ends(coarse, !starts, [coarser.result, 0]);
+        let upsampled = BlockSource {
+            values: made,
+            channels: self.channels[number + 1],
+            neighbors: &level.coarser,
+            halves: Some(&level.halves),
+        };
+        first.forward(1, upsampled, sums, counter)?;
+        let [result, decoded] = ends(memory, starts, [lengths.result, lengths.decoded]);
+        second.forward(0, own(level, decoded, first.outputs()), result, counter)?;
         counter.add(work);
         Ok(())
     }
