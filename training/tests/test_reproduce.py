@@ -11,7 +11,6 @@ import pytest
 import torch
 
 from conftest import FOLDER
-from snake_training import ablations
 from snake_training.model import NetworkConfig, SnakeNetwork
 from test_official import SMPL, TINY, fragments, keypointnet, match3d, modelnet40, smpl
 
@@ -25,7 +24,6 @@ COMMANDS = [
 # What makes a command small, by its beginning; the later ones override the page's own.
 SMALL = {
     "snake_training.train": TINY,
-    "snake_training.ablations": ["--steps", "1", "--batch", "1", "--objects", "1", "--tables", "losses"],
     "eval": ["--limit", "1"],
     "repeatability": ["--methods", "snake,random"],
     "semantic": ["--methods", "snake,random"],
@@ -70,14 +68,6 @@ def described(scene, folder):
         )
 
 
-# The same as a preset, in place of the paper's, whose network the ablations train.
-TINY_PRESET = {
-    name.removeprefix("--").replace("-", "_"): int(value)
-    for name, value in zip(TINY[::2], TINY[1::2], strict=True)
-    if value.isdigit()
-}
-
-
 @pytest.mark.parametrize("command", COMMANDS)
 def test_a_command_of_the_page_runs(place, snake_cli, command, monkeypatch):
     """In the order of the page: what trains comes first."""
@@ -87,12 +77,6 @@ def test_a_command_of_the_page_runs(place, snake_cli, command, monkeypatch):
     if words[0] == "snake-cli":
         snake_cli(*words[1:], cwd=place)
         return
-    if "--annotated" in words:
-        words += ["--cli", snake_cli.path]
-    if "snake_training.ablations" in words:
-        for preset in ablations.PRESETS.values():
-            for name, value in TINY_PRESET.items():
-                monkeypatch.setitem(preset, name, value)
     assert words[:2] == ["python", "-m"]
     monkeypatch.chdir(place)
     monkeypatch.setattr(sys, "argv", ["python", *map(str, words[3:])])
