@@ -120,6 +120,9 @@ models: module  ## all weights from their recipes into runs/: make models DATA=F
 	OMP_NUM_THREADS=1 $(PYTHON) -m snake_training.recipes training/recipes/*.toml $(if $(DATA),--data $(DATA)) \
 		$(if $(VAL),--validation-data $(VAL)) $(if $(SMOKE),--smoke --run-dir runs/smoke)
 
+models/paper.safetensors: $(sort $(wildcard models/paper.safetensors.?))  ## the paper's network, joined from its parts
+	cat $^ > $@
+
 release-model: module  ## take a model that its recipe made into the repository: make release-model NAME=compact
 	$(PYTHON) tools/release_model.py $(NAME)
 

@@ -1,6 +1,6 @@
 """Takes a model that a recipe made into the repository: `python tools/release_model.py NAME`, or `make release-model NAME=compact`.
 
-Copies runs/NAME/NAME.safetensors to where it is released, writes its digest into the recipe, and renews the golden files that
+Copies runs/NAME/NAME.safetensors to where it is released, a large file in parts, writes its digest into the recipe, and renews the golden files that
 depend on its weights. The tables and pictures need folders that are not here: at the end the commands that renew them are printed.
 """
 
@@ -8,13 +8,13 @@ import argparse
 import json
 import os
 import re
-import shutil
 import subprocess
 import sys
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[1]
 BUILT_IN = "compact", "scenes"
+PART = 4_900_000  # bytes: a larger file lies here in parts
 # What a built-in model's weights decide.
 GOLDEN = {
     "compact": [[sys.executable, "tests/data/compact_fields.py"]],
@@ -34,6 +34,17 @@ def metadata_of(path):
         return json.loads(file.read(length))["__metadata__"]
 
 
+def release(made, released):
+    """Copies a file; one above PART to files with numbered endings, which `make` joins."""
+    content = made.read_bytes()
+    for old in released.parent.glob(f"{released.name}*"):
+        old.unlink()
+    parts = [content[first : first + PART] for first in range(0, len(content), PART)]
+    for number, part in enumerate(parts):
+        path = released if len(parts) == 1 else released.with_name(f"{released.name}.{number}")
+        path.write_bytes(part)
+
+
 def main():
     """Command line."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
@@ -47,7 +58,7 @@ def main():
             parser.error(f"{path}: {what}")
     folder = "crates/snake-core/models" if arguments.name in BUILT_IN else "models"
     released = ROOT / folder / made.name
-    shutil.copyfile(made, released)
+    release(made, released)
     digest = metadata_of(made)["digest"]
     text = re.sub(r"(?m)^digest = .*\n", "", recipe.read_text())
     output = f'output = "{made.name}"\n'

@@ -63,12 +63,14 @@ def check_end_of_objects(run_dir, max_bytes, channels):
 
 
 @pytest.mark.parametrize("name", ["compact", "scenes", "paper"])
-def test_a_recipe_names_the_released_file(name):
-    """Where a recipe states the digest of the released file, it is that file's."""
+def test_a_recipe_names_the_released_file(name, tmp_path):
+    """Where a recipe states the digest of the released file, it is that file's. Those that are not built in lie in parts."""
     recipe = Recipe(RECIPES / f"{name}.toml", "runs")
-    released = next(
-        path for path in (MODELS / f"{name}.safetensors", RECIPES.parents[1] / f"models/{name}.safetensors")
-    )
+    released = MODELS / f"{name}.safetensors"
+    if name == "paper":
+        released = tmp_path / released.name
+        parts = sorted(RECIPES.parents[1].glob(f"models/{released.name}.?"))
+        released.write_bytes(b"".join(part.read_bytes() for part in parts))
     if recipe.stages[name].digest:
         with safe_open(released, "numpy") as file:
             assert file.metadata()["digest"] == recipe.stages[name].digest
