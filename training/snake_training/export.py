@@ -32,17 +32,7 @@ def replacing(path):
 
 def load_network(path, device="cpu"):
     """A network in evaluation mode from a weight file, a checkpoint of ours or a run folder."""
-    path = Path(path)
-    if path.suffix == ".safetensors":
-        try:
-            with safe_open(path, "pt") as file:
-                config = config_of(file.metadata() or {})
-            tensors = {name: tensor.float() for name, tensor in load_file(path).items()}
-        except (SafetensorError, ValueError) as error:
-            raise ValueError(f"{path}: {error}") from error
-    else:
-        config, tensors = read_checkpoint(path)
-    return build_network(config, tensors).to(device).eval()
+    return build_network(*read_checkpoint(path)).to(device).eval()
 
 
 def recommended_options(path):
@@ -112,8 +102,16 @@ def read_state(path):
 
 
 def read_checkpoint(path, config=None):
-    """(NetworkConfig, tensors) of a run folder (its best), a checkpoint of ours, or an official `model_best.pth`."""
+    """(NetworkConfig, tensors) of a run folder (its best), a checkpoint of ours, a weight file, or an official `model_best.pth`,
+    whose configuration is given."""
     path = checkpoint_of(path)
+    if path.suffix == ".safetensors":
+        try:
+            with safe_open(path, "pt") as file:
+                config = config_of(file.metadata() or {})
+            return config, {name: tensor.float() for name, tensor in load_file(path).items()}
+        except (SafetensorError, ValueError) as error:
+            raise ValueError(f"{path}: {error}") from error
     state = read_state(path)
     if "network_config" in state:  # ours
         network = network_of(config_of(state["network_config"]))
@@ -221,7 +219,7 @@ def main(argv=None):
         description="Write the weight file of snake-rs from a run, a checkpoint, or an official model_best.pth.",
         formatter_class=argparse.ArgumentDefaultsHelpFormatter,
     )
-    parser.add_argument("source", help="run folder or checkpoint")
+    parser.add_argument("source", help="run folder, checkpoint or weight file")
     parser.add_argument("-o", "--output", required=True, help="weight file to write")
     parser.add_argument("--float16", action="store_true", help="store the tensors as float16")
     parser.add_argument(

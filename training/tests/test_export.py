@@ -144,6 +144,12 @@ def test_the_papers_network_is_the_default(tmp_path):
     assert load_network(tmp_path / "out.safetensors").config == NetworkConfig()
 
 
+def test_a_weight_file_keeps_its_configuration(tmp_path, network):
+    write_weights(tmp_path / "one.safetensors", network.config, network.state_dict())
+    main([str(tmp_path / "one.safetensors"), "-o", str(tmp_path / "other.safetensors")])
+    assert load_network(tmp_path / "other.safetensors").config == network.config != NetworkConfig()
+
+
 # Refusals
 
 
