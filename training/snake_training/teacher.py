@@ -110,7 +110,7 @@ def averaged_fields(teacher, clouds, queries, rotations):
 
 
 def scales_of(settings, teachers):
-    """The scale of each of so many teachers; a ValueError if there are none, or the settings have another number of them."""
+    """One scale for each teacher. No teachers, or another number of scales, is a ValueError."""
     if teachers < 1:
         raise ValueError("no network to learn from")
     if len(settings.scales) not in (0, teachers):

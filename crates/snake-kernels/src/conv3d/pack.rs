@@ -139,13 +139,6 @@ impl PackedConv3d {
         parts
     }
 
-    /// Channels of each source.
-    pub fn sources(&self) -> impl Iterator<Item = usize> {
-        let number = self.blocks.last().map_or(0, |block| block.source + 1);
-        (0..number)
-            .map(|source| self.blocks.iter().filter(|block| block.source == source).map(|block| block.channels).sum())
-    }
-
     /// Channels of the output.
     pub fn outputs(&self) -> usize {
         self.outputs
