@@ -16,7 +16,8 @@ const ROOM_RADII: Range<f64> = 1.3..30.0;
 
 /// A text for the user if detection with these options suits another scale than the cloud's: a room that
 /// is detected as one object, or a LiDAR sweep. It also names
-/// [`Outliers`](crate::Outliers), which are left out, and a haze ([`UsedCloud::haze`]). `None` if nothing is wrong. Clouds with the same fault have the same
+/// [`Outliers`](crate::Outliers), which are left out, a haze ([`UsedCloud::haze`]), and coordinates that were rounded to more than
+/// a voxel. `None` if nothing is wrong. Clouds with the same fault have the same
 /// text, so that a program can say it once.
 ///
 /// ```
@@ -35,8 +36,21 @@ pub fn scale_hint(cloud: &UsedCloud, config: &ModelConfig, options: &Options) ->
             100.0 * share
         )
     });
-    let hints = [outliers, haze, hint_without_outliers(cloud.points(), config, options)];
+    let step = config.volume.coarse_step(cloud, &options.encode).map(|step| {
+        format!(
+            "the {} coordinates are multiples of {}, farther apart than the points, and no voxel is smaller: they were \
+             rounded, as float32 does far from zero; store them in double precision or near zero",
+            ["x", "y", "z"][step.axis],
+            rounded(step.length)
+        )
+    });
+    let hints = [outliers, haze, step, hint_without_outliers(cloud.points(), config, options)];
     hints.into_iter().flatten().reduce(|first, second| format!("{first}; {second}"))
+}
+
+/// A length with three digits.
+fn rounded(length: f64) -> f64 {
+    format!("{length:.2e}").parse().unwrap_or(length)
 }
 
 /// The hint for the points that are used.
@@ -116,6 +130,23 @@ mod tests {
         splats.extend(sphere(1500, 100.0));
         let text = hint(&splats);
         assert!(text.starts_with("1500 of 7500 points are up to ") && text.contains("sky, floaters"), "{text}");
+    }
+
+    #[test]
+    fn rounded_coordinates_are_named_if_they_are_coarser_than_voxels() {
+        let scenes = Model::builtin(Builtin::Scenes);
+        for (model, step, is_named) in [
+            (&scenes, 0.5, true),
+            (&scenes, 0.001, false),
+            (&Model::builtin(Builtin::Compact), 0.5, true),
+            (&Model::builtin(Builtin::Compact), 0.01, false),
+        ] {
+            let points: Vec<Point> =
+                sphere(5000, 5.0).into_iter().map(|[x, y, z]| [x, (y / step).round() * step, z]).collect();
+            let hint = scale_hint(&UsedCloud::new(&points).unwrap(), model.config(), model.recommended());
+            let text = format!("the y coordinates are multiples of {step},");
+            assert_eq!(hint.is_some_and(|hint| hint.contains(&text)), is_named, "{step}");
+        }
     }
 
     #[test]

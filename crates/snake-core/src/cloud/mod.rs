@@ -1,10 +1,12 @@
 //! A cloud as it is used: its finite points without outliers, and what is measured of it, each once.
 
+mod coordinate_step;
 mod haze;
 mod samples;
 mod scene_signs;
 mod sweep;
 
+pub(crate) use self::coordinate_step::CoordinateStep;
 pub use self::scene_signs::{NUM_SIGNS, scene_signs};
 
 use std::sync::OnceLock;
@@ -30,6 +32,7 @@ pub struct UsedCloud<'a> {
     num_given: usize,
     is_sweep: OnceLock<bool>,
     scene_signs: OnceLock<Option<[f64; NUM_SIGNS]>>,
+    coordinate_step: OnceLock<Option<CoordinateStep>>,
 }
 
 impl<'a> UsedCloud<'a> {
@@ -43,7 +46,8 @@ impl<'a> UsedCloud<'a> {
 
     /// The used points of a cloud of `num_given` points.
     pub(crate) fn from_finite(finite: FinitePoints<'a>, num_given: usize) -> Self {
-        Self { finite, num_given, is_sweep: OnceLock::new(), scene_signs: OnceLock::new() }
+        let (is_sweep, scene_signs, coordinate_step) = Default::default();
+        Self { finite, num_given, is_sweep, scene_signs, coordinate_step }
     }
 
     /// The points that are used, in the order they were given.
@@ -76,10 +80,15 @@ impl<'a> UsedCloud<'a> {
         *self.scene_signs.get_or_init(|| scene_signs(self.points()))
     }
 
+    /// The length of which its coordinates are multiples, along the axis where it is largest.
+    pub(crate) fn coordinate_step(&self) -> Option<CoordinateStep> {
+        *self.coordinate_step.get_or_init(|| coordinate_step::coordinate_step(self.points()))
+    }
+
     /// The same cloud, copied if it is borrowed.
     pub fn into_owned(self) -> UsedCloud<'static> {
-        let Self { finite, num_given, is_sweep, scene_signs } = self;
-        UsedCloud { finite: finite.into_owned(), num_given, is_sweep, scene_signs }
+        let Self { finite, num_given, is_sweep, scene_signs, coordinate_step } = self;
+        UsedCloud { finite: finite.into_owned(), num_given, is_sweep, scene_signs, coordinate_step }
     }
 
     pub(crate) fn into_finite(self) -> FinitePoints<'a> {

@@ -21,7 +21,7 @@ use crate::cloud::UsedCloud;
 use crate::control::{Control, span};
 use crate::lattice::{Lattice, Queries};
 use crate::network::Network;
-use crate::network::check::{max_blocks, volume_bytes};
+use crate::network::check::volume_bytes;
 use crate::network::config::ModelConfig;
 use crate::network::layers::TILE;
 use crate::network::volume::Volume;
@@ -56,8 +56,7 @@ impl Field {
         let limits = control.get_limits();
         limits.check_points(cloud.num_given())?;
         limits.check_volume_bytes(volume_bytes(&network.config, options.rotations))?;
-        let (normalization, orientation) =
-            network.config.volume.place(&cloud, options, max_blocks(network.config.c_dim), control)?;
+        let (normalization, orientation) = network.config.volume.place(&cloud, options, control)?;
         let placement = Placement { normalization, orientation, rotations: options.rotations };
         let points = cloud.points();
         let drawn = options.max_points.filter(|&number| number < points.len());

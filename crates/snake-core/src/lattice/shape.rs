@@ -4,8 +4,8 @@ use std::fmt;
 
 use super::corner::{from_corner, lowest_corner};
 use super::cube::VolumeFrame;
-use super::voxel_size::voxel_size;
-use crate::cloud::UsedCloud;
+use super::voxel_size::{coarse_step, voxel_size};
+use crate::cloud::{CoordinateStep, UsedCloud};
 use crate::control::Control;
 use crate::options::EncodeOptions;
 use crate::{Error, Result};
@@ -87,13 +87,11 @@ impl VolumeShape {
         }
     }
 
-    /// The map of a cloud to the network's frame, and the rotation of the volume in it. A scene has at most so many blocks, if its
-    /// voxel size is chosen.
+    /// The map of a cloud to the network's frame, and the rotation of the volume in it.
     pub(crate) fn place(
         &self,
         cloud: &UsedCloud,
         options: &EncodeOptions,
-        max_blocks: usize,
         control: &Control,
     ) -> Result<(Normalization, Rotation)> {
         match self {
@@ -108,9 +106,20 @@ impl VolumeShape {
                 Ok((normalization, orientation))
             }
             Self::Scene { .. } => {
-                let scale = voxel_size(options.voxel_size, cloud, max_blocks, control)?;
+                let scale = voxel_size(options.voxel_size, cloud, control)?;
                 Ok((from_corner(lowest_corner(cloud.points()), scale), rotations::IDENTITY))
             }
+        }
+    }
+
+    /// The step of a cloud's coordinates if it is coarser than the voxels would be without it.
+    pub(crate) fn coarse_step(&self, cloud: &UsedCloud, options: &EncodeOptions) -> Option<CoordinateStep> {
+        match self {
+            Self::Cube(frame) => {
+                let scale = Normalization::from_finite(cloud.points(), options.normalization).ok()?.scale;
+                cloud.coordinate_step().filter(|step| step.length > f64::from(frame.voxel_size(scale)))
+            }
+            Self::Scene { .. } => coarse_step(options.voxel_size, cloud),
         }
     }
 

@@ -1,12 +1,16 @@
 //! The voxel size of a scene, where none is given.
 //!
-//! The rule asks how much the cloud shows. It takes the smallest size of the series 1, 1.25, 1.6, 2, 2.5, 3.15, 4, 5, 6.3, 8
-//! (times any power of ten) at which
+//! The rule takes the smallest size of the series 1, 1.25, 1.6, 2, 2.5, 3.15, 4, 5, 6.3, 8 (times any power of ten) at which
 //!
-//! - at most 80 % as many voxels hold points as there are different points: a voxel is then a little larger than the
-//!   distance between neighbouring points. Of a sweep, whose points lie far apart where there is something to see, 95 %
-//!   ([`UsedCloud::is_sweep`]); and
-//! - at most [`MAX_VOXELS`] voxels hold points, which bounds the time of a dense cloud.
+//! - at most 80 % as many voxels hold points as there are places on the surface: a voxel is then a little larger than the
+//!   distance between neighbouring places. Of a sweep, whose points lie far apart where there is something to see, 95 %
+//!   ([`UsedCloud::is_sweep`]);
+//! - coordinates have no coarser step ([`UsedCloud::coordinate_step`]); and
+//! - at most [`MAX_VOXELS`] voxels hold points and the volume has at most [`MAX_BLOCKS`] blocks, which bounds time and memory
+//!   of every cloud.
+//!
+//! Places are counted from large voxels down, until voxels half as large find no more: points that lie closer together
+//! count once, such as those of a cloud that was stored twice.
 //!
 //! Two clouds of one sensor so have the same size more often than by a rule without steps, and a room in millimetres has
 //! a thousand times the size of the room in metres.
@@ -16,7 +20,7 @@ use rayon::prelude::*;
 use super::blocks::MAX_NODE;
 use super::corner::lowest_corner;
 use super::levels::FinestLevel;
-use crate::cloud::UsedCloud;
+use crate::cloud::{CoordinateStep, UsedCloud};
 use crate::control::Control;
 use crate::{Error, Result};
 use snake_geometry::{Length, Point};
@@ -24,26 +28,44 @@ use snake_geometry::{Length, Point};
 /// Voxels with points, at most: about as many as a sweep of 120 000 points has at 0.28 m.
 const MAX_VOXELS: usize = 32_000;
 
-/// Voxels with points, at most, for each different point; of a sweep the second.
+/// Blocks of the volume, at most: a little more than a sweep of 25 000 points has at 0.25 m.
+const MAX_BLOCKS: usize = 18_000;
+
+/// Voxels with points, at most, for each place of the surface; of a sweep the second.
 const SHARES: [f64; 2] = [0.8, 0.95];
+
+/// Halving voxels finds no more places if it finds less than this many times as many. ...
+const NO_MORE: f64 = 1.07;
+
+/// ... and there is at most this number of points for each: a few clusters far apart are not all that there is to see.
+const MAX_POINTS_A_PLACE: usize = 8;
 
 /// Steps of the series in a factor of ten.
 const STEPS: i32 = 10;
 
-/// The voxel size in cloud units: the given one, or the one of the rule for a cloud whose volume has at most so many blocks.
-pub(crate) fn voxel_size(
-    given: Option<Length>,
-    cloud: &UsedCloud,
-    max_blocks: usize,
-    control: &Control,
-) -> Result<f32> {
+/// Steps of the series in a factor of two.
+const STEPS_OF_HALF: i32 = 3;
+
+/// The voxel size in cloud units: the given one, or the one of the rule.
+pub(crate) fn voxel_size(given: Option<Length>, cloud: &UsedCloud, control: &Control) -> Result<f32> {
     match given {
         Some(size) => Ok(size.in_units("voxel_size", cloud.points())? as f32),
-        None => chosen(cloud, max_blocks, control).map(|size| size as f32),
+        None => chosen(cloud, cloud.coordinate_step(), control).map(|size| size as f32),
     }
 }
 
-fn chosen(cloud: &UsedCloud, max_blocks: usize, control: &Control) -> Result<f64> {
+/// The step of the coordinates if it is coarser than voxels would be without it.
+pub(crate) fn coarse_step(given: Option<Length>, cloud: &UsedCloud) -> Option<CoordinateStep> {
+    let step = cloud.coordinate_step()?;
+    let size = match given {
+        Some(size) => size.in_units("voxel_size", cloud.points()).ok()?,
+        None => chosen(cloud, None, &Control::default()).ok()?,
+    };
+    (size < step.length).then_some(step)
+}
+
+/// The size of the rule for coordinates with a step.
+fn chosen(cloud: &UsedCloud, coordinate_step: Option<CoordinateStep>, control: &Control) -> Result<f64> {
     let points = cloud.points();
     let lowest = lowest_corner(points);
     let extent = points.iter().map(|point| offset(point, &lowest).into_iter().fold(0.0, f64::max)).fold(0.0, f64::max);
@@ -52,30 +74,47 @@ fn chosen(cloud: &UsedCloud, max_blocks: usize, control: &Control) -> Result<f64
         return Err(Error::Input { what: "points", reason });
     }
     let largest = step_of(extent);
-    let num_voxels = |step: i32| num_voxels(points, &lowest, size_of(step));
-    let distinct = num_voxels(largest - 6 * STEPS);
     let share = SHARES[usize::from(cloud.is_sweep())];
-    let most = MAX_VOXELS.min((share * distinct as f64) as usize).max(1);
+    let (places, mut too_small) = num_places(points, &lowest, largest, share, control)?;
+    let most = MAX_VOXELS.min((share * places as f64) as usize).max(1);
+    if let Some(CoordinateStep { length, .. }) = coordinate_step {
+        too_small = too_small.max((step_of(length) - 1).min(largest));
+    }
     // The smallest step that has few enough voxels; one voxel as large as the cloud is always few enough.
-    let (mut too_small, mut fits) = (largest - 6 * STEPS, largest + 1);
+    let mut fits = largest + 1;
     while fits - too_small > 1 {
         control.check()?;
         let middle = too_small + (fits - too_small) / 2;
-        if num_voxels(middle) <= most { fits = middle } else { too_small = middle }
+        if num_voxels(points, &lowest, size_of(middle)) <= most { fits = middle } else { too_small = middle }
     }
-    // Voxels that stand alone have many blocks: those of a dense part in the midst of a wide cloud.
-    while fits <= largest && !is_within_budget(points, &lowest, size_of(fits), max_blocks) {
+    // Voxels that stand alone have many blocks: those of rings far apart, and of a dense part in the midst of a wide cloud.
+    while fits <= largest && !is_within_budget(points, &lowest, size_of(fits)) {
         control.check()?;
         fits += 1;
     }
     Ok(size_of(fits))
 }
 
-/// Whether the volume of a cloud in voxels of a size has at most so many blocks.
-fn is_within_budget(points: &[Point], lowest: &Point, size: f64, max_blocks: usize) -> bool {
-    if max_blocks == usize::MAX {
-        return true;
+/// The number of places of the surface that the points tell apart, and a step of the series at which voxels are too small for a
+/// share of them. Beyond the budget of voxels places are not counted.
+fn num_places(points: &[Point], lowest: &Point, largest: i32, share: f64, control: &Control) -> Result<(usize, i32)> {
+    let smallest = largest - 6 * STEPS;
+    let (mut step, mut number) = (largest, 1);
+    while step > smallest && share * (number as f64) < MAX_VOXELS as f64 {
+        control.check()?;
+        step -= STEPS_OF_HALF;
+        let more = num_voxels(points, lowest, size_of(step));
+        let is_all = (more as f64) < NO_MORE * number as f64 && more * MAX_POINTS_A_PLACE >= points.len();
+        number = more;
+        if is_all {
+            break;
+        }
     }
+    Ok((number, step))
+}
+
+/// Whether the volume of a cloud in voxels of a size has at most [`MAX_BLOCKS`] blocks.
+fn is_within_budget(points: &[Point], lowest: &Point, size: f64) -> bool {
     if points.iter().any(|point| offset(point, lowest).into_iter().any(|v| v / size + 0.5 >= f64::from(MAX_NODE))) {
         return false;
     }
@@ -85,7 +124,7 @@ fn is_within_budget(points: &[Point], lowest: &Point, size: f64, max_blocks: usi
     // The lowest 21 bits of a place, with its sign.
     let place = |bits: u64| ((bits << 43) as i64 >> 43) as i32;
     let cells = keys.iter().map(|&key| [key, key >> 21, key >> 42].map(place));
-    FinestLevel::new(cells, max_blocks).is_some()
+    FinestLevel::new(cells, MAX_BLOCKS).is_some()
 }
 
 /// The first step of the series that is not below a size.
@@ -124,9 +163,6 @@ mod tests {
     use super::*;
     use snake_geometry::FinitePoints;
 
-    /// The blocks of a gibibyte of the built-in model.
-    const MAX_BLOCKS: usize = 1 << 17;
-
     /// A square of n x n points, `spacing` apart.
     fn square(n: usize, spacing: f32) -> Vec<Point> {
         let at = |i: usize| (i as f32 + 0.5) * spacing;
@@ -134,7 +170,8 @@ mod tests {
     }
 
     fn size(points: &[Point]) -> f64 {
-        chosen(&UsedCloud::new(points).unwrap(), MAX_BLOCKS, &Control::default()).unwrap()
+        let cloud = UsedCloud::new(points).unwrap();
+        chosen(&cloud, cloud.coordinate_step(), &Control::default()).unwrap()
     }
 
     #[test]
@@ -148,6 +185,52 @@ mod tests {
     }
 
     #[test]
+    fn points_that_were_stored_twice_and_the_order_change_nothing() {
+        for points in [square(100, 0.02), rings(16, 900), rings(64, 600)] {
+            let expected = size(&points);
+            let moved = |by: f32| points.iter().map(move |p| p.map(|v| v + by * (v * 1e4).fract()));
+            let twice = |by: f32| points.iter().copied().chain(moved(by)).collect::<Vec<_>>();
+            for by in [0.0, 1e-6, 1e-5] {
+                assert_eq!(size(&twice(by)), expected, "{by}");
+            }
+            let mut turned_around = twice(0.0);
+            turned_around.reverse();
+            assert_eq!(size(&turned_around), expected);
+        }
+    }
+
+    /// What a sensor of so many beams, 2 above a plane with walls 12 away, sees of both.
+    fn rings(num_beams: usize, num_columns: usize) -> Vec<Point> {
+        let ray = |i: usize| {
+            let azimuth = (i / num_beams) as f32 / num_columns as f32 * std::f32::consts::TAU;
+            let elevation = (-15.0 + 30.0 * (i % num_beams) as f32 / (num_beams - 1) as f32).to_radians();
+            let [x, y, z] = [azimuth.cos() * elevation.cos(), azimuth.sin() * elevation.cos(), elevation.sin()];
+            let range = (12.0 / x.abs().max(y.abs())).min(if z < 0.0 { -2.0 / z } else { f32::INFINITY });
+            [x, y, z].map(|v| v * range)
+        };
+        (0..num_beams * num_columns).map(ray).collect()
+    }
+
+    #[test]
+    fn rings_of_a_sweep_are_within_the_budget() {
+        for (num_beams, num_columns) in [(8, 3600), (16, 1800), (16, 3600), (32, 1800), (128, 1024)] {
+            let points = rings(num_beams, num_columns);
+            let size = size(&points);
+            assert!(is_within_budget(&points, &lowest_corner(&points), size), "{num_beams} {size}");
+            assert!((0.05..0.6).contains(&size), "{num_beams} {size}");
+        }
+    }
+
+    #[test]
+    fn no_voxel_is_smaller_than_the_step_of_the_coordinates() {
+        let points: Vec<Point> =
+            rings(64, 600).iter().map(|&[x, y, z]| [x, (2.0 * y).round() / 2.0 - 0.1, z]).collect();
+        assert_eq!(size(&points), 0.5);
+        let cloud = UsedCloud::new(&points).unwrap();
+        assert!(coarse_step(None, &cloud).is_some() && coarse_step(Some(Length::Units(1.0)), &cloud).is_none());
+    }
+
+    #[test]
     fn the_series_has_its_decimals() {
         assert_eq!([-11, -10, -4, 0, 1, 9, 10, 25].map(size_of), [0.08, 0.1, 0.4, 1.0, 1.25, 8.0, 10.0, 315.0]);
         assert!([0.3, 1.0, 7.9, 1e-3, 123.0].iter().all(|&size| size_of(step_of(size)) >= 0.999 * size));
@@ -155,7 +238,7 @@ mod tests {
 
     #[test]
     fn clouds_without_extent_are_refused() {
-        assert!(chosen(&UsedCloud::new(&[[1.0; 3]; 9]).unwrap(), MAX_BLOCKS, &Control::default()).is_err());
+        assert!(voxel_size(None, &UsedCloud::new(&[[1.0; 3]; 9]).unwrap(), &Control::default()).is_err());
         assert!(size(&[[0.0; 3], [1e-3, 0.0, 0.0]]) > 0.0);
     }
 
@@ -174,10 +257,10 @@ mod tests {
         let mixed: Vec<Point> = terrain.map(|[x, y]| [x, y, 0.0]).chain(statue).collect();
         for points in [all_scales, mixed] {
             let cloud = UsedCloud::from_finite(FinitePoints::all((&points[..]).into()), points.len());
-            let size = chosen(&cloud, MAX_BLOCKS, &Control::default()).unwrap();
+            let size = chosen(&cloud, None, &Control::default()).unwrap();
             let lowest = lowest_corner(&points);
-            assert!(is_within_budget(&points, &lowest, size, MAX_BLOCKS), "{size}");
-            assert!(!is_within_budget(&points, &lowest, size / 100.0, MAX_BLOCKS), "{size}");
+            assert!(is_within_budget(&points, &lowest, size), "{size}");
+            assert!(!is_within_budget(&points, &lowest, size / 100.0), "{size}");
         }
     }
 }

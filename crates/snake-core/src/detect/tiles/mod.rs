@@ -90,7 +90,7 @@ impl TileDetector {
     /// # Errors
     /// [`Error::Input`] for a cloud without extent.
     pub fn choose_voxel_size(&mut self, points: &[Point]) -> Result<()> {
-        self.voxel_size = voxel_size(None, &UsedCloud::new(points)?, usize::MAX, &Control::default())?;
+        self.voxel_size = voxel_size(None, &UsedCloud::new(points)?, &Control::default())?;
         self.options.encode.voxel_size = Some(Length::Units(self.voxel_size.into()));
         self.radii = self.radii_of(0.0)?;
         Ok(())

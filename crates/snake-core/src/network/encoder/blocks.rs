@@ -60,7 +60,8 @@ impl BlockEncoder {
         counter.check()?;
         let levels = levels(self.unet.num_levels(), finest);
         counter.check()?;
-        counter.set_total(self.points.work(points.len()) + self.unet.work(&levels));
+        let num_grouped = memory.groups.num_points(0..cells.len());
+        counter.set_total(self.points.work(num_grouped) + self.unet.work(&levels));
         let offset = |index: usize| points[index].map(|v| v - v.floor() - 0.5);
         span!("pointnet");
         let width = scatter::slots_width(channels);

@@ -208,3 +208,11 @@ fn units_do_not_matter_and_hopeless_sizes_are_refused() {
     let one_place = model.encode(&[[1.0; 3]; 50], &EncodeOptions::default()).unwrap_err().to_string();
     assert!(one_place.contains("two different points"), "{one_place}");
 }
+
+#[test]
+fn points_that_were_stored_twice_count_once() {
+    let bytes = bytes();
+    let points = points(&SafeTensors::deserialize(&bytes).unwrap(), "points");
+    let values = |points: &[Point]| encode(points, 0.1).volume().values.to_vec();
+    assert!(values(&points) == values(&points.repeat(2)));
+}

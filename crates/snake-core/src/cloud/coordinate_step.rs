@@ -1,0 +1,77 @@
+//! Coordinates that are multiples of a length, as float32 makes them far from zero.
+
+use super::samples::drawn;
+use snake_geometry::Point;
+
+/// Number of points that are measured.
+const MEASURED: usize = 4096;
+
+/// Different coordinates, at least: a stack of a few shelves is no step.
+const MIN_LEVELS: usize = 16;
+
+/// The largest length of which the coordinates along an axis are multiples, and that axis, if there is one that matters: points
+/// fill at least [`MIN_LEVELS`] multiples, and coordinates are within a thousandth of them.
+pub(super) fn coordinate_step(points: &[Point]) -> Option<CoordinateStep> {
+    let measured: Vec<Point> = drawn(points, MEASURED).collect();
+    let step_of = |axis: usize| step(measured.iter().map(|point| point[axis]).collect()).map(|length| (axis, length));
+    let (axis, length) = (0..3).filter_map(step_of).max_by(|a, b| a.1.total_cmp(&b.1))?;
+    Some(CoordinateStep { axis, length })
+}
+
+/// A length of which the coordinates along an axis are multiples.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(crate) struct CoordinateStep {
+    /// 0 is x.
+    pub(crate) axis: usize,
+    /// In cloud units.
+    pub(crate) length: f64,
+}
+
+fn step(mut values: Vec<f32>) -> Option<f64> {
+    values.sort_unstable_by(f32::total_cmp);
+    let (lowest, highest) = (f64::from(*values.first()?), f64::from(*values.last()?));
+    // Two units in the last place: an origin that is subtracted may be no multiple of the step.
+    let rounding = 2.0 * f64::from(f32::EPSILON) * lowest.abs().max(highest.abs());
+    let gaps = values.windows(2).map(|pair| f64::from(pair[1]) - f64::from(pair[0])).filter(|gap| *gap > rounding);
+    let (num_gaps, smallest) = gaps.fold((0, f64::INFINITY), |(number, least), gap| (number + 1, gap.min(least)));
+    if num_gaps + 1 < MIN_LEVELS {
+        return None;
+    }
+    // Rounding of the smallest gap would add up over the levels: the extent is a better measure of it.
+    let length = (highest - lowest) / ((highest - lowest) / smallest).round();
+    let off = |value: &f32| {
+        let levels = (f64::from(*value) - lowest) / length;
+        (levels - levels.round()).abs() * length
+    };
+    values.iter().all(|value| off(value) <= rounding.max(1e-3 * length)).then_some(length)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Points of a wavy surface.
+    fn surface() -> Vec<Point> {
+        let at = |i: usize, step: f32| (i as f32 * step).fract() * 12.0;
+        (0..5000).map(|i| [at(i, 0.618_034), at(i, 0.754_877_7), (i as f32 * 0.01).sin()]).collect()
+    }
+
+    #[test]
+    fn multiples_of_a_length_are_found_about_any_origin() {
+        for (step, origin) in [(0.5, 0.0), (0.5, 3.3), (1.0 / 32.0, 7.1)] {
+            let striped: Vec<Point> =
+                surface().into_iter().map(|[x, y, z]| [x, (y / step).round() * step - origin, z]).collect();
+            let found = coordinate_step(&striped).unwrap();
+            assert_eq!(found.axis, 1);
+            assert!((found.length - f64::from(step)).abs() < 1e-5, "{found:?}");
+        }
+    }
+
+    #[test]
+    fn measured_coordinates_and_a_few_shelves_have_no_step_that_matters() {
+        let shelves: Vec<Point> = surface().into_iter().map(|[x, y, z]| [x, y, (4.0 * z).round() * 0.4]).collect();
+        for points in [surface(), shelves, vec![[1.0; 3]; 50], Vec::new()] {
+            assert!(coordinate_step(&points).is_none_or(|step| step.length < 1e-4));
+        }
+    }
+}
