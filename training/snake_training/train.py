@@ -22,7 +22,7 @@ from tqdm import tqdm
 
 from .command_line import parse_arguments
 from .config import to_json
-from .data import ShapeError
+from .data import CloudError
 from .device import choose_device, has_fast_unet
 from .export import Moved, config_of, network_of, read_state, replacing
 from .losses import losses_of
@@ -282,7 +282,7 @@ def train(config, device="auto", minutes=0.0, workers=0):
     """A run on objects, as the command line asks for it; what cannot be read or trained on is a SystemExit of one line."""
     try:
         run(Objects(config), config.run_dir, device, minutes, workers)
-    except ShapeError as error:
+    except CloudError as error:
         raise SystemExit(f"{error}; remove that file and run the same command again to resume") from error
     except (OSError, ValueError) as error:
         raise SystemExit(str(error)) from error

@@ -338,6 +338,16 @@ def test_a_file_of_nan_ends_the_run_with_a_line_that_names_it(tiny, tmp_path, op
         train(tiny(procedural_share=0.0, **{option: (str(tmp_path),)}))
 
 
+def test_an_empty_folder_of_data_is_refused_as_such(tiny, tmp_path):
+    """There is no file to remove."""
+    (tmp_path / "clouds").mkdir()
+    said = f"{tmp_path}/clouds: neither points.npy + index.json nor any .npy, .ply or .pcd file"
+    for option in ("data", "validation_data"):
+        with pytest.raises(SystemExit) as stop:
+            train(tiny(**{option: (str(tmp_path / "clouds"),)}))
+        assert stop.value.code == said
+
+
 @pytest.mark.skipif(torch.cuda.is_available(), reason="there is a GPU")
 def test_cuda_without_a_gpu_is_refused(tiny):
     with pytest.raises(SystemExit, match="torch finds no GPU"):
