@@ -25,7 +25,7 @@ from .config import to_json
 from .data import CloudError
 from .device import choose_device, has_fast_unet
 from .export import Moved, config_of, network_of, read_state, replacing
-from .losses import losses_of
+from .losses import loss_options, losses_of
 from .scene_model import SceneNetwork
 from .tasks.objects import Objects
 
@@ -221,7 +221,7 @@ def run_until(task, folder, device, minutes, workers, pressed):
         for group in state.optimizer.param_groups:
             group["lr"] = learning_rate(settings, state.step, state.began)
         batch = task.ready({name: tensor.to(device, non_blocking=True) for name, tensor in batch.items()})
-        losses, saturated = losses_of(*task.answer(model, batch, autocast), batch, world, ridge=settings.sparsity_ridge)
+        losses, saturated = losses_of(*task.answer(model, batch, autocast), batch, world, **loss_options(settings))
         state.optimizer.zero_grad()
         total_loss(losses, settings).backward()
         norm = torch.nn.utils.clip_grad_norm_(state.network.parameters(), settings.clip_norm or math.inf)
