@@ -207,6 +207,7 @@ PAPER = dict(
     resolution=64, unet_levels=4, unet_base_channels=32, num_grids=500, grid_size=8, batch=16, learning_rate=1e-4,
     scatter="hard", rotation="euler", optimizer="adam", schedule="step", warmup=0, ema_decay=0.0, procedural_share=0.0,
     bf16=False, clip_norm=0.0, best_by="loss", validation_samples=0,
+    validate_every=1000,
 )  # fmt: skip
 PRESETS = {
     "compact": {},
@@ -226,7 +227,7 @@ PRESETS = {
     "redwood": PAPER | dict(
         steps=133000, resolution=100, num_points=10000, num_occupancy=3000, num_grids=150, grid_size=10,
         grid_fraction=8.0, jitter_clip=0.01, batch=6, translation=0.3, recenter=True, normalization="unit-cube",
-        drop_after=15 / 20, recommended_options=ROOMS,
+        drop_after=15 / 20, validate_every=3000, recommended_options=ROOMS,
     ),
     # The registration network of the 3DMatch tables, trained on KeypointNet.
     "3dmatch": PAPER | dict(

@@ -37,7 +37,8 @@ LIST_630 = "keypointnet_test_630.txt"
 
 
 class Programme:
-    """The tables that are asked for, of data in a folder, into a folder of runs. What is missing is a ValueError."""
+    """The tables that are asked for, of data and lists in folders, into a folder of runs, with the number of networks that a mean
+    is of. `smoke` does everything with next to no work."""
 
     def __init__(self, names, data, lists, run_dir, seeds=6, smoke=False):
         self.items = {name: ITEMS[name] for name in names}
@@ -90,8 +91,8 @@ class Programme:
         return words
 
     def tables_of(self, command):
-        """The folder of an evaluation's tables."""
-        return self.run_dir / "tables" / command.name
+        """The folder of an evaluation's tables: of other numbers of models they are others."""
+        return self.run_dir / "tables" / command.name / (f"seeds{self.seeds}" if command.seeds else "")
 
     def missing(self):
         """The files and shapes that are not there, each with where it comes from."""
