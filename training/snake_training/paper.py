@@ -17,8 +17,8 @@ import torch
 
 from . import body_model, export
 from .command_line import parse_arguments
-from .data.official import clouds_of_split
-from .paper_tables import ITEMS, NEEDED, TRAINING
+from .paper_files import missing
+from .paper_tables import ITEMS, TRAINING
 from .train import train
 
 TERAFLOPS = 27.0  # a second of an H100 in float32: an estimate, by which the hours are told
@@ -95,35 +95,8 @@ class Programme:
         return self.run_dir / "tables" / command.name / (f"seeds{self.seeds}" if command.seeds else "")
 
     def missing(self):
-        """The files and shapes that are not there, each with where it comes from."""
-        wanted = {}
-        for network, _ in self.models(self.commands):
-            folder, split, validation, source = TRAINING[network.preset]
-            wanted[f"{{data}}/{folder}/" + ("**/*.*" if split else "model.pkl")] = source
-            for name in filter(None, (split, validation)):
-                wanted[f"{{lists}}/{name}"] = "core/datasets/split of the authors' repository"
-        for command in self.commands:
-            wanted |= NEEDED[command.needs]
-        lines = [
-            f"{path.format(**self.places)}: from {source}" for path, source in wanted.items() if not self.is_there(path)
-        ]
-        return lines + (self.unknown_shapes() if not lines else [])
-
-    def is_there(self, path):
-        """Whether any file has a path, with wildcards."""
-        place, _, pattern = path.partition("/")
-        return any(Path(place.format(**self.places)).glob(pattern))
-
-    def unknown_shapes(self):
-        """Lists that name shapes without a file."""
-        lines = []
-        for folder, *lists, _ in dict.fromkeys(TRAINING[network.preset] for network, _ in self.models(self.commands)):
-            for name in filter(None, lists):
-                try:
-                    clouds_of_split(f"{self.places['data']}/{folder}", f"{self.places['lists']}/{name}")
-                except (OSError, ValueError) as error:
-                    lines.append(str(error))
-        return lines
+        """The files that are not there, each with where it comes from, as lines."""
+        return missing(self.commands, [network for network, _ in self.models(self.commands)], self.places)
 
     def samples(self, network, seed):
         """How many samples a run has, and how many hours of an H100 they take: an estimate from the operations of both views,
@@ -211,12 +184,12 @@ class Programme:
         """A network to its weight file; returns whether it is done. Another run's folder is a ValueError."""
         folder, words = self.folder(network, seed), self.training_words(network, seed)
         given = folder / "words.json"
-        if given.exists() and json.loads(given.read_text()) != words:
+        if given.exists() and json.loads(given.read_text()) != words[:-2]:  # without the folder itself
             raise ValueError(f"{folder} was trained with other settings; delete it, or give another --run-dir")
         if (folder / "weights.safetensors").exists():
             return True
         folder.mkdir(parents=True, exist_ok=True)
-        given.write_text(json.dumps(words))
+        given.write_text(json.dumps(words[:-2]))
         is_done = train(parse_arguments(words, "")[0], device, minutes, workers)
         if is_done:
             export.main(self.export_words(network, seed))
@@ -292,11 +265,11 @@ def main(argv=None):
     if given.dry_run:
         print("\n".join(programme.describe()))
         return
-    missing = programme.missing()
+    absent = programme.missing()
     if not shutil.which(given.snake_cli):
-        missing.append(f"{given.snake_cli}: the program of the command line is not in PATH; give --snake-cli")
-    if missing:
-        sys.exit("missing:\n" + "\n".join(missing))
+        absent.append(f"{given.snake_cli}: the program of the command line is not in PATH; give --snake-cli")
+    if absent:
+        sys.exit("missing:\n" + "\n".join(absent))
     if given.device != "cuda":
         torch.set_num_threads(1)
     try:

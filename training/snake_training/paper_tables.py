@@ -1,7 +1,6 @@
 """What each table and figure of SNAKE (NeurIPS 2022) needs: data, networks, commands of snake-cli, and the paper's own figures.
 
-In words, {data} is the folder of data, {lists} that of the released code's lists, {run} that of the results, and {models} stands
-for the weight files of the command's network.
+In words, {data} is the folder of data, {lists} that of the released code's lists, {run} that of the results.
 """
 
 from dataclasses import dataclass
@@ -10,6 +9,7 @@ USIP = "ModelNet40, 3DMatch and Redwood of USIP, linked in the README of the aut
 UKPGAN = "KeypointNet as UKPGAN has it, linked in the README of the authors' repository"
 LISTS = "core/datasets/split of the authors' repository"
 DRIVE = "the drive that the README of the authors' repository links"
+D3FEAT = "D3Feat, run on the fragments: keypoints, scores and descriptors of all points"
 # Folder of the clouds, lists of training and of validation (the bodies of SMPL have none), files and where they are from.
 TRAINING = {
     "modelnet40": ("modelnet40/modelnet40-normal_numpy", "modelnet40_train.txt", "modelnet40_val.txt", USIP),
@@ -40,7 +40,7 @@ NEEDED = {
         "{data}/3DMatch_eval_downsample/*/cloud_bin_*.ply": "the test data of D3Feat.pytorch",
         "{data}/3DMatch_eval_downsample/**/gt.log": "the evaluation files of 3DMatch",
         "{data}/3DMatch_eval_downsample/**/gt.info": "the evaluation files of 3DMatch",
-        "{data}/d3feat/*/cloud_bin_*.npz": "D3Feat, run on these fragments: keypoints, scores, descriptors of all points",
+        "{data}/d3feat/*/cloud_bin_*.npz": D3FEAT,
     },
 }  # fmt: skip
 

@@ -85,6 +85,28 @@ def test_everything_that_is_missing_is_said_at_once_before_anything_runs(data, t
     assert not (tmp_path / "run").exists()
 
 
+def test_single_files_that_are_missing_are_counted(data, tmp_path, snake_cli):
+    moved = [
+        data / name
+        for name in (
+            "modelnet40/modelnet40-test_rotated_numpy/rotated/1.npy", "redwood/numpy_gt_normal/room/1.npy",
+            "d3feat/scene/cloud_bin_2.npz", "keypointnet_pcds/02691156/1abc.pcd",
+        )
+    ]  # fmt: skip
+    held = {path: path.read_bytes() for path in moved}
+    try:
+        for path in moved:
+            path.unlink()
+        with pytest.raises(SystemExit) as stop:
+            main(words(data, tmp_path / "run", snake_cli, "--all"))
+    finally:
+        for path, content in held.items():
+            path.write_bytes(content)
+    said = stop.value.code
+    assert said.count("are missing, such as") == 4 and "1 of 4 are missing" in said and "such as 02691156-1abc" in said
+    assert all(str(path) in said for path in moved[:3])
+
+
 def test_a_list_of_other_shapes_and_an_absent_program_are_said_too(data, tmp_path, snake_cli):
     lists = tmp_path / "lists"
     lists.mkdir()
@@ -94,7 +116,8 @@ def test_a_list_of_other_shapes_and_an_absent_program_are_said_too(data, tmp_pat
     given[given.index("--snake-cli") + 1] = "no-such-program"
     with pytest.raises(SystemExit) as stop:
         main(given)
-    assert stop.value.code.count("'chair_9999' is no cloud below") == 2 and "no-such-program" in stop.value.code
+    assert stop.value.code.count("shapes: 1 of 1 are missing, such as chair_9999") == 2
+    assert "no-such-program" in stop.value.code
 
 
 @pytest.mark.parametrize("given", [["tab99"], [], ["tab8", "--seeds", "0"], ["tab8", "--minutes", "-1"]])
