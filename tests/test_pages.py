@@ -195,7 +195,7 @@ def test_no_kind_of_block_is_left_out():
     assert languages <= {"sh", "python", "toml", "rust", "cpp", "c", "text"}
 
 
-TRAINING = ("train", "teacher", "evaluate", "recipes", "export", "confidence")
+TRAINING = ("train", "teacher", "evaluate", "recipes", "export", "confidence", "paper")
 
 
 @cache

@@ -140,7 +140,7 @@ def test_invalid_detection_options_are_refused(model, field, points, options, me
     [
         (
             {"normalization": "sphere"},
-            "option `normalization` is sphere: .*`unit-sphere`, `principal-axes`, `unit-cube`, `none`",
+            "option `normalization` is sphere: .*`unit-sphere`, `principal-axes`, `unit-cube`, `half`, `none`",
         ),
         ({"max_points": 0}, "option `max_points` is 0: allowed is 1 or more"),
         ({"max_points": float("nan")}, "option `max_points` is nan: expected finite numbers"),

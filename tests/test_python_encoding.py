@@ -42,6 +42,18 @@ def test_normalization(model, points):
     assert center.tolist() == [0, 0, 0] and scale == 1.0
 
 
+def test_half_is_the_released_codes_rule_for_modelnet40(model, points):
+    """A cloud of radius 1 is divided by 2 and neither centred nor scaled anew, whatever its noise: all bits are those of half the
+    cloud in the network's frame."""
+    noisy = (points / 3 + np.random.default_rng(0).normal(0, 0.1, points.shape)).astype(np.float32)
+    field, expected = model.encode(noisy, normalization="half"), model.encode(noisy / 2, normalization="none")
+    assert field.normalization[0].tolist() == [0, 0, 0] and field.normalization[1] == 2.0
+    assert np.array_equal(field.volume, expected.volume)
+    assert np.array_equal(field.saliency(noisy), expected.saliency(noisy / 2))
+    found, halved = field.detect(nms_radius=0.02), expected.detect(nms_radius=0.01)
+    assert len(found) > 0 and np.array_equal(found.points, 2 * halved.points)
+
+
 def test_principal_axes(model, points):
     field = model.encode(points, normalization="principal-axes")
     center, scale = field.normalization

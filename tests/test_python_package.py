@@ -4,6 +4,7 @@ import ast
 import importlib.metadata
 import subprocess
 import sys
+import tarfile
 from pathlib import Path
 
 import pytest
@@ -45,6 +46,19 @@ def test_everything_public_is_documented():
     assert len(members) > 20
     assert all(thing.__doc__ for thing in (snake_rs, *parts, *functions, *classes, *members))
     assert {c.__module__ for c in classes} == {"snake_rs"}
+
+
+def test_a_source_distribution_has_the_modules_of_python(tmp_path):
+    """`make sdist` compiles what it has of Rust."""
+    root = STUB.parents[2]
+    words = [sys.executable, "-m", "maturin", "sdist", "--manifest-path", root / "python/Cargo.toml", "--out", tmp_path]
+    subprocess.run(list(map(str, words)), check=True, capture_output=True)
+    (archive,) = tmp_path.glob("*.tar.gz")
+    with tarfile.open(archive) as tar:
+        names = {name.partition("/")[2] for name in tar.getnames()}
+    sources = [path for pattern in ("*.py", "*.pyi", "py.typed") for path in STUB.parent.glob(pattern)]
+    assert {f"snake_rs/{path.name}" for path in sources} <= names and len(sources) > 6
+    assert {"pyproject.toml", "crates/snake-core/models/compact.safetensors"} <= names
 
 
 def test_the_package_brings_the_licences_of_what_it_contains():

@@ -109,7 +109,7 @@ class _Preset(TypedDict, total=False):
 
 @type_check_only
 class _EncodeOptions(_Preset, total=False):
-    normalization: Literal["unit-sphere", "principal-axes", "unit-cube", "none"]
+    normalization: Literal["unit-sphere", "principal-axes", "unit-cube", "half", "none"]
     max_points: int | None
     seed: int
     rotations: int

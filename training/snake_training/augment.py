@@ -124,15 +124,17 @@ def two_views(cloud, config, rng):
 
     points (2, N, 3); queries (2, 2 K + G H^3, 3), K on the surface, K anywhere and G local grids, the same physical places in
     both views; inside (2, G, H^3): which grid points lie within the padded volume. The first view is the cloud as it is, the
-    second is turned, with noise and fewer points.
+    second is turned, with noise and fewer points. What turn and shift move out of the volume is cut off before the rest is
+    moved to the origin, as in the released code: otherwise the shift would have no effect.
     """
     clean, _, _ = normalize(cloud, config.normalization, rng)
     rotation = random_rotation(rng, config.rotation)
     shift = rng.uniform(-config.translation, config.translation, 3).astype(np.float32)
-    moved = clean @ rotation.T + shift
-    views = clean, moved - moved.mean(axis=0) if config.recenter else moved
-    shift = shift - moved.mean(axis=0) if config.recenter else shift
-    shown = views[1]
+    moved = within_bounds(clean @ rotation.T + shift)
+    if config.recenter:
+        mean = moved.mean(axis=0)
+        moved, shift = within_bounds(moved - mean), shift - mean
+    views, shown = (clean, moved), moved
     if rng.random() < config.partial_share:
         shown = shown[facing(shown, rng)]
     if rng.random() < config.degraded_share:

@@ -36,6 +36,11 @@ class LoopSettings:
         "sparsity loss: only points count whose occupancy is this share of the highest of their local grid; 0: as in the paper, "
         "where it is cheapest if the saliency peaks in the rim of the surface",
     )
+    occupancy_decoder: bool = setting(
+        True,
+        "off: as if the network had none, with weight_occupancy and weight_surface 0 (first row of the paper's table 4): all "
+        "points of the local grids count as occupied",
+    )
     weight_distillation: float = setting(1.0, "with targets: weight of the distance to them")
     weight_consistency: float = setting(1.0, "with targets: weight of the distance between the two views")
     steps: int = setting(8000, "optimiser steps of the whole schedule")
@@ -141,7 +146,10 @@ class TrainConfig(LoopSettings):
     grid_fraction: float = setting(6.0, "a local grid's side is 1 / this (U)")
     num_targets: int = setting(1024, "with targets: queries of the saliency a sample")
 
-    validation_objects: int = setting(32, "objects of a validation")
+    validation_samples: int = setting(
+        32, "samples whose losses a validation averages; 0: each shape of the validation data once (released code)"
+    )
+    validation_objects: int = setting(32, "objects of which a validation measures the repeatability")
     validation_resolution: int = setting(64, "queries along each axis when a validation detects keypoints")
 
     @property
@@ -198,7 +206,8 @@ ROOMS = recommended(
 PAPER = dict(
     resolution=64, unet_levels=4, unet_base_channels=32, num_grids=500, grid_size=8, batch=16, learning_rate=1e-4,
     scatter="hard", rotation="euler", optimizer="adam", schedule="step", warmup=0, ema_decay=0.0, procedural_share=0.0,
-    bf16=False, clip_norm=0.0, best_by="loss",
+    bf16=False, clip_norm=0.0, best_by="loss", validation_samples=0,
+    validate_every=1000,
 )  # fmt: skip
 PRESETS = {
     "compact": {},
@@ -218,7 +227,7 @@ PRESETS = {
     "redwood": PAPER | dict(
         steps=133000, resolution=100, num_points=10000, num_occupancy=3000, num_grids=150, grid_size=10,
         grid_fraction=8.0, jitter_clip=0.01, batch=6, translation=0.3, recenter=True, normalization="unit-cube",
-        drop_after=15 / 20, recommended_options=ROOMS,
+        drop_after=15 / 20, validate_every=3000, recommended_options=ROOMS,
     ),
     # The registration network of the 3DMatch tables, trained on KeypointNet.
     "3dmatch": PAPER | dict(
@@ -237,7 +246,7 @@ POSITIVE = (
 NOT_NEGATIVE = (
     "seed", "translation", "jitter_sigma", "jitter_clip", "max_noise", "num_grids", "weight_occupancy", "weight_repeatability",
     "weight_surface", "weight_sparsity", "weight_distillation", "weight_consistency", "weight_decay", "warmup", "clip_norm",
-    "checkpoint_minutes",
+    "checkpoint_minutes", "validation_samples",
 )  # fmt: skip
 AT_LEAST_ONE = "max_downsampling", "max_thinning"
 SHARES = (
@@ -265,6 +274,8 @@ def check(config):
         json.loads(config.recommended_options or "{}")
     except ValueError:
         raise ValueError(f"recommended_options must be JSON, got {config.recommended_options}") from None
+    if not config.occupancy_decoder and (config.weight_occupancy or config.weight_surface):
+        raise ValueError("without occupancy_decoder weight_occupancy and weight_surface must be 0")
     if isinstance(config, TrainConfig):
         check_objects(config)
     shape = {name: getattr(config.network, name) for name in SHAPES}

@@ -31,6 +31,13 @@ def has_fast_unet(device, config):
     return device.type != "cpu" or lowest >= LEAST_SIDE
 
 
+def why_no_bfloat16(device):
+    """Why a device does not compute a U-Net in bfloat16: it cannot, or the volume is too small for a CPU."""
+    if not has_fast_bfloat16(device):
+        return f"this {device.type} has no fast bfloat16"
+    return f"below {LEAST_SIDE} voxels a side at its lowest level bfloat16 is not reliable on a CPU"
+
+
 def has_fast_bfloat16(device):
     """Whether a torch device multiplies bfloat16 in hardware."""
     if device.type == "cuda":

@@ -65,13 +65,14 @@ def sparsity_loss(occupancy, saliency, inside, processes=1, ridge=0.0):
     return masked_mean(1 - peakedness, seen, processes)
 
 
-def losses_of(occupancy, saliency, batch, processes=1, ridge=0.0):
+def losses_of(occupancy, saliency, batch, processes=1, ridge=0.0, has_occupancy=True):
     """The losses of a batch by name, and the share of saturated queries.
 
     occupancy, saliency (B, 2, K + Q): the network's answers for two views of B samples, first at K occupancy queries whose
     `label` (K,) says which lie on the surface. batch holds either `inside` (B, 2, G, H^3), of the local grids that the other
     Q = G H^3 queries are, or their `target` (B, Q), log-odds of the saliency that a student learns. It is one of equal parts
-    if there are several processes. `ridge` is `sparsity_loss`'s.
+    if there are several processes. `ridge` is `sparsity_loss`'s. Without `has_occupancy` nothing has learnt the surface, and all
+    points of the local grids count as occupied (table 4, first row).
     """
     label = batch["label"]
     number = len(label)
@@ -82,6 +83,8 @@ def losses_of(occupancy, saliency, batch, processes=1, ridge=0.0):
     grid_occupancy, grid_saliency = (
         field[:, :, number:].unflatten(2, inside.shape[2:]) for field in (occupancy, saliency)
     )
+    if not has_occupancy:
+        grid_occupancy = torch.ones_like(grid_occupancy)
     counted = torch.cat([torch.ones_like(occupancy[..., :number], dtype=torch.bool), inside.flatten(2)], dim=2)
     losses |= {
         "repeatability": repeatability_loss(*grid_saliency.unbind(1), *inside.unbind(1), processes),
@@ -91,6 +94,11 @@ def losses_of(occupancy, saliency, batch, processes=1, ridge=0.0):
         ),
     }
     return losses, saturated(grid_saliency, inside & (grid_occupancy >= 0.5), processes)
+
+
+def loss_options(settings):
+    """The options of `losses_of` that settings of a run choose."""
+    return {"ridge": settings.sparsity_ridge, "has_occupancy": settings.occupancy_decoder}
 
 
 def student_losses(saliency, target):

@@ -194,7 +194,8 @@ class SceneStage(Stage):
 
 @dataclass(frozen=True, kw_only=True)
 class ExportStage(Stage):
-    """The weight file in float16, read back once."""
+    """The weight file in float16, read back once. The digest that a recipe states is compared with the file's; it does not say
+    how the released file was made."""
 
     USES = ("of",)
     of: str
@@ -203,15 +204,15 @@ class ExportStage(Stage):
     metadata: dict = dataclasses.field(default_factory=dict)
 
     def run(self, recipe, folder):
-        """Says whether it is the released file."""
+        """Says whether it is the released file, if the recipe states that one's digest."""
         path = recipe.run_dir / self.output
         network = load_network(recipe.weights(self.of))
         write_weights(path, network.config, weights_of(network), torch.float16, self.metadata)
         load_network(path)
         with safe_open(path, "pt") as file:
             digest = file.metadata()["digest"]
-        same = "that of the released file" if digest == self.digest else "other than that of the released file"
-        recipe.log(f"{path}: {path.stat().st_size} bytes, digest {digest}, {same}")
+        note = ", that of the released file" if digest == self.digest else ", other than that of the released file"
+        recipe.log(f"{path}: {path.stat().st_size} bytes, digest {digest}{note if self.digest else ''}")
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -22,10 +22,10 @@ from tqdm import tqdm
 
 from .command_line import parse_arguments
 from .config import to_json
-from .data import ShapeError
-from .device import choose_device, has_fast_unet
+from .data import CloudError
+from .device import choose_device, has_fast_unet, why_no_bfloat16
 from .export import Moved, config_of, network_of, read_state, replacing
-from .losses import losses_of
+from .losses import loss_options, losses_of
 from .scene_model import SceneNetwork
 from .tasks.objects import Objects
 
@@ -204,7 +204,7 @@ def run_until(task, folder, device, minutes, workers, pressed):
     state = State(task, folder, device)
     autocast = settings.bf16 and has_fast_unet(device, state.network.config)
     if settings.bf16 and not autocast and rank == 0:
-        print(f"bfloat16 is slow on this {device.type}: the U-Net runs in float32", file=sys.stderr)
+        print(f"the U-Net runs in float32: {why_no_bfloat16(device)}", file=sys.stderr)
     model = DistributedDataParallel(state.network) if world > 1 else state.network
 
     log = None
@@ -221,7 +221,7 @@ def run_until(task, folder, device, minutes, workers, pressed):
         for group in state.optimizer.param_groups:
             group["lr"] = learning_rate(settings, state.step, state.began)
         batch = task.ready({name: tensor.to(device, non_blocking=True) for name, tensor in batch.items()})
-        losses, saturated = losses_of(*task.answer(model, batch, autocast), batch, world, ridge=settings.sparsity_ridge)
+        losses, saturated = losses_of(*task.answer(model, batch, autocast), batch, world, **loss_options(settings))
         state.optimizer.zero_grad()
         total_loss(losses, settings).backward()
         norm = torch.nn.utils.clip_grad_norm_(state.network.parameters(), settings.clip_norm or math.inf)
@@ -279,10 +279,11 @@ def validate(state, device, autocast, log):
 
 
 def train(config, device="auto", minutes=0.0, workers=0):
-    """A run on objects, as the command line asks for it; what cannot be read or trained on is a SystemExit of one line."""
+    """A run on objects, as the command line asks for it; returns whether it reached its last step. What cannot be read or
+    trained on is a SystemExit of one line."""
     try:
-        run(Objects(config), config.run_dir, device, minutes, workers)
-    except ShapeError as error:
+        return run(Objects(config), config.run_dir, device, minutes, workers)
+    except CloudError as error:
         raise SystemExit(f"{error}; remove that file and run the same command again to resume") from error
     except (OSError, ValueError) as error:
         raise SystemExit(str(error)) from error

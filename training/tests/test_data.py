@@ -246,6 +246,44 @@ def test_the_second_view_can_be_recentered(tiny):
     assert means[False] > 0.1 and means[True] < 0.06
 
 
+def room(number, seed=0):
+    """Points (number, 3) on the six sides of a room of 5 x 4 x 3."""
+    draws = rng(seed)
+    points = draws.random((number, 3))
+    side = draws.integers(3, size=number)
+    points[np.arange(number), side] = draws.integers(2, size=number)
+    return (points * (5, 4, 3)).astype(np.float32)
+
+
+def released_second_view(points, draws):
+    """The second view of 3DMatch by the released code's rule, and the share that the volume cuts off."""
+    points = points - points.mean(axis=0)
+    points = points / np.abs(points).max() / 2
+    moved = points @ random_rotation(draws, "euler").T.astype(float) + draws.uniform(-0.3, 0.3, 3)
+    seen = moved[(np.abs(moved) < 0.5625).all(axis=1)]
+    centred = seen - seen.mean(axis=0)
+    return centred[(np.abs(centred) < 0.5625).all(axis=1)], 1 - len(seen) / len(points)
+
+
+def test_the_second_view_of_a_room_is_cut_between_shift_and_recentring(tiny):
+    """As the released code cuts 3DMatch's: else the shift of up to 0.3 would cancel, and both views would see the same."""
+    given = dict(translation=0.3, recenter=True, normalization="unit-cube", rotation="euler", jitter_sigma=0.0)
+    config = tiny(num_points=2000, max_downsampling=1.0, with_replacement=False, **given)
+    points, shares = room(2000), []
+    for seed in range(60):
+        expected, share = released_second_view(points.astype(np.float64), rng(seed))
+        shares.append(share)
+        if seed < 5:
+            views = two_views(points, config, rng(seed))
+            found = np.unique(views["points"][1], axis=0)
+            distance = np.linalg.norm(found[:, None] - expected.astype(np.float32), axis=2)
+            assert len(found) == len(expected) and distance.min(axis=1).max() < 1e-6
+            motion(views)  # grids and queries move along
+            surface = occupancy_queries(views, config)[1, : config.num_occupancy]
+            assert np.linalg.norm(surface[:, None] - expected, axis=2).min(axis=1).max() < 1e-5
+    assert 0.2 < np.mean(shares) < 0.4  # of a bare room; of furnished ones it is less
+
+
 def test_points_shifted_out_of_the_volume_are_dropped_and_replaced(tiny):
     config = tiny(translation=0.5, jitter_sigma=0.0, num_points=600)
     outside = 0

@@ -8,8 +8,10 @@ import torch
 
 from conftest import judged
 from snake_training.augment import inside_volume
+from snake_training.config import check
 from snake_training.data import Procedural
 from snake_training.losses import (
+    loss_options,
     losses_of,
     masked_mean,
     occupancy_loss,
@@ -139,6 +141,21 @@ def test_losses_of_puts_each_query_where_it_belongs():
     assert losses["surface"].item() == pytest.approx((0.2 / 4 + (0.1 + 0.4) / 3) / 2, rel=1e-5)
     assert losses["sparsity"].item() == pytest.approx((1 - (0.3 - 0.2)) / 2, abs=1e-5)  # view 2 has no grid and adds 0
     assert share.item() == 0
+
+
+def test_without_an_occupancy_decoder_all_points_of_a_grid_count(tiny):
+    """Table 4, first row: 1 - (maximum - mean) over the whole grid, whatever an untrained decoder says."""
+    occupancy = torch.tensor([[[1.0, 0, 0.9, 0.1, 0.2, 0.3]] * 2])
+    saliency = torch.tensor([[[0.1, 0.2, 0.3, 0.1, 0.8, 0.4]] * 2])
+    batch = {"label": torch.tensor([1.0, 0.0]), "inside": torch.ones(1, 2, 1, 4, dtype=torch.bool)}
+    settings = tiny(occupancy_decoder=False, weight_occupancy=0, weight_surface=0)
+    losses, _ = losses_of(occupancy, saliency, batch, **loss_options(settings))
+    assert losses["sparsity"].item() == pytest.approx(1 - (0.8 - 0.4), abs=1e-5)
+    masked, _ = losses_of(occupancy, saliency, batch, **loss_options(tiny()))
+    assert masked["sparsity"].item() == pytest.approx(1 - (0.3 - 0.3), abs=1e-4)  # one occupied point of four
+    for weights in (dict(weight_occupancy=0), dict(weight_surface=0), {}):
+        with pytest.raises(ValueError, match="without occupancy_decoder weight_occupancy and weight_surface must be 0"):
+            check(tiny(occupancy_decoder=False, **weights))
 
 
 def test_a_weight_of_zero_switches_a_loss_off(tiny, network):

@@ -1,6 +1,7 @@
 """Each official layout in miniature: training by its list, export, and evaluation by snake-rs."""
 
 import json
+import shutil
 
 import numpy as np
 import pytest
@@ -140,6 +141,38 @@ def write_ply(path, points):
     rows = "".join(f"{x} {y} {z}\n" for x, y, z in points)
     properties = "".join(f"property float {axis}\n" for axis in "xyz")
     path.write_text(f"ply\nformat ascii 1.0\nelement vertex {len(points)}\n{properties}end_header\n{rows}")
+
+
+def described(scene, folder):
+    """Files as of D3Feat, of each cloud of a scene: its points, each with a score and a descriptor."""
+    folder.mkdir(parents=True)
+    for cloud in scene.glob("*.ply"):
+        points = np.loadtxt(cloud, skiprows=7)
+        np.savez(
+            folder / f"{cloud.stem}.npz", keypoints=points, scores=points[:, 0], descriptors=points @ np.eye(3, 32)
+        )
+
+
+def official_folder(data):
+    """The authors' folder with all data sets, and their lists in split/."""
+    split = data / "split"
+    split.mkdir(parents=True)
+    _, names = keypointnet(data / "keypointnet_pcds")
+    for name in ("keypointnet_train", "keypointnet_val"):
+        shutil.copy(names, split / f"{name}.txt")
+    names.unlink()
+    (split / "keypointnet_test_full.txt").write_text("".join(f"02691156-{row}abc\n" for row in range(3)))
+    shutil.copy(shutil.move(modelnet40(data / "modelnet40")[1], split), split / "modelnet40_val.txt")
+    smpl(data / "smpl_model")
+    (data / "smpl_model/model.npz").unlink()
+    shutil.copy(SMPL / "model.pkl", data / "smpl_model")
+    shutil.copy(shutil.move(match3d(data)[1], split / "match3d_train_new_40k.txt"), split / "match3d_val.txt")
+    (data / "redwood/numpy_gt_normal").mkdir()
+    for name in ("room", "transform.npy", "redwood_pair.txt"):
+        shutil.move(data / "redwood" / name, data / "redwood/numpy_gt_normal" / name)
+    fragments(data / "3DMatch_eval_downsample")
+    described(data / "3DMatch_eval_downsample/scene", data / "d3feat/scene")
+    return data
 
 
 CASES = [

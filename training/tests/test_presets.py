@@ -37,7 +37,8 @@ def test_a_preset_has_the_papers_values(name):
     assert (config.optimizer, config.weight_decay, config.learning_rate, config.warmup) == ("adam", 5e-4, 1e-4, 0)
     assert (config.unet_levels, config.unet_base_channels, config.c_dim, config.scatter) == (4, 32, 32, "hard")
     assert (config.clip_norm, config.ema_decay, config.procedural_share, config.best_by) == (0, 0, 0, "loss")
-    assert config.rotation == "euler" and config.with_replacement
+    assert config.rotation == "euler" and config.with_replacement and config.validation_samples == 0
+    assert config.validate_every == (3000 if name == "redwood" else 1000)
     assert (config.translation, config.recenter) == ((0.3, True) if name == "redwood" else (0, False))
     assert config.normalization == ("unit-cube" if name == "redwood" else "unit-sphere")
     assert set(TABLE) == set(PRESETS) - {"compact"}

@@ -1,6 +1,7 @@
 """Recipes run from end to end, go on where they stopped, move to another machine, and refuse what does not fit."""
 
 import json
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -13,7 +14,7 @@ from snake_training.config import SceneTraining, check
 from snake_training.data.crops import Crops
 from snake_training.export import Moved, load_network
 from snake_training.losses import losses_of
-from snake_training.recipes import Recipe, main
+from snake_training.recipes import ConfidenceStage, FigureStage, ObjectStage, Recipe, SceneStage, TeacherStage, main
 from snake_training.scene_model import SceneConfig
 from snake_training.tasks.scenes import Scenes
 from snake_training.train import run
@@ -46,9 +47,27 @@ def test_what_is_done_is_not_done_again(run_dir):
     assert before == {path: path.stat().st_mtime_ns for path in run_dir.rglob("*.*")}
 
 
-def test_the_recipe_of_the_papers_network_ends_with_a_weight_file_and_its_figures(tmp_path):
-    main([str(RECIPES / "paper.toml"), "--run-dir", str(tmp_path), "--smoke", "--device", "cpu"])
+def test_the_recipe_of_the_papers_network_ends_with_a_weight_file_and_its_figures(tmp_path, monkeypatch, capsys):
+    """A machine without snake_rs trains to the last stage, at 64³; one that has it adds the figures."""
+    words = [str(RECIPES / "paper.toml"), "--run-dir", str(tmp_path), "--smoke", "--device", "cpu"]
+    with monkeypatch.context() as without:
+        without.setitem(sys.modules, "snake_rs", None)
+        main(words)
+    assert "the stages that are left need it" in capsys.readouterr().out
+    assert load_network(tmp_path / "paper/fine/weights.safetensors").config.unet_base_channels == 32
+    assert (tmp_path / "paper/whole.safetensors").exists() and not (tmp_path / "paper/figures/done.json").exists()
+    main(words)
     check_end_of_objects(tmp_path / "paper", 10_000_000, 32)
+
+
+@pytest.mark.parametrize("path", sorted(RECIPES.glob("*.toml")), ids=lambda path: path.stem)
+def test_no_training_comes_after_what_needs_the_module(path):
+    """A machine that is there for its GPU may not have snake_rs: it ends at the first stage that needs it. Teachers run by
+    PyTorch there."""
+    stages = list(Recipe(path, "runs").stages.values())
+    needing = [row for row, stage in enumerate(stages) if isinstance(stage, ConfidenceStage | FigureStage)]
+    training = [row for row, stage in enumerate(stages) if isinstance(stage, ObjectStage | SceneStage | TeacherStage)]
+    assert needing and training and max(training) < min(needing)
 
 
 def check_end_of_objects(run_dir, max_bytes, channels):

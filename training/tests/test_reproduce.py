@@ -3,16 +3,15 @@
 import re
 import runpy
 import shlex
-import shutil
 import sys
 
-import numpy as np
 import pytest
 import torch
 
 from conftest import FOLDER
 from snake_training.model import NetworkConfig, SnakeNetwork
-from test_official import SMPL, TINY, fragments, keypointnet, match3d, modelnet40, smpl
+from snake_training.paper_tables import ITEMS
+from test_official import official_folder
 
 PAGE = (FOLDER / "docs/reproduce.md").read_text()
 COMMANDS = [
@@ -21,35 +20,13 @@ COMMANDS = [
     for line in block.replace("\\\n", " ").splitlines()
     if line.strip()
 ]
-# What makes a command small, by its beginning; the later ones override the page's own.
-SMALL = {
-    "snake_training.train": TINY,
-    "eval": ["--limit", "1"],
-    "repeatability": ["--methods", "snake,random"],
-    "semantic": ["--methods", "snake,random"],
-    "registration": ["--detectors", "snake"],
-}
 
 
 @pytest.fixture(scope="module")
 def place(tmp_path_factory):
-    """A folder with data/, split/, and an official checkpoint with its configuration."""
+    """A folder with data/, and an official checkpoint with its configuration."""
     folder = tmp_path_factory.mktemp("paper")
-    data, split = folder / "data", folder / "split"
-    split.mkdir()
-    _, names = keypointnet(data / "keypointnet_pcds")
-    for name in ("keypointnet_train", "keypointnet_val", "keypointnet_test_630"):
-        shutil.copy(names, split / f"{name}.txt")
-    names.unlink()
-    shutil.copy(shutil.move(modelnet40(data / "modelnet40")[1], split), split / "modelnet40_val.txt")
-    smpl(data / "smpl_model")
-    shutil.copy(SMPL / "model.pkl", data / "smpl_model")
-    shutil.copy(shutil.move(match3d(data)[1], split / "match3d_train_new_40k.txt"), split / "match3d_val.txt")
-    (data / "redwood/numpy_gt_normal").mkdir()
-    for name in ("room", "transform.npy", "redwood_pair.txt"):
-        shutil.move(data / "redwood" / name, data / "redwood/numpy_gt_normal" / name)
-    fragments(data / "3DMatch_eval_downsample")
-    described(data / "3DMatch_eval_downsample/scene", data / "d3feat/scene")
+    official_folder(folder / "data")
     config = NetworkConfig(resolution=(8,) * 3, unet_levels=2, unet_base_channels=8)
     torch.save(SnakeNetwork(config).state_dict(), folder / "model_best.pth")
     (folder / "config.yaml").write_text(
@@ -58,30 +35,33 @@ def place(tmp_path_factory):
     return folder
 
 
-def described(scene, folder):
-    """Files as of D3Feat, of each cloud of a scene: its points, each with a score and a descriptor."""
-    folder.mkdir(parents=True)
-    for cloud in scene.glob("*.ply"):
-        points = np.loadtxt(cloud, skiprows=7)
-        np.savez(
-            folder / f"{cloud.stem}.npz", keypoints=points, scores=points[:, 0], descriptors=points @ np.eye(3, 32)
-        )
-
-
 @pytest.mark.parametrize("command", COMMANDS)
-def test_a_command_of_the_page_runs(place, snake_cli, command, monkeypatch):
-    """In the order of the page: what trains comes first."""
+def test_a_command_of_the_page_runs(place, snake_cli, command, monkeypatch, capsys):
+    """In the order of the page, in one folder of runs: networks are trained once. The tables have figures of both."""
     words = shlex.split(command)
-    for name, added in SMALL.items():
-        words += added if name in words else []
-    if words[0] == "snake-cli":
-        snake_cli(*words[1:], cwd=place)
-        return
     assert words[:2] == ["python", "-m"]
+    if words[2] == "snake_training.paper":
+        words += ["--smoke", "--seeds", "1", "--device", "cpu", "--snake-cli", snake_cli.path]
     monkeypatch.chdir(place)
-    monkeypatch.setattr(sys, "argv", ["python", *map(str, words[3:])])
+    monkeypatch.setattr(sys, "argv", ["python", *words[3:]])
     # In this process: to import PyTorch takes longer than a command.
     runpy.run_module(words[2], run_name="__main__")
+    printed = capsys.readouterr().out
+    for name in words if "--dry-run" not in words else ():
+        if name in ITEMS and ITEMS[name].cells:
+            rows = re.findall(
+                r"\| .+: .+ \| (\S+) \| (\S+) \|", printed.partition(f"{name}: ")[2].partition("\n\n|")[2]
+            )
+            assert rows and all(float(ours) >= 0 for _, ours in rows), printed
+            assert any(paper != "-" for paper, _ in rows), printed
+        elif name in ITEMS:
+            outputs = [picture.words.split()[-1].format(run="runs/paper") for picture in ITEMS[name].pictures]
+            assert outputs and all((place / output).stat().st_size > 100 for output in outputs)
+
+
+def test_the_page_has_every_item_of_the_driver():
+    named = {word for command in COMMANDS for word in shlex.split(command)}
+    assert set(ITEMS) <= named
 
 
 def test_every_table_and_figure_has_a_row():

@@ -16,14 +16,14 @@ from tensorboard.backend.event_processing.event_accumulator import EventAccumula
 
 from conftest import arguments, judged
 from snake_training import train as training
-from snake_training.augment import normalize
+from snake_training.augment import normalize, two_views
 from snake_training.command_line import parse_arguments
 from snake_training.config import from_json
 from snake_training.data import Mixture, Procedural
 from snake_training.data.landmarks import landmarks
 from snake_training.evaluate import DetectOptions, why_none
 from snake_training.export import Moved, load_network, read_checkpoint, write_weights
-from snake_training.losses import losses_of
+from snake_training.losses import LOSSES, losses_of
 from snake_training.model import SnakeNetwork
 from snake_training.tasks import objects
 from snake_training.tasks.objects import Objects, make_batch, start_saliency
@@ -118,12 +118,14 @@ def test_training_lowers_the_occupancy_loss(tiny):
     assert after < before - 0.05
 
 
-def test_the_ridge_of_the_settings_reaches_training_and_validation(tiny, monkeypatch):
+def test_the_options_of_the_losses_reach_training_and_validation(tiny, monkeypatch):
     given = []
     for module in (training, objects):
-        monkeypatch.setattr(module, "losses_of", lambda *a, ridge: given.append(ridge) or losses_of(*a, ridge=ridge))
-    train(tiny(sparsity_ridge=0.7, steps=1), "cpu")
-    assert len(given) > 1 and set(given) == {0.7}
+        monkeypatch.setattr(
+            module, "losses_of", lambda *a, **options: given.append(options) or losses_of(*a, **options)
+        )
+    train(tiny(sparsity_ridge=0.7, occupancy_decoder=False, weight_occupancy=0, weight_surface=0, steps=1), "cpu")
+    assert len(given) > 1 and all(options == {"ridge": 0.7, "has_occupancy": False} for options in given)
 
 
 def test_resuming_continues_bit_for_bit(tiny, tmp_path):
@@ -322,6 +324,27 @@ def test_step_schedule_falls_once_to_a_tenth(tiny):
     assert rates[:40] == [0.2] * 40 and rates[40:] == pytest.approx([0.02] * 20)
 
 
+def test_a_validation_judges_each_shape_once_or_so_many_samples(tiny, tmp_path, network, monkeypatch):
+    """The released code's goes over its whole list; theirs and ours draw the views at random."""
+    for row in range(6):
+        np.save(tmp_path / f"{row}.npy", np.random.default_rng(row).normal(size=(200, 3)))
+    seen = []
+    monkeypatch.setattr(objects, "two_views", lambda cloud, *_: seen.append(cloud) or two_views(cloud, *_))
+    for samples, number in ((0, 6), (9, 9)):
+        task = Objects(tiny(validation_data=(str(tmp_path),), validation_samples=samples))
+        seen.clear()
+        found = task.validation_losses(network, torch.device("cpu"), False)
+        assert len(seen) == number and set(found) == {*LOSSES, "saturated"}
+        in_order = [any(np.array_equal(cloud, task.held_out[row]) for cloud in seen) for row in range(6)]
+        assert all(in_order) or samples
+    batches = [
+        objects.make_batch(task.held_out, task.settings, first, size, 1) for first, size in ((0, 4), (4, 4), (8, 1))
+    ]
+    with torch.no_grad():
+        each = [losses_of(*task.answer(network, batch, False), batch)[0]["surface"].item() for batch in batches]
+    assert found["surface"] == pytest.approx((4 * each[0] + 4 * each[1] + each[2]) / 9)
+
+
 # Refusals and devices
 
 
@@ -336,6 +359,16 @@ def test_a_file_of_nan_ends_the_run_with_a_line_that_names_it(tiny, tmp_path, op
     np.save(tmp_path / "empty.npy", np.full((100, 3), np.nan, np.float32))
     with pytest.raises(SystemExit, match=r"empty\.npy: needs at least two different finite points; remove that file"):
         train(tiny(procedural_share=0.0, **{option: (str(tmp_path),)}))
+
+
+def test_an_empty_folder_of_data_is_refused_as_such(tiny, tmp_path):
+    """There is no file to remove."""
+    (tmp_path / "clouds").mkdir()
+    said = f"{tmp_path}/clouds: neither points.npy + index.json nor any .npy, .ply or .pcd file"
+    for option in ("data", "validation_data"):
+        with pytest.raises(SystemExit) as stop:
+            train(tiny(**{option: (str(tmp_path / "clouds"),)}))
+        assert stop.value.code == said
 
 
 @pytest.mark.skipif(torch.cuda.is_available(), reason="there is a GPU")

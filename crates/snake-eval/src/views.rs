@@ -21,7 +21,7 @@ pub struct Condition {
 /// The clouds that the views of a pair are drawn from, in the units of the figures.
 #[derive(Debug, Clone, PartialEq)]
 pub enum PairClouds {
-    /// An object `(N, 3)` of radius 1. Both views are samples of it, and the second view is rotated at random.
+    /// An object `(N, 3)`, of radius 1 or in the units of its file. Both views are samples of it, and the second view is rotated at random.
     Object(Vec<Point>),
     /// Two clouds of the same scene.
     Real {

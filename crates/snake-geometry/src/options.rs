@@ -334,7 +334,7 @@ mod tests {
         let ranges = ["number", "share", "radius", "switch"].map(|name| of(name).range);
         assert_eq!(ranges, ["2 or more", "0.001 to 0.999 (of all)", "0 or more", ""]);
         assert_eq!((of("share").none, of("share").flag, of("number").flag), ("off", "SHARE", ""));
-        assert_eq!(of("method").limits("null"), "allowed: unit-sphere, principal-axes, unit-cube or none");
+        assert_eq!(of("method").limits("null"), "allowed: unit-sphere, principal-axes, unit-cube, half or none");
         assert_eq!(of("radius").limits("null"), "allowed: 0 or more; null: no limit");
         assert_eq!(
             (of("radius").limits(""), of("switch").limits("null")),

@@ -1,9 +1,10 @@
 """Where training shapes come from: the int16 corpus, WebDataset shards, folders of clouds, or procedural shapes. None needs labels."""
 
-from .datasets import Corpus, Folder, Mixture, ShapeError, Shards, open_all, open_shapes, write_corpus
+from .datasets import CloudError, Corpus, Folder, Mixture, ShapeError, Shards, open_all, open_shapes, write_corpus
 from .procedural import Procedural
 
 __all__ = [
+    "CloudError",
     "Corpus",
     "Folder",
     "Mixture",

@@ -17,7 +17,11 @@ NPY_ERRORS = (OSError, ValueError, EOFError, TypeError, OverflowError)
 
 
 class ShapeError(ValueError):
-    """A file that holds no shape to train or evaluate on; the message names it."""
+    """Data that hold no shapes to train or evaluate on; the message names the file or folder."""
+
+
+class CloudError(ShapeError):
+    """One file of a folder that holds no shape; the others can be used without it."""
 
 
 class Corpus:
@@ -69,8 +73,13 @@ class Folder:
     def __getitem__(self, row):
         path = self.files[row]
         kind = path.suffix.lower()
-        points = read_npy(path) if kind == ".npy" else read_pcd(path) if kind == ".pcd" else self.read_ply(path, row)
-        return finite_points(points, path)
+        try:
+            points = (
+                read_npy(path) if kind == ".npy" else read_pcd(path) if kind == ".pcd" else self.read_ply(path, row)
+            )
+            return finite_points(points, path)
+        except ShapeError as error:
+            raise CloudError(str(error)) from error
 
     def read_ply(self, path, seed):
         """The vertices of a cloud, or points drawn from a mesh's surface by area."""
@@ -161,7 +170,7 @@ def read_pcd(path):
     try:
         import snake_rs  # the only use
     except ImportError as error:
-        raise ShapeError(f"{path}: PCD files need the module snake_rs, see README.md: {error}") from error
+        raise OSError(f"{path}: PCD files need the module snake_rs, see README.md: {error}") from error
     try:
         return snake_rs.read_points(path)
     except Exception as error:  # whatever the reader refuses

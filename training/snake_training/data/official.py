@@ -27,11 +27,20 @@ def clouds_below(folder):
 
 def clouds_of_split(folder, split):
     """The files of the shapes that a list names, one a line, in its order."""
-    names = [line.strip() for line in Path(split).read_text(encoding="utf-8-sig").splitlines() if line.strip()]
+    names = names_of_split(split)
     if not names:
         raise ValueError(f"{split}: an empty list")
-    roots = [root for root in (Path(folder), Path(folder) / "pcds") if root.is_dir()]
-    return [find(roots, name) or refuse(folder, split, name) for name in names]
+    return [find(roots_of(folder), name) or refuse(folder, split, name) for name in names]
+
+
+def names_of_split(split):
+    """The names of a list, one a line."""
+    return [line.strip() for line in Path(split).read_text(encoding="utf-8-sig").splitlines() if line.strip()]
+
+
+def roots_of(folder):
+    """Where the classes of a data set may lie."""
+    return [root for root in (Path(folder), Path(folder) / "pcds") if root.is_dir()]
 
 
 def find(roots, name):

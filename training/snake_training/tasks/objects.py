@@ -1,5 +1,7 @@
 """Learning from objects: by the four losses from two views of a cloud, or as a student of a teacher's saliency."""
 
+from dataclasses import replace
+
 import numpy as np
 import torch
 import torch.nn.functional as F
@@ -11,7 +13,7 @@ from ..data import Mixture, Procedural, open_all
 from ..data.landmarks import landmarks
 from ..evaluate import DetectOptions, candidates, repeatability, suppress, view_pairs, why_none
 from ..export import build_network, load_network
-from ..losses import LOSSES, losses_of
+from ..losses import LOSSES, loss_options, losses_of
 from ..model import Decoder, SnakeNetwork
 from ..teacher import Targets
 
@@ -60,15 +62,10 @@ class Objects:
         config = self.settings
         normalization = "unit-sphere" if config.normalization == "mixed" else config.normalization
         options = DetectOptions(normalization=normalization, query_resolution=config.validation_resolution)
+        if not config.occupancy_decoder:
+            options = replace(options, occupancy_threshold=0.0, surface_threshold=0.0)
         network.eval()
-        results = []
-        for first in range(0, 32, 4):
-            batch = make_batch(self.held_out, config, first, 4, stream=1)
-            batch = {name: tensor.to(device) for name, tensor in batch.items()}
-            with torch.no_grad():
-                results.append(losses_of(*self.answer(network, batch, autocast), batch, ridge=config.sparsity_ridge))
-        figures = {name: float(np.mean([losses[name].item() for losses, _ in results])) for name in LOSSES}
-        figures["saturated"] = float(np.mean([share.item() for _, share in results]))
+        figures = self.validation_losses(network, device, autocast)
 
         def detector(points):
             found = candidates(network, points, options)
@@ -81,6 +78,22 @@ class Objects:
             cloud, _, _ = next(view_pairs(self.held_out, 1, 5000, 0))
             tqdm.write(f"warning: no keypoint in the validation: {why_none(network, cloud, options)}")
         return figures
+
+    def validation_losses(self, network, device, autocast):
+        """The means of the four losses and of the share of saturated queries, over random samples or over each shape once."""
+        config, results, sizes = self.settings, [], []
+        number = config.validation_samples or len(self.held_out)
+        for first in range(0, number, 4):
+            sizes.append(min(4, number - first))
+            batch = make_batch(
+                self.held_out, config, first, sizes[-1], stream=1, in_order=config.validation_samples == 0
+            )
+            batch = {name: tensor.to(device) for name, tensor in batch.items()}
+            with torch.no_grad():
+                results.append(losses_of(*self.answer(network, batch, autocast), batch, **loss_options(config)))
+        losses = {name: [losses[name].item() for losses, _ in results] for name in LOSSES}
+        losses["saturated"] = [share.item() for _, share in results]
+        return {name: float(np.average(values, weights=sizes)) for name, values in losses.items()}
 
     def score(self, figures):
         """How good a validation is, by which the best is chosen."""
@@ -122,15 +135,19 @@ def start_saliency(network, shapes=6, steps=400):
         adam.step()
 
 
-def make_batch(shapes, config, first, number, stream=0):
-    """Samples first .. first + number - 1 of shapes or targets, each from its own seed, as tensors by name."""
+def make_batch(shapes, config, first, number, stream=0, in_order=False):
+    """Samples first .. first + number - 1 of shapes or targets, each from its own seed, as tensors by name.
+
+    Their shapes are random ones, or `in_order` the shapes of these numbers.
+    """
     samples = []
     for index in range(first, first + number):
         rng = np.random.default_rng([config.seed, stream, index])
         is_taught = isinstance(shapes, Targets)
-        samples.append(
-            student_views(shapes.sample(rng), config, rng) if is_taught else two_views(shapes.cloud(rng), config, rng)
-        )
+        if is_taught:
+            samples.append(student_views(shapes.sample(rng), config, rng))
+        else:
+            samples.append(two_views(shapes[index] if in_order else shapes.cloud(rng), config, rng))
     batch = {name: torch.from_numpy(np.stack([sample[name] for sample in samples])) for name in samples[0]}
     return batch | {"label": label(config.num_occupancy)}
 

@@ -125,21 +125,25 @@ pub struct RepeatabilityArguments {
     /// t_target_source, or .txt with the four rows of the matrix.
     #[arg(long)]
     pub transform: Option<PathBuf>,
+    /// Evaluate only the shapes of KeypointNet in this list, a file with a CLASS_ID-MODEL_ID on each line. DATA is a folder with
+    /// CLASS_ID/MODEL_ID.pcd, in pcds/ or in the folder itself. The shapes keep their units.
+    #[arg(long, conflicts_with = "transform")]
+    pub split: Option<PathBuf>,
     /// Distances below which a keypoint counts as repeated, in units of the data set (objects: their radius) [default:
     /// 0.03 to 0.1, rooms: 0.1 to 0.24].
     #[arg(long, value_delimiter = ',')]
     pub epsilon: Option<Vec<f64>>,
-    /// The distance of --epsilon at which down-sampling and noise are tabulated [default: 0.04, rooms: 0.2].
+    /// The distance of --epsilon at which down-sampling and noise are tabulated [default: 0.04, with --split 0.03, rooms: 0.2].
     #[arg(long)]
     pub table_epsilon: Option<f64>,
     /// Down-sampling rates; a rate of N keeps one point in N.
     #[arg(long, value_delimiter = ',', default_value = "1,2,4,8,16")]
     pub downsample: Vec<usize>,
     /// Standard deviations of Gaussian noise on each coordinate, in units of the data set (objects: their radius)
-    /// [default: 0 to 0.12, rooms: 0 to 0.1].
+    /// [default: 0 to 0.12, with --split 0 to 0.03, rooms: 0 to 0.1].
     #[arg(long, value_delimiter = ',')]
     pub noise: Option<Vec<f64>>,
-    /// Number of points in each view, drawn at random [default: 5000, rooms: 10240].
+    /// Number of points in each view, drawn at random [default: 5000, with --split 2048, rooms: 10240].
     #[arg(long)]
     pub num_points: Option<usize>,
     #[command(flatten)]

@@ -31,10 +31,13 @@ pub fn run(arguments: &RepeatabilityArguments) -> Result<ExitCode> {
     let schedule = Schedule::new(data.len(), &common.run)?;
     let radii = plan.radii(&data, columns, &schedule, &methods, common.coverage)?;
     let mut settings = plan.settings(arguments, &methods);
+    if let Some(split) = &arguments.split {
+        settings["split"] = json!(split);
+    }
     if !left_out.is_empty() {
         settings["left_out"] = json!(left_out);
     }
-    let inputs = data.files().into_iter().chain(arguments.transform.as_deref());
+    let inputs = data.files().into_iter().chain(arguments.transform.as_deref()).chain(arguments.split.as_deref());
     files::check(&common.run, "repeatability", inputs)?;
     let mut record = Record::open(common.run.output.as_deref(), "repeatability", &settings, schedule.tasks().len())?;
     record.fill(schedule.tasks(), |pair| data.name(pair), |task| plan.rows(&data, columns, task, &methods, &radii))?;
@@ -42,6 +45,7 @@ pub fn run(arguments: &RepeatabilityArguments) -> Result<ExitCode> {
         _ if !common.run.paper => None,
         Scale::Room => Some(&paper::REDWOOD),
         Scale::Object => Some(&paper::MODELNET40),
+        Scale::Annotated => Some(&paper::KEYPOINTNET_VIEWS),
     };
     let report = report(&plan.sweeps, &settings, &schedule.by_seed(record.pairs()), paper);
     if let Some(output) = &common.run.output {
@@ -51,12 +55,17 @@ pub fn run(arguments: &RepeatabilityArguments) -> Result<ExitCode> {
     Ok(if left_out.is_empty() { ExitCode::SUCCESS } else { ExitCode::FAILURE })
 }
 
-/// Opens the data set of the command line: two clouds with their transform, a folder in a known layout, or cloud files. Also
+/// Opens the data set of the command line: two clouds with their transform, the clouds of a list, a folder in a known layout,
+/// or cloud files. Also
 /// returns the cloud files that are left out.
 fn open(arguments: &RepeatabilityArguments) -> Result<(ViewPairs, Vec<PathBuf>)> {
     let inputs = &arguments.data[..];
     if let Some(transform) = &arguments.transform {
         return Ok((open_pair(inputs, transform)?, Vec::new()));
+    }
+    if let Some(split) = &arguments.split {
+        let [folder] = inputs else { bail!("--split needs one folder, that of KeypointNet's clouds") };
+        return Ok((ViewPairs::from_split(folder, split)?, Vec::new()));
     }
     if let [folder] = inputs
         && let Some(data) = ViewPairs::open(folder)?
@@ -115,13 +124,15 @@ struct Plan {
 
 impl Plan {
     fn new(arguments: &RepeatabilityArguments, data: &ViewPairs) -> Result<Self> {
-        // The columns of the paper's tables: ModelNet40, in units of the objects' radius, and Redwood, in metres.
+        // The columns of the paper's tables: ModelNet40, in units of the objects' radius, KeypointNet in its own, and Redwood, in
+        // metres.
         let hundredths = |range: std::ops::RangeInclusive<u32>, step| {
             range.step_by(step).map(|hundredth| f64::from(hundredth) / 100.0).collect::<Vec<_>>()
         };
         let (epsilon, table_epsilon, noise, num_points) = match data.scale() {
             Scale::Room => (hundredths(10..=24, 2), 0.2, hundredths(0..=10, 2), 10_240),
             Scale::Object => (hundredths(3..=10, 1), 0.04, hundredths(0..=12, 2), 5000),
+            Scale::Annotated => (vec![0.03, 0.05, 0.07, 0.09, 0.1], 0.03, vec![0.0, 0.02, 0.03], 2048),
         };
         let epsilon = arguments.epsilon.clone().unwrap_or(epsilon);
         let noise = arguments.noise.clone().unwrap_or(noise);

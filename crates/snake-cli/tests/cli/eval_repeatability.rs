@@ -6,6 +6,7 @@ use std::process::Output;
 use serde_json::Value;
 use tempfile::TempDir;
 
+use super::eval_semantic::keypointnet;
 use super::{assert_refused, sample, snake, stderr, succeed, write_npy};
 
 /// A folder in the corpus format: `number` copies of the sample, each of `size` of its points.
@@ -75,6 +76,47 @@ fn an_interrupted_evaluation_continues() {
         &eval(data.path(), &["--seed", "1", "-o", &results.path().join("whole").display().to_string()]),
         "was written with other settings",
     );
+}
+
+/// As tables 1 and 2 of the paper: the test split of KeypointNet, with distances and noise in the units of its files.
+#[test]
+fn the_shapes_of_a_split_keep_their_units() {
+    let (data, results) = (keypointnet(), tempfile::tempdir().unwrap());
+    let split = results.path().join("test.txt");
+    std::fs::write(&split, "03-b\n").unwrap();
+    let split = split.display().to_string();
+    let run = |name: &str, data: &str, extra: &[&str]| -> Value {
+        let folder = results.path().join(name);
+        let usual = ["eval", "repeatability", data, "--methods", "random", "--downsample", "1", "--num-points", "500"];
+        succeed(&[&usual, extra, &["-o", &folder.display().to_string()]].concat());
+        serde_json::from_slice(&std::fs::read(folder.join("repeatability.json")).unwrap()).unwrap()
+    };
+    let points = &snake_io::read_points(Path::new(&sample())).unwrap()[..600];
+    let radius =
+        snake_core::Normalization::of(points, snake_core::NormalizationMethod::UnitSphere).unwrap().scale / 2.0;
+    let lengths = |unit: f32| [0.1, 0.2].map(|length: f32| (length * unit).to_string());
+    let folder = data.path().display().to_string();
+    let [noise, epsilon] = lengths(radius);
+    let own = run("own", &folder, &["--split", &split, "--noise", &noise, "--epsilon", &epsilon]);
+    let shape = data.path().join("pcds/03/b.pcd").display().to_string();
+    let [noise, epsilon] = lengths(1.0);
+    let scaled = run("scaled", &shape, &["--noise", &noise, "--epsilon", &epsilon]);
+    assert_eq!(own["pairs"], 1);
+    for (own, scaled) in own["rows"].as_array().unwrap().iter().zip(scaled["rows"].as_array().unwrap()) {
+        assert_eq!(own["repeatability"], scaled["repeatability"]);
+        let ratio = own["coverage"].as_f64().unwrap() / scaled["coverage"].as_f64().unwrap();
+        assert!((ratio / f64::from(radius) - 1.0).abs() < 1e-4 && (radius - 1.0).abs() > 0.1, "{ratio} {radius}");
+    }
+    // The paper's figures beside UKPGAN's stand where they are.
+    let paper = ["--split", &split, "--noise", "0.02", "--paper", "--methods", "fps", "--num-points", "100"];
+    let text = succeed(&[&["eval", "repeatability", &folder][..], &paper].concat());
+    assert!(text.contains("ukpgan (paper)") && text.contains("0.948"), "{text}");
+
+    for (names, message) in [("03-x", "no such cloud"), ("03b", "03b is no CLASS_ID-MODEL_ID"), ("", "an empty list")] {
+        std::fs::write(&split, names).unwrap();
+        assert_refused(&snake(&["eval", "repeatability", &folder, "--split", &split]), message);
+    }
+    assert_refused(&snake(&["eval", "repeatability", &folder, &folder, "--split", &split]), "--split needs one folder");
 }
 
 #[test]

@@ -150,15 +150,15 @@ impl Builtin {
     }
 }
 
-/// A cloud in the frame that a normalisation asks for. Without one coordinates are those of the network's frame, so the origin
-/// belongs to them.
+/// A cloud in the frame that a normalisation asks for. With a fixed one coordinates are those of the network's frame, or twice
+/// those, so the origin belongs to them.
 fn placed<'a>(
     cloud: UsedCloud<'a>,
     points: &[Point],
     origin: [f64; 3],
     method: NormalizationMethod,
 ) -> Result<(UsedCloud<'a>, [f64; 3])> {
-    if method != NormalizationMethod::None || origin == [0.0; 3] {
+    if !method.is_fixed() || origin == [0.0; 3] {
         return Ok((cloud, origin));
     }
     let points = Cloud { points: points.to_vec(), origin }.into_points();

@@ -126,7 +126,8 @@ impl VolumeShape {
     /// The sphere to which finite points are scaled; `None` if they keep their scale, or have none.
     pub(crate) fn scaled_sphere(&self, points: &[Point], method: NormalizationMethod) -> Option<Normalization> {
         match (self, method) {
-            (Self::Scene { .. }, _) | (_, NormalizationMethod::None) => None,
+            (Self::Scene { .. }, _) => None,
+            (Self::Cube(_), method) if method.is_fixed() => None,
             (Self::Cube(_), _) => Normalization::from_finite(points, NormalizationMethod::UnitSphere).ok(),
         }
     }

@@ -22,13 +22,15 @@ pub struct ViewPairs {
 pub enum Scale {
     /// Objects of radius 1, like ModelNet40.
     Object,
+    /// Objects in the units of their files, like KeypointNet.
+    Annotated,
     /// Rooms in metres, like Redwood.
     Room,
 }
 
 enum Source {
     /// Objects, whose second view is generated.
-    Objects { names: Vec<String>, clouds: Clouds },
+    Objects { names: Vec<String>, clouds: Clouds, unit_radius: bool },
     /// Pairs of given clouds, scaled to radius 1 or left in their units.
     Pairs { pairs: Vec<PairEntry>, unit_radius: bool },
 }
@@ -85,7 +87,32 @@ impl ViewPairs {
     /// The objects in these cloud files. Each object is scaled to radius 1, and its second view is generated.
     pub fn from_objects(files: Vec<PathBuf>) -> Self {
         let names = files.iter().map(|file| file.display().to_string()).collect();
-        Self { scale: Scale::Object, source: Source::Objects { names, clouds: Clouds::Files(files) } }
+        let source = Source::Objects { names, clouds: Clouds::Files(files), unit_radius: true };
+        Self { scale: Scale::Object, source }
+    }
+
+    /// The objects of KeypointNet in a list, a `CLASS_ID-MODEL_ID` for each. They keep the units of their files
+    /// `CLASS_ID/MODEL_ID.pcd`, in `pcds/` or in the folder itself, and the second view of each is generated.
+    ///
+    /// # Errors
+    /// [`Error::Io`] when the list cannot be read; [`Error::Layout`] when it is empty, a name of it is of another form, or has no
+    /// file.
+    pub fn from_split(folder: &Path, split: &Path) -> Result<Self> {
+        let text = read_text(split)?;
+        let names: Vec<String> = text.split_whitespace().map(String::from).collect();
+        if names.is_empty() {
+            return Err(Error::layout(split, "an empty list"));
+        }
+        let pcds = folder.join("pcds");
+        let clouds = if pcds.is_dir() { &pcds } else { folder };
+        let file = |name: &String| {
+            let (class, model) =
+                name.split_once('-').ok_or_else(|| Error::layout(split, format!("{name} is no CLASS_ID-MODEL_ID")))?;
+            find_cloud(&clouds.join(class).join(model))
+        };
+        let files = names.iter().map(file).collect::<Result<_>>()?;
+        let source = Source::Objects { names, clouds: Clouds::Files(files), unit_radius: false };
+        Ok(Self { scale: Scale::Annotated, source })
     }
 
     /// One pair of cloud files in unknown units, with the transform from the source to the target. The target is the
@@ -109,7 +136,8 @@ impl ViewPairs {
             return Err(Error::layout(folder, "no clouds in points.npy"));
         }
         let names = entries.into_iter().map(|entry| entry.name).collect();
-        Ok(Self { scale: Scale::Object, source: Source::Objects { names, clouds: Clouds::Loaded(clouds) } })
+        let source = Source::Objects { names, clouds: Clouds::Loaded(clouds), unit_radius: true };
+        Ok(Self { scale: Scale::Object, source })
     }
 
     /// The pairs of the file `list`. There must be at least one.
@@ -182,8 +210,10 @@ impl ViewPairs {
     pub fn clouds(&self, pair: usize, options: &ReadOptions) -> Result<PairClouds> {
         match &self.source {
             Source::Objects { clouds: Clouds::Loaded(clouds), .. } => PairClouds::object(&clouds[pair]),
-            Source::Objects { clouds: Clouds::Files(files), .. } => {
-                PairClouds::object(&finite_points(&files[pair], options)?.points)
+            Source::Objects { clouds: Clouds::Files(files), unit_radius, .. } => {
+                let points = finite_points(&files[pair], options)?.points;
+                let scaled = PairClouds::object(&points)?;
+                Ok(if *unit_radius { scaled } else { PairClouds::Object(points) })
             }
             Source::Pairs { pairs, unit_radius } => {
                 let PairEntry { clouds: [first, second], t_1_2, .. } = &pairs[pair];

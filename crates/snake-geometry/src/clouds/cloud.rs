@@ -38,14 +38,11 @@ impl Cloud {
         points
     }
 
-    /// The cloud for encoding. With [`NormalizationMethod::None`] coordinates are those of the network's frame, so the
-    /// origin is added to the points.
+    /// The cloud for encoding. With a [fixed](NormalizationMethod::is_fixed) normalisation coordinates are those of the
+    /// network's frame or twice those, so the origin is added to the points.
     #[must_use]
     pub fn for_normalization(self, method: NormalizationMethod) -> Self {
-        match method {
-            NormalizationMethod::None => Self { points: self.into_points(), origin: [0.0; 3] },
-            _ => self,
-        }
+        if method.is_fixed() { Self { points: self.into_points(), origin: [0.0; 3] } } else { self }
     }
 }
 
@@ -186,6 +183,7 @@ mod tests {
         let far = Cloud { points: vec![[0.5, 0.25, 0.0], [0.0; 3]], origin: [1024.0, 0.0, -4096.0] };
         assert_eq!(far.clone().for_normalization(NormalizationMethod::UnitSphere), far);
         let absolute = Cloud { points: vec![[1024.5, 0.25, -4096.0], [1024.0, 0.0, -4096.0]], origin: [0.0; 3] };
-        assert_eq!(far.for_normalization(NormalizationMethod::None), absolute);
+        assert_eq!(far.clone().for_normalization(NormalizationMethod::None), absolute);
+        assert_eq!(far.for_normalization(NormalizationMethod::Half), absolute);
     }
 }

@@ -21,6 +21,8 @@ pub enum NormalizationMethod {
     PrincipalAxes,
     /// Subtract the mean, divide by twice the largest absolute coordinate: the cloud touches the cube ±0.5.
     UnitCube,
+    /// Divide by 2: the cloud is about the origin and has radius 1, but for noise. So does the released code with ModelNet40.
+    Half,
     /// The cloud is already in the network's frame.
     None,
 }
@@ -29,6 +31,11 @@ impl NormalizationMethod {
     /// Whether the cloud stays within the volume in any orientation.
     pub fn allows_rotations(self) -> bool {
         matches!(self, Self::UnitSphere | Self::PrincipalAxes)
+    }
+
+    /// Whether the center is the origin and the scale is fixed, whatever the cloud.
+    pub fn is_fixed(self) -> bool {
+        matches!(self, Self::Half | Self::None)
     }
 }
 
@@ -53,10 +60,14 @@ impl Normalization {
 
     /// [`Normalization::of`] for points that are all used, at least one.
     pub fn from_finite(points: &[Point], method: NormalizationMethod) -> Result<Self> {
-        if method == NormalizationMethod::None {
+        if method.is_fixed() {
             let largest = points.as_flattened().iter().fold(0.0, |m: f32, v| m.max(v.abs()));
-            let unscaled = Self { center: [0.0; 3], scale: 1.0 };
-            return if largest <= 1e15 { Ok(unscaled) } else { Err(outside(f64::from(largest))) };
+            let scale = if method == NormalizationMethod::Half { 2.0 } else { 1.0 };
+            return if largest <= 1e15 {
+                Ok(Self { center: [0.0; 3], scale })
+            } else {
+                Err(outside(f64::from(largest)))
+            };
         }
         // The sums are in f64, so that a mean over millions of points far from the origin keeps its digits.
         let mean: [f64; 3] =
@@ -257,6 +268,13 @@ mod tests {
             let back = normalization.to_cloud(normalization.to_network(p));
             assert!(p.iter().zip(back).all(|(a, b)| (a - b).abs() < 1e-5));
         }
+    }
+
+    #[test]
+    fn half_has_the_scale_of_the_clean_cloud_under_any_noise() {
+        let noisy = [[1.4, 0.0, 0.0], [-1.2, 0.3, 0.0], [0.0, 1.0, -1.3]];
+        let normalization = Normalization::of(&noisy, NormalizationMethod::Half).unwrap();
+        assert_eq!(noisy.map(|point| normalization.to_network(point)), noisy.map(|point| point.map(|v| v / 2.0)));
     }
 
     #[test]
