@@ -106,8 +106,12 @@ pub fn resolution(what: &'static str, points: &[Point]) -> Result<f64> {
     // A second time with cells that are shifted by half: few pairs lie across the borders of both.
     let side = MERGED * gap;
     let merged = one_a_cell(&one_a_cell(&points, side, 0.0), side, 0.5);
-    let apart = mean_gap(&merged)?.unwrap_or_default();
-    Ok(if apart > APART * side { apart } else { gap })
+    let apart: Vec<f64> = match merged.len() {
+        0 | 1 => Vec::new(),
+        _ => distances(&merged)?.into_iter().filter(|gap| *gap > side).collect(),
+    };
+    let mean = apart.iter().sum::<f64>() / apart.len() as f64;
+    Ok(if mean > APART * side { mean } else { gap })
 }
 
 /// The first of the points in each cubic cell, of cells that are shifted by a share of their side.
