@@ -1,9 +1,9 @@
 """The corpus that the released models learnt from: its list, and a folder of it made from clones of the public repositories.
 
-`corpus.tsv.gz`, beside this file, has a line for each object: split, repository, commit where known (one that holds the file), path,
-name, category, group, family, licence, triangles, digest of the int16 points, and the spread of the points along their principal axes.
-The points themselves are not in the repository. Made anew they are other points of the same surfaces: the sampler's random numbers
-are not known, so no digest is the same. Triangles and spread say whether the surface is.
+`corpus.tsv.gz`, beside this file, has a line for each object: split, repository, commit where known (it holds one of the
+repository's listed files), path, name, category, group, family, licence, triangles, digest of the int16 points, and the spread of the
+points along their principal axes. The points themselves are not in the repository. Made anew they are other points of the same
+surfaces: the sampler's random numbers are not known, so no digest is the same. Triangles and spread say whether the surface is.
 """
 
 import argparse
