@@ -1,7 +1,7 @@
 """Makes `results.md` and its curves: the built-in models and the classical detectors on objects and on real scenes.
 
-Run from the repository's root, by `make results OBJECTS=FOLDER LANDMARKS=FOLDER SCENES="FOLDER .."`; an interrupted run goes on where it
-was. The part of the page whose folder is not given stays as it is. Needs nothing but Python.
+Run from the repository's root, by `make results OBJECTS=FOLDER LANDMARKS=FOLDER BODIES=FOLDER SCENES="FOLDER .."`; an interrupted run
+goes on where it was. The part of the page whose folder is not given stays as it is. Needs nothing but Python.
 """
 
 import argparse
@@ -20,11 +20,16 @@ ROOM_COVERAGE = "0.197"
 REPEATABILITY_PAIRS = 30
 MORE_PAIRS = 60
 CLASSICAL = "surface-variation,iss,harris3d,sift3d,fps,random"
+THRESHOLDS = "0.05", "0.08", "0.1"
+BODIES = "annotated", "posed", "bent"
+PAPER_MODEL = Path("models/paper.safetensors")
+
+HEADINGS = "Objects", "Landmarks", "Semantic consistency", "Scenes"
 
 INTRODUCTION = """# Results
 
-Made by `make results OBJECTS=FOLDER LANDMARKS=FOLDER SCENES="FOLDER .."`: do not edit it (`snake-cli eval repeatability --help` lists the
-layouts of the folders).
+Made by `make results OBJECTS=FOLDER LANDMARKS=FOLDER BODIES=FOLDER SCENES="FOLDER .."`: do not edit it (`snake-cli eval repeatability
+--help` lists the layouts of the folders).
 
 Here: the 79 validation objects that chose nothing (`judge` of `python -m snake_training.data.halves`), and fragments of the 3DMatch
 benchmark. About a fifth of its pairs overlap by less than a tenth, or do not fit within 2 cm under the published transforms. They are
@@ -109,6 +114,49 @@ coverage {OBJECT_COVERAGE}: the share of these places that have a keypoint withi
 {shares(tables)}"""
 
 
+def consistency(reports: list[dict], *kinds: tuple[str, str]) -> str:
+    """One table of reports of semantic consistency, a row a method; kinds: names of figures in the report and of their columns."""
+    rows = [["method", *(f"{title} {threshold}" for _, title in kinds for threshold in THRESHOLDS), "keypoints"]]
+    for report in reports:
+        for row in (row for row in report["rows"] if row["class"] is None):
+            figures = [f"{value:.3f}" for key, _ in kinds for value in row[key]]
+            rows.append([row["method"], *figures, f"{row['keypoints']:.1f}"])
+    head, *lines = (f"| {' | '.join(row)} |\n" for row in rows)
+    return "".join([head, f"|{'---|' * len(rows[0])}\n", *lines])
+
+
+def bodies_part(annotated: list[dict], posed: list[dict], bent: list[dict]) -> str:
+    pairs = ("strict", "mIoU"), ("paper", "released")
+    text = f"""## Semantic consistency
+
+Made bodies with known correspondences by the two protocols of the paper, with its suppression of 0.1 for all methods
+(`python -m snake_training.data.bodies -o bodies/ --corpus CORPUS/val --bends 8`, BODIES is `bodies/`). `paper` is the network of the
+paper's size, `make models/paper.safetensors`. [The paper's own figures](reproduce.md#semantic-consistency) are of other bodies.
+
+### Annotated places
+
+{annotated[0]["shapes"]} shapes of 8 classes in random poses and proportions (aeroplanes, birds, chairs, hands, insects, lamps, persons,
+quadrupeds), 2048 points each, of which tips, ends and corners are annotated. The box around a shape has the diagonal 1. mIoU counts every
+keypoint away from these places as false; found is the share of the places that have a keypoint. Distances are geodesic.
+
+{consistency(annotated, ("strict", "mIoU"), ("recall", "found"))}
+### Two poses
+
+{posed[0]["shapes"]} pairs of such bodies in two poses and of proportions that differ by up to 15 %, aeroplanes of quite other ones. The
+same 2048 places of the surface are the points of both; the first has the radius 1. The best 20 keypoints of one body are carried to
+the other. "Released" is the rule of the paper's released code: random points fill up 20, and the running IoU is averaged.
+
+{consistency(posed, *pairs)}"""
+    if bent:
+        text += f"""
+### Bent animals and characters
+
+{bent[0]["shapes"]} pairs of a validation object and a bent, twisted copy, in the same way.
+
+{consistency(bent, *pairs)}"""
+    return text
+
+
 def registration(report: dict, tables: str) -> str:
     scenes, pairs = len(report["scenes"]), report["pairs"]
     found = (
@@ -145,10 +193,24 @@ figures of all that it finds there. [`snake-cli register`](registration.md) matc
 {registration(*registrations[0])}{more}"""
 
 
+def bodies_reports(folder: Path, compact: list[str], methods: list[str], few: list[str]) -> list[dict]:
+    """The reports of a set of bodies, of the built-in models and of the paper's; none without the set, which needs a corpus."""
+    if not folder.is_dir() and folder.name == "bent":
+        return []
+    reports = [evaluate(folder.name, "semantic", str(folder), *compact, *methods, *few)[0]]
+    if PAPER_MODEL.exists():
+        model = ["--model", str(PAPER_MODEL), "--methods", "snake"]
+        report, _ = evaluate(f"{folder.name}-paper", "semantic", str(folder), *model, *few)
+        reports.append(report | {"rows": [row | {"method": "paper"} for row in report["rows"]]})
+    return reports
+
+
 def page(parts: dict[str, str], before: str) -> str:
     """The parts, by their headings; those that are not given as they were before."""
-    old = {found[1]: found[0] for found in re.finditer(r"^## (\w+)\n.*?(?=^## |\Z)", before, re.DOTALL | re.MULTILINE)}
-    texts = [(old | parts)[name].rstrip() + "\n" for name in ("Objects", "Landmarks", "Scenes") if name in old | parts]
+    old = {
+        found[1]: found[0] for found in re.finditer(r"^## ([\w ]+)\n.*?(?=^## |\Z)", before, re.DOTALL | re.MULTILINE)
+    }
+    texts = [(old | parts)[name].rstrip() + "\n" for name in HEADINGS if name in old | parts]
     return "\n".join([INTRODUCTION, *texts])
 
 
@@ -156,13 +218,14 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--objects", help="corpus folder, or any folder of clouds")
     parser.add_argument("--landmarks", help="folder of python -m snake_training.data.landmarks")
+    parser.add_argument("--bodies", help="folder of python -m snake_training.data.bodies")
     parser.add_argument(
         "--scenes", nargs="+", default=[], help="folders with pairs.json; of those after the first 60 pairs"
     )
     parser.add_argument("--limit", type=int, help="so many objects, evenly spaced, instead of all")
     arguments = parser.parse_args()
-    if not (arguments.objects or arguments.landmarks or arguments.scenes):
-        parser.error("give --objects FOLDER, --landmarks FOLDER, --scenes FOLDER, or several of them")
+    if not (arguments.objects or arguments.landmarks or arguments.bodies or arguments.scenes):
+        parser.error("give --objects FOLDER, --landmarks FOLDER, --bodies FOLDER, --scenes FOLDER, or several of them")
     parts, undisturbed = {}, ["--downsample", "1", "--noise", "0"]
     methods = ["--methods", f"snake,snakex4,{CLASSICAL}"]
     compact = ["--model", "compact"]
@@ -177,6 +240,10 @@ def main() -> None:
     if arguments.landmarks:
         few = [*methods, "--coverage", OBJECT_COVERAGE, "--threshold", "0.05,0.1"]
         parts["Landmarks"] = landmarks_part(evaluate("landmarks", "semantic", arguments.landmarks, *compact, *few)[1])
+    if arguments.bodies:
+        few = ["--threshold", ",".join(THRESHOLDS), *(["--limit", str(arguments.limit)] if arguments.limit else [])]
+        sets = [bodies_reports(Path(arguments.bodies) / name, compact, methods, few) for name in BODIES]
+        parts["Semantic consistency"] = bodies_part(*sets)
     if arguments.scenes:
         scenes = ["--model", "scenes"]
         pairs = [

@@ -143,22 +143,27 @@ def write_pcd(path, points):
     path.write_bytes(header.encode() + points.astype("<f4").tobytes())
 
 
-def write_landmarks(folder, number, points=4096, seed=1):
-    """`number` shapes, class by class in turn, in KeypointNet's layout; the annotations are written last."""
-    folder, annotations = Path(folder), {name: [] for name in RECIPES}
-    for row in range(number):
-        name = list(RECIPES)[row % len(RECIPES)]
-        cloud, indices = landmarks(name, np.random.default_rng([seed, row, 0x1A4D]), points)
+def write_annotated(folder, shapes):
+    """Shapes (class, points (N, 3), indices of the landmarks) in KeypointNet's layout; the annotations are written last."""
+    folder, annotations = Path(folder), {}
+    for row, (name, cloud, indices) in enumerate(shapes):
         model = f"{row:04d}"
         (folder / "pcds" / name).mkdir(parents=True, exist_ok=True)
         write_pcd(folder / "pcds" / name / f"{model}.pcd", cloud)
         marked = [{"pcd_info": {"point_index": int(index)}} for index in dict.fromkeys(indices.tolist())]
-        annotations[name].append({"class_id": name, "model_id": model, "keypoints": marked})
+        annotations.setdefault(name, []).append({"class_id": name, "model_id": model, "keypoints": marked})
     (folder / "annotations").mkdir(exist_ok=True)
     for name, rows in annotations.items():
         temporary = folder / "annotations" / f".{name}.json"
         temporary.write_text(json.dumps(rows))
         os.replace(temporary, folder / "annotations" / f"{name}.json")
+
+
+def write_landmarks(folder, number, points=4096, seed=1):
+    """`number` shapes, class by class in turn."""
+    names = [list(RECIPES)[row % len(RECIPES)] for row in range(number)]
+    seeds = (np.random.default_rng([seed, row, 0x1A4D]) for row in range(number))
+    write_annotated(folder, ((name, *landmarks(name, rng, points)) for name, rng in zip(names, seeds, strict=True)))
 
 
 def main(argv=None):

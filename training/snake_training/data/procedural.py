@@ -31,17 +31,27 @@ class Procedural:
 
 def sample_surface(patches, number, rng):
     """`number` points drawn uniformly by area from the patches' triangles."""
-    triangles = []
+    corners = triangles(patches)
+    chosen, weights = draw_on(corners, number, rng)
+    return (weights[:, :, None] * corners[chosen]).sum(axis=1).astype(np.float32)
+
+
+def triangles(patches):
+    """The corners (T, 3, 3) of the patches' triangles."""
+    all_corners = []
     for p in patches:
         a, b, c, d = p[:-1, :-1], p[1:, :-1], p[1:, 1:], p[:-1, 1:]
-        triangles += [np.stack(t, axis=-2).reshape(-1, 3, 3) for t in ((a, b, c), (a, c, d))]
-    triangles = np.concatenate(triangles)
-    edges = triangles[:, 1:] - triangles[:, :1]
+        all_corners += [np.stack(t, axis=-2).reshape(-1, 3, 3) for t in ((a, b, c), (a, c, d))]
+    return np.concatenate(all_corners)
+
+
+def draw_on(corners, number, rng):
+    """Random places on triangles (T, 3, 3), uniform by area: the triangle (number,) of each and weights (number, 3) of its corners."""
+    edges = corners[:, 1:] - corners[:, :1]
     area = np.linalg.norm(np.cross(edges[:, 0], edges[:, 1]), axis=1)
-    chosen = rng.choice(len(triangles), number, p=area / area.sum())
+    chosen = rng.choice(len(corners), number, p=area / area.sum())
     u, v = np.sort(rng.random((2, number)), axis=0)
-    weights = np.stack([u, v - u, 1 - v], axis=1)
-    return (weights[:, :, None] * triangles[chosen]).sum(axis=1).astype(np.float32)
+    return chosen, np.stack([u, v - u, 1 - v], axis=1)
 
 
 # Primitives, all centred on the origin.
@@ -75,9 +85,9 @@ def torus(major, minor, turns=1.0):
     return revolve(major + minor * np.cos(s), minor * np.sin(s), turns)
 
 
-def superquadric(size, e1, e2):
+def superquadric(size, e1, e2, rows=15, columns=25):
     """Superellipsoid of full extents `size` and exponents e1 (vertical), e2 (horizontal); 1 is an ellipsoid."""
-    v, u = np.linspace(-np.pi / 2, np.pi / 2, 15)[:, None], np.linspace(-np.pi, np.pi, 25)[None]
+    v, u = np.linspace(-np.pi / 2, np.pi / 2, rows)[:, None], np.linspace(-np.pi, np.pi, columns)[None]
     power = lambda x, e: np.sign(x) * np.abs(x) ** e
     x, y = power(np.cos(v), e1) * power(np.cos(u), e2), power(np.cos(v), e1) * power(np.sin(u), e2)
     return [np.stack([x, y, power(np.sin(v), e1) + 0 * u], axis=-1) * size / 2]

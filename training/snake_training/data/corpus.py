@@ -1,0 +1,209 @@
+"""The corpus that the released models learnt from: its list, and a folder of it made from clones of the public repositories.
+
+`corpus.tsv.gz`, beside this file, has a line for each object: split, repository, commit where known (it holds one of the
+repository's listed files), path, name, category, group, family, licence, triangles, digest of the int16 points, and the spread of the
+points along their principal axes. The points themselves are not in the repository. Made anew they are other points of the same
+surfaces: the sampler's random numbers are not known, so no digest is the same. Triangles and spread say whether the surface is.
+"""
+
+import argparse
+import gzip
+import hashlib
+import json
+import re
+from collections import Counter
+from dataclasses import astuple, dataclass
+from pathlib import Path
+
+import numpy as np
+from tqdm import tqdm
+
+from ..augment import normalize
+from .assemblies import MeshError, triangles_of
+from .datasets import Corpus, ShapeError
+from .procedural import draw_on, superquadric, triangles
+
+LIST = Path(__file__).with_name("corpus.tsv.gz")
+POINTS = {"train": 4096, "val": 8192}
+# Two samples of one surface differ by up to 0.028 (0.013 of nine in ten) with 4096 points each.
+MAX_SPREAD_DIFFERENCE = 0.03
+SUPERQUADRIC = re.compile(r"superquadric e1=(\S+) e2=(\S+) a=(\S+),(\S+),(\S+)")
+
+
+@dataclass(frozen=True)
+class Entry:
+    """A line of the list."""
+
+    split: str
+    source: str
+    commit: str
+    path: str
+    name: str
+    category: str
+    group: str
+    family: str
+    licence: str
+    faces: str
+    digest: str
+    spread: str
+
+    def row(self):
+        """Its row in the index of a corpus folder."""
+        names = "name", "source", "path", "category", "group", "licence", "family"
+        return {name: getattr(self, name) for name in names} | {"faces": int(self.faces)}
+
+
+def read_list(path=LIST):
+    """The entries of a list."""
+    with gzip.open(path, "rt", encoding="utf-8") as file:
+        return [Entry(*line.rstrip("\n").split("\t")) for line in file]
+
+
+def write_list(entries, path=LIST):
+    """Writes a list; the same entries give the same bytes."""
+    text = "".join("\t".join(astuple(entry)) + "\n" for entry in entries)
+    path.write_bytes(gzip.compress(text.encode(), mtime=0))
+
+
+def entries_of(folder, split, commits):
+    """The entries of a corpus folder; commits: those that are known, by repository."""
+    corpus = Corpus(folder)
+    return [
+        Entry(split, row["source"], commits.get(row["source"], ""), row["path"], row["name"], row["category"], row["group"],
+              row["family"], row["licence"], str(row["faces"]), digest(points), ",".join(f"{x:.3f}" for x in spread(points)))
+        for row, points in zip(corpus.index, corpus.points, strict=True)
+    ]  # fmt: skip
+
+
+def digest(points):
+    """The first 16 hexadecimal digits of SHA-256 over int16 points (M, 3), little-endian."""
+    return hashlib.sha256(np.ascontiguousarray(points, "<i2").tobytes()).hexdigest()[:16]
+
+
+def spread(points):
+    """The standard deviations (3,) of int16 points (M, 3) along their principal axes, largest first, in radii."""
+    centered = points / 32767 - np.mean(points / 32767, axis=0)
+    return np.sqrt(np.linalg.eigvalsh(centered.T @ centered / len(centered))[::-1].clip(0))
+
+
+def surface(entry, clones):
+    """The triangles (F, 3, 3) of an entry. Raises MeshError for what is not there or cannot be read."""
+    if entry.source == "generated":
+        e1, e2, *semiaxes = map(float, SUPERQUADRIC.fullmatch(entry.path).groups())
+        return triangles(superquadric(2 * np.array(semiaxes), e1, e2, rows=121, columns=241))
+    roots = [clones / entry.source, clones / entry.source.partition("/")[2]]
+    root = next((root for root in roots if root.is_dir()), None)
+    if root is None:
+        raise MeshError(f"no clone of {entry.source}")
+    if not (root / entry.path).is_file():
+        raise MeshError(f"the clone of {entry.source} lacks the file")
+    return triangles_of(root / entry.path, root)
+
+
+def sample(corners, entry, number):
+    """`number` points of a surface as int16 (number, 3), about their mean, the farthest at 32767; seeded by the entry."""
+    chosen, weights = draw_on(corners, number, np.random.default_rng(int(entry.digest, 16)))
+    cloud = (weights[:, :, None] * corners[chosen]).sum(axis=1)
+    return (normalize(cloud)[0] * 2 * 32767).round().astype(np.int16)
+
+
+def difference(entry, corners, points):
+    """What tells the surface from that of the list; empty if nothing does."""
+    off = np.abs(spread(points) - np.array(entry.spread.split(","), float)).max()
+    said = [] if len(corners) == int(entry.faces) else [f"{len(corners)} triangles, listed {entry.faces}"]
+    return ", ".join([*said, f"spread off by {off:.3f}"] if off > MAX_SPREAD_DIFFERENCE else said)
+
+
+def build(entries, clones, output):
+    """Writes the corpus folders of the splits below `output`, without what is missing, and `report.tsv`, a line for each entry.
+
+    Gives the report: (entry, fault, difference) for each entry; the fault of what was made is empty.
+    """
+    report = []
+    for split in dict.fromkeys(entry.split for entry in entries):
+        rows, stored = [], []
+        for entry in tqdm([entry for entry in entries if entry.split == split], unit="shape", disable=None):
+            try:
+                corners = surface(entry, clones)
+                points = sample(corners, entry, POINTS[split])
+            except ValueError as error:  # of a MeshError, or a surface without extent
+                report.append((entry, str(error), ""))
+                continue
+            rows.append(entry.row())
+            stored.append(points)
+            report.append((entry, "", difference(entry, corners, points)))
+        if rows:
+            folder = output / split
+            folder.mkdir(parents=True, exist_ok=True)
+            np.save(folder / "points.npy", np.stack(stored))
+            (folder / "index.json").write_text(json.dumps(rows))
+    output.mkdir(parents=True, exist_ok=True)
+    lines = (
+        "\t".join([entry.split, entry.source, entry.path, fault or "made", other]).replace("\n", " ")
+        for entry, fault, other in report
+    )
+    (output / "report.tsv").write_text("\n".join(lines) + "\n")
+    return report
+
+
+def summary(report):
+    """What was made and what not, as lines."""
+    made = [other for _, fault, other in report if not fault]
+    yield f"{len(made)} of {len(report)} objects, {sum(not other for other in made)} with the surface of the list"
+    absent = Counter(fault for _, fault, _ in report if fault.startswith("no clone of"))
+    yield from (f"{fault}: {count} objects" for fault, count in absent.most_common())
+    for entry, fault, other in report:
+        if (fault and fault not in absent) or other:
+            yield f"{entry.source}: {entry.path}: {fault or f'another surface: {other}'}"
+
+
+def check(entries, folders):
+    """How many points of the list stand in corpus folders, and which do not, as lines."""
+    there = {digest(points) for folder in folders for points in Corpus(folder).points}
+    absent = [entry for entry in entries if entry.digest not in there]
+    yield f"{len(entries) - len(absent)} of {len(entries)} listed objects have the same points here"
+    yield from (f"other points, or none: {entry.split}: {entry.source}: {entry.path}" for entry in absent)
+
+
+def clone_commands(entries):
+    """A command for each repository, at its commit where it is known."""
+    for source, commit in dict.fromkeys(
+        (entry.source, entry.commit) for entry in entries if entry.source != "generated"
+    ):
+        at = f" && git -C CLONES/{source} checkout {commit}" if commit else ""
+        yield f"git clone https://github.com/{source} CLONES/{source}{at}"
+
+
+def main(argv=None):
+    """Command line."""
+    parser = argparse.ArgumentParser(
+        prog="python -m snake_training.data.corpus",
+        description="Make the corpus of the released models from clones of its public repositories, CLONES/OWNER/NAME or CLONES/NAME.",
+    )
+    parser.add_argument(
+        "clones", nargs="?", type=Path, help="folder of the clones; without it, print the commands that clone them"
+    )
+    parser.add_argument("-o", "--output", type=Path, help="folder to write: train/, val/ and report.tsv")
+    parser.add_argument(
+        "--check", nargs="+", metavar="FOLDER", help="only count the listed points in these corpus folders"
+    )
+    given = parser.parse_args(argv)
+    if given.clones and not given.output and not given.check:
+        parser.error("-o names the folder to write")
+    if given.clones and not given.clones.is_dir():
+        parser.error(f"{given.clones}: no such folder")
+    entries = read_list()
+    try:
+        if given.check:
+            lines = check(entries, given.check)
+        elif given.clones:
+            lines = summary(build(entries, given.clones, given.output))
+        else:
+            lines = clone_commands(entries)
+        print("\n".join(lines))
+    except (OSError, ShapeError) as error:
+        parser.error(str(error))
+
+
+if __name__ == "__main__":
+    main()
