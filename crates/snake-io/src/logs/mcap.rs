@@ -7,9 +7,9 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 use ::mcap::records::{Record, op};
-use ::mcap::sans_io::{LinearReadEvent, LinearReader, LinearReaderOptions};
-use ::mcap::{MAGIC, McapError, parse_record};
+use ::mcap::{MAGIC, parse_record};
 
+use crate::logs::chunk::for_each_record;
 use crate::logs::message::{Message, Messages};
 use crate::{Error, MAX_EXPANSION, Result};
 
@@ -62,8 +62,8 @@ struct Reader {
     file: BufReader<File>,
     /// Bytes from here to the end of the file.
     left: u64,
-    /// The longest record.
-    most: usize,
+    /// The longest record in bytes.
+    max_record: usize,
     topic: Option<String>,
     schemas: HashMap<u16, String>,
     channels: HashMap<u16, Arc<Channel>>,
@@ -78,12 +78,12 @@ impl Reader {
         let file = File::open(path).map_err(io_error)?;
         let length = file.metadata().map_err(io_error)?.len();
         // A damaged length would otherwise take all memory. Lengths in messages of ROS have 32 bits.
-        let most = length.saturating_mul(MAX_EXPANSION as u64).min(u32::MAX.into()) as usize;
+        let max_record = length.saturating_mul(MAX_EXPANSION as u64).min(u32::MAX.into()) as usize;
         let mut reader = Self {
             path: path.into(),
             file: BufReader::with_capacity(1 << 20, file),
             left: length,
-            most,
+            max_record,
             topic,
             schemas: HashMap::new(),
             channels: HashMap::new(),
@@ -134,13 +134,12 @@ impl Reader {
             op::DATA_END => return self.check_end(),
             op::CHUNK => {
                 let body = self.bytes(length)?;
-                self.read_chunk(&head, &body, is_whole);
+                self.read_chunk(&body, is_whole);
             }
             op::SCHEMA | op::CHANNEL | op::MESSAGE if is_whole => {
                 let body = self.bytes(length)?;
-                if let Some(found) = self.add(opcode, &body)? {
-                    self.waiting.push_back(Ok(found));
-                }
+                let found = self.add(opcode, &body).map_err(|reason| self.refused(reason))?;
+                self.waiting.extend(found.map(Ok));
             }
             0 => return Err(self.refused("damaged: a record of the kind 0")),
             _ => self.skip(length)?,
@@ -162,48 +161,21 @@ impl Reader {
 
     /// Reads the messages of a chunk. Those of a damaged chunk are left out, because its checksum is for all of them;
     /// those of a chunk that the end of the file cuts are kept.
-    fn read_chunk(&mut self, head: &[u8], body: &[u8], is_whole: bool) {
-        let options = LinearReaderOptions::default()
-            .with_skip_start_magic(true)
-            .with_skip_end_magic(true)
-            .with_validate_chunk_crcs(true)
-            .with_record_length_limit(self.most);
-        let mut reader = LinearReader::new_with_options(options);
-        let mut source = head.chain(body);
+    fn read_chunk(&mut self, body: &[u8], is_whole: bool) {
         let mut messages = Vec::new();
-        let mut error = None;
-        while let (None, Some(event)) = (&error, reader.next_event()) {
-            match event {
-                Ok(LinearReadEvent::ReadRequest(length)) => match source.read(reader.insert(length)) {
-                    Ok(length) => reader.notify_read(length),
-                    Err(source) => error = Some(self.io(source)),
-                },
-                Ok(LinearReadEvent::Record { opcode, data }) => match self.add(opcode, data) {
-                    Ok(found) => messages.extend(found),
-                    Err(reason) => error = Some(reason),
-                },
-                Err(reason) => error = Some(self.failed(&reason)),
-            }
-        }
-        match error {
-            Some(error) if is_whole => self.waiting.push_back(Err(error)),
+        let result = for_each_record(body, self.max_record, |opcode, data| {
+            messages.extend(self.add(opcode, data)?);
+            Ok(())
+        });
+        match result {
+            Err(reason) if is_whole => self.waiting.push_back(Err(self.refused(reason))),
             _ => self.waiting.extend(messages.into_iter().map(Ok)),
         }
     }
 
-    fn failed(&self, error: &McapError) -> Error {
-        match error {
-            McapError::UnsupportedCompression(name) => self.refused(format!(
-                "chunks compressed with `{name}`, which is not read; convert it: mcap compress --compression zstd IN.mcap -o \
-                 OUT.mcap"
-            )),
-            error => self.refused(format!("a chunk is damaged, and its messages are left out: {error}")),
-        }
-    }
-
     /// Notes a schema or a channel, and returns a message of the topic.
-    fn add(&mut self, opcode: u8, body: &[u8]) -> Result<Option<Found>> {
-        match parse_record(opcode, body).map_err(|error| self.refused(format!("a record is damaged: {error}")))? {
+    fn add(&mut self, opcode: u8, body: &[u8]) -> std::result::Result<Option<Found>, String> {
+        match parse_record(opcode, body).map_err(|error| format!("a record is damaged: {error}"))? {
             Record::Schema { header, .. } => {
                 self.schemas.insert(header.id, header.name);
             }
@@ -214,7 +186,7 @@ impl Reader {
             }
             Record::Message { header, data } => {
                 let Some(channel) = self.channels.get(&header.channel_id) else {
-                    return Err(self.refused(format!("a message of channel {}, which is not there", header.channel_id)));
+                    return Err(format!("a message of channel {}, which is not there", header.channel_id));
                 };
                 let data = match &self.topic {
                     Some(topic) if *topic != channel.topic => return Ok(None),

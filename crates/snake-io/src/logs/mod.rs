@@ -1,8 +1,10 @@
 //! Recordings of robots: MCAP, bags of ROS 2.
 
 pub(crate) mod bag_folder;
+pub(crate) mod chunk;
 pub(crate) mod mcap;
 pub(crate) mod message;
+pub(crate) mod metadata;
 pub(crate) mod recording;
 pub(crate) mod ros_message;
 #[cfg(feature = "rosbag2")]
