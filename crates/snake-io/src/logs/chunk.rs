@@ -6,6 +6,8 @@ use lz4_flex::frame::FrameDecoder as Lz4;
 use ruzstd::decoding::errors::{FrameDecoderError, ReadFrameHeaderError};
 use ruzstd::decoding::{BlockDecodingStrategy, FrameDecoder};
 
+use crate::logs::records::Fields;
+
 /// A last block of zstd without content, and a checksum, which is not checked: a chunk has its own.
 const ZSTD_END: &[u8] = &[1, 0, 0, 0, 0, 0, 0];
 
@@ -18,17 +20,20 @@ const MIN_WINDOW: usize = 8 << 20;
 /// # Errors
 /// The damage, after the records before it. A wrong checksum comes after all records.
 pub(crate) fn for_each_record(
-    mut body: &[u8],
+    body: &[u8],
     max_bytes: usize,
     mut add: impl FnMut(u8, &[u8]) -> Result<(), String>,
 ) -> Result<(), String> {
-    // The times of the first and the last message are not read.
-    take(&mut body, 16)?;
-    let size = u64::from_le_bytes(array(&mut body)?);
-    let checksum = u32::from_le_bytes(array(&mut body)?);
-    let compression = u32::from_le_bytes(array(&mut body)?) as usize;
-    let compression = String::from_utf8_lossy(take(&mut body, compression)?);
-    take(&mut body, 8)?;
+    let damaged = |reason: String| format!("a chunk is damaged, and its messages are left out: {reason}");
+    let mut fields = Fields(body);
+    let mut head = || {
+        // The times of the first and the last message are not read.
+        fields.take(16)?;
+        let head = (fields.u64()?, fields.u32()?, fields.text()?);
+        fields.take(8)?;
+        Ok((head, fields.0))
+    };
+    let ((size, checksum, compression), body) = head().map_err(damaged)?;
     let data: Box<dyn Read> = match &*compression {
         "" => Box::new(body),
         "lz4" => Box::new(Lz4::new(body)),
@@ -40,14 +45,13 @@ pub(crate) fn for_each_record(
             ));
         }
     };
-    let damaged = |reason: String| format!("a chunk is damaged, and its messages are left out: {reason}");
     let mut data = data.take(size);
     let mut actual = crc32fast::Hasher::new();
     let mut record = Vec::new();
     while data.limit() > 0 {
         let mut head = [0; 9];
         data.read_exact(&mut head).map_err(|error| damaged(error.to_string()))?;
-        let [opcode, length @ ..] = head;
+        let [kind, length @ ..] = head;
         let length = u64::from_le_bytes(length);
         if length > max_bytes as u64 || length > data.limit() {
             return Err(damaged(format!("a record of {length} bytes")));
@@ -59,21 +63,13 @@ pub(crate) fn for_each_record(
         }
         actual.update(&head);
         actual.update(&record);
-        add(opcode, &record)?;
+        add(kind, &record)?;
     }
     match (checksum, actual.finalize()) {
         (0, _) => Ok(()),
         (expected, actual) if expected == actual => Ok(()),
         (expected, actual) => Err(damaged(format!("its checksum is {actual:08x}, not {expected:08x}"))),
     }
-}
-
-fn take<'a>(body: &mut &'a [u8], length: usize) -> Result<&'a [u8], String> {
-    body.split_off(..length).ok_or_else(|| "a chunk is cut short".into())
-}
-
-fn array<const N: usize>(body: &mut &[u8]) -> Result<[u8; N], String> {
-    Ok(take(body, N)?.try_into().unwrap_or([0; N]))
 }
 
 /// Frames of zstd, one after another. Where the data are cut, all whole blocks are decoded.

@@ -6,11 +6,9 @@ use std::io::{BufReader, Read, Seek, SeekFrom};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
-use ::mcap::records::{Record, op};
-use ::mcap::{MAGIC, parse_record};
-
 use crate::logs::chunk::for_each_record;
 use crate::logs::message::{Message, Messages};
+use crate::logs::records::{MAGIC, Record, kind};
 use crate::{Error, MAX_EXPANSION, Result};
 
 /// The topics and the schemas of their messages, in the order of the file. Damage is left to the reader.
@@ -127,18 +125,18 @@ impl Reader {
     /// Reads the next record. What it has is found in `waiting`.
     fn read_record(&mut self) -> Result<()> {
         let head = self.bytes(9)?;
-        let Ok::<[u8; 9], _>([opcode, length @ ..]) = head.as_slice().try_into() else { return Err(self.cut()) };
+        let Ok::<[u8; 9], _>([kind, length @ ..]) = head.as_slice().try_into() else { return Err(self.cut()) };
         let length = u64::from_le_bytes(length);
         let is_whole = length <= self.left;
-        match opcode {
-            op::DATA_END => return self.check_end(),
-            op::CHUNK => {
+        match kind {
+            kind::DATA_END => return self.check_end(),
+            kind::CHUNK => {
                 let body = self.bytes(length)?;
                 self.read_chunk(&body, is_whole);
             }
-            op::SCHEMA | op::CHANNEL | op::MESSAGE if is_whole => {
+            kind::SCHEMA | kind::CHANNEL | kind::MESSAGE if is_whole => {
                 let body = self.bytes(length)?;
-                let found = self.add(opcode, &body).map_err(|reason| self.refused(reason))?;
+                let found = self.add(kind, &body).map_err(|reason| self.refused(reason))?;
                 self.waiting.extend(found.map(Ok));
             }
             0 => return Err(self.refused("damaged: a record of the kind 0")),
@@ -163,8 +161,8 @@ impl Reader {
     /// those of a chunk that the end of the file cuts are kept.
     fn read_chunk(&mut self, body: &[u8], is_whole: bool) {
         let mut messages = Vec::new();
-        let result = for_each_record(body, self.max_record, |opcode, data| {
-            messages.extend(self.add(opcode, data)?);
+        let result = for_each_record(body, self.max_record, |kind, content| {
+            messages.extend(self.add(kind, content)?);
             Ok(())
         });
         match result {
@@ -174,28 +172,27 @@ impl Reader {
     }
 
     /// Notes a schema or a channel, and returns a message of the topic.
-    fn add(&mut self, opcode: u8, body: &[u8]) -> std::result::Result<Option<Found>, String> {
-        match parse_record(opcode, body).map_err(|error| format!("a record is damaged: {error}"))? {
-            Record::Schema { header, .. } => {
-                self.schemas.insert(header.id, header.name);
+    fn add(&mut self, kind: u8, content: &[u8]) -> std::result::Result<Option<Found>, String> {
+        match Record::parse(kind, content).map_err(|error| format!("a record is damaged: {error}"))? {
+            Record::Schema { id, name } => {
+                self.schemas.insert(id, name);
             }
-            Record::Channel(channel) => {
-                let schema = self.schemas.get(&channel.schema_id).map_or("without a schema", |name| name);
-                let (schema, encoding) = (schema.to_owned(), channel.message_encoding);
-                self.channels.insert(channel.id, Arc::new(Channel { topic: channel.topic, schema, encoding }));
+            Record::Channel { id, schema_id, topic, encoding } => {
+                let schema = self.schemas.get(&schema_id).map_or("without a schema", |name| name).to_owned();
+                self.channels.insert(id, Arc::new(Channel { topic, schema, encoding }));
             }
-            Record::Message { header, data } => {
-                let Some(channel) = self.channels.get(&header.channel_id) else {
-                    return Err(format!("a message of channel {}, which is not there", header.channel_id));
+            Record::Message { channel_id, log_time, data } => {
+                let Some(channel) = self.channels.get(&channel_id) else {
+                    return Err(format!("a message of channel {channel_id}, which is not there"));
                 };
                 let data = match &self.topic {
                     Some(topic) if *topic != channel.topic => return Ok(None),
-                    Some(_) => data.into_owned(),
+                    Some(_) => data.to_vec(),
                     None => Vec::new(),
                 };
-                return Ok(Some(Found { channel: channel.clone(), log_time: header.log_time, data }));
+                return Ok(Some(Found { channel: channel.clone(), log_time, data }));
             }
-            _ => (),
+            Record::Other => (),
         }
         Ok(None)
     }

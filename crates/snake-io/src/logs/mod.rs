@@ -6,6 +6,7 @@ pub(crate) mod mcap;
 pub(crate) mod message;
 pub(crate) mod metadata;
 pub(crate) mod recording;
+pub(crate) mod records;
 pub(crate) mod ros_message;
 #[cfg(feature = "rosbag2")]
 pub(crate) mod rosbag2;
