@@ -46,6 +46,7 @@ def test_what_is_done_is_not_done_again(run_dir):
     assert before == {path: path.stat().st_mtime_ns for path in run_dir.rglob("*.*")}
 
 
+@pytest.mark.nightly
 def test_the_recipe_of_the_papers_network_ends_with_a_weight_file_and_its_figures(tmp_path):
     main([str(RECIPES / "paper.toml"), "--run-dir", str(tmp_path), "--smoke", "--device", "cpu"])
     check_end_of_objects(tmp_path / "paper", 10_000_000, 32)

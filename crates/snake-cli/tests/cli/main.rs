@@ -34,6 +34,11 @@ use assert_cmd::Command;
 use serde_json::Value;
 use tempfile::TempDir;
 
+/// Whether `make test-full` runs, which tests whole grids.
+fn is_full() -> bool {
+    std::env::var_os("SNAKE_FULL").is_some()
+}
+
 fn root() -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).join("../..")
 }
