@@ -22,7 +22,7 @@ def run(*words, **settings):
 @pytest.mark.parametrize(
     "words",
     [
-        ["detect", "samples/plane.ply", "--json", "--quiet"],
+        ["detect", "samples/plane.ply", "-o", "-", "--format", "csv", "--quiet"],
         ["--version"],
         ["detect", "none.ply"],
         ["detect", "--no-such-option"],

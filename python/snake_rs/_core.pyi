@@ -56,6 +56,7 @@ __all__ = [
     "register",
     "registration_recall",
     "relative_repeatability",
+    "run_command",
     "scene_signs",
     "semantic_counts",
     "set_num_threads",

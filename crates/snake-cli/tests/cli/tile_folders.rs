@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Stdio};
 use std::time::{Duration, Instant};
 
-use crate::stderr;
+use crate::{is_full, stderr};
 
 /// A scan of a floor with a wall, and where its keypoints go.
 fn scan() -> (tempfile::TempDir, PathBuf) {

@@ -136,8 +136,8 @@ impl Reader {
             }
             kind::SCHEMA | kind::CHANNEL | kind::MESSAGE if is_whole => {
                 let body = self.bytes(length)?;
-                let found = self.add(kind, &body).map_err(|reason| self.refused(reason))?;
-                self.waiting.extend(found.map(Ok));
+                let message = self.add(kind, &body).map_err(|reason| self.refused(reason))?;
+                self.waiting.extend(message.map(Ok));
             }
             0 => return Err(self.refused("damaged: a record of the kind 0")),
             _ => self.skip(length)?,
