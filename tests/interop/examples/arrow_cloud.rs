@@ -14,6 +14,7 @@ fn torus() -> FixedSizeListArray {
     FixedSizeListArray::from_iter_primitive::<Float32Type, _, _>((0..4000).map(point), 3)
 }
 
+/// Detects the keypoints of an array.
 pub fn main() -> Result<()> {
     let array = torus();
 

@@ -16,6 +16,7 @@ fn torus() -> Vec<Vec3> {
     (0..4000).map(point).collect()
 }
 
+/// Detects the same keypoints in points of either crate.
 pub fn main() -> Result<(), Box<dyn Error>> {
     let model = Model::builtin(Builtin::Compact);
     let glam_points: Vec<Vec3> = torus();

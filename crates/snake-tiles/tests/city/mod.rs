@@ -7,11 +7,6 @@ use std::io::{self, Write};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
-/// Whether `make test-full` runs, which tests whole grids.
-pub fn is_full() -> bool {
-    std::env::var_os("SNAKE_FULL").is_some()
-}
-
 /// The side of a lot in metres.
 const LOT: f64 = 20.0;
 
