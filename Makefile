@@ -3,7 +3,7 @@ VENV := .venv
 PYTHON := $(VENV)/bin/python
 export VIRTUAL_ENV := $(CURDIR)/$(VENV)
 
-.PHONY: help quick test dist site test-aarch64 test-examples check golden bench bench-registration models release-model wheel manylinux results fuzz
+.PHONY: help quick test test-full dist site test-aarch64 test-examples check golden bench bench-registration models release-model wheel manylinux results fuzz
 .DEFAULT_GOAL := help
 
 help:  ## this list
@@ -34,23 +34,30 @@ $(VENV)/bench-ready: $(VENV)/ready
 module: $(VENV)/ready
 	$(VENV)/bin/maturin develop --release --quiet --manifest-path python/Cargo.toml
 
+# With the program among them, the crates have the features of the first command.
+QUICK := -p snake-kernels -p snake-geometry -p snake-core -p snake-keypoints
 quick:  ## after every edit, three minutes: format, lints, kernels, core, command line
 	cargo fmt --check
-	cargo clippy --release --workspace --exclude snake-rs-python --all-targets --features $(FEATURES)
-	cargo test --release --features $(FEATURES) -p snake-kernels -p snake-geometry -p snake-core --lib
-	cargo test --release -p snake-keypoints --test cli -- detect:: register:: usage:: outputs::
+	cargo clippy --release --all-targets
+	cargo test --release $(QUICK) --lib -- --skip control::tests --skip tiles_of_any_size
+	cargo test --release $(QUICK) --test cli -- detect:: register:: usage:: outputs:: features::
 
-# What the tests and the examples need beside the default features. tests/test_embedding.py runs what is compiled here.
-FEATURES := snake-core/arrow,snake-core/ndarray,snake-core/tracing
-# The Python module is compiled with the tests: by itself it has other features, and every crate would be compiled twice.
-test: export PYO3_BUILD_EXTENSION_MODULE := 1
-test: export PYTHONPATH := $(CURDIR)/python
-test: $(VENV)/ready  ## all tests: Rust, Python module, training, parity with PyTorch; Copper's task compiles
-	cargo build --release --workspace --lib --bins --tests --examples --features $(FEATURES)
+# All packages but two, whose features would change those of all others, and with all formats. The Python module by itself has the
+# same features: each crate is compiled once. tests/test_embedding.py runs what is compiled here.
+PACKAGES := --workspace --exclude snake-bench --exclude snake-interop --features snake-keypoints/full
+NIGHTLY = -m "not nightly"
+TEST := test test-full
+$(TEST): export PYO3_BUILD_EXTENSION_MODULE := 1
+$(TEST): export PYTHONPATH := $(CURDIR)/python
+test-full: export SNAKE_FULL := 1
+test-full: NIGHTLY :=
+test:  ## all tests: Rust, Python module, training, parity with PyTorch; prints the ten slowest
+test-full:  ## also whole grids, of which `make test` tests one of each kind: for the night
+$(TEST): $(VENV)/ready
+	cargo build --release $(PACKAGES) --lib --bins --tests --examples
 	cp target/release/lib_core.$(if $(filter Darwin,$(shell uname)),dylib,so) python/snake_rs/_core.abi3.so
-	cargo test --release --workspace --features $(FEATURES)
-	cargo check --release --locked --all-targets --manifest-path examples/copper_task/Cargo.toml --target-dir target
-	OMP_NUM_THREADS=1 $(PYTHON) -m pytest -q -rs --numprocesses 2 --dist loadfile tests training/tests
+	python3 tools/rust_tests.py $(PACKAGES)
+	OMP_NUM_THREADS=1 $(PYTHON) -m pytest -q -rs --durations=10 $(NIGHTLY) --numprocesses 2 --dist loadfile tests training/tests
 
 # Each has hundreds of dependencies of its own. The page needs wasm32-unknown-unknown, Node.js and Chromium.
 test-examples:  ## the examples outside the workspace: Copper, Dora, Rerun, Zenoh and the page for a browser; half an hour
@@ -71,9 +78,11 @@ test-aarch64:  ## the kernels and the field under emulation, with NEON; needs qe
 	$(ARM_CARGO) -p snake-geometry --lib
 	$(ARM_CARGO) -p snake-core --lib -- $(ARM_TESTS)
 
-check: module $(VENV)/check-ready wheel-test packages sdist  ## formatting, lints, type stubs, documentation, packages, the wheel
+check: module $(VENV)/check-ready wheel-test packages sdist  ## formatting, lints, stubs, documentation, other crates, packages, the wheel
 	cargo fmt --check
-	cargo clippy --release --workspace --all-targets --features $(FEATURES)
+	cargo clippy --release --workspace --all-targets --features snake-keypoints/full
+	cargo test --release -p snake-interop
+	cargo check --release --locked --all-targets --manifest-path examples/copper_task/Cargo.toml --target-dir target
 	RUSTDOCFLAGS="-D warnings" cargo doc --release --workspace --no-deps
 	$(VENV)/bin/ruff check training python tests docs samples
 	$(VENV)/bin/ruff format --check training python tests docs samples
@@ -81,19 +90,22 @@ check: module $(VENV)/check-ready wheel-test packages sdist  ## formatting, lint
 	$(VENV)/bin/pyright --pythonpath $(PYTHON) python/snake_rs
 	$(PYTHON) python/third_party_licenses.py --check
 
-# Cargo would verify the packages by compiling each of them apart, which takes six times as long. Of files in packages the times
-# are constant: without -m, Cargo would take changed ones for checked.
+# Cargo would verify the packages by compiling each of them apart, which takes six times as long: here they share what they compile. Each
+# is checked by itself, without its features and with the default ones: together, one would bring the features that another lacks. Of
+# files in packages the times are constant: without -m, Cargo would take changed ones for checked.
 .PHONY: packages
-packages:  # the packages of all crates compile without the rest of the repository
+packages:  # the package of each crate compiles without the rest of the repository, without and with its default features
 	rm -rf target/package
-	cargo package --workspace --exclude snake-rs-python --allow-dirty --no-verify
+	cargo package --workspace --exclude snake-rs-python --exclude snake-bench --exclude snake-interop --allow-dirty --no-verify
 	cd target/package && for crate in *.crate; do tar -xmzf $$crate; done
 	cd target/package && { \
 		printf '[workspace]\nresolver = "3"\nmembers = ["*[0-9]"]\n[patch.crates-io]\n'; \
 		for folder in *[0-9]; do echo "$${folder%-*} = { path = \"$$folder\" }"; done; \
 	} > Cargo.toml
 	cp Cargo.lock target/package
-	cd target/package && CARGO_TARGET_DIR=$(CURDIR)/target cargo check --release --workspace
+	cd target/package && for folder in *[0-9]; do for features in --no-default-features ""; do \
+		CARGO_TARGET_DIR=$(CURDIR)/target cargo check --release --quiet -p $${folder%-*} $$features || exit 1; \
+	done; done
 
 .PHONY: sdist
 sdist: $(VENV)/ready  # the source distribution of the Python module compiles by itself
@@ -140,7 +152,7 @@ $(VENV)/site-ready: $(VENV)/ready
 site: module $(VENV)/site-ready  ## target/site: the pages, the API of Python and of Rust; open target/site/index.html or serve it
 	python3 tools/site.py
 	NO_MKDOCS_2_WARNING=1 $(VENV)/bin/mkdocs build --quiet
-	cargo doc --release --workspace --exclude snake-rs-python --exclude snake-keypoints --no-deps
+	cargo doc --release --exclude snake-keypoints --workspace --exclude snake-rs-python --exclude snake-bench --exclude snake-interop --no-deps
 	cp -r target/doc target/site/rustdoc
 
 wheel: $(VENV)/ready  ## a wheel of the Python module in target/wheels
@@ -154,12 +166,13 @@ manylinux: $(VENV)/ready  ## a wheel for Linux with glibc 2.17 (2014) or newer
 # PATH has no cargo, and pip may take only wheels: nothing can be compiled.
 WITHOUT_RUST := env PATH=$(CURDIR)/target/wheel-test/bin:/usr/bin:/bin
 .PHONY: wheel-test
-wheel-test: wheel  # installs the wheel in a new environment without Rust, and detects keypoints there
+wheel-test: wheel  # installs the wheel in a new environment without Rust, and detects keypoints there, in Python and by its command
 	rm -rf target/wheel-test && $(PYTHON) -m venv target/wheel-test
 	$(WITHOUT_RUST) python -m pip install --quiet --only-binary :all: \
 		"$$(ls -t target/wheels/snake_rs-*-cp310-abi3-*.whl | head -n 1)"
 	cd target && $(WITHOUT_RUST) python -c "import numpy, snake_rs; \
 		print(snake_rs.detect(numpy.random.default_rng(0).normal(size=(2000, 3))))"
+	cd target && $(WITHOUT_RUST) snake-cli detect ../samples/plane.ply -o wheel-test/keypoints.parquet --max-keypoints 3
 
 fuzz: SECONDS ?= 600
 fuzz:  ## search for bytes that break a reader, ten minutes for each: make fuzz SECONDS=60; needs cargo install cargo-fuzz

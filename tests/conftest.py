@@ -13,6 +13,10 @@ from golden_network import EASY, GOLDEN
 import snake_rs
 
 
+def pytest_configure(config):
+    config.addinivalue_line("markers", "nightly: `make test-full` runs it, `make test` another one of its kind")
+
+
 @pytest.fixture(scope="session")
 def points():
     """A bumpy sphere off the origin, (700, 3) float32 in metres."""
@@ -51,10 +55,9 @@ def generate():
 def compiled():
     """The folder of the binaries and examples. `cargo test` has compiled them, so this takes no time after it."""
     root = Path(__file__).parents[1]
-    features = re.search(r"^FEATURES := (\S+)$", (root / "Makefile").read_text(), re.MULTILINE)[1]
-    subprocess.run(
-        ["cargo", "build", "--release", "--bins", "--examples", "--lib", "--features", features], cwd=root, check=True
-    )
+    packages = re.search(r"^PACKAGES := (.+)$", (root / "Makefile").read_text(), re.MULTILINE)[1].split()
+    build = ["cargo", "build", "--release", *packages, "--lib", "--bins", "--tests", "--examples"]
+    subprocess.run(build, cwd=root, check=True, env=os.environ | {"PYO3_BUILD_EXTENSION_MODULE": "1"})
     return Path(os.environ.get("CARGO_TARGET_DIR", root / "target")) / "release"
 
 

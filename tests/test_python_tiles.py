@@ -191,6 +191,7 @@ def test_a_cluster_detects_small_clouds_as_one_machine(cluster, tmp_path):
         assert "FileNotFoundError" in by_path[away]["error"]
 
 
+@pytest.mark.nightly
 def test_a_cluster_detects_many_clouds_though_a_worker_is_killed(cluster, tmp_path):
     from snake_rs.ray import DetectClouds
 

@@ -124,6 +124,7 @@ def test_engines_that_refine_other_numbers_of_queries_get_no_ratio():
     assert ratio["note"] in speed.table("ratios", {"PyTorch / snake-rs": ratio})
 
 
+@pytest.mark.nightly
 def test_each_level_of_instructions_has_a_process_of_its_own():
     capability = torch.backends.cpu.get_cpu_capability()
     with pytest.MonkeyPatch.context() as environment:

@@ -31,7 +31,11 @@ def build(target: str) -> Path:
     """Compiles the program for a target and returns its path."""
     # The folder of the host's own builds, so that nothing is compiled twice.
     other = [] if target == host() else ["--target", target]
-    subprocess.run(["cargo", "build", "--release", "--locked", "-p", "snake-keypoints", *other], cwd=ROOT, check=True)
+    subprocess.run(
+        ["cargo", "build", "--release", "--locked", "-p", "snake-keypoints", "--features", "full", *other],
+        cwd=ROOT,
+        check=True,
+    )
     metadata = ["cargo", "metadata", "--no-deps", "--format-version", "1"]
     found = json.loads(subprocess.run(metadata, cwd=ROOT, capture_output=True, check=True).stdout)
     folder = Path(found["target_directory"])

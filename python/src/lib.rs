@@ -4,6 +4,7 @@
 mod alignment;
 mod arrays;
 mod baselines;
+mod command;
 mod error;
 mod field;
 mod files;
@@ -153,6 +154,8 @@ mod _core {
 
     #[pymodule_export]
     use super::baselines::{farthest_points, harris3d, iss, random_points, sift3d, surface_variation};
+    #[pymodule_export]
+    use super::command::run_command;
     #[pymodule_export]
     use super::metrics::{
         feature_matching_recall, geodesic_distances, information_matrix, inlier_ratio, iou, mean_distance_to_keypoints,

@@ -23,6 +23,10 @@ TINY = dict(
 )  # fmt: skip
 
 
+def pytest_configure(config):
+    config.addinivalue_line("markers", "nightly: `make test-full` runs it, `make test` another one of its kind")
+
+
 @pytest.fixture
 def tiny(tmp_path):
     """tiny(**changes) -> TrainConfig with its run folder below tmp_path."""

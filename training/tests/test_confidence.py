@@ -51,7 +51,11 @@ def test_the_map_changes_nothing_else_in_the_file(tmp_path):
 
 
 @pytest.mark.parametrize(
-    "module, options, distance", [(frames, ["--pairs", "2"], 0.05), (drives, ["--drives", "1", "--sweeps", "3"], 0.3)]
+    "module, options, distance",
+    [
+        pytest.param(frames, ["--pairs", "2"], 0.05, marks=pytest.mark.nightly),
+        (drives, ["--drives", "1", "--sweeps", "3"], 0.3),
+    ],
 )
 def test_made_pairs_show_the_same_surface(module, options, distance, tmp_path, capsys):
     for name in ("first", "again"):

@@ -184,7 +184,14 @@ CASES = [
 ]
 
 
-@pytest.mark.parametrize(("preset", "make", "number", "evaluation"), CASES, ids=[case[0] for case in CASES])
+# One of each kind of evaluation daily.
+NIGHTLY = ("smpl", "redwood")
+PARAMETERS = [
+    pytest.param(*case, id=case[0], marks=[pytest.mark.nightly] if case[0] in NIGHTLY else []) for case in CASES
+]
+
+
+@pytest.mark.parametrize(("preset", "make", "number", "evaluation"), PARAMETERS)
 def test_a_layout_trains_exports_and_evaluates(tmp_path, snake_cli, preset, make, number, evaluation):
     data, split = make(tmp_path / "data")
     words = ["--preset", preset, "--data", str(data), *(["--split", str(split)] if split else []), *TINY]

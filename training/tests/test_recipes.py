@@ -47,6 +47,7 @@ def test_what_is_done_is_not_done_again(run_dir):
     assert before == {path: path.stat().st_mtime_ns for path in run_dir.rglob("*.*")}
 
 
+@pytest.mark.nightly
 def test_the_recipe_of_the_papers_network_ends_with_a_weight_file_and_its_figures(tmp_path, monkeypatch, capsys):
     """A machine without snake_rs trains to the last stage, at 64³; one that has it adds the figures."""
     words = [str(RECIPES / "paper.toml"), "--run-dir", str(tmp_path), "--smoke", "--device", "cpu"]

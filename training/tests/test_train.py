@@ -168,6 +168,7 @@ def torchrun(config, processes):
     )  # fmt: skip
 
 
+@pytest.mark.nightly
 def test_two_processes_train_like_one(tiny, tmp_path):
     """The same samples, masked losses averaged over the whole batch: the same gradients but for the order of sums.
 

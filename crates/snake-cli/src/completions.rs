@@ -2,7 +2,7 @@
 
 use std::path::Path;
 
-use anyhow::{Context, Result};
+use anyhow::Result;
 use clap::CommandFactory;
 use clap_complete::Shell;
 
@@ -21,8 +21,17 @@ pub fn print(shell: Shell) -> Result<()> {
 }
 
 /// Writes `snake-cli.1`, `snake-cli-detect.1` and so on to a folder.
+#[cfg(feature = "manual")]
 pub fn write_manual(folder: &Path) -> Result<()> {
+    use anyhow::Context;
+
     let named = || folder.display().to_string();
     std::fs::create_dir_all(folder).with_context(named)?;
     clap_mangen::generate_to(Arguments::command(), folder).with_context(named)
+}
+
+/// Refuses to write the manual pages, which need another crate.
+#[cfg(not(feature = "manual"))]
+pub fn write_manual(folder: &Path) -> Result<()> {
+    anyhow::bail!("{}: this build lacks the feature `manual`; {}", folder.display(), crate::features::advice("manual"))
 }

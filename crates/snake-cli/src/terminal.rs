@@ -15,6 +15,8 @@ use indicatif::{HumanDuration, ProgressBar, ProgressDrawTarget, ProgressStyle};
 use serde::Serialize;
 use snake_core::{Field, Progress, Stage, is_harmful, printable, shortened};
 
+use crate::features;
+
 /// How much is printed.
 #[derive(Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Default)]
 pub enum Verbosity {
@@ -135,6 +137,9 @@ pub fn error(error: &anyhow::Error) {
         if !text.ends_with(&cause) {
             text += &format!(": {cause}");
         }
+    }
+    if let Some(feature) = features::missing(error) {
+        text += &format!("; {}", features::advice(feature));
     }
     say_error(&text);
 }

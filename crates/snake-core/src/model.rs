@@ -147,6 +147,7 @@ impl Model {
         Field::new(self.network.clone(), cloud, options, &mut FieldMemory::default(), control)
     }
 
+    #[cfg(feature = "builtin-models")]
     pub(crate) fn from_network(network: Network) -> Self {
         Self { network: Arc::new(network) }
     }

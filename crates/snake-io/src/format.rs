@@ -189,7 +189,8 @@ impl KeypointFormat {
     /// The format of a file by its extension, in upper or lower case.
     ///
     /// # Errors
-    /// [`Error::Format`] when the extension is not among [`KEYPOINT_EXTENSIONS`].
+    /// [`Error::Format`] when the extension is not among [`KEYPOINT_EXTENSIONS`]; [`Error::Feature`] when it is that of a format
+    /// that this build does not write.
     pub fn from_path(path: &Path) -> Result<Self> {
         let name = path.file_name().unwrap_or_default().to_string_lossy().to_ascii_lowercase();
         Ok(match extension(path).as_str() {
@@ -201,8 +202,12 @@ impl KeypointFormat {
             "json" => Self::Json,
             #[cfg(feature = "laz")]
             "laz" => Self::Laz,
+            #[cfg(not(feature = "laz"))]
+            "laz" => return Err(Error::Feature { path: path.into(), feature: "laz" }),
             #[cfg(feature = "parquet")]
             "parquet" => Self::Parquet,
+            #[cfg(not(feature = "parquet"))]
+            "parquet" => return Err(Error::Feature { path: path.into(), feature: "parquet" }),
             _ => return Err(unknown_extension(path, "written", KEYPOINT_EXTENSIONS)),
         })
     }

@@ -110,8 +110,13 @@ fn assert_same(expected: &[Point], cloud: Cloud) {
     }
 }
 
+/// `make test-full` tries more inputs.
+fn num_cases() -> u32 {
+    if std::env::var_os("SNAKE_FULL").is_some() { 2000 } else { 400 }
+}
+
 proptest! {
-    #![proptest_config(ProptestConfig { cases: 2000, failure_persistence: None, ..ProptestConfig::default() })]
+    #![proptest_config(ProptestConfig { cases: num_cases(), failure_persistence: None, ..ProptestConfig::default() })]
 
     #[test]
     fn damaged_clouds_are_read_or_refused(file in any::<Index>(), edits in edits()) {

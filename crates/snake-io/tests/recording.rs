@@ -1,6 +1,7 @@
 //! Recordings in MCAP files.
 
 use std::collections::BTreeMap;
+use std::io::Write;
 use std::path::Path;
 
 use mcap::records::MessageHeader;
@@ -15,6 +16,12 @@ fn message() -> Vec<u8> {
 
 /// The same without the header of CDR, or in the encoding of ROS 1.
 fn encoded(is_ros2: bool) -> Vec<u8> {
+    encoded_points(is_ros2, &[[0.0, 1.0, 2.0, 3.0], [0.0, 4.0, 5.0, f32::NAN]])
+}
+
+/// A message with the ring and the coordinates of each point.
+fn encoded_points(is_ros2: bool, points: &[[f32; 4]]) -> Vec<u8> {
+    let num_points = points.len() as u32;
     let mut data = Vec::new();
     let number = |data: &mut Vec<u8>, value: u32| {
         if is_ros2 {
@@ -33,7 +40,7 @@ fn encoded(is_ros2: bool) -> Vec<u8> {
     number(&mut data, 500);
     text(&mut data, "lidar");
     number(&mut data, 1);
-    number(&mut data, 2);
+    number(&mut data, num_points);
     number(&mut data, 4);
     for (name, offset, datatype) in [("ring", 0, 4), ("x", 4, 7), ("y", 8, 7), ("z", 12, 7)] {
         text(&mut data, name);
@@ -43,11 +50,9 @@ fn encoded(is_ros2: bool) -> Vec<u8> {
     }
     data.push(0);
     number(&mut data, 16);
-    number(&mut data, 32);
-    number(&mut data, 32);
-    for point in [[0.0, 1.0, 2.0, 3.0], [0.0, 4.0, 5.0, f32::NAN]] {
-        data.extend(point.iter().flat_map(|value: &f32| value.to_le_bytes()));
-    }
+    number(&mut data, 16 * num_points);
+    number(&mut data, 16 * num_points);
+    data.extend(points.as_flattened().iter().flat_map(|value| value.to_le_bytes()));
     data.push(1);
     data
 }
@@ -179,25 +184,108 @@ fn a_damaged_message_costs_no_other() {
     assert!(errors[0].contains("message 0 of /a") && errors[1].contains("message 2 of /a"), "{errors:?}");
 }
 
-/// A recording of 20 messages in chunks of about two.
-fn in_chunks(path: &Path, compression: Option<mcap::Compression>) {
-    let options = mcap::WriteOptions::new().compression(compression).chunk_size(Some(300));
+/// A recording of 20 messages, in chunks of a size that have this compression.
+fn in_chunks(path: &Path, compression: &str, chunk_size: u64, message: impl Fn(u64) -> Vec<u8>) {
+    let options = mcap::WriteOptions::new().compression(None).chunk_size(Some(chunk_size));
     let mut writer = options.create(std::fs::File::create(path).unwrap()).unwrap();
     let schema_id = writer.add_schema(SCHEMA, "ros2msg", b"").unwrap();
     let channel_id = writer.add_channel(schema_id, "/a", "cdr", &BTreeMap::new()).unwrap();
     for time in 0..20 {
         let header = MessageHeader { channel_id, sequence: time as u32, log_time: time, publish_time: time };
-        writer.write_to_known_channel(&header, &message()).unwrap();
+        writer.write_to_known_channel(&header, &message(time)).unwrap();
     }
     writer.finish().unwrap();
+    if !compression.is_empty() {
+        std::fs::write(path, compressed(&std::fs::read(path).unwrap(), compression)).unwrap();
+    }
+}
+
+/// The same recording with compressed chunks.
+fn compressed(bytes: &[u8], compression: &str) -> Vec<u8> {
+    let (mut packed, mut rest) = (bytes[..8].to_vec(), &bytes[8..]);
+    while rest.len() > 8 {
+        let length = u64::from_le_bytes(rest[1..9].try_into().unwrap()) as usize;
+        let (record, after) = rest.split_at(9 + length);
+        rest = after;
+        if record[0] != 6 {
+            packed.extend(record);
+            continue;
+        }
+        // Times, size and checksum; then an empty name of the compression and the length of the data.
+        let (times, data) = (&record[9..37], &record[49..]);
+        let data = match compression {
+            "zstd" => ruzstd::encoding::compress_to_vec(data, ruzstd::encoding::CompressionLevel::Fastest),
+            _ => {
+                let info = lz4_flex::frame::FrameInfo::new().block_size(lz4_flex::frame::BlockSize::Max64KB);
+                let mut encoder = lz4_flex::frame::FrameEncoder::with_frame_info(info, Vec::new());
+                encoder.write_all(data).unwrap();
+                encoder.finish().unwrap()
+            }
+        };
+        let name = compression.as_bytes();
+        packed.push(6);
+        packed.extend((times.len() as u64 + 12 + name.len() as u64 + data.len() as u64).to_le_bytes());
+        packed.extend(times);
+        packed.extend((name.len() as u32).to_le_bytes());
+        packed.extend(name);
+        packed.extend((data.len() as u64).to_le_bytes());
+        packed.extend(data);
+    }
+    packed.extend(rest);
+    packed
+}
+
+const COMPRESSIONS: [&str; 3] = ["", "lz4", "zstd"];
+
+#[test]
+fn chunks_of_the_usual_programs_are_read() {
+    let data = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../tests/data/io");
+    // One is packed by zstd, one by lz4, by their own libraries.
+    let [zstd, lz4] = ["drive.mcap", "drive_lz4.mcap"].map(|name| read(&data.join(name), None).unwrap());
+    assert_eq!((zstd.len(), zstd[0].cloud.points.len()), (2, 1000));
+    assert_eq!(zstd, lz4);
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("drive.mcap");
+    let clouds = COMPRESSIONS.map(|compression| {
+        in_chunks(&path, compression, 300, |_| message());
+        format!("{:?}", read(&path, None).unwrap())
+    });
+    assert!(clouds[0] == clouds[1] && clouds[0] == clouds[2]);
+    in_chunks(&path, "zstd", 300, |_| message());
+    let bytes = std::fs::read(&path).unwrap();
+    let name = bytes.windows(4).position(|name| name == b"zstd").unwrap();
+    std::fs::write(&path, [&bytes[..name], b"snap", &bytes[name + 4..]].concat()).unwrap();
+    let error = read(&path, None).unwrap_err().to_string();
+    assert!(error.contains("compressed with `snap`, which is not read; convert it"), "{error}");
+}
+
+#[test]
+fn a_cut_chunk_of_many_blocks_has_the_clouds_before_the_cut() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("drive.mcap");
+    let mut state = 1_u32;
+    let mut noise = |_| {
+        state = state.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
+        f32::from_bits(state >> 2)
+    };
+    // No compression shortens noise: two messages fill a block of zstd, of 128 KiB.
+    let rows: Vec<[f32; 4]> = (0..20 * 4000).map(|_| [0; 4].map(&mut noise)).collect();
+    let noisy = |time| [vec![0, 1, 0, 0], encoded_points(true, &rows[time as usize * 4000..][..4000])].concat();
+    for compression in COMPRESSIONS {
+        in_chunks(&path, compression, 1 << 22, noisy);
+        let whole = std::fs::read(&path).unwrap();
+        std::fs::write(&path, &whole[..whole.len() / 2]).unwrap();
+        let (number, errors) = clouds_and_errors(&path);
+        assert!((6..=10).contains(&number), "{compression}: {number} {errors:?}");
+    }
 }
 
 #[test]
 fn a_cut_file_has_the_clouds_before_the_cut() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("drive.mcap");
-    for compression in [None, Some(mcap::Compression::Lz4), Some(mcap::Compression::Zstd)] {
-        in_chunks(&path, compression);
+    for compression in COMPRESSIONS {
+        in_chunks(&path, compression, 300, |_| message());
         let whole = std::fs::read(&path).unwrap();
         let mut most = 0;
         for length in (whole.len() / 4..whole.len()).step_by(37) {
@@ -232,15 +320,17 @@ fn end_of_chunk(bytes: &[u8], number: usize) -> usize {
 fn a_damaged_chunk_costs_its_own_messages_only() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("drive.mcap");
-    for compression in [None, Some(mcap::Compression::Lz4), Some(mcap::Compression::Zstd)] {
-        in_chunks(&path, compression);
+    for compression in COMPRESSIONS {
+        in_chunks(&path, compression, 300, |_| message());
         let mut bytes = std::fs::read(&path).unwrap();
-        // In the last coordinates of an uncompressed message, which nothing but the checksum shows.
+        // In the last coordinates of a message, or in the frame's name, which lz4 leaves as it is: only the checksum shows it.
         let end = end_of_chunk(&bytes, 3);
-        bytes[end - 12] ^= 0x55;
+        let name = bytes[..end].windows(5).rposition(|name| name == b"lidar");
+        let damaged = if compression == "lz4" { name.unwrap() } else { end - 12 };
+        bytes[damaged] ^= 0x55;
         std::fs::write(&path, &bytes).unwrap();
         let (number, errors) = clouds_and_errors(&path);
-        assert!((16..20).contains(&number) && errors.len() == 1, "{number}: {errors:?}");
+        assert!((16..20).contains(&number) && errors.len() == 1, "{compression} {number}: {errors:?}");
         assert!(errors[0].contains("damaged"), "{errors:?}");
     }
 }

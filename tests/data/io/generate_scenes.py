@@ -77,6 +77,7 @@ def bag() -> None:
 
 
 def mcap() -> None:
+    from mcap.writer import CompressionType
     from mcap_ros2.writer import Writer
 
     definition = """std_msgs/Header header
@@ -103,25 +104,26 @@ uint32 offset
 uint8 datatype
 uint32 count
 """
-    with (FOLDER / "drive.mcap").open("wb") as file:
-        writer = Writer(file)
-        schema = writer.register_msgdef("sensor_msgs/msg/PointCloud2", definition)
-        for frame in range(2):
-            points = drive(frame)
-            fields = [{"name": n, "offset": 4 * i, "datatype": 7, "count": 1} for i, n in enumerate("xyz")]
-            message = {
-                "header": {"stamp": {"sec": frame, "nanosec": 0}, "frame_id": "lidar"},
-                "height": 1,
-                "width": 1000,
-                "fields": fields,
-                "is_bigendian": False,
-                "point_step": 12,
-                "row_step": 12000,
-                "data": points.tobytes(),
-                "is_dense": True,
-            }
-            writer.write_message("/points", schema, message, log_time=frame * 10**9, publish_time=frame * 10**9)
-        writer.finish()
+    for name, compression in (("drive", CompressionType.ZSTD), ("drive_lz4", CompressionType.LZ4)):
+        with (FOLDER / f"{name}.mcap").open("wb") as file:
+            writer = Writer(file, compression=compression)
+            schema = writer.register_msgdef("sensor_msgs/msg/PointCloud2", definition)
+            for frame in range(2):
+                points = drive(frame)
+                fields = [{"name": n, "offset": 4 * i, "datatype": 7, "count": 1} for i, n in enumerate("xyz")]
+                message = {
+                    "header": {"stamp": {"sec": frame, "nanosec": 0}, "frame_id": "lidar"},
+                    "height": 1,
+                    "width": 1000,
+                    "fields": fields,
+                    "is_bigendian": False,
+                    "point_step": 12,
+                    "row_step": 12000,
+                    "data": points.tobytes(),
+                    "is_dense": True,
+                }
+                writer.write_message("/points", schema, message, log_time=frame * 10**9, publish_time=frame * 10**9)
+            writer.finish()
 
 
 if __name__ == "__main__":

@@ -4,7 +4,6 @@ pub mod args;
 
 use std::io::Write;
 use std::path::{Path, PathBuf};
-use std::process::ExitCode;
 
 use anyhow::{Context, Result, bail};
 use serde_json::{Value, json};
@@ -16,10 +15,11 @@ use crate::inputs::{check_inputs, expand, output_origin};
 use crate::output::InputFiles;
 use crate::setup::detail_of;
 use crate::terminal::{self, Report};
+use crate::{FAILURE, SUCCESS};
 use args::AlignArguments;
 
 /// Finds the poses, writes the output files and prints the result.
-pub fn run(arguments: &AlignArguments) -> Result<ExitCode> {
+pub fn run(arguments: &AlignArguments) -> Result<u8> {
     arguments.compute.start_threads()?;
     let AlignArguments { output, merged, .. } = arguments;
     if let Some(path) = output.as_ref().filter(|path| path.extension().is_none_or(|extension| extension != "json")) {
@@ -83,9 +83,9 @@ pub fn run(arguments: &AlignArguments) -> Result<ExitCode> {
     }
     if arguments.require_connected && alignment.parts.len() > 1 {
         terminal::warn(&format!("the clouds are in {} parts, which nothing reliable connects", alignment.parts.len()));
-        return Ok(ExitCode::FAILURE);
+        return Ok(FAILURE);
     }
-    Ok(ExitCode::SUCCESS)
+    Ok(SUCCESS)
 }
 
 /// The poses of the clouds in a file; without one, none.

@@ -7,9 +7,10 @@ use serde_json::{Map, Value};
 use snake_core::DetectOptions;
 use snake_io::KeypointFormat;
 
+use crate::features::keypoint_format;
 use crate::flags::OptionFlags;
 use crate::inputs::{InputArguments, ListArgument};
-use crate::setup::{ComputeArguments, EncodeFlags, named};
+use crate::setup::{ComputeArguments, EncodeFlags};
 
 #[derive(Args)]
 pub struct DetectArguments {
@@ -32,7 +33,7 @@ pub struct DetectArguments {
     pub number_results: bool,
     /// Format of the keypoints: ply, pcd, npy, csv, json, laz, parquet (GeoParquet) or keypointnet (annotations as in
     /// KeypointNet) [default: by the extension of the output, else ply].
-    #[arg(long, value_parser = named::<KeypointFormat>)]
+    #[arg(long, value_parser = keypoint_format)]
     pub format: Option<KeypointFormat>,
     /// The topic of a recording with the point clouds [default: the only topic with point clouds].
     #[arg(long)]

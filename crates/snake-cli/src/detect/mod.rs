@@ -8,7 +8,6 @@ mod tiled;
 use std::collections::{BTreeMap, BTreeSet};
 use std::fmt::Write;
 use std::path::{Path, PathBuf};
-use std::process::ExitCode;
 use std::sync::{Mutex, MutexGuard, PoisonError};
 use std::time::Instant;
 
@@ -29,7 +28,7 @@ use reports::{Processed, Reports};
 const TABLE_ROWS: usize = 10;
 
 /// Processes every input. A failed input is reported, and the run continues.
-pub fn run(arguments: &DetectArguments) -> Result<ExitCode> {
+pub fn run(arguments: &DetectArguments) -> Result<u8> {
     arguments.compute.start_threads()?;
     let inputs = expand(&arguments.list.extend(&arguments.inputs)?, arguments.input.input_format, io::is_recording)?;
     check_inputs(&inputs)?;

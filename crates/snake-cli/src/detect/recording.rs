@@ -1,7 +1,6 @@
 //! Detection in the clouds of a recording, one after another.
 
 use std::path::{Path, PathBuf};
-use std::process::ExitCode;
 use std::time::Instant;
 
 use anyhow::{Context, Result, bail};
@@ -31,7 +30,7 @@ pub fn is_given(arguments: &DetectArguments, inputs: &[PathBuf]) -> Result<bool>
 }
 
 /// Processes every cloud. A cloud that fails and a damaged message are reported, and the run continues.
-pub fn run(job: &Job, input: &Path, bar: Bar, load_model: f64) -> Result<ExitCode> {
+pub fn run(job: &Job, input: &Path, bar: Bar, load_model: f64) -> Result<u8> {
     let arguments = job.arguments;
     let folder = arguments.output.as_deref();
     if let Some(folder) = folder {

@@ -2,7 +2,6 @@
 
 use std::collections::BTreeMap;
 use std::path::Path;
-use std::process::ExitCode;
 use std::time::Instant;
 
 use anyhow::{Error, Result, anyhow};
@@ -12,6 +11,7 @@ use super::args::DetectArguments;
 use crate::inputs::DASH;
 use crate::terminal::{self, Bar, Report};
 use crate::timing::{self, Seconds};
+use crate::{ERROR, FAILURE, SUCCESS};
 
 /// The most inputs that a line at the end of a run names.
 const NAMED_INPUTS: usize = 10;
@@ -160,7 +160,7 @@ impl<'a> Reports<'a> {
     }
 
     /// Prints the failures and the times of the run.
-    pub fn finish(self, load_model: f64) -> Result<ExitCode> {
+    pub fn finish(self, load_model: f64) -> Result<u8> {
         let Self { arguments, num_reported, failed, timings, summary, mut unprinted, .. } = self;
         self.bar.finish();
         if let (Some(summary), Some(output)) = (summary, &arguments.output)
@@ -179,10 +179,10 @@ impl<'a> Reports<'a> {
         if arguments.timing && !timings.is_empty() {
             terminal::print_to_stderr(&timing::summary(load_model, &timings));
         }
-        Ok(ExitCode::from(match failed.len() {
-            0 if is_reported => 0,
-            n if n < num_reported => 1,
-            _ => 2,
-        }))
+        Ok(match failed.len() {
+            0 if is_reported => SUCCESS,
+            n if n < num_reported => FAILURE,
+            _ => ERROR,
+        })
     }
 }

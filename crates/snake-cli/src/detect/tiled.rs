@@ -2,7 +2,6 @@
 
 use std::io::ErrorKind;
 use std::path::{Path, PathBuf};
-use std::process::ExitCode;
 use std::time::Instant;
 
 use anyhow::{Result, anyhow, bail};
@@ -14,9 +13,10 @@ use super::args::DetectArguments;
 use crate::inputs::{DASH, output_origin};
 use crate::output::InputFiles;
 use crate::terminal::{self, Bar, Report};
+use crate::{FAILURE, SUCCESS};
 
 /// Detects the keypoints of one large cloud. Files and tiles that cannot be read are reported, and the run continues.
-pub fn run(arguments: &DetectArguments, inputs: &[PathBuf], side: f64, output: &Path) -> Result<ExitCode> {
+pub fn run(arguments: &DetectArguments, inputs: &[PathBuf], side: f64, output: &Path) -> Result<u8> {
     let start = Instant::now();
     check(arguments, inputs, output)?;
     let model = arguments.compute.load_model_of_tiles()?;
@@ -73,14 +73,14 @@ pub fn run(arguments: &DetectArguments, inputs: &[PathBuf], side: f64, output: &
     report.line(format!("written to {}", output.display()));
     terminal::print_report(&report)?;
     if !failed.is_empty() || !run.failures().is_empty() {
-        return Ok(ExitCode::from(1));
+        return Ok(FAILURE);
     }
     if arguments.tiles.tile_folder.is_none()
         && let [other, ..] = &run.remove()?[..]
     {
         terminal::warn(&format!("{} stays: no run wrote `{}` in it", folder.display(), other.display()));
     }
-    Ok(ExitCode::SUCCESS)
+    Ok(SUCCESS)
 }
 
 /// Refuses arguments that do not go with tiles.

@@ -10,14 +10,13 @@ mod repeatability;
 mod schedule;
 mod semantic;
 
-use std::process::ExitCode;
-
 use anyhow::Result;
 
+use crate::SUCCESS;
 use args::{Eval, RunArguments};
 
 /// Evaluates everything that is not yet recorded, then reports.
-pub fn run(command: &Eval) -> Result<ExitCode> {
+pub fn run(command: &Eval) -> Result<u8> {
     let RunArguments { compute, .. } = match command {
         Eval::Repeatability(arguments) => &arguments.common.run,
         Eval::Semantic(arguments) => &arguments.common.run,
@@ -29,5 +28,5 @@ pub fn run(command: &Eval) -> Result<ExitCode> {
         Eval::Semantic(arguments) => semantic::run(arguments)?,
         Eval::Registration(arguments) => registration::run(arguments)?,
     }
-    Ok(ExitCode::SUCCESS)
+    Ok(SUCCESS)
 }

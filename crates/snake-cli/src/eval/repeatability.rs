@@ -1,7 +1,6 @@
 //! `snake-cli eval repeatability`.
 
 use std::path::{Path, PathBuf};
-use std::process::ExitCode;
 
 use anyhow::{Context, Result, bail};
 use serde_json::{Value, json};
@@ -20,9 +19,10 @@ use super::record::Record;
 use super::schedule::{Schedule, Task};
 use crate::inputs::{ColumnArguments, expand};
 use crate::terminal;
+use crate::{FAILURE, SUCCESS};
 
 /// Evaluates every pair that is not yet recorded, then reports.
-pub fn run(arguments: &RepeatabilityArguments) -> Result<ExitCode> {
+pub fn run(arguments: &RepeatabilityArguments) -> Result<u8> {
     let common = &arguments.common;
     let columns = &common.run.columns;
     let (data, left_out) = open(arguments)?;
@@ -52,7 +52,7 @@ pub fn run(arguments: &RepeatabilityArguments) -> Result<ExitCode> {
         files::write(output, "repeatability", &report.files())?;
     }
     terminal::print_report(&report.text_lines().into_iter().collect())?;
-    Ok(if left_out.is_empty() { ExitCode::SUCCESS } else { ExitCode::FAILURE })
+    Ok(if left_out.is_empty() { SUCCESS } else { FAILURE })
 }
 
 /// Opens the data set of the command line: two clouds with their transform, the clouds of a list, a folder in a known layout,

@@ -3,7 +3,6 @@
 pub mod args;
 
 use std::path::Path;
-use std::process::ExitCode;
 
 use anyhow::{Context, Result, bail};
 use serde_json::json;
@@ -16,10 +15,11 @@ use crate::inputs::{check_inputs, output_origin};
 use crate::output::{InputFiles, check_page_path, write_page};
 use crate::setup::detail_of;
 use crate::terminal::{self, Report};
+use crate::{FAILURE, SUCCESS};
 use args::RegisterArguments;
 
 /// Finds the transform, writes the output files and prints the result.
-pub fn run(arguments: &RegisterArguments) -> Result<ExitCode> {
+pub fn run(arguments: &RegisterArguments) -> Result<u8> {
     arguments.compute.start_threads()?;
     let RegisterArguments { source, target, output, aligned, view, .. } = arguments;
     output.as_deref().map_or(Ok(()), io::check_registration_path)?;
@@ -58,7 +58,7 @@ pub fn run(arguments: &RegisterArguments) -> Result<ExitCode> {
     let near = match tried {
         Err(error) if fits_none && arguments.require_reliable => {
             terminal::error(&error);
-            return Ok(ExitCode::FAILURE);
+            return Ok(FAILURE);
         }
         tried => tried?,
     };
@@ -99,10 +99,10 @@ pub fn run(arguments: &RegisterArguments) -> Result<ExitCode> {
     }
     let verdict = &registration.verdict;
     if verdict.is_reliable {
-        return Ok(ExitCode::SUCCESS);
+        return Ok(SUCCESS);
     }
     terminal::warn(&format!("the transform is not reliable: its confidence is {:.2}", verdict.confidence));
-    Ok(if arguments.require_reliable { ExitCode::FAILURE } else { ExitCode::SUCCESS })
+    Ok(if arguments.require_reliable { FAILURE } else { SUCCESS })
 }
 
 /// A cloud whose coordinates, with its origin, are multiplied by a factor.

@@ -8,6 +8,7 @@ mod eval_models;
 mod eval_registration;
 mod eval_repeatability;
 mod eval_semantic;
+mod features;
 mod field;
 mod hostile_files;
 mod inputs;
@@ -32,6 +33,11 @@ use std::process::Output;
 use assert_cmd::Command;
 use serde_json::Value;
 use tempfile::TempDir;
+
+/// Whether `make test-full` runs, which tests whole grids.
+fn is_full() -> bool {
+    std::env::var_os("SNAKE_FULL").is_some()
+}
 
 fn root() -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).join("../..")

@@ -26,6 +26,7 @@ fn every_cloud_of_a_recording_has_a_report_and_a_file() {
     assert!(text.contains("drive.mcap, cloud 0: ") && text.contains("drive.mcap, cloud 1: "), "{text}");
 }
 
+#[cfg(feature = "rosbag2")]
 #[test]
 fn a_bag_of_ros_2_has_the_keypoints_of_the_same_drive_in_mcap() {
     let keypoints = |name: &str| {
@@ -38,6 +39,7 @@ fn a_bag_of_ros_2_has_the_keypoints_of_the_same_drive_in_mcap() {
     assert!(keypoints_of_drive.len() == 2 && keypoints_of_drive == keypoints("drive.mcap"));
 }
 
+#[cfg(feature = "rosbag2")]
 #[test]
 fn the_folder_of_a_bag_is_one_recording() {
     let root_folder = tempfile::tempdir().unwrap();

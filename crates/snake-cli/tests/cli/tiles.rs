@@ -30,11 +30,12 @@ fn tiles_write_the_keypoints_of_the_whole_cloud() {
     assert!(!folder.path().join("tiled.csv.tiles").exists());
 
     // Damaged and lost files of a run are made anew.
-    let (kept, parquet) = (path("kept"), path("keypoints.parquet"));
-    let in_folder = ["-o", &parquet, "--tile", "4", "--tile-folder", &kept];
+    let extension = if cfg!(feature = "parquet") { "parquet" } else { "csv" };
+    let (kept, keypoints) = (path("kept"), path(&format!("keypoints.{extension}")));
+    let in_folder = ["-o", &keypoints, "--tile", "4", "--tile-folder", &kept];
     assert_eq!(run(&in_folder).0, Some(0));
-    let complete = fs::read(&parquet).unwrap();
-    assert!(complete.starts_with(b"PAR1"));
+    let complete = fs::read(&keypoints).unwrap();
+    assert_eq!(complete.starts_with(b"PAR1"), cfg!(feature = "parquet"));
     let largest = |name: &str| {
         let entries = fs::read_dir(format!("{kept}/{name}")).unwrap().map(|entry| entry.unwrap());
         entries.max_by_key(|entry| entry.metadata().unwrap().len()).unwrap().path()
@@ -45,7 +46,7 @@ fn tiles_write_the_keypoints_of_the_whole_cloud() {
         let bytes = fs::read(&file).unwrap();
         fs::write(&file, &bytes[1..]).unwrap();
         assert_eq!(run(&in_folder).0, Some(0));
-        assert!(fs::read(&parquet).unwrap() == complete && fs::read(&file).unwrap() == bytes);
+        assert!(fs::read(&keypoints).unwrap() == complete && fs::read(&file).unwrap() == bytes);
     }
 
     // A tile that fails is named by its bounds and left out. Once it can be written, the run continues.
@@ -53,10 +54,10 @@ fn tiles_write_the_keypoints_of_the_whole_cloud() {
     fs::create_dir(&one).unwrap();
     let (code, error) = run(&in_folder);
     assert!(code == Some(1) && error.contains("the tile from x 691") && !error.contains("continues"), "{error}");
-    assert!(fs::read(&parquet).unwrap() != complete);
+    assert!(fs::read(&keypoints).unwrap() != complete);
     fs::remove_dir(&one).unwrap();
     assert_eq!(run(&in_folder).0, Some(0));
-    assert!(fs::read(&parquet).unwrap() == complete && fs::read(&one).unwrap() == candidates);
+    assert!(fs::read(&keypoints).unwrap() == complete && fs::read(&one).unwrap() == candidates);
 
     // With a full disk, here a limit of half the size of a file, the old result stays. Once there is room, the run continues.
     #[cfg(target_os = "linux")]
@@ -72,10 +73,10 @@ fn tiles_write_the_keypoints_of_the_whole_cloud() {
             .unwrap();
         let error = stderr(&output);
         assert!(output.status.code() == Some(2) && error.contains("the same command continues"), "{error}");
-        assert!(fs::read(&parquet).unwrap() == complete);
-        fs::remove_file(&parquet).unwrap();
+        assert!(fs::read(&keypoints).unwrap() == complete);
+        fs::remove_file(&keypoints).unwrap();
         assert_eq!(run(&in_folder).0, Some(0));
-        assert!(fs::read(&parquet).unwrap() == complete && fs::read(&one).unwrap() == candidates);
+        assert!(fs::read(&keypoints).unwrap() == complete && fs::read(&one).unwrap() == candidates);
     }
 }
 

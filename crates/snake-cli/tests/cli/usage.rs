@@ -110,6 +110,7 @@ fn bash_completes_sub_commands_and_their_options() {
     }
 }
 
+#[cfg(feature = "manual")]
 #[test]
 fn every_sub_command_has_a_manual_page() {
     let folder = tempfile::tempdir().unwrap();

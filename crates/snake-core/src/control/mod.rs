@@ -262,14 +262,15 @@ mod tests {
     /// Stops calls by a flag and by a deadline, at moments spread over the duration of a whole call. Half of the calls
     /// must return soon, and a stopped call must not change the results of later calls.
     fn assert_stops_soon<T: PartialEq + Send>(call: impl Fn(&Control) -> Result<T> + Sync) {
-        const MOMENTS: u32 = 10;
+        // `make test-full` tests more of them.
+        let moments = if std::env::var_os("SNAKE_FULL").is_some() { 10 } else { 5 };
         let expected = call(&Control::default()).unwrap();
         let start = Instant::now();
         assert!(call(&Control::default()).unwrap() == expected);
         let whole = start.elapsed();
         let mut delays = Vec::new();
-        for moment in 0..MOMENTS {
-            let pause = whole * moment / MOMENTS;
+        for moment in 0..moments {
+            let pause = whole * moment / moments;
             let flag = CancelFlag::default();
             std::thread::scope(|scope| {
                 let running = scope.spawn(|| (call(&Control::new().cancel(&flag)), Instant::now()));
@@ -295,7 +296,7 @@ mod tests {
         }
         assert!(call(&Control::default()).unwrap() == expected);
         // Later calls may be faster than the one that was timed.
-        assert!(delays.len() > 4, "{} of the calls were stopped", delays.len());
+        assert!(delays.len() >= moments as usize / 2, "{} of the calls were stopped", delays.len());
         delays.sort();
         let median = delays[delays.len() / 2];
         // On a machine that is busy with other things everything takes longer.

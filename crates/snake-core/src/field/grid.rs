@@ -126,24 +126,6 @@ mod tests {
         assert!(field.grid(1).is_err() && field.grid(513).is_err());
     }
 
-    #[cfg(feature = "ndarray")]
-    #[test]
-    fn arrays_have_the_values_of_their_positions() {
-        let (_, field) = cylinder();
-        let grid = field.grid(9).unwrap();
-        let array = grid.array(|queries| field.occupancy(queries)).unwrap();
-        for (z, y, x) in [(0, 0, 0), (3, 5, 7), (8, 1, 4)] {
-            let query = [grid.coordinate(0, x), grid.coordinate(1, y), grid.coordinate(2, z)];
-            assert_eq!(array[[z, y, x]], field.occupancy(&[query]).unwrap()[0]);
-        }
-        assert!(grid.array(|_| Ok(vec![0.0])).unwrap_err().to_string().contains("9 for a grid"));
-        let (volume, shape) = (field.volume(), field.volume().shape());
-        let [_, height, width, channels] = shape;
-        assert_eq!(volume.view().shape(), shape);
-        let place = ((3 * height + 4) * width + 5) * channels + 6;
-        assert_eq!(volume.view()[[3, 4, 5, 6]], volume.features()[place]);
-    }
-
     #[test]
     fn planes_across_z_stack_to_z_y_x() {
         let grid = Grid { resolution: 3, low: [0.0; 3], high: [2.0; 3] };

@@ -47,31 +47,3 @@ impl PointSource for ArrowPoints<'_> {
         )
     }
 }
-
-#[cfg(test)]
-mod tests {
-    use arrow_array::{ArrayRef, Float64Array};
-
-    use super::*;
-
-    #[test]
-    fn nulls_are_not_finite_and_slices_keep_their_place() {
-        let points = [Some(vec![Some(1.0), Some(2.0), Some(3.0)]), None, Some(vec![Some(4.0), None, Some(6.0)])];
-        let array = FixedSizeListArray::from_iter_primitive::<Float32Type, _, _>(points, 3);
-        let points = ArrowPoints::new(&array).unwrap().to_points();
-        assert_eq!((points.len(), points[0], points[1][0].is_nan()), (3, [1.0, 2.0, 3.0], true));
-        assert!(points[2][0] == 4.0 && points[2][1].is_nan());
-        let slice = array.slice(2, 1);
-        assert_eq!(ArrowPoints::new(&slice).unwrap().point(0)[2], 6.0);
-    }
-
-    #[test]
-    fn other_types_are_refused_by_name() {
-        let pairs = FixedSizeListArray::from_iter_primitive::<Float32Type, _, _>([Some([Some(1.0); 2])], 2);
-        let doubles: ArrayRef = std::sync::Arc::new(Float64Array::from(vec![1.0]));
-        for (array, name) in [(&pairs as &dyn Array, "2"), (&*doubles, "Float64")] {
-            let error = ArrowPoints::new(array).unwrap_err().to_string();
-            assert!(error.contains(name) && error.contains("FixedSizeList<Float32, 3>"), "{error}");
-        }
-    }
-}

@@ -10,7 +10,6 @@ pub(crate) mod off;
 pub(crate) mod pcd;
 pub(crate) mod ply;
 pub(crate) mod ply_header;
-#[cfg(any(feature = "e57", feature = "gltf"))]
 pub(crate) mod quaternion;
 pub(crate) mod shape;
 pub(crate) mod stl;

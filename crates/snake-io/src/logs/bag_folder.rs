@@ -3,32 +3,20 @@
 use std::ffi::{OsStr, OsString};
 use std::path::{Path, PathBuf};
 
-use serde::Deserialize;
-
 use crate::format::{PointFormat, extension};
+use crate::logs::metadata;
 use crate::{Error, Result};
 
 /// How a compressed bag is converted.
 pub(crate) const COMPRESSED: &str = "its messages are compressed; write them without compression: ros2 bag convert -i FOLDER \
                                      -o OPTIONS.yaml with output_bags: [{uri: drive, storage_id: mcap, all: true}]";
 
-/// What is read of `metadata.yaml`.
-#[derive(Deserialize)]
-struct Metadata {
-    rosbag2_bagfile_information: Information,
-}
-
-#[derive(Deserialize)]
-struct Information {
-    relative_file_paths: Vec<PathBuf>,
-}
-
 /// Whether a folder has files of messages and a `metadata.yaml`, or without that only parts of one bag.
 pub(crate) fn is_bag(folder: &Path) -> bool {
     let Ok(names) = names(folder) else { return false };
     let has_parts = names.iter().any(|name| is_part(Path::new(name)));
     let is_cloud = |name: &OsString| PointFormat::from_path(&folder.join(name)).is_ok();
-    has_parts && (metadata(folder).is_file() || (!names.iter().any(is_cloud) && numbered(folder).is_ok()))
+    has_parts && (metadata_file(folder).is_file() || (!names.iter().any(is_cloud) && numbered(folder).is_ok()))
 }
 
 /// The names of the files in a folder.
@@ -80,20 +68,15 @@ fn numbered(folder: &Path) -> Result<Vec<PathBuf>> {
 
 /// The files of a bag in the order of its metadata, or without metadata in that of their numbers.
 pub(crate) fn files(folder: &Path) -> Result<Vec<PathBuf>> {
-    let path = metadata(folder);
+    let path = metadata_file(folder);
     if !path.exists() {
         return numbered(folder);
     }
     let text = std::fs::read_to_string(&path).map_err(|source| Error::Io { path: path.clone(), source })?;
     let refuse = |reason: String| Error::Format { path: path.clone(), reason };
-    let metadata: Metadata = serde_saphyr::from_str(&text).map_err(|error| {
-        // The error goes on with an excerpt of the file.
-        refuse(format!(
-            "no metadata of a bag of ROS 2: {}; write it anew: ros2 bag reindex FOLDER",
-            error.without_snippet()
-        ))
+    let listed = metadata::file_paths(&text).map_err(|reason| {
+        refuse(format!("no metadata of a bag of ROS 2: {reason}; write it anew: ros2 bag reindex FOLDER"))
     })?;
-    let listed = metadata.rosbag2_bagfile_information.relative_file_paths;
     if listed.is_empty() {
         return Err(refuse("it lists no files (relative_file_paths)".into()));
     }
@@ -106,7 +89,7 @@ pub(crate) fn files(folder: &Path) -> Result<Vec<PathBuf>> {
     listed.into_iter().map(file).collect()
 }
 
-fn metadata(folder: &Path) -> PathBuf {
+fn metadata_file(folder: &Path) -> PathBuf {
     folder.join("metadata.yaml")
 }
 

@@ -6,11 +6,9 @@ use std::io::{BufReader, Read, Seek, SeekFrom};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
-use ::mcap::records::{Record, op};
-use ::mcap::sans_io::{LinearReadEvent, LinearReader, LinearReaderOptions};
-use ::mcap::{MAGIC, McapError, parse_record};
-
+use crate::logs::chunk::for_each_record;
 use crate::logs::message::{Message, Messages};
+use crate::logs::records::{MAGIC, Record, kind};
 use crate::{Error, MAX_EXPANSION, Result};
 
 /// The topics and the schemas of their messages, in the order of the file. Damage is left to the reader.
@@ -62,8 +60,8 @@ struct Reader {
     file: BufReader<File>,
     /// Bytes from here to the end of the file.
     left: u64,
-    /// The longest record.
-    most: usize,
+    /// The longest record in bytes.
+    max_record: usize,
     topic: Option<String>,
     schemas: HashMap<u16, String>,
     channels: HashMap<u16, Arc<Channel>>,
@@ -78,12 +76,12 @@ impl Reader {
         let file = File::open(path).map_err(io_error)?;
         let length = file.metadata().map_err(io_error)?.len();
         // A damaged length would otherwise take all memory. Lengths in messages of ROS have 32 bits.
-        let most = length.saturating_mul(MAX_EXPANSION as u64).min(u32::MAX.into()) as usize;
+        let max_record = length.saturating_mul(MAX_EXPANSION as u64).min(u32::MAX.into()) as usize;
         let mut reader = Self {
             path: path.into(),
             file: BufReader::with_capacity(1 << 20, file),
             left: length,
-            most,
+            max_record,
             topic,
             schemas: HashMap::new(),
             channels: HashMap::new(),
@@ -127,20 +125,19 @@ impl Reader {
     /// Reads the next record. What it has is found in `waiting`.
     fn read_record(&mut self) -> Result<()> {
         let head = self.bytes(9)?;
-        let Ok::<[u8; 9], _>([opcode, length @ ..]) = head.as_slice().try_into() else { return Err(self.cut()) };
+        let Ok::<[u8; 9], _>([kind, length @ ..]) = head.as_slice().try_into() else { return Err(self.cut()) };
         let length = u64::from_le_bytes(length);
         let is_whole = length <= self.left;
-        match opcode {
-            op::DATA_END => return self.check_end(),
-            op::CHUNK => {
+        match kind {
+            kind::DATA_END => return self.check_end(),
+            kind::CHUNK => {
                 let body = self.bytes(length)?;
-                self.read_chunk(&head, &body, is_whole);
+                self.read_chunk(&body, is_whole);
             }
-            op::SCHEMA | op::CHANNEL | op::MESSAGE if is_whole => {
+            kind::SCHEMA | kind::CHANNEL | kind::MESSAGE if is_whole => {
                 let body = self.bytes(length)?;
-                if let Some(found) = self.add(opcode, &body)? {
-                    self.waiting.push_back(Ok(found));
-                }
+                let message = self.add(kind, &body).map_err(|reason| self.refused(reason))?;
+                self.waiting.extend(message.map(Ok));
             }
             0 => return Err(self.refused("damaged: a record of the kind 0")),
             _ => self.skip(length)?,
@@ -162,68 +159,40 @@ impl Reader {
 
     /// Reads the messages of a chunk. Those of a damaged chunk are left out, because its checksum is for all of them;
     /// those of a chunk that the end of the file cuts are kept.
-    fn read_chunk(&mut self, head: &[u8], body: &[u8], is_whole: bool) {
-        let options = LinearReaderOptions::default()
-            .with_skip_start_magic(true)
-            .with_skip_end_magic(true)
-            .with_validate_chunk_crcs(true)
-            .with_record_length_limit(self.most);
-        let mut reader = LinearReader::new_with_options(options);
-        let mut source = head.chain(body);
+    fn read_chunk(&mut self, body: &[u8], is_whole: bool) {
         let mut messages = Vec::new();
-        let mut error = None;
-        while let (None, Some(event)) = (&error, reader.next_event()) {
-            match event {
-                Ok(LinearReadEvent::ReadRequest(length)) => match source.read(reader.insert(length)) {
-                    Ok(length) => reader.notify_read(length),
-                    Err(source) => error = Some(self.io(source)),
-                },
-                Ok(LinearReadEvent::Record { opcode, data }) => match self.add(opcode, data) {
-                    Ok(found) => messages.extend(found),
-                    Err(reason) => error = Some(reason),
-                },
-                Err(reason) => error = Some(self.failed(&reason)),
-            }
-        }
-        match error {
-            Some(error) if is_whole => self.waiting.push_back(Err(error)),
+        let result = for_each_record(body, self.max_record, |kind, content| {
+            messages.extend(self.add(kind, content)?);
+            Ok(())
+        });
+        match result {
+            Err(reason) if is_whole => self.waiting.push_back(Err(self.refused(reason))),
             _ => self.waiting.extend(messages.into_iter().map(Ok)),
         }
     }
 
-    fn failed(&self, error: &McapError) -> Error {
-        match error {
-            McapError::UnsupportedCompression(name) => self.refused(format!(
-                "chunks compressed with `{name}`, which is not read; convert it: mcap compress --compression zstd IN.mcap -o \
-                 OUT.mcap"
-            )),
-            error => self.refused(format!("a chunk is damaged, and its messages are left out: {error}")),
-        }
-    }
-
     /// Notes a schema or a channel, and returns a message of the topic.
-    fn add(&mut self, opcode: u8, body: &[u8]) -> Result<Option<Found>> {
-        match parse_record(opcode, body).map_err(|error| self.refused(format!("a record is damaged: {error}")))? {
-            Record::Schema { header, .. } => {
-                self.schemas.insert(header.id, header.name);
+    fn add(&mut self, kind: u8, content: &[u8]) -> std::result::Result<Option<Found>, String> {
+        match Record::parse(kind, content).map_err(|error| format!("a record is damaged: {error}"))? {
+            Record::Schema { id, name } => {
+                self.schemas.insert(id, name);
             }
-            Record::Channel(channel) => {
-                let schema = self.schemas.get(&channel.schema_id).map_or("without a schema", |name| name);
-                let (schema, encoding) = (schema.to_owned(), channel.message_encoding);
-                self.channels.insert(channel.id, Arc::new(Channel { topic: channel.topic, schema, encoding }));
+            Record::Channel { id, schema_id, topic, encoding } => {
+                let schema = self.schemas.get(&schema_id).map_or("without a schema", |name| name).to_owned();
+                self.channels.insert(id, Arc::new(Channel { topic, schema, encoding }));
             }
-            Record::Message { header, data } => {
-                let Some(channel) = self.channels.get(&header.channel_id) else {
-                    return Err(self.refused(format!("a message of channel {}, which is not there", header.channel_id)));
+            Record::Message { channel_id, log_time, data } => {
+                let Some(channel) = self.channels.get(&channel_id) else {
+                    return Err(format!("a message of channel {channel_id}, which is not there"));
                 };
                 let data = match &self.topic {
                     Some(topic) if *topic != channel.topic => return Ok(None),
-                    Some(_) => data.into_owned(),
+                    Some(_) => data.to_vec(),
                     None => Vec::new(),
                 };
-                return Ok(Some(Found { channel: channel.clone(), log_time: header.log_time, data }));
+                return Ok(Some(Found { channel: channel.clone(), log_time, data }));
             }
-            _ => (),
+            Record::Other => (),
         }
         Ok(None)
     }

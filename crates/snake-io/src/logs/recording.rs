@@ -59,7 +59,7 @@ pub fn is_recording(path: &Path) -> bool {
 ///
 /// # Errors
 /// [`Error::Io`] when a file cannot be read; [`Error::Format`] when it is no recording, the topic has no point clouds, or no
-/// topic is given and several have some.
+/// topic is given and several have some; [`Error::Feature`] for a `.db3` file without the feature `rosbag2`.
 pub fn read_recording(path: &Path, topic: Option<&str>) -> Result<Recording> {
     let files = if path.is_dir() { bag_folder::files(path)? } else { vec![path.to_path_buf()] };
     let mut topics: Vec<(String, String)> = Vec::new();
@@ -135,19 +135,18 @@ fn topics_of(path: &Path) -> Result<Vec<(String, String)>> {
         #[cfg(feature = "rosbag2")]
         "db3" => rosbag2::Bag::open(path)?.topics(),
         #[cfg(not(feature = "rosbag2"))]
-        "db3" => {
-            let reason = "this build cannot read .db3: it lacks the feature `rosbag2` of snake-io".into();
-            Err(Error::Format { path: path.into(), reason })
-        }
+        "db3" => Err(Error::Feature { path: path.into(), feature: "rosbag2" }),
         _ => mcap::topics(path),
     }
 }
 
 /// The messages of a topic in a file whose topics have been read.
 fn messages_of(path: &Path, topic: &str) -> Result<Messages> {
-    #[cfg(feature = "rosbag2")]
-    if extension(path) == "db3" {
-        return rosbag2::Bag::open(path)?.messages(topic);
+    match extension(path).as_str() {
+        #[cfg(feature = "rosbag2")]
+        "db3" => rosbag2::Bag::open(path)?.messages(topic),
+        #[cfg(not(feature = "rosbag2"))]
+        "db3" => Err(Error::Feature { path: path.into(), feature: "rosbag2" }),
+        _ => mcap::messages(path, topic),
     }
-    mcap::messages(path, topic)
 }

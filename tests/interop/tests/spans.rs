@@ -1,7 +1,5 @@
 //! Spans of the feature `tracing`.
 
-#![cfg(feature = "tracing")]
-
 use std::sync::{Arc, Mutex};
 
 use snake_core::{Builtin, Model, Point};

@@ -1,4 +1,4 @@
-//! Whole stages of a detection: `cargo bench --bench end_to_end`.
+//! Whole stages of a detection: `cargo bench -p snake-bench --bench end_to_end`.
 //!
 //! For the built-in model and for the paper's 64³ network with seeded random weights (no weights of that size come with
 //! the crate, and speed does not depend on their values).

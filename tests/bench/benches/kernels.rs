@@ -1,4 +1,4 @@
-//! Each kernel by itself, on one thread, at every level of instructions of this processor: `cargo bench --bench kernels`.
+//! Each kernel by itself, on one thread, at every level of instructions of this processor: `cargo bench -p snake-bench --bench kernels`.
 //!
 //! Throughput is in multiply-adds of the textbook, so a convolution's can exceed what the processor could do directly.
 

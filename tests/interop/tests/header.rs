@@ -4,7 +4,7 @@ use std::path::Path;
 
 #[test]
 fn the_header_is_current() {
-    let folder = Path::new(env!("CARGO_MANIFEST_DIR"));
+    let folder = &Path::new(env!("CARGO_MANIFEST_DIR")).join("../../crates/snake-capi");
     let mut written = Vec::new();
     cbindgen::generate(folder).unwrap().write(&mut written);
     let written = String::from_utf8(written).unwrap();
@@ -13,5 +13,8 @@ fn the_header_is_current() {
         std::fs::write(&header, &written).unwrap();
     }
     let committed = std::fs::read_to_string(&header).unwrap();
-    assert!(committed == written, "the header is old: SNAKE_WRITE_HEADER=1 cargo test --release -p snake-capi");
+    assert!(
+        committed == written,
+        "the header is old: SNAKE_WRITE_HEADER=1 cargo test --release -p snake-interop --test header"
+    );
 }

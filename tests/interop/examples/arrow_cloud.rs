@@ -1,4 +1,4 @@
-//! Keypoints of an Arrow array: `cargo run --release -p snake-core --features arrow --example arrow_cloud`.
+//! Keypoints of an Arrow array: `cargo run --release -p snake-interop --example arrow_cloud`.
 
 use arrow_array::types::Float32Type;
 use arrow_array::{Array, FixedSizeListArray};
@@ -14,7 +14,8 @@ fn torus() -> FixedSizeListArray {
     FixedSizeListArray::from_iter_primitive::<Float32Type, _, _>((0..4000).map(point), 3)
 }
 
-fn main() -> Result<()> {
+/// Detects the keypoints of an array.
+pub fn main() -> Result<()> {
     let array = torus();
 
     // Any Arrow array; another type than FixedSizeList<f32, 3> is an error that names it.
@@ -24,6 +25,7 @@ fn main() -> Result<()> {
     let options = *model.recommended();
     let mut detection = Detection::default();
     Detector::new(model, options)?.detect_into(&cloud, &mut detection)?;
+    assert_eq!(detection.num_skipped, 400);
     println!("{} keypoints of {} points", detection.keypoints.len(), array.len() - detection.num_skipped);
     Ok(())
 }

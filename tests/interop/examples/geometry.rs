@@ -1,4 +1,4 @@
-//! Points of glam and nalgebra, without a copy: `cargo run --release -p snake-core --example geometry`.
+//! Points of glam and nalgebra, without a copy: `cargo run --release -p snake-interop --example geometry`.
 
 use std::error::Error;
 
@@ -16,7 +16,8 @@ fn torus() -> Vec<Vec3> {
     (0..4000).map(point).collect()
 }
 
-fn main() -> Result<(), Box<dyn Error>> {
+/// Detects the same keypoints in points of either crate.
+pub fn main() -> Result<(), Box<dyn Error>> {
     let model = Model::builtin(Builtin::Compact);
     let glam_points: Vec<Vec3> = torus();
 
@@ -29,6 +30,6 @@ fn main() -> Result<(), Box<dyn Error>> {
     let nalgebra_points: Vec<Point3<f32>> = glam_points.iter().map(|p| Point3::new(p.x, p.y, p.z)).collect();
     let points: &[Point] = bytemuck::try_cast_slice(&nalgebra_points).map_err(|error| error.to_string())?;
     let again = model.detect(points, model.recommended())?;
-    println!("the same with nalgebra: {}", again.keypoints == detection.keypoints);
+    assert_eq!(again.keypoints, detection.keypoints);
     Ok(())
 }

@@ -1,0 +1,17 @@
+//! The program `snake-cli`.
+
+use std::ffi::OsString;
+use std::io::Write;
+
+use pyo3::prelude::*;
+
+/// Runs `snake-cli` with these words, of which the first is its name, and returns its exit code.
+#[pyfunction]
+pub fn run_command(py: Python<'_>, words: Vec<OsString>) -> u8 {
+    py.detach(|| {
+        let code = snake_keypoints::run(&words);
+        // Only the end of a Rust program flushes it.
+        let _ = std::io::stdout().flush();
+        code
+    })
+}
