@@ -12,6 +12,5 @@ pub(crate) mod ply;
 pub(crate) mod ply_header;
 #[cfg(any(feature = "e57", feature = "gltf"))]
 pub(crate) mod quaternion;
-pub(crate) mod shape;
 pub(crate) mod stl;
 pub(crate) mod sweep;

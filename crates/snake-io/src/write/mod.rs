@@ -2,17 +2,21 @@
 
 pub(crate) mod json;
 pub(crate) mod keypoint_source;
+#[cfg(feature = "laz")]
+mod laz;
 pub(crate) mod mesh;
 #[cfg(feature = "parquet")]
 pub(crate) mod parquet;
-pub(crate) mod table;
+mod ply;
+mod rows;
 
 use std::io::{self, Write};
 use std::path::Path;
 
 use crate::format::{CloudFormat, KeypointFormat, extension};
+use crate::table::scalar::Scalar;
 use crate::write::keypoint_source::KeypointSource;
-use crate::write::table::{Column, Kind, Table};
+use crate::write::rows::{Column, Rows};
 use crate::{Attributes, Error, Result, write_atomically};
 use snake_geometry::{Keypoint, Point, add_origin};
 
@@ -23,8 +27,9 @@ impl KeypointFormat {
     /// The errors of `out`; for PLY and PCD also an index that does not fit into their integers.
     pub fn write(self, out: &mut dyn Write, keypoints: &[Keypoint], source: &KeypointSource) -> io::Result<()> {
         let [x, y, z] = axes(source.origin);
-        let [saliency, occupancy, confidence] = ["saliency", "occupancy", "confidence"].map(|name| (name, Kind::Float));
-        let index = ("nearest_index", Kind::Int);
+        let [saliency, occupancy, confidence] =
+            ["saliency", "occupancy", "confidence"].map(|name| (name, Scalar::FLOAT));
+        let index = ("nearest_index", Scalar::INT);
         let position = |keypoint: &Keypoint| add_origin(keypoint.position, source.origin);
         let values = |k: &Keypoint| {
             [k.saliency.into(), k.occupancy.into(), k.nearest_index as f64, k.confidence.unwrap_or(f32::NAN).into()]
@@ -32,14 +37,14 @@ impl KeypointFormat {
         let num_rows = keypoints.len();
         match self {
             Self::Ply => {
-                let [red, green, blue] = ["red", "green", "blue"].map(|name| (name, Kind::Byte));
+                let [red, green, blue] = ["red", "green", "blue"].map(|name| (name, Scalar::BYTE));
                 let rows = keypoints.iter().map(|keypoint| {
                     let ([x, y, z], [saliency, occupancy, index, confidence]) = (position(keypoint), values(keypoint));
                     let [red, green, blue] = color(keypoint.saliency).map(f64::from);
                     [x, y, z, red, green, blue, saliency, occupancy, index, confidence]
                 });
                 let columns = [x, y, z, red, green, blue, saliency, occupancy, index, confidence];
-                Table { columns, num_rows, rows }.write_ply(out)
+                Rows { columns, num_rows, rows }.write_ply(out)
             }
             Self::Pcd => {
                 let [x, y, z] = axes([0.0; 3]);
@@ -48,21 +53,21 @@ impl KeypointFormat {
                         (keypoint.position.map(f64::from), values(keypoint));
                     [x, y, z, packed(color(keypoint.saliency)), saliency, occupancy, index, confidence]
                 });
-                let columns = [x, y, z, ("rgb", Kind::Float), saliency, occupancy, index, confidence];
-                Table { columns, num_rows, rows }.write_pcd(out, source.origin)
+                let columns = [x, y, z, ("rgb", Scalar::FLOAT), saliency, occupancy, index, confidence];
+                Rows { columns, num_rows, rows }.write_pcd(out, source.origin)
             }
             Self::Npy | Self::Csv => {
                 let rows = keypoints.iter().map(|keypoint| {
                     let ([x, y, z], [saliency, occupancy, index, confidence]) = (position(keypoint), values(keypoint));
                     [x, y, z, saliency, occupancy, index, confidence]
                 });
-                let table = Table { columns: [x, y, z, saliency, occupancy, index, confidence], num_rows, rows };
+                let table = Rows { columns: [x, y, z, saliency, occupancy, index, confidence], num_rows, rows };
                 if self == Self::Npy { table.write_npy(out) } else { table.write_csv(out) }
             }
             Self::Json => json::write(out, keypoints, source.origin),
             Self::KeypointNet => json::write_keypointnet(out, keypoints, source),
             #[cfg(feature = "laz")]
-            Self::Laz => crate::las::keypoints::write(out, keypoints, source),
+            Self::Laz => laz::write(out, keypoints, source),
             #[cfg(feature = "parquet")]
             Self::Parquet => parquet::write(out, keypoints, source),
         }
@@ -85,19 +90,19 @@ impl CloudFormat {
         let num_rows = points.len();
         let positions = points.iter().map(|&point| add_origin(point, origin));
         match self {
-            Self::Npy => Table { columns: axes(origin), num_rows, rows: positions }.write_npy(out),
-            Self::Xyz => Table { columns: axes(origin), num_rows, rows: positions }.write_lines(out, " "),
+            Self::Npy => Rows { columns: axes(origin), num_rows, rows: positions }.write_npy(out),
+            Self::Xyz => Rows { columns: axes(origin), num_rows, rows: positions }.write_lines(out, " "),
             Self::Ply | Self::Csv => {
                 let columns = [&axes(origin)[..], &self.attribute_columns(attributes)].concat();
                 let rows = positions.enumerate().map(|(index, position)| self.row(position, attributes, index));
-                let table = Table { columns, num_rows, rows };
+                let table = Rows { columns, num_rows, rows };
                 if self == Self::Ply { table.write_ply(out) } else { table.write_csv(out) }
             }
             Self::Pcd => {
                 let columns = [&axes([0.0; 3])[..], &self.attribute_columns(attributes)].concat();
                 let near = points.iter().map(|point| point.map(f64::from)).enumerate();
                 let rows = near.map(|(index, position)| self.row(position, attributes, index));
-                Table { columns, num_rows, rows }.write_pcd(out, origin)
+                Rows { columns, num_rows, rows }.write_pcd(out, origin)
             }
         }
     }
@@ -106,12 +111,12 @@ impl CloudFormat {
     fn attribute_columns(self, attributes: &Attributes) -> Vec<Column> {
         let Attributes { colors, intensity, normals } = attributes;
         let (normal_names, color_columns): ([&str; 3], &[Column]) = match self {
-            Self::Pcd => (["normal_x", "normal_y", "normal_z"], &[("rgb", Kind::Float)]),
-            _ => (["nx", "ny", "nz"], &[("red", Kind::Byte), ("green", Kind::Byte), ("blue", Kind::Byte)]),
+            Self::Pcd => (["normal_x", "normal_y", "normal_z"], &[("rgb", Scalar::FLOAT)]),
+            _ => (["nx", "ny", "nz"], &[("red", Scalar::BYTE), ("green", Scalar::BYTE), ("blue", Scalar::BYTE)]),
         };
-        let normal_columns = normals.iter().flat_map(|_| normal_names.map(|name| (name, Kind::Float)));
+        let normal_columns = normals.iter().flat_map(|_| normal_names.map(|name| (name, Scalar::FLOAT)));
         let color_columns = colors.iter().flat_map(|_| color_columns.iter().copied());
-        normal_columns.chain(color_columns).chain(intensity.iter().map(|_| ("intensity", Kind::Float))).collect()
+        normal_columns.chain(color_columns).chain(intensity.iter().map(|_| ("intensity", Scalar::FLOAT))).collect()
     }
 
     /// The values of a point, in the order of the columns.
@@ -135,9 +140,9 @@ fn packed([red, green, blue]: [u8; 3]) -> f64 {
 }
 
 /// The columns of the coordinates. Coordinates with an origin need eight bytes.
-pub(crate) fn axes(origin: [f64; 3]) -> [(&'static str, Kind); 3] {
-    let kind = if origin == [0.0; 3] { Kind::Float } else { Kind::Double };
-    ["x", "y", "z"].map(|axis| (axis, kind))
+pub(crate) fn axes(origin: [f64; 3]) -> [Column; 3] {
+    let scalar = if origin == [0.0; 3] { Scalar::FLOAT } else { Scalar::DOUBLE };
+    ["x", "y", "z"].map(|axis| (axis, scalar))
 }
 
 /// The colour of a saliency, from violet at 0 through green to yellow at 1 (five colours of viridis).
