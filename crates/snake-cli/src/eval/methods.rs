@@ -47,9 +47,10 @@ pub struct Ranked {
     pub model: Option<String>,
 }
 
-/// A cloud by the name that keypoints in files have.
+/// The cloud of a file of keypoints.
 #[derive(Clone, Copy)]
 pub struct InFile<'a> {
+    /// The name of the file, without its extension.
     pub name: &'a str,
     /// Offset to add to the cloud for the frame of its file.
     pub origin: [f64; 3],
