@@ -36,7 +36,14 @@ impl Place {
     /// The number in a row of the table.
     #[inline]
     pub(crate) fn decode(self, bytes: &[u8], row: usize) -> f64 {
-        self.scalar.decode(&bytes[self.offset + row * self.stride..][..self.scalar.size])
+        let Self { scalar, offset, stride } = self;
+        let rest = &bytes[offset + row * stride..];
+        // Most numbers need no copy of a length that is known only here.
+        match (scalar, rest) {
+            (Scalar::FLOAT, &[a, b, c, d, ..]) => f32::from_le_bytes([a, b, c, d]).into(),
+            (Scalar::DOUBLE, &[a, b, c, d, e, f, g, h, ..]) => f64::from_le_bytes([a, b, c, d, e, f, g, h]),
+            _ => scalar.decode(&rest[..scalar.size]),
+        }
     }
 }
 

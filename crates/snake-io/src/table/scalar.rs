@@ -50,12 +50,7 @@ impl Scalar {
     }
 
     /// Decodes an item of `size` bytes.
-    #[inline]
     pub(crate) fn decode(&self, item: &[u8]) -> f64 {
-        // Most coordinates need no copy of a length that is known only here.
-        if let (b'f', false, &[a, b, c, d]) = (self.kind, self.big_endian, item) {
-            return f32::from_le_bytes([a, b, c, d]).into();
-        }
         let mut bytes = [0; 8];
         bytes[..self.size].copy_from_slice(item);
         if self.big_endian {
